@@ -1,0 +1,30 @@
+# Image of both programs. Versions and hashes come from requirements.lock, development tools stay outside.
+FROM python:3.11-slim-bookworm AS build
+WORKDIR /src
+COPY pyproject.toml requirements.lock README.md LICENSE ./
+COPY clutch_model clutch_model
+COPY dbc dbc
+COPY diag_service diag_service
+COPY ecu_emulator ecu_emulator
+# The lock's own uv installs the project: the lock then constrains, so only what the project needs comes in,
+# and every file is held against the lock's hashes.
+RUN awk '/^[^ #]/ { keep = /^uv==/ } keep' requirements.lock > /tmp/uv.lock \
+ && python -m venv /opt/uv && /opt/uv/bin/pip install --no-cache-dir --require-hashes -r /tmp/uv.lock \
+ && python -m venv --without-pip /opt/clutchdiag \
+ && /opt/uv/bin/uv pip install --no-cache --python /opt/clutchdiag/bin/python \
+      --constraints requirements.lock --build-constraints requirements.lock ".[mf4]"
+
+FROM python:3.11-slim-bookworm
+COPY --from=build /opt/clutchdiag /opt/clutchdiag
+ENV PATH=/opt/clutchdiag/bin:$PATH \
+    PYTHONUNBUFFERED=1 \
+    NUMBA_CACHE_DIR=/var/cache/clutchdiag \
+    XDG_STATE_HOME=/var/lib
+RUN useradd --system --no-create-home clutchdiag \
+ && install -d -o clutchdiag -g clutchdiag /var/cache/clutchdiag /var/lib/clutchdiag
+USER clutchdiag
+# Compile the numerical kernels once; a host with another processor compiles them again at its first start.
+RUN ecu-emulator record /tmp/warm.log --scenario noise_only --cycles 1 \
+ && diag-service analyze /tmp/warm.log --json > /dev/null \
+ && rm /tmp/warm*
+CMD ["diag-service", "--help"]

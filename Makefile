@@ -1,0 +1,115 @@
+# The only commands people and CI run. POSIX sh; every target sets up what it needs.
+.SUFFIXES:
+.NOTPARALLEL:
+.DEFAULT_GOAL := help
+
+PYTHON ?= python3
+VENV ?= .venv
+SEEDS ?=
+SCENARIO ?=
+BROKER ?=
+VCAN_LIMIT_S ?= 600
+
+PY = "$(VENV)/bin/python"
+BENCHMARKS = $(filter-out accuracy,$(basename $(notdir $(wildcard benchmarks/[a-z]*.py))))
+
+.PHONY: help setup setup-system demo check static test warm test-host test-vcan bench accuracy lock clean
+
+help:
+	@echo "make setup         virtual environment in $(VENV) with the locked requirements and the project"
+	@echo "make demo          emulator and service on one bus, a live line per shift, a table and a picture"
+	@echo "                   SCENARIO=case2 for another drive, BROKER=mqtt://host for a broker of your own"
+	@echo "make check         format, lint, types, import contracts, DBC, unit and property tests (under 2 minutes)"
+	@echo "make test          everything CI runs, the tests on a real vcan included"
+	@echo "make bench         speed and size figures"
+	@echo "make accuracy      estimates against the truth over many seeds; SEEDS=n for fewer or more"
+	@echo "make setup-system  the Debian packages that 'make test' needs (mosquitto, can-utils, ...)"
+	@echo "make lock          resolve requirements.lock again; UPGRADE=1 for newer versions"
+	@echo "Variables: PYTHON=$(PYTHON) (3.11 or newer), VENV=$(VENV)"
+
+# --- setting up -------------------------------------------------------------------------------------------------------
+
+setup: $(VENV)/.project-installed
+
+$(VENV)/bin/python:
+	@command -v "$(PYTHON)" >/dev/null || { \
+	  echo "error: '$(PYTHON)' was not found; install Python 3.11 or newer, or name one: make setup PYTHON=python3.12" >&2; \
+	  exit 1; }
+	@"$(PYTHON)" -c 'import sys; sys.exit(sys.version_info < (3, 11))' || { \
+	  echo "error: $$("$(PYTHON)" --version) is too old; name Python 3.11 or newer: make setup PYTHON=python3.12" >&2; \
+	  exit 1; }
+	@echo "setup: creating $(VENV) with $$("$(PYTHON)" --version)"
+	@"$(PYTHON)" -m venv "$(VENV)" || { \
+	  rm -rf "$(VENV)"; \
+	  echo "error: no virtual environment; on Debian and Ubuntu: apt-get install python3-venv" >&2; \
+	  exit 1; }
+
+# Twice -q: pip's notes about indices that lack a package are the machine's matter, its errors are ours.
+$(VENV)/.requirements-installed: requirements.lock | $(VENV)/bin/python
+	@echo "setup: installing the locked requirements (their hashes are checked; a minute or two the first time)"
+	@$(PY) -m pip --disable-pip-version-check install -qq --require-hashes -r requirements.lock
+	@touch "$@"
+
+$(VENV)/.project-installed: pyproject.toml $(VENV)/.requirements-installed
+	@echo "setup: installing clutchdiag itself, editable"
+	@$(PY) -m pip --disable-pip-version-check install -qq --no-deps --no-build-isolation -e .
+	@touch "$@"
+
+setup-system:
+	@sh .ci/system-packages
+
+lock: setup
+	@$(PY) -m uv pip compile pyproject.toml --all-extras --generate-hashes --no-emit-index-url --universal \
+	  --python-version 3.11 $(if $(UPGRADE),--upgrade) -q -o requirements.lock
+
+# --- using ------------------------------------------------------------------------------------------------------------
+
+demo: setup
+	@$(PY) -m demo $(if $(SCENARIO),--scenario "$(SCENARIO)") $(if $(BROKER),--broker "$(BROKER)")
+
+bench: setup
+	@set -e; for name in $(BENCHMARKS); do \
+	  echo "== benchmark: $$name"; $(PY) -m "benchmarks.$$name"; \
+	done
+
+accuracy: setup
+	@$(PY) -m benchmarks.accuracy $(if $(SEEDS),--seeds "$(SEEDS)")
+
+# --- checking ---------------------------------------------------------------------------------------------------------
+
+check: static
+	@echo "check: unit and property tests"
+	@$(PY) -m pytest -q -m "not vcan and not slow" tests/unit tests/properties
+
+static: setup
+	@echo "check: format, lint, types, import contracts, spelling"
+	@$(PY) -m ruff format --quiet --check .
+	@$(PY) -m ruff check --quiet .
+	@$(PY) -m mypy --no-error-summary
+	@$(PY) -c 'import sys; from importlinter.cli import lint_imports_command; sys.exit(lint_imports_command())' --no-logo
+	@$(PY) -m codespell_lib
+	@echo "check: the DBC loads strict, docker-compose.yml fits the compose schema"
+	@$(PY) -c 'from dbc.contract import load_contract; load_contract()'
+	@$(PY) -m check_jsonschema --quiet --builtin-schema vendor.compose-spec docker-compose.yml
+
+test: setup-system static warm test-host test-vcan
+	@echo "test: all passed, none skipped"
+
+# Compiling inside User-Mode Linux is twelve times slower than here, so the cache is filled before.
+warm: setup
+	@echo "test: compiling the numerical kernels, unless cached"
+	@folder=$$(mktemp -d) && trap 'rm -rf "$$folder"' EXIT && \
+	  $(PY) -m ecu_emulator record "$$folder/warm.log" --scenario noise_only --cycles 1 >/dev/null && \
+	  $(PY) -m diag_service analyze "$$folder/warm.log" --json >/dev/null
+
+test-host: setup
+	@echo "test: on this machine, $$(uname -sr)"
+	@$(PY) -m pytest -m "not vcan"
+
+test-vcan: setup
+	@echo "test: on a real vcan"
+	@$(PY) -m tests.uml.run --time-limit "$(VCAN_LIMIT_S)" -- $(PY) -m pytest -m vcan
+
+clean:
+	rm -rf "$(VENV)" build *.egg-info .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache
+	find . -name __pycache__ -type d -prune -exec rm -rf {} +

@@ -1,0 +1,1 @@
+"""Speed, size and accuracy figures: ``make bench``, ``make accuracy``."""

@@ -1,0 +1,327 @@
+"""Calibrations: frozen parameter records, range-checked once, loaded from TOML.
+
+Symbols in the comments are those of ``docs/model.md``. Clutch 1 carries the odd gears, clutch 2 the even ones.
+"""
+
+import math
+import tomllib
+from collections.abc import Mapping
+from dataclasses import dataclass, fields
+from importlib.resources import files
+from pathlib import Path
+from typing import Any, Self, TypeVar
+
+from clutch_model.errors import CalibrationError
+
+CLUTCH_COUNT = 2
+RecordT = TypeVar("RecordT")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Ranged:
+    """A record whose every number is finite and, unless a subclass says otherwise, not negative."""
+
+    def __post_init__(self) -> None:
+        for field in fields(self):
+            value = getattr(self, field.name)
+            if isinstance(value, int | float) and not (math.isfinite(value) and value >= 0.0):
+                raise CalibrationError(
+                    f"{type(self).__name__}.{field.name} must be finite and >= 0, got {value}"
+                )
+
+
+def _require(condition: bool, message: str) -> None:  # noqa: FBT001 - reads as a sentence at the call
+    if not condition:
+        raise CalibrationError(message)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class FrictionCurve(_Ranged):
+    """Stribeck curve of one clutch, eq. (8)."""
+
+    mu_c: float  # Coulomb coefficient, reached at high slip
+    mu_s: float  # static coefficient, reached at zero slip
+    stribeck_speed_rad_s: float  # w_S
+    stribeck_exponent: float  # lambda_S
+    lock_band_rad_s: float  # w_rel
+
+    def __post_init__(self) -> None:
+        """Check that the coefficients are those of a lubricated friction lining."""
+        _Ranged.__post_init__(self)
+        for name in ("mu_c", "mu_s"):
+            _require(0.02 <= getattr(self, name) <= 0.5, f"{name} must be 0.02..0.5, got {getattr(self, name)}")
+        _require(self.stribeck_speed_rad_s > 0.0, "stribeck_speed_rad_s must be > 0")
+        _require(self.stribeck_exponent > 0.0, "stribeck_exponent must be > 0")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ClutchGeometry(_Ranged):
+    """Fixed geometry of one clutch pack."""
+
+    outer_radius_m: float  # Ro
+    inner_radius_m: float  # Ri
+    interface_count: int  # Np
+    piston_area_m2: float  # A_K
+
+    def __post_init__(self) -> None:
+        """Check that the ring exists and the piston pushes."""
+        _Ranged.__post_init__(self)
+        _require(
+            0.0 < self.inner_radius_m < self.outer_radius_m,
+            "inner_radius_m must lie between 0 and outer_radius_m",
+        )
+        _require(self.interface_count >= 1, "interface_count must be >= 1")
+        _require(self.piston_area_m2 > 0.0, "piston_area_m2 must be > 0")
+
+    @property
+    def lining_area_m2(self) -> float:
+        """Area of one friction face [m^2], A_lining."""
+        return math.pi * (self.outer_radius_m**2 - self.inner_radius_m**2)
+
+    @property
+    def contact_factor_m3(self) -> float:
+        """Torque per friction coefficient and contact pressure [m^3], C of eq. (6)."""
+        return self.interface_count * 2.0 * math.pi / 3.0 * (self.outer_radius_m**3 - self.inner_radius_m**3)
+
+    @property
+    def viscous_factor_m4(self) -> float:
+        """Torque per shear rate and viscosity [m^4], Vg of eq. (5)."""
+        return self.interface_count * math.pi / 2.0 * (self.outer_radius_m**4 - self.inner_radius_m**4)
+
+    @property
+    def squeeze_factor_m2(self) -> float:
+        """Geometric factor of the annular squeeze film [m^2], Q of eq. (7)."""
+        outer2, inner2 = self.outer_radius_m**2, self.inner_radius_m**2
+        return 1.5 * (
+            (outer2 + inner2) - (outer2 - inner2) / math.log(self.outer_radius_m / self.inner_radius_m)
+        )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Piston(_Ranged):
+    """Return spring and stroke of one clutch piston."""
+
+    spring_preload_n: float  # F_pre
+    spring_rate_n_m: float  # K_K
+    fill_stroke_m: float  # x_fill
+
+    @property
+    def closed_spring_force_n(self) -> float:
+        """Spring force with the pack closed [N], F_s."""
+        return self.spring_preload_n + self.spring_rate_n_m * self.fill_stroke_m
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class FilmSurface(_Ranged):
+    """Rough, permeable lining surface and the oil film on it, eq. (7)."""
+
+    roughness_m: float  # sigma, combined rms roughness
+    contact_stiffness_pa: float  # K_c = K'E'
+    permeability_m2: float  # Phi
+    lining_thickness_m: float  # d
+    slip_coefficient: float  # a_BJ, Beavers-Joseph
+    open_gap_m: float  # h0
+    separation_time_s: float  # tau_sep
+    separation_pressure_pa: float  # p_sep
+    min_film_m: float  # h_min
+
+    def __post_init__(self) -> None:
+        """Check that the film law has no zero denominator."""
+        _Ranged.__post_init__(self)
+        for name in ("roughness_m", "contact_stiffness_pa", "permeability_m2", "open_gap_m", "separation_time_s"):
+            _require(getattr(self, name) > 0.0, f"{name} must be > 0")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ClutchThermal(_Ranged):
+    """Lumped thermal mass of one clutch pack."""
+
+    heat_capacity_j_k: float  # C_th
+    convection_w_k: float  # hA
+
+    def __post_init__(self) -> None:
+        """Check that the pack has a heat capacity."""
+        _Ranged.__post_init__(self)
+        _require(self.heat_capacity_j_k > 0.0, "heat_capacity_j_k must be > 0")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ClutchCalibration:
+    """Everything about one clutch that plant and estimator both use."""
+
+    friction: FrictionCurve
+    geometry: ClutchGeometry
+    piston: Piston
+    film: FilmSurface
+    thermal: ClutchThermal
+
+    @property
+    def touch_pressure_pa(self) -> float:
+        """Piston pressure at which the pack just closes [Pa], F_s / A_K."""
+        return self.piston.closed_spring_force_n / self.geometry.piston_area_m2
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Viscosity:
+    """Vogel law ``nu = a * exp(b / (T - T0))`` of the transmission fluid."""
+
+    a_pa_s: float
+    b_k: float
+    pole_k: float  # T0 = 273.15 K - c
+
+    def __post_init__(self) -> None:
+        """Check that the law is a decreasing viscosity."""
+        _require(self.a_pa_s > 0.0 and self.b_k > 0.0, "viscosity a_pa_s and b_k must be > 0")
+        _require(0.0 < self.pole_k < 233.15, "viscosity pole_k must be 0..233.15 K (below any oil temperature)")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class InputSide(_Ranged):
+    """Engine side of the clutches: what the torque impulse balance needs."""
+
+    engine_inertia_kg_m2: float  # J_E, engine and primary flywheel
+    hub_inertia_kg_m2: float  # J_H
+    hub_damping_nms_rad: float  # B_H
+    crank_segment_rad: float  # engine speed is broadcast as the mean over this crank angle
+
+    def __post_init__(self) -> None:
+        """Check that the engine has an inertia."""
+        _Ranged.__post_init__(self)
+        _require(self.engine_inertia_kg_m2 > 0.0, "engine_inertia_kg_m2 must be > 0")
+        _require(self.hub_inertia_kg_m2 > 0.0, "hub_inertia_kg_m2 must be > 0")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Uncertainty(_Ranged):
+    """Standard deviations of what driving cannot reveal: considered by the estimator, never estimated."""
+
+    torque_gain_ratio: float
+    engine_inertia_ratio: float
+    piston_area_ratio: float
+    viscosity_ratio: float
+    torque_latency_s: float
+    pressure_latency_s: float
+    torque_offset_nm: float  # prior of an estimated state
+    touch_pressure_pa: float  # prior of an estimated state
+    pressure_zero_pa: float  # prior of an estimated state
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SensorNoise(_Ranged):
+    """White noise of the readings, quantisation included, as the estimator assumes it."""
+
+    engine_speed_rad_s: float
+    hub_speed_rad_s: float
+    input_speed_rad_s: float
+    engine_torque_nm: float
+    pressure_pa: float
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Calibration:
+    """One vehicle type, as believed by the service or as true in the emulator."""
+
+    name: str
+    version: str
+    clutches: tuple[ClutchCalibration, ClutchCalibration]
+    viscosity: Viscosity
+    input_side: InputSide
+    uncertainty: Uncertainty
+    noise: SensorNoise
+
+    @classmethod
+    def from_mapping(cls, table: Mapping[str, Any]) -> Self:
+        """Build a calibration from nested tables; an unknown, missing or mistyped key is an error.
+
+        Raises
+        ------
+        CalibrationError
+            Naming the first offending key.
+        """
+        known = {"name", "version", "clutch", "viscosity", "input_side", "uncertainty", "noise"}
+        _check_keys("calibration", set(table), known)
+        clutches = table["clutch"]
+        _require(
+            isinstance(clutches, list) and len(clutches) == CLUTCH_COUNT,
+            f"calibration needs exactly {CLUTCH_COUNT} [[clutch]] tables",
+        )
+        first, second = (_clutch(entry, index + 1) for index, entry in enumerate(clutches))
+        return cls(
+            name=str(table["name"]),
+            version=str(table["version"]),
+            clutches=(first, second),
+            viscosity=_record(Viscosity, table["viscosity"], "viscosity"),
+            input_side=_record(InputSide, table["input_side"], "input_side"),
+            uncertainty=_record(Uncertainty, table["uncertainty"], "uncertainty"),
+            noise=_record(SensorNoise, table["noise"], "noise"),
+        )
+
+
+def read_calibration(path: Path) -> Calibration:
+    """Read a calibration file.
+
+    Raises
+    ------
+    CalibrationError
+        If the file is missing, not TOML, or holds a value outside its range.
+    """
+    try:
+        text = path.read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError) as exc:
+        raise CalibrationError(f"cannot read calibration {path}: {exc}") from exc
+    return _parse(text, str(path))
+
+
+def nominal_table() -> dict[str, Any]:
+    """Return the shipped nominal calibration as nested tables, for callers that override some keys."""
+    text = files("clutch_model").joinpath("calibrations/nominal.toml").read_text(encoding="utf-8")
+    return tomllib.loads(text)
+
+
+def nominal_calibration() -> Calibration:
+    """Return the calibration that ships with the package."""
+    return Calibration.from_mapping(nominal_table())
+
+
+def _parse(text: str, origin: str) -> Calibration:
+    try:
+        return Calibration.from_mapping(tomllib.loads(text))
+    except tomllib.TOMLDecodeError as exc:
+        raise CalibrationError(f"{origin} is not TOML: {exc}") from exc
+    except CalibrationError as exc:
+        raise CalibrationError(f"{origin}: {exc}") from exc
+
+
+def _check_keys(where: str, given: set[str], known: set[str]) -> None:
+    _require(not given - known, f"{where}: unknown key {sorted(given - known)}")
+    _require(not known - given, f"{where}: missing key {sorted(known - given)}")
+
+
+def _record(record: type[RecordT], table: object, where: str) -> RecordT:
+    if not isinstance(table, Mapping):
+        raise CalibrationError(f"{where} must be a table")
+    members = {field.name: field.type for field in fields(record)}  # type: ignore[arg-type]
+    _check_keys(where, set(table), set(members))
+    for key, value in table.items():
+        wanted = int if members[key] in {int, "int"} else (int, float)
+        _require(
+            isinstance(value, wanted) and not isinstance(value, bool), f"{where}.{key} must be a number, got {value!r}"
+        )
+    try:
+        return record(**{str(key): value for key, value in table.items()})
+    except CalibrationError as exc:
+        raise CalibrationError(f"{where}: {exc}") from exc
+
+
+def _clutch(table: object, number: int) -> ClutchCalibration:
+    where = f"clutch {number}"
+    if not isinstance(table, Mapping):
+        raise CalibrationError(f"{where} must be a table")
+    _check_keys(where, set(table), {"friction", "geometry", "piston", "film", "thermal"})
+    return ClutchCalibration(
+        friction=_record(FrictionCurve, table["friction"], f"{where} friction"),
+        geometry=_record(ClutchGeometry, table["geometry"], f"{where} geometry"),
+        piston=_record(Piston, table["piston"], f"{where} piston"),
+        film=_record(FilmSurface, table["film"], f"{where} film"),
+        thermal=_record(ClutchThermal, table["thermal"], f"{where} thermal"),
+    )

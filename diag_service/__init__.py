@@ -1,0 +1,5 @@
+"""The diagnostic service: reads frames, finds shifts, estimates friction, judges the fluid, stores and publishes."""
+
+from diag_service.errors import ConfigError, DiagServiceError, PublishError, ResultError, SourceError, StoreError
+
+__all__ = ["ConfigError", "DiagServiceError", "PublishError", "ResultError", "SourceError", "StoreError"]

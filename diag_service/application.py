@@ -1,0 +1,143 @@
+"""Wiring: a checked configuration becomes stages, a store, a reporter and an outbox, and runs."""
+
+import asyncio
+import os
+import sys
+import uuid
+from collections.abc import Callable
+from contextlib import AbstractAsyncContextManager, closing
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from importlib.metadata import version
+from pathlib import Path
+
+from rich.console import Console
+
+from dbc.contract import DBC_PATH
+from diag_service.config import BusConfig, DiagnosisConfig, calibration_digest
+from diag_service.database import load_database
+from diag_service.live import run_live
+from diag_service.mapping import Decoder
+from diag_service.pipeline import Session, Stages, resume, versions_for
+from diag_service.profile import PROFILE_PATH, load_profile
+from diag_service.publishers import ConsoleReporter, JsonLinesReporter, Link, MqttConnector, Outbox, Reporter
+from diag_service.publishers.pipe import PipeReporter
+from diag_service.recorded import open_drive, run_logs, stream_of
+from diag_service.results import ServiceStatus, iso_utc
+from diag_service.sources import open_source
+from diag_service.stopping import Trigger
+from diag_service.store import ResultStore, Versions
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Controls:
+    """What the operating system's signals set."""
+
+    stop: Trigger
+    counts_wanted: Trigger
+
+
+def run_bus(config: DiagnosisConfig, bus: BusConfig, store_path: Path, controls: Controls, *, as_json: bool) -> None:
+    """Diagnose a live bus until it is told to stop."""
+    decoder = _decoder(config)
+    with closing(ResultStore.open(store_path)) as store:
+        session = _session(config, decoder, store, None, _reporter(controls.stop, as_json=as_json))
+        asyncio.run(_run_bus(config, bus, store, session, controls))
+
+
+def run_recorded(
+    config: DiagnosisConfig, paths: list[Path], store_path: Path | None, controls: Controls, *, as_json: bool
+) -> None:
+    """Diagnose the logs of a drive."""
+    decoder = _decoder(config)
+    logs = open_drive(paths)
+    own_files = [path for path in (config.dbc, config.profile) if path is not None]  # another reading of the same logs
+    stream = stream_of([*(log.path for log in logs), *own_files])
+    with closing(ResultStore.in_memory() if store_path is None else ResultStore.open(store_path)) as store:
+        session = _session(config, decoder, store, stream, _reporter(controls.stop, as_json=as_json))
+
+        async def run() -> None:
+            await run_logs(logs, session, stop=controls.stop, outbox=_outbox(config, store, is_live=False))
+
+        asyncio.run(run())
+
+
+async def _run_bus(
+    config: DiagnosisConfig, bus: BusConfig, store: ResultStore, session: Session, controls: Controls
+) -> None:
+    source = await open_source(interface=bus.interface, channel=bus.channel, bitrate=bus.bitrate, fd=bus.is_fd)
+    session.reporter.listening(f"{source.description} for {config.vehicle}, results in {store.where}")
+    await run_live(
+        source,
+        session,
+        stop=controls.stop,
+        counts_wanted=controls.counts_wanted,
+        outbox=_outbox(config, store, is_live=True),
+        duration_s=bus.duration_s,
+    )
+
+
+def _decoder(config: DiagnosisConfig) -> Decoder:
+    return Decoder(load_database(config.dbc or DBC_PATH), load_profile(config.profile or PROFILE_PATH))
+
+
+def _session(
+    config: DiagnosisConfig, decoder: Decoder, store: ResultStore, stream: str | None, reporter: Reporter
+) -> Session:
+    versions = _versions(config)
+    belief, memory = resume(store, config.vehicle, versions, config.calibration)
+    return Session(
+        stages=Stages(decoder, config.calibration, belief, memory),
+        store=store,
+        reporter=reporter,
+        vehicle=config.vehicle,
+        versions=versions,
+        stream=stream,
+        utc_now=_utc_now,
+    )
+
+
+def _versions(config: DiagnosisConfig) -> Versions:
+    return versions_for(config.calibration, calibration_digest(config.calibration))
+
+
+def _reporter(stop: Trigger, *, as_json: bool) -> Reporter:
+    def hang_up() -> None:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # what is still buffered goes nowhere
+        stop.set()
+
+    if as_json:
+        return PipeReporter(JsonLinesReporter(sys.stdout, Console(stderr=True)), hang_up)
+    return PipeReporter(ConsoleReporter(_HonestConsole()), hang_up)
+
+
+def _outbox(config: DiagnosisConfig, store: ResultStore, *, is_live: bool) -> Outbox | None:
+    if config.broker is None:
+        return None
+    versions = _versions(config)
+    status = ServiceStatus(
+        vehicle=config.vehicle,
+        is_online=True,
+        connected_at=_utc_now(),
+        service_version=version("clutchdiag"),
+        algorithm_version=versions.algorithm,
+        calibration_version=versions.calibration,
+    )
+    identifier = f"clutchdiag-{config.vehicle}" if is_live else f"clutchdiag-{uuid.uuid4()}"
+    connector = MqttConnector(config.broker, identifier, status if is_live else None)
+    return Outbox(store, config.vehicle, _connect_now(connector), str(config.broker))
+
+
+def _connect_now(connector: MqttConnector) -> Callable[[], AbstractAsyncContextManager[Link]]:
+    return lambda: connector.connect(_utc_now())
+
+
+def _utc_now() -> str:
+    return iso_utc(datetime.now(UTC))
+
+
+class _HonestConsole(Console):
+    """A console that lets its owner know of a broken pipe, instead of ending the process."""
+
+    def on_broken_pipe(self) -> None:
+        raise BrokenPipeError

@@ -1,0 +1,102 @@
+"""What a run is to do, checked once: the command line's words become values, or a ConfigError."""
+
+import hashlib
+import os
+import re
+from dataclasses import dataclass
+from pathlib import Path
+from urllib.parse import unquote, urlsplit
+
+from clutch_model.calibration import Calibration, nominal_calibration, read_calibration
+from diag_service.errors import ConfigError
+from diag_service.publishers import BrokerAddress
+
+_VEHICLE_PATTERN = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.-]{0,63}")
+_DIGEST_LENGTH = 12
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class DiagnosisConfig:
+    """How frames become results; the same for a bus and for logs. ``None`` means what ships with the service."""
+
+    vehicle: str
+    dbc: Path | None
+    profile: Path | None
+    calibration: Calibration
+    broker: BrokerAddress | None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class BusConfig:
+    """Which bus to listen to; ``None`` means what python-can's own configuration says."""
+
+    interface: str | None
+    channel: str | None
+    bitrate: int | None
+    is_fd: bool
+    duration_s: float | None
+
+    def __post_init__(self) -> None:
+        """Check the numbers."""
+        if self.bitrate is not None and self.bitrate <= 0:
+            raise ConfigError(f"the bit rate must be > 0, got {self.bitrate}")
+        if self.duration_s is not None and not 0.0 < self.duration_s < float("inf"):
+            raise ConfigError(f"the duration must be > 0 s, got {self.duration_s:g}")
+
+
+def check_vehicle(vehicle: str) -> str:
+    """Return a vehicle id that is fit for an MQTT topic and a file name.
+
+    Raises
+    ------
+    ConfigError
+        If it has other characters than letters, digits, ``_``, ``.`` and ``-``, or is longer than 64.
+    """
+    if not _VEHICLE_PATTERN.fullmatch(vehicle):
+        raise ConfigError(
+            f"{vehicle!r} is no vehicle id: up to 64 letters, digits, '_', '.' or '-', not starting with '.' or '-'"
+        )
+    return vehicle
+
+
+def parse_broker(url: str) -> BrokerAddress:
+    """Return the broker that ``mqtt://[user[:password]@]host[:port]`` names.
+
+    Raises
+    ------
+    ConfigError
+        If the text is no such address; the message does not repeat it, since it may hold a password.
+    """
+    form = "the broker must be mqtt://[user[:password]@]host[:port]"
+    try:
+        parts = urlsplit(url)
+        port = parts.port
+    except ValueError as exc:
+        raise ConfigError(f"{form}: {exc}") from exc
+    if parts.scheme != "mqtt" or not parts.hostname or parts.path.strip("/") or parts.query or parts.fragment:
+        raise ConfigError(form)
+    if port == 0:
+        raise ConfigError(f"{form}: port 0 is no port")
+    return BrokerAddress(
+        host=parts.hostname,
+        port=port or BrokerAddress(host="").port,
+        username=None if parts.username is None else unquote(parts.username),
+        password=None if parts.password is None else unquote(parts.password),
+    )
+
+
+def load_calibration(path: Path | None) -> Calibration:
+    """Return the calibration in a file, or the one that ships; raises CalibrationError."""
+    return nominal_calibration() if path is None else read_calibration(path)
+
+
+def calibration_digest(calibration: Calibration) -> str:
+    """Return a short fingerprint of every number of a calibration, so that an edited copy is not taken for it."""
+    return hashlib.sha256(repr(calibration).encode()).hexdigest()[:_DIGEST_LENGTH]
+
+
+def default_store(vehicle: str) -> Path:
+    """Return where a live service keeps its results: the user's state directory."""
+    home = os.environ.get("XDG_STATE_HOME", "")
+    state = Path(home) if Path(home).is_absolute() else Path.home() / ".local" / "state"
+    return state / "clutchdiag" / f"{vehicle}.sqlite"

@@ -1,0 +1,25 @@
+"""Errors of the diagnostic service; each subclass says what the caller does next."""
+
+
+class DiagServiceError(Exception):
+    """Root of all errors raised by this package; its text is one clear line for the user."""
+
+
+class ConfigError(DiagServiceError):
+    """The command line or a file it names cannot be used: correct it and start again."""
+
+
+class SourceError(DiagServiceError):
+    """A bus or a log cannot be opened or read: check the interface or the file."""
+
+
+class StoreError(DiagServiceError):
+    """The result store cannot be opened or written: results cannot be kept, so stop."""
+
+
+class PublishError(DiagServiceError):
+    """A result could not be delivered now: retry later, the store still has it."""
+
+
+class ResultError(DiagServiceError):
+    """A result does not fit its public form (NaN, unknown key): fix the code that made it, or the file it came from."""

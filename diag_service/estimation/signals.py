@@ -1,0 +1,107 @@
+"""The signals of one shift as the estimator needs them, or the reason why they will not do."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from clutch_model.calibration import Calibration
+from diag_service.estimation.sampling import (
+    GRID_S,
+    NS_TO_S,
+    interpolation_matrix,
+    sample_times_s,
+    segment_centres_s,
+)
+from diag_service.records import EndReason, FloatArray, Reason, Series, ShiftEvent, Signal
+
+MAX_GAP_PERIODS = 2.5  # one missing frame is bridged by interpolation, two are not
+NOMINAL_PERIOD_S = 0.01  # of signals whose message states no cycle time
+OIL_RANGE_K = (233.15, 443.15)  # -40..170 degC: where the fluid's viscosity law holds
+FAST_SIGNALS = (
+    Signal.ENGINE_SPEED,
+    Signal.ENGINE_TORQUE,
+    Signal.HUB_SPEED,
+    Signal.INPUT1_SPEED,
+    Signal.INPUT2_SPEED,
+    Signal.CLUTCH1_PRESSURE,
+    Signal.CLUTCH2_PRESSURE,
+)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Samples:
+    """One signal of a shift: when it was sampled, what it read, and how its samples make the even grid."""
+
+    times_s: FloatArray  # (n,) after the origin of the shift
+    value: FloatArray  # (n,)
+    to_grid: FloatArray  # (len(grid), n)
+
+    @property
+    def on_grid(self) -> FloatArray:
+        """Values on the even grid, shape (len(grid),)."""
+        return self.to_grid @ self.value
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ShiftSignals:
+    """Everything measured in one shift, on one clock that starts at the shift's first sample."""
+
+    grid_s: FloatArray
+    engine_speed: Samples
+    engine_torque: Samples
+    hub_speed: Samples
+    input_speed: tuple[Samples, Samples]
+    pressure: tuple[Samples, Samples]
+    oil_k: float
+
+    def slip_rad_s(self, clutch: int) -> FloatArray:
+        """Return the slip of clutch 1 or 2 on the grid: hub minus input shaft."""
+        return self.hub_speed.on_grid - self.input_speed[clutch - 1].on_grid
+
+
+def gather(event: ShiftEvent, calibration: Calibration) -> ShiftSignals | Reason:
+    """Return the shift's signals on one clock, or why they cannot be used."""
+    if event.end_reason is not EndReason.COMPLETE:
+        return Reason.INTERRUPTED
+    oil = event.columns.get(Signal.SUMP_TEMPERATURE)
+    series = {signal: event.columns[signal] for signal in FAST_SIGNALS if signal in event.columns}
+    if oil is None or not len(oil.t_ns) or len(series) < len(FAST_SIGNALS):
+        return Reason.SIGNAL_MISSING
+    duration_s = (event.end_ns - event.start_ns) * NS_TO_S
+    if any(_has_gap(one, event) for one in series.values()):
+        return Reason.FRAMES_MISSING
+    oil_k = float(np.mean(oil.value))
+    if not OIL_RANGE_K[0] <= oil_k <= OIL_RANGE_K[1]:
+        return Reason.OUT_OF_RANGE
+    times = {signal: sample_times_s(one, event.start_ns) for signal, one in series.items()}
+    engine = series[Signal.ENGINE_SPEED]
+    times[Signal.ENGINE_SPEED] = segment_centres_s(
+        times[Signal.ENGINE_SPEED], engine.value, calibration.input_side.crank_segment_rad
+    )
+    if any(np.any(np.diff(one) <= 0.0) for one in times.values()):
+        return Reason.OUT_OF_RANGE  # time runs backwards inside a segment: the receive clock is not to be trusted
+    history_s = max(one[0] for one in times.values())
+    grid_s = np.arange(history_s, duration_s, GRID_S)
+    samples = {
+        signal: Samples(times_s=times[signal], value=one.value, to_grid=interpolation_matrix(grid_s, times[signal]))
+        for signal, one in series.items()
+    }
+    return ShiftSignals(
+        grid_s=grid_s,
+        engine_speed=samples[Signal.ENGINE_SPEED],
+        engine_torque=samples[Signal.ENGINE_TORQUE],
+        hub_speed=samples[Signal.HUB_SPEED],
+        input_speed=(samples[Signal.INPUT1_SPEED], samples[Signal.INPUT2_SPEED]),
+        pressure=(samples[Signal.CLUTCH1_PRESSURE], samples[Signal.CLUTCH2_PRESSURE]),
+        oil_k=oil_k,
+    )
+
+
+def _has_gap(series: Series, event: ShiftEvent) -> bool:
+    """Tell whether two samples in a row are missing somewhere between the shift's start and its end."""
+    period_s = series.period_ns * NS_TO_S or NOMINAL_PERIOD_S
+    t_ns = series.between(event.start_ns - round(2 * period_s / NS_TO_S), event.end_ns + 1).t_ns
+    if len(t_ns) < 2:
+        return True
+    steps_ns = np.diff(np.concatenate((t_ns, (max(event.end_ns, int(t_ns[-1])),))))
+    return bool(steps_ns.max() > MAX_GAP_PERIODS * period_s / NS_TO_S)

@@ -1,0 +1,124 @@
+"""A live bus through the pipeline: read, diagnosed, stored and published at the same time."""
+
+import asyncio
+import logging
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+
+from diag_service.errors import SourceError
+from diag_service.notices import NOTICE
+from diag_service.pipeline import Session
+from diag_service.publishers import Outbox
+from diag_service.records import ShiftEvent
+from diag_service.sources import FrameSource
+from diag_service.stopping import Trigger
+from diag_service.summary import FrameCounts, Summary, frames_line, shifts_line
+from diag_service.tasks import first_error
+
+COUNTS_PERIOD_S = 60.0
+_LOG = logging.getLogger(__name__)
+
+
+async def run_live(
+    source: FrameSource,
+    session: Session,
+    *,
+    stop: Trigger,
+    counts_wanted: Trigger,
+    outbox: Outbox | None,
+    duration_s: float | None,
+) -> Summary:
+    """Diagnose a live bus until ``stop``, ``duration_s`` or its failure; return the numbers.
+
+    The bus is read while a worker thread estimates; what it cannot keep up with is counted by the source. An open
+    shift is reported as interrupted, and all that was found is stored and told, before an error of the bus is raised.
+
+    Raises
+    ------
+    SourceError
+        If the bus fails.
+    StoreError
+        If a result cannot be stored.
+    """
+
+    def frame_counts() -> FrameCounts:
+        seen = source.counts
+        return replace(
+            session.stages.frame_counts(),
+            on_bus=seen.received + seen.kernel_dropped,
+            unsupported=seen.unsupported,
+            kernel_dropped=seen.kernel_dropped,
+            queue_dropped=seen.queue_dropped,
+        )
+
+    failure: SourceError | None = None
+    unpublished_count: int | None = None
+    try:
+        async with asyncio.TaskGroup() as tasks:
+            sender = None if outbox is None else tasks.create_task(outbox.run(), name="outbox")
+            helpers = (
+                tasks.create_task(_close_in_time(source, stop, duration_s), name="closer"),
+                tasks.create_task(_tell_counts(session, frame_counts, counts_wanted), name="counts"),
+            )
+            try:
+                async for batch in source:
+                    await _settle_all(session, session.stages.segment(batch), outbox)
+            except SourceError as exc:
+                failure = exc
+            await _settle_all(session, session.stages.flush(), outbox)
+            for helper in helpers:
+                helper.cancel()
+            if outbox is not None and sender is not None:
+                unpublished_count = await outbox.close(sender)
+    except BaseExceptionGroup as group:
+        raise first_error(group) from group
+    finally:
+        await source.aclose()
+    session.finish(frame_counts(), unpublished_count)
+    if failure is not None:
+        raise failure
+    return session.summary(frame_counts(), unpublished_count)
+
+
+async def _settle_all(session: Session, events: Sequence[ShiftEvent], outbox: Outbox | None) -> None:
+    for event in events:
+        await asyncio.to_thread(session.settle, event)
+        if outbox is not None:
+            outbox.nudge()
+
+
+async def _close_in_time(source: FrameSource, stop: Trigger, duration_s: float | None) -> None:
+    """Close the source at ``stop`` or after ``duration_s``; its iteration ends with what was received until then."""
+    try:
+        await asyncio.wait_for(_next(stop), duration_s)
+    except TimeoutError:
+        _LOG.info("stopping after %g s", duration_s)
+    await source.aclose()
+
+
+async def _tell_counts(session: Session, frame_counts: Callable[[], FrameCounts], wanted: Trigger) -> None:
+    """Log the numbers when they are asked for, and now and then for who wants to know more."""
+    while True:
+        level = NOTICE
+        try:
+            await asyncio.wait_for(_next(wanted), COUNTS_PERIOD_S)
+        except TimeoutError:
+            level = logging.INFO
+        wanted.is_set = False
+        frames = frame_counts()
+        _LOG.log(level, "%s; %s", frames_line(frames), shifts_line(session.summary(frames, None)))
+
+
+async def _next(trigger: Trigger) -> None:
+    """Return when the trigger is set, from whatever thread or signal handler."""
+    loop = asyncio.get_running_loop()
+    heard = asyncio.Event()
+
+    def hear() -> None:
+        loop.call_soon_threadsafe(heard.set)
+
+    trigger.subscribe(hear)
+    try:
+        await heard.wait()
+    finally:
+        trigger.unsubscribe(hear)

@@ -1,0 +1,27 @@
+"""What the service says on standard error: one line per message, with the program's name before it."""
+
+import logging
+import sys
+
+NOTICE = 25  # between INFO and WARNING: always shown, nothing is wrong
+_PROGRAM = "diag-service"
+
+
+class _OneLine(logging.Formatter):
+    """``diag-service: warning: text``; no level where nothing is wrong, a traceback only if one is attached."""
+
+    def format(self, record: logging.LogRecord) -> str:
+        level = f"{record.levelname.lower()}: " if record.levelno >= logging.WARNING else ""
+        line = f"{_PROGRAM}: {level}{record.getMessage()}"
+        return f"{line}\n{self.formatException(record.exc_info)}" if record.exc_info else line
+
+
+def set_up_notices(verbosity: int) -> None:
+    """Show what the service itself says; with ``verbosity`` 1 more of it, with 2 also what its libraries say."""
+    handler = logging.StreamHandler(sys.stderr)
+    handler.setFormatter(_OneLine())
+    own = logging.getLogger("diag_service")
+    own.handlers = [handler]
+    own.propagate = False
+    own.setLevel((NOTICE, logging.INFO, logging.DEBUG)[min(verbosity, 2)])
+    logging.getLogger().handlers = [handler] if verbosity > 1 else [logging.NullHandler()]

@@ -1,0 +1,174 @@
+"""The order of the stages: the only file that knows it. ``live`` and ``recorded`` feed it."""
+
+import logging
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from clutch_model.calibration import Calibration
+from diag_service.condition import ConditionMemory, judge
+from diag_service.estimation import ALGORITHM_VERSION, Belief, Estimator
+from diag_service.frames import FrameBatch
+from diag_service.mapping import Decoder
+from diag_service.publishers import Reporter
+from diag_service.records import ClutchVerdict, ShiftEstimate, ShiftEvent, ShiftResult
+from diag_service.results import utc_from_bus_ns
+from diag_service.shifts import ShiftFinder
+from diag_service.store import ResultStore, VehicleState, Versions
+from diag_service.summary import FrameCounts, ShiftTally, Summary, frames_line, summarise
+
+_LOG = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Diagnosis:
+    """What the stages make of one shift, and the state after it."""
+
+    estimate: ShiftEstimate
+    verdict: ClutchVerdict
+    belief: Belief
+    memory: ConditionMemory
+
+
+class Stages:
+    """Frames in, diagnoses out: no clock, no socket, no file; the same results for any cutting of the stream."""
+
+    def __init__(self, decoder: Decoder, calibration: Calibration, belief: Belief, memory: ConditionMemory) -> None:
+        self._decoder = decoder
+        self._finder = ShiftFinder()
+        self._estimator = Estimator(calibration)
+        self._calibration = calibration
+        self._belief = belief
+        self._memory = memory
+
+    def feed(self, batch: FrameBatch) -> list[Diagnosis]:
+        """Return the diagnoses of the shifts that these frames complete."""
+        return [self.conclude(event) for event in self.segment(batch)]
+
+    def segment(self, batch: FrameBatch) -> list[ShiftEvent]:
+        """Return the shifts that these frames complete; quick."""
+        return [event for columns in self._decoder.feed(batch) for event in self._finder.feed(columns)]
+
+    def flush(self) -> list[ShiftEvent]:
+        """End the stream: return what is still open."""
+        return self._finder.flush()
+
+    def conclude(self, event: ShiftEvent) -> Diagnosis:
+        """Estimate and judge the next shift; shifts must come in order. May take a moment."""
+        self._belief, estimate = self._estimator.estimate(event, self._belief)
+        self._memory, verdict = judge(self._memory, self._belief, estimate.clutch, self._calibration)
+        return Diagnosis(estimate=estimate, verdict=verdict, belief=self._belief, memory=self._memory)
+
+    def frame_counts(self) -> FrameCounts:
+        """Return what the decoder counted; how the frames came here, their source adds."""
+        counts = self._decoder.counts
+        return FrameCounts(
+            on_bus=counts.received,
+            decoded=counts.decoded,
+            ignored=counts.ignored,
+            rejected={reason.name.lower(): count for reason, count in counts.rejected.items()},
+            missing=counts.missing,
+            invalid_values=counts.invalid_values,
+        )
+
+
+class Session:
+    """The shifts of one run: each is estimated, stored, then told, in that order.
+
+    Parameters
+    ----------
+    stream : str or None
+        Name of a log's stream, in which the number of a shift is its key; None for the live stream of the store.
+    utc_now :
+        Clock of ``produced_at`` in a live stream.
+    """
+
+    def __init__(
+        self,
+        *,
+        stages: Stages,
+        store: ResultStore,
+        reporter: Reporter,
+        vehicle: str,
+        versions: Versions,
+        stream: str | None,
+        utc_now: Callable[[], str],
+    ) -> None:
+        self.stages = stages
+        self._store = store
+        self.reporter = reporter
+        self._vehicle = vehicle
+        self._versions = versions
+        self._stream = stream
+        self._utc_now = utc_now
+        self._tally = ShiftTally()
+
+    def settle(self, event: ShiftEvent) -> None:
+        """Estimate, store and tell one shift; one that is stored already is told again, and changes nothing."""
+        result = self._known(event)
+        is_new = result is None
+        if result is None:
+            result = self._diagnose(event)
+        self._tally.add(result, is_new=is_new)
+        self.reporter.report(result)
+
+    def summary(self, frames: FrameCounts, unpublished_count: int | None) -> Summary:
+        """Return the numbers of the run as they stand."""
+        return summarise(self._vehicle, frames, self._tally, unpublished_count)
+
+    def finish(self, frames: FrameCounts, unpublished_count: int | None) -> None:
+        """Tell the numbers of the run."""
+        if not frames.is_balanced:
+            _LOG.error("frame counts do not add up: %s", frames_line(frames))
+        self.reporter.finish(self.summary(frames, unpublished_count))
+
+    def _known(self, event: ShiftEvent) -> ShiftResult | None:
+        if self._stream is None:
+            return None
+        return self._store.find(self._vehicle, self._stream, event.number, self._versions)
+
+    def _diagnose(self, event: ShiftEvent) -> ShiftResult:
+        diagnosis = self.stages.conclude(event)
+        is_live = self._stream is None
+        result = ShiftResult(
+            vehicle=self._vehicle,
+            stream=self._stream or self._store.stream,
+            seq=self._store.next_seq() if is_live else event.number,
+            estimate=diagnosis.estimate,
+            verdict=diagnosis.verdict,
+            algorithm_version=self._versions.algorithm,
+            calibration_version=self._versions.calibration,
+            produced_at=self._utc_now() if is_live else utc_from_bus_ns(event.end_ns),
+        )
+        state = VehicleState(
+            belief=diagnosis.belief.to_json(), condition=diagnosis.memory.to_json(), versions=self._versions
+        )
+        self._store.add(result, state)
+        return result
+
+
+def versions_for(calibration: Calibration, digest: str) -> Versions:
+    """Return the versions that results of this program and calibration carry; ``digest`` tells edited copies apart."""
+    return Versions(algorithm=ALGORITHM_VERSION, calibration=f"{calibration.version}+{digest}")
+
+
+def resume(
+    store: ResultStore, vehicle: str, versions: Versions, calibration: Calibration
+) -> tuple[Belief, ConditionMemory]:
+    """Return the running state of a vehicle, or a fresh one if what is stored was made in another way."""
+    fresh = Belief.fresh(calibration), ConditionMemory.fresh()
+    state = store.state(vehicle)
+    if state is None:
+        return fresh
+    if state.versions != versions:
+        _LOG.warning(
+            "the running state of %s was made by algorithm %s with calibration %s; starting afresh, results stay",
+            vehicle,
+            state.versions.algorithm,
+            state.versions.calibration,
+        )
+        return fresh
+    try:
+        return Belief.from_json(state.belief, calibration), ConditionMemory.from_json(state.condition)
+    except ValueError as exc:
+        _LOG.warning("the running state of %s cannot be used (%s); starting afresh, results stay", vehicle, exc)
+        return fresh

@@ -1,0 +1,117 @@
+"""Logs through the pipeline: the frames of one drive, as fast as they can be read."""
+
+import asyncio
+import hashlib
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from itertools import chain
+from pathlib import Path
+
+from diag_service.errors import ConfigError, SourceError
+from diag_service.frames import FrameBatch
+from diag_service.pipeline import Session, Stages
+from diag_service.publishers import Outbox
+from diag_service.records import ShiftEvent
+from diag_service.sources import LogReader, read_log
+from diag_service.stopping import Trigger
+from diag_service.summary import FrameCounts, Summary
+from diag_service.tasks import first_error
+
+_BLOCK_BYTES = 1 << 20
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class OpenLog:
+    """A log whose first frames have been read."""
+
+    path: Path
+    reader: LogReader
+    first: FrameBatch
+
+
+def open_drive(paths: Iterable[Path]) -> list[OpenLog]:
+    """Open the logs of a drive; the one with the earliest first frame comes first.
+
+    Raises
+    ------
+    ConfigError
+        If a log is named twice.
+    SourceError
+        If a log cannot be read or holds no frame.
+    """
+    logs: list[OpenLog] = []
+    for path in paths:
+        if any(path.resolve() == log.path.resolve() for log in logs):
+            raise ConfigError(f"{path} is given twice")
+        reader = read_log(path)
+        first = next(reader, None)
+        if first is None or not len(first):
+            raise SourceError(f"{path} holds no frame that can be read")
+        logs.append(OpenLog(path=path, reader=reader, first=first))
+    return sorted(logs, key=lambda log: int(log.first.t_ns[0]))
+
+
+def stream_of(paths: Iterable[Path]) -> str:
+    """Return the name of a recorded stream: the sha256 of its files, one after the other."""
+    digest = hashlib.sha256()
+    for path in paths:
+        try:
+            with path.open("rb") as file:
+                while block := file.read(_BLOCK_BYTES):
+                    digest.update(block)
+        except OSError as exc:
+            raise SourceError(f"cannot read {path}: {exc.strerror}") from exc
+    return digest.hexdigest()
+
+
+async def run_logs(logs: Sequence[OpenLog], session: Session, *, stop: Trigger, outbox: Outbox | None) -> Summary:
+    """Diagnose the logs of a drive, as ``open_drive`` put them; return the numbers.
+
+    ``stop`` ends the analysis between two shifts; the shift that was open is not reported, so that a later analysis
+    of the same logs takes it up.
+    """
+    loop = asyncio.get_running_loop()
+
+    def tell_outbox() -> None:
+        if outbox is not None:
+            loop.call_soon_threadsafe(outbox.nudge)
+
+    unpublished_count: int | None = None
+    try:
+        async with asyncio.TaskGroup() as tasks:
+            sender = None if outbox is None else tasks.create_task(outbox.run(), name="outbox")
+            await asyncio.to_thread(_analyse, logs, session, stop, tell_outbox)
+            if outbox is not None and sender is not None:
+                unpublished_count = await outbox.close(sender)
+    except BaseExceptionGroup as group:
+        raise first_error(group) from group
+    frames = _frame_counts(logs, session.stages)
+    session.finish(frames, unpublished_count)
+    return session.summary(frames, unpublished_count)
+
+
+def _analyse(logs: Sequence[OpenLog], session: Session, stop: Trigger, tell_outbox: Callable[[], None]) -> None:
+    for event in _events(logs, session.stages, stop):
+        session.settle(event)
+        tell_outbox()
+        if stop.is_set:
+            return
+
+
+def _events(logs: Sequence[OpenLog], stages: Stages, stop: Trigger) -> Iterator[ShiftEvent]:
+    for log in logs:
+        for batch in chain((log.first,), log.reader):
+            if stop.is_set:
+                return
+            yield from stages.segment(batch)
+    yield from stages.flush()
+
+
+def _frame_counts(logs: Sequence[OpenLog], stages: Stages) -> FrameCounts:
+    unreadable: dict[str, int] = {}
+    for log in logs:
+        for reason, count in log.reader.counts.rejected.items():
+            unreadable[reason] = unreadable.get(reason, 0) + count
+    skipped = sum(log.reader.counts.skipped for log in logs)
+    read = sum(log.reader.counts.frames for log in logs)
+    return replace(stages.frame_counts(), on_bus=read + skipped, unsupported=skipped, unreadable=unreadable)

@@ -1,0 +1,211 @@
+"""Records that travel between the stages of the service: columns, shift events, estimates, results.
+
+SI units, radians, kelvin and pascal throughout. Times are bus times in integer nanoseconds since the epoch.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from enum import IntEnum, StrEnum
+
+import numpy as np
+import numpy.typing as npt
+
+FloatArray = npt.NDArray[np.float64]
+Int64Array = npt.NDArray[np.int64]
+UInt8Array = npt.NDArray[np.uint8]
+UInt32Array = npt.NDArray[np.uint32]
+
+
+class Signal(StrEnum):
+    """Canonical signals; the unit is the end of the name. A mapping profile fills them from a DBC."""
+
+    ENGINE_SPEED = "engine_speed_rad_s"  # mean over the last crank segment
+    ENGINE_TORQUE = "engine_torque_nm"  # at the crankshaft, friction deducted
+    PEDAL = "pedal_ratio"
+    THROTTLE = "throttle_ratio"
+    HUB_SPEED = "hub_speed_rad_s"
+    INPUT1_SPEED = "input1_speed_rad_s"
+    INPUT2_SPEED = "input2_speed_rad_s"
+    OUTPUT_SPEED = "output_speed_rad_s"
+    CLUTCH1_PRESSURE = "clutch1_pressure_pa"
+    CLUTCH2_PRESSURE = "clutch2_pressure_pa"
+    CLUTCH1_PRESSURE_COMMAND = "clutch1_pressure_command_pa"
+    CLUTCH2_PRESSURE_COMMAND = "clutch2_pressure_command_pa"
+    CLUTCH1_TORQUE_COMMAND = "clutch1_torque_command_nm"
+    CLUTCH2_TORQUE_COMMAND = "clutch2_torque_command_nm"
+    CURRENT_GEAR = "current_gear"
+    TARGET_GEAR = "target_gear"
+    PRESELECTED_GEAR = "preselected_gear"
+    SHIFT_PHASE = "shift_phase"
+    SUMP_TEMPERATURE = "sump_temperature_k"
+    WHEEL_FL_SPEED = "wheel_fl_speed_m_s"
+    WHEEL_FR_SPEED = "wheel_fr_speed_m_s"
+    WHEEL_RL_SPEED = "wheel_rl_speed_m_s"
+    WHEEL_RR_SPEED = "wheel_rr_speed_m_s"
+    VEHICLE_SPEED = "vehicle_speed_m_s"
+    BRAKE_PRESSURE = "brake_pressure_pa"
+    ODOMETER = "odometer_m"
+    AMBIENT_TEMPERATURE = "ambient_temperature_k"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Series:
+    """Samples of one canonical signal, oldest first; invalid samples were left out and counted before.
+
+    ``sequence`` numbers the transmissions of the message (unwrapped alive counter, gaps where frames are
+    missing); without a counter in the DBC it is all -1. ``period_ns`` is the nominal cycle time, 0 if unknown.
+    """
+
+    t_ns: Int64Array  # (n,)
+    sequence: Int64Array  # (n,)
+    value: FloatArray  # (n,), finite
+    period_ns: int = 0
+
+    def between(self, start_ns: int, stop_ns: int) -> "Series":
+        """Return the samples with ``start_ns <= t_ns < stop_ns``."""
+        first, last = np.searchsorted(self.t_ns, (start_ns, stop_ns))
+        return Series(
+            t_ns=self.t_ns[first:last],
+            sequence=self.sequence[first:last],
+            value=self.value[first:last],
+            period_ns=self.period_ns,
+        )
+
+
+Columns = Mapping[Signal, Series]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ColumnBatch:
+    """Decoded columns of one batch of frames.
+
+    ``watermark_ns`` is the time of the last frame of the batch, of whatever kind: all that happened before it has
+    been seen. ``breaks_before`` says that bus time jumped: what came earlier is another segment.
+    """
+
+    columns: Columns
+    watermark_ns: int
+    breaks_before: bool = False
+    bad_frame_ns: Int64Array = field(default_factory=lambda: np.empty(0, np.int64))  # (m,) rejected or missing
+
+
+class EndReason(StrEnum):
+    """How a shift ended."""
+
+    COMPLETE = "complete"
+    INTERRUPTED = "interrupted"  # the stream ended or bus time jumped
+    TOO_LONG = "too_long"
+    ABANDONED = "abandoned"  # the target gear changed or went back before it was reached
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ShiftEvent:
+    """One gear change with its signals, cut a little wider than the shift itself."""
+
+    number: int  # 1, 2, ... within the stream
+    from_gear: int
+    to_gear: int
+    start_ns: int  # first sample with target != current
+    end_ns: int  # first sample with current == target again
+    end_reason: EndReason
+    columns: Columns
+    bad_frame_count: int  # rejected or missing frames of mapped messages inside the cut
+
+
+class Status(StrEnum):
+    """What an estimate is worth."""
+
+    VALID = "valid"
+    REJECTED = "rejected"  # data that must not be used; the reasons say why
+    UNOBSERVED = "unobserved"  # sound data without information on friction
+
+
+class Reason(StrEnum):
+    """Why a shift was rejected or carried no information."""
+
+    INTERRUPTED = "interrupted"
+    SIGNAL_MISSING = "signal_missing"
+    FRAMES_MISSING = "frames_missing"
+    NO_SLIP_WINDOW = "no_slip_window"
+    MISFIT = "misfit"  # chi-square above the gate
+    OUT_OF_RANGE = "out_of_range"  # a signal outside the domain of the model
+    NOT_UPDATED = "not_updated"  # sound, but the running state refused it
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class FrictionEstimate:
+    """Friction coefficients of one clutch with their uncertainty.
+
+    ``std_*`` are total standard deviations: random part and common scale (torque gain, inertia, piston area, ...).
+    ``random_std_*`` leave the common scale out: they hold for trends and for the comparison of clutches.
+    """
+
+    mu_c: float
+    mu_s: float
+    std_mu_c: float
+    std_mu_s: float
+    correlation: float  # of the total errors of mu_c and mu_s
+    random_std_mu_c: float
+    random_std_mu_s: float
+    slope_s_rad: float  # (mu_c - mu_s) / w_S: initial slope of the Stribeck curve
+    std_slope_s_rad: float
+    probability_negative_slope: float
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ShiftEstimate:
+    """What one shift says about the clutch that engaged."""
+
+    number: int
+    from_gear: int
+    to_gear: int
+    clutch: int  # 1 or 2, the on-coming one
+    start_ns: int
+    end_ns: int
+    status: Status
+    reasons: tuple[Reason, ...]
+    friction: FrictionEstimate | None  # None unless VALID
+    sample_count: int  # torque samples inside the slip window
+    window_s: float
+    chi_square_ratio: float  # chi-square per degree of freedom; 0 when not computed
+    quality: float  # 0..1: 1 is a full, clean, well-fitting window
+    sump_temperature_k: float | None
+    clutch_temperature_k: float | None
+    slip_energy_j: float | None
+    duration_s: float
+    odometer_m: float | None
+
+
+class Condition(IntEnum):
+    """Verdict on one clutch and its fluid, from best to worst; NO_VERDICT is below all."""
+
+    NO_VERDICT = 0
+    GOOD = 1
+    WATCH = 2
+    CHANGE_FLUID = 3
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ClutchVerdict:
+    """Condition of one clutch after a shift, with the sentence that justifies it."""
+
+    clutch: int
+    condition: Condition
+    reason: str
+    level_ratio: float | None  # mu_c over the calibration's reference
+    friction: FrictionEstimate | None  # the running estimate, all shifts combined
+    shift_count: int  # shifts in the running estimate
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ShiftResult:
+    """What is stored and published for one shift: its own estimate and the clutch's verdict after it."""
+
+    vehicle: str
+    stream: str  # UUID of a live stream, sha256 of a log
+    seq: int
+    estimate: ShiftEstimate
+    verdict: ClutchVerdict
+    algorithm_version: str
+    calibration_version: str
+    produced_at: str  # ISO 8601 UTC, from the caller's clock; for a log the end of the shift

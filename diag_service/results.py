@@ -1,0 +1,245 @@
+"""The public, versioned JSON of the service: shift results, clutch states, service status.
+
+Within a version keys are only ever added; a reader ignores those it does not know. ``schemas/`` holds a JSON Schema
+(2020-12) per record. Keys keep one order, so equal results are equal texts.
+"""
+
+import json
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, fields
+from datetime import UTC, datetime, timedelta
+from typing import TypeVar
+
+from diag_service.errors import ResultError
+from diag_service.records import (
+    ClutchVerdict,
+    Condition,
+    FrictionEstimate,
+    Reason,
+    ShiftEstimate,
+    ShiftResult,
+    Status,
+)
+
+JsonObject = dict[str, object]
+
+SHIFT_SCHEMA = "clutchdiag/shift/v1"
+CLUTCH_SCHEMA = "clutchdiag/clutch/v1"
+STATUS_SCHEMA = "clutchdiag/status/v1"
+
+_EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
+_NS_PER_US = 1000
+_FRICTION_KEYS = frozenset(field.name for field in fields(FrictionEstimate))
+ValueT = TypeVar("ValueT", bool, int, float, str)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ServiceStatus:
+    """Whether a live service watches a vehicle; retained on the broker, and its last will."""
+
+    vehicle: str
+    is_online: bool
+    connected_at: str  # ISO 8601 UTC, start of the broker connection that carries this status
+    service_version: str
+    algorithm_version: str
+    calibration_version: str
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class StoredResult:
+    """A row of the outbox: its position in the store and the result."""
+
+    position: int
+    result: ShiftResult
+
+
+def utc_from_bus_ns(t_ns: int) -> str:
+    """Return a bus time as ISO 8601 UTC with microseconds."""
+    return iso_utc(_EPOCH + timedelta(microseconds=t_ns // _NS_PER_US))
+
+
+def iso_utc(moment: datetime) -> str:
+    """Return an aware moment as ISO 8601 UTC with microseconds and a final ``Z``."""
+    return moment.astimezone(UTC).replace(tzinfo=None).isoformat(timespec="microseconds") + "Z"
+
+
+def shift_record(result: ShiftResult) -> JsonObject:
+    """Return the public form of one shift result, keys in their published order."""
+    estimate = result.estimate
+    return {
+        "schema": SHIFT_SCHEMA,
+        "vehicle": result.vehicle,
+        "stream": result.stream,
+        "seq": result.seq,
+        "number": estimate.number,
+        "produced_at": result.produced_at,
+        "start_utc": utc_from_bus_ns(estimate.start_ns),
+        "end_utc": utc_from_bus_ns(estimate.end_ns),
+        "start_bus_ns": estimate.start_ns,
+        "end_bus_ns": estimate.end_ns,
+        "duration_s": estimate.duration_s,
+        "from_gear": estimate.from_gear,
+        "to_gear": estimate.to_gear,
+        "clutch": estimate.clutch,
+        "status": estimate.status.value,
+        "reasons": [reason.value for reason in estimate.reasons],
+        "friction": _friction_record(estimate.friction),
+        "sample_count": estimate.sample_count,
+        "window_s": estimate.window_s,
+        "chi_square_ratio": estimate.chi_square_ratio,
+        "quality": estimate.quality,
+        "sump_temperature_k": estimate.sump_temperature_k,
+        "clutch_temperature_k": estimate.clutch_temperature_k,
+        "slip_energy_j": estimate.slip_energy_j,
+        "odometer_m": estimate.odometer_m,
+        "verdict": _verdict_record(result.verdict),
+        "algorithm_version": result.algorithm_version,
+        "calibration_version": result.calibration_version,
+    }
+
+
+def clutch_record(result: ShiftResult) -> JsonObject:
+    """Return the state of the clutch after the shift that last engaged it."""
+    return {
+        "schema": CLUTCH_SCHEMA,
+        "vehicle": result.vehicle,
+        **_verdict_record(result.verdict),
+        "stream": result.stream,
+        "seq": result.seq,
+        "produced_at": result.produced_at,
+        "end_utc": utc_from_bus_ns(result.estimate.end_ns),
+        "algorithm_version": result.algorithm_version,
+        "calibration_version": result.calibration_version,
+    }
+
+
+def status_record(status: ServiceStatus) -> JsonObject:
+    """Return the public form of the service's status."""
+    return {
+        "schema": STATUS_SCHEMA,
+        "vehicle": status.vehicle,
+        "status": "online" if status.is_online else "offline",
+        "connected_at": status.connected_at,
+        "service_version": status.service_version,
+        "algorithm_version": status.algorithm_version,
+        "calibration_version": status.calibration_version,
+    }
+
+
+def dump(record: Mapping[str, object]) -> str:
+    """Return a record as one line of JSON; floats keep every bit.
+
+    Raises
+    ------
+    ResultError
+        If a number is NaN or infinite, which JSON cannot carry.
+    """
+    try:
+        return json.dumps(record, allow_nan=False, separators=(",", ":"))
+    except ValueError as exc:
+        raise ResultError(f"a result holds a number that is not finite: {record!r}") from exc
+
+
+def parse_shift(text: str) -> ShiftResult:
+    """Read back what ``dump(shift_record(...))`` wrote; unknown keys are ignored.
+
+    Raises
+    ------
+    ResultError
+        If the text is not a shift result of this version.
+    """
+    try:
+        table = json.loads(text)
+    except ValueError as exc:
+        raise ResultError(f"not a shift result: {exc}") from exc
+    if not isinstance(table, dict) or table.get("schema") != SHIFT_SCHEMA:
+        raise ResultError(f"not a {SHIFT_SCHEMA} record")
+    try:
+        return _shift_from(table)
+    except (KeyError, TypeError, ValueError) as exc:
+        raise ResultError(f"incomplete {SHIFT_SCHEMA} record: {exc!r}") from exc
+
+
+def _friction_record(friction: FrictionEstimate | None) -> JsonObject | None:
+    return None if friction is None else asdict(friction)
+
+
+def _verdict_record(verdict: ClutchVerdict) -> JsonObject:
+    return {
+        "clutch": verdict.clutch,
+        "condition": verdict.condition.name.lower(),
+        "reason": verdict.reason,
+        "level_ratio": verdict.level_ratio,
+        "friction": _friction_record(verdict.friction),
+        "shift_count": verdict.shift_count,
+    }
+
+
+def _shift_from(table: JsonObject) -> ShiftResult:
+    reasons = table["reasons"]
+    if not isinstance(reasons, list):
+        raise TypeError("reasons must be a list")
+    estimate = ShiftEstimate(
+        number=_value(table, "number", int),
+        from_gear=_value(table, "from_gear", int),
+        to_gear=_value(table, "to_gear", int),
+        clutch=_value(table, "clutch", int),
+        start_ns=_value(table, "start_bus_ns", int),
+        end_ns=_value(table, "end_bus_ns", int),
+        status=Status(_value(table, "status", str)),
+        reasons=tuple(Reason(reason) for reason in reasons),
+        friction=_friction_from(table["friction"]),
+        sample_count=_value(table, "sample_count", int),
+        window_s=_value(table, "window_s", float),
+        chi_square_ratio=_value(table, "chi_square_ratio", float),
+        quality=_value(table, "quality", float),
+        sump_temperature_k=_optional(table, "sump_temperature_k"),
+        clutch_temperature_k=_optional(table, "clutch_temperature_k"),
+        slip_energy_j=_optional(table, "slip_energy_j"),
+        duration_s=_value(table, "duration_s", float),
+        odometer_m=_optional(table, "odometer_m"),
+    )
+    return ShiftResult(
+        vehicle=_value(table, "vehicle", str),
+        stream=_value(table, "stream", str),
+        seq=_value(table, "seq", int),
+        estimate=estimate,
+        verdict=_verdict_from(table["verdict"]),
+        algorithm_version=_value(table, "algorithm_version", str),
+        calibration_version=_value(table, "calibration_version", str),
+        produced_at=_value(table, "produced_at", str),
+    )
+
+
+def _verdict_from(table: object) -> ClutchVerdict:
+    if not isinstance(table, dict):
+        raise TypeError("verdict must be an object")
+    return ClutchVerdict(
+        clutch=_value(table, "clutch", int),
+        condition=Condition[_value(table, "condition", str).upper()],
+        reason=_value(table, "reason", str),
+        level_ratio=_optional(table, "level_ratio"),
+        friction=_friction_from(table["friction"]),
+        shift_count=_value(table, "shift_count", int),
+    )
+
+
+def _friction_from(table: object) -> FrictionEstimate | None:
+    if table is None:
+        return None
+    if not isinstance(table, dict):
+        raise TypeError("friction must be an object or null")
+    return FrictionEstimate(**{key: _value(table, key, float) for key in _FRICTION_KEYS})
+
+
+def _value(table: Mapping[str, object], key: str, kind: type[ValueT]) -> ValueT:
+    value = table[key]
+    if kind is float and isinstance(value, int) and not isinstance(value, bool):
+        return kind(value)
+    if not isinstance(value, kind) or isinstance(value, bool) is not (kind is bool):
+        raise TypeError(f"{key} must be {kind.__name__}, got {value!r}")
+    return value
+
+
+def _optional(table: Mapping[str, object], key: str) -> float | None:
+    return None if table[key] is None else _value(table, key, float)

@@ -1,0 +1,140 @@
+"""Vector BLF files: from containers on disk to one stream of objects, whatever is damaged.
+
+The layout follows the structures that python-can documents; the start of measurement counts as UTC, as it does there.
+No size in the file is trusted: every step makes progress or gives up, and what is damaged is counted and stepped over.
+"""
+
+import os
+import struct
+import zlib
+from collections.abc import Iterator
+from datetime import UTC, datetime
+from typing import BinaryIO
+
+from diag_service.errors import SourceError
+from diag_service.frames import FrameBatch
+from diag_service.sources.blf_objects import OBJECT_HEADER, OBJECT_MAGIC, ObjectStream
+from diag_service.sources.tally import LogReject, Tally
+
+MAGIC = b"LOGG"
+FILE_HEADER = struct.Struct("<4sL8BQQLL8H8H")
+FILE_SIZE_FIELD = 10
+START_FIELDS = slice(14, 22)  # SYSTEMTIME: year, month, day of week, day, hour, minute, second, millisecond
+CONTAINER_HEADER = struct.Struct("<H6xL4x")  # compression, inflated size
+LOG_CONTAINER = 10
+STORED, DEFLATED = 0, 2
+LONGEST_PADDING = 8
+MAX_CONTAINER_BYTES = 64 * 1024 * 1024  # writers use 128 KiB
+INFLATE_STEP_BYTES = 16 * 1024
+SEARCH_BYTES = 1024 * 1024
+US_PER_S = 1_000_000
+
+
+def read_blf(stream: BinaryIO, tally: Tally) -> Iterator[FrameBatch]:
+    """Yield the frames of a BLF file, one batch for each container.
+
+    Raises
+    ------
+    SourceError
+        If the file ends inside its own header.
+    """
+    header = stream.read(FILE_HEADER.size)
+    if len(header) < FILE_HEADER.size:
+        raise SourceError("the BLF file ends inside its header")
+    fields = FILE_HEADER.unpack(header)
+    header_bytes = max(int(fields[1]), FILE_HEADER.size)
+    size_bytes = os.fstat(stream.fileno()).st_size
+    # A writer that was killed left the size of an empty file; one that was cut is shorter than it says.
+    stated_bytes = int(fields[FILE_SIZE_FIELD])
+    tally.truncated = size_bytes < stated_bytes or stated_bytes <= header_bytes < size_bytes
+    objects = ObjectStream(start_us(fields[START_FIELDS]), tally)
+    for data, is_whole in containers(stream, header_bytes, size_bytes, tally):
+        batch = objects.feed(data)
+        if not is_whole:
+            objects.lose_track()
+        if len(batch):
+            tally.frames += len(batch)
+            yield batch
+    objects.finish()
+
+
+def start_us(systemtime: tuple[int, ...]) -> int:
+    """Return the start of measurement in microseconds since the epoch; 0 if the file does not say."""
+    year, month, _, day, hour, minute, second, millisecond = systemtime
+    try:
+        start = datetime(year, month, day, hour, minute, second, tzinfo=UTC)
+    except ValueError:
+        return 0
+    return int(start.timestamp()) * US_PER_S + millisecond * 1_000
+
+
+def containers(stream: BinaryIO, position: int, size_bytes: int, tally: Tally) -> Iterator[tuple[bytes, bool]]:
+    """Yield the inflated contents of each container and whether nothing of it is missing.
+
+    Objects outside containers are passed on as they are.
+    """
+    while (position := next_object(stream, position, size_bytes, tally)) < size_bytes:
+        stream.seek(position)
+        header = stream.read(OBJECT_HEADER.size)
+        if len(header) < OBJECT_HEADER.size:
+            tally.truncated = True
+            tally.reject(LogReject.CUT_OFF, f"byte {position}")
+            return
+        _, _, _, object_bytes, object_type = OBJECT_HEADER.unpack(header)
+        if not OBJECT_HEADER.size <= object_bytes <= MAX_CONTAINER_BYTES:
+            tally.reject(LogReject.DAMAGED, f"byte {position}")
+            position += len(OBJECT_MAGIC)
+            continue
+        body = stream.read(object_bytes - OBJECT_HEADER.size)
+        is_whole = len(body) == object_bytes - OBJECT_HEADER.size
+        if not is_whole:
+            tally.truncated = True
+            tally.reject(LogReject.CUT_OFF, f"byte {position}")
+        if object_type != LOG_CONTAINER:
+            yield header + body, is_whole
+        else:
+            data, is_sound = inflate(body)
+            if is_whole and not is_sound:
+                tally.reject(LogReject.DAMAGED, f"byte {position}")
+            yield data, is_whole and is_sound
+        position += object_bytes
+
+
+def next_object(stream: BinaryIO, position: int, size_bytes: int, tally: Tally) -> int:
+    """Return where the next object begins, ``size_bytes`` if there is none; count what had to be stepped over."""
+    start = position
+    while position < size_bytes:
+        stream.seek(position)
+        block = stream.read(SEARCH_BYTES)
+        found = block.find(OBJECT_MAGIC)
+        if found >= 0:
+            if position + found - start > LONGEST_PADDING:
+                tally.reject(LogReject.DAMAGED, f"byte {start}")
+            return position + found
+        position += max(1, len(block) - len(OBJECT_MAGIC) + 1)
+    if size_bytes - start > LONGEST_PADDING:
+        tally.reject(LogReject.DAMAGED, f"byte {start}")
+    return size_bytes
+
+
+def inflate(body: bytes) -> tuple[bytes, bool]:
+    """Return what a container holds, as far as it can be inflated, and whether that is all of it."""
+    if len(body) < CONTAINER_HEADER.size:
+        return b"", False
+    method, inflated_bytes = CONTAINER_HEADER.unpack_from(body)
+    payload = body[CONTAINER_HEADER.size :]
+    if method == STORED:
+        return payload, len(payload) >= inflated_bytes
+    if method != DEFLATED:
+        return b"", False
+    inflater, pieces, total = zlib.decompressobj(), list[bytes](), 0
+    for first in range(0, len(payload), INFLATE_STEP_BYTES):
+        try:
+            piece = inflater.decompress(payload[first : first + INFLATE_STEP_BYTES])
+        except zlib.error:
+            return b"".join(pieces), False
+        pieces.append(piece)
+        total += len(piece)
+        if total > MAX_CONTAINER_BYTES:
+            return b"".join(pieces), False
+    return b"".join(pieces), inflater.eof

@@ -1,0 +1,88 @@
+"""Which source a user means: command line, environment and can.conf, as python-can reads them."""
+
+import asyncio
+from dataclasses import dataclass
+
+from diag_service.errors import SourceError
+from diag_service.sources.base import FrameSource
+from diag_service.sources.socketcan import SocketCanSource
+
+SOCKETCAN = "socketcan"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class BusSettings:
+    """A bus, fully named."""
+
+    interface: str
+    channel: str | None
+    bitrate: int | None
+    fd: bool
+
+    @property
+    def description(self) -> str:
+        """Interface and channel, for people."""
+        return f"{self.interface} {self.channel}" if self.channel is not None else self.interface
+
+
+async def open_source(
+    interface: str | None = None, channel: str | None = None, bitrate: int | None = None, *, fd: bool = False
+) -> FrameSource:
+    """Open a live bus; when this returns, it receives.
+
+    Parameters
+    ----------
+    interface, channel, bitrate, fd
+        As python-can names them. What is not given comes from ``CAN_INTERFACE``, ``CAN_CHANNEL`` and
+        ``CAN_BITRATE``, then from ``can.conf``.
+
+    Raises
+    ------
+    SourceError
+        If the bus is not named completely or cannot be opened.
+    """
+    # python-can takes up to a second to import, and a driver may take as long to open: neither stops the loop.
+    settings = await asyncio.to_thread(complete_settings, interface, channel, bitrate, fd=fd)
+    if settings.interface == SOCKETCAN:
+        if not settings.channel:
+            raise SourceError("no CAN channel given: name the interface, for example -i socketcan -c vcan0")
+        return SocketCanSource(settings.channel, fd=settings.fd)
+    from diag_service.sources import pythoncan  # noqa: PLC0415 - heavy, and not needed for SocketCAN
+
+    bus = await asyncio.to_thread(
+        pythoncan.open_bus, settings.interface, settings.channel, settings.bitrate, fd=settings.fd
+    )
+    return pythoncan.PythonCanSource(bus, settings.description)
+
+
+def complete_settings(interface: str | None, channel: str | None, bitrate: int | None, *, fd: bool) -> BusSettings:
+    """Return the settings with what the user left out taken from environment and configuration files.
+
+    Raises
+    ------
+    SourceError
+        If no interface is named anywhere, or one that python-can does not know.
+    """
+    if interface == SOCKETCAN and channel is not None:
+        return BusSettings(interface=interface, channel=channel, bitrate=bitrate, fd=fd)
+    import can  # noqa: PLC0415 - heavy, and not needed for a SocketCAN interface named in full
+
+    given = {"interface": interface, "channel": channel, "bitrate": bitrate}
+    try:
+        found = can.util.load_config(config={key: value for key, value in given.items() if value is not None})
+    except can.CanInterfaceNotImplementedError as exc:
+        hint = "-i INTERFACE -c CHANNEL, CAN_INTERFACE and CAN_CHANNEL, or ~/can.conf"
+        if interface is None:
+            raise SourceError(f"no usable CAN interface given: use {hint} ({exc})") from exc
+        known = ", ".join(sorted(can.VALID_INTERFACES))
+        raise SourceError(f"unknown CAN interface {interface!r}: choose one of {known}") from exc
+    except (OSError, ValueError, TypeError) as exc:
+        raise SourceError(f"the configuration of python-can cannot be used: {exc}") from exc
+    name = found.get("channel")
+    rate = found.get("bitrate")
+    return BusSettings(
+        interface=str(found["interface"]),
+        channel=None if name is None else str(name),
+        bitrate=None if rate is None else int(rate),
+        fd=fd or bool(found.get("fd")),
+    )

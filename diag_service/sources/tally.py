@@ -1,0 +1,53 @@
+"""What a log reader found besides frames: counted and located, never fatal."""
+
+from collections import Counter
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from enum import StrEnum
+
+
+class LogReject(StrEnum):
+    """Why a piece of a log gave no frame."""
+
+    MALFORMED = "malformed"  # not in the grammar of the format
+    CAN_FD = "can_fd"  # more than eight bytes: the columns hold classic frames
+    CUT_OFF = "cut_off"  # the file ends inside it
+    DAMAGED = "damaged"  # a container or object whose size or compression is wrong
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LogCounts:
+    """What a log held, as far as it has been read."""
+
+    frames: int = 0
+    skipped: int = 0  # comments, events and other things that are no frames and are not meant to be
+    rejected: Mapping[LogReject, int] = field(default_factory=dict)
+    first_rejected: str = ""  # where and why, for people
+    truncated: bool = False  # the file ends before its own end
+
+
+class Tally:
+    """The running counts of one reader."""
+
+    def __init__(self) -> None:
+        self.frames = 0
+        self.skipped = 0
+        self.truncated = False
+        self._rejected: Counter[LogReject] = Counter()
+        self._first_rejected = ""
+
+    def reject(self, reason: LogReject, place: str, count: int = 1) -> None:
+        """Count pieces that gave no frame; ``place`` is where the first of them is."""
+        if count and not self._rejected:
+            self._first_rejected = f"{place}: {reason}"
+        self._rejected[reason] += count
+
+    def snapshot(self) -> LogCounts:
+        """Return the counts of now."""
+        return LogCounts(
+            frames=self.frames,
+            skipped=self.skipped,
+            rejected={reason: count for reason, count in self._rejected.items() if count},
+            first_rejected=self._first_rejected,
+            truncated=self.truncated,
+        )

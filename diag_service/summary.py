@@ -1,0 +1,146 @@
+"""What a run did, in numbers: frames in, frames refused and why, shifts out. For people and for machines."""
+
+from collections import Counter
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+from diag_service.records import ShiftEstimate, ShiftResult, Status
+from diag_service.results import JsonObject, clutch_record
+
+SUMMARY_SCHEMA = "clutchdiag/summary/v1"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class FrameCounts:
+    """Frames of one run. ``on_bus = decoded + ignored + rejected + unsupported + dropped``, to the frame."""
+
+    on_bus: int = 0  # seen by the interface or in the log, those lost on the way included
+    decoded: int = 0
+    ignored: int = 0  # of messages that the service does not use
+    unsupported: int = 0  # CAN FD
+    kernel_dropped: int = 0
+    queue_dropped: int = 0
+    rejected: Mapping[str, int] = field(default_factory=dict)  # reason -> frames
+    missing: int = 0  # never on this side of the bus, as alive counters tell
+    invalid_values: int = 0  # not available or out of range, in decoded frames
+    unreadable: Mapping[str, int] = field(default_factory=dict)  # lines or objects of a log, reason -> count
+
+    @property
+    def rejected_count(self) -> int:
+        """Frames rejected for whatever reason."""
+        return sum(self.rejected.values())
+
+    @property
+    def is_balanced(self) -> bool:
+        """Whether every frame is accounted for."""
+        dropped = self.kernel_dropped + self.queue_dropped
+        return self.on_bus == self.decoded + self.ignored + self.unsupported + self.rejected_count + dropped
+
+
+class ShiftTally:
+    """Counts of the shifts of one run, and the last result of each clutch."""
+
+    def __init__(self) -> None:
+        self.by_status: Counter[Status] = Counter()
+        self.by_reason: Counter[str] = Counter()
+        self.stored_count = 0
+        self.known_count = 0  # their key was in the store before
+        self.latest: dict[int, ShiftResult] = {}
+
+    def add(self, result: ShiftResult, *, is_new: bool) -> None:
+        """Count one shift."""
+        estimate: ShiftEstimate = result.estimate
+        self.by_status[estimate.status] += 1
+        self.by_reason.update(reason.value for reason in estimate.reasons)
+        self.stored_count += is_new
+        self.known_count += not is_new
+        self.latest[estimate.clutch] = result
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Summary:
+    """The numbers of a run, at its end or on request."""
+
+    vehicle: str
+    frames: FrameCounts
+    shift_counts: Mapping[str, int]  # status -> shifts
+    reason_counts: Mapping[str, int]  # reason -> shifts
+    stored_count: int
+    known_count: int
+    unpublished_count: int | None  # None without a broker
+    latest: tuple[ShiftResult, ...]  # last result of each clutch, clutch 1 first
+
+
+def summarise(vehicle: str, frames: FrameCounts, tally: ShiftTally, unpublished_count: int | None) -> Summary:
+    """Return the numbers of a run as they stand."""
+    return Summary(
+        vehicle=vehicle,
+        frames=frames,
+        shift_counts={status.value: tally.by_status[status] for status in Status},
+        reason_counts=dict(sorted(tally.by_reason.items())),
+        stored_count=tally.stored_count,
+        known_count=tally.known_count,
+        unpublished_count=unpublished_count,
+        latest=tuple(result for _, result in sorted(tally.latest.items())),
+    )
+
+
+def summary_record(summary: Summary) -> JsonObject:
+    """Return the numbers as the final JSON object of a run."""
+    frames = summary.frames
+    return {
+        "schema": SUMMARY_SCHEMA,
+        "vehicle": summary.vehicle,
+        "frames": {
+            "on_bus": frames.on_bus,
+            "decoded": frames.decoded,
+            "ignored": frames.ignored,
+            "unsupported": frames.unsupported,
+            "kernel_dropped": frames.kernel_dropped,
+            "queue_dropped": frames.queue_dropped,
+            "rejected": dict(frames.rejected),
+            "missing": frames.missing,
+            "invalid_values": frames.invalid_values,
+            "unreadable": dict(frames.unreadable),
+        },
+        "shifts": {
+            "by_status": dict(summary.shift_counts),
+            "by_reason": dict(summary.reason_counts),
+            "stored": summary.stored_count,
+            "already_stored": summary.known_count,
+            "unpublished": summary.unpublished_count,
+        },
+        "clutches": [clutch_record(result) for result in summary.latest],
+    }
+
+
+def frames_line(frames: FrameCounts) -> str:
+    """Return the frame numbers as one line for people."""
+    parts = [f"{frames.on_bus} frames", f"{frames.decoded} decoded", f"{frames.ignored} ignored"]
+    parts.append(_with_reasons(f"{frames.rejected_count} rejected", frames.rejected))
+    if frames.unsupported:
+        parts.append(f"{frames.unsupported} CAN FD not supported")
+    parts.append(f"{frames.kernel_dropped + frames.queue_dropped} dropped")
+    parts.append(f"{frames.missing} missing")
+    parts.append(f"{frames.invalid_values} values not available")
+    if any(frames.unreadable.values()):
+        parts.append(_with_reasons("unreadable in the log", frames.unreadable))
+    return ", ".join(parts)
+
+
+def shifts_line(summary: Summary) -> str:
+    """Return the shift numbers as one line for people."""
+    total = sum(summary.shift_counts.values())
+    parts = [_with_reasons(f"{total} shifts", summary.shift_counts)]
+    if any(summary.reason_counts.values()):
+        parts.append(_with_reasons("reasons", summary.reason_counts))
+    if summary.known_count:
+        parts.append(f"{summary.known_count} were stored before")
+    if summary.unpublished_count:
+        parts.append(f"{summary.unpublished_count} wait for the broker")
+    return ", ".join(parts)
+
+
+def _with_reasons(head: str, counts: Mapping[str, int]) -> str:
+    named = [f"{count} {name.replace('_', ' ')}" for name, count in counts.items() if count]
+    return f"{head} ({', '.join(named)})" if named else head

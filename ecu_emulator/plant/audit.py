@@ -1,0 +1,156 @@
+"""Where the energy goes: what the engine gives against what moves, is sprung, or turned to heat."""
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from clutch_model.jit import kernel
+from ecu_emulator.plant import state as at
+from ecu_emulator.plant.driveline import ENGAGED, geared_torque_nm
+from ecu_emulator.plant.rates import PlantLaw
+from ecu_emulator.plant.vehicle import brake_force_n, road_load_n
+
+FloatArray = npt.NDArray[np.float64]
+IntArray = npt.NDArray[np.int64]
+
+# Places in the account.
+ENGINE = 0
+ENGINE_ABSOLUTE = 1
+CLUTCH = 2
+BEARINGS = 3
+DAMPERS = 4
+GEARS = 5
+SYNCHRONISERS = 6
+TYRES = 7
+BRAKES = 8
+ROAD = 9
+COOLANT = 10
+ACCOUNT_COUNT = 11
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PowerBalance:
+    """Energies since the start of a drive [J]; the residuals are what the integration gained or lost."""
+
+    engine_j: float
+    engine_absolute_j: float  # integral of |power|: the scale of the residual
+    clutch_j: float
+    bearing_j: float
+    damper_j: float
+    gear_j: float
+    synchroniser_j: float
+    tyre_j: float
+    brake_j: float
+    road_j: float
+    stored_j: float  # change of kinetic and spring energy
+    heated_j: float  # change of the heat in clutches and sump
+    coolant_j: float
+
+    @property
+    def residual_j(self) -> float:
+        """Energy that appeared from nowhere [J]."""
+        lost_j = self.clutch_j + self.bearing_j + self.damper_j + self.gear_j
+        lost_j += self.synchroniser_j + self.tyre_j + self.brake_j + self.road_j
+        return self.stored_j + lost_j - self.engine_j
+
+    @property
+    def residual_ratio(self) -> float:
+        """Mechanical residual over the energy that went through the crankshaft."""
+        return self.residual_j / self.engine_absolute_j
+
+    @property
+    def heat_residual_ratio(self) -> float:
+        """Part of the clutch heat that is neither stored nor carried away."""
+        return (self.clutch_j - self.heated_j - self.coolant_j) / self.clutch_j
+
+
+@kernel
+def stored_energy_j(y: FloatArray, law: PlantLaw) -> float:
+    """Return kinetic and spring energy of all bodies [J]."""
+    twice = law.engine_inertia_kg_m2 * y[at.W_E] ** 2 + law.hub_inertia_kg_m2 * y[at.W_H] ** 2
+    twice += law.flywheel.stiffness_nm_rad * y[at.PHI_FW] ** 2 + law.output.stiffness_nm_rad * y[at.PHI_OS] ** 2
+    twice += law.output.inertia_kg_m2 * y[at.W_D] ** 2
+    twice += law.vehicle.wheel_inertia_kg_m2 * y[at.W_W] ** 2 + law.vehicle.mass_kg * y[at.V] ** 2
+    for k in range(2):
+        shaft = law.shafts[0] if k == 0 else law.shafts[1]
+        twice += shaft.clutch_inertia_kg_m2 * y[at.W_L + k] ** 2 + shaft.gear_inertia_kg_m2 * y[at.W_G + k] ** 2
+        twice += shaft.stiffness_nm_rad * y[at.PHI_SI + k] ** 2
+    return 0.5 * twice
+
+
+@kernel
+def stored_heat_j(y: FloatArray, law: PlantLaw) -> float:
+    """Return the heat in clutches and sump above 0 K [J]."""
+    heat_j = law.sump_heat_capacity_j_k * y[at.T_OIL]
+    heat_j += law.clutches[0].heat_capacity_j_k * y[at.T_C]
+    return heat_j + law.clutches[1].heat_capacity_j_k * y[at.T_C + 1]
+
+
+@kernel
+def shaft_powers(
+    y: FloatArray, modes: IntArray, out: FloatArray, powers: FloatArray, law: PlantLaw
+) -> None:
+    """Add the losses of both input shafts, their gears and synchronisers to ``powers`` [W]."""
+    for k in range(2):
+        shaft = law.shafts[0] if k == 0 else law.shafts[1]
+        gear_rad_s = y[at.W_G + k]
+        twist_rate = y[at.W_L + k] - gear_rad_s
+        powers[CLUTCH] += out[at.T_F + k] * (y[at.W_H] - y[at.W_L + k])
+        powers[DAMPERS] += shaft.damping_nms_rad * twist_rate * twist_rate
+        bearing_nms = shaft.clutch_damping_nms_rad * y[at.W_L + k] ** 2 + shaft.gear_damping_nms_rad * gear_rad_s**2
+        powers[BEARINGS] += bearing_nms
+        if modes[at.LINK + k] == ENGAGED:
+            efficiency = law.synchroniser.efficiency_ratio
+            passed_nm = geared_torque_nm(out[at.T_SI + k], gear_rad_s, efficiency, 0.0)
+            powers[GEARS] += (out[at.T_SI + k] - passed_nm) * gear_rad_s
+
+
+@kernel
+def add_powers(  # noqa: PLR0917 - a kernel takes its arguments by position
+    account: FloatArray, weight_s: float, y: FloatArray, u: FloatArray, modes: IntArray, out: FloatArray, law: PlantLaw
+) -> None:
+    """Add the powers at one state, times ``weight_s``, to the account [J]; nothing if there is none."""
+    if account.size == 0:
+        return
+    vehicle, output = law.vehicle, law.output
+    powers = np.zeros(ACCOUNT_COUNT)
+    powers[ENGINE] = out[at.T_E] * y[at.W_E]
+    powers[ENGINE_ABSOLUTE] = abs(powers[ENGINE])
+    shaft_powers(y, modes, out, powers, law)
+    for k in range(2):
+        powers[SYNCHRONISERS] += out[at.T_SY + k] * (u[at.RATIO + k] * y[at.W_D] - y[at.W_G + k])
+    powers[BEARINGS] += law.hub_damping_nms_rad * y[at.W_H] ** 2 + output.damping_nms_rad * y[at.W_D] ** 2
+    powers[BEARINGS] += vehicle.wheel_damping_nms_rad * y[at.W_W] ** 2
+    powers[DAMPERS] += law.flywheel.damping_nms_rad * (y[at.W_E] - y[at.W_H]) ** 2
+    powers[DAMPERS] += output.shaft_damping_nms_rad * (y[at.W_D] - y[at.W_W]) ** 2
+    rim_m_s = vehicle.wheel_radius_m * y[at.W_W]
+    powers[TYRES] = out[at.F_X] * (rim_m_s - y[at.V])
+    brake_n = brake_force_n(u[at.BRAKE], y[at.V], vehicle)
+    share = vehicle.driven_brake_ratio
+    powers[BRAKES] = brake_n * (share * rim_m_s + (1.0 - share) * y[at.V])
+    powers[ROAD] = road_load_n(y[at.V], law.grade_ratio, vehicle) * y[at.V]
+    powers[COOLANT] = law.sump_convection_w_k * (y[at.T_OIL] - law.coolant_k)
+    for entry in range(ACCOUNT_COUNT):
+        account[entry] += weight_s * powers[entry]
+
+
+def power_balance(
+    account: FloatArray, before: FloatArray, after: FloatArray, law: PlantLaw
+) -> PowerBalance:
+    """Close the account over a stretch: ``before`` and ``after`` are the state arrays at its ends."""
+    return PowerBalance(
+        engine_j=float(account[ENGINE]),
+        engine_absolute_j=float(account[ENGINE_ABSOLUTE]),
+        clutch_j=float(account[CLUTCH]),
+        bearing_j=float(account[BEARINGS]),
+        damper_j=float(account[DAMPERS]),
+        gear_j=float(account[GEARS]),
+        synchroniser_j=float(account[SYNCHRONISERS]),
+        tyre_j=float(account[TYRES]),
+        brake_j=float(account[BRAKES]),
+        road_j=float(account[ROAD]),
+        stored_j=stored_energy_j(after, law) - stored_energy_j(before, law),
+        heated_j=stored_heat_j(after, law) - stored_heat_j(before, law),
+        coolant_j=float(account[COOLANT]),
+    )

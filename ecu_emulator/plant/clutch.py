@@ -1,0 +1,122 @@
+"""One wet clutch: cavity and film over a step, friction torque, torque that would lock it."""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from clutch_model.film import FilmLaw, contact_pressure_pa, film_rate_m_s, shear_factor_difference
+from clutch_model.friction import FrictionLaw, kinetic_friction
+from clutch_model.jit import kernel
+from ecu_emulator.plant import state as at
+from ecu_emulator.plant.hydraulics import CavityLaw, HydraulicsParameters, cavity_pressure_pa, orifice_flow_m3_s
+
+FloatArray = npt.NDArray[np.float64]
+
+_EMPTY_M3 = 1.0e-13  # a cavity below this is empty: keeps denormal numbers out of the loop
+_NO_PRESSURE_PA = 1.0e-3
+_OPEN_TOLERANCE_M = 1.0e-12
+
+
+class ClutchLaw(NamedTuple):
+    """Everything constant about one clutch."""
+
+    film: FilmLaw
+    friction: FrictionLaw  # its coefficients are those at the start; ageing moves the ones in use
+    cavity: CavityLaw
+    valve: HydraulicsParameters
+    heat_capacity_j_k: float
+    convection_w_k: float
+
+
+@kernel
+def film_derivative_m_s(film_m: float, volume_m3: float, viscosity: float, law: ClutchLaw) -> float:
+    """Return the film's rate [m/s] for the oil volume behind the piston; docs/model.md eq. (7)."""
+    excess_m3 = volume_m3 - law.cavity.full_volume_m3
+    applied_pa = max(0.0, excess_m3 / law.valve.pack_compliance_m3_pa * law.cavity.area_m2 / law.film.lining_area_m2)
+    return film_rate_m_s(film_m, applied_pa, viscosity, excess_m3 >= 0.0, law.film)
+
+
+@kernel
+def refresh_contact(y: FloatArray, clutch: int, law: ClutchLaw) -> None:
+    """Recompute what depends on the film alone."""
+    film_m = y[at.FILM + clutch]
+    y[at.P_C + clutch] = contact_pressure_pa(film_m, law.film)
+    y[at.SHEAR + clutch] = shear_factor_difference(film_m / law.film.roughness_m) / film_m
+
+
+@kernel
+def volume_rate_m3_s(valve_pa: float, volume_m3: float, law: ClutchLaw) -> float:
+    """Return the flow into the cavity [m^3/s]."""
+    return orifice_flow_m3_s(valve_pa, cavity_pressure_pa(volume_m3, law.cavity, law.valve), law.valve)
+
+
+@kernel
+def advance_clutch(y: FloatArray, u: FloatArray, clutch: int, dt_s: float, law: ClutchLaw) -> None:
+    """Advance solenoid (exactly), cavity and film (classic fourth-order Runge-Kutta) of one clutch in place."""
+    command_pa = u[at.P_COMMAND + clutch]
+    valve_pa, volume_m3, film_m = y[at.P_V + clutch], y[at.VOLUME + clutch], y[at.FILM + clutch]
+    if command_pa == 0.0 and valve_pa == 0.0 and volume_m3 == 0.0 and film_m == law.film.open_gap_m:
+        return
+    viscosity = u[at.VISCOSITY + clutch]
+    half_decay = math.exp(-0.5 * dt_s / law.valve.solenoid_lag_s)
+    mid_pa = command_pa + (valve_pa - command_pa) * half_decay
+    end_pa = command_pa + (mid_pa - command_pa) * half_decay
+
+    flow1 = volume_rate_m3_s(valve_pa, volume_m3, law)
+    rate1 = film_derivative_m_s(film_m, volume_m3, viscosity, law)
+    volume2, film2 = volume_m3 + 0.5 * dt_s * flow1, film_m + 0.5 * dt_s * rate1
+    flow2 = volume_rate_m3_s(mid_pa, volume2, law)
+    rate2 = film_derivative_m_s(film2, volume2, viscosity, law)
+    volume3, film3 = volume_m3 + 0.5 * dt_s * flow2, film_m + 0.5 * dt_s * rate2
+    flow3 = volume_rate_m3_s(mid_pa, volume3, law)
+    rate3 = film_derivative_m_s(film3, volume3, viscosity, law)
+    volume4, film4 = volume_m3 + dt_s * flow3, film_m + dt_s * rate3
+    flow4 = volume_rate_m3_s(end_pa, volume4, law)
+    rate4 = film_derivative_m_s(film4, volume4, viscosity, law)
+
+    volume_m3 += dt_s / 6.0 * (flow1 + 2.0 * flow2 + 2.0 * flow3 + flow4)
+    film_m += dt_s / 6.0 * (rate1 + 2.0 * rate2 + 2.0 * rate3 + rate4)
+    y[at.P_V + clutch] = end_pa if end_pa > _NO_PRESSURE_PA else 0.0
+    y[at.VOLUME + clutch] = volume_m3 if volume_m3 > _EMPTY_M3 else 0.0
+    if film_m > law.film.open_gap_m - _OPEN_TOLERANCE_M:
+        film_m = law.film.open_gap_m
+    y[at.FILM + clutch] = max(film_m, law.film.min_film_m)
+    refresh_contact(y, clutch, law)
+
+
+@kernel
+def capacity_nm(y: FloatArray, u: FloatArray, clutch: int, law: ClutchLaw) -> float:
+    """Return the largest torque the locked clutch holds [N m], ``C * mu_S * P_C``."""
+    return law.film.contact_factor_m3 * u[at.MU_S + clutch] * y[at.P_C + clutch]
+
+
+@kernel
+def viscous_nm(y: FloatArray, u: FloatArray, clutch: int, law: ClutchLaw) -> float:
+    """Return the torque of the sheared film [N m]; docs/model.md eq. (5)."""
+    slip_rad_s = y[at.W_H] - y[at.W_L + clutch]
+    return law.film.viscous_factor_m4 * u[at.VISCOSITY + clutch] * slip_rad_s * y[at.SHEAR + clutch]
+
+
+@kernel
+def contact_nm(y: FloatArray, u: FloatArray, clutch: int, law: ClutchLaw) -> float:
+    """Return the torque of the slipping contact [N m]; docs/model.md eqs. (6), (8)."""
+    contact_pa = y[at.P_C + clutch]
+    if contact_pa == 0.0:
+        return 0.0
+    slip_rad_s = y[at.W_H] - y[at.W_L + clutch]
+    friction = law.friction
+    direction = u[at.DIRECTION + clutch]
+    if slip_rad_s > friction.lock_band_rad_s:
+        direction = 1.0
+    elif slip_rad_s < -friction.lock_band_rad_s:
+        direction = -1.0
+    current = FrictionLaw(
+        u[at.MU_C + clutch],
+        u[at.MU_S + clutch],
+        friction.stribeck_speed_rad_s,
+        friction.stribeck_exponent,
+        friction.lock_band_rad_s,
+    )
+    return direction * kinetic_friction(slip_rad_s, current) * contact_pa * law.film.contact_factor_m3

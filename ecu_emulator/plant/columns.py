@@ -1,0 +1,52 @@
+"""Columns of the plant's record: one row per millisecond, SI units and radians throughout."""
+
+from enum import IntEnum, unique
+
+
+@unique
+class Col(IntEnum):
+    """Column numbers of the array that `Powertrain.advance` returns."""
+
+    T_S = 0  # scenario time [s]
+    ENGINE_SPEED = 1  # w_E [rad/s]
+    HUB_SPEED = 2  # w_H [rad/s]
+    INPUT1_SPEED = 3  # w_L1 [rad/s]
+    INPUT2_SPEED = 4  # w_L2 [rad/s]
+    DIFF_SPEED = 5  # w_D [rad/s]
+    WHEEL_SPEED = 6  # w_W [rad/s]
+    VEHICLE_SPEED = 7  # v [m/s]
+    CRANK_ANGLE = 8  # integral of w_E [rad]
+    ENGINE_TORQUE = 9  # T_e [N m], friction and pumping deducted
+    FLYWHEEL_TORQUE = 10  # T_FW [N m]
+    CLUTCH1_TORQUE = 11  # T_F1 [N m], hub on gearbox side
+    CLUTCH2_TORQUE = 12  # T_F2 [N m]
+    VISCOUS1_TORQUE = 13  # T_V1 [N m]
+    VISCOUS2_TORQUE = 14  # T_V2 [N m]
+    SHAFT1_TORQUE = 15  # T_si1 [N m]
+    SHAFT2_TORQUE = 16  # T_si2 [N m]
+    PRESSURE1 = 17  # P_K1 [Pa]
+    PRESSURE2 = 18  # P_K2 [Pa]
+    PRESSURE1_COMMAND = 19  # [Pa]
+    PRESSURE2_COMMAND = 20  # [Pa]
+    TORQUE1_COMMAND = 21  # capacity the shift control asks of clutch 1 [N m]
+    TORQUE2_COMMAND = 22  # capacity the shift control asks of clutch 2 [N m]
+    FILM1 = 23  # h_1 [m]
+    FILM2 = 24  # h_2 [m]
+    CLUTCH1_TEMPERATURE = 25  # [K]
+    CLUTCH2_TEMPERATURE = 26  # [K]
+    SUMP_TEMPERATURE = 27  # [K]
+    PEDAL = 28  # 0..1
+    THROTTLE = 29  # 0..1
+    BRAKE = 30  # deceleration demand [m/s^2]
+    CURRENT_GEAR = 31  # 1..6, the old gear until the lock-up ramp ends
+    TARGET_GEAR = 32  # 1..6, the new gear from the prefill on
+    PRESELECTED_GEAR = 33  # gear engaged on the idle shaft, 0 while none is
+    SHIFT_PHASE = 34  # 0 hold, 1 prefill, 2 torque, 3 inertia, 4 lock-up
+    STICK1 = 35  # 1 while clutch 1 is locked
+    STICK2 = 36  # 1 while clutch 2 is locked
+    DISTANCE = 37  # [m]
+    MANIFOLD_PRESSURE = 38  # p_m [Pa]
+    MU_C1 = 39  # true friction now
+    MU_S1 = 40
+    MU_C2 = 41
+    MU_S2 = 42

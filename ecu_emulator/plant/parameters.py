@@ -1,0 +1,171 @@
+"""Parameters of the plant beyond the clutch calibration: frozen, range-checked once, loaded from TOML."""
+
+import math
+import tomllib
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, fields
+from importlib.resources import files
+from pathlib import Path
+from typing import NamedTuple, Self, TypeVar, cast
+
+from clutch_model.errors import CalibrationError
+from clutch_model.tables import check_keys, number, numbers, require, subtable
+from ecu_emulator.plant.driveline import FlywheelParameters, OutputParameters, ShaftParameters, SynchroniserParameters
+from ecu_emulator.plant.engine import EngineParameters
+from ecu_emulator.plant.hydraulics import HydraulicsParameters
+from ecu_emulator.plant.vehicle import VehicleParameters
+from ecu_emulator.tcu import GEAR_COUNT, ControlParameters
+
+TupleT = TypeVar("TupleT", bound=tuple[object, ...])
+
+_MAY_BE_ZERO = frozenset({
+    "friction_nm",
+    "friction_nms_rad",
+    "ripple_ratio",
+    "damping_nms_rad",
+    "clutch_damping_nms_rad",
+    "gear_damping_nms_rad",
+    "shaft_damping_nms_rad",
+    "wheel_damping_nms_rad",
+    "rolling_resistance_ratio",
+    "drag_area_m2",
+    "convection_w_k",
+    "spark_reduction_ratio",
+    "flare_gain_nms_rad",
+    "slip_integral_gain_nm_rad",
+})
+_UP_TO_ONE = frozenset({
+    "volumetric_efficiency_ratio",
+    "efficiency_ratio",
+    "driven_load_ratio",
+    "driven_brake_ratio",
+    "ripple_ratio",
+    "preselect_fill_ratio",
+    "prefill_ratio",
+    "dump_ratio",
+    "spark_reduction_ratio",
+})
+
+
+class GearboxParameters(NamedTuple):
+    """Ratios of gears 1..6."""
+
+    gear_ratios: tuple[float, ...]
+    final_drive_ratios: tuple[float, ...]
+
+
+class SumpParameters(NamedTuple):
+    """Lumped oil in the sump."""
+
+    heat_capacity_j_k: float  # C_oil
+    convection_w_k: float  # hA_oil
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PlantParameters:
+    """One vehicle type around its clutches; every member is in the form the kernels take.
+
+    Raises
+    ------
+    CalibrationError
+        On construction, naming the first number outside its range.
+    """
+
+    engine: EngineParameters
+    hydraulics: HydraulicsParameters
+    flywheel: FlywheelParameters
+    shafts: tuple[ShaftParameters, ShaftParameters]
+    gearbox: GearboxParameters
+    synchroniser: SynchroniserParameters
+    output: OutputParameters
+    vehicle: VehicleParameters
+    sump: SumpParameters
+    control: ControlParameters
+
+    def __post_init__(self) -> None:
+        """Check every number against its range."""
+        for name, value in self._numbers():
+            key = name.rpartition(".")[2]
+            is_positive = value > 0.0 or (value == 0.0 and key in _MAY_BE_ZERO)
+            require(math.isfinite(value) and is_positive, f"{name} must be > 0, got {value}")
+            require(value <= 1.0 or key not in _UP_TO_ONE, f"{name} must be <= 1, got {value}")
+        require(self.engine.closed_throttle_rad < 0.5 * math.pi, "engine.closed_throttle_rad must be < pi/2")
+
+    def _numbers(self) -> Iterator[tuple[str, float]]:
+        for field in fields(self):
+            member = getattr(self, field.name)
+            for record in member if field.name == "shafts" else (member,):
+                for key, value in record._asdict().items():
+                    for single in value if isinstance(value, tuple) else (value,):
+                        yield f"{field.name}.{key}", single
+
+    @classmethod
+    def from_mapping(cls, table: Mapping[str, object]) -> Self:
+        """Build the parameters from nested tables; an unknown, missing or mistyped key is an error.
+
+        Raises
+        ------
+        CalibrationError
+            Naming the first offending key.
+        """
+        known = [field.name for field in fields(cls) if field.name != "shafts"]
+        check_keys("plant", table, [*known, "shaft"])
+        shafts = table["shaft"]
+        if not isinstance(shafts, list) or len(shafts) != 2:
+            raise CalibrationError("plant needs exactly 2 [[shaft]] tables")
+        return cls(
+            engine=_record(EngineParameters, table, "engine"),
+            hydraulics=_record(HydraulicsParameters, table, "hydraulics"),
+            flywheel=_record(FlywheelParameters, table, "flywheel"),
+            shafts=(
+                _record(ShaftParameters, {"shaft 1": shafts[0]}, "shaft 1"),
+                _record(ShaftParameters, {"shaft 2": shafts[1]}, "shaft 2"),
+            ),
+            gearbox=_record(GearboxParameters, table, "gearbox"),
+            synchroniser=_record(SynchroniserParameters, table, "synchroniser"),
+            output=_record(OutputParameters, table, "output"),
+            vehicle=_record(VehicleParameters, table, "vehicle"),
+            sump=_record(SumpParameters, table, "sump"),
+            control=_record(ControlParameters, table, "control"),
+        )
+
+
+def nominal_plant_table() -> dict[str, object]:
+    """Return the shipped plant parameters as nested tables, for callers that override some keys."""
+    return tomllib.loads(files("ecu_emulator").joinpath("plant/parameters.toml").read_text(encoding="utf-8"))
+
+
+def nominal_parameters() -> PlantParameters:
+    """Return the plant parameters that ship with the package."""
+    return PlantParameters.from_mapping(nominal_plant_table())
+
+
+def read_parameters(path: Path) -> PlantParameters:
+    """Read a file of plant parameters.
+
+    Raises
+    ------
+    CalibrationError
+        If the file is missing, not TOML, or holds a value outside its range.
+    """
+    try:
+        return PlantParameters.from_mapping(tomllib.loads(path.read_text(encoding="utf-8")))
+    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as exc:
+        raise CalibrationError(f"cannot read plant parameters {path}: {exc}") from exc
+    except CalibrationError as exc:
+        raise CalibrationError(f"{path}: {exc}") from exc
+
+
+def _record(record: type[TupleT], tables: Mapping[str, object], where: str) -> TupleT:
+    table = subtable(tables[where], where)
+    names = cast("tuple[str, ...]", record._fields)  # type: ignore[attr-defined]  # every NamedTuple has it
+    check_keys(where, table, names)
+    return record(*(_value(table[name], f"{where}.{name}") for name in names))
+
+
+def _value(value: object, where: str) -> float | tuple[float, ...]:
+    if where.endswith("_ratios"):
+        return numbers(value, where, GEAR_COUNT)
+    if where.endswith("shift_speeds_rad_s"):
+        return numbers(value, where, GEAR_COUNT - 1)
+    return number(value, where)

@@ -1,0 +1,37 @@
+"""Progress for people: a live line on a terminal, now and then a line in a log file."""
+
+from types import TracebackType
+from typing import Final, Self
+
+from rich.console import Console
+from rich.status import Status
+
+LOG_PERIOD_S: Final = 10.0
+
+
+class ProgressLine:
+    """Shows the latest text; where there is no terminal, one line every ten seconds of the time it is told."""
+
+    def __init__(self, console: Console, text: str) -> None:
+        self._console = console
+        self._status = Status(text, console=console) if console.is_terminal else None
+        self._next_s = LOG_PERIOD_S
+
+    def __enter__(self) -> Self:
+        if self._status is not None:
+            self._status.start()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        if self._status is not None:
+            self._status.stop()
+
+    def update(self, text: str, at_s: float) -> None:
+        """Show the text that holds at ``at_s`` seconds of the drive."""
+        if self._status is not None:
+            self._status.update(text)
+        elif at_s >= self._next_s:
+            self._console.print(text, highlight=False)
+            self._next_s = (at_s // LOG_PERIOD_S + 1.0) * LOG_PERIOD_S

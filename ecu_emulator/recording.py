@@ -1,0 +1,121 @@
+"""One drive from plant to frames: the only file that knows the order of the emulator's stages."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Final
+
+from dbc.contract import load_contract, message_contracts
+from ecu_emulator.build import BuiltVehicle, build_vehicle
+from ecu_emulator.frames import EncodedFrames, FrameEncoder, merge
+from ecu_emulator.plant.columns import Col
+from ecu_emulator.plant.powertrain import DriveSettings, Powertrain
+from ecu_emulator.readings import FloatArray, Schedule
+from ecu_emulator.scenario import Scenario
+from ecu_emulator.sensors import Installation, SensorSuite
+from ecu_emulator.truth import DriveTruth, ShiftTruth, ShiftWatcher, Totals, TruthLog
+
+LONG_STRETCH_S: Final = 10.0  # for files
+SHORT_STRETCH_S: Final = 0.25  # live: a stretch must not hold the interpreter for long
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Stretch:
+    """What a stretch of driving puts on the bus, and which shifts ended in it."""
+
+    frames: EncodedFrames
+    shifts: tuple[ShiftTruth, ...]
+    end_s: float  # scenario time reached
+
+
+class Drive:
+    """One drive of one built vehicle: plant, sensors and frame builder in step.
+
+    The frames depend on the scenario only, not on the length of the stretches; memory does not grow with the drive.
+
+    Raises
+    ------
+    ConfigError
+        If the scenario's truth is not possible.
+    """
+
+    def __init__(self, scenario: Scenario) -> None:
+        vehicle = build_vehicle(scenario)
+        database = load_contract()
+        self._encoder = FrameEncoder(database)
+        self._plant = _powertrain(scenario, vehicle)
+        self._watcher = ShiftWatcher()
+        self._sensors = SensorSuite(
+            schedules=[
+                Schedule(
+                    message=contract.name,
+                    sender=contract.sender,
+                    cycle_ms=contract.cycle_ms,
+                    phase_ms=contract.phase_ms,
+                    quantities=self._encoder.quantities(contract.name),
+                )
+                for contract in message_contracts(database).values()
+            ],
+            sensors=vehicle.sensors,
+            installation=_installation(scenario, vehicle),
+            startup_s=scenario.startup.by_sender(),
+            seed=scenario.seed,
+        )
+        self._shift_count = 0
+        self._frame_count = 0
+        self._end_s = 0.0
+        self.truth: Final = _drive_truth(scenario, vehicle)
+
+    @property
+    def totals(self) -> Totals:
+        """What has been driven so far."""
+        return Totals(shifts=self._shift_count, duration_s=self._end_s, frames=self._frame_count)
+
+    def stretches(self, duration_s: float) -> Iterator[Stretch]:
+        """Yield the rest of the drive in stretches of this length [s]."""
+        while not self._plant.finished:
+            rows = self._plant.advance(duration_s)
+            if len(rows):
+                yield self._stretch(rows)
+
+    def _stretch(self, rows: FloatArray) -> Stretch:
+        shifts = tuple(self._watcher.feed(rows))
+        frames = self._encoder.encode_all(self._sensors.read(rows))
+        self._shift_count += len(shifts)
+        self._frame_count += len(frames)
+        self._end_s = float(rows[-1, Col.T_S])
+        return Stretch(frames=frames, shifts=shifts, end_s=self._end_s)
+
+
+def frames_of(scenario: Scenario) -> tuple[EncodedFrames, TruthLog]:
+    """Return all frames of a drive and its truth, without files; for tests and studies of short drives."""
+    drive = Drive(scenario)
+    stretches = list(drive.stretches(LONG_STRETCH_S))
+    shifts = tuple(shift for stretch in stretches for shift in stretch.shifts)
+    return merge([stretch.frames for stretch in stretches]), TruthLog(
+        drive=drive.truth, shifts=shifts, totals=drive.totals
+    )
+
+
+def _installation(scenario: Scenario, vehicle: BuiltVehicle) -> Installation:
+    return Installation(
+        crank_segment_rad=vehicle.calibration.input_side.crank_segment_rad,
+        output_ratio=vehicle.parameters.driveline.final_drive_ratio[0],
+        wheel_radius_m=vehicle.parameters.vehicle.wheel_radius_m,
+        ambient_temperature_k=scenario.ambient.temperature_k,
+        coolant_temperature_k=vehicle.parameters.sump.coolant_temperature_k,
+        odometer_m=scenario.odometer_m,
+    )
+
+
+def _drive_truth(scenario: Scenario, vehicle: BuiltVehicle) -> DriveTruth:
+    first, second = (clutch.friction for clutch in vehicle.calibration.clutches)
+    return DriveTruth(
+        scenario=scenario.name,
+        vehicle=scenario.vehicle,
+        seed=scenario.seed,
+        cycles=scenario.cycles,
+        fluid=scenario.fluid.condition,
+        mu_c=(first.mu_c, second.mu_c),
+        mu_s=(first.mu_s, second.mu_s),
+        drawn=vehicle.drawn,
+    )

@@ -1,0 +1,148 @@
+"""Scenarios: everything that decides what one drive puts on the bus, as records that check their own ranges."""
+
+import math
+import re
+from collections.abc import Mapping
+from dataclasses import Field, dataclass, field, fields
+from enum import StrEnum
+from typing import Final
+
+from clutch_model.calibration import nominal_calibration
+from ecu_emulator.errors import ConfigError
+from ecu_emulator.signals import NOMINAL_SENSORS, Sensors
+
+Overrides = Mapping[str, object]  # dotted key -> TOML value
+
+_VEHICLE_ID: Final = re.compile(r"[A-Za-z0-9_-]{1,64}")  # safe in a file name and in an MQTT topic
+_SCATTER_SHARE: Final = 0.5  # of the belief's standard deviations: a careful production
+
+
+class FluidCondition(StrEnum):
+    """How far the fluid has gone."""
+
+    IDEAL = "ideal"
+    CASE_1 = "case1"  # worn: level down, slope still positive
+    CASE_2 = "case2"  # aged: slope negative, shudder
+    AGEING = "ageing"  # drifts from ideal to case 2 while driving
+
+
+def ranged(default: float, low: float, high: float) -> float:
+    """Declare a number of a record with its default and its inclusive range."""
+    return field(default=default, metadata={"low": low, "high": high})
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Ranged:
+    """A record that checks the numbers it declares with ``ranged``."""
+
+    def __post_init__(self) -> None:
+        for member in fields(self):
+            if "low" in member.metadata:
+                _check_range(member, getattr(self, member.name))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Fluid:
+    """Condition of the transmission fluid; with ``ageing`` it reaches case 2 after ``ageing_cycles`` cycles."""
+
+    condition: FluidCondition = FluidCondition.IDEAL
+    ageing_cycles: int = 20
+
+    def __post_init__(self) -> None:
+        """Check that ageing takes some time."""
+        if self.ageing_cycles < 1:
+            raise ConfigError(f"ageing_cycles must be >= 1, got {self.ageing_cycles}")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Driver(_Ranged):
+    """How the car is driven."""
+
+    pedal_ratio: float = ranged(0.45, 0.1, 1.0)
+    variation_ratio: float = ranged(0.05, 0.0, 0.2)  # relative, drawn anew for every cycle
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Ambient(_Ranged):
+    """Temperatures around and inside the transmission at the start."""
+
+    temperature_k: float = ranged(293.15, 233.15, 323.15)
+    oil_temperature_k: float = ranged(363.15, 273.15, 413.15)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Startup(_Ranged):
+    """How long after the start each controller sends only not-available codes."""
+
+    ecm_s: float = ranged(0.1, 0.0, 60.0)
+    tcu_s: float = ranged(0.2, 0.0, 60.0)
+    abs_s: float = ranged(0.3, 0.0, 60.0)
+    ic_s: float = ranged(0.5, 0.0, 60.0)
+
+    def by_sender(self) -> dict[str, float]:
+        """Return the times [s] by the sender's name in the wire contract."""
+        return {member.name.removesuffix("_s").upper(): getattr(self, member.name) for member in fields(self)}
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Scatter(_Ranged):
+    """Standard deviations of production scatter; the members mean what those of the belief's ``Uncertainty`` mean."""
+
+    torque_gain_ratio: float = ranged(0.0, 0.0, 0.1)
+    engine_inertia_ratio: float = ranged(0.0, 0.0, 0.1)
+    piston_area_ratio: float = ranged(0.0, 0.0, 0.1)
+    viscosity_ratio: float = ranged(0.0, 0.0, 0.2)
+    torque_latency_s: float = ranged(0.0, 0.0, 0.02)
+    pressure_latency_s: float = ranged(0.0, 0.0, 0.02)
+    torque_offset_nm: float = ranged(0.0, 0.0, 20.0)
+    touch_pressure_pa: float = ranged(0.0, 0.0, 2.0e4)
+    pressure_zero_pa: float = ranged(0.0, 0.0, 2.0e4)
+
+
+def production_scatter() -> Scatter:
+    """Return the scatter of normal production: half of what the service's nominal calibration allows for."""
+    believed = nominal_calibration().uncertainty
+    return Scatter(**{member.name: _SCATTER_SHARE * getattr(believed, member.name) for member in fields(Scatter)})
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Truth:
+    """Dotted keys that make this vehicle differ from the nominal one, e.g. ``clutch1.friction.mu_c``."""
+
+    calibration: Overrides = field(default_factory=dict)
+    plant: Overrides = field(default_factory=dict)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Scenario(_Ranged):
+    """Everything that decides what one drive puts on the bus."""
+
+    name: str
+    description: str = ""
+    vehicle: str = "dct-demo"
+    seed: int = 1
+    cycles: int = 1  # each is 1-2-3-4-5-6-5-4-3-2-1
+    odometer_m: float = ranged(12_345_000.0, 0.0, 4.0e9)
+    fluid: Fluid = field(default_factory=Fluid)
+    driver: Driver = field(default_factory=Driver)
+    ambient: Ambient = field(default_factory=Ambient)
+    startup: Startup = field(default_factory=Startup)
+    scatter: Scatter = field(default_factory=production_scatter)
+    sensors: Sensors = field(default_factory=lambda: dict(NOMINAL_SENSORS))
+    truth: Truth = field(default_factory=Truth)
+
+    def __post_init__(self) -> None:
+        """Check ranges and the vehicle's name."""
+        _Ranged.__post_init__(self)
+        if not _VEHICLE_ID.fullmatch(self.vehicle):
+            raise ConfigError(f"vehicle must be 1..64 letters, digits, '-' or '_', got {self.vehicle!r}")
+        if not 0 <= self.seed < 2**63:
+            raise ConfigError(f"seed must be 0..2^63-1, got {self.seed}")
+        if not 1 <= self.cycles <= 100_000:
+            raise ConfigError(f"cycles must be 1..100000, got {self.cycles}")
+
+
+def _check_range(member: "Field[object]", value: float) -> None:
+    low, high = member.metadata["low"], member.metadata["high"]
+    if not (math.isfinite(value) and low <= value <= high):
+        raise ConfigError(f"{member.name} must be {low:g}..{high:g}, got {value}")

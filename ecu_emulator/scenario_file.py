@@ -1,0 +1,174 @@
+"""Scenario files: TOML becomes a ``Scenario``; every key is checked, and the first one that cannot be used is named."""
+
+import tomllib
+from collections.abc import Mapping
+from dataclasses import Field, fields
+from importlib.resources import files
+from pathlib import Path
+from typing import Final, TypeVar
+
+from ecu_emulator.errors import ConfigError
+from ecu_emulator.scenario import (
+    Ambient,
+    Driver,
+    Fluid,
+    FluidCondition,
+    Scatter,
+    Scenario,
+    Startup,
+    Truth,
+    production_scatter,
+)
+from ecu_emulator.signals import NOMINAL_SENSORS, Sensor, Sensors, split_unit
+
+RecordT = TypeVar("RecordT")
+
+_SHIPPED: Final = files("ecu_emulator").joinpath("scenarios")
+
+
+def shipped_scenarios() -> tuple[str, ...]:
+    """Return the names of the scenarios that ship with the package, sorted."""
+    return tuple(
+        sorted(entry.name.removesuffix(".toml") for entry in _SHIPPED.iterdir() if entry.name.endswith(".toml"))
+    )
+
+
+def load_scenario(name_or_file: str) -> Scenario:
+    """Return a shipped scenario by name, or one from a TOML file.
+
+    Raises
+    ------
+    ConfigError
+        Naming the file and the first key that cannot be used.
+    """
+    if name_or_file in shipped_scenarios():
+        text = _SHIPPED.joinpath(f"{name_or_file}.toml").read_text(encoding="utf-8")
+        return parse_scenario(text, f"scenario {name_or_file}")
+    path = Path(name_or_file)
+    if path.suffix != ".toml" and not path.exists():
+        known = ", ".join(shipped_scenarios())
+        raise ConfigError(f"no scenario {name_or_file!r}: use a TOML file or one of {known}")
+    try:
+        return parse_scenario(path.read_text(encoding="utf-8"), str(path))
+    except (OSError, UnicodeDecodeError) as exc:
+        raise ConfigError(f"cannot read scenario {path}: {exc}") from exc
+
+
+def parse_scenario(text: str, origin: str) -> Scenario:
+    """Check the TOML text of a scenario; ``origin`` begins every error message.
+
+    Raises
+    ------
+    ConfigError
+        Naming the first key that is unknown, mistyped or out of range.
+    """
+    try:
+        return _scenario(tomllib.loads(text))
+    except tomllib.TOMLDecodeError as exc:
+        raise ConfigError(f"{origin} is not TOML: {exc}") from exc
+    except ConfigError as exc:
+        raise ConfigError(f"{origin}: {exc}") from exc
+
+
+def _scenario(table: Mapping[str, object]) -> Scenario:
+    parts = dict(table)
+    for key, record in _PARTS.items():
+        if key in parts:
+            parts[key] = _record(record, _subtable(parts, key), f"{key}.")
+    if "scatter" in parts:
+        parts["scatter"] = _scatter(parts["scatter"])
+    parts["sensors"] = _sensors(_subtable(parts, "sensors"))
+    parts["truth"] = _truth(_subtable(parts, "truth"))
+    if "name" not in parts:
+        raise ConfigError("key name is missing")
+    return _record(Scenario, parts, "")
+
+
+_PARTS: Final[Mapping[str, type[object]]] = {
+    "fluid": Fluid, "driver": Driver, "ambient": Ambient, "startup": Startup
+}  # fmt: skip
+
+
+def _scatter(value: object) -> Scatter:
+    if value == "none":
+        return Scatter()
+    if not isinstance(value, Mapping):
+        raise ConfigError(f'scatter must be "none" or a table, got {value!r}')
+    normal = production_scatter()
+    defaults = {member.name: getattr(normal, member.name) for member in fields(Scatter)}
+    return _record(Scatter, {**defaults, **value}, "scatter.")
+
+
+def _sensors(table: Mapping[str, object]) -> Sensors:
+    stems = {split_unit(quantity)[0]: quantity for quantity in NOMINAL_SENSORS}
+    sensors = dict(NOMINAL_SENSORS)
+    for stem in table:
+        where = f"sensors.{stem}"
+        if stem not in stems:
+            raise ConfigError(f"{where} is unknown; known: {', '.join(sorted(stems))}")
+        quantity = stems[stem]
+        unit = split_unit(quantity)[1]
+        members = {f"offset_{unit}": "offset", f"noise_std_{unit}": "noise_std"}
+        members |= {name: name for name in ("gain_ratio", "latency_s", "lag_s")}
+        given = _subtable(table, stem, where)
+        _check_known(given, set(members), f"{where}.")
+        default = {member.name: getattr(sensors[quantity], member.name) for member in fields(Sensor)}
+        changed = {members[key]: value for key, value in given.items()}
+        sensors[quantity] = _record(Sensor, {**default, **changed}, f"{where}.")
+    return sensors
+
+
+def _truth(table: Mapping[str, object]) -> Truth:
+    _check_known(table, {"calibration", "plant"}, "truth.")
+    return Truth(
+        calibration=_flat(_subtable(table, "calibration", "truth.calibration")),
+        plant=_flat(_subtable(table, "plant", "truth.plant")),
+    )
+
+
+def _flat(table: Mapping[str, object], prefix: str = "") -> dict[str, object]:
+    flat: dict[str, object] = {}
+    for key, value in table.items():
+        dotted = f"{prefix}{key}"
+        flat |= _flat(value, f"{dotted}.") if isinstance(value, Mapping) else {dotted: value}
+    return flat
+
+
+def _subtable(table: Mapping[str, object], key: str, where: str = "") -> Mapping[str, object]:
+    value = table.get(key, {})
+    if not isinstance(value, Mapping):
+        raise ConfigError(f"{where or key} must be a table, got {value!r}")
+    return value
+
+
+def _check_known(table: Mapping[str, object], known: set[str], prefix: str) -> None:
+    unknown = sorted(set(table) - known)
+    if unknown:
+        raise ConfigError(f"{prefix}{unknown[0]} is unknown; known: {', '.join(sorted(known))}")
+
+
+def _record(record: type[RecordT], table: Mapping[str, object], prefix: str) -> RecordT:
+    members = {member.name: member for member in fields(record)}  # type: ignore[arg-type]  # every caller passes a dataclass
+    _check_known(table, set(members), prefix)
+    values = {key: _typed(members[key], value, prefix) for key, value in table.items()}
+    try:
+        return record(**values)
+    except ConfigError as exc:
+        raise ConfigError(f"{prefix}{exc}") from exc
+
+
+def _typed(member: "Field[object]", value: object, prefix: str) -> object:
+    wanted = member.type
+    is_number = isinstance(value, int | float) and not isinstance(value, bool)
+    if wanted is float and not is_number:
+        raise ConfigError(f"{prefix}{member.name} must be a number, got {value!r}")
+    if wanted is int and not (is_number and isinstance(value, int)):
+        raise ConfigError(f"{prefix}{member.name} must be a whole number, got {value!r}")
+    if wanted is str and not isinstance(value, str):
+        raise ConfigError(f"{prefix}{member.name} must be a string, got {value!r}")
+    if wanted is FluidCondition:
+        if value not in set(FluidCondition):
+            known = ", ".join(FluidCondition)
+            raise ConfigError(f"{prefix}{member.name} must be one of {known}, got {value!r}")
+        return FluidCondition(str(value))
+    return value

@@ -1,0 +1,193 @@
+"""The truth beside a recording: what only the emulator knows, for tests and demos; it never goes onto the bus.
+
+One JSON object per line: the drive (scenario, seed, built vehicle), every completed shift, and the totals.
+"""
+
+import json
+from collections.abc import Iterable, Mapping
+from contextlib import suppress
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Final, Self, TextIO
+
+import numpy as np
+
+from ecu_emulator.errors import RecordError
+from ecu_emulator.plant.columns import Col
+from ecu_emulator.readings import FloatArray
+
+_DRIVE: Final = "drive"
+_SHIFT: Final = "shift"
+_TOTALS: Final = "totals"
+_TEMPERATURE: Final = (Col.CLUTCH1_TEMPERATURE, Col.CLUTCH2_TEMPERATURE)
+_MU_C: Final = (Col.MU_C1, Col.MU_C2)
+_MU_S: Final = (Col.MU_S1, Col.MU_S2)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class DriveTruth:
+    """What is true for the whole drive."""
+
+    scenario: str
+    vehicle: str
+    seed: int
+    cycles: int
+    fluid: str
+    mu_c: tuple[float, float]  # per clutch, at the start
+    mu_s: tuple[float, float]
+    drawn: Mapping[str, float]  # production scatter of this vehicle
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ShiftTruth:
+    """One completed shift and the friction of the clutch that engaged in it."""
+
+    number: int  # 1, 2, ... within the drive
+    t_start_s: float  # first millisecond with target gear != current gear
+    t_end_s: float  # first millisecond with both equal again
+    from_gear: int
+    to_gear: int
+    clutch: int  # 1 or 2, the on-coming one
+    mu_c: float
+    mu_s: float
+    clutch_temperature_k: float  # mean over the shift
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Totals:
+    """What a whole drive amounted to."""
+
+    shifts: int
+    duration_s: float
+    frames: int
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class TruthLog:
+    """The whole truth of one drive; ``totals`` is None if the drive did not end in order."""
+
+    drive: DriveTruth
+    shifts: tuple[ShiftTruth, ...]
+    totals: Totals | None
+
+
+class ShiftWatcher:
+    """Finds the completed shifts in plant rows, however these are cut into chunks."""
+
+    def __init__(self) -> None:
+        self._open = np.empty((0, len(Col)))  # rows of the shift that has begun
+        self._count = 0
+
+    def feed(self, rows: FloatArray) -> list[ShiftTruth]:
+        """Return the shifts that end within these rows, shape (n, len(Col)), which follow those of the call before."""
+        rows = np.concatenate((self._open, rows))
+        is_shifting = rows[:, Col.TARGET_GEAR] != rows[:, Col.CURRENT_GEAR]
+        edges = np.flatnonzero(np.diff(is_shifting, prepend=False))
+        shifts = [
+            self._shift(rows[start:stop], rows[stop]) for start, stop in zip(edges[::2], edges[1::2], strict=False)
+        ]
+        self._open = rows[edges[-1] :] if edges.size % 2 else rows[:0]
+        return shifts
+
+    def _shift(self, during: FloatArray, after: FloatArray) -> ShiftTruth:
+        self._count += 1
+        to_gear = int(during[0, Col.TARGET_GEAR])
+        index = (to_gear - 1) % 2  # odd gears hang on clutch 1
+        return ShiftTruth(
+            number=self._count,
+            t_start_s=float(during[0, Col.T_S]),
+            t_end_s=float(after[Col.T_S]),
+            from_gear=int(during[0, Col.CURRENT_GEAR]),
+            to_gear=to_gear,
+            clutch=index + 1,
+            mu_c=float(during[-1, _MU_C[index]]),
+            mu_s=float(during[-1, _MU_S[index]]),
+            clutch_temperature_k=float(np.mean(during[:, _TEMPERATURE[index]])),
+        )
+
+
+class TruthWriter:
+    """Writes a truth file line by line, each flushed: a reader may follow, and a crash loses nothing.
+
+    Raises
+    ------
+    RecordError
+        On construction or writing, if the file system refuses.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+        try:
+            self._file: TextIO = path.open("w", encoding="utf-8")
+        except OSError as exc:
+            raise RecordError(f"cannot write truth {path}: {exc.strerror}") from exc
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def drive(self, drive: DriveTruth) -> None:
+        """Write the first line."""
+        self._line(_DRIVE, asdict(drive))
+
+    def shifts(self, shifts: Iterable[ShiftTruth]) -> None:
+        """Write one line per shift."""
+        for shift in shifts:
+            self._line(_SHIFT, asdict(shift))
+
+    def totals(self, totals: Totals) -> None:
+        """Write the last line."""
+        self._line(_TOTALS, asdict(totals))
+
+    def close(self) -> None:
+        """Close the file."""
+        self._file.close()
+
+    def _line(self, kind: str, content: Mapping[str, object]) -> None:
+        try:
+            self._file.write(json.dumps({"kind": kind, **content}) + "\n")
+            self._file.flush()
+        except OSError as exc:
+            with suppress(OSError):  # closing flushes once more what the disk has refused
+                self._file.close()
+            raise RecordError(f"cannot write truth {self._path}: {exc.strerror}") from exc
+
+
+def truth_path(recording: Path) -> Path:
+    """Return where the truth of a recording lives: ``drive.log`` -> ``drive.log.truth.jsonl``."""
+    return recording.with_name(f"{recording.name}.truth.jsonl")
+
+
+def read_truth(path: Path) -> TruthLog:
+    """Read a truth file.
+
+    Raises
+    ------
+    RecordError
+        If the file is missing or is not a truth file.
+    """
+    try:
+        lines = [json.loads(line) for line in path.read_text(encoding="utf-8").splitlines()]
+        by_kind = {
+            kind: [_content(line) for line in lines if line["kind"] == kind] for kind in (_DRIVE, _SHIFT, _TOTALS)
+        }
+        (drive,) = by_kind[_DRIVE]
+        totals = [Totals(**line) for line in by_kind[_TOTALS]]
+        return TruthLog(
+            drive=DriveTruth(**{**drive, "mu_c": tuple(drive["mu_c"]), "mu_s": tuple(drive["mu_s"])}),
+            shifts=tuple(ShiftTruth(**line) for line in by_kind[_SHIFT]),
+            totals=totals[0] if totals else None,
+        )
+    except OSError as exc:
+        raise RecordError(f"cannot read truth {path}: {exc.strerror}") from exc
+    except (ValueError, KeyError, TypeError) as exc:
+        raise RecordError(f"{path} is not a truth file: {exc}") from exc
+
+
+def _content(line: dict[str, Any]) -> dict[str, Any]:  # JSON is untyped
+    return {key: value for key, value in line.items() if key != "kind"}

@@ -1,0 +1,5 @@
+"""What every test run loads; fixtures live in tests/plugins, one subject per module."""
+
+pytest_plugins = [
+    "tests.plugins.run_report",
+]

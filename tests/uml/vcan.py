@@ -1,0 +1,55 @@
+"""What this kernel offers in the way of vcan interfaces, and the commands that make them."""
+
+import os
+import shutil
+import socket
+import subprocess
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+IFF_UP = 1
+
+
+def has_can_sockets() -> bool:
+    """Return whether this kernel knows AF_CAN."""
+    try:
+        socket.socket(socket.AF_CAN, socket.SOCK_RAW, socket.CAN_RAW).close()
+    except OSError:
+        return False
+    return True
+
+
+def is_up(name: str) -> bool:
+    """Return whether a network interface exists and is switched on."""
+    flags = Path(f"/sys/class/net/{name}/flags")
+    return flags.exists() and bool(int(flags.read_text(), 16) & IFF_UP)
+
+
+def ip_link(*arguments: str) -> bool:
+    """Run ``ip link`` with these arguments; return whether it did what it was asked to."""
+    return subprocess.run(["ip", "link", *arguments], stderr=subprocess.DEVNULL, check=False).returncode == 0
+
+
+def create_vcan(name: str) -> bool:
+    """Make a vcan interface and switch it on; return whether that worked."""
+    return ip_link("add", name, "type", "vcan") and ip_link("set", name, "up")
+
+
+@contextmanager
+def native_vcan(name: str = "vcan0") -> Iterator[bool]:
+    """Make sure that this kernel has the interface, as far as it can; take away only what was made here."""
+    if os.geteuid() == 0 and shutil.which("modprobe"):
+        for module in ("can-raw", "vcan"):
+            subprocess.run(["modprobe", "-q", module], stderr=subprocess.DEVNULL, check=False)
+    if not has_can_sockets():
+        yield False
+    elif is_up(name):
+        yield True
+    else:
+        is_made = create_vcan(name)
+        try:
+            yield is_made
+        finally:
+            if is_made:
+                ip_link("delete", name)

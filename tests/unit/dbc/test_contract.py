@@ -1,0 +1,76 @@
+"""The database file keeps what the wire contract promises."""
+
+import cantools
+import pytest
+from cantools.database.can.signal import Signal
+
+import dbc
+from dbc.contract import PROTECTION_SIGNALS, load_contract, message_contract, message_contracts
+from dbc.protection import DATA_START_BIT
+
+DATABASE = load_contract()
+CONTRACTS = message_contracts(DATABASE)
+SIGNALS = [
+    pytest.param(signal, id=f"{message.name}.{signal.name}")
+    for message in DATABASE.messages
+    for signal in message.signals
+    if signal.name not in PROTECTION_SIGNALS
+]
+
+
+def test_timing_of_every_message() -> None:
+    assert {name: (c.can_id, c.sender, c.cycle_ms, c.phase_ms) for name, c in CONTRACTS.items()} == {
+        "ECM_TorqueSpeed": (0x0A0, "ECM", 10, 0),
+        "ECM_Temperature": (0x0A8, "ECM", 100, 4),
+        "TCU_InputSpeeds": (0x0B0, "TCU", 10, 1),
+        "TCU_Pressures": (0x0B1, "TCU", 10, 1),
+        "TCU_Output": (0x0B2, "TCU", 10, 2),
+        "TCU_Shift": (0x0B3, "TCU", 10, 2),
+        "TCU_Temperature": (0x0B8, "TCU", 100, 5),
+        "BRK_WheelSpeeds": (0x0C0, "ABS", 20, 3),
+        "BRK_Vehicle": (0x0C1, "ABS", 20, 3),
+        "IC_Odometer": (0x0D0, "IC", 1000, 6),
+    }
+
+
+def test_data_ids_tell_the_messages_apart() -> None:
+    data_ids = [contract.data_id for contract in CONTRACTS.values()]
+    assert None not in data_ids
+    assert len(set(data_ids)) == len(data_ids)
+
+
+@pytest.mark.parametrize("message", DATABASE.messages, ids=lambda message: message.name)
+def test_protection_fields_lie_where_profile_1_wants_them(message: cantools.database.can.Message) -> None:
+    fields = {signal.name: (signal.start, signal.length) for signal in message.signals}
+    assert fields.pop("Crc8") == (0, 8)
+    assert fields.pop("AliveCounter") == (8, 4)
+    assert min(start for start, _ in fields.values()) == DATA_START_BIT
+    assert CONTRACTS[message.name].signals == tuple(fields)
+    assert message.length == 8
+    assert message.comment
+
+
+@pytest.mark.parametrize("signal", SIGNALS)
+def test_highest_raw_value_says_not_available(signal: Signal) -> None:
+    highest = 2**signal.length - 1
+    assert signal.choices is not None
+    assert str(signal.choices[highest]) == "NotAvailable"
+    assert signal.raw_initial == highest
+    assert signal.minimum is not None
+    assert signal.maximum is not None
+    assert signal.minimum == signal.offset
+    assert signal.maximum < signal.offset + signal.scale * highest
+    assert signal.comment
+
+
+def test_database_without_attributes_is_unprotected_and_not_cyclic() -> None:
+    text = 'VERSION ""\nBU_: A\nBO_ 256 M: 8 A\n SG_ Crc8 : 0|8@1+ (1,0) [0|0] "" A\n'
+    database = cantools.database.load_string(text, "dbc")
+    assert isinstance(database, cantools.database.can.Database)
+    contract = message_contract(database.messages[0])
+    assert (contract.cycle_ms, contract.phase_ms, contract.data_id, contract.signals) == (0, 0, None, ("Crc8",))
+
+
+def test_public_names() -> None:
+    assert dbc.__all__ == sorted(dbc.__all__)
+    assert all(hasattr(dbc, name) for name in dbc.__all__)

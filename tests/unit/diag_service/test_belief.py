@@ -1,0 +1,134 @@
+"""The running state against the textbook."""
+
+import json
+
+import numpy as np
+import pytest
+
+from clutch_model.calibration import nominal_calibration
+from diag_service.estimation.belief import Belief, Considered, Measurement, State
+
+CALIBRATION = nominal_calibration()
+STATES, CONSIDERED = len(State), len(Considered)
+SCALE = np.array([0.1] * 4 + [5.0] + [8e3] * 4)  # keeps the random problems near unit size
+CONSIDERED_SCALE = np.sqrt(Belief.fresh(CALIBRATION).considered)
+
+
+def random_measurement(rng: np.random.Generator, rows: int) -> Measurement:
+    root = rng.normal(size=(rows, rows))
+    return Measurement(
+        residual=rng.normal(size=rows),
+        by_state=rng.normal(size=(rows, STATES)) / SCALE,
+        by_considered=rng.normal(size=(rows, CONSIDERED)) / CONSIDERED_SCALE,
+        noise=root @ root.T + 0.1 * np.eye(rows),
+    )
+
+
+def test_the_stated_covariance_is_that_of_the_errors_it_makes() -> None:
+    """Propagate every error source through two updates by hand and compare with the filter's covariance."""
+    rng = np.random.default_rng(1)
+    belief = Belief.fresh(CALIBRATION)
+    # Rows of the map from (prior error, considered, noise of both measurements) to the state error.
+    by_prior, by_considered = np.eye(STATES), np.zeros((STATES, CONSIDERED))
+    noises: list[np.ndarray] = []
+    for rows in (5, 7):
+        seen = random_measurement(rng, rows)
+        after, _ = belief.updated(seen)
+        # The gain is recovered from what the update does to unit residuals.
+        gain = np.column_stack(
+            [
+                belief.updated(
+                    Measurement(
+                        residual=unit, by_state=seen.by_state, by_considered=seen.by_considered, noise=seen.noise
+                    )
+                )[0].mean
+                - belief.mean
+                for unit in np.eye(rows)
+            ]
+        )
+        keep = np.eye(STATES) - gain @ seen.by_state
+        by_prior = keep @ by_prior
+        by_considered = keep @ by_considered - gain @ seen.by_considered
+        noises = [keep @ one @ keep.T for one in noises] + [gain @ seen.noise @ gain.T]
+        belief = after
+    prior = Belief.fresh(CALIBRATION)
+    expected = by_prior @ prior.covariance @ by_prior.T + sum(noises)
+    expected += (by_considered * prior.considered) @ by_considered.T
+    assert np.allclose(belief.covariance / np.outer(SCALE, SCALE), expected / np.outer(SCALE, SCALE), atol=1e-10)
+    assert np.allclose(belief.cross, by_considered * prior.considered, rtol=1e-6, atol=1e-12)
+
+
+def test_without_considered_parameters_it_is_generalised_least_squares() -> None:
+    rng = np.random.default_rng(2)
+    prior = Belief.fresh(CALIBRATION)
+    seen = random_measurement(rng, 20)
+    plain = Measurement(
+        residual=seen.residual,
+        by_state=seen.by_state,
+        by_considered=np.zeros((20, CONSIDERED)),
+        noise=seen.noise,
+    )
+    after, _ = prior.updated(plain)
+    weight = np.linalg.inv(plain.noise)
+    information = plain.by_state.T @ weight @ plain.by_state + np.linalg.inv(prior.covariance)
+    step = np.linalg.solve(information, plain.by_state.T @ weight @ plain.residual)
+    assert np.allclose((after.mean - prior.mean) / SCALE, step / SCALE, atol=1e-9)
+
+
+def test_a_considered_parameter_is_never_averaged_away() -> None:
+    """A gain error of 3 % stays in the total standard deviation however many shifts agree."""
+    belief = Belief.fresh(CALIBRATION)
+    by_state = np.zeros((1, STATES))
+    by_state[0, State.MU_C1] = 100.0
+    by_considered = np.zeros((1, CONSIDERED))
+    by_considered[0, Considered.TORQUE_GAIN] = 14.0  # mu_c * 100: the gain scales the torque
+    seen = Measurement(residual=np.zeros(1), by_state=by_state, by_considered=by_considered, noise=np.array([[0.01]]))
+    for _ in range(1000):
+        belief, _ = belief.updated(seen)
+    friction = belief.friction(1)
+    assert friction.std_mu_c == pytest.approx(0.03 * 0.14, rel=0.1)
+    assert friction.random_std_mu_c < 0.1 * friction.std_mu_c
+
+
+def test_chi_square_of_expected_residuals_is_one() -> None:
+    rng = np.random.default_rng(3)
+    belief = Belief.fresh(CALIBRATION)
+    seen = random_measurement(rng, 12)
+    ratios = []
+    for _ in range(400):
+        residual = (
+            seen.by_state @ (rng.normal(size=STATES) * np.sqrt(np.diag(belief.covariance)))
+            + seen.by_considered @ (rng.normal(size=CONSIDERED) * np.sqrt(belief.considered))
+            + rng.multivariate_normal(np.zeros(12), seen.noise)
+        )
+        drawn = Measurement(
+            residual=residual, by_state=seen.by_state, by_considered=seen.by_considered, noise=seen.noise
+        )
+        ratios.append(belief.updated(drawn)[1])
+    assert np.mean(ratios) == pytest.approx(1.0, abs=0.08)
+
+
+def test_forgetting_one_clutch_keeps_the_other() -> None:
+    belief, _ = Belief.fresh(CALIBRATION).updated(random_measurement(np.random.default_rng(4), 9))
+    forgotten = belief.forget_friction(1, CALIBRATION)
+    assert forgotten.friction(2) == belief.friction(2)
+    assert forgotten.friction(1) == Belief.fresh(CALIBRATION).friction(1)
+    assert np.all(np.linalg.eigvalsh(forgotten.covariance / np.outer(SCALE, SCALE)) > 0.0)
+
+
+def test_a_saved_state_comes_back_bit_by_bit() -> None:
+    belief, _ = Belief.fresh(CALIBRATION).updated(random_measurement(np.random.default_rng(5), 9))
+    back = Belief.from_json(json.loads(json.dumps(belief.to_json())), CALIBRATION)
+    assert back.mean.tobytes() == belief.mean.tobytes()
+    assert back.covariance.tobytes() == belief.covariance.tobytes()
+    assert back.cross.tobytes() == belief.cross.tobytes()
+
+
+@pytest.mark.parametrize(
+    "damage",
+    [{"format": 0}, {"mean": [1.0]}, {"covariance": [[float("nan")] * STATES] * STATES}, {"shift_counts": None}],
+)
+def test_a_damaged_state_is_refused(damage: dict[str, object]) -> None:
+    table = Belief.fresh(CALIBRATION).to_json() | damage
+    with pytest.raises(ValueError, match="running state"):
+        Belief.from_json(table, CALIBRATION)

@@ -1,0 +1,80 @@
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from ecu_emulator.errors import RecordError
+from ecu_emulator.plant.columns import Col
+from ecu_emulator.truth import DriveTruth, ShiftWatcher, Totals, TruthLog, TruthWriter, read_truth, truth_path
+from tests.unit.ecu_emulator.rows import made_up_rows, with_shift
+
+DRIVE = DriveTruth(
+    scenario="ideal",
+    vehicle="car",
+    seed=3,
+    cycles=1,
+    fluid="case1",
+    mu_c=(0.13, 0.14),
+    mu_s=(0.12, 0.11),
+    drawn={"torque_gain_ratio": 1.01},
+)
+ROWS = with_shift(with_shift(made_up_rows(1200), 100, 500, 1, 2), 700, 1000, 2, 3)
+
+
+def test_a_completed_shift_carries_the_truth_of_the_on_coming_clutch() -> None:
+    upshift, next_upshift = ShiftWatcher().feed(ROWS)
+    assert (upshift.number, upshift.from_gear, upshift.to_gear, upshift.clutch) == (1, 1, 2, 2)
+    assert (upshift.t_start_s, upshift.t_end_s) == (0.1, 0.5)
+    assert (upshift.mu_c, upshift.mu_s) == (ROWS[499, Col.MU_C2], ROWS[499, Col.MU_S2])
+    assert upshift.clutch_temperature_k == pytest.approx(np.mean(ROWS[100:500, Col.CLUTCH2_TEMPERATURE]))
+    assert (next_upshift.number, next_upshift.clutch) == (2, 1)
+    assert next_upshift.mu_c == ROWS[999, Col.MU_C1]
+
+
+def test_a_shift_that_has_not_ended_is_not_reported() -> None:
+    watcher = ShiftWatcher()
+    assert watcher.feed(ROWS[:400]) == []
+    assert [shift.number for shift in watcher.feed(ROWS[400:])] == [1, 2]
+
+
+def test_no_shift_no_truth() -> None:
+    assert ShiftWatcher().feed(made_up_rows(300)) == []
+
+
+def test_a_truth_file_reads_back(tmp_path: Path) -> None:
+    path = truth_path(tmp_path / "drive.log")
+    assert path.name == "drive.log.truth.jsonl"
+    shifts = tuple(ShiftWatcher().feed(ROWS))
+    totals = Totals(shifts=2, duration_s=1.2, frames=77)
+    with TruthWriter(path) as writer:
+        writer.drive(DRIVE)
+        writer.shifts(shifts[:1])
+        assert read_truth(path) == TruthLog(drive=DRIVE, shifts=shifts[:1], totals=None)
+        writer.shifts(shifts[1:])
+        writer.totals(totals)
+    assert read_truth(path) == TruthLog(drive=DRIVE, shifts=shifts, totals=totals)
+
+
+def test_a_truth_file_that_cannot_be_written(tmp_path: Path) -> None:
+    with pytest.raises(RecordError, match="cannot write truth"):
+        TruthWriter(tmp_path / "nowhere" / "truth.jsonl")
+
+
+def test_a_full_disk_is_one_clear_error() -> None:
+    with TruthWriter(Path("/dev/full")) as writer, pytest.raises(RecordError, match="No space left"):
+        writer.drive(DRIVE)
+
+
+@pytest.mark.parametrize(
+    "content", ["", "not json\n", '{"kind": "shift"}\n', '{"kind": "drive", "colour": 1}\n', "[]\n"]
+)
+def test_a_foreign_file_is_no_truth(tmp_path: Path, content: str) -> None:
+    path = tmp_path / "x.jsonl"
+    path.write_text(content, encoding="utf-8")
+    with pytest.raises(RecordError, match="is not a truth file"):
+        read_truth(path)
+
+
+def test_a_missing_truth_is_one_clear_error(tmp_path: Path) -> None:
+    with pytest.raises(RecordError, match="cannot read truth"):
+        read_truth(tmp_path / "x.jsonl")

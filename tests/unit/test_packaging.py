@@ -1,0 +1,155 @@
+"""What the distribution promises: names, versions, a lock without machines, documents whose links lead somewhere."""
+
+import importlib
+import re
+import tomllib
+from importlib.metadata import distribution, entry_points, version
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+import pytest
+
+ROOT = Path(__file__).parents[2]
+PACKAGES = ("clutch_model", "dbc", "diag_service", "ecu_emulator")
+SUBPACKAGES = sorted(
+    ".".join(path.parent.relative_to(ROOT).parts)
+    for package in PACKAGES
+    for path in (ROOT / package).rglob("__init__.py")
+)
+DOCUMENTS = sorted([*ROOT.glob("*.md"), *(ROOT / "docs").rglob("*.md")])
+LINK = re.compile(r"\[[^\]]*\]\(([^)\s]+)\)")
+HEADING = re.compile(r"^#+ (.+)$", re.MULTILINE)
+PIN = re.compile(r"([a-z0-9][a-z0-9._-]*)==([^ ]+)( ; [^\\]+)? \\")
+
+
+def project() -> dict[str, Any]:
+    table: dict[str, Any] = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
+    return table
+
+
+def lock_lines() -> list[str]:
+    return (ROOT / "requirements.lock").read_text(encoding="utf-8").splitlines()
+
+
+def normal(name: str) -> str:
+    return re.sub(r"[-_.]+", "-", name).lower()
+
+
+@pytest.mark.parametrize("name", SUBPACKAGES)
+def test_a_package_exports_exactly_its_public_names(name: str) -> None:
+    package = importlib.import_module(name)
+    exported = getattr(package, "__all__", [])
+    public = [
+        entry
+        for entry, value in vars(package).items()
+        if not entry.startswith("_") and not isinstance(value, ModuleType)
+    ]
+    assert list(exported) == sorted(set(exported))
+    assert {entry for entry in exported if not entry.startswith("__")} == set(public)
+    assert [entry for entry in exported if not hasattr(package, entry)] == []
+
+
+@pytest.mark.parametrize("name", SUBPACKAGES)
+def test_every_package_says_what_it_is(name: str) -> None:
+    text = importlib.import_module(name).__doc__ or ""
+    assert len(text.split()) >= 3
+
+
+@pytest.mark.parametrize("name", PACKAGES)
+def test_packages_are_typed(name: str) -> None:
+    assert (ROOT / name / "py.typed").is_file()
+
+
+def test_the_installed_version_is_that_of_the_sources() -> None:
+    assert version("clutchdiag") == project()["project"]["version"]
+
+
+def test_the_image_carries_the_version() -> None:
+    compose = (ROOT / "docker-compose.yml").read_text(encoding="utf-8")
+    assert f"image: clutchdiag:{project()['project']['version']}\n" in compose
+
+
+def test_both_programs_are_installed() -> None:
+    installed = {entry.name: entry.value for entry in entry_points(group="console_scripts") if entry.dist is not None}
+    wanted = project()["project"]["scripts"]
+    assert {name: installed.get(name) for name in wanted} == wanted
+    assert all(callable(entry.load()) for entry in distribution("clutchdiag").entry_points)
+
+
+def test_the_lock_names_no_machine() -> None:
+    text = "\n".join(lock_lines())
+    assert re.findall(r"https?://|file:|--(?:extra-)?index-url|--find-links|--trusted-host", text) == []
+    assert re.findall(r"(?:^|\s)(?:/|~|[A-Z]:\\)\S+", text) == []
+
+
+def test_everything_in_the_lock_has_a_version_and_a_hash() -> None:
+    lines = lock_lines()
+    starts = [index for index, line in enumerate(lines) if line and not line.startswith((" ", "#"))]
+    assert starts
+    for index in starts:
+        assert PIN.fullmatch(lines[index])
+        assert re.fullmatch(r" {4}--hash=sha256:[0-9a-f]{64}(?: \\)?", lines[index + 1])
+
+
+def test_the_lock_holds_every_direct_requirement() -> None:
+    table = project()["project"]
+    wanted = [*table["dependencies"], *(entry for extra in table["optional-dependencies"].values() for entry in extra)]
+    names = {normal(re.split(r"[<>=!~;\[ ]", entry, maxsplit=1)[0]) for entry in wanted}
+    locked = {normal(match[1]) for line in lock_lines() if (match := PIN.fullmatch(line))}
+    assert names - locked == set()
+
+
+def test_the_changelog_knows_the_version_or_is_ahead_of_it() -> None:
+    headings = re.findall(r"^## \[([^\]]+)\]", (ROOT / "CHANGELOG.md").read_text(encoding="utf-8"), re.MULTILINE)
+    assert headings[0] in {"Unreleased", project()["project"]["version"]}
+
+
+def anchors(document: Path) -> set[str]:
+    """Return the anchors that common renderers give a document's headings."""
+    headings = HEADING.findall(document.read_text(encoding="utf-8"))
+    return {re.sub(r"[^\w\- ]", "", heading.lower()).replace(" ", "-") for heading in headings}
+
+
+@pytest.mark.parametrize("document", DOCUMENTS, ids=lambda path: str(path.relative_to(ROOT)))
+def test_links_lead_somewhere(document: Path) -> None:
+    for link in LINK.findall(document.read_text(encoding="utf-8")):
+        if link.startswith(("http://", "https://")):
+            continue
+        path, _, anchor = link.partition("#")
+        target = document.parent / path if path else document
+        assert target.exists(), link
+        assert not anchor or anchor in anchors(target), link
+
+
+@pytest.mark.parametrize("document", DOCUMENTS, ids=lambda path: str(path.relative_to(ROOT)))
+def test_files_named_in_the_text_exist(document: Path) -> None:
+    named = re.findall(
+        r"`((?:clutch_model|dbc|diag_service|docs|ecu_emulator|tests)/[\w./-]*)`", document.read_text(encoding="utf-8")
+    )
+    assert [name for name in named if not (ROOT / name).exists()] == []
+
+
+def test_decisions_are_numbered_without_a_gap_and_state_what_they_must() -> None:
+    decisions = sorted((ROOT / "docs" / "decisions").glob("*.md"))
+    assert [path.name[:4] for path in decisions] == [f"{number:04}" for number in range(1, len(decisions) + 1)]
+    for path in decisions:
+        text = path.read_text(encoding="utf-8")
+        assert text.startswith(f"# {path.name[:4]}: ")
+        assert re.findall(r"^## (\w+)$", text, re.MULTILINE) == ["Context", "Decision", "Consequences"]
+
+
+def test_the_model_numbers_every_equation_of_the_source() -> None:
+    text = (ROOT / "docs" / "model.md").read_text(encoding="utf-8")
+    assert [number for number in range(1, 19) if f"| ({number}) |" not in text] == []
+
+
+def test_every_package_data_pattern_matches_a_file() -> None:
+    patterns = project()["tool"]["setuptools"]["package-data"]
+    unmatched = [
+        f"{package}/{pattern}"
+        for package, entries in patterns.items()
+        for pattern in entries
+        if not any((ROOT / package).glob(pattern))
+    ]
+    assert unmatched == []
