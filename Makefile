@@ -98,9 +98,10 @@ test: setup-system static warm test-host test-vcan
 # Compiling inside User-Mode Linux is twelve times slower than here, so the cache is filled before.
 warm: setup
 	@echo "test: compiling the numerical kernels, unless cached"
-	@folder=$$(mktemp -d) && trap 'rm -rf "$$folder"' EXIT && \
-	  $(PY) -m ecu_emulator record "$$folder/warm.log" --scenario noise_only --cycles 1 >/dev/null && \
-	  $(PY) -m diag_service analyze "$$folder/warm.log" --json >/dev/null
+	@folder=$$(mktemp -d) && trap 'rm -rf "$$folder"' EXIT && { \
+	  $(PY) -m ecu_emulator record "$$folder/warm.log" --scenario noise_only --cycles 1 && \
+	  $(PY) -m diag_service analyze "$$folder/warm.log" --json; } >"$$folder/said" 2>&1 || { \
+	  cat "$$folder/said" >&2; exit 1; }
 
 test-host: setup
 	@echo "test: on this machine, $$(uname -sr)"

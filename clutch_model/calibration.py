@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any, Self, TypeVar
 
 from clutch_model.errors import CalibrationError
+from clutch_model.tables import check_keys, require
 
 CLUTCH_COUNT = 2
 RecordT = TypeVar("RecordT")
@@ -25,14 +26,7 @@ class _Ranged:
         for field in fields(self):
             value = getattr(self, field.name)
             if isinstance(value, int | float) and not (math.isfinite(value) and value >= 0.0):
-                raise CalibrationError(
-                    f"{type(self).__name__}.{field.name} must be finite and >= 0, got {value}"
-                )
-
-
-def _require(condition: bool, message: str) -> None:  # noqa: FBT001 - reads as a sentence at the call
-    if not condition:
-        raise CalibrationError(message)
+                raise CalibrationError(f"{type(self).__name__}.{field.name} must be finite and >= 0, got {value}")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -49,9 +43,9 @@ class FrictionCurve(_Ranged):
         """Check that the coefficients are those of a lubricated friction lining."""
         _Ranged.__post_init__(self)
         for name in ("mu_c", "mu_s"):
-            _require(0.02 <= getattr(self, name) <= 0.5, f"{name} must be 0.02..0.5, got {getattr(self, name)}")
-        _require(self.stribeck_speed_rad_s > 0.0, "stribeck_speed_rad_s must be > 0")
-        _require(self.stribeck_exponent > 0.0, "stribeck_exponent must be > 0")
+            require(0.02 <= getattr(self, name) <= 0.5, f"{name} must be 0.02..0.5, got {getattr(self, name)}")
+        require(self.stribeck_speed_rad_s > 0.0, "stribeck_speed_rad_s must be > 0")
+        require(self.stribeck_exponent > 0.0, "stribeck_exponent must be > 0")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -66,12 +60,12 @@ class ClutchGeometry(_Ranged):
     def __post_init__(self) -> None:
         """Check that the ring exists and the piston pushes."""
         _Ranged.__post_init__(self)
-        _require(
+        require(
             0.0 < self.inner_radius_m < self.outer_radius_m,
             "inner_radius_m must lie between 0 and outer_radius_m",
         )
-        _require(self.interface_count >= 1, "interface_count must be >= 1")
-        _require(self.piston_area_m2 > 0.0, "piston_area_m2 must be > 0")
+        require(self.interface_count >= 1, "interface_count must be >= 1")
+        require(self.piston_area_m2 > 0.0, "piston_area_m2 must be > 0")
 
     @property
     def lining_area_m2(self) -> float:
@@ -92,9 +86,7 @@ class ClutchGeometry(_Ranged):
     def squeeze_factor_m2(self) -> float:
         """Geometric factor of the annular squeeze film [m^2], Q of eq. (7)."""
         outer2, inner2 = self.outer_radius_m**2, self.inner_radius_m**2
-        return 1.5 * (
-            (outer2 + inner2) - (outer2 - inner2) / math.log(self.outer_radius_m / self.inner_radius_m)
-        )
+        return 1.5 * ((outer2 + inner2) - (outer2 - inner2) / math.log(self.outer_radius_m / self.inner_radius_m))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -129,7 +121,7 @@ class FilmSurface(_Ranged):
         """Check that the film law has no zero denominator."""
         _Ranged.__post_init__(self)
         for name in ("roughness_m", "contact_stiffness_pa", "permeability_m2", "open_gap_m", "separation_time_s"):
-            _require(getattr(self, name) > 0.0, f"{name} must be > 0")
+            require(getattr(self, name) > 0.0, f"{name} must be > 0")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -142,7 +134,7 @@ class ClutchThermal(_Ranged):
     def __post_init__(self) -> None:
         """Check that the pack has a heat capacity."""
         _Ranged.__post_init__(self)
-        _require(self.heat_capacity_j_k > 0.0, "heat_capacity_j_k must be > 0")
+        require(self.heat_capacity_j_k > 0.0, "heat_capacity_j_k must be > 0")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -171,8 +163,8 @@ class Viscosity:
 
     def __post_init__(self) -> None:
         """Check that the law is a decreasing viscosity."""
-        _require(self.a_pa_s > 0.0 and self.b_k > 0.0, "viscosity a_pa_s and b_k must be > 0")
-        _require(0.0 < self.pole_k < 233.15, "viscosity pole_k must be 0..233.15 K (below any oil temperature)")
+        require(self.a_pa_s > 0.0 and self.b_k > 0.0, "viscosity a_pa_s and b_k must be > 0")
+        require(0.0 < self.pole_k < 233.15, "viscosity pole_k must be 0..233.15 K (below any oil temperature)")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -187,8 +179,8 @@ class InputSide(_Ranged):
     def __post_init__(self) -> None:
         """Check that the engine has an inertia."""
         _Ranged.__post_init__(self)
-        _require(self.engine_inertia_kg_m2 > 0.0, "engine_inertia_kg_m2 must be > 0")
-        _require(self.hub_inertia_kg_m2 > 0.0, "hub_inertia_kg_m2 must be > 0")
+        require(self.engine_inertia_kg_m2 > 0.0, "engine_inertia_kg_m2 must be > 0")
+        require(self.hub_inertia_kg_m2 > 0.0, "hub_inertia_kg_m2 must be > 0")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -239,9 +231,9 @@ class Calibration:
             Naming the first offending key.
         """
         known = {"name", "version", "clutch", "viscosity", "input_side", "uncertainty", "noise"}
-        _check_keys("calibration", set(table), known)
+        check_keys("calibration", table, known)
         clutches = table["clutch"]
-        _require(
+        require(
             isinstance(clutches, list) and len(clutches) == CLUTCH_COUNT,
             f"calibration needs exactly {CLUTCH_COUNT} [[clutch]] tables",
         )
@@ -292,19 +284,14 @@ def _parse(text: str, origin: str) -> Calibration:
         raise CalibrationError(f"{origin}: {exc}") from exc
 
 
-def _check_keys(where: str, given: set[str], known: set[str]) -> None:
-    _require(not given - known, f"{where}: unknown key {sorted(given - known)}")
-    _require(not known - given, f"{where}: missing key {sorted(known - given)}")
-
-
 def _record(record: type[RecordT], table: object, where: str) -> RecordT:
     if not isinstance(table, Mapping):
         raise CalibrationError(f"{where} must be a table")
     members = {field.name: field.type for field in fields(record)}  # type: ignore[arg-type]
-    _check_keys(where, set(table), set(members))
+    check_keys(where, set(table), set(members))
     for key, value in table.items():
         wanted = int if members[key] in {int, "int"} else (int, float)
-        _require(
+        require(
             isinstance(value, wanted) and not isinstance(value, bool), f"{where}.{key} must be a number, got {value!r}"
         )
     try:
@@ -317,7 +304,7 @@ def _clutch(table: object, number: int) -> ClutchCalibration:
     where = f"clutch {number}"
     if not isinstance(table, Mapping):
         raise CalibrationError(f"{where} must be a table")
-    _check_keys(where, set(table), {"friction", "geometry", "piston", "film", "thermal"})
+    check_keys(where, set(table), {"friction", "geometry", "piston", "film", "thermal"})
     return ClutchCalibration(
         friction=_record(FrictionCurve, table["friction"], f"{where} friction"),
         geometry=_record(ClutchGeometry, table["geometry"], f"{where} geometry"),

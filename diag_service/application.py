@@ -1,6 +1,8 @@
 """Wiring: a checked configuration becomes stages, a store, a reporter and an outbox, and runs."""
 
 import asyncio
+import io
+import logging
 import os
 import sys
 import uuid
@@ -27,6 +29,8 @@ from diag_service.results import ServiceStatus, iso_utc
 from diag_service.sources import open_source
 from diag_service.stopping import Trigger
 from diag_service.store import ResultStore, Versions
+
+_LOG = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -57,7 +61,9 @@ def run_recorded(
         session = _session(config, decoder, store, stream, _reporter(controls.stop, as_json=as_json))
 
         async def run() -> None:
-            await run_logs(logs, session, stop=controls.stop, outbox=_outbox(config, store, is_live=False))
+            summary = await run_logs(logs, session, stop=controls.stop, outbox=_outbox(config, store, is_live=False))
+            if summary.unpublished_count and store_path is None:
+                _LOG.warning("%d results were not delivered and are not kept; --store would", summary.unpublished_count)
 
         asyncio.run(run())
 
@@ -106,6 +112,8 @@ def _reporter(stop: Trigger, *, as_json: bool) -> Reporter:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # what is still buffered goes nowhere
         stop.set()
 
+    if isinstance(sys.stdout, io.TextIOWrapper):
+        sys.stdout.reconfigure(errors="replace")  # a terminal that cannot show a sign is no reason to stop
     if as_json:
         return PipeReporter(JsonLinesReporter(sys.stdout, Console(stderr=True)), hang_up)
     return PipeReporter(ConsoleReporter(_HonestConsole()), hang_up)

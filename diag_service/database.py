@@ -38,24 +38,11 @@ def load_database(path: Path) -> Database:
     _refuse_absurd_sizes(text, path)
     try:
         database = _parse(text, strict=True)
-    except _PARSER_ERRORS as strict_error:
+    except cantools.Error as strict_error:
         database = _parse_leniently(text, path, strict_error)
     if not database.messages:
         raise ConfigError(f"{path} is not a DBC file, or it has no messages")
     return database
-
-
-_PARSER_ERRORS: Final = (
-    cantools.Error,
-    ArithmeticError,
-    AssertionError,
-    AttributeError,
-    LookupError,
-    RecursionError,
-    TypeError,
-    ValueError,
-)
-"""What the parser raises on odd input: it checks little before it converts and looks up."""
 
 
 def _read_text(path: Path) -> str:
@@ -99,8 +86,9 @@ def _shown(digits: str) -> str:
 
 def _parse(text: str, *, strict: bool) -> Database:
     """Return what cantools makes of the text."""
-    database = Database(strict=strict)
-    database.add_dbc_string(text)
+    database = cantools.database.load_string(text, database_format="dbc", strict=strict)
+    if not isinstance(database, Database):
+        raise TypeError("not a CAN database")
     return database
 
 
@@ -108,7 +96,7 @@ def _parse_leniently(text: str, path: Path, strict_error: Exception) -> Database
     """Return the database without strict checks; tell the user what they found."""
     try:
         database = _parse(text, strict=False)
-    except _PARSER_ERRORS as error:
+    except cantools.Error as error:
         raise ConfigError(f"{path} is not a DBC file: {_one_line(error)}") from error
     _LOG.warning("%s does not load strictly (%s); loaded without strict checks", path, _one_line(strict_error))
     return database
@@ -116,5 +104,6 @@ def _parse_leniently(text: str, path: Path, strict_error: Exception) -> Database
 
 def _one_line(error: Exception) -> str:
     """Return the text of a foreign error, on one line of bearable length."""
-    text = " ".join(str(error).split()) or type(error).__name__
+    cause = error.__cause__ or error
+    text = " ".join(str(cause).split()) or type(cause).__name__
     return text if len(text) <= 160 else f"{text[:157]}..."

@@ -10,7 +10,8 @@ data widens the permitted jump by one. Where profile 1 leaves room, this receive
 - A counter that does not move rejects every frame until it moves. The same counter after one or more whole periods
   of lost frames, on time to a cycle, is not stuck; but once stuck, time is no excuse.
 - Losses longer than the counter's period are counted by time. If the frames turn out to have been late instead (the
-  next ones come in a burst), the count of missing frames is taken back; sequence numbers only ever grow.
+  next ones come in a burst), the count of missing frames is taken back; sequence numbers only ever grow. A late
+  sender may catch up. Only a loss of a whole period while its sender was late cannot be counted: it leaves no trace.
 """
 
 from collections.abc import Sequence
@@ -77,6 +78,7 @@ class LinkState(NamedTuple):
     is_stuck: Int64Array
     rejected: Int64Array  # frames rejected since the last accepted one that stood in for a transmission
     rejected_after_stray: Int64Array
+    late: Int64Array  # cycles by which the sender may still catch up; fades while it does not
     assumed: Int64Array  # frames counted as missing at the last accepted frame on the evidence of time alone
 
 
@@ -96,13 +98,16 @@ def whole_periods(delta: int, cycles: float) -> int:
 
 
 @kernel
-def permitted_advance(counter: int, since: int, cycles: float) -> int:
-    """Return by how many transmissions ``counter`` follows the counter ``since``; 0 if time does not permit it."""
+def permitted_advance(counter: int, since: int, cycles: float, late: int) -> int:
+    """Return by how many transmissions ``counter`` follows the counter ``since``; 0 if time does not permit it.
+
+    A sender that was ``late`` by some cycles may catch up by as many.
+    """
     delta = (counter - since) % COUNTER_PERIOD
     periods = whole_periods(delta, cycles)
     if periods > 0:
         return delta + COUNTER_PERIOD * periods
-    limit = MAX_DELTA_COUNTER - 1 + max(1, round(cycles))
+    limit = MAX_DELTA_COUNTER - 1 + max(1, round(cycles) + late)
     return delta if delta <= limit else 0
 
 
@@ -112,10 +117,14 @@ def accept(state: LinkState, slot: int, counter: int, t_ns: int, advance: int, p
 
     ``advance`` counts transmissions since the last accepted frame, ``proven`` those that the counter itself shows.
     """
-    missing = max(0, advance - 1 - state.rejected[slot])
-    assumed = missing - max(0, proven - 1 - state.rejected[slot])
-    if 0.0 <= cycles < BURST_CYCLES:
-        missing -= state.assumed[slot]
+    missing = max(0, advance - 1 - int(state.rejected[slot]))
+    assumed = missing - max(0, proven - 1 - int(state.rejected[slot]))
+    if cycles >= BURST_CYCLES:
+        late = max(int(state.late[slot]) - 1, round(cycles) - advance)
+    else:
+        late = int(state.late[slot]) - advance
+        missing -= int(state.assumed[slot])
+    state.late[slot] = max(0, late)
     state.assumed[slot] = assumed
     state.sequence[slot] += advance
     state.valid_counter[slot] = counter
@@ -131,7 +140,7 @@ def is_repeated(state: LinkState, slot: int, counter: int, t_ns: int, cycle_ns: 
     same = counter == state.seen_counter[slot]
     cycles = elapsed_cycles(t_ns - state.seen_ns[slot], cycle_ns)
     repeated = same and (state.is_stuck[slot] == 1 or whole_periods(0, cycles) == 0)
-    if repeated and not 0.0 <= cycles < BURST_CYCLES:
+    if repeated and cycles >= BURST_CYCLES:
         state.rejected[slot] += 1
         state.rejected_after_stray[slot] += 1
     state.is_stuck[slot] = 1 if repeated else 0
@@ -152,13 +161,13 @@ def judge(state: LinkState, slot: int, counter: int, t_ns: int, cycle_ns: int) -
         state.rejected[slot] = 0
         return _OK, accept(state, slot, counter, t_ns, 1, 1, -1.0)
     cycles = elapsed_cycles(t_ns - state.valid_ns[slot], cycle_ns)
-    advance = permitted_advance(counter, state.valid_counter[slot], cycles)
+    advance = permitted_advance(counter, state.valid_counter[slot], cycles, state.late[slot])
     if advance > 0:
         proven = (counter - state.valid_counter[slot]) % COUNTER_PERIOD
         return _OK, accept(state, slot, counter, t_ns, advance, proven, cycles)
     if state.stray_counter[slot] != _NONE:
         stray_cycles = elapsed_cycles(t_ns - state.stray_ns[slot], cycle_ns)
-        restarted = permitted_advance(counter, state.stray_counter[slot], stray_cycles)
+        restarted = permitted_advance(counter, state.stray_counter[slot], stray_cycles, 0)
         if restarted > 0:
             # How many were sent around the restart nobody knows: time numbers them, only the counter proves a loss.
             missing = max(0, restarted - 1 - state.rejected_after_stray[slot])
@@ -257,8 +266,9 @@ class LinkMonitor:
             reason[to_check & ~crc_is_valid(batch.data, self._id_remainder[rows])] = FrameReason.BAD_CRC
         sequence = np.full(len(batch), _NONE, np.int64)
         missing = np.zeros(len(batch), np.int64)
+        t_ns = np.require(batch.t_ns, np.int64, ("C", "W"))  # one array type: the kernel is compiled once
         follow_counters(
-            self._state, slot, batch.t_ns, counter_of(batch.data), reason, self._cycle_ns, self._is_protected,
+            self._state, slot, t_ns, counter_of(batch.data), reason, self._cycle_ns, self._is_protected,
             sequence, missing,
         )  # fmt: skip
         self._count(slot, reason, missing)

@@ -2,6 +2,8 @@
 
 import asyncio
 import hashlib
+import logging
+from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import chain
@@ -18,6 +20,7 @@ from diag_service.summary import FrameCounts, Summary
 from diag_service.tasks import first_error
 
 _BLOCK_BYTES = 1 << 20
+_LOG = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -85,6 +88,7 @@ async def run_logs(logs: Sequence[OpenLog], session: Session, *, stop: Trigger, 
                 unpublished_count = await outbox.close(sender)
     except BaseExceptionGroup as group:
         raise first_error(group) from group
+    _warn_of_damage(logs)
     frames = _frame_counts(logs, session.stages)
     session.finish(frames, unpublished_count)
     return session.summary(frames, unpublished_count)
@@ -108,10 +112,18 @@ def _events(logs: Sequence[OpenLog], stages: Stages, stop: Trigger) -> Iterator[
 
 
 def _frame_counts(logs: Sequence[OpenLog], stages: Stages) -> FrameCounts:
-    unreadable: dict[str, int] = {}
+    unreadable: Counter[str] = Counter()
     for log in logs:
-        for reason, count in log.reader.counts.rejected.items():
-            unreadable[reason] = unreadable.get(reason, 0) + count
-    skipped = sum(log.reader.counts.skipped for log in logs)
+        unreadable.update({reason.value: count for reason, count in log.reader.counts.rejected.items()})
     read = sum(log.reader.counts.frames for log in logs)
-    return replace(stages.frame_counts(), on_bus=read + skipped, unsupported=skipped, unreadable=unreadable)
+    return replace(stages.frame_counts(), on_bus=read, unreadable=dict(unreadable))
+
+
+def _warn_of_damage(logs: Sequence[OpenLog]) -> None:
+    for log in logs:
+        counts = log.reader.counts
+        if counts.first_rejected:
+            total = sum(counts.rejected.values())
+            _LOG.warning("%s: %d pieces are no frames, the first: %s", log.path, total, counts.first_rejected)
+        if counts.truncated:
+            _LOG.warning("%s ends before its own end", log.path)

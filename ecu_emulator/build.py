@@ -11,11 +11,12 @@ from ecu_emulator.plant.parameters import PlantParameters, nominal_plant_table
 from ecu_emulator.scenario import FluidCondition, Overrides, Scatter, Scenario
 from ecu_emulator.signals import Sensors, generator, split_unit
 
+_FRESH: Final = (1.0, 1.0)
 FLUID_FACTORS: Final[Mapping[FluidCondition, tuple[float, float]]] = {
-    FluidCondition.IDEAL: (1.0, 1.0),
+    FluidCondition.IDEAL: _FRESH,
     FluidCondition.CASE_1: (0.95, 1.05),
     FluidCondition.CASE_2: (0.85, 1.15),
-    FluidCondition.AGEING: (1.0, 1.0),  # at the start
+    FluidCondition.AGEING: _FRESH,  # at the start
 }
 """Factors on (mu_C, mu_S) of both clutches; docs/model.md, table of parameters."""
 
@@ -24,9 +25,16 @@ _PER_CLUTCH: Final = frozenset({"piston_area_ratio", "touch_pressure_pa", "press
 _DELAYED_UNITS: Final = frozenset({"rad_s"})  # the speeds that torque and pressure are compared with
 
 
+def ageing_factors(cycles: int) -> tuple[tuple[float, float], ...]:
+    """Return factors on (mu_C, mu_S) in cycles 0, 1, ..., ``cycles``: a straight line from fresh to case 2."""
+    aged = FLUID_FACTORS[FluidCondition.CASE_2]
+    shares = [cycle / cycles for cycle in range(cycles + 1)]
+    return tuple((1.0 + share * (aged[0] - 1.0), 1.0 + share * (aged[1] - 1.0)) for share in shares)
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class BuiltVehicle:
-    """One individual vehicle: what is true for it, and how its sensors err."""
+    """One individual vehicle: what is true for it, and how its sensors err; friction as the drive begins."""
 
     calibration: Calibration
     parameters: PlantParameters
@@ -76,7 +84,7 @@ def _draw(scatter: Scatter, seed: int) -> dict[str, float]:
     for name in (member.name for member in fields(scatter)):
         keys = [f"{clutch}_{name}" for clutch in _CLUTCH_NAMES] if name in _PER_CLUTCH else [name]
         std = getattr(scatter, name)
-        drawn |= {key: std * float(generator(seed, f"scatter {key}").standard_normal()) for key in keys}
+        drawn |= {key: 0.0 + std * float(generator(seed, f"scatter {key}").standard_normal()) for key in keys}
     return drawn
 
 
@@ -140,6 +148,7 @@ def _child(node: Any, part: str) -> Any:  # noqa: ANN401 - parsed TOML
         return None
     if part in node:
         return node[part]
-    members = node.get(part[:-1])
-    is_numbered = isinstance(members, list) and part[-1:].isdigit() and 1 <= int(part[-1]) <= len(members)
-    return members[int(part[-1]) - 1] if is_numbered else None
+    members, number = node.get(part[:-1]), part[-1:]
+    if isinstance(members, list) and number.isdigit() and 1 <= int(number) <= len(members):
+        return members[int(number) - 1]
+    return None

@@ -1,7 +1,9 @@
 """Command line of the emulator: arguments, signals and exit status; what the commands do is in ``commands``."""
 
 import argparse
+import math
 import signal
+import time
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from datetime import UTC, datetime
@@ -17,7 +19,9 @@ if TYPE_CHECKING:
 
 PROGRAM: Final = "ecu-emulator"
 STATUS_UNEXPECTED: Final = 1
+STATUS_INTERRUPTED: Final = 130  # SIGINT again, without waiting for the clean stop
 STATUS_OF_ERROR: Final = {ConfigError: 2, BusError: 3, RecordError: 4}
+PATIENCE_S: Final = 1.0
 NS_PER_S: Final = 1_000_000_000
 DEFAULT_START: Final = "2026-01-01T00:00:00Z"
 
@@ -30,6 +34,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
             _execute(options, stop)
         except EmulatorError as exc:
             return _fail(str(exc), STATUS_OF_ERROR.get(type(exc), STATUS_UNEXPECTED), verbose=options.verbose)
+        except KeyboardInterrupt:
+            return _fail("interrupted", STATUS_INTERRUPTED, verbose=False)
         except Exception as exc:  # noqa: BLE001 - the one place where nothing may escape
             text = f"unexpected {type(exc).__name__}: {exc}"
             return _fail(text, STATUS_UNEXPECTED, verbose=options.verbose)
@@ -37,7 +43,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _execute(options: argparse.Namespace, stop: Event) -> None:
-    from ecu_emulator import commands  # noqa: PLC0415 - heavy; signals are in hand before it loads
+    from ecu_emulator import commands, live  # noqa: PLC0415 - heavy; signals are in hand before they load
 
     if options.command == "scenarios":
         commands.list_scenarios()
@@ -55,9 +61,9 @@ def _execute(options: argparse.Namespace, stop: Event) -> None:
             stop=stop,
         )
         return
-    commands.run(
+    live.run(
         scenario,
-        bus=commands.BusChoice(
+        choice=live.BusChoice(
             interface=options.interface, channel=options.channel, bitrate=options.bitrate, is_fd=options.fd
         ),
         truth=options.truth,
@@ -70,12 +76,16 @@ def _execute(options: argparse.Namespace, stop: Event) -> None:
 
 @contextmanager
 def _stop_on_signals() -> Iterator[Event]:
-    """Turn the first SIGINT or SIGTERM into a request to stop; a second SIGINT interrupts whatever is running."""
+    """Turn SIGINT and SIGTERM into a request to stop; a SIGINT much later interrupts what does not heed it."""
     stop = Event()
+    deadline_s = math.inf
 
     def request(number: int, _frame: "FrameType | None") -> None:
-        if stop.is_set() and number == signal.SIGINT:
+        nonlocal deadline_s
+        now_s = time.monotonic()
+        if number == signal.SIGINT and now_s > deadline_s:
             raise KeyboardInterrupt
+        deadline_s = min(deadline_s, now_s + PATIENCE_S)  # a terminal and a wrapper may both hand on the same Ctrl-C
         stop.set()
 
     before = {number: signal.signal(number, request) for number in (signal.SIGINT, signal.SIGTERM)}

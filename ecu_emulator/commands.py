@@ -1,35 +1,19 @@
-"""What the emulator's commands do, once arguments are read and signals are in hand."""
+"""What the emulator's commands do, once arguments are read and signals are in hand; live sending is in ``live``."""
 
-import json
 import time
-from collections import deque
-from collections.abc import Iterator
-from dataclasses import asdict, dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from threading import Event
-from typing import Final
 
 from rich.console import Console
 
-from ecu_emulator.bus import TransmitReport, open_bus, transmit
-from ecu_emulator.errors import ConfigError, RecordError
-from ecu_emulator.frames import EncodedFrames
-from ecu_emulator.progress import ProgressLine
-from ecu_emulator.record import open_log
-from ecu_emulator.recording import LONG_STRETCH_S, SHORT_STRETCH_S, Drive, Stretch
+from ecu_emulator.errors import ConfigError
+from ecu_emulator.progress import ProgressLine, people, print_json
+from ecu_emulator.record import LogFormat, open_log
+from ecu_emulator.recording import LONG_STRETCH_S, Drive
 from ecu_emulator.scenario import FluidCondition, Scenario
 from ecu_emulator.scenario_file import load_scenario, shipped_scenarios
-from ecu_emulator.truth import ShiftTruth, Totals, TruthWriter, truth_path
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class BusChoice:
-    """Which bus to open; None leaves the choice to python-can's configuration."""
-
-    interface: str | None
-    channel: str | None
-    bitrate: int | None
-    is_fd: bool
+from ecu_emulator.truth import TruthWriter, truth_path
 
 
 def choose_scenario(name_or_file: str, *, fluid: str | None, seed: int | None, cycles: int | None) -> Scenario:
@@ -55,3 +39,66 @@ def list_scenarios() -> None:
     console = Console(highlight=False, soft_wrap=True)
     for name in shipped_scenarios():
         console.print(f"{name:<12} {load_scenario(name).description}", markup=False)
+
+
+def record(
+    scenario: Scenario,
+    *,
+    path: Path,
+    log_format: str | None,
+    start_ns: int,
+    channel: str,
+    truth: Path | None,
+    is_json: bool,
+    stop: Event,
+) -> None:
+    """Write a drive to a log and the truth beside it; a request to stop ends both in order.
+
+    Raises
+    ------
+    ConfigError, RecordError
+        If the scenario's truth is not possible, or a file cannot be written.
+    """
+    console = people()
+    truth_file = truth or truth_path(path)
+    if truth_file.absolute() == path.absolute():
+        raise ConfigError(f"log and truth cannot both be {path}")
+    drive = Drive(scenario)
+    began_s = time.perf_counter()
+    with (
+        open_log(
+            path, log_format=LogFormat(log_format) if log_format else None, start_ns=start_ns, channel=channel
+        ) as log,
+        TruthWriter(truth_file) as writer,
+        ProgressLine(console, "preparing the plant") as progress,
+    ):
+        writer.drive(drive.truth)
+        for stretch in drive.stretches(LONG_STRETCH_S):
+            log.write(stretch.frames)
+            writer.shifts(stretch.shifts)
+            text = f"{stretch.end_s:.0f} s driven, {drive.totals.shifts} shifts"
+            progress.update(text, time.perf_counter() - began_s)
+            if stop.is_set():
+                break
+        writer.totals(drive.totals)
+    took_s = time.perf_counter() - began_s
+    totals = drive.totals
+    speed = totals.duration_s / took_s
+    state = "" if drive.finished else "stopped early: "
+    console.print(
+        f"{state}{path}: {totals.frames} frames, {totals.shifts} shifts, {totals.duration_s:.1f} s of driving "
+        f"in {took_s:.1f} s ({speed:.0f} x real time); truth in {truth_file}",
+        markup=False,
+    )
+    if is_json:
+        print_json(
+            {
+                "file": str(path),
+                "truth": str(truth_file),
+                "finished": drive.finished,
+                "frames": totals.frames,
+                "shifts": totals.shifts,
+                "duration_s": totals.duration_s,
+                "speed_ratio": round(speed, 2),
+            }
+        )

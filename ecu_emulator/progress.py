@@ -1,5 +1,7 @@
-"""Progress for people: a live line on a terminal, now and then a line in a log file."""
+"""What the program says: progress and results for people on standard error, data on standard output."""
 
+import json
+from collections.abc import Mapping
 from types import TracebackType
 from typing import Final, Self
 
@@ -9,8 +11,18 @@ from rich.status import Status
 LOG_PERIOD_S: Final = 10.0
 
 
+def people() -> Console:
+    """Return the console for people: standard error, so that standard output stays free for data."""
+    return Console(stderr=True, highlight=False, soft_wrap=True)
+
+
+def print_json(content: Mapping[str, object]) -> None:
+    """Print one JSON line on standard output."""
+    Console(soft_wrap=True).out(json.dumps(content), highlight=False)
+
+
 class ProgressLine:
-    """Shows the latest text; where there is no terminal, one line every ten seconds of the time it is told."""
+    """Shows the latest text on a terminal; elsewhere one line every ten seconds of the time it is told."""
 
     def __init__(self, console: Console, text: str) -> None:
         self._console = console
@@ -29,9 +41,9 @@ class ProgressLine:
             self._status.stop()
 
     def update(self, text: str, at_s: float) -> None:
-        """Show the text that holds at ``at_s`` seconds of the drive."""
+        """Show the text that holds ``at_s`` seconds after the beginning."""
         if self._status is not None:
             self._status.update(text)
         elif at_s >= self._next_s:
-            self._console.print(text, highlight=False)
+            self._console.print(text, markup=False)
             self._next_s = (at_s // LOG_PERIOD_S + 1.0) * LOG_PERIOD_S

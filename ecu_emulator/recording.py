@@ -5,12 +5,13 @@ from dataclasses import dataclass
 from typing import Final
 
 from dbc.contract import load_contract, message_contracts
-from ecu_emulator.build import BuiltVehicle, build_vehicle
+from ecu_emulator.build import BuiltVehicle, ageing_factors, build_vehicle
 from ecu_emulator.frames import EncodedFrames, FrameEncoder, merge
 from ecu_emulator.plant.columns import Col
-from ecu_emulator.plant.powertrain import DriveSettings, Powertrain
+from ecu_emulator.plant.drive import DriveSettings, FrictionFactors
+from ecu_emulator.plant.powertrain import Powertrain
 from ecu_emulator.readings import FloatArray, Schedule
-from ecu_emulator.scenario import Scenario
+from ecu_emulator.scenario import FluidCondition, Scenario
 from ecu_emulator.sensors import Installation, SensorSuite
 from ecu_emulator.truth import DriveTruth, ShiftTruth, ShiftWatcher, Totals, TruthLog
 
@@ -42,7 +43,7 @@ class Drive:
         vehicle = build_vehicle(scenario)
         database = load_contract()
         self._encoder = FrameEncoder(database)
-        self._plant = _powertrain(scenario, vehicle)
+        self._plant = Powertrain(vehicle.calibration, vehicle.parameters, drive_settings(scenario))
         self._watcher = ShiftWatcher()
         self._sensors = SensorSuite(
             schedules=[
@@ -70,9 +71,14 @@ class Drive:
         """What has been driven so far."""
         return Totals(shifts=self._shift_count, duration_s=self._end_s, frames=self._frame_count)
 
+    @property
+    def finished(self) -> bool:
+        """Whether all cycles have been driven."""
+        return self._plant.finished
+
     def stretches(self, duration_s: float) -> Iterator[Stretch]:
         """Yield the rest of the drive in stretches of this length [s]."""
-        while not self._plant.finished:
+        while not self.finished:
             rows = self._plant.advance(duration_s)
             if len(rows):
                 yield self._stretch(rows)
@@ -82,7 +88,7 @@ class Drive:
         frames = self._encoder.encode_all(self._sensors.read(rows))
         self._shift_count += len(shifts)
         self._frame_count += len(frames)
-        self._end_s = float(rows[-1, Col.T_S])
+        self._end_s = round(float(rows[-1, Col.T_S]), 3)
         return Stretch(frames=frames, shifts=shifts, end_s=self._end_s)
 
 
@@ -96,13 +102,29 @@ def frames_of(scenario: Scenario) -> tuple[EncodedFrames, TruthLog]:
     )
 
 
+def drive_settings(scenario: Scenario) -> DriveSettings:
+    """Return what the plant needs to know about the drive."""
+    is_ageing = scenario.fluid.condition is FluidCondition.AGEING
+    factors = ageing_factors(scenario.fluid.ageing_cycles) if is_ageing else ()
+    return DriveSettings(
+        cycles=scenario.cycles,
+        seed=scenario.seed,
+        pedal_ratio=scenario.driver.pedal_ratio,
+        vary_ratio=scenario.driver.variation_ratio,
+        initial_oil_k=scenario.ambient.oil_temperature_k,
+        coolant_k=scenario.ambient.coolant_temperature_k,
+        ambient_k=scenario.ambient.temperature_k,
+        friction_factors=tuple(FrictionFactors(mu_c1=c, mu_s1=s, mu_c2=c, mu_s2=s) for c, s in factors),
+    )
+
+
 def _installation(scenario: Scenario, vehicle: BuiltVehicle) -> Installation:
     return Installation(
         crank_segment_rad=vehicle.calibration.input_side.crank_segment_rad,
-        output_ratio=vehicle.parameters.driveline.final_drive_ratio[0],
+        output_ratio=vehicle.parameters.gearbox.final_drive_ratios[0],
         wheel_radius_m=vehicle.parameters.vehicle.wheel_radius_m,
         ambient_temperature_k=scenario.ambient.temperature_k,
-        coolant_temperature_k=vehicle.parameters.sump.coolant_temperature_k,
+        coolant_temperature_k=scenario.ambient.coolant_temperature_k,
         odometer_m=scenario.odometer_m,
     )
 

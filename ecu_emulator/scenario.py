@@ -58,16 +58,17 @@ class Fluid:
 class Driver(_Ranged):
     """How the car is driven."""
 
-    pedal_ratio: float = ranged(0.45, 0.1, 1.0)
-    variation_ratio: float = ranged(0.05, 0.0, 0.2)  # relative, drawn anew for every cycle
+    pedal_ratio: float = ranged(0.45, 0.25, 0.9)
+    variation_ratio: float = ranged(0.05, 0.0, 0.1)  # relative, drawn anew for every cycle
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Ambient(_Ranged):
-    """Temperatures around and inside the transmission at the start."""
+    """Temperatures around and inside the transmission when the drive begins."""
 
     temperature_k: float = ranged(293.15, 233.15, 323.15)
-    oil_temperature_k: float = ranged(363.15, 273.15, 413.15)
+    oil_temperature_k: float = ranged(363.15, 253.15, 413.15)
+    coolant_temperature_k: float = ranged(353.15, 253.15, 393.15)  # constant, it cools the oil
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -96,8 +96,8 @@ class ShiftWatcher:
         index = (to_gear - 1) % 2  # odd gears hang on clutch 1
         return ShiftTruth(
             number=self._count,
-            t_start_s=float(during[0, Col.T_S]),
-            t_end_s=float(after[Col.T_S]),
+            t_start_s=round(float(during[0, Col.T_S]), 3),
+            t_end_s=round(float(after[Col.T_S]), 3),
             from_gear=int(during[0, Col.CURRENT_GEAR]),
             to_gear=to_gear,
             clutch=index + 1,

@@ -1,5 +1,8 @@
 """What every test run loads; fixtures live in tests/plugins, one subject per module."""
 
 pytest_plugins = [
+    "tests.plugins.broker",
+    "tests.plugins.drives",
     "tests.plugins.run_report",
+    "tests.plugins.vcan",
 ]

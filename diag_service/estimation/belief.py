@@ -2,7 +2,8 @@
 
 Estimated: friction of both clutches, torque offset, touch-point and pressure-zero errors. Considered, that is carried
 with their uncertainty but never estimated from driving: torque gain, engine inertia, piston areas, viscosity and the
-latencies (docs/model.md, section "Estimator").
+latencies. They do not steer the gain, since their regressors share noise with the residual; they inflate the stated
+covariance (docs/model.md, section "Estimator").
 """
 
 from dataclasses import dataclass, replace
@@ -60,11 +61,14 @@ class Measurement:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Belief:
-    """Mean and covariance of the estimated state, with its cross-covariance to the considered parameters."""
+    """Mean of the estimated state, covariance of its random error, and what the considered parameters do to it.
+
+    The error of the state is a random part plus ``sensitivity @ c``, with c the errors of the considered parameters.
+    """
 
     mean: FloatArray  # (len(State),)
-    covariance: FloatArray  # (len(State), len(State)), total
-    cross: FloatArray  # (len(State), len(Considered))
+    covariance: FloatArray  # (len(State), len(State)), random part
+    sensitivity: FloatArray  # (len(State), len(Considered))
     considered: FloatArray  # (len(Considered),) variances
     shift_counts: tuple[int, int] = (0, 0)
     refused_counts: tuple[int, int] = (0, 0)  # shifts in a row that disagreed with the running state
@@ -93,7 +97,7 @@ class Belief:
         return cls(
             mean=mean,
             covariance=np.diag(np.square(std)),
-            cross=np.zeros((len(State), len(Considered))),
+            sensitivity=np.zeros((len(State), len(Considered))),
             considered=np.square(considered),
             stribeck_speed_rad_s=(curves[0].stribeck_speed_rad_s, curves[1].stribeck_speed_rad_s),
         )
@@ -102,13 +106,13 @@ class Belief:
         """Return the state with the friction of one clutch unknown again, everything else kept."""
         rows = friction_rows(clutch)
         blank = type(self).fresh(calibration)
-        mean, covariance, cross = self.mean.copy(), self.covariance.copy(), self.cross.copy()
+        mean, covariance, sensitivity = self.mean.copy(), self.covariance.copy(), self.sensitivity.copy()
         mean[rows] = blank.mean[rows]
         covariance[rows, :] = 0.0
         covariance[:, rows] = 0.0
         covariance[rows, rows] = blank.covariance[rows, rows]
-        cross[rows, :] = 0.0
-        return replace(self, mean=mean, covariance=covariance, cross=cross)
+        sensitivity[rows, :] = 0.0
+        return replace(self, mean=mean, covariance=covariance, sensitivity=sensitivity)
 
     def drifted(self) -> Self:
         """Return the state one shift later: every estimated parameter wanders a little."""
@@ -118,32 +122,31 @@ class Belief:
     def updated(self, seen: Measurement) -> tuple[Self, float]:
         """Return the state after a measurement, and the chi-square of its residual per degree of freedom."""
         h, d = seen.by_state, seen.by_considered
-        load = self.covariance @ h.T + self.cross @ d.T
-        considered = np.diag(self.considered)
-        expected = h @ load + d @ (self.cross.T @ h.T + considered @ d.T) + seen.noise
-        gain = np.linalg.solve(expected, load.T).T
-        chi_square = float(seen.residual @ np.linalg.solve(expected, seen.residual))
+        random = h @ self.covariance @ h.T + seen.noise
+        gain = np.linalg.solve(random, h @ self.covariance).T
         keep = np.eye(len(State)) - gain @ h
-        cross = keep @ self.cross - gain @ d @ considered
-        mixed = keep @ self.cross @ d.T @ gain.T
-        covariance = (
-            keep @ self.covariance @ keep.T - mixed - mixed.T + gain @ (d @ considered @ d.T + seen.noise) @ gain.T
-        )
+        covariance = keep @ self.covariance @ keep.T + gain @ seen.noise @ gain.T
+        common = d - h @ self.sensitivity
+        expected = random + (common * self.considered) @ common.T
+        chi_square = float(seen.residual @ np.linalg.solve(expected, seen.residual))
         state = replace(
             self,
             mean=self.mean + gain @ seen.residual,
             covariance=(covariance + covariance.T) / 2.0,
-            cross=cross,
+            sensitivity=keep @ self.sensitivity + gain @ d,
         )
         return state, chi_square / len(seen.residual)
+
+    def total_covariance(self, rows: slice) -> FloatArray:
+        """Return the covariance of some states, common scale included."""
+        sensitivity = self.sensitivity[rows]
+        return self.covariance[rows, rows] + (sensitivity * self.considered) @ sensitivity.T
 
     def friction(self, clutch: int) -> FrictionEstimate:
         """Return the friction of clutch 1 or 2 as now believed."""
         rows = friction_rows(clutch)
-        total = self.covariance[rows, rows]
-        sensitivity = self.cross[rows] / self.considered
-        random = total - (sensitivity * self.considered) @ sensitivity.T
-        std, random_std = np.sqrt(np.diag(total)), np.sqrt(np.diag(random))
+        total = self.total_covariance(rows)
+        std, random_std = np.sqrt(np.diag(total)), np.sqrt(np.diag(self.covariance[rows, rows]))
         mu_c, mu_s = self.mean[rows]
         width = self.stribeck_speed_rad_s[clutch - 1]
         std_difference = float(np.sqrt(total[0, 0] + total[1, 1] - 2.0 * total[0, 1]))
@@ -166,7 +169,7 @@ class Belief:
             "format": STATE_FORMAT,
             "mean": self.mean.tolist(),
             "covariance": self.covariance.tolist(),
-            "cross": self.cross.tolist(),
+            "sensitivity": self.sensitivity.tolist(),
             "shift_counts": list(self.shift_counts),
             "refused_counts": list(self.refused_counts),
             "clutch_temperature_k": self.clutch_temperature_k and list(self.clutch_temperature_k),
@@ -191,7 +194,7 @@ class Belief:
                 blank,
                 mean=np.array(table["mean"], dtype=np.float64),
                 covariance=np.array(table["covariance"], dtype=np.float64),
-                cross=np.array(table["cross"], dtype=np.float64),
+                sensitivity=np.array(table["sensitivity"], dtype=np.float64),
                 shift_counts=_pair(table["shift_counts"], int),
                 refused_counts=_pair(table["refused_counts"], int),
                 clutch_temperature_k=None if temperature is None else _pair(temperature, float),
@@ -199,7 +202,7 @@ class Belief:
             )
         except (KeyError, TypeError) as exc:
             raise ValueError(f"not a running state: {exc!r}") from exc
-        for name in ("mean", "covariance", "cross"):
+        for name in ("mean", "covariance", "sensitivity"):
             value = getattr(state, name)
             if value.shape != getattr(blank, name).shape or not np.all(np.isfinite(value)):
                 raise ValueError(f"not a running state: bad {name}")

@@ -15,12 +15,14 @@ from diag_service.estimation.window import SlipWindow, find_window
 from diag_service.records import FloatArray, Reason, ShiftEstimate, ShiftEvent, Signal, Status
 
 ALGORITHM_VERSION = "torque-impulse-1"
-PASS_COUNT = 2  # the balance is linear in friction, but for its products with pressure offsets
+PASS_COUNT = 3  # each takes away what planned and measured pressures differ by, a few percent
 MISFIT_GATE = 4.0  # chi-square per degree of freedom; a clean shift stays below 2.5
 SURPRISE_GATE = 25.0  # squared distance of a shift from the running state, two degrees of freedom: 4e-6 by chance
 SURPRISES_TO_YIELD = 3  # in a row: then the clutch has changed, and the running state starts afresh
 EMPTY_PA = 0.30e5  # an idle clutch reads less than this: it is empty, and the reading is the sensor's zero
 EMPTY_S = 0.1
+SLIP_DEGREE = 5  # a shift controller's slip profile: smooth start, smooth end
+PRESSURE_DEGREE = 3
 FULL_WINDOW_S = 0.25  # the shortest slip window that every regular shift offers
 
 
@@ -46,7 +48,7 @@ class Estimator:
         window = self._window(signals, drives, clutch)
         if window is None:
             return belief, _without_friction(event, Status.UNOBSERVED, Reason.NO_SLIP_WINDOW)
-        balance = Balance(signals, window, drives, self._calibration)
+        balance = Balance(signals, window, drives, planned_drives(signals, drives, window), self._calibration)
         alone, misfit = self._fit(balance, belief.forget_friction(clutch, self._calibration))
         estimate = self._describe(event, signals, window, balance, alone, misfit)
         warmed = replace(
@@ -162,6 +164,33 @@ class Estimator:
         )
 
 
+def planned_drives(
+    signals: ShiftSignals, measured: tuple[PressureDrive, PressureDrive], window: SlipWindow
+) -> tuple[PressureDrive, PressureDrive]:
+    """Return what would drive the films without sensor noise: commanded pressure and smooth slip.
+
+    Without a command on the bus the measured pressure is smoothed, which leaves a tenth of the noise.
+    """
+    first, second = (
+        replace(
+            drive,
+            piston_pa=smoothed(drive.piston_pa, window, PRESSURE_DEGREE) if expected_pa is None else expected_pa,
+            slip_rad_s=smoothed(drive.slip_rad_s, window, SLIP_DEGREE),
+        )
+        for drive, expected_pa in zip(measured, signals.expected_pa, strict=True)
+    )
+    return first, second
+
+
+def smoothed(values: FloatArray, window: SlipWindow, degree: int) -> FloatArray:
+    """Return the values with a polynomial fit in place of those inside the window."""
+    inside = slice(window.first, window.stop)
+    x = np.linspace(-1.0, 1.0, window.stop - window.first)
+    smooth = values.copy()
+    smooth[inside] = np.polynomial.chebyshev.chebval(x, np.polynomial.chebyshev.chebfit(x, values[inside], degree))
+    return smooth
+
+
 def _on_coming(to_gear: int) -> int:
     """Return the clutch that carries a gear: 1 the odd ones, 2 the even ones."""
     return 1 if to_gear % 2 else 2
@@ -170,10 +199,7 @@ def _on_coming(to_gear: int) -> int:
 def _surprise(belief: Belief, alone: Belief, clutch: int) -> float:
     """Return the squared distance between a shift's own friction and the running one, common scale left out."""
     rows = friction_rows(clutch)
-    spread = np.zeros((2, 2))
-    for state in (belief, alone):
-        sensitivity = state.cross[rows] / state.considered
-        spread += state.covariance[rows, rows] - (sensitivity * state.considered) @ sensitivity.T
+    spread = belief.covariance[rows, rows] + alone.covariance[rows, rows]
     step = alone.mean[rows] - belief.mean[rows]
     return float(step @ np.linalg.solve(spread, step))
 

@@ -1,8 +1,12 @@
 """Sample instants and the even grid on which a shift is followed."""
 
+from dataclasses import dataclass
+from typing import Self
+
 import numpy as np
 
-from diag_service.records import FloatArray, Series
+from clutch_model.jit import kernel
+from diag_service.records import FloatArray, Int64Array, Series
 
 NS_TO_S = 1e-9
 GRID_S = 1e-3  # ten points per CAN sample: quadrature error far below sensor noise
@@ -33,16 +37,39 @@ def segment_centres_s(times_s: FloatArray, speed_rad_s: FloatArray, segment_rad:
     return centres_s
 
 
-def interpolation_matrix(grid_s: FloatArray, times_s: FloatArray) -> FloatArray:
-    """Return the (len(grid), len(times)) matrix of linear interpolation, constant beyond both ends.
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Interpolation:
+    """Linear interpolation from sample times to a grid, constant beyond both ends, and its transpose.
 
-    ``times_s`` must increase strictly.
+    Grid point j reads ``(1 - share[j]) * value[left[j]] + share[j] * value[left[j] + 1]``.
     """
-    right = np.clip(np.searchsorted(times_s, grid_s, side="right"), 1, len(times_s) - 1)
-    left = right - 1
-    share = np.clip((grid_s - times_s[left]) / (times_s[right] - times_s[left]), 0.0, 1.0)
-    matrix = np.zeros((len(grid_s), len(times_s)))
-    rows = np.arange(len(grid_s))
-    matrix[rows, left] = 1.0 - share
-    matrix[rows, right] += share
-    return matrix
+
+    left: Int64Array  # (len(grid),)
+    share: FloatArray  # (len(grid),)
+    sample_count: int
+
+    @classmethod
+    def between(cls, times_s: FloatArray, grid_s: FloatArray) -> Self:
+        """Prepare the way from ``times_s`` (two or more, strictly increasing) to ``grid_s``."""
+        left = np.clip(np.searchsorted(times_s, grid_s, side="right") - 1, 0, len(times_s) - 2)
+        share = np.clip((grid_s - times_s[left]) / (times_s[left + 1] - times_s[left]), 0.0, 1.0)
+        return cls(left=left, share=share, sample_count=len(times_s))
+
+    def to_grid(self, value: FloatArray) -> FloatArray:
+        """Return the samples' values on the grid, shape (len(grid),)."""
+        on_grid: FloatArray = (1.0 - self.share) * value[self.left] + self.share * value[self.left + 1]
+        return on_grid
+
+    def to_samples(self, weights: FloatArray) -> FloatArray:
+        """Return the weight of each sample, shape (k, n), in k weighted sums over the grid, shape (k, len(grid))."""
+        spread = np.zeros((len(weights), self.sample_count))
+        _spread(weights, self.left, self.share, spread)
+        return spread
+
+
+@kernel
+def _spread(weights: FloatArray, left: Int64Array, share: FloatArray, spread: FloatArray) -> None:
+    for k in range(weights.shape[0]):
+        for j in range(weights.shape[1]):
+            spread[k, left[j]] += weights[k, j] * (1.0 - share[j])
+            spread[k, left[j] + 1] += weights[k, j] * share[j]

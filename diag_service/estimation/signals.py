@@ -8,7 +8,7 @@ from clutch_model.calibration import Calibration
 from diag_service.estimation.sampling import (
     GRID_S,
     NS_TO_S,
-    interpolation_matrix,
+    Interpolation,
     sample_times_s,
     segment_centres_s,
 )
@@ -16,6 +16,7 @@ from diag_service.records import EndReason, FloatArray, Reason, Series, ShiftEve
 
 MAX_GAP_PERIODS = 2.5  # one missing frame is bridged by interpolation, two are not
 NOMINAL_PERIOD_S = 0.01  # of signals whose message states no cycle time
+COMMAND_LAG_S = 0.025  # from commanded to piston pressure: solenoid and feed orifice
 OIL_RANGE_K = (233.15, 443.15)  # -40..170 degC: where the fluid's viscosity law holds
 FAST_SIGNALS = (
     Signal.ENGINE_SPEED,
@@ -30,16 +31,12 @@ FAST_SIGNALS = (
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Samples:
-    """One signal of a shift: when it was sampled, what it read, and how its samples make the even grid."""
+    """One signal of a shift: when it was sampled, what it read, and the way to the even grid."""
 
     times_s: FloatArray  # (n,) after the origin of the shift
     value: FloatArray  # (n,)
-    to_grid: FloatArray  # (len(grid), n)
-
-    @property
-    def on_grid(self) -> FloatArray:
-        """Values on the even grid, shape (len(grid),)."""
-        return self.to_grid @ self.value
+    interpolation: Interpolation
+    on_grid: FloatArray  # (len(grid),)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -52,6 +49,7 @@ class ShiftSignals:
     hub_speed: Samples
     input_speed: tuple[Samples, Samples]
     pressure: tuple[Samples, Samples]
+    expected_pa: tuple[FloatArray | None, FloatArray | None]  # on the grid, from the command: free of sensor noise
     oil_k: float
 
     def slip_rad_s(self, clutch: int) -> FloatArray:
@@ -82,10 +80,7 @@ def gather(event: ShiftEvent, calibration: Calibration) -> ShiftSignals | Reason
         return Reason.OUT_OF_RANGE  # time runs backwards inside a segment: the receive clock is not to be trusted
     history_s = max(one[0] for one in times.values())
     grid_s = np.arange(history_s, duration_s, GRID_S)
-    samples = {
-        signal: Samples(times_s=times[signal], value=one.value, to_grid=interpolation_matrix(grid_s, times[signal]))
-        for signal, one in series.items()
-    }
+    samples = {signal: _resampled(times[signal], one.value, grid_s) for signal, one in series.items()}
     return ShiftSignals(
         grid_s=grid_s,
         engine_speed=samples[Signal.ENGINE_SPEED],
@@ -93,8 +88,31 @@ def gather(event: ShiftEvent, calibration: Calibration) -> ShiftSignals | Reason
         hub_speed=samples[Signal.HUB_SPEED],
         input_speed=(samples[Signal.INPUT1_SPEED], samples[Signal.INPUT2_SPEED]),
         pressure=(samples[Signal.CLUTCH1_PRESSURE], samples[Signal.CLUTCH2_PRESSURE]),
+        expected_pa=(
+            _expected_pa(event, Signal.CLUTCH1_PRESSURE_COMMAND, grid_s),
+            _expected_pa(event, Signal.CLUTCH2_PRESSURE_COMMAND, grid_s),
+        ),
         oil_k=oil_k,
     )
+
+
+def _resampled(times_s: FloatArray, value: FloatArray, grid_s: FloatArray) -> Samples:
+    interpolation = Interpolation.between(times_s, grid_s)
+    return Samples(times_s=times_s, value=value, interpolation=interpolation, on_grid=interpolation.to_grid(value))
+
+
+def _expected_pa(event: ShiftEvent, command: Signal, grid_s: FloatArray) -> FloatArray | None:
+    """Return the piston pressure to be expected from its command on the grid, a first-order lag behind it, or None."""
+    series = event.columns.get(command)
+    if series is None or not len(series.t_ns):
+        return None
+    commanded_pa = np.interp(grid_s, sample_times_s(series, event.start_ns), series.value)
+    expected_pa = np.empty_like(commanded_pa)
+    pressure_pa = commanded_pa[0]
+    for row, target_pa in enumerate(commanded_pa):
+        pressure_pa += (target_pa - pressure_pa) * GRID_S / COMMAND_LAG_S
+        expected_pa[row] = pressure_pa
+    return expected_pa
 
 
 def _has_gap(series: Series, event: ShiftEvent) -> bool:

@@ -1,5 +1,6 @@
 """A line per shift and a closing table, for people."""
 
+from rich import box
 from rich.console import Console
 from rich.table import Table
 from rich.text import Text
@@ -77,9 +78,9 @@ def _friction_columns(friction: FrictionEstimate | None) -> str:
 
 
 def _clutch_table(summary: Summary) -> Table:
-    table = Table(title=f"Clutches of {summary.vehicle}", title_justify="left")
-    for name in ("clutch", "condition", "mu_C", "mu_S", "P(slope<0)", "level", "shifts"):
-        table.add_column(name, justify="left" if name == "condition" else "right")
+    table = Table(box=box.SIMPLE_HEAD, pad_edge=False, padding=(0, 1, 0, 0))
+    for name in ("clutch", "condition", "mu_C", "mu_S", "P(slope<0)", "level", "n"):
+        table.add_column(name, justify="left" if name == "condition" else "right", no_wrap=True)
     for result in summary.latest:
         verdict, friction = result.verdict, result.verdict.friction
         table.add_row(

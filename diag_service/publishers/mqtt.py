@@ -84,10 +84,21 @@ class MqttLink:
             If the connection breaks, the acknowledgement does not come, or it says no.
         """
         self._client.refusal = None
+        delivery = asyncio.ensure_future(
+            self._client.publish(topic, payload.encode(), qos=_AT_LEAST_ONCE, retain=is_retained)
+        )
+        loss = asyncio.ensure_future(self.lost())  # aiomqtt itself would wait for the time limit
         try:
-            await self._client.publish(topic, payload.encode(), qos=_AT_LEAST_ONCE, retain=is_retained)
+            await asyncio.wait((delivery, loss), return_when=asyncio.FIRST_COMPLETED)
+            if not delivery.done():
+                raise PublishError("connection lost")
+            delivery.result()
         except aiomqtt.MqttError as exc:
             raise PublishError(_one_line(exc)) from exc
+        finally:
+            delivery.cancel()
+            loss.cancel()
+            await asyncio.gather(delivery, loss, return_exceptions=True)
         if self._client.refusal is not None:
             raise PublishError(f"{topic} was refused: {self._client.refusal}")
 
@@ -109,7 +120,7 @@ class MqttConnector:
         self._address = address
         self._identifier = identifier
         self._status = status
-        self._protocol = aiomqtt.ProtocolVersion.V5
+        self._protocol: aiomqtt.ProtocolVersion | None = None  # not known yet
 
     @asynccontextmanager
     async def connect(self, connected_at: str) -> AsyncIterator[MqttLink]:
@@ -134,28 +145,36 @@ class MqttConnector:
                     with contextlib.suppress(PublishError, TimeoutError):
                         await asyncio.wait_for(_announce(link, offline), _FAREWELL_S)
         finally:
-            with contextlib.suppress(aiomqtt.MqttError):
-                await client.__aexit__(None, None, None)
+            await _leave(client)
 
     async def _open(self, will: ServiceStatus | None) -> "_Client":
-        try:
-            return await self._client(will).__aenter__()
-        except aiomqtt.MqttCodeError as exc:
-            if self._protocol is aiomqtt.ProtocolVersion.V5 and _code(exc) == _UNSUPPORTED_PROTOCOL:
-                self._protocol = aiomqtt.ProtocolVersion.V311
-                return await self._open(will)
-            raise PublishError(f"connection refused: {_one_line(exc)}") from exc
-        except aiomqtt.MqttError as exc:
-            raise PublishError(_one_line(exc)) from exc
+        """Connect in the version that the broker speaks.
 
-    def _client(self, will: ServiceStatus | None) -> "_Client":
+        A will makes a CONNECT that some 3.1.1 brokers misread and never answer, so the version is found without one.
+        """
+        if self._protocol is None:
+            probe = self._client(aiomqtt.ProtocolVersion.V5, None)
+            try:
+                await _enter(probe)
+            except _VersionRefusedError:
+                self._protocol = aiomqtt.ProtocolVersion.V311
+            else:
+                self._protocol = aiomqtt.ProtocolVersion.V5
+                await _leave(probe)
+        try:
+            return await _enter(self._client(self._protocol, will))
+        except PublishError:
+            self._protocol = None  # who answers next time may be another broker
+            raise
+
+    def _client(self, protocol: aiomqtt.ProtocolVersion, will: ServiceStatus | None) -> "_Client":
         return _Client(
             self._address.host,
             self._address.port,
             username=self._address.username,
             password=self._address.password,
             identifier=self._identifier,
-            protocol=self._protocol,
+            protocol=protocol,
             will=None if will is None else _will(will),
             timeout=TIMEOUT_S,
             keepalive=KEEPALIVE_S,
@@ -185,6 +204,25 @@ class _Client(aiomqtt.Client):
         if reason_code.is_failure:
             self.refusal = str(reason_code)
         super()._on_publish(client, userdata, mid, reason_code, properties)
+
+
+class _VersionRefusedError(PublishError):
+    """The broker does not speak this version of the protocol."""
+
+
+async def _enter(client: _Client) -> _Client:
+    try:
+        return await client.__aenter__()
+    except aiomqtt.MqttCodeError as exc:
+        kind = _VersionRefusedError if _code(exc) == _UNSUPPORTED_PROTOCOL else PublishError
+        raise kind(f"connection refused: {_one_line(exc)}") from exc
+    except aiomqtt.MqttError as exc:
+        raise PublishError(_one_line(exc)) from exc
+
+
+async def _leave(client: _Client) -> None:
+    with contextlib.suppress(aiomqtt.MqttError):
+        await client.__aexit__(None, None, None)
 
 
 async def _announce(link: MqttLink, status: ServiceStatus) -> None:

@@ -61,15 +61,18 @@ class Outbox:
         self._news = asyncio.Event()
         self._closing = asyncio.Event()
         self._is_down = False
+        self._sent_count = 0  # over the present connection
 
     def nudge(self) -> None:
         """Say that the store holds something new."""
         self._news.set()
 
     async def run(self) -> None:
-        """Connect, send, reconnect; return after ``close`` once all is sent or one more attempt has failed."""
+        """Connect, send, reconnect; return after ``close`` once all is sent or a fresh attempt has sent nothing."""
         failure_count = 0
         while True:
+            is_last_attempt = self._closing.is_set()
+            self._sent_count = 0
             try:
                 async with self._connect() as link:
                     failure_count = 0
@@ -77,7 +80,7 @@ class Outbox:
                     return
             except PublishError as exc:
                 await self._note_failure(exc)
-            if self._closing.is_set():
+            if is_last_attempt and not self._sent_count:
                 return
             await self._pause(failure_count)
             failure_count += 1
@@ -107,6 +110,7 @@ class Outbox:
             for row in rows:
                 await link.publish(row.result)
                 await asyncio.to_thread(self._store.mark_published, row.position)
+                self._sent_count += 1
             if self._is_down:
                 self._is_down = False
                 _LOG.log(NOTICE, "broker %s takes results again", self._where)

@@ -2,6 +2,16 @@
 
 from diag_service.sources.base import FrameSource, SourceCounts
 from diag_service.sources.factory import open_source
-from diag_service.sources.logs import LogCounts, LogReader, read_log
+from diag_service.sources.logs import LogFormat, LogReader, read_log
+from diag_service.sources.tally import LogCounts, LogReject
 
-__all__ = ["FrameSource", "LogCounts", "LogReader", "SourceCounts", "open_source", "read_log"]
+__all__ = [
+    "FrameSource",
+    "LogCounts",
+    "LogFormat",
+    "LogReader",
+    "LogReject",
+    "SourceCounts",
+    "open_source",
+    "read_log",
+]

@@ -43,7 +43,7 @@ def read_blf(stream: BinaryIO, tally: Tally) -> Iterator[FrameBatch]:
         raise SourceError("the BLF file ends inside its header")
     fields = FILE_HEADER.unpack(header)
     header_bytes = max(int(fields[1]), FILE_HEADER.size)
-    size_bytes = os.fstat(stream.fileno()).st_size
+    size_bytes = stream.seek(0, os.SEEK_END)
     # A writer that was killed left the size of an empty file; one that was cut is shorter than it says.
     stated_bytes = int(fields[FILE_SIZE_FIELD])
     tally.truncated = size_bytes < stated_bytes or stated_bytes <= header_bytes < size_bytes
@@ -93,7 +93,7 @@ def containers(stream: BinaryIO, position: int, size_bytes: int, tally: Tally) -
         if object_type != LOG_CONTAINER:
             yield header + body, is_whole
         else:
-            data, is_sound = inflate(body)
+            data, is_sound = inflate(body, is_whole=is_whole)
             if is_whole and not is_sound:
                 tally.reject(LogReject.DAMAGED, f"byte {position}")
             yield data, is_whole and is_sound
@@ -117,8 +117,12 @@ def next_object(stream: BinaryIO, position: int, size_bytes: int, tally: Tally) 
     return size_bytes
 
 
-def inflate(body: bytes) -> tuple[bytes, bool]:
-    """Return what a container holds, as far as it can be inflated, and whether that is all of it."""
+def inflate(body: bytes, *, is_whole: bool) -> tuple[bytes, bool]:
+    """Return what a container holds and whether that is all of it.
+
+    A container that the end of the file cuts gives its beginning. One with wrong bytes inside gives nothing: where
+    they are is not known, and what they inflate to could pass for frames.
+    """
     if len(body) < CONTAINER_HEADER.size:
         return b"", False
     method, inflated_bytes = CONTAINER_HEADER.unpack_from(body)
@@ -127,14 +131,16 @@ def inflate(body: bytes) -> tuple[bytes, bool]:
         return payload, len(payload) >= inflated_bytes
     if method != DEFLATED:
         return b"", False
-    inflater, pieces, total = zlib.decompressobj(), list[bytes](), 0
+    inflater, pieces, total_bytes = zlib.decompressobj(), list[bytes](), 0
     for first in range(0, len(payload), INFLATE_STEP_BYTES):
         try:
             piece = inflater.decompress(payload[first : first + INFLATE_STEP_BYTES])
         except zlib.error:
-            return b"".join(pieces), False
+            return b"", False
         pieces.append(piece)
-        total += len(piece)
-        if total > MAX_CONTAINER_BYTES:
-            return b"".join(pieces), False
+        total_bytes += len(piece)
+        if total_bytes > MAX_CONTAINER_BYTES:
+            return b"", False
+    if not inflater.eof and is_whole:
+        return b"", False  # all bytes are there, but the checksum was not reached
     return b"".join(pieces), inflater.eof

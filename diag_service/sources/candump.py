@@ -186,7 +186,7 @@ def _parse_time(text: UInt8Array, at: int, stop: int, row: int, t_ns: Int64Array
         return -1
     at += 1
     begin = at
-    seconds = 0
+    seconds = np.int64(0)
     while at < stop and 48 <= text[at] <= 57:
         seconds = seconds * 10 + (np.int64(text[at]) - 48)
         at += 1
@@ -194,7 +194,7 @@ def _parse_time(text: UInt8Array, at: int, stop: int, row: int, t_ns: Int64Array
         return -1
     at += 1
     begin = at
-    fraction = 0
+    fraction = np.int64(0)
     weight = NS_PER_S
     while at < stop and 48 <= text[at] <= 57:
         weight //= 10
@@ -210,12 +210,12 @@ def _parse_time(text: UInt8Array, at: int, stop: int, row: int, t_ns: Int64Array
 def _parse_id(text: UInt8Array, at: int, stop: int, row: int, can_id: UInt32Array) -> int:
     """Parse ``123#`` or ``12345678#``; return the position behind the sign or -1."""
     begin = at
-    value = 0
+    value = np.int64(0)
     while at < stop and at - begin <= EXTENDED_DIGITS and _hex_digit(text[at]) >= 0:
         value = value * 16 + _hex_digit(text[at])
         at += 1
     digits = at - begin
-    if at >= stop or text[at] != 35 or value > MAX_ID or (digits != STANDARD_DIGITS and digits != EXTENDED_DIGITS):
+    if at >= stop or text[at] != 35 or value > MAX_ID or digits not in (STANDARD_DIGITS, EXTENDED_DIGITS):
         return -1
     if digits == STANDARD_DIGITS and value > 0x7FF:
         return -1
@@ -234,13 +234,13 @@ def _parse_payload(
     if stop - at > 2 and text[stop - 2] == 95 and _hex_digit(text[stop - 1]) > PAYLOAD_BYTES:
         stop -= 2  # the raw length code above eight that some controllers send
     if at < stop and (text[at] == 82 or text[at] == 114):
-        count = 0
+        dlc = np.int64(0)
         if at + 2 == stop and 48 <= text[at + 1] <= 56:
-            count = np.int64(text[at + 1]) - 48
+            dlc = np.int64(text[at + 1]) - 48
         elif at + 1 != stop:
             return MALFORMED
         can_id[row] |= np.uint32(REMOTE_FLAG)
-        length[row] = count
+        length[row] = dlc
         return FRAME
     count = 0
     while at + 1 < stop and count < PAYLOAD_BYTES:
@@ -268,7 +268,7 @@ def _skip_blanks(text: UInt8Array, at: int, stop: int) -> int:
 
 
 @kernel
-def _hex_digit(character: int) -> int:
+def _hex_digit(character: np.uint8) -> np.int64:
     """Return the value of a hexadecimal digit, -1 for any other character."""
     if 48 <= character <= 57:
         return np.int64(character) - 48
@@ -276,4 +276,4 @@ def _hex_digit(character: int) -> int:
         return np.int64(character) - 55
     if 97 <= character <= 102:
         return np.int64(character) - 87
-    return -1
+    return np.int64(-1)

@@ -122,6 +122,7 @@ def open_bus(interface: str, channel: str | None, bitrate: int | None, *, fd: bo
     SourceError
         If the interface is unknown, its driver is missing, or the channel cannot be opened.
     """
+    can.set_logging_level("critical")  # it logs what it raises, and more when a half-made bus goes
     options: dict[str, Any] = {"fd": True} if fd else {}  # what is not asked for is left to the driver
     if bitrate is not None:
         options["bitrate"] = bitrate

@@ -38,7 +38,9 @@ class Tally:
 
     def reject(self, reason: LogReject, place: str, count: int = 1) -> None:
         """Count pieces that gave no frame; ``place`` is where the first of them is."""
-        if count and not self._rejected:
+        if count == 0:
+            return
+        if not self._rejected:
             self._first_rejected = f"{place}: {reason}"
         self._rejected[reason] += count
 
@@ -47,7 +49,7 @@ class Tally:
         return LogCounts(
             frames=self.frames,
             skipped=self.skipped,
-            rejected={reason: count for reason, count in self._rejected.items() if count},
+            rejected=dict(self._rejected),
             first_rejected=self._first_rejected,
             truncated=self.truncated,
         )

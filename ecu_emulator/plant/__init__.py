@@ -1,1 +1,22 @@
-"""PLACEHOLDER"""
+"""The emulated vehicle: engine, hydraulics, wet dual clutch, driveline, road."""
+
+from ecu_emulator.plant.columns import Col
+from ecu_emulator.plant.drive import DriveSettings, FrictionFactors
+from ecu_emulator.plant.parameters import (
+    PlantParameters,
+    nominal_parameters,
+    nominal_plant_table,
+    read_parameters,
+)
+from ecu_emulator.plant.powertrain import Powertrain
+
+__all__ = [
+    "Col",
+    "DriveSettings",
+    "FrictionFactors",
+    "PlantParameters",
+    "Powertrain",
+    "nominal_parameters",
+    "nominal_plant_table",
+    "read_parameters",
+]

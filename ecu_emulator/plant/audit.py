@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from clutch_model.jit import kernel
+from clutch_model.jit import array_kernel
 from ecu_emulator.plant import state as at
 from ecu_emulator.plant.driveline import ENGAGED, geared_torque_nm
 from ecu_emulator.plant.rates import PlantLaw
@@ -65,7 +65,21 @@ class PowerBalance:
         return (self.clutch_j - self.heated_j - self.coolant_j) / self.clutch_j
 
 
-@kernel
+@array_kernel
+def note(account: FloatArray) -> None:
+    """Remember the account, in its second third; the last one is workspace."""
+    for entry in range(account.size // 3):
+        account[ACCOUNT_COUNT + entry] = account[entry]
+
+
+@array_kernel
+def undo(account: FloatArray) -> None:
+    """Put the account back to what was remembered."""
+    for entry in range(account.size // 3):
+        account[entry] = account[ACCOUNT_COUNT + entry]
+
+
+@array_kernel
 def stored_energy_j(y: FloatArray, law: PlantLaw) -> float:
     """Return kinetic and spring energy of all bodies [J]."""
     twice = law.engine_inertia_kg_m2 * y[at.W_E] ** 2 + law.hub_inertia_kg_m2 * y[at.W_H] ** 2
@@ -73,27 +87,25 @@ def stored_energy_j(y: FloatArray, law: PlantLaw) -> float:
     twice += law.output.inertia_kg_m2 * y[at.W_D] ** 2
     twice += law.vehicle.wheel_inertia_kg_m2 * y[at.W_W] ** 2 + law.vehicle.mass_kg * y[at.V] ** 2
     for k in range(2):
-        shaft = law.shafts[0] if k == 0 else law.shafts[1]
+        shaft = law.shafts.first if k == 0 else law.shafts.second
         twice += shaft.clutch_inertia_kg_m2 * y[at.W_L + k] ** 2 + shaft.gear_inertia_kg_m2 * y[at.W_G + k] ** 2
         twice += shaft.stiffness_nm_rad * y[at.PHI_SI + k] ** 2
-    return 0.5 * twice
+    return float(0.5 * twice)
 
 
-@kernel
+@array_kernel
 def stored_heat_j(y: FloatArray, law: PlantLaw) -> float:
     """Return the heat in clutches and sump above 0 K [J]."""
     heat_j = law.sump_heat_capacity_j_k * y[at.T_OIL]
-    heat_j += law.clutches[0].heat_capacity_j_k * y[at.T_C]
-    return heat_j + law.clutches[1].heat_capacity_j_k * y[at.T_C + 1]
+    heat_j += law.clutches.first.heat_capacity_j_k * y[at.T_C]
+    return float(heat_j + law.clutches.second.heat_capacity_j_k * y[at.T_C + 1])
 
 
-@kernel
-def shaft_powers(
-    y: FloatArray, modes: IntArray, out: FloatArray, powers: FloatArray, law: PlantLaw
-) -> None:
+@array_kernel
+def shaft_powers(y: FloatArray, modes: IntArray, out: FloatArray, powers: FloatArray, law: PlantLaw) -> None:
     """Add the losses of both input shafts, their gears and synchronisers to ``powers`` [W]."""
     for k in range(2):
-        shaft = law.shafts[0] if k == 0 else law.shafts[1]
+        shaft = law.shafts.first if k == 0 else law.shafts.second
         gear_rad_s = y[at.W_G + k]
         twist_rate = y[at.W_L + k] - gear_rad_s
         powers[CLUTCH] += out[at.T_F + k] * (y[at.W_H] - y[at.W_L + k])
@@ -106,15 +118,17 @@ def shaft_powers(
             powers[GEARS] += (out[at.T_SI + k] - passed_nm) * gear_rad_s
 
 
-@kernel
-def add_powers(  # noqa: PLR0917 - a kernel takes its arguments by position
+@array_kernel
+def add_powers(
     account: FloatArray, weight_s: float, y: FloatArray, u: FloatArray, modes: IntArray, out: FloatArray, law: PlantLaw
 ) -> None:
     """Add the powers at one state, times ``weight_s``, to the account [J]; nothing if there is none."""
     if account.size == 0:
         return
     vehicle, output = law.vehicle, law.output
-    powers = np.zeros(ACCOUNT_COUNT)
+    powers = account[2 * ACCOUNT_COUNT :]
+    for entry in range(ACCOUNT_COUNT):
+        powers[entry] = 0.0
     powers[ENGINE] = out[at.T_E] * y[at.W_E]
     powers[ENGINE_ABSOLUTE] = abs(powers[ENGINE])
     shaft_powers(y, modes, out, powers, law)
@@ -135,9 +149,7 @@ def add_powers(  # noqa: PLR0917 - a kernel takes its arguments by position
         account[entry] += weight_s * powers[entry]
 
 
-def power_balance(
-    account: FloatArray, before: FloatArray, after: FloatArray, law: PlantLaw
-) -> PowerBalance:
+def power_balance(account: FloatArray, before: FloatArray, after: FloatArray, law: PlantLaw) -> PowerBalance:
     """Close the account over a stretch: ``before`` and ``after`` are the state arrays at its ends."""
     return PowerBalance(
         engine_j=float(account[ENGINE]),

@@ -8,7 +8,7 @@ import numpy.typing as npt
 
 from clutch_model.film import FilmLaw, contact_pressure_pa, film_rate_m_s, shear_factor_difference
 from clutch_model.friction import FrictionLaw, kinetic_friction
-from clutch_model.jit import kernel
+from clutch_model.jit import array_kernel, kernel
 from ecu_emulator.plant import state as at
 from ecu_emulator.plant.hydraulics import CavityLaw, HydraulicsParameters, cavity_pressure_pa, orifice_flow_m3_s
 
@@ -17,6 +17,7 @@ FloatArray = npt.NDArray[np.float64]
 _EMPTY_M3 = 1.0e-13  # a cavity below this is empty: keeps denormal numbers out of the loop
 _NO_PRESSURE_PA = 1.0e-3
 _OPEN_TOLERANCE_M = 1.0e-12
+_JUST_BELOW = 1.0 - 1.0e-12
 
 
 class ClutchLaw(NamedTuple):
@@ -38,7 +39,7 @@ def film_derivative_m_s(film_m: float, volume_m3: float, viscosity: float, law: 
     return film_rate_m_s(film_m, applied_pa, viscosity, excess_m3 >= 0.0, law.film)
 
 
-@kernel
+@array_kernel
 def refresh_contact(y: FloatArray, clutch: int, law: ClutchLaw) -> None:
     """Recompute what depends on the film alone."""
     film_m = y[at.FILM + clutch]
@@ -53,13 +54,11 @@ def volume_rate_m3_s(valve_pa: float, volume_m3: float, law: ClutchLaw) -> float
 
 
 @kernel
-def advance_clutch(y: FloatArray, u: FloatArray, clutch: int, dt_s: float, law: ClutchLaw) -> None:
-    """Advance solenoid (exactly), cavity and film (classic fourth-order Runge-Kutta) of one clutch in place."""
-    command_pa = u[at.P_COMMAND + clutch]
-    valve_pa, volume_m3, film_m = y[at.P_V + clutch], y[at.VOLUME + clutch], y[at.FILM + clutch]
-    if command_pa == 0.0 and valve_pa == 0.0 and volume_m3 == 0.0 and film_m == law.film.open_gap_m:
-        return
-    viscosity = u[at.VISCOSITY + clutch]
+def fluid_step(
+    start: tuple[float, float, float], command_pa: float, viscosity: float, dt_s: float, law: ClutchLaw
+) -> tuple[float, float, float]:
+    """Return valve pressure [Pa], oil volume [m^3] and film [m] after one step: lag exact, the rest Runge-Kutta."""
+    valve_pa, volume_m3, film_m = start
     half_decay = math.exp(-0.5 * dt_s / law.valve.solenoid_lag_s)
     mid_pa = command_pa + (valve_pa - command_pa) * half_decay
     end_pa = command_pa + (mid_pa - command_pa) * half_decay
@@ -78,28 +77,44 @@ def advance_clutch(y: FloatArray, u: FloatArray, clutch: int, dt_s: float, law: 
 
     volume_m3 += dt_s / 6.0 * (flow1 + 2.0 * flow2 + 2.0 * flow3 + flow4)
     film_m += dt_s / 6.0 * (rate1 + 2.0 * rate2 + 2.0 * rate3 + rate4)
-    y[at.P_V + clutch] = end_pa if end_pa > _NO_PRESSURE_PA else 0.0
-    y[at.VOLUME + clutch] = volume_m3 if volume_m3 > _EMPTY_M3 else 0.0
-    if film_m > law.film.open_gap_m - _OPEN_TOLERANCE_M:
-        film_m = law.film.open_gap_m
-    y[at.FILM + clutch] = max(film_m, law.film.min_film_m)
+    return end_pa, volume_m3, film_m
+
+
+@array_kernel
+def advance_clutch(y: FloatArray, u: FloatArray, clutch: int, dt_s: float, law: ClutchLaw) -> None:
+    """Advance solenoid, cavity and film of one clutch in place, in two steps where the cavity fills or empties."""
+    command_pa, viscosity = u[at.P_COMMAND + clutch], u[at.VISCOSITY + clutch]
+    start = (y[at.P_V + clutch], y[at.VOLUME + clutch], y[at.FILM + clutch])
+    if command_pa == 0.0 and start[0] == 0.0 and start[1] == 0.0 and start[2] == law.film.open_gap_m:
+        return
+    full_m3 = law.cavity.full_volume_m3
+    end = fluid_step(start, command_pa, viscosity, dt_s, law)
+    if (start[1] < full_m3) != (end[1] < full_m3):
+        first_s = dt_s * (full_m3 - start[1]) / (end[1] - start[1])
+        valve_pa, _, film_m = fluid_step(start, command_pa, viscosity, first_s, law)
+        edge_m3 = full_m3 if end[1] >= full_m3 else full_m3 * _JUST_BELOW
+        end = fluid_step((valve_pa, edge_m3, film_m), command_pa, viscosity, dt_s - first_s, law)
+    y[at.P_V + clutch] = end[0] if end[0] > _NO_PRESSURE_PA else 0.0
+    y[at.VOLUME + clutch] = end[1] if end[1] > _EMPTY_M3 else 0.0
+    is_open = end[2] > law.film.open_gap_m - _OPEN_TOLERANCE_M
+    y[at.FILM + clutch] = law.film.open_gap_m if is_open else max(end[2], law.film.min_film_m)
     refresh_contact(y, clutch, law)
 
 
-@kernel
+@array_kernel
 def capacity_nm(y: FloatArray, u: FloatArray, clutch: int, law: ClutchLaw) -> float:
     """Return the largest torque the locked clutch holds [N m], ``C * mu_S * P_C``."""
-    return law.film.contact_factor_m3 * u[at.MU_S + clutch] * y[at.P_C + clutch]
+    return float(law.film.contact_factor_m3 * u[at.MU_S + clutch] * y[at.P_C + clutch])
 
 
-@kernel
+@array_kernel
 def viscous_nm(y: FloatArray, u: FloatArray, clutch: int, law: ClutchLaw) -> float:
     """Return the torque of the sheared film [N m]; docs/model.md eq. (5)."""
     slip_rad_s = y[at.W_H] - y[at.W_L + clutch]
-    return law.film.viscous_factor_m4 * u[at.VISCOSITY + clutch] * slip_rad_s * y[at.SHEAR + clutch]
+    return float(law.film.viscous_factor_m4 * u[at.VISCOSITY + clutch] * slip_rad_s * y[at.SHEAR + clutch])
 
 
-@kernel
+@array_kernel
 def contact_nm(y: FloatArray, u: FloatArray, clutch: int, law: ClutchLaw) -> float:
     """Return the torque of the slipping contact [N m]; docs/model.md eqs. (6), (8)."""
     contact_pa = y[at.P_C + clutch]
@@ -119,4 +134,4 @@ def contact_nm(y: FloatArray, u: FloatArray, clutch: int, law: ClutchLaw) -> flo
         friction.stribeck_exponent,
         friction.lock_band_rad_s,
     )
-    return direction * kinetic_friction(slip_rad_s, current) * contact_pa * law.film.contact_factor_m3
+    return float(direction * kinetic_friction(slip_rad_s, current) * contact_pa * law.film.contact_factor_m3)

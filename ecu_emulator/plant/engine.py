@@ -37,7 +37,12 @@ def throttle_flow_kg_s(throttle: float, p: EngineParameters) -> float:
 @kernel
 def cylinder_air_kg_rad(manifold_pa: float, air_k: float, p: EngineParameters) -> float:
     """Return the air drawn per crank angle [kg/rad], mdot_cyl / w_E."""
-    return p.volumetric_efficiency_ratio * p.displacement_m3 * manifold_pa / (_CYCLE_RAD * _AIR_GAS_CONSTANT_J_KG_K * air_k)
+    return (
+        p.volumetric_efficiency_ratio
+        * p.displacement_m3
+        * manifold_pa
+        / (_CYCLE_RAD * _AIR_GAS_CONSTANT_J_KG_K * air_k)
+    )
 
 
 @kernel

@@ -1,13 +1,13 @@
-"""Integration of the plant over a millisecond: second-order steps that stop exactly where a clutch may lock."""
+"""Integration over a millisecond: fourth-order steps that stop where a clutch or a synchroniser may lock."""
 
 import math
 
 import numpy as np
 import numpy.typing as npt
 
-from clutch_model.jit import kernel
+from clutch_model.jit import array_kernel, kernel
 from ecu_emulator.plant import state as at
-from ecu_emulator.plant.audit import SYNCHRONISERS, add_powers, stored_energy_j
+from ecu_emulator.plant.audit import SYNCHRONISERS, add_powers, note, stored_energy_j, undo
 from ecu_emulator.plant.clutch import advance_clutch
 from ecu_emulator.plant.driveline import ENGAGED, SYNCHRONISING
 from ecu_emulator.plant.engine import throttle_flow_kg_s
@@ -19,17 +19,13 @@ IntArray = npt.NDArray[np.int64]
 _MILLISECOND_S = 1.0e-3
 _MIN_STEP_S = 1.0e-9
 _SETTLED = 1.0e-12  # a lag this close to its command has arrived
-_INSIDE_BAND = 0.98  # an event step aims a little inside the lock band, so that rounding cannot miss it
-
-# Rows of the work array.
-SLOPE1 = 0
-SLOPE2 = 1
-PREDICTED = 2
-BEFORE = 3
-WORK_COUNT = 4
+_EVENT_TRIES = 3
+# An event step aims a little inside the lock band, so that rounding cannot miss it, and takes what is this near.
+_EDGE = 0.98
+_EDGE_LOW = 0.96
 
 
-@kernel
+@array_kernel
 def settle(y: FloatArray, u: FloatArray, modes: IntArray, out: FloatArray, law: PlantLaw) -> None:
     """Evaluate the plant at ``y`` and bring the clutch modes into agreement with the torques."""
     evaluate(y, u, modes, out, law)
@@ -37,7 +33,7 @@ def settle(y: FloatArray, u: FloatArray, modes: IntArray, out: FloatArray, law: 
         evaluate(y, u, modes, out, law)
 
 
-@kernel
+@array_kernel
 def advance_lags(y: FloatArray, u: FloatArray, dt_s: float, law: PlantLaw) -> None:
     """Advance throttle and spark exactly, and the air flow with the throttle."""
     engine = law.engine
@@ -52,46 +48,122 @@ def advance_lags(y: FloatArray, u: FloatArray, dt_s: float, law: PlantLaw) -> No
         y[at.SPARK] = u[at.SPARK_COMMAND] + (spark_gap if abs(spark_gap) > _SETTLED else 0.0)
 
 
-@kernel
-def heun_step(  # noqa: PLR0917 - a kernel takes its arguments by position
-    y: FloatArray, u: FloatArray, modes: IntArray, work: FloatArray, dt_s: float, law: PlantLaw
-) -> None:
-    """Advance everything by ``dt_s`` with the modes frozen; ``work[SLOPE1]`` holds the rates at the start."""
-    slope1, slope2, predicted = work[SLOPE1], work[SLOPE2], work[PREDICTED]
-    advance_lags(y, u, dt_s, law)
-    advance_clutch(y, u, 0, dt_s, law.clutches[0])
-    advance_clutch(y, u, 1, dt_s, law.clutches[1])
+@array_kernel
+def copy(source: FloatArray, into: FloatArray) -> None:
+    """Copy a state."""
+    for i in range(at.STATE_COUNT):
+        into[i] = source[i]
+
+
+@array_kernel
+def predict(y: FloatArray, before: FloatArray, slope: FloatArray, dt_s: float, into: FloatArray) -> None:
+    """Put ``before`` moved along ``slope`` into ``into``, together with the present oil and film in ``y``."""
     for i in range(at.RATE_COUNT):
-        predicted[i] = y[i] + dt_s * slope1[i]
+        into[i] = before[i] + dt_s * slope[i]
     for i in range(at.RATE_COUNT, at.STATE_COUNT):
-        predicted[i] = y[i]
-    evaluate(predicted, u, modes, slope2, law)
+        into[i] = y[i]
+
+
+@array_kernel
+def gather(y: FloatArray, slope: FloatArray, weight_s: float) -> None:
+    """Add one stage of the Runge-Kutta step to the state."""
     for i in range(at.RATE_COUNT):
-        y[i] += 0.5 * dt_s * (slope1[i] + slope2[i])
+        y[i] += weight_s * slope[i]
+
+
+@array_kernel
+def advance_fluids(y: FloatArray, u: FloatArray, dt_s: float, law: PlantLaw) -> None:
+    """Advance what nothing mechanical acts back on: lags, oil, films."""
+    advance_lags(y, u, dt_s, law)
+    advance_clutch(y, u, 0, dt_s, law.clutches.first)
+    advance_clutch(y, u, 1, dt_s, law.clutches.second)
+
+
+@array_kernel
+def step(
+    y: FloatArray,
+    u: FloatArray,
+    modes: IntArray,
+    before: FloatArray,
+    predicted: FloatArray,
+    slope1: FloatArray,
+    slope: FloatArray,
+    account: FloatArray,
+    dt_s: float,
+    law: PlantLaw,
+) -> None:
+    """Advance ``y`` by ``dt_s`` with the modes frozen: classic Runge-Kutta, fluids in two halves.
+
+    ``before`` holds the state before the step and ``slope1`` the rates there.
+    """
+    add_powers(account, dt_s / 6.0, before, u, modes, slope1, law)
+    advance_fluids(y, u, 0.5 * dt_s, law)
+    predict(y, before, slope1, 0.5 * dt_s, predicted)
+    gather(y, slope1, dt_s / 6.0)
+    evaluate(predicted, u, modes, slope, law)
+    add_powers(account, dt_s / 3.0, predicted, u, modes, slope, law)
+    predict(y, before, slope, 0.5 * dt_s, predicted)
+    gather(y, slope, dt_s / 3.0)
+    evaluate(predicted, u, modes, slope, law)
+    add_powers(account, dt_s / 3.0, predicted, u, modes, slope, law)
+    advance_fluids(y, u, 0.5 * dt_s, law)
+    predict(y, before, slope, dt_s, predicted)
+    gather(y, slope, dt_s / 3.0)
+    evaluate(predicted, u, modes, slope, law)
+    add_powers(account, dt_s / 6.0, predicted, u, modes, slope, law)
+    gather(y, slope, dt_s / 6.0)
 
 
 @kernel
-def lock_fraction(y: FloatArray, before: FloatArray, modes: IntArray, law: PlantLaw) -> float:
-    """Return the share of the last step after which the first slipping clutch entered its lock band, else 1."""
+def first_root(old: float, change: float, new: float) -> float:
+    """Return where in 0..1 a falling quantity reaches zero: parabola through both ends with the slope at the first."""
+    curve = new - old - change
+    root = math.sqrt(max(change * change - 4.0 * curve * old, 0.0))
+    return max(2.0 * old / (root - change), 0.0)
+
+
+@kernel
+def approach_fraction(old: float, change: float, new: float, band: float) -> float:
+    """Return the share of a step after which a slip enters its band, 1 if it does not or stands at the edge.
+
+    ``old`` and ``new`` are the slip before and after, ``change`` what its rate before would have made of it.
+    """
+    sign = 1.0 if old > 0.0 else -1.0
+    old, change, new = sign * old, sign * change, sign * new
+    if old <= band or new >= _EDGE_LOW * band:
+        return 1.0
+    edge = _EDGE * band
+    return first_root(old - edge, change, new - edge)
+
+
+@array_kernel
+def event_fraction(
+    y: FloatArray,
+    u: FloatArray,
+    modes: IntArray,
+    before: FloatArray,
+    slope: FloatArray,
+    dt_s: float,
+    law: PlantLaw,
+) -> float:
+    """Return the share of the last step after which the first clutch or synchroniser may lock, else 1."""
     fraction = 1.0
     for k in range(2):
-        clutch = law.clutches[0] if k == 0 else law.clutches[1]
-        band = clutch.friction.lock_band_rad_s
-        old = before[at.W_H] - before[at.W_L + k]
-        if modes[at.STICK + k] != 0 or abs(old) <= band:
-            continue
-        sign = 1.0 if old > 0.0 else -1.0
-        new = sign * (y[at.W_H] - y[at.W_L + k])
-        if new <= band:
-            target = _INSIDE_BAND * band
-            fraction = min(fraction, (abs(old) - target) / max(abs(old) - new, abs(old) - target))
+        if modes[at.STICK + k] == 0:
+            band = (law.clutches.first if k == 0 else law.clutches.second).friction.lock_band_rad_s
+            old, new = before[at.W_H] - before[at.W_L + k], y[at.W_H] - y[at.W_L + k]
+            change = dt_s * (slope[at.W_H] - slope[at.W_L + k])
+            fraction = min(fraction, approach_fraction(old, change, new, band))
+        if modes[at.LINK + k] == SYNCHRONISING:
+            ratio, band = u[at.RATIO + k], law.synchroniser.lock_slip_rad_s
+            old, new = ratio * before[at.W_D] - before[at.W_G + k], ratio * y[at.W_D] - y[at.W_G + k]
+            change = dt_s * (ratio * slope[at.W_D] - slope[at.W_G + k])
+            fraction = min(fraction, approach_fraction(old, change, new, band))
     return fraction
 
 
-@kernel
-def close_synchronisers(
-    y: FloatArray, u: FloatArray, modes: IntArray, account: FloatArray, law: PlantLaw
-) -> None:
+@array_kernel
+def close_synchronisers(y: FloatArray, u: FloatArray, modes: IntArray, account: FloatArray, law: PlantLaw) -> None:
     """Engage a gear whose synchroniser has done its work, conserving momentum."""
     for k in range(2):
         if modes[at.LINK + k] != SYNCHRONISING:
@@ -100,7 +172,8 @@ def close_synchronisers(
         if abs(ratio * y[at.W_D] - y[at.W_G + k]) >= law.synchroniser.lock_slip_rad_s:
             continue
         before_j = stored_energy_j(y, law)
-        shaft, other = (law.shafts[0], law.shafts[1]) if k == 0 else (law.shafts[1], law.shafts[0])
+        shaft = law.shafts.first if k == 0 else law.shafts.second
+        other = law.shafts.second if k == 0 else law.shafts.first
         inertia_kg_m2 = law.output.inertia_kg_m2
         if modes[at.LINK + 1 - k] == ENGAGED:
             inertia_kg_m2 += u[at.RATIO + 1 - k] ** 2 * other.gear_inertia_kg_m2
@@ -114,49 +187,55 @@ def close_synchronisers(
             account[SYNCHRONISERS] += before_j - stored_energy_j(y, law)
 
 
-@kernel
-def advance_to_event(  # noqa: PLR0917 - a kernel takes its arguments by position
+@array_kernel
+def advance_to_event(
     y: FloatArray,
     u: FloatArray,
     modes: IntArray,
-    work: FloatArray,
+    before: FloatArray,
+    predicted: FloatArray,
+    slope1: FloatArray,
+    slope: FloatArray,
     account: FloatArray,
     longest_s: float,
     law: PlantLaw,
 ) -> float:
-    """Take one step of at most ``longest_s`` that ends early where a clutch may lock; return its length [s]."""
-    settle(y, u, modes, work[SLOPE1], law)
-    before = work[BEFORE]
-    before[:] = y
+    """Take one step of at most ``longest_s`` that ends early where something may lock; return its length [s]."""
+    settle(y, u, modes, slope1, law)
+    copy(y, before)
+    note(account)
     air_flow = u[at.AIR_FLOW]
     taken_s = longest_s
-    heun_step(y, u, modes, work, taken_s, law)
-    fraction = lock_fraction(y, before, modes, law)
-    if fraction < 1.0:
-        taken_s = max(fraction * longest_s, min(longest_s, _MIN_STEP_S))
-        y[:] = before
+    step(y, u, modes, before, predicted, slope1, slope, account, taken_s, law)
+    for _ in range(_EVENT_TRIES):
+        fraction = event_fraction(y, u, modes, before, slope1, taken_s, law)
+        if fraction >= 1.0:
+            break
+        taken_s = max(fraction * taken_s, min(longest_s, _MIN_STEP_S))
+        copy(before, y)
+        undo(account)
         u[at.AIR_FLOW] = air_flow
-        heun_step(y, u, modes, work, taken_s, law)
-    if account.size != 0:
-        add_powers(account, 0.5 * taken_s, before, u, modes, work[SLOPE1], law)
-        add_powers(account, 0.5 * taken_s, work[PREDICTED], u, modes, work[SLOPE2], law)
+        step(y, u, modes, before, predicted, slope1, slope, account, taken_s, law)
     close_synchronisers(y, u, modes, account, law)
     return taken_s
 
 
-@kernel
-def advance_millisecond(  # noqa: PLR0917 - a kernel takes its arguments by position
+@array_kernel
+def advance_millisecond(
     y: FloatArray,
     u: FloatArray,
     modes: IntArray,
-    work: FloatArray,
+    before: FloatArray,
+    predicted: FloatArray,
+    slope1: FloatArray,
+    slope: FloatArray,
     account: FloatArray,
     step_count: int,
     law: PlantLaw,
 ) -> None:
-    """Advance the plant by one millisecond in ``step_count`` steps, more where a clutch locks."""
+    """Advance the plant by one millisecond in ``step_count`` steps, more where something locks."""
     step_s = _MILLISECOND_S / step_count
     for _ in range(step_count):
         left_s = step_s
         while left_s > _MIN_STEP_S:
-            left_s -= advance_to_event(y, u, modes, work, account, left_s, law)
+            left_s -= advance_to_event(y, u, modes, before, predicted, slope1, slope, account, left_s, law)

@@ -18,33 +18,37 @@ from ecu_emulator.tcu import GEAR_COUNT, ControlParameters
 
 TupleT = TypeVar("TupleT", bound=tuple[object, ...])
 
-_MAY_BE_ZERO = frozenset({
-    "friction_nm",
-    "friction_nms_rad",
-    "ripple_ratio",
-    "damping_nms_rad",
-    "clutch_damping_nms_rad",
-    "gear_damping_nms_rad",
-    "shaft_damping_nms_rad",
-    "wheel_damping_nms_rad",
-    "rolling_resistance_ratio",
-    "drag_area_m2",
-    "convection_w_k",
-    "spark_reduction_ratio",
-    "flare_gain_nms_rad",
-    "slip_integral_gain_nm_rad",
-})
-_UP_TO_ONE = frozenset({
-    "volumetric_efficiency_ratio",
-    "efficiency_ratio",
-    "driven_load_ratio",
-    "driven_brake_ratio",
-    "ripple_ratio",
-    "preselect_fill_ratio",
-    "prefill_ratio",
-    "dump_ratio",
-    "spark_reduction_ratio",
-})
+_MAY_BE_ZERO = frozenset(
+    {
+        "friction_nm",
+        "friction_nms_rad",
+        "ripple_ratio",
+        "damping_nms_rad",
+        "clutch_damping_nms_rad",
+        "gear_damping_nms_rad",
+        "shaft_damping_nms_rad",
+        "wheel_damping_nms_rad",
+        "rolling_resistance_ratio",
+        "drag_area_m2",
+        "convection_w_k",
+        "spark_reduction_ratio",
+        "flare_gain_nms_rad",
+        "slip_integral_gain_nm_rad",
+    }
+)
+_UP_TO_ONE = frozenset(
+    {
+        "volumetric_efficiency_ratio",
+        "efficiency_ratio",
+        "driven_load_ratio",
+        "driven_brake_ratio",
+        "ripple_ratio",
+        "preselect_fill_ratio",
+        "prefill_ratio",
+        "dump_ratio",
+        "spark_reduction_ratio",
+    }
+)
 
 
 class GearboxParameters(NamedTuple):
@@ -160,7 +164,8 @@ def _record(record: type[TupleT], tables: Mapping[str, object], where: str) -> T
     table = subtable(tables[where], where)
     names = cast("tuple[str, ...]", record._fields)  # type: ignore[attr-defined]  # every NamedTuple has it
     check_keys(where, table, names)
-    return record(*(_value(table[name], f"{where}.{name}") for name in names))
+    values = [_value(table[name], f"{where}.{name}") for name in names]
+    return record(*values)  # type: ignore[arg-type]  # the fields are floats and tuples of floats
 
 
 def _value(value: object, where: str) -> float | tuple[float, ...]:

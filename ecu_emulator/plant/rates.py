@@ -5,7 +5,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from clutch_model.jit import kernel
+from clutch_model.jit import array_kernel
 from clutch_model.thermal import clutch_heating_rate_k_s, sump_heating_rate_k_s
 from ecu_emulator.plant import state as at
 from ecu_emulator.plant.clutch import ClutchLaw, capacity_nm, contact_nm, viscous_nm
@@ -29,16 +29,39 @@ IntArray = npt.NDArray[np.int64]
 _SLIP_DECAY_S = 0.005  # tb: what slip is left when a clutch locks fades with this time constant
 
 
+class ShaftPair(NamedTuple):
+    """Input shafts of the odd and the even gears."""
+
+    first: ShaftParameters
+    second: ShaftParameters
+
+
+class ClutchPair(NamedTuple):
+    """Clutches of the odd and the even gears."""
+
+    first: ClutchLaw
+    second: ClutchLaw
+
+
+class FluidLaw(NamedTuple):
+    """Viscosity law of the transmission fluid."""
+
+    a_pa_s: float
+    b_k: float
+    pole_k: float
+
+
 class PlantLaw(NamedTuple):
     """Everything constant over a drive, as the kernels take it."""
 
     engine: EngineParameters
     flywheel: FlywheelParameters
-    shafts: tuple[ShaftParameters, ShaftParameters]
+    shafts: ShaftPair
     synchroniser: SynchroniserParameters
     output: OutputParameters
     vehicle: VehicleParameters
-    clutches: tuple[ClutchLaw, ClutchLaw]
+    clutches: ClutchPair
+    fluid: FluidLaw
     engine_inertia_kg_m2: float  # J_E
     hub_inertia_kg_m2: float  # J_H
     hub_damping_nms_rad: float  # B_H
@@ -49,72 +72,76 @@ class PlantLaw(NamedTuple):
     grade_ratio: float
 
 
-@kernel
-def clip(value: float, limit: float) -> float:
-    """Return ``value`` limited to +-limit."""
-    return max(-limit, min(limit, value))
-
-
-@kernel
+@array_kernel
 def hub_pull(y: FloatArray, out: FloatArray, law: PlantLaw) -> float:
     """Return the acceleration that flywheel and drag alone would give the hub [rad/s^2]."""
-    return (out[at.T_FW] - law.hub_damping_nms_rad * y[at.W_H]) / law.hub_inertia_kg_m2
+    return float((out[at.T_FW] - law.hub_damping_nms_rad * y[at.W_H]) / law.hub_inertia_kg_m2)
 
 
-@kernel
+@array_kernel
 def shaft_drag(y: FloatArray, out: FloatArray, clutch: int, shaft: ShaftParameters) -> float:
-    """Return the deceleration of the gearbox side of a clutch by all but the clutch, residual slip fading, [rad/s^2]."""
+    """Return the deceleration of a clutch's gearbox side by its shaft [rad/s^2], with the fading of residual slip."""
     slip_rad_s = y[at.W_H] - y[at.W_L + clutch]
     drag_nm = out[at.T_SI + clutch] + shaft.clutch_damping_nms_rad * y[at.W_L + clutch]
-    return drag_nm / shaft.clutch_inertia_kg_m2 + slip_rad_s / _SLIP_DECAY_S
+    return float(drag_nm / shaft.clutch_inertia_kg_m2 + slip_rad_s / _SLIP_DECAY_S)
 
 
-@kernel
+@array_kernel
 def locking_torque_nm(y: FloatArray, out: FloatArray, clutch: int, law: PlantLaw) -> float:
     """Return the torque that holds this clutch locked while the other one passes ``out[T_F]`` [N m]."""
-    shaft = law.shafts[0] if clutch == 0 else law.shafts[1]
+    shaft = law.shafts.first if clutch == 0 else law.shafts.second
     inverse_hub = 1.0 / law.hub_inertia_kg_m2
     pull = hub_pull(y, out, law) - out[at.T_F + 1 - clutch] * inverse_hub
-    return (pull + shaft_drag(y, out, clutch, shaft)) / (inverse_hub + 1.0 / shaft.clutch_inertia_kg_m2)
+    return float((pull + shaft_drag(y, out, clutch, shaft)) / (inverse_hub + 1.0 / shaft.clutch_inertia_kg_m2))
 
 
-@kernel
+@array_kernel
 def lock_both(y: FloatArray, out: FloatArray, law: PlantLaw) -> None:
     """Put the torques that hold both clutches locked into ``out``: two equations, coupled by the hub."""
     inverse_hub = 1.0 / law.hub_inertia_kg_m2
-    diagonal1 = inverse_hub + 1.0 / law.shafts[0].clutch_inertia_kg_m2
-    diagonal2 = inverse_hub + 1.0 / law.shafts[1].clutch_inertia_kg_m2
+    diagonal1 = inverse_hub + 1.0 / law.shafts.first.clutch_inertia_kg_m2
+    diagonal2 = inverse_hub + 1.0 / law.shafts.second.clutch_inertia_kg_m2
     pull = hub_pull(y, out, law)
-    need1 = pull + shaft_drag(y, out, 0, law.shafts[0])
-    need2 = pull + shaft_drag(y, out, 1, law.shafts[1])
+    need1 = pull + shaft_drag(y, out, 0, law.shafts.first)
+    need2 = pull + shaft_drag(y, out, 1, law.shafts.second)
     determinant = diagonal1 * diagonal2 - inverse_hub * inverse_hub
     out[at.T_F] = (need1 * diagonal2 - need2 * inverse_hub) / determinant
     out[at.T_F + 1] = (need2 * diagonal1 - need1 * inverse_hub) / determinant
 
 
-@kernel
-def clutch_torques(y: FloatArray, u: FloatArray, modes: IntArray, out: FloatArray, law: PlantLaw) -> None:
-    """Put the torques of both clutches into ``out``: required ones where locked, kinetic ones where slipping.
+@array_kernel
+def limit_torque(y: FloatArray, u: FloatArray, clutch: int, out: FloatArray, law: PlantLaw) -> bool:
+    """Limit a locked clutch's torque to its capacity; True if that was necessary."""
+    capacity = capacity_nm(y, u, clutch, law.clutches.first if clutch == 0 else law.clutches.second)
+    torque_nm = out[at.T_F + clutch]
+    out[at.T_F + clutch] = max(-capacity, min(capacity, torque_nm))
+    return bool(abs(torque_nm) > capacity)
 
-    A locked clutch's torque is not limited here: `settle_modes` unlocks what exceeds its capacity.
-    """
-    for clutch in range(2):
-        out[at.T_V + clutch] = 0.0
-    if modes[at.STICK] == 0:
-        out[at.T_V] = viscous_nm(y, u, 0, law.clutches[0])
-        out[at.T_F] = out[at.T_V] + contact_nm(y, u, 0, law.clutches[0])
-    if modes[at.STICK + 1] == 0:
-        out[at.T_V + 1] = viscous_nm(y, u, 1, law.clutches[1])
-        out[at.T_F + 1] = out[at.T_V + 1] + contact_nm(y, u, 1, law.clutches[1])
+
+@array_kernel
+def clutch_torques(y: FloatArray, u: FloatArray, modes: IntArray, out: FloatArray, law: PlantLaw) -> None:
+    """Put the torques of both clutches into ``out``: kinetic where slipping, required up to capacity where locked."""
+    for k in range(2):
+        out[at.T_V + k] = 0.0
+        if modes[at.STICK + k] == 0:
+            clutch = law.clutches.first if k == 0 else law.clutches.second
+            out[at.T_V + k] = viscous_nm(y, u, k, clutch)
+            out[at.T_F + k] = out[at.T_V + k] + contact_nm(y, u, k, clutch)
     if modes[at.STICK] != 0 and modes[at.STICK + 1] != 0:
         lock_both(y, out, law)
-    elif modes[at.STICK] != 0:
-        out[at.T_F] = locking_torque_nm(y, out, 0, law)
-    elif modes[at.STICK + 1] != 0:
-        out[at.T_F + 1] = locking_torque_nm(y, out, 1, law)
+        if limit_torque(y, u, 0, out, law):
+            out[at.T_F + 1] = locking_torque_nm(y, out, 1, law)
+        if limit_torque(y, u, 1, out, law):
+            out[at.T_F] = locking_torque_nm(y, out, 0, law)
+            limit_torque(y, u, 0, out, law)
+        return
+    for k in range(2):
+        if modes[at.STICK + k] != 0:
+            out[at.T_F + k] = locking_torque_nm(y, out, k, law)
+            limit_torque(y, u, k, out, law)
 
 
-@kernel
+@array_kernel
 def input_rates(y: FloatArray, u: FloatArray, modes: IntArray, out: FloatArray, law: PlantLaw) -> None:
     """Fill ``out`` from the engine to the input shafts; docs/model.md eqs. (1)-(3)."""
     engine_nm = indicated_torque_nm(y[at.P_M], y[at.SPARK], y[at.CRANK], law.air_k, law.engine)
@@ -125,15 +152,13 @@ def input_rates(y: FloatArray, u: FloatArray, modes: IntArray, out: FloatArray, 
         y[at.PHI_FW], twist_rate, law.flywheel.stiffness_nm_rad, law.flywheel.damping_nms_rad
     )
     for k in range(2):
-        shaft = law.shafts[0] if k == 0 else law.shafts[1]
+        shaft = law.shafts.first if k == 0 else law.shafts.second
         shaft_rate = y[at.W_L + k] - y[at.W_G + k]
         out[at.PHI_SI + k] = shaft_rate
-        out[at.T_SI + k] = twist_torque_nm(
-            y[at.PHI_SI + k], shaft_rate, shaft.stiffness_nm_rad, shaft.damping_nms_rad
-        )
+        out[at.T_SI + k] = twist_torque_nm(y[at.PHI_SI + k], shaft_rate, shaft.stiffness_nm_rad, shaft.damping_nms_rad)
     clutch_torques(y, u, modes, out, law)
     for k in range(2):
-        shaft = law.shafts[0] if k == 0 else law.shafts[1]
+        shaft = law.shafts.first if k == 0 else law.shafts.second
         net_nm = out[at.T_F + k] - out[at.T_SI + k] - shaft.clutch_damping_nms_rad * y[at.W_L + k]
         out[at.W_L + k] = net_nm / shaft.clutch_inertia_kg_m2
     hub_nm = out[at.T_FW] - out[at.T_F] - out[at.T_F + 1] - law.hub_damping_nms_rad * y[at.W_H]
@@ -144,14 +169,14 @@ def input_rates(y: FloatArray, u: FloatArray, modes: IntArray, out: FloatArray, 
     out[at.P_M] = manifold_rate_pa_s(y[at.P_M], u[at.AIR_FLOW], y[at.W_E], law.air_k, law.engine)
 
 
-@kernel
+@array_kernel
 def output_rates(y: FloatArray, u: FloatArray, modes: IntArray, out: FloatArray, law: PlantLaw) -> None:
     """Fill ``out`` from the gears to the road."""
     output, vehicle = law.output, law.vehicle
     inertia_kg_m2 = output.inertia_kg_m2
     net_nm = -output.damping_nms_rad * y[at.W_D]
     for k in range(2):
-        shaft = law.shafts[0] if k == 0 else law.shafts[1]
+        shaft = law.shafts.first if k == 0 else law.shafts.second
         ratio, gear_rad_s, shaft_nm = u[at.RATIO + k], y[at.W_G + k], out[at.T_SI + k]
         out[at.T_SY + k] = 0.0
         if modes[at.LINK + k] == ENGAGED:
@@ -182,12 +207,12 @@ def output_rates(y: FloatArray, u: FloatArray, modes: IntArray, out: FloatArray,
     out[at.DISTANCE] = y[at.V]
 
 
-@kernel
+@array_kernel
 def heat_rates(y: FloatArray, out: FloatArray, law: PlantLaw) -> None:
     """Fill ``out`` with the warming of clutches and sump."""
     to_oil_w = 0.0
     for k in range(2):
-        clutch = law.clutches[0] if k == 0 else law.clutches[1]
+        clutch = law.clutches.first if k == 0 else law.clutches.second
         power_w = abs(out[at.T_F + k] * (y[at.W_H] - y[at.W_L + k]))
         out[at.T_C + k] = clutch_heating_rate_k_s(
             power_w, y[at.T_C + k], y[at.T_OIL], clutch.heat_capacity_j_k, clutch.convection_w_k
@@ -198,7 +223,7 @@ def heat_rates(y: FloatArray, out: FloatArray, law: PlantLaw) -> None:
     )
 
 
-@kernel
+@array_kernel
 def evaluate(y: FloatArray, u: FloatArray, modes: IntArray, out: FloatArray, law: PlantLaw) -> None:
     """Put the rates of the state and the torques behind them into ``out``."""
     input_rates(y, u, modes, out, law)
@@ -206,16 +231,16 @@ def evaluate(y: FloatArray, u: FloatArray, modes: IntArray, out: FloatArray, law
     heat_rates(y, out, law)
 
 
-@kernel
+@array_kernel
 def settle_modes(y: FloatArray, u: FloatArray, modes: IntArray, out: FloatArray, law: PlantLaw) -> bool:
     """Lock and unlock the clutches as the torques in ``out`` demand; True if a mode changed (Karnopp's rule)."""
     has_changed = False
     for k in range(2):
-        clutch = law.clutches[0] if k == 0 else law.clutches[1]
+        clutch = law.clutches.first if k == 0 else law.clutches.second
         capacity = capacity_nm(y, u, k, clutch)
         slip_rad_s = y[at.W_H] - y[at.W_L + k]
         if modes[at.STICK + k] != 0:
-            if abs(out[at.T_F + k]) > capacity:
+            if abs(out[at.T_F + k]) >= capacity:
                 modes[at.STICK + k] = 0
                 u[at.DIRECTION + k] = 1.0 if out[at.T_F + k] > 0.0 else -1.0
                 has_changed = True

@@ -8,6 +8,7 @@ folder and environment, an own network with vcan0, and the rights of whoever sta
 import argparse
 import contextlib
 import os
+import re
 import shlex
 import shutil
 import signal
@@ -32,7 +33,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command of the command line; return its exit status."""
     parser = argparse.ArgumentParser(prog="python -m tests.uml.run", description="Run a command next to a vcan0.")
     parser.add_argument("--time-limit", type=float, default=900.0, metavar="SECONDS", help="default: 900")
-    parser.add_argument("--memory", default="2G", help="memory of the guest (default: 2G)")
+    parser.add_argument("--memory", type=memory_size, default="2G", help="of the guest, as 512M (default: 2G)")
     parser.add_argument("--force-uml", action="store_true", help="use User-Mode Linux even if this kernel has vcan")
     parser.add_argument("command", nargs="+", metavar="COMMAND")
     options = parser.parse_args(arguments)
@@ -50,6 +51,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
         )
         return UNAVAILABLE
     return run_guest(kernel, options.command, options.memory, deadline_s)
+
+
+def memory_size(text: str) -> str:
+    """Check a size on the command line."""
+    if not re.fullmatch(r"[1-9]\d*[MG]", text):
+        raise argparse.ArgumentTypeError(f"not a size: {text!r} (512M, 2G)")
+    return text
 
 
 def say(line: str) -> None:
@@ -92,7 +100,12 @@ def run_guest(kernel: str, command: Sequence[str], memory: str, deadline_s: floa
         ]  # fmt: skip
         started_s = time.monotonic()
         process = subprocess.Popen(
-            boot, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, start_new_session=True
+            boot,
+            env=boot_environment(folder, memory),
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.STDOUT,
+            start_new_session=True,
         )
         try:
             has_booted = stream_output(process, marker, started_s, deadline_s)
@@ -106,6 +119,14 @@ def run_guest(kernel: str, command: Sequence[str], memory: str, deadline_s: floa
             return TIMED_OUT
         say("vcan: the User-Mode Linux guest did not come up or broke down")
         return UNAVAILABLE
+
+
+def boot_environment(folder: Path, memory: str) -> dict[str, str]:
+    """Return the kernel's environment: the file that is its memory goes where there is room for it."""
+    size_bytes = int(memory[:-1]) * {"M": 2**20, "G": 2**30}[memory[-1]]
+    shared = Path("/dev/shm")  # noqa: S108 - the host's own tmpfs, the fastest place
+    has_room = shared.is_dir() and shutil.disk_usage(shared).free > size_bytes
+    return {"PATH": os.environ.get("PATH", os.defpath), "TMPDIR": str(shared if has_room else folder)}
 
 
 def write_job(folder: Path, command: Sequence[str], marker: str) -> None:

@@ -5,9 +5,14 @@ import pytest
 pytest_plugins = ["pytester"]
 
 
+@pytest.fixture(autouse=True)
+def _only_our_plugin(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("PYTEST_DISABLE_PLUGIN_AUTOLOAD", "1")
+
+
 def run(pytester: pytest.Pytester, source: str) -> pytest.RunResult:
     pytester.makepyfile(source)
-    return pytester.runpytest_inprocess("-p", "tests.plugins.run_report", "-p", "no:cacheprovider", "-p", "no:asyncio")
+    return pytester.runpytest_inprocess("-p", "tests.plugins.run_report", "-p", "no:cacheprovider")
 
 
 def test_a_clean_run_passes_and_names_kernel_and_broker(pytester: pytest.Pytester) -> None:

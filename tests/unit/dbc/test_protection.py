@@ -31,10 +31,15 @@ def test_protect_agrees_with_the_oracle(data: UInt8Array, data_id: int, first: i
     assert [row.tobytes() for row in protected] == [oracle(row, data_id) for row in protected]
 
 
-@given(payloads, data_ids)
-def test_crc_is_valid_agrees_with_the_oracle(data: UInt8Array, data_id: int) -> None:
+@given(payloads, data_ids, st.booleans())
+def test_check_agrees_with_the_oracle(data: UInt8Array, data_id: int, is_protected: bool) -> None:
+    """The oracle's check is CRC and a counter that is one: 15 is not."""
+    if is_protected:
+        data[:, 0] = [oracle(row, data_id)[0] for row in data]
     expected = [bool(e2e.p01.e2e_p01_check(bytearray(row.tobytes()), data_id)) for row in data]
-    assert crc_is_valid(data, data_id_remainder(data_id)).tolist() == expected
+    is_counter = counter_of(data) < COUNTER_PERIOD
+    assert (crc_is_valid(data, data_id_remainder(data_id)) & is_counter).tolist() == expected
+    assert crc_is_valid(data, data_id_remainder(data_id)).all() or not is_protected
 
 
 @given(payloads, data_ids)

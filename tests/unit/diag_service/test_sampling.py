@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from diag_service.estimation.sampling import interpolation_matrix, sample_times_s, segment_centres_s
+from diag_service.estimation.sampling import Interpolation, sample_times_s, segment_centres_s
 from diag_service.records import FloatArray, Series
 
 PERIOD_NS = 10_000_000
@@ -63,9 +63,17 @@ def test_a_mean_over_a_crank_segment_belongs_to_its_centre() -> None:
 def test_interpolation_is_exact_for_straight_lines(degree: int) -> None:
     times_s = np.array([0.0, 0.01, 0.03, 0.04])
     grid_s = np.linspace(0.0, 0.04, 41)
-    assert np.allclose(interpolation_matrix(grid_s, times_s) @ times_s**degree, grid_s**degree)
+    assert np.allclose(Interpolation.between(times_s, grid_s).to_grid(times_s**degree), grid_s**degree)
 
 
 def test_interpolation_holds_the_ends() -> None:
-    matrix = interpolation_matrix(np.array([-1.0, 5.0]), np.array([0.0, 1.0, 2.0]))
-    assert np.allclose(matrix @ np.array([7.0, 8.0, 9.0]), [7.0, 9.0])
+    ends = Interpolation.between(np.array([0.0, 1.0, 2.0]), np.array([-1.0, 5.0]))
+    assert np.allclose(ends.to_grid(np.array([7.0, 8.0, 9.0])), [7.0, 9.0])
+
+
+def test_sample_weights_are_the_transpose_of_interpolation() -> None:
+    rng = np.random.default_rng(2)
+    times_s, grid_s = np.sort(rng.uniform(0.0, 1.0, 20)), np.linspace(0.0, 1.0, 300)
+    interpolation = Interpolation.between(times_s, grid_s)
+    weights, value = rng.normal(size=(4, 300)), rng.normal(size=20)
+    assert np.allclose(interpolation.to_samples(weights) @ value, weights @ interpolation.to_grid(value))

@@ -1,0 +1,91 @@
+"""The two programs as child processes: their output in files, their end in order."""
+
+import asyncio
+import os
+import signal
+import sys
+from collections.abc import AsyncIterator, Mapping, Sequence
+from contextlib import asynccontextmanager, suppress
+from pathlib import Path
+
+from demo.errors import DemoError
+
+EMULATOR, SERVICE = "ecu_emulator", "diag_service"
+STOP_S = 15.0  # the service gives its broker five seconds at the end
+_OWN_VARIABLES = ("CAN_", "CLUTCHDIAG_")  # the user's bus and broker are not the demonstration's
+
+
+class Program:
+    """A running child; standard output goes to ``NAME.out``, standard error to ``NAME.log``."""
+
+    def __init__(self, module: str, folder: Path, process: asyncio.subprocess.Process) -> None:
+        self.name = module.replace("_", "-")
+        self._out, self._log = output_files(module, folder)
+        self._process = process
+
+    @property
+    def output(self) -> str:
+        """Standard output until now."""
+        return self._out.read_text(encoding="utf-8")
+
+    async def wait(self) -> None:
+        """Return when the program has ended well.
+
+        Raises
+        ------
+        DemoError
+            If it ended badly, with its last words.
+        """
+        status = await self._process.wait()
+        if status != 0:
+            words = self._log.read_text(encoding="utf-8", errors="replace").strip().splitlines()
+            raise DemoError(f"{self.name} ended with status {status}: {words[-1] if words else 'it said nothing'}")
+
+    async def stop(self) -> None:
+        """Ask the program to end, and make it if it does not."""
+        for number in (signal.SIGINT, signal.SIGKILL):
+            with suppress(ProcessLookupError):
+                self._process.send_signal(number)
+            with suppress(TimeoutError):
+                await asyncio.wait_for(self._process.wait(), STOP_S)
+                return
+
+
+@asynccontextmanager
+async def program(
+    module: str, *arguments: str | Path, folder: Path, environment: Mapping[str, str]
+) -> AsyncIterator[Program]:
+    """Start a module as a program; it does not outlive the block."""
+    command = [sys.executable, "-m", module, *(str(argument) for argument in arguments)]
+    out_file, log_file = output_files(module, folder)
+    with out_file.open("wb") as out, log_file.open("wb") as log:
+        process = await asyncio.create_subprocess_exec(
+            *command,
+            stdin=asyncio.subprocess.DEVNULL,
+            stdout=out,
+            stderr=log,
+            env=_child_environment(environment),
+        )
+    child = Program(module, folder, process)
+    try:
+        yield child
+    finally:
+        if process.returncode is None:
+            await asyncio.shield(child.stop())
+
+
+async def run(module: str, *arguments: str | Path, folder: Path, environment: Mapping[str, str]) -> None:
+    """Run a module as a program to its end; raises DemoError if it fails."""
+    async with program(module, *arguments, folder=folder, environment=environment) as child:
+        await child.wait()
+
+
+def output_files(module: str, folder: Path) -> Sequence[Path]:
+    """Return where standard output and standard error of a program go."""
+    name = module.replace("_", "-")
+    return folder / f"{name}.out", folder / f"{name}.log"
+
+
+def _child_environment(more: Mapping[str, str]) -> dict[str, str]:
+    inherited = {name: value for name, value in os.environ.items() if not name.startswith(_OWN_VARIABLES)}
+    return {**inherited, **more}

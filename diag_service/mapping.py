@@ -1,0 +1,226 @@
+"""Frames become canonical columns: protection check, bit fields, SI units, and a count of everything left out."""
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from types import MappingProxyType
+from typing import Final
+
+import numpy as np
+from cantools.database.can import Database, Message
+
+from diag_service.decode import PayloadWords, SignalTable, compile_signal, payload_words
+from diag_service.errors import ConfigError
+from diag_service.frames import FrameBatch
+from diag_service.profile import MANDATORY, Conversion, Profile, SignalSource, to_si
+from diag_service.protection_check import FrameReason, FrameVerdicts, LinkMonitor
+from diag_service.records import ColumnBatch, Int64Array, Series, Signal
+
+MAX_GAP_NS: Final = 1_000_000_000  # a bus that was silent for longer starts a new segment
+NS_PER_MS: Final = 1_000_000
+
+REJECTIONS: Final = tuple(reason for reason in FrameReason if reason not in {FrameReason.OK, FrameReason.UNKNOWN_ID})
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class MessageCounts:
+    """What became of the frames of one message."""
+
+    decoded: int
+    rejected: Mapping[FrameReason, int]  # reasons that occurred
+    missing: int  # sent, says the alive counter, but never received
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class DecoderCounts:
+    """What became of all frames: ``received = decoded + ignored + sum(rejected.values())``."""
+
+    received: int
+    decoded: int
+    ignored: int  # messages that no mapped signal needs
+    rejected: Mapping[FrameReason, int]  # reasons that occurred
+    missing: int  # of protected messages, not in ``received``
+    invalid_values: int  # not available or out of range, in frames that were decoded
+    messages: Mapping[str, MessageCounts]
+    invalid: Mapping[Signal, int]  # signals with invalid values
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SignalColumn:
+    """One canonical signal of a message."""
+
+    signal: Signal
+    table: SignalTable
+    to_si: Conversion
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class MessageColumns:
+    """A message and the canonical signals it carries."""
+
+    message: Message
+    period_ns: int
+    columns: tuple[SignalColumn, ...]
+
+
+def map_signals(database: Database, profile: Profile) -> tuple[MessageColumns, ...]:
+    """Return the messages that carry the signals of a profile.
+
+    Raises
+    ------
+    ConfigError
+        With everything that does not fit: mandatory signals without a source, messages or signals that the database
+        lacks, units of another kind, signals that cannot be decoded.
+    """
+    problems = [f"no source for {signal.value}" for signal in Signal if signal in MANDATORY - profile.sources.keys()]
+    messages = {message.name: message for message in database.messages}
+    found: dict[str, list[SignalColumn]] = {}
+    for signal, source in profile.sources.items():
+        try:
+            found.setdefault(source.message, []).append(_column(messages, signal, source))
+        except ConfigError as error:
+            problems.append(str(error))
+    if problems:
+        raise ConfigError(f"profile {profile.name} does not fit the database: {'; '.join(problems)}")
+    return tuple(
+        MessageColumns(
+            message=messages[name],
+            period_ns=(messages[name].cycle_time or 0) * NS_PER_MS,
+            columns=tuple(columns),
+        )
+        for name, columns in found.items()
+    )
+
+
+def _column(messages: Mapping[str, Message], signal: Signal, source: SignalSource) -> SignalColumn:
+    """Return one compiled signal."""
+    message = messages.get(source.message)
+    if message is None:
+        raise ConfigError(f"the database has no message {source.message} (for {signal.value})")
+    by_name = {candidate.name: candidate for candidate in message.signals}
+    if source.signal not in by_name:
+        raise ConfigError(f"{source.message} has no signal {source.signal} (for {signal.value})")
+    return SignalColumn(
+        signal=signal,
+        table=compile_signal(message, source.signal, check_range=source.check_range),
+        to_si=to_si(signal, source, by_name[source.signal].unit),
+    )
+
+
+class Decoder:
+    """Turns frames into canonical columns; what comes out does not depend on how the stream was cut.
+
+    Parameters
+    ----------
+    database : Database
+        Messages of the bus.
+    profile : Profile
+        Where the canonical signals are.
+
+    Raises
+    ------
+    ConfigError
+        If the profile does not fit the database.
+    """
+
+    def __init__(self, database: Database, profile: Profile) -> None:
+        self._messages = map_signals(database, profile)
+        self._monitor = LinkMonitor([mapped.message for mapped in self._messages])
+        self._invalid: dict[Signal, int] = {}
+        self._last_ns: int | None = None
+
+    @property
+    def signals(self) -> frozenset[Signal]:
+        """The canonical signals that this bus can deliver."""
+        return frozenset(column.signal for mapped in self._messages for column in mapped.columns)
+
+    @property
+    def counts(self) -> DecoderCounts:
+        """What became of all frames until now."""
+        counts, missing = self._monitor.counts, self._monitor.missing
+        total = counts.sum(axis=0)
+        messages = {
+            mapped.message.name: MessageCounts(
+                decoded=int(row[FrameReason.OK]), rejected=_rejected(row), missing=int(lost)
+            )
+            for mapped, row, lost in zip(self._messages, counts[:-1], missing, strict=True)
+        }
+        return DecoderCounts(
+            received=int(total.sum()),
+            decoded=int(total[FrameReason.OK]),
+            ignored=int(total[FrameReason.UNKNOWN_ID]),
+            rejected=_rejected(total),
+            missing=int(missing.sum()),
+            invalid_values=sum(self._invalid.values()),
+            messages=MappingProxyType(messages),
+            invalid=MappingProxyType(dict(self._invalid)),
+        )
+
+    def feed(self, batch: FrameBatch) -> list[ColumnBatch]:
+        """Return the columns of a batch: none if it is empty, several if bus time jumps inside it."""
+        return [self._decode(segment, breaks_before=breaks) for segment, breaks in self._segments(batch)]
+
+    def _segments(self, batch: FrameBatch) -> Iterator[tuple[FrameBatch, bool]]:
+        """Cut a batch where bus time goes back or stands still on the bus for too long."""
+        if not len(batch):
+            return
+        before_ns = batch.t_ns[0] if self._last_ns is None else self._last_ns
+        steps_ns = np.diff(batch.t_ns, prepend=before_ns)
+        jumps = np.flatnonzero((steps_ns < 0) | (steps_ns > MAX_GAP_NS)).tolist()
+        self._last_ns = int(batch.t_ns[-1])
+        starts = jumps if jumps[:1] == [0] else [0, *jumps]
+        for start, stop in zip(starts, [*starts[1:], len(batch)], strict=True):
+            yield batch[start:stop], start in jumps
+
+    def _decode(self, segment: FrameBatch, *, breaks_before: bool) -> ColumnBatch:
+        """Return the columns of frames without a jump of bus time between them."""
+        if breaks_before:
+            self._monitor.reset()
+        verdicts = self._monitor.check(segment)
+        columns: dict[Signal, Series] = {}
+        for index, rows in _rows_by_message(verdicts):
+            mapped = self._messages[index]
+            words = payload_words(segment.data[rows])
+            t_ns, sequence = segment.t_ns[rows], verdicts.sequence[rows]
+            for column in mapped.columns:
+                series = self._series(column, words, t_ns, sequence, mapped.period_ns)
+                if len(series.t_ns):
+                    columns[column.signal] = series
+        return ColumnBatch(
+            columns=columns,
+            watermark_ns=int(segment.t_ns[-1]),
+            breaks_before=breaks_before,
+            bad_frame_ns=_bad_frame_ns(segment, verdicts),
+        )
+
+    def _series(
+        self, column: SignalColumn, words: PayloadWords, t_ns: Int64Array, sequence: Int64Array, period_ns: int
+    ) -> Series:
+        """Return the valid samples of one signal and count the others."""
+        decoded = column.table.decode(words)
+        if decoded.invalid_count:
+            self._invalid[column.signal] = self._invalid.get(column.signal, 0) + decoded.invalid_count
+        value = decoded.value
+        if decoded.is_good is not None:
+            value, t_ns, sequence = value[decoded.is_good], t_ns[decoded.is_good], sequence[decoded.is_good]
+        return Series(t_ns=t_ns, sequence=sequence, value=column.to_si(value), period_ns=period_ns)
+
+
+def _rejected(row: Int64Array) -> Mapping[FrameReason, int]:
+    """Return the rejections of one row of counts."""
+    return MappingProxyType({reason: int(row[reason]) for reason in REJECTIONS if row[reason]})
+
+
+def _rows_by_message(verdicts: FrameVerdicts) -> Iterator[tuple[int, Int64Array]]:
+    """Yield message and rows of the accepted frames, each message once, its rows in the order of arrival."""
+    good = np.flatnonzero(verdicts.reason == FrameReason.OK)
+    good = good[np.argsort(verdicts.slot[good], kind="stable")]
+    if len(good):
+        present, first = np.unique(verdicts.slot[good], return_index=True)
+        yield from zip(present.tolist(), np.split(good, first[1:]), strict=True)
+
+
+def _bad_frame_ns(segment: FrameBatch, verdicts: FrameVerdicts) -> Int64Array:
+    """Return when mapped messages failed: a rejected frame at its own time, a missing one where it was missed."""
+    is_rejected = (verdicts.reason >= FrameReason.SHORT) & (verdicts.slot >= 0)
+    times = np.repeat(segment.t_ns, is_rejected + np.maximum(verdicts.missing, 0))
+    return times.astype(np.int64, copy=False)

@@ -1,0 +1,148 @@
+"""A drive onto a bus in real time, with the truth of every shift once its frames are on the bus."""
+
+import json
+from collections.abc import Iterator
+from contextlib import nullcontext
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from queue import SimpleQueue
+from threading import Event
+from typing import Final
+
+from ecu_emulator.bus import TransmitReport, open_bus, transmit
+from ecu_emulator.errors import RecordError
+from ecu_emulator.frames import EncodedFrames
+from ecu_emulator.progress import ProgressLine, people, print_json
+from ecu_emulator.recording import SHORT_STRETCH_S, Drive
+from ecu_emulator.scenario import Scenario
+from ecu_emulator.truth import ShiftTruth, Totals, TruthWriter
+
+MS_PER_S: Final = 1e3
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class BusChoice:
+    """Which bus to open; None leaves the choice to python-can's configuration."""
+
+    interface: str | None
+    channel: str | None
+    bitrate: int | None
+    is_fd: bool
+
+    @property
+    def name(self) -> str:
+        """What the user asked for, empty if it is left to the configuration."""
+        return " ".join(part for part in (self.interface, self.channel) if part)
+
+
+class SentTruth:
+    """Hands a drive's frames to the bus and keeps back the truth of a shift until its frames have been sent."""
+
+    def __init__(self, drive: Drive, writer: TruthWriter | None) -> None:
+        self._drive = drive
+        self._writer = writer
+        self._ahead: SimpleQueue[ShiftTruth] = SimpleQueue()  # filled by the thread that drives
+        self._next: ShiftTruth | None = None
+        self.shift_count = 0
+        self.sent_s = 0.0
+        if writer is not None:
+            writer.drive(drive.truth)
+
+    def frames(self) -> Iterator[EncodedFrames]:
+        """Drive, and yield what is to be sent; may run in a thread of its own."""
+        for stretch in self._drive.stretches(SHORT_STRETCH_S):
+            for shift in stretch.shifts:
+                self._ahead.put(shift)
+            yield stretch.frames
+
+    def sent_until(self, t_s: float) -> None:
+        """Write the shifts that ended by this scenario time [s]."""
+        self.sent_s = t_s
+        while True:
+            if self._next is None and not self._ahead.empty():
+                self._next = self._ahead.get()
+            if self._next is None or self._next.t_end_s > t_s:
+                return
+            if self._writer is not None:
+                self._writer.shifts([self._next])
+            self.shift_count += 1
+            self._next = None
+
+    def finish(self, report: TransmitReport) -> None:
+        """Write what is left, and the totals of what was sent."""
+        if report.is_complete:
+            self.sent_until(self._drive.totals.duration_s)
+        if self._writer is not None:
+            self._writer.totals(Totals(shifts=self.shift_count, duration_s=self.sent_s, frames=report.frames_sent))
+
+
+def run(
+    scenario: Scenario,
+    *,
+    choice: BusChoice,
+    truth: Path | None,
+    summary: Path | None,
+    start_delay_s: float,
+    is_json: bool,
+    stop: Event,
+) -> None:
+    """Stream a drive onto a bus in real time and report how punctual it was; a request to stop ends it in order.
+
+    Raises
+    ------
+    ConfigError, BusError, RecordError
+        If the scenario's truth is not possible, the bus cannot be used, or a file cannot be written.
+    """
+    console = people()
+    drive = Drive(scenario)
+    with (
+        open_bus(choice.interface, choice.channel, choice.bitrate, fd=choice.is_fd) as bus,
+        TruthWriter(truth) if truth is not None else nullcontext() as writer,
+        ProgressLine(console, "preparing the plant") as progress,
+    ):
+        sent = SentTruth(drive, writer)
+        _write_summary(summary, {})
+        console.print(
+            f"{scenario.name}, seed {scenario.seed}: sending on {choice.name or bus.channel_info}", markup=False
+        )
+
+        def show(sent_s: float, frame_count: int) -> None:
+            sent.sent_until(sent_s)
+            progress.update(f"{sent_s:.0f} s driven, {sent.shift_count} shifts, {frame_count} frames sent", sent_s)
+
+        report = transmit(bus, sent.frames(), stop, start_delay_s=start_delay_s, on_progress=show)
+        sent.finish(report)
+    result = {"scenario": scenario.name, "seed": scenario.seed, "shifts": sent.shift_count, **asdict(report)}
+    console.print(_report_text(report), markup=False)
+    _write_summary(summary, result)
+    if is_json:
+        print_json(result)
+
+
+def _report_text(report: TransmitReport) -> str:
+    state = "complete" if report.is_complete else "stopped early"
+    lateness = ", ".join(
+        f"{name} {value_s * MS_PER_S:.2f}"
+        for name, value_s in (
+            ("p50", report.lateness_p50_s),
+            ("p95", report.lateness_p95_s),
+            ("p99", report.lateness_p99_s),
+            ("max", report.lateness_max_s),
+        )
+    )
+    return (
+        f"{state}: {report.frames_sent} frames sent in {report.duration_s:.1f} s, {report.frames_given_up} given up "
+        f"after {report.retries} retries\n"
+        f"lateness [ms] {lateness}; drift {report.drift_ppm:+.1f} ppm; "
+        f"{report.overruns} overruns, {report.underruns} underruns"
+    )
+
+
+def _write_summary(path: Path | None, result: dict[str, object]) -> None:
+    """Write the report; called with nothing at first, so that a path that cannot be written is found at once."""
+    if path is None:
+        return
+    try:
+        path.write_text(json.dumps(result) + "\n", encoding="utf-8")
+    except OSError as exc:
+        raise RecordError(f"cannot write summary {path}: {exc.strerror}") from exc

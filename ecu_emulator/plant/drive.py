@@ -1,0 +1,103 @@
+"""What a drive is: how often and how the cycle is driven, and how driver and friction vary from cycle to cycle."""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from clutch_model.errors import CalibrationError
+from clutch_model.tables import require
+from ecu_emulator import tcu
+from ecu_emulator.tcu import ControlParameters
+
+_VARIATION_LIMIT = 2.5  # standard deviations; the driver never leaves the range in which the cycle makes sense
+_MAX_STEP_S = 5.0e-4
+_MAX_VARIATION_RATIO = 0.1
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class FrictionFactors:
+    """Factors on the true friction coefficients during one cycle."""
+
+    mu_c1: float = 1.0
+    mu_s1: float = 1.0
+    mu_c2: float = 1.0
+    mu_s2: float = 1.0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class DriveSettings:
+    """One drive of ``cycles`` shift cycles 1-2-3-4-5-6-5-4-3-2-1.
+
+    Raises
+    ------
+    CalibrationError
+        On construction, naming the first number outside its range.
+    """
+
+    cycles: int = 1
+    seed: int = 0
+    pedal_ratio: float = 0.45
+    brake_m_s2: float = 0.7
+    vary_ratio: float = 0.0  # relative standard deviation from cycle to cycle: pedal, brake, every shift speed
+    initial_oil_k: float = 363.15
+    coolant_k: float = 353.15
+    ambient_k: float = 298.15  # also the temperature of the intake air
+    grade_ratio: float = 0.0
+    initial_engine_rad_s: float = 150.0  # rolling in 1st gear
+    dt_s: float = 2.0e-4  # a whole fraction of a millisecond
+    friction_factors: tuple[FrictionFactors, ...] = ()  # per cycle, the last one goes on; none: 1
+
+    def __post_init__(self) -> None:
+        """Check every number against the range in which the cycle can be driven."""
+        require(self.cycles >= 1, f"cycles must be >= 1, got {self.cycles}")
+        require(self.seed >= 0, f"seed must be >= 0, got {self.seed}")
+        _check_range("pedal_ratio", self.pedal_ratio, 0.25, 0.9)
+        _check_range("brake_m_s2", self.brake_m_s2, 0.0, 3.0)
+        _check_range("vary_ratio", self.vary_ratio, 0.0, _MAX_VARIATION_RATIO)
+        _check_range("initial_oil_k", self.initial_oil_k, 253.15, 423.15)
+        _check_range("coolant_k", self.coolant_k, 253.15, 393.15)
+        _check_range("ambient_k", self.ambient_k, 233.15, 328.15)
+        _check_range("grade_ratio", self.grade_ratio, -0.05, 0.05)
+        _check_range("initial_engine_rad_s", self.initial_engine_rad_s, 80.0, 300.0)
+        _check_range("dt_s", self.dt_s, 1.0e-6, _MAX_STEP_S)
+        steps = 1.0e-3 / self.dt_s
+        require(abs(steps - round(steps)) < 1.0e-6 * steps, f"dt_s must divide 1 ms, got {self.dt_s}")
+        for factors in self.friction_factors:
+            for name in ("mu_c1", "mu_s1", "mu_c2", "mu_s2"):
+                _check_range(f"friction_factors {name}", getattr(factors, name), 0.3, 2.0)
+
+    @property
+    def steps_per_millisecond(self) -> int:
+        """Integration steps in one row of the record."""
+        return round(1.0e-3 / self.dt_s)
+
+
+def cycle_table(drive: DriveSettings, control: ControlParameters) -> npt.NDArray[np.float64]:
+    """Return the table of cycles, shape (cycles, `tcu.CYCLE_COLUMN_COUNT`); the same for the same seed.
+
+    A longer drive begins with the cycles of a shorter one.
+    """
+    generator = np.random.default_rng(np.random.SeedSequence(drive.seed))
+    table = np.empty((drive.cycles, tcu.CYCLE_COLUMN_COUNT))
+    driver = np.array(
+        [
+            drive.pedal_ratio,
+            drive.brake_m_s2,
+            *control.upshift_speeds_rad_s,
+            *control.downshift_speeds_rad_s,
+        ]
+    )
+    draws = generator.standard_normal((drive.cycles, driver.size)).clip(-_VARIATION_LIMIT, _VARIATION_LIMIT)
+    table[:, : driver.size] = driver * (1.0 + drive.vary_ratio * draws)
+    factors = drive.friction_factors or (FrictionFactors(),)
+    for cycle in range(drive.cycles):
+        now = factors[min(cycle, len(factors) - 1)]
+        table[cycle, tcu.CYCLE_MU :] = (now.mu_c1, now.mu_s1, now.mu_c2, now.mu_s2)
+    return table
+
+
+def _check_range(name: str, value: float, low: float, high: float) -> None:
+    if not (math.isfinite(value) and low <= value <= high):
+        raise CalibrationError(f"{name} must be {low:g}..{high:g}, got {value}")

@@ -1,0 +1,173 @@
+"""The compiled loop: each millisecond the control acts, a row is recorded, the plant advances."""
+
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from clutch_model.jit import kernel
+from clutch_model.viscosity import viscosity_pa_s
+from ecu_emulator import tcu
+from ecu_emulator.plant import state as at
+from ecu_emulator.plant.columns import Col
+from ecu_emulator.plant.driveline import ENGAGED, NEUTRAL, SYNCHRONISING
+from ecu_emulator.plant.engine import engine_losses_nm, indicated_torque_nm
+from ecu_emulator.plant.hydraulics import cavity_pressure_pa
+from ecu_emulator.plant.integration import advance_millisecond, settle
+from ecu_emulator.plant.rates import PlantLaw
+from ecu_emulator.tcu import ClutchActuation, ControlParameters
+
+FloatArray = npt.NDArray[np.float64]
+IntArray = npt.NDArray[np.int64]
+
+COLUMN_COUNT = len(Col)
+
+
+class Machine(NamedTuple):
+    """All arrays that change during a drive; the kernels write into them."""
+
+    y: FloatArray  # (STATE_COUNT,)
+    u: FloatArray  # (INPUT_COUNT,)
+    modes: IntArray  # (MODE_COUNT,)
+    before: FloatArray  # (STATE_COUNT,), as the next three: workspace of the integration
+    predicted: FloatArray
+    slope1: FloatArray  # rates and torques at the last row
+    slope: FloatArray
+    account: FloatArray  # (3 * ACCOUNT_COUNT,), or empty: no audit
+    memory: FloatArray  # (tcu.MEMORY_COUNT,)
+    sense: FloatArray  # (tcu.SENSE_COUNT,)
+    commands: FloatArray  # (tcu.COMMAND_COUNT,)
+    clock: IntArray  # (1,), milliseconds since the start
+    cycles: FloatArray  # (cycles, tcu.CYCLE_COLUMN_COUNT), read only
+
+
+class DriveLaw(NamedTuple):
+    """Everything constant over a drive."""
+
+    plant: PlantLaw
+    actuation: ClutchActuation
+    control: ControlParameters
+    overall_ratios: tuple[float, ...]  # i(g) of gears 0..6, 0 in neutral
+    steps_per_millisecond: int
+
+
+@kernel
+def sense_plant(machine: Machine, law: PlantLaw) -> None:
+    """Fill what the control senses."""
+    y, modes, sense = machine.y, machine.modes, machine.sense
+    sense[tcu.ENGINE_SPEED] = y[at.W_E]
+    torque_nm = indicated_torque_nm(y[at.P_M], y[at.SPARK], y[at.CRANK], law.air_k, law.engine)
+    sense[tcu.ENGINE_TORQUE] = torque_nm - engine_losses_nm(y[at.P_M], y[at.W_E], law.engine)
+    for k in range(2):
+        clutch = law.clutches.first if k == 0 else law.clutches.second
+        sense[tcu.SLIP + k] = y[at.W_H] - y[at.W_L + k]
+        sense[tcu.FILL + k] = y[at.VOLUME + k] / clutch.cavity.full_volume_m3
+        sense[tcu.IS_LOCKED + k] = modes[at.STICK + k]
+        sense[tcu.SHAFT_GEAR + k] = modes[at.GEAR + k]
+        sense[tcu.IS_ENGAGED + k] = modes[at.LINK + k] == ENGAGED
+
+
+@kernel
+def obey(machine: Machine, law: DriveLaw) -> None:
+    """Turn the commands into inputs of the plant and moves of the synchronisers."""
+    y, u, modes, commands = machine.y, machine.u, machine.modes, machine.commands
+    row = machine.cycles[int(machine.memory[tcu.CYCLE])]
+    u[at.PEDAL] = commands[tcu.THROTTLE]
+    u[at.THROTTLE_COMMAND] = commands[tcu.THROTTLE]
+    u[at.SPARK_COMMAND] = commands[tcu.SPARK]
+    u[at.BRAKE] = commands[tcu.BRAKE]
+    for k in range(2):
+        clutch = law.plant.clutches.first if k == 0 else law.plant.clutches.second
+        line_pa = clutch.valve.line_pressure_pa
+        u[at.P_COMMAND + k] = min(max(commands[tcu.PRESSURE + k], 0.0), line_pa)
+        u[at.T_COMMAND + k] = commands[tcu.TORQUE_COMMAND + k]
+        u[at.MU_C + k] = clutch.friction.mu_c * row[tcu.CYCLE_MU + 2 * k]
+        u[at.MU_S + k] = clutch.friction.mu_s * row[tcu.CYCLE_MU + 2 * k + 1]
+        fluid = law.plant.fluid
+        u[at.VISCOSITY + k] = viscosity_pa_s(y[at.T_C + k], fluid.a_pa_s, fluid.b_k, fluid.pole_k)
+        wanted = int(commands[tcu.WANTED_GEAR + k])
+        if wanted != modes[at.GEAR + k]:
+            modes[at.GEAR + k] = wanted
+            modes[at.LINK + k] = SYNCHRONISING if wanted != 0 else NEUTRAL
+            u[at.RATIO + k] = law.overall_ratios[wanted]
+
+
+@kernel
+def record_bodies(machine: Machine, row: FloatArray) -> None:
+    """Write the mechanical part of a row."""
+    y, u, out = machine.y, machine.u, machine.slope1
+    row[Col.T_S] = machine.clock[0] * 1.0e-3
+    row[Col.ENGINE_SPEED] = y[at.W_E]
+    row[Col.HUB_SPEED] = y[at.W_H]
+    row[Col.DIFF_SPEED] = y[at.W_D]
+    row[Col.WHEEL_SPEED] = y[at.W_W]
+    row[Col.VEHICLE_SPEED] = y[at.V]
+    row[Col.CRANK_ANGLE] = y[at.CRANK]
+    row[Col.ENGINE_TORQUE] = out[at.T_E]
+    row[Col.FLYWHEEL_TORQUE] = out[at.T_FW]
+    row[Col.SUMP_TEMPERATURE] = y[at.T_OIL]
+    row[Col.PEDAL] = u[at.PEDAL]
+    row[Col.THROTTLE] = y[at.THROTTLE]
+    row[Col.BRAKE] = u[at.BRAKE]
+    row[Col.DISTANCE] = y[at.DISTANCE]
+    row[Col.MANIFOLD_PRESSURE] = y[at.P_M]
+
+
+@kernel
+def record_clutches(machine: Machine, law: PlantLaw, row: FloatArray) -> None:
+    """Write the part of a row that comes in pairs; clutch 2 stands right of clutch 1."""
+    y, u, out = machine.y, machine.u, machine.slope1
+    for k in range(2):
+        clutch = law.clutches.first if k == 0 else law.clutches.second
+        row[Col.INPUT1_SPEED + k] = y[at.W_L + k]
+        row[Col.CLUTCH1_TORQUE + k] = out[at.T_F + k]
+        row[Col.VISCOUS1_TORQUE + k] = out[at.T_V + k]
+        row[Col.SHAFT1_TORQUE + k] = out[at.T_SI + k]
+        row[Col.PRESSURE1 + k] = cavity_pressure_pa(y[at.VOLUME + k], clutch.cavity, clutch.valve)
+        row[Col.PRESSURE1_COMMAND + k] = u[at.P_COMMAND + k]
+        row[Col.TORQUE1_COMMAND + k] = u[at.T_COMMAND + k]
+        row[Col.FILM1 + k] = y[at.FILM + k]
+        row[Col.CLUTCH1_TEMPERATURE + k] = y[at.T_C + k]
+        row[Col.STICK1 + k] = machine.modes[at.STICK + k]
+        row[Col.MU_C1 + 2 * k] = u[at.MU_C + k]
+        row[Col.MU_S1 + 2 * k] = u[at.MU_S + k]
+
+
+@kernel
+def record_control(machine: Machine, row: FloatArray) -> None:
+    """Write what the shift control shows of itself."""
+    memory, modes = machine.memory, machine.modes
+    idle = 1 - tcu.clutch_of(int(memory[tcu.CURRENT_GEAR]))
+    row[Col.CURRENT_GEAR] = memory[tcu.CURRENT_GEAR]
+    row[Col.TARGET_GEAR] = memory[tcu.TARGET_GEAR]
+    row[Col.PRESELECTED_GEAR] = modes[at.GEAR + idle] if modes[at.LINK + idle] == ENGAGED else 0
+    row[Col.SHIFT_PHASE] = memory[tcu.PHASE]
+
+
+@kernel
+def run(machine: Machine, law: DriveLaw, rows: FloatArray) -> int:
+    """Fill ``rows``, one per millisecond, until they are full or the drive is over; return how many were filled."""
+    for index in range(rows.shape[0]):
+        sense_plant(machine, law.plant)
+        tcu.control(machine.memory, machine.sense, machine.commands, machine.cycles, law.actuation, law.control)
+        if machine.memory[tcu.IS_FINISHED] != 0.0:
+            return index
+        obey(machine, law)
+        settle(machine.y, machine.u, machine.modes, machine.slope1, law.plant)
+        record_bodies(machine, rows[index])
+        record_clutches(machine, law.plant, rows[index])
+        record_control(machine, rows[index])
+        advance_millisecond(
+            machine.y,
+            machine.u,
+            machine.modes,
+            machine.before,
+            machine.predicted,
+            machine.slope1,
+            machine.slope,
+            machine.account,
+            law.steps_per_millisecond,
+            law.plant,
+        )
+        machine.clock[0] += 1
+    return int(rows.shape[0])

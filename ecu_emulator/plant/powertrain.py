@@ -1,0 +1,200 @@
+"""The powertrain: assembles parameters into laws, holds the state, hands out rows."""
+
+import numpy as np
+import numpy.typing as npt
+
+from clutch_model.calibration import Calibration, ClutchCalibration
+from clutch_model.film import applied_pressure_pa, equilibrium_film_m, film_law
+from clutch_model.friction import friction_law
+from ecu_emulator import tcu
+from ecu_emulator.plant import state as at
+from ecu_emulator.plant.audit import ACCOUNT_COUNT, PowerBalance, power_balance
+from ecu_emulator.plant.clutch import ClutchLaw, refresh_contact
+from ecu_emulator.plant.drive import DriveSettings, cycle_table
+from ecu_emulator.plant.driveline import ENGAGED
+from ecu_emulator.plant.engine import throttle_flow_kg_s
+from ecu_emulator.plant.hydraulics import HydraulicsParameters, cavity_law, closed_volume_m3
+from ecu_emulator.plant.loop import COLUMN_COUNT, DriveLaw, Machine, run
+from ecu_emulator.plant.parameters import GearboxParameters, PlantParameters
+from ecu_emulator.plant.rates import ClutchPair, FluidLaw, PlantLaw, ShaftPair
+from ecu_emulator.plant.records import as_record
+from ecu_emulator.plant.stability import check_step
+from ecu_emulator.tcu import ClutchActuation, ControlParameters
+
+FloatArray = npt.NDArray[np.float64]
+
+_ROWS_PER_S = 1000
+_IDLE_MANIFOLD_RATIO = 0.35  # of ambient pressure, when the drive begins
+
+
+class Powertrain:
+    """A vehicle on its shift cycles, one row of `Col` per millisecond.
+
+    Deterministic: the same arguments give the same rows to the last bit, however `advance` is called. Raises
+    `CalibrationError` on construction if the step is too long for the plant.
+
+    Parameters
+    ----------
+    truth : Calibration
+        True clutches, fluid and inertias.
+    parameters : PlantParameters
+        The vehicle around them.
+    drive : DriveSettings
+        Cycles, driver, temperatures, step.
+    is_audited : bool
+        Keep an energy account (about a fifth slower); see `power_balance`.
+    """
+
+    def __init__(
+        self, truth: Calibration, parameters: PlantParameters, drive: DriveSettings, *, is_audited: bool = False
+    ) -> None:
+        law = _drive_law(truth, parameters, drive)
+        check_step(drive.dt_s, law.plant, law.overall_ratios)
+        self._law = as_record(law)
+        self._machine = _initial_machine(self._law, drive, parameters.control, is_audited=is_audited)
+        self._start = self._machine.y.copy()
+
+    @property
+    def finished(self) -> bool:
+        """Whether all cycles have been driven."""
+        return bool(self._machine.memory[tcu.IS_FINISHED])
+
+    @property
+    def time_s(self) -> float:
+        """Scenario time of the next row [s]."""
+        return int(self._machine.clock[0]) / _ROWS_PER_S
+
+    @property
+    def power_balance(self) -> PowerBalance:
+        """Energies since the start; all zero but the stored ones unless the powertrain is audited."""
+        return power_balance(self._machine.account, self._start, self._machine.y, self._law.plant)
+
+    def advance(self, duration_s: float) -> FloatArray:
+        """Drive on and return the next rows, shape (n, len(Col)).
+
+        ``n`` is ``duration_s`` in whole milliseconds, less where the drive ends, and 0 after that.
+        """
+        rows = np.empty((round(duration_s * _ROWS_PER_S), COLUMN_COUNT))
+        if self.finished:
+            return rows[:0]
+        return rows[: run(self._machine, self._law, rows)]
+
+
+def _clutch_law(clutch: ClutchCalibration, valve: HydraulicsParameters) -> ClutchLaw:
+    return ClutchLaw(
+        film=film_law(clutch),
+        friction=friction_law(clutch.friction),
+        cavity=cavity_law(clutch),
+        valve=valve,
+        heat_capacity_j_k=float(clutch.thermal.heat_capacity_j_k),
+        convection_w_k=float(clutch.thermal.convection_w_k),
+    )
+
+
+def _plant_law(truth: Calibration, parameters: PlantParameters, drive: DriveSettings) -> PlantLaw:
+    first, second = (_clutch_law(clutch, parameters.hydraulics) for clutch in truth.clutches)
+    return PlantLaw(
+        engine=parameters.engine,
+        flywheel=parameters.flywheel,
+        shafts=ShaftPair(*parameters.shafts),
+        synchroniser=parameters.synchroniser,
+        output=parameters.output,
+        vehicle=parameters.vehicle,
+        clutches=ClutchPair(first, second),
+        fluid=FluidLaw(float(truth.viscosity.a_pa_s), float(truth.viscosity.b_k), float(truth.viscosity.pole_k)),
+        engine_inertia_kg_m2=float(truth.input_side.engine_inertia_kg_m2),
+        hub_inertia_kg_m2=float(truth.input_side.hub_inertia_kg_m2),
+        hub_damping_nms_rad=float(truth.input_side.hub_damping_nms_rad),
+        sump_heat_capacity_j_k=parameters.sump.heat_capacity_j_k,
+        sump_convection_w_k=parameters.sump.convection_w_k,
+        air_k=float(drive.ambient_k),
+        coolant_k=float(drive.coolant_k),
+        grade_ratio=float(drive.grade_ratio),
+    )
+
+
+def _actuation(plant: PlantLaw, friction_coefficient: float) -> ClutchActuation:
+    def slope(clutch: ClutchLaw) -> float:
+        film = clutch.film
+        return film.lining_area_m2 / (film.contact_factor_m3 * friction_coefficient * film.piston_area_m2)
+
+    first, second = plant.clutches
+    return ClutchActuation(
+        touch_pressure_pa=(first.cavity.touch_pressure_pa, second.cavity.touch_pressure_pa),
+        pressure_per_torque_pa_nm=(slope(first), slope(second)),
+        inertia_kg_m2=plant.engine_inertia_kg_m2 + plant.hub_inertia_kg_m2,
+    )
+
+
+def overall_ratios(gearbox: GearboxParameters) -> tuple[float, ...]:
+    """Return i(g) = ratio * final drive for gears 0..6; 0 in neutral."""
+    pairs = zip(gearbox.gear_ratios, gearbox.final_drive_ratios, strict=True)
+    return (0.0, *(ratio * final for ratio, final in pairs))
+
+
+def _drive_law(truth: Calibration, parameters: PlantParameters, drive: DriveSettings) -> DriveLaw:
+    plant = _plant_law(truth, parameters, drive)
+    return DriveLaw(
+        plant=plant,
+        actuation=_actuation(plant, parameters.control.friction_coefficient),
+        control=parameters.control,
+        overall_ratios=overall_ratios(parameters.gearbox),
+        steps_per_millisecond=drive.steps_per_millisecond,
+    )
+
+
+def _initial_machine(law: DriveLaw, drive: DriveSettings, control: ControlParameters, *, is_audited: bool) -> Machine:
+    """Return the state of a car that rolls in 1st gear, clutch 1 locked, 2nd gear preselected, foot off the pedal."""
+    machine = Machine(
+        y=np.zeros(at.STATE_COUNT),
+        u=np.zeros(at.INPUT_COUNT),
+        modes=np.zeros(at.MODE_COUNT, np.int64),
+        before=np.zeros(at.STATE_COUNT),
+        predicted=np.zeros(at.STATE_COUNT),
+        slope1=np.zeros(at.OUTPUT_COUNT),
+        slope=np.zeros(at.OUTPUT_COUNT),
+        account=np.zeros(3 * ACCOUNT_COUNT if is_audited else 0),
+        memory=np.zeros(tcu.MEMORY_COUNT),
+        sense=np.zeros(tcu.SENSE_COUNT),
+        commands=np.zeros(tcu.COMMAND_COUNT),
+        clock=np.zeros(1, np.int64),
+        cycles=cycle_table(drive, control),
+    )
+    _roll(machine, law, drive)
+    _close_first_clutch(machine, law)
+    machine.modes[at.STICK] = 1
+    machine.modes[at.LINK : at.LINK + 2] = ENGAGED
+    machine.modes[at.GEAR : at.GEAR + 2] = (1, 2)
+    machine.u[at.DIRECTION : at.DIRECTION + 2] = 1.0
+    machine.u[at.RATIO : at.RATIO + 2] = law.overall_ratios[1:3]
+    machine.memory[tcu.CURRENT_GEAR] = machine.memory[tcu.TARGET_GEAR] = 1
+    machine.memory[tcu.IS_DRIVING] = 1.0
+    machine.commands[tcu.WANTED_GEAR : tcu.WANTED_GEAR + 2] = (1, 2)
+    machine.commands[tcu.SPARK] = 1.0
+    return machine
+
+
+def _roll(machine: Machine, law: DriveLaw, drive: DriveSettings) -> None:
+    y, plant = machine.y, law.plant
+    output_rad_s = drive.initial_engine_rad_s / law.overall_ratios[1]
+    y[[at.W_E, at.W_H, at.W_L, at.W_G]] = drive.initial_engine_rad_s
+    y[[at.W_L + 1, at.W_G + 1]] = output_rad_s * law.overall_ratios[2]
+    y[[at.W_D, at.W_W]] = output_rad_s
+    y[at.V] = output_rad_s * plant.vehicle.wheel_radius_m
+    y[at.P_M] = _IDLE_MANIFOLD_RATIO * plant.engine.ambient_pressure_pa
+    y[at.SPARK] = 1.0
+    y[[at.T_C, at.T_C + 1, at.T_OIL]] = drive.initial_oil_k
+    machine.u[at.AIR_FLOW] = throttle_flow_kg_s(0.0, plant.engine)
+
+
+def _close_first_clutch(machine: Machine, law: DriveLaw) -> None:
+    y, actuation = machine.y, law.actuation
+    first, second = law.plant.clutches.first, law.plant.clutches.second
+    hold_nm = law.control.hold_margin_nm
+    hold_pa = actuation.touch_pressure_pa[0] + hold_nm * actuation.pressure_per_torque_pa_nm[0]
+    y[at.P_V] = hold_pa
+    y[at.VOLUME] = closed_volume_m3(hold_pa, first.cavity, first.valve)
+    y[at.FILM] = equilibrium_film_m(applied_pressure_pa(hold_pa, first.film), first.film)
+    y[at.FILM + 1] = second.film.open_gap_m
+    refresh_contact(y, 0, first)
+    refresh_contact(y, 1, second)

@@ -1,0 +1,66 @@
+"""Whether a step can follow the fastest motions of a plant; checked once, when the plant is built."""
+
+import math
+from collections.abc import Mapping, Sequence
+
+from clutch_model.tables import require
+from ecu_emulator.plant.rates import PlantLaw
+
+# Classic Runge-Kutta is stable to 2.79 on the real and to 2.83 on the imaginary axis.
+_LIMIT = 2.5
+
+
+def check_step(dt_s: float, law: PlantLaw, overall_ratios: Sequence[float]) -> None:
+    """Check that ``dt_s`` resolves every eigenvalue of the linearised plant.
+
+    Raises
+    ------
+    CalibrationError
+        Naming the motion that is too fast and the longest step it allows.
+    """
+    rates = fastest_rates_rad_s(law, overall_ratios)
+    name = max(rates, key=lambda key: rates[key])
+    longest_s = _LIMIT / rates[name]
+    require(dt_s <= longest_s, f"dt_s must be <= {longest_s:.2e} s for this plant ({name}), got {dt_s:g}")
+
+
+def fastest_rates_rad_s(law: PlantLaw, overall_ratios: Sequence[float]) -> Mapping[str, float]:
+    """Return the largest eigenvalue magnitude [rad/s] of each stiff part."""
+    flywheel, output, vehicle = law.flywheel, law.output, law.vehicle
+    valve = law.clutches.first.valve
+    rates = {
+        "flywheel": _shaft_rate(
+            flywheel.stiffness_nm_rad, flywheel.damping_nms_rad, law.engine_inertia_kg_m2, law.hub_inertia_kg_m2
+        ),
+        "output shaft": _shaft_rate(
+            output.stiffness_nm_rad, output.shaft_damping_nms_rad, output.inertia_kg_m2, vehicle.wheel_inertia_kg_m2
+        ),
+        "tyre": vehicle.tyre_stiffness_n * vehicle.wheel_radius_m**2 / vehicle.wheel_inertia_kg_m2,
+        "cavity": valve.orifice_m3_s_sqrt_pa / math.sqrt(valve.laminar_pressure_pa) / valve.pack_compliance_m3_pa,
+    }
+    for number, shaft in enumerate((law.shafts.first, law.shafts.second), start=1):
+        rates[f"input shaft {number}"] = _shaft_rate(
+            shaft.stiffness_nm_rad, shaft.damping_nms_rad, shaft.clutch_inertia_kg_m2, shaft.gear_inertia_kg_m2
+        )
+    for gear in range(1, len(overall_ratios)):
+        neighbours = [current for current in (gear - 1, gear + 1) if 1 <= current < len(overall_ratios)]
+        rates[f"synchroniser of gear {gear}"] = max(
+            _synchroniser_rate(law, overall_ratios, gear, current) for current in neighbours
+        )
+    return rates
+
+
+def _shaft_rate(stiffness_nm_rad: float, damping_nms_rad: float, first_kg_m2: float, second_kg_m2: float) -> float:
+    compliance = 1.0 / first_kg_m2 + 1.0 / second_kg_m2
+    half_damping = 0.5 * damping_nms_rad * compliance
+    discriminant = half_damping**2 - stiffness_nm_rad * compliance
+    if discriminant <= 0.0:
+        return math.sqrt(stiffness_nm_rad * compliance)
+    return half_damping + math.sqrt(discriminant)
+
+
+def _synchroniser_rate(law: PlantLaw, overall_ratios: Sequence[float], gear: int, current: int) -> float:
+    shafts = (law.shafts.second, law.shafts.first)  # by gear modulo 2
+    load_kg_m2 = law.output.inertia_kg_m2 + overall_ratios[current] ** 2 * shafts[current % 2].gear_inertia_kg_m2
+    mobility = 1.0 / shafts[gear % 2].gear_inertia_kg_m2 + overall_ratios[gear] ** 2 / load_kg_m2
+    return law.synchroniser.torque_nm / law.synchroniser.full_torque_slip_rad_s * mobility

@@ -1,0 +1,136 @@
+"""Frames into log files, faster than real time: candump, BLF, ASC or MF4, whole or not at all."""
+
+import os
+from collections.abc import Mapping
+from contextlib import suppress
+from enum import StrEnum
+from pathlib import Path
+from types import MappingProxyType, TracebackType
+from typing import BinaryIO, Final, Self
+
+import numpy as np
+
+from ecu_emulator.errors import RecordError
+from ecu_emulator.frames import EncodedFrames
+from ecu_emulator.log_formats import AscWriter, BlfWriter, CandumpWriter, FrameWriter, Header, Mf4Writer
+
+DEFAULT_START_NS: Final = 1_767_225_600_000_000_000  # 2026-01-01T00:00:00Z
+US_PER_S: Final = 1e6
+NS_PER_US: Final = 1_000
+LAST_START_NS: Final = 9_000_000_000_000_000_000  # the year 2255; ten digits of seconds, 64 bits of nanoseconds
+
+
+class LogFormat(StrEnum):
+    """The log formats that can be written."""
+
+    CANDUMP = "candump"
+    BLF = "blf"
+    ASC = "asc"
+    MF4 = "mf4"
+
+
+FORMAT_OF_SUFFIX: Final[Mapping[str, LogFormat]] = MappingProxyType({
+    ".log": LogFormat.CANDUMP, ".blf": LogFormat.BLF, ".asc": LogFormat.ASC, ".mf4": LogFormat.MF4,
+})  # fmt: skip
+_WRITERS: Final[Mapping[LogFormat, type[FrameWriter]]] = MappingProxyType({
+    LogFormat.CANDUMP: CandumpWriter, LogFormat.BLF: BlfWriter, LogFormat.ASC: AscWriter, LogFormat.MF4: Mf4Writer,
+})  # fmt: skip
+
+
+class LogFile:
+    """A log being written under a temporary name; the end of the ``with`` block gives it its own.
+
+    If the block ends with an exception, nothing is left behind, and a file that was there before stays as it was.
+    """
+
+    def __init__(self, path: Path, log_format: LogFormat, header: Header) -> None:
+        self._path = path
+        self._temporary = path.with_name(f".{path.name}.{os.getpid()}.part")
+        self._header = header
+        try:
+            self._stream: BinaryIO = self._temporary.open("wb")
+        except OSError as exc:
+            raise self._failed(exc) from exc
+        try:
+            self._writer = _WRITERS[log_format](self._stream, header)
+        except OSError as exc:
+            self._discard()
+            raise self._failed(exc) from exc
+        except RecordError:
+            self._discard()
+            raise
+
+    def write(self, frames: EncodedFrames) -> None:
+        """Append frames; their times are rounded to whole microseconds.
+
+        Raises
+        ------
+        RecordError
+            If the disk is full or no longer takes data.
+        """
+        t_us = self._header.start_us + np.rint(frames.t_s * US_PER_S).astype(np.int64)
+        try:
+            self._writer.write(t_us, frames)
+        except OSError as exc:
+            raise self._failed(exc) from exc
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        if error is not None:
+            self._discard()
+            return
+        try:
+            self._writer.close()
+            self._stream.flush()
+            os.fsync(self._stream.fileno())
+            self._stream.close()
+            self._temporary.replace(self._path)
+        except OSError as exc:
+            self._discard()
+            raise self._failed(exc) from exc
+
+    def _discard(self) -> None:
+        with suppress(OSError):
+            self._stream.close()
+        with suppress(OSError):
+            self._temporary.unlink(missing_ok=True)
+
+    def _failed(self, error: OSError) -> RecordError:
+        return RecordError(f"cannot write {self._path}: {error.strerror or error}")
+
+
+def open_log(
+    path: Path, *, log_format: LogFormat | None = None, start_ns: int = DEFAULT_START_NS, channel: str = "vcan0"
+) -> LogFile:
+    """Begin a log file.
+
+    Parameters
+    ----------
+    path : Path
+        Where the file shall be; its suffix names the format unless ``log_format`` does.
+    log_format : LogFormat
+        The format, whatever the suffix says.
+    start_ns : int
+        Time since the epoch [ns] of scenario time 0; the same drive gives the same file.
+    channel : str
+        The interface's name, for the formats that keep it (candump).
+
+    Raises
+    ------
+    RecordError
+        If the format is not known, asammdf is missing for MF4, or the file cannot be created.
+    """
+    if log_format is None and (log_format := FORMAT_OF_SUFFIX.get(path.suffix.lower())) is None:
+        known = ", ".join(f"{suffix} ({name})" for suffix, name in FORMAT_OF_SUFFIX.items())
+        raise RecordError(f"{path}: no log format has the suffix {path.suffix!r}; there are {known}")
+    if not 0 <= start_ns <= LAST_START_NS:
+        raise RecordError(f"start of the log out of range: {start_ns} ns since 1970")
+    if not channel or any(character.isspace() for character in channel):
+        raise RecordError(f"not a channel name: {channel!r}")
+    if path.exists() and not path.is_file():
+        raise RecordError(f"cannot write {path}: not a regular file")
+    return LogFile(path, log_format, Header(start_us=start_ns // NS_PER_US, channel=channel))

@@ -1,0 +1,99 @@
+"""Builders of records for tests: sound values, of which a test changes what it is about."""
+
+from dataclasses import replace
+
+from diag_service.records import (
+    ClutchVerdict,
+    Condition,
+    FrictionEstimate,
+    ShiftEstimate,
+    ShiftResult,
+    Status,
+)
+from ecu_emulator.scenario import FluidCondition, Scenario
+from ecu_emulator.scenario_file import load_scenario
+
+STREAM = "0b54b51f-6c0c-4b2c-8a6b-3f7a4c1f2d10"
+START_NS = 1_767_225_600_123_456_000  # 2026-01-01T00:00:00.123456Z
+
+
+def friction_estimate() -> FrictionEstimate:
+    return FrictionEstimate(
+        mu_c=0.1361,
+        mu_s=0.1 + 0.02,
+        std_mu_c=0.0012,
+        std_mu_s=0.0016,
+        correlation=0.4,
+        random_std_mu_c=0.0007,
+        random_std_mu_s=0.0011,
+        slope_s_rad=0.0021,
+        std_slope_s_rad=0.0003,
+        probability_negative_slope=1e-9,
+    )
+
+
+def shift_estimate(number: int = 1, to_gear: int = 2) -> ShiftEstimate:
+    start_ns = START_NS + (number - 1) * 4_000_000_000
+    return ShiftEstimate(
+        number=number,
+        from_gear=to_gear - 1,
+        to_gear=to_gear,
+        clutch=2 if to_gear % 2 == 0 else 1,
+        start_ns=start_ns,
+        end_ns=start_ns + 900_000_000,
+        status=Status.VALID,
+        reasons=(),
+        friction=friction_estimate(),
+        sample_count=31,
+        window_s=0.31,
+        chi_square_ratio=0.97,
+        quality=0.9,
+        sump_temperature_k=353.15,
+        clutch_temperature_k=361.0,
+        slip_energy_j=8400.0,
+        duration_s=0.9,
+        odometer_m=1234.0,
+    )
+
+
+def shift_result(seq: int = 1, *, vehicle: str = "car1", stream: str = STREAM, to_gear: int = 2) -> ShiftResult:
+    estimate = shift_estimate(seq, to_gear)
+    return ShiftResult(
+        vehicle=vehicle,
+        stream=stream,
+        seq=seq,
+        estimate=estimate,
+        verdict=ClutchVerdict(
+            clutch=estimate.clutch,
+            condition=Condition.GOOD,
+            reason="mu-v slope negative with probability 0.000",
+            level_ratio=0.99,
+            friction=friction_estimate(),
+            shift_count=seq,
+        ),
+        algorithm_version="algorithm-1",
+        calibration_version="1+0123456789ab",
+        produced_at="2026-01-01T00:00:05.000000Z",
+    )
+
+
+def rejected(result: ShiftResult) -> ShiftResult:
+    """Return the result of a shift from which nothing was learnt."""
+    estimate = replace(
+        result.estimate,
+        status=Status.REJECTED,
+        friction=None,
+        sump_temperature_k=None,
+        clutch_temperature_k=None,
+        slip_energy_j=None,
+        odometer_m=None,
+    )
+    verdict = replace(result.verdict, condition=Condition.NO_VERDICT, friction=None, level_ratio=None, shift_count=0)
+    return replace(result, estimate=estimate, verdict=verdict)
+
+
+def drive_scenario(name: str = "noise_only", *, fluid: str = "ideal", seed: int = 1, cycles: int = 1) -> Scenario:
+    """Return a shipped scenario with another fluid, seed or length."""
+    scenario = load_scenario(name)
+    condition = FluidCondition(fluid)
+    return replace(scenario, fluid=replace(scenario.fluid, condition=condition), seed=seed, cycles=cycles)

@@ -1,0 +1,267 @@
+"""The outbox and a real Mosquitto: absent, killed, silent, refusing."""
+
+import asyncio
+import socket
+from collections.abc import AsyncIterator, Callable, Iterator
+from contextlib import asynccontextmanager, closing
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+from amqtt.broker import Broker as AmqttBroker
+from jsonschema import Draft202012Validator
+
+from diag_service.publishers import BrokerAddress, MqttConnector, Outbox
+from diag_service.results import ServiceStatus, clutch_record, shift_record
+from diag_service.store import ResultStore, VehicleState, Versions
+from tests.builders import shift_result
+from tests.plugins.broker import Mosquitto, free_port
+from tests.subscriber import Subscriber
+from tests.unit.diag_service.test_results import schema
+
+pytestmark = pytest.mark.broker
+
+STATE = VehicleState(belief={}, condition={}, versions=Versions(algorithm="a", calibration="c"))
+STATUS = ServiceStatus(
+    vehicle="car1",
+    is_online=True,
+    connected_at="",
+    service_version="0.1.0",
+    algorithm_version="algorithm-1",
+    calibration_version="1+0123456789ab",
+)
+NOW = "2026-01-01T00:00:00.000000Z"
+USERS = {"backend": "heard", "car1": "driven"}
+
+
+@pytest.fixture(name="store")
+def _store() -> Iterator[ResultStore]:
+    with closing(ResultStore.in_memory()) as store:
+        yield store
+
+
+@pytest.fixture(autouse=True)
+def _short_pauses(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("diag_service.publishers.outbox.FIRST_PAUSE_S", 0.05)
+    monkeypatch.setattr("diag_service.publishers.outbox.LONGEST_PAUSE_S", 0.2)
+
+
+@pytest.fixture(name="strict_broker")
+def _strict_broker(tmp_path: Path) -> Iterator[Mosquitto]:
+    """Return a broker with passwords, where the vehicle may write its status and nothing else."""
+    folder = tmp_path / "strict"
+    folder.mkdir()
+    access = folder / "access"
+    access.write_text("user backend\ntopic #\nuser car1\ntopic write clutchdiag/v1/car1/status\n", encoding="utf-8")
+    access.chmod(0o600)
+    broker = Mosquitto(folder, (f"acl_file {access}",), USERS)
+    broker.start()
+    yield broker
+    broker.stop()
+
+
+def put(store: ResultStore, first: int, last: int) -> None:
+    for seq in range(first, last + 1):
+        store.add(shift_result(seq, to_gear=2 + seq % 5), STATE)
+
+
+def seqs(subscriber: Subscriber) -> list[int]:
+    return [int(payload["seq"]) for payload in subscriber.payloads("/shift")]
+
+
+async def until(condition: Callable[[], bool], timeout_s: float = 20.0) -> None:
+    async with asyncio.timeout(timeout_s):
+        while not condition():  # noqa: ASYNC110 - the condition lives in another process
+            await asyncio.sleep(0.01)
+
+
+def outbox_for(store: ResultStore, address: BrokerAddress, status: ServiceStatus | None = STATUS) -> Outbox:
+    connector = MqttConnector(address, "clutchdiag-car1", status)
+    return Outbox(store, "car1", lambda: connector.connect(NOW), str(address))
+
+
+def local(port: int, username: str | None = None, password: str | None = None) -> BrokerAddress:
+    return BrokerAddress(host="127.0.0.1", port=port, username=username, password=password)
+
+
+@asynccontextmanager
+async def running(outbox: Outbox) -> AsyncIterator[asyncio.Task[None]]:
+    sender = asyncio.create_task(outbox.run())
+    try:
+        yield sender
+    finally:
+        sender.cancel()
+        await asyncio.gather(sender, return_exceptions=True)
+
+
+async def test_subscribers_get_what_the_schemas_describe(store: ResultStore, broker: Mosquitto) -> None:
+    put(store, 1, 3)
+    with Subscriber(broker.port) as subscriber:
+        outbox = outbox_for(store, local(broker.port))
+        async with running(outbox) as sender:
+            assert await outbox.close(sender) == 0
+        subscriber.wait(lambda heard: len(heard.payloads("/status")) == 2)
+        assert subscriber.payloads("/shift") == [shift_record(result) for result in store.results("car1")]
+        for name in ("shift", "clutch", "status"):
+            topic = f"/{name}" if name != "clutch" else "/clutch/1"
+            for payload in subscriber.payloads(topic):
+                Draft202012Validator(schema(name)).validate(payload)
+        assert [payload["status"] for payload in subscriber.payloads("/status")] == ["online", "offline"]
+        assert subscriber.retained() == {}  # we were there before
+
+
+async def test_state_is_retained_and_events_are_not(store: ResultStore, broker: Mosquitto) -> None:
+    put(store, 1, 4)
+    outbox = outbox_for(store, local(broker.port))
+    async with running(outbox) as sender:
+        await until(lambda: store.unpublished_count("car1") == 0)
+        with Subscriber(broker.port) as late:
+            late.wait(lambda heard: len(heard.retained()) == 3)
+            kept = late.retained()
+        await outbox.close(sender)
+    latest = {result.verdict.clutch: result for result in store.results("car1")}
+    assert kept.pop("clutchdiag/v1/car1/status")["status"] == "online"
+    assert kept == {f"clutchdiag/v1/car1/clutch/{clutch}": clutch_record(latest[clutch]) for clutch in (1, 2)}
+
+
+async def test_a_broker_that_comes_late_gets_everything(
+    store: ResultStore, idle_broker: Mosquitto, caplog: pytest.LogCaptureFixture
+) -> None:
+    put(store, 1, 5)
+    outbox = outbox_for(store, local(idle_broker.port))
+    async with running(outbox) as sender:
+        await until(lambda: "5 results wait in the store" in caplog.text)
+        idle_broker.start()
+        with Subscriber(idle_broker.port) as subscriber:
+            put(store, 6, 8)
+            outbox.nudge()
+            await until(lambda: store.unpublished_count("car1") == 0)
+            assert await outbox.close(sender) == 0
+            subscriber.wait(lambda heard: seqs(heard)[-1:] == [8])
+    assert caplog.text.count("results wait") == 1
+
+
+@pytest.mark.parametrize("end", [Mosquitto.kill, Mosquitto.stop])
+async def test_a_broker_that_dies_in_between_loses_and_doubles_nothing(
+    store: ResultStore, broker: Mosquitto, end: Callable[[Mosquitto], None]
+) -> None:
+    with Subscriber(broker.port) as subscriber:
+        outbox = outbox_for(store, local(broker.port))
+        async with running(outbox) as sender:
+            for first in (1, 21, 41):
+                put(store, first, first + 19)
+                outbox.nudge()
+                await until(lambda: store.unpublished_count("car1") < 20)
+                await asyncio.to_thread(end, broker)
+                await asyncio.to_thread(broker.start)
+            assert await outbox.close(sender, timeout_s=20.0) == 0
+        await asyncio.to_thread(subscriber.wait, lambda heard: set(seqs(heard)) == set(range(1, 61)))
+        heard = seqs(subscriber)
+    firsts = [seq for position, seq in enumerate(heard) if seq not in heard[:position]]
+    assert firsts == sorted(firsts)  # repetitions aside, in order; the key tells a repetition
+
+
+async def test_refused_credentials_cost_nothing_but_a_warning(
+    store: ResultStore, strict_broker: Mosquitto, caplog: pytest.LogCaptureFixture
+) -> None:
+    put(store, 1, 2)
+    outbox = outbox_for(store, local(strict_broker.port, "car1", "guessed"))
+    async with running(outbox) as sender:
+        await until(lambda: "results wait" in caplog.text)
+        assert await outbox.close(sender) == 2
+    assert "connection refused: [code:135] Not authorized" in caplog.text
+    assert "guessed" not in caplog.text
+
+
+async def test_a_publication_that_the_broker_refuses_stays_in_the_outbox(
+    store: ResultStore, strict_broker: Mosquitto, caplog: pytest.LogCaptureFixture
+) -> None:
+    put(store, 1, 2)
+    outbox = outbox_for(store, local(strict_broker.port, "car1", "driven"))
+    async with running(outbox) as sender:
+        await until(lambda: "results wait" in caplog.text)
+        assert await outbox.close(sender) == 2
+    assert "clutchdiag/v1/car1/shift was refused: Not authorized" in caplog.text
+
+
+async def test_a_silent_broker_delays_the_end_for_a_limited_time(store: ResultStore, broker: Mosquitto) -> None:
+    outbox = outbox_for(store, local(broker.port))
+    async with running(outbox) as sender:
+        put(store, 1, 1)
+        outbox.nudge()
+        await until(lambda: store.unpublished_count("car1") == 0)
+        broker.freeze()
+        put(store, 2, 3)
+        outbox.nudge()
+        async with asyncio.timeout(4.0):
+            assert await outbox.close(sender, timeout_s=0.3) == 2
+    broker.thaw()
+
+
+async def test_a_listener_that_is_no_broker_delays_the_end_for_a_limited_time(store: ResultStore) -> None:
+    put(store, 1, 1)
+    with socket.create_server(("127.0.0.1", 0)) as mute:
+        outbox = outbox_for(store, local(mute.getsockname()[1]))
+        async with running(outbox) as sender:
+            await asyncio.sleep(0.2)
+            async with asyncio.timeout(4.0):
+                assert await outbox.close(sender, timeout_s=0.3) == 1
+
+
+async def test_nobody_at_the_port(store: ResultStore) -> None:
+    put(store, 1, 1)
+    outbox = outbox_for(store, local(free_port()))
+    async with running(outbox) as sender:
+        async with asyncio.timeout(2.0):
+            assert await outbox.close(sender) == 1
+
+
+async def test_a_run_without_status_announces_nothing(store: ResultStore, broker: Mosquitto) -> None:
+    put(store, 1, 1)
+    outbox = outbox_for(store, local(broker.port), None)
+    with Subscriber(broker.port) as subscriber:
+        async with running(outbox) as sender:
+            assert await outbox.close(sender) == 0
+        subscriber.wait(lambda heard: seqs(heard) == [1])
+        assert subscriber.payloads("/status") == []
+
+
+async def test_a_successor_replaces_a_service_that_vanished(store: ResultStore, broker: Mosquitto) -> None:
+    """The old session's last will must not overwrite the new one's status."""
+    connector = MqttConnector(local(broker.port), "clutchdiag-car1", STATUS)
+    heir = MqttConnector(local(broker.port), "clutchdiag-car1", replace(STATUS, service_version="0.2.0"))
+    with Subscriber(broker.port) as subscriber:
+        async with connector.connect(NOW) as vanished, heir.connect(NOW):
+            await vanished.lost()
+            subscriber.wait(lambda heard: heard.payloads("/status")[-1:] == [_online("0.2.0")])
+            statuses = [payload["status"] for payload in subscriber.payloads("/status")]
+    assert statuses == ["online", "offline", "online"]
+
+
+def _online(service_version: str) -> dict[str, object]:
+    return {
+        "schema": "clutchdiag/status/v1",
+        "vehicle": "car1",
+        "status": "online",
+        "connected_at": NOW,
+        "service_version": service_version,
+        "algorithm_version": "algorithm-1",
+        "calibration_version": "1+0123456789ab",
+    }
+
+
+async def test_a_broker_that_speaks_version_3_1_1_only(store: ResultStore) -> None:
+    """The embedded broker of the demo is one."""
+    port = free_port()
+    embedded = AmqttBroker(
+        {
+            "listeners": {"default": {"type": "tcp", "bind": f"127.0.0.1:{port}"}},
+            "plugins": {"amqtt.plugins.authentication.AnonymousAuthPlugin": {"allow_anonymous": True}},
+        }
+    )
+    await embedded.start()
+    put(store, 1, 3)
+    outbox = outbox_for(store, local(port))
+    async with running(outbox) as sender:
+        assert await outbox.close(sender) == 0
+    await embedded.shutdown()

@@ -1,0 +1,159 @@
+"""What the emulator sends is what the service receives: one suite for every transport."""
+
+import asyncio
+import threading
+from dataclasses import dataclass
+
+import can
+import pytest
+
+from diag_service.errors import SourceError
+from diag_service.frames import FrameBatch
+from diag_service.sources import FrameSource, open_source
+from diag_service.sources.columns import join
+from ecu_emulator.bus import TransmitReport, open_bus, transmit
+from ecu_emulator.frames import EncodedFrames
+from tests.traffic import as_received, assert_same_contents, random_frames
+
+
+@dataclass(frozen=True, slots=True)
+class Transport:
+    """Where both ends meet."""
+
+    interface: str
+    channel: str
+
+
+@pytest.fixture(
+    params=["virtual", "udp_multicast", pytest.param("socketcan", marks=pytest.mark.vcan)],
+)
+def transport(request: pytest.FixtureRequest) -> Transport:
+    channels = {"virtual": "contract", "udp_multicast": "239.74.163.77"}
+    interface = str(request.param)
+    channel = channels[interface] if interface in channels else request.getfixturevalue("vcan")
+    return Transport(interface, channel)
+
+
+async def collect(source: FrameSource) -> list[FrameBatch]:
+    return [batch async for batch in source]
+
+
+def send(transport: Transport, frames: EncodedFrames) -> TransmitReport:
+    chunks = [frames[first : first + 100] for first in range(0, len(frames), 100)]
+    with open_bus(transport.interface, transport.channel) as bus:
+        return transmit(bus, chunks, threading.Event())
+
+
+async def transfer(transport: Transport, frames: EncodedFrames) -> tuple[FrameBatch, FrameSource, TransmitReport]:
+    source = await open_source(transport.interface, transport.channel)
+    collector = asyncio.create_task(collect(source))
+    report = await asyncio.to_thread(send, transport, frames)
+    await asyncio.sleep(0.1)  # what python-can's transports still carry
+    await source.aclose()
+    return join(await collector), source, report
+
+
+async def test_every_frame_arrives_as_it_was_sent(transport: Transport) -> None:
+    frames = random_frames(1_000, mean_gap_s=500e-6)
+    batch, source, report = await transfer(transport, frames)
+    assert_same_contents(batch, as_received(frames))
+    assert (report.frames_sent, report.frames_given_up) == (1_000, 0)
+    assert source.counts.received == 1_000
+    assert (source.counts.kernel_dropped, source.counts.queue_dropped, source.counts.unsupported) == (0, 0, 0)
+    assert source.description == f"{transport.interface} {transport.channel}"
+
+
+async def test_times_are_whole_microseconds_of_the_epoch_that_follow_the_schedule(transport: Transport) -> None:
+    frames = random_frames(300, mean_gap_s=1e-3)
+    batch, _, report = await transfer(transport, frames)
+    assert not (batch.t_ns % 1000).any()
+    lateness_s = (batch.t_ns - batch.t_ns[0]) / 1e9 - (frames.t_s - frames.t_s[0])
+    assert abs(lateness_s).max() < report.lateness_max_s + 0.05
+
+
+async def test_a_source_reads_from_the_moment_it_is_open(transport: Transport) -> None:
+    frames = random_frames(50, mean_gap_s=20e-6)
+    source = await open_source(transport.interface, transport.channel)
+    await asyncio.to_thread(send, transport, frames)
+    await asyncio.sleep(0.1)
+    await source.aclose()
+    assert_same_contents(join(await collect(source)), as_received(frames))
+
+
+async def test_closing_ends_the_iteration_and_may_be_repeated(transport: Transport) -> None:
+    source = await open_source(transport.interface, transport.channel)
+    collector = asyncio.create_task(collect(source))
+    await asyncio.sleep(0.01)
+    await source.aclose()
+    await source.aclose()
+    assert await asyncio.wait_for(collector, timeout=5.0) == []
+    assert source.counts.received == 0
+
+
+async def test_remote_and_error_frames_carry_their_flags(transport: Transport) -> None:
+    source = await open_source(transport.interface, transport.channel)
+    with open_bus(transport.interface, transport.channel) as bus:
+        bus.send(can.Message(arbitration_id=0x123, is_extended_id=False, is_remote_frame=True, dlc=4))
+        bus.send(can.Message(arbitration_id=0x40, is_extended_id=False, is_error_frame=True, dlc=8, data=bytes(8)))
+        await asyncio.sleep(0.2)
+    await source.aclose()
+    batch = join(await collect(source))
+    assert batch.can_id.tolist() == [0x4000_0123, 0x2000_0040]
+    assert batch.length.tolist() == [4, 8]
+
+
+async def test_can_fd_frames_are_counted_and_left_out(transport: Transport) -> None:
+    is_fd = transport.interface != "virtual"  # which carries them anyway and knows no such option
+    source = await open_source(transport.interface, transport.channel, fd=is_fd)
+    with open_bus(transport.interface, transport.channel, fd=is_fd) as bus:
+        bus.send(can.Message(arbitration_id=0x123, is_extended_id=False, is_fd=True, data=bytes(12)))
+        bus.send(can.Message(arbitration_id=0x124, is_extended_id=False, data=b"\x01"))
+        await asyncio.sleep(0.2)
+    await source.aclose()
+    batch = join(await collect(source))
+    assert batch.can_id.tolist() == [0x124]
+    assert (source.counts.received, source.counts.unsupported) == (2, 1)
+
+
+@pytest.mark.parametrize("name", ["CAN_INTERFACE", "CAN_CHANNEL"])
+async def test_environment_fills_in_what_is_not_given(
+    transport: Transport, name: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv(name, transport.interface if name == "CAN_INTERFACE" else transport.channel)
+    source = await open_source(
+        None if name == "CAN_INTERFACE" else transport.interface,
+        None if name == "CAN_CHANNEL" else transport.channel,
+    )
+    await source.aclose()
+    assert source.description == f"{transport.interface} {transport.channel}"
+
+
+@pytest.mark.parametrize(("interface", "text"), [(None, "-i INTERFACE"), ("nonsense", "unknown CAN interface")])
+async def test_a_bus_that_is_not_named_is_one_clear_line(
+    interface: str | None, text: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.delenv("CAN_INTERFACE", raising=False)
+    monkeypatch.setenv("HOME", "/nonexistent")
+    with pytest.raises(SourceError, match=text) as caught:
+        await open_source(interface, "vcan0")
+    assert "\n" not in str(caught.value)
+
+
+async def test_a_channel_that_cannot_be_opened_is_one_clear_line() -> None:
+    with pytest.raises(SourceError, match="udp_multicast not-an-address cannot be opened") as caught:
+        await open_source("udp_multicast", "not-an-address")
+    assert "\n" not in str(caught.value)
+
+
+async def test_the_death_of_a_reader_thread_reaches_the_consumer(monkeypatch: pytest.MonkeyPatch) -> None:
+    source = await open_source("virtual", "contract")
+    collector = asyncio.create_task(collect(source))
+
+    def fail(*_: object, **__: object) -> None:
+        raise can.CanOperationError("the driver is gone")
+
+    with open_bus("virtual", "contract") as bus:
+        monkeypatch.setattr(type(bus), "_recv_internal", fail)
+        with pytest.raises(SourceError, match="virtual contract cannot be read: the driver is gone"):
+            await asyncio.wait_for(collector, timeout=5.0)
+    await source.aclose()

@@ -1,0 +1,223 @@
+"""The emulator's command line: exit status, one clear line for every error, clean stops."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import threading
+import time
+from pathlib import Path
+
+import can
+import pytest
+
+from ecu_emulator import __version__
+from ecu_emulator.cli import main
+from ecu_emulator.truth import read_truth, truth_path
+
+RECORD = ("--scenario", "noise_only", "--cycles", "1")
+
+
+def error_line(captured: pytest.CaptureFixture[str]) -> str:
+    lines = captured.readouterr().err.splitlines()
+    assert len(lines) == 1, lines
+    assert lines[0].startswith("ecu-emulator: error: ")
+    return lines[0]
+
+
+def test_record_writes_log_and_truth(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = tmp_path / "drive.log"
+    assert main(["record", str(path), *RECORD, "--json", "--channel", "can7"]) == 0
+    captured = capsys.readouterr()
+    result = json.loads(captured.out)
+    truth = read_truth(truth_path(path))
+    lines = path.read_text(encoding="ascii").splitlines()
+    assert lines[0].startswith("(1767225600.000000) can7 0A0#")
+    assert result["frames"] == len(lines)
+    assert (result["shifts"], result["finished"]) == (10, True)
+    assert truth.totals is not None
+    assert (truth.totals.frames, truth.totals.shifts, len(truth.shifts)) == (len(lines), 10, 10)
+    assert "x real time" in captured.err
+
+
+def test_the_same_drive_gives_the_same_files(tmp_path: Path) -> None:
+    first, second = tmp_path / "first.log", tmp_path / "second.log"
+    for path in (first, second):
+        assert main(["record", str(path), *RECORD]) == 0
+    assert first.read_bytes() == second.read_bytes()
+    assert truth_path(first).read_bytes() == truth_path(second).read_bytes()
+
+
+def test_overrides_reach_the_drive(tmp_path: Path) -> None:
+    path, truth_file = tmp_path / "drive", tmp_path / "truth.jsonl"
+    arguments = ["record", str(path), "--format", "candump", "--truth", str(truth_file), "--scenario", "ideal"]
+    changes = ["--fluid", "case2", "--seed", "77", "--cycles", "2", "--start-time", "2026-11-20T10:00:00.5+01:00"]
+    assert main([*arguments, *changes]) == 0
+    truth = read_truth(truth_file)
+    assert (truth.drive.fluid, truth.drive.seed, truth.drive.cycles, len(truth.shifts)) == ("case2", 77, 2, 20)
+    assert truth.drive.mu_c == pytest.approx((0.119, 0.119))
+    assert path.read_text(encoding="ascii").startswith("(1795165200.500000) vcan0 ")
+    assert not truth_path(path).exists()
+
+
+def test_scenarios_are_listed(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["scenarios"]) == 0
+    names = [line.split()[0] for line in capsys.readouterr().out.splitlines()]
+    assert names == ["ageing", "case1", "case2", "ideal", "noise_only"]
+
+
+def test_the_version_is_told(capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as stopped:
+        main(["--version"])
+    assert stopped.value.code == 0
+    assert capsys.readouterr().out == f"ecu-emulator {__version__}\n"
+
+
+@pytest.mark.parametrize(
+    ("arguments", "named"),
+    [
+        (["record", "{}/x.log", "--scenario", "nothing"], "no scenario 'nothing'"),
+        (["record", "{}/x.log", "--cycles", "0"], "cycles must be"),
+        (["record", "{}/x.log", "--seed", "-4"], "seed must be"),
+        (["record", "{}/x.log", "--truth", "{}/x.log"], "cannot both be"),
+        (["run", "-i", "virtual", "-c", "any", "--scenario", "{}/missing.toml"], "missing.toml"),
+    ],
+)
+def test_a_scenario_that_cannot_be_used(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], arguments: list[str], named: str
+) -> None:
+    assert main([argument.format(tmp_path) for argument in arguments]) == 2
+    assert named in error_line(capsys)
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize(
+    ("arguments", "named"),
+    [
+        ([], "COMMAND"),
+        (["fly"], "fly"),
+        (["record"], "FILE"),
+        (["record", "x.log", "--fluid", "water"], "water"),
+        (["record", "x.log", "--cycles", "many"], "many"),
+        (["record", "x.log", "--start-time", "soon"], "soon"),
+        (["record", "x.log", "--start-time", "1969-01-01"], "1970"),
+        (["run", "--start-delay", "-1"], "--start-delay"),
+    ],
+)
+def test_wrong_usage_is_one_line(capsys: pytest.CaptureFixture[str], arguments: list[str], named: str) -> None:
+    with pytest.raises(SystemExit) as stopped:
+        main(arguments)
+    assert stopped.value.code == 2
+    assert named in error_line(capsys)
+
+
+@pytest.mark.parametrize(
+    ("interface", "channel"), [("socketcan", "nocan0"), ("no_such_interface", "x"), ("udp_multicast", "not-an-address")]
+)
+def test_a_bus_that_cannot_be_opened(capsys: pytest.CaptureFixture[str], interface: str, channel: str) -> None:
+    assert main(["run", "-i", interface, "-c", channel]) == 3
+    assert interface in error_line(capsys) or channel in error_line(capsys)
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ["record", "{}/nowhere/x.log"],
+        ["record", "{}/x.unknown"],
+        ["record", "{}/x.log", "--truth", "{}/nowhere/x.jsonl"],
+        ["record", "{}/x.log", "--truth", "/dev/full"],
+        ["run", "-i", "virtual", "-c", "any", "--summary", "{}/nowhere/x.json"],
+        ["run", "-i", "virtual", "-c", "any", "--truth", "{}/nowhere/x.jsonl"],
+    ],
+)
+def test_a_file_that_cannot_be_written(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], arguments: list[str]
+) -> None:
+    assert main([argument.format(tmp_path) for argument in arguments]) == 4
+    error_line(capsys)
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_live_drive_stops_cleanly_and_accounts_for_every_frame(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], number: signal.Signals
+) -> None:
+    truth_file, summary_file = tmp_path / "truth.jsonl", tmp_path / "summary.json"
+    arguments = ["run", "-i", "virtual", "-c", f"stop{number}", *RECORD, "--json"]
+    handlers = [signal.getsignal(known) for known in (signal.SIGINT, signal.SIGTERM)]
+    received: list[can.Message] = []
+    with can.Bus(f"stop{number}", "virtual") as listener:
+        reader = threading.Thread(target=receive_then_kill, args=(listener, received, number))
+        reader.start()
+        assert main([*arguments, "--truth", str(truth_file), "--summary", str(summary_file)]) == 0
+        reader.join()
+        while (message := listener.recv(timeout=0.0)) is not None:
+            received.append(message)
+    captured = capsys.readouterr()
+    result = json.loads(captured.out)
+    assert result == json.loads(summary_file.read_text(encoding="utf-8"))
+    assert result["frames_sent"] == len(received)
+    assert (result["is_complete"], result["frames_given_up"], result["shifts"]) == (False, 0, 1)
+    assert "stopped early" in captured.err
+    truth = read_truth(truth_file)
+    assert [shift.number for shift in truth.shifts] == [1]
+    assert truth.totals is not None
+    assert truth.totals.frames == len(received)
+    assert truth.shifts[0].t_end_s <= truth.totals.duration_s
+    assert [signal.getsignal(known) for known in (signal.SIGINT, signal.SIGTERM)] == handlers
+
+
+def receive_then_kill(listener: can.BusABC, received: list[can.Message], number: signal.Signals) -> None:
+    """Receive three seconds of driving, which hold one shift, then ask the program to stop."""
+    while (message := listener.recv(timeout=60.0)) is not None:
+        received.append(message)
+        if message.timestamp - received[0].timestamp > 3.0:
+            os.kill(os.getpid(), number)
+            return
+
+
+@pytest.mark.parametrize("delay_s", [0.3, 0.8])
+def test_a_signal_while_starting_up_is_a_clean_stop(delay_s: float) -> None:
+    program = subprocess.Popen(
+        [sys.executable, "-m", "ecu_emulator", "run", "-i", "virtual", "-c", "any", "--start-delay", "30"],
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    time.sleep(delay_s)
+    program.send_signal(signal.SIGTERM)
+    _, said = program.communicate(timeout=60.0)
+    assert program.returncode == 0, said
+    assert "stopped early: 0 frames sent" in said
+
+
+def test_a_recording_that_is_stopped_is_whole(tmp_path: Path) -> None:
+    path = tmp_path / "long.log"
+    program = subprocess.Popen(
+        [sys.executable, "-m", "ecu_emulator", "record", str(path), "--cycles", "1000", "--json"],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    while not truth_path(path).exists() and program.poll() is None:
+        time.sleep(0.02)
+    program.send_signal(signal.SIGINT)
+    out, said = program.communicate(timeout=60.0)
+    assert program.returncode == 0, said
+    result = json.loads(out)
+    assert not result["finished"]
+    assert result["frames"] == len(path.read_text(encoding="ascii").splitlines()) > 0
+    assert "stopped early" in said
+
+
+def test_unexpected_errors_are_one_line_too(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def broken() -> None:
+        raise RuntimeError("wires crossed")
+
+    monkeypatch.setattr("ecu_emulator.commands.list_scenarios", broken)
+    assert main(["scenarios"]) == 1
+    assert error_line(capsys) == "ecu-emulator: error: unexpected RuntimeError: wires crossed"
+    assert main(["scenarios", "-v"]) == 1
+    assert "Traceback" in capsys.readouterr().err

@@ -1,0 +1,231 @@
+"""Log files of four formats: what the emulator or python-can writes, and what the service and python-can read."""
+
+import resource
+import stat
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import can
+import numpy as np
+import pytest
+
+from diag_service.errors import SourceError
+from diag_service.sources import LogFormat, LogReject, read_log
+from diag_service.sources.columns import join
+from ecu_emulator.bus import to_messages
+from ecu_emulator.errors import RecordError
+from ecu_emulator.frames import EncodedFrames
+from ecu_emulator.record import open_log
+from tests.traffic import START_NS, as_received, assert_same, assert_same_contents, random_frames
+
+SUFFIXES = {LogFormat.CANDUMP: ".log", LogFormat.BLF: ".blf", LogFormat.ASC: ".asc", LogFormat.MF4: ".mf4"}
+FRAMES = random_frames(20_000)
+
+
+def record(path: Path, frames: EncodedFrames = FRAMES, chunk: int = 7_001) -> Path:
+    with open_log(path, start_ns=START_NS) as log:
+        for first in range(0, len(frames), chunk):
+            log.write(frames[first : first + chunk])
+    return path
+
+
+@pytest.fixture(params=SUFFIXES)
+def log_format(request: pytest.FixtureRequest) -> LogFormat:
+    return LogFormat(request.param)
+
+
+def test_every_format_keeps_every_frame_to_the_microsecond(log_format: LogFormat, tmp_path: Path) -> None:
+    reader = read_log(record(tmp_path / f"drive{SUFFIXES[log_format]}"))
+    assert reader.format is log_format
+    assert_same(list(reader), as_received(FRAMES))
+    assert reader.counts.frames == len(FRAMES)
+    assert not reader.counts.rejected
+    assert not reader.counts.truncated
+
+
+def test_python_can_reads_what_is_written(log_format: LogFormat, tmp_path: Path) -> None:
+    path = record(tmp_path / f"drive{SUFFIXES[log_format]}")
+    with can.LogReader(path, relative_timestamp=False) as reader:
+        messages = list(reader)
+    expected = as_received(FRAMES)
+    t_us = np.rint(np.array([message.timestamp for message in messages]) * 1e6).astype(np.int64)
+    assert np.array_equal(t_us * 1000, expected.t_ns)
+    assert [bytes(message.data) for message in messages] == [
+        data[:length].tobytes() for data, length in zip(FRAMES.data, FRAMES.length, strict=True)
+    ]
+    ids = [message.arbitration_id | (0x8000_0000 if message.is_extended_id else 0) for message in messages]
+    assert np.array_equal(ids, FRAMES.can_id)
+
+
+def test_what_python_can_writes_is_read(log_format: LogFormat, tmp_path: Path) -> None:
+    path = tmp_path / f"drive{SUFFIXES[log_format]}"
+    frames = FRAMES[:2_000]
+    # python-can's ASC files keep the start to the millisecond only, and only if its digits need no leading zero.
+    start_ns = START_NS // 10**9 * 10**9 if log_format is LogFormat.ASC else START_NS
+    t_ns = as_received(frames, start_ns).t_ns - int(frames.t_s[0] * 1e6) * 1000
+    with can.Logger(path) as logger:
+        for message, t in zip(to_messages(frames), t_ns, strict=True):
+            message.timestamp = t / 1e9
+            logger.on_message_received(message)
+    reader = read_log(path)
+    batch = join(list(reader))
+    assert_same_contents(batch, as_received(frames))
+    assert np.array_equal(batch.t_ns, t_ns)
+    assert not reader.counts.rejected
+
+
+def test_the_same_frames_give_the_same_file(log_format: LogFormat, tmp_path: Path) -> None:
+    first, second = (record(tmp_path / f"{name}{SUFFIXES[log_format]}", FRAMES[:500]) for name in "ab")
+    if log_format is LogFormat.MF4:  # asammdf notes in the file when it was written
+        assert_same(list(read_log(first)), join(list(read_log(second))))
+    else:
+        assert first.read_bytes() == second.read_bytes()
+
+
+def test_contents_decide_not_the_name(log_format: LogFormat, tmp_path: Path) -> None:
+    path = record(tmp_path / f"drive{SUFFIXES[log_format]}", FRAMES[:100]).rename(tmp_path / "drive.bin")
+    reader = read_log(path)
+    reader.close()
+    assert reader.format is log_format
+
+
+@pytest.mark.parametrize("fraction", [0.005, 0.02, 0.3, 0.97])
+def test_a_truncated_file_gives_its_beginning_or_one_clear_error(
+    log_format: LogFormat, fraction: float, tmp_path: Path
+) -> None:
+    path = record(tmp_path / f"drive{SUFFIXES[log_format]}")
+    whole = path.read_bytes()
+    path.write_bytes(whole[: int(fraction * len(whole))])
+    if log_format is LogFormat.MF4:  # what the blocks mean is written at the end
+        with pytest.raises(SourceError, match="damaged or cut off"):
+            list(read_log(path))
+        return
+    reader = read_log(path)
+    batch = join(list(reader))
+    assert_same(batch, as_received(FRAMES[: len(batch)]))
+    assert len(batch) > (fraction - 0.15) * len(FRAMES)
+    assert reader.counts.truncated
+    assert reader.counts.rejected == {LogReject.CUT_OFF: 1}
+
+
+@pytest.mark.parametrize("damage", [b"\0", b"\xff", b"A"])
+def test_damage_inside_a_file_is_counted_or_one_clear_error(
+    log_format: LogFormat, damage: bytes, tmp_path: Path
+) -> None:
+    path = record(tmp_path / f"drive{SUFFIXES[log_format]}")
+    contents = bytearray(path.read_bytes())
+    middle = len(contents) // 2
+    contents[middle : middle + 300] = damage * 300
+    path.write_bytes(contents)
+    reader = read_log(path)
+    if log_format is LogFormat.MF4:
+        with pytest.raises(SourceError, match="damaged or cut off"):
+            list(reader)
+        return
+    batch = join(list(reader))
+    assert len(FRAMES) - 3_000 < len(batch) < len(FRAMES)
+    assert sum(reader.counts.rejected.values()) >= 1
+    assert reader.counts.first_rejected
+    known = {(int(i), bytes(d)) for i, d in zip(FRAMES.can_id, FRAMES.data, strict=True)}
+    assert {(int(i), bytes(d)) for i, d in zip(batch.can_id, batch.data, strict=True)} <= known
+
+
+@pytest.mark.parametrize(
+    ("contents", "text"),
+    [
+        (b"", "empty"),
+        (b"\n \n", "empty"),
+        (b"Time Stamp,ID,Extended,Bus,LEN,D1\n166064000,0000021A,false,0,8,FE\n", "not a candump, BLF, ASC or MF4"),
+        (bytes(range(256)) * 400, "not a candump, BLF, ASC or MF4"),
+        (b"MDF     3.30    TGT 15.0", "before 4"),
+        (b"MDF     4.10    ", "damaged or cut off"),
+        (b"LOGG" + bytes(20), "header"),
+        (b"LOGG" + bytes(300), "no CAN frame"),
+        (b"date Thu Jan 01 10:00:00.500 2026\nbase hex  timestamps absolute\n", "no CAN frame"),
+        (b"(1.0) can0 123##0112233\n", "no CAN frame"),
+    ],
+)
+def test_a_file_without_frames_is_one_clear_line(contents: bytes, text: str, tmp_path: Path) -> None:
+    path = tmp_path / "drive.log"
+    path.write_bytes(contents)
+    with pytest.raises(SourceError, match=text) as caught:
+        list(read_log(path))
+    assert str(caught.value).startswith(f"{path}: ")
+    assert "\n" not in str(caught.value)
+
+
+def test_a_missing_file_and_a_folder_are_one_clear_line(tmp_path: Path) -> None:
+    with pytest.raises(SourceError, match="no such file"):
+        read_log(tmp_path / "missing.log")
+    with pytest.raises(SourceError, match="folder"):
+        read_log(tmp_path)
+
+
+def test_the_first_reject_is_named_when_nothing_is_left(tmp_path: Path) -> None:
+    path = tmp_path / "fd.log"
+    path.write_bytes(b"\n(1.0) can0 123##0112233\n")
+    with pytest.raises(SourceError, match="line 2: can_fd"):
+        list(read_log(path))
+
+
+@contextmanager
+def largest_file(size_bytes: int) -> Iterator[None]:
+    """Let no file of this process grow further, as if the disk were full."""
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (size_bytes, hard))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+
+
+def test_a_full_disk_is_one_clear_error_and_leaves_nothing(log_format: LogFormat, tmp_path: Path) -> None:
+    path = tmp_path / f"drive{SUFFIXES[log_format]}"
+    path.write_bytes(b"what was there before")
+    with largest_file(40_000), pytest.raises(RecordError, match=f"cannot write {path}") as caught:
+        record(path)
+    assert "\n" not in str(caught.value)
+    assert path.read_bytes() == b"what was there before"
+    assert list(tmp_path.iterdir()) == [path]
+
+
+def test_an_interrupted_recording_leaves_nothing(log_format: LogFormat, tmp_path: Path) -> None:
+    path = tmp_path / f"drive{SUFFIXES[log_format]}"
+
+    def interrupted() -> None:
+        with open_log(path) as log:
+            log.write(FRAMES[:100])
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        interrupted()
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_recording_has_the_rights_of_any_new_file(tmp_path: Path) -> None:
+    (tmp_path / "other").touch()
+    path = record(tmp_path / "drive.log", FRAMES[:10])
+    assert stat.S_IMODE(path.stat().st_mode) == stat.S_IMODE((tmp_path / "other").stat().st_mode)
+
+
+@pytest.mark.parametrize(
+    ("name", "text"), [("drive.txt", "no log format has the suffix"), ("missing/drive.log", "No such file")]
+)
+def test_a_place_that_cannot_be_written_is_one_clear_error(name: str, text: str, tmp_path: Path) -> None:
+    with pytest.raises(RecordError, match=text):
+        open_log(tmp_path / name)
+
+
+def test_a_folder_is_not_replaced(tmp_path: Path) -> None:
+    path = tmp_path / "drive.log"
+    path.mkdir()
+    with pytest.raises(RecordError, match="not a regular file"):
+        open_log(path)
+
+
+def test_channel_and_start_are_checked(tmp_path: Path) -> None:
+    with pytest.raises(RecordError, match="channel"):
+        open_log(tmp_path / "drive.log", channel="vcan 0")
+    with pytest.raises(RecordError, match="start"):
+        open_log(tmp_path / "drive.log", start_ns=-1)

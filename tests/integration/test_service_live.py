@@ -1,0 +1,174 @@
+"""``diag-service run`` as a process on a bus of UDP datagrams: signals, crashes, brokers, every frame accounted for."""
+
+import signal
+import sqlite3
+import time
+from collections.abc import Iterator
+from contextlib import closing
+from pathlib import Path
+
+import pytest
+
+from tests.plugins.broker import Mosquitto
+from tests.replay import INTERFACE, Replay, free_group
+from tests.service import Record, Service, run_service, service
+from tests.subscriber import Subscriber
+
+FIRST_SHIFT_DONE_S = 3.2
+SECOND_SHIFT_OPEN_S = 4.2
+ALL_DONE_S = 12.0
+
+
+@pytest.fixture(name="group")
+def _group() -> str:
+    return free_group()
+
+
+@pytest.fixture(name="replay")
+def _replay(drive_log: Path, group: str) -> Iterator[Replay]:
+    replay = Replay(group, drive_log.read_bytes().splitlines())
+    yield replay
+    replay.close()
+
+
+def stored_keys(store: Path) -> list[tuple[str, int]]:
+    with closing(sqlite3.connect(store)) as connection:
+        return connection.execute("SELECT stream, seq FROM result ORDER BY position").fetchall()
+
+
+def key(record: Record) -> tuple[str, int]:
+    return str(record["stream"]), int(record["seq"])
+
+
+def counts_say(running: Service, text: str) -> bool:
+    """Ask the service for its counts; True once they say ``text``."""
+    running.send(signal.SIGUSR1)
+    time.sleep(0.05)
+    return f"diag-service: {text}" in running.err
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize("delay_s", [0.0, 0.1, 0.4, 0.8])
+def test_a_signal_while_starting_ends_it_cleanly(
+    tmp_path: Path, group: str, number: signal.Signals, delay_s: float
+) -> None:
+    with service(tmp_path, "run", "-i", INTERFACE, "-c", group, "--store", tmp_path / "car.sqlite") as running:
+        running.wait_until_it_catches(signal.SIGUSR1)  # the last to get a handler; Python itself has one for SIGINT
+        time.sleep(delay_s)
+        running.send(number)
+        ended = running.wait()
+    assert (ended.status, ended.err) == (0, "")
+
+
+def test_stopping_reports_the_open_shift_and_every_frame(tmp_path: Path, group: str, replay: Replay) -> None:
+    store = tmp_path / "car.sqlite"
+    with service(tmp_path, "run", "-i", INTERFACE, "-c", group, "--store", store, "--json") as running:
+        running.wait_for(lambda: f"listening on {INTERFACE} {group}" in running.err)
+        sent = replay.send_until(SECOND_SHIFT_OPEN_S)
+        running.wait_for(lambda: running.out.count("\n") == 1)
+        running.wait_for(lambda: counts_say(running, f"{sent} frames, {sent} decoded"))
+        running.send(signal.SIGTERM)
+        ended = running.wait()
+    assert ended.status == 0
+    frames = ended.summary["frames"]
+    assert frames["on_bus"] == sent
+    assert sent == frames["decoded"] + frames["ignored"] + sum(frames["rejected"].values()) + frames["queue_dropped"]
+    finished, cut = ended.shifts
+    assert (finished["from_gear"], finished["to_gear"]) == (1, 2)
+    assert (cut["status"], cut["reasons"]) == ("rejected", ["interrupted"])
+    assert stored_keys(store) == [key(finished), key(cut)]
+
+
+@pytest.mark.broker
+def test_kill_9_in_the_middle_loses_no_report_and_repeats_none(
+    tmp_path: Path, group: str, replay: Replay, broker: Mosquitto
+) -> None:
+    store = tmp_path / "car.sqlite"
+    arguments = ("run", "-i", INTERFACE, "-c", group, "--store", store, "--json")
+    to_broker = ("--vehicle", "car1", "--broker", broker.url)
+    with Subscriber(broker.port) as subscriber:
+        with service(tmp_path / "first", *arguments, *to_broker) as first:
+            first.wait_for(lambda: "listening" in first.err)
+            replay.send_until(SECOND_SHIFT_OPEN_S)
+            first.wait_for(lambda: first.out.count("\n") == 1)
+            first.send(signal.SIGKILL)
+            killed = first.wait()
+        subscriber.wait(lambda heard: [status["status"] for status in heard.payloads("/status")][-1:] == ["offline"])
+        with service(tmp_path / "second", *arguments, *to_broker) as second:
+            second.wait_for(lambda: "listening" in second.err)
+            replay.send_until(ALL_DONE_S)
+            second.wait_for(lambda: second.out.count("\n") >= 2)
+            second.send(signal.SIGINT)
+            stopped = second.wait()
+        reported = [key(record) for record in (*killed.shifts, *stopped.shifts)]
+        subscriber.wait(lambda heard: {key(record) for record in heard.payloads("/shift")} == set(reported))
+        subscriber.wait(lambda heard: heard.payloads("/status")[-1]["status"] == "offline")
+        statuses = [status["status"] for status in subscriber.payloads("/status")]
+    assert (killed.status, stopped.status) == (-signal.SIGKILL, 0)
+    assert stored_keys(store) == reported
+    assert [seq for _, seq in reported] == list(range(1, len(reported) + 1))
+    assert statuses == ["online", "offline", "online", "offline"]
+    assert stopped.summary["shifts"]["unpublished"] == 0
+
+
+@pytest.mark.broker
+def test_a_broker_that_dies_and_returns_gets_every_shift(
+    tmp_path: Path, group: str, replay: Replay, broker: Mosquitto
+) -> None:
+    arguments = ("run", "-i", INTERFACE, "-c", group, "--store", tmp_path / "car.sqlite", "--json")
+    with Subscriber(broker.port) as subscriber:
+        with service(tmp_path / "run", *arguments, "--broker", broker.url) as running:
+            running.wait_for(lambda: "listening" in running.err)
+            replay.send_until(FIRST_SHIFT_DONE_S)
+            subscriber.wait(lambda heard: len(heard.payloads("/shift")) == 1, timeout_s=60.0)
+            broker.kill()
+            replay.send_until(ALL_DONE_S)
+            running.wait_for(lambda: running.out.count("\n") == 3)  # the bus does not wait for the broker
+            broker.start()
+            running.wait_for(lambda: "takes results again" in running.err)
+            running.send(signal.SIGTERM)
+            ended = running.wait()
+        subscriber.wait(lambda heard: len(heard.payloads("/shift")) >= 3)
+        heard = subscriber.payloads("/shift")
+    assert ended.status == 0
+    assert ended.err.count("warning") == 1
+    assert {key(record) for record in heard} == {key(record) for record in ended.shifts}
+    assert ended.summary["shifts"]["unpublished"] == 0
+
+
+def test_a_duration_ends_the_run(tmp_path: Path, group: str) -> None:
+    arguments = ("run", "-i", INTERFACE, "-c", group, "--store", tmp_path / "car.sqlite", "--duration", "0.2")
+    ended = run_service(tmp_path, *arguments)
+    assert (ended.status, ended.err) == (0, "")
+    assert ended.out.startswith("listening on ")
+    assert "0 shifts" in ended.out
+
+
+def test_the_bus_may_come_from_the_environment(tmp_path: Path, group: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("tests.service.OWN_PREFIXES", ())
+    monkeypatch.setenv("CAN_INTERFACE", INTERFACE)
+    monkeypatch.setenv("CAN_CHANNEL", group)
+    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path))
+    ended = run_service(tmp_path, "run", "--vehicle", "car7", "--duration", "0.1")
+    assert (ended.status, ended.err) == (0, "")
+    assert f"listening on {INTERFACE} {group} for car7" in ended.out
+    assert (tmp_path / "clutchdiag" / "car7.sqlite").exists()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "status", "text"),
+    [
+        (("-i", "carrier_pigeon", "-c", "0"), 3, "carrier_pigeon"),
+        (("-i", "socketcan"), 3, "no CAN channel"),
+        (("-i", "socketcan", "-c", "none0"), 3, "interface"),  # or the kernel has no CAN at all: use another
+        (("-i", INTERFACE, "-c", "not a group"), 3, "not a group"),
+        (("-i", INTERFACE, "-b", "-5"), 2, "bit rate"),
+        (("-i", INTERFACE, "--duration", "-1"), 2, "duration"),
+        (("-i", INTERFACE, "--duration", "soon"), 2, "invalid float"),
+    ],
+)
+def test_a_bus_that_cannot_be_used_is_told_in_one_line(
+    tmp_path: Path, arguments: tuple[str, ...], status: int, text: str
+) -> None:
+    ended = run_service(tmp_path, "run", *arguments, "--store", tmp_path / "car.sqlite")
+    ended.assert_one_line(status, text)

@@ -1,0 +1,275 @@
+"""``diag-service analyze`` as a process: what it prints, keeps, refuses, and how it ends."""
+
+import os
+import resource
+import shutil
+import signal
+import sqlite3
+import subprocess
+from contextlib import closing
+from pathlib import Path
+
+import pytest
+from jsonschema import Draft202012Validator
+
+from clutch_model.calibration import nominal_calibration
+from tests.plugins.broker import Mosquitto, free_port
+from tests.plugins.drives import SHIFT_COUNT
+from tests.service import PROGRAM, environment, run_service, service
+from tests.subscriber import Subscriber
+from tests.unit.diag_service.test_results import schema
+
+NOMINAL = Path(__file__).parents[2] / "clutch_model" / "calibrations" / "nominal.toml"
+
+
+def stored_keys(store: Path) -> list[tuple[str, int]]:
+    with closing(sqlite3.connect(store)) as connection:
+        return connection.execute("SELECT stream, seq FROM result ORDER BY position").fetchall()
+
+
+def test_json_lines_are_the_public_records(drive_log: Path, tmp_path: Path) -> None:
+    ended = run_service(tmp_path, "analyze", drive_log, "--json", "--vehicle", "car1")
+    assert (ended.status, ended.err) == (0, "")
+    for record in ended.shifts:
+        Draft202012Validator(schema("shift")).validate(record)
+    for clutch in ended.summary["clutches"]:
+        Draft202012Validator(schema("clutch")).validate(clutch)
+    assert [record["seq"] for record in ended.shifts] == list(range(1, SHIFT_COUNT + 1))
+    assert {record["status"] for record in ended.shifts} == {"valid"}
+    frames = ended.summary["frames"]
+    assert frames["on_bus"] == len(drive_log.read_text(encoding="ascii").splitlines())
+    assert frames["on_bus"] == frames["decoded"] + frames["ignored"] + sum(frames["rejected"].values())
+
+
+def test_people_get_a_line_per_shift_and_a_table(drive_log: Path, tmp_path: Path) -> None:
+    ended = run_service(tmp_path, "analyze", drive_log)
+    assert (ended.status, ended.err) == (0, "")
+    assert ended.out.count(" valid ") == SHIFT_COUNT
+    assert f"{SHIFT_COUNT} shifts ({SHIFT_COUNT} valid)" in ended.out
+
+
+def test_the_same_log_twice_is_stored_once(drive_log: Path, tmp_path: Path) -> None:
+    arguments = ("analyze", drive_log, "--json", "--store", tmp_path / "car.sqlite")
+    first, second = (run_service(tmp_path / name, *arguments) for name in ("first", "second"))
+    assert first.shifts == second.shifts
+    assert (first.summary["shifts"]["stored"], second.summary["shifts"]["stored"]) == (SHIFT_COUNT, 0)
+    assert second.summary["shifts"]["already_stored"] == SHIFT_COUNT
+    assert len(stored_keys(tmp_path / "car.sqlite")) == SHIFT_COUNT
+
+
+def test_an_analysis_that_was_stopped_is_taken_up_where_it_ended(drive_log: Path, tmp_path: Path) -> None:
+    whole = run_service(tmp_path / "whole", "analyze", drive_log, "--json")
+    store = tmp_path / "car.sqlite"
+    arguments = ("analyze", drive_log, "--json", "--store", store)
+    with service(tmp_path / "stopped", *arguments) as running:
+        running.wait_for(lambda: store.exists() and running.out.count("\n") > 0)
+        running.send(signal.SIGTERM)
+        stopped = running.wait()
+    resumed = run_service(tmp_path / "resumed", *arguments)
+    assert (stopped.status, resumed.status) == (0, 0)
+    assert stopped.shifts == whole.shifts[: len(stopped.shifts)]
+    assert resumed.shifts == whole.shifts
+
+
+def test_logs_of_one_drive_are_put_in_order(drive_log: Path, tmp_path: Path) -> None:
+    lines = drive_log.read_bytes().splitlines(keepends=True)
+    (tmp_path / "a.log").write_bytes(b"".join(lines[len(lines) // 2 :]))
+    (tmp_path / "b.log").write_bytes(b"".join(lines[: len(lines) // 2]))
+    whole = run_service(tmp_path / "whole", "analyze", drive_log, "--json")
+    parts = run_service(tmp_path / "parts", "analyze", tmp_path / "a.log", tmp_path / "b.log", "--json")
+    assert parts.shifts == whole.shifts  # the stream's name included: it is the contents', in order
+
+
+def test_damage_in_a_log_is_counted_and_told(drive_log: Path, tmp_path: Path) -> None:
+    lines = drive_log.read_text(encoding="ascii").splitlines()
+    crc_spoilt = [line[:-1] + ("0" if line[-1] != "0" else "1") for line in lines[100:110]]
+    log = tmp_path / "damaged.log"
+    log.write_text("\n".join([*lines[:100], *crc_spoilt, "what is this", *lines[110:]]) + "\n", encoding="ascii")
+    ended = run_service(tmp_path, "analyze", log, "--json")
+    assert ended.status == 0
+    assert ended.summary["frames"]["rejected"]["bad_crc"] == len(crc_spoilt)
+    assert ended.summary["frames"]["unreadable"] == {"malformed": 1}
+    assert "damaged.log: 1 pieces are no frames" in ended.err
+    assert ended.err.count("\n") == 1
+
+
+def test_a_calibration_of_another_version_starts_a_state_of_its_own(drive_log: Path, tmp_path: Path) -> None:
+    store = tmp_path / "car.sqlite"
+    run_service(tmp_path / "first", "analyze", drive_log, "--json", "--store", store)
+    edited = tmp_path / "edited.toml"
+    inertia = nominal_calibration().input_side.engine_inertia_kg_m2
+    edited.write_text(
+        NOMINAL.read_text(encoding="utf-8").replace(
+            f"engine_inertia_kg_m2 = {inertia:g}", f"engine_inertia_kg_m2 = {inertia * 1.01:g}"
+        ),
+        encoding="utf-8",
+    )
+    second = run_service(tmp_path / "second", "analyze", drive_log, "--json", "--store", store, "--calibration", edited)
+    assert second.status == 0
+    assert "starting afresh, results stay" in second.err
+    assert second.summary["shifts"]["stored"] == SHIFT_COUNT
+    assert [clutch["shift_count"] for clutch in second.summary["clutches"]] == [1, 2]
+    assert len(stored_keys(store)) == 2 * SHIFT_COUNT
+
+
+@pytest.mark.parametrize(
+    ("arguments", "status", "text"),
+    [
+        (("analyze",), 2, "required: LOG"),
+        (("analyse", "{log}"), 2, "invalid choice"),
+        (("analyze", "{log}", "{log}"), 2, "given twice"),
+        (("analyze", "{log}", "--vehicle", "a/b"), 2, "vehicle id"),
+        (("analyze", "{log}", "--broker", "http://x"), 2, "mqtt://"),
+        (("analyze", "{log}", "--calibration", "{tmp}/none.toml"), 2, "cannot read calibration"),
+        (("analyze", "{log}", "--calibration", "{tmp}/range.toml"), 2, "mu_c must be 0.02..0.5"),
+        (("analyze", "{log}", "--calibration", "{log}"), 2, "is not TOML"),
+        (("analyze", "{log}", "--dbc", "{tmp}/none.dbc"), 2, "none.dbc"),
+        (("analyze", "{log}", "--dbc", "{tmp}/foreign.dbc"), 2, "TCU_Shift"),
+        (("analyze", "{log}", "--dbc", "{log}"), 2, "drive.log"),
+        (("analyze", "{log}", "--profile", "{tmp}/none.toml"), 2, "none.toml"),
+        (("analyze", "{tmp}/none.log"), 3, "none.log"),
+        (("analyze", "{tmp}/empty.log"), 3, "empty.log"),
+        (("analyze", "{tmp}/garbage.log"), 3, "garbage.log"),
+        (("analyze", "{tmp}"), 3, "is a folder"),
+        (("analyze", "{log}", "--store", "{tmp}"), 4, "unable to open"),
+        (("analyze", "{log}", "--store", "{tmp}/garbage.log"), 4, "not a database"),
+        (("analyze", "{log}", "--store", "/proc/car.sqlite"), 4, "/proc/car.sqlite"),
+    ],
+)
+def test_what_cannot_be_used_is_told_in_one_line(
+    drive_log: Path, tmp_path: Path, arguments: tuple[str, ...], status: int, text: str
+) -> None:
+    (tmp_path / "empty.log").touch()
+    (tmp_path / "garbage.log").write_bytes(bytes(range(256)) * 40)
+    (tmp_path / "foreign.dbc").write_text('VERSION ""\nBU_: A\nBO_ 1 M: 8 A\n SG_ S : 0|8@1+ (1,0) [0|255] "" A\n')
+    (tmp_path / "range.toml").write_text(NOMINAL.read_text(encoding="utf-8").replace("mu_c = 0.14", "mu_c = 1.4"))
+    filled = [argument.format(log=drive_log, tmp=tmp_path) for argument in arguments]
+    run_service(tmp_path / "run", *filled).assert_one_line(status, text)
+
+
+def test_more_words_tell_where_it_happened(tmp_path: Path) -> None:
+    ended = run_service(tmp_path, "analyze", tmp_path / "none.log", "-v")
+    assert ended.status == 3
+    assert ended.err.startswith("Traceback")
+    assert ended.err.splitlines()[-1].startswith("diag-service: error: ")
+
+
+def test_a_store_that_is_read_only(drive_log: Path, tmp_path: Path) -> None:
+    folder = tmp_path / "sealed"
+    folder.mkdir()
+    folder.chmod(0o555)
+    # Root passes every permission bit unless it gives that up.
+    wrapper = ("setpriv", "--bounding-set", "-dac_override,-dac_read_search") if os.getuid() == 0 else ()
+    ended = run_service(tmp_path, "analyze", drive_log, "--store", folder / "car.sqlite", wrapper=wrapper)
+    ended.assert_one_line(4, "Permission denied")
+
+
+def test_a_database_that_is_read_only(drive_log: Path, tmp_path: Path) -> None:
+    store = tmp_path / "car.sqlite"
+    run_service(tmp_path / "first", "analyze", drive_log, "--store", store)
+    store.chmod(0o444)
+    wrapper = ("setpriv", "--bounding-set", "-dac_override,-dac_read_search") if os.getuid() == 0 else ()
+    ended = run_service(
+        tmp_path / "second", "analyze", drive_log, "--store", store, "--vehicle", "car2", wrapper=wrapper
+    )
+    ended.assert_one_line(4, "readonly database")
+    assert len(stored_keys(store)) == SHIFT_COUNT
+
+
+def test_a_disk_that_fills_up_loses_nothing_that_was_reported(drive_log: Path, tmp_path: Path) -> None:
+    store = tmp_path / "car.sqlite"
+    run_service(tmp_path / "first", "analyze", drive_log, "--store", store, "--vehicle", "car1")
+    limit = store.stat().st_size + 20_000
+
+    def fill_disk() -> None:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (limit, limit))
+
+    done = subprocess.run(
+        [*PROGRAM, "analyze", drive_log, "--json", "--store", store, "--vehicle", "car2"],
+        capture_output=True,
+        text=True,
+        check=False,
+        preexec_fn=fill_disk,
+        env=environment(),
+    )
+    assert done.returncode == 4
+    assert done.stderr.count("\n") == 1
+    assert done.stderr.startswith("diag-service: error: cannot use store")
+    reported = done.stdout.count("\n")
+    assert reported < SHIFT_COUNT
+    assert len(stored_keys(store)) >= SHIFT_COUNT + reported
+
+
+def test_a_second_service_leaves_the_store_alone(drive_log: Path, tmp_path: Path) -> None:
+    store = tmp_path / "car.sqlite"
+    with service(tmp_path / "first", "run", "-i", "udp_multicast", "-c", "239.74.163.7", "--store", store) as first:
+        first.wait_for(lambda: "listening" in first.out)
+        second = run_service(tmp_path / "second", "analyze", drive_log, "--store", store)
+        second.assert_one_line(4, f"in use by another diag-service (process {first.process.pid})")
+        first.send(signal.SIGTERM)
+        assert first.wait().status == 0
+    assert run_service(tmp_path / "third", "analyze", drive_log, "--store", store).status == 0
+
+
+def test_a_reader_that_hangs_up_ends_the_run(drive_log: Path) -> None:
+    analysis = subprocess.Popen(
+        [*PROGRAM, "analyze", drive_log, "--json"], stdout=subprocess.PIPE, stderr=subprocess.PIPE, env=environment()
+    )
+    head = subprocess.run(
+        [shutil.which("head") or "head", "-1"], stdin=analysis.stdout, capture_output=True, check=True
+    )
+    assert analysis.stdout is not None
+    analysis.stdout.close()
+    assert analysis.stderr is not None
+    err = analysis.stderr.read()
+    analysis.stderr.close()
+    assert (analysis.wait(60), err) == (0, b"")
+    assert head.stdout.count(b"\n") == 1
+
+
+def test_an_output_that_takes_nothing_is_an_error(drive_log: Path) -> None:
+    with Path("/dev/full").open("wb") as full:
+        done = subprocess.run(
+            [*PROGRAM, "analyze", drive_log, "--json"],
+            stdout=full,
+            stderr=subprocess.PIPE,
+            text=True,
+            check=False,
+            env=environment(),
+        )
+    assert done.returncode == 1
+    assert done.stderr.splitlines()[0].startswith("diag-service: error: unexpected OSError: ")
+    assert "Traceback" not in done.stderr
+
+
+@pytest.mark.broker
+def test_results_reach_a_broker(drive_log: Path, tmp_path: Path, broker: Mosquitto) -> None:
+    with Subscriber(broker.port) as subscriber:
+        ended = run_service(tmp_path, "analyze", drive_log, "--json", "--vehicle", "car1", "--broker", broker.url)
+        assert (ended.status, ended.summary["shifts"]["unpublished"]) == (0, 0)
+        subscriber.wait(lambda heard: len(heard.payloads("car1/shift")) == SHIFT_COUNT)
+        assert subscriber.payloads("car1/shift") == ended.shifts
+
+
+@pytest.mark.broker
+def test_results_without_a_broker_wait_in_the_store(drive_log: Path, tmp_path: Path, broker: Mosquitto) -> None:
+    arguments = ("analyze", drive_log, "--json", "--vehicle", "car1", "--store", tmp_path / "car.sqlite")
+    absent = run_service(tmp_path / "absent", *arguments, "--broker", f"mqtt://127.0.0.1:{free_port()}")
+    assert (absent.status, absent.summary["shifts"]["unpublished"]) == (0, SHIFT_COUNT)
+    assert absent.err.count("warning") == 1
+    with Subscriber(broker.port) as subscriber:
+        present = run_service(tmp_path / "present", *arguments, "--broker", broker.url)
+        assert (present.status, present.err, present.summary["shifts"]["unpublished"]) == (0, "", 0)
+        subscriber.wait(lambda heard: len(heard.payloads("car1/shift")) == SHIFT_COUNT)
+        assert subscriber.payloads("car1/shift") == absent.shifts
+
+
+def test_results_that_nobody_keeps_are_told(drive_log: Path, tmp_path: Path) -> None:
+    ended = run_service(tmp_path, "analyze", drive_log, "--broker", f"mqtt://127.0.0.1:{free_port()}")
+    assert ended.status == 0
+    assert f"{SHIFT_COUNT} results were not delivered and are not kept" in ended.err
+
+
+def test_version(tmp_path: Path) -> None:
+    ended = run_service(tmp_path, "--version")
+    assert (ended.status, ended.out) == (0, "diag-service 0.1.0\n")

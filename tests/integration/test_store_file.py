@@ -1,0 +1,175 @@
+"""What disks, other programs and other versions do to a store: one clear line each, and nothing stored is lost."""
+
+import os
+import sqlite3
+from collections.abc import Callable
+from contextlib import closing
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from diag_service.errors import StoreError
+from diag_service.store import APPLICATION_ID, SCHEMA_VERSION, ResultStore, VehicleState, Versions
+from tests.builders import shift_result
+
+STATE = VehicleState(belief={"mark": 1}, condition={}, versions=Versions(algorithm="a", calibration="c"))
+
+
+@pytest.fixture(name="path")
+def _path(tmp_path: Path) -> Path:
+    return tmp_path / "results" / "car1.sqlite"
+
+
+@pytest.fixture(name="connections")
+def _connections(monkeypatch: pytest.MonkeyPatch) -> list[sqlite3.Connection]:
+    """Return the database connections that the test opens: some settings are known to a connection only."""
+    opened: list[sqlite3.Connection] = []
+
+    class Noted(sqlite3.Connection):
+        def __init__(self, database: str | Path, **settings: Any) -> None:  # noqa: ANN401 - signature of sqlite3
+            super().__init__(database, **settings)
+            opened.append(self)
+
+    connect = sqlite3.connect
+    monkeypatch.setattr(sqlite3, "connect", partial(connect, factory=Noted))
+    return opened
+
+
+def fill(path: Path, count: int) -> str:
+    with closing(ResultStore.open(path)) as store:
+        for seq in range(1, count + 1):
+            store.add(shift_result(seq, stream=store.stream), STATE)
+        return store.stream
+
+
+def edit(path: Path, sql: str) -> None:
+    with closing(sqlite3.connect(path)) as connection:
+        connection.executescript(sql)
+
+
+def test_a_store_is_made_with_its_folder_and_read_again(path: Path) -> None:
+    stream = fill(path, 3)
+    with closing(ResultStore.open(path)) as store:
+        assert store.stream == stream
+        assert list(store.results("car1")) == [shift_result(seq, stream=stream) for seq in (1, 2, 3)]
+        assert store.state("car1") == STATE
+        assert store.next_seq() == 4
+
+
+def test_sequence_numbers_outlive_their_results(path: Path) -> None:
+    fill(path, 3)
+    edit(path, "DELETE FROM result")
+    with closing(ResultStore.open(path)) as store:
+        assert store.next_seq() == 4
+
+
+def test_every_commit_is_durable(path: Path, connections: list[sqlite3.Connection]) -> None:
+    with closing(ResultStore.open(path)):
+        settings = [connections[0].execute(f"PRAGMA {name}").fetchone() for name in ("journal_mode", "synchronous")]
+    assert settings == [("wal",), (2,)]  # 2: FULL
+
+
+def test_two_services_do_not_share_a_store(path: Path) -> None:
+    with closing(ResultStore.open(path)):
+        with pytest.raises(StoreError, match=rf"in use by another diag-service \(process {os.getpid()}\)"):
+            ResultStore.open(path)
+        with pytest.raises(StoreError, match="in use"):  # by another name too
+            ResultStore.open(path.parent / "." / path.name)
+    ResultStore.open(path).close()
+
+
+def test_a_store_that_cannot_be_opened_is_not_left_locked(path: Path) -> None:
+    path.parent.mkdir()
+    path.write_bytes(b"not a database, but longer than the header of one " * 100)
+    for _ in range(2):
+        with pytest.raises(StoreError, match="file is not a database"):
+            ResultStore.open(path)
+    path.unlink()
+    ResultStore.open(path).close()
+
+
+@pytest.mark.parametrize(
+    ("spoil", "message"),
+    [
+        (lambda path: path.mkdir(), "unable to open database file"),
+        (lambda path: path.write_bytes(b"x" * 5000), "file is not a database"),
+        (lambda path: edit(path, "CREATE TABLE guests (name)"), "of another program"),
+        (lambda path: edit(path, "PRAGMA application_id = 7"), "of another program"),
+    ],
+)
+def test_what_is_no_store(path: Path, spoil: Callable[[Path], object], message: str) -> None:
+    path.parent.mkdir()
+    spoil(path)
+    with pytest.raises(StoreError, match=message):
+        ResultStore.open(path)
+
+
+def test_a_store_of_a_newer_version_is_left_alone(path: Path) -> None:
+    fill(path, 1)
+    edit(path, f"PRAGMA user_version = {SCHEMA_VERSION + 1}")
+    before = path.read_bytes()
+    with pytest.raises(StoreError, match="written by a newer diag-service"):
+        ResultStore.open(path)
+    assert path.read_bytes() == before
+
+
+def test_damaged_pages_are_told(path: Path) -> None:
+    fill(path, 50)
+    content = bytearray(path.read_bytes())
+    content[4096:] = b"\xa5" * (len(content) - 4096)
+    path.write_bytes(content)
+    with pytest.raises(StoreError, match="malformed"):
+        ResultStore.open(path)
+
+
+@pytest.mark.parametrize(
+    ("sql", "read"),
+    [
+        ("UPDATE result SET json = '{'", lambda store: list(store.results("car1"))),
+        ("UPDATE state SET belief = '[]'", lambda store: store.state("car1")),
+        ("UPDATE state SET condition = 'x'", lambda store: store.state("car1")),
+    ],
+)
+def test_damaged_values_are_told(path: Path, sql: str, read: Callable[[ResultStore], object]) -> None:
+    fill(path, 1)
+    edit(path, sql)
+    with closing(ResultStore.open(path)) as store, pytest.raises(StoreError, match="damaged"):
+        read(store)
+
+
+def test_a_full_database_refuses_whole_results_and_keeps_the_others(
+    path: Path, connections: list[sqlite3.Connection]
+) -> None:
+    stored = 0
+
+    def fill_up(store: ResultStore) -> None:
+        nonlocal stored
+        for seq in range(1, 1000):
+            store.add(shift_result(seq), replace(STATE, belief={"seq": seq}))
+            stored = seq
+
+    with closing(ResultStore.open(path)) as store:
+        connections[0].execute("PRAGMA max_page_count = 12")
+        with pytest.raises(StoreError, match="full"):
+            fill_up(store)
+        assert stored > 0
+        assert [result.seq for result in store.results("car1")] == list(range(1, stored + 1))
+        state = store.state("car1")
+        assert state is not None
+        assert state.belief == {"seq": stored}
+
+
+def test_a_new_store_says_whose_it_is(path: Path) -> None:
+    fill(path, 0)
+    with closing(sqlite3.connect(path)) as connection:
+        assert connection.execute("PRAGMA application_id").fetchone() == (APPLICATION_ID,)
+        assert connection.execute("PRAGMA user_version").fetchone() == (SCHEMA_VERSION,)
+
+
+def test_a_folder_that_cannot_be_made(tmp_path: Path) -> None:
+    (tmp_path / "file").touch()
+    with pytest.raises(StoreError, match="File exists"):
+        ResultStore.open(tmp_path / "file" / "car1.sqlite")

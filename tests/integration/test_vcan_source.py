@@ -1,0 +1,167 @@
+"""The service's own SocketCAN receive path: what the kernel loses, what candump sees, what happens when a bus fails."""
+
+import asyncio
+import socket
+import struct
+import subprocess
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import pytest
+
+from diag_service.errors import SourceError
+from diag_service.frames import FrameBatch
+from diag_service.sources import FrameSource, open_source, read_log
+from diag_service.sources.columns import join
+from diag_service.sources.frame_queue import FrameQueue
+from diag_service.sources.socketcan import SocketCanSource
+from tests.traffic import assert_same
+from tests.uml.vcan import ip_link
+
+pytestmark = pytest.mark.vcan
+
+
+async def collect(source: FrameSource) -> list[FrameBatch]:
+    return [batch async for batch in source]
+
+
+def send_numbers(channel: str, count: int, *, gap_s: float = 0.0) -> int:
+    """Send numbered frames; return how many the kernel took."""
+    taken = 0
+    with socket.socket(socket.AF_CAN, socket.SOCK_RAW, socket.CAN_RAW) as raw:
+        raw.bind((channel,))
+        for number in range(count):
+            frame = struct.pack("<IB3x8s", number % 0x800, 4, struct.pack("<I", number) + b"\xee" * 4)
+            try:
+                raw.send(frame)
+            except OSError:
+                time.sleep(0.001)
+                continue
+            taken += 1
+            if gap_s:
+                time.sleep(gap_s)
+    return taken
+
+
+@contextmanager
+def candump(channel: str, path: Path) -> Iterator[None]:
+    """Record the bus with can-utils' candump, listening before this returns."""
+    with path.open("wb") as log, subprocess.Popen(["candump", "-L", channel], stdout=log) as process:
+        time.sleep(0.5)
+        yield
+        time.sleep(0.5)
+        process.terminate()
+
+
+async def test_a_candump_of_the_same_bus_is_identical(vcan: str, tmp_path: Path) -> None:
+    path = tmp_path / "bus.log"
+    with candump(vcan, path):
+        source = await open_source("socketcan", vcan)
+        collector = asyncio.create_task(collect(source))
+        await asyncio.sleep(0.5)
+        sent = await asyncio.to_thread(send_numbers, vcan, 3_000, gap_s=0.0002)
+        await source.aclose()
+    live = join(await collector)
+    assert sent == len(live) == 3_000
+    assert_same(list(read_log(path)), live)
+
+
+async def test_what_the_kernel_drops_is_counted_to_the_frame(vcan: str) -> None:
+    source = SocketCanSource(vcan, receive_buffer_bytes=1)
+    collector = asyncio.create_task(collect(source))
+    sent = send_numbers(vcan, 500)  # in the loop's own thread: nobody reads meanwhile
+    await asyncio.sleep(0.2)
+    sent += await asyncio.to_thread(send_numbers, vcan, 500)
+    await source.aclose()
+    received = sum(map(len, await collector))
+    assert source.counts.received == received
+    assert source.counts.kernel_dropped > 400
+    assert sent == received + source.counts.kernel_dropped == 1_000
+
+
+async def test_losses_after_the_last_frame_are_counted_too(vcan: str) -> None:
+    source = SocketCanSource(vcan, receive_buffer_bytes=1)
+    sent = send_numbers(vcan, 200)
+    await source.aclose()
+    assert source.counts.kernel_dropped > 0
+    assert sent == source.counts.received + source.counts.kernel_dropped
+
+
+async def test_a_consumer_that_is_too_slow_costs_frames_of_the_queue_and_not_of_the_kernel(vcan: str) -> None:
+    source = SocketCanSource(vcan, queue=FrameQueue(limit=300))
+    sent = await asyncio.to_thread(send_numbers, vcan, 2_000)
+    await source.aclose()
+    batch = join(await collect(source))
+    assert source.counts.kernel_dropped == 0
+    assert source.counts.received == sent
+    assert len(batch) == 300 == sent - source.counts.queue_dropped
+
+
+async def test_bytes_past_the_length_are_cleared(vcan: str) -> None:
+    source = await open_source("socketcan", vcan)
+    send_numbers(vcan, 300)
+    await source.aclose()
+    batch = join(await collect(source))
+    assert not batch.data[:, 4:].any()
+    assert batch.data[:, :4].copy().view("<u4")[:, 0].tolist() == list(range(300))
+
+
+async def test_frames_received_before_the_interface_goes_down_are_delivered_then_the_error(vcan: str) -> None:
+    source = await open_source("socketcan", vcan)
+    collector = asyncio.create_task(collect(source))
+    await asyncio.sleep(0.05)
+    send_numbers(vcan, 20)
+    batches: list[FrameBatch] = []
+    collector.cancel()
+    assert ip_link("set", vcan, "down")
+
+    async def read_on() -> None:
+        batches.extend([batch async for batch in source])
+
+    with pytest.raises(SourceError, match=f"{vcan}' went down: switch it on"):
+        await asyncio.wait_for(read_on(), timeout=5.0)
+    assert source.counts.received == 20
+    await source.aclose()
+
+
+async def test_an_interface_switched_off_while_reading_is_an_error_and_no_hang(vcan: str) -> None:
+    source = await open_source("socketcan", vcan)
+    collector = asyncio.create_task(collect(source))
+    await asyncio.sleep(0.05)
+    assert ip_link("set", vcan, "down")
+    with pytest.raises(SourceError, match="went down"):
+        await asyncio.wait_for(collector, timeout=5.0)
+    await source.aclose()
+
+
+async def test_an_interface_removed_while_reading_is_an_error_and_no_hang(vcan: str) -> None:
+    source = await open_source("socketcan", vcan)
+    collector = asyncio.create_task(collect(source))
+    await asyncio.sleep(0.05)
+    assert ip_link("delete", vcan)
+    with pytest.raises(SourceError, match=r"went down|was removed"):
+        await asyncio.wait_for(collector, timeout=5.0)
+    await source.aclose()
+
+
+async def test_an_interface_that_is_down_is_one_clear_line(vcan: str) -> None:
+    assert ip_link("set", vcan, "down")
+    with pytest.raises(SourceError, match=f"is down: switch it on .ip link set {vcan} up"):
+        await open_source("socketcan", vcan)
+
+
+@pytest.mark.parametrize(
+    ("channel", "text"),
+    [
+        ("vcan99", "no CAN interface 'vcan99': create it"),
+        ("lo", "'lo' is not a CAN interface"),
+        ("interface-name-too-long", "cannot be opened"),
+        ("", "no CAN channel given"),
+    ],
+)
+async def test_a_channel_that_is_no_can_interface_is_one_clear_line(channel: str, text: str) -> None:
+    with pytest.raises(SourceError, match=text) as caught:
+        await open_source("socketcan", channel)
+    assert "\n" not in str(caught.value)

@@ -1,0 +1,215 @@
+"""Frames become canonical columns in SI units; what does not fit or may not be used is told and counted."""
+
+import cantools
+import numpy as np
+import pytest
+from cantools.database.can import Database
+
+from clutch_model.units import pa_from_bar, rad_s_from_rpm
+from diag_service.errors import ConfigError
+from diag_service.frames import FrameBatch, empty_batch
+from diag_service.mapping import Decoder, DecoderCounts
+from diag_service.profile import MANDATORY, Profile, SignalSource, load_profile
+from diag_service.protection_check import FrameReason
+from diag_service.records import Signal
+from ecu_emulator.frames import FrameEncoder
+from ecu_emulator.readings import Readings
+from tests.wire import CONTRACTS, DATABASE, START_NS, drive, joined, of_message, received
+
+
+def decoder() -> Decoder:
+    return Decoder(DATABASE, load_profile())
+
+
+def balanced(counts: DecoderCounts) -> bool:
+    return counts.received == counts.decoded + counts.ignored + sum(counts.rejected.values())
+
+
+def test_undisturbed_drive() -> None:
+    batch = received(drive(2.0))
+    stage = decoder()
+    (columns,) = stage.feed(batch)
+    assert columns.columns.keys() == set(Signal) == stage.signals
+    assert columns.watermark_ns == batch.t_ns[-1]
+    assert not columns.breaks_before
+    assert not len(columns.bad_frame_ns)
+    counts = stage.counts
+    assert (counts.received, counts.decoded, counts.missing, counts.invalid_values) == (len(batch), len(batch), 0, 0)
+    assert not counts.rejected
+    assert counts.messages["TCU_Shift"].decoded == 200
+    series = columns.columns[Signal.CLUTCH1_PRESSURE]
+    assert series.period_ns == 10_000_000
+    assert series.sequence.tolist() == list(range(200))
+    assert series.t_ns.tolist() == [START_NS + 1_000_000 + 10_000_000 * k for k in range(200)]
+
+
+def test_values_arrive_in_si_units() -> None:
+    values = {
+        "clutch1_pressure_pa": np.array([2.5e5]),
+        "clutch2_pressure_pa": np.array([-0.31e5]),
+        "clutch1_pressure_command_pa": np.array([1e5]),
+        "clutch2_pressure_command_pa": np.array([0.0]),
+    }
+    frames = FrameEncoder(DATABASE).encode(Readings(message="TCU_Pressures", t_s=np.zeros(1), values=values))
+    (columns,) = decoder().feed(received(frames))
+    assert {signal.value: series.value.tolist() for signal, series in columns.columns.items()} == {
+        quantity: pytest.approx(value.tolist()) for quantity, value in values.items()
+    }
+    assert columns.columns[Signal.CLUTCH1_PRESSURE].value[0] == pa_from_bar(350 * 0.01 - 1)
+
+
+def test_not_available_values_are_left_out_and_counted() -> None:
+    values = {quantity: np.full(3, 100.0) for quantity in FrameEncoder(DATABASE).quantities("TCU_InputSpeeds")}
+    values["hub_speed_rad_s"] = np.array([100.0, np.nan, 102.0])
+    values["input2_speed_rad_s"] = np.full(3, np.nan)
+    t_s = np.array([0.0, 0.01, 0.02])
+    frames = FrameEncoder(DATABASE).encode(Readings(message="TCU_InputSpeeds", t_s=t_s, values=values))
+    stage = decoder()
+    (columns,) = stage.feed(received(frames))
+    assert columns.columns[Signal.HUB_SPEED].sequence.tolist() == [0, 2]
+    assert columns.columns[Signal.INPUT1_SPEED].sequence.tolist() == [0, 1, 2]
+    assert Signal.INPUT2_SPEED not in columns.columns
+    assert stage.counts.invalid == {Signal.HUB_SPEED: 1, Signal.INPUT2_SPEED: 3}
+    assert stage.counts.invalid_values == 4
+    assert stage.counts.decoded == 3
+
+
+def test_bad_and_missing_frames_are_timed() -> None:
+    batch = received(drive(1.0))
+    shift_rows = np.flatnonzero(batch.can_id == CONTRACTS["TCU_Shift"].can_id)
+    batch.data[shift_rows[5], 0] ^= 1
+    kept = np.delete(np.arange(len(batch)), shift_rows[[20, 21]])
+    lossy = FrameBatch(
+        t_ns=batch.t_ns[kept], can_id=batch.can_id[kept], length=batch.length[kept], data=batch.data[kept]
+    )
+    stage = decoder()
+    (columns,) = stage.feed(lossy)
+    expected = batch.t_ns[shift_rows[[5, 22, 22]]]
+    assert columns.bad_frame_ns.tolist() == expected.tolist()
+    counts = stage.counts
+    assert counts.messages["TCU_Shift"].rejected == {FrameReason.BAD_CRC: 1}
+    assert counts.messages["TCU_Shift"].missing == counts.missing == 2
+    assert counts.rejected == {FrameReason.BAD_CRC: 1}
+    assert counts.decoded + sum(counts.rejected.values()) + counts.missing == len(batch)
+    assert balanced(counts)
+
+
+def test_frames_that_no_signal_needs_are_ignored() -> None:
+    batch = received(drive(0.5))
+    other = FrameBatch(t_ns=batch.t_ns, can_id=batch.can_id + np.uint32(0x400), length=batch.length, data=batch.data)
+    stage = decoder()
+    (columns,) = stage.feed(other)
+    assert not columns.columns
+    assert not len(columns.bad_frame_ns)
+    assert columns.watermark_ns == batch.t_ns[-1]
+    assert stage.counts.ignored == stage.counts.received == len(batch)
+
+
+def test_empty_batch_gives_nothing() -> None:
+    stage = decoder()
+    assert stage.feed(empty_batch()) == []
+    assert stage.counts.received == 0
+    assert balanced(stage.counts)
+
+
+@pytest.mark.parametrize("shift_ns", [-1000, -3_600_000_000_000, 1_000_001_000, 86_400_000_000_000])
+@pytest.mark.parametrize("together", [True, False])
+def test_jump_of_bus_time_starts_a_new_segment(shift_ns: int, together: bool) -> None:
+    first = received(drive(0.5))
+    later_ns = first.t_ns + (first.t_ns[-1] - first.t_ns[0]) + shift_ns
+    second = FrameBatch(t_ns=later_ns, can_id=first.can_id, length=first.length, data=first.data)
+    stage = decoder()
+    parts = stage.feed(joined([first, second])) if together else [*stage.feed(first), *stage.feed(second)]
+    assert [part.breaks_before for part in parts] == [False, True]
+    assert [part.watermark_ns for part in parts] == [first.t_ns[-1], later_ns[-1]]
+    assert stage.counts.decoded == 2 * len(first)
+    assert stage.counts.missing == 0
+    sequences = [part.columns[Signal.HUB_SPEED].sequence.tolist() for part in parts]
+    assert sequences == [list(range(50)), list(range(50, 100))]
+
+
+def test_silence_of_up_to_a_second_is_no_jump() -> None:
+    batch = received(drive(0.1))
+    later = FrameBatch(
+        t_ns=batch.t_ns + (batch.t_ns[-1] - batch.t_ns[0]) + 1_000_000_000,
+        can_id=batch.can_id,
+        length=batch.length,
+        data=batch.data,
+    )
+    assert len(decoder().feed(joined([batch, later]))) == 1
+
+
+def test_jump_at_every_frame() -> None:
+    batch = of_message(received(drive(0.05)), "TCU_Shift")
+    backwards = FrameBatch(t_ns=batch.t_ns[::-1].copy(), can_id=batch.can_id, length=batch.length, data=batch.data)
+    parts = decoder().feed(backwards)
+    assert [part.breaks_before for part in parts] == [False, True, True, True, True]
+
+
+def profile(**changes: SignalSource | None) -> Profile:
+    sources = {signal.value: source for signal, source in load_profile().sources.items()} | changes
+    return Profile(name="test", sources={Signal(key): source for key, source in sources.items() if source is not None})
+
+
+def test_everything_that_does_not_fit_is_listed() -> None:
+    wrong = profile(
+        hub_speed_rad_s=None,
+        current_gear=SignalSource(message="TCU_Gears", signal="CurrentGear"),
+        target_gear=SignalSource(message="TCU_Shift", signal="NextGear"),
+        odometer_m=SignalSource(message="BRK_Vehicle", signal="VehicleSpeed"),
+    )
+    with pytest.raises(ConfigError) as refused:
+        Decoder(DATABASE, wrong)
+    text = str(refused.value)
+    for complaint in (
+        "no source for hub_speed_rad_s",
+        "no message TCU_Gears (for current_gear)",
+        "TCU_Shift has no signal NextGear (for target_gear)",
+        "the unit 'km/h' of BRK_Vehicle.VehicleSpeed is not one of odometer_m",
+    ):
+        assert complaint in text
+    assert "\n" not in text
+
+
+def test_optional_signals_may_be_left_out() -> None:
+    few = Profile(name="few", sources={s: source for s, source in load_profile().sources.items() if s in MANDATORY})
+    stage = Decoder(DATABASE, few)
+    batch = received(drive(1.0))
+    (columns,) = stage.feed(batch)
+    assert columns.columns.keys() == MANDATORY == stage.signals
+    assert stage.counts.ignored == np.isin(batch.can_id, [0x0A8, 0x0B2, 0x0C0, 0x0C1, 0x0D0]).sum()
+    assert balanced(stage.counts)
+
+
+def test_foreign_database_without_protection() -> None:
+    signals = "\n".join(
+        f' SG_ S{k} : {8 * (k % 8)}|8@1+ (1,0) [0|0] "{unit}" A'
+        for k, unit in enumerate(("rpm", "Nm", "rpm", "rpm", "rpm", "bar", "bar", ""))
+    )
+    text = f'VERSION ""\nBU_: A\nBO_ 256 M: 8 A\n{signals}\nBO_ 257 N: 8 A\n SG_ T : 7|16@0+ (0.5,-40) [0|0] "degC" A\n'
+    database = cantools.database.load_string(text, "dbc")
+    assert isinstance(database, Database)
+    names = (
+        "engine_speed_rad_s",
+        "engine_torque_nm",
+        "hub_speed_rad_s",
+        "input1_speed_rad_s",
+        "input2_speed_rad_s",
+        "clutch1_pressure_pa",
+        "clutch2_pressure_pa",
+        "current_gear",
+    )
+    sources = {Signal(name): SignalSource(message="M", signal=f"S{k}") for k, name in enumerate(names)}
+    sources[Signal.TARGET_GEAR] = SignalSource(message="M", signal="S7", scale=2.0)
+    sources[Signal.SUMP_TEMPERATURE] = SignalSource(message="N", signal="T")
+    stage = Decoder(database, Profile(name="foreign", sources=sources))
+    data = np.array([[1, 2, 3, 4, 5, 6, 7, 3], [1, 0, 0, 0, 0, 0, 0, 0]], np.uint8)
+    can_id, length = np.array([0x100, 0x101], np.uint32), np.full(2, 8, np.uint8)
+    (columns,) = stage.feed(FrameBatch(t_ns=np.array([0, 0]), can_id=can_id, length=length, data=data))
+    value = {signal: series.value.tolist() for signal, series in columns.columns.items()}
+    assert value[Signal.INPUT1_SPEED] == [rad_s_from_rpm(4.0)]
+    assert value[Signal.CURRENT_GEAR] == [3.0]
+    assert value[Signal.TARGET_GEAR] == [6.0]
+    assert value[Signal.SUMP_TEMPERATURE] == [0.5 * 256 - 40 + 273.15]
+    assert columns.columns[Signal.HUB_SPEED].sequence.tolist() == [-1]
+    assert columns.columns[Signal.HUB_SPEED].period_ns == 0

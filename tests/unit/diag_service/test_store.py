@@ -1,0 +1,116 @@
+"""The store's rules, in memory; what disks do to it is in tests/integration/test_store_file.py."""
+
+import threading
+from collections.abc import Iterator
+from contextlib import closing
+from dataclasses import replace
+
+import pytest
+
+from diag_service.errors import ResultError
+from diag_service.store import ResultStore, VehicleState, Versions
+from tests.builders import shift_result
+
+VERSIONS = Versions(algorithm="algorithm-1", calibration="1+0123456789ab")
+
+
+def state(mark: object = 1) -> VehicleState:
+    return VehicleState(belief={"mark": mark}, condition={"conditions": []}, versions=VERSIONS)
+
+
+@pytest.fixture(name="store")
+def _store() -> Iterator[ResultStore]:
+    with closing(ResultStore.in_memory()) as store:
+        yield store
+
+
+def test_a_result_and_its_state_are_kept(store: ResultStore) -> None:
+    assert store.add(shift_result(1), state(1))
+    assert store.add(shift_result(2), state(2))
+    assert list(store.results("car1")) == [shift_result(1), shift_result(2)]
+    assert store.state("car1") == state(2)
+    assert store.state("car2") is None
+
+
+def test_a_known_key_changes_nothing(store: ResultStore) -> None:
+    store.add(shift_result(1), state("first"))
+    louder = replace(shift_result(1), produced_at="2027-01-01T00:00:00.000000Z")
+    assert not store.add(louder, state("second"))
+    assert list(store.results("car1")) == [shift_result(1)]
+    assert store.state("car1") == state("first")
+
+
+@pytest.mark.parametrize(
+    "other",
+    [
+        shift_result(2),
+        shift_result(1, vehicle="car2"),
+        shift_result(1, stream="another"),
+        replace(shift_result(1), algorithm_version="algorithm-2"),
+        replace(shift_result(1), calibration_version="2+0123456789ab"),
+    ],
+)
+def test_every_part_of_the_key_counts(store: ResultStore, other: object) -> None:
+    assert isinstance(other, type(shift_result()))
+    store.add(shift_result(1), state())
+    assert store.add(other, state())
+
+
+def test_a_result_is_found_by_its_key_only(store: ResultStore) -> None:
+    result = shift_result(1)
+    store.add(result, state())
+    assert store.find("car1", result.stream, 1, VERSIONS) == result
+    assert store.find("car1", result.stream, 2, VERSIONS) is None
+    assert store.find("car1", result.stream, 1, replace(VERSIONS, algorithm="algorithm-2")) is None
+
+
+def test_nothing_is_stored_of_a_result_that_is_not_finite(store: ResultStore) -> None:
+    with pytest.raises(ResultError):
+        store.add(shift_result(1), state(float("nan")))
+    assert list(store.results("car1")) == []
+
+
+def test_live_sequence_numbers_are_never_used_again(store: ResultStore) -> None:
+    assert store.next_seq() == 1
+    store.add(shift_result(1, stream=store.stream), state())
+    assert store.next_seq() == 2
+    store.add(shift_result(7, stream="a log"), state())
+    assert store.next_seq() == 2
+
+
+def test_the_outbox_is_ordered_and_forgets_what_was_acknowledged(store: ResultStore) -> None:
+    for seq in (1, 2, 3):
+        store.add(shift_result(seq), state())
+    store.add(shift_result(1, vehicle="car2"), state())
+    rows = store.unpublished("car1", limit=2)
+    assert [row.result.seq for row in rows] == [1, 2]
+    store.mark_published(rows[0].position)
+    assert [row.result.seq for row in store.unpublished("car1", limit=9)] == [2, 3]
+    assert store.unpublished_count("car1") == 2
+    assert store.unpublished_count("car2") == 1
+
+
+def test_the_latest_acknowledged_result_of_each_clutch(store: ResultStore) -> None:
+    for seq, gear in ((1, 2), (2, 3), (3, 4), (4, 5)):
+        store.add(shift_result(seq, to_gear=gear), state())
+    for row in store.unpublished("car1", limit=3):
+        store.mark_published(row.position)
+    assert [(result.estimate.clutch, result.seq) for result in store.latest_published("car1")] == [(1, 2), (2, 3)]
+
+
+def test_threads_take_turns(store: ResultStore) -> None:
+    def add(first: int) -> None:
+        for seq in range(first, first + 50):
+            store.add(shift_result(seq), state(seq))
+
+    threads = [threading.Thread(target=add, args=(first,)) for first in (1, 51, 101)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert sorted(result.seq for result in store.results("car1")) == list(range(1, 151))
+
+
+def test_closing_twice_does_no_harm(store: ResultStore) -> None:
+    store.close()
+    store.close()
