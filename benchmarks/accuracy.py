@@ -154,6 +154,14 @@ def table(rows: list[Row], scope: str) -> Iterator[str]:
                     f"{100 * np.mean(total / true):12.3f} {100 * np.mean(np.abs(error) <= 2 * total):11.1f}"
                 )
     chosen = [row for row in rows if row.scope == scope]
+    for kind in ("random", "total"):
+        prefix = "random_std" if kind == "random" else "std"
+        inside = [
+            abs(getattr(row, name) - getattr(row, f"true_{name}")) <= 2 * getattr(row, f"{prefix}_{name}")
+            for row in chosen
+            for name in PARAMETERS
+        ]
+        yield f"all parameters within 2 {kind} std: {100 * np.mean(inside):.1f} % of {len(inside)}"
     right = sum((row.mu_c > row.mu_s) == (row.true_mu_c > row.true_mu_s) for row in chosen)
     yield f"slope sign right in {right} of {len(chosen)}"
 

@@ -110,15 +110,17 @@ async def read_clutch_states(address: BrokerAddress, vehicle: str) -> dict[int, 
         If the broker cannot be reached.
     """
     states: dict[int, ClutchState] = {}
+    clutch_of = {clutch_topic(vehicle, clutch): clutch for clutch in CLUTCHES}
     async with _connected(address) as client:
-        for clutch in CLUTCHES:
-            await client.subscribe(clutch_topic(vehicle, clutch), qos=_AT_LEAST_ONCE)
+        for topic in clutch_of:
+            await client.subscribe(topic, qos=_AT_LEAST_ONCE)
         try:
             async with asyncio.timeout(_RETAINED_S):
                 async for message in client.messages:
-                    state = _clutch_state(_text(message))
-                    states[state.clutch] = state
-                    if len(states) == len(CLUTCHES):
+                    clutch = clutch_of.get(str(message.topic))  # a broker may repeat, or add what nobody asked for
+                    if clutch is not None:
+                        states[clutch] = _clutch_state(_text(message))
+                    if len(states) == len(clutch_of):
                         break
         except TimeoutError:
             return states

@@ -1,4 +1,4 @@
-"""The bus of the demonstration: a vcan interface where the kernel offers one, else multicast UDP inside this machine."""
+"""The bus of the demonstration: a vcan interface if the kernel offers one, else multicast UDP inside this machine."""
 
 import json
 import os

@@ -32,6 +32,7 @@ class FrameAccount:
 
     sent: int
     given_up: int  # the emulator's interface did not take them
+    lateness_max_s: float  # of sending, against the schedule
     on_bus: int  # seen by the service's interface
     decoded: int
     ignored: int
@@ -82,6 +83,7 @@ def frame_account(transmitted: Mapping[str, object], received: Mapping[str, obje
     return FrameAccount(
         sent=_count(transmitted, "frames_sent"),
         given_up=_count(transmitted, "frames_given_up"),
+        lateness_max_s=_number(transmitted, "lateness_max_s"),
         on_bus=_count(received, "on_bus"),
         decoded=_count(received, "decoded"),
         ignored=_count(received, "ignored"),
@@ -145,8 +147,10 @@ def _frame_complaints(frames: FrameAccount) -> Iterator[str]:
         yield f"the bus did not take {frames.given_up} frames"
     if frames.on_bus != frames.arrived + frames.dropped:
         yield f"{frames.on_bus} frames were on the bus, the service accounts for {frames.arrived + frames.dropped}"
-    if frames.unexplained:
+    if frames.unexplained > 0:
         yield f"{frames.unexplained} of {frames.sent} frames were lost without a trace"
+    if frames.unexplained < 0:
+        yield f"{-frames.unexplained} frames on the bus were not the emulator's"
 
 
 def _errors(name: str, pairs: Sequence[Comparison]) -> Iterator[str]:
@@ -159,4 +163,11 @@ def _count(table: Mapping[str, object], key: str) -> int:
     value = table[key]
     if not isinstance(value, int):
         raise TypeError(f"{key} must be a count, got {value!r}")
+    return value
+
+
+def _number(table: Mapping[str, object], key: str) -> float:
+    value = table[key]
+    if not isinstance(value, float):
+        raise TypeError(f"{key} must be a number, got {value!r}")
     return value

@@ -42,13 +42,20 @@ class Program:
             raise DemoError(f"{self.name} ended with status {status}: {words[-1] if words else 'it said nothing'}")
 
     async def stop(self) -> None:
-        """Ask the program to end, and make it if it does not."""
-        for number in (signal.SIGINT, signal.SIGKILL):
-            with suppress(ProcessLookupError):
-                self._process.send_signal(number)
-            with suppress(TimeoutError):
-                await asyncio.wait_for(self._process.wait(), STOP_S)
-                return
+        """Ask the program to end, and make it if it does not or if we cannot wait."""
+        self._send(signal.SIGINT)
+        try:
+            await asyncio.wait_for(self._process.wait(), STOP_S)
+        except TimeoutError:
+            self._send(signal.SIGKILL)
+            await self._process.wait()
+        except asyncio.CancelledError:
+            self._send(signal.SIGKILL)
+            raise
+
+    def _send(self, number: signal.Signals) -> None:
+        with suppress(ProcessLookupError):
+            self._process.send_signal(number)
 
 
 @asynccontextmanager
@@ -71,7 +78,7 @@ async def program(
         yield child
     finally:
         if process.returncode is None:
-            await asyncio.shield(child.stop())
+            await child.stop()
 
 
 async def run(module: str, *arguments: str | Path, folder: Path, environment: Mapping[str, str]) -> None:

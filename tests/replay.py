@@ -1,8 +1,10 @@
 """Sends a candump log over UDP multicast, faster than it was recorded; for tests that need a live bus, not dynamics."""
 
-import random
+import json
+import socket
 import time
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import can
 
@@ -11,16 +13,32 @@ from tests.plugins.drives import send_time_s
 INTERFACE = "udp_multicast"
 
 
-def free_group() -> str:
-    """Return a multicast group that no other test is likely to use."""
-    return f"239.74.{random.randrange(256)}.{random.randrange(256)}"  # noqa: S311 - no secret
+@dataclass(frozen=True, slots=True, kw_only=True)
+class UdpBus:
+    """A bus of our own: every group on one port hears every other, so the port differs too."""
+
+    group: str
+    port: int
+
+    @property
+    def variables(self) -> dict[str, str]:
+        """Environment in which a program that uses python-can finds the port."""
+        return {"CAN_CONFIG": json.dumps({"port": self.port})}
+
+
+def free_bus() -> UdpBus:
+    """Return a multicast group and a port that nobody uses."""
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+        probe.bind(("", 0))
+        port = probe.getsockname()[1]
+    return UdpBus(group=f"239.74.{port % 256}.{port // 256}", port=port)
 
 
 class Replay:
     """The sending end of a bus."""
 
-    def __init__(self, group: str, lines: Sequence[bytes], speed_ratio: float = 4.0) -> None:
-        self._bus = can.Bus(group, interface=INTERFACE, fd=False)
+    def __init__(self, bus: UdpBus, lines: Sequence[bytes], speed_ratio: float = 4.0) -> None:
+        self._bus = can.Bus(bus.group, interface=INTERFACE, port=bus.port, fd=False)
         self._lines = lines
         self._speed_ratio = speed_ratio
         self._next = 0

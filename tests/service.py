@@ -6,14 +6,16 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 Record = dict[str, Any]
-OWN_PREFIXES: tuple[str, ...] = ("CAN_", "CLUTCHDIAG_")
+OWN_PREFIXES = ("CAN_", "CLUTCHDIAG_")
+NOTHING: Mapping[str, str] = MappingProxyType({})
 PROGRAM = (sys.executable, "-m", "diag_service")
 
 
@@ -52,10 +54,10 @@ class Ended:
 class Service:
     """A running service whose outputs go to files, so that it never waits for us."""
 
-    def __init__(self, folder: Path, arguments: Sequence[str], wrapper: Sequence[str] = ()) -> None:
+    def __init__(self, folder: Path, command: Sequence[str], variables: Mapping[str, str] = NOTHING) -> None:
         self._out, self._err = folder / "stdout", folder / "stderr"
         with self._out.open("wb") as out, self._err.open("wb") as err:
-            self.process = subprocess.Popen([*wrapper, *PROGRAM, *arguments], stdout=out, stderr=err, env=environment())
+            self.process = subprocess.Popen(command, stdout=out, stderr=err, env={**environment(), **variables})
 
     @property
     def out(self) -> str:
@@ -96,10 +98,16 @@ class Service:
 
 
 @contextmanager
-def service(folder: Path, *arguments: str | Path, wrapper: Sequence[str] = ()) -> Iterator[Service]:
-    """Start a service; it does not outlive the block."""
+def service(
+    folder: Path,
+    *arguments: str | Path,
+    wrapper: Sequence[str] = (),
+    program: Sequence[str] = PROGRAM,
+    variables: Mapping[str, str] = NOTHING,
+) -> Iterator[Service]:
+    """Start a service, or another ``program``; it does not outlive the block."""
     folder.mkdir(parents=True, exist_ok=True)
-    running = Service(folder, [str(argument) for argument in arguments], wrapper)
+    running = Service(folder, [*wrapper, *program, *(str(argument) for argument in arguments)], variables)
     try:
         yield running
     finally:
@@ -108,9 +116,11 @@ def service(folder: Path, *arguments: str | Path, wrapper: Sequence[str] = ()) -
         running.process.wait(10)
 
 
-def run_service(folder: Path, *arguments: str | Path, wrapper: Sequence[str] = ()) -> Ended:
+def run_service(
+    folder: Path, *arguments: str | Path, wrapper: Sequence[str] = (), variables: Mapping[str, str] = NOTHING
+) -> Ended:
     """Run a service to its end."""
-    with service(folder, *arguments, wrapper=wrapper) as running:
+    with service(folder, *arguments, wrapper=wrapper, variables=variables) as running:
         return running.wait(120.0)
 
 

@@ -50,8 +50,12 @@ class Subscriber:
         """Return when a condition holds; fail the test if it never does."""
         deadline_s = time.monotonic() + timeout_s
         while not condition(self):
-            assert time.monotonic() < deadline_s, f"never came true; heard: {self._messages}"
+            assert time.monotonic() < deadline_s, f"never came true; heard {self._outline()}"
             time.sleep(0.01)
+
+    def _outline(self) -> list[tuple[str, object]]:
+        with self._lock:
+            return [(topic, payload.get("seq", payload.get("status"))) for topic, payload, _ in self._messages]
 
     def _keep(self, _client: mqtt.Client, _userdata: object, message: mqtt.MQTTMessage) -> None:
         with self._lock:

@@ -18,8 +18,8 @@ from diag_service.records import FloatArray, FrictionEstimate
 
 FRICTION_PRIOR_STD = 0.05  # a third of any lining's friction: weak against a single shift
 FRICTION_DRIFT_STD = 2e-5  # per shift: 0.15 in the life of a fluid is 1e-6, so this forgets over thousands of shifts
-OFFSET_DRIFT_NM = 0.02  # per shift: warm-up of the torque model
-PRESSURE_DRIFT_PA = 20.0  # per shift: warm-up of the pressure sensors
+OFFSET_DRIFT_NM = 0.005  # per shift: warm-up of the torque model
+PRESSURE_DRIFT_PA = 5.0  # per shift: warm-up of the pressure sensors
 STATE_FORMAT = 1
 
 

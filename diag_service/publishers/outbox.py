@@ -1,12 +1,14 @@
 """The outbox: forwards stored results to a broker in order, marks what it acknowledged, survives its absence.
 
 A result that is not acknowledged stays unpublished in the store, so a slow, absent or refusing broker costs nothing but
-time. Delivery is at least once; the key (vehicle, stream, seq, versions) tells a repetition.
+time. A broker acknowledges before its subscribers or its disk have the message: what it acknowledged shortly before a
+connection broke is sent again. Delivery is at least once; the key (vehicle, stream, seq, versions) tells a repetition.
 """
 
 import asyncio
 import logging
 import random
+from collections import deque
 from collections.abc import Callable
 from contextlib import AbstractAsyncContextManager
 from typing import Protocol
@@ -20,7 +22,9 @@ from diag_service.results import StoredResult
 FIRST_PAUSE_S = 0.5
 LONGEST_PAUSE_S = 30.0
 DRAIN_S = 5.0  # how long an ending service waits for its broker
+SETTLE_S = 5.0  # after this an acknowledged result is taken to be where it belongs
 _ROWS_PER_READ = 100
+_MAX_UNSETTLED = 1000
 
 Connect = Callable[[], AbstractAsyncContextManager[Link]]
 _LOG = logging.getLogger(__name__)
@@ -62,6 +66,7 @@ class Outbox:
         self._closing = asyncio.Event()
         self._is_down = False
         self._sent_count = 0  # over the present connection
+        self._unsettled: deque[tuple[float, ShiftResult]] = deque(maxlen=_MAX_UNSETTLED)  # when, what
 
     def nudge(self) -> None:
         """Say that the store holds something new."""
@@ -79,6 +84,7 @@ class Outbox:
                     await self._serve(link)
                     return
             except PublishError as exc:
+                self._forget_settled()
                 await self._note_failure(exc)
             if is_last_attempt and not self._sent_count:
                 return
@@ -98,6 +104,7 @@ class Outbox:
     async def _serve(self, link: Link) -> None:
         for result in await asyncio.to_thread(self._store.latest_published, self._vehicle):
             await link.refresh(result)
+        await self._repeat_unsettled(link)
         while True:
             self._news.clear()
             await self._send_backlog(link)
@@ -111,9 +118,25 @@ class Outbox:
                 await link.publish(row.result)
                 await asyncio.to_thread(self._store.mark_published, row.position)
                 self._sent_count += 1
+                self._forget_settled()
+                self._unsettled.append((self._now_s(), row.result))
             if self._is_down:
                 self._is_down = False
                 _LOG.log(NOTICE, "broker %s takes results again", self._where)
+
+    async def _repeat_unsettled(self, link: Link) -> None:
+        for result in [result for _, result in self._unsettled]:
+            await link.publish(result)
+        again_s = self._now_s()
+        self._unsettled = deque(((again_s, result) for _, result in self._unsettled), maxlen=_MAX_UNSETTLED)
+
+    def _forget_settled(self) -> None:
+        while self._unsettled and self._now_s() - self._unsettled[0][0] > SETTLE_S:
+            self._unsettled.popleft()
+
+    @staticmethod
+    def _now_s() -> float:
+        return asyncio.get_running_loop().time()
 
     async def _wait_for_news(self, link: Link) -> None:
         news = asyncio.ensure_future(self._news.wait())

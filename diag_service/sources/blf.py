@@ -8,6 +8,7 @@ import os
 import struct
 import zlib
 from collections.abc import Iterator
+from dataclasses import dataclass
 from datetime import UTC, datetime
 from typing import BinaryIO
 
@@ -73,7 +74,8 @@ def containers(stream: BinaryIO, position: int, size_bytes: int, tally: Tally) -
 
     Objects outside containers are passed on as they are.
     """
-    while (position := next_object(stream, position, size_bytes, tally)) < size_bytes:
+    is_lost = False
+    while (position := next_object(stream, position, size_bytes, None if is_lost else tally)) < size_bytes:
         stream.seek(position)
         header = stream.read(OBJECT_HEADER.size)
         if len(header) < OBJECT_HEADER.size:
@@ -83,64 +85,91 @@ def containers(stream: BinaryIO, position: int, size_bytes: int, tally: Tally) -
         _, _, _, object_bytes, object_type = OBJECT_HEADER.unpack(header)
         if not OBJECT_HEADER.size <= object_bytes <= MAX_CONTAINER_BYTES:
             tally.reject(LogReject.DAMAGED, f"byte {position}")
-            position += len(OBJECT_MAGIC)
+            position, is_lost = position + len(OBJECT_MAGIC), True
             continue
         body = stream.read(object_bytes - OBJECT_HEADER.size)
         is_whole = len(body) == object_bytes - OBJECT_HEADER.size
+        if object_type == LOG_CONTAINER:
+            contents = inflate(body, is_whole=is_whole)
+        else:
+            contents = Contents(header + body, is_sound=True, used_bytes=len(body))
         if not is_whole:
             tally.truncated = True
             tally.reject(LogReject.CUT_OFF, f"byte {position}")
-        if object_type != LOG_CONTAINER:
-            yield header + body, is_whole
-        else:
-            data, is_sound = inflate(body, is_whole=is_whole)
-            if is_whole and not is_sound:
-                tally.reject(LogReject.DAMAGED, f"byte {position}")
-            yield data, is_whole and is_sound
-        position += object_bytes
+        elif not contents.is_sound:
+            tally.reject(LogReject.DAMAGED, f"byte {position}")
+        # Nor is the size of a damaged container to be trusted: look for the next one inside it.
+        is_lost = not (is_whole and contents.is_sound)
+        yield contents.data, not is_lost
+        position += len(header) + contents.used_bytes if is_lost else object_bytes
 
 
-def next_object(stream: BinaryIO, position: int, size_bytes: int, tally: Tally) -> int:
-    """Return where the next object begins, ``size_bytes`` if there is none; count what had to be stepped over."""
+def next_object(stream: BinaryIO, position: int, size_bytes: int, tally: Tally | None) -> int:
+    """Return where the next object begins, ``size_bytes`` if there is none; tally what had to be stepped over."""
     start = position
     while position < size_bytes:
         stream.seek(position)
         block = stream.read(SEARCH_BYTES)
         found = block.find(OBJECT_MAGIC)
         if found >= 0:
-            if position + found - start > LONGEST_PADDING:
+            if tally is not None and position + found - start > LONGEST_PADDING:
                 tally.reject(LogReject.DAMAGED, f"byte {start}")
             return position + found
         position += max(1, len(block) - len(OBJECT_MAGIC) + 1)
-    if size_bytes - start > LONGEST_PADDING:
+    if tally is not None and size_bytes - start > LONGEST_PADDING:
         tally.reject(LogReject.DAMAGED, f"byte {start}")
     return size_bytes
 
 
-def inflate(body: bytes, *, is_whole: bool) -> tuple[bytes, bool]:
-    """Return what a container holds and whether that is all of it.
+@dataclass(frozen=True, slots=True)
+class Contents:
+    """What a container holds."""
+
+    data: bytes
+    is_sound: bool  # all of it, and the container holds nothing else
+    used_bytes: int  # of the container's body; what follows was not looked at
+
+
+NOTHING = Contents(b"", is_sound=False, used_bytes=0)
+
+
+def inflate(body: bytes, *, is_whole: bool) -> Contents:
+    """Return what a container holds.
 
     A container that the end of the file cuts gives its beginning. One with wrong bytes inside gives nothing: where
     they are is not known, and what they inflate to could pass for frames.
     """
     if len(body) < CONTAINER_HEADER.size:
-        return b"", False
+        return NOTHING
     method, inflated_bytes = CONTAINER_HEADER.unpack_from(body)
     payload = body[CONTAINER_HEADER.size :]
     if method == STORED:
-        return payload, len(payload) >= inflated_bytes
+        stored = payload[:inflated_bytes]
+        is_sound = inflated_bytes <= len(payload) <= inflated_bytes + LONGEST_PADDING
+        return Contents(stored, is_sound, CONTAINER_HEADER.size + len(stored))
     if method != DEFLATED:
-        return b"", False
-    inflater, pieces, total_bytes = zlib.decompressobj(), list[bytes](), 0
+        return NOTHING
+    inflater = zlib.decompressobj()
+    data = bounded_inflate(inflater, payload)
+    if data is None or (is_whole and not inflater.eof):  # without its end the checksum was not compared
+        return NOTHING
+    foreign_bytes = len(inflater.unused_data)
+    return Contents(data, inflater.eof and foreign_bytes <= LONGEST_PADDING, len(body) - foreign_bytes)
+
+
+def bounded_inflate(inflater: "zlib._Decompress", payload: bytes) -> bytes | None:
+    """Return the inflated bytes, None if they are damaged or too many to be a container."""
+    pieces, total_bytes = list[bytes](), 0
     for first in range(0, len(payload), INFLATE_STEP_BYTES):
         try:
-            piece = inflater.decompress(payload[first : first + INFLATE_STEP_BYTES])
+            pieces.append(inflater.decompress(payload[first : first + INFLATE_STEP_BYTES]))
         except zlib.error:
-            return b"", False
-        pieces.append(piece)
-        total_bytes += len(piece)
+            return None
+        total_bytes += len(pieces[-1])
         if total_bytes > MAX_CONTAINER_BYTES:
-            return b"", False
-    if not inflater.eof and is_whole:
-        return b"", False  # all bytes are there, but the checksum was not reached
-    return b"".join(pieces), inflater.eof
+            return None
+        if inflater.eof:
+            # What follows is not this stream's; keep it in sight of ``unused_data``.
+            inflater.decompress(payload[first + INFLATE_STEP_BYTES :])
+            break
+    return b"".join(pieces)

@@ -8,12 +8,15 @@ import numpy.typing as npt
 
 from clutch_model.errors import CalibrationError
 from clutch_model.tables import require
-from ecu_emulator import tcu
-from ecu_emulator.tcu import ControlParameters
+from ecu_emulator import tcu_data
+from ecu_emulator.tcu_data import ControlParameters
 
 _VARIATION_LIMIT = 2.5  # standard deviations; the driver never leaves the range in which the cycle makes sense
 _MAX_STEP_S = 5.0e-4
 _MAX_VARIATION_RATIO = 0.1
+_MIN_PEDAL_RATIO = 0.25  # a little less and the car does not reach the last upshift
+# Colder oil drags the idle shaft harder than the synchroniser can hold it: preselection would take for ever.
+_COLDEST_OIL_K = 313.15
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -46,20 +49,22 @@ class DriveSettings:
     ambient_k: float = 298.15  # also the temperature of the intake air
     grade_ratio: float = 0.0
     initial_engine_rad_s: float = 150.0  # rolling in 1st gear
-    dt_s: float = 2.0e-4  # a whole fraction of a millisecond
+    dt_s: float = 2.5e-4  # a whole fraction of a millisecond
     friction_factors: tuple[FrictionFactors, ...] = ()  # per cycle, the last one goes on; none: 1
 
     def __post_init__(self) -> None:
         """Check every number against the range in which the cycle can be driven."""
         require(self.cycles >= 1, f"cycles must be >= 1, got {self.cycles}")
         require(self.seed >= 0, f"seed must be >= 0, got {self.seed}")
-        _check_range("pedal_ratio", self.pedal_ratio, 0.25, 0.9)
-        _check_range("brake_m_s2", self.brake_m_s2, 0.0, 3.0)
+        _check_range("pedal_ratio", self.pedal_ratio, _MIN_PEDAL_RATIO, 0.9)
+        _check_range("brake_m_s2", self.brake_m_s2, 0.0, 1.0)
         _check_range("vary_ratio", self.vary_ratio, 0.0, _MAX_VARIATION_RATIO)
-        _check_range("initial_oil_k", self.initial_oil_k, 253.15, 423.15)
-        _check_range("coolant_k", self.coolant_k, 253.15, 393.15)
+        _check_range("initial_oil_k", self.initial_oil_k, _COLDEST_OIL_K, 403.15)
+        _check_range("coolant_k", self.coolant_k, _COLDEST_OIL_K, 393.15)
         _check_range("ambient_k", self.ambient_k, 233.15, 328.15)
-        _check_range("grade_ratio", self.grade_ratio, -0.05, 0.05)
+        _check_range("grade_ratio", self.grade_ratio, -0.03, 0.02)
+        least = _MIN_PEDAL_RATIO + 5.0 * max(self.grade_ratio, 0.0)
+        require(self.pedal_ratio >= least, f"pedal_ratio must be >= {least:g} to pull up this grade in 6th gear")
         _check_range("initial_engine_rad_s", self.initial_engine_rad_s, 80.0, 300.0)
         _check_range("dt_s", self.dt_s, 1.0e-6, _MAX_STEP_S)
         steps = 1.0e-3 / self.dt_s
@@ -75,12 +80,12 @@ class DriveSettings:
 
 
 def cycle_table(drive: DriveSettings, control: ControlParameters) -> npt.NDArray[np.float64]:
-    """Return the table of cycles, shape (cycles, `tcu.CYCLE_COLUMN_COUNT`); the same for the same seed.
+    """Return the table of cycles, shape (cycles, `tcu_data.CYCLE_COLUMN_COUNT`); the same for the same seed.
 
     A longer drive begins with the cycles of a shorter one.
     """
     generator = np.random.default_rng(np.random.SeedSequence(drive.seed))
-    table = np.empty((drive.cycles, tcu.CYCLE_COLUMN_COUNT))
+    table = np.empty((drive.cycles, tcu_data.CYCLE_COLUMN_COUNT))
     driver = np.array(
         [
             drive.pedal_ratio,
@@ -91,10 +96,12 @@ def cycle_table(drive: DriveSettings, control: ControlParameters) -> npt.NDArray
     )
     draws = generator.standard_normal((drive.cycles, driver.size)).clip(-_VARIATION_LIMIT, _VARIATION_LIMIT)
     table[:, : driver.size] = driver * (1.0 + drive.vary_ratio * draws)
+    lowest = _MIN_PEDAL_RATIO + 5.0 * max(drive.grade_ratio, 0.0)
+    table[:, tcu_data.CYCLE_PEDAL] = table[:, tcu_data.CYCLE_PEDAL].clip(lowest, 1.0)
     factors = drive.friction_factors or (FrictionFactors(),)
     for cycle in range(drive.cycles):
         now = factors[min(cycle, len(factors) - 1)]
-        table[cycle, tcu.CYCLE_MU :] = (now.mu_c1, now.mu_s1, now.mu_c2, now.mu_s2)
+        table[cycle, tcu_data.CYCLE_MU :] = (now.mu_c1, now.mu_s1, now.mu_c2, now.mu_s2)
     return table
 
 

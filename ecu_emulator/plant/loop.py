@@ -5,9 +5,9 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from clutch_model.jit import kernel
+from clutch_model.jit import array_kernel
 from clutch_model.viscosity import viscosity_pa_s
-from ecu_emulator import tcu
+from ecu_emulator import tcu, tcu_data
 from ecu_emulator.plant import state as at
 from ecu_emulator.plant.columns import Col
 from ecu_emulator.plant.driveline import ENGAGED, NEUTRAL, SYNCHRONISING
@@ -15,7 +15,7 @@ from ecu_emulator.plant.engine import engine_losses_nm, indicated_torque_nm
 from ecu_emulator.plant.hydraulics import cavity_pressure_pa
 from ecu_emulator.plant.integration import advance_millisecond, settle
 from ecu_emulator.plant.rates import PlantLaw
-from ecu_emulator.tcu import ClutchActuation, ControlParameters
+from ecu_emulator.tcu_data import ClutchActuation, ControlParameters
 
 FloatArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.int64]
@@ -34,11 +34,11 @@ class Machine(NamedTuple):
     slope1: FloatArray  # rates and torques at the last row
     slope: FloatArray
     account: FloatArray  # (3 * ACCOUNT_COUNT,), or empty: no audit
-    memory: FloatArray  # (tcu.MEMORY_COUNT,)
-    sense: FloatArray  # (tcu.SENSE_COUNT,)
-    commands: FloatArray  # (tcu.COMMAND_COUNT,)
+    memory: FloatArray  # (tcu_data.MEMORY_COUNT,)
+    sense: FloatArray  # (tcu_data.SENSE_COUNT,)
+    commands: FloatArray  # (tcu_data.COMMAND_COUNT,)
     clock: IntArray  # (1,), milliseconds since the start
-    cycles: FloatArray  # (cycles, tcu.CYCLE_COLUMN_COUNT), read only
+    cycles: FloatArray  # (cycles, tcu_data.CYCLE_COLUMN_COUNT), read only
 
 
 class DriveLaw(NamedTuple):
@@ -51,48 +51,48 @@ class DriveLaw(NamedTuple):
     steps_per_millisecond: int
 
 
-@kernel
+@array_kernel
 def sense_plant(machine: Machine, law: PlantLaw) -> None:
     """Fill what the control senses."""
     y, modes, sense = machine.y, machine.modes, machine.sense
-    sense[tcu.ENGINE_SPEED] = y[at.W_E]
+    sense[tcu_data.ENGINE_SPEED] = y[at.W_E]
     torque_nm = indicated_torque_nm(y[at.P_M], y[at.SPARK], y[at.CRANK], law.air_k, law.engine)
-    sense[tcu.ENGINE_TORQUE] = torque_nm - engine_losses_nm(y[at.P_M], y[at.W_E], law.engine)
+    sense[tcu_data.ENGINE_TORQUE] = torque_nm - engine_losses_nm(y[at.P_M], y[at.W_E], law.engine)
     for k in range(2):
         clutch = law.clutches.first if k == 0 else law.clutches.second
-        sense[tcu.SLIP + k] = y[at.W_H] - y[at.W_L + k]
-        sense[tcu.FILL + k] = y[at.VOLUME + k] / clutch.cavity.full_volume_m3
-        sense[tcu.IS_LOCKED + k] = modes[at.STICK + k]
-        sense[tcu.SHAFT_GEAR + k] = modes[at.GEAR + k]
-        sense[tcu.IS_ENGAGED + k] = modes[at.LINK + k] == ENGAGED
+        sense[tcu_data.SLIP + k] = y[at.W_H] - y[at.W_L + k]
+        sense[tcu_data.FILL + k] = y[at.VOLUME + k] / clutch.cavity.full_volume_m3
+        sense[tcu_data.IS_LOCKED + k] = modes[at.STICK + k]
+        sense[tcu_data.SHAFT_GEAR + k] = modes[at.GEAR + k]
+        sense[tcu_data.IS_ENGAGED + k] = modes[at.LINK + k] == ENGAGED
 
 
-@kernel
+@array_kernel
 def obey(machine: Machine, law: DriveLaw) -> None:
     """Turn the commands into inputs of the plant and moves of the synchronisers."""
     y, u, modes, commands = machine.y, machine.u, machine.modes, machine.commands
-    row = machine.cycles[int(machine.memory[tcu.CYCLE])]
-    u[at.PEDAL] = commands[tcu.THROTTLE]
-    u[at.THROTTLE_COMMAND] = commands[tcu.THROTTLE]
-    u[at.SPARK_COMMAND] = commands[tcu.SPARK]
-    u[at.BRAKE] = commands[tcu.BRAKE]
+    row = machine.cycles[int(machine.memory[tcu_data.CYCLE])]
+    u[at.PEDAL] = commands[tcu_data.THROTTLE]
+    u[at.THROTTLE_COMMAND] = commands[tcu_data.THROTTLE]
+    u[at.SPARK_COMMAND] = commands[tcu_data.SPARK]
+    u[at.BRAKE] = commands[tcu_data.BRAKE]
     for k in range(2):
         clutch = law.plant.clutches.first if k == 0 else law.plant.clutches.second
         line_pa = clutch.valve.line_pressure_pa
-        u[at.P_COMMAND + k] = min(max(commands[tcu.PRESSURE + k], 0.0), line_pa)
-        u[at.T_COMMAND + k] = commands[tcu.TORQUE_COMMAND + k]
-        u[at.MU_C + k] = clutch.friction.mu_c * row[tcu.CYCLE_MU + 2 * k]
-        u[at.MU_S + k] = clutch.friction.mu_s * row[tcu.CYCLE_MU + 2 * k + 1]
+        u[at.P_COMMAND + k] = min(max(commands[tcu_data.PRESSURE + k], 0.0), line_pa)
+        u[at.T_COMMAND + k] = commands[tcu_data.TORQUE_COMMAND + k]
+        u[at.MU_C + k] = clutch.friction.mu_c * row[tcu_data.CYCLE_MU + 2 * k]
+        u[at.MU_S + k] = clutch.friction.mu_s * row[tcu_data.CYCLE_MU + 2 * k + 1]
         fluid = law.plant.fluid
         u[at.VISCOSITY + k] = viscosity_pa_s(y[at.T_C + k], fluid.a_pa_s, fluid.b_k, fluid.pole_k)
-        wanted = int(commands[tcu.WANTED_GEAR + k])
+        wanted = int(commands[tcu_data.WANTED_GEAR + k])
         if wanted != modes[at.GEAR + k]:
             modes[at.GEAR + k] = wanted
             modes[at.LINK + k] = SYNCHRONISING if wanted != 0 else NEUTRAL
             u[at.RATIO + k] = law.overall_ratios[wanted]
 
 
-@kernel
+@array_kernel
 def record_bodies(machine: Machine, row: FloatArray) -> None:
     """Write the mechanical part of a row."""
     y, u, out = machine.y, machine.u, machine.slope1
@@ -113,7 +113,7 @@ def record_bodies(machine: Machine, row: FloatArray) -> None:
     row[Col.MANIFOLD_PRESSURE] = y[at.P_M]
 
 
-@kernel
+@array_kernel
 def record_clutches(machine: Machine, law: PlantLaw, row: FloatArray) -> None:
     """Write the part of a row that comes in pairs; clutch 2 stands right of clutch 1."""
     y, u, out = machine.y, machine.u, machine.slope1
@@ -133,24 +133,24 @@ def record_clutches(machine: Machine, law: PlantLaw, row: FloatArray) -> None:
         row[Col.MU_S1 + 2 * k] = u[at.MU_S + k]
 
 
-@kernel
+@array_kernel
 def record_control(machine: Machine, row: FloatArray) -> None:
     """Write what the shift control shows of itself."""
     memory, modes = machine.memory, machine.modes
-    idle = 1 - tcu.clutch_of(int(memory[tcu.CURRENT_GEAR]))
-    row[Col.CURRENT_GEAR] = memory[tcu.CURRENT_GEAR]
-    row[Col.TARGET_GEAR] = memory[tcu.TARGET_GEAR]
+    idle = 1 - tcu.clutch_of(int(memory[tcu_data.CURRENT_GEAR]))
+    row[Col.CURRENT_GEAR] = memory[tcu_data.CURRENT_GEAR]
+    row[Col.TARGET_GEAR] = memory[tcu_data.TARGET_GEAR]
     row[Col.PRESELECTED_GEAR] = modes[at.GEAR + idle] if modes[at.LINK + idle] == ENGAGED else 0
-    row[Col.SHIFT_PHASE] = memory[tcu.PHASE]
+    row[Col.SHIFT_PHASE] = memory[tcu_data.PHASE]
 
 
-@kernel
+@array_kernel
 def run(machine: Machine, law: DriveLaw, rows: FloatArray) -> int:
     """Fill ``rows``, one per millisecond, until they are full or the drive is over; return how many were filled."""
     for index in range(rows.shape[0]):
         sense_plant(machine, law.plant)
         tcu.control(machine.memory, machine.sense, machine.commands, machine.cycles, law.actuation, law.control)
-        if machine.memory[tcu.IS_FINISHED] != 0.0:
+        if machine.memory[tcu_data.IS_FINISHED] != 0.0:
             return index
         obey(machine, law)
         settle(machine.y, machine.u, machine.modes, machine.slope1, law.plant)

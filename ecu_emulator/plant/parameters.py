@@ -14,7 +14,7 @@ from ecu_emulator.plant.driveline import FlywheelParameters, OutputParameters, S
 from ecu_emulator.plant.engine import EngineParameters
 from ecu_emulator.plant.hydraulics import HydraulicsParameters
 from ecu_emulator.plant.vehicle import VehicleParameters
-from ecu_emulator.tcu import GEAR_COUNT, ControlParameters
+from ecu_emulator.tcu_data import GEAR_COUNT, ControlParameters
 
 TupleT = TypeVar("TupleT", bound=tuple[object, ...])
 

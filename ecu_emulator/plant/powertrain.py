@@ -4,9 +4,10 @@ import numpy as np
 import numpy.typing as npt
 
 from clutch_model.calibration import Calibration, ClutchCalibration
+from clutch_model.errors import DomainError
 from clutch_model.film import applied_pressure_pa, equilibrium_film_m, film_law
 from clutch_model.friction import friction_law
-from ecu_emulator import tcu
+from ecu_emulator import tcu_data
 from ecu_emulator.plant import state as at
 from ecu_emulator.plant.audit import ACCOUNT_COUNT, PowerBalance, power_balance
 from ecu_emulator.plant.clutch import ClutchLaw, refresh_contact
@@ -19,7 +20,7 @@ from ecu_emulator.plant.parameters import GearboxParameters, PlantParameters
 from ecu_emulator.plant.rates import ClutchPair, FluidLaw, PlantLaw, ShaftPair
 from ecu_emulator.plant.records import as_record
 from ecu_emulator.plant.stability import check_step
-from ecu_emulator.tcu import ClutchActuation, ControlParameters
+from ecu_emulator.tcu_data import ClutchActuation, ControlParameters
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -57,7 +58,7 @@ class Powertrain:
     @property
     def finished(self) -> bool:
         """Whether all cycles have been driven."""
-        return bool(self._machine.memory[tcu.IS_FINISHED])
+        return bool(self._machine.memory[tcu_data.IS_FINISHED])
 
     @property
     def time_s(self) -> float:
@@ -66,7 +67,15 @@ class Powertrain:
 
     @property
     def power_balance(self) -> PowerBalance:
-        """Energies since the start; all zero but the stored ones unless the powertrain is audited."""
+        """Energies since the start.
+
+        Raises
+        ------
+        DomainError
+            If the powertrain keeps no account.
+        """
+        if self._machine.account.size == 0:
+            raise DomainError("only an audited powertrain has a power balance")
         return power_balance(self._machine.account, self._start, self._machine.y, self._law.plant)
 
     def advance(self, duration_s: float) -> FloatArray:
@@ -154,9 +163,9 @@ def _initial_machine(law: DriveLaw, drive: DriveSettings, control: ControlParame
         slope1=np.zeros(at.OUTPUT_COUNT),
         slope=np.zeros(at.OUTPUT_COUNT),
         account=np.zeros(3 * ACCOUNT_COUNT if is_audited else 0),
-        memory=np.zeros(tcu.MEMORY_COUNT),
-        sense=np.zeros(tcu.SENSE_COUNT),
-        commands=np.zeros(tcu.COMMAND_COUNT),
+        memory=np.zeros(tcu_data.MEMORY_COUNT),
+        sense=np.zeros(tcu_data.SENSE_COUNT),
+        commands=np.zeros(tcu_data.COMMAND_COUNT),
         clock=np.zeros(1, np.int64),
         cycles=cycle_table(drive, control),
     )
@@ -167,10 +176,10 @@ def _initial_machine(law: DriveLaw, drive: DriveSettings, control: ControlParame
     machine.modes[at.GEAR : at.GEAR + 2] = (1, 2)
     machine.u[at.DIRECTION : at.DIRECTION + 2] = 1.0
     machine.u[at.RATIO : at.RATIO + 2] = law.overall_ratios[1:3]
-    machine.memory[tcu.CURRENT_GEAR] = machine.memory[tcu.TARGET_GEAR] = 1
-    machine.memory[tcu.IS_DRIVING] = 1.0
-    machine.commands[tcu.WANTED_GEAR : tcu.WANTED_GEAR + 2] = (1, 2)
-    machine.commands[tcu.SPARK] = 1.0
+    machine.memory[tcu_data.CURRENT_GEAR] = machine.memory[tcu_data.TARGET_GEAR] = 1
+    machine.memory[tcu_data.IS_DRIVING] = 1.0
+    machine.commands[tcu_data.WANTED_GEAR : tcu_data.WANTED_GEAR + 2] = (1, 2)
+    machine.commands[tcu_data.SPARK] = 1.0
     return machine
 
 

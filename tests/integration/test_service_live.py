@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from tests.plugins.broker import Mosquitto
-from tests.replay import INTERFACE, Replay, free_group
+from tests.replay import INTERFACE, Replay, UdpBus, free_bus
 from tests.service import Record, Service, run_service, service
 from tests.subscriber import Subscriber
 
@@ -19,14 +19,14 @@ SECOND_SHIFT_OPEN_S = 4.2
 ALL_DONE_S = 12.0
 
 
-@pytest.fixture(name="group")
-def _group() -> str:
-    return free_group()
+@pytest.fixture(name="bus")
+def _bus() -> UdpBus:
+    return free_bus()
 
 
 @pytest.fixture(name="replay")
-def _replay(drive_log: Path, group: str) -> Iterator[Replay]:
-    replay = Replay(group, drive_log.read_bytes().splitlines())
+def _replay(drive_log: Path, bus: UdpBus) -> Iterator[Replay]:
+    replay = Replay(bus, drive_log.read_bytes().splitlines())
     yield replay
     replay.close()
 
@@ -50,9 +50,9 @@ def counts_say(running: Service, text: str) -> bool:
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 @pytest.mark.parametrize("delay_s", [0.0, 0.1, 0.4, 0.8])
 def test_a_signal_while_starting_ends_it_cleanly(
-    tmp_path: Path, group: str, number: signal.Signals, delay_s: float
+    tmp_path: Path, bus: UdpBus, number: signal.Signals, delay_s: float
 ) -> None:
-    with service(tmp_path, "run", "-i", INTERFACE, "-c", group, "--store", tmp_path / "car.sqlite") as running:
+    with service(tmp_path, "run", "-i", INTERFACE, "-c", bus.group, "--store", tmp_path / "car.sqlite") as running:
         running.wait_until_it_catches(signal.SIGUSR1)  # the last to get a handler; Python itself has one for SIGINT
         time.sleep(delay_s)
         running.send(number)
@@ -60,10 +60,12 @@ def test_a_signal_while_starting_ends_it_cleanly(
     assert (ended.status, ended.err) == (0, "")
 
 
-def test_stopping_reports_the_open_shift_and_every_frame(tmp_path: Path, group: str, replay: Replay) -> None:
+def test_stopping_reports_the_open_shift_and_every_frame(tmp_path: Path, bus: UdpBus, replay: Replay) -> None:
     store = tmp_path / "car.sqlite"
-    with service(tmp_path, "run", "-i", INTERFACE, "-c", group, "--store", store, "--json") as running:
-        running.wait_for(lambda: f"listening on {INTERFACE} {group}" in running.err)
+    with service(
+        tmp_path, "run", "-i", INTERFACE, "-c", bus.group, "--store", store, "--json", variables=bus.variables
+    ) as running:
+        running.wait_for(lambda: f"listening on {INTERFACE} {bus.group}" in running.err)
         sent = replay.send_until(SECOND_SHIFT_OPEN_S)
         running.wait_for(lambda: running.out.count("\n") == 1)
         running.wait_for(lambda: counts_say(running, f"{sent} frames, {sent} decoded"))
@@ -81,20 +83,20 @@ def test_stopping_reports_the_open_shift_and_every_frame(tmp_path: Path, group: 
 
 @pytest.mark.broker
 def test_kill_9_in_the_middle_loses_no_report_and_repeats_none(
-    tmp_path: Path, group: str, replay: Replay, broker: Mosquitto
+    tmp_path: Path, bus: UdpBus, replay: Replay, broker: Mosquitto
 ) -> None:
     store = tmp_path / "car.sqlite"
-    arguments = ("run", "-i", INTERFACE, "-c", group, "--store", store, "--json")
+    arguments = ("run", "-i", INTERFACE, "-c", bus.group, "--store", store, "--json")
     to_broker = ("--vehicle", "car1", "--broker", broker.url)
     with Subscriber(broker.port) as subscriber:
-        with service(tmp_path / "first", *arguments, *to_broker) as first:
+        with service(tmp_path / "first", *arguments, *to_broker, variables=bus.variables) as first:
             first.wait_for(lambda: "listening" in first.err)
             replay.send_until(SECOND_SHIFT_OPEN_S)
             first.wait_for(lambda: first.out.count("\n") == 1)
             first.send(signal.SIGKILL)
             killed = first.wait()
         subscriber.wait(lambda heard: [status["status"] for status in heard.payloads("/status")][-1:] == ["offline"])
-        with service(tmp_path / "second", *arguments, *to_broker) as second:
+        with service(tmp_path / "second", *arguments, *to_broker, variables=bus.variables) as second:
             second.wait_for(lambda: "listening" in second.err)
             replay.send_until(ALL_DONE_S)
             second.wait_for(lambda: second.out.count("\n") >= 2)
@@ -113,11 +115,11 @@ def test_kill_9_in_the_middle_loses_no_report_and_repeats_none(
 
 @pytest.mark.broker
 def test_a_broker_that_dies_and_returns_gets_every_shift(
-    tmp_path: Path, group: str, replay: Replay, broker: Mosquitto
+    tmp_path: Path, bus: UdpBus, replay: Replay, broker: Mosquitto
 ) -> None:
-    arguments = ("run", "-i", INTERFACE, "-c", group, "--store", tmp_path / "car.sqlite", "--json")
+    arguments = ("run", "-i", INTERFACE, "-c", bus.group, "--store", tmp_path / "car.sqlite", "--json")
     with Subscriber(broker.port) as subscriber:
-        with service(tmp_path / "run", *arguments, "--broker", broker.url) as running:
+        with service(tmp_path / "run", *arguments, "--broker", broker.url, variables=bus.variables) as running:
             running.wait_for(lambda: "listening" in running.err)
             replay.send_until(FIRST_SHIFT_DONE_S)
             subscriber.wait(lambda heard: len(heard.payloads("/shift")) == 1, timeout_s=60.0)
@@ -128,30 +130,27 @@ def test_a_broker_that_dies_and_returns_gets_every_shift(
             running.wait_for(lambda: "takes results again" in running.err)
             running.send(signal.SIGTERM)
             ended = running.wait()
-        subscriber.wait(lambda heard: len(heard.payloads("/shift")) >= 3)
-        heard = subscriber.payloads("/shift")
+        reported = {key(record) for record in ended.shifts}
+        subscriber.wait(lambda heard: {key(record) for record in heard.payloads("/shift")} == reported)
     assert ended.status == 0
     assert ended.err.count("warning") == 1
-    assert {key(record) for record in heard} == {key(record) for record in ended.shifts}
+    assert len(reported) == 3
     assert ended.summary["shifts"]["unpublished"] == 0
 
 
-def test_a_duration_ends_the_run(tmp_path: Path, group: str) -> None:
-    arguments = ("run", "-i", INTERFACE, "-c", group, "--store", tmp_path / "car.sqlite", "--duration", "0.2")
-    ended = run_service(tmp_path, *arguments)
+def test_a_duration_ends_the_run(tmp_path: Path, bus: UdpBus) -> None:
+    arguments = ("run", "-i", INTERFACE, "-c", bus.group, "--store", tmp_path / "car.sqlite", "--duration", "0.2")
+    ended = run_service(tmp_path, *arguments, variables=bus.variables)
     assert (ended.status, ended.err) == (0, "")
     assert ended.out.startswith("listening on ")
     assert "0 shifts" in ended.out
 
 
-def test_the_bus_may_come_from_the_environment(tmp_path: Path, group: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("tests.service.OWN_PREFIXES", ())
-    monkeypatch.setenv("CAN_INTERFACE", INTERFACE)
-    monkeypatch.setenv("CAN_CHANNEL", group)
-    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path))
-    ended = run_service(tmp_path, "run", "--vehicle", "car7", "--duration", "0.1")
+def test_the_bus_may_come_from_the_environment(tmp_path: Path, bus: UdpBus) -> None:
+    variables = {"CAN_INTERFACE": INTERFACE, "CAN_CHANNEL": bus.group, "XDG_STATE_HOME": str(tmp_path)}
+    ended = run_service(tmp_path, "run", "--vehicle", "car7", "--duration", "0.1", variables=bus.variables | variables)
     assert (ended.status, ended.err) == (0, "")
-    assert f"listening on {INTERFACE} {group} for car7" in ended.out
+    assert f"listening on {INTERFACE} {bus.group} for car7" in ended.out
     assert (tmp_path / "clutchdiag" / "car7.sqlite").exists()
 
 

@@ -15,6 +15,7 @@ from jsonschema import Draft202012Validator
 from clutch_model.calibration import nominal_calibration
 from tests.plugins.broker import Mosquitto, free_port
 from tests.plugins.drives import SHIFT_COUNT
+from tests.replay import INTERFACE, free_bus
 from tests.service import PROGRAM, environment, run_service, service
 from tests.subscriber import Subscriber
 from tests.unit.diag_service.test_results import schema
@@ -202,7 +203,9 @@ def test_a_disk_that_fills_up_loses_nothing_that_was_reported(drive_log: Path, t
 
 def test_a_second_service_leaves_the_store_alone(drive_log: Path, tmp_path: Path) -> None:
     store = tmp_path / "car.sqlite"
-    with service(tmp_path / "first", "run", "-i", "udp_multicast", "-c", "239.74.163.7", "--store", store) as first:
+    bus = free_bus()
+    arguments = ("run", "-i", INTERFACE, "-c", bus.group, "--store", store)
+    with service(tmp_path / "first", *arguments, variables=bus.variables) as first:
         first.wait_for(lambda: "listening" in first.out)
         second = run_service(tmp_path / "second", "analyze", drive_log, "--store", store)
         second.assert_one_line(4, f"in use by another diag-service (process {first.process.pid})")

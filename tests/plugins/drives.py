@@ -1,4 +1,4 @@
-"""Pytest plugin: the beginning of a recorded drive, made once per run."""
+"""Pytest plugin: a recorded drive and its beginning, made once per run."""
 
 import subprocess
 import sys
@@ -11,14 +11,20 @@ _END_S = 12
 
 
 @pytest.fixture(scope="session")
-def drive_log(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Return the candump log of the first ``SHIFT_COUNT`` shifts of the nominal drive."""
-    folder = tmp_path_factory.mktemp("drive")
-    whole, path = folder / "whole.log", folder / "drive.log"
+def cycle_log(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return the candump log of the nominal drive: one cycle, ten shifts."""
+    path = tmp_path_factory.mktemp("drive") / "cycle.log"
     subprocess.run(
-        [sys.executable, "-m", "ecu_emulator", "record", str(whole)], check=True, capture_output=True, timeout=300
+        [sys.executable, "-m", "ecu_emulator", "record", str(path)], check=True, capture_output=True, timeout=300
     )
-    lines = whole.read_bytes().splitlines(keepends=True)
+    return path
+
+
+@pytest.fixture(scope="session")
+def drive_log(cycle_log: Path) -> Path:
+    """Return the candump log of the first ``SHIFT_COUNT`` shifts of the nominal drive."""
+    path = cycle_log.with_name("drive.log")
+    lines = cycle_log.read_bytes().splitlines(keepends=True)
     first_s = send_time_s(lines[0])
     path.write_bytes(b"".join(line for line in lines if send_time_s(line) < first_s + _END_S))
     return path

@@ -79,7 +79,8 @@ async def test_closing_sends_what_is_left(store: ResultStore) -> None:
     assert seqs(link) == list(range(1, 251))
 
 
-async def test_a_broken_connection_loses_nothing_and_repeats_nothing_acknowledged(store: ResultStore) -> None:
+async def test_a_broken_connection_loses_nothing(store: ResultStore, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("diag_service.publishers.outbox.SETTLE_S", 0.0)
     first, second = MemoryLink(), MemoryLink()
     outbox = Outbox(store, "car1", Broker(first, second).connect, "broker")
     put(store, 1)
@@ -92,6 +93,22 @@ async def test_a_broken_connection_loses_nothing_and_repeats_nothing_acknowledge
     assert [result.seq for result in second.refreshed] == [1]  # a restarted broker hears the state again
     await outbox.close(sender)
     assert seqs(first) == [1]
+
+
+async def test_what_was_acknowledged_just_before_the_connection_broke_is_sent_again(store: ResultStore) -> None:
+    first, second, third = MemoryLink(), MemoryLink(), MemoryLink()
+    outbox = Outbox(store, "car1", Broker(first, second, third).connect, "broker")
+    put(store, 1, 2)
+    sender = asyncio.create_task(outbox.run())
+    await until(lambda: seqs(first) == [1, 2] and store.unpublished_count("car1") == 0)
+    first.cut.set()
+    await until(lambda: seqs(second) == [1, 2])
+    second.cut.set()
+    await until(lambda: seqs(third) == [1, 2])
+    put(store, 3)
+    outbox.nudge()
+    await until(lambda: seqs(third) == [1, 2, 3])
+    await outbox.close(sender)
 
 
 async def test_a_loss_while_idle_is_noticed(store: ResultStore) -> None:

@@ -138,6 +138,27 @@ def test_an_object_that_is_too_small_to_be_one_ends_neither_the_loop_nor_the_fil
     assert counts.first_rejected == "object 1: damaged"
 
 
+@pytest.mark.parametrize("method", [0, 2])
+@pytest.mark.parametrize("is_past_the_end", [False, True])
+def test_a_container_whose_size_swallows_the_next_ones_gives_them_back(method: int, *, is_past_the_end: bool) -> None:
+    swallowing = bytearray(container(message(can_id=5), method=method))
+    following = container(message(can_id=6)) + container(message(can_id=7))
+    swallowing[8:12] = struct.pack("<L", len(swallowing) + len(following) + 1000 * is_past_the_end)
+    batch, counts = read(blf([bytes(swallowing) + following]))
+    assert batch is not None
+    assert batch.can_id.tolist() == [5, 6, 7]
+    assert counts.rejected == {LogReject.CUT_OFF if is_past_the_end else LogReject.DAMAGED: 1}
+
+
+@pytest.mark.parametrize("cut", range(1, 100))
+def test_a_stored_container_that_is_cut_gives_no_frame_twice(cut: int) -> None:
+    contents = blf([container(b"".join(message(can_id=k) for k in range(4)), method=0)])
+    batch, counts = read(contents[:-cut])
+    assert batch is not None
+    assert batch.can_id.tolist() == list(range((4 * 48 - cut) // 48))
+    assert counts.truncated
+
+
 @pytest.mark.parametrize("size", [0, 8, 2**32 - 1])
 def test_a_container_that_lies_about_its_size_is_stepped_over(size: int) -> None:
     batch, counts = read(blf([container(message()), container(message(), size=size), container(message(can_id=7))]))

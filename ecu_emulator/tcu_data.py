@@ -1,0 +1,114 @@
+"""What the shift control senses, commands, remembers and is tuned with: places in its arrays, and its parameters.
+
+Pairs hold clutch 1 (odd gears) first; clutch 2 follows.
+"""
+
+from typing import NamedTuple
+
+GEAR_COUNT = 6
+PERIOD_S = 1.0e-3
+
+# Shift phases, as on the bus.
+HOLD = 0
+PREFILL = 1
+TORQUE = 2
+INERTIA = 3
+LOCK_UP = 4
+
+# Places in the array of what the control senses: SLIP, FILL, GEAR and IS_ENGAGED hold a pair, clutch 1 first.
+ENGINE_SPEED = 0
+ENGINE_TORQUE = 1
+SLIP = 2
+FILL = 4
+IS_LOCKED = 6
+SHAFT_GEAR = 8  # gear on, or being synchronised to, the shaft; 0 none
+IS_ENGAGED = 10
+SENSE_COUNT = 12
+
+# Places in the array of what the control commands.
+PRESSURE = 0
+TORQUE_COMMAND = 2
+WANTED_GEAR = 4  # gear each shaft shall have, 0 neutral
+THROTTLE = 6
+SPARK = 7
+BRAKE = 8
+COMMAND_COUNT = 9
+
+# Places in the memory of the control.
+CURRENT_GEAR = 0
+TARGET_GEAR = 1
+PHASE = 2
+PHASE_TIME = 3
+DWELL = 4  # time since the current gear was reached
+INPUT_TORQUE = 5  # filtered engine torque
+START_SLIP = 6
+INTEGRAL = 7
+LOCKED_TIME = 8
+NEUTRAL_TIME = 9
+IS_DRIVING = 10
+COAST_TIME = 11
+CYCLE = 12
+IS_FILLED = 13
+RAMP_START = 14
+IS_FINISHED = 15
+MEMORY_COUNT = 16
+
+# Columns of the table of cycles.
+CYCLE_PEDAL = 0
+CYCLE_BRAKE = 1
+CYCLE_UP = 2  # five speeds, leaving gears 1..5
+CYCLE_DOWN = 7  # five speeds, leaving gears 2..6
+CYCLE_MU = 12  # factors on mu_c1, mu_s1, mu_c2, mu_s2
+CYCLE_COLUMN_COUNT = 16
+
+
+class ControlParameters(NamedTuple):
+    """Numbers of the shift control and the driver."""
+
+    friction_coefficient: float
+    torque_filter_s: float
+    upshift_speeds_rad_s: tuple[float, ...]  # w_up, leaving gears 1..5
+    downshift_speeds_rad_s: tuple[float, ...]  # w_dn, leaving gears 2..6
+    dwell_s: float
+    hold_gain_ratio: float
+    hold_margin_nm: float
+    preselect_delay_s: float
+    preselect_fill_ratio: float
+    neutral_time_s: float
+    prefill_time_s: float
+    prefill_pressure_pa: float
+    prefill_ratio: float
+    touch_margin_pa: float
+    release_gain_ratio: float
+    release_margin_nm: float
+    torque_phase_s: float
+    overlap_margin_nm: float
+    overlap_gain_ratio: float
+    dump_ratio: float
+    flare_gain_nms_rad: float
+    flare_free_rad_s: float
+    flare_limit_rad_s: float
+    upshift_inertia_phase_s: float
+    downshift_inertia_phase_s: float
+    overshoot_rate_rad_s2: float
+    overshoot_limit_rad_s: float
+    slip_gain_nms_rad: float
+    slip_integral_gain_nm_rad: float
+    slip_integral_limit_rad: float
+    min_torque_nm: float
+    spark_reduction_ratio: float
+    spark_stretch_ratio: float
+    locked_slip_rad_s: float
+    locked_time_s: float
+    lockup_time_s: float
+    top_gear_time_s: float
+    brake_delay_s: float
+    first_gear_time_s: float
+
+
+class ClutchActuation(NamedTuple):
+    """What the control believes about each clutch: pressure for no torque, pressure per torque."""
+
+    touch_pressure_pa: tuple[float, float]
+    pressure_per_torque_pa_nm: tuple[float, float]
+    inertia_kg_m2: float  # J_E + J_H

@@ -1,0 +1,53 @@
+"""The service's stages without process, bus or store: frames in, what they say about every shift out."""
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from pathlib import Path
+
+from clutch_model.calibration import nominal_calibration
+from dbc.contract import DBC_PATH
+from diag_service.condition import ConditionMemory
+from diag_service.database import load_database
+from diag_service.estimation import Belief
+from diag_service.frames import FrameBatch
+from diag_service.mapping import Decoder
+from diag_service.pipeline import Diagnosis, Stages
+from diag_service.profile import load_profile
+from diag_service.records import ClutchVerdict, ShiftEstimate
+from diag_service.results import JsonObject
+from diag_service.sources import read_log
+from diag_service.sources.columns import join
+from diag_service.summary import FrameCounts
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Outcome:
+    """What the stages made of a stretch of frames."""
+
+    diagnoses: tuple[Diagnosis, ...]
+    counts: FrameCounts
+
+    @property
+    def fingerprint(self) -> list[tuple[ShiftEstimate, ClutchVerdict, JsonObject, JsonObject]]:
+        """Estimate, verdict and state after every shift; equal only if every bit of every number is."""
+        return [
+            (diagnosis.estimate, diagnosis.verdict, diagnosis.belief.to_json(), diagnosis.memory.to_json())
+            for diagnosis in self.diagnoses
+        ]
+
+
+def frames_of_log(path: Path, duration_s: float) -> FrameBatch:
+    """Return the frames of the first seconds of a log."""
+    batch = join(list(read_log(path)))
+    within = batch.t_ns <= batch.t_ns[0] + round(duration_s * 1e9)
+    return batch[: int(within.sum())]
+
+
+def diagnosed(batches: Iterable[FrameBatch]) -> Outcome:
+    """Run fresh stages over batches to the end of the stream."""
+    calibration = nominal_calibration()
+    decoder = Decoder(load_database(DBC_PATH), load_profile())
+    stages = Stages(decoder, calibration, Belief.fresh(calibration), ConditionMemory.fresh())
+    found = [diagnosis for batch in batches for diagnosis in stages.feed(batch)]
+    found += [stages.conclude(event) for event in stages.flush()]
+    return Outcome(diagnoses=tuple(found), counts=stages.frame_counts())

@@ -1,0 +1,91 @@
+"""The demonstration, as people run it: one cycle of aged fluid to its verdict, and Ctrl-C in the middle."""
+
+import signal
+import subprocess
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import psutil
+import pytest
+
+from tests.service import environment
+
+ROOT = Path(__file__).parents[2]
+INTERRUPTED = 130
+
+pytestmark = pytest.mark.slow
+
+
+@contextmanager
+def demo(folder: Path, *arguments: str) -> Iterator[subprocess.Popen[str]]:
+    """Start a demonstration without a terminal; neither it nor its children outlive the block."""
+    command = [sys.executable, "-m", "demo", "--output", str(folder), *arguments]
+    process = subprocess.Popen(
+        command,
+        cwd=ROOT,
+        env=environment(),
+        stdin=subprocess.DEVNULL,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        text=True,
+    )
+    family = psutil.Process(process.pid)
+    try:
+        yield process
+    finally:
+        left = [*family.children(recursive=True), family] if family.is_running() else []
+        for one in left:
+            one.kill()
+        process.wait(10.0)
+        if process.stdout is not None:
+            process.stdout.close()
+
+
+def test_aged_fluid_is_found(tmp_path: Path) -> None:
+    with demo(tmp_path, "--scenario", "case2") as process:
+        said, _ = process.communicate(timeout=240.0)
+    assert process.returncode == 0, said
+    lines = said.splitlines()
+    assert sum("after its end" in line for line in lines) == 10, said
+    assert [line for line in lines if line.startswith("verdict: ")] == [
+        "verdict: clutch 1 change fluid",
+        "verdict: clutch 2 change fluid",
+    ]
+    assert "unexplained: 0" in said
+    assert (tmp_path / "demo.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_an_interrupt_ends_all_children(tmp_path: Path) -> None:
+    with demo(tmp_path) as process:
+        assert process.stdout is not None
+        for line in process.stdout:
+            if "clutch 2" in line:  # the first shift: everything runs
+                break
+        children = psutil.Process(process.pid).children(recursive=True)
+        assert len(children) == 2
+        process.send_signal(signal.SIGINT)
+        assert process.wait(30.0) == INTERRUPTED
+        _, alive = psutil.wait_procs(children, timeout=1.0)
+        assert alive == []
+    for name in ("ecu-emulator.log", "diag-service.log"):
+        assert "Traceback" not in (tmp_path / name).read_text(encoding="utf-8")
+
+
+def test_a_scenario_that_does_not_exist_is_one_clear_line(tmp_path: Path) -> None:
+    with demo(tmp_path, "--scenario", "nowhere") as process:
+        said, _ = process.communicate(timeout=60.0)
+    assert process.returncode == 1
+    assert "demo: error: ecu-emulator ended with status 2" in said
+    assert "nowhere" in said.splitlines()[-1]
+
+
+def test_two_demos_do_not_share_a_folder(tmp_path: Path) -> None:
+    with demo(tmp_path) as first:
+        assert first.stdout is not None
+        assert first.stdout.readline().startswith("bus:")
+        with demo(tmp_path) as second:
+            said, _ = second.communicate(timeout=60.0)
+    assert second.returncode == 1
+    assert "another demo writes to" in said

@@ -1,0 +1,246 @@
+"""The whole chain on a real vcan: emulator and service as processes, a broker, a candump, and a stranger on the bus."""
+
+import signal
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+
+import pytest
+from jsonschema import Draft202012Validator
+
+from ecu_emulator.truth import TruthLog, read_truth
+from tests.bus_end import Stranger, candump, wait_for_shift
+from tests.plugins.broker import Mosquitto
+from tests.plugins.vcan import own_vcan
+from tests.service import Ended, Record, Service, run_service, service
+from tests.subscriber import Payload, Subscriber
+from tests.uml.vcan import ip_link
+from tests.unit.diag_service.test_results import schema
+
+SHIFT_COUNT = 10
+EMULATOR = (sys.executable, "-m", "ecu_emulator")
+LARGEST_ERROR = 4.0  # in stated standard deviations
+NOT_THE_DRIVES = ("stream", "seq", "produced_at")
+
+pytestmark = pytest.mark.vcan
+
+
+@contextmanager
+def emulator(folder: Path, vcan: str, *arguments: str | Path) -> Iterator[Service]:
+    """Start an emulator on an interface."""
+    with service(folder, "run", "-i", "socketcan", "-c", vcan, "--json", *arguments, program=EMULATOR) as running:
+        yield running
+
+
+@contextmanager
+def listening(folder: Path, vcan: str, *arguments: str | Path, wrapper: tuple[str, ...] = ()) -> Iterator[Service]:
+    """Start a service and wait until it hears the interface."""
+    bus = ("run", "-i", "socketcan", "-c", vcan, "--json", "--store", folder / "car.sqlite")
+    with service(folder, *bus, *arguments, wrapper=wrapper) as running:
+        running.wait_for(lambda: "listening" in running.err)
+        yield running
+
+
+def accounted(frames: Record) -> int:
+    """Return the frames whose fate the service tells."""
+    dropped = int(frames["kernel_dropped"]) + int(frames["queue_dropped"])
+    return int(frames["decoded"] + frames["ignored"] + frames["unsupported"]) + rejected(frames) + dropped
+
+
+def rejected(frames: Record) -> int:
+    return sum(frames["rejected"].values())
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LiveDrive:
+    """A whole cycle, heard by everyone."""
+
+    emulated: Ended
+    live: Ended
+    replayed: Ended
+    truth: TruthLog
+    strangers: dict[str, int]
+    shifts: list[Payload]
+    clutches: list[Payload]
+    statuses: list[Payload]
+
+
+@pytest.fixture(scope="module")
+def drive(tmp_path_factory: pytest.TempPathFactory) -> LiveDrive:
+    """Return what one cycle in real time left: about 45 s."""
+    folder = tmp_path_factory.mktemp("live")
+    log, truth, data = folder / "bus.log", folder / "truth.jsonl", folder / "mosquitto"
+    data.mkdir()
+    broker = Mosquitto(data)
+    broker.start()
+    try:
+        with (
+            own_vcan() as vcan,
+            Subscriber(broker.port) as backend,
+            candump(vcan, log),
+            listening(folder / "service", vcan, "--vehicle", "car1", "--broker", broker.url) as live,
+        ):
+            with (
+                emulator(folder / "emulator", vcan, "--scenario", "case1", "--truth", truth) as driving,
+                Stranger(vcan, 0.1) as stranger,
+            ):
+                emulated = driving.wait(120.0)
+            live.send(signal.SIGTERM)
+            ended = live.wait()
+            backend.wait(lambda heard: heard.payloads("/status")[-1]["status"] == "offline")
+        return LiveDrive(
+            emulated=emulated,
+            live=ended,
+            replayed=run_service(folder / "replayed", "analyze", log, "--json", "--vehicle", "car1"),
+            truth=read_truth(truth),
+            strangers=stranger.sent,
+            shifts=backend.payloads("/shift"),
+            clutches=[*backend.payloads("/clutch/1"), *backend.payloads("/clutch/2")],
+            statuses=backend.payloads("/status"),
+        )
+    finally:
+        broker.stop()
+
+
+def test_both_programs_end_well(drive: LiveDrive) -> None:
+    assert (drive.emulated.status, drive.live.status, drive.replayed.status) == (0, 0, 0)
+    assert drive.emulated.records[0]["is_complete"]
+    assert "warning" not in drive.live.err
+    assert "error" not in drive.live.err
+
+
+def test_every_frame_sent_is_accounted_for(drive: LiveDrive) -> None:
+    report, frames = drive.emulated.records[0], drive.live.summary["frames"]
+    assert report["frames_given_up"] == 0
+    assert report["frames_sent"] > 20_000
+    assert frames["on_bus"] == accounted(frames) == report["frames_sent"] + sum(drive.strangers.values())
+    assert (frames["kernel_dropped"], frames["queue_dropped"], frames["missing"]) == (0, 0, 0)
+    assert frames["rejected"] == {kind: drive.strangers[kind] for kind in ("bad_crc", "short")}
+    assert frames["decoded"] + frames["ignored"] == report["frames_sent"] + drive.strangers["ignored"]
+    assert min(drive.strangers.values()) > 50
+
+
+def test_a_candump_analysed_afterwards_says_the_same_to_the_bit(drive: LiveDrive) -> None:
+    assert len(drive.live.shifts) == SHIFT_COUNT
+    assert [of_the_drive(shift) for shift in drive.replayed.shifts] == [of_the_drive(one) for one in drive.live.shifts]
+    live, replayed = drive.live.summary, drive.replayed.summary
+    assert [of_the_drive(clutch) for clutch in replayed["clutches"]] == [of_the_drive(one) for one in live["clutches"]]
+    assert replayed["frames"] == live["frames"]
+
+
+def of_the_drive(record: Record) -> Record:
+    """Return what must not depend on who listened and when."""
+    return {name: value for name, value in record.items() if name not in NOT_THE_DRIVES}
+
+
+def test_what_a_subscriber_heard_lies_within_its_own_uncertainty_of_the_truth(drive: LiveDrive) -> None:
+    assert [shift["seq"] for shift in drive.shifts] == list(range(1, SHIFT_COUNT + 1))
+    errors = []
+    for shift, truth in zip(drive.shifts, drive.truth.shifts, strict=True):
+        told = (shift["from_gear"], shift["to_gear"], shift["clutch"])
+        assert told == (truth.from_gear, truth.to_gear, truth.clutch)
+        assert (shift["status"], shift["reasons"]) == ("valid", [])
+        friction = shift["friction"]
+        errors.append((friction["mu_c"] - truth.mu_c) / friction["std_mu_c"])
+        errors.append((friction["mu_s"] - truth.mu_s) / friction["std_mu_s"])
+    assert max(map(abs, errors)) <= LARGEST_ERROR, errors
+
+
+def test_what_a_subscriber_heard_is_what_the_schemas_describe(drive: LiveDrive) -> None:
+    assert drive.shifts == drive.live.shifts
+    assert [status["status"] for status in drive.statuses] == ["online", "offline"]
+    for name, payloads in (("shift", drive.shifts), ("clutch", drive.clutches), ("status", drive.statuses)):
+        assert payloads
+        for payload in payloads:
+            Draft202012Validator(schema(name)).validate(payload)
+
+
+def test_frames_that_the_service_was_too_slow_for_are_counted_to_the_frame(vcan: str, tmp_path: Path) -> None:
+    """Frozen for a second, with the receive buffer of a user without privileges, while a stranger floods the bus."""
+    wrapper = ("setpriv", "--bounding-set", "-net_admin", "--inh-caps", "-net_admin")
+    with listening(tmp_path / "service", vcan, wrapper=wrapper) as live:
+        with (
+            emulator(tmp_path / "emulator", vcan, "--scenario", "noise_only") as driving,
+            Stranger(vcan, 0.01) as stranger,
+        ):
+            wait_for_shift(vcan, from_gear=1)
+            live.send(signal.SIGSTOP)
+            stranger.burst(3_000)
+            time.sleep(1.0)
+            live.send(signal.SIGCONT)
+            wait_for_shift(vcan, from_gear=2)
+            driving.send(signal.SIGINT)
+            emulated = driving.wait()
+        live.send(signal.SIGTERM)
+        ended = live.wait()
+    assert (emulated.status, ended.status) == (0, 0)
+    report, frames = emulated.records[0], ended.summary["frames"]
+    assert not report["is_complete"]
+    assert frames["kernel_dropped"] > 500
+    assert frames["on_bus"] == accounted(frames) == report["frames_sent"] + stranger.total
+    assert 0 < rejected(frames) <= stranger.sent["bad_crc"] + stranger.sent["short"]
+    hurt = ended.shifts[0]
+    assert (hurt["from_gear"], hurt["status"]) == (1, "rejected")
+    assert hurt["friction"] is None
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_service_stopped_in_the_middle_of_a_shift(vcan: str, tmp_path: Path, number: signal.Signals) -> None:
+    with (
+        listening(tmp_path / "service", vcan) as live,
+        emulator(tmp_path / "emulator", vcan, "--scenario", "noise_only") as driving,
+    ):
+        wait_for_shift(vcan, from_gear=2)
+        time.sleep(0.4)
+        live.send(number)
+        ended = live.wait()
+        driving.send(number)
+        emulated = driving.wait()
+    assert (ended.status, emulated.status) == (0, 0)
+    finished, cut = ended.shifts
+    assert (finished["from_gear"], finished["status"]) == (1, "valid")
+    assert (cut["from_gear"], cut["status"], cut["reasons"]) == (2, "rejected", ["interrupted"])
+    frames, report = ended.summary["frames"], emulated.records[0]
+    assert 0 < frames["on_bus"] == accounted(frames) < report["frames_sent"]
+    assert rejected(frames) == 0
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_an_emulator_stopped_in_the_middle_of_a_shift(vcan: str, tmp_path: Path, number: signal.Signals) -> None:
+    truth = tmp_path / "truth.jsonl"
+    with listening(tmp_path / "service", vcan) as live:
+        with emulator(tmp_path / "emulator", vcan, "--scenario", "noise_only", "--truth", truth) as driving:
+            wait_for_shift(vcan, from_gear=1)
+            time.sleep(0.4)
+            driving.send(number)
+            emulated = driving.wait()
+        live.send(number)
+        ended = live.wait()
+    assert (emulated.status, ended.status) == (0, 0)
+    (cut,) = ended.shifts
+    assert (cut["from_gear"], cut["status"], cut["reasons"]) == (1, "rejected", ["interrupted"])
+    report, frames = emulated.records[0], ended.summary["frames"]
+    assert (report["is_complete"], report["shifts"]) == (False, 0)
+    assert frames["on_bus"] == accounted(frames) == report["frames_sent"]
+    totals = read_truth(truth).totals
+    assert totals is not None
+    assert (totals.frames, totals.shifts) == (report["frames_sent"], 0)
+
+
+def test_an_interface_that_goes_away_is_one_clear_line_and_loses_nothing(vcan: str, tmp_path: Path) -> None:
+    with (
+        listening(tmp_path / "service", vcan) as live,
+        emulator(tmp_path / "emulator", vcan, "--scenario", "noise_only") as driving,
+    ):
+        wait_for_shift(vcan, from_gear=2)
+        assert ip_link("set", vcan, "down")
+        ended, emulated = live.wait(), driving.wait()
+    assert (ended.status, emulated.status) == (3, 3)
+    assert ended.err.splitlines()[-1].startswith(f"diag-service: error: CAN interface '{vcan}' went down")
+    assert emulated.err.splitlines()[-1].startswith("ecu-emulator: error: the bus went away after")
+    assert "Traceback" not in ended.err + emulated.err
+    assert [(shift["from_gear"], shift["status"]) for shift in ended.shifts] == [(1, "valid"), (2, "rejected")]
+    assert accounted(ended.summary["frames"]) == ended.summary["frames"]["on_bus"] > 0

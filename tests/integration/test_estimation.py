@@ -1,0 +1,175 @@
+"""The estimator on emulated drives: what it finds, and what it refuses."""
+
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+
+from clutch_model.calibration import nominal_calibration
+from dbc.contract import DBC_PATH
+from diag_service.database import load_database
+from diag_service.estimation import Belief, Estimator
+from diag_service.mapping import Decoder
+from diag_service.profile import load_profile
+from diag_service.records import EndReason, FloatArray, Reason, Series, ShiftEstimate, ShiftEvent, Signal, Status
+from diag_service.shifts import ShiftFinder
+from ecu_emulator.recording import frames_of
+from tests.builders import drive_scenario
+from tests.wire import received
+
+CALIBRATION = nominal_calibration()
+FACTORS = {"ideal": (1.0, 1.0), "case1": (0.95, 1.05), "case2": (0.85, 1.15)}
+
+
+@cache
+def shifts(fluid: str = "ideal", seed: int = 77, cycles: int = 1) -> tuple[ShiftEvent, ...]:
+    """Return the shifts of an emulated drive as the service finds them."""
+    frames, _ = frames_of(drive_scenario(fluid=fluid, seed=seed, cycles=cycles))
+    decoder, finder = Decoder(load_database(DBC_PATH), load_profile()), ShiftFinder()
+    return tuple(event for columns in decoder.feed(received(frames)) for event in finder.feed(columns))
+
+
+def followed(events: tuple[ShiftEvent, ...]) -> Iterator[tuple[Belief, ShiftEstimate]]:
+    belief, estimator = Belief.fresh(CALIBRATION), Estimator(CALIBRATION)
+    for event in events:
+        belief, estimate = estimator.estimate(event, belief)
+        yield belief, estimate
+
+
+def changed(event: ShiftEvent, signal: Signal, change: Callable[[FloatArray, FloatArray], FloatArray]) -> ShiftEvent:
+    """Return the shift with one signal's values changed by a function of time since its start [s] and value."""
+    series = event.columns[signal]
+    value = change((series.t_ns - event.start_ns) * np.float64(1e-9), series.value)
+    return replace(event, columns={**event.columns, signal: replace(series, value=value)})
+
+
+def without(series: Series, first_ns: int, stop_ns: int) -> Series:
+    keep = (series.t_ns < first_ns) | (series.t_ns >= stop_ns)
+    return replace(series, t_ns=series.t_ns[keep], sequence=series.sequence[keep], value=series.value[keep])
+
+
+@pytest.mark.parametrize("fluid", FACTORS)
+def test_friction_is_found_within_its_interval(fluid: str) -> None:
+    factor_c, factor_s = FACTORS[fluid]
+    outcomes = list(followed(shifts(fluid)))
+    assert [estimate.status for _, estimate in outcomes] == [Status.VALID] * 10
+    for _, estimate in outcomes:
+        friction, reference = estimate.friction, CALIBRATION.clutches[estimate.clutch - 1].friction
+        assert friction is not None
+        assert abs(friction.mu_c - factor_c * reference.mu_c) < 4 * friction.random_std_mu_c
+        assert abs(friction.mu_s - factor_s * reference.mu_s) < 4 * friction.random_std_mu_s
+    belief = outcomes[-1][0]
+    for clutch in (1, 2):
+        friction = belief.friction(clutch)
+        reference = CALIBRATION.clutches[clutch - 1].friction
+        assert friction.mu_c == pytest.approx(factor_c * reference.mu_c, rel=0.03)
+        assert friction.mu_s == pytest.approx(factor_s * reference.mu_s, rel=0.06)
+        assert (friction.slope_s_rad > 0.0) == (fluid != "case2")
+
+
+def test_the_common_scale_is_stated_apart() -> None:
+    *_, (belief, _) = followed(shifts())
+    friction = belief.friction(1)
+    assert friction.std_mu_c > 0.02 * friction.mu_c  # torque gain and inertia, 3 % each, partly cancelling
+    assert friction.random_std_mu_c < 0.5 * friction.std_mu_c
+
+
+def test_a_jittering_bus_changes_little() -> None:
+    """Receive times up to 8 ms late, as behind a loaded gateway, move an estimate by a fraction of its deviation."""
+    rng = np.random.default_rng(3)
+    event = shifts()[0]
+    late = {
+        signal: replace(series, t_ns=np.maximum.accumulate(series.t_ns + rng.integers(0, 8_000_000, len(series.t_ns))))
+        for signal, series in event.columns.items()
+    }
+    ((_, clean),) = followed((event,))
+    ((_, jittered),) = followed((replace(event, columns=late),))
+    assert clean.friction is not None
+    assert jittered.friction is not None
+    assert abs(jittered.friction.mu_c - clean.friction.mu_c) < 0.5 * clean.friction.random_std_mu_c
+    assert abs(jittered.friction.mu_s - clean.friction.mu_s) < 0.5 * clean.friction.random_std_mu_s
+
+
+def test_a_foreign_bus_without_commands_is_still_estimated() -> None:
+    event = shifts()[1]
+    commands = (Signal.CLUTCH1_PRESSURE_COMMAND, Signal.CLUTCH2_PRESSURE_COMMAND)
+    bare = {signal: series for signal, series in event.columns.items() if signal not in commands}
+    ((_, estimate),) = followed((replace(event, columns=bare),))
+    assert estimate.status is Status.VALID
+    assert estimate.friction is not None
+    assert estimate.friction.mu_c == pytest.approx(0.140, abs=4 * estimate.friction.random_std_mu_c)
+
+
+@pytest.mark.parametrize(
+    ("signal", "change"),
+    [
+        (Signal.ENGINE_TORQUE, lambda t, value: np.where(t > 0.3, value[0], value)),  # frozen
+        (Signal.CLUTCH2_PRESSURE, lambda t, value: np.where(t > 0.7, value + 1.0e5, value)),  # one bar too much
+        (Signal.HUB_SPEED, lambda t, value: np.where(t > 0.7, value + 20.0, value)),
+    ],
+    ids=["torque frozen", "pressure steps", "speed steps"],
+)
+def test_a_lying_sensor_is_a_misfit(signal: Signal, change: Callable[[FloatArray, FloatArray], FloatArray]) -> None:
+    ((_, estimate),) = followed((changed(shifts()[0], signal, change),))
+    assert estimate.status is Status.REJECTED
+    assert estimate.reasons == (Reason.MISFIT,)
+    assert estimate.friction is None
+
+
+@pytest.mark.parametrize(("missing_frames", "status"), [(1, Status.VALID), (2, Status.REJECTED)])
+def test_one_missing_frame_is_bridged_two_in_a_row_are_not(missing_frames: int, status: Status) -> None:
+    event = shifts()[0]
+    first_ns = event.start_ns + 700_000_000
+    gap = {
+        signal: without(series, first_ns, first_ns + missing_frames * 10_000_000)
+        for signal, series in event.columns.items()
+    }
+    ((_, estimate),) = followed((replace(event, columns=gap),))
+    assert estimate.status is status
+    assert estimate.reasons == (() if status is Status.VALID else (Reason.FRAMES_MISSING,))
+
+
+@pytest.mark.parametrize(
+    ("event", "reason"),
+    [
+        (lambda event: replace(event, end_reason=EndReason.INTERRUPTED), Reason.INTERRUPTED),
+        (lambda event: replace(event, end_reason=EndReason.ABANDONED), Reason.INTERRUPTED),
+        (
+            lambda event: replace(
+                event, columns={key: one for key, one in event.columns.items() if key != Signal.HUB_SPEED}
+            ),
+            Reason.SIGNAL_MISSING,
+        ),
+        (
+            lambda event: changed(event, Signal.SUMP_TEMPERATURE, lambda _, value: value * 0 + 200.0),
+            Reason.OUT_OF_RANGE,
+        ),
+    ],
+    ids=["interrupted", "abandoned", "signal missing", "oil too cold"],
+)
+def test_an_unusable_shift_says_why(event: Callable[[ShiftEvent], ShiftEvent], reason: Reason) -> None:
+    ((belief, estimate),) = followed((event(shifts()[0]),))
+    assert (estimate.status, estimate.reasons, estimate.friction) == (Status.REJECTED, (reason,), None)
+    assert np.array_equal(belief.mean, Belief.fresh(CALIBRATION).mean)
+
+
+def test_a_clutch_that_never_slips_is_unobserved() -> None:
+    event = shifts()[0]
+    locked = {**event.columns, Signal.INPUT2_SPEED: event.columns[Signal.HUB_SPEED]}
+    ((_, estimate),) = followed((replace(event, columns=locked),))
+    assert (estimate.status, estimate.reasons) == (Status.UNOBSERVED, (Reason.NO_SLIP_WINDOW,))
+
+
+def test_new_fluid_is_believed_after_three_shifts_that_agree() -> None:
+    old, new = shifts("case2", cycles=3), shifts("ideal", seed=78)
+    outcomes = list(followed((*old, *new)))[len(old) :]
+    for clutch in (1, 2):
+        own = [(belief, estimate) for belief, estimate in outcomes if estimate.clutch == clutch]
+        refused = [Reason.NOT_UPDATED in estimate.reasons for _, estimate in own]
+        assert sum(refused) == 2
+        belief = own[-1][0]
+        friction = belief.friction(clutch)
+        assert friction.mu_c == pytest.approx(0.140, abs=4 * friction.random_std_mu_c)
+        assert belief.shift_counts[clutch - 1] == 3

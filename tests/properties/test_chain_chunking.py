@@ -1,0 +1,64 @@
+"""Cutting the stream at any place changes no event and no bit of any estimate, verdict or state."""
+
+from functools import cache
+from itertools import pairwise
+
+import numpy as np
+from hypothesis import example, given, settings
+from hypothesis import strategies as st
+
+from diag_service.frames import FrameBatch
+from diag_service.records import Status
+from ecu_emulator.recording import Drive
+from tests.builders import drive_scenario
+from tests.chain import Outcome, diagnosed
+from tests.wire import received
+
+DURATION_S = 10.0  # three shifts
+FRAME_COUNT = 6_000  # or some more: cuts beyond the end fall together there
+
+
+@cache
+def frames() -> FrameBatch:
+    return received(next(Drive(drive_scenario("ideal")).stretches(DURATION_S)).frames)
+
+
+@cache
+def whole() -> Outcome:
+    return diagnosed([frames()])
+
+
+def cut(batch: FrameBatch, places: list[int]) -> list[FrameBatch]:
+    edges = [0, *sorted(min(place, len(batch)) for place in places), len(batch)]
+    return [batch[start:stop] for start, stop in pairwise(edges)]
+
+
+def test_the_drive_is_worth_cutting() -> None:
+    assert len(frames()) >= FRAME_COUNT
+    assert [diagnosis.estimate.status for diagnosis in whole().diagnoses] == [Status.VALID] * 3
+
+
+@settings(max_examples=20, deadline=None)
+@given(st.lists(st.integers(0, FRAME_COUNT), min_size=1, max_size=60))
+@example(list(range(0, FRAME_COUNT, 40)))  # as a live bus hands them over
+@example(list(range(700, 1_900)))  # frame by frame through a shift, its beginning and its end
+def test_cutting_the_frames_anywhere_changes_nothing(places: list[int]) -> None:
+    pieces = diagnosed(cut(frames(), places))
+    assert pieces.fingerprint == whole().fingerprint
+    assert pieces.counts == whole().counts
+
+
+@settings(max_examples=6, deadline=None)
+@given(st.integers(0, 2**32 - 1))
+def test_damaged_frames_cut_anywhere_change_nothing(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    batch = frames()
+    data = batch.data.copy()
+    hit = rng.choice(len(batch), 30, replace=False)
+    data[hit, rng.integers(0, 8, hit.size)] ^= np.uint8(0x5A)
+    damaged = FrameBatch(t_ns=batch.t_ns, can_id=batch.can_id, length=batch.length, data=data)
+    places = np.concatenate((hit, rng.integers(0, len(batch), 30))).tolist()
+    one, many = diagnosed([damaged]), diagnosed(cut(damaged, places))
+    assert many.fingerprint == one.fingerprint
+    assert many.counts == one.counts
+    assert many.counts.rejected == {"bad_crc": hit.size}

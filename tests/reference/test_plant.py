@@ -1,0 +1,24 @@
+"""The nominal cycle against an independent implementation, and the error of the integration (docs/model.md)."""
+
+import numpy as np
+import pytest
+
+from ecu_emulator.plant import Col, DriveSettings
+from tests.cycles import CYCLE_SHIFTS, drive_rows, powertrain, shifts
+
+COMPARED_S = 10.0
+STEPS_S = [2.5e-4, 2.0e-4, 1.0e-4]
+
+
+def test_the_nominal_cycle_takes_as_long_as_the_reference() -> None:
+    rows = drive_rows(DriveSettings())
+    assert shifts(rows) == CYCLE_SHIFTS
+    assert rows[-1, Col.T_S] == pytest.approx(42.9, abs=0.1)
+
+
+@pytest.mark.parametrize("dt_s", STEPS_S)
+def test_halving_the_step_changes_little(dt_s: float) -> None:
+    coarse, fine = (powertrain(DriveSettings(dt_s=step)).advance(COMPARED_S) for step in (dt_s, dt_s / 2.0))
+    change = np.abs(coarse - fine)
+    assert change[:, Col.HUB_SPEED].max() < 0.02
+    assert change[:, [Col.CLUTCH1_TORQUE, Col.CLUTCH2_TORQUE]].max() < 0.3

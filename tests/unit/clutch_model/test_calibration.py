@@ -1,0 +1,72 @@
+from pathlib import Path
+
+import pytest
+
+from clutch_model.calibration import Calibration, nominal_calibration, nominal_table, read_calibration
+from clutch_model.errors import CalibrationError
+
+
+def test_the_shipped_calibration_loads() -> None:
+    calibration = nominal_calibration()
+    assert [clutch.geometry.interface_count for clutch in calibration.clutches] == [8, 10]
+    assert [clutch.touch_pressure_pa for clutch in calibration.clutches] == pytest.approx([1.3454e5, 1.5e5], rel=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("path", "value", "message"),
+    [
+        (("viscosity", "a_pa_s"), -1.0, "viscosity"),
+        (("viscosity", "pole_k"), 300.0, "pole_k"),
+        (("input_side", "engine_inertia_kg_m2"), 0.0, "engine_inertia_kg_m2"),
+        (("input_side", "hub_inertia_kg_m2"), "0.04", "must be a number"),
+        (("noise", "pressure_pa"), float("nan"), "finite"),
+    ],
+)
+def test_a_number_outside_its_range_is_named(path: tuple[str, str], value: object, message: str) -> None:
+    table = nominal_table()
+    table[path[0]][path[1]] = value
+    with pytest.raises(CalibrationError, match=message):
+        Calibration.from_mapping(table)
+
+
+@pytest.mark.parametrize(
+    ("part", "key", "value"),
+    [
+        ("friction", "mu_c", 0.9),
+        ("friction", "mu_s", 0.0),
+        ("geometry", "inner_radius_m", 0.2),
+        ("film", "roughness_m", 0.0),
+        ("thermal", "heat_capacity_j_k", 0.0),
+    ],
+)
+def test_a_clutch_outside_its_range_is_named(part: str, key: str, value: float) -> None:
+    table = nominal_table()
+    table["clutch"][1][part][key] = value
+    with pytest.raises(CalibrationError, match=rf"clutch 2 {part}.*{key}"):
+        Calibration.from_mapping(table)
+
+
+def test_a_key_too_many_or_too_few_is_named() -> None:
+    table = nominal_table()
+    table["viscosity"]["c_k"] = 1.0
+    with pytest.raises(CalibrationError, match=r"unknown key \['c_k'\]"):
+        Calibration.from_mapping(table)
+    del table["viscosity"]["c_k"], table["viscosity"]["b_k"]
+    with pytest.raises(CalibrationError, match=r"missing key \['b_k'\]"):
+        Calibration.from_mapping(table)
+
+
+def test_two_clutches_are_needed() -> None:
+    table = nominal_table()
+    del table["clutch"][1]
+    with pytest.raises(CalibrationError, match="exactly 2"):
+        Calibration.from_mapping(table)
+
+
+def test_a_file_that_cannot_be_used_is_named(tmp_path: Path) -> None:
+    with pytest.raises(CalibrationError, match="cannot read"):
+        read_calibration(tmp_path / "absent.toml")
+    path = tmp_path / "bad.toml"
+    path.write_text("name = ", encoding="utf-8")
+    with pytest.raises(CalibrationError, match=r"bad\.toml is not TOML"):
+        read_calibration(path)

@@ -1,0 +1,74 @@
+"""A demonstration that succeeded; a test changes what it is about."""
+
+from dataclasses import replace
+
+from demo.listener import ClutchState
+from demo.outcome import SHIFTS_PER_CYCLE, FrameAccount, Outcome
+from diag_service.records import ShiftResult
+from ecu_emulator.truth import DriveTruth, ShiftTruth, Totals, TruthLog
+from tests.builders import friction_estimate, shift_result
+
+GEARS = ((1, 2), (2, 3), (3, 4), (4, 5), (5, 6), (6, 5), (5, 4), (4, 3), (3, 2), (2, 1))
+FRICTION = friction_estimate()
+
+
+def shift(number: int) -> ShiftResult:
+    from_gear, to_gear = GEARS[number - 1]
+    result = shift_result(number, to_gear=to_gear)
+    return replace(result, estimate=replace(result.estimate, from_gear=from_gear, to_gear=to_gear))
+
+
+def true_shift(number: int) -> ShiftTruth:
+    from_gear, to_gear = GEARS[number - 1]
+    return ShiftTruth(
+        number=number,
+        t_start_s=4.0 * number,
+        t_end_s=4.0 * number + 1.0,
+        from_gear=from_gear,
+        to_gear=to_gear,
+        clutch=2 if to_gear % 2 == 0 else 1,
+        mu_c=FRICTION.mu_c,
+        mu_s=FRICTION.mu_s,
+        clutch_temperature_k=360.0,
+    )
+
+
+def good_frames() -> FrameAccount:
+    return FrameAccount(
+        sent=1000,
+        given_up=0,
+        lateness_max_s=0.004,
+        on_bus=1000,
+        decoded=990,
+        ignored=10,
+        rejected={},
+        dropped=0,
+        missing=0,
+    )
+
+
+def good_outcome() -> Outcome:
+    numbers = range(1, SHIFTS_PER_CYCLE + 1)
+    return Outcome(
+        cycles=1,
+        shifts=tuple(shift(number) for number in numbers),
+        clutches={
+            clutch: ClutchState(clutch=clutch, condition="good", reason="sound", friction=FRICTION, shift_count=5)
+            for clutch in (1, 2)
+        },
+        truth=TruthLog(
+            drive=DriveTruth(
+                scenario="ideal",
+                vehicle="car1",
+                seed=1,
+                cycles=1,
+                fluid="ideal",
+                mu_c=(FRICTION.mu_c, FRICTION.mu_c),
+                mu_s=(FRICTION.mu_s, FRICTION.mu_s),
+                drawn={},
+            ),
+            shifts=tuple(true_shift(number) for number in numbers),
+            totals=Totals(shifts=SHIFTS_PER_CYCLE, duration_s=40.6, frames=1000),
+        ),
+        frames=good_frames(),
+    )

@@ -1,0 +1,24 @@
+import pytest
+
+from clutch_model.errors import DomainError
+from ecu_emulator.plant import DriveSettings
+from tests.cycles import powertrain
+
+
+def test_energy_is_conserved_over_a_cycle() -> None:
+    train = powertrain(DriveSettings(), is_audited=True)
+    train.advance(80.0)
+    balance = train.power_balance
+    assert abs(balance.residual_ratio) < 1e-3
+    assert abs(balance.heat_residual_ratio) < 1e-3
+    # The books hold something: the engine drove the car, brakes and road stopped it, the clutches slipped.
+    assert balance.engine_j > 5.0e5
+    assert balance.brake_j > 1.0e5
+    assert balance.clutch_j > 1.0e4
+    assert min(balance.bearing_j, balance.damper_j, balance.gear_j, balance.synchroniser_j, balance.tyre_j) > 0.0
+
+
+def test_without_an_audit_there_is_no_balance() -> None:
+    train = powertrain(DriveSettings())
+    with pytest.raises(DomainError, match="audited"):
+        assert train.power_balance

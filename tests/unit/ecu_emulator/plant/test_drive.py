@@ -1,0 +1,69 @@
+from dataclasses import fields, replace
+
+import numpy as np
+import pytest
+
+from clutch_model.errors import CalibrationError
+from ecu_emulator import tcu_data
+from ecu_emulator.plant.drive import DriveSettings, FrictionFactors, cycle_table
+from ecu_emulator.plant.parameters import nominal_parameters
+
+CONTROL = nominal_parameters().control
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [
+        ("cycles", 0),
+        ("seed", -1),
+        ("pedal_ratio", 0.1),
+        ("brake_m_s2", 5.0),
+        ("vary_ratio", 0.5),
+        ("initial_oil_k", 273.15),
+        ("coolant_k", 90.0),
+        ("ambient_k", 20.0),
+        ("grade_ratio", 0.2),
+        ("initial_engine_rad_s", 0.0),
+        ("dt_s", 1e-3),
+        ("dt_s", 1.5e-4),
+        ("dt_s", float("nan")),
+        ("friction_factors", (FrictionFactors(mu_c1=0.0),)),
+    ],
+)
+def test_a_setting_outside_its_range_is_named(name: str, value: object) -> None:
+    assert name in {field.name for field in fields(DriveSettings)}
+    with pytest.raises(CalibrationError, match=name):
+        replace(DriveSettings(), **{name: value})  # type: ignore[arg-type]  # wrong on purpose
+
+
+def test_a_steep_road_needs_more_pedal() -> None:
+    assert DriveSettings(grade_ratio=0.02, pedal_ratio=0.36).grade_ratio == 0.02
+    with pytest.raises(CalibrationError, match="pull up this grade"):
+        DriveSettings(grade_ratio=0.02, pedal_ratio=0.3)
+
+
+def test_without_variation_every_cycle_is_the_same() -> None:
+    table = cycle_table(DriveSettings(cycles=3, seed=4), CONTROL)
+    assert (table == table[0]).all()
+    assert table[0, tcu_data.CYCLE_PEDAL] == 0.45
+    assert tuple(table[0, tcu_data.CYCLE_DOWN : tcu_data.CYCLE_DOWN + 5]) == CONTROL.downshift_speeds_rad_s
+
+
+def test_cycles_vary_with_the_seed_and_a_longer_drive_begins_alike() -> None:
+    short = cycle_table(DriveSettings(cycles=2, seed=4, vary_ratio=0.05), CONTROL)
+    long = cycle_table(DriveSettings(cycles=5, seed=4, vary_ratio=0.05), CONTROL)
+    other = cycle_table(DriveSettings(cycles=2, seed=5, vary_ratio=0.05), CONTROL)
+    assert np.array_equal(long[:2], short)
+    assert not np.isclose(short[:, : tcu_data.CYCLE_MU], other[:, : tcu_data.CYCLE_MU]).any()
+
+
+def test_variation_has_its_size() -> None:
+    table = cycle_table(DriveSettings(cycles=2000, vary_ratio=0.05), CONTROL)
+    assert table[:, tcu_data.CYCLE_UP].std() / CONTROL.upshift_speeds_rad_s[0] == pytest.approx(0.05, rel=0.1)
+    assert table[:, tcu_data.CYCLE_PEDAL].min() >= 0.45 * (1.0 - 2.5 * 0.05)
+
+
+def test_friction_factors_go_cycle_by_cycle_and_the_last_one_goes_on() -> None:
+    aged = FrictionFactors(mu_c1=0.9, mu_s1=1.1, mu_c2=0.8, mu_s2=1.2)
+    table = cycle_table(DriveSettings(cycles=3, friction_factors=(FrictionFactors(), aged)), CONTROL)
+    assert table[:, tcu_data.CYCLE_MU :].tolist() == [[1.0, 1.0, 1.0, 1.0], [0.9, 1.1, 0.8, 1.2], [0.9, 1.1, 0.8, 1.2]]
