@@ -112,5 +112,5 @@ test-vcan: setup
 	@$(PY) -m tests.uml.run --time-limit "$(VCAN_LIMIT_S)" -- $(PY) -m pytest -m vcan
 
 clean:
-	rm -rf "$(VENV)" build *.egg-info .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache
+	rm -rf "$${XDG_CACHE_HOME:-$$HOME/.cache}/clutchdiag" "$(VENV)" build *.egg-info .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache
 	find . -name __pycache__ -type d -prune -exec rm -rf {} +

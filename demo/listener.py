@@ -9,10 +9,11 @@ from dataclasses import dataclass, fields
 import aiomqtt
 
 from demo.errors import DemoError
+from diag_service.errors import ResultError
 from diag_service.publishers import BrokerAddress
 from diag_service.publishers.mqtt import clutch_topic, shift_topic, status_topic
 from diag_service.records import FrictionEstimate, ShiftResult
-from diag_service.results import CLUTCH_SCHEMA, parse_shift
+from diag_service.results import parse_shift
 
 CLUTCHES = (1, 2)
 _AT_LEAST_ONCE = 1
@@ -34,8 +35,10 @@ class ClutchState:
 class Listener:
     """Hears one vehicle; a result that is delivered twice counts once."""
 
-    def __init__(self, client: aiomqtt.Client, vehicle: str, on_shift: Callable[[ShiftResult], None]) -> None:
-        self._client = client
+    def __init__(
+        self, messages: AsyncIterator[aiomqtt.Message], vehicle: str, on_shift: Callable[[ShiftResult], None]
+    ) -> None:
+        self._messages = messages
         self._vehicle = vehicle
         self._on_shift = on_shift
         self._heard = asyncio.Condition()
@@ -53,15 +56,17 @@ class Listener:
         Raises
         ------
         DemoError
-            If the broker is lost.
+            If the broker is lost, or delivers what the service did not send.
         """
         try:
-            async for message in self._client.messages:
+            async for message in self._messages:
                 async with self._heard:
                     self._take(str(message.topic), _text(message), is_retained=message.retain)
                     self._heard.notify_all()
         except aiomqtt.MqttError as exc:
             raise DemoError(f"the broker was lost: {exc}") from exc
+        except (ResultError, ValueError, KeyError) as exc:
+            raise DemoError(f"the broker delivered what is not of this service: {exc}") from exc
 
     async def service_online(self) -> None:
         """Return when the service has announced itself."""
@@ -98,7 +103,7 @@ async def listening(
     async with _connected(address) as client:
         for topic in (status_topic(vehicle), shift_topic(vehicle)):
             await client.subscribe(topic, qos=_AT_LEAST_ONCE)
-        yield Listener(client, vehicle, on_shift)
+        yield Listener(client.messages, vehicle, on_shift)
 
 
 async def read_clutch_states(address: BrokerAddress, vehicle: str) -> dict[int, ClutchState]:
@@ -138,18 +143,18 @@ async def _connected(address: BrokerAddress) -> AsyncIterator[aiomqtt.Client]:
 
 
 def _clutch_state(text: str) -> ClutchState:
-    table = json.loads(text)
-    if table.get("schema") != CLUTCH_SCHEMA:
-        raise DemoError(f"the broker keeps no {CLUTCH_SCHEMA} record: {text[:80]}")
-    friction = table["friction"]
-    known = {key: friction[key] for key in _FRICTION_KEYS} if friction is not None else None
-    return ClutchState(
-        clutch=table["clutch"],
-        condition=table["condition"].replace("_", " "),
-        reason=table["reason"],
-        friction=None if known is None else FrictionEstimate(**known),
-        shift_count=table["shift_count"],
-    )
+    try:
+        table = json.loads(text)
+        friction = table["friction"]
+        return ClutchState(
+            clutch=table["clutch"],
+            condition=table["condition"].replace("_", " "),
+            reason=table["reason"],
+            friction=None if friction is None else FrictionEstimate(**{key: friction[key] for key in _FRICTION_KEYS}),
+            shift_count=table["shift_count"],
+        )
+    except (ValueError, KeyError, TypeError, AttributeError) as exc:
+        raise DemoError(f"the broker keeps what is no clutch state: {text[:80]}") from exc
 
 
 def _text(message: aiomqtt.Message) -> str:

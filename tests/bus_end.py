@@ -1,4 +1,4 @@
-"""A third party on a vcan: it listens for the moment at which something happens, and sends what does not belong there."""
+"""A third party on a vcan: it waits for the moment at which something happens, and sends what does not belong there."""
 
 import socket
 import struct

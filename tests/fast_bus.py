@@ -9,10 +9,11 @@ import sys
 from collections.abc import AsyncIterator
 from functools import partial
 from pathlib import Path
+from unittest.mock import patch
 
 import numpy as np
 
-from diag_service import application, cli
+from diag_service import cli
 from diag_service.frames import FrameBatch
 from diag_service.sources import FrameSource, SourceCounts, read_log
 from diag_service.sources.columns import join
@@ -59,5 +60,5 @@ async def open_fast_bus(log: Path, start_ns: int, **_settings: object) -> FrameS
 
 
 if __name__ == "__main__":
-    application.open_source = partial(open_fast_bus, Path(sys.argv[1]), int(sys.argv[2]))
-    sys.exit(cli.main(sys.argv[3:]))
+    with patch("diag_service.application.open_source", partial(open_fast_bus, Path(sys.argv[1]), int(sys.argv[2]))):
+        sys.exit(cli.main(sys.argv[3:]))

@@ -12,7 +12,7 @@ from diag_service.estimation.sampling import (
     sample_times_s,
     segment_centres_s,
 )
-from diag_service.records import EndReason, FloatArray, Reason, Series, ShiftEvent, Signal
+from diag_service.records import EndReason, FloatArray, Reason, ShiftEvent, Signal
 
 MAX_GAP_PERIODS = 2.5  # one missing frame is bridged by interpolation, two are not
 NOMINAL_PERIOD_S = 0.01  # of signals whose message states no cycle time
@@ -66,12 +66,12 @@ def gather(event: ShiftEvent, calibration: Calibration) -> ShiftSignals | Reason
     if oil is None or not len(oil.t_ns) or len(series) < len(FAST_SIGNALS):
         return Reason.SIGNAL_MISSING
     duration_s = (event.end_ns - event.start_ns) * NS_TO_S
-    if any(_has_gap(one, event) for one in series.values()):
+    times = {signal: sample_times_s(one, event.start_ns) for signal, one in series.items()}
+    if any(_has_gap(times[signal], one.period_ns, duration_s) for signal, one in series.items()):
         return Reason.FRAMES_MISSING
     oil_k = float(np.mean(oil.value))
     if not OIL_RANGE_K[0] <= oil_k <= OIL_RANGE_K[1]:
         return Reason.OUT_OF_RANGE
-    times = {signal: sample_times_s(one, event.start_ns) for signal, one in series.items()}
     engine = series[Signal.ENGINE_SPEED]
     times[Signal.ENGINE_SPEED] = segment_centres_s(
         times[Signal.ENGINE_SPEED], engine.value, calibration.input_side.crank_segment_rad
@@ -115,11 +115,11 @@ def _expected_pa(event: ShiftEvent, command: Signal, grid_s: FloatArray) -> Floa
     return expected_pa
 
 
-def _has_gap(series: Series, event: ShiftEvent) -> bool:
-    """Tell whether two samples in a row are missing somewhere between the shift's start and its end."""
-    period_s = series.period_ns * NS_TO_S or NOMINAL_PERIOD_S
-    t_ns = series.between(event.start_ns - round(2 * period_s / NS_TO_S), event.end_ns + 1).t_ns
-    if len(t_ns) < 2:
+def _has_gap(times_s: FloatArray, period_ns: int, duration_s: float) -> bool:
+    """Tell whether two samples in a row are missing between the shift's start and its end; late ones are not."""
+    period_s = period_ns * NS_TO_S or NOMINAL_PERIOD_S
+    inside_s = times_s[(times_s >= -2.0 * period_s) & (times_s <= duration_s)]
+    if len(inside_s) < 2:
         return True
-    steps_ns = np.diff(np.concatenate((t_ns, (max(event.end_ns, int(t_ns[-1])),))))
-    return bool(steps_ns.max() > MAX_GAP_PERIODS * period_s / NS_TO_S)
+    steps_s = np.diff(inside_s, append=max(duration_s, float(inside_s[-1])))
+    return bool(steps_s.max() > MAX_GAP_PERIODS * period_s)

@@ -43,13 +43,13 @@ class Powertrain:
     drive : DriveSettings
         Cycles, driver, temperatures, step.
     is_audited : bool
-        Keep an energy account (about a fifth slower); see `power_balance`.
+        Keep an energy account (a few percent slower); see `power_balance`.
     """
 
     def __init__(
         self, truth: Calibration, parameters: PlantParameters, drive: DriveSettings, *, is_audited: bool = False
     ) -> None:
-        law = _drive_law(truth, parameters, drive)
+        law = drive_law(truth, parameters, drive)
         check_step(drive.dt_s, law.plant, law.overall_ratios)
         self._law = as_record(law)
         self._machine = _initial_machine(self._law, drive, parameters.control, is_audited=is_audited)
@@ -141,7 +141,8 @@ def overall_ratios(gearbox: GearboxParameters) -> tuple[float, ...]:
     return (0.0, *(ratio * final for ratio, final in pairs))
 
 
-def _drive_law(truth: Calibration, parameters: PlantParameters, drive: DriveSettings) -> DriveLaw:
+def drive_law(truth: Calibration, parameters: PlantParameters, drive: DriveSettings) -> DriveLaw:
+    """Return everything constant over a drive, in the form the kernels take after `as_record`."""
     plant = _plant_law(truth, parameters, drive)
     return DriveLaw(
         plant=plant,

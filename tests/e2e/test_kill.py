@@ -1,8 +1,8 @@
-"""kill -9 of a live service at any moment, and a restart on its store: nothing reported is lost, nothing is repeated,
-and the running state goes on as if nothing had happened.
+"""kill -9 of a live service at any moment, and a restart on its store: nothing reported is lost, nothing is repeated.
 
-The bus plays a recorded drive and, after each restart, goes on behind the last shift that was stored; so the drive that
-was interrupted five times must end with the same numbers, to the bit, as the one that was not.
+The bus plays a recorded drive and, after each restart, goes on behind the last shift that was stored. So the drive that
+was interrupted again and again must end with the same numbers and the same running state, to the bit, as the one that
+was not.
 """
 
 import json

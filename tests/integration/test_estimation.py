@@ -131,6 +131,23 @@ def test_one_missing_frame_is_bridged_two_in_a_row_are_not(missing_frames: int, 
     assert estimate.reasons == (() if status is Status.VALID else (Reason.FRAMES_MISSING,))
 
 
+@pytest.mark.parametrize(("catches_up", "reasons"), [(True, ()), (False, (Reason.FRAMES_MISSING,))])
+def test_frames_that_are_late_together_are_not_missing(catches_up: bool, reasons: tuple[Reason, ...]) -> None:
+    """A stalled gateway hands over 60 ms of frames at once; a sender that hung did not measure in that time."""
+    event = shifts()[0]
+    stall_ns = event.start_ns + 700_000_000
+
+    def stalled(series: Series) -> Series:
+        late_ns = np.maximum(series.t_ns, stall_ns + 60_000_000) if catches_up else series.t_ns + 60_000_000
+        return replace(series, t_ns=np.where(series.t_ns > stall_ns, late_ns, series.t_ns))
+
+    late = {signal: stalled(series) for signal, series in event.columns.items()}
+    ((_, clean),) = followed((event,))
+    ((_, estimate),) = followed((replace(event, columns=late),))
+    assert estimate.reasons == reasons
+    assert (estimate.friction == clean.friction) is catches_up
+
+
 @pytest.mark.parametrize(
     ("event", "reason"),
     [

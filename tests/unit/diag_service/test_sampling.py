@@ -44,6 +44,12 @@ def test_a_sender_off_its_schedule_keeps_its_receive_times() -> None:
     assert np.allclose(sample_times_s(series_at(t_ns, sequence), 0), t_ns * 1e-9)
 
 
+def test_a_sender_that_leaves_its_schedule_for_good_keeps_its_receive_times() -> None:
+    sequence = np.arange(100)
+    t_ns = sequence * PERIOD_NS + np.where(sequence >= 60, 40_000_000, 0)  # hangs once, and starts a schedule anew
+    assert np.allclose(sample_times_s(series_at(t_ns, sequence), 0), t_ns * 1e-9)
+
+
 def test_a_mean_over_a_crank_segment_belongs_to_its_centre() -> None:
     acceleration, segment = -200.0, 2.0943951023931953
     times_s = np.linspace(0.0, 0.5, 51)

@@ -1,5 +1,7 @@
 """Shift detection on hand-made gear signals."""
 
+from itertools import pairwise
+
 import numpy as np
 import pytest
 
@@ -32,7 +34,7 @@ def test_a_shift_is_not_reported_before_its_signals_are_complete() -> None:
 def test_ten_shifts_up_and_down_are_numbered() -> None:
     ladder = [1, 2, 3, 4, 5, 6, 5, 4, 3, 2, 1]
     gears = [(1, 1)] * 50
-    for old, new in zip(ladder, ladder[1:], strict=False):
+    for old, new in pairwise(ladder):
         gears += [(old, new)] * 80 + [(new, new)] * 60
     events = ShiftFinder().feed(gear_batch(gears))
     assert [event.number for event in events] == list(range(1, 11))
