@@ -10,18 +10,8 @@ from rich.console import Console
 from rich.table import Table
 
 from clutch_model.calibration import nominal_calibration
-from clutch_model.film import (
-    applied_pressure_pa,
-    contact_pressure_pa,
-    equilibrium_film_m,
-    film_law,
-    shear_factor_difference,
-    squeeze_rate_m_s,
-)
-from clutch_model.friction import friction_law, kinetic_friction
-from clutch_model.units import k_from_degc, pa_from_bar
-from clutch_model.viscosity import viscosity_pa_s
 from ecu_emulator.plant import Col, DriveSettings, Powertrain, nominal_parameters
+from tests.reference.golden import golden_values
 
 CALIBRATION = nominal_calibration()
 PARAMETERS = nominal_parameters()
@@ -29,37 +19,17 @@ COMPARED_S = 10.0
 CYCLE_LIMIT_S = 80.0
 SPEED_RUNS = 5
 STEPS_S = (2.5e-4, 2.0e-4, 1.0e-4)
-SHEAR = ((0.5, 0.207037), (1.0, 0.489824), (1.2, 0.671941), (1.5, 0.899603), (2.0, 1.013909), (3.0, 0.867053))
-CONTACT = ((0.5, 665672.97), (1.0, 233214.19), (1.5, 67453.70), (2.0, 14778.49))
-SQUEEZE = ((100.0, -7.177793e-2), (30.0, -2.429797e-3), (12.0, -7.015069e-5), (9.0, 3.261209e-4))
-STRIBECK = ((0.1, 0.119), (1.0, 0.121925), (6.0, 0.132145), (12.0, 0.137110), (50.0, 0.139995))
-CAPACITY = ((0, 5.0, 153.6), (0, 10.0, 363.7), (1, 5.0, 115.6), (1, 10.0, 280.8))
 
 
 def train(dt_s: float, *, is_audited: bool = False) -> Powertrain:
     return Powertrain(CALIBRATION, PARAMETERS, DriveSettings(dt_s=dt_s), is_audited=is_audited)
 
 
-def golden_values(console: Console) -> None:
-    laws = [film_law(clutch) for clutch in CALIBRATION.clutches]
-    law, friction, oil = laws[0], friction_law(CALIBRATION.clutches[0].friction), CALIBRATION.viscosity
-    warm_pa_s = viscosity_pa_s(k_from_degc(90.0), oil.a_pa_s, oil.b_k, oil.pole_k)
-    rows = [(f"phi_f - phi_fs, H = {ratio}", value, shear_factor_difference(ratio)) for ratio, value in SHEAR]
-    rows += [(f"P_C [Pa], H = {h}", value, contact_pressure_pa(h * law.roughness_m, law)) for h, value in CONTACT]
-    rows += [("nu(90 degC) [Pa s]", 6.424e-3, warm_pa_s), ("Q, clutch 1 [m^2]", 2.56171566e-4, law.squeeze_factor_m2)]
-    rows += [
-        (f"dh/dt at {h:g} um, 1 bar [m/s]", value, squeeze_rate_m_s(h * 1e-6, 1e5, warm_pa_s, law))
-        for h, value in SQUEEZE
-    ]
-    rows += [(f"mu_K, |s| = {slip} rad/s", value, kinetic_friction(slip, friction)) for slip, value in STRIBECK]
-    for clutch, pressure_bar, value in CAPACITY:
-        own = laws[clutch]
-        film_m = equilibrium_film_m(applied_pressure_pa(pa_from_bar(pressure_bar), own), own)
-        capacity_nm = own.contact_factor_m3 * friction.mu_s * contact_pressure_pa(film_m, own)
-        rows.append((f"capacity of clutch {clutch + 1} at {pressure_bar:g} bar [N m]", value, capacity_nm))
+def laws(console: Console) -> None:
     table = Table("golden value", "expected", "here", "difference", title="Laws")
-    for name, expected, here in rows:
-        table.add_row(name, f"{expected:.7g}", f"{here:.7g}", f"{here / expected - 1.0:+.1e}")
+    for golden in golden_values():
+        difference = f"{golden.here / golden.expected - 1.0:+.1e}"
+        table.add_row(golden.name, f"{golden.expected:.7g}", f"{golden.here:.7g}", difference)
     console.print(table)
 
 
@@ -100,7 +70,7 @@ def speed(console: Console) -> None:
 def main() -> None:
     console = Console(markup=False)  # units stand in brackets
     train(DriveSettings().dt_s).advance(0.01)  # compiles, or loads the cache
-    golden_values(console)
+    laws(console)
     power_balance(console)
     step_halving(console)
     speed(console)
