@@ -89,7 +89,7 @@ async def run_logs(logs: Sequence[OpenLog], session: Session, *, stop: Trigger, 
     except BaseExceptionGroup as group:
         raise first_error(group) from group
     _warn_of_damage(logs)
-    frames = _frame_counts(logs, session.stages)
+    frames = _frame_counts(logs, session.stages, is_whole=not stop.is_set)
     session.finish(frames, unpublished_count)
     return session.summary(frames, unpublished_count)
 
@@ -111,12 +111,14 @@ def _events(logs: Sequence[OpenLog], stages: Stages, stop: Trigger) -> Iterator[
     yield from stages.flush()
 
 
-def _frame_counts(logs: Sequence[OpenLog], stages: Stages) -> FrameCounts:
+def _frame_counts(logs: Sequence[OpenLog], stages: Stages, *, is_whole: bool) -> FrameCounts:
+    """Return what became of the frames; of an analysis that was stopped those read ahead do not count."""
     unreadable: Counter[str] = Counter()
     for log in logs:
         unreadable.update({reason.value: count for reason, count in log.reader.counts.rejected.items()})
-    read = sum(log.reader.counts.frames for log in logs)
-    return replace(stages.frame_counts(), on_bus=read, unreadable=dict(unreadable))
+    counts = stages.frame_counts()
+    read = sum(log.reader.counts.frames for log in logs) if is_whole else counts.on_bus
+    return replace(counts, on_bus=read, unreadable=dict(unreadable))
 
 
 def _warn_of_damage(logs: Sequence[OpenLog]) -> None:

@@ -2,6 +2,7 @@
 
 pytest_plugins = [
     "tests.plugins.broker",
+    "tests.plugins.disk",
     "tests.plugins.drives",
     "tests.plugins.run_report",
     "tests.plugins.vcan",

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from clutch_model.calibration import Calibration
+from clutch_model.jit import kernel
 from diag_service.estimation.sampling import (
     GRID_S,
     NS_TO_S,
@@ -108,11 +109,16 @@ def _expected_pa(event: ShiftEvent, command: Signal, grid_s: FloatArray) -> Floa
         return None
     commanded_pa = np.interp(grid_s, sample_times_s(series, event.start_ns), series.value)
     expected_pa = np.empty_like(commanded_pa)
-    pressure_pa = commanded_pa[0]
-    for row, target_pa in enumerate(commanded_pa):
-        pressure_pa += (target_pa - pressure_pa) * GRID_S / COMMAND_LAG_S
-        expected_pa[row] = pressure_pa
+    _lag_behind(commanded_pa, GRID_S / COMMAND_LAG_S, expected_pa)
     return expected_pa
+
+
+@kernel
+def _lag_behind(target: FloatArray, share: float, lagging: FloatArray) -> None:
+    value = target[0]
+    for row in range(len(target)):
+        value += (target[row] - value) * share
+        lagging[row] = value
 
 
 def _has_gap(times_s: FloatArray, period_ns: int, duration_s: float) -> bool:

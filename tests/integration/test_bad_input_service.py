@@ -1,0 +1,159 @@
+"""What users and their machines do wrong, at the service as a process: one clear line and the right exit status.
+
+Where each kind of bad input is tested:
+
+====================================  ==================================================================================
+unknown interface                     ``test_service_live``, ``test_bus_contract``, ``test_vcan_source``
+missing or foreign DBC                here, ``test_service_logs``
+log empty, garbage, a folder          ``test_service_logs``, ``test_log_files``
+log truncated, unreadable, foreign    here, ``test_log_files``
+calibration not TOML, out of range    ``test_service_logs``
+calibration with unknown keys         here
+broker absent, dying                  ``test_service_logs``, ``test_service_live``, ``test_broker``
+broker refusing                       here, ``test_broker``
+disk read-only or full                ``test_service_logs``, ``test_store_file``, ``test_bad_input_disk``
+second service on a store             ``test_service_logs``, ``test_store_file``
+SIGINT and SIGTERM                    here, ``test_service_live``, ``test_service_logs``, ``e2e/test_vcan_drive``
+kill -9                               ``e2e/test_kill``, ``test_service_live``
+frames that cannot be believed        ``test_bad_input_frames``
+the same at the emulator              ``test_bad_input_emulator``, ``test_emulator_cli``, ``test_bad_input_disk``
+====================================  ==================================================================================
+"""
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from tests.plugins.broker import Mosquitto
+from tests.plugins.drives import SHIFT_COUNT
+from tests.service import run_service, service
+from tests.subscriber import Subscriber
+
+NOMINAL = Path(__file__).parents[2] / "clutch_model" / "calibrations" / "nominal.toml"
+FOREIGN_DBC = """VERSION ""
+
+NS_ :
+
+BS_:
+
+BU_: Radio Wiper
+
+BO_ 256 RadioState: 8 Radio
+ SG_ Volume : 0|8@1+ (1,0) [0|100] "%" Wiper
+ SG_ Station : 8|16@1+ (0.05,0) [0|3276.75] "MHz" Wiper
+
+BO_ 257 WiperState: 2 Wiper
+ SG_ Speed : 0|4@1+ (1,0) [0|15] "" Radio
+"""
+
+
+@pytest.mark.parametrize("command", ["run", "analyze"])
+@pytest.mark.parametrize(
+    ("arguments", "texts"),
+    [
+        (("--dbc", "{tmp}/none.dbc"), ("none.dbc", "No such file")),
+        (("--dbc", "{tmp}/foreign.dbc"), ("does not fit the database", "no message TCU_Shift")),
+        (("--calibration", "{tmp}/unknown.toml"), ("unknown", "colour")),
+    ],
+    ids=["DBC missing", "DBC foreign", "calibration with an unknown key"],
+)
+def test_a_description_of_another_vehicle(
+    drive_log: Path, tmp_path: Path, command: str, arguments: tuple[str, str], texts: tuple[str, str]
+) -> None:
+    (tmp_path / "foreign.dbc").write_text(FOREIGN_DBC, encoding="ascii")
+    (tmp_path / "unknown.toml").write_text('colour = "red"\n' + NOMINAL.read_text(encoding="utf-8"), encoding="utf-8")
+    filled = [argument.format(tmp=tmp_path) for argument in arguments]
+    what = ("-i", "virtual", "-c", "any") if command == "run" else (drive_log,)
+    store = tmp_path / "car.sqlite"
+    ended = run_service(tmp_path / "run", command, *what, *filled, "--store", store)
+    for text in texts:
+        ended.assert_one_line(2, text)
+    assert not store.exists()
+
+
+def test_a_log_that_may_not_be_read(drive_log: Path, tmp_path: Path) -> None:
+    log = tmp_path / "sealed.log"
+    log.write_bytes(drive_log.read_bytes())
+    log.chmod(0)
+    # Root passes every permission bit unless it gives that up.
+    wrapper = ("setpriv", "--bounding-set", "-dac_override,-dac_read_search") if os.getuid() == 0 else ()
+    run_service(tmp_path, "analyze", log, wrapper=wrapper).assert_one_line(3, "Permission denied")
+
+
+@pytest.mark.parametrize(
+    ("name", "contents"),
+    [
+        ("frames.csv", b"timestamp,arbitration_id,extended,remote,error,dlc,data\n1.0,0xa0,0,0,0,8,AAAAAAAAAAA=\n"),
+        ("picture.log", b"\x89PNG\r\n\x1a\n\x00\x00\x00\rIHDR\x00\x00\x01\x00"),
+        ("archive.blf", b"PK\x03\x04\x14\x00\x00\x00\x08\x00"),
+    ],
+)
+def test_a_file_of_another_format(tmp_path: Path, name: str, contents: bytes) -> None:
+    log = tmp_path / name
+    log.write_bytes(contents)
+    ended = run_service(tmp_path, "analyze", log)
+    ended.assert_one_line(3, f"{log}: not a candump, BLF, ASC or MF4 log")
+
+
+@pytest.mark.parametrize("suffix", [".log", ".blf", ".asc", ".mf4"])
+def test_a_log_that_ends_too_early(tmp_path: Path, suffix: str) -> None:
+    """What came before the cut counts, and the cut is told; an MF4 file without its end is none."""
+    log, cut = tmp_path / f"drive{suffix}", tmp_path / f"cut{suffix}"
+    record = [sys.executable, "-m", "ecu_emulator", "record", str(log), "--scenario", "noise_only"]
+    subprocess.run(record, check=True, capture_output=True, timeout=120)
+    cut.write_bytes(log.read_bytes()[: log.stat().st_size * 3 // 10])
+    ended = run_service(tmp_path, "analyze", cut, "--json")
+    if suffix == ".mf4":
+        ended.assert_one_line(3, "damaged or cut off")
+        return
+    assert ended.status == 0
+    assert f"diag-service: warning: {cut} ends before its own end\n" in ended.err
+    assert "Traceback" not in ended.err
+    assert ended.summary["frames"]["unreadable"] == {"cut_off": 1}
+    assert {shift["status"] for shift in ended.shifts[:2]} == {"valid"}
+
+
+@pytest.mark.broker
+def test_a_broker_that_refuses_gets_its_results_once_it_lets_us_in(drive_log: Path, tmp_path: Path) -> None:
+    folder = tmp_path / "mosquitto"
+    folder.mkdir()
+    broker = Mosquitto(folder, users={"backend": "heard", "car1": "driven"})
+    broker.start()
+    arguments = ("analyze", drive_log, "--json", "--vehicle", "car1", "--store", tmp_path / "car.sqlite", "--broker")
+    try:
+        refused = run_service(tmp_path / "refused", *arguments, broker.url.replace("//", "//car1:wrong@"))
+        assert (refused.status, refused.err.count("\n")) == (0, 1)
+        assert refused.err.startswith(f"diag-service: warning: broker 127.0.0.1:{broker.port}: connection refused: ")
+        assert "wrong" not in refused.err
+        assert len(refused.shifts) == SHIFT_COUNT
+        assert refused.summary["shifts"]["unpublished"] == SHIFT_COUNT
+        with Subscriber(broker.port, "backend", "heard") as backend:
+            trusted = run_service(tmp_path / "trusted", *arguments, broker.url.replace("//", "//car1:driven@"))
+            backend.wait(lambda heard: len(heard.payloads("car1/shift")) == SHIFT_COUNT)
+            assert backend.payloads("car1/shift") == refused.shifts
+    finally:
+        broker.stop()
+    assert (trusted.status, trusted.summary["shifts"]["unpublished"]) == (0, 0)
+
+
+def test_an_analysis_stopped_at_any_moment_ends_well_and_is_taken_up(cycle_log: Path, tmp_path: Path) -> None:
+    arguments = ("analyze", cycle_log, "--json", "--store", tmp_path / "car.sqlite")
+    stopped = []
+    for number, delay_s in ((signal.SIGINT, 0.0), (signal.SIGTERM, 0.5), (signal.SIGINT, 0.8), (signal.SIGTERM, 1.1)):
+        with service(tmp_path / f"{delay_s}", *arguments) as running:
+            running.wait_until_it_catches(signal.SIGUSR1)  # the last to get a handler
+            time.sleep(delay_s)
+            running.send(number)
+            stopped.append(running.wait())
+    whole = run_service(tmp_path / "whole", *arguments)
+    assert [ended.status for ended in (*stopped, whole)] == [0] * 5
+    assert [ended.err for ended in (*stopped, whole)] == [""] * 5
+    for ended in stopped:
+        assert ended.shifts == whole.shifts[: len(ended.shifts)]
+        assert ended.summary["schema"] == "clutchdiag/summary/v1"
+    assert len(stopped[0].shifts) < len(whole.shifts) == 10
