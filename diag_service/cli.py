@@ -11,7 +11,7 @@ from typing import NoReturn
 
 from clutch_model.errors import CalibrationError
 from diag_service.errors import ConfigError, SourceError, StoreError
-from diag_service.stopping import Trigger
+from diag_service.stopping import Trigger, ignore
 
 PROGRAM = "diag-service"
 BROKER_VARIABLE = "CLUTCHDIAG_BROKER"  # keeps a password out of the process list
@@ -32,12 +32,16 @@ def main(arguments: Sequence[str] | None = None) -> int:
     stop, counts_wanted = Trigger(), Trigger()
     stop.listen_to(signal.SIGINT, signal.SIGTERM)
     counts_wanted.listen_to(signal.SIGUSR1)
-    options = _parser().parse_args(arguments)
     try:
-        _run(options, stop, counts_wanted)
-    except Exception as exc:  # noqa: BLE001 - the one place where nothing may pass
-        return _complain(exc, is_verbose=options.verbose > 0)
-    return EXIT_OK
+        options = _parser().parse_args(arguments)
+        try:
+            _run(options, stop, counts_wanted)
+        except Exception as exc:  # noqa: BLE001 - the one place where nothing may pass
+            return _complain(exc, is_verbose=options.verbose > 0)
+        return EXIT_OK
+    finally:
+        if arguments is None:  # a signal while the interpreter winds down must not change the exit status
+            ignore(signal.SIGINT, signal.SIGTERM, signal.SIGUSR1)
 
 
 def _run(options: argparse.Namespace, stop: Trigger, counts_wanted: Trigger) -> None:

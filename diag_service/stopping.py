@@ -36,3 +36,9 @@ class Trigger:
 
         for number in numbers:
             signal.signal(number, handle)
+
+
+def ignore(*numbers: signal.Signals) -> None:
+    """Let signals pass without any effect; main thread only."""
+    for number in numbers:
+        signal.signal(number, signal.SIG_IGN)

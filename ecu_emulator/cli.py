@@ -28,7 +28,7 @@ DEFAULT_START: Final = "2026-01-01T00:00:00Z"
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the program; return 0 done or stopped, 2 usage or scenario, 3 bus, 4 file, 1 anything unexpected."""
-    with _stop_on_signals() as stop:
+    with _stop_on_signals(is_program=arguments is None) as stop:
         options = _parser().parse_args(arguments)
         try:
             _execute(options, stop)
@@ -75,8 +75,11 @@ def _execute(options: argparse.Namespace, stop: Event) -> None:
 
 
 @contextmanager
-def _stop_on_signals() -> Iterator[Event]:
-    """Turn SIGINT and SIGTERM into a request to stop; a SIGINT much later interrupts what does not heed it."""
+def _stop_on_signals(*, is_program: bool) -> Iterator[Event]:
+    """Turn SIGINT and SIGTERM into a request to stop; a SIGINT much later interrupts what does not heed it.
+
+    A program ignores both in the end: one that comes while the interpreter winds down must not change the exit status.
+    """
     stop = Event()
     deadline_s = math.inf
 
@@ -93,7 +96,7 @@ def _stop_on_signals() -> Iterator[Event]:
         yield stop
     finally:
         for number, handler in before.items():
-            signal.signal(number, handler)
+            signal.signal(number, signal.SIG_IGN if is_program else handler)
 
 
 def _fail(text: str, status: int, *, verbose: bool) -> int:

@@ -159,7 +159,10 @@ def test_what_a_subscriber_heard_is_what_the_schemas_describe(drive: LiveDrive) 
 
 
 def test_frames_that_the_service_was_too_slow_for_are_counted_to_the_frame(vcan: str, tmp_path: Path) -> None:
-    """Frozen for a second, with the receive buffer of a user without privileges, while a stranger floods the bus."""
+    """Frozen for a second, with the receive buffer of a user without privileges, while a stranger floods the bus.
+
+    In the end the interface is switched off under the service, which costs no count either.
+    """
     wrapper = ("setpriv", "--bounding-set", "-net_admin", "--inh-caps", "-net_admin")
     with listening(tmp_path / "service", vcan, wrapper=wrapper) as live:
         with (
@@ -172,22 +175,25 @@ def test_frames_that_the_service_was_too_slow_for_are_counted_to_the_frame(vcan:
             time.sleep(1.0)
             live.send(signal.SIGCONT)
             wait_for_shift(vcan, from_gear=2)
-            driving.send(signal.SIGINT)
+            driving.send(signal.SIGTERM)
             emulated = driving.wait()
-        live.send(signal.SIGTERM)
+        assert ip_link("set", vcan, "down")
         ended = live.wait()
-    assert (emulated.status, ended.status) == (0, 0)
+    assert (emulated.status, ended.status) == (0, 3)
+    assert ended.err.splitlines()[-1].startswith(f"diag-service: error: CAN interface '{vcan}' went down")
+    assert "Traceback" not in ended.err
     report, frames = emulated.records[0], ended.summary["frames"]
     assert not report["is_complete"]
     assert frames["kernel_dropped"] > 500
     assert frames["on_bus"] == accounted(frames) == report["frames_sent"] + stranger.total
     assert 0 < rejected(frames) <= stranger.sent["bad_crc"] + stranger.sent["short"]
-    hurt = ended.shifts[0]
-    assert (hurt["from_gear"], hurt["status"]) == (1, "rejected")
-    assert hurt["friction"] is None
+    hurt, *_, cut = ended.shifts  # a gap of more than a second cuts a shift in two, the second of which may be sound
+    assert (hurt["from_gear"], hurt["status"], hurt["friction"]) == (1, "rejected", None)
+    assert (cut["from_gear"], cut["status"], cut["reasons"]) == (2, "rejected", ["interrupted"])
 
 
 def test_a_service_stopped_in_the_middle_of_a_shift(vcan: str, tmp_path: Path) -> None:
+    """The emulator drives on, until its interface is switched off."""
     with (
         listening(tmp_path / "service", vcan) as live,
         emulator(tmp_path / "emulator", vcan, "--scenario", "noise_only") as driving,
@@ -196,16 +202,17 @@ def test_a_service_stopped_in_the_middle_of_a_shift(vcan: str, tmp_path: Path) -
         time.sleep(0.4)
         live.send(signal.SIGINT)
         ended = live.wait()
-        wait_for_shift(vcan, from_gear=3)
-        driving.send(signal.SIGTERM)
+        assert ip_link("set", vcan, "down")
         emulated = driving.wait()
-    assert (ended.status, emulated.status) == (0, 0)
+    assert (ended.status, emulated.status) == (0, 3)
     finished, cut = ended.shifts
     assert (finished["from_gear"], finished["status"]) == (1, "valid")
     assert (cut["from_gear"], cut["status"], cut["reasons"]) == (2, "rejected", ["interrupted"])
-    frames, report = ended.summary["frames"], emulated.records[0]
-    assert 0 < frames["on_bus"] == accounted(frames) < report["frames_sent"]
-    assert (rejected(frames), report["shifts"]) == (0, 2)
+    frames = ended.summary["frames"]
+    assert frames["on_bus"] == accounted(frames) == frames["decoded"] + frames["ignored"] > 0
+    assert emulated.err.splitlines()[-1].startswith("ecu-emulator: error: the bus went away after")
+    assert "Traceback" not in emulated.err
+    assert emulated.out == ""
 
 
 def test_an_emulator_stopped_in_the_middle_of_a_shift(vcan: str, tmp_path: Path) -> None:
@@ -228,20 +235,3 @@ def test_an_emulator_stopped_in_the_middle_of_a_shift(vcan: str, tmp_path: Path)
     totals = read_truth(truth).totals
     assert totals is not None
     assert (totals.frames, totals.shifts) == (report["frames_sent"], 0)
-
-
-def test_an_interface_that_goes_away_is_one_clear_line_and_loses_nothing(vcan: str, tmp_path: Path) -> None:
-    with (
-        listening(tmp_path / "service", vcan) as live,
-        emulator(tmp_path / "emulator", vcan, "--scenario", "noise_only") as driving,
-    ):
-        wait_for_shift(vcan, from_gear=2)
-        assert ip_link("set", vcan, "down")
-        ended, emulated = live.wait(), driving.wait()
-    assert (ended.status, emulated.status) == (3, 3)
-    assert ended.err.splitlines()[-1].startswith(f"diag-service: error: CAN interface '{vcan}' went down")
-    assert emulated.err.splitlines()[-1].startswith("ecu-emulator: error: the bus went away after")
-    assert "Traceback" not in ended.err + emulated.err
-    assert [(shift["from_gear"], shift["status"]) for shift in ended.shifts] == [(1, "valid"), (2, "rejected")]
-    assert emulated.out == ""
-    assert accounted(ended.summary["frames"]) == ended.summary["frames"]["on_bus"] > 0
