@@ -10,24 +10,13 @@ from typing import Final
 
 from clutch_model.units import k_from_degc, m_s_from_km_h, pa_from_bar, rad_s_from_rpm
 from diag_service.errors import ConfigError
-from diag_service.records import FloatArray, Signal
+from diag_service.records import BALANCE_SIGNALS, FloatArray, Signal
 
 Conversion = Callable[[FloatArray], FloatArray]
 
 PROFILE_PATH: Final = Path(__file__).parent / "profiles" / "dct.toml"
 
-MANDATORY: Final = frozenset({
-    Signal.ENGINE_SPEED,
-    Signal.ENGINE_TORQUE,
-    Signal.HUB_SPEED,
-    Signal.INPUT1_SPEED,
-    Signal.INPUT2_SPEED,
-    Signal.CLUTCH1_PRESSURE,
-    Signal.CLUTCH2_PRESSURE,
-    Signal.CURRENT_GEAR,
-    Signal.TARGET_GEAR,
-    Signal.SUMP_TEMPERATURE,
-})  # fmt: skip
+MANDATORY: Final = frozenset({*BALANCE_SIGNALS, Signal.CURRENT_GEAR, Signal.TARGET_GEAR, Signal.SUMP_TEMPERATURE})
 """Without these there is no friction to estimate."""
 
 

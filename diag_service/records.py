@@ -48,6 +48,18 @@ class Signal(StrEnum):
     AMBIENT_TEMPERATURE = "ambient_temperature_k"
 
 
+BALANCE_SIGNALS = (
+    Signal.ENGINE_SPEED,
+    Signal.ENGINE_TORQUE,
+    Signal.HUB_SPEED,
+    Signal.INPUT1_SPEED,
+    Signal.INPUT2_SPEED,
+    Signal.CLUTCH1_PRESSURE,
+    Signal.CLUTCH2_PRESSURE,
+)
+"""What the torque balance of the input side needs, sample by sample."""
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Series:
     """Samples of one canonical signal, oldest first; invalid samples were left out and counted before.

@@ -13,21 +13,12 @@ from diag_service.estimation.sampling import (
     sample_times_s,
     segment_centres_s,
 )
-from diag_service.records import EndReason, FloatArray, Reason, ShiftEvent, Signal
+from diag_service.records import BALANCE_SIGNALS, EndReason, FloatArray, Reason, ShiftEvent, Signal
 
 MAX_GAP_PERIODS = 2.5  # one missing frame is bridged by interpolation, two are not
 NOMINAL_PERIOD_S = 0.01  # of signals whose message states no cycle time
 COMMAND_LAG_S = 0.025  # from commanded to piston pressure: solenoid and feed orifice
 OIL_RANGE_K = (233.15, 443.15)  # -40..170 degC: where the fluid's viscosity law holds
-FAST_SIGNALS = (
-    Signal.ENGINE_SPEED,
-    Signal.ENGINE_TORQUE,
-    Signal.HUB_SPEED,
-    Signal.INPUT1_SPEED,
-    Signal.INPUT2_SPEED,
-    Signal.CLUTCH1_PRESSURE,
-    Signal.CLUTCH2_PRESSURE,
-)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -63,8 +54,8 @@ def gather(event: ShiftEvent, calibration: Calibration) -> ShiftSignals | Reason
     if event.end_reason is not EndReason.COMPLETE:
         return Reason.INTERRUPTED
     oil = event.columns.get(Signal.SUMP_TEMPERATURE)
-    series = {signal: event.columns[signal] for signal in FAST_SIGNALS if signal in event.columns}
-    if oil is None or not len(oil.t_ns) or len(series) < len(FAST_SIGNALS):
+    series = {signal: event.columns[signal] for signal in BALANCE_SIGNALS if signal in event.columns}
+    if oil is None or not len(oil.t_ns) or len(series) < len(BALANCE_SIGNALS):
         return Reason.SIGNAL_MISSING
     duration_s = (event.end_ns - event.start_ns) * NS_TO_S
     times = {signal: sample_times_s(one, event.start_ns) for signal, one in series.items()}
