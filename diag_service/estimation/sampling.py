@@ -10,15 +10,16 @@ from diag_service.records import FloatArray, Int64Array, Series
 
 NS_TO_S = 1e-9
 GRID_S = 1e-3  # ten points per CAN sample: quadrature error far below sensor noise
-CATCH_UP_COUNT = 5  # samples of which one is on time again if the schedule still holds
+END_COUNT = 30  # samples, of which one is nearly on time; a shift is cut that much wider than its slip window
 
 
 def sample_times_s(series: Series, origin_ns: int) -> FloatArray:
     """Return when the samples were taken [s] after ``origin_ns``, shape (n,), freed of transmission jitter.
 
     A sender with a schedule sends transmission k at ``t_0 + k * period``, and a bus only ever delays. So ``t_0`` is the
-    earliest that any sample of the shift allows. Where the delays do not fit such a schedule (their median is beyond
-    one period, or the last samples never catch up), or the message has no counter, the receive times stand.
+    earliest that any sample of the shift allows, however late the others came. The receive times stand where the
+    message has no counter, or the sender did not keep to one schedule: then no sample near one end of the shift comes
+    within a period of it.
     """
     times_s: FloatArray = (series.t_ns - origin_ns) * np.float64(NS_TO_S)
     if series.period_ns <= 0 or len(times_s) == 0 or series.sequence[0] < 0:
@@ -27,8 +28,8 @@ def sample_times_s(series: Series, origin_ns: int) -> FloatArray:
     scheduled_s: FloatArray = (series.sequence - series.sequence[0]) * np.float64(period_s)
     delays_s = times_s - scheduled_s
     earliest_s = float(delays_s.min())
-    lasting_s = max(float(np.median(delays_s)), float(delays_s[-CATCH_UP_COUNT:].min()))
-    if lasting_s - earliest_s > period_s:
+    ends_s = (float(delays_s[:END_COUNT].min()), float(delays_s[-END_COUNT:].min()))
+    if max(ends_s) - earliest_s > period_s:
         return times_s
     return scheduled_s + earliest_s
 

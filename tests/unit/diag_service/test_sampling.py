@@ -28,6 +28,14 @@ def test_delays_are_taken_off_a_scheduled_message() -> None:
     assert np.max(np.abs(times_s - sequence * 0.01)) < 3e-5
 
 
+def test_a_sender_that_is_mostly_late_is_still_on_its_schedule() -> None:
+    sequence = np.arange(160)
+    delays_ns = np.full(160, 3.5e7)
+    delays_ns[[20, 21, 140, 141]] = 0.0
+    times_s = sample_times_s(series_at(sequence * PERIOD_NS + delays_ns, sequence), 0)
+    assert np.allclose(times_s, sequence * 0.01, atol=1e-12)
+
+
 def test_exact_times_stay_as_they_are() -> None:
     sequence = np.arange(50)
     assert np.allclose(sample_times_s(series_at(sequence * PERIOD_NS, sequence), 0), sequence * 0.01, atol=1e-12)
