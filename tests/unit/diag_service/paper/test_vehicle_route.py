@@ -68,5 +68,5 @@ def test_the_smoother_finds_the_torques_of_a_handover() -> None:
     settled = slice(15, -5)
     flywheel_nm = (found - states)[settled] @ MODEL.flywheel_nm
     shaft_nm = (found - states)[settled] @ MODEL.shaft_nm.T
-    assert np.sqrt(np.mean(flywheel_nm**2)) < 4.0
-    assert np.sqrt(np.mean(shaft_nm**2)) < 8.0  # of 130 N m
+    assert np.sqrt(np.mean(flywheel_nm**2)) < 2.3  # of 120 N m; the forward filter alone reaches 2.6
+    assert np.sqrt(np.mean(shaft_nm**2)) < 4.0  # 4.3
