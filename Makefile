@@ -13,7 +13,7 @@ VCAN_LIMIT_S ?= 600
 PY = "$(VENV)/bin/python"
 BENCHMARKS = $(filter-out accuracy,$(basename $(notdir $(wildcard benchmarks/[a-z]*.py))))
 
-.PHONY: help setup setup-system demo check static test warm test-host test-vcan bench accuracy lock clean
+.PHONY: help setup setup-system demo check static test warm test-host test-vcan bench accuracy reproduce lock clean
 
 help:
 	@echo "make setup         virtual environment in $(VENV) with the locked requirements and the project"
@@ -23,6 +23,7 @@ help:
 	@echo "make test          everything CI runs, the tests on a real vcan included"
 	@echo "make bench         speed and size figures"
 	@echo "make accuracy      estimates against the truth over many seeds; SEEDS=n for fewer or more"
+	@echo "make reproduce     tables and pictures of SAE 2015-01-1146 as an HTML report; SEEDS=n draws of the noise"
 	@echo "make setup-system  the Debian packages that 'make test' needs (mosquitto, can-utils, ...)"
 	@echo "make lock          resolve requirements.lock again; UPGRADE=1 for newer versions"
 	@echo "Variables: PYTHON=$(PYTHON) (3.11 or newer), VENV=$(VENV)"
@@ -74,6 +75,9 @@ bench: setup
 
 accuracy: setup
 	@$(PY) -m benchmarks.accuracy $(if $(SEEDS),--seeds "$(SEEDS)")
+
+reproduce: setup
+	@$(PY) -m benchmarks.reproduce $(if $(SEEDS),--seeds "$(SEEDS)")
 
 # --- checking ---------------------------------------------------------------------------------------------------------
 

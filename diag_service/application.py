@@ -16,10 +16,14 @@ from pathlib import Path
 from rich.console import Console
 
 from dbc.contract import DBC_PATH
+from diag_service.condition import ConditionMemory
 from diag_service.config import BusConfig, DiagnosisConfig, calibration_digest
 from diag_service.database import load_database
+from diag_service.estimation import Belief
+from diag_service.estimation.paper import PaperCollection, nominal_driveline
 from diag_service.live import run_live
 from diag_service.mapping import Decoder
+from diag_service.paper_run import run_paper
 from diag_service.pipeline import Session, Stages, resume, versions_for
 from diag_service.profile import PROFILE_PATH, load_profile
 from diag_service.publishers import ConsoleReporter, JsonLinesReporter, Link, MqttConnector, Outbox, Reporter
@@ -66,6 +70,13 @@ def run_recorded(
                 _LOG.warning("%d results were not delivered and are not kept; --store would", summary.unpublished_count)
 
         asyncio.run(run())
+
+
+def run_paper_recorded(config: DiagnosisConfig, paths: list[Path], controls: Controls, *, as_json: bool) -> None:
+    """Analyse the logs of a drive by the paper's method; nothing is stored, judged or published."""
+    stages = Stages(_decoder(config), config.calibration, Belief.fresh(config.calibration), ConditionMemory.fresh())
+    collection = PaperCollection(config.calibration, nominal_driveline())
+    run_paper(open_drive(paths), stages, collection, sys.stdout if as_json else Console(), controls.stop)
 
 
 async def _run_bus(

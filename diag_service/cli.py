@@ -61,6 +61,10 @@ def _run(options: argparse.Namespace, stop: Trigger, counts_wanted: Trigger) -> 
         broker=config.parse_broker(options.broker) if options.broker else None,
     )
     controls = application.Controls(stop=stop, counts_wanted=counts_wanted)
+    if options.command == "analyze" and options.estimator == config.EstimatorKind.PAPER:
+        config.check_paper_options(options.store, diagnosis.broker)
+        application.run_paper_recorded(diagnosis, options.logs, controls, as_json=options.json)
+        return
     if options.command == "analyze":
         application.run_recorded(diagnosis, options.logs, options.store, controls, as_json=options.json)
         return
@@ -116,6 +120,12 @@ def _parser() -> _Parser:
 
     analyze = commands.add_parser("analyze", help="diagnose recorded logs of one drive", epilog=_EXIT_TEXT)
     analyze.add_argument("logs", nargs="+", type=Path, metavar="LOG", help="candump, BLF, ASC or MF4 file")
+    analyze.add_argument(
+        "--estimator",
+        choices=("impulse", "paper"),
+        default="impulse",
+        help="impulse: the service's own; paper: the method of SAE 2015-01-1146, without uncertainty and verdict",
+    )
     _add_common(analyze, "SQLite file for results (default: none, results are shown only)")
     return parser
 

@@ -4,6 +4,7 @@ import hashlib
 import os
 import re
 from dataclasses import dataclass
+from enum import StrEnum
 from pathlib import Path
 from urllib.parse import unquote, urlsplit
 
@@ -13,6 +14,13 @@ from diag_service.publishers import BrokerAddress
 
 _VEHICLE_PATTERN = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.-]{0,63}")
 _DIGEST_LENGTH = 12
+
+
+class EstimatorKind(StrEnum):
+    """How friction is estimated from shifts."""
+
+    IMPULSE = "impulse"  # this project's: with uncertainty and verdict
+    PAPER = "paper"  # SAE 2015-01-1146: the yardstick, without either
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -83,6 +91,18 @@ def parse_broker(url: str) -> BrokerAddress:
         username=None if parts.username is None else unquote(parts.username),
         password=None if parts.password is None else unquote(parts.password),
     )
+
+
+def check_paper_options(store: Path | None, broker: BrokerAddress | None) -> None:
+    """Refuse to keep or send what the paper's method finds.
+
+    Raises
+    ------
+    ConfigError
+        If a store or a broker is named.
+    """
+    if store is not None or broker is not None:
+        raise ConfigError("the paper's method states no uncertainty: its results are shown, not stored or published")
 
 
 def load_calibration(path: Path | None) -> Calibration:

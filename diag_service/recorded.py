@@ -88,21 +88,22 @@ async def run_logs(logs: Sequence[OpenLog], session: Session, *, stop: Trigger, 
                 unpublished_count = await outbox.close(sender)
     except BaseExceptionGroup as group:
         raise first_error(group) from group
-    _warn_of_damage(logs)
-    frames = _frame_counts(logs, session.stages, is_whole=not stop.is_set)
+    warn_of_damage(logs)
+    frames = frame_counts(logs, session.stages, is_whole=not stop.is_set)
     session.finish(frames, unpublished_count)
     return session.summary(frames, unpublished_count)
 
 
 def _analyse(logs: Sequence[OpenLog], session: Session, stop: Trigger, tell_outbox: Callable[[], None]) -> None:
-    for event in _events(logs, session.stages, stop):
+    for event in events(logs, session.stages, stop):
         session.settle(event)
         tell_outbox()
         if stop.is_set:
             return
 
 
-def _events(logs: Sequence[OpenLog], stages: Stages, stop: Trigger) -> Iterator[ShiftEvent]:
+def events(logs: Sequence[OpenLog], stages: Stages, stop: Trigger) -> Iterator[ShiftEvent]:
+    """Yield the shifts of a drive, until it is told to stop."""
     for log in logs:
         for batch in chain((log.first,), log.reader):
             if stop.is_set:
@@ -111,7 +112,7 @@ def _events(logs: Sequence[OpenLog], stages: Stages, stop: Trigger) -> Iterator[
     yield from stages.flush()
 
 
-def _frame_counts(logs: Sequence[OpenLog], stages: Stages, *, is_whole: bool) -> FrameCounts:
+def frame_counts(logs: Sequence[OpenLog], stages: Stages, *, is_whole: bool) -> FrameCounts:
     """Return what became of the frames; of an analysis that was stopped those read ahead do not count."""
     unreadable: Counter[str] = Counter()
     for log in logs:
@@ -121,7 +122,8 @@ def _frame_counts(logs: Sequence[OpenLog], stages: Stages, *, is_whole: bool) ->
     return replace(counts, on_bus=read, unreadable=dict(unreadable))
 
 
-def _warn_of_damage(logs: Sequence[OpenLog]) -> None:
+def warn_of_damage(logs: Sequence[OpenLog]) -> None:
+    """Warn of logs with holes."""
     for log in logs:
         counts = log.reader.counts
         if counts.first_rejected:

@@ -3,9 +3,6 @@
 from collections.abc import Iterator
 from dataclasses import dataclass
 
-import numpy as np
-from scipy.linalg import solve_discrete_are
-
 from clutch_model.calibration import nominal_calibration
 from clutch_model.film import (
     FilmLaw,
@@ -20,6 +17,7 @@ from clutch_model.film import (
 from clutch_model.friction import contact_torque_nm, friction_law, kinetic_friction
 from clutch_model.units import k_from_degc, pa_from_bar
 from clutch_model.viscosity import viscosity_pa_s
+from diag_service.estimation.paper import steady_kalman_gain
 
 CALIBRATION = nominal_calibration()
 LAWS = tuple(film_law(clutch) for clutch in CALIBRATION.clutches)
@@ -82,20 +80,6 @@ def film_time_constant_s(film_ratio: float, law: FilmLaw) -> float:
     film_m, step_m = film_ratio * law.roughness_m, 1e-10
     slope_pa_m = (contact_pressure_pa(film_m + step_m, law) - contact_pressure_pa(film_m - step_m, law)) / (2 * step_m)
     return -viscosity_at(90.0) / (slope_pa_m * film_mobility_m(film_m, law))
-
-
-def steady_kalman_gain(period_s: float, acceleration_variance: float, speed_variance: float) -> tuple[float, float]:
-    """Return the steady gain of the paper's filter for speed and acceleration, eqs. (11) to (16).
-
-    Solved in scaled states [w, T*dw/dt] with unit measurement noise: the raw equation is too ill-conditioned.
-    """
-    transition = np.array([[1.0, 1.0], [0.0, 1.0]])
-    drive = np.array([0.5, 1.0]) * period_s**2
-    process = np.outer(drive, drive) * acceleration_variance / speed_variance
-    observed = np.array([[1.0, 0.0]])
-    covariance = solve_discrete_are(transition.T, observed.T, process, np.eye(1))
-    gain = transition @ covariance @ observed.T / (observed @ covariance @ observed.T + 1.0)
-    return float(gain[0, 0]), float(gain[1, 0] / period_s)
 
 
 def _equilibrium(

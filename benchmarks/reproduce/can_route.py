@@ -1,0 +1,52 @@
+"""The paper's method on what a vehicle offers: CAN frames, decoded, with the torques of the vehicle route."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from benchmarks.reproduce.drives import CYCLE_COUNT, Case, PaperDrive
+from benchmarks.reproduce.study import CALIBRATION, DRIVELINE, Errors, errors_of
+from dbc.contract import DBC_PATH
+from diag_service.database import load_database
+from diag_service.estimation.paper import PaperCollection, PaperEstimate
+from diag_service.frames import FrameBatch
+from diag_service.mapping import Decoder
+from diag_service.profile import load_profile
+from diag_service.shifts import ShiftFinder
+from ecu_emulator.recording import frames_of
+from ecu_emulator.scenario import FluidCondition
+from ecu_emulator.scenario_file import load_scenario
+
+SCENARIO = "noise_only"
+FLUID = {Case.IDEAL: FluidCondition.IDEAL, Case.CASE_1: FluidCondition.CASE_1, Case.CASE_2: FluidCondition.CASE_2}
+
+
+def can_errors(drives: Sequence[PaperDrive], seeds: range, advance: Callable[[], None]) -> Errors:
+    """Return the errors on CAN frames of drives with sensor noise only, a new drive for every seed."""
+    found: dict[Case, list[tuple[PaperEstimate, PaperEstimate]]] = {case: [] for case in FLUID}
+    for case in FLUID:
+        for seed in seeds:
+            found[case].append(_estimates(case, seed))
+            advance()
+    return errors_of(found, drives)
+
+
+def _estimates(case: Case, seed: int) -> tuple[PaperEstimate, PaperEstimate]:
+    scenario = load_scenario(SCENARIO)
+    fluid = replace(scenario.fluid, condition=FLUID[case])
+    frames, _ = frames_of(replace(scenario, seed=seed, cycles=CYCLE_COUNT, fluid=fluid))
+    batch = FrameBatch(
+        t_ns=np.rint(frames.t_s * 1e6).astype(np.int64) * 1000,
+        can_id=frames.can_id,
+        length=frames.length,
+        data=frames.data,
+    )
+    decoder, finder = Decoder(load_database(DBC_PATH), load_profile()), ShiftFinder()
+    collection = PaperCollection(CALIBRATION, DRIVELINE)
+    for columns in decoder.feed(batch):
+        for event in finder.feed(columns):
+            collection.add(event)
+    first, second = (clutch.estimate for clutch in collection.pooled())
+    nothing = PaperEstimate(mu_c=None, mu_s=None, static_counts={}, coulomb_counts={})
+    return first or nothing, second or nothing

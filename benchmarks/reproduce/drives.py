@@ -1,0 +1,139 @@
+"""The drives of the paper: three shift cycles with each of its three parameter sets, and what its sensors say."""
+
+from dataclasses import dataclass, replace
+from enum import StrEnum
+
+import numpy as np
+import numpy.typing as npt
+
+from clutch_model.calibration import Calibration, nominal_calibration
+from clutch_model.film import film_law
+from diag_service.estimation.paper import FilmTable, PaperSignals, static_table, trajectory_table
+from diag_service.records import FloatArray
+from ecu_emulator.plant import Col, DriveSettings, Powertrain, nominal_parameters
+from ecu_emulator.tcu_data import INERTIA, PREFILL, TORQUE
+
+BoolArray = npt.NDArray[np.bool_]
+
+PERIOD_S = 1e-3  # the paper gives none
+CYCLE_COUNT = 3
+DRIVE_SEED = 20150414
+CALIBRATION_SEED = DRIVE_SEED + 1
+VARY_RATIO = 0.05
+LONGEST_CYCLE_S = 80.0
+SPEED_NOISE_RATIO, PRESSURE_NOISE_RATIO = 0.10, 0.05  # the paper's; of the root mean square
+
+
+class Case(StrEnum):
+    """The parameter sets of the paper's Table 4."""
+
+    IDEAL = "ideal"
+    CASE_1 = "case 1"
+    CASE_2 = "case 2"
+
+
+FACTORS = {Case.IDEAL: (1.0, 1.0), Case.CASE_1: (0.95, 1.05), Case.CASE_2: (0.85, 1.15)}
+"""Factors on mu_C and mu_S; docs/model.md, table of parameters."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PaperDrive:
+    """One drive: what is true, every row of it, and the noiseless sensor set."""
+
+    case: Case
+    truth: Calibration
+    rows: FloatArray
+    signals: PaperSignals
+
+    def slip_rad_s(self, clutch: int) -> FloatArray:
+        """Return the true slip of a clutch."""
+        slip_rad_s: FloatArray = self.rows[:, Col.HUB_SPEED] - self.rows[:, Col.INPUT1_SPEED + clutch - 1]
+        return slip_rad_s
+
+    def is_locked(self, clutch: int) -> BoolArray:
+        """Tell where a clutch is truly locked."""
+        locked: BoolArray = self.rows[:, Col.STICK1 + clutch - 1] > 0.0
+        return locked
+
+
+def true_calibration(case: Case) -> Calibration:
+    """Return the nominal calibration with the friction of a parameter set."""
+    nominal = nominal_calibration()
+    factor_c, factor_s = FACTORS[case]
+    first, second = (
+        replace(
+            clutch,
+            friction=replace(
+                clutch.friction, mu_c=clutch.friction.mu_c * factor_c, mu_s=clutch.friction.mu_s * factor_s
+            ),
+        )
+        for clutch in nominal.clutches
+    )
+    return replace(nominal, clutches=(first, second))
+
+
+def drive(case: Case, *, cycles: int = CYCLE_COUNT, seed: int = DRIVE_SEED) -> PaperDrive:
+    """Drive the shift cycles of a parameter set."""
+    truth = true_calibration(case)
+    settings = DriveSettings(cycles=cycles, seed=seed, vary_ratio=VARY_RATIO)
+    rows = Powertrain(truth, nominal_parameters(), settings).advance(cycles * LONGEST_CYCLE_S)
+    return PaperDrive(case=case, truth=truth, rows=rows, signals=_signals(rows))
+
+
+def noisy(signals: PaperSignals, seed: int) -> PaperSignals:
+    """Return the signals with the paper's noise: white, Gaussian, on speeds and pressures."""
+    rng = np.random.default_rng(seed)
+
+    def disturbed(values: FloatArray, ratio: float) -> FloatArray:
+        return values + rng.normal(0.0, ratio * rms(values), values.shape)
+
+    return replace(
+        signals,
+        hub_rad_s=disturbed(signals.hub_rad_s, SPEED_NOISE_RATIO),
+        input_rad_s=np.stack([disturbed(one, SPEED_NOISE_RATIO) for one in signals.input_rad_s]),
+        pressure_pa=np.stack([disturbed(one, PRESSURE_NOISE_RATIO) for one in signals.pressure_pa]),
+    )
+
+
+def rms(values: FloatArray) -> float:
+    """Return the root mean square."""
+    return float(np.sqrt(np.mean(values**2)))
+
+
+def static_tables() -> tuple[FilmTable, FilmTable]:
+    """Return the film tables of both clutches, equilibrium reading."""
+    first, second = (static_table(film_law(clutch)) for clutch in nominal_calibration().clutches)
+    return first, second
+
+
+def trajectory_tables() -> tuple[FilmTable, FilmTable]:
+    """Return the film tables of both clutches as one calibration cycle with fresh fluid shows them."""
+    cycle = drive(Case.IDEAL, cycles=1, seed=CALIBRATION_SEED)
+    phase, odd = cycle.rows[:, Col.SHIFT_PHASE], cycle.rows[:, Col.TARGET_GEAR] % 2 == 1
+    engaging = (phase == TORQUE) | (phase == INERTIA)
+    first, second = (
+        trajectory_table(
+            cycle.rows[mine, Col.PRESSURE1 + m],
+            cycle.rows[mine, Col.FILM1 + m],
+            film_law(cycle.truth.clutches[m]),
+        )
+        for m, mine in enumerate((engaging & odd, engaging & ~odd))
+    )
+    return first, second
+
+
+def _signals(rows: FloatArray) -> PaperSignals:
+    def pair(first: Col) -> FloatArray:
+        return np.ascontiguousarray(rows[:, first : first + 2].T)
+
+    phase = rows[:, Col.SHIFT_PHASE]
+    return PaperSignals(
+        period_s=PERIOD_S,
+        hub_rad_s=rows[:, Col.HUB_SPEED].copy(),
+        input_rad_s=pair(Col.INPUT1_SPEED),
+        pressure_pa=pair(Col.PRESSURE1),
+        flywheel_nm=rows[:, Col.FLYWHEEL_TORQUE].copy(),
+        shaft_nm=pair(Col.SHAFT1_TORQUE),
+        oil_k=rows[:, Col.SUMP_TEMPERATURE].copy(),
+        is_shifting=(phase >= PREFILL) & (phase <= INERTIA),
+    )

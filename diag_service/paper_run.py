@@ -1,0 +1,112 @@
+"""Recorded drives by the paper's method: a line per shift, a table of both clutches, no uncertainty and no verdict."""
+
+from collections.abc import Sequence
+from typing import TextIO
+
+from rich import box
+from rich.console import Console
+from rich.table import Table
+
+from diag_service.estimation.paper import PaperCollection, PaperEstimate, PaperShift, PooledClutch
+from diag_service.pipeline import Stages
+from diag_service.recorded import OpenLog, events, frame_counts, warn_of_damage
+from diag_service.results import JsonObject, dump
+from diag_service.stopping import Trigger
+from diag_service.summary import frames_line
+
+PAPER_SCHEMA = "clutchdiag/paper/v1"
+_HEAD = f"{'shift':>5}  {'gears':<5} {'clutch':>6}  {'mu_C':>8} {'n':>4} {'mu_S':>8} {'n':>4}"
+
+
+def run_paper(
+    logs: Sequence[OpenLog], stages: Stages, collection: PaperCollection, output: Console | TextIO, stop: Trigger
+) -> None:
+    """Analyse the shifts of a drive; tables to a console, JSON lines to any other stream."""
+    if isinstance(output, Console):
+        output.print(_HEAD, style="bold", highlight=False, soft_wrap=True)
+    for event in events(logs, stages, stop):
+        shift = collection.add(event)
+        if isinstance(output, Console):
+            output.print(shift_line(shift), highlight=False, soft_wrap=True)
+        else:
+            _write(output, _shift_record(shift))
+    pooled = collection.pooled()
+    warn_of_damage(logs)
+    if isinstance(output, Console):
+        output.print(_table(pooled))
+        output.print("n: samples that passed every gate; no uncertainty is stated, so no verdict", soft_wrap=True)
+        output.print(frames_line(frame_counts(logs, stages, is_whole=not stop.is_set)), highlight=False, soft_wrap=True)
+        return
+    for clutch in pooled:
+        _write(output, _pooled_record(clutch))
+
+
+def shift_line(shift: PaperShift) -> str:
+    """Return one shift as a line for people; columns as in the head."""
+    start = f"{shift.number:>5}  {f'{shift.from_gear}-{shift.to_gear}':<5} {shift.clutch:>6}  "
+    if shift.estimate is None:
+        reason = "" if shift.reason is None else shift.reason.value.replace("_", " ")
+        return f"{start}{'-':>8} {'-':>4} {'-':>8} {'-':>4}  ({reason})"
+    found = shift.estimate
+    return f"{start}{_number(found.mu_c):>8} {found.coulomb_count:>4} {_number(found.mu_s):>8} {found.static_count:>4}"
+
+
+def _table(pooled: Sequence[PooledClutch]) -> Table:
+    table = Table(box=box.SIMPLE_HEAD, pad_edge=False, padding=(0, 1, 0, 0))
+    for name in ("clutch", "mu_C", "n", "mu_S", "n", "std", "shifts"):
+        table.add_column(name, justify="right", no_wrap=True)
+    for clutch in pooled:
+        found = clutch.estimate
+        table.add_row(
+            str(clutch.clutch),
+            "-" if found is None else _number(found.mu_c),
+            "0" if found is None else str(found.coulomb_count),
+            "-" if found is None else _number(found.mu_s),
+            "0" if found is None else str(found.static_count),
+            "n/a",
+            str(clutch.shift_count),
+        )
+    return table
+
+
+def _shift_record(shift: PaperShift) -> JsonObject:
+    return {
+        "schema": PAPER_SCHEMA,
+        "scope": "shift",
+        "number": shift.number,
+        "from_gear": shift.from_gear,
+        "to_gear": shift.to_gear,
+        "clutch": shift.clutch,
+        "reason": None if shift.reason is None else shift.reason.value,
+        **_estimate_record(shift.estimate),
+    }
+
+
+def _pooled_record(clutch: PooledClutch) -> JsonObject:
+    return {
+        "schema": PAPER_SCHEMA,
+        "scope": "pooled",
+        "clutch": clutch.clutch,
+        "shift_count": clutch.shift_count,
+        **_estimate_record(clutch.estimate),
+    }
+
+
+def _estimate_record(found: PaperEstimate | None) -> JsonObject:
+    if found is None:
+        return {"mu_c": None, "mu_s": None, "mu_c_samples": 0, "mu_s_samples": 0}
+    return {
+        "mu_c": found.mu_c,
+        "mu_s": found.mu_s,
+        "mu_c_samples": found.coulomb_count,
+        "mu_s_samples": found.static_count,
+    }
+
+
+def _write(stream: TextIO, record: JsonObject) -> None:
+    stream.write(dump(record) + "\n")
+    stream.flush()
+
+
+def _number(value: float | None) -> str:
+    return "-" if value is None else f"{value:.4f}"
