@@ -22,13 +22,15 @@ from tests.uml.vcan import ip_link
 
 pytestmark = pytest.mark.vcan
 
+DELIVERY_S = 0.2  # a busy kernel hands frames on in a thread of its own, a moment after it took them
+
 
 async def collect(source: FrameSource) -> list[FrameBatch]:
     return [batch async for batch in source]
 
 
 def send_numbers(channel: str, count: int, *, gap_s: float = 0.0) -> int:
-    """Send numbered frames; return how many the kernel took."""
+    """Send numbered frames and let them arrive; return how many the kernel took."""
     taken = 0
     with socket.socket(socket.AF_CAN, socket.SOCK_RAW, socket.CAN_RAW) as raw:
         raw.bind((channel,))
@@ -42,6 +44,7 @@ def send_numbers(channel: str, count: int, *, gap_s: float = 0.0) -> int:
             taken += 1
             if gap_s:
                 time.sleep(gap_s)
+    time.sleep(DELIVERY_S)
     return taken
 
 
