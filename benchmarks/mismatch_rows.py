@@ -42,7 +42,7 @@ ROWS: tuple[Mismatch, ...] = (
     MATCHED,
     Mismatch(
         name="friction falls 0.1 % per K above 80 degC",
-        way="the packs run at about 95 degC: friction is truly lower than at the reference it is compared with",
+        way="the packs run at about 90 degC: friction is truly lower than at the reference it is compared with",
         effects=Effects(friction_fade_per_k=0.001),
     ),
     Mismatch(name="w_S x 1.5", way=_STRIBECK, effects=Effects(stribeck_speed_ratio=1.5)),

@@ -16,10 +16,10 @@ class LiningParameters(NamedTuple):
 
 @kernel
 def friction_ratio(clutch_k: float, p: LiningParameters) -> float:
-    """Return the factor on mu_C and mu_S at a pack temperature; docs/model.md eq. (E1)."""
+    """Return the factor on mu_C and mu_S at a pack temperature; docs/model.md eq. (X1)."""
     return 1.0 - p.fade_per_k * (clutch_k - p.fade_reference_k)
 
 
 def grooved(law: FilmLaw, p: LiningParameters) -> FilmLaw:
-    """Return the film law of a lining whose grooves shorten the way of the oil; docs/model.md eq. (E2)."""
+    """Return the film law of a lining whose grooves shorten the way of the oil; docs/model.md eq. (X2)."""
     return law._replace(squeeze_factor_m2=law.squeeze_factor_m2 / p.film_mobility_ratio)
