@@ -109,7 +109,7 @@ class Effects(_Ranged):
 
     friction_fade_per_k: float = ranged(0.0, 0.0, 0.005)  # mu_C and mu_S lose this share per kelvin above 80 degC
     stribeck_speed_ratio: float = ranged(1.0, 0.3, 3.0)  # on w_S
-    viscosity_ratio: float = ranged(1.0, 0.5, 2.0)  # on the fluid's viscosity
+    viscosity_ratio: float = ranged(1.0, 0.5, 1.5)  # thicker still, cold oil would hold up the preselection
     contact_stiffness_ratio: float = ranged(1.0, 0.3, 3.0)  # on K_c
     film_mobility_ratio: float = ranged(1.0, 0.25, 4.0)  # grooves let the film yield faster
     piston_area_ratio: float = ranged(1.0, 0.9, 1.1)  # on A_K
