@@ -186,8 +186,8 @@ def document(lines: Sequence[Line], seeds: int, first_seed: int) -> str:
         "the scale is right, so that bias and RMS there are those of the scale-free values. Coverage is the share of "
         "truths within two stated standard deviations: the random one, which knows sensor noise only, without "
         "scatter; the total one with scatter. A share rests on "
-        f"{2 * seeds} estimates for a parameter, so that 90 % means at most {int(0.2 * seeds)} outside: a row just below "
-        "or above is not proven to be either. A bias that changes sign with the fluid cancels; RMS shows it."
+        f"{2 * seeds} estimates for a parameter, so that 90 % means at most {int(0.2 * seeds)} outside: a row just "
+        "below or above is not proven to be either. A bias that changes sign with the fluid cancels; RMS shows it."
     )
     return "\n".join(
         [
