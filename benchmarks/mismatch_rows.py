@@ -79,7 +79,9 @@ ROWS: tuple[Mismatch, ...] = (
         effects=Effects(crank_ripple_ratio=0.5, engine_speed_is_sampled=True),
     ),
     Mismatch(name="torque lag 10 ms", way=_LAG, lag_s=dict.fromkeys(TORQUE, 0.010)),
-    Mismatch(name="torque lag 25 ms", way=f"{_LAG}; the worst shifts are not used", lag_s=dict.fromkeys(TORQUE, 0.025)),
+    Mismatch(
+        name="torque lag 25 ms", way=f"{_LAG}; upshifts do not fit and are not used", lag_s=dict.fromkeys(TORQUE, 0.025)
+    ),
     Mismatch(name="pressure lag 5 ms", way=_LAG, lag_s=dict.fromkeys(PRESSURES, 0.005)),
     Mismatch(name="all speeds lag 10 ms", way=_LAG, lag_s=dict.fromkeys(SPEEDS, 0.010)),
     Mismatch(name="driveline damping x 0.5", way=_DAMPING, effects=Effects(driveline_damping_ratio=0.5)),
