@@ -11,9 +11,9 @@ BROKER ?=
 VCAN_LIMIT_S ?= 600
 
 PY = "$(VENV)/bin/python"
-BENCHMARKS = $(filter-out accuracy,$(basename $(notdir $(wildcard benchmarks/[a-z]*.py))))
+BENCHMARKS = $(filter-out accuracy study operating_curve mismatch mismatch_rows,$(basename $(notdir $(wildcard benchmarks/[a-z]*.py))))
 
-.PHONY: help setup setup-system demo check static test warm test-host test-vcan bench accuracy reproduce lock clean
+.PHONY: help setup setup-system demo check static test warm test-host test-vcan bench accuracy reproduce operating-curve mismatch lock clean
 
 help:
 	@echo "make setup         virtual environment in $(VENV) with the locked requirements and the project"
@@ -24,6 +24,8 @@ help:
 	@echo "make bench         speed and size figures"
 	@echo "make accuracy      estimates against the truth over many seeds; SEEDS=n for fewer or more"
 	@echo "make reproduce     tables and pictures of SAE 2015-01-1146 as an HTML report; SEEDS=n draws of the noise"
+	@echo "make operating-curve  how often each verdict is given, against true slope and level; writes into docs"
+	@echo "make mismatch      bias, RMS and coverage where the vehicle differs from the belief; writes into docs"
 	@echo "make setup-system  the Debian packages that 'make test' needs (mosquitto, can-utils, ...)"
 	@echo "make lock          resolve requirements.lock again; UPGRADE=1 for newer versions"
 	@echo "Variables: PYTHON=$(PYTHON) (3.11 or newer), VENV=$(VENV)"
@@ -78,6 +80,12 @@ accuracy: setup
 
 reproduce: setup
 	@$(PY) -m benchmarks.reproduce $(if $(SEEDS),--seeds "$(SEEDS)")
+
+operating-curve: setup
+	@$(PY) -m benchmarks.operating_curve $(if $(SEEDS),--seeds "$(SEEDS)")
+
+mismatch: setup
+	@$(PY) -m benchmarks.mismatch $(if $(SEEDS),--seeds "$(SEEDS)")
 
 # --- checking ---------------------------------------------------------------------------------------------------------
 

@@ -6,6 +6,7 @@ from typing import Any, Final
 
 from clutch_model.calibration import Calibration, ClutchCalibration, nominal_table
 from clutch_model.errors import CalibrationError
+from ecu_emulator.effects import affected_calibration, affected_parameters
 from ecu_emulator.errors import ConfigError
 from ecu_emulator.plant.parameters import PlantParameters, nominal_plant_table
 from ecu_emulator.scenario import FluidCondition, Overrides, Scatter, Scenario
@@ -52,8 +53,9 @@ def build_vehicle(scenario: Scenario) -> BuiltVehicle:
     """
     drawn = _draw(scenario.scatter, scenario.seed)
     try:
-        calibration = Calibration.from_mapping(
-            _overridden(nominal_table(), scenario.truth.calibration, "truth.calibration")
+        calibration = affected_calibration(
+            Calibration.from_mapping(_overridden(nominal_table(), scenario.truth.calibration, "truth.calibration")),
+            scenario.effects,
         )
         clutches = [
             _scattered_clutch(clutch, name, drawn, FLUID_FACTORS[scenario.fluid.condition])
@@ -68,8 +70,11 @@ def build_vehicle(scenario: Scenario) -> BuiltVehicle:
                 viscosity=replace(calibration.viscosity, a_pa_s=viscosity_a_pa_s),
                 input_side=replace(calibration.input_side, engine_inertia_kg_m2=inertia_kg_m2),
             ),
-            parameters=PlantParameters.from_mapping(
-                _overridden(dict(nominal_plant_table()), scenario.truth.plant, "truth.plant")
+            parameters=affected_parameters(
+                PlantParameters.from_mapping(
+                    _overridden(dict(nominal_plant_table()), scenario.truth.plant, "truth.plant")
+                ),
+                scenario.effects,
             ),
             sensors=_scattered_sensors(scenario.sensors, drawn),
             drawn=drawn,

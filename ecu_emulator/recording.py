@@ -6,6 +6,7 @@ from typing import Final
 
 from dbc.contract import load_contract, message_contracts
 from ecu_emulator.build import BuiltVehicle, ageing_factors, build_vehicle
+from ecu_emulator.frame_loss import FrameLoss
 from ecu_emulator.frames import EncodedFrames, FrameEncoder, merge
 from ecu_emulator.plant.columns import Col
 from ecu_emulator.plant.drive import DriveSettings, FrictionFactors
@@ -50,7 +51,7 @@ class Drive:
                 Schedule(
                     message=contract.name,
                     sender=contract.sender,
-                    cycle_ms=contract.cycle_ms,
+                    cycle_ms=max(contract.cycle_ms, scenario.effects.least_cycle_ms),
                     phase_ms=contract.phase_ms,
                     quantities=self._encoder.quantities(contract.name),
                 )
@@ -61,6 +62,7 @@ class Drive:
             startup_s=scenario.startup.by_sender(),
             seed=scenario.seed,
         )
+        self._loss = FrameLoss(scenario.effects.frame_loss_ratio, scenario.seed)
         self._shift_count = 0
         self._frame_count = 0
         self._end_s = 0.0
@@ -85,7 +87,7 @@ class Drive:
 
     def _stretch(self, rows: FloatArray) -> Stretch:
         shifts = tuple(self._watcher.feed(rows))
-        frames = self._encoder.encode_all(self._sensors.read(rows))
+        frames = self._loss.surviving(self._encoder.encode_all(self._sensors.read(rows)))
         self._shift_count += len(shifts)
         self._frame_count += len(frames)
         self._end_s = round(float(rows[-1, Col.T_S]), 3)
@@ -126,6 +128,8 @@ def _installation(scenario: Scenario, vehicle: BuiltVehicle) -> Installation:
         ambient_temperature_k=scenario.ambient.temperature_k,
         coolant_temperature_k=scenario.ambient.coolant_temperature_k,
         odometer_m=scenario.odometer_m,
+        engine_speed_is_sampled=scenario.effects.engine_speed_is_sampled,
+        motoring_torque_ratio=scenario.effects.motoring_torque_ratio,
     )
 
 
@@ -140,4 +144,5 @@ def _drive_truth(scenario: Scenario, vehicle: BuiltVehicle) -> DriveTruth:
         mu_c=(first.mu_c, second.mu_c),
         mu_s=(first.mu_s, second.mu_s),
         drawn=vehicle.drawn,
+        effects=scenario.effects.switched_on(),
     )

@@ -100,6 +100,36 @@ class Scatter(_Ranged):
     pressure_zero_pa: float = ranged(0.0, 0.0, 2.0e4)
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Effects(_Ranged):
+    """What is true of this vehicle and unknown to the service's model; by default nothing. Ratios multiply.
+
+    docs/model.md, section "Effects the estimator does not model".
+    """
+
+    friction_fade_per_k: float = ranged(0.0, 0.0, 0.005)  # mu_C and mu_S lose this share per kelvin above 80 degC
+    stribeck_speed_ratio: float = ranged(1.0, 0.3, 3.0)  # on w_S
+    viscosity_ratio: float = ranged(1.0, 0.5, 1.5)  # thicker still, cold oil would hold up the preselection
+    contact_stiffness_ratio: float = ranged(1.0, 0.3, 3.0)  # on K_c
+    film_mobility_ratio: float = ranged(1.0, 0.25, 4.0)  # grooves let the film yield faster
+    piston_area_ratio: float = ranged(1.0, 0.9, 1.1)  # on A_K
+    spring_force_n: float = ranged(0.0, -100.0, 100.0)  # added to the return springs' force
+    driveline_damping_ratio: float = ranged(1.0, 0.25, 4.0)  # on flywheel, input shafts and output shafts
+    crank_ripple_ratio: float = ranged(0.0, 0.0, 1.0)  # amplitude of the firing torque, three per turn
+    engine_speed_is_sampled: bool = False  # broadcast as it is at the instant, not as the mean of a crank segment
+    motoring_torque_ratio: float = ranged(1.0, 0.5, 1.5)  # on negative torque as the engine controller reports it
+    least_cycle_ms: int = field(default=0, metadata={"low": 0, "high": 100})  # no message is sent more often
+    frame_loss_ratio: float = ranged(0.0, 0.0, 0.5)  # of all frames, at random
+
+    def switched_on(self) -> dict[str, float]:
+        """Return what differs from no effect, by name."""
+        return {
+            member.name: getattr(self, member.name)
+            for member in fields(self)
+            if getattr(self, member.name) != member.default
+        }
+
+
 def production_scatter() -> Scatter:
     """Return the scatter of normal production: half of what the service's nominal calibration allows for."""
     believed = nominal_calibration().uncertainty
@@ -130,6 +160,7 @@ class Scenario(_Ranged):
     startup: Startup = field(default_factory=Startup)
     scatter: Scatter = field(default_factory=production_scatter)
     sensors: Sensors = field(default_factory=lambda: dict(NOMINAL_SENSORS))
+    effects: Effects = field(default_factory=Effects)
     truth: Truth = field(default_factory=Truth)
 
     def __post_init__(self) -> None:

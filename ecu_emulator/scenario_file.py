@@ -11,6 +11,7 @@ from ecu_emulator.errors import ConfigError
 from ecu_emulator.scenario import (
     Ambient,
     Driver,
+    Effects,
     Fluid,
     FluidCondition,
     Scatter,
@@ -85,7 +86,7 @@ def _scenario(table: Mapping[str, object]) -> Scenario:
 
 
 _PARTS: Final[Mapping[str, type[object]]] = {
-    "fluid": Fluid, "driver": Driver, "ambient": Ambient, "startup": Startup
+    "fluid": Fluid, "driver": Driver, "ambient": Ambient, "startup": Startup, "effects": Effects
 }  # fmt: skip
 
 
@@ -164,6 +165,8 @@ def _typed(member: "Field[object]", value: object, prefix: str) -> object:
         raise ConfigError(f"{prefix}{member.name} must be a number, got {value!r}")
     if wanted is int and not (is_number and isinstance(value, int)):
         raise ConfigError(f"{prefix}{member.name} must be a whole number, got {value!r}")
+    if wanted is bool and not isinstance(value, bool):
+        raise ConfigError(f"{prefix}{member.name} must be true or false, got {value!r}")
     if wanted is str and not isinstance(value, str):
         raise ConfigError(f"{prefix}{member.name} must be a string, got {value!r}")
     if wanted is FluidCondition:

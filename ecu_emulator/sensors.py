@@ -35,10 +35,16 @@ class Installation:
     ambient_temperature_k: float
     coolant_temperature_k: float
     odometer_m: float  # at the start of the drive
+    engine_speed_is_sampled: bool = False  # the broadcast speed is instantaneous, not a mean
+    motoring_torque_ratio: float = 1.0  # on negative torque, as the engine controller's model gets it
+
+
+def reported_torque_nm(torque_nm: FloatArray, place: Installation) -> FloatArray:
+    """Return the crankshaft torque [N m] as the engine controller's model has it, shape (n,)."""
+    return np.where(torque_nm < 0.0, place.motoring_torque_ratio, 1.0) * torque_nm
 
 
 _DIRECT: Final[Mapping[str, Col]] = {
-    "engine_torque_nm": Col.ENGINE_TORQUE,
     "pedal_ratio": Col.PEDAL,
     "throttle_ratio": Col.THROTTLE,
     "hub_speed_rad_s": Col.HUB_SPEED,
@@ -61,6 +67,7 @@ _DIRECT: Final[Mapping[str, Col]] = {
     "manifold_pressure_pa": Col.MANIFOLD_PRESSURE,
 }
 _DERIVED: Final[Mapping[str, Callable[[FloatArray, Installation], FloatArray]]] = {
+    "engine_torque_nm": lambda rows, place: reported_torque_nm(rows[:, Col.ENGINE_TORQUE], place),
     "output_speed_rad_s": lambda rows, place: rows[:, Col.DIFF_SPEED] * place.output_ratio,
     "wheel_fl_speed_m_s": lambda rows, place: rows[:, Col.WHEEL_SPEED] * place.wheel_radius_m,
     "wheel_fr_speed_m_s": lambda rows, place: rows[:, Col.WHEEL_SPEED] * place.wheel_radius_m,
@@ -72,7 +79,8 @@ _DERIVED: Final[Mapping[str, Callable[[FloatArray, Installation], FloatArray]]] 
 }
 QUANTITIES: Final = frozenset({CRANK_QUANTITY, *_DIRECT, *_DERIVED})
 MEASURABLE: Final = frozenset(_DIRECT.values()) | {
-    Col.T_S, Col.ENGINE_SPEED, Col.CRANK_ANGLE, Col.DIFF_SPEED, Col.WHEEL_SPEED, Col.BRAKE, Col.DISTANCE
+    Col.T_S, Col.ENGINE_SPEED, Col.ENGINE_TORQUE, Col.CRANK_ANGLE,
+    Col.DIFF_SPEED, Col.WHEEL_SPEED, Col.BRAKE, Col.DISTANCE,
 }  # fmt: skip
 
 
@@ -214,6 +222,8 @@ class SensorSuite:
         return Readings(message=schedule.message, t_s=t_s, values=values)
 
     def _trace(self, quantity: str, rows: FloatArray, first_ms: int) -> FloatArray:
+        if quantity == CRANK_QUANTITY and self._installation.engine_speed_is_sampled:
+            return rows[:, Col.ENGINE_SPEED]
         if quantity == CRANK_QUANTITY:
             return self._crank.feed(rows[:, Col.CRANK_ANGLE], rows[:, Col.ENGINE_SPEED], first_ms)
         if quantity in _DIRECT:

@@ -6,7 +6,7 @@ One JSON object per line: the drive (scenario, seed, built vehicle), every compl
 import json
 from collections.abc import Iterable, Mapping
 from contextlib import suppress
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Final, Self, TextIO
@@ -37,6 +37,7 @@ class DriveTruth:
     mu_c: tuple[float, float]  # per clutch, at the start
     mu_s: tuple[float, float]
     drawn: Mapping[str, float]  # production scatter of this vehicle
+    effects: Mapping[str, float] = field(default_factory=dict)  # unknown to the service's model, if switched on
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -16,7 +16,7 @@ class Col(IntEnum):
     WHEEL_SPEED = 6  # w_W [rad/s]
     VEHICLE_SPEED = 7  # v [m/s]
     CRANK_ANGLE = 8  # integral of w_E [rad]
-    ENGINE_TORQUE = 9  # T_e [N m], friction and pumping deducted
+    ENGINE_TORQUE = 9  # T_e [N m], friction and pumping deducted, without the pulses of the firings
     FLYWHEEL_TORQUE = 10  # T_FW [N m]
     CLUTCH1_TORQUE = 11  # T_F1 [N m], hub on gearbox side
     CLUTCH2_TORQUE = 12  # T_F2 [N m]

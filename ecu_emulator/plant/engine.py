@@ -56,9 +56,15 @@ def manifold_rate_pa_s(
 
 
 @kernel
+def mean_indicated_torque_nm(manifold_pa: float, spark: float, air_k: float, p: EngineParameters) -> float:
+    """Return the torque of combustion [N m] without its pulses; ``spark`` is its factor, 1 at best timing."""
+    return p.torque_per_air_j_kg * cylinder_air_kg_rad(manifold_pa, air_k, p) * spark
+
+
+@kernel
 def indicated_torque_nm(manifold_pa: float, spark: float, crank_rad: float, air_k: float, p: EngineParameters) -> float:
-    """Return the torque of combustion [N m]; ``spark`` is its factor, 1 at best timing."""
-    torque_nm = p.torque_per_air_j_kg * cylinder_air_kg_rad(manifold_pa, air_k, p) * spark
+    """Return the torque of combustion [N m] at a crank angle."""
+    torque_nm = mean_indicated_torque_nm(manifold_pa, spark, air_k, p)
     if p.ripple_ratio == 0.0:
         return torque_nm
     return torque_nm * (1.0 + p.ripple_ratio * math.sin(3.0 * crank_rad))

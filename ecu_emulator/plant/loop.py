@@ -11,9 +11,10 @@ from ecu_emulator import tcu, tcu_data
 from ecu_emulator.plant import state as at
 from ecu_emulator.plant.columns import Col
 from ecu_emulator.plant.driveline import ENGAGED, NEUTRAL, SYNCHRONISING
-from ecu_emulator.plant.engine import engine_losses_nm, indicated_torque_nm
+from ecu_emulator.plant.engine import engine_losses_nm, mean_indicated_torque_nm
 from ecu_emulator.plant.hydraulics import cavity_pressure_pa
 from ecu_emulator.plant.integration import advance_millisecond, settle
+from ecu_emulator.plant.lining import friction_ratio
 from ecu_emulator.plant.rates import PlantLaw
 from ecu_emulator.tcu_data import ClutchActuation, ControlParameters
 
@@ -52,12 +53,19 @@ class DriveLaw(NamedTuple):
 
 
 @array_kernel
+def modelled_torque_nm(machine: Machine, law: PlantLaw) -> float:
+    """Return the crankshaft torque as an engine controller models it [N m]: without the pulses of the firings."""
+    y, engine = machine.y, law.engine
+    indicated_nm = mean_indicated_torque_nm(y[at.P_M], y[at.SPARK], law.air_k, engine)
+    return float(indicated_nm - engine_losses_nm(y[at.P_M], y[at.W_E], engine))
+
+
+@array_kernel
 def sense_plant(machine: Machine, law: PlantLaw) -> None:
     """Fill what the control senses."""
     y, modes, sense = machine.y, machine.modes, machine.sense
     sense[tcu_data.ENGINE_SPEED] = y[at.W_E]
-    torque_nm = indicated_torque_nm(y[at.P_M], y[at.SPARK], y[at.CRANK], law.air_k, law.engine)
-    sense[tcu_data.ENGINE_TORQUE] = torque_nm - engine_losses_nm(y[at.P_M], y[at.W_E], law.engine)
+    sense[tcu_data.ENGINE_TORQUE] = modelled_torque_nm(machine, law)
     for k in range(2):
         clutch = law.clutches.first if k == 0 else law.clutches.second
         sense[tcu_data.SLIP + k] = y[at.W_H] - y[at.W_L + k]
@@ -81,8 +89,9 @@ def obey(machine: Machine, law: DriveLaw) -> None:
         line_pa = clutch.valve.line_pressure_pa
         u[at.P_COMMAND + k] = min(max(commands[tcu_data.PRESSURE + k], 0.0), line_pa)
         u[at.T_COMMAND + k] = commands[tcu_data.TORQUE_COMMAND + k]
-        u[at.MU_C + k] = clutch.friction.mu_c * row[tcu_data.CYCLE_MU + 2 * k]
-        u[at.MU_S + k] = clutch.friction.mu_s * row[tcu_data.CYCLE_MU + 2 * k + 1]
+        faded = friction_ratio(y[at.T_C + k], law.plant.lining)
+        u[at.MU_C + k] = clutch.friction.mu_c * row[tcu_data.CYCLE_MU + 2 * k] * faded
+        u[at.MU_S + k] = clutch.friction.mu_s * row[tcu_data.CYCLE_MU + 2 * k + 1] * faded
         fluid = law.plant.fluid
         u[at.VISCOSITY + k] = viscosity_pa_s(y[at.T_C + k], fluid.a_pa_s, fluid.b_k, fluid.pole_k)
         wanted = int(commands[tcu_data.WANTED_GEAR + k])
@@ -93,7 +102,7 @@ def obey(machine: Machine, law: DriveLaw) -> None:
 
 
 @array_kernel
-def record_bodies(machine: Machine, row: FloatArray) -> None:
+def record_bodies(machine: Machine, law: PlantLaw, row: FloatArray) -> None:
     """Write the mechanical part of a row."""
     y, u, out = machine.y, machine.u, machine.slope1
     row[Col.T_S] = machine.clock[0] * 1.0e-3
@@ -103,7 +112,7 @@ def record_bodies(machine: Machine, row: FloatArray) -> None:
     row[Col.WHEEL_SPEED] = y[at.W_W]
     row[Col.VEHICLE_SPEED] = y[at.V]
     row[Col.CRANK_ANGLE] = y[at.CRANK]
-    row[Col.ENGINE_TORQUE] = out[at.T_E]
+    row[Col.ENGINE_TORQUE] = modelled_torque_nm(machine, law)
     row[Col.FLYWHEEL_TORQUE] = out[at.T_FW]
     row[Col.SUMP_TEMPERATURE] = y[at.T_OIL]
     row[Col.PEDAL] = u[at.PEDAL]
@@ -154,7 +163,7 @@ def run(machine: Machine, law: DriveLaw, rows: FloatArray) -> int:
             return index
         obey(machine, law)
         settle(machine.y, machine.u, machine.modes, machine.slope1, law.plant)
-        record_bodies(machine, rows[index])
+        record_bodies(machine, law.plant, rows[index])
         record_clutches(machine, law.plant, rows[index])
         record_control(machine, rows[index])
         advance_millisecond(

@@ -13,6 +13,7 @@ from clutch_model.tables import check_keys, number, numbers, require, subtable
 from ecu_emulator.plant.driveline import FlywheelParameters, OutputParameters, ShaftParameters, SynchroniserParameters
 from ecu_emulator.plant.engine import EngineParameters
 from ecu_emulator.plant.hydraulics import HydraulicsParameters
+from ecu_emulator.plant.lining import LiningParameters
 from ecu_emulator.plant.vehicle import VehicleParameters
 from ecu_emulator.tcu_data import GEAR_COUNT, ControlParameters
 
@@ -23,6 +24,7 @@ _MAY_BE_ZERO = frozenset(
         "friction_nm",
         "friction_nms_rad",
         "ripple_ratio",
+        "fade_per_k",
         "damping_nms_rad",
         "clutch_damping_nms_rad",
         "gear_damping_nms_rad",
@@ -84,6 +86,7 @@ class PlantParameters:
     output: OutputParameters
     vehicle: VehicleParameters
     sump: SumpParameters
+    lining: LiningParameters
     control: ControlParameters
 
     def __post_init__(self) -> None:
@@ -130,6 +133,7 @@ class PlantParameters:
             output=_record(OutputParameters, table, "output"),
             vehicle=_record(VehicleParameters, table, "vehicle"),
             sump=_record(SumpParameters, table, "sump"),
+            lining=_record(LiningParameters, table, "lining"),
             control=_record(ControlParameters, table, "control"),
         )
 

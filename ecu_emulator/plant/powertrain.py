@@ -14,7 +14,8 @@ from ecu_emulator.plant.clutch import ClutchLaw, refresh_contact
 from ecu_emulator.plant.drive import DriveSettings, cycle_table
 from ecu_emulator.plant.driveline import ENGAGED
 from ecu_emulator.plant.engine import throttle_flow_kg_s
-from ecu_emulator.plant.hydraulics import HydraulicsParameters, cavity_law, closed_volume_m3
+from ecu_emulator.plant.hydraulics import cavity_law, closed_volume_m3
+from ecu_emulator.plant.lining import grooved
 from ecu_emulator.plant.loop import COLUMN_COUNT, DriveLaw, Machine, run
 from ecu_emulator.plant.parameters import GearboxParameters, PlantParameters
 from ecu_emulator.plant.rates import ClutchPair, FluidLaw, PlantLaw, ShaftPair
@@ -89,19 +90,19 @@ class Powertrain:
         return rows[: run(self._machine, self._law, rows)]
 
 
-def _clutch_law(clutch: ClutchCalibration, valve: HydraulicsParameters) -> ClutchLaw:
+def _clutch_law(clutch: ClutchCalibration, parameters: PlantParameters) -> ClutchLaw:
     return ClutchLaw(
-        film=film_law(clutch),
+        film=grooved(film_law(clutch), parameters.lining),
         friction=friction_law(clutch.friction),
         cavity=cavity_law(clutch),
-        valve=valve,
+        valve=parameters.hydraulics,
         heat_capacity_j_k=float(clutch.thermal.heat_capacity_j_k),
         convection_w_k=float(clutch.thermal.convection_w_k),
     )
 
 
 def _plant_law(truth: Calibration, parameters: PlantParameters, drive: DriveSettings) -> PlantLaw:
-    first, second = (_clutch_law(clutch, parameters.hydraulics) for clutch in truth.clutches)
+    first, second = (_clutch_law(clutch, parameters) for clutch in truth.clutches)
     return PlantLaw(
         engine=parameters.engine,
         flywheel=parameters.flywheel,
@@ -111,6 +112,7 @@ def _plant_law(truth: Calibration, parameters: PlantParameters, drive: DriveSett
         vehicle=parameters.vehicle,
         clutches=ClutchPair(first, second),
         fluid=FluidLaw(float(truth.viscosity.a_pa_s), float(truth.viscosity.b_k), float(truth.viscosity.pole_k)),
+        lining=parameters.lining,
         engine_inertia_kg_m2=float(truth.input_side.engine_inertia_kg_m2),
         hub_inertia_kg_m2=float(truth.input_side.hub_inertia_kg_m2),
         hub_damping_nms_rad=float(truth.input_side.hub_damping_nms_rad),

@@ -21,6 +21,7 @@ from ecu_emulator.plant.driveline import (
     twist_torque_nm,
 )
 from ecu_emulator.plant.engine import EngineParameters, engine_losses_nm, indicated_torque_nm, manifold_rate_pa_s
+from ecu_emulator.plant.lining import LiningParameters
 from ecu_emulator.plant.vehicle import VehicleParameters, brake_force_n, road_load_n, tyre_force_n
 
 FloatArray = npt.NDArray[np.float64]
@@ -62,6 +63,7 @@ class PlantLaw(NamedTuple):
     vehicle: VehicleParameters
     clutches: ClutchPair
     fluid: FluidLaw
+    lining: LiningParameters
     engine_inertia_kg_m2: float  # J_E
     hub_inertia_kg_m2: float  # J_H
     hub_damping_nms_rad: float  # B_H

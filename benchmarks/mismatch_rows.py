@@ -1,0 +1,106 @@
+"""The rows of the mismatch table: what each puts into the vehicle, and by what way it reaches the friction."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+
+from ecu_emulator.scenario import Effects, Scenario
+
+TORQUE = ("engine_torque_nm",)
+PRESSURES = ("clutch1_pressure_pa", "clutch2_pressure_pa")
+SPEEDS = ("engine_speed_rad_s", "hub_speed_rad_s", "input1_speed_rad_s", "input2_speed_rad_s")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Mismatch:
+    """One way in which a vehicle differs from what the service believes."""
+
+    name: str
+    way: str  # how it reaches the estimate
+    effects: Effects = field(default_factory=Effects)
+    lag_s: Mapping[str, float] = field(default_factory=dict)  # of the sensors, by quantity
+
+    def applied(self, scenario: Scenario) -> Scenario:
+        """Return the scenario with this effect and no other."""
+        sensors = dict(scenario.sensors)
+        for quantity, lag_s in self.lag_s.items():
+            sensors[quantity] = replace(sensors[quantity], lag_s=lag_s)
+        return replace(scenario, effects=self.effects, sensors=sensors)
+
+
+MATCHED = Mismatch(name="none", way="the belief is right")
+_STRIBECK = (
+    "the curve is fitted with a wrong width, so that mu_S, which lies at its end, is extrapolated; the error has the "
+    "sign of the slope and nearly cancels in the bias over the fluids"
+)
+_VISCOSITY = "the film follows the pressure with another delay, and the drag torque scales"
+_CONTACT = "the film settles elsewhere: other transients, the same equilibrium load"
+_GROOVES = "the real film follows the pressure faster than the believed one"
+_LAG = "an unmodelled lag, far beyond the latency that the calibration allows for (2 ms of torque, 1 ms of pressure)"
+_RIPPLE = "the speed moves within a segment, and its mean over the segment does not"
+_DAMPING = "other vibrations; the balance of the input side does not contain them"
+_MOTORING = "a gain error on negative torque only; it acts in downshifts"
+_FRAMES = "fewer samples"
+_LOSS = "a single lost frame is bridged, two in a row of one message make the shift unusable: fewer shifts, no bias"
+
+ROWS: tuple[Mismatch, ...] = (
+    MATCHED,
+    Mismatch(
+        name="friction falls 0.1 % per K above 80 degC",
+        way="the packs run at about 90 degC: friction is truly lower than at the reference it is compared with",
+        effects=Effects(friction_fade_per_k=0.001),
+    ),
+    Mismatch(name="w_S x 1.5", way=_STRIBECK, effects=Effects(stribeck_speed_ratio=1.5)),
+    Mismatch(name="w_S x 0.67", way=_STRIBECK, effects=Effects(stribeck_speed_ratio=0.67)),
+    Mismatch(name="viscosity x 1.25", way=_VISCOSITY, effects=Effects(viscosity_ratio=1.25)),
+    Mismatch(name="viscosity x 0.8", way=_VISCOSITY, effects=Effects(viscosity_ratio=0.8)),
+    Mismatch(name="K_c x 1.5", way=_CONTACT, effects=Effects(contact_stiffness_ratio=1.5)),
+    Mismatch(name="K_c x 0.67", way=_CONTACT, effects=Effects(contact_stiffness_ratio=0.67)),
+    Mismatch(name="grooves, film mobility x 2", way=_GROOVES, effects=Effects(film_mobility_ratio=2.0)),
+    Mismatch(name="grooves, film mobility x 4", way=_GROOVES, effects=Effects(film_mobility_ratio=4.0)),
+    Mismatch(
+        name="A_K x 1.01",
+        way="the real piston pushes harder than believed, which is taken for friction",
+        effects=Effects(piston_area_ratio=1.01),
+    ),
+    Mismatch(
+        name="spring force + 30 N",
+        way="the touch point, which is estimated, shifts by about 0.06 bar, a little more than its prior deviation",
+        effects=Effects(spring_force_n=30.0),
+    ),
+    Mismatch(name="crank ripple 0.5", way=_RIPPLE, effects=Effects(crank_ripple_ratio=0.5)),
+    Mismatch(
+        name="engine speed sampled, not averaged",
+        way="the service takes the speed for the mean of a segment, and so for half a segment older than it is",
+        effects=Effects(engine_speed_is_sampled=True),
+    ),
+    Mismatch(
+        name="crank ripple 0.5, engine speed sampled",
+        way="the firing ripple aliases into the balance as slow speed errors, times the engine's inertia",
+        effects=Effects(crank_ripple_ratio=0.5, engine_speed_is_sampled=True),
+    ),
+    Mismatch(name="torque lag 10 ms", way=_LAG, lag_s=dict.fromkeys(TORQUE, 0.010)),
+    Mismatch(
+        name="torque lag 25 ms", way=f"{_LAG}; upshifts do not fit and are not used", lag_s=dict.fromkeys(TORQUE, 0.025)
+    ),
+    Mismatch(name="pressure lag 5 ms", way=_LAG, lag_s=dict.fromkeys(PRESSURES, 0.005)),
+    Mismatch(name="all speeds lag 10 ms", way=_LAG, lag_s=dict.fromkeys(SPEEDS, 0.010)),
+    Mismatch(name="driveline damping x 0.5", way=_DAMPING, effects=Effects(driveline_damping_ratio=0.5)),
+    Mismatch(name="driveline damping x 2", way=_DAMPING, effects=Effects(driveline_damping_ratio=2.0)),
+    Mismatch(name="motoring torque reads x 0.9", way=_MOTORING, effects=Effects(motoring_torque_ratio=0.9)),
+    Mismatch(name="motoring torque reads x 1.1", way=_MOTORING, effects=Effects(motoring_torque_ratio=1.1)),
+    Mismatch(name="frames every 20 ms", way=_FRAMES, effects=Effects(least_cycle_ms=20)),
+    Mismatch(name="1 % of the frames lost", way=_LOSS, effects=Effects(frame_loss_ratio=0.01)),
+    Mismatch(name="5 % of the frames lost", way=_LOSS, effects=Effects(frame_loss_ratio=0.05)),
+    Mismatch(
+        name="film, viscosity, w_S, K_c and touch point together",
+        way="mobility x 1.5, viscosity x 1.1, w_S x 1.2, K_c x 1.2, spring + 15 N",
+        effects=Effects(
+            film_mobility_ratio=1.5,
+            viscosity_ratio=1.1,
+            stribeck_speed_ratio=1.2,
+            contact_stiffness_ratio=1.2,
+            spring_force_n=15.0,
+        ),
+    ),
+)
+BY_NAME: Mapping[str, Mismatch] = {row.name: row for row in ROWS}

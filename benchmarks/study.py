@@ -1,0 +1,57 @@
+"""What studies over many drives share: the way from a scenario to its diagnoses, processes with progress, percents."""
+
+import sys
+from collections.abc import Callable, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from typing import TypeVar
+
+import numpy as np
+import numpy.typing as npt
+
+from benchmarks.accuracy import to_batch
+from clutch_model.calibration import nominal_calibration
+from dbc.contract import DBC_PATH
+from diag_service.condition import ConditionMemory
+from diag_service.database import load_database
+from diag_service.estimation import Belief
+from diag_service.mapping import Decoder
+from diag_service.pipeline import Diagnosis, Stages
+from diag_service.profile import load_profile
+from ecu_emulator.recording import frames_of
+from ecu_emulator.scenario import Scenario
+from ecu_emulator.truth import TruthLog
+
+CaseT = TypeVar("CaseT")
+ResultT = TypeVar("ResultT")
+
+REPORT_EVERY = 20  # drives
+
+
+def diagnose(scenario: Scenario) -> tuple[list[Diagnosis], TruthLog]:
+    """Drive a scenario in memory, frames and decoding included, and return what the service makes of its shifts."""
+    frames, truth = frames_of(scenario)
+    calibration = nominal_calibration()
+    decoder = Decoder(load_database(DBC_PATH), load_profile())
+    stages = Stages(decoder, calibration, Belief.fresh(calibration), ConditionMemory.fresh())
+    return stages.feed(to_batch(frames)), truth
+
+
+def over_drives(work: Callable[[CaseT], list[ResultT]], cases: Sequence[CaseT], jobs: int) -> list[ResultT]:
+    """Return the results of all cases in their order, worked on by ``jobs`` processes; progress goes to stderr."""
+    results: list[ResultT] = []
+    with ProcessPoolExecutor(jobs) as pool:
+        for number, part in enumerate(pool.map(work, cases), start=1):
+            results += part
+            if number % REPORT_EVERY == 0 or number == len(cases):
+                print(f"{number} of {len(cases)} drives", file=sys.stderr, flush=True)
+    return results
+
+
+def percent(share: float) -> str:
+    """Return a share 0..1 as whole percent."""
+    return f"{100.0 * share:.0f}"
+
+
+def root_mean_square(values: npt.NDArray[np.float64]) -> float:
+    """Return the RMS of some values."""
+    return float(np.sqrt(np.mean(np.square(values))))
