@@ -2,7 +2,7 @@
 
 import csv
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from benchmarks.reproduce.drives import Case, PaperDrive
@@ -74,6 +74,15 @@ class Table:
             ]
             for key in self.keys
         ]
+
+    def parts(self, width: int) -> list["Table"]:
+        """Return the table cut between column sets, so that no part has more than ``width`` columns of values."""
+        groups: list[list[ColumnSet]] = []
+        for one in self.sets:
+            if not groups or sum(len(other.columns) for other in groups[-1]) + len(one.columns) > width:
+                groups.append([])
+            groups[-1].append(one)
+        return [replace(self, sets=group) for group in groups]
 
     def write_csv(self, folder: Path) -> Path:
         """Write the table as CSV and return where."""
