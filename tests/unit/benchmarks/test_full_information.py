@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import pytest
 
-from benchmarks.full_information import jobs_of, misses, table
+from benchmarks.full_information import jobs_of, lines, misses
 from benchmarks.reproduce.drives import Case
 from benchmarks.reproduce.full_route import Found, figures
 from benchmarks.reproduce.tables import full_columns
@@ -46,7 +46,9 @@ def test_a_line_says_what_it_misses(change: dict[str, float], missed: list[str])
     noisy = figures([replace(RUN, **change)])  # type: ignore[arg-type]  # one dict, several types
     assert misses(KEY, noisy[KEY], clean[KEY]) == missed
     assert misses(KEY, clean[KEY], figures([replace(RUN, error=0.11)])[KEY]) == ["noiseless"]
-    assert table(noisy, clean).row_count == 1
+    heading, line = lines(noisy, clean)
+    assert heading.split()[-1] == "target"
+    assert line.endswith(f"misses {', '.join(missed)}" if missed else "met")
 
 
 def test_the_columns_of_the_report_stand_beside_the_others() -> None:
