@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import pytest
 
-from benchmarks.full_information import jobs_of, lines, misses
+from benchmarks.full_information.study import jobs_of, lines, misses
 from benchmarks.reproduce.drives import Case
 from benchmarks.reproduce.full_route import Found, figures
 from benchmarks.reproduce.tables import full_columns
