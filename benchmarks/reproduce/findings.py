@@ -5,9 +5,10 @@ from dataclasses import dataclass
 
 from benchmarks.reproduce.bound import bounds_percent
 from benchmarks.reproduce.can_route import can_errors
-from benchmarks.reproduce.drives import Case, PaperDrive, drive, noisy, static_tables, trajectory_tables
+from benchmarks.reproduce.drives import DRIVE_SEED, Case, PaperDrive, drive, noisy, static_tables, trajectory_tables
 from benchmarks.reproduce.evidence import StaticEvidence, static_evidence
 from benchmarks.reproduce.film_check import known_film_errors
+from benchmarks.reproduce.full_route import Figures, Job, figures, run_all
 from benchmarks.reproduce.pictures import Picture, pictures, run_of
 from benchmarks.reproduce.readings import Reading, readings, variants
 from benchmarks.reproduce.study import (
@@ -22,6 +23,7 @@ from diag_service.estimation.paper.fit import NOISY_GATES
 
 VARIANT_SEEDS = 10  # draws of the noise behind each reading and the evidence, at most
 CAN_SEEDS = 5  # drives behind the vehicle route, at most
+FULL_SEEDS = 20  # draws of the noise behind the project's own estimator, at most
 PICTURE_SEED = 1
 
 Stage = Callable[[str, int], Callable[[], None]]
@@ -45,13 +47,16 @@ class Findings:
     reading_seeds: range
     can: Errors
     can_seeds: range
+    full_noiseless: Mapping[Key, Figures]
+    full: Mapping[Key, Figures]
+    full_seeds: range
     pictures: Sequence[Picture]
 
 
 def find(seed_count: int, open_stage: Stage) -> Findings:
     """Run every study."""
     seeds = range(1, seed_count + 1)
-    few, can_seeds = seeds[:VARIANT_SEEDS], seeds[:CAN_SEEDS]
+    few, can_seeds, full_seeds = seeds[:VARIANT_SEEDS], seeds[:CAN_SEEDS], seeds[:FULL_SEEDS]
     advance = open_stage("driving three cycles with each parameter set", len(Case))
     drives = []
     for case in Case:
@@ -74,6 +79,9 @@ def find(seed_count: int, open_stage: Stage) -> Findings:
     found_readings = readings(drives, setup, other_tables, few, advance)
     advance = open_stage("CAN frames by the vehicle route", len(drives) * len(can_seeds))
     can = can_errors(drives, can_seeds, advance)
+    advance = open_stage("our estimator on the same data", len(drives) * (1 + len(full_seeds)))
+    full_noiseless = figures(run_all([Job(case, DRIVE_SEED, None) for case in Case], advance))
+    full = figures(run_all([Job(case, DRIVE_SEED, seed) for case in Case for seed in full_seeds], advance))
     advance = open_stage("pictures", 12)
     drawn = []
     for picture in pictures(
@@ -95,5 +103,8 @@ def find(seed_count: int, open_stage: Stage) -> Findings:
         reading_seeds=few,
         can=can,
         can_seeds=can_seeds,
+        full_noiseless=full_noiseless,
+        full=full,
+        full_seeds=full_seeds,
         pictures=sorted(drawn, key=lambda one: one.number),
     )

@@ -72,6 +72,13 @@ def test_a_further_column_set_needs_no_other_change() -> None:
     assert "another estimator" in study_table(wider)
 
 
+def test_a_wide_table_is_cut_between_column_sets() -> None:
+    first, second = table().parts(5)
+    assert [len(part.headings) - 3 for part in (first, second)] == [5, 1]
+    assert [one.title for one in [*first.sets, *second.sets]] == [one.title for one in table().sets]
+    assert len(table().parts(6)) == 1
+
+
 def test_a_table_is_written_as_csv(tmp_path: Path) -> None:
     with table().write_csv(tmp_path).open(encoding="utf-8") as stream:
         assert list(csv.reader(stream)) == [table().headings, *table().rows]

@@ -1,0 +1,1 @@
+"""The full-information estimator, piece by piece."""
