@@ -117,7 +117,7 @@ warm: setup
 
 test-host: setup
 	@echo "test: on this machine, $$(uname -sr)"
-	@$(PY) -m pytest -m "not vcan"
+	@$(PY) -m pytest -m "not vcan" -n 2 --dist worksteal
 
 test-vcan: setup
 	@echo "test: on a real vcan"
