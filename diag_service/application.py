@@ -30,7 +30,7 @@ from diag_service.publishers import ConsoleReporter, JsonLinesReporter, Link, Mq
 from diag_service.publishers.pipe import PipeReporter
 from diag_service.recorded import open_drive, run_logs, stream_of
 from diag_service.results import ServiceStatus, iso_utc
-from diag_service.sources import open_source
+from diag_service.sources import BusOpener, supervise
 from diag_service.stopping import Trigger
 from diag_service.store import ResultStore, Versions
 
@@ -82,7 +82,7 @@ def run_paper_recorded(config: DiagnosisConfig, paths: list[Path], controls: Con
 async def _run_bus(
     config: DiagnosisConfig, bus: BusConfig, store: ResultStore, session: Session, controls: Controls
 ) -> None:
-    source = await open_source(interface=bus.interface, channel=bus.channel, bitrate=bus.bitrate, fd=bus.is_fd)
+    source = await supervise(BusOpener(bus.interface, bus.channel, bus.bitrate, fd=bus.is_fd))
     session.reporter.listening(f"{source.description} for {config.vehicle}, results in {store.where}")
     await run_live(
         source,

@@ -10,7 +10,7 @@ from diag_service.notices import NOTICE
 from diag_service.pipeline import Session
 from diag_service.publishers import Outbox
 from diag_service.records import ShiftEvent
-from diag_service.sources import FrameSource
+from diag_service.sources import LinkBreak, LiveSource
 from diag_service.stopping import Trigger
 from diag_service.summary import FrameCounts, Summary, frames_line, shifts_line
 from diag_service.tasks import first_error
@@ -20,7 +20,7 @@ _LOG = logging.getLogger(__name__)
 
 
 async def run_live(
-    source: FrameSource,
+    source: LiveSource,
     session: Session,
     *,
     stop: Trigger,
@@ -30,13 +30,14 @@ async def run_live(
 ) -> Summary:
     """Diagnose a live bus until ``stop``, ``duration_s`` or its failure; return the numbers.
 
-    The bus is read while a worker thread estimates; what it cannot keep up with is counted by the source. An open
-    shift is reported as interrupted, and all that was found is stored and told, before an error of the bus is raised.
+    The bus is read while a worker thread estimates; what it cannot keep up with is counted by the source. A shift that
+    is open when the bus goes away is reported as interrupted. If the bus does not come back, all that was found is
+    stored and told before its error is raised.
 
     Raises
     ------
     SourceError
-        If the bus fails.
+        If the bus fails for good.
     StoreError
         If a result cannot be stored.
     """
@@ -61,8 +62,10 @@ async def run_live(
                 tasks.create_task(_tell_counts(session, frame_counts, counts_wanted), name="counts"),
             )
             try:
-                async for batch in source:
-                    await _settle_all(session, session.stages.segment(batch), outbox)
+                async for part in source:
+                    stages = session.stages
+                    events = stages.flush() if isinstance(part, LinkBreak) else stages.segment(part)
+                    await _settle_all(session, events, outbox)
             except SourceError as exc:
                 failure = exc
             await _settle_all(session, session.stages.flush(), outbox)
@@ -87,7 +90,7 @@ async def _settle_all(session: Session, events: Sequence[ShiftEvent], outbox: Ou
             outbox.nudge()
 
 
-async def _close_in_time(source: FrameSource, stop: Trigger, duration_s: float | None) -> None:
+async def _close_in_time(source: LiveSource, stop: Trigger, duration_s: float | None) -> None:
     """Close the source at ``stop`` or after ``duration_s``; its iteration ends with what was received until then."""
     try:
         await asyncio.wait_for(_next(stop), duration_s)

@@ -9,6 +9,7 @@ import numpy as np
 from cantools.database.can import Database, Message
 
 from diag_service.decode import PayloadWords, SignalTable, compile_signal, payload_words
+from diag_service.error_frames import BusError, tells
 from diag_service.errors import ConfigError
 from diag_service.frames import FrameBatch
 from diag_service.profile import MANDATORY, Conversion, Profile, SignalSource, to_si
@@ -127,6 +128,7 @@ class Decoder:
         self._monitor = LinkMonitor([mapped.message for mapped in self._messages])
         self._invalid: dict[Signal, int] = {}
         self._last_ns: int | None = None
+        self._is_interrupted = False
 
     @property
     def signals(self) -> frozenset[Signal]:
@@ -159,14 +161,21 @@ class Decoder:
         """Return the columns of a batch: none if it is empty, several if bus time jumps inside it."""
         return [self._decode(segment, breaks_before=breaks) for segment, breaks in self._segments(batch)]
 
+    def interrupt(self) -> None:
+        """End the segment: what comes next has nothing to do with what came before."""
+        self._is_interrupted = True
+
     def _segments(self, batch: FrameBatch) -> Iterator[tuple[FrameBatch, bool]]:
-        """Cut a batch where bus time goes back or stands still on the bus for too long."""
+        """Cut a batch where bus time goes back or stands still for too long, and where the controller left the bus."""
         if not len(batch):
             return
         before_ns = batch.t_ns[0] if self._last_ns is None else self._last_ns
         steps_ns = np.diff(batch.t_ns, prepend=before_ns)
-        jumps = np.flatnonzero((steps_ns < 0) | (steps_ns > MAX_GAP_NS)).tolist()
+        breaks = (steps_ns < 0) | (steps_ns > MAX_GAP_NS) | tells(batch, BusError.BUS_OFF)
+        breaks[0] |= self._is_interrupted
+        jumps = np.flatnonzero(breaks).tolist()
         self._last_ns = int(batch.t_ns[-1])
+        self._is_interrupted = False
         starts = jumps if jumps[:1] == [0] else [0, *jumps]
         for start, stop in zip(starts, [*starts[1:], len(batch)], strict=True):
             yield batch[start:stop], start in jumps

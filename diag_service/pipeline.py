@@ -49,7 +49,8 @@ class Stages:
         return [event for columns in self._decoder.feed(batch) for event in self._finder.feed(columns)]
 
     def flush(self) -> list[ShiftEvent]:
-        """End the stream: return what is still open."""
+        """End the segment: return what is still open; frames that come later begin another one."""
+        self._decoder.interrupt()
         return self._finder.flush()
 
     def conclude(self, event: ShiftEvent) -> Diagnosis:
