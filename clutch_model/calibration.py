@@ -6,7 +6,8 @@ Symbols in the comments are those of ``docs/model.md``. Clutch 1 carries the odd
 import math
 import tomllib
 from collections.abc import Mapping
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, field, fields
+from datetime import date
 from importlib.resources import files
 from pathlib import Path
 from typing import Any, Self, TypeVar
@@ -23,10 +24,10 @@ class _Ranged:
     """A record whose every number is finite and, unless a subclass says otherwise, not negative."""
 
     def __post_init__(self) -> None:
-        for field in fields(self):
-            value = getattr(self, field.name)
+        for member in fields(self):
+            value = getattr(self, member.name)
             if isinstance(value, int | float) and not (math.isfinite(value) and value >= 0.0):
-                raise CalibrationError(f"{type(self).__name__}.{field.name} must be finite and >= 0, got {value}")
+                raise CalibrationError(f"{type(self).__name__}.{member.name} must be finite and >= 0, got {value}")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -220,6 +221,7 @@ class Calibration:
     input_side: InputSide
     uncertainty: Uncertainty
     noise: SensorNoise
+    made_on: date | None = field(default=None, repr=False)  # when it was made for one vehicle; no number of the model
 
     @classmethod
     def from_mapping(cls, table: Mapping[str, Any]) -> Self:
@@ -231,7 +233,9 @@ class Calibration:
             Naming the first offending key.
         """
         known = {"name", "version", "clutch", "viscosity", "input_side", "uncertainty", "noise"}
-        check_keys("calibration", table, known)
+        made_on = table.get("made_on")
+        require(made_on is None or type(made_on) is date, f"made_on must be a day (2026-01-31), got {made_on!r}")
+        check_keys("calibration", table.keys() - {"made_on"}, known)
         clutches = table["clutch"]
         require(
             isinstance(clutches, list) and len(clutches) == CLUTCH_COUNT,
@@ -246,6 +250,7 @@ class Calibration:
             input_side=_record(InputSide, table["input_side"], "input_side"),
             uncertainty=_record(Uncertainty, table["uncertainty"], "uncertainty"),
             noise=_record(SensorNoise, table["noise"], "noise"),
+            made_on=made_on,
         )
 
 
@@ -287,7 +292,7 @@ def _parse(text: str, origin: str) -> Calibration:
 def _record(record: type[RecordT], table: object, where: str) -> RecordT:
     if not isinstance(table, Mapping):
         raise CalibrationError(f"{where} must be a table")
-    members = {field.name: field.type for field in fields(record)}  # type: ignore[arg-type]
+    members = {member.name: member.type for member in fields(record)}  # type: ignore[arg-type]
     check_keys(where, set(table), set(members))
     for key, value in table.items():
         wanted = int if members[key] in {int, "int"} else (int, float)

@@ -7,14 +7,16 @@ from typing import Final
 
 import numpy as np
 from cantools.database.can import Database, Message
+from cantools.database.can.signal import Signal as DatabaseSignal
 
 from diag_service.decode import PayloadWords, SignalTable, compile_signal, payload_words
+from diag_service.e2e_state import E2eStates
 from diag_service.error_frames import BusError, tells
 from diag_service.errors import ConfigError
 from diag_service.frames import FrameBatch
 from diag_service.profile import MANDATORY, Conversion, Profile, SignalSource, to_si
 from diag_service.protection_check import FrameReason, FrameVerdicts, LinkMonitor
-from diag_service.records import ColumnBatch, Int64Array, Series, Signal
+from diag_service.records import ColumnBatch, E2eState, Int64Array, Series, Signal
 
 MAX_GAP_NS: Final = 1_000_000_000  # a bus that was silent for longer starts a new segment
 NS_PER_MS: Final = 1_000_000
@@ -29,6 +31,8 @@ class MessageCounts:
     decoded: int
     rejected: Mapping[FrameReason, int]  # reasons that occurred
     missing: int  # sent, says the alive counter, but never received
+    e2e_state: E2eState
+    invalidations: int  # times that the message as a whole lost its trust
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -52,6 +56,7 @@ class SignalColumn:
     signal: Signal
     table: SignalTable
     to_si: Conversion
+    limits: tuple[float, float] | None  # ends of the scale in SI, None if the database does not say
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -100,11 +105,22 @@ def _column(messages: Mapping[str, Message], signal: Signal, source: SignalSourc
     by_name = {candidate.name: candidate for candidate in message.signals}
     if source.signal not in by_name:
         raise ConfigError(f"{source.message} has no signal {source.signal} (for {signal.value})")
+    found = by_name[source.signal]
+    convert = to_si(signal, source, found.unit)
     return SignalColumn(
         signal=signal,
         table=compile_signal(message, source.signal, check_range=source.check_range),
-        to_si=to_si(signal, source, by_name[source.signal].unit),
+        to_si=convert,
+        limits=_limits(found, convert) if source.check_range else None,
     )
+
+
+def _limits(signal: DatabaseSignal, convert: Conversion) -> tuple[float, float] | None:
+    """Return the ends of a signal's scale in SI."""
+    if signal.minimum is None or signal.maximum is None or not signal.minimum < signal.maximum:
+        return None
+    low, high = np.sort(convert(np.array([signal.minimum, signal.maximum], np.float64))).tolist()
+    return low, high
 
 
 class Decoder:
@@ -126,6 +142,9 @@ class Decoder:
     def __init__(self, database: Database, profile: Profile) -> None:
         self._messages = map_signals(database, profile)
         self._monitor = LinkMonitor([mapped.message for mapped in self._messages])
+        self._e2e = E2eStates(
+            [mapped.message.name for mapped in self._messages], [mapped.period_ns for mapped in self._messages]
+        )
         self._invalid: dict[Signal, int] = {}
         self._last_ns: int | None = None
         self._is_interrupted = False
@@ -136,15 +155,36 @@ class Decoder:
         return frozenset(column.signal for mapped in self._messages for column in mapped.columns)
 
     @property
+    def mandatory_messages(self) -> frozenset[str]:
+        """The messages without which there is no estimate."""
+        return frozenset(
+            mapped.message.name
+            for mapped in self._messages
+            if any(column.signal in MANDATORY for column in mapped.columns)
+        )
+
+    @property
+    def limits(self) -> Mapping[Signal, tuple[float, float]]:
+        """The ends of the scales of the signals for which the database tells them, SI."""
+        columns = (column for mapped in self._messages for column in mapped.columns)
+        return {column.signal: column.limits for column in columns if column.limits is not None}
+
+    @property
     def counts(self) -> DecoderCounts:
         """What became of all frames until now."""
         counts, missing = self._monitor.counts, self._monitor.missing
         total = counts.sum(axis=0)
         messages = {
             mapped.message.name: MessageCounts(
-                decoded=int(row[FrameReason.OK]), rejected=_rejected(row), missing=int(lost)
+                decoded=int(row[FrameReason.OK]),
+                rejected=_rejected(row),
+                missing=int(lost),
+                e2e_state=state,
+                invalidations=invalidations,
             )
-            for mapped, row, lost in zip(self._messages, counts[:-1], missing, strict=True)
+            for mapped, row, lost, state, invalidations in zip(
+                self._messages, counts[:-1], missing, self._e2e.states, self._e2e.invalidations, strict=True
+            )
         }
         return DecoderCounts(
             received=int(total.sum()),
@@ -184,6 +224,7 @@ class Decoder:
         """Return the columns of frames without a jump of bus time between them."""
         if breaks_before:
             self._monitor.reset()
+            self._e2e.reset()
         verdicts = self._monitor.check(segment)
         columns: dict[Signal, Series] = {}
         for index, rows in _rows_by_message(verdicts):
@@ -199,6 +240,7 @@ class Decoder:
             watermark_ns=int(segment.t_ns[-1]),
             breaks_before=breaks_before,
             bad_frame_ns=_bad_frame_ns(segment, verdicts),
+            e2e_changes=self._e2e.follow(segment.t_ns, verdicts),
         )
 
     def _series(

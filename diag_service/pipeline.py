@@ -2,7 +2,7 @@
 
 import logging
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from clutch_model.calibration import Calibration
 from diag_service.condition import ConditionMemory, judge
@@ -10,11 +10,12 @@ from diag_service.estimation import ALGORITHM_VERSION, Belief, Estimator
 from diag_service.frames import FrameBatch
 from diag_service.mapping import Decoder
 from diag_service.publishers import Reporter
-from diag_service.records import ClutchVerdict, ShiftEstimate, ShiftEvent, ShiftResult
+from diag_service.records import ClutchVerdict, ShiftEstimate, ShiftEvent, ShiftResult, Status
 from diag_service.results import utc_from_bus_ns
 from diag_service.shifts import ShiftFinder
 from diag_service.store import ResultStore, VehicleState, Versions
 from diag_service.summary import FrameCounts, ShiftTally, Summary, frames_line, summarise
+from diag_service.trust import TrustBasis, assess, reasons_against
 
 _LOG = logging.getLogger(__name__)
 
@@ -37,6 +38,11 @@ class Stages:
         self._finder = ShiftFinder()
         self._estimator = Estimator(calibration)
         self._calibration = calibration
+        self._basis = TrustBasis(
+            mandatory_messages=decoder.mandatory_messages,
+            limits=decoder.limits,
+            calibration_date=calibration.made_on,
+        )
         self._belief = belief
         self._memory = memory
 
@@ -55,7 +61,12 @@ class Stages:
 
     def conclude(self, event: ShiftEvent) -> Diagnosis:
         """Estimate and judge the next shift; shifts must come in order. May take a moment."""
-        self._belief, estimate = self._estimator.estimate(event, self._belief)
+        trust = assess(event, self._basis)
+        belief, estimate = self._estimator.estimate(event, self._belief)
+        if estimate.status is not Status.REJECTED and (reasons := reasons_against(trust)):
+            estimate = replace(estimate, status=Status.REJECTED, reasons=reasons, friction=None)
+            belief = self._belief  # data that are not trusted leave no trace in the running state
+        self._belief, estimate = belief, replace(estimate, trust=trust)
         self._memory, verdict = judge(self._memory, self._belief, estimate.clutch, self._calibration)
         return Diagnosis(estimate=estimate, verdict=verdict, belief=self._belief, memory=self._memory)
 

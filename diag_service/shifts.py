@@ -4,7 +4,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from diag_service.records import ColumnBatch, EndReason, Int64Array, Series, ShiftEvent, Signal
+from diag_service.records import ColumnBatch, E2eChange, E2eState, EndReason, Int64Array, Series, ShiftEvent, Signal
 
 NS_PER_S = 1_000_000_000
 PRE_NS = NS_PER_S // 2  # history before the shift: the on-coming clutch empty, the off-going one locked
@@ -41,6 +41,7 @@ class ShiftFinder:
     def __init__(self) -> None:
         self._tracks: dict[Signal, _Track] = {}
         self._bad_ns: list[Int64Array] = []
+        self._e2e: dict[str, list[E2eChange]] = {}
         self._closed: list[_Bounds] = []
         self._open: _Bounds | None = None
         self._overdue = False  # the open shift was reported as too long; wait until the gears agree
@@ -56,6 +57,8 @@ class ShiftFinder:
             self._tracks.setdefault(signal, _Track()).append(series)
         if len(batch.bad_frame_ns):
             self._bad_ns.append(batch.bad_frame_ns)
+        for change in batch.e2e_changes:
+            self._e2e.setdefault(change.message, []).append(change)
         self._watermark_ns = max(self._watermark_ns, batch.watermark_ns)
         self._follow_gears(self._watermark_ns)
         while self._closed and self._closed[0].end_ns + POST_NS < self._watermark_ns:
@@ -79,6 +82,7 @@ class ShiftFinder:
     def _forget_segment(self) -> None:
         self._tracks.clear()
         self._bad_ns.clear()
+        self._e2e.clear()
         self._closed.clear()
         self._gears = _Gears()
         self._open = None
@@ -144,6 +148,7 @@ class ShiftFinder:
                 signal: track.joined().between(first_ns, stop_ns) for signal, track in sorted(self._tracks.items())
             },
             bad_frame_count=int(np.count_nonzero((bad_ns >= first_ns) & (bad_ns < stop_ns))),
+            e2e={message: _worst(changes, first_ns, stop_ns) for message, changes in sorted(self._e2e.items())},
         )
 
     def _forget_past(self) -> None:
@@ -154,6 +159,9 @@ class ShiftFinder:
         for track in self._tracks.values():
             track.drop_before(keep_ns)
         self._bad_ns = [times for times in self._bad_ns if times.max() >= keep_ns]
+        for changes in self._e2e.values():
+            while len(changes) > 1 and changes[1].t_ns <= keep_ns:
+                del changes[0]
 
 
 class _Track:
@@ -198,6 +206,19 @@ class _Track:
 
 
 _NO_SAMPLES = Series(t_ns=np.empty(0, np.int64), sequence=np.empty(0, np.int64), value=np.empty(0))
+
+
+def _worst(changes: list[E2eChange], first_ns: int, stop_ns: int) -> E2eState:
+    """Return INVALID if a message was that between two times, else its state at the later one."""
+    state = E2eState.NO_DATA
+    was_invalid = False
+    for change in changes:
+        if change.t_ns >= stop_ns:
+            break
+        if change.t_ns > first_ns:
+            was_invalid |= state is E2eState.INVALID
+        state = change.state
+    return E2eState.INVALID if was_invalid else state
 
 
 def _held(series: Series, t_ns: Int64Array, before: int) -> Int64Array:

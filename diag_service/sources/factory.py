@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 from diag_service.errors import SourceError
 from diag_service.sources.base import FrameSource
-from diag_service.sources.interface import index_of, present_name, restart_controller
+from diag_service.sources.interface import Seen, index_of, present_name, restart_controller
 from diag_service.sources.socketcan import SocketCanSource
 
 SOCKETCAN = "socketcan"
@@ -41,7 +41,7 @@ class BusOpener:
     ) -> None:
         self._given = (interface, channel, bitrate, fd)
         self._settings: BusSettings | None = None
-        self._index: int | None = None  # of a SocketCAN interface: finds it under another name
+        self._last: Seen | None = None  # a SocketCAN interface, to find it under another name
 
     async def open(self) -> FrameSource:
         """Open the bus; when this returns, it receives.
@@ -60,9 +60,9 @@ class BusOpener:
             return await _open_pythoncan(settings)
         if not settings.channel:
             raise SourceError("no CAN channel given: name the interface, for example -i socketcan -c vcan0")
-        name = present_name(settings.channel, self._index)
+        name = present_name(settings.channel, self._last)
         source = SocketCanSource(name, fd=settings.fd)
-        self._index = index_of(name)
+        self._last = Seen(name=name, index=index_of(name))
         return source
 
     async def restart(self) -> str | None:
@@ -70,7 +70,7 @@ class BusOpener:
         settings = self._settings
         if settings is None or settings.interface != SOCKETCAN or settings.channel is None:
             return "only SocketCAN offers it"
-        return await asyncio.to_thread(restart_controller, present_name(settings.channel, self._index))
+        return await asyncio.to_thread(restart_controller, present_name(settings.channel, self._last))
 
 
 async def open_source(

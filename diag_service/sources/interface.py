@@ -4,6 +4,7 @@ import errno
 import os
 import socket
 import struct
+from dataclasses import dataclass
 
 _RTM_NEWLINK = 16
 _NLMSG_ERROR = 2
@@ -24,17 +25,26 @@ def index_of(name: str) -> int | None:
         return None
 
 
-def present_name(name: str, index: int | None) -> str:
-    """Return the name of the interface that was called ``name`` and numbered ``index`` when it was opened.
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Seen:
+    """An interface as it was when it was last opened."""
 
-    The name counts; only if nobody has it any more, the interface is looked for by its number.
+    name: str
+    index: int | None
+
+
+def present_name(name: str, last: Seen | None) -> str:
+    """Return the name under which an interface called ``name`` is to be looked for now.
+
+    The name counts. Only if nobody has it any more, the interface last opened is followed: by its number, which it
+    keeps when it is renamed, else by the name it had, under which it may be made again.
     """
-    if index is None or index_of(name) is not None:
+    if last is None or last.index is None or index_of(name) is not None:
         return name
     try:
-        return socket.if_indextoname(index)
+        return socket.if_indextoname(last.index)
     except OSError:
-        return name
+        return last.name
 
 
 def restart_controller(name: str) -> str | None:

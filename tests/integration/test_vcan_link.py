@@ -10,7 +10,7 @@ import pytest
 from diag_service.error_frames import BusError
 from diag_service.frames import ERROR_FLAG
 from diag_service.sources import BusOpener, BusState, LinkBreak, SupervisedSource, supervise
-from diag_service.sources.interface import index_of, present_name, restart_controller
+from diag_service.sources.interface import Seen, index_of, present_name, restart_controller
 from tests.link_cycles import TARGET_S, run_cycles
 from tests.uml.vcan import create_vcan, ip_link
 
@@ -83,18 +83,22 @@ async def test_an_interface_removed_and_made_again_is_read_again(vcan: str) -> N
 
 async def test_an_interface_with_another_name_is_followed_unless_its_name_is_taken(vcan: str) -> None:
     bus = await listener(vcan)
-    other, index = f"{vcan}x", index_of(vcan)
+    other, last = f"{vcan}x", Seen(name=vcan, index=index_of(vcan))
     assert ip_link("set", vcan, "down")
     assert ip_link("set", vcan, "name", other)
-    assert present_name(vcan, index) == other
+    assert present_name(vcan, last) == other
     assert ip_link("set", other, "up")
+    await bus.until(BusState.RESTARTED)
+    assert ip_link("delete", other)
+    await bus.until(BusState.DOWN)
+    assert create_vcan(other)
     await bus.until(BusState.RESTARTED)
     send(other, 3)
     await bus.until(BusState.UP)
-    assert await bus.close() == ["break", 3]
+    assert await bus.close() == ["break", "break", 3]
     assert bus.source.description == f"socketcan {other}"
     assert create_vcan(vcan)
-    assert present_name(vcan, index) == vcan
+    assert present_name(vcan, last) == vcan
     assert ip_link("delete", other)
 
 
