@@ -165,6 +165,10 @@ class E2eStates:
         self._timeout_ns = np.where(cycles > 0, np.maximum(TIMEOUT_CYCLES * cycles, MIN_TIMEOUT_NS), 0)
         self._memory = E2eMemory(*(np.zeros(len(names), np.int64) for _ in E2eMemory._fields))
         self.reset()
+        nothing = np.empty(0, np.int64)
+        verdicts = FrameVerdicts(reason=np.empty(0, np.uint8), slot=nothing, sequence=nothing, missing=nothing)
+        self.follow(nothing, verdicts)  # compiled now: the first real batch must not wait for the compiler
+        find_silent(self._memory, 0, self._timeout_ns, np.empty((0, 3), np.int64))
 
     @property
     def states(self) -> tuple[E2eState, ...]:

@@ -20,6 +20,7 @@ from diag_service.records import ColumnBatch, E2eState, Int64Array, Series, Sign
 
 MAX_GAP_NS: Final = 1_000_000_000  # a bus that was silent for longer starts a new segment
 NS_PER_MS: Final = 1_000_000
+NS_PER_S: Final = 1_000_000_000
 
 REJECTIONS: Final = tuple(reason for reason in FrameReason if reason not in {FrameReason.OK, FrameReason.UNKNOWN_ID})
 
@@ -162,6 +163,11 @@ class Decoder:
             for mapped in self._messages
             if any(column.signal in MANDATORY for column in mapped.columns)
         )
+
+    @property
+    def nominal_hz(self) -> Mapping[str, float]:
+        """How often each cyclic message should come."""
+        return {m.message.name: NS_PER_S / m.period_ns for m in self._messages if m.period_ns > 0}
 
     @property
     def limits(self) -> Mapping[Signal, tuple[float, float]]:

@@ -1,14 +1,14 @@
 """The order of the stages: the only file that knows it. ``live`` and ``recorded`` feed it."""
 
 import logging
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 
 from clutch_model.calibration import Calibration
 from diag_service.condition import ConditionMemory, judge
 from diag_service.estimation import ALGORITHM_VERSION, Belief, Estimator
 from diag_service.frames import FrameBatch
-from diag_service.mapping import Decoder
+from diag_service.mapping import Decoder, MessageCounts
 from diag_service.publishers import Reporter
 from diag_service.records import ClutchVerdict, ShiftEstimate, ShiftEvent, ShiftResult, Status
 from diag_service.results import utc_from_bus_ns
@@ -70,6 +70,16 @@ class Stages:
         self._memory, verdict = judge(self._memory, self._belief, estimate.clutch, self._calibration)
         return Diagnosis(estimate=estimate, verdict=verdict, belief=self._belief, memory=self._memory)
 
+    @property
+    def messages(self) -> Mapping[str, MessageCounts]:
+        """What became of the frames of each message, and its state."""
+        return self._decoder.counts.messages
+
+    @property
+    def nominal_hz(self) -> Mapping[str, float]:
+        """How often each cyclic message should come."""
+        return self._decoder.nominal_hz
+
     def frame_counts(self) -> FrameCounts:
         """Return what the decoder counted; how the frames came here, their source adds."""
         counts = self._decoder.counts
@@ -122,6 +132,16 @@ class Session:
             result = self._diagnose(event)
         self._tally.add(result, is_new=is_new)
         self.reporter.report(result)
+
+    @property
+    def vehicle(self) -> str:
+        """Vehicle id."""
+        return self._vehicle
+
+    @property
+    def recent(self) -> tuple[ShiftResult, ...]:
+        """The last shifts, oldest first."""
+        return self._tally.recent
 
     def summary(self, frames: FrameCounts, unpublished_count: int | None) -> Summary:
         """Return the numbers of the run as they stand."""

@@ -36,7 +36,7 @@ class ConsoleReporter:
     def report(self, result: ShiftResult) -> None:
         """Print one shift."""
         if not self._has_head:
-            self._line(Text(_HEAD, style="bold"))
+            self._line(shift_head())
             self._has_head = True
         self._line(shift_line(result))
 
@@ -52,6 +52,11 @@ class ConsoleReporter:
     def _line(self, text: Text) -> None:
         self._console.print(text, soft_wrap=True)
         self._console.file.flush()
+
+
+def shift_head() -> Text:
+    """Return the head over lines of shifts."""
+    return Text(_HEAD, style="bold")
 
 
 def shift_line(result: ShiftResult) -> Text:

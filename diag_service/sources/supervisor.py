@@ -6,14 +6,19 @@ from collections.abc import AsyncIterator
 from dataclasses import dataclass, fields
 from typing import Protocol
 
+import numpy as np
+
 from diag_service.errors import SourceError
-from diag_service.frames import FrameBatch
+from diag_service.frames import EXTENDED_FLAG, FrameBatch
 from diag_service.notices import NOTICE
 from diag_service.sources.base import FrameSource, LinkBreak, SourceCounts
 from diag_service.sources.bus_state import BusState, BusStatus, BusWatch
 
 RETRY_S = 0.1  # from the return of the interface to its first frame: this and the opening
+LONGEST_RETRY_S = 1.0  # for a bus that opens, but fails before it gave anything
 RESTART_PERIOD_S = 1.0
+STANDARD_BITS = 47  # ISO 11898-1: start to end of frame without data, and three bits of intermission
+EXTENDED_BITS = 20  # more in a frame with 29-bit identifier
 _LOG = logging.getLogger(__name__)
 
 
@@ -32,6 +37,7 @@ class Patience:
     """How often is tried again [s]."""
 
     retry_s: float = RETRY_S
+    longest_retry_s: float = LONGEST_RETRY_S
     restart_s: float = RESTART_PERIOD_S
 
 
@@ -48,7 +54,9 @@ class SupervisedSource:
         self._source: FrameSource | None = first
         self._description = first.description
         self._past = SourceCounts()
+        self._retry_s = self._patience.retry_s
         self._watch = BusWatch()
+        self._bit_count = 0
         self._closing = asyncio.Event()
         self._restarter: asyncio.Task[None] | None = None
 
@@ -61,6 +69,11 @@ class SupervisedSource:
     def counts(self) -> SourceCounts:
         """What all openings together received and lost."""
         return self._past if self._source is None else _sum(self._past, self._source.counts)
+
+    @property
+    def bit_count(self) -> int:
+        """Bits on the bus that the frames heard stand for, stuff bits left out."""
+        return self._bit_count
 
     @property
     def status(self) -> BusStatus:
@@ -92,6 +105,8 @@ class SupervisedSource:
 
     def _hear(self, batch: FrameBatch) -> None:
         counts = self.counts
+        self._bit_count += frame_bits(batch)
+        self._retry_s = self._patience.retry_s
         self._watch.hear(batch, counts.kernel_dropped + counts.queue_dropped, _now_s())
         if self.status.state is BusState.BUS_OFF and (self._restarter is None or self._restarter.done()):
             self._restarter = asyncio.create_task(self._restart(), name="bus restart")
@@ -106,6 +121,7 @@ class SupervisedSource:
     async def _reopen(self) -> None:
         """Open the bus as soon as it can be opened, unless this is closed before."""
         lost_s = _now_s()
+        await _first_of(self._closing, self._retry_s)
         while not self._closing.is_set():
             try:
                 source = await self._opener.open()
@@ -113,6 +129,7 @@ class SupervisedSource:
                 _LOG.debug("not yet: %s", exc)
             else:
                 self._source, self._description = source, source.description
+                self._retry_s = min(2.0 * self._retry_s, self._patience.longest_retry_s)
                 self._watch.return_()
                 _LOG.log(NOTICE, "%s is read again after %.1f s", source.description, _now_s() - lost_s)
                 if self._closing.is_set():
@@ -143,6 +160,12 @@ async def supervise(opener: Opener) -> SupervisedSource:
         If it cannot be opened now: a service that never heard its bus was most likely told the wrong one.
     """
     return SupervisedSource(opener, await opener.open())
+
+
+def frame_bits(batch: FrameBatch) -> int:
+    """Return how many bits frames take on the bus, the space between them included, stuff bits left out."""
+    extended = np.count_nonzero(batch.can_id & np.uint32(EXTENDED_FLAG))
+    return len(batch) * STANDARD_BITS + int(extended) * EXTENDED_BITS + 8 * int(batch.length.sum(dtype=np.int64))
 
 
 def _sum(past: SourceCounts, present: SourceCounts) -> SourceCounts:

@@ -21,7 +21,7 @@ from diag_service.mapping import Decoder
 from diag_service.notices import NOTICE
 from diag_service.pipeline import Session, Stages, resume, versions_for
 from diag_service.profile import PROFILE_PATH, load_profile
-from diag_service.publishers import MemoryLink, MemoryReporter, Outbox
+from diag_service.publishers import MemoryLink, MemoryReporter, Outbox, Reporter
 from diag_service.records import Reason, ShiftResult, Status
 from diag_service.sources import LinkBreak, SourceCounts
 from diag_service.stopping import Trigger
@@ -87,7 +87,7 @@ def _store() -> Iterator[ResultStore]:
         yield store
 
 
-def session_for(store: ResultStore, reporter: MemoryReporter) -> Session:
+def session_for(store: ResultStore, reporter: Reporter) -> Session:
     decoder = Decoder(load_database(DBC_PATH), load_profile(PROFILE_PATH))
     belief, memory = resume(store, "car1", VERSIONS, CALIBRATION)
     return Session(

@@ -132,3 +132,15 @@ async def test_a_frame_ends_the_requests_for_a_restart() -> None:
     assert script.restart_count <= 1
     await source.aclose()
     assert await iteration == [[1], [2]]
+
+
+async def test_a_bus_that_opens_and_fails_at_once_is_tried_less_and_less_often() -> None:
+    steps = [ShortSource(failure="no") for _ in range(30)]
+    source = SupervisedSource(
+        Script(*steps), ShortSource(numbered(1), failure="no"), Patience(retry_s=0.001, longest_retry_s=0.05)
+    )
+    iteration = asyncio.create_task(parts_of(source, 99))
+    await asyncio.sleep(0.3)
+    await source.aclose()
+    await iteration
+    assert 5 <= source.status.interruption_count <= 14
