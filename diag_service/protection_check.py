@@ -22,7 +22,7 @@ from typing import Final, NamedTuple
 import numpy as np
 from cantools.database.can import Message
 
-from clutch_model.jit import kernel
+from clutch_model.jit import array_kernel
 from dbc.contract import message_contract
 from dbc.protection import COUNTER_PERIOD, counter_of, crc_is_valid, data_id_remainder
 from diag_service.errors import ConfigError
@@ -90,22 +90,22 @@ class LinkState(NamedTuple):
     assumed: Int64Array  # frames counted as missing at the last accepted frame on the evidence of time alone
 
 
-@kernel
+@array_kernel
 def elapsed_cycles(elapsed_ns: int, cycle_ns: int) -> float:
     """Return elapsed time in cycles; -1 if the cycle time is unknown."""
     return elapsed_ns / cycle_ns if cycle_ns > 0 else -1.0
 
 
-@kernel
+@array_kernel
 def whole_periods(delta: int, cycles: float) -> int:
     """Return how many counter periods passed unseen, if the frame is on time for that; else 0."""
-    periods = round((cycles - delta) / COUNTER_PERIOD)
+    periods = int(np.rint((cycles - delta) / COUNTER_PERIOD))
     if periods > 0 and abs(cycles - delta - COUNTER_PERIOD * periods) <= LATE_CYCLES:
         return int(periods)
     return 0
 
 
-@kernel
+@array_kernel
 def permitted_advance(counter: int, since: int, cycles: float, late: int) -> int:
     """Return by how many transmissions ``counter`` follows the counter ``since``; 0 if time does not permit it.
 
@@ -115,11 +115,11 @@ def permitted_advance(counter: int, since: int, cycles: float, late: int) -> int
     periods = whole_periods(delta, cycles)
     if periods > 0:
         return delta + COUNTER_PERIOD * periods
-    limit = MAX_DELTA_COUNTER - 1 + max(1, round(cycles) + late)
+    limit = MAX_DELTA_COUNTER - 1 + max(1, int(np.rint(cycles)) + late)
     return delta if delta <= limit else 0
 
 
-@kernel
+@array_kernel
 def accept(state: LinkState, slot: int, counter: int, t_ns: int, advance: int, proven: int, cycles: float) -> int:
     """Move the state on to an accepted frame; return how many frames are missing before it.
 
@@ -128,7 +128,7 @@ def accept(state: LinkState, slot: int, counter: int, t_ns: int, advance: int, p
     missing = max(0, advance - 1 - int(state.rejected[slot]))
     assumed = missing - max(0, proven - 1 - int(state.rejected[slot]))
     if cycles >= BURST_CYCLES:
-        late = max(int(state.late[slot]) - 1, round(cycles) - advance)
+        late = max(int(state.late[slot]) - 1, int(np.rint(cycles)) - advance)
     else:
         late = int(state.late[slot]) - advance
         missing -= int(state.assumed[slot])
@@ -142,7 +142,7 @@ def accept(state: LinkState, slot: int, counter: int, t_ns: int, advance: int, p
     return missing
 
 
-@kernel
+@array_kernel
 def is_repeated(state: LinkState, slot: int, counter: int, t_ns: int, cycle_ns: int) -> bool:
     """Return whether the counter has not moved since the last frame; remember the frame."""
     same = counter == state.seen_counter[slot]
@@ -157,7 +157,7 @@ def is_repeated(state: LinkState, slot: int, counter: int, t_ns: int, cycle_ns: 
     return repeated
 
 
-@kernel
+@array_kernel
 def judge(state: LinkState, slot: int, counter: int, t_ns: int, cycle_ns: int) -> tuple[int, int]:
     """Return reason and missing frames of one frame with a good CRC, and move the state on."""
     if counter >= COUNTER_PERIOD:
@@ -179,7 +179,7 @@ def judge(state: LinkState, slot: int, counter: int, t_ns: int, cycle_ns: int) -
         if restarted > 0:
             # How many were sent around the restart nobody knows: time numbers them, only the counter proves a loss.
             missing = max(0, restarted - 1 - state.rejected_after_stray[slot])
-            by_time = max(1, round(cycles)) if cycle_ns > 0 else restarted + state.rejected[slot]
+            by_time = max(1, int(np.rint(cycles))) if cycle_ns > 0 else restarted + state.rejected[slot]
             accept(state, slot, counter, t_ns, by_time, by_time, -1.0)
             return _OK, missing
     state.stray_counter[slot] = counter
@@ -190,7 +190,7 @@ def judge(state: LinkState, slot: int, counter: int, t_ns: int, cycle_ns: int) -
     return _WRONG_SEQUENCE, 0
 
 
-@kernel
+@array_kernel
 def follow_counters(
     state: LinkState,
     slot: Int64Array,
