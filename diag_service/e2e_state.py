@@ -28,6 +28,7 @@ _NONE: Final = -1
 _OK: Final = int(FrameReason.OK)
 _SHORT: Final = int(FrameReason.SHORT)
 _BAD_CRC: Final = int(FrameReason.BAD_CRC)
+_OTHER_CHANNEL: Final = int(FrameReason.OTHER_CHANNEL)  # from here on, frames of somebody else
 _NO_DATA, _INIT, _VALID, _INVALID = (
     int(state) for state in (E2eState.NO_DATA, E2eState.INIT, E2eState.VALID, E2eState.INVALID)
 )
@@ -114,7 +115,7 @@ def follow_messages(
     count = 0
     for i in range(slot.size):
         m = slot[i]
-        if m < 0:
+        if m < 0 or reason[i] >= _OTHER_CHANNEL:
             continue
         timeout = timeout_ns[m]
         if (
