@@ -1,8 +1,9 @@
 """Databases of other people, DBC, KCD, ARXML and SYM: read with the care that foreign files need.
 
-cantools believes every number in a file: 92 bytes of DBC can take 8.7 GB, and nested ranges of multiplexers multiply. So
-the text is looked at for sizes that no CAN message has, which gives the best message, then parsed in a process of its own
-with little memory and time (database_child.py), which bounds whatever else a file may do and costs a third of a second.
+cantools believes every number in a file: 92 bytes of DBC can take 8.7 GB, and nested ranges of multiplexers multiply.
+So the text is looked at for sizes that no CAN message has, which gives the best message, then parsed in a process of
+its own with little memory and time (database_child.py), which bounds whatever else a file may do and costs a third of
+a second.
 """
 
 import logging
