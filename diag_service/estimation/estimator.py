@@ -6,9 +6,10 @@ from dataclasses import replace
 import numpy as np
 
 from clutch_model.calibration import Calibration
-from diag_service.estimation.balance import Balance
-from diag_service.estimation.belief import Belief, Considered, Measurement, State, friction_rows
+from diag_service.estimation.balance import SLIP_DEGREE, Balance, smoothed
+from diag_service.estimation.belief import Belief, Measurement
 from diag_service.estimation.film_track import PressureDrive
+from diag_service.estimation.parameters import Considered, State, friction_rows
 from diag_service.estimation.sampling import NS_TO_S
 from diag_service.estimation.signals import ShiftSignals, gather
 from diag_service.estimation.window import SlipWindow, find_window
@@ -21,7 +22,6 @@ SURPRISE_GATE = 25.0  # squared distance of a shift from the running state, two 
 SURPRISES_TO_YIELD = 3  # in a row: then the clutch has changed, and the running state starts afresh
 EMPTY_PA = 0.30e5  # an idle clutch reads less than this: it is empty, and the reading is the sensor's zero
 EMPTY_S = 0.1
-SLIP_DEGREE = 5  # a shift controller's slip profile: smooth start, smooth end
 PRESSURE_DEGREE = 3
 FULL_WINDOW_S = 0.25  # the shortest slip window that every regular shift offers
 
@@ -180,15 +180,6 @@ def planned_drives(
         for drive, expected_pa in zip(measured, signals.expected_pa, strict=True)
     )
     return first, second
-
-
-def smoothed(values: FloatArray, window: SlipWindow, degree: int) -> FloatArray:
-    """Return the values with a polynomial fit in place of those inside the window."""
-    inside = slice(window.first, window.stop)
-    x = np.linspace(-1.0, 1.0, window.stop - window.first)
-    smooth = values.copy()
-    smooth[inside] = np.polynomial.chebyshev.chebval(x, np.polynomial.chebyshev.chebfit(x, values[inside], degree))
-    return smooth
 
 
 def _on_coming(to_gear: int) -> int:

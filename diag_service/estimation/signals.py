@@ -68,6 +68,10 @@ def gather(event: ShiftEvent, calibration: Calibration) -> ShiftSignals | Reason
     times[Signal.ENGINE_SPEED] = segment_centres_s(
         times[Signal.ENGINE_SPEED], engine.value, calibration.input_side.crank_segment_rad
     )
+    bias = calibration.bias
+    times[Signal.ENGINE_TORQUE] = times[Signal.ENGINE_TORQUE] - bias.torque_latency_s
+    for pressure in (Signal.CLUTCH1_PRESSURE, Signal.CLUTCH2_PRESSURE):
+        times[pressure] = times[pressure] - bias.pressure_latency_s
     if any(np.any(np.diff(one) <= 0.0) for one in times.values()):
         return Reason.OUT_OF_RANGE  # time runs backwards inside a segment: the receive clock is not to be trusted
     history_s = max(one[0] for one in times.values())
