@@ -16,6 +16,7 @@ from clutch_model.tables import check_keys, numbers, require, subtable
 
 CLUTCH_COUNT = 2
 MAX_LATENCY_S = 0.2  # a reading that is later still is no measurement of a shift
+Pair = tuple[float, float]  # clutch 1 first
 RecordT = TypeVar("RecordT")
 
 
@@ -26,8 +27,9 @@ class _Ranged:
     def __post_init__(self) -> None:
         for field in fields(self):
             value = getattr(self, field.name)
-            if isinstance(value, int | float) and not (math.isfinite(value) and value >= 0.0):
-                raise CalibrationError(f"{type(self).__name__}.{field.name} must be finite and >= 0, got {value}")
+            for number in value if isinstance(value, tuple) else (value,):
+                if isinstance(number, int | float) and not (math.isfinite(number) and number >= 0.0):
+                    raise CalibrationError(f"{type(self).__name__}.{field.name} must be finite and >= 0, got {number}")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -176,12 +178,15 @@ class InputSide(_Ranged):
     hub_inertia_kg_m2: float  # J_H
     hub_damping_nms_rad: float  # B_H
     crank_segment_rad: float  # engine speed is broadcast as the mean over this crank angle
+    input_shaft_inertias_kg_m2: Pair  # J_L + J_G of each input shaft in neutral
+    input_shaft_dampings_nms_rad: Pair  # B_L + B_G
 
     def __post_init__(self) -> None:
         """Check that the engine has an inertia."""
         _Ranged.__post_init__(self)
         require(self.engine_inertia_kg_m2 > 0.0, "engine_inertia_kg_m2 must be > 0")
         require(self.hub_inertia_kg_m2 > 0.0, "hub_inertia_kg_m2 must be > 0")
+        require(min(self.input_shaft_inertias_kg_m2) > 0.0, "input_shaft_inertias_kg_m2 must be > 0")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -190,6 +195,7 @@ class Uncertainty(_Ranged):
 
     torque_gain_ratio: float
     engine_inertia_ratio: float
+    input_shaft_inertia_ratio: float  # both together
     piston_area_ratio: float
     viscosity_ratio: float
     torque_latency_s: float
@@ -222,13 +228,14 @@ class SensorBias:
     torque_offset_nm: float = 0.0
     torque_latency_s: float = 0.0
     pressure_latency_s: float = 0.0
-    pressure1_zero_pa: float = 0.0
-    pressure2_zero_pa: float = 0.0
+    pressure_zeros_pa: Pair = (0.0, 0.0)
 
     def __post_init__(self) -> None:
         """Check that the readings still mean something."""
-        for field in fields(self):
-            require(math.isfinite(getattr(self, field.name)), f"{field.name} must be finite")
+        for member in fields(self):
+            values = getattr(self, member.name)
+            finite = all(math.isfinite(value) for value in (values if isinstance(values, tuple) else (values,)))
+            require(finite, f"{member.name} must be finite")
         for name in ("torque_gain", "motoring_gain"):
             require(0.5 <= getattr(self, name) <= 2.0, f"{name} must be 0.5..2, got {getattr(self, name)}")
         for name in ("torque_latency_s", "pressure_latency_s"):
@@ -345,13 +352,17 @@ def _record(record: type[RecordT], table: object, where: str) -> RecordT:
     members = {member.name: member.type for member in fields(record)}  # type: ignore[arg-type]
     optional = {member.name for member in fields(record) if member.default is not MISSING}  # type: ignore[arg-type]
     check_keys(where, set(table) | optional, set(members))
+    values = {}
     for key, value in table.items():
+        name = f"{where}.{key}"
+        if members[key] == Pair:
+            values[key] = numbers(value, name, CLUTCH_COUNT)
+            continue
         wanted = int if members[key] in {int, "int"} else (int, float)
-        require(
-            isinstance(value, wanted) and not isinstance(value, bool), f"{where}.{key} must be a number, got {value!r}"
-        )
+        require(isinstance(value, wanted) and not isinstance(value, bool), f"{name} must be a number, got {value!r}")
+        values[key] = value
     try:
-        return record(**{str(key): value for key, value in table.items()})
+        return record(**values)
     except CalibrationError as exc:
         raise CalibrationError(f"{where}: {exc}") from exc
 

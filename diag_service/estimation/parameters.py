@@ -59,7 +59,7 @@ def prior_mean(calibration: Calibration) -> FloatArray:
     curves = [clutch.friction for clutch in calibration.clutches]
     mean[:FRICTION_COUNT] = [bias.torque_gain * value for curve in curves for value in (curve.mu_c, curve.mu_s)]
     mean[State.TORQUE_OFFSET] = bias.torque_offset_nm
-    mean[State.ZERO1], mean[State.ZERO2] = bias.pressure1_zero_pa, bias.pressure2_zero_pa
+    mean[State.ZERO1], mean[State.ZERO2] = bias.pressure_zeros_pa
     return mean
 
 
