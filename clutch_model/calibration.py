@@ -221,13 +221,14 @@ class SensorNoise(_Ranged):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SensorBias:
-    """Known errors of the readings: ``reading(t) = gain * quantity(t - latency) + offset``; latencies against speed."""
+    """Known errors of a vehicle: ``reading(t) = gain * quantity(t - latency) + offset``; latencies against the speeds."""
 
     torque_gain: float = 1.0
     motoring_gain: float = 1.0  # of negative engine torque, on top of ``torque_gain``
     torque_offset_nm: float = 0.0
     torque_latency_s: float = 0.0
     pressure_latency_s: float = 0.0
+    touch_offsets_pa: Pair = (0.0, 0.0)  # true touch pressures minus those of the springs
     pressure_zeros_pa: Pair = (0.0, 0.0)
 
     def __post_init__(self) -> None:
@@ -260,7 +261,9 @@ class JointUncertainty:
         require(len(self.std) == count and len(self.correlation) == count, f"joint needs {count} rows")
         require(all(math.isfinite(value) and value >= 0.0 for value in self.std), "joint std must be finite and >= 0")
         for row, values in enumerate(self.correlation):
-            require(len(values) == count and values[row] == 1.0, "joint correlation must be square, ones on its diagonal")
+            require(
+                len(values) == count and values[row] == 1.0, "joint correlation must be square, ones on its diagonal"
+            )
             for column, value in enumerate(values):
                 require(-1.0 <= value <= 1.0, f"joint correlation must be within 1, got {value}")
                 require(value == self.correlation[column][row], "joint correlation must be symmetric")

@@ -13,17 +13,18 @@ of its noise is exact; the contact torques T_C,m are linear in the friction coef
 """
 
 from dataclasses import dataclass, replace
+from functools import lru_cache
 
 import numpy as np
 
-from clutch_model.calibration import Calibration, ClutchCalibration, FrictionCurve
+from clutch_model.calibration import Calibration, ClutchCalibration, FrictionCurve, SensorBias
 from diag_service.estimation.belief import Measurement
 from diag_service.estimation.film_track import FilmTrack, PressureDrive, follow_film
 from diag_service.estimation.parameters import Considered, State, friction_rows
 from diag_service.estimation.sampling import GRID_S
 from diag_service.estimation.signals import ShiftSignals
 from diag_service.estimation.window import SlipWindow
-from diag_service.records import FloatArray
+from diag_service.records import BoolArray, FloatArray
 
 MAX_MOMENT_COUNT = 16  # beyond it the quadrature, not the noise, limits
 SAMPLES_PER_MOMENT = 3
@@ -118,12 +119,24 @@ AREA = (Nudge(area_ratio=0.01), 0.01)
 
 
 def smoothed(values: FloatArray, window: SlipWindow, degree: int) -> FloatArray:
-    """Return the values with a polynomial fit in place of those inside the window."""
+    """Return the values, shape (..., len(grid)), with a polynomial fit in place of those inside the window.
+
+    Fitting is symmetric: weights smoothed and values as they are give the same sums as weights as they are and values
+    smoothed, as long as the weights vanish outside the window.
+    """
     inside = slice(window.first, window.stop)
-    x = np.linspace(-1.0, 1.0, window.stop - window.first)
+    basis = _polynomials(window.stop - window.first, degree)
     smooth = values.copy()
-    smooth[inside] = np.polynomial.chebyshev.chebval(x, np.polynomial.chebyshev.chebfit(x, values[inside], degree))
+    smooth[..., inside] = (values[..., inside] @ basis) @ basis.T
     return smooth
+
+
+@lru_cache(maxsize=256)
+def _polynomials(count: int, degree: int) -> FloatArray:
+    """Return an orthonormal basis of the polynomials on ``count`` even points, shape (count, degree + 1)."""
+    powers = np.polynomial.chebyshev.chebvander(np.linspace(-1.0, 1.0, count), degree)
+    basis, _ = np.linalg.qr(powers)
+    return basis
 
 
 class Balance:
@@ -150,6 +163,7 @@ class Balance:
         self._measured = measured
         self._planned = planned
         self._calibration = calibration
+        self._window = window
         start_s, stop_s = signals.grid_s[window.first], signals.grid_s[window.stop - 1]
         torque_s = signals.engine_torque.times_s
         self.sample_count = int(np.count_nonzero((torque_s >= start_s) & (torque_s <= stop_s)))
@@ -173,8 +187,8 @@ class Balance:
         torque_nm, hub_rad_s = signals.engine_torque.on_grid, signals.hub_speed.on_grid
         bias = self._calibration.bias
         offset_nm = at[State.TORQUE_OFFSET]
-        motoring_nm = np.minimum(self._planned_torque_nm - offset_nm, 0.0) / bias.motoring_gain
-        torque_nm = torque_nm - np.minimum(torque_nm - offset_nm, 0.0) * (1.0 - 1.0 / bias.motoring_gain)
+        torque_nm, _ = motoring_corrected_nm(torque_nm, offset_nm, bias)
+        _, motoring_nm = motoring_corrected_nm(self._planned_torque_nm, offset_nm, bias)
         mu = at[: State.MU_S2 + 1].reshape(2, 2)
         contact_nms = sum(moments.by_friction @ one for moments, one in zip(self._seen, mu, strict=True))
         engine_nms = side.engine_inertia_kg_m2 * weights.rate @ signals.engine_speed.on_grid
@@ -204,12 +218,37 @@ class Balance:
             by_considered[:, Considered.PISTON_AREA1 + m] = change[AREA[0]] / AREA[1]
             for column, (nudge, size) in COMMON.items():
                 by_considered[:, column] += change[nudge] / size
+        noise = self._noise(mu)
         return Measurement(
             residual=gap_nms - by_state @ (prior - at),
             by_state=by_state,
             by_considered=by_considered,
-            noise=self._noise(mu),
+            noise=noise,
+            overlap=self._overlap(noise, self._planned_torque_nm < offset_nm),
         )
+
+    def _overlap(self, noise: FloatArray, is_motoring: BoolArray) -> FloatArray:
+        """Return what the derivatives by inertia and gains share with the residual, shape (len(Considered),)."""
+        signals, side, sensors = self._signals, self._calibration.input_side, self._calibration.noise
+        bias, value, rate = self._calibration.bias, self._weights.value, self._weights.rate
+        by_speed = signals.engine_speed.interpolation.to_samples
+        by_torque = signals.engine_torque.interpolation.to_samples
+        speed_residual = side.engine_inertia_kg_m2 * by_speed(rate)
+        speed_slope = side.engine_inertia_kg_m2 * by_speed(smoothed(rate, self._window, SLIP_DEGREE))
+        shared = sensors.engine_speed_rad_s**2 * speed_slope @ speed_residual.T
+        hub = signals.hub_speed.interpolation.to_samples(
+            side.hub_inertia_kg_m2 * rate - side.hub_damping_nms_rad * value
+        )
+        hub_shared = sensors.hub_speed_rad_s**2 * hub @ hub.T
+        motoring = smoothed(value * is_motoring / bias.motoring_gain, self._window, SLIP_DEGREE)
+        overlap = np.zeros(len(Considered))
+        gain = bias.torque_gain
+        overlap[Considered.TORQUE_GAIN] = -gain * np.trace(np.linalg.solve(noise, shared + hub_shared))
+        overlap[Considered.ENGINE_INERTIA] = -(gain**2) * np.trace(np.linalg.solve(noise, shared))
+        overlap[Considered.MOTORING_GAIN] = sensors.engine_torque_nm**2 * np.trace(
+            np.linalg.solve(noise, by_torque(motoring) @ by_torque(value).T)
+        )
+        return overlap
 
     def slip_energy_j(self, clutch: int, mu: FloatArray) -> float:
         """Return the heat made in a clutch over the whole cut [J], for its ``(mu_c, mu_s)``."""
@@ -259,6 +298,13 @@ class Balance:
             factors.append(sensors.pressure_pa * signals.pressure[m].interpolation.to_samples(value * by_pressure))
         factors.append(sensors.hub_speed_rad_s * signals.hub_speed.interpolation.to_samples(hub_weight))
         return np.asarray(sum(factor @ factor.T for factor in factors))
+
+
+def motoring_corrected_nm(reading_nm: FloatArray, offset_nm: float, bias: SensorBias) -> tuple[FloatArray, FloatArray]:
+    """Return torque readings with the gain of negative torque taken out, and their negative part; both (n,)."""
+    negative_nm = np.minimum(reading_nm - offset_nm, 0.0)
+    corrected_nm = negative_nm / bias.motoring_gain
+    return reading_nm - negative_nm + corrected_nm, corrected_nm
 
 
 def contact_nm(believed: ClutchCalibration, drive: PressureDrive, track: FilmTrack) -> FloatArray:

@@ -31,12 +31,17 @@ STATE_FORMAT = 2
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Measurement:
-    """Linearised residuals: ``residual = by_state @ dx + by_considered @ c + noise``."""
+    """Linearised residuals: ``residual = by_state @ dx + by_considered @ c + noise``.
+
+    ``overlap`` is the expectation of ``by_considered.T @ inv(noise) @ noise``: what the sensor noise that a derivative
+    shares with the residual adds to the gradient of a fit that estimates the considered parameters.
+    """
 
     residual: FloatArray  # (m,)
     by_state: FloatArray  # (m, len(State))
     by_considered: FloatArray  # (m, len(Considered))
     noise: FloatArray  # (m, m) covariance
+    overlap: FloatArray | None = None  # (len(Considered),); None: nothing is shared
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

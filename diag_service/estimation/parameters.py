@@ -1,10 +1,11 @@
 """What a shift depends on: the parameters that the estimator estimates and those that it only considers."""
 
+from dataclasses import replace
 from enum import IntEnum
 
 import numpy as np
 
-from clutch_model.calibration import Calibration
+from clutch_model.calibration import Calibration, ClutchCalibration
 from clutch_model.errors import CalibrationError
 from diag_service.records import FloatArray
 
@@ -38,6 +39,7 @@ class Considered(IntEnum):
     MOTORING_GAIN = 7  # ratio
     STRIBECK_SPEED = 8  # ratio, both clutches
     CONTACT_STIFFNESS = 9  # ratio, both clutches
+    SHAFT_INERTIA = 10  # ratio, both input shafts in neutral
 
 
 STATE_COUNT = len(State)
@@ -59,6 +61,7 @@ def prior_mean(calibration: Calibration) -> FloatArray:
     curves = [clutch.friction for clutch in calibration.clutches]
     mean[:FRICTION_COUNT] = [bias.torque_gain * value for curve in curves for value in (curve.mu_c, curve.mu_s)]
     mean[State.TORQUE_OFFSET] = bias.torque_offset_nm
+    mean[State.TOUCH1], mean[State.TOUCH2] = bias.touch_offsets_pa
     mean[State.ZERO1], mean[State.ZERO2] = bias.pressure_zeros_pa
     return mean
 
@@ -108,4 +111,64 @@ def _single_std(calibration: Calibration) -> list[float]:
         scatter.motoring_gain_ratio,
         scatter.stribeck_speed_ratio,
         scatter.contact_stiffness_ratio,
+        scatter.input_shaft_inertia_ratio,
     ]
+
+
+def displaced(calibration: Calibration, mean: FloatArray) -> Calibration:
+    """Return a calibration moved to other values of the considered parameters.
+
+    Parameters
+    ----------
+    mean : (len(NAMES),) array
+        States, which a calibration holds as biases, and displacements of the considered parameters.
+    """
+    move = dict(zip(Considered, mean[STATE_COUNT:].tolist(), strict=True))
+    bias, side, oil = calibration.bias, calibration.input_side, calibration.viscosity
+    first, second = (
+        _displaced_clutch(clutch, move[Considered(Considered.PISTON_AREA1 + m)], move)
+        for m, clutch in enumerate(calibration.clutches)
+    )
+    shafts = 1.0 + move[Considered.SHAFT_INERTIA]
+    return replace(
+        calibration,
+        clutches=(first, second),
+        viscosity=replace(oil, a_pa_s=oil.a_pa_s * (1.0 + move[Considered.VISCOSITY])),
+        input_side=replace(
+            side,
+            engine_inertia_kg_m2=side.engine_inertia_kg_m2 * (1.0 + move[Considered.ENGINE_INERTIA]),
+            input_shaft_inertias_kg_m2=(
+                side.input_shaft_inertias_kg_m2[0] * shafts,
+                side.input_shaft_inertias_kg_m2[1] * shafts,
+            ),
+        ),
+        bias=replace(
+            bias,
+            torque_gain=bias.torque_gain + move[Considered.TORQUE_GAIN],
+            motoring_gain=bias.motoring_gain + move[Considered.MOTORING_GAIN],
+            torque_offset_nm=float(mean[State.TORQUE_OFFSET]),
+            torque_latency_s=bias.torque_latency_s + move[Considered.TORQUE_LATENCY],
+            pressure_latency_s=bias.pressure_latency_s + move[Considered.PRESSURE_LATENCY],
+            touch_offsets_pa=(float(mean[State.TOUCH1]), float(mean[State.TOUCH2])),
+            pressure_zeros_pa=(float(mean[State.ZERO1]), float(mean[State.ZERO2])),
+        ),
+    )
+
+
+def _displaced_clutch(clutch: ClutchCalibration, area_ratio: float, move: dict[Considered, float]) -> ClutchCalibration:
+    """Return a clutch with another piston and lining; its touch pressure stays."""
+    friction, film, piston, geometry = clutch.friction, clutch.film, clutch.piston, clutch.geometry
+    scale = 1.0 + area_ratio
+    return replace(
+        clutch,
+        geometry=replace(geometry, piston_area_m2=geometry.piston_area_m2 * scale),
+        piston=replace(
+            piston,
+            spring_preload_n=piston.spring_preload_n * scale,
+            spring_rate_n_m=piston.spring_rate_n_m * scale,
+        ),
+        friction=replace(
+            friction, stribeck_speed_rad_s=friction.stribeck_speed_rad_s * (1.0 + move[Considered.STRIBECK_SPEED])
+        ),
+        film=replace(film, contact_stiffness_pa=film.contact_stiffness_pa * (1.0 + move[Considered.CONTACT_STIFFNESS])),
+    )
