@@ -29,7 +29,7 @@ class _Ranged:
             value = getattr(self, field.name)
             for number in value if isinstance(value, tuple) else (value,):
                 if isinstance(number, int | float) and not (math.isfinite(number) and number >= 0.0):
-                    raise CalibrationError(f"{type(self).__name__}.{field.name} must be finite and >= 0, got {number}")
+                    raise CalibrationError(f"{type(self).__name__}.{member.name} must be finite and >= 0, got {number}")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -221,7 +221,10 @@ class SensorNoise(_Ranged):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SensorBias:
-    """Known errors of a vehicle: ``reading(t) = gain * quantity(t - latency) + offset``; latencies against the speeds."""
+    """Known errors of one vehicle: ``reading(t) = gain * quantity(t - latency) + offset``.
+
+    Latencies count against the speeds: what delays all readings alike does no harm.
+    """
 
     torque_gain: float = 1.0
     motoring_gain: float = 1.0  # of negative engine torque, on top of ``torque_gain``
