@@ -25,8 +25,8 @@ class _Ranged:
     """A record whose every number is finite and, unless a subclass says otherwise, not negative."""
 
     def __post_init__(self) -> None:
-        for field in fields(self):
-            value = getattr(self, field.name)
+        for member in fields(self):
+            value = getattr(self, member.name)
             for number in value if isinstance(value, tuple) else (value,):
                 if isinstance(number, int | float) and not (math.isfinite(number) and number >= 0.0):
                     raise CalibrationError(f"{type(self).__name__}.{member.name} must be finite and >= 0, got {number}")
