@@ -3,7 +3,7 @@
 import json
 from collections.abc import Iterator
 from contextlib import nullcontext
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from queue import SimpleQueue
 from threading import Event
@@ -15,7 +15,7 @@ from ecu_emulator.frames import EncodedFrames
 from ecu_emulator.progress import ProgressLine, people, print_json
 from ecu_emulator.recording import SHORT_STRETCH_S, Drive
 from ecu_emulator.scenario import Scenario
-from ecu_emulator.truth import ShiftTruth, Totals, TruthWriter
+from ecu_emulator.truth import ShiftTruth, TruthWriter
 
 MS_PER_S: Final = 1e3
 
@@ -73,7 +73,9 @@ class SentTruth:
         if report.is_complete:
             self.sent_until(self._drive.totals.duration_s)
         if self._writer is not None:
-            self._writer.totals(Totals(shifts=self.shift_count, duration_s=self.sent_s, frames=report.frames_sent))
+            self._writer.totals(
+                replace(self._drive.totals, shifts=self.shift_count, duration_s=self.sent_s, frames=report.frames_sent)
+            )
 
 
 def run(

@@ -1,5 +1,6 @@
 """One drive from plant to frames: the only file that knows the order of the emulator's stages."""
 
+import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Final
@@ -14,7 +15,7 @@ from ecu_emulator.plant.powertrain import Powertrain
 from ecu_emulator.readings import FloatArray, Schedule
 from ecu_emulator.scenario import FluidCondition, Scenario
 from ecu_emulator.sensors import Installation, SensorSuite
-from ecu_emulator.truth import DriveTruth, ShiftTruth, ShiftWatcher, Totals, TruthLog
+from ecu_emulator.truth import DriveTruth, FaultTruth, ShiftTruth, ShiftWatcher, Totals, TruthLog
 
 LONG_STRETCH_S: Final = 10.0  # for files
 SHORT_STRETCH_S: Final = 0.25  # live: a stretch must not hold the interpreter for long
@@ -61,8 +62,10 @@ class Drive:
             installation=_installation(scenario, vehicle),
             startup_s=scenario.startup.by_sender(),
             seed=scenario.seed,
+            faults=scenario.sensor_faults,
         )
         self._loss = FrameLoss(scenario.effects.frame_loss_ratio, scenario.seed)
+        self._scenario = scenario
         self._shift_count = 0
         self._frame_count = 0
         self._end_s = 0.0
@@ -71,7 +74,9 @@ class Drive:
     @property
     def totals(self) -> Totals:
         """What has been driven so far."""
-        return Totals(shifts=self._shift_count, duration_s=self._end_s, frames=self._frame_count)
+        return Totals(
+            shifts=self._shift_count, duration_s=self._end_s, frames=self._frame_count, faults=self._fault_truths()
+        )
 
     @property
     def finished(self) -> bool:
@@ -84,6 +89,23 @@ class Drive:
             rows = self._plant.advance(duration_s)
             if len(rows):
                 yield self._stretch(rows)
+
+    def _fault_truths(self) -> tuple[FaultTruth, ...]:
+        faults = self._sensors.faults
+        truths = (
+            FaultTruth(
+                what=fault.quantity,
+                kind=fault.kind,
+                size=fault.size,
+                t_start_s=start_s,
+                t_end_s=stop_s if math.isfinite(stop_s) else None,
+                count=count,
+            )
+            for fault, (start_s, stop_s), count in zip(
+                self._scenario.sensor_faults, faults.spans_s, faults.changed_counts, strict=True
+            )
+        )
+        return tuple(truth for truth in truths if truth.t_start_s <= self._end_s)
 
     def _stretch(self, rows: FloatArray) -> Stretch:
         shifts = tuple(self._watcher.feed(rows))

@@ -56,12 +56,25 @@ class ShiftTruth:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class FaultTruth:
+    """One scripted fault that has begun."""
+
+    what: str  # the quantity it makes wrong
+    kind: str
+    size: float  # in the unit that ends the quantity's name, of a drift per second; 0 where the kind has none
+    t_start_s: float
+    t_end_s: float | None  # None: to the end of the drive
+    count: int  # readings that it touched
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Totals:
     """What a whole drive amounted to."""
 
     shifts: int
     duration_s: float
     frames: int
+    faults: tuple[FaultTruth, ...] = ()
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -178,7 +191,10 @@ def read_truth(path: Path) -> TruthLog:
             kind: [_content(line) for line in lines if line["kind"] == kind] for kind in (_DRIVE, _SHIFT, _TOTALS)
         }
         (drive,) = by_kind[_DRIVE]
-        totals = [Totals(**line) for line in by_kind[_TOTALS]]
+        totals = [
+            Totals(**{**line, "faults": tuple(FaultTruth(**fault) for fault in line.get("faults", ()))})
+            for line in by_kind[_TOTALS]
+        ]
         return TruthLog(
             drive=DriveTruth(**{**drive, "mu_c": tuple(drive["mu_c"]), "mu_s": tuple(drive["mu_s"])}),
             shifts=tuple(ShiftTruth(**line) for line in by_kind[_SHIFT]),

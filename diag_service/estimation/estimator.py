@@ -9,6 +9,7 @@ from clutch_model.calibration import Calibration
 from diag_service.estimation.balance import Balance
 from diag_service.estimation.belief import Belief, Considered, Measurement, State, friction_rows
 from diag_service.estimation.film_track import PressureDrive
+from diag_service.estimation.plausibility import doubts, zero_has_jumped
 from diag_service.estimation.sampling import NS_TO_S
 from diag_service.estimation.signals import ShiftSignals, gather
 from diag_service.estimation.window import SlipWindow, find_window
@@ -35,19 +36,23 @@ class Estimator:
     def estimate(self, event: ShiftEvent, belief: Belief) -> tuple[Belief, ShiftEstimate]:
         """Return the running state after a shift, and what the shift alone says about the on-coming clutch.
 
-        The shift's own estimate uses what is known of offsets, but not the running friction. A shift that does not fit
-        the model is rejected; one that fits, but contradicts the running state, is shown and kept out of it, until
-        three in a row agree that the clutch has changed.
+        The shift's own estimate uses what is known of offsets, but not the running friction. A shift whose signals
+        contradict each other, or that does not fit the model, is rejected; one that fits, but contradicts the running
+        state, is shown and kept out of it, until three in a row agree that the clutch has changed.
         """
         signals = gather(event, self._calibration)
         if isinstance(signals, Reason):
             return belief, _without_friction(event, Status.REJECTED, signals)
         clutch = _on_coming(event.to_gear)
-        belief = self._zeroed(signals, belief)
+        before, belief = belief, self._zeroed(signals, belief)
+        if zero_has_jumped(before, belief):
+            return before, _without_friction(event, Status.REJECTED, Reason.ZERO_JUMPED)
         drives = self._drives(signals, belief, event)
         window = self._window(signals, drives, clutch)
         if window is None:
             return belief, _without_friction(event, Status.UNOBSERVED, Reason.NO_SLIP_WINDOW)
+        if found := doubts(event, signals, window, clutch, belief):
+            return before, _without_friction(event, Status.REJECTED, *found)
         balance = Balance(signals, window, drives, planned_drives(signals, drives, window), self._calibration)
         alone, misfit = self._fit(balance, belief.forget_friction(clutch, self._calibration))
         estimate = self._describe(event, signals, window, balance, alone, misfit)

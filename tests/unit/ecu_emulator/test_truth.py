@@ -5,7 +5,16 @@ import pytest
 
 from ecu_emulator.errors import RecordError
 from ecu_emulator.plant.columns import Col
-from ecu_emulator.truth import DriveTruth, ShiftWatcher, Totals, TruthLog, TruthWriter, read_truth, truth_path
+from ecu_emulator.truth import (
+    DriveTruth,
+    FaultTruth,
+    ShiftWatcher,
+    Totals,
+    TruthLog,
+    TruthWriter,
+    read_truth,
+    truth_path,
+)
 from tests.unit.ecu_emulator.rows import made_up_rows, with_shift
 
 DRIVE = DriveTruth(
@@ -18,6 +27,7 @@ DRIVE = DriveTruth(
     mu_s=(0.12, 0.11),
     drawn={"torque_gain_ratio": 1.01},
 )
+FAULT = FaultTruth(what="hub_speed_rad_s", kind="offset", size=2.0, t_start_s=0.2, t_end_s=None, count=4)
 ROWS = with_shift(with_shift(made_up_rows(1200), 100, 500, 1, 2), 700, 1000, 2, 3)
 
 
@@ -45,7 +55,7 @@ def test_a_truth_file_reads_back(tmp_path: Path) -> None:
     path = truth_path(tmp_path / "drive.log")
     assert path.name == "drive.log.truth.jsonl"
     shifts = tuple(ShiftWatcher().feed(ROWS))
-    totals = Totals(shifts=2, duration_s=1.2, frames=77)
+    totals = Totals(shifts=2, duration_s=1.2, frames=77, faults=(FAULT,))
     with TruthWriter(path) as writer:
         writer.drive(DRIVE)
         writer.shifts(shifts[:1])
