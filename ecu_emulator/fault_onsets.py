@@ -17,10 +17,17 @@ class Onsets:
     """Begin and end of each scheduled thing in milliseconds of scenario time; infinite while not known."""
 
     def __init__(self, scheduled: Sequence[Scheduled]) -> None:
-        self._scheduled = tuple(scheduled)
-        self._start_ms = [math.inf if one.shift else math.ceil(one.start_s * MS_PER_S) for one in self._scheduled]
+        self._scheduled: list[Scheduled] = []
+        self._start_ms: list[float] = []
+        for one in scheduled:
+            self.add(one)
         self._phase = int(PhaseCode.HOLD)
         self._shift_count = 0
+
+    def add(self, one: Scheduled, origin_ms: float = 0.0) -> None:
+        """Schedule one more; without a shift its start counts from ``origin_ms``."""
+        self._scheduled.append(one)
+        self._start_ms.append(math.inf if one.shift else origin_ms + math.ceil(one.start_s * MS_PER_S))
 
     def feed(self, rows: FloatArray, first_ms: int) -> None:
         """Look for the phases of shifts in the next plant rows, one per millisecond."""

@@ -10,6 +10,7 @@ from threading import Event
 from typing import Final
 
 from ecu_emulator.bus import TransmitReport, open_bus, transmit
+from ecu_emulator.control import ControlSocket
 from ecu_emulator.errors import RecordError
 from ecu_emulator.frames import EncodedFrames
 from ecu_emulator.progress import ProgressLine, people, print_json
@@ -84,6 +85,7 @@ def run(
     choice: BusChoice,
     truth: Path | None,
     summary: Path | None,
+    control: Path | None,
     start_delay_s: float,
     is_json: bool,
     stop: Event,
@@ -100,6 +102,7 @@ def run(
     with (
         open_bus(choice.interface, choice.channel, choice.bitrate, fd=choice.is_fd) as bus,
         TruthWriter(truth) if truth is not None else nullcontext() as writer,
+        ControlSocket(control, drive.add_fault) if control is not None else nullcontext(),
         ProgressLine(console, "preparing the plant") as progress,
     ):
         sent = SentTruth(drive, writer)

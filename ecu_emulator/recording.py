@@ -3,10 +3,13 @@
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass
+from queue import SimpleQueue
 from typing import Final
 
 from dbc.contract import load_contract, message_contracts
 from ecu_emulator.build import BuiltVehicle, ageing_factors, build_vehicle
+from ecu_emulator.bus_faults import BusFaults
+from ecu_emulator.faults import BusFault, SensorFault
 from ecu_emulator.frame_loss import FrameLoss
 from ecu_emulator.frames import EncodedFrames, FrameEncoder, merge
 from ecu_emulator.plant.columns import Col
@@ -18,6 +21,7 @@ from ecu_emulator.sensors import Installation, SensorSuite
 from ecu_emulator.truth import DriveTruth, FaultTruth, ShiftTruth, ShiftWatcher, Totals, TruthLog
 
 LONG_STRETCH_S: Final = 10.0  # for files
+MS_PER_S: Final = 1000.0
 SHORT_STRETCH_S: Final = 0.25  # live: a stretch must not hold the interpreter for long
 
 
@@ -65,7 +69,8 @@ class Drive:
             faults=scenario.sensor_faults,
         )
         self._loss = FrameLoss(scenario.effects.frame_loss_ratio, scenario.seed)
-        self._scenario = scenario
+        self._bus_faults = BusFaults(scenario.bus_faults, scenario.seed, message_contracts(database))
+        self._asked: SimpleQueue[SensorFault | BusFault] = SimpleQueue()  # filled by other threads
         self._shift_count = 0
         self._frame_count = 0
         self._end_s = 0.0
@@ -83,36 +88,59 @@ class Drive:
         """Whether all cycles have been driven."""
         return self._plant.finished
 
+    def add_fault(self, fault: SensorFault | BusFault) -> None:
+        """Have a fault happen; its time counts from the next stretch on. Any thread may call.
+
+        Raises
+        ------
+        ConfigError
+            If it names a message that is not on the bus.
+        """
+        if isinstance(fault, BusFault):
+            self._bus_faults.check(fault)
+        self._asked.put(fault)
+
     def stretches(self, duration_s: float) -> Iterator[Stretch]:
         """Yield the rest of the drive in stretches of this length [s]."""
         while not self.finished:
+            self._begin_asked()
             rows = self._plant.advance(duration_s)
             if len(rows):
                 yield self._stretch(rows)
 
+    def _begin_asked(self) -> None:
+        while not self._asked.empty():
+            fault = self._asked.get()
+            if isinstance(fault, BusFault):
+                self._bus_faults.add(fault, self._end_s)
+            else:
+                self._sensors.faults.add(fault, self._end_s)
+
     def _fault_truths(self) -> tuple[FaultTruth, ...]:
-        faults = self._sensors.faults
-        truths = (
+        sensors, bus = self._sensors.faults, self._bus_faults
+        described = [(fault.quantity, fault.kind.value, fault.size) for fault in sensors.faults]
+        described += [(fault.message or "bus", fault.kind.value, fault.share) for fault in bus.faults]
+        spans_s, counts = (*sensors.spans_s, *bus.spans_s), (*sensors.changed_counts, *bus.counts)
+        return tuple(
             FaultTruth(
-                what=fault.quantity,
-                kind=fault.kind,
-                size=fault.size,
+                what=what,
+                kind=kind,
+                size=size,
                 t_start_s=start_s,
                 t_end_s=stop_s if math.isfinite(stop_s) else None,
                 count=count,
             )
-            for fault, (start_s, stop_s), count in zip(
-                self._scenario.sensor_faults, faults.spans_s, faults.changed_counts, strict=True
-            )
+            for (what, kind, size), (start_s, stop_s), count in zip(described, spans_s, counts, strict=True)
+            if start_s <= self._end_s
         )
-        return tuple(truth for truth in truths if truth.t_start_s <= self._end_s)
 
     def _stretch(self, rows: FloatArray) -> Stretch:
         shifts = tuple(self._watcher.feed(rows))
         frames = self._loss.surviving(self._encoder.encode_all(self._sensors.read(rows)))
+        first_s, self._end_s = (round(float(rows[row, Col.T_S]), 3) for row in (0, -1))
+        frames = self._bus_faults.feed(frames, rows, round(first_s * MS_PER_S), self._end_s, is_last=self.finished)
         self._shift_count += len(shifts)
         self._frame_count += len(frames)
-        self._end_s = round(float(rows[-1, Col.T_S]), 3)
         return Stretch(frames=frames, shifts=shifts, end_s=self._end_s)
 
 

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Final, TypeVar
 
 from ecu_emulator.errors import ConfigError
-from ecu_emulator.faults import SensorFault
+from ecu_emulator.faults import BusFault, SensorFault
 from ecu_emulator.scenario import (
     Ambient,
     Driver,
@@ -72,6 +72,21 @@ def parse_scenario(text: str, origin: str) -> Scenario:
         raise ConfigError(f"{origin}: {exc}") from exc
 
 
+def parse_fault(table: object) -> SensorFault | BusFault:
+    """Return one fault by the keys of its scenario table; a sensor fault names a quantity.
+
+    Raises
+    ------
+    ConfigError
+        Naming the first key that cannot be used.
+    """
+    if not isinstance(table, Mapping):
+        raise ConfigError(f"a fault must be a table, got {table!r}")
+    if "quantity" in table:
+        return _record(SensorFault, table, "")
+    return _record(BusFault, table, "")
+
+
 def _scenario(table: Mapping[str, object]) -> Scenario:
     parts = dict(table)
     for key, record in _PARTS.items():
@@ -82,6 +97,7 @@ def _scenario(table: Mapping[str, object]) -> Scenario:
     parts["sensors"] = _sensors(_subtable(parts, "sensors"))
     parts["truth"] = _truth(_subtable(parts, "truth"))
     parts["sensor_faults"] = _records(SensorFault, parts.get("sensor_faults", []), "sensor_faults")
+    parts["bus_faults"] = _records(BusFault, parts.get("bus_faults", []), "bus_faults")
     if "name" not in parts:
         raise ConfigError("key name is missing")
     return _record(Scenario, parts, "")

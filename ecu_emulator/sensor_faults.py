@@ -24,9 +24,22 @@ class SensorFaults:
     """All scripted sensor faults of a drive."""
 
     def __init__(self, faults: Sequence[SensorFault]) -> None:
-        self._faults = tuple(faults)
-        self._onsets = Onsets(faults)
-        self._progress = [_Progress() for _ in self._faults]
+        self._faults: list[SensorFault] = []
+        self._progress: list[_Progress] = []
+        self._onsets = Onsets(())
+        for fault in faults:
+            self.add(fault)
+
+    @property
+    def faults(self) -> tuple[SensorFault, ...]:
+        """All faults asked for."""
+        return tuple(self._faults)
+
+    def add(self, fault: SensorFault, origin_s: float = 0.0) -> None:
+        """Take one more fault; without a shift its start counts from ``origin_s``."""
+        self._faults.append(fault)
+        self._progress.append(_Progress())
+        self._onsets.add(fault, origin_s * MS_PER_S)
 
     @property
     def changed_counts(self) -> tuple[int, ...]:
@@ -41,8 +54,7 @@ class SensorFaults:
 
     def feed(self, rows: FloatArray, first_ms: int) -> None:
         """Take the next plant rows, in which faults may be triggered."""
-        if self._faults:
-            self._onsets.feed(rows, first_ms)
+        self._onsets.feed(rows, first_ms)
 
     def applied(self, quantity: str, send_ms: npt.NDArray[np.int64], reading: FloatArray) -> FloatArray:
         """Return the readings of one quantity at these instants, shape (n,), as the faults leave them."""

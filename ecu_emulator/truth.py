@@ -59,12 +59,12 @@ class ShiftTruth:
 class FaultTruth:
     """One scripted fault that has begun."""
 
-    what: str  # the quantity it makes wrong
+    what: str  # quantity or message that it concerns, or the whole bus
     kind: str
-    size: float  # in the unit that ends the quantity's name, of a drift per second; 0 where the kind has none
+    size: float  # of a sensor fault in the quantity's unit, of a drift per second; of a bus fault the share of frames
     t_start_s: float
     t_end_s: float | None  # None: to the end of the drive
-    count: int  # readings that it touched
+    count: int  # readings that it touched, frames that it struck or added
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -6,7 +6,7 @@ import pytest
 
 from clutch_model.calibration import nominal_calibration
 from ecu_emulator.errors import ConfigError
-from ecu_emulator.faults import Phase, SensorFault, SensorFaultKind
+from ecu_emulator.faults import BusFault, BusFaultKind, Phase, SensorFault, SensorFaultKind
 from ecu_emulator.scenario import Ambient, Driver, FluidCondition, Scatter, Scenario, production_scatter
 from ecu_emulator.scenario_file import load_scenario, parse_scenario, shipped_scenarios
 from ecu_emulator.signals import NOMINAL_SENSORS, split_unit
@@ -138,6 +138,9 @@ def test_every_key_reaches_its_place() -> None:
         (MINIMAL + FAULT + "kind = 'frozen'\nstart_s = -1", "start_s must be"),
         (MINIMAL + FAULT + "kind = 'frozen'\nduration_s = 0", "duration_s must be"),
         (MINIMAL + "[[sensor_faults]]\nquantity = 'shift_phase'\nkind = 'frozen'", "has no sensor"),
+        (MINIMAL + "bus_faults = [1]", "bus_faults must be an array of tables"),
+        (MINIMAL + "[[bus_faults]]\nkind = 'los'", "bus_faults 1: kind must be one of loss, silence"),
+        (MINIMAL + "[[bus_faults]]\nkind = 'loss'\nshare = 0", "bus_faults 1: share must be above 0"),
         (MINIMAL + "truth.mu = 3", r"truth\.mu is unknown"),
         (MINIMAL + "truth.calibration = 3", r"truth\.calibration must be a table"),
         ("name = ", "is not TOML"),
@@ -154,6 +157,12 @@ def test_sensor_faults_are_read_in_their_order() -> None:
     frozen, drift = parse_scenario(text, "text").sensor_faults
     assert frozen == SensorFault(quantity="hub_speed_rad_s", kind=SensorFaultKind.FROZEN)
     assert (drift.kind, drift.size, drift.shift, drift.phase) == (SensorFaultKind.DRIFT, -2.0, 3, Phase.INERTIA)
+
+
+def test_bus_faults_are_read() -> None:
+    text = MINIMAL + "[[bus_faults]]\nkind = 'loss'\nshare = 0.25\nmessage = 'TCU_Shift'\nduration_s = 3"
+    (loss,) = parse_scenario(text, "text").bus_faults
+    assert loss == BusFault(kind=BusFaultKind.LOSS, share=0.25, message="TCU_Shift", duration_s=3.0)
 
 
 def test_an_unknown_scenario_lists_the_shipped_ones() -> None:
