@@ -18,7 +18,7 @@ from ecu_emulator.plant.powertrain import Powertrain
 from ecu_emulator.readings import FloatArray, Schedule
 from ecu_emulator.scenario import FluidCondition, Scenario
 from ecu_emulator.sensors import Installation, SensorSuite
-from ecu_emulator.truth import DriveTruth, FaultTruth, ShiftTruth, ShiftWatcher, Totals, TruthLog
+from ecu_emulator.truth import DriveTruth, FaultTruth, RevTruth, RevWatcher, ShiftTruth, ShiftWatcher, Totals, TruthLog
 
 LONG_STRETCH_S: Final = 10.0  # for files
 MS_PER_S: Final = 1000.0
@@ -27,10 +27,11 @@ SHORT_STRETCH_S: Final = 0.25  # live: a stretch must not hold the interpreter f
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Stretch:
-    """What a stretch of driving puts on the bus, and which shifts ended in it."""
+    """What a stretch of driving puts on the bus, and which shifts and revs ended in it."""
 
     frames: EncodedFrames
     shifts: tuple[ShiftTruth, ...]
+    revs: tuple[RevTruth, ...]
     end_s: float  # scenario time reached
 
 
@@ -51,6 +52,7 @@ class Drive:
         self._encoder = FrameEncoder(database)
         self._plant = Powertrain(vehicle.calibration, vehicle.parameters, drive_settings(scenario))
         self._watcher = ShiftWatcher()
+        self._rev_watcher = RevWatcher()
         self._sensors = SensorSuite(
             schedules=[
                 Schedule(
@@ -141,7 +143,7 @@ class Drive:
         frames = self._bus_faults.feed(frames, rows, round(first_s * MS_PER_S), self._end_s, is_last=self.finished)
         self._shift_count += len(shifts)
         self._frame_count += len(frames)
-        return Stretch(frames=frames, shifts=shifts, end_s=self._end_s)
+        return Stretch(frames=frames, shifts=shifts, revs=tuple(self._rev_watcher.feed(rows)), end_s=self._end_s)
 
 
 def frames_of(scenario: Scenario) -> tuple[EncodedFrames, TruthLog]:
@@ -149,8 +151,9 @@ def frames_of(scenario: Scenario) -> tuple[EncodedFrames, TruthLog]:
     drive = Drive(scenario)
     stretches = list(drive.stretches(LONG_STRETCH_S))
     shifts = tuple(shift for stretch in stretches for shift in stretch.shifts)
+    revs = tuple(rev for stretch in stretches for rev in stretch.revs)
     return merge([stretch.frames for stretch in stretches]), TruthLog(
-        drive=drive.truth, shifts=shifts, totals=drive.totals
+        drive=drive.truth, shifts=shifts, totals=drive.totals, revs=revs
     )
 
 
@@ -166,6 +169,8 @@ def drive_settings(scenario: Scenario) -> DriveSettings:
         initial_oil_k=scenario.ambient.oil_temperature_k,
         coolant_k=scenario.ambient.coolant_temperature_k,
         ambient_k=scenario.ambient.temperature_k,
+        open_revs=scenario.routine.open_revs,
+        closed_revs=scenario.routine.closed_revs,
         friction_factors=tuple(FrictionFactors(mu_c1=c, mu_s1=s, mu_c2=c, mu_s2=s) for c, s in factors),
     )
 

@@ -15,6 +15,7 @@ from ecu_emulator.scenario import (
     Driver,
     Effects,
     Fluid,
+    Routine,
     Scatter,
     Scenario,
     Startup,
@@ -104,7 +105,7 @@ def _scenario(table: Mapping[str, object]) -> Scenario:
 
 
 _PARTS: Final[Mapping[str, type[object]]] = {
-    "fluid": Fluid, "driver": Driver, "ambient": Ambient, "startup": Startup, "effects": Effects
+    "fluid": Fluid, "driver": Driver, "routine": Routine, "ambient": Ambient, "startup": Startup, "effects": Effects
 }  # fmt: skip
 
 
