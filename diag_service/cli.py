@@ -68,6 +68,9 @@ def _run(options: argparse.Namespace, stop: Trigger, counts_wanted: Trigger) -> 
     if options.command == "analyze":
         application.run_recorded(diagnosis, options.logs, options.store, controls, as_json=options.json)
         return
+    if options.command == "calibrate":
+        application.run_calibrate(diagnosis, options.logs, options.output, controls, as_json=options.json)
+        return
     bus = config.BusConfig(
         interface=options.interface,
         channel=options.channel,
@@ -132,6 +135,17 @@ def _parser() -> _Parser:
         help="impulse: the service's own; paper: the method of SAE 2015-01-1146, without uncertainty and verdict",
     )
     _add_common(analyze, "SQLite file for results (default: none, results are shown only)")
+
+    calibrate = commands.add_parser(
+        "calibrate", help="find one vehicle's sensor errors and inertia from its logs", epilog=_EXIT_TEXT
+    )
+    calibrate.add_argument("logs", nargs="+", type=Path, metavar="LOG", help="logs of one vehicle, a drive or more")
+    calibrate.add_argument(
+        "-o", "--output", type=Path, required=True, metavar="FILE", help="calibration file to write (TOML)"
+    )
+    _add_vehicle(calibrate)
+    calibrate.add_argument("--json", action="store_true", help="JSON on standard output")
+    calibrate.set_defaults(broker=None)
     return parser
 
 

@@ -10,7 +10,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from clutch_model.calibration import Calibration, JointUncertainty
+from clutch_model.calibration import Calibration
+from clutch_model.knowledge import JointUncertainty
 from diag_service.estimation.balance import Balance
 from diag_service.estimation.belief import Belief, Measurement
 from diag_service.estimation.parameters import (
