@@ -98,7 +98,7 @@ def measure(count: int, rounds: int, worker_count: int) -> None:
     with ExitStack() as stack:
         folder = Path(stack.enter_context(TemporaryDirectory()))
         server = PostgresServer()
-        stack.callback(server.remove)
+        stack.callback(server.close)
         server.start()
         database = server.create("fleet")
         engine = open_database(database)
