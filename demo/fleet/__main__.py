@@ -21,6 +21,7 @@ CYCLES: Final = 2
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the demonstration; return 0 done, 1 failed, 130 interrupted."""
     options = _parser().parse_args(arguments)
+    options.output.mkdir(parents=True, exist_ok=True)
     try:
         asyncio.run(_interruptible(options.output, options.cycles, Console(highlight=False)))
     except asyncio.CancelledError:
