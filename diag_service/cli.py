@@ -51,6 +51,7 @@ def _run(options: argparse.Namespace, stop: Trigger, counts_wanted: Trigger) -> 
     # Imported here: compiled libraries take a second, in which a signal must already find its handler.
     from diag_service import application, config  # noqa: PLC0415 - see above
     from diag_service.notices import set_up_notices  # noqa: PLC0415 - see above
+    from diag_service.publishers import Acknowledge  # noqa: PLC0415 - see above
 
     set_up_notices(options.verbose)
     diagnosis = config.DiagnosisConfig(
@@ -59,6 +60,8 @@ def _run(options: argparse.Namespace, stop: Trigger, counts_wanted: Trigger) -> 
         profile=options.profile,
         calibration=config.load_calibration(options.calibration),
         broker=config.parse_broker(options.broker) if options.broker else None,
+        acknowledge=Acknowledge(options.acknowledge),
+        budget_bytes=None if options.store_budget is None else options.store_budget << 20,
     )
     controls = application.Controls(stop=stop, counts_wanted=counts_wanted)
     if options.command == "analyze" and options.estimator == config.EstimatorKind.PAPER:
@@ -141,6 +144,18 @@ def _add_common(parser: argparse.ArgumentParser, store_help: str) -> None:
         default=os.environ.get(BROKER_VARIABLE),
         metavar="URL",
         help=f"mqtt://[user[:password]@]host[:port] (default: the environment's {BROKER_VARIABLE}, else none)",
+    )
+    parser.add_argument(
+        "--acknowledge",
+        choices=("broker", "backend"),
+        default="broker",
+        help="whose word lets the outbox forget a result; a backend gives it after its commit (default: %(default)s)",
+    )
+    parser.add_argument(
+        "--store-budget",
+        type=int,
+        metavar="MIB",
+        help="how large the store may grow; delivered results go first, then empty ones (default: no limit)",
     )
     parser.add_argument("--json", action="store_true", help="JSON lines on standard output, text on standard error")
     parser.add_argument("-v", "--verbose", action="count", default=0, help="say more; twice: libraries too")

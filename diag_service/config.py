@@ -9,10 +9,11 @@ from urllib.parse import unquote, urlsplit
 
 from clutch_model.calibration import Calibration, nominal_calibration, read_calibration
 from diag_service.errors import ConfigError
-from diag_service.publishers import BrokerAddress
+from diag_service.publishers import Acknowledge, BrokerAddress
 from fleet_contract import is_vehicle
 
 _DIGEST_LENGTH = 12
+SMALLEST_BUDGET_BYTES = 1 << 20
 
 
 class EstimatorKind(StrEnum):
@@ -31,6 +32,15 @@ class DiagnosisConfig:
     profile: Path | None
     calibration: Calibration
     broker: BrokerAddress | None
+    acknowledge: Acknowledge = Acknowledge.BROKER
+    budget_bytes: int | None = None  # of the store; None: no limit
+
+    def __post_init__(self) -> None:
+        """Check what depends on each other."""
+        if self.budget_bytes is not None and self.budget_bytes < SMALLEST_BUDGET_BYTES:
+            raise ConfigError(f"the disk budget must be at least {SMALLEST_BUDGET_BYTES} bytes")
+        if self.broker is None and self.acknowledge is Acknowledge.BACKEND:
+            raise ConfigError("without a broker no backend can acknowledge anything")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
