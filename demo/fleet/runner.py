@@ -97,9 +97,8 @@ async def _drive(vehicle: Vehicle, folder: Path, cycles: int, broker: str, conso
     began_s = time.monotonic()
     drive = ("record", log, "--scenario", vehicle.scenario, "--cycles", str(cycles))
     await run(EMULATOR, *drive, folder=place, environment={})
-    await run(
-        SERVICE, "analyze", log, "--json", "--vehicle", vehicle.name, "--broker", broker, folder=place, environment={}
-    )
+    analysis = ("analyze", log, "--json", "--vehicle", vehicle.name, "--broker", broker, "--acknowledge", "backend")
+    await run(SERVICE, *analysis, folder=place, environment={})
     lines = output_files(SERVICE, place)[0].read_text(encoding="utf-8").splitlines()
     count = len([line for line in lines if json.loads(line)["schema"] == "clutchdiag/shift/v1"])
     took_s = time.monotonic() - began_s
