@@ -7,6 +7,7 @@ from diag_service.publishers.jsonlines import JsonLinesReporter
 from diag_service.publishers.memory import MemoryLink, MemoryReporter
 from diag_service.publishers.mqtt import BrokerAddress, MqttConnector
 from diag_service.publishers.outbox import Outbox
+from diag_service.publishers.tls import TlsFiles
 
 __all__ = [
     "Acknowledge",
@@ -19,4 +20,5 @@ __all__ = [
     "MqttConnector",
     "Outbox",
     "Reporter",
+    "TlsFiles",
 ]
