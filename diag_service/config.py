@@ -16,6 +16,7 @@ from fleet_contract import is_vehicle
 PORTS = {"mqtt": 1883, "mqtts": 8883}
 _DIGEST_LENGTH = 12
 SMALLEST_BUDGET_BYTES = 1 << 20
+_LOOPBACK = "127.0.0.1"
 
 
 class EstimatorKind(StrEnum):
@@ -46,6 +47,14 @@ class DiagnosisConfig:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class ListenAddress:
+    """Where to serve."""
+
+    host: str
+    port: int
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class BusConfig:
     """Which bus to listen to; ``None`` means what python-can's own configuration says."""
 
@@ -54,6 +63,7 @@ class BusConfig:
     bitrate: int | None
     is_fd: bool
     duration_s: float | None
+    metrics: ListenAddress | None = None  # where to serve metrics and health checks
 
     def __post_init__(self) -> None:
         """Check the numbers."""
@@ -114,6 +124,20 @@ def parse_broker(url: str, tls: TlsFiles | None = None, password_file: Path | No
         password=password if password_file is None else read_secret(password_file),
         tls=(tls or TlsFiles()) if is_encrypted else None,
     )
+
+
+def parse_listen_address(text: str) -> ListenAddress:
+    """Return the address that ``[HOST:]PORT`` names; without a host it is this machine's own.
+
+    Raises
+    ------
+    ConfigError
+        If the text is no such address.
+    """
+    host, _, port = text.rpartition(":")
+    if not port.isdecimal() or int(port) > 0xFFFF:
+        raise ConfigError(f"the metrics address must be [HOST:]PORT, got {text!r}")
+    return ListenAddress(host=host.strip("[]") or _LOOPBACK, port=int(port))
 
 
 def check_paper_options(store: Path | None, broker: BrokerAddress | None) -> None:

@@ -3,6 +3,7 @@
 from diag_service.publishers.base import Link, Reporter
 from diag_service.publishers.console import ConsoleReporter
 from diag_service.publishers.delivery import Acknowledge
+from diag_service.publishers.detached import DetachedReporter
 from diag_service.publishers.jsonlines import JsonLinesReporter
 from diag_service.publishers.memory import MemoryLink, MemoryReporter
 from diag_service.publishers.mqtt import BrokerAddress, MqttConnector
@@ -13,6 +14,7 @@ __all__ = [
     "Acknowledge",
     "BrokerAddress",
     "ConsoleReporter",
+    "DetachedReporter",
     "JsonLinesReporter",
     "Link",
     "MemoryLink",
