@@ -9,13 +9,14 @@ from clutch_model.calibration import Calibration
 from diag_service.estimation.balance import Balance
 from diag_service.estimation.belief import Belief
 from diag_service.estimation.parameters import State, friction_rows
+from diag_service.estimation.plausibility import doubts, zero_has_jumped
 from diag_service.estimation.preparation import measured_drives, on_coming, planned_drives, slip_window, zeroed
 from diag_service.estimation.sampling import NS_TO_S
 from diag_service.estimation.signals import ShiftSignals, gather
 from diag_service.estimation.window import SlipWindow
 from diag_service.records import FloatArray, Reason, ShiftEstimate, ShiftEvent, Signal, Status
 
-ALGORITHM_VERSION = "torque-impulse-1"
+ALGORITHM_VERSION = "torque-impulse-2"
 PASS_COUNT = 3  # each takes away what planned and measured pressures differ by, a few percent
 MISFIT_GATE = 4.0  # chi-square per degree of freedom; a clean shift stays below 2.5
 SURPRISE_GATE = 25.0  # squared distance of a shift from the running state, two degrees of freedom: 4e-6 by chance
@@ -32,19 +33,23 @@ class Estimator:
     def estimate(self, event: ShiftEvent, belief: Belief) -> tuple[Belief, ShiftEstimate]:
         """Return the running state after a shift, and what the shift alone says about the on-coming clutch.
 
-        The shift's own estimate uses what is known of offsets, but not the running friction. A shift that does not fit
-        the model is rejected; one that fits, but contradicts the running state, is shown and kept out of it, until
-        three in a row agree that the clutch has changed.
+        The shift's own estimate uses what is known of offsets, but not the running friction. A shift whose signals
+        contradict each other, or that does not fit the model, is rejected; one that fits, but contradicts the running
+        state, is shown and kept out of it, until three in a row agree that the clutch has changed.
         """
         signals = gather(event, self._calibration)
         if isinstance(signals, Reason):
             return belief, _without_friction(event, Status.REJECTED, signals)
         clutch = on_coming(event.to_gear)
-        belief = zeroed(signals, belief, self._calibration)
+        before, belief = belief, zeroed(signals, belief, self._calibration)
+        if zero_has_jumped(before, belief):
+            return before, _without_friction(event, Status.REJECTED, Reason.ZERO_JUMPED)
         drives = measured_drives(signals, belief, event, self._calibration)
         window = slip_window(signals, drives, clutch, self._calibration)
         if window is None:
             return belief, _without_friction(event, Status.UNOBSERVED, Reason.NO_SLIP_WINDOW)
+        if found := doubts(event, signals, window, clutch, belief):
+            return before, _without_friction(event, Status.REJECTED, *found)
         balance = Balance(signals, window, drives, planned_drives(signals, drives, window), self._calibration)
         alone, misfit = self._fit(balance, belief.forget_friction(clutch, self._calibration))
         estimate = self._describe(event, signals, window, balance, alone, misfit)
