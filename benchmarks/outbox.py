@@ -15,6 +15,7 @@ import time
 from collections.abc import Iterator, Sequence
 from contextlib import closing, contextmanager
 from datetime import UTC, datetime
+from multiprocessing.synchronize import Event
 from pathlib import Path
 from typing import Final
 
@@ -56,7 +57,7 @@ class TimedStore(ResultStore):
         return positions
 
 
-def acknowledge(port: int) -> None:
+def acknowledge(port: int, is_ready: Event) -> None:
     """Acknowledge results for ever; each batch stands for a commit."""
     heard: list[Receipt] = []
     lock = threading.Lock()
@@ -69,6 +70,7 @@ def acknowledge(port: int) -> None:
     client = mqtt.Client(CallbackAPIVersion.VERSION2, client_id="backend", clean_session=False)
     client.on_message = take
     client.on_connect = lambda client, *_: client.subscribe(filter_of(Channel.SHIFT), qos=1)
+    client.on_subscribe = lambda *_: is_ready.set()
     client.connect("127.0.0.1", port)
     client.loop_start()
     while True:
@@ -81,10 +83,13 @@ def acknowledge(port: int) -> None:
 
 @contextmanager
 def backend(port: int) -> Iterator[None]:
-    process = multiprocessing.get_context("spawn").Process(target=acknowledge, args=(port,), daemon=True)
+    context = multiprocessing.get_context("spawn")
+    is_ready = context.Event()
+    process = context.Process(target=acknowledge, args=(port, is_ready), daemon=True)
     process.start()
     try:
-        time.sleep(2.0)  # it imports and subscribes
+        if not is_ready.wait(60.0):
+            raise SystemExit("the backend did not start")
         yield
     finally:
         process.kill()
@@ -104,43 +109,43 @@ def filled_store(path: Path, count: int) -> TimedStore:
     return TimedStore.open(path)
 
 
-async def drain(store: TimedStore, port: int, kind: Acknowledge) -> tuple[float, list[float]]:
-    """Return the rate [results/s] and the delays [s] of live results meanwhile."""
+async def drain(store: TimedStore, port: int, kind: Acknowledge) -> tuple[float, float, list[float]]:
+    """Return the rate [results/s], our processor time per result [s] and the delays [s] of live results meanwhile."""
     address = BrokerAddress(host="127.0.0.1", port=port)
     connector = MqttConnector(address, "clutchdiag-benchmark", is_persistent=kind is Acknowledge.BACKEND)
     outbox = Outbox(
         store, VEHICLE, lambda: connector.connect(iso_utc(datetime.now(UTC))), str(address), acknowledge=kind
     )
     backlog = store.last_position(VEHICLE)
-    begin_s = time.monotonic()
+    begin_s, begin_cpu_s = time.monotonic(), time.process_time()
     sender = asyncio.create_task(outbox.run())
     live_s: dict[int, float] = {}
-    while store.unpublished_count(VEHICLE) > 0:
+    while store.waiting(VEHICLE, after=0, before=backlog + 1, limit=1):
         await asyncio.sleep(LIVE_PERIOD_S)
         if kind is Acknowledge.BACKEND:
             position = store.last_position(VEHICLE) + 1
             live_s[position] = time.monotonic()
             await asyncio.to_thread(store.add, shift_result(position, vehicle=VEHICLE), STATE)
             outbox.nudge()
-    duration_s = time.monotonic() - begin_s
-    await outbox.close(sender)
+    duration_s, cpu_s = time.monotonic() - begin_s, time.process_time() - begin_cpu_s
+    await outbox.close(sender, timeout_s=20.0)
     delays_s = [store.settled_s[position] - added_s for position, added_s in live_s.items()]
-    return (backlog + len(live_s)) / duration_s, delays_s
+    return backlog / duration_s, cpu_s / backlog, delays_s
 
 
-async def one_by_one(store: ResultStore, port: int) -> float:
+async def one_by_one(store: ResultStore, port: int) -> tuple[float, float]:
     rows = store.waiting(VEHICLE, after=0, before=2**62, limit=PEER_COUNT)
-    begin_s = time.monotonic()
+    begin_s, begin_cpu_s = time.monotonic(), time.process_time()
     async with aiomqtt.Client("127.0.0.1", port, protocol=aiomqtt.ProtocolVersion.V5) as client:
         for row in rows:
             message = raw_shift_message(row.key, row.produced_at, row.text)
             await client.publish(message.topic, message.payload, qos=1)
             store.mark_published([row.position])
-    return len(rows) / (time.monotonic() - begin_s)
+    return len(rows) / (time.monotonic() - begin_s), (time.process_time() - begin_cpu_s) / len(rows)
 
 
 def measure(count: int) -> None:
-    rates: dict[str, float] = {}
+    rates: dict[str, tuple[float, float]] = {}
     delays_s: list[float] = []
     for name in ("one by one, each marked", "outbox, broker's word", "outbox, backend's word"):
         with tempfile.TemporaryDirectory() as folder:
@@ -151,14 +156,16 @@ def measure(count: int) -> None:
                 if is_peer:
                     rates[name] = asyncio.run(one_by_one(store, broker.port))
                 elif "broker" in name:
-                    rates[name], _ = asyncio.run(drain(store, broker.port, Acknowledge.BROKER))
+                    rate, cpu_s, _ = asyncio.run(drain(store, broker.port, Acknowledge.BROKER))
+                    rates[name] = rate, cpu_s
                 else:
                     with backend(broker.port):
-                        rates[name], delays_s = asyncio.run(drain(store, broker.port, Acknowledge.BACKEND))
+                        rate, cpu_s, delays_s = asyncio.run(drain(store, broker.port, Acknowledge.BACKEND))
+                        rates[name] = rate, cpu_s
             broker.stop()
-    peer = rates["one by one, each marked"]
-    for name, rate in rates.items():
-        print(f"{name:<26} {rate:>8.0f} results/s  {rate / peer:>6.1f} x")
+    peer, _ = rates["one by one, each marked"]
+    for name, (rate, cpu_s) in rates.items():
+        print(f"{name:<26} {rate:>8.0f} results/s  {rate / peer:>6.1f} x  {1e6 * cpu_s:>6.0f} us of this process each")
     print(f"live results during the drain, added to acknowledged: {len(delays_s)}, longest {max(delays_s):.2f} s")
 
 

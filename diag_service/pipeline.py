@@ -2,22 +2,23 @@
 
 import logging
 from collections import deque
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
 
 from clutch_model.calibration import Calibration
 from diag_service.condition import ConditionMemory, judge
 from diag_service.errors import StoreFullError
 from diag_service.estimation import ALGORITHM_VERSION, Belief, Estimator
 from diag_service.frames import FrameBatch
-from diag_service.mapping import Decoder
+from diag_service.mapping import Decoder, MessageCounts
 from diag_service.notices import NOTICE
 from diag_service.publishers import Reporter
-from diag_service.records import ClutchVerdict, ShiftEstimate, ShiftEvent, ShiftResult
+from diag_service.records import ClutchVerdict, ShiftEstimate, ShiftEvent, ShiftResult, Status
 from diag_service.results import utc_from_bus_ns
 from diag_service.shifts import ShiftFinder
 from diag_service.store import ResultStore, VehicleState, Versions
 from diag_service.summary import FrameCounts, ShiftTally, Summary, frames_line, summarise
+from diag_service.trust import TrustBasis, assess, reasons_against
 
 MAX_PENDING = 1000  # results in memory while the disk is full
 _LOG = logging.getLogger(__name__)
@@ -41,6 +42,11 @@ class Stages:
         self._finder = ShiftFinder()
         self._estimator = Estimator(calibration)
         self._calibration = calibration
+        self._basis = TrustBasis(
+            mandatory_messages=decoder.mandatory_messages,
+            limits=decoder.limits,
+            calibration_date=calibration.made_on,
+        )
         self._belief = belief
         self._memory = memory
 
@@ -53,14 +59,30 @@ class Stages:
         return [event for columns in self._decoder.feed(batch) for event in self._finder.feed(columns)]
 
     def flush(self) -> list[ShiftEvent]:
-        """End the stream: return what is still open."""
+        """End the segment: return what is still open; frames that come later begin another one."""
+        self._decoder.interrupt()
         return self._finder.flush()
 
     def conclude(self, event: ShiftEvent) -> Diagnosis:
         """Estimate and judge the next shift; shifts must come in order. May take a moment."""
-        self._belief, estimate = self._estimator.estimate(event, self._belief)
+        trust = assess(event, self._basis)
+        belief, estimate = self._estimator.estimate(event, self._belief)
+        if estimate.status is not Status.REJECTED and (reasons := reasons_against(trust)):
+            estimate = replace(estimate, status=Status.REJECTED, reasons=reasons, friction=None)
+            belief = self._belief  # data that are not trusted leave no trace in the running state
+        self._belief, estimate = belief, replace(estimate, trust=trust)
         self._memory, verdict = judge(self._memory, self._belief, estimate.clutch, self._calibration)
         return Diagnosis(estimate=estimate, verdict=verdict, belief=self._belief, memory=self._memory)
+
+    @property
+    def messages(self) -> Mapping[str, MessageCounts]:
+        """What became of the frames of each message, and its state."""
+        return self._decoder.counts.messages
+
+    @property
+    def nominal_hz(self) -> Mapping[str, float]:
+        """How often each cyclic message should come."""
+        return self._decoder.nominal_hz
 
     def frame_counts(self) -> FrameCounts:
         """Return what the decoder counted; how the frames came here, their source adds."""
@@ -144,6 +166,16 @@ class Session:
     def _tell(self, result: ShiftResult, *, is_new: bool) -> None:
         self._tally.add(result, is_new=is_new)
         self.reporter.report(result)
+
+    @property
+    def vehicle(self) -> str:
+        """Vehicle id."""
+        return self._vehicle
+
+    @property
+    def recent(self) -> tuple[ShiftResult, ...]:
+        """The last shifts, oldest first."""
+        return self._tally.recent
 
     def summary(self, frames: FrameCounts, unpublished_count: int | None) -> Summary:
         """Return the numbers of the run as they stand."""

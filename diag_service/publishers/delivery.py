@@ -16,6 +16,7 @@ from fleet_contract import Outcome, Outgoing, Receipt, clutch_message, raw_shift
 
 BATCH: Final = 200
 WINDOW: Final = 2000  # results that a backend may owe us a receipt for
+BACKLOG_LAG_S: Final = 2.0  # so far behind a backend may be before it gets more of the backlog
 RESEND_S = 10.0  # after so long without one they are sent again, then after twice as long ...
 LONGEST_RESEND_S: Final = 120.0  # ... and so on to this
 _LOG = logging.getLogger(__name__)
@@ -169,9 +170,9 @@ class Delivery:
         if again:
             return again
         room = WINDOW - len(self._owed)
-        if room > 0:
+        if room > 0 and self._longest_owed_s(now_s) < BACKLOG_LAG_S:
             return self._lanes.next(min(BATCH, room))
-        # The backend may be busy with what is old; a little of today's goes beside it.
+        # The backend is behind; what happens now does not wait until it has caught up.
         return self._lanes.next_fresh(min(BATCH, WINDOW + room))
 
     def _next_repeated(self) -> list[StoredResult]:
@@ -184,6 +185,9 @@ class Delivery:
                 self._counts.repeated += len(rows)
                 return rows
         return []
+
+    def _longest_owed_s(self, now_s: float) -> float:
+        return now_s - next(iter(self._owed.values())) if self._owed else 0.0
 
     def _collect_overdue(self, now_s: float) -> None:
         """Take up again what was sent too long ago; less and less often while the backend says nothing at all."""

@@ -16,6 +16,7 @@ from paho.mqtt.reasoncodes import ReasonCode
 from diag_service.errors import PublishError
 from diag_service.publishers.base import Hear
 from diag_service.publishers.mqtt_client import AT_LEAST_ONCE, PipeliningClient
+from diag_service.publishers.tls import TlsFiles
 from diag_service.results import ServiceStatus, status_record
 from fleet_contract import (
     Channel,
@@ -29,6 +30,7 @@ from fleet_contract import (
 )
 
 TIMEOUT_S = 5.0  # for a connection or an acknowledgement
+RENEWAL_PERIOD_S = 5.0  # how often a look is taken whether a certificate was renewed
 KEEPALIVE_S = 20  # a dead peer is known after 1.5 times this
 _FAREWELL_S = 1.0
 _SESSION_S = 7 * 24 * 3600  # how long a broker keeps acknowledgements for a vehicle that is away
@@ -44,6 +46,7 @@ class BrokerAddress:
     port: int = 1883
     username: str | None = None
     password: str | None = field(default=None, repr=False)
+    tls: TlsFiles | None = None  # None: not encrypted
 
     def __str__(self) -> str:
         host = f"[{self.host}]" if ":" in self.host else self.host
@@ -53,8 +56,10 @@ class BrokerAddress:
 class MqttLink:
     """One connection, while it lasts."""
 
-    def __init__(self, client: PipeliningClient) -> None:
+    def __init__(self, client: PipeliningClient, tls: TlsFiles | None = None) -> None:
         self._client = client
+        self._tls = tls
+        self._tls_fingerprint = None if tls is None else tls.fingerprint()
         self._hear: Hear | None = None
         self._early: list[Receipt] = []  # heard before anyone listened: a persistent session brings them at once
         self._reader = asyncio.create_task(self._read(), name="mqtt-reader")
@@ -93,8 +98,13 @@ class MqttLink:
             raise PublishError(f"subscription to {topic} was refused")
 
     async def lost(self) -> None:
-        """Return when the connection is lost."""
-        await asyncio.wait((self._reader,))
+        """Return when the connection is lost, or when a certificate was renewed."""
+        while self._tls is not None and self._tls.fingerprint() == self._tls_fingerprint:
+            done, _ = await asyncio.wait((self._reader,), timeout=RENEWAL_PERIOD_S)
+            if done:
+                return
+        if self._tls is None:
+            await asyncio.wait((self._reader,))
 
     async def end(self) -> None:
         """Hear no more."""
@@ -154,7 +164,7 @@ class MqttConnector:
         online = None if self._status is None else replace(self._status, is_online=True, connected_at=connected_at)
         offline = None if online is None else replace(online, is_online=False)
         client = await self._open(offline)
-        link = MqttLink(client)
+        link = MqttLink(client, self._address.tls)
         try:
             if online is not None:
                 await _announce(link, online)
@@ -205,6 +215,7 @@ class MqttConnector:
             protocol=protocol,
             will=None if will is None else _will(will),
             **session,
+            tls_context=None if self._address.tls is None else self._address.tls.context(),
             timeout=TIMEOUT_S,
             keepalive=KEEPALIVE_S,
         )
