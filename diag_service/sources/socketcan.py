@@ -6,10 +6,12 @@ import os
 import socket
 import struct
 from collections.abc import AsyncIterator
+from dataclasses import replace
 
 from diag_service.errors import SourceError
 from diag_service.frames import FrameBatch
 from diag_service.sources.base import SourceCounts
+from diag_service.sources.bus_clock import BusClock
 from diag_service.sources.frame_queue import FrameQueue
 from diag_service.sources.recvmmsg import SO_TIMESTAMPNS, FrameReceiver
 
@@ -35,6 +37,8 @@ class SocketCanSource:
         Interface name, such as ``vcan0``.
     fd : bool
         Receive CAN FD frames as well; without it the kernel keeps them from this socket, uncounted.
+    clock : BusClock or None
+        What takes steps of the wall clock out of the times.
     receive_buffer_bytes : int
         What to ask of the kernel; without privileges it may grant less.
 
@@ -51,11 +55,13 @@ class SocketCanSource:
         fd: bool = False,
         receive_buffer_bytes: int = RECEIVE_BUFFER_BYTES,
         queue: FrameQueue | None = None,
+        clock: BusClock | None = None,
     ) -> None:
         self._channel = channel
         self._queue = queue or FrameQueue()
         self._socket: socket.socket | None = open_socket(channel, fd=fd, receive_buffer_bytes=receive_buffer_bytes)
         self._receiver = FrameReceiver(self._socket.fileno())
+        self._clock = clock or BusClock()
         self._received = 0
         self._unsupported = 0
         self._final_drops = 0
@@ -76,6 +82,7 @@ class SocketCanSource:
             kernel_dropped=self._final_drops if self._socket is None else kernel_drops(self._socket),
             queue_dropped=self._queue.dropped,
             unsupported=self._unsupported,
+            clock_steps=self._clock.step_count,
         )
 
     async def __aiter__(self) -> AsyncIterator[FrameBatch]:
@@ -94,6 +101,7 @@ class SocketCanSource:
 
     def _drain(self, *, is_last: bool = False) -> None:
         """Move what is waiting from the socket to the queue; runs whenever the socket is readable."""
+        self._clock.look()
         for _ in range(CALLS_PER_WAKE_UP):
             try:
                 reception = self._receiver.receive()
@@ -111,7 +119,8 @@ class SocketCanSource:
                 return
             self._received += reception.read
             self._unsupported += reception.unsupported
-            self._queue.offer(reception.batch)
+            batch = reception.batch
+            self._queue.offer(replace(batch, t_ns=self._clock.bus_time_ns(batch.t_ns)))
 
     def _close(self) -> None:
         if self._socket is not None:
