@@ -149,7 +149,9 @@ def _add_bus(parser: argparse.ArgumentParser) -> None:
 
 
 def _add_vehicle(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("--dbc", type=Path, metavar="FILE", help="message database (default: the shipped one)")
+    parser.add_argument(
+        "--dbc", type=Path, metavar="FILE", help="message database: DBC, KCD, ARXML or SYM (default: the shipped one)"
+    )
     parser.add_argument("--profile", type=Path, metavar="FILE", help="which DBC signals are which (TOML)")
     parser.add_argument("--calibration", type=Path, metavar="FILE", help="vehicle type (TOML; default: nominal)")
     parser.add_argument("--vehicle", default="vehicle", metavar="ID", help="vehicle id (default: %(default)s)")

@@ -11,6 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 FloatArray = npt.NDArray[np.float64]
+BoolArray = npt.NDArray[np.bool_]
 Int64Array = npt.NDArray[np.int64]
 UInt8Array = npt.NDArray[np.uint8]
 UInt32Array = npt.NDArray[np.uint32]
@@ -176,6 +177,10 @@ class Reason(StrEnum):
     FRAMES_MISSING = "frames_missing"
     NO_SLIP_WINDOW = "no_slip_window"
     MISFIT = "misfit"  # chi-square above the gate
+    SENSOR_FROZEN = "sensor_frozen"  # a signal repeats a value while noise is expected
+    SPEEDS_DISAGREE = "speeds_disagree"  # shafts that turn together read different speeds
+    PRESSURE_OFF_COMMAND = "pressure_off_command"  # a loaded clutch's pressure is not the commanded one
+    ZERO_JUMPED = "zero_jumped"  # an empty clutch's pressure reads something else than before
     OUT_OF_RANGE = "out_of_range"  # a signal outside the domain of the model
     NOT_UPDATED = "not_updated"  # sound, but the running state refused it
     E2E_INVALID = "e2e_invalid"  # a message that the estimate needs was not to be believed as a whole
