@@ -7,7 +7,6 @@ import pytest
 
 from clutch_model.calibration import nominal_calibration
 from diag_service.estimation import Belief
-from diag_service.estimation.belief import 
 from diag_service.estimation.parameters import State
 from diag_service.estimation.plausibility import is_frozen, zero_has_jumped
 from diag_service.records import FloatArray, Series, Signal
