@@ -37,6 +37,7 @@ ROUGH_PASS_COUNT = 3  # before them even a good shift does not fit
 CONVERGED = 0.02  # of a standard deviation
 NEARLY_CONVERGED = 0.3  # a slip window that begins a sample earlier or later from pass to pass can do that
 MISFIT_GATE = 4.0  # chi-square per degree of freedom
+MAX_DEPARTURE = 5.0  # standard deviations of the type
 MAX_MEAN_MISFIT = 2.0  # of the shifts used: beyond it this is not the vehicle type that the calibration describes
 LOOSE_STD = {
     Considered.TORQUE_LATENCY: 0.015,
@@ -134,6 +135,10 @@ def self_calibrate(
             break
     if rest > NEARLY_CONVERGED:
         return f"the self-calibration did not converge: still {rest:.1f} standard deviations a pass"
+    departure = np.abs(mean - prior)[FRICTION_COUNT:] / np.sqrt(np.diag(spread))[FRICTION_COUNT:]
+    if np.max(departure) > MAX_DEPARTURE:
+        name = NUISANCE_NAMES[int(np.argmax(departure))]
+        return f"{name} would be {np.max(departure):.0f} standard deviations from its type: not a vehicle of this type"
     return _concluded(point, mean, covariance, used, len(shifts), version)
 
 
