@@ -273,7 +273,8 @@ def report(rows: Sequence[Row]) -> Iterator[str]:
                 f"of {inside.size} within 2 std"
             )
         yield (
-            f"  clutch ratio: RMS mu_C {root_mean_square(ratio[:, 0]):.2f} %  mu_S {root_mean_square(ratio[:, 1]):.2f} %"
+            f"  clutch ratio: RMS mu_C {root_mean_square(ratio[:, 0]):.2f} %"
+            f"  mu_S {root_mean_square(ratio[:, 1]):.2f} %"
         )
         for name, values, unit in (
             ("torque gain", [row.gain for row in chosen], "%"),

@@ -20,6 +20,16 @@ PROGRAM = "diag-service"
 BROKER_VARIABLE = "CLUTCHDIAG_BROKER"  # keeps a password out of the process list
 
 EXIT_OK, EXIT_UNEXPECTED, EXIT_CONFIG, EXIT_SOURCE, EXIT_STORE = range(5)
+_NO_DELIVERY = {
+    "broker": None,
+    "ca": None,
+    "cert": None,
+    "key": None,
+    "password_file": None,
+    "acknowledge": "broker",
+    "store_budget": None,
+}
+"""Options that commands without results do not have."""
 _EXIT_TEXT = "exit status: 0 done or stopped, 1 unexpected error, 2 usage, calibration or DBC, 3 bus or log, 4 store"
 
 
@@ -143,9 +153,7 @@ def _parser() -> _Parser:
     monitor = commands.add_parser("monitor", help="show a live bus, store nothing", epilog=_EXIT_TEXT)
     _add_bus(monitor)
     _add_vehicle(monitor)
-    monitor.set_defaults(
-        broker=None, ca=None, cert=None, key=None, password_file=None, acknowledge="broker", store_budget=None
-    )
+    monitor.set_defaults(**_NO_DELIVERY)
 
     analyze = commands.add_parser("analyze", help="diagnose recorded logs of one drive", epilog=_EXIT_TEXT)
     analyze.add_argument("logs", nargs="+", type=Path, metavar="LOG", help="candump, BLF, ASC or MF4 file")
@@ -166,7 +174,7 @@ def _parser() -> _Parser:
     )
     _add_vehicle(calibrate)
     calibrate.add_argument("--json", action="store_true", help="JSON on standard output")
-    calibrate.set_defaults(broker=None)
+    calibrate.set_defaults(**_NO_DELIVERY)
     return parser
 
 
