@@ -119,7 +119,7 @@ def _parser() -> _Parser:
     _add_common(run, "SQLite file for results (default: in the user's state directory, by vehicle)")
 
     analyze = commands.add_parser("analyze", help="diagnose recorded logs of one drive", epilog=_EXIT_TEXT)
-    analyze.add_argument("logs", nargs="+", type=Path, metavar="LOG", help="candump, BLF, ASC or MF4 file")
+    analyze.add_argument("logs", nargs="+", type=Path, metavar="LOG", help="log file of any known format")
     analyze.add_argument(
         "--estimator",
         choices=("impulse", "paper"),

@@ -1,8 +1,9 @@
 """Where frames come from: live buses and log files, all as FrameBatch."""
 
 from diag_service.sources.base import FrameSource, SourceCounts
+from diag_service.sources.detection import LogFormat
 from diag_service.sources.factory import open_source
-from diag_service.sources.logs import LogFormat, LogReader, read_log
+from diag_service.sources.logs import LogReader, read_log
 from diag_service.sources.tally import LogCounts, LogReject
 
 __all__ = [

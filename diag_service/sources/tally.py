@@ -10,7 +10,6 @@ class LogReject(StrEnum):
     """Why a piece of a log gave no frame."""
 
     MALFORMED = "malformed"  # not in the grammar of the format
-    CAN_FD = "can_fd"  # more than eight bytes: the columns hold classic frames
     CUT_OFF = "cut_off"  # the file ends inside it
     DAMAGED = "damaged"  # a container or object whose size or compression is wrong
 
@@ -24,6 +23,7 @@ class LogCounts:
     rejected: Mapping[LogReject, int] = field(default_factory=dict)
     first_rejected: str = ""  # where and why, for people
     truncated: bool = False  # the file ends before its own end
+    unfinished: bool = False  # its writer did not close it: what is missing at the end cannot be told
 
 
 class Tally:
@@ -33,6 +33,7 @@ class Tally:
         self.frames = 0
         self.skipped = 0
         self.truncated = False
+        self.unfinished = False
         self._rejected: Counter[LogReject] = Counter()
         self._first_rejected = ""
 
@@ -44,6 +45,15 @@ class Tally:
             self._first_rejected = f"{place}: {reason}"
         self._rejected[reason] += count
 
+    def take(self, counts: LogCounts) -> None:
+        """Add what another reader of the same log counted."""
+        self.frames += counts.frames
+        self.skipped += counts.skipped
+        self.truncated |= counts.truncated
+        self.unfinished |= counts.unfinished
+        self._first_rejected = self._first_rejected or counts.first_rejected
+        self._rejected.update(counts.rejected)
+
     def snapshot(self) -> LogCounts:
         """Return the counts of now."""
         return LogCounts(
@@ -52,4 +62,5 @@ class Tally:
             rejected=dict(self._rejected),
             first_rejected=self._first_rejected,
             truncated=self.truncated,
+            unfinished=self.unfinished,
         )
