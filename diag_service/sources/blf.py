@@ -15,6 +15,7 @@ from typing import BinaryIO
 from diag_service.errors import SourceError
 from diag_service.frames import FrameBatch
 from diag_service.sources.blf_objects import LONGEST_PADDING, OBJECT_HEADER, OBJECT_MAGIC, ObjectStream
+from diag_service.sources.columns import join
 from diag_service.sources.tally import LogReject, Tally
 
 MAGIC = b"LOGG"
@@ -22,6 +23,7 @@ FILE_HEADER = struct.Struct("<4sL8BQQLL8H8H")
 FILE_SIZE_FIELD = 10
 START_FIELDS = slice(14, 22)  # SYSTEMTIME: year, month, day of week, day, hour, minute, second, millisecond
 CONTAINER_HEADER = struct.Struct("<H6xL4x")  # compression, inflated size
+FRAMES_PER_BATCH = 65_536
 LOG_CONTAINER = 10
 CONTAINER_OBJECT_BYTES = 16  # of the header of a container; all others have longer ones
 STORED, DEFLATED = 0, 2
@@ -31,7 +33,7 @@ US_PER_S = 1_000_000
 
 
 def read_blf(stream: BinaryIO, tally: Tally) -> Iterator[FrameBatch]:
-    """Yield the frames of a BLF file, one batch for each container.
+    """Yield the frames of a BLF file, one batch for several containers.
 
     Raises
     ------
@@ -48,14 +50,24 @@ def read_blf(stream: BinaryIO, tally: Tally) -> Iterator[FrameBatch]:
     stated_bytes = int(fields[FILE_SIZE_FIELD])
     tally.truncated = size_bytes < stated_bytes or stated_bytes <= header_bytes < size_bytes
     objects = ObjectStream(start_us(fields[START_FIELDS]), tally)
+    waiting: list[FrameBatch] = []
     for data, is_whole in containers(stream, header_bytes, size_bytes, tally):
-        batch = objects.feed(data)
+        waiting.append(objects.feed(data))
         if not is_whole:
             objects.lose_track()
-        if len(batch):
-            tally.frames += len(batch)
-            yield batch
+        if sum(map(len, waiting)) >= FRAMES_PER_BATCH:
+            yield _counted(waiting, tally)
+            waiting = []
     objects.finish()
+    if any(map(len, waiting)):
+        yield _counted(waiting, tally)
+
+
+def _counted(batches: list[FrameBatch], tally: Tally) -> FrameBatch:
+    """Return the frames of several containers: what works on columns wants long ones."""
+    batch = join(batches)
+    tally.frames += len(batch)
+    return batch
 
 
 def start_us(systemtime: tuple[int, ...]) -> int:

@@ -61,7 +61,7 @@ def parse_objects(
         at, size = _locate(raw, at, report)
         if size < 0:
             break
-        kind = _unsigned(raw, at + KIND_OFFSET, 4)
+        kind = _word(raw, at + KIND_OFFSET)
         if kind >= MOST_KINDS:
             _count_damage(report)
         elif layouts[kind, DATA] < 0:
@@ -101,7 +101,7 @@ def _locate(raw: UInt8Array, at: int, report: Int64Array) -> tuple[int, int]:
         report[IS_LOST] = 0
         if found + HEADER_BYTES > len(raw):
             return found, -1
-        size = _unsigned(raw, found + SIZE_OFFSET, 4)
+        size = _word(raw, found + SIZE_OFFSET)
         if HEADER_BYTES <= size <= MAX_OBJECT_BYTES:
             return (found, size) if found + size <= len(raw) else (found, -1)
         _count_damage(report)
@@ -113,19 +113,22 @@ def _locate(raw: UInt8Array, at: int, report: Int64Array) -> tuple[int, int]:
 def _next_object(raw: UInt8Array, at: int) -> int:
     """Return where the next object begins, -1 if there is none."""
     while at + 4 <= len(raw):
-        if raw[at] == 76 and _unsigned(raw, at, 4) == MAGIC_WORD:
+        if _word(raw, at) == MAGIC_WORD:
             return at
         at += 1
     return -1
 
 
 @array_kernel
-def _unsigned(raw: UInt8Array, at: int, size: int) -> int:
-    """Return a little-endian number."""
-    value = np.int64(0)
-    for index in range(size):
-        value |= np.int64(raw[at + index]) << (8 * index)
-    return int(value)
+def _half(raw: UInt8Array, at: int) -> int:
+    """Return a little-endian number of two bytes."""
+    return int(np.int64(raw[at]) | np.int64(raw[at + 1]) << 8)
+
+
+@array_kernel
+def _word(raw: UInt8Array, at: int) -> int:
+    """Return a little-endian number of four bytes."""
+    return int(_half(raw, at) | np.int64(raw[at + 2]) << 16 | np.int64(raw[at + 3]) << 24)
 
 
 @array_kernel
@@ -144,7 +147,7 @@ def _frame(
     data: UInt8Array,
 ) -> int:
     """Write the frame of an object into a row; return TAKEN, or why it could not be."""
-    header = _unsigned(raw, at + HEADER_SIZE_OFFSET, 2)
+    header = _half(raw, at + HEADER_SIZE_OFFSET)
     if header < STAMPED_HEADER_BYTES or header > LONGEST_HEADER_BYTES or size < header + layout[DATA]:
         return BROKEN
     time_ns = _time_ns(raw, at, start_ns)
@@ -152,12 +155,12 @@ def _frame(
         return BROKEN
     body = at + header
     t_ns[row] = time_ns
-    channel[row] = min(_unsigned(raw, body, layout[CHANNEL_BYTES]), 255)
+    channel[row] = min(_half(raw, body), 255) if layout[CHANNEL_BYTES] == 2 else raw[body]
     if layout[IS_ERROR]:
         can_id[row], length[row], flags[row] = ERROR_FLAG, 0, 0
         data[row, :] = 0
         return TAKEN
-    identifier = _unsigned(raw, body + CAN_ID_OFFSET, 4)
+    identifier = _word(raw, body + CAN_ID_OFFSET)
     limit = MAX_EXTENDED_ID | EXTENDED_FLAG if identifier & EXTENDED_FLAG else MAX_STANDARD_ID
     if identifier > limit:
         return BROKEN
@@ -176,19 +179,28 @@ def _frame(
         flags[row] = FD_FLAG | (BRS_FLAG if is_fast else 0) | (ESI_FLAG if is_passive else 0)
     end = raw[body + layout[EXTENSION]] if layout[EXTENSION] >= 0 else 0
     stored = 0 if is_remote else (min(end, size) if end else size) - header - layout[DATA]
-    stored = max(min(stored, count), 0)
-    for index in range(stored):
-        data[row, index] = raw[body + layout[DATA] + index]
-    for index in range(stored, data.shape[1]):
-        data[row, index] = 0
+    _copy(raw, body + layout[DATA], max(min(stored, count), 0), row, data)
     return TAKEN
+
+
+@array_kernel
+def _copy(raw: UInt8Array, at: int, count: int, row: int, data: UInt8Array) -> None:
+    """Copy a payload into a row that is zero behind it."""
+    if count == PAYLOAD_BYTES and data.shape[1] == PAYLOAD_BYTES:  # nearly all there are
+        for index in range(PAYLOAD_BYTES):
+            data[row, index] = raw[at + index]
+        return
+    for index in range(count):
+        data[row, index] = raw[at + index]
+    for index in range(count, data.shape[1]):
+        data[row, index] = 0
 
 
 @array_kernel
 def _time_ns(raw: UInt8Array, at: int, start_ns: int) -> int:
     """Return the time of an object since the epoch, rounded to microseconds; -1 if there can be no such time."""
-    is_coarse = _unsigned(raw, at + FLAGS_OFFSET, 4) == TEN_MICROSECONDS
-    count = _unsigned(raw, at + TIME_OFFSET, 8)
+    is_coarse = _word(raw, at + FLAGS_OFFSET) == TEN_MICROSECONDS
+    count = _word(raw, at + TIME_OFFSET) | _word(raw, at + TIME_OFFSET + 4) << 32
     unit = NS_PER_TEN_US if is_coarse else 1
     if count < 0 or count > (LAST_NS - start_ns) // unit:
         return -1

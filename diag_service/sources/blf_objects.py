@@ -67,9 +67,9 @@ LAYOUTS = {1: MESSAGE, 86: MESSAGE, 100: FD_MESSAGE, 101: FD_MESSAGE_64, 2: ERRO
 ABSENT = Layout(data=-1)
 
 
-def layout_table() -> Int64Array:
-    """Return the layouts of all kinds of objects, a row each."""
-    return np.array([astuple(LAYOUTS.get(kind, ABSENT)) for kind in range(MOST_KINDS)], np.int64)
+LAYOUT_TABLE: Int64Array = np.array(
+    [astuple(LAYOUTS.get(kind, ABSENT)) for kind in range(MOST_KINDS)], np.int64
+)  # a row for each kind of object
 
 
 class ObjectStream:
@@ -78,7 +78,6 @@ class ObjectStream:
     def __init__(self, start_us: int, tally: Tally) -> None:
         self._start_ns = start_us * NS_PER_US
         self._tally = tally
-        self._layouts = layout_table()
         self._arena = Arena.of(1)
         self._tail = b""  # the beginning of an object that the next container continues
         self._number = 0  # objects seen, for messages
@@ -93,7 +92,7 @@ class ObjectStream:
         arena.reserve(len(raw) // STAMPED_HEADER_BYTES + 1)
         while True:
             parse_objects(
-                raw, self._layouts, self._start_ns, arena.t_ns, arena.can_id, arena.length, arena.flags, arena.channel,
+                raw, LAYOUT_TABLE, self._start_ns, arena.t_ns, arena.can_id, arena.length, arena.flags, arena.channel,
                 arena.data, report,
             )  # fmt: skip
             if not report[IS_TOO_WIDE]:

@@ -19,6 +19,7 @@ from diag_service.sources.tally import LogReject, Tally
 from diag_service.sources.text_kernels import (
     AT_END,
     BLANK,
+    DECIMAL_PAIR,
     FRAME,
     HEX_VALUE,
     IS_LENGTH,
@@ -32,6 +33,7 @@ from diag_service.sources.text_kernels import (
     STOP,
     WIDEN,
     count_lines,
+    eight_hex_bytes,
     hex_bytes,
     skip_blanks,
     skip_line,
@@ -47,6 +49,8 @@ NS_DIGITS = 9
 NS_PER_S = 1_000_000_000
 NS_PER_US = 1_000
 FD_DIGIT_BITS = 0x03  # of the digit behind "##": bit rate switch and error state, as in ``flags``
+
+USUAL_TIME_BYTES = 19  # "(1767225600.000000)"
 
 # Characters of the grammar.
 OPEN, CLOSE, POINT, HASH, UNDERSCORE = 40, 41, 46, 35, 95
@@ -173,7 +177,7 @@ def _parse_line(
     at = skip_blanks(text, at)
     if text[at] == NEWLINE:
         return SKIPPED, at + 1, 0
-    time, at = _parse_time(text, at)
+    time, at = _time_ns(text, at)
     if time < 0:
         return MALFORMED, skip_line(text, at), 0
     at = skip_blanks(text, at)
@@ -214,6 +218,28 @@ def _channel_number(name: int, hashes: Int64Array, numbers: UInt8Array, known: i
         if hashes[index] == name:
             return int(numbers[index])
     return -1
+
+
+@array_kernel
+def _time_ns(text: UInt8Array, at: int) -> tuple[int, int]:
+    """Parse a time in brackets; return it, -1 if it is none, and the position behind it."""
+    time, behind = _usual_time(text, at)
+    return (time, behind) if time >= 0 else _parse_time(text, at)
+
+
+@array_kernel
+def _usual_time(text: UInt8Array, at: int) -> tuple[int, int]:
+    """Parse ``(1767225600.000000)``, its digits in independent pairs; -1 if any of it stands elsewhere."""
+    if at + USUAL_TIME_BYTES > len(text) or text[at] != OPEN or text[at + 11] != POINT or text[at + 18] != CLOSE:
+        return -1, at
+    a, b = DECIMAL_PAIR[text[at + 1], text[at + 2]], DECIMAL_PAIR[text[at + 3], text[at + 4]]
+    c, d = DECIMAL_PAIR[text[at + 5], text[at + 6]], DECIMAL_PAIR[text[at + 7], text[at + 8]]
+    e, f = DECIMAL_PAIR[text[at + 9], text[at + 10]], DECIMAL_PAIR[text[at + 12], text[at + 13]]
+    g, h = DECIMAL_PAIR[text[at + 14], text[at + 15]], DECIMAL_PAIR[text[at + 16], text[at + 17]]
+    if a | b | c | d | e | f | g | h < 0:
+        return -1, at
+    seconds = a * 100_000_000 + b * 1_000_000 + c * 10_000 + d * 100 + e
+    return seconds * NS_PER_S + (f * 10_000 + g * 100 + h) * NS_PER_US, at + USUAL_TIME_BYTES
 
 
 @array_kernel
@@ -263,6 +289,10 @@ def _parse_id(text: UInt8Array, at: int) -> tuple[int, int]:
 @array_kernel
 def _payload(text: UInt8Array, at: int, row: int, data: UInt8Array, limit: int) -> tuple[int, int]:
     """Parse ``1122`` or ``11.22`` into a row that is zero behind it; return the count and the position."""
+    end = at + 2 * PAYLOAD_BYTES
+    is_usual = end < len(text) and text[end] <= BLANK and data.shape[1] == PAYLOAD_BYTES
+    if is_usual and eight_hex_bytes(text, at, row, data):
+        return PAYLOAD_BYTES, end
     count, at = hex_bytes(text, at, row, data, limit, POINT)
     for index in range(count, data.shape[1]):
         data[row, index] = 0

@@ -24,6 +24,14 @@ HEX_VALUE: npt.NDArray[np.int8] = np.full(256, -1, np.int8)
 for _digit in range(16):
     HEX_VALUE[ord(f"{_digit:x}")] = HEX_VALUE[ord(f"{_digit:X}")] = _digit
 
+# Two characters at a time: their value as hexadecimal and as decimal digits, -1 for any others.
+_HEX_PAIRS = 16 * HEX_VALUE[:, None].astype(np.int16) + HEX_VALUE[None, :]
+_ARE_HEX = (HEX_VALUE[:, None] >= 0) & (HEX_VALUE[None, :] >= 0)
+HEX_PAIR: npt.NDArray[np.int16] = np.where(_ARE_HEX, _HEX_PAIRS, np.int16(-1))
+_DECIMAL_PAIRS = 10 * HEX_VALUE[:, None].astype(np.int64) + HEX_VALUE[None, :]
+_IS_DECIMAL = (HEX_VALUE >= 0) & (HEX_VALUE <= 9)
+DECIMAL_PAIR: npt.NDArray[np.int64] = np.where(_IS_DECIMAL[:, None] & _IS_DECIMAL[None, :], _DECIMAL_PAIRS, -1)
+
 FD_LENGTHS = (12, 16, 20, 24, 32, 48, 64)
 IS_LENGTH: npt.NDArray[np.bool_] = np.isin(np.arange(65), (*range(9), *FD_LENGTHS))
 
@@ -59,19 +67,27 @@ def hex_bytes(text: UInt8Array, at: int, row: int, data: UInt8Array, limit: int,
     Between two bytes the separator may stand. More bytes than the limit are not read.
     """
     count = 0
-    while count < limit:
-        high = HEX_VALUE[text[at]]
-        if high < 0:
+    while count < limit and text[at] != NEWLINE:
+        value = HEX_PAIR[text[at], text[at + 1]]
+        if value < 0:
             break
-        low = HEX_VALUE[text[at + 1]]
-        if low < 0:
-            break
-        data[row, count] = np.uint8(high * 16 + low)
+        data[row, count] = value
         count += 1
         at += 2
         if text[at] == separator and HEX_VALUE[text[at + 1]] >= 0:
             at += 1
     return count, at
+
+
+@array_kernel
+def eight_hex_bytes(text: UInt8Array, at: int, row: int, data: UInt8Array) -> bool:
+    """Read eight bytes without separators into a row, independently of each other; return whether they are such."""
+    seen = 0
+    for index in range(8):
+        value = HEX_PAIR[text[at + 2 * index], text[at + 2 * index + 1]]
+        data[row, index] = value & 0xFF
+        seen |= value
+    return seen >= 0
 
 
 @array_kernel
