@@ -7,8 +7,9 @@ import cantools
 import numpy as np
 from cantools.database.can import Database
 
-from diag_service.decode import SignalTable, compile_signal, payload_words
+from diag_service.codec import Codec
 from diag_service.frames import FrameBatch
+from diag_service.records import FloatArray
 from ecu_emulator.frames import EncodedFrames
 from ecu_emulator.record import open_log
 
@@ -73,14 +74,9 @@ class Decoder:
     """All signals of the bus, by the service's compiled tables."""
 
     def __init__(self) -> None:
-        self._tables: dict[int, list[SignalTable]] = {
-            message.frame_id: [compile_signal(message, signal.name, check_range=False) for signal in message.signals]
-            for message in load_bus().messages
-        }
+        self._codec = Codec(load_bus().messages, check_range=False)
 
-    def decode(self, batch: FrameBatch) -> Iterator[np.ndarray[tuple[int], np.dtype[np.float64]]]:
+    def decode(self, batch: FrameBatch) -> Iterator[FloatArray]:
         """Yield the values of one signal after the other."""
-        for frame_id, tables in self._tables.items():
-            words = payload_words(batch.data[np.flatnonzero(batch.can_id == frame_id)])
-            for table in tables:
-                yield table.decode(words).value
+        for message in self._codec.decode(batch):
+            yield from (decoded.value for decoded in message.signals.values())

@@ -8,14 +8,14 @@ from typing import Final
 import numpy as np
 from cantools.database.can import Database, Message
 
+from diag_service.addressing import Address, message_address, rows_by_slot
 from diag_service.decode import PayloadWords, SignalTable, compile_signal, payload_words
 from diag_service.errors import ConfigError
-from diag_service.frames import FrameBatch
+from diag_service.frames import MAX_GAP_NS, FrameBatch
 from diag_service.profile import MANDATORY, Conversion, Profile, SignalSource, to_si
 from diag_service.protection_check import FrameReason, FrameVerdicts, LinkMonitor
 from diag_service.records import ColumnBatch, Int64Array, Series, Signal
 
-MAX_GAP_NS: Final = 1_000_000_000  # a bus that was silent for longer starts a new segment
 NS_PER_MS: Final = 1_000_000
 
 REJECTIONS: Final = tuple(reason for reason in FrameReason if reason not in {FrameReason.OK, FrameReason.UNKNOWN_ID})
@@ -28,6 +28,8 @@ class MessageCounts:
     decoded: int
     rejected: Mapping[FrameReason, int]  # reasons that occurred
     missing: int  # sent, says the alive counter, but never received
+    channels: Mapping[int, int]  # frames by the bus they came on
+    senders: Mapping[int, int]  # frames by J1939 source address, empty for other messages
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -58,6 +60,7 @@ class MessageColumns:
     """A message and the canonical signals it carries."""
 
     message: Message
+    address: Address
     period_ns: int
     columns: tuple[SignalColumn, ...]
 
@@ -69,21 +72,31 @@ def map_signals(database: Database, profile: Profile) -> tuple[MessageColumns, .
     ------
     ConfigError
         With everything that does not fit: mandatory signals without a source, messages or signals that the database
-        lacks, units of another kind, signals that cannot be decoded.
+        lacks, units of another kind, signals that cannot be decoded, a message with several source addresses.
     """
     problems = [f"no source for {signal.value}" for signal in Signal if signal in MANDATORY - profile.sources.keys()]
     messages = {message.name: message for message in database.messages}
     found: dict[str, list[SignalColumn]] = {}
+    senders: dict[str, set[int]] = {}
     for signal, source in profile.sources.items():
         try:
             found.setdefault(source.message, []).append(_column(messages, signal, source))
         except ConfigError as error:
             problems.append(str(error))
+        if source.source_address is not None:
+            senders.setdefault(source.message, set()).add(source.source_address)
+    problems += [f"several source addresses for {name}" for name, named in senders.items() if len(named) > 1]
     if problems:
         raise ConfigError(f"profile {profile.name} does not fit the database: {'; '.join(problems)}")
     return tuple(
         MessageColumns(
             message=messages[name],
+            address=message_address(
+                messages[name],
+                is_j1939=profile.is_j1939,
+                sender=min(senders.get(name, ()), default=None),
+                channel=profile.channel,
+            ),
             period_ns=(messages[name].cycle_time or 0) * NS_PER_MS,
             columns=tuple(columns),
         )
@@ -124,7 +137,9 @@ class Decoder:
 
     def __init__(self, database: Database, profile: Profile) -> None:
         self._messages = map_signals(database, profile)
-        self._monitor = LinkMonitor([mapped.message for mapped in self._messages])
+        self._monitor = LinkMonitor(
+            [mapped.message for mapped in self._messages], [mapped.address for mapped in self._messages]
+        )
         self._invalid: dict[Signal, int] = {}
         self._last_ns: int | None = None
 
@@ -140,9 +155,13 @@ class Decoder:
         total = counts.sum(axis=0)
         messages = {
             mapped.message.name: MessageCounts(
-                decoded=int(row[FrameReason.OK]), rejected=_rejected(row), missing=int(lost)
+                decoded=int(counts[slot, FrameReason.OK]),
+                rejected=_rejected(counts[slot]),
+                missing=int(missing[slot]),
+                channels=self._monitor.channels(slot),
+                senders=self._monitor.senders(slot),
             )
-            for mapped, row, lost in zip(self._messages, counts[:-1], missing, strict=True)
+            for slot, mapped in enumerate(self._messages)
         }
         return DecoderCounts(
             received=int(total.sum()),
@@ -177,8 +196,8 @@ class Decoder:
             self._monitor.reset()
         verdicts = self._monitor.check(segment)
         columns: dict[Signal, Series] = {}
-        for index, rows in _rows_by_message(verdicts):
-            mapped = self._messages[index]
+        for slot, rows in rows_by_slot(verdicts.accepted, len(self._messages)):
+            mapped = self._messages[slot]
             words = payload_words(segment.data[rows])
             t_ns, sequence = segment.t_ns[rows], verdicts.sequence[rows]
             for column in mapped.columns:
@@ -210,17 +229,11 @@ def _rejected(row: Int64Array) -> Mapping[FrameReason, int]:
     return MappingProxyType({reason: int(row[reason]) for reason in REJECTIONS if row[reason]})
 
 
-def _rows_by_message(verdicts: FrameVerdicts) -> Iterator[tuple[int, Int64Array]]:
-    """Yield message and rows of the accepted frames, each message once, its rows in the order of arrival."""
-    good = np.flatnonzero(verdicts.reason == FrameReason.OK)
-    good = good[np.argsort(verdicts.slot[good], kind="stable")]
-    if len(good):
-        present, first = np.unique(verdicts.slot[good], return_index=True)
-        yield from zip(present.tolist(), np.split(good, first[1:]), strict=True)
-
-
 def _bad_frame_ns(segment: FrameBatch, verdicts: FrameVerdicts) -> Int64Array:
-    """Return when mapped messages failed: a rejected frame at its own time, a missing one where it was missed."""
-    is_rejected = (verdicts.reason >= FrameReason.SHORT) & (verdicts.slot >= 0)
+    """Return when mapped messages failed: a rejected frame at its own time, a missing one where it was missed.
+
+    Frames of another channel or sender are no failures of those that are followed.
+    """
+    is_rejected = (verdicts.reason >= FrameReason.SHORT) & (verdicts.reason <= FrameReason.WRONG_SEQUENCE)
     times = np.repeat(segment.t_ns, is_rejected + np.maximum(verdicts.missing, 0))
     return times.astype(np.int64, copy=False)

@@ -12,6 +12,10 @@ from clutch_model.units import k_from_degc, m_s_from_km_h, pa_from_bar, rad_s_fr
 from diag_service.errors import ConfigError
 from diag_service.records import BALANCE_SIGNALS, FloatArray, Signal
 
+MAX_NUMBER: Final = 0xFF  # of a channel or a J1939 source address
+PROTOCOLS: Final = {"can": False, "j1939": True}
+PROFILE_KEYS: Final = frozenset({"name", "signals", "protocol", "channel"})
+
 Conversion = Callable[[FloatArray], FloatArray]
 
 PROFILE_PATH: Final = Path(__file__).parent / "profiles" / "dct.toml"
@@ -69,10 +73,13 @@ class SignalSource:
     scale: float = 1.0
     offset: float = 0.0  # in the unit of the database
     check_range: bool = True  # whether values outside the database's [min|max] are invalid
+    source_address: int | None = None  # of a J1939 message; None: the first sender that is heard
 
     def __post_init__(self) -> None:
         if not (math.isfinite(self.scale) and math.isfinite(self.offset)) or self.scale == 0.0:
             raise ConfigError(f"scale {self.scale} and offset {self.offset} are not usable")
+        if self.source_address is not None and not 0 <= self.source_address <= MAX_NUMBER:
+            raise ConfigError(f"source_address {self.source_address} is not one of J1939")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -81,6 +88,8 @@ class Profile:
 
     name: str
     sources: Mapping[Signal, SignalSource]
+    is_j1939: bool = False  # 29-bit identifiers are matched by their parameter group, whatever the database says
+    channel: int | None = None  # bus of a log with several; None: the first on which a message is heard
 
 
 def load_profile(path: Path = PROFILE_PATH) -> Profile:
@@ -94,8 +103,10 @@ def load_profile(path: Path = PROFILE_PATH) -> Profile:
     """
     table = _read_table(path)
     signals = table.get("signals")
-    if not isinstance(signals, dict) or table.keys() - {"name", "signals"}:
-        raise ConfigError(f"profile {path} must have a table [signals] and, besides, at most a name")
+    if not isinstance(signals, dict) or table.keys() - PROFILE_KEYS:
+        raise ConfigError(
+            f"profile {path} must have a table [signals] and, besides, at most name, protocol and channel"
+        )
     sources: dict[Signal, SignalSource] = {}
     problems: list[str] = []
     for key, entry in signals.items():
@@ -103,9 +114,20 @@ def load_profile(path: Path = PROFILE_PATH) -> Profile:
             sources[_canonical(key)] = _source(entry)
         except ConfigError as error:
             problems.append(f"{key}: {error}")
+    channel = table.get("channel")
+    if channel is not None and not (type(channel) is int and 0 <= channel <= MAX_NUMBER):
+        problems.append(f"channel must be a number up to {MAX_NUMBER}")
+    protocol = table.get("protocol", "can")
+    if not isinstance(protocol, str) or protocol not in PROTOCOLS:
+        problems.append(f"protocol must be one of {', '.join(PROTOCOLS)}")
     if problems:
         raise ConfigError(f"profile {path}: {'; '.join(problems)}")
-    return Profile(name=str(table.get("name", path.stem)), sources=MappingProxyType(sources))
+    return Profile(
+        name=str(table.get("name", path.stem)),
+        sources=MappingProxyType(sources),
+        is_j1939=PROTOCOLS[str(protocol)],
+        channel=channel if isinstance(channel, int) else None,
+    )
 
 
 def to_si(signal: Signal, source: SignalSource, database_unit: str | None) -> Conversion:
@@ -151,6 +173,7 @@ _FIELD_TYPES: Final[Mapping[str, type | tuple[type, ...]]] = {
     "scale": (int, float),
     "offset": (int, float),
     "check_range": bool,
+    "source_address": int,
 }
 
 

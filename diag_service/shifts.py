@@ -4,7 +4,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from diag_service.records import ColumnBatch, EndReason, Int64Array, Series, ShiftEvent, Signal
+from diag_service.history import History, held
+from diag_service.records import ColumnBatch, EndReason, ShiftEvent, Signal
 
 NS_PER_S = 1_000_000_000
 PRE_NS = NS_PER_S // 2  # history before the shift: the on-coming clutch empty, the off-going one locked
@@ -39,34 +40,28 @@ class ShiftFinder:
     """
 
     def __init__(self) -> None:
-        self._tracks: dict[Signal, _Track] = {}
-        self._bad_ns: list[Int64Array] = []
+        self._history = History()
         self._closed: list[_Bounds] = []
         self._open: _Bounds | None = None
         self._overdue = False  # the open shift was reported as too long; wait until the gears agree
         self._gears = _Gears()
-        self._watermark_ns = -1
         self._followed_ns = -1
         self._shift_count = 0
 
     def feed(self, batch: ColumnBatch) -> list[ShiftEvent]:
         """Take the next columns and return the shifts that are now known in full, oldest first."""
         events = self.flush() if batch.breaks_before else []
-        for signal, series in batch.columns.items():
-            self._tracks.setdefault(signal, _Track()).append(series)
-        if len(batch.bad_frame_ns):
-            self._bad_ns.append(batch.bad_frame_ns)
-        self._watermark_ns = max(self._watermark_ns, batch.watermark_ns)
-        self._follow_gears(self._watermark_ns)
-        while self._closed and self._closed[0].end_ns + POST_NS < self._watermark_ns:
+        self._history.append(batch)
+        self._follow_gears(self._history.watermark_ns)
+        while self._closed and self._closed[0].end_ns + POST_NS < self._history.watermark_ns:
             events.append(self._cut(self._closed.pop(0)))
         self._forget_past()
         return events
 
     def flush(self) -> list[ShiftEvent]:
         """End the segment: report what is closed, and the open shift as interrupted."""
-        self._follow_gears(self._watermark_ns + 1)
-        self._close(self._watermark_ns, EndReason.INTERRUPTED)
+        self._follow_gears(self._history.watermark_ns + 1)
+        self._close(self._history.watermark_ns, EndReason.INTERRUPTED)
         events = [self._cut(bounds) for bounds in self._closed]
         self._forget_segment()
         return events
@@ -74,37 +69,33 @@ class ShiftFinder:
     @property
     def buffered_sample_count(self) -> int:
         """Samples held of all signals: bounded by the longest shift, whatever the length of the drive."""
-        return sum(track.sample_count for track in self._tracks.values())
+        return self._history.sample_count
 
     def _forget_segment(self) -> None:
-        self._tracks.clear()
-        self._bad_ns.clear()
+        self._history.clear()
         self._closed.clear()
         self._gears = _Gears()
         self._open = None
         self._overdue = False
-        self._watermark_ns = -1
         self._followed_ns = -1
 
     def _follow_gears(self, until_ns: int) -> None:
         """Walk the gear changes with ``t < until_ns``: at the watermark itself a sample may still be on its way."""
-        current = self._samples(Signal.CURRENT_GEAR, until_ns)
-        target = self._samples(Signal.TARGET_GEAR, until_ns)
+        current, target = (
+            self._history.samples(signal, self._followed_ns, until_ns)
+            for signal in (Signal.CURRENT_GEAR, Signal.TARGET_GEAR)
+        )
         self._followed_ns = until_ns
         t_ns = np.union1d(current.t_ns, target.t_ns)
         if not len(t_ns):
             self._close_overdue(until_ns)
             return
-        pairs = np.column_stack((_held(current, t_ns, self._gears.current), _held(target, t_ns, self._gears.target)))
+        pairs = np.column_stack((held(current, t_ns, self._gears.current), held(target, t_ns, self._gears.target)))
         before = np.vstack(((self._gears.current, self._gears.target), pairs[:-1]))
         for row in np.flatnonzero(np.any(pairs != before, axis=1)):
             self._close_overdue(int(t_ns[row]))
             self._step(int(t_ns[row]), _Gears(int(pairs[row, 0]), int(pairs[row, 1])))
         self._close_overdue(until_ns)
-
-    def _samples(self, signal: Signal, until_ns: int) -> Series:
-        track = self._tracks.get(signal)
-        return track.joined().between(self._followed_ns, until_ns) if track else _NO_SAMPLES
 
     def _step(self, t_ns: int, gears: _Gears) -> None:
         self._gears = gears
@@ -131,7 +122,6 @@ class ShiftFinder:
 
     def _cut(self, bounds: _Bounds) -> ShiftEvent:
         first_ns, stop_ns = bounds.start_ns - PRE_NS, bounds.end_ns + POST_NS
-        bad_ns = np.concatenate(self._bad_ns) if self._bad_ns else np.empty(0, np.int64)
         self._shift_count += 1
         return ShiftEvent(
             number=self._shift_count,
@@ -140,67 +130,12 @@ class ShiftFinder:
             start_ns=bounds.start_ns,
             end_ns=bounds.end_ns,
             end_reason=bounds.end_reason,
-            columns={
-                signal: track.joined().between(first_ns, stop_ns) for signal, track in sorted(self._tracks.items())
-            },
-            bad_frame_count=int(np.count_nonzero((bad_ns >= first_ns) & (bad_ns < stop_ns))),
+            columns=self._history.cut(first_ns, stop_ns),
+            bad_frame_count=self._history.bad_frame_count(first_ns, stop_ns),
         )
 
     def _forget_past(self) -> None:
         starts = [bounds.start_ns for bounds in self._closed]
         if self._open is not None:
             starts.append(self._open.start_ns)
-        keep_ns = min([*starts, self._watermark_ns]) - PRE_NS
-        for track in self._tracks.values():
-            track.drop_before(keep_ns)
-        self._bad_ns = [times for times in self._bad_ns if times.max() >= keep_ns]
-
-
-class _Track:
-    """The recent samples of one signal, in the pieces in which they came."""
-
-    def __init__(self) -> None:
-        self._pieces: list[Series] = []
-
-    def append(self, series: Series) -> None:
-        if len(series.t_ns):
-            self._pieces.append(series)
-
-    @property
-    def sample_count(self) -> int:
-        return sum(len(piece.t_ns) for piece in self._pieces)
-
-    def joined(self) -> Series:
-        if not self._pieces:
-            return _NO_SAMPLES
-        if len(self._pieces) > 1:
-            self._pieces = [
-                Series(
-                    t_ns=np.concatenate([piece.t_ns for piece in self._pieces]),
-                    sequence=np.concatenate([piece.sequence for piece in self._pieces]),
-                    value=np.concatenate([piece.value for piece in self._pieces]),
-                    period_ns=self._pieces[-1].period_ns,
-                )
-            ]
-        return self._pieces[0]
-
-    def drop_before(self, keep_ns: int) -> None:
-        """Forget pieces that lie wholly before ``keep_ns``, and cut a piece most of which does."""
-        self._pieces = [piece for piece in self._pieces if piece.t_ns[-1] >= keep_ns]
-        if self._pieces:
-            oldest = self._pieces[0]
-            stale = int(np.searchsorted(oldest.t_ns, keep_ns))
-            if 2 * stale > len(oldest.t_ns):
-                kept = oldest.between(keep_ns, int(oldest.t_ns[-1]) + 1)
-                self._pieces[0] = replace(
-                    kept, t_ns=kept.t_ns.copy(), sequence=kept.sequence.copy(), value=kept.value.copy()
-                )
-
-
-_NO_SAMPLES = Series(t_ns=np.empty(0, np.int64), sequence=np.empty(0, np.int64), value=np.empty(0))
-
-
-def _held(series: Series, t_ns: Int64Array, before: int) -> Int64Array:
-    """Return the gear in force at each time: the latest sample, or the one known ``before`` the first."""
-    held = np.concatenate(((before,), series.value.astype(np.int64)))
-    return held[np.searchsorted(series.t_ns, t_ns, side="right")]
+        self._history.drop_before(min([*starts, self._history.watermark_ns]) - PRE_NS)

@@ -16,6 +16,7 @@ from diag_service.sources.mf4 import read_mf4
 from diag_service.sources.sqlite import read_sqlite
 from diag_service.sources.tables import reader_of
 from diag_service.sources.tally import LogCounts, Tally
+from diag_service.sources.time_watch import TimeWatch
 
 READERS: Mapping[LogFormat, Callable[[BinaryIO, Tally], Iterator[FrameBatch]]] = MappingProxyType(
     {
@@ -30,14 +31,22 @@ READERS: Mapping[LogFormat, Callable[[BinaryIO, Tally], Iterator[FrameBatch]]] =
 
 
 class LogReader(Iterator[FrameBatch]):
-    """The frames of one log file, once, oldest first as far as the file is in order."""
+    """The frames of one log file, once, oldest first as far as the file is in order.
 
-    def __init__(self, path: Path, stream: BinaryIO, log_format: LogFormat, tally: Tally) -> None:
+    A strict one stops with an error at the first line, object or record that is no frame and not meant to be anything
+    else, at the first jump of time, and where the file ends before its own end.
+    """
+
+    def __init__(
+        self, path: Path, stream: BinaryIO, log_format: LogFormat, tally: Tally, *, is_strict: bool = False
+    ) -> None:
         self.path = path
         self.format = log_format
         self._tally = tally
         self._stream = stream
         self._batches = READERS[log_format](stream, self._tally)
+        self._watch = TimeWatch(tally)
+        self._is_strict = is_strict
 
     @property
     def counts(self) -> LogCounts:
@@ -50,12 +59,15 @@ class LogReader(Iterator[FrameBatch]):
         Raises
         ------
         SourceError
-            If the file cannot be read on, or its end is reached without a single frame.
+            If the file cannot be read on, its end is reached without a single frame, or a strict reader meets a fault.
         """
         try:
-            return next(self._batches)
+            batch = next(self._batches)
+            self._watch.look(batch)
+            self._be_strict()
         except StopIteration:
             self.close()
+            self._be_strict()
             if self._tally.frames == 0:
                 raise SourceError(
                     f"{self.path}: no CAN frame in this {self.format} log{self._first_reject()}"
@@ -67,17 +79,23 @@ class LogReader(Iterator[FrameBatch]):
         except SourceError as exc:
             self.close()
             raise SourceError(f"{self.path}: {exc}") from exc
+        return batch
 
     def close(self) -> None:
         """Close the file; reading to the end does it, too."""
         self._stream.close()
+
+    def _be_strict(self) -> None:
+        if self._is_strict and (fault := self.counts.first_fault):
+            self.close()
+            raise SourceError(f"{self.path}: {fault}")
 
     def _first_reject(self) -> str:
         first = self.counts.first_rejected
         return f" ({first})" if first else ""
 
 
-def read_log(path: Path | str) -> LogReader:
+def read_log(path: Path | str, *, is_strict: bool = False) -> LogReader:
     """Open a log file, perhaps compressed, and return its reader.
 
     Raises
@@ -95,7 +113,7 @@ def read_log(path: Path | str) -> LogReader:
     except OSError as exc:
         raise SourceError(f"{path}: {exc.strerror or exc}") from exc
     try:
-        return _reader(path, stream)
+        return _reader(path, stream, is_strict=is_strict)
     except OSError as exc:
         stream.close()
         raise SourceError(f"{path}: {exc.strerror or exc}") from exc
@@ -104,17 +122,17 @@ def read_log(path: Path | str) -> LogReader:
         raise SourceError(f"{path}: {exc}") from exc
 
 
-def _reader(path: Path, stream: BinaryIO) -> LogReader:
+def _reader(path: Path, stream: BinaryIO, *, is_strict: bool) -> LogReader:
     """Return the reader of an open file, after a look at its beginning."""
     probe = stream.read(PROBE_BYTES)
     stream.seek(0)
     compression = compression_of(probe)
     if compression is None:
-        return LogReader(path, stream, detect_format(probe), Tally())
+        return LogReader(path, stream, detect_format(probe), Tally(), is_strict=is_strict)
     inflated, tally = InflatedStream(stream, compression), Tally()
     log_format = detect_text(_beginning(inflated))
     inflated.restart(tally)
-    return LogReader(path, cast("BinaryIO", inflated), log_format, tally)
+    return LogReader(path, cast("BinaryIO", inflated), log_format, tally, is_strict=is_strict)
 
 
 def _beginning(inflated: InflatedStream) -> bytes:
