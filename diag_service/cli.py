@@ -59,6 +59,7 @@ def _run(options: argparse.Namespace, stop: Trigger, counts_wanted: Trigger) -> 
         profile=options.profile,
         calibration=config.load_calibration(options.calibration),
         broker=config.parse_broker(options.broker) if options.broker else None,
+        is_strict=options.command == "analyze" and options.strict,
     )
     controls = application.Controls(stop=stop, counts_wanted=counts_wanted)
     if options.command == "analyze" and options.estimator == config.EstimatorKind.PAPER:
@@ -125,6 +126,11 @@ def _parser() -> _Parser:
         choices=("impulse", "paper"),
         default="impulse",
         help="impulse: the service's own; paper: the method of SAE 2015-01-1146, without uncertainty and verdict",
+    )
+    analyze.add_argument(
+        "--strict",
+        action="store_true",
+        help="stop at the first line or object that is no frame, jump of time or cut, and say where",
     )
     _add_common(analyze, "SQLite file for results (default: none, results are shown only)")
     return parser

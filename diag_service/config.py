@@ -31,6 +31,7 @@ class DiagnosisConfig:
     profile: Path | None
     calibration: Calibration
     broker: BrokerAddress | None
+    is_strict: bool = False  # of logs: stop at the first fault
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

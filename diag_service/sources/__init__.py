@@ -4,6 +4,7 @@ from diag_service.sources.base import FrameSource, SourceCounts
 from diag_service.sources.detection import LogFormat
 from diag_service.sources.factory import open_source
 from diag_service.sources.logs import LogReader, read_log
+from diag_service.sources.merging import merged_by_time
 from diag_service.sources.tally import LogCounts, LogReject
 
 __all__ = [
@@ -13,6 +14,7 @@ __all__ = [
     "LogReader",
     "LogReject",
     "SourceCounts",
+    "merged_by_time",
     "open_source",
     "read_log",
 ]

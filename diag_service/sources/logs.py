@@ -63,8 +63,6 @@ class LogReader(Iterator[FrameBatch]):
         """
         try:
             batch = next(self._batches)
-            self._watch.look(batch)
-            self._be_strict()
         except StopIteration:
             self.close()
             self._be_strict()
@@ -79,6 +77,8 @@ class LogReader(Iterator[FrameBatch]):
         except SourceError as exc:
             self.close()
             raise SourceError(f"{self.path}: {exc}") from exc
+        self._watch.look(batch)
+        self._be_strict()
         return batch
 
     def close(self) -> None:

@@ -29,7 +29,6 @@ class LogCounts:
     repeated: int = 0  # frames that equal the one before, time and all
     unfinished: bool = False  # its writer did not close it: what is missing at the end cannot be told
 
-
     @property
     def first_fault(self) -> str:
         """What is wrong with the log, so that nobody has to look further; empty if nothing is."""

@@ -1,11 +1,16 @@
 """Where the time of a log jumps, and which frames are in it twice."""
 
 import numpy as np
+import numpy.typing as npt
 
 from diag_service.frames import MAX_GAP_NS, FrameBatch
+from diag_service.records import Int64Array
+from diag_service.sources.columns import join
 from diag_service.sources.tally import Tally
 
 NS_PER_S = 1e9
+
+BoolArray = npt.NDArray[np.bool_]
 
 
 class TimeWatch:
@@ -20,23 +25,26 @@ class TimeWatch:
         """Look at the next frames."""
         before = batch[:1] if self._last is None else self._last
         steps_ns = np.diff(batch.t_ns, prepend=before.t_ns[0])
-        back, ahead = np.flatnonzero(steps_ns < 0), np.flatnonzero(steps_ns > MAX_GAP_NS)
-        if len(back) or len(ahead):
-            first = int(min(*back[:1], *ahead[:1])) if len(back) and len(ahead) else int([*back, *ahead][0])
+        jumps = np.flatnonzero((steps_ns < 0) | (steps_ns > MAX_GAP_NS))
+        if len(jumps):
+            first, back = int(jumps[0]), int(np.count_nonzero(steps_ns[jumps] < 0))
             place = f"frame {self._seen + first + 1}: time jumps by {steps_ns[first] / NS_PER_S:+.6f} s"
-            self._tally.jump(len(back), len(ahead), place)
-        self._count_repeated(before, batch, np.flatnonzero(steps_ns == 0))
+            self._tally.jump(back, len(jumps) - back, place)
+        self._count_repeated(before, batch, steps_ns == 0)
         self._last = batch[-1:]
         self._seen += len(batch)
 
-    def _count_repeated(self, before: FrameBatch, batch: FrameBatch, rows: np.ndarray[tuple[int], np.dtype[np.intp]]) -> None:
-        """Count frames that equal the one before them, time and all; ``rows`` have its time."""
-        if not self._seen:
-            rows = rows[rows > 0]
-        rows = rows[batch.can_id[rows] == np.where(rows > 0, batch.can_id[rows - 1], before.can_id[0])]
-        for row in rows.tolist():
-            other, place = (batch, row - 1) if row else (before, 0)
-            is_same = batch.length[row] == other.length[place] and batch.channel[row] == other.channel[place]
-            length = int(batch.length[row])
-            same_data = np.array_equal(batch.data[row, :length], other.data[place, :length])
-            self._tally.repeated += bool(is_same and same_data)
+    def _count_repeated(self, before: FrameBatch, batch: FrameBatch, has_same_time: BoolArray) -> None:
+        """Count frames that equal the one before them, time and all."""
+        if self._seen and has_same_time[0]:
+            joined = join([before, batch[:1]])
+            self._tally.repeated += int(_equals_the_one_before(joined, np.array([1])).sum())
+        rows = 1 + np.flatnonzero(has_same_time[1:] & (batch.can_id[1:] == batch.can_id[:-1]))
+        self._tally.repeated += int(_equals_the_one_before(batch, rows).sum())
+
+
+def _equals_the_one_before(batch: FrameBatch, rows: Int64Array) -> BoolArray:
+    equal: BoolArray = (batch.data[rows] == batch.data[rows - 1]).all(axis=1)
+    for column in (batch.can_id, batch.length, batch.flags, batch.channel):
+        equal = equal & (column[rows] == column[rows - 1])
+    return equal
