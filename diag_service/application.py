@@ -6,9 +6,9 @@ import logging
 import os
 import sys
 import uuid
-from collections.abc import Callable
-from contextlib import AbstractAsyncContextManager, closing
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
+from contextlib import AbstractAsyncContextManager, ExitStack, closing
+from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from importlib.metadata import version
 from pathlib import Path
@@ -23,16 +23,32 @@ from diag_service.estimation import Belief
 from diag_service.estimation.paper import PaperCollection, nominal_driveline
 from diag_service.live import run_live
 from diag_service.mapping import Decoder
+from diag_service.monitor import Monitor, SilentReporter
+from diag_service.notices import NOTICE
 from diag_service.paper_run import run_paper
 from diag_service.pipeline import Session, Stages, resume, versions_for
 from diag_service.profile import PROFILE_PATH, load_profile
-from diag_service.publishers import ConsoleReporter, JsonLinesReporter, Link, MqttConnector, Outbox, Reporter
+from diag_service.publishers import (
+    Acknowledge,
+    ConsoleReporter,
+    DetachedReporter,
+    JsonLinesReporter,
+    Link,
+    MqttConnector,
+    Outbox,
+    Reporter,
+)
+from diag_service.publishers.outbox import MetricsMessage
 from diag_service.publishers.pipe import PipeReporter
 from diag_service.recorded import open_drive, run_logs, stream_of
 from diag_service.results import ServiceStatus, iso_utc
-from diag_service.sources import open_source
+from diag_service.service_manager import ServiceManager
+from diag_service.snapshot import Board, Snapshot, SnapshotTaker
+from diag_service.sources import BusOpener, supervise
 from diag_service.stopping import Trigger
 from diag_service.store import ResultStore, Versions
+from diag_service.summary import frames_line
+from fleet_contract import Outgoing, metrics_message
 
 _LOG = logging.getLogger(__name__)
 
@@ -48,9 +64,18 @@ class Controls:
 def run_bus(config: DiagnosisConfig, bus: BusConfig, store_path: Path, controls: Controls, *, as_json: bool) -> None:
     """Diagnose a live bus until it is told to stop."""
     decoder = _decoder(config)
-    with closing(ResultStore.open(store_path)) as store:
-        session = _session(config, decoder, store, None, _reporter(controls.stop, as_json=as_json))
+    with closing(ResultStore.open(store_path, config.budget_bytes)) as store:
+        reporter = DetachedReporter(_reporter(controls.stop, as_json=as_json))
+        session = _session(config, decoder, store, None, reporter)
         asyncio.run(_run_bus(config, bus, store, session, controls))
+
+
+def run_monitor(config: DiagnosisConfig, bus: BusConfig, controls: Controls) -> None:
+    """Show a live bus until told to stop; nothing is stored or published."""
+    decoder = _decoder(config)
+    with closing(ResultStore.in_memory()) as store, Monitor(_HonestConsole()) as monitor:
+        session = _session(config, decoder, store, None, PipeReporter(SilentReporter(), controls.stop.set))
+        asyncio.run(_run_bus(replace(config, broker=None), bus, store, session, controls, monitor.show))
 
 
 def run_recorded(
@@ -61,7 +86,9 @@ def run_recorded(
     logs = open_drive(paths, is_strict=config.is_strict)
     own_files = [path for path in (config.dbc, config.profile) if path is not None]  # another reading of the same logs
     stream = stream_of([*(log.path for log in logs), *own_files])
-    with closing(ResultStore.in_memory() if store_path is None else ResultStore.open(store_path)) as store:
+    with closing(
+        ResultStore.in_memory() if store_path is None else ResultStore.open(store_path, config.budget_bytes)
+    ) as store:
         session = _session(config, decoder, store, stream, _reporter(controls.stop, as_json=as_json))
 
         async def run() -> None:
@@ -81,18 +108,43 @@ def run_paper_recorded(config: DiagnosisConfig, paths: list[Path], controls: Con
 
 
 async def _run_bus(
-    config: DiagnosisConfig, bus: BusConfig, store: ResultStore, session: Session, controls: Controls
+    config: DiagnosisConfig,
+    bus: BusConfig,
+    store: ResultStore,
+    session: Session,
+    controls: Controls,
+    onlooker: Callable[[Snapshot], None] = lambda _: None,
 ) -> None:
-    source = await open_source(interface=bus.interface, channel=bus.channel, bitrate=bus.bitrate, fd=bus.is_fd)
+    filters = session.stages.kernel_filters if bus.is_filtered else ()
+    source = await supervise(BusOpener(bus.interface, bus.channel, bus.bitrate, fd=bus.is_fd, filters=filters))
     session.reporter.listening(f"{source.description} for {config.vehicle}, results in {store.where}")
-    await run_live(
-        source,
-        session,
-        stop=controls.stop,
-        counts_wanted=controls.counts_wanted,
-        outbox=_outbox(config, store, is_live=True),
-        duration_s=bus.duration_s,
-    )
+    now_s = asyncio.get_running_loop().time
+    taker = SnapshotTaker(source, session, now_s(), bus.bitrate)
+    manager, board = ServiceManager.from_environment(), Board()
+
+    def show() -> None:
+        snapshot = taker.take(now_s())
+        board.pin(snapshot)
+        onlooker(snapshot)
+        manager.alive(f"bus {snapshot.bus.state.value}, {frames_line(snapshot.frames)}")
+
+    with ExitStack() as stack:
+        stack.callback(manager.stopping)
+        if bus.metrics is not None:
+            from diag_service.metrics import serving  # noqa: PLC0415 - a web server and its library, for few runs
+
+            port = stack.enter_context(serving(bus.metrics, board))
+            _LOG.log(NOTICE, "metrics on http://%s:%d/metrics", bus.metrics.host, port)
+        manager.ready()
+        await run_live(
+            source,
+            session,
+            stop=controls.stop,
+            counts_wanted=controls.counts_wanted,
+            outbox=_outbox(config, store, is_live=True),
+            duration_s=bus.duration_s,
+            show=show,
+        )
 
 
 def _decoder(config: DiagnosisConfig) -> Decoder:
@@ -144,8 +196,34 @@ def _outbox(config: DiagnosisConfig, store: ResultStore, *, is_live: bool) -> Ou
         calibration_version=versions.calibration,
     )
     identifier = f"clutchdiag-{config.vehicle}" if is_live else f"clutchdiag-{uuid.uuid4()}"
-    connector = MqttConnector(config.broker, identifier, status if is_live else None)
-    return Outbox(store, config.vehicle, _connect_now(connector), str(config.broker))
+    connector = MqttConnector(
+        config.broker,
+        identifier,
+        status if is_live else None,
+        is_persistent=is_live and config.acknowledge is Acknowledge.BACKEND,
+    )
+    return Outbox(
+        store,
+        config.vehicle,
+        _connect_now(connector),
+        str(config.broker),
+        acknowledge=config.acknowledge,
+        metrics=_metrics_of(config.vehicle, store) if is_live else None,
+    )
+
+
+def _metrics_of(vehicle: str, store: ResultStore) -> MetricsMessage:
+    def message(numbers: Mapping[str, float]) -> Outgoing:
+        dropped = store.dropped_counts()
+        own = {
+            "store_used_bytes": store.used_bytes(),
+            "store_dropped_delivered_count": dropped.delivered,
+            "store_dropped_empty_count": dropped.empty,
+            "store_dropped_undelivered_count": dropped.undelivered,
+        }
+        return metrics_message(vehicle, _utc_now(), {**numbers, **own})
+
+    return message
 
 
 def _connect_now(connector: MqttConnector) -> Callable[[], AbstractAsyncContextManager[Link]]:

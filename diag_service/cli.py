@@ -7,11 +7,14 @@ import sys
 from collections.abc import Sequence
 from importlib.metadata import version
 from pathlib import Path
-from typing import NoReturn
+from typing import TYPE_CHECKING, NoReturn
 
 from clutch_model.errors import CalibrationError
 from diag_service.errors import ConfigError, SourceError, StoreError
 from diag_service.stopping import Trigger, ignore
+
+if TYPE_CHECKING:
+    from diag_service.publishers import BrokerAddress
 
 PROGRAM = "diag-service"
 BROKER_VARIABLE = "CLUTCHDIAG_BROKER"  # keeps a password out of the process list
@@ -45,12 +48,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _run(options: argparse.Namespace, stop: Trigger, counts_wanted: Trigger) -> None:
-    if options.command == "run":
+    if options.command in {"run", "monitor"}:
         # python-can loads asammdf where it is installed: 45 MB of memory that only logs have a use for.
         sys.modules.setdefault("asammdf", None)  # type: ignore[arg-type]  # Python's own way to say "not here"
     # Imported here: compiled libraries take a second, in which a signal must already find its handler.
     from diag_service import application, config  # noqa: PLC0415 - see above
     from diag_service.notices import set_up_notices  # noqa: PLC0415 - see above
+    from diag_service.publishers import Acknowledge  # noqa: PLC0415 - see above
 
     set_up_notices(options.verbose)
     diagnosis = config.DiagnosisConfig(
@@ -58,7 +62,9 @@ def _run(options: argparse.Namespace, stop: Trigger, counts_wanted: Trigger) -> 
         dbc=options.dbc,
         profile=options.profile,
         calibration=config.load_calibration(options.calibration),
-        broker=config.parse_broker(options.broker) if options.broker else None,
+        broker=_broker(options),
+        acknowledge=Acknowledge(options.acknowledge),
+        budget_bytes=None if options.store_budget is None else options.store_budget << 20,
         is_strict=options.command == "analyze" and options.strict,
     )
     controls = application.Controls(stop=stop, counts_wanted=counts_wanted)
@@ -75,9 +81,26 @@ def _run(options: argparse.Namespace, stop: Trigger, counts_wanted: Trigger) -> 
         bitrate=options.bitrate,
         is_fd=options.fd,
         duration_s=options.duration,
+        is_filtered=options.only_mapped,
+        metrics=config.parse_listen_address(options.metrics) if options.metrics else None,
     )
+    if options.command == "monitor":
+        application.run_monitor(diagnosis, bus, controls)
+        return
     store = options.store or config.default_store(diagnosis.vehicle)
     application.run_bus(diagnosis, bus, store, controls, as_json=options.json)
+
+
+def _broker(options: argparse.Namespace) -> "BrokerAddress | None":
+    from diag_service import config  # noqa: PLC0415 - loads compiled libraries
+    from diag_service.publishers import TlsFiles  # noqa: PLC0415 - see above
+
+    tls = TlsFiles(authority=options.ca, certificate=options.cert, key=options.key)
+    if options.broker:
+        return config.parse_broker(options.broker, tls, options.password_file)
+    if tls != TlsFiles() or options.password_file is not None:
+        raise ConfigError("certificates and passwords need a broker")
+    return None
 
 
 def _complain(exc: Exception, *, is_verbose: bool) -> int:
@@ -112,12 +135,15 @@ def _parser() -> _Parser:
     commands = parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
 
     run = commands.add_parser("run", help="diagnose a live bus", epilog=_EXIT_TEXT)
-    run.add_argument("-i", "--interface", help="python-can interface: socketcan, udp_multicast, ...")
-    run.add_argument("-c", "--channel", help="channel of the interface, such as vcan0")
-    run.add_argument("-b", "--bitrate", type=int, help="bit rate, for interfaces that set it [bit/s]")
-    run.add_argument("--fd", action="store_true", help="open the interface in CAN FD mode")
-    run.add_argument("--duration", type=float, metavar="S", help="stop after this many seconds")
+    _add_bus(run)
     _add_common(run, "SQLite file for results (default: in the user's state directory, by vehicle)")
+
+    monitor = commands.add_parser("monitor", help="show a live bus, store nothing", epilog=_EXIT_TEXT)
+    _add_bus(monitor)
+    _add_vehicle(monitor)
+    monitor.set_defaults(
+        broker=None, ca=None, cert=None, key=None, password_file=None, acknowledge="broker", store_budget=None
+    )
 
     analyze = commands.add_parser("analyze", help="diagnose recorded logs of one drive", epilog=_EXIT_TEXT)
     analyze.add_argument("logs", nargs="+", type=Path, metavar="LOG", help="log file of any known format")
@@ -136,17 +162,51 @@ def _parser() -> _Parser:
     return parser
 
 
-def _add_common(parser: argparse.ArgumentParser, store_help: str) -> None:
-    parser.add_argument("--dbc", type=Path, metavar="FILE", help="message database (default: the shipped one)")
+def _add_bus(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("-i", "--interface", help="python-can interface: socketcan, udp_multicast, ...")
+    parser.add_argument("-c", "--channel", help="channel of the interface, such as vcan0")
+    parser.add_argument("-b", "--bitrate", type=int, help="bit rate, for interfaces that set it [bit/s]")
+    parser.add_argument("--fd", action="store_true", help="open the interface in CAN FD mode")
+    parser.add_argument("--only-mapped", action="store_true", help="let the kernel discard other messages, uncounted")
+    parser.add_argument("--duration", type=float, metavar="S", help="stop after this many seconds")
+    parser.add_argument(
+        "--metrics", metavar="[HOST:]PORT", help="serve /metrics, /livez and /readyz there (default: nowhere)"
+    )
+
+
+def _add_vehicle(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "--dbc", type=Path, metavar="FILE", help="message database: DBC, KCD, ARXML or SYM (default: the shipped one)"
+    )
     parser.add_argument("--profile", type=Path, metavar="FILE", help="which DBC signals are which (TOML)")
     parser.add_argument("--calibration", type=Path, metavar="FILE", help="vehicle type (TOML; default: nominal)")
     parser.add_argument("--vehicle", default="vehicle", metavar="ID", help="vehicle id (default: %(default)s)")
+    parser.add_argument("-v", "--verbose", action="count", default=0, help="say more; twice: libraries too")
+
+
+def _add_common(parser: argparse.ArgumentParser, store_help: str) -> None:
+    _add_vehicle(parser)
     parser.add_argument("--store", type=Path, metavar="FILE", help=store_help)
     parser.add_argument(
         "--broker",
         default=os.environ.get(BROKER_VARIABLE),
         metavar="URL",
-        help=f"mqtt://[user[:password]@]host[:port] (default: the environment's {BROKER_VARIABLE}, else none)",
+        help=f"mqtt[s]://[user[:password]@]host[:port] (default: the environment's {BROKER_VARIABLE}, else none)",
+    )
+    parser.add_argument("--ca", type=Path, metavar="FILE", help="authority of an mqtts:// broker (default: system)")
+    parser.add_argument("--cert", type=Path, metavar="FILE", help="our certificate; a renewed one is taken up at once")
+    parser.add_argument("--key", type=Path, metavar="FILE", help="its key, readable for its owner only")
+    parser.add_argument("--password-file", type=Path, metavar="FILE", help="holds the broker's password, chmod 600")
+    parser.add_argument(
+        "--acknowledge",
+        choices=("broker", "backend"),
+        default="broker",
+        help="whose word lets the outbox forget a result; a backend gives it after its commit (default: %(default)s)",
+    )
+    parser.add_argument(
+        "--store-budget",
+        type=int,
+        metavar="MIB",
+        help="how large the store may grow; delivered results go first, then empty ones (default: no limit)",
     )
     parser.add_argument("--json", action="store_true", help="JSON lines on standard output, text on standard error")
-    parser.add_argument("-v", "--verbose", action="count", default=0, help="say more; twice: libraries too")

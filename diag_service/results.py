@@ -19,8 +19,10 @@ from diag_service.records import (
     ShiftEstimate,
     ShiftResult,
     Status,
+    Trust,
+    TrustPart,
 )
-from fleet_contract import Channel
+from fleet_contract import Channel, ResultKey
 
 JsonObject = dict[str, object]
 
@@ -46,10 +48,13 @@ class ServiceStatus:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class StoredResult:
-    """A row of the outbox: its position in the store and the result."""
+    """A row of the outbox: its position in the store, and the record of the result as it is stored."""
 
     position: int
-    result: ShiftResult
+    key: ResultKey
+    clutch: int
+    produced_at: str
+    text: str  # the JSON of the record
 
 
 def utc_from_bus_ns(t_ns: int) -> str:
@@ -91,6 +96,7 @@ def shift_record(result: ShiftResult) -> JsonObject:
         "clutch_temperature_k": estimate.clutch_temperature_k,
         "slip_energy_j": estimate.slip_energy_j,
         "odometer_m": estimate.odometer_m,
+        "trust": _trust_record(estimate.trust),
         "verdict": _verdict_record(result.verdict),
         "algorithm_version": result.algorithm_version,
         "calibration_version": result.calibration_version,
@@ -176,6 +182,12 @@ def _friction_record(friction: FrictionEstimate | None) -> JsonObject | None:
     return None if friction is None else asdict(friction)
 
 
+def _trust_record(trust: Trust | None) -> JsonObject | None:
+    if trust is None:
+        return None
+    return {"score": trust.score, "parts": {part.value: value for part, value in trust.parts.items()}}
+
+
 def _verdict_record(verdict: ClutchVerdict) -> JsonObject:
     return {
         "clutch": verdict.clutch,
@@ -210,6 +222,7 @@ def _shift_from(table: JsonObject) -> ShiftResult:
         slip_energy_j=_optional(table, "slip_energy_j"),
         duration_s=_value(table, "duration_s", float),
         odometer_m=_optional(table, "odometer_m"),
+        trust=_trust_from(table.get("trust")),
     )
     return ShiftResult(
         vehicle=_value(table, "vehicle", str),
@@ -234,6 +247,15 @@ def _verdict_from(table: object) -> ClutchVerdict:
         friction=_friction_from(table["friction"]),
         shift_count=_value(table, "shift_count", int),
     )
+
+
+def _trust_from(table: object) -> Trust | None:
+    if table is None:
+        return None
+    if not isinstance(table, dict) or not isinstance(table["parts"], dict):
+        raise TypeError("trust must be an object with parts, or null")
+    parts = {TrustPart(name): _value(table["parts"], name, float) for name in table["parts"]}
+    return Trust(score=_value(table, "score", float), parts=parts)
 
 
 def _friction_from(table: object) -> FrictionEstimate | None:
