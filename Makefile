@@ -11,7 +11,8 @@ BROKER ?=
 VCAN_LIMIT_S ?= 600
 
 PY = "$(VENV)/bin/python"
-BENCHMARKS = $(filter-out accuracy corpus_decode study operating_curve mismatch mismatch_rows single_shift self_calibration drawn_vehicle fleet_load fleet_chaos fleet_pause fleet_poison,$(basename $(notdir $(wildcard benchmarks/[a-z]*.py))))
+# The ones that print figures of speed and size; studies of accuracy have targets or commands of their own.
+BENCHMARKS = decode estimator fleet_ingest live_bus live_latency outbox plant readers service service_memory
 
 .PHONY: help setup setup-system demo fleet check static test warm test-host test-vcan bench accuracy reproduce operating-curve mismatch lock clean
 

@@ -84,7 +84,7 @@ def run_recorded(
 ) -> None:
     """Diagnose the logs of a drive."""
     decoder = _decoder(config)
-    logs = open_drive(paths)
+    logs = open_drive(paths, is_strict=config.is_strict)
     own_files = [path for path in (config.dbc, config.profile) if path is not None]  # another reading of the same logs
     stream = stream_of([*(log.path for log in logs), *own_files])
     with closing(
@@ -104,7 +104,8 @@ def run_paper_recorded(config: DiagnosisConfig, paths: list[Path], controls: Con
     """Analyse the logs of a drive by the paper's method; nothing is stored, judged or published."""
     stages = Stages(_decoder(config), config.calibration, Belief.fresh(config.calibration), ConditionMemory.fresh())
     collection = PaperCollection(config.calibration, nominal_driveline())
-    run_paper(open_drive(paths), stages, collection, sys.stdout if as_json else Console(), controls.stop)
+    logs = open_drive(paths, is_strict=config.is_strict)
+    run_paper(logs, stages, collection, sys.stdout if as_json else Console(), controls.stop)
 
 
 def run_calibrate(

@@ -75,6 +75,7 @@ def _run(options: argparse.Namespace, stop: Trigger, counts_wanted: Trigger) -> 
         broker=_broker(options),
         acknowledge=Acknowledge(options.acknowledge),
         budget_bytes=None if options.store_budget is None else options.store_budget << 20,
+        is_strict=options.command == "analyze" and options.strict,
     )
     controls = application.Controls(stop=stop, counts_wanted=counts_wanted)
     if options.command == "analyze" and options.estimator == config.EstimatorKind.PAPER:
@@ -156,12 +157,17 @@ def _parser() -> _Parser:
     monitor.set_defaults(**_NO_DELIVERY)
 
     analyze = commands.add_parser("analyze", help="diagnose recorded logs of one drive", epilog=_EXIT_TEXT)
-    analyze.add_argument("logs", nargs="+", type=Path, metavar="LOG", help="candump, BLF, ASC or MF4 file")
+    analyze.add_argument("logs", nargs="+", type=Path, metavar="LOG", help="log file of any known format")
     analyze.add_argument(
         "--estimator",
         choices=("impulse", "paper"),
         default="impulse",
         help="impulse: the service's own; paper: the method of SAE 2015-01-1146, without uncertainty and verdict",
+    )
+    analyze.add_argument(
+        "--strict",
+        action="store_true",
+        help="stop at the first line or object that is no frame, jump of time or cut, and say where",
     )
     _add_common(analyze, "SQLite file for results (default: none, results are shown only)")
 
