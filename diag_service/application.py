@@ -114,7 +114,8 @@ async def _run_bus(
     controls: Controls,
     onlooker: Callable[[Snapshot], None] = lambda _: None,
 ) -> None:
-    source = await supervise(BusOpener(bus.interface, bus.channel, bus.bitrate, fd=bus.is_fd))
+    filters = session.stages.kernel_filters if bus.is_filtered else ()
+    source = await supervise(BusOpener(bus.interface, bus.channel, bus.bitrate, fd=bus.is_fd, filters=filters))
     session.reporter.listening(f"{source.description} for {config.vehicle}, results in {store.where}")
     now_s = asyncio.get_running_loop().time
     taker = SnapshotTaker(source, session, now_s(), bus.bitrate)

@@ -81,6 +81,7 @@ def _run(options: argparse.Namespace, stop: Trigger, counts_wanted: Trigger) -> 
         bitrate=options.bitrate,
         is_fd=options.fd,
         duration_s=options.duration,
+        is_filtered=options.only_mapped,
         metrics=config.parse_listen_address(options.metrics) if options.metrics else None,
     )
     if options.command == "monitor":
@@ -169,6 +170,9 @@ def _add_bus(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("-c", "--channel", help="channel of the interface, such as vcan0")
     parser.add_argument("-b", "--bitrate", type=int, help="bit rate, for interfaces that set it [bit/s]")
     parser.add_argument("--fd", action="store_true", default=None, help="open the interface in CAN FD mode")
+    parser.add_argument(
+        "--only-mapped", action="store_true", default=None, help="let the kernel discard other messages, uncounted"
+    )
     parser.add_argument("--duration", type=float, metavar="S", help="stop after this many seconds")
     parser.add_argument(
         "--metrics", metavar="[HOST:]PORT", help="serve /metrics, /livez and /readyz there (default: nowhere)"

@@ -63,6 +63,7 @@ class BusConfig:
     bitrate: int | None
     is_fd: bool
     duration_s: float | None
+    is_filtered: bool = False  # whether the kernel discards what no mapped signal needs
     metrics: ListenAddress | None = None  # where to serve metrics and health checks
 
     def __post_init__(self) -> None:

@@ -26,6 +26,7 @@ DEFAULTS: Final[Mapping[str, OptionValue]] = {
     "channel": None,
     "bitrate": None,
     "fd": False,
+    "only_mapped": False,
     "duration": None,
     "metrics": None,
 }

@@ -75,6 +75,11 @@ class Stages:
         return Diagnosis(estimate=estimate, verdict=verdict, belief=self._belief, memory=self._memory)
 
     @property
+    def kernel_filters(self) -> tuple[tuple[int, int], ...]:
+        """What a kernel need let through, as identifiers and masks."""
+        return self._decoder.kernel_filters
+
+    @property
     def messages(self) -> Mapping[str, MessageCounts]:
         """What became of the frames of each message, and its state."""
         return self._decoder.counts.messages

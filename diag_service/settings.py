@@ -37,6 +37,7 @@ class Settings(BaseSettings):
     channel: str | None = None
     bitrate: int | None = None
     fd: bool | None = None
+    only_mapped: bool | None = None
     duration: float | None = None
     metrics: str | None = None
 

@@ -30,6 +30,7 @@ VALUES: dict[str, str | int | float | bool] = {
     "channel": "vcan0",
     "bitrate": 500000,
     "fd": True,
+    "only_mapped": True,
     "duration": 12.5,
     "metrics": "9100",
 }
