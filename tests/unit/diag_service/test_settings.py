@@ -1,6 +1,8 @@
 """Settings: the command line over the environment over the file over the defaults; unknown keys and secrets."""
 
 import argparse
+import subprocess
+import sys
 import tomllib
 from pathlib import Path
 
@@ -12,6 +14,7 @@ from diag_service.defaults import DEFAULTS, PREFIX
 from diag_service.errors import ConfigError
 from diag_service.options import describe, fill_in
 from diag_service.settings import Settings, load_settings
+from tests.service import environment
 
 VALUES: dict[str, str | int | float | bool] = {
     "vehicle": "car1",
@@ -178,3 +181,12 @@ def test_a_password_of_a_file(tmp_path: Path) -> None:
     address = parse_broker("mqtts://car1@host", None, file)
     assert (address.password, address.port) == ("hunter2", 8883)
     assert "hunter2" not in repr(address)
+
+
+def test_a_start_without_settings_does_not_wait_for_pydantic() -> None:
+    code = (
+        "import argparse, sys; from diag_service import application, cli, options;"
+        " options.fill_in(argparse.Namespace(config=None)); sys.exit('pydantic' in sys.modules)"
+    )
+    started = subprocess.run([sys.executable, "-c", code], check=False, env=environment())
+    assert started.returncode == 0
