@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from clutch_model.calibration import Calibration
+from clutch_model.errors import CalibrationError
 from clutch_model.knowledge import JointUncertainty
 from diag_service.estimation.balance import Balance
 from diag_service.estimation.belief import Belief, Measurement
@@ -34,6 +35,7 @@ LEAST_SHIFTS_PER_CLUTCH = 4  # fewer do not tell touch point and friction apart
 MAX_EVENT_COUNT = 200  # bounds time and memory; three times what the latencies need
 MAX_PASS_COUNT = 12
 ROUGH_PASS_COUNT = 3  # before them even a good shift does not fit
+LONGEST_STEP = 2.0  # standard deviations of the prior: far off, the balance is not linear
 FULL_STEP_COUNT = 7  # half steps after them end a swing between two ways of counting a sample at an edge
 CONVERGED = 0.02  # of a standard deviation
 NEARLY_CONVERGED = 0.3  # a slip window that begins a sample earlier or later from pass to pass can do that
@@ -119,10 +121,10 @@ def self_calibrate(
         information, gradient = _gathered(used)
         covariance = np.asarray(np.linalg.inv(weight + information), np.float64)
         step: FloatArray = covariance @ (weight @ (prior - mean) + gradient)
-        mean = mean + (step if number < FULL_STEP_COUNT else 0.5 * step)
+        mean = mean + _tempered(step, spread, number)
         try:
             point = displaced(start, mean)
-        except ValueError as exc:
+        except CalibrationError as exc:
             return f"no vehicle explains these shifts: {exc}"
         rest = float(np.max(np.abs(step) / np.sqrt(np.diag(covariance))))
         if number >= ROUGH_PASS_COUNT and rest < CONVERGED:
@@ -145,6 +147,13 @@ def _gathered(used: Sequence[_Seen]) -> tuple[FloatArray, FloatArray]:
         if measurement.overlap is not None:
             gradient[STATE_COUNT:] -= measurement.overlap
     return information, gradient
+
+
+def _tempered(step: FloatArray, spread: FloatArray, number: int) -> FloatArray:
+    """Return the step to take in a pass: no longer than the linearisation bears, and shorter when it should be over."""
+    longest = float(np.max(np.abs(step[FRICTION_COUNT:]) / np.sqrt(np.diag(spread)[FRICTION_COUNT:])))
+    share = LONGEST_STEP / max(longest, LONGEST_STEP)
+    return step * (share if number < FULL_STEP_COUNT else 0.5 * share)
 
 
 def _departure(moved: FloatArray, spread: FloatArray) -> str:
