@@ -9,17 +9,16 @@ import numpy as np
 from cantools.database.can import Database, Message
 from cantools.database.can.signal import Signal as DatabaseSignal
 
-from diag_service.addressing import Address, message_address, rows_by_slot
+from diag_service.addressing import Address, kernel_filters, message_address, rows_by_slot
 from diag_service.decode import PayloadWords, SignalTable, compile_signal, payload_words
 from diag_service.e2e_state import E2eStates
 from diag_service.error_frames import BusError, tells
 from diag_service.errors import ConfigError
-from diag_service.frames import FrameBatch
+from diag_service.frames import MAX_GAP_NS, FrameBatch
 from diag_service.profile import MANDATORY, Conversion, Profile, SignalSource, to_si
 from diag_service.protection_check import FrameReason, FrameVerdicts, LinkMonitor
 from diag_service.records import ColumnBatch, E2eState, Int64Array, Series, Signal
 
-MAX_GAP_NS: Final = 1_000_000_000  # a bus that was silent for longer starts a new segment
 NS_PER_MS: Final = 1_000_000
 NS_PER_S: Final = 1_000_000_000
 
@@ -184,6 +183,11 @@ class Decoder:
     def nominal_hz(self) -> Mapping[str, float]:
         """How often each cyclic message should come."""
         return {m.message.name: NS_PER_S / m.period_ns for m in self._messages if m.period_ns > 0}
+
+    @property
+    def kernel_filters(self) -> tuple[tuple[int, int], ...]:
+        """Identifier and mask, as SocketCAN wants them, of each message that is looked at."""
+        return kernel_filters([mapped.address for mapped in self._messages])
 
     @property
     def limits(self) -> Mapping[Signal, tuple[float, float]]:

@@ -1,4 +1,4 @@
-"""What a running state tells without knowing the common scale; docs/model.md, section "Estimator", eqs. (30) to (33).
+"""What a running state tells without knowing the common scale; docs/model.md, section "Estimator", eqs. (34) to (37).
 
 A state's friction is multiplied by the true gain of the torque reading. Where two such numbers are divided by each
 other, or one by what it was before, that gain is gone.
