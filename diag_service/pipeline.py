@@ -68,10 +68,12 @@ class Stages:
         trust = assess(event, self._basis)
         belief, estimate = self._estimator.estimate(event, self._belief)
         if estimate.status is not Status.REJECTED and (reasons := reasons_against(trust)):
-            estimate = replace(estimate, status=Status.REJECTED, reasons=reasons, friction=None)
+            estimate = replace(estimate, status=Status.REJECTED, reasons=reasons, friction=None, scale_free=None)
             belief = self._belief  # data that are not trusted leave no trace in the running state
-        self._belief, estimate = belief, replace(estimate, trust=trust)
-        self._memory, verdict = judge(self._memory, self._belief, estimate.clutch, self._calibration)
+        estimate = replace(estimate, trust=trust)
+        memory = self._memory.with_shift(estimate, self._belief)
+        self._memory, verdict = judge(memory, belief, estimate.clutch, self._calibration)
+        self._belief = belief
         return Diagnosis(estimate=estimate, verdict=verdict, belief=self._belief, memory=self._memory)
 
     @property
@@ -241,7 +243,8 @@ def resume(
         return fresh
     if state.versions != versions:
         _LOG.warning(
-            "the running state of %s was made by algorithm %s with calibration %s; starting afresh, results stay",
+            "the running state of %s was made by algorithm %s with calibration %s; starting afresh with a new "
+            "baseline, results stay",
             vehicle,
             state.versions.algorithm,
             state.versions.calibration,
@@ -250,5 +253,9 @@ def resume(
     try:
         return Belief.from_json(state.belief, calibration), ConditionMemory.from_json(state.condition)
     except ValueError as exc:
-        _LOG.warning("the running state of %s cannot be used (%s); starting afresh, results stay", vehicle, exc)
+        _LOG.warning(
+            "the running state of %s cannot be used (%s); starting afresh with a new baseline, results stay",
+            vehicle,
+            exc,
+        )
         return fresh
