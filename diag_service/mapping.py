@@ -14,12 +14,11 @@ from diag_service.decode import PayloadWords, SignalTable, compile_signal, paylo
 from diag_service.e2e_state import E2eStates
 from diag_service.error_frames import BusError, tells
 from diag_service.errors import ConfigError
-from diag_service.frames import FrameBatch
+from diag_service.frames import MAX_GAP_NS, FrameBatch
 from diag_service.profile import MANDATORY, Conversion, Profile, SignalSource, to_si
 from diag_service.protection_check import FrameReason, FrameVerdicts, LinkMonitor
 from diag_service.records import ColumnBatch, E2eState, Int64Array, Series, Signal
 
-MAX_GAP_NS: Final = 1_000_000_000  # a bus that was silent for longer starts a new segment
 NS_PER_MS: Final = 1_000_000
 NS_PER_S: Final = 1_000_000_000
 
