@@ -16,6 +16,7 @@ from pathlib import Path
 from rich.console import Console
 
 from dbc.contract import DBC_PATH
+from diag_service import calibrate_run
 from diag_service.condition import ConditionMemory
 from diag_service.config import BusConfig, DiagnosisConfig, calibration_digest
 from diag_service.database import load_database
@@ -41,14 +42,14 @@ from diag_service.publishers import (
 from diag_service.publishers.outbox import MetricsMessage
 from diag_service.publishers.pipe import PipeReporter
 from diag_service.recorded import open_drive, run_logs, stream_of
-from diag_service.results import ServiceStatus, iso_utc
+from diag_service.results import ServiceStatus, dump, iso_utc
 from diag_service.service_manager import ServiceManager
 from diag_service.snapshot import Board, Snapshot, SnapshotTaker
 from diag_service.sources import BusOpener, supervise
 from diag_service.stopping import Trigger
 from diag_service.store import ResultStore, Versions
 from diag_service.summary import frames_line
-from fleet_contract import Outgoing, metrics_message
+from fleet_contract import Outgoing, config_message, metrics_message
 
 _LOG = logging.getLogger(__name__)
 
@@ -105,6 +106,18 @@ def run_paper_recorded(config: DiagnosisConfig, paths: list[Path], controls: Con
     collection = PaperCollection(config.calibration, nominal_driveline())
     logs = open_drive(paths, is_strict=config.is_strict)
     run_paper(logs, stages, collection, sys.stdout if as_json else Console(), controls.stop)
+
+
+def run_calibrate(
+    config: DiagnosisConfig, paths: list[Path], output: Path, controls: Controls, *, as_json: bool
+) -> None:
+    """Find what a vehicle's sensors and masses really are from its logs, and write its own calibration file."""
+    events = calibrate_run.find_events(open_drive(paths), _decoder(config), config.calibration, controls.stop)
+    found = calibrate_run.run_calibrate(events, config.calibration, config.vehicle, output)
+    if as_json:
+        sys.stdout.write(dump(calibrate_run.record(found, config.calibration, config.vehicle)) + "\n")
+    else:
+        calibrate_run.show(found, config.calibration, output, Console())
 
 
 async def _run_bus(
@@ -208,8 +221,25 @@ def _outbox(config: DiagnosisConfig, store: ResultStore, *, is_live: bool) -> Ou
         _connect_now(connector),
         str(config.broker),
         acknowledge=config.acknowledge,
+        greetings=[_greeting(config, status)] if is_live else (),
         metrics=_metrics_of(config.vehicle, store) if is_live else None,
     )
+
+
+def _greeting(config: DiagnosisConfig, status: ServiceStatus) -> Outgoing:
+    """Return what a live service says of itself at birth; nothing secret is among it."""
+    settings: dict[str, str | float | bool | None] = {
+        "service_version": status.service_version,
+        "algorithm_version": status.algorithm_version,
+        "calibration_version": status.calibration_version,
+        "broker": str(config.broker),
+        "broker_is_encrypted": config.broker is not None and config.broker.tls is not None,
+        "acknowledge": config.acknowledge.value,
+        "store_budget_bytes": config.budget_bytes,
+        "dbc": str(config.dbc or "shipped"),
+        "profile": str(config.profile or "shipped"),
+    }
+    return config_message(config.vehicle, _utc_now(), settings)
 
 
 def _metrics_of(vehicle: str, store: ResultStore) -> MetricsMessage:

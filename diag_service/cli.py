@@ -1,7 +1,6 @@
 """The command line of the service: words to configuration, errors to one line and an exit status."""
 
 import argparse
-import os
 import signal
 import sys
 from collections.abc import Sequence
@@ -10,14 +9,15 @@ from pathlib import Path
 from typing import TYPE_CHECKING, NoReturn
 
 from clutch_model.errors import CalibrationError
+from diag_service.defaults import BROKER_VARIABLE
 from diag_service.errors import ConfigError, SourceError, StoreError
+from diag_service.options import describe, fill_in
 from diag_service.stopping import Trigger, ignore
 
 if TYPE_CHECKING:
     from diag_service.publishers import BrokerAddress
 
 PROGRAM = "diag-service"
-BROKER_VARIABLE = "CLUTCHDIAG_BROKER"  # keeps a password out of the process list
 
 EXIT_OK, EXIT_UNEXPECTED, EXIT_CONFIG, EXIT_SOURCE, EXIT_STORE = range(5)
 _EXIT_TEXT = "exit status: 0 done or stopped, 1 unexpected error, 2 usage, calibration or DBC, 3 bus or log, 4 store"
@@ -57,6 +57,7 @@ def _run(options: argparse.Namespace, stop: Trigger, counts_wanted: Trigger) -> 
     from diag_service.publishers import Acknowledge  # noqa: PLC0415 - see above
 
     set_up_notices(options.verbose)
+    fill_in(options)
     diagnosis = config.DiagnosisConfig(
         vehicle=config.check_vehicle(options.vehicle),
         dbc=options.dbc,
@@ -75,6 +76,9 @@ def _run(options: argparse.Namespace, stop: Trigger, counts_wanted: Trigger) -> 
     if options.command == "analyze":
         application.run_recorded(diagnosis, options.logs, options.store, controls, as_json=options.json)
         return
+    if options.command == "calibrate":
+        application.run_calibrate(diagnosis, options.logs, options.output, controls, as_json=options.json)
+        return
     bus = config.BusConfig(
         interface=options.interface,
         channel=options.channel,
@@ -88,6 +92,9 @@ def _run(options: argparse.Namespace, stop: Trigger, counts_wanted: Trigger) -> 
         application.run_monitor(diagnosis, bus, controls)
         return
     store = options.store or config.default_store(diagnosis.vehicle)
+    if options.command == "config":
+        sys.stdout.write(describe(options))
+        return
     application.run_bus(diagnosis, bus, store, controls, as_json=options.json)
 
 
@@ -98,7 +105,7 @@ def _broker(options: argparse.Namespace) -> "BrokerAddress | None":
     tls = TlsFiles(authority=options.ca, certificate=options.cert, key=options.key)
     if options.broker:
         return config.parse_broker(options.broker, tls, options.password_file)
-    if tls != TlsFiles() or options.password_file is not None:
+    if options.command not in {"calibrate", "monitor"} and (tls != TlsFiles() or options.password_file is not None):
         raise ConfigError("certificates and passwords need a broker")
     return None
 
@@ -141,9 +148,14 @@ def _parser() -> _Parser:
     monitor = commands.add_parser("monitor", help="show a live bus, store nothing", epilog=_EXIT_TEXT)
     _add_bus(monitor)
     _add_vehicle(monitor)
-    monitor.set_defaults(
-        broker=None, ca=None, cert=None, key=None, password_file=None, acknowledge="broker", store_budget=None
+    monitor.set_defaults(broker="", acknowledge="broker")  # it delivers nothing
+
+    settings = commands.add_parser("config", help="look at the settings", epilog=_EXIT_TEXT)
+    check = settings.add_subparsers(dest="action", required=True, metavar="ACTION").add_parser(
+        "check", help="check the settings and print what a run would use, secrets masked", epilog=_EXIT_TEXT
     )
+    _add_bus(check)
+    _add_common(check, "SQLite file for results")
 
     analyze = commands.add_parser("analyze", help="diagnose recorded logs of one drive", epilog=_EXIT_TEXT)
     analyze.add_argument("logs", nargs="+", type=Path, metavar="LOG", help="log file of any known format")
@@ -159,6 +171,17 @@ def _parser() -> _Parser:
         help="stop at the first line or object that is no frame, jump of time or cut, and say where",
     )
     _add_common(analyze, "SQLite file for results (default: none, results are shown only)")
+
+    calibrate = commands.add_parser(
+        "calibrate", help="find one vehicle's sensor errors and inertia from its logs", epilog=_EXIT_TEXT
+    )
+    calibrate.add_argument("logs", nargs="+", type=Path, metavar="LOG", help="logs of one vehicle, a drive or more")
+    calibrate.add_argument(
+        "-o", "--output", type=Path, required=True, metavar="FILE", help="calibration file to write (TOML)"
+    )
+    _add_vehicle(calibrate)
+    calibrate.add_argument("--json", action="store_true", help="JSON on standard output")
+    calibrate.set_defaults(broker="", acknowledge="broker")  # likewise
     return parser
 
 
@@ -166,8 +189,10 @@ def _add_bus(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("-i", "--interface", help="python-can interface: socketcan, udp_multicast, ...")
     parser.add_argument("-c", "--channel", help="channel of the interface, such as vcan0")
     parser.add_argument("-b", "--bitrate", type=int, help="bit rate, for interfaces that set it [bit/s]")
-    parser.add_argument("--fd", action="store_true", help="open the interface in CAN FD mode")
-    parser.add_argument("--only-mapped", action="store_true", help="let the kernel discard other messages, uncounted")
+    parser.add_argument("--fd", action="store_true", default=None, help="open the interface in CAN FD mode")
+    parser.add_argument(
+        "--only-mapped", action="store_true", default=None, help="let the kernel discard other messages, uncounted"
+    )
     parser.add_argument("--duration", type=float, metavar="S", help="stop after this many seconds")
     parser.add_argument(
         "--metrics", metavar="[HOST:]PORT", help="serve /metrics, /livez and /readyz there (default: nowhere)"
@@ -180,7 +205,8 @@ def _add_vehicle(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--profile", type=Path, metavar="FILE", help="which DBC signals are which (TOML)")
     parser.add_argument("--calibration", type=Path, metavar="FILE", help="vehicle type (TOML; default: nominal)")
-    parser.add_argument("--vehicle", default="vehicle", metavar="ID", help="vehicle id (default: %(default)s)")
+    parser.add_argument("--vehicle", metavar="ID", help="vehicle id (default: vehicle)")
+    parser.add_argument("--config", type=Path, metavar="FILE", help="TOML file with settings, see 'config check'")
     parser.add_argument("-v", "--verbose", action="count", default=0, help="say more; twice: libraries too")
 
 
@@ -189,7 +215,6 @@ def _add_common(parser: argparse.ArgumentParser, store_help: str) -> None:
     parser.add_argument("--store", type=Path, metavar="FILE", help=store_help)
     parser.add_argument(
         "--broker",
-        default=os.environ.get(BROKER_VARIABLE),
         metavar="URL",
         help=f"mqtt[s]://[user[:password]@]host[:port] (default: the environment's {BROKER_VARIABLE}, else none)",
     )
@@ -200,8 +225,7 @@ def _add_common(parser: argparse.ArgumentParser, store_help: str) -> None:
     parser.add_argument(
         "--acknowledge",
         choices=("broker", "backend"),
-        default="broker",
-        help="whose word lets the outbox forget a result; a backend gives it after its commit (default: %(default)s)",
+        help="whose word lets the outbox forget a result; a backend gives it after its commit (default: broker)",
     )
     parser.add_argument(
         "--store-budget",
