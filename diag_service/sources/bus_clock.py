@@ -14,7 +14,9 @@ import numpy as np
 from diag_service.records import Int64Array
 
 NS_PER_US: Final = 1_000
-MIN_STEP_NS: Final = 5_000_000  # two readings of a clock may be interrupted between
+MIN_STEP_NS: Final = 5_000_000  # several times what two readings may be apart
+MAX_GAP_NS: Final = 1_000_000  # between the readings of two clocks, beyond which they were not taken at one moment
+TRY_COUNT: Final = 5
 SLEW_RATIO: Final = 0.001  # twice what a kernel slews at most
 SLACK_NS: Final = 5_000_000
 
@@ -26,9 +28,15 @@ class ClockReading(NamedTuple):
     boot_ns: int  # since boot, suspended time included
 
 
-def read_clocks() -> ClockReading:
-    """Return what the system's clocks show."""
-    return ClockReading(time.clock_gettime_ns(time.CLOCK_REALTIME), time.clock_gettime_ns(time.CLOCK_BOOTTIME))
+def read_clocks() -> ClockReading | None:
+    """Return what the system's clocks show, or None if the process was held up between them in every try."""
+    for _ in range(TRY_COUNT):
+        before_ns = time.clock_gettime_ns(time.CLOCK_BOOTTIME)
+        wall_ns = time.clock_gettime_ns(time.CLOCK_REALTIME)
+        gap_ns = time.clock_gettime_ns(time.CLOCK_BOOTTIME) - before_ns
+        if gap_ns <= MAX_GAP_NS:
+            return ClockReading(wall_ns, before_ns + gap_ns // 2)
+    return None
 
 
 class BusClock:
@@ -39,7 +47,7 @@ class BusClock:
     them; their time jumps, which ends the segment.
     """
 
-    def __init__(self, read: Callable[[], ClockReading] = read_clocks) -> None:
+    def __init__(self, read: Callable[[], ClockReading | None] = read_clocks) -> None:
         self._read = read
         self._last = read()
         self._offset_ns = 0  # wall clock minus bus time
@@ -52,9 +60,14 @@ class BusClock:
         return self._step_count
 
     def look(self) -> None:
-        """Compare the clocks."""
+        """Compare the clocks; on a machine too busy to read both at one moment, the next look tells."""
         now, last = self._read(), self._last
-        self._last, self._before = now, None
+        self._before = None
+        if now is None:
+            return
+        self._last = now
+        if last is None:
+            return
         elapsed_ns = now.boot_ns - last.boot_ns
         step_ns = (now.wall_ns - last.wall_ns) - elapsed_ns
         if abs(step_ns) > MIN_STEP_NS + SLEW_RATIO * elapsed_ns:

@@ -121,3 +121,19 @@ def test_a_clock_that_is_corrected_slowly_is_followed() -> None:
     assert clock.step_count == 0
     stamp = np.array([99 * 1_000_500_000], np.int64)
     assert clock.bus_time_ns(stamp).tolist() == stamp.tolist()
+
+
+def test_a_machine_too_busy_to_read_both_clocks_at_once_sees_no_step() -> None:
+    readings = iter([ClockReading(1_000_000_000, 0), None, ClockReading(3_000_000_000, 2_000_000_000)])
+    clock = BusClock(lambda: next(readings))
+    stamp_ns = np.array([2_000_000_000])
+    for _ in range(2):
+        clock.look()
+        assert clock.bus_time_ns(stamp_ns).tolist() == stamp_ns.tolist()
+    assert clock.step_count == 0
+
+
+def test_clocks_that_are_never_read_at_one_moment_are_not_compared(monkeypatch: pytest.MonkeyPatch) -> None:
+    ticks = iter(range(0, 10**12, 7_000_000))  # every reading comes 7 ms after the one before
+    monkeypatch.setattr("time.clock_gettime_ns", lambda _clock: next(ticks))
+    assert read_clocks() is None
