@@ -15,17 +15,15 @@ from pathlib import Path
 
 from rich.console import Console
 
-from dbc.contract import DBC_PATH
 from diag_service.condition import ConditionMemory
 from diag_service.config import BusConfig, DiagnosisConfig, calibration_digest
-from diag_service.database import load_database
 from diag_service.estimation import Belief
 from diag_service.estimation.paper import PaperCollection, nominal_driveline
+from diag_service.interpretation import interpret
 from diag_service.live import run_live
 from diag_service.mapping import Decoder
 from diag_service.paper_run import run_paper
 from diag_service.pipeline import Session, Stages, resume, versions_for
-from diag_service.profile import PROFILE_PATH, load_profile
 from diag_service.publishers import ConsoleReporter, JsonLinesReporter, Link, MqttConnector, Outbox, Reporter
 from diag_service.publishers.pipe import PipeReporter
 from diag_service.recorded import open_drive, run_logs, stream_of
@@ -47,7 +45,7 @@ class Controls:
 
 def run_bus(config: DiagnosisConfig, bus: BusConfig, store_path: Path, controls: Controls, *, as_json: bool) -> None:
     """Diagnose a live bus until it is told to stop."""
-    decoder = _decoder(config)
+    decoder = interpret(config.dbc, config.profile).decoder()
     with closing(ResultStore.open(store_path)) as store:
         session = _session(config, decoder, store, None, _reporter(controls.stop, as_json=as_json))
         asyncio.run(_run_bus(config, bus, store, session, controls))
@@ -57,10 +55,10 @@ def run_recorded(
     config: DiagnosisConfig, paths: list[Path], store_path: Path | None, controls: Controls, *, as_json: bool
 ) -> None:
     """Diagnose the logs of a drive."""
-    decoder = _decoder(config)
+    meaning = interpret(config.dbc, config.profile)
+    decoder = meaning.decoder()
     logs = open_drive(paths)
-    own_files = [path for path in (config.dbc, config.profile) if path is not None]  # another reading of the same logs
-    stream = stream_of([*(log.path for log in logs), *own_files])
+    stream = stream_of([*(log.path for log in logs), *meaning.files])
     with closing(ResultStore.in_memory() if store_path is None else ResultStore.open(store_path)) as store:
         session = _session(config, decoder, store, stream, _reporter(controls.stop, as_json=as_json))
 
@@ -74,7 +72,8 @@ def run_recorded(
 
 def run_paper_recorded(config: DiagnosisConfig, paths: list[Path], controls: Controls, *, as_json: bool) -> None:
     """Analyse the logs of a drive by the paper's method; nothing is stored, judged or published."""
-    stages = Stages(_decoder(config), config.calibration, Belief.fresh(config.calibration), ConditionMemory.fresh())
+    decoder = interpret(config.dbc, config.profile).decoder()
+    stages = Stages(decoder, config.calibration, Belief.fresh(config.calibration), ConditionMemory.fresh())
     collection = PaperCollection(config.calibration, nominal_driveline())
     run_paper(open_drive(paths), stages, collection, sys.stdout if as_json else Console(), controls.stop)
 
@@ -92,10 +91,6 @@ async def _run_bus(
         outbox=_outbox(config, store, is_live=True),
         duration_s=bus.duration_s,
     )
-
-
-def _decoder(config: DiagnosisConfig) -> Decoder:
-    return Decoder(load_database(config.dbc or DBC_PATH), load_profile(config.profile or PROFILE_PATH))
 
 
 def _session(

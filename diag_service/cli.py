@@ -132,7 +132,7 @@ def _parser() -> _Parser:
 
 def _add_common(parser: argparse.ArgumentParser, store_help: str) -> None:
     parser.add_argument("--dbc", type=Path, metavar="FILE", help="message database (default: the shipped one)")
-    parser.add_argument("--profile", type=Path, metavar="FILE", help="which DBC signals are which (TOML)")
+    parser.add_argument("--profile", type=Path, metavar="P", help="which DBC signals are which: TOML file or name")
     parser.add_argument("--calibration", type=Path, metavar="FILE", help="vehicle type (TOML; default: nominal)")
     parser.add_argument("--vehicle", default="vehicle", metavar="ID", help="vehicle id (default: %(default)s)")
     parser.add_argument("--store", type=Path, metavar="FILE", help=store_help)

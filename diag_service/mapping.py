@@ -8,12 +8,13 @@ from typing import Final
 import numpy as np
 from cantools.database.can import Database, Message
 
-from diag_service.decode import PayloadWords, SignalTable, compile_signal, payload_words
+from diag_service.decode import PayloadWords, payload_words
 from diag_service.errors import ConfigError
 from diag_service.frames import FrameBatch
-from diag_service.profile import MANDATORY, Conversion, Profile, SignalSource, to_si
+from diag_service.profile import Conversion, Profile, SignalSource, to_si
 from diag_service.protection_check import FrameReason, FrameVerdicts, LinkMonitor
-from diag_service.records import ColumnBatch, Int64Array, Series, Signal
+from diag_service.records import ColumnBatch, GearRatios, Int64Array, Series, Signal
+from diag_service.source_tables import SourceTable, compile_source, find_message, signal_name
 
 MAX_GAP_NS: Final = 1_000_000_000  # a bus that was silent for longer starts a new segment
 NS_PER_MS: Final = 1_000_000
@@ -49,7 +50,7 @@ class SignalColumn:
     """One canonical signal of a message."""
 
     signal: Signal
-    table: SignalTable
+    table: SourceTable
     to_si: Conversion
 
 
@@ -63,25 +64,35 @@ class MessageColumns:
 
 
 def map_signals(database: Database, profile: Profile) -> tuple[MessageColumns, ...]:
-    """Return the messages that carry the signals of a profile.
+    """Return the messages that carry the signals of a profile; a lenient profile may name more than there are.
 
     Raises
     ------
     ConfigError
-        With everything that does not fit: mandatory signals without a source, messages or signals that the database
-        lacks, units of another kind, signals that cannot be decoded.
+        With everything that does not fit: messages or signals that the database lacks, units of another kind, signals
+        that cannot be decoded.
     """
-    problems = [f"no source for {signal.value}" for signal in Signal if signal in MANDATORY - profile.sources.keys()]
-    messages = {message.name: message for message in database.messages}
+    found, problems = fitting(database, profile)
+    if problems and not profile.is_lenient:
+        raise ConfigError(f"profile {profile.name} does not fit the database: {'; '.join(problems)}")
+    return found
+
+
+def fitting(database: Database, profile: Profile) -> tuple[tuple[MessageColumns, ...], tuple[str, ...]]:
+    """Return what of a profile the database has, and what it lacks, in words."""
+    problems: list[str] = []
     found: dict[str, list[SignalColumn]] = {}
+    messages: dict[str, Message] = {}
     for signal, source in profile.sources.items():
         try:
-            found.setdefault(source.message, []).append(_column(messages, signal, source))
+            message = find_message(database.messages, source)
+            column = _column(message, signal, source)
         except ConfigError as error:
-            problems.append(str(error))
-    if problems:
-        raise ConfigError(f"profile {profile.name} does not fit the database: {'; '.join(problems)}")
-    return tuple(
+            problems.append(f"{error} (for {signal.value})")
+            continue
+        messages[message.name] = message
+        found.setdefault(message.name, []).append(column)
+    mapped = tuple(
         MessageColumns(
             message=messages[name],
             period_ns=(messages[name].cycle_time or 0) * NS_PER_MS,
@@ -89,21 +100,13 @@ def map_signals(database: Database, profile: Profile) -> tuple[MessageColumns, .
         )
         for name, columns in found.items()
     )
+    return mapped, tuple(problems)
 
 
-def _column(messages: Mapping[str, Message], signal: Signal, source: SignalSource) -> SignalColumn:
+def _column(message: Message, signal: Signal, source: SignalSource) -> SignalColumn:
     """Return one compiled signal."""
-    message = messages.get(source.message)
-    if message is None:
-        raise ConfigError(f"the database has no message {source.message} (for {signal.value})")
-    by_name = {candidate.name: candidate for candidate in message.signals}
-    if source.signal not in by_name:
-        raise ConfigError(f"{source.message} has no signal {source.signal} (for {signal.value})")
-    return SignalColumn(
-        signal=signal,
-        table=compile_signal(message, source.signal, check_range=source.check_range),
-        to_si=to_si(signal, source, by_name[source.signal].unit),
-    )
+    unit = message.get_signal_by_name(signal_name(message, source)).unit
+    return SignalColumn(signal=signal, table=compile_source(message, source), to_si=to_si(signal, source, unit))
 
 
 class Decoder:
@@ -125,13 +128,21 @@ class Decoder:
     def __init__(self, database: Database, profile: Profile) -> None:
         self._messages = map_signals(database, profile)
         self._monitor = LinkMonitor([mapped.message for mapped in self._messages])
+        self.gears: GearRatios | None = profile.gears
+        self.profile_name = profile.name
         self._invalid: dict[Signal, int] = {}
+        self._seen: set[Signal] = set()
         self._last_ns: int | None = None
 
     @property
     def signals(self) -> frozenset[Signal]:
         """The canonical signals that this bus can deliver."""
         return frozenset(column.signal for mapped in self._messages for column in mapped.columns)
+
+    @property
+    def seen(self) -> frozenset[Signal]:
+        """The canonical signals of which at least one valid value came until now."""
+        return frozenset(self._seen)
 
     @property
     def counts(self) -> DecoderCounts:
@@ -185,6 +196,7 @@ class Decoder:
                 series = self._series(column, words, t_ns, sequence, mapped.period_ns)
                 if len(series.t_ns):
                     columns[column.signal] = series
+        self._seen |= columns.keys()
         return ColumnBatch(
             columns=columns,
             watermark_ns=int(segment.t_ns[-1]),

@@ -2,19 +2,23 @@
 
 import logging
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from clutch_model.calibration import Calibration
-from diag_service.condition import ConditionMemory, judge
+from diag_service.condition import ConditionMemory, judge, no_verdict
 from diag_service.estimation import ALGORITHM_VERSION, Belief, Estimator
+from diag_service.estimation.estimator import without_friction
 from diag_service.frames import FrameBatch
+from diag_service.gear_tracking import tracker_for
+from diag_service.indices import measure
 from diag_service.mapping import Decoder
 from diag_service.publishers import Reporter
-from diag_service.records import ClutchVerdict, ShiftEstimate, ShiftEvent, ShiftResult
+from diag_service.records import ClutchVerdict, Reason, ShiftEstimate, ShiftEvent, ShiftResult, Signal, Status, Tier
 from diag_service.results import utc_from_bus_ns
 from diag_service.shifts import ShiftFinder
 from diag_service.store import ResultStore, VehicleState, Versions
-from diag_service.summary import FrameCounts, ShiftTally, Summary, frames_line, summarise
+from diag_service.summary import Capability, FrameCounts, ShiftTally, Summary, frames_line, summarise
+from diag_service.tiers import missing_for_next, tier_of
 
 _LOG = logging.getLogger(__name__)
 
@@ -34,7 +38,8 @@ class Stages:
 
     def __init__(self, decoder: Decoder, calibration: Calibration, belief: Belief, memory: ConditionMemory) -> None:
         self._decoder = decoder
-        self._finder = ShiftFinder()
+        self._finder = ShiftFinder(tracker_for(decoder.signals, decoder.gears))
+        self.tier = tier_of(decoder.signals, knows_gears=knows_gears(decoder))
         self._estimator = Estimator(calibration)
         self._calibration = calibration
         self._belief = belief
@@ -53,10 +58,29 @@ class Stages:
         return self._finder.flush()
 
     def conclude(self, event: ShiftEvent) -> Diagnosis:
-        """Estimate and judge the next shift; shifts must come in order. May take a moment."""
-        self._belief, estimate = self._estimator.estimate(event, self._belief)
-        self._memory, verdict = judge(self._memory, self._belief, estimate.clutch, self._calibration)
+        """Estimate and judge the next shift; shifts must come in order. May take a moment.
+
+        Below the first tier nothing is said of friction, and the running state stays as it is.
+        """
+        if self.tier is Tier.FRICTION:
+            self._belief, estimate = self._estimator.estimate(event, self._belief)
+            self._memory, verdict = judge(self._memory, self._belief, estimate.clutch, self._calibration)
+        else:
+            estimate = without_friction(event, Status.UNOBSERVED, Reason.SIGNAL_MISSING)
+            verdict = no_verdict(estimate.clutch, missing_for_next(self._decoder.signals))
+        estimate = replace(estimate, tier=self.tier or Tier.KINEMATIC, indices=measure(event, self._calibration))
         return Diagnosis(estimate=estimate, verdict=verdict, belief=self._belief, memory=self._memory)
+
+    def capability(self) -> Capability:
+        """Return what the signals that came suffice for; without any frame, those that may come."""
+        seen = self._decoder.seen
+        has_gears = knows_gears(self._decoder)
+        return Capability(
+            profile=self._decoder.profile_name,
+            tier=tier_of(seen, knows_gears=has_gears),
+            missing=missing_for_next(seen, knows_gears=has_gears),
+            unseen=tuple(signal.value for signal in Signal if signal in self._decoder.signals - seen),
+        )
 
     def frame_counts(self) -> FrameCounts:
         """Return what the decoder counted; how the frames came here, their source adds."""
@@ -69,6 +93,11 @@ class Stages:
             missing=counts.missing,
             invalid_values=counts.invalid_values,
         )
+
+
+def knows_gears(decoder: Decoder) -> bool:
+    """Return whether the gear can be told from the ratio of two speeds that the bus has."""
+    return decoder.gears is not None and decoder.signals >= {Signal.ENGINE_SPEED, decoder.gears.over}
 
 
 class Session:
@@ -113,7 +142,7 @@ class Session:
 
     def summary(self, frames: FrameCounts, unpublished_count: int | None) -> Summary:
         """Return the numbers of the run as they stand."""
-        return summarise(self._vehicle, frames, self._tally, unpublished_count)
+        return summarise(self._vehicle, frames, self._tally, unpublished_count, self.stages.capability())
 
     def finish(self, frames: FrameCounts, unpublished_count: int | None) -> None:
         """Tell the numbers of the run."""

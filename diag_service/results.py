@@ -17,8 +17,10 @@ from diag_service.records import (
     FrictionEstimate,
     Reason,
     ShiftEstimate,
+    ShiftIndices,
     ShiftResult,
     Status,
+    Tier,
 )
 
 JsonObject = dict[str, object]
@@ -30,6 +32,7 @@ STATUS_SCHEMA = "clutchdiag/status/v1"
 _EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
 _NS_PER_US = 1000
 _FRICTION_KEYS = frozenset(field.name for field in fields(FrictionEstimate))
+_INDEX_KEYS = tuple(field.name for field in fields(ShiftIndices))
 ValueT = TypeVar("ValueT", bool, int, float, str)
 
 
@@ -95,6 +98,8 @@ def shift_record(result: ShiftResult) -> JsonObject:
         "verdict": _verdict_record(result.verdict),
         "algorithm_version": result.algorithm_version,
         "calibration_version": result.calibration_version,
+        "tier": int(estimate.tier),
+        "indices": None if estimate.indices is None else asdict(estimate.indices),
     }
 
 
@@ -198,6 +203,8 @@ def _shift_from(table: JsonObject) -> ShiftResult:
         slip_energy_j=_optional(table, "slip_energy_j"),
         duration_s=_value(table, "duration_s", float),
         odometer_m=_optional(table, "odometer_m"),
+        tier=Tier(_value(table, "tier", int)) if "tier" in table else Tier.FRICTION,  # older results lack both
+        indices=_indices_from(table.get("indices")),
     )
     return ShiftResult(
         vehicle=_value(table, "vehicle", str),
@@ -230,6 +237,14 @@ def _friction_from(table: object) -> FrictionEstimate | None:
     if not isinstance(table, dict):
         raise TypeError("friction must be an object or null")
     return FrictionEstimate(**{key: _value(table, key, float) for key in _FRICTION_KEYS})
+
+
+def _indices_from(table: object) -> ShiftIndices | None:
+    if table is None:
+        return None
+    if not isinstance(table, dict):
+        raise TypeError("indices must be an object or null")
+    return ShiftIndices(**{key: _optional(table, key) for key in _INDEX_KEYS})
 
 
 def _value(table: Mapping[str, object], key: str, kind: type[ValueT]) -> ValueT:

@@ -1,50 +1,29 @@
 """Shift detection: canonical columns in, shift events out, the same events for any cutting of the stream."""
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
-from diag_service.records import ColumnBatch, EndReason, Int64Array, Series, ShiftEvent, Signal
+from diag_service.gear_tracking import NO_SAMPLES, Bounds, GearPairTracker, GearTracker
+from diag_service.records import ColumnBatch, Int64Array, Series, ShiftEvent, Signal
 
 NS_PER_S = 1_000_000_000
 PRE_NS = NS_PER_S // 2  # history before the shift: the on-coming clutch empty, the off-going one locked
 POST_NS = NS_PER_S // 10  # after it: what sensor latencies and the crank segment reach back from
-MAX_SHIFT_NS = 5 * NS_PER_S  # a production shift takes about one second
-
-
-@dataclass(slots=True)
-class _Gears:
-    """Current and target gear as last seen; 0 while unknown."""
-
-    current: int = 0
-    target: int = 0
-
-
-@dataclass(frozen=True, slots=True)
-class _Bounds:
-    """A shift whose end was seen but whose signals are not all here yet."""
-
-    from_gear: int
-    to_gear: int
-    start_ns: int
-    end_ns: int
-    end_reason: EndReason
 
 
 class ShiftFinder:
     """Finds shifts in a stream of column batches with bounded memory.
 
-    A shift lasts from the first sample whose target gear differs from the current gear to the first at which they
-    agree again. It is reported once bus time has passed ``POST_NS`` beyond its end, cut from ``PRE_NS`` before it.
+    Where a shift begins and ends its tracker says: without one, as current and target gear tell. It is reported once
+    bus time has passed ``POST_NS`` beyond its end, cut from ``PRE_NS`` before it.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, tracker: GearTracker | None = None) -> None:
+        self._tracker = tracker or GearPairTracker()
         self._tracks: dict[Signal, _Track] = {}
         self._bad_ns: list[Int64Array] = []
-        self._closed: list[_Bounds] = []
-        self._open: _Bounds | None = None
-        self._overdue = False  # the open shift was reported as too long; wait until the gears agree
-        self._gears = _Gears()
+        self._closed: list[Bounds] = []
         self._watermark_ns = -1
         self._followed_ns = -1
         self._shift_count = 0
@@ -66,7 +45,7 @@ class ShiftFinder:
     def flush(self) -> list[ShiftEvent]:
         """End the segment: report what is closed, and the open shift as interrupted."""
         self._follow_gears(self._watermark_ns + 1)
-        self._close(self._watermark_ns, EndReason.INTERRUPTED)
+        self._closed += self._tracker.interrupt(self._watermark_ns)
         events = [self._cut(bounds) for bounds in self._closed]
         self._forget_segment()
         return events
@@ -80,56 +59,19 @@ class ShiftFinder:
         self._tracks.clear()
         self._bad_ns.clear()
         self._closed.clear()
-        self._gears = _Gears()
-        self._open = None
-        self._overdue = False
         self._watermark_ns = -1
         self._followed_ns = -1
 
     def _follow_gears(self, until_ns: int) -> None:
-        """Walk the gear changes with ``t < until_ns``: at the watermark itself a sample may still be on its way."""
-        current = self._samples(Signal.CURRENT_GEAR, until_ns)
-        target = self._samples(Signal.TARGET_GEAR, until_ns)
+        """Walk the gears with ``t < until_ns``: at the watermark itself a sample may still be on its way."""
+        self._closed += self._tracker.follow(self._samples, until_ns)
         self._followed_ns = until_ns
-        t_ns = np.union1d(current.t_ns, target.t_ns)
-        if not len(t_ns):
-            self._close_overdue(until_ns)
-            return
-        pairs = np.column_stack((_held(current, t_ns, self._gears.current), _held(target, t_ns, self._gears.target)))
-        before = np.vstack(((self._gears.current, self._gears.target), pairs[:-1]))
-        for row in np.flatnonzero(np.any(pairs != before, axis=1)):
-            self._close_overdue(int(t_ns[row]))
-            self._step(int(t_ns[row]), _Gears(int(pairs[row, 0]), int(pairs[row, 1])))
-        self._close_overdue(until_ns)
 
     def _samples(self, signal: Signal, until_ns: int) -> Series:
         track = self._tracks.get(signal)
-        return track.joined().between(self._followed_ns, until_ns) if track else _NO_SAMPLES
+        return track.joined().between(self._followed_ns, until_ns) if track else NO_SAMPLES
 
-    def _step(self, t_ns: int, gears: _Gears) -> None:
-        self._gears = gears
-        if gears.current < 1 or gears.target < 1:
-            self._close(t_ns, EndReason.ABANDONED)
-            return
-        if self._open is not None and (gears.target != self._open.to_gear or gears.current != self._open.from_gear):
-            reached = gears.current == gears.target == self._open.to_gear
-            self._close(t_ns, EndReason.COMPLETE if reached else EndReason.ABANDONED)
-        if gears.current == gears.target:
-            self._overdue = False
-        elif self._open is None and not self._overdue:
-            self._open = _Bounds(gears.current, gears.target, t_ns, t_ns, EndReason.INTERRUPTED)
-
-    def _close(self, t_ns: int, reason: EndReason) -> None:
-        if self._open is not None:
-            self._closed.append(replace(self._open, end_ns=t_ns, end_reason=reason))
-            self._open = None
-
-    def _close_overdue(self, now_ns: int) -> None:
-        if self._open is not None and now_ns > self._open.start_ns + MAX_SHIFT_NS:
-            self._close(self._open.start_ns + MAX_SHIFT_NS, EndReason.TOO_LONG)
-            self._overdue = True
-
-    def _cut(self, bounds: _Bounds) -> ShiftEvent:
+    def _cut(self, bounds: Bounds) -> ShiftEvent:
         first_ns, stop_ns = bounds.start_ns - PRE_NS, bounds.end_ns + POST_NS
         bad_ns = np.concatenate(self._bad_ns) if self._bad_ns else np.empty(0, np.int64)
         self._shift_count += 1
@@ -148,8 +90,8 @@ class ShiftFinder:
 
     def _forget_past(self) -> None:
         starts = [bounds.start_ns for bounds in self._closed]
-        if self._open is not None:
-            starts.append(self._open.start_ns)
+        if self._tracker.open_ns is not None:
+            starts.append(self._tracker.open_ns)
         keep_ns = min([*starts, self._watermark_ns]) - PRE_NS
         for track in self._tracks.values():
             track.drop_before(keep_ns)
@@ -172,7 +114,7 @@ class _Track:
 
     def joined(self) -> Series:
         if not self._pieces:
-            return _NO_SAMPLES
+            return NO_SAMPLES
         if len(self._pieces) > 1:
             self._pieces = [
                 Series(
@@ -195,12 +137,3 @@ class _Track:
                 self._pieces[0] = replace(
                     kept, t_ns=kept.t_ns.copy(), sequence=kept.sequence.copy(), value=kept.value.copy()
                 )
-
-
-_NO_SAMPLES = Series(t_ns=np.empty(0, np.int64), sequence=np.empty(0, np.int64), value=np.empty(0))
-
-
-def _held(series: Series, t_ns: Int64Array, before: int) -> Int64Array:
-    """Return the gear in force at each time: the latest sample, or the one known ``before`` the first."""
-    held = np.concatenate(((before,), series.value.astype(np.int64)))
-    return held[np.searchsorted(series.t_ns, t_ns, side="right")]

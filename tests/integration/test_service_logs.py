@@ -125,7 +125,7 @@ def test_a_calibration_of_another_version_starts_a_state_of_its_own(drive_log: P
         (("analyze", "{log}", "--calibration", "{tmp}/range.toml"), 2, "mu_c must be 0.02..0.5"),
         (("analyze", "{log}", "--calibration", "{log}"), 2, "is not TOML"),
         (("analyze", "{log}", "--dbc", "{tmp}/none.dbc"), 2, "none.dbc"),
-        (("analyze", "{log}", "--dbc", "{tmp}/foreign.dbc"), 2, "TCU_Shift"),
+        (("analyze", "{log}", "--dbc", "{tmp}/foreign.dbc"), 2, "no message ECM_TorqueSpeed"),
         (("analyze", "{log}", "--dbc", "{log}"), 2, "drive.log"),
         (("analyze", "{log}", "--profile", "{tmp}/none.toml"), 2, "none.toml"),
         (("analyze", "{tmp}/none.log"), 3, "none.log"),
