@@ -180,8 +180,8 @@ class SignalTable:
 
 
 def payload_words(data: UInt8Array) -> PayloadWords:
-    """Return payloads, shape (n, 8), as words."""
-    columns = np.ascontiguousarray(data)
+    """Return the first eight bytes of payloads, shape (n, 8) or (n, 64), as words."""
+    columns = np.ascontiguousarray(data[:, :PAYLOAD_BYTES])
     return PayloadWords(
         little=columns.view("<u8")[:, 0].astype(np.uint64), big=columns.view(">u8")[:, 0].astype(np.uint64)
     )

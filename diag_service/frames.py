@@ -1,15 +1,28 @@
 """FrameBatch: the one columnar type that every source yields."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 
 import numpy as np
+import numpy.typing as npt
 
 from diag_service.records import Int64Array, UInt8Array, UInt32Array
 
 EXTENDED_FLAG = 0x8000_0000  # bit 31 of ``can_id``: 29-bit identifier
 REMOTE_FLAG = 0x4000_0000
 ERROR_FLAG = 0x2000_0000
-PAYLOAD_BYTES = 8
+
+BRS_FLAG = 0x01  # bits of ``flags``, as Linux numbers them: the payload was sent at the faster bit rate
+ESI_FLAG = 0x02  # the sender was error passive
+FD_FLAG = 0x04  # a CAN FD frame
+
+PAYLOAD_BYTES = 8  # of a classic frame
+FD_PAYLOAD_BYTES = 64  # of a CAN FD frame
+
+Rows = slice | Int64Array | npt.NDArray[np.bool_]
+
+
+def _no_column() -> UInt8Array:
+    return np.empty(0, np.uint8)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -17,21 +30,47 @@ class FrameBatch:
     """Frames in the order of arrival, as arrays; no Python object per frame.
 
     ``t_ns`` is bus time in whole microseconds (what a candump log keeps), so a live stream and its recording decode
-    to the same bits. Payload bytes past ``length`` are zero.
+    to the same bits. Payload bytes past ``length`` are zero. A batch of classic frames has payload rows of 8 bytes,
+    one that may hold CAN FD frames has 64; ``flags`` and ``channel`` are zeros if they are left out.
     """
 
     t_ns: Int64Array  # (n,)
     can_id: UInt32Array  # (n,) with the flags above
-    length: UInt8Array  # (n,)
-    data: UInt8Array  # (n, 8)
+    length: UInt8Array  # (n,) bytes, up to the width
+    data: UInt8Array  # (n, 8) or (n, 64)
+    flags: UInt8Array = field(default_factory=_no_column)  # (n,) of FD_FLAG, BRS_FLAG, ESI_FLAG
+    channel: UInt8Array = field(default_factory=_no_column)  # (n,) bus number as the source counts; 0: it has but one
+
+    def __post_init__(self) -> None:
+        for name in ("flags", "channel"):
+            if not len(getattr(self, name)):
+                object.__setattr__(self, name, np.zeros(len(self.t_ns), np.uint8))
 
     def __len__(self) -> int:
         return len(self.t_ns)
 
-    def __getitem__(self, rows: slice) -> "FrameBatch":
+    def __getitem__(self, rows: Rows) -> "FrameBatch":
         return FrameBatch(
-            t_ns=self.t_ns[rows], can_id=self.can_id[rows], length=self.length[rows], data=self.data[rows]
+            t_ns=self.t_ns[rows],
+            can_id=self.can_id[rows],
+            length=self.length[rows],
+            data=self.data[rows],
+            flags=self.flags[rows],
+            channel=self.channel[rows],
         )
+
+    @property
+    def width(self) -> int:
+        """Bytes of a payload row."""
+        return int(self.data.shape[1])
+
+    def widened(self, width: int) -> "FrameBatch":
+        """Return the same frames with payload rows of at least ``width`` bytes."""
+        if self.width >= width:
+            return self
+        data = np.zeros((len(self), width), np.uint8)
+        data[:, : self.width] = self.data
+        return replace(self, data=data)
 
 
 def empty_batch() -> FrameBatch:

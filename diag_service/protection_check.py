@@ -26,7 +26,15 @@ from clutch_model.jit import kernel
 from dbc.contract import message_contract
 from dbc.protection import COUNTER_PERIOD, counter_of, crc_is_valid, data_id_remainder
 from diag_service.errors import ConfigError
-from diag_service.frames import ERROR_FLAG, EXTENDED_FLAG, PAYLOAD_BYTES, REMOTE_FLAG, FrameBatch, empty_batch
+from diag_service.frames import (
+    ERROR_FLAG,
+    EXTENDED_FLAG,
+    FD_PAYLOAD_BYTES,
+    PAYLOAD_BYTES,
+    REMOTE_FLAG,
+    FrameBatch,
+    empty_batch,
+)
 from diag_service.records import Int64Array, UInt8Array, UInt32Array
 
 MAX_DELTA_COUNTER: Final = 3  # permitted jump between frames one cycle apart: two frames may be lost in silence
@@ -228,7 +236,7 @@ class LinkMonitor:
         self._order = np.argsort(ids)
         self._ids = ids[self._order]
         _refuse_unusable(messages, self._ids)
-        self._min_length = np.array([min(message.length, PAYLOAD_BYTES) for message in messages], np.uint8)
+        self._min_length = np.array([min(message.length, FD_PAYLOAD_BYTES) for message in messages], np.uint8)
         self._is_protected = np.array([contract.data_id is not None for contract in contracts], np.uint8)
         self._id_remainder = np.array([data_id_remainder(contract.data_id or 0) for contract in contracts], np.uint8)
         self._cycle_ns = np.array([contract.cycle_ms * _NS_PER_MS for contract in contracts], np.int64)
@@ -263,7 +271,9 @@ class LinkMonitor:
             is_short = candidate & (batch.length < self._min_length[rows])
             reason[is_short] = FrameReason.SHORT
             to_check = candidate & ~is_short & self._is_protected[rows].astype(np.bool_)
-            reason[to_check & ~crc_is_valid(batch.data, self._id_remainder[rows])] = FrameReason.BAD_CRC
+            reason[to_check & ~crc_is_valid(batch.data[:, :PAYLOAD_BYTES], self._id_remainder[rows])] = (
+                FrameReason.BAD_CRC
+            )
         sequence = np.full(len(batch), _NONE, np.int64)
         missing = np.zeros(len(batch), np.int64)
         t_ns = np.require(batch.t_ns, np.int64, ("C", "W"))  # one array type: the kernel is compiled once

@@ -22,7 +22,7 @@ class FrameCounts:
     on_bus: int = 0  # seen by the interface or in the log, those lost on the way included
     decoded: int = 0
     ignored: int = 0  # of messages that the service does not use
-    unsupported: int = 0  # CAN FD
+    unsupported: int = 0  # neither CAN nor CAN FD
     kernel_dropped: int = 0
     queue_dropped: int = 0
     rejected: Mapping[str, int] = field(default_factory=dict)  # reason -> frames
@@ -147,7 +147,7 @@ def frames_line(frames: FrameCounts) -> str:
     parts = [f"{frames.on_bus} frames", f"{frames.decoded} decoded", f"{frames.ignored} ignored"]
     parts.append(_with_reasons(f"{frames.rejected_count} rejected", frames.rejected))
     if frames.unsupported:
-        parts.append(f"{frames.unsupported} CAN FD not supported")
+        parts.append(f"{frames.unsupported} neither CAN nor CAN FD")
     parts.append(f"{frames.kernel_dropped + frames.queue_dropped} dropped")
     parts.append(f"{frames.missing} missing")
     parts.append(f"{frames.invalid_values} values not available")

@@ -49,5 +49,6 @@ def assert_same_contents(batch: FrameBatch, expected: FrameBatch) -> None:
     assert np.array_equal(batch.can_id, expected.can_id)
     assert np.array_equal(batch.length, expected.length)
     assert np.array_equal(batch.data, expected.data)
-    columns = (batch.t_ns, batch.can_id, batch.length, batch.data)
-    assert [column.dtype.name for column in columns] == ["int64", "uint32", "uint8", "uint8"]
+    assert np.array_equal(batch.flags, expected.flags)
+    columns = (batch.t_ns, batch.can_id, batch.length, batch.data, batch.flags, batch.channel)
+    assert [column.dtype.name for column in columns] == ["int64", "uint32", "uint8", "uint8", "uint8", "uint8"]

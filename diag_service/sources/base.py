@@ -17,7 +17,7 @@ class SourceCounts:
     received: int = 0  # read from the interface
     kernel_dropped: int = 0  # lost in the socket's receive buffer, as the kernel counts them
     queue_dropped: int = 0  # read, but the service was too far behind to keep them
-    unsupported: int = 0  # CAN FD frames: the columns hold eight bytes
+    unsupported: int = 0  # neither CAN nor CAN FD
 
 
 class FrameSource(Protocol):

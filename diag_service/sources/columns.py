@@ -4,27 +4,31 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from diag_service.frames import PAYLOAD_BYTES, FrameBatch
+from diag_service.frames import FrameBatch
 from diag_service.records import Int64Array, UInt8Array
 
 NS_PER_US = 1_000
 
 
 def join(batches: Sequence[FrameBatch]) -> FrameBatch:
-    """Return one batch with the frames of all, in their order."""
+    """Return one batch with the frames of all, in their order, as wide as the widest."""
     if len(batches) == 1:
         return batches[0]
+    width = max(batch.width for batch in batches)
+    batches = [batch.widened(width) for batch in batches]
     return FrameBatch(
         t_ns=np.concatenate([batch.t_ns for batch in batches]),
         can_id=np.concatenate([batch.can_id for batch in batches]),
         length=np.concatenate([batch.length for batch in batches]),
         data=np.concatenate([batch.data for batch in batches]),
+        flags=np.concatenate([batch.flags for batch in batches]),
+        channel=np.concatenate([batch.channel for batch in batches]),
     )
 
 
 def clear_padding(data: UInt8Array, length: UInt8Array | Int64Array) -> UInt8Array:
-    """Return payloads (n, 8) with zeros past their length: a sender may leave anything there."""
-    return np.where(np.arange(PAYLOAD_BYTES) < length[:, None], data, 0).astype(np.uint8)
+    """Return payloads (n, width) with zeros past their length: a sender may leave anything there."""
+    return np.where(np.arange(data.shape[1]) < length[:, None], data, 0).astype(np.uint8)
 
 
 def rounded_to_us(t_ns: Int64Array) -> Int64Array:

@@ -68,10 +68,7 @@ def read_mf4(stream: BinaryIO, tally: Tally) -> Iterator[FrameBatch]:
     order = np.argsort(merged.t_ns, kind="stable")
     tally.frames += len(merged)
     for first in range(0, len(order), FRAMES_PER_BATCH):
-        rows = order[first : first + FRAMES_PER_BATCH]
-        yield FrameBatch(
-            t_ns=merged.t_ns[rows], can_id=merged.can_id[rows], length=merged.length[rows], data=merged.data[rows]
-        )
+        yield merged[order[first : first + FRAMES_PER_BATCH]]
 
 
 def load_asammdf() -> Asammdf:

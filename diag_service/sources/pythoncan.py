@@ -9,7 +9,17 @@ import can
 import numpy as np
 
 from diag_service.errors import SourceError
-from diag_service.frames import ERROR_FLAG, EXTENDED_FLAG, PAYLOAD_BYTES, REMOTE_FLAG, FrameBatch
+from diag_service.frames import (
+    BRS_FLAG,
+    ERROR_FLAG,
+    ESI_FLAG,
+    EXTENDED_FLAG,
+    FD_FLAG,
+    FD_PAYLOAD_BYTES,
+    PAYLOAD_BYTES,
+    REMOTE_FLAG,
+    FrameBatch,
+)
 from diag_service.sources.base import SourceCounts
 from diag_service.sources.frame_queue import FrameQueue
 
@@ -32,7 +42,6 @@ class PythonCanSource:
         self._description = description
         self._queue = queue or FrameQueue()
         self._received = 0
-        self._unsupported = 0
         self._is_stopping = threading.Event()
         self._thread = threading.Thread(target=self._read, name="python-can reader", daemon=True)
         self._thread.start()
@@ -45,7 +54,7 @@ class PythonCanSource:
     @property
     def counts(self) -> SourceCounts:
         """What has been received and lost until now."""
-        return SourceCounts(received=self._received, queue_dropped=self._queue.dropped, unsupported=self._unsupported)
+        return SourceCounts(received=self._received, queue_dropped=self._queue.dropped)
 
     async def __aiter__(self) -> AsyncIterator[FrameBatch]:
         """Iterate over the batches."""
@@ -84,23 +93,24 @@ class PythonCanSource:
         return messages
 
     def _offer(self, messages: Sequence[can.Message]) -> None:
-        classic = [message for message in messages if not message.is_fd]
         self._received += len(messages)
-        self._unsupported += len(messages) - len(classic)
-        if classic:
-            self._queue.offer(to_batch(classic))
+        if messages:
+            self._queue.offer(to_batch(messages))
 
 
 def to_batch(messages: Sequence[can.Message]) -> FrameBatch:
-    """Return classic python-can messages as columns."""
+    """Return python-can messages as columns."""
+    width = FD_PAYLOAD_BYTES if any(message.is_fd for message in messages) else PAYLOAD_BYTES
     t_us = np.rint(np.array([message.timestamp for message in messages]) * US_PER_S).astype(np.int64)
+    capacity = np.array([FD_PAYLOAD_BYTES if message.is_fd else PAYLOAD_BYTES for message in messages], np.uint8)
     length = np.array([message.dlc for message in messages], np.uint8)
-    payload = b"".join(bytes(message.data).ljust(PAYLOAD_BYTES, b"\0") for message in messages)
+    payload = b"".join(bytes(message.data).ljust(width, b"\0") for message in messages)
     return FrameBatch(
         t_ns=t_us * NS_PER_US,
         can_id=np.array([flagged_id(message) for message in messages], np.uint32),
-        length=np.minimum(length, PAYLOAD_BYTES),
-        data=np.frombuffer(payload, np.uint8).reshape(-1, PAYLOAD_BYTES),
+        length=np.minimum(length, capacity),
+        data=np.frombuffer(payload, np.uint8).reshape(-1, width),
+        flags=np.array([frame_flags(message) for message in messages], np.uint8),
     )
 
 
@@ -112,6 +122,13 @@ def flagged_id(message: can.Message) -> int:
         | (REMOTE_FLAG if message.is_remote_frame else 0)
         | (ERROR_FLAG if message.is_error_frame else 0)
     )
+
+
+def frame_flags(message: can.Message) -> int:
+    """Return the flags of a message; a classic frame has none."""
+    if not message.is_fd:
+        return 0
+    return FD_FLAG | (BRS_FLAG if message.bitrate_switch else 0) | (ESI_FLAG if message.error_state_indicator else 0)
 
 
 def open_bus(interface: str, channel: str | None, bitrate: int | None, *, fd: bool) -> can.BusABC:

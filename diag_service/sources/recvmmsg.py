@@ -7,8 +7,10 @@ import socket
 from dataclasses import dataclass
 
 import numpy as np
+import numpy.typing as npt
 
-from diag_service.frames import PAYLOAD_BYTES, FrameBatch
+from diag_service.frames import BRS_FLAG, ESI_FLAG, FD_FLAG, FD_PAYLOAD_BYTES, PAYLOAD_BYTES, FrameBatch
+from diag_service.records import UInt8Array
 from diag_service.sources.columns import NS_PER_US, clear_padding
 
 SLOTS = 256  # frames per call
@@ -20,9 +22,9 @@ NS_PER_S = 1_000_000_000
 
 _FRAME = np.dtype(
     {
-        "names": ["can_id", "length", "data"],
-        "formats": ["<u4", "u1", ("u1", (PAYLOAD_BYTES,))],
-        "offsets": [0, 4, 8],
+        "names": ["can_id", "length", "flags", "data"],
+        "formats": ["<u4", "u1", "u1", ("u1", (FD_PAYLOAD_BYTES,))],
+        "offsets": [0, 4, 5, 8],
         "itemsize": FD_BYTES,
     }
 )
@@ -58,11 +60,11 @@ class _Message(ctypes.Structure):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Reception:
-    """What one call brought: classic frames as columns, and how many others there were."""
+    """What one call brought: frames as columns, and how many there were that are neither CAN nor CAN FD."""
 
     batch: FrameBatch
     read: int  # all of them
-    unsupported: int  # CAN FD
+    unsupported: int
 
 
 class FrameReceiver:
@@ -112,12 +114,14 @@ class FrameReceiver:
     def _reception(self, count: int) -> Reception:
         offset = _Message.received.offset
         size = self._headers[:count, offset : offset + 4].copy().view(np.uint32)[:, 0]
-        classic = size == CLASSIC_BYTES
-        frames, control = self._frames[:count][classic], self._control[:count][classic]
+        is_fd = size == FD_BYTES
+        known = is_fd | (size == CLASSIC_BYTES)
+        frames, control, is_fd = self._frames[:count][known], self._control[:count][known], is_fd[known]
         stamped = (control["level"] == socket.SOL_SOCKET) & (control["type"] == SO_TIMESTAMPNS)
         if not stamped.all():
             raise OSError(errno.EPROTO, "the kernel delivered a frame without its time")
-        length = np.minimum(frames["length"], PAYLOAD_BYTES)
+        width = FD_PAYLOAD_BYTES if is_fd.any() else PAYLOAD_BYTES
+        length = np.minimum(frames["length"], np.where(is_fd, FD_PAYLOAD_BYTES, PAYLOAD_BYTES)).astype(np.uint8)
         # Whole microseconds, cut as candump cuts them: a live stream and its recording have identical times.
         micros = control["nanoseconds"] // NS_PER_US
         return Reception(
@@ -125,8 +129,14 @@ class FrameReceiver:
                 t_ns=control["seconds"] * NS_PER_S + micros * NS_PER_US,
                 can_id=frames["can_id"].astype(np.uint32),
                 length=length,
-                data=clear_padding(frames["data"], length),
+                data=clear_padding(frames["data"][:, :width], length),
+                flags=frame_flags(frames["flags"], is_fd),
             ),
             read=count,
-            unsupported=count - int(np.count_nonzero(classic)),
+            unsupported=count - len(frames),
         )
+
+
+def frame_flags(kernel_flags: UInt8Array, is_fd: npt.NDArray[np.bool_]) -> UInt8Array:
+    """Return the flags of each frame; the byte is padding in a classic one."""
+    return np.where(is_fd, kernel_flags & np.uint8(BRS_FLAG | ESI_FLAG) | np.uint8(FD_FLAG), np.uint8(0))

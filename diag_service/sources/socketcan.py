@@ -34,7 +34,7 @@ class SocketCanSource:
     channel : str
         Interface name, such as ``vcan0``.
     fd : bool
-        Let CAN FD frames through to the socket, so that they are counted as unsupported.
+        Receive CAN FD frames as well; without it the kernel keeps them from this socket, uncounted.
     receive_buffer_bytes : int
         What to ask of the kernel; without privileges it may grant less.
 

@@ -8,7 +8,7 @@ import can
 import pytest
 
 from diag_service.errors import SourceError
-from diag_service.frames import FrameBatch
+from diag_service.frames import BRS_FLAG, ESI_FLAG, FD_FLAG, FrameBatch
 from diag_service.sources import FrameSource, open_source
 from diag_service.sources.columns import join
 from ecu_emulator.bus import TransmitReport, open_bus, transmit
@@ -102,17 +102,24 @@ async def test_remote_and_error_frames_carry_their_flags(transport: Transport) -
     assert batch.length.tolist() == [4, 8]
 
 
-async def test_can_fd_frames_are_counted_and_left_out(transport: Transport) -> None:
+async def test_can_fd_frames_keep_their_payload_and_flags(transport: Transport) -> None:
     is_fd = transport.interface != "virtual"  # which carries them anyway and knows no such option
+    long = bytes(range(1, 65))
     source = await open_source(transport.interface, transport.channel, fd=is_fd)
     with open_bus(transport.interface, transport.channel, fd=is_fd) as bus:
-        bus.send(can.Message(arbitration_id=0x123, is_extended_id=False, is_fd=True, data=bytes(12)))
+        bus.send(can.Message(arbitration_id=0x123, is_extended_id=False, is_fd=True, data=long))
         bus.send(can.Message(arbitration_id=0x124, is_extended_id=False, data=b"\x01"))
+        bus.send(can.Message(arbitration_id=0x125, is_fd=True, bitrate_switch=True, data=long[:12]))
+        bus.send(can.Message(arbitration_id=0x126, is_fd=True, error_state_indicator=True))
         await asyncio.sleep(0.2)
     await source.aclose()
     batch = join(await collect(source))
-    assert batch.can_id.tolist() == [0x124]
-    assert (source.counts.received, source.counts.unsupported) == (2, 1)
+    assert batch.can_id.tolist() == [0x123, 0x124, 0x8000_0125, 0x8000_0126]
+    assert batch.length.tolist() == [64, 1, 12, 0]
+    assert batch.flags.tolist() == [FD_FLAG, 0, FD_FLAG | BRS_FLAG, FD_FLAG | ESI_FLAG]
+    payloads = [long, b"\x01", long[:12], b""]
+    assert [row.tobytes() for row in batch.data] == [payload.ljust(64, b"\0") for payload in payloads]
+    assert (source.counts.received, source.counts.unsupported) == (4, 0)
 
 
 @pytest.mark.parametrize("name", ["CAN_INTERFACE", "CAN_CHANNEL"])
