@@ -2,7 +2,7 @@
 
 from diag_service.sources.base import FrameSource, SourceCounts
 from diag_service.sources.factory import open_source
-from diag_service.sources.logs import LogFormat, LogReader, read_log
+from diag_service.sources.logs import LogFormat, LogReader, is_log, read_log
 from diag_service.sources.tally import LogCounts, LogReject
 
 __all__ = [
@@ -12,6 +12,7 @@ __all__ = [
     "LogReader",
     "LogReject",
     "SourceCounts",
+    "is_log",
     "open_source",
     "read_log",
 ]

@@ -117,6 +117,16 @@ def read_log(path: Path | str) -> LogReader:
     return LogReader(path, stream, log_format)
 
 
+def is_log(path: Path) -> bool:
+    """Return whether a file is a log of a known format, by its first bytes; False if it cannot be read."""
+    try:
+        with path.open("rb") as stream:
+            detect_format(stream)
+    except (OSError, SourceError):
+        return False
+    return True
+
+
 def detect_format(stream: BinaryIO) -> LogFormat:
     """Return the format that the first bytes of a file speak of, whatever its name.
 

@@ -1,0 +1,138 @@
+"""The words of the command line: which commands and options there are. Imports next to nothing."""
+
+import argparse
+import os
+from importlib.metadata import version
+from pathlib import Path
+from typing import NoReturn
+
+PROGRAM = "diag-service"
+BROKER_VARIABLE = "CLUTCHDIAG_BROKER"  # keeps a password out of the process list
+
+EXIT_OK, EXIT_UNEXPECTED, EXIT_CONFIG, EXIT_SOURCE, EXIT_STORE = range(5)
+_EXIT_TEXT = "exit status: 0 done or stopped, 1 unexpected error, 2 usage, calibration or DBC, 3 bus or log, 4 store"
+_FOLDERS = (
+    "Logs that are named are one drive, put in order of time. A folder is many drives: every log in it, and in the "
+    "folders below, is a drive of its own, judged for itself. With --output a folder that was left half-way, killed "
+    "even, is taken up where it ended."
+)
+DEFAULT_BITRATE = 500_000
+
+
+class Parser(argparse.ArgumentParser):
+    """A parser that complains in one line, as everything else does."""
+
+    def error(self, message: str) -> NoReturn:
+        """Complain and leave."""
+        self.exit(EXIT_CONFIG, f"{PROGRAM}: error: {message} (see {self.prog} --help)\n")
+
+
+def build_parser() -> Parser:
+    """Return the parser of the whole command line."""
+    parser = Parser(
+        prog=PROGRAM,
+        description="Diagnoses wet dual clutches from their CAN traffic, shift by shift.",
+        epilog=_EXIT_TEXT,
+    )
+    parser.add_argument("--version", action="version", version=f"{PROGRAM} {version('clutchdiag')}")
+    commands = parser.add_subparsers(dest="command", required=True, metavar="COMMAND", parser_class=Parser)
+    _add_run(commands.add_parser("run", help="diagnose a live bus", epilog=_EXIT_TEXT))
+    _add_analyze(
+        commands.add_parser(
+            "analyze", help="diagnose recorded logs, or folders of them", description=_FOLDERS, epilog=_EXIT_TEXT
+        )
+    )
+    _add_inspect(commands.add_parser("inspect", help="show what traffic a log holds", epilog=_EXIT_TEXT))
+    _add_signals(
+        commands.add_parser("signals", help="list the signals in a log and propose a profile", epilog=_EXIT_TEXT)
+    )
+    _add_decode(commands.add_parser("decode", help="write the signals of a log as Parquet", epilog=_EXIT_TEXT))
+    return parser
+
+
+def _add_run(run: argparse.ArgumentParser) -> None:
+    run.add_argument("-i", "--interface", help="python-can interface: socketcan, udp_multicast, ...")
+    run.add_argument("-c", "--channel", help="channel of the interface, such as vcan0")
+    run.add_argument("-b", "--bitrate", type=int, help="bit rate, for interfaces that set it [bit/s]")
+    run.add_argument("--fd", action="store_true", help="open the interface in CAN FD mode")
+    run.add_argument("--duration", type=float, metavar="S", help="stop after this many seconds")
+    _add_meaning(run)
+    _add_diagnosis(run, "SQLite file for results (default: in the user's state directory, by vehicle)")
+    _add_verbosity(run)
+
+
+def _add_analyze(analyze: argparse.ArgumentParser) -> None:
+    analyze.add_argument("logs", nargs="+", type=Path, metavar="LOG", help="log file, or folder of log files")
+    analyze.add_argument(
+        "--estimator",
+        choices=("impulse", "paper"),
+        default="impulse",
+        help="impulse: the service's own; paper: the method of SAE 2015-01-1146, without uncertainty and verdict",
+    )
+    analyze.add_argument(
+        "-o", "--output", type=Path, metavar="FILE", help="write the results to a .jsonl, .csv or .parquet file"
+    )
+    analyze.add_argument("--jobs", type=int, metavar="N", help="drives of folders at a time (default: one per core)")
+    _add_meaning(analyze)
+    _add_diagnosis(analyze, "SQLite file for results (default: none, results are shown only)")
+    _add_verbosity(analyze)
+
+
+def _add_inspect(inspect: argparse.ArgumentParser) -> None:
+    inspect.add_argument("logs", nargs="+", type=Path, metavar="LOG", help="log file")
+    inspect.add_argument("--dbc", type=Path, metavar="FILE", help="names messages; the shipped one also checks them")
+    inspect.add_argument(
+        "-b",
+        "--bitrate",
+        type=int,
+        default=DEFAULT_BITRATE,
+        help="bit rate that the bus load is told for [bit/s] (default: %(default)s)",
+    )
+    inspect.add_argument("--json", action="store_true", help="one JSON object on standard output")
+    _add_verbosity(inspect)
+
+
+def _add_signals(signals: argparse.ArgumentParser) -> None:
+    signals.add_argument("log", type=Path, metavar="LOG", help="log file")
+    signals.add_argument("--dbc", type=Path, metavar="FILE", help="message database (default: the shipped one)")
+    _add_verbosity(signals)
+
+
+def _add_decode(decode: argparse.ArgumentParser) -> None:
+    decode.add_argument("log", type=Path, metavar="LOG", help="log file")
+    decode.add_argument("-o", "--output", type=Path, required=True, metavar="FILE", help="Parquet file to write")
+    decode.add_argument("--dbc", type=Path, metavar="FILE", help="message database (default: the shipped one)")
+    decode.add_argument(
+        "--layout",
+        choices=("wide", "long"),
+        default="wide",
+        help="wide: a row per frame, a column per signal; long: a row per value (default: %(default)s)",
+    )
+    _add_verbosity(decode)
+
+
+def _add_meaning(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("--dbc", type=Path, metavar="FILE", help="message database (default: the shipped one)")
+    parser.add_argument(
+        "--profile",
+        type=Path,
+        metavar="P",
+        help="which DBC signals are which: TOML file or shipped name (default: the shipped one that fits the DBC)",
+    )
+    parser.add_argument("--calibration", type=Path, metavar="FILE", help="vehicle type (TOML; default: nominal)")
+
+
+def _add_diagnosis(parser: argparse.ArgumentParser, store_help: str) -> None:
+    parser.add_argument("--vehicle", default="vehicle", metavar="ID", help="vehicle id (default: %(default)s)")
+    parser.add_argument("--store", type=Path, metavar="FILE", help=store_help)
+    parser.add_argument(
+        "--broker",
+        default=os.environ.get(BROKER_VARIABLE),
+        metavar="URL",
+        help=f"mqtt://[user[:password]@]host[:port] (default: the environment's {BROKER_VARIABLE}, else none)",
+    )
+    parser.add_argument("--json", action="store_true", help="JSON lines on standard output, text on standard error")
+
+
+def _add_verbosity(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("-v", "--verbose", action="count", default=0, help="say more; twice: libraries too")
