@@ -6,6 +6,7 @@ COPY clutch_model clutch_model
 COPY dbc dbc
 COPY diag_service diag_service
 COPY ecu_emulator ecu_emulator
+COPY fleet_contract fleet_contract
 # The lock's own uv installs the project: the lock then constrains, so only what the project needs comes in,
 # and every file is held against the lock's hashes.
 RUN awk '/^[^ #]/ { keep = /^uv==/ } keep' requirements.lock > /tmp/uv.lock \

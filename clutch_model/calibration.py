@@ -12,9 +12,10 @@ from pathlib import Path
 from typing import Any, Self, TypeVar
 
 from clutch_model.errors import CalibrationError
-from clutch_model.tables import check_keys, require
+from clutch_model.tables import check_keys, numbers, require
 
 CLUTCH_COUNT = 2
+Pair = tuple[float, float]  # clutch 1 first
 RecordT = TypeVar("RecordT")
 
 
@@ -25,8 +26,9 @@ class _Ranged:
     def __post_init__(self) -> None:
         for field in fields(self):
             value = getattr(self, field.name)
-            if isinstance(value, int | float) and not (math.isfinite(value) and value >= 0.0):
-                raise CalibrationError(f"{type(self).__name__}.{field.name} must be finite and >= 0, got {value}")
+            for number in value if isinstance(value, tuple) else (value,):
+                if isinstance(number, int | float) and not (math.isfinite(number) and number >= 0.0):
+                    raise CalibrationError(f"{type(self).__name__}.{field.name} must be finite and >= 0, got {number}")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -175,12 +177,15 @@ class InputSide(_Ranged):
     hub_inertia_kg_m2: float  # J_H
     hub_damping_nms_rad: float  # B_H
     crank_segment_rad: float  # engine speed is broadcast as the mean over this crank angle
+    input_shaft_inertias_kg_m2: Pair  # J_L + J_G of each input shaft in neutral
+    input_shaft_dampings_nms_rad: Pair  # B_L + B_G
 
     def __post_init__(self) -> None:
         """Check that the engine has an inertia."""
         _Ranged.__post_init__(self)
         require(self.engine_inertia_kg_m2 > 0.0, "engine_inertia_kg_m2 must be > 0")
         require(self.hub_inertia_kg_m2 > 0.0, "hub_inertia_kg_m2 must be > 0")
+        require(min(self.input_shaft_inertias_kg_m2) > 0.0, "input_shaft_inertias_kg_m2 must be > 0")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -189,6 +194,7 @@ class Uncertainty(_Ranged):
 
     torque_gain_ratio: float
     engine_inertia_ratio: float
+    input_shaft_inertia_ratio: float  # both together
     piston_area_ratio: float
     viscosity_ratio: float
     torque_latency_s: float
@@ -289,13 +295,17 @@ def _record(record: type[RecordT], table: object, where: str) -> RecordT:
         raise CalibrationError(f"{where} must be a table")
     members = {field.name: field.type for field in fields(record)}  # type: ignore[arg-type]
     check_keys(where, set(table), set(members))
+    values = {}
     for key, value in table.items():
+        name = f"{where}.{key}"
+        if members[key] == Pair:
+            values[key] = numbers(value, name, CLUTCH_COUNT)
+            continue
         wanted = int if members[key] in {int, "int"} else (int, float)
-        require(
-            isinstance(value, wanted) and not isinstance(value, bool), f"{where}.{key} must be a number, got {value!r}"
-        )
+        require(isinstance(value, wanted) and not isinstance(value, bool), f"{name} must be a number, got {value!r}")
+        values[key] = value
     try:
-        return record(**{str(key): value for key, value in table.items()})
+        return record(**values)
     except CalibrationError as exc:
         raise CalibrationError(f"{where}: {exc}") from exc
 

@@ -45,7 +45,9 @@ def _position_tables() -> UInt8Array:
     return np.array(rows[::-1], np.uint8)
 
 
-_TABLES: Final = _position_tables()
+CRC_TABLES: Final = _position_tables()
+"""What each value of each covered byte adds to the CRC, as ``_position_tables`` says; for compiled loops."""
+
 _BYTE_ROWS: Final = np.arange(2, PAYLOAD_BYTES + 1)
 
 
@@ -60,7 +62,7 @@ def data_id_remainder(data_id: int) -> int:
     """
     if not 0 <= data_id <= 0xFFFF:
         raise ValueError(f"a data id has 16 bits, got {data_id:#x}")
-    return int(_TABLES[0, data_id & 0xFF] ^ _TABLES[1, data_id >> 8])
+    return int(CRC_TABLES[0, data_id & 0xFF] ^ CRC_TABLES[1, data_id >> 8])
 
 
 def crc(data: UInt8Array, id_remainder: UInt8Array | int) -> UInt8Array:
@@ -73,7 +75,7 @@ def crc(data: UInt8Array, id_remainder: UInt8Array | int) -> UInt8Array:
     id_remainder : (n,) array or int
         ``data_id_remainder`` of each payload or of all.
     """
-    remainder: UInt8Array = np.bitwise_xor.reduce(_TABLES[_BYTE_ROWS, data[:, 1:]], axis=1)
+    remainder: UInt8Array = np.bitwise_xor.reduce(CRC_TABLES[_BYTE_ROWS, data[:, 1:]], axis=1)
     return remainder ^ np.asarray(id_remainder, np.uint8)
 
 

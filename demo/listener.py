@@ -1,24 +1,21 @@
 """What a subscriber of MQTT hears of the service: shifts as they come, and the clutch states that the broker keeps."""
 
 import asyncio
-import json
 from collections.abc import AsyncIterator, Callable
 from contextlib import asynccontextmanager
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 
 import aiomqtt
 
 from demo.errors import DemoError
 from diag_service.errors import ResultError
 from diag_service.publishers import BrokerAddress
-from diag_service.publishers.mqtt import clutch_topic, shift_topic, status_topic
 from diag_service.records import FrictionEstimate, ShiftResult
-from diag_service.results import parse_shift
+from diag_service.results import shift_from, verdict_from
+from fleet_contract import CLUTCHES, Channel, ContractError, Incoming, read_message, topic_of
 
-CLUTCHES = (1, 2)
 _AT_LEAST_ONCE = 1
 _RETAINED_S = 5.0  # a broker sends what it keeps at once
-_FRICTION_KEYS = frozenset(field.name for field in fields(FrictionEstimate))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -61,11 +58,11 @@ class Listener:
         try:
             async for message in self._messages:
                 async with self._heard:
-                    self._take(str(message.topic), _text(message), is_retained=message.retain)
+                    self._take(_read(message), is_retained=message.retain)
                     self._heard.notify_all()
         except aiomqtt.MqttError as exc:
             raise DemoError(f"the broker was lost: {exc}") from exc
-        except (ResultError, ValueError, KeyError) as exc:
+        except (ContractError, ResultError) as exc:
             raise DemoError(f"the broker delivered what is not of this service: {exc}") from exc
 
     async def service_online(self) -> None:
@@ -78,12 +75,12 @@ class Listener:
         async with self._heard:
             await self._heard.wait_for(lambda: len(self._shifts) >= count)
 
-    def _take(self, topic: str, text: str, *, is_retained: bool) -> None:
-        if topic == status_topic(self._vehicle):
+    def _take(self, message: Incoming, *, is_retained: bool) -> None:
+        if message.address.channel is Channel.STATUS:
             # What a broker kept is of an earlier service: ours is announced while we listen.
-            self._is_online = not is_retained and json.loads(text)["status"] == "online"
-        elif topic == shift_topic(self._vehicle):
-            result = parse_shift(text)
+            self._is_online = not is_retained and message.data["status"] == "online"
+        elif message.address.channel is Channel.SHIFT:
+            result = shift_from(message.data)
             if result.seq not in self._shifts:
                 self._shifts[result.seq] = result
                 self._on_shift(result)
@@ -101,8 +98,8 @@ async def listening(
         If the broker cannot be reached.
     """
     async with _connected(address) as client:
-        for topic in (status_topic(vehicle), shift_topic(vehicle)):
-            await client.subscribe(topic, qos=_AT_LEAST_ONCE)
+        for channel in (Channel.STATUS, Channel.SHIFT):
+            await client.subscribe(topic_of(vehicle, channel), qos=_AT_LEAST_ONCE)
         yield Listener(client.messages, vehicle, on_shift)
 
 
@@ -115,7 +112,7 @@ async def read_clutch_states(address: BrokerAddress, vehicle: str) -> dict[int, 
         If the broker cannot be reached.
     """
     states: dict[int, ClutchState] = {}
-    clutch_of = {clutch_topic(vehicle, clutch): clutch for clutch in CLUTCHES}
+    clutch_of = {topic_of(vehicle, Channel.CLUTCH, clutch): clutch for clutch in CLUTCHES}
     async with _connected(address) as client:
         for topic in clutch_of:
             await client.subscribe(topic, qos=_AT_LEAST_ONCE)
@@ -124,7 +121,7 @@ async def read_clutch_states(address: BrokerAddress, vehicle: str) -> dict[int, 
                 async for message in client.messages:
                     clutch = clutch_of.get(str(message.topic))  # a broker may repeat, or add what nobody asked for
                     if clutch is not None:
-                        states[clutch] = _clutch_state(_text(message))
+                        states[clutch] = _clutch_state(message)
                     if len(states) == len(clutch_of):
                         break
         except TimeoutError:
@@ -142,20 +139,20 @@ async def _connected(address: BrokerAddress) -> AsyncIterator[aiomqtt.Client]:
         raise DemoError(f"broker {address}: {exc}") from exc
 
 
-def _clutch_state(text: str) -> ClutchState:
+def _clutch_state(message: aiomqtt.Message) -> ClutchState:
     try:
-        table = json.loads(text)
-        friction = table["friction"]
-        return ClutchState(
-            clutch=table["clutch"],
-            condition=table["condition"].replace("_", " "),
-            reason=table["reason"],
-            friction=None if friction is None else FrictionEstimate(**{key: friction[key] for key in _FRICTION_KEYS}),
-            shift_count=table["shift_count"],
-        )
-    except (ValueError, KeyError, TypeError, AttributeError) as exc:
-        raise DemoError(f"the broker keeps what is no clutch state: {text[:80]}") from exc
+        verdict = verdict_from(_read(message).data)
+    except (ContractError, ResultError) as exc:
+        raise DemoError(f"the broker keeps what is no clutch state: {exc}") from exc
+    return ClutchState(
+        clutch=verdict.clutch,
+        condition=verdict.condition.name.lower().replace("_", " "),
+        reason=verdict.reason,
+        friction=verdict.friction,
+        shift_count=verdict.shift_count,
+    )
 
 
-def _text(message: aiomqtt.Message) -> str:
-    return message.payload.decode() if isinstance(message.payload, bytes) else str(message.payload)
+def _read(message: aiomqtt.Message) -> Incoming:
+    payload = message.payload if isinstance(message.payload, bytes) else str(message.payload).encode()
+    return read_message(str(message.topic), payload)

@@ -3,9 +3,10 @@
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
-from demo.listener import CLUTCHES, ClutchState
+from demo.listener import ClutchState
 from diag_service.records import FrictionEstimate, ShiftResult
 from ecu_emulator.truth import ShiftTruth, TruthLog
+from fleet_contract import CLUTCHES
 
 MAX_ERROR_STD = 4.0  # beyond it an estimate is wrong, not unlucky: 6e-5 by chance
 SHIFTS_PER_CYCLE = 10  # 1-2-3-4-5-6-5-4-3-2-1

@@ -14,7 +14,7 @@ from rich.console import Console
 
 from demo.broker import embedded_broker
 from demo.errors import DemoError
-from demo.listener import CLUTCHES, Listener, listening, read_clutch_states
+from demo.listener import Listener, listening, read_clutch_states
 from demo.medium import Medium, open_medium
 from demo.outcome import SHIFTS_PER_CYCLE, Outcome, complaints, frame_account
 from demo.picture import draw
@@ -24,6 +24,7 @@ from demo.traces import recorded_shift
 from diag_service.publishers import BrokerAddress
 from diag_service.records import ShiftResult
 from ecu_emulator.truth import read_truth
+from fleet_contract import CLUTCHES
 
 CYCLE_S = 40.6  # what one cycle takes on the road
 READY_S = 30.0  # for a program to load and announce itself

@@ -2,7 +2,6 @@
 
 import hashlib
 import os
-import re
 from dataclasses import dataclass
 from enum import StrEnum
 from pathlib import Path
@@ -11,8 +10,8 @@ from urllib.parse import unquote, urlsplit
 from clutch_model.calibration import Calibration, nominal_calibration, read_calibration
 from diag_service.errors import ConfigError
 from diag_service.publishers import BrokerAddress
+from fleet_contract import is_vehicle
 
-_VEHICLE_PATTERN = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.-]{0,63}")
 _DIGEST_LENGTH = 12
 
 
@@ -60,7 +59,7 @@ def check_vehicle(vehicle: str) -> str:
     ConfigError
         If it has other characters than letters, digits, ``_``, ``.`` and ``-``, or is longer than 64.
     """
-    if not _VEHICLE_PATTERN.fullmatch(vehicle):
+    if not is_vehicle(vehicle):
         raise ConfigError(
             f"{vehicle!r} is no vehicle id: up to 64 letters, digits, '_', '.' or '-', not starting with '.' or '-'"
         )

@@ -1,11 +1,10 @@
-"""Signals compiled to bit fields, so that one array operation decodes a column; bit-identical to cantools.
-
-Payloads are read as 64-bit words, once in each byte order; a signal is a shift and a mask of one of them.
-"""
+"""Signals compiled to tables, so that a few array operations decode a column; bit-identical to cantools."""
 
 import math
 import re
+from collections.abc import Iterable
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import Final
 
 import numpy as np
@@ -13,14 +12,22 @@ import numpy.typing as npt
 from cantools.database.can import Message
 from cantools.database.can.signal import Signal
 
+from diag_service.bit_fields import BitField, PayloadWords, UInt64Array, place_signal
 from diag_service.errors import ConfigError
-from diag_service.frames import PAYLOAD_BYTES
 from diag_service.records import FloatArray, Int64Array, UInt8Array
 
-BoolArray = npt.NDArray[np.bool_]
-UInt64Array = npt.NDArray[np.uint64]
+__all__ = [
+    "NOT_AVAILABLE",
+    "BoolArray",
+    "Decoded",
+    "PayloadWords",
+    "SignalTable",
+    "compile_signal",
+    "payload_words",
+]
 
-WORD_BITS: Final = 8 * PAYLOAD_BYTES
+BoolArray = npt.NDArray[np.bool_]
+
 MAX_FACTOR: Final = 1e100  # beyond any unit; keeps the arithmetic of wide integers finite
 EXACT_INTEGER: Final = 2**53  # float64 holds every integer up to here
 MAX_MULTIPLEX_DEPTH: Final = 8
@@ -34,14 +41,6 @@ NOT_AVAILABLE: Final = re.compile(
 
 
 @dataclass(frozen=True, slots=True)
-class PayloadWords:
-    """Payloads as 64-bit words: byte 0 lowest, and byte 0 highest."""
-
-    little: UInt64Array  # (n,)
-    big: UInt64Array  # (n,)
-
-
-@dataclass(frozen=True, slots=True)
 class Decoded:
     """One decoded signal; where ``is_good`` is false the value means nothing."""
 
@@ -51,41 +50,22 @@ class Decoded:
 
 
 @dataclass(frozen=True, slots=True)
-class BitField:
-    """Where a signal lies in the payload word of its byte order."""
-
-    is_big: bool
-    shift: int
-    length: int
-    is_signed: bool
-
-    def raw(self, words: PayloadWords) -> UInt64Array | Int64Array:
-        """Return the raw values, shape (n,)."""
-        word = words.big if self.is_big else words.little
-        if self.is_signed:
-            left = word << np.uint64(WORD_BITS - self.shift - self.length)
-            return left.view(np.int64) >> np.int64(WORD_BITS - self.length)
-        return (word >> np.uint64(self.shift)) & np.uint64(2**self.length - 1)
-
-    @property
-    def raw_limits(self) -> tuple[int, int]:
-        """Smallest and largest raw value."""
-        if self.is_signed:
-            return -(2 ** (self.length - 1)), 2 ** (self.length - 1) - 1
-        return 0, 2**self.length - 1
-
-
-@dataclass(frozen=True, slots=True)
 class Selector:
-    """A multiplexer and the values with which a signal is in the frame."""
+    """A multiplexer and the values with which a signal is in the frame, as ranges that rise and do not touch."""
 
     field: BitField
-    values: tuple[int, ...]
+    first: tuple[int, ...]
+    last: tuple[int, ...]
 
     def is_present(self, words: PayloadWords) -> BoolArray:
         """Return in which frames the signal is, shape (n,)."""
         raw = self.field.raw(words)
-        return np.isin(raw, np.array(self.values, raw.dtype))
+        if self.first == self.last and len(self.first) == 1:
+            is_present: BoolArray = raw == raw.dtype.type(self.first[0])
+            return is_present
+        first, last = np.array(self.first, raw.dtype), np.array(self.last, raw.dtype)
+        place = np.searchsorted(first, raw, side="right") - 1  # -1: below all ranges
+        return (place >= 0) & (raw <= last[place])
 
 
 @dataclass(frozen=True, slots=True)
@@ -180,11 +160,8 @@ class SignalTable:
 
 
 def payload_words(data: UInt8Array) -> PayloadWords:
-    """Return the first eight bytes of payloads, shape (n, 8) or (n, 64), as words."""
-    columns = np.ascontiguousarray(data[:, :PAYLOAD_BYTES])
-    return PayloadWords(
-        little=columns.view("<u8")[:, 0].astype(np.uint64), big=columns.view(">u8")[:, 0].astype(np.uint64)
-    )
+    """Return payloads, shape (n, 8) or (n, 64), as words."""
+    return PayloadWords(data)
 
 
 def compile_signal(message: Message, name: str, *, check_range: bool = True) -> SignalTable:
@@ -202,12 +179,12 @@ def compile_signal(message: Message, name: str, *, check_range: bool = True) -> 
     Raises
     ------
     ConfigError
-        If the signal cannot be decoded: outside the 8 bytes of a classic frame or of its message, of a width that
-        its type does not have, or multiplexed by something that is no multiplexer.
+        If the signal cannot be decoded: outside its message or the 64 bytes of a frame, of a width that its type
+        does not have, or multiplexed by something that is no multiplexer.
     """
     signal = message.get_signal_by_name(name)
     where = f"{message.name}.{name}"
-    field = _bit_field(message, signal, where)
+    field = place_signal(message, signal)
     factors = (signal.scale, signal.offset)
     if signal.scale == 0 or not all(abs(factor) <= MAX_FACTOR for factor in factors):
         raise ConfigError(f"{where}: scale {signal.scale} and offset {signal.offset} are not usable")
@@ -217,20 +194,6 @@ def compile_signal(message: Message, name: str, *, check_range: bool = True) -> 
         code=code or _integer_code(signal, field, check_range=check_range),
         selectors=_selectors(message, signal, where),
     )
-
-
-def _bit_field(message: Message, signal: Signal, where: str) -> BitField:
-    """Place a signal in its word."""
-    is_big = signal.byte_order == "big_endian"
-    # The database counts bits of a byte from its lowest; in a big-endian word the highest bit of byte 0 comes first.
-    first = 8 * (signal.start // 8) + 7 - signal.start % 8 if is_big else signal.start
-    if not (1 <= signal.length <= WORD_BITS and first >= 0 and first + signal.length <= 8 * message.length):
-        raise ConfigError(f"{where} lies outside its message")
-    if first + signal.length > WORD_BITS:
-        raise ConfigError(f"{where} lies outside the {PAYLOAD_BYTES} bytes of a classic CAN frame")
-    shift = WORD_BITS - first - signal.length if is_big else first
-    is_signed = signal.is_signed and not signal.conversion.is_float
-    return BitField(is_big, shift, signal.length, is_signed)
 
 
 def _integer_code(signal: Signal, field: BitField, *, check_range: bool) -> IntegerCode:
@@ -287,8 +250,20 @@ def _selectors(message: Message, signal: Signal, where: str) -> tuple[Selector, 
         multiplexer = {s.name: s for s in message.signals if s.is_multiplexer}.get(signal.multiplexer_signal or "")
         if multiplexer is None or len(selectors) == MAX_MULTIPLEX_DEPTH:
             raise ConfigError(f"{where} is multiplexed, but its message has no proper multiplexer for it")
-        field = _bit_field(message, multiplexer, f"{message.name}.{multiplexer.name}")
-        low, high = field.raw_limits
-        selectors.append(Selector(field, tuple(value for value in signal.multiplexer_ids if low <= value <= high)))
+        selectors.append(_selector(place_signal(message, multiplexer), signal.multiplexer_ids))
         signal = multiplexer
     return tuple(selectors)
+
+
+def _selector(field: BitField, values: Iterable[int]) -> Selector:
+    """Return the selector of some values of a multiplexer, those aside that do not fit its bits."""
+    low, high = field.raw_limits
+    fitting = sorted({value for value in values if low <= value <= high})
+    if not fitting:
+        return Selector(field, (high,), (low,))  # an empty range: in no frame
+    first, last = [fitting[0]], []
+    for before, value in pairwise(fitting):
+        if value - before > 1:
+            last.append(before)
+            first.append(value)
+    return Selector(field, tuple(first), (*last, fitting[-1]))

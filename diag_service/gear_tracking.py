@@ -10,6 +10,7 @@ from typing import Protocol
 
 import numpy as np
 
+from diag_service.history import held
 from diag_service.records import EndReason, FloatArray, GearRatios, Int64Array, Series, Signal
 
 NS_PER_S = 1_000_000_000
@@ -21,8 +22,6 @@ MIN_SPEED_RAD_S = 50.0  # of the engine: below it drives nothing
 
 Samples = Callable[[Signal, int], Series]
 """The samples of a signal from where the tracker stands up to a time."""
-
-NO_SAMPLES = Series(t_ns=np.empty(0, np.int64), sequence=np.empty(0, np.int64), value=np.empty(0))
 
 
 @dataclass(frozen=True, slots=True)
@@ -100,9 +99,7 @@ class GearPairTracker:
                 self._closed += self._lone.interrupt(int(target.t_ns[0]))
         t_ns = np.union1d(current.t_ns, target.t_ns)
         if len(t_ns):
-            pairs = np.column_stack(
-                (_held(current, t_ns, self._gears.current), _held(target, t_ns, self._gears.target))
-            )
+            pairs = np.column_stack((held(current, t_ns, self._gears.current), held(target, t_ns, self._gears.target)))
             before = np.vstack(((self._gears.current, self._gears.target), pairs[:-1]))
             for row in np.flatnonzero(np.any(pairs != before, axis=1)):
                 self._close_overdue(int(t_ns[row]))
@@ -333,8 +330,3 @@ def held_values(series: Series, t_ns: Int64Array, before: float) -> FloatArray:
     """Return the value in force at each time: the latest sample, or the one known ``before`` the first."""
     held = np.concatenate(((before,), series.value))
     return held[np.searchsorted(series.t_ns, t_ns, side="right")]
-
-
-def _held(series: Series, t_ns: Int64Array, before: int) -> Int64Array:
-    """Return the gear in force at each time."""
-    return held_values(series, t_ns, float(before)).astype(np.int64)

@@ -8,6 +8,7 @@ from typing import Final
 import numpy as np
 from cantools.database.can import Database, Message
 
+from diag_service.addressing import Address, message_address, rows_by_slot
 from diag_service.decode import PayloadWords, payload_words
 from diag_service.errors import ConfigError
 from diag_service.frames import FrameBatch
@@ -29,6 +30,8 @@ class MessageCounts:
     decoded: int
     rejected: Mapping[FrameReason, int]  # reasons that occurred
     missing: int  # sent, says the alive counter, but never received
+    channels: Mapping[int, int]  # frames by the bus they came on
+    senders: Mapping[int, int]  # frames by J1939 source address, empty for other messages
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -59,6 +62,7 @@ class MessageColumns:
     """A message and the canonical signals it carries."""
 
     message: Message
+    address: Address
     period_ns: int
     columns: tuple[SignalColumn, ...]
 
@@ -70,7 +74,7 @@ def map_signals(database: Database, profile: Profile) -> tuple[MessageColumns, .
     ------
     ConfigError
         With everything that does not fit: messages or signals that the database lacks, units of another kind, signals
-        that cannot be decoded.
+        that cannot be decoded, a message with several source addresses.
     """
     found, problems = fitting(database, profile)
     if problems and not profile.is_lenient:
@@ -83,6 +87,7 @@ def fitting(database: Database, profile: Profile) -> tuple[tuple[MessageColumns,
     problems: list[str] = []
     found: dict[str, list[SignalColumn]] = {}
     messages: dict[str, Message] = {}
+    senders: dict[str, set[int]] = {}
     for signal, source in profile.sources.items():
         try:
             message = find_message(database.messages, source)
@@ -92,9 +97,18 @@ def fitting(database: Database, profile: Profile) -> tuple[tuple[MessageColumns,
             continue
         messages[message.name] = message
         found.setdefault(message.name, []).append(column)
+        if source.source_address is not None:
+            senders.setdefault(message.name, set()).add(source.source_address)
+    problems += [f"several source addresses for {name}" for name, named in senders.items() if len(named) > 1]
     mapped = tuple(
         MessageColumns(
             message=messages[name],
+            address=message_address(
+                messages[name],
+                is_j1939=profile.is_j1939,
+                sender=min(senders.get(name, ()), default=None),
+                channel=profile.channel,
+            ),
             period_ns=(messages[name].cycle_time or 0) * NS_PER_MS,
             columns=tuple(columns),
         )
@@ -127,7 +141,9 @@ class Decoder:
 
     def __init__(self, database: Database, profile: Profile) -> None:
         self._messages = map_signals(database, profile)
-        self._monitor = LinkMonitor([mapped.message for mapped in self._messages])
+        self._monitor = LinkMonitor(
+            [mapped.message for mapped in self._messages], [mapped.address for mapped in self._messages]
+        )
         self.gears: GearRatios | None = profile.gears
         self.profile_name = profile.name
         self._invalid: dict[Signal, int] = {}
@@ -151,9 +167,13 @@ class Decoder:
         total = counts.sum(axis=0)
         messages = {
             mapped.message.name: MessageCounts(
-                decoded=int(row[FrameReason.OK]), rejected=_rejected(row), missing=int(lost)
+                decoded=int(counts[slot, FrameReason.OK]),
+                rejected=_rejected(counts[slot]),
+                missing=int(missing[slot]),
+                channels=self._monitor.channels(slot),
+                senders=self._monitor.senders(slot),
             )
-            for mapped, row, lost in zip(self._messages, counts[:-1], missing, strict=True)
+            for slot, mapped in enumerate(self._messages)
         }
         return DecoderCounts(
             received=int(total.sum()),
@@ -188,8 +208,8 @@ class Decoder:
             self._monitor.reset()
         verdicts = self._monitor.check(segment)
         columns: dict[Signal, Series] = {}
-        for index, rows in _rows_by_message(verdicts):
-            mapped = self._messages[index]
+        for slot, rows in rows_by_slot(verdicts.accepted, len(self._messages)):
+            mapped = self._messages[slot]
             words = payload_words(segment.data[rows])
             t_ns, sequence = segment.t_ns[rows], verdicts.sequence[rows]
             for column in mapped.columns:
@@ -222,17 +242,11 @@ def _rejected(row: Int64Array) -> Mapping[FrameReason, int]:
     return MappingProxyType({reason: int(row[reason]) for reason in REJECTIONS if row[reason]})
 
 
-def _rows_by_message(verdicts: FrameVerdicts) -> Iterator[tuple[int, Int64Array]]:
-    """Yield message and rows of the accepted frames, each message once, its rows in the order of arrival."""
-    good = np.flatnonzero(verdicts.reason == FrameReason.OK)
-    good = good[np.argsort(verdicts.slot[good], kind="stable")]
-    if len(good):
-        present, first = np.unique(verdicts.slot[good], return_index=True)
-        yield from zip(present.tolist(), np.split(good, first[1:]), strict=True)
-
-
 def _bad_frame_ns(segment: FrameBatch, verdicts: FrameVerdicts) -> Int64Array:
-    """Return when mapped messages failed: a rejected frame at its own time, a missing one where it was missed."""
-    is_rejected = (verdicts.reason >= FrameReason.SHORT) & (verdicts.slot >= 0)
+    """Return when mapped messages failed: a rejected frame at its own time, a missing one where it was missed.
+
+    Frames of another channel or sender are no failures of those that are followed.
+    """
+    is_rejected = (verdicts.reason >= FrameReason.SHORT) & (verdicts.reason <= FrameReason.WRONG_SEQUENCE)
     times = np.repeat(segment.t_ns, is_rejected + np.maximum(verdicts.missing, 0))
     return times.astype(np.int64, copy=False)

@@ -13,6 +13,10 @@ from clutch_model.units import k_from_degc, m_s_from_km_h, pa_from_bar, rad_s_fr
 from diag_service.errors import ConfigError
 from diag_service.records import FloatArray, GearRatios, Signal
 
+MAX_NUMBER: Final = 0xFF  # of a channel or a J1939 source address
+PROTOCOLS: Final = {"can": False, "j1939": True}
+PROFILE_KEYS: Final = frozenset({"name", "signals", "protocol", "channel", "database", "gears"})
+
 Conversion = Callable[[FloatArray], FloatArray]
 
 PROFILE_FOLDER: Final = Path(__file__).parent / "profiles"
@@ -77,6 +81,7 @@ class SignalSource:
     invalid: tuple[float, ...] = ()  # decoded values that are codes
     less: str | None = None  # signal of the same message that is subtracted
     times: str | None = None  # signal of the same message that multiplies, such as a reference torque
+    source_address: int | None = None  # of a J1939 message; None: the first sender that is heard
 
     def __post_init__(self) -> None:
         if not (math.isfinite(self.scale) and math.isfinite(self.offset)) or self.scale == 0.0:
@@ -87,6 +92,8 @@ class SignalSource:
             raise ConfigError("lacks signal, or has it beside spn" if self.signal else "lacks signal")
         if self.valid is not None and not self.valid[0] < self.valid[1]:
             raise ConfigError(f"valid {list(self.valid)} is no range")
+        if self.source_address is not None and not 0 <= self.source_address <= MAX_NUMBER:
+            raise ConfigError(f"source_address {self.source_address} is not one of J1939")
 
     @property
     def place(self) -> str:
@@ -104,6 +111,8 @@ class Profile:
     gears: GearRatios | None = None  # where no signal tells the gear
     database: Path | None = None  # the database that ships with the profile
     is_lenient: bool = False  # a shipped profile serves many databases: what one lacks is left out
+    is_j1939: bool = False  # 29-bit identifiers are matched by their parameter group, whatever the database says
+    channel: int | None = None  # bus of a log with several; None: the first on which a message is heard
 
 
 def shipped_profiles() -> tuple[str, ...]:
@@ -143,9 +152,9 @@ def load_profile(path: Path = PROFILE_PATH) -> Profile:
     """
     table = _read_table(path)
     signals = table.get("signals")
-    if not isinstance(signals, dict) or table.keys() - {"name", "signals", "gears", "database"}:
+    if not isinstance(signals, dict) or table.keys() - PROFILE_KEYS:
         raise ConfigError(
-            f"profile {path} must have a table [signals] and, besides, at most a name, a database, [gears]"
+            f"profile {path} must have a table [signals] and, besides, at most name, protocol, channel, database, gears"
         )
     sources: dict[Signal, SignalSource] = {}
     problems: list[str] = []
@@ -159,6 +168,12 @@ def load_profile(path: Path = PROFILE_PATH) -> Profile:
         gears = _gears(table.get("gears"))
     except ConfigError as error:
         problems.append(f"gears: {error}")
+    channel = table.get("channel")
+    if channel is not None and not (type(channel) is int and 0 <= channel <= MAX_NUMBER):
+        problems.append(f"channel must be a number up to {MAX_NUMBER}")
+    protocol = table.get("protocol", "can")
+    if not isinstance(protocol, str) or protocol not in PROTOCOLS:
+        problems.append(f"protocol must be one of {', '.join(PROTOCOLS)}")
     if problems:
         raise ConfigError(f"profile {path}: {'; '.join(problems)}")
     return Profile(
@@ -166,6 +181,8 @@ def load_profile(path: Path = PROFILE_PATH) -> Profile:
         sources=MappingProxyType(sources),
         gears=gears,
         database=path.parent / str(table["database"]) if "database" in table else None,
+        is_j1939=PROTOCOLS[str(protocol)],
+        channel=channel if isinstance(channel, int) else None,
     )
 
 
@@ -211,6 +228,7 @@ _FIELD_TYPES: Final[Mapping[str, type | tuple[type, ...]]] = {
     **dict.fromkeys(("scale", "offset"), (int, float)),
     **dict.fromkeys(("valid", "invalid"), list),
     "check_range": bool,
+    "source_address": int,
 }
 
 

@@ -112,7 +112,7 @@ class ColumnBatch:
 
 
 class EndReason(StrEnum):
-    """How a shift ended."""
+    """How a shift or a rev ended."""
 
     COMPLETE = "complete"
     INTERRUPTED = "interrupted"  # the stream ended or bus time jumped
@@ -140,6 +140,22 @@ class Tier(IntEnum):
     FRICTION = 1  # pressure and torques: mu
     TORQUE = 2  # torque only: transmitted over commanded clutch torque
     KINEMATIC = 3  # speeds and gears: shift time and slip
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RevEvent:
+    """One engine rev in neutral with its signals, cut a little wider than the rev itself.
+
+    A rev goes from low engine speed through a high peak back to low speed, both clutches open or both closed all along.
+    """
+
+    number: int  # 1, 2, ... within the stream
+    start_ns: int  # first sample of the engine speed that is no longer low
+    end_ns: int  # first sample that is low again
+    are_clutches_closed: bool  # else both are empty
+    end_reason: EndReason  # abandoned: a gear was chosen
+    columns: Columns
+    bad_frame_count: int  # rejected or missing frames of mapped messages inside the cut
 
 
 class Status(StrEnum):

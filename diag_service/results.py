@@ -1,7 +1,7 @@
 """The public, versioned JSON of the service: shift results, clutch states, service status.
 
-Within a version keys are only ever added; a reader ignores those it does not know. ``schemas/`` holds a JSON Schema
-(2020-12) per record. Keys keep one order, so equal results are equal texts.
+Within a version keys are only ever added; a reader ignores those it does not know. ``fleet_contract`` holds the JSON
+Schemas (2020-12) and the envelope in which records travel. Keys keep one order, so equal results are equal texts.
 """
 
 import json
@@ -22,12 +22,11 @@ from diag_service.records import (
     Status,
     Tier,
 )
+from fleet_contract import Channel
 
 JsonObject = dict[str, object]
 
-SHIFT_SCHEMA = "clutchdiag/shift/v1"
-CLUTCH_SCHEMA = "clutchdiag/clutch/v1"
-STATUS_SCHEMA = "clutchdiag/status/v1"
+SHIFT_SCHEMA = Channel.SHIFT.schema_name
 
 _EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
 _NS_PER_US = 1000
@@ -106,7 +105,7 @@ def shift_record(result: ShiftResult) -> JsonObject:
 def clutch_record(result: ShiftResult) -> JsonObject:
     """Return the state of the clutch after the shift that last engaged it."""
     return {
-        "schema": CLUTCH_SCHEMA,
+        "schema": Channel.CLUTCH.schema_name,
         "vehicle": result.vehicle,
         **_verdict_record(result.verdict),
         "stream": result.stream,
@@ -121,7 +120,7 @@ def clutch_record(result: ShiftResult) -> JsonObject:
 def status_record(status: ServiceStatus) -> JsonObject:
     """Return the public form of the service's status."""
     return {
-        "schema": STATUS_SCHEMA,
+        "schema": Channel.STATUS.schema_name,
         "vehicle": status.vehicle,
         "status": "online" if status.is_online else "offline",
         "connected_at": status.connected_at,
@@ -157,12 +156,25 @@ def parse_shift(text: str) -> ShiftResult:
         table = json.loads(text)
     except ValueError as exc:
         raise ResultError(f"not a shift result: {exc}") from exc
+    return shift_from(table)
+
+
+def shift_from(table: object) -> ShiftResult:
+    """Read back a ``shift_record``; raises ResultError if it is none of this version."""
     if not isinstance(table, dict) or table.get("schema") != SHIFT_SCHEMA:
         raise ResultError(f"not a {SHIFT_SCHEMA} record")
     try:
         return _shift_from(table)
     except (KeyError, TypeError, ValueError) as exc:
         raise ResultError(f"incomplete {SHIFT_SCHEMA} record: {exc!r}") from exc
+
+
+def verdict_from(table: object) -> ClutchVerdict:
+    """Read back the verdict in a ``clutch_record``; raises ResultError if it is none of this version."""
+    try:
+        return _verdict_from(table)
+    except (KeyError, TypeError, ValueError) as exc:
+        raise ResultError(f"incomplete {Channel.CLUTCH.schema_name} record: {exc!r}") from exc
 
 
 def _friction_record(friction: FrictionEstimate | None) -> JsonObject | None:

@@ -6,12 +6,11 @@ from dataclasses import dataclass
 import numpy as np
 from cantools.database.can import Message
 
+from diag_service.addressing import parameter_group
 from diag_service.decode import BoolArray, Decoded, PayloadWords, SignalTable, compile_signal
 from diag_service.errors import ConfigError
 from diag_service.profile import SignalSource
 from diag_service.records import FloatArray
-
-PDU1_FORMATS = 240  # below, the second byte of a J1939 identifier is an address, not part of the group
 
 
 @dataclass(frozen=True, slots=True)
@@ -81,7 +80,11 @@ def find_message(messages: Sequence[Message], source: SignalSource) -> Message:
         If the database has none.
     """
     for message in messages:
-        if message.name == source.message if source.pgn is None else parameter_group(message) == source.pgn:
+        if source.pgn is None:
+            is_meant = message.name == source.message
+        else:
+            is_meant = message.is_extended_frame and parameter_group(message.frame_id) == source.pgn
+        if is_meant:
             return message
     raise ConfigError(f"the database has no message {source.message or f'of PGN {source.pgn}'}")
 
@@ -98,17 +101,6 @@ def signal_name(message: Message, source: SignalSource) -> str:
         if signal.name == source.signal if source.spn is None else signal.spn == source.spn:
             return signal.name
     raise ConfigError(f"{message.name} has no signal {source.signal or f'with SPN {source.spn}'}")
-
-
-def parameter_group(message: Message) -> int | None:
-    """Return the J1939 parameter group number of a message; None if its identifier has 11 bits."""
-    return group_of(message.frame_id) if message.is_extended_frame else None
-
-
-def group_of(can_id: int) -> int:
-    """Return the J1939 parameter group number in a 29-bit identifier (SAE J1939-21)."""
-    group = can_id >> 8 & 0x3FFFF
-    return group if group >> 8 & 0xFF >= PDU1_FORMATS else group & 0x3FF00
 
 
 def _combined(other: Decoded, good: BoolArray, value: FloatArray, operation: np.ufunc) -> tuple[FloatArray, BoolArray]:

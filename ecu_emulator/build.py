@@ -70,11 +70,14 @@ def build_vehicle(scenario: Scenario) -> BuiltVehicle:
                 viscosity=replace(calibration.viscosity, a_pa_s=viscosity_a_pa_s),
                 input_side=replace(calibration.input_side, engine_inertia_kg_m2=inertia_kg_m2),
             ),
-            parameters=affected_parameters(
-                PlantParameters.from_mapping(
-                    _overridden(dict(nominal_plant_table()), scenario.truth.plant, "truth.plant")
+            parameters=_scattered_plant(
+                affected_parameters(
+                    PlantParameters.from_mapping(
+                        _overridden(dict(nominal_plant_table()), scenario.truth.plant, "truth.plant")
+                    ),
+                    scenario.effects,
                 ),
-                scenario.effects,
+                drawn,
             ),
             sensors=_scattered_sensors(scenario.sensors, drawn),
             drawn=drawn,
@@ -106,6 +109,18 @@ def _scattered_clutch(
             clutch.friction, mu_c=clutch.friction.mu_c * factors[0], mu_s=clutch.friction.mu_s * factors[1]
         ),
     )
+
+
+def _scattered_plant(parameters: PlantParameters, drawn: Mapping[str, float]) -> PlantParameters:
+    factor = 1.0 + drawn["input_shaft_inertia_ratio"]
+    first, second = (
+        shaft._replace(
+            clutch_inertia_kg_m2=shaft.clutch_inertia_kg_m2 * factor,
+            gear_inertia_kg_m2=shaft.gear_inertia_kg_m2 * factor,
+        )
+        for shaft in parameters.shafts
+    )
+    return replace(parameters, shafts=(first, second))
 
 
 def _scattered_sensors(sensors: Sensors, drawn: Mapping[str, float]) -> Sensors:

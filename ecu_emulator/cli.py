@@ -23,6 +23,7 @@ STATUS_INTERRUPTED: Final = 130  # SIGINT again, without waiting for the clean s
 STATUS_OF_ERROR: Final = {ConfigError: 2, BusError: 3, RecordError: 4}
 PATIENCE_S: Final = 1.0
 NS_PER_S: Final = 1_000_000_000
+DEFAULT_REVS: Final = (4, 4)
 DEFAULT_START: Final = "2026-01-01T00:00:00Z"
 
 
@@ -48,7 +49,9 @@ def _execute(options: argparse.Namespace, stop: Event) -> None:
     if options.command == "scenarios":
         commands.list_scenarios()
         return
-    scenario = commands.choose_scenario(options.scenario, fluid=options.fluid, seed=options.seed, cycles=options.cycles)
+    scenario = commands.choose_scenario(
+        options.scenario, fluid=options.fluid, seed=options.seed, cycles=options.cycles, routine=options.routine
+    )
     if options.command == "record":
         commands.record(
             scenario,
@@ -154,8 +157,24 @@ def _add_drive(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--fluid", choices=("ideal", "case1", "case2", "ageing"), help="override the fluid")
     parser.add_argument("--seed", type=int, metavar="N", help="override the seed")
     parser.add_argument("--cycles", type=int, metavar="N", help="override the number of shift cycles")
+    parser.add_argument(
+        "--routine",
+        type=_rev_counts,
+        nargs="?",
+        const=DEFAULT_REVS,
+        metavar="OPEN[,CLOSED]",
+        help="begin with the workshop routine: so many revs in neutral with open, then with closed clutches (4,4)",
+    )
     parser.add_argument("--json", action="store_true", help="print the result as one JSON line on stdout")
     parser.add_argument("-v", "--verbose", action="store_true", help="show a traceback on errors")
+
+
+def _rev_counts(text: str) -> tuple[int, int]:
+    """Return the revs with open and with closed clutches; one number stands for both."""
+    first, _, second = text.partition(",")
+    if not (first.isdecimal() and (second or first).isdecimal()):
+        raise argparse.ArgumentTypeError(f"must be OPEN or OPEN,CLOSED, got {text}")
+    return int(first), int(second or first)
 
 
 def _seconds(text: str) -> float:

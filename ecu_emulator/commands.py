@@ -11,13 +11,20 @@ from ecu_emulator.errors import ConfigError
 from ecu_emulator.progress import ProgressLine, people, print_json
 from ecu_emulator.record import LogFormat, open_log
 from ecu_emulator.recording import LONG_STRETCH_S, Drive
-from ecu_emulator.scenario import FluidCondition, Scenario
+from ecu_emulator.scenario import FluidCondition, Routine, Scenario
 from ecu_emulator.scenario_file import load_scenario, shipped_scenarios
 from ecu_emulator.truth import TruthWriter, truth_path
 
 
-def choose_scenario(name_or_file: str, *, fluid: str | None, seed: int | None, cycles: int | None) -> Scenario:
-    """Load a scenario and override what the command line names.
+def choose_scenario(
+    name_or_file: str,
+    *,
+    fluid: str | None,
+    seed: int | None,
+    cycles: int | None,
+    routine: tuple[int, int] | None = None,
+) -> Scenario:
+    """Load a scenario and override what the command line names; ``routine`` counts open and closed revs.
 
     Raises
     ------
@@ -31,6 +38,8 @@ def choose_scenario(name_or_file: str, *, fluid: str | None, seed: int | None, c
         scenario = replace(scenario, seed=seed)
     if cycles is not None:
         scenario = replace(scenario, cycles=cycles)
+    if routine is not None:
+        scenario = replace(scenario, routine=Routine(open_revs=routine[0], closed_revs=routine[1]))
     return scenario
 
 
@@ -76,6 +85,7 @@ def record(
         for stretch in drive.stretches(LONG_STRETCH_S):
             log.write(stretch.frames)
             writer.shifts(stretch.shifts)
+            writer.revs(stretch.revs)
             text = f"{stretch.end_s:.0f} s driven, {drive.totals.shifts} shifts"
             progress.update(text, time.perf_counter() - began_s)
             if stop.is_set():

@@ -15,7 +15,7 @@ from ecu_emulator.frames import EncodedFrames
 from ecu_emulator.progress import ProgressLine, people, print_json
 from ecu_emulator.recording import SHORT_STRETCH_S, Drive
 from ecu_emulator.scenario import Scenario
-from ecu_emulator.truth import ShiftTruth, Totals, TruthWriter
+from ecu_emulator.truth import RevTruth, ShiftTruth, Totals, TruthWriter
 
 MS_PER_S: Final = 1e3
 
@@ -36,13 +36,13 @@ class BusChoice:
 
 
 class SentTruth:
-    """Hands a drive's frames to the bus and keeps back the truth of a shift until its frames have been sent."""
+    """Hands a drive's frames to the bus and keeps back the truth of a shift or rev until its frames have been sent."""
 
     def __init__(self, drive: Drive, writer: TruthWriter | None) -> None:
         self._drive = drive
         self._writer = writer
-        self._ahead: SimpleQueue[ShiftTruth] = SimpleQueue()  # filled by the thread that drives
-        self._next: ShiftTruth | None = None
+        self._ahead: SimpleQueue[ShiftTruth | RevTruth] = SimpleQueue()  # filled by the thread that drives
+        self._next: ShiftTruth | RevTruth | None = None
         self.shift_count = 0
         self.sent_s = 0.0
         if writer is not None:
@@ -51,22 +51,30 @@ class SentTruth:
     def frames(self) -> Iterator[EncodedFrames]:
         """Drive, and yield what is to be sent; may run in a thread of its own."""
         for stretch in self._drive.stretches(SHORT_STRETCH_S):
-            for shift in stretch.shifts:
-                self._ahead.put(shift)
+            ended: list[ShiftTruth | RevTruth] = [*stretch.shifts, *stretch.revs]
+            for event in sorted(ended, key=lambda event: event.t_end_s):
+                self._ahead.put(event)
             yield stretch.frames
 
     def sent_until(self, t_s: float) -> None:
-        """Write the shifts that ended by this scenario time [s]."""
+        """Write the shifts and revs that ended by this scenario time [s]."""
         self.sent_s = t_s
         while True:
             if self._next is None and not self._ahead.empty():
                 self._next = self._ahead.get()
             if self._next is None or self._next.t_end_s > t_s:
                 return
-            if self._writer is not None:
-                self._writer.shifts([self._next])
-            self.shift_count += 1
+            self._write(self._next)
             self._next = None
+
+    def _write(self, ended: ShiftTruth | RevTruth) -> None:
+        if isinstance(ended, RevTruth):
+            if self._writer is not None:
+                self._writer.revs([ended])
+            return
+        if self._writer is not None:
+            self._writer.shifts([ended])
+        self.shift_count += 1
 
     def finish(self, report: TransmitReport) -> None:
         """Write what is left, and the totals of what was sent."""

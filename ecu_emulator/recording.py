@@ -14,7 +14,7 @@ from ecu_emulator.plant.powertrain import Powertrain
 from ecu_emulator.readings import FloatArray, Schedule
 from ecu_emulator.scenario import FluidCondition, Scenario
 from ecu_emulator.sensors import Installation, SensorSuite
-from ecu_emulator.truth import DriveTruth, ShiftTruth, ShiftWatcher, Totals, TruthLog
+from ecu_emulator.truth import DriveTruth, RevTruth, RevWatcher, ShiftTruth, ShiftWatcher, Totals, TruthLog
 
 LONG_STRETCH_S: Final = 10.0  # for files
 SHORT_STRETCH_S: Final = 0.25  # live: a stretch must not hold the interpreter for long
@@ -22,10 +22,11 @@ SHORT_STRETCH_S: Final = 0.25  # live: a stretch must not hold the interpreter f
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Stretch:
-    """What a stretch of driving puts on the bus, and which shifts ended in it."""
+    """What a stretch of driving puts on the bus, and which shifts and revs ended in it."""
 
     frames: EncodedFrames
     shifts: tuple[ShiftTruth, ...]
+    revs: tuple[RevTruth, ...]
     end_s: float  # scenario time reached
 
 
@@ -46,6 +47,7 @@ class Drive:
         self._encoder = FrameEncoder(database)
         self._plant = Powertrain(vehicle.calibration, vehicle.parameters, drive_settings(scenario))
         self._watcher = ShiftWatcher()
+        self._rev_watcher = RevWatcher()
         self._sensors = SensorSuite(
             schedules=[
                 Schedule(
@@ -91,7 +93,7 @@ class Drive:
         self._shift_count += len(shifts)
         self._frame_count += len(frames)
         self._end_s = round(float(rows[-1, Col.T_S]), 3)
-        return Stretch(frames=frames, shifts=shifts, end_s=self._end_s)
+        return Stretch(frames=frames, shifts=shifts, revs=tuple(self._rev_watcher.feed(rows)), end_s=self._end_s)
 
 
 def frames_of(scenario: Scenario) -> tuple[EncodedFrames, TruthLog]:
@@ -99,8 +101,9 @@ def frames_of(scenario: Scenario) -> tuple[EncodedFrames, TruthLog]:
     drive = Drive(scenario)
     stretches = list(drive.stretches(LONG_STRETCH_S))
     shifts = tuple(shift for stretch in stretches for shift in stretch.shifts)
+    revs = tuple(rev for stretch in stretches for rev in stretch.revs)
     return merge([stretch.frames for stretch in stretches]), TruthLog(
-        drive=drive.truth, shifts=shifts, totals=drive.totals
+        drive=drive.truth, shifts=shifts, totals=drive.totals, revs=revs
     )
 
 
@@ -116,6 +119,8 @@ def drive_settings(scenario: Scenario) -> DriveSettings:
         initial_oil_k=scenario.ambient.oil_temperature_k,
         coolant_k=scenario.ambient.coolant_temperature_k,
         ambient_k=scenario.ambient.temperature_k,
+        open_revs=scenario.routine.open_revs,
+        closed_revs=scenario.routine.closed_revs,
         friction_factors=tuple(FrictionFactors(mu_c1=c, mu_s1=s, mu_c2=c, mu_s2=s) for c, s in factors),
     )
 

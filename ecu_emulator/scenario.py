@@ -14,6 +14,8 @@ from ecu_emulator.signals import NOMINAL_SENSORS, Sensors
 Overrides = Mapping[str, object]  # dotted key -> TOML value
 
 _VEHICLE_ID: Final = re.compile(r"[A-Za-z0-9_-]{1,64}")  # safe in a file name and in an MQTT topic
+_MACHINED: Final = frozenset({"input_shaft_inertia_ratio"})
+MAX_REVS: Final = 20  # of the workshop routine, with open and with closed clutches each
 _SCATTER_SHARE: Final = 0.5  # of the belief's standard deviations: a careful production
 
 
@@ -63,6 +65,14 @@ class Driver(_Ranged):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class Routine(_Ranged):
+    """Workshop routine before the cycles: revs in neutral, the car at rest; none of either kind: no routine."""
+
+    open_revs: int = field(default=0, metadata={"low": 0, "high": MAX_REVS})  # both clutches open
+    closed_revs: int = field(default=0, metadata={"low": 0, "high": MAX_REVS})  # then both closed
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Ambient(_Ranged):
     """Temperatures around and inside the transmission when the drive begins."""
 
@@ -91,6 +101,7 @@ class Scatter(_Ranged):
 
     torque_gain_ratio: float = ranged(0.0, 0.0, 0.1)
     engine_inertia_ratio: float = ranged(0.0, 0.0, 0.1)
+    input_shaft_inertia_ratio: float = ranged(0.0, 0.0, 0.1)
     piston_area_ratio: float = ranged(0.0, 0.0, 0.1)
     viscosity_ratio: float = ranged(0.0, 0.0, 0.2)
     torque_latency_s: float = ranged(0.0, 0.0, 0.02)
@@ -131,9 +142,13 @@ class Effects(_Ranged):
 
 
 def production_scatter() -> Scatter:
-    """Return the scatter of normal production: half of what the service's nominal calibration allows for."""
+    """Return the scatter of normal production: half of what the service's nominal calibration allows for.
+
+    Machined parts are all alike unless a scenario scatters them.
+    """
     believed = nominal_calibration().uncertainty
-    return Scatter(**{member.name: _SCATTER_SHARE * getattr(believed, member.name) for member in fields(Scatter)})
+    scattered = {member.name for member in fields(Scatter)} - _MACHINED
+    return Scatter(**{name: _SCATTER_SHARE * getattr(believed, name) for name in scattered})
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -156,6 +171,7 @@ class Scenario(_Ranged):
     odometer_m: float = ranged(12_345_000.0, 0.0, 4.0e9)
     fluid: Fluid = field(default_factory=Fluid)
     driver: Driver = field(default_factory=Driver)
+    routine: Routine = field(default_factory=Routine)
     ambient: Ambient = field(default_factory=Ambient)
     startup: Startup = field(default_factory=Startup)
     scatter: Scatter = field(default_factory=production_scatter)

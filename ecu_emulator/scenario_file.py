@@ -14,6 +14,7 @@ from ecu_emulator.scenario import (
     Effects,
     Fluid,
     FluidCondition,
+    Routine,
     Scatter,
     Scenario,
     Startup,
@@ -86,7 +87,7 @@ def _scenario(table: Mapping[str, object]) -> Scenario:
 
 
 _PARTS: Final[Mapping[str, type[object]]] = {
-    "fluid": Fluid, "driver": Driver, "ambient": Ambient, "startup": Startup, "effects": Effects
+    "fluid": Fluid, "driver": Driver, "routine": Routine, "ambient": Ambient, "startup": Startup, "effects": Effects
 }  # fmt: skip
 
 

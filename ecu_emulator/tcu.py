@@ -125,15 +125,28 @@ def hold_phase(memory: FloatArray, commands: FloatArray, actuation: ClutchActuat
 
 
 @array_kernel
+def fill_clutch(
+    memory: FloatArray,
+    sense: FloatArray,
+    commands: FloatArray,
+    clutch: int,
+    actuation: ClutchActuation,
+    p: ControlParameters,
+) -> None:
+    """Fill a cavity fast and then hold it at its touch point."""
+    if sense[at.FILL + clutch] >= p.prefill_ratio:
+        memory[at.IS_FILLED] = 1.0
+    touch_pa = actuation.touch_pressure_pa[clutch] + p.touch_margin_pa
+    command_pressure(commands, clutch, touch_pa if memory[at.IS_FILLED] != 0.0 else p.prefill_pressure_pa)
+
+
+@array_kernel
 def prefill_phase(
     memory: FloatArray, sense: FloatArray, commands: FloatArray, actuation: ClutchActuation, p: ControlParameters
 ) -> None:
-    """Phase 1: the on-coming cavity is filled fast and then held at its touch point."""
+    """Phase 1: the on-coming cavity is filled."""
     coming = clutch_of(int(memory[at.TARGET_GEAR]))
-    if sense[at.FILL + coming] >= p.prefill_ratio:
-        memory[at.IS_FILLED] = 1.0
-    touch_pa = actuation.touch_pressure_pa[coming] + p.touch_margin_pa
-    command_pressure(commands, coming, touch_pa if memory[at.IS_FILLED] != 0.0 else p.prefill_pressure_pa)
+    fill_clutch(memory, sense, commands, coming, actuation, p)
     release_nm = p.release_gain_ratio * abs(memory[at.INPUT_TORQUE]) + p.release_margin_nm
     command_torque(commands, 1 - coming, release_nm, actuation)
     if memory[at.PHASE_TIME] >= p.prefill_time_s:
@@ -198,7 +211,15 @@ def inertia_phase(
     if is_up:
         q = min(p.spark_stretch_ratio * min(time_s / length_s, 1.0), 1.0)
         commands[at.SPARK] = 1.0 - p.spark_reduction_ratio * math.sin(math.pi * q)
-    is_done = abs(slip_rad_s) < p.locked_slip_rad_s or sense[at.IS_LOCKED + coming] != 0.0
+    begin_lock_up(memory, sense, commands, coming, p)
+
+
+@array_kernel
+def begin_lock_up(
+    memory: FloatArray, sense: FloatArray, commands: FloatArray, coming: int, p: ControlParameters
+) -> None:
+    """Go on to the lock-up ramp once the on-coming clutch has stopped slipping for good."""
+    is_done = abs(sense[at.SLIP + coming]) < p.locked_slip_rad_s or sense[at.IS_LOCKED + coming] != 0.0
     memory[at.LOCKED_TIME] = memory[at.LOCKED_TIME] + at.PERIOD_S if is_done else 0.0
     if memory[at.LOCKED_TIME] > p.locked_time_s:
         memory[at.RAMP_START] = commands[at.TORQUE_COMMAND + coming]
@@ -221,6 +242,15 @@ def lock_up_phase(memory: FloatArray, commands: FloatArray, actuation: ClutchAct
 
 
 @array_kernel
+def tick(memory: FloatArray, sense: FloatArray, p: ControlParameters) -> None:
+    """Advance the clocks and the filtered engine torque by 1 ms."""
+    blend = 1.0 - math.exp(-at.PERIOD_S / p.torque_filter_s)
+    memory[at.INPUT_TORQUE] += blend * (sense[at.ENGINE_TORQUE] - memory[at.INPUT_TORQUE])
+    memory[at.PHASE_TIME] += at.PERIOD_S
+    memory[at.DWELL] += at.PERIOD_S
+
+
+@array_kernel
 def control(
     memory: FloatArray,
     sense: FloatArray,
@@ -230,10 +260,7 @@ def control(
     p: ControlParameters,
 ) -> None:
     """Take one step of 1 ms: read ``sense``, update ``memory``, write ``commands``."""
-    blend = 1.0 - math.exp(-at.PERIOD_S / p.torque_filter_s)
-    memory[at.INPUT_TORQUE] += blend * (sense[at.ENGINE_TORQUE] - memory[at.INPUT_TORQUE])
-    memory[at.PHASE_TIME] += at.PERIOD_S
-    memory[at.DWELL] += at.PERIOD_S
+    tick(memory, sense, p)
     drive(memory, commands, cycles, p)
     if memory[at.IS_FINISHED] != 0.0:
         return

@@ -15,6 +15,15 @@ TORQUE = 2
 INERTIA = 3
 LOCK_UP = 4
 
+# Stages of the workshop routine; with NO_ROUTINE the shift control drives.
+NO_ROUTINE = 0
+OPEN_REVS = 1
+CLOSED_REVS = 2
+ENGAGING = 3
+FILLING = 4
+LAUNCHING = 5
+LOCKING = 6
+
 # Places in the array of what the control senses: SLIP, FILL, GEAR and IS_ENGAGED hold a pair, clutch 1 first.
 ENGINE_SPEED = 0
 ENGINE_TORQUE = 1
@@ -51,7 +60,13 @@ CYCLE = 12
 IS_FILLED = 13
 RAMP_START = 14
 IS_FINISHED = 15
-MEMORY_COUNT = 16
+ROUTINE = 16  # stage of the workshop routine
+REV = 17  # number of the rev within its stage, 0 between revs
+REV_TIME = 18  # since the rev or the wait before it began
+IS_REVVING = 19  # the pedal is down
+OPEN_REV_COUNT = 20  # revs asked for
+CLOSED_REV_COUNT = 21
+MEMORY_COUNT = 22
 
 # Columns of the table of cycles.
 CYCLE_PEDAL = 0
@@ -104,6 +119,19 @@ class ControlParameters(NamedTuple):
     top_gear_time_s: float
     brake_delay_s: float
     first_gear_time_s: float
+
+
+class WorkshopParameters(NamedTuple):
+    """Numbers of the workshop routine: revs in neutral, then a start from rest."""
+
+    settle_time_s: float  # least wait before the first rev of a stage and before a gear is engaged
+    rev_pedal_ratio: float
+    rev_top_rad_s: float  # engine speed at which the pedal is released
+    rev_bottom_rad_s: float  # engine speed at which a rev is over
+    longest_rev_s: float  # the pedal is down for at most half of it
+    launch_pedal_ratio: float
+    launch_engine_rad_s: float  # speed at which the clutch holds the engine while the car gathers way
+    launch_gain_nms_rad: float
 
 
 class ClutchActuation(NamedTuple):

@@ -1,6 +1,7 @@
 """The truth beside a recording: what only the emulator knows, for tests and demos; it never goes onto the bus.
 
-One JSON object per line: the drive (scenario, seed, built vehicle), every completed shift, and the totals.
+One JSON object per line: the drive (scenario, seed, built vehicle), every completed shift, every rev of a workshop
+routine, and the totals.
 """
 
 import json
@@ -16,10 +17,13 @@ import numpy as np
 from ecu_emulator.errors import RecordError
 from ecu_emulator.plant.columns import Col
 from ecu_emulator.readings import FloatArray
+from ecu_emulator.tcu_data import CLOSED_REVS
 
 _DRIVE: Final = "drive"
 _SHIFT: Final = "shift"
+_REV: Final = "rev"
 _TOTALS: Final = "totals"
+_NEUTRAL: Final = 0
 _TEMPERATURE: Final = (Col.CLUTCH1_TEMPERATURE, Col.CLUTCH2_TEMPERATURE)
 _MU_C: Final = (Col.MU_C1, Col.MU_C2)
 _MU_S: Final = (Col.MU_S1, Col.MU_S2)
@@ -56,6 +60,16 @@ class ShiftTruth:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class RevTruth:
+    """One rev in neutral of the workshop routine."""
+
+    number: int  # 1, 2, ... within the drive
+    t_start_s: float  # first millisecond with the pedal down
+    t_end_s: float  # first millisecond with the engine slow again
+    are_clutches_closed: bool
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Totals:
     """What a whole drive amounted to."""
 
@@ -71,6 +85,7 @@ class TruthLog:
     drive: DriveTruth
     shifts: tuple[ShiftTruth, ...]
     totals: Totals | None
+    revs: tuple[RevTruth, ...] = ()
 
 
 class ShiftWatcher:
@@ -83,7 +98,8 @@ class ShiftWatcher:
     def feed(self, rows: FloatArray) -> list[ShiftTruth]:
         """Return the shifts that end within these rows, shape (n, len(Col)), which follow those of the call before."""
         rows = np.concatenate((self._open, rows))
-        is_shifting = rows[:, Col.TARGET_GEAR] != rows[:, Col.CURRENT_GEAR]
+        current, target = rows[:, Col.CURRENT_GEAR], rows[:, Col.TARGET_GEAR]
+        is_shifting = (target != current) & (current != _NEUTRAL)
         edges = np.flatnonzero(np.diff(is_shifting, prepend=False))
         shifts = [
             self._shift(rows[start:stop], rows[stop]) for start, stop in zip(edges[::2], edges[1::2], strict=False)
@@ -106,6 +122,33 @@ class ShiftWatcher:
             mu_s=float(during[-1, _MU_S[index]]),
             clutch_temperature_k=float(np.mean(during[:, _TEMPERATURE[index]])),
         )
+
+
+class RevWatcher:
+    """Finds the revs of the workshop routine in plant rows, however these are cut into chunks."""
+
+    def __init__(self) -> None:
+        self._rev = 0.0  # number within its stage of the rev that has begun, 0 if none has
+        self._start_s = 0.0
+        self._is_closed = False
+        self._count = 0
+
+    def feed(self, rows: FloatArray) -> list[RevTruth]:
+        """Return the revs that end within these rows, shape (n, len(Col)), which follow those of the call before."""
+        revs = []
+        for row in rows[np.diff(rows[:, Col.REV], prepend=self._rev) != 0.0]:
+            t_s = round(float(row[Col.T_S]), 3)
+            if self._rev != 0.0:
+                self._count += 1
+                revs.append(
+                    RevTruth(
+                        number=self._count, t_start_s=self._start_s, t_end_s=t_s, are_clutches_closed=self._is_closed
+                    )
+                )
+            self._rev = float(row[Col.REV])
+            self._start_s = t_s
+            self._is_closed = bool(row[Col.ROUTINE] == CLOSED_REVS)
+        return revs
 
 
 class TruthWriter:
@@ -141,6 +184,11 @@ class TruthWriter:
         for shift in shifts:
             self._line(_SHIFT, asdict(shift))
 
+    def revs(self, revs: Iterable[RevTruth]) -> None:
+        """Write one line per rev."""
+        for rev in revs:
+            self._line(_REV, asdict(rev))
+
     def totals(self, totals: Totals) -> None:
         """Write the last line."""
         self._line(_TOTALS, asdict(totals))
@@ -175,7 +223,7 @@ def read_truth(path: Path) -> TruthLog:
     try:
         lines = [json.loads(line) for line in path.read_text(encoding="utf-8").splitlines()]
         by_kind = {
-            kind: [_content(line) for line in lines if line["kind"] == kind] for kind in (_DRIVE, _SHIFT, _TOTALS)
+            kind: [_content(line) for line in lines if line["kind"] == kind] for kind in (_DRIVE, _SHIFT, _REV, _TOTALS)
         }
         (drive,) = by_kind[_DRIVE]
         totals = [Totals(**line) for line in by_kind[_TOTALS]]
@@ -183,6 +231,7 @@ def read_truth(path: Path) -> TruthLog:
             drive=DriveTruth(**{**drive, "mu_c": tuple(drive["mu_c"]), "mu_s": tuple(drive["mu_s"])}),
             shifts=tuple(ShiftTruth(**line) for line in by_kind[_SHIFT]),
             totals=totals[0] if totals else None,
+            revs=tuple(RevTruth(**line) for line in by_kind[_REV]),
         )
     except OSError as exc:
         raise RecordError(f"cannot read truth {path}: {exc.strerror}") from exc

@@ -4,6 +4,7 @@ pytest_plugins = [
     "tests.plugins.broker",
     "tests.plugins.disk",
     "tests.plugins.drives",
+    "tests.plugins.postgres",
     "tests.plugins.run_report",
     "tests.plugins.vcan",
 ]

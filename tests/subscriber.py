@@ -1,6 +1,5 @@
 """A subscriber for tests: hears what a backend would, over broker restarts."""
 
-import json
 import threading
 import time
 from collections.abc import Callable
@@ -9,11 +8,13 @@ from typing import Any, Self
 import paho.mqtt.client as mqtt
 from paho.mqtt.enums import CallbackAPIVersion
 
+from fleet_contract import read_message
+
 Payload = dict[str, Any]
 
 
 class Subscriber:
-    """Collects every message under ``clutchdiag/v1`` in a session that the broker keeps for it."""
+    """Collects the data of every message under ``clutchdiag/v1`` in a session that the broker keeps for it."""
 
     def __init__(self, port: int, username: str | None = None, password: str | None = None) -> None:
         self._lock = threading.Lock()
@@ -58,5 +59,6 @@ class Subscriber:
             return [(topic, payload.get("seq", payload.get("status"))) for topic, payload, _ in self._messages]
 
     def _keep(self, _client: mqtt.Client, _userdata: object, message: mqtt.MQTTMessage) -> None:
+        data = read_message(message.topic, bytes(message.payload)).data
         with self._lock:
-            self._messages.append((message.topic, json.loads(message.payload), message.retain))
+            self._messages.append((message.topic, data, message.retain))

@@ -1,17 +1,17 @@
 """Results of many drives as one file: JSON lines, CSV or Parquet; it appears whole or not at all."""
 
 import csv
-import json
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from enum import StrEnum
-from importlib.resources import files
 from pathlib import Path
 
 from diag_service.batch.journal import Entry
 from diag_service.errors import ConfigError, StoreError
 from diag_service.parquet_file import ParquetTable
 from diag_service.results import JsonObject, dump
+from fleet_contract.described import schema
+from fleet_contract.topics import Channel
 
 BATCH_ROWS = 4096
 TYPES = {"integer": "int64", "number": "float64"}
@@ -61,8 +61,8 @@ def write_results(path: Path, entries: Iterable[Entry]) -> None:
 
 def columns() -> dict[str, str]:
     """Return the columns of the table and their types, from the schema of a shift result: nested keys by dots."""
-    schema = json.loads(files("diag_service").joinpath("schemas/shift-v1.json").read_text(encoding="utf-8"))
-    return {"path": "string", **dict(_leaves(schema, schema))}
+    description = schema(Channel.SHIFT.label)
+    return {"path": "string", **dict(_leaves(description, description))}
 
 
 def flattened(record: Mapping[str, object], prefix: str = "") -> dict[str, object]:
@@ -76,14 +76,14 @@ def flattened(record: Mapping[str, object], prefix: str = "") -> dict[str, objec
     return flat
 
 
-def _leaves(table: Mapping[str, object], schema: Mapping[str, object], prefix: str = "") -> Iterator[tuple[str, str]]:
+def _leaves(table: Mapping[str, object], root: Mapping[str, object], prefix: str = "") -> Iterator[tuple[str, str]]:
     properties = table["properties"]
-    definitions = schema["$defs"]
+    definitions = root["$defs"]
     if not isinstance(properties, dict) or not isinstance(definitions, dict):
         raise TypeError("not the schema of a result")
     for key, description in properties.items():
         if reference := description.get("$ref"):
-            yield from _leaves(definitions[reference.rsplit("/", 1)[-1]], schema, f"{prefix}{key}.")
+            yield from _leaves(definitions[reference.rsplit("/", 1)[-1]], root, f"{prefix}{key}.")
             continue
         kinds = description.get("type")
         kind = kinds[0] if isinstance(kinds, list) else kinds

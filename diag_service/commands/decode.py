@@ -10,11 +10,10 @@ from typing import Any
 import numpy as np
 
 from dbc.contract import DBC_PATH
-from diag_service.columns_of_log import LogDecoder, MessageValues
+from diag_service.codec import Codec, MessageValues
 from diag_service.database import load_database
 from diag_service.errors import ConfigError, StoreError
 from diag_service.frames import FrameBatch
-from diag_service.message_index import MessageIndex
 from diag_service.notices import NOTICE
 from diag_service.parquet_file import NAME_TYPE, TIME_TYPE, ParquetTable, load_pyarrow
 from diag_service.records import FloatArray, Int64Array
@@ -44,11 +43,11 @@ def execute(options: argparse.Namespace, stop: Trigger, counts_wanted: Trigger) 
     if options.output.suffix.lower() != ".parquet":
         raise ConfigError(f"{options.output}: the signals are written as .parquet")
     load_pyarrow()
-    decoder = LogDecoder(MessageIndex(load_database(options.dbc or DBC_PATH)))
+    codec = Codec(load_database(options.dbc or DBC_PATH).messages)
     part = options.output.with_name(f".{options.output.name}.part")
     try:
         decode = decode_wide if options.layout == "wide" else decode_long
-        count = decode(options.log, decoder, part, stop)
+        count = decode(options.log, codec, part, stop)
         if stop.is_set:
             return
         part.replace(options.output)
@@ -56,42 +55,40 @@ def execute(options: argparse.Namespace, stop: Trigger, counts_wanted: Trigger) 
         raise StoreError(f"cannot write {options.output}: {exc.strerror or exc}") from exc
     finally:
         part.unlink(missing_ok=True)
-    _LOG.log(NOTICE, "%d rows in %s, %d frames were too short", count, options.output, decoder.short_count)
+    _LOG.log(NOTICE, "%d rows in %s", count, options.output)
 
 
-def decode_wide(log: Path, decoder: LogDecoder, output: Path, stop: Trigger) -> int:
+def decode_wide(log: Path, codec: Codec, output: Path, stop: Trigger) -> int:
     """Write a row per frame of a known message and a column per signal; return the number of rows.
 
     The log is read twice: first for the messages that occur, which are the columns.
     """
-    units = _signals_in(log, decoder, stop)
+    units = _signals_in(log, codec, stop)
     kinds = {TIME: TIME_TYPE, CHANNEL: "int64", MESSAGE: NAME_TYPE, **dict.fromkeys(units, "float64")}
     count = 0
     with ParquetTable(output, kinds, {name: {UNIT: unit} for name, unit in units.items() if unit}) as table:
         for batch in _pieces(log, max(1, MAX_CELLS // max(1, len(units))), stop):
-            found = list(decoder.feed(batch))
+            found = list(codec.decode(batch))
             if found:
-                table.write_columns(_wide(batch, found, decoder.index, units))
+                table.write_columns(_wide(batch, found, codec, units))
                 count += sum(len(one.rows) for one in found)
     return count
 
 
-def decode_long(log: Path, decoder: LogDecoder, output: Path, stop: Trigger) -> int:
+def decode_long(log: Path, codec: Codec, output: Path, stop: Trigger) -> int:
     """Write a row per value: time, channel, message, signal, value, unit; return the number of rows."""
     kinds = {TIME: TIME_TYPE, CHANNEL: "int64", MESSAGE: NAME_TYPE, SIGNAL: NAME_TYPE, VALUE: "float64"}
     count = 0
     with ParquetTable(output, {**kinds, UNIT: NAME_TYPE}) as table:
         for batch in _pieces(log, MAX_CELLS // CELLS_PER_FRAME, stop):
-            parts = [part for found in decoder.feed(batch) for part in _parts(found, decoder.index)]
+            parts = [part for found in codec.decode(batch) for part in _parts(found, codec)]
             if parts:
                 table.write_columns(_long(batch, parts))
                 count += sum(len(part.rows) for part in parts)
     return count
 
 
-def _wide(
-    batch: FrameBatch, found: Sequence[MessageValues], index: MessageIndex, units: Mapping[str, str]
-) -> dict[str, Any]:
+def _wide(batch: FrameBatch, found: Sequence[MessageValues], codec: Codec, units: Mapping[str, str]) -> dict[str, Any]:
     """Return the columns of one row group, in their order."""
     rows = np.concatenate([one.rows for one in found])
     order = np.argsort(rows, kind="stable")
@@ -102,11 +99,13 @@ def _wide(
     for one in found:
         target = to_row[start : start + len(one.rows)]
         start += len(one.rows)
-        for signal in one.signals:
-            column = values[f"{index.messages[one.place].name}.{signal.name}"] = np.full(len(rows), np.nan)
-            column[target] = signal.masked()
+        for name, decoded in one.signals.items():
+            column = values[f"{codec.tables[one.slot].message.name}.{name}"] = np.full(len(rows), np.nan)
+            column[target] = (
+                decoded.value if decoded.is_good is None else np.where(decoded.is_good, decoded.value, np.nan)
+            )
     nothing = np.full(len(rows), np.nan)
-    names = [index.messages[one.place].name for one in found]
+    names = [codec.tables[one.slot].message.name for one in found]
     return {
         **_frame_columns(batch, rows[order]),
         MESSAGE: _coded(names, [len(one.rows) for one in found], order),
@@ -128,12 +127,12 @@ def _long(batch: FrameBatch, parts: Sequence[_Part]) -> dict[str, Any]:
     }
 
 
-def _parts(found: MessageValues, index: MessageIndex) -> Iterator[_Part]:
-    message = index.messages[found.place]
-    for one in found.signals:
-        good = np.ones(len(found.rows), np.bool_) if one.is_good is None else one.is_good
-        unit = message.get_signal_by_name(one.name).unit or ""
-        yield _Part(message.name, one.name, unit, found.rows[good], one.value[good])
+def _parts(found: MessageValues, codec: Codec) -> Iterator[_Part]:
+    message = codec.tables[found.slot].message
+    for name, decoded in found.signals.items():
+        good = np.ones(len(found.rows), np.bool_) if decoded.is_good is None else decoded.is_good
+        unit = message.get_signal_by_name(name).unit or ""
+        yield _Part(message.name, name, unit, found.rows[good], decoded.value[good])
 
 
 def _frame_columns(batch: FrameBatch, rows: Int64Array) -> dict[str, Any]:
@@ -156,17 +155,17 @@ def _nullable(values: FloatArray) -> Any:  # noqa: ANN401 - an untyped library
     return load_pyarrow().array(values, from_pandas=True)
 
 
-def _signals_in(log: Path, decoder: LogDecoder, stop: Trigger) -> dict[str, str]:
+def _signals_in(log: Path, codec: Codec, stop: Trigger) -> dict[str, str]:
     """Return ``Message.Signal`` and unit of all signals of the messages that a log holds, in the database's order."""
     seen: set[int] = set()
     for batch in read_log(log):
         if stop.is_set:
             break
-        seen.update(np.unique(decoder.index.places(batch.can_id)).tolist())
+        seen.update(slot for slot, _ in codec.rows(batch))
     units: dict[str, str] = {}
-    for place in sorted(seen - {-1}):
-        message = decoder.index.messages[place]
-        for name, _ in decoder.compiled(place).tables:
+    for slot in sorted(seen):
+        message = codec.tables[slot].message
+        for name in codec.tables[slot].signals:
             units[f"{message.name}.{name}"] = message.get_signal_by_name(name).unit or ""
     return units
 

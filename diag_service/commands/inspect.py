@@ -3,16 +3,18 @@
 import argparse
 import sys
 from collections.abc import Sequence
+from collections.abc import Set as AbstractSet
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
+from cantools.database.can import Message
 from rich.console import Console
 
 from dbc.contract import DBC_PATH, message_contract
+from diag_service.addressing import NOBODY, address_book, find_slot, message_address
 from diag_service.database import load_database
 from diag_service.errors import ConfigError
-from diag_service.frames import EXTENDED_FLAG
-from diag_service.message_index import MessageIndex
+from diag_service.frames import ERROR_FLAG, EXTENDED_FLAG, REMOTE_FLAG
 from diag_service.protection_check import FrameReason, LinkMonitor
 from diag_service.records import Int64Array
 from diag_service.results import JsonObject, dump, utc_from_bus_ns
@@ -51,17 +53,17 @@ def execute(options: argparse.Namespace, stop: Trigger, counts_wanted: Trigger) 
     del counts_wanted
     if options.bitrate <= 0:
         raise ConfigError(f"the bit rate must be > 0, got {options.bitrate}")
-    index = MessageIndex(load_database(options.dbc or DBC_PATH))
+    messages = load_database(options.dbc or DBC_PATH).messages
     console = Console()
     for path in options.logs:
-        inspection = inspect_log(path, index, options.bitrate, stop)
+        inspection = inspect_log(path, messages, options.bitrate, stop)
         if options.json:
             sys.stdout.write(dump(inspection_record(inspection)) + "\n")
         else:
             _show(inspection, options.bitrate, console)
 
 
-def inspect_log(path: Path, index: MessageIndex, bitrate: int, stop: Trigger) -> Inspection:
+def inspect_log(path: Path, messages: Sequence[Message], bitrate: int, stop: Trigger) -> Inspection:
     """Read a log once and return what it holds.
 
     Raises
@@ -71,7 +73,7 @@ def inspect_log(path: Path, index: MessageIndex, bitrate: int, stop: Trigger) ->
     """
     reader = read_log(path)
     meter = TrafficMeter(bitrate)
-    protected = [message for message in index.messages if message_contract(message).data_id is not None]
+    protected = [message for message in messages if message_contract(message).data_id is not None]
     monitor = LinkMonitor(protected)
     last_ns: int | None = None
     for batch in reader:
@@ -83,12 +85,11 @@ def inspect_log(path: Path, index: MessageIndex, bitrate: int, stop: Trigger) ->
         monitor.check(batch)
         last_ns = int(batch.t_ns[-1]) if len(batch) else last_ns
     traffic = meter.report()
-    places = {one.can_id: index.place(one.can_id) for one in traffic.ids}
     counts, missing = monitor.counts, monitor.missing
     return Inspection(
         reader=reader,
         traffic=traffic,
-        names={can_id: index.messages[place].name for can_id, place in places.items() if place >= 0},
+        names=_names(messages, {one.can_id for one in traffic.ids}),
         links={
             message.name: _link_errors(row, int(lost))
             for message, row, lost in zip(protected, counts[:-1], missing, strict=True)
@@ -114,6 +115,13 @@ def inspection_record(inspection: Inspection) -> JsonObject:
         **table,
         "protection": {name: asdict(link) for name, link in inspection.links.items()},
     }
+
+
+def _names(messages: Sequence[Message], can_ids: AbstractSet[int]) -> dict[int, str]:
+    """Return the names of the messages that identifiers, with their flags, belong to."""
+    book = address_book([message_address(message) for message in messages])
+    slots = {can_id: find_slot(book, can_id) for can_id in can_ids if not can_id & (REMOTE_FLAG | ERROR_FLAG)}
+    return {can_id: messages[slot].name for can_id, slot in slots.items() if slot != NOBODY}
 
 
 def _link_errors(row: Int64Array, missing: int) -> LinkErrors:

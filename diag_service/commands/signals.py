@@ -9,9 +9,9 @@ import numpy as np
 from cantools.database.can import Message
 
 from dbc.contract import DBC_PATH
-from diag_service.columns_of_log import LogDecoder, SignalValues
+from diag_service.codec import Codec
 from diag_service.database import load_database
-from diag_service.message_index import MessageIndex
+from diag_service.decode import Decoded
 from diag_service.proposal import SignalStatistics, candidates, profile_text
 from diag_service.records import Int64Array
 from diag_service.sources import read_log
@@ -29,9 +29,9 @@ class _Range:
         self.highest = -np.inf
         self.is_integer = True
 
-    def add(self, values: SignalValues) -> None:
+    def add(self, decoded: Decoded) -> None:
         """Take more values."""
-        good = values.value if values.is_good is None else values.value[values.is_good]
+        good = decoded.value if decoded.is_good is None else decoded.value[decoded.is_good]
         good = good[np.isfinite(good)]
         if len(good):
             self.count += len(good)
@@ -43,8 +43,8 @@ class _Range:
 class Survey:
     """The messages and signals of a log, with rates and ranges."""
 
-    def __init__(self, decoder: LogDecoder) -> None:
-        self._decoder = decoder
+    def __init__(self, codec: Codec) -> None:
+        self._codec = codec
         self._ranges: dict[tuple[int, str], _Range] = {}
         self._counts: dict[int, int] = {}
         self._ends_ns: tuple[int, int] | None = None
@@ -58,24 +58,25 @@ class Survey:
                 return
             self._extend(batch.t_ns)
             self.frames += len(batch)
-            self.unknown += int(np.count_nonzero(self._decoder.index.places(batch.can_id) < 0))
-            for found in self._decoder.feed(batch):
-                self._counts[found.place] = self._counts.get(found.place, 0) + len(found.rows)
-                for values in found.signals:
-                    self._ranges.setdefault((found.place, values.name), _Range()).add(values)
+            self.unknown += len(batch)
+            for found in self._codec.decode(batch):
+                self.unknown -= len(found.rows)
+                self._counts[found.slot] = self._counts.get(found.slot, 0) + len(found.rows)
+                for name, decoded in found.signals.items():
+                    self._ranges.setdefault((found.slot, name), _Range()).add(decoded)
 
     def messages(self) -> Iterator[tuple[Message, int, float]]:
         """Yield the messages that came, how often, and their rate [Hz]."""
         first_ns, last_ns = self._ends_ns or (0, 0)
         duration_s = (last_ns - first_ns) / NS_PER_S
-        for place, count in sorted(self._counts.items()):
-            yield self._decoder.index.messages[place], count, (count - 1) / duration_s if duration_s else 0.0
+        for slot, count in sorted(self._counts.items()):
+            yield self._codec.tables[slot].message, count, (count - 1) / duration_s if duration_s else 0.0
 
     def statistics(self) -> list[SignalStatistics]:
         """Return the signals that came."""
         found = []
-        for (place, name), seen in sorted(self._ranges.items()):
-            message = self._decoder.index.messages[place]
+        for (slot, name), seen in sorted(self._ranges.items()):
+            message = self._codec.tables[slot].message
             found.append(
                 SignalStatistics(
                     message=message.name,
@@ -99,7 +100,7 @@ def execute(options: argparse.Namespace, stop: Trigger, counts_wanted: Trigger) 
     """Survey a log and write a profile whose comments say what there is."""
     del counts_wanted
     database = options.dbc or DBC_PATH
-    survey = Survey(LogDecoder(MessageIndex(load_database(database))))
+    survey = Survey(Codec(load_database(database).messages))
     survey.add(options.log, stop)
     best = candidates(survey.statistics())
     tier = tier_of(best.keys())

@@ -14,9 +14,9 @@ from paho.mqtt.reasoncodes import ReasonCode
 
 from diag_service.errors import PublishError
 from diag_service.records import ShiftResult
-from diag_service.results import ServiceStatus, clutch_record, dump, shift_record, status_record
+from diag_service.results import ServiceStatus, clutch_record, shift_record, status_record
+from fleet_contract import Outgoing, clutch_message, shift_message, status_message
 
-TOPIC_ROOT = "clutchdiag/v1"
 TIMEOUT_S = 5.0  # for a connection or an acknowledgement
 KEEPALIVE_S = 20  # a dead peer is known after 1.5 times this
 _FAREWELL_S = 1.0
@@ -38,21 +38,6 @@ class BrokerAddress:
         return f"{host}:{self.port}"
 
 
-def shift_topic(vehicle: str) -> str:
-    """Return the topic of shift results; events, not retained."""
-    return f"{TOPIC_ROOT}/{vehicle}/shift"
-
-
-def clutch_topic(vehicle: str, clutch: int) -> str:
-    """Return the topic of the state of a clutch; retained."""
-    return f"{TOPIC_ROOT}/{vehicle}/clutch/{clutch}"
-
-
-def status_topic(vehicle: str) -> str:
-    """Return the topic of the service's status; retained, and the last will."""
-    return f"{TOPIC_ROOT}/{vehicle}/status"
-
-
 class MqttLink:
     """One connection, while it lasts."""
 
@@ -61,13 +46,12 @@ class MqttLink:
 
     async def publish(self, result: ShiftResult) -> None:
         """Deliver a shift result and the clutch state it leaves; return when the broker acknowledged both."""
-        await self.send(shift_topic(result.vehicle), dump(shift_record(result)), is_retained=False)
+        await self.send(shift_message(shift_record(result)))
         await self.refresh(result)
 
     async def refresh(self, result: ShiftResult) -> None:
         """Deliver the state of the clutch that a result left."""
-        topic = clutch_topic(result.vehicle, result.verdict.clutch)
-        await self.send(topic, dump(clutch_record(result)), is_retained=True)
+        await self.send(clutch_message(clutch_record(result)))
 
     async def lost(self) -> None:
         """Return when the connection is lost; nothing is subscribed, so nothing else ends the iteration."""
@@ -75,7 +59,7 @@ class MqttLink:
             async for _ in self._client.messages:
                 pass
 
-    async def send(self, topic: str, payload: str, *, is_retained: bool) -> None:
+    async def send(self, message: Outgoing) -> None:
         """Deliver one message at least once.
 
         Raises
@@ -85,7 +69,7 @@ class MqttLink:
         """
         self._client.refusal = None
         delivery = asyncio.ensure_future(
-            self._client.publish(topic, payload.encode(), qos=_AT_LEAST_ONCE, retain=is_retained)
+            self._client.publish(message.topic, message.payload, qos=_AT_LEAST_ONCE, retain=message.is_retained)
         )
         loss = asyncio.ensure_future(self.lost())  # aiomqtt itself would wait for the time limit
         try:
@@ -100,7 +84,7 @@ class MqttLink:
             loss.cancel()
             await asyncio.gather(delivery, loss, return_exceptions=True)
         if self._client.refusal is not None:
-            raise PublishError(f"{topic} was refused: {self._client.refusal}")
+            raise PublishError(f"{message.topic} was refused: {self._client.refusal}")
 
 
 class MqttConnector:
@@ -226,12 +210,12 @@ async def _leave(client: _Client) -> None:
 
 
 async def _announce(link: MqttLink, status: ServiceStatus) -> None:
-    await link.send(status_topic(status.vehicle), dump(status_record(status)), is_retained=True)
+    await link.send(status_message(status_record(status)))
 
 
 def _will(status: ServiceStatus) -> aiomqtt.Will:
-    payload = dump(status_record(status)).encode()
-    return aiomqtt.Will(status_topic(status.vehicle), payload, qos=_AT_LEAST_ONCE, retain=True)
+    message = status_message(status_record(status))
+    return aiomqtt.Will(message.topic, message.payload, qos=_AT_LEAST_ONCE, retain=message.is_retained)
 
 
 def _code(exc: aiomqtt.MqttCodeError) -> int | None:

@@ -38,8 +38,8 @@ class Col(IntEnum):
     PEDAL = 28  # 0..1
     THROTTLE = 29  # 0..1
     BRAKE = 30  # deceleration demand [m/s^2]
-    CURRENT_GEAR = 31  # 1..6, the old gear until the lock-up ramp ends
-    TARGET_GEAR = 32  # 1..6, the new gear from the prefill on
+    CURRENT_GEAR = 31  # 1..6, the old gear until the lock-up ramp ends; 0 neutral
+    TARGET_GEAR = 32  # 1..6, the new gear from the prefill on; 0 neutral
     PRESELECTED_GEAR = 33  # gear engaged on the idle shaft, 0 while none is
     SHIFT_PHASE = 34  # 0 hold, 1 prefill, 2 torque, 3 inertia, 4 lock-up
     STICK1 = 35  # 1 while clutch 1 is locked
@@ -50,3 +50,5 @@ class Col(IntEnum):
     MU_S1 = 40
     MU_C2 = 41
     MU_S2 = 42
+    ROUTINE = 43  # stage of the workshop routine, 0 without
+    REV = 44  # number of the rev in neutral within its stage, 0 outside

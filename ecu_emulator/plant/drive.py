@@ -11,6 +11,7 @@ from clutch_model.tables import require
 from ecu_emulator import tcu_data
 from ecu_emulator.tcu_data import ControlParameters
 
+_MAX_REVS = 20
 _VARIATION_LIMIT = 2.5  # standard deviations; the driver never leaves the range in which the cycle makes sense
 _MAX_STEP_S = 5.0e-4
 _MAX_VARIATION_RATIO = 0.1
@@ -49,6 +50,8 @@ class DriveSettings:
     ambient_k: float = 298.15  # also the temperature of the intake air
     grade_ratio: float = 0.0
     initial_engine_rad_s: float = 150.0  # rolling in 1st gear
+    open_revs: int = 0  # of the workshop routine before the cycles: in neutral, at rest, both clutches open
+    closed_revs: int = 0  # then both closed
     dt_s: float = 2.5e-4  # a whole fraction of a millisecond
     friction_factors: tuple[FrictionFactors, ...] = ()  # per cycle, the last one goes on; none: 1
 
@@ -69,9 +72,18 @@ class DriveSettings:
         _check_range("dt_s", self.dt_s, 1.0e-6, _MAX_STEP_S)
         steps = 1.0e-3 / self.dt_s
         require(abs(steps - round(steps)) < 1.0e-6 * steps, f"dt_s must divide 1 ms, got {self.dt_s}")
+        for name in ("open_revs", "closed_revs"):
+            count = getattr(self, name)
+            require(0 <= count <= _MAX_REVS, f"{name} must be 0..{_MAX_REVS}, got {count}")
+        require(not self.has_routine or self.grade_ratio == 0.0, "the workshop routine needs level ground")
         for factors in self.friction_factors:
             for name in ("mu_c1", "mu_s1", "mu_c2", "mu_s2"):
                 _check_range(f"friction_factors {name}", getattr(factors, name), 0.3, 2.0)
+
+    @property
+    def has_routine(self) -> bool:
+        """Whether the drive begins at rest with the workshop routine."""
+        return self.open_revs + self.closed_revs > 0
 
     @property
     def steps_per_millisecond(self) -> int:

@@ -7,7 +7,7 @@ import numpy.typing as npt
 
 from clutch_model.jit import array_kernel
 from clutch_model.viscosity import viscosity_pa_s
-from ecu_emulator import tcu, tcu_data
+from ecu_emulator import tcu, tcu_data, workshop
 from ecu_emulator.plant import state as at
 from ecu_emulator.plant.columns import Col
 from ecu_emulator.plant.driveline import ENGAGED, NEUTRAL, SYNCHRONISING
@@ -16,7 +16,7 @@ from ecu_emulator.plant.hydraulics import cavity_pressure_pa
 from ecu_emulator.plant.integration import advance_millisecond, settle
 from ecu_emulator.plant.lining import friction_ratio
 from ecu_emulator.plant.rates import PlantLaw
-from ecu_emulator.tcu_data import ClutchActuation, ControlParameters
+from ecu_emulator.tcu_data import ClutchActuation, ControlParameters, WorkshopParameters
 
 FloatArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.int64]
@@ -48,6 +48,7 @@ class DriveLaw(NamedTuple):
     plant: PlantLaw
     actuation: ClutchActuation
     control: ControlParameters
+    workshop: WorkshopParameters
     overall_ratios: tuple[float, ...]  # i(g) of gears 0..6, 0 in neutral
     steps_per_millisecond: int
 
@@ -151,6 +152,18 @@ def record_control(machine: Machine, row: FloatArray) -> None:
     row[Col.TARGET_GEAR] = memory[tcu_data.TARGET_GEAR]
     row[Col.PRESELECTED_GEAR] = modes[at.GEAR + idle] if modes[at.LINK + idle] == ENGAGED else 0
     row[Col.SHIFT_PHASE] = memory[tcu_data.PHASE]
+    row[Col.ROUTINE] = memory[tcu_data.ROUTINE]
+    row[Col.REV] = memory[tcu_data.REV]
+
+
+@array_kernel
+def act(machine: Machine, law: DriveLaw) -> None:
+    """Let the control take its step: the workshop routine first, if one was asked for, then the cycles."""
+    memory, sense, commands = machine.memory, machine.sense, machine.commands
+    if memory[tcu_data.ROUTINE] != tcu_data.NO_ROUTINE:
+        workshop.perform(memory, sense, commands, law.actuation, law.control, law.workshop)
+        return
+    tcu.control(memory, sense, commands, machine.cycles, law.actuation, law.control)
 
 
 @array_kernel
@@ -158,7 +171,7 @@ def run(machine: Machine, law: DriveLaw, rows: FloatArray) -> int:
     """Fill ``rows``, one per millisecond, until they are full or the drive is over; return how many were filled."""
     for index in range(rows.shape[0]):
         sense_plant(machine, law.plant)
-        tcu.control(machine.memory, machine.sense, machine.commands, machine.cycles, law.actuation, law.control)
+        act(machine, law)
         if machine.memory[tcu_data.IS_FINISHED] != 0.0:
             return index
         obey(machine, law)

@@ -15,7 +15,7 @@ from ecu_emulator.plant.engine import EngineParameters
 from ecu_emulator.plant.hydraulics import HydraulicsParameters
 from ecu_emulator.plant.lining import LiningParameters
 from ecu_emulator.plant.vehicle import VehicleParameters
-from ecu_emulator.tcu_data import GEAR_COUNT, ControlParameters
+from ecu_emulator.tcu_data import GEAR_COUNT, ControlParameters, WorkshopParameters
 
 TupleT = TypeVar("TupleT", bound=tuple[object, ...])
 
@@ -49,6 +49,8 @@ _UP_TO_ONE = frozenset(
         "prefill_ratio",
         "dump_ratio",
         "spark_reduction_ratio",
+        "rev_pedal_ratio",
+        "launch_pedal_ratio",
     }
 )
 
@@ -88,6 +90,7 @@ class PlantParameters:
     sump: SumpParameters
     lining: LiningParameters
     control: ControlParameters
+    workshop: WorkshopParameters
 
     def __post_init__(self) -> None:
         """Check every number against its range."""
@@ -135,6 +138,7 @@ class PlantParameters:
             sump=_record(SumpParameters, table, "sump"),
             lining=_record(LiningParameters, table, "lining"),
             control=_record(ControlParameters, table, "control"),
+            workshop=_record(WorkshopParameters, table, "workshop"),
         )
 
 

@@ -27,6 +27,7 @@ FloatArray = npt.NDArray[np.float64]
 
 _ROWS_PER_S = 1000
 _IDLE_MANIFOLD_RATIO = 0.35  # of ambient pressure, when the drive begins
+_IDLE_RAD_S = 94.0  # engine speed when a drive begins at rest, about 900 rpm
 
 
 class Powertrain:
@@ -51,7 +52,7 @@ class Powertrain:
         self, truth: Calibration, parameters: PlantParameters, drive: DriveSettings, *, is_audited: bool = False
     ) -> None:
         law = drive_law(truth, parameters, drive)
-        check_step(drive.dt_s, law.plant, law.overall_ratios)
+        check_step(drive.dt_s, law.plant, law.overall_ratios, starts_in_neutral=drive.has_routine)
         self._law = as_record(law)
         self._machine = _initial_machine(self._law, drive, parameters.control, is_audited=is_audited)
         self._start = self._machine.y.copy()
@@ -150,13 +151,14 @@ def drive_law(truth: Calibration, parameters: PlantParameters, drive: DriveSetti
         plant=plant,
         actuation=_actuation(plant, parameters.control.friction_coefficient),
         control=parameters.control,
+        workshop=parameters.workshop,
         overall_ratios=overall_ratios(parameters.gearbox),
         steps_per_millisecond=drive.steps_per_millisecond,
     )
 
 
 def _initial_machine(law: DriveLaw, drive: DriveSettings, control: ControlParameters, *, is_audited: bool) -> Machine:
-    """Return the state of a car that rolls in 1st gear, clutch 1 locked, 2nd gear preselected, foot off the pedal."""
+    """Return the state in which a drive begins: rolling in 1st gear or, for the workshop routine, idling at rest."""
     machine = Machine(
         y=np.zeros(at.STATE_COUNT),
         u=np.zeros(at.INPUT_COUNT),
@@ -172,31 +174,52 @@ def _initial_machine(law: DriveLaw, drive: DriveSettings, control: ControlParame
         clock=np.zeros(1, np.int64),
         cycles=cycle_table(drive, control),
     )
-    _roll(machine, law, drive)
-    _close_first_clutch(machine, law)
-    machine.modes[at.STICK] = 1
-    machine.modes[at.LINK : at.LINK + 2] = ENGAGED
-    machine.modes[at.GEAR : at.GEAR + 2] = (1, 2)
+    _fill_engine_and_oil(machine, law, drive)
+    if drive.has_routine:
+        _idle_at_rest(machine, law, drive)
+    else:
+        _roll(machine, law, drive)
     machine.u[at.DIRECTION : at.DIRECTION + 2] = 1.0
-    machine.u[at.RATIO : at.RATIO + 2] = law.overall_ratios[1:3]
-    machine.memory[tcu_data.CURRENT_GEAR] = machine.memory[tcu_data.TARGET_GEAR] = 1
     machine.memory[tcu_data.IS_DRIVING] = 1.0
-    machine.commands[tcu_data.WANTED_GEAR : tcu_data.WANTED_GEAR + 2] = (1, 2)
     machine.commands[tcu_data.SPARK] = 1.0
     return machine
 
 
-def _roll(machine: Machine, law: DriveLaw, drive: DriveSettings) -> None:
+def _fill_engine_and_oil(machine: Machine, law: DriveLaw, drive: DriveSettings) -> None:
     y, plant = machine.y, law.plant
+    y[at.P_M] = _IDLE_MANIFOLD_RATIO * plant.engine.ambient_pressure_pa
+    y[at.SPARK] = 1.0
+    y[[at.T_C, at.T_C + 1, at.T_OIL]] = drive.initial_oil_k
+    machine.u[at.AIR_FLOW] = throttle_flow_kg_s(0.0, plant.engine)
+
+
+def _idle_at_rest(machine: Machine, law: DriveLaw, drive: DriveSettings) -> None:
+    """Neutral on both shafts, both clutches open, the car at rest; the open clutches soon drag the shafts along."""
+    y, clutches = machine.y, law.plant.clutches
+    y[[at.W_E, at.W_H]] = _IDLE_RAD_S
+    for index, clutch in enumerate((clutches.first, clutches.second)):
+        y[at.FILM + index] = clutch.film.open_gap_m
+        refresh_contact(y, index, clutch)
+    machine.memory[tcu_data.OPEN_REV_COUNT] = drive.open_revs
+    machine.memory[tcu_data.CLOSED_REV_COUNT] = drive.closed_revs
+    machine.memory[tcu_data.ROUTINE] = tcu_data.OPEN_REVS
+
+
+def _roll(machine: Machine, law: DriveLaw, drive: DriveSettings) -> None:
+    """Clutch 1 locked in 1st gear, 2nd gear preselected, foot off the pedal."""
+    y, plant = machine.y, law.plant
+    _close_first_clutch(machine, law)
+    machine.modes[at.STICK] = 1
+    machine.modes[at.LINK : at.LINK + 2] = ENGAGED
+    machine.modes[at.GEAR : at.GEAR + 2] = (1, 2)
+    machine.u[at.RATIO : at.RATIO + 2] = law.overall_ratios[1:3]
+    machine.memory[tcu_data.CURRENT_GEAR] = machine.memory[tcu_data.TARGET_GEAR] = 1
+    machine.commands[tcu_data.WANTED_GEAR : tcu_data.WANTED_GEAR + 2] = (1, 2)
     output_rad_s = drive.initial_engine_rad_s / law.overall_ratios[1]
     y[[at.W_E, at.W_H, at.W_L, at.W_G]] = drive.initial_engine_rad_s
     y[[at.W_L + 1, at.W_G + 1]] = output_rad_s * law.overall_ratios[2]
     y[[at.W_D, at.W_W]] = output_rad_s
     y[at.V] = output_rad_s * plant.vehicle.wheel_radius_m
-    y[at.P_M] = _IDLE_MANIFOLD_RATIO * plant.engine.ambient_pressure_pa
-    y[at.SPARK] = 1.0
-    y[[at.T_C, at.T_C + 1, at.T_OIL]] = drive.initial_oil_k
-    machine.u[at.AIR_FLOW] = throttle_flow_kg_s(0.0, plant.engine)
 
 
 def _close_first_clutch(machine: Machine, law: DriveLaw) -> None:

@@ -10,7 +10,7 @@ from ecu_emulator.plant.rates import PlantLaw
 _LIMIT = 2.5
 
 
-def check_step(dt_s: float, law: PlantLaw, overall_ratios: Sequence[float]) -> None:
+def check_step(dt_s: float, law: PlantLaw, overall_ratios: Sequence[float], *, starts_in_neutral: bool = False) -> None:
     """Check that ``dt_s`` resolves every eigenvalue of the linearised plant.
 
     Raises
@@ -18,7 +18,9 @@ def check_step(dt_s: float, law: PlantLaw, overall_ratios: Sequence[float]) -> N
     CalibrationError
         Naming the motion that is too fast and the longest step it allows.
     """
-    rates = fastest_rates_rad_s(law, overall_ratios)
+    rates = dict(fastest_rates_rad_s(law, overall_ratios))
+    if starts_in_neutral:
+        rates["synchroniser of gear 2 from neutral"] = _synchroniser_rate(law, overall_ratios, 2, 0)
     name = max(rates, key=lambda key: rates[key])
     longest_s = _LIMIT / rates[name]
     require(dt_s <= longest_s, f"dt_s must be <= {longest_s:.2e} s for this plant ({name}), got {dt_s:g}")

@@ -12,13 +12,13 @@ import pytest
 from jsonschema import Draft202012Validator
 
 from ecu_emulator.truth import TruthLog, read_truth
+from fleet_contract import schema
 from tests.bus_end import Stranger, candump, wait_for_shift
 from tests.plugins.broker import Mosquitto
 from tests.plugins.vcan import own_vcan
 from tests.service import Ended, Record, Service, run_service, service
 from tests.subscriber import Payload, Subscriber
 from tests.uml.vcan import ip_link
-from tests.unit.diag_service.test_results import schema
 
 SHIFT_COUNT = 10
 EMULATOR = (sys.executable, "-m", "ecu_emulator")

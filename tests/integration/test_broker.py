@@ -14,10 +14,10 @@ from jsonschema import Draft202012Validator
 from diag_service.publishers import BrokerAddress, MqttConnector, Outbox
 from diag_service.results import ServiceStatus, clutch_record, shift_record
 from diag_service.store import ResultStore, VehicleState, Versions
+from fleet_contract import schema
 from tests.builders import shift_result
 from tests.plugins.broker import Mosquitto, free_port
 from tests.subscriber import Subscriber
-from tests.unit.diag_service.test_results import schema
 
 pytestmark = pytest.mark.broker
 

@@ -53,8 +53,9 @@ def test_overrides_reach_the_drive(tmp_path: Path) -> None:
     path, truth_file = tmp_path / "drive", tmp_path / "truth.jsonl"
     arguments = ["record", str(path), "--format", "candump", "--truth", str(truth_file), "--scenario", "ideal"]
     changes = ["--fluid", "case2", "--seed", "77", "--cycles", "2", "--start-time", "2026-11-20T10:00:00.5+01:00"]
-    assert main([*arguments, *changes]) == 0
+    assert main([*arguments, *changes, "--routine", "2,1"]) == 0
     truth = read_truth(truth_file)
+    assert [rev.are_clutches_closed for rev in truth.revs] == [False, False, True]
     assert (truth.drive.fluid, truth.drive.seed, truth.drive.cycles, len(truth.shifts)) == ("case2", 77, 2, 20)
     assert truth.drive.mu_c == pytest.approx((0.119, 0.119))
     assert path.read_text(encoding="ascii").startswith("(1795165200.500000) vcan0 ")

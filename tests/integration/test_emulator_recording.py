@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 from itertools import pairwise
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -10,9 +11,10 @@ from dbc.contract import load_contract, message_contracts
 from dbc.protection import COUNTER_PERIOD, counter_of, crc_is_valid, data_id_remainder
 from ecu_emulator.errors import ConfigError
 from ecu_emulator.frames import EncodedFrames, merge
+from ecu_emulator.live import SentTruth
 from ecu_emulator.recording import Drive, frames_of
-from ecu_emulator.scenario import Fluid, FluidCondition, Truth
-from ecu_emulator.truth import TruthLog
+from ecu_emulator.scenario import Fluid, FluidCondition, Routine, Truth
+from ecu_emulator.truth import TruthLog, TruthWriter, read_truth
 from tests.builders import drive_scenario
 
 GEARS = [1, 2, 3, 4, 5, 6, 5, 4, 3, 2, 1]
@@ -104,6 +106,23 @@ def test_the_truth_reaches_the_bus_only_through_what_sensors_see() -> None:
     assert len(fresh) > 700
     assert np.array_equal(fresh.t_s, aged.t_s)
     assert np.array_equal(fresh.data, aged.data)
+
+
+def test_revs_in_neutral_are_told_once_their_frames_are_sent(tmp_path: Path) -> None:
+    scenario = replace(drive_scenario("noise_only"), routine=Routine(open_revs=1, closed_revs=1))
+    path = tmp_path / "truth.jsonl"
+    with TruthWriter(path) as writer:
+        sent = SentTruth(Drive(scenario), writer)
+        for frames in sent.frames():
+            if frames.t_s[-1] > 20.0:
+                break
+        sent.sent_until(4.0)
+        assert [rev.are_clutches_closed for rev in read_truth(path).revs] == [False]
+        sent.sent_until(8.0)
+        truth = read_truth(path)
+    assert [rev.are_clutches_closed for rev in truth.revs] == [False, True]
+    assert truth.shifts == ()
+    assert sent.shift_count == 0
 
 
 def test_a_drive_that_the_plant_cannot_make_is_refused() -> None:

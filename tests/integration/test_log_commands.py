@@ -14,11 +14,10 @@ from cantools.database.can import Database
 
 from dbc.contract import DBC_PATH
 from diag_service.arguments import build_parser
-from diag_service.columns_of_log import LogDecoder
+from diag_service.codec import Codec
 from diag_service.commands.decode import decode_long, decode_wide
 from diag_service.database import load_database
 from diag_service.errors import ConfigError, SourceError, StoreError
-from diag_service.message_index import MessageIndex
 from diag_service.profile import load_profile
 from diag_service.records import Signal
 from diag_service.stopping import Trigger
@@ -141,8 +140,8 @@ def test_row_groups_are_small_whatever_the_log(
 ) -> None:
     monkeypatch.setattr("diag_service.commands.decode.MAX_CELLS", 6400)
     decode = decode_wide if layout == "wide" else decode_long
-    decoder = LogDecoder(MessageIndex(load_database(DBC_PATH)))
-    count = decode(short_log, decoder, tmp_path / "out.parquet", Trigger())
+    codec = Codec(load_database(DBC_PATH).messages)
+    count = decode(short_log, codec, tmp_path / "out.parquet", Trigger())
     file = pq.ParquetFile(tmp_path / "out.parquet")
     assert file.metadata.num_row_groups > 5
     assert file.metadata.num_rows == count

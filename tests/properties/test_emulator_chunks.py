@@ -10,11 +10,13 @@ from hypothesis import strategies as st
 from ecu_emulator.readings import FloatArray, Readings, Schedule
 from ecu_emulator.sensors import QUANTITIES, Installation, SensorSuite
 from ecu_emulator.signals import NOMINAL_SENSORS, Sensors
-from ecu_emulator.truth import ShiftWatcher
-from tests.unit.ecu_emulator.rows import made_up_rows, with_shift
+from ecu_emulator.tcu_data import CLOSED_REVS, OPEN_REVS
+from ecu_emulator.truth import RevWatcher, ShiftWatcher
+from tests.unit.ecu_emulator.rows import made_up_rows, with_revs, with_shift
 
 COUNT = 1500
 ROWS = with_shift(with_shift(made_up_rows(COUNT), 200, 700, 1, 2), 900, 1300, 2, 3)
+REVVED = with_revs(ROWS, [(100, 200, OPEN_REVS), (200, 400, OPEN_REVS), (800, 1000, CLOSED_REVS)])
 CUTS = st.lists(st.integers(0, COUNT), max_size=12).map(lambda inner: [0, *sorted(inner), COUNT])
 PLACE = Installation(
     crank_segment_rad=2.0,
@@ -56,4 +58,8 @@ def test_the_truth_is_the_same_for_any_chunking(cuts: list[int]) -> None:
     watcher = ShiftWatcher()
     found = [shift for start, stop in pairwise(cuts) for shift in watcher.feed(ROWS[start:stop])]
     assert found == ShiftWatcher().feed(ROWS)
+    rev_watcher = RevWatcher()
+    revs = [rev for start, stop in pairwise(cuts) for rev in rev_watcher.feed(REVVED[start:stop])]
+    assert revs == RevWatcher().feed(REVVED)
+    assert [rev.are_clutches_closed for rev in revs] == [False, False, True]
     assert [(shift.number, shift.from_gear, shift.to_gear) for shift in found] == [(1, 1, 2), (2, 2, 3)]

@@ -22,3 +22,14 @@ def test_halving_the_step_changes_little(dt_s: float) -> None:
     change = np.abs(coarse - fine)
     assert change[:, Col.HUB_SPEED].max() < 0.02
     assert change[:, [Col.CLUTCH1_TORQUE, Col.CLUTCH2_TORQUE]].max() < 0.3
+
+
+def test_halving_the_step_changes_little_in_the_workshop() -> None:
+    coarse, fine = (
+        powertrain(DriveSettings(dt_s=step, open_revs=1, closed_revs=1)).advance(COMPARED_S)
+        for step in (2.5e-4, 1.25e-4)
+    )
+    change = np.abs(coarse - fine)
+    assert coarse[-1, Col.CURRENT_GEAR] == 1
+    assert change[:, Col.HUB_SPEED].max() < 0.02
+    assert change[:, [Col.CLUTCH1_TORQUE, Col.CLUTCH2_TORQUE]].max() < 0.3

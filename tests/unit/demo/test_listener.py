@@ -9,18 +9,23 @@ import pytest
 from demo.errors import DemoError
 from demo.listener import Listener
 from diag_service.records import ShiftResult
-from diag_service.results import ServiceStatus, dump, shift_record, status_record
+from diag_service.results import ServiceStatus, shift_record, status_record
+from fleet_contract import Channel, Outgoing, shift_message, status_message, topic_of
 from tests.builders import shift_result
 
 VEHICLE = "car1"
 
 
-def message(topic: str, payload: str, *, is_retained: bool = False) -> aiomqtt.Message:
-    return aiomqtt.Message(f"clutchdiag/v1/{VEHICLE}/{topic}", payload.encode(), 1, is_retained, 1, None)
+def message(out: Outgoing, *, is_retained: bool = False) -> aiomqtt.Message:
+    return aiomqtt.Message(out.topic, out.payload, 1, is_retained, 1, None)
+
+
+def foreign(channel: Channel, text: str) -> aiomqtt.Message:
+    return message(Outgoing(topic=topic_of(VEHICLE, channel), payload=text.encode(), is_retained=False))
 
 
 def shift(seq: int) -> aiomqtt.Message:
-    return message("shift", dump(shift_record(shift_result(seq))))
+    return message(shift_message(shift_record(shift_result(seq))))
 
 
 def status(*, is_online: bool, is_retained: bool = False) -> aiomqtt.Message:
@@ -28,13 +33,13 @@ def status(*, is_online: bool, is_retained: bool = False) -> aiomqtt.Message:
         ServiceStatus(
             vehicle=VEHICLE,
             is_online=is_online,
-            connected_at="2026-01-01T00:00:00Z",
+            connected_at="2026-01-01T00:00:00.000000Z",
             service_version="1",
             algorithm_version="1",
             calibration_version="1",
         )
     )
-    return message("status", dump(record), is_retained=is_retained)
+    return message(status_message(record), is_retained=is_retained)
 
 
 async def heard(*messages: aiomqtt.Message) -> tuple[Listener, list[ShiftResult]]:
@@ -78,7 +83,9 @@ async def test_the_service_is_not_online(messages: tuple[aiomqtt.Message, ...]) 
         await asyncio.wait_for(listener.service_online(), 0.01)
 
 
-@pytest.mark.parametrize("foreign", [message("shift", "{}"), message("status", "hello"), message("status", "{}")])
-async def test_a_foreign_message_is_an_error(foreign: aiomqtt.Message) -> None:
+@pytest.mark.parametrize(
+    ("channel", "text"), [(Channel.SHIFT, "{}"), (Channel.STATUS, "hello"), (Channel.STATUS, "{}")]
+)
+async def test_a_foreign_message_is_an_error(channel: Channel, text: str) -> None:
     with pytest.raises(DemoError, match="not of this service"):
-        await heard(foreign)
+        await heard(foreign(channel, text))

@@ -262,9 +262,15 @@ def test_signals_that_cannot_be_decoded_are_refused(message: Message, complaint:
         compile_signal(message, "S")
 
 
-def test_signal_beyond_a_classic_frame_is_refused() -> None:
-    signal = Signal("S", start=64, length=8)
-    with pytest.raises(ConfigError, match="classic CAN frame"):
+def test_signal_beyond_a_frame_is_refused() -> None:
+    signal = Signal("S", start=512, length=8)
+    with pytest.raises(ConfigError, match="outside the 64 bytes of a CAN FD frame"):
+        compile_signal(Message(0x100, "M", 70, [signal], is_fd=True), "S")
+
+
+def test_signal_wider_than_a_word_is_refused() -> None:
+    signal = Signal("S", start=0, length=65)
+    with pytest.raises(ConfigError, match="has 65 bits; up to 64"):
         compile_signal(Message(0x100, "M", 64, [signal], is_fd=True), "S")
 
 

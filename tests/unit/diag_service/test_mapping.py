@@ -1,6 +1,8 @@
 """Frames become canonical columns in SI units; what does not fit or may not be used is told and counted."""
 
 from dataclasses import replace
+from pathlib import Path
+from typing import Final
 
 import cantools
 import numpy as np
@@ -17,6 +19,8 @@ from diag_service.records import BALANCE_SIGNALS, Signal
 from ecu_emulator.frames import FrameEncoder
 from ecu_emulator.readings import Readings
 from tests.wire import CONTRACTS, DATABASE, START_NS, drive, joined, of_message, received
+
+CORNERS: Final = Path(__file__).parents[2] / "data" / "corners.dbc"
 
 
 def decoder() -> Decoder:
@@ -220,3 +224,72 @@ def test_foreign_database_without_protection() -> None:
     assert value[Signal.SUMP_TEMPERATURE] == [0.5 * 256 - 40 + 273.15]
     assert columns.columns[Signal.HUB_SPEED].sequence.tolist() == [-1]
     assert columns.columns[Signal.HUB_SPEED].period_ns == 0
+
+
+def truck(**more: object) -> Decoder:
+    """Return a decoder of a truck's engine speed beside this project's own messages."""
+    corners = cantools.database.load_file(CORNERS)
+    assert isinstance(corners, Database)
+    messages = [*DATABASE.messages, corners.get_message_by_name("EEC1")]
+    sources = dict(load_profile().sources)
+    sources[Signal.ENGINE_SPEED] = SignalSource(message="EEC1", signal="EngSpeed", **more)  # type: ignore[arg-type]
+    return Decoder(Database(messages), Profile(name="truck", sources=sources))
+
+
+def eec1(senders: list[int], channels: list[int] | None = None) -> FrameBatch:
+    """Return engine speeds in steps of 32 rpm, a second apart in all."""
+    count = len(senders)
+    data = np.zeros((count, 8), np.uint8)
+    data[:, 4] = np.arange(1, count + 1)
+    return FrameBatch(
+        t_ns=START_NS + np.arange(count) * 20_000_000,
+        can_id=np.array([0x8CF0_0400 | sender for sender in senders], np.uint32),
+        length=np.full(count, 8, np.uint8),
+        data=data,
+        channel=np.array(channels or [0] * count, np.uint8),
+    )
+
+
+def test_one_sender_of_a_parameter_group_gives_the_values_and_the_others_do_no_harm() -> None:
+    stage = truck()
+    (columns,) = stage.feed(eec1([0x11, 0x05, 0x11, 0x05, 0x11]))
+    assert columns.columns[Signal.ENGINE_SPEED].value.tolist() == rad_s_from_rpm(np.array([32.0, 96.0, 160.0])).tolist()
+    assert not len(columns.bad_frame_ns)
+    counts = stage.counts
+    assert balanced(counts)
+    assert counts.rejected == {FrameReason.OTHER_SENDER: 2}
+    assert counts.messages["EEC1"].senders == {0x05: 2, 0x11: 3}
+
+
+def test_named_sender_and_several_of_them() -> None:
+    (columns,) = truck(source_address=5).feed(eec1([0x11, 0x05, 0x11]))
+    assert columns.columns[Signal.ENGINE_SPEED].value.tolist() == [rad_s_from_rpm(64.0)]
+    sources = {
+        **load_profile().sources,
+        Signal.PEDAL: SignalSource(message="TCU_Shift", signal="CurrentGear", unit="%", source_address=1),
+        Signal.CURRENT_GEAR: SignalSource(message="TCU_Shift", signal="CurrentGear", source_address=2),
+    }
+    with pytest.raises(ConfigError, match="several source addresses for TCU_Shift"):
+        Decoder(DATABASE, Profile(name="torn", sources=sources))
+
+
+def test_one_identifier_on_two_channels_is_never_mixed() -> None:
+    batch = received(drive(1.0))
+    twice = FrameBatch(
+        t_ns=np.repeat(batch.t_ns, 2),
+        can_id=np.repeat(batch.can_id, 2),
+        length=np.repeat(batch.length, 2),
+        data=np.repeat(batch.data, 2, axis=0),
+        channel=np.tile(np.array([1, 2], np.uint8), len(batch)),
+    )
+    twice.data[1::2, 2:] ^= 0xFF  # the other bus says something else
+    alone, both, named = decoder(), decoder(), Decoder(DATABASE, replace(load_profile(), channel=1))
+    (wanted,) = alone.feed(batch)
+    for stage in (both, named):
+        (columns,) = stage.feed(twice)
+        for signal, series in wanted.columns.items():
+            assert np.array_equal(columns.columns[signal].value, series.value)
+        assert not len(columns.bad_frame_ns)
+        assert stage.counts.rejected == {FrameReason.OTHER_CHANNEL: len(batch)}
+        assert stage.counts.messages["TCU_Shift"].channels == {1: 100, 2: 100}
+        assert balanced(stage.counts)

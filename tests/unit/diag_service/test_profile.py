@@ -96,6 +96,43 @@ def test_entry_with_everything(tmp_path: Path) -> None:
     }
 
 
+def test_protocol_channel_and_sender(tmp_path: Path) -> None:
+    text = """
+protocol = "j1939"
+channel = 2
+[signals]
+engine_speed_rad_s = { message = "EEC1", signal = "EngSpeed", source_address = 0 }
+"""
+    profile = load_profile(write(tmp_path, text))
+    assert (profile.is_j1939, profile.channel) == (True, 2)
+    assert profile.sources[Signal.ENGINE_SPEED].source_address == 0
+    plain = load_profile()
+    assert (plain.is_j1939, plain.channel) == (False, None)
+
+
+@pytest.mark.parametrize(
+    ("line", "complaint"),
+    [
+        ('protocol = "lin"', "protocol must be one of can, j1939"),
+        ("protocol = [1]", "protocol must be one of can, j1939"),
+        ("channel = 256", "channel must be a number up to 255"),
+        ("channel = -1", "channel must be a number up to 255"),
+        ("channel = true", "channel must be a number up to 255"),
+        ('channel = "can0"', "channel must be a number up to 255"),
+        ("colour = 1", "must have a table"),
+    ],
+)
+def test_unusable_protocol_or_channel_is_refused(tmp_path: Path, line: str, complaint: str) -> None:
+    with pytest.raises(ConfigError, match=complaint):
+        load_profile(write(tmp_path, line + "\n[signals]\n"))
+
+
+@pytest.mark.parametrize("address", [-1, 256])
+def test_source_address_that_is_none_is_refused(address: int) -> None:
+    with pytest.raises(ConfigError, match="not one of J1939"):
+        SignalSource(message="M", signal="S", source_address=address)
+
+
 @pytest.mark.parametrize(
     ("signal", "unit", "value", "si"),
     [

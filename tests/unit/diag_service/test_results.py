@@ -3,7 +3,6 @@
 import json
 import math
 from dataclasses import replace
-from importlib.resources import files
 
 import pytest
 from jsonschema import Draft202012Validator
@@ -19,6 +18,7 @@ from diag_service.results import (
     status_record,
     utc_from_bus_ns,
 )
+from fleet_contract import schema
 from tests.builders import START_NS, friction_estimate, rejected, shift_result
 
 STATUS = ServiceStatus(
@@ -37,13 +37,6 @@ RECORDS = [
     pytest.param("status", status_record(STATUS), id="online"),
     pytest.param("status", status_record(replace(STATUS, is_online=False)), id="offline"),
 ]
-
-
-def schema(name: str) -> dict[str, object]:
-    text = files("diag_service").joinpath(f"schemas/{name}-v1.json").read_text(encoding="utf-8")
-    table = json.loads(text)
-    assert isinstance(table, dict)
-    return table
 
 
 @pytest.mark.parametrize(("name", "record"), RECORDS)

@@ -10,7 +10,7 @@ from diag_service.decode import payload_words
 from diag_service.errors import ConfigError
 from diag_service.profile import PROFILE_FOLDER, SignalSource
 from diag_service.records import UInt8Array
-from diag_service.source_tables import compile_source, find_message, group_of, parameter_group, signal_name
+from diag_service.source_tables import compile_source, find_message, signal_name
 
 TEXT = """VERSION ""
 BU_: A
@@ -68,9 +68,3 @@ def test_j1939_numbers() -> None:
         find_message(database.messages, SignalSource(pgn=99, spn=1))
     with pytest.raises(ConfigError, match="EEC1 has no signal with SPN 7"):
         signal_name(found, SignalSource(pgn=61444, spn=7))
-
-
-def test_parameter_groups() -> None:
-    assert group_of(0x0CF00400) == 61444
-    assert group_of(0x18EAFF21) == 0xEA00  # the second byte is a destination
-    assert parameter_group(message()) is None

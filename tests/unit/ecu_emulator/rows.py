@@ -1,5 +1,7 @@
 """Synthetic plant rows: smooth made-up motion, so that the stages after the plant can be tested without it."""
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from ecu_emulator.plant.columns import Col
@@ -16,6 +18,7 @@ def made_up_rows(count: int, *, seed: int = 7) -> FloatArray:
     rows[:, Col.ENGINE_SPEED] = 200.0 + 40.0 * np.sin(3.0 * t_s)
     rows[:, Col.CRANK_ANGLE] = 200.0 * t_s + 40.0 / 3.0 * (1.0 - np.cos(3.0 * t_s))
     rows[:, Col.CURRENT_GEAR] = rows[:, Col.TARGET_GEAR] = 1.0
+    rows[:, [Col.ROUTINE, Col.REV]] = 0.0
     return rows
 
 
@@ -27,4 +30,13 @@ def with_shift(rows: FloatArray, start_ms: int, stop_ms: int, from_gear: int, to
     )
     changed[start_ms:, Col.TARGET_GEAR] = to_gear
     changed[stop_ms:, Col.CURRENT_GEAR] = to_gear
+    return changed
+
+
+def with_revs(rows: FloatArray, revs: Sequence[tuple[int, int, int]]) -> FloatArray:
+    """Return a copy in which revs (first ms, ms after the last, stage of the routine) take place."""
+    changed = rows.copy()
+    for number, (start_ms, stop_ms, stage) in enumerate(revs, start=1):
+        changed[start_ms:stop_ms, Col.ROUTINE] = stage
+        changed[start_ms:stop_ms, Col.REV] = number
     return changed

@@ -192,6 +192,7 @@ def test_only_measurable_columns_reach_the_readings() -> None:
         Col.MU_C1, Col.MU_S1, Col.MU_C2, Col.MU_S2, Col.FILM1, Col.FILM2, Col.STICK1, Col.STICK2,
         Col.CLUTCH1_TEMPERATURE, Col.CLUTCH2_TEMPERATURE, Col.CLUTCH1_TORQUE, Col.CLUTCH2_TORQUE,
         Col.VISCOUS1_TORQUE, Col.VISCOUS2_TORQUE, Col.FLYWHEEL_TORQUE, Col.SHAFT1_TORQUE, Col.SHAFT2_TORQUE,
+        Col.ROUTINE, Col.REV,
     } == HIDDEN  # fmt: skip
     rows = made_up_rows(500)
     blind = rows.copy()

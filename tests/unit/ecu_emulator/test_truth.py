@@ -5,8 +5,19 @@ import pytest
 
 from ecu_emulator.errors import RecordError
 from ecu_emulator.plant.columns import Col
-from ecu_emulator.truth import DriveTruth, ShiftWatcher, Totals, TruthLog, TruthWriter, read_truth, truth_path
-from tests.unit.ecu_emulator.rows import made_up_rows, with_shift
+from ecu_emulator.tcu_data import CLOSED_REVS, OPEN_REVS
+from ecu_emulator.truth import (
+    DriveTruth,
+    RevTruth,
+    RevWatcher,
+    ShiftWatcher,
+    Totals,
+    TruthLog,
+    TruthWriter,
+    read_truth,
+    truth_path,
+)
+from tests.unit.ecu_emulator.rows import made_up_rows, with_revs, with_shift
 
 DRIVE = DriveTruth(
     scenario="ideal",
@@ -41,18 +52,36 @@ def test_no_shift_no_truth() -> None:
     assert ShiftWatcher().feed(made_up_rows(300)) == []
 
 
+def test_a_start_from_neutral_is_no_shift() -> None:
+    assert ShiftWatcher().feed(with_shift(made_up_rows(600), 100, 400, 0, 1)) == []
+
+
+def test_revs_are_told_apart_and_say_whether_the_clutches_are_closed() -> None:
+    rows = with_revs(made_up_rows(1000), [(100, 200, OPEN_REVS), (200, 300, OPEN_REVS), (500, 700, CLOSED_REVS)])
+    assert RevWatcher().feed(rows) == [
+        RevTruth(number=1, t_start_s=0.1, t_end_s=0.2, are_clutches_closed=False),
+        RevTruth(number=2, t_start_s=0.2, t_end_s=0.3, are_clutches_closed=False),
+        RevTruth(number=3, t_start_s=0.5, t_end_s=0.7, are_clutches_closed=True),
+    ]
+    watcher = RevWatcher()
+    assert [rev.number for rev in watcher.feed(rows[:600])] == [1, 2]
+    assert [rev.number for rev in watcher.feed(rows[600:])] == [3]
+
+
 def test_a_truth_file_reads_back(tmp_path: Path) -> None:
     path = truth_path(tmp_path / "drive.log")
     assert path.name == "drive.log.truth.jsonl"
     shifts = tuple(ShiftWatcher().feed(ROWS))
+    rev = RevTruth(number=1, t_start_s=0.1, t_end_s=0.2, are_clutches_closed=True)
     totals = Totals(shifts=2, duration_s=1.2, frames=77)
     with TruthWriter(path) as writer:
         writer.drive(DRIVE)
         writer.shifts(shifts[:1])
         assert read_truth(path) == TruthLog(drive=DRIVE, shifts=shifts[:1], totals=None)
         writer.shifts(shifts[1:])
+        writer.revs([rev])
         writer.totals(totals)
-    assert read_truth(path) == TruthLog(drive=DRIVE, shifts=shifts, totals=totals)
+    assert read_truth(path) == TruthLog(drive=DRIVE, shifts=shifts, totals=totals, revs=(rev,))
 
 
 def test_a_truth_file_that_cannot_be_written(tmp_path: Path) -> None:

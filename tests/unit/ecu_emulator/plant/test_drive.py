@@ -24,6 +24,8 @@ CONTROL = nominal_parameters().control
         ("ambient_k", 20.0),
         ("grade_ratio", 0.2),
         ("initial_engine_rad_s", 0.0),
+        ("open_revs", 21),
+        ("closed_revs", -1),
         ("dt_s", 1e-3),
         ("dt_s", 1.5e-4),
         ("dt_s", float("nan")),

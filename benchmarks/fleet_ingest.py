@@ -1,0 +1,137 @@
+"""Throughput of the fleet backend: two workers between a real Mosquitto and a real PostgreSQL that syncs every commit.
+
+Each result travels from a publisher through broker, check, transaction and back as an acknowledgement. Beside it the
+same rows written by one process without broker and check: the database's own pace, in the same run.
+
+    python -m benchmarks.fleet_ingest
+"""
+
+import argparse
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+from benchmarks.fleet_load import Load, Wire, wire
+from demo.fleet.mosquitto import mosquitto
+from demo.fleet.postgres import PostgresServer
+from diag_service.results import shift_record
+from fleet_backend.database import open_database
+from fleet_backend.migrate import migrate
+from fleet_backend.queries import table_hash
+from fleet_backend.rows import Row, shift_row
+from fleet_backend.writer import Batch, Writer
+from fleet_contract import Channel, shift_message, topic_of
+from tests.builders import shift_result
+
+TARGET_PER_S = 5000
+VEHICLES = 40
+BATCH = 500
+WINDOW = 4000  # results on their way
+ROUNDS = 3
+BROKER_LINES = ("max_inflight_messages 0", "max_queued_messages 0")
+
+
+@contextmanager
+def workers(broker_port: int, database: str, count: int) -> Iterator[None]:
+    """Run ingest workers for as long as the block lasts."""
+    address = f"mqtt://127.0.0.1:{broker_port}"
+    command = [sys.executable, "-m", "fleet_backend", "ingest", "--broker", address, "--database", database]
+    command += ["--batch", str(BATCH)]
+    children = [subprocess.Popen(command, stderr=subprocess.PIPE, text=True) for _ in range(count)]
+    try:
+        for child in children:
+            wait_until_listening(child)
+        yield
+    finally:
+        for child in children:
+            child.terminate()
+        for child in children:
+            child.communicate()
+
+
+def wait_until_listening(child: "subprocess.Popen[str]") -> None:
+    """Return when a worker says that it listens."""
+    while child.stderr is not None and (line := child.stderr.readline()):
+        if "listening" in line:
+            return
+    raise RuntimeError("a worker did not start")
+
+
+def vehicle_names() -> list[str]:
+    return [f"car{number}" for number in range(VEHICLES)]
+
+
+def messages(first: int, count: int) -> list[Wire]:
+    """Return results of all vehicles in turn, from a position of their streams on."""
+    made: list[Wire] = []
+    for number in range(count):
+        vehicle, seq = f"car{number % VEHICLES}", first + number // VEHICLES
+        message = shift_message(shift_record(shift_result(seq, vehicle=vehicle, to_gear=2 + seq % 5)))
+        made.append(wire(message.topic, message.payload))
+    return made
+
+
+def rows(count: int) -> list[Row]:
+    return [
+        shift_row(shift_record(shift_result(1 + number // VEHICLES, vehicle=f"bare{number % VEHICLES}")))
+        for number in range(count)
+    ]
+
+
+def bare_rate(database: str, count: int) -> float:
+    """Return how many ready rows one process writes [1/s]."""
+    engine = open_database(database)
+    writer, made = Writer(engine), rows(count)
+    began_s = time.perf_counter()
+    for first in range(0, count, BATCH):
+        writer.store(Batch(shifts=made[first : first + BATCH]))
+    took_s = time.perf_counter() - began_s
+    engine.dispose()
+    return count / took_s
+
+
+def measure(count: int, rounds: int, worker_count: int) -> None:
+    with ExitStack() as stack:
+        folder = Path(stack.enter_context(TemporaryDirectory()))
+        server = PostgresServer()
+        stack.callback(server.remove)
+        server.start()
+        database = server.create("fleet")
+        engine = open_database(database)
+        stack.callback(engine.dispose)
+        migrate(engine)
+        port = stack.enter_context(mosquitto(folder, BROKER_LINES))
+        stack.enter_context(workers(port, database, worker_count))
+        load = Load(port, "load", [topic_of(vehicle, Channel.ACK) for vehicle in vehicle_names()])
+        stack.callback(load.close)
+        rates: list[float] = []
+        for number in range(rounds):
+            made = messages(1 + number * count, count)
+            load.acknowledged_count = 0
+            rates.append(count / load.send(made, WINDOW, timeout_s=120.0))
+        load.acknowledged_count = 0
+        again = count / load.send(made, WINDOW, timeout_s=120.0)
+        found = table_hash(engine)
+        bare = bare_rate(database, count)
+    best = max(rates)
+    shown = ", ".join(f"{rate:,.0f}" for rate in rates)
+    print(f"{worker_count} workers, PostgreSQL with fsync, {count:,} results a round: {shown} results/s")
+    print(f"best {best:,.0f}/s (target {TARGET_PER_S:,}), {best / bare:.2f} of one process that only writes rows")
+    print(f"the last round once more: {again:,.0f}/s; {found.row_count:,} rows of {rounds * count:,} different results")
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--results", type=int, default=20_000, help="per round")
+    parser.add_argument("--rounds", type=int, default=ROUNDS)
+    parser.add_argument("--workers", type=int, default=2)
+    options = parser.parse_args()
+    measure(options.results, options.rounds, options.workers)
+
+
+if __name__ == "__main__":
+    main()

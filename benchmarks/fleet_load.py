@@ -1,0 +1,139 @@
+"""A load of results that costs next to nothing: MQTT packets made beforehand, sent in large pieces over bare sockets.
+
+A client library would take more of the two cores than the worker under test. What was not acknowledged by the backend
+stays below a window, as an edge's outbox keeps it.
+"""
+
+import json
+import socket
+import threading
+import time
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import Final
+
+_KEEPALIVE_S: Final = 600
+_CONNECT_REQUEST, _PUBLISH_QOS1, _SUBSCRIBE = 0x10, 0x32, 0x82
+_PUBLISH_TYPE, _PUBACK = 3, 0x40
+_PIECE: Final = 200  # messages per send
+_READ_BYTES: Final = 1 << 18
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Wire:
+    """A message as MQTT 3.1.1 carries it, but for its packet identifier."""
+
+    head: bytes
+    payload: bytes
+
+    def packet(self, number: int) -> bytes:
+        """Return the PUBLISH packet, QoS 1."""
+        return self.head + (number % 65_535 + 1).to_bytes(2) + self.payload
+
+
+def wire(topic: str, payload: bytes) -> Wire:
+    """Return the packet of a message."""
+    name = _text(topic)
+    return Wire(head=bytes([_PUBLISH_QOS1]) + _length(len(name) + 2 + len(payload)) + name, payload=payload)
+
+
+class Load:
+    """One publisher that counts the acknowledgements of the backend for a set of vehicles."""
+
+    def __init__(self, port: int, name: str, ack_topics: Sequence[str]) -> None:
+        self._socket = socket.create_connection(("127.0.0.1", port))
+        self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        self.acknowledged_count = 0
+        self._changed = threading.Condition()
+        self._socket.sendall(_connect(name))
+        self._subscribe(ack_topics)
+        self._reader = threading.Thread(target=self._read, daemon=True)
+        self._reader.start()
+
+    def send(self, messages: Sequence[Wire], window: int, timeout_s: float) -> float:
+        """Send all messages and wait for the backend's word on each; return how long it took [s]."""
+        began_s = time.perf_counter()
+        for first in range(0, len(messages), _PIECE):
+            piece = messages[first : first + _PIECE]
+            self._wait(first + len(piece) - window, began_s + timeout_s)
+            self._socket.sendall(b"".join(message.packet(first + place) for place, message in enumerate(piece)))
+        self._wait(len(messages), began_s + timeout_s)
+        return time.perf_counter() - began_s
+
+    def close(self) -> None:
+        """Leave the broker."""
+        self._socket.shutdown(socket.SHUT_RDWR)
+        self._reader.join()
+        self._socket.close()
+
+    def _wait(self, count: int, deadline_s: float) -> None:
+        with self._changed:
+            left_s = deadline_s - time.perf_counter()
+            if not self._changed.wait_for(lambda: self.acknowledged_count >= count, left_s):
+                raise TimeoutError(f"{self.acknowledged_count} acknowledged, {count} expected")
+
+    def _subscribe(self, topics: Sequence[str]) -> None:
+        body = (1).to_bytes(2) + b"".join(_text(topic) + b"\x01" for topic in topics)
+        self._socket.sendall(bytes([_SUBSCRIBE]) + _length(len(body)) + body)
+
+    def _read(self) -> None:
+        for first_byte, body in _packets(self._socket):
+            if first_byte >> 4 != _PUBLISH_TYPE:
+                continue
+            topic_length = int.from_bytes(body[:2])
+            at = 2 + topic_length
+            if first_byte & 0x06:
+                self._socket.sendall(bytes([_PUBACK, 2]) + body[at : at + 2])
+                at += 2
+            with self._changed:
+                self.acknowledged_count += len(json.loads(body[at:])["data"]["results"])
+                self._changed.notify_all()
+
+
+def _packets(source: socket.socket) -> Iterator[tuple[int, bytes]]:
+    """Yield first byte and body of each packet, until the socket is closed."""
+    buffer = bytearray()
+    while True:
+        try:
+            data = source.recv(_READ_BYTES)
+        except OSError:
+            return
+        if not data:
+            return
+        buffer += data
+        while (end := _packet_end(buffer)) is not None:
+            start, stop = end
+            yield buffer[0], bytes(buffer[start:stop])
+            del buffer[:stop]
+
+
+def _packet_end(buffer: bytearray) -> tuple[int, int] | None:
+    """Return where the body of the first packet starts and stops, if all of it is there."""
+    length, shift = 0, 0
+    for place in range(1, min(len(buffer), 5)):
+        length |= (buffer[place] & 0x7F) << shift
+        shift += 7
+        if not buffer[place] & 0x80:
+            stop = place + 1 + length
+            return (place + 1, stop) if stop <= len(buffer) else None
+    return None
+
+
+def _connect(name: str) -> bytes:
+    body = _text("MQTT") + b"\x04\x02" + _KEEPALIVE_S.to_bytes(2) + _text(name)
+    return bytes([_CONNECT_REQUEST]) + _length(len(body)) + body
+
+
+def _text(text: str) -> bytes:
+    data = text.encode()
+    return len(data).to_bytes(2) + data
+
+
+def _length(number: int) -> bytes:
+    """Return a remaining length, seven bits a byte."""
+    data = bytearray()
+    while True:
+        number, digit = divmod(number, 128)
+        data.append(digit | (0x80 if number else 0))
+        if not number:
+            return bytes(data)

@@ -1,0 +1,145 @@
+"""A PostgreSQL of our own: its data in a temporary folder, its port free until then, its end with the block."""
+
+import os
+import pwd
+import shutil
+import signal
+import socket
+import subprocess
+import tempfile
+import time
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Final
+
+from demo.errors import DemoError
+
+ROLE: Final = "clutchdiag"
+_DEBIAN_FOLDER: Final = Path("/usr/lib/postgresql")
+_START_S: Final = 30.0
+_STOP_S: Final = 20.0
+_UNPRIVILEGED: Final = ("postgres", "nobody")
+
+
+class PostgresServer:
+    """One server; off until started, its data survive a kill.
+
+    Parameters
+    ----------
+    settings : sequence of str
+        Server parameters as ``name=value``.
+    """
+
+    def __init__(self, settings: Sequence[str] = ()) -> None:
+        self.port = _free_port()
+        self._programs = program_folder()
+        if self._programs is None:
+            raise DemoError("PostgreSQL is not installed (Debian package postgresql)")
+        self._settings = settings
+        self._owner = _owner()
+        self.folder = Path(tempfile.mkdtemp(prefix="clutchdiag-postgres-"))
+        self._log = self.folder / "server.log"
+        self._process: subprocess.Popen[bytes] | None = None
+        if self._owner is not None:
+            os.chown(self.folder, self._owner, -1)
+        self._run("initdb", "--pgdata", str(self.folder / "data"), "-U", ROLE, "-A", "trust", "-E", "UTF8", "--no-sync")
+
+    @property
+    def pid(self) -> int:
+        """Process id of the running server."""
+        if self._process is None:
+            raise DemoError("the database server was not started")
+        return self._process.pid
+
+    def url(self, database: str = "postgres") -> str:
+        """Return the address of a database."""
+        return f"postgresql+psycopg://{ROLE}@127.0.0.1:{self.port}/{database}"
+
+    def start(self) -> None:
+        """Start the server and wait until it answers."""
+        settings = (f"port={self.port}", "listen_addresses=127.0.0.1", "unix_socket_directories=", *self._settings)
+        options = [part for setting in settings for part in ("-c", setting)]
+        with self._log.open("ab") as log:
+            self._process = subprocess.Popen(
+                [self._program("postgres"), "-D", str(self.folder / "data"), *options],
+                stdout=log,
+                stderr=subprocess.STDOUT,
+                cwd="/",
+                user=self._owner,
+            )
+        deadline_s = time.monotonic() + _START_S
+        while self._answer("pg_isready", "-q", "-h", "127.0.0.1", "-p", str(self.port)) != 0:
+            if self._process.poll() is not None or time.monotonic() > deadline_s:
+                raise DemoError(f"PostgreSQL does not start: {self._last_words()}")
+            time.sleep(0.05)
+
+    def create(self, database: str, template: str = "template1") -> str:
+        """Create a database as a copy of a template, by default an empty one, and return its address."""
+        where = ("-h", "127.0.0.1", "-p", str(self.port), "-U", ROLE)
+        self._run("createdb", *where, "--template", template, database)
+        return self.url(database)
+
+    def kill(self) -> None:
+        """End the server as a power cut would."""
+        self._end(signal.SIGKILL)
+
+    def stop(self) -> None:
+        """End the server at once but in order; it may be off."""
+        self._end(signal.SIGINT)
+
+    def remove(self) -> None:
+        """End the server and forget its data."""
+        self._end(signal.SIGQUIT)
+        shutil.rmtree(self.folder, ignore_errors=True)
+
+    def _end(self, number: signal.Signals) -> None:
+        if self._process is None:
+            return
+        self._process.send_signal(number)
+        self._process.wait(_STOP_S)
+        self._process = None
+
+    def _run(self, program: str, *arguments: str) -> None:
+        """Run one of the server's programs as the server's owner; its failure is ours."""
+        done = subprocess.run(
+            [self._program(program), *arguments], capture_output=True, text=True, check=False, cwd="/", user=self._owner
+        )
+        if done.returncode != 0:
+            raise DemoError(f"{program} failed: {' '.join(done.stderr.split())}")
+
+    def _answer(self, program: str, *arguments: str) -> int:
+        return subprocess.run([self._program(program), *arguments], check=False, cwd="/").returncode
+
+    def _program(self, name: str) -> str:
+        return str((self._programs or Path()) / name)
+
+    def _last_words(self) -> str:
+        lines = self._log.read_text(encoding="utf-8", errors="replace").strip().splitlines()
+        return lines[-1] if lines else "it said nothing"
+
+
+def program_folder() -> Path | None:
+    """Return where the newest installed server's programs are, or None without one."""
+    found = [path.parent for path in _DEBIAN_FOLDER.glob("*/bin/postgres")]
+    on_path = shutil.which("postgres")
+    if found:
+        return max(found, key=lambda folder: float(folder.parent.name))
+    return None if on_path is None else Path(on_path).parent
+
+
+def _owner() -> int | None:
+    """Return the user id the server runs under where we are root, whom it refuses; else None, ourselves."""
+    if os.getuid() != 0:
+        return None
+    for name in _UNPRIVILEGED:
+        try:
+            return pwd.getpwnam(name).pw_uid
+        except KeyError:
+            continue
+    raise DemoError("PostgreSQL refuses to run as root, and there is no user 'postgres' or 'nobody'")
+
+
+def _free_port() -> int:
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        return int(probe.getsockname()[1])

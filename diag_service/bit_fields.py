@@ -1,0 +1,116 @@
+"""Where a signal lies in a payload, and how one array operation reads it out of all payloads.
+
+A payload is read as 64-bit words that begin at any byte, in either byte order; a signal is a shift and a mask of one of
+them. Only a signal of more than 56 bits that lies across nine bytes needs a byte besides.
+"""
+
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+import numpy.typing as npt
+from cantools.database.can import Message
+from cantools.database.can.signal import Signal
+
+from diag_service.errors import ConfigError
+from diag_service.frames import FD_PAYLOAD_BYTES
+from diag_service.records import Int64Array, UInt8Array
+
+UInt64Array = npt.NDArray[np.uint64]
+
+WORD_BYTES: Final = 8
+WORD_BITS: Final = 64
+
+
+class PayloadWords:
+    """Payloads as 64-bit words, each made when it is first asked for; bytes past the end of the rows are zeros."""
+
+    def __init__(self, data: UInt8Array) -> None:
+        self._data = data  # (n, bytes)
+        self._words: dict[tuple[int, bool], UInt64Array] = {}
+
+    def word(self, first_byte: int, *, is_big: bool) -> UInt64Array:
+        """Return the eight bytes from ``first_byte`` on, the first of them highest if ``is_big``, shape (n,)."""
+        key = first_byte, is_big
+        if key not in self._words:
+            piece = np.ascontiguousarray(self._piece(first_byte))
+            self._words[key] = piece.view(">u8" if is_big else "<u8")[:, 0].astype(np.uint64, copy=False)
+        return self._words[key]
+
+    def byte(self, index: int) -> UInt64Array:
+        """Return one byte of each payload, shape (n,)."""
+        return self._piece(index)[:, 0].astype(np.uint64)
+
+    def _piece(self, first_byte: int) -> UInt8Array:
+        piece = self._data[:, first_byte : first_byte + WORD_BYTES]
+        missing = WORD_BYTES - piece.shape[1]
+        return np.pad(piece, ((0, 0), (0, missing))) if missing else piece
+
+
+@dataclass(frozen=True, slots=True)
+class BitField:
+    """A signal in the word of its byte order that begins at ``first_byte``."""
+
+    is_big: bool
+    first_byte: int
+    shift: int
+    length: int
+    is_signed: bool
+    spill: int = 0  # bits by which the signal reaches into a ninth byte's side of the word; 0: it does not
+
+    def raw(self, words: PayloadWords) -> UInt64Array | Int64Array:
+        """Return the raw values, shape (n,)."""
+        word = words.word(self.first_byte, is_big=self.is_big)
+        if self.spill:
+            word = self._with_ninth_byte(word, words.byte(self.first_byte + WORD_BYTES))
+        if self.is_signed:
+            left = word << np.uint64(WORD_BITS - self.shift - self.length)
+            return left.view(np.int64) >> np.int64(WORD_BITS - self.length)
+        return (word >> np.uint64(self.shift)) & np.uint64(2**self.length - 1)
+
+    @property
+    def raw_limits(self) -> tuple[int, int]:
+        """Smallest and largest raw value."""
+        if self.is_signed:
+            return -(2 ** (self.length - 1)), 2 ** (self.length - 1) - 1
+        return 0, 2**self.length - 1
+
+    def _with_ninth_byte(self, word: UInt64Array, ninth: UInt64Array) -> UInt64Array:
+        """Return the word moved by ``spill`` bits, so that the whole signal is in it."""
+        if self.is_big:
+            return (word << np.uint64(self.spill)) | (ninth >> np.uint64(8 - self.spill))
+        return (word >> np.uint64(self.spill)) | (ninth << np.uint64(WORD_BITS - self.spill))
+
+
+def place_signal(message: Message, signal: Signal) -> BitField:
+    """Return where a signal of a message lies.
+
+    Raises
+    ------
+    ConfigError
+        If it lies outside its message or outside the 64 bytes of a CAN FD frame, or has more than 64 bits.
+    """
+    where = f"{message.name}.{signal.name}"
+    is_big = signal.byte_order == "big_endian"
+    # The database counts bits of a byte from its lowest; in a big-endian word the highest bit of byte 0 comes first.
+    first = 8 * (signal.start // 8) + 7 - signal.start % 8 if is_big else signal.start
+    if signal.length > WORD_BITS:
+        raise ConfigError(f"{where} has {signal.length} bits; up to {WORD_BITS} are understood")
+    if not (signal.length >= 1 and first >= 0 and first + signal.length <= 8 * message.length):
+        raise ConfigError(f"{where} lies outside its message")
+    if first + signal.length > 8 * FD_PAYLOAD_BYTES:
+        raise ConfigError(f"{where} lies outside the {FD_PAYLOAD_BYTES} bytes of a CAN FD frame")
+    # Words at multiples of eight bytes serve many signals; one that crosses their borders gets a word of its own.
+    in_one_word = first // WORD_BITS == (first + signal.length - 1) // WORD_BITS
+    first_byte = WORD_BYTES * (first // WORD_BITS) if in_one_word else first // 8
+    offset = first - 8 * first_byte
+    spill = offset if offset + signal.length > WORD_BITS else 0
+    offset -= spill
+    return BitField(
+        is_big=is_big,
+        first_byte=first_byte,
+        shift=WORD_BITS - offset - signal.length if is_big else offset,
+        length=signal.length,
+        is_signed=signal.is_signed and not signal.conversion.is_float,
+        spill=spill,
+    )

@@ -1,0 +1,87 @@
+"""Wiring: a checked configuration becomes a worker, and runs until it is told to stop."""
+
+import asyncio
+import contextlib
+import logging
+import signal
+import socket
+import uuid
+from contextlib import AbstractAsyncContextManager
+from datetime import UTC, datetime
+
+from sqlalchemy import Engine
+
+from fleet_backend.broker import BrokerAddress, Connection, connected
+from fleet_backend.database import place_of
+from fleet_backend.errors import DatabaseAwayError
+from fleet_backend.ingest import FILTERS, Pace, Pauses, Worker
+from fleet_backend.intake import Kind
+from fleet_backend.migrate import check_schema, migrate
+from fleet_backend.writer import Writer
+
+REPORT_S = 60.0
+_LOG = logging.getLogger(__name__)
+
+
+def run_ingest(engine: Engine, address: BrokerAddress, pace: Pace, name: str | None) -> None:
+    """Ingest until SIGINT or SIGTERM.
+
+    An SQLite database, which belongs to this program alone, is brought to the present schema first; a PostgreSQL must
+    have it, since other workers may still write the schema before it.
+
+    Raises
+    ------
+    DatabaseError
+        If the database has another schema.
+    """
+    asyncio.run(_ingest(engine, address, pace, name or f"{socket.gethostname()}-{uuid.uuid4().hex[:8]}"))
+
+
+async def _ingest(engine: Engine, address: BrokerAddress, pace: Pace, name: str) -> None:
+    def connect() -> AbstractAsyncContextManager[Connection]:
+        return connected(address, FILTERS, max_unsettled=pace.max_unsettled)
+
+    worker = Worker(connect, Writer(engine), name=name, now=_utc_now, pace=pace)
+    task = asyncio.ensure_future(_work(engine, worker, f"{name}: {address} into {place_of(engine)}"))
+    loop = asyncio.get_running_loop()
+    for number in (signal.SIGINT, signal.SIGTERM):
+        loop.add_signal_handler(number, task.cancel)
+    with contextlib.suppress(asyncio.CancelledError):
+        await task
+    _LOG.info("%s", _counts_line(worker))
+
+
+async def _work(engine: Engine, worker: Worker, title: str) -> None:
+    await _prepare(engine)
+    _LOG.info("worker %s", title)
+    async with asyncio.TaskGroup() as tasks:
+        tasks.create_task(worker.run(), name="worker")
+        tasks.create_task(_report(worker), name="report")
+
+
+async def _prepare(engine: Engine) -> None:
+    """Return when the database answers and has the schema that the writer needs."""
+    pauses = Pauses()
+    make_ready = migrate if engine.dialect.name == "sqlite" else check_schema
+    while True:
+        try:
+            await asyncio.to_thread(make_ready, engine)
+        except DatabaseAwayError as exc:
+            await pauses.wait(exc)
+        else:
+            return
+
+
+async def _report(worker: Worker) -> None:
+    while True:
+        await asyncio.sleep(REPORT_S)
+        _LOG.info("%s", _counts_line(worker))
+
+
+def _counts_line(worker: Worker) -> str:
+    counts = worker.counts
+    return f"{counts[Kind.SHIFT]} results committed, repetitions included; {counts[Kind.POISON]} messages kept aside"
+
+
+def _utc_now() -> datetime:
+    return datetime.now(UTC)

@@ -1,0 +1,126 @@
+"""The database itself: opened by its address, made durable, its errors translated."""
+
+import os
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from sqlite3 import SQLITE_ERROR
+from sqlite3 import Connection as SqliteConnection
+from typing import Final
+
+from sqlalchemy import URL, Connection, Engine, create_engine, event, exc, make_url
+
+from fleet_backend.errors import ConfigError, DatabaseAwayError, DatabaseError, RowRefusedError
+
+_BUSY_TIMEOUT_S: Final = 30  # two workers share one SQLite file
+_POSTGRES_OPTIONS: Final = {  # a server that vanished is known after half a minute, not after two hours
+    "connect_timeout": 5,
+    "keepalives_idle": 10,
+    "keepalives_interval": 5,
+    "keepalives_count": 3,
+    "application_name": "fleet-backend",
+}
+
+
+def default_database() -> str:
+    """Return the address of the embedded database: a file in the user's state directory."""
+    home = os.environ.get("XDG_STATE_HOME", "")
+    state = Path(home) if Path(home).is_absolute() else Path.home() / ".local" / "state"
+    return f"sqlite:///{state / 'clutchdiag' / 'fleet.sqlite'}"
+
+
+def open_database(address: str) -> Engine:
+    """Return an engine for ``sqlite:///FILE`` or ``postgresql://[user[:password]@]host[:port]/NAME``.
+
+    Nothing is connected yet, except that the folder of an SQLite file is made.
+
+    Raises
+    ------
+    ConfigError
+        If the address is none; the message does not repeat it, since it may hold a password.
+    """
+    try:
+        url = make_url(address)
+        backend = url.get_backend_name()
+    except exc.ArgumentError as error:
+        raise ConfigError("the database must be sqlite:///FILE or postgresql://host/NAME") from error
+    if backend == "sqlite":
+        return _open_sqlite(url)
+    if backend == "postgresql":
+        return create_engine(url.set(drivername="postgresql+psycopg"), connect_args=_POSTGRES_OPTIONS)
+    raise ConfigError(f"the database must be SQLite or PostgreSQL, not {backend}")
+
+
+def place_of(engine: Engine) -> str:
+    """Return where a database is, for people; without its password."""
+    return engine.url.render_as_string(hide_password=True)
+
+
+@contextmanager
+def transaction(engine: Engine) -> Iterator[Connection]:
+    """Run one transaction; a failure takes all of it back.
+
+    Raises
+    ------
+    DatabaseAwayError
+        If the database does not answer, is locked or full, or took another transaction's side: try again.
+    RowRefusedError
+        If it does not take the values.
+    DatabaseError
+        If tables are missing or forbidden.
+    """
+    with translated(engine), engine.begin() as connection:
+        yield connection
+
+
+@contextmanager
+def translated(engine: Engine) -> Iterator[None]:
+    """Translate the errors of the database's driver."""
+    try:
+        yield
+    except exc.DBAPIError as error:
+        text = f"database {place_of(engine)}: {_first_line(error)}"
+        if isinstance(error, exc.ProgrammingError) or _sqlite_code(error) == SQLITE_ERROR:
+            raise DatabaseError(text) from error
+        if isinstance(error, exc.IntegrityError | exc.DataError):
+            raise RowRefusedError(text) from error
+        raise DatabaseAwayError(text) from error
+    except exc.StatementError as error:  # a value that the driver cannot even send
+        raise RowRefusedError(f"database {place_of(engine)}: {_first_line(error)}") from error
+
+
+def _open_sqlite(url: URL) -> Engine:
+    if url.database and url.database != ":memory:":
+        folder = Path(url.database).absolute().parent
+        try:
+            folder.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise ConfigError(f"cannot make the folder {folder}: {error.strerror}") from error
+    engine = create_engine(url, connect_args={"timeout": _BUSY_TIMEOUT_S})
+    event.listen(engine, "connect", _prepare_sqlite)
+    event.listen(engine, "begin", _begin_immediate)
+    return engine
+
+
+def _prepare_sqlite(connection: SqliteConnection, _record: object) -> None:
+    """Make commits durable and leave transactions to us; the driver would begin them late."""
+    connection.isolation_level = None
+    for pragma in ("journal_mode = WAL", "synchronous = FULL", "foreign_keys = ON"):
+        connection.execute(f"PRAGMA {pragma}")
+
+
+def _begin_immediate(connection: Connection) -> None:
+    """Take the write lock at once; two readers that both want to write would refuse each other."""
+    connection.exec_driver_sql("BEGIN IMMEDIATE")
+
+
+def _sqlite_code(error: exc.DBAPIError) -> int | None:
+    """Return SQLite's own code; its driver calls a missing table and a locked file by one name."""
+    code = getattr(error.orig, "sqlite_errorcode", None)
+    return code if isinstance(code, int) else None
+
+
+def _first_line(error: exc.StatementError) -> str:
+    """Return what the driver said, without the statement and its values."""
+    lines = str(error.orig).strip().splitlines()
+    return lines[0] if lines else type(error.orig).__name__

@@ -1,0 +1,25 @@
+"""Errors of the fleet backend; each subclass says what the caller does next."""
+
+
+class FleetBackendError(Exception):
+    """Root of all errors raised by this package; its text is one clear line for the user."""
+
+
+class ConfigError(FleetBackendError):
+    """The command line or a file it names cannot be used: correct it and start again."""
+
+
+class BrokerError(FleetBackendError):
+    """The broker is absent, silent or refuses us: connect again later."""
+
+
+class DatabaseError(FleetBackendError):
+    """The database cannot be used as it is (wrong schema, no rights): a person has to look at it."""
+
+
+class DatabaseAwayError(DatabaseError):
+    """The database does not answer now: try again, nothing was stored."""
+
+
+class RowRefusedError(DatabaseError):
+    """The database does not take these values: keep the message aside, it fails again."""

@@ -1,0 +1,162 @@
+"""An ingest worker: takes batches from the broker, commits them, then acknowledges; for ever.
+
+The order is what makes it safe: commit, receipt to the vehicle, PUBACK to the broker. Killed between any two of them, a
+worker leaves at worst a result that is sent again, and writing it again changes nothing.
+"""
+
+import asyncio
+import logging
+import random
+from collections import Counter
+from collections.abc import Callable, Sequence
+from contextlib import AbstractAsyncContextManager
+from dataclasses import dataclass
+from datetime import datetime
+from typing import Final, Protocol
+
+from fleet_backend.errors import BrokerError, DatabaseAwayError, RowRefusedError
+from fleet_backend.intake import INGESTED, Kind, Message, Taken, batch_of, receipts_of, refuse, take
+from fleet_backend.writer import Batch
+from fleet_contract import Outgoing, ack_messages, filter_of
+
+GROUP: Final = "ingest"  # of the shared subscription
+FILTERS: Final = tuple(filter_of(channel, group=GROUP) for channel in INGESTED)
+FIRST_PAUSE_S: Final = 0.2
+LONGEST_PAUSE_S: Final = 10.0
+
+_LOG: Final = logging.getLogger(__name__)
+
+
+class Inbox(Protocol):
+    """An open connection to a broker."""
+
+    async def collect(self, limit: int, patience_s: float) -> list[Message]:
+        """Return the next messages, or raise BrokerError when the connection is lost."""
+
+    def send(self, messages: Sequence[Outgoing]) -> None:
+        """Send messages at least once."""
+
+    def settle(self, messages: Sequence[Message]) -> None:
+        """Tell the broker that messages have arrived for good."""
+
+
+class Store(Protocol):
+    """Where batches go."""
+
+    def store(self, batch: Batch) -> None:
+        """Store all of a batch, or raise DatabaseAwayError (ask again) or RowRefusedError (one row never fits)."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Pace:
+    """How messages are gathered: a transaction costs a disk's turn, whatever it holds."""
+
+    batch_size: int = 500
+    patience_s: float = 0.02  # how long the first message of a batch waits for others
+
+    @property
+    def max_unsettled(self) -> int:
+        """Messages that the broker may have sent us and we have not settled: one batch at work, one on its way."""
+        return 2 * self.batch_size
+
+
+class Worker:
+    """Moves messages from a broker into a store, for as long as ``run`` runs.
+
+    Parameters
+    ----------
+    connect :
+        Opens a connection that is subscribed, or raises BrokerError.
+    name :
+        Tells this worker's acknowledgements from others'.
+    now : callable
+        Returns the present moment in UTC.
+    """
+
+    def __init__(
+        self,
+        connect: Callable[[], AbstractAsyncContextManager[Inbox]],
+        store: Store,
+        *,
+        name: str,
+        now: Callable[[], datetime],
+        pace: Pace,
+    ) -> None:
+        self._connect = connect
+        self._store = store
+        self._name = name
+        self._now = now
+        self._pace = pace
+        self.counts: Counter[Kind] = Counter()  # committed, repetitions included
+
+    async def run(self) -> None:
+        """Connect, take, commit, acknowledge; come back after every loss. Ends only when it is cancelled."""
+        pauses = Pauses()
+        while True:
+            try:
+                async with self._connect() as inbox:
+                    _LOG.info("listening")
+                    pauses.reset()
+                    await self._serve(inbox)
+            except BrokerError as exc:
+                await pauses.wait(exc)
+
+    async def _serve(self, inbox: Inbox) -> None:
+        while True:
+            messages = await inbox.collect(self._pace.batch_size, self._pace.patience_s)
+            if messages:
+                await self.settle(inbox, messages)
+
+    async def settle(self, inbox: Inbox, messages: Sequence[Message]) -> None:
+        """Commit messages, give receipts for them, and let the broker forget them, in this order."""
+        received_at = self._now()
+        taken = await self._commit([take(message, received_at) for message in messages])
+        sent_at = self._now().strftime("%Y-%m-%dT%H:%M:%S.%fZ")
+        for vehicle, receipts in receipts_of(taken).items():
+            inbox.send(list(ack_messages(vehicle, receipts, sent_at=sent_at, worker=self._name)))
+        inbox.settle(messages)
+        self.counts.update(item.kind for item in taken)
+
+    async def _commit(self, taken: list[Taken]) -> list[Taken]:
+        """Store messages, together if the database takes them all; return what became of each."""
+        try:
+            await self._persist(taken)
+        except RowRefusedError as exc:
+            if len(taken) > 1:
+                middle = len(taken) // 2
+                return await self._commit(taken[:middle]) + await self._commit(taken[middle:])
+            _LOG.warning("a message is kept aside: %s", exc)
+            refused = refuse(taken[0].message, "database", str(exc), self._now())
+            await self._persist([refused])
+            return [refused]
+        return taken
+
+    async def _persist(self, taken: Sequence[Taken]) -> None:
+        """Store messages in one transaction, however long the database stays away."""
+        pauses = Pauses()
+        batch = batch_of(taken)
+        while True:
+            try:
+                await asyncio.to_thread(self._store.store, batch)
+            except DatabaseAwayError as exc:
+                await pauses.wait(exc)
+            else:
+                return
+
+
+class Pauses:
+    """Growing, jittered waits, so that a fleet of workers does not come back in step; said once, not every time."""
+
+    def __init__(self) -> None:
+        self._count = 0
+
+    def reset(self) -> None:
+        """Begin anew; all is well."""
+        self._count = 0
+
+    async def wait(self, cause: Exception) -> None:
+        """Wait before the next attempt."""
+        _LOG.log(logging.INFO if self._count else logging.WARNING, "%s; trying again", cause)
+        longest_s = min(FIRST_PAUSE_S * 2.0**self._count, LONGEST_PAUSE_S)
+        self._count = min(self._count + 1, 16)
+        await asyncio.sleep(longest_s * random.uniform(0.5, 1.0))  # noqa: S311 - jitter, no secret

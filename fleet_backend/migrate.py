@@ -1,0 +1,72 @@
+"""Brings a database to the schema of this program, from an empty one or any earlier schema, data included."""
+
+from pathlib import Path
+from typing import Final
+
+from alembic import command
+from alembic.config import Config
+from alembic.runtime.migration import MigrationContext
+from alembic.script import ScriptDirectory
+from sqlalchemy import Connection, Engine, text
+
+from fleet_backend.database import place_of, transaction
+from fleet_backend.errors import DatabaseError
+
+_FOLDER: Final = Path(__file__).with_name("migrations")
+_LOCK: Final = 0x434C4449  # PostgreSQL's advisory lock of whoever migrates: "CLDI"
+
+
+def migrate(engine: Engine, revision: str = "head") -> None:
+    """Upgrade a database in one transaction; who comes second waits and finds nothing left to do.
+
+    Raises
+    ------
+    DatabaseAwayError
+        If the database does not answer.
+    DatabaseError
+        If it was made by a newer program, or forbids the change.
+    """
+    with transaction(engine) as connection:
+        if engine.dialect.name == "postgresql":
+            connection.execute(text("SELECT pg_advisory_xact_lock(:lock)"), {"lock": _LOCK})
+        _refuse_unknown(engine, connection)
+        config = _config()
+        config.attributes["connection"] = connection
+        command.upgrade(config, revision)
+
+
+def check_schema(engine: Engine) -> None:
+    """Raise DatabaseError unless a database has the schema of this program, DatabaseAwayError if it does not answer."""
+    with transaction(engine) as connection:
+        _refuse_unknown(engine, connection)
+        found = _revision(connection)
+    if found != newest_revision():
+        state = "is empty" if found is None else f"has the older schema {found}"
+        raise DatabaseError(f"database {place_of(engine)} {state}; run: fleet-backend migrate")
+
+
+def revisions() -> list[str]:
+    """Return all revisions, oldest first."""
+    return [script.revision for script in ScriptDirectory.from_config(_config()).walk_revisions()][::-1]
+
+
+def newest_revision() -> str:
+    """Return the revision that this program works with."""
+    return revisions()[-1]
+
+
+def _refuse_unknown(engine: Engine, connection: Connection) -> None:
+    found = _revision(connection)
+    if found is not None and found not in revisions():
+        raise DatabaseError(f"database {place_of(engine)} was made by a newer program (schema {found})")
+
+
+def _revision(connection: Connection) -> str | None:
+    return MigrationContext.configure(connection).get_current_revision()
+
+
+def _config() -> Config:
+    config = Config()
+    config.set_main_option("script_location", str(_FOLDER))
+    config.set_main_option("path_separator", "os")
+    return config

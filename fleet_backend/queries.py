@@ -1,0 +1,165 @@
+"""What users ask: who is worst, how it came, what is alarming, what was kept aside; and the hash of it all."""
+
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from datetime import datetime
+from enum import StrEnum
+from hashlib import sha256
+from typing import Final
+
+from sqlalchemy import Connection, Engine, Select, delete, func, insert, select, update
+
+from fleet_backend import views
+from fleet_backend.database import transaction
+from fleet_backend.errors import ConfigError
+from fleet_backend.schema import (
+    ALARM_ACKNOWLEDGEMENT,
+    FLUID_FILL,
+    KEY_COLUMNS,
+    QUARANTINE,
+    SHIFT_RESULT,
+    UNHASHED_COLUMNS,
+    VEHICLE,
+)
+
+Record = Mapping[str, object]
+_ROWS_PER_READ: Final = 2000
+
+
+class Axis(StrEnum):
+    """Against what a trend is drawn."""
+
+    SHIFT = "shift"
+    ODOMETER = "odometer"
+    DATE = "date"
+
+    @property
+    def column(self) -> str:
+        """The column of the view ``clutch_trend``."""
+        return {Axis.SHIFT: "shift_number", Axis.ODOMETER: "odometer_m", Axis.DATE: "end_at"}[self]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class TableHash:
+    """What two databases with the same results have in common."""
+
+    row_count: int
+    sha256: str
+
+
+def worst_first(engine: Engine, limit: int | None = None) -> Sequence[Record]:
+    """Return the running condition of every clutch, the worst first."""
+    return _records(engine, select(views.FLEET).order_by(views.FLEET.c.place).limit(limit))
+
+
+def trend(engine: Engine, vehicle: str, clutch: int, axis: Axis) -> Sequence[Record]:
+    """Return the valid estimates of a clutch in the order of an axis; without an odometer none on that axis."""
+    table = views.TREND
+    along = table.c[axis.column]
+    return _records(
+        engine,
+        select(table)
+        .where(table.c.vehicle == vehicle, table.c.clutch == clutch, along.is_not(None))
+        .order_by(along, table.c.shift_number),
+    )
+
+
+def clutch_alarms(engine: Engine, *, is_open_only: bool) -> Sequence[Record]:
+    """Return the alarms of all clutches, the latest first."""
+    table = views.CLUTCH_ALARM
+    statement = select(table).order_by(table.c.raised_at.desc(), table.c.vehicle, table.c.clutch)
+    return _records(engine, statement.where(table.c.cleared_at.is_(None)) if is_open_only else statement)
+
+
+def identity_alarms(engine: Engine) -> Sequence[Record]:
+    """Return who is pretended to be, as long as nobody has acknowledged it."""
+    return _records(engine, select(views.IDENTITY_ALARM).order_by(views.IDENTITY_ALARM.c.last_at.desc()))
+
+
+def acknowledge_clutch(engine: Engine, vehicle: str, clutch: int, *, by: str, note: str | None, at: datetime) -> None:
+    """Acknowledge the latest alarm of a clutch; raises ConfigError if there is none to acknowledge."""
+    table = views.CLUTCH_ALARM
+    with transaction(engine) as connection:
+        alarm = connection.execute(
+            select(table.c.stream, table.c.seq)
+            .where(table.c.vehicle == vehicle, table.c.clutch == clutch, table.c.acknowledged_at.is_(None))
+            .order_by(table.c.alarm_number.desc())
+            .limit(1)
+        ).first()
+        if alarm is None:
+            raise ConfigError(f"clutch {clutch} of {vehicle} has no alarm that waits for an acknowledgement")
+        values = {"vehicle": vehicle, "stream": alarm.stream, "seq": alarm.seq, "note": note}
+        connection.execute(insert(ALARM_ACKNOWLEDGEMENT).values(acknowledged_at=at, acknowledged_by=by, **values))
+
+
+def acknowledge_quarantine(engine: Engine, vehicle: str, *, by: str, at: datetime) -> int:
+    """Acknowledge all that was kept aside on a vehicle's topics; return how many messages that were."""
+    with transaction(engine) as connection:
+        return connection.execute(
+            update(QUARANTINE)
+            .where(QUARANTINE.c.vehicle == vehicle, QUARANTINE.c.acknowledged_at.is_(None))
+            .values(acknowledged_at=at, acknowledged_by=by)
+        ).rowcount
+
+
+def quarantined(engine: Engine, limit: int) -> Sequence[Record]:
+    """Return what was kept aside, the latest first."""
+    order = (QUARANTINE.c.received_at.desc(), QUARANTINE.c.digest)
+    return _records(engine, select(QUARANTINE).order_by(*order).limit(limit))
+
+
+def purge_quarantine(engine: Engine, before: datetime) -> int:
+    """Forget what was kept aside before a moment; return how many messages that were."""
+    with transaction(engine) as connection:
+        return connection.execute(delete(QUARANTINE).where(QUARANTINE.c.received_at < before)).rowcount
+
+
+def last_seen(engine: Engine) -> Sequence[Record]:
+    """Return when each vehicle was heard of, the longest silence first."""
+    table = views.LAST_SEEN
+    return _records(engine, select(table).order_by(table.c.last_result_at, table.c.vehicle))
+
+
+def note_fill(
+    engine: Engine, vehicle: str, product: str, *, at: datetime, odometer_m: float | None, note: str | None
+) -> None:
+    """Note that a vehicle got new fluid; ConfigError if the vehicle is unknown or the fill known."""
+    key = (FLUID_FILL.c.vehicle == vehicle) & (FLUID_FILL.c.filled_at == at)
+    with transaction(engine) as connection:
+        if not _has(connection, select(VEHICLE.c.vehicle).where(VEHICLE.c.vehicle == vehicle)):
+            raise ConfigError(f"no vehicle {vehicle} is known")
+        if _has(connection, select(FLUID_FILL.c.vehicle).where(key)):
+            raise ConfigError(f"the fill of {vehicle} at {at.isoformat()} is noted already")
+        connection.execute(
+            insert(FLUID_FILL).values(vehicle=vehicle, filled_at=at, product=product, odometer_m=odometer_m, note=note)
+        )
+
+
+def table_hash(engine: Engine) -> TableHash:
+    """Return a hash of all results: every column but when they were stored, rows in the order of their keys."""
+    columns = [column for column in SHIFT_RESULT.columns if column.name not in UNHASHED_COLUMNS]
+    order = [SHIFT_RESULT.c[name] for name in KEY_COLUMNS]
+    digest, row_count = sha256(), 0
+    with transaction(engine) as connection:
+        statement = select(*columns).order_by(*order).execution_options(yield_per=_ROWS_PER_READ)
+        for row in connection.execute(statement):
+            values = [value.isoformat() if isinstance(value, datetime) else value for value in row]
+            digest.update(json.dumps(values).encode() + b"\n")
+            row_count += 1
+    return TableHash(row_count=row_count, sha256=digest.hexdigest())
+
+
+def result_count(engine: Engine) -> int:
+    """Return how many results are stored, all versions counted."""
+    with transaction(engine) as connection:
+        return int(connection.execute(select(func.count()).select_from(SHIFT_RESULT)).scalar_one())
+
+
+def _has(connection: Connection, statement: Select[tuple[str]]) -> bool:
+    return connection.execute(statement).first() is not None
+
+
+def _records(engine: Engine, statement: Select[tuple[object, ...]]) -> Sequence[Record]:
+    with transaction(engine) as connection:
+        return [dict(row) for row in connection.execute(statement).mappings()]

@@ -1,0 +1,132 @@
+"""Checked messages become rows of the database."""
+
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from hashlib import blake2b, sha256
+from typing import Final
+
+from fleet_backend.ranking import version_rank
+from fleet_backend.schema import FRICTION_COLUMNS, RUNNING
+
+Row = dict[str, object]
+
+_PLAIN: Final = (
+    "vehicle",
+    "stream",
+    "seq",
+    "algorithm_version",
+    "calibration_version",
+    "clutch",
+    "number",
+    "start_bus_ns",
+    "end_bus_ns",
+    "duration_s",
+    "from_gear",
+    "to_gear",
+    "status",
+    "sample_count",
+    "window_s",
+    "chi_square_ratio",
+    "quality",
+    "sump_temperature_k",
+    "clutch_temperature_k",
+    "slip_energy_j",
+    "odometer_m",
+)
+_HEAD_LENGTH: Final = 2048
+_DETAIL_LENGTH: Final = 500
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Poison:
+    """A message that cannot be used."""
+
+    topic: str
+    vehicle: str | None
+    payload: bytes
+    reason: str
+    detail: str
+
+
+def shift_row(data: Mapping[str, object]) -> Row:
+    """Return the row of a shift result that kept the contract."""
+    row: Row = {name: data[name] for name in _PLAIN}
+    verdict = _table(data["verdict"])
+    reasons = data["reasons"]
+    row["version_rank"] = version_rank(str(data["algorithm_version"]), str(data["calibration_version"]))
+    row["produced_at"] = moment(data["produced_at"])
+    row["start_at"] = moment(data["start_utc"])
+    row["end_at"] = moment(data["end_utc"])
+    row["reasons"] = ",".join(map(str, reasons)) if isinstance(reasons, list) else ""
+    row.update(_friction(data["friction"], ""))
+    row["condition"] = verdict["condition"]
+    row["condition_reason"] = verdict["reason"]
+    row["level_ratio"] = verdict["level_ratio"]
+    row.update(_friction(verdict["friction"], RUNNING))
+    row["running_shift_count"] = verdict["shift_count"]
+    content = repr(tuple(row.values())).encode("utf-8", "replace")
+    row["content_digest"] = int.from_bytes(blake2b(content, digest_size=8).digest(), signed=True)
+    return row
+
+
+def status_row(data: Mapping[str, object]) -> Row:
+    """Return what the status of a service says about its vehicle."""
+    return {
+        "vehicle": data["vehicle"],
+        "is_online": data["status"] == "online",
+        "connected_at": moment(data["connected_at"]),
+        "service_version": data["service_version"],
+        "algorithm_version": data["algorithm_version"],
+        "calibration_version": data["calibration_version"],
+    }
+
+
+def metrics_row(data: Mapping[str, object]) -> Row:
+    """Return the last numbers of a service."""
+    return {
+        "vehicle": data["vehicle"],
+        "metrics": json.dumps(data["metrics"], sort_keys=True),
+        "metrics_at": moment(data["produced_at"]),
+    }
+
+
+def quarantine_row(poison: Poison, received_at: datetime) -> Row:
+    """Return the row that keeps a poison message aside: enough to find its cause, never all of a large one."""
+    digest = sha256(poison.topic.encode("utf-8", "replace") + b"\0" + poison.payload).hexdigest()
+    return {
+        "digest": digest,
+        "topic": _shown(poison.topic)[:_DETAIL_LENGTH],
+        "vehicle": poison.vehicle,
+        "reason": poison.reason,
+        "detail": _shown(poison.detail)[:_DETAIL_LENGTH],
+        "size_bytes": len(poison.payload),
+        "head": _shown(poison.payload[:_HEAD_LENGTH].decode("utf-8", "backslashreplace")),
+        "received_at": received_at,
+    }
+
+
+def moment(text: object) -> datetime:
+    """Return an aware moment from ISO 8601 UTC."""
+    return datetime.fromisoformat(str(text)).astimezone(UTC)
+
+
+def _friction(friction: object, prefix: str) -> Row:
+    if friction is None:
+        return dict.fromkeys((prefix + name for name in FRICTION_COLUMNS), None)
+    table = _table(friction)
+    return {prefix + name: table[name] for name in FRICTION_COLUMNS}
+
+
+def _table(value: object) -> Mapping[str, object]:
+    if not isinstance(value, Mapping):
+        raise TypeError(f"an object was promised, not {type(value).__name__}")
+    return value
+
+
+def _shown(text: str) -> str:
+    """Return a text that every database takes and every terminal survives."""
+    return "".join(
+        character if character.isprintable() else character.encode("unicode_escape").decode() for character in text
+    )

@@ -1,0 +1,172 @@
+"""The tables of the fleet database, the same for SQLite and PostgreSQL; migrations create them.
+
+What can be derived is not stored: the running condition, trends and alarms are views over the results, so they are the
+same whatever the order in which results arrive.
+"""
+
+from datetime import UTC, datetime
+from typing import Final
+
+from sqlalchemy import (
+    BigInteger,
+    Boolean,
+    Column,
+    DateTime,
+    Dialect,
+    Double,
+    ForeignKey,
+    ForeignKeyConstraint,
+    Index,
+    MetaData,
+    SmallInteger,
+    Table,
+    Text,
+    text,
+)
+from sqlalchemy.types import TypeDecorator
+
+FRICTION_COLUMNS: Final = (
+    "mu_c",
+    "mu_s",
+    "std_mu_c",
+    "std_mu_s",
+    "correlation",
+    "random_std_mu_c",
+    "random_std_mu_s",
+    "slope_s_rad",
+    "std_slope_s_rad",
+    "probability_negative_slope",
+)
+RUNNING: Final = "running_"  # prefix of what is said of the running estimate after the shift
+
+_SORTED_BY_BYTES: Final = Text().with_variant(Text(collation="C"), "postgresql")  # as SQLite sorts everywhere
+
+
+class UtcDateTime(TypeDecorator[datetime]):
+    """An aware moment; SQLite forgets the zone, so it is UTC there by agreement."""
+
+    impl = DateTime(timezone=True)
+    cache_ok = True
+
+    def process_bind_param(self, value: datetime | None, dialect: Dialect) -> datetime | None:
+        """Return the moment as the database keeps it."""
+        if value is None or dialect.name != "sqlite":
+            return value
+        return value.astimezone(UTC).replace(tzinfo=None)
+
+    def process_result_value(self, value: datetime | None, dialect: Dialect) -> datetime | None:
+        """Return the moment in UTC."""
+        if value is None:
+            return None
+        return value.replace(tzinfo=UTC) if dialect.name == "sqlite" else value.astimezone(UTC)
+
+
+METADATA: Final = MetaData()
+
+VEHICLE: Final = Table(
+    "vehicle",
+    METADATA,
+    Column("vehicle", Text, primary_key=True),
+    Column("is_online", Boolean),
+    Column("connected_at", UtcDateTime),
+    Column("service_version", Text),
+    Column("algorithm_version", Text),
+    Column("calibration_version", Text),
+    Column("metrics", Text),  # JSON object of the last numbers of its service
+    Column("metrics_at", UtcDateTime),
+)
+
+CLUTCH: Final = Table(
+    "clutch",
+    METADATA,
+    Column("vehicle", Text, ForeignKey("vehicle.vehicle"), primary_key=True),
+    Column("clutch", SmallInteger, primary_key=True, autoincrement=False),
+)
+
+SHIFT_RESULT: Final = Table(
+    "shift_result",
+    METADATA,
+    Column("vehicle", Text, primary_key=True),
+    Column("stream", _SORTED_BY_BYTES, primary_key=True),
+    Column("seq", BigInteger, primary_key=True, autoincrement=False),
+    Column("version_rank", _SORTED_BY_BYTES, primary_key=True),  # of both versions; greater is newer
+    Column("algorithm_version", Text, nullable=False),
+    Column("calibration_version", Text, nullable=False),
+    Column("clutch", SmallInteger, nullable=False),
+    Column("number", BigInteger, nullable=False),
+    Column("produced_at", UtcDateTime, nullable=False),
+    Column("start_at", UtcDateTime, nullable=False),
+    Column("end_at", UtcDateTime, nullable=False),
+    Column("start_bus_ns", BigInteger, nullable=False),
+    Column("end_bus_ns", BigInteger, nullable=False),
+    Column("duration_s", Double, nullable=False),
+    Column("from_gear", BigInteger, nullable=False),
+    Column("to_gear", BigInteger, nullable=False),
+    Column("status", Text, nullable=False),
+    Column("reasons", Text, nullable=False),  # joined by commas
+    *(Column(name, Double) for name in FRICTION_COLUMNS),
+    Column("sample_count", BigInteger, nullable=False),
+    Column("window_s", Double, nullable=False),
+    Column("chi_square_ratio", Double, nullable=False),
+    Column("quality", Double, nullable=False),
+    Column("sump_temperature_k", Double),
+    Column("clutch_temperature_k", Double),
+    Column("slip_energy_j", Double),
+    Column("odometer_m", Double),
+    Column("condition", Text, nullable=False),
+    Column("condition_reason", Text, nullable=False),
+    Column("level_ratio", Double),
+    *(Column(RUNNING + name, Double) for name in FRICTION_COLUMNS),
+    Column("running_shift_count", BigInteger, nullable=False),
+    Column("content_digest", BigInteger, nullable=False),  # decides between two contents under one key
+    Column("stored_at", UtcDateTime, nullable=False, server_default=text("CURRENT_TIMESTAMP")),
+    ForeignKeyConstraint(["vehicle", "clutch"], ["clutch.vehicle", "clutch.clutch"]),
+    Index("shift_by_time", "vehicle", "clutch", "produced_at", "stream"),
+    Index(
+        "shift_alarming",
+        "vehicle",
+        "clutch",
+        postgresql_where=text("condition = 'change_fluid'"),
+        sqlite_where=text("condition = 'change_fluid'"),
+    ),
+)
+
+QUARANTINE: Final = Table(
+    "quarantine",
+    METADATA,
+    Column("digest", Text, primary_key=True),  # sha256 of topic and payload: the same poison is kept once
+    Column("topic", Text, nullable=False),
+    Column("vehicle", Text),  # as the topic says
+    Column("reason", Text, nullable=False),
+    Column("detail", Text, nullable=False),
+    Column("size_bytes", BigInteger, nullable=False),
+    Column("head", Text, nullable=False),  # the start of the payload, fit to be shown
+    Column("received_at", UtcDateTime, nullable=False),
+    Column("acknowledged_at", UtcDateTime),
+    Column("acknowledged_by", Text),
+    Index("quarantine_by_time", "received_at"),
+)
+
+FLUID_FILL: Final = Table(
+    "fluid_fill",
+    METADATA,
+    Column("vehicle", Text, ForeignKey("vehicle.vehicle"), primary_key=True),
+    Column("filled_at", UtcDateTime, primary_key=True),
+    Column("odometer_m", Double),
+    Column("product", Text, nullable=False),
+    Column("note", Text),
+)
+
+ALARM_ACKNOWLEDGEMENT: Final = Table(
+    "alarm_acknowledgement",
+    METADATA,
+    Column("vehicle", Text, primary_key=True),
+    Column("stream", _SORTED_BY_BYTES, primary_key=True),
+    Column("seq", BigInteger, primary_key=True, autoincrement=False),  # a shift of the alarm
+    Column("acknowledged_at", UtcDateTime, nullable=False),
+    Column("acknowledged_by", Text, nullable=False),
+    Column("note", Text),
+)
+
+KEY_COLUMNS: Final = tuple(column.name for column in SHIFT_RESULT.primary_key)
+UNHASHED_COLUMNS: Final = frozenset({"stored_at", "content_digest", "version_rank"})

@@ -1,0 +1,119 @@
+"""One transaction per batch: results, states and poison, each as often as it comes and in any order, with one outcome.
+
+Every statement is an upsert whose winner depends on what the contenders say, never on who came first. Rows are sorted
+by key, so that workers which write the same rows wait for each other instead of deadlocking.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Final
+
+from sqlalchemy import Connection, Engine, Insert, Table, and_, false, or_, true
+from sqlalchemy.dialects import postgresql, sqlite
+
+from fleet_backend.database import transaction
+from fleet_backend.errors import RowRefusedError
+from fleet_backend.rows import Row
+from fleet_backend.schema import CLUTCH, KEY_COLUMNS, QUARANTINE, SHIFT_RESULT, VEHICLE
+
+_MAX_KNOWN: Final = 100_000  # clutches that a worker remembers to have stored
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Batch:
+    """Rows that are stored together."""
+
+    shifts: Sequence[Row] = ()
+    statuses: Sequence[Row] = ()
+    metrics: Sequence[Row] = ()
+    quarantined: Sequence[Row] = ()
+
+
+class Writer:
+    """Stores batches; one per thread."""
+
+    def __init__(self, engine: Engine) -> None:
+        self._engine = engine
+        self._known: set[tuple[object, object]] = set()
+        make = postgresql.insert if engine.dialect.name == "postgresql" else sqlite.insert
+        self._shift = _newer_content_wins(make(SHIFT_RESULT))
+        self._status = _later_status_wins(make(VEHICLE))
+        self._metrics = _later_metrics_win(make(VEHICLE))
+        self._first_comes = {
+            table.name: make(table).on_conflict_do_nothing() for table in (VEHICLE, CLUTCH, QUARANTINE)
+        }
+
+    def store(self, batch: Batch) -> None:
+        """Store a batch, all of it or nothing.
+
+        Raises
+        ------
+        DatabaseAwayError
+            If the database does not answer now; nothing was stored.
+        RowRefusedError
+            If the database does not take one of the rows; nothing was stored.
+        """
+        try:
+            self._store(batch)
+        except RowRefusedError:
+            if not self._known:
+                raise
+            self._known.clear()  # another database under the old address may not know our clutches
+            self._store(batch)
+
+    def _store(self, batch: Batch) -> None:
+        clutches = {(row["vehicle"], row["clutch"]) for row in batch.shifts} - self._known
+        vehicles = {vehicle for vehicle, _ in clutches}
+        with transaction(self._engine) as connection:
+            self._put(connection, VEHICLE, [{"vehicle": vehicle} for vehicle in sorted(map(str, vehicles))])
+            self._put(connection, CLUTCH, [{"vehicle": v, "clutch": c} for v, c in sorted(clutches, key=str)])
+            _execute(connection, self._status, _sorted(batch.statuses, "vehicle"))
+            _execute(connection, self._metrics, _sorted(batch.metrics, "vehicle"))
+            _execute(connection, self._shift, _sorted(batch.shifts, *KEY_COLUMNS))
+            self._put(connection, QUARANTINE, _sorted(batch.quarantined, "digest"))
+        if len(self._known) > _MAX_KNOWN:
+            self._known.clear()
+        self._known |= clutches
+
+    def _put(self, connection: Connection, table: Table, rows: list[Row]) -> None:
+        _execute(connection, self._first_comes[table.name], rows)
+
+
+def _execute(connection: Connection, statement: Insert, rows: list[Row]) -> None:
+    if rows:
+        connection.execute(statement, rows)
+
+
+def _sorted(rows: Sequence[Row], *names: str) -> list[Row]:
+    return sorted(rows, key=lambda row: tuple(str(row[name]) for name in names))
+
+
+def _newer_content_wins(insert: "postgresql.Insert | sqlite.Insert") -> Insert:
+    """Keep, of two contents under one key, which nobody should send, the one with the smaller digest."""
+    names = [column.name for column in SHIFT_RESULT.columns if column.name not in (*KEY_COLUMNS, "stored_at")]
+    return insert.on_conflict_do_update(
+        index_elements=list(KEY_COLUMNS),
+        set_={name: insert.excluded[name] for name in names},
+        where=insert.excluded.content_digest < SHIFT_RESULT.c.content_digest,
+    )
+
+
+def _later_status_wins(insert: "postgresql.Insert | sqlite.Insert") -> Insert:
+    """Let a later connection tell more than an earlier one, and its end more than its beginning."""
+    said, known = insert.excluded, VEHICLE.c
+    names = ("is_online", "connected_at", "service_version", "algorithm_version", "calibration_version")
+    ends = and_(said.connected_at == known.connected_at, said.is_online == false(), known.is_online == true())
+    return insert.on_conflict_do_update(
+        index_elements=["vehicle"],
+        set_={name: said[name] for name in names},
+        where=or_(known.connected_at.is_(None), said.connected_at > known.connected_at, ends),
+    )
+
+
+def _later_metrics_win(insert: "postgresql.Insert | sqlite.Insert") -> Insert:
+    said, known = insert.excluded, VEHICLE.c
+    return insert.on_conflict_do_update(
+        index_elements=["vehicle"],
+        set_={"metrics": said.metrics, "metrics_at": said.metrics_at},
+        where=or_(known.metrics_at.is_(None), said.metrics_at > known.metrics_at),
+    )

@@ -1,0 +1,21 @@
+"""Errors of the contract. Who receives a message that raises one keeps it aside: sent again, it fails again."""
+
+
+class ContractError(Exception):
+    """Root of all errors raised by this package; its text is one line and quotes little of what it refuses."""
+
+
+class TopicError(ContractError):
+    """A topic that this contract does not know."""
+
+
+class MalformedError(ContractError):
+    """Bytes that are no acceptable JSON: too long, too deep, not finite, a name twice."""
+
+
+class SchemaError(ContractError):
+    """JSON that is not what its schema describes."""
+
+
+class IdentityError(ContractError):
+    """A message that says it is of another vehicle, stream or key than its topic or its envelope."""

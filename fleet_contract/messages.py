@@ -1,0 +1,165 @@
+"""Messages: a record in its CloudEvents envelope on its topic, and back, with everything checked on the way in."""
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Final
+
+from fleet_contract.described import check_data, check_envelope
+from fleet_contract.errors import IdentityError
+from fleet_contract.receipts import Receipt, ack_records, key_of
+from fleet_contract.strict_json import JsonObject, dump, parse_object, shown
+from fleet_contract.topics import Address, Channel, parse_topic, topic_of
+
+SPEC_VERSION: Final = "1.0"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Outgoing:
+    """A message ready for a broker; send it with QoS 1."""
+
+    topic: str
+    payload: bytes
+    is_retained: bool
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Incoming:
+    """A message that kept every rule of the contract."""
+
+    address: Address
+    event_id: str
+    source: str
+    time: str  # ISO 8601 UTC
+    data: JsonObject
+
+
+def read_message(topic: str, payload: bytes) -> Incoming:
+    """Return what a message says.
+
+    Raises
+    ------
+    TopicError
+        If the topic is not one of the contract.
+    MalformedError
+        If the payload is too long, too deep or not the JSON it should be.
+    SchemaError
+        If envelope or data are not what their schemas describe.
+    IdentityError
+        If the data are of another vehicle, clutch or key than topic and envelope say.
+    """
+    address = parse_topic(topic)
+    event = parse_object(payload, address.channel.max_bytes)
+    check_envelope(event)
+    data = event["data"]
+    if not isinstance(data, dict):  # the envelope's schema says so too
+        raise IdentityError("an event without data")
+    check_data(address.channel, data)
+    _check_identity(address, event, data)
+    return Incoming(
+        address=address, event_id=str(event["id"]), source=str(event["source"]), time=str(event["time"]), data=data
+    )
+
+
+def shift_message(record: Mapping[str, object]) -> Outgoing:
+    """Return the message of a shift result."""
+    return raw_shift_message(record, dump(record))
+
+
+def raw_shift_message(record: Mapping[str, object], text: str) -> Outgoing:
+    """Return the message of a shift result whose JSON exists already; ``record`` needs its key and time only."""
+    key = key_of(record)
+    return _outgoing(
+        Channel.SHIFT, key.vehicle, text, source=f"{key.vehicle}/{key.stream}", event_id=key.text, time=_time(record)
+    )
+
+
+def clutch_message(record: Mapping[str, object]) -> Outgoing:
+    """Return the message of the state of a clutch."""
+    key, clutch = key_of(record), int(str(record["clutch"]))
+    source = f"{key.vehicle}/{key.stream}/clutch/{clutch}"
+    return _outgoing(
+        Channel.CLUTCH, key.vehicle, dump(record), source=source, event_id=key.text, time=_time(record), clutch=clutch
+    )
+
+
+def status_message(record: Mapping[str, object]) -> Outgoing:
+    """Return the message of the status of a service."""
+    vehicle, time = str(record["vehicle"]), str(record["connected_at"])
+    event_id = f"status/{time}/{record['status']}"
+    return _outgoing(Channel.STATUS, vehicle, dump(record), source=vehicle, event_id=event_id, time=time)
+
+
+def metrics_message(vehicle: str, produced_at: str, metrics: Mapping[str, float]) -> Outgoing:
+    """Return the message of the numbers of a running service."""
+    record = _head(Channel.METRICS, vehicle, produced_at) | {"metrics": dict(metrics)}
+    return _outgoing(
+        Channel.METRICS, vehicle, dump(record), source=vehicle, event_id=f"metrics/{produced_at}", time=produced_at
+    )
+
+
+def config_message(vehicle: str, produced_at: str, settings: Mapping[str, str | float | bool | None]) -> Outgoing:
+    """Return the message of what a service runs with; the caller has masked the secrets."""
+    record = _head(Channel.CONFIG, vehicle, produced_at) | {"settings": dict(settings)}
+    return _outgoing(
+        Channel.CONFIG, vehicle, dump(record), source=vehicle, event_id=f"config/{produced_at}", time=produced_at
+    )
+
+
+def ack_messages(vehicle: str, receipts: Sequence[Receipt], *, sent_at: str, worker: str) -> Iterator[Outgoing]:
+    """Yield the acknowledgements of committed results of one vehicle.
+
+    Parameters
+    ----------
+    sent_at :
+        ISO 8601 UTC with microseconds; later than the commit.
+    worker :
+        Name of who committed; no two workers share one, so that ids stay unique.
+    """
+    for number, record in enumerate(ack_records(vehicle, receipts, sent_at)):
+        event_id = f"ack/{sent_at}/{number}"
+        yield _outgoing(
+            Channel.ACK, vehicle, dump(record), source=f"{worker}/{vehicle}", event_id=event_id, time=sent_at
+        )
+
+
+def _head(channel: Channel, vehicle: str, produced_at: str) -> JsonObject:
+    return {"schema": channel.schema_name, "vehicle": vehicle, "produced_at": produced_at}
+
+
+def _time(record: Mapping[str, object]) -> str:
+    return str(record["produced_at"])
+
+
+def _outgoing(
+    channel: Channel, vehicle: str, data: str, *, source: str, event_id: str, time: str, clutch: int | None = None
+) -> Outgoing:
+    head = dump(
+        {
+            "specversion": SPEC_VERSION,
+            "id": event_id,
+            "source": source,
+            "type": channel.event_type,
+            "time": time,
+            "datacontenttype": "application/json",
+            "dataschema": channel.schema_id,
+        }
+    )
+    payload = f'{head[:-1]},"data":{data}}}'.encode()
+    return Outgoing(topic=topic_of(vehicle, channel, clutch), payload=payload, is_retained=channel.is_retained)
+
+
+def _check_identity(address: Address, event: JsonObject, data: JsonObject) -> None:
+    """Raise IdentityError if topic, envelope and data do not agree on who speaks of what."""
+    channel = address.channel
+    expected: list[tuple[str, object, object]] = [
+        ("vehicle", data["vehicle"], address.vehicle),
+        ("type", event["type"], channel.event_type),
+        ("dataschema", event["dataschema"], channel.schema_id),
+    ]
+    if channel is Channel.CLUTCH:
+        expected.append(("clutch", data["clutch"], address.clutch))
+    if channel in {Channel.SHIFT, Channel.CLUTCH}:
+        expected.append(("id", event["id"], key_of(data).text))
+    for name, said, wanted in expected:
+        if said != wanted:
+            raise IdentityError(f"{name} is {shown(str(said))} where {shown(str(wanted))} belongs")

@@ -1,0 +1,111 @@
+"""Topics: ``clutchdiag/v1/<vehicle>/<channel>``, and what may be said on each."""
+
+import re
+from dataclasses import dataclass
+from enum import Enum
+from typing import Final
+
+from fleet_contract.errors import TopicError
+from fleet_contract.strict_json import shown
+
+TOPIC_ROOT: Final = "clutchdiag/v1"
+CLUTCHES: Final = (1, 2)
+_VEHICLE: Final = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.-]{0,63}")
+_EVENT_BYTES: Final = 16_384
+_LIST_BYTES: Final = 262_144
+
+
+class Channel(Enum):
+    """What a vehicle and its backend tell each other; values are (name, longest message [bytes], retained).
+
+    Events are not retained: a broker would keep one of them and say it again to everyone. States are.
+    """
+
+    SHIFT = ("shift", _EVENT_BYTES, False)
+    CLUTCH = ("clutch", _EVENT_BYTES, True)
+    STATUS = ("status", _EVENT_BYTES, True)  # birth, farewell and last will
+    METRICS = ("metrics", _EVENT_BYTES, True)
+    CONFIG = ("config", _LIST_BYTES, True)  # what the service runs with; nothing configures it
+    ACK = ("ack", _LIST_BYTES, False)  # the only one from backend to vehicle
+
+    def __init__(self, label: str, max_bytes: int, is_retained: bool) -> None:  # noqa: FBT001 - Enum unpacks a tuple
+        self.label = label
+        self.max_bytes = max_bytes
+        self.is_retained = is_retained
+
+    @property
+    def is_to_vehicle(self) -> bool:
+        """Whether the backend speaks here and the vehicle listens."""
+        return self is Channel.ACK
+
+    @property
+    def schema_name(self) -> str:
+        """What the data says of itself, such as ``clutchdiag/shift/v1``."""
+        return f"clutchdiag/{self.label}/v1"
+
+    @property
+    def schema_id(self) -> str:
+        """The $id of the schema of the data."""
+        return f"urn:clutchdiag:{self.label}:v1"
+
+    @property
+    def event_type(self) -> str:
+        """The type of the CloudEvents envelope."""
+        return f"clutchdiag.{self.label}.v1"
+
+
+_CHANNELS: Final = {channel.label: channel for channel in Channel}
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Address:
+    """What a topic says."""
+
+    vehicle: str
+    channel: Channel
+    clutch: int | None = None  # of Channel.CLUTCH only
+
+    @property
+    def topic(self) -> str:
+        """The topic in MQTT's own form."""
+        end = "" if self.clutch is None else f"/{self.clutch}"
+        return f"{TOPIC_ROOT}/{self.vehicle}/{self.channel.label}{end}"
+
+
+def is_vehicle(text: str) -> bool:
+    """Return whether a text can be a vehicle id: a level of a topic, a file name, a certificate's common name."""
+    return _VEHICLE.fullmatch(text) is not None
+
+
+def topic_of(vehicle: str, channel: Channel, clutch: int | None = None) -> str:
+    """Return the topic of a channel of a vehicle.
+
+    Raises
+    ------
+    TopicError
+        If the vehicle id is none, or a clutch is named where none belongs or missing where one does.
+    """
+    if not is_vehicle(vehicle) or (clutch in CLUTCHES) is not (channel is Channel.CLUTCH):
+        raise TopicError(f"no topic for {shown(vehicle)}, {channel.label}, {clutch}")
+    return Address(vehicle=vehicle, channel=channel, clutch=clutch).topic
+
+
+def parse_topic(topic: str) -> Address:
+    """Return what a topic says; raises TopicError if it is not one of this contract."""
+    start, _, rest = topic.partition(f"{TOPIC_ROOT}/")
+    levels = rest.split("/")
+    channel = _CHANNELS.get(levels[1]) if not start and 2 <= len(levels) <= 3 and is_vehicle(levels[0]) else None
+    if channel is None or (len(levels) == 3) is not (channel is Channel.CLUTCH):
+        raise TopicError(f"unknown topic {shown(topic)}")
+    if channel is not Channel.CLUTCH:
+        return Address(vehicle=levels[0], channel=channel)
+    if levels[2] not in map(str, CLUTCHES):
+        raise TopicError(f"unknown clutch in {shown(topic)}")
+    return Address(vehicle=levels[0], channel=channel, clutch=int(levels[2]))
+
+
+def filter_of(channel: Channel, *, group: str | None = None) -> str:
+    """Return the subscription to a channel of all vehicles, shared among the members of a ``group`` if one is named."""
+    end = "/+" if channel is Channel.CLUTCH else ""
+    share = "" if group is None else f"$share/{group}/"
+    return f"{share}{TOPIC_ROOT}/+/{channel.label}{end}"

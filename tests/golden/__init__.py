@@ -1,0 +1,53 @@
+"""Messages of each version of the fleet contract, byte by byte as the code wrote them when the version began."""
+
+from pathlib import Path
+
+from diag_service.results import ServiceStatus, clutch_record, shift_record, status_record
+from fleet_contract import (
+    Outcome,
+    Outgoing,
+    Receipt,
+    ack_messages,
+    clutch_message,
+    config_message,
+    key_of,
+    metrics_message,
+    shift_message,
+    status_message,
+)
+from tests.builders import rejected, shift_result
+
+FOLDER = Path(__file__).parent
+NOW = "2026-01-01T00:00:06.000000Z"
+
+
+def messages_v1() -> dict[str, Outgoing]:
+    """Return the messages that today's code makes, by the name of their file."""
+    shift, refused = shift_record(shift_result()), shift_record(rejected(shift_result(2)))
+    receipts = [
+        Receipt(key=key_of(shift)),
+        Receipt(key=key_of(refused), outcome=Outcome.QUARANTINED, reason="sump_temperature_k: must be number"),
+    ]
+    (ack,) = ack_messages("car1", receipts, sent_at=NOW, worker="ingest-1")
+    return {
+        "shift": shift_message(shift),
+        "shift-rejected": shift_message(refused),
+        "clutch": clutch_message(clutch_record(shift_result())),
+        "clutch-unknown": clutch_message(clutch_record(rejected(shift_result()))),
+        "status-online": status_message(status_record(_status(is_online=True))),
+        "status-offline": status_message(status_record(_status(is_online=False))),
+        "metrics": metrics_message("car1", NOW, {"outbox_waiting_count": 3, "outbox_bytes": 81920, "load_ratio": 0.25}),
+        "config": config_message("car1", NOW, {"broker.url": "mqtts://car1:***@broker", "outbox.budget_bytes": 1}),
+        "ack": ack,
+    }
+
+
+def _status(*, is_online: bool) -> ServiceStatus:
+    return ServiceStatus(
+        vehicle="car1",
+        is_online=is_online,
+        connected_at="2026-01-01T00:00:00.000000Z",
+        service_version="0.1.0",
+        algorithm_version="algorithm-1",
+        calibration_version="1+0123456789ab",
+    )

@@ -1,0 +1,131 @@
+"""The backend's command line: what it shows, what it refuses, its exit status."""
+
+import json
+from collections.abc import Iterator
+from datetime import UTC, datetime, timedelta
+from pathlib import Path
+
+import pytest
+from sqlalchemy import Engine
+
+from diag_service.records import Condition
+from fleet_backend.cli import main
+from fleet_backend.database import open_database
+from fleet_backend.rows import Poison, quarantine_row
+from fleet_backend.writer import Batch, Writer
+from tests.fleet import fleet_result, row_of
+from tests.plugins.broker import free_port
+
+
+@pytest.fixture(name="filled")
+def _filled(sqlite_url: str) -> Iterator[Engine]:
+    """Return a database with a worn and a good vehicle and a message with markup that was kept aside."""
+    engine = open_database(sqlite_url)
+    rows = [row_of(fleet_result(seq, vehicle="worn", condition=Condition.CHANGE_FLUID)) for seq in (1, 2, 3)]
+    rows.append(row_of(fleet_result(1, vehicle="good")))
+    poison = Poison(topic="clutchdiag/v1/good/shift", vehicle="good", payload=b"{", reason="identity", detail="[bold]")
+    old = datetime.now(UTC) - timedelta(days=30)
+    Writer(engine).store(Batch(shifts=rows, quarantined=[quarantine_row(poison, old)]))
+    yield engine
+    engine.dispose()
+
+
+def told(capsys: pytest.CaptureFixture[str], engine: Engine, *words: str) -> str:
+    """Return what a command says when all is well."""
+    assert main([words[0], "--database", engine.url.render_as_string(hide_password=False), *words[1:]]) == 0
+    return capsys.readouterr().out
+
+
+def told_json(capsys: pytest.CaptureFixture[str], engine: Engine, *words: str) -> list[dict[str, object]]:
+    return [json.loads(line) for line in told(capsys, engine, *words, "--json").splitlines()]
+
+
+def test_the_table_begins_with_the_worst(capsys: pytest.CaptureFixture[str], filled: Engine) -> None:
+    text = told(capsys, filled, "table")
+    assert text.index("change fluid") < text.index("good ")
+    assert "0.1361 [0.1337, 0.1385]" in text
+    assert [record["vehicle"] for record in told_json(capsys, filled, "table", "--limit", "1")] == ["worn"]
+
+
+@pytest.mark.parametrize("axis", ["shift", "odometer", "date"])
+def test_a_trend_is_shown_against_each_axis(capsys: pytest.CaptureFixture[str], filled: Engine, axis: str) -> None:
+    assert f"3 valid shifts against {axis}" in told(capsys, filled, "trend", "worn", "2", "--against", axis)
+    records = told_json(capsys, filled, "trend", "worn", "2", "--against", axis)
+    assert [record["shift_number"] for record in records] == [1, 2, 3]
+
+
+def test_alarms_are_shown_and_acknowledged(capsys: pytest.CaptureFixture[str], filled: Engine) -> None:
+    assert [alarm["alarm"] for alarm in told_json(capsys, filled, "alarms")] == ["clutch", "identity"]
+    assert "[bold]" in told(capsys, filled, "alarms")
+    assert "acknowledged" in told(
+        capsys, filled, "alarms", "--acknowledge", "worn", "--clutch", "2", "--by", "ann", "--note", "on order"
+    )
+    assert "1 messages" in told(capsys, filled, "alarms", "--acknowledge", "good")
+    (alarm,) = told_json(capsys, filled, "alarms", "--all")
+    assert (alarm["acknowledged_by"], alarm["note"]) == ("ann", "on order")
+
+
+def test_the_quarantine_is_shown_and_purged(capsys: pytest.CaptureFixture[str], filled: Engine) -> None:
+    assert "identity" in told(capsys, filled, "quarantine")
+    assert told(capsys, filled, "quarantine", "--purge-days", "31") == "0 messages forgotten\n"
+    assert told(capsys, filled, "quarantine", "--purge-days", "29") == "1 messages forgotten\n"
+    assert told_json(capsys, filled, "quarantine") == []
+
+
+def test_a_fill_shows_up_in_the_table(capsys: pytest.CaptureFixture[str], filled: Engine) -> None:
+    told(capsys, filled, "fill", "worn", "DCTF-II", "--at", "2025-12-01", "--odometer-km", "0.5")
+    assert [record["fluid"] for record in told_json(capsys, filled, "table")] == ["DCTF-II", None]
+
+
+def test_vehicles_are_listed_with_their_last_result(capsys: pytest.CaptureFixture[str], filled: Engine) -> None:
+    assert "2026-01-01 00:00:12" in told(capsys, filled, "seen")
+    assert {record["vehicle"] for record in told_json(capsys, filled, "seen")} == {"good", "worn"}
+
+
+def test_the_hash_is_one_line(capsys: pytest.CaptureFixture[str], filled: Engine) -> None:
+    digest, text = told(capsys, filled, "hash").split("  ")
+    assert (len(digest), text) == (64, "4 results\n")
+
+
+def test_an_empty_sqlite_database_is_made_ready_by_any_question(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    engine = open_database(f"sqlite:///{tmp_path}/new/fleet.sqlite")
+    assert "Fleet, worst first: 0 clutches" in told(capsys, engine, "table")
+    assert "schema r" in told(capsys, engine, "migrate")
+
+
+@pytest.mark.parametrize(
+    ("words", "status", "text"),
+    [
+        (["table", "--database", "mysql://x"], 2, "the database must be"),
+        (["ingest", "--database", "sqlite://", "--broker", "http://x"], 2, "the broker must be"),
+        (["ingest", "--database", "sqlite://"], 2, "no broker"),
+        (["ingest", "--database", "sqlite://", "--broker", "mqtt://x", "--batch", "0"], 2, "a batch must be"),
+        (["alarms", "--database", "sqlite://", "--acknowledge", "x", "--clutch", "1"], 2, "no alarm"),
+        (["fill", "--database", "sqlite://", "ghost", "oil"], 2, "no vehicle ghost"),
+        (["fill", "--database", "sqlite://", "ghost", "oil", "--at", "never"], 2, "no date"),
+    ],
+)
+def test_what_cannot_be_done_is_said_in_one_line(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, words: list[str], status: int, text: str
+) -> None:
+    monkeypatch.delenv("CLUTCHDIAG_BROKER", raising=False)
+    assert main(words) == status
+    captured = capsys.readouterr()
+    assert captured.err.startswith("fleet-backend: error: ")
+    assert text in captured.err
+    assert captured.err.count("\n") == 1
+    assert captured.out == ""
+
+
+def test_a_database_that_is_away_has_its_own_status(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["table", "--database", f"postgresql://fleet:secret@127.0.0.1:{free_port()}/fleet"]) == 4
+    assert "secret" not in capsys.readouterr().err
+
+
+def test_an_unknown_word_is_a_usage_error(capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as caught:
+        main(["tables"])
+    assert caught.value.code == 2
+    assert capsys.readouterr().err.count("\n") == 1

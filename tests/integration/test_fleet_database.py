@@ -1,0 +1,218 @@
+"""The fleet database on SQLite and PostgreSQL: one table whatever the order, and what the views make of it."""
+
+from datetime import timedelta
+
+import numpy as np
+import pytest
+from sqlalchemy import Engine
+
+from diag_service.records import Condition
+from fleet_backend import queries
+from fleet_backend.database import open_database, transaction
+from fleet_backend.errors import ConfigError, RowRefusedError
+from fleet_backend.migrate import migrate
+from fleet_backend.queries import Axis
+from fleet_backend.rows import Poison, Row, quarantine_row, status_row
+from fleet_backend.schema import CLUTCH, SHIFT_RESULT, VEHICLE
+from fleet_backend.writer import Batch, Writer
+from tests.fleet import NOW, START, fleet_result, row_of
+
+WORN = Condition.CHANGE_FLUID
+
+
+def results(engine: Engine) -> list[Row]:
+    """Store sixty results of three vehicles, a third of them by two algorithms, and return their rows."""
+    rows = [
+        row_of(fleet_result(seq, vehicle=f"car{car}", clutch=1 + seq % 2, algorithm=algorithm))
+        for car in range(3)
+        for seq in range(1, 21)
+        for algorithm in (("algorithm-1", "algorithm-2") if car == 0 else ("algorithm-1",))
+    ]
+    Writer(engine).store(Batch(shifts=rows))
+    return rows
+
+
+def test_any_order_and_any_repetition_leave_the_same_table(engine: Engine) -> None:
+    rows = results(engine)
+    clean = queries.table_hash(engine)
+    assert clean.row_count == len(rows) == 80
+    late = [row for row in rows for _ in range(3)]
+    np.random.default_rng(1).shuffle(late)
+    other = open_database("sqlite://")
+    migrate(other)
+    writer = Writer(other)
+    for first in range(0, len(late), 7):
+        writer.store(Batch(shifts=late[first : first + 7]))
+    assert queries.table_hash(other) == clean
+    other.dispose()
+
+
+def test_the_hash_tells_a_changed_number(engine: Engine) -> None:
+    results(engine)
+    before = queries.table_hash(engine)
+    Writer(engine).store(Batch(shifts=[row_of(fleet_result(99))]))
+    after = queries.table_hash(engine)
+    assert after.row_count == before.row_count + 1
+    assert after.sha256 != before.sha256
+
+
+@pytest.mark.parametrize("is_reversed", [False, True])
+def test_two_contents_under_one_key_have_one_winner_in_any_order(engine: Engine, is_reversed: bool) -> None:
+    good, worn = row_of(fleet_result(1)), row_of(fleet_result(1, condition=WORN))
+    winner = min(good, worn, key=lambda row: int(str(row["content_digest"])))
+    for row in (worn, good) if is_reversed else (good, worn):
+        Writer(engine).store(Batch(shifts=[row]))
+    (record,) = queries.worst_first(engine)
+    assert record["condition"] == winner["condition"]
+
+
+def test_a_newer_algorithm_supersedes_and_nothing_is_lost(engine: Engine) -> None:
+    for algorithm in ("algorithm-10", "algorithm-9"):
+        rows = [row_of(fleet_result(seq, algorithm=algorithm)) for seq in (1, 2, 3)]
+        Writer(engine).store(Batch(shifts=rows))
+    trend = queries.trend(engine, "car1", 2, Axis.SHIFT)
+    assert [record["seq"] for record in trend] == [1, 2, 3]
+    assert {record["algorithm_version"] for record in trend} == {"algorithm-10"}
+    assert queries.result_count(engine) == 6
+
+
+def test_the_running_condition_is_that_of_the_last_shift_of_the_newest_stream(engine: Engine) -> None:
+    old = [row_of(fleet_result(seq, condition=WORN)) for seq in (1, 2)]
+    new = [
+        row_of(
+            fleet_result(1, stream="stream-0", produced_at="2026-02-01T00:00:00.000000Z", condition=Condition.WATCH)
+        ),
+        row_of(fleet_result(2, stream="stream-0", produced_at="2026-01-31T00:00:00.000000Z")),  # the clock jumped
+    ]
+    for row in (new[1], old[1], new[0], old[0]):
+        Writer(engine).store(Batch(shifts=[row]))
+    (record,) = queries.worst_first(engine)
+    assert (record["stream"], record["seq"], record["condition"]) == ("stream-0", 2, "good")
+    order = [(row["stream"], row["seq"]) for row in queries.trend(engine, "car1", 2, Axis.SHIFT)]
+    assert order == [("stream-1", 1), ("stream-1", 2), ("stream-0", 1), ("stream-0", 2)]
+
+
+def test_the_worst_comes_first_with_its_interval(engine: Engine) -> None:
+    conditions = {"a": Condition.GOOD, "b": WORN, "c": Condition.WATCH, "d": Condition.NO_VERDICT}
+    rows = [row_of(fleet_result(1, vehicle=name, condition=condition)) for name, condition in conditions.items()]
+    Writer(engine).store(Batch(shifts=rows))
+    records = queries.worst_first(engine)
+    assert [record["vehicle"] for record in records] == ["b", "c", "a", "d"]
+    assert records[0]["mu_c_low"] == pytest.approx(0.1361 - 2 * 0.0012)
+    assert records[0]["slope_high_s_rad"] == pytest.approx(0.0021 + 2 * 0.0003)
+    assert len(queries.worst_first(engine, limit=1)) == 1
+
+
+def test_a_trend_has_three_axes_and_knows_the_fluid(engine: Engine) -> None:
+    Writer(engine).store(Batch(shifts=[row_of(fleet_result(seq)) for seq in range(1, 6)]))
+    queries.note_fill(engine, "car1", "old oil", at=START - timedelta(days=1), odometer_m=None, note=None)
+    queries.note_fill(engine, "car1", "new oil", at=START + timedelta(seconds=10), odometer_m=5.0, note="at last")
+    for axis in Axis:
+        records = queries.trend(engine, "car1", 2, axis)
+        assert [record["shift_number"] for record in records] == [1, 2, 3, 4, 5]
+    assert [record["fluid"] for record in records] == ["old oil"] * 3 + ["new oil"] * 2
+    assert records[0]["covariance_mu_c_mu_s"] == pytest.approx(0.4 * 0.0012 * 0.0016)
+    assert queries.trend(engine, "car1", 1, Axis.SHIFT) == []
+
+
+def test_a_fill_needs_a_known_vehicle_and_is_noted_once(engine: Engine) -> None:
+    with pytest.raises(ConfigError, match="no vehicle"):
+        queries.note_fill(engine, "ghost", "oil", at=NOW, odometer_m=None, note=None)
+    results(engine)
+    queries.note_fill(engine, "car1", "oil", at=NOW, odometer_m=None, note=None)
+    with pytest.raises(ConfigError, match="noted already"):
+        queries.note_fill(engine, "car1", "oil", at=NOW, odometer_m=None, note=None)
+
+
+def store_verdicts(engine: Engine, verdicts: str, *, seed: int | None = None) -> None:
+    """Store a clutch's shifts, one letter each: good, worn, or none; in order or shuffled."""
+    kinds = {"g": Condition.GOOD, "w": WORN, "n": Condition.NO_VERDICT}
+    rows = [row_of(fleet_result(seq, condition=kinds[kind])) for seq, kind in enumerate(verdicts, 1)]
+    if seed is not None:
+        np.random.default_rng(seed).shuffle(rows)
+    for row in rows:
+        Writer(engine).store(Batch(shifts=[row]))
+
+
+@pytest.mark.parametrize("seed", [None, 1, 2])
+def test_alarms_are_raised_and_cleared_whatever_the_order_of_arrival(engine: Engine, seed: int | None) -> None:
+    store_verdicts(engine, "gwwnwggww", seed=seed)
+    last, first = queries.clutch_alarms(engine, is_open_only=False)
+    assert (first["seq"], first["shift_count"], last["seq"], last["shift_count"]) == (2, 3, 8, 2)
+    assert first["cleared_at"] is not None
+    assert first["cleared_at"] > first["raised_at"]  # type: ignore[operator]  # both are moments
+    assert last["cleared_at"] is None
+    assert queries.clutch_alarms(engine, is_open_only=True) == [last]
+
+
+def test_an_acknowledged_alarm_stays_so_when_earlier_shifts_arrive_late(engine: Engine) -> None:
+    writer = Writer(engine)
+    writer.store(Batch(shifts=[row_of(fleet_result(seq, condition=WORN)) for seq in (5, 6)]))
+    queries.acknowledge_clutch(engine, "car1", 2, by="ann", note="seen", at=NOW)
+    with pytest.raises(ConfigError, match="no alarm"):
+        queries.acknowledge_clutch(engine, "car1", 2, by="bob", note=None, at=NOW)
+    writer.store(Batch(shifts=[row_of(fleet_result(4, condition=WORN))]))
+    (alarm,) = queries.clutch_alarms(engine, is_open_only=True)
+    assert (alarm["seq"], alarm["acknowledged_by"], alarm["acknowledged_at"], alarm["note"]) == (4, "ann", NOW, "seen")
+
+
+def test_who_pretends_to_be_another_is_an_alarm_until_acknowledged(engine: Engine) -> None:
+    poison = Poison(topic="clutchdiag/v1/a/shift", vehicle="a", payload=b"{}", reason="identity", detail="it is b")
+    rows = [quarantine_row(poison, NOW), quarantine_row(poison, NOW + timedelta(1))]
+    Writer(engine).store(Batch(quarantined=rows))
+    (alarm,) = queries.identity_alarms(engine)
+    assert (alarm["vehicle"], alarm["raised_at"], alarm["message_count"]) == ("a", NOW, 1)
+    assert queries.acknowledge_quarantine(engine, "a", by="ann", at=NOW) == 1
+    assert queries.identity_alarms(engine) == []
+    assert [record["acknowledged_by"] for record in queries.quarantined(engine, 5)] == ["ann"]
+    assert queries.purge_quarantine(engine, NOW) == 0
+    assert queries.purge_quarantine(engine, NOW + timedelta(seconds=1)) == 1
+
+
+def status(moment: str, word: str) -> Row:
+    data = {"vehicle": "car1", "status": word, "connected_at": moment, "service_version": "1"}
+    return status_row({**data, "algorithm_version": "a", "calibration_version": "c"})
+
+
+def test_the_end_of_the_latest_connection_counts_in_any_order(engine: Engine) -> None:
+    first, second = "2026-01-01T00:00:00.000000Z", "2026-01-02T00:00:00.000000Z"
+    words = [(second, "offline"), (first, "online"), (second, "online"), (first, "offline")]
+    for moment, word in words:
+        Writer(engine).store(Batch(statuses=[status(moment, word)]))
+    (seen,) = queries.last_seen(engine)
+    assert not seen["is_online"]
+    assert seen["connected_at"] == START + timedelta(days=1)
+
+
+def test_the_latest_metrics_stay(engine: Engine) -> None:
+    for day in (2, 1):
+        row: Row = {"vehicle": "car1", "metrics": f'{{"day": {day}}}', "metrics_at": START + timedelta(days=day)}
+        Writer(engine).store(Batch(metrics=[row]))
+    with engine.begin() as connection:
+        (vehicle,) = connection.execute(VEHICLE.select()).all()
+    assert vehicle.metrics == '{"day": 2}'
+
+
+def test_when_a_vehicle_was_last_heard_of_is_its_latest_result(engine: Engine) -> None:
+    results(engine)
+    records = queries.last_seen(engine)
+    assert [record["vehicle"] for record in records] == ["car0", "car1", "car2"]
+    assert {record["last_result_at"] for record in records} == {START + timedelta(seconds=80)}
+
+
+def test_a_row_that_does_not_fit_takes_the_whole_batch_back(engine: Engine) -> None:
+    wrong = {**row_of(fleet_result(2)), "status": None}
+    with pytest.raises(RowRefusedError):
+        Writer(engine).store(Batch(shifts=[row_of(fleet_result(1)), wrong]))
+    assert queries.result_count(engine) == 0
+
+
+def test_a_writer_survives_that_its_database_is_replaced(engine: Engine) -> None:
+    writer = Writer(engine)
+    writer.store(Batch(shifts=[row_of(fleet_result(1))]))
+    with transaction(engine) as connection:
+        for table in (SHIFT_RESULT, CLUTCH, VEHICLE):
+            connection.execute(table.delete())
+    writer.store(Batch(shifts=[row_of(fleet_result(2))]))
+    with transaction(engine) as connection:
+        assert len(connection.execute(CLUTCH.select()).all()) == 1

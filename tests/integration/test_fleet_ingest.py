@@ -1,0 +1,245 @@
+"""Workers between a real Mosquitto and a real database: killed, paused, poisoned, and nothing lost or doubled."""
+
+import json
+import os
+import signal
+import time
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+
+import numpy as np
+import paho.mqtt.client as mqtt
+import psutil
+import pytest
+from paho.mqtt.enums import CallbackAPIVersion
+from sqlalchemy import Engine
+
+from demo.fleet.postgres import PostgresServer
+from diag_service.results import shift_record
+from fleet_backend import queries
+from fleet_backend.database import open_database
+from fleet_backend.migrate import migrate
+from fleet_backend.writer import Batch, Writer
+from fleet_contract import Outgoing, shift_message
+from tests.fleet import fleet_result, row_of
+from tests.fleet_worker import Step, worker
+from tests.plugins.broker import Mosquitto
+from tests.resending_edge import ResendingEdge
+
+pytestmark = pytest.mark.broker
+
+
+def messages(count: int, *, vehicle: str = "car1", algorithm: str = "algorithm-1") -> list[Outgoing]:
+    """Return the messages of a vehicle's first shifts."""
+    return [
+        shift_message(shift_record(fleet_result(seq, vehicle=vehicle, clutch=1 + seq % 2, algorithm=algorithm)))
+        for seq in range(1, count + 1)
+    ]
+
+
+def clean_hash(tmp_path: Path, sent: Sequence[Outgoing]) -> queries.TableHash:
+    """Return the hash of a database that got each result once, in order."""
+    engine = open_database(f"sqlite:///{tmp_path / 'clean.sqlite'}")
+    migrate(engine)
+    keys = [json.loads(message.payload)["data"] for message in sent]
+    rows = [
+        row_of(fleet_result(d["seq"], vehicle=d["vehicle"], clutch=d["clutch"], algorithm=d["algorithm_version"]))
+        for d in keys
+    ]
+    Writer(engine).store(Batch(shifts=rows))
+    found = queries.table_hash(engine)
+    engine.dispose()
+    return found
+
+
+@contextmanager
+def paused(pid: int) -> Iterator[None]:
+    """Stop a server and all of its processes for as long as the block lasts, as a frozen host would."""
+    processes = [psutil.Process(pid), *psutil.Process(pid).children(recursive=True)]
+    for process in processes:
+        process.suspend()
+    try:
+        yield
+    finally:
+        for process in processes:
+            process.resume()
+
+
+@pytest.fixture(name="engine")
+def _engine(postgres_url: str) -> Iterator[Engine]:
+    opened = open_database(postgres_url)
+    yield opened
+    opened.dispose()
+
+
+def test_results_of_all_vehicles_are_stored_and_acknowledged(
+    tmp_path: Path, broker: Mosquitto, postgres_url: str, engine: Engine
+) -> None:
+    sent = [message for number in range(4) for message in messages(50, vehicle=f"car{number}")]
+    with (
+        worker(tmp_path, broker.url, postgres_url),
+        worker(tmp_path, broker.url, postgres_url),
+        ResendingEdge(broker.port) as edge,
+    ):
+        edge.keep(sent)
+        edge.deliver()
+    assert edge.outcomes == {"accepted": 200}
+    assert queries.table_hash(engine) == clean_hash(tmp_path, sent)
+
+
+def test_tripled_shuffled_and_a_day_late_is_the_same_table(
+    tmp_path: Path, broker: Mosquitto, postgres_url: str, engine: Engine
+) -> None:
+    sent = messages(150) + messages(150, algorithm="algorithm-2")
+    late = sent * 3
+    np.random.default_rng(7).shuffle(late)  # nothing in a row tells when it arrived, so late is like now
+    with worker(tmp_path, broker.url, postgres_url), ResendingEdge(broker.port) as edge:
+        for first in range(0, len(late), 90):
+            edge.keep(late[first : first + 90])
+            edge.deliver()
+    assert queries.table_hash(engine) == clean_hash(tmp_path, sent)
+
+
+@pytest.mark.parametrize("step", list(Step))
+def test_a_worker_killed_at_any_step_loses_and_doubles_nothing(
+    tmp_path: Path, broker: Mosquitto, sqlite_url: str, step: Step
+) -> None:
+    sent = messages(60)
+    doomed = ("--step", step.value, "--number", "2")
+    with ResendingEdge(broker.port) as edge:
+        edge.keep(sent)
+        with worker(tmp_path, broker.url, sqlite_url, *doomed, module="tests.fleet_worker") as pid:
+            _wait_until(edge.send_once)
+            _wait_until(lambda: _is_dead(pid))
+        assert edge.waiting_count > 0
+        with worker(tmp_path, broker.url, sqlite_url):
+            edge.deliver()
+    engine = open_database(sqlite_url)
+    assert queries.table_hash(engine) == clean_hash(tmp_path, sent)
+    engine.dispose()
+
+
+def test_a_broker_that_is_killed_is_met_again(tmp_path: Path, broker: Mosquitto, sqlite_url: str) -> None:
+    sent = messages(100)
+    with worker(tmp_path, broker.url, sqlite_url), ResendingEdge(broker.port) as edge:
+        edge.keep(sent[:50])
+        edge.deliver()
+        broker.kill()
+        broker.start()
+        edge.keep(sent[50:])
+        edge.deliver()
+    engine = open_database(sqlite_url)
+    assert queries.table_hash(engine) == clean_hash(tmp_path, sent)
+    engine.dispose()
+
+
+def test_a_database_that_is_paused_costs_time_and_bounded_memory(
+    tmp_path: Path, broker: Mosquitto, own_postgres: PostgresServer
+) -> None:
+    database = own_postgres.create("fleet")
+    engine = open_database(database)
+    migrate(engine)
+    sent = messages(400)
+    with (
+        worker(tmp_path, broker.url, database, "--batch", "50") as pid,
+        ResendingEdge(broker.port) as edge,
+    ):
+        edge.keep(sent[:100])
+        edge.deliver()
+        before = psutil.Process(pid).memory_info().rss
+        with paused(own_postgres.pid):
+            edge.keep(sent)
+            with pytest.raises(AssertionError, match="without a receipt"):
+                edge.deliver(timeout_s=3.0)
+            grown = psutil.Process(pid).memory_info().rss - before
+        edge.deliver()
+    assert edge.sent_count > len(sent)  # more was on its way than the worker takes
+    assert grown < 16 * 2**20
+    assert queries.table_hash(engine) == clean_hash(tmp_path, sent)
+    engine.dispose()
+
+
+def test_a_database_that_dies_and_comes_back_gets_everything(
+    tmp_path: Path, broker: Mosquitto, own_postgres: PostgresServer
+) -> None:
+    database = own_postgres.create("fleet")
+    engine = open_database(database)
+    migrate(engine)
+    sent = messages(200)
+    with worker(tmp_path, broker.url, database), ResendingEdge(broker.port) as edge:
+        edge.keep(sent[:100])
+        edge.deliver()
+        engine.dispose()
+        own_postgres.kill()
+        edge.keep(sent)
+        with pytest.raises(AssertionError, match="without a receipt"):
+            edge.deliver(timeout_s=2.0)
+        own_postgres.start()
+        edge.deliver()
+    assert queries.table_hash(engine) == clean_hash(tmp_path, sent)
+    engine.dispose()
+
+
+def poison_messages(count: int) -> list[tuple[str, bytes]]:
+    """Return messages that no backend can use, of every kind in turn, no two alike."""
+    good = json.loads(messages(1)[0].payload)
+    kinds = (
+        lambda number: ("clutchdiag/v1/car9/shift", b"{" * (number % 500 + 1)),
+        lambda number: ("clutchdiag/v1/car9/shift", b'{"a":' * 5000 + str(number).encode()),
+        lambda number: ("clutchdiag/v1/car9/shift", str(number).encode() * 20_000),
+        lambda number: ("clutchdiag/v1/car9/shift", bytes([0xFF, number % 256, number // 256])),
+        lambda number: ("clutchdiag/v1/car9/shift", _changed(good, seq=number, quality=-1.0)),
+        lambda number: ("clutchdiag/v1/car9/shift", _changed(good, seq=number)),  # of car1, as it says
+        lambda number: ("clutchdiag/v1/car9/status", f'{{"specversion":"{number}"}}'.encode()),
+        lambda number: ("clutchdiag/v1/.bad/shift", str(number).encode()),
+    )
+    return [kinds[number % len(kinds)](number + 1) for number in range(count)]
+
+
+def _changed(event: dict[str, object], **data: object) -> bytes:
+    old = event["data"]
+    assert isinstance(old, dict)
+    return json.dumps({**event, "data": {**old, **data}}).encode()
+
+
+def test_poison_is_kept_aside_and_does_not_delay_the_good(
+    tmp_path: Path, broker: Mosquitto, postgres_url: str, engine: Engine
+) -> None:
+    sent, poison = messages(100), poison_messages(1000)
+    with worker(tmp_path, broker.url, postgres_url), ResendingEdge(broker.port) as edge:
+        client = mqtt.Client(CallbackAPIVersion.VERSION2, client_id="attacker", protocol=mqtt.MQTTv5)
+        client.connect("127.0.0.1", broker.port)
+        client.loop_start()
+        infos = [client.publish(topic, payload, qos=1) for topic, payload in poison]
+        edge.keep(sent)
+        edge.deliver()
+        for info in infos:
+            info.wait_for_publish(20.0)
+        client.disconnect()
+        client.loop_stop()
+        _wait_until(lambda: len(queries.quarantined(engine, 5000)) == len(set(poison)))
+    reasons = {str(record["reason"]) for record in queries.quarantined(engine, 5000)}
+    assert reasons == {"malformed", "schema", "identity", "topic"}
+    assert queries.table_hash(engine) == clean_hash(tmp_path, sent)
+    assert [alarm["vehicle"] for alarm in queries.identity_alarms(engine)] == ["car9"]
+
+
+def _is_dead(pid: int) -> bool:
+    return not psutil.pid_exists(pid) or psutil.Process(pid).status() == psutil.STATUS_ZOMBIE
+
+
+def _wait_until(is_done: Callable[[], bool], timeout_s: float = 20.0) -> None:
+    deadline_s = time.monotonic() + timeout_s
+    while not is_done():
+        assert time.monotonic() < deadline_s
+        time.sleep(0.05)
+
+
+def test_a_worker_ends_well_when_it_is_told_to(tmp_path: Path, broker: Mosquitto, sqlite_url: str) -> None:
+    with worker(tmp_path, broker.url, sqlite_url) as pid:
+        os.kill(pid, signal.SIGTERM)
+        _wait_until(lambda: _is_dead(pid))
+    log = (tmp_path / "worker-0.log").read_text(encoding="utf-8")
+    assert "results committed" in log.splitlines()[-1]
+    assert "Traceback" not in log

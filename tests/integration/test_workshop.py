@@ -1,0 +1,79 @@
+"""The workshop routine on the wire: performed by the emulated car, recognised by the service."""
+
+from dataclasses import replace
+from functools import lru_cache
+
+import numpy as np
+import pytest
+
+from clutch_model.calibration import nominal_calibration
+from dbc.contract import DBC_PATH
+from diag_service.database import load_database
+from diag_service.mapping import Decoder
+from diag_service.profile import load_profile
+from diag_service.records import EndReason, RevEvent, ShiftEvent, Signal
+from diag_service.revs import LOW_RAD_S, RevFinder
+from diag_service.shifts import ShiftFinder
+from ecu_emulator.recording import frames_of
+from ecu_emulator.scenario import Routine
+from ecu_emulator.truth import TruthLog
+from tests.builders import drive_scenario
+from tests.traffic import START_NS, as_received
+
+
+@lru_cache(maxsize=4)
+def heard(name: str, open_revs: int, closed_revs: int, seed: int) -> tuple[list[RevEvent], list[ShiftEvent], TruthLog]:
+    """Return what the service finds in a drive of one cycle, and the truth."""
+    routine = Routine(open_revs=open_revs, closed_revs=closed_revs)
+    frames, truth = frames_of(replace(drive_scenario(name, seed=seed), routine=routine))
+    decoder = Decoder(load_database(DBC_PATH), load_profile())
+    revs, shifts = RevFinder(nominal_calibration()), ShiftFinder()
+    found_revs: list[RevEvent] = []
+    found_shifts: list[ShiftEvent] = []
+    for columns in decoder.feed(as_received(frames)):
+        found_revs += revs.feed(columns)
+        found_shifts += shifts.feed(columns)
+    return found_revs + revs.flush(), found_shifts + shifts.flush(), truth
+
+
+@pytest.mark.parametrize(("name", "seed"), [("noise_only", 1), ("ideal", 7)])
+def test_as_many_revs_are_found_as_were_performed(name: str, seed: int) -> None:
+    revs, _, truth = heard(name, 4, 3, seed)
+    assert [rev.are_clutches_closed for rev in revs] == [False] * 4 + [True] * 3
+    assert [rev.are_clutches_closed for rev in revs] == [rev.are_clutches_closed for rev in truth.revs]
+    assert all(rev.end_reason is EndReason.COMPLETE and rev.bad_frame_count == 0 for rev in revs)
+
+
+def test_a_rev_is_found_where_it_was_performed() -> None:
+    revs, _, truth = heard("noise_only", 4, 3, 1)
+    for rev, performed in zip(revs, truth.revs, strict=True):
+        assert performed.t_start_s - 0.1 < (rev.start_ns - START_NS) * 1e-9 < performed.t_start_s + 0.25
+        assert performed.t_end_s - 0.5 < (rev.end_ns - START_NS) * 1e-9 < performed.t_end_s
+        assert rev.columns[Signal.ENGINE_SPEED].value.max() > 395.0
+        assert rev.columns[Signal.ENGINE_SPEED].value[0] < LOW_RAD_S
+
+
+def test_neither_revs_nor_the_start_are_shifts() -> None:
+    _, shifts, truth = heard("noise_only", 4, 3, 1)
+    assert [(shift.from_gear, shift.to_gear) for shift in shifts] == [
+        (shift.from_gear, shift.to_gear) for shift in truth.shifts
+    ]
+    assert len(shifts) == 10
+    assert all(shift.end_reason is EndReason.COMPLETE for shift in shifts)
+
+
+def test_a_normal_drive_has_no_revs() -> None:
+    revs, shifts, truth = heard("noise_only", 0, 0, 1)
+    assert revs == []
+    assert truth.revs == ()
+    assert len(shifts) == 10
+
+
+def test_the_input_shafts_show_which_part_it_is() -> None:
+    """Closed clutches carry the input shafts along; open ones drag them behind."""
+    for rev in heard("noise_only", 4, 3, 1)[0]:
+        columns = {signal: series.between(rev.start_ns, rev.end_ns) for signal, series in rev.columns.items()}
+        hub_rad_s = columns[Signal.HUB_SPEED].value
+        for signal in (Signal.INPUT1_SPEED, Signal.INPUT2_SPEED):
+            slip_rad_s = np.abs(hub_rad_s - columns[signal].value)
+            assert (slip_rad_s.max() < 2.0) == rev.are_clutches_closed

@@ -1,0 +1,75 @@
+"""Words of the command line become values, or one clear refusal."""
+
+from datetime import UTC, datetime
+from pathlib import Path
+
+import pytest
+
+from fleet_backend.broker import TlsFiles
+from fleet_backend.config import parse_broker, parse_moment, parse_pace
+from fleet_backend.database import default_database, open_database, place_of
+from fleet_backend.errors import ConfigError
+
+PLAIN = TlsFiles()
+
+
+def test_a_broker_has_a_host_and_the_usual_port() -> None:
+    address = parse_broker("mqtt://example.org", PLAIN)
+    assert (address.host, address.port, address.tls) == ("example.org", 1883, None)
+    secure = parse_broker("mqtts://example.org", PLAIN)
+    assert (secure.port, secure.tls) == (8883, PLAIN)
+    assert str(parse_broker("mqtt://[::1]:1", PLAIN)) == "[::1]:1"
+
+
+def test_a_password_is_read_and_never_shown() -> None:
+    address = parse_broker("mqtt://fleet:p%40ss@example.org", PLAIN)
+    assert (address.username, address.password) == ("fleet", "p@ss")
+    assert "p@ss" not in f"{address} {address!r}"
+
+
+@pytest.mark.parametrize(
+    "url", ["", "example.org", "http://x", "mqtt://", "mqtt://x/y", "mqtt://x:0", "mqtt://x:99999"]
+)
+def test_what_is_no_broker_is_refused_without_repeating_it(url: str) -> None:
+    with pytest.raises(ConfigError, match="the broker must be mqtt"):
+        parse_broker(url, PLAIN)
+
+
+def test_certificates_need_tls_and_must_exist() -> None:
+    missing = TlsFiles(ca=Path("no-such-file"))
+    with pytest.raises(ConfigError, match="mqtts"):
+        parse_broker("mqtt://x", missing)
+    with pytest.raises(ConfigError, match="no-such-file"):
+        parse_broker("mqtts://x", missing)
+
+
+def test_a_pace_has_bounds() -> None:
+    assert parse_pace(10, 250.0).patience_s == 0.25
+    for batch, patience_ms in ((0, 1.0), (30_001, 1.0), (1, -1.0), (1, 1e9), (1, float("nan"))):
+        with pytest.raises(ConfigError):
+            parse_pace(batch, patience_ms)
+
+
+def test_a_moment_without_a_zone_is_utc() -> None:
+    assert parse_moment("2026-01-31") == datetime(2026, 1, 31, tzinfo=UTC)
+    assert parse_moment("2026-01-31T12:00+02:00") == datetime(2026, 1, 31, 10, tzinfo=UTC)
+    with pytest.raises(ConfigError, match="no date"):
+        parse_moment("yesterday")
+
+
+@pytest.mark.parametrize("address", ["", "nonsense", "mysql://host/name", "oracle://x"])
+def test_only_two_databases_are_known(address: str) -> None:
+    with pytest.raises(ConfigError, match="the database must be"):
+        open_database(address)
+
+
+def test_a_database_is_shown_without_its_password() -> None:
+    engine = open_database("postgresql://fleet:secret@example.org/fleet")
+    assert place_of(engine) == "postgresql+psycopg://fleet:***@example.org/fleet"
+
+
+def test_the_default_database_is_in_the_state_folder(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path))
+    assert default_database() == f"sqlite:///{tmp_path}/clutchdiag/fleet.sqlite"
+    monkeypatch.setenv("XDG_STATE_HOME", "relative")
+    assert default_database().endswith("/.local/state/clutchdiag/fleet.sqlite")

@@ -1,0 +1,141 @@
+"""The worker: commit, receipt, PUBACK, in this order, whatever goes wrong."""
+
+import asyncio
+import json
+from collections.abc import AsyncIterator, Callable, Sequence
+from contextlib import asynccontextmanager
+
+import pytest
+
+from fleet_backend.errors import BrokerError, DatabaseAwayError, RowRefusedError
+from fleet_backend.ingest import FILTERS, Pace, Worker
+from fleet_backend.intake import Kind, Message
+from fleet_backend.writer import Batch
+from fleet_contract import Outgoing
+from tests.fleet import NOW, fleet_result, message_of
+
+
+class Records:
+    """A broker and a store that write down what is asked of them, in order."""
+
+    def __init__(self, batches: Sequence[Sequence[Message]] = ()) -> None:
+        self.steps: list[str] = []
+        self.stored: list[Batch] = []
+        self.sent: list[Outgoing] = []
+        self.settled: list[Message] = []
+        self.refuse: Callable[[Batch], None] = lambda _batch: None
+        self._batches = list(batches)
+
+    async def collect(self, limit: int, patience_s: float) -> list[Message]:
+        self.steps.append(f"collect up to {limit} within {patience_s:g} s")
+        await asyncio.sleep(0)
+        if not self._batches:
+            raise BrokerError("connection lost")
+        return list(self._batches.pop(0))
+
+    def send(self, messages: Sequence[Outgoing]) -> None:
+        self.steps.append("send")
+        self.sent.extend(messages)
+
+    def settle(self, messages: Sequence[Message]) -> None:
+        self.steps.append("settle")
+        self.settled.extend(messages)
+
+    def store(self, batch: Batch) -> None:
+        self.steps.append("store")
+        self.refuse(batch)
+        self.stored.append(batch)
+
+    @asynccontextmanager
+    async def connect(self) -> AsyncIterator["Records"]:
+        self.steps.append("connect")
+        yield self
+
+
+def worker_of(records: Records) -> Worker:
+    return Worker(records.connect, records, name="w", now=lambda: NOW, pace=Pace())
+
+
+@pytest.fixture(autouse=True)
+def _short_pauses(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("fleet_backend.ingest.FIRST_PAUSE_S", 0.001)
+    monkeypatch.setattr("fleet_backend.ingest.LONGEST_PAUSE_S", 0.002)
+
+
+def outcomes(records: Records) -> list[tuple[str, int, str]]:
+    return [
+        (message.topic.split("/")[2], entry["seq"], entry["outcome"])
+        for message in records.sent
+        for entry in json.loads(message.payload)["data"]["results"]
+    ]
+
+
+async def test_the_commit_comes_first_and_the_broker_hears_last() -> None:
+    records = Records()
+    messages = [message_of(fleet_result(seq, vehicle=f"car{seq}"), seq) for seq in (1, 2)]
+    await worker_of(records).settle(records, messages)
+    assert records.steps == ["store", "send", "send", "settle"]
+    assert outcomes(records) == [("car1", 1, "accepted"), ("car2", 2, "accepted")]
+    assert records.settled == messages
+
+
+async def test_a_database_that_is_away_is_waited_for() -> None:
+    records = Records()
+    failures = iter([True, True, True, False])
+
+    def refuse(_batch: Batch) -> None:
+        if next(failures):
+            raise DatabaseAwayError("gone")
+
+    records.refuse = refuse
+    await worker_of(records).settle(records, [message_of(fleet_result(1))])
+    assert records.steps == ["store"] * 4 + ["send", "settle"]
+    assert len(records.stored) == 1
+
+
+async def test_one_row_that_never_fits_does_not_stop_the_others() -> None:
+    records = Records()
+
+    def refuse(batch: Batch) -> None:
+        if any(row["seq"] == 3 for row in batch.shifts):
+            raise RowRefusedError("seq 3 is cursed")
+
+    records.refuse = refuse
+    await worker_of(records).settle(records, [message_of(fleet_result(seq), seq) for seq in range(1, 9)])
+    stored = sorted(int(str(row["seq"])) for batch in records.stored for row in batch.shifts)
+    assert stored == [1, 2, 4, 5, 6, 7, 8]
+    assert [row["reason"] for batch in records.stored for row in batch.quarantined] == ["database"]
+    assert ("car1", 3, "quarantined") in outcomes(records)
+    assert len(records.settled) == 8
+
+
+async def test_poison_is_kept_settled_and_counted() -> None:
+    records = Records()
+    worker = worker_of(records)
+    await worker.settle(records, [Message(topic="x", payload=b"", packet_id=1), message_of(fleet_result(1), 2)])
+    assert worker.counts == {Kind.POISON: 1, Kind.SHIFT: 1}
+    assert len(records.settled) == 2
+    assert len(records.sent) == 1
+
+
+async def test_it_comes_back_after_every_lost_connection() -> None:
+    records = Records([[message_of(fleet_result(1))], []])
+    task = asyncio.ensure_future(worker_of(records).run())
+    async with asyncio.timeout(10):
+        while records.steps.count("connect") < 4:  # noqa: ASYNC110 - the worker has no event for it
+            await asyncio.sleep(0.001)
+    task.cancel()
+    await asyncio.gather(task, return_exceptions=True)
+    assert len(records.stored) == 1
+
+
+def test_the_subscription_is_shared_and_covers_what_the_backend_keeps() -> None:
+    assert FILTERS == (
+        "$share/ingest/clutchdiag/v1/+/shift",
+        "$share/ingest/clutchdiag/v1/+/status",
+        "$share/ingest/clutchdiag/v1/+/metrics",
+    )
+
+
+def test_the_broker_may_send_two_batches_at_most() -> None:
+    assert Pace(batch_size=70).max_unsettled == 140

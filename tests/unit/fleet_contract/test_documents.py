@@ -1,0 +1,101 @@
+"""The documents beside the code say what the code does: AsyncAPI and the overlay for VSS."""
+
+import logging
+from pathlib import Path
+from typing import Any
+
+import pytest
+from ruamel.yaml import YAML
+from vss_tools.main import get_trees
+from vss_tools.model import VSSDataDatatype
+
+from diag_service.records import Condition
+from fleet_contract import ASYNCAPI_PATH, CLUTCHES, SCHEMA_FOLDER, VSS_OVERLAY_PATH, Channel, schema, topic_of
+from fleet_contract.described import ENVELOPE
+
+QUANTITIES = "relation:\n  definition: A ratio of two quantities of one kind\n"
+UNIT = "{0}:\n  definition: A relation\n  unit: {0}\n  quantity: relation\n  allowed-datatypes: [numeric]\n"
+BASE = "".join(
+    f"{name}:\n  type: branch\n  description: A branch of VSS.\n"
+    for name in ("Vehicle", "Vehicle.Powertrain", "Vehicle.Powertrain.Transmission")
+)
+
+
+@pytest.fixture(scope="module", name="document")
+def _document() -> dict[str, Any]:
+    table: dict[str, Any] = YAML(typ="safe").load(ASYNCAPI_PATH)
+    return table
+
+
+def test_the_document_knows_every_channel_and_no_other(document: dict[str, Any]) -> None:
+    assert document["asyncapi"].startswith("3.")
+    described = {name: channel["address"] for name, channel in document["channels"].items()}
+    assert described == {channel.label: template(channel) for channel in Channel}
+    for channel in Channel:
+        entry = document["channels"][channel.label]
+        assert entry["messages"] == {channel.label: {"$ref": f"#/components/messages/{channel.label}"}}
+        assert set(entry["parameters"]) == {"vehicle", *(["clutch"] if channel is Channel.CLUTCH else [])}
+    assert document["components"]["parameters"]["clutch"]["enum"] == [str(clutch) for clutch in CLUTCHES]
+
+
+def template(channel: Channel) -> str:
+    clutch = CLUTCHES[0] if channel is Channel.CLUTCH else None
+    topic = topic_of("VEHICLE", channel, clutch).replace("VEHICLE", "{vehicle}")
+    return topic if clutch is None else topic.removesuffix(str(clutch)) + "{clutch}"
+
+
+def test_every_operation_is_what_the_code_does(document: dict[str, Any]) -> None:
+    operations = {entry["channel"]["$ref"]: entry for entry in document["operations"].values()}
+    assert set(operations) == {f"#/channels/{channel.label}" for channel in Channel}
+    for channel in Channel:
+        entry = operations[f"#/channels/{channel.label}"]
+        assert entry["action"] == ("receive" if channel.is_to_vehicle else "send")
+        assert (entry["bindings"]["mqtt"]["qos"], entry["bindings"]["mqtt"]["retain"]) == (1, channel.is_retained)
+
+
+def test_every_message_names_its_type_and_its_schema(document: dict[str, Any]) -> None:
+    messages = document["components"]["messages"]
+    assert set(messages) == {channel.label for channel in Channel}
+    for channel in Channel:
+        envelope, own = messages[channel.label]["payload"]["allOf"]
+        assert envelope == {"$ref": f"schemas/{ENVELOPE}-v1.json"}
+        assert own["properties"] == {
+            "type": {"const": channel.event_type},
+            "dataschema": {"const": channel.schema_id},
+            "data": {"$ref": f"schemas/{channel.label}-v1.json"},
+        }
+
+
+def test_every_schema_is_used(document: dict[str, Any]) -> None:
+    used = {f"{name}-v1.json" for name in (ENVELOPE, *(channel.label for channel in Channel))}
+    assert {path.name for path in SCHEMA_FOLDER.iterdir()} == used
+    assert all((ASYNCAPI_PATH.parent / "schemas" / name).is_file() for name in used)
+
+
+@pytest.fixture(name="clutches")
+def _clutches(tmp_path: Path) -> dict[str, VSSDataDatatype]:
+    """Return the signals of the overlay on the branches of VSS, as vss-tools resolves them."""
+    logging.getLogger("vss_tools").setLevel(logging.ERROR)
+    (tmp_path / "quantities.yaml").write_text(QUANTITIES, encoding="utf-8")
+    (tmp_path / "units.yaml").write_text(UNIT.format("percent") + UNIT.format("ratio"), encoding="utf-8")
+    (tmp_path / "base.vspec").write_text(BASE, encoding="utf-8")
+    root, _ = get_trees(tmp_path / "base.vspec", overlays=(VSS_OVERLAY_PATH,), strict=True)
+    leaves = {leaf.get_fqn(): leaf.get_vss_data() for leaf in root.leaves}
+    return {name: data for name, data in leaves.items() if isinstance(data, VSSDataDatatype)}
+
+
+def test_the_overlay_describes_both_clutches_alike(clutches: dict[str, VSSDataDatatype]) -> None:
+    branch = "Vehicle.Powertrain.Transmission.Clutch"
+    names = {name.rpartition(".")[2] for name in clutches}
+    assert set(clutches) == {f"{branch}.{clutch}.{name}" for clutch in ("Odd", "Even") for name in names}
+    assert clutches[f"{branch}.Odd.Condition"].allowed == [condition.name for condition in Condition]
+
+
+def test_the_overlay_says_which_key_fills_a_signal(clutches: dict[str, VSSDataDatatype]) -> None:
+    state: Any = schema("clutch")
+    friction = state["$defs"]["friction"]["properties"]
+    for data in clutches.values():
+        key = str(data.description).rpartition("From ")[2].split(",")[0].rstrip(".")
+        head, _, tail = key.partition(".")
+        assert head in state["properties"], key
+        assert not tail or tail in friction, key

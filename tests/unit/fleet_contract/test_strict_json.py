@@ -1,0 +1,81 @@
+"""Bytes from strangers: bounded, finite, unambiguous, or refused with one short line."""
+
+import pytest
+
+from fleet_contract import MalformedError, parse_object
+from fleet_contract.strict_json import MAX_DEPTH, dump
+
+LIMIT = 1_000_000
+
+
+def nested(depth: int, opening: str = '{"a":', middle: str = "1", closing: str = "}") -> bytes:
+    return (opening * depth + middle + closing * depth).encode()
+
+
+@pytest.mark.parametrize(
+    "payload",
+    [
+        b"",
+        b"{",
+        b"[]",
+        b"null",
+        b'"text"',
+        b'{"a":1}{"a":2}',
+        b'{"a":NaN}',
+        b'{"a":-Infinity}',
+        b'{"a":1e999}',
+        b'{"a":9223372036854775808}',
+        b'{"a":' + b"9" * 100_000 + b"}",
+        b'{"a":1,"a":2}',
+        b'{"a":{"b":1,"b":1}}',
+        b'{"a":"\xff"}',
+        rb'{"a":"\ud800"}',
+        rb'{"a":"\u0000"}',
+        rb'{"\u0000":1}',
+        b'{"a":"\x00"}',
+        b"\xef\xbb\xbf{}",
+        nested(MAX_DEPTH + 1),
+        nested(100_000),
+        b'{"a":' + b"[" * 200_000,
+        b'{"a":' + nested(50_000, "[", "", "]") + b"}",
+    ],
+    ids=lambda payload: repr(payload[:24]),
+)
+def test_what_is_no_sound_object_is_refused(payload: bytes) -> None:
+    with pytest.raises(MalformedError) as caught:
+        parse_object(payload, LIMIT)
+    assert len(str(caught.value)) < 200
+    assert str(caught.value).isprintable()
+
+
+@pytest.mark.parametrize(
+    ("payload", "value"),
+    [
+        (b"{}", {}),
+        (b'{"a":[1,2.5,true,null,"x"]}', {"a": [1, 2.5, True, None, "x"]}),
+        (b'{"a":-9223372036854775808}', {"a": -(2**63)}),
+        (rb'{"a":"\\u0000"}', {"a": "\\u0000"}),
+        (rb'{"a":"\u00e9\ud83d\ude97"}', {"a": "é\U0001f697"}),
+        (b'{"a":"' + b"{[" * 40 + b'"}', {"a": "{[" * 40}),
+        (rb'{"a":"\"{{{{{{{{{{{{{{{{{{{{"}', {"a": '"' + "{" * 20}),
+    ],
+    ids=lambda value: repr(value)[:24],
+)
+def test_what_is_sound_is_read(payload: bytes, value: object) -> None:
+    assert parse_object(payload, LIMIT) == value
+
+
+def test_many_brackets_side_by_side_are_not_deep() -> None:
+    assert parse_object(b'{"a":[' + b",".join([b"{}"] * 500) + b"]}", LIMIT) == {"a": [{}] * 500}
+    assert parse_object(nested(MAX_DEPTH), LIMIT)
+
+
+def test_length_counts_before_anything_else() -> None:
+    with pytest.raises(MalformedError, match="4 bytes, more than 3"):
+        parse_object(b"{}  ", 3)
+
+
+@pytest.mark.parametrize("number", [float("nan"), float("inf")])
+def test_what_is_not_finite_is_not_written(number: float) -> None:
+    with pytest.raises(MalformedError):
+        dump({"a": number})

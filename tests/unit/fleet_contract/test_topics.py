@@ -1,0 +1,67 @@
+"""Topics are built and read back, and nothing else is taken for one."""
+
+import pytest
+
+from fleet_contract import Address, Channel, TopicError, filter_of, parse_topic, topic_of
+
+ADDRESSES = [
+    Address(vehicle="car-1", channel=channel, clutch=2 if channel is Channel.CLUTCH else None) for channel in Channel
+]
+
+
+@pytest.mark.parametrize("address", ADDRESSES, ids=lambda address: address.channel.label)
+def test_a_topic_is_read_back(address: Address) -> None:
+    assert parse_topic(address.topic) == address
+    assert topic_of(address.vehicle, address.channel, address.clutch) == address.topic
+
+
+@pytest.mark.parametrize(
+    "topic",
+    [
+        "",
+        "clutchdiag/v1",
+        "clutchdiag/v1/car1",
+        "clutchdiag/v1//shift",
+        "clutchdiag/v1/car1/shift/1",
+        "clutchdiag/v1/car1/clutch",
+        "clutchdiag/v1/car1/clutch/3",
+        "clutchdiag/v1/car1/clutch/01",
+        "clutchdiag/v1/car1/clutch/1/2",
+        "clutchdiag/v1/car1/horn",
+        "clutchdiag/v1/../shift",
+        "clutchdiag/v1/car1\n/shift",
+        "clutchdiag/v1/+/shift",
+        "clutchdiag/v2/car1/shift",
+        "x/clutchdiag/v1/car1/shift",
+        f"clutchdiag/v1/{'a' * 65}/shift",
+    ],
+)
+def test_no_other_topic_is_ours(topic: str) -> None:
+    with pytest.raises(TopicError):
+        parse_topic(topic)
+
+
+@pytest.mark.parametrize(
+    ("vehicle", "channel", "clutch"),
+    [
+        ("car/1", Channel.SHIFT, None),
+        ("+", Channel.SHIFT, None),
+        ("car1", Channel.SHIFT, 1),
+        ("car1", Channel.CLUTCH, None),
+        ("car1", Channel.CLUTCH, 3),
+    ],
+)
+def test_no_topic_for_what_has_none(vehicle: str, channel: Channel, clutch: int | None) -> None:
+    with pytest.raises(TopicError):
+        topic_of(vehicle, channel, clutch)
+
+
+def test_subscriptions_reach_every_vehicle() -> None:
+    assert filter_of(Channel.SHIFT) == "clutchdiag/v1/+/shift"
+    assert filter_of(Channel.CLUTCH) == "clutchdiag/v1/+/clutch/+"
+    assert filter_of(Channel.SHIFT, group="ingest") == "$share/ingest/clutchdiag/v1/+/shift"
+
+
+def test_only_the_backend_speaks_to_vehicles_and_only_states_are_retained() -> None:
+    assert [channel for channel in Channel if channel.is_to_vehicle] == [Channel.ACK]
+    assert [channel for channel in Channel if not channel.is_retained] == [Channel.SHIFT, Channel.ACK]
