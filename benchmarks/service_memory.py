@@ -16,6 +16,7 @@ import sys
 import time
 from collections.abc import AsyncIterator, Iterator
 from contextlib import chdir, redirect_stderr, redirect_stdout
+from functools import partial
 from itertools import pairwise
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -111,17 +112,28 @@ class LoopedDrive:
         )
 
 
+class DriveOpener:
+    """Stands in for ``BusOpener``."""
+
+    def __init__(self, drive: LoopedDrive, *_settings: object, **_options: object) -> None:
+        self._drive = drive
+
+    async def open(self) -> FrameSource:
+        """Return the drive."""
+        return self._drive
+
+    async def restart(self) -> str | None:
+        """Refuse: it has no controller."""
+        return "no controller"
+
+
 def run_service(source: LoopedDrive) -> dict[str, object]:
     """Run ``diag-service run`` on a source until it ends; return the last record that it printed."""
-
-    async def open_source(**_settings: object) -> FrameSource:
-        return source
-
     with (
         Path("out.jsonl").open("w", encoding="utf-8") as out,
         redirect_stdout(out),
         redirect_stderr(out),
-        patch("diag_service.application.open_source", open_source),
+        patch("diag_service.application.BusOpener", partial(DriveOpener, source)),
     ):
         status = cli.main(["run", "--store", "results.sqlite", "--json"])
     if status != arguments.EXIT_OK:

@@ -6,15 +6,17 @@ Symbols in the comments are those of ``docs/model.md``. Clutch 1 carries the odd
 import math
 import tomllib
 from collections.abc import Mapping
-from dataclasses import dataclass, fields
+from dataclasses import MISSING, dataclass, field, fields
+from datetime import date
 from importlib.resources import files
 from pathlib import Path
-from typing import Any, Self, TypeVar
+from typing import Any, Self, TypeVar, cast
 
 from clutch_model.errors import CalibrationError
-from clutch_model.tables import check_keys, numbers, require
+from clutch_model.tables import check_keys, numbers, require, subtable
 
 CLUTCH_COUNT = 2
+MAX_LATENCY_S = 0.2  # a reading that is later still is no measurement of a shift
 Pair = tuple[float, float]  # clutch 1 first
 RecordT = TypeVar("RecordT")
 
@@ -24,11 +26,11 @@ class _Ranged:
     """A record whose every number is finite and, unless a subclass says otherwise, not negative."""
 
     def __post_init__(self) -> None:
-        for field in fields(self):
-            value = getattr(self, field.name)
+        for member in fields(self):
+            value = getattr(self, member.name)
             for number in value if isinstance(value, tuple) else (value,):
                 if isinstance(number, int | float) and not (math.isfinite(number) and number >= 0.0):
-                    raise CalibrationError(f"{type(self).__name__}.{field.name} must be finite and >= 0, got {number}")
+                    raise CalibrationError(f"{type(self).__name__}.{member.name} must be finite and >= 0, got {number}")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -202,6 +204,9 @@ class Uncertainty(_Ranged):
     torque_offset_nm: float  # prior of an estimated state
     touch_pressure_pa: float  # prior of an estimated state
     pressure_zero_pa: float  # prior of an estimated state
+    motoring_gain_ratio: float = 0.0  # of negative engine torque, on top of the gain of all torque
+    stribeck_speed_ratio: float = 0.0  # of both clutches
+    contact_stiffness_ratio: float = 0.0  # of both clutches
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -216,8 +221,61 @@ class SensorNoise(_Ranged):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class SensorBias:
+    """Known errors of one vehicle: ``reading(t) = gain * quantity(t - latency) + offset``.
+
+    Latencies count against the speeds: what delays all readings alike does no harm.
+    """
+
+    torque_gain: float = 1.0
+    motoring_gain: float = 1.0  # of negative engine torque, on top of ``torque_gain``
+    torque_offset_nm: float = 0.0
+    torque_latency_s: float = 0.0
+    pressure_latency_s: float = 0.0
+    touch_offsets_pa: Pair = (0.0, 0.0)  # true touch pressures minus those of the springs
+    pressure_zeros_pa: Pair = (0.0, 0.0)
+
+    def __post_init__(self) -> None:
+        """Check that the readings still mean something."""
+        for member in fields(self):
+            values = getattr(self, member.name)
+            finite = all(math.isfinite(value) for value in (values if isinstance(values, tuple) else (values,)))
+            require(finite, f"{member.name} must be finite")
+        for name in ("torque_gain", "motoring_gain"):
+            require(0.5 <= getattr(self, name) <= 2.0, f"{name} must be 0.5..2, got {getattr(self, name)}")
+        for name in ("torque_latency_s", "pressure_latency_s"):
+            require(abs(getattr(self, name)) <= MAX_LATENCY_S, f"{name} must be within {MAX_LATENCY_S} s")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class JointUncertainty:
+    """What a self-calibration leaves uncertain, with correlations; in place of the single deviations.
+
+    The names are those of the estimator's parameters, see ``docs/model.md``, section "Self-calibration".
+    """
+
+    names: tuple[str, ...]
+    std: tuple[float, ...]
+    correlation: tuple[tuple[float, ...], ...]
+
+    def __post_init__(self) -> None:
+        """Check that it is a correlation matrix."""
+        count = len(self.names)
+        require(len(set(self.names)) == count, "joint names must differ")
+        require(len(self.std) == count and len(self.correlation) == count, f"joint needs {count} rows")
+        require(all(math.isfinite(value) and value >= 0.0 for value in self.std), "joint std must be finite and >= 0")
+        for row, values in enumerate(self.correlation):
+            require(
+                len(values) == count and values[row] == 1.0, "joint correlation must be square, ones on its diagonal"
+            )
+            for column, value in enumerate(values):
+                require(-1.0 <= value <= 1.0, f"joint correlation must be within 1, got {value}")
+                require(value == self.correlation[column][row], "joint correlation must be symmetric")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Calibration:
-    """One vehicle type, as believed by the service or as true in the emulator."""
+    """One vehicle type, as believed by the service or as true in the emulator; or one vehicle, self-calibrated."""
 
     name: str
     version: str
@@ -226,6 +284,9 @@ class Calibration:
     input_side: InputSide
     uncertainty: Uncertainty
     noise: SensorNoise
+    made_on: date | None = field(default=None, repr=False)  # when it was made for one vehicle; no number of the model
+    bias: SensorBias = field(default_factory=SensorBias)
+    joint: JointUncertainty | None = None
 
     @classmethod
     def from_mapping(cls, table: Mapping[str, Any]) -> Self:
@@ -237,7 +298,10 @@ class Calibration:
             Naming the first offending key.
         """
         known = {"name", "version", "clutch", "viscosity", "input_side", "uncertainty", "noise"}
-        check_keys("calibration", table, known)
+        made_on = table.get("made_on")
+        require(made_on is None or type(made_on) is date, f"made_on must be a day (2026-01-31), got {made_on!r}")
+        optional = {"bias", "joint", "made_on"}
+        check_keys("calibration", set(table) | optional, known | optional)
         clutches = table["clutch"]
         require(
             isinstance(clutches, list) and len(clutches) == CLUTCH_COUNT,
@@ -252,6 +316,9 @@ class Calibration:
             input_side=_record(InputSide, table["input_side"], "input_side"),
             uncertainty=_record(Uncertainty, table["uncertainty"], "uncertainty"),
             noise=_record(SensorNoise, table["noise"], "noise"),
+            made_on=made_on,
+            bias=_record(SensorBias, table.get("bias", {}), "bias"),
+            joint=_joint(table["joint"]) if "joint" in table else None,
         )
 
 
@@ -293,8 +360,9 @@ def _parse(text: str, origin: str) -> Calibration:
 def _record(record: type[RecordT], table: object, where: str) -> RecordT:
     if not isinstance(table, Mapping):
         raise CalibrationError(f"{where} must be a table")
-    members = {field.name: field.type for field in fields(record)}  # type: ignore[arg-type]
-    check_keys(where, set(table), set(members))
+    members = {member.name: member.type for member in fields(record)}  # type: ignore[arg-type]
+    optional = {member.name for member in fields(record) if member.default is not MISSING}  # type: ignore[arg-type]
+    check_keys(where, set(table) | optional, set(members))
     values = {}
     for key, value in table.items():
         name = f"{where}.{key}"
@@ -308,6 +376,20 @@ def _record(record: type[RecordT], table: object, where: str) -> RecordT:
         return record(**values)
     except CalibrationError as exc:
         raise CalibrationError(f"{where}: {exc}") from exc
+
+
+def _joint(table: object) -> JointUncertainty:
+    table = subtable(table, "joint")
+    check_keys("joint", table, {"names", "std", "correlation"})
+    names, rows = table["names"], table["correlation"]
+    require(isinstance(names, list) and all(isinstance(name, str) for name in names), "joint.names must be texts")
+    require(isinstance(rows, list), "joint.correlation must be a list of lists")
+    count = len(cast("list[str]", names))
+    return JointUncertainty(
+        names=tuple(cast("list[str]", names)),
+        std=numbers(table["std"], "joint.std", count),
+        correlation=tuple(numbers(row, "joint.correlation", count) for row in cast("list[object]", rows)),
+    )
 
 
 def _clutch(table: object, number: int) -> ClutchCalibration:

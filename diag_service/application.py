@@ -7,8 +7,8 @@ import os
 import sys
 import uuid
 from collections.abc import Callable
-from contextlib import AbstractAsyncContextManager, closing
-from dataclasses import dataclass
+from contextlib import AbstractAsyncContextManager, ExitStack, closing
+from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from importlib.metadata import version
 from pathlib import Path
@@ -22,15 +22,28 @@ from diag_service.estimation.paper import PaperCollection, nominal_driveline
 from diag_service.interpretation import interpret
 from diag_service.live import run_live
 from diag_service.mapping import Decoder
+from diag_service.monitor import Monitor, SilentReporter
+from diag_service.notices import NOTICE
 from diag_service.paper_run import run_paper
 from diag_service.pipeline import Session, Stages, resume, versions_for
-from diag_service.publishers import ConsoleReporter, JsonLinesReporter, Link, MqttConnector, Outbox, Reporter
+from diag_service.publishers import (
+    ConsoleReporter,
+    DetachedReporter,
+    JsonLinesReporter,
+    Link,
+    MqttConnector,
+    Outbox,
+    Reporter,
+)
 from diag_service.publishers.pipe import PipeReporter
 from diag_service.recorded import open_drive, run_logs, stream_of
 from diag_service.results import ServiceStatus, iso_utc
-from diag_service.sources import open_source
+from diag_service.service_manager import ServiceManager
+from diag_service.snapshot import Board, Snapshot, SnapshotTaker
+from diag_service.sources import BusOpener, supervise
 from diag_service.stopping import Trigger
 from diag_service.store import ResultStore, Versions
+from diag_service.summary import frames_line
 
 _LOG = logging.getLogger(__name__)
 
@@ -47,8 +60,17 @@ def run_bus(config: DiagnosisConfig, bus: BusConfig, store_path: Path, controls:
     """Diagnose a live bus until it is told to stop."""
     decoder = interpret(config.dbc, config.profile).decoder()
     with closing(ResultStore.open(store_path)) as store:
-        session = _session(config, decoder, store, None, _reporter(controls.stop, as_json=as_json))
+        reporter = DetachedReporter(_reporter(controls.stop, as_json=as_json))
+        session = _session(config, decoder, store, None, reporter)
         asyncio.run(_run_bus(config, bus, store, session, controls))
+
+
+def run_monitor(config: DiagnosisConfig, bus: BusConfig, controls: Controls) -> None:
+    """Show a live bus until told to stop; nothing is stored or published."""
+    decoder = interpret(config.dbc, config.profile).decoder()
+    with closing(ResultStore.in_memory()) as store, Monitor(_HonestConsole()) as monitor:
+        session = _session(config, decoder, store, None, PipeReporter(SilentReporter(), controls.stop.set))
+        asyncio.run(_run_bus(replace(config, broker=None), bus, store, session, controls, monitor.show))
 
 
 def run_recorded(
@@ -79,18 +101,42 @@ def run_paper_recorded(config: DiagnosisConfig, paths: list[Path], controls: Con
 
 
 async def _run_bus(
-    config: DiagnosisConfig, bus: BusConfig, store: ResultStore, session: Session, controls: Controls
+    config: DiagnosisConfig,
+    bus: BusConfig,
+    store: ResultStore,
+    session: Session,
+    controls: Controls,
+    onlooker: Callable[[Snapshot], None] = lambda _: None,
 ) -> None:
-    source = await open_source(interface=bus.interface, channel=bus.channel, bitrate=bus.bitrate, fd=bus.is_fd)
+    source = await supervise(BusOpener(bus.interface, bus.channel, bus.bitrate, fd=bus.is_fd))
     session.reporter.listening(f"{source.description} for {config.vehicle}, results in {store.where}")
-    await run_live(
-        source,
-        session,
-        stop=controls.stop,
-        counts_wanted=controls.counts_wanted,
-        outbox=_outbox(config, store, is_live=True),
-        duration_s=bus.duration_s,
-    )
+    now_s = asyncio.get_running_loop().time
+    taker = SnapshotTaker(source, session, now_s(), bus.bitrate)
+    manager, board = ServiceManager.from_environment(), Board()
+
+    def show() -> None:
+        snapshot = taker.take(now_s())
+        board.pin(snapshot)
+        onlooker(snapshot)
+        manager.alive(f"bus {snapshot.bus.state.value}, {frames_line(snapshot.frames)}")
+
+    with ExitStack() as stack:
+        stack.callback(manager.stopping)
+        if bus.metrics is not None:
+            from diag_service.metrics import serving  # noqa: PLC0415 - a web server and its library, for few runs
+
+            port = stack.enter_context(serving(bus.metrics, board))
+            _LOG.log(NOTICE, "metrics on http://%s:%d/metrics", bus.metrics.host, port)
+        manager.ready()
+        await run_live(
+            source,
+            session,
+            stop=controls.stop,
+            counts_wanted=controls.counts_wanted,
+            outbox=_outbox(config, store, is_live=True),
+            duration_s=bus.duration_s,
+            show=show,
+        )
 
 
 def _session(

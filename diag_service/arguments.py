@@ -37,6 +37,7 @@ def build_parser() -> Parser:
     parser.add_argument("--version", action="version", version=f"{PROGRAM} {version('clutchdiag')}")
     commands = parser.add_subparsers(dest="command", required=True, metavar="COMMAND", parser_class=Parser)
     _add_run(commands.add_parser("run", help="diagnose a live bus", epilog=_EXIT_TEXT))
+    _add_monitor(commands.add_parser("monitor", help="show a live bus, store nothing", epilog=_EXIT_TEXT))
     _add_analyze(
         commands.add_parser(
             "analyze", help="diagnose recorded logs, or folders of them", description=_FOLDERS, epilog=_EXIT_TEXT
@@ -51,14 +52,28 @@ def build_parser() -> Parser:
 
 
 def _add_run(run: argparse.ArgumentParser) -> None:
-    run.add_argument("-i", "--interface", help="python-can interface: socketcan, udp_multicast, ...")
-    run.add_argument("-c", "--channel", help="channel of the interface, such as vcan0")
-    run.add_argument("-b", "--bitrate", type=int, help="bit rate, for interfaces that set it [bit/s]")
-    run.add_argument("--fd", action="store_true", help="open the interface in CAN FD mode")
-    run.add_argument("--duration", type=float, metavar="S", help="stop after this many seconds")
+    _add_bus(run)
     _add_meaning(run)
     _add_diagnosis(run, "SQLite file for results (default: in the user's state directory, by vehicle)")
     _add_verbosity(run)
+
+
+def _add_monitor(monitor: argparse.ArgumentParser) -> None:
+    _add_bus(monitor)
+    _add_meaning(monitor)
+    _add_verbosity(monitor)
+    monitor.set_defaults(broker=None)
+
+
+def _add_bus(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("-i", "--interface", help="python-can interface: socketcan, udp_multicast, ...")
+    parser.add_argument("-c", "--channel", help="channel of the interface, such as vcan0")
+    parser.add_argument("-b", "--bitrate", type=int, help="bit rate, for interfaces that set it [bit/s]")
+    parser.add_argument("--fd", action="store_true", help="open the interface in CAN FD mode")
+    parser.add_argument("--duration", type=float, metavar="S", help="stop after this many seconds")
+    parser.add_argument(
+        "--metrics", metavar="[HOST:]PORT", help="serve /metrics, /livez and /readyz there (default: nowhere)"
+    )
 
 
 def _add_analyze(analyze: argparse.ArgumentParser) -> None:
@@ -112,7 +127,9 @@ def _add_decode(decode: argparse.ArgumentParser) -> None:
 
 
 def _add_meaning(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("--dbc", type=Path, metavar="FILE", help="message database (default: the shipped one)")
+    parser.add_argument(
+        "--dbc", type=Path, metavar="FILE", help="message database: DBC, KCD, ARXML or SYM (default: the shipped one)"
+    )
     parser.add_argument(
         "--profile",
         type=Path,
@@ -120,10 +137,10 @@ def _add_meaning(parser: argparse.ArgumentParser) -> None:
         help="which DBC signals are which: TOML file or shipped name (default: the shipped one that fits the DBC)",
     )
     parser.add_argument("--calibration", type=Path, metavar="FILE", help="vehicle type (TOML; default: nominal)")
+    parser.add_argument("--vehicle", default="vehicle", metavar="ID", help="vehicle id (default: %(default)s)")
 
 
 def _add_diagnosis(parser: argparse.ArgumentParser, store_help: str) -> None:
-    parser.add_argument("--vehicle", default="vehicle", metavar="ID", help="vehicle id (default: %(default)s)")
     parser.add_argument("--store", type=Path, metavar="FILE", help=store_help)
     parser.add_argument(
         "--broker",

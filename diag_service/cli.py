@@ -14,7 +14,6 @@ from diag_service.arguments import (
     EXIT_STORE,
     EXIT_UNEXPECTED,
     PROGRAM,
-    build_parser,
 )
 from diag_service.errors import ConfigError, SourceError, StoreError
 from diag_service.stopping import Trigger, ignore
@@ -38,7 +37,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _run(options: argparse.Namespace, stop: Trigger, counts_wanted: Trigger) -> None:
-    if options.command == "run":
+    if options.command in {"run", "monitor"}:
         # python-can loads asammdf where it is installed: 45 MB of memory that only logs have a use for.
         sys.modules.setdefault("asammdf", None)  # type: ignore[arg-type]  # Python's own way to say "not here"
     # Imported here: compiled libraries take a second, in which a signal must already find its handler.

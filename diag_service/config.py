@@ -13,6 +13,7 @@ from diag_service.publishers import BrokerAddress
 from fleet_contract import is_vehicle
 
 _DIGEST_LENGTH = 12
+_LOOPBACK = "127.0.0.1"
 
 
 class EstimatorKind(StrEnum):
@@ -34,6 +35,14 @@ class DiagnosisConfig:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class ListenAddress:
+    """Where to serve."""
+
+    host: str
+    port: int
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class BusConfig:
     """Which bus to listen to; ``None`` means what python-can's own configuration says."""
 
@@ -42,6 +51,7 @@ class BusConfig:
     bitrate: int | None
     is_fd: bool
     duration_s: float | None
+    metrics: ListenAddress | None = None  # where to serve metrics and health checks
 
     def __post_init__(self) -> None:
         """Check the numbers."""
@@ -90,6 +100,20 @@ def parse_broker(url: str) -> BrokerAddress:
         username=None if parts.username is None else unquote(parts.username),
         password=None if parts.password is None else unquote(parts.password),
     )
+
+
+def parse_listen_address(text: str) -> ListenAddress:
+    """Return the address that ``[HOST:]PORT`` names; without a host it is this machine's own.
+
+    Raises
+    ------
+    ConfigError
+        If the text is no such address.
+    """
+    host, _, port = text.rpartition(":")
+    if not port.isdecimal() or int(port) > 0xFFFF:
+        raise ConfigError(f"the metrics address must be [HOST:]PORT, got {text!r}")
+    return ListenAddress(host=host.strip("[]") or _LOOPBACK, port=int(port))
 
 
 def check_paper_options(store: Path | None, broker: BrokerAddress | None) -> None:

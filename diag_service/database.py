@@ -1,30 +1,67 @@
-"""Databases of other people: read with the care that foreign files need."""
+"""Databases of other people, DBC, KCD, ARXML and SYM: read with the care that foreign files need.
+
+cantools believes every number in a file: 92 bytes of DBC can take 8.7 GB, and nested ranges of multiplexers multiply.
+So the text is looked at for sizes that no CAN message has, which gives the best message, then parsed in a process of
+its own with little memory and time (database_child.py), which bounds whatever else a file may do and costs a third of
+a second.
+"""
 
 import logging
+import pickle
 import re
+import signal
+import subprocess
+import sys
+from enum import StrEnum
 from pathlib import Path
 from typing import Final
 
-import cantools
 from cantools.database.can import Database
 
+from dbc.contract import DBC_PATH, load_contract
+from diag_service import database_child
 from diag_service.errors import ConfigError
 
-MAX_FILE_BYTES: Final = 32 * 2**20  # the largest public databases have about 5 MB
+MAX_FILE_BYTES: Final = 32 * 2**20  # the largest public databases have about 5 MB as DBC, some more as ARXML
 MAX_MESSAGE_BYTES: Final = 1785  # longest J1939 transport message, far above any CAN frame
 MAX_MULTIPLEX_RANGE: Final = 65_536  # the parser writes every value of a multiplexer range out
 MAX_DIGITS: Final = 9  # no number that sizes something needs more
+PARSER_BYTES: Final = 384 * 2**20  # six megabytes of DBC take 360
+PARSER_TIME_S: Final = 9  # and seven seconds of computing
+MAX_WAIT_S: Final = 60.0  # for the parsing process on a busy machine; its computing time is limited by itself
+HEAD_CHARACTERS: Final = 65_536  # a file says what it is in its beginning
 
 _LOG: Final = logging.getLogger(__name__)
-_STRING: Final = re.compile(r'"(?:[^"\\]|\\.)*"', re.DOTALL)
-_MESSAGE: Final = re.compile(r"\bBO_\s+\d+\s+\w+\s*:\s*(\d+)")
-_SIGNAL_PLACE: Final = re.compile(r"(\d+)\s*\|\s*(\d+)\s*@")
-_MULTIPLEX_VALUES: Final = re.compile(r"\bSG_MUL_VAL_\s[^;]*;")
-_RANGE: Final = re.compile(r"(\d+)\s*-\s*(\d+)")
+# None of these looks at a character more than a few times, whatever the text: possessive, and open ends are ends.
+_STRING: Final = re.compile(r'"(?:[^"\\]|\\.)*+(?:"|\Z)', re.DOTALL)
+_MESSAGE: Final = re.compile(r"\bBO_\s++\d++\s++\w++\s*+:\s*+(\d++)")
+_SIGNAL_PLACE: Final = re.compile(r"(?<!\d)(\d++)\s*+\|\s*+(\d++)\s*+@")
+_MULTIPLEX_VALUES: Final = re.compile(r"\bSG_MUL_VAL_\s[^;]*+(?:;|\Z)")
+_RANGE: Final = re.compile(r"(?<!\d)(\d++)\s*+-\s*+(\d++)")
+_ROOT: Final = re.compile(r"<(?:[\w.-]+:)?([A-Za-z_][\w.-]*)[\s/>]")
+_BYTE_ORDER_MARKS: Final = (b"\xff\xfe", b"\xfe\xff")  # of UTF-16
+
+
+class DatabaseFormat(StrEnum):
+    """The formats that can be read, as cantools names them."""
+
+    DBC = "dbc"
+    KCD = "kcd"
+    ARXML = "arxml"
+    SYM = "sym"
+
+
+_ARTICLE: Final = {
+    DatabaseFormat.DBC: "a DBC",
+    DatabaseFormat.KCD: "a KCD",
+    DatabaseFormat.ARXML: "an ARXML",
+    DatabaseFormat.SYM: "a SYM",
+}
+_FORMAT_OF_ROOT: Final = {"NetworkDefinition": DatabaseFormat.KCD, "AUTOSAR": DatabaseFormat.ARXML}
 
 
 def load_database(path: Path) -> Database:
-    """Return the messages of a DBC file.
+    """Return the messages of a DBC, KCD, ARXML or SYM file; which one it is, its contents say.
 
     A file that breaks the strict rules (overlapping signals, signals outside their message) is loaded without them,
     and a warning is logged; whether the signals in use are sound is checked when they are mapped.
@@ -32,16 +69,20 @@ def load_database(path: Path) -> Database:
     Raises
     ------
     ConfigError
-        If the file is missing, unreadable, not a DBC, has no messages, or names sizes that no CAN message has.
+        If the file is missing, unreadable, of another format, has no messages, names sizes that no CAN message has, or
+        takes too much memory or time to parse.
     """
+    if path == DBC_PATH:
+        return load_contract()
     text = _read_text(path)
-    _refuse_absurd_sizes(text, path)
-    try:
-        database = _parse(text, strict=True)
-    except cantools.Error as strict_error:
-        database = _parse_leniently(text, path, strict_error)
+    database_format = _format_of(text, path)
+    if database_format == DatabaseFormat.DBC:
+        _refuse_absurd_sizes(text, path)
+    database, complaint = _parse(text, database_format, path)
     if not database.messages:
-        raise ConfigError(f"{path} is not a DBC file, or it has no messages")
+        raise ConfigError(f"{path} is not {_ARTICLE[database_format]} file, or it has no messages")
+    if complaint:
+        _LOG.warning("%s does not load strictly (%s); loaded without strict checks", path, complaint)
     return database
 
 
@@ -49,14 +90,31 @@ def _read_text(path: Path) -> str:
     """Return the text of the file; DBC files come in UTF-8 and in the Windows code page."""
     try:
         if path.stat().st_size > MAX_FILE_BYTES:
-            raise ConfigError(f"{path} is too large for a DBC file (more than {MAX_FILE_BYTES // 2**20} MiB)")
+            raise ConfigError(f"{path} is too large for a database (more than {MAX_FILE_BYTES // 2**20} MiB)")
         content = path.read_bytes()
     except OSError as error:
-        raise ConfigError(f"cannot read the DBC file {path}: {error.strerror or error}") from error
+        raise ConfigError(f"cannot read the database {path}: {error.strerror or error}") from error
+    if content.startswith(_BYTE_ORDER_MARKS):
+        return content.decode("utf-16", errors="replace")
     try:
         return content.decode("utf-8-sig")
     except UnicodeDecodeError:
         return content.decode("cp1252", errors="replace")
+
+
+def _format_of(text: str, path: Path) -> DatabaseFormat:
+    """Return the format of a text; whatever is nothing else is taken for a DBC file."""
+    head = text[:HEAD_CHARACTERS].lstrip()
+    if head.startswith("FormatVersion"):
+        return DatabaseFormat.SYM
+    if not head.startswith("<"):
+        return DatabaseFormat.DBC
+    root = _ROOT.search(head)
+    if root is None or root[1] not in _FORMAT_OF_ROOT:
+        raise ConfigError(f"{path} is not a DBC file, and of XML neither KCD nor ARXML")
+    if "<!DOCTYPE" in text or "<!ENTITY" in text:
+        raise ConfigError(f"{path} defines a document type or entities, which no {root[1]} file needs")
+    return _FORMAT_OF_ROOT[root[1]]
 
 
 def _refuse_absurd_sizes(text: str, path: Path) -> None:
@@ -84,26 +142,26 @@ def _shown(digits: str) -> str:
     return digits if len(digits) <= 20 else f"{digits[:17]}..."
 
 
-def _parse(text: str, *, strict: bool) -> Database:
-    """Return what cantools makes of the text."""
-    database = cantools.database.load_string(text, database_format="dbc", strict=strict)
-    if not isinstance(database, Database):
-        raise TypeError("not a CAN database")
-    return database
-
-
-def _parse_leniently(text: str, path: Path, strict_error: Exception) -> Database:
-    """Return the database without strict checks; tell the user what they found."""
+def _parse(text: str, database_format: DatabaseFormat, path: Path) -> tuple[Database, str]:
+    """Return what cantools makes of the text, and what its strict check complains of."""
+    limits = (str(PARSER_BYTES), str(PARSER_TIME_S))
+    command = [sys.executable, "-P", database_child.__file__, database_format, *limits]
     try:
-        database = _parse(text, strict=False)
-    except cantools.Error as error:
-        raise ConfigError(f"{path} is not a DBC file: {_one_line(error)}") from error
-    _LOG.warning("%s does not load strictly (%s); loaded without strict checks", path, _one_line(strict_error))
-    return database
-
-
-def _one_line(error: Exception) -> str:
-    """Return the text of a foreign error, on one line of bearable length."""
-    cause = error.__cause__ or error
-    text = " ".join(str(cause).split()) or type(cause).__name__
-    return text if len(text) <= 160 else f"{text[:157]}..."
+        done = subprocess.run(  # noqa: S603 - this interpreter, a script of ours
+            command, input=text.encode(), capture_output=True, check=False, timeout=MAX_WAIT_S
+        )
+    except subprocess.TimeoutExpired as error:
+        raise ConfigError(f"{path} was not parsed within {MAX_WAIT_S:.0f} s") from error
+    except OSError as error:
+        raise ConfigError(f"cannot start the process that parses {path}: {error.strerror or error}") from error
+    if done.returncode == database_child.OUT_OF_MEMORY or b"MemoryError" in done.stderr:
+        raise ConfigError(f"{path} takes more than {PARSER_BYTES // 2**20} MiB of memory to parse")
+    if done.returncode in {-signal.SIGXCPU, -signal.SIGKILL}:
+        raise ConfigError(f"{path} takes more than {PARSER_TIME_S} s to parse")
+    if done.returncode != 0:
+        lines = done.stderr.decode(errors="replace").strip().splitlines() or ["the parser ended without a word"]
+        raise ConfigError(f"{path} is not {_ARTICLE[database_format]} file: {lines[-1][:200]}")
+    database, complaint = pickle.loads(done.stdout)  # noqa: S301 - written by our own script
+    if not isinstance(database, Database):
+        raise ConfigError(f"{path} holds no CAN messages")
+    return database, str(complaint)

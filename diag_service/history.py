@@ -1,18 +1,20 @@
 """The recent past of a stream of column batches: what the finders of events look back on, with bounded memory."""
 
+from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
 
-from diag_service.records import ColumnBatch, Columns, Int64Array, Series, Signal
+from diag_service.records import ColumnBatch, Columns, E2eChange, E2eState, Int64Array, Series, Signal
 
 
 class History:
-    """The recent samples of all signals and the times of bad frames, until they are dropped."""
+    """The recent samples of all signals, the times of bad frames and the states of messages, until they are dropped."""
 
     def __init__(self) -> None:
         self._tracks: dict[Signal, _Track] = {}
         self._bad_ns: list[Int64Array] = []
+        self._e2e: dict[str, list[E2eChange]] = {}
         self.watermark_ns = -1  # all that happened before it has been seen
 
     @property
@@ -26,6 +28,8 @@ class History:
             self._tracks.setdefault(signal, _Track()).append(series)
         if len(batch.bad_frame_ns):
             self._bad_ns.append(batch.bad_frame_ns)
+        for change in batch.e2e_changes:
+            self._e2e.setdefault(change.message, []).append(change)
         self.watermark_ns = max(self.watermark_ns, batch.watermark_ns)
 
     def samples(self, signal: Signal, start_ns: int, stop_ns: int) -> Series:
@@ -41,16 +45,24 @@ class History:
         """Return how many frames were rejected or missing in ``start_ns <= t_ns < stop_ns``."""
         return sum(int(np.count_nonzero((times >= start_ns) & (times < stop_ns))) for times in self._bad_ns)
 
+    def e2e_states(self, start_ns: int, stop_ns: int) -> Mapping[str, E2eState]:
+        """Return, by message, INVALID if it was that in ``start_ns <= t_ns < stop_ns``, else its last state there."""
+        return {message: _worst(changes, start_ns, stop_ns) for message, changes in sorted(self._e2e.items())}
+
     def drop_before(self, keep_ns: int) -> None:
         """Forget what lies before ``keep_ns``, a little late."""
         for track in self._tracks.values():
             track.drop_before(keep_ns)
         self._bad_ns = [times for times in self._bad_ns if times.max() >= keep_ns]
+        for changes in self._e2e.values():
+            while len(changes) > 1 and changes[1].t_ns <= keep_ns:
+                del changes[0]
 
     def clear(self) -> None:
         """Forget everything: another segment of bus time begins."""
         self._tracks.clear()
         self._bad_ns.clear()
+        self._e2e.clear()
         self.watermark_ns = -1
 
 
@@ -96,6 +108,18 @@ class _Track:
 
 
 _NO_SAMPLES = Series(t_ns=np.empty(0, np.int64), sequence=np.empty(0, np.int64), value=np.empty(0))
+
+
+def _worst(changes: list[E2eChange], start_ns: int, stop_ns: int) -> E2eState:
+    state = E2eState.NO_DATA
+    was_invalid = False
+    for change in changes:
+        if change.t_ns >= stop_ns:
+            break
+        if change.t_ns > start_ns:
+            was_invalid |= state is E2eState.INVALID
+        state = change.state
+    return E2eState.INVALID if was_invalid else state
 
 
 def held(series: Series, t_ns: Int64Array, before: int) -> Int64Array:

@@ -3,66 +3,71 @@
 import asyncio
 import logging
 from collections.abc import Callable, Sequence
-from dataclasses import replace
 
-from diag_service.errors import SourceError
+from diag_service.errors import SourceError, StoreError
 from diag_service.notices import NOTICE
 from diag_service.pipeline import Session
 from diag_service.publishers import Outbox
 from diag_service.records import ShiftEvent
-from diag_service.sources import FrameSource
+from diag_service.snapshot import frame_counts
+from diag_service.sources import LinkBreak, LiveSource
 from diag_service.stopping import Trigger
 from diag_service.summary import FrameCounts, Summary, frames_line, shifts_line
 from diag_service.tasks import first_error
 
 COUNTS_PERIOD_S = 60.0
+SHOW_PERIOD_S = 0.5
+SENDER_PAUSE_S = 1.0
 _LOG = logging.getLogger(__name__)
 
 
 async def run_live(
-    source: FrameSource,
+    source: LiveSource,
     session: Session,
     *,
     stop: Trigger,
     counts_wanted: Trigger,
     outbox: Outbox | None,
     duration_s: float | None,
+    show: Callable[[], None] = lambda: None,
 ) -> Summary:
     """Diagnose a live bus until ``stop``, ``duration_s`` or its failure; return the numbers.
 
-    The bus is read while a worker thread estimates; what it cannot keep up with is counted by the source. An open
-    shift is reported as interrupted, and all that was found is stored and told, before an error of the bus is raised.
+    The bus is read while a worker thread estimates; what it cannot keep up with is counted by the source. A shift that
+    is open when the bus goes away is reported as interrupted. If the bus does not come back, all that was found is
+    stored and told before its error is raised.
+
+    Parameters
+    ----------
+    show
+        Called every ``SHOW_PERIOD_S`` by the loop that reads the bus, and once more when that has ended.
 
     Raises
     ------
     SourceError
-        If the bus fails.
+        If the bus fails for good.
     StoreError
         If a result cannot be stored.
     """
 
-    def frame_counts() -> FrameCounts:
-        seen = source.counts
-        return replace(
-            session.stages.frame_counts(),
-            on_bus=seen.received + seen.kernel_dropped,
-            unsupported=seen.unsupported,
-            kernel_dropped=seen.kernel_dropped,
-            queue_dropped=seen.queue_dropped,
-        )
+    def counts() -> FrameCounts:
+        return frame_counts(source, session.stages)
 
     failure: SourceError | None = None
     unpublished_count: int | None = None
     try:
         async with asyncio.TaskGroup() as tasks:
-            sender = None if outbox is None else tasks.create_task(outbox.run(), name="outbox")
+            sender = None if outbox is None else tasks.create_task(_keep_sending(outbox), name="outbox")
             helpers = (
                 tasks.create_task(_close_in_time(source, stop, duration_s), name="closer"),
-                tasks.create_task(_tell_counts(session, frame_counts, counts_wanted), name="counts"),
+                tasks.create_task(_tell_counts(session, counts, counts_wanted), name="counts"),
+                tasks.create_task(_show(show), name="onlookers"),
             )
             try:
-                async for batch in source:
-                    await _settle_all(session, session.stages.segment(batch), outbox)
+                async for part in source:
+                    stages = session.stages
+                    events = stages.flush() if isinstance(part, LinkBreak) else stages.segment(part)
+                    await _settle_all(session, events, outbox)
             except SourceError as exc:
                 failure = exc
             await _settle_all(session, session.stages.flush(), outbox)
@@ -74,10 +79,11 @@ async def run_live(
         raise first_error(group) from group
     finally:
         await source.aclose()
-    session.finish(frame_counts(), unpublished_count)
+    show()
+    session.finish(counts(), unpublished_count)
     if failure is not None:
         raise failure
-    return session.summary(frame_counts(), unpublished_count)
+    return session.summary(counts(), unpublished_count)
 
 
 async def _settle_all(session: Session, events: Sequence[ShiftEvent], outbox: Outbox | None) -> None:
@@ -87,7 +93,24 @@ async def _settle_all(session: Session, events: Sequence[ShiftEvent], outbox: Ou
             outbox.nudge()
 
 
-async def _close_in_time(source: FrameSource, stop: Trigger, duration_s: float | None) -> None:
+async def _keep_sending(outbox: Outbox) -> None:
+    """Run the outbox until it is done; one that dies is started again, unless the store is what failed."""
+    while True:
+        sender = asyncio.create_task(outbox.run(), name="outbox run")
+        try:
+            await asyncio.wait({sender})
+        finally:
+            sender.cancel()
+        error = sender.exception()
+        if error is None:
+            return
+        if isinstance(error, StoreError):
+            raise error
+        _LOG.error("sending results failed: %s; they are in the store, trying again", " ".join(str(error).split()))
+        await asyncio.sleep(SENDER_PAUSE_S)
+
+
+async def _close_in_time(source: LiveSource, stop: Trigger, duration_s: float | None) -> None:
     """Close the source at ``stop`` or after ``duration_s``; its iteration ends with what was received until then."""
     try:
         await asyncio.wait_for(_next(stop), duration_s)
@@ -107,6 +130,12 @@ async def _tell_counts(session: Session, frame_counts: Callable[[], FrameCounts]
         wanted.is_set = False
         frames = frame_counts()
         _LOG.log(level, "%s; %s", frames_line(frames), shifts_line(session.summary(frames, None)))
+
+
+async def _show(show: Callable[[], None]) -> None:
+    while True:
+        show()
+        await asyncio.sleep(SHOW_PERIOD_S)
 
 
 async def _next(trigger: Trigger) -> None:

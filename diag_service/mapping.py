@@ -7,18 +7,23 @@ from typing import Final
 
 import numpy as np
 from cantools.database.can import Database, Message
+from cantools.database.can.signal import Signal as DatabaseSignal
 
 from diag_service.addressing import Address, message_address, rows_by_slot
 from diag_service.decode import PayloadWords, payload_words
+from diag_service.e2e_state import E2eStates
+from diag_service.error_frames import BusError, tells
 from diag_service.errors import ConfigError
 from diag_service.frames import FrameBatch
 from diag_service.profile import Conversion, Profile, SignalSource, to_si
 from diag_service.protection_check import FrameReason, FrameVerdicts, LinkMonitor
-from diag_service.records import ColumnBatch, GearRatios, Int64Array, Series, Signal
+from diag_service.records import ColumnBatch, E2eState, GearRatios, Int64Array, Series, Signal
 from diag_service.source_tables import SourceTable, compile_source, find_message, signal_name
+from diag_service.tiers import MANDATORY
 
 MAX_GAP_NS: Final = 1_000_000_000  # a bus that was silent for longer starts a new segment
 NS_PER_MS: Final = 1_000_000
+NS_PER_S: Final = 1_000_000_000
 
 REJECTIONS: Final = tuple(reason for reason in FrameReason if reason not in {FrameReason.OK, FrameReason.UNKNOWN_ID})
 
@@ -32,6 +37,8 @@ class MessageCounts:
     missing: int  # sent, says the alive counter, but never received
     channels: Mapping[int, int]  # frames by the bus they came on
     senders: Mapping[int, int]  # frames by J1939 source address, empty for other messages
+    e2e_state: E2eState
+    invalidations: int  # times that the message as a whole lost its trust
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -55,6 +62,7 @@ class SignalColumn:
     signal: Signal
     table: SourceTable
     to_si: Conversion
+    limits: tuple[float, float] | None  # ends of the scale in SI, None if the database does not say
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -119,8 +127,23 @@ def fitting(database: Database, profile: Profile) -> tuple[tuple[MessageColumns,
 
 def _column(message: Message, signal: Signal, source: SignalSource) -> SignalColumn:
     """Return one compiled signal."""
-    unit = message.get_signal_by_name(signal_name(message, source)).unit
-    return SignalColumn(signal=signal, table=compile_source(message, source), to_si=to_si(signal, source, unit))
+    found = message.get_signal_by_name(signal_name(message, source))
+    convert = to_si(signal, source, found.unit)
+    is_plain = source.check_range and source.less is None and source.times is None
+    return SignalColumn(
+        signal=signal,
+        table=compile_source(message, source),
+        to_si=convert,
+        limits=_limits(found, convert) if is_plain else None,
+    )
+
+
+def _limits(signal: DatabaseSignal, convert: Conversion) -> tuple[float, float] | None:
+    """Return the ends of a signal's scale in SI."""
+    if signal.minimum is None or signal.maximum is None or not signal.minimum < signal.maximum:
+        return None
+    low, high = np.sort(convert(np.array([signal.minimum, signal.maximum], np.float64))).tolist()
+    return low, high
 
 
 class Decoder:
@@ -146,9 +169,13 @@ class Decoder:
         )
         self.gears: GearRatios | None = profile.gears
         self.profile_name = profile.name
+        self._e2e = E2eStates(
+            [mapped.message.name for mapped in self._messages], [mapped.period_ns for mapped in self._messages]
+        )
         self._invalid: dict[Signal, int] = {}
         self._seen: set[Signal] = set()
         self._last_ns: int | None = None
+        self._is_interrupted = False
 
     @property
     def signals(self) -> frozenset[Signal]:
@@ -161,10 +188,31 @@ class Decoder:
         return frozenset(self._seen)
 
     @property
+    def mandatory_messages(self) -> frozenset[str]:
+        """The messages without which there is no estimate."""
+        return frozenset(
+            mapped.message.name
+            for mapped in self._messages
+            if any(column.signal in MANDATORY for column in mapped.columns)
+        )
+
+    @property
+    def nominal_hz(self) -> Mapping[str, float]:
+        """How often each cyclic message should come."""
+        return {m.message.name: NS_PER_S / m.period_ns for m in self._messages if m.period_ns > 0}
+
+    @property
+    def limits(self) -> Mapping[Signal, tuple[float, float]]:
+        """The ends of the scales of the signals for which the database tells them, SI."""
+        columns = (column for mapped in self._messages for column in mapped.columns)
+        return {column.signal: column.limits for column in columns if column.limits is not None}
+
+    @property
     def counts(self) -> DecoderCounts:
         """What became of all frames until now."""
         counts, missing = self._monitor.counts, self._monitor.missing
         total = counts.sum(axis=0)
+        states, invalidations = self._e2e.states, self._e2e.invalidations
         messages = {
             mapped.message.name: MessageCounts(
                 decoded=int(counts[slot, FrameReason.OK]),
@@ -172,6 +220,8 @@ class Decoder:
                 missing=int(missing[slot]),
                 channels=self._monitor.channels(slot),
                 senders=self._monitor.senders(slot),
+                e2e_state=states[slot],
+                invalidations=invalidations[slot],
             )
             for slot, mapped in enumerate(self._messages)
         }
@@ -190,14 +240,21 @@ class Decoder:
         """Return the columns of a batch: none if it is empty, several if bus time jumps inside it."""
         return [self._decode(segment, breaks_before=breaks) for segment, breaks in self._segments(batch)]
 
+    def interrupt(self) -> None:
+        """End the segment: what comes next has nothing to do with what came before."""
+        self._is_interrupted = True
+
     def _segments(self, batch: FrameBatch) -> Iterator[tuple[FrameBatch, bool]]:
-        """Cut a batch where bus time goes back or stands still on the bus for too long."""
+        """Cut a batch where bus time goes back or stands still for too long, and where the controller left the bus."""
         if not len(batch):
             return
         before_ns = batch.t_ns[0] if self._last_ns is None else self._last_ns
         steps_ns = np.diff(batch.t_ns, prepend=before_ns)
-        jumps = np.flatnonzero((steps_ns < 0) | (steps_ns > MAX_GAP_NS)).tolist()
+        breaks = (steps_ns < 0) | (steps_ns > MAX_GAP_NS) | tells(batch, BusError.BUS_OFF)
+        breaks[0] |= self._is_interrupted
+        jumps = np.flatnonzero(breaks).tolist()
         self._last_ns = int(batch.t_ns[-1])
+        self._is_interrupted = False
         starts = jumps if jumps[:1] == [0] else [0, *jumps]
         for start, stop in zip(starts, [*starts[1:], len(batch)], strict=True):
             yield batch[start:stop], start in jumps
@@ -206,6 +263,7 @@ class Decoder:
         """Return the columns of frames without a jump of bus time between them."""
         if breaks_before:
             self._monitor.reset()
+            self._e2e.reset()
         verdicts = self._monitor.check(segment)
         columns: dict[Signal, Series] = {}
         for slot, rows in rows_by_slot(verdicts.accepted, len(self._messages)):
@@ -222,6 +280,7 @@ class Decoder:
             watermark_ns=int(segment.t_ns[-1]),
             breaks_before=breaks_before,
             bad_frame_ns=_bad_frame_ns(segment, verdicts),
+            e2e_changes=self._e2e.follow(segment.t_ns, verdicts),
         )
 
     def _series(

@@ -1,7 +1,7 @@
 """The order of the stages: the only file that knows it. ``live`` and ``recorded`` feed it."""
 
 import logging
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 
 from clutch_model.calibration import Calibration
@@ -11,14 +11,25 @@ from diag_service.estimation.estimator import without_friction
 from diag_service.frames import FrameBatch
 from diag_service.gear_tracking import tracker_for
 from diag_service.indices import measure
-from diag_service.mapping import Decoder
+from diag_service.mapping import Decoder, MessageCounts
 from diag_service.publishers import Reporter
-from diag_service.records import ClutchVerdict, Reason, ShiftEstimate, ShiftEvent, ShiftResult, Signal, Status, Tier
+from diag_service.records import (
+    ClutchVerdict,
+    Reason,
+    ShiftEstimate,
+    ShiftEvent,
+    ShiftIndices,
+    ShiftResult,
+    Signal,
+    Status,
+    Tier,
+)
 from diag_service.results import utc_from_bus_ns
 from diag_service.shifts import ShiftFinder
 from diag_service.store import ResultStore, VehicleState, Versions
 from diag_service.summary import Capability, FrameCounts, ShiftTally, Summary, frames_line, summarise
 from diag_service.tiers import missing_for_next, tier_of
+from diag_service.trust import TrustBasis, assess, reasons_against
 
 _LOG = logging.getLogger(__name__)
 
@@ -42,6 +53,11 @@ class Stages:
         self.tier = tier_of(decoder.signals, knows_gears=knows_gears(decoder))
         self._estimator = Estimator(calibration)
         self._calibration = calibration
+        self._basis = TrustBasis(
+            mandatory_messages=decoder.mandatory_messages,
+            limits=decoder.limits,
+            calibration_date=calibration.made_on,
+        )
         self._belief = belief
         self._memory = memory
 
@@ -54,7 +70,8 @@ class Stages:
         return [event for columns in self._decoder.feed(batch) for event in self._finder.feed(columns)]
 
     def flush(self) -> list[ShiftEvent]:
-        """End the stream: return what is still open."""
+        """End the segment: return what is still open; frames that come later begin another one."""
+        self._decoder.interrupt()
         return self._finder.flush()
 
     def conclude(self, event: ShiftEvent) -> Diagnosis:
@@ -62,17 +79,27 @@ class Stages:
 
         Below the first tier nothing is said of friction, and the running state stays as it is.
         """
+        trust = assess(event, self._basis)
+        belief, estimate = self._estimate(event)
+        indices: ShiftIndices | None = measure(event, self._calibration)
+        if estimate.status is not Status.REJECTED and (reasons := reasons_against(trust)):
+            estimate = replace(estimate, status=Status.REJECTED, reasons=reasons, friction=None)
+            belief, indices = self._belief, None  # data that are not trusted leave no trace in the running state
+        self._belief = belief
+        estimate = replace(estimate, trust=trust, tier=self.tier or Tier.KINEMATIC, indices=indices)
         if self.tier is Tier.FRICTION:
-            self._belief, estimate = self._estimator.estimate(event, self._belief)
             self._memory, verdict = judge(self._memory, self._belief, estimate.clutch, self._calibration)
         else:
-            estimate = without_friction(event, Status.UNOBSERVED, Reason.SIGNAL_MISSING)
             verdict = no_verdict(estimate.clutch, missing_for_next(self._decoder.signals))
-        estimate = replace(estimate, tier=self.tier or Tier.KINEMATIC, indices=measure(event, self._calibration))
         return Diagnosis(estimate=estimate, verdict=verdict, belief=self._belief, memory=self._memory)
 
+    def _estimate(self, event: ShiftEvent) -> tuple[Belief, ShiftEstimate]:
+        if self.tier is Tier.FRICTION:
+            return self._estimator.estimate(event, self._belief)
+        return self._belief, without_friction(event, Status.UNOBSERVED, Reason.SIGNAL_MISSING)
+
     def capability(self) -> Capability:
-        """Return what the signals that came suffice for; without any frame, those that may come."""
+        """Return what the signals that came suffice for."""
         seen = self._decoder.seen
         has_gears = knows_gears(self._decoder)
         return Capability(
@@ -81,6 +108,16 @@ class Stages:
             missing=missing_for_next(seen, knows_gears=has_gears),
             unseen=tuple(signal.value for signal in Signal if signal in self._decoder.signals - seen),
         )
+
+    @property
+    def messages(self) -> Mapping[str, MessageCounts]:
+        """What became of the frames of each message, and its state."""
+        return self._decoder.counts.messages
+
+    @property
+    def nominal_hz(self) -> Mapping[str, float]:
+        """How often each cyclic message should come."""
+        return self._decoder.nominal_hz
 
     def frame_counts(self) -> FrameCounts:
         """Return what the decoder counted; how the frames came here, their source adds."""
@@ -139,6 +176,16 @@ class Session:
             result = self._diagnose(event)
         self._tally.add(result, is_new=is_new)
         self.reporter.report(result)
+
+    @property
+    def vehicle(self) -> str:
+        """Vehicle id."""
+        return self._vehicle
+
+    @property
+    def recent(self) -> tuple[ShiftResult, ...]:
+        """The last shifts, oldest first."""
+        return self._tally.recent
 
     def summary(self, frames: FrameCounts, unpublished_count: int | None) -> Summary:
         """Return the numbers of the run as they stand."""

@@ -11,6 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 FloatArray = npt.NDArray[np.float64]
+BoolArray = npt.NDArray[np.bool_]
 Int64Array = npt.NDArray[np.int64]
 UInt8Array = npt.NDArray[np.uint8]
 UInt32Array = npt.NDArray[np.uint32]
@@ -97,6 +98,24 @@ class Series:
 Columns = Mapping[Signal, Series]
 
 
+class E2eState(IntEnum):
+    """What a message as a whole is worth, in the words of AUTOSAR's E2E state machine."""
+
+    NO_DATA = 0  # never heard in this segment
+    INIT = 1  # heard, not yet often enough
+    VALID = 2
+    INVALID = 3  # too many frames lost, broken, repeated or out of sequence
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class E2eChange:
+    """A message whose state changed."""
+
+    t_ns: int
+    message: str
+    state: E2eState
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ColumnBatch:
     """Decoded columns of one batch of frames.
@@ -109,6 +128,7 @@ class ColumnBatch:
     watermark_ns: int
     breaks_before: bool = False
     bad_frame_ns: Int64Array = field(default_factory=lambda: np.empty(0, np.int64))  # (m,) rejected or missing
+    e2e_changes: tuple[E2eChange, ...] = ()  # of each message in the order of time
 
 
 class EndReason(StrEnum):
@@ -132,6 +152,7 @@ class ShiftEvent:
     end_reason: EndReason
     columns: Columns
     bad_frame_count: int  # rejected or missing frames of mapped messages inside the cut
+    e2e: Mapping[str, E2eState] = field(default_factory=dict)  # message -> INVALID if it ever was, else its last state
 
 
 class Tier(IntEnum):
@@ -174,8 +195,18 @@ class Reason(StrEnum):
     FRAMES_MISSING = "frames_missing"
     NO_SLIP_WINDOW = "no_slip_window"
     MISFIT = "misfit"  # chi-square above the gate
+    SENSOR_FROZEN = "sensor_frozen"  # a signal repeats a value while noise is expected
+    SPEEDS_DISAGREE = "speeds_disagree"  # shafts that turn together read different speeds
+    PRESSURE_OFF_COMMAND = "pressure_off_command"  # a loaded clutch's pressure is not the commanded one
+    ZERO_JUMPED = "zero_jumped"  # an empty clutch's pressure reads something else than before
     OUT_OF_RANGE = "out_of_range"  # a signal outside the domain of the model
     NOT_UPDATED = "not_updated"  # sound, but the running state refused it
+    E2E_INVALID = "e2e_invalid"  # a message that the estimate needs was not to be believed as a whole
+    TIME_UNSURE = "time_unsure"  # frames came too late to say when they were sent
+    SATURATED = "saturated"  # signals at the end of their scale
+    IMPLAUSIBLE = "implausible"  # sensors contradict each other
+    CALIBRATION_OLD = "calibration_old"
+    LOW_TRUST = "low_trust"  # each flaw alone would pass, together they do not
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -196,6 +227,25 @@ class FrictionEstimate:
     slope_s_rad: float  # (mu_c - mu_s) / w_S: initial slope of the Stribeck curve
     std_slope_s_rad: float
     probability_negative_slope: float
+
+
+class TrustPart(StrEnum):
+    """What the trust in a shift's data is made of."""
+
+    FRAMES = "frames"
+    PROTECTION = "protection"
+    TIME = "time"
+    SATURATION = "saturation"
+    PLAUSIBILITY = "plausibility"
+    CALIBRATION = "calibration"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Trust:
+    """How far the data of a shift may be trusted, each 0..1; parts that cannot be judged are left out."""
+
+    score: float
+    parts: Mapping[TrustPart, float]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -232,6 +282,7 @@ class ShiftEstimate:
     slip_energy_j: float | None
     duration_s: float
     odometer_m: float | None
+    trust: Trust | None = None  # in the data, whatever the estimate; None in results of older versions
     tier: Tier = Tier.FRICTION  # what the vehicle's signals suffice for
     indices: ShiftIndices | None = None
 

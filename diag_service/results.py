@@ -21,6 +21,8 @@ from diag_service.records import (
     ShiftResult,
     Status,
     Tier,
+    Trust,
+    TrustPart,
 )
 from fleet_contract import Channel
 
@@ -94,6 +96,7 @@ def shift_record(result: ShiftResult) -> JsonObject:
         "clutch_temperature_k": estimate.clutch_temperature_k,
         "slip_energy_j": estimate.slip_energy_j,
         "odometer_m": estimate.odometer_m,
+        "trust": _trust_record(estimate.trust),
         "verdict": _verdict_record(result.verdict),
         "algorithm_version": result.algorithm_version,
         "calibration_version": result.calibration_version,
@@ -181,6 +184,12 @@ def _friction_record(friction: FrictionEstimate | None) -> JsonObject | None:
     return None if friction is None else asdict(friction)
 
 
+def _trust_record(trust: Trust | None) -> JsonObject | None:
+    if trust is None:
+        return None
+    return {"score": trust.score, "parts": {part.value: value for part, value in trust.parts.items()}}
+
+
 def _verdict_record(verdict: ClutchVerdict) -> JsonObject:
     return {
         "clutch": verdict.clutch,
@@ -217,6 +226,7 @@ def _shift_from(table: JsonObject) -> ShiftResult:
         odometer_m=_optional(table, "odometer_m"),
         tier=Tier(_value(table, "tier", int)) if "tier" in table else Tier.FRICTION,  # older results lack both
         indices=_indices_from(table.get("indices")),
+        trust=_trust_from(table.get("trust")),
     )
     return ShiftResult(
         vehicle=_value(table, "vehicle", str),
@@ -241,6 +251,15 @@ def _verdict_from(table: object) -> ClutchVerdict:
         friction=_friction_from(table["friction"]),
         shift_count=_value(table, "shift_count", int),
     )
+
+
+def _trust_from(table: object) -> Trust | None:
+    if table is None:
+        return None
+    if not isinstance(table, dict) or not isinstance(table["parts"], dict):
+        raise TypeError("trust must be an object with parts, or null")
+    parts = {TrustPart(name): _value(table["parts"], name, float) for name in table["parts"]}
+    return Trust(score=_value(table, "score", float), parts=parts)
 
 
 def _friction_from(table: object) -> FrictionEstimate | None:

@@ -71,6 +71,7 @@ class ShiftFinder:
             end_reason=bounds.end_reason,
             columns=self._history.cut(first_ns, stop_ns),
             bad_frame_count=self._history.bad_frame_count(first_ns, stop_ns),
+            e2e=self._history.e2e_states(first_ns, stop_ns),
         )
 
     def _forget_past(self) -> None:

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 from diag_service.records import ShiftEstimate, ShiftResult, Status, Tier
 from diag_service.results import JsonObject, clutch_record
 
+RECENT_COUNT = 8
 SUMMARY_SCHEMA = "clutchdiag/summary/v1"
 TIER_TEXT = {
     Tier.FRICTION: "friction",
@@ -64,6 +65,7 @@ class ShiftTally:
         self.stored_count = 0
         self.known_count = 0  # their key was in the store before
         self.latest: dict[int, ShiftResult] = {}
+        self.recent: tuple[ShiftResult, ...] = ()  # replaced, never changed: other threads read it
 
     def add(self, result: ShiftResult, *, is_new: bool) -> None:
         """Count one shift."""
@@ -73,6 +75,7 @@ class ShiftTally:
         self.stored_count += is_new
         self.known_count += not is_new
         self.latest[estimate.clutch] = result
+        self.recent = (*self.recent, result)[-RECENT_COUNT:]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

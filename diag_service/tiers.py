@@ -17,6 +17,9 @@ INPUT_PAIR: Final = frozenset({Signal.INPUT1_SPEED, Signal.INPUT2_SPEED})
 INPUT: Final = frozenset({Signal.INPUT_SPEED})
 TORQUE_COMMANDS: Final = frozenset({Signal.CLUTCH1_TORQUE_COMMAND, Signal.CLUTCH2_TORQUE_COMMAND})
 
+MANDATORY: Final = frozenset({*BALANCE_SIGNALS, Signal.CURRENT_GEAR, Signal.TARGET_GEAR, Signal.SUMP_TEMPERATURE})
+"""Without these there is no friction to estimate."""
+
 _SPEED: Final[Requirement] = (frozenset({Signal.ENGINE_SPEED}),)
 _GEARS: Final[Requirement] = (
     GEAR_PAIR,
@@ -24,11 +27,7 @@ _GEARS: Final[Requirement] = (
     frozenset({Signal.TARGET_GEAR, Signal.ENGINE_SPEED, *INPUT_PAIR}),
 )
 _REQUIREMENTS: Final[dict[Tier, tuple[Requirement, ...]]] = {
-    Tier.FRICTION: tuple(
-        (frozenset({signal}),)
-        for signal in Signal
-        if signal in {*BALANCE_SIGNALS, Signal.CURRENT_GEAR, Signal.TARGET_GEAR, Signal.SUMP_TEMPERATURE}
-    ),
+    Tier.FRICTION: tuple((frozenset({signal}),) for signal in Signal if signal in MANDATORY),
     Tier.TORQUE: (
         _SPEED,
         _GEARS,

@@ -26,6 +26,7 @@ RETRY_PAUSE_S: Final = 0.0005
 JOIN_S: Final = 5.0
 PROGRESS_PERIOD_S: Final = 0.2
 EXTENDED_FLAG: Final = 0x8000_0000
+ERROR_FLAG: Final = 0x2000_0000
 BUS_GONE: Final = frozenset({errno.ENETDOWN, errno.ENODEV, errno.ENXIO, errno.EBADF, errno.ENETUNREACH})
 
 
@@ -228,7 +229,8 @@ def to_messages(frames: EncodedFrames) -> list[can.Message]:
     """Return frames as python-can takes them."""
     return [
         can.Message(
-            arbitration_id=can_id & (EXTENDED_FLAG - 1),
+            arbitration_id=can_id & ~(EXTENDED_FLAG | ERROR_FLAG),
+            is_error_frame=bool(can_id & ERROR_FLAG),
             is_extended_id=bool(can_id & EXTENDED_FLAG),
             data=payload[:length].tobytes(),
         )

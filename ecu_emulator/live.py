@@ -3,19 +3,20 @@
 import json
 from collections.abc import Iterator
 from contextlib import nullcontext
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from queue import SimpleQueue
 from threading import Event
 from typing import Final
 
 from ecu_emulator.bus import TransmitReport, open_bus, transmit
+from ecu_emulator.control import ControlSocket
 from ecu_emulator.errors import RecordError
 from ecu_emulator.frames import EncodedFrames
 from ecu_emulator.progress import ProgressLine, people, print_json
 from ecu_emulator.recording import SHORT_STRETCH_S, Drive
 from ecu_emulator.scenario import Scenario
-from ecu_emulator.truth import RevTruth, ShiftTruth, Totals, TruthWriter
+from ecu_emulator.truth import RevTruth, ShiftTruth, TruthWriter
 
 MS_PER_S: Final = 1e3
 
@@ -81,7 +82,9 @@ class SentTruth:
         if report.is_complete:
             self.sent_until(self._drive.totals.duration_s)
         if self._writer is not None:
-            self._writer.totals(Totals(shifts=self.shift_count, duration_s=self.sent_s, frames=report.frames_sent))
+            self._writer.totals(
+                replace(self._drive.totals, shifts=self.shift_count, duration_s=self.sent_s, frames=report.frames_sent)
+            )
 
 
 def run(
@@ -90,6 +93,7 @@ def run(
     choice: BusChoice,
     truth: Path | None,
     summary: Path | None,
+    control: Path | None,
     start_delay_s: float,
     is_json: bool,
     stop: Event,
@@ -106,6 +110,7 @@ def run(
     with (
         open_bus(choice.interface, choice.channel, choice.bitrate, fd=choice.is_fd) as bus,
         TruthWriter(truth) if truth is not None else nullcontext() as writer,
+        ControlSocket(control, drive.add_fault) if control is not None else nullcontext(),
         ProgressLine(console, "preparing the plant") as progress,
     ):
         sent = SentTruth(drive, writer)

@@ -13,6 +13,7 @@ import numpy as np
 from ecu_emulator.errors import RecordError
 from ecu_emulator.frames import EncodedFrames
 from ecu_emulator.log_formats import AscWriter, BlfWriter, CandumpWriter, FrameWriter, Header, Mf4Writer
+from ecu_emulator.log_formats.base import ERROR_FLAG
 
 DEFAULT_START_NS: Final = 1_767_225_600_000_000_000  # 2026-01-01T00:00:00Z
 US_PER_S: Final = 1e6
@@ -47,6 +48,7 @@ class LogFile:
         self._path = path
         self._temporary = path.with_name(f".{path.name}.{os.getpid()}.part")
         self._header = header
+        self._format = log_format
         try:
             self._stream: BinaryIO = self._temporary.open("wb")
         except OSError as exc:
@@ -66,8 +68,10 @@ class LogFile:
         Raises
         ------
         RecordError
-            If the disk is full or no longer takes data.
+            If the disk is full or no longer takes data, or the format has no error frames.
         """
+        if self._format is not LogFormat.CANDUMP and np.any(frames.can_id & np.uint32(ERROR_FLAG)):
+            raise RecordError(f"cannot write {self._path}: error frames are written to candump logs only")
         t_us = self._header.start_us + np.rint(frames.t_s * US_PER_S).astype(np.int64)
         try:
             self._writer.write(t_us, frames)

@@ -1,11 +1,15 @@
 """One drive from plant to frames: the only file that knows the order of the emulator's stages."""
 
+import math
 from collections.abc import Iterator
 from dataclasses import dataclass
+from queue import SimpleQueue
 from typing import Final
 
 from dbc.contract import load_contract, message_contracts
 from ecu_emulator.build import BuiltVehicle, ageing_factors, build_vehicle
+from ecu_emulator.bus_faults import BusFaults
+from ecu_emulator.faults import BusFault, SensorFault
 from ecu_emulator.frame_loss import FrameLoss
 from ecu_emulator.frames import EncodedFrames, FrameEncoder, merge
 from ecu_emulator.plant.columns import Col
@@ -14,9 +18,10 @@ from ecu_emulator.plant.powertrain import Powertrain
 from ecu_emulator.readings import FloatArray, Schedule
 from ecu_emulator.scenario import FluidCondition, Scenario
 from ecu_emulator.sensors import Installation, SensorSuite
-from ecu_emulator.truth import DriveTruth, RevTruth, RevWatcher, ShiftTruth, ShiftWatcher, Totals, TruthLog
+from ecu_emulator.truth import DriveTruth, FaultTruth, RevTruth, RevWatcher, ShiftTruth, ShiftWatcher, Totals, TruthLog
 
 LONG_STRETCH_S: Final = 10.0  # for files
+MS_PER_S: Final = 1000.0
 SHORT_STRETCH_S: Final = 0.25  # live: a stretch must not hold the interpreter for long
 
 
@@ -63,8 +68,11 @@ class Drive:
             installation=_installation(scenario, vehicle),
             startup_s=scenario.startup.by_sender(),
             seed=scenario.seed,
+            faults=scenario.sensor_faults,
         )
         self._loss = FrameLoss(scenario.effects.frame_loss_ratio, scenario.seed)
+        self._bus_faults = BusFaults(scenario.bus_faults, scenario.seed, message_contracts(database))
+        self._asked: SimpleQueue[SensorFault | BusFault] = SimpleQueue()  # filled by other threads
         self._shift_count = 0
         self._frame_count = 0
         self._end_s = 0.0
@@ -73,26 +81,68 @@ class Drive:
     @property
     def totals(self) -> Totals:
         """What has been driven so far."""
-        return Totals(shifts=self._shift_count, duration_s=self._end_s, frames=self._frame_count)
+        return Totals(
+            shifts=self._shift_count, duration_s=self._end_s, frames=self._frame_count, faults=self._fault_truths()
+        )
 
     @property
     def finished(self) -> bool:
         """Whether all cycles have been driven."""
         return self._plant.finished
 
+    def add_fault(self, fault: SensorFault | BusFault) -> None:
+        """Have a fault happen; its time counts from the next stretch on. Any thread may call.
+
+        Raises
+        ------
+        ConfigError
+            If it names a message that is not on the bus.
+        """
+        if isinstance(fault, BusFault):
+            self._bus_faults.check(fault)
+        self._asked.put(fault)
+
     def stretches(self, duration_s: float) -> Iterator[Stretch]:
         """Yield the rest of the drive in stretches of this length [s]."""
         while not self.finished:
+            self._begin_asked()
             rows = self._plant.advance(duration_s)
             if len(rows):
                 yield self._stretch(rows)
 
+    def _begin_asked(self) -> None:
+        while not self._asked.empty():
+            fault = self._asked.get()
+            if isinstance(fault, BusFault):
+                self._bus_faults.add(fault, self._end_s)
+            else:
+                self._sensors.faults.add(fault, self._end_s)
+
+    def _fault_truths(self) -> tuple[FaultTruth, ...]:
+        sensors, bus = self._sensors.faults, self._bus_faults
+        described = [(fault.quantity, fault.kind.value, fault.size) for fault in sensors.faults]
+        described += [(fault.message or "bus", fault.kind.value, fault.share) for fault in bus.faults]
+        spans_s, counts = (*sensors.spans_s, *bus.spans_s), (*sensors.changed_counts, *bus.counts)
+        return tuple(
+            FaultTruth(
+                what=what,
+                kind=kind,
+                size=size,
+                t_start_s=start_s,
+                t_end_s=stop_s if math.isfinite(stop_s) else None,
+                count=count,
+            )
+            for (what, kind, size), (start_s, stop_s), count in zip(described, spans_s, counts, strict=True)
+            if start_s <= self._end_s
+        )
+
     def _stretch(self, rows: FloatArray) -> Stretch:
         shifts = tuple(self._watcher.feed(rows))
         frames = self._loss.surviving(self._encoder.encode_all(self._sensors.read(rows)))
+        first_s, self._end_s = (round(float(rows[row, Col.T_S]), 3) for row in (0, -1))
+        frames = self._bus_faults.feed(frames, rows, round(first_s * MS_PER_S), self._end_s, is_last=self.finished)
         self._shift_count += len(shifts)
         self._frame_count += len(frames)
-        self._end_s = round(float(rows[-1, Col.T_S]), 3)
         return Stretch(frames=frames, shifts=shifts, revs=tuple(self._rev_watcher.feed(rows)), end_s=self._end_s)
 
 

@@ -9,6 +9,7 @@ from typing import Final
 
 from clutch_model.calibration import nominal_calibration
 from ecu_emulator.errors import ConfigError
+from ecu_emulator.faults import BusFault, SensorFault
 from ecu_emulator.signals import NOMINAL_SENSORS, Sensors
 
 Overrides = Mapping[str, object]  # dotted key -> TOML value
@@ -178,6 +179,8 @@ class Scenario(_Ranged):
     sensors: Sensors = field(default_factory=lambda: dict(NOMINAL_SENSORS))
     effects: Effects = field(default_factory=Effects)
     truth: Truth = field(default_factory=Truth)
+    sensor_faults: tuple[SensorFault, ...] = ()
+    bus_faults: tuple[BusFault, ...] = ()
 
     def __post_init__(self) -> None:
         """Check ranges and the vehicle's name."""

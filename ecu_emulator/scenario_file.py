@@ -2,18 +2,19 @@
 
 import tomllib
 from collections.abc import Mapping
-from dataclasses import Field, fields
+from dataclasses import MISSING, Field, fields
+from enum import StrEnum
 from importlib.resources import files
 from pathlib import Path
 from typing import Final, TypeVar
 
 from ecu_emulator.errors import ConfigError
+from ecu_emulator.faults import BusFault, SensorFault
 from ecu_emulator.scenario import (
     Ambient,
     Driver,
     Effects,
     Fluid,
-    FluidCondition,
     Routine,
     Scatter,
     Scenario,
@@ -72,6 +73,21 @@ def parse_scenario(text: str, origin: str) -> Scenario:
         raise ConfigError(f"{origin}: {exc}") from exc
 
 
+def parse_fault(table: object) -> SensorFault | BusFault:
+    """Return one fault by the keys of its scenario table; a sensor fault names a quantity.
+
+    Raises
+    ------
+    ConfigError
+        Naming the first key that cannot be used.
+    """
+    if not isinstance(table, Mapping):
+        raise ConfigError(f"a fault must be a table, got {table!r}")
+    if "quantity" in table:
+        return _record(SensorFault, table, "")
+    return _record(BusFault, table, "")
+
+
 def _scenario(table: Mapping[str, object]) -> Scenario:
     parts = dict(table)
     for key, record in _PARTS.items():
@@ -81,6 +97,8 @@ def _scenario(table: Mapping[str, object]) -> Scenario:
         parts["scatter"] = _scatter(parts["scatter"])
     parts["sensors"] = _sensors(_subtable(parts, "sensors"))
     parts["truth"] = _truth(_subtable(parts, "truth"))
+    parts["sensor_faults"] = _records(SensorFault, parts.get("sensor_faults", []), "sensor_faults")
+    parts["bus_faults"] = _records(BusFault, parts.get("bus_faults", []), "bus_faults")
     if "name" not in parts:
         raise ConfigError("key name is missing")
     return _record(Scenario, parts, "")
@@ -149,10 +167,21 @@ def _check_known(table: Mapping[str, object], known: set[str], prefix: str) -> N
         raise ConfigError(f"{prefix}{unknown[0]} is unknown; known: {', '.join(sorted(known))}")
 
 
+def _records(record: type[RecordT], tables: object, where: str) -> tuple[RecordT, ...]:
+    if not isinstance(tables, list) or not all(isinstance(table, Mapping) for table in tables):
+        raise ConfigError(f"{where} must be an array of tables, got {tables!r}")
+    return tuple(_record(record, table, f"{where} {number}: ") for number, table in enumerate(tables, start=1))
+
+
 def _record(record: type[RecordT], table: Mapping[str, object], prefix: str) -> RecordT:
     members = {member.name: member for member in fields(record)}  # type: ignore[arg-type]  # every caller passes a dataclass
     _check_known(table, set(members), prefix)
     values = {key: _typed(members[key], value, prefix) for key, value in table.items()}
+    missing = [
+        name for name, one in members.items() if name not in values and one.default is one.default_factory is MISSING
+    ]
+    if missing:
+        raise ConfigError(f"{prefix}key {missing[0]} is missing")
     try:
         return record(**values)
     except ConfigError as exc:
@@ -170,9 +199,9 @@ def _typed(member: "Field[object]", value: object, prefix: str) -> object:
         raise ConfigError(f"{prefix}{member.name} must be true or false, got {value!r}")
     if wanted is str and not isinstance(value, str):
         raise ConfigError(f"{prefix}{member.name} must be a string, got {value!r}")
-    if wanted is FluidCondition:
-        if value not in set(FluidCondition):
-            known = ", ".join(FluidCondition)
+    if isinstance(wanted, type) and issubclass(wanted, StrEnum):
+        if value not in set(wanted):
+            known = ", ".join(wanted)
             raise ConfigError(f"{prefix}{member.name} must be one of {known}, got {value!r}")
-        return FluidCondition(str(value))
+        return wanted(str(value))
     return value

@@ -14,8 +14,10 @@ import numpy.typing as npt
 
 from clutch_model.jit import kernel
 from ecu_emulator.errors import ConfigError
+from ecu_emulator.faults import SensorFault
 from ecu_emulator.plant.columns import Col
 from ecu_emulator.readings import FloatArray, Readings, Schedule
+from ecu_emulator.sensor_faults import SensorFaults
 from ecu_emulator.signals import STATES, Sensor, Sensors, generator, split_unit
 
 MS_PER_S: Final = 1000.0
@@ -167,6 +169,8 @@ class SensorSuite:
         By sender: until then every value of its messages is not available.
     seed
         Of the noise; every quantity has a generator of its own.
+    faults
+        What goes wrong on the way; a fault changes no other reading, nor the noise.
 
     Raises
     ------
@@ -182,6 +186,7 @@ class SensorSuite:
         installation: Installation,
         startup_s: Mapping[str, float],
         seed: int,
+        faults: Sequence[SensorFault] = (),
     ) -> None:
         unknown = {quantity for schedule in schedules for quantity in schedule.quantities} - QUANTITIES
         if unknown:
@@ -189,6 +194,7 @@ class SensorSuite:
         self._schedules = tuple(schedules)
         self._installation = installation
         self._startup_s = startup_s
+        self.faults: Final = SensorFaults(faults)
         self._crank = CrankSpeed(installation.crank_segment_rad)
         self._chains = {
             quantity: Chain(quantity, sensors.get(quantity, Sensor()), seed)
@@ -207,6 +213,7 @@ class SensorSuite:
         if not len(rows):
             return []
         first_ms = round(float(rows[0, Col.T_S]) * MS_PER_S)
+        self.faults.feed(rows, first_ms)
         for quantity, chain in self._chains.items():
             chain.feed(self._trace(quantity, rows, first_ms), first_ms)
         due = ((schedule, _send_instants_ms(schedule, first_ms, len(rows))) for schedule in self._schedules)
@@ -216,7 +223,9 @@ class SensorSuite:
         t_s = send_ms / MS_PER_S
         is_starting = t_s < self._startup_s.get(schedule.sender, 0.0)
         values = {
-            quantity: np.where(is_starting, np.nan, self._chains[quantity].read(send_ms))
+            quantity: np.where(
+                is_starting, np.nan, self.faults.applied(quantity, send_ms, self._chains[quantity].read(send_ms))
+            )
             for quantity in schedule.quantities
         }
         return Readings(message=schedule.message, t_s=t_s, values=values)

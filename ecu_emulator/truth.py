@@ -60,6 +60,18 @@ class ShiftTruth:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class FaultTruth:
+    """One scripted fault that has begun."""
+
+    what: str  # quantity or message that it concerns, or the whole bus
+    kind: str
+    size: float  # of a sensor fault in the quantity's unit, of a drift per second; of a bus fault the share of frames
+    t_start_s: float
+    t_end_s: float | None  # None: to the end of the drive
+    count: int  # readings that it touched, frames that it struck or added
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class RevTruth:
     """One rev in neutral of the workshop routine."""
 
@@ -76,6 +88,7 @@ class Totals:
     shifts: int
     duration_s: float
     frames: int
+    faults: tuple[FaultTruth, ...] = ()
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -226,7 +239,10 @@ def read_truth(path: Path) -> TruthLog:
             kind: [_content(line) for line in lines if line["kind"] == kind] for kind in (_DRIVE, _SHIFT, _REV, _TOTALS)
         }
         (drive,) = by_kind[_DRIVE]
-        totals = [Totals(**line) for line in by_kind[_TOTALS]]
+        totals = [
+            Totals(**{**line, "faults": tuple(FaultTruth(**fault) for fault in line.get("faults", ()))})
+            for line in by_kind[_TOTALS]
+        ]
         return TruthLog(
             drive=DriveTruth(**{**drive, "mu_c": tuple(drive["mu_c"]), "mu_s": tuple(drive["mu_s"])}),
             shifts=tuple(ShiftTruth(**line) for line in by_kind[_SHIFT]),

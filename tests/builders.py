@@ -9,6 +9,8 @@ from diag_service.records import (
     ShiftEstimate,
     ShiftResult,
     Status,
+    Trust,
+    TrustPart,
 )
 from ecu_emulator.scenario import FluidCondition, Scenario
 from ecu_emulator.scenario_file import load_scenario
@@ -53,6 +55,7 @@ def shift_estimate(number: int = 1, to_gear: int = 2) -> ShiftEstimate:
         slip_energy_j=8400.0,
         duration_s=0.9,
         odometer_m=1234.0,
+        trust=Trust(score=0.9 * 0.95, parts={TrustPart.FRAMES: 0.95, TrustPart.PROTECTION: 0.9}),
     )
 
 

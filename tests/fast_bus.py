@@ -54,11 +54,22 @@ class FastBus:
         self._closed.set()
 
 
-async def open_fast_bus(log: Path, start_ns: int, **_settings: object) -> FrameSource:
-    """Stand in for ``open_source``."""
-    return FastBus(log, start_ns)
+class FastBusOpener:
+    """Stand in for ``BusOpener``."""
+
+    def __init__(self, log: Path, start_ns: int, *_settings: object, **_options: object) -> None:
+        self._log = log
+        self._start_ns = start_ns
+
+    async def open(self) -> FrameSource:
+        """Open the bus."""
+        return FastBus(self._log, self._start_ns)
+
+    async def restart(self) -> str | None:
+        """Refuse: it has no controller."""
+        return "no controller"
 
 
 if __name__ == "__main__":
-    with patch("diag_service.application.open_source", partial(open_fast_bus, Path(sys.argv[1]), int(sys.argv[2]))):
+    with patch("diag_service.application.BusOpener", partial(FastBusOpener, Path(sys.argv[1]), int(sys.argv[2]))):
         sys.exit(cli.main(sys.argv[3:]))

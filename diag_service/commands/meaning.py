@@ -14,3 +14,15 @@ def diagnosis_config(options: argparse.Namespace) -> config.DiagnosisConfig:
         calibration=config.load_calibration(options.calibration),
         broker=config.parse_broker(options.broker) if options.broker else None,
     )
+
+
+def bus_config(options: argparse.Namespace) -> config.BusConfig:
+    """Return which bus to listen to; raises ConfigError."""
+    return config.BusConfig(
+        interface=options.interface,
+        channel=options.channel,
+        bitrate=options.bitrate,
+        is_fd=options.fd,
+        duration_s=options.duration,
+        metrics=config.parse_listen_address(options.metrics) if options.metrics else None,
+    )

@@ -3,20 +3,14 @@
 import argparse
 
 from diag_service import application, config
-from diag_service.commands.meaning import diagnosis_config
+from diag_service.commands.meaning import bus_config, diagnosis_config
 from diag_service.stopping import Trigger
 
 
 def execute(options: argparse.Namespace, stop: Trigger, counts_wanted: Trigger) -> None:
     """Diagnose the bus until it is told to stop."""
     diagnosis = diagnosis_config(options)
-    bus = config.BusConfig(
-        interface=options.interface,
-        channel=options.channel,
-        bitrate=options.bitrate,
-        is_fd=options.fd,
-        duration_s=options.duration,
-    )
+    bus = bus_config(options)
     store = options.store or config.default_store(diagnosis.vehicle)
     controls = application.Controls(stop=stop, counts_wanted=counts_wanted)
     application.run_bus(diagnosis, bus, store, controls, as_json=options.json)

@@ -13,20 +13,23 @@ of its noise is exact; the contact torques T_C,m are linear in the friction coef
 """
 
 from dataclasses import dataclass, replace
+from functools import lru_cache
 
 import numpy as np
 
-from clutch_model.calibration import Calibration, FrictionCurve
-from diag_service.estimation.belief import Considered, Measurement, State, friction_rows
+from clutch_model.calibration import Calibration, ClutchCalibration, FrictionCurve, SensorBias
+from diag_service.estimation.belief import Measurement
 from diag_service.estimation.film_track import FilmTrack, PressureDrive, follow_film
+from diag_service.estimation.parameters import Considered, State, friction_rows
 from diag_service.estimation.sampling import GRID_S
 from diag_service.estimation.signals import ShiftSignals
 from diag_service.estimation.window import SlipWindow
-from diag_service.records import FloatArray
+from diag_service.records import BoolArray, FloatArray
 
 MAX_MOMENT_COUNT = 16  # beyond it the quadrature, not the noise, limits
 SAMPLES_PER_MOMENT = 3
 MIN_EXCESS = 0.05  # keeps exponents below one finite at zero slip
+SLIP_DEGREE = 5  # a shift controller's slip profile: smooth start, smooth end
 SIGN_WIDTH_RAD_S = 0.5  # near lock the sign of the slip fades with it, and so does its noise
 
 
@@ -66,18 +69,74 @@ def sines(grid_s: FloatArray, window: SlipWindow, count: int) -> Weights:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Nudge:
-    """A change of what drives the films, for derivatives."""
+    """A change of what moves the films or of how they answer, for derivatives."""
 
     pressure_pa: float = 0.0
     area_ratio: float = 0.0
     latency_s: float = 0.0
     viscosity_ratio: float = 0.0
+    stribeck_speed_ratio: float = 0.0
+    contact_stiffness_ratio: float = 0.0
+
+    def of_drive(self, drive: PressureDrive, grid_s: FloatArray) -> PressureDrive:
+        """Return the changed drive of a film."""
+        earlier_pa = np.interp(grid_s + self.latency_s, grid_s, drive.piston_pa)
+        return replace(drive, piston_pa=(earlier_pa + self.pressure_pa) * (1.0 + self.area_ratio))
+
+    def of_calibration(self, calibration: Calibration) -> Calibration:
+        """Return the changed belief."""
+        oil = calibration.viscosity
+        first, second = (
+            replace(
+                clutch,
+                friction=replace(
+                    clutch.friction,
+                    stribeck_speed_rad_s=clutch.friction.stribeck_speed_rad_s * (1.0 + self.stribeck_speed_ratio),
+                ),
+                film=replace(
+                    clutch.film,
+                    contact_stiffness_pa=clutch.film.contact_stiffness_pa * (1.0 + self.contact_stiffness_ratio),
+                ),
+            )
+            for clutch in calibration.clutches
+        )
+        return replace(
+            calibration,
+            viscosity=replace(oil, a_pa_s=oil.a_pa_s * (1.0 + self.viscosity_ratio)),
+            clutches=(first, second),
+        )
 
 
 OFFSET = Nudge(pressure_pa=2.0e3)
-AREA = Nudge(area_ratio=0.01)
-LATENCY = Nudge(latency_s=1e-3)
-VISCOSITY = Nudge(viscosity_ratio=0.05)
+COMMON = {
+    Considered.VISCOSITY: (Nudge(viscosity_ratio=0.05), 0.05),
+    Considered.PRESSURE_LATENCY: (Nudge(latency_s=1e-3), 1e-3),
+    Considered.STRIBECK_SPEED: (Nudge(stribeck_speed_ratio=0.05), 0.05),
+    Considered.CONTACT_STIFFNESS: (Nudge(contact_stiffness_ratio=0.05), 0.05),
+}
+"""What both clutches share: the change, and its size."""
+AREA = (Nudge(area_ratio=0.01), 0.01)
+
+
+def smoothed(values: FloatArray, window: SlipWindow, degree: int) -> FloatArray:
+    """Return the values, shape (..., len(grid)), with a polynomial fit in place of those inside the window.
+
+    Fitting is symmetric: weights smoothed and values as they are give the same sums as weights as they are and values
+    smoothed, as long as the weights vanish outside the window.
+    """
+    inside = slice(window.first, window.stop)
+    basis = _polynomials(window.stop - window.first, degree)
+    smooth = values.copy()
+    smooth[..., inside] = (values[..., inside] @ basis) @ basis.T
+    return smooth
+
+
+@lru_cache(maxsize=256)
+def _polynomials(count: int, degree: int) -> FloatArray:
+    """Return an orthonormal basis of the polynomials on ``count`` even points, shape (count, degree + 1)."""
+    powers = np.polynomial.chebyshev.chebvander(np.linspace(-1.0, 1.0, count), degree)
+    basis, _ = np.linalg.qr(powers)
+    return basis
 
 
 class Balance:
@@ -104,16 +163,20 @@ class Balance:
         self._measured = measured
         self._planned = planned
         self._calibration = calibration
+        self._window = window
         start_s, stop_s = signals.grid_s[window.first], signals.grid_s[window.stop - 1]
         torque_s = signals.engine_torque.times_s
         self.sample_count = int(np.count_nonzero((torque_s >= start_s) & (torque_s <= stop_s)))
         count = max(3, min(MAX_MOMENT_COUNT, self.sample_count // SAMPLES_PER_MOMENT))
         self._weights = sines(signals.grid_s, window, count)
+        self._planned_speed_rad_s = smoothed(signals.engine_speed.on_grid, window, SLIP_DEGREE)
+        self._planned_torque_nm = smoothed(signals.engine_torque.on_grid, window, SLIP_DEGREE)
         self.tracks = (follow_film(1, measured[0], calibration), follow_film(2, measured[1], calibration))
-        self._seen = self._weigh(measured, self.tracks)
+        self._seen = self._weigh(measured, self.tracks, calibration)
         self._tracks_planned = (follow_film(1, planned[0], calibration), follow_film(2, planned[1], calibration))
-        self._nominal = self._weigh(planned, self._tracks_planned)
-        self._changed = {nudge: self._nudged(nudge) for nudge in (OFFSET, AREA, LATENCY, VISCOSITY)}
+        self._nominal = self._weigh(planned, self._tracks_planned, calibration)
+        nudges = (OFFSET, AREA[0], *(nudge for nudge, _ in COMMON.values()))
+        self._changed = {nudge: self._nudged(nudge) for nudge in nudges}
 
     def measurement(self, at: FloatArray, prior: FloatArray) -> Measurement:
         """Linearise the balance about the state ``at``, as seen from the state ``prior``; both (len(State),).
@@ -122,19 +185,29 @@ class Balance:
         """
         signals, side, weights = self._signals, self._calibration.input_side, self._weights
         torque_nm, hub_rad_s = signals.engine_torque.on_grid, signals.hub_speed.on_grid
+        bias = self._calibration.bias
+        offset_nm = at[State.TORQUE_OFFSET]
+        torque_nm, _ = motoring_corrected_nm(torque_nm, offset_nm, bias)
+        _, motoring_nm = motoring_corrected_nm(self._planned_torque_nm, offset_nm, bias)
         mu = at[: State.MU_S2 + 1].reshape(2, 2)
-        clutch_nms = [moments.impulse(one) for moments, one in zip(self._seen, mu, strict=True)]
+        contact_nms = sum(moments.by_friction @ one for moments, one in zip(self._seen, mu, strict=True))
         engine_nms = side.engine_inertia_kg_m2 * weights.rate @ signals.engine_speed.on_grid
-        hub_nms = side.hub_inertia_kg_m2 * weights.rate @ hub_rad_s
-        driving_nms = weights.value @ (torque_nm - side.hub_damping_nms_rad * hub_rad_s)
+        known_nms = (
+            side.hub_inertia_kg_m2 * weights.rate @ hub_rad_s
+            - side.hub_damping_nms_rad * weights.value @ hub_rad_s
+            - sum(moments.viscous for moments in self._seen)
+        )
         length_s = weights.value.sum(axis=1)
-        gap_nms = driving_nms + engine_nms + hub_nms - length_s * at[State.TORQUE_OFFSET] - sum(clutch_nms)
+        driving_nms = weights.value @ torque_nm - length_s * offset_nm
+        gap_nms = driving_nms + bias.torque_gain * (engine_nms + known_nms) - contact_nms
 
         by_state = np.zeros((len(gap_nms), len(State)))
         by_considered = np.zeros((len(gap_nms), len(Considered)))
         by_state[:, State.TORQUE_OFFSET] = length_s
-        by_considered[:, Considered.TORQUE_GAIN] = weights.value @ torque_nm
-        by_considered[:, Considered.ENGINE_INERTIA] = -engine_nms
+        planned_nms = side.engine_inertia_kg_m2 * weights.rate @ self._planned_speed_rad_s
+        by_considered[:, Considered.TORQUE_GAIN] = -(planned_nms + known_nms)
+        by_considered[:, Considered.ENGINE_INERTIA] = -bias.torque_gain * planned_nms
+        by_considered[:, Considered.MOTORING_GAIN] = weights.value @ motoring_nm
         by_considered[:, Considered.TORQUE_LATENCY] = weights.rate @ torque_nm
         for m in range(2):
             plain_nms = self._nominal[m].impulse(mu[m])
@@ -142,65 +215,73 @@ class Balance:
             by_state[:, friction_rows(m + 1)] = self._nominal[m].by_friction
             by_state[:, State.TOUCH1 + m] = -change[OFFSET] / OFFSET.pressure_pa
             by_state[:, State.ZERO1 + m] = -change[OFFSET] / OFFSET.pressure_pa
-            by_considered[:, Considered.PISTON_AREA1 + m] = change[AREA] / AREA.area_ratio
-            by_considered[:, Considered.VISCOSITY] += change[VISCOSITY] / VISCOSITY.viscosity_ratio
-            by_considered[:, Considered.PRESSURE_LATENCY] += change[LATENCY] / LATENCY.latency_s
+            by_considered[:, Considered.PISTON_AREA1 + m] = change[AREA[0]] / AREA[1]
+            for column, (nudge, size) in COMMON.items():
+                by_considered[:, column] += change[nudge] / size
+        noise = self._noise(mu)
         return Measurement(
             residual=gap_nms - by_state @ (prior - at),
             by_state=by_state,
             by_considered=by_considered,
-            noise=self._noise(mu),
+            noise=noise,
+            overlap=self._overlap(noise, self._planned_torque_nm < offset_nm),
         )
+
+    def _overlap(self, noise: FloatArray, is_motoring: BoolArray) -> FloatArray:
+        """Return what the derivatives by inertia and gains share with the residual, shape (len(Considered),)."""
+        signals, side, sensors = self._signals, self._calibration.input_side, self._calibration.noise
+        bias, value, rate = self._calibration.bias, self._weights.value, self._weights.rate
+        by_speed = signals.engine_speed.interpolation.to_samples
+        by_torque = signals.engine_torque.interpolation.to_samples
+        speed_residual = side.engine_inertia_kg_m2 * by_speed(rate)
+        speed_slope = side.engine_inertia_kg_m2 * by_speed(smoothed(rate, self._window, SLIP_DEGREE))
+        shared = sensors.engine_speed_rad_s**2 * speed_slope @ speed_residual.T
+        hub = signals.hub_speed.interpolation.to_samples(
+            side.hub_inertia_kg_m2 * rate - side.hub_damping_nms_rad * value
+        )
+        hub_shared = sensors.hub_speed_rad_s**2 * hub @ hub.T
+        motoring = smoothed(value * is_motoring / bias.motoring_gain, self._window, SLIP_DEGREE)
+        overlap = np.zeros(len(Considered))
+        gain = bias.torque_gain
+        overlap[Considered.TORQUE_GAIN] = -gain * np.trace(np.linalg.solve(noise, shared + hub_shared))
+        overlap[Considered.ENGINE_INERTIA] = -(gain**2) * np.trace(np.linalg.solve(noise, shared))
+        overlap[Considered.MOTORING_GAIN] = sensors.engine_torque_nm**2 * np.trace(
+            np.linalg.solve(noise, by_torque(motoring) @ by_torque(value).T)
+        )
+        return overlap
 
     def slip_energy_j(self, clutch: int, mu: FloatArray) -> float:
         """Return the heat made in a clutch over the whole cut [J], for its ``(mu_c, mu_s)``."""
         drive, track = self._measured[clutch - 1], self.tracks[clutch - 1]
-        torque_nm = self._contact_nm(clutch, drive, track) @ mu + track.viscous_nm
+        torque_nm = contact_nm(self._calibration.clutches[clutch - 1], drive, track) @ mu + track.viscous_nm
         return float(np.sum(np.abs(torque_nm * drive.slip_rad_s)) * GRID_S)
 
     def _nudged(self, nudge: Nudge) -> tuple[ClutchMoments, ClutchMoments]:
         """Follow both films from the planned drives, changed a little."""
-        grid_s = self._signals.grid_s
-        first, second = (
-            replace(
-                drive,
-                piston_pa=(np.interp(grid_s + nudge.latency_s, grid_s, drive.piston_pa) + nudge.pressure_pa)
-                * (1.0 + nudge.area_ratio),
-            )
-            for drive in self._planned
-        )
-        thickness = 1.0 + nudge.viscosity_ratio
-        tracks = (
-            follow_film(1, first, self._calibration, thickness),
-            follow_film(2, second, self._calibration, thickness),
-        )
-        return self._weigh((first, second), tracks)
+        calibration = nudge.of_calibration(self._calibration)
+        first, second = (nudge.of_drive(drive, self._signals.grid_s) for drive in self._planned)
+        tracks = (follow_film(1, first, calibration), follow_film(2, second, calibration))
+        return self._weigh((first, second), tracks, calibration)
 
     def _weigh(
-        self, drives: tuple[PressureDrive, PressureDrive], tracks: tuple[FilmTrack, FilmTrack]
+        self, drives: tuple[PressureDrive, PressureDrive], tracks: tuple[FilmTrack, FilmTrack], calibration: Calibration
     ) -> tuple[ClutchMoments, ClutchMoments]:
         first, second = (
             ClutchMoments(
                 viscous=self._weights.value @ tracks[m].viscous_nm,
-                by_friction=self._weights.value @ self._contact_nm(m + 1, drives[m], tracks[m]),
+                by_friction=self._weights.value @ contact_nm(calibration.clutches[m], drives[m], tracks[m]),
             )
             for m in range(2)
         )
         return first, second
 
-    def _contact_nm(self, clutch: int, drive: PressureDrive, track: FilmTrack) -> FloatArray:
-        """Return the contact torque per unit of mu_c and mu_s on the grid, shape (n, 2); eqs. (6) and (8)."""
-        believed = self._calibration.clutches[clutch - 1]
-        full_nm = believed.geometry.contact_factor_m3 * track.contact_pa * direction(drive.slip_rad_s)
-        share = stribeck_weights(drive.slip_rad_s, believed.friction)
-        return np.column_stack((full_nm * (1.0 - share), full_nm * share))
-
     def _noise(self, mu: FloatArray) -> FloatArray:
         """Return the covariance of the residual from sensor noise, shape (k, k), every sample independent."""
         signals, side, sensors = self._signals, self._calibration.input_side, self._calibration.noise
         value, rate = self._weights.value, self._weights.rate
-        hub_weight = side.hub_inertia_kg_m2 * rate - side.hub_damping_nms_rad * value
-        engine_weight = side.engine_inertia_kg_m2 * rate
+        gain = self._calibration.bias.torque_gain
+        hub_weight = gain * (side.hub_inertia_kg_m2 * rate - side.hub_damping_nms_rad * value)
+        engine_weight = gain * side.engine_inertia_kg_m2 * rate
         factors = [
             sensors.engine_torque_nm * signals.engine_torque.interpolation.to_samples(value),
             sensors.engine_speed_rad_s * signals.engine_speed.interpolation.to_samples(engine_weight),
@@ -208,15 +289,29 @@ class Balance:
         for m in range(2):
             clutch = self._calibration.clutches[m]
             drive, track = self._planned[m], self._tracks_planned[m]
-            contact_nm = self._contact_nm(m + 1, drive, track)
-            by_slip = value * (contact_nm[:, 1] * (mu[m, 0] - mu[m, 1]) * steepness(drive.slip_rad_s, clutch.friction))
+            torques_nm = contact_nm(clutch, drive, track)
+            by_slip = value * (torques_nm[:, 1] * (mu[m, 0] - mu[m, 1]) * steepness(drive.slip_rad_s, clutch.friction))
             hub_weight = hub_weight - by_slip
             factors.append(sensors.input_speed_rad_s * signals.input_speed[m].interpolation.to_samples(by_slip))
             area_ratio = clutch.geometry.piston_area_m2 / clutch.geometry.lining_area_m2
-            by_pressure = area_ratio * mu[m, 0] * contact_nm.sum(axis=1) / np.maximum(track.contact_pa, 1.0)
+            by_pressure = area_ratio * mu[m, 0] * torques_nm.sum(axis=1) / np.maximum(track.contact_pa, 1.0)
             factors.append(sensors.pressure_pa * signals.pressure[m].interpolation.to_samples(value * by_pressure))
         factors.append(sensors.hub_speed_rad_s * signals.hub_speed.interpolation.to_samples(hub_weight))
         return np.asarray(sum(factor @ factor.T for factor in factors))
+
+
+def motoring_corrected_nm(reading_nm: FloatArray, offset_nm: float, bias: SensorBias) -> tuple[FloatArray, FloatArray]:
+    """Return torque readings with the gain of negative torque taken out, and their negative part; both (n,)."""
+    negative_nm = np.minimum(reading_nm - offset_nm, 0.0)
+    corrected_nm = negative_nm / bias.motoring_gain
+    return reading_nm - negative_nm + corrected_nm, corrected_nm
+
+
+def contact_nm(believed: ClutchCalibration, drive: PressureDrive, track: FilmTrack) -> FloatArray:
+    """Return the contact torque per unit of mu_c and mu_s on the grid, shape (n, 2); eqs. (6) and (8)."""
+    full_nm = believed.geometry.contact_factor_m3 * track.contact_pa * direction(drive.slip_rad_s)
+    share = stribeck_weights(drive.slip_rad_s, believed.friction)
+    return np.column_stack((full_nm * (1.0 - share), full_nm * share))
 
 
 def direction(slip_rad_s: FloatArray) -> FloatArray:

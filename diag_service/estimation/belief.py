@@ -1,105 +1,99 @@
 """The running state of one vehicle and its update with considered parameters (Schmidt-Kalman).
 
 Estimated: friction of both clutches, torque offset, touch-point and pressure-zero errors. Considered, that is carried
-with their uncertainty but never estimated from driving: torque gain, engine inertia, piston areas, viscosity and the
-latencies. They do not steer the gain, since their regressors share noise with the residual; they inflate the stated
-covariance (docs/model.md, section "Estimator").
+with their uncertainty but not estimated from shift to shift: torque gain, engine inertia, piston areas, latencies and
+what else `Considered` lists. They do not steer the gain; they inflate the stated covariance (docs/model.md, section
+"Estimator"). A self-calibration finds some of them from many shifts at once.
 """
 
 from dataclasses import dataclass, replace
-from enum import IntEnum
 from statistics import NormalDist
 from typing import Any, Self
 
 import numpy as np
 
 from clutch_model.calibration import Calibration
+from diag_service.estimation.parameters import (
+    STATE_COUNT,
+    Considered,
+    State,
+    friction_rows,
+    prior_covariance,
+    prior_mean,
+)
 from diag_service.records import FloatArray, FrictionEstimate
 
-FRICTION_PRIOR_STD = 0.05  # a third of any lining's friction: weak against a single shift
 FRICTION_DRIFT_STD = 2e-5  # per shift: 0.15 in the life of a fluid is 1e-6, so this forgets over thousands of shifts
 OFFSET_DRIFT_NM = 0.005  # per shift: warm-up of the torque model
 PRESSURE_DRIFT_PA = 5.0  # per shift: warm-up of the pressure sensors
-STATE_FORMAT = 1
-
-
-class State(IntEnum):
-    """Index of each estimated parameter."""
-
-    MU_C1 = 0
-    MU_S1 = 1
-    MU_C2 = 2
-    MU_S2 = 3
-    TORQUE_OFFSET = 4  # reading minus truth [Nm]
-    TOUCH1 = 5  # touch pressure minus calibration [Pa]
-    TOUCH2 = 6
-    ZERO1 = 7  # pressure reading minus truth [Pa]
-    ZERO2 = 8
-
-
-class Considered(IntEnum):
-    """Index of each parameter that is carried but not estimated."""
-
-    TORQUE_GAIN = 0
-    ENGINE_INERTIA = 1
-    PISTON_AREA1 = 2
-    PISTON_AREA2 = 3
-    VISCOSITY = 4
-    TORQUE_LATENCY = 5
-    PRESSURE_LATENCY = 6
+STATE_FORMAT = 2
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Measurement:
-    """Linearised residuals: ``residual = by_state @ dx + by_considered @ c + noise``."""
+    """Linearised residuals: ``residual = by_state @ dx + by_considered @ c + noise``.
+
+    ``overlap`` is the expectation of ``by_considered.T @ inv(noise) @ noise``: what the sensor noise that a derivative
+    shares with the residual adds to the gradient of a fit that estimates the considered parameters.
+    """
 
     residual: FloatArray  # (m,)
     by_state: FloatArray  # (m, len(State))
     by_considered: FloatArray  # (m, len(Considered))
     noise: FloatArray  # (m, m) covariance
+    overlap: FloatArray | None = None  # (len(Considered),); None: nothing is shared
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Belief:
     """Mean of the estimated state, covariance of its random error, and what the considered parameters do to it.
 
-    The error of the state is a random part plus ``sensitivity @ c``, with c the errors of the considered parameters.
+    The error of the state, belief minus truth, is a random part plus ``sensitivity @ c``, with c the truth of the
+    considered parameters minus their values in the calibration.
     """
 
     mean: FloatArray  # (len(State),)
     covariance: FloatArray  # (len(State), len(State)), random part
     sensitivity: FloatArray  # (len(State), len(Considered))
-    considered: FloatArray  # (len(Considered),) variances
+    considered: FloatArray  # (len(Considered), len(Considered)) covariance
     shift_counts: tuple[int, int] = (0, 0)
     refused_counts: tuple[int, int] = (0, 0)  # shifts in a row that disagreed with the running state
     clutch_temperature_k: tuple[float, float] | None = None
     temperature_ns: int = 0
     stribeck_speed_rad_s: tuple[float, float] = (1.0, 1.0)
+    torque_gain: float = 1.0  # of the readings, as believed: friction in ``mean`` is multiplied by it
 
     @classmethod
     def fresh(cls, calibration: Calibration) -> Self:
         """Return the state of a vehicle of which nothing is known but its calibration."""
-        scatter = calibration.uncertainty
-        curves = [clutch.friction for clutch in calibration.clutches]
-        mean = np.zeros(len(State))
-        mean[: State.MU_S2 + 1] = [value for curve in curves for value in (curve.mu_c, curve.mu_s)]
-        touch, zero = scatter.touch_pressure_pa, scatter.pressure_zero_pa
-        std = [FRICTION_PRIOR_STD] * 4 + [scatter.torque_offset_nm, touch, touch, zero, zero]
-        considered = [
-            scatter.torque_gain_ratio,
-            scatter.engine_inertia_ratio,
-            scatter.piston_area_ratio,
-            scatter.piston_area_ratio,
-            scatter.viscosity_ratio,
-            scatter.torque_latency_s,
-            scatter.pressure_latency_s,
-        ]
+        return cls.joint(prior_mean(calibration), prior_covariance(calibration), calibration)
+
+    @classmethod
+    def joint(cls, mean: FloatArray, covariance: FloatArray, calibration: Calibration) -> Self:
+        """Return the state of a vehicle whose parameters have this joint covariance.
+
+        Parameters
+        ----------
+        mean : (len(State),) array
+            Estimated parameters; the considered ones have the values of the calibration.
+        covariance : (len(NAMES), len(NAMES)) array
+            States first, then the considered parameters.
+        """
+        states, considered = slice(STATE_COUNT), slice(STATE_COUNT, None)
+        spread = covariance[considered, considered]
+        scale = np.sqrt(np.diag(spread))
+        scale[scale == 0.0] = 1.0  # certain; explains nothing
+        explained = np.linalg.pinv(spread / np.outer(scale, scale), hermitian=True) / np.outer(scale, scale)
+        sensitivity = -covariance[states, considered] @ explained  # an error is belief minus truth, ``c`` the reverse
+        random = covariance[states, states] - sensitivity @ spread @ sensitivity.T
+        first, second = (clutch.friction.stribeck_speed_rad_s for clutch in calibration.clutches)
         return cls(
             mean=mean,
-            covariance=np.diag(np.square(std)),
-            sensitivity=np.zeros((len(State), len(Considered))),
-            considered=np.square(considered),
-            stribeck_speed_rad_s=(curves[0].stribeck_speed_rad_s, curves[1].stribeck_speed_rad_s),
+            covariance=(random + random.T) / 2.0,
+            sensitivity=sensitivity,
+            considered=spread,
+            torque_gain=calibration.bias.torque_gain,
+            stribeck_speed_rad_s=(first, second),
         )
 
     def forget_friction(self, clutch: int, calibration: Calibration) -> Self:
@@ -127,7 +121,7 @@ class Belief:
         keep = np.eye(len(State)) - gain @ h
         covariance = keep @ self.covariance @ keep.T + gain @ seen.noise @ gain.T
         common = d - h @ self.sensitivity
-        expected = random + (common * self.considered) @ common.T
+        expected = random + common @ self.considered @ common.T
         chi_square = float(seen.residual @ np.linalg.solve(expected, seen.residual))
         state = replace(
             self,
@@ -140,14 +134,17 @@ class Belief:
     def total_covariance(self, rows: slice) -> FloatArray:
         """Return the covariance of some states, common scale included."""
         sensitivity = self.sensitivity[rows]
-        return self.covariance[rows, rows] + (sensitivity * self.considered) @ sensitivity.T
+        return self.covariance[rows, rows] + sensitivity @ self.considered @ sensitivity.T
 
     def friction(self, clutch: int) -> FrictionEstimate:
         """Return the friction of clutch 1 or 2 as now believed."""
         rows = friction_rows(clutch)
-        total = self.total_covariance(rows)
-        std, random_std = np.sqrt(np.diag(total)), np.sqrt(np.diag(self.covariance[rows, rows]))
-        mu_c, mu_s = self.mean[rows]
+        mu_c, mu_s = self.mean[rows] / self.torque_gain
+        sensitivity = self.sensitivity[rows] / self.torque_gain
+        sensitivity[:, Considered.TORQUE_GAIN] += np.array([mu_c, mu_s]) / self.torque_gain
+        random = self.covariance[rows, rows] / self.torque_gain**2
+        total = random + sensitivity @ self.considered @ sensitivity.T
+        std, random_std = np.sqrt(np.diag(total)), np.sqrt(np.diag(random))
         width = self.stribeck_speed_rad_s[clutch - 1]
         std_difference = float(np.sqrt(total[0, 0] + total[1, 1] - 2.0 * total[0, 1]))
         return FrictionEstimate(
@@ -207,11 +204,6 @@ class Belief:
             if value.shape != getattr(blank, name).shape or not np.all(np.isfinite(value)):
                 raise ValueError(f"not a running state: bad {name}")
         return state
-
-
-def friction_rows(clutch: int) -> slice:
-    """Return the state rows (mu_C, mu_S) of clutch 1 or 2."""
-    return slice(2 * clutch - 2, 2 * clutch)
 
 
 def _pair(values: Any, kind: type) -> tuple[Any, Any]:  # noqa: ANN401 - JSON is untyped

@@ -56,7 +56,7 @@ class FilmTrack:
     final_clutch_k: float
 
 
-def follow_film(clutch: int, drive: PressureDrive, calibration: Calibration, viscosity_ratio: float = 1.0) -> FilmTrack:
+def follow_film(clutch: int, drive: PressureDrive, calibration: Calibration) -> FilmTrack:
     """Integrate film and pack temperature of clutch 1 or 2; docs/model.md eq. (7) and section "Thermal".
 
     The clutch starts in equilibrium: open, or pressed and at rest. Its heat uses the calibration's friction, which is
@@ -66,7 +66,7 @@ def follow_film(clutch: int, drive: PressureDrive, calibration: Calibration, vis
     law = film_law(believed)
     oil = calibration.viscosity
     heat = HeatLaw(
-        a_pa_s=oil.a_pa_s * viscosity_ratio,
+        a_pa_s=oil.a_pa_s,
         b_k=oil.b_k,
         pole_k=oil.pole_k,
         heat_capacity_j_k=float(believed.thermal.heat_capacity_j_k),

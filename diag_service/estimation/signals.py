@@ -13,7 +13,7 @@ from diag_service.estimation.sampling import (
     sample_times_s,
     segment_centres_s,
 )
-from diag_service.records import BALANCE_SIGNALS, EndReason, FloatArray, Reason, ShiftEvent, Signal
+from diag_service.records import BALANCE_SIGNALS, EndReason, FloatArray, Reason, RevEvent, ShiftEvent, Signal
 
 MAX_GAP_PERIODS = 2.5  # one missing frame is bridged by interpolation, two are not
 NOMINAL_PERIOD_S = 0.01  # of signals whose message states no cycle time
@@ -49,8 +49,8 @@ class ShiftSignals:
         return self.hub_speed.on_grid - self.input_speed[clutch - 1].on_grid
 
 
-def gather(event: ShiftEvent, calibration: Calibration) -> ShiftSignals | Reason:
-    """Return the shift's signals on one clock, or why they cannot be used."""
+def gather(event: ShiftEvent | RevEvent, calibration: Calibration) -> ShiftSignals | Reason:
+    """Return the signals of a shift or rev on one clock, or why they cannot be used."""
     if event.end_reason is not EndReason.COMPLETE:
         return Reason.INTERRUPTED
     oil = event.columns.get(Signal.SUMP_TEMPERATURE)
@@ -68,6 +68,10 @@ def gather(event: ShiftEvent, calibration: Calibration) -> ShiftSignals | Reason
     times[Signal.ENGINE_SPEED] = segment_centres_s(
         times[Signal.ENGINE_SPEED], engine.value, calibration.input_side.crank_segment_rad
     )
+    bias = calibration.bias
+    times[Signal.ENGINE_TORQUE] = times[Signal.ENGINE_TORQUE] - bias.torque_latency_s
+    for pressure in (Signal.CLUTCH1_PRESSURE, Signal.CLUTCH2_PRESSURE):
+        times[pressure] = times[pressure] - bias.pressure_latency_s
     if any(np.any(np.diff(one) <= 0.0) for one in times.values()):
         return Reason.OUT_OF_RANGE  # time runs backwards inside a segment: the receive clock is not to be trusted
     history_s = max(one[0] for one in times.values())
@@ -93,7 +97,7 @@ def _resampled(times_s: FloatArray, value: FloatArray, grid_s: FloatArray) -> Sa
     return Samples(times_s=times_s, value=value, interpolation=interpolation, on_grid=interpolation.to_grid(value))
 
 
-def _expected_pa(event: ShiftEvent, command: Signal, grid_s: FloatArray) -> FloatArray | None:
+def _expected_pa(event: ShiftEvent | RevEvent, command: Signal, grid_s: FloatArray) -> FloatArray | None:
     """Return the piston pressure to be expected from its command on the grid, a first-order lag behind it, or None."""
     series = event.columns.get(command)
     if series is None or not len(series.t_ns):

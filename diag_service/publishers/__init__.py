@@ -2,6 +2,7 @@
 
 from diag_service.publishers.base import Link, Publisher, Reporter
 from diag_service.publishers.console import ConsoleReporter
+from diag_service.publishers.detached import DetachedReporter
 from diag_service.publishers.jsonlines import JsonLinesReporter
 from diag_service.publishers.memory import MemoryLink, MemoryReporter
 from diag_service.publishers.mqtt import BrokerAddress, MqttConnector
@@ -10,6 +11,7 @@ from diag_service.publishers.outbox import Outbox
 __all__ = [
     "BrokerAddress",
     "ConsoleReporter",
+    "DetachedReporter",
     "JsonLinesReporter",
     "Link",
     "MemoryLink",

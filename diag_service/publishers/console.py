@@ -18,7 +18,7 @@ _CONDITION_STYLE = {
 _STATUS_STYLE = {Status.VALID: "green", Status.REJECTED: "red", Status.UNOBSERVED: "yellow"}
 _HEAD = (
     f"{'shift':>5}  {'gears':<5} {'clutch':>6}  {'status':<10} {'mu_C':>8} {'std':>7} {'mu_S':>8} {'std':>7} "
-    f"{'P(slope<0)':>10} {'oil':>6}  clutch is"
+    f"{'P(slope<0)':>10} {'trust':>5} {'oil':>6}  clutch is"
 )
 
 
@@ -36,7 +36,7 @@ class ConsoleReporter:
     def report(self, result: ShiftResult) -> None:
         """Print one shift."""
         if not self._has_head:
-            self._line(Text(_HEAD, style="bold"))
+            self._line(shift_head())
             self._has_head = True
         self._line(shift_line(result))
 
@@ -56,12 +56,18 @@ class ConsoleReporter:
         self._console.file.flush()
 
 
+def shift_head() -> Text:
+    """Return the head over lines of shifts."""
+    return Text(_HEAD, style="bold")
+
+
 def shift_line(result: ShiftResult) -> Text:
     """Return one shift as a line; columns as in the head."""
     estimate, verdict = result.estimate, result.verdict
     line = Text(f"{estimate.number:>5}  {f'{estimate.from_gear}-{estimate.to_gear}':<5} {estimate.clutch:>6}  ")
     line.append(f"{estimate.status.value:<10} ", _STATUS_STYLE[estimate.status])
     line.append(_friction_columns(estimate.friction))
+    line.append(f" {'-' if estimate.trust is None else f'{estimate.trust.score:.2f}':>5}")
     oil_k = estimate.sump_temperature_k
     line.append(f" {'-' if oil_k is None else f'{degc_from_k(oil_k):.0f} °C':>6}  ")
     line.append(_words(verdict.condition), _CONDITION_STYLE[verdict.condition])

@@ -1,18 +1,27 @@
 """Where frames come from: live buses and log files, all as FrameBatch."""
 
-from diag_service.sources.base import FrameSource, SourceCounts
-from diag_service.sources.factory import open_source
+from diag_service.sources.base import FrameSource, LinkBreak, LiveSource, SourceCounts
+from diag_service.sources.bus_state import BusState, BusStatus
+from diag_service.sources.factory import BusOpener, open_source
 from diag_service.sources.logs import LogFormat, LogReader, is_log, read_log
+from diag_service.sources.supervisor import SupervisedSource, supervise
 from diag_service.sources.tally import LogCounts, LogReject
 
 __all__ = [
+    "BusOpener",
+    "BusState",
+    "BusStatus",
     "FrameSource",
+    "LinkBreak",
+    "LiveSource",
     "LogCounts",
     "LogFormat",
     "LogReader",
     "LogReject",
     "SourceCounts",
+    "SupervisedSource",
     "is_log",
     "open_source",
     "read_log",
+    "supervise",
 ]

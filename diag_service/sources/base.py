@@ -20,6 +20,13 @@ class SourceCounts:
     unsupported: int = 0  # neither CAN nor CAN FD
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LinkBreak:
+    """The bus was away: what comes after is another stretch, whatever its times say."""
+
+    problem: str
+
+
 class FrameSource(Protocol):
     """A live bus as batches of frames, oldest first.
 
@@ -37,6 +44,24 @@ class FrameSource(Protocol):
 
     def __aiter__(self) -> AsyncIterator[FrameBatch]:
         """Iterate over the batches."""
+
+    async def aclose(self) -> None:
+        """Stop receiving; a second call does nothing."""
+
+
+class LiveSource(Protocol):
+    """What a live run reads: like a FrameSource, which is one, but a bus that failed may come back after a break."""
+
+    @property
+    def description(self) -> str:
+        """Interface and channel, for people."""
+
+    @property
+    def counts(self) -> SourceCounts:
+        """What has been received and lost until now; exact, also after the source was closed."""
+
+    def __aiter__(self) -> AsyncIterator[FrameBatch | LinkBreak]:
+        """Iterate over batches and breaks."""
 
     async def aclose(self) -> None:
         """Stop receiving; a second call does nothing."""

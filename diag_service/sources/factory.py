@@ -5,6 +5,7 @@ from dataclasses import dataclass
 
 from diag_service.errors import SourceError
 from diag_service.sources.base import FrameSource
+from diag_service.sources.interface import Seen, index_of, present_name, restart_controller
 from diag_service.sources.socketcan import SocketCanSource
 
 SOCKETCAN = "socketcan"
@@ -25,28 +26,61 @@ class BusSettings:
         return f"{self.interface} {self.channel}" if self.channel is not None else self.interface
 
 
-async def open_source(
-    interface: str | None = None, channel: str | None = None, bitrate: int | None = None, *, fd: bool = False
-) -> FrameSource:
-    """Open a live bus; when this returns, it receives.
+class BusOpener:
+    """Opens one bus, again and again.
 
     Parameters
     ----------
     interface, channel, bitrate, fd
         As python-can names them. What is not given comes from ``CAN_INTERFACE``, ``CAN_CHANNEL`` and
         ``CAN_BITRATE``, then from ``can.conf``.
-
-    Raises
-    ------
-    SourceError
-        If the bus is not named completely or cannot be opened.
     """
-    # python-can takes up to a second to import, and a driver may take as long to open: neither stops the loop.
-    settings = await asyncio.to_thread(complete_settings, interface, channel, bitrate, fd=fd)
-    if settings.interface == SOCKETCAN:
+
+    def __init__(
+        self, interface: str | None = None, channel: str | None = None, bitrate: int | None = None, *, fd: bool = False
+    ) -> None:
+        self._given = (interface, channel, bitrate, fd)
+        self._settings: BusSettings | None = None
+        self._last: Seen | None = None  # a SocketCAN interface, to find it under another name
+
+    async def open(self) -> FrameSource:
+        """Open the bus; when this returns, it receives.
+
+        Raises
+        ------
+        SourceError
+            If the bus is not named completely or cannot be opened.
+        """
+        if self._settings is None:
+            # python-can takes up to a second to import, and a driver may take as long to open: neither stops the loop.
+            interface, channel, bitrate, fd = self._given
+            self._settings = await asyncio.to_thread(complete_settings, interface, channel, bitrate, fd=fd)
+        settings = self._settings
+        if settings.interface != SOCKETCAN:
+            return await _open_pythoncan(settings)
         if not settings.channel:
             raise SourceError("no CAN channel given: name the interface, for example -i socketcan -c vcan0")
-        return SocketCanSource(settings.channel, fd=settings.fd)
+        name = present_name(settings.channel, self._last)
+        source = SocketCanSource(name, fd=settings.fd)
+        self._last = Seen(name=name, index=index_of(name))
+        return source
+
+    async def restart(self) -> str | None:
+        """Ask the controller to leave bus-off; return why that cannot be, None if it was accepted."""
+        settings = self._settings
+        if settings is None or settings.interface != SOCKETCAN or settings.channel is None:
+            return "only SocketCAN offers it"
+        return await asyncio.to_thread(restart_controller, present_name(settings.channel, self._last))
+
+
+async def open_source(
+    interface: str | None = None, channel: str | None = None, bitrate: int | None = None, *, fd: bool = False
+) -> FrameSource:
+    """Open a live bus once; arguments and errors as ``BusOpener``."""
+    return await BusOpener(interface, channel, bitrate, fd=fd).open()
+
+
+async def _open_pythoncan(settings: BusSettings) -> FrameSource:
     from diag_service.sources import pythoncan  # noqa: PLC0415 - heavy, and not needed for SocketCAN
 
     bus = await asyncio.to_thread(

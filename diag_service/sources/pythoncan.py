@@ -25,6 +25,7 @@ from diag_service.sources.frame_queue import FrameQueue
 
 POLL_S = 0.1  # how soon the thread notices that it shall stop
 MESSAGES_PER_BATCH = 256
+PATIENCE_S = 3.0  # with a driver that does not return
 LAST_BATCHES = 64  # what an interface may still hold; bounded, for the bus may never fall silent
 NS_PER_US = 1_000
 US_PER_S = 1e6
@@ -63,9 +64,11 @@ class PythonCanSource:
                 yield batch
 
     async def aclose(self) -> None:
-        """Take what the interface still holds, then end the thread and the bus."""
+        """Take what the interface still holds, then end the thread and the bus; a driver that hangs is left behind."""
         self._is_stopping.set()
-        await asyncio.to_thread(self._thread.join)
+        await asyncio.to_thread(self._thread.join, PATIENCE_S)
+        if self._thread.is_alive():
+            self._queue.close(SourceError(f"{self._description} does not answer"))
 
     def _read(self) -> None:
         """Read until told to stop; whatever ends this thread, the consumer learns of it."""

@@ -13,6 +13,7 @@ UInt8Array = npt.NDArray[np.uint8]
 UInt32Array = npt.NDArray[np.uint32]
 
 EXTENDED_FLAG: Final = 0x8000_0000  # bit 31 of ``can_id``: 29-bit identifier
+ERROR_FLAG: Final = 0x2000_0000
 PAYLOAD_BYTES: Final = 8
 US_PER_S: Final = 1_000_000
 US_PER_MS: Final = 1_000

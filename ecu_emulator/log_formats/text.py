@@ -6,7 +6,7 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
-from ecu_emulator.log_formats.base import EXTENDED_FLAG, Int64Array, UInt8Array, UInt32Array
+from ecu_emulator.log_formats.base import ERROR_FLAG, EXTENDED_FLAG, Int64Array, UInt8Array, UInt32Array
 
 HEX_DIGITS: Final = np.frombuffer(b"0123456789ABCDEF", np.uint8)
 STANDARD_ID_DIGITS: Final = 3
@@ -27,12 +27,12 @@ def decimal(value: Int64Array, digits: int) -> UInt8Array:
 
 
 def identifier(can_id: UInt32Array) -> UInt8Array:
-    """Return identifiers as three or, if extended, eight hexadecimal digits."""
+    """Return identifiers as three or, if extended or of an error frame, eight hexadecimal digits."""
     shifts = np.arange(4 * (EXTENDED_ID_DIGITS - 1), -1, -4, dtype=np.uint32)
-    is_extended = (can_id & np.uint32(EXTENDED_FLAG)) != 0
+    is_long = (can_id & np.uint32(EXTENDED_FLAG | ERROR_FLAG)) != 0
     number = can_id & np.uint32(EXTENDED_FLAG - 1)
     digits: UInt8Array = HEX_DIGITS[number[:, None] >> shifts & np.uint32(0xF)]
-    digits[~is_extended, : EXTENDED_ID_DIGITS - STANDARD_ID_DIGITS] = DROPPED
+    digits[~is_long, : EXTENDED_ID_DIGITS - STANDARD_ID_DIGITS] = DROPPED
     return digits
 
 

@@ -103,18 +103,25 @@ def test_a_foreign_bus_without_commands_is_still_estimated() -> None:
 
 
 @pytest.mark.parametrize(
-    ("signal", "change"),
+    ("signal", "change", "reason"),
     [
-        (Signal.ENGINE_TORQUE, lambda t, value: np.where(t > 0.3, value[0], value)),  # frozen
-        (Signal.CLUTCH2_PRESSURE, lambda t, value: np.where(t > 0.7, value + 1.0e5, value)),  # one bar too much
-        (Signal.HUB_SPEED, lambda t, value: np.where(t > 0.7, value + 20.0, value)),
+        (Signal.ENGINE_TORQUE, lambda t, value: np.where(t > 0.3, value[0], value), Reason.SENSOR_FROZEN),
+        (Signal.ENGINE_TORQUE, lambda t, value: np.where(t > 0.7, value + 80.0, value), Reason.MISFIT),
+        (
+            Signal.CLUTCH2_PRESSURE,
+            lambda t, value: np.where(t > 0.7, value + 1.0e5, value),
+            Reason.PRESSURE_OFF_COMMAND,
+        ),
+        (Signal.HUB_SPEED, lambda t, value: np.where(t > 0.7, value + 20.0, value), Reason.SPEEDS_DISAGREE),
     ],
-    ids=["torque frozen", "pressure steps", "speed steps"],
+    ids=["torque frozen", "torque steps", "pressure steps", "speed steps"],
 )
-def test_a_lying_sensor_is_a_misfit(signal: Signal, change: Callable[[FloatArray, FloatArray], FloatArray]) -> None:
+def test_a_lying_sensor_is_found_out(
+    signal: Signal, change: Callable[[FloatArray, FloatArray], FloatArray], reason: Reason
+) -> None:
     ((_, estimate),) = followed((changed(shifts()[0], signal, change),))
     assert estimate.status is Status.REJECTED
-    assert estimate.reasons == (Reason.MISFIT,)
+    assert estimate.reasons == (reason,)
     assert estimate.friction is None
 
 

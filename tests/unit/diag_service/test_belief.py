@@ -7,12 +7,15 @@ import numpy as np
 import pytest
 
 from clutch_model.calibration import nominal_calibration
-from diag_service.estimation.belief import Belief, Considered, Measurement, State
+from diag_service.estimation.belief import Belief, Measurement
+from diag_service.estimation.parameters import Considered, State
 
-CALIBRATION = nominal_calibration()
+CALIBRATION = replace(
+    nominal_calibration(), uncertainty=replace(nominal_calibration().uncertainty, motoring_gain_ratio=0.02)
+)
 STATES, CONSIDERED = len(State), len(Considered)
 SCALE = np.array([0.1] * 4 + [5.0] + [8e3] * 4)  # keeps the random problems near unit size
-CONSIDERED_SCALE = np.sqrt(Belief.fresh(CALIBRATION).considered)
+CONSIDERED_SCALE = np.sqrt(np.diag(Belief.fresh(CALIBRATION).considered))
 
 
 def random_measurement(rng: np.random.Generator, rows: int) -> Measurement:
@@ -42,7 +45,7 @@ def test_the_stated_covariance_is_that_of_the_errors_it_makes() -> None:
         noises = [keep @ one @ keep.T for one in noises] + [gain @ seen.noise @ gain.T]
         belief, _ = belief.updated(seen)
     expected = by_prior @ prior.covariance @ by_prior.T + sum(noises)
-    expected += (by_considered * prior.considered) @ by_considered.T
+    expected += by_considered @ prior.considered @ by_considered.T
     stated = belief.total_covariance(slice(None))
     assert np.allclose(stated / np.outer(SCALE, SCALE), expected / np.outer(SCALE, SCALE), atol=1e-10)
 
@@ -67,17 +70,17 @@ def test_it_is_generalised_least_squares_with_a_prior() -> None:
 
 
 def test_a_considered_parameter_is_never_averaged_away() -> None:
-    """A gain error of 3 % stays in the total standard deviation however many shifts agree."""
+    """A gain of 3 % and an area of 1 % stay in the total standard deviation however many shifts agree."""
     belief = Belief.fresh(CALIBRATION)
     by_state = np.zeros((1, STATES))
     by_state[0, State.MU_C1] = 100.0
     by_considered = np.zeros((1, CONSIDERED))
-    by_considered[0, Considered.TORQUE_GAIN] = 14.0  # mu_c * 100: the gain scales the torque
+    by_considered[0, Considered.PISTON_AREA1] = 14.0  # mu_c * 100: the area scales the torque, as the gain does
     seen = Measurement(residual=np.zeros(1), by_state=by_state, by_considered=by_considered, noise=np.array([[0.01]]))
     for _ in range(1000):
         belief, _ = belief.updated(seen)
     friction = belief.friction(1)
-    assert friction.std_mu_c == pytest.approx(0.03 * 0.14, rel=0.1)
+    assert friction.std_mu_c == pytest.approx(np.hypot(0.03, 0.01) * 0.14, rel=0.02)
     assert friction.random_std_mu_c < 0.1 * friction.std_mu_c
 
 
@@ -89,7 +92,7 @@ def test_chi_square_of_expected_residuals_is_one() -> None:
     for _ in range(400):
         residual = (
             seen.by_state @ (rng.normal(size=STATES) * np.sqrt(np.diag(belief.covariance)))
-            + seen.by_considered @ (rng.normal(size=CONSIDERED) * np.sqrt(belief.considered))
+            + seen.by_considered @ (rng.normal(size=CONSIDERED) * CONSIDERED_SCALE)
             + rng.multivariate_normal(np.zeros(12), seen.noise)
         )
         ratios.append(belief.updated(replace(seen, residual=residual))[1])

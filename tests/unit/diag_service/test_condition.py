@@ -7,7 +7,8 @@ import pytest
 
 from clutch_model.calibration import nominal_calibration
 from diag_service.condition import ConditionMemory, judge
-from diag_service.estimation.belief import Belief, State
+from diag_service.estimation.belief import Belief
+from diag_service.estimation.parameters import State
 from diag_service.records import Condition
 
 CALIBRATION = nominal_calibration()

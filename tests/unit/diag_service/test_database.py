@@ -1,13 +1,25 @@
 """Databases of other people: good ones load, bad ones are refused with one clear line and without harm."""
 
 import logging
+import resource
 from pathlib import Path
+from typing import Final
 
+import cantools
+import numpy as np
 import pytest
+from cantools.database.can import Database
 
 from dbc.contract import DBC_PATH
-from diag_service.database import MAX_FILE_BYTES, load_database
+from diag_service import database as database_module
+from diag_service.codec import Codec
+from diag_service.database import MAX_FILE_BYTES, PARSER_BYTES, load_database
 from diag_service.errors import ConfigError
+from diag_service.frames import EXTENDED_FLAG, FrameBatch
+from tests.cantools_oracle import reference, same_bits
+from tests.wire import DATABASE
+
+DATA: Final = Path(__file__).parents[2] / "data"
 
 HEAD = 'VERSION ""\nBU_: A\n'
 SIGNAL = 'BO_ 256 M: 8 A\n SG_ s : 0|8@1+ (1,0) [0|0] "" A\n'
@@ -63,6 +75,7 @@ def test_missing_file_and_folder(tmp_path: Path) -> None:
         b"hello, world",
         b"\x7fELF\x02\x01\x01" + bytes(range(256)),
         b'<?xml version="1.0"?><a/>',
+        b"<",
         b"(0.1) can0 1#00\n",
     ],
 )
@@ -97,6 +110,114 @@ def test_damaged_database_is_refused(tmp_path: Path, text: str) -> None:
 )
 def test_sizes_that_would_fill_the_memory_are_refused(tmp_path: Path, text: str) -> None:
     assert any(words in refusal(write(tmp_path, HEAD + text)) for words in ("not a CAN", "any CAN", "too wide"))
+
+
+def xml(body: str, head: str = "") -> str:
+    return f'<?xml version="1.0"?>{head}<NetworkDefinition xmlns="http://kayak.2codeornot2code.org/1.0">{body}'
+
+
+def kcd(message: str, signal: str) -> str:
+    message = f'<Message id="0x1" name="m" {message}><Signal name="s" {signal}/></Message>'
+    return xml(f'<Document/><Bus name="b">{message}</Bus></NetworkDefinition>')
+
+
+def sym(lines: str) -> str:
+    return f'FormatVersion=6.0 // x\nTitle="x"\n\n{{SENDRECEIVE}}\n\n[m]\nID=100h\n{lines}\n'
+
+
+ENTITIES: Final = '<!DOCTYPE a [<!ENTITY b "bbbbbbbb"><!ENTITY c "&b;&b;&b;&b;&b;&b;&b;&b;">]>'
+PAGES: Final = range(2000)
+WIDE_PAGES: Final = (
+    'BO_ 1 m: 8 A\n SG_ p M : 0|16@1+ (1,0) [0|0] "" A\n'
+    + "".join(f' SG_ s{k} m0 : 8|8@1+ (1,0) [0|0] "" A\n' for k in PAGES)
+    + "".join(f"SG_MUL_VAL_ 1 s{k} p 0-65535;\n" for k in PAGES)
+)
+
+
+@pytest.mark.parametrize(
+    ("text", "complaint"),
+    [
+        (HEAD + WIDE_PAGES, "takes more than 384 MiB of memory"),
+        (HEAD + 'BO_ 1 m: 8 A\n SG_ s m0-4294967295 : 8|8@1+ (1,0) [0|0] "" A\n', "not a DBC file"),
+        (kcd('length="4000000000"', 'offset="0" length="8"'), "takes more than 384 MiB of memory"),
+        (kcd('length="auto"', 'offset="4000000000" length="8"'), "takes more than 384 MiB of memory"),
+        (kcd('length="8"', 'offset="0" length="4000000000"'), "takes more than 384 MiB of memory"),
+        (xml("<a>" * 300_000), "not a KCD file"),
+        (xml("<Bus/></NetworkDefinition>"), "not a KCD file"),
+        (xml("&c;</NetworkDefinition>", ENTITIES), "defines a document type or entities"),
+        (xml("</NetworkDefinition>", '<!DOCTYPE a SYSTEM "file:///etc/passwd">'), "defines a document type"),
+        ('<?xml version="1.0"?><AUTOSAR xmlns="http://autosar.org/schema/r4.0"/>', "not an ARXML file"),
+        ("<html><body/></html>", "neither KCD nor ARXML"),
+        (sym("Len=4000000000\nVar=s unsigned 0,8"), "takes more than 384 MiB of memory"),
+        (sym("Len=8\nVar=s unsigned 0,4000000000"), "takes more than 384 MiB of memory"),
+        ("FormatVersion=6.0\n[[m]\n", "not a SYM file"),
+    ],
+)
+def test_hostile_database_is_refused_within_the_limits(tmp_path: Path, text: str, complaint: str) -> None:
+    assert complaint in refusal(write(tmp_path, text))
+    assert resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss < max(
+        PARSER_BYTES / 1024, resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    )
+
+
+def test_entities_are_found_in_any_encoding(tmp_path: Path) -> None:
+    text = xml("&c;</NetworkDefinition>", ENTITIES)
+    assert "defines a document type" in refusal(write(tmp_path, text.encode("utf-16")))
+
+
+@pytest.mark.parametrize("piece", ["9", '\\"', "SG_MUL_VAL_ ", "1 | "])
+def test_long_repetitions_are_looked_at_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, piece: str) -> None:
+    monkeypatch.setattr(database_module, "PARSER_TIME_S", 1)
+    before_s = resource.getrusage(resource.RUSAGE_SELF).ru_utime
+    refusal(write(tmp_path, HEAD + piece * (400_000 // len(piece))))
+    assert resource.getrusage(resource.RUSAGE_SELF).ru_utime - before_s < 2.0
+
+
+def test_time_to_parse_is_limited(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(database_module, "PARSER_TIME_S", 1)
+    wide = "".join(f'BO_ {k} m{k}: 1785 A\n SG_ s : 0|14000@1+ (1,0) [0|0] "" A\n\n' for k in range(1000))
+    assert "takes more than 1 s to parse" in refusal(write(tmp_path, HEAD + wide))
+
+
+def as_kcd() -> str:
+    corners = cantools.database.load_file(DATA / "corners.dbc")
+    assert isinstance(corners, Database)
+    return corners.as_kcd_string()
+
+
+@pytest.mark.parametrize(
+    ("text", "name", "count"),
+    [
+        (as_kcd(), "Multiplexed", 11),
+        (DATABASE.as_sym_string(), "TCU_Pressures", 10),
+        ((DATA / "engine.arxml").read_text(), "Engine", 1),
+        ((DATA / "corners.dbc").read_text(), "SignedBig", 11),
+    ],
+    ids=["kcd", "sym", "arxml", "dbc"],
+)
+def test_every_format_decodes_to_the_bits_of_cantools(tmp_path: Path, text: str, name: str, count: int) -> None:
+    database = load_database(write(tmp_path, text))
+    assert len(database.messages) == count
+    message = database.get_message_by_name(name)
+    data = np.random.default_rng(3).integers(0, 256, (50, 8)).astype(np.uint8)
+    batch = FrameBatch(
+        t_ns=np.arange(50),
+        can_id=np.full(50, message.frame_id | (EXTENDED_FLAG if message.is_extended_frame else 0), np.uint32),
+        length=np.full(50, 8, np.uint8),
+        data=data,
+    )
+    (found,) = Codec([message], check_range=False).decode(batch)
+    wanted = reference(message, [row.tobytes() for row in data])
+    for signal, decoded in found.signals.items():
+        is_there = ~np.isnan(wanted[signal])
+        assert same_bits(decoded.value[is_there], wanted[signal][is_there])
+
+
+def test_what_autosar_says_of_a_signal_arrives() -> None:
+    message = load_database(DATA / "engine.arxml").get_message_by_name("Engine")
+    speed, torque = (message.get_signal_by_name(name) for name in ("EngineSpeed", "EngineTorque"))
+    assert (message.frame_id, speed.unit, torque.unit) == (0x123, "rpm", "Nm")
+    assert (speed.scale, torque.scale, torque.offset, torque.is_signed) == (0.25, 0.5, -10.0, True)
 
 
 def test_sizes_inside_texts_are_harmless(tmp_path: Path) -> None:

@@ -1,5 +1,7 @@
 """The film followed by the estimator against a much finer integration of the same law."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -79,6 +81,8 @@ def test_thicker_oil_delays_the_contact() -> None:
     drive = PressureDrive(
         piston_pa=engagement_pa(grid_s), slip_rad_s=np.zeros(len(grid_s)), oil_k=OIL_K, clutch_k=OIL_K
     )
-    thin, thick = follow_film(1, drive, CALIBRATION), follow_film(1, drive, CALIBRATION, viscosity_ratio=1.5)
+    oil = CALIBRATION.viscosity
+    thicker = replace(CALIBRATION, viscosity=replace(oil, a_pa_s=1.5 * oil.a_pa_s))
+    thin, thick = follow_film(1, drive, CALIBRATION), follow_film(1, drive, thicker)
     rising = (grid_s > 0.42) & (grid_s < 0.7)
     assert np.all(thick.contact_pa[rising] < thin.contact_pa[rising])

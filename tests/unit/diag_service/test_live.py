@@ -21,9 +21,9 @@ from diag_service.mapping import Decoder
 from diag_service.notices import NOTICE
 from diag_service.pipeline import Session, Stages, resume, versions_for
 from diag_service.profile import PROFILE_PATH, load_profile
-from diag_service.publishers import MemoryLink, MemoryReporter, Outbox
+from diag_service.publishers import MemoryLink, MemoryReporter, Outbox, Reporter
 from diag_service.records import Reason, ShiftResult, Status
-from diag_service.sources import SourceCounts
+from diag_service.sources import LinkBreak, SourceCounts
 from diag_service.stopping import Trigger
 from diag_service.store import ResultStore, VehicleState
 from ecu_emulator.frames import FrameEncoder
@@ -87,7 +87,7 @@ def _store() -> Iterator[ResultStore]:
         yield store
 
 
-def session_for(store: ResultStore, reporter: MemoryReporter) -> Session:
+def session_for(store: ResultStore, reporter: Reporter) -> Session:
     decoder = Decoder(load_database(DBC_PATH), load_profile(PROFILE_PATH))
     belief, memory = resume(store, "car1", VERSIONS, CALIBRATION)
     return Session(
@@ -237,3 +237,25 @@ def test_feeding_gives_what_segments_and_conclusions_give(store: ResultStore) ->
     assert [diagnosis.estimate for diagnosis in parts] == [diagnosis.estimate for diagnosis in whole]
     assert len(whole) == 3
     assert all(diagnosis.estimate.status is Status.REJECTED for diagnosis in whole)
+
+
+class BreakingSource(ListSource):
+    """A bus that is away for a moment after each batch."""
+
+    async def __aiter__(self) -> AsyncIterator[FrameBatch | LinkBreak]:  # type: ignore[override]
+        async for batch in super().__aiter__():
+            yield batch
+            yield LinkBreak(problem="away")
+
+
+async def test_a_bus_that_was_away_interrupts_the_open_shift_and_nothing_else(store: ResultStore) -> None:
+    reporter = MemoryReporter()
+    frames = gear_frames(3)
+    middle = round(2.5 / 0.01)  # a break of ten milliseconds, inside the first shift
+    source = BreakingSource([frames[: middle + 1], frames[middle + 1 :]])
+    await run(source, session_for(store, reporter))
+    gears = [(one.estimate.from_gear, one.estimate.to_gear) for one in reporter.results]
+    assert gears == [(1, 2), (1, 2), (2, 1), (1, 2)]  # the first in two halves: neither has both ends
+    assert reporter.results[0].estimate.reasons == (Reason.INTERRUPTED,)
+    assert reporter.results[2].estimate.reasons != (Reason.INTERRUPTED,)
+    assert reporter.summaries[0].frames.decoded == len(frames)

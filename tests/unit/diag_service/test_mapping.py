@@ -11,7 +11,7 @@ from cantools.database.can import Database
 
 from clutch_model.units import pa_from_bar, rad_s_from_rpm
 from diag_service.errors import ConfigError
-from diag_service.frames import FrameBatch, empty_batch
+from diag_service.frames import ERROR_FLAG, FrameBatch, empty_batch
 from diag_service.mapping import Decoder, DecoderCounts
 from diag_service.profile import Profile, SignalSource, load_profile
 from diag_service.protection_check import FrameReason
@@ -224,6 +224,26 @@ def test_foreign_database_without_protection() -> None:
     assert value[Signal.SUMP_TEMPERATURE] == [0.5 * 256 - 40 + 273.15]
     assert columns.columns[Signal.HUB_SPEED].sequence.tolist() == [-1]
     assert columns.columns[Signal.HUB_SPEED].period_ns == 0
+
+
+def test_a_controller_that_left_the_bus_ends_the_segment() -> None:
+    batch = received(drive(1.0))
+    batch.can_id[500] = ERROR_FLAG | 0x40
+    stage = decoder()
+    before, after = stage.feed(batch)
+    assert (before.breaks_before, after.breaks_before) == (False, True)
+    assert after.watermark_ns == batch.t_ns[-1]
+    assert stage.counts.rejected == {FrameReason.REMOTE_OR_ERROR: 1}
+    assert balanced(stage.counts)
+
+
+def test_an_interruption_ends_the_segment_without_a_jump_of_time() -> None:
+    batch = received(drive(1.0))
+    stage = decoder()
+    (first,) = stage.feed(batch[:500])
+    stage.interrupt()
+    (second,) = stage.feed(batch[500:])
+    assert (first.breaks_before, second.breaks_before) == (False, True)
 
 
 def truck(**more: object) -> Decoder:

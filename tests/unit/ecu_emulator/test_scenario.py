@@ -6,11 +6,13 @@ import pytest
 
 from clutch_model.calibration import nominal_calibration
 from ecu_emulator.errors import ConfigError
+from ecu_emulator.faults import BusFault, BusFaultKind, Phase, SensorFault, SensorFaultKind
 from ecu_emulator.scenario import Ambient, Driver, FluidCondition, Routine, Scatter, Scenario, production_scatter
 from ecu_emulator.scenario_file import load_scenario, parse_scenario, shipped_scenarios
 from ecu_emulator.signals import NOMINAL_SENSORS, split_unit
 
 MINIMAL = 'name = "mine"\n'
+FAULT = "[[sensor_faults]]\nquantity = 'hub_speed_rad_s'\n"
 
 
 def test_shipped_scenarios_load_and_are_named_like_their_files() -> None:
@@ -131,6 +133,19 @@ def test_every_key_reaches_its_place() -> None:
         (MINIMAL + "sensors.hub_speed.latency_s = -0.1", r"sensors\.hub_speed\.latency_s must be"),
         (MINIMAL + "sensors.hub_speed.noise_std_rad_s = '2'", r"sensors\.hub_speed\.noise_std must be a number"),
         (MINIMAL + "sensors.hub_speed = 3", r"sensors\.hub_speed must be a table"),
+        (MINIMAL + "sensor_faults = 3", "sensor_faults must be an array of tables"),
+        (MINIMAL + "[[sensor_faults]]\nkind = 'frozen'", "sensor_faults 1: key quantity is missing"),
+        (MINIMAL + FAULT + "kind = 'broken'", "sensor_faults 1: kind must be one of frozen, offset"),
+        (MINIMAL + FAULT + "kind = 'offset'", "needs a finite size other than 0"),
+        (MINIMAL + FAULT + "kind = 'frozen'\nsize = 2", "needs no size"),
+        (MINIMAL + FAULT + "kind = 'frozen'\nphase = 'hold'", "phase must be one of prefill"),
+        (MINIMAL + FAULT + "kind = 'frozen'\nshift = -1", "shift must be"),
+        (MINIMAL + FAULT + "kind = 'frozen'\nstart_s = -1", "start_s must be"),
+        (MINIMAL + FAULT + "kind = 'frozen'\nduration_s = 0", "duration_s must be"),
+        (MINIMAL + "[[sensor_faults]]\nquantity = 'shift_phase'\nkind = 'frozen'", "has no sensor"),
+        (MINIMAL + "bus_faults = [1]", "bus_faults must be an array of tables"),
+        (MINIMAL + "[[bus_faults]]\nkind = 'los'", "bus_faults 1: kind must be one of loss, silence"),
+        (MINIMAL + "[[bus_faults]]\nkind = 'loss'\nshare = 0", "bus_faults 1: share must be above 0"),
         (MINIMAL + "truth.mu = 3", r"truth\.mu is unknown"),
         (MINIMAL + "truth.calibration = 3", r"truth\.calibration must be a table"),
         ("name = ", "is not TOML"),
@@ -140,6 +155,19 @@ def test_a_key_that_cannot_be_used_is_named(text: str, named: str) -> None:
     with pytest.raises(ConfigError, match=named) as caught:
         parse_scenario(text, "here.toml")
     assert str(caught.value).startswith("here.toml")
+
+
+def test_sensor_faults_are_read_in_their_order() -> None:
+    text = MINIMAL + FAULT + "kind = 'frozen'\n" + FAULT + "kind = 'drift'\nsize = -2\nshift = 3\nphase = 'inertia'"
+    frozen, drift = parse_scenario(text, "text").sensor_faults
+    assert frozen == SensorFault(quantity="hub_speed_rad_s", kind=SensorFaultKind.FROZEN)
+    assert (drift.kind, drift.size, drift.shift, drift.phase) == (SensorFaultKind.DRIFT, -2.0, 3, Phase.INERTIA)
+
+
+def test_bus_faults_are_read() -> None:
+    text = MINIMAL + "[[bus_faults]]\nkind = 'loss'\nshare = 0.25\nmessage = 'TCU_Shift'\nduration_s = 3"
+    (loss,) = parse_scenario(text, "text").bus_faults
+    assert loss == BusFault(kind=BusFaultKind.LOSS, share=0.25, message="TCU_Shift", duration_s=3.0)
 
 
 def test_an_unknown_scenario_lists_the_shipped_ones() -> None:

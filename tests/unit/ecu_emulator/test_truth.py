@@ -8,6 +8,7 @@ from ecu_emulator.plant.columns import Col
 from ecu_emulator.tcu_data import CLOSED_REVS, OPEN_REVS
 from ecu_emulator.truth import (
     DriveTruth,
+    FaultTruth,
     RevTruth,
     RevWatcher,
     ShiftWatcher,
@@ -29,6 +30,7 @@ DRIVE = DriveTruth(
     mu_s=(0.12, 0.11),
     drawn={"torque_gain_ratio": 1.01},
 )
+FAULT = FaultTruth(what="hub_speed_rad_s", kind="offset", size=2.0, t_start_s=0.2, t_end_s=None, count=4)
 ROWS = with_shift(with_shift(made_up_rows(1200), 100, 500, 1, 2), 700, 1000, 2, 3)
 
 
@@ -73,7 +75,7 @@ def test_a_truth_file_reads_back(tmp_path: Path) -> None:
     assert path.name == "drive.log.truth.jsonl"
     shifts = tuple(ShiftWatcher().feed(ROWS))
     rev = RevTruth(number=1, t_start_s=0.1, t_end_s=0.2, are_clutches_closed=True)
-    totals = Totals(shifts=2, duration_s=1.2, frames=77)
+    totals = Totals(shifts=2, duration_s=1.2, frames=77, faults=(FAULT,))
     with TruthWriter(path) as writer:
         writer.drive(DRIVE)
         writer.shifts(shifts[:1])

@@ -1,0 +1,126 @@
+"""CPU time of one shift on CAN data, beside a loop of filterpy over the same samples.
+
+- *Live update*: what a running service does once a shift is over: plausibility, the shift's own estimate, the running
+  state, the verdict.
+- *Full solve*: the same from the frames of the shift on: protection check, decoding, finding the shift.
+- *filterpy*: the discrete Kalman estimator of the paper (signal and rate, two states), predicted and updated once per
+  sample of the seven signals that the balance needs: what a script would begin with, before it knows any friction.
+
+CPU time of the whole process, the best of some rounds over all shifts of a drive; compiled beforehand.
+
+    python -m benchmarks.estimator
+"""
+
+import sys
+import time
+import warnings
+from collections.abc import Callable, Sequence
+
+import numpy as np
+
+from benchmarks.accuracy import to_batch
+from clutch_model.calibration import nominal_calibration
+from dbc.contract import DBC_PATH
+from diag_service.condition import ConditionMemory
+from diag_service.database import load_database
+from diag_service.estimation import Belief
+from diag_service.frames import FrameBatch
+from diag_service.mapping import Decoder
+from diag_service.pipeline import Stages
+from diag_service.profile import load_profile
+from diag_service.records import BALANCE_SIGNALS, ShiftEvent
+from ecu_emulator.recording import frames_of
+from ecu_emulator.scenario_file import load_scenario
+
+with warnings.catch_warnings():
+    warnings.simplefilter("ignore")  # filterpy loads matplotlib, whose own dependencies are deprecated
+    from filterpy.kalman import KalmanFilter
+
+ROUNDS = 5
+PEER_SHIFTS = 3  # the loop takes the same time for every shift
+PERIOD_S = 0.01
+LIVE_TARGET_S, LIVE_AIM_S = 0.050, 0.010
+FULL_TARGET_S, FULL_AIM_S = 0.100, 0.020
+PROCESS_VARIANCE, SAMPLE_VARIANCE = 1.8e7, 0.04  # q and r of the paper's filter; they do not change the time
+MS = 1e3
+
+
+def new_stages() -> Stages:
+    """Return all stages, before their first frame."""
+    calibration = nominal_calibration()
+    decoder = Decoder(load_database(DBC_PATH), load_profile())
+    return Stages(decoder, calibration, Belief.fresh(calibration), ConditionMemory.fresh())
+
+
+def update_live(stages: Stages, events: Sequence[ShiftEvent]) -> None:
+    """Estimate and judge shifts that were found before."""
+    for event in events:
+        stages.conclude(event)
+
+
+def filter_samples(event: ShiftEvent) -> int:
+    """Run a filterpy filter over every signal of a shift; return how many samples that were."""
+    drive = np.array([[PERIOD_S**2 / 2.0], [PERIOD_S]])
+    for signal in BALANCE_SIGNALS:
+        samples = event.columns[signal].value
+        kalman = KalmanFilter(dim_x=2, dim_z=1)
+        kalman.x = np.array([[samples[0]], [0.0]])
+        kalman.F = np.array([[1.0, PERIOD_S], [0.0, 1.0]])
+        kalman.H = np.array([[1.0, 0.0]])
+        kalman.Q = drive @ drive.T * PROCESS_VARIANCE
+        kalman.R = np.array([[SAMPLE_VARIANCE]])
+        for sample in samples:
+            kalman.predict()
+            kalman.update(sample)
+    return sum(len(event.columns[signal].value) for signal in BALANCE_SIGNALS)
+
+
+def cpu_s(prepare: Callable[[], Callable[[], object]]) -> float:
+    """Return the least CPU time [s] of what ``prepare`` returns, over some rounds after a first one."""
+    times_s = []
+    for _ in range(ROUNDS + 1):
+        work = prepare()
+        began_s = time.process_time()
+        work()
+        times_s.append(time.process_time() - began_s)
+    return min(times_s[1:])
+
+
+def judged(took_s: float, target_s: float, aim_s: float) -> str:
+    """Return a time beside what is asked of it."""
+    verdict = "met" if took_s <= target_s else "MISSED"
+    return f"{took_s * MS:7.2f} ms   target {target_s * MS:.0f} ms: {verdict}, aim {aim_s * MS:.0f} ms"
+
+
+def report(batch: FrameBatch) -> None:
+    """Measure on the frames of a drive, and print."""
+    events = [*(stages := new_stages()).segment(batch), *stages.flush()]
+
+    def live() -> Callable[[], None]:
+        fresh = new_stages()
+        return lambda: update_live(fresh, events)
+
+    def full() -> Callable[[], object]:
+        fresh = new_stages()
+        return lambda: fresh.feed(batch)
+
+    live_s, full_s = (cpu_s(prepare) / len(events) for prepare in (live, full))
+    chosen = events[:PEER_SHIFTS]
+    samples = sum(map(filter_samples, chosen)) / PEER_SHIFTS
+    peer_s = cpu_s(lambda: lambda: [filter_samples(event) for event in chosen]) / PEER_SHIFTS
+    print(f"CPU time of one shift, mean over {len(events)} shifts ({samples:.0f} samples of seven signals each)")
+    print(f"  live update: estimate, running state, verdict    {judged(live_s, LIVE_TARGET_S, LIVE_AIM_S)}")
+    print(f"  full solve: from the frames to the verdict       {judged(full_s, FULL_TARGET_S, FULL_AIM_S)}")
+    print(f"  filterpy: signal and rate of the same samples    {peer_s * MS:7.2f} ms")
+    print(f"  filterpy over live update {peer_s / live_s:.1f}, over full solve {peer_s / full_s:.1f}")
+
+
+def main() -> int:
+    """Run the benchmark."""
+    frames, _ = frames_of(load_scenario("ideal"))
+    report(to_batch(frames))
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,202 @@
+"""Whether a message as a whole may be believed: the state machine of AUTOSAR E2E, one per message.
+
+The profile's check says what a single frame is worth; this machine (E2E_SM of the AUTOSAR E2E protocol specification)
+looks at a window of the last checks. Where AUTOSAR calls the check once per cycle, time does so here: every frame that
+is known to be missing counts as one cycle without new data, and silence longer than the timeout as a window of them.
+
+All its parameters are the same in every state, as AUTOSAR's constraints permit; the window is cleared on the way to
+``INVALID``, so that trust must be earned anew.
+"""
+
+from collections.abc import Sequence
+from typing import Final, NamedTuple
+
+import numpy as np
+
+from clutch_model.jit import kernel
+from diag_service.protection_check import FrameReason, FrameVerdicts
+from diag_service.records import E2eChange, E2eState, Int64Array, UInt8Array
+
+WINDOW: Final = 10  # checks
+MIN_OK: Final = 7  # of a full window: three lost frames are tolerated
+MAX_ERRORS: Final = 1  # frames with a wrong CRC or length
+TIMEOUT_CYCLES: Final = 5
+MIN_TIMEOUT_NS: Final = 200_000_000  # a listener's machine may be busy: this much lateness says nothing of the sender
+
+_MASK: Final = (1 << WINDOW) - 1
+_NONE: Final = -1
+_OK: Final = int(FrameReason.OK)
+_SHORT: Final = int(FrameReason.SHORT)
+_BAD_CRC: Final = int(FrameReason.BAD_CRC)
+_OTHER_CHANNEL: Final = int(FrameReason.OTHER_CHANNEL)  # from here on, frames of somebody else
+_NO_DATA, _INIT, _VALID, _INVALID = (
+    int(state) for state in (E2eState.NO_DATA, E2eState.INIT, E2eState.VALID, E2eState.INVALID)
+)
+
+
+class E2eMemory(NamedTuple):
+    """What is remembered of each message, arrays of shape (m,)."""
+
+    state: Int64Array  # of E2eState
+    ok_bits: Int64Array  # the last WINDOW checks, the latest lowest: 1 where all was well
+    error_bits: Int64Array  # 1 where the frame was broken
+    heard_ns: Int64Array  # last frame of whatever kind, -1 before the first
+    invalidations: Int64Array  # times that the message lost its trust
+
+
+@kernel
+def count_ones(bits: int) -> int:
+    """Return how many bits are set."""
+    count = 0
+    while bits:
+        bits &= bits - 1
+        count += 1
+    return count
+
+
+@kernel
+def next_state(state: int, ok_bits: int, error_bits: int) -> int:
+    """Return the state after the last check."""
+    if state == _NO_DATA:
+        return _NO_DATA if error_bits & 1 else _INIT
+    ok_count, error_count = count_ones(ok_bits), count_ones(error_bits)
+    if ok_count >= MIN_OK and error_count <= MAX_ERRORS:
+        return _VALID
+    if state == _INIT and error_count <= MAX_ERRORS:
+        return _INIT
+    return _INVALID
+
+
+@kernel
+def add_check(memory: E2eMemory, slot: int, is_ok: int, is_error: int) -> bool:
+    """Take the result of one check into the window; return whether the state changed."""
+    before = memory.state[slot]
+    ok_bits = ((memory.ok_bits[slot] << 1) | is_ok) & _MASK
+    error_bits = ((memory.error_bits[slot] << 1) | is_error) & _MASK
+    after = next_state(before, ok_bits, error_bits)
+    is_lost = after == _INVALID and before != _INVALID
+    memory.ok_bits[slot] = 0 if is_lost else ok_bits
+    memory.error_bits[slot] = 0 if is_lost else error_bits
+    memory.state[slot] = after
+    memory.invalidations[slot] += 1 if is_lost else 0
+    return bool(after != before)
+
+
+@kernel
+def is_overdue(memory: E2eMemory, slot: int, now_ns: int, timeout_ns: Int64Array) -> bool:
+    """Return whether a message that was heard has been silent for longer than its timeout."""
+    is_known = timeout_ns[slot] > 0 and memory.heard_ns[slot] >= 0
+    return bool(is_known and now_ns - memory.heard_ns[slot] > timeout_ns[slot])
+
+
+@kernel
+def fall_silent(memory: E2eMemory, slot: int) -> bool:
+    """Take a timeout into account: a window without new data; return whether the state changed."""
+    is_lost = memory.state[slot] == _VALID or memory.state[slot] == _INIT
+    memory.ok_bits[slot] = 0
+    memory.error_bits[slot] = 0
+    if is_lost:
+        memory.state[slot] = _INVALID
+        memory.invalidations[slot] += 1
+    return bool(is_lost)
+
+
+@kernel
+def follow_messages(
+    memory: E2eMemory,
+    slot: Int64Array,
+    t_ns: Int64Array,
+    reason: UInt8Array,
+    missing: Int64Array,
+    timeout_ns: Int64Array,
+    changes: Int64Array,
+) -> int:
+    """Judge frames in their order; fill rows (time, message, state) of ``changes``, (k, 3), and return how many."""
+    count = 0
+    for i in range(slot.size):
+        m = slot[i]
+        if m < 0 or reason[i] >= _OTHER_CHANNEL:
+            continue
+        timeout = timeout_ns[m]
+        if (
+            timeout > 0
+            and memory.heard_ns[m] >= 0
+            and t_ns[i] - memory.heard_ns[m] > timeout
+            and fall_silent(memory, m)
+        ):
+            changes[count, 0], changes[count, 1], changes[count, 2] = memory.heard_ns[m] + timeout, m, _INVALID
+            count += 1
+        for _ in range(min(missing[i], WINDOW)):
+            if add_check(memory, m, 0, 0):
+                changes[count, 0], changes[count, 1], changes[count, 2] = t_ns[i], m, memory.state[m]
+                count += 1
+        is_error = 1 if reason[i] == _SHORT or reason[i] == _BAD_CRC else 0
+        if add_check(memory, m, 1 if reason[i] == _OK else 0, is_error):
+            changes[count, 0], changes[count, 1], changes[count, 2] = t_ns[i], m, memory.state[m]
+            count += 1
+        memory.heard_ns[m] = t_ns[i]
+    return count
+
+
+@kernel
+def find_silent(memory: E2eMemory, now_ns: int, timeout_ns: Int64Array, changes: Int64Array) -> int:
+    """Let messages that are overdue at ``now_ns`` fall silent; fill rows of ``changes`` as above."""
+    count = 0
+    for m in range(timeout_ns.size):
+        if is_overdue(memory, m, now_ns, timeout_ns) and fall_silent(memory, m):
+            changes[count, 0], changes[count, 1], changes[count, 2] = memory.heard_ns[m] + timeout_ns[m], m, _INVALID
+            count += 1
+    return count
+
+
+class E2eStates:
+    """The state machines of all messages; what they say does not depend on how the stream was cut.
+
+    Parameters
+    ----------
+    names
+        Messages, in the order of their slots.
+    cycle_ns : (m,) sequence
+        Cycle times; 0 where unknown, which means no timeout.
+    """
+
+    def __init__(self, names: Sequence[str], cycle_ns: Sequence[int]) -> None:
+        self._names = tuple(names)
+        cycles = np.array(cycle_ns, np.int64)
+        self._timeout_ns = np.where(cycles > 0, np.maximum(TIMEOUT_CYCLES * cycles, MIN_TIMEOUT_NS), 0)
+        self._memory = E2eMemory(*(np.zeros(len(names), np.int64) for _ in E2eMemory._fields))
+        self.reset()
+        nothing = np.empty(0, np.int64)
+        verdicts = FrameVerdicts(reason=np.empty(0, np.uint8), slot=nothing, sequence=nothing, missing=nothing)
+        self.follow(nothing, verdicts)  # compiled now: the first real batch must not wait for the compiler
+        find_silent(self._memory, 0, self._timeout_ns, np.empty((0, 3), np.int64))
+
+    @property
+    def states(self) -> tuple[E2eState, ...]:
+        """State of each message."""
+        return tuple(E2eState(state) for state in self._memory.state.tolist())
+
+    @property
+    def invalidations(self) -> tuple[int, ...]:
+        """How often each message lost its trust."""
+        return tuple(self._memory.invalidations.tolist())
+
+    def reset(self) -> None:
+        """Start again with every message, after a jump of bus time; counts go on."""
+        for name, column in zip(E2eMemory._fields, self._memory, strict=True):
+            if name != "invalidations":
+                column[:] = _NONE if name == "heard_ns" else 0
+
+    def follow(self, t_ns: Int64Array, verdicts: FrameVerdicts) -> tuple[E2eChange, ...]:
+        """Return the changes of state that frames bring about, those by silence until the last of them included."""
+        room = np.empty((3 * len(t_ns) + len(self._names), 3), np.int64)  # by silence, by a loss, by the frame itself
+        times = np.require(t_ns, np.int64, ("C", "W"))  # one array type: the kernel is compiled once
+        count = follow_messages(
+            self._memory, verdicts.slot, times, verdicts.reason, verdicts.missing, self._timeout_ns, room
+        )
+        if len(t_ns):
+            count += find_silent(self._memory, int(t_ns[-1]), self._timeout_ns, room[count:])
+        return tuple(
+            E2eChange(t_ns=when, message=self._names[slot], state=E2eState(state))
+            for when, slot, state in room[:count].tolist()
+        )

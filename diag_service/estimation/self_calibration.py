@@ -1,0 +1,239 @@
+"""Self-calibration: what a vehicle's sensors and masses really are, found from many of its shifts at once.
+
+Maximum a posteriori over friction and everything that `parameters` lists, by Gauss-Newton on the impulse balances of
+all shifts and engine revs; docs/model.md, section "Self-calibration". Shifts alone tell latencies, offsets and inertia
+over torque gain; the gain itself, the scale of friction, only revs with open *and* closed clutches.
+"""
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from clutch_model.calibration import Calibration, JointUncertainty
+from diag_service.estimation.balance import Balance
+from diag_service.estimation.belief import Belief, Measurement
+from diag_service.estimation.parameters import (
+    FRICTION_COUNT,
+    NAMES,
+    NUISANCE_NAMES,
+    STATE_COUNT,
+    Considered,
+    displaced,
+    prior_covariance,
+    prior_mean,
+)
+from diag_service.estimation.preparation import measured_drives, on_coming, planned_drives, slip_window, zeros_seen
+from diag_service.estimation.rev_balance import rev_measurement
+from diag_service.estimation.signals import gather
+from diag_service.estimation.window import SlipWindow
+from diag_service.records import FloatArray, Reason, RevEvent, ShiftEvent
+
+LEAST_SHIFTS_PER_CLUTCH = 4  # fewer do not tell touch point and friction apart
+MAX_EVENT_COUNT = 200  # bounds time and memory; three times what the latencies need
+MAX_PASS_COUNT = 12
+ROUGH_PASS_COUNT = 3  # before them even a good shift does not fit
+CONVERGED = 0.02  # of a standard deviation
+NEARLY_CONVERGED = 0.3  # a slip window that begins a sample earlier or later from pass to pass can do that
+MISFIT_GATE = 4.0  # chi-square per degree of freedom
+MAX_MEAN_MISFIT = 2.0  # of the shifts used: beyond it this is not the vehicle type that the calibration describes
+LOOSE_STD = {
+    Considered.TORQUE_LATENCY: 0.015,
+    Considered.PRESSURE_LATENCY: 0.010,
+    Considered.MOTORING_GAIN: 0.05,
+    Considered.VISCOSITY: 0.08,
+}
+"""What a vehicle that never calibrated itself may differ by from its type, where that is more than the type states."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SelfCalibration:
+    """What the drives of one vehicle told about it."""
+
+    calibration: Calibration  # moved to the values found, with their joint uncertainty
+    belief: Belief  # friction as these drives left it
+    mean: FloatArray  # (len(NAMES),) states, and displacements of the considered parameters from the start
+    covariance: FloatArray  # (len(NAMES), len(NAMES))
+    shift_counts: tuple[int, int]  # used, of clutch 1 and 2
+    rejected_count: int  # shifts that could not be used or did not fit
+    rev_counts: tuple[int, int]  # used, with open and with closed clutches
+    mean_misfit: float  # chi-square per degree of freedom of the shifts used
+
+    def std(self, name: str) -> float:
+        """Return the standard deviation of a parameter by its name in ``NAMES``."""
+        row = NAMES.index(name)
+        return float(np.sqrt(self.covariance[row, row]))
+
+
+Span = tuple[float, float]
+"""First and last instant of a slip window [s] after the start of its shift."""
+
+
+@dataclass(frozen=True, slots=True)
+class _Seen:
+    """The balance of one event at the present point."""
+
+    measurements: tuple[Measurement, ...]
+    misfit: float
+    clutch: int  # 0: a rev
+    number: int
+    span: Span
+    is_closed_rev: bool = False
+
+
+def self_calibrate(
+    shifts: Sequence[ShiftEvent], revs: Sequence[RevEvent], start: Calibration, version: str
+) -> SelfCalibration | str:
+    """Return what the shifts and revs of one vehicle say, or why they do not suffice.
+
+    Parameters
+    ----------
+    shifts, revs
+        In order of time; friction is taken to be the same in all of them.
+    start : Calibration
+        Of the vehicle type.
+    version : str
+        What the new calibration calls itself.
+    """
+    if start.joint is not None:
+        return f"calibration {start.version} is that of one vehicle already: start from its type"
+    shifts, revs = shifts[-MAX_EVENT_COUNT:], revs[-MAX_EVENT_COUNT:]
+    prior = np.concatenate((prior_mean(start), np.zeros(len(Considered))))
+    spread = _loosened(prior_covariance(start))
+    weight = np.linalg.inv(spread)
+    mean, point = prior, start
+    windows: dict[int, Span] = {}
+    used: list[_Seen] = []
+    rest = np.inf
+    for number in range(MAX_PASS_COUNT):
+        belief = replace(Belief.fresh(point), mean=mean[:STATE_COUNT])
+        if number == ROUGH_PASS_COUNT:  # from here on the same data pass after pass, or it would not converge
+            windows = {one.number: one.span for one in used if one.clutch}
+        seen = [*_seen_shifts(shifts, belief, point, windows), *_seen_revs(revs, belief, point)]
+        used = [one for one in seen if number < ROUGH_PASS_COUNT or one.misfit <= MISFIT_GATE]
+        if problem := _shortage(used):
+            return problem
+        information, gradient = weight.copy(), weight @ (prior - mean)
+        for measurement in (one for event in used for one in event.measurements):
+            slope = np.hstack((measurement.by_state, measurement.by_considered))
+            scaled = np.linalg.solve(measurement.noise, slope)
+            information += slope.T @ scaled
+            gradient += scaled.T @ measurement.residual
+            if measurement.overlap is not None:
+                gradient[STATE_COUNT:] -= measurement.overlap
+        covariance = np.linalg.inv(information)
+        step = covariance @ gradient
+        mean = mean + step
+        try:
+            point = displaced(start, mean)
+        except ValueError as exc:
+            return f"no vehicle explains these shifts: {exc}"
+        rest = float(np.max(np.abs(step) / np.sqrt(np.diag(covariance))))
+        if number >= ROUGH_PASS_COUNT and rest < CONVERGED:
+            break
+    if rest > NEARLY_CONVERGED:
+        return f"the self-calibration did not converge: still {rest:.1f} standard deviations a pass"
+    return _concluded(point, mean, covariance, used, len(shifts), version)
+
+
+def _loosened(covariance: FloatArray) -> FloatArray:
+    """Return the prior with the deviations of a vehicle that never calibrated itself."""
+    loose = covariance.copy()
+    for parameter, std in LOOSE_STD.items():
+        row = STATE_COUNT + parameter
+        loose[row, row] = max(loose[row, row], std**2)
+    return loose
+
+
+def _seen_shifts(
+    events: Sequence[ShiftEvent], belief: Belief, point: Calibration, windows: Mapping[int, Span]
+) -> Iterator[_Seen]:
+    """Yield the balances of the shifts, in the windows that are given or else in those that their signals show."""
+    for event in events:
+        if windows and event.number not in windows:
+            continue
+        signals = gather(event, point)
+        if isinstance(signals, Reason):
+            continue
+        clutch = on_coming(event.to_gear)
+        drives = measured_drives(signals, belief, event, point)
+        window = (
+            _window_at(windows[event.number], signals.grid_s)
+            if windows
+            else slip_window(signals, drives, clutch, point)
+        )
+        if window is None:
+            continue
+        balance = Balance(signals, window, drives, planned_drives(signals, drives, window), point)
+        belief = replace(
+            belief,
+            clutch_temperature_k=(balance.tracks[0].final_clutch_k, balance.tracks[1].final_clutch_k),
+            temperature_ns=event.end_ns,
+        )
+        seen = balance.measurement(belief.mean, belief.mean)
+        span = float(signals.grid_s[window.first]), float(signals.grid_s[window.stop - 1])
+        yield _Seen((seen, *zeros_seen(signals, belief, point)), _misfit(seen), clutch, event.number, span)
+
+
+def _window_at(span: Span, grid_s: FloatArray) -> SlipWindow:
+    first, last = np.searchsorted(grid_s, span).tolist()
+    return SlipWindow(first=first, stop=min(last + 1, len(grid_s)), direction=0.0)
+
+
+def _seen_revs(events: Sequence[RevEvent], belief: Belief, point: Calibration) -> Iterator[_Seen]:
+    for event in events:
+        signals = gather(event, point)
+        if isinstance(signals, Reason):
+            continue
+        inside = np.flatnonzero(signals.grid_s >= 0.0)
+        window = SlipWindow(first=int(inside[0]), stop=len(signals.grid_s), direction=0.0)
+        seen = rev_measurement(signals, window, belief.mean, point, are_clutches_closed=event.are_clutches_closed)
+        span = float(signals.grid_s[window.first]), float(signals.grid_s[-1])
+        yield _Seen((seen,), _misfit(seen), 0, event.number, span, event.are_clutches_closed)
+
+
+def _misfit(seen: Measurement) -> float:
+    return float(seen.residual @ np.linalg.solve(seen.noise, seen.residual)) / len(seen.residual)
+
+
+def _shortage(used: Sequence[_Seen]) -> str:
+    for clutch in (1, 2):
+        count = sum(one.clutch == clutch for one in used)
+        if count < LEAST_SHIFTS_PER_CLUTCH:
+            return f"{count} usable shifts onto clutch {clutch}, needed are {LEAST_SHIFTS_PER_CLUTCH}"
+    return ""
+
+
+def _concluded(
+    point: Calibration, mean: FloatArray, covariance: FloatArray, used: Sequence[_Seen], shift_count: int, version: str
+) -> SelfCalibration | str:
+    """Return the result, unless its shifts fit too badly to believe it."""
+    misfit = float(np.mean([one.misfit for one in used if one.clutch]))
+    if misfit > MAX_MEAN_MISFIT:
+        return f"chi-square {misfit:.1f} per degree of freedom: not a vehicle of this type"
+    nuisances = covariance[FRICTION_COUNT:, FRICTION_COUNT:]
+    std = np.sqrt(np.diag(nuisances))
+    correlation = nuisances / np.outer(std, std)
+    correlation = np.clip((correlation + correlation.T) / 2.0, -1.0, 1.0)
+    np.fill_diagonal(correlation, 1.0)
+    calibration = replace(
+        point,
+        version=version,
+        joint=JointUncertainty(
+            names=NUISANCE_NAMES,
+            std=tuple(std.tolist()),
+            correlation=tuple(tuple(row) for row in correlation.tolist()),
+        ),
+    )
+    counts = tuple(sum(one.clutch == clutch for one in used) for clutch in (1, 2))
+    revs = tuple(sum(one.clutch == 0 and one.is_closed_rev is closed for one in used) for closed in (False, True))
+    return SelfCalibration(
+        calibration=calibration,
+        belief=replace(Belief.joint(mean[:STATE_COUNT], covariance, calibration), shift_counts=(counts[0], counts[1])),
+        mean=mean,
+        covariance=covariance,
+        shift_counts=(counts[0], counts[1]),
+        rejected_count=shift_count - sum(counts),
+        rev_counts=(revs[0], revs[1]),
+        mean_misfit=misfit,
+    )

@@ -1,0 +1,139 @@
+"""How a live run stands at one moment, for whoever looks on: monitor, metrics, watchdog."""
+
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from typing import Protocol
+
+from diag_service.mapping import MessageCounts
+from diag_service.pipeline import Session, Stages
+from diag_service.records import ShiftResult
+from diag_service.sources import BusState, BusStatus, LiveSource
+from diag_service.summary import FrameCounts, Summary
+
+DEFAULT_BITRATE = 500_000
+STALE_S = 5.0  # a service that has not looked up for this long does not live
+READY_STATES = frozenset({BusState.UP, BusState.DEGRADED})
+RATE_SPAN_S = 1.0  # shorter spans tell more of the cutting into batches than of the bus
+
+
+class WatchedSource(LiveSource, Protocol):
+    """A live bus whose state and load are known."""
+
+    @property
+    def status(self) -> BusStatus:
+        """State of the bus and what has happened to it."""
+
+    @property
+    def bit_count(self) -> int:
+        """Bits on the bus that the frames heard stand for, stuff bits left out."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class MessageStatus:
+    """One message: how often it comes and what it is worth."""
+
+    name: str
+    rate_hz: float
+    nominal_hz: float | None  # None: not cyclic
+    counts: MessageCounts
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Snapshot:
+    """Everything that can be seen of a live run."""
+
+    taken_s: float  # monotonic
+    vehicle: str
+    bus: BusStatus
+    load_ratio: float  # share of the bit rate that the frames took, stuff bits left out
+    frames: FrameCounts
+    messages: tuple[MessageStatus, ...]
+    summary: Summary
+    recent: tuple[ShiftResult, ...]  # oldest first
+
+
+def frame_counts(source: LiveSource, stages: Stages) -> FrameCounts:
+    """Return what became of the frames of a live bus."""
+    seen = source.counts
+    return replace(
+        stages.frame_counts(),
+        on_bus=seen.received + seen.kernel_dropped,
+        unsupported=seen.unsupported,
+        kernel_dropped=seen.kernel_dropped,
+        queue_dropped=seen.queue_dropped,
+    )
+
+
+class SnapshotTaker:
+    """Takes snapshots of a run; rates are those since the last one, or since the one before if that was just now."""
+
+    def __init__(self, source: WatchedSource, session: Session, now_s: float, bitrate: int | None) -> None:
+        self._source = source
+        self._session = session
+        self._bitrate = bitrate or DEFAULT_BITRATE
+        self._since_s = now_s
+        self._bits = 0
+        self._heard: Mapping[str, int] = {}
+        self._load_ratio = 0.0
+        self._rates_hz: Mapping[str, float] = {}
+
+    def take(self, now_s: float) -> Snapshot:
+        """Return how things stand; ``now_s`` is monotonic."""
+        stages = self._session.stages
+        messages = stages.messages
+        self._measure(messages, now_s)
+        frames = frame_counts(self._source, stages)
+        nominal_hz = stages.nominal_hz
+        return Snapshot(
+            taken_s=now_s,
+            vehicle=self._session.vehicle,
+            bus=self._source.status,
+            load_ratio=self._load_ratio,
+            frames=frames,
+            messages=tuple(
+                MessageStatus(
+                    name=name, rate_hz=self._rates_hz.get(name, 0.0), nominal_hz=nominal_hz.get(name), counts=counts
+                )
+                for name, counts in messages.items()
+            ),
+            summary=self._session.summary(frames, None),
+            recent=self._session.recent,
+        )
+
+    def _measure(self, messages: Mapping[str, MessageCounts], now_s: float) -> None:
+        """Take new rates once enough time has passed."""
+        span_s = now_s - self._since_s
+        if span_s < RATE_SPAN_S:
+            return
+        heard = {name: counts.decoded + sum(counts.rejected.values()) for name, counts in messages.items()}
+        self._rates_hz = {name: (count - self._heard.get(name, 0)) / span_s for name, count in heard.items()}
+        self._load_ratio = (self._source.bit_count - self._bits) / span_s / self._bitrate
+        self._since_s, self._bits, self._heard = now_s, self._source.bit_count, heard
+
+
+class Board:
+    """Where the service pins its latest snapshot, and others read it from other threads."""
+
+    def __init__(self, now_s: Callable[[], float] = time.monotonic) -> None:
+        self._now_s = now_s
+        self._latest: Snapshot | None = None
+
+    def pin(self, snapshot: Snapshot) -> None:
+        """Show a new snapshot."""
+        self._latest = snapshot
+
+    @property
+    def latest(self) -> Snapshot | None:
+        """The last snapshot, None before the first."""
+        return self._latest
+
+    @property
+    def is_live(self) -> bool:
+        """Whether the service is at work."""
+        return self._latest is not None and self._now_s() - self._latest.taken_s < STALE_S
+
+    @property
+    def is_ready(self) -> bool:
+        """Whether it is at work and hears its bus."""
+        return self.is_live and self._latest is not None and self._latest.bus.state in READY_STATES

@@ -1,0 +1,160 @@
+"""Bus faults from the scenario to the service: what was injected is what is counted, and no estimate is made of it."""
+
+from collections.abc import Iterator
+from dataclasses import replace
+
+import pytest
+
+from benchmarks.accuracy import to_batch
+from clutch_model.calibration import nominal_calibration
+from dbc.contract import DBC_PATH
+from diag_service.condition import ConditionMemory
+from diag_service.database import load_database
+from diag_service.estimation import Belief
+from diag_service.mapping import Decoder
+from diag_service.pipeline import Diagnosis, Stages
+from diag_service.profile import load_profile
+from diag_service.records import Status
+from diag_service.summary import FrameCounts
+from ecu_emulator.faults import BusFault, BusFaultKind, Phase
+from ecu_emulator.recording import frames_of
+from ecu_emulator.truth import TruthLog
+from tests.builders import drive_scenario
+
+MESSAGE = "TCU_Pressures"
+SHIFT = 3
+BURST_S = 0.2  # twenty transmissions, inside the slip window
+FAR_STD = 4.0
+
+
+def fault(kind: str, **changes: float | str) -> BusFault:
+    """Return a fault in the slip window of one shift."""
+    given: dict[str, object] = {
+        "kind": BusFaultKind(kind),
+        "message": MESSAGE,
+        "shift": SHIFT,
+        "phase": Phase.INERTIA,
+        "start_s": 0.1,
+        "duration_s": BURST_S,
+    }
+    return BusFault(**{**given, **changes})  # type: ignore[arg-type]
+
+
+def analysed(*faults: BusFault, seed: int = 41) -> tuple[list[Diagnosis], FrameCounts, TruthLog]:
+    frames, truth = frames_of(replace(drive_scenario(seed=seed), bus_faults=faults))
+    calibration = nominal_calibration()
+    decoder = Decoder(load_database(DBC_PATH), load_profile())
+    stages = Stages(decoder, calibration, Belief.fresh(calibration), ConditionMemory.fresh())
+    diagnoses = stages.feed(to_batch(frames))
+    counts = stages.frame_counts()
+    assert counts.on_bus == len(frames)
+    assert counts.on_bus == counts.decoded + counts.ignored + sum(counts.rejected.values())
+    return diagnoses, counts, truth
+
+
+def injected(truth: TruthLog) -> int:
+    assert truth.totals is not None
+    return sum(one.count for one in truth.totals.faults)
+
+
+def far(diagnoses: list[Diagnosis], truth: TruthLog) -> Iterator[int]:
+    """Yield the shifts whose estimate was given although it is far from the truth."""
+    for diagnosis, shift in zip(diagnoses, truth.shifts, strict=True):
+        friction = diagnosis.estimate.friction
+        if friction is None:
+            continue
+        off_c, off_s = abs(friction.mu_c - shift.mu_c), abs(friction.mu_s - shift.mu_s)
+        if off_c > FAR_STD * friction.random_std_mu_c or off_s > FAR_STD * friction.random_std_mu_s:
+            yield shift.number
+
+
+@pytest.mark.parametrize(
+    ("broken", "reason"),
+    [
+        (fault("bad_crc"), "bad_crc"),
+        (fault("short"), "short"),
+        (fault("stuck_counter", duration_s=0.22), "repeated"),
+        (fault("duplicate"), "repeated"),
+        (fault("reorder", share=0.2), "wrong_sequence"),
+        (fault("spoof"), "wrong_sequence"),
+        (fault("error_frame"), "remote_or_error"),
+    ],
+    ids=lambda value: value.kind if isinstance(value, BusFault) else "",
+)
+def test_every_frame_that_was_made_wrong_is_rejected_for_its_reason(broken: BusFault, reason: str) -> None:
+    _, counts, truth = analysed(broken)
+    assert injected(truth) > 0
+    assert counts.rejected == {reason: injected(truth)}
+    assert counts.ignored == 0
+
+
+@pytest.mark.parametrize("broken", [fault("loss"), fault("silence"), fault("loss", share=0.3)], ids=str)
+def test_every_lost_frame_is_missing(broken: BusFault) -> None:
+    _, counts, truth = analysed(broken)
+    assert counts.missing == injected(truth) > 0
+    assert counts.rejected == {}
+
+
+def test_foreign_traffic_is_ignored_to_the_frame() -> None:
+    diagnoses, counts, truth = analysed(fault("overload", message="", duration_s=1.0))
+    assert counts.ignored == injected(truth) > 3_500  # 4,505 frames fill a second, 678 of them are our own
+    assert counts.rejected == {}
+    assert counts.missing == 0
+    assert [diagnosis.estimate.status for diagnosis in diagnoses] == [Status.VALID] * 10
+
+
+def test_a_delay_loses_nothing() -> None:
+    diagnoses, counts, truth = analysed(fault("delay", delay_s=0.02, jitter_s=0.02))
+    assert injected(truth) == 20
+    assert (counts.rejected, counts.missing) == ({}, 0)
+    assert list(far(diagnoses, truth)) == []
+
+
+def test_a_restart_costs_the_frames_it_took() -> None:
+    _, counts, truth = analysed(fault("restart"))
+    drive, _ = frames_of(drive_scenario(seed=41))
+    assert len(drive) - counts.on_bus == injected(truth) > 20
+    assert sum(counts.rejected.values()) <= 5  # at most one for each message of the sender
+
+
+UNUSABLE = (
+    fault("loss"),
+    fault("silence", message=""),
+    fault("restart"),
+    fault("bad_crc"),
+    fault("stuck_counter"),
+    fault("short"),
+    fault("loss", duration_s=0.02),
+    fault("bad_crc", duration_s=0.02),
+)
+
+
+@pytest.mark.parametrize("broken", UNUSABLE, ids=lambda one: f"{one.kind} {one.duration_s} s")
+def test_no_estimate_is_made_of_a_window_that_cannot_be_trusted(broken: BusFault) -> None:
+    diagnoses, _, _ = analysed(broken)
+    hit = diagnoses.pop(SHIFT - 1).estimate
+    assert (hit.status, hit.friction) == (Status.REJECTED, None)
+    assert hit.reasons
+    assert [diagnosis.estimate.status for diagnosis in diagnoses] == [Status.VALID] * 9
+
+
+@pytest.mark.parametrize("start_s", [0.10, 0.13, 0.16])
+@pytest.mark.parametrize("message", [MESSAGE, "ECM_TorqueSpeed", "TCU_InputSpeeds"])
+def test_a_second_sender_bends_no_estimate(message: str, start_s: float) -> None:
+    """However its counter stands to that of the first."""
+    diagnoses, counts, truth = analysed(fault("spoof", message=message, start_s=start_s))
+    assert sum(counts.rejected.values()) >= injected(truth) // 2
+    assert list(far(diagnoses, truth)) == []
+
+
+@pytest.mark.parametrize(("share", "most_rejected"), [(0.01, 4), (0.05, 10)])
+def test_random_loss_rejects_shifts_rather_than_bending_them(share: float, most_rejected: int) -> None:
+    rejected = []
+    for seed in (51, 52):
+        lossy = fault("loss", message="", shift=0, start_s=0.0, duration_s=1e6, share=share)
+        diagnoses, counts, truth = analysed(lossy, seed=seed)
+        assert counts.missing == pytest.approx(injected(truth), abs=3)  # a message's last frames leave no trace
+        assert list(far(diagnoses, truth)) == []
+        rejected.append(sum(diagnosis.estimate.status is Status.REJECTED for diagnosis in diagnoses))
+    assert max(rejected) <= most_rejected
+    assert share < 0.05 or min(rejected) >= 3

@@ -1,0 +1,136 @@
+"""A bus that goes away and comes back: what the supervised source and the whole service make of it on a real vcan."""
+
+import asyncio
+import socket
+import struct
+from pathlib import Path
+
+import pytest
+
+from diag_service.error_frames import BusError
+from diag_service.frames import ERROR_FLAG
+from diag_service.sources import BusOpener, BusState, LinkBreak, SupervisedSource, supervise
+from diag_service.sources.interface import Seen, index_of, present_name, restart_controller
+from tests.link_cycles import TARGET_S, run_cycles
+from tests.uml.vcan import create_vcan, ip_link
+
+pytestmark = pytest.mark.vcan
+
+_FRAME = struct.Struct("=IB3x8s")
+
+
+def send(channel: str, *can_ids: int) -> None:
+    with socket.socket(socket.AF_CAN, socket.SOCK_RAW, socket.CAN_RAW) as raw:
+        raw.bind((channel,))
+        for can_id in can_ids:
+            raw.send(_FRAME.pack(can_id, 8, bytes(8)))
+
+
+class Listener:
+    """Reads a supervised bus in the background and keeps what it heard."""
+
+    def __init__(self, source: SupervisedSource) -> None:
+        self.source = source
+        self.heard: list[int | str] = []
+        self._task = asyncio.create_task(self._read())
+
+    async def _read(self) -> None:
+        async for part in self.source:
+            self.heard += ["break"] if isinstance(part, LinkBreak) else part.can_id.tolist()
+
+    async def until(self, *states: BusState) -> None:
+        async with asyncio.timeout(TARGET_S):
+            while True:
+                if self.source.status.state in states:
+                    return
+                await asyncio.sleep(0.01)
+
+    async def close(self) -> list[int | str]:
+        await self.source.aclose()
+        await asyncio.wait_for(self._task, 5.0)
+        return self.heard
+
+
+async def listener(channel: str) -> Listener:
+    listening = Listener(await supervise(BusOpener("socketcan", channel)))
+    await asyncio.sleep(0.05)
+    return listening
+
+
+async def test_an_interface_switched_off_and_on_is_read_again(vcan: str) -> None:
+    bus = await listener(vcan)
+    send(vcan, 1, 2)
+    assert ip_link("set", vcan, "down")
+    await bus.until(BusState.DOWN)
+    assert ip_link("set", vcan, "up")
+    await bus.until(BusState.RESTARTED)
+    send(vcan, 3)
+    await bus.until(BusState.UP)
+    assert await bus.close() == [1, 2, "break", 3]
+    assert bus.source.counts.received == 3
+
+
+async def test_an_interface_removed_and_made_again_is_read_again(vcan: str) -> None:
+    bus = await listener(vcan)
+    assert ip_link("delete", vcan)
+    await bus.until(BusState.DOWN)
+    assert create_vcan(vcan)
+    await bus.until(BusState.RESTARTED)
+    send(vcan, 3)
+    await bus.until(BusState.UP)
+    assert await bus.close() == ["break", 3]
+
+
+async def test_an_interface_with_another_name_is_followed_unless_its_name_is_taken(vcan: str) -> None:
+    bus = await listener(vcan)
+    other, last = f"{vcan}x", Seen(name=vcan, index=index_of(vcan))
+    assert ip_link("set", vcan, "down")
+    assert ip_link("set", vcan, "name", other)
+    assert present_name(vcan, last) == other
+    assert ip_link("set", other, "up")
+    await bus.until(BusState.RESTARTED)
+    assert ip_link("delete", other)
+    await bus.until(BusState.DOWN)
+    assert create_vcan(other)
+    await bus.until(BusState.RESTARTED)
+    send(other, 3)
+    await bus.until(BusState.UP)
+    assert await bus.close() == ["break", "break", 3]
+    assert bus.source.description == f"socketcan {other}"
+    assert create_vcan(vcan)
+    assert present_name(vcan, last) == vcan
+    assert ip_link("delete", other)
+
+
+async def test_error_frames_are_counted_and_bus_off_asks_for_a_restart(vcan: str) -> None:
+    bus = await listener(vcan)
+    send(vcan, 1, ERROR_FLAG | 0x02, ERROR_FLAG | 0x08, ERROR_FLAG | 0x40)
+    await bus.until(BusState.BUS_OFF)
+    await asyncio.sleep(0.2)
+    send(vcan, ERROR_FLAG | 0x100)
+    await bus.until(BusState.RESTARTED)
+    send(vcan, 2)
+    await bus.until(BusState.UP, BusState.DEGRADED)
+    await bus.close()
+    status = bus.source.status
+    assert status.errors == {
+        BusError.ARBITRATION_LOST: 1, BusError.PROTOCOL: 1, BusError.BUS_OFF: 1, BusError.RESTARTED: 1
+    }  # fmt: skip
+    assert status.restart_count == 1
+
+
+def test_a_vcan_has_no_controller_to_restart(vcan: str) -> None:
+    assert restart_controller(vcan) is not None
+    assert restart_controller("vcan99") == "No such device"
+
+
+def test_a_service_outlives_its_interface_and_marks_the_open_shift(vcan: str, tmp_path: Path) -> None:
+    report = run_cycles(tmp_path, vcan, 3)
+    assert report.ended.status == 0
+    assert "Traceback" not in report.ended.err
+    assert report.interrupted_count >= 3
+    assert max(report.resume_s) <= TARGET_S
+    frames = report.ended.summary["frames"]
+    assert frames["on_bus"] == frames["decoded"] > 0
+    assert ip_link("set", report.channel, "down")
+    assert ip_link("set", report.channel, "name", vcan)  # three calamities, one of them a new name

@@ -1,0 +1,41 @@
+"""Error frames on their way out: candump logs and live buses carry them, other logs refuse."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from can.io import CanutilsLogReader
+
+from ecu_emulator.bus import to_messages
+from ecu_emulator.errors import RecordError
+from ecu_emulator.frame_changes import error_frames, joined
+from ecu_emulator.record import open_log
+from tests.wire import drive
+
+SOUND = drive(0.02)
+FRAMES = joined(SOUND, error_frames(np.array([0.021, 0.022])))
+
+
+def test_a_candump_log_keeps_them(tmp_path: Path) -> None:
+    path = tmp_path / "drive.log"
+    with open_log(path) as log:
+        log.write(FRAMES)
+    with CanutilsLogReader(path) as reader:
+        messages = list(reader)
+    assert [message.is_error_frame for message in messages] == [False] * len(SOUND) + [True] * 2
+    assert path.read_text(encoding="ascii").splitlines()[-1].endswith(" vcan0 20000088#0000040000000000")
+
+
+@pytest.mark.parametrize("suffix", ["blf", "asc"])
+def test_other_logs_refuse_them_and_leave_nothing_behind(tmp_path: Path, suffix: str) -> None:
+    with (
+        pytest.raises(RecordError, match="error frames are written to candump logs only"),
+        open_log(tmp_path / f"drive.{suffix}") as log,
+    ):
+        log.write(FRAMES)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_bus_gets_them_as_such() -> None:
+    *_, last = to_messages(FRAMES)
+    assert (last.is_error_frame, last.is_extended_id, last.arbitration_id, last.data[2]) == (True, False, 0x88, 4)
