@@ -14,6 +14,7 @@ from diag_service.arguments import (
     EXIT_STORE,
     EXIT_UNEXPECTED,
     PROGRAM,
+    build_parser,
 )
 from diag_service.errors import ConfigError, SourceError, StoreError
 from diag_service.stopping import Trigger, ignore
