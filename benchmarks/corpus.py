@@ -26,7 +26,7 @@ from diag_service.interpretation import interpret
 from diag_service.profile_choice import fit_of
 from diag_service.results import dump
 from diag_service.sources import is_log
-from tests.reencode import reencode
+from tests.recode import recode
 
 DATABASES = frozenset({".dbc", ".kcd", ".arxml", ".sym"})
 J1939 = Path("j1939")
@@ -115,7 +115,7 @@ def synthetic(database: Path, log: Path) -> bool:
         return False
     print(f"  {fit_of(meaning.database, meaning.profile).said}")
     coded = log.with_name(f"{database.stem}.log")
-    reencode(log, database, meaning.profile, coded)
+    recode(log, database, meaning.profile, coded)
     return told(Reading(name=f"profile {meaning.profile.name}", dbc=database, profile=None), coded)
 
 

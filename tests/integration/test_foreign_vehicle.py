@@ -6,7 +6,7 @@ import pytest
 
 from diag_service.profile import load_profile
 from tests.plugins.drives import SHIFT_COUNT
-from tests.reencode import load_strict, reencode
+from tests.recode import load_strict, recode
 from tests.service import run_service
 
 DATA = Path(__file__).parents[1] / "data"
@@ -22,7 +22,7 @@ def test_the_foreign_database_is_sound_and_unlike_ours() -> None:
 
 def test_another_vehicle_gives_the_same_friction(drive_log: Path, tmp_path: Path) -> None:
     log = tmp_path / "foreign.log"
-    reencode(drive_log, DBC, load_profile(PROFILE), log)
+    recode(drive_log, DBC, load_profile(PROFILE), log)
     ours = run_service(tmp_path / "ours", "analyze", drive_log, "--json")
     theirs = run_service(tmp_path / "theirs", "analyze", log, "--dbc", DBC, "--profile", PROFILE, "--json")
     assert (theirs.status, theirs.err) == (0, "")

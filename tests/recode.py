@@ -41,7 +41,7 @@ def drive_of(log: Path) -> dict[Signal, Series]:
     return drive
 
 
-def reencoded(drive: Drive, database: Database, profile: Profile) -> list[tuple[int, Message, bytes]]:
+def recoded(drive: Drive, database: Database, profile: Profile) -> list[tuple[int, Message, bytes]]:
     """Return time, message and payload of all frames of a drive in the code of another vehicle, in order of time.
 
     A message is sent when the first of its signals was sampled; signals that the profile does not map are zero.
@@ -61,9 +61,9 @@ def write_candump(path: Path, frames: Iterable[tuple[int, Message, bytes]]) -> N
             file.write(f"({t_ns // 10**9}.{t_ns % 10**9 // 1000:06d}) can0 {identifier}#{payload.hex().upper()}\n")
 
 
-def reencode(log: Path, dbc: Path, profile: Profile, output: Path) -> None:
+def recode(log: Path, dbc: Path, profile: Profile, output: Path) -> None:
     """Write a recording of our bus as the traffic of another vehicle."""
-    write_candump(output, reencoded(drive_of(log), load_database(dbc), profile))
+    write_candump(output, recoded(drive_of(log), load_database(dbc), profile))
 
 
 def load_strict(path: Path) -> Database:
