@@ -1,4 +1,4 @@
-# Image of both programs. Versions and hashes come from requirements.lock, development tools stay outside.
+# Image of all programs. Versions and hashes come from requirements.lock, development tools stay outside.
 FROM python:3.11-slim-bookworm AS build
 WORKDIR /src
 COPY pyproject.toml requirements.lock README.md LICENSE ./
@@ -6,6 +6,8 @@ COPY clutch_model clutch_model
 COPY dbc dbc
 COPY diag_service diag_service
 COPY ecu_emulator ecu_emulator
+COPY fleet_backend fleet_backend
+COPY fleet_certificates fleet_certificates
 COPY fleet_contract fleet_contract
 # The lock's own uv installs the project: the lock then constrains, so only what the project needs comes in,
 # and every file is held against the lock's hashes.
@@ -13,7 +15,7 @@ RUN awk '/^[^ #]/ { keep = /^uv==/ } keep' requirements.lock > /tmp/uv.lock \
  && python -m venv /opt/uv && /opt/uv/bin/pip install --no-cache-dir --require-hashes -r /tmp/uv.lock \
  && python -m venv --without-pip /opt/clutchdiag \
  && /opt/uv/bin/uv pip install --no-cache --python /opt/clutchdiag/bin/python \
-      --constraints requirements.lock --build-constraints requirements.lock ".[mf4]"
+      --constraints requirements.lock --build-constraints requirements.lock ".[fleet,mf4]"
 
 FROM python:3.11-slim-bookworm
 COPY --from=build /opt/clutchdiag /opt/clutchdiag

@@ -11,14 +11,15 @@ BROKER ?=
 VCAN_LIMIT_S ?= 600
 
 PY = "$(VENV)/bin/python"
-BENCHMARKS = $(filter-out accuracy corpus corpus_decode study operating_curve mismatch mismatch_rows single_shift fleet_load fleet_chaos,$(basename $(notdir $(wildcard benchmarks/[a-z]*.py))))
+BENCHMARKS = $(filter-out accuracy corpus corpus_decode study operating_curve mismatch mismatch_rows single_shift fleet_load fleet_chaos fleet_pause fleet_poison,$(basename $(notdir $(wildcard benchmarks/[a-z]*.py))))
 
-.PHONY: help setup setup-system demo check static test warm test-host test-vcan bench accuracy reproduce operating-curve mismatch lock clean
+.PHONY: help setup setup-system demo fleet check static test warm test-host test-vcan bench accuracy reproduce operating-curve mismatch lock clean
 
 help:
 	@echo "make setup         virtual environment in $(VENV) with the locked requirements and the project"
 	@echo "make demo          emulator and service on one bus, a live line per shift, a table and a picture"
 	@echo "                   SCENARIO=case2 for another drive, BROKER=mqtt://host for a broker of your own"
+	@echo "make fleet         broker, database, two ingest workers, three vehicles with different fluids; the fleet, worst first"
 	@echo "make check         format, lint, types, import contracts, DBC, unit and property tests (under 2 minutes)"
 	@echo "make test          everything CI runs, the tests on a real vcan included"
 	@echo "make bench         speed and size figures"
@@ -69,6 +70,9 @@ lock: setup
 
 demo: setup
 	@$(PY) -m demo $(if $(SCENARIO),--scenario "$(SCENARIO)") $(if $(BROKER),--broker "$(BROKER)")
+
+fleet: setup
+	@$(PY) -m demo.fleet
 
 bench: setup
 	@set -e; for name in $(BENCHMARKS); do \

@@ -15,6 +15,8 @@ from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
+import psutil
+
 from benchmarks.fleet_load import Load, Wire, wire
 from demo.fleet.mosquitto import mosquitto
 from demo.fleet.postgres import PostgresServer
@@ -61,6 +63,13 @@ def wait_until_listening(child: "subprocess.Popen[str]") -> None:
     raise RuntimeError("a worker did not start")
 
 
+def processor_s() -> float:
+    """Return the processor time that we and everything we started have used [s]."""
+    own = psutil.Process()
+    times = [process.cpu_times() for process in (own, *own.children(recursive=True))]
+    return sum(part.user + part.system for part in times)
+
+
 def vehicle_names() -> list[str]:
     return [f"car{number}" for number in range(VEHICLES)]
 
@@ -98,7 +107,7 @@ def measure(count: int, rounds: int, worker_count: int) -> None:
     with ExitStack() as stack:
         folder = Path(stack.enter_context(TemporaryDirectory()))
         server = PostgresServer()
-        stack.callback(server.remove)
+        stack.callback(server.close)
         server.start()
         database = server.create("fleet")
         engine = open_database(database)
@@ -109,18 +118,22 @@ def measure(count: int, rounds: int, worker_count: int) -> None:
         load = Load(port, "load", [topic_of(vehicle, Channel.ACK) for vehicle in vehicle_names()])
         stack.callback(load.close)
         rates: list[float] = []
+        busy_s = 0.0
         for number in range(rounds):
             made = messages(1 + number * count, count)
             load.acknowledged_count = 0
+            before_s = processor_s()
             rates.append(count / load.send(made, WINDOW, timeout_s=120.0))
+            busy_s += processor_s() - before_s
         load.acknowledged_count = 0
         again = count / load.send(made, WINDOW, timeout_s=120.0)
         found = table_hash(engine)
         bare = bare_rate(database, count)
-    best = max(rates)
+    best, cost_us = max(rates), busy_s / (rounds * count) * 1e6
     shown = ", ".join(f"{rate:,.0f}" for rate in rates)
     print(f"{worker_count} workers, PostgreSQL with fsync, {count:,} results a round: {shown} results/s")
     print(f"best {best:,.0f}/s (target {TARGET_PER_S:,}), {best / bare:.2f} of one process that only writes rows")
+    print(f"processor time in all: {cost_us:.0f} us per result, so {2e6 / cost_us:,.0f}/s on two idle cores")
     print(f"the last round once more: {again:,.0f}/s; {found.row_count:,} rows of {rounds * count:,} different results")
 
 

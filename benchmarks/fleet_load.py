@@ -46,7 +46,8 @@ class Load:
         self.acknowledged_count = 0
         self._changed = threading.Condition()
         self._socket.sendall(_connect(name))
-        self._subscribe(ack_topics)
+        if ack_topics:
+            self._subscribe(ack_topics)
         self._reader = threading.Thread(target=self._read, daemon=True)
         self._reader.start()
 
@@ -59,6 +60,12 @@ class Load:
             self._socket.sendall(b"".join(message.packet(first + place) for place, message in enumerate(piece)))
         self._wait(len(messages), began_s + timeout_s)
         return time.perf_counter() - began_s
+
+    def pour(self, messages: Sequence[Wire]) -> None:
+        """Send messages and wait for nobody."""
+        for first in range(0, len(messages), _PIECE):
+            piece = messages[first : first + _PIECE]
+            self._socket.sendall(b"".join(message.packet(first + place) for place, message in enumerate(piece)))
 
     def close(self) -> None:
         """Leave the broker."""

@@ -14,7 +14,7 @@ from cantools.database.can import Message
 
 from clutch_model.jit import array_kernel
 from diag_service.errors import ConfigError
-from diag_service.frames import EXTENDED_FLAG
+from diag_service.frames import EXTENDED_FLAG, REMOTE_FLAG
 from diag_service.records import Int64Array
 
 J1939: Final = "j1939"
@@ -114,6 +114,21 @@ def address_book(addresses: Sequence[Address]) -> AddressBook:
         *_sorted_table(groups),
         is_group=np.array([address.is_group for address in addresses], np.int64),
     )
+
+
+def kernel_filters(addresses: Sequence[Address]) -> tuple[tuple[int, int], ...]:
+    """Return identifier and mask, with SocketCAN's flags, that let the data frames of some messages through."""
+    return tuple(_kernel_filter(address) for address in addresses)
+
+
+def _kernel_filter(address: Address) -> tuple[int, int]:
+    if not address.is_extended:
+        return address.can_id, STANDARD_IDS - 1 | _EXTENDED | REMOTE_FLAG
+    mask = _ID_MASK
+    if address.is_group:
+        is_addressed = (address.can_id >> 16) & 0xFF < PDU2_FORMATS
+        mask = 0x03FF_0000 if is_addressed else 0x03FF_FF00
+    return address.can_id & mask | _EXTENDED, mask | _EXTENDED | REMOTE_FLAG
 
 
 def rows_by_slot(slot: Int64Array, count: int) -> Iterator[tuple[int, Int64Array]]:

@@ -6,7 +6,7 @@ import logging
 import os
 import sys
 import uuid
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from contextlib import AbstractAsyncContextManager, ExitStack, closing
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
@@ -27,6 +27,7 @@ from diag_service.notices import NOTICE
 from diag_service.paper_run import run_paper
 from diag_service.pipeline import Session, Stages, resume, versions_for
 from diag_service.publishers import (
+    Acknowledge,
     ConsoleReporter,
     DetachedReporter,
     JsonLinesReporter,
@@ -35,6 +36,7 @@ from diag_service.publishers import (
     Outbox,
     Reporter,
 )
+from diag_service.publishers.outbox import MetricsMessage
 from diag_service.publishers.pipe import PipeReporter
 from diag_service.recorded import open_drive, run_logs, stream_of
 from diag_service.results import ServiceStatus, iso_utc
@@ -44,6 +46,7 @@ from diag_service.sources import BusOpener, supervise
 from diag_service.stopping import Trigger
 from diag_service.store import ResultStore, Versions
 from diag_service.summary import frames_line
+from fleet_contract import Outgoing, metrics_message
 
 _LOG = logging.getLogger(__name__)
 
@@ -59,7 +62,7 @@ class Controls:
 def run_bus(config: DiagnosisConfig, bus: BusConfig, store_path: Path, controls: Controls, *, as_json: bool) -> None:
     """Diagnose a live bus until it is told to stop."""
     decoder = interpret(config.dbc, config.profile).decoder()
-    with closing(ResultStore.open(store_path)) as store:
+    with closing(ResultStore.open(store_path, config.budget_bytes)) as store:
         reporter = DetachedReporter(_reporter(controls.stop, as_json=as_json))
         session = _session(config, decoder, store, None, reporter)
         asyncio.run(_run_bus(config, bus, store, session, controls))
@@ -81,7 +84,9 @@ def run_recorded(
     decoder = meaning.decoder()
     logs = open_drive(paths)
     stream = stream_of([*(log.path for log in logs), *meaning.files])
-    with closing(ResultStore.in_memory() if store_path is None else ResultStore.open(store_path)) as store:
+    with closing(
+        ResultStore.in_memory() if store_path is None else ResultStore.open(store_path, config.budget_bytes)
+    ) as store:
         session = _session(config, decoder, store, stream, _reporter(controls.stop, as_json=as_json))
 
         async def run() -> None:
@@ -108,7 +113,8 @@ async def _run_bus(
     controls: Controls,
     onlooker: Callable[[Snapshot], None] = lambda _: None,
 ) -> None:
-    source = await supervise(BusOpener(bus.interface, bus.channel, bus.bitrate, fd=bus.is_fd))
+    filters = session.stages.kernel_filters if bus.is_filtered else ()
+    source = await supervise(BusOpener(bus.interface, bus.channel, bus.bitrate, fd=bus.is_fd, filters=filters))
     session.reporter.listening(f"{source.description} for {config.vehicle}, results in {store.where}")
     now_s = asyncio.get_running_loop().time
     taker = SnapshotTaker(source, session, now_s(), bus.bitrate)
@@ -184,8 +190,34 @@ def _outbox(config: DiagnosisConfig, store: ResultStore, *, is_live: bool) -> Ou
         calibration_version=versions.calibration,
     )
     identifier = f"clutchdiag-{config.vehicle}" if is_live else f"clutchdiag-{uuid.uuid4()}"
-    connector = MqttConnector(config.broker, identifier, status if is_live else None)
-    return Outbox(store, config.vehicle, _connect_now(connector), str(config.broker))
+    connector = MqttConnector(
+        config.broker,
+        identifier,
+        status if is_live else None,
+        is_persistent=is_live and config.acknowledge is Acknowledge.BACKEND,
+    )
+    return Outbox(
+        store,
+        config.vehicle,
+        _connect_now(connector),
+        str(config.broker),
+        acknowledge=config.acknowledge,
+        metrics=_metrics_of(config.vehicle, store) if is_live else None,
+    )
+
+
+def _metrics_of(vehicle: str, store: ResultStore) -> MetricsMessage:
+    def message(numbers: Mapping[str, float]) -> Outgoing:
+        dropped = store.dropped_counts()
+        own = {
+            "store_used_bytes": store.used_bytes(),
+            "store_dropped_delivered_count": dropped.delivered,
+            "store_dropped_empty_count": dropped.empty,
+            "store_dropped_undelivered_count": dropped.undelivered,
+        }
+        return metrics_message(vehicle, _utc_now(), {**numbers, **own})
+
+    return message
 
 
 def _connect_now(connector: MqttConnector) -> Callable[[], AbstractAsyncContextManager[Link]]:

@@ -62,7 +62,9 @@ def _add_monitor(monitor: argparse.ArgumentParser) -> None:
     _add_bus(monitor)
     _add_meaning(monitor)
     _add_verbosity(monitor)
-    monitor.set_defaults(broker=None)
+    monitor.set_defaults(
+        broker=None, ca=None, cert=None, key=None, password_file=None, acknowledge="broker", store_budget=None
+    )
 
 
 def _add_bus(parser: argparse.ArgumentParser) -> None:
@@ -70,6 +72,7 @@ def _add_bus(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("-c", "--channel", help="channel of the interface, such as vcan0")
     parser.add_argument("-b", "--bitrate", type=int, help="bit rate, for interfaces that set it [bit/s]")
     parser.add_argument("--fd", action="store_true", help="open the interface in CAN FD mode")
+    parser.add_argument("--only-mapped", action="store_true", help="let the kernel discard other messages, uncounted")
     parser.add_argument("--duration", type=float, metavar="S", help="stop after this many seconds")
     parser.add_argument(
         "--metrics", metavar="[HOST:]PORT", help="serve /metrics, /livez and /readyz there (default: nowhere)"
@@ -146,7 +149,23 @@ def _add_diagnosis(parser: argparse.ArgumentParser, store_help: str) -> None:
         "--broker",
         default=os.environ.get(BROKER_VARIABLE),
         metavar="URL",
-        help=f"mqtt://[user[:password]@]host[:port] (default: the environment's {BROKER_VARIABLE}, else none)",
+        help=f"mqtt[s]://[user[:password]@]host[:port] (default: the environment's {BROKER_VARIABLE}, else none)",
+    )
+    parser.add_argument("--ca", type=Path, metavar="FILE", help="authority of an mqtts:// broker (default: system)")
+    parser.add_argument("--cert", type=Path, metavar="FILE", help="our certificate; a renewed one is taken up at once")
+    parser.add_argument("--key", type=Path, metavar="FILE", help="its key, readable for its owner only")
+    parser.add_argument("--password-file", type=Path, metavar="FILE", help="holds the broker's password, chmod 600")
+    parser.add_argument(
+        "--acknowledge",
+        choices=("broker", "backend"),
+        default="broker",
+        help="whose word lets the outbox forget a result; a backend gives it after its commit (default: %(default)s)",
+    )
+    parser.add_argument(
+        "--store-budget",
+        type=int,
+        metavar="MIB",
+        help="how large the store may grow; delivered results go first, then empty ones (default: no limit)",
     )
     parser.add_argument("--json", action="store_true", help="JSON lines on standard output, text on standard error")
 

@@ -9,10 +9,13 @@ from urllib.parse import unquote, urlsplit
 
 from clutch_model.calibration import Calibration, nominal_calibration, read_calibration
 from diag_service.errors import ConfigError
-from diag_service.publishers import BrokerAddress
+from diag_service.publishers import Acknowledge, BrokerAddress, TlsFiles
+from diag_service.publishers.tls import read_secret
 from fleet_contract import is_vehicle
 
+PORTS = {"mqtt": 1883, "mqtts": 8883}
 _DIGEST_LENGTH = 12
+SMALLEST_BUDGET_BYTES = 1 << 20
 _LOOPBACK = "127.0.0.1"
 
 
@@ -32,6 +35,15 @@ class DiagnosisConfig:
     profile: Path | None
     calibration: Calibration
     broker: BrokerAddress | None
+    acknowledge: Acknowledge = Acknowledge.BROKER
+    budget_bytes: int | None = None  # of the store; None: no limit
+
+    def __post_init__(self) -> None:
+        """Check what depends on each other."""
+        if self.budget_bytes is not None and self.budget_bytes < SMALLEST_BUDGET_BYTES:
+            raise ConfigError(f"the disk budget must be at least {SMALLEST_BUDGET_BYTES} bytes")
+        if self.broker is None and self.acknowledge is Acknowledge.BACKEND:
+            raise ConfigError("without a broker no backend can acknowledge anything")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -51,6 +63,7 @@ class BusConfig:
     bitrate: int | None
     is_fd: bool
     duration_s: float | None
+    is_filtered: bool = False  # whether the kernel discards what no mapped signal needs
     metrics: ListenAddress | None = None  # where to serve metrics and health checks
 
     def __post_init__(self) -> None:
@@ -76,29 +89,41 @@ def check_vehicle(vehicle: str) -> str:
     return vehicle
 
 
-def parse_broker(url: str) -> BrokerAddress:
-    """Return the broker that ``mqtt://[user[:password]@]host[:port]`` names.
+def parse_broker(url: str, tls: TlsFiles | None = None, password_file: Path | None = None) -> BrokerAddress:
+    """Return the broker that ``mqtt[s]://[user[:password]@]host[:port]`` names.
+
+    Parameters
+    ----------
+    tls :
+        Certificates, for ``mqtts``; without them the system's authorities count and we show no certificate.
+    password_file :
+        Holds the password in place of the URL; readable for its owner only.
 
     Raises
     ------
     ConfigError
         If the text is no such address; the message does not repeat it, since it may hold a password.
     """
-    form = "the broker must be mqtt://[user[:password]@]host[:port]"
+    form = "the broker must be mqtt[s]://[user[:password]@]host[:port]"
     try:
         parts = urlsplit(url)
         port = parts.port
     except ValueError as exc:
         raise ConfigError(f"{form}: {exc}") from exc
-    if parts.scheme != "mqtt" or not parts.hostname or parts.path.strip("/") or parts.query or parts.fragment:
+    if parts.scheme not in PORTS or not parts.hostname or parts.path.strip("/") or parts.query or parts.fragment:
         raise ConfigError(form)
     if port == 0:
         raise ConfigError(f"{form}: port 0 is no port")
+    is_encrypted = parts.scheme == "mqtts"
+    if tls not in {None, TlsFiles()} and not is_encrypted:
+        raise ConfigError("certificates need a broker at mqtts://")
+    password = None if parts.password is None else unquote(parts.password)
     return BrokerAddress(
         host=parts.hostname,
-        port=port or BrokerAddress(host="").port,
+        port=port or PORTS[parts.scheme],
         username=None if parts.username is None else unquote(parts.username),
-        password=None if parts.password is None else unquote(parts.password),
+        password=password if password_file is None else read_secret(password_file),
+        tls=(tls or TlsFiles()) if is_encrypted else None,
     )
 
 

@@ -17,6 +17,10 @@ class StoreError(DiagServiceError):
     """The result store cannot be opened or written: results cannot be kept, so stop."""
 
 
+class StoreFullError(StoreError):
+    """The disk takes no more now; what could not be stored may be tried again."""
+
+
 class PublishError(DiagServiceError):
     """A result could not be delivered now: retry later, the store still has it."""
 

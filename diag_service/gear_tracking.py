@@ -97,7 +97,8 @@ class GearPairTracker:
             self._has_target = len(target.t_ns) > 0
             if self._has_target:
                 self._closed += self._lone.interrupt(int(target.t_ns[0]))
-        t_ns = np.union1d(current.t_ns, target.t_ns)
+        is_one_message = np.array_equal(current.t_ns, target.t_ns)  # as a rule; a union costs much more
+        t_ns = current.t_ns if is_one_message else np.union1d(current.t_ns, target.t_ns)
         if len(t_ns):
             pairs = np.column_stack((held(current, t_ns, self._gears.current), held(target, t_ns, self._gears.target)))
             before = np.vstack(((self._gears.current, self._gears.target), pairs[:-1]))

@@ -9,7 +9,7 @@ import numpy as np
 from cantools.database.can import Database, Message
 from cantools.database.can.signal import Signal as DatabaseSignal
 
-from diag_service.addressing import Address, message_address, rows_by_slot
+from diag_service.addressing import Address, kernel_filters, message_address, rows_by_slot
 from diag_service.decode import PayloadWords, payload_words
 from diag_service.e2e_state import E2eStates
 from diag_service.error_frames import BusError, tells
@@ -200,6 +200,11 @@ class Decoder:
     def nominal_hz(self) -> Mapping[str, float]:
         """How often each cyclic message should come."""
         return {m.message.name: NS_PER_S / m.period_ns for m in self._messages if m.period_ns > 0}
+
+    @property
+    def kernel_filters(self) -> tuple[tuple[int, int], ...]:
+        """Identifier and mask, as SocketCAN wants them, of each message that is looked at."""
+        return kernel_filters([mapped.address for mapped in self._messages])
 
     @property
     def limits(self) -> Mapping[Signal, tuple[float, float]]:

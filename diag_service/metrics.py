@@ -36,6 +36,7 @@ class SnapshotCollector(Collector):
         snapshot = self._board.latest
         if snapshot is not None:
             yield from _bus(snapshot)
+            yield from _clock(snapshot)
             yield from _frames(snapshot)
             yield from _messages(snapshot)
             yield from _shifts(snapshot)
@@ -50,6 +51,10 @@ def _bus(snapshot: Snapshot) -> Iterator[Metric]:
         "clutchdiag_bus_interruptions", "Times that the interface was lost.", bus.interruption_count
     )
     yield CounterMetricFamily("clutchdiag_bus_restarts_asked", "Restarts asked of the controller.", bus.restart_count)
+
+
+def _clock(snapshot: Snapshot) -> Iterator[Metric]:
+    yield CounterMetricFamily("clutchdiag_clock_steps", "Steps of the wall clock.", snapshot.clock_steps)
 
 
 def _frames(snapshot: Snapshot) -> Iterator[Metric]:

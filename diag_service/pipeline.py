@@ -1,17 +1,20 @@
 """The order of the stages: the only file that knows it. ``live`` and ``recorded`` feed it."""
 
 import logging
+from collections import deque
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 
 from clutch_model.calibration import Calibration
 from diag_service.condition import ConditionMemory, judge, no_verdict
+from diag_service.errors import StoreFullError
 from diag_service.estimation import ALGORITHM_VERSION, Belief, Estimator
 from diag_service.estimation.estimator import without_friction
 from diag_service.frames import FrameBatch
 from diag_service.gear_tracking import tracker_for
 from diag_service.indices import measure
 from diag_service.mapping import Decoder, MessageCounts
+from diag_service.notices import NOTICE
 from diag_service.publishers import Reporter
 from diag_service.records import (
     ClutchVerdict,
@@ -31,6 +34,7 @@ from diag_service.summary import Capability, FrameCounts, ShiftTally, Summary, f
 from diag_service.tiers import missing_for_next, tier_of
 from diag_service.trust import TrustBasis, assess, reasons_against
 
+MAX_PENDING = 1000  # results in memory while the disk is full
 _LOG = logging.getLogger(__name__)
 
 
@@ -110,6 +114,11 @@ class Stages:
         )
 
     @property
+    def kernel_filters(self) -> tuple[tuple[int, int], ...]:
+        """What a kernel need let through, as identifiers and masks."""
+        return self._decoder.kernel_filters
+
+    @property
     def messages(self) -> Mapping[str, MessageCounts]:
         """What became of the frames of each message, and its state."""
         return self._decoder.counts.messages
@@ -167,13 +176,43 @@ class Session:
         self._stream = stream
         self._utc_now = utc_now
         self._tally = ShiftTally()
+        self._pending: deque[tuple[ShiftResult, VehicleState]] = deque()  # what a full disk did not take yet
+        self.given_up_count = 0  # results that never found room on the disk
 
     def settle(self, event: ShiftEvent) -> None:
-        """Estimate, store and tell one shift; one that is stored already is told again, and changes nothing."""
+        """Estimate, store and tell one shift; one that is stored already is told again, and changes nothing.
+
+        A live bus does not wait for a full disk: what cannot be stored now is told when it can be.
+        """
         result = self._known(event)
-        is_new = result is None
-        if result is None:
-            result = self._diagnose(event)
+        if result is not None:
+            self._tell(result, is_new=False)
+            return
+        self._pending.append(self._diagnose(event))
+        try:
+            self._store_pending()
+        except StoreFullError as exc:
+            if self._stream is not None:
+                raise
+            self._note_full_disk(exc)
+
+    def _store_pending(self) -> None:
+        """Store and tell what waits, in order; raises StoreFullError at the first that the disk does not take."""
+        was_waiting = len(self._pending) > 1
+        while self._pending:
+            self._store.add(*self._pending[0])
+            self._tell(self._pending.popleft()[0], is_new=True)
+        if was_waiting:
+            _LOG.log(NOTICE, "the disk takes results again; %d were given up in between", self.given_up_count)
+
+    def _note_full_disk(self, exc: StoreFullError) -> None:
+        if len(self._pending) == 1:
+            _LOG.warning("%s; results wait in memory", exc)
+        while len(self._pending) > MAX_PENDING:
+            self._pending.popleft()
+            self.given_up_count += 1
+
+    def _tell(self, result: ShiftResult, *, is_new: bool) -> None:
         self._tally.add(result, is_new=is_new)
         self.reporter.report(result)
 
@@ -192,7 +231,14 @@ class Session:
         return summarise(self._vehicle, frames, self._tally, unpublished_count, self.stages.capability())
 
     def finish(self, frames: FrameCounts, unpublished_count: int | None) -> None:
-        """Tell the numbers of the run."""
+        """Tell the numbers of the run.
+
+        Raises
+        ------
+        StoreFullError
+            If there are results for which the disk still has no room.
+        """
+        self._store_pending()
         if not frames.is_balanced:
             _LOG.error("frame counts do not add up: %s", frames_line(frames))
         self.reporter.finish(self.summary(frames, unpublished_count))
@@ -202,13 +248,16 @@ class Session:
             return None
         return self._store.find(self._vehicle, self._stream, event.number, self._versions)
 
-    def _diagnose(self, event: ShiftEvent) -> ShiftResult:
+    def _next_seq(self) -> int:
+        return self._pending[-1][0].seq + 1 if self._pending else self._store.next_seq()
+
+    def _diagnose(self, event: ShiftEvent) -> tuple[ShiftResult, VehicleState]:
         diagnosis = self.stages.conclude(event)
         is_live = self._stream is None
         result = ShiftResult(
             vehicle=self._vehicle,
             stream=self._stream or self._store.stream,
-            seq=self._store.next_seq() if is_live else event.number,
+            seq=self._next_seq() if is_live else event.number,
             estimate=diagnosis.estimate,
             verdict=diagnosis.verdict,
             algorithm_version=self._versions.algorithm,
@@ -218,8 +267,7 @@ class Session:
         state = VehicleState(
             belief=diagnosis.belief.to_json(), condition=diagnosis.memory.to_json(), versions=self._versions
         )
-        self._store.add(result, state)
-        return result
+        return result, state
 
 
 def versions_for(calibration: Calibration, digest: str) -> Versions:

@@ -86,7 +86,7 @@ class Series:
 
     def between(self, start_ns: int, stop_ns: int) -> "Series":
         """Return the samples with ``start_ns <= t_ns < stop_ns``."""
-        first, last = np.searchsorted(self.t_ns, (start_ns, stop_ns))
+        first, last = self.t_ns.searchsorted((start_ns, stop_ns))
         return Series(
             t_ns=self.t_ns[first:last],
             sequence=self.sequence[first:last],

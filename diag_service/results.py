@@ -24,7 +24,7 @@ from diag_service.records import (
     Trust,
     TrustPart,
 )
-from fleet_contract import Channel
+from fleet_contract import Channel, ResultKey
 
 JsonObject = dict[str, object]
 
@@ -51,10 +51,13 @@ class ServiceStatus:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class StoredResult:
-    """A row of the outbox: its position in the store and the result."""
+    """A row of the outbox: its position in the store, and the record of the result as it is stored."""
 
     position: int
-    result: ShiftResult
+    key: ResultKey
+    clutch: int
+    produced_at: str
+    text: str  # the JSON of the record
 
 
 def utc_from_bus_ns(t_ns: int) -> str:

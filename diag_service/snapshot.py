@@ -46,6 +46,7 @@ class Snapshot:
     taken_s: float  # monotonic
     vehicle: str
     bus: BusStatus
+    clock_steps: int  # of the wall clock, taken out of bus time
     load_ratio: float  # share of the bit rate that the frames took, stuff bits left out
     frames: FrameCounts
     messages: tuple[MessageStatus, ...]
@@ -89,6 +90,7 @@ class SnapshotTaker:
             taken_s=now_s,
             vehicle=self._session.vehicle,
             bus=self._source.status,
+            clock_steps=self._source.counts.clock_steps,
             load_ratio=self._load_ratio,
             frames=frames,
             messages=tuple(

@@ -20,7 +20,8 @@ from fleet_backend.writer import Batch
 from fleet_contract import Outgoing, ack_messages, filter_of
 
 GROUP: Final = "ingest"  # of the shared subscription
-FILTERS: Final = tuple(filter_of(channel, group=GROUP) for channel in INGESTED)
+# States go to every worker: a shared subscription never gets what the broker retained, and two writers agree.
+FILTERS: Final = tuple(filter_of(channel, group=None if channel.is_retained else GROUP) for channel in INGESTED)
 FIRST_PAUSE_S: Final = 0.2
 LONGEST_PAUSE_S: Final = 10.0
 

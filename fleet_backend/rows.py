@@ -127,6 +127,8 @@ def _table(value: object) -> Mapping[str, object]:
 
 def _shown(text: str) -> str:
     """Return a text that every database takes and every terminal survives."""
+    if text.isprintable():
+        return text
     return "".join(
         character if character.isprintable() else character.encode("unicode_escape").decode() for character in text
     )

@@ -6,7 +6,7 @@ from typing import Final
 
 from fleet_contract.described import check_data, check_envelope
 from fleet_contract.errors import IdentityError
-from fleet_contract.receipts import Receipt, ack_records, key_of
+from fleet_contract.receipts import Receipt, ResultKey, ack_records, key_of
 from fleet_contract.strict_json import JsonObject, dump, parse_object, shown
 from fleet_contract.topics import Address, Channel, parse_topic, topic_of
 
@@ -62,14 +62,13 @@ def read_message(topic: str, payload: bytes) -> Incoming:
 
 def shift_message(record: Mapping[str, object]) -> Outgoing:
     """Return the message of a shift result."""
-    return raw_shift_message(record, dump(record))
+    return raw_shift_message(key_of(record), _time(record), dump(record))
 
 
-def raw_shift_message(record: Mapping[str, object], text: str) -> Outgoing:
-    """Return the message of a shift result whose JSON exists already; ``record`` needs its key and time only."""
-    key = key_of(record)
+def raw_shift_message(key: ResultKey, produced_at: str, text: str) -> Outgoing:
+    """Return the message of a shift result whose JSON exists already."""
     return _outgoing(
-        Channel.SHIFT, key.vehicle, text, source=f"{key.vehicle}/{key.stream}", event_id=key.text, time=_time(record)
+        Channel.SHIFT, key.vehicle, text, source=f"{key.vehicle}/{key.stream}", event_id=key.text, time=produced_at
     )
 
 

@@ -87,7 +87,7 @@ class PostgresServer:
         """End the server at once but in order; it may be off."""
         self._end(signal.SIGINT)
 
-    def remove(self) -> None:
+    def close(self) -> None:
         """End the server and forget its data."""
         self._end(signal.SIGQUIT)
         shutil.rmtree(self.folder, ignore_errors=True)

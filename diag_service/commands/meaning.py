@@ -3,6 +3,8 @@
 import argparse
 
 from diag_service import config
+from diag_service.errors import ConfigError
+from diag_service.publishers import Acknowledge, BrokerAddress, TlsFiles
 
 
 def diagnosis_config(options: argparse.Namespace) -> config.DiagnosisConfig:
@@ -12,7 +14,9 @@ def diagnosis_config(options: argparse.Namespace) -> config.DiagnosisConfig:
         dbc=options.dbc,
         profile=options.profile,
         calibration=config.load_calibration(options.calibration),
-        broker=config.parse_broker(options.broker) if options.broker else None,
+        broker=_broker(options),
+        acknowledge=Acknowledge(options.acknowledge),
+        budget_bytes=None if options.store_budget is None else options.store_budget << 20,
     )
 
 
@@ -24,5 +28,15 @@ def bus_config(options: argparse.Namespace) -> config.BusConfig:
         bitrate=options.bitrate,
         is_fd=options.fd,
         duration_s=options.duration,
+        is_filtered=options.only_mapped,
         metrics=config.parse_listen_address(options.metrics) if options.metrics else None,
     )
+
+
+def _broker(options: argparse.Namespace) -> BrokerAddress | None:
+    tls = TlsFiles(authority=options.ca, certificate=options.cert, key=options.key)
+    if options.broker:
+        return config.parse_broker(options.broker, tls, options.password_file)
+    if tls != TlsFiles() or options.password_file is not None:
+        raise ConfigError("certificates and passwords need a broker")
+    return None

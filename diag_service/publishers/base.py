@@ -1,26 +1,26 @@
 """What the pipeline knows about those who hear of results."""
 
+from collections.abc import Callable, Sequence
 from typing import Protocol
 
 from diag_service.records import ShiftResult
 from diag_service.summary import Summary
+from fleet_contract import Outgoing, Receipt
+
+Hear = Callable[[list[Receipt]], None]
 
 
-class Publisher(Protocol):
-    """Delivers results to another machine."""
-
-    async def publish(self, result: ShiftResult) -> None:
-        """Deliver one result, or raise PublishError if a retry may help."""
-
-
-class Link(Publisher, Protocol):
+class Link(Protocol):
     """An open connection to a broker; the outbox opens one, uses it while it lasts, and opens the next."""
 
-    async def refresh(self, result: ShiftResult) -> None:
-        """Deliver again the lasting state that a published result left behind; a restarted broker may not know it."""
+    async def send(self, messages: Sequence[Outgoing]) -> None:
+        """Deliver messages, several in flight; return when the broker acknowledged all, or raise PublishError."""
+
+    async def listen(self, vehicle: str, hear: Hear) -> None:
+        """Call ``hear`` with the receipts of a backend from now on; raises PublishError if that is refused."""
 
     async def lost(self) -> None:
-        """Return when the connection is lost."""
+        """Return when the connection is lost, or when a better one could be had."""
 
 
 class Reporter(Protocol):

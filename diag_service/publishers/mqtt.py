@@ -2,26 +2,40 @@
 
 import asyncio
 import contextlib
-from collections.abc import AsyncIterator
+import logging
+from collections.abc import AsyncIterator, Sequence
 from contextlib import asynccontextmanager
 from dataclasses import dataclass, field, replace
-from typing import Any, Self
+from typing import Any
 
 import aiomqtt
-from paho.mqtt.client import Client as PahoClient
+from paho.mqtt.packettypes import PacketTypes
 from paho.mqtt.properties import Properties
 from paho.mqtt.reasoncodes import ReasonCode
 
 from diag_service.errors import PublishError
-from diag_service.records import ShiftResult
-from diag_service.results import ServiceStatus, clutch_record, shift_record, status_record
-from fleet_contract import Outgoing, clutch_message, shift_message, status_message
+from diag_service.publishers.base import Hear
+from diag_service.publishers.mqtt_client import AT_LEAST_ONCE, PipeliningClient
+from diag_service.publishers.tls import TlsFiles
+from diag_service.results import ServiceStatus, status_record
+from fleet_contract import (
+    Channel,
+    ContractError,
+    Outgoing,
+    Receipt,
+    read_message,
+    receipts_of,
+    status_message,
+    topic_of,
+)
 
 TIMEOUT_S = 5.0  # for a connection or an acknowledgement
+RENEWAL_PERIOD_S = 5.0  # how often a look is taken whether a certificate was renewed
 KEEPALIVE_S = 20  # a dead peer is known after 1.5 times this
 _FAREWELL_S = 1.0
-_AT_LEAST_ONCE = 1
+_SESSION_S = 7 * 24 * 3600  # how long a broker keeps acknowledgements for a vehicle that is away
 _UNSUPPORTED_PROTOCOL = 132  # MQTT 5.0, table 3-1
+_LOG = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -32,6 +46,7 @@ class BrokerAddress:
     port: int = 1883
     username: str | None = None
     password: str | None = field(default=None, repr=False)
+    tls: TlsFiles | None = None  # None: not encrypted
 
     def __str__(self) -> str:
         host = f"[{self.host}]" if ":" in self.host else self.host
@@ -41,50 +56,71 @@ class BrokerAddress:
 class MqttLink:
     """One connection, while it lasts."""
 
-    def __init__(self, client: "_Client") -> None:
+    def __init__(self, client: PipeliningClient, tls: TlsFiles | None = None) -> None:
         self._client = client
+        self._tls = tls
+        self._tls_fingerprint = None if tls is None else tls.fingerprint()
+        self._hear: Hear | None = None
+        self._early: list[Receipt] = []  # heard before anyone listened: a persistent session brings them at once
+        self._reader = asyncio.create_task(self._read(), name="mqtt-reader")
 
-    async def publish(self, result: ShiftResult) -> None:
-        """Deliver a shift result and the clutch state it leaves; return when the broker acknowledged both."""
-        await self.send(shift_message(shift_record(result)))
-        await self.refresh(result)
-
-    async def refresh(self, result: ShiftResult) -> None:
-        """Deliver the state of the clutch that a result left."""
-        await self.send(clutch_message(clutch_record(result)))
-
-    async def lost(self) -> None:
-        """Return when the connection is lost; nothing is subscribed, so nothing else ends the iteration."""
-        with contextlib.suppress(aiomqtt.MqttError):
-            async for _ in self._client.messages:
-                pass
-
-    async def send(self, message: Outgoing) -> None:
-        """Deliver one message at least once.
+    async def send(self, messages: Sequence[Outgoing]) -> None:
+        """Deliver messages at least once.
 
         Raises
         ------
         PublishError
             If the connection breaks, the acknowledgement does not come, or it says no.
         """
-        self._client.refusal = None
-        delivery = asyncio.ensure_future(
-            self._client.publish(message.topic, message.payload, qos=_AT_LEAST_ONCE, retain=message.is_retained)
-        )
-        loss = asyncio.ensure_future(self.lost())  # aiomqtt itself would wait for the time limit
+        delivery = asyncio.ensure_future(self._client.publish_all(messages))
         try:
-            await asyncio.wait((delivery, loss), return_when=asyncio.FIRST_COMPLETED)
-            if not delivery.done():
-                raise PublishError("connection lost")
+            await asyncio.wait((delivery, self._reader), return_when=asyncio.FIRST_COMPLETED)
+            if not delivery.done():  # aiomqtt itself would wait for the time limit
+                raise PublishError(self._client.refusal or "connection lost")  # some brokers say no and hang up
             delivery.result()
         except aiomqtt.MqttError as exc:
             raise PublishError(_one_line(exc)) from exc
         finally:
             delivery.cancel()
-            loss.cancel()
-            await asyncio.gather(delivery, loss, return_exceptions=True)
-        if self._client.refusal is not None:
-            raise PublishError(f"{message.topic} was refused: {self._client.refusal}")
+            await asyncio.gather(delivery, return_exceptions=True)
+
+    async def listen(self, vehicle: str, hear: Hear) -> None:
+        """Subscribe to the acknowledgements for a vehicle; raises PublishError if the broker refuses."""
+        self._hear = hear
+        if self._early:
+            hear(self._early)
+        topic = topic_of(vehicle, Channel.ACK)
+        try:
+            granted = await self._client.subscribe(topic, qos=AT_LEAST_ONCE)
+        except aiomqtt.MqttError as exc:
+            raise PublishError(_one_line(exc)) from exc
+        if any(_number(code) > AT_LEAST_ONCE for code in granted):
+            raise PublishError(f"subscription to {topic} was refused")
+
+    async def lost(self) -> None:
+        """Return when the connection is lost, or when a certificate was renewed."""
+        while self._tls is not None and self._tls.fingerprint() == self._tls_fingerprint:
+            done, _ = await asyncio.wait((self._reader,), timeout=RENEWAL_PERIOD_S)
+            if done:
+                return
+        if self._tls is None:
+            await asyncio.wait((self._reader,))
+
+    async def end(self) -> None:
+        """Hear no more."""
+        self._reader.cancel()
+        await asyncio.gather(self._reader, return_exceptions=True)
+
+    async def _read(self) -> None:
+        """Hand on acknowledgements until the connection is lost."""
+        with contextlib.suppress(aiomqtt.MqttError):
+            async for message in self._client.messages:
+                try:
+                    incoming = read_message(str(message.topic), _payload(message))
+                    if incoming.address.channel is Channel.ACK:
+                        (self._hear or self._early.extend)(receipts_of(incoming.data))
+                except ContractError as exc:
+                    _LOG.warning("a message to us is ignored: %s", exc)
 
 
 class MqttConnector:
@@ -98,12 +134,22 @@ class MqttConnector:
     identifier :
         Client identifier. A fixed one lets the broker end the session of a service that vanished before the new
         one announces itself.
+    is_persistent :
+        Whether the broker is to keep acknowledgements for us while we are away.
     """
 
-    def __init__(self, address: BrokerAddress, identifier: str, status: ServiceStatus | None = None) -> None:
+    def __init__(
+        self,
+        address: BrokerAddress,
+        identifier: str,
+        status: ServiceStatus | None = None,
+        *,
+        is_persistent: bool = False,
+    ) -> None:
         self._address = address
         self._identifier = identifier
         self._status = status
+        self._is_persistent = is_persistent
         self._protocol: aiomqtt.ProtocolVersion | None = None  # not known yet
 
     @asynccontextmanager
@@ -118,8 +164,8 @@ class MqttConnector:
         online = None if self._status is None else replace(self._status, is_online=True, connected_at=connected_at)
         offline = None if online is None else replace(online, is_online=False)
         client = await self._open(offline)
+        link = MqttLink(client, self._address.tls)
         try:
-            link = MqttLink(client)
             if online is not None:
                 await _announce(link, online)
             try:
@@ -129,15 +175,17 @@ class MqttConnector:
                     with contextlib.suppress(PublishError, TimeoutError):
                         await asyncio.wait_for(_announce(link, offline), _FAREWELL_S)
         finally:
+            await link.end()
             await _leave(client)
 
-    async def _open(self, will: ServiceStatus | None) -> "_Client":
+    async def _open(self, will: ServiceStatus | None) -> PipeliningClient:
         """Connect in the version that the broker speaks.
 
-        A will makes a CONNECT that some 3.1.1 brokers misread and never answer, so the version is found without one.
+        A will makes a CONNECT that some 3.1.1 brokers misread and never answer, so the version is found without one;
+        and without our name, for what the broker kept for us must not go to a connection that ends at once.
         """
         if self._protocol is None:
-            probe = self._client(aiomqtt.ProtocolVersion.V5, None)
+            probe = self._client(aiomqtt.ProtocolVersion.V5, None, identifier=None)
             try:
                 await _enter(probe)
             except _VersionRefusedError:
@@ -146,55 +194,38 @@ class MqttConnector:
                 self._protocol = aiomqtt.ProtocolVersion.V5
                 await _leave(probe)
         try:
-            return await _enter(self._client(self._protocol, will))
+            return await _enter(self._client(self._protocol, will, self._identifier))
         except PublishError:
             self._protocol = None  # who answers next time may be another broker
             raise
 
-    def _client(self, protocol: aiomqtt.ProtocolVersion, will: ServiceStatus | None) -> "_Client":
-        return _Client(
+    def _client(
+        self, protocol: aiomqtt.ProtocolVersion, will: ServiceStatus | None, identifier: str | None
+    ) -> PipeliningClient:
+        is_kept = self._is_persistent and identifier is not None
+        session: dict[str, Any] = {"clean_session": not is_kept}
+        if protocol is aiomqtt.ProtocolVersion.V5:
+            session = {"clean_start": not is_kept, "properties": _session_properties() if is_kept else None}
+        return PipeliningClient(
             self._address.host,
             self._address.port,
             username=self._address.username,
             password=self._address.password,
-            identifier=self._identifier,
+            identifier=identifier,
             protocol=protocol,
             will=None if will is None else _will(will),
+            **session,
+            tls_context=None if self._address.tls is None else self._address.tls.context(),
             timeout=TIMEOUT_S,
             keepalive=KEEPALIVE_S,
         )
-
-
-class _Client(aiomqtt.Client):
-    """aiomqtt's client, which also keeps a refusal of the last message and leaves no socket behind a failure."""
-
-    refusal: str | None = None
-
-    async def __aenter__(self) -> Self:
-        try:
-            return await super().__aenter__()
-        except BaseException:
-            self._client.disconnect()
-            raise
-
-    def _on_publish(
-        self,
-        client: PahoClient,
-        userdata: Any,  # noqa: ANN401 - signature of paho-mqtt
-        mid: int,
-        reason_code: ReasonCode,
-        properties: Properties,
-    ) -> None:
-        if reason_code.is_failure:
-            self.refusal = str(reason_code)
-        super()._on_publish(client, userdata, mid, reason_code, properties)
 
 
 class _VersionRefusedError(PublishError):
     """The broker does not speak this version of the protocol."""
 
 
-async def _enter(client: _Client) -> _Client:
+async def _enter(client: PipeliningClient) -> PipeliningClient:
     try:
         return await client.__aenter__()
     except aiomqtt.MqttCodeError as exc:
@@ -204,18 +235,32 @@ async def _enter(client: _Client) -> _Client:
         raise PublishError(_one_line(exc)) from exc
 
 
-async def _leave(client: _Client) -> None:
+async def _leave(client: PipeliningClient) -> None:
     with contextlib.suppress(aiomqtt.MqttError):
         await client.__aexit__(None, None, None)
 
 
 async def _announce(link: MqttLink, status: ServiceStatus) -> None:
-    await link.send(status_message(status_record(status)))
+    await link.send([status_message(status_record(status))])
 
 
 def _will(status: ServiceStatus) -> aiomqtt.Will:
     message = status_message(status_record(status))
-    return aiomqtt.Will(message.topic, message.payload, qos=_AT_LEAST_ONCE, retain=message.is_retained)
+    return aiomqtt.Will(message.topic, message.payload, qos=AT_LEAST_ONCE, retain=message.is_retained)
+
+
+def _session_properties() -> Properties:
+    properties = Properties(PacketTypes.CONNECT)  # type: ignore[no-untyped-call]
+    properties.SessionExpiryInterval = _SESSION_S
+    return properties
+
+
+def _payload(message: aiomqtt.Message) -> bytes:
+    return message.payload if isinstance(message.payload, bytes) else str(message.payload).encode()
+
+
+def _number(code: ReasonCode | int) -> int:
+    return int(code.value) if isinstance(code, ReasonCode) else code
 
 
 def _code(exc: aiomqtt.MqttCodeError) -> int | None:

@@ -1,49 +1,34 @@
-"""The outbox: forwards stored results to a broker in order, marks what it acknowledged, survives its absence.
+"""The outbox: keeps a connection to a broker, delivers what the store holds, survives the absence of everyone.
 
-A result that is not acknowledged stays unpublished in the store, so a slow, absent or refusing broker costs nothing but
-time. A broker acknowledges before its subscribers or its disk have the message: what it acknowledged shortly before a
-connection broke is sent again. Delivery is at least once; the key (vehicle, stream, seq, versions) tells a repetition.
+A result stays in the store as undelivered until the one whose word counts has acknowledged it, so a slow, absent or
+refusing broker or backend costs nothing but time. Delivery is at least once and in any order; the key (vehicle, stream,
+seq, versions) tells a repetition. A broker's word is weak: it acknowledges before its subscribers or its disk have the
+message, so what it acknowledged shortly before a connection broke is sent again. A backend's word is its commit.
 """
 
 import asyncio
 import logging
 import random
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import AbstractAsyncContextManager
-from typing import Protocol
 
 from diag_service.errors import PublishError
 from diag_service.notices import NOTICE
 from diag_service.publishers.base import Link
-from diag_service.records import ShiftResult
-from diag_service.results import StoredResult
+from diag_service.publishers.delivery import Acknowledge, Counts, Delivery, OutboxStore
+from fleet_contract import Outgoing
 
 FIRST_PAUSE_S = 0.5
 LONGEST_PAUSE_S = 30.0
 DRAIN_S = 5.0  # how long an ending service waits for its broker
-SETTLE_S = 5.0  # after this an acknowledged result is taken to be where it belongs
-_ROWS_PER_READ = 100
+SETTLE_S = 5.0  # after this a result that a broker acknowledged is taken to be where it belongs
+METRICS_PERIOD_S = 60.0
 _MAX_UNSETTLED = 1000
 
 Connect = Callable[[], AbstractAsyncContextManager[Link]]
+MetricsMessage = Callable[[Mapping[str, float]], Outgoing]
 _LOG = logging.getLogger(__name__)
-
-
-class OutboxStore(Protocol):
-    """The part of the store that the outbox reads."""
-
-    def unpublished(self, vehicle: str, limit: int) -> list[StoredResult]:
-        """Return the oldest results that no broker has acknowledged."""
-
-    def unpublished_count(self, vehicle: str) -> int:
-        """Return how many results wait."""
-
-    def mark_published(self, position: int) -> None:
-        """Note an acknowledged result."""
-
-    def latest_published(self, vehicle: str) -> list[ShiftResult]:
-        """Return the last acknowledged result of each clutch."""
 
 
 class Outbox:
@@ -55,38 +40,62 @@ class Outbox:
         Opens a connection, or raises PublishError.
     where :
         The broker, for people; without credentials.
+    acknowledge :
+        Whose word lets a result be forgotten.
+    greetings :
+        Messages that open every connection.
+    metrics :
+        Makes a message of the outbox's numbers, now and then; None: nobody wants them.
     """
 
-    def __init__(self, store: OutboxStore, vehicle: str, connect: Connect, where: str) -> None:
+    def __init__(
+        self,
+        store: OutboxStore,
+        vehicle: str,
+        connect: Connect,
+        where: str,
+        *,
+        acknowledge: Acknowledge = Acknowledge.BROKER,
+        greetings: Sequence[Outgoing] = (),
+        metrics: MetricsMessage | None = None,
+    ) -> None:
         self._store = store
         self._vehicle = vehicle
         self._connect = connect
         self._where = where
-        self._news = asyncio.Event()
+        self._acknowledge = acknowledge
+        self._greetings = greetings
+        self._metrics = metrics
+        self._metrics_due_s = 0.0  # of the loop
+        self._delivery: Delivery | None = None  # over the present connection
         self._closing = asyncio.Event()
         self._is_down = False
-        self._sent_count = 0  # over the present connection
-        self._unsettled: deque[tuple[float, ShiftResult]] = deque(maxlen=_MAX_UNSETTLED)  # when, what
+        self._unsettled: deque[tuple[float, int]] = deque(maxlen=_MAX_UNSETTLED)  # when, position
+        self._repeat: dict[int, None] = {}  # positions that may have been lost with a connection, in order
+        self.counts = Counts()
 
     def nudge(self) -> None:
         """Say that the store holds something new."""
-        self._news.set()
+        if self._delivery is not None:
+            self._delivery.wake.set()
 
     async def run(self) -> None:
         """Connect, send, reconnect; return after ``close`` once all is sent or a fresh attempt has sent nothing."""
         failure_count = 0
         while True:
             is_last_attempt = self._closing.is_set()
-            self._sent_count = 0
+            sent_before = self.counts.sent
             try:
                 async with self._connect() as link:
                     failure_count = 0
                     await self._serve(link)
                     return
             except PublishError as exc:
-                self._forget_settled()
+                self._take_up_unsettled()
                 await self._note_failure(exc)
-            if is_last_attempt and not self._sent_count:
+            finally:
+                self._delivery = None
+            if is_last_attempt and self.counts.sent == sent_before:
                 return
             await self._pause(failure_count)
             failure_count += 1
@@ -94,7 +103,7 @@ class Outbox:
     async def close(self, sender: asyncio.Task[None], timeout_s: float = DRAIN_S) -> int:
         """Let ``sender``, the task of ``run``, send what is left, for a limited time; return what remains unsent."""
         self._closing.set()
-        self._news.set()
+        self.nudge()
         try:
             await asyncio.wait_for(sender, timeout_s)
         except TimeoutError:
@@ -102,33 +111,73 @@ class Outbox:
         return await asyncio.to_thread(self._store.unpublished_count, self._vehicle)
 
     async def _serve(self, link: Link) -> None:
-        for result in await asyncio.to_thread(self._store.latest_published, self._vehicle):
-            await link.refresh(result)
-        await self._repeat_unsettled(link)
+        delivery = self._delivery = Delivery(
+            self._store,
+            self._vehicle,
+            link,
+            acknowledge=self._acknowledge,
+            repeat=self._repeat,
+            published=self._note_published,
+            counts=self.counts,
+        )
+        await delivery.begin(self._greetings)
+        if self._is_down:
+            self._is_down = False
+            _LOG.log(NOTICE, "broker %s takes results again", self._where)
         while True:
-            self._news.clear()
-            await self._send_backlog(link)
-            if self._closing.is_set():
+            while await delivery.step():
+                await self._tell_metrics(link)
+            await self._tell_metrics(link)
+            if self._closing.is_set() and not delivery.is_owed:
                 return
-            await self._wait_for_news(link)
+            await self._wait(link, delivery)
 
-    async def _send_backlog(self, link: Link) -> None:
-        while rows := await asyncio.to_thread(self._store.unpublished, self._vehicle, _ROWS_PER_READ):
-            for row in rows:
-                await link.publish(row.result)
-                await asyncio.to_thread(self._store.mark_published, row.position)
-                self._sent_count += 1
-                self._forget_settled()
-                self._unsettled.append((self._now_s(), row.result))
-            if self._is_down:
-                self._is_down = False
-                _LOG.log(NOTICE, "broker %s takes results again", self._where)
+    async def _wait(self, link: Link, delivery: Delivery) -> None:
+        """Return when there is something to do; raises PublishError if the connection is lost."""
+        patience_s = delivery.patience_s()
+        if self._metrics is not None:
+            metrics_s = max(0.0, self._metrics_due_s - self._now_s())
+            patience_s = metrics_s if patience_s is None else min(patience_s, metrics_s)
+        news = asyncio.ensure_future(delivery.wake.wait())
+        loss = asyncio.ensure_future(link.lost())
+        try:
+            await asyncio.wait((news, loss), return_when=asyncio.FIRST_COMPLETED, timeout=patience_s)
+        finally:
+            news.cancel()
+            loss.cancel()
+            await asyncio.gather(news, loss, return_exceptions=True)
+        if not loss.cancelled():
+            loss.result()
+            raise PublishError("connection lost")
 
-    async def _repeat_unsettled(self, link: Link) -> None:
-        for result in [result for _, result in self._unsettled]:
-            await link.publish(result)
-        again_s = self._now_s()
-        self._unsettled = deque(((again_s, result) for _, result in self._unsettled), maxlen=_MAX_UNSETTLED)
+    async def _tell_metrics(self, link: Link) -> None:
+        if self._metrics is None or self._now_s() < self._metrics_due_s:
+            return
+        self._metrics_due_s = self._now_s() + METRICS_PERIOD_S
+        await link.send([await asyncio.to_thread(self._metrics_message, self._metrics)])
+
+    def _metrics_message(self, make: MetricsMessage) -> Outgoing:
+        counts = self.counts
+        numbers = {
+            "outbox_waiting_count": self._store.unpublished_count(self._vehicle),
+            "outbox_sent_count": counts.sent,
+            "outbox_repeated_count": counts.repeated,
+            "outbox_acknowledged_count": counts.acknowledged,
+            "outbox_quarantined_count": counts.quarantined,
+            "outbox_failure_count": counts.failed,
+        }
+        return make(numbers)
+
+    def _note_published(self, positions: list[int]) -> None:
+        self._forget_settled()
+        now_s = self._now_s()
+        self._unsettled.extend((now_s, position) for position in positions)
+
+    def _take_up_unsettled(self) -> None:
+        """Send again, over the next connection, what a broker acknowledged just before this one broke."""
+        self._forget_settled()
+        self._repeat.update((position, None) for _, position in self._unsettled)
+        self._unsettled.clear()
 
     def _forget_settled(self) -> None:
         while self._unsettled and self._now_s() - self._unsettled[0][0] > SETTLE_S:
@@ -138,19 +187,8 @@ class Outbox:
     def _now_s() -> float:
         return asyncio.get_running_loop().time()
 
-    async def _wait_for_news(self, link: Link) -> None:
-        news = asyncio.ensure_future(self._news.wait())
-        loss = asyncio.ensure_future(link.lost())
-        try:
-            await asyncio.wait((news, loss), return_when=asyncio.FIRST_COMPLETED)
-        finally:
-            news.cancel()
-            loss.cancel()
-            await asyncio.gather(news, loss, return_exceptions=True)
-        if not loss.cancelled():
-            raise PublishError("connection lost")
-
     async def _note_failure(self, exc: PublishError) -> None:
+        self.counts.failed += 1
         if self._is_down:
             return
         self._is_down = True

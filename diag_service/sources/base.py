@@ -18,6 +18,7 @@ class SourceCounts:
     kernel_dropped: int = 0  # lost in the socket's receive buffer, as the kernel counts them
     queue_dropped: int = 0  # read, but the service was too far behind to keep them
     unsupported: int = 0  # neither CAN nor CAN FD
+    clock_steps: int = 0  # of the wall clock; bus time does not follow them
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

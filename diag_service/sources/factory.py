@@ -1,6 +1,7 @@
 """Which source a user means: command line, environment and can.conf, as python-can reads them."""
 
 import asyncio
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 from diag_service.errors import SourceError
@@ -34,12 +35,21 @@ class BusOpener:
     interface, channel, bitrate, fd
         As python-can names them. What is not given comes from ``CAN_INTERFACE``, ``CAN_CHANNEL`` and
         ``CAN_BITRATE``, then from ``can.conf``.
+    filters
+        Identifiers and masks that a SocketCAN interface is to let through; other interfaces give everything.
     """
 
     def __init__(
-        self, interface: str | None = None, channel: str | None = None, bitrate: int | None = None, *, fd: bool = False
+        self,
+        interface: str | None = None,
+        channel: str | None = None,
+        bitrate: int | None = None,
+        *,
+        fd: bool = False,
+        filters: Sequence[tuple[int, int]] = (),
     ) -> None:
         self._given = (interface, channel, bitrate, fd)
+        self._filters = filters
         self._settings: BusSettings | None = None
         self._last: Seen | None = None  # a SocketCAN interface, to find it under another name
 
@@ -61,7 +71,7 @@ class BusOpener:
         if not settings.channel:
             raise SourceError("no CAN channel given: name the interface, for example -i socketcan -c vcan0")
         name = present_name(settings.channel, self._last)
-        source = SocketCanSource(name, fd=settings.fd)
+        source = SocketCanSource(name, fd=settings.fd, filters=self._filters)
         self._last = Seen(name=name, index=index_of(name))
         return source
 

@@ -5,13 +5,15 @@ import errno
 import os
 import socket
 import struct
-from collections.abc import AsyncIterator
+from collections.abc import AsyncIterator, Sequence
+from dataclasses import replace
 
 from diag_service.errors import SourceError
 from diag_service.frames import FrameBatch
 from diag_service.sources.base import SourceCounts
+from diag_service.sources.bus_clock import BusClock
 from diag_service.sources.frame_queue import FrameQueue
-from diag_service.sources.recvmmsg import SO_TIMESTAMPNS, FrameReceiver
+from diag_service.sources.recvmmsg import SLOTS, SO_TIMESTAMPNS, FrameReceiver
 
 RECEIVE_BUFFER_BYTES = 8 * 1024 * 1024  # about ten thousand frames: some seconds of a full bus
 CALLS_PER_WAKE_UP = 16  # 4096 frames, then the rest of the service gets its turn
@@ -35,6 +37,10 @@ class SocketCanSource:
         Interface name, such as ``vcan0``.
     fd : bool
         Receive CAN FD frames as well; without it the kernel keeps them from this socket, uncounted.
+    filters : sequence of (identifier, mask)
+        What the kernel lets through besides error frames; everything if empty. What it holds back is not counted.
+    clock : BusClock or None
+        What takes steps of the wall clock out of the times.
     receive_buffer_bytes : int
         What to ask of the kernel; without privileges it may grant less.
 
@@ -49,13 +55,18 @@ class SocketCanSource:
         channel: str,
         *,
         fd: bool = False,
+        filters: Sequence[tuple[int, int]] = (),
         receive_buffer_bytes: int = RECEIVE_BUFFER_BYTES,
         queue: FrameQueue | None = None,
+        clock: BusClock | None = None,
     ) -> None:
         self._channel = channel
         self._queue = queue or FrameQueue()
-        self._socket: socket.socket | None = open_socket(channel, fd=fd, receive_buffer_bytes=receive_buffer_bytes)
+        self._socket: socket.socket | None = open_socket(
+            channel, fd=fd, filters=filters, receive_buffer_bytes=receive_buffer_bytes
+        )
         self._receiver = FrameReceiver(self._socket.fileno())
+        self._clock = clock or BusClock()
         self._received = 0
         self._unsupported = 0
         self._final_drops = 0
@@ -76,6 +87,7 @@ class SocketCanSource:
             kernel_dropped=self._final_drops if self._socket is None else kernel_drops(self._socket),
             queue_dropped=self._queue.dropped,
             unsupported=self._unsupported,
+            clock_steps=self._clock.step_count,
         )
 
     async def __aiter__(self) -> AsyncIterator[FrameBatch]:
@@ -94,6 +106,7 @@ class SocketCanSource:
 
     def _drain(self, *, is_last: bool = False) -> None:
         """Move what is waiting from the socket to the queue; runs whenever the socket is readable."""
+        self._clock.look()
         for _ in range(CALLS_PER_WAKE_UP):
             try:
                 reception = self._receiver.receive()
@@ -111,7 +124,11 @@ class SocketCanSource:
                 return
             self._received += reception.read
             self._unsupported += reception.unsupported
-            self._queue.offer(reception.batch)
+            batch = reception.batch
+            is_empty = reception.read < SLOTS and not is_last and self._failure is None
+            self._queue.offer(replace(batch, t_ns=self._clock.bus_time_ns(batch.t_ns)))
+            if is_empty:  # what comes meanwhile makes the socket readable again: no call in vain
+                return
 
     def _close(self) -> None:
         if self._socket is not None:
@@ -122,7 +139,9 @@ class SocketCanSource:
         self._queue.close(self._failure)
 
 
-def open_socket(channel: str, *, fd: bool, receive_buffer_bytes: int) -> socket.socket:
+def open_socket(
+    channel: str, *, fd: bool, receive_buffer_bytes: int, filters: Sequence[tuple[int, int]] = ()
+) -> socket.socket:
     """Return a raw CAN socket, bound, stamping and non-blocking.
 
     Raises
@@ -137,6 +156,9 @@ def open_socket(channel: str, *, fd: bool, receive_buffer_bytes: int) -> socket.
     try:
         raw.setsockopt(socket.SOL_SOCKET, SO_TIMESTAMPNS, 1)
         raw.setsockopt(socket.SOL_CAN_RAW, CAN_RAW_ERR_FILTER, ALL_ERROR_CLASSES)
+        if filters:
+            packed = b"".join(struct.pack("=II", *one) for one in filters)
+            raw.setsockopt(socket.SOL_CAN_RAW, socket.CAN_RAW_FILTER, packed)
         if fd:
             raw.setsockopt(socket.SOL_CAN_RAW, socket.CAN_RAW_FD_FRAMES, 1)
         grow_receive_buffer(raw, receive_buffer_bytes)

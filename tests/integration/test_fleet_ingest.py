@@ -25,6 +25,7 @@ from fleet_contract import Outgoing, shift_message
 from tests.fleet import fleet_result, row_of
 from tests.fleet_worker import Step, worker
 from tests.plugins.broker import Mosquitto
+from tests.poison import poison_messages
 from tests.resending_edge import ResendingEdge
 
 pytestmark = pytest.mark.broker
@@ -179,28 +180,6 @@ def test_a_database_that_dies_and_comes_back_gets_everything(
         edge.deliver()
     assert queries.table_hash(engine) == clean_hash(tmp_path, sent)
     engine.dispose()
-
-
-def poison_messages(count: int) -> list[tuple[str, bytes]]:
-    """Return messages that no backend can use, of every kind in turn, no two alike."""
-    good = json.loads(messages(1)[0].payload)
-    kinds = (
-        lambda number: ("clutchdiag/v1/car9/shift", b"{" * (number % 500 + 1)),
-        lambda number: ("clutchdiag/v1/car9/shift", b'{"a":' * 5000 + str(number).encode()),
-        lambda number: ("clutchdiag/v1/car9/shift", str(number).encode() * 20_000),
-        lambda number: ("clutchdiag/v1/car9/shift", bytes([0xFF, number % 256, number // 256])),
-        lambda number: ("clutchdiag/v1/car9/shift", _changed(good, seq=number, quality=-1.0)),
-        lambda number: ("clutchdiag/v1/car9/shift", _changed(good, seq=number)),  # of car1, as it says
-        lambda number: ("clutchdiag/v1/car9/status", f'{{"specversion":"{number}"}}'.encode()),
-        lambda number: ("clutchdiag/v1/.bad/shift", str(number).encode()),
-    )
-    return [kinds[number % len(kinds)](number + 1) for number in range(count)]
-
-
-def _changed(event: dict[str, object], **data: object) -> bytes:
-    old = event["data"]
-    assert isinstance(old, dict)
-    return json.dumps({**event, "data": {**old, **data}}).encode()
 
 
 def test_poison_is_kept_aside_and_does_not_delay_the_good(

@@ -1,4 +1,4 @@
-"""The commands that the README shows exist: programs, subcommands, options, make targets and variables."""
+"""The commands that README and guides show exist: programs, subcommands, options, make targets and variables."""
 
 import re
 import subprocess
@@ -9,12 +9,13 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).parents[2]
-MODULES = {"ecu-emulator": "ecu_emulator", "diag-service": "diag_service"}
+MODULES = {"ecu-emulator": "ecu_emulator", "diag-service": "diag_service", "fleet-backend": "fleet_backend"}
+DOCUMENTS = ("README.md", "docs/fleet.md")
 
 
 def shell_lines() -> list[str]:
-    """Return every line of the README's shell blocks, comments cut off."""
-    text = (ROOT / "README.md").read_text(encoding="utf-8")
+    """Return every line of the documents' shell blocks, comments cut off."""
+    text = "".join((ROOT / name).read_text(encoding="utf-8") for name in DOCUMENTS)
     blocks = re.findall(r"^```sh\n(.*?)^```", text, re.MULTILINE | re.DOTALL)
     return [line.split("#")[0].strip() for block in blocks for line in block.splitlines() if line.strip()]
 
@@ -41,6 +42,9 @@ def test_a_shown_command_is_understood(line: str) -> None:
 
 def test_the_readme_shows_every_subcommand() -> None:
     shown = {tuple(line.split()[:2]) for line in shell_lines() if line.split()[0] in MODULES}
+    fleet = {command for program, command in shown if program == "fleet-backend"}
+    assert fleet == {"alarms", "fill", "hash", "ingest", "migrate", "quarantine", "seen", "table", "trend"}
+    shown -= {("fleet-backend", command) for command in fleet}
     assert shown == {
         ("ecu-emulator", "run"),
         ("ecu-emulator", "record"),

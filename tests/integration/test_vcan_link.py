@@ -9,10 +9,13 @@ import pytest
 
 from diag_service.error_frames import BusError
 from diag_service.frames import ERROR_FLAG
+from diag_service.mapping import Decoder
+from diag_service.profile import load_profile
 from diag_service.sources import BusOpener, BusState, LinkBreak, SupervisedSource, supervise
 from diag_service.sources.interface import Seen, index_of, present_name, restart_controller
 from tests.link_cycles import TARGET_S, run_cycles
 from tests.uml.vcan import create_vcan, ip_link
+from tests.wire import CONTRACTS, DATABASE
 
 pytestmark = pytest.mark.vcan
 
@@ -117,6 +120,15 @@ async def test_error_frames_are_counted_and_bus_off_asks_for_a_restart(vcan: str
         BusError.ARBITRATION_LOST: 1, BusError.PROTOCOL: 1, BusError.BUS_OFF: 1, BusError.RESTARTED: 1
     }  # fmt: skip
     assert status.restart_count == 1
+
+
+async def test_the_kernel_lets_through_what_is_mapped_and_error_frames(vcan: str) -> None:
+    decoder = Decoder(DATABASE, load_profile())
+    bus = Listener(await supervise(BusOpener("socketcan", vcan, filters=decoder.kernel_filters)))
+    mapped = sorted(contract.can_id for name, contract in CONTRACTS.items() if name in decoder.counts.messages)
+    send(vcan, 0x7A0, *mapped, 0x8000_0000 | mapped[0], 0x4000_0000 | mapped[0], ERROR_FLAG | 0x02)
+    await bus.until(BusState.DEGRADED)
+    assert await bus.close() == [*mapped, ERROR_FLAG | 0x02]
 
 
 def test_a_vcan_has_no_controller_to_restart(vcan: str) -> None:

@@ -24,11 +24,20 @@ class Mosquitto:
         For configuration, password file, data and log.
     lines : str
         More configuration, such as an access list.
+    is_durable : bool
+        Whether every change is saved at once, so that kill -9 forgets nothing; else Mosquitto's own default.
     users : dict, optional
         User names and passwords; without them everyone may connect.
     """
 
-    def __init__(self, folder: Path, lines: tuple[str, ...] = (), users: dict[str, str] | None = None) -> None:
+    def __init__(
+        self,
+        folder: Path,
+        lines: tuple[str, ...] = (),
+        users: dict[str, str] | None = None,
+        *,
+        is_durable: bool = True,
+    ) -> None:
         self.port = free_port()
         self._folder = folder
         self._process: subprocess.Popen[bytes] | None = None
@@ -44,8 +53,7 @@ class Mosquitto:
             f"listener {self.port} 127.0.0.1",
             "persistence true",
             f"persistence_location {folder}/",
-            "autosave_interval 1",  # with the next line: saved at every change, so kill -9 forgets nothing
-            "autosave_on_changes true",
+            *(["autosave_interval 1", "autosave_on_changes true"] if is_durable else []),
             "max_inflight_messages 0",
             "max_queued_messages 0",
             *(["user root"] if os.getuid() == 0 else []),
@@ -81,6 +89,10 @@ class Mosquitto:
     def kill(self) -> None:
         """End the broker as a power cut would."""
         self._end(signal.SIGKILL)
+
+    def forget(self) -> None:
+        """Lose all sessions and messages, as a broker does that is killed before it saved them; it must be off."""
+        (self._folder / "mosquitto.db").unlink(missing_ok=True)
 
     def freeze(self) -> None:
         """Let the broker go silent while its connections stay open."""

@@ -24,7 +24,7 @@ def postgres_server() -> Iterator[PostgresServer]:
         server.start()
         yield server
     finally:
-        server.remove()
+        server.close()
 
 
 @pytest.fixture
@@ -35,7 +35,7 @@ def own_postgres() -> Iterator[PostgresServer]:
         server.start()
         yield server
     finally:
-        server.remove()
+        server.close()
 
 
 @pytest.fixture(scope="session")

@@ -11,7 +11,15 @@ from typing import Any
 import pytest
 
 ROOT = Path(__file__).parents[2]
-PACKAGES = ("clutch_model", "dbc", "diag_service", "ecu_emulator", "fleet_backend", "fleet_contract")
+PACKAGES = (
+    "clutch_model",
+    "dbc",
+    "diag_service",
+    "ecu_emulator",
+    "fleet_backend",
+    "fleet_certificates",
+    "fleet_contract",
+)
 SUBPACKAGES = sorted(
     ".".join(path.parent.relative_to(ROOT).parts)
     for package in PACKAGES

@@ -8,7 +8,15 @@ import numpy as np
 import pytest
 from cantools.database.can import Database, Message
 
-from diag_service.addressing import Address, address_book, find_slot, message_address, parameter_group, rows_by_slot
+from diag_service.addressing import (
+    Address,
+    address_book,
+    find_slot,
+    kernel_filters,
+    message_address,
+    parameter_group,
+    rows_by_slot,
+)
 from diag_service.codec import Codec
 from diag_service.errors import ConfigError
 from diag_service.frames import EXTENDED_FLAG, FrameBatch
@@ -167,3 +175,21 @@ def test_rows_are_grouped_by_slot_in_their_order() -> None:
     ]
     assert list(rows_by_slot(np.array([-1, -1]), 3)) == []
     assert list(rows_by_slot(np.empty(0, np.int64), 0)) == []
+
+
+@pytest.mark.parametrize(
+    ("can_id", "is_extended", "is_group", "passes", "fails"),
+    [
+        (0x123, False, False, [0x123], [0x122, 0x8000_0123, 0x4000_0123]),
+        (0x123, True, False, [0x8000_0123], [0x123, 0x8000_1123, 0xC000_0123]),
+        (0x0CF00400, True, True, [0x8CF0_0400, 0x98F0_0455], [0x8CF0_0500, 0x0CF0_0400, 0x8CEF_0400]),
+        (0x0CEF1122, True, True, [0x8CEF_1122, 0x98EF_FF00], [0x8CEE_1122, 0x8DEF_1122]),
+    ],
+)
+def test_a_kernel_filter_lets_a_message_through_and_nothing_else(
+    can_id: int, is_extended: bool, is_group: bool, passes: list[int], fails: list[int]
+) -> None:
+    address = Address(name="message", can_id=can_id, is_extended=is_extended, is_group=is_group)
+    ((wanted, mask),) = kernel_filters([address])
+    assert [one & mask == wanted & mask for one in passes] == [True] * len(passes)
+    assert [one & mask == wanted & mask for one in fails] == [False] * len(fails)

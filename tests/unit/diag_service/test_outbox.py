@@ -1,17 +1,19 @@
 """The outbox against a broker in memory: order, marks, absence, return, and a bounded goodbye."""
 
 import asyncio
-from collections.abc import AsyncIterator, Callable, Iterator
+from collections.abc import AsyncIterator, Callable, Iterator, Sequence
 from contextlib import asynccontextmanager, closing
 
 import pytest
 
 from diag_service.errors import PublishError
-from diag_service.publishers import MemoryLink, Outbox
-from diag_service.records import ShiftResult
+from diag_service.publishers import Acknowledge, MemoryLink, Outbox
+from diag_service.results import shift_record
 from diag_service.store import ResultStore, VehicleState, Versions
+from fleet_contract import Outcome, Outgoing, Receipt, key_of, metrics_message, read_message
 from tests.builders import shift_result
 
+NOW = "2026-01-01T00:00:00.000000Z"
 STATE = VehicleState(belief={}, condition={}, versions=Versions(algorithm="a", calibration="c"))
 
 
@@ -76,7 +78,7 @@ async def test_closing_sends_what_is_left(store: ResultStore) -> None:
     sender = asyncio.create_task(outbox.run())
     put(store, *range(1, 251))  # more than one read of the store, and nobody said so
     assert await outbox.close(sender) == 0
-    assert seqs(link) == list(range(1, 251))
+    assert sorted(seqs(link)) == list(range(1, 251))
 
 
 async def test_a_broken_connection_loses_nothing(store: ResultStore, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -90,7 +92,7 @@ async def test_a_broken_connection_loses_nothing(store: ResultStore, monkeypatch
     put(store, 2)
     outbox.nudge()
     await until(lambda: seqs(second) == [2])
-    assert [result.seq for result in second.refreshed] == [1]  # a restarted broker hears the state again
+    assert [state["seq"] for state in second.states] == [2]  # a restarted broker hears the state again
     await outbox.close(sender)
     assert seqs(first) == [1]
 
@@ -164,9 +166,9 @@ async def test_closing_an_outbox_whose_broker_is_absent_takes_one_attempt(store:
 
 async def test_closing_an_outbox_whose_broker_is_silent_takes_a_limited_time(store: ResultStore) -> None:
     class Silent(MemoryLink):
-        async def publish(self, result: ShiftResult) -> None:
-            await asyncio.Event().wait()
-            await super().publish(result)
+        async def send(self, messages: Sequence[Outgoing]) -> None:
+            if messages:
+                await asyncio.Event().wait()
 
     outbox = Outbox(store, "car1", Broker(Silent()).connect, "broker")
     put(store, 1)
@@ -174,3 +176,122 @@ async def test_closing_an_outbox_whose_broker_is_silent_takes_a_limited_time(sto
     async with asyncio.timeout(2.0):
         assert await outbox.close(sender, timeout_s=0.05) == 1
     assert sender.cancelled()
+
+
+# --- with a backend whose word counts ---
+
+
+def backend_outbox(store: ResultStore, broker: Broker) -> Outbox:
+    return Outbox(store, "car1", broker.connect, "broker", acknowledge=Acknowledge.BACKEND)
+
+
+def receipts(*seqs: int, outcome: Outcome = Outcome.ACCEPTED, reason: str | None = None) -> list[Receipt]:
+    return [Receipt(key=key_of(shift_record(shift_result(seq))), outcome=outcome, reason=reason) for seq in seqs]
+
+
+async def test_only_the_backend_lets_a_result_be_forgotten(store: ResultStore) -> None:
+    link = MemoryLink()
+    outbox = backend_outbox(store, Broker(link))
+    put(store, 1, 2, 3)
+    sender = asyncio.create_task(outbox.run())
+    await until(lambda: seqs(link) == [1, 2, 3] and link.hear is not None)
+    assert store.unpublished_count("car1") == 3
+    assert link.hear is not None
+    link.hear(receipts(2, 99))
+    await until(lambda: store.unpublished_count("car1") == 2)
+    link.hear(receipts(1, 3, 2))
+    assert await outbox.close(sender) == 0
+    assert seqs(link) == [1, 2, 3]
+
+
+async def test_a_backend_that_acknowledges_at_once_gets_each_result_once(store: ResultStore) -> None:
+    link = MemoryLink(is_acknowledging=True)
+    outbox = backend_outbox(store, Broker(link))
+    put(store, *range(1, 1001))
+    sender = asyncio.create_task(outbox.run())
+    assert await outbox.close(sender) == 0
+    assert sorted(seqs(link)) == list(range(1, 1001))
+    assert (outbox.counts.sent, outbox.counts.acknowledged, outbox.counts.repeated) == (1000, 1000, 0)
+
+
+async def test_what_nobody_acknowledged_is_sent_again_over_the_next_connection(store: ResultStore) -> None:
+    first, second = MemoryLink(), MemoryLink(is_acknowledging=True)
+    outbox = backend_outbox(store, Broker(first, second))
+    put(store, 1, 2)
+    sender = asyncio.create_task(outbox.run())
+    await until(lambda: seqs(first) == [1, 2])
+    assert first.hear is not None
+    first.hear(receipts(1))
+    await until(lambda: store.unpublished_count("car1") == 1)
+    first.cut.set()
+    await until(lambda: store.unpublished_count("car1") == 0)
+    assert seqs(second) == [2]
+    await outbox.close(sender)
+
+
+async def test_silence_is_told_once_and_results_are_sent_again_less_and_less_often(
+    store: ResultStore, caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("diag_service.publishers.delivery.RESEND_S", 0.02)
+    link = MemoryLink()
+    outbox = backend_outbox(store, Broker(link))
+    put(store, 1, 2)
+    sender = asyncio.create_task(outbox.run())
+    await until(lambda: seqs(link) == [1, 2] * 4)
+    count = len(link.results)
+    await asyncio.sleep(0.1)  # the next time is 0.32 s after the first
+    assert len(link.results) == count
+    assert caplog.text.count("no backend acknowledged 2 results") == 1
+    assert link.hear is not None
+    link.hear(receipts(1, 2))
+    assert await outbox.close(sender) == 0
+    assert outbox.counts.repeated == 6
+
+
+async def test_a_quarantined_result_is_forgotten_and_told(store: ResultStore, caplog: pytest.LogCaptureFixture) -> None:
+    link = MemoryLink()
+    outbox = backend_outbox(store, Broker(link))
+    put(store, 1)
+    sender = asyncio.create_task(outbox.run())
+    await until(lambda: seqs(link) == [1])
+    assert link.hear is not None
+    link.hear(receipts(1, outcome=Outcome.QUARANTINED, reason="quality: must be at most 1"))
+    assert await outbox.close(sender) == 0
+    assert "put aside 1 results" in caplog.text
+    assert "quality: must be at most 1" in caplog.text
+
+
+async def test_a_silent_backend_gets_no_more_than_a_window_and_what_happens_now(
+    store: ResultStore, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("diag_service.publishers.delivery.WINDOW", 20)
+    link = MemoryLink()
+    outbox = backend_outbox(store, Broker(link))
+    put(store, *range(1, 101))
+    sender = asyncio.create_task(outbox.run())
+    await until(lambda: len(link.results) == 20)
+    put(store, 101)
+    outbox.nudge()
+    await until(lambda: seqs(link)[20:] == [101])
+    assert await outbox.close(sender, timeout_s=0.05) == 101
+
+
+async def test_metrics_and_greetings_are_sent(store: ResultStore) -> None:
+    link = MemoryLink()
+    greeting = metrics_message("car1", NOW, {"hello_count": 1})
+    outbox = Outbox(
+        store,
+        "car1",
+        Broker(link).connect,
+        "broker",
+        greetings=[greeting],
+        metrics=lambda numbers: metrics_message("car1", NOW, numbers),
+    )
+    put(store, 1, 2)
+    sender = asyncio.create_task(outbox.run())
+    await until(lambda: len(link.others) == 2)
+    await outbox.close(sender)
+    assert link.others[0] == greeting
+    numbers = read_message(link.others[1].topic, link.others[1].payload).data["metrics"]
+    assert isinstance(numbers, dict)
+    assert numbers["outbox_sent_count"] == 2

@@ -7,7 +7,7 @@ end of all) are what the tests here are about, on this service's own path.
 import asyncio
 import logging
 import threading
-from collections.abc import AsyncIterator
+from collections.abc import AsyncIterator, Sequence
 from contextlib import asynccontextmanager
 from typing import Any
 
@@ -23,6 +23,7 @@ from diag_service.sources.supervisor import Patience
 from diag_service.store import ResultStore
 from diag_service.summary import Summary
 from ecu_emulator.bus import open_bus
+from fleet_contract import Outgoing
 from tests.builders import shift_result
 from tests.unit.diag_service.test_live import ListSource, cut, gear_frames, run, session_for
 
@@ -85,17 +86,17 @@ async def test_a_reporter_that_blocks_holds_up_nobody(store: ResultStore, caplog
 
 
 class FailingLink(MemoryLink):
-    """Fails in its own way over the first result it is given, then works."""
+    """Fails in its own way over the first messages it is given, then works."""
 
     def __init__(self, error: Exception) -> None:
         super().__init__()
         self._error: Exception | None = error
 
-    async def publish(self, result: ShiftResult) -> None:
-        if self._error is not None:
+    async def send(self, messages: Sequence[Outgoing]) -> None:
+        if self._error is not None and messages:
             error, self._error = self._error, None
             raise error
-        await super().publish(result)
+        await super().send(messages)
 
 
 @pytest.mark.parametrize("error", [PublishError("away"), RuntimeError("a defect"), TimeoutError("slow")])
@@ -123,9 +124,9 @@ async def test_a_publisher_whose_store_failed_ends_the_run(store: ResultStore) -
 class StuckLink(MemoryLink):
     """Never returns."""
 
-    async def publish(self, result: ShiftResult) -> None:
-        await asyncio.Event().wait()
-        await super().publish(result)
+    async def send(self, messages: Sequence[Outgoing]) -> None:
+        if messages:
+            await asyncio.Event().wait()
 
 
 async def test_a_publisher_that_blocks_holds_up_nobody(store: ResultStore, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -8,7 +8,9 @@ from dataclasses import replace
 import pytest
 
 from diag_service.errors import ResultError
+from diag_service.results import StoredResult, dump, shift_record
 from diag_service.store import ResultStore, VehicleState, Versions
+from fleet_contract import Outcome, Receipt, key_of
 from tests.builders import shift_result
 
 VERSIONS = Versions(algorithm="algorithm-1", calibration="1+0123456789ab")
@@ -82,20 +84,55 @@ def test_the_outbox_is_ordered_and_forgets_what_was_acknowledged(store: ResultSt
     for seq in (1, 2, 3):
         store.add(shift_result(seq), state())
     store.add(shift_result(1, vehicle="car2"), state())
-    rows = store.unpublished("car1", limit=2)
-    assert [row.result.seq for row in rows] == [1, 2]
-    store.mark_published(rows[0].position)
-    assert [row.result.seq for row in store.unpublished("car1", limit=9)] == [2, 3]
+    rows = waiting(store, limit=2)
+    assert [row.key.seq for row in rows] == [1, 2]
+    assert rows[0] == StoredResult(
+        position=1,
+        key=key_of(shift_record(shift_result(1))),
+        clutch=2,
+        produced_at=shift_result(1).produced_at,
+        text=dump(shift_record(shift_result(1))),
+    )
+    store.mark_published([rows[0].position])
+    assert [row.key.seq for row in waiting(store)] == [2, 3]
     assert store.unpublished_count("car1") == 2
     assert store.unpublished_count("car2") == 1
 
 
-def test_the_latest_acknowledged_result_of_each_clutch(store: ResultStore) -> None:
-    for seq, gear in ((1, 2), (2, 3), (3, 4), (4, 5)):
+def test_the_latest_result_of_each_clutch(store: ResultStore) -> None:
+    assert store.latest("car1") == []
+    for seq, gear in ((1, 2), (2, 3), (3, 4), (4, 6)):
         store.add(shift_result(seq, to_gear=gear), state())
-    for row in store.unpublished("car1", limit=3):
-        store.mark_published(row.position)
-    assert [(result.estimate.clutch, result.seq) for result in store.latest_published("car1")] == [(1, 2), (2, 3)]
+    assert [(row.clutch, row.key.seq) for row in store.latest("car1")] == [(1, 2), (2, 4)]
+
+
+def test_the_outbox_is_read_from_both_ends(store: ResultStore) -> None:
+    for seq in range(1, 7):
+        store.add(shift_result(seq), state())
+    store.mark_published([4])
+    assert [row.key.seq for row in waiting(store, after=1, before=6)] == [2, 3, 5]
+    assert [row.key.seq for row in store.newest_waiting("car1", after=1, before=6, limit=2)] == [5, 3]
+    assert [row.key.seq for row in store.stored([4, 99, 2])] == [4, 2]
+    assert (store.last_position("car1"), store.last_position("car2")) == (6, 0)
+
+
+def test_a_backend_settles_by_key_what_is_here(store: ResultStore) -> None:
+    for seq in (1, 2, 3):
+        store.add(shift_result(seq), state())
+    keys = [key_of(shift_record(shift_result(seq))) for seq in (1, 2, 3)]
+    elsewhere = replace(keys[0], stream="another")
+    receipts = [
+        Receipt(key=keys[0]),
+        Receipt(key=elsewhere),
+        Receipt(key=keys[2], outcome=Outcome.QUARANTINED, reason="quality: must be at most 1"),
+    ]
+    assert store.settle(receipts) == [1, 3]
+    assert store.settle(receipts) == [1, 3]  # a repetition changes nothing
+    assert [row.key.seq for row in waiting(store)] == [2]
+
+
+def waiting(store: ResultStore, *, after: int = 0, before: int = 2**62, limit: int = 99) -> list[StoredResult]:
+    return store.waiting("car1", after=after, before=before, limit=limit)
 
 
 def test_threads_take_turns(store: ResultStore) -> None:

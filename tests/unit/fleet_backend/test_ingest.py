@@ -129,11 +129,11 @@ async def test_it_comes_back_after_every_lost_connection() -> None:
     assert len(records.stored) == 1
 
 
-def test_the_subscription_is_shared_and_covers_what_the_backend_keeps() -> None:
+def test_results_are_shared_among_workers_and_states_go_to_each() -> None:
     assert FILTERS == (
         "$share/ingest/clutchdiag/v1/+/shift",
-        "$share/ingest/clutchdiag/v1/+/status",
-        "$share/ingest/clutchdiag/v1/+/metrics",
+        "clutchdiag/v1/+/status",
+        "clutchdiag/v1/+/metrics",
     )
 
 

@@ -13,6 +13,7 @@ from fleet_contract import (
     SchemaError,
     TopicError,
     clutch_message,
+    key_of,
     raw_shift_message,
     read_message,
     shift_message,
@@ -35,7 +36,8 @@ def changed(payload: bytes, *path: str, value: object) -> bytes:
 
 def test_a_text_that_exists_already_makes_the_same_message() -> None:
     record = shift_record(shift_result())
-    assert raw_shift_message({"seq": 1} | record, json.dumps(record, separators=(",", ":"))) == SHIFT
+    text = json.dumps(record, separators=(",", ":"))
+    assert raw_shift_message(key_of(record), str(record["produced_at"]), text) == SHIFT
 
 
 def test_unknown_keys_are_ignored() -> None:

@@ -1,16 +1,15 @@
-"""The result store: an SQLite file that holds every result, the running state and what a broker has not seen yet.
+"""One open store: results, running state, and what waits to be delivered.
 
 A result and the state after it are one transaction, on disk before anyone is told. A key that is already there is
 left alone, so nothing is counted twice. One service at a time owns a store: an advisory lock beside it says so.
 """
 
-import fcntl
 import json
 import os
 import sqlite3
 import threading
 import uuid
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -19,37 +18,10 @@ from typing import Self
 from diag_service.errors import ResultError, StoreError
 from diag_service.records import ShiftResult
 from diag_service.results import JsonObject, StoredResult, dump, parse_shift, shift_record
-
-SCHEMA_VERSION = 1
-APPLICATION_ID = 0x434C4449  # "CLDI", in the header of every store
-_BUSY_TIMEOUT_S = 5.0  # for a person who reads the store with another program
-
-_CREATE = f"""
-CREATE TABLE meta (key TEXT PRIMARY KEY, value TEXT NOT NULL);
-CREATE TABLE result (
-  position INTEGER PRIMARY KEY AUTOINCREMENT,
-  vehicle TEXT NOT NULL,
-  stream TEXT NOT NULL,
-  seq INTEGER NOT NULL,
-  algorithm_version TEXT NOT NULL,
-  calibration_version TEXT NOT NULL,
-  clutch INTEGER NOT NULL,
-  json TEXT NOT NULL,
-  published INTEGER NOT NULL DEFAULT 0,
-  UNIQUE (vehicle, stream, seq, algorithm_version, calibration_version)
-);
-CREATE INDEX unpublished ON result (vehicle, position) WHERE published = 0;
-CREATE INDEX latest ON result (vehicle, clutch, position);
-CREATE TABLE state (
-  vehicle TEXT PRIMARY KEY,
-  belief TEXT NOT NULL,
-  condition TEXT NOT NULL,
-  algorithm_version TEXT NOT NULL,
-  calibration_version TEXT NOT NULL
-);
-PRAGMA application_id = {APPLICATION_ID};
-PRAGMA user_version = {SCHEMA_VERSION};
-"""
+from diag_service.store import budget, waiting
+from diag_service.store.budget import DroppedCounts
+from diag_service.store.file import connect, connect_in_memory, own, translated
+from fleet_contract import Receipt
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -72,17 +44,29 @@ class VehicleState:
 class ResultStore:
     """One open store. Methods may be called from any thread; each is one transaction."""
 
-    def __init__(self, connection: sqlite3.Connection, lock_descriptor: int | None, where: str) -> None:
+    def __init__(
+        self,
+        connection: sqlite3.Connection,
+        lock_descriptor: int | None,
+        where: str,
+        budget_bytes: int | None = None,
+    ) -> None:
         self._connection = connection
         self._lock_descriptor = lock_descriptor
+        self._budget_bytes = budget_bytes
         self._guard = threading.Lock()
         self.where = where
         with self._transaction():
             self.stream = self._read_stream()
 
     @classmethod
-    def open(cls, path: Path) -> Self:
+    def open(cls, path: Path, budget_bytes: int | None = None) -> Self:
         """Open or create a store and own it until ``close``.
+
+        Parameters
+        ----------
+        budget_bytes :
+            How large it may grow, in bytes; None: without limit. What is dropped then is counted.
 
         Raises
         ------
@@ -90,9 +74,9 @@ class ResultStore:
             If it cannot be created, read or written, is not a store, is newer than this program or is in use.
         """
         path = path.absolute()
-        descriptor = _own(path)
+        descriptor = own(path)
         try:
-            return cls(_connect(path), descriptor, str(path))
+            return cls(connect(path), descriptor, str(path), budget_bytes)
         except BaseException:
             os.close(descriptor)
             raise
@@ -100,9 +84,7 @@ class ResultStore:
     @classmethod
     def in_memory(cls) -> Self:
         """Return a store that ends with the process."""
-        connection = sqlite3.connect(":memory:", isolation_level=None, check_same_thread=False)
-        connection.executescript(_CREATE)
-        return cls(connection, None, "memory")
+        return cls(connect_in_memory(), None, "memory")
 
     def close(self) -> None:
         """Close the store and let others have it; closing twice does no harm."""
@@ -144,6 +126,8 @@ class ResultStore:
             if result.stream == self.stream:
                 last_seq = max(self._last_seq(sql), result.seq)
                 sql.execute("INSERT OR REPLACE INTO meta VALUES ('last_seq', ?)", (str(last_seq),))
+            if self._budget_bytes is not None:
+                budget.enforce(sql, self._budget_bytes, int(inserted.lastrowid or 0))
             return True
 
     def find(self, vehicle: str, stream: str, seq: int, versions: Versions) -> ShiftResult | None:
@@ -171,36 +155,56 @@ class ResultStore:
             versions=Versions(algorithm=row[2], calibration=row[3]),
         )
 
-    def unpublished(self, vehicle: str, limit: int) -> list[StoredResult]:
-        """Return the oldest results that no broker has acknowledged, in the order they were stored."""
+    def waiting(self, vehicle: str, *, after: int, before: int, limit: int) -> list[StoredResult]:
+        """Return the oldest undelivered results with ``after < position < before``, in the order they were stored."""
         with self._transaction() as sql:
-            rows = sql.execute(
-                "SELECT position, json FROM result WHERE vehicle = ? AND published = 0 ORDER BY position LIMIT ?",
-                (vehicle, limit),
-            ).fetchall()
-        return [StoredResult(position=position, result=self._parse(text)) for position, text in rows]
+            return waiting.oldest(sql, vehicle, after, before, limit)
+
+    def newest_waiting(self, vehicle: str, *, after: int, before: int, limit: int) -> list[StoredResult]:
+        """Return the newest undelivered results with ``after < position < before``, the newest first."""
+        with self._transaction() as sql:
+            return waiting.newest(sql, vehicle, after, before, limit)
+
+    def stored(self, positions: Sequence[int]) -> list[StoredResult]:
+        """Return the results at these positions, delivered or not; those dropped since are left out."""
+        with self._transaction() as sql:
+            return waiting.at(sql, positions)
+
+    def last_position(self, vehicle: str) -> int:
+        """Return the position of the newest result; 0 without any."""
+        with self._transaction() as sql:
+            row = sql.execute("SELECT max(position) FROM result WHERE vehicle = ?", (vehicle,)).fetchone()
+        return int(row[0] or 0)
 
     def unpublished_count(self, vehicle: str) -> int:
-        """Return how many results wait for a broker."""
+        """Return how many results wait to be delivered."""
         with self._transaction() as sql:
-            row = sql.execute("SELECT count(*) FROM result WHERE vehicle = ? AND published = 0", (vehicle,)).fetchone()
-        return int(row[0])
+            return waiting.count(sql, vehicle)
 
-    def mark_published(self, position: int) -> None:
-        """Note that a broker acknowledged a result."""
+    def mark_published(self, positions: Sequence[int]) -> None:
+        """Note that results need no further delivery."""
         with self._transaction() as sql:
-            sql.execute("UPDATE result SET published = 1 WHERE position = ?", (position,))
+            waiting.mark(sql, positions)
 
-    def latest_published(self, vehicle: str) -> list[ShiftResult]:
-        """Return the last acknowledged result of each clutch: what subscribers should know by now."""
+    def settle(self, receipts: Sequence[Receipt]) -> list[int]:
+        """Note what a backend acknowledged; return the positions of what is known here, repetitions included."""
         with self._transaction() as sql:
-            rows = sql.execute(
-                "SELECT json FROM result WHERE position IN"
-                " (SELECT max(position) FROM result WHERE vehicle = ? AND published = 1 GROUP BY clutch)"
-                " ORDER BY clutch",
-                (vehicle,),
-            ).fetchall()
-        return [self._parse(text) for (text,) in rows]
+            return waiting.settle(sql, receipts)
+
+    def latest(self, vehicle: str) -> list[StoredResult]:
+        """Return the newest result of each clutch."""
+        with self._transaction() as sql:
+            return waiting.latest(sql, vehicle)
+
+    def dropped_counts(self) -> DroppedCounts:
+        """Return how many results were given up for the disk budget since the store exists."""
+        with self._transaction() as sql:
+            return budget.read_counts(sql)
+
+    def used_bytes(self) -> int:
+        """Return how much of the disk the results take."""
+        with self._transaction() as sql:
+            return budget.used_bytes(sql)
 
     def results(self, vehicle: str) -> Iterator[ShiftResult]:
         """Yield all results of a vehicle in the order they were stored."""
@@ -239,7 +243,7 @@ class ResultStore:
     @contextmanager
     def _transaction(self) -> Iterator[sqlite3.Connection]:
         """Run one transaction alone; a failure takes all of it back."""
-        with self._guard, _translated(self.where):
+        with self._guard, translated(self.where):
             self._connection.execute("BEGIN IMMEDIATE")
             try:
                 yield self._connection
@@ -252,62 +256,3 @@ class ResultStore:
 
 def _key(result: ShiftResult) -> tuple[str, str, int, str, str]:
     return (result.vehicle, result.stream, result.seq, result.algorithm_version, result.calibration_version)
-
-
-def _own(path: Path) -> int:
-    """Return a descriptor that holds the exclusive lock beside a store."""
-    lock_path = path.with_name(path.name + ".lock")
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        descriptor = os.open(lock_path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o644)
-    except OSError as exc:
-        raise StoreError(f"cannot use store {path}: {exc.strerror} ({exc.filename})") from exc
-    try:
-        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        os.ftruncate(descriptor, 0)
-        os.write(descriptor, f"{os.getpid()}\n".encode())
-    except BlockingIOError as exc:
-        owner = os.pread(descriptor, 32, 0).decode("ascii", "replace").strip()
-        os.close(descriptor)
-        raise StoreError(f"store {path} is in use by another diag-service (process {owner or 'unknown'})") from exc
-    except OSError as exc:
-        os.close(descriptor)
-        raise StoreError(f"cannot lock store {path}: {exc.strerror}") from exc
-    return descriptor
-
-
-def _connect(path: Path) -> sqlite3.Connection:
-    with _translated(str(path)):
-        connection = sqlite3.connect(path, timeout=_BUSY_TIMEOUT_S, isolation_level=None, check_same_thread=False)
-    try:
-        with _translated(str(path)):
-            _prepare(connection, path)
-    except BaseException:
-        connection.close()
-        raise
-    return connection
-
-
-def _prepare(connection: sqlite3.Connection, path: Path) -> None:
-    """Check whose file it is, create the tables of a new one, and make every commit durable."""
-    (application_id,) = connection.execute("PRAGMA application_id").fetchone()
-    (version,) = connection.execute("PRAGMA user_version").fetchone()
-    (table_count,) = connection.execute("SELECT count(*) FROM sqlite_master").fetchone()
-    if application_id != APPLICATION_ID and (table_count or application_id):
-        raise StoreError(f"{path} is an SQLite file of another program, not a result store")
-    if version > SCHEMA_VERSION:
-        raise StoreError(
-            f"store {path} was written by a newer diag-service (schema {version}, this one knows {SCHEMA_VERSION})"
-        )
-    connection.execute("PRAGMA journal_mode = WAL")
-    connection.execute("PRAGMA synchronous = FULL")
-    if not table_count:
-        connection.executescript(f"BEGIN IMMEDIATE; {_CREATE} COMMIT;")
-
-
-@contextmanager
-def _translated(where: str) -> Iterator[None]:
-    try:
-        yield
-    except sqlite3.Error as exc:
-        raise StoreError(f"cannot use store {where}: {exc}") from exc

@@ -1,0 +1,51 @@
+"""A long log made of one recorded drive, repeated with later times."""
+
+import subprocess
+import sys
+from contextlib import ExitStack
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+
+from diag_service.frames import FrameBatch
+from diag_service.sources import read_log
+from diag_service.sources.columns import join
+from ecu_emulator.frames import EncodedFrames
+from ecu_emulator.log_formats import BlfWriter, CandumpWriter, Header
+
+NS_PER_US: Final = 1_000
+NS_PER_S: Final = 1_000_000_000
+PAUSE_NS: Final = 2 * NS_PER_S  # bus time stands still between the drives: each is a segment of its own
+
+
+def record_drive(folder: Path, cycles: int) -> FrameBatch:
+    """Return the frames of a drive with production scatter, as the emulator's users record them."""
+    path = folder / "drive.log"
+    command = [sys.executable, "-m", "ecu_emulator", "record", str(path), "--cycles", str(cycles)]
+    subprocess.run(command, check=True, capture_output=True)
+    return join(list(read_log(path)))
+
+
+def write_hour(drive: FrameBatch, count: int, candump: Path, blf: Path) -> float:
+    """Write ``count`` frames of the drive, over and over, in both formats; return how much bus time that is [s]."""
+    first_us = int(drive.t_ns[0]) // NS_PER_US
+    header = Header(start_us=first_us, channel="vcan0")
+    round_us = (int(drive.t_ns[-1] - drive.t_ns[0]) + PAUSE_NS) // NS_PER_US
+    t_us = drive.t_ns // NS_PER_US
+    frames = EncodedFrames(t_s=np.zeros(len(drive)), can_id=drive.can_id, length=drive.length, data=drive.data)
+    with ExitStack() as files:
+        writers = (
+            CandumpWriter(files.enter_context(candump.open("wb")), header),
+            BlfWriter(files.enter_context(blf.open("wb")), header),
+        )
+        written, last_us = 0, first_us
+        while written < count:
+            part = slice(0, min(len(drive), count - written))
+            times_us = t_us[part] + written // len(drive) * round_us
+            for writer in writers:
+                writer.write(times_us, frames[part])
+            written, last_us = written + len(times_us), int(times_us[-1])
+        for writer in writers:
+            writer.close()
+    return (last_us - first_us) / 1e6

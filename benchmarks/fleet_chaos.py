@@ -1,0 +1,52 @@
+"""Nothing lost, nothing twice: 8,000 results of 4 vehicles while broker, workers and vehicles are killed with SIGKILL.
+
+Three times: with a broker that saves at every change, with one that saves as Mosquitto is shipped, and with one whose
+file is deleted once. Every vehicle runs the real outbox, the workers write into a real PostgreSQL.
+
+    python -m benchmarks.fleet_chaos
+"""
+
+import argparse
+import sys
+from contextlib import closing
+from dataclasses import replace
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+from demo.fleet.postgres import PostgresServer
+from tests.chaos.storm import Account, BrokerDisk, Plan, Storm
+
+
+def told(disk: BrokerDisk, account: Account) -> str:
+    kills = ", ".join(f"{part} {count}" for part, count in account.kills.items())
+    drained = (
+        "NOT EMPTY IN TIME" if account.drained_s is None else f"empty {account.drained_s:.1f} s after the last kill"
+    )
+    same = "equal" if account.is_equal else "NOT EQUAL"
+    return (
+        f"broker's disk {disk.value}: {account.made} made, {account.stored} stored, {account.lost} lost;"
+        f" table {same} to a clean run; outboxes {drained}; killed: {kills}"
+    )
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--results", type=int, default=Plan().results_per_edge, help="per vehicle")
+    parser.add_argument("--seconds", type=float, default=Plan().storm_s, help="of the storm")
+    parser.add_argument("--disk", type=BrokerDisk, choices=list(BrokerDisk), help="only this one")
+    options = parser.parse_args()
+    plan = Plan(results_per_edge=options.results, storm_s=options.seconds)
+    disks = list(BrokerDisk) if options.disk is None else [options.disk]
+    is_good = True
+    with closing(PostgresServer()) as server:
+        server.start()
+        for disk in disks:
+            with TemporaryDirectory() as folder:
+                account = Storm(Path(folder), server.create(disk.value), replace(plan, disk=disk)).run()
+            print(told(disk, account), flush=True)
+            is_good = is_good and account.is_equal and not account.lost and account.drained_s is not None
+    return 0 if is_good else 1
+
+
+if __name__ == "__main__":
+    sys.exit(main())

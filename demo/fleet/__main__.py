@@ -1,0 +1,59 @@
+"""Command line of the fleet demonstration: ``python -m demo.fleet``."""
+
+import argparse
+import asyncio
+import signal
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Final
+
+from rich.console import Console
+
+from demo.errors import DemoError
+from demo.fleet.runner import run_fleet
+
+PROGRAM: Final = "fleet"
+DONE, FAILED, INTERRUPTED = 0, 1, 130
+CYCLES: Final = 2
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the demonstration; return 0 done, 1 failed, 130 interrupted."""
+    options = _parser().parse_args(arguments)
+    options.output.mkdir(parents=True, exist_ok=True)
+    try:
+        asyncio.run(_interruptible(options.output, options.cycles, Console(highlight=False)))
+    except asyncio.CancelledError:
+        sys.stderr.write(f"{PROGRAM}: interrupted\n")
+        return INTERRUPTED
+    except DemoError as exc:
+        sys.stderr.write(f"{PROGRAM}: error: {exc}\n")
+        return FAILED
+    return DONE
+
+
+async def _interruptible(folder: Path, cycles: int, console: Console) -> None:
+    """Run the demonstration so that a signal ends it in order, servers and children included."""
+    work = asyncio.ensure_future(run_fleet(folder, cycles, console))
+    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+        asyncio.get_running_loop().add_signal_handler(number, work.cancel)
+    await work
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        prog="python -m demo.fleet",
+        description="Broker, database, two ingest workers and three emulated vehicles; then the fleet, worst first.",
+    )
+    parser.add_argument(
+        "--cycles", type=int, default=CYCLES, metavar="N", help="ten shifts each (default: %(default)s)"
+    )
+    parser.add_argument(
+        "--output", type=Path, default=Path("fleet-output"), metavar="DIR", help="default: fleet-output"
+    )
+    return parser
+
+
+if __name__ == "__main__":
+    sys.exit(main())

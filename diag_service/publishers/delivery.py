@@ -1,0 +1,222 @@
+"""One connection's worth of delivery: batches out, receipts in, and again what nobody acknowledged."""
+
+import asyncio
+import logging
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from enum import StrEnum
+from itertools import islice
+from typing import Final, Protocol
+
+from diag_service.notices import NOTICE
+from diag_service.publishers.base import Link
+from diag_service.publishers.lanes import Lanes, WaitingResults
+from diag_service.results import StoredResult, clutch_record, parse_shift
+from fleet_contract import Outcome, Outgoing, Receipt, clutch_message, raw_shift_message
+
+BATCH: Final = 200
+WINDOW: Final = 2000  # results that a backend may owe us a receipt for
+BACKLOG_LAG_S: Final = 2.0  # so far behind a backend may be before it gets more of the backlog
+RESEND_S = 10.0  # after so long without one they are sent again, then after twice as long ...
+LONGEST_RESEND_S: Final = 120.0  # ... and so on to this
+_LOG = logging.getLogger(__name__)
+
+
+class Acknowledge(StrEnum):
+    """Whose word lets the outbox forget a result."""
+
+    BROKER = "broker"  # who may lose it: enough for subscribers that only watch
+    BACKEND = "backend"  # given after the commit of its database
+
+
+@dataclass(slots=True)
+class Counts:
+    """What an outbox did, for metrics and people."""
+
+    sent: int = 0  # repetitions included
+    repeated: int = 0
+    acknowledged: int = 0
+    quarantined: int = 0  # acknowledged, but of no use to the backend
+    failed: int = 0  # connections that broke, or were refused
+
+
+class OutboxStore(WaitingResults, Protocol):
+    """The part of the store that the outbox reads and marks."""
+
+    def stored(self, positions: Sequence[int]) -> list[StoredResult]:
+        """Return the results at these positions."""
+
+    def unpublished_count(self, vehicle: str) -> int:
+        """Return how many results wait."""
+
+    def mark_published(self, positions: Sequence[int]) -> None:
+        """Note that results need no further delivery."""
+
+    def settle(self, receipts: Sequence[Receipt]) -> list[int]:
+        """Note what a backend acknowledged; return the positions."""
+
+    def latest(self, vehicle: str) -> list[StoredResult]:
+        """Return the newest result of each clutch."""
+
+
+class Delivery:
+    """Sends what waits over one link.
+
+    Parameters
+    ----------
+    repeat :
+        Positions that earlier connections may have taken with them; those that are sent are taken out.
+    published :
+        Told the positions that a broker acknowledged and that are therefore forgotten.
+    """
+
+    def __init__(
+        self,
+        store: OutboxStore,
+        vehicle: str,
+        link: Link,
+        *,
+        acknowledge: Acknowledge,
+        repeat: dict[int, None],
+        published: Callable[[list[int]], None],
+        counts: Counts,
+    ) -> None:
+        self._store = store
+        self._vehicle = vehicle
+        self._link = link
+        self._acknowledge = acknowledge
+        self._repeat = repeat
+        self._published = published
+        self._counts = counts
+        self._lanes: Lanes | None = None  # not begun
+        self._inbox: list[Receipt] = []
+        self._owed: dict[int, float] = {}  # position -> when it was sent [s of the loop]; the longest owed first
+        self._resend_s = RESEND_S
+        self._is_heard = False  # since results were last found overdue
+        self._is_silent = False
+        self._state_position: dict[int, int] = {}  # clutch -> position of the newest result whose state was sent
+        self.wake = asyncio.Event()  # set when there is something new to do
+
+    async def begin(self, greetings: Sequence[Outgoing]) -> None:
+        """Tell the lasting states, which a restarted broker may not know, and begin to hear the backend."""
+        if self._acknowledge is Acknowledge.BACKEND:
+            await self._link.listen(self._vehicle, self._hear)
+        latest = await asyncio.to_thread(self._store.latest, self._vehicle)
+        await self._link.send([*greetings, *self._states(latest)])
+
+    async def step(self) -> bool:
+        """Do what there is to do; False if nothing is left but to wait."""
+        self.wake.clear()
+        await self._settle()
+        batch = await asyncio.to_thread(self._next_batch, self._now_s())
+        if not batch:
+            return False
+        messages = [raw_shift_message(row.key, row.produced_at, row.text) for row in batch]
+        await self._link.send(messages + self._states(batch))
+        self._counts.sent += len(batch)
+        positions = [row.position for row in batch]
+        for position in positions:
+            self._repeat.pop(position, None)
+        if self._acknowledge is Acknowledge.BACKEND:
+            self._owed.update(dict.fromkeys(positions, self._now_s()))
+            return True
+        await asyncio.to_thread(self._store.mark_published, positions)
+        self._counts.acknowledged += len(positions)
+        self._published(positions)
+        return True
+
+    @property
+    def is_owed(self) -> bool:
+        """Whether receipts are outstanding, or heard and not noted."""
+        return bool(self._owed or self._inbox)
+
+    def patience_s(self) -> float | None:
+        """Return how long to wait until something must be sent again; None: for ever."""
+        if not self._owed:
+            return None
+        return max(0.0, next(iter(self._owed.values())) + self._resend_s - self._now_s())
+
+    def _hear(self, receipts: list[Receipt]) -> None:
+        self._inbox += receipts
+        self.wake.set()
+
+    async def _settle(self) -> None:
+        """Note the receipts heard since the last step, in one transaction."""
+        if not self._inbox:
+            return
+        receipts, self._inbox = self._inbox, []
+        positions = await asyncio.to_thread(self._store.settle, receipts)
+        for position in positions:
+            self._owed.pop(position, None)
+            self._repeat.pop(position, None)
+        self._counts.acknowledged += len(positions)
+        self._complain_of([receipt for receipt in receipts if receipt.outcome is Outcome.QUARANTINED])
+        if self._is_silent:
+            _LOG.log(NOTICE, "the backend acknowledges results again")
+        self._resend_s, self._is_heard, self._is_silent = RESEND_S, True, False
+
+    def _complain_of(self, refused: list[Receipt]) -> None:
+        self._counts.quarantined += len(refused)
+        if refused:
+            key, reason = refused[0].key.text, refused[0].reason
+            _LOG.warning("the backend put aside %d results, the first %s: %s", len(refused), key, reason)
+
+    def _next_batch(self, now_s: float) -> list[StoredResult]:
+        """Return what is sent next: what may be lost, what is overdue, what waits. Reads the store."""
+        if self._lanes is None:
+            self._lanes = Lanes(self._store, self._vehicle)
+        self._collect_overdue(now_s)
+        again = self._next_repeated()
+        if again:
+            return again
+        room = WINDOW - len(self._owed)
+        if room > 0 and self._longest_owed_s(now_s) < BACKLOG_LAG_S:
+            return self._lanes.next(min(BATCH, room))
+        # The backend is behind; what happens now does not wait until it has caught up.
+        return self._lanes.next_fresh(min(BATCH, WINDOW + room))
+
+    def _next_repeated(self) -> list[StoredResult]:
+        while self._repeat:
+            again = list(islice(self._repeat, BATCH))
+            rows = self._store.stored(again)
+            for position in set(again).difference(row.position for row in rows):  # dropped for the disk budget
+                del self._repeat[position]
+            if rows:
+                self._counts.repeated += len(rows)
+                return rows
+        return []
+
+    def _longest_owed_s(self, now_s: float) -> float:
+        return now_s - next(iter(self._owed.values())) if self._owed else 0.0
+
+    def _collect_overdue(self, now_s: float) -> None:
+        """Take up again what was sent too long ago; less and less often while the backend says nothing at all."""
+        limit_s = now_s - self._resend_s
+        overdue = [position for position, sent_s in self._owed.items() if sent_s <= limit_s]
+        if not overdue:
+            return
+        if not self._is_heard:
+            self._note_silence(len(overdue))
+        self._is_heard = False
+        for position in overdue:
+            del self._owed[position]
+            self._repeat[position] = None
+
+    def _note_silence(self, overdue_count: int) -> None:
+        if not self._is_silent:
+            _LOG.warning(
+                "no backend acknowledged %d results in %g s; they are kept and sent again", overdue_count, RESEND_S
+            )
+        self._is_silent = True
+        self._resend_s = min(2.0 * self._resend_s, LONGEST_RESEND_S)
+
+    def _states(self, rows: Sequence[StoredResult]) -> list[Outgoing]:
+        """Return the states of clutches that these results leave, unless a newer one has been told."""
+        newest = {row.clutch: row for row in sorted(rows, key=lambda row: row.position)}
+        news = [row for row in newest.values() if row.position > self._state_position.get(row.clutch, -1)]
+        self._state_position.update({row.clutch: row.position for row in news})
+        return [clutch_message(clutch_record(parse_shift(row.text))) for row in news]
+
+    @staticmethod
+    def _now_s() -> float:
+        return asyncio.get_running_loop().time()

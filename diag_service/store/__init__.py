@@ -1,0 +1,6 @@
+"""The result store: an SQLite file that holds every result, the running state and what has not been delivered yet."""
+
+from diag_service.store.result_store import ResultStore, VehicleState, Versions
+from diag_service.store.schema import APPLICATION_ID, SCHEMA_VERSION
+
+__all__ = ["APPLICATION_ID", "SCHEMA_VERSION", "ResultStore", "VehicleState", "Versions"]

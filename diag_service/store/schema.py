@@ -1,0 +1,53 @@
+"""Tables of a store, and the way from each earlier form of them to the present one."""
+
+import sqlite3
+from typing import Final
+
+APPLICATION_ID: Final = 0x434C4449  # "CLDI", in the header of every store
+SCHEMA_VERSION: Final = 2
+
+WAITING, DELIVERED, QUARANTINED = range(3)  # values of result.published
+
+_CREATE: Final = f"""
+CREATE TABLE meta (key TEXT PRIMARY KEY, value TEXT NOT NULL);
+CREATE TABLE result (
+  position INTEGER PRIMARY KEY AUTOINCREMENT,
+  vehicle TEXT NOT NULL,
+  stream TEXT NOT NULL,
+  seq INTEGER NOT NULL,
+  algorithm_version TEXT NOT NULL,
+  calibration_version TEXT NOT NULL,
+  clutch INTEGER NOT NULL,
+  json TEXT NOT NULL,
+  published INTEGER NOT NULL DEFAULT {WAITING},
+  refusal TEXT,
+  UNIQUE (vehicle, stream, seq, algorithm_version, calibration_version)
+);
+CREATE INDEX unpublished ON result (vehicle, position) WHERE published = {WAITING};
+CREATE INDEX latest ON result (vehicle, clutch, position);
+CREATE TABLE state (
+  vehicle TEXT PRIMARY KEY,
+  belief TEXT NOT NULL,
+  condition TEXT NOT NULL,
+  algorithm_version TEXT NOT NULL,
+  calibration_version TEXT NOT NULL
+);
+PRAGMA application_id = {APPLICATION_ID};
+PRAGMA user_version = {SCHEMA_VERSION};
+"""
+
+# From the version that is the key to the next; a store goes through all that are behind its own.
+_STEPS: Final = {
+    1: "ALTER TABLE result ADD COLUMN refusal TEXT; PRAGMA user_version = 2;",  # why a backend cannot use a result
+}
+
+
+def create_tables(connection: sqlite3.Connection) -> None:
+    """Make an empty database a store, in one transaction."""
+    connection.executescript(f"BEGIN IMMEDIATE; {_CREATE} COMMIT;")
+
+
+def migrate(connection: sqlite3.Connection, version: int) -> None:
+    """Bring a store to the present form; each step is a transaction, so a power cut between two does no harm."""
+    for step in range(version, SCHEMA_VERSION):
+        connection.executescript(f"BEGIN IMMEDIATE; {_STEPS[step]} COMMIT;")

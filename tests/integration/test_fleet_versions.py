@@ -1,0 +1,71 @@
+"""What earlier versions left: messages on the way and stores with undelivered results reach the present backend."""
+
+import asyncio
+import json
+import sqlite3
+from collections.abc import Iterator
+from contextlib import AbstractAsyncContextManager, closing
+from pathlib import Path
+
+import pytest
+from sqlalchemy import Engine
+
+from diag_service.publishers import Acknowledge, BrokerAddress, Link, MqttConnector, Outbox
+from diag_service.store import ResultStore
+from fleet_backend import queries
+from fleet_backend.database import open_database
+from fleet_backend.intake import Kind, Message, batch_of, take
+from fleet_backend.writer import Writer
+from tests.fleet import NOW
+from tests.fleet_worker import worker
+from tests.plugins.broker import Mosquitto
+
+GOLDEN = Path(__file__).parents[1] / "golden"
+KINDS = {
+    "shift": Kind.SHIFT,
+    "shift-rejected": Kind.SHIFT,
+    "status-online": Kind.STATUS,
+    "status-offline": Kind.STATUS,
+    "metrics": Kind.METRICS,
+}
+
+
+@pytest.fixture(name="engine")
+def _engine(sqlite_url: str) -> Iterator[Engine]:
+    opened = open_database(sqlite_url)
+    yield opened
+    opened.dispose()
+
+
+def test_messages_of_every_version_are_understood(engine: Engine) -> None:
+    for folder in sorted(GOLDEN.glob("v*")):
+        taken = []
+        for name, kind in KINDS.items():
+            payload = (folder / f"{name}.json").read_bytes().strip()
+            topic = f"clutchdiag/v1/{json.loads(payload)['data']['vehicle']}/{name.split('-')[0]}"
+            taken.append(take(Message(topic=topic, payload=payload, packet_id=1), NOW))
+            assert taken[-1].kind is kind, taken[-1].row
+        Writer(engine).store(batch_of(taken))
+    assert queries.result_count(engine) == 2
+    (seen,) = queries.last_seen(engine)
+    assert not seen["is_online"]
+
+
+@pytest.mark.broker
+async def test_the_store_of_the_first_version_drains_into_the_present_backend(
+    tmp_path: Path, broker: Mosquitto, sqlite_url: str, engine: Engine
+) -> None:
+    path = tmp_path / "edge.sqlite"
+    with closing(sqlite3.connect(path)) as connection:
+        connection.executescript((GOLDEN / "store-v1.sql").read_text(encoding="utf-8"))
+    connector = MqttConnector(BrokerAddress(host="127.0.0.1", port=broker.port), "clutchdiag-car1", is_persistent=True)
+
+    def connect() -> AbstractAsyncContextManager[Link]:
+        return connector.connect("2026-01-01T00:00:00.000000Z")
+
+    with worker(tmp_path, broker.url, sqlite_url), closing(ResultStore.open(path)) as store:
+        assert store.unpublished_count("car1") == 2
+        outbox = Outbox(store, "car1", connect, "the broker", acknowledge=Acknowledge.BACKEND)
+        left = await outbox.close(asyncio.create_task(outbox.run()), timeout_s=60.0)
+    assert left == 0
+    assert queries.result_count(engine) == 2

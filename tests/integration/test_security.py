@@ -1,0 +1,185 @@
+"""Mutual TLS with a real Mosquitto under the access list of docs/deploy: who is refused, who is told, what stays."""
+
+import asyncio
+from collections.abc import AsyncIterator, Callable, Iterator
+from contextlib import asynccontextmanager, closing
+from datetime import UTC, datetime, timedelta
+from pathlib import Path
+
+import pytest
+
+from diag_service.publishers import Acknowledge, BrokerAddress, MqttConnector, Outbox, TlsFiles
+from diag_service.store import ResultStore, VehicleState, Versions
+from fleet_certificates import Authority, Lifetime
+from tests.acknowledger import Acknowledger
+from tests.builders import shift_result
+from tests.plugins.broker import Mosquitto
+
+pytestmark = pytest.mark.broker
+
+ACCESS_LIST = Path(__file__).parents[2] / "docs" / "deploy" / "mosquitto.acl"
+STATE = VehicleState(belief={}, condition={}, versions=Versions(algorithm="a", calibration="c"))
+NOW = "2026-01-01T00:00:00.000000Z"
+A_DAY = Lifetime.of_days(1, datetime.now(UTC))
+YESTERDAY = Lifetime(begin=A_DAY.begin - timedelta(days=2), end=A_DAY.begin - timedelta(days=1))
+
+
+@pytest.fixture(name="authority")
+def _authority(tmp_path: Path) -> Authority:
+    authority = Authority.make(tmp_path / "certificates", A_DAY)
+    authority.issue_server("broker", ["127.0.0.1", "localhost"], A_DAY)
+    authority.issue_client("car1", A_DAY)
+    authority.issue_client("fleet-backend", A_DAY)
+    return authority
+
+
+@pytest.fixture(name="broker")
+def _broker(tmp_path: Path, authority: Authority) -> Iterator[Mosquitto]:
+    folder = tmp_path / "mosquitto"
+    folder.mkdir()
+    access = folder / "access"
+    access.write_bytes(ACCESS_LIST.read_bytes())
+    lines = (
+        f"cafile {authority.folder}/ca.crt",
+        f"certfile {authority.folder}/broker.crt",
+        f"keyfile {authority.folder}/broker.key",
+        "require_certificate true",
+        "use_identity_as_username true",
+        f"acl_file {access}",
+    )
+    broker = Mosquitto(folder, lines)
+    broker.start()
+    yield broker
+    broker.stop()
+
+
+@pytest.fixture(name="store")
+def _store() -> Iterator[ResultStore]:
+    with closing(ResultStore.in_memory()) as store:
+        yield store
+
+
+@pytest.fixture(autouse=True)
+def _short_pauses(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("diag_service.publishers.outbox.FIRST_PAUSE_S", 0.05)
+    monkeypatch.setattr("diag_service.publishers.outbox.LONGEST_PAUSE_S", 0.2)
+    monkeypatch.setattr("diag_service.publishers.mqtt.RENEWAL_PERIOD_S", 0.1)
+
+
+def files(authority: Authority, name: str | None) -> TlsFiles:
+    folder = authority.folder
+    if name is None:
+        return TlsFiles(authority=folder / "ca.crt")
+    return TlsFiles(authority=folder / "ca.crt", certificate=folder / f"{name}.crt", key=folder / f"{name}.key")
+
+
+@asynccontextmanager
+async def running(
+    store: ResultStore, broker: Mosquitto, tls: TlsFiles, *, host: str = "127.0.0.1", vehicle: str = "car1"
+) -> AsyncIterator[Outbox]:
+    address = BrokerAddress(host=host, port=broker.port, tls=tls)
+    connector = MqttConnector(address, f"clutchdiag-{vehicle}", is_persistent=True)
+    outbox = Outbox(store, vehicle, lambda: connector.connect(NOW), str(address), acknowledge=Acknowledge.BACKEND)
+    sender = asyncio.create_task(outbox.run())
+    try:
+        yield outbox
+    finally:
+        sender.cancel()
+        await asyncio.gather(sender, return_exceptions=True)
+
+
+async def until(condition: Callable[[], bool], timeout_s: float = 60.0) -> None:
+    async with asyncio.timeout(timeout_s):
+        while not condition():  # noqa: ASYNC110 - the condition lives in another thread
+            await asyncio.sleep(0.01)
+
+
+def backend(authority: Authority, broker: Mosquitto) -> Acknowledger:
+    folder = authority.folder
+    paths = (str(folder / "ca.crt"), str(folder / "fleet-backend.crt"), str(folder / "fleet-backend.key"))
+    return Acknowledger(broker.port, tls=paths)
+
+
+def put(store: ResultStore, *seqs: int, vehicle: str = "car1") -> None:
+    for seq in seqs:
+        store.add(shift_result(seq, vehicle=vehicle), STATE)
+
+
+async def test_a_vehicle_and_its_backend_meet(store: ResultStore, broker: Mosquitto, authority: Authority) -> None:
+    put(store, 1, 2, 3)
+    with backend(authority, broker) as hearing:
+        async with running(store, broker, files(authority, "car1")):
+            await until(lambda: store.unpublished_count("car1") == 0)
+    assert hearing.seqs() == {1, 2, 3}
+
+
+@pytest.mark.parametrize(
+    ("name", "lifetime", "host"),
+    [
+        pytest.param(None, A_DAY, "127.0.0.1", id="no certificate"),
+        pytest.param("late", YESTERDAY, "127.0.0.1", id="expired certificate"),
+        pytest.param("car1", A_DAY, "127.0.0.2", id="wrong host"),
+    ],
+)
+async def test_who_has_no_business_is_refused_told_and_loses_nothing(
+    store: ResultStore,
+    broker: Mosquitto,
+    authority: Authority,
+    caplog: pytest.LogCaptureFixture,
+    name: str | None,
+    lifetime: Lifetime,
+    host: str,
+) -> None:
+    if name == "late":
+        authority.issue_client(name, lifetime)
+    put(store, 1, 2)
+    with backend(authority, broker) as hearing:
+        async with running(store, broker, files(authority, name), host=host):
+            await until(lambda: "2 results wait in the store" in caplog.text)
+        assert hearing.seqs() == set()
+        async with running(store, broker, files(authority, "car1")):  # put right
+            await until(lambda: store.unpublished_count("car1") == 0)
+    assert hearing.seqs() == {1, 2}
+
+
+async def test_another_vehicle_s_topic_is_refused(
+    store: ResultStore, broker: Mosquitto, authority: Authority, caplog: pytest.LogCaptureFixture
+) -> None:
+    put(store, 1, vehicle="car2")
+    with backend(authority, broker) as hearing:
+        async with running(store, broker, files(authority, "car1"), vehicle="car2"):
+            await until(lambda: "1 results wait in the store" in caplog.text)
+        assert "refused" in caplog.text
+        assert hearing.seqs() == set()
+        authority.issue_client("car2", A_DAY)
+        async with running(store, broker, files(authority, "car2"), vehicle="car2"):
+            await until(lambda: store.unpublished_count("car2") == 0)
+
+
+async def test_an_expired_certificate_is_renewed_without_a_restart(
+    store: ResultStore, broker: Mosquitto, authority: Authority, caplog: pytest.LogCaptureFixture
+) -> None:
+    authority.issue_client("car1", YESTERDAY)
+    put(store, 1)
+    with backend(authority, broker):
+        async with running(store, broker, files(authority, "car1")) as outbox:
+            await until(lambda: "1 results wait in the store" in caplog.text)
+            authority.issue_client("car1", A_DAY)
+            await until(lambda: store.unpublished_count("car1") == 0)
+            failed = outbox.counts.failed
+            authority.issue_client("car1", A_DAY)  # and again, in good time: a new connection takes it up
+            put(store, 2)
+            await until(lambda: outbox.counts.failed > failed)
+            await until(lambda: store.unpublished_count("car1") == 0)
+
+
+async def test_a_key_that_others_may_read_is_not_used(
+    store: ResultStore, broker: Mosquitto, authority: Authority, caplog: pytest.LogCaptureFixture
+) -> None:
+    (authority.folder / "car1.key").chmod(0o644)
+    put(store, 1)
+    with backend(authority, broker):
+        async with running(store, broker, files(authority, "car1")):
+            await until(lambda: "may be read by others: chmod 600" in caplog.text)
+            (authority.folder / "car1.key").chmod(0o600)
+            await until(lambda: store.unpublished_count("car1") == 0)
