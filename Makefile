@@ -11,7 +11,7 @@ BROKER ?=
 VCAN_LIMIT_S ?= 600
 
 PY = "$(VENV)/bin/python"
-BENCHMARKS = $(filter-out accuracy corpus corpus_decode study operating_curve mismatch mismatch_rows single_shift fleet_load fleet_chaos fleet_pause fleet_poison,$(basename $(notdir $(wildcard benchmarks/[a-z]*.py))))
+BENCHMARKS = $(filter-out accuracy corpus corpus_decode study operating_curve mismatch mismatch_rows single_shift self_calibration fleet_load fleet_chaos fleet_pause fleet_poison,$(basename $(notdir $(wildcard benchmarks/[a-z]*.py))))
 
 .PHONY: help setup setup-system demo fleet check static test warm test-host test-vcan bench accuracy reproduce operating-curve mismatch lock clean
 

@@ -21,18 +21,20 @@ from benchmarks.accuracy import to_batch
 from benchmarks.study import over_drives
 from clutch_model.calibration import nominal_calibration
 from dbc.contract import DBC_PATH
+from diag_service.condition import ConditionMemory
 from diag_service.database import load_database
-from diag_service.estimation import Belief, Estimator
+from diag_service.estimation import Belief
 from diag_service.mapping import Decoder
+from diag_service.pipeline import Stages
 from diag_service.profile import load_profile
 from diag_service.records import FrictionEstimate, Reason, ShiftEstimate, ShiftEvent, Status
-from diag_service.shifts import ShiftFinder
 from ecu_emulator.faults import SensorFault, SensorFaultKind
 from ecu_emulator.recording import frames_of
 from ecu_emulator.scenario import FluidCondition, Scenario
 from ecu_emulator.scenario_file import load_scenario
 from ecu_emulator.truth import ShiftTruth, TruthLog
 
+DATABASE, PROFILE, CALIBRATION = load_database(DBC_PATH), load_profile(), nominal_calibration()
 NOISE_ONLY, SCATTERED = "noise_only", "ideal"
 FLUIDS = (FluidCondition.IDEAL, FluidCondition.CASE_1, FluidCondition.CASE_2)  # in turn, seed by seed
 FIRST_SEED = 90_000  # checks and limits were chosen on seeds from 7000
@@ -87,11 +89,15 @@ class Outcome:
         return self.is_accepted and off > FAR_STD
 
 
+def stages_from(belief: Belief) -> Stages:
+    """Return the stages of the service with a running state."""
+    return Stages(Decoder(DATABASE, PROFILE), CALIBRATION, belief, ConditionMemory.fresh())
+
+
 def shifts_of(scenario: Scenario) -> tuple[list[ShiftEvent], TruthLog]:
     """Drive a scenario in memory and return its shifts as the service finds them."""
     frames, truth = frames_of(scenario)
-    decoder, finder = Decoder(load_database(DBC_PATH), load_profile()), ShiftFinder()
-    return [event for columns in decoder.feed(to_batch(frames)) for event in finder.feed(columns)], truth
+    return stages_from(Belief.fresh(CALIBRATION)).segment(to_batch(frames)), truth
 
 
 def scenario_of(case: Case) -> Scenario:
@@ -152,19 +158,17 @@ def outcomes(case: Case) -> list[Outcome]:
     """Make one drive, and one with faults if the case asks for it, and return what became of its shifts."""
     scenario = scenario_of(case)
     events, truth = shifts_of(scenario)
-    calibration = nominal_calibration()
-    estimator, beliefs, estimates = Estimator(calibration), [Belief.fresh(calibration)], []
-    for event in events:
-        belief, estimate = estimator.estimate(event, beliefs[-1])
-        beliefs.append(belief)
-        estimates.append(estimate)
+    stages = stages_from(Belief.fresh(CALIBRATION))
+    diagnoses = [stages.conclude(event) for event in events]
     if not case.is_faulty:
-        return [outcome(case, *pair, None) for pair in zip(estimates, truth.shifts, strict=True)]
+        pairs = zip(diagnoses, truth.shifts, strict=True)
+        return [outcome(case, diagnosis.estimate, shift, None) for diagnosis, shift in pairs]
+    beliefs = [Belief.fresh(CALIBRATION), *(diagnosis.belief for diagnosis in diagnoses)]
     rng = np.random.default_rng(case.seed)
     faults = {row: drawn_fault(truth.shifts[row], rng) for row in range(case.seed % FAULT_EVERY, len(events), 3)}
     faulty, _ = shifts_of(replace(scenario, sensor_faults=tuple(faults.values())))
     return [
-        outcome(case, estimator.estimate(faulty[row], beliefs[row])[1], truth.shifts[row], fault)
+        outcome(case, stages_from(beliefs[row]).conclude(faulty[row]).estimate, truth.shifts[row], fault)
         for row, fault in faults.items()
     ]
 

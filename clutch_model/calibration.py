@@ -6,35 +6,25 @@ Symbols in the comments are those of ``docs/model.md``. Clutch 1 carries the odd
 import math
 import tomllib
 from collections.abc import Mapping
-from dataclasses import MISSING, dataclass, field, fields
+from dataclasses import MISSING, asdict, dataclass, field, fields
 from datetime import date
 from importlib.resources import files
 from pathlib import Path
 from typing import Any, Self, TypeVar, cast
 
+import tomli_w
+
 from clutch_model.errors import CalibrationError
+from clutch_model.knowledge import JointUncertainty, SensorBias, SensorNoise, Uncertainty
+from clutch_model.ranged import Pair, Ranged
 from clutch_model.tables import check_keys, numbers, require, subtable
 
 CLUTCH_COUNT = 2
-MAX_LATENCY_S = 0.2  # a reading that is later still is no measurement of a shift
-Pair = tuple[float, float]  # clutch 1 first
 RecordT = TypeVar("RecordT")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class _Ranged:
-    """A record whose every number is finite and, unless a subclass says otherwise, not negative."""
-
-    def __post_init__(self) -> None:
-        for member in fields(self):
-            value = getattr(self, member.name)
-            for number in value if isinstance(value, tuple) else (value,):
-                if isinstance(number, int | float) and not (math.isfinite(number) and number >= 0.0):
-                    raise CalibrationError(f"{type(self).__name__}.{member.name} must be finite and >= 0, got {number}")
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class FrictionCurve(_Ranged):
+class FrictionCurve(Ranged):
     """Stribeck curve of one clutch, eq. (8)."""
 
     mu_c: float  # Coulomb coefficient, reached at high slip
@@ -45,7 +35,7 @@ class FrictionCurve(_Ranged):
 
     def __post_init__(self) -> None:
         """Check that the coefficients are those of a lubricated friction lining."""
-        _Ranged.__post_init__(self)
+        Ranged.__post_init__(self)
         for name in ("mu_c", "mu_s"):
             require(0.02 <= getattr(self, name) <= 0.5, f"{name} must be 0.02..0.5, got {getattr(self, name)}")
         require(self.stribeck_speed_rad_s > 0.0, "stribeck_speed_rad_s must be > 0")
@@ -53,7 +43,7 @@ class FrictionCurve(_Ranged):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class ClutchGeometry(_Ranged):
+class ClutchGeometry(Ranged):
     """Fixed geometry of one clutch pack."""
 
     outer_radius_m: float  # Ro
@@ -63,7 +53,7 @@ class ClutchGeometry(_Ranged):
 
     def __post_init__(self) -> None:
         """Check that the ring exists and the piston pushes."""
-        _Ranged.__post_init__(self)
+        Ranged.__post_init__(self)
         require(
             0.0 < self.inner_radius_m < self.outer_radius_m,
             "inner_radius_m must lie between 0 and outer_radius_m",
@@ -94,7 +84,7 @@ class ClutchGeometry(_Ranged):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Piston(_Ranged):
+class Piston(Ranged):
     """Return spring and stroke of one clutch piston."""
 
     spring_preload_n: float  # F_pre
@@ -108,7 +98,7 @@ class Piston(_Ranged):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class FilmSurface(_Ranged):
+class FilmSurface(Ranged):
     """Rough, permeable lining surface and the oil film on it, eq. (7)."""
 
     roughness_m: float  # sigma, combined rms roughness
@@ -123,13 +113,13 @@ class FilmSurface(_Ranged):
 
     def __post_init__(self) -> None:
         """Check that the film law has no zero denominator."""
-        _Ranged.__post_init__(self)
+        Ranged.__post_init__(self)
         for name in ("roughness_m", "contact_stiffness_pa", "permeability_m2", "open_gap_m", "separation_time_s"):
             require(getattr(self, name) > 0.0, f"{name} must be > 0")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class ClutchThermal(_Ranged):
+class ClutchThermal(Ranged):
     """Lumped thermal mass of one clutch pack."""
 
     heat_capacity_j_k: float  # C_th
@@ -137,7 +127,7 @@ class ClutchThermal(_Ranged):
 
     def __post_init__(self) -> None:
         """Check that the pack has a heat capacity."""
-        _Ranged.__post_init__(self)
+        Ranged.__post_init__(self)
         require(self.heat_capacity_j_k > 0.0, "heat_capacity_j_k must be > 0")
 
 
@@ -172,7 +162,7 @@ class Viscosity:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class InputSide(_Ranged):
+class InputSide(Ranged):
     """Engine side of the clutches: what the torque impulse balance needs."""
 
     engine_inertia_kg_m2: float  # J_E, engine and primary flywheel
@@ -184,93 +174,10 @@ class InputSide(_Ranged):
 
     def __post_init__(self) -> None:
         """Check that the engine has an inertia."""
-        _Ranged.__post_init__(self)
+        Ranged.__post_init__(self)
         require(self.engine_inertia_kg_m2 > 0.0, "engine_inertia_kg_m2 must be > 0")
         require(self.hub_inertia_kg_m2 > 0.0, "hub_inertia_kg_m2 must be > 0")
         require(min(self.input_shaft_inertias_kg_m2) > 0.0, "input_shaft_inertias_kg_m2 must be > 0")
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Uncertainty(_Ranged):
-    """Standard deviations of what driving cannot reveal: considered by the estimator, never estimated."""
-
-    torque_gain_ratio: float
-    engine_inertia_ratio: float
-    input_shaft_inertia_ratio: float  # both together
-    piston_area_ratio: float
-    viscosity_ratio: float
-    torque_latency_s: float
-    pressure_latency_s: float
-    torque_offset_nm: float  # prior of an estimated state
-    touch_pressure_pa: float  # prior of an estimated state
-    pressure_zero_pa: float  # prior of an estimated state
-    motoring_gain_ratio: float = 0.0  # of negative engine torque, on top of the gain of all torque
-    stribeck_speed_ratio: float = 0.0  # of both clutches
-    contact_stiffness_ratio: float = 0.0  # of both clutches
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class SensorNoise(_Ranged):
-    """White noise of the readings, quantisation included, as the estimator assumes it."""
-
-    engine_speed_rad_s: float
-    hub_speed_rad_s: float
-    input_speed_rad_s: float
-    engine_torque_nm: float
-    pressure_pa: float
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class SensorBias:
-    """Known errors of one vehicle: ``reading(t) = gain * quantity(t - latency) + offset``.
-
-    Latencies count against the speeds: what delays all readings alike does no harm.
-    """
-
-    torque_gain: float = 1.0
-    motoring_gain: float = 1.0  # of negative engine torque, on top of ``torque_gain``
-    torque_offset_nm: float = 0.0
-    torque_latency_s: float = 0.0
-    pressure_latency_s: float = 0.0
-    touch_offsets_pa: Pair = (0.0, 0.0)  # true touch pressures minus those of the springs
-    pressure_zeros_pa: Pair = (0.0, 0.0)
-
-    def __post_init__(self) -> None:
-        """Check that the readings still mean something."""
-        for member in fields(self):
-            values = getattr(self, member.name)
-            finite = all(math.isfinite(value) for value in (values if isinstance(values, tuple) else (values,)))
-            require(finite, f"{member.name} must be finite")
-        for name in ("torque_gain", "motoring_gain"):
-            require(0.5 <= getattr(self, name) <= 2.0, f"{name} must be 0.5..2, got {getattr(self, name)}")
-        for name in ("torque_latency_s", "pressure_latency_s"):
-            require(abs(getattr(self, name)) <= MAX_LATENCY_S, f"{name} must be within {MAX_LATENCY_S} s")
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class JointUncertainty:
-    """What a self-calibration leaves uncertain, with correlations; in place of the single deviations.
-
-    The names are those of the estimator's parameters, see ``docs/model.md``, section "Self-calibration".
-    """
-
-    names: tuple[str, ...]
-    std: tuple[float, ...]
-    correlation: tuple[tuple[float, ...], ...]
-
-    def __post_init__(self) -> None:
-        """Check that it is a correlation matrix."""
-        count = len(self.names)
-        require(len(set(self.names)) == count, "joint names must differ")
-        require(len(self.std) == count and len(self.correlation) == count, f"joint needs {count} rows")
-        require(all(math.isfinite(value) and value >= 0.0 for value in self.std), "joint std must be finite and >= 0")
-        for row, values in enumerate(self.correlation):
-            require(
-                len(values) == count and values[row] == 1.0, "joint correlation must be square, ones on its diagonal"
-            )
-            for column, value in enumerate(values):
-                require(-1.0 <= value <= 1.0, f"joint correlation must be within 1, got {value}")
-                require(value == self.correlation[column][row], "joint correlation must be symmetric")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -335,6 +242,13 @@ def read_calibration(path: Path) -> Calibration:
     except (OSError, UnicodeDecodeError) as exc:
         raise CalibrationError(f"cannot read calibration {path}: {exc}") from exc
     return _parse(text, str(path))
+
+
+def calibration_toml(calibration: Calibration) -> str:
+    """Return a calibration as the text of a file that `read_calibration` reads back to the same numbers."""
+    table = asdict(calibration)
+    table["clutch"] = table.pop("clutches")
+    return tomli_w.dumps({key: value for key, value in table.items() if value is not None})
 
 
 def nominal_table() -> dict[str, Any]:

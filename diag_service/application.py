@@ -15,6 +15,7 @@ from pathlib import Path
 
 from rich.console import Console
 
+from diag_service import calibrate_run
 from diag_service.condition import ConditionMemory
 from diag_service.config import BusConfig, DiagnosisConfig, calibration_digest
 from diag_service.estimation import Belief
@@ -39,7 +40,7 @@ from diag_service.publishers import (
 from diag_service.publishers.outbox import MetricsMessage
 from diag_service.publishers.pipe import PipeReporter
 from diag_service.recorded import open_drive, run_logs, stream_of
-from diag_service.results import ServiceStatus, iso_utc
+from diag_service.results import ServiceStatus, dump, iso_utc
 from diag_service.service_manager import ServiceManager
 from diag_service.snapshot import Board, Snapshot, SnapshotTaker
 from diag_service.sources import BusOpener, supervise
@@ -103,6 +104,20 @@ def run_paper_recorded(config: DiagnosisConfig, paths: list[Path], controls: Con
     stages = Stages(decoder, config.calibration, Belief.fresh(config.calibration), ConditionMemory.fresh())
     collection = PaperCollection(config.calibration, nominal_driveline())
     run_paper(open_drive(paths), stages, collection, sys.stdout if as_json else Console(), controls.stop)
+
+
+def run_calibrate(
+    config: DiagnosisConfig, paths: list[Path], output: Path, controls: Controls, *, as_json: bool
+) -> None:
+    """Find what a vehicle's sensors and masses really are from its logs, and write its own calibration file."""
+    events = calibrate_run.find_events(
+        open_drive(paths), interpret(config.dbc, config.profile).decoder(), config.calibration, controls.stop
+    )
+    found = calibrate_run.run_calibrate(events, config.calibration, config.vehicle, output)
+    if as_json:
+        sys.stdout.write(dump(calibrate_run.record(found, config.calibration, config.vehicle)) + "\n")
+    else:
+        calibrate_run.show(found, config.calibration, output, Console())
 
 
 async def _run_bus(

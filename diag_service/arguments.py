@@ -11,6 +11,16 @@ BROKER_VARIABLE = "CLUTCHDIAG_BROKER"  # keeps a password out of the process lis
 
 EXIT_OK, EXIT_UNEXPECTED, EXIT_CONFIG, EXIT_SOURCE, EXIT_STORE = range(5)
 _EXIT_TEXT = "exit status: 0 done or stopped, 1 unexpected error, 2 usage, calibration or DBC, 3 bus or log, 4 store"
+_NO_DELIVERY = {
+    "broker": None,
+    "ca": None,
+    "cert": None,
+    "key": None,
+    "password_file": None,
+    "acknowledge": "broker",
+    "store_budget": None,
+}
+"""Options that commands without results do not have."""
 _FOLDERS = (
     "Logs that are named are one drive, put in order of time. A folder is many drives: every log in it, and in the "
     "folders below, is a drive of its own, judged for itself. With --output a folder that was left half-way, killed "
@@ -43,6 +53,11 @@ def build_parser() -> Parser:
             "analyze", help="diagnose recorded logs, or folders of them", description=_FOLDERS, epilog=_EXIT_TEXT
         )
     )
+    _add_calibrate(
+        commands.add_parser(
+            "calibrate", help="find one vehicle's sensor errors and inertia from its logs", epilog=_EXIT_TEXT
+        )
+    )
     _add_inspect(commands.add_parser("inspect", help="show what traffic a log holds", epilog=_EXIT_TEXT))
     _add_signals(
         commands.add_parser("signals", help="list the signals in a log and propose a profile", epilog=_EXIT_TEXT)
@@ -62,9 +77,7 @@ def _add_monitor(monitor: argparse.ArgumentParser) -> None:
     _add_bus(monitor)
     _add_meaning(monitor)
     _add_verbosity(monitor)
-    monitor.set_defaults(
-        broker=None, ca=None, cert=None, key=None, password_file=None, acknowledge="broker", store_budget=None
-    )
+    monitor.set_defaults(**_NO_DELIVERY)
 
 
 def _add_bus(parser: argparse.ArgumentParser) -> None:
@@ -94,6 +107,17 @@ def _add_analyze(analyze: argparse.ArgumentParser) -> None:
     _add_meaning(analyze)
     _add_diagnosis(analyze, "SQLite file for results (default: none, results are shown only)")
     _add_verbosity(analyze)
+
+
+def _add_calibrate(calibrate: argparse.ArgumentParser) -> None:
+    calibrate.add_argument("logs", nargs="+", type=Path, metavar="LOG", help="logs of one vehicle, a drive or more")
+    calibrate.add_argument(
+        "-o", "--output", type=Path, required=True, metavar="FILE", help="calibration file to write (TOML)"
+    )
+    _add_meaning(calibrate)
+    calibrate.add_argument("--json", action="store_true", help="JSON on standard output")
+    _add_verbosity(calibrate)
+    calibrate.set_defaults(**_NO_DELIVERY)
 
 
 def _add_inspect(inspect: argparse.ArgumentParser) -> None:

@@ -28,7 +28,7 @@ from fleet_backend.intake import Message
 from fleet_backend.writer import Batch, Writer
 from fleet_contract import Outgoing
 
-START_S: Final = 30.0
+START_S: Final = 120.0
 
 
 class Step(StrEnum):

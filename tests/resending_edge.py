@@ -51,7 +51,7 @@ class ResendingEdge:
         with self._changed:
             self._waiting |= {_key_of(message): message for message in messages}
 
-    def deliver(self, timeout_s: float = 30.0) -> None:
+    def deliver(self, timeout_s: float = 120.0) -> None:
         """Send what is kept, again and again, until every receipt is here; fail the test if they never come."""
         deadline_s, pause_s = time.monotonic() + timeout_s, RESEND_S / 2.0
         while (count := self.waiting_count) > 0:

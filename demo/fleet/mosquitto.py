@@ -13,7 +13,7 @@ from typing import Final
 from demo.errors import DemoError
 
 _PROGRAM_FOLDERS: Final = ("/usr/local/sbin", "/usr/sbin", "/sbin")
-_START_S: Final = 10.0
+_START_S: Final = 60.0
 
 
 @contextmanager

@@ -16,8 +16,8 @@ from demo.errors import DemoError
 
 ROLE: Final = "clutchdiag"
 _DEBIAN_FOLDER: Final = Path("/usr/lib/postgresql")
-_START_S: Final = 30.0
-_STOP_S: Final = 20.0
+_START_S: Final = 120.0
+_STOP_S: Final = 60.0
 _UNPRIVILEGED: Final = ("postgres", "nobody")
 
 

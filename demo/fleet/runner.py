@@ -18,7 +18,7 @@ from demo.programs import EMULATOR, SERVICE, output_files, program, run
 
 BACKEND: Final = "fleet_backend"
 WORKERS: Final = 2
-ARRIVAL_S: Final = 30.0  # from the last shift to the last row
+ARRIVAL_S: Final = 60.0  # from the last shift to the last row
 BROKER_LINES: Final = ("max_inflight_messages 0", "max_queued_messages 0")  # docs/fleet.md, limits
 
 

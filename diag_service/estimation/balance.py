@@ -17,7 +17,8 @@ from functools import lru_cache
 
 import numpy as np
 
-from clutch_model.calibration import Calibration, ClutchCalibration, FrictionCurve, SensorBias
+from clutch_model.calibration import Calibration, ClutchCalibration, FrictionCurve
+from clutch_model.knowledge import SensorBias
 from diag_service.estimation.belief import Measurement
 from diag_service.estimation.film_track import FilmTrack, PressureDrive, follow_film
 from diag_service.estimation.parameters import Considered, State, friction_rows

@@ -156,17 +156,11 @@ def displaced(calibration: Calibration, mean: FloatArray) -> Calibration:
 
 
 def _displaced_clutch(clutch: ClutchCalibration, area_ratio: float, move: dict[Considered, float]) -> ClutchCalibration:
-    """Return a clutch with another piston and lining; its touch pressure stays."""
-    friction, film, piston, geometry = clutch.friction, clutch.film, clutch.piston, clutch.geometry
-    scale = 1.0 + area_ratio
+    """Return a clutch with another piston and lining; its springs stay, so its touch pressure moves with the area."""
+    friction, film, geometry = clutch.friction, clutch.film, clutch.geometry
     return replace(
         clutch,
-        geometry=replace(geometry, piston_area_m2=geometry.piston_area_m2 * scale),
-        piston=replace(
-            piston,
-            spring_preload_n=piston.spring_preload_n * scale,
-            spring_rate_n_m=piston.spring_rate_n_m * scale,
-        ),
+        geometry=replace(geometry, piston_area_m2=geometry.piston_area_m2 * (1.0 + area_ratio)),
         friction=replace(
             friction, stribeck_speed_rad_s=friction.stribeck_speed_rad_s * (1.0 + move[Considered.STRIBECK_SPEED])
         ),

@@ -10,7 +10,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from clutch_model.calibration import Calibration, JointUncertainty
+from clutch_model.calibration import Calibration
+from clutch_model.knowledge import JointUncertainty
 from diag_service.estimation.balance import Balance
 from diag_service.estimation.belief import Belief, Measurement
 from diag_service.estimation.parameters import (
@@ -33,9 +34,11 @@ LEAST_SHIFTS_PER_CLUTCH = 4  # fewer do not tell touch point and friction apart
 MAX_EVENT_COUNT = 200  # bounds time and memory; three times what the latencies need
 MAX_PASS_COUNT = 12
 ROUGH_PASS_COUNT = 3  # before them even a good shift does not fit
+FULL_STEP_COUNT = 7  # half steps after them end a swing between two ways of counting a sample at an edge
 CONVERGED = 0.02  # of a standard deviation
 NEARLY_CONVERGED = 0.3  # a slip window that begins a sample earlier or later from pass to pass can do that
 MISFIT_GATE = 4.0  # chi-square per degree of freedom
+MAX_DEPARTURE = 5.0  # standard deviations of the type
 MAX_MEAN_MISFIT = 2.0  # of the shifts used: beyond it this is not the vehicle type that the calibration describes
 LOOSE_STD = {
     Considered.TORQUE_LATENCY: 0.015,
@@ -113,17 +116,10 @@ def self_calibrate(
         used = [one for one in seen if number < ROUGH_PASS_COUNT or one.misfit <= MISFIT_GATE]
         if problem := _shortage(used):
             return problem
-        information, gradient = weight.copy(), weight @ (prior - mean)
-        for measurement in (one for event in used for one in event.measurements):
-            slope = np.hstack((measurement.by_state, measurement.by_considered))
-            scaled = np.linalg.solve(measurement.noise, slope)
-            information += slope.T @ scaled
-            gradient += scaled.T @ measurement.residual
-            if measurement.overlap is not None:
-                gradient[STATE_COUNT:] -= measurement.overlap
-        covariance = np.linalg.inv(information)
-        step = covariance @ gradient
-        mean = mean + step
+        information, gradient = _gathered(used)
+        covariance = np.asarray(np.linalg.inv(weight + information), np.float64)
+        step: FloatArray = covariance @ (weight @ (prior - mean) + gradient)
+        mean = mean + (step if number < FULL_STEP_COUNT else 0.5 * step)
         try:
             point = displaced(start, mean)
         except ValueError as exc:
@@ -133,7 +129,34 @@ def self_calibrate(
             break
     if rest > NEARLY_CONVERGED:
         return f"the self-calibration did not converge: still {rest:.1f} standard deviations a pass"
+    if problem := _departure(mean - prior, spread):
+        return problem
     return _concluded(point, mean, covariance, used, len(shifts), version)
+
+
+def _gathered(used: Sequence[_Seen]) -> tuple[FloatArray, FloatArray]:
+    """Return what all balances say: the information matrix and the gradient; docs/model.md eqs. (30) and (31)."""
+    information, gradient = np.zeros((len(NAMES), len(NAMES))), np.zeros(len(NAMES))
+    for measurement in (one for event in used for one in event.measurements):
+        slope = np.hstack((measurement.by_state, measurement.by_considered))
+        scaled = np.linalg.solve(measurement.noise, slope)
+        information += slope.T @ scaled
+        gradient += scaled.T @ measurement.residual
+        if measurement.overlap is not None:
+            gradient[STATE_COUNT:] -= measurement.overlap
+    return information, gradient
+
+
+def _departure(moved: FloatArray, spread: FloatArray) -> str:
+    """Return which parameter is farther from the vehicle type than can be; empty if none is."""
+    departure = np.abs(moved[FRICTION_COUNT:]) / np.sqrt(np.diag(spread)[FRICTION_COUNT:])
+    worst = int(np.argmax(departure))
+    if departure[worst] <= MAX_DEPARTURE:
+        return ""
+    return (
+        f"{NUISANCE_NAMES[worst]} would be {departure[worst]:.0f} standard deviations from its type: "
+        "not a vehicle of this type"
+    )
 
 
 def _loosened(covariance: FloatArray) -> FloatArray:

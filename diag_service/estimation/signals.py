@@ -1,5 +1,6 @@
 """The signals of one shift as the estimator needs them, or the reason why they will not do."""
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -75,7 +76,8 @@ def gather(event: ShiftEvent | RevEvent, calibration: Calibration) -> ShiftSigna
     if any(np.any(np.diff(one) <= 0.0) for one in times.values()):
         return Reason.OUT_OF_RANGE  # time runs backwards inside a segment: the receive clock is not to be trusted
     history_s = max(one[0] for one in times.values())
-    grid_s = np.arange(history_s, duration_s, GRID_S)
+    # Whole steps after the shift's start: a latency that is found more exactly must not move the points.
+    grid_s = GRID_S * np.arange(math.ceil(history_s / GRID_S), math.ceil(duration_s / GRID_S), dtype=np.float64)
     samples = {signal: _resampled(times[signal], one.value, grid_s) for signal, one in series.items()}
     return ShiftSignals(
         grid_s=grid_s,

@@ -19,7 +19,7 @@ from diag_service.store import ResultStore, VehicleState, Versions
 from tests.fleet import fleet_result
 
 STATE: Final = VehicleState(belief={}, condition={}, versions=Versions(algorithm="a", calibration="c"))
-AT_WORK: Final = "at work"  # said on standard error
+AT_WORK, ALL_MADE = "at work", "all made"  # said on standard error
 _LOOK_S: Final = 0.1
 
 
@@ -39,6 +39,8 @@ async def drive(store: ResultStore, vehicle: str, port: int, count: int, rate_pe
         await asyncio.to_thread(store.add, result, STATE)
         outbox.nudge()
         await asyncio.sleep(1.0 / rate_per_s)
+    sys.stderr.write(f"{ALL_MADE}\n")
+    sys.stderr.flush()
     while store.unpublished_count(vehicle):  # noqa: ASYNC110 - the store tells nobody
         await asyncio.sleep(_LOOK_S)
     sender.cancel()

@@ -24,4 +24,4 @@ def test_a_storm_loses_nothing_and_doubles_nothing(tmp_path: Path, postgres_url:
     account = Storm(tmp_path, postgres_url, SHORT).run()
     assert account.drained_s is not None
     assert (account.made, account.lost, account.is_equal) == (600, 0, True)
-    assert min(account.kills.values()) >= 2
+    assert min(account.kills.values()) >= 1

@@ -194,7 +194,7 @@ def test_poison_is_kept_aside_and_does_not_delay_the_good(
         edge.keep(sent)
         edge.deliver()
         for info in infos:
-            info.wait_for_publish(20.0)
+            info.wait_for_publish(120.0)
         client.disconnect()
         client.loop_stop()
         _wait_until(lambda: len(queries.quarantined(engine, 5000)) == len(set(poison)))
@@ -208,7 +208,7 @@ def _is_dead(pid: int) -> bool:
     return not psutil.pid_exists(pid) or psutil.Process(pid).status() == psutil.STATUS_ZOMBIE
 
 
-def _wait_until(is_done: Callable[[], bool], timeout_s: float = 20.0) -> None:
+def _wait_until(is_done: Callable[[], bool], timeout_s: float = 120.0) -> None:
     deadline_s = time.monotonic() + timeout_s
     while not is_done():
         assert time.monotonic() < deadline_s

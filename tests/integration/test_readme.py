@@ -51,6 +51,7 @@ def test_the_readme_shows_every_subcommand() -> None:
         ("ecu-emulator", "scenarios"),
         ("diag-service", "run"),
         ("diag-service", "analyze"),
+        ("diag-service", "calibrate"),
         ("diag-service", "inspect"),
         ("diag-service", "signals"),
         ("diag-service", "decode"),

@@ -155,7 +155,8 @@ WIDE_PAGES: Final = (
 )
 def test_hostile_database_is_refused_within_the_limits(tmp_path: Path, text: str, complaint: str) -> None:
     assert complaint in refusal(write(tmp_path, text))
-    assert resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss < max(
+    # A child counts with what its parent had when it was forked, so in a large test process that is the bound.
+    assert resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss <= max(
         PARSER_BYTES / 1024, resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
     )
 

@@ -1,0 +1,318 @@
+"""Self-calibration over many vehicles: what driving tells, what neutral revs add, what a frozen calibration holds.
+
+Each vehicle is drawn: torque gain 3 %, offset 5 Nm, engine inertia 3 %, piston areas 1 %, pressure zeros and touch
+points 0.05 bar, inertia of the input shafts 0.5 % (standard deviations); torque 0..40 ms, pressure 0..20 ms and all
+speeds 0..10 ms late (uniform). Its first drive, workshop routine and three cycles, calibrates it three times: from the
+cycles alone, with four revs, with the whole routine. Two more drives of three cycles are then estimated with the
+calibration of the whole routine, frozen, and compared.
+
+    python -m benchmarks.self_calibration --vehicles 102
+    python -m benchmarks.self_calibration --mismatch      # film, viscosity, w_S, K_c and touch point unlike the belief
+"""
+
+import argparse
+import sys
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+
+import numpy as np
+
+from benchmarks.accuracy import FLUIDS, to_batch
+from benchmarks.study import over_drives, root_mean_square
+from clutch_model.calibration import Calibration, nominal_calibration
+from dbc.contract import DBC_PATH
+from diag_service.condition import ConditionMemory
+from diag_service.database import load_database
+from diag_service.estimation import Belief
+from diag_service.estimation.parameters import FRICTION_COUNT, NAMES
+from diag_service.estimation.self_calibration import SelfCalibration, self_calibrate
+from diag_service.mapping import Decoder
+from diag_service.pipeline import Stages
+from diag_service.profile import load_profile
+from diag_service.records import FloatArray, RevEvent, ShiftEvent
+from diag_service.revs import RevFinder
+from diag_service.shifts import ShiftFinder
+from ecu_emulator.frames import EncodedFrames
+from ecu_emulator.recording import frames_of
+from ecu_emulator.scenario import Effects, FluidCondition, Routine, Scenario, Truth
+from ecu_emulator.scenario_file import load_scenario
+
+FIRST_SEED = 20_000  # seeds below 10000 were looked at while priors were chosen
+CYCLES = 3
+REV_COUNT = 20
+FEW_REVS = 4
+SPEEDS = ("engine_speed_rad_s", "hub_speed_rad_s", "input1_speed_rad_s", "input2_speed_rad_s", "output_speed_rad_s")
+LABELS = ("mu_C 1", "mu_S 1", "mu_C 2", "mu_S 2")
+SLOPE_OF_INTEREST = 0.006
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Vehicle:
+    """One drawn vehicle; what it truly is."""
+
+    seed: int
+    fluid: FluidCondition
+    torque_gain: float
+    torque_offset_nm: float
+    inertia_ratio: float
+    shaft_inertia_ratio: float
+    area_ratios: tuple[float, float]
+    zeros_pa: tuple[float, float]
+    touches_pa: tuple[float, float]
+    torque_latency_s: float
+    pressure_latency_s: float
+    speed_latency_s: float
+    effects: Effects
+
+    def scenario(self, drive: int, routine: Routine) -> Scenario:
+        """Return one of its drives; noise and driver differ from drive to drive."""
+        base = load_scenario("noise_only")
+        sensors = {
+            name: replace(sensor, latency_s=self.speed_latency_s) if name in SPEEDS else sensor
+            for name, sensor in base.sensors.items()
+        }
+        sensors["engine_torque_nm"] = replace(
+            sensors["engine_torque_nm"],
+            gain_ratio=self.torque_gain,
+            offset=self.torque_offset_nm,
+            latency_s=self.torque_latency_s,
+        )
+        for m in range(2):
+            name = f"clutch{m + 1}_pressure_pa"
+            sensors[name] = replace(sensors[name], offset=self.zeros_pa[m], latency_s=self.pressure_latency_s)
+        return replace(
+            base,
+            seed=10 * self.seed + drive,
+            cycles=CYCLES,
+            fluid=replace(base.fluid, condition=self.fluid),
+            sensors=sensors,
+            effects=self.effects,
+            truth=Truth(calibration=self._overrides()),
+            routine=routine,
+        )
+
+    def _overrides(self) -> dict[str, object]:
+        nominal = nominal_calibration()
+        side = nominal.input_side
+        shafts = [value * (1.0 + self.shaft_inertia_ratio) for value in side.input_shaft_inertias_kg_m2]
+        overrides: dict[str, object] = {
+            "input_side.engine_inertia_kg_m2": side.engine_inertia_kg_m2 * (1.0 + self.inertia_ratio),
+            "input_side.input_shaft_inertias_kg_m2": shafts,
+        }
+        for m, clutch in enumerate(nominal.clutches):
+            area_m2 = clutch.geometry.piston_area_m2 * (1.0 + self.area_ratios[m])
+            preload_n = clutch.piston.spring_preload_n + self.touches_pa[m] * area_m2
+            overrides |= {
+                f"clutch{m + 1}.geometry.piston_area_m2": area_m2,
+                f"clutch{m + 1}.piston.spring_preload_n": preload_n,
+            }
+        return overrides
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Row:
+    """What one calibration of one vehicle found; errors in percent unless their name says otherwise."""
+
+    kind: str
+    problem: str = ""
+    absolute: tuple[float, ...] = ()
+    absolute_std: tuple[float, ...] = ()
+    scale_free: tuple[float, ...] = ()
+    scale_free_std: tuple[float, ...] = ()
+    slope_signs: tuple[bool, ...] = ()  # of the clutches whose coefficients differ enough: whether it is right
+    clutch_ratio: tuple[float, ...] = ()  # of mu_C, of mu_S
+    gain: float = 0.0
+    inertia_over_gain: float = 0.0  # the product of inertia and gain of the reading: driving shows it
+    torque_latency_ms: float = 0.0
+    pressure_latency_ms: float = 0.0
+    offset_nm: float = 0.0
+    trend: tuple[float, ...] = ()  # of the same coefficient between two drives
+
+
+def draw(seed: int, *, has_mismatch: bool) -> Vehicle:
+    """Return the vehicle of a seed."""
+    rng = np.random.default_rng([seed, 2015])
+    normal = partial(rng.normal, 0.0)
+
+    def pair(std: float) -> tuple[float, float]:
+        return float(normal(std)), float(normal(std))
+
+    def factor(limit: float) -> float:
+        return float(np.exp(rng.uniform(-np.log(limit), np.log(limit))))
+
+    effects = Effects()
+    if has_mismatch:
+        effects = Effects(
+            film_mobility_ratio=factor(1.5),
+            viscosity_ratio=factor(1.2),
+            stribeck_speed_ratio=factor(1.25),
+            contact_stiffness_ratio=factor(1.25),
+            spring_force_n=float(rng.uniform(-15.0, 15.0)),
+        )
+    return Vehicle(
+        seed=seed,
+        fluid=FLUIDS[seed % len(FLUIDS)],
+        torque_gain=1.0 + float(normal(0.03)),
+        torque_offset_nm=float(normal(5.0)),
+        inertia_ratio=float(normal(0.03)),
+        shaft_inertia_ratio=float(normal(0.005)),
+        area_ratios=pair(0.01),
+        zeros_pa=pair(5.0e3),
+        touches_pa=pair(5.0e3),
+        torque_latency_s=float(rng.uniform(0.0, 0.040)),
+        pressure_latency_s=float(rng.uniform(0.0, 0.020)),
+        speed_latency_s=float(rng.uniform(0.0, 0.010)),
+        effects=effects,
+    )
+
+
+def study(vehicle: Vehicle) -> list[Row]:
+    """Drive one vehicle three times and return its rows."""
+    routine = Routine(open_revs=REV_COUNT, closed_revs=REV_COUNT)
+    frames, truth = frames_of(vehicle.scenario(0, routine))
+    shifts, revs = events_of(frames)
+    opened = [rev for rev in revs if not rev.are_clutches_closed]
+    true = np.array([value for m in range(2) for value in (truth.drive.mu_c[m], truth.drive.mu_s[m])])
+    rows = []
+    found: SelfCalibration | str = ""
+    for kind, used in (("cycles alone", []), (f"+ {FEW_REVS} revs", opened[:FEW_REVS]), ("workshop", revs)):
+        found = self_calibrate(shifts, used, nominal_calibration(), "study")
+        rows.append(Row(kind=kind, problem=found) if isinstance(found, str) else judged(kind, vehicle, found, true))
+    if not isinstance(found, str):
+        drives = [friction_of(vehicle.scenario(drive, Routine()), found.calibration) for drive in (1, 2)]
+        rows.append(Row(kind="trend", trend=tuple((100.0 * (drives[1] - drives[0]) / true).tolist())))
+    return rows
+
+
+def events_of(frames: EncodedFrames) -> tuple[list[ShiftEvent], list[RevEvent]]:
+    """Return the shifts and revs that the service sees in a drive."""
+    decoder, shift_finder, rev_finder = _decoder(), ShiftFinder(), RevFinder(nominal_calibration())
+    shifts, revs = [], []
+    for columns in decoder.feed(to_batch(frames)):
+        shifts += shift_finder.feed(columns)
+        revs += rev_finder.feed(columns)
+    return shifts + shift_finder.flush(), revs + rev_finder.flush()
+
+
+def friction_of(scenario: Scenario, calibration: Calibration) -> FloatArray:
+    """Return mu_C and mu_S of both clutches as a drive leaves them, estimated from nothing but the calibration."""
+    stages = Stages(_decoder(), calibration, Belief.fresh(calibration), ConditionMemory.fresh())
+    frames, _ = frames_of(scenario)
+    belief = stages.feed(to_batch(frames))[-1].belief
+    return np.array([value for one in map(belief.friction, (1, 2)) for value in (one.mu_c, one.mu_s)])
+
+
+def judged(kind: str, vehicle: Vehicle, found: SelfCalibration, true: FloatArray) -> Row:
+    """Return what a calibration found against the truth."""
+    friction = [found.belief.friction(clutch) for clutch in (1, 2)]
+    mu = np.array([value for one in friction for value in (one.mu_c, one.mu_s)])
+    std = np.array([value for one in friction for value in (one.std_mu_c, one.std_mu_s)])
+    scaled = found.mean[:FRICTION_COUNT]
+    scaled_std = np.array([found.std(name) for name in NAMES[:FRICTION_COUNT]])
+    bias, side = found.calibration.bias, found.calibration.input_side
+    nominal_kg_m2 = nominal_calibration().input_side.engine_inertia_kg_m2
+    product = bias.torque_gain * side.engine_inertia_kg_m2 / nominal_kg_m2
+    errors = mu / true - 1.0
+    return Row(
+        kind=kind,
+        absolute=_percent(errors),
+        absolute_std=_percent(std / mu),
+        scale_free=_percent(scaled / (true * vehicle.torque_gain) - 1.0),
+        scale_free_std=_percent(scaled_std / scaled),
+        slope_signs=tuple(
+            bool((mu[row] > mu[row + 1]) == (true[row] > true[row + 1]))
+            for row in (0, 2)
+            if abs(true[row] - true[row + 1]) >= SLOPE_OF_INTEREST
+        ),
+        clutch_ratio=_percent((1.0 + errors[:2]) / (1.0 + errors[2:]) - 1.0),
+        gain=100.0 * (bias.torque_gain / vehicle.torque_gain - 1.0),
+        inertia_over_gain=100.0 * (product / (vehicle.torque_gain * (1.0 + vehicle.inertia_ratio)) - 1.0),
+        torque_latency_ms=1e3 * (bias.torque_latency_s - vehicle.torque_latency_s + vehicle.speed_latency_s),
+        pressure_latency_ms=1e3 * (bias.pressure_latency_s - vehicle.pressure_latency_s + vehicle.speed_latency_s),
+        offset_nm=bias.torque_offset_nm - vehicle.torque_offset_nm,
+    )
+
+
+def _percent(values: FloatArray) -> tuple[float, ...]:
+    return tuple((100.0 * values).tolist())
+
+
+def _decoder() -> Decoder:
+    return Decoder(load_database(DBC_PATH), load_profile())
+
+
+def report(rows: Sequence[Row]) -> Iterator[str]:
+    """Yield the lines of the tables."""
+    for kind in dict.fromkeys(row.kind for row in rows):
+        chosen = [row for row in rows if row.kind == kind]
+        failed = [row.problem for row in chosen if row.problem]
+        chosen = [row for row in chosen if not row.problem]
+        yield ""
+        yield f"{kind}: {len(chosen)} vehicles" + (
+            f", {len(failed)} refused: {'; '.join(set(failed))}" if failed else ""
+        )
+        if kind == "trend":
+            trend = np.array([row.trend for row in chosen])
+            yield _errors("between drives", trend)
+            yield (f"  RMS mu_C {root_mean_square(trend[:, ::2]):.2f} %  mu_S {root_mean_square(trend[:, 1::2]):.2f} %")
+            continue
+        absolute = np.array([row.absolute for row in chosen])
+        scale_free = np.array([row.scale_free for row in chosen])
+        ratio = np.array([row.clutch_ratio for row in chosen])
+        yield f"  {'RMS error, %':16}" + "".join(f"{label:>9}" for label in (*LABELS, "all"))
+        yield _errors("scale-free", scale_free)
+        yield _errors("absolute", absolute)
+        for name, errors, std in (
+            ("scale-free", scale_free, np.array([row.scale_free_std for row in chosen])),
+            ("absolute", absolute, np.array([row.absolute_std for row in chosen])),
+        ):
+            inside = np.abs(errors) <= 2.0 * std
+            yield (
+                f"  {name}: stated std {root_mean_square(std):.2f} %, {100.0 * inside.mean():.1f} % "
+                f"of {inside.size} within 2 std"
+            )
+        yield (
+            f"  clutch ratio: RMS mu_C {root_mean_square(ratio[:, 0]):.2f} %"
+            f"  mu_S {root_mean_square(ratio[:, 1]):.2f} %"
+        )
+        for name, values, unit in (
+            ("torque gain", [row.gain for row in chosen], "%"),
+            ("inertia over gain", [row.inertia_over_gain for row in chosen], "%"),
+            ("torque latency", [row.torque_latency_ms for row in chosen], "ms"),
+            ("pressure latency", [row.pressure_latency_ms for row in chosen], "ms"),
+            ("torque offset", [row.offset_nm for row in chosen], "Nm"),
+        ):
+            yield f"  {name}: RMS {root_mean_square(np.array(values)):.2f} {unit}, bias {np.mean(values):+.2f} {unit}"
+        signs = [sign for row in chosen for sign in row.slope_signs]
+        yield f"  slope sign right in {sum(signs)} of {len(signs)} (coefficients that differ by {SLOPE_OF_INTEREST})"
+
+
+def _errors(name: str, errors: FloatArray) -> str:
+    figures = [root_mean_square(column) for column in errors.T] + [root_mean_square(errors)]
+    return f"  {name:16}" + "".join(f"{figure:9.2f}" for figure in figures)
+
+
+def main() -> int:
+    """Run the study and print its tables."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--vehicles", type=int, default=102)
+    parser.add_argument("--first-seed", type=int, default=FIRST_SEED)
+    parser.add_argument(
+        "--mismatch", action="store_true", help="vehicles whose films and linings are unlike the belief"
+    )
+    parser.add_argument("--jobs", type=int, default=2)
+    arguments = parser.parse_args()
+    seeds = range(arguments.first_seed, arguments.first_seed + arguments.vehicles)
+    vehicles = [draw(seed, has_mismatch=arguments.mismatch) for seed in seeds]
+    rows = over_drives(study, vehicles, arguments.jobs)
+    print(
+        f"self-calibration, {CYCLES} cycles, seeds {seeds[0]}..{seeds[-1]}"
+        + (", film, viscosity, w_S, K_c and touch point unlike the belief" if arguments.mismatch else "")
+    )
+    print("\n".join(report(rows)))
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
