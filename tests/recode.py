@@ -44,7 +44,8 @@ def drive_of(log: Path) -> dict[Signal, Series]:
 def recoded(drive: Drive, database: Database, profile: Profile) -> list[tuple[int, Message, bytes]]:
     """Return time, message and payload of all frames of a drive in the code of another vehicle, in order of time.
 
-    A message is sent when the first of its signals was sampled; signals that the profile does not map are zero.
+    A message is sent when the first of its signals was sampled; signals that the profile does not map are as near to
+    zero as they can be.
     """
     mapped, problems = fitting(database, profile)
     if problems and not profile.is_lenient:
@@ -86,7 +87,7 @@ def _frames(drive: Drive, mapped: MessageColumns, profile: Profile) -> Iterable[
         decoded = (_at(drive, column.signal, t_ns) - zero) / (one - zero)
         columns |= _corrected(message, source, decoded)
     names = list(columns)
-    base = {signal.name: 0.0 for signal in message.signals}
+    base = {signal.name: float(_on_steps(message, signal.name, np.zeros(1))[0]) for signal in message.signals}
     for row, values in zip(t_ns.tolist(), np.column_stack([columns[name] for name in names]).tolist(), strict=True):
         yield row, message, message.encode(base | dict(zip(names, values, strict=True)), strict=False)
 
