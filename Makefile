@@ -11,9 +11,10 @@ BROKER ?=
 VCAN_LIMIT_S ?= 600
 
 PY = "$(VENV)/bin/python"
-BENCHMARKS = $(filter-out accuracy corpus corpus_decode study operating_curve mismatch mismatch_rows single_shift self_calibration fleet_load fleet_chaos fleet_pause fleet_poison,$(basename $(notdir $(wildcard benchmarks/[a-z]*.py))))
+# The ones that print figures of speed and size; studies of accuracy have targets or commands of their own.
+BENCHMARKS = decode estimator fleet_ingest live_bus live_latency outbox plant readers service service_memory
 
-.PHONY: help setup setup-system demo fleet check static test warm test-host test-vcan bench accuracy reproduce operating-curve mismatch lock clean
+.PHONY: help setup setup-system demo fleet check static test warm test-host test-vcan bench accuracy reproduce operating-curve mismatch lock sbom clean
 
 help:
 	@echo "make setup         virtual environment in $(VENV) with the locked requirements and the project"
@@ -28,6 +29,7 @@ help:
 	@echo "make operating-curve  how often each verdict is given, against true slope and level; writes into docs"
 	@echo "make mismatch      bias, RMS and coverage where the vehicle differs from the belief; writes into docs"
 	@echo "make setup-system  the Debian packages that 'make test' needs (mosquitto, can-utils, ...)"
+	@echo "make sbom          the bill of materials of requirements.lock, as CycloneDX JSON"
 	@echo "make lock          resolve requirements.lock again; UPGRADE=1 for newer versions"
 	@echo "Variables: PYTHON=$(PYTHON) (3.11 or newer), VENV=$(VENV)"
 
@@ -61,6 +63,10 @@ $(VENV)/.project-installed: pyproject.toml $(VENV)/.requirements-installed
 
 setup-system:
 	@sh .ci/system-packages
+
+# What requirements.lock brings in, as CycloneDX JSON.
+sbom:
+	@"$(PYTHON)" .ci/sbom.py
 
 lock: setup
 	@$(PY) -m uv pip compile pyproject.toml --all-extras --generate-hashes --no-emit-index-url --universal \

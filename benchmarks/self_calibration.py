@@ -13,12 +13,12 @@ calibration of the whole routine, frozen, and compared.
 import argparse
 import sys
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
-from functools import partial
+from dataclasses import dataclass
 
 import numpy as np
 
-from benchmarks.accuracy import FLUIDS, to_batch
+from benchmarks.accuracy import to_batch
+from benchmarks.drawn_vehicle import CYCLES, Vehicle, draw
 from benchmarks.study import over_drives, root_mean_square
 from clutch_model.calibration import Calibration, nominal_calibration
 from dbc.contract import DBC_PATH
@@ -35,79 +35,13 @@ from diag_service.revs import RevFinder
 from diag_service.shifts import ShiftFinder
 from ecu_emulator.frames import EncodedFrames
 from ecu_emulator.recording import frames_of
-from ecu_emulator.scenario import Effects, FluidCondition, Routine, Scenario, Truth
-from ecu_emulator.scenario_file import load_scenario
+from ecu_emulator.scenario import Routine, Scenario
 
 FIRST_SEED = 20_000  # seeds below 10000 were looked at while priors were chosen
-CYCLES = 3
 REV_COUNT = 20
 FEW_REVS = 4
-SPEEDS = ("engine_speed_rad_s", "hub_speed_rad_s", "input1_speed_rad_s", "input2_speed_rad_s", "output_speed_rad_s")
 LABELS = ("mu_C 1", "mu_S 1", "mu_C 2", "mu_S 2")
 SLOPE_OF_INTEREST = 0.006
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Vehicle:
-    """One drawn vehicle; what it truly is."""
-
-    seed: int
-    fluid: FluidCondition
-    torque_gain: float
-    torque_offset_nm: float
-    inertia_ratio: float
-    shaft_inertia_ratio: float
-    area_ratios: tuple[float, float]
-    zeros_pa: tuple[float, float]
-    touches_pa: tuple[float, float]
-    torque_latency_s: float
-    pressure_latency_s: float
-    speed_latency_s: float
-    effects: Effects
-
-    def scenario(self, drive: int, routine: Routine) -> Scenario:
-        """Return one of its drives; noise and driver differ from drive to drive."""
-        base = load_scenario("noise_only")
-        sensors = {
-            name: replace(sensor, latency_s=self.speed_latency_s) if name in SPEEDS else sensor
-            for name, sensor in base.sensors.items()
-        }
-        sensors["engine_torque_nm"] = replace(
-            sensors["engine_torque_nm"],
-            gain_ratio=self.torque_gain,
-            offset=self.torque_offset_nm,
-            latency_s=self.torque_latency_s,
-        )
-        for m in range(2):
-            name = f"clutch{m + 1}_pressure_pa"
-            sensors[name] = replace(sensors[name], offset=self.zeros_pa[m], latency_s=self.pressure_latency_s)
-        return replace(
-            base,
-            seed=10 * self.seed + drive,
-            cycles=CYCLES,
-            fluid=replace(base.fluid, condition=self.fluid),
-            sensors=sensors,
-            effects=self.effects,
-            truth=Truth(calibration=self._overrides()),
-            routine=routine,
-        )
-
-    def _overrides(self) -> dict[str, object]:
-        nominal = nominal_calibration()
-        side = nominal.input_side
-        shafts = [value * (1.0 + self.shaft_inertia_ratio) for value in side.input_shaft_inertias_kg_m2]
-        overrides: dict[str, object] = {
-            "input_side.engine_inertia_kg_m2": side.engine_inertia_kg_m2 * (1.0 + self.inertia_ratio),
-            "input_side.input_shaft_inertias_kg_m2": shafts,
-        }
-        for m, clutch in enumerate(nominal.clutches):
-            area_m2 = clutch.geometry.piston_area_m2 * (1.0 + self.area_ratios[m])
-            preload_n = clutch.piston.spring_preload_n + self.touches_pa[m] * area_m2
-            overrides |= {
-                f"clutch{m + 1}.geometry.piston_area_m2": area_m2,
-                f"clutch{m + 1}.piston.spring_preload_n": preload_n,
-            }
-        return overrides
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -128,43 +62,6 @@ class Row:
     pressure_latency_ms: float = 0.0
     offset_nm: float = 0.0
     trend: tuple[float, ...] = ()  # of the same coefficient between two drives
-
-
-def draw(seed: int, *, has_mismatch: bool) -> Vehicle:
-    """Return the vehicle of a seed."""
-    rng = np.random.default_rng([seed, 2015])
-    normal = partial(rng.normal, 0.0)
-
-    def pair(std: float) -> tuple[float, float]:
-        return float(normal(std)), float(normal(std))
-
-    def factor(limit: float) -> float:
-        return float(np.exp(rng.uniform(-np.log(limit), np.log(limit))))
-
-    effects = Effects()
-    if has_mismatch:
-        effects = Effects(
-            film_mobility_ratio=factor(1.5),
-            viscosity_ratio=factor(1.2),
-            stribeck_speed_ratio=factor(1.25),
-            contact_stiffness_ratio=factor(1.25),
-            spring_force_n=float(rng.uniform(-15.0, 15.0)),
-        )
-    return Vehicle(
-        seed=seed,
-        fluid=FLUIDS[seed % len(FLUIDS)],
-        torque_gain=1.0 + float(normal(0.03)),
-        torque_offset_nm=float(normal(5.0)),
-        inertia_ratio=float(normal(0.03)),
-        shaft_inertia_ratio=float(normal(0.005)),
-        area_ratios=pair(0.01),
-        zeros_pa=pair(5.0e3),
-        touches_pa=pair(5.0e3),
-        torque_latency_s=float(rng.uniform(0.0, 0.040)),
-        pressure_latency_s=float(rng.uniform(0.0, 0.020)),
-        speed_latency_s=float(rng.uniform(0.0, 0.010)),
-        effects=effects,
-    )
 
 
 def study(vehicle: Vehicle) -> list[Row]:

@@ -47,7 +47,7 @@ from diag_service.sources import BusOpener, supervise
 from diag_service.stopping import Trigger
 from diag_service.store import ResultStore, Versions
 from diag_service.summary import frames_line
-from fleet_contract import Outgoing, metrics_message
+from fleet_contract import Outgoing, config_message, metrics_message
 
 _LOG = logging.getLogger(__name__)
 
@@ -83,7 +83,7 @@ def run_recorded(
     """Diagnose the logs of a drive."""
     meaning = interpret(config.dbc, config.profile)
     decoder = meaning.decoder()
-    logs = open_drive(paths)
+    logs = open_drive(paths, is_strict=config.is_strict)
     stream = stream_of([*(log.path for log in logs), *meaning.files])
     with closing(
         ResultStore.in_memory() if store_path is None else ResultStore.open(store_path, config.budget_bytes)
@@ -103,7 +103,8 @@ def run_paper_recorded(config: DiagnosisConfig, paths: list[Path], controls: Con
     decoder = interpret(config.dbc, config.profile).decoder()
     stages = Stages(decoder, config.calibration, Belief.fresh(config.calibration), ConditionMemory.fresh())
     collection = PaperCollection(config.calibration, nominal_driveline())
-    run_paper(open_drive(paths), stages, collection, sys.stdout if as_json else Console(), controls.stop)
+    logs = open_drive(paths, is_strict=config.is_strict)
+    run_paper(logs, stages, collection, sys.stdout if as_json else Console(), controls.stop)
 
 
 def run_calibrate(
@@ -217,8 +218,25 @@ def _outbox(config: DiagnosisConfig, store: ResultStore, *, is_live: bool) -> Ou
         _connect_now(connector),
         str(config.broker),
         acknowledge=config.acknowledge,
+        greetings=[_greeting(config, status)] if is_live else (),
         metrics=_metrics_of(config.vehicle, store) if is_live else None,
     )
+
+
+def _greeting(config: DiagnosisConfig, status: ServiceStatus) -> Outgoing:
+    """Return what a live service says of itself at birth; nothing secret is among it."""
+    settings: dict[str, str | float | bool | None] = {
+        "service_version": status.service_version,
+        "algorithm_version": status.algorithm_version,
+        "calibration_version": status.calibration_version,
+        "broker": str(config.broker),
+        "broker_is_encrypted": config.broker is not None and config.broker.tls is not None,
+        "acknowledge": config.acknowledge.value,
+        "store_budget_bytes": config.budget_bytes,
+        "dbc": str(config.dbc or "shipped"),
+        "profile": str(config.profile or "shipped"),
+    }
+    return config_message(config.vehicle, _utc_now(), settings)
 
 
 def _metrics_of(vehicle: str, store: ResultStore) -> MetricsMessage:

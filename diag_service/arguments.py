@@ -1,26 +1,16 @@
 """The words of the command line: which commands and options there are. Imports next to nothing."""
 
 import argparse
-import os
 from importlib.metadata import version
 from pathlib import Path
 from typing import NoReturn
 
+from diag_service.defaults import BROKER_VARIABLE
+
 PROGRAM = "diag-service"
-BROKER_VARIABLE = "CLUTCHDIAG_BROKER"  # keeps a password out of the process list
 
 EXIT_OK, EXIT_UNEXPECTED, EXIT_CONFIG, EXIT_SOURCE, EXIT_STORE = range(5)
 _EXIT_TEXT = "exit status: 0 done or stopped, 1 unexpected error, 2 usage, calibration or DBC, 3 bus or log, 4 store"
-_NO_DELIVERY = {
-    "broker": None,
-    "ca": None,
-    "cert": None,
-    "key": None,
-    "password_file": None,
-    "acknowledge": "broker",
-    "store_budget": None,
-}
-"""Options that commands without results do not have."""
 _FOLDERS = (
     "Logs that are named are one drive, put in order of time. A folder is many drives: every log in it, and in the "
     "folders below, is a drive of its own, judged for itself. With --output a folder that was left half-way, killed "
@@ -48,6 +38,7 @@ def build_parser() -> Parser:
     commands = parser.add_subparsers(dest="command", required=True, metavar="COMMAND", parser_class=Parser)
     _add_run(commands.add_parser("run", help="diagnose a live bus", epilog=_EXIT_TEXT))
     _add_monitor(commands.add_parser("monitor", help="show a live bus, store nothing", epilog=_EXIT_TEXT))
+    _add_config(commands.add_parser("config", help="look at the settings", epilog=_EXIT_TEXT))
     _add_analyze(
         commands.add_parser(
             "analyze", help="diagnose recorded logs, or folders of them", description=_FOLDERS, epilog=_EXIT_TEXT
@@ -77,19 +68,31 @@ def _add_monitor(monitor: argparse.ArgumentParser) -> None:
     _add_bus(monitor)
     _add_meaning(monitor)
     _add_verbosity(monitor)
-    monitor.set_defaults(**_NO_DELIVERY)
+    monitor.set_defaults(broker="", acknowledge="broker")  # it delivers nothing
 
 
 def _add_bus(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("-i", "--interface", help="python-can interface: socketcan, udp_multicast, ...")
     parser.add_argument("-c", "--channel", help="channel of the interface, such as vcan0")
     parser.add_argument("-b", "--bitrate", type=int, help="bit rate, for interfaces that set it [bit/s]")
-    parser.add_argument("--fd", action="store_true", help="open the interface in CAN FD mode")
-    parser.add_argument("--only-mapped", action="store_true", help="let the kernel discard other messages, uncounted")
+    parser.add_argument("--fd", action="store_true", default=None, help="open the interface in CAN FD mode")
+    parser.add_argument(
+        "--only-mapped", action="store_true", default=None, help="let the kernel discard other messages, uncounted"
+    )
     parser.add_argument("--duration", type=float, metavar="S", help="stop after this many seconds")
     parser.add_argument(
         "--metrics", metavar="[HOST:]PORT", help="serve /metrics, /livez and /readyz there (default: nowhere)"
     )
+
+
+def _add_config(settings: argparse.ArgumentParser) -> None:
+    check = settings.add_subparsers(dest="action", required=True, metavar="ACTION").add_parser(
+        "check", help="check the settings and print what a run would use, secrets masked", epilog=_EXIT_TEXT
+    )
+    _add_bus(check)
+    _add_meaning(check)
+    _add_diagnosis(check, "SQLite file for results")
+    _add_verbosity(check)
 
 
 def _add_analyze(analyze: argparse.ArgumentParser) -> None:
@@ -99,6 +102,11 @@ def _add_analyze(analyze: argparse.ArgumentParser) -> None:
         choices=("impulse", "paper"),
         default="impulse",
         help="impulse: the service's own; paper: the method of SAE 2015-01-1146, without uncertainty and verdict",
+    )
+    analyze.add_argument(
+        "--strict",
+        action="store_true",
+        help="stop at the first line or object that is no frame, jump of time or cut, and say where",
     )
     analyze.add_argument(
         "-o", "--output", type=Path, metavar="FILE", help="write the results to a .jsonl, .csv or .parquet file"
@@ -117,7 +125,7 @@ def _add_calibrate(calibrate: argparse.ArgumentParser) -> None:
     _add_meaning(calibrate)
     calibrate.add_argument("--json", action="store_true", help="JSON on standard output")
     _add_verbosity(calibrate)
-    calibrate.set_defaults(**_NO_DELIVERY)
+    calibrate.set_defaults(broker="", acknowledge="broker")  # likewise
 
 
 def _add_inspect(inspect: argparse.ArgumentParser) -> None:
@@ -164,14 +172,14 @@ def _add_meaning(parser: argparse.ArgumentParser) -> None:
         help="which DBC signals are which: TOML file or shipped name (default: the shipped one that fits the DBC)",
     )
     parser.add_argument("--calibration", type=Path, metavar="FILE", help="vehicle type (TOML; default: nominal)")
-    parser.add_argument("--vehicle", default="vehicle", metavar="ID", help="vehicle id (default: %(default)s)")
+    parser.add_argument("--vehicle", metavar="ID", help="vehicle id (default: vehicle)")
+    parser.add_argument("--config", type=Path, metavar="FILE", help="TOML file with settings, see 'config check'")
 
 
 def _add_diagnosis(parser: argparse.ArgumentParser, store_help: str) -> None:
     parser.add_argument("--store", type=Path, metavar="FILE", help=store_help)
     parser.add_argument(
         "--broker",
-        default=os.environ.get(BROKER_VARIABLE),
         metavar="URL",
         help=f"mqtt[s]://[user[:password]@]host[:port] (default: the environment's {BROKER_VARIABLE}, else none)",
     )
@@ -182,8 +190,7 @@ def _add_diagnosis(parser: argparse.ArgumentParser, store_help: str) -> None:
     parser.add_argument(
         "--acknowledge",
         choices=("broker", "backend"),
-        default="broker",
-        help="whose word lets the outbox forget a result; a backend gives it after its commit (default: %(default)s)",
+        help="whose word lets the outbox forget a result; a backend gives it after its commit (default: broker)",
     )
     parser.add_argument(
         "--store-budget",

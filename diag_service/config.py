@@ -35,6 +35,7 @@ class DiagnosisConfig:
     profile: Path | None
     calibration: Calibration
     broker: BrokerAddress | None
+    is_strict: bool = False  # of logs: stop at the first fault
     acknowledge: Acknowledge = Acknowledge.BROKER
     budget_bytes: int | None = None  # of the store; None: no limit
 

@@ -18,6 +18,8 @@ FD_FLAG = 0x04  # a CAN FD frame
 PAYLOAD_BYTES = 8  # of a classic frame
 FD_PAYLOAD_BYTES = 64  # of a CAN FD frame
 
+MAX_GAP_NS = 1_000_000_000  # a bus that was silent for longer starts a new segment
+
 Rows = slice | Int64Array | npt.NDArray[np.bool_]
 
 

@@ -14,14 +14,13 @@ from diag_service.decode import PayloadWords, payload_words
 from diag_service.e2e_state import E2eStates
 from diag_service.error_frames import BusError, tells
 from diag_service.errors import ConfigError
-from diag_service.frames import FrameBatch
+from diag_service.frames import MAX_GAP_NS, FrameBatch
 from diag_service.profile import Conversion, Profile, SignalSource, to_si
 from diag_service.protection_check import FrameReason, FrameVerdicts, LinkMonitor
 from diag_service.records import ColumnBatch, E2eState, GearRatios, Int64Array, Series, Signal
 from diag_service.source_tables import SourceTable, compile_source, find_message, signal_name
 from diag_service.tiers import MANDATORY
 
-MAX_GAP_NS: Final = 1_000_000_000  # a bus that was silent for longer starts a new segment
 NS_PER_MS: Final = 1_000_000
 NS_PER_S: Final = 1_000_000_000
 

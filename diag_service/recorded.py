@@ -14,7 +14,7 @@ from diag_service.frames import FrameBatch
 from diag_service.pipeline import Session, Stages
 from diag_service.publishers import Outbox
 from diag_service.records import ShiftEvent
-from diag_service.sources import LogReader, read_log
+from diag_service.sources import LogReader, merged_by_time, read_log
 from diag_service.stopping import Trigger
 from diag_service.summary import FrameCounts, Summary
 from diag_service.tasks import first_error
@@ -32,26 +32,37 @@ class OpenLog:
     first: FrameBatch
 
 
-def open_drive(paths: Iterable[Path]) -> list[OpenLog]:
+def open_drive(paths: Iterable[Path], *, is_strict: bool = False) -> list[OpenLog]:
     """Open the logs of a drive; the one with the earliest first frame comes first.
 
     Raises
     ------
     ConfigError
-        If a log is named twice.
+        If a log is named twice, or two hold the same.
     SourceError
-        If a log cannot be read or holds no frame.
+        If a log cannot be read or holds no frame; of a strict one also if anything is wrong with it.
     """
+    paths = list(paths)
+    _check_distinct(paths)
     logs: list[OpenLog] = []
     for path in paths:
-        if any(path.resolve() == log.path.resolve() for log in logs):
-            raise ConfigError(f"{path} is given twice")
-        reader = read_log(path)
+        reader = read_log(path, is_strict=is_strict)
         first = next(reader, None)
         if first is None or not len(first):
             raise SourceError(f"{path} holds no frame that can be read")
         logs.append(OpenLog(path=path, reader=reader, first=first))
     return sorted(logs, key=lambda log: int(log.first.t_ns[0]))
+
+
+def _check_distinct(paths: Sequence[Path]) -> None:
+    """Raise ``ConfigError`` where a recording is there twice; what is no file, its reader complains of."""
+    files = [path for path in paths if path.is_file()]
+    for number, path in enumerate(files):
+        for other in files[:number]:
+            if path.samefile(other):
+                raise ConfigError(f"{path} is given twice")
+            if path.stat().st_size == other.stat().st_size and stream_of([path]) == stream_of([other]):
+                raise ConfigError(f"{path} and {other} are the same recording")
 
 
 def stream_of(paths: Iterable[Path]) -> str:
@@ -103,12 +114,11 @@ def _analyse(logs: Sequence[OpenLog], session: Session, stop: Trigger, tell_outb
 
 
 def events(logs: Sequence[OpenLog], stages: Stages, stop: Trigger) -> Iterator[ShiftEvent]:
-    """Yield the shifts of a drive, until it is told to stop."""
-    for log in logs:
-        for batch in chain((log.first,), log.reader):
-            if stop.is_set:
-                return
-            yield from stages.segment(batch)
+    """Yield the shifts of a drive, until it is told to stop; logs that overlap are merged by time."""
+    for batch in merged_by_time([chain((log.first,), log.reader) for log in logs]):
+        if stop.is_set:
+            return
+        yield from stages.segment(batch)
     yield from stages.flush()
 
 
@@ -129,5 +139,13 @@ def warn_of_damage(logs: Sequence[OpenLog]) -> None:
         if counts.first_rejected:
             total = sum(counts.rejected.values())
             _LOG.warning("%s: %d pieces are no frames, the first: %s", log.path, total, counts.first_rejected)
+        if counts.first_jump:
+            jumps = counts.jumps_back + counts.jumps_ahead
+            _LOG.warning("%s: %d jumps of time, %d of them back, the first: %s", log.path, jumps, counts.jumps_back,
+                         counts.first_jump)  # fmt: skip
+        if counts.repeated:
+            _LOG.warning("%s: %d frames are there twice", log.path, counts.repeated)
         if counts.truncated:
             _LOG.warning("%s ends before its own end", log.path)
+        elif counts.unfinished:
+            _LOG.warning("%s was not closed by its writer; what is missing at its end cannot be told", log.path)

@@ -113,6 +113,9 @@ def _fail(text: str, status: int, *, verbose: bool) -> int:
     return status
 
 
+_FORMATS = ("candump", "blf", "asc", "mf4", "trc", "csv", "gvret")
+
+
 class _Parser(argparse.ArgumentParser):
     """A parser whose errors are one clear line, whatever the subcommand."""
 
@@ -145,7 +148,7 @@ def _add_run(parser: argparse.ArgumentParser) -> None:
 
 def _add_record(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("file", type=Path, metavar="FILE", help="log to write")
-    parser.add_argument("--format", choices=("candump", "blf", "asc", "mf4"), help="default: by the file's suffix")
+    parser.add_argument("--format", choices=_FORMATS, help="default: by the file's suffix")
     parser.add_argument(
         "--start-time", type=_instant_ns, default=DEFAULT_START, metavar="ISO", help=f"default: {DEFAULT_START}"
     )

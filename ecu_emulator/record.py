@@ -1,4 +1,4 @@
-"""Frames into log files, faster than real time: candump, BLF, ASC or MF4, whole or not at all."""
+"""Frames into log files, faster than real time: candump, BLF, ASC, MF4, TRC or CSV, whole or not at all."""
 
 import os
 from collections.abc import Mapping
@@ -12,7 +12,17 @@ import numpy as np
 
 from ecu_emulator.errors import RecordError
 from ecu_emulator.frames import EncodedFrames
-from ecu_emulator.log_formats import AscWriter, BlfWriter, CandumpWriter, FrameWriter, Header, Mf4Writer
+from ecu_emulator.log_formats import (
+    AscWriter,
+    BlfWriter,
+    CandumpWriter,
+    CsvWriter,
+    FrameWriter,
+    GvretWriter,
+    Header,
+    Mf4Writer,
+    TrcWriter,
+)
 from ecu_emulator.log_formats.base import ERROR_FLAG
 
 DEFAULT_START_NS: Final = 1_767_225_600_000_000_000  # 2026-01-01T00:00:00Z
@@ -28,13 +38,18 @@ class LogFormat(StrEnum):
     BLF = "blf"
     ASC = "asc"
     MF4 = "mf4"
+    TRC = "trc"
+    CSV = "csv"
+    GVRET = "gvret"
 
 
 FORMAT_OF_SUFFIX: Final[Mapping[str, LogFormat]] = MappingProxyType({
     ".log": LogFormat.CANDUMP, ".blf": LogFormat.BLF, ".asc": LogFormat.ASC, ".mf4": LogFormat.MF4,
+    ".trc": LogFormat.TRC, ".gvret.csv": LogFormat.GVRET, ".csv": LogFormat.CSV,
 })  # fmt: skip
 _WRITERS: Final[Mapping[LogFormat, type[FrameWriter]]] = MappingProxyType({
     LogFormat.CANDUMP: CandumpWriter, LogFormat.BLF: BlfWriter, LogFormat.ASC: AscWriter, LogFormat.MF4: Mf4Writer,
+    LogFormat.TRC: TrcWriter, LogFormat.CSV: CsvWriter, LogFormat.GVRET: GvretWriter,
 })  # fmt: skip
 
 
@@ -128,7 +143,7 @@ def open_log(
     RecordError
         If the format is not known, asammdf is missing for MF4, or the file cannot be created.
     """
-    if log_format is None and (log_format := FORMAT_OF_SUFFIX.get(path.suffix.lower())) is None:
+    if log_format is None and (log_format := format_of(path)) is None:
         known = ", ".join(f"{suffix} ({name})" for suffix, name in FORMAT_OF_SUFFIX.items())
         raise RecordError(f"{path}: no log format has the suffix {path.suffix!r}; there are {known}")
     if not 0 <= start_ns <= LAST_START_NS:
@@ -138,3 +153,9 @@ def open_log(
     if path.exists() and not path.is_file():
         raise RecordError(f"cannot write {path}: not a regular file")
     return LogFile(path, log_format, Header(start_us=start_ns // NS_PER_US, channel=channel))
+
+
+def format_of(path: Path) -> LogFormat | None:
+    """Return the format that the end of a file's name speaks of."""
+    name = path.name.lower()
+    return next((found for suffix, found in FORMAT_OF_SUFFIX.items() if name.endswith(suffix)), None)

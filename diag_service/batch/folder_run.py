@@ -103,7 +103,7 @@ def settings_digest(config: DiagnosisConfig) -> str:
     """Return a digest of all that decides about results besides the logs: their files and the versions."""
     versions = versions_for(config.calibration, calibration_digest(config.calibration))
     files = stream_of(interpret(config.dbc, config.profile).files)
-    parts = (config.vehicle, versions.algorithm, versions.calibration, files)
+    parts = (config.vehicle, versions.algorithm, versions.calibration, files, str(config.is_strict))
     return hashlib.sha256("\0".join(parts).encode()).hexdigest()
 
 

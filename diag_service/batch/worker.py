@@ -52,7 +52,7 @@ class Analyst:
 
     def _run(self, drive: Drive) -> tuple[str, MemoryReporter]:
         calibration = self.config.calibration
-        logs = open_drive(drive.paths)
+        logs = open_drive(drive.paths, is_strict=self.config.is_strict)
         stream = stream_of([*(log.path for log in logs), *self._meaning.files])
         stages = Stages(self._meaning.decoder(), calibration, Belief.fresh(calibration), ConditionMemory.fresh())
         reporter = MemoryReporter()

@@ -10,14 +10,15 @@ from diag_service.stopping import Trigger
 
 def execute(options: argparse.Namespace, stop: Trigger, counts_wanted: Trigger) -> None:
     """Diagnose what was named."""
+    is_stored = options.store is not None  # by the command line: settings of other runs do not matter to folders
     diagnosis = diagnosis_config(options)
     controls = application.Controls(stop=stop, counts_wanted=counts_wanted)
     is_paper = options.estimator == config.EstimatorKind.PAPER
     if options.output is not None or any(path.is_dir() for path in options.logs):
-        if is_paper or options.store is not None or diagnosis.broker is not None:
+        if is_paper or is_stored:
             raise ConfigError(
-                "folders and --output take neither --store nor --broker nor --estimator paper: every drive in them is "
-                "judged for itself, and a store keeps the state of one vehicle"
+                "folders and --output take neither --store nor --estimator paper: every drive in them is judged for "
+                "itself, and a store keeps the state of one vehicle"
             )
         from diag_service.batch import folder_run  # noqa: PLC0415 - one drive needs none of it
 

@@ -4,11 +4,13 @@ import argparse
 
 from diag_service import config
 from diag_service.errors import ConfigError
+from diag_service.options import fill_in
 from diag_service.publishers import Acknowledge, BrokerAddress, TlsFiles
 
 
 def diagnosis_config(options: argparse.Namespace) -> config.DiagnosisConfig:
-    """Return how frames become results; raises ConfigError or CalibrationError."""
+    """Return how frames become results, open options filled in; raises ConfigError or CalibrationError."""
+    fill_in(options)
     return config.DiagnosisConfig(
         vehicle=config.check_vehicle(options.vehicle),
         dbc=options.dbc,
@@ -17,6 +19,7 @@ def diagnosis_config(options: argparse.Namespace) -> config.DiagnosisConfig:
         broker=_broker(options),
         acknowledge=Acknowledge(options.acknowledge),
         budget_bytes=None if options.store_budget is None else options.store_budget << 20,
+        is_strict=options.command == "analyze" and options.strict,
     )
 
 
@@ -37,6 +40,6 @@ def _broker(options: argparse.Namespace) -> BrokerAddress | None:
     tls = TlsFiles(authority=options.ca, certificate=options.cert, key=options.key)
     if options.broker:
         return config.parse_broker(options.broker, tls, options.password_file)
-    if tls != TlsFiles() or options.password_file is not None:
+    if options.command not in {"calibrate", "monitor"} and (tls != TlsFiles() or options.password_file is not None):
         raise ConfigError("certificates and passwords need a broker")
     return None

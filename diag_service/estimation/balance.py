@@ -12,8 +12,7 @@ holds without differentiating a speed (integration by parts). Every term is line
 of its noise is exact; the contact torques T_C,m are linear in the friction coefficients.
 """
 
-from dataclasses import dataclass, replace
-from functools import lru_cache
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -21,16 +20,17 @@ from clutch_model.calibration import Calibration, ClutchCalibration, FrictionCur
 from clutch_model.knowledge import SensorBias
 from diag_service.estimation.belief import Measurement
 from diag_service.estimation.film_track import FilmTrack, PressureDrive, follow_film
+from diag_service.estimation.nudges import AREA, COMMON, OFFSET, Nudge
 from diag_service.estimation.parameters import Considered, State, friction_rows
 from diag_service.estimation.sampling import GRID_S
 from diag_service.estimation.signals import ShiftSignals
+from diag_service.estimation.weights import SLIP_DEGREE, sines, smoothed
 from diag_service.estimation.window import SlipWindow
 from diag_service.records import BoolArray, FloatArray
 
 MAX_MOMENT_COUNT = 16  # beyond it the quadrature, not the noise, limits
 SAMPLES_PER_MOMENT = 3
 MIN_EXCESS = 0.05  # keeps exponents below one finite at zero slip
-SLIP_DEGREE = 5  # a shift controller's slip profile: smooth start, smooth end
 SIGN_WIDTH_RAD_S = 0.5  # near lock the sign of the slip fades with it, and so does its noise
 
 
@@ -44,100 +44,6 @@ class ClutchMoments:
     def impulse(self, mu: FloatArray) -> FloatArray:
         """Return the weighted torque impulses [N m s], shape (k,), for ``mu = (mu_c, mu_s)``."""
         return self.viscous + self.by_friction @ mu
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Weights:
-    """Sines that vanish at both ends of the window, and their derivatives, times the grid step."""
-
-    value: FloatArray  # (k, len(grid))
-    rate: FloatArray  # (k, len(grid))
-
-
-def sines(grid_s: FloatArray, window: SlipWindow, count: int) -> Weights:
-    """Return ``count`` sine test functions on the window; zero outside."""
-    value = np.zeros((count, len(grid_s)))
-    rate = np.zeros_like(value)
-    inside = slice(window.first, window.stop)
-    start_s, length_s = grid_s[window.first], grid_s[window.stop - 1] - grid_s[window.first]
-    order = np.arange(1, count + 1)[:, None]
-    angle = order * np.pi * (grid_s[inside] - start_s) / length_s
-    value[:, inside] = np.sin(angle) * GRID_S
-    rate[:, inside] = np.cos(angle) * order * np.pi / length_s * GRID_S
-    rate[:, [window.first, window.stop - 1]] *= 0.5  # trapezoid
-    return Weights(value=value, rate=rate)
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Nudge:
-    """A change of what moves the films or of how they answer, for derivatives."""
-
-    pressure_pa: float = 0.0
-    area_ratio: float = 0.0
-    latency_s: float = 0.0
-    viscosity_ratio: float = 0.0
-    stribeck_speed_ratio: float = 0.0
-    contact_stiffness_ratio: float = 0.0
-
-    def of_drive(self, drive: PressureDrive, grid_s: FloatArray) -> PressureDrive:
-        """Return the changed drive of a film."""
-        earlier_pa = np.interp(grid_s + self.latency_s, grid_s, drive.piston_pa)
-        return replace(drive, piston_pa=(earlier_pa + self.pressure_pa) * (1.0 + self.area_ratio))
-
-    def of_calibration(self, calibration: Calibration) -> Calibration:
-        """Return the changed belief."""
-        oil = calibration.viscosity
-        first, second = (
-            replace(
-                clutch,
-                friction=replace(
-                    clutch.friction,
-                    stribeck_speed_rad_s=clutch.friction.stribeck_speed_rad_s * (1.0 + self.stribeck_speed_ratio),
-                ),
-                film=replace(
-                    clutch.film,
-                    contact_stiffness_pa=clutch.film.contact_stiffness_pa * (1.0 + self.contact_stiffness_ratio),
-                ),
-            )
-            for clutch in calibration.clutches
-        )
-        return replace(
-            calibration,
-            viscosity=replace(oil, a_pa_s=oil.a_pa_s * (1.0 + self.viscosity_ratio)),
-            clutches=(first, second),
-        )
-
-
-OFFSET = Nudge(pressure_pa=2.0e3)
-COMMON = {
-    Considered.VISCOSITY: (Nudge(viscosity_ratio=0.05), 0.05),
-    Considered.PRESSURE_LATENCY: (Nudge(latency_s=1e-3), 1e-3),
-    Considered.STRIBECK_SPEED: (Nudge(stribeck_speed_ratio=0.05), 0.05),
-    Considered.CONTACT_STIFFNESS: (Nudge(contact_stiffness_ratio=0.05), 0.05),
-}
-"""What both clutches share: the change, and its size."""
-AREA = (Nudge(area_ratio=0.01), 0.01)
-
-
-def smoothed(values: FloatArray, window: SlipWindow, degree: int) -> FloatArray:
-    """Return the values, shape (..., len(grid)), with a polynomial fit in place of those inside the window.
-
-    Fitting is symmetric: weights smoothed and values as they are give the same sums as weights as they are and values
-    smoothed, as long as the weights vanish outside the window.
-    """
-    inside = slice(window.first, window.stop)
-    basis = _polynomials(window.stop - window.first, degree)
-    smooth = values.copy()
-    smooth[..., inside] = (values[..., inside] @ basis) @ basis.T
-    return smooth
-
-
-@lru_cache(maxsize=256)
-def _polynomials(count: int, degree: int) -> FloatArray:
-    """Return an orthonormal basis of the polynomials on ``count`` even points, shape (count, degree + 1)."""
-    powers = np.polynomial.chebyshev.chebvander(np.linspace(-1.0, 1.0, count), degree)
-    basis, _ = np.linalg.qr(powers)
-    return basis
 
 
 class Balance:

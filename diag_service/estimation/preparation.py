@@ -6,12 +6,12 @@ from dataclasses import replace
 import numpy as np
 
 from clutch_model.calibration import Calibration
-from diag_service.estimation.balance import SLIP_DEGREE, smoothed
 from diag_service.estimation.belief import Belief, Measurement
 from diag_service.estimation.film_track import PressureDrive
 from diag_service.estimation.parameters import Considered, State
 from diag_service.estimation.sampling import NS_TO_S
 from diag_service.estimation.signals import ShiftSignals
+from diag_service.estimation.weights import SLIP_DEGREE, smoothed
 from diag_service.estimation.window import SlipWindow, find_window
 from diag_service.records import ShiftEvent
 

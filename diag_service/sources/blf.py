@@ -14,7 +14,8 @@ from typing import BinaryIO
 
 from diag_service.errors import SourceError
 from diag_service.frames import FrameBatch
-from diag_service.sources.blf_objects import OBJECT_HEADER, OBJECT_MAGIC, ObjectStream
+from diag_service.sources.blf_objects import LONGEST_PADDING, OBJECT_HEADER, OBJECT_MAGIC, ObjectStream
+from diag_service.sources.columns import join
 from diag_service.sources.tally import LogReject, Tally
 
 MAGIC = b"LOGG"
@@ -22,17 +23,17 @@ FILE_HEADER = struct.Struct("<4sL8BQQLL8H8H")
 FILE_SIZE_FIELD = 10
 START_FIELDS = slice(14, 22)  # SYSTEMTIME: year, month, day of week, day, hour, minute, second, millisecond
 CONTAINER_HEADER = struct.Struct("<H6xL4x")  # compression, inflated size
+FRAMES_PER_BATCH = 65_536
 LOG_CONTAINER = 10
+CONTAINER_OBJECT_BYTES = 16  # of the header of a container; all others have longer ones
 STORED, DEFLATED = 0, 2
-LONGEST_PADDING = 8
 MAX_CONTAINER_BYTES = 64 * 1024 * 1024  # writers use 128 KiB
-INFLATE_STEP_BYTES = 16 * 1024
 SEARCH_BYTES = 1024 * 1024
 US_PER_S = 1_000_000
 
 
 def read_blf(stream: BinaryIO, tally: Tally) -> Iterator[FrameBatch]:
-    """Yield the frames of a BLF file, one batch for each container.
+    """Yield the frames of a BLF file, one batch for several containers.
 
     Raises
     ------
@@ -49,14 +50,24 @@ def read_blf(stream: BinaryIO, tally: Tally) -> Iterator[FrameBatch]:
     stated_bytes = int(fields[FILE_SIZE_FIELD])
     tally.truncated = size_bytes < stated_bytes or stated_bytes <= header_bytes < size_bytes
     objects = ObjectStream(start_us(fields[START_FIELDS]), tally)
+    waiting: list[FrameBatch] = []
     for data, is_whole in containers(stream, header_bytes, size_bytes, tally):
-        batch = objects.feed(data)
+        waiting.append(objects.feed(data))
         if not is_whole:
             objects.lose_track()
-        if len(batch):
-            tally.frames += len(batch)
-            yield batch
+        if sum(map(len, waiting)) >= FRAMES_PER_BATCH:
+            yield _counted(waiting, tally)
+            waiting = []
     objects.finish()
+    if any(map(len, waiting)):
+        yield _counted(waiting, tally)
+
+
+def _counted(batches: list[FrameBatch], tally: Tally) -> FrameBatch:
+    """Return the frames of several containers: what works on columns wants long ones."""
+    batch = join(batches)
+    tally.frames += len(batch)
+    return batch
 
 
 def start_us(systemtime: tuple[int, ...]) -> int:
@@ -82,21 +93,24 @@ def containers(stream: BinaryIO, position: int, size_bytes: int, tally: Tally) -
             tally.truncated = True
             tally.reject(LogReject.CUT_OFF, f"byte {position}")
             return
-        _, _, _, object_bytes, object_type = OBJECT_HEADER.unpack(header)
+        _, header_bytes, _, object_bytes, object_type = OBJECT_HEADER.unpack(header)
         if not OBJECT_HEADER.size <= object_bytes <= MAX_CONTAINER_BYTES:
             tally.reject(LogReject.DAMAGED, f"byte {position}")
             position, is_lost = position + len(OBJECT_MAGIC), True
             continue
         body = stream.read(object_bytes - OBJECT_HEADER.size)
         is_whole = len(body) == object_bytes - OBJECT_HEADER.size
-        if object_type == LOG_CONTAINER:
+        # A container whose type or header size is damaged still inflates to what its checksum says.
+        is_container = object_type == LOG_CONTAINER or header_bytes == CONTAINER_OBJECT_BYTES
+        is_sound = (object_type == LOG_CONTAINER) == (header_bytes == CONTAINER_OBJECT_BYTES)
+        if is_container:
             contents = inflate(body, is_whole=is_whole)
         else:
             contents = Contents(header + body, is_sound=True, used_bytes=len(body))
         if not is_whole:
             tally.truncated = True
             tally.reject(LogReject.CUT_OFF, f"byte {position}")
-        elif not contents.is_sound:
+        elif not (contents.is_sound and is_sound):
             tally.reject(LogReject.DAMAGED, f"byte {position}")
         # Nor is the size of a damaged container to be trusted: look for the next one inside it.
         is_lost = not (is_whole and contents.is_sound)
@@ -150,26 +164,12 @@ def inflate(body: bytes, *, is_whole: bool) -> Contents:
     if method != DEFLATED:
         return NOTHING
     inflater = zlib.decompressobj()
-    data = bounded_inflate(inflater, payload)
-    if data is None or (is_whole and not inflater.eof):  # without its end the checksum was not compared
+    try:
+        data = inflater.decompress(payload, MAX_CONTAINER_BYTES)
+    except zlib.error:
+        return NOTHING
+    # Without its end the checksum was not compared, or there is too much of it to be a container.
+    if not inflater.eof and (is_whole or inflater.unconsumed_tail):
         return NOTHING
     foreign_bytes = len(inflater.unused_data)
     return Contents(data, inflater.eof and foreign_bytes <= LONGEST_PADDING, len(body) - foreign_bytes)
-
-
-def bounded_inflate(inflater: "zlib._Decompress", payload: bytes) -> bytes | None:
-    """Return the inflated bytes, None if they are damaged or too many to be a container."""
-    pieces, total_bytes = list[bytes](), 0
-    for first in range(0, len(payload), INFLATE_STEP_BYTES):
-        try:
-            pieces.append(inflater.decompress(payload[first : first + INFLATE_STEP_BYTES]))
-        except zlib.error:
-            return None
-        total_bytes += len(pieces[-1])
-        if total_bytes > MAX_CONTAINER_BYTES:
-            return None
-        if inflater.eof:
-            # What follows is not this stream's; keep it in sight of ``unused_data``.
-            inflater.decompress(payload[first + INFLATE_STEP_BYTES :])
-            break
-    return b"".join(pieces)

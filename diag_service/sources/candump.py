@@ -1,23 +1,45 @@
-"""candump logs (``candump -l``): ``(1767225600.000000) vcan0 0A0#1122334455667788`` to columns.
+"""candump logs (``candump -l``): ``(1767225600.000000) vcan0 0A0#1122334455667788``, FD frames with ``##``, to columns.
 
 Times keep the whole microseconds that candump writes; further digits are cut off. Lines that do not follow the grammar
 are counted with the number of the first one, and reading goes on.
 """
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import BinaryIO
 
 import numpy as np
 
-from clutch_model.jit import kernel
-from diag_service.frames import EXTENDED_FLAG, PAYLOAD_BYTES, REMOTE_FLAG, FrameBatch
+from clutch_model.jit import array_kernel
+from diag_service.frames import EXTENDED_FLAG, FD_FLAG, FD_PAYLOAD_BYTES, PAYLOAD_BYTES, REMOTE_FLAG, FrameBatch
 from diag_service.records import Int64Array, UInt8Array, UInt32Array
+from diag_service.sources.arena import BLOCK_BYTES, MAX_LINE_BYTES, Arena, lines_of
+from diag_service.sources.channels import ChannelNames
 from diag_service.sources.tally import LogReject, Tally
+from diag_service.sources.text_kernels import (
+    AT_END,
+    BLANK,
+    DECIMAL_PAIR,
+    FRAME,
+    HEX_VALUE,
+    IS_LENGTH,
+    LINES,
+    MALFORMED,
+    NEW_CHANNEL,
+    NEWLINE,
+    POSITION,
+    ROWS,
+    SKIPPED,
+    STOP,
+    WIDEN,
+    count_lines,
+    eight_hex_bytes,
+    hex_bytes,
+    skip_blanks,
+    skip_line,
+)
 
-BLOCK_BYTES = 2 * 1024 * 1024
 MIN_LINE_BYTES = 10  # "(0.0) c 1#" is the shortest line with a frame
-MAX_LINE_BYTES = 4096  # whatever is longer is not text
 STANDARD_DIGITS = 3
 EXTENDED_DIGITS = 8
 ERROR_OR_ABOVE = 0x2000_0000  # written with eight digits, yet not an extended identifier
@@ -26,254 +48,291 @@ MAX_SECONDS_DIGITS = 10
 NS_DIGITS = 9
 NS_PER_S = 1_000_000_000
 NS_PER_US = 1_000
+FD_DIGIT_BITS = 0x03  # of the digit behind "##": bit rate switch and error state, as in ``flags``
 
-# Outcomes of one line, in the order of the kernel's counters.
-FRAME, BLANK, MALFORMED, CAN_FD = range(4)
+USUAL_TIME_BYTES = 19  # "(1767225600.000000)"
 
-
-@dataclass(slots=True, kw_only=True)
-class _Arena:
-    """Arrays the kernel fills, reused for every block."""
-
-    t_ns: Int64Array
-    can_id: UInt32Array
-    length: UInt8Array
-    data: UInt8Array
-    outcomes: Int64Array  # lines by outcome, in this block
-    first: Int64Array  # number of the first line with that outcome, in this block
+# Characters of the grammar.
+OPEN, CLOSE, POINT, HASH, UNDERSCORE = 40, 41, 46, 35, 95
 
 
 def read_candump(stream: BinaryIO, tally: Tally) -> Iterator[FrameBatch]:
     """Yield the frames of a candump log, one batch for each 2 MiB of text."""
-    arena = _new_arena()
-    rest, lines = b"", 0
-    while block := stream.read(BLOCK_BYTES):
-        whole, newline, tail = (rest + block).rpartition(b"\n")
-        if not newline and len(tail) > MAX_LINE_BYTES:
-            tally.reject(LogReject.MALFORMED, f"line {lines + 1}")
-            tail = tail[-MAX_LINE_BYTES:]
-        rest = tail
-        if newline:
-            yield from _parse(whole + newline, lines, arena, tally)
-            lines += whole.count(b"\n") + 1
-    if rest.strip():
-        yield from _parse_last(rest, lines, arena, tally)
+    parser = _Parser(tally)
+    for lines in lines_of(stream):
+        batch = parser.parse(lines.text) if lines.is_terminated else parser.parse_last(lines.text)
+        if len(batch):
+            tally.frames += len(batch)
+            yield batch
 
 
 def holds_candump(text: bytes) -> bool:
     """Return whether any line of a piece of text holds a frame in candump's grammar."""
-    arena = _new_arena(len(text) // MIN_LINE_BYTES + 2)
-    tally = Tally()
-    batches = list(_parse(text + b"\n", 0, arena, tally))
-    return bool(batches) or LogReject.CAN_FD in tally.snapshot().rejected
+    return len(_Parser(Tally()).parse(np.frombuffer(text + b"\n", np.uint8))) > 0
 
 
-def _parse(text: bytes, lines_before: int, arena: _Arena, tally: Tally) -> Iterator[FrameBatch]:
-    """Yield the frames of whole lines as one batch; count what is not a frame."""
-    _parse_lines(
-        np.frombuffer(text, np.uint8), len(text), arena.t_ns, arena.can_id, arena.length, arena.data, arena.outcomes,
-        arena.first,
-    )  # fmt: skip
-    tally.skipped += int(arena.outcomes[BLANK])
-    for outcome, reason in ((MALFORMED, LogReject.MALFORMED), (CAN_FD, LogReject.CAN_FD)):
-        place = f"line {lines_before + int(arena.first[outcome])}"
-        tally.reject(reason, place, int(arena.outcomes[outcome]))
-    count = int(arena.outcomes[FRAME])
-    if count:
-        tally.frames += count
-        yield FrameBatch(
-            t_ns=arena.t_ns[:count].copy(),
-            can_id=arena.can_id[:count].copy(),
-            length=arena.length[:count].copy(),
-            data=arena.data[:count].copy(),
-        )
+@dataclass(slots=True)
+class _Parser:
+    """What is remembered from block to block."""
 
+    tally: Tally
+    arena: Arena = field(default_factory=lambda: Arena.of((BLOCK_BYTES + MAX_LINE_BYTES) // MIN_LINE_BYTES + 1))
+    channels: ChannelNames = field(default_factory=ChannelNames)
+    lines: int = 0
+    report: Int64Array = field(default_factory=lambda: np.zeros(4, np.int64))
+    outcomes: Int64Array = field(default_factory=lambda: np.zeros(3, np.int64))
+    first: Int64Array = field(default_factory=lambda: np.zeros(3, np.int64))
 
-def _parse_last(line: bytes, lines_before: int, arena: _Arena, tally: Tally) -> Iterator[FrameBatch]:
-    """Yield the frame of a last line without its end, if no byte of it can be missing."""
-    probe = Tally()
-    batches = list(_parse(line + b"\n", lines_before, arena, probe))
-    if batches and batches[0].length[0] == PAYLOAD_BYTES:
-        tally.frames += 1
-        yield batches[0]
-    else:
+    def parse(self, text: UInt8Array) -> FrameBatch:
+        """Return the frames of whole lines; count what is not a frame."""
+        arena, channels = self.arena, self.channels
+        self.report[:] = 0
+        self.outcomes[:] = 0
+        while self.report[POSITION] < len(text):
+            _parse_lines(
+                text, arena.t_ns, arena.can_id, arena.length, arena.flags, arena.channel, arena.data,
+                channels.hashes, channels.numbers, len(channels), self.report, self.outcomes, self.first,
+            )  # fmt: skip
+            if self.report[STOP] == WIDEN:
+                arena.widen(int(self.report[ROWS]))
+            elif self.report[STOP] == NEW_CHANNEL:
+                channels.add(_channel_name(text, int(self.report[POSITION])))
+        self.tally.skipped += int(self.outcomes[SKIPPED])
+        place = f"line {self.lines + int(self.first[MALFORMED])}"
+        self.tally.reject(LogReject.MALFORMED, place, int(self.outcomes[MALFORMED]))
+        self.lines += int(self.report[LINES])
+        return arena.batch(int(self.report[ROWS]))
+
+    def parse_last(self, text: UInt8Array) -> FrameBatch:
+        """Return the frame of a last line without its end, if no byte of it can be missing."""
+        place, tally, self.tally = f"line {self.lines + 1}", self.tally, Tally()
+        batch = self.parse(text)
+        if len(batch) and batch.length[0] in {PAYLOAD_BYTES, FD_PAYLOAD_BYTES}:
+            return batch
         tally.truncated = True
-        tally.reject(LogReject.CUT_OFF, f"line {lines_before + 1}")
+        tally.reject(LogReject.CUT_OFF, place)
+        return batch[:0]
 
 
-def _new_arena(lines: int = (BLOCK_BYTES + MAX_LINE_BYTES) // MIN_LINE_BYTES + 1) -> _Arena:
-    return _Arena(
-        t_ns=np.empty(lines, np.int64),
-        can_id=np.empty(lines, np.uint32),
-        length=np.empty(lines, np.uint8),
-        data=np.empty((lines, PAYLOAD_BYTES), np.uint8),
-        outcomes=np.zeros(4, np.int64),
-        first=np.zeros(4, np.int64),
-    )
+def _channel_name(text: UInt8Array, line: int) -> bytes:
+    """Return the interface's name in a line that holds a frame."""
+    return text[line : line + MAX_LINE_BYTES].tobytes().partition(b")")[2].split(maxsplit=1)[0]
 
 
-@kernel
+@array_kernel
 def _parse_lines(
     text: UInt8Array,
-    stop: int,
     t_ns: Int64Array,
     can_id: UInt32Array,
     length: UInt8Array,
+    flags: UInt8Array,
+    channel: UInt8Array,
     data: UInt8Array,
+    hashes: Int64Array,
+    numbers: UInt8Array,
+    known: int,
+    report: Int64Array,
     outcomes: Int64Array,
     first: Int64Array,
 ) -> None:
-    """Parse lines that end with a newline; frames go to the columns, outcomes are counted by kind."""
-    outcomes[:] = 0
-    first[:] = 0
-    row = 0
-    line = 0
-    start = 0
-    while start < stop:
-        end = start
-        while text[end] != 10:
-            end += 1
-        line += 1
-        outcome = _parse_line(text, start, end, row, t_ns, can_id, length, data)
+    """Parse lines from where the report says; stop where the caller has to do something, else at the end."""
+    at, line, row = report[POSITION], report[LINES], report[ROWS]
+    last_hash, last_number = 0, np.uint8(0)
+    report[STOP] = AT_END
+    while at < len(text):
+        outcome, end, name = _parse_line(text, at, row, t_ns, can_id, length, flags, data)
+        if outcome == WIDEN_FIRST:
+            report[STOP] = WIDEN
+            break
         if outcome == FRAME:
+            if name != last_hash:
+                number = _channel_number(name, hashes, numbers, known)
+                if number < 0:
+                    report[STOP] = NEW_CHANNEL
+                    break
+                last_hash, last_number = name, np.uint8(number)
+            channel[row] = last_number
             row += 1
-        if outcomes[outcome] == 0:
-            first[outcome] = line
-        outcomes[outcome] += 1
-        start = end + 1
+        line += 1
+        count_lines(outcomes, first, outcome, line)
+        at = end
+    report[POSITION], report[LINES], report[ROWS] = at, line, row
 
 
-@kernel
+WIDEN_FIRST = 3  # beside the outcomes: a frame that does not fit into the arena
+
+
+@array_kernel
 def _parse_line(
     text: UInt8Array,
-    start: int,
-    stop: int,
+    at: int,
     row: int,
     t_ns: Int64Array,
     can_id: UInt32Array,
     length: UInt8Array,
+    flags: UInt8Array,
     data: UInt8Array,
-) -> int:
-    """Parse one line into one row and return the outcome; a row that is not a FRAME holds garbage."""
-    at = _skip_blanks(text, start, stop)
-    while stop > at and (text[stop - 1] == 32 or text[stop - 1] == 9 or text[stop - 1] == 13):
-        stop -= 1
-    if at == stop:
-        return BLANK
-    if stop - at > 2 and text[stop - 2] == 32 and (text[stop - 1] == 82 or text[stop - 1] == 84):
-        stop -= 2  # the direction, R or T, that candump -x and python-can append
-    at = _parse_time(text, at, stop, row, t_ns)
-    if at < 0:
-        return MALFORMED
-    channel = _skip_blanks(text, at, stop)
-    at = channel
-    while at < stop and text[at] != 32 and text[at] != 9:
+) -> tuple[int, int, int]:
+    """Parse one line into one row; return outcome, position behind the line and a number for the channel's name."""
+    at = skip_blanks(text, at)
+    if text[at] == NEWLINE:
+        return SKIPPED, at + 1, 0
+    time, at = _time_ns(text, at)
+    if time < 0:
+        return MALFORMED, skip_line(text, at), 0
+    at = skip_blanks(text, at)
+    name = NAME_SEED
+    begin = at
+    while text[at] > BLANK:
+        name = (name ^ text[at]) * NAME_FACTOR
         at += 1
-    if channel == at:
-        return MALFORMED
-    at = _parse_id(text, _skip_blanks(text, at, stop), stop, row, can_id)
+    identifier, at = _parse_id(text, skip_blanks(text, at))
+    if identifier < 0 or begin == at:
+        return MALFORMED, skip_line(text, at), 0
+    t_ns[row] = time
+    can_id[row] = identifier
+    flags[row] = 0
+    if text[at] == HASH:
+        if data.shape[1] < FD_PAYLOAD_BYTES:
+            return WIDEN_FIRST, at, 0
+        at = _parse_fd_payload(text, at + 1, row, length, flags, data)
+    elif text[at] == 82 or text[at] == 114:  # R or r
+        at = _parse_remote(text, at + 1, row, can_id, length, data)
+    else:
+        count, at = _payload(text, at, row, data, PAYLOAD_BYTES)
+        length[row] = count
+    if at >= 0:
+        at = _parse_tail(text, at)
     if at < 0:
-        return MALFORMED
-    if at < stop and text[at] == 35:  # a second "#"
-        return CAN_FD
-    return _parse_payload(text, at, stop, row, can_id, length, data)
+        return MALFORMED, skip_line(text, -at), 0
+    return FRAME, at, name
 
 
-@kernel
-def _parse_time(text: UInt8Array, at: int, stop: int, row: int, t_ns: Int64Array) -> int:
-    """Parse ``(seconds.fraction)``; return the position behind it or -1."""
-    if at >= stop or text[at] != 40:
-        return -1
+NAME_SEED, NAME_FACTOR = -3750763034362895579, 1099511628211  # FNV-1a, 64 bits
+
+
+@array_kernel
+def _channel_number(name: int, hashes: Int64Array, numbers: UInt8Array, known: int) -> int:
+    """Return the number of a channel's name, -1 if it is new."""
+    for index in range(known):
+        if hashes[index] == name:
+            return int(numbers[index])
+    return -1
+
+
+@array_kernel
+def _time_ns(text: UInt8Array, at: int) -> tuple[int, int]:
+    """Parse a time in brackets; return it, -1 if it is none, and the position behind it."""
+    time, behind = _usual_time(text, at)
+    return (time, behind) if time >= 0 else _parse_time(text, at)
+
+
+@array_kernel
+def _usual_time(text: UInt8Array, at: int) -> tuple[int, int]:
+    """Parse ``(1767225600.000000)``, its digits in independent pairs; -1 if any of it stands elsewhere."""
+    if at + USUAL_TIME_BYTES > len(text) or text[at] != OPEN or text[at + 11] != POINT or text[at + 18] != CLOSE:
+        return -1, at
+    a, b = DECIMAL_PAIR[text[at + 1], text[at + 2]], DECIMAL_PAIR[text[at + 3], text[at + 4]]
+    c, d = DECIMAL_PAIR[text[at + 5], text[at + 6]], DECIMAL_PAIR[text[at + 7], text[at + 8]]
+    e, f = DECIMAL_PAIR[text[at + 9], text[at + 10]], DECIMAL_PAIR[text[at + 12], text[at + 13]]
+    g, h = DECIMAL_PAIR[text[at + 14], text[at + 15]], DECIMAL_PAIR[text[at + 16], text[at + 17]]
+    if a | b | c | d | e | f | g | h < 0:
+        return -1, at
+    seconds = a * 100_000_000 + b * 1_000_000 + c * 10_000 + d * 100 + e
+    return seconds * NS_PER_S + (f * 10_000 + g * 100 + h) * NS_PER_US, at + USUAL_TIME_BYTES
+
+
+@array_kernel
+def _parse_time(text: UInt8Array, at: int) -> tuple[int, int]:
+    """Parse ``(seconds.fraction)``; return the time [ns], -1 if it is none, and the position behind it."""
+    if text[at] != OPEN:
+        return -1, at
     at += 1
     begin = at
-    seconds = np.int64(0)
-    while at < stop and 48 <= text[at] <= 57:
-        seconds = seconds * 10 + (np.int64(text[at]) - 48)
+    seconds = 0
+    while 48 <= text[at] <= 57 and at - begin < MAX_SECONDS_DIGITS:
+        seconds = seconds * 10 + text[at] - 48
         at += 1
-    if at == begin or at - begin > MAX_SECONDS_DIGITS or at >= stop or text[at] != 46:
-        return -1
+    if at == begin or text[at] != POINT:
+        return -1, at
     at += 1
     begin = at
-    fraction = np.int64(0)
+    fraction = 0
     weight = NS_PER_S
-    while at < stop and 48 <= text[at] <= 57:
+    while 48 <= text[at] <= 57 and at - begin < NS_DIGITS:
         weight //= 10
-        fraction += weight * (np.int64(text[at]) - 48)
+        fraction += weight * (text[at] - 48)
         at += 1
-    if at == begin or at - begin > NS_DIGITS or at >= stop or text[at] != 41:
-        return -1
-    t_ns[row] = seconds * NS_PER_S + fraction // NS_PER_US * NS_PER_US
-    return at + 1
+    if at == begin or text[at] != CLOSE:
+        return -1, at
+    return seconds * NS_PER_S + fraction // NS_PER_US * NS_PER_US, at + 1
 
 
-@kernel
-def _parse_id(text: UInt8Array, at: int, stop: int, row: int, can_id: UInt32Array) -> int:
-    """Parse ``123#`` or ``12345678#``; return the position behind the sign or -1."""
+@array_kernel
+def _parse_id(text: UInt8Array, at: int) -> tuple[int, int]:
+    """Parse ``123#`` or ``12345678#``; return the identifier with its flags, -1 if it is none, and the position."""
     begin = at
-    value = np.int64(0)
-    while at < stop and at - begin <= EXTENDED_DIGITS and _hex_digit(text[at]) >= 0:
-        value = value * 16 + _hex_digit(text[at])
+    value = 0
+    while HEX_VALUE[text[at]] >= 0 and at - begin < EXTENDED_DIGITS:
+        value = value * 16 + HEX_VALUE[text[at]]
         at += 1
     digits = at - begin
-    if at >= stop or text[at] != 35 or value > MAX_ID or digits not in (STANDARD_DIGITS, EXTENDED_DIGITS):
-        return -1
-    if digits == STANDARD_DIGITS and value > 0x7FF:
-        return -1
-    if digits == EXTENDED_DIGITS and value < ERROR_OR_ABOVE:
-        value |= EXTENDED_FLAG
-    can_id[row] = value
-    return at + 1
+    if text[at] != HASH or value > MAX_ID:
+        return -1, at
+    if digits == EXTENDED_DIGITS:
+        return (value | EXTENDED_FLAG if value < ERROR_OR_ABOVE else value), at + 1
+    if digits == STANDARD_DIGITS and value <= 0x7FF:
+        return value, at + 1
+    return -1, at
 
 
-@kernel
-def _parse_payload(
-    text: UInt8Array, at: int, stop: int, row: int, can_id: UInt32Array, length: UInt8Array, data: UInt8Array
+@array_kernel
+def _payload(text: UInt8Array, at: int, row: int, data: UInt8Array, limit: int) -> tuple[int, int]:
+    """Parse ``1122`` or ``11.22`` into a row that is zero behind it; return the count and the position."""
+    end = at + 2 * PAYLOAD_BYTES
+    is_usual = end < len(text) and text[end] <= BLANK and data.shape[1] == PAYLOAD_BYTES
+    if is_usual and eight_hex_bytes(text, at, row, data):
+        return PAYLOAD_BYTES, end
+    count, at = hex_bytes(text, at, row, data, limit, POINT)
+    for index in range(count, data.shape[1]):
+        data[row, index] = 0
+    return count, at
+
+
+@array_kernel
+def _parse_fd_payload(
+    text: UInt8Array, at: int, row: int, length: UInt8Array, flags: UInt8Array, data: UInt8Array
 ) -> int:
-    """Parse ``1122``, ``11.22``, ``R`` or ``R4``, with or without ``_DLC``; return the outcome."""
-    data[row, :] = 0
-    if stop - at > 2 and text[stop - 2] == 95 and _hex_digit(text[stop - 1]) > PAYLOAD_BYTES:
-        stop -= 2  # the raw length code above eight that some controllers send
-    if at < stop and (text[at] == 82 or text[at] == 114):
-        dlc = np.int64(0)
-        if at + 2 == stop and 48 <= text[at + 1] <= 56:
-            dlc = np.int64(text[at + 1]) - 48
-        elif at + 1 != stop:
-            return MALFORMED
-        can_id[row] |= np.uint32(REMOTE_FLAG)
-        length[row] = dlc
-        return FRAME
-    count = 0
-    while at + 1 < stop and count < PAYLOAD_BYTES:
-        high = _hex_digit(text[at])
-        low = _hex_digit(text[at + 1])
-        if high < 0 or low < 0:
-            return MALFORMED
-        data[row, count] = high * 16 + low
-        count += 1
-        at += 2
-        if at + 1 < stop and text[at] == 46:
-            at += 1
-    if at != stop:
-        return MALFORMED
+    """Parse flags and payload of an FD frame; return the position, negative if it is none."""
+    digit = HEX_VALUE[text[at]]
+    if digit < 0:
+        return -at
+    count, at = _payload(text, at + 1, row, data, FD_PAYLOAD_BYTES)
+    flags[row] = FD_FLAG | (digit & FD_DIGIT_BITS)
     length[row] = count
-    return FRAME
+    return at if IS_LENGTH[count] else -at
 
 
-@kernel
-def _skip_blanks(text: UInt8Array, at: int, stop: int) -> int:
-    """Return the position of the next character that is neither space nor tabulator."""
-    while at < stop and (text[at] == 32 or text[at] == 9):
+@array_kernel
+def _parse_remote(
+    text: UInt8Array, at: int, row: int, can_id: UInt32Array, length: UInt8Array, data: UInt8Array
+) -> int:
+    """Parse what follows the ``R`` of a remote frame; return the position, negative if it is none."""
+    data[row, :] = 0
+    can_id[row] |= np.uint32(REMOTE_FLAG)
+    length[row] = 0
+    if 48 <= text[at] <= 57:
+        length[row] = text[at] - 48
         at += 1
-    return at
+    return at if length[row] <= PAYLOAD_BYTES else -at
 
 
-@kernel
-def _hex_digit(character: np.uint8) -> np.int64:
-    """Return the value of a hexadecimal digit, -1 for any other character."""
-    if 48 <= character <= 57:
-        return np.int64(character) - 48
-    if 65 <= character <= 70:
-        return np.int64(character) - 55
-    if 97 <= character <= 102:
-        return np.int64(character) - 87
-    return np.int64(-1)
+@array_kernel
+def _parse_tail(text: UInt8Array, at: int) -> int:
+    """Pass over what may follow a payload; return the position behind the line, negative if it is anything else."""
+    if text[at] == UNDERSCORE and HEX_VALUE[text[at + 1]] > PAYLOAD_BYTES:
+        at += 2  # the raw length code above eight that some controllers send
+    behind = skip_blanks(text, at)
+    if behind > at and (text[behind] == 82 or text[behind] == 84):  # the direction, R or T, that candump -x appends
+        behind = skip_blanks(text, behind + 1)
+    return behind + 1 if text[behind] == NEWLINE else -behind

@@ -1,34 +1,22 @@
-"""Log files of four formats, told apart by their contents, as batches of frames."""
+"""Log files of all formats, told apart by their contents, as batches of frames."""
 
 from collections.abc import Callable, Iterator, Mapping
-from enum import StrEnum
 from pathlib import Path
 from types import MappingProxyType
-from typing import BinaryIO
+from typing import BinaryIO, cast
 
 from diag_service.errors import SourceError
 from diag_service.frames import FrameBatch
-from diag_service.sources.asc import is_asc_header, read_asc
-from diag_service.sources.blf import MAGIC as BLF_MAGIC
+from diag_service.sources.asc import read_asc
 from diag_service.sources.blf import read_blf
-from diag_service.sources.candump import holds_candump, read_candump
+from diag_service.sources.candump import read_candump
+from diag_service.sources.compressed import InflatedStream, compression_of
+from diag_service.sources.detection import PROBE_BYTES, TABLES, LogFormat, detect_format, detect_text
 from diag_service.sources.mf4 import read_mf4
+from diag_service.sources.sqlite import read_sqlite
+from diag_service.sources.tables import reader_of
 from diag_service.sources.tally import LogCounts, Tally
-
-PROBE_BYTES = 64 * 1024
-HEADER_LINES = 20  # an ASC file names itself in its first lines
-MDF_MAGICS = (b"MDF     ", b"UnFinMF ")
-MDF_VERSION = slice(8, 9)
-
-
-class LogFormat(StrEnum):
-    """The log formats that can be read."""
-
-    CANDUMP = "candump"
-    BLF = "blf"
-    ASC = "asc"
-    MF4 = "mf4"
-
+from diag_service.sources.time_watch import TimeWatch
 
 READERS: Mapping[LogFormat, Callable[[BinaryIO, Tally], Iterator[FrameBatch]]] = MappingProxyType(
     {
@@ -36,19 +24,29 @@ READERS: Mapping[LogFormat, Callable[[BinaryIO, Tally], Iterator[FrameBatch]]] =
         LogFormat.BLF: read_blf,
         LogFormat.ASC: read_asc,
         LogFormat.MF4: read_mf4,
+        LogFormat.SQLITE: read_sqlite,
+        **{log_format: reader_of(new_table) for log_format, new_table in TABLES.items()},
     }
 )
 
 
 class LogReader(Iterator[FrameBatch]):
-    """The frames of one log file, once, oldest first as far as the file is in order."""
+    """The frames of one log file, once, oldest first as far as the file is in order.
 
-    def __init__(self, path: Path, stream: BinaryIO, log_format: LogFormat) -> None:
+    A strict one stops with an error at the first line, object or record that is no frame and not meant to be anything
+    else, at the first jump of time, and where the file ends before its own end.
+    """
+
+    def __init__(
+        self, path: Path, stream: BinaryIO, log_format: LogFormat, tally: Tally, *, is_strict: bool = False
+    ) -> None:
         self.path = path
         self.format = log_format
-        self._tally = Tally()
+        self._tally = tally
         self._stream = stream
         self._batches = READERS[log_format](stream, self._tally)
+        self._watch = TimeWatch(tally)
+        self._is_strict = is_strict
 
     @property
     def counts(self) -> LogCounts:
@@ -61,12 +59,13 @@ class LogReader(Iterator[FrameBatch]):
         Raises
         ------
         SourceError
-            If the file cannot be read on, or its end is reached without a single frame.
+            If the file cannot be read on, its end is reached without a single frame, or a strict reader meets a fault.
         """
         try:
-            return next(self._batches)
+            batch = next(self._batches)
         except StopIteration:
             self.close()
+            self._be_strict()
             if self._tally.frames == 0:
                 raise SourceError(
                     f"{self.path}: no CAN frame in this {self.format} log{self._first_reject()}"
@@ -78,18 +77,26 @@ class LogReader(Iterator[FrameBatch]):
         except SourceError as exc:
             self.close()
             raise SourceError(f"{self.path}: {exc}") from exc
+        self._watch.look(batch)
+        self._be_strict()
+        return batch
 
     def close(self) -> None:
         """Close the file; reading to the end does it, too."""
         self._stream.close()
+
+    def _be_strict(self) -> None:
+        if self._is_strict and (fault := self.counts.first_fault):
+            self.close()
+            raise SourceError(f"{self.path}: {fault}")
 
     def _first_reject(self) -> str:
         first = self.counts.first_rejected
         return f" ({first})" if first else ""
 
 
-def read_log(path: Path | str) -> LogReader:
-    """Open a log file and return its reader.
+def read_log(path: Path | str, *, is_strict: bool = False) -> LogReader:
+    """Open a log file, perhaps compressed, and return its reader.
 
     Raises
     ------
@@ -106,46 +113,43 @@ def read_log(path: Path | str) -> LogReader:
     except OSError as exc:
         raise SourceError(f"{path}: {exc.strerror or exc}") from exc
     try:
-        log_format = detect_format(stream)
-        stream.seek(0)
+        return _reader(path, stream, is_strict=is_strict)
     except OSError as exc:
         stream.close()
         raise SourceError(f"{path}: {exc.strerror or exc}") from exc
     except SourceError as exc:
         stream.close()
         raise SourceError(f"{path}: {exc}") from exc
-    return LogReader(path, stream, log_format)
 
 
 def is_log(path: Path) -> bool:
     """Return whether a file is a log of a known format, by its first bytes; False if it cannot be read."""
     try:
-        with path.open("rb") as stream:
-            detect_format(stream)
-    except (OSError, SourceError):
+        read_log(path).close()
+    except SourceError:
         return False
     return True
 
 
-def detect_format(stream: BinaryIO) -> LogFormat:
-    """Return the format that the first bytes of a file speak of, whatever its name.
-
-    Raises
-    ------
-    SourceError
-        If the file is empty or of no known format.
-    """
+def _reader(path: Path, stream: BinaryIO, *, is_strict: bool) -> LogReader:
+    """Return the reader of an open file, after a look at its beginning."""
     probe = stream.read(PROBE_BYTES)
-    if not probe.strip():
-        raise SourceError("the file is empty")
-    if probe.startswith(BLF_MAGIC):
-        return LogFormat.BLF
-    if probe.startswith(MDF_MAGICS):
-        if probe[MDF_VERSION] != b"4":
-            raise SourceError("an MDF file of a version before 4: convert it")
-        return LogFormat.MF4
-    if any(is_asc_header(line.strip()) for line in probe.splitlines()[:HEADER_LINES]):
-        return LogFormat.ASC
-    if holds_candump(probe):
-        return LogFormat.CANDUMP
-    raise SourceError("not a candump, BLF, ASC or MF4 log")
+    stream.seek(0)
+    compression = compression_of(probe)
+    if compression is None:
+        return LogReader(path, stream, detect_format(probe), Tally(), is_strict=is_strict)
+    inflated, tally = InflatedStream(stream, compression), Tally()
+    log_format = detect_text(_beginning(inflated))
+    inflated.restart(tally)
+    return LogReader(path, cast("BinaryIO", inflated), log_format, tally, is_strict=is_strict)
+
+
+def _beginning(inflated: InflatedStream) -> bytes:
+    """Return the first bytes that a compressed file holds."""
+    pieces, missing_bytes = list[bytes](), PROBE_BYTES
+    while missing_bytes and (piece := inflated.read(missing_bytes)):
+        pieces.append(piece)
+        missing_bytes -= len(piece)
+    if not pieces:
+        raise SourceError("the compressed file holds nothing")
+    return b"".join(pieces)

@@ -10,7 +10,6 @@ class LogReject(StrEnum):
     """Why a piece of a log gave no frame."""
 
     MALFORMED = "malformed"  # not in the grammar of the format
-    CAN_FD = "can_fd"  # more than eight bytes: the columns hold classic frames
     CUT_OFF = "cut_off"  # the file ends inside it
     DAMAGED = "damaged"  # a container or object whose size or compression is wrong
 
@@ -24,6 +23,17 @@ class LogCounts:
     rejected: Mapping[LogReject, int] = field(default_factory=dict)
     first_rejected: str = ""  # where and why, for people
     truncated: bool = False  # the file ends before its own end
+    jumps_back: int = 0  # frames whose time lies before that of the frame before
+    jumps_ahead: int = 0  # frames after a silence that ends a segment
+    first_jump: str = ""  # where and how far, for people
+    repeated: int = 0  # frames that equal the one before, time and all
+    unfinished: bool = False  # its writer did not close it: what is missing at the end cannot be told
+
+    @property
+    def first_fault(self) -> str:
+        """What is wrong with the log, so that nobody has to look further; empty if nothing is."""
+        end = "the file ends before its own end" if self.truncated else ""
+        return self.first_rejected or self.first_jump or end
 
 
 class Tally:
@@ -33,6 +43,11 @@ class Tally:
         self.frames = 0
         self.skipped = 0
         self.truncated = False
+        self.unfinished = False
+        self.repeated = 0
+        self._jumps_back = 0
+        self._jumps_ahead = 0
+        self._first_jump = ""
         self._rejected: Counter[LogReject] = Counter()
         self._first_rejected = ""
 
@@ -44,6 +59,21 @@ class Tally:
             self._first_rejected = f"{place}: {reason}"
         self._rejected[reason] += count
 
+    def jump(self, back: int, ahead: int, place: str) -> None:
+        """Count jumps of time; ``place`` is where the first of them is."""
+        self._first_jump = self._first_jump or place
+        self._jumps_back += back
+        self._jumps_ahead += ahead
+
+    def take(self, counts: LogCounts) -> None:
+        """Add what another reader of the same log counted."""
+        self.frames += counts.frames
+        self.skipped += counts.skipped
+        self.truncated |= counts.truncated
+        self.unfinished |= counts.unfinished
+        self._first_rejected = self._first_rejected or counts.first_rejected
+        self._rejected.update(counts.rejected)
+
     def snapshot(self) -> LogCounts:
         """Return the counts of now."""
         return LogCounts(
@@ -52,4 +82,9 @@ class Tally:
             rejected=dict(self._rejected),
             first_rejected=self._first_rejected,
             truncated=self.truncated,
+            jumps_back=self._jumps_back,
+            jumps_ahead=self._jumps_ahead,
+            first_jump=self._first_jump,
+            repeated=self.repeated,
+            unfinished=self.unfinished,
         )

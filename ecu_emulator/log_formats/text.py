@@ -26,13 +26,21 @@ def decimal(value: Int64Array, digits: int) -> UInt8Array:
     return (digit + ord("0")).astype(np.uint8)
 
 
-def identifier(can_id: UInt32Array) -> UInt8Array:
-    """Return identifiers as three or, if extended or of an error frame, eight hexadecimal digits."""
+def aligned(value: Int64Array, width: int) -> UInt8Array:
+    """Return non-negative numbers behind blanks, shape (n, width)."""
+    digits = decimal(value, width)
+    is_leading = np.logical_and.accumulate(digits == ord("0"), axis=1)
+    is_leading[:, -1] = False
+    return np.where(is_leading, np.uint8(ord(" ")), digits)
+
+
+def identifier(can_id: UInt32Array, standard_digits: int = STANDARD_ID_DIGITS) -> UInt8Array:
+    """Return identifiers as three or another number of hexadecimal digits, eight if extended or of an error frame."""
     shifts = np.arange(4 * (EXTENDED_ID_DIGITS - 1), -1, -4, dtype=np.uint32)
     is_long = (can_id & np.uint32(EXTENDED_FLAG | ERROR_FLAG)) != 0
     number = can_id & np.uint32(EXTENDED_FLAG - 1)
     digits: UInt8Array = HEX_DIGITS[number[:, None] >> shifts & np.uint32(0xF)]
-    digits[~is_long, : EXTENDED_ID_DIGITS - STANDARD_ID_DIGITS] = DROPPED
+    digits[~is_long, : EXTENDED_ID_DIGITS - standard_digits] = DROPPED
     return digits
 
 

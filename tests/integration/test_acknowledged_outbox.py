@@ -1,8 +1,12 @@
 """The outbox, a real Mosquitto and a backend: kills of each, and nothing is forgotten before the backend has it."""
 
 import asyncio
+import signal
+import subprocess
+import sys
 from collections.abc import AsyncIterator, Callable, Iterator
 from contextlib import asynccontextmanager, closing
+from pathlib import Path
 
 import aiomqtt
 import pytest
@@ -13,6 +17,7 @@ from diag_service.store import ResultStore, VehicleState, Versions
 from fleet_contract import Receipt, ack_messages
 from tests.acknowledger import Acknowledger
 from tests.builders import shift_result
+from tests.doomed_edge import Step
 from tests.plugins.broker import Mosquitto
 
 pytestmark = pytest.mark.broker
@@ -128,3 +133,22 @@ async def test_a_message_that_is_no_acknowledgement_is_told_and_ignored(
             await client.publish("clutchdiag/v1/car1/ack", payload, qos=1)
         await until(lambda: caplog.text.count("a message to us is ignored") == 3)
     assert store.unpublished_count("car1") == 1
+
+
+def test_kill_9_around_every_step_loses_and_doubles_nothing(tmp_path: Path, broker: Mosquitto) -> None:
+    """One store, one edge after the other, each dead at another step with more to send than the last."""
+    steps = [step for step in Step if step is not Step.NONE]
+
+    def run(last_seq: int, step: Step) -> int:
+        arguments = (str(tmp_path / "car1.sqlite"), str(broker.port), str(last_seq), step.value)
+        return subprocess.run(
+            [sys.executable, "-m", "tests.doomed_edge", *arguments], check=False, timeout=60
+        ).returncode
+
+    with Acknowledger(broker.port) as backend:
+        ends = {step.value: run(5 * number, step) for number, step in enumerate(steps, start=1)}
+        assert ends == {step.value: -signal.SIGKILL for step in steps}
+        assert run(5 * len(steps), Step.NONE) == 0
+    assert sorted(key.seq for key in backend.keys) == list(range(1, 5 * len(steps) + 1))
+    with closing(ResultStore.open(tmp_path / "car1.sqlite")) as store:
+        assert [result.seq for result in store.results("car1")] == list(range(1, 5 * len(steps) + 1))

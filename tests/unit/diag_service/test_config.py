@@ -53,7 +53,7 @@ def test_broker_addresses(url: str, address: BrokerAddress) -> None:
     ],
 )
 def test_what_is_no_broker_address(url: str) -> None:
-    with pytest.raises(ConfigError, match="mqtt://"):
+    with pytest.raises(ConfigError, match="the broker must be mqtt"):
         parse_broker(url)
 
 

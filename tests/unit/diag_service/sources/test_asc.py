@@ -5,7 +5,7 @@ from datetime import datetime
 
 import pytest
 
-from diag_service.frames import ERROR_FLAG, EXTENDED_FLAG, REMOTE_FLAG, FrameBatch
+from diag_service.frames import BRS_FLAG, ERROR_FLAG, ESI_FLAG, EXTENDED_FLAG, FD_FLAG, REMOTE_FLAG, FrameBatch
 from diag_service.sources.asc import date_us, is_asc_header, read_asc
 from diag_service.sources.columns import join
 from diag_service.sources.tally import LogCounts, LogReject, Tally
@@ -52,8 +52,9 @@ def test_an_event_becomes_a_frame(event: bytes, can_id: int, length: int, data: 
         (b"1  800 Rx   d 1 10", LogReject.MALFORMED),
         (b"1  3FFFFFFFx Rx   d 1 10", LogReject.MALFORMED),
         (b"1  \xff\x01\x02", LogReject.MALFORMED),
-        (b"CANFD   1 Rx  123  1 0 9 12 " + b"11 " * 12 + b"0 0 303000 0 0 0 0 0", LogReject.CAN_FD),
-        (b"CANFD   1 Rx  123  1 0 2 2 11 22 0 0 1000 0 0 0 0 0", LogReject.CAN_FD),
+        (b"CANFD   1 Rx  123  1 0 9 13 " + b"11 " * 13 + b"0 0 303000 0 0 0 0 0", LogReject.MALFORMED),
+        (b"CANFD   1 Rx  123  1 0 9 12 " + b"11 " * 11 + b"0 0 303000 0 0 0 0 0", LogReject.MALFORMED),
+        (b"CANFD   1 Rx  123  1 0 9 12 " + b"11 " * 12 + b"0 0 0 0 0 0 0 0", LogReject.MALFORMED),
     ],
 )
 def test_what_looks_like_a_frame_and_is_none_is_counted(event: bytes, reason: LogReject) -> None:
@@ -63,6 +64,26 @@ def test_what_looks_like_a_frame_and_is_none_is_counted(event: bytes, reason: Lo
     assert len(batch) == 2
     assert counts.rejected == {reason: 1}
     assert counts.first_rejected == f"line 5: {reason}"
+
+
+@pytest.mark.parametrize(
+    ("event", "flags"),
+    [
+        (b"CANFD   2 Rx  123  1 0 9 12 " + b"11 " * 12 + b"0 0 303000 0 0 0 0 0", FD_FLAG | BRS_FLAG),
+        (b"CANFD   2 Tx  123 Name  0 1 9 12 " + b"11 " * 12 + b" 130000  130  1000 0 0 0 0 0", FD_FLAG | ESI_FLAG),
+        (b"CANFD   2 Rx  123 Name  0 0 9 12 " + b"11 " * 12, FD_FLAG),  # the compiled reader leaves it to the other
+    ],
+)
+def test_can_fd_is_taken(event: bytes, flags: int) -> None:
+    good = b"1.0 1  A0  Rx   d 1 11\n"
+    batch, counts = read(HEADER + good + b"1.5 " + event + b"\n" + good)
+    assert batch is not None
+    assert batch.can_id.tolist() == [0xA0, 0x123, 0xA0]
+    assert batch.length.tolist() == [1, 12, 1]
+    assert batch.flags.tolist() == [0, flags, 0]
+    assert batch.channel.tolist() == [1, 2, 1]
+    assert batch.data[1].tobytes() == (b"\x11" * 12).ljust(64, b"\0")
+    assert counts == LogCounts(frames=3, skipped=3)
 
 
 def test_events_of_other_kinds_and_comments_are_skipped() -> None:

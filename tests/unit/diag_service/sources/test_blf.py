@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from diag_service.errors import SourceError
-from diag_service.frames import ERROR_FLAG, EXTENDED_FLAG, REMOTE_FLAG, FrameBatch
+from diag_service.frames import BRS_FLAG, ERROR_FLAG, ESI_FLAG, EXTENDED_FLAG, FD_FLAG, REMOTE_FLAG, FrameBatch
 from diag_service.sources.blf import FILE_HEADER, read_blf
 from diag_service.sources.columns import join
 from diag_service.sources.tally import LogCounts, LogReject, Tally
@@ -49,12 +49,16 @@ def read(contents: bytes) -> tuple[FrameBatch | None, LogCounts]:
     return (join(batches) if batches else None), tally.snapshot()
 
 
+def length_code(payload: bytes) -> int:
+    return {12: 9}.get(len(payload), len(payload))
+
+
 def fd_body(payload: bytes, edl: int) -> bytes:
-    return struct.pack("<HBBLLBBB5x64s", 1, 0, len(payload), 0x321, 0, 0, edl, len(payload), payload)
+    return struct.pack("<HBBLLBBB5x64s", 1, 0, length_code(payload), 0x321, 0, 0, edl, len(payload), payload)
 
 
 def fd64_body(payload: bytes, flags: int) -> bytes:
-    fields = (1, len(payload), len(payload), 0, 0x321, 0, flags, 0, 0, 0, 0, 0, 0, 0, 0)
+    fields = (1, length_code(payload), len(payload), 0, 0x321, 0, flags, 0, 0, 0, 0, 0, 0, 0, 0)
     return struct.pack("<BBBBLLLLLLLHBBL", *fields) + payload
 
 
@@ -81,13 +85,48 @@ def test_an_object_becomes_a_frame(contents: bytes, can_id: int, length: int, da
 
 
 @pytest.mark.parametrize(
-    "contents", [an_object(100, fd_body(bytes(8), 1)), an_object(101, fd64_body(bytes(8), 0x1000))]
+    ("contents", "flags"),
+    [
+        (an_object(100, fd_body(bytes(range(12)), 1)), FD_FLAG),
+        (an_object(100, fd_body(bytes(range(12)), 7)), FD_FLAG | BRS_FLAG | ESI_FLAG),
+        (an_object(101, fd64_body(bytes(range(12)), 0x1000)), FD_FLAG),
+        (an_object(101, fd64_body(bytes(range(12)), 0x3000)), FD_FLAG | BRS_FLAG),
+    ],
 )
-def test_can_fd_is_counted_and_left_out(contents: bytes) -> None:
-    batch, counts = read(blf([container(contents + message())]))
+def test_can_fd_is_taken(contents: bytes, flags: int) -> None:
+    batch, counts = read(blf([container(message() + contents + message())]))
+    assert batch is not None
+    assert batch.can_id.tolist() == [0x123, 0x321, 0x123]
+    assert batch.length.tolist() == [2, 12, 2]
+    assert batch.flags.tolist() == [0, flags, 0]
+    assert batch.data[1].tobytes() == bytes(range(12)).ljust(64, b"\0")
+    assert batch.data[2].tobytes() == b"\x01\x02".ljust(64, b"\0")
+    assert counts == LogCounts(frames=3)
+
+
+@pytest.mark.parametrize("can_id", [0x800, 0x2000_0000, 0xE000_0000])
+def test_an_identifier_that_there_is_not_is_damage(can_id: int) -> None:
+    batch, counts = read(blf([container(message(can_id=can_id) + message())]))
     assert batch is not None
     assert batch.can_id.tolist() == [0x123]
-    assert counts.rejected == {LogReject.CAN_FD: 1}
+    assert counts.rejected == {LogReject.DAMAGED: 1}
+    assert counts.first_rejected == "object 1: damaged"
+
+
+@pytest.mark.parametrize("kind", [9, 11, 2**31])
+def test_a_container_of_a_damaged_kind_is_counted_and_read_all_the_same(kind: int) -> None:
+    broken = bytearray(container(message(can_id=6)))
+    broken[12:16] = struct.pack("<L", kind)
+    batch, counts = read(blf([container(message()), bytes(broken), container(message(can_id=7))]))
+    assert batch is not None
+    assert batch.can_id.tolist() == [0x123, 6, 7]
+    assert counts.rejected == {LogReject.DAMAGED: 1}
+    assert counts.skipped == 0
+
+
+def test_an_object_of_a_kind_that_there_is_not_is_damage() -> None:
+    _, counts = read(blf([container(an_object(2**16 + 1, bytes(16)) + message())]))
+    assert counts.rejected == {LogReject.DAMAGED: 1}
 
 
 @pytest.mark.parametrize(

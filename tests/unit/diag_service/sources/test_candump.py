@@ -5,7 +5,15 @@ import io
 import numpy as np
 import pytest
 
-from diag_service.frames import ERROR_FLAG, EXTENDED_FLAG, REMOTE_FLAG, FrameBatch
+from diag_service.frames import (
+    BRS_FLAG,
+    ERROR_FLAG,
+    ESI_FLAG,
+    EXTENDED_FLAG,
+    FD_FLAG,
+    REMOTE_FLAG,
+    FrameBatch,
+)
 from diag_service.sources.candump import holds_candump, read_candump
 from diag_service.sources.columns import join
 from diag_service.sources.tally import LogCounts, LogReject, Tally
@@ -76,12 +84,34 @@ def test_any_other_line_is_counted_with_its_number(line: bytes) -> None:
     )
 
 
-def test_can_fd_is_counted_and_left_out() -> None:
-    batch, counts = read(b"(1.0) can0 123##1112233\n(2.0) can0 124#11\n")
+@pytest.mark.parametrize(
+    ("payload", "flags", "length"),
+    [(b"0", FD_FLAG, 0), (b"1AB", FD_FLAG | BRS_FLAG, 1), (b"3" + b"5A" * 64, FD_FLAG | BRS_FLAG | ESI_FLAG, 64)],
+)
+def test_can_fd_is_taken_and_widens_what_follows(payload: bytes, flags: int, length: int) -> None:
+    batch, counts = read(b"(1.0) can0 124#11\n(1.5) can0 123##" + payload + b"\n(2.0) can1 124#1122\n")
     assert batch is not None
-    assert batch.can_id.tolist() == [0x124]
-    assert counts.rejected == {LogReject.CAN_FD: 1}
-    assert counts.first_rejected == "line 1: can_fd"
+    assert batch.can_id.tolist() == [0x124, 0x123, 0x124]
+    assert batch.length.tolist() == [1, length, 2]
+    assert batch.flags.tolist() == [0, flags, 0]
+    assert batch.channel.tolist() == [0, 0, 1]
+    assert batch.data[0].tobytes() == b"\x11".ljust(64, b"\0")
+    assert batch.data[1].tobytes() == bytes.fromhex(payload[1:].decode()).ljust(64, b"\0")
+    assert counts == LogCounts(frames=3)
+
+
+@pytest.mark.parametrize("payload", [b"", b"G", b"0" + b"5A" * 9, b"0" + b"5A" * 65])
+def test_an_fd_frame_of_a_length_that_there_is_not_is_malformed(payload: bytes) -> None:
+    batch, counts = read(b"(1.0) can0 123##" + payload + b"\n")
+    assert batch is None
+    assert counts.rejected == {LogReject.MALFORMED: 1}
+
+
+def test_channels_have_the_number_in_their_name_unless_it_is_taken() -> None:
+    names = (b"can2", b"vcan2", b"slcan", b"can2", b"can17")
+    batch, _ = read(b"".join(b"(1.0) %s 123#11\n" % name for name in names))
+    assert batch is not None
+    assert batch.channel.tolist() == [2, 0, 1, 2, 17]
 
 
 @pytest.mark.parametrize("end", range(8, 24))
@@ -118,7 +148,8 @@ def test_a_line_without_end_does_not_fill_the_memory() -> None:
     batch, counts = read(b"(1.0) can0 123#11\n" + b"x" * 5_000_000 + b"\n(2.0) can0 123#11\n")
     assert batch is not None
     assert len(batch) == 2
-    assert counts.rejected[LogReject.MALFORMED] >= 1
+    assert counts.rejected == {LogReject.MALFORMED: 1}
+    assert counts.first_rejected == "line 2: malformed"
 
 
 def test_recognition() -> None:

@@ -1,0 +1,215 @@
+"""Logs with faults: strictness, jumps of time, overlapping logs, generated damage, and files made to do harm."""
+
+import gzip
+import resource
+import struct
+import subprocess
+import sys
+import zlib
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from diag_service.errors import ConfigError, SourceError
+from diag_service.recorded import open_drive
+from diag_service.sources import LogReject, merged_by_time, read_log
+from diag_service.sources.columns import join
+from diag_service.sources.tally import LogCounts
+from ecu_emulator.record import open_log
+from tests.damage import SUFFIXES, run
+from tests.fuzz import READERS, fuzz
+from tests.traffic import START_NS, as_received, assert_same, random_frames
+
+FRAMES = random_frames(3_000)
+MEMORY_BYTES = 512 * 1024 * 1024
+READ = """
+import resource, sys, time
+from diag_service.errors import SourceError
+from diag_service.sources import read_log
+began_s, before_kib = time.monotonic(), resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+try:
+    reader = read_log(sys.argv[1])
+    frames = sum(len(batch) for batch in reader)
+    assert reader.counts.rejected or reader.counts.truncated, reader.counts
+except SourceError as exc:
+    assert "\\n" not in str(exc)
+print(time.process_time(), resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024)
+"""
+
+
+def write(path: Path, *lines: bytes) -> Path:
+    path.write_bytes(b"".join(line + b"\n" for line in lines))
+    return path
+
+
+def line(t_s: float, can_id: int = 0x123, data: bytes = b"11") -> bytes:
+    return b"(%.6f) can0 %03X#%s" % (t_s, can_id, data)
+
+
+def test_jumps_of_time_and_repeated_frames_are_counted_and_the_first_is_named(tmp_path: Path) -> None:
+    lines = [line(10.0), line(10.5), line(9.5), line(9.5), line(9.5, data=b"12"), line(12.0), line(12.1)]
+    reader = read_log(write(tmp_path / "drive.log", *lines))
+    assert sum(len(batch) for batch in reader) == 7
+    assert reader.counts == LogCounts(
+        frames=7, jumps_back=1, jumps_ahead=1, first_jump="frame 3: time jumps by -1.000000 s", repeated=1
+    )
+
+
+@pytest.mark.parametrize("count", [1, 7, 60_000])
+def test_what_is_found_does_not_depend_on_where_blocks_end(count: int, tmp_path: Path) -> None:
+    lines = [line(k * 0.001) for k in range(count)] * 2
+    reader = read_log(write(tmp_path / "drive.log", *lines))
+    batch = join(list(reader))
+    steps_ns = np.diff(batch.t_ns)
+    assert reader.counts.jumps_back == np.count_nonzero(steps_ns < 0)
+    assert reader.counts.jumps_ahead == 0
+    assert reader.counts.repeated == (count == 1)
+
+
+@pytest.mark.parametrize(
+    ("lines", "fault"),
+    [
+        ([line(1.0), b"garbage", line(1.1)], "line 2: malformed"),
+        ([line(1.0), line(0.5)], "frame 2: time jumps by -0.500000 s"),
+        ([line(1.0), line(3.0)], "frame 2: time jumps by .2.000000 s"),
+    ],
+)
+def test_a_strict_reader_stops_at_the_first_fault_and_says_where(
+    lines: list[bytes], fault: str, tmp_path: Path
+) -> None:
+    path = write(tmp_path / "drive.log", *lines)
+    assert join(list(read_log(path)))
+    with pytest.raises(SourceError, match=fault) as caught:
+        list(read_log(path, is_strict=True))
+    assert str(caught.value).count(str(path)) == 1
+
+
+def test_a_strict_reader_stops_where_a_file_is_cut_and_not_at_a_sound_one(tmp_path: Path) -> None:
+    path = tmp_path / "drive.blf"
+    with open_log(path, start_ns=START_NS) as log:
+        log.write(FRAMES)
+    assert_same(list(read_log(path, is_strict=True)), as_received(FRAMES))
+    path.write_bytes(path.read_bytes()[:-100])
+    with pytest.raises(SourceError, match="cut_off"):
+        list(read_log(path, is_strict=True))
+
+
+def test_logs_that_overlap_are_merged_by_time(tmp_path: Path) -> None:
+    paths = [tmp_path / "a.log", tmp_path / "b.blf", tmp_path / "c.asc"]
+    rows = [slice(0, 2_000, 2), slice(1, 2_000, 2), slice(2_000, 3_000)]
+    for path, part in zip(paths, rows, strict=True):
+        with open_log(path, start_ns=START_NS) as log:
+            log.write(FRAMES[part])
+    merged = join(list(merged_by_time([iter(read_log(path)) for path in reversed(paths)])))
+    expected = as_received(FRAMES)
+    assert np.array_equal(merged.t_ns, expected.t_ns)
+    assert set(zip(merged.t_ns.tolist(), merged.can_id.tolist(), strict=True)) == set(
+        zip(expected.t_ns.tolist(), expected.can_id.tolist(), strict=True)
+    )
+
+
+def test_a_merge_ends_where_time_jumps_back_in_every_log(tmp_path: Path) -> None:
+    paths = [
+        write(tmp_path / f"{name}.log", *(line(t_s, can_id=k + 1) for t_s in (5.0, 6.0, 1.0 + k, 2.0)))
+        for k, name in enumerate("ab")
+    ]
+    merged = join(list(merged_by_time([iter(read_log(path)) for path in paths])))
+    for number in (1, 2):
+        own = merged.t_ns[merged.can_id == number] / 1e9
+        assert own.tolist() == [5.0, 6.0, float(number), 2.0]
+
+
+def test_the_same_recording_twice_is_an_error(tmp_path: Path) -> None:
+    first, second = (write(tmp_path / name, line(1.0), line(1.1)) for name in ("a.log", "b.log"))
+    with pytest.raises(ConfigError, match="same recording"):
+        open_drive([first, second])
+    with pytest.raises(ConfigError, match="twice"):
+        open_drive([first, first])
+
+
+@pytest.mark.parametrize("suffix", [".gz", ".xz"])
+def test_compressed_logs_are_read_by_what_they_hold(suffix: str, tmp_path: Path) -> None:
+    import lzma  # noqa: PLC0415 - beside its only use
+
+    path = tmp_path / "drive.trc"
+    with open_log(path, start_ns=START_NS) as log:
+        log.write(FRAMES)
+    wrapped = (gzip.compress if suffix == ".gz" else lzma.compress)(path.read_bytes())
+    compressed = tmp_path / f"drive{suffix}"
+    compressed.write_bytes(wrapped)
+    assert_same(list(read_log(compressed)), as_received(FRAMES))
+    compressed.write_bytes(wrapped[: len(wrapped) // 2])
+    reader = read_log(compressed)
+    found = join(list(reader))
+    assert_same(found, as_received(FRAMES[: len(found)]))
+    assert reader.counts.truncated
+    assert reader.counts.rejected[LogReject.CUT_OFF] >= 1
+
+
+def deflated(contents: bytes, times: int, wbits: int) -> bytes:
+    packer = zlib.compressobj(9, zlib.DEFLATED, wbits)
+    return b"".join(packer.compress(contents) for _ in range(times)) + packer.flush()
+
+
+def endless_blf() -> bytes:
+    """Return a file whose object has no size: readers that believe it never end."""
+    inner = struct.pack("<4sHHLL", b"LOBJ", 32, 1, 0, 1) + bytes(300)
+    body = struct.pack("<4sHHLLH6xL4x", b"LOBJ", 16, 1, 32 + len(inner), 10, 0, len(inner)) + inner
+    return struct.pack("<4sL", b"LOGG", 144).ljust(144, b"\0") + body
+
+
+def blf_bomb() -> bytes:
+    inner = deflated(bytes(1 << 20), 80, 15)
+    body = struct.pack("<4sHHLLH6xL4x", b"LOBJ", 16, 1, 32 + len(inner), 10, 2, 1 << 30) + inner
+    return struct.pack("<4sL", b"LOGG", 144).ljust(144, b"\0") + body
+
+
+def mf4_loop() -> bytes:
+    """Return a file whose first data group names itself as the next."""
+    header = b"MDF     4.10    clutchdi".ljust(28, b"\0") + struct.pack("<H", 410)
+    links = struct.pack("<6Q", 168, 0, 0, 0, 0, 0)
+    hd = struct.pack("<4s4xQQ", b"##HD", 104, 6) + links + bytes(32)
+    dg = struct.pack("<4s4xQQ", b"##DG", 64, 4) + struct.pack("<4Q", 168, 0, 0, 0) + bytes(8)
+    return header.ljust(64, b"\0") + hd + dg
+
+
+HOSTILE: dict[str, Callable[[], bytes]] = {
+    "endless.blf": endless_blf,
+    "bomb.blf": blf_bomb,
+    "bomb.log.gz": lambda: deflated(b"(1.0) can0 123#11\n" * 60_000, 200, 31),
+    "zeros.gz": lambda: b"(1.0) can0 123#11\n".join([b"", b""]) + deflated(bytes(1 << 20), 200, 31),
+    "loop.mf4": mf4_loop,
+    "line.log": lambda: b"(1.0) can0 123#11\n" + b"x" * (64 << 20),
+}
+
+
+@pytest.mark.parametrize("name", HOSTILE)
+def test_what_is_made_to_do_harm_is_refused_within_limits(name: str, tmp_path: Path) -> None:
+    path = tmp_path / name
+    contents: bytes = HOSTILE[name]()
+    path.write_bytes(contents)
+    before = resource.getrusage(resource.RUSAGE_CHILDREN)
+    done = subprocess.run(
+        [sys.executable, "-c", READ, str(path)], capture_output=True, text=True, timeout=120, check=False
+    )
+    after = resource.getrusage(resource.RUSAGE_CHILDREN)
+    assert done.returncode == 0, done.stderr
+    cpu_s, peak_bytes = (float(word) for word in done.stdout.split())
+    assert cpu_s <= 10.0
+    assert peak_bytes <= MEMORY_BYTES
+    assert after.ru_utime - before.ru_utime <= 20.0
+
+
+@pytest.mark.parametrize("log_format", SUFFIXES)
+def test_generated_damage_is_survived(log_format: str, tmp_path: Path) -> None:
+    tally, wrong = run(log_format, 6, 7, tmp_path)
+    assert not wrong
+    assert tally["read"] + tally["refused"] == 6
+    assert tally["noticed"] >= 4  # bits may flip where nothing is told by them
+
+
+@pytest.mark.parametrize("reader", READERS)
+def test_readers_hold_against_a_short_fuzz(reader: str) -> None:
+    assert fuzz(reader, minutes=1e-6, first_seed=11) > 0
