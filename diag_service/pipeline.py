@@ -87,14 +87,15 @@ class Stages:
         belief, estimate = self._estimate(event)
         indices: ShiftIndices | None = measure(event, self._calibration)
         if estimate.status is not Status.REJECTED and (reasons := reasons_against(trust)):
-            estimate = replace(estimate, status=Status.REJECTED, reasons=reasons, friction=None)
+            estimate = replace(estimate, status=Status.REJECTED, reasons=reasons, friction=None, scale_free=None)
             belief, indices = self._belief, None  # data that are not trusted leave no trace in the running state
-        self._belief = belief
         estimate = replace(estimate, trust=trust, tier=self.tier or Tier.KINEMATIC, indices=indices)
         if self.tier is Tier.FRICTION:
-            self._memory, verdict = judge(self._memory, self._belief, estimate.clutch, self._calibration)
+            memory = self._memory.with_shift(estimate, self._belief)
+            self._memory, verdict = judge(memory, belief, estimate.clutch, self._calibration)
         else:
             verdict = no_verdict(estimate.clutch, missing_for_next(self._decoder.signals))
+        self._belief = belief
         return Diagnosis(estimate=estimate, verdict=verdict, belief=self._belief, memory=self._memory)
 
     def _estimate(self, event: ShiftEvent) -> tuple[Belief, ShiftEstimate]:
@@ -285,7 +286,8 @@ def resume(
         return fresh
     if state.versions != versions:
         _LOG.warning(
-            "the running state of %s was made by algorithm %s with calibration %s; starting afresh, results stay",
+            "the running state of %s was made by algorithm %s with calibration %s; starting afresh with a new "
+            "baseline, results stay",
             vehicle,
             state.versions.algorithm,
             state.versions.calibration,
@@ -294,5 +296,9 @@ def resume(
     try:
         return Belief.from_json(state.belief, calibration), ConditionMemory.from_json(state.condition)
     except ValueError as exc:
-        _LOG.warning("the running state of %s cannot be used (%s); starting afresh, results stay", vehicle, exc)
+        _LOG.warning(
+            "the running state of %s cannot be used (%s); starting afresh with a new baseline, results stay",
+            vehicle,
+            exc,
+        )
         return fresh

@@ -10,6 +10,8 @@ from enum import IntEnum, StrEnum
 import numpy as np
 import numpy.typing as npt
 
+from diag_service.comparison import ClutchRatio, FrictionTrend, ScaleFreeFriction, ShiftScatter
+
 FloatArray = npt.NDArray[np.float64]
 BoolArray = npt.NDArray[np.bool_]
 Int64Array = npt.NDArray[np.int64]
@@ -283,6 +285,7 @@ class ShiftEstimate:
     duration_s: float
     odometer_m: float | None
     trust: Trust | None = None  # in the data, whatever the estimate; None in results of older versions
+    scale_free: ScaleFreeFriction | None = None  # None where there is no friction, and in results of older versions
     tier: Tier = Tier.FRICTION  # what the vehicle's signals suffice for
     indices: ShiftIndices | None = None
 
@@ -306,6 +309,11 @@ class ClutchVerdict:
     level_ratio: float | None  # mu_c over the calibration's reference
     friction: FrictionEstimate | None  # the running estimate, all shifts combined
     shift_count: int  # shifts in the running estimate
+    scale_free: ScaleFreeFriction | None = None  # this and what follows: None while unknown, and in older results
+    common_scale_std_ratio: float | None = None  # relative deviation that all friction of the vehicle shares
+    shift_scatter: ShiftScatter | None = None
+    trend: FrictionTrend | None = None  # against the vehicle's own baseline
+    clutch_ratio: ClutchRatio | None = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -8,8 +8,9 @@ import json
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, fields
 from datetime import UTC, datetime, timedelta
-from typing import TypeVar
+from typing import Any, TypeVar
 
+from diag_service.comparison import ClutchRatio, FrictionTrend, ScaleFreeFriction, ShiftScatter
 from diag_service.errors import ResultError
 from diag_service.records import (
     ClutchVerdict,
@@ -32,9 +33,10 @@ SHIFT_SCHEMA = Channel.SHIFT.schema_name
 
 _EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
 _NS_PER_US = 1000
-_FRICTION_KEYS = frozenset(field.name for field in fields(FrictionEstimate))
 _INDEX_KEYS = tuple(field.name for field in fields(ShiftIndices))
+_Numbers = FrictionEstimate | ScaleFreeFriction | ShiftScatter | FrictionTrend | ClutchRatio
 ValueT = TypeVar("ValueT", bool, int, float, str)
+NumbersT = TypeVar("NumbersT", bound=_Numbers)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -90,7 +92,8 @@ def shift_record(result: ShiftResult) -> JsonObject:
         "clutch": estimate.clutch,
         "status": estimate.status.value,
         "reasons": [reason.value for reason in estimate.reasons],
-        "friction": _friction_record(estimate.friction),
+        "friction": _numbers_record(estimate.friction),
+        "scale_free": _numbers_record(estimate.scale_free),
         "sample_count": estimate.sample_count,
         "window_s": estimate.window_s,
         "chi_square_ratio": estimate.chi_square_ratio,
@@ -183,8 +186,8 @@ def verdict_from(table: object) -> ClutchVerdict:
         raise ResultError(f"incomplete {Channel.CLUTCH.schema_name} record: {exc!r}") from exc
 
 
-def _friction_record(friction: FrictionEstimate | None) -> JsonObject | None:
-    return None if friction is None else asdict(friction)
+def _numbers_record(numbers: _Numbers | None) -> JsonObject | None:
+    return None if numbers is None else asdict(numbers)
 
 
 def _trust_record(trust: Trust | None) -> JsonObject | None:
@@ -199,8 +202,13 @@ def _verdict_record(verdict: ClutchVerdict) -> JsonObject:
         "condition": verdict.condition.name.lower(),
         "reason": verdict.reason,
         "level_ratio": verdict.level_ratio,
-        "friction": _friction_record(verdict.friction),
+        "friction": _numbers_record(verdict.friction),
         "shift_count": verdict.shift_count,
+        "scale_free": _numbers_record(verdict.scale_free),
+        "common_scale_std_ratio": verdict.common_scale_std_ratio,
+        "shift_scatter": _numbers_record(verdict.shift_scatter),
+        "trend": _numbers_record(verdict.trend),
+        "clutch_ratio": _numbers_record(verdict.clutch_ratio),
     }
 
 
@@ -217,7 +225,7 @@ def _shift_from(table: JsonObject) -> ShiftResult:
         end_ns=_value(table, "end_bus_ns", int),
         status=Status(_value(table, "status", str)),
         reasons=tuple(Reason(reason) for reason in reasons),
-        friction=_friction_from(table["friction"]),
+        friction=_numbers_from(FrictionEstimate, table["friction"]),
         sample_count=_value(table, "sample_count", int),
         window_s=_value(table, "window_s", float),
         chi_square_ratio=_value(table, "chi_square_ratio", float),
@@ -230,6 +238,7 @@ def _shift_from(table: JsonObject) -> ShiftResult:
         tier=Tier(_value(table, "tier", int)) if "tier" in table else Tier.FRICTION,  # older results lack both
         indices=_indices_from(table.get("indices")),
         trust=_trust_from(table.get("trust")),
+        scale_free=_numbers_from(ScaleFreeFriction, table.get("scale_free")),
     )
     return ShiftResult(
         vehicle=_value(table, "vehicle", str),
@@ -251,8 +260,13 @@ def _verdict_from(table: object) -> ClutchVerdict:
         condition=Condition[_value(table, "condition", str).upper()],
         reason=_value(table, "reason", str),
         level_ratio=_optional(table, "level_ratio"),
-        friction=_friction_from(table["friction"]),
+        friction=_numbers_from(FrictionEstimate, table["friction"]),
         shift_count=_value(table, "shift_count", int),
+        scale_free=_numbers_from(ScaleFreeFriction, table.get("scale_free")),
+        common_scale_std_ratio=_optional({"common_scale_std_ratio": None, **table}, "common_scale_std_ratio"),
+        shift_scatter=_numbers_from(ShiftScatter, table.get("shift_scatter")),
+        trend=_numbers_from(FrictionTrend, table.get("trend")),
+        clutch_ratio=_numbers_from(ClutchRatio, table.get("clutch_ratio")),
     )
 
 
@@ -265,12 +279,17 @@ def _trust_from(table: object) -> Trust | None:
     return Trust(score=_value(table, "score", float), parts=parts)
 
 
-def _friction_from(table: object) -> FrictionEstimate | None:
+def _numbers_from(kind: type[NumbersT], table: object) -> NumbersT | None:
+    """Read back a record that holds only floats and integers."""
     if table is None:
         return None
     if not isinstance(table, dict):
-        raise TypeError("friction must be an object or null")
-    return FrictionEstimate(**{key: _value(table, key, float) for key in _FRICTION_KEYS})
+        raise TypeError(f"{kind.__name__} must be an object or null")
+    numbers: dict[str, Any] = {
+        one.name: _value(table, one.name, int) if one.type is int else _value(table, one.name, float)
+        for one in fields(kind)
+    }
+    return kind(**numbers)
 
 
 def _indices_from(table: object) -> ShiftIndices | None:

@@ -1,10 +1,11 @@
 """What a run did, in numbers: frames in, frames refused and why, shifts out. For people and for machines."""
 
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 
-from diag_service.records import ShiftEstimate, ShiftResult, Status, Tier
+from diag_service.comparison import ClutchRatio
+from diag_service.records import ClutchVerdict, ShiftEstimate, ShiftResult, Status, Tier
 from diag_service.results import JsonObject, clutch_record
 
 RECENT_COUNT = 8
@@ -186,6 +187,43 @@ def capability_line(summary: Summary) -> str:
     if capability.unseen:
         parts.append(f"mapped by profile {capability.profile}, but never seen: {', '.join(capability.unseen)}")
     return "; ".join(parts)
+
+
+def sharp_lines(verdict: ClutchVerdict) -> Iterator[str]:
+    """Yield for people what is known of a clutch without knowing the common scale, as far as it is."""
+    free, scatter, since = verdict.scale_free, verdict.shift_scatter, verdict.trend
+    if free is not None and verdict.common_scale_std_ratio is not None:
+        yield (
+            f"scale-free mu_C {free.mu_c:.4f} ± {free.std_mu_c:.4f}, mu_S {free.mu_s:.4f} ± {free.std_mu_s:.4f}; "
+            f"common scale ± {100.0 * verdict.common_scale_std_ratio:.1f} %"
+        )
+    if scatter is not None:
+        std = f"mu_C {scatter.std_mu_c:.4f}, mu_S {scatter.std_mu_s:.4f}"
+        yield f"shift-to-shift std {std} ({scatter.shift_count} shifts)"
+    if since is not None:
+        yield (
+            f"trend mu_C {_change(since.change_mu_c_ratio, since.std_change_mu_c_ratio)}, "
+            f"mu_S {_change(since.change_mu_s_ratio, since.std_change_mu_s_ratio)} "
+            f"against the baseline ({since.baseline_shift_count} shifts)"
+        )
+
+
+def latest_ratio(summary: Summary) -> ClutchRatio | None:
+    """Return the ratio of the clutches after the last shift of a run, if both are known."""
+    newest = max(summary.latest, key=lambda result: result.estimate.end_ns, default=None)
+    return None if newest is None else newest.verdict.clutch_ratio
+
+
+def ratio_line(ratio: ClutchRatio) -> str:
+    """Return the friction of clutch 1 over that of clutch 2 as one line for people."""
+    return (
+        f"mu_C1/mu_C2 {ratio.mu_c_ratio:.3f} ± {ratio.std_mu_c_ratio:.3f}, "
+        f"mu_S1/mu_S2 {ratio.mu_s_ratio:.3f} ± {ratio.std_mu_s_ratio:.3f}"
+    )
+
+
+def _change(ratio: float, std_ratio: float) -> str:
+    return f"{100.0 * ratio:+.1f} ± {100.0 * std_ratio:.1f} %"
 
 
 def _with_reasons(head: str, counts: Mapping[str, int]) -> str:

@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 
+from diag_service.comparison import ClutchRatio, FrictionTrend, ScaleFreeFriction, ShiftScatter
 from diag_service.records import (
     ClutchVerdict,
     Condition,
@@ -34,6 +35,26 @@ def friction_estimate() -> FrictionEstimate:
     )
 
 
+def scale_free_friction() -> ScaleFreeFriction:
+    return ScaleFreeFriction(mu_c=0.1388, mu_s=0.1224, std_mu_c=0.0009, std_mu_s=0.0013, correlation=0.3)
+
+
+def friction_trend() -> FrictionTrend:
+    return FrictionTrend(
+        change_mu_c=-0.0021,
+        change_mu_s=0.0004,
+        std_change_mu_c=0.0006,
+        std_change_mu_s=0.001,
+        change_mu_c_ratio=-0.0152,
+        change_mu_s_ratio=0.0033,
+        std_change_mu_c_ratio=0.0043,
+        std_change_mu_s_ratio=0.0083,
+        baseline_end_bus_ns=START_NS - 900_000_000,
+        baseline_shift_count=15,
+        later_shift_count=4,
+    )
+
+
 def shift_estimate(number: int = 1, to_gear: int = 2) -> ShiftEstimate:
     start_ns = START_NS + (number - 1) * 4_000_000_000
     return ShiftEstimate(
@@ -56,6 +77,7 @@ def shift_estimate(number: int = 1, to_gear: int = 2) -> ShiftEstimate:
         duration_s=0.9,
         odometer_m=1234.0,
         trust=Trust(score=0.9 * 0.95, parts={TrustPart.FRAMES: 0.95, TrustPart.PROTECTION: 0.9}),
+        scale_free=scale_free_friction(),
     )
 
 
@@ -73,6 +95,11 @@ def shift_result(seq: int = 1, *, vehicle: str = "car1", stream: str = STREAM, t
             level_ratio=0.99,
             friction=friction_estimate(),
             shift_count=seq,
+            scale_free=scale_free_friction(),
+            common_scale_std_ratio=0.03,
+            shift_scatter=ShiftScatter(std_mu_c=0.0021, std_mu_s=0.0047, shift_count=18),
+            trend=friction_trend(),
+            clutch_ratio=ClutchRatio(mu_c_ratio=1.004, mu_s_ratio=0.991, std_mu_c_ratio=0.014, std_mu_s_ratio=0.017),
         ),
         algorithm_version="algorithm-1",
         calibration_version="1+0123456789ab",
@@ -86,12 +113,20 @@ def rejected(result: ShiftResult) -> ShiftResult:
         result.estimate,
         status=Status.REJECTED,
         friction=None,
+        scale_free=None,
         sump_temperature_k=None,
         clutch_temperature_k=None,
         slip_energy_j=None,
         odometer_m=None,
     )
-    verdict = replace(result.verdict, condition=Condition.NO_VERDICT, friction=None, level_ratio=None, shift_count=0)
+    verdict = ClutchVerdict(
+        clutch=result.verdict.clutch,
+        condition=Condition.NO_VERDICT,
+        reason=result.verdict.reason,
+        level_ratio=None,
+        friction=None,
+        shift_count=0,
+    )
     return replace(result, estimate=estimate, verdict=verdict)
 
 

@@ -85,6 +85,13 @@ def _leaves(table: Mapping[str, object], root: Mapping[str, object], prefix: str
         if reference := description.get("$ref"):
             yield from _leaves(definitions[reference.rsplit("/", 1)[-1]], root, f"{prefix}{key}.")
             continue
+        if "properties" in description:
+            yield from _leaves(description, root, f"{prefix}{key}.")
+            continue
+        names = description.get("propertyNames", {}).get("enum", [])
+        if names:
+            yield from ((f"{prefix}{key}.{name}", "float64") for name in names)
+            continue
         kinds = description.get("type")
         kind = kinds[0] if isinstance(kinds, list) else kinds
         if kind is None and all(isinstance(choice, int) for choice in description.get("enum", [""])):

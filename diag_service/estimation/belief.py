@@ -13,6 +13,7 @@ from typing import Any, Self
 import numpy as np
 
 from clutch_model.calibration import Calibration
+from diag_service.estimation.baseline import BASELINE_SHIFT_COUNT, Baseline
 from diag_service.estimation.parameters import (
     STATE_COUNT,
     Considered,
@@ -26,7 +27,7 @@ from diag_service.records import FloatArray, FrictionEstimate
 FRICTION_DRIFT_STD = 2e-5  # per shift: 0.15 in the life of a fluid is 1e-6, so this forgets over thousands of shifts
 OFFSET_DRIFT_NM = 0.005  # per shift: warm-up of the torque model
 PRESSURE_DRIFT_PA = 5.0  # per shift: warm-up of the pressure sensors
-STATE_FORMAT = 2
+STATE_FORMAT = 3
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -62,6 +63,7 @@ class Belief:
     temperature_ns: int = 0
     stribeck_speed_rad_s: tuple[float, float] = (1.0, 1.0)
     torque_gain: float = 1.0  # of the readings, as believed: friction in ``mean`` is multiplied by it
+    baselines: tuple[Baseline | None, Baseline | None] = (None, None)  # of clutch 1 and 2, once there are enough shifts
 
     @classmethod
     def fresh(cls, calibration: Calibration) -> Self:
@@ -106,7 +108,24 @@ class Belief:
         covariance[:, rows] = 0.0
         covariance[rows, rows] = blank.covariance[rows, rows]
         sensitivity[rows, :] = 0.0
-        return replace(self, mean=mean, covariance=covariance, sensitivity=sensitivity)
+        first, second = (one and one.without(rows) for one in self.baselines)
+        return replace(self, mean=mean, covariance=covariance, sensitivity=sensitivity, baselines=(first, second))
+
+    def counted(self, clutch: int, end_ns: int) -> Self:
+        """Return the state after the baseline of a clutch took note of a shift that the friction now contains.
+
+        The baseline is frozen at the first shift with which the clutch has had enough of them, and stays.
+        """
+        rows, count = friction_rows(clutch), self.shift_counts[clutch - 1]
+        baselines = list(self.baselines)
+        known = baselines[clutch - 1]
+        if known is not None:
+            baselines[clutch - 1] = replace(known, later_count=known.later_count + 1)
+        elif count >= BASELINE_SHIFT_COUNT:
+            baselines[clutch - 1] = Baseline.of(
+                rows, self.mean, self.covariance, self.sensitivity, end_ns=end_ns, count=count
+            )
+        return replace(self, baselines=(baselines[0], baselines[1]))
 
     def drifted(self) -> Self:
         """Return the state one shift later: every estimated parameter wanders a little."""
@@ -123,11 +142,13 @@ class Belief:
         common = d - h @ self.sensitivity
         expected = random + common @ self.considered @ common.T
         chi_square = float(seen.residual @ np.linalg.solve(expected, seen.residual))
+        first, second = (one and one.after(keep) for one in self.baselines)
         state = replace(
             self,
             mean=self.mean + gain @ seen.residual,
             covariance=(covariance + covariance.T) / 2.0,
             sensitivity=keep @ self.sensitivity + gain @ d,
+            baselines=(first, second),
         )
         return state, chi_square / len(seen.residual)
 
@@ -171,6 +192,7 @@ class Belief:
             "refused_counts": list(self.refused_counts),
             "clutch_temperature_k": self.clutch_temperature_k and list(self.clutch_temperature_k),
             "temperature_ns": self.temperature_ns,
+            "baselines": [one and one.to_json() for one in self.baselines],
         }
 
     @classmethod
@@ -187,6 +209,7 @@ class Belief:
             if table["format"] != STATE_FORMAT:
                 raise ValueError(f"running state of format {table['format']!r}, expected {STATE_FORMAT}")
             temperature = table["clutch_temperature_k"]
+            first, second = (one and Baseline.from_json(one) for one in table["baselines"])
             state = replace(
                 blank,
                 mean=np.array(table["mean"], dtype=np.float64),
@@ -196,6 +219,7 @@ class Belief:
                 refused_counts=_pair(table["refused_counts"], int),
                 clutch_temperature_k=None if temperature is None else _pair(temperature, float),
                 temperature_ns=int(table["temperature_ns"]),
+                baselines=(first, second),
             )
         except (KeyError, TypeError) as exc:
             raise ValueError(f"not a running state: {exc!r}") from exc

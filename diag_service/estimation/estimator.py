@@ -12,6 +12,7 @@ from diag_service.estimation.parameters import State, friction_rows
 from diag_service.estimation.plausibility import doubts, zero_has_jumped
 from diag_service.estimation.preparation import measured_drives, on_coming, planned_drives, slip_window, zeroed
 from diag_service.estimation.sampling import NS_TO_S
+from diag_service.estimation.sharp import scale_free
 from diag_service.estimation.signals import ShiftSignals, gather
 from diag_service.estimation.window import SlipWindow
 from diag_service.records import FloatArray, Reason, ShiftEstimate, ShiftEvent, Signal, Status
@@ -59,7 +60,9 @@ class Estimator:
             temperature_ns=event.end_ns,
         )
         if misfit > MISFIT_GATE:
-            return warmed, replace(estimate, status=Status.REJECTED, reasons=(Reason.MISFIT,), friction=None)
+            return warmed, replace(
+                estimate, status=Status.REJECTED, reasons=(Reason.MISFIT,), friction=None, scale_free=None
+            )
         return self._combined(warmed, balance, clutch, alone, estimate)
 
     def _fit(self, balance: Balance, prior: Belief) -> tuple[Belief, float]:
@@ -87,10 +90,8 @@ class Estimator:
         refused[m] = 0
         counts[m] += 1
         posterior, _ = self._fit(balance, belief.drifted())
-        return (
-            replace(posterior, shift_counts=(counts[0], counts[1]), refused_counts=(refused[0], refused[1])),
-            estimate,
-        )
+        counted = replace(posterior, shift_counts=(counts[0], counts[1]), refused_counts=(refused[0], refused[1]))
+        return counted.counted(clutch, estimate.end_ns), estimate
 
     def _describe(
         self,
@@ -108,6 +109,7 @@ class Estimator:
         return replace(
             without_friction(event, Status.VALID),
             friction=alone.friction(clutch),
+            scale_free=scale_free(alone, clutch),
             sample_count=balance.sample_count,
             window_s=window_s,
             chi_square_ratio=misfit,

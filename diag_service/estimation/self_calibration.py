@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from clutch_model.calibration import Calibration
+from clutch_model.errors import CalibrationError
 from clutch_model.knowledge import JointUncertainty
 from diag_service.estimation.balance import Balance
 from diag_service.estimation.belief import Belief, Measurement
@@ -32,12 +33,14 @@ from diag_service.records import FloatArray, Reason, RevEvent, ShiftEvent
 
 LEAST_SHIFTS_PER_CLUTCH = 4  # fewer do not tell touch point and friction apart
 MAX_EVENT_COUNT = 200  # bounds time and memory; three times what the latencies need
-MAX_PASS_COUNT = 12
-ROUGH_PASS_COUNT = 3  # before them even a good shift does not fit
-FULL_STEP_COUNT = 7  # half steps after them end a swing between two ways of counting a sample at an edge
+MAX_PASS_COUNT = 18
+ROUGH_PASS_COUNT = 3  # within them, or while steps are cut short, even a good shift does not fit
+LONGEST_STEP = 2.0  # standard deviations of the prior: far off, the balance is not linear
+FULL_STEP_COUNT = 5  # half steps after them end a swing between two ways of counting a sample at an edge
 CONVERGED = 0.02  # of a standard deviation
 NEARLY_CONVERGED = 0.3  # a slip window that begins a sample earlier or later from pass to pass can do that
 MISFIT_GATE = 4.0  # chi-square per degree of freedom
+MAX_MISFIT_SHARE = 1 / 3  # of the shifts
 MAX_DEPARTURE = 5.0  # standard deviations of the type
 MAX_MEAN_MISFIT = 2.0  # of the shifts used: beyond it this is not the vehicle type that the calibration describes
 LOOSE_STD = {
@@ -105,28 +108,32 @@ def self_calibrate(
     spread = _loosened(prior_covariance(start))
     weight = np.linalg.inv(spread)
     mean, point = prior, start
-    windows: dict[int, Span] = {}
+    windows: dict[int, Span] = {}  # chosen anew in every pass while empty
     used: list[_Seen] = []
+    fine_count = 0
     rest = np.inf
     for number in range(MAX_PASS_COUNT):
         belief = replace(Belief.fresh(point), mean=mean[:STATE_COUNT])
-        if number == ROUGH_PASS_COUNT:  # from here on the same data pass after pass, or it would not converge
-            windows = {one.number: one.span for one in used if one.clutch}
         seen = [*_seen_shifts(shifts, belief, point, windows), *_seen_revs(revs, belief, point)]
-        used = [one for one in seen if number < ROUGH_PASS_COUNT or one.misfit <= MISFIT_GATE]
-        if problem := _shortage(used):
+        used = [one for one in seen if not fine_count or one.misfit <= MISFIT_GATE]
+        if problem := _shortage(seen, used):
             return problem
         information, gradient = _gathered(used)
         covariance = np.asarray(np.linalg.inv(weight + information), np.float64)
         step: FloatArray = covariance @ (weight @ (prior - mean) + gradient)
-        mean = mean + (step if number < FULL_STEP_COUNT else 0.5 * step)
+        share = _share(step, spread)
+        mean = mean + step * (share if fine_count < FULL_STEP_COUNT else 0.5 * share)
         try:
             point = displaced(start, mean)
-        except ValueError as exc:
+        except CalibrationError as exc:
             return f"no vehicle explains these shifts: {exc}"
         rest = float(np.max(np.abs(step) / np.sqrt(np.diag(covariance))))
-        if number >= ROUGH_PASS_COUNT and rest < CONVERGED:
+        if fine_count and rest < CONVERGED:
             break
+        if fine_count or (share == 1.0 and number + 1 >= ROUGH_PASS_COUNT):
+            fine_count += 1
+            # From here on the same data pass after pass, or it would not converge.
+            windows = windows or {one.number: one.span for one in used if one.clutch}
     if rest > NEARLY_CONVERGED:
         return f"the self-calibration did not converge: still {rest:.1f} standard deviations a pass"
     if problem := _departure(mean - prior, spread):
@@ -145,6 +152,12 @@ def _gathered(used: Sequence[_Seen]) -> tuple[FloatArray, FloatArray]:
         if measurement.overlap is not None:
             gradient[STATE_COUNT:] -= measurement.overlap
     return information, gradient
+
+
+def _share(step: FloatArray, spread: FloatArray) -> float:
+    """Return how much of a step the linearisation bears, 0..1."""
+    longest = float(np.max(np.abs(step[FRICTION_COUNT:]) / np.sqrt(np.diag(spread)[FRICTION_COUNT:])))
+    return LONGEST_STEP / max(longest, LONGEST_STEP)
 
 
 def _departure(moved: FloatArray, spread: FloatArray) -> str:
@@ -219,11 +232,15 @@ def _misfit(seen: Measurement) -> float:
     return float(seen.residual @ np.linalg.solve(seen.noise, seen.residual)) / len(seen.residual)
 
 
-def _shortage(used: Sequence[_Seen]) -> str:
+def _shortage(seen: Sequence[_Seen], used: Sequence[_Seen]) -> str:
+    """Return what is missing in the shifts that are left; empty if nothing is."""
     for clutch in (1, 2):
         count = sum(one.clutch == clutch for one in used)
         if count < LEAST_SHIFTS_PER_CLUTCH:
             return f"{count} usable shifts onto clutch {clutch}, needed are {LEAST_SHIFTS_PER_CLUTCH}"
+    seen_count, used_count = (sum(one.clutch > 0 for one in some) for some in (seen, used))
+    if seen_count - used_count > MAX_MISFIT_SHARE * seen_count:
+        return f"{seen_count - used_count} of {seen_count} shifts do not fit: not a vehicle of this type"
     return ""
 
 

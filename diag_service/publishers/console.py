@@ -7,7 +7,15 @@ from rich.text import Text
 
 from clutch_model.units import degc_from_k
 from diag_service.records import Condition, FrictionEstimate, ShiftResult, Status
-from diag_service.summary import Summary, capability_line, frames_line, shifts_line
+from diag_service.summary import (
+    Summary,
+    capability_line,
+    frames_line,
+    latest_ratio,
+    ratio_line,
+    sharp_lines,
+    shifts_line,
+)
 
 _CONDITION_STYLE = {
     Condition.NO_VERDICT: "dim",
@@ -46,6 +54,10 @@ class ConsoleReporter:
             self._console.print(_clutch_table(summary))
         for result in summary.latest:
             self._line(Text(f"clutch {result.verdict.clutch}: {result.verdict.reason}"))
+            for line in sharp_lines(result.verdict):
+                self._line(Text(f"  {line}"))
+        if ratio := latest_ratio(summary):
+            self._line(Text(ratio_line(ratio)))
         self._line(Text(shifts_line(summary)))
         self._line(Text(frames_line(summary.frames)))
         if line := capability_line(summary):

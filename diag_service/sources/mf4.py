@@ -28,7 +28,7 @@ from diag_service.frames import (
     REMOTE_FLAG,
     FrameBatch,
 )
-from diag_service.records import Int64Array, UInt8Array
+from diag_service.records import UInt8Array
 from diag_service.sources.columns import clear_padding, rounded_to_us
 from diag_service.sources.guarded import guarded
 from diag_service.sources.merging import merged_by_time
@@ -36,6 +36,8 @@ from diag_service.sources.tally import LogReject, Tally
 from diag_service.sources.text_kernels import IS_LENGTH
 
 Records = npt.NDArray[np.void]  # one row per frame, fields named "CAN_DataFrame.ID" and so on
+
+IntegerArray = npt.NDArray[np.integer[Any]]
 
 UNFINISHED_MAGIC = b"UnFinMF "
 FRAMES_PER_READ = 262_144
@@ -165,7 +167,7 @@ def frames_of(
     samples: Records, elapsed_s: npt.NDArray[np.float64], kind: str, start_ns: int
 ) -> tuple[FrameBatch, npt.NDArray[np.bool_]]:
     """Return records as frames, and which of them are such."""
-    number = column(samples, kind, "ID") & MAX_ID
+    number = column(samples, kind, "ID").astype(np.uint32) & np.uint32(MAX_ID)
     is_extended = column(samples, kind, "IDE") != 0
     is_fd = column(samples, kind, "EDL") != 0
     stored = column(samples, kind, "DataLength" if kind == DATA else "DLC")
@@ -174,29 +176,30 @@ def frames_of(
     is_fd |= stored > PAYLOAD_BYTES
     is_frame = is_time & ((is_length & (is_extended | (number <= MAX_STANDARD_ID))) | (kind == ERROR))
     length = np.where(is_length & (kind != ERROR), stored, 0).astype(np.uint8)
-    can_id = number.astype(np.uint32) | np.where(is_extended, np.uint32(EXTENDED_FLAG), np.uint32(0))
-    flags = np.where(is_fd, FD_FLAG, 0)
-    flags |= np.where(column(samples, kind, "BRS") != 0, BRS_FLAG, 0) * is_fd
-    flags |= np.where(column(samples, kind, "ESI") != 0, ESI_FLAG, 0) * is_fd
+    can_id = number | np.where(is_extended, np.uint32(EXTENDED_FLAG), np.uint32(0))
+    flags = np.zeros(len(length), np.uint8)
+    if is_fd.any():
+        fast, passive = (column(samples, kind, field) != 0 for field in ("BRS", "ESI"))
+        flags = (is_fd * (FD_FLAG | BRS_FLAG * fast | ESI_FLAG * passive)).astype(np.uint8)
     elapsed_ns = np.rint(np.where(is_time, elapsed_s, 0.0) * NS_PER_S).astype(np.int64)
     batch = FrameBatch(
         t_ns=rounded_to_us(start_ns + elapsed_ns),
         can_id=np.full(len(length), ERROR_FLAG, np.uint32) if kind == ERROR else can_id | np.uint32(FLAG_OF_KIND[kind]),
         length=length,
         data=payloads(samples, kind, length, FD_PAYLOAD_BYTES if is_fd.any() else PAYLOAD_BYTES),
-        flags=flags.astype(np.uint8),
+        flags=flags,
         channel=np.clip(column(samples, kind, "BusChannel"), 0, 255).astype(np.uint8),
     )
     return batch, is_frame
 
 
-def column(samples: Records, kind: str, field: str) -> Int64Array:
+def column(samples: Records, kind: str, field: str) -> IntegerArray:
     """Return one field of the records as integers, zeros if the records lack it."""
     name = f"{kind}.{field}"
     if name not in (samples.dtype.names or ()):
-        return np.zeros(len(samples), np.int64)
-    values: npt.NDArray[np.int64] = np.asarray(samples[name]).astype(np.int64)
-    return values
+        return np.zeros(len(samples), np.uint8)
+    values = np.asarray(samples[name])
+    return values if values.dtype.kind == "u" else values.astype(np.int64)
 
 
 def payloads(samples: Records, kind: str, length: UInt8Array, width: int) -> UInt8Array:
@@ -206,4 +209,4 @@ def payloads(samples: Records, kind: str, length: UInt8Array, width: int) -> UIn
     if kind == DATA and name in (samples.dtype.names or ()):
         stored = np.asarray(samples[name], np.uint8).reshape(len(samples), -1)[:, :width]
         data[:, : stored.shape[1]] = stored
-    return clear_padding(data, length)
+    return data if (length == width).all() else clear_padding(data, length)

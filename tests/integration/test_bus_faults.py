@@ -138,8 +138,9 @@ def test_no_estimate_is_made_of_a_window_that_cannot_be_trusted(broken: BusFault
     assert [diagnosis.estimate.status for diagnosis in diagnoses] == [Status.VALID] * 9
 
 
-@pytest.mark.parametrize("start_s", [0.10, 0.13, 0.16])
-@pytest.mark.parametrize("message", [MESSAGE, "ECM_TorqueSpeed", "TCU_InputSpeeds"])
+@pytest.mark.parametrize(
+    ("message", "start_s"), [(MESSAGE, 0.10), (MESSAGE, 0.13), ("ECM_TorqueSpeed", 0.16), ("TCU_InputSpeeds", 0.10)]
+)
 def test_a_second_sender_bends_no_estimate(message: str, start_s: float) -> None:
     """However its counter stands to that of the first."""
     diagnoses, counts, truth = analysed(fault("spoof", message=message, start_s=start_s))
@@ -147,14 +148,13 @@ def test_a_second_sender_bends_no_estimate(message: str, start_s: float) -> None
     assert list(far(diagnoses, truth)) == []
 
 
-@pytest.mark.parametrize(("share", "most_rejected"), [(0.01, 4), (0.05, 10)])
-def test_random_loss_rejects_shifts_rather_than_bending_them(share: float, most_rejected: int) -> None:
-    rejected = []
-    for seed in (51, 52):
-        lossy = fault("loss", message="", shift=0, start_s=0.0, duration_s=1e6, share=share)
-        diagnoses, counts, truth = analysed(lossy, seed=seed)
-        assert counts.missing == pytest.approx(injected(truth), abs=3)  # a message's last frames leave no trace
-        assert list(far(diagnoses, truth)) == []
-        rejected.append(sum(diagnosis.estimate.status is Status.REJECTED for diagnosis in diagnoses))
-    assert max(rejected) <= most_rejected
-    assert share < 0.05 or min(rejected) >= 3
+@pytest.mark.parametrize(("share", "least_rejected", "most_rejected"), [(0.01, 0, 4), (0.05, 3, 10)])
+def test_random_loss_rejects_shifts_rather_than_bending_them(
+    share: float, least_rejected: int, most_rejected: int
+) -> None:
+    lossy = fault("loss", message="", shift=0, start_s=0.0, duration_s=1e6, share=share)
+    diagnoses, counts, truth = analysed(lossy, seed=51)
+    assert counts.missing == pytest.approx(injected(truth), abs=3)  # a message's last frames leave no trace
+    assert list(far(diagnoses, truth)) == []
+    rejected = sum(diagnosis.estimate.status is Status.REJECTED for diagnosis in diagnoses)
+    assert least_rejected <= rejected <= most_rejected

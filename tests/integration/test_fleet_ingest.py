@@ -141,7 +141,7 @@ def test_a_database_that_is_paused_costs_time_and_bounded_memory(
     database = own_postgres.create("fleet")
     engine = open_database(database)
     migrate(engine)
-    sent = messages(400)
+    sent = messages(200)
     with (
         worker(tmp_path, broker.url, database, "--batch", "50") as pid,
         ResendingEdge(broker.port) as edge,

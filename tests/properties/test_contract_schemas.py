@@ -4,7 +4,7 @@ import copy
 import json
 
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from jsonschema import Draft202012Validator, FormatChecker
 
@@ -47,6 +47,7 @@ def is_described(name: str, value: object) -> bool:
 
 
 @pytest.mark.parametrize(("event", "kind"), list(zip(RECORDS, KINDS, strict=True)), ids=KINDS)
+@settings(deadline=None)
 @given(data=st.data())
 def test_a_record_changed_at_one_place(event: dict[str, object], kind: str, data: st.DataObject) -> None:
     name = data.draw(st.sampled_from(["event", kind]))

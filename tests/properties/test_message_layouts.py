@@ -5,7 +5,7 @@ import numpy.typing as npt
 from cantools.database.can import Message
 from cantools.database.can.signal import Signal
 from cantools.database.conversion import BaseConversion
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from diag_service.codec import message_table
@@ -80,6 +80,7 @@ def random_payloads(seed: int, size: int) -> npt.NDArray[np.uint8]:
     return data
 
 
+@settings(deadline=None)  # a busy machine is no failure
 @given(messages(), st.integers(0, 2**32))
 def test_any_message_decodes_to_the_bits_of_cantools(message: Message, seed: int) -> None:
     data = random_payloads(seed, message.length)
@@ -95,6 +96,7 @@ def test_any_message_decodes_to_the_bits_of_cantools(message: Message, seed: int
         assert np.array_equal(good, np.isfinite(wanted[name]))
 
 
+@settings(deadline=None)  # a busy machine is no failure
 @given(messages(), st.integers(0, 2**32))
 def test_classic_rows_and_wide_rows_decode_alike(message: Message, seed: int) -> None:
     narrow = random_payloads(seed, message.length)

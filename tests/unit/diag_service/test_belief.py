@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from clutch_model.calibration import nominal_calibration
+from diag_service.estimation.baseline import BASELINE_SHIFT_COUNT
 from diag_service.estimation.belief import Belief, Measurement
 from diag_service.estimation.parameters import Considered, State
 
@@ -16,6 +17,7 @@ CALIBRATION = replace(
 STATES, CONSIDERED = len(State), len(Considered)
 SCALE = np.array([0.1] * 4 + [5.0] + [8e3] * 4)  # keeps the random problems near unit size
 CONSIDERED_SCALE = np.sqrt(np.diag(Belief.fresh(CALIBRATION).considered))
+FROZEN = replace(Belief.fresh(CALIBRATION), shift_counts=(99, 99)).counted(1, 1).to_json()["baselines"][0]
 
 
 def random_measurement(rng: np.random.Generator, rows: int) -> Measurement:
@@ -115,11 +117,50 @@ def test_a_saved_state_comes_back_bit_by_bit() -> None:
     assert back.sensitivity.tobytes() == belief.sensitivity.tobytes()
 
 
+def test_a_saved_baseline_comes_back_bit_by_bit() -> None:
+    rng = np.random.default_rng(8)
+    belief, _ = Belief.fresh(CALIBRATION).updated(random_measurement(rng, 9))
+    belief = replace(belief, shift_counts=(3, BASELINE_SHIFT_COUNT)).counted(1, 5).counted(2, 7)
+    belief, _ = belief.updated(random_measurement(rng, 9))
+    back = Belief.from_json(json.loads(json.dumps(belief.to_json())), CALIBRATION)
+    assert back.to_json() == belief.to_json()
+    assert back.baselines[0] is None
+    first, second = belief.baselines[1], back.baselines[1]
+    assert first is not None
+    assert second is not None
+    assert second.cross.tobytes() == first.cross.tobytes()
+    assert (second.end_ns, second.shift_count, second.later_count) == (7, BASELINE_SHIFT_COUNT, 0)
+
+
+def test_a_baseline_is_frozen_once_and_outlives_forgotten_friction() -> None:
+    belief = replace(Belief.fresh(CALIBRATION), shift_counts=(BASELINE_SHIFT_COUNT - 1, 0))
+    assert belief.counted(1, 1).baselines == (None, None)
+    frozen = replace(belief, shift_counts=(BASELINE_SHIFT_COUNT, 0)).counted(1, 2)
+    later, _ = frozen.updated(random_measurement(np.random.default_rng(9), 9))
+    later = later.counted(1, 3).forget_friction(1, CALIBRATION)
+    baseline = later.baselines[0]
+    assert baseline is not None
+    assert (baseline.end_ns, baseline.later_count) == (2, 1)
+    assert np.array_equal(baseline.mean, belief.mean[:2])
+    assert not np.any(baseline.cross[:2])
+    assert np.any(baseline.cross[2:])
+
+
 @pytest.mark.parametrize(
     "damage",
-    [{"format": 0}, {"mean": [1.0]}, {"covariance": [[float("nan")] * STATES] * STATES}, {"shift_counts": None}],
+    [
+        {"baselines": None},
+        {"baselines": [None]},
+        {"baselines": [{"mean": [0.1]}, None]},
+        {"baselines": [FROZEN | {"mean": [0.1]}, None]},
+        {"baselines": [FROZEN | {"cross": [[float("nan"), 0.0]] * STATES}, None]},
+        {"format": 0},
+        {"mean": [1.0]},
+        {"covariance": [[float("nan")] * STATES] * STATES},
+        {"shift_counts": None},
+    ],
 )
 def test_a_damaged_state_is_refused(damage: dict[str, object]) -> None:
     table = Belief.fresh(CALIBRATION).to_json() | damage
-    with pytest.raises(ValueError, match="running state"):
+    with pytest.raises(ValueError, match=r"running state|unpack"):
         Belief.from_json(table, CALIBRATION)

@@ -7,9 +7,12 @@ import pytest
 
 from clutch_model.calibration import nominal_calibration
 from diag_service.condition import ConditionMemory, judge
+from diag_service.estimation.baseline import BASELINE_SHIFT_COUNT
 from diag_service.estimation.belief import Belief
 from diag_service.estimation.parameters import State
-from diag_service.records import Condition
+from diag_service.records import Condition, Reason, Status
+from diag_service.scatter import LEAST_SHIFT_COUNT
+from tests.builders import rejected, shift_estimate, shift_result
 
 CALIBRATION = nominal_calibration()
 
@@ -77,7 +80,95 @@ def test_each_clutch_has_its_own_memory() -> None:
     assert ConditionMemory.from_json(memory.to_json()) == memory
 
 
-@pytest.mark.parametrize("table", [{}, {"conditions": ["FINE", "GOOD"]}, {"conditions": None}])
+def aged(ratio: float, *, later_count: int = 10) -> Belief:
+    """Return a state whose friction was at first as in the calibration and is now a share of it, slope healthy."""
+    first = believed(0.140, 0.119, shift_count=BASELINE_SHIFT_COUNT).counted(1, 1).counted(2, 1)
+    now = replace(first, mean=first.mean * np.array([ratio] * 4 + [1.0] * 5))
+    for _ in range(later_count):
+        now = now.counted(1, 2)
+    return now
+
+
+def uncertain_scale(belief: Belief) -> Belief:
+    """Return a state whose level says little: the gain of the torque reading may be wrong by a sixth."""
+    considered = belief.considered.copy()
+    considered[0, 0] = 0.17**2
+    return replace(belief, considered=considered)
+
+
+@pytest.mark.parametrize(
+    ("ratio", "expected", "by_level_alone"),
+    [
+        (0.95, Condition.GOOD, Condition.GOOD),
+        (0.88, Condition.WATCH, Condition.GOOD),
+        (0.78, Condition.CHANGE_FLUID, Condition.WATCH),
+    ],
+)
+def test_friction_lost_since_the_baseline_is_told_although_the_level_is_uncertain(
+    ratio: float, expected: Condition, by_level_alone: Condition
+) -> None:
+    assert condition_of(uncertain_scale(aged(1.0))) is Condition.GOOD
+    belief = uncertain_scale(aged(ratio))
+    _, verdict = judge(ConditionMemory.fresh(), belief, 1, CALIBRATION)
+    assert verdict.condition is expected
+    assert ("lost since the baseline" in verdict.reason) is (expected is not Condition.GOOD)
+    assert verdict.trend is not None
+    assert verdict.trend.change_mu_c_ratio == pytest.approx(ratio - 1.0)
+    assert condition_of(replace(belief, baselines=(None, None))) is by_level_alone
+
+
+def test_a_verdict_says_what_is_sharp_as_far_as_it_is_known() -> None:
+    _, unknown = judge(ConditionMemory.fresh(), believed(0.14, 0.119, shift_count=0), 1, CALIBRATION)
+    assert unknown.scale_free is None
+    assert unknown.common_scale_std_ratio is None
+    assert unknown.clutch_ratio is None
+    assert unknown.trend is None
+    _, verdict = judge(ConditionMemory.fresh(), believed(0.14, 0.119), 1, CALIBRATION)
+    assert verdict.scale_free is not None
+    assert verdict.common_scale_std_ratio == pytest.approx(0.03)
+    assert verdict.clutch_ratio is not None
+    assert verdict.trend is None
+    assert verdict.shift_scatter is None
+
+
+def test_the_scatter_of_shifts_comes_with_the_verdict_once_there_were_enough() -> None:
+    belief, memory = believed(0.1361, 0.12), ConditionMemory.fresh()
+    for number in range(1, LEAST_SHIFT_COUNT + 1):
+        assert judge(memory, belief, 2, CALIBRATION)[1].shift_scatter is None
+        memory = memory.with_shift(shift_estimate(number), belief)
+    scatter = judge(memory, belief, 2, CALIBRATION)[1].shift_scatter
+    assert scatter is not None
+    assert scatter.shift_count == LEAST_SHIFT_COUNT
+    assert judge(memory, belief, 1, CALIBRATION)[1].shift_scatter is None
+    assert ConditionMemory.from_json(memory.to_json()) == memory
+
+
+def test_only_shifts_that_entered_the_running_state_scatter() -> None:
+    memory, estimate = ConditionMemory.fresh(), shift_estimate()
+    refused = replace(estimate, reasons=(Reason.NOT_UPDATED,))
+    assert memory.with_shift(refused, believed(0.14, 0.12)) == memory
+    assert memory.with_shift(rejected(shift_result()).estimate, believed(0.14, 0.12)) == memory
+    assert memory.with_shift(replace(estimate, status=Status.REJECTED), believed(0.14, 0.12)) == memory
+    assert memory.with_shift(estimate, believed(0.14, 0.12, shift_count=0)) == memory
+    assert memory.with_shift(estimate, believed(0.14, 0.12)) != memory
+
+
+GOOD_MEMORY = ConditionMemory.fresh().to_json()
+
+
+@pytest.mark.parametrize(
+    "table",
+    [
+        {},
+        {"conditions": ["FINE", "GOOD"]},
+        GOOD_MEMORY | {"conditions": ["FINE", "GOOD"]},
+        GOOD_MEMORY | {"conditions": None},
+        GOOD_MEMORY | {"format": 1},
+        GOOD_MEMORY | {"scatters": [None]},
+        GOOD_MEMORY | {"scatters": [{"variance_mu_c": 1e-6}, None]},
+        GOOD_MEMORY | {"scatters": [{"variance_mu_c": -1.0, "variance_mu_s": 1e-6, "shift_count": 3}, None]},
+    ],
+)
 def test_a_damaged_memory_is_refused(table: dict[str, object]) -> None:
-    with pytest.raises(ValueError, match="condition memory"):
+    with pytest.raises(ValueError, match=r"condition memory|impossible scatter"):
         ConditionMemory.from_json(table)

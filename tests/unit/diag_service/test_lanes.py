@@ -4,7 +4,7 @@ from collections.abc import Iterator
 from contextlib import closing
 
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from diag_service.publishers.lanes import Lanes
@@ -60,6 +60,7 @@ def test_without_a_backlog_all_room_is_for_what_happens_now(store: ResultStore) 
     assert take(lanes, 8) == [4, 5, 6, 7, 8, 9, 10, 11]
 
 
+@settings(deadline=None)
 @given(backlog=st.integers(0, 30), steps=st.lists(st.tuples(st.integers(0, 6), st.integers(1, 9)), max_size=8))
 def test_everything_is_handed_out_once(backlog: int, steps: list[tuple[int, int]]) -> None:
     with closing(ResultStore.in_memory()) as store:

@@ -94,7 +94,19 @@ def test_people_see_the_clutches_at_the_end() -> None:
     assert "0.1361 ± 0.0012" in text
     assert "99.0 %" in text
     assert "clutch 2: mu-v slope negative with probability 0.000" in text
+    assert "  scale-free mu_C 0.1388 ± 0.0009, mu_S 0.1224 ± 0.0013; common scale ± 3.0 %\n" in text
+    assert "  shift-to-shift std mu_C 0.0021, mu_S 0.0047 (18 shifts)\n" in text
+    assert "  trend mu_C -1.5 ± 0.4 %, mu_S +0.3 ± 0.8 % against the baseline (15 shifts)\n" in text
     assert text.endswith(frames_line(FRAMES) + "\n")
+
+
+def test_people_see_the_ratio_after_the_last_shift() -> None:
+    out = io.StringIO()
+    tally = ShiftTally()
+    tally.add(interrupted(1), is_new=True)
+    tally.add(shift_result(2), is_new=True)
+    ConsoleReporter(Console(file=out, width=80)).finish(summarise("car1", FRAMES, tally, None))
+    assert "mu_C1/mu_C2 1.004 ± 0.014, mu_S1/mu_S2 0.991 ± 0.017\n" in out.getvalue()
 
 
 def test_a_broken_pipe_is_told_once_and_then_nothing_is_written() -> None:

@@ -69,7 +69,8 @@ def test_the_schemas_describe_friction_alike() -> None:
     shift, clutch = schema("shift")["$defs"], schema("clutch")["$defs"]
     assert isinstance(shift, dict)
     assert isinstance(clutch, dict)
-    assert shift["friction"] == clutch["friction"]
+    for name in clutch:
+        assert shift[name] == clutch[name]
 
 
 @pytest.mark.parametrize("result", [shift_result(3, to_gear=5), rejected(shift_result())])
@@ -81,6 +82,18 @@ def test_a_shift_survives_the_round_trip_to_the_bit(result: object) -> None:
 def test_a_reader_ignores_keys_of_later_releases() -> None:
     record = shift_record(shift_result()) | {"colour": "amber"}
     assert parse_shift(dump(record)) == shift_result()
+
+
+def test_results_of_before_the_sharp_numbers_are_read() -> None:
+    record = json.loads(dump(shift_record(shift_result())))
+    added = ("scale_free", "common_scale_std_ratio", "shift_scatter", "trend", "clutch_ratio")
+    del record["scale_free"]
+    for key in added:
+        del record["verdict"][key]
+    Draft202012Validator(schema("shift")).validate(record)
+    old = parse_shift(json.dumps(record))
+    assert old.estimate == replace(shift_result().estimate, scale_free=None)
+    assert [getattr(old.verdict, key) for key in added] == [None] * len(added)
 
 
 def test_whole_numbers_are_floats_where_floats_belong() -> None:
@@ -108,6 +121,7 @@ def test_no_json_for_a_number_that_is_not_finite(value: float) -> None:
         {"reasons": "misfit"},
         {"friction": [1, 2]},
         {"friction": {"mu_c": 0.1}},
+        {"scale_free": {"mu_c": 0.1}},
         {"verdict": None},
     ],
 )
