@@ -29,7 +29,7 @@ import psutil
 
 from dbc.contract import load_contract, message_contracts
 from dbc.protection import protect
-from diag_service import cli
+from diag_service import arguments, cli
 from diag_service.frames import FrameBatch
 from diag_service.sources import FrameSource, SourceCounts, read_log
 from diag_service.sources.columns import join
@@ -136,7 +136,7 @@ def run_service(source: LoopedDrive) -> dict[str, object]:
         patch("diag_service.application.BusOpener", partial(DriveOpener, source)),
     ):
         status = cli.main(["run", "--store", "results.sqlite", "--json"])
-    if status != cli.EXIT_OK:
+    if status != arguments.EXIT_OK:
         raise SystemExit(f"diag-service ended with status {status}")
     last = Path("out.jsonl").read_text(encoding="utf-8").splitlines()[-1]
     record: dict[str, object] = json.loads(last)

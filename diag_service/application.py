@@ -15,20 +15,18 @@ from pathlib import Path
 
 from rich.console import Console
 
-from dbc.contract import DBC_PATH
 from diag_service import calibrate_run
 from diag_service.condition import ConditionMemory
 from diag_service.config import BusConfig, DiagnosisConfig, calibration_digest
-from diag_service.database import load_database
 from diag_service.estimation import Belief
 from diag_service.estimation.paper import PaperCollection, nominal_driveline
+from diag_service.interpretation import interpret
 from diag_service.live import run_live
 from diag_service.mapping import Decoder
 from diag_service.monitor import Monitor, SilentReporter
 from diag_service.notices import NOTICE
 from diag_service.paper_run import run_paper
 from diag_service.pipeline import Session, Stages, resume, versions_for
-from diag_service.profile import PROFILE_PATH, load_profile
 from diag_service.publishers import (
     Acknowledge,
     ConsoleReporter,
@@ -64,7 +62,7 @@ class Controls:
 
 def run_bus(config: DiagnosisConfig, bus: BusConfig, store_path: Path, controls: Controls, *, as_json: bool) -> None:
     """Diagnose a live bus until it is told to stop."""
-    decoder = _decoder(config)
+    decoder = interpret(config.dbc, config.profile).decoder()
     with closing(ResultStore.open(store_path, config.budget_bytes)) as store:
         reporter = DetachedReporter(_reporter(controls.stop, as_json=as_json))
         session = _session(config, decoder, store, None, reporter)
@@ -73,7 +71,7 @@ def run_bus(config: DiagnosisConfig, bus: BusConfig, store_path: Path, controls:
 
 def run_monitor(config: DiagnosisConfig, bus: BusConfig, controls: Controls) -> None:
     """Show a live bus until told to stop; nothing is stored or published."""
-    decoder = _decoder(config)
+    decoder = interpret(config.dbc, config.profile).decoder()
     with closing(ResultStore.in_memory()) as store, Monitor(_HonestConsole()) as monitor:
         session = _session(config, decoder, store, None, PipeReporter(SilentReporter(), controls.stop.set))
         asyncio.run(_run_bus(replace(config, broker=None), bus, store, session, controls, monitor.show))
@@ -83,10 +81,10 @@ def run_recorded(
     config: DiagnosisConfig, paths: list[Path], store_path: Path | None, controls: Controls, *, as_json: bool
 ) -> None:
     """Diagnose the logs of a drive."""
-    decoder = _decoder(config)
+    meaning = interpret(config.dbc, config.profile)
+    decoder = meaning.decoder()
     logs = open_drive(paths, is_strict=config.is_strict)
-    own_files = [path for path in (config.dbc, config.profile) if path is not None]  # another reading of the same logs
-    stream = stream_of([*(log.path for log in logs), *own_files])
+    stream = stream_of([*(log.path for log in logs), *meaning.files])
     with closing(
         ResultStore.in_memory() if store_path is None else ResultStore.open(store_path, config.budget_bytes)
     ) as store:
@@ -102,7 +100,8 @@ def run_recorded(
 
 def run_paper_recorded(config: DiagnosisConfig, paths: list[Path], controls: Controls, *, as_json: bool) -> None:
     """Analyse the logs of a drive by the paper's method; nothing is stored, judged or published."""
-    stages = Stages(_decoder(config), config.calibration, Belief.fresh(config.calibration), ConditionMemory.fresh())
+    decoder = interpret(config.dbc, config.profile).decoder()
+    stages = Stages(decoder, config.calibration, Belief.fresh(config.calibration), ConditionMemory.fresh())
     collection = PaperCollection(config.calibration, nominal_driveline())
     logs = open_drive(paths, is_strict=config.is_strict)
     run_paper(logs, stages, collection, sys.stdout if as_json else Console(), controls.stop)
@@ -112,7 +111,9 @@ def run_calibrate(
     config: DiagnosisConfig, paths: list[Path], output: Path, controls: Controls, *, as_json: bool
 ) -> None:
     """Find what a vehicle's sensors and masses really are from its logs, and write its own calibration file."""
-    events = calibrate_run.find_events(open_drive(paths), _decoder(config), config.calibration, controls.stop)
+    events = calibrate_run.find_events(
+        open_drive(paths), interpret(config.dbc, config.profile).decoder(), config.calibration, controls.stop
+    )
     found = calibrate_run.run_calibrate(events, config.calibration, config.vehicle, output)
     if as_json:
         sys.stdout.write(dump(calibrate_run.record(found, config.calibration, config.vehicle)) + "\n")
@@ -158,10 +159,6 @@ async def _run_bus(
             duration_s=bus.duration_s,
             show=show,
         )
-
-
-def _decoder(config: DiagnosisConfig) -> Decoder:
-    return Decoder(load_database(config.dbc or DBC_PATH), load_profile(config.profile or PROFILE_PATH))
 
 
 def _session(

@@ -110,6 +110,18 @@ def judge(
     return replace(memory, conditions=(conditions[0], conditions[1])), verdict
 
 
+def no_verdict(clutch: int, missing: str) -> ClutchVerdict:
+    """Return what is said of a clutch whose friction cannot be known: nothing, and what is missing for more."""
+    return ClutchVerdict(
+        clutch=clutch,
+        condition=Condition.NO_VERDICT,
+        reason=f"the signals say nothing of friction: {missing}",
+        level_ratio=None,
+        friction=None,
+        shift_count=0,
+    )
+
+
 def _decide(
     friction: FrictionEstimate,
     since: FrictionTrend | None,

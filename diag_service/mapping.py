@@ -10,14 +10,16 @@ from cantools.database.can import Database, Message
 from cantools.database.can.signal import Signal as DatabaseSignal
 
 from diag_service.addressing import Address, kernel_filters, message_address, rows_by_slot
-from diag_service.decode import PayloadWords, SignalTable, compile_signal, payload_words
+from diag_service.decode import PayloadWords, payload_words
 from diag_service.e2e_state import E2eStates
 from diag_service.error_frames import BusError, tells
 from diag_service.errors import ConfigError
 from diag_service.frames import MAX_GAP_NS, FrameBatch
-from diag_service.profile import MANDATORY, Conversion, Profile, SignalSource, to_si
+from diag_service.profile import Conversion, Profile, SignalSource, to_si
 from diag_service.protection_check import FrameReason, FrameVerdicts, LinkMonitor
-from diag_service.records import ColumnBatch, E2eState, Int64Array, Series, Signal
+from diag_service.records import ColumnBatch, E2eState, GearRatios, Int64Array, Series, Signal
+from diag_service.source_tables import SourceTable, compile_source, find_message, signal_name
+from diag_service.tiers import MANDATORY
 
 NS_PER_MS: Final = 1_000_000
 NS_PER_S: Final = 1_000_000_000
@@ -57,7 +59,7 @@ class SignalColumn:
     """One canonical signal of a message."""
 
     signal: Signal
-    table: SignalTable
+    table: SourceTable
     to_si: Conversion
     limits: tuple[float, float] | None  # ends of the scale in SI, None if the database does not say
 
@@ -73,29 +75,39 @@ class MessageColumns:
 
 
 def map_signals(database: Database, profile: Profile) -> tuple[MessageColumns, ...]:
-    """Return the messages that carry the signals of a profile.
+    """Return the messages that carry the signals of a profile; a lenient profile may name more than there are.
 
     Raises
     ------
     ConfigError
-        With everything that does not fit: mandatory signals without a source, messages or signals that the database
-        lacks, units of another kind, signals that cannot be decoded, a message with several source addresses.
+        With everything that does not fit: messages or signals that the database lacks, units of another kind, signals
+        that cannot be decoded, a message with several source addresses.
     """
-    problems = [f"no source for {signal.value}" for signal in Signal if signal in MANDATORY - profile.sources.keys()]
-    messages = {message.name: message for message in database.messages}
+    found, problems = fitting(database, profile)
+    if problems and not profile.is_lenient:
+        raise ConfigError(f"profile {profile.name} does not fit the database: {'; '.join(problems)}")
+    return found
+
+
+def fitting(database: Database, profile: Profile) -> tuple[tuple[MessageColumns, ...], tuple[str, ...]]:
+    """Return what of a profile the database has, and what it lacks, in words."""
+    problems: list[str] = []
     found: dict[str, list[SignalColumn]] = {}
+    messages: dict[str, Message] = {}
     senders: dict[str, set[int]] = {}
     for signal, source in profile.sources.items():
         try:
-            found.setdefault(source.message, []).append(_column(messages, signal, source))
+            message = find_message(database.messages, source)
+            column = _column(message, signal, source)
         except ConfigError as error:
-            problems.append(str(error))
+            problems.append(f"{error} (for {signal.value})")
+            continue
+        messages[message.name] = message
+        found.setdefault(message.name, []).append(column)
         if source.source_address is not None:
-            senders.setdefault(source.message, set()).add(source.source_address)
+            senders.setdefault(message.name, set()).add(source.source_address)
     problems += [f"several source addresses for {name}" for name, named in senders.items() if len(named) > 1]
-    if problems:
-        raise ConfigError(f"profile {profile.name} does not fit the database: {'; '.join(problems)}")
-    return tuple(
+    mapped = tuple(
         MessageColumns(
             message=messages[name],
             address=message_address(
@@ -109,23 +121,19 @@ def map_signals(database: Database, profile: Profile) -> tuple[MessageColumns, .
         )
         for name, columns in found.items()
     )
+    return mapped, tuple(problems)
 
 
-def _column(messages: Mapping[str, Message], signal: Signal, source: SignalSource) -> SignalColumn:
+def _column(message: Message, signal: Signal, source: SignalSource) -> SignalColumn:
     """Return one compiled signal."""
-    message = messages.get(source.message)
-    if message is None:
-        raise ConfigError(f"the database has no message {source.message} (for {signal.value})")
-    by_name = {candidate.name: candidate for candidate in message.signals}
-    if source.signal not in by_name:
-        raise ConfigError(f"{source.message} has no signal {source.signal} (for {signal.value})")
-    found = by_name[source.signal]
+    found = message.get_signal_by_name(signal_name(message, source))
     convert = to_si(signal, source, found.unit)
+    is_plain = source.check_range and source.less is None and source.times is None
     return SignalColumn(
         signal=signal,
-        table=compile_signal(message, source.signal, check_range=source.check_range),
+        table=compile_source(message, source),
         to_si=convert,
-        limits=_limits(found, convert) if source.check_range else None,
+        limits=_limits(found, convert) if is_plain else None,
     )
 
 
@@ -158,10 +166,13 @@ class Decoder:
         self._monitor = LinkMonitor(
             [mapped.message for mapped in self._messages], [mapped.address for mapped in self._messages]
         )
+        self.gears: GearRatios | None = profile.gears
+        self.profile_name = profile.name
         self._e2e = E2eStates(
             [mapped.message.name for mapped in self._messages], [mapped.period_ns for mapped in self._messages]
         )
         self._invalid: dict[Signal, int] = {}
+        self._seen: set[Signal] = set()
         self._last_ns: int | None = None
         self._is_interrupted = False
 
@@ -169,6 +180,11 @@ class Decoder:
     def signals(self) -> frozenset[Signal]:
         """The canonical signals that this bus can deliver."""
         return frozenset(column.signal for mapped in self._messages for column in mapped.columns)
+
+    @property
+    def seen(self) -> frozenset[Signal]:
+        """The canonical signals of which at least one valid value came until now."""
+        return frozenset(self._seen)
 
     @property
     def mandatory_messages(self) -> frozenset[str]:
@@ -262,6 +278,7 @@ class Decoder:
                 series = self._series(column, words, t_ns, sequence, mapped.period_ns)
                 if len(series.t_ns):
                     columns[column.signal] = series
+        self._seen |= columns.keys()
         return ColumnBatch(
             columns=columns,
             watermark_ns=int(segment.t_ns[-1]),

@@ -6,18 +6,32 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 
 from clutch_model.calibration import Calibration
-from diag_service.condition import ConditionMemory, judge
+from diag_service.condition import ConditionMemory, judge, no_verdict
 from diag_service.errors import StoreFullError
 from diag_service.estimation import ALGORITHM_VERSION, Belief, Estimator
+from diag_service.estimation.estimator import without_friction
 from diag_service.frames import FrameBatch
+from diag_service.gear_tracking import tracker_for
+from diag_service.indices import measure
 from diag_service.mapping import Decoder, MessageCounts
 from diag_service.notices import NOTICE
 from diag_service.publishers import Reporter
-from diag_service.records import ClutchVerdict, ShiftEstimate, ShiftEvent, ShiftResult, Status
+from diag_service.records import (
+    ClutchVerdict,
+    Reason,
+    ShiftEstimate,
+    ShiftEvent,
+    ShiftIndices,
+    ShiftResult,
+    Signal,
+    Status,
+    Tier,
+)
 from diag_service.results import utc_from_bus_ns
 from diag_service.shifts import ShiftFinder
 from diag_service.store import ResultStore, VehicleState, Versions
-from diag_service.summary import FrameCounts, ShiftTally, Summary, frames_line, summarise
+from diag_service.summary import Capability, FrameCounts, ShiftTally, Summary, frames_line, summarise
+from diag_service.tiers import missing_for_next, tier_of
 from diag_service.trust import TrustBasis, assess, reasons_against
 
 MAX_PENDING = 1000  # results in memory while the disk is full
@@ -39,7 +53,8 @@ class Stages:
 
     def __init__(self, decoder: Decoder, calibration: Calibration, belief: Belief, memory: ConditionMemory) -> None:
         self._decoder = decoder
-        self._finder = ShiftFinder()
+        self._finder = ShiftFinder(tracker_for(decoder.signals, decoder.gears))
+        self.tier = tier_of(decoder.signals, knows_gears=knows_gears(decoder))
         self._estimator = Estimator(calibration)
         self._calibration = calibration
         self._basis = TrustBasis(
@@ -64,17 +79,40 @@ class Stages:
         return self._finder.flush()
 
     def conclude(self, event: ShiftEvent) -> Diagnosis:
-        """Estimate and judge the next shift; shifts must come in order. May take a moment."""
+        """Estimate and judge the next shift; shifts must come in order. May take a moment.
+
+        Below the first tier nothing is said of friction, and the running state stays as it is.
+        """
         trust = assess(event, self._basis)
-        belief, estimate = self._estimator.estimate(event, self._belief)
+        belief, estimate = self._estimate(event)
+        indices: ShiftIndices | None = measure(event, self._calibration)
         if estimate.status is not Status.REJECTED and (reasons := reasons_against(trust)):
             estimate = replace(estimate, status=Status.REJECTED, reasons=reasons, friction=None, scale_free=None)
-            belief = self._belief  # data that are not trusted leave no trace in the running state
-        estimate = replace(estimate, trust=trust)
-        memory = self._memory.with_shift(estimate, self._belief)
-        self._memory, verdict = judge(memory, belief, estimate.clutch, self._calibration)
+            belief, indices = self._belief, None  # data that are not trusted leave no trace in the running state
+        estimate = replace(estimate, trust=trust, tier=self.tier or Tier.KINEMATIC, indices=indices)
+        if self.tier is Tier.FRICTION:
+            memory = self._memory.with_shift(estimate, self._belief)
+            self._memory, verdict = judge(memory, belief, estimate.clutch, self._calibration)
+        else:
+            verdict = no_verdict(estimate.clutch, missing_for_next(self._decoder.signals))
         self._belief = belief
         return Diagnosis(estimate=estimate, verdict=verdict, belief=self._belief, memory=self._memory)
+
+    def _estimate(self, event: ShiftEvent) -> tuple[Belief, ShiftEstimate]:
+        if self.tier is Tier.FRICTION:
+            return self._estimator.estimate(event, self._belief)
+        return self._belief, without_friction(event, Status.UNOBSERVED, Reason.SIGNAL_MISSING)
+
+    def capability(self) -> Capability:
+        """Return what the signals that came suffice for."""
+        seen = self._decoder.seen
+        has_gears = knows_gears(self._decoder)
+        return Capability(
+            profile=self._decoder.profile_name,
+            tier=tier_of(seen, knows_gears=has_gears),
+            missing=missing_for_next(seen, knows_gears=has_gears),
+            unseen=tuple(signal.value for signal in Signal if signal in self._decoder.signals - seen),
+        )
 
     @property
     def kernel_filters(self) -> tuple[tuple[int, int], ...]:
@@ -102,6 +140,11 @@ class Stages:
             missing=counts.missing,
             invalid_values=counts.invalid_values,
         )
+
+
+def knows_gears(decoder: Decoder) -> bool:
+    """Return whether the gear can be told from the ratio of two speeds that the bus has."""
+    return decoder.gears is not None and decoder.signals >= {Signal.ENGINE_SPEED, decoder.gears.over}
 
 
 class Session:
@@ -186,7 +229,7 @@ class Session:
 
     def summary(self, frames: FrameCounts, unpublished_count: int | None) -> Summary:
         """Return the numbers of the run as they stand."""
-        return summarise(self._vehicle, frames, self._tally, unpublished_count)
+        return summarise(self._vehicle, frames, self._tally, unpublished_count, self.stages.capability())
 
     def finish(self, frames: FrameCounts, unpublished_count: int | None) -> None:
         """Tell the numbers of the run.

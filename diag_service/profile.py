@@ -3,25 +3,24 @@
 import math
 import tomllib
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from itertools import pairwise
 from pathlib import Path
 from types import MappingProxyType
 from typing import Final
 
 from clutch_model.units import k_from_degc, m_s_from_km_h, pa_from_bar, rad_s_from_rpm
 from diag_service.errors import ConfigError
-from diag_service.records import BALANCE_SIGNALS, FloatArray, Signal
+from diag_service.records import FloatArray, GearRatios, Signal
 
 MAX_NUMBER: Final = 0xFF  # of a channel or a J1939 source address
 PROTOCOLS: Final = {"can": False, "j1939": True}
-PROFILE_KEYS: Final = frozenset({"name", "signals", "protocol", "channel"})
+PROFILE_KEYS: Final = frozenset({"name", "signals", "protocol", "channel", "database", "gears"})
 
 Conversion = Callable[[FloatArray], FloatArray]
 
-PROFILE_PATH: Final = Path(__file__).parent / "profiles" / "dct.toml"
-
-MANDATORY: Final = frozenset({*BALANCE_SIGNALS, Signal.CURRENT_GEAR, Signal.TARGET_GEAR, Signal.SUMP_TEMPERATURE})
-"""Without these there is no friction to estimate."""
+PROFILE_FOLDER: Final = Path(__file__).parent / "profiles"
+PROFILE_PATH: Final = PROFILE_FOLDER / "dct.toml"
 
 
 def _same(value: FloatArray) -> FloatArray:
@@ -44,13 +43,13 @@ _TO_SI: Final[Mapping[str, Mapping[str, Conversion]]] = {
         "kpa": lambda pressure_kpa: pressure_kpa * 1e3,
         "pa": _same,
     },
-    "nm": dict.fromkeys(("nm", "n.m", "n·m", "n*m", "unit_newtometer"), _same),
+    "nm": dict.fromkeys(("nm", "n.m", "n·m", "n*m", "n-m", "unit_newtometer"), _same),
     "ratio": {
         **dict.fromkeys(("%", "percent", "unit_percent"), lambda percent: percent / 100.0),
         "": _same,
     },
     "k": {
-        **dict.fromkeys(("degc", "°c", "c", "celsius", "unit_degrecelsi"), k_from_degc),
+        **dict.fromkeys(("degc", "°c", "c", "deg", "degreesc", "celsius", "unit_degrecelsi"), k_from_degc),
         "k": _same,
     },
     "m": {
@@ -65,21 +64,42 @@ _KINDS: Final = ("rad_s", "m_s", "ratio", "nm", "pa", "k", "m")  # longest first
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SignalSource:
-    """Where one canonical signal comes from: ``SI(scale * decoded + offset)``."""
+    """Where one canonical signal comes from: ``SI(scale * (decoded - less) * times + offset)``.
 
-    message: str
-    signal: str
+    The message is named, or by its J1939 parameter group; the signal is named, or by its J1939 parameter number.
+    """
+
+    message: str = ""
+    pgn: int | None = None
+    signal: str = ""
+    spn: int | None = None
     unit: str | None = None  # None: as the database says
     scale: float = 1.0
     offset: float = 0.0  # in the unit of the database
     check_range: bool = True  # whether values outside the database's [min|max] are invalid
+    valid: tuple[float, float] | None = None  # decoded values outside are invalid
+    invalid: tuple[float, ...] = ()  # decoded values that are codes
+    less: str | None = None  # signal of the same message that is subtracted
+    times: str | None = None  # signal of the same message that multiplies, such as a reference torque
     source_address: int | None = None  # of a J1939 message; None: the first sender that is heard
 
     def __post_init__(self) -> None:
         if not (math.isfinite(self.scale) and math.isfinite(self.offset)) or self.scale == 0.0:
             raise ConfigError(f"scale {self.scale} and offset {self.offset} are not usable")
+        if bool(self.message) is (self.pgn is not None):
+            raise ConfigError("lacks message, or has it beside pgn" if self.message else "lacks message")
+        if bool(self.signal) is (self.spn is not None):
+            raise ConfigError("lacks signal, or has it beside spn" if self.signal else "lacks signal")
+        if self.valid is not None and not self.valid[0] < self.valid[1]:
+            raise ConfigError(f"valid {list(self.valid)} is no range")
         if self.source_address is not None and not 0 <= self.source_address <= MAX_NUMBER:
             raise ConfigError(f"source_address {self.source_address} is not one of J1939")
+
+    @property
+    def place(self) -> str:
+        """Message and signal, for people."""
+        message = self.message or f"PGN {self.pgn}"
+        return f"{message}.{self.signal}" if self.signal else f"{message} SPN {self.spn}"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -88,8 +108,37 @@ class Profile:
 
     name: str
     sources: Mapping[Signal, SignalSource]
+    gears: GearRatios | None = None  # where no signal tells the gear
+    database: Path | None = None  # the database that ships with the profile
+    is_lenient: bool = False  # a shipped profile serves many databases: what one lacks is left out
     is_j1939: bool = False  # 29-bit identifiers are matched by their parameter group, whatever the database says
     channel: int | None = None  # bus of a log with several; None: the first on which a message is heard
+
+
+def shipped_profiles() -> tuple[str, ...]:
+    """Return the names of the profiles that ship with the service."""
+    return tuple(sorted(path.stem for path in PROFILE_FOLDER.glob("*.toml")))
+
+
+def find_profile(name: Path) -> Profile:
+    """Return a profile by its path, or by the name of one that ships with the service.
+
+    Raises
+    ------
+    ConfigError
+        If there is no such profile, or it is unusable.
+    """
+    if len(name.parts) == 1 and name.name in shipped_profiles() and not name.exists():
+        return load_shipped(name.name)
+    if len(name.parts) == 1 and not name.suffix and not name.exists():
+        raise ConfigError(f"no profile {name}: give a TOML file or one of {', '.join(shipped_profiles())}")
+    return load_profile(name)
+
+
+def load_shipped(name: str) -> Profile:
+    """Return a profile that ships with the service."""
+    profile = load_profile(PROFILE_FOLDER / f"{name}.toml")
+    return replace(profile, is_lenient=True)
 
 
 def load_profile(path: Path = PROFILE_PATH) -> Profile:
@@ -105,7 +154,7 @@ def load_profile(path: Path = PROFILE_PATH) -> Profile:
     signals = table.get("signals")
     if not isinstance(signals, dict) or table.keys() - PROFILE_KEYS:
         raise ConfigError(
-            f"profile {path} must have a table [signals] and, besides, at most name, protocol and channel"
+            f"profile {path} must have a table [signals] and, besides, at most name, protocol, channel, database, gears"
         )
     sources: dict[Signal, SignalSource] = {}
     problems: list[str] = []
@@ -114,6 +163,11 @@ def load_profile(path: Path = PROFILE_PATH) -> Profile:
             sources[_canonical(key)] = _source(entry)
         except ConfigError as error:
             problems.append(f"{key}: {error}")
+    gears: GearRatios | None = None
+    try:
+        gears = _gears(table.get("gears"))
+    except ConfigError as error:
+        problems.append(f"gears: {error}")
     channel = table.get("channel")
     if channel is not None and not (type(channel) is int and 0 <= channel <= MAX_NUMBER):
         problems.append(f"channel must be a number up to {MAX_NUMBER}")
@@ -125,6 +179,8 @@ def load_profile(path: Path = PROFILE_PATH) -> Profile:
     return Profile(
         name=str(table.get("name", path.stem)),
         sources=MappingProxyType(sources),
+        gears=gears,
+        database=path.parent / str(table["database"]) if "database" in table else None,
         is_j1939=PROTOCOLS[str(protocol)],
         channel=channel if isinstance(channel, int) else None,
     )
@@ -142,7 +198,7 @@ def to_si(signal: Signal, source: SignalSource, database_unit: str | None) -> Co
     unit = source.unit if source.unit is not None else database_unit or ""
     convert = _same if kind is None else _TO_SI[kind].get("".join(unit.split()).lower())
     if convert is None:
-        raise ConfigError(f"the unit {unit!r} of {source.message}.{source.signal} is not one of {signal.value}")
+        raise ConfigError(f"the unit {unit!r} of {source.place} is not one of {signal.value}")
     if source.scale == 1.0 and source.offset == 0.0:
         return convert
     return lambda decoded: convert(decoded * source.scale + source.offset)
@@ -167,11 +223,10 @@ def _canonical(key: str) -> Signal:
 
 
 _FIELD_TYPES: Final[Mapping[str, type | tuple[type, ...]]] = {
-    "message": str,
-    "signal": str,
-    "unit": str,
-    "scale": (int, float),
-    "offset": (int, float),
+    **dict.fromkeys(("message", "signal", "unit", "less", "times"), str),
+    **dict.fromkeys(("pgn", "spn"), int),
+    **dict.fromkeys(("scale", "offset"), (int, float)),
+    **dict.fromkeys(("valid", "invalid"), list),
     "check_range": bool,
     "source_address": int,
 }
@@ -187,6 +242,32 @@ def _source(entry: object) -> SignalSource:
             raise ConfigError(f"unknown key {key}")
         if not isinstance(value, expected) or (isinstance(value, bool) and expected is not bool):
             raise ConfigError(f"{key} has the wrong type")
-    if missing := {"message", "signal"} - entry.keys():
-        raise ConfigError(f"lacks {' and '.join(sorted(missing))}")
-    return SignalSource(**entry)
+    lists = {key: _numbers(key, entry[key]) for key in ("valid", "invalid") if key in entry}
+    if len(lists.get("valid", (0.0, 0.0))) != 2:
+        raise ConfigError("valid must be [lowest, highest]")
+    return SignalSource(**{**entry, **lists})
+
+
+def _gears(entry: object) -> GearRatios | None:
+    """Return the checked table of ratios, if there is one."""
+    if entry is None:
+        return None
+    if not isinstance(entry, dict) or entry.keys() != {"over", "ratios"}:
+        raise ConfigError("must be a table with over and ratios")
+    over = _canonical(entry["over"])
+    if over not in {Signal.OUTPUT_SPEED, Signal.VEHICLE_SPEED}:
+        raise ConfigError(f"over must be {Signal.OUTPUT_SPEED.value} or {Signal.VEHICLE_SPEED.value}")
+    ratios = _numbers("ratios", entry["ratios"])
+    if len(ratios) < 2 or any(high <= low for high, low in pairwise(ratios)) or ratios[-1] <= 0.0:
+        raise ConfigError("ratios must fall from gear to gear and stay above 0")
+    return GearRatios(over=over, ratios=ratios)
+
+
+def _numbers(key: str, value: object) -> tuple[float, ...]:
+    """Return a list of finite numbers."""
+    numbers = value if isinstance(value, list) else []
+    if not numbers or any(isinstance(one, bool) or not isinstance(one, int | float) for one in numbers):
+        raise ConfigError(f"{key} must be a list of numbers")
+    if not all(math.isfinite(one) for one in numbers):
+        raise ConfigError(f"{key} must be finite")
+    return tuple(float(one) for one in numbers)

@@ -29,6 +29,7 @@ class Signal(StrEnum):
     HUB_SPEED = "hub_speed_rad_s"
     INPUT1_SPEED = "input1_speed_rad_s"
     INPUT2_SPEED = "input2_speed_rad_s"
+    INPUT_SPEED = "input_speed_rad_s"  # of the shaft that carries the gear, where the bus has one for both clutches
     OUTPUT_SPEED = "output_speed_rad_s"
     CLUTCH1_PRESSURE = "clutch1_pressure_pa"
     CLUTCH2_PRESSURE = "clutch2_pressure_pa"
@@ -36,6 +37,7 @@ class Signal(StrEnum):
     CLUTCH2_PRESSURE_COMMAND = "clutch2_pressure_command_pa"
     CLUTCH1_TORQUE_COMMAND = "clutch1_torque_command_nm"
     CLUTCH2_TORQUE_COMMAND = "clutch2_torque_command_nm"
+    CLUTCH_TORQUE = "clutch_torque_nm"  # of both clutches together, as the transmission controller states it
     CURRENT_GEAR = "current_gear"
     TARGET_GEAR = "target_gear"
     PRESELECTED_GEAR = "preselected_gear"
@@ -61,6 +63,14 @@ BALANCE_SIGNALS = (
     Signal.CLUTCH2_PRESSURE,
 )
 """What the torque balance of the input side needs, sample by sample."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class GearRatios:
+    """Engine speed over another speed in every gear, where no signal tells the gear."""
+
+    over: Signal  # output speed [rad/s] or vehicle speed [m/s]
+    ratios: tuple[float, ...]  # first gear first; dimensionless, or [rad/m]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -145,6 +155,14 @@ class ShiftEvent:
     columns: Columns
     bad_frame_count: int  # rejected or missing frames of mapped messages inside the cut
     e2e: Mapping[str, E2eState] = field(default_factory=dict)  # message -> INVALID if it ever was, else its last state
+
+
+class Tier(IntEnum):
+    """What the signals of a vehicle suffice for; a smaller number is more."""
+
+    FRICTION = 1  # pressure and torques: mu
+    TORQUE = 2  # torque only: transmitted over commanded clutch torque
+    KINEMATIC = 3  # speeds and gears: shift time and slip
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -233,6 +251,18 @@ class Trust:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class ShiftIndices:
+    """What speeds and torques alone say about one shift (docs/model.md, indices of a shift); None: not to be had."""
+
+    shift_time_s: float | None  # None unless the shift was completed
+    slip_duration_s: float | None  # of the on-coming clutch, inside the shift
+    peak_slip_rad_s: float | None
+    slip_angle_rad: float | None  # slip integrated over time
+    torque_capacity_ratio: float | None  # clutch torque transmitted at slip over the one asked for
+    std_torque_capacity_ratio: float | None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class ShiftEstimate:
     """What one shift says about the clutch that engaged."""
 
@@ -256,6 +286,8 @@ class ShiftEstimate:
     odometer_m: float | None
     trust: Trust | None = None  # in the data, whatever the estimate; None in results of older versions
     scale_free: ScaleFreeFriction | None = None  # None where there is no friction, and in results of older versions
+    tier: Tier = Tier.FRICTION  # what the vehicle's signals suffice for
+    indices: ShiftIndices | None = None
 
 
 class Condition(IntEnum):

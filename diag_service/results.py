@@ -18,8 +18,10 @@ from diag_service.records import (
     FrictionEstimate,
     Reason,
     ShiftEstimate,
+    ShiftIndices,
     ShiftResult,
     Status,
+    Tier,
     Trust,
     TrustPart,
 )
@@ -31,6 +33,7 @@ SHIFT_SCHEMA = Channel.SHIFT.schema_name
 
 _EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
 _NS_PER_US = 1000
+_INDEX_KEYS = tuple(field.name for field in fields(ShiftIndices))
 _Numbers = FrictionEstimate | ScaleFreeFriction | ShiftScatter | FrictionTrend | ClutchRatio
 ValueT = TypeVar("ValueT", bool, int, float, str)
 NumbersT = TypeVar("NumbersT", bound=_Numbers)
@@ -103,6 +106,8 @@ def shift_record(result: ShiftResult) -> JsonObject:
         "verdict": _verdict_record(result.verdict),
         "algorithm_version": result.algorithm_version,
         "calibration_version": result.calibration_version,
+        "tier": int(estimate.tier),
+        "indices": None if estimate.indices is None else asdict(estimate.indices),
     }
 
 
@@ -230,6 +235,8 @@ def _shift_from(table: JsonObject) -> ShiftResult:
         slip_energy_j=_optional(table, "slip_energy_j"),
         duration_s=_value(table, "duration_s", float),
         odometer_m=_optional(table, "odometer_m"),
+        tier=Tier(_value(table, "tier", int)) if "tier" in table else Tier.FRICTION,  # older results lack both
+        indices=_indices_from(table.get("indices")),
         trust=_trust_from(table.get("trust")),
         scale_free=_numbers_from(ScaleFreeFriction, table.get("scale_free")),
     )
@@ -283,6 +290,14 @@ def _numbers_from(kind: type[NumbersT], table: object) -> NumbersT | None:
         for one in fields(kind)
     }
     return kind(**numbers)
+
+
+def _indices_from(table: object) -> ShiftIndices | None:
+    if table is None:
+        return None
+    if not isinstance(table, dict):
+        raise TypeError("indices must be an object or null")
+    return ShiftIndices(**{key: _optional(table, key) for key in _INDEX_KEYS})
 
 
 def _value(table: Mapping[str, object], key: str, kind: type[ValueT]) -> ValueT:

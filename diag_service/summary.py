@@ -5,11 +5,16 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 
 from diag_service.comparison import ClutchRatio
-from diag_service.records import ClutchVerdict, ShiftEstimate, ShiftResult, Status
+from diag_service.records import ClutchVerdict, ShiftEstimate, ShiftResult, Status, Tier
 from diag_service.results import JsonObject, clutch_record
 
 RECENT_COUNT = 8
 SUMMARY_SCHEMA = "clutchdiag/summary/v1"
+TIER_TEXT = {
+    Tier.FRICTION: "friction",
+    Tier.TORQUE: "torque capacity, no friction",
+    Tier.KINEMATIC: "shift time and slip, no friction",
+}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -37,6 +42,19 @@ class FrameCounts:
         """Whether every frame is accounted for."""
         dropped = self.kernel_dropped + self.queue_dropped
         return self.on_bus == self.decoded + self.ignored + self.unsupported + self.rejected_count + dropped
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Capability:
+    """What the signals of a run suffice for."""
+
+    profile: str = "dct"
+    tier: Tier | None = Tier.FRICTION  # None: not even shifts can be found
+    missing: str = ""  # what the next better tier needs; empty at the first
+    unseen: tuple[str, ...] = ()  # mapped canonical signals that never had a value
+
+
+FULL = Capability()
 
 
 class ShiftTally:
@@ -73,9 +91,12 @@ class Summary:
     known_count: int
     unpublished_count: int | None  # None without a broker
     latest: tuple[ShiftResult, ...]  # last result of each clutch, clutch 1 first
+    capability: Capability = FULL
 
 
-def summarise(vehicle: str, frames: FrameCounts, tally: ShiftTally, unpublished_count: int | None) -> Summary:
+def summarise(
+    vehicle: str, frames: FrameCounts, tally: ShiftTally, unpublished_count: int | None, capability: Capability = FULL
+) -> Summary:
     """Return the numbers of a run as they stand."""
     return Summary(
         vehicle=vehicle,
@@ -85,6 +106,7 @@ def summarise(vehicle: str, frames: FrameCounts, tally: ShiftTally, unpublished_
         stored_count=tally.stored_count,
         known_count=tally.known_count,
         unpublished_count=unpublished_count,
+        capability=capability,
         latest=tuple(result for _, result in sorted(tally.latest.items())),
     )
 
@@ -115,6 +137,12 @@ def summary_record(summary: Summary) -> JsonObject:
             "unpublished": summary.unpublished_count,
         },
         "clutches": [clutch_record(result) for result in summary.latest],
+        "capability": {
+            "profile": summary.capability.profile,
+            "tier": summary.capability.tier,
+            "missing": summary.capability.missing,
+            "unseen": list(summary.capability.unseen),
+        },
     }
 
 
@@ -143,6 +171,22 @@ def shifts_line(summary: Summary) -> str:
     if summary.unpublished_count:
         parts.append(f"{summary.unpublished_count} wait for the broker")
     return ", ".join(parts)
+
+
+def capability_line(summary: Summary) -> str:
+    """Return one line for people: what the signals suffice for and what is missing; empty where all is there."""
+    capability = summary.capability
+    has_shifts = any(summary.shift_counts.values())
+    if capability.tier is Tier.FRICTION and has_shifts:
+        return ""
+    parts = [] if has_shifts else ["no shift was found"]
+    if capability.tier is None:
+        parts.append(f"the signals do not show shifts: {capability.missing}")
+    elif capability.tier is not Tier.FRICTION:
+        parts.append(f"tier {capability.tier:d} of 3, {TIER_TEXT[capability.tier]}: {capability.missing}")
+    if capability.unseen:
+        parts.append(f"mapped by profile {capability.profile}, but never seen: {', '.join(capability.unseen)}")
+    return "; ".join(parts)
 
 
 def sharp_lines(verdict: ClutchVerdict) -> Iterator[str]:

@@ -40,17 +40,17 @@ class Estimator:
         """
         signals = gather(event, self._calibration)
         if isinstance(signals, Reason):
-            return belief, _without_friction(event, Status.REJECTED, signals)
+            return belief, without_friction(event, Status.REJECTED, signals)
         clutch = on_coming(event.to_gear)
         before, belief = belief, zeroed(signals, belief, self._calibration)
         if zero_has_jumped(before, belief):
-            return before, _without_friction(event, Status.REJECTED, Reason.ZERO_JUMPED)
+            return before, without_friction(event, Status.REJECTED, Reason.ZERO_JUMPED)
         drives = measured_drives(signals, belief, event, self._calibration)
         window = slip_window(signals, drives, clutch, self._calibration)
         if window is None:
-            return belief, _without_friction(event, Status.UNOBSERVED, Reason.NO_SLIP_WINDOW)
+            return belief, without_friction(event, Status.UNOBSERVED, Reason.NO_SLIP_WINDOW)
         if found := doubts(event, signals, window, clutch, belief):
-            return before, _without_friction(event, Status.REJECTED, *found)
+            return before, without_friction(event, Status.REJECTED, *found)
         balance = Balance(signals, window, drives, planned_drives(signals, drives, window), self._calibration)
         alone, misfit = self._fit(balance, belief.forget_friction(clutch, self._calibration))
         estimate = self._describe(event, signals, window, balance, alone, misfit)
@@ -107,7 +107,7 @@ class Estimator:
         fit = min(1.0, max(0.0, (MISFIT_GATE - misfit) / (MISFIT_GATE - 1.0)))
         mu: FloatArray = alone.mean[friction_rows(clutch)]
         return replace(
-            _without_friction(event, Status.VALID),
+            without_friction(event, Status.VALID),
             friction=alone.friction(clutch),
             scale_free=scale_free(alone, clutch),
             sample_count=balance.sample_count,
@@ -127,7 +127,7 @@ def _surprise(belief: Belief, alone: Belief, clutch: int) -> float:
     return float(step @ np.linalg.solve(spread, step))
 
 
-def _without_friction(event: ShiftEvent, status: Status, *reasons: Reason) -> ShiftEstimate:
+def without_friction(event: ShiftEvent, status: Status, *reasons: Reason) -> ShiftEstimate:
     """Return the estimate of a shift that says nothing of friction: when and what it was, and why not."""
     return ShiftEstimate(
         number=event.number,

@@ -7,7 +7,15 @@ from rich.text import Text
 
 from clutch_model.units import degc_from_k
 from diag_service.records import Condition, FrictionEstimate, ShiftResult, Status
-from diag_service.summary import Summary, frames_line, latest_ratio, ratio_line, sharp_lines, shifts_line
+from diag_service.summary import (
+    Summary,
+    capability_line,
+    frames_line,
+    latest_ratio,
+    ratio_line,
+    sharp_lines,
+    shifts_line,
+)
 
 _CONDITION_STYLE = {
     Condition.NO_VERDICT: "dim",
@@ -52,6 +60,8 @@ class ConsoleReporter:
             self._line(Text(ratio_line(ratio)))
         self._line(Text(shifts_line(summary)))
         self._line(Text(frames_line(summary.frames)))
+        if line := capability_line(summary):
+            self._line(Text(line))
 
     def _line(self, text: Text) -> None:
         self._console.print(text, soft_wrap=True)

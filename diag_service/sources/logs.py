@@ -122,6 +122,15 @@ def read_log(path: Path | str, *, is_strict: bool = False) -> LogReader:
         raise SourceError(f"{path}: {exc}") from exc
 
 
+def is_log(path: Path) -> bool:
+    """Return whether a file is a log of a known format, by its first bytes; False if it cannot be read."""
+    try:
+        read_log(path).close()
+    except SourceError:
+        return False
+    return True
+
+
 def _reader(path: Path, stream: BinaryIO, *, is_strict: bool) -> LogReader:
     """Return the reader of an open file, after a look at its beginning."""
     probe = stream.read(PROBE_BYTES)

@@ -52,6 +52,9 @@ def test_the_readme_shows_every_subcommand() -> None:
         ("diag-service", "run"),
         ("diag-service", "analyze"),
         ("diag-service", "calibrate"),
+        ("diag-service", "inspect"),
+        ("diag-service", "signals"),
+        ("diag-service", "decode"),
     }
 
 

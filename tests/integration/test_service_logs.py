@@ -125,13 +125,13 @@ def test_a_calibration_of_another_version_starts_a_state_of_its_own(drive_log: P
         (("analyze", "{log}", "--calibration", "{tmp}/range.toml"), 2, "mu_c must be 0.02..0.5"),
         (("analyze", "{log}", "--calibration", "{log}"), 2, "is not TOML"),
         (("analyze", "{log}", "--dbc", "{tmp}/none.dbc"), 2, "none.dbc"),
-        (("analyze", "{log}", "--dbc", "{tmp}/foreign.dbc"), 2, "TCU_Shift"),
+        (("analyze", "{log}", "--dbc", "{tmp}/foreign.dbc"), 2, "no message ECM_TorqueSpeed"),
         (("analyze", "{log}", "--dbc", "{log}"), 2, "drive.log"),
         (("analyze", "{log}", "--profile", "{tmp}/none.toml"), 2, "none.toml"),
         (("analyze", "{tmp}/none.log"), 3, "none.log"),
         (("analyze", "{tmp}/empty.log"), 3, "empty.log"),
         (("analyze", "{tmp}/garbage.log"), 3, "garbage.log"),
-        (("analyze", "{tmp}"), 3, "is a folder"),
+        (("analyze", "{tmp}/empty"), 2, "holds no log"),
         (("analyze", "{log}", "--store", "{tmp}"), 4, "unable to open"),
         (("analyze", "{log}", "--store", "{tmp}/garbage.log"), 4, "not a database"),
         (("analyze", "{log}", "--store", "/proc/car.sqlite"), 4, "/proc/car.sqlite"),
@@ -140,6 +140,7 @@ def test_a_calibration_of_another_version_starts_a_state_of_its_own(drive_log: P
 def test_what_cannot_be_used_is_told_in_one_line(
     drive_log: Path, tmp_path: Path, arguments: tuple[str, ...], status: int, text: str
 ) -> None:
+    (tmp_path / "empty").mkdir()
     (tmp_path / "empty.log").touch()
     (tmp_path / "garbage.log").write_bytes(bytes(range(256)) * 40)
     (tmp_path / "foreign.dbc").write_text('VERSION ""\nBU_: A\nBO_ 1 M: 8 A\n SG_ S : 0|8@1+ (1,0) [0|255] "" A\n')

@@ -5,6 +5,7 @@ from pathlib import Path
 import pytest
 
 from diag_service import cli
+from diag_service.arguments import PROGRAM
 from diag_service.snapshot import STALE_S
 
 UNIT = Path(__file__).parents[2] / "docs" / "deploy" / "clutchdiag.service"
@@ -21,7 +22,7 @@ def test_every_option_is_one_of_the_service(capsys: pytest.CaptureFixture[str]) 
         cli.main(["run", "--help"])
     known = capsys.readouterr().out
     program, command, *words = settings()["ExecStart"].split()
-    assert (Path(program).name, command) == (cli.PROGRAM, "run")
+    assert (Path(program).name, command) == (PROGRAM, "run")
     options = [word for word in words if word.startswith("-")]
     assert options
     assert [option for option in options if f"{option} " not in known and f"{option}\n" not in known] == []

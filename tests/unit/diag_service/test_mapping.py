@@ -13,9 +13,9 @@ from clutch_model.units import pa_from_bar, rad_s_from_rpm
 from diag_service.errors import ConfigError
 from diag_service.frames import ERROR_FLAG, FrameBatch, empty_batch
 from diag_service.mapping import Decoder, DecoderCounts
-from diag_service.profile import MANDATORY, Profile, SignalSource, load_profile
+from diag_service.profile import Profile, SignalSource, load_profile
 from diag_service.protection_check import FrameReason
-from diag_service.records import Signal
+from diag_service.records import BALANCE_SIGNALS, Signal
 from ecu_emulator.frames import FrameEncoder
 from ecu_emulator.readings import Readings
 from tests.wire import CONTRACTS, DATABASE, START_NS, drive, joined, of_message, received
@@ -35,7 +35,7 @@ def test_undisturbed_drive() -> None:
     batch = received(drive(2.0))
     stage = decoder()
     (columns,) = stage.feed(batch)
-    assert columns.columns.keys() == set(Signal) == stage.signals
+    assert columns.columns.keys() == load_profile().sources.keys() == stage.signals == stage.seen
     assert columns.watermark_ns == batch.t_ns[-1]
     assert not columns.breaks_before
     assert not len(columns.bad_frame_ns)
@@ -159,7 +159,6 @@ def profile(**changes: SignalSource | None) -> Profile:
 
 def test_everything_that_does_not_fit_is_listed() -> None:
     wrong = profile(
-        hub_speed_rad_s=None,
         current_gear=SignalSource(message="TCU_Gears", signal="CurrentGear"),
         target_gear=SignalSource(message="TCU_Shift", signal="NextGear"),
         odometer_m=SignalSource(message="BRK_Vehicle", signal="VehicleSpeed"),
@@ -168,21 +167,27 @@ def test_everything_that_does_not_fit_is_listed() -> None:
         Decoder(DATABASE, wrong)
     text = str(refused.value)
     for complaint in (
-        "no source for hub_speed_rad_s",
         "no message TCU_Gears (for current_gear)",
         "TCU_Shift has no signal NextGear (for target_gear)",
-        "the unit 'km/h' of BRK_Vehicle.VehicleSpeed is not one of odometer_m",
+        "the unit 'km/h' of BRK_Vehicle.VehicleSpeed is not one of odometer_m (for odometer_m)",
     ):
         assert complaint in text
     assert "\n" not in text
 
 
-def test_optional_signals_may_be_left_out() -> None:
-    few = Profile(name="few", sources={s: source for s, source in load_profile().sources.items() if s in MANDATORY})
+def test_what_a_lenient_profile_names_in_vain_is_left_out() -> None:
+    odd = profile(current_gear=SignalSource(message="TCU_Gears", signal="CurrentGear"))
+    stage = Decoder(DATABASE, replace(odd, is_lenient=True))
+    assert stage.signals == odd.sources.keys() - {Signal.CURRENT_GEAR}
+
+
+def test_signals_may_be_left_out() -> None:
+    names = {*BALANCE_SIGNALS, Signal.CURRENT_GEAR, Signal.TARGET_GEAR, Signal.SUMP_TEMPERATURE}
+    few = Profile(name="few", sources={s: source for s, source in load_profile().sources.items() if s in names})
     stage = Decoder(DATABASE, few)
     batch = received(drive(1.0))
     (columns,) = stage.feed(batch)
-    assert columns.columns.keys() == MANDATORY == stage.signals
+    assert columns.columns.keys() == names == stage.signals
     assert stage.counts.ignored == np.isin(batch.can_id, [0x0A8, 0x0B2, 0x0C0, 0x0C1, 0x0D0]).sum()
     assert balanced(stage.counts)
 

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from diag_service.errors import ConfigError
-from diag_service.profile import MANDATORY, SignalSource, load_profile, to_si
-from diag_service.records import Signal
+from diag_service.profile import SignalSource, find_profile, load_profile, shipped_profiles, to_si
+from diag_service.records import BALANCE_SIGNALS, GearRatios, Signal
 
 
 def write(folder: Path, text: str) -> Path:
@@ -25,11 +25,66 @@ def converted(signal: Signal, unit: str | None, value: float, scale: float = 1.0
     return float(to_si(signal, source(scale=scale, offset=offset), unit)(np.array([value]))[0])
 
 
-def test_shipped_profile_has_a_source_for_every_signal() -> None:
+def test_the_profile_of_our_database_has_a_source_for_every_signal_of_ours() -> None:
     profile = load_profile()
     assert profile.name == "dct"
-    assert profile.sources.keys() == set(Signal)
-    assert profile.sources.keys() >= MANDATORY
+    assert profile.sources.keys() == set(Signal) - {Signal.INPUT_SPEED, Signal.CLUTCH_TORQUE}
+    assert profile.sources.keys() >= set(BALANCE_SIGNALS)
+
+
+def test_shipped_profiles_are_found_by_name() -> None:
+    assert shipped_profiles() == ("dct", "hyundai_dct", "j1939", "vw_mqb")
+    for name in shipped_profiles():
+        profile = find_profile(Path(name))
+        assert (profile.name, profile.is_lenient) == (name, True)
+    assert find_profile(Path("j1939")).database is not None
+
+
+def test_a_name_that_does_not_ship_is_refused_with_those_that_do() -> None:
+    with pytest.raises(ConfigError, match="no profile audi: give a TOML file or one of dct, hyundai_dct"):
+        find_profile(Path("audi"))
+
+
+def test_a_file_comes_before_a_shipped_name(tmp_path: Path) -> None:
+    path = write(tmp_path, '[signals]\nodometer_m = { message = "M", signal = "S" }\n')
+    assert find_profile(path).is_lenient is False
+
+
+def test_ratios_of_gears(tmp_path: Path) -> None:
+    text = '[signals]\n[gears]\nover = "output_speed_rad_s"\nratios = [4.0, 2.5, 1.5]\n'
+    assert load_profile(write(tmp_path, text)).gears == GearRatios(over=Signal.OUTPUT_SPEED, ratios=(4.0, 2.5, 1.5))
+
+
+@pytest.mark.parametrize(
+    ("gears", "text"),
+    [
+        ("3", "must be a table"),
+        ('{ over = "output_speed_rad_s" }', "must be a table"),
+        ('{ over = "pedal_ratio", ratios = [2.0, 1.0] }', "over must be"),
+        ('{ over = "output_speed_rad_s", ratios = [1.0, 2.0] }', "must fall"),
+        ('{ over = "output_speed_rad_s", ratios = [1.0, 0.0] }', "above 0"),
+        ('{ over = "output_speed_rad_s", ratios = [inf, 1.0] }', "finite"),
+        ('{ over = "output_speed_rad_s", ratios = ["a"] }', "list of numbers"),
+    ],
+)
+def test_ratios_that_cannot_be_are_refused(tmp_path: Path, gears: str, text: str) -> None:
+    with pytest.raises(ConfigError, match=text):
+        load_profile(write(tmp_path, f"gears = {gears}\n[signals]\n"))
+
+
+def test_sources_by_j1939_numbers_and_with_validity(tmp_path: Path) -> None:
+    text = """[signals]
+engine_speed_rad_s = { pgn = 61444, spn = 190 }
+current_gear = { message = "M", signal = "S", valid = [0, 8], invalid = [7], less = "L", times = "T" }
+"""
+    profile = load_profile(write(tmp_path, text))
+    assert profile.sources == {
+        Signal.ENGINE_SPEED: SignalSource(pgn=61444, spn=190),
+        Signal.CURRENT_GEAR: SignalSource(
+            message="M", signal="S", valid=(0.0, 8.0), invalid=(7.0,), less="L", times="T"
+        ),
+    }
+    assert profile.sources[Signal.ENGINE_SPEED].place == "PGN 61444 SPN 190"
 
 
 def test_entry_with_everything(tmp_path: Path) -> None:
@@ -134,6 +189,9 @@ input1_speed_rad_s = { message = "M", signal = "S", scale = true }
 input2_speed_rad_s = { message = "M", signal = "S", scale = 0.0 }
 output_speed_rad_s = { message = "M", signal = "S", offset = nan }
 current_gear = "M.S"
+target_gear = { message = "M", pgn = 3, signal = "S" }
+preselected_gear = { message = "M", signal = "S", valid = [3, 1] }
+shift_phase = { message = "M", signal = "S", valid = [3] }
 """
     with pytest.raises(ConfigError) as refused:
         load_profile(write(tmp_path, text))
@@ -147,6 +205,9 @@ current_gear = "M.S"
         "input2_speed_rad_s: scale 0.0",
         "output_speed_rad_s: scale 1.0 and offset nan",
         "current_gear: must be a table",
+        "target_gear: lacks message, or has it beside pgn",
+        "preselected_gear: valid [3.0, 1.0] is no range",
+        "shift_phase: valid must be [lowest, highest]",
     ):
         assert complaint in complaints
     assert "\n" not in complaints

@@ -1,0 +1,232 @@
+"""A run over folders: what is not done yet is shared out among processes, journalled, and written as one table."""
+
+import hashlib
+import logging
+import os
+import sys
+from collections.abc import Iterator, Sequence
+from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
+from concurrent.futures.process import BrokenProcessPool
+from contextlib import ExitStack
+from dataclasses import dataclass
+from multiprocessing import get_context
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import TextIO
+
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn, TransferSpeedColumn
+
+from diag_service.batch.drives import Drive, find_drives
+from diag_service.batch.journal import Entry, Journal
+from diag_service.batch.tables import TableFormat, format_of, write_results
+from diag_service.batch.worker import analyse_drive, start_worker
+from diag_service.config import DiagnosisConfig, calibration_digest
+from diag_service.errors import ConfigError, SourceError
+from diag_service.interpretation import interpret
+from diag_service.notices import NOTICE
+from diag_service.parquet_file import load_pyarrow
+from diag_service.pipeline import versions_for
+from diag_service.recorded import stream_of
+from diag_service.results import dump
+from diag_service.stopping import Trigger
+
+POLL_S = 0.2  # how soon a request to stop is heard
+WAITING_PER_JOB = 2  # drives handed out ahead: a worker never waits, a stop never takes long
+_LOG = logging.getLogger(__name__)
+
+
+@dataclass(slots=True)
+class Tally:
+    """What became of the drives of a run."""
+
+    drives: int = 0
+    shifts: int = 0
+    failed: int = 0
+
+    def add(self, entry: Entry) -> None:
+        """Count one drive."""
+        self.drives += 1
+        self.shifts += len(entry.shifts)
+        self.failed += entry.drive["error"] is not None
+
+
+def analyse_folders(
+    config: DiagnosisConfig,
+    paths: Sequence[Path],
+    *,
+    output: Path | None,
+    jobs: int | None,
+    as_json: bool,
+    stop: Trigger,
+) -> None:
+    """Analyse every drive that the paths stand for.
+
+    With an output the run has a journal beside it, which survives a kill: started again, it goes on where it ended.
+
+    Raises
+    ------
+    ConfigError
+        If the options do not fit, or a folder holds no log.
+    SourceError
+        If no log at all could be read.
+    StoreError
+        If journal or output cannot be written.
+    """
+    jobs = checked_jobs(jobs)
+    if output is not None and format_of(output) is TableFormat.PARQUET:
+        load_pyarrow()  # now, not after hours
+    if config.broker is not None:
+        _LOG.warning("results of folders are not published")
+    settings = settings_digest(config)
+    drives = find_drives(paths)
+    with ExitStack() as stack:
+        journal = stack.enter_context(Journal(_journal_path(output, stack), settings))
+        to_do = [drive for drive in drives if drive.key not in journal.done]
+        if len(to_do) < len(drives):
+            _LOG.log(NOTICE, "%d of %d drives were done before", len(drives) - len(to_do), len(drives))
+        lines = _Lines(sys.stdout, as_json=as_json)
+        for drive, entry in _analysed(config, to_do, jobs, stop):
+            journal.add(entry)
+            lines.tell(drive, entry)
+        _conclude(journal, drives, output, lines)
+
+
+def checked_jobs(jobs: int | None) -> int:
+    """Return how many processes to use; raises ConfigError for fewer than one."""
+    if jobs is not None and jobs < 1:
+        raise ConfigError(f"--jobs must be at least 1, got {jobs}")
+    return jobs or os.cpu_count() or 1
+
+
+def settings_digest(config: DiagnosisConfig) -> str:
+    """Return a digest of all that decides about results besides the logs: their files and the versions."""
+    versions = versions_for(config.calibration, calibration_digest(config.calibration))
+    files = stream_of(interpret(config.dbc, config.profile).files)
+    parts = (config.vehicle, versions.algorithm, versions.calibration, files, str(config.is_strict))
+    return hashlib.sha256("\0".join(parts).encode()).hexdigest()
+
+
+def _journal_path(output: Path | None, stack: ExitStack) -> Path:
+    if output is not None:
+        return output.with_name(f"{output.name}.journal")
+    return Path(stack.enter_context(TemporaryDirectory(prefix="clutchdiag-"))) / "journal"
+
+
+def _analysed(
+    config: DiagnosisConfig, drives: Sequence[Drive], jobs: int, stop: Trigger
+) -> Iterator[tuple[Drive, Entry]]:
+    """Yield drives as they are done, in no order; when told to stop, those that were begun."""
+    if not drives:
+        return
+    waiting = list(reversed(drives))
+    running: dict[Future[Entry], Drive] = {}
+    context = get_context("spawn")  # threads and compiled code do not survive a fork
+    with (
+        _progress(drives) as progress,
+        ProcessPoolExecutor(min(jobs, len(drives)), context, start_worker, (config,)) as pool,
+    ):
+        task = progress.add_task("analysing", total=sum(drive.size_bytes for drive in drives), done=0, of=len(drives))
+        done_count = 0
+        while running or (waiting and not stop.is_set):
+            while waiting and not stop.is_set and len(running) < WAITING_PER_JOB * jobs:
+                drive = waiting.pop()
+                running[pool.submit(analyse_drive, drive)] = drive
+            if stop.is_set:
+                running = {future: drive for future, drive in running.items() if not future.cancel()}
+            finished, _ = wait(running, POLL_S, FIRST_COMPLETED)
+            for future in finished:
+                drive = running.pop(future)
+                done_count += 1
+                progress.update(task, advance=drive.size_bytes, done=done_count)
+                yield drive, _outcome(future, drive)
+
+
+def _outcome(future: Future[Entry], drive: Drive) -> Entry:
+    try:
+        return future.result()
+    except BrokenProcessPool as exc:
+        raise SourceError(f"a process died while it analysed {drive.name} or a drive beside it") from exc
+
+
+def _progress(drives: Sequence[Drive]) -> Progress:
+    """Return a bar on standard error: drives, bytes per second, time left; nothing where nobody watches."""
+    console = Console(stderr=True)
+    return Progress(
+        TextColumn("{task.description}"),
+        BarColumn(),
+        TextColumn("{task.fields[done]}/{task.fields[of]} drives"),
+        TransferSpeedColumn(),
+        TimeRemainingColumn(),
+        console=console,
+        transient=True,
+        disable=not console.is_terminal or not drives,
+    )
+
+
+def _conclude(journal: Journal, drives: Sequence[Drive], output: Path | None, lines: "_Lines") -> None:
+    """Write the output, or say how to go on."""
+    tally = Tally()
+    done = [drive for drive in drives if drive.key in journal.done]
+    for drive in done:
+        tally.add(journal.entry(drive.key))
+    lines.end(tally)
+    if len(done) < len(drives):
+        hint = "; the same command goes on" if output is not None else ""
+        _LOG.log(NOTICE, "stopped: %d of %d drives are done%s", len(done), len(drives), hint)
+        return
+    if output is not None:
+        write_results(output, (journal.entry(drive.key) for drive in drives))
+    if tally.failed == tally.drives:
+        raise SourceError(f"none of {tally.drives} drives could be read, the first: {_first_error(journal, drives)}")
+    if output is not None:
+        _LOG.log(NOTICE, "%d shifts of %d drives in %s", tally.shifts, tally.drives, output)
+
+
+def _first_error(journal: Journal, drives: Sequence[Drive]) -> str:
+    return str(journal.entry(drives[0].key).drive["error"])
+
+
+class _Lines:
+    """A line per drive on standard output: for people, or a JSON record per shift and drive."""
+
+    def __init__(self, stream: TextIO, *, as_json: bool) -> None:
+        self._stream = stream
+        self._as_json = as_json
+
+    def tell(self, drive: Drive, entry: Entry) -> None:
+        """Tell of one drive."""
+        if self._as_json:
+            for record in (*entry.shifts, entry.drive):
+                self._write(dump(record))
+            return
+        self._write(f"{drive.name}: {drive_line(entry)}")
+
+    def end(self, tally: Tally) -> None:
+        """Tell of all of them."""
+        if not self._as_json:
+            self._write(f"{tally.drives} drives, {tally.shifts} shifts, {tally.failed} could not be read")
+
+    def _write(self, line: str) -> None:
+        self._stream.write(line + "\n")
+        self._stream.flush()
+
+
+def drive_line(entry: Entry) -> str:
+    """Return what a drive said, on one line."""
+    summary = entry.drive["summary"]
+    if not isinstance(summary, dict):
+        return f"not read: {entry.drive['error']}"
+    statuses = {name: count for name, count in summary["shifts"]["by_status"].items() if count}
+    counts = f" ({', '.join(f'{count} {name}' for name, count in statuses.items())})" if statuses else ""
+    clutches = [f"clutch {one['clutch']} {one['condition'].replace('_', ' ')}" for one in summary["clutches"]]
+    tier = summary["capability"]["tier"]
+    frames = summary["frames"]
+    parts = [
+        f"{frames['on_bus']} frames",
+        f"{sum(frames['rejected'].values())} rejected",
+        f"tier {tier or 'none'}",
+        f"{len(entry.shifts)} shifts{counts}",
+        *clutches,
+    ]
+    return ", ".join(parts)

@@ -1,0 +1,141 @@
+"""The journal of a run over folders: one line per drive that is done, on disk before the next one counts.
+
+Whoever starts again finds in it what is done; a line that was cut off by a kill is dropped.
+"""
+
+import fcntl
+import json
+import os
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from types import TracebackType
+from typing import Self
+
+from diag_service.errors import StoreError
+from diag_service.results import JsonObject, dump
+
+JOURNAL_SCHEMA = "clutchdiag/journal/v1"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Entry:
+    """One drive that is done: its account, or why it could not be read, and its shifts."""
+
+    key: str
+    drive: JsonObject
+    shifts: tuple[JsonObject, ...]
+
+
+class Journal:
+    """A file of JSON lines, owned by one process at a time.
+
+    Parameters
+    ----------
+    path : Path
+        The file; created where there is none.
+    settings : str
+        Digest of all that decides about results: entries of other settings are not taken for done.
+
+    Raises
+    ------
+    StoreError
+        If it cannot be read or written, is another program's, or is in use.
+    """
+
+    def __init__(self, path: Path, settings: str) -> None:
+        self.path = path
+        self._settings = settings
+        try:
+            self._descriptor = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o644)
+        except OSError as exc:
+            raise StoreError(f"cannot use {path}: {exc.strerror}") from exc
+        try:
+            fcntl.flock(self._descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            self.done = self._recover()
+        except BlockingIOError as exc:
+            os.close(self._descriptor)
+            raise StoreError(f"{path} is in use by another run") from exc
+        except OSError as exc:
+            os.close(self._descriptor)
+            raise StoreError(f"cannot use {path}: {exc.strerror}") from exc
+        except StoreError:
+            os.close(self._descriptor)
+            raise
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        os.close(self._descriptor)
+
+    def add(self, entry: Entry) -> None:
+        """Write a drive that is done, to the disk.
+
+        Raises
+        ------
+        StoreError
+            If the disk does not take it.
+        """
+        record: JsonObject = {
+            "schema": JOURNAL_SCHEMA,
+            "settings": self._settings,
+            "key": entry.key,
+            "drive": entry.drive,
+            "shifts": list(entry.shifts),
+        }
+        line = (dump(record) + "\n").encode()
+        try:
+            end = os.lseek(self._descriptor, 0, os.SEEK_END)
+            written = os.write(self._descriptor, line)
+            if written != len(line):
+                os.ftruncate(self._descriptor, end)
+                raise StoreError(f"cannot write {self.path}: the disk is full")
+            os.fsync(self._descriptor)
+        except OSError as exc:
+            raise StoreError(f"cannot write {self.path}: {exc.strerror}") from exc
+        self.done[entry.key] = end
+
+    def entry(self, key: str) -> Entry:
+        """Return a drive that is done."""
+        with self.path.open("rb") as file:
+            file.seek(self.done[key])
+            table = json.loads(file.readline())
+        return Entry(key=key, drive=table["drive"], shifts=tuple(table["shifts"]))
+
+    def _recover(self) -> dict[str, int]:
+        """Return where each finished drive stands, and cut off what a kill left behind it."""
+        done: dict[str, int] = {}
+        end = 0
+        for start, line in self._lines():
+            try:
+                table = json.loads(line)
+            except ValueError:
+                break
+            if not isinstance(table, dict) or table.get("schema") != JOURNAL_SCHEMA:
+                raise StoreError(f"{self.path} is not a journal of diag-service")
+            end = start + len(line)
+            if table["settings"] == self._settings:
+                done[table["key"]] = start
+        if end == 0 and os.fstat(self._descriptor).st_size > 0 and not self._was_begun():
+            raise StoreError(f"{self.path} is not a journal of diag-service")
+        os.ftruncate(self._descriptor, end)
+        return done
+
+    def _lines(self) -> Iterator[tuple[int, bytes]]:
+        start = 0
+        with self.path.open("rb") as file:
+            for line in file:
+                if not line.endswith(b"\n"):
+                    return
+                yield start, line
+                start += len(line)
+
+    def _was_begun(self) -> bool:
+        """Return whether the first line, cut off, is one of ours."""
+        begin = b'{"schema":"' + JOURNAL_SCHEMA.encode()
+        with self.path.open("rb") as file:
+            head = file.read(len(begin))
+        return begin.startswith(head)

@@ -1,0 +1,144 @@
+"""Results of many drives as one file: JSON lines, CSV or Parquet; it appears whole or not at all."""
+
+import csv
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import contextmanager
+from enum import StrEnum
+from pathlib import Path
+
+from diag_service.batch.journal import Entry
+from diag_service.errors import ConfigError, StoreError
+from diag_service.parquet_file import ParquetTable
+from diag_service.results import JsonObject, dump
+from fleet_contract.described import schema
+from fleet_contract.topics import Channel
+
+BATCH_ROWS = 4096
+TYPES = {"integer": "int64", "number": "float64"}
+
+
+class TableFormat(StrEnum):
+    """The kinds of result files, by suffix."""
+
+    JSON_LINES = ".jsonl"
+    CSV = ".csv"
+    PARQUET = ".parquet"
+
+
+def format_of(path: Path) -> TableFormat:
+    """Return the format that a file name asks for.
+
+    Raises
+    ------
+    ConfigError
+        If it asks for none of them.
+    """
+    try:
+        return TableFormat(path.suffix.lower())
+    except ValueError as exc:
+        raise ConfigError(f"{path}: results are written as {', '.join(TableFormat)}") from exc
+
+
+def write_results(path: Path, entries: Iterable[Entry]) -> None:
+    """Write the shifts of all drives, and in JSON lines their accounts; replaces the file when it is complete.
+
+    Raises
+    ------
+    StoreError
+        If the file cannot be written.
+    ConfigError
+        If Parquet is asked for and pyarrow is missing.
+    """
+    with _replacing(path) as part:
+        match format_of(path):
+            case TableFormat.JSON_LINES:
+                _write_json_lines(part, entries)
+            case TableFormat.CSV:
+                _write_csv(part, entries)
+            case TableFormat.PARQUET:
+                _write_parquet(part, entries)
+
+
+def columns() -> dict[str, str]:
+    """Return the columns of the table and their types, from the schema of a shift result: nested keys by dots."""
+    description = schema(Channel.SHIFT.label)
+    return {"path": "string", **dict(_leaves(description, description))}
+
+
+def flattened(record: Mapping[str, object], prefix: str = "") -> dict[str, object]:
+    """Return a record without nesting: keys joined by dots, lists by semicolons."""
+    flat: dict[str, object] = {}
+    for key, value in record.items():
+        if isinstance(value, Mapping):
+            flat |= flattened(value, f"{prefix}{key}.")
+        else:
+            flat[f"{prefix}{key}"] = ";".join(map(str, value)) if isinstance(value, list) else value
+    return flat
+
+
+def _leaves(table: Mapping[str, object], root: Mapping[str, object], prefix: str = "") -> Iterator[tuple[str, str]]:
+    properties = table["properties"]
+    definitions = root["$defs"]
+    if not isinstance(properties, dict) or not isinstance(definitions, dict):
+        raise TypeError("not the schema of a result")
+    for key, description in properties.items():
+        if reference := description.get("$ref"):
+            yield from _leaves(definitions[reference.rsplit("/", 1)[-1]], root, f"{prefix}{key}.")
+            continue
+        if "properties" in description:
+            yield from _leaves(description, root, f"{prefix}{key}.")
+            continue
+        names = description.get("propertyNames", {}).get("enum", [])
+        if names:
+            yield from ((f"{prefix}{key}.{name}", "float64") for name in names)
+            continue
+        kinds = description.get("type")
+        kind = kinds[0] if isinstance(kinds, list) else kinds
+        if kind is None and all(isinstance(choice, int) for choice in description.get("enum", [""])):
+            kind = "integer"
+        yield f"{prefix}{key}", TYPES.get(str(kind), "string")
+
+
+def _rows(entries: Iterable[Entry]) -> Iterator[dict[str, object]]:
+    for entry in entries:
+        paths = entry.drive["paths"]
+        path = ";".join(map(str, paths)) if isinstance(paths, list) else paths
+        for shift in entry.shifts:
+            yield {"path": path, **flattened(shift)}
+
+
+def _write_json_lines(part: Path, entries: Iterable[Entry]) -> None:
+    with part.open("w", encoding="utf-8", errors="surrogateescape") as file:
+        for entry in entries:
+            records: list[JsonObject] = [*entry.shifts, entry.drive]
+            file.writelines(dump(record) + "\n" for record in records)
+
+
+def _write_csv(part: Path, entries: Iterable[Entry]) -> None:
+    with part.open("w", encoding="utf-8", errors="surrogateescape", newline="") as file:
+        writer = csv.DictWriter(file, list(columns()), restval="", extrasaction="ignore")
+        writer.writeheader()
+        writer.writerows(_rows(entries))
+
+
+def _write_parquet(part: Path, entries: Iterable[Entry]) -> None:
+    with ParquetTable(part, columns()) as table:
+        rows: list[dict[str, object]] = []
+        for row in _rows(entries):
+            rows.append(row)
+            if len(rows) == BATCH_ROWS:
+                table.write_rows(rows)
+                rows.clear()
+        table.write_rows(rows)
+
+
+@contextmanager
+def _replacing(path: Path) -> Iterator[Path]:
+    part = path.with_name(f".{path.name}.part")
+    try:
+        yield part
+        part.replace(path)
+    except OSError as exc:
+        raise StoreError(f"cannot write {path}: {exc.strerror or exc}") from exc
+    finally:
+        part.unlink(missing_ok=True)

@@ -1,0 +1,94 @@
+"""One drive of many, in a process of its own: a fresh state, no store, no broker; records go back."""
+
+import asyncio
+import logging
+import os
+import signal
+import threading
+from contextlib import closing
+from dataclasses import dataclass
+from functools import cached_property
+from multiprocessing import parent_process
+
+from diag_service.batch.drives import Drive
+from diag_service.batch.journal import Entry
+from diag_service.condition import ConditionMemory
+from diag_service.config import DiagnosisConfig, calibration_digest
+from diag_service.errors import SourceError
+from diag_service.estimation import Belief
+from diag_service.interpretation import Interpretation, interpret
+from diag_service.notices import set_up_notices
+from diag_service.pipeline import Session, Stages, versions_for
+from diag_service.publishers import MemoryReporter
+from diag_service.recorded import open_drive, run_logs, stream_of
+from diag_service.results import JsonObject, shift_record
+from diag_service.stopping import Trigger, ignore
+from diag_service.store import ResultStore
+from diag_service.summary import summary_record
+
+DRIVE_SCHEMA = "clutchdiag/drive/v1"
+
+
+@dataclass(frozen=True)
+class Analyst:
+    """Analyses drives by one configuration; database and profile are read once."""
+
+    config: DiagnosisConfig
+
+    @cached_property
+    def _meaning(self) -> Interpretation:
+        return interpret(self.config.dbc, self.config.profile)
+
+    def analyse(self, drive: Drive) -> Entry:
+        """Return the account of a drive and its shifts; a log that cannot be read gives the reason instead."""
+        head: JsonObject = {"schema": DRIVE_SCHEMA, "paths": [str(path) for path in drive.paths]}
+        try:
+            stream, reporter = self._run(drive)
+        except SourceError as exc:
+            return Entry(key=drive.key, drive={**head, "stream": None, "error": str(exc), "summary": None}, shifts=())
+        (summary,) = reporter.summaries
+        account: JsonObject = {**head, "stream": stream, "error": None, "summary": summary_record(summary)}
+        return Entry(key=drive.key, drive=account, shifts=tuple(shift_record(one) for one in reporter.results))
+
+    def _run(self, drive: Drive) -> tuple[str, MemoryReporter]:
+        calibration = self.config.calibration
+        logs = open_drive(drive.paths, is_strict=self.config.is_strict)
+        stream = stream_of([*(log.path for log in logs), *self._meaning.files])
+        stages = Stages(self._meaning.decoder(), calibration, Belief.fresh(calibration), ConditionMemory.fresh())
+        reporter = MemoryReporter()
+        with closing(ResultStore.in_memory()) as store:
+            session = Session(
+                stages=stages,
+                store=store,
+                reporter=reporter,
+                vehicle=self.config.vehicle,
+                versions=versions_for(calibration, calibration_digest(calibration)),
+                stream=stream,
+                utc_now=str,
+            )
+            asyncio.run(run_logs(logs, session, stop=Trigger(), outbox=None))
+        return stream, reporter
+
+
+_ANALYSTS: list[Analyst] = []  # of this process: one, made when it starts
+
+
+def start_worker(config: DiagnosisConfig) -> None:
+    """Prepare a process for drives: it leaves Ctrl-C to its parent and does not outlive it."""
+    ignore(signal.SIGINT)
+    threading.Thread(target=_end_with_parent, name="parent watch", daemon=True).start()
+    set_up_notices(0)
+    logging.getLogger("diag_service").setLevel(logging.WARNING)  # what is only notable the parent has said
+    _ANALYSTS.append(Analyst(config))
+
+
+def analyse_drive(drive: Drive) -> Entry:
+    """Analyse one drive in a prepared process."""
+    return _ANALYSTS[0].analyse(drive)
+
+
+def _end_with_parent() -> None:
+    parent = parent_process()
+    if parent is not None:
+        parent.join()
+        os._exit(1)

@@ -1,0 +1,192 @@
+"""``diag-service inspect``: what traffic a log holds, in seconds, whatever the frames mean."""
+
+import argparse
+import sys
+from collections.abc import Sequence
+from collections.abc import Set as AbstractSet
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+from cantools.database.can import Message
+from rich.console import Console
+
+from dbc.contract import DBC_PATH, message_contract
+from diag_service.addressing import NOBODY, address_book, find_slot, message_address
+from diag_service.database import load_database
+from diag_service.errors import ConfigError
+from diag_service.frames import ERROR_FLAG, EXTENDED_FLAG, REMOTE_FLAG
+from diag_service.protection_check import FrameReason, LinkMonitor
+from diag_service.records import Int64Array
+from diag_service.results import JsonObject, dump, utc_from_bus_ns
+from diag_service.sources import LogReader, read_log
+from diag_service.stopping import Trigger
+from diag_service.traffic import NS_PER_S, IdTraffic, TrafficMeter, TrafficReport
+
+SCHEMA = "clutchdiag/inspect/v1"
+MS_PER_S = 1e3
+_COLUMNS = "{:>3} {:<8} {} {:>8} {:>5} {:>8} {:>9} {:>9} {:>5} {:>9}"
+_HEAD = ("frames", "bytes", "rate Hz", "period ms", "jitter ms", "gaps", "longest s")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LinkErrors:
+    """What the protection of one message says of its frames."""
+
+    good: int
+    errors: dict[str, int]
+    missing: int
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Inspection:
+    """One log."""
+
+    reader: LogReader
+    traffic: TrafficReport
+    names: dict[int, str]  # identifier with flags -> message
+    links: dict[str, LinkErrors]  # of protected messages that were seen
+    is_whole: bool
+
+
+def execute(options: argparse.Namespace, stop: Trigger, counts_wanted: Trigger) -> None:
+    """Inspect one log after the other."""
+    del counts_wanted
+    if options.bitrate <= 0:
+        raise ConfigError(f"the bit rate must be > 0, got {options.bitrate}")
+    messages = load_database(options.dbc or DBC_PATH).messages
+    console = Console()
+    for path in options.logs:
+        inspection = inspect_log(path, messages, options.bitrate, stop)
+        if options.json:
+            sys.stdout.write(dump(inspection_record(inspection)) + "\n")
+        else:
+            _show(inspection, options.bitrate, console)
+
+
+def inspect_log(path: Path, messages: Sequence[Message], bitrate: int, stop: Trigger) -> Inspection:
+    """Read a log once and return what it holds.
+
+    Raises
+    ------
+    SourceError
+        If it cannot be read.
+    """
+    reader = read_log(path)
+    meter = TrafficMeter(bitrate)
+    protected = [message for message in messages if message_contract(message).data_id is not None]
+    monitor = LinkMonitor(protected)
+    last_ns: int | None = None
+    for batch in reader:
+        if stop.is_set:
+            break
+        meter.add(batch)
+        if last_ns is not None and not 0 <= int(batch.t_ns[0]) - last_ns <= NS_PER_S:
+            monitor.reset()
+        monitor.check(batch)
+        last_ns = int(batch.t_ns[-1]) if len(batch) else last_ns
+    traffic = meter.report()
+    counts, missing = monitor.counts, monitor.missing
+    return Inspection(
+        reader=reader,
+        traffic=traffic,
+        names=_names(messages, {one.can_id for one in traffic.ids}),
+        links={
+            message.name: _link_errors(row, int(lost))
+            for message, row, lost in zip(protected, counts[:-1], missing, strict=True)
+            if row.sum()
+        },
+        is_whole=not stop.is_set,
+    )
+
+
+def inspection_record(inspection: Inspection) -> JsonObject:
+    """Return the inspection as one JSON object."""
+    counts = inspection.reader.counts
+    table = asdict(inspection.traffic)
+    for one in table["ids"]:
+        one["message"] = inspection.names.get(one["can_id"])
+    return {
+        "schema": SCHEMA,
+        "path": str(inspection.reader.path),
+        "format": inspection.reader.format.value,
+        "unreadable": {reason.value: count for reason, count in counts.rejected.items()},
+        "first_unreadable": counts.first_rejected,
+        "truncated": counts.truncated,
+        **table,
+        "protection": {name: asdict(link) for name, link in inspection.links.items()},
+    }
+
+
+def _names(messages: Sequence[Message], can_ids: AbstractSet[int]) -> dict[int, str]:
+    """Return the names of the messages that identifiers, with their flags, belong to."""
+    book = address_book([message_address(message) for message in messages])
+    slots = {can_id: find_slot(book, can_id) for can_id in can_ids if not can_id & (REMOTE_FLAG | ERROR_FLAG)}
+    return {can_id: messages[slot].name for can_id, slot in slots.items() if slot != NOBODY}
+
+
+def _link_errors(row: Int64Array, missing: int) -> LinkErrors:
+    errors = {reason.name.lower(): int(row[reason]) for reason in FrameReason if reason != FrameReason.OK}
+    return LinkErrors(
+        good=int(row[FrameReason.OK]), errors={name: count for name, count in errors.items() if count}, missing=missing
+    )
+
+
+def _show(inspection: Inspection, bitrate: int, console: Console) -> None:
+    for line in _head(inspection, bitrate):
+        console.print(line, highlight=False, soft_wrap=True)
+    width = max([len(name) for name in inspection.names.values()], default=0)
+    console.print(_COLUMNS.format("bus", "id", "message".ljust(width), *_HEAD), soft_wrap=True, style="bold")
+    for one in inspection.traffic.ids:
+        line = _COLUMNS.format(*_row(one, inspection.names.get(one.can_id, "").ljust(width)))
+        console.print(line, highlight=False, markup=False, soft_wrap=True)
+    for line in _protection_lines(inspection.links):
+        console.print(line, highlight=False, soft_wrap=True)
+
+
+def _head(inspection: Inspection, bitrate: int) -> list[str]:
+    traffic, counts = inspection.traffic, inspection.reader.counts
+    duration_s = (traffic.last_ns - traffic.first_ns) / NS_PER_S
+    rate = f"{bitrate / 1000:g} kbit/s"
+    what = f"{inspection.reader.format.value}, {traffic.frames} frames, {len(traffic.ids)} ids, {duration_s:.3f} s"
+    load = f"{100 * traffic.bus_load_ratio:.1f} %, busiest second {100 * traffic.peak_load_ratio:.1f} %"
+    kinds = f"{traffic.fd_frames} CAN FD, {traffic.remote_frames} remote, {traffic.error_frames} error frames"
+    since = f"from {utc_from_bus_ns(traffic.first_ns)}{'' if inspection.is_whole else ' (stopped)'}"
+    lines = [f"{inspection.reader.path}: {what} {since}", f"bus load at {rate}: {load}; {kinds}"]
+    if counts.first_rejected:
+        total = sum(counts.rejected.values())
+        lines.append(f"{total} pieces are no frames, the first: {counts.first_rejected}")
+    if counts.truncated:
+        lines.append("the log ends before its own end")
+    lines.append(f"{traffic.jump_count} jumps of time" if traffic.jump_count else "no jump of time")
+    lines += [f"  at {utc_from_bus_ns(jump.at_ns)} by {jump.by_ns / NS_PER_S:+.6f} s" for jump in traffic.jumps]
+    return lines
+
+
+def _row(one: IdTraffic, name: str) -> tuple[str, ...]:
+    is_extended = bool(one.can_id & EXTENDED_FLAG)
+    identifier = f"{one.can_id & 0x1FFF_FFFF:08X}" if is_extended else f"{one.can_id & 0x1FFF_FFFF:03X}"
+    has_rate = one.rate_hz > 0.0
+    return (
+        str(one.channel),
+        identifier,
+        name,
+        str(one.count),
+        str(one.length),
+        f"{one.rate_hz:.1f}" if has_rate else "-",
+        f"{one.period_s * MS_PER_S:.2f}" if has_rate else "-",
+        f"{one.jitter_s * MS_PER_S:.2f}" if has_rate else "-",
+        str(one.gap_count),
+        f"{one.longest_gap_s:.3f}" if one.gap_count else "-",
+    )
+
+
+def _protection_lines(links: dict[str, LinkErrors]) -> Sequence[str]:
+    if not links:
+        return ["no frame of a message with a protection that is understood"]
+    good = sum(link.good for link in links.values())
+    bad = {name: link for name, link in links.items() if link.errors or link.missing}
+    lines = [f"end-to-end protection: {good} good frames of {len(links)} messages, {len(bad)} messages with errors"]
+    for name, link in bad.items():
+        parts = [*(f"{count} {reason.replace('_', ' ')}" for reason, count in link.errors.items())]
+        lines.append(f"  {name}: {', '.join([*parts, f'{link.missing} missing'])}")
+    return lines

@@ -1,0 +1,45 @@
+"""Options that several commands share, as checked values."""
+
+import argparse
+
+from diag_service import config
+from diag_service.errors import ConfigError
+from diag_service.options import fill_in
+from diag_service.publishers import Acknowledge, BrokerAddress, TlsFiles
+
+
+def diagnosis_config(options: argparse.Namespace) -> config.DiagnosisConfig:
+    """Return how frames become results, open options filled in; raises ConfigError or CalibrationError."""
+    fill_in(options)
+    return config.DiagnosisConfig(
+        vehicle=config.check_vehicle(options.vehicle),
+        dbc=options.dbc,
+        profile=options.profile,
+        calibration=config.load_calibration(options.calibration),
+        broker=_broker(options),
+        acknowledge=Acknowledge(options.acknowledge),
+        budget_bytes=None if options.store_budget is None else options.store_budget << 20,
+        is_strict=options.command == "analyze" and options.strict,
+    )
+
+
+def bus_config(options: argparse.Namespace) -> config.BusConfig:
+    """Return which bus to listen to; raises ConfigError."""
+    return config.BusConfig(
+        interface=options.interface,
+        channel=options.channel,
+        bitrate=options.bitrate,
+        is_fd=options.fd,
+        duration_s=options.duration,
+        is_filtered=options.only_mapped,
+        metrics=config.parse_listen_address(options.metrics) if options.metrics else None,
+    )
+
+
+def _broker(options: argparse.Namespace) -> BrokerAddress | None:
+    tls = TlsFiles(authority=options.ca, certificate=options.cert, key=options.key)
+    if options.broker:
+        return config.parse_broker(options.broker, tls, options.password_file)
+    if options.command not in {"calibrate", "monitor"} and (tls != TlsFiles() or options.password_file is not None):
+        raise ConfigError("certificates and passwords need a broker")
+    return None

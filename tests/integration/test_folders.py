@@ -1,0 +1,84 @@
+"""Folders of logs: many drives by several processes, resumable, in one table."""
+
+import csv
+import json
+import re
+from pathlib import Path
+
+import pyarrow.parquet as pq
+import pytest
+
+from diag_service.arguments import build_parser
+from diag_service.batch.journal import Entry
+from diag_service.batch.tables import write_results
+from diag_service.commands import analyze
+from diag_service.errors import ConfigError, SourceError, StoreError
+from diag_service.stopping import Trigger
+from tests.folders import fill_folder, kill_and_resume
+from tests.plugins.drives import SHIFT_COUNT
+from tests.service import run_service
+
+LOG_COUNT = 5
+
+
+def test_a_run_that_was_killed_goes_on_where_it_ended(drive_log: Path, tmp_path: Path) -> None:
+    paths = fill_folder(tmp_path / "logs", drive_log, LOG_COUNT)
+    run = kill_and_resume(tmp_path / "logs", tmp_path / "out.jsonl", jobs=2, kill_after=2)
+    assert 2 <= run.done_before < LOG_COUNT
+    assert run.outlived == 0
+    assert run.files == {str(path): 1 for path in paths}
+    assert len(run.shift_keys) == run.shift_keys.total() == LOG_COUNT * SHIFT_COUNT
+    assert f"{run.done_before} of {LOG_COUNT} drives were done before" in run.second_stderr
+
+
+def test_the_tables_hold_what_a_drive_gives(drive_log: Path, tmp_path: Path) -> None:
+    plain = run_service(tmp_path / "plain", "analyze", drive_log, "--json")
+    ended = run_service(tmp_path / "table", "analyze", drive_log, "-o", tmp_path / "out.jsonl", "--jobs", "1")
+    assert ended.status == 0, ended.err
+    assert f"{SHIFT_COUNT} shifts of 1 drives in {tmp_path / 'out.jsonl'}" in ended.err
+    *shifts, drive = (json.loads(line) for line in (tmp_path / "out.jsonl").read_text(encoding="utf-8").splitlines())
+    assert shifts == plain.shifts
+    assert drive["summary"] == plain.summary
+    entry = Entry(key="", drive=drive, shifts=tuple(shifts))
+    write_results(tmp_path / "out.csv", [entry])
+    write_results(tmp_path / "out.parquet", [entry])
+    with (tmp_path / "out.csv").open(encoding="utf-8", newline="") as file:
+        rows = list(csv.DictReader(file))
+    table = pq.read_table(tmp_path / "out.parquet").to_pylist()
+    for row, typed, shift in zip(rows, table, plain.shifts, strict=True):
+        assert float(row["friction.mu_c"]) == typed["friction.mu_c"] == shift["friction"]["mu_c"]
+        assert int(row["to_gear"]) == typed["to_gear"] == shift["to_gear"]
+        assert row["verdict.condition"] == typed["verdict.condition"] == shift["verdict"]["condition"]
+
+
+def test_logs_that_cannot_be_read_are_told_and_do_not_stop_the_others(drive_log: Path, tmp_path: Path) -> None:
+    folder = tmp_path / "logs"
+    fill_folder(folder, drive_log, 1)
+    (folder / "bad.blf").write_bytes(b"LOGG" + bytes(200))
+    ended = run_service(tmp_path / "run", "analyze", folder, "--jobs", "1")
+    assert ended.status == 0
+    assert f"{folder / 'bad.blf'}: not read: " in ended.out
+    assert f"2 drives, {SHIFT_COUNT} shifts, 1 could not be read" in ended.out
+
+
+@pytest.mark.parametrize(
+    ("arguments", "error", "text"),
+    [
+        (("{tmp}/empty",), ConfigError, "holds no log"),
+        (("{log}", "-o", "{tmp}/out.xlsx"), ConfigError, "results are written as .jsonl, .csv, .parquet"),
+        (("{log}", "-o", "{tmp}/none/out.csv"), StoreError, "No such file"),
+        (("{log}", "-o", "{tmp}/out.csv", "--jobs", "0"), ConfigError, "at least 1"),
+        (("{log}", "--jobs", "2"), ConfigError, "--jobs is for folders"),
+        (("{tmp}", "--store", "{tmp}/s.sqlite"), ConfigError, "neither --store"),
+        (("{tmp}", "--estimator", "paper"), ConfigError, "nor --estimator paper"),
+        (("{tmp}/empty.log", "-o", "{tmp}/out.csv"), SourceError, "none of 1 drives could be read, the first: "),
+    ],
+)
+def test_what_cannot_be_done_is_told(
+    drive_log: Path, tmp_path: Path, arguments: tuple[str, ...], error: type[Exception], text: str
+) -> None:
+    (tmp_path / "empty").mkdir()
+    (tmp_path / "empty.log").touch()
+    words = ["analyze", *(argument.format(log=drive_log, tmp=tmp_path) for argument in arguments)]
+    with pytest.raises(error, match=re.escape(text)):
+        analyze.execute(build_parser().parse_args(words), Trigger(), Trigger())

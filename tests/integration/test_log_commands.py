@@ -1,0 +1,173 @@
+"""``inspect``, ``signals`` and ``decode``, from their words to what they print and write."""
+
+import json
+import re
+import sys
+from importlib import import_module
+from pathlib import Path
+
+import cantools
+import numpy as np
+import pyarrow.parquet as pq
+import pytest
+from cantools.database.can import Database
+
+from dbc.contract import DBC_PATH
+from diag_service.arguments import build_parser
+from diag_service.codec import Codec
+from diag_service.commands.decode import decode_long, decode_wide
+from diag_service.database import load_database
+from diag_service.errors import ConfigError, SourceError, StoreError
+from diag_service.profile import load_profile
+from diag_service.records import Signal
+from diag_service.stopping import Trigger
+from diag_service.tiers import tier_of
+from tests.service import run_service, service
+
+FRAME_COUNT = 1000
+
+
+def execute(*words: str | Path) -> None:
+    """Run a command in this process."""
+    options = build_parser().parse_args([str(word) for word in words])
+    import_module(f"diag_service.commands.{options.command}").execute(options, Trigger(), Trigger())
+
+
+@pytest.fixture
+def short_log(drive_log: Path, tmp_path: Path) -> Path:
+    """Return the first frames of a drive."""
+    path = tmp_path / "short.log"
+    path.write_bytes(b"".join(drive_log.read_bytes().splitlines(keepends=True)[:FRAME_COUNT]))
+    return path
+
+
+def test_inspect_tells_what_is_on_the_bus_and_what_is_wrong(
+    short_log: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    lines = short_log.read_text(encoding="ascii").splitlines()
+    spoilt = lines[500][:-1] + ("0" if lines[500][-1] != "0" else "1")
+    short_log.write_text("\n".join([*lines[:500], spoilt, "what is this", *lines[501:]]) + "\n", encoding="ascii")
+    execute("inspect", short_log)
+    out = capsys.readouterr().out
+    assert f"candump, {FRAME_COUNT} frames, 10 ids" in out
+    assert "1 pieces are no frames, the first: line 502" in out
+    assert "no jump of time" in out
+    assert f"end-to-end protection: {FRAME_COUNT - 1} good frames of 10 messages, 1 messages with errors" in out
+    assert "1 bad crc, 0 missing" in out
+    execute("inspect", short_log, "--json", "-b", "250000")
+    record = json.loads(capsys.readouterr().out)
+    assert record["frames"] == FRAME_COUNT
+    assert record["unreadable"] == {"malformed": 1}
+    rates = {one["message"]: one["rate_hz"] for one in record["ids"]}
+    assert rates["TCU_Pressures"] == pytest.approx(100.0, rel=0.01)
+    assert rates["BRK_WheelSpeeds"] == pytest.approx(50.0, rel=0.01)
+    assert 0.2 < record["bus_load_ratio"] < 0.4  # 625 frames a second
+
+
+def test_inspect_as_a_process(short_log: Path, tmp_path: Path) -> None:
+    ended = run_service(tmp_path, "inspect", short_log)
+    assert (ended.status, ended.err) == (0, "")
+    assert "TCU_Pressures" in ended.out
+
+
+def test_signals_proposes_a_profile_that_works(
+    drive_log: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    execute("signals", drive_log)
+    out = capsys.readouterr().out
+    assert "# As it stands it reaches tier 1 (friction)." in out
+    assert "# TCU_Pressures (0xb1): " in out
+    profile = tmp_path / "car.toml"
+    profile.write_text(out, encoding="utf-8")
+    proposed, ours = load_profile(profile).sources, load_profile().sources
+    assert tier_of(proposed.keys()) == 1
+    assert proposed == {signal: ours[signal] for signal in proposed}  # each line is the right one
+    assert Signal.CLUTCH_TORQUE not in proposed
+
+
+def expected_values(log: Path) -> dict[tuple[int, str], float]:
+    """Return every valid value as cantools decodes it, by frame and signal."""
+    database = cantools.database.load_file(DBC_PATH)
+    assert isinstance(database, Database)
+    values: dict[tuple[int, str], float] = {}
+    for row, line in enumerate(log.read_text(encoding="ascii").splitlines()):
+        identifier, payload = line.split()[2].split("#")
+        message = database.get_message_by_frame_id(int(identifier, 16))
+        decoded = message.decode(bytes.fromhex(payload), decode_choices=False)
+        assert isinstance(decoded, dict)
+        for signal in message.signals:
+            value = float(str(decoded[signal.name]))
+            if signal.maximum is None or value <= signal.maximum:  # above: not available
+                values[row, f"{message.name}.{signal.name}"] = value
+    return values
+
+
+def test_decode_wide_holds_what_cantools_decodes(short_log: Path, tmp_path: Path) -> None:
+    output = tmp_path / "out.parquet"
+    execute("decode", short_log, "-o", output)
+    table = pq.read_table(output)
+    assert table.num_rows == FRAME_COUNT
+    assert table.schema.field("TCU_Pressures.Clutch1Pressure").metadata == {b"unit": b"bar"}
+    assert str(table.schema.field("time").type) == "timestamp[ns, tz=UTC]"
+    found = {
+        (row, name): value
+        for name in table.column_names
+        if "." in name
+        for row, value in enumerate(table.column(name).to_pylist())
+        if value is not None
+    }
+    assert found == expected_values(short_log)
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["out.parquet", "short.log"]
+
+
+def test_decode_long_holds_the_same(short_log: Path, tmp_path: Path) -> None:
+    output = tmp_path / "out.parquet"
+    execute("decode", short_log, "-o", output, "--layout", "long")
+    table = pq.read_table(output).to_pylist()
+    by_name: dict[str, list[float]] = {}
+    for row in table:
+        by_name.setdefault(f"{row['message']}.{row['signal']}", []).append(row["value"])
+    expected: dict[str, list[float]] = {}
+    for (_, name), value in sorted(expected_values(short_log).items()):
+        expected.setdefault(name, []).append(value)
+    assert by_name == expected
+    assert {row["unit"] for row in table if row["signal"] == "EngineSpeed"} == {"rpm"}
+
+
+@pytest.mark.parametrize("layout", ["wide", "long"])
+def test_row_groups_are_small_whatever_the_log(
+    layout: str, short_log: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("diag_service.commands.decode.MAX_CELLS", 6400)
+    decode = decode_wide if layout == "wide" else decode_long
+    codec = Codec(load_database(DBC_PATH).messages)
+    count = decode(short_log, codec, tmp_path / "out.parquet", Trigger())
+    file = pq.ParquetFile(tmp_path / "out.parquet")
+    assert file.metadata.num_row_groups > 5
+    assert file.metadata.num_rows == count
+    assert np.all(np.diff(file.read().column("time").to_numpy().astype(np.int64)) >= 0)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "error", "text"),
+    [
+        (("decode", "{log}", "-o", "{tmp}/out.csv"), ConfigError, "are written as .parquet"),
+        (("decode", "{log}", "-o", "{tmp}/none/out.parquet"), StoreError, "cannot write"),
+        (("decode", "{tmp}/none.log", "-o", "{tmp}/out.parquet"), SourceError, "none.log"),
+        (("inspect", "{log}", "-b", "0"), ConfigError, "bit rate must be > 0"),
+        (("inspect", "{tmp}/none.log"), SourceError, "none.log"),
+        (("signals", "{log}", "--dbc", "{log}"), ConfigError, "short.log"),
+    ],
+)
+def test_what_cannot_be_done_is_told(
+    short_log: Path, tmp_path: Path, arguments: tuple[str, ...], error: type[Exception], text: str
+) -> None:
+    with pytest.raises(error, match=re.escape(text)):
+        execute(*(argument.format(log=short_log, tmp=tmp_path) for argument in arguments))
+
+
+def test_decode_without_pyarrow_says_what_to_install(short_log: Path, tmp_path: Path) -> None:
+    program = "import sys; sys.modules['pyarrow'] = None; from diag_service.cli import main; sys.exit(main())"
+    arguments = ("decode", short_log, "-o", tmp_path / "o.parquet")
+    with service(tmp_path / "run", *arguments, program=(sys.executable, "-c", program)) as running:
+        running.wait().assert_one_line(2, "pip install 'clutchdiag[parquet]'")

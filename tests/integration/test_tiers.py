@@ -1,0 +1,94 @@
+"""Fewer signals, less said: never a friction below the first tier, and what is missing by name."""
+
+import json
+import statistics
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from diag_service.profile import PROFILE_PATH
+from tests.service import Ended, run_service
+
+SHIFT_COUNT = 3
+
+
+def profile_without(folder: Path, *words: str) -> Path:
+    """Return our profile without the lines that hold one of the words."""
+    lines = PROFILE_PATH.read_text(encoding="utf-8").splitlines()
+    path = folder / "less.toml"
+    path.write_text("\n".join(line for line in lines if not any(word in line for word in words)), encoding="utf-8")
+    return path
+
+
+def ratios(ended: Ended) -> list[float]:
+    return [shift["indices"]["torque_capacity_ratio"] for shift in ended.shifts]
+
+
+def says_friction(ended: Ended) -> bool:
+    """Return whether a coefficient is printed anywhere."""
+    return any(key in ended.out for key in ('"mu_c"', '"mu_s"'))
+
+
+def test_torque_only(drive_log: Path, tmp_path: Path) -> None:
+    profile = profile_without(tmp_path, "clutch1_pressure", "clutch2_pressure")
+    ended = run_service(tmp_path, "analyze", drive_log, "--profile", profile, "--json")
+    assert (ended.status, ended.err) == (0, "")
+    assert [(shift["tier"], shift["friction"], shift["status"]) for shift in ended.shifts] == [
+        (2, None, "unobserved")
+    ] * SHIFT_COUNT
+    assert statistics.mean(ratios(ended)) == pytest.approx(1.0, abs=0.1)  # production scatter included
+    assert not says_friction(ended)
+    capability = ended.summary["capability"]
+    assert (capability["tier"], capability["missing"]) == (2, "friction needs clutch1_pressure_pa, clutch2_pressure_pa")
+
+
+def test_speeds_and_gears_only_with_ratios_for_gears(drive_log: Path, tmp_path: Path) -> None:
+    ended = run_service(
+        tmp_path, "analyze", drive_log, "--profile", profile_without(tmp_path, "pressure", "torque"), "--json"
+    )
+    assert [(shift["tier"], shift["friction"]) for shift in ended.shifts] == [(3, None)] * SHIFT_COUNT
+    assert ratios(ended) == [None] * SHIFT_COUNT
+    assert all(shift["indices"]["peak_slip_rad_s"] > 50.0 for shift in ended.shifts)
+    assert not says_friction(ended)
+
+
+def test_the_target_alone_finds_the_shifts_that_both_gears_find(drive_log: Path, tmp_path: Path) -> None:
+    profile = profile_without(tmp_path, "current_gear", "pressure")
+    target_only = run_service(tmp_path / "target", "analyze", drive_log, "--profile", profile, "--json")
+    both = run_service(tmp_path / "both", "analyze", drive_log, "--json")
+    assert [shift["start_bus_ns"] for shift in target_only.shifts] == [shift["start_bus_ns"] for shift in both.shifts]
+    assert [shift["to_gear"] for shift in target_only.shifts] == [shift["to_gear"] for shift in both.shifts]
+    for one, other in zip(target_only.shifts, both.shifts, strict=True):
+        assert one["duration_s"] == pytest.approx(other["duration_s"], abs=0.4)
+        assert other["indices"]["slip_angle_rad"] > 0.0  # the first tier has the indices, too
+
+
+def test_a_worn_clutch_carries_less_than_it_is_asked_for(tmp_path: Path) -> None:
+    log = tmp_path / "aged.log"
+    command = [sys.executable, "-m", "ecu_emulator", "record", str(log), "--scenario", "case2"]
+    subprocess.run(command, check=True, capture_output=True, timeout=300)
+    drive = json.loads(log.with_name("aged.log.truth.jsonl").read_text(encoding="utf-8").splitlines()[0])
+    profile = profile_without(tmp_path, "clutch1_pressure", "clutch2_pressure")
+    ended = run_service(tmp_path, "analyze", log, "--profile", profile, "--json")
+    least, most = min(drive["mu_c"]) / 0.140, max(drive["mu_s"]) / 0.119
+    assert (least < 0.9, most > 1.1) == (True, True)  # aged fluid grips more when nearly closed and less at speed
+    stds = [shift["indices"]["std_torque_capacity_ratio"] for shift in ended.shifts]
+    assert all(least - 2.0 * std < ratio < 1.0 for ratio, std in zip(ratios(ended), stds, strict=True))
+
+
+def test_a_log_without_shifts_is_accounted_for(drive_log: Path, tmp_path: Path) -> None:
+    ended = run_service(tmp_path, "analyze", drive_log, "--profile", "j1939")
+    assert ended.status == 0
+    assert "profile j1939: 10 of 10 signals, tier 3; torque capacity needs" in ended.err
+    lines = len(drive_log.read_bytes().splitlines())
+    assert f"{lines} frames, 0 decoded, {lines} ignored" in ended.out
+    assert "no shift was found; the signals do not show shifts: shift time and slip needs engine_speed" in ended.out
+    assert "mapped by profile j1939, but never seen: engine_speed_rad_s, pedal_ratio" in ended.out
+
+
+def test_people_are_told_the_tier(drive_log: Path, tmp_path: Path) -> None:
+    ended = run_service(tmp_path, "analyze", drive_log, "--profile", profile_without(tmp_path, "1_pressure"))
+    assert "tier 2 of 3, torque capacity, no friction: friction needs clutch1_pressure_pa" in ended.out
+    assert "clutch 2: the signals say nothing of friction" in ended.out

@@ -1,0 +1,58 @@
+"""Results as tables: the columns are the schema's, and a file appears whole or not at all."""
+
+import json
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from diag_service.batch.journal import Entry
+from diag_service.batch.tables import columns, flattened, format_of, write_results
+from diag_service.errors import ConfigError, StoreError
+from diag_service.parquet_file import load_pyarrow
+from diag_service.results import shift_record
+from tests.builders import rejected, shift_result
+
+ENTRIES = tuple(
+    Entry(key=str(seq), drive={"paths": [f"{seq}.log"]}, shifts=(shift_record(result),))
+    for seq, result in enumerate((shift_result(1), rejected(shift_result(2))))
+)
+
+
+def test_a_row_has_columns_of_the_schema_only() -> None:
+    row = {"path": "a.log", **flattened(shift_record(shift_result()))}
+    assert row.keys() - {"indices"} <= columns().keys()  # null as a whole
+    assert columns()["friction.mu_c"] == "float64"
+    assert columns()["clutch"] == columns()["tier"] == columns()["seq"] == "int64"
+    assert columns()["reasons"] == columns()["status"] == "string"
+
+
+@pytest.mark.parametrize("name", ["out.jsonl", "out.csv", "out.parquet"])
+def test_a_file_that_cannot_be_completed_does_not_appear(tmp_path: Path, name: str) -> None:
+    def broken() -> Iterator[Entry]:
+        yield ENTRIES[0]
+        raise OSError(28, "No space left on device")
+
+    (tmp_path / name).write_bytes(b"before")
+    with pytest.raises(StoreError, match="No space left"):
+        write_results(tmp_path / name, broken())
+    assert [path.name for path in tmp_path.iterdir()] == [name]
+    assert (tmp_path / name).read_bytes() == b"before"
+
+
+def test_json_lines_hold_shifts_and_drives(tmp_path: Path) -> None:
+    write_results(tmp_path / "out.jsonl", ENTRIES)
+    lines = [json.loads(line) for line in (tmp_path / "out.jsonl").read_text(encoding="utf-8").splitlines()]
+    assert [line.get("seq", line.get("paths")) for line in lines] == [1, ["0.log"], 2, ["1.log"]]
+
+
+def test_names_that_ask_for_no_format() -> None:
+    with pytest.raises(ConfigError, match=r"results are written as \.jsonl, \.csv, \.parquet"):
+        format_of(Path("out.xlsx"))
+
+
+def test_without_pyarrow_parquet_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "pyarrow.parquet", None)
+    with pytest.raises(ConfigError, match=r"pip install 'clutchdiag\[parquet\]'"):
+        load_pyarrow()
