@@ -8,7 +8,7 @@ import pytest
 
 from diag_service.frames import FrameBatch
 from diag_service.records import Int64Array, Status
-from diag_service.sources.bus_clock import BusClock, ClockReading
+from diag_service.sources.bus_clock import BusClock, ClockReading, read_clocks
 from ecu_emulator.recording import Drive
 from tests.builders import drive_scenario
 from tests.chain import Outcome, diagnosed
