@@ -120,7 +120,7 @@ def test_a_calibration_of_another_version_starts_a_state_of_its_own(drive_log: P
         (("analyse", "{log}"), 2, "invalid choice"),
         (("analyze", "{log}", "{log}"), 2, "given twice"),
         (("analyze", "{log}", "--vehicle", "a/b"), 2, "vehicle id"),
-        (("analyze", "{log}", "--broker", "http://x"), 2, "mqtt://"),
+        (("analyze", "{log}", "--broker", "http://x"), 2, "mqtt[s]://"),
         (("analyze", "{log}", "--calibration", "{tmp}/none.toml"), 2, "cannot read calibration"),
         (("analyze", "{log}", "--calibration", "{tmp}/range.toml"), 2, "mu_c must be 0.02..0.5"),
         (("analyze", "{log}", "--calibration", "{log}"), 2, "is not TOML"),
