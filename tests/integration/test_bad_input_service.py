@@ -57,7 +57,7 @@ BO_ 257 WiperState: 2 Wiper
     ("arguments", "texts"),
     [
         (("--dbc", "{tmp}/none.dbc"), ("none.dbc", "No such file")),
-        (("--dbc", "{tmp}/foreign.dbc"), ("does not fit the database", "no message TCU_Shift")),
+        (("--dbc", "{tmp}/foreign.dbc"), ("no shipped profile fits the database", "no message ECM_TorqueSpeed")),
         (("--calibration", "{tmp}/unknown.toml"), ("unknown", "colour")),
     ],
     ids=["DBC missing", "DBC foreign", "calibration with an unknown key"],
@@ -88,7 +88,7 @@ def test_a_log_that_may_not_be_read(drive_log: Path, tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("name", "contents"),
     [
-        ("frames.csv", b"timestamp,arbitration_id,extended,remote,error,dlc,data\n1.0,0xa0,0,0,0,8,AAAAAAAAAAA=\n"),
+        ("table.csv", b"name,colour\nengine,red\n"),
         ("picture.log", b"\x89PNG\r\n\x1a\n\x00\x00\x00\rIHDR\x00\x00\x01\x00"),
         ("archive.blf", b"PK\x03\x04\x14\x00\x00\x00\x08\x00"),
     ],
@@ -97,7 +97,7 @@ def test_a_file_of_another_format(tmp_path: Path, name: str, contents: bytes) ->
     log = tmp_path / name
     log.write_bytes(contents)
     ended = run_service(tmp_path, "analyze", log)
-    ended.assert_one_line(3, f"{log}: not a candump, BLF, ASC or MF4 log")
+    ended.assert_one_line(3, f"{log}: not a log of a known format (candump, blf, ")
 
 
 @pytest.mark.parametrize("suffix", [".log", ".blf", ".asc", ".mf4"])

@@ -107,7 +107,7 @@ def test_a_calibration_of_another_version_starts_a_state_of_its_own(drive_log: P
     )
     second = run_service(tmp_path / "second", "analyze", drive_log, "--json", "--store", store, "--calibration", edited)
     assert second.status == 0
-    assert "starting afresh, results stay" in second.err
+    assert "starting afresh with a new baseline, results stay" in second.err
     assert second.summary["shifts"]["stored"] == SHIFT_COUNT
     assert [clutch["shift_count"] for clutch in second.summary["clutches"]] == [1, 2]
     assert len(stored_keys(store)) == 2 * SHIFT_COUNT
