@@ -24,6 +24,7 @@ PRESSURE_MEAN_S = 0.06
 LOCK_S = 0.10  # before the shift one clutch is locked, at its end the other one
 SETTLED_S = 0.10  # before its slip window the on-coming shaft stands in gear
 ZERO_GATE = 25.0  # squared distance of a measured zero from the known one, one degree of freedom: 6e-7 by chance
+ROUNDING = 1e-6  # of a variance: far above what doubles lose, far below what a measurement tells
 CHANCE = 1e-6  # that a sound signal repeats a value as often as one that is called frozen
 CLIPPED_PA = 0.0  # a sensor that cannot show less than nothing repeats zero with reason
 
@@ -58,7 +59,9 @@ def zero_has_jumped(before: Belief, after: Belief) -> bool:
     """
     zeros = slice(State.ZERO1, State.ZERO2 + 1)
     moved_pa = after.mean[zeros] - before.mean[zeros]
-    variance = np.diag(before.covariance)[zeros] - np.diag(after.covariance)[zeros]
+    known = np.diag(before.covariance)[zeros]
+    # A zero that was not measured moves a little with the other one; rounding must not make that a contradiction.
+    variance = np.maximum(known - np.diag(after.covariance)[zeros], ROUNDING * known)
     return bool(np.any(moved_pa**2 > ZERO_GATE * variance))
 
 
