@@ -101,7 +101,7 @@ mismatch: setup
 
 check: static
 	@echo "check: unit and property tests"
-	@$(PY) -m pytest -q -m "not vcan and not slow" tests/unit tests/properties
+	@$(PY) -m pytest -q -n 2 -m "not vcan and not slow" tests/unit tests/properties
 
 static: setup
 	@echo "check: format, lint, types, import contracts, spelling"
