@@ -129,3 +129,13 @@ def test_an_unknown_word_is_a_usage_error(capsys: pytest.CaptureFixture[str]) ->
         main(["tables"])
     assert caught.value.code == 2
     assert capsys.readouterr().err.count("\n") == 1
+
+
+def test_a_variable_that_nothing_reads_is_told(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("CLUTCHDIAG_DATABSE", "postgresql://fleet:secret@db/fleet")
+    assert main(["table"]) == 2
+    err = capsys.readouterr().err
+    assert "CLUTCHDIAG_DATABASE" in err
+    assert "secret" not in err
