@@ -39,8 +39,8 @@ def quarantine_count(engine: Engine) -> int:
 def measure(poison_count: int, good_count: int) -> bool:
     """Send good among poison and say when all of each was where it belongs; return whether it was.
 
-    The backend settles a message with the broker when it is put away, whatever it is; what can be told apart from others
-    gets a receipt of its own besides.
+    The backend settles a message with the broker when it is put away, whatever it is; what names a result gets a
+    receipt besides.
     """
     poison = [wire(topic, payload) for topic, payload in poison_messages(poison_count)]
     good = [wire(m.topic, m.payload) for m in map(_message, range(1, good_count + 1))]

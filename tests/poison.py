@@ -7,7 +7,6 @@ from diag_service.results import shift_record
 from fleet_contract import shift_message
 from tests.fleet import fleet_result
 
-
 _KINDS: Final = 8
 _READABLE: Final = frozenset({4, 5})  # a result with a wrong number, and one of another vehicle
 

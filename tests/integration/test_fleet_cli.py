@@ -43,7 +43,8 @@ def told_json(capsys: pytest.CaptureFixture[str], engine: Engine, *words: str) -
 def test_the_table_begins_with_the_worst(capsys: pytest.CaptureFixture[str], filled: Engine) -> None:
     text = told(capsys, filled, "table")
     assert text.index("change fluid") < text.index("good ")
-    assert "0.1361 [0.1337, 0.1385]" in text
+    assert "0.136 ± 0.002" in text
+    assert "worn, clutch 2: mu-v slope negative with probability 0.000" in text
     assert [record["vehicle"] for record in told_json(capsys, filled, "table", "--limit", "1")] == ["worn"]
 
 
