@@ -8,6 +8,7 @@ import numpy as np
 
 from diag_service.frames import FD_PAYLOAD_BYTES, PAYLOAD_BYTES, FrameBatch
 from diag_service.records import Int64Array, UInt8Array, UInt32Array
+from diag_service.sources.word_kernels import UInt64Array
 
 BLOCK_BYTES = 2 * 1024 * 1024
 MAX_LINE_BYTES = 4096  # whatever is longer is not text
@@ -38,6 +39,11 @@ class Arena:
 
     def __len__(self) -> int:
         return len(self.t_ns)
+
+    @property
+    def data_words(self) -> UInt64Array:
+        """The payloads as words of eight bytes, shape (rows, 1) or (rows, 8)."""
+        return self.data.view(np.uint64)
 
     def reserve(self, rows: int) -> None:
         """Make room for at least this many frames; what was in the rows is lost."""

@@ -80,17 +80,6 @@ def hex_bytes(text: UInt8Array, at: int, row: int, data: UInt8Array, limit: int,
 
 
 @array_kernel
-def eight_hex_bytes(text: UInt8Array, at: int, row: int, data: UInt8Array) -> bool:
-    """Read eight bytes without separators into a row, independently of each other; return whether they are such."""
-    seen = 0
-    for index in range(8):
-        value = HEX_PAIR[text[at + 2 * index], text[at + 2 * index + 1]]
-        data[row, index] = value & 0xFF
-        seen |= value
-    return seen >= 0
-
-
-@array_kernel
 def count_lines(outcomes: Int64Array, first: Int64Array, outcome: int, line: int) -> None:
     """Count one line."""
     if outcomes[outcome] == 0:
