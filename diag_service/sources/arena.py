@@ -45,12 +45,14 @@ class Arena:
         """The payloads as words of eight bytes, shape (rows, 1) or (rows, 8)."""
         return self.data.view(np.uint64)
 
-    def reserve(self, rows: int) -> None:
-        """Make room for at least this many frames; what was in the rows is lost."""
+    def reserve(self, rows: int, rows_in_use: int = 0) -> None:
+        """Make room for at least this many frames; what was in rows past those in use is lost."""
         if len(self) < rows:
-            larger = Arena.of(rows, self.data.shape[1])
+            larger = Arena.of(rows + rows_in_use, self.data.shape[1])
             for name in self.__slots__:
-                setattr(self, name, getattr(larger, name))
+                column = getattr(larger, name)
+                column[:rows_in_use] = getattr(self, name)[:rows_in_use]
+                setattr(self, name, column)
 
     def widen(self, rows_in_use: int) -> None:
         """Make room for payloads of CAN FD, from now on."""
