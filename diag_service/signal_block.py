@@ -42,10 +42,10 @@ class SignalBlock:
     """
 
     def __init__(self, tables: Mapping[str, SignalTable]) -> None:
-        self._tables = tables
         plain = [(name, table, table.code) for name, table in tables.items() if isinstance(table.code, IntegerCode)]
         plain = [(name, table, code) for name, table, code in plain if code.is_exact_in_float and not table.field.spill]
-        self._row = {name: row for row, (name, _, _) in enumerate(plain)}
+        row_of = {name: row for row, (name, _, _) in enumerate(plain)}
+        self._signals = [(name, row_of.get(name, -1), table) for name, table in tables.items()]  # -1: by itself
         self._words = list(dict.fromkeys((table.field.first_byte, table.field.is_big) for _, table, _ in plain))
         self._codes = np.array([raw for _, _, code in plain for raw in code.not_available], np.int64)
         self._fields = np.zeros((len(plain), len(_Field)), np.int64)
@@ -63,27 +63,25 @@ class SignalBlock:
 
     def decode(self, words: PayloadWords) -> dict[str, Decoded]:
         """Return all signals in every payload."""
-        if not self._tables:
-            return {}
-        value = np.empty((len(self._row), len(words)))
+        value = np.empty((len(self._fields), len(words)))
         good = np.empty(value.shape, np.bool_) if self._has_checks else NO_MASK
-        bad_count = np.zeros(len(self._row), np.int64)
-        if len(self._row):
+        bad_count = np.zeros(len(self._fields), np.int64)
+        if len(self._fields):
             _decode_rows(words.words(self._words), self._fields, self._factors, self._codes, value, good, bad_count)
+        values, bad_counts = list(value), bad_count.tolist()
         present: dict[tuple[Selector, ...], BoolArray] = {}
         found: dict[str, Decoded] = {}
-        for name, table in self._tables.items():
-            row = self._row.get(name)
-            if row is None:
+        for name, row, table in self._signals:
+            if row < 0:
                 found[name] = table.decode(words)
                 continue
-            is_good = good[row] if bad_count[row] else None
+            is_good = good[row] if bad_counts[row] else None
             if not table.selectors:
-                found[name] = Decoded(value[row], is_good, int(bad_count[row]))
+                found[name] = Decoded(values[row], is_good, bad_counts[row])
                 continue
             if table.selectors not in present:
                 present[table.selectors] = table.presence(words)
-            found[name] = _selected(value[row], present[table.selectors], is_good)
+            found[name] = _selected(values[row], present[table.selectors], is_good)
         return found
 
 
