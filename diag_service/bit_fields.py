@@ -21,6 +21,7 @@ UInt64Array = npt.NDArray[np.uint64]
 
 WORD_BYTES: Final = 8
 WORD_BITS: Final = 64
+LITTLE_WORD: Final = np.dtype(np.uint64)  # of the machines that numba compiles for
 
 
 class PayloadWords:
@@ -51,8 +52,10 @@ class PayloadWords:
 
     def words(self, places: Sequence[tuple[int, bool]]) -> UInt64Array:
         """Return several words by their first bytes and whether they are big-endian, shape (words, n)."""
-        found = [self.word(first_byte, is_big=is_big) for first_byte, is_big in places]
-        return found[0][np.newaxis] if len(found) == 1 else np.stack(found)
+        found = np.empty((len(places), len(self)), np.uint64)
+        for row, (first_byte, is_big) in zip(found, places, strict=True):
+            row[:] = self.word(first_byte, is_big=is_big)
+        return found
 
     def byte(self, index: int) -> UInt64Array:
         """Return one byte of each payload, shape (n,)."""
@@ -61,9 +64,9 @@ class PayloadWords:
     def _little(self, first_byte: int) -> UInt64Array:
         """Return a little-endian word; those that payloads are made of can be picked without copying bytes."""
         if first_byte % WORD_BYTES == 0 and self._data.shape[1] % WORD_BYTES == 0 and self._data.flags.c_contiguous:
-            words: UInt64Array = self._data.view("<u8")[:, first_byte // WORD_BYTES].astype(np.uint64, copy=False)
+            words: UInt64Array = self._data.view(LITTLE_WORD)[:, first_byte // WORD_BYTES]
             return words if self._rows is None else words.take(self._rows)
-        return np.ascontiguousarray(self._piece(first_byte)).view("<u8")[:, 0].astype(np.uint64, copy=False)
+        return np.ascontiguousarray(self._piece(first_byte)).view(LITTLE_WORD)[:, 0]
 
     def _piece(self, first_byte: int) -> UInt8Array:
         piece = self._data[:, first_byte : first_byte + WORD_BYTES]

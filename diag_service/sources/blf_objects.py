@@ -110,7 +110,8 @@ class ObjectStream:
         self._is_lost = bool(report[IS_LOST])
         self._number = int(report[OBJECTS])
         self._tally.skipped += int(report[SKIPPED])
-        self._tally.reject(LogReject.DAMAGED, f"object {report[FIRST_DAMAGED]}", int(report[DAMAGED]))
+        if report[DAMAGED]:
+            self._tally.reject(LogReject.DAMAGED, f"object {report[FIRST_DAMAGED]}", int(report[DAMAGED]))
 
     def take(self) -> FrameBatch:
         """Return the frames added since the last time."""

@@ -1,15 +1,27 @@
-"""The lines of a candump log, compiled: those that candump itself writes by eight characters, all others by one."""
+"""The lines of a candump log, compiled: usual ones eight characters at a time, all others one by one."""
 
 import numpy as np
 
-from clutch_model.jit import array_kernel, inlined_kernel
+from clutch_model.jit import array_kernel
 from diag_service.frames import EXTENDED_FLAG, FD_FLAG, FD_PAYLOAD_BYTES, PAYLOAD_BYTES, REMOTE_FLAG
 from diag_service.records import Int64Array, UInt8Array, UInt32Array
+from diag_service.sources.candump_usual import (
+    CLOSE,
+    ERROR_OR_ABOVE,
+    EXTENDED_DIGITS,
+    HASH,
+    LONGEST_USUAL_BYTES,
+    NS_PER_S,
+    NS_PER_US,
+    OPEN,
+    POINT,
+    STANDARD_DIGITS,
+    usual_line,
+)
 from diag_service.sources.channels import NameWords
 from diag_service.sources.text_kernels import (
     AT_END,
     BLANK,
-    DECIMAL_PAIR,
     FRAME,
     HEX_VALUE,
     IS_LENGTH,
@@ -18,39 +30,29 @@ from diag_service.sources.text_kernels import (
     NEW_CHANNEL,
     NEWLINE,
     POSITION,
-    RETURN,
     ROWS,
     SKIPPED,
     STOP,
     WIDEN,
     count_lines,
+    decimal,
+    decimal_parts,
     hex_bytes,
+    hexadecimal,
     skip_blanks,
     skip_line,
 )
-from diag_service.sources.word_kernels import NO_DIGITS, UInt64Array, decimal_digits, hex_digits, reversed_bytes, word
+from diag_service.sources.word_kernels import UInt64Array
 
-STANDARD_DIGITS = 3
-EXTENDED_DIGITS = 8
-ERROR_OR_ABOVE = 0x2000_0000  # written with eight digits, yet not an extended identifier
 MAX_STANDARD_ID, MAX_ID = 0x7FF, 0x3FFF_FFFF
-HIGHEST_STANDARD_DIGIT = 7
 MAX_SECONDS_DIGITS = 10
 NS_DIGITS = 9
-NS_PER_S = 1_000_000_000
-NS_PER_US = 1_000
 FD_DIGIT_BITS = 0x03  # of the digit behind "##": bit rate switch and error state, as in ``flags``
 
 WIDEN_FIRST = 3  # beside the outcomes: a frame that does not fit into the arena
-UNUSUAL = -1  # in place of the position behind a line
-USUAL_TIME_BYTES = 20  # "(1767225600.000000) "
-LONGEST_USUAL_BYTES = 64  # of a line with a name of seven characters and eight bytes, and the word behind it
 NAME_SEED, NAME_FACTOR = -3750763034362895579, 1099511628211  # FNV-1a, 64 bits
 
-# Characters of the grammar.
-OPEN, CLOSE, POINT, HASH, UNDERSCORE = 40, 41, 46, 35, 95
-LAST_DIGITS = np.uint64(8)  # bits by which the fraction moves up in its word, behind two zeros
-TWO_ZEROS, NOT_TWO = np.uint64(0x3030), np.uint64(0xFFFF_FFFF_FFFF_0000)
+UNDERSCORE = 95
 
 
 @array_kernel
@@ -77,7 +79,7 @@ def parse_lines(
     report[STOP] = AT_END
     while at < len(text):
         if at + LONGEST_USUAL_BYTES <= len(text) and known > 0:
-            index, behind = _usual_line(
+            index, behind = usual_line(
                 text, at, row, t_ns, can_id, length, flags, channel, data, data_words, names, index, known
             )
             if behind >= 0:
@@ -100,94 +102,6 @@ def parse_lines(
         count_lines(outcomes, first, outcome, line)
         at = end
     report[POSITION], report[LINES], report[ROWS] = at, line, row
-
-
-@inlined_kernel
-def _usual_line(
-    text: UInt8Array,
-    at: int,
-    row: int,
-    t_ns: Int64Array,
-    can_id: UInt32Array,
-    length: UInt8Array,
-    flags: UInt8Array,
-    channel: UInt8Array,
-    data: UInt8Array,
-    data_words: UInt64Array,
-    names: NameWords,
-    index: int,
-    known: int,
-) -> tuple[int, int]:
-    """Parse ``(1767225600.000000) vcan0 0A0#11223344`` into a row; return the channel's place and the position behind.
-
-    The position is UNUSUAL if anything stands elsewhere. ``index`` is the channel to try first.
-    """
-    time_ns = _usual_time_ns(text, at)
-    name = word(text, at + USUAL_TIME_BYTES)
-    if (name ^ names.words[index]) & names.masks[index]:
-        index = _place_of_name(name, names, known)
-    if time_ns < 0 or index < 0:
-        return 0, UNUSUAL
-    identifier, behind = _usual_id(text, at + USUAL_TIME_BYTES + names.bytes[index])
-    if behind >= 0:
-        behind = _usual_payload(text, behind, row, length, data, data_words)
-    t_ns[row], can_id[row], flags[row], channel[row] = time_ns, identifier, 0, names.numbers[index]
-    return index, behind
-
-
-@inlined_kernel
-def _usual_time_ns(text: UInt8Array, at: int) -> int:
-    """Read ``(1767225600.000000)`` and a blank; negative if it is anything else, or more than 64 bits hold."""
-    fraction = word(text, at + 11)
-    pair = DECIMAL_PAIR[text[at + 9], text[at + 10]]
-    seconds = decimal_digits(word(text, at + 1))
-    micros = decimal_digits((fraction << LAST_DIGITS) & NOT_TWO | TWO_ZEROS)
-    if text[at] != OPEN or text[at + 11] != POINT or text[at + 18] != CLOSE or text[at + 19] != BLANK:
-        return UNUSUAL
-    if seconds | pair | micros < 0:
-        return UNUSUAL
-    return int((seconds * 100 + pair) * NS_PER_S + micros * NS_PER_US)
-
-
-@inlined_kernel
-def _place_of_name(name: np.uint64, names: NameWords, known: int) -> int:
-    """Return the place of a channel among those that are known, -1 if it is not among them."""
-    for index in range(known):
-        if (name ^ names.words[index]) & names.masks[index] == 0:
-            return index
-    return -1
-
-
-@inlined_kernel
-def _usual_id(text: UInt8Array, at: int) -> tuple[int, int]:
-    """Read ``0A0#`` or ``18FEF100#``; return the identifier and the position behind it, or UNUSUAL."""
-    if text[at + STANDARD_DIGITS] == HASH:
-        high, middle, low = HEX_VALUE[text[at]], HEX_VALUE[text[at + 1]], HEX_VALUE[text[at + 2]]
-        is_usual = 0 <= high <= HIGHEST_STANDARD_DIGIT and middle | low >= 0
-        return high << 8 | middle << 4 | low, at + STANDARD_DIGITS + 1 if is_usual else UNUSUAL
-    digits = hex_digits(word(text, at)) if text[at + EXTENDED_DIGITS] == HASH else NO_DIGITS
-    identifier = reversed_bytes(digits)
-    is_usual = digits >= 0 and identifier < ERROR_OR_ABOVE
-    return identifier | EXTENDED_FLAG, at + EXTENDED_DIGITS + 1 if is_usual else UNUSUAL
-
-
-@inlined_kernel
-def _usual_payload(
-    text: UInt8Array, at: int, row: int, length: UInt8Array, data: UInt8Array, data_words: UInt64Array
-) -> int:
-    """Read up to eight bytes and the end of the line; return the position behind it, or UNUSUAL."""
-    low, high = hex_digits(word(text, at)), hex_digits(word(text, at + 8))
-    if low | high >= 0:
-        at += 2 * PAYLOAD_BYTES
-        length[row] = PAYLOAD_BYTES
-        data_words[row, 0] = low | high << 32
-    else:
-        data_words[row, 0] = 0
-        length[row], at = hex_bytes(text, at, row, data, PAYLOAD_BYTES, POINT)
-    for index in range(1, data_words.shape[1]):
-        data_words[row, index] = 0
-    at += text[at] == RETURN
-    return at + 1 if text[at] == NEWLINE else UNUSUAL
 
 
 @array_kernel
@@ -250,22 +164,12 @@ def _parse_time(text: UInt8Array, at: int) -> tuple[int, int]:
     """Parse ``(seconds.fraction)``; return the time [ns], -1 if it is none, and the position behind it."""
     if text[at] != OPEN:
         return -1, at
-    at += 1
-    begin = at
-    seconds = 0
-    while 48 <= text[at] <= 57 and at - begin < MAX_SECONDS_DIGITS:
-        seconds = seconds * 10 + text[at] - 48
-        at += 1
+    begin = at + 1
+    seconds, at = decimal(text, begin, MAX_SECONDS_DIGITS)
     if at == begin or text[at] != POINT:
         return -1, at
-    at += 1
-    begin = at
-    fraction = 0
-    weight = NS_PER_S
-    while 48 <= text[at] <= 57 and at - begin < NS_DIGITS:
-        weight //= 10
-        fraction += weight * (text[at] - 48)
-        at += 1
+    begin = at + 1
+    fraction, at = decimal_parts(text, begin, NS_PER_S, NS_DIGITS)
     if at == begin or text[at] != CLOSE:
         return -1, at
     return seconds * NS_PER_S + fraction // NS_PER_US * NS_PER_US, at + 1
@@ -275,10 +179,7 @@ def _parse_time(text: UInt8Array, at: int) -> tuple[int, int]:
 def _parse_id(text: UInt8Array, at: int) -> tuple[int, int]:
     """Parse ``123#`` or ``12345678#``; return the identifier with its flags, -1 if it is none, and the position."""
     begin = at
-    value = 0
-    while HEX_VALUE[text[at]] >= 0 and at - begin < EXTENDED_DIGITS:
-        value = value * 16 + HEX_VALUE[text[at]]
-        at += 1
+    value, at = hexadecimal(text, begin, EXTENDED_DIGITS)
     digits = at - begin
     if text[at] != HASH or value > MAX_ID:
         return -1, at

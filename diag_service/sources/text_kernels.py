@@ -6,7 +6,7 @@ Every text that is parsed ends with a newline, and no step passes over one, so n
 import numpy as np
 import numpy.typing as npt
 
-from clutch_model.jit import array_kernel
+from clutch_model.jit import array_kernel, inlined_kernel
 from diag_service.records import Int64Array, UInt8Array
 
 # Outcomes of one line, in the order of a kernel's counters.
@@ -58,6 +58,37 @@ def skip_line(text: UInt8Array, at: int) -> int:
     while text[at] != NEWLINE:
         at += 1
     return at + 1
+
+
+@inlined_kernel
+def decimal(text: UInt8Array, at: int, most_digits: int) -> tuple[int, int]:
+    """Read a number of up to so many digits; return it and the position behind it, which is ``at`` if there is none."""
+    value, begin = 0, at
+    while 48 <= text[at] <= 57 and at - begin < most_digits:
+        value = value * 10 + text[at] - 48
+        at += 1
+    return value, at
+
+
+@inlined_kernel
+def decimal_parts(text: UInt8Array, at: int, whole: int, most_digits: int) -> tuple[int, int]:
+    """Read digits behind a decimal point as parts of a whole, a power of ten; further ones are worth nothing."""
+    value, begin = 0, at
+    while 48 <= text[at] <= 57 and at - begin < most_digits:
+        whole //= 10
+        value += whole * (text[at] - 48)
+        at += 1
+    return value, at
+
+
+@inlined_kernel
+def hexadecimal(text: UInt8Array, at: int, most_digits: int) -> tuple[int, int]:
+    """Read a number of up to so many hexadecimal digits, as ``decimal``."""
+    value, begin = 0, at
+    while HEX_VALUE[text[at]] >= 0 and at - begin < most_digits:
+        value = value * 16 + HEX_VALUE[text[at]]
+        at += 1
+    return value, at
 
 
 @array_kernel
