@@ -18,6 +18,7 @@ from diag_service.tasks import first_error
 COUNTS_PERIOD_S = 60.0
 SHOW_PERIOD_S = 0.5
 SENDER_PAUSE_S = 1.0
+RETRY_PERIOD_S = 5.0  # how often a full disk is asked for room
 _LOG = logging.getLogger(__name__)
 
 
@@ -55,6 +56,7 @@ async def run_live(
 
     failure: SourceError | None = None
     unpublished_count: int | None = None
+    turn = asyncio.Lock()  # a session is settled by one thread at a time
     try:
         async with asyncio.TaskGroup() as tasks:
             sender = None if outbox is None else tasks.create_task(_keep_sending(outbox), name="outbox")
@@ -62,17 +64,19 @@ async def run_live(
                 tasks.create_task(_close_in_time(source, stop, duration_s), name="closer"),
                 tasks.create_task(_tell_counts(session, counts, counts_wanted), name="counts"),
                 tasks.create_task(_show(show), name="onlookers"),
+                tasks.create_task(_retry(session, outbox, turn), name="full disk"),
             )
             try:
                 async for part in source:
                     stages = session.stages
                     events = stages.flush() if isinstance(part, LinkBreak) else stages.segment(part)
-                    await _settle_all(session, events, outbox)
+                    await _settle_all(session, events, outbox, turn)
             except SourceError as exc:
                 failure = exc
-            await _settle_all(session, session.stages.flush(), outbox)
-            for helper in helpers:
-                helper.cancel()
+            await _settle_all(session, session.stages.flush(), outbox, turn)
+            async with turn:  # a thread that stores would outlive its task
+                for helper in helpers:
+                    helper.cancel()
             if outbox is not None and sender is not None:
                 unpublished_count = await outbox.close(sender)
     except BaseExceptionGroup as group:
@@ -86,10 +90,23 @@ async def run_live(
     return session.summary(counts(), unpublished_count)
 
 
-async def _settle_all(session: Session, events: Sequence[ShiftEvent], outbox: Outbox | None) -> None:
+async def _settle_all(
+    session: Session, events: Sequence[ShiftEvent], outbox: Outbox | None, turn: asyncio.Lock
+) -> None:
     for event in events:
-        await asyncio.to_thread(session.settle, event)
+        async with turn:
+            await asyncio.to_thread(session.settle, event)
         if outbox is not None:
+            outbox.nudge()
+
+
+async def _retry(session: Session, outbox: Outbox | None, turn: asyncio.Lock) -> None:
+    """Try again and again to store what a full disk did not take; the next shift may be hours away."""
+    while True:
+        await asyncio.sleep(RETRY_PERIOD_S)
+        async with turn:
+            is_stored = await asyncio.to_thread(session.retry)
+        if is_stored and outbox is not None:
             outbox.nudge()
 
 

@@ -3,6 +3,7 @@
 import logging
 from collections import deque
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from dataclasses import dataclass, replace
 
 from clutch_model.calibration import Calibration
@@ -178,6 +179,7 @@ class Session:
         self._utc_now = utc_now
         self._tally = ShiftTally()
         self._pending: deque[tuple[ShiftResult, VehicleState]] = deque()  # what a full disk did not take yet
+        self._is_disk_full = False
         self.given_up_count = 0  # results that never found room on the disk
 
     def settle(self, event: ShiftEvent) -> None:
@@ -197,17 +199,25 @@ class Session:
                 raise
             self._note_full_disk(exc)
 
+    def retry(self) -> bool:
+        """Store and tell what a full disk has not taken yet; return whether anything was."""
+        waiting_count = len(self._pending)
+        with suppress(StoreFullError):
+            self._store_pending()
+        return len(self._pending) < waiting_count
+
     def _store_pending(self) -> None:
         """Store and tell what waits, in order; raises StoreFullError at the first that the disk does not take."""
-        was_waiting = len(self._pending) > 1
         while self._pending:
             self._store.add(*self._pending[0])
             self._tell(self._pending.popleft()[0], is_new=True)
-        if was_waiting:
+        if self._is_disk_full:
+            self._is_disk_full = False
             _LOG.log(NOTICE, "the disk takes results again; %d were given up in between", self.given_up_count)
 
     def _note_full_disk(self, exc: StoreFullError) -> None:
-        if len(self._pending) == 1:
+        if not self._is_disk_full:
+            self._is_disk_full = True
             _LOG.warning("%s; results wait in memory", exc)
         while len(self._pending) > MAX_PENDING:
             self._pending.popleft()

@@ -90,6 +90,18 @@ def test_results_wait_and_are_told_when_they_are_stored(store: FillingStore, cap
     ]
 
 
+def test_room_that_comes_between_two_shifts_is_used(store: FillingStore, caplog: pytest.LogCaptureFixture) -> None:
+    session, reporter = session_on(store)
+    assert not session.retry()
+    store.is_full = True
+    session.settle(event(1))
+    assert not session.retry()
+    store.is_full = False
+    assert session.retry()
+    assert told(reporter) == [1]
+    assert caplog.text.count("results wait in memory") == 1
+
+
 def test_the_end_of_a_run_is_a_last_attempt(store: FillingStore) -> None:
     session, reporter = session_on(store)
     store.is_full = True
