@@ -28,6 +28,9 @@ FRICTION_DRIFT_STD = 2e-5  # per shift: 0.15 in the life of a fluid is 1e-6, so 
 OFFSET_DRIFT_NM = 0.005  # per shift: warm-up of the torque model
 PRESSURE_DRIFT_PA = 5.0  # per shift: warm-up of the pressure sensors
 STATE_FORMAT = 3
+LEAST_REACH = 1e-12  # a considered parameter that a residual does not show
+MAX_MISFIT = 4.0  # chi-square per degree of freedom; a clean shift stays below 2.5
+MAX_EXCESS = 48.0  # of chi-square over its expectation: an error adds as much to few numbers as to many
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -43,6 +46,19 @@ class Measurement:
     by_considered: FloatArray  # (m, len(Considered))
     noise: FloatArray  # (m, m) covariance
     overlap: FloatArray | None = None  # (len(Considered),); None: nothing is shared
+
+    @property
+    def misfit_gate(self) -> float:
+        """The chi-square per degree of freedom beyond which the model does not explain the residual."""
+        return min(MAX_MISFIT, 1.0 + MAX_EXCESS / len(self.residual))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Misfit:
+    """How far a residual is from what was expected."""
+
+    chi_square_ratio: float  # per degree of freedom
+    worst_score: float  # standard deviations along the considered parameter that is displaced the farthest
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -132,8 +148,8 @@ class Belief:
         wander = [FRICTION_DRIFT_STD] * 4 + [OFFSET_DRIFT_NM] + [PRESSURE_DRIFT_PA] * 4
         return replace(self, covariance=self.covariance + np.diag(np.square(wander)))
 
-    def updated(self, seen: Measurement) -> tuple[Self, float]:
-        """Return the state after a measurement, and the chi-square of its residual per degree of freedom."""
+    def updated(self, seen: Measurement) -> tuple[Self, Misfit]:
+        """Return the state after a measurement, and how well its residual fits."""
         h, d = seen.by_state, seen.by_considered
         random = h @ self.covariance @ h.T + seen.noise
         gain = np.linalg.solve(random, h @ self.covariance).T
@@ -141,7 +157,13 @@ class Belief:
         covariance = keep @ self.covariance @ keep.T + gain @ seen.noise @ gain.T
         common = d - h @ self.sensitivity
         expected = random + common @ self.considered @ common.T
-        chi_square = float(seen.residual @ np.linalg.solve(expected, seen.residual))
+        directions = common[:, np.diag(self.considered) > 0.0]
+        scaled = np.linalg.solve(expected, np.column_stack((seen.residual, directions)))
+        reach = np.sqrt(np.maximum(np.einsum("ij,ij->j", directions, scaled[:, 1:]), LEAST_REACH))
+        misfit = Misfit(
+            chi_square_ratio=float(seen.residual @ scaled[:, 0]) / len(seen.residual),
+            worst_score=float(np.max(np.abs(directions.T @ scaled[:, 0]) / reach, initial=0.0)),
+        )
         first, second = (one and one.after(keep) for one in self.baselines)
         state = replace(
             self,
@@ -150,7 +172,7 @@ class Belief:
             sensitivity=keep @ self.sensitivity + gain @ d,
             baselines=(first, second),
         )
-        return state, chi_square / len(seen.residual)
+        return state, misfit
 
     def total_covariance(self, rows: slice) -> FloatArray:
         """Return the covariance of some states, common scale included."""

@@ -7,7 +7,7 @@ import numpy as np
 
 from clutch_model.calibration import Calibration
 from diag_service.estimation.balance import Balance
-from diag_service.estimation.belief import Belief
+from diag_service.estimation.belief import Belief, Misfit
 from diag_service.estimation.parameters import State, friction_rows
 from diag_service.estimation.plausibility import doubts, zero_has_jumped
 from diag_service.estimation.preparation import measured_drives, on_coming, planned_drives, slip_window, zeroed
@@ -19,9 +19,9 @@ from diag_service.records import FloatArray, Reason, ShiftEstimate, ShiftEvent, 
 
 ALGORITHM_VERSION = "torque-impulse-3"
 PASS_COUNT = 3  # each takes away what planned and measured pressures differ by, a few percent
-MISFIT_GATE = 4.0  # chi-square per degree of freedom; a clean shift stays below 2.5
 SURPRISE_GATE = 25.0  # squared distance of a shift from the running state, two degrees of freedom: 4e-6 by chance
 SURPRISES_TO_YIELD = 3  # in a row: then the clutch has changed, and the running state starts afresh
+SCORE_GATE = 4.5  # by chance one clean shift in 13,000; a latency or width that the type does not have
 FULL_WINDOW_S = 0.25  # the shortest slip window that every regular shift offers
 
 
@@ -52,26 +52,31 @@ class Estimator:
         if found := doubts(event, signals, window, clutch, belief):
             return before, without_friction(event, Status.REJECTED, *found)
         balance = Balance(signals, window, drives, planned_drives(signals, drives, window), self._calibration)
-        alone, misfit = self._fit(balance, belief.forget_friction(clutch, self._calibration))
-        estimate = self._describe(event, signals, window, balance, alone, misfit)
+        alone, misfit, gate = self._fit(balance, belief.forget_friction(clutch, self._calibration))
+        ratio = misfit.chi_square_ratio
+        fit = min(1.0, max(0.0, (gate - ratio) / (gate - 1.0)))
+        estimate = replace(self._describe(event, signals, window, balance, alone, fit), chi_square_ratio=ratio)
         warmed = replace(
             belief,
             clutch_temperature_k=(balance.tracks[0].final_clutch_k, balance.tracks[1].final_clutch_k),
             temperature_ns=event.end_ns,
         )
-        if misfit > MISFIT_GATE:
+        if ratio > gate or misfit.worst_score > SCORE_GATE:
             return warmed, replace(
                 estimate, status=Status.REJECTED, reasons=(Reason.MISFIT,), friction=None, scale_free=None
             )
         return self._combined(warmed, balance, clutch, alone, estimate)
 
-    def _fit(self, balance: Balance, prior: Belief) -> tuple[Belief, float]:
-        posterior, misfit = prior, math.inf
+    def _fit(self, balance: Balance, prior: Belief) -> tuple[Belief, Misfit, float]:
+        """Return the posterior, how well it fits, and the largest chi-square per degree of freedom that is believed."""
+        posterior, misfit, gate = prior, Misfit(chi_square_ratio=math.inf, worst_score=math.inf), 0.0
         at = prior.mean
         for _ in range(PASS_COUNT):
-            posterior, misfit = prior.updated(balance.measurement(at, prior.mean))
+            seen = balance.measurement(at, prior.mean)
+            gate = seen.misfit_gate
+            posterior, misfit = prior.updated(seen)
             at = np.concatenate((posterior.mean[: State.TORQUE_OFFSET], prior.mean[State.TORQUE_OFFSET :]))
-        return posterior, misfit
+        return posterior, misfit, gate
 
     def _combined(
         self, belief: Belief, balance: Balance, clutch: int, alone: Belief, estimate: ShiftEstimate
@@ -89,7 +94,7 @@ class Estimator:
             counts[m] = 0
         refused[m] = 0
         counts[m] += 1
-        posterior, _ = self._fit(balance, belief.drifted())
+        posterior, _, _ = self._fit(balance, belief.drifted())
         counted = replace(posterior, shift_counts=(counts[0], counts[1]), refused_counts=(refused[0], refused[1]))
         return counted.counted(clutch, estimate.end_ns), estimate
 
@@ -100,11 +105,11 @@ class Estimator:
         window: SlipWindow,
         balance: Balance,
         alone: Belief,
-        misfit: float,
+        fit: float,
     ) -> ShiftEstimate:
+        """Describe what a shift says alone; ``fit`` is 1 for no misfit, 0 at its gate."""
         clutch = on_coming(event.to_gear)
         window_s = float(signals.grid_s[window.stop - 1] - signals.grid_s[window.first])
-        fit = min(1.0, max(0.0, (MISFIT_GATE - misfit) / (MISFIT_GATE - 1.0)))
         mu: FloatArray = alone.mean[friction_rows(clutch)]
         return replace(
             without_friction(event, Status.VALID),
@@ -112,7 +117,6 @@ class Estimator:
             scale_free=scale_free(alone, clutch),
             sample_count=balance.sample_count,
             window_s=window_s,
-            chi_square_ratio=misfit,
             quality=fit * min(1.0, window_s / FULL_WINDOW_S) / (1.0 + event.bad_frame_count / balance.sample_count),
             clutch_temperature_k=balance.tracks[clutch - 1].final_clutch_k,
             slip_energy_j=balance.slip_energy_j(clutch, mu),

@@ -40,7 +40,6 @@ LONGEST_STEP = 2.0  # standard deviations of the prior: far off, the balance is 
 FULL_STEP_COUNT = 5  # half steps after them end a swing between two ways of counting a sample at an edge
 CONVERGED = 0.02  # of a standard deviation
 NEARLY_CONVERGED = 0.3  # a slip window that begins a sample earlier or later from pass to pass can do that
-MISFIT_GATE = 4.0  # chi-square per degree of freedom
 MAX_MISFIT_SHARE = 1 / 3  # of the shifts
 MAX_DEPARTURE = 5.0  # standard deviations of the type
 MAX_MEAN_MISFIT = 2.0  # of the shifts used: beyond it this is not the vehicle type that the calibration describes
@@ -81,6 +80,7 @@ class _Seen:
 
     measurements: tuple[Measurement, ...]
     misfit: float
+    fits: bool
     clutch: int  # 0: a rev
     number: int
     span: Span
@@ -115,7 +115,7 @@ def self_calibrate(
     for number in range(MAX_PASS_COUNT):
         belief = replace(Belief.fresh(point), mean=mean[:STATE_COUNT])
         seen = [*_seen_shifts(shifts, belief, point, windows), *_seen_revs(revs, belief, point)]
-        used = [one for one in seen if not fine_count or one.misfit <= MISFIT_GATE]
+        used = [one for one in seen if not fine_count or one.fits]
         if problem := _shortage(seen, used):
             return problem
         information, gradient = _gathered(used)
@@ -209,7 +209,9 @@ def _seen_shifts(
         seen = balance.measurement(belief.mean, belief.mean)
         seen = replace(seen, overlap=balance.overlap(seen.noise, float(belief.mean[State.TORQUE_OFFSET])))
         span = float(signals.grid_s[window.first]), float(signals.grid_s[window.stop - 1])
-        yield _Seen((seen, *zeros_seen(signals, belief, point)), _misfit(seen), clutch, event.number, span)
+        misfit = _misfit(seen)
+        fits = misfit <= seen.misfit_gate
+        yield _Seen((seen, *zeros_seen(signals, belief, point)), misfit, fits, clutch, event.number, span)
 
 
 def _window_at(span: Span, grid_s: FloatArray) -> SlipWindow:
@@ -226,7 +228,9 @@ def _seen_revs(events: Sequence[RevEvent], belief: Belief, point: Calibration) -
         window = SlipWindow(first=int(inside[0]), stop=len(signals.grid_s), direction=0.0)
         seen = rev_measurement(signals, window, belief.mean, point, are_clutches_closed=event.are_clutches_closed)
         span = float(signals.grid_s[window.first]), float(signals.grid_s[-1])
-        yield _Seen((seen,), _misfit(seen), 0, event.number, span, event.are_clutches_closed)
+        misfit = _misfit(seen)
+        fits = misfit <= seen.misfit_gate
+        yield _Seen((seen,), misfit, fits, 0, event.number, span, event.are_clutches_closed)
 
 
 def _misfit(seen: Measurement) -> float:

@@ -90,15 +90,33 @@ def test_chi_square_of_expected_residuals_is_one() -> None:
     rng = np.random.default_rng(3)
     belief = Belief.fresh(CALIBRATION)
     seen = random_measurement(rng, 12)
-    ratios = []
+    misfits = []
     for _ in range(400):
         residual = (
             seen.by_state @ (rng.normal(size=STATES) * np.sqrt(np.diag(belief.covariance)))
             + seen.by_considered @ (rng.normal(size=CONSIDERED) * CONSIDERED_SCALE)
             + rng.multivariate_normal(np.zeros(12), seen.noise)
         )
-        ratios.append(belief.updated(replace(seen, residual=residual))[1])
-    assert np.mean(ratios) == pytest.approx(1.0, abs=0.08)
+        misfits.append(belief.updated(replace(seen, residual=residual))[1])
+    assert np.mean([one.chi_square_ratio for one in misfits]) == pytest.approx(1.0, abs=0.08)
+    worst = np.array([one.worst_score for one in misfits])
+    assert np.median(worst) < 2.5
+    assert np.max(worst) < 5.0
+
+
+def test_one_parameter_far_off_shows_in_its_own_direction() -> None:
+    belief = Belief.fresh(CALIBRATION)
+    seen = random_measurement(np.random.default_rng(6), 24)
+    row = Considered.TORQUE_LATENCY
+    displaced = seen.by_considered[:, row] * 9.0 * np.sqrt(belief.considered[row, row])
+    misfit = belief.updated(replace(seen, residual=displaced))[1]
+    assert misfit.worst_score > 4.5
+    assert misfit.chi_square_ratio < replace(seen, residual=displaced).misfit_gate
+
+
+def test_the_gate_is_tighter_for_many_numbers() -> None:
+    gates = [replace(random_measurement(np.random.default_rng(7), rows)).misfit_gate for rows in (4, 16, 24)]
+    assert gates == pytest.approx([4.0, 4.0, 3.0])
 
 
 def test_forgetting_one_clutch_keeps_the_other() -> None:
