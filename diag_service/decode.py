@@ -82,12 +82,15 @@ class IntegerCode:
         """Return physical values in the very operations that cantools uses, shape (n,)."""
         if self.scale == 1 and self.offset == 0:
             return raw.astype(np.float64)
-        if isinstance(self.scale, float) or self._is_exact_in_float():
+        if self.is_exact_in_float:
             return raw.astype(np.float64) * float(self.scale) + float(self.offset)
         return np.array([value * self.scale + self.offset for value in raw.tolist()], np.float64)
 
-    def _is_exact_in_float(self) -> bool:
-        """Whether float64 holds every product and sum of integers that can occur."""
+    @property
+    def is_exact_in_float(self) -> bool:
+        """Whether float64 arithmetic does what cantools does: with floats, or integers that stay small enough."""
+        if isinstance(self.scale, float):
+            return True
         widest = max(abs(limit) for limit in self.raw_limits)
         return widest <= EXACT_INTEGER and widest * abs(self.scale) + abs(self.offset) <= EXACT_INTEGER
 

@@ -1,4 +1,4 @@
-"""A bus on which something goes wrong every few seconds: a drive in real time, foreign traffic, one fault after another.
+"""A bus on which something goes wrong every few seconds: a drive in real time, foreign traffic and fault after fault.
 
 The drive is the emulator's, sent by a thread that outlives its interface; foreign frames fill the bus up to a frame
 rate. A fault is one of the emulator's faults of bus and sensors, a frame in which the controller reports itself
@@ -6,7 +6,6 @@ bus-off, a burst, an interface that is switched off, removed or renamed or, in a
 moved.
 """
 
-import random
 import socket
 import struct
 import threading
@@ -17,6 +16,8 @@ from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import Final, Self
+
+import numpy as np
 
 from ecu_emulator.faults import BusFault, BusFaultKind, SensorFault, SensorFaultKind
 from ecu_emulator.frames import EncodedFrames
@@ -59,7 +60,7 @@ class RoughBus:
         self.late_s = 0.0  # longest that a tick came late
         self.truth = list[ShiftTruth]()
         self._foreign_ratio = rate_ratio - 1.0
-        self._random = random.Random(seed)
+        self._random = np.random.default_rng(seed)
         self._seed = seed
         self._drive = self._next_drive()
         self._faults: dict[str, Callable[[], None]] = {
@@ -89,7 +90,7 @@ class RoughBus:
 
     def strike(self) -> str:
         """Let one fault happen, each kind as often as any other; return its name."""
-        name = self._random.choice(sorted(self._faults))
+        name = str(self._random.choice(sorted(self._faults)))
         self._faults[name]()
         self.struck[name] += 1
         return name
@@ -98,20 +99,20 @@ class RoughBus:
         def strike() -> None:
             given: dict[str, float | int | str] = {"duration_s": self._random.uniform(0.02, FAULT_S)}
             if kind is not BusFaultKind.OVERLOAD:
-                given["message"] = self._random.choice(["", *CONTRACTS])
+                given["message"] = str(self._random.choice(["", *CONTRACTS]))
             if kind is BusFaultKind.DELAY:
                 given |= {"delay_s": 0.02, "jitter_s": 0.03}
             if kind is BusFaultKind.SKIPPING_COUNTER:
-                given["skip"] = self._random.randrange(1, 15)
+                given["skip"] = int(self._random.integers(1, 15))
             if kind is BusFaultKind.LOSS:
-                given["share"] = self._random.choice([0.01, 0.05, 0.5, 1.0])
+                given["share"] = float(self._random.choice([0.01, 0.05, 0.5, 1.0]))
             self._drive.add_fault(BusFault(kind=kind, **given))  # type: ignore[arg-type]
 
         return strike
 
     def _sensor_fault(self, kind: SensorFaultKind) -> Callable[[], None]:
         def strike() -> None:
-            quantity = self._random.choice(QUANTITIES)
+            quantity = str(self._random.choice(QUANTITIES))
             large = {"engine_torque_nm": 40.0, "clutch1_pressure_pa": 2e5}.get(quantity, 30.0)
             is_sized = kind not in {SensorFaultKind.FROZEN, SensorFaultKind.NOT_AVAILABLE}
             duration_s = self._random.uniform(0.05, FAULT_S)
@@ -140,7 +141,7 @@ class RoughBus:
                 self.sent += 1
 
     def _move_clock(self) -> None:
-        step_s = self._random.choice([-CLOCK_STEP_S, CLOCK_STEP_S])
+        step_s = float(self._random.choice([-CLOCK_STEP_S, CLOCK_STEP_S]))
         time.clock_settime(time.CLOCK_REALTIME, time.clock_gettime(time.CLOCK_REALTIME) + step_s)
 
     def _socket(self) -> socket.socket:

@@ -1,4 +1,4 @@
-"""An hour of the service on a bus that misbehaves: does it grow, does it lose descriptors, does anything go unhandled?
+"""An hour of the service on a bus that misbehaves: memory, descriptors, unhandled exceptions, and what it found.
 
     python -m tests.soak --minutes 60
 
@@ -202,9 +202,7 @@ def report(soaked: Soaked) -> bool:
     statuses = Counter(shift["status"] for shift in ended.shifts)
     errors = sorted(soaked.errors_std())
     rate_hz = soaked.sent / (60.0 * minutes)
-    print(
-        f"{minutes:.1f} minutes, {soaked.sent} frames sent ({rate_hz:.0f}/s), sender at most {soaked.behind_s:.1f} s late"
-    )
+    print(f"{minutes:.1f} minutes, {soaked.sent} frames sent ({rate_hz:.0f}/s), at most {soaked.behind_s:.1f} s late")
     print(
         f"faults       {sum(soaked.struck.values())}: {', '.join(f'{n} {k}' for k, n in sorted(soaked.struck.items()))}"
     )
@@ -212,7 +210,8 @@ def report(soaked: Soaked) -> bool:
     print(f"shifts       {dict(statuses)}")
     if errors:
         print(
-            f"estimates    {len(errors)}, largest error {errors[-1]:.1f} std, RMS {math.sqrt(np.mean(np.square(errors))):.2f} std"
+            f"estimates    {len(errors)}, largest error {errors[-1]:.1f} std, "
+            f"RMS {math.sqrt(np.mean(np.square(errors))):.2f} std"
         )
     checks = {
         f"memory grew {100 * soaked.growth:+.1f} % after settling, to {max(one.rss_mb for one in settled):.0f} MB": (
