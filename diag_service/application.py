@@ -140,7 +140,7 @@ async def _run_bus(
         snapshot = taker.take(now_s())
         board.pin(snapshot)
         onlooker(snapshot)
-        manager.alive(f"bus {snapshot.bus.state.value}, {frames_line(snapshot.frames)}")
+        _report_life(manager, snapshot)
 
     with ExitStack() as stack:
         stack.callback(manager.stopping)
@@ -159,6 +159,15 @@ async def _run_bus(
             duration_s=bus.duration_s,
             show=show,
         )
+
+
+def _report_life(manager: ServiceManager, snapshot: Snapshot) -> None:
+    """Tell the manager that the service lives, unless one of its stages hangs."""
+    if snapshot.stuck is None:
+        manager.alive(f"bus {snapshot.bus.state.value}, {frames_line(snapshot.frames)}")
+        return
+    _LOG.error("%s", snapshot.stuck)
+    manager.struggling(str(snapshot.stuck))
 
 
 def _session(

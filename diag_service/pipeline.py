@@ -15,6 +15,7 @@ from diag_service.gear_tracking import tracker_for
 from diag_service.indices import measure
 from diag_service.mapping import Decoder, MessageCounts
 from diag_service.notices import NOTICE
+from diag_service.progress import Progress, Stage
 from diag_service.publishers import Reporter
 from diag_service.records import (
     ClutchVerdict,
@@ -156,6 +157,8 @@ class Session:
         Name of a log's stream, in which the number of a shift is its key; None for the live stream of the store.
     utc_now :
         Clock of ``produced_at`` in a live stream.
+    progress :
+        Hears when a shift is estimated and stored.
     """
 
     def __init__(
@@ -168,8 +171,10 @@ class Session:
         versions: Versions,
         stream: str | None,
         utc_now: Callable[[], str],
+        progress: Progress | None = None,
     ) -> None:
         self.stages = stages
+        self.progress = progress or Progress()
         self._store = store
         self.reporter = reporter
         self._vehicle = vehicle
@@ -201,7 +206,8 @@ class Session:
         """Store and tell what waits, in order; raises StoreFullError at the first that the disk does not take."""
         was_waiting = len(self._pending) > 1
         while self._pending:
-            self._store.add(*self._pending[0])
+            with self.progress.working(Stage.STORE):
+                self._store.add(*self._pending[0])
             self._tell(self._pending.popleft()[0], is_new=True)
         if was_waiting:
             _LOG.log(NOTICE, "the disk takes results again; %d were given up in between", self.given_up_count)
@@ -253,7 +259,8 @@ class Session:
         return self._pending[-1][0].seq + 1 if self._pending else self._store.next_seq()
 
     def _diagnose(self, event: ShiftEvent) -> tuple[ShiftResult, VehicleState]:
-        diagnosis = self.stages.conclude(event)
+        with self.progress.working(Stage.ESTIMATE):
+            diagnosis = self.stages.conclude(event)
         is_live = self._stream is None
         result = ShiftResult(
             vehicle=self._vehicle,

@@ -12,7 +12,7 @@ SIGNALS = (Signal.ENGINE_SPEED, Signal.ENGINE_TORQUE, Signal.CURRENT_GEAR)
 
 def series(first: int, count: int) -> Series:
     rows = np.arange(first, first + count, dtype=np.int64)
-    return Series(t_ns=10 * rows, sequence=rows, value=0.5 * rows, period_ns=10)
+    return Series(t_ns=10 * rows, sequence=rows, value=rows.astype(np.float64) / 2.0, period_ns=10)
 
 
 def block(layout: BlockLayout, first: int, counts: tuple[int, ...]) -> SignalBlock:
@@ -63,4 +63,4 @@ def test_a_signal_is_known_from_its_first_sample_on_and_stays_known() -> None:
     assert rings.signals == (SIGNALS[0], SIGNALS[2])
     assert len(rings.between(SIGNALS[2], 0, 10**9).t_ns) == len(rings.between(SIGNALS[1], 0, 10**9).t_ns) == 0
     rings.clear()
-    assert rings.signals == ()
+    assert not rings.signals
