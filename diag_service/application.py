@@ -43,7 +43,7 @@ from diag_service.recorded import open_drive, run_logs, stream_of
 from diag_service.results import ServiceStatus, dump, iso_utc
 from diag_service.service_manager import ServiceManager
 from diag_service.snapshot import Board, Snapshot, SnapshotTaker
-from diag_service.sources import BusOpener, supervise
+from diag_service.sources import BusOpener, Pace, supervise
 from diag_service.stopping import Trigger
 from diag_service.store import ResultStore, Versions
 from diag_service.summary import frames_line
@@ -130,7 +130,9 @@ async def _run_bus(
     onlooker: Callable[[Snapshot], None] = lambda _: None,
 ) -> None:
     filters = session.stages.kernel_filters if bus.is_filtered else ()
-    source = await supervise(BusOpener(bus.interface, bus.channel, bus.bitrate, fd=bus.is_fd, filters=filters))
+    pace = Pace()
+    opener = BusOpener(bus.interface, bus.channel, bus.bitrate, fd=bus.is_fd, filters=filters, pace=pace)
+    source = await supervise(opener)
     session.reporter.listening(f"{source.description} for {config.vehicle}, results in {store.where}")
     now_s = asyncio.get_running_loop().time
     taker = SnapshotTaker(source, session, now_s(), bus.bitrate)
@@ -158,6 +160,7 @@ async def _run_bus(
             outbox=_outbox(config, store, is_live=True),
             duration_s=bus.duration_s,
             show=show,
+            pace=pace,
         )
 
 

@@ -74,6 +74,11 @@ class Stages:
         """Return the shifts that these frames complete; quick."""
         return [event for columns in self._decoder.feed(batch) for event in self._finder.feed(columns)]
 
+    @property
+    def is_expecting(self) -> bool:
+        """Whether a shift has begun that was not returned yet: every frame may be the last that it needs."""
+        return self._finder.is_expecting
+
     def flush(self) -> list[ShiftEvent]:
         """End the segment: return what is still open; frames that come later begin another one."""
         self._decoder.interrupt()

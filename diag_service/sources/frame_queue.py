@@ -89,8 +89,17 @@ class FrameQueue:
         if batches:
             return join(batches)
         if self._error is not None:
-            raise self._error
+            self._raise_error()
         return None if self._is_closed else empty_batch()
+
+    def _raise_error(self) -> None:
+        """Raise the error and let go of it: through its traceback it holds the queue, and all that reads it."""
+        error, self._error = self._error, None
+        try:
+            if error is not None:
+                raise error
+        finally:
+            del error
 
     def _signal(self, event: asyncio.Event) -> None:
         if threading.get_ident() == self._loop_thread:

@@ -14,11 +14,11 @@ from diag_service.sources.base import SourceCounts
 from diag_service.sources.bus_clock import BusClock
 from diag_service.sources.clock_alarm import clock_alarm
 from diag_service.sources.frame_queue import FrameQueue
+from diag_service.sources.pace import URGENT_S, Pace
 from diag_service.sources.recvmmsg import SLOTS, SO_TIMESTAMPNS, FrameReceiver, Reception
 
 RECEIVE_BUFFER_BYTES = 8 * 1024 * 1024  # about ten thousand frames: some seconds of a full bus
 CALLS_PER_WAKE_UP = 16  # 4096 frames, then the rest of the service gets its turn
-GATHER_S = 0.02  # frames come together in the kernel, which stamps them: every wake-up has a price
 QUIET_WAKE_UPS = 3  # without a frame; then the socket itself tells when there is one
 ALL_ERROR_CLASSES = 0x1FFF_FFFF
 CAN_RAW_ERR_FILTER = 2
@@ -31,8 +31,8 @@ MEMINFO_DROPS = 8  # index of SK_MEMINFO_DROPS
 class SocketCanSource:
     """Frames of one SocketCAN interface, among them error frames; it receives from construction on.
 
-    While frames come the socket is emptied every ``GATHER_S``, whoever consumes them: a wake-up costs much more than a
-    frame, and its time the kernel has noted. A bus that fell silent is waited for.
+    While frames come they gather in the kernel, which notes their times, and the socket is emptied as often as the
+    pace says, whether or not somebody consumes them. A bus that fell silent is waited for.
 
     The kernel's own counter of frames lost in the receive buffer is read with SO_MEMINFO. SO_RXQ_OVFL would tell
     the same number with the next frame only, and so never the losses after the last one.
@@ -47,6 +47,8 @@ class SocketCanSource:
         What the kernel lets through besides error frames; everything if empty. What it holds back is not counted.
     clock : BusClock or None
         What takes steps of the wall clock out of the times.
+    pace : Pace or None
+        How long frames may gather.
     receive_buffer_bytes : int
         What to ask of the kernel; without privileges it may grant less.
 
@@ -65,6 +67,7 @@ class SocketCanSource:
         receive_buffer_bytes: int = RECEIVE_BUFFER_BYTES,
         queue: FrameQueue | None = None,
         clock: BusClock | None = None,
+        pace: Pace | None = None,
     ) -> None:
         self._channel = channel
         self._queue = queue or FrameQueue(linger_s=0.0)
@@ -73,6 +76,7 @@ class SocketCanSource:
         )
         self._receiver = FrameReceiver(self._socket.fileno())
         self._clock = clock or BusClock()
+        self._pace = pace or Pace()
         self._received = 0
         self._unsupported = 0
         self._final_drops = 0
@@ -130,7 +134,9 @@ class SocketCanSource:
             return
         self._quiet_count = 0 if self._received > before else self._quiet_count + 1
         if self._quiet_count < QUIET_WAKE_UPS:
-            self._timer = self._loop.call_later(GATHER_S if is_empty else 0.0, self._gather)
+            is_crowded = self._received - before > SLOTS
+            gather_s = URGENT_S if is_crowded else self._pace.gather_s
+            self._timer = self._loop.call_later(gather_s if is_empty else 0.0, self._gather)
         else:
             self._timer = None
             self._loop.add_reader(self._socket, self._wake)
@@ -189,7 +195,8 @@ class SocketCanSource:
             self._final_drops = kernel_drops(self._socket)
             self._socket.close()
             self._socket = None
-        self._queue.close(self._failure)
+        failure, self._failure = self._failure, None  # once raised it refers to this source
+        self._queue.close(failure)
 
 
 def open_socket(
