@@ -1,4 +1,4 @@
-"""The alarm for a clock that is set: silent as long as nobody sets it. That it rings is tried beside a real vcan."""
+"""The alarm for a clock that is set: silent as long as nobody sets it; a guest's clock is set beside the vcan."""
 
 import os
 
