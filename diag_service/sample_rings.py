@@ -7,7 +7,7 @@ import numpy as np
 
 from clutch_model.jit import array_kernel
 from diag_service.records import Int64Array, Series, Signal
-from diag_service.signal_block import BlockLayout, Samples, SignalBlock
+from diag_service.sample_block import BlockLayout, SampleBlock, Samples
 
 FIRST_CAPACITY: Final = 256  # samples of a signal; grows by doubling
 _FULL: Final = -1
@@ -35,7 +35,7 @@ class SampleRings:
 
     def append(self, columns: Mapping[Signal, Series]) -> None:
         """Take the next samples of some signals."""
-        if isinstance(columns, SignalBlock):
+        if isinstance(columns, SampleBlock):
             self._append_block(columns)
             return
         for signal, series in columns.items():
@@ -68,7 +68,7 @@ class SampleRings:
         self._samples = _room(0, FIRST_CAPACITY)
         self._block_rows: tuple[BlockLayout, Int64Array] | None = None
 
-    def _append_block(self, block: SignalBlock) -> None:
+    def _append_block(self, block: SampleBlock) -> None:
         if self._block_rows is None or self._block_rows[0] is not block.layout:
             named = zip(block.layout.signals, block.layout.period_ns, strict=True)
             rows = np.array([self._row(signal, period_ns) for signal, period_ns in named], np.int64)

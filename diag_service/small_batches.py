@@ -18,7 +18,7 @@ from diag_service.frames import ERROR_FLAG, MAX_GAP_NS, FrameBatch, empty_batch
 from diag_service.profile import Conversion
 from diag_service.protection_check import FrameVerdicts, plain
 from diag_service.records import FloatArray, Int64Array, Signal, UInt8Array, UInt32Array
-from diag_service.signal_block import BlockLayout, Samples, SignalBlock
+from diag_service.sample_block import BlockLayout, SampleBlock, Samples
 from diag_service.source_tables import SourceTable
 
 SMALL_FRAMES: Final = 256  # beyond it array operations are the faster way
@@ -87,7 +87,7 @@ class SmallBatchDecoder:
         )  # compiles now: the first real batch must not wait for the compiler
         is_seamless(nothing, np.empty(0, np.uint32), 0)
 
-    def decode(self, batch: FrameBatch, verdicts: FrameVerdicts) -> tuple[SignalBlock, dict[Signal, int], bool]:
+    def decode(self, batch: FrameBatch, verdicts: FrameVerdicts) -> tuple[SampleBlock, dict[Signal, int], bool]:
         """Return the columns, how many values of each signal were invalid, and whether a frame was bad or missing."""
         samples = self._layout.room(len(batch))
         invalid = np.zeros(len(self._layout.signals), np.int64)
@@ -107,7 +107,7 @@ class SmallBatchDecoder:
         counts = {}
         if bad & _HAS_INVALID:
             counts = {self._layout.signals[row]: int(invalid[row]) for row in np.flatnonzero(invalid)}
-        return SignalBlock(self._layout, samples), counts, bool(bad & _HAS_BAD)
+        return SampleBlock(self._layout, samples), counts, bool(bad & _HAS_BAD)
 
 
 def is_able(table: SourceTable) -> bool:

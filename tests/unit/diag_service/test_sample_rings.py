@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from diag_service.records import Series, Signal
+from diag_service.sample_block import BlockLayout, SampleBlock
 from diag_service.sample_rings import FIRST_CAPACITY, SampleRings
-from diag_service.signal_block import BlockLayout, SignalBlock
 
 SIGNALS = (Signal.ENGINE_SPEED, Signal.ENGINE_TORQUE, Signal.CURRENT_GEAR)
 
@@ -15,13 +15,13 @@ def series(first: int, count: int) -> Series:
     return Series(t_ns=10 * rows, sequence=rows, value=rows.astype(np.float64) / 2.0, period_ns=10)
 
 
-def block(layout: BlockLayout, first: int, counts: tuple[int, ...]) -> SignalBlock:
+def block(layout: BlockLayout, first: int, counts: tuple[int, ...]) -> SampleBlock:
     room = layout.room(max(counts))
     for row, count in enumerate(counts):
         own = series(first, count)
         room.filled[row] = count
         room.t_ns[row, :count], room.sequence[row, :count], room.value[row, :count] = own.t_ns, own.sequence, own.value
-    return SignalBlock(layout, room)
+    return SampleBlock(layout, room)
 
 
 def assert_holds(rings: SampleRings, signal: Signal, first: int, stop: int) -> None:
