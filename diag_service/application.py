@@ -43,7 +43,7 @@ from diag_service.recorded import open_drive, run_logs, stream_of
 from diag_service.results import ServiceStatus, dump, iso_utc
 from diag_service.service_manager import ServiceManager
 from diag_service.snapshot import Board, Snapshot, SnapshotTaker
-from diag_service.sources import BusOpener, supervise
+from diag_service.sources import BusOpener, Pace, supervise
 from diag_service.stopping import Trigger
 from diag_service.store import ResultStore, Versions
 from diag_service.summary import frames_line
@@ -132,7 +132,9 @@ async def _run_bus(
     onlooker: Callable[[Snapshot], None] = lambda _: None,
 ) -> None:
     filters = session.stages.kernel_filters if bus.is_filtered else ()
-    source = await supervise(BusOpener(bus.interface, bus.channel, bus.bitrate, fd=bus.is_fd, filters=filters))
+    pace = Pace()
+    opener = BusOpener(bus.interface, bus.channel, bus.bitrate, fd=bus.is_fd, filters=filters, pace=pace)
+    source = await supervise(opener)
     session.reporter.listening(f"{source.description} for {config.vehicle}, results in {store.where}")
     now_s = asyncio.get_running_loop().time
     taker = SnapshotTaker(source, session, now_s(), bus.bitrate)
@@ -142,7 +144,7 @@ async def _run_bus(
         snapshot = taker.take(now_s())
         board.pin(snapshot)
         onlooker(snapshot)
-        manager.alive(f"bus {snapshot.bus.state.value}, {frames_line(snapshot.frames)}")
+        _report_life(manager, snapshot)
 
     with ExitStack() as stack:
         stack.callback(manager.stopping)
@@ -160,7 +162,17 @@ async def _run_bus(
             outbox=_outbox(config, store, session, is_live=True),
             duration_s=bus.duration_s,
             show=show,
+            pace=pace,
         )
+
+
+def _report_life(manager: ServiceManager, snapshot: Snapshot) -> None:
+    """Tell the manager that the service lives, unless one of its stages hangs."""
+    if snapshot.stuck is None:
+        manager.alive(f"bus {snapshot.bus.state.value}, {frames_line(snapshot.frames)}")
+        return
+    _LOG.error("%s", snapshot.stuck)
+    manager.struggling(str(snapshot.stuck))
 
 
 def _session(

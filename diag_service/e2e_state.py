@@ -14,7 +14,7 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from clutch_model.jit import kernel
-from diag_service.protection_check import FrameReason, FrameVerdicts
+from diag_service.protection_check import FrameReason, FrameVerdicts, plain
 from diag_service.records import E2eChange, E2eState, Int64Array, UInt8Array
 
 WINDOW: Final = 10  # checks
@@ -149,6 +149,23 @@ def find_silent(memory: E2eMemory, now_ns: int, timeout_ns: Int64Array, changes:
     return count
 
 
+@kernel
+def follow_batch(
+    memory: E2eMemory,
+    slot: Int64Array,
+    t_ns: Int64Array,
+    reason: UInt8Array,
+    missing: Int64Array,
+    timeout_ns: Int64Array,
+    changes: Int64Array,
+) -> int:
+    """Judge frames, then let messages fall silent that are overdue at the last of them; as above."""
+    count = follow_messages(memory, slot, t_ns, reason, missing, timeout_ns, changes)
+    if t_ns.size:
+        count += find_silent(memory, t_ns[-1], timeout_ns, changes[count:])
+    return count
+
+
 class E2eStates:
     """The state machines of all messages; what they say does not depend on how the stream was cut.
 
@@ -169,7 +186,6 @@ class E2eStates:
         nothing = np.empty(0, np.int64)
         verdicts = FrameVerdicts(reason=np.empty(0, np.uint8), slot=nothing, sequence=nothing, missing=nothing)
         self.follow(nothing, verdicts)  # compiled now: the first real batch must not wait for the compiler
-        find_silent(self._memory, 0, self._timeout_ns, np.empty((0, 3), np.int64))
 
     @property
     def states(self) -> tuple[E2eState, ...]:
@@ -190,12 +206,17 @@ class E2eStates:
     def follow(self, t_ns: Int64Array, verdicts: FrameVerdicts) -> tuple[E2eChange, ...]:
         """Return the changes of state that frames bring about, those by silence until the last of them included."""
         room = np.empty((3 * len(t_ns) + len(self._names), 3), np.int64)  # by silence, by a loss, by the frame itself
-        times = np.require(t_ns, np.int64, ("C", "W"))  # one array type: the kernel is compiled once
-        count = follow_messages(
-            self._memory, verdicts.slot, times, verdicts.reason, verdicts.missing, self._timeout_ns, room
+        count = follow_batch(
+            self._memory,
+            verdicts.slot,
+            plain(t_ns, np.int64),
+            verdicts.reason,
+            verdicts.missing,
+            self._timeout_ns,
+            room,
         )
-        if len(t_ns):
-            count += find_silent(self._memory, int(t_ns[-1]), self._timeout_ns, room[count:])
+        if not count:
+            return ()
         return tuple(
             E2eChange(t_ns=when, message=self._names[slot], state=E2eState(state))
             for when, slot, state in room[:count].tolist()

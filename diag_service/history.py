@@ -6,13 +6,14 @@ from dataclasses import replace
 import numpy as np
 
 from diag_service.records import ColumnBatch, Columns, E2eChange, E2eState, Int64Array, Series, Signal
+from diag_service.sample_rings import SampleRings
 
 
 class History:
     """The recent samples of all signals, the times of bad frames and the states of messages, until they are dropped."""
 
     def __init__(self) -> None:
-        self._tracks: dict[Signal, _Track] = {}
+        self._rings = SampleRings()
         self._bad_ns: list[Int64Array] = []
         self._e2e: dict[str, list[E2eChange]] = {}
         self.watermark_ns = -1  # all that happened before it has been seen
@@ -20,12 +21,11 @@ class History:
     @property
     def sample_count(self) -> int:
         """Samples held of all signals."""
-        return sum(track.sample_count for track in self._tracks.values())
+        return self._rings.sample_count
 
     def append(self, batch: ColumnBatch) -> None:
         """Take the next columns."""
-        for signal, series in batch.columns.items():
-            self._tracks.setdefault(signal, _Track()).append(series)
+        self._rings.append(batch.columns)
         if len(batch.bad_frame_ns):
             self._bad_ns.append(batch.bad_frame_ns)
         for change in batch.e2e_changes:
@@ -33,13 +33,13 @@ class History:
         self.watermark_ns = max(self.watermark_ns, batch.watermark_ns)
 
     def samples(self, signal: Signal, start_ns: int, stop_ns: int) -> Series:
-        """Return the samples of one signal with ``start_ns <= t_ns < stop_ns``; none if there is no such signal."""
-        track = self._tracks.get(signal)
-        return track.joined().between(start_ns, stop_ns) if track else _NO_SAMPLES
+        """Return the samples of one signal with ``start_ns <= t_ns < stop_ns``; valid until more are appended."""
+        return self._rings.between(signal, start_ns, stop_ns)
 
     def cut(self, start_ns: int, stop_ns: int) -> Columns:
         """Return the samples of all signals with ``start_ns <= t_ns < stop_ns``."""
-        return {signal: track.joined().between(start_ns, stop_ns) for signal, track in sorted(self._tracks.items())}
+        found = {signal: self._rings.between(signal, start_ns, stop_ns) for signal in sorted(self._rings.signals)}
+        return {signal: _copy(series) for signal, series in found.items()}
 
     def bad_frame_count(self, start_ns: int, stop_ns: int) -> int:
         """Return how many frames were rejected or missing in ``start_ns <= t_ns < stop_ns``."""
@@ -50,64 +50,24 @@ class History:
         return {message: _worst(changes, start_ns, stop_ns) for message, changes in sorted(self._e2e.items())}
 
     def drop_before(self, keep_ns: int) -> None:
-        """Forget what lies before ``keep_ns``, a little late."""
-        for track in self._tracks.values():
-            track.drop_before(keep_ns)
-        self._bad_ns = [times for times in self._bad_ns if times.max() >= keep_ns]
+        """Forget what lies before ``keep_ns``, times of bad frames and states a little late."""
+        self._rings.drop_before(keep_ns)
+        if self._bad_ns:
+            self._bad_ns = [times for times in self._bad_ns if times.max() >= keep_ns]
         for changes in self._e2e.values():
             while len(changes) > 1 and changes[1].t_ns <= keep_ns:
                 del changes[0]
 
     def clear(self) -> None:
         """Forget everything: another segment of bus time begins."""
-        self._tracks.clear()
+        self._rings.clear()
         self._bad_ns.clear()
         self._e2e.clear()
         self.watermark_ns = -1
 
 
-class _Track:
-    """The recent samples of one signal, in the pieces in which they came."""
-
-    def __init__(self) -> None:
-        self._pieces: list[Series] = []
-
-    def append(self, series: Series) -> None:
-        if len(series.t_ns):
-            self._pieces.append(series)
-
-    @property
-    def sample_count(self) -> int:
-        return sum(len(piece.t_ns) for piece in self._pieces)
-
-    def joined(self) -> Series:
-        if not self._pieces:
-            return _NO_SAMPLES
-        if len(self._pieces) > 1:
-            self._pieces = [
-                Series(
-                    t_ns=np.concatenate([piece.t_ns for piece in self._pieces]),
-                    sequence=np.concatenate([piece.sequence for piece in self._pieces]),
-                    value=np.concatenate([piece.value for piece in self._pieces]),
-                    period_ns=self._pieces[-1].period_ns,
-                )
-            ]
-        return self._pieces[0]
-
-    def drop_before(self, keep_ns: int) -> None:
-        """Forget pieces that lie wholly before ``keep_ns``, and cut a piece most of which does."""
-        self._pieces = [piece for piece in self._pieces if piece.t_ns[-1] >= keep_ns]
-        if self._pieces:
-            oldest = self._pieces[0]
-            stale = int(np.searchsorted(oldest.t_ns, keep_ns))
-            if 2 * stale > len(oldest.t_ns):
-                kept = oldest.between(keep_ns, int(oldest.t_ns[-1]) + 1)
-                self._pieces[0] = replace(
-                    kept, t_ns=kept.t_ns.copy(), sequence=kept.sequence.copy(), value=kept.value.copy()
-                )
-
-
-_NO_SAMPLES = Series(t_ns=np.empty(0, np.int64), sequence=np.empty(0, np.int64), value=np.empty(0))
+def _copy(series: Series) -> Series:
+    return replace(series, t_ns=series.t_ns.copy(), sequence=series.sequence.copy(), value=series.value.copy())
 
 
 def _worst(changes: list[E2eChange], start_ns: int, stop_ns: int) -> E2eState:

@@ -10,7 +10,7 @@ from diag_service.pipeline import Session
 from diag_service.publishers import Outbox
 from diag_service.records import ShiftEvent
 from diag_service.snapshot import frame_counts
-from diag_service.sources import LinkBreak, LiveSource
+from diag_service.sources import LinkBreak, LiveSource, Pace
 from diag_service.stopping import Trigger
 from diag_service.summary import FrameCounts, Summary, frames_line, shifts_line
 from diag_service.tasks import first_error
@@ -31,6 +31,7 @@ async def run_live(
     outbox: Outbox | None,
     duration_s: float | None,
     show: Callable[[], None] = lambda: None,
+    pace: Pace | None = None,
 ) -> Summary:
     """Diagnose a live bus until ``stop``, ``duration_s`` or its failure; return the numbers.
 
@@ -42,6 +43,8 @@ async def run_live(
     ----------
     show
         Called every ``SHOW_PERIOD_S`` by the loop that reads the bus, and once more when that has ended.
+    pace
+        Is told when the source should hurry: while a shift is on.
 
     Raises
     ------
@@ -54,6 +57,7 @@ async def run_live(
     def counts() -> FrameCounts:
         return frame_counts(source, session.stages)
 
+    pace = pace or Pace()
     failure: SourceError | None = None
     unpublished_count: int | None = None
     turn = asyncio.Lock()  # a session is settled by one thread at a time
@@ -70,6 +74,7 @@ async def run_live(
                 async for part in source:
                     stages = session.stages
                     events = stages.flush() if isinstance(part, LinkBreak) else stages.segment(part)
+                    pace.is_urgent = stages.is_expecting
                     await _settle_all(session, events, outbox, turn)
             except SourceError as exc:
                 failure = exc

@@ -15,11 +15,13 @@ from diag_service.error_frames import BusError, tells
 from diag_service.frames import MAX_GAP_NS, FrameBatch
 from diag_service.mapped_messages import SignalColumn, map_signals
 from diag_service.profile import Profile
-from diag_service.protection_check import FrameReason, FrameVerdicts, LinkMonitor
-from diag_service.records import ColumnBatch, E2eState, GearRatios, Int64Array, Series, Signal
+from diag_service.protection_check import FrameReason, FrameVerdicts, LinkMonitor, plain
+from diag_service.records import ColumnBatch, Columns, E2eState, GearRatios, Int64Array, Series, Signal
+from diag_service.small_batches import SMALL_FRAMES, SmallBatchDecoder, SmallColumn, is_able, is_seamless
 from diag_service.tiers import MANDATORY
 
 NS_PER_S: Final = 1_000_000_000
+_NEVER: Final = np.empty(0, np.int64)
 
 REJECTIONS: Final = tuple(reason for reason in FrameReason if reason not in {FrameReason.OK, FrameReason.UNKNOWN_ID})
 
@@ -77,6 +79,8 @@ class Decoder:
         self._e2e = E2eStates(
             [mapped.message.name for mapped in self._messages], [mapped.period_ns for mapped in self._messages]
         )
+        self._small = self._small_batch_decoder()
+        self._signal_count = len(self.signals)
         self._invalid: dict[Signal, int] = {}
         self._seen: set[Signal] = set()
         self._last_ns: int | None = None
@@ -148,11 +152,20 @@ class Decoder:
 
     def feed(self, batch: FrameBatch) -> list[ColumnBatch]:
         """Return the columns of a batch: none if it is empty, several if bus time jumps inside it."""
+        if self._goes_on(batch):
+            self._last_ns = int(batch.t_ns[-1])
+            return [self._decode(batch, breaks_before=False)]
         return [self._decode(segment, breaks_before=breaks) for segment, breaks in self._segments(batch)]
 
     def interrupt(self) -> None:
         """End the segment: what comes next has nothing to do with what came before."""
         self._is_interrupted = True
+
+    def _goes_on(self, batch: FrameBatch) -> bool:
+        """Return whether the frames go on where the last ones ended, as they nearly always do."""
+        if self._last_ns is None or self._is_interrupted or not len(batch):
+            return False
+        return is_seamless(plain(batch.t_ns, np.int64), plain(batch.can_id, np.uint32), self._last_ns)
 
     def _segments(self, batch: FrameBatch) -> Iterator[tuple[FrameBatch, bool]]:
         """Cut a batch where bus time goes back or stands still for too long, and where the controller left the bus."""
@@ -175,6 +188,32 @@ class Decoder:
             self._monitor.reset()
             self._e2e.reset()
         verdicts = self._monitor.check(segment)
+        columns, bad_frame_ns = (
+            self._columns(segment, verdicts)
+            if self._small is None or len(segment) > SMALL_FRAMES
+            else self._small_columns(self._small, segment, verdicts)
+        )
+        if len(self._seen) < self._signal_count:
+            self._seen |= columns.keys()
+        return ColumnBatch(
+            columns=columns,
+            watermark_ns=int(segment.t_ns[-1]),
+            breaks_before=breaks_before,
+            bad_frame_ns=bad_frame_ns,
+            e2e_changes=self._e2e.follow(segment.t_ns, verdicts),
+        )
+
+    def _small_columns(
+        self, decoder: SmallBatchDecoder, segment: FrameBatch, verdicts: FrameVerdicts
+    ) -> tuple[Columns, Int64Array]:
+        """Return the columns of a few frames, and when messages failed."""
+        columns, invalid, has_bad = decoder.decode(segment, verdicts)
+        for signal, count in invalid.items():
+            self._invalid[signal] = self._invalid.get(signal, 0) + count
+        return columns, _bad_frame_ns(segment, verdicts) if has_bad else _NEVER
+
+    def _columns(self, segment: FrameBatch, verdicts: FrameVerdicts) -> tuple[Columns, Int64Array]:
+        """Return the columns of many frames, and when messages failed."""
         columns: dict[Signal, Series] = {}
         for slot, rows in rows_by_slot(verdicts.accepted, len(self._messages)):
             mapped = self._messages[slot]
@@ -184,14 +223,16 @@ class Decoder:
                 series = self._series(column, words, t_ns, sequence, mapped.period_ns)
                 if len(series.t_ns):
                     columns[column.signal] = series
-        self._seen |= columns.keys()
-        return ColumnBatch(
-            columns=columns,
-            watermark_ns=int(segment.t_ns[-1]),
-            breaks_before=breaks_before,
-            bad_frame_ns=_bad_frame_ns(segment, verdicts),
-            e2e_changes=self._e2e.follow(segment.t_ns, verdicts),
-        )
+        return columns, _bad_frame_ns(segment, verdicts)
+
+    def _small_batch_decoder(self) -> SmallBatchDecoder | None:
+        """Return the decoder of small batches, if every signal is plain enough for it."""
+        columns = [
+            SmallColumn(slot, column.signal, column.table, column.to_si, mapped.period_ns)
+            for slot, mapped in enumerate(self._messages)
+            for column in mapped.columns
+        ]
+        return SmallBatchDecoder(columns, len(self._messages)) if all(is_able(one.table) for one in columns) else None
 
     def _series(
         self, column: SignalColumn, words: PayloadWords, t_ns: Int64Array, sequence: Int64Array, period_ns: int

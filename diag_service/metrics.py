@@ -17,6 +17,7 @@ from prometheus_client.registry import Collector
 
 from diag_service.config import ListenAddress
 from diag_service.errors import ConfigError
+from diag_service.progress import Stage
 from diag_service.records import E2eState
 from diag_service.snapshot import Board, Snapshot
 from diag_service.sources import BusState
@@ -37,6 +38,7 @@ class SnapshotCollector(Collector):
         if snapshot is not None:
             yield from _bus(snapshot)
             yield from _clock(snapshot)
+            yield from _stages(snapshot)
             yield from _frames(snapshot)
             yield from _messages(snapshot)
             yield from _shifts(snapshot)
@@ -55,6 +57,13 @@ def _bus(snapshot: Snapshot) -> Iterator[Metric]:
 
 def _clock(snapshot: Snapshot) -> Iterator[Metric]:
     yield CounterMetricFamily("clutchdiag_clock_steps", "Steps of the wall clock.", snapshot.clock_steps)
+
+
+def _stages(snapshot: Snapshot) -> Iterator[Metric]:
+    stuck = {stage.value: 0.0 for stage in Stage}
+    if snapshot.stuck is not None:
+        stuck[snapshot.stuck.stage.value] = snapshot.stuck.for_s
+    yield _gauge("stage_stuck_seconds", "How long a stage has held work without progress.", "stage", stuck)
 
 
 def _frames(snapshot: Snapshot) -> Iterator[Metric]:

@@ -76,6 +76,8 @@ def _head(snapshot: Snapshot) -> Text:
         head.append(f"  error frames: {errors}", "yellow")
     if bus.last_problem is not None:
         head.append(f"  last problem: {bus.last_problem}", "dim")
+    if snapshot.stuck is not None:
+        head.append(f"  {snapshot.stuck}", "bold red")
     return head
 
 

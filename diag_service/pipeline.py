@@ -16,6 +16,7 @@ from diag_service.gear_tracking import tracker_for
 from diag_service.indices import measure
 from diag_service.mapping import Decoder, MessageCounts
 from diag_service.notices import NOTICE
+from diag_service.progress import Progress, Stage
 from diag_service.publishers import Reporter
 from diag_service.records import (
     ClutchVerdict,
@@ -73,6 +74,11 @@ class Stages:
     def segment(self, batch: FrameBatch) -> list[ShiftEvent]:
         """Return the shifts that these frames complete; quick."""
         return [event for columns in self._decoder.feed(batch) for event in self._finder.feed(columns)]
+
+    @property
+    def is_expecting(self) -> bool:
+        """Whether a shift has begun that was not returned yet: every frame may be the last that it needs."""
+        return self._finder.is_expecting
 
     def flush(self) -> list[ShiftEvent]:
         """End the segment: return what is still open; frames that come later begin another one."""
@@ -157,6 +163,8 @@ class Session:
         Name of a log's stream, in which the number of a shift is its key; None for the live stream of the store.
     utc_now :
         Clock of ``produced_at`` in a live stream.
+    progress :
+        Hears when a shift is estimated and stored.
     """
 
     def __init__(
@@ -169,8 +177,10 @@ class Session:
         versions: Versions,
         stream: str | None,
         utc_now: Callable[[], str],
+        progress: Progress | None = None,
     ) -> None:
         self.stages = stages
+        self.progress = progress or Progress()
         self._store = store
         self.reporter = reporter
         self._vehicle = vehicle
@@ -209,7 +219,8 @@ class Session:
     def _store_pending(self) -> None:
         """Store and tell what waits, in order; raises StoreFullError at the first that the disk does not take."""
         while self._pending:
-            self._store.add(*self._pending[0])
+            with self.progress.working(Stage.STORE):
+                self._store.add(*self._pending[0])
             self._tell(self._pending.popleft()[0], is_new=True)
         if self._is_disk_full:
             self._is_disk_full = False
@@ -263,7 +274,8 @@ class Session:
         return self._pending[-1][0].seq + 1 if self._pending else self._store.next_seq()
 
     def _diagnose(self, event: ShiftEvent) -> tuple[ShiftResult, VehicleState]:
-        diagnosis = self.stages.conclude(event)
+        with self.progress.working(Stage.ESTIMATE):
+            diagnosis = self.stages.conclude(event)
         is_live = self._stream is None
         result = ShiftResult(
             vehicle=self._vehicle,

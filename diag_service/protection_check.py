@@ -31,7 +31,7 @@ from diag_service.frame_judge import (
 from diag_service.frames import FD_PAYLOAD_BYTES, PAYLOAD_BYTES, FrameBatch, empty_batch
 from diag_service.records import Int64Array, UInt8Array
 
-__all__ = ["MAX_FRAMES_LOST_BY_RESTART", "FrameReason", "FrameVerdicts", "LinkMonitor"]
+__all__ = ["MAX_FRAMES_LOST_BY_RESTART", "FrameReason", "FrameVerdicts", "LinkMonitor", "plain"]
 
 _NS_PER_MS: Final = 1_000_000
 _Scalar = TypeVar("_Scalar", bound=np.generic)
@@ -120,14 +120,16 @@ class LinkMonitor:
             missing=np.empty(count, np.int64),
         )
         frames = FrameColumns(
-            t_ns=_plain(batch.t_ns, np.int64),
-            can_id=_plain(batch.can_id, np.uint32),
-            length=_plain(batch.length, np.uint8),
-            data=_plain(batch.data, np.uint8),
-            channel=_plain(batch.channel, np.uint8),
+            t_ns=plain(batch.t_ns, np.int64),
+            can_id=plain(batch.can_id, np.uint32),
+            length=plain(batch.length, np.uint8),
+            data=plain(batch.data, np.uint8),
+            channel=plain(batch.channel, np.uint8),
         )
         judge_frames(self._book, self._rules, self._links, self._origins, frames, verdicts, self._totals)
-        return FrameVerdicts(**verdicts._asdict())
+        return FrameVerdicts(
+            reason=verdicts.reason, slot=verdicts.slot, sequence=verdicts.sequence, missing=verdicts.missing
+        )
 
 
 def _rules_of(messages: Sequence[Message]) -> Rules:
@@ -144,8 +146,11 @@ def _rules_of(messages: Sequence[Message]) -> Rules:
     )
 
 
-def _plain(column: npt.NDArray[_Scalar], kind: type[_Scalar]) -> npt.NDArray[_Scalar]:
-    """Return a column in the one layout that the loop is compiled for."""
+def plain(column: npt.NDArray[_Scalar], kind: type[_Scalar]) -> npt.NDArray[_Scalar]:
+    """Return a column in the one layout that loops are compiled for."""
+    flags = column.flags
+    if column.dtype == kind and flags.c_contiguous and flags.writeable:
+        return column
     return np.require(column, kind, ("C", "W"))
 
 

@@ -40,6 +40,10 @@ class ServiceManager:
         """Say that the service is at work, and how it is, in a few words."""
         self._tell(f"WATCHDOG=1\nSTATUS={status}")
 
+    def struggling(self, status: str) -> None:
+        """Say how the service is without saying that it is alive: a watchdog that hears only this restarts it."""
+        self._tell(f"STATUS={status}")
+
     def stopping(self) -> None:
         """Say that the end has begun."""
         self._tell("STOPPING=1")

@@ -42,6 +42,11 @@ class ShiftFinder:
         return events
 
     @property
+    def is_expecting(self) -> bool:
+        """Whether a shift has begun that was not reported yet."""
+        return bool(self._closed) or self._tracker.open_ns is not None
+
+    @property
     def buffered_sample_count(self) -> int:
         """Samples held of all signals: bounded by the longest shift, whatever the length of the drive."""
         return self._history.sample_count

@@ -7,6 +7,7 @@ from typing import Protocol
 
 from diag_service.mapping import MessageCounts
 from diag_service.pipeline import Session, Stages
+from diag_service.progress import Stuck
 from diag_service.records import ShiftResult
 from diag_service.sources import BusState, BusStatus, LiveSource
 from diag_service.summary import FrameCounts, Summary
@@ -52,6 +53,7 @@ class Snapshot:
     messages: tuple[MessageStatus, ...]
     summary: Summary
     recent: tuple[ShiftResult, ...]  # oldest first
+    stuck: Stuck | None  # a stage that makes no progress
 
 
 def frame_counts(source: LiveSource, stages: Stages) -> FrameCounts:
@@ -101,6 +103,7 @@ class SnapshotTaker:
             ),
             summary=self._session.summary(frames, None),
             recent=self._session.recent,
+            stuck=self._session.progress.stuck,
         )
 
     def _measure(self, messages: Mapping[str, MessageCounts], now_s: float) -> None:
@@ -132,8 +135,9 @@ class Board:
 
     @property
     def is_live(self) -> bool:
-        """Whether the service is at work."""
-        return self._latest is not None and self._now_s() - self._latest.taken_s < STALE_S
+        """Whether the service looks up now and then, and every stage gets done what it has to do."""
+        latest = self._latest
+        return latest is not None and latest.stuck is None and self._now_s() - latest.taken_s < STALE_S
 
     @property
     def is_ready(self) -> bool:

@@ -6,6 +6,7 @@ from diag_service.sources.detection import LogFormat
 from diag_service.sources.factory import BusOpener, open_source
 from diag_service.sources.logs import LogReader, is_log, read_log
 from diag_service.sources.merging import merged_by_time
+from diag_service.sources.pace import Pace
 from diag_service.sources.supervisor import SupervisedSource, supervise
 from diag_service.sources.tally import LogCounts, LogReject
 
@@ -20,6 +21,7 @@ __all__ = [
     "LogFormat",
     "LogReader",
     "LogReject",
+    "Pace",
     "SourceCounts",
     "SupervisedSource",
     "is_log",

@@ -19,6 +19,7 @@ MAX_GAP_NS: Final = 1_000_000  # between the readings of two clocks, beyond whic
 TRY_COUNT: Final = 5
 SLEW_RATIO: Final = 0.001  # twice what a kernel slews at most
 SLACK_NS: Final = 5_000_000
+STALE_NS: Final = 1_000_000_000  # a look at least once a second, while there are frames
 
 
 class ClockReading(NamedTuple):
@@ -43,14 +44,18 @@ class BusClock:
     """Turns kernel time stamps into bus time; looks at the clocks whenever frames are about to be read.
 
     A step between two looks may have come before or after a frame that arrived between them: the frame counts as
-    stamped before it if that puts it between the two looks. A step while frames are being read is seen too late for
-    them; their time jumps, which ends the segment.
+    stamped before it if that puts it between the newest frame known and the look. A step while frames are being read
+    is seen too late for them; their time jumps, which ends the segment.
+
+    Who is told when the clock is set need not look for every frame: frames that are stamped far from the last look
+    ask for another one by themselves.
     """
 
     def __init__(self, read: Callable[[], ClockReading | None] = read_clocks) -> None:
         self._read = read
         self._last = read()
         self._offset_ns = 0  # wall clock minus bus time
+        self._newest_ns: int | None = None  # bus time of the last frame
         self._step_count = 0
         self._before: tuple[int, int, int] | None = None  # offset before a step, and the two looks around it, bus time
 
@@ -71,16 +76,30 @@ class BusClock:
         elapsed_ns = now.boot_ns - last.boot_ns
         step_ns = (now.wall_ns - last.wall_ns) - elapsed_ns
         if abs(step_ns) > MIN_STEP_NS + SLEW_RATIO * elapsed_ns:
-            earliest_ns = last.wall_ns - self._offset_ns
-            self._before = (self._offset_ns, earliest_ns - SLACK_NS, earliest_ns + elapsed_ns + SLACK_NS)
+            looked_ns = last.wall_ns - self._offset_ns
+            earliest_ns = looked_ns if self._newest_ns is None else max(looked_ns, self._newest_ns)
+            self._before = (self._offset_ns, earliest_ns - SLACK_NS, looked_ns + elapsed_ns + SLACK_NS)
             self._offset_ns += round(step_ns / NS_PER_US) * NS_PER_US  # the stamps are in whole microseconds
             self._step_count += 1
 
+    def look_if_stale(self, stamp_ns: int) -> None:
+        """Look unless a step was just seen, or this frame was stamped soon after the last look."""
+        if self._before is not None:
+            return
+        if self._last is None or not -SLACK_NS <= stamp_ns - self._last.wall_ns <= STALE_NS:
+            self.look()
+
+    def settle(self) -> None:
+        """Take note that all frames which arrived before the last look have got their time."""
+        self._before = None
+
     def bus_time_ns(self, stamp_ns: Int64Array) -> Int64Array:
-        """Return the bus time of frames that arrived since the look before the last, shape (n,)."""
-        times: Int64Array = stamp_ns - self._offset_ns
-        if self._before is None:
-            return times
-        offset_ns, earliest_ns, latest_ns = self._before
-        before = stamp_ns - offset_ns
-        return np.where((before >= earliest_ns) & (before <= latest_ns), before, times)
+        """Return the bus time of frames that arrived since those before, shape (n,)."""
+        times: Int64Array = stamp_ns - self._offset_ns if self._offset_ns else stamp_ns
+        if self._before is not None:
+            offset_ns, earliest_ns, latest_ns = self._before
+            before = stamp_ns - offset_ns
+            times = np.where((before >= earliest_ns) & (before <= latest_ns), before, times)
+        if len(times):
+            self._newest_ns = int(times[-1])
+        return times

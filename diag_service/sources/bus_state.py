@@ -47,6 +47,11 @@ class BusWatch:
         self._dropped = 0
         self._trouble_s: float | None = None
 
+    @property
+    def is_off(self) -> bool:
+        """Whether the controller has cut itself off."""
+        return self._state is BusState.BUS_OFF
+
     def hear(self, batch: FrameBatch, dropped: int, now_s: float) -> None:
         """Take note of frames; ``dropped`` counts all that were lost on this side until now."""
         if dropped > self._dropped:

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from diag_service.errors import SourceError
 from diag_service.sources.base import FrameSource
 from diag_service.sources.interface import Seen, index_of, present_name, restart_controller
+from diag_service.sources.pace import Pace
 from diag_service.sources.socketcan import SocketCanSource
 
 SOCKETCAN = "socketcan"
@@ -37,6 +38,8 @@ class BusOpener:
         ``CAN_BITRATE``, then from ``can.conf``.
     filters
         Identifiers and masks that a SocketCAN interface is to let through; other interfaces give everything.
+    pace
+        How long frames of a SocketCAN interface may gather.
     """
 
     def __init__(
@@ -47,7 +50,9 @@ class BusOpener:
         *,
         fd: bool = False,
         filters: Sequence[tuple[int, int]] = (),
+        pace: Pace | None = None,
     ) -> None:
+        self._pace = pace
         self._given = (interface, channel, bitrate, fd)
         self._filters = filters
         self._settings: BusSettings | None = None
@@ -71,7 +76,7 @@ class BusOpener:
         if not settings.channel:
             raise SourceError("no CAN channel given: name the interface, for example -i socketcan -c vcan0")
         name = present_name(settings.channel, self._last)
-        source = SocketCanSource(name, fd=settings.fd, filters=self._filters)
+        source = SocketCanSource(name, fd=settings.fd, filters=self._filters, pace=self._pace)
         self._last = Seen(name=name, index=index_of(name))
         return source
 

@@ -9,14 +9,15 @@ from diag_service.frames import FrameBatch, empty_batch
 from diag_service.sources.columns import join
 
 QUEUE_FRAMES = 65_536  # ten seconds of a fully loaded 500 kbit/s bus; 1.4 MiB
-LINGER_S = 0.05  # small batches cost more to decode than they gain in freshness
+LINGER_S = 0.02  # small batches cost more to decode than they gain in freshness
 
 
 class FrameQueue:
     """Carry frames from a receiver, in the loop or in a thread, to one consumer in the loop.
 
     ``offer`` never waits: what does not fit is dropped and counted, newest first, as the kernel does it. ``take``
-    joins what has gathered, so that the consumer sees few large batches instead of many small ones.
+    joins what has gathered, so that the consumer sees few large batches instead of many small ones; it waits for that
+    unless the receiver gathers by itself (``linger_s`` 0).
     """
 
     def __init__(self, *, limit: int = QUEUE_FRAMES, linger_s: float = LINGER_S) -> None:
@@ -46,7 +47,7 @@ class FrameQueue:
             if fitting == 0:
                 return
             was_empty = self._waiting == 0
-            self._batches.append(batch[:fitting])
+            self._batches.append(batch if fitting == len(batch) else batch[:fitting])
             self._waiting += fitting
             is_half_full = self._waiting > self._limit // 2
         if was_empty:
@@ -73,11 +74,12 @@ class FrameQueue:
             If the queue was closed with one, after the frames before it were taken.
         """
         await self._has_news.wait()
-        try:
-            async with asyncio.timeout(self._linger_s):
-                await self._is_urgent.wait()
-        except TimeoutError:
-            pass
+        if self._linger_s > 0.0:
+            try:
+                async with asyncio.timeout(self._linger_s):
+                    await self._is_urgent.wait()
+            except TimeoutError:
+                pass
         with self._lock:
             batches, self._batches = list(self._batches), deque()
             self._waiting = 0
@@ -87,8 +89,17 @@ class FrameQueue:
         if batches:
             return join(batches)
         if self._error is not None:
-            raise self._error
+            self._raise_error()
         return None if self._is_closed else empty_batch()
+
+    def _raise_error(self) -> None:
+        """Raise the error and let go of it: through its traceback it holds the queue, and all that reads it."""
+        error, self._error = self._error, None
+        try:
+            if error is not None:
+                raise error
+        finally:
+            del error
 
     def _signal(self, event: asyncio.Event) -> None:
         if threading.get_ident() == self._loop_thread:

@@ -5,13 +5,14 @@ import errno
 import os
 import socket
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
+from clutch_model.jit import array_kernel
 from diag_service.frames import BRS_FLAG, ESI_FLAG, FD_FLAG, FD_PAYLOAD_BYTES, PAYLOAD_BYTES, FrameBatch
-from diag_service.records import UInt8Array
-from diag_service.sources.columns import NS_PER_US, clear_padding
+from diag_service.records import Int64Array, UInt8Array, UInt32Array
+from diag_service.sources.columns import NS_PER_US
 
 SLOTS = 256  # frames per call
 CLASSIC_BYTES = 16  # struct can_frame
@@ -20,22 +21,8 @@ CONTROL_BYTES = 64  # one time stamp takes 32
 SO_TIMESTAMPNS = 35
 NS_PER_S = 1_000_000_000
 
-_FRAME = np.dtype(
-    {
-        "names": ["can_id", "length", "flags", "data"],
-        "formats": ["<u4", "u1", "u1", ("u1", (FD_PAYLOAD_BYTES,))],
-        "offsets": [0, 4, 5, 8],
-        "itemsize": FD_BYTES,
-    }
-)
-_CONTROL = np.dtype(
-    {
-        "names": ["level", "type", "seconds", "nanoseconds"],
-        "formats": ["<i4", "<i4", "<i8", "<i8"],
-        "offsets": [8, 12, 16, 24],
-        "itemsize": CONTROL_BYTES,
-    }
-)
+_CONTROL_WORDS = CONTROL_BYTES // 8  # length, level and type, seconds, nanoseconds
+_STAMP = socket.SOL_SOCKET | SO_TIMESTAMPNS << 32  # level and type of a control message as one word
 
 
 class _IoVector(ctypes.Structure):
@@ -67,27 +54,50 @@ class Reception:
     unsupported: int
 
 
+class Slots(NamedTuple):
+    """What the kernel filled in, one row per frame."""
+
+    frames: UInt8Array  # (slots, 72)
+    control: Int64Array  # (slots, 8)
+    size: UInt32Array  # (slots,)
+
+
+class SlotColumns(NamedTuple):
+    """The same as columns, with room for all rows."""
+
+    t_ns: Int64Array
+    can_id: UInt32Array
+    length: UInt8Array
+    flags: UInt8Array
+    data: UInt8Array
+
+
 class FrameReceiver:
     """Preallocated slots that ``receive`` fills from a non-blocking raw CAN socket with SO_TIMESTAMPNS switched on."""
 
     def __init__(self, file_descriptor: int) -> None:
         self._file_descriptor = file_descriptor
-        self._frames = np.zeros(SLOTS, _FRAME)
-        self._control = np.zeros(SLOTS, _CONTROL)
         self._vectors = (_IoVector * SLOTS)()
         self._messages = (_Message * SLOTS)()
         self._headers = np.frombuffer(memoryview(self._messages).cast("B"), np.uint8).reshape(
             SLOTS, ctypes.sizeof(_Message)
         )
+        self._slots = Slots(
+            frames=np.zeros((SLOTS, FD_BYTES), np.uint8),
+            control=np.zeros((SLOTS, _CONTROL_WORDS), np.int64),
+            size=self._headers[:, _Message.received.offset :][:, :4].view(np.uint32)[:, 0],
+        )
         for slot in range(SLOTS):
-            self._vectors[slot] = _IoVector(self._frames.ctypes.data + slot * FD_BYTES, FD_BYTES)
+            self._vectors[slot] = _IoVector(self._slots.frames.ctypes.data + slot * FD_BYTES, FD_BYTES)
             header = self._messages[slot].header
             header.vectors = ctypes.pointer(self._vectors[slot])
             header.vector_count = 1
-            header.control = self._control.ctypes.data + slot * CONTROL_BYTES
+            header.control = self._slots.control.ctypes.data + slot * CONTROL_BYTES
             header.control_length = CONTROL_BYTES
         self._fresh_headers = self._headers.copy()  # the kernel overwrites the lengths of what it fills
         self._call = ctypes.CDLL(None, use_errno=True).recvmmsg
+        self._arguments = (file_descriptor, ctypes.byref(self._messages), SLOTS, socket.MSG_DONTWAIT, None)
+        self._reception(0)  # compiles now: the first frames must not wait for the compiler
 
     def receive(self) -> Reception | None:
         """Return what is waiting, at most SLOTS frames; None if there is nothing.
@@ -97,9 +107,7 @@ class FrameReceiver:
         OSError
             As the kernel reports it, once all frames before the failure were returned or are still to be read.
         """
-        self._headers[:] = self._fresh_headers
-        self._control["level"] = -1  # no stamp of an earlier frame may pass for one of these
-        while (count := self._receive_once()) < 0:
+        while (count := self._call(*self._arguments)) < 0:
             number = ctypes.get_errno()
             if number == errno.EINTR:
                 continue
@@ -108,35 +116,66 @@ class FrameReceiver:
             raise OSError(number, os.strerror(number))
         return self._reception(count)
 
-    def _receive_once(self) -> int:
-        return int(self._call(self._file_descriptor, self._messages, SLOTS, socket.MSG_DONTWAIT, None))
-
     def _reception(self, count: int) -> Reception:
-        offset = _Message.received.offset
-        size = self._headers[:count, offset : offset + 4].copy().view(np.uint32)[:, 0]
-        is_fd = size == FD_BYTES
-        known = is_fd | (size == CLASSIC_BYTES)
-        frames, control, is_fd = self._frames[:count][known], self._control[:count][known], is_fd[known]
-        stamped = (control["level"] == socket.SOL_SOCKET) & (control["type"] == SO_TIMESTAMPNS)
-        if not stamped.all():
-            raise OSError(errno.EPROTO, "the kernel delivered a frame without its time")
-        width = FD_PAYLOAD_BYTES if is_fd.any() else PAYLOAD_BYTES
-        length = np.minimum(frames["length"], np.where(is_fd, FD_PAYLOAD_BYTES, PAYLOAD_BYTES)).astype(np.uint8)
-        # Whole microseconds, cut as candump cuts them: a live stream and its recording have identical times.
-        micros = control["nanoseconds"] // NS_PER_US
-        return Reception(
-            batch=FrameBatch(
-                t_ns=control["seconds"] * NS_PER_S + micros * NS_PER_US,
-                can_id=frames["can_id"].astype(np.uint32),
-                length=length,
-                data=clear_padding(frames["data"][:, :width], length),
-                flags=frame_flags(frames["flags"], is_fd),
-            ),
-            read=count,
-            unsupported=count - len(frames),
+        width = FD_PAYLOAD_BYTES if count and has_fd(self._slots.size, count) else PAYLOAD_BYTES
+        columns = SlotColumns(
+            t_ns=np.empty(count, np.int64),
+            can_id=np.empty(count, np.uint32),
+            length=np.empty(count, np.uint8),
+            flags=np.empty(count, np.uint8),
+            data=np.zeros((count, width), np.uint8),
         )
+        known = read_slots(self._slots, count, columns)
+        # The kernel changed the lengths in these headers, and no stamp of theirs may pass for one of later frames.
+        self._headers[:count] = self._fresh_headers[:count]
+        self._slots.control[:count, 1] = 0
+        if known < 0:
+            raise OSError(errno.EPROTO, "the kernel delivered a frame without its time")
+        batch = FrameBatch(
+            t_ns=columns.t_ns,
+            can_id=columns.can_id,
+            length=columns.length,
+            data=columns.data,
+            flags=columns.flags,
+            channel=np.zeros(count, np.uint8),
+        )
+        return Reception(batch=batch if known == count else batch[:known], read=count, unsupported=count - known)
 
 
-def frame_flags(kernel_flags: UInt8Array, is_fd: npt.NDArray[np.bool_]) -> UInt8Array:
-    """Return the flags of each frame; the byte is padding in a classic one."""
-    return np.where(is_fd, kernel_flags & np.uint8(BRS_FLAG | ESI_FLAG) | np.uint8(FD_FLAG), np.uint8(0))
+@array_kernel
+def has_fd(size: UInt32Array, count: int) -> bool:
+    """Return whether one of the frames is a CAN FD frame."""
+    fd_count = 0
+    for row in range(count):
+        fd_count += size[row] == FD_BYTES
+    return fd_count > 0
+
+
+@array_kernel
+def read_slots(slots: Slots, count: int, columns: SlotColumns) -> int:
+    """Fill in the columns of the frames that are CAN or CAN FD; return how many are, -1 if one has no time."""
+    known = 0
+    for row in range(count):
+        is_fd = slots.size[row] == FD_BYTES
+        if not is_fd and slots.size[row] != CLASSIC_BYTES:
+            continue
+        if slots.control[row, 1] != _STAMP:
+            return -1
+        frame = slots.frames[row]
+        # Whole microseconds, cut as candump cuts them: a live stream and its recording have identical times.
+        micros = slots.control[row, 3] // NS_PER_US
+        columns.t_ns[known] = slots.control[row, 2] * NS_PER_S + micros * NS_PER_US
+        columns.can_id[known] = (
+            np.uint32(frame[0])
+            | np.uint32(frame[1]) << np.uint32(8)
+            | np.uint32(frame[2]) << np.uint32(16)
+            | np.uint32(frame[3]) << np.uint32(24)
+        )
+        length = min(frame[4], FD_PAYLOAD_BYTES if is_fd else PAYLOAD_BYTES)
+        columns.length[known] = length
+        # The byte of the flags is padding in a classic frame; past its length a sender may leave anything.
+        columns.flags[known] = (frame[5] & (BRS_FLAG | ESI_FLAG)) | FD_FLAG if is_fd else 0
+        for place in range(length):
+            columns.data[known, place] = frame[8 + place]
+        known += 1
+    return known

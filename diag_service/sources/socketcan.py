@@ -12,11 +12,14 @@ from diag_service.errors import SourceError
 from diag_service.frames import FrameBatch
 from diag_service.sources.base import SourceCounts
 from diag_service.sources.bus_clock import BusClock
+from diag_service.sources.clock_alarm import clock_alarm
 from diag_service.sources.frame_queue import FrameQueue
-from diag_service.sources.recvmmsg import SLOTS, SO_TIMESTAMPNS, FrameReceiver
+from diag_service.sources.pace import URGENT_S, Pace
+from diag_service.sources.recvmmsg import SLOTS, SO_TIMESTAMPNS, FrameReceiver, Reception
 
 RECEIVE_BUFFER_BYTES = 8 * 1024 * 1024  # about ten thousand frames: some seconds of a full bus
 CALLS_PER_WAKE_UP = 16  # 4096 frames, then the rest of the service gets its turn
+QUIET_WAKE_UPS = 3  # without a frame; then the socket itself tells when there is one
 ALL_ERROR_CLASSES = 0x1FFF_FFFF
 CAN_RAW_ERR_FILTER = 2
 SO_RCVBUFFORCE = 33
@@ -27,6 +30,9 @@ MEMINFO_DROPS = 8  # index of SK_MEMINFO_DROPS
 
 class SocketCanSource:
     """Frames of one SocketCAN interface, among them error frames; it receives from construction on.
+
+    While frames come they gather in the kernel, which notes their times, and the socket is emptied as often as the
+    pace says, whether or not somebody consumes them. A bus that fell silent is waited for.
 
     The kernel's own counter of frames lost in the receive buffer is read with SO_MEMINFO. SO_RXQ_OVFL would tell
     the same number with the next frame only, and so never the losses after the last one.
@@ -41,6 +47,8 @@ class SocketCanSource:
         What the kernel lets through besides error frames; everything if empty. What it holds back is not counted.
     clock : BusClock or None
         What takes steps of the wall clock out of the times.
+    pace : Pace or None
+        How long frames may gather.
     receive_buffer_bytes : int
         What to ask of the kernel; without privileges it may grant less.
 
@@ -59,20 +67,27 @@ class SocketCanSource:
         receive_buffer_bytes: int = RECEIVE_BUFFER_BYTES,
         queue: FrameQueue | None = None,
         clock: BusClock | None = None,
+        pace: Pace | None = None,
     ) -> None:
         self._channel = channel
-        self._queue = queue or FrameQueue()
+        self._queue = queue or FrameQueue(linger_s=0.0)
         self._socket: socket.socket | None = open_socket(
             channel, fd=fd, filters=filters, receive_buffer_bytes=receive_buffer_bytes
         )
         self._receiver = FrameReceiver(self._socket.fileno())
         self._clock = clock or BusClock()
+        self._pace = pace or Pace()
         self._received = 0
         self._unsupported = 0
         self._final_drops = 0
         self._failure: SourceError | None = None
         self._loop = asyncio.get_running_loop()
-        self._loop.add_reader(self._socket, self._drain)
+        self._timer: asyncio.TimerHandle | None = None
+        self._quiet_count = 0
+        self._alarm = clock_alarm()
+        if self._alarm is not None:
+            self._loop.add_reader(self._alarm, self._see_clock_set)
+        self._loop.add_reader(self._socket, self._wake)
 
     @property
     def description(self) -> str:
@@ -104,9 +119,34 @@ class SocketCanSource:
         while self._socket is not None:
             self._drain(is_last=True)
 
-    def _drain(self, *, is_last: bool = False) -> None:
-        """Move what is waiting from the socket to the queue; runs whenever the socket is readable."""
-        self._clock.look()
+    def _wake(self) -> None:
+        """Begin to empty the socket at regular times; runs when a bus that was silent says something."""
+        if self._socket is not None:
+            self._loop.remove_reader(self._socket)
+            self._quiet_count = 0
+            self._gather()
+
+    def _gather(self) -> None:
+        """Empty the socket, and see to it that this happens again."""
+        before = self._received
+        is_empty = self._drain()
+        if self._socket is None:
+            return
+        self._quiet_count = 0 if self._received > before else self._quiet_count + 1
+        if self._quiet_count < QUIET_WAKE_UPS:
+            is_crowded = self._received - before > SLOTS
+            gather_s = URGENT_S if is_crowded else self._pace.gather_s
+            self._timer = self._loop.call_later(gather_s if is_empty else 0.0, self._gather)
+        else:
+            self._timer = None
+            self._loop.add_reader(self._socket, self._wake)
+
+    def _see_clock_set(self) -> None:
+        if self._alarm is not None and self._alarm.acknowledge():
+            self._clock.look()
+
+    def _drain(self, *, is_last: bool = False) -> bool:
+        """Move what is waiting from the socket to the queue; return whether nothing is left there."""
         for _ in range(CALLS_PER_WAKE_UP):
             try:
                 reception = self._receiver.receive()
@@ -116,27 +156,47 @@ class SocketCanSource:
                 self._failure = self._failure or reading_failed(self._channel, exc)
                 if is_repeated:
                     self._close()
-                    return
+                    return True
                 continue
             if reception is None:
+                self._clock.settle()
                 if is_last or self._failure is not None:
                     self._close()
-                return
-            self._received += reception.read
-            self._unsupported += reception.unsupported
-            batch = reception.batch
-            is_empty = reception.read < SLOTS and not is_last and self._failure is None
-            self._queue.offer(replace(batch, t_ns=self._clock.bus_time_ns(batch.t_ns)))
-            if is_empty:  # what comes meanwhile makes the socket readable again: no call in vain
-                return
+                return True
+            self._take(reception)
+            if reception.read < SLOTS and not is_last and self._failure is None:
+                self._clock.settle()
+                return True  # what comes meanwhile is for the next time: no call in vain
+        return False
+
+    def _take(self, reception: Reception) -> None:
+        """Count what one call brought and put it into the queue, in bus time."""
+        self._received += reception.read
+        self._unsupported += reception.unsupported
+        batch = reception.batch
+        if not len(batch):
+            return
+        if self._alarm is None:
+            self._clock.look()
+        else:
+            self._clock.look_if_stale(int(batch.t_ns[-1]))
+        times = self._clock.bus_time_ns(batch.t_ns)
+        self._queue.offer(batch if times is batch.t_ns else replace(batch, t_ns=times))
 
     def _close(self) -> None:
+        if self._timer is not None:
+            self._timer.cancel()
+        if self._alarm is not None:
+            self._loop.remove_reader(self._alarm)
+            self._alarm.close()
+            self._alarm = None
         if self._socket is not None:
             self._loop.remove_reader(self._socket)
             self._final_drops = kernel_drops(self._socket)
             self._socket.close()
             self._socket = None
-        self._queue.close(self._failure)
+        failure, self._failure = self._failure, None  # once raised it refers to this source
+        self._queue.close(failure)
 
 
 def open_socket(

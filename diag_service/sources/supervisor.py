@@ -17,6 +17,7 @@ from diag_service.sources.bus_state import BusState, BusStatus, BusWatch
 RETRY_S = 0.1  # from the return of the interface to its first frame: this and the opening
 LONGEST_RETRY_S = 1.0  # for a bus that opens, but fails before it gave anything
 RESTART_PERIOD_S = 1.0
+COUNT_PERIOD_S = 0.5  # how soon a loss shows in the state
 STANDARD_BITS = 47  # ISO 11898-1: start to end of frame without data, and three bits of intermission
 EXTENDED_BITS = 20  # more in a frame with 29-bit identifier
 _LOG = logging.getLogger(__name__)
@@ -57,6 +58,8 @@ class SupervisedSource:
         self._retry_s = self._patience.retry_s
         self._watch = BusWatch()
         self._bit_count = 0
+        self._counted_s = -COUNT_PERIOD_S
+        self._dropped = 0  # at the last count
         self._closing = asyncio.Event()
         self._restarter: asyncio.Task[None] | None = None
 
@@ -104,11 +107,14 @@ class SupervisedSource:
             await self._source.aclose()
 
     def _hear(self, batch: FrameBatch) -> None:
-        counts = self.counts
+        now_s = _now_s()
+        if now_s - self._counted_s > COUNT_PERIOD_S:  # a question to the kernel
+            counts = self.counts
+            self._counted_s, self._dropped = now_s, counts.kernel_dropped + counts.queue_dropped
         self._bit_count += frame_bits(batch)
         self._retry_s = self._patience.retry_s
-        self._watch.hear(batch, counts.kernel_dropped + counts.queue_dropped, _now_s())
-        if self.status.state is BusState.BUS_OFF and (self._restarter is None or self._restarter.done()):
+        self._watch.hear(batch, self._dropped, now_s)
+        if self._watch.is_off and (self._restarter is None or self._restarter.done()):
             self._restarter = asyncio.create_task(self._restart(), name="bus restart")
 
     async def _let_go(self, problem: str) -> None:

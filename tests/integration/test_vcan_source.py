@@ -14,9 +14,11 @@ import pytest
 from diag_service.errors import SourceError
 from diag_service.frames import FrameBatch
 from diag_service.sources import FrameSource, open_source, read_log
+from diag_service.sources.clock_alarm import ClockAlarm
 from diag_service.sources.columns import join
 from diag_service.sources.frame_queue import FrameQueue
 from diag_service.sources.socketcan import SocketCanSource
+from tests.rough_bus import is_guest
 from tests.traffic import assert_same
 from tests.uml.vcan import ip_link
 
@@ -168,3 +170,13 @@ async def test_a_channel_that_is_no_can_interface_is_one_clear_line(channel: str
     with pytest.raises(SourceError, match=text) as caught:
         await open_source("socketcan", channel)
     assert "\n" not in str(caught.value)
+
+
+def test_who_sets_the_clock_rings_the_alarm() -> None:
+    """Only a guest's clock is ours to set: elsewhere the alarm must stay silent."""
+    alarm = ClockAlarm()
+    for step_s in (0.05, -0.05) if is_guest() else ():
+        time.clock_settime(time.CLOCK_REALTIME, time.clock_gettime(time.CLOCK_REALTIME) + step_s)
+        assert alarm.acknowledge()
+    assert not alarm.acknowledge()
+    alarm.close()

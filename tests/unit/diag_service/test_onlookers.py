@@ -17,6 +17,7 @@ from diag_service.errors import ConfigError
 from diag_service.frames import FrameBatch
 from diag_service.metrics import serving
 from diag_service.monitor import Monitor, SilentReporter
+from diag_service.progress import Stage, Stuck
 from diag_service.publishers import MemoryReporter
 from diag_service.records import E2eState
 from diag_service.snapshot import STALE_S, Board, Snapshot, SnapshotTaker
@@ -145,6 +146,10 @@ def test_health_follows_the_snapshot(snapshot: Snapshot) -> None:
         assert codes() == (200, 200)
         board.pin(replace(snapshot, bus=replace(STATUS, state=BusState.DOWN)))
         assert codes() == (200, 503)
+        board.pin(replace(snapshot, stuck=Stuck(stage=Stage.STORE, for_s=31.0)))
+        assert codes() == (503, 503)
+        assert 'clutchdiag_stage_stuck_seconds{stage="store"} 31.0' in get(f"http://127.0.0.1:{port}/metrics")[1]
+        board.pin(snapshot)
         now_s = snapshot.taken_s + STALE_S
         assert codes() == (503, 503)
         assert get(f"http://127.0.0.1:{port}/elsewhere")[0] == 404

@@ -22,9 +22,10 @@ def test_a_manager_is_told_the_life_of_the_service(manager_socket: socket.socket
     manager = ServiceManager.from_environment(variables)
     manager.ready()
     manager.alive("bus up")
+    manager.struggling("stuck in store")
     manager.stopping()
-    heard = [manager_socket.recv(200).decode() for _ in range(3)]
-    assert heard == ["READY=1", "WATCHDOG=1\nSTATUS=bus up", "STOPPING=1"]
+    heard = [manager_socket.recv(200).decode() for _ in range(4)]
+    assert heard == ["READY=1", "WATCHDOG=1\nSTATUS=bus up", "STATUS=stuck in store", "STOPPING=1"]
     assert manager.watchdog_s == 10.0
 
 

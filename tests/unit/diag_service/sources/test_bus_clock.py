@@ -137,3 +137,40 @@ def test_clocks_that_are_never_read_at_one_moment_are_not_compared(monkeypatch: 
     ticks = iter(range(0, 10**12, 7_000_000))  # every reading comes 7 ms after the one before
     monkeypatch.setattr("time.clock_gettime_ns", lambda _clock: next(ticks))
     assert read_clocks() is None
+
+
+def test_who_is_told_of_steps_looks_once_a_second_and_where_a_stamp_is_far_away() -> None:
+    looks: list[int] = []
+    clocks = Clocks(NS_PER_S, {5 * NS_PER_S: HOURS_NS})
+
+    def read() -> ClockReading:
+        looks.append(clocks.true_ns)
+        return clocks.read()
+
+    clock = BusClock(read)
+    for true_ns in range(NS_PER_S, 9 * NS_PER_S, NS_PER_S // 10):
+        clocks.true_ns = true_ns
+        stamp = clocks.wall_ns(np.array([true_ns - 1_000_000]))
+        clock.look_if_stale(int(stamp[0]))
+        assert clock.bus_time_ns(stamp).tolist() == [true_ns - 1_000_000]
+        clock.settle()
+    assert clock.step_count == 1
+    assert 8 <= len(looks) <= 12
+
+
+def test_a_small_step_told_at_once_moves_neither_the_frames_before_nor_those_after() -> None:
+    """The receiver is told between two frames that it reads together."""
+    clocks = Clocks(NS_PER_S, {NS_PER_S + 330_000_000: -50_000_000})
+    clock = BusClock(clocks.read)
+    true_ns = np.arange(NS_PER_S, NS_PER_S + 600_000_000, 10_000_000)
+    for first in range(0, len(true_ns), 2):
+        part = true_ns[first : first + 2]
+        before = clocks.true_ns
+        clocks.true_ns = int(part[-1])
+        if before < NS_PER_S + 330_000_000 <= clocks.true_ns:
+            clock.look()
+        stamps = clocks.wall_ns(part)
+        clock.look_if_stale(int(stamps[-1]))
+        assert clock.bus_time_ns(stamps).tolist() == part.tolist()
+        clock.settle()
+    assert clock.step_count == 1

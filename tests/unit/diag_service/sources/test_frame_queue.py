@@ -1,7 +1,9 @@
 """The queue between receiver and service: nothing is lost in silence, nothing waits for ever."""
 
 import asyncio
+import gc
 import threading
+import weakref
 
 import numpy as np
 import pytest
@@ -103,3 +105,18 @@ async def test_a_thread_loses_nothing() -> None:
     assert queue.dropped == 0
     assert_same([batch for batch in taken if len(batch)], whole)
     assert np.all(whole.length <= 8)
+
+
+async def test_a_queue_that_ended_with_an_error_is_not_kept_alive_by_it() -> None:
+    """An error refers to all that raised it: a bus that fails for months must not leave its receivers behind."""
+    queue = FrameQueue(linger_s=0.0)
+    queue.close(SourceError("gone"))
+    with pytest.raises(SourceError, match="gone"):
+        await queue.take()
+    gone = weakref.ref(queue)
+    gc.disable()
+    try:
+        del queue
+        assert gone() is None
+    finally:
+        gc.enable()

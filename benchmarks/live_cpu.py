@@ -1,0 +1,236 @@
+"""What it costs to receive: CPU per frame from the socket to the shifts, beside python-can with cantools.
+
+Frames come in bursts of ten, each burst at once, which is one wake-up; all processor time of the receiving process
+counts, that in the kernel included. The last of the traffics leaves so much time between bursts that no two of them
+are ever read together.
+
+Where this kernel has no CAN, User-Mode Linux has. A system call takes many times longer there, and a guest takes the
+time in which its host did something else for its own: there the host counts (``benchmarks.guest_meter``), for the
+whole guest, and what the sender alone costs is taken off. On this kernel the same is measured with datagrams on the
+loopback in the place of CAN frames: the same system calls on a socket of another family.
+"""
+
+import asyncio
+import multiprocessing as mp
+import multiprocessing.context
+import os
+import socket
+import struct
+import time
+from collections.abc import Awaitable, Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from typing import Any
+from unittest.mock import patch
+
+import can
+import psutil
+
+from benchmarks.guest_meter import ask, meter_folder
+from dbc.contract import DBC_PATH, load_contract
+from diag_service.database import load_database
+from diag_service.gear_tracking import tracker_for
+from diag_service.mapping import Decoder
+from diag_service.profile import load_profile
+from diag_service.shifts import ShiftFinder
+from diag_service.sources.recvmmsg import SO_TIMESTAMPNS
+from diag_service.sources.socketcan import RECEIVE_BUFFER_BYTES, SocketCanSource, grow_receive_buffer
+from ecu_emulator.recording import Drive
+from ecu_emulator.scenario_file import load_scenario
+
+BURST = 10  # frames per wake-up
+PERIODS_S = (0.0025, 0.02, 0.06)  # a full bus of 500 kbit/s, one with little traffic, and bursts apart
+SEND_S = 2.0
+QUIET_S = 0.7  # before the first and after the last frame
+TARGET_RATIO = 5.0
+FRAME = struct.Struct("=IB3x8s")
+Sender = mp.context.ForkProcess
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Cost:
+    """What receiving some frames cost."""
+
+    received: int
+    cpu_s: float
+
+    @property
+    def us_per_frame(self) -> float:
+        """CPU time per frame."""
+        return 1e6 * self.cpu_s / max(1, self.received)
+
+
+ReceivePath = Callable[[str, Sender], Awaitable[Cost]]
+
+
+def clock_s() -> float:
+    """Return the processor time of this process or, in a guest that is metered, of the guest [s]."""
+    folder = meter_folder()
+    return time.process_time() if folder is None else ask(folder)
+
+
+def drive_frames(count: int) -> list[bytes]:
+    """Return the first frames of a drive as the kernel takes them."""
+    frames = next(Drive(load_scenario("noise_only")).stretches(count / 500.0)).frames[:count]
+    return [
+        FRAME.pack(can_id, length, bytes(data[:8]))
+        for can_id, length, data in zip(frames.can_id.tolist(), frames.length.tolist(), frames.data, strict=True)
+    ]
+
+
+def send_bursts(channel: str, frames: list[bytes], burst: int, period_s: float) -> None:
+    """Send frames in bursts, each on time; runs in a process of its own."""
+    with sending_socket(channel) as raw:
+        next_s = time.monotonic() + QUIET_S
+        for first in range(0, len(frames), burst):
+            time.sleep(max(0.0, next_s - time.monotonic()))
+            for frame in frames[first : first + burst]:
+                raw.send(frame)
+            next_s += period_s
+
+
+def sending_socket(channel: str) -> socket.socket:
+    """Return a socket on a CAN interface or, if the channel is a number, one that sends to that port."""
+    if channel.isdecimal():
+        raw = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        raw.connect(("127.0.0.1", int(channel)))
+        return raw
+    raw = socket.socket(socket.AF_CAN, socket.SOCK_RAW, socket.CAN_RAW)
+    raw.bind((channel,))
+    return raw
+
+
+async def own_path(channel: str, sender: Sender) -> Cost:
+    """Receive, check CRC, counters, E2E states and ranges, decode, and look for shifts, as the service does."""
+    source = SocketCanSource(channel)
+    decoder = Decoder(load_database(DBC_PATH), load_profile())
+    finder = ShiftFinder(tracker_for(decoder.signals, decoder.gears))
+    began_s = clock_s()
+    sender.start()
+
+    async def close_after_the_last() -> None:
+        await asyncio.to_thread(sender.join)
+        await asyncio.sleep(QUIET_S)
+        await source.aclose()
+
+    closer = asyncio.create_task(close_after_the_last())
+    received = 0
+    async for batch in source:
+        for columns in decoder.feed(batch):
+            finder.feed(columns)
+        received += len(batch)
+    await closer
+    return Cost(received=received, cpu_s=clock_s() - began_s)
+
+
+async def no_path(_channel: str, sender: Sender) -> Cost:
+    """Receive nothing, to see what sending costs where that cannot be told apart."""
+    began_s = clock_s()
+    sender.start()
+    await asyncio.to_thread(sender.join)
+    await asyncio.sleep(QUIET_S)
+    return Cost(received=0, cpu_s=clock_s() - began_s)
+
+
+async def peer_path(channel: str, sender: Sender) -> Cost:
+    """Receive and decode as python-can's documentation shows it, with cantools and nothing checked."""
+    database = load_contract()
+    received = 0
+    with can.Bus(channel, interface="socketcan") as bus:
+        reader = can.AsyncBufferedReader()
+        notifier = can.Notifier(bus, [reader], loop=asyncio.get_running_loop())
+        began_s = clock_s()
+        sender.start()
+
+        async def decode() -> None:
+            nonlocal received
+            async for message in reader:
+                database.decode_message(message.arbitration_id, bytes(message.data))
+                received += 1
+
+        decoding = asyncio.create_task(decode())
+        await asyncio.to_thread(sender.join)
+        await asyncio.sleep(QUIET_S)
+        decoding.cancel()
+        cost = Cost(received=received, cpu_s=clock_s() - began_s)
+        notifier.stop()
+    return cost
+
+
+def measured(path: ReceivePath, channel: str, frames: list[bytes], period_s: float) -> Cost:
+    """Return what one path costs for frames that another process sends."""
+    sender = mp.get_context("fork").Process(target=send_bursts, args=(channel, frames, BURST, period_s))
+
+    async def run() -> Cost:
+        return await path(channel, sender)
+
+    return asyncio.run(run())
+
+
+def report_cpu(channel: str, period_s: float, rounds: int) -> None:
+    """Print CPU per frame of both paths, measured in turn."""
+    count = round(SEND_S / period_s) * BURST
+    frames = drive_frames(count)
+    own, peer, nobody = [], [], []
+    for _ in range(rounds):
+        own.append(measured(own_path, channel, frames, period_s))
+        peer.append(measured(peer_path, channel, frames, period_s))
+        if meter_folder() is not None:
+            nobody.append(measured(no_path, channel, frames, period_s).cpu_s)
+    sending_s = min(nobody, default=0.0)
+    best = [
+        replace(cost, cpu_s=cost.cpu_s - sending_s)
+        for cost in (min(costs, key=lambda cost: cost.us_per_frame) for costs in (own, peer))
+    ]
+    ratio = best[1].us_per_frame / best[0].us_per_frame
+    load = os.getloadavg()[0] / (psutil.cpu_count() or 1)
+    print(
+        f"CPU per frame, {BURST} frames per wake-up, {BURST / period_s:.0f} frames/s, best of {rounds}"
+        f"{'' if load < 1.0 else f'; a busy machine, load {load:.1f} per core'}"
+    )
+    for name, cost in zip(
+        ("service, everything checked", "Notifier, AsyncBufferedReader, cantools"), best, strict=True
+    ):
+        print(f"  {name:<40}{cost.us_per_frame:8.1f} us  {cost.received} of {count} frames")
+    print(
+        f"  ratio {ratio:.1f}   target >= {TARGET_RATIO:g}: {'met' if ratio >= TARGET_RATIO else 'MISSED'}", flush=True
+    )
+
+
+class DatagramSocket(socket.socket):
+    """A socket for datagrams that takes the options of CAN for granted."""
+
+    def setsockopt(self, level: int, name: int, value: Any, *rest: Any) -> None:  # noqa: ANN401 - as socket's own
+        """Set an option, unless it is one of CAN."""
+        if level not in {socket.SOL_CAN_BASE, socket.SOL_CAN_RAW}:
+            super().setsockopt(level, name, value, *rest)
+
+
+@contextmanager
+def datagrams() -> Iterator[str]:
+    """Let both paths read datagrams while entered; yield what to call the channel."""
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+        probe.bind(("127.0.0.1", 0))
+        port = int(probe.getsockname()[1])
+
+    def bind(raw: socket.socket, _channel: str) -> None:
+        raw.bind(("127.0.0.1", port))
+
+    def create() -> socket.socket:
+        return DatagramSocket(socket.AF_INET, socket.SOCK_DGRAM)
+
+    def open_socket(channel: str, **_: object) -> socket.socket:
+        raw = create()
+        raw.setblocking(False)
+        raw.setsockopt(socket.SOL_SOCKET, SO_TIMESTAMPNS, 1)
+        grow_receive_buffer(raw, RECEIVE_BUFFER_BYTES)
+        bind(raw, channel)
+        return raw
+
+    where = "can.interfaces.socketcan.socketcan"
+    with (
+        patch("diag_service.sources.socketcan.open_socket", open_socket),
+        patch(f"{where}.create_socket", create),
+        patch(f"{where}.bind_socket", bind),
+    ):
+        yield str(port)
