@@ -163,8 +163,10 @@ class SignalTable:
 
     def presence(self, words: PayloadWords) -> BoolArray:
         """Return which frames carry the signal, as its multiplexers say, shape (n,)."""
-        present = np.ones(len(words), np.bool_)
-        for selector in self.selectors:
+        if not self.selectors:
+            return np.ones(len(words), np.bool_)
+        present = self.selectors[0].is_present(words)
+        for selector in self.selectors[1:]:
             present &= selector.is_present(words)
         return present
 

@@ -12,6 +12,7 @@ from diag_service.sources.word_kernels import UInt64Array
 
 BLOCK_BYTES = 2 * 1024 * 1024
 MAX_LINE_BYTES = 4096  # whatever is longer is not text
+LEAST_HANDED_OVER = 0.75  # of an arena: what is not used of it is kept as long as the batch
 
 
 @dataclass(slots=True, kw_only=True)
@@ -63,15 +64,28 @@ class Arena:
 
     def batch(self, count: int) -> FrameBatch:
         """Return a copy of the first rows, no wider than they need."""
+        return self._rows(count, is_copied=True)
+
+    def handed_over(self, count: int) -> FrameBatch:
+        """Return the first rows as ``batch`` does, without a copy if they are most of the arena: it gets new arrays."""
+        if count < LEAST_HANDED_OVER * len(self):
+            return self.batch(count)
+        batch = self._rows(count, is_copied=False)
+        fresh = Arena.of(len(self), self.data.shape[1])
+        for name in self.__slots__:
+            setattr(self, name, getattr(fresh, name))
+        return batch
+
+    def _rows(self, count: int, *, is_copied: bool) -> FrameBatch:
         is_classic = self.data.shape[1] == PAYLOAD_BYTES or not (self.flags[:count].any())
         width = PAYLOAD_BYTES if is_classic else FD_PAYLOAD_BYTES
         return FrameBatch(
-            t_ns=self.t_ns[:count].copy(),
-            can_id=self.can_id[:count].copy(),
-            length=self.length[:count].copy(),
-            data=self.data[:count, :width].copy(),
-            flags=self.flags[:count].copy(),
-            channel=self.channel[:count].copy(),
+            t_ns=np.array(self.t_ns[:count], copy=is_copied),
+            can_id=np.array(self.can_id[:count], copy=is_copied),
+            length=np.array(self.length[:count], copy=is_copied),
+            data=np.array(self.data[:count, :width], copy=is_copied or width < self.data.shape[1]),
+            flags=np.array(self.flags[:count], copy=is_copied),
+            channel=np.array(self.channel[:count], copy=is_copied),
         )
 
 

@@ -24,6 +24,7 @@ FILE_SIZE_FIELD = 10
 START_FIELDS = slice(14, 22)  # SYSTEMTIME: year, month, day of week, day, hour, minute, second, millisecond
 CONTAINER_HEADER = struct.Struct("<H6xL4x")  # compression, inflated size
 FRAMES_PER_BATCH = 65_536
+FRAMES_PER_CONTAINER = 4_096  # in the 128 KiB that writers use, and a little more
 LOG_CONTAINER = 10
 CONTAINER_OBJECT_BYTES = 16  # of the header of a container; all others have longer ones
 STORED, DEFLATED = 0, 2
@@ -49,7 +50,7 @@ def read_blf(stream: BinaryIO, tally: Tally) -> Iterator[FrameBatch]:
     # A writer that was killed left the size of an empty file; one that was cut is shorter than it says.
     stated_bytes = int(fields[FILE_SIZE_FIELD])
     tally.truncated = size_bytes < stated_bytes or stated_bytes <= header_bytes < size_bytes
-    objects = ObjectStream(start_us(fields[START_FIELDS]), tally)
+    objects = ObjectStream(start_us(fields[START_FIELDS]), tally, FRAMES_PER_BATCH + FRAMES_PER_CONTAINER)
     for data, is_whole in containers(stream, header_bytes, size_bytes, tally):
         objects.feed(data)
         if not is_whole:
@@ -163,7 +164,7 @@ def inflate(body: bytes, *, is_whole: bool) -> Contents:
 
 def deflated(body: bytes, stated_bytes: int, *, is_whole: bool) -> Contents:
     """Return what a container with a zlib stream holds."""
-    payload = body[CONTAINER_HEADER.size :]
+    payload = memoryview(body)[CONTAINER_HEADER.size :]
     if is_whole and stated_bytes <= MAX_CONTAINER_BYTES:
         sound = sound_contents(payload, stated_bytes, LONGEST_PADDING)
         if sound is not None:

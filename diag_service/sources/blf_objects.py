@@ -73,12 +73,22 @@ LAYOUT_TABLE: Int64Array = np.array(
 
 
 class ObjectStream:
-    """Objects of successive containers, which may be cut anywhere, to batches of frames."""
+    """Objects of successive containers, which may be cut anywhere, to batches of frames.
 
-    def __init__(self, start_us: int, tally: Tally) -> None:
+    Parameters
+    ----------
+    start_us : int
+        Start of measurement since the epoch.
+    tally : Tally
+        Takes the counts.
+    rows : int
+        How many frames are added, as a rule, before they are taken; more find room, too.
+    """
+
+    def __init__(self, start_us: int, tally: Tally, rows: int) -> None:
         self._start_ns = start_us * NS_PER_US
         self._tally = tally
-        self._arena = Arena.of(1)
+        self._arena = Arena.of(rows)
         self._buffer = np.empty(0, np.uint8)
         self._tail = np.empty(0, np.uint8)  # the beginning of an object that the next container continues
         self._number = 0  # objects seen, for messages
@@ -115,7 +125,7 @@ class ObjectStream:
 
     def take(self) -> FrameBatch:
         """Return the frames added since the last time."""
-        batch = self._arena.batch(self._rows)
+        batch = self._arena.handed_over(self._rows)
         self._tally.frames += self._rows
         self._rows = 0
         return batch

@@ -16,41 +16,48 @@ from diag_service.records import UInt8Array
 RAW_DEFLATE: Final = -zlib.MAX_WBITS
 CHECKSUM_BYTES: Final = 4
 METHOD_DEFLATE, METHOD_MASK, PRESET_DICTIONARY, HEADER_BYTES, HEADER_MODULUS = 8, 0x0F, 0x20, 2, 31
-MOST_RATIO: Final = 1032  # of deflate: no container inflates to more
+MOST_RATIO: Final = 1032  # of deflate: nothing inflates to more
+MOST_BYTES: Final = 256 * 1024 * 1024  # writers put 128 KiB into a container; larger ones go the slower way
 ADLER_MODULUS: Final = 65_521
 ADLER_BLOCK_BYTES: Final = 4_096  # sums over so many bytes fit into 32 bits
 _BYTE_BITS: Final = 8
 
-Inflate = Callable[[bytes, int, int], "bytes | bytearray | None"]
+Inflate = Callable[[memoryview, int, int], "bytes | bytearray | None"]
 
 
-def inflated_by_zlib(stream: bytes, stated_bytes: int, longest_padding: int) -> bytes | None:
+def inflated_by_zlib(stream: memoryview, stated_bytes: int, longest_padding: int) -> bytes | None:
     """Return what a zlib stream inflates to, None unless it is sound and followed by no more than padding.
 
     Parameters
     ----------
-    stream : bytes
+    stream : memoryview
         The stream, and what follows it.
     stated_bytes : int
         To how much it should inflate; if it is more, the answer is None.
     longest_padding : int
         How many bytes may follow the stream.
     """
-    method, flags = stream[:HEADER_BYTES].ljust(HEADER_BYTES, b"\0")
+    method, flags = bytes(stream[:HEADER_BYTES]).ljust(HEADER_BYTES, b"\0")
     is_zlib = method & METHOD_MASK == METHOD_DEFLATE and not flags & PRESET_DICTIONARY
     if not is_zlib or (method << _BYTE_BITS | flags) % HEADER_MODULUS:
         return None
-    inflater = zlib.decompressobj(RAW_DEFLATE)
+    # It may inflate to more than is stated, up to MOST_RATIO times its size, before anyone can say no.
+    if not 0 < stated_bytes <= MOST_BYTES or len(stream) * MOST_RATIO > MOST_BYTES:
+        return None
     try:
-        data = inflater.decompress(memoryview(stream)[HEADER_BYTES:], stated_bytes + 1)
+        data = zlib.decompress(stream[HEADER_BYTES:], RAW_DEFLATE, stated_bytes)
     except zlib.error:
         return None
-    rest = inflater.unused_data
-    is_whole = inflater.eof and len(data) <= stated_bytes
-    is_sound = is_whole and CHECKSUM_BYTES <= len(rest) <= CHECKSUM_BYTES + longest_padding
-    if not is_sound or adler32(np.frombuffer(data, np.uint8)) != int.from_bytes(rest[:CHECKSUM_BYTES]):
-        return None
-    return data
+    is_sound = len(data) <= stated_bytes and ends_with(stream, adler32(np.frombuffer(data, np.uint8)), longest_padding)
+    return data if is_sound else None
+
+
+def ends_with(stream: memoryview, checksum: int, longest_padding: int) -> bool:
+    """Return whether a checksum stands at the end of a stream, before no more than padding.
+
+    The libraries do not say where the stream ended.
+    """
+    return checksum.to_bytes(CHECKSUM_BYTES) in bytes(stream[-CHECKSUM_BYTES - longest_padding :])
 
 
 def _inflater_of_libdeflate() -> Inflate | None:
@@ -60,16 +67,14 @@ def _inflater_of_libdeflate() -> Inflate | None:
     except ImportError:
         return None
 
-    def inflated_by_libdeflate(stream: bytes, stated_bytes: int, longest_padding: int) -> bytearray | None:
-        if not 0 < stated_bytes <= MOST_RATIO * len(stream):
+    def inflated_by_libdeflate(stream: memoryview, stated_bytes: int, longest_padding: int) -> bytearray | None:
+        if not 0 < stated_bytes <= min(MOST_BYTES, MOST_RATIO * len(stream)):
             return None
         try:
             data = deflate.zlib_decompress(stream, stated_bytes)
         except deflate.DeflateError:
             return None
-        # It does not say where the stream ended: its checksum must be where it ends without more than padding.
-        checksum = deflate.adler32(data).to_bytes(CHECKSUM_BYTES)
-        return data if checksum in stream[-CHECKSUM_BYTES - longest_padding :] else None
+        return data if ends_with(stream, deflate.adler32(data), longest_padding) else None
 
     return inflated_by_libdeflate
 
