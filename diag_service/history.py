@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from diag_service.own_cycle import own_period_ns
 from diag_service.records import ColumnBatch, Columns, E2eChange, E2eState, Int64Array, Series, Signal
 
 
@@ -38,8 +39,9 @@ class History:
         return track.joined().between(start_ns, stop_ns) if track else _NO_SAMPLES
 
     def cut(self, start_ns: int, stop_ns: int) -> Columns:
-        """Return the samples of all signals with ``start_ns <= t_ns < stop_ns``."""
-        return {signal: track.joined().between(start_ns, stop_ns) for signal, track in sorted(self._tracks.items())}
+        """Return the samples of all signals with ``start_ns <= t_ns < stop_ns``, each with the cycle that it keeps."""
+        found = {signal: track.joined().between(start_ns, stop_ns) for signal, track in sorted(self._tracks.items())}
+        return {signal: replace(series, period_ns=own_period_ns(series)) for signal, series in found.items()}
 
     def bad_frame_count(self, start_ns: int, stop_ns: int) -> int:
         """Return how many frames were rejected or missing in ``start_ns <= t_ns < stop_ns``."""
