@@ -45,7 +45,8 @@ class Load:
         self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         self.acknowledged_count = 0
         self._changed = threading.Condition()
-        self._socket.sendall(_connect(name))
+        self._turn = threading.Lock()  # a large piece must not be torn by the reader's acknowledgements
+        self._send(_connect(name))
         if ack_topics:
             self._subscribe(ack_topics)
         self._reader = threading.Thread(target=self._read, daemon=True)
@@ -57,7 +58,7 @@ class Load:
         for first in range(0, len(messages), _PIECE):
             piece = messages[first : first + _PIECE]
             self._wait(first + len(piece) - window, began_s + timeout_s)
-            self._socket.sendall(b"".join(message.packet(first + place) for place, message in enumerate(piece)))
+            self._send(b"".join(message.packet(first + place) for place, message in enumerate(piece)))
         self._wait(len(messages), began_s + timeout_s)
         return time.perf_counter() - began_s
 
@@ -65,13 +66,17 @@ class Load:
         """Send messages and wait for nobody."""
         for first in range(0, len(messages), _PIECE):
             piece = messages[first : first + _PIECE]
-            self._socket.sendall(b"".join(message.packet(first + place) for place, message in enumerate(piece)))
+            self._send(b"".join(message.packet(first + place) for place, message in enumerate(piece)))
 
     def close(self) -> None:
         """Leave the broker."""
         self._socket.shutdown(socket.SHUT_RDWR)
         self._reader.join()
         self._socket.close()
+
+    def _send(self, data: bytes) -> None:
+        with self._turn:
+            self._socket.sendall(data)
 
     def _wait(self, count: int, deadline_s: float) -> None:
         with self._changed:
@@ -81,7 +86,7 @@ class Load:
 
     def _subscribe(self, topics: Sequence[str]) -> None:
         body = (1).to_bytes(2) + b"".join(_text(topic) + b"\x01" for topic in topics)
-        self._socket.sendall(bytes([_SUBSCRIBE]) + _length(len(body)) + body)
+        self._send(bytes([_SUBSCRIBE]) + _length(len(body)) + body)
 
     def _read(self) -> None:
         for first_byte, body in _packets(self._socket):
@@ -90,7 +95,7 @@ class Load:
             topic_length = int.from_bytes(body[:2])
             at = 2 + topic_length
             if first_byte & 0x06:
-                self._socket.sendall(bytes([_PUBACK, 2]) + body[at : at + 2])
+                self._send(bytes([_PUBACK, 2]) + body[at : at + 2])
                 at += 2
             with self._changed:
                 self.acknowledged_count += len(json.loads(body[at:])["data"]["results"])

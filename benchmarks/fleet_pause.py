@@ -82,12 +82,12 @@ def measure(pause_s: float) -> bool:
         for edge in edges:
             edge.wait(CALM_S)
         calm_s = time.monotonic() - resumed_s
-        stored = result_count(engine)
+        made, stored = EDGES * per_edge, result_count(engine)
     print(
-        f"database paused {pause_s:g} s: {EDGES * per_edge:,} results made, {stored:,} stored,"
+        f"database paused {pause_s:g} s: {made:,} results made, {stored:,} stored, {made - stored:,} lost,"
         f" outboxes empty {calm_s:.0f} s after; worker grown by {(highest - before) / MIB:.1f} MiB at most"
     )
-    return stored == EDGES * per_edge
+    return stored == made
 
 
 def main() -> int:

@@ -16,7 +16,7 @@ from pathlib import Path
 
 import numpy as np
 
-from benchmarks.mismatch_rows import BY_NAME, ROWS
+from benchmarks.mismatch_rows import BY_NAME, ROWS, Mismatch
 from benchmarks.study import diagnose, over_drives, percent, root_mean_square
 from diag_service.pipeline import Diagnosis
 from diag_service.records import FrictionEstimate, Status
@@ -91,11 +91,11 @@ def outcomes(case: Case) -> list[Outcome]:
     return [outcome(name, clutch, belief.friction(clutch)) for name in PARAMETERS for clutch in (1, 2)]
 
 
-def cases_of(seeds: int, first_seed: int) -> list[Case]:
+def cases_of(rows: Sequence[Mismatch], seeds: int, first_seed: int) -> list[Case]:
     """Return all drives: every row and scenario over the same seeds."""
     return [
         Case(row=row.name, scenario=scenario, seed=first_seed + k, fluid=FLUIDS[k % len(FLUIDS)])
-        for row in ROWS
+        for row in rows
         for scenario in SCENARIOS
         for k in range(seeds)
     ]
@@ -218,9 +218,15 @@ def main() -> int:
     parser.add_argument("--first-seed", type=int, default=FIRST_SEED)
     parser.add_argument("--jobs", type=int, default=2)
     parser.add_argument("--output", type=Path, default=PAGE)
+    parser.add_argument("--row", action="append", choices=sorted(BY_NAME), help="print this row only, write nothing")
     arguments = parser.parse_args()
-    results = over_drives(outcomes, cases_of(arguments.seeds, arguments.first_seed), arguments.jobs)
-    page = document([line_of(row.name, results) for row in ROWS], arguments.seeds, arguments.first_seed)
+    rows = [BY_NAME[name] for name in arguments.row or ()] or ROWS
+    results = over_drives(outcomes, cases_of(rows, arguments.seeds, arguments.first_seed), arguments.jobs)
+    lines = [line_of(row.name, results) for row in rows]
+    if arguments.row:
+        print("\n".join(table(lines)))
+        return 0
+    page = document(lines, arguments.seeds, arguments.first_seed)
     arguments.output.write_text(page, encoding="utf-8")
     print(page)
     return 0

@@ -52,7 +52,8 @@ class Row:
     problem: str = ""
     absolute: tuple[float, ...] = ()
     absolute_std: tuple[float, ...] = ()
-    scale_free: tuple[float, ...] = ()
+    scale_free: tuple[float, ...] = ()  # of mu times the gain of the torque reading
+    area_free: tuple[float, ...] = ()  # of mu times gain and piston area: what the driving itself leaves
     scale_free_std: tuple[float, ...] = ()
     slope_signs: tuple[bool, ...] = ()  # of the clutches whose coefficients differ enough: whether it is right
     clutch_ratio: tuple[float, ...] = ()  # of mu_C, of mu_S
@@ -106,6 +107,15 @@ def judged(kind: str, vehicle: Vehicle, found: SelfCalibration, true: FloatArray
     mu = np.array([value for one in friction for value in (one.mu_c, one.mu_s)])
     std = np.array([value for one in friction for value in (one.std_mu_c, one.std_mu_s)])
     scaled = found.mean[:FRICTION_COUNT]
+    by_area = np.repeat(1.0 + np.array(vehicle.area_ratios), 2)
+    nominal, clutches = nominal_calibration().clutches, found.calibration.clutches
+    found_by_area = np.repeat(
+        [
+            one.geometry.piston_area_m2 / type_.geometry.piston_area_m2
+            for one, type_ in zip(clutches, nominal, strict=True)
+        ],
+        2,
+    )
     scaled_std = np.array([found.std(name) for name in NAMES[:FRICTION_COUNT]])
     bias, side = found.calibration.bias, found.calibration.input_side
     nominal_kg_m2 = nominal_calibration().input_side.engine_inertia_kg_m2
@@ -116,6 +126,7 @@ def judged(kind: str, vehicle: Vehicle, found: SelfCalibration, true: FloatArray
         absolute=_percent(errors),
         absolute_std=_percent(std / mu),
         scale_free=_percent(scaled / (true * vehicle.torque_gain) - 1.0),
+        area_free=_percent(scaled * found_by_area / (true * vehicle.torque_gain * by_area) - 1.0),
         scale_free_std=_percent(scaled_std / scaled),
         slope_signs=tuple(
             bool((mu[row] > mu[row + 1]) == (true[row] > true[row + 1]))
@@ -159,6 +170,7 @@ def report(rows: Sequence[Row]) -> Iterator[str]:
         ratio = np.array([row.clutch_ratio for row in chosen])
         yield f"  {'RMS error, %':16}" + "".join(f"{label:>9}" for label in (*LABELS, "all"))
         yield _errors("scale-free", scale_free)
+        yield _errors("  piston area too", np.array([row.area_free for row in chosen]))
         yield _errors("absolute", absolute)
         for name, errors, std in (
             ("scale-free", scale_free, np.array([row.scale_free_std for row in chosen])),

@@ -12,7 +12,7 @@ from typing import Final, NamedTuple
 import numpy as np
 from cantools.database.can import Message
 
-from clutch_model.jit import array_kernel
+from clutch_model.jit import array_kernel, inlined_kernel
 from diag_service.errors import ConfigError
 from diag_service.frames import EXTENDED_FLAG, REMOTE_FLAG
 from diag_service.records import Int64Array
@@ -162,7 +162,7 @@ def _sorted_table(slots: dict[int, int]) -> tuple[Int64Array, Int64Array]:
     return np.array([key for key, _ in items], np.int64), np.array([slot for _, slot in items], np.int64)
 
 
-@array_kernel
+@inlined_kernel
 def find_slot(book: AddressBook, can_id: int) -> int:
     """Return the slot of a data frame's identifier, with its flags; NOBODY if it is of no known message."""
     if can_id & _EXTENDED == 0:
@@ -181,7 +181,7 @@ def find_slot(book: AddressBook, can_id: int) -> int:
     return NOBODY
 
 
-@array_kernel
+@inlined_kernel
 def find(keys: Int64Array, key: int) -> int:
     """Return the place of a key among sorted ones; -1 if it is not among them."""
     low = 0
@@ -195,7 +195,7 @@ def find(keys: Int64Array, key: int) -> int:
     return low if low < keys.size and keys[low] == key else -1
 
 
-@array_kernel
+@inlined_kernel
 def _group_of(can_id: int) -> int:
     """Return the parameter group number in the 29 bits of an identifier."""
     group = (can_id >> 8) & 0x3FFFF

@@ -91,7 +91,9 @@ def run_recorded(
         session = _session(config, decoder, store, stream, _reporter(controls.stop, as_json=as_json))
 
         async def run() -> None:
-            summary = await run_logs(logs, session, stop=controls.stop, outbox=_outbox(config, store, is_live=False))
+            summary = await run_logs(
+                logs, session, stop=controls.stop, outbox=_outbox(config, store, session, is_live=False)
+            )
             if summary.unpublished_count and store_path is None:
                 _LOG.warning("%d results were not delivered and are not kept; --store would", summary.unpublished_count)
 
@@ -155,7 +157,7 @@ async def _run_bus(
             session,
             stop=controls.stop,
             counts_wanted=controls.counts_wanted,
-            outbox=_outbox(config, store, is_live=True),
+            outbox=_outbox(config, store, session, is_live=True),
             duration_s=bus.duration_s,
             show=show,
         )
@@ -193,7 +195,7 @@ def _reporter(stop: Trigger, *, as_json: bool) -> Reporter:
     return PipeReporter(ConsoleReporter(_HonestConsole()), hang_up)
 
 
-def _outbox(config: DiagnosisConfig, store: ResultStore, *, is_live: bool) -> Outbox | None:
+def _outbox(config: DiagnosisConfig, store: ResultStore, session: Session, *, is_live: bool) -> Outbox | None:
     if config.broker is None:
         return None
     versions = _versions(config)
@@ -219,7 +221,7 @@ def _outbox(config: DiagnosisConfig, store: ResultStore, *, is_live: bool) -> Ou
         str(config.broker),
         acknowledge=config.acknowledge,
         greetings=[_greeting(config, status)] if is_live else (),
-        metrics=_metrics_of(config.vehicle, store) if is_live else None,
+        metrics=_metrics_of(store, session) if is_live else None,
     )
 
 
@@ -239,7 +241,7 @@ def _greeting(config: DiagnosisConfig, status: ServiceStatus) -> Outgoing:
     return config_message(config.vehicle, _utc_now(), settings)
 
 
-def _metrics_of(vehicle: str, store: ResultStore) -> MetricsMessage:
+def _metrics_of(store: ResultStore, session: Session) -> MetricsMessage:
     def message(numbers: Mapping[str, float]) -> Outgoing:
         dropped = store.dropped_counts()
         own = {
@@ -247,8 +249,9 @@ def _metrics_of(vehicle: str, store: ResultStore) -> MetricsMessage:
             "store_dropped_delivered_count": dropped.delivered,
             "store_dropped_empty_count": dropped.empty,
             "store_dropped_undelivered_count": dropped.undelivered,
+            "store_given_up_count": session.given_up_count,
         }
-        return metrics_message(vehicle, _utc_now(), {**numbers, **own})
+        return metrics_message(session.vehicle, _utc_now(), {**numbers, **own})
 
     return message
 

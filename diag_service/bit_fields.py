@@ -4,6 +4,7 @@ A payload is read as 64-bit words that begin at any byte, in either byte order; 
 them. Only a signal of more than 56 bits that lies across nine bytes needs a byte besides.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Final
 
@@ -20,29 +21,56 @@ UInt64Array = npt.NDArray[np.uint64]
 
 WORD_BYTES: Final = 8
 WORD_BITS: Final = 64
+LITTLE_WORD: Final = np.dtype(np.uint64)  # of the machines that numba compiles for
 
 
 class PayloadWords:
-    """Payloads as 64-bit words, each made when it is first asked for; bytes past the end of the rows are zeros."""
+    """Payloads as 64-bit words, each made when it is first asked for; bytes past the end of the rows are zeros.
 
-    def __init__(self, data: UInt8Array) -> None:
-        self._data = data  # (n, bytes)
+    Parameters
+    ----------
+    data : (n, bytes) array
+        The payloads.
+    rows : (k,) array, optional
+        Which of them are meant; left out: all.
+    """
+
+    def __init__(self, data: UInt8Array, rows: Int64Array | None = None) -> None:
+        self._data = data
+        self._rows = rows
         self._words: dict[tuple[int, bool], UInt64Array] = {}
+
+    def __len__(self) -> int:
+        return len(self._data if self._rows is None else self._rows)
 
     def word(self, first_byte: int, *, is_big: bool) -> UInt64Array:
         """Return the eight bytes from ``first_byte`` on, the first of them highest if ``is_big``, shape (n,)."""
         key = first_byte, is_big
         if key not in self._words:
-            piece = np.ascontiguousarray(self._piece(first_byte))
-            self._words[key] = piece.view(">u8" if is_big else "<u8")[:, 0].astype(np.uint64, copy=False)
+            self._words[key] = self.word(first_byte, is_big=False).byteswap() if is_big else self._little(first_byte)
         return self._words[key]
+
+    def words(self, places: Sequence[tuple[int, bool]]) -> UInt64Array:
+        """Return several words by their first bytes and whether they are big-endian, shape (words, n)."""
+        found = np.empty((len(places), len(self)), np.uint64)
+        for row, (first_byte, is_big) in zip(found, places, strict=True):
+            row[:] = self.word(first_byte, is_big=is_big)
+        return found
 
     def byte(self, index: int) -> UInt64Array:
         """Return one byte of each payload, shape (n,)."""
         return self._piece(index)[:, 0].astype(np.uint64)
 
+    def _little(self, first_byte: int) -> UInt64Array:
+        """Return a little-endian word; those that payloads are made of can be picked without copying bytes."""
+        if first_byte % WORD_BYTES == 0 and self._data.shape[1] % WORD_BYTES == 0 and self._data.flags.c_contiguous:
+            words: UInt64Array = self._data.view(LITTLE_WORD)[:, first_byte // WORD_BYTES]
+            return words if self._rows is None else words.take(self._rows)
+        return np.ascontiguousarray(self._piece(first_byte)).view(LITTLE_WORD)[:, 0]
+
     def _piece(self, first_byte: int) -> UInt8Array:
         piece = self._data[:, first_byte : first_byte + WORD_BYTES]
+        piece = piece if self._rows is None else piece[self._rows]
         missing = WORD_BYTES - piece.shape[1]
         return np.pad(piece, ((0, 0), (0, missing))) if missing else piece
 

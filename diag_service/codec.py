@@ -13,6 +13,7 @@ from diag_service.decode import Decoded, SignalTable, compile_signal, payload_wo
 from diag_service.errors import ConfigError
 from diag_service.frames import ERROR_FLAG, FD_PAYLOAD_BYTES, REMOTE_FLAG, FrameBatch
 from diag_service.records import Int64Array, UInt8Array, UInt32Array
+from diag_service.signal_block import SignalBlock
 
 _NO_DATA_FRAME = REMOTE_FLAG | ERROR_FLAG
 
@@ -57,14 +58,14 @@ class Codec:
 
     def __init__(self, messages: Sequence[Message], *, is_j1939: bool = False, check_range: bool = True) -> None:
         self.tables = tuple(message_table(message, check_range=check_range) for message in messages)
+        self._blocks = [SignalBlock(table.signals) for table in self.tables]
         self._book = address_book([message_address(message, is_j1939=is_j1939) for message in messages])
         self._min_length = np.array([min(message.length, FD_PAYLOAD_BYTES) for message in messages], np.int64)
 
     def decode(self, batch: FrameBatch) -> Iterator[MessageValues]:
         """Yield the messages that are in a batch, in the order of the codec."""
         for slot, rows in self.rows(batch):
-            words = payload_words(batch.data[rows])
-            signals = {name: table.decode(words) for name, table in self.tables[slot].signals.items()}
+            signals = self._blocks[slot].decode(payload_words(batch.data, rows))
             yield MessageValues(slot=slot, rows=rows, signals=signals)
 
     def rows(self, batch: FrameBatch) -> Iterator[tuple[int, Int64Array]]:

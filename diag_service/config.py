@@ -5,15 +5,13 @@ import os
 from dataclasses import dataclass
 from enum import StrEnum
 from pathlib import Path
-from urllib.parse import unquote, urlsplit
 
 from clutch_model.calibration import Calibration, nominal_calibration, read_calibration
 from diag_service.errors import ConfigError
 from diag_service.publishers import Acknowledge, BrokerAddress, TlsFiles
 from diag_service.publishers.tls import read_secret
-from fleet_contract import is_vehicle
+from fleet_contract import BrokerUrlError, is_vehicle, parse_broker_url
 
-PORTS = {"mqtt": 1883, "mqtts": 8883}
 _DIGEST_LENGTH = 12
 SMALLEST_BUDGET_BYTES = 1 << 20
 _LOOPBACK = "127.0.0.1"
@@ -105,26 +103,18 @@ def parse_broker(url: str, tls: TlsFiles | None = None, password_file: Path | No
     ConfigError
         If the text is no such address; the message does not repeat it, since it may hold a password.
     """
-    form = "the broker must be mqtt[s]://[user[:password]@]host[:port]"
     try:
-        parts = urlsplit(url)
-        port = parts.port
-    except ValueError as exc:
-        raise ConfigError(f"{form}: {exc}") from exc
-    if parts.scheme not in PORTS or not parts.hostname or parts.path.strip("/") or parts.query or parts.fragment:
-        raise ConfigError(form)
-    if port == 0:
-        raise ConfigError(f"{form}: port 0 is no port")
-    is_encrypted = parts.scheme == "mqtts"
-    if tls not in {None, TlsFiles()} and not is_encrypted:
+        parts = parse_broker_url(url)
+    except BrokerUrlError as exc:
+        raise ConfigError(str(exc)) from exc
+    if tls not in {None, TlsFiles()} and not parts.is_encrypted:
         raise ConfigError("certificates need a broker at mqtts://")
-    password = None if parts.password is None else unquote(parts.password)
     return BrokerAddress(
-        host=parts.hostname,
-        port=port or PORTS[parts.scheme],
-        username=None if parts.username is None else unquote(parts.username),
-        password=password if password_file is None else read_secret(password_file),
-        tls=(tls or TlsFiles()) if is_encrypted else None,
+        host=parts.host,
+        port=parts.port,
+        username=parts.username,
+        password=parts.password if password_file is None else read_secret(password_file),
+        tls=(tls or TlsFiles()) if parts.is_encrypted else None,
     )
 
 

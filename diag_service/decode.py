@@ -82,14 +82,23 @@ class IntegerCode:
         """Return physical values in the very operations that cantools uses, shape (n,)."""
         if self.scale == 1 and self.offset == 0:
             return raw.astype(np.float64)
-        if isinstance(self.scale, float) or self._is_exact_in_float():
+        if isinstance(self.scale, float) or self._has_exact_products():
             return raw.astype(np.float64) * float(self.scale) + float(self.offset)
         return np.array([value * self.scale + self.offset for value in raw.tolist()], np.float64)
 
-    def _is_exact_in_float(self) -> bool:
+    @property
+    def is_exact_in_float(self) -> bool:
+        """Whether float64 holds every raw value, and the arithmetic is that of floats or cannot be told from it."""
+        is_float = isinstance(self.scale, float) or (self.scale == 1 and self.offset == 0)
+        return self._widest <= EXACT_INTEGER and (is_float or self._has_exact_products())
+
+    @property
+    def _widest(self) -> int:
+        return max(abs(limit) for limit in self.raw_limits)
+
+    def _has_exact_products(self) -> bool:
         """Whether float64 holds every product and sum of integers that can occur."""
-        widest = max(abs(limit) for limit in self.raw_limits)
-        return widest <= EXACT_INTEGER and widest * abs(self.scale) + abs(self.offset) <= EXACT_INTEGER
+        return self._widest <= EXACT_INTEGER and self._widest * abs(self.scale) + abs(self.offset) <= EXACT_INTEGER
 
     def is_valid(self, raw: UInt64Array | Int64Array) -> BoolArray | None:
         """Return which raw values are measurements, shape (n,); None: all can be."""
@@ -145,23 +154,24 @@ class SignalTable:
             value = self.code.value(raw)
             valid = self.code.is_valid(raw)
         if self.selectors:
-            return self._selected(words, value, valid)
+            present = self.presence(words)
+            good = present if valid is None else present & valid
+            return Decoded(value, good, int(np.count_nonzero(present & ~good)))
         if valid is None or valid.all():
             return Decoded(value, None, 0)
         return Decoded(value, valid, int(np.count_nonzero(~valid)))
 
-    def _selected(self, words: PayloadWords, value: FloatArray, valid: BoolArray | None) -> Decoded:
-        """Return the signal with the frames that do not carry it masked out."""
-        present = np.ones(len(value), np.bool_)
+    def presence(self, words: PayloadWords) -> BoolArray:
+        """Return which frames carry the signal, as its multiplexers say, shape (n,)."""
+        present = np.ones(len(words), np.bool_)
         for selector in self.selectors:
             present &= selector.is_present(words)
-        good = present if valid is None else present & valid
-        return Decoded(value, good, int(np.count_nonzero(present & ~good)))
+        return present
 
 
-def payload_words(data: UInt8Array) -> PayloadWords:
-    """Return payloads, shape (n, 8) or (n, 64), as words."""
-    return PayloadWords(data)
+def payload_words(data: UInt8Array, rows: Int64Array | None = None) -> PayloadWords:
+    """Return payloads, shape (n, 8) or (n, 64), as words: some rows of them, or all."""
+    return PayloadWords(data, rows)
 
 
 def compile_signal(message: Message, name: str, *, check_range: bool = True) -> SignalTable:

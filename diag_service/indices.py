@@ -119,12 +119,18 @@ def _acceleration(grid: _Grid) -> FloatArray:
     """Return the engine's acceleration on the grid [rad/s2]: the slope of a parabola through the speeds around."""
     series = grid.event.columns[Signal.ENGINE_SPEED]
     t_s = _since(series, grid.event)
-    result = np.zeros(len(grid.t_s))
     first, last = np.searchsorted(t_s, grid.t_s - SMOOTH_S), np.searchsorted(t_s, grid.t_s + SMOOTH_S)
-    for row, (low, high) in enumerate(zip(first, last, strict=True)):
-        if high - low >= 3:
-            result[row] = np.polynomial.polynomial.polyfit(t_s[low:high] - grid.t_s[row], series.value[low:high], 2)[1]
-    return result
+    around = first[:, None] + np.arange(int(np.max(last - first, initial=0)))
+    inside = around < last[:, None]
+    around = np.minimum(around, len(t_s) - 1)
+    apart = np.where(inside, (t_s[around] - grid.t_s[:, None]) / SMOOTH_S, 0.0)
+    powers = inside[..., None] * apart[..., None] ** np.arange(3)
+    normal = powers.swapaxes(1, 2) @ powers
+    is_fit = np.count_nonzero(inside, axis=1) >= 3
+    normal[~is_fit] = np.eye(3)
+    moments = np.einsum("gwp,gw->gp", powers, series.value[around])
+    slopes: FloatArray = np.linalg.solve(normal, moments[..., None])[:, 1, 0] / SMOOTH_S
+    return np.where(is_fit, slopes, 0.0)
 
 
 def _since(series: Series, event: ShiftEvent) -> FloatArray:

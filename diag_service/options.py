@@ -7,10 +7,16 @@ from pathlib import Path
 from urllib.parse import urlsplit
 
 from diag_service.defaults import BROKER_VARIABLE, CONFIG_VARIABLE, DEFAULTS, PREFIX, OptionValue
+from diag_service.errors import ConfigError
+from fleet_contract import VariableError, check_variables
 
 
 def fill_in(options: argparse.Namespace) -> None:
     """Give every option that is still ``None`` the value that was set elsewhere, or its default; raises ConfigError."""
+    try:
+        check_variables(os.environ)
+    except VariableError as exc:
+        raise ConfigError(str(exc)) from exc
     values = {**DEFAULTS, **_set_elsewhere(options.config)}
     for name, value in values.items():
         if getattr(options, name, None) is None:

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from cantools.database.can import Database
 
 from diag_service.errors import ConfigError
-from diag_service.mapping import fitting
+from diag_service.mapped_messages import fitting
 from diag_service.profile import Profile, load_shipped, shipped_profiles
 from diag_service.records import Signal, Tier
 from diag_service.tiers import missing_for_next, tier_of

@@ -21,6 +21,7 @@ from fleet_backend.database import default_database, open_database, place_of
 from fleet_backend.errors import BrokerError, ConfigError, DatabaseError
 from fleet_backend.ingest import Pace
 from fleet_backend.migrate import check_schema, migrate, newest_revision
+from fleet_contract import VariableError, check_variables
 
 PROGRAM = "fleet-backend"
 BROKER_VARIABLE = "CLUTCHDIAG_BROKER"  # these keep passwords out of the process list
@@ -45,6 +46,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     options = _parser().parse_args(arguments)
     _set_up_log(options.verbose)
     try:
+        _check_environment()
         engine = open_database(options.database or default_database())
         command: Command = options.run
         try:
@@ -56,6 +58,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except Exception as exc:  # noqa: BLE001 - the one place where nothing may pass
         return _complain(exc, is_verbose=options.verbose > 0)
     return EXIT_OK
+
+
+def _check_environment() -> None:
+    try:
+        check_variables(os.environ)
+    except VariableError as exc:
+        raise ConfigError(str(exc)) from exc
 
 
 def _ingest(options: argparse.Namespace, engine: Engine) -> None:

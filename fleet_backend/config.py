@@ -2,13 +2,12 @@
 
 from datetime import UTC, datetime
 from typing import Final
-from urllib.parse import unquote, urlsplit
 
 from fleet_backend.broker import BrokerAddress, TlsFiles
 from fleet_backend.errors import ConfigError
 from fleet_backend.ingest import Pace
+from fleet_contract import BrokerUrlError, parse_broker_url
 
-_PORTS: Final = {"mqtt": 1883, "mqtts": 8883}
 _MAX_BATCH: Final = 30_000  # twice as many are in flight; MQTT counts to 65,535
 
 
@@ -20,27 +19,20 @@ def parse_broker(url: str, tls: TlsFiles) -> BrokerAddress:
     ConfigError
         If the text is no such address; the message does not repeat it, since it may hold a password.
     """
-    form = "the broker must be mqtt[s]://[user[:password]@]host[:port]"
     try:
-        parts = urlsplit(url)
-        port = parts.port
-    except ValueError as exc:
-        raise ConfigError(f"{form}: {exc}") from exc
-    if parts.scheme not in _PORTS or not parts.hostname or parts.path.strip("/") or parts.query or parts.fragment:
-        raise ConfigError(form)
-    if port == 0:
-        raise ConfigError(f"{form}: port 0 is no port")
-    is_secure = parts.scheme == "mqtts"
-    if not is_secure and tls != TlsFiles():
-        raise ConfigError("certificates need a broker at mqtts://")
-    if is_secure:
+        parts = parse_broker_url(url)
+    except BrokerUrlError as exc:
+        raise ConfigError(str(exc)) from exc
+    if parts.is_encrypted:
         tls.context()  # a wrong file is said now, not at the first connection
+    elif tls != TlsFiles():
+        raise ConfigError("certificates need a broker at mqtts://")
     return BrokerAddress(
-        host=parts.hostname,
-        port=port or _PORTS[parts.scheme],
-        username=None if parts.username is None else unquote(parts.username),
-        password=None if parts.password is None else unquote(parts.password),
-        tls=tls if is_secure else None,
+        host=parts.host,
+        port=parts.port,
+        username=parts.username,
+        password=parts.password,
+        tls=tls if parts.is_encrypted else None,
     )
 
 

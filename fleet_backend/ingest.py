@@ -15,7 +15,7 @@ from datetime import datetime
 from typing import Final, Protocol
 
 from fleet_backend.errors import BrokerError, DatabaseAwayError, RowRefusedError
-from fleet_backend.intake import INGESTED, Kind, Message, Taken, batch_of, receipts_of, refuse, take
+from fleet_backend.intake import IDENTITY_REASON, INGESTED, Kind, Message, Taken, batch_of, receipts_of, refuse, take
 from fleet_backend.writer import Batch
 from fleet_contract import Outgoing, ack_messages, filter_of
 
@@ -117,6 +117,7 @@ class Worker:
             inbox.send(list(ack_messages(vehicle, receipts, sent_at=sent_at, worker=self._name)))
         inbox.settle(messages)
         self.counts.update(item.kind for item in taken)
+        _warn_of_strangers(taken)
 
     async def _commit(self, taken: list[Taken]) -> list[Taken]:
         """Store messages, together if the database takes them all; return what became of each."""
@@ -143,6 +144,16 @@ class Worker:
                 await pauses.wait(exc)
             else:
                 return
+
+
+def _warn_of_strangers(taken: Sequence[Taken]) -> None:
+    """Say at once who pretends to be another; ``fleet-backend alarms`` keeps saying so until it is acknowledged."""
+    strangers = [item for item in taken if item.kind is Kind.POISON and item.row["reason"] == IDENTITY_REASON]
+    if strangers:
+        row = strangers[0].row
+        _LOG.warning(
+            "identity: %d messages put aside, the first on %s: %s", len(strangers), row["topic"], row["detail"]
+        )
 
 
 class Pauses:

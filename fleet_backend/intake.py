@@ -25,6 +25,7 @@ from fleet_contract import (
 )
 
 INGESTED: Final = (Channel.SHIFT, Channel.STATUS, Channel.METRICS)
+IDENTITY_REASON: Final = "identity"  # of the view identity_alarm too
 _LONGEST_KEY_PART: Final = 128  # what an acknowledgement can carry
 
 
@@ -110,7 +111,7 @@ def receipts_of(taken: Sequence[Taken]) -> dict[str, list[Receipt]]:
 
 
 def _reason_of(exc: ContractError) -> str:
-    for kind, reason in ((TopicError, "topic"), (MalformedError, "malformed"), (IdentityError, "identity")):
+    for kind, reason in ((TopicError, "topic"), (MalformedError, "malformed"), (IdentityError, IDENTITY_REASON)):
         if isinstance(exc, kind):
             return reason
     return "schema"

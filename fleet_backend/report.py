@@ -1,10 +1,12 @@
 """Tables for people, JSON lines for programs."""
 
 import json
+import os
 from collections.abc import Callable, Mapping, Sequence
 from datetime import datetime
 from typing import Final, TextIO
 
+from rich.box import SIMPLE_HEAD
 from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
@@ -12,6 +14,7 @@ from rich.table import Table
 Record = Mapping[str, object]
 Cell = Callable[[Record], str]
 _NONE: Final = "-"
+_ANY_WIDTH: Final = 200
 _STYLES: Final = {"change_fluid": "bold red", "watch": "yellow", "good": "green"}
 
 
@@ -21,26 +24,27 @@ def write_json(records: Sequence[Record], out: TextIO) -> None:
 
 
 def fleet_table(records: Sequence[Record]) -> Table:
-    """Return the clutches of the fleet, worst first, with intervals of two standard deviations."""
-    return _table(
-        f"Fleet, worst first: {len(records)} clutches",
+    """Return the clutches of the fleet, worst first, with intervals of two standard deviations and what is wrong."""
+    table = _table(
+        f"Fleet, worst first: {len(records)} clutches; ± two standard deviations, slope in 1e-3 s/rad",
         records,
         {
             "vehicle": _plain("vehicle"),
             "clutch": _plain("clutch"),
             "condition": lambda record: _condition(record["condition"]),
-            "mu_C [2 std]": _interval("mu_c", "mu_c_low", "mu_c_high", "{:.4f}"),
-            "mu_S [2 std]": _interval("mu_s", "mu_s_low", "mu_s_high", "{:.4f}"),
-            "slope 1e-3 s/rad [2 std]": _interval(
-                "slope_s_rad", "slope_low_s_rad", "slope_high_s_rad", "{:+.2f}", scale=1e3
-            ),
-            "P(slope < 0)": _number("probability_negative_slope", "{:.3f}"),
+            "slope": _interval("slope_s_rad", "slope_high_s_rad", "{:+.2f}", scale=1e3),
+            "P < 0": _number("probability_negative_slope", "{:.3f}"),
+            "mu_C": _interval("mu_c", "mu_c_high", "{:.3f}"),
+            "mu_S": _interval("mu_s", "mu_s_high", "{:.3f}"),
             "shifts": _plain("shift_count"),
-            "km": _number("odometer_m", "{:.1f}", scale=1e-3),
+            "km": _number("odometer_m", "{:.0f}", scale=1e-3),
             "fluid": _plain("fluid"),
-            "last shift (UTC)": _moment("end_at"),
+            "last shift": _moment("end_at", "%Y-%m-%d"),
         },
     )
+    reasons = [_reason(record) for record in records if record["condition"] != "good"]
+    table.caption, table.caption_justify = "\n".join(reasons) or None, "left"
+    return table
 
 
 def trend_table(title: str, records: Sequence[Record]) -> Table:
@@ -115,13 +119,14 @@ def seen_table(records: Sequence[Record]) -> Table:
 
 
 def show(table: Table, out: TextIO) -> None:
-    """Print a table; wide enough for every column where nobody watches."""
+    """Print a table; wide enough for every column where nobody watches and nobody says how wide."""
     console = Console(file=out)
-    Console(file=out, width=console.width if console.is_terminal else 200).print(table)
+    is_known = console.is_terminal or "COLUMNS" in os.environ
+    Console(file=out, width=console.width if is_known else _ANY_WIDTH).print(table)
 
 
 def _table(title: str, records: Sequence[Record], columns: Mapping[str, Cell]) -> Table:
-    table = Table(title=title, title_justify="left")
+    table = Table(title=title, title_justify="left", box=SIMPLE_HEAD, padding=(0, 1, 0, 0), pad_edge=False)
     for name in columns:
         table.add_column(name, overflow="fold")
     for record in records:
@@ -141,12 +146,12 @@ def _number(name: str, form: str, *, scale: float = 1.0) -> Cell:
     return cell
 
 
-def _interval(name: str, low: str, high: str, form: str, *, scale: float = 1.0) -> Cell:
+def _interval(name: str, high: str, form: str, *, scale: float = 1.0) -> Cell:
     def cell(record: Record) -> str:
-        if record.get(name) is None:
+        value, end = record.get(name), record.get(high)
+        if not isinstance(value, int | float) or not isinstance(end, int | float):
             return _NONE
-        value, first, last = (_number(part, form, scale=scale)(record) for part in (name, low, high))
-        return f"{value} \\[{first}, {last}]"
+        return f"{form.format(value * scale)} ± {form.replace('+', '').format((end - value) * scale)}"
 
     return cell
 
@@ -160,10 +165,10 @@ def _spread(name: str, std: str) -> Cell:
     return cell
 
 
-def _moment(name: str) -> Cell:
+def _moment(name: str, form: str = "%Y-%m-%d %H:%M:%S") -> Cell:
     def cell(record: Record) -> str:
         value = record.get(name)
-        return value.strftime("%Y-%m-%d %H:%M:%S") if isinstance(value, datetime) else _NONE
+        return value.strftime(form) if isinstance(value, datetime) else _NONE
 
     return cell
 
@@ -173,6 +178,10 @@ def _condition(value: object) -> str:
     style = _STYLES.get(text)
     name = text.replace("_", " ")
     return f"[{style}]{name}[/]" if style else name
+
+
+def _reason(record: Record) -> str:
+    return escape(f"{record['vehicle']}, clutch {record['clutch']}: {record['condition_reason']}")
 
 
 def _truth(value: object) -> bool | None:

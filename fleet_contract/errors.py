@@ -19,3 +19,11 @@ class SchemaError(ContractError):
 
 class IdentityError(ContractError):
     """A message that says it is of another vehicle, stream or key than its topic or its envelope."""
+
+
+class BrokerUrlError(ContractError):
+    """A text that names no broker: correct it."""
+
+
+class VariableError(ContractError):
+    """An environment variable of our prefix that nothing reads: correct its name."""

@@ -1,10 +1,14 @@
 """Messages that no backend can use."""
 
 import json
+from typing import Final
 
 from diag_service.results import shift_record
 from fleet_contract import shift_message
 from tests.fleet import fleet_result
+
+_KINDS: Final = 8
+_READABLE: Final = frozenset({4, 5})  # a result with a wrong number, and one of another vehicle
 
 
 def poison_messages(count: int) -> list[tuple[str, bytes]]:
@@ -20,7 +24,13 @@ def poison_messages(count: int) -> list[tuple[str, bytes]]:
         lambda number: ("clutchdiag/v1/car9/status", f'{{"specversion":"{number}"}}'.encode()),
         lambda number: ("clutchdiag/v1/.bad/shift", str(number).encode()),
     )
-    return [kinds[number % len(kinds)](number + 1) for number in range(count)]
+    assert len(kinds) == _KINDS
+    return [kinds[number % _KINDS](number + 1) for number in range(count)]
+
+
+def readable_count(count: int) -> int:
+    """Return how many of so many name a result, so that their sender can be told."""
+    return sum(number % _KINDS in _READABLE for number in range(count))
 
 
 def _changed(event: dict[str, object], **data: object) -> bytes:

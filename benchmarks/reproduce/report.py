@@ -12,12 +12,13 @@ STYLE = """
 body { font: 15px/1.5 system-ui, sans-serif; color: #22303c; max-width: 62rem; margin: 2.5rem auto; padding: 0 1rem; }
 h1 { font-size: 1.7rem; line-height: 1.2; } h2 { margin-top: 2.4rem; font-size: 1.25rem; }
 table { border-collapse: collapse; margin: .8rem 0; font-variant-numeric: tabular-nums; font-size: .88rem; }
-th, td { padding: .25rem .7rem; text-align: right; border-bottom: 1px solid #e3e8ec; }
+th, td { padding: .25rem .5rem; text-align: right; border-bottom: 1px solid #e3e8ec; } td { white-space: nowrap; }
 th { border-bottom: 1.5px solid #6b7a88; font-weight: 600; vertical-align: bottom; }
 th.set { border-bottom: none; text-align: center; color: #6b7a88; font-weight: 500; }
 td:first-child, th:first-child { text-align: left; }
 caption { text-align: left; padding-bottom: .4rem; font-weight: 600; }
-tr.first td { border-top: 1px solid #b9c4cd; } .scroll { overflow-x: auto; }
+tr.first td { border-top: 1px solid #b9c4cd; } .scroll { overflow-x: auto; width: max-content;
+max-width: min(96vw, 90rem); position: relative; left: 50%; transform: translateX(-50%); }
 figure { margin: 1.6rem 0; } img { max-width: 100%; height: auto; }
 figcaption, .note { color: #55636f; font-size: .92rem; }
 """
@@ -50,7 +51,8 @@ def study_table(table: Table) -> str:
     sets = f'<tr><th class="set" colspan="3"></th>{groups}</tr>'
     cases = [key[0] for key in table.keys]
     starts = [k > 0 and cases[k] != cases[k - 1] for k in range(len(cases))]
-    return _table(table.caption, table.headings, table.rows, sets, starts)
+    headings = [heading.split(" (")[0] for heading in table.headings]  # whose they are stands above them
+    return _table(table.caption, headings, table.rows, sets, starts)
 
 
 def plain_table(caption: str, headings: Sequence[str], rows: Sequence[Sequence[str]]) -> str:

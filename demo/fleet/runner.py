@@ -70,7 +70,7 @@ async def run_fleet(folder: Path, cycles: int, console: Console) -> None:
             f"database  {sum(counts)} results of {len(counts)} vehicles, {time.monotonic() - began_s:.0f} s\n"
         )
         for question in ("table", "alarms"):
-            console.print(await _backend(folder, question, database), markup=False, soft_wrap=True)
+            console.print(await _backend(folder, question, database, width=console.width), markup=False, soft_wrap=True)
 
 
 @contextmanager
@@ -130,10 +130,11 @@ async def _until(is_so: Callable[[], bool], what: str) -> None:
         await asyncio.sleep(0.05)
 
 
-async def _backend(folder: Path, command: str, database: str, *more: str) -> str:
-    """Run a command of the backend and return what it said."""
+async def _backend(folder: Path, command: str, database: str, *more: str, width: int | None = None) -> str:
+    """Run a command of the backend and return what it said, in lines of a width if that matters."""
     place = _subfolder(folder, "questions")
-    await run(BACKEND, command, "--database", database, *more, folder=place, environment={})
+    environment = {} if width is None else {"COLUMNS": str(width)}
+    await run(BACKEND, command, "--database", database, *more, folder=place, environment=environment)
     return output_files(BACKEND, place)[0].read_text(encoding="utf-8")
 
 

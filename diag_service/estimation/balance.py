@@ -13,10 +13,11 @@ of its noise is exact; the contact torques T_C,m are linear in the friction coef
 """
 
 from dataclasses import dataclass
+from typing import Self
 
 import numpy as np
 
-from clutch_model.calibration import Calibration, ClutchCalibration, FrictionCurve
+from clutch_model.calibration import Calibration, ClutchCalibration, FrictionCurve, InputSide
 from clutch_model.knowledge import SensorBias
 from diag_service.estimation.belief import Measurement
 from diag_service.estimation.film_track import FilmTrack, PressureDrive, follow_film
@@ -24,12 +25,12 @@ from diag_service.estimation.nudges import AREA, COMMON, OFFSET, Nudge
 from diag_service.estimation.parameters import Considered, State, friction_rows
 from diag_service.estimation.sampling import GRID_S
 from diag_service.estimation.signals import ShiftSignals
-from diag_service.estimation.weights import SLIP_DEGREE, sines, smoothed
+from diag_service.estimation.weights import SLIP_DEGREE, Weights, sines, smoothed
 from diag_service.estimation.window import SlipWindow
-from diag_service.records import BoolArray, FloatArray
+from diag_service.records import FloatArray
 
-MAX_MOMENT_COUNT = 16  # beyond it the quadrature, not the noise, limits
-SAMPLES_PER_MOMENT = 3
+MAX_MOMENT_COUNT = 24  # beyond it the quadrature, not the noise, limits
+SAMPLES_PER_MOMENT = 2
 MIN_EXCESS = 0.05  # keeps exponents below one finite at zero slip
 SIGN_WIDTH_RAD_S = 0.5  # near lock the sign of the slip fades with it, and so does its noise
 
@@ -44,6 +45,30 @@ class ClutchMoments:
     def impulse(self, mu: FloatArray) -> FloatArray:
         """Return the weighted torque impulses [N m s], shape (k,), for ``mu = (mu_c, mu_s)``."""
         return self.viscous + self.by_friction @ mu
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Spread:
+    """The weights of single samples in the weighted sums over the grid that no friction changes; each (k, samples)."""
+
+    torque_value: FloatArray
+    engine_rate: FloatArray
+    hub_value: FloatArray
+    hub_rate: FloatArray
+
+    @classmethod
+    def of(cls, signals: ShiftSignals, weights: Weights) -> Self:
+        """Return those of a window's test functions."""
+        return cls(
+            torque_value=signals.engine_torque.interpolation.to_samples(weights.value),
+            engine_rate=signals.engine_speed.interpolation.to_samples(weights.rate),
+            hub_value=signals.hub_speed.interpolation.to_samples(weights.value),
+            hub_rate=signals.hub_speed.interpolation.to_samples(weights.rate),
+        )
+
+    def hub(self, side: InputSide) -> FloatArray:
+        """Return the weights of the hub's speed by its inertia and damping."""
+        return side.hub_inertia_kg_m2 * self.hub_rate - side.hub_damping_nms_rad * self.hub_value
 
 
 class Balance:
@@ -76,11 +101,12 @@ class Balance:
         self.sample_count = int(np.count_nonzero((torque_s >= start_s) & (torque_s <= stop_s)))
         count = max(3, min(MAX_MOMENT_COUNT, self.sample_count // SAMPLES_PER_MOMENT))
         self._weights = sines(signals.grid_s, window, count)
+        self._spread = _Spread.of(signals, self._weights)
         self._planned_speed_rad_s = smoothed(signals.engine_speed.on_grid, window, SLIP_DEGREE)
         self._planned_torque_nm = smoothed(signals.engine_torque.on_grid, window, SLIP_DEGREE)
         self.tracks = (follow_film(1, measured[0], calibration), follow_film(2, measured[1], calibration))
         self._seen = self._weigh(measured, self.tracks, calibration)
-        self._tracks_planned = (follow_film(1, planned[0], calibration), follow_film(2, planned[1], calibration))
+        self._tracks_planned = self._followed(planned, calibration)
         self._nominal = self._weigh(planned, self._tracks_planned, calibration)
         nudges = (OFFSET, AREA[0], *(nudge for nudge, _ in COMMON.values()))
         self._changed = {nudge: self._nudged(nudge) for nudge in nudges}
@@ -125,27 +151,30 @@ class Balance:
             by_considered[:, Considered.PISTON_AREA1 + m] = change[AREA[0]] / AREA[1]
             for column, (nudge, size) in COMMON.items():
                 by_considered[:, column] += change[nudge] / size
-        noise = self._noise(mu)
         return Measurement(
             residual=gap_nms - by_state @ (prior - at),
             by_state=by_state,
             by_considered=by_considered,
-            noise=noise,
-            overlap=self._overlap(noise, self._planned_torque_nm < offset_nm),
+            noise=self._noise(mu),
         )
 
-    def _overlap(self, noise: FloatArray, is_motoring: BoolArray) -> FloatArray:
-        """Return what the derivatives by inertia and gains share with the residual, shape (len(Considered),)."""
+    def overlap(self, noise: FloatArray, torque_offset_nm: float) -> FloatArray:
+        """Return what the derivatives by inertia and gains share with the residual, shape (len(Considered),).
+
+        Parameters
+        ----------
+        noise : (k, k) array
+            Covariance of the residual, as `measurement` states it.
+        """
         signals, side, sensors = self._signals, self._calibration.input_side, self._calibration.noise
         bias, value, rate = self._calibration.bias, self._weights.value, self._weights.rate
+        is_motoring = self._planned_torque_nm < torque_offset_nm
         by_speed = signals.engine_speed.interpolation.to_samples
         by_torque = signals.engine_torque.interpolation.to_samples
-        speed_residual = side.engine_inertia_kg_m2 * by_speed(rate)
+        speed_residual = side.engine_inertia_kg_m2 * self._spread.engine_rate
         speed_slope = side.engine_inertia_kg_m2 * by_speed(smoothed(rate, self._window, SLIP_DEGREE))
         shared = sensors.engine_speed_rad_s**2 * speed_slope @ speed_residual.T
-        hub = signals.hub_speed.interpolation.to_samples(
-            side.hub_inertia_kg_m2 * rate - side.hub_damping_nms_rad * value
-        )
+        hub = self._spread.hub(self._calibration.input_side)
         hub_shared = sensors.hub_speed_rad_s**2 * hub @ hub.T
         motoring = smoothed(value * is_motoring / bias.motoring_gain, self._window, SLIP_DEGREE)
         overlap = np.zeros(len(Considered))
@@ -153,7 +182,7 @@ class Balance:
         overlap[Considered.TORQUE_GAIN] = -gain * np.trace(np.linalg.solve(noise, shared + hub_shared))
         overlap[Considered.ENGINE_INERTIA] = -(gain**2) * np.trace(np.linalg.solve(noise, shared))
         overlap[Considered.MOTORING_GAIN] = sensors.engine_torque_nm**2 * np.trace(
-            np.linalg.solve(noise, by_torque(motoring) @ by_torque(value).T)
+            np.linalg.solve(noise, by_torque(motoring) @ self._spread.torque_value.T)
         )
         return overlap
 
@@ -166,9 +195,17 @@ class Balance:
     def _nudged(self, nudge: Nudge) -> tuple[ClutchMoments, ClutchMoments]:
         """Follow both films from the planned drives, changed a little."""
         calibration = nudge.of_calibration(self._calibration)
+        if not nudge.moves_film:
+            return self._weigh(self._planned, self._tracks_planned, calibration)
         first, second = (nudge.of_drive(drive, self._signals.grid_s) for drive in self._planned)
-        tracks = (follow_film(1, first, calibration), follow_film(2, second, calibration))
-        return self._weigh((first, second), tracks, calibration)
+        return self._weigh((first, second), self._followed((first, second), calibration), calibration)
+
+    def _followed(
+        self, drives: tuple[PressureDrive, PressureDrive], calibration: Calibration
+    ) -> tuple[FilmTrack, FilmTrack]:
+        """Follow both films up to the end of the slip window: what comes after has no weight."""
+        stop = self._window.stop
+        return follow_film(1, drives[0], calibration, stop), follow_film(2, drives[1], calibration, stop)
 
     def _weigh(
         self, drives: tuple[PressureDrive, PressureDrive], tracks: tuple[FilmTrack, FilmTrack], calibration: Calibration
@@ -185,25 +222,24 @@ class Balance:
     def _noise(self, mu: FloatArray) -> FloatArray:
         """Return the covariance of the residual from sensor noise, shape (k, k), every sample independent."""
         signals, side, sensors = self._signals, self._calibration.input_side, self._calibration.noise
-        value, rate = self._weights.value, self._weights.rate
-        gain = self._calibration.bias.torque_gain
-        hub_weight = gain * (side.hub_inertia_kg_m2 * rate - side.hub_damping_nms_rad * value)
-        engine_weight = gain * side.engine_inertia_kg_m2 * rate
+        value, gain = self._weights.value, self._calibration.bias.torque_gain
+        all_by_slip = np.zeros_like(value)
         factors = [
-            sensors.engine_torque_nm * signals.engine_torque.interpolation.to_samples(value),
-            sensors.engine_speed_rad_s * signals.engine_speed.interpolation.to_samples(engine_weight),
+            sensors.engine_torque_nm * self._spread.torque_value,
+            sensors.engine_speed_rad_s * gain * side.engine_inertia_kg_m2 * self._spread.engine_rate,
         ]
         for m in range(2):
             clutch = self._calibration.clutches[m]
             drive, track = self._planned[m], self._tracks_planned[m]
             torques_nm = contact_nm(clutch, drive, track)
             by_slip = value * (torques_nm[:, 1] * (mu[m, 0] - mu[m, 1]) * steepness(drive.slip_rad_s, clutch.friction))
-            hub_weight = hub_weight - by_slip
+            all_by_slip += by_slip
             factors.append(sensors.input_speed_rad_s * signals.input_speed[m].interpolation.to_samples(by_slip))
             area_ratio = clutch.geometry.piston_area_m2 / clutch.geometry.lining_area_m2
             by_pressure = area_ratio * mu[m, 0] * torques_nm.sum(axis=1) / np.maximum(track.contact_pa, 1.0)
             factors.append(sensors.pressure_pa * signals.pressure[m].interpolation.to_samples(value * by_pressure))
-        factors.append(sensors.hub_speed_rad_s * signals.hub_speed.interpolation.to_samples(hub_weight))
+        by_hub = gain * self._spread.hub(side) - signals.hub_speed.interpolation.to_samples(all_by_slip)
+        factors.append(sensors.hub_speed_rad_s * by_hub)
         return np.asarray(sum(factor @ factor.T for factor in factors))
 
 

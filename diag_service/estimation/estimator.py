@@ -17,7 +17,7 @@ from diag_service.estimation.signals import ShiftSignals, gather
 from diag_service.estimation.window import SlipWindow
 from diag_service.records import FloatArray, Reason, ShiftEstimate, ShiftEvent, Signal, Status
 
-ALGORITHM_VERSION = "torque-impulse-2"
+ALGORITHM_VERSION = "torque-impulse-3"
 PASS_COUNT = 3  # each takes away what planned and measured pressures differ by, a few percent
 MISFIT_GATE = 4.0  # chi-square per degree of freedom; a clean shift stays below 2.5
 SURPRISE_GATE = 25.0  # squared distance of a shift from the running state, two degrees of freedom: 4e-6 by chance

@@ -56,11 +56,12 @@ class FilmTrack:
     final_clutch_k: float
 
 
-def follow_film(clutch: int, drive: PressureDrive, calibration: Calibration) -> FilmTrack:
+def follow_film(clutch: int, drive: PressureDrive, calibration: Calibration, stop: int | None = None) -> FilmTrack:
     """Integrate film and pack temperature of clutch 1 or 2; docs/model.md eq. (7) and section "Thermal".
 
     The clutch starts in equilibrium: open, or pressed and at rest. Its heat uses the calibration's friction, which is
-    near enough: 15 % of friction changes the pack by about one kelvin.
+    near enough: 15 % of friction changes the pack by about one kelvin. ``stop`` is the number of grid points to
+    follow, by default all; the track is zero beyond them.
     """
     believed = calibration.clutches[clutch - 1]
     law = film_law(believed)
@@ -73,11 +74,11 @@ def follow_film(clutch: int, drive: PressureDrive, calibration: Calibration) -> 
         convection_w_k=float(believed.thermal.convection_w_k),
         oil_k=drive.oil_k,
     )
-    contact_pa = np.empty_like(drive.piston_pa)
-    viscous_nm = np.empty_like(drive.piston_pa)
+    contact_pa = np.zeros_like(drive.piston_pa)
+    viscous_nm = np.zeros_like(drive.piston_pa)
     final_k = _follow(
-        drive.piston_pa,
-        drive.slip_rad_s,
+        drive.piston_pa[:stop],
+        drive.slip_rad_s[:stop],
         drive.clutch_k,
         law,
         friction_law(believed.friction),

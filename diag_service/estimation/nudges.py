@@ -21,6 +21,11 @@ class Nudge:
     stribeck_speed_ratio: float = 0.0
     contact_stiffness_ratio: float = 0.0
 
+    @property
+    def moves_film(self) -> bool:
+        """Whether the film answers: it knows the width of the friction curve by its heat only, which is too little."""
+        return self != Nudge(stribeck_speed_ratio=self.stribeck_speed_ratio)
+
     def of_drive(self, drive: PressureDrive, grid_s: FloatArray) -> PressureDrive:
         """Return the changed drive of a film."""
         earlier_pa = np.interp(grid_s + self.latency_s, grid_s, drive.piston_pa)

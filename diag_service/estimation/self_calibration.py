@@ -21,6 +21,7 @@ from diag_service.estimation.parameters import (
     NUISANCE_NAMES,
     STATE_COUNT,
     Considered,
+    State,
     displaced,
     prior_covariance,
     prior_mean,
@@ -47,7 +48,6 @@ LOOSE_STD = {
     Considered.TORQUE_LATENCY: 0.015,
     Considered.PRESSURE_LATENCY: 0.010,
     Considered.MOTORING_GAIN: 0.05,
-    Considered.VISCOSITY: 0.08,
 }
 """What a vehicle that never calibrated itself may differ by from its type, where that is more than the type states."""
 
@@ -207,6 +207,7 @@ def _seen_shifts(
             temperature_ns=event.end_ns,
         )
         seen = balance.measurement(belief.mean, belief.mean)
+        seen = replace(seen, overlap=balance.overlap(seen.noise, float(belief.mean[State.TORQUE_OFFSET])))
         span = float(signals.grid_s[window.first]), float(signals.grid_s[window.stop - 1])
         yield _Seen((seen, *zeros_seen(signals, belief, point)), _misfit(seen), clutch, event.number, span)
 

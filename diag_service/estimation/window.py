@@ -8,7 +8,7 @@ from diag_service.records import FloatArray
 
 LOADED_PA = 0.25e5  # on-coming clutch: above its touch point by this much
 RELEASED_PA = 0.10e5  # off-going clutch: not above its touch point by more than this, twice the sensor noise
-SLIP_MIN_RAD_S = 1.5  # five times the noise of the slip: below it the sign is not sure
+SLIP_MIN_RAD_S = 0.8  # nearly three times the noise of the slip: slower may be locked; what is slow tells mu_S
 SETTLE_S = 0.02  # after the release: contact of the off-going clutch fades within a few film time constants
 MIN_WINDOW_S = 0.08  # eight samples; anything shorter is noise
 

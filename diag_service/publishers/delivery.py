@@ -11,14 +11,16 @@ from typing import Final, Protocol
 from diag_service.notices import NOTICE
 from diag_service.publishers.base import Link
 from diag_service.publishers.lanes import Lanes, WaitingResults
+from diag_service.publishers.owed import Owed
 from diag_service.results import StoredResult, clutch_record, parse_shift
 from fleet_contract import Outcome, Outgoing, Receipt, clutch_message, raw_shift_message
 
 BATCH: Final = 200
 WINDOW: Final = 2000  # results that a backend may owe us a receipt for
 BACKLOG_LAG_S: Final = 2.0  # so far behind a backend may be before it gets more of the backlog
-RESEND_S = 10.0  # after so long without one they are sent again, then after twice as long ...
-LONGEST_RESEND_S: Final = 120.0  # ... and so on to this
+RESEND_S = 5.0  # after so long without one they are sent again
+LONGEST_RESEND_S: Final = 30.0  # while all is silent a few are sent again, less and less often up to this
+PROBE: Final = 20  # results that ask a silent backend whether it is there; the others wait for its word
 _LOG = logging.getLogger(__name__)
 
 
@@ -90,10 +92,11 @@ class Delivery:
         self._counts = counts
         self._lanes: Lanes | None = None  # not begun
         self._inbox: list[Receipt] = []
-        self._owed: dict[int, float] = {}  # position -> when it was sent [s of the loop]; the longest owed first
+        self._owed = Owed()
         self._resend_s = RESEND_S
         self._is_heard = False  # since results were last found overdue
         self._is_silent = False
+        self._asked_s = 0.0  # when a silent backend was last asked [s of the loop]
         self._state_position: dict[int, int] = {}  # clutch -> position of the newest result whose state was sent
         self.wake = asyncio.Event()  # set when there is something new to do
 
@@ -118,7 +121,7 @@ class Delivery:
         for position in positions:
             self._repeat.pop(position, None)
         if self._acknowledge is Acknowledge.BACKEND:
-            self._owed.update(dict.fromkeys(positions, self._now_s()))
+            self._owed.send(positions, self._now_s())
             return True
         await asyncio.to_thread(self._store.mark_published, positions)
         self._counts.acknowledged += len(positions)
@@ -128,13 +131,12 @@ class Delivery:
     @property
     def is_owed(self) -> bool:
         """Whether receipts are outstanding, or heard and not noted."""
-        return bool(self._owed or self._inbox)
+        return bool(len(self._owed) or self._inbox)
 
     def patience_s(self) -> float | None:
         """Return how long to wait until something must be sent again; None: for ever."""
-        if not self._owed:
-            return None
-        return max(0.0, next(iter(self._owed.values())) + self._resend_s - self._now_s())
+        due_s = self._due_s()
+        return None if due_s is None else max(0.0, due_s - self._now_s())
 
     def _hear(self, receipts: list[Receipt]) -> None:
         self._inbox += receipts
@@ -146,14 +148,14 @@ class Delivery:
             return
         receipts, self._inbox = self._inbox, []
         positions = await asyncio.to_thread(self._store.settle, receipts)
+        self._owed.hear(positions)
         for position in positions:
-            self._owed.pop(position, None)
             self._repeat.pop(position, None)
         self._counts.acknowledged += len(positions)
         self._complain_of([receipt for receipt in receipts if receipt.outcome is Outcome.QUARANTINED])
         if self._is_silent:
             _LOG.log(NOTICE, "the backend acknowledges results again")
-        self._resend_s, self._is_heard, self._is_silent = RESEND_S, True, False
+        self._resend_s, self._is_heard, self._is_silent, self._asked_s = RESEND_S, True, False, 0.0
 
     def _complain_of(self, refused: list[Receipt]) -> None:
         self._counts.quarantined += len(refused)
@@ -170,7 +172,7 @@ class Delivery:
         if again:
             return again
         room = WINDOW - len(self._owed)
-        if room > 0 and self._longest_owed_s(now_s) < BACKLOG_LAG_S:
+        if room > 0 and self._owed.lag_s(now_s) < BACKLOG_LAG_S:
             return self._lanes.next(min(BATCH, room))
         # The backend is behind; what happens now does not wait until it has caught up.
         return self._lanes.next_fresh(min(BATCH, WINDOW + room))
@@ -186,29 +188,33 @@ class Delivery:
                 return rows
         return []
 
-    def _longest_owed_s(self, now_s: float) -> float:
-        return now_s - next(iter(self._owed.values())) if self._owed else 0.0
-
     def _collect_overdue(self, now_s: float) -> None:
-        """Take up again what was sent too long ago; less and less often while the backend says nothing at all."""
-        limit_s = now_s - self._resend_s
-        overdue = [position for position, sent_s in self._owed.items() if sent_s <= limit_s]
-        if not overdue:
+        """Take up again what went astray or was sent too long ago; of what meets with silence a few, to ask."""
+        self._repeat.update(dict.fromkeys(self._owed.take_astray()))
+        due_s = self._due_s()
+        if due_s is None or due_s > now_s:
             return
-        if not self._is_heard:
-            self._note_silence(len(overdue))
-        self._is_heard = False
-        for position in overdue:
-            del self._owed[position]
-            self._repeat[position] = None
+        if self._is_heard:
+            overdue = self._owed.take_sent_until(now_s - self._resend_s)
+            self._is_heard = False
+        else:
+            self._note_silence(now_s)
+            overdue = self._owed.take_oldest(PROBE)
+        self._repeat.update(dict.fromkeys(overdue))
 
-    def _note_silence(self, overdue_count: int) -> None:
-        if not self._is_silent:
+    def _due_s(self) -> float | None:
+        """Return when something must be sent again; None: nothing is owed."""
+        oldest_s = self._owed.oldest_s()
+        return None if oldest_s is None else max(oldest_s, self._asked_s) + self._resend_s
+
+    def _note_silence(self, now_s: float) -> None:
+        if self._is_silent:
+            self._resend_s = min(2.0 * self._resend_s, LONGEST_RESEND_S)
+        else:
             _LOG.warning(
-                "no backend acknowledged %d results in %g s; they are kept and sent again", overdue_count, RESEND_S
+                "no backend acknowledged %d results in %g s; they are kept and sent again", len(self._owed), RESEND_S
             )
-        self._is_silent = True
-        self._resend_s = min(2.0 * self._resend_s, LONGEST_RESEND_S)
+        self._is_silent, self._asked_s = True, now_s
 
     def _states(self, rows: Sequence[StoredResult]) -> list[Outgoing]:
         """Return the states of clutches that these results leave, unless a newer one has been told."""

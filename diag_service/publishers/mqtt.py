@@ -232,7 +232,7 @@ async def _enter(client: PipeliningClient) -> PipeliningClient:
         kind = _VersionRefusedError if _code(exc) == _UNSUPPORTED_PROTOCOL else PublishError
         raise kind(f"connection refused: {_one_line(exc)}") from exc
     except aiomqtt.MqttError as exc:
-        raise PublishError(_one_line(exc)) from exc
+        raise PublishError(client.complaint or _one_line(exc)) from exc
 
 
 async def _leave(client: PipeliningClient) -> None:

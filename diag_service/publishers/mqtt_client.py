@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from typing import Any, Final, Self
 
 import aiomqtt
-from paho.mqtt.client import MQTT_ERR_SUCCESS, ConnectFlags
+from paho.mqtt.client import MQTT_ERR_SUCCESS, MQTT_LOG_ERR, ConnectFlags
 from paho.mqtt.client import Client as PahoClient
 from paho.mqtt.properties import Properties
 from paho.mqtt.reasoncodes import ReasonCode
@@ -30,6 +30,8 @@ class PipeliningClient(aiomqtt.Client):
         self._is_probing = False  # on a topic that is not among them
         self._answered = asyncio.Event()
         self.refusal: str | None = None  # of a message of the last batch
+        self.complaint: str | None = None  # of the socket: TLS says no after the handshake, and plain aiomqtt times out
+        self._client.on_log = self._note_complaint
 
     async def __aenter__(self) -> Self:
         try:
@@ -77,6 +79,10 @@ class PipeliningClient(aiomqtt.Client):
             raise aiomqtt.MqttCodeError(info.rc, "cannot send")
         self._in_flight[info.mid] = message.topic
         self._is_probing = message.topic not in self._granted
+
+    def _note_complaint(self, _client: PahoClient, _userdata: object, level: int, text: str) -> None:
+        if level == MQTT_LOG_ERR:
+            self.complaint = text
 
     def _on_connect(
         self,

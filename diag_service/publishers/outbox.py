@@ -13,7 +13,7 @@ from collections import deque
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import AbstractAsyncContextManager
 
-from diag_service.errors import PublishError
+from diag_service.errors import PublishError, StoreFullError
 from diag_service.notices import NOTICE
 from diag_service.publishers.base import Link
 from diag_service.publishers.delivery import Acknowledge, Counts, Delivery, OutboxStore
@@ -90,7 +90,7 @@ class Outbox:
                     failure_count = 0
                     await self._serve(link)
                     return
-            except PublishError as exc:
+            except (PublishError, StoreFullError) as exc:  # a full disk cannot note receipts; they come again
                 self._take_up_unsettled()
                 await self._note_failure(exc)
             finally:
@@ -187,7 +187,7 @@ class Outbox:
     def _now_s() -> float:
         return asyncio.get_running_loop().time()
 
-    async def _note_failure(self, exc: PublishError) -> None:
+    async def _note_failure(self, exc: PublishError | StoreFullError) -> None:
         self.counts.failed += 1
         if self._is_down:
             return

@@ -33,6 +33,7 @@ class TlsFiles:
         try:
             context = ssl.create_default_context(cafile=self.authority)
             context.minimum_version = ssl.TLSVersion.TLSv1_2
+            context.sslsocket_class = _ClosingSocket
             if self.certificate is not None and self.key is not None:
                 check_secret_mode(self.key)
                 context.load_cert_chain(self.certificate, self.key)
@@ -48,6 +49,17 @@ class TlsFiles:
     def fingerprint(self) -> tuple[tuple[int, int, int] | None, ...]:
         """Return what changes when a file is replaced."""
         return tuple(_stamp(path) for path in (self.authority, self.certificate, self.key) if path is not None)
+
+
+class _ClosingSocket(ssl.SSLSocket):
+    """A socket that is not left open when the peer turns out to be another; paho-mqtt forgets about it."""
+
+    def do_handshake(self, block: bool = False) -> None:  # noqa: FBT001, FBT002 - signature of ssl
+        try:
+            super().do_handshake(block)
+        except BaseException:
+            self.close()
+            raise
 
 
 def check_secret_mode(path: Path) -> None:

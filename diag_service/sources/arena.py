@@ -8,6 +8,7 @@ import numpy as np
 
 from diag_service.frames import FD_PAYLOAD_BYTES, PAYLOAD_BYTES, FrameBatch
 from diag_service.records import Int64Array, UInt8Array, UInt32Array
+from diag_service.sources.word_kernels import UInt64Array
 
 BLOCK_BYTES = 2 * 1024 * 1024
 MAX_LINE_BYTES = 4096  # whatever is longer is not text
@@ -39,12 +40,19 @@ class Arena:
     def __len__(self) -> int:
         return len(self.t_ns)
 
-    def reserve(self, rows: int) -> None:
-        """Make room for at least this many frames; what was in the rows is lost."""
+    @property
+    def data_words(self) -> UInt64Array:
+        """The payloads as words of eight bytes, shape (rows, 1) or (rows, 8)."""
+        return self.data.view(np.uint64)
+
+    def reserve(self, rows: int, rows_in_use: int = 0) -> None:
+        """Make room for at least this many frames; what was in rows past those in use is lost."""
         if len(self) < rows:
-            larger = Arena.of(rows, self.data.shape[1])
+            larger = Arena.of(rows + rows_in_use, self.data.shape[1])
             for name in self.__slots__:
-                setattr(self, name, getattr(larger, name))
+                column = getattr(larger, name)
+                column[:rows_in_use] = getattr(self, name)[:rows_in_use]
+                setattr(self, name, column)
 
     def widen(self, rows_in_use: int) -> None:
         """Make room for payloads of CAN FD, from now on."""

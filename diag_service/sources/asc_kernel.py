@@ -23,6 +23,9 @@ from diag_service.sources.text_kernels import (
     ROWS,
     STOP,
     WIDEN,
+    decimal,
+    decimal_parts,
+    hexadecimal,
     skip_blanks,
     skip_line,
     skip_word,
@@ -82,18 +85,12 @@ def parse_usual_lines(
 @array_kernel
 def _time_us(text: UInt8Array, at: int) -> tuple[int, int]:
     """Read ``seconds.fraction`` and the blanks behind it, rounded to microseconds; -1 if it is none."""
-    begin, seconds = at, 0
-    while 48 <= text[at] <= 57 and at - begin < MAX_SECONDS_DIGITS:
-        seconds = seconds * 10 + text[at] - 48
-        at += 1
+    begin = at
+    seconds, at = decimal(text, begin, MAX_SECONDS_DIGITS)
     if at == begin or text[at] != POINT:
         return -1, at
-    at += 1
-    begin, fraction_ns, weight = at, 0, US_PER_S * NS_PER_US
-    while 48 <= text[at] <= 57 and at - begin < MAX_FRACTION_DIGITS:
-        weight //= 10
-        fraction_ns += weight * (text[at] - 48)
-        at += 1
+    begin = at + 1
+    fraction_ns, at = decimal_parts(text, begin, US_PER_S * NS_PER_US, MAX_FRACTION_DIGITS)
     if at == begin or text[at] != BLANK:
         return -1, at
     return seconds * US_PER_S + (fraction_ns + NS_PER_US // 2) // NS_PER_US, skip_blanks(text, at)
@@ -160,11 +157,9 @@ def _fd_frame(
         return UNUSUAL
     at = skip_blanks(text, skip_word(text, skip_blanks(text, at)))  # the duration
     at = skip_blanks(text, skip_word(text, at))  # the length in bits
-    said, digits = 0, at
-    while HEX_VALUE[text[at]] >= 0 and at - digits < MAX_ID_DIGITS:
-        said = said * 16 + HEX_VALUE[text[at]]
-        at += 1
-    if at == digits or text[at] > BLANK or said & SAID_REMOTE or is_fast > 1 or is_passive > 1:
+    begin = at
+    said, at = hexadecimal(text, begin, MAX_ID_DIGITS)
+    if at == begin or text[at] > BLANK or said & SAID_REMOTE or is_fast > 1 or is_passive > 1:
         return UNUSUAL
     if count > PAYLOAD_BYTES and not said & SAID_FD:
         return UNUSUAL
@@ -175,10 +170,8 @@ def _fd_frame(
 @array_kernel
 def _decimal(text: UInt8Array, at: int) -> tuple[int, int]:
     """Read a number of one or two digits and the blanks behind it; -1 if it is none."""
-    number, begin = 0, at
-    while 48 <= text[at] <= 57 and at - begin < 2:
-        number = number * 10 + text[at] - 48
-        at += 1
+    begin = at
+    number, at = decimal(text, begin, 2)
     return (-1, at) if at == begin or text[at] > BLANK else (number, skip_blanks(text, at))
 
 
@@ -194,10 +187,8 @@ def _direction(text: UInt8Array, at: int) -> int:
 @array_kernel
 def _identifier(text: UInt8Array, at: int) -> tuple[int, int]:
     """Read an identifier and the blanks behind it; -1 if it is none."""
-    begin, value = at, 0
-    while HEX_VALUE[text[at]] >= 0 and at - begin < MAX_ID_DIGITS:
-        value = value * 16 + HEX_VALUE[text[at]]
-        at += 1
+    begin = at
+    value, at = hexadecimal(text, begin, MAX_ID_DIGITS)
     is_extended = text[at] | 32 == LETTER_X
     at += is_extended
     if at == begin + is_extended or text[at] != BLANK or value > (MAX_EXTENDED_ID if is_extended else MAX_STANDARD_ID):

@@ -15,7 +15,7 @@ from typing import BinaryIO
 from diag_service.errors import SourceError
 from diag_service.frames import FrameBatch
 from diag_service.sources.blf_objects import LONGEST_PADDING, OBJECT_HEADER, OBJECT_MAGIC, ObjectStream
-from diag_service.sources.columns import join
+from diag_service.sources.inflating import sound_contents
 from diag_service.sources.tally import LogReject, Tally
 
 MAGIC = b"LOGG"
@@ -51,24 +51,15 @@ def read_blf(stream: BinaryIO, tally: Tally) -> Iterator[FrameBatch]:
     stated_bytes = int(fields[FILE_SIZE_FIELD])
     tally.truncated = size_bytes < stated_bytes or stated_bytes <= header_bytes < size_bytes
     objects = ObjectStream(start_us(fields[START_FIELDS]), tally)
-    waiting: list[FrameBatch] = []
     for data, is_whole in containers(stream, header_bytes, size_bytes, tally):
-        waiting.append(objects.feed(data))
+        objects.feed(data)
         if not is_whole:
             objects.lose_track()
-        if sum(map(len, waiting)) >= FRAMES_PER_BATCH:
-            yield _counted(waiting, tally)
-            waiting = []
+        if len(objects) >= FRAMES_PER_BATCH:  # of many containers: what works on columns wants long ones
+            yield objects.take()
     objects.finish()
-    if any(map(len, waiting)):
-        yield _counted(waiting, tally)
-
-
-def _counted(batches: list[FrameBatch], tally: Tally) -> FrameBatch:
-    """Return the frames of several containers: what works on columns wants long ones."""
-    batch = join(batches)
-    tally.frames += len(batch)
-    return batch
+    if len(objects):
+        yield objects.take()
 
 
 def start_us(systemtime: tuple[int, ...]) -> int:
@@ -82,7 +73,9 @@ def start_us(systemtime: tuple[int, ...]) -> int:
     return start_s * US_PER_S + millisecond * 1_000 if 0 <= start_s <= LAST_START_S else 0
 
 
-def containers(stream: BinaryIO, position: int, size_bytes: int, tally: Tally) -> Iterator[tuple[bytes, bool]]:
+def containers(
+    stream: BinaryIO, position: int, size_bytes: int, tally: Tally
+) -> Iterator[tuple[bytes | bytearray, bool]]:
     """Yield the inflated contents of each container and whether nothing of it is missing.
 
     Objects outside containers are passed on as they are.
@@ -123,6 +116,10 @@ def containers(stream: BinaryIO, position: int, size_bytes: int, tally: Tally) -
 def next_object(stream: BinaryIO, position: int, size_bytes: int, tally: Tally | None) -> int:
     """Return where the next object begins, ``size_bytes`` if there is none; tally what had to be stepped over."""
     start = position
+    stream.seek(position)
+    nearby = stream.read(LONGEST_PADDING + len(OBJECT_MAGIC))
+    if (found := nearby.find(OBJECT_MAGIC)) >= 0:
+        return position + found
     while position < size_bytes:
         stream.seek(position)
         block = stream.read(SEARCH_BYTES)
@@ -141,7 +138,7 @@ def next_object(stream: BinaryIO, position: int, size_bytes: int, tally: Tally |
 class Contents:
     """What a container holds."""
 
-    data: bytes
+    data: bytes | bytearray
     is_sound: bool  # all of it, and the container holds nothing else
     used_bytes: int  # of the container's body; what follows was not looked at
 
@@ -158,13 +155,21 @@ def inflate(body: bytes, *, is_whole: bool) -> Contents:
     if len(body) < CONTAINER_HEADER.size:
         return NOTHING
     method, inflated_bytes = CONTAINER_HEADER.unpack_from(body)
-    payload = body[CONTAINER_HEADER.size :]
     if method == STORED:
-        stored = payload[:inflated_bytes]
-        is_sound = inflated_bytes <= len(payload) <= inflated_bytes + LONGEST_PADDING
+        stored_bytes = len(body) - CONTAINER_HEADER.size
+        stored = body[CONTAINER_HEADER.size :][:inflated_bytes]
+        is_sound = inflated_bytes <= stored_bytes <= inflated_bytes + LONGEST_PADDING
         return Contents(stored, is_sound, CONTAINER_HEADER.size + len(stored))
-    if method != DEFLATED:
-        return NOTHING
+    return deflated(body, inflated_bytes, is_whole=is_whole) if method == DEFLATED else NOTHING
+
+
+def deflated(body: bytes, stated_bytes: int, *, is_whole: bool) -> Contents:
+    """Return what a container with a zlib stream holds."""
+    payload = body[CONTAINER_HEADER.size :]
+    if is_whole and stated_bytes <= MAX_CONTAINER_BYTES:
+        sound = sound_contents(payload, stated_bytes, LONGEST_PADDING)
+        if sound is not None:
+            return Contents(sound, is_sound=True, used_bytes=len(body))
     inflater = zlib.decompressobj()
     try:
         data = inflater.decompress(payload, MAX_CONTAINER_BYTES)

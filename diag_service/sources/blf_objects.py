@@ -6,7 +6,7 @@ from dataclasses import astuple, dataclass
 import numpy as np
 
 from diag_service.frames import FrameBatch
-from diag_service.records import Int64Array
+from diag_service.records import Int64Array, UInt8Array
 from diag_service.sources.arena import Arena
 from diag_service.sources.blf_kernel import (
     DAMAGED,
@@ -61,8 +61,8 @@ FD_MESSAGE_64 = Layout(
     length=1, remote=12, remote_mask=0x10, fd=13, fd_mask=0x10, brs_mask=0x20, esi_mask=0x40, data=40, extension=35,
     channel_bytes=1,
 )  # fmt: skip
-ERROR = Layout(is_error=True, data=0)
-FD_ERROR = Layout(is_error=True, data=0, channel_bytes=1)
+ERROR = Layout(is_error=True, data=2)
+FD_ERROR = Layout(is_error=True, data=1, channel_bytes=1)
 LAYOUTS = {1: MESSAGE, 86: MESSAGE, 100: FD_MESSAGE, 101: FD_MESSAGE_64, 2: ERROR, 73: ERROR, 104: FD_ERROR}
 ABSENT = Layout(data=-1)
 
@@ -79,41 +79,65 @@ class ObjectStream:
         self._start_ns = start_us * NS_PER_US
         self._tally = tally
         self._arena = Arena.of(1)
-        self._tail = b""  # the beginning of an object that the next container continues
+        self._buffer = np.empty(0, np.uint8)
+        self._tail = np.empty(0, np.uint8)  # the beginning of an object that the next container continues
         self._number = 0  # objects seen, for messages
+        self._rows = 0
         self._is_lost = False
 
-    def feed(self, data: bytes) -> FrameBatch:
-        """Return the frames of the objects that end in this piece."""
-        raw = np.frombuffer(self._tail + data, np.uint8)
+    def __len__(self) -> int:
+        return self._rows
+
+    def feed(self, data: bytes | bytearray) -> None:
+        """Add the frames of the objects that end in this piece."""
+        raw = self._joined(data)
         report = np.zeros(REPORT_FIELDS, np.int64)
-        report[IS_LOST], report[OBJECTS] = self._is_lost, self._number
+        report[IS_LOST], report[OBJECTS], report[ROWS] = self._is_lost, self._number, self._rows
         arena = self._arena
-        arena.reserve(len(raw) // STAMPED_HEADER_BYTES + 1)
+        arena.reserve(self._rows + len(raw) // STAMPED_HEADER_BYTES + 1, self._rows)
         while True:
             parse_objects(
                 raw, LAYOUT_TABLE, self._start_ns, arena.t_ns, arena.can_id, arena.length, arena.flags, arena.channel,
-                arena.data, report,
+                arena.data, arena.data_words, report,
             )  # fmt: skip
             if not report[IS_TOO_WIDE]:
                 break
             arena.widen(int(report[ROWS]))
-        self._tail = raw[report[POSITION] :].tobytes()
-        if not self._tail.strip(b"\0"):
-            self._tail = b""
+        self._tail = raw[report[POSITION] :].copy()
+        if not self._tail.any():
+            self._tail = self._tail[:0]
+        self._rows = int(report[ROWS])
         self._is_lost = bool(report[IS_LOST])
         self._number = int(report[OBJECTS])
         self._tally.skipped += int(report[SKIPPED])
-        self._tally.reject(LogReject.DAMAGED, f"object {report[FIRST_DAMAGED]}", int(report[DAMAGED]))
-        return arena.batch(int(report[ROWS]))
+        if report[DAMAGED]:
+            self._tally.reject(LogReject.DAMAGED, f"object {report[FIRST_DAMAGED]}", int(report[DAMAGED]))
+
+    def take(self) -> FrameBatch:
+        """Return the frames added since the last time."""
+        batch = self._arena.batch(self._rows)
+        self._tally.frames += self._rows
+        self._rows = 0
+        return batch
+
+    def _joined(self, data: bytes | bytearray) -> UInt8Array:
+        """Return a piece behind what is left of the one before it."""
+        piece, kept = np.frombuffer(data, np.uint8), len(self._tail)
+        if not kept:
+            return piece
+        if len(self._buffer) < kept + len(piece):
+            self._buffer = np.empty(kept + len(piece), np.uint8)
+        joined = self._buffer[: kept + len(piece)]
+        joined[:kept], joined[kept:] = self._tail, piece
+        return joined
 
     def lose_track(self) -> None:
         """Forget an object whose continuation is missing; go on with the next one that can be found."""
-        self._tail = b""
+        self._tail = self._tail[:0]
         self._is_lost = True
 
     def finish(self) -> None:
         """Count an object that the file does not complete."""
-        if self._tail:
+        if len(self._tail):
             self._tally.truncated = True
             self._tally.reject(LogReject.CUT_OFF, f"object {self._number + 1}")

@@ -6,7 +6,7 @@ Every text that is parsed ends with a newline, and no step passes over one, so n
 import numpy as np
 import numpy.typing as npt
 
-from clutch_model.jit import array_kernel
+from clutch_model.jit import array_kernel, inlined_kernel
 from diag_service.records import Int64Array, UInt8Array
 
 # Outcomes of one line, in the order of a kernel's counters.
@@ -60,6 +60,37 @@ def skip_line(text: UInt8Array, at: int) -> int:
     return at + 1
 
 
+@inlined_kernel
+def decimal(text: UInt8Array, at: int, most_digits: int) -> tuple[int, int]:
+    """Read a number of up to so many digits; return it and the position behind it, which is ``at`` if there is none."""
+    value, begin = 0, at
+    while 48 <= text[at] <= 57 and at - begin < most_digits:
+        value = value * 10 + text[at] - 48
+        at += 1
+    return value, at
+
+
+@inlined_kernel
+def decimal_parts(text: UInt8Array, at: int, whole: int, most_digits: int) -> tuple[int, int]:
+    """Read digits behind a decimal point as parts of a whole, a power of ten; further ones are worth nothing."""
+    value, begin = 0, at
+    while 48 <= text[at] <= 57 and at - begin < most_digits:
+        whole //= 10
+        value += whole * (text[at] - 48)
+        at += 1
+    return value, at
+
+
+@inlined_kernel
+def hexadecimal(text: UInt8Array, at: int, most_digits: int) -> tuple[int, int]:
+    """Read a number of up to so many hexadecimal digits, as ``decimal``."""
+    value, begin = 0, at
+    while HEX_VALUE[text[at]] >= 0 and at - begin < most_digits:
+        value = value * 16 + HEX_VALUE[text[at]]
+        at += 1
+    return value, at
+
+
 @array_kernel
 def hex_bytes(text: UInt8Array, at: int, row: int, data: UInt8Array, limit: int, separator: int) -> tuple[int, int]:
     """Read bytes of two digits into a row until something else comes; return how many and the position behind them.
@@ -77,17 +108,6 @@ def hex_bytes(text: UInt8Array, at: int, row: int, data: UInt8Array, limit: int,
         if text[at] == separator and HEX_VALUE[text[at + 1]] >= 0:
             at += 1
     return count, at
-
-
-@array_kernel
-def eight_hex_bytes(text: UInt8Array, at: int, row: int, data: UInt8Array) -> bool:
-    """Read eight bytes without separators into a row, independently of each other; return whether they are such."""
-    seen = 0
-    for index in range(8):
-        value = HEX_PAIR[text[at + 2 * index], text[at + 2 * index + 1]]
-        data[row, index] = value & 0xFF
-        seen |= value
-    return seen >= 0
 
 
 @array_kernel

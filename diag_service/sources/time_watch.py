@@ -3,6 +3,7 @@
 import numpy as np
 import numpy.typing as npt
 
+from clutch_model.jit import array_kernel
 from diag_service.frames import MAX_GAP_NS, FrameBatch
 from diag_service.records import Int64Array
 from diag_service.sources.columns import join
@@ -11,6 +12,10 @@ from diag_service.sources.tally import Tally
 NS_PER_S = 1e9
 
 BoolArray = npt.NDArray[np.bool_]
+
+
+# What the steps of time in a batch come to.
+BACK, AHEAD, FIRST_JUMP, SAME, STEP_FIELDS = range(5)
 
 
 class TimeWatch:
@@ -24,23 +29,42 @@ class TimeWatch:
     def look(self, batch: FrameBatch) -> None:
         """Look at the next frames."""
         before = batch[:1] if self._last is None else self._last
-        steps_ns = np.diff(batch.t_ns, prepend=before.t_ns[0])
-        jumps = np.flatnonzero((steps_ns < 0) | (steps_ns > MAX_GAP_NS))
-        if len(jumps):
-            first, back = int(jumps[0]), int(np.count_nonzero(steps_ns[jumps] < 0))
-            place = f"frame {self._seen + first + 1}: time jumps by {steps_ns[first] / NS_PER_S:+.6f} s"
-            self._tally.jump(back, len(jumps) - back, place)
-        self._count_repeated(before, batch, steps_ns == 0)
+        before_ns = int(before.t_ns[0])
+        steps = np.zeros(STEP_FIELDS, np.int64)
+        look_at_steps(np.require(batch.t_ns, np.int64, ("C", "W")), before_ns, steps)
+        if steps[BACK] or steps[AHEAD]:
+            first = int(steps[FIRST_JUMP])
+            step_ns = int(batch.t_ns[first]) - (int(batch.t_ns[first - 1]) if first else before_ns)
+            place = f"frame {self._seen + first + 1}: time jumps by {step_ns / NS_PER_S:+.6f} s"
+            self._tally.jump(int(steps[BACK]), int(steps[AHEAD]), place)
+        if steps[SAME]:
+            self._count_repeated(before, batch)
         self._last = batch[-1:]
         self._seen += len(batch)
 
-    def _count_repeated(self, before: FrameBatch, batch: FrameBatch, has_same_time: BoolArray) -> None:
+    def _count_repeated(self, before: FrameBatch, batch: FrameBatch) -> None:
         """Count frames that equal the one before them, time and all."""
-        if self._seen and has_same_time[0]:
+        if self._seen and batch.t_ns[0] == before.t_ns[0]:
             joined = join([before, batch[:1]])
             self._tally.repeated += int(_equals_the_one_before(joined, np.array([1])).sum())
-        rows = 1 + np.flatnonzero(has_same_time[1:] & (batch.can_id[1:] == batch.can_id[:-1]))
+        has_same_time = batch.t_ns[1:] == batch.t_ns[:-1]
+        rows = 1 + np.flatnonzero(has_same_time & (batch.can_id[1:] == batch.can_id[:-1]))
         self._tally.repeated += int(_equals_the_one_before(batch, rows).sum())
+
+
+@array_kernel
+def look_at_steps(t_ns: Int64Array, before_ns: int, steps: Int64Array) -> None:
+    """Count the times that lie before the one before them, far behind it, and at it; note the first jump."""
+    for row in range(t_ns.size):
+        step_ns = t_ns[row] - before_ns
+        before_ns = t_ns[row]
+        steps[SAME] += step_ns == 0
+        if 0 <= step_ns <= MAX_GAP_NS:
+            continue
+        if steps[BACK] + steps[AHEAD] == 0:
+            steps[FIRST_JUMP] = row
+        steps[BACK] += step_ns < 0
+        steps[AHEAD] += step_ns > 0
 
 
 def _equals_the_one_before(batch: FrameBatch, rows: Int64Array) -> BoolArray:

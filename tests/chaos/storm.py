@@ -10,14 +10,15 @@ from enum import StrEnum
 from pathlib import Path
 from typing import Final
 
-from sqlalchemy import Engine
+from sqlalchemy import Engine, select
 
 from diag_service.results import shift_record
 from diag_service.store import ResultStore
-from fleet_backend.database import open_database
+from fleet_backend.database import open_database, transaction
 from fleet_backend.migrate import migrate
 from fleet_backend.queries import TableHash, table_hash
 from fleet_backend.rows import shift_row
+from fleet_backend.schema import SHIFT_RESULT
 from fleet_backend.writer import Batch, Writer
 from tests.chaos.edge import ALL_MADE, AT_WORK
 from tests.plugins.broker import Mosquitto
@@ -26,6 +27,9 @@ WORKERS: Final = 2
 START_S: Final = 180.0  # until all are at work; a busy machine takes long
 _LOOK_S: Final = 0.05
 _LONGER: Final = 4.0
+_ANY: Final = 2**62
+
+Key = tuple[str, str, int]  # vehicle, stream, seq
 
 
 class BrokerDisk(StrEnum):
@@ -66,9 +70,11 @@ class Plan:
 class Account:
     """What the storm left."""
 
+    planned: int
     made: int
     stored: int
-    lost: int
+    waiting: int  # in outboxes, not yet in the database: late, not lost
+    lost: int  # in neither
     is_equal: bool  # to a database that got every result once, in order
     kills: dict[str, int]
     drained_s: float | None  # after the last kill; None: not in time
@@ -157,30 +163,40 @@ class Storm:
 
     def _account(self, engine: Engine, drained_s: float | None) -> Account:
         plan = self._plan
-        expected = self._expected()
+        for child in self._children.values():
+            child.kill()
+            child.wait()
+        stored = _keys(engine)
+        expected, waiting, lost = self._expected(stored)
         found = table_hash(engine)
         return Account(
+            planned=plan.edges * plan.results_per_edge,
             made=expected.row_count,
             stored=found.row_count,
-            lost=plan.edges * plan.results_per_edge - found.row_count,
+            waiting=waiting,
+            lost=lost,
             is_equal=found == expected,
             kills=dict(self._kills),
             drained_s=drained_s,
         )
 
-    def _expected(self) -> TableHash:
-        """Return the hash of a database that got what the edges' stores hold, once and in order."""
+    def _expected(self, stored: set[Key]) -> tuple[TableHash, int, int]:
+        """Return what a database holds that got every result once and in order; how many wait, how many are lost."""
         engine = open_database(f"sqlite:///{self._folder / 'expected.sqlite'}")
         migrate(engine)
         writer = Writer(engine)
+        waiting_count, absent_count = 0, 0
         for name in self._names("edge"):
-            self._children[name].kill()
-            self._children[name].wait()
             with closing(ResultStore.open(self._store(name))) as store:
-                writer.store(Batch(shifts=[shift_row(shift_record(result)) for result in store.results(name)]))
+                results = list(store.results(name))
+                waiting = {row.key.seq for row in store.waiting(name, after=0, before=_ANY, limit=_ANY)}
+            writer.store(Batch(shifts=[shift_row(shift_record(result)) for result in results]))
+            absent = {result.seq for result in results if (name, result.stream, result.seq) not in stored}
+            waiting_count += len(absent & waiting)
+            absent_count += len(absent)
         found = table_hash(engine)
         engine.dispose()
-        return found
+        return found, waiting_count, absent_count - waiting_count
 
     def _start(self, name: str) -> None:
         with self._log(name).open("ab") as log:
@@ -209,3 +225,9 @@ class Storm:
             child.kill()
             child.wait()
         self._broker.stop()
+
+
+def _keys(engine: Engine) -> set[Key]:
+    with transaction(engine) as connection:
+        columns = (SHIFT_RESULT.c.vehicle, SHIFT_RESULT.c.stream, SHIFT_RESULT.c.seq)
+        return {(row.vehicle, row.stream, row.seq) for row in connection.execute(select(*columns))}

@@ -23,5 +23,5 @@ SHORT = Plan(
 def test_a_storm_loses_nothing_and_doubles_nothing(tmp_path: Path, postgres_url: str) -> None:
     account = Storm(tmp_path, postgres_url, SHORT).run()
     assert account.drained_s is not None
-    assert (account.made, account.lost, account.is_equal) == (600, 0, True)
+    assert (account.stored, account.waiting, account.lost, account.is_equal) == (600, 0, 0, True)
     assert min(account.kills.values()) >= 1

@@ -4,7 +4,7 @@ import asyncio
 import signal
 import subprocess
 import sys
-from collections.abc import AsyncIterator, Callable, Iterator
+from collections.abc import AsyncIterator, Iterator
 from contextlib import asynccontextmanager, closing
 from pathlib import Path
 
@@ -12,26 +12,14 @@ import aiomqtt
 import pytest
 
 from diag_service.publishers import Acknowledge, BrokerAddress, MqttConnector, Outbox
-from diag_service.results import ServiceStatus
-from diag_service.store import ResultStore, VehicleState, Versions
+from diag_service.store import ResultStore
 from fleet_contract import Receipt, ack_messages
 from tests.acknowledger import Acknowledger
-from tests.builders import shift_result
 from tests.doomed_edge import Step
+from tests.outboxes import NOW, STATUS, put, sending, until
 from tests.plugins.broker import Mosquitto
 
 pytestmark = pytest.mark.broker
-
-STATE = VehicleState(belief={}, condition={}, versions=Versions(algorithm="a", calibration="c"))
-STATUS = ServiceStatus(
-    vehicle="car1",
-    is_online=True,
-    connected_at="",
-    service_version="0.1.0",
-    algorithm_version="algorithm-1",
-    calibration_version="1+0123456789ab",
-)
-NOW = "2026-01-01T00:00:00.000000Z"
 
 
 @pytest.fixture(name="store")
@@ -47,32 +35,17 @@ def _short_pauses(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("diag_service.publishers.delivery.RESEND_S", 0.5)
 
 
-def put(store: ResultStore, first: int, last: int) -> None:
-    for seq in range(first, last + 1):
-        store.add(shift_result(seq), STATE)
-
-
-async def until(condition: Callable[[], bool], timeout_s: float = 30.0) -> None:
-    async with asyncio.timeout(timeout_s):
-        while not condition():  # noqa: ASYNC110 - the condition lives in another thread
-            await asyncio.sleep(0.01)
-
-
 @asynccontextmanager
 async def running(store: ResultStore, broker: Mosquitto) -> AsyncIterator[Outbox]:
     address = BrokerAddress(host="127.0.0.1", port=broker.port)
     connector = MqttConnector(address, "clutchdiag-car1", STATUS, is_persistent=True)
     outbox = Outbox(store, "car1", lambda: connector.connect(NOW), str(address), acknowledge=Acknowledge.BACKEND)
-    sender = asyncio.create_task(outbox.run())
-    try:
+    async with sending(outbox):
         yield outbox
-    finally:
-        sender.cancel()
-        await asyncio.gather(sender, return_exceptions=True)
 
 
 async def test_a_broker_alone_does_not_empty_the_outbox(store: ResultStore, broker: Mosquitto) -> None:
-    put(store, 1, 3)
+    put(store, range(1, 4))
     async with running(store, broker) as outbox:
         await until(lambda: outbox.counts.sent >= 3)
         assert store.unpublished_count("car1") == 3
@@ -82,7 +55,7 @@ async def test_a_broker_alone_does_not_empty_the_outbox(store: ResultStore, brok
 
 async def test_the_broker_forgets_everything_and_nothing_is_lost(store: ResultStore, broker: Mosquitto) -> None:
     """Kill -9 and an empty data folder, as with Mosquitto's default persistence, after it acknowledged all."""
-    put(store, 1, 100)
+    put(store, range(1, 101))
     with Acknowledger(broker.port, is_acknowledging=False) as backend:
         async with running(store, broker) as outbox:
             await until(lambda: outbox.counts.sent >= 100)
@@ -97,8 +70,8 @@ async def test_the_broker_forgets_everything_and_nothing_is_lost(store: ResultSt
 async def test_brokers_and_services_die_and_nothing_is_lost(store: ResultStore, broker: Mosquitto) -> None:
     with Acknowledger(broker.port) as backend:
         for first in (1, 51, 101):
-            async with running(store, broker) as outbox:  # its end is that of a process: no farewell, no last word
-                put(store, first, first + 49)
+            async with running(store, broker) as outbox:
+                put(store, range(first, first + 50))
                 outbox.nudge()
                 await until(lambda: outbox.counts.sent > 10)
                 await asyncio.to_thread(broker.kill)
@@ -110,7 +83,7 @@ async def test_brokers_and_services_die_and_nothing_is_lost(store: ResultStore, 
 
 
 async def test_acknowledgements_wait_for_a_vehicle_that_is_away(store: ResultStore, broker: Mosquitto) -> None:
-    put(store, 1, 20)
+    put(store, range(1, 21))
     with Acknowledger(broker.port, is_acknowledging=False) as backend:
         async with running(store, broker):
             await until(lambda: len(backend.keys) == 20)
@@ -126,7 +99,7 @@ async def test_acknowledgements_wait_for_a_vehicle_that_is_away(store: ResultSto
 async def test_a_message_that_is_no_acknowledgement_is_told_and_ignored(
     store: ResultStore, broker: Mosquitto, caplog: pytest.LogCaptureFixture
 ) -> None:
-    put(store, 1, 1)
+    put(store, [1])
     async with running(store, broker) as outbox, aiomqtt.Client("127.0.0.1", broker.port) as client:
         await until(lambda: outbox.counts.sent >= 1)
         for payload in (b"\xff", b"{" * 300_000, b"{}"):

@@ -2,8 +2,8 @@
 
 import asyncio
 import socket
-from collections.abc import AsyncIterator, Callable, Iterator
-from contextlib import asynccontextmanager, closing
+from collections.abc import Callable, Iterator
+from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
 
@@ -13,24 +13,14 @@ from jsonschema import Draft202012Validator
 
 from diag_service.publishers import BrokerAddress, MqttConnector, Outbox
 from diag_service.results import ServiceStatus, clutch_record, shift_record
-from diag_service.store import ResultStore, VehicleState, Versions
+from diag_service.store import ResultStore
 from fleet_contract import schema
-from tests.builders import shift_result
+from tests.outboxes import NOW, STATUS, put, sending, until
 from tests.plugins.broker import Mosquitto, free_port
 from tests.subscriber import Subscriber
 
 pytestmark = pytest.mark.broker
 
-STATE = VehicleState(belief={}, condition={}, versions=Versions(algorithm="a", calibration="c"))
-STATUS = ServiceStatus(
-    vehicle="car1",
-    is_online=True,
-    connected_at="",
-    service_version="0.1.0",
-    algorithm_version="algorithm-1",
-    calibration_version="1+0123456789ab",
-)
-NOW = "2026-01-01T00:00:00.000000Z"
 USERS = {"backend": "heard", "car1": "driven"}
 
 
@@ -60,19 +50,8 @@ def _strict_broker(tmp_path: Path) -> Iterator[Mosquitto]:
     broker.stop()
 
 
-def put(store: ResultStore, first: int, last: int) -> None:
-    for seq in range(first, last + 1):
-        store.add(shift_result(seq, to_gear=2 + seq % 5), STATE)
-
-
 def seqs(subscriber: Subscriber) -> list[int]:
     return [int(payload["seq"]) for payload in subscriber.payloads("/shift")]
-
-
-async def until(condition: Callable[[], bool], timeout_s: float = 20.0) -> None:
-    async with asyncio.timeout(timeout_s):
-        while not condition():  # noqa: ASYNC110 - the condition lives in another process
-            await asyncio.sleep(0.01)
 
 
 def outbox_for(store: ResultStore, address: BrokerAddress, status: ServiceStatus | None = STATUS) -> Outbox:
@@ -84,21 +63,11 @@ def local(port: int, username: str | None = None, password: str | None = None) -
     return BrokerAddress(host="127.0.0.1", port=port, username=username, password=password)
 
 
-@asynccontextmanager
-async def running(outbox: Outbox) -> AsyncIterator[asyncio.Task[None]]:
-    sender = asyncio.create_task(outbox.run())
-    try:
-        yield sender
-    finally:
-        sender.cancel()
-        await asyncio.gather(sender, return_exceptions=True)
-
-
 async def test_subscribers_get_what_the_schemas_describe(store: ResultStore, broker: Mosquitto) -> None:
-    put(store, 1, 3)
+    put(store, range(1, 4))
     with Subscriber(broker.port) as subscriber:
         outbox = outbox_for(store, local(broker.port))
-        async with running(outbox) as sender:
+        async with sending(outbox) as sender:
             assert await outbox.close(sender) == 0
         subscriber.wait(lambda heard: len(heard.payloads("/status")) == 2)
         assert subscriber.payloads("/shift") == [shift_record(result) for result in store.results("car1")]
@@ -111,9 +80,9 @@ async def test_subscribers_get_what_the_schemas_describe(store: ResultStore, bro
 
 
 async def test_state_is_retained_and_events_are_not(store: ResultStore, broker: Mosquitto) -> None:
-    put(store, 1, 4)
+    put(store, range(1, 5))
     outbox = outbox_for(store, local(broker.port))
-    async with running(outbox) as sender:
+    async with sending(outbox) as sender:
         await until(lambda: store.unpublished_count("car1") == 0)
         with Subscriber(broker.port) as late:
             late.wait(lambda heard: len(heard.retained()) == 3)
@@ -127,13 +96,13 @@ async def test_state_is_retained_and_events_are_not(store: ResultStore, broker: 
 async def test_a_broker_that_comes_late_gets_everything(
     store: ResultStore, idle_broker: Mosquitto, caplog: pytest.LogCaptureFixture
 ) -> None:
-    put(store, 1, 5)
+    put(store, range(1, 6))
     outbox = outbox_for(store, local(idle_broker.port))
-    async with running(outbox) as sender:
+    async with sending(outbox) as sender:
         await until(lambda: "5 results wait in the store" in caplog.text)
         idle_broker.start()
         with Subscriber(idle_broker.port) as subscriber:
-            put(store, 6, 8)
+            put(store, range(6, 9))
             outbox.nudge()
             await until(lambda: store.unpublished_count("car1") == 0)
             assert await outbox.close(sender) == 0
@@ -147,9 +116,9 @@ async def test_a_broker_that_dies_in_between_loses_and_doubles_nothing(
 ) -> None:
     with Subscriber(broker.port) as subscriber:
         outbox = outbox_for(store, local(broker.port))
-        async with running(outbox) as sender:
+        async with sending(outbox) as sender:
             for first in (1, 21, 41):
-                put(store, first, first + 19)
+                put(store, range(first, first + 20))
                 outbox.nudge()
                 await until(lambda: store.unpublished_count("car1") < 20)
                 await asyncio.to_thread(end, broker)
@@ -161,9 +130,9 @@ async def test_a_broker_that_dies_in_between_loses_and_doubles_nothing(
 async def test_refused_credentials_cost_nothing_but_a_warning(
     store: ResultStore, strict_broker: Mosquitto, caplog: pytest.LogCaptureFixture
 ) -> None:
-    put(store, 1, 2)
+    put(store, range(1, 3))
     outbox = outbox_for(store, local(strict_broker.port, "car1", "guessed"))
-    async with running(outbox) as sender:
+    async with sending(outbox) as sender:
         await until(lambda: "results wait" in caplog.text)
         assert await outbox.close(sender) == 2
     assert "connection refused: [code:135] Not authorized" in caplog.text
@@ -173,9 +142,9 @@ async def test_refused_credentials_cost_nothing_but_a_warning(
 async def test_a_publication_that_the_broker_refuses_stays_in_the_outbox(
     store: ResultStore, strict_broker: Mosquitto, caplog: pytest.LogCaptureFixture
 ) -> None:
-    put(store, 1, 2)
+    put(store, range(1, 3))
     outbox = outbox_for(store, local(strict_broker.port, "car1", "driven"))
-    async with running(outbox) as sender:
+    async with sending(outbox) as sender:
         await until(lambda: "results wait" in caplog.text)
         assert await outbox.close(sender) == 2
     assert "was refused: Not authorized" in caplog.text
@@ -183,12 +152,12 @@ async def test_a_publication_that_the_broker_refuses_stays_in_the_outbox(
 
 async def test_a_silent_broker_delays_the_end_for_a_limited_time(store: ResultStore, broker: Mosquitto) -> None:
     outbox = outbox_for(store, local(broker.port))
-    async with running(outbox) as sender:
-        put(store, 1, 1)
+    async with sending(outbox) as sender:
+        put(store, [1])
         outbox.nudge()
         await until(lambda: store.unpublished_count("car1") == 0)
         broker.freeze()
-        put(store, 2, 3)
+        put(store, range(2, 4))
         outbox.nudge()
         async with asyncio.timeout(4.0):
             assert await outbox.close(sender, timeout_s=0.3) == 2
@@ -196,28 +165,28 @@ async def test_a_silent_broker_delays_the_end_for_a_limited_time(store: ResultSt
 
 
 async def test_a_listener_that_is_no_broker_delays_the_end_for_a_limited_time(store: ResultStore) -> None:
-    put(store, 1, 1)
+    put(store, [1])
     with socket.create_server(("127.0.0.1", 0)) as mute:
         outbox = outbox_for(store, local(mute.getsockname()[1]))
-        async with running(outbox) as sender:
+        async with sending(outbox) as sender:
             await asyncio.sleep(0.2)
             async with asyncio.timeout(4.0):
                 assert await outbox.close(sender, timeout_s=0.3) == 1
 
 
 async def test_nobody_at_the_port(store: ResultStore) -> None:
-    put(store, 1, 1)
+    put(store, [1])
     outbox = outbox_for(store, local(free_port()))
-    async with running(outbox) as sender:
+    async with sending(outbox) as sender:
         async with asyncio.timeout(2.0):
             assert await outbox.close(sender) == 1
 
 
 async def test_a_run_without_status_announces_nothing(store: ResultStore, broker: Mosquitto) -> None:
-    put(store, 1, 1)
+    put(store, [1])
     outbox = outbox_for(store, local(broker.port), None)
     with Subscriber(broker.port) as subscriber:
-        async with running(outbox) as sender:
+        async with sending(outbox) as sender:
             assert await outbox.close(sender) == 0
         subscriber.wait(lambda heard: seqs(heard) == [1])
         assert subscriber.payloads("/status") == []
@@ -257,8 +226,8 @@ async def test_a_broker_that_speaks_version_3_1_1_only(store: ResultStore) -> No
         }
     )
     await embedded.start()
-    put(store, 1, 3)
+    put(store, range(1, 4))
     outbox = outbox_for(store, local(port))
-    async with running(outbox) as sender:
+    async with sending(outbox) as sender:
         assert await outbox.close(sender) == 0
     await embedded.shutdown()

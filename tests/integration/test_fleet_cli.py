@@ -43,7 +43,8 @@ def told_json(capsys: pytest.CaptureFixture[str], engine: Engine, *words: str) -
 def test_the_table_begins_with_the_worst(capsys: pytest.CaptureFixture[str], filled: Engine) -> None:
     text = told(capsys, filled, "table")
     assert text.index("change fluid") < text.index("good ")
-    assert "0.1361 [0.1337, 0.1385]" in text
+    assert "0.136 ± 0.002" in text
+    assert "worn, clutch 2: mu-v slope negative with probability 0.000" in text
     assert [record["vehicle"] for record in told_json(capsys, filled, "table", "--limit", "1")] == ["worn"]
 
 
@@ -129,3 +130,13 @@ def test_an_unknown_word_is_a_usage_error(capsys: pytest.CaptureFixture[str]) ->
         main(["tables"])
     assert caught.value.code == 2
     assert capsys.readouterr().err.count("\n") == 1
+
+
+def test_a_variable_that_nothing_reads_is_told(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("CLUTCHDIAG_DATABSE", "postgresql://fleet:secret@db/fleet")
+    assert main(["table"]) == 2
+    err = capsys.readouterr().err
+    assert "CLUTCHDIAG_DATABASE" in err
+    assert "secret" not in err

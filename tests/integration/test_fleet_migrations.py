@@ -1,24 +1,30 @@
 """The schema of the fleet database: made from nothing or from any earlier schema with its data, on both databases."""
 
+import json
 from collections.abc import Iterator
+from pathlib import Path
 
 import pytest
 from alembic.autogenerate import compare_metadata
 from alembic.runtime.migration import MigrationContext
-from sqlalchemy import Connection, Engine, inspect
+from sqlalchemy import Connection, Engine, column, inspect, table
 
 from fleet_backend import queries
 from fleet_backend.database import open_database, transaction
 from fleet_backend.errors import DatabaseAwayError, DatabaseError
 from fleet_backend.migrate import check_schema, migrate, newest_revision, revisions
-from fleet_backend.rows import Row
-from fleet_backend.schema import CLUTCH, METADATA, SHIFT_RESULT, VEHICLE
+from fleet_backend.rows import moment
+from fleet_backend.schema import METADATA, UtcDateTime
 from fleet_backend.views import CLUTCH_ALARM, CURRENT_SHIFT, FLEET, IDENTITY_ALARM, LAST_SEEN, TREND
 from fleet_backend.writer import Batch, Writer
 from tests.fleet import fleet_result, row_of
 from tests.plugins.broker import free_port
 
 EARLIER = revisions()[:-1]
+GOLDEN = Path(__file__).parents[1] / "golden"
+GOLDEN_HASHES = {
+    "r0001": queries.TableHash(row_count=11, sha256="ab018ef2103354453145cab0296b9dd43709b7bf4f70cb523bac9d5ee75151ca"),
+}
 
 
 @pytest.fixture(name="empty")
@@ -28,27 +34,47 @@ def _empty(empty_database: str) -> Iterator[Engine]:
     engine.dispose()
 
 
-def insert_by_hand(connection: Connection, rows: list[Row]) -> None:
-    """Store rows with what every schema has had, as its own program would have."""
-    for table, row in ((VEHICLE, {"vehicle": "car1"}), (CLUTCH, {"vehicle": "car1", "clutch": 2})):
-        connection.execute(table.insert().values(row))
-    connection.execute(SHIFT_RESULT.insert(), rows)
+def insert_golden(connection: Connection, revision: str) -> None:
+    """Store what the program of an earlier schema had stored, in the columns that it knew."""
+    tables = json.loads((GOLDEN / f"fleet-{revision}.json").read_text(encoding="utf-8"))
+    for name in ("vehicle", "clutch", "shift_result", "quarantine"):
+        for row in tables[name]:
+            columns = [column(key, UtcDateTime if key.endswith("_at") else None) for key in row]
+            values = {key: moment(value) if key.endswith("_at") else value for key, value in row.items()}
+            connection.execute(table(name, *columns).insert().values(values))
 
 
 @pytest.mark.parametrize("revision", EARLIER)
 def test_data_survive_the_upgrade_from_every_earlier_schema(empty: Engine, revision: str) -> None:
     migrate(empty, revision)
-    rows = [row_of(fleet_result(seq)) for seq in range(1, 11)]
     with transaction(empty) as connection:
-        insert_by_hand(connection, rows)
-    before = queries.table_hash(empty)
+        insert_golden(connection, revision)
     with pytest.raises(DatabaseError, match=f"older schema {revision}; run: fleet-backend migrate"):
         check_schema(empty)
     migrate(empty)
     check_schema(empty)
+    assert queries.table_hash(empty) == GOLDEN_HASHES[revision]
+    (seen, _) = sorted(queries.last_seen(empty), key=lambda record: str(record["vehicle"]))
+    assert (seen["vehicle"], bool(seen["is_online"]), seen["service_version"]) == ("car1", True, "0.1.0")
+    worst = queries.worst_first(empty)[0]
+    assert (worst["vehicle"], worst["condition"]) == ("car2", "change_fluid")
+    assert len(queries.trend(empty, "car1", 2, queries.Axis.SHIFT)) == 3  # the newer algorithm stands for its shift
+    assert [record["reason"] for record in queries.quarantined(empty, 9)] == ["identity"]
+    assert [record["vehicle"] for record in queries.identity_alarms(empty)] == ["car1"]
+
+
+@pytest.mark.parametrize("revision", EARLIER)
+def test_results_go_on_where_an_earlier_schema_ended(empty: Engine, revision: str) -> None:
+    migrate(empty, revision)
+    with transaction(empty) as connection:
+        insert_golden(connection, revision)
+    migrate(empty)
+    before = queries.table_hash(empty)
+    rows = [row_of(fleet_result(seq, clutch=1 + seq % 2)) for seq in range(1, 6)]
+    Writer(empty).store(Batch(shifts=rows))  # an outbox that sends again what the old program had stored
     assert queries.table_hash(empty) == before
-    Writer(empty).store(Batch(shifts=[*rows, row_of(fleet_result(11))]))
-    assert len(queries.trend(empty, "car1", 2, queries.Axis.SHIFT)) == 11
+    Writer(empty).store(Batch(shifts=[row_of(fleet_result(6, clutch=1))]))
+    assert queries.result_count(empty) == before.row_count + 1
 
 
 def test_there_is_an_earlier_schema_to_come_from() -> None:

@@ -1,33 +1,38 @@
 """Mutual TLS with a real Mosquitto under the access list of docs/deploy: who is refused, who is told, what stays."""
 
-import asyncio
-from collections.abc import AsyncIterator, Callable, Iterator
+from collections.abc import AsyncIterator, Iterator
 from contextlib import asynccontextmanager, closing
+from dataclasses import replace
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
 import pytest
 
 from diag_service.publishers import Acknowledge, BrokerAddress, MqttConnector, Outbox, TlsFiles
-from diag_service.store import ResultStore, VehicleState, Versions
+from diag_service.results import shift_record
+from diag_service.store import ResultStore
+from fleet_backend import queries
+from fleet_backend.database import open_database
 from fleet_certificates import Authority, Lifetime
+from fleet_contract import shift_message
 from tests.acknowledger import Acknowledger
 from tests.builders import shift_result
+from tests.fleet_worker import worker
+from tests.outboxes import NOW, put, sending, until
 from tests.plugins.broker import Mosquitto
 
 pytestmark = pytest.mark.broker
 
 ACCESS_LIST = Path(__file__).parents[2] / "docs" / "deploy" / "mosquitto.acl"
-STATE = VehicleState(belief={}, condition={}, versions=Versions(algorithm="a", calibration="c"))
-NOW = "2026-01-01T00:00:00.000000Z"
 A_DAY = Lifetime.of_days(1, datetime.now(UTC))
+ALARM_S = 60.0  # within which somebody has to know
 YESTERDAY = Lifetime(begin=A_DAY.begin - timedelta(days=2), end=A_DAY.begin - timedelta(days=1))
 
 
 @pytest.fixture(name="authority")
 def _authority(tmp_path: Path) -> Authority:
     authority = Authority.make(tmp_path / "certificates", A_DAY)
-    authority.issue_server("broker", ["127.0.0.1", "localhost"], A_DAY)
+    authority.issue_server("broker", ["127.0.0.1"], A_DAY)
     authority.issue_client("car1", A_DAY)
     authority.issue_client("fleet-backend", A_DAY)
     return authority
@@ -80,18 +85,8 @@ async def running(
     address = BrokerAddress(host=host, port=broker.port, tls=tls)
     connector = MqttConnector(address, f"clutchdiag-{vehicle}", is_persistent=True)
     outbox = Outbox(store, vehicle, lambda: connector.connect(NOW), str(address), acknowledge=Acknowledge.BACKEND)
-    sender = asyncio.create_task(outbox.run())
-    try:
+    async with sending(outbox):
         yield outbox
-    finally:
-        sender.cancel()
-        await asyncio.gather(sender, return_exceptions=True)
-
-
-async def until(condition: Callable[[], bool], timeout_s: float = 60.0) -> None:
-    async with asyncio.timeout(timeout_s):
-        while not condition():  # noqa: ASYNC110 - the condition lives in another thread
-            await asyncio.sleep(0.01)
 
 
 def backend(authority: Authority, broker: Mosquitto) -> Acknowledger:
@@ -100,13 +95,8 @@ def backend(authority: Authority, broker: Mosquitto) -> Acknowledger:
     return Acknowledger(broker.port, tls=paths)
 
 
-def put(store: ResultStore, *seqs: int, vehicle: str = "car1") -> None:
-    for seq in seqs:
-        store.add(shift_result(seq, vehicle=vehicle), STATE)
-
-
 async def test_a_vehicle_and_its_backend_meet(store: ResultStore, broker: Mosquitto, authority: Authority) -> None:
-    put(store, 1, 2, 3)
+    put(store, [1, 2, 3])
     with backend(authority, broker) as hearing:
         async with running(store, broker, files(authority, "car1")):
             await until(lambda: store.unpublished_count("car1") == 0)
@@ -114,11 +104,11 @@ async def test_a_vehicle_and_its_backend_meet(store: ResultStore, broker: Mosqui
 
 
 @pytest.mark.parametrize(
-    ("name", "lifetime", "host"),
+    ("name", "lifetime", "host", "alarm"),
     [
-        pytest.param(None, A_DAY, "127.0.0.1", id="no certificate"),
-        pytest.param("late", YESTERDAY, "127.0.0.1", id="expired certificate"),
-        pytest.param("car1", A_DAY, "127.0.0.2", id="wrong host"),
+        pytest.param(None, A_DAY, "127.0.0.1", "certificate required", id="no certificate"),
+        pytest.param("late", YESTERDAY, "127.0.0.1", "certificate expired", id="expired certificate"),
+        pytest.param("car1", A_DAY, "localhost", "certificate is not valid for 'localhost'", id="wrong host"),
     ],
 )
 async def test_who_has_no_business_is_refused_told_and_loses_nothing(
@@ -129,13 +119,15 @@ async def test_who_has_no_business_is_refused_told_and_loses_nothing(
     name: str | None,
     lifetime: Lifetime,
     host: str,
+    alarm: str,
 ) -> None:
     if name == "late":
         authority.issue_client(name, lifetime)
-    put(store, 1, 2)
+    put(store, [1, 2])
     with backend(authority, broker) as hearing:
         async with running(store, broker, files(authority, name), host=host):
-            await until(lambda: "2 results wait in the store" in caplog.text)
+            await until(lambda: "2 results wait in the store" in caplog.text, ALARM_S)
+        assert alarm in caplog.text
         assert hearing.seqs() == set()
         async with running(store, broker, files(authority, "car1")):  # put right
             await until(lambda: store.unpublished_count("car1") == 0)
@@ -145,11 +137,11 @@ async def test_who_has_no_business_is_refused_told_and_loses_nothing(
 async def test_another_vehicle_s_topic_is_refused(
     store: ResultStore, broker: Mosquitto, authority: Authority, caplog: pytest.LogCaptureFixture
 ) -> None:
-    put(store, 1, vehicle="car2")
+    put(store, [1], vehicle="car2")
     with backend(authority, broker) as hearing:
         async with running(store, broker, files(authority, "car1"), vehicle="car2"):
-            await until(lambda: "1 results wait in the store" in caplog.text)
-        assert "refused" in caplog.text
+            await until(lambda: "1 results wait in the store" in caplog.text, ALARM_S)
+        assert "clutchdiag/v1/car2/clutch/1 was refused: Not authorized" in caplog.text
         assert hearing.seqs() == set()
         authority.issue_client("car2", A_DAY)
         async with running(store, broker, files(authority, "car2"), vehicle="car2"):
@@ -160,7 +152,7 @@ async def test_an_expired_certificate_is_renewed_without_a_restart(
     store: ResultStore, broker: Mosquitto, authority: Authority, caplog: pytest.LogCaptureFixture
 ) -> None:
     authority.issue_client("car1", YESTERDAY)
-    put(store, 1)
+    put(store, [1])
     with backend(authority, broker):
         async with running(store, broker, files(authority, "car1")) as outbox:
             await until(lambda: "1 results wait in the store" in caplog.text)
@@ -168,7 +160,7 @@ async def test_an_expired_certificate_is_renewed_without_a_restart(
             await until(lambda: store.unpublished_count("car1") == 0)
             failed = outbox.counts.failed
             authority.issue_client("car1", A_DAY)  # and again, in good time: a new connection takes it up
-            put(store, 2)
+            put(store, [2])
             await until(lambda: outbox.counts.failed > failed)
             await until(lambda: store.unpublished_count("car1") == 0)
 
@@ -177,9 +169,39 @@ async def test_a_key_that_others_may_read_is_not_used(
     store: ResultStore, broker: Mosquitto, authority: Authority, caplog: pytest.LogCaptureFixture
 ) -> None:
     (authority.folder / "car1.key").chmod(0o644)
-    put(store, 1)
+    put(store, [1])
     with backend(authority, broker):
         async with running(store, broker, files(authority, "car1")):
             await until(lambda: "may be read by others: chmod 600" in caplog.text)
             (authority.folder / "car1.key").chmod(0o600)
             await until(lambda: store.unpublished_count("car1") == 0)
+
+
+async def test_a_certificate_of_another_vehicle_than_the_payload_is_an_alarm_and_costs_the_others_nothing(
+    tmp_path: Path, store: ResultStore, broker: Mosquitto, authority: Authority, sqlite_url: str
+) -> None:
+    """The broker lets car1 write to its own topic; what it says there of car2 is the backend's to refuse."""
+    folder = authority.folder
+    names = (("--ca", "ca.crt"), ("--cert", "fleet-backend.crt"), ("--key", "fleet-backend.key"))
+    tls = [word for option, name in names for word in (option, str(folder / name))]
+    engine = open_database(sqlite_url)
+    own = shift_message(shift_record(shift_result(7, to_gear=4, vehicle="car1")))
+    lie = shift_message(shift_record(shift_result(7, to_gear=4, vehicle="car2")))
+    with worker(tmp_path, f"mqtts://127.0.0.1:{broker.port}", sqlite_url, *tls):
+        async with MqttConnector(
+            BrokerAddress(host="127.0.0.1", port=broker.port, tls=files(authority, "car1")), "liar"
+        ).connect(NOW) as link:
+            await link.send([replace(lie, topic=own.topic)])
+        await until(lambda: bool(queries.identity_alarms(engine)), ALARM_S)
+        put(store, [7])  # put right: the same shift as what it is
+        async with running(store, broker, files(authority, "car1")):
+            await until(lambda: store.unpublished_count("car1") == 0)
+    (alarm,) = queries.identity_alarms(engine)
+    assert (alarm["vehicle"], alarm["message_count"]) == ("car1", 1)
+    assert "car2" in str(alarm["reason"])
+    assert [(row["vehicle"], row["seq"]) for row in queries.trend(engine, "car1", 2, queries.Axis.SHIFT)] == [
+        ("car1", 7)
+    ]
+    assert queries.result_count(engine) == 1
+    assert "identity: 1 messages put aside" in (tmp_path / "worker-0.log").read_text(encoding="utf-8")
+    engine.dispose()

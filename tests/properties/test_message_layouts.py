@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 
 from diag_service.codec import message_table
 from diag_service.decode import payload_words
+from diag_service.signal_block import SignalBlock
 from tests.cantools_oracle import reference, same_bits
 
 FD_LENGTHS = [1, 2, 3, 4, 5, 6, 7, 8, 12, 16, 20, 24, 32, 48, 64]
@@ -88,12 +89,28 @@ def test_any_message_decodes_to_the_bits_of_cantools(message: Message, seed: int
     assert not table.refused
     wanted = reference(message, [row[: message.length].tobytes() for row in data])
     words = payload_words(data)
-    for name, signal in table.signals.items():
-        decoded = signal.decode(words)
+    for name, decoded in SignalBlock(table.signals).decode(words).items():
         is_there = ~np.isnan(wanted[name])
         assert same_bits(decoded.value[is_there], wanted[name][is_there])
         good = np.ones(ROWS, np.bool_) if decoded.is_good is None else decoded.is_good
         assert np.array_equal(good, np.isfinite(wanted[name]))
+
+
+@settings(deadline=None)  # a busy machine is no failure
+@given(messages(), st.integers(0, 2**32))
+def test_signals_decode_together_as_each_by_itself(message: Message, seed: int) -> None:
+    data = random_payloads(seed, message.length)
+    tables = message_table(message).signals
+    rows = np.flatnonzero(np.random.default_rng(seed).random(ROWS) < 0.7)
+    together = SignalBlock(tables).decode(payload_words(data, rows))
+    assert list(together) == list(tables)
+    for name, table in tables.items():
+        alone, found = table.decode(payload_words(data[rows])), together[name]
+        assert same_bits(alone.value, found.value)
+        assert alone.invalid_count == found.invalid_count
+        assert (alone.is_good is None) == (found.is_good is None)
+        if alone.is_good is not None and found.is_good is not None:
+            assert np.array_equal(alone.is_good, found.is_good)
 
 
 @settings(deadline=None)  # a busy machine is no failure

@@ -9,8 +9,9 @@ import numpy.typing as npt
 from clutch_model.jit import array_kernel
 from diag_service.frames import PAYLOAD_BYTES
 from diag_service.records import Int64Array, UInt8Array
+from diag_service.sources import text_kernels
 from diag_service.sources.tables.layout import BLANKS
-from diag_service.sources.text_kernels import BLANK, HEX_VALUE, LONGEST_NUMBER, NEWLINE, skip_blanks
+from diag_service.sources.text_kernels import BLANK, LONGEST_NUMBER, NEWLINE, decimal, decimal_parts, skip_blanks
 
 NO_BYTE = 256  # an empty column
 MINUS, POINT, COLON, BRACKET = ord("-"), ord("."), ord(":"), ord(")")
@@ -40,10 +41,8 @@ def number(text: UInt8Array, at: int, limit: int) -> tuple[int, int]:
     """Read a number of up to three digits; ``-`` is one that is not known."""
     if text[at] == MINUS:
         return -1, at + 1
-    value, begin = 0, at
-    while 48 <= text[at] <= 57 and at - begin < 3:
-        value = value * 10 + text[at] - 48
-        at += 1
+    begin = at
+    value, at = decimal(text, begin, 3)
     return (-1, -at) if at == begin or value > limit else (value, at)
 
 
@@ -101,20 +100,15 @@ def clock_us(text: UInt8Array, at: int) -> tuple[int, int]:
     """Read ``hours:minutes:seconds:fraction``, the fraction as digits behind a decimal point."""
     total_us = 0
     for part in range(3):
-        begin, value = at, 0
-        while 48 <= text[at] <= 57 and at - begin < 4:
-            value = value * 10 + text[at] - 48
-            at += 1
+        begin = at
+        value, at = decimal(text, begin, 4)
         if at == begin or text[at] != COLON or value > (MOST_HOURS if part == 0 else 59):
             return -1, -at
         total_us = total_us * 60 + value
         at += 1
-    weight, begin = SECOND_US, at
-    total_us *= SECOND_US
-    while 48 <= text[at] <= 57 and at - begin < 6:
-        weight //= 10
-        total_us += weight * (text[at] - 48)
-        at += 1
+    begin = at
+    fraction_us, at = decimal_parts(text, begin, SECOND_US, 6)
+    total_us = total_us * SECOND_US + fraction_us
     return (total_us, at) if at > begin else (-1, -at)
 
 
@@ -125,10 +119,8 @@ def hexadecimal(text: UInt8Array, at: int) -> tuple[int, int, int]:
         return -1, 0, at + 1
     if text[at] == 48 and (text[at + 1] | 32) == 120:
         at += 2
-    value, begin = 0, at
-    while HEX_VALUE[text[at]] >= 0 and at - begin < 8:
-        value = value * 16 + HEX_VALUE[text[at]]
-        at += 1
+    begin = at
+    value, at = text_kernels.hexadecimal(text, begin, 8)
     return (-1, 0, -at) if at == begin else (value, at - begin, at)
 
 
@@ -170,10 +162,8 @@ FALSE = ((((102 << 7 | 97) << 7 | 108) << 7 | 115) << 7) | 101
 @array_kernel
 def byte(text: UInt8Array, at: int, separator: int) -> tuple[int, int]:
     """Read a byte and what separates it from the next; two digits, or one between commas."""
-    value, begin = 0, at
-    while HEX_VALUE[text[at]] >= 0 and at - begin < 2:
-        value = value * 16 + HEX_VALUE[text[at]]
-        at += 1
+    begin = at
+    value, at = text_kernels.hexadecimal(text, begin, 2)
     digits = at - begin
     at = skip_blanks(text, at)
     if separator == BLANKS:

@@ -72,7 +72,7 @@ def test_lags_reach_the_sensors_named_and_no_other() -> None:
 
 
 def test_all_rows_are_driven_over_the_same_seeds() -> None:
-    cases = cases_of(seeds=3, first_seed=50)
+    cases = cases_of(ROWS, seeds=3, first_seed=50)
     assert len(cases) == len(ROWS) * 2 * 3
     seeds: dict[tuple[str, str], set[int]] = {(case.row, case.scenario): set() for case in cases}
     for case in cases:

@@ -6,7 +6,7 @@ from contextlib import asynccontextmanager, closing
 
 import pytest
 
-from diag_service.errors import PublishError
+from diag_service.errors import PublishError, StoreFullError
 from diag_service.publishers import Acknowledge, MemoryLink, Outbox
 from diag_service.results import shift_record
 from diag_service.store import ResultStore, VehicleState, Versions
@@ -232,20 +232,38 @@ async def test_what_nobody_acknowledged_is_sent_again_over_the_next_connection(s
 async def test_silence_is_told_once_and_results_are_sent_again_less_and_less_often(
     store: ResultStore, caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("diag_service.publishers.delivery.RESEND_S", 0.02)
+    monkeypatch.setattr("diag_service.publishers.delivery.RESEND_S", 0.05)
     link = MemoryLink()
     outbox = backend_outbox(store, Broker(link))
     put(store, 1, 2)
     sender = asyncio.create_task(outbox.run())
     await until(lambda: seqs(link) == [1, 2] * 4)
     count = len(link.results)
-    await asyncio.sleep(0.1)  # the next time is 0.32 s after the first
+    await asyncio.sleep(0.1)  # half of the present pause
     assert len(link.results) == count
     assert caplog.text.count("no backend acknowledged 2 results") == 1
     assert link.hear is not None
     link.hear(receipts(1, 2))
     assert await outbox.close(sender) == 0
     assert outbox.counts.repeated == 6
+
+
+async def test_a_silent_backend_is_asked_with_a_few_and_gets_the_others_when_it_answers(
+    store: ResultStore, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("diag_service.publishers.delivery.RESEND_S", 0.02)
+    monkeypatch.setattr("diag_service.publishers.delivery.PROBE", 2)
+    monkeypatch.setattr("diag_service.publishers.owed.ASTRAY_S", 0.0)
+    link = MemoryLink()
+    outbox = backend_outbox(store, Broker(link))
+    put(store, *range(1, 11))
+    sender = asyncio.create_task(outbox.run())
+    await until(lambda: len(link.results) == 16)  # all once, and three questions
+    asked = set(seqs(link)[10:])
+    assert len(asked) == 6
+    link.is_acknowledging = True
+    await until(lambda: store.unpublished_count("car1") == 0)
+    assert await outbox.close(sender) == 0
 
 
 async def test_a_quarantined_result_is_forgotten_and_told(store: ResultStore, caplog: pytest.LogCaptureFixture) -> None:
@@ -295,3 +313,42 @@ async def test_metrics_and_greetings_are_sent(store: ResultStore) -> None:
     numbers = read_message(link.others[1].topic, link.others[1].payload).data["metrics"]
     assert isinstance(numbers, dict)
     assert numbers["outbox_sent_count"] == 2
+
+
+async def test_what_a_dying_worker_took_with_it_is_sent_again_soon(
+    store: ResultStore, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("diag_service.publishers.owed.ASTRAY_S", 0.01)
+    link = MemoryLink()
+    outbox = backend_outbox(store, Broker(link))
+    put(store, 1)
+    sender = asyncio.create_task(outbox.run())
+    await until(lambda: seqs(link) == [1])
+    await asyncio.sleep(0.02)
+    put(store, 2)
+    outbox.nudge()
+    await until(lambda: seqs(link) == [1, 2] and link.hear is not None)
+    assert link.hear is not None
+    link.hear(receipts(2))
+    await until(lambda: seqs(link) == [1, 2, 1])  # long before its time limit
+    link.hear(receipts(1))
+    assert await outbox.close(sender) == 0
+
+
+async def test_a_disk_without_room_for_a_receipt_is_tried_again(
+    store: ResultStore, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    def refuse(_receipts: Sequence[Receipt]) -> list[int]:
+        raise StoreFullError("cannot use store x: database or disk is full")
+
+    first, second = MemoryLink(is_acknowledging=True), MemoryLink(is_acknowledging=True)
+    broker = Broker(first, second)
+    outbox = backend_outbox(store, broker)
+    put(store, 1)
+    with monkeypatch.context() as full:
+        full.setattr(store, "settle", refuse)
+        sender = asyncio.create_task(outbox.run())
+        await until(lambda: "disk is full; 1 results wait" in caplog.text)
+    await until(lambda: store.unpublished_count("car1") == 0)
+    assert (seqs(first), seqs(second)) == ([1], [1])
+    assert await outbox.close(sender) == 0

@@ -14,6 +14,7 @@ from diag_service.defaults import DEFAULTS, PREFIX
 from diag_service.errors import ConfigError
 from diag_service.options import describe, fill_in
 from diag_service.settings import Settings, load_settings
+from fleet_contract import SERVICE_VARIABLES
 from tests.service import environment
 
 VALUES: dict[str, str | int | float | bool] = {
@@ -190,3 +191,21 @@ def test_a_start_without_settings_does_not_wait_for_pydantic() -> None:
     )
     started = subprocess.run([sys.executable, "-c", code], check=False, env=environment())
     assert started.returncode == 0
+
+
+def test_a_variable_that_nothing_reads_is_an_error_that_names_the_nearest(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("CLUTCHDIAG_VEHICEL", "hunter2")
+    with pytest.raises(ConfigError, match=r"CLUTCHDIAG_VEHICEL.*CLUTCHDIAG_VEHICLE") as caught:
+        filled()
+    assert "hunter2" not in str(caught.value)
+    monkeypatch.setenv("CLUTCHDIAG_VEHICEL", "")  # as good as not set
+    assert filled().vehicle == DEFAULTS["vehicle"]
+
+
+def test_the_backend_s_variables_are_no_mistake_here(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("CLUTCHDIAG_DATABASE", "postgresql://fleet@db/fleet")
+    assert filled().vehicle == DEFAULTS["vehicle"]
+
+
+def test_the_contract_knows_every_variable() -> None:
+    assert {PREFIX + name.upper() for name in (*DEFAULTS, "config")} == SERVICE_VARIABLES

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from diag_service.estimation.window import LOADED_PA, MIN_WINDOW_S, SETTLE_S, find_window
+from diag_service.estimation.window import LOADED_PA, MIN_WINDOW_S, SETTLE_S, SLIP_MIN_RAD_S, find_window
 
 GRID_S = np.arange(0.0, 1.0, 1e-3)
 LOADED = np.full(len(GRID_S), 4 * LOADED_PA)
@@ -17,7 +17,7 @@ def test_it_ends_at_the_first_low_slip(direction: float) -> None:
     assert window is not None
     assert window.direction == direction
     assert GRID_S[window.first] == pytest.approx(SETTLE_S)
-    assert abs(slip[window.stop - 1]) > 1.5 >= abs(slip[window.stop])
+    assert abs(slip[window.stop - 1]) > SLIP_MIN_RAD_S >= abs(slip[window.stop])
 
 
 def test_it_waits_for_the_release_of_the_off_going_clutch() -> None:

@@ -157,3 +157,55 @@ def test_recognition() -> None:
     assert holds_candump(b"(1.0) can0 123##0")
     assert not holds_candump(b"time,id,data\n1.0,123,11\n")
     assert not holds_candump(b"")
+
+
+USUAL = b"(1767225600.123456) vcan0 0A0#1122334455667788"
+
+
+@pytest.mark.parametrize("place", range(len(USUAL)))
+def test_a_damaged_line_is_read_alike_eight_characters_at_a_time_and_one_by_one(place: int) -> None:
+    # A line at the end of the text is read by character, one far from it by words.
+    far = b"\n" + USUAL * 2 + b"\n"
+    for character in sorted({*range(256)} - {ord("\n")}):
+        line = USUAL[:place] + bytes([character]) + USUAL[place + 1 :] + b"\n"
+        first, first_counts = read(USUAL + b"\n" + line + far)
+        last, last_counts = read(USUAL + b"\n" + far[1:] + line)
+        assert first is not None
+        assert last is not None
+        assert len(first) == len(last)
+        assert first_counts.rejected[LogReject.MALFORMED] == last_counts.rejected[LogReject.MALFORMED]
+        if len(first) == 2:
+            assert first.t_ns[1] == last.t_ns[1]
+            assert first.can_id[1] == last.can_id[1]
+            assert first.data[1].tobytes() == last.data[1].tobytes()
+            assert (first.length[1], first.channel[1]) == (last.length[1], last.channel[1])
+
+
+@pytest.mark.parametrize("name", [b"can0", b"vcan17", b"x234567", b"much-longer-name"])
+@pytest.mark.parametrize("end", [b"\n", b"\r\n", b" R\n"])
+@pytest.mark.parametrize("size", range(9))
+def test_lines_of_every_length_name_and_end(name: bytes, end: bytes, size: int) -> None:
+    lines = [
+        b"(1767225600.%06d) %s %s#%s" % (k, name, identifier, b"5a" * size) + end
+        for k in range(4)
+        for identifier in (b"7FF", b"1FFFFFFF")
+    ]
+    batch, counts = read(b"".join(lines))
+    assert batch is not None
+    assert counts == LogCounts(frames=8)
+    assert batch.t_ns.tolist() == [1_767_225_600_000_000_000 + k * 1_000 for k in range(4) for _ in range(2)]
+    assert batch.can_id.tolist() == [0x7FF, 0x1FFF_FFFF | EXTENDED_FLAG] * 4
+    assert (batch.length == size).all()
+    assert batch.data.tobytes() == (b"\x5a" * size).ljust(8, b"\0") * 8
+    assert len(set(batch.channel.tolist())) == 1
+
+
+def test_what_a_wide_row_held_before_is_gone() -> None:
+    wide = b"(1767225600.000000) can0 123##0" + b"FF" * 64 + b"\n"
+    narrow = b"(1767225600.000001) can0 123#11\n(1767225600.000002) can0 123#1122334455667788\n"
+    stream, tally = io.BytesIO(), Tally()
+    stream.write(wide * 20_000 + narrow * 50_000)
+    stream.seek(0)
+    *_, last = read_candump(stream, tally)
+    assert last.data[-1].tobytes() == bytes.fromhex("1122334455667788").ljust(last.width, b"\0")
+    assert tally.frames == 120_000

@@ -1,0 +1,47 @@
+"""How a broker is written where people name one: ``mqtt[s]://[user[:password]@]host[:port]``."""
+
+from dataclasses import dataclass, field
+from typing import Final
+from urllib.parse import unquote, urlsplit
+
+from fleet_contract.errors import BrokerUrlError
+
+_PORTS: Final = {"mqtt": 1883, "mqtts": 8883}
+_FORM: Final = "the broker must be mqtt[s]://[user[:password]@]host[:port]"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class BrokerUrl:
+    """What such a text says."""
+
+    host: str
+    port: int
+    username: str | None
+    password: str | None = field(repr=False)
+    is_encrypted: bool
+
+
+def parse_broker_url(text: str) -> BrokerUrl:
+    """Return what an address says.
+
+    Raises
+    ------
+    BrokerUrlError
+        If the text is none; the message does not repeat it, since it may hold a password.
+    """
+    try:
+        parts = urlsplit(text)
+        port = parts.port
+    except ValueError:  # its text quotes what it takes for the port, which may be half a password
+        raise BrokerUrlError(f"{_FORM}, with %-escapes in the password and a port up to 65535") from None
+    if parts.scheme not in _PORTS or not parts.hostname or parts.path.strip("/") or parts.query or parts.fragment:
+        raise BrokerUrlError(_FORM)
+    if port == 0:
+        raise BrokerUrlError(f"{_FORM}: port 0 is no port")
+    return BrokerUrl(
+        host=parts.hostname,
+        port=port or _PORTS[parts.scheme],
+        username=None if parts.username is None else unquote(parts.username),
+        password=None if parts.password is None else unquote(parts.password),
+        is_encrypted=parts.scheme == "mqtts",
+    )

@@ -1,0 +1,134 @@
+"""Real file systems that fill up under the vehicle's store and the backend's database: nobody dies, nothing is lost.
+
+They run with the tests on vcan, where mounting is allowed: in User-Mode Linux everyone is root.
+"""
+
+import os
+import signal
+import sys
+import time
+from contextlib import closing
+from pathlib import Path
+
+import pytest
+from sqlalchemy import Engine
+
+from demo.fleet.postgres import PostgresServer
+from diag_service.results import shift_record
+from diag_service.store import ResultStore, VehicleState, Versions
+from fleet_backend import queries
+from fleet_backend.database import open_database
+from fleet_backend.migrate import migrate
+from fleet_contract import Outgoing, shift_message
+from tests.builders import shift_result
+from tests.fleet import fleet_result
+from tests.fleet_worker import worker
+from tests.plugins.broker import Mosquitto
+from tests.plugins.disk import Mount, fill_up
+from tests.resending_edge import ResendingEdge
+from tests.service import service
+
+pytestmark = [pytest.mark.vcan, pytest.mark.broker]
+
+STATE = VehicleState(belief={}, condition={}, versions=Versions(algorithm="a", calibration="c"))
+MIB = 2**20
+SHIFT_COUNT = 10  # of the drive
+BUDGET_RESULTS = 3000  # some 9 MiB
+
+
+def test_a_vehicle_whose_disk_fills_up_goes_on_and_delivers_everything(
+    mount: Mount, cycle_log: Path, tmp_path: Path, broker: Mosquitto, sqlite_url: str
+) -> None:
+    disk = mount("size=1m")
+    program = (sys.executable, "-m", "tests.fast_bus", str(cycle_log), "0")
+    arguments = ("run", "--store", disk / "car.sqlite", "--json", "--vehicle", "car1", "--acknowledge", "backend")
+    with (
+        worker(tmp_path, broker.url, sqlite_url),
+        service(tmp_path / "edge", *arguments, "--broker", broker.url, program=program) as running,
+    ):
+        running.wait_for(lambda: running.out.count("\n") >= 1)
+        filler = fill_up(disk)
+        running.wait_for(lambda: "disk is full; results wait in memory" in running.err)
+        told = running.out.count("\n")
+        time.sleep(1.0)  # shifts go on, and nobody is told what is not stored
+        assert running.out.count("\n") == told
+        filler.unlink()
+        running.wait_for(lambda: running.out.count("\n") == SHIFT_COUNT)
+        engine = open_database(sqlite_url)
+        running.wait_for(lambda: queries.result_count(engine) == SHIFT_COUNT)
+        running.send(signal.SIGTERM)
+        ended = running.wait()
+    assert ended.status == 0, ended.err
+    assert [shift["seq"] for shift in ended.shifts] == list(range(1, SHIFT_COUNT + 1))
+    assert ended.summary["shifts"]["unpublished"] == 0
+    assert "the disk takes results again; 0 were given up" in ended.err
+
+
+def test_a_store_with_a_budget_never_fills_its_disk_and_counts_what_goes(mount: Mount) -> None:
+    with closing(ResultStore.open(mount("size=8m") / "car.sqlite", budget_bytes=MIB)) as store:
+        for seq in range(1, BUDGET_RESULTS + 1):
+            store.add(shift_result(seq), STATE)
+            if seq <= BUDGET_RESULTS // 2:
+                store.mark_published([seq])
+        dropped = store.dropped_counts()
+        kept = [result.seq for result in store.results("car1")]
+        assert store.used_bytes() <= MIB
+    assert dropped.delivered >= BUDGET_RESULTS // 2 - 1  # all that someone else has, before any that nobody has
+    assert dropped.delivered + dropped.lost + len(kept) == BUDGET_RESULTS
+    assert kept[-1] == BUDGET_RESULTS
+
+
+@pytest.fixture(name="small_sqlite")
+def _small_sqlite(mount: Mount) -> tuple[Path, str]:
+    """Return a small disk and the address of the database on it."""
+    disk = mount("size=2m")
+    return disk, f"sqlite:///{disk / 'fleet.sqlite'}"
+
+
+@pytest.fixture(name="small_postgres")
+def _small_postgres(mount: Mount, own_postgres: PostgresServer) -> tuple[Path, str]:
+    """Return a small disk and the address of the database on it; the server's journal is on another."""
+    disk = mount("size=24m,mode=777", own_postgres.folder)
+    place = disk / "tables"
+    place.mkdir()
+    os.chown(place, own_postgres.folder.stat().st_uid, -1)
+    return disk, own_postgres.create_on(place, "fleet")
+
+
+@pytest.mark.parametrize("kind", ["sqlite", "postgres"])
+def test_a_backend_whose_disk_fills_up_waits_and_stores_everything(
+    kind: str, request: pytest.FixtureRequest, tmp_path: Path, broker: Mosquitto
+) -> None:
+    disk, database = request.getfixturevalue(f"small_{kind}")
+    engine = open_database(database)
+    migrate(engine)
+    sent = messages(400)
+    with worker(tmp_path, broker.url, database) as pid, ResendingEdge(broker.port) as edge:
+        edge.keep(sent[:20])
+        edge.deliver()
+        filler = fill_up(disk)
+        edge.keep(sent)
+        edge.send_once()
+        wait_for_line(tmp_path / "worker-0.log", "trying again")
+        time.sleep(1.0)
+        assert edge.waiting_count > 0
+        assert Path(f"/proc/{pid}").exists()
+        filler.unlink()
+        edge.deliver()
+    assert stored_seqs(engine) == list(range(1, 401))
+    engine.dispose()
+
+
+def messages(count: int) -> list[Outgoing]:
+    return [shift_message(shift_record(fleet_result(seq))) for seq in range(1, count + 1)]
+
+
+def wait_for_line(log: Path, text: str, timeout_s: float = 60.0) -> None:
+    deadline_s = time.monotonic() + timeout_s
+    while text not in log.read_text(encoding="utf-8"):
+        assert time.monotonic() < deadline_s, log.read_text(encoding="utf-8")
+        time.sleep(0.05)
+
+
+def stored_seqs(engine: Engine) -> list[int]:
+    return [int(str(row["seq"])) for row in queries.trend(engine, "car1", 2, queries.Axis.SHIFT)]

@@ -1,0 +1,32 @@
+"""How a broker is named."""
+
+import pytest
+
+from fleet_contract import BrokerUrl, BrokerUrlError, parse_broker_url
+
+
+@pytest.mark.parametrize(
+    ("text", "host", "port", "is_encrypted"),
+    [
+        ("mqtt://broker", "broker", 1883, False),
+        ("mqtts://broker", "broker", 8883, True),
+        ("mqtt://broker:1884/", "broker", 1884, False),
+        ("mqtts://[::1]:1", "::1", 1, True),
+    ],
+)
+def test_what_an_address_says(text: str, host: str, port: int, is_encrypted: bool) -> None:
+    named = BrokerUrl(host=host, port=port, username=None, password=None, is_encrypted=is_encrypted)
+    assert parse_broker_url(text) == named
+
+
+def test_a_password_is_read_and_not_shown() -> None:
+    named = parse_broker_url("mqtt://car:p%40ss@broker")
+    assert (named.username, named.password) == ("car", "p@ss")
+    assert "p@ss" not in repr(named)
+
+
+@pytest.mark.parametrize("text", ["mqtt://car:hunter/2@broker", "mqtt://car:hunter2@broker:x", "http://car:hunter2@x"])
+def test_what_is_none_is_refused_without_repeating_it(text: str) -> None:
+    with pytest.raises(BrokerUrlError, match="the broker must be mqtt") as caught:
+        parse_broker_url(text)
+    assert "hunter" not in str(caught.value)

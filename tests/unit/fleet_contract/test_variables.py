@@ -1,0 +1,22 @@
+"""Environment variables: those of either program are known, others are a mistake."""
+
+import pytest
+
+from fleet_contract import BACKEND_VARIABLES, SERVICE_VARIABLES, VariableError, check_variables
+
+
+def test_what_is_known_or_of_others_passes() -> None:
+    check_variables(dict.fromkeys(SERVICE_VARIABLES | BACKEND_VARIABLES, "set") | {"PATH": "/bin"})
+
+
+@pytest.mark.parametrize(
+    ("name", "nearest"),
+    [
+        ("CLUTCHDIAG_DATABSE", "CLUTCHDIAG_DATABASE"),
+        ("CLUTCHDIAG_BROKER_URL", "CLUTCHDIAG_BROKER"),
+        ("CLUTCHDIAG_STOREBUDGET", "CLUTCHDIAG_STORE_BUDGET"),
+    ],
+)
+def test_the_nearest_name_is_told(name: str, nearest: str) -> None:
+    with pytest.raises(VariableError, match=rf"{name}, .* {nearest}$"):
+        check_variables({name: "set"})
