@@ -3,6 +3,8 @@
 The profile's check says what a single frame is worth; this machine (E2E_SM of the AUTOSAR E2E protocol specification)
 looks at a window of the last checks. Where AUTOSAR calls the check once per cycle, time does so here: every frame that
 is known to be missing counts as one cycle without new data, and silence longer than the timeout as a window of them.
+The timeout follows the cycle that the message itself keeps, from the one that the database names up to ``SLOWEST``
+times as long: a bus that is slower than its database is held against itself, and a gap in it is still one.
 
 All its parameters are the same in every state, as AUTOSAR's constraints permit; the window is cleared on the way to
 ``INVALID``, so that trust must be earned anew.
@@ -14,6 +16,7 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from clutch_model.jit import kernel
+from diag_service.own_cycle import SLOWER_RATIO, SLOWEST
 from diag_service.protection_check import FrameReason, FrameVerdicts, plain
 from diag_service.records import E2eChange, E2eState, Int64Array, UInt8Array
 
@@ -21,6 +24,7 @@ WINDOW: Final = 10  # checks
 MIN_OK: Final = 7  # of a full window: three lost frames are tolerated
 MAX_ERRORS: Final = 1  # frames with a wrong CRC or length
 TIMEOUT_CYCLES: Final = 5
+LEARNING_STEPS: Final = 16  # over which the own cycle of a message forgets; one gap moves it by a sixteenth at most
 MIN_TIMEOUT_NS: Final = 200_000_000  # a listener's machine may be busy: this much lateness says nothing of the sender
 
 _MASK: Final = (1 << WINDOW) - 1
@@ -41,6 +45,7 @@ class E2eMemory(NamedTuple):
     ok_bits: Int64Array  # the last WINDOW checks, the latest lowest: 1 where all was well
     error_bits: Int64Array  # 1 where the frame was broken
     heard_ns: Int64Array  # last frame of whatever kind, -1 before the first
+    own_ns: Int64Array  # cycle that the message keeps, no less than the database's; 0 where that is unknown
     invalidations: Int64Array  # times that the message lost its trust
 
 
@@ -83,10 +88,28 @@ def add_check(memory: E2eMemory, slot: int, is_ok: int, is_error: int) -> bool:
 
 
 @kernel
-def is_overdue(memory: E2eMemory, slot: int, now_ns: int, timeout_ns: Int64Array) -> bool:
+def timeout_at_ns(memory: E2eMemory, slot: int) -> int:
+    """Return when a message that stays silent is overdue; -1 if it is unknown how often it should come."""
+    if memory.own_ns[slot] <= 0 or memory.heard_ns[slot] < 0:
+        return _NONE
+    return int(memory.heard_ns[slot] + max(TIMEOUT_CYCLES * memory.own_ns[slot], MIN_TIMEOUT_NS))
+
+
+@kernel
+def is_overdue(memory: E2eMemory, slot: int, now_ns: int) -> bool:
     """Return whether a message that was heard has been silent for longer than its timeout."""
-    is_known = timeout_ns[slot] > 0 and memory.heard_ns[slot] >= 0
-    return bool(is_known and now_ns - memory.heard_ns[slot] > timeout_ns[slot])
+    return bool(0 <= timeout_at_ns(memory, slot) < now_ns)
+
+
+@kernel
+def learn_cycle(memory: E2eMemory, slot: int, now_ns: int, missing: int, cycle_ns: int) -> None:
+    """Take the time since the last frame into account, frames that are missing in between left out."""
+    own_ns = memory.own_ns[slot]
+    if own_ns > 0 and memory.heard_ns[slot] >= 0:
+        step_ns = (now_ns - memory.heard_ns[slot]) // (1 + max(missing, 0))
+        step_ns = min(max(step_ns, own_ns // 2), 2 * own_ns)
+        own_ns += (step_ns - own_ns) // LEARNING_STEPS
+        memory.own_ns[slot] = min(max(own_ns, cycle_ns), SLOWEST * cycle_ns)
 
 
 @kernel
@@ -108,7 +131,7 @@ def follow_messages(
     t_ns: Int64Array,
     reason: UInt8Array,
     missing: Int64Array,
-    timeout_ns: Int64Array,
+    cycle_ns: Int64Array,
     changes: Int64Array,
 ) -> int:
     """Judge frames in their order; fill rows (time, message, state) of ``changes``, (k, 3), and return how many."""
@@ -117,14 +140,8 @@ def follow_messages(
         m = slot[i]
         if m < 0 or reason[i] >= _OTHER_CHANNEL:
             continue
-        timeout = timeout_ns[m]
-        if (
-            timeout > 0
-            and memory.heard_ns[m] >= 0
-            and t_ns[i] - memory.heard_ns[m] > timeout
-            and fall_silent(memory, m)
-        ):
-            changes[count, 0], changes[count, 1], changes[count, 2] = memory.heard_ns[m] + timeout, m, _INVALID
+        if is_overdue(memory, m, t_ns[i]) and fall_silent(memory, m):
+            changes[count, 0], changes[count, 1], changes[count, 2] = timeout_at_ns(memory, m), m, _INVALID
             count += 1
         for _ in range(min(missing[i], WINDOW)):
             if add_check(memory, m, 0, 0):
@@ -134,17 +151,18 @@ def follow_messages(
         if add_check(memory, m, 1 if reason[i] == _OK else 0, is_error):
             changes[count, 0], changes[count, 1], changes[count, 2] = t_ns[i], m, memory.state[m]
             count += 1
+        learn_cycle(memory, m, t_ns[i], missing[i], cycle_ns[m])
         memory.heard_ns[m] = t_ns[i]
     return count
 
 
 @kernel
-def find_silent(memory: E2eMemory, now_ns: int, timeout_ns: Int64Array, changes: Int64Array) -> int:
+def find_silent(memory: E2eMemory, now_ns: int, changes: Int64Array) -> int:
     """Let messages that are overdue at ``now_ns`` fall silent; fill rows of ``changes`` as above."""
     count = 0
-    for m in range(timeout_ns.size):
-        if is_overdue(memory, m, now_ns, timeout_ns) and fall_silent(memory, m):
-            changes[count, 0], changes[count, 1], changes[count, 2] = memory.heard_ns[m] + timeout_ns[m], m, _INVALID
+    for m in range(memory.state.size):
+        if is_overdue(memory, m, now_ns) and fall_silent(memory, m):
+            changes[count, 0], changes[count, 1], changes[count, 2] = timeout_at_ns(memory, m), m, _INVALID
             count += 1
     return count
 
@@ -156,13 +174,13 @@ def follow_batch(
     t_ns: Int64Array,
     reason: UInt8Array,
     missing: Int64Array,
-    timeout_ns: Int64Array,
+    cycle_ns: Int64Array,
     changes: Int64Array,
 ) -> int:
     """Judge frames, then let messages fall silent that are overdue at the last of them; as above."""
-    count = follow_messages(memory, slot, t_ns, reason, missing, timeout_ns, changes)
+    count = follow_messages(memory, slot, t_ns, reason, missing, cycle_ns, changes)
     if t_ns.size:
-        count += find_silent(memory, t_ns[-1], timeout_ns, changes[count:])
+        count += find_silent(memory, t_ns[-1], changes[count:])
     return count
 
 
@@ -179,9 +197,9 @@ class E2eStates:
 
     def __init__(self, names: Sequence[str], cycle_ns: Sequence[int]) -> None:
         self._names = tuple(names)
-        cycles = np.array(cycle_ns, np.int64)
-        self._timeout_ns = np.where(cycles > 0, np.maximum(TIMEOUT_CYCLES * cycles, MIN_TIMEOUT_NS), 0)
+        self._cycle_ns = np.array(cycle_ns, np.int64)
         self._memory = E2eMemory(*(np.zeros(len(names), np.int64) for _ in E2eMemory._fields))
+        self._memory.own_ns[:] = self._cycle_ns
         self.reset()
         nothing = np.empty(0, np.int64)
         verdicts = FrameVerdicts(reason=np.empty(0, np.uint8), slot=nothing, sequence=nothing, missing=nothing)
@@ -197,10 +215,16 @@ class E2eStates:
         """How often each message lost its trust."""
         return tuple(self._memory.invalidations.tolist())
 
+    @property
+    def own_cycles_ns(self) -> tuple[int, ...]:
+        """How often each message comes by itself; the database's cycle until it is plainly slower, 0 if unknown."""
+        is_slower = self._memory.own_ns >= SLOWER_RATIO * self._cycle_ns
+        return tuple(np.where(is_slower, self._memory.own_ns, self._cycle_ns).tolist())
+
     def reset(self) -> None:
-        """Start again with every message, after a jump of bus time; counts go on."""
+        """Start again with every message, after a jump of bus time; counts and learnt cycles go on."""
         for name, column in zip(E2eMemory._fields, self._memory, strict=True):
-            if name != "invalidations":
+            if name not in {"invalidations", "own_ns"}:
                 column[:] = _NONE if name == "heard_ns" else 0
 
     def follow(self, t_ns: Int64Array, verdicts: FrameVerdicts) -> tuple[E2eChange, ...]:
@@ -212,7 +236,7 @@ class E2eStates:
             plain(t_ns, np.int64),
             verdicts.reason,
             verdicts.missing,
-            self._timeout_ns,
+            self._cycle_ns,
             room,
         )
         if not count:

@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from diag_service.own_cycle import own_period_ns
 from diag_service.records import ColumnBatch, Columns, E2eChange, E2eState, Int64Array, Series, Signal
 from diag_service.sample_rings import SampleRings
 
@@ -37,9 +38,9 @@ class History:
         return self._rings.between(signal, start_ns, stop_ns)
 
     def cut(self, start_ns: int, stop_ns: int) -> Columns:
-        """Return the samples of all signals with ``start_ns <= t_ns < stop_ns``."""
+        """Return the samples of all signals with ``start_ns <= t_ns < stop_ns``, each with the cycle that it keeps."""
         found = {signal: self._rings.between(signal, start_ns, stop_ns) for signal in sorted(self._rings.signals)}
-        return {signal: _copy(series) for signal, series in found.items()}
+        return {signal: _kept(series) for signal, series in found.items()}
 
     def bad_frame_count(self, start_ns: int, stop_ns: int) -> int:
         """Return how many frames were rejected or missing in ``start_ns <= t_ns < stop_ns``."""
@@ -66,8 +67,14 @@ class History:
         self.watermark_ns = -1
 
 
-def _copy(series: Series) -> Series:
-    return replace(series, t_ns=series.t_ns.copy(), sequence=series.sequence.copy(), value=series.value.copy())
+def _kept(series: Series) -> Series:
+    return replace(
+        series,
+        t_ns=series.t_ns.copy(),
+        sequence=series.sequence.copy(),
+        value=series.value.copy(),
+        period_ns=own_period_ns(series),
+    )
 
 
 def _worst(changes: list[E2eChange], start_ns: int, stop_ns: int) -> E2eState:

@@ -111,6 +111,12 @@ class Decoder:
         return {m.message.name: NS_PER_S / m.period_ns for m in self._messages if m.period_ns > 0}
 
     @property
+    def slow_messages(self) -> Mapping[str, tuple[int, int]]:
+        """The messages that come plainly less often than the database says: their own cycle and that [ns]."""
+        cycles = zip(self._messages, self._e2e.own_cycles_ns, strict=True)
+        return {m.message.name: (own_ns, m.period_ns) for m, own_ns in cycles if own_ns > m.period_ns}
+
+    @property
     def kernel_filters(self) -> tuple[tuple[int, int], ...]:
         """Identifier and mask, as SocketCAN wants them, of each message that is looked at."""
         return kernel_filters([mapped.address for mapped in self._messages])

@@ -136,6 +136,11 @@ class Stages:
         """How often each cyclic message should come."""
         return self._decoder.nominal_hz
 
+    @property
+    def slow_messages(self) -> Mapping[str, tuple[int, int]]:
+        """The messages that come plainly less often than they should: their own cycle and the database's [ns]."""
+        return self._decoder.slow_messages
+
     def frame_counts(self) -> FrameCounts:
         """Return what the decoder counted; how the frames came here, their source adds."""
         counts = self._decoder.counts

@@ -20,6 +20,7 @@ from diag_service.summary import FrameCounts, Summary
 from diag_service.tasks import first_error
 
 _BLOCK_BYTES = 1 << 20
+NS_PER_MS = 1_000_000
 _LOG = logging.getLogger(__name__)
 
 
@@ -100,6 +101,7 @@ async def run_logs(logs: Sequence[OpenLog], session: Session, *, stop: Trigger, 
     except BaseExceptionGroup as group:
         raise first_error(group) from group
     warn_of_damage(logs)
+    warn_of_slow_messages(session.stages)
     frames = frame_counts(logs, session.stages, is_whole=not stop.is_set)
     session.finish(frames, unpublished_count)
     return session.summary(frames, unpublished_count)
@@ -149,3 +151,12 @@ def warn_of_damage(logs: Sequence[OpenLog]) -> None:
             _LOG.warning("%s ends before its own end", log.path)
         elif counts.unfinished:
             _LOG.warning("%s was not closed by its writer; what is missing at its end cannot be told", log.path)
+
+
+def warn_of_slow_messages(stages: Stages) -> None:
+    """Warn of messages that come less often than the database says; they are held against their own cycle."""
+    by_cycles: dict[tuple[int, int], list[str]] = {}
+    for name, (own_ns, nominal_ns) in stages.slow_messages.items():
+        by_cycles.setdefault((round(own_ns / NS_PER_MS), round(nominal_ns / NS_PER_MS)), []).append(name)
+    for (own_ms, nominal_ms), names in sorted(by_cycles.items()):
+        _LOG.warning("frames every %d ms instead of %d ms: %s", own_ms, nominal_ms, ", ".join(names))

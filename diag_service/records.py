@@ -78,7 +78,8 @@ class Series:
     """Samples of one canonical signal, oldest first; invalid samples were left out and counted before.
 
     ``sequence`` numbers the transmissions of the message (unwrapped alive counter, gaps where frames are
-    missing); without a counter in the DBC it is all -1. ``period_ns`` is the nominal cycle time, 0 if unknown.
+    missing); without a counter in the DBC it is all -1. ``period_ns`` is the nominal cycle time, 0 if unknown; in
+    an event it is the message's own, where that is plainly longer.
     """
 
     t_ns: Int64Array  # (n,)

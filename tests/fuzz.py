@@ -1,7 +1,8 @@
 """Hypothesis against the readers of our own, for as long as one likes.
 
 Pieces of sound logs and arbitrary bytes, shuffled: reading ends without an error of another kind than ours, frames are
-those of the columns' rules, and every line of a text is accounted for.
+those of the columns' rules, and every line of a text is accounted for. BLF is tried twice, as a file and with the
+objects inside its containers changed before they are packed.
 
     python -m tests.fuzz --reader candump --minutes 10
 """
@@ -10,7 +11,9 @@ import argparse
 import io
 import sys
 import time
+import zlib
 from collections.abc import Callable, Iterator
+from itertools import pairwise
 from typing import BinaryIO
 
 import numpy as np
@@ -36,9 +39,12 @@ from ecu_emulator.log_formats import (
     Header,
     TrcWriter,
 )
+from ecu_emulator.log_formats.blf import CONTAINER_HEADER, DEFLATED, FILE_HEADER, LOG_CONTAINER, OBJECT_MAGIC
+from tests.damage.garbling import inflated_containers
 from tests.traffic import START_NS, as_received, random_frames
 
 EXAMPLES_PER_ROUND = 500
+STORED = 0  # a container that is not deflated
 Reader = Callable[[BinaryIO, Tally], Iterator[FrameBatch]]
 
 
@@ -58,10 +64,13 @@ BUSMASTER = (
     b"0:0:9:3 Rx 1 0x7 sr 3\n"
 )
 CRTD = b"1320745424.000 CXX log\n1320745424.002 1R11 402 FA 01 C3 A0 96 00 07 01\n1320745424.1 2T29 18FEF100 07 64\n"
+SOUND_BLF = written(BlfWriter)
+SOUND_OBJECTS = b"".join(inflated_containers(SOUND_BLF))
 READERS: dict[str, tuple[Reader, bytes]] = {
     "candump": (read_candump, written(CandumpWriter) + b"(1.0) can1 123##5" + b"5A" * 12 + b"\n(1.0) can0 123#R4\n"),
     "asc": (read_asc, written(AscWriter) + b"1.5 CANFD 2 Rx 123 1 0 9 12 " + b"11 " * 12 + b"0 0 303000 0 0 0\n"),
-    "blf": (read_blf, written(BlfWriter)),
+    "blf": (read_blf, SOUND_BLF),
+    "blf-objects": (read_blf, SOUND_OBJECTS),
     "trc": (reader_of(TABLES[LogFormat.TRC]), written(TrcWriter)),
     "csv": (reader_of(TABLES[LogFormat.CSV]), written(CsvWriter)),
     "gvret": (reader_of(TABLES[LogFormat.GVRET]), written(GvretWriter)),
@@ -81,6 +90,24 @@ def contents(sound: bytes) -> st.SearchStrategy[bytes]:
     return st.one_of(
         mixed, mixed.map(lambda rest: sound[:200] + rest), changes.map(lambda found: changed(sound, found))
     )
+
+
+def packed(objects: bytes, cuts: list[int]) -> bytes:
+    """Return a BLF file that holds these objects in several containers, every other one deflated."""
+    edges = [0, *sorted(min(place, len(objects)) for place in cuts), len(objects)]
+    found = SOUND_BLF[: FILE_HEADER.size]
+    for number, (first, last) in enumerate(pairwise(edges)):
+        piece = objects[first:last]
+        stored, method = (zlib.compress(piece), DEFLATED) if number % 2 else (piece, STORED)
+        size = CONTAINER_HEADER.size + len(stored)
+        found += CONTAINER_HEADER.pack(OBJECT_MAGIC, 16, 1, size, LOG_CONTAINER, method, len(piece)) + stored
+        found += bytes(size % 4)
+    return found
+
+
+def packed_contents(sound: bytes) -> st.SearchStrategy[bytes]:
+    """Return BLF files whose objects are anything."""
+    return st.builds(packed, contents(sound), st.lists(st.integers(0, len(sound)), max_size=4))
 
 
 def changed(sound: bytes, changes: list[tuple[int, int]]) -> bytes:
@@ -123,6 +150,7 @@ def check_batch(batch: FrameBatch) -> None:
 def fuzz(name: str, minutes: float, first_seed: int) -> int:
     """Fuzz one reader; return how many logs it read."""
     reader, sound = READERS[name]
+    logs = packed_contents(sound) if name == "blf-objects" else contents(sound)
     end_s, rounds = time.monotonic() + 60.0 * minutes, 0
     while time.monotonic() < end_s:
 
@@ -130,9 +158,9 @@ def fuzz(name: str, minutes: float, first_seed: int) -> int:
         @settings(
             max_examples=EXAMPLES_PER_ROUND, deadline=None, database=None, suppress_health_check=list(HealthCheck)
         )
-        @given(contents(sound))
+        @given(logs)
         def one_round(text: bytes) -> None:
-            check(reader, text, has_lines=name != "blf")
+            check(reader, text, has_lines=not name.startswith("blf"))
 
         one_round()
         rounds += 1

@@ -28,6 +28,7 @@ from diag_service.sources.asc_kernel import (
     BASE,
     HEXADECIMAL,
     IS_RELATIVE,
+    LAST_US,
     MAX_EXTENDED_ID,
     MAX_STANDARD_ID,
     NOW_US,
@@ -42,7 +43,6 @@ from diag_service.sources.tally import LogReject, Tally
 from diag_service.sources.text_kernels import IS_LENGTH, LINES, POSITION, ROWS, STOP, WIDEN
 
 MIN_LINE_BYTES = 16  # "0.0 1 1 Rx d 0" is about the shortest line with a frame
-LAST_US = 9_200_000_000_000_000
 
 HEADER = re.compile(rb"(?:date|base|no\s+internal|internal|begin|end|previous|split)\b|//", re.IGNORECASE)
 START = re.compile(rb"(?:date|begin\s+triggerblock)\s+(?P<date>\S.*)", re.IGNORECASE)
@@ -176,7 +176,8 @@ class _Parser:
     def _advance(self, stamped: re.Match[bytes]) -> None:
         nanoseconds = int(stamped["fraction"].ljust(9, b"0"))
         elapsed_us = int(stamped["seconds"]) * US_PER_S + (nanoseconds + NS_PER_US // 2) // NS_PER_US
-        self._clock[NOW_US] = self._clock[NOW_US] + elapsed_us if self._clock[IS_RELATIVE] else elapsed_us
+        now_us = int(self._clock[NOW_US]) + elapsed_us if self._clock[IS_RELATIVE] else elapsed_us
+        self._clock[NOW_US] = min(now_us, LAST_US + 1)  # what is later is no time, and must stay a number
 
     def _frame(self, event: bytes) -> _Frame | LogReject | None:
         """Return the frame of an event, why it has none, or None if it is of another kind."""
@@ -271,9 +272,10 @@ def date_us(text: bytes) -> int:
         start = datetime(  # noqa: DTZ001 - the format has no zone: local time, as its writers mean it
             int(found["year"]), month, int(found["day"]), hour, int(found["minute"]), int(found["second"])
         )
-    except ValueError:
+        start_s = int(start.timestamp())
+    except (ValueError, OverflowError, OSError):  # the last two: what the C library says of the year 1
         return 0
-    return int(start.timestamp()) * US_PER_S + int(found["ms"] or 0) * 1_000
+    return start_s * US_PER_S + int(found["ms"] or 0) * 1_000 if start_s >= 0 else 0
 
 
 def decoded(text: bytes) -> str:

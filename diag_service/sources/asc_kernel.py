@@ -39,6 +39,7 @@ MAX_SECONDS_DIGITS, MAX_FRACTION_DIGITS = 10, 9
 MAX_STANDARD_ID, MAX_EXTENDED_ID = 0x7FF, 0x1FFF_FFFF
 MAX_ID_DIGITS = 8
 US_PER_S, NS_PER_US = 1_000_000, 1_000
+LAST_US = 9_200_000_000_000_000  # since the epoch: nanoseconds must fit 64 bits
 POINT, EQUALS, UNDERSCORE = ord("."), ord("="), ord("_")
 LETTER_C, LETTER_D, LETTER_R, LETTER_T, LETTER_X = ord("c"), ord("d"), ord("r"), ord("t"), ord("x")
 SAID_REMOTE, SAID_FD = 0x0010, 0x1000  # bits of the flags of a CANFD line
@@ -63,7 +64,8 @@ def parse_usual_lines(
     is_hexadecimal = clock[BASE] == HEXADECIMAL
     while at < len(text):
         time_us, behind = _time_us(text, skip_blanks(text, at))
-        if time_us < 0 or not is_hexadecimal:
+        now_us = clock[NOW_US] + time_us if clock[IS_RELATIVE] else time_us
+        if time_us < 0 or not is_hexadecimal or clock[START_US] + now_us > LAST_US:
             end = UNUSUAL
         elif text[behind] | 32 == LETTER_C:
             end = _fd_frame(text, behind, row, can_id, length, flags, channel, data)
@@ -72,7 +74,7 @@ def parse_usual_lines(
         if end < 0:
             report[STOP] = WIDEN if end == TOO_LONG else OTHER
             break
-        clock[NOW_US] = clock[NOW_US] + time_us if clock[IS_RELATIVE] else time_us
+        clock[NOW_US] = now_us
         t_ns[row] = (clock[START_US] + clock[NOW_US]) * NS_PER_US
         row += 1
         line += 1

@@ -31,6 +31,7 @@ STORED, DEFLATED = 0, 2
 MAX_CONTAINER_BYTES = 64 * 1024 * 1024  # writers use 128 KiB
 SEARCH_BYTES = 1024 * 1024
 US_PER_S = 1_000_000
+LAST_START_S = 9_000_000_000  # the year 2255: nanoseconds must fit 64 bits
 
 
 def read_blf(stream: BinaryIO, tally: Tally) -> Iterator[FrameBatch]:
@@ -69,7 +70,8 @@ def start_us(systemtime: tuple[int, ...]) -> int:
         start = datetime(year, month, day, hour, minute, second, tzinfo=UTC)
     except ValueError:
         return 0
-    return int(start.timestamp()) * US_PER_S + millisecond * 1_000
+    start_s = int(start.timestamp())
+    return start_s * US_PER_S + millisecond * 1_000 if 0 <= start_s <= LAST_START_S else 0
 
 
 def containers(

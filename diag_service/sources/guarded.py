@@ -24,11 +24,11 @@ from diag_service.sources.tally import LogCounts, Tally
 
 Work = Callable[[Path, Path, Tally], Iterator[FrameBatch]]  # a file, a folder for temporary ones, counts
 
-MEMORY_BYTES = 256 * 1024 * 1024  # beyond what the library itself takes, for a small file
+MEMORY_BYTES = 208 * 1024 * 1024  # beyond what the library itself takes, for a small file
 MEMORY_PER_BYTE = 4
 CPU_S = 3.0
 BYTES_PER_CPU_S = 2_000_000
-WAIT_PER_CPU_S = 4.0  # where others use the machine, too
+WAIT_PER_CPU_S = 20.0  # others may use the machine, too; processor time is what is limited
 GAVE_UP = "reading it takes more time or memory than any sound file of its size: it is damaged"
 
 

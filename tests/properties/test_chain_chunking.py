@@ -1,5 +1,6 @@
 """Cutting the stream at any place changes no event and no bit of any estimate, verdict or state."""
 
+from dataclasses import replace
 from functools import cache
 from itertools import pairwise
 
@@ -10,6 +11,7 @@ from hypothesis import strategies as st
 from diag_service.frames import FrameBatch
 from diag_service.records import Status
 from ecu_emulator.recording import Drive
+from ecu_emulator.scenario import Effects
 from tests.builders import drive_scenario
 from tests.chain import Outcome, diagnosed
 from tests.wire import received
@@ -26,6 +28,12 @@ def frames() -> FrameBatch:
 @cache
 def whole() -> Outcome:
     return diagnosed([frames()])
+
+
+@cache
+def slow_frames() -> FrameBatch:
+    scenario = replace(drive_scenario("ideal"), effects=Effects(least_cycle_ms=20))
+    return received(next(Drive(scenario).stretches(DURATION_S)).frames)
 
 
 def cut(batch: FrameBatch, places: list[int]) -> list[FrameBatch]:
@@ -62,3 +70,13 @@ def test_damaged_frames_cut_anywhere_change_nothing(seed: int) -> None:
     assert many.fingerprint == one.fingerprint
     assert many.counts == one.counts
     assert many.counts.rejected == {"bad_crc": hit.size}
+
+
+@settings(max_examples=4, deadline=None)
+@given(st.lists(st.integers(0, FRAME_COUNT), min_size=1, max_size=60))
+@example(list(range(0, FRAME_COUNT, 40)))
+def test_a_slower_bus_is_held_against_its_own_cycle_wherever_it_is_cut(places: list[int]) -> None:
+    one, pieces = diagnosed([slow_frames()]), diagnosed(cut(slow_frames(), places))
+    assert [diagnosis.estimate.status for diagnosis in one.diagnoses] == [Status.VALID] * 3
+    assert pieces.fingerprint == one.fingerprint
+    assert pieces.counts == one.counts

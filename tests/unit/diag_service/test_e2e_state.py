@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from diag_service.e2e_state import MAX_ERRORS, MIN_OK, MIN_TIMEOUT_NS, TIMEOUT_CYCLES, WINDOW, E2eStates
+from diag_service.own_cycle import SLOWEST
 from diag_service.protection_check import FrameReason, FrameVerdicts
 from diag_service.records import E2eChange, E2eState
 
@@ -156,6 +157,37 @@ def test_the_timeout_leaves_room_for_a_busy_machine_and_unknown_cycles_have_none
     assert quick.follow(late + 1, verdicts([FrameReason.UNKNOWN_ID], slot=-1)) == (change(MIN_TIMEOUT_NS, INVALID),)
     quick.follow(late * 1000, verdicts([FrameReason.UNKNOWN_ID], slot=-1))
     assert quick.states == (INVALID, INIT)
+
+
+def slow_frames(cycles: float, count: int) -> np.ndarray[tuple[int], np.dtype[np.int64]]:
+    return (np.arange(count) * cycles * CYCLE_NS).astype(np.int64)
+
+
+def test_the_timeout_follows_a_message_that_is_slower_than_its_database() -> None:
+    stage = machine()
+    t_ns = slow_frames(2.0, 100)
+    assert stage.follow(t_ns, verdicts([OK] * 100))[-1].state is VALID
+    assert stage.own_cycles_ns[0] == pytest.approx(2 * CYCLE_NS, rel=0.02)
+    timeout_ns = TIMEOUT_CYCLES * stage.own_cycles_ns[0]
+    later = np.array([t_ns[-1] + timeout_ns - CYCLE_NS, t_ns[-1] + timeout_ns + CYCLE_NS])
+    assert stage.follow(later, verdicts([FrameReason.UNKNOWN_ID] * 2, slot=-1)) == (
+        change(int(t_ns[-1]) + timeout_ns, INVALID),
+    )
+
+
+def test_the_timeout_grows_no_further_than_five_cycles_of_the_database() -> None:
+    stage = machine()
+    stage.follow(slow_frames(8.0, 200), verdicts([OK] * 200))
+    assert stage.own_cycles_ns == (SLOWEST * CYCLE_NS,)
+
+
+def test_losses_and_single_gaps_are_no_slower_cycle() -> None:
+    stage = machine()
+    t_ns = slow_frames(2.0, 100)
+    stage.follow(t_ns, verdicts([OK] * 100, [0] + [1] * 99))
+    assert stage.own_cycles_ns == (CYCLE_NS,)
+    stage.follow(t_ns[-1] + on_time(1, 40), verdicts([OK]))
+    assert stage.own_cycles_ns == (CYCLE_NS,)
 
 
 def test_a_reset_forgets_all_but_the_counts() -> None:

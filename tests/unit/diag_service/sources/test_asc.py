@@ -108,6 +108,15 @@ def test_relative_times_add_up_over_every_event() -> None:
     assert (batch.t_ns - START_NS).tolist() == [1_000_000_000, 1_500_000_000]
 
 
+@pytest.mark.parametrize("kind", [b"absolute", b"relative"])
+def test_a_time_beyond_what_can_be_told_is_no_frame(kind: bytes) -> None:
+    lines = b"1.0 1 A0 Rx d 0\n" + b"9999999999.0 1 A0 Rx d 0\n" * 1_000
+    batch, counts = read(b"date Thu Jan 01 10:00:00.500 2026\nbase hex timestamps %s\n%s" % (kind, lines))
+    assert batch is not None
+    assert (batch.t_ns - START_NS).tolist() == [1_000_000_000]
+    assert counts.rejected == {LogReject.MALFORMED: 1_000}
+
+
 def test_decimal_base() -> None:
     batch, counts = read(b"base dec timestamps absolute\n1.0 1 160 Rx d 3 10 255 7\n1.1 1 A0 Rx d 0\n")
     assert batch is not None
@@ -160,7 +169,17 @@ def test_german_months(name: bytes, month: int) -> None:
     )
 
 
-@pytest.mark.parametrize("text", [b"", b"yesterday", b"Thu Foo 01 10:00:00 2026", b"Thu Feb 30 10:00:00 2026"])
+@pytest.mark.parametrize(
+    "text",
+    [
+        b"",
+        b"yesterday",
+        b"Thu Foo 01 10:00:00 2026",
+        b"Thu Feb 30 10:00:00 2026",
+        b"Thu Jan 01 10:00:00.123 0006",
+        b"Thu Jan 01 00:00:00 0001",
+    ],
+)
 def test_a_date_that_is_none_is_the_epoch(text: bytes) -> None:
     assert date_us(text) == 0
 

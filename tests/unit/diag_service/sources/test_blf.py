@@ -141,6 +141,14 @@ def test_times_are_rounded_to_microseconds(unit: int, time: int, elapsed_ns: int
     assert batch.t_ns.tolist() == [START_NS + elapsed_ns]
 
 
+@pytest.mark.parametrize("year", [0, 1, 1969, 2256, 9999, 65_535])
+def test_a_start_beyond_what_can_be_told_is_the_epoch(year: int) -> None:
+    batch, counts = read(blf([container(message(5_000))], start=(year, *SYSTEMTIME[1:])))
+    assert batch is not None
+    assert batch.t_ns.tolist() == [5_000]
+    assert counts == LogCounts(frames=1)
+
+
 def test_other_objects_are_skipped_and_order_is_kept() -> None:
     kinds = [message(1_000), an_object(96, b"marker"), an_object(73, bytes(32), 2_000), message(3_000, can_id=5)]
     batch, counts = read(blf([container(b"".join(kinds))]))

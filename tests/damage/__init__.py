@@ -1,0 +1,1 @@
+"""Damage to recordings, generated, and what the service makes of it."""
