@@ -27,9 +27,9 @@ from diag_service.database import load_database
 from diag_service.estimation import Belief
 from diag_service.frames import FrameBatch
 from diag_service.mapping import Decoder
-from diag_service.pipeline import Stages
 from diag_service.profile import load_profile
 from diag_service.records import FrictionEstimate, Status
+from diag_service.stages import Stages
 from ecu_emulator.frames import EncodedFrames
 from ecu_emulator.recording import frames_of
 from ecu_emulator.scenario import FluidCondition

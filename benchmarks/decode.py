@@ -28,11 +28,11 @@ from diag_service.database import load_database
 from diag_service.estimation import Belief
 from diag_service.frames import FrameBatch
 from diag_service.mapping import Decoder
-from diag_service.pipeline import Diagnosis, Stages
 from diag_service.profile import load_profile
 from diag_service.records import ShiftEvent
 from diag_service.shifts import ShiftFinder
 from diag_service.sources import read_log
+from diag_service.stages import Diagnosis, Stages
 
 ROUNDS: Final = 5
 LOG_ROUNDS: Final = 3

@@ -30,14 +30,15 @@ from diag_service.estimation import Belief
 from diag_service.frames import FrameBatch
 from diag_service.live import run_live
 from diag_service.mapping import Decoder
-from diag_service.pipeline import Session, Stages, versions_for
 from diag_service.profile import load_profile
 from diag_service.publishers import MemoryReporter
 from diag_service.records import Int64Array, ShiftEvent, ShiftResult
+from diag_service.session import Session, versions_for
 from diag_service.shifts import POST_NS
 from diag_service.sources import Pace, SourceCounts
 from diag_service.sources.frame_queue import FrameQueue
 from diag_service.sources.pace import URGENT_S
+from diag_service.stages import Stages
 from diag_service.stopping import Trigger
 from diag_service.store import ResultStore
 from ecu_emulator.recording import Drive

@@ -28,11 +28,11 @@ from diag_service.estimation import Belief
 from diag_service.estimation.parameters import FRICTION_COUNT, NAMES
 from diag_service.estimation.self_calibration import SelfCalibration, self_calibrate
 from diag_service.mapping import Decoder
-from diag_service.pipeline import Stages
 from diag_service.profile import load_profile
 from diag_service.records import FloatArray, RevEvent, ShiftEvent
 from diag_service.revs import RevFinder
 from diag_service.shifts import ShiftFinder
+from diag_service.stages import Stages
 from ecu_emulator.frames import EncodedFrames
 from ecu_emulator.recording import frames_of
 from ecu_emulator.scenario import Routine, Scenario

@@ -25,9 +25,9 @@ from diag_service.condition import ConditionMemory
 from diag_service.database import load_database
 from diag_service.estimation import Belief
 from diag_service.mapping import Decoder
-from diag_service.pipeline import Stages
 from diag_service.profile import load_profile
 from diag_service.records import FrictionEstimate, Reason, ShiftEstimate, ShiftEvent, Status
+from diag_service.stages import Stages
 from ecu_emulator.faults import SensorFault, SensorFaultKind
 from ecu_emulator.recording import frames_of
 from ecu_emulator.scenario import FluidCondition, Scenario

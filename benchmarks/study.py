@@ -15,8 +15,8 @@ from diag_service.condition import ConditionMemory
 from diag_service.database import load_database
 from diag_service.estimation import Belief
 from diag_service.mapping import Decoder
-from diag_service.pipeline import Diagnosis, Stages
 from diag_service.profile import load_profile
+from diag_service.stages import Diagnosis, Stages
 from ecu_emulator.recording import frames_of
 from ecu_emulator.scenario import Scenario
 from ecu_emulator.truth import TruthLog

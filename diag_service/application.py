@@ -26,7 +26,6 @@ from diag_service.mapping import Decoder
 from diag_service.monitor import Monitor, SilentReporter
 from diag_service.notices import NOTICE
 from diag_service.paper_run import run_paper
-from diag_service.pipeline import Session, Stages, resume, versions_for
 from diag_service.publishers import (
     Acknowledge,
     ConsoleReporter,
@@ -42,8 +41,10 @@ from diag_service.publishers.pipe import PipeReporter
 from diag_service.recorded import open_drive, run_logs, stream_of
 from diag_service.results import ServiceStatus, dump, iso_utc
 from diag_service.service_manager import ServiceManager
+from diag_service.session import Session, resume, versions_for
 from diag_service.snapshot import Board, Snapshot, SnapshotTaker
 from diag_service.sources import BusOpener, Pace, supervise
+from diag_service.stages import Stages
 from diag_service.stopping import Trigger
 from diag_service.store import ResultStore, Versions
 from diag_service.summary import frames_line

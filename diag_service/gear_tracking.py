@@ -3,50 +3,17 @@
 A tracker walks along the samples once, in steps of any size, and reports the bounds of the shifts it saw end.
 """
 
-from collections.abc import Callable, Mapping
 from collections.abc import Set as AbstractSet
 from dataclasses import dataclass, replace
-from typing import Protocol
 
 import numpy as np
 
+from diag_service.engaged_gear import CurrentGear, EngagedTracker, RatioGear
 from diag_service.history import held
-from diag_service.records import EndReason, FloatArray, GearRatios, Int64Array, Series, Signal
+from diag_service.records import EndReason, GearRatios, Signal
+from diag_service.shift_bounds import DWELL_NS, MAX_SHIFT_NS, Bounds, GearTracker, Samples, held_values
 
-NS_PER_S = 1_000_000_000
-MAX_SHIFT_NS = 5 * NS_PER_S  # a production shift takes about one second
-DWELL_NS = NS_PER_S // 20  # a clutch that stays closed, a ratio that stays put, for so long does so for good
 CLOSED_SLIP_RAD_S = 5.0  # 50 rpm: beyond it the clutch slips, whatever two controllers' speeds differ by
-RATIO_TOLERANCE = 0.04  # neighbouring gears are at least 15 % apart
-MIN_SPEED_RAD_S = 50.0  # of the engine: below it drives nothing
-
-Samples = Callable[[Signal, int], Series]
-"""The samples of a signal from where the tracker stands up to a time."""
-
-
-@dataclass(frozen=True, slots=True)
-class Bounds:
-    """A shift: its gears and when it began and ended."""
-
-    from_gear: int
-    to_gear: int
-    start_ns: int
-    end_ns: int
-    end_reason: EndReason
-
-
-class GearTracker(Protocol):
-    """Finds where shifts begin and end."""
-
-    def follow(self, samples: Samples, until_ns: int) -> list[Bounds]:
-        """Walk the samples with ``t < until_ns`` that are new; return the shifts that ended."""
-
-    def interrupt(self, now_ns: int) -> list[Bounds]:
-        """End the stretch: return the shift that is open, as interrupted, and forget everything."""
-
-    @property
-    def open_ns(self) -> int | None:
-        """When the open shift began, if there is one."""
 
 
 def tracker_for(signals: AbstractSet[Signal], gears: GearRatios | None = None) -> GearTracker:
@@ -224,110 +191,3 @@ class TargetTracker:
             return []
         self._open = None
         return [ended]
-
-
-class EngagedGear(Protocol):
-    """Tells which gear is engaged."""
-
-    @property
-    def signals(self) -> tuple[Signal, ...]:
-        """The signals that it takes."""
-
-    def gears(self, values: Mapping[Signal, FloatArray]) -> Int64Array:
-        """Return the gear from values held at the same times, shape (n,); below 1 for none."""
-
-
-class CurrentGear:
-    """The current gear, as the transmission controller states it."""
-
-    signals = (Signal.CURRENT_GEAR,)
-
-    def gears(self, values: Mapping[Signal, FloatArray]) -> Int64Array:
-        """Return the gear, shape (n,)."""
-        return np.nan_to_num(values[Signal.CURRENT_GEAR]).astype(np.int64)
-
-
-class RatioGear:
-    """The gear whose ratio engine and output speed have."""
-
-    def __init__(self, gears: GearRatios) -> None:
-        self._ratios = np.array(gears.ratios)
-        self._over = gears.over
-        self.signals = (Signal.ENGINE_SPEED, gears.over)
-
-    def gears(self, values: Mapping[Signal, FloatArray]) -> Int64Array:
-        """Return the gear, shape (n,)."""
-        engine_rad_s, over = values[Signal.ENGINE_SPEED], values[self._over]
-        drives = (engine_rad_s > MIN_SPEED_RAD_S) & (over > 0.0)
-        ratio = np.divide(engine_rad_s, over, out=np.zeros(len(over)), where=drives)
-        off = np.abs(ratio[:, None] / self._ratios - 1.0)
-        nearest = np.argmin(off, axis=1)
-        matches = off[np.arange(len(off)), nearest] < RATIO_TOLERANCE
-        return np.where(matches, nearest + 1, 0)
-
-
-class EngagedTracker:
-    """A shift lasts from when one gear is no longer engaged until another one stays engaged.
-
-    It is known only at its end: a stretch that ends between two gears tells of no shift.
-    """
-
-    def __init__(self, engaged: EngagedGear) -> None:
-        self._engaged = engaged
-        self._forget()
-
-    def _forget(self) -> None:
-        self._last: dict[Signal, float] = {}
-        self._gear = 0  # the gear that was engaged last
-        self._left_ns: int | None = None  # since when it is not
-        self._seen = 0  # the gear that is there now
-        self._seen_ns = 0
-
-    @property
-    def open_ns(self) -> int | None:
-        """When the last gear was left, if it was."""
-        return self._left_ns
-
-    def follow(self, samples: Samples, until_ns: int) -> list[Bounds]:
-        """Walk the gears with ``t < until_ns``."""
-        series = {name: samples(name, until_ns) for name in self._engaged.signals}
-        t_ns = np.unique(np.concatenate([one.t_ns for one in series.values()]))
-        found: list[Bounds] = []
-        if len(t_ns):
-            values = {name: held_values(one, t_ns, self._last.get(name, np.nan)) for name, one in series.items()}
-            self._last = {name: float(value[-1]) for name, value in values.items()}
-            gears = self._engaged.gears(values)
-            for row in np.flatnonzero(np.diff(gears, prepend=-1)):
-                found += self._step(int(t_ns[row]), int(gears[row]))
-        return [*found, *self._settle(until_ns)]
-
-    def interrupt(self, now_ns: int) -> list[Bounds]:
-        """Forget the stretch; what it left open is no shift that is known."""
-        found = self._settle(now_ns)
-        self._forget()
-        return found
-
-    def _step(self, t_ns: int, matched: int) -> list[Bounds]:
-        found = self._settle(t_ns)
-        if matched != self._seen:
-            if self._gear >= 1 and self._seen == self._gear and self._left_ns is None:
-                self._left_ns = t_ns
-            self._seen, self._seen_ns = matched, t_ns
-        return found
-
-    def _settle(self, now_ns: int) -> list[Bounds]:
-        """Take the ratio that is there for a gear once it has stayed; return the shift that led to it."""
-        if self._seen >= 1 and now_ns >= self._seen_ns + DWELL_NS:
-            came_from, left_ns = self._gear, self._left_ns
-            self._gear, self._left_ns = self._seen, None
-            if left_ns is not None and came_from != self._seen and self._seen_ns + DWELL_NS <= left_ns + MAX_SHIFT_NS:
-                return [Bounds(came_from, self._seen, left_ns, self._seen_ns, EndReason.COMPLETE)]
-        elif self._left_ns is not None and now_ns > self._left_ns + MAX_SHIFT_NS:
-            self._gear, self._left_ns = 0, None  # neutral, or standing
-        return []
-
-
-def held_values(series: Series, t_ns: Int64Array, before: float) -> FloatArray:
-    """Return the value in force at each time: the latest sample, or the one known ``before`` the first."""
-    held = np.concatenate(((before,), series.value))
-    return held[np.searchsorted(series.t_ns, t_ns, side="right")]

@@ -6,9 +6,9 @@ from collections.abc import Callable, Sequence
 
 from diag_service.errors import SourceError, StoreError
 from diag_service.notices import NOTICE
-from diag_service.pipeline import Session
 from diag_service.publishers import Outbox
 from diag_service.records import ShiftEvent
+from diag_service.session import Session
 from diag_service.snapshot import frame_counts
 from diag_service.sources import LinkBreak, LiveSource, Pace
 from diag_service.stopping import Trigger

@@ -6,10 +6,11 @@ from dataclasses import dataclass, replace
 from typing import Protocol
 
 from diag_service.mapping import MessageCounts
-from diag_service.pipeline import Session, Stages
 from diag_service.progress import Stuck
 from diag_service.records import ShiftResult
+from diag_service.session import Session
 from diag_service.sources import BusState, BusStatus, LiveSource
+from diag_service.stages import Stages
 from diag_service.summary import FrameCounts, Summary
 
 DEFAULT_BITRATE = 500_000

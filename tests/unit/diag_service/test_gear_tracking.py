@@ -7,8 +7,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from diag_service.gear_tracking import MAX_SHIFT_NS, GearPairTracker, tracker_for
+from diag_service.gear_tracking import GearPairTracker, tracker_for
 from diag_service.records import ColumnBatch, EndReason, FloatArray, GearRatios, Series, ShiftEvent, Signal
+from diag_service.shift_bounds import MAX_SHIFT_NS
 from diag_service.shifts import ShiftFinder
 
 STEP_NS = 10_000_000

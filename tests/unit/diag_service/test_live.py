@@ -19,11 +19,12 @@ from diag_service.frames import FrameBatch
 from diag_service.live import run_live
 from diag_service.mapping import Decoder
 from diag_service.notices import NOTICE
-from diag_service.pipeline import Session, Stages, resume, versions_for
 from diag_service.profile import PROFILE_PATH, load_profile
 from diag_service.publishers import MemoryLink, MemoryReporter, Outbox, Reporter
 from diag_service.records import Reason, ShiftResult, Status
+from diag_service.session import Session, resume, versions_for
 from diag_service.sources import LinkBreak, SourceCounts
+from diag_service.stages import Stages
 from diag_service.stopping import Trigger
 from diag_service.store import ResultStore, VehicleState
 from ecu_emulator.frames import FrameEncoder

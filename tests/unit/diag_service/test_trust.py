@@ -14,7 +14,6 @@ from diag_service.condition import ConditionMemory
 from diag_service.database import load_database
 from diag_service.estimation import Belief
 from diag_service.mapping import Decoder
-from diag_service.pipeline import Stages
 from diag_service.profile import load_profile
 from diag_service.records import (
     BALANCE_SIGNALS,
@@ -30,6 +29,7 @@ from diag_service.records import (
     Trust,
     TrustPart,
 )
+from diag_service.stages import Stages
 from diag_service.trust import MIN_TRUST, TrustBasis, assess, reasons_against
 from ecu_emulator.recording import Drive
 from tests.builders import drive_scenario

@@ -1,0 +1,47 @@
+"""What finding a shift means, however its gears are known: bounds, and how a tracker is asked for them."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+
+from diag_service.records import EndReason, FloatArray, Int64Array, Series, Signal
+
+NS_PER_S = 1_000_000_000
+MAX_SHIFT_NS = 5 * NS_PER_S  # a production shift takes about one second
+DWELL_NS = NS_PER_S // 20  # a clutch that stays closed, a ratio that stays put, for so long does so for good
+
+Samples = Callable[[Signal, int], Series]
+"""The samples of a signal from where the tracker stands up to a time."""
+
+
+@dataclass(frozen=True, slots=True)
+class Bounds:
+    """A shift: its gears and when it began and ended."""
+
+    from_gear: int
+    to_gear: int
+    start_ns: int
+    end_ns: int
+    end_reason: EndReason
+
+
+class GearTracker(Protocol):
+    """Finds where shifts begin and end."""
+
+    def follow(self, samples: Samples, until_ns: int) -> list[Bounds]:
+        """Walk the samples with ``t < until_ns`` that are new; return the shifts that ended."""
+
+    def interrupt(self, now_ns: int) -> list[Bounds]:
+        """End the stretch: return the shift that is open, as interrupted, and forget everything."""
+
+    @property
+    def open_ns(self) -> int | None:
+        """When the open shift began, if there is one."""
+
+
+def held_values(series: Series, t_ns: Int64Array, before: float) -> FloatArray:
+    """Return the value in force at each time: the latest sample, or the one known ``before`` the first."""
+    held = np.concatenate(((before,), series.value))
+    return held[np.searchsorted(series.t_ns, t_ns, side="right")]
