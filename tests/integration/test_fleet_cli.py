@@ -17,6 +17,12 @@ from tests.fleet import fleet_result, row_of
 from tests.plugins.broker import free_port
 
 
+@pytest.fixture(autouse=True)
+def _of_any_width(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Let no terminal break the lines: make passes its own width on."""
+    monkeypatch.delenv("COLUMNS", raising=False)
+
+
 @pytest.fixture(name="filled")
 def _filled(sqlite_url: str) -> Iterator[Engine]:
     """Return a database with a worn and a good vehicle and a message with markup that was kept aside."""
