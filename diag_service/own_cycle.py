@@ -31,11 +31,19 @@ def own_period_ns(series: Series) -> int:
     typical_ns = float(np.median(steps_ns))
     if not SLOWER_RATIO * series.period_ns <= typical_ns <= (SLOWEST + NEAR) * series.period_ns:
         return series.period_ns
+    if abs(_mean_step_ns(series) - typical_ns) > NEAR * typical_ns:
+        return series.period_ns  # a sender that waits too long and then makes up for it keeps its cycle
     regular_ns = steps_ns[np.abs(steps_ns - typical_ns) <= NEAR * typical_ns]
     if len(regular_ns) < LEAST_REGULAR * len(steps_ns):
         return series.period_ns
     own_ns = round(float(regular_ns.mean()) / NS_PER_MS) * NS_PER_MS
     return own_ns if series.period_ns < own_ns <= SLOWEST * series.period_ns else series.period_ns
+
+
+def _mean_step_ns(series: Series) -> float:
+    """Return the time from one transmission to the next over the whole stretch."""
+    count = len(series.t_ns) - 1 if series.sequence[0] < 0 else int(series.sequence[-1] - series.sequence[0])
+    return int(series.t_ns[-1] - series.t_ns[0]) / max(count, 1)
 
 
 def _steps_ns(series: Series) -> FloatArray:

@@ -34,6 +34,11 @@ def test_lost_frames_are_no_slower_cycle() -> None:
     assert own_period_ns(series(every(2 * NOMINAL_NS), 2 * np.arange(COUNT))) == NOMINAL_NS
 
 
+def test_a_sender_that_makes_up_for_its_delays_keeps_its_cycle() -> None:
+    steps_ns = np.tile(np.repeat([18 * MS, 1 * MS], [11, 9]), 5)  # on a busy machine: 10 ms in the mean
+    assert own_period_ns(series(np.cumsum(steps_ns))) == NOMINAL_NS
+
+
 def test_without_a_counter_time_alone_tells() -> None:
     assert own_period_ns(series(every(2 * NOMINAL_NS), np.full(COUNT, -1))) == 2 * NOMINAL_NS
 
