@@ -1,8 +1,8 @@
 """What it costs to receive: CPU per frame from the socket to the shifts, beside python-can with cantools.
 
-Frames come in bursts of ten, each burst at once, which is one wake-up; all processor time of the receiving process
-counts, that in the kernel included. The last of the traffics leaves so much time between bursts that no two of them
-are ever read together.
+Frames come in bursts of ten, each burst at once: one wake-up for whoever reads as they come. The service lets them
+gather while nothing waits for them (``diag_service.sources.pace``), here as it does live: it knows of shifts. All
+processor time of the receiving process counts, that in the kernel included.
 
 Where this kernel has no CAN, User-Mode Linux has. A system call takes many times longer there, and a guest takes the
 time in which its host did something else for its own: there the host counts (``benchmarks.guest_meter``), for the
@@ -12,7 +12,7 @@ loopback in the place of CAN frames: the same system calls on a socket of anothe
 
 import asyncio
 import multiprocessing as mp
-import multiprocessing.context
+import multiprocessing.synchronize
 import os
 import socket
 import struct
@@ -33,18 +33,19 @@ from diag_service.gear_tracking import tracker_for
 from diag_service.mapping import Decoder
 from diag_service.profile import load_profile
 from diag_service.shifts import ShiftFinder
+from diag_service.sources.pace import Pace
 from diag_service.sources.recvmmsg import SO_TIMESTAMPNS
 from diag_service.sources.socketcan import RECEIVE_BUFFER_BYTES, SocketCanSource, grow_receive_buffer
 from ecu_emulator.recording import Drive
 from ecu_emulator.scenario_file import load_scenario
 
 BURST = 10  # frames per wake-up
-PERIODS_S = (0.0025, 0.02, 0.06)  # a full bus of 500 kbit/s, one with little traffic, and bursts apart
-SEND_S = 2.0
+PERIODS_S = (0.0025, 0.02)  # a full bus of 500 kbit/s, and one with less than this project's messages
+SEND_S = 12.0
+MOST_FRAMES = 24_000  # one stretch of a drive
 QUIET_S = 0.7  # before the first and after the last frame
 TARGET_RATIO = 5.0
 FRAME = struct.Struct("=IB3x8s")
-Sender = mp.context.ForkProcess
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -60,7 +61,7 @@ class Cost:
         return 1e6 * self.cpu_s / max(1, self.received)
 
 
-ReceivePath = Callable[[str, Sender], Awaitable[Cost]]
+ReceivePath = Callable[[str, "Sender"], Awaitable[Cost]]
 
 
 def clock_s() -> float:
@@ -78,9 +79,32 @@ def drive_frames(count: int) -> list[bytes]:
     ]
 
 
-def send_bursts(channel: str, frames: list[bytes], burst: int, period_s: float) -> None:
-    """Send frames in bursts, each on time; runs in a process of its own."""
+class Sender:
+    """A process of its own that sends bursts, each on time, once it is told to go.
+
+    It is there before the measurement begins: making a process costs more than receiving a thousand frames.
+    """
+
+    def __init__(self, channel: str, frames: list[bytes], burst: int, period_s: float) -> None:
+        context = mp.get_context("fork")
+        self._go = context.Event()
+        self._process = context.Process(target=send_bursts, args=(channel, frames, burst, period_s, self._go))
+        self._process.start()
+
+    def start(self) -> None:
+        """Begin to send."""
+        self._go.set()
+
+    async def end(self) -> None:
+        """Wait for the last frame, and for what follows it to have been received."""
+        await asyncio.to_thread(self._process.join)
+        await asyncio.sleep(QUIET_S)
+
+
+def send_bursts(channel: str, frames: list[bytes], burst: int, period_s: float, go: "mp.synchronize.Event") -> None:
+    """Send frames in bursts, each on time."""
     with sending_socket(channel) as raw:
+        go.wait()
         next_s = time.monotonic() + QUIET_S
         for first in range(0, len(frames), burst):
             time.sleep(max(0.0, next_s - time.monotonic()))
@@ -102,15 +126,15 @@ def sending_socket(channel: str) -> socket.socket:
 
 async def own_path(channel: str, sender: Sender) -> Cost:
     """Receive, check CRC, counters, E2E states and ranges, decode, and look for shifts, as the service does."""
-    source = SocketCanSource(channel)
+    pace = Pace()
+    source = SocketCanSource(channel, pace=pace)
     decoder = Decoder(load_database(DBC_PATH), load_profile())
     finder = ShiftFinder(tracker_for(decoder.signals, decoder.gears))
     began_s = clock_s()
     sender.start()
 
     async def close_after_the_last() -> None:
-        await asyncio.to_thread(sender.join)
-        await asyncio.sleep(QUIET_S)
+        await sender.end()
         await source.aclose()
 
     closer = asyncio.create_task(close_after_the_last())
@@ -118,6 +142,7 @@ async def own_path(channel: str, sender: Sender) -> Cost:
     async for batch in source:
         for columns in decoder.feed(batch):
             finder.feed(columns)
+        pace.is_expecting, pace.due_ns = finder.is_expecting, finder.due_ns
         received += len(batch)
     await closer
     return Cost(received=received, cpu_s=clock_s() - began_s)
@@ -127,8 +152,7 @@ async def no_path(_channel: str, sender: Sender) -> Cost:
     """Receive nothing, to see what sending costs where that cannot be told apart."""
     began_s = clock_s()
     sender.start()
-    await asyncio.to_thread(sender.join)
-    await asyncio.sleep(QUIET_S)
+    await sender.end()
     return Cost(received=0, cpu_s=clock_s() - began_s)
 
 
@@ -149,8 +173,7 @@ async def peer_path(channel: str, sender: Sender) -> Cost:
                 received += 1
 
         decoding = asyncio.create_task(decode())
-        await asyncio.to_thread(sender.join)
-        await asyncio.sleep(QUIET_S)
+        await sender.end()
         decoding.cancel()
         cost = Cost(received=received, cpu_s=clock_s() - began_s)
         notifier.stop()
@@ -159,7 +182,7 @@ async def peer_path(channel: str, sender: Sender) -> Cost:
 
 def measured(path: ReceivePath, channel: str, frames: list[bytes], period_s: float) -> Cost:
     """Return what one path costs for frames that another process sends."""
-    sender = mp.get_context("fork").Process(target=send_bursts, args=(channel, frames, BURST, period_s))
+    sender = Sender(channel, frames, BURST, period_s)
 
     async def run() -> Cost:
         return await path(channel, sender)
@@ -169,7 +192,7 @@ def measured(path: ReceivePath, channel: str, frames: list[bytes], period_s: flo
 
 def report_cpu(channel: str, period_s: float, rounds: int) -> None:
     """Print CPU per frame of both paths, measured in turn."""
-    count = round(SEND_S / period_s) * BURST
+    count = min(round(SEND_S / period_s) * BURST, MOST_FRAMES)
     frames = drive_frames(count)
     own, peer, nobody = [], [], []
     for _ in range(rounds):

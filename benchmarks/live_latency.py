@@ -37,7 +37,6 @@ from diag_service.session import Session, versions_for
 from diag_service.shifts import POST_NS
 from diag_service.sources import Pace, SourceCounts
 from diag_service.sources.frame_queue import FrameQueue
-from diag_service.sources.pace import URGENT_S
 from diag_service.stages import Stages
 from diag_service.stopping import Trigger
 from diag_service.store import ResultStore
@@ -100,9 +99,12 @@ class PacedSource:
         self._is_over.set()
         await asyncio.to_thread(self._thread.join)
 
+    def _gather_s(self) -> float:
+        return self._pace.gather_s(int(self._frames.t_ns[self._offered - 1]) if self._offered else None)
+
     def _feed(self) -> None:
         t_ns = self._frames.t_ns
-        while self._offered < len(t_ns) and not self._is_over.wait(self._pace.gather_s):
+        while self._offered < len(t_ns) and not self._is_over.wait(self._gather_s()):
             due = int(np.searchsorted(t_ns, t_ns[0] + (time.monotonic() - self.began_s) * NS, side="right"))
             self._queue.offer(self._frames[self._offered : due])
             self._offered = due
@@ -176,7 +178,6 @@ def main() -> int:
     rate_hz = len(frames) / (np.ptp(frames.t_ns) / NS)
     print(f"Result after the end of a shift, {rate_hz:.0f} frames/s, {len(latencies)} shifts")
     print(f"  waits for what follows the shift     {1e3 * POST_NS / NS:6.0f} ms")
-    print(f"  frames gather during a shift for     {1e3 * URGENT_S:6.0f} ms")
     wall_ms, cpu_ms = 1e3 * np.array(settled).T
     print(f"  estimates, stores, tells: median     {np.median(wall_ms):6.0f} ms, most {wall_ms.max():.0f} ms")
     print(f"    processor time of that             {np.median(cpu_ms):6.0f} ms, most {cpu_ms.max():.0f} ms")

@@ -10,7 +10,7 @@ import numpy as np
 
 from diag_service.engaged_gear import CurrentGear, EngagedTracker, RatioGear
 from diag_service.history import held
-from diag_service.records import EndReason, GearRatios, Signal
+from diag_service.records import EndReason, GearRatios, Series, Signal
 from diag_service.shift_bounds import DWELL_NS, MAX_SHIFT_NS, Bounds, GearTracker, Samples, held_values
 
 CLOSED_SLIP_RAD_S = 5.0  # 50 rpm: beyond it the clutch slips, whatever two controllers' speeds differ by
@@ -64,14 +64,8 @@ class GearPairTracker:
             self._has_target = len(target.t_ns) > 0
             if self._has_target:
                 self._closed += self._lone.interrupt(int(target.t_ns[0]))
-        is_one_message = np.array_equal(current.t_ns, target.t_ns)  # as a rule; a union costs much more
-        t_ns = current.t_ns if is_one_message else np.union1d(current.t_ns, target.t_ns)
-        if len(t_ns):
-            pairs = np.column_stack((held(current, t_ns, self._gears.current), held(target, t_ns, self._gears.target)))
-            before = np.vstack(((self._gears.current, self._gears.target), pairs[:-1]))
-            for row in np.flatnonzero(np.any(pairs != before, axis=1)):
-                self._close_overdue(int(t_ns[row]))
-                self._step(int(t_ns[row]), _Gears(int(pairs[row, 0]), int(pairs[row, 1])))
+        if (current.value != self._gears.current).any() or (target.value != self._gears.target).any():
+            self._walk(current, target)
         self._close_overdue(until_ns)
         return self._take()
 
@@ -86,6 +80,15 @@ class GearPairTracker:
     def _take(self) -> list[Bounds]:
         closed, self._closed = self._closed, []
         return closed
+
+    def _walk(self, current: Series, target: Series) -> None:
+        """Take gears into account that differ from the last ones."""
+        t_ns = np.union1d(current.t_ns, target.t_ns)
+        pairs = np.column_stack((held(current, t_ns, self._gears.current), held(target, t_ns, self._gears.target)))
+        before = np.vstack(((self._gears.current, self._gears.target), pairs[:-1]))
+        for row in np.flatnonzero(np.any(pairs != before, axis=1)):
+            self._close_overdue(int(t_ns[row]))
+            self._step(int(t_ns[row]), _Gears(int(pairs[row, 0]), int(pairs[row, 1])))
 
     def _step(self, t_ns: int, gears: _Gears) -> None:
         self._gears = gears

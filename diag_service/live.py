@@ -44,7 +44,7 @@ async def run_live(
     show
         Called every ``SHOW_PERIOD_S`` by the loop that reads the bus, and once more when that has ended.
     pace
-        Is told when the source should hurry: while a shift is on.
+        Is told what is waited for, so that the source need not hurry before.
 
     Raises
     ------
@@ -74,7 +74,7 @@ async def run_live(
                 async for part in source:
                     stages = session.stages
                     events = stages.flush() if isinstance(part, LinkBreak) else stages.segment(part)
-                    pace.is_urgent = stages.is_expecting
+                    pace.is_expecting, pace.due_ns = stages.is_expecting, stages.due_ns
                     await _settle_all(session, events, outbox, turn)
             except SourceError as exc:
                 failure = exc

@@ -29,7 +29,7 @@ class ShiftFinder:
         events = self.flush() if batch.breaks_before else []
         self._history.append(batch)
         self._follow_gears(self._history.watermark_ns)
-        while self._closed and self._closed[0].end_ns + POST_NS < self._history.watermark_ns:
+        while (due_ns := self.due_ns) is not None and due_ns < self._history.watermark_ns:
             events.append(self._cut(self._closed.pop(0)))
         self._forget_past()
         return events
@@ -46,6 +46,11 @@ class ShiftFinder:
     def is_expecting(self) -> bool:
         """Whether a shift has begun that was not reported yet."""
         return bool(self._closed) or self._tracker.open_ns is not None
+
+    @property
+    def due_ns(self) -> int | None:
+        """Bus time beyond which the oldest shift that has ended will be reported, if there is one."""
+        return self._closed[0].end_ns + POST_NS if self._closed else None
 
     @property
     def buffered_sample_count(self) -> int:

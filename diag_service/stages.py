@@ -64,8 +64,13 @@ class Stages:
 
     @property
     def is_expecting(self) -> bool:
-        """Whether a shift has begun that was not returned yet: every frame may be the last that it needs."""
+        """Whether a shift has begun that was not returned yet."""
         return self._finder.is_expecting
+
+    @property
+    def due_ns(self) -> int | None:
+        """Bus time beyond which the next shift will be returned, if it has ended."""
+        return self._finder.due_ns
 
     def flush(self) -> list[ShiftEvent]:
         """End the segment: return what is still open; frames that come later begin another one."""

@@ -3,17 +3,27 @@
 from dataclasses import dataclass
 from typing import Final
 
-RELAXED_S: Final = 0.05  # 225 frames of a full bus of 500 kbit/s, which any receive buffer holds
+NS_PER_S: Final = 1_000_000_000
+RELAXED_S: Final = 0.5  # 2,200 frames of a full bus of 500 kbit/s, a quarter of what the receive buffer holds
+EXPECTING_S: Final = 0.1  # no longer than what a shift needs after its end: its end is known before that is over
 URGENT_S: Final = 0.01
+LATE_S: Final = 0.002  # frames of the moment that is waited for must have arrived
 
 
 @dataclass(slots=True)
 class Pace:
-    """What a source and its consumer agree on; the consumer is in a hurry while somebody waits for a result."""
+    """What a source and its consumer agree on: the consumer tells what it waits for.
 
-    is_urgent: bool = False
+    Nothing hurries while nothing can come of it. Once it is known at which bus time a result will be there, the
+    frames are looked at just then.
+    """
 
-    @property
-    def gather_s(self) -> float:
-        """For how long frames may gather now [s]."""
-        return URGENT_S if self.is_urgent else RELAXED_S
+    is_expecting: bool = False  # a shift has begun
+    due_ns: int | None = None  # bus time beyond which the next shift is known in full, if it has ended
+
+    def gather_s(self, seen_ns: int | None) -> float:
+        """For how long frames may gather now, with those before bus time ``seen_ns`` looked at [s]."""
+        longest_s = EXPECTING_S if self.is_expecting else RELAXED_S
+        if self.due_ns is None or seen_ns is None:
+            return longest_s
+        return min(max((self.due_ns - seen_ns) / NS_PER_S + LATE_S, URGENT_S), longest_s)

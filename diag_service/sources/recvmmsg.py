@@ -60,6 +60,7 @@ class Slots(NamedTuple):
     frames: UInt8Array  # (slots, 72)
     control: Int64Array  # (slots, 8)
     size: UInt32Array  # (slots,)
+    control_length: Int64Array  # (slots,)
 
 
 class SlotColumns(NamedTuple):
@@ -79,22 +80,20 @@ class FrameReceiver:
         self._file_descriptor = file_descriptor
         self._vectors = (_IoVector * SLOTS)()
         self._messages = (_Message * SLOTS)()
-        self._headers = np.frombuffer(memoryview(self._messages).cast("B"), np.uint8).reshape(
-            SLOTS, ctypes.sizeof(_Message)
-        )
+        headers = np.frombuffer(memoryview(self._messages).cast("B"), np.uint8).reshape(SLOTS, ctypes.sizeof(_Message))
         self._slots = Slots(
             frames=np.zeros((SLOTS, FD_BYTES), np.uint8),
             control=np.zeros((SLOTS, _CONTROL_WORDS), np.int64),
-            size=self._headers[:, _Message.received.offset :][:, :4].view(np.uint32)[:, 0],
+            size=headers[:, _Message.received.offset :][:, :4].view(np.uint32)[:, 0],
+            control_length=headers[:, _MessageHeader.control_length.offset :][:, :8].view(np.int64)[:, 0],
         )
+        self._slots.control_length[:] = CONTROL_BYTES
         for slot in range(SLOTS):
             self._vectors[slot] = _IoVector(self._slots.frames.ctypes.data + slot * FD_BYTES, FD_BYTES)
             header = self._messages[slot].header
             header.vectors = ctypes.pointer(self._vectors[slot])
             header.vector_count = 1
             header.control = self._slots.control.ctypes.data + slot * CONTROL_BYTES
-            header.control_length = CONTROL_BYTES
-        self._fresh_headers = self._headers.copy()  # the kernel overwrites the lengths of what it fills
         self._call = ctypes.CDLL(None, use_errno=True).recvmmsg
         self._arguments = (file_descriptor, ctypes.byref(self._messages), SLOTS, socket.MSG_DONTWAIT, None)
         self._reception(0)  # compiles now: the first frames must not wait for the compiler
@@ -126,9 +125,6 @@ class FrameReceiver:
             data=np.zeros((count, width), np.uint8),
         )
         known = read_slots(self._slots, count, columns)
-        # The kernel changed the lengths in these headers, and no stamp of theirs may pass for one of later frames.
-        self._headers[:count] = self._fresh_headers[:count]
-        self._slots.control[:count, 1] = 0
         if known < 0:
             raise OSError(errno.EPROTO, "the kernel delivered a frame without its time")
         batch = FrameBatch(
@@ -153,14 +149,23 @@ def has_fd(size: UInt32Array, count: int) -> bool:
 
 @array_kernel
 def read_slots(slots: Slots, count: int, columns: SlotColumns) -> int:
-    """Fill in the columns of the frames that are CAN or CAN FD; return how many are, -1 if one has no time."""
+    """Fill in the columns of the frames that are CAN or CAN FD; return how many are, -1 if one has no time.
+
+    The slots are made ready for the next call: the kernel changes the lengths that it is given, and no stamp of these
+    frames may pass for one of later frames.
+    """
     known = 0
+    has_times = True
     for row in range(count):
+        has_time = slots.control[row, 1] == _STAMP
+        slots.control[row, 1] = 0
+        slots.control_length[row] = CONTROL_BYTES
         is_fd = slots.size[row] == FD_BYTES
         if not is_fd and slots.size[row] != CLASSIC_BYTES:
             continue
-        if slots.control[row, 1] != _STAMP:
-            return -1
+        if not has_time:
+            has_times = False
+            continue
         frame = slots.frames[row]
         # Whole microseconds, cut as candump cuts them: a live stream and its recording have identical times.
         micros = slots.control[row, 3] // NS_PER_US
@@ -178,4 +183,4 @@ def read_slots(slots: Slots, count: int, columns: SlotColumns) -> int:
         for place in range(length):
             columns.data[known, place] = frame[8 + place]
         known += 1
-    return known
+    return known if has_times else -1

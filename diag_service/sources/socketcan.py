@@ -19,6 +19,7 @@ from diag_service.sources.recvmmsg import SLOTS, SO_TIMESTAMPNS, FrameReceiver, 
 
 RECEIVE_BUFFER_BYTES = 8 * 1024 * 1024  # about ten thousand frames: some seconds of a full bus
 CALLS_PER_WAKE_UP = 16  # 4096 frames, then the rest of the service gets its turn
+CROWD = 16 * SLOTS  # frames at one wake-up, twice those of a full bus: the buffer must not fill up
 QUIET_WAKE_UPS = 3  # without a frame; then the socket itself tells when there is one
 ALL_ERROR_CLASSES = 0x1FFF_FFFF
 CAN_RAW_ERR_FILTER = 2
@@ -78,6 +79,7 @@ class SocketCanSource:
         self._clock = clock or BusClock()
         self._pace = pace or Pace()
         self._received = 0
+        self._seen_ns: int | None = None  # bus time of the last frame
         self._unsupported = 0
         self._final_drops = 0
         self._failure: SourceError | None = None
@@ -134,8 +136,8 @@ class SocketCanSource:
             return
         self._quiet_count = 0 if self._received > before else self._quiet_count + 1
         if self._quiet_count < QUIET_WAKE_UPS:
-            is_crowded = self._received - before > SLOTS
-            gather_s = URGENT_S if is_crowded else self._pace.gather_s
+            is_crowded = self._received - before > CROWD
+            gather_s = URGENT_S if is_crowded else self._pace.gather_s(self._seen_ns)
             self._timer = self._loop.call_later(gather_s if is_empty else 0.0, self._gather)
         else:
             self._timer = None
@@ -181,6 +183,7 @@ class SocketCanSource:
         else:
             self._clock.look_if_stale(int(batch.t_ns[-1]))
         times = self._clock.bus_time_ns(batch.t_ns)
+        self._seen_ns = int(times[-1])
         self._queue.offer(batch if times is batch.t_ns else replace(batch, t_ns=times))
 
     def _close(self) -> None:
