@@ -22,14 +22,14 @@ import numpy as np
 from clutch_model.calibration import Calibration, nominal_calibration
 from clutch_model.knowledge import Uncertainty
 from dbc.contract import DBC_PATH
-from diag_service.condition import ConditionMemory
-from diag_service.database import load_database
+from diag_service.decoding.mapping import Decoder
+from diag_service.definitions.database import load_database
+from diag_service.definitions.profile import load_profile
 from diag_service.estimation import Belief
 from diag_service.frames import FrameBatch
-from diag_service.mapping import Decoder
-from diag_service.profile import load_profile
+from diag_service.judgement.condition import ConditionMemory
 from diag_service.records import FrictionEstimate, Status
-from diag_service.stages import Stages
+from diag_service.runs.stages import Stages
 from ecu_emulator.frames import EncodedFrames
 from ecu_emulator.recording import frames_of
 from ecu_emulator.scenario import FluidCondition

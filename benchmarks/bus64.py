@@ -7,7 +7,7 @@ import cantools
 import numpy as np
 from cantools.database.can import Database
 
-from diag_service.codec import Codec
+from diag_service.decoding.codec import Codec
 from diag_service.frames import FrameBatch
 from diag_service.records import FloatArray
 from ecu_emulator.frames import EncodedFrames

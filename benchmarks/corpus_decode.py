@@ -16,9 +16,9 @@ import numpy as np
 import numpy.typing as npt
 from cantools.database.can import Message
 
-from diag_service.codec import MessageTable, message_table
-from diag_service.database import load_database
-from diag_service.decode import payload_words
+from diag_service.decoding.codec import MessageTable, message_table
+from diag_service.decoding.decode import payload_words
+from diag_service.definitions.database import load_database
 from diag_service.errors import ConfigError
 from diag_service.frames import FD_PAYLOAD_BYTES, PAYLOAD_BYTES
 from tests.cantools_oracle import is_sound, reference

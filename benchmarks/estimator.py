@@ -21,14 +21,14 @@ import numpy as np
 from benchmarks.accuracy import to_batch
 from clutch_model.calibration import nominal_calibration
 from dbc.contract import DBC_PATH
-from diag_service.condition import ConditionMemory
-from diag_service.database import load_database
+from diag_service.decoding.mapping import Decoder
+from diag_service.definitions.database import load_database
+from diag_service.definitions.profile import load_profile
 from diag_service.estimation import Belief
 from diag_service.frames import FrameBatch
-from diag_service.mapping import Decoder
-from diag_service.profile import load_profile
+from diag_service.judgement.condition import ConditionMemory
 from diag_service.records import BALANCE_SIGNALS, ShiftEvent
-from diag_service.stages import Stages
+from diag_service.runs.stages import Stages
 from ecu_emulator.recording import frames_of
 from ecu_emulator.scenario_file import load_scenario
 

@@ -24,9 +24,9 @@ import psutil
 from benchmarks.guest_meter import FOLDER_VARIABLE, answering
 from benchmarks.live_cpu import PERIODS_S, QUIET_S, datagrams, drive_frames, report_cpu
 from dbc.contract import DBC_PATH
-from diag_service.database import load_database
-from diag_service.mapping import Decoder
-from diag_service.profile import load_profile
+from diag_service.decoding.mapping import Decoder
+from diag_service.definitions.database import load_database
+from diag_service.definitions.profile import load_profile
 from diag_service.sources.socketcan import SocketCanSource
 from tests.uml.vcan import create_vcan, has_can_sockets, ip_link
 

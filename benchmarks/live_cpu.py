@@ -28,11 +28,11 @@ import psutil
 
 from benchmarks.guest_meter import ask, meter_folder
 from dbc.contract import DBC_PATH, load_contract
-from diag_service.database import load_database
-from diag_service.gear_tracking import tracker_for
-from diag_service.mapping import Decoder
-from diag_service.profile import load_profile
-from diag_service.shifts import ShiftFinder
+from diag_service.decoding.mapping import Decoder
+from diag_service.definitions.database import load_database
+from diag_service.definitions.profile import load_profile
+from diag_service.shift_finding.gear_tracking import tracker_for
+from diag_service.shift_finding.shifts import ShiftFinder
 from diag_service.sources.pace import Pace
 from diag_service.sources.recvmmsg import SO_TIMESTAMPNS
 from diag_service.sources.socketcan import RECEIVE_BUFFER_BYTES, SocketCanSource, grow_receive_buffer

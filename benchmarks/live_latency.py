@@ -24,20 +24,20 @@ import numpy as np
 
 from clutch_model.calibration import nominal_calibration
 from dbc.contract import DBC_PATH
-from diag_service.condition import ConditionMemory
-from diag_service.database import load_database
+from diag_service.decoding.mapping import Decoder
+from diag_service.definitions.database import load_database
+from diag_service.definitions.profile import load_profile
 from diag_service.estimation import Belief
 from diag_service.frames import FrameBatch
-from diag_service.live import run_live
-from diag_service.mapping import Decoder
-from diag_service.profile import load_profile
+from diag_service.judgement.condition import ConditionMemory
 from diag_service.publishers import MemoryReporter
 from diag_service.records import Int64Array, ShiftEvent, ShiftResult
-from diag_service.session import Session, versions_for
-from diag_service.shifts import POST_NS
+from diag_service.runs.live import run_live
+from diag_service.runs.session import Session, versions_for
+from diag_service.runs.stages import Stages
+from diag_service.shift_finding.shifts import POST_NS
 from diag_service.sources import Pace, SourceCounts
 from diag_service.sources.frame_queue import FrameQueue
-from diag_service.stages import Stages
 from diag_service.stopping import Trigger
 from diag_service.store import ResultStore
 from ecu_emulator.recording import Drive

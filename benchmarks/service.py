@@ -25,18 +25,18 @@ from cantools.database.can import Database
 
 from clutch_model.calibration import nominal_calibration
 from dbc.contract import DBC_PATH, load_contract
-from diag_service.condition import ConditionMemory
-from diag_service.database import load_database
+from diag_service.decoding.mapping import Decoder
+from diag_service.definitions.database import load_database
+from diag_service.definitions.profile import load_profile
 from diag_service.estimation import Belief
 from diag_service.frames import FrameBatch
-from diag_service.mapping import Decoder
-from diag_service.profile import load_profile
+from diag_service.judgement.condition import ConditionMemory
 from diag_service.publishers import MemoryReporter
-from diag_service.recorded import open_drive, run_logs, stream_of
-from diag_service.session import Session, versions_for
-from diag_service.shifts import ShiftFinder
+from diag_service.runs.recorded import open_drive, run_logs, stream_of
+from diag_service.runs.session import Session, versions_for
+from diag_service.runs.stages import Stages
+from diag_service.shift_finding.shifts import ShiftFinder
 from diag_service.sources import read_log
-from diag_service.stages import Stages
 from diag_service.stopping import Trigger
 from diag_service.store import ResultStore
 from diag_service.summary import Summary

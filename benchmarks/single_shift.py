@@ -21,13 +21,13 @@ from benchmarks.accuracy import to_batch
 from benchmarks.study import over_drives
 from clutch_model.calibration import nominal_calibration
 from dbc.contract import DBC_PATH
-from diag_service.condition import ConditionMemory
-from diag_service.database import load_database
+from diag_service.decoding.mapping import Decoder
+from diag_service.definitions.database import load_database
+from diag_service.definitions.profile import load_profile
 from diag_service.estimation import Belief
-from diag_service.mapping import Decoder
-from diag_service.profile import load_profile
+from diag_service.judgement.condition import ConditionMemory
 from diag_service.records import FrictionEstimate, Reason, ShiftEstimate, ShiftEvent, Status
-from diag_service.stages import Stages
+from diag_service.runs.stages import Stages
 from ecu_emulator.faults import SensorFault, SensorFaultKind
 from ecu_emulator.recording import frames_of
 from ecu_emulator.scenario import FluidCondition, Scenario

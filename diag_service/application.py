@@ -15,17 +15,13 @@ from pathlib import Path
 
 from rich.console import Console
 
-from diag_service import calibrate_run
-from diag_service.condition import ConditionMemory
 from diag_service.config import BusConfig, DiagnosisConfig, calibration_digest
+from diag_service.decoding.mapping import Decoder
 from diag_service.estimation import Belief
 from diag_service.estimation.paper import PaperCollection, nominal_driveline
 from diag_service.interpretation import interpret
-from diag_service.live import run_live
-from diag_service.mapping import Decoder
-from diag_service.monitor import Monitor, SilentReporter
+from diag_service.judgement.condition import ConditionMemory
 from diag_service.notices import NOTICE
-from diag_service.paper_run import run_paper
 from diag_service.publishers import (
     Acknowledge,
     ConsoleReporter,
@@ -38,13 +34,17 @@ from diag_service.publishers import (
 )
 from diag_service.publishers.outbox import MetricsMessage
 from diag_service.publishers.pipe import PipeReporter
-from diag_service.recorded import open_drive, run_logs, stream_of
 from diag_service.results import ServiceStatus, dump, iso_utc
+from diag_service.runs import calibrate_run
+from diag_service.runs.live import run_live
+from diag_service.runs.monitor import Monitor, SilentReporter
+from diag_service.runs.paper_run import run_paper
+from diag_service.runs.recorded import open_drive, run_logs, stream_of
+from diag_service.runs.session import Session, resume, versions_for
+from diag_service.runs.snapshot import Board, Snapshot, SnapshotTaker
+from diag_service.runs.stages import Stages
 from diag_service.service_manager import ServiceManager
-from diag_service.session import Session, resume, versions_for
-from diag_service.snapshot import Board, Snapshot, SnapshotTaker
 from diag_service.sources import BusOpener, Pace, supervise
-from diag_service.stages import Stages
 from diag_service.stopping import Trigger
 from diag_service.store import ResultStore, Versions
 from diag_service.summary import frames_line
@@ -150,7 +150,7 @@ async def _run_bus(
     with ExitStack() as stack:
         stack.callback(manager.stopping)
         if bus.metrics is not None:
-            from diag_service.metrics import serving  # noqa: PLC0415 - a web server and its library, for few runs
+            from diag_service.runs.metrics import serving  # noqa: PLC0415 - a web server and its library, for few runs
 
             port = stack.enter_context(serving(bus.metrics, board))
             _LOG.log(NOTICE, "metrics on http://%s:%d/metrics", bus.metrics.host, port)

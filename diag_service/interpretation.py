@@ -7,11 +7,11 @@ from pathlib import Path
 from cantools.database.can import Database
 
 from dbc.contract import DBC_PATH
-from diag_service.database import load_database
+from diag_service.decoding.mapping import Decoder
+from diag_service.definitions.database import load_database
+from diag_service.definitions.profile import PROFILE_FOLDER, Profile, find_profile, load_profile
 from diag_service.errors import ConfigError
-from diag_service.mapping import Decoder
 from diag_service.notices import NOTICE
-from diag_service.profile import PROFILE_FOLDER, Profile, find_profile, load_profile
 from diag_service.profile_choice import choose_profile, fit_of
 
 _LOG = logging.getLogger(__name__)

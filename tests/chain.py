@@ -6,17 +6,17 @@ from pathlib import Path
 
 from clutch_model.calibration import nominal_calibration
 from dbc.contract import DBC_PATH
-from diag_service.condition import ConditionMemory
-from diag_service.database import load_database
+from diag_service.decoding.mapping import Decoder
+from diag_service.definitions.database import load_database
+from diag_service.definitions.profile import load_profile
 from diag_service.estimation import Belief
 from diag_service.frames import FrameBatch
-from diag_service.mapping import Decoder
-from diag_service.profile import load_profile
+from diag_service.judgement.condition import ConditionMemory
 from diag_service.records import ClutchVerdict, ShiftEstimate
 from diag_service.results import JsonObject
+from diag_service.runs.stages import Diagnosis, Stages
 from diag_service.sources import read_log
 from diag_service.sources.columns import join
-from diag_service.stages import Diagnosis, Stages
 from diag_service.summary import FrameCounts
 
 

@@ -44,7 +44,7 @@ print(said)
 READ_DATABASE = """
 import sys
 from pathlib import Path
-from diag_service.database import load_database
+from diag_service.definitions.database import load_database
 from diag_service.errors import ConfigError
 try:
     load_database(Path(sys.argv[1]))

@@ -8,12 +8,12 @@ import numpy as np
 from benchmarks.reproduce.drives import CYCLE_COUNT, Case, PaperDrive
 from benchmarks.reproduce.study import CALIBRATION, DRIVELINE, Errors, errors_of
 from dbc.contract import DBC_PATH
-from diag_service.database import load_database
+from diag_service.decoding.mapping import Decoder
+from diag_service.definitions.database import load_database
+from diag_service.definitions.profile import load_profile
 from diag_service.estimation.paper import PaperCollection, PaperEstimate
 from diag_service.frames import FrameBatch
-from diag_service.mapping import Decoder
-from diag_service.profile import load_profile
-from diag_service.shifts import ShiftFinder
+from diag_service.shift_finding.shifts import ShiftFinder
 from ecu_emulator.recording import frames_of
 from ecu_emulator.scenario import FluidCondition
 from ecu_emulator.scenario_file import load_scenario

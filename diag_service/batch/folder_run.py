@@ -26,9 +26,9 @@ from diag_service.errors import ConfigError, SourceError
 from diag_service.interpretation import interpret
 from diag_service.notices import NOTICE
 from diag_service.parquet_file import load_pyarrow
-from diag_service.recorded import stream_of
 from diag_service.results import dump
-from diag_service.session import versions_for
+from diag_service.runs.recorded import stream_of
+from diag_service.runs.session import versions_for
 from diag_service.stopping import Trigger
 
 POLL_S = 0.2  # how soon a request to stop is heard

@@ -12,17 +12,17 @@ from multiprocessing import parent_process
 
 from diag_service.batch.drives import Drive
 from diag_service.batch.journal import Entry
-from diag_service.condition import ConditionMemory
 from diag_service.config import DiagnosisConfig, calibration_digest
 from diag_service.errors import SourceError
 from diag_service.estimation import Belief
 from diag_service.interpretation import Interpretation, interpret
+from diag_service.judgement.condition import ConditionMemory
 from diag_service.notices import set_up_notices
 from diag_service.publishers import MemoryReporter
-from diag_service.recorded import open_drive, run_logs, stream_of
 from diag_service.results import JsonObject, shift_record
-from diag_service.session import Session, versions_for
-from diag_service.stages import Stages
+from diag_service.runs.recorded import open_drive, run_logs, stream_of
+from diag_service.runs.session import Session, versions_for
+from diag_service.runs.stages import Stages
 from diag_service.stopping import Trigger, ignore
 from diag_service.store import ResultStore
 from diag_service.summary import summary_record

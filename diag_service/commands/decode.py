@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 
 from dbc.contract import DBC_PATH
-from diag_service.codec import Codec, MessageValues
-from diag_service.database import load_database
+from diag_service.decoding.codec import Codec, MessageValues
+from diag_service.definitions.database import load_database
 from diag_service.errors import ConfigError, StoreError
 from diag_service.frames import FrameBatch
 from diag_service.notices import NOTICE

@@ -9,14 +9,14 @@ import numpy as np
 from cantools.database.can import Message
 
 from dbc.contract import DBC_PATH
-from diag_service.codec import Codec
-from diag_service.database import load_database
-from diag_service.decode import Decoded
-from diag_service.proposal import SignalStatistics, candidates, profile_text
+from diag_service.decoding.codec import Codec
+from diag_service.decoding.decode import Decoded
+from diag_service.definitions.database import load_database
+from diag_service.definitions.proposal import SignalStatistics, candidates, profile_text
+from diag_service.definitions.tiers import PURPOSE, missing_for_next, tier_of
 from diag_service.records import Int64Array
 from diag_service.sources import read_log
 from diag_service.stopping import Trigger
-from diag_service.tiers import PURPOSE, missing_for_next, tier_of
 from diag_service.traffic import NS_PER_S
 
 

@@ -8,12 +8,19 @@ import numpy as np
 from cantools.database.can import Message
 
 from clutch_model.jit import array_kernel
-from diag_service.addressing import NOBODY, AddressBook, address_book, find_slot, message_address, rows_by_slot
-from diag_service.decode import Decoded, SignalTable, compile_signal, payload_words
+from diag_service.decoding.decode import Decoded, SignalTable, compile_signal, payload_words
+from diag_service.decoding.signal_block import SignalBlock
+from diag_service.definitions.addressing import (
+    NOBODY,
+    AddressBook,
+    address_book,
+    find_slot,
+    message_address,
+    rows_by_slot,
+)
 from diag_service.errors import ConfigError
 from diag_service.frames import ERROR_FLAG, FD_PAYLOAD_BYTES, REMOTE_FLAG, FrameBatch
 from diag_service.records import Int64Array, UInt8Array, UInt32Array
-from diag_service.signal_block import SignalBlock
 
 _NO_DATA_FRAME = REMOTE_FLAG | ERROR_FLAG
 

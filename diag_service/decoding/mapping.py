@@ -8,17 +8,17 @@ from typing import Final
 import numpy as np
 from cantools.database.can import Database
 
-from diag_service.addressing import kernel_filters, rows_by_slot
-from diag_service.decode import PayloadWords, payload_words
-from diag_service.e2e_state import E2eStates
-from diag_service.error_frames import BusError, tells
+from diag_service.decoding.decode import PayloadWords, payload_words
+from diag_service.decoding.mapped_messages import SignalColumn, map_signals
+from diag_service.decoding.small_batches import SMALL_FRAMES, SmallBatchDecoder, SmallColumn, is_able, is_seamless
+from diag_service.definitions.addressing import kernel_filters, rows_by_slot
+from diag_service.definitions.profile import Profile
+from diag_service.definitions.tiers import MANDATORY
 from diag_service.frames import MAX_GAP_NS, FrameBatch
-from diag_service.mapped_messages import SignalColumn, map_signals
-from diag_service.profile import Profile
-from diag_service.protection_check import FrameReason, FrameVerdicts, LinkMonitor, plain
+from diag_service.protection.e2e_state import E2eStates
+from diag_service.protection.error_frames import BusError, tells
+from diag_service.protection.protection_check import FrameReason, FrameVerdicts, LinkMonitor, plain
 from diag_service.records import ColumnBatch, Columns, E2eState, GearRatios, Int64Array, Series, Signal
-from diag_service.small_batches import SMALL_FRAMES, SmallBatchDecoder, SmallColumn, is_able, is_seamless
-from diag_service.tiers import MANDATORY
 
 NS_PER_S: Final = 1_000_000_000
 _NEVER: Final = np.empty(0, np.int64)

@@ -11,15 +11,15 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from clutch_model.jit import array_kernel
-from diag_service.bit_fields import WORD_BITS, WORD_BYTES
-from diag_service.decode import IntegerCode
-from diag_service.frame_judge import FrameReason
+from diag_service.decoding.bit_fields import WORD_BITS, WORD_BYTES
+from diag_service.decoding.decode import IntegerCode
+from diag_service.decoding.source_tables import SourceTable
+from diag_service.definitions.profile import Conversion
 from diag_service.frames import ERROR_FLAG, MAX_GAP_NS, FrameBatch, empty_batch
-from diag_service.profile import Conversion
-from diag_service.protection_check import FrameVerdicts, plain
+from diag_service.protection.frame_judge import FrameReason
+from diag_service.protection.protection_check import FrameVerdicts, plain
 from diag_service.records import FloatArray, Int64Array, Signal, UInt8Array, UInt32Array
 from diag_service.sample_block import BlockLayout, SampleBlock, Samples
-from diag_service.source_tables import SourceTable
 
 SMALL_FRAMES: Final = 256  # beyond it array operations are the faster way
 LONGEST_BITS: Final = 62  # signed or not, a raw value fits into an int64

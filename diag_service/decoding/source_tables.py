@@ -6,10 +6,10 @@ from dataclasses import dataclass
 import numpy as np
 from cantools.database.can import Message
 
-from diag_service.addressing import parameter_group
-from diag_service.decode import BoolArray, Decoded, PayloadWords, SignalTable, compile_signal
+from diag_service.decoding.decode import BoolArray, Decoded, PayloadWords, SignalTable, compile_signal
+from diag_service.definitions.addressing import parameter_group
+from diag_service.definitions.profile import SignalSource
 from diag_service.errors import ConfigError
-from diag_service.profile import SignalSource
 from diag_service.records import FloatArray
 
 

@@ -19,7 +19,7 @@ from typing import Final
 from cantools.database.can import Database
 
 from dbc.contract import DBC_PATH, load_contract
-from diag_service import database_child
+from diag_service.definitions import database_child
 from diag_service.errors import ConfigError
 
 MAX_FILE_BYTES: Final = 32 * 2**20  # the largest public databases have about 5 MB as DBC, some more as ARXML

@@ -19,7 +19,7 @@ PROFILE_KEYS: Final = frozenset({"name", "signals", "protocol", "channel", "data
 
 Conversion = Callable[[FloatArray], FloatArray]
 
-PROFILE_FOLDER: Final = Path(__file__).parent / "profiles"
+PROFILE_FOLDER: Final = Path(__file__).parents[1] / "profiles"
 PROFILE_PATH: Final = PROFILE_FOLDER / "dct.toml"
 
 

@@ -7,8 +7,8 @@ from typing import Final
 
 import numpy as np
 
+from diag_service.definitions.profile import SignalSource, to_si
 from diag_service.errors import ConfigError
-from diag_service.profile import SignalSource, to_si
 from diag_service.records import Signal
 
 MIN_SCORE: Final = 3.0

@@ -9,8 +9,8 @@ from clutch_model.calibration import Calibration, FrictionCurve
 from diag_service.comparison import FrictionTrend
 from diag_service.estimation.belief import Belief
 from diag_service.estimation.sharp import clutch_ratio, common_scale_std_ratio, scale_free, trend
+from diag_service.judgement.scatter import Scatter
 from diag_service.records import ClutchVerdict, Condition, FrictionEstimate, Reason, ShiftEstimate, Status
-from diag_service.scatter import Scatter
 
 MIN_SHIFT_COUNT = 2  # one shift may be an outlier
 MAX_MARGIN_STD_RATIO = 0.5  # of the reference margin: beyond it the slope is anyone's guess

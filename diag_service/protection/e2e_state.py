@@ -16,8 +16,8 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from clutch_model.jit import kernel
-from diag_service.own_cycle import SLOWER_RATIO, SLOWEST
-from diag_service.protection_check import FrameReason, FrameVerdicts, plain
+from diag_service.protection.own_cycle import SLOWER_RATIO, SLOWEST
+from diag_service.protection.protection_check import FrameReason, FrameVerdicts, plain
 from diag_service.records import E2eChange, E2eState, Int64Array, UInt8Array
 
 WINDOW: Final = 10  # checks

@@ -14,15 +14,15 @@ from rich.table import Table
 
 from clutch_model.calibration import Calibration, calibration_toml
 from clutch_model.units import bar_from_pa
+from diag_service.decoding.mapping import Decoder
 from diag_service.errors import ConfigError, SourceError
 from diag_service.estimation.parameters import NUISANCE_NAMES, STATE_COUNT, Considered, State, prior_covariance
 from diag_service.estimation.self_calibration import SelfCalibration, self_calibrate
-from diag_service.mapping import Decoder
-from diag_service.recorded import OpenLog, warn_of_damage
 from diag_service.records import FrictionEstimate, RevEvent, ShiftEvent
 from diag_service.results import JsonObject
-from diag_service.revs import RevFinder
-from diag_service.shifts import ShiftFinder
+from diag_service.runs.recorded import OpenLog, warn_of_damage
+from diag_service.shift_finding.revs import RevFinder
+from diag_service.shift_finding.shifts import ShiftFinder
 from diag_service.stopping import Trigger
 
 CALIBRATION_SCHEMA = "clutchdiag/self-calibration/v1"

@@ -8,8 +8,8 @@ from diag_service.errors import SourceError, StoreError
 from diag_service.notices import NOTICE
 from diag_service.publishers import Outbox
 from diag_service.records import ShiftEvent
-from diag_service.session import Session
-from diag_service.snapshot import frame_counts
+from diag_service.runs.session import Session
+from diag_service.runs.snapshot import frame_counts
 from diag_service.sources import LinkBreak, LiveSource, Pace
 from diag_service.stopping import Trigger
 from diag_service.summary import FrameCounts, Summary, frames_line, shifts_line

@@ -19,7 +19,7 @@ from diag_service.config import ListenAddress
 from diag_service.errors import ConfigError
 from diag_service.progress import Stage
 from diag_service.records import E2eState
-from diag_service.snapshot import Board, Snapshot
+from diag_service.runs.snapshot import Board, Snapshot
 from diag_service.sources import BusState
 
 CLIENT_TIMEOUT_S = 5.0

@@ -9,7 +9,7 @@ from rich.text import Text
 
 from diag_service.publishers.console import shift_head, shift_line
 from diag_service.records import E2eState, ShiftResult
-from diag_service.snapshot import MessageStatus, Snapshot
+from diag_service.runs.snapshot import MessageStatus, Snapshot
 from diag_service.sources import BusState
 from diag_service.summary import Summary, frames_line, shifts_line
 

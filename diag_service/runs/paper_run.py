@@ -8,9 +8,9 @@ from rich.console import Console
 from rich.table import Table
 
 from diag_service.estimation.paper import PaperCollection, PaperEstimate, PaperShift, PooledClutch
-from diag_service.recorded import OpenLog, events, frame_counts, warn_of_damage
 from diag_service.results import JsonObject, dump
-from diag_service.stages import Stages
+from diag_service.runs.recorded import OpenLog, events, frame_counts, warn_of_damage
+from diag_service.runs.stages import Stages
 from diag_service.stopping import Trigger
 from diag_service.summary import frames_line
 

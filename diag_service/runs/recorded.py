@@ -13,9 +13,9 @@ from diag_service.errors import ConfigError, SourceError
 from diag_service.frames import FrameBatch
 from diag_service.publishers import Outbox
 from diag_service.records import ShiftEvent
-from diag_service.session import Session
+from diag_service.runs.session import Session
+from diag_service.runs.stages import Stages
 from diag_service.sources import LogReader, merged_by_time, read_log
-from diag_service.stages import Stages
 from diag_service.stopping import Trigger
 from diag_service.summary import FrameCounts, Summary
 from diag_service.tasks import first_error

@@ -5,12 +5,12 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from typing import Protocol
 
-from diag_service.mapping import MessageCounts
+from diag_service.decoding.mapping import MessageCounts
 from diag_service.progress import Stuck
 from diag_service.records import ShiftResult
-from diag_service.session import Session
+from diag_service.runs.session import Session
+from diag_service.runs.stages import Stages
 from diag_service.sources import BusState, BusStatus, LiveSource
-from diag_service.stages import Stages
 from diag_service.summary import FrameCounts, Summary
 
 DEFAULT_BITRATE = 500_000

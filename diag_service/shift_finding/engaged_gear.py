@@ -6,7 +6,7 @@ from typing import Protocol
 import numpy as np
 
 from diag_service.records import EndReason, FloatArray, GearRatios, Int64Array, Signal
-from diag_service.shift_bounds import DWELL_NS, MAX_SHIFT_NS, Bounds, Samples, held_values
+from diag_service.shift_finding.shift_bounds import DWELL_NS, MAX_SHIFT_NS, Bounds, Samples, held_values
 
 RATIO_TOLERANCE = 0.04  # neighbouring gears are at least 15 % apart
 MIN_SPEED_RAD_S = 50.0  # of the engine: below it drives nothing

@@ -8,10 +8,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from diag_service.engaged_gear import CurrentGear, EngagedTracker, RatioGear
-from diag_service.history import held
 from diag_service.records import EndReason, GearRatios, Series, Signal
-from diag_service.shift_bounds import DWELL_NS, MAX_SHIFT_NS, Bounds, GearTracker, Samples, held_values
+from diag_service.shift_finding.engaged_gear import CurrentGear, EngagedTracker, RatioGear
+from diag_service.shift_finding.history import held
+from diag_service.shift_finding.shift_bounds import DWELL_NS, MAX_SHIFT_NS, Bounds, GearTracker, Samples, held_values
 
 CLOSED_SLIP_RAD_S = 5.0  # 50 rpm: beyond it the clutch slips, whatever two controllers' speeds differ by
 

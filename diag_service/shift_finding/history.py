@@ -5,9 +5,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from diag_service.own_cycle import own_period_ns
+from diag_service.protection.own_cycle import own_period_ns
 from diag_service.records import ColumnBatch, Columns, E2eChange, E2eState, Int64Array, Series, Signal
-from diag_service.sample_rings import SampleRings
+from diag_service.shift_finding.sample_rings import SampleRings
 
 
 class History:

@@ -9,8 +9,8 @@ from typing import Final
 import numpy as np
 
 from clutch_model.calibration import Calibration
-from diag_service.history import History, held
 from diag_service.records import ColumnBatch, EndReason, Int64Array, RevEvent, Signal
+from diag_service.shift_finding.history import History, held
 
 NS_PER_S: Final = 1_000_000_000
 MARGIN_NS: Final = NS_PER_S // 5  # before and after a rev: what sensor latencies and the crank segment reach back from

@@ -1,9 +1,9 @@
 """Shift detection: canonical columns in, shift events out, the same events for any cutting of the stream."""
 
-from diag_service.gear_tracking import GearPairTracker
-from diag_service.history import History
 from diag_service.records import ColumnBatch, Series, ShiftEvent, Signal
-from diag_service.shift_bounds import Bounds, GearTracker
+from diag_service.shift_finding.gear_tracking import GearPairTracker
+from diag_service.shift_finding.history import History
+from diag_service.shift_finding.shift_bounds import Bounds, GearTracker
 
 NS_PER_S = 1_000_000_000
 PRE_NS = NS_PER_S // 2  # history before the shift: the on-coming clutch empty, the off-going one locked

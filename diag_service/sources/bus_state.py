@@ -8,8 +8,8 @@ from types import MappingProxyType
 
 import numpy as np
 
-from diag_service.error_frames import GOOD_NEWS, BusError, count_errors, is_error, tells
 from diag_service.frames import FrameBatch
+from diag_service.protection.error_frames import GOOD_NEWS, BusError, count_errors, is_error, tells
 
 TROUBLE_S = 5.0  # how long an error frame or a loss is remembered as trouble
 

@@ -14,17 +14,17 @@ import numpy as np
 
 from clutch_model.calibration import nominal_calibration
 from dbc.contract import DBC_PATH
-from diag_service.condition import ConditionMemory
-from diag_service.database import load_database
+from diag_service.decoding.mapping import Decoder
+from diag_service.definitions.database import load_database
+from diag_service.definitions.profile import load_profile
 from diag_service.errors import SourceError
 from diag_service.estimation import Belief
 from diag_service.frames import FrameBatch, empty_batch
-from diag_service.mapping import Decoder
-from diag_service.profile import load_profile
+from diag_service.judgement.condition import ConditionMemory
 from diag_service.records import Int64Array, ShiftEstimate
+from diag_service.runs.stages import Stages
 from diag_service.sources import LogCounts, read_log
 from diag_service.sources.columns import join
-from diag_service.stages import Stages
 from ecu_emulator.frames import EncodedFrames
 from ecu_emulator.record import DEFAULT_START_NS, open_log
 from ecu_emulator.recording import Drive

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from diag_service.profile import PROFILE_PATH
+from diag_service.definitions.profile import PROFILE_PATH
 from tests.service import Ended, run_service
 
 SHIFT_COUNT = 3

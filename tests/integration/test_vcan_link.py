@@ -7,10 +7,10 @@ from pathlib import Path
 
 import pytest
 
-from diag_service.error_frames import BusError
+from diag_service.decoding.mapping import Decoder
+from diag_service.definitions.profile import load_profile
 from diag_service.frames import ERROR_FLAG
-from diag_service.mapping import Decoder
-from diag_service.profile import load_profile
+from diag_service.protection.error_frames import BusError
 from diag_service.sources import BusOpener, BusState, LinkBreak, SupervisedSource, supervise
 from diag_service.sources.interface import Seen, index_of, present_name, restart_controller
 from tests.link_cycles import TARGET_S, run_cycles

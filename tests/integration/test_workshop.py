@@ -8,12 +8,12 @@ import pytest
 
 from clutch_model.calibration import nominal_calibration
 from dbc.contract import DBC_PATH
-from diag_service.database import load_database
-from diag_service.mapping import Decoder
-from diag_service.profile import load_profile
+from diag_service.decoding.mapping import Decoder
+from diag_service.definitions.database import load_database
+from diag_service.definitions.profile import load_profile
 from diag_service.records import EndReason, RevEvent, ShiftEvent, Signal
-from diag_service.revs import LOW_RAD_S, RevFinder
-from diag_service.shifts import ShiftFinder
+from diag_service.shift_finding.revs import LOW_RAD_S, RevFinder
+from diag_service.shift_finding.shifts import ShiftFinder
 from ecu_emulator.recording import frames_of
 from ecu_emulator.scenario import Routine
 from ecu_emulator.truth import TruthLog

@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from diag_service.records import ColumnBatch, Series, ShiftEvent, Signal
-from diag_service.shifts import ShiftFinder
+from diag_service.shift_finding.shifts import ShiftFinder
 from tests.gears import STEP_NS
 
 gear_runs = st.lists(st.tuples(st.integers(0, 4), st.integers(0, 4), st.integers(1, 120)), min_size=1, max_size=12)

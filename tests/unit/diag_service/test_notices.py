@@ -32,7 +32,7 @@ def _restored_logging() -> Iterator[None]:
 )
 def test_what_is_shown(verbosity: int, lines: list[str], capsys: pytest.CaptureFixture[str]) -> None:
     set_up_notices(verbosity)
-    own = logging.getLogger("diag_service.live")
+    own = logging.getLogger("diag_service.runs.live")
     own.warning("late")
     own.log(NOTICE, "%d frames", 7)
     own.info("detail")

@@ -8,7 +8,7 @@ from diag_service.progress import Progress, Stage
 from diag_service.publishers import MemoryReporter
 from diag_service.records import ShiftResult
 from diag_service.store import ResultStore, VehicleState
-from tests.unit.diag_service.test_live import gear_frames, session_for
+from tests.unit.diag_service.runs.test_live import gear_frames, session_for
 
 PATIENCE_S = 30.0
 

@@ -8,12 +8,12 @@ import pytest
 from cantools.database.can import Database, Message
 from cantools.database.can.signal import Signal
 
-from diag_service.codec import Codec, MessageValues
+from diag_service.decoding.codec import Codec, MessageValues
 from diag_service.frames import ERROR_FLAG, EXTENDED_FLAG, REMOTE_FLAG, FrameBatch
 from tests.cantools_oracle import reference, same_bits
 from tests.wire import DATABASE
 
-CORNERS = Path(__file__).parents[2] / "data" / "corners.dbc"
+CORNERS = Path(__file__).parents[3] / "data" / "corners.dbc"
 ROWS = 200
 
 

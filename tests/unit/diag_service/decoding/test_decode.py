@@ -14,7 +14,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
-from diag_service.decode import NOT_AVAILABLE, compile_signal, payload_words
+from diag_service.decoding.decode import NOT_AVAILABLE, compile_signal, payload_words
 from diag_service.errors import ConfigError
 from tests.wire import CONTRACTS, DATABASE
 

@@ -10,17 +10,17 @@ import pytest
 from cantools.database.can import Database
 
 from clutch_model.units import pa_from_bar, rad_s_from_rpm
+from diag_service.decoding.mapping import Decoder, DecoderCounts
+from diag_service.definitions.profile import Profile, SignalSource, load_profile
 from diag_service.errors import ConfigError
 from diag_service.frames import ERROR_FLAG, FrameBatch, empty_batch
-from diag_service.mapping import Decoder, DecoderCounts
-from diag_service.profile import Profile, SignalSource, load_profile
-from diag_service.protection_check import FrameReason
+from diag_service.protection.protection_check import FrameReason
 from diag_service.records import BALANCE_SIGNALS, Signal
 from ecu_emulator.frames import FrameEncoder
 from ecu_emulator.readings import Readings
 from tests.wire import CONTRACTS, DATABASE, START_NS, drive, joined, of_message, received
 
-CORNERS: Final = Path(__file__).parents[2] / "data" / "corners.dbc"
+CORNERS: Final = Path(__file__).parents[3] / "data" / "corners.dbc"
 
 
 def decoder() -> Decoder:

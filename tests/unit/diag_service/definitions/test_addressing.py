@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 from cantools.database.can import Database, Message
 
-from diag_service.addressing import (
+from diag_service.decoding.codec import Codec
+from diag_service.definitions.addressing import (
     Address,
     address_book,
     find_slot,
@@ -17,13 +18,12 @@ from diag_service.addressing import (
     parameter_group,
     rows_by_slot,
 )
-from diag_service.codec import Codec
 from diag_service.errors import ConfigError
 from diag_service.frames import EXTENDED_FLAG, FrameBatch
-from diag_service.protection_check import FrameReason, LinkMonitor
+from diag_service.protection.protection_check import FrameReason, LinkMonitor
 from tests.wire import DATABASE
 
-CORNERS: Final = Path(__file__).parents[2] / "data" / "corners.dbc"
+CORNERS: Final = Path(__file__).parents[3] / "data" / "corners.dbc"
 EEC1: Final = 0x0CF0_0400  # group 61444, without its sender
 OK: Final = FrameReason.OK
 UNKNOWN_ID: Final = FrameReason.UNKNOWN_ID

@@ -11,15 +11,15 @@ import pytest
 from cantools.database.can import Database
 
 from dbc.contract import DBC_PATH
-from diag_service import database as database_module
-from diag_service.codec import Codec
-from diag_service.database import MAX_FILE_BYTES, load_database
+from diag_service.decoding.codec import Codec
+from diag_service.definitions import database as database_module
+from diag_service.definitions.database import MAX_FILE_BYTES, load_database
 from diag_service.errors import ConfigError
 from diag_service.frames import EXTENDED_FLAG, FrameBatch
 from tests.cantools_oracle import reference, same_bits
 from tests.wire import DATABASE
 
-DATA: Final = Path(__file__).parents[2] / "data"
+DATA: Final = Path(__file__).parents[3] / "data"
 
 HEAD = 'VERSION ""\nBU_: A\n'
 SIGNAL = 'BO_ 256 M: 8 A\n SG_ s : 0|8@1+ (1,0) [0|0] "" A\n'

@@ -6,8 +6,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from diag_service.definitions.profile import SignalSource, find_profile, load_profile, shipped_profiles, to_si
 from diag_service.errors import ConfigError
-from diag_service.profile import SignalSource, find_profile, load_profile, shipped_profiles, to_si
 from diag_service.records import BALANCE_SIGNALS, GearRatios, Signal
 
 

@@ -5,8 +5,8 @@ from pathlib import Path
 
 import pytest
 
-from diag_service.profile import load_profile
-from diag_service.proposal import SignalStatistics, candidates, profile_text
+from diag_service.definitions.profile import load_profile
+from diag_service.definitions.proposal import SignalStatistics, candidates, profile_text
 from diag_service.records import Signal
 
 

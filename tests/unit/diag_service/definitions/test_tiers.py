@@ -2,9 +2,9 @@
 
 import pytest
 
-from diag_service.profile import load_shipped
+from diag_service.definitions.profile import load_shipped
+from diag_service.definitions.tiers import missing_for_next, tier_of
 from diag_service.records import Signal, Tier
-from diag_service.tiers import missing_for_next, tier_of
 
 DCT = frozenset(load_shipped("dct").sources)
 PRESSURES = {Signal.CLUTCH1_PRESSURE, Signal.CLUTCH2_PRESSURE}

@@ -10,7 +10,9 @@ import pytest
 from benchmarks.accuracy import to_batch
 from clutch_model.calibration import Calibration, nominal_calibration
 from dbc.contract import DBC_PATH
-from diag_service.database import load_database
+from diag_service.decoding.mapping import Decoder
+from diag_service.definitions.database import load_database
+from diag_service.definitions.profile import load_profile
 from diag_service.estimation.balance import Balance
 from diag_service.estimation.belief import Belief, Measurement
 from diag_service.estimation.parameters import NAMES, STATE_COUNT, Considered, State, displaced, prior_mean
@@ -19,11 +21,9 @@ from diag_service.estimation.rev_balance import rev_measurement
 from diag_service.estimation.self_calibration import SelfCalibration, self_calibrate
 from diag_service.estimation.signals import gather
 from diag_service.estimation.window import SlipWindow
-from diag_service.mapping import Decoder
-from diag_service.profile import load_profile
 from diag_service.records import EndReason, Reason, RevEvent, ShiftEvent
-from diag_service.revs import RevFinder
-from diag_service.shifts import ShiftFinder
+from diag_service.shift_finding.revs import RevFinder
+from diag_service.shift_finding.shifts import ShiftFinder
 from ecu_emulator.recording import frames_of
 from ecu_emulator.scenario import Routine, Scenario, Truth
 from tests.builders import drive_scenario

@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 
 from clutch_model.calibration import nominal_calibration
-from diag_service.condition import ConditionMemory, judge
 from diag_service.estimation.baseline import BASELINE_SHIFT_COUNT
 from diag_service.estimation.belief import Belief
 from diag_service.estimation.parameters import State
+from diag_service.judgement.condition import ConditionMemory, judge
+from diag_service.judgement.scatter import LEAST_SHIFT_COUNT
 from diag_service.records import Condition, Reason, Status
-from diag_service.scatter import LEAST_SHIFT_COUNT
 from tests.builders import rejected, shift_estimate, shift_result
 
 CALIBRATION = nominal_calibration()

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from clutch_model.calibration import nominal_calibration
-from diag_service.indices import measure
+from diag_service.judgement.indices import measure
 from diag_service.records import EndReason, FloatArray, Series, ShiftEvent, Signal
 
 CALIBRATION = nominal_calibration()

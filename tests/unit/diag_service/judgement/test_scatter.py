@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from diag_service.judgement.scatter import LEAST_SHIFT_COUNT, Scatter
 from diag_service.records import FrictionEstimate
-from diag_service.scatter import LEAST_SHIFT_COUNT, Scatter
 from tests.builders import friction_estimate
 
 RUNNING = replace(friction_estimate(), random_std_mu_c=0.0, random_std_mu_s=0.0)

@@ -10,11 +10,12 @@ import pytest
 
 from clutch_model.calibration import nominal_calibration
 from dbc.contract import DBC_PATH
-from diag_service.condition import ConditionMemory
-from diag_service.database import load_database
+from diag_service.decoding.mapping import Decoder
+from diag_service.definitions.database import load_database
+from diag_service.definitions.profile import load_profile
 from diag_service.estimation import Belief
-from diag_service.mapping import Decoder
-from diag_service.profile import load_profile
+from diag_service.judgement.condition import ConditionMemory
+from diag_service.judgement.trust import MIN_TRUST, TrustBasis, assess, reasons_against
 from diag_service.records import (
     BALANCE_SIGNALS,
     E2eState,
@@ -29,8 +30,7 @@ from diag_service.records import (
     Trust,
     TrustPart,
 )
-from diag_service.stages import Stages
-from diag_service.trust import MIN_TRUST, TrustBasis, assess, reasons_against
+from diag_service.runs.stages import Stages
 from ecu_emulator.recording import Drive
 from tests.builders import drive_scenario
 from tests.wire import received

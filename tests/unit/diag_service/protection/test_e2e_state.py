@@ -5,9 +5,9 @@ from collections.abc import Sequence
 import numpy as np
 import pytest
 
-from diag_service.e2e_state import MAX_ERRORS, MIN_OK, MIN_TIMEOUT_NS, TIMEOUT_CYCLES, WINDOW, E2eStates
-from diag_service.own_cycle import SLOWEST
-from diag_service.protection_check import FrameReason, FrameVerdicts
+from diag_service.protection.e2e_state import MAX_ERRORS, MIN_OK, MIN_TIMEOUT_NS, TIMEOUT_CYCLES, WINDOW, E2eStates
+from diag_service.protection.own_cycle import SLOWEST
+from diag_service.protection.protection_check import FrameReason, FrameVerdicts
 from diag_service.records import E2eChange, E2eState
 
 NAME = "message"

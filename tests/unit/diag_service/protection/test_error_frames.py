@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from diag_service.error_frames import BusError, count_errors, is_error, tells
 from diag_service.frames import ERROR_FLAG, FrameBatch, empty_batch
+from diag_service.protection.error_frames import BusError, count_errors, is_error, tells
 
 CASES = [
     (0x001, 0x00, {BusError.TRANSMIT_TIMEOUT}),

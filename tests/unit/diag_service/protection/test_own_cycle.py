@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from diag_service.own_cycle import LEAST_STEPS, SLOWEST, own_period_ns
+from diag_service.protection.own_cycle import LEAST_STEPS, SLOWEST, own_period_ns
 from diag_service.records import Int64Array, Series
 
 MS = 1_000_000

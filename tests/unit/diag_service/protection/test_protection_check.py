@@ -11,7 +11,7 @@ from cantools.database.can import Database, Message
 from dbc.protection import protect
 from diag_service.errors import ConfigError
 from diag_service.frames import ERROR_FLAG, EXTENDED_FLAG, REMOTE_FLAG, FrameBatch
-from diag_service.protection_check import MAX_FRAMES_LOST_BY_RESTART, FrameReason, FrameVerdicts, LinkMonitor
+from diag_service.protection.protection_check import MAX_FRAMES_LOST_BY_RESTART, FrameReason, FrameVerdicts, LinkMonitor
 from tests.wire import CONTRACTS, DATABASE, START_NS
 
 NAME: Final = "TCU_Pressures"

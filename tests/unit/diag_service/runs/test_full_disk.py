@@ -8,16 +8,16 @@ import pytest
 
 from clutch_model.calibration import nominal_calibration
 from dbc.contract import DBC_PATH
-from diag_service.condition import ConditionMemory
-from diag_service.database import load_database
+from diag_service.decoding.mapping import Decoder
+from diag_service.definitions.database import load_database
+from diag_service.definitions.profile import load_profile
 from diag_service.errors import StoreFullError
 from diag_service.estimation import Belief
-from diag_service.mapping import Decoder
-from diag_service.profile import load_profile
+from diag_service.judgement.condition import ConditionMemory
 from diag_service.publishers import MemoryReporter
 from diag_service.records import EndReason, ShiftEvent, ShiftResult
-from diag_service.session import Session
-from diag_service.stages import Stages
+from diag_service.runs.session import Session
+from diag_service.runs.stages import Stages
 from diag_service.store import ResultStore, VehicleState, Versions
 from diag_service.summary import FrameCounts
 
@@ -118,7 +118,7 @@ def test_the_end_of_a_run_is_a_last_attempt(store: FillingStore) -> None:
 def test_what_waits_is_bounded_and_what_is_given_up_counted(
     store: FillingStore, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("diag_service.session.MAX_PENDING", 3)
+    monkeypatch.setattr("diag_service.runs.session.MAX_PENDING", 3)
     session, reporter = session_on(store)
     store.is_full = True
     for number in range(1, 6):

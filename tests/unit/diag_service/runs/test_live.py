@@ -11,20 +11,20 @@ import pytest
 
 from clutch_model.calibration import nominal_calibration
 from dbc.contract import DBC_PATH
-from diag_service.condition import ConditionMemory
-from diag_service.database import load_database
+from diag_service.decoding.mapping import Decoder
+from diag_service.definitions.database import load_database
+from diag_service.definitions.profile import PROFILE_PATH, load_profile
 from diag_service.errors import SourceError, StoreError
 from diag_service.estimation import Belief
 from diag_service.frames import FrameBatch
-from diag_service.live import run_live
-from diag_service.mapping import Decoder
+from diag_service.judgement.condition import ConditionMemory
 from diag_service.notices import NOTICE
-from diag_service.profile import PROFILE_PATH, load_profile
 from diag_service.publishers import MemoryLink, MemoryReporter, Outbox, Reporter
 from diag_service.records import Reason, ShiftResult, Status
-from diag_service.session import Session, resume, versions_for
+from diag_service.runs.live import run_live
+from diag_service.runs.session import Session, resume, versions_for
+from diag_service.runs.stages import Stages
 from diag_service.sources import LinkBreak, SourceCounts
-from diag_service.stages import Stages
 from diag_service.stopping import Trigger
 from diag_service.store import ResultStore, VehicleState
 from ecu_emulator.frames import FrameEncoder

@@ -12,18 +12,18 @@ from prometheus_client.parser import text_string_to_metric_families
 from rich.console import Console
 
 from diag_service.config import ListenAddress, parse_listen_address
-from diag_service.error_frames import BusError
 from diag_service.errors import ConfigError
 from diag_service.frames import FrameBatch
-from diag_service.metrics import serving
-from diag_service.monitor import Monitor, SilentReporter
 from diag_service.progress import Stage, Stuck
+from diag_service.protection.error_frames import BusError
 from diag_service.publishers import MemoryReporter
 from diag_service.records import E2eState
-from diag_service.snapshot import STALE_S, Board, Snapshot, SnapshotTaker
+from diag_service.runs.metrics import serving
+from diag_service.runs.monitor import Monitor, SilentReporter
+from diag_service.runs.snapshot import STALE_S, Board, Snapshot, SnapshotTaker
 from diag_service.sources import BusState, BusStatus, SourceCounts
 from diag_service.store import ResultStore
-from tests.unit.diag_service.test_live import gear_frames, session_for
+from tests.unit.diag_service.runs.test_live import gear_frames, session_for
 
 STATUS = BusStatus(
     state=BusState.DEGRADED,

@@ -14,10 +14,10 @@ from typing import Any
 import can
 import pytest
 
-from diag_service import live
 from diag_service.errors import PublishError, StoreError
 from diag_service.publishers import DetachedReporter, MemoryLink, MemoryReporter, Outbox
 from diag_service.records import ShiftResult
+from diag_service.runs import live
 from diag_service.sources import BusOpener, LinkBreak, SupervisedSource
 from diag_service.sources.supervisor import Patience
 from diag_service.store import ResultStore
@@ -25,7 +25,7 @@ from diag_service.summary import Summary
 from ecu_emulator.bus import open_bus
 from fleet_contract import Outgoing
 from tests.builders import shift_result
-from tests.unit.diag_service.test_live import ListSource, cut, gear_frames, run, session_for
+from tests.unit.diag_service.runs.test_live import ListSource, cut, gear_frames, run, session_for
 
 SHIFTS = 5
 

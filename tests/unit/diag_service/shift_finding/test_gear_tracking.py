@@ -7,10 +7,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from diag_service.gear_tracking import GearPairTracker, tracker_for
 from diag_service.records import ColumnBatch, EndReason, FloatArray, GearRatios, Series, ShiftEvent, Signal
-from diag_service.shift_bounds import MAX_SHIFT_NS
-from diag_service.shifts import ShiftFinder
+from diag_service.shift_finding.gear_tracking import GearPairTracker, tracker_for
+from diag_service.shift_finding.shift_bounds import MAX_SHIFT_NS
+from diag_service.shift_finding.shifts import ShiftFinder
 
 STEP_NS = 10_000_000
 RATIOS = GearRatios(over=Signal.OUTPUT_SPEED, ratios=(4.0, 2.5, 1.5))

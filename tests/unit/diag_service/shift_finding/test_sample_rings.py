@@ -5,7 +5,7 @@ import pytest
 
 from diag_service.records import Series, Signal
 from diag_service.sample_block import BlockLayout, SampleBlock
-from diag_service.sample_rings import FIRST_CAPACITY, SampleRings
+from diag_service.shift_finding.sample_rings import FIRST_CAPACITY, SampleRings
 
 SIGNALS = (Signal.ENGINE_SPEED, Signal.ENGINE_TORQUE, Signal.CURRENT_GEAR)
 

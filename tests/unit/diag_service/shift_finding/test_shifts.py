@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from diag_service.records import ColumnBatch, EndReason, Series, Signal
-from diag_service.shift_bounds import MAX_SHIFT_NS
-from diag_service.shifts import POST_NS, PRE_NS, ShiftFinder
+from diag_service.shift_finding.shift_bounds import MAX_SHIFT_NS
+from diag_service.shift_finding.shifts import POST_NS, PRE_NS, ShiftFinder
 from tests.gears import STEP_NS, batch_of, gear_batch
 
 

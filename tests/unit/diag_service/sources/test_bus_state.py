@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from diag_service.error_frames import BusError
 from diag_service.frames import ERROR_FLAG, FrameBatch
+from diag_service.protection.error_frames import BusError
 from diag_service.sources.bus_state import TROUBLE_S, BusState, BusWatch
 
 DATA, BUS_OFF, RESTART, ARBITRATION = 0x123, ERROR_FLAG | 0x40, ERROR_FLAG | 0x100, ERROR_FLAG | 0x2

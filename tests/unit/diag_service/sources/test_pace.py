@@ -2,7 +2,7 @@
 
 import pytest
 
-from diag_service.shifts import POST_NS
+from diag_service.shift_finding.shifts import POST_NS
 from diag_service.sources.pace import EXPECTING_S, LATE_S, NS_PER_S, RELAXED_S, URGENT_S, Pace
 
 NOW_NS = 1_700_000_000_000_000_000

@@ -1,0 +1,1 @@
+"""What estimates are worth and what they say of clutch and fluid."""

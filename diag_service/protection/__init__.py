@@ -1,0 +1,1 @@
+"""Which frames may be believed: length, CRC, alive counter, AUTOSAR E2E states, what a controller reports."""

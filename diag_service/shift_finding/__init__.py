@@ -1,0 +1,1 @@
+"""Canonical columns become shift events."""
