@@ -142,7 +142,7 @@ async def own_path(channel: str, sender: Sender) -> Cost:
     async for batch in source:
         for columns in decoder.feed(batch):
             finder.feed(columns)
-        pace.is_expecting, pace.due_ns = finder.is_expecting, finder.due_ns
+        pace.wait_for(is_expecting=finder.is_expecting, due_ns=finder.due_ns)
         received += len(batch)
     await closer
     return Cost(received=received, cpu_s=clock_s() - began_s)

@@ -13,10 +13,9 @@ import math
 import os
 import sys
 import tempfile
-import threading
 import time
 from collections.abc import AsyncIterator
-from contextlib import closing
+from contextlib import closing, suppress
 from dataclasses import replace
 from pathlib import Path
 
@@ -69,7 +68,7 @@ def full_bus(duration_s: float) -> FrameBatch:
 
 
 class PacedSource:
-    """A bus whose frames come when they are due, from a thread of its own."""
+    """A bus whose frames come when they are due, looked at when the pace says."""
 
     description = "paced"
 
@@ -78,10 +77,11 @@ class PacedSource:
         self._pace = pace
         self._queue = FrameQueue(linger_s=0.0)
         self._offered = 0
-        self._is_over = threading.Event()
+        self._is_over = False
+        self._news = asyncio.Event()
+        pace.on_change = self._news.set
         self.began_s = time.monotonic()
-        self._thread = threading.Thread(target=self._feed, name="bus")
-        self._thread.start()
+        self._feeding = asyncio.create_task(self._feed())
 
     @property
     def counts(self) -> SourceCounts:
@@ -96,19 +96,27 @@ class PacedSource:
 
     async def aclose(self) -> None:
         """Fall silent."""
-        self._is_over.set()
-        await asyncio.to_thread(self._thread.join)
+        self._is_over = True
+        self._news.set()
+        await self._feeding
 
-    def _gather_s(self) -> float:
-        return self._pace.gather_s(int(self._frames.t_ns[self._offered - 1]) if self._offered else None)
-
-    def _feed(self) -> None:
+    async def _feed(self) -> None:
         t_ns = self._frames.t_ns
-        while self._offered < len(t_ns) and not self._is_over.wait(self._gather_s()):
+        while self._offered < len(t_ns) and not self._is_over:
+            await self._gather()
             due = int(np.searchsorted(t_ns, t_ns[0] + (time.monotonic() - self.began_s) * NS, side="right"))
             self._queue.offer(self._frames[self._offered : due])
             self._offered = due
         self._queue.close()
+
+    async def _gather(self) -> None:
+        """Let frames gather for as long as the pace says, which may change meanwhile."""
+        gathered_s = time.monotonic()
+        seen_ns = int(self._frames.t_ns[self._offered - 1]) if self._offered else None
+        while not self._is_over and (left_s := gathered_s + self._pace.gather_s(seen_ns) - time.monotonic()) > 0.0:
+            self._news.clear()
+            with suppress(TimeoutError):
+                await asyncio.wait_for(self._news.wait(), left_s)
 
 
 class TimedSession(Session):

@@ -74,7 +74,7 @@ async def run_live(
                 async for part in source:
                     stages = session.stages
                     events = stages.flush() if isinstance(part, LinkBreak) else stages.segment(part)
-                    pace.is_expecting, pace.due_ns = stages.is_expecting, stages.due_ns
+                    pace.wait_for(is_expecting=stages.is_expecting, due_ns=stages.due_ns)
                     await _settle_all(session, events, outbox, turn)
             except SourceError as exc:
                 failure = exc

@@ -78,6 +78,7 @@ class SocketCanSource:
         self._receiver = FrameReceiver(self._socket.fileno())
         self._clock = clock or BusClock()
         self._pace = pace or Pace()
+        self._pace.on_change = self._hurry
         self._received = 0
         self._seen_ns: int | None = None  # bus time of the last frame
         self._unsupported = 0
@@ -85,6 +86,7 @@ class SocketCanSource:
         self._failure: SourceError | None = None
         self._loop = asyncio.get_running_loop()
         self._timer: asyncio.TimerHandle | None = None
+        self._gathered_s = 0.0  # when the socket was emptied last, as the loop counts
         self._quiet_count = 0
         self._alarm = clock_alarm()
         if self._alarm is not None:
@@ -131,6 +133,7 @@ class SocketCanSource:
     def _gather(self) -> None:
         """Empty the socket, and see to it that this happens again."""
         before = self._received
+        self._gathered_s = self._loop.time()
         is_empty = self._drain()
         if self._socket is None:
             return
@@ -142,6 +145,13 @@ class SocketCanSource:
         else:
             self._timer = None
             self._loop.add_reader(self._socket, self._wake)
+
+    def _hurry(self) -> None:
+        """Empty the socket earlier than was thought, if what is waited for now comes earlier."""
+        when_s = self._gathered_s + self._pace.gather_s(self._seen_ns)
+        if self._timer is not None and when_s < self._timer.when():
+            self._timer.cancel()
+            self._timer = self._loop.call_at(when_s, self._gather)
 
     def _see_clock_set(self) -> None:
         if self._alarm is not None and self._alarm.acknowledge():
@@ -189,6 +199,7 @@ class SocketCanSource:
     def _close(self) -> None:
         if self._timer is not None:
             self._timer.cancel()
+            self._timer = None
         if self._alarm is not None:
             self._loop.remove_reader(self._alarm)
             self._alarm.close()
