@@ -138,7 +138,7 @@ class EndReason(StrEnum):
     """How a shift or a rev ended."""
 
     COMPLETE = "complete"
-    INTERRUPTED = "interrupted"  # the stream ended or bus time jumped
+    INTERRUPTED = "interrupted"  # the stream began or ended amid it, or bus time jumped
     TOO_LONG = "too_long"
     ABANDONED = "abandoned"  # the target gear changed or went back before it was reached
 

@@ -39,14 +39,17 @@ class _Gears:
 class GearPairTracker:
     """A shift lasts from the first sample whose target gear differs from the current one until they agree again.
 
-    As long as no target gear has come, a change of the current gear is all that tells of a shift.
+    As long as no target gear has come, a change of the current gear is all that tells of a shift. A shift that is on
+    when both gears are first known began nobody knows when: it ends as interrupted.
     """
 
     def __init__(self) -> None:
         self._lone = EngagedTracker(CurrentGear())
         self._has_target = False
         self._gears = _Gears()
+        self._first_ns: dict[Signal, int] = {}  # when each gear came first
         self._open: Bounds | None = None
+        self._is_begun = False  # the beginning of the open shift was seen
         self._overdue = False  # the open shift was reported as too long; wait until the gears agree
         self._closed: list[Bounds] = []
 
@@ -59,6 +62,7 @@ class GearPairTracker:
         """Walk the gear changes with ``t < until_ns``."""
         current = samples(Signal.CURRENT_GEAR, until_ns)
         target = samples(Signal.TARGET_GEAR, until_ns)
+        self._note_first(current, target)
         if not self._has_target:
             self._closed += self._lone.follow(samples, int(target.t_ns[0]) if len(target.t_ns) else until_ns)
             self._has_target = len(target.t_ns) > 0
@@ -74,12 +78,18 @@ class GearPairTracker:
         self._closed += self._lone.interrupt(now_ns)
         self._close(now_ns, EndReason.INTERRUPTED)
         self._gears, self._has_target = _Gears(), False
+        self._first_ns.clear()
         self._overdue = False
         return self._take()
 
     def _take(self) -> list[Bounds]:
         closed, self._closed = self._closed, []
         return closed
+
+    def _note_first(self, current: Series, target: Series) -> None:
+        for signal, series in ((Signal.CURRENT_GEAR, current), (Signal.TARGET_GEAR, target)):
+            if signal not in self._first_ns and len(series.t_ns):
+                self._first_ns[signal] = int(series.t_ns[0])
 
     def _walk(self, current: Series, target: Series) -> None:
         """Take gears into account that differ from the last ones."""
@@ -102,9 +112,12 @@ class GearPairTracker:
             self._overdue = False
         elif self._open is None and not self._overdue:
             self._open = Bounds(gears.current, gears.target, t_ns, t_ns, EndReason.INTERRUPTED)
+            self._is_begun = t_ns > max(self._first_ns.values())
 
     def _close(self, t_ns: int, reason: EndReason) -> None:
         if self._open is not None:
+            if reason is EndReason.COMPLETE and not self._is_begun:
+                reason = EndReason.INTERRUPTED
             self._closed.append(replace(self._open, end_ns=t_ns, end_reason=reason))
             self._open = None
 

@@ -81,6 +81,25 @@ def test_a_jump_of_bus_time_interrupts_an_open_shift_and_starts_afresh() -> None
     ]
 
 
+@pytest.mark.parametrize("cut", [1, 7, 300])
+def test_a_shift_that_was_on_before_the_stream_is_no_complete_one(cut: int) -> None:
+    gears = [(1, 2)] * 40 + [(2, 2)] * 60 + [(2, 3)] * 80 + [(3, 3)] * 60
+    finder = ShiftFinder()
+    events = [
+        event
+        for row in range(0, len(gears), cut)
+        for event in finder.feed(gear_batch(gears[row : row + cut], first_row=row))
+    ]
+    assert [event.end_reason for event in events] == [EndReason.INTERRUPTED, EndReason.COMPLETE]
+
+
+def test_after_a_jump_of_bus_time_a_shift_in_progress_is_not_complete_either() -> None:
+    finder = ShiftFinder()
+    finder.feed(gear_batch([(1, 1)] * 50 + [(1, 2)] * 30))
+    rest = gear_batch([(1, 2)] * 30 + [(2, 2)] * 50, breaks_before=True)
+    assert [event.end_reason for event in finder.feed(rest)] == [EndReason.INTERRUPTED, EndReason.INTERRUPTED]
+
+
 def test_neutral_is_no_gear_to_shift_from() -> None:
     assert ShiftFinder().feed(gear_batch([(0, 1)] * 50 + [(1, 1)] * 50)) == []
 
