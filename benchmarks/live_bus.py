@@ -27,7 +27,7 @@ from dbc.contract import DBC_PATH
 from diag_service.decoding.mapping import Decoder
 from diag_service.definitions.database import load_database
 from diag_service.definitions.profile import load_profile
-from diag_service.sources.socketcan import SocketCanSource
+from diag_service.sources.live.socketcan import SocketCanSource
 from tests.uml.vcan import create_vcan, has_can_sockets, ip_link
 
 ROUNDS = 2

@@ -1,7 +1,7 @@
 """What it costs to receive: CPU per frame from the socket to the shifts, beside python-can with cantools.
 
 Frames come in bursts of ten, each burst at once: one wake-up for whoever reads as they come. The service lets them
-gather while nothing waits for them (``diag_service.sources.pace``), here as it does live: it knows of shifts. All
+gather while nothing waits for them (``diag_service.sources.live.pace``), here as it does live: it knows of shifts. All
 processor time of the receiving process counts, that in the kernel included.
 
 Where this kernel has no CAN, User-Mode Linux has. A system call takes many times longer there, and a guest takes the
@@ -33,9 +33,9 @@ from diag_service.definitions.database import load_database
 from diag_service.definitions.profile import load_profile
 from diag_service.shift_finding.gear_tracking import tracker_for
 from diag_service.shift_finding.shifts import ShiftFinder
-from diag_service.sources.pace import Pace
-from diag_service.sources.recvmmsg import SO_TIMESTAMPNS
-from diag_service.sources.socketcan import RECEIVE_BUFFER_BYTES, SocketCanSource, grow_receive_buffer
+from diag_service.sources.live.pace import Pace
+from diag_service.sources.live.recvmmsg import SO_TIMESTAMPNS
+from diag_service.sources.live.socketcan import RECEIVE_BUFFER_BYTES, SocketCanSource, grow_receive_buffer
 from ecu_emulator.recording import Drive
 from ecu_emulator.scenario_file import load_scenario
 
@@ -252,7 +252,7 @@ def datagrams() -> Iterator[str]:
 
     where = "can.interfaces.socketcan.socketcan"
     with (
-        patch("diag_service.sources.socketcan.open_socket", open_socket),
+        patch("diag_service.sources.live.socketcan.open_socket", open_socket),
         patch(f"{where}.create_socket", create),
         patch(f"{where}.bind_socket", bind),
     ):

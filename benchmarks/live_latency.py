@@ -36,7 +36,7 @@ from diag_service.runs.session import Session, versions_for
 from diag_service.runs.stages import Stages
 from diag_service.shift_finding.shifts import POST_NS
 from diag_service.sources import Pace, SourceCounts
-from diag_service.sources.frame_queue import FrameQueue
+from diag_service.sources.live.frame_queue import FrameQueue
 from diag_service.stopping import Trigger
 from diag_service.store import ResultStore
 from ecu_emulator.recording import Drive

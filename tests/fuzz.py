@@ -22,13 +22,13 @@ from hypothesis import strategies as st
 
 from diag_service.errors import SourceError
 from diag_service.frames import ERROR_FLAG, EXTENDED_FLAG, FD_FLAG, FrameBatch
-from diag_service.sources.asc import read_asc
-from diag_service.sources.blf import read_blf
-from diag_service.sources.candump import read_candump
-from diag_service.sources.detection import TABLES, LogFormat
-from diag_service.sources.tables import reader_of
-from diag_service.sources.tally import Tally
-from diag_service.sources.text_kernels import IS_LENGTH
+from diag_service.sources.readers.asc import read_asc
+from diag_service.sources.readers.blf import read_blf
+from diag_service.sources.readers.candump import read_candump
+from diag_service.sources.readers.detection import TABLES, LogFormat
+from diag_service.sources.readers.tables import reader_of
+from diag_service.sources.readers.tally import Tally
+from diag_service.sources.readers.text_kernels import IS_LENGTH
 from ecu_emulator.log_formats import (
     AscWriter,
     BlfWriter,

@@ -10,7 +10,7 @@ from diag_service.errors import ConfigError, SourceError
 from diag_service.runs.recorded import open_drive
 from diag_service.sources import LogReject, merged_by_time, read_log
 from diag_service.sources.columns import join
-from diag_service.sources.tally import LogCounts
+from diag_service.sources.readers.tally import LogCounts
 from ecu_emulator.record import open_log
 from tests.damage.kinds import DAMAGES
 from tests.damage.recordings import SUFFIXES

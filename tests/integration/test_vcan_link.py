@@ -12,7 +12,7 @@ from diag_service.definitions.profile import load_profile
 from diag_service.frames import ERROR_FLAG
 from diag_service.protection.error_frames import BusError
 from diag_service.sources import BusOpener, BusState, LinkBreak, SupervisedSource, supervise
-from diag_service.sources.interface import Seen, index_of, present_name, restart_controller
+from diag_service.sources.live.interface import Seen, index_of, present_name, restart_controller
 from tests.link_cycles import TARGET_S, run_cycles
 from tests.uml.vcan import create_vcan, ip_link
 from tests.wire import CONTRACTS, DATABASE

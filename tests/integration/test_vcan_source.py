@@ -14,10 +14,10 @@ import pytest
 from diag_service.errors import SourceError
 from diag_service.frames import FrameBatch
 from diag_service.sources import FrameSource, open_source, read_log
-from diag_service.sources.clock_alarm import ClockAlarm
 from diag_service.sources.columns import join
-from diag_service.sources.frame_queue import FrameQueue
-from diag_service.sources.socketcan import SocketCanSource
+from diag_service.sources.live.clock_alarm import ClockAlarm
+from diag_service.sources.live.frame_queue import FrameQueue
+from diag_service.sources.live.socketcan import SocketCanSource
 from tests.rough_bus import is_guest
 from tests.traffic import assert_same
 from tests.uml.vcan import ip_link

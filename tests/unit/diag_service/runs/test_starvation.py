@@ -19,7 +19,7 @@ from diag_service.publishers import DetachedReporter, MemoryLink, MemoryReporter
 from diag_service.records import ShiftResult
 from diag_service.runs import live
 from diag_service.sources import BusOpener, LinkBreak, SupervisedSource
-from diag_service.sources.supervisor import Patience
+from diag_service.sources.live.supervisor import Patience
 from diag_service.store import ResultStore
 from diag_service.summary import Summary
 from ecu_emulator.bus import open_bus

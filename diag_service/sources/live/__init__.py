@@ -1,0 +1,1 @@
+"""Live buses: received without waiting, supervised, in bus time."""

@@ -1,0 +1,290 @@
+"""Live frames from SocketCAN: a receive path of our own that neither hangs nor loses frames in silence."""
+
+import asyncio
+import errno
+import os
+import socket
+import struct
+from collections.abc import AsyncIterator, Sequence
+from dataclasses import replace
+
+from diag_service.errors import SourceError
+from diag_service.frames import FrameBatch
+from diag_service.sources.live.base import SourceCounts
+from diag_service.sources.live.bus_clock import BusClock
+from diag_service.sources.live.clock_alarm import clock_alarm
+from diag_service.sources.live.frame_queue import FrameQueue
+from diag_service.sources.live.pace import URGENT_S, Pace
+from diag_service.sources.live.recvmmsg import SLOTS, SO_TIMESTAMPNS, FrameReceiver, Reception
+
+RECEIVE_BUFFER_BYTES = 8 * 1024 * 1024  # about ten thousand frames: some seconds of a full bus
+CALLS_PER_WAKE_UP = 16  # 4096 frames, then the rest of the service gets its turn
+CROWD = 16 * SLOTS  # frames at one wake-up, twice those of a full bus: the buffer must not fill up
+QUIET_WAKE_UPS = 3  # without a frame; then the socket itself tells when there is one
+ALL_ERROR_CLASSES = 0x1FFF_FFFF
+CAN_RAW_ERR_FILTER = 2
+SO_RCVBUFFORCE = 33
+SO_MEMINFO = 55
+MEMINFO_FORMAT = "9I"
+MEMINFO_DROPS = 8  # index of SK_MEMINFO_DROPS
+
+
+class SocketCanSource:
+    """Frames of one SocketCAN interface, among them error frames; it receives from construction on.
+
+    While frames come they gather in the kernel, which notes their times, and the socket is emptied as often as the
+    pace says, whether or not somebody consumes them. A bus that fell silent is waited for.
+
+    The kernel's own counter of frames lost in the receive buffer is read with SO_MEMINFO. SO_RXQ_OVFL would tell
+    the same number with the next frame only, and so never the losses after the last one.
+
+    Parameters
+    ----------
+    channel : str
+        Interface name, such as ``vcan0``.
+    fd : bool
+        Receive CAN FD frames as well; without it the kernel keeps them from this socket, uncounted.
+    filters : sequence of (identifier, mask)
+        What the kernel lets through besides error frames; everything if empty. What it holds back is not counted.
+    clock : BusClock or None
+        What takes steps of the wall clock out of the times.
+    pace : Pace or None
+        How long frames may gather.
+    receive_buffer_bytes : int
+        What to ask of the kernel; without privileges it may grant less.
+
+    Raises
+    ------
+    SourceError
+        If the interface cannot be listened to; the text says what to do.
+    """
+
+    def __init__(
+        self,
+        channel: str,
+        *,
+        fd: bool = False,
+        filters: Sequence[tuple[int, int]] = (),
+        receive_buffer_bytes: int = RECEIVE_BUFFER_BYTES,
+        queue: FrameQueue | None = None,
+        clock: BusClock | None = None,
+        pace: Pace | None = None,
+    ) -> None:
+        self._channel = channel
+        self._queue = queue or FrameQueue(linger_s=0.0)
+        self._socket: socket.socket | None = open_socket(
+            channel, fd=fd, filters=filters, receive_buffer_bytes=receive_buffer_bytes
+        )
+        self._receiver = FrameReceiver(self._socket.fileno())
+        self._clock = clock or BusClock()
+        self._pace = pace or Pace()
+        self._pace.on_change = self._hurry
+        self._received = 0
+        self._seen_ns: int | None = None  # bus time of the last frame
+        self._unsupported = 0
+        self._final_drops = 0
+        self._failure: SourceError | None = None
+        self._loop = asyncio.get_running_loop()
+        self._timer: asyncio.TimerHandle | None = None
+        self._gathered_s = 0.0  # when the socket was emptied last, as the loop counts
+        self._quiet_count = 0
+        self._alarm = clock_alarm()
+        if self._alarm is not None:
+            self._loop.add_reader(self._alarm, self._see_clock_set)
+        self._loop.add_reader(self._socket, self._wake)
+
+    @property
+    def description(self) -> str:
+        """Interface and channel, for people."""
+        return f"socketcan {self._channel}"
+
+    @property
+    def counts(self) -> SourceCounts:
+        """What has been received and lost until now."""
+        return SourceCounts(
+            received=self._received,
+            kernel_dropped=self._final_drops if self._socket is None else kernel_drops(self._socket),
+            queue_dropped=self._queue.dropped,
+            unsupported=self._unsupported,
+            clock_steps=self._clock.step_count,
+        )
+
+    async def __aiter__(self) -> AsyncIterator[FrameBatch]:
+        """Iterate over the batches."""
+        while (batch := await self._queue.take()) is not None:
+            if len(batch):
+                yield batch
+
+    async def aclose(self) -> None:
+        """Let nothing more in, take what the kernel still holds, then stop."""
+        if self._socket is not None:
+            self._socket.setsockopt(socket.SOL_CAN_RAW, socket.CAN_RAW_FILTER, b"")
+            self._socket.setsockopt(socket.SOL_CAN_RAW, CAN_RAW_ERR_FILTER, 0)
+        while self._socket is not None:
+            self._drain(is_last=True)
+
+    def _wake(self) -> None:
+        """Begin to empty the socket at regular times; runs when a bus that was silent says something."""
+        if self._socket is not None:
+            self._loop.remove_reader(self._socket)
+            self._quiet_count = 0
+            self._gather()
+
+    def _gather(self) -> None:
+        """Empty the socket, and see to it that this happens again."""
+        before = self._received
+        self._gathered_s = self._loop.time()
+        is_empty = self._drain()
+        if self._socket is None:
+            return
+        self._quiet_count = 0 if self._received > before else self._quiet_count + 1
+        if self._quiet_count < QUIET_WAKE_UPS:
+            is_crowded = self._received - before > CROWD
+            gather_s = URGENT_S if is_crowded else self._pace.gather_s(self._seen_ns)
+            self._timer = self._loop.call_later(gather_s if is_empty else 0.0, self._gather)
+        else:
+            self._timer = None
+            self._loop.add_reader(self._socket, self._wake)
+
+    def _hurry(self) -> None:
+        """Empty the socket earlier than was thought, if what is waited for now comes earlier."""
+        when_s = self._gathered_s + self._pace.gather_s(self._seen_ns)
+        if self._timer is not None and when_s < self._timer.when():
+            self._timer.cancel()
+            self._timer = self._loop.call_at(when_s, self._gather)
+
+    def _see_clock_set(self) -> None:
+        if self._alarm is not None and self._alarm.acknowledge():
+            self._clock.look()
+
+    def _drain(self, *, is_last: bool = False) -> bool:
+        """Move what is waiting from the socket to the queue; return whether nothing is left there."""
+        for _ in range(CALLS_PER_WAKE_UP):
+            try:
+                reception = self._receiver.receive()
+            except OSError as exc:
+                # A failure overtakes the frames received before it: note it, and read on until nothing is left.
+                is_repeated = self._failure is not None
+                self._failure = self._failure or reading_failed(self._channel, exc)
+                if is_repeated:
+                    self._close()
+                    return True
+                continue
+            if reception is None:
+                self._clock.settle()
+                if is_last or self._failure is not None:
+                    self._close()
+                return True
+            self._take(reception)
+            if reception.read < SLOTS and not is_last and self._failure is None:
+                self._clock.settle()
+                return True  # what comes meanwhile is for the next time: no call in vain
+        return False
+
+    def _take(self, reception: Reception) -> None:
+        """Count what one call brought and put it into the queue, in bus time."""
+        self._received += reception.read
+        self._unsupported += reception.unsupported
+        batch = reception.batch
+        if not len(batch):
+            return
+        if self._alarm is None:
+            self._clock.look()
+        else:
+            self._clock.look_if_stale(int(batch.t_ns[-1]))
+        times = self._clock.bus_time_ns(batch.t_ns)
+        self._seen_ns = int(times[-1])
+        self._queue.offer(batch if times is batch.t_ns else replace(batch, t_ns=times))
+
+    def _close(self) -> None:
+        if self._timer is not None:
+            self._timer.cancel()
+            self._timer = None
+        if self._alarm is not None:
+            self._loop.remove_reader(self._alarm)
+            self._alarm.close()
+            self._alarm = None
+        if self._socket is not None:
+            self._loop.remove_reader(self._socket)
+            self._final_drops = kernel_drops(self._socket)
+            self._socket.close()
+            self._socket = None
+        failure, self._failure = self._failure, None  # once raised it refers to this source
+        self._queue.close(failure)
+
+
+def open_socket(
+    channel: str, *, fd: bool, receive_buffer_bytes: int, filters: Sequence[tuple[int, int]] = ()
+) -> socket.socket:
+    """Return a raw CAN socket, bound, stamping and non-blocking.
+
+    Raises
+    ------
+    SourceError
+        If this kernel has no CAN, or the interface is not there, not CAN, or down.
+    """
+    try:
+        raw = socket.socket(socket.AF_CAN, socket.SOCK_RAW | socket.SOCK_NONBLOCK, socket.CAN_RAW)
+    except OSError as exc:
+        raise opening_failed(channel, exc) from exc
+    try:
+        raw.setsockopt(socket.SOL_SOCKET, SO_TIMESTAMPNS, 1)
+        raw.setsockopt(socket.SOL_CAN_RAW, CAN_RAW_ERR_FILTER, ALL_ERROR_CLASSES)
+        if filters:
+            packed = b"".join(struct.pack("=II", *one) for one in filters)
+            raw.setsockopt(socket.SOL_CAN_RAW, socket.CAN_RAW_FILTER, packed)
+        if fd:
+            raw.setsockopt(socket.SOL_CAN_RAW, socket.CAN_RAW_FD_FRAMES, 1)
+        grow_receive_buffer(raw, receive_buffer_bytes)
+        raw.bind((channel,))
+        if failure := raw.getsockopt(socket.SOL_SOCKET, socket.SO_ERROR):  # an interface that is down says so here
+            raise OSError(failure, os.strerror(failure))  # noqa: TRY301 - one place translates every failure
+    except OSError as exc:
+        raw.close()
+        raise opening_failed(channel, exc) from exc
+    return raw
+
+
+def grow_receive_buffer(raw: socket.socket, size_bytes: int) -> None:
+    """Set the receive buffer's size, past the system's limit if we may."""
+    try:
+        raw.setsockopt(socket.SOL_SOCKET, SO_RCVBUFFORCE, size_bytes)
+    except PermissionError:
+        raw.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, size_bytes)
+
+
+def kernel_drops(raw: socket.socket) -> int:
+    """Return how many frames the kernel could not put into this socket's receive buffer."""
+    memory = raw.getsockopt(socket.SOL_SOCKET, SO_MEMINFO, struct.calcsize(MEMINFO_FORMAT))
+    return int(struct.unpack(MEMINFO_FORMAT, memory)[MEMINFO_DROPS])
+
+
+def opening_failed(channel: str, error: OSError) -> SourceError:
+    """Say why an interface cannot be opened and what to do about it."""
+    match error.errno:
+        case errno.EAFNOSUPPORT | errno.EPROTONOSUPPORT:
+            return SourceError(
+                "this kernel has no CAN sockets (modprobe can-raw), or use another interface: "
+                "-i udp_multicast -c 239.74.163.2"
+            )
+        case errno.ENODEV if not os.path.exists(f"/sys/class/net/{channel}"):  # noqa: PTH110 - a name, not a path
+            return SourceError(
+                f"no CAN interface {channel!r}: create it (ip link add {channel} type vcan; ip link set {channel} up)"
+            )
+        case errno.ENODEV:
+            return SourceError(f"{channel!r} is not a CAN interface: `ip link show type can` and `type vcan` list them")
+        case errno.ENETDOWN:
+            return SourceError(f"CAN interface {channel!r} is down: switch it on (ip link set {channel} up)")
+        case _:
+            return SourceError(f"CAN interface {channel!r} cannot be opened: {error.strerror or error}")
+
+
+def reading_failed(channel: str, error: OSError) -> SourceError:
+    """Say why an interface that was open can no longer be read."""
+    match error.errno:
+        case errno.ENETDOWN:
+            return SourceError(f"CAN interface {channel!r} went down: switch it on (ip link set {channel} up)")
+        case errno.ENODEV:
+            return SourceError(f"CAN interface {channel!r} was removed")
+        case _:
+            return SourceError(f"CAN interface {channel!r} cannot be read: {error.strerror or error}")

@@ -1,0 +1,1 @@
+"""Logs of every format, read whatever is damaged and counted."""

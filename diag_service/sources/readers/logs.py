@@ -1,0 +1,155 @@
+"""Log files of all formats, told apart by their contents, as batches of frames."""
+
+from collections.abc import Callable, Iterator, Mapping
+from pathlib import Path
+from types import MappingProxyType
+from typing import BinaryIO, cast
+
+from diag_service.errors import SourceError
+from diag_service.frames import FrameBatch
+from diag_service.sources.readers.asc import read_asc
+from diag_service.sources.readers.blf import read_blf
+from diag_service.sources.readers.candump import read_candump
+from diag_service.sources.readers.compressed import InflatedStream, compression_of
+from diag_service.sources.readers.detection import PROBE_BYTES, TABLES, LogFormat, detect_format, detect_text
+from diag_service.sources.readers.mf4 import read_mf4
+from diag_service.sources.readers.sqlite import read_sqlite
+from diag_service.sources.readers.tables import reader_of
+from diag_service.sources.readers.tally import LogCounts, Tally
+from diag_service.sources.readers.time_watch import TimeWatch
+
+READERS: Mapping[LogFormat, Callable[[BinaryIO, Tally], Iterator[FrameBatch]]] = MappingProxyType(
+    {
+        LogFormat.CANDUMP: read_candump,
+        LogFormat.BLF: read_blf,
+        LogFormat.ASC: read_asc,
+        LogFormat.MF4: read_mf4,
+        LogFormat.SQLITE: read_sqlite,
+        **{log_format: reader_of(new_table) for log_format, new_table in TABLES.items()},
+    }
+)
+
+
+class LogReader(Iterator[FrameBatch]):
+    """The frames of one log file, once, oldest first as far as the file is in order.
+
+    A strict one stops with an error at the first line, object or record that is no frame and not meant to be anything
+    else, at the first jump of time, and where the file ends before its own end.
+    """
+
+    def __init__(
+        self, path: Path, stream: BinaryIO, log_format: LogFormat, tally: Tally, *, is_strict: bool = False
+    ) -> None:
+        self.path = path
+        self.format = log_format
+        self._tally = tally
+        self._stream = stream
+        self._batches = READERS[log_format](stream, self._tally)
+        self._watch = TimeWatch(tally)
+        self._is_strict = is_strict
+
+    @property
+    def counts(self) -> LogCounts:
+        """What has been found until now."""
+        return self._tally.snapshot()
+
+    def __next__(self) -> FrameBatch:
+        """Return the next batch.
+
+        Raises
+        ------
+        SourceError
+            If the file cannot be read on, its end is reached without a single frame, or a strict reader meets a fault.
+        """
+        try:
+            batch = next(self._batches)
+        except StopIteration:
+            self.close()
+            self._be_strict()
+            if self._tally.frames == 0:
+                raise SourceError(
+                    f"{self.path}: no CAN frame in this {self.format} log{self._first_reject()}"
+                ) from None
+            raise
+        except OSError as exc:
+            self.close()
+            raise SourceError(f"{self.path}: {exc.strerror or exc}") from exc
+        except SourceError as exc:
+            self.close()
+            raise SourceError(f"{self.path}: {exc}") from exc
+        self._watch.look(batch)
+        self._be_strict()
+        return batch
+
+    def close(self) -> None:
+        """Close the file; reading to the end does it, too."""
+        self._stream.close()
+
+    def _be_strict(self) -> None:
+        if self._is_strict and (fault := self.counts.first_fault):
+            self.close()
+            raise SourceError(f"{self.path}: {fault}")
+
+    def _first_reject(self) -> str:
+        first = self.counts.first_rejected
+        return f" ({first})" if first else ""
+
+
+def read_log(path: Path | str, *, is_strict: bool = False) -> LogReader:
+    """Open a log file, perhaps compressed, and return its reader.
+
+    Raises
+    ------
+    SourceError
+        If the file is missing, unreadable, empty or not a log of a known format.
+    """
+    path = Path(path)
+    try:
+        stream = path.open("rb")
+    except IsADirectoryError as exc:
+        raise SourceError(f"{path}: is a folder, not a log file") from exc
+    except FileNotFoundError as exc:
+        raise SourceError(f"{path}: no such file") from exc
+    except OSError as exc:
+        raise SourceError(f"{path}: {exc.strerror or exc}") from exc
+    try:
+        return _reader(path, stream, is_strict=is_strict)
+    except OSError as exc:
+        stream.close()
+        raise SourceError(f"{path}: {exc.strerror or exc}") from exc
+    except SourceError as exc:
+        stream.close()
+        raise SourceError(f"{path}: {exc}") from exc
+
+
+def is_log(path: Path) -> bool:
+    """Return whether a file is a log of a known format, by its first bytes; False if it cannot be read."""
+    try:
+        read_log(path).close()
+    except SourceError:
+        return False
+    return True
+
+
+def _reader(path: Path, stream: BinaryIO, *, is_strict: bool) -> LogReader:
+    """Return the reader of an open file, after a look at its beginning."""
+    probe = stream.read(PROBE_BYTES)
+    stream.seek(0)
+    compression = compression_of(probe)
+    if compression is None:
+        return LogReader(path, stream, detect_format(probe), Tally(), is_strict=is_strict)
+    inflated, tally = InflatedStream(stream, compression), Tally()
+    log_format = detect_text(_beginning(inflated))
+    inflated.restart(tally)
+    return LogReader(path, cast("BinaryIO", inflated), log_format, tally, is_strict=is_strict)
+
+
+def _beginning(inflated: InflatedStream) -> bytes:
+    """Return the first bytes that a compressed file holds."""
+    pieces, missing_bytes = list[bytes](), PROBE_BYTES
+    while missing_bytes and (piece := inflated.read(missing_bytes)):
+        pieces.append(piece)
+        missing_bytes -= len(piece)
+    if not pieces:
+        raise SourceError("the compressed file holds nothing")
+    return b"".join(pieces)

@@ -1,0 +1,31 @@
+"""CRTD logs of the Open Vehicles project: seconds since the epoch, UTC, or since the device was started."""
+
+from diag_service.sources.readers.tables.layout import SECONDS, Column, Layout, Meaning, Role
+from diag_service.sources.readers.tables.reader import Clock
+
+LAYOUT = Layout(
+    columns=(
+        Column(role=Role.TIME, parameter=SECONDS),
+        Column(role=Role.WORD, parameter=ord("c")),  # comments, events, states: CXX, CEV, CST and more
+        Column(role=Role.ID),
+        Column(role=Role.DATA),
+    ),
+    words={
+        "r11": Meaning.NOTHING,
+        "t11": Meaning.NOTHING,
+        "r29": Meaning.EXTENDED,
+        "t29": Meaning.EXTENDED,
+    },
+)
+
+
+class Crtd:
+    """A log in CRTD, version 1 to 3."""
+
+    def __init__(self) -> None:
+        self.layout = LAYOUT
+        self.clock = Clock()
+
+    def read_comment(self, line: bytes) -> bool:
+        """Return False: comments have a time and a word, as frames have."""
+        return not line
