@@ -5,9 +5,10 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ScaleFreeFriction:
-    """Friction coefficients of one clutch times the true gain of the torque reading: what the sensors alone can tell.
+    """Friction coefficients of one clutch times gain of the torque reading and piston area: what driving alone tells.
 
-    Divided by the gain they are the coefficients; the uncertainty of the gain, the common scale, is not in ``std_*``.
+    Gain and area count as ratios to what the calibration says. Divided by both the numbers are the coefficients; the
+    uncertainty of the two, the common scale, is not in ``std_*``.
     """
 
     mu_c: float

@@ -311,7 +311,7 @@ class ClutchVerdict:
     friction: FrictionEstimate | None  # the running estimate, all shifts combined
     shift_count: int  # shifts in the running estimate
     scale_free: ScaleFreeFriction | None = None  # this and what follows: None while unknown, and in older results
-    common_scale_std_ratio: float | None = None  # relative deviation that all friction of the vehicle shares
+    common_scale_std_ratio: float | None = None  # relative deviation that all friction of the clutch shares
     shift_scatter: ShiftScatter | None = None
     trend: FrictionTrend | None = None  # against the vehicle's own baseline
     clutch_ratio: ClutchRatio | None = None

@@ -1,7 +1,8 @@
 """What a running state tells without knowing the common scale; docs/model.md, section "Estimator", eqs. (34) to (37).
 
-A state's friction is multiplied by the true gain of the torque reading. Where two such numbers are divided by each
-other, or one by what it was before, that gain is gone.
+What a vehicle shows while it drives is how much torque it reads for how much pressure: friction times the gain of the
+torque reading times the piston area. Where two such numbers are divided by each other, or one by what it was before,
+the gain is gone, and in one clutch the area too.
 """
 
 import numpy as np
@@ -11,15 +12,20 @@ from diag_service.estimation.belief import Belief
 from diag_service.estimation.parameters import FRICTION_COUNT, Considered, friction_rows
 from diag_service.records import FloatArray
 
+PISTON_AREAS = (Considered.PISTON_AREA1, Considered.PISTON_AREA2)
+
 
 def scale_free(belief: Belief, clutch: int) -> ScaleFreeFriction:
-    """Return the friction of clutch 1 or 2 times the true gain of the torque reading.
+    """Return the friction of clutch 1 or 2 times the true gain of the torque reading and the true piston area.
 
-    The gain has a part in the stated deviation only where it multiplies a mass: the inertia torque of the engine.
+    The area counts as a ratio to what the calibration says. The gain has a part in the stated deviation only where it
+    multiplies a mass, the inertia torque of the engine; the area only where it is not the lever of the friction.
     """
     rows = friction_rows(clutch)
     mu_c, mu_s = belief.mean[rows].tolist()
-    covariance = belief.total_covariance(rows)
+    sensitivity = belief.sensitivity[rows].copy()
+    sensitivity[:, PISTON_AREAS[clutch - 1]] -= belief.mean[rows]
+    covariance = belief.covariance[rows, rows] + sensitivity @ belief.considered @ sensitivity.T
     std = np.sqrt(np.diag(covariance))
     return ScaleFreeFriction(
         mu_c=mu_c,
@@ -30,10 +36,11 @@ def scale_free(belief: Belief, clutch: int) -> ScaleFreeFriction:
     )
 
 
-def common_scale_std_ratio(belief: Belief) -> float:
-    """Return the relative deviation that all friction of the vehicle shares, however many shifts are combined."""
-    gain = Considered.TORQUE_GAIN
-    return float(np.sqrt(belief.considered[gain, gain])) / belief.torque_gain
+def common_scale_std_ratio(belief: Belief, clutch: int) -> float:
+    """Return the relative deviation of gain times piston area: what all friction of clutch 1 or 2 shares, for good."""
+    rows = [Considered.TORQUE_GAIN, PISTON_AREAS[clutch - 1]]
+    by_part = np.array([1.0 / belief.torque_gain, 1.0])
+    return float(np.sqrt(by_part @ belief.considered[np.ix_(rows, rows)] @ by_part))
 
 
 def trend(belief: Belief, clutch: int) -> FrictionTrend | None:

@@ -102,7 +102,7 @@ def judge(
         friction=friction if known else None,
         shift_count=shift_count,
         scale_free=scale_free(belief, clutch) if known else None,
-        common_scale_std_ratio=common_scale_std_ratio(belief) if known else None,
+        common_scale_std_ratio=common_scale_std_ratio(belief, clutch) if known else None,
         shift_scatter=None if scatter is None else scatter.reported,
         trend=since,
         clutch_ratio=clutch_ratio(belief),

@@ -11,8 +11,8 @@ from hypothesis import strategies as st
 from clutch_model.calibration import nominal_calibration
 from diag_service.estimation.baseline import BASELINE_SHIFT_COUNT
 from diag_service.estimation.belief import Belief, Measurement
-from diag_service.estimation.parameters import FRICTION_COUNT, Considered
-from diag_service.estimation.sharp import clutch_ratio, common_scale_std_ratio, scale_free, trend
+from diag_service.estimation.parameters import FRICTION_COUNT, Considered, friction_rows
+from diag_service.estimation.sharp import PISTON_AREAS, clutch_ratio, common_scale_std_ratio, scale_free, trend
 
 CALIBRATION = nominal_calibration()
 STATES, CONSIDERED = len(Belief.fresh(CALIBRATION).mean), len(Considered)
@@ -41,8 +41,8 @@ def two_shifts() -> tuple[Measurement, Measurement]:
     return one(), one()
 
 
-def drive(rng: np.random.Generator) -> tuple[Belief, np.ndarray, np.ndarray, float]:
-    """Return the state after many shifts, friction times gain at the baseline and now, and the true gain."""
+def drive(rng: np.random.Generator) -> tuple[Belief, np.ndarray, np.ndarray, np.ndarray]:
+    """Return the state after many shifts, friction times gain at the baseline and now, and what was wrong."""
     kinds = two_shifts()
     belief = replace(Belief.fresh(CALIBRATION), covariance=np.diag(np.square(STATE_SCALE)))
     state = belief.mean + rng.normal(size=STATES) * STATE_SCALE
@@ -57,7 +57,7 @@ def drive(rng: np.random.Generator) -> tuple[Belief, np.ndarray, np.ndarray, flo
         belief = replace(belief, shift_counts=(number + 1, number + 1)).counted(1, number).counted(2, number)
         if number + 1 == BASELINE_SHIFT_COUNT:
             then = state[:FRICTION_COUNT].copy()
-    return belief, then, state[:FRICTION_COUNT], 1.0 + float(wrong[Considered.TORQUE_GAIN])
+    return belief, then, state[:FRICTION_COUNT], wrong
 
 
 @cache
@@ -66,14 +66,15 @@ def errors() -> dict[str, np.ndarray]:
     rng = np.random.default_rng(12)
     found: dict[str, list[float]] = {}
     for _ in range(DRAWS):
-        belief, then, now, gain = drive(rng)
+        belief, then, now, wrong = drive(rng)
+        gain, area = 1.0 + wrong[Considered.TORQUE_GAIN], 1.0 + wrong[Considered.PISTON_AREA1]
         since, ratio = trend(belief, 2), clutch_ratio(belief)
         assert since is not None
         assert ratio is not None
         free, change = scale_free(belief, 1), (now - then) / gain
         pairs = {
-            "scale-free mu_C": (free.mu_c - now[0], free.std_mu_c),
-            "scale-free mu_S": (free.mu_s - now[1], free.std_mu_s),
+            "scale-free mu_C": (free.mu_c - now[0] * area, free.std_mu_c),
+            "scale-free mu_S": (free.mu_s - now[1] * area, free.std_mu_s),
             "change of mu_C": (since.change_mu_c - change[2], since.std_change_mu_c),
             "change of mu_S": (since.change_mu_s - change[3], since.std_change_mu_s),
             "relative mu_C": (since.change_mu_c_ratio - (now[2] / then[2] - 1.0), since.std_change_mu_c_ratio),
@@ -144,10 +145,29 @@ def test_gain_alone_leaves_the_ratio_certain_and_the_areas_do_not() -> None:
     assert ratio.std_mu_c_ratio == pytest.approx(np.sqrt(2.0) * CALIBRATION.uncertainty.piston_area_ratio)
 
 
-def test_the_common_scale_is_that_of_the_gain() -> None:
-    fresh = Belief.fresh(CALIBRATION)
-    assert common_scale_std_ratio(fresh) == pytest.approx(CALIBRATION.uncertainty.torque_gain_ratio)
-    assert common_scale_std_ratio(replace(fresh, torque_gain=1.5)) == pytest.approx(0.02)
+@pytest.mark.parametrize("clutch", [1, 2])
+def test_the_common_scale_is_that_of_gain_and_piston_area(clutch: int) -> None:
+    fresh, scatter = Belief.fresh(CALIBRATION), CALIBRATION.uncertainty
+    gain, area = scatter.torque_gain_ratio, scatter.piston_area_ratio
+    assert common_scale_std_ratio(fresh, clutch) == pytest.approx(np.hypot(gain, area))
+    assert common_scale_std_ratio(replace(fresh, torque_gain=1.5), clutch) == pytest.approx(np.hypot(gain / 1.5, area))
+    considered = fresh.considered.copy()
+    row = PISTON_AREAS[clutch - 1]
+    considered[Considered.TORQUE_GAIN, row] = considered[row, Considered.TORQUE_GAIN] = -gain * area
+    assert common_scale_std_ratio(replace(fresh, considered=considered), clutch) == pytest.approx(gain - area)
+
+
+@pytest.mark.parametrize("clutch", [1, 2])
+def test_a_piston_area_that_is_the_lever_of_friction_only_leaves_the_scale_free_value_certain(clutch: int) -> None:
+    fresh, rows = Belief.fresh(CALIBRATION), friction_rows(clutch)
+    sensitivity = np.zeros_like(fresh.sensitivity)
+    sensitivity[rows, PISTON_AREAS[clutch - 1]] = fresh.mean[rows]
+    covariance = np.eye(len(fresh.mean)) * 1e-6
+    known = replace(fresh, covariance=covariance, sensitivity=sensitivity)
+    free = scale_free(known, clutch)
+    assert free.std_mu_c == pytest.approx(1e-3)
+    assert free.std_mu_s == pytest.approx(1e-3)
+    assert known.friction(clutch).std_mu_c > 0.01 * free.mu_c
 
 
 def test_nothing_is_compared_before_there_is_something_to_compare_with() -> None:

@@ -125,7 +125,7 @@ def test_a_verdict_says_what_is_sharp_as_far_as_it_is_known() -> None:
     assert unknown.trend is None
     _, verdict = judge(ConditionMemory.fresh(), believed(0.14, 0.119), 1, CALIBRATION)
     assert verdict.scale_free is not None
-    assert verdict.common_scale_std_ratio == pytest.approx(0.03)
+    assert verdict.common_scale_std_ratio == pytest.approx(np.hypot(0.03, 0.01))
     assert verdict.clutch_ratio is not None
     assert verdict.trend is None
     assert verdict.shift_scatter is None
