@@ -24,7 +24,7 @@ from diag_service.sources.readers.tally import LogCounts, Tally
 
 Work = Callable[[Path, Path, Tally], Iterator[FrameBatch]]  # a file, a folder for temporary ones, counts
 
-MEMORY_BYTES = 208 * 1024 * 1024  # beyond what the library itself takes, for a small file
+MEMORY_BYTES = 128 * 1024 * 1024  # beyond what the library itself takes, for a small file
 MEMORY_PER_BYTE = 4
 CPU_S = 3.0
 BYTES_PER_CPU_S = 2_000_000
