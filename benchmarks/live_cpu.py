@@ -128,9 +128,9 @@ def sending_socket(channel: str) -> socket.socket:
 async def own_path(channel: str, sender: Sender) -> Cost:
     """Receive, check CRC, counters, E2E states and ranges, decode, and look for shifts, as the service does."""
     pace = Pace()
-    source = SocketCanSource(channel, pace=pace)
     decoder = Decoder(load_database(DBC_PATH), load_profile())
     finder = ShiftFinder(tracker_for(decoder.signals, decoder.gears))
+    source = SocketCanSource(channel, pace=pace, watched=decoder.watched(finder.ended_by))
     began_s = clock_s()
     sender.start()
 

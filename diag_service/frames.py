@@ -1,6 +1,7 @@
 """FrameBatch: the one columnar type that every source yields."""
 
 from dataclasses import dataclass, field, replace
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -20,11 +21,23 @@ FD_PAYLOAD_BYTES = 64  # of a CAN FD frame
 
 MAX_GAP_NS = 1_000_000_000  # a bus that was silent for longer starts a new segment
 
+
+class WatchedBits(NamedTuple):
+    """Bits of one message's payload, of which a reader of frames wants to hear when they change."""
+
+    can_id: int  # of its frames under the mask, both with the flags above
+    mask: int
+    payload: bytes  # ones where a bit is watched
+
+
 Rows = slice | Int64Array | npt.NDArray[np.bool_]
 
 
 def _no_column() -> UInt8Array:
     return np.empty(0, np.uint8)
+
+
+_PLAIN_KINDS = tuple(np.dtype(kind) for kind in (np.int64, np.uint32, np.uint8, np.uint8, np.uint8))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -65,6 +78,22 @@ class FrameBatch:
     def width(self) -> int:
         """Bytes of a payload row."""
         return int(self.data.shape[1])
+
+    def plain(self) -> "FrameBatch":
+        """Return the same frames with every column in the one layout that loops are compiled for."""
+        columns: tuple[npt.NDArray[Any], ...] = (self.t_ns, self.can_id, self.length, self.data, self.channel)
+        if all(
+            column.flags.carray and column.dtype == kind for column, kind in zip(columns, _PLAIN_KINDS, strict=True)
+        ):
+            return self
+        return FrameBatch(
+            t_ns=np.require(self.t_ns, np.int64, ("C", "W")),
+            can_id=np.require(self.can_id, np.uint32, ("C", "W")),
+            length=np.require(self.length, np.uint8, ("C", "W")),
+            data=np.require(self.data, np.uint8, ("C", "W")),
+            flags=self.flags,
+            channel=np.require(self.channel, np.uint8, ("C", "W")),
+        )
 
     def widened(self, width: int) -> "FrameBatch":
         """Return the same frames with payload rows of at least ``width`` bytes."""

@@ -32,7 +32,7 @@ class BlockLayout:
             filled=np.zeros(shape[0], np.int64),
             t_ns=np.empty(shape, np.int64),
             sequence=np.empty(shape, np.int64),
-            value=np.zeros(shape),  # what is converted before it is cut must be numbers
+            value=np.empty(shape),
         )
 
 

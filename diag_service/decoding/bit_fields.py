@@ -103,6 +103,15 @@ class BitField:
             return -(2 ** (self.length - 1)), 2 ** (self.length - 1) - 1
         return 0, 2**self.length - 1
 
+    @property
+    def payload_mask(self) -> bytes:
+        """Ones where the signal lies in its payload, up to its last byte; all nine bytes where it has a spill."""
+        word = (2**self.length - 1) << self.shift
+        mask = (
+            b"\xff" * (WORD_BYTES + 1) if self.spill else word.to_bytes(WORD_BYTES, "big" if self.is_big else "little")
+        )
+        return bytes(self.first_byte) + mask.rstrip(b"\0")
+
     def _with_ninth_byte(self, word: UInt64Array, ninth: UInt64Array) -> UInt64Array:
         """Return the word moved by ``spill`` bits, so that the whole signal is in it."""
         if self.is_big:

@@ -1,6 +1,7 @@
 """Frames become canonical columns: protection check, bit fields, SI units, and a count of everything left out."""
 
 from collections.abc import Iterator, Mapping
+from collections.abc import Set as AbstractSet
 from dataclasses import dataclass
 from types import MappingProxyType
 from typing import Final
@@ -14,10 +15,10 @@ from diag_service.decoding.small_batches import SMALL_FRAMES, SmallBatchDecoder,
 from diag_service.definitions.addressing import kernel_filters, rows_by_slot
 from diag_service.definitions.profile import Profile
 from diag_service.definitions.tiers import MANDATORY
-from diag_service.frames import MAX_GAP_NS, FrameBatch
+from diag_service.frames import MAX_GAP_NS, FrameBatch, WatchedBits
 from diag_service.protection.e2e_state import E2eStates
 from diag_service.protection.error_frames import BusError, tells
-from diag_service.protection.protection_check import FrameReason, FrameVerdicts, LinkMonitor, plain
+from diag_service.protection.protection_check import FrameReason, FrameVerdicts, LinkMonitor
 from diag_service.records import ColumnBatch, Columns, E2eState, GearRatios, Int64Array, Series, Signal
 
 NS_PER_S: Final = 1_000_000_000
@@ -83,7 +84,7 @@ class Decoder:
         self._signal_count = len(self.signals)
         self._invalid: dict[Signal, int] = {}
         self._seen: set[Signal] = set()
-        self._last_ns: int | None = None
+        self.last_ns: int | None = None  # bus time of the last frame
         self._is_interrupted = False
 
     @property
@@ -120,6 +121,16 @@ class Decoder:
     def kernel_filters(self) -> tuple[tuple[int, int], ...]:
         """Identifier and mask, as SocketCAN wants them, of each message that is looked at."""
         return kernel_filters([mapped.address for mapped in self._messages])
+
+    def watched(self, signals: AbstractSet[Signal]) -> tuple[WatchedBits, ...]:
+        """Return the bits that some signals are made of; none if the bus lacks one or it is not plain bits."""
+        found = [
+            WatchedBits(*kernel_filters([mapped.address])[0], payload=column.table.main.field.payload_mask)
+            for mapped in self._messages
+            for column in mapped.columns
+            if column.signal in signals and is_able(column.table)
+        ]
+        return tuple(found) if len(found) == len(signals) else ()
 
     @property
     def limits(self) -> Mapping[Signal, tuple[float, float]]:
@@ -158,8 +169,9 @@ class Decoder:
 
     def feed(self, batch: FrameBatch) -> list[ColumnBatch]:
         """Return the columns of a batch: none if it is empty, several if bus time jumps inside it."""
+        batch = batch.plain()
         if self._goes_on(batch):
-            self._last_ns = int(batch.t_ns[-1])
+            self.last_ns = int(batch.t_ns[-1])
             return [self._decode(batch, breaks_before=False)]
         return [self._decode(segment, breaks_before=breaks) for segment, breaks in self._segments(batch)]
 
@@ -169,20 +181,20 @@ class Decoder:
 
     def _goes_on(self, batch: FrameBatch) -> bool:
         """Return whether the frames go on where the last ones ended, as they nearly always do."""
-        if self._last_ns is None or self._is_interrupted or not len(batch):
+        if self.last_ns is None or self._is_interrupted or not len(batch):
             return False
-        return is_seamless(plain(batch.t_ns, np.int64), plain(batch.can_id, np.uint32), self._last_ns)
+        return is_seamless(batch.t_ns, batch.can_id, self.last_ns)
 
     def _segments(self, batch: FrameBatch) -> Iterator[tuple[FrameBatch, bool]]:
         """Cut a batch where bus time goes back or stands still for too long, and where the controller left the bus."""
         if not len(batch):
             return
-        before_ns = batch.t_ns[0] if self._last_ns is None else self._last_ns
+        before_ns = batch.t_ns[0] if self.last_ns is None else self.last_ns
         steps_ns = np.diff(batch.t_ns, prepend=before_ns)
         breaks = (steps_ns < 0) | (steps_ns > MAX_GAP_NS) | tells(batch, BusError.BUS_OFF)
         breaks[0] |= self._is_interrupted
         jumps = np.flatnonzero(breaks).tolist()
-        self._last_ns = int(batch.t_ns[-1])
+        self.last_ns = int(batch.t_ns[-1])
         self._is_interrupted = False
         starts = jumps if jumps[:1] == [0] else [0, *jumps]
         for start, stop in zip(starts, [*starts[1:], len(batch)], strict=True):

@@ -5,7 +5,7 @@ out is the same to the bit.
 """
 
 from collections.abc import Iterable, Sequence
-from itertools import accumulate, groupby
+from itertools import accumulate
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -17,11 +17,11 @@ from diag_service.decoding.source_tables import SourceTable
 from diag_service.definitions.profile import Conversion
 from diag_service.frames import ERROR_FLAG, MAX_GAP_NS, FrameBatch, empty_batch
 from diag_service.protection.frame_judge import FrameReason
-from diag_service.protection.protection_check import FrameVerdicts, plain
+from diag_service.protection.protection_check import FrameVerdicts
 from diag_service.records import FloatArray, Int64Array, Signal, UInt8Array, UInt32Array
 from diag_service.sample_block import BlockLayout, SampleBlock, Samples
 
-SMALL_FRAMES: Final = 256  # beyond it array operations are the faster way
+SMALL_FRAMES: Final = 4096  # beyond it array operations are the faster way
 LONGEST_BITS: Final = 62  # signed or not, a raw value fits into an int64
 _HAS_BAD: Final = 1  # bits of what a pass found
 _HAS_INVALID: Final = 2
@@ -54,6 +54,8 @@ class SignalRules(NamedTuple):
     high: Int64Array
     scale: FloatArray
     offset: FloatArray
+    si_factor: FloatArray
+    si_offset: FloatArray
     code_begin: Int64Array  # (k + 1,) where the codes that are no measurements begin
     code: Int64Array
 
@@ -70,16 +72,8 @@ class SmallBatchDecoder:
     """
 
     def __init__(self, columns: Sequence[SmallColumn], message_count: int) -> None:
-        # Signals of one conversion stand together in the block: it is applied once for all of them.
-        ordered = sorted(columns, key=lambda column: id(column.to_si))
-        self._layout = BlockLayout([column.signal for column in ordered], [column.period_ns for column in ordered])
+        self._layout = BlockLayout([column.signal for column in columns], [column.period_ns for column in columns])
         self._rules = _rules_of(columns, self._layout, message_count)
-        self._conversions: list[tuple[slice, Conversion]] = []
-        first = 0
-        for _, group in groupby(ordered, key=lambda column: id(column.to_si)):
-            same = list(group)
-            self._conversions.append((slice(first, first + len(same)), same[0].to_si))
-            first += len(same)
         nothing = np.empty(0, np.int64)
         self.decode(
             empty_batch(),
@@ -93,8 +87,8 @@ class SmallBatchDecoder:
         invalid = np.zeros(len(self._layout.signals), np.int64)
         bad = decode_frames(
             self._rules,
-            plain(batch.t_ns, np.int64),
-            plain(batch.data, np.uint8),
+            batch.t_ns,
+            batch.data,
             verdicts.reason,
             verdicts.slot,
             verdicts.sequence,
@@ -102,8 +96,6 @@ class SmallBatchDecoder:
             samples,
             invalid,
         )
-        for rows, to_si in self._conversions:
-            samples.value[rows] = to_si(samples.value[rows])
         counts = {}
         if bad & _HAS_INVALID:
             counts = {self._layout.signals[row]: int(invalid[row]) for row in np.flatnonzero(invalid)}
@@ -139,6 +131,8 @@ def _rules_of(columns: Sequence[SmallColumn], layout: BlockLayout, message_count
         high=_integers(code.raw_range[1] for code in codes),
         scale=np.array([code.scale for code in codes], np.float64),
         offset=np.array([code.offset for code in codes], np.float64),
+        si_factor=np.array([column.to_si.factor for column in columns], np.float64),
+        si_offset=np.array([column.to_si.offset for column in columns], np.float64),
         code_begin=_integers(accumulate((len(code.not_available) for code in codes), initial=0)),
         code=_integers(value for code in codes for value in code.not_available),
     )
@@ -171,7 +165,7 @@ def decode_frames(
     samples: Samples,
     invalid: Int64Array,
 ) -> int:
-    """Fill in the samples of the accepted frames, in the unit of the database; return what was not as it should be."""
+    """Fill in the samples of the accepted frames; return what was not as it should be."""
     found = 0
     for frame in range(t_ns.size):
         if missing[frame] > 0 or _SHORT <= reason[frame] <= _WRONG_SEQUENCE:
@@ -188,7 +182,8 @@ def decode_frames(
             at = samples.filled[row]
             samples.t_ns[row, at] = t_ns[frame]
             samples.sequence[row, at] = sequence[frame]
-            samples.value[row, at] = float(raw) * rules.scale[number] + rules.offset[number]
+            value = float(raw) * rules.scale[number] + rules.offset[number]
+            samples.value[row, at] = value * rules.si_factor[number] + rules.si_offset[number]
             samples.filled[row] = at + 1
     return found
 

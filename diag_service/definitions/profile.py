@@ -2,7 +2,7 @@
 
 import math
 import tomllib
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from pathlib import Path
@@ -17,44 +17,59 @@ MAX_NUMBER: Final = 0xFF  # of a channel or a J1939 source address
 PROTOCOLS: Final = {"can": False, "j1939": True}
 PROFILE_KEYS: Final = frozenset({"name", "signals", "protocol", "channel", "database", "gears"})
 
-Conversion = Callable[[FloatArray], FloatArray]
+
+@dataclass(frozen=True, slots=True)
+class Conversion:
+    """From decoded values to SI: ``factor * value + offset``."""
+
+    factor: float = 1.0
+    offset: float = 0.0
+
+    def __call__(self, value: FloatArray) -> FloatArray:
+        """Return values in SI, of the same shape."""
+        return value * self.factor + self.offset
+
+    def after(self, scale: float, offset: float) -> "Conversion":
+        """Return the conversion of values that are to be scaled and moved first."""
+        return Conversion(self.factor * scale, self.factor * offset + self.offset)
+
 
 PROFILE_FOLDER: Final = Path(__file__).parents[1] / "profiles"
 PROFILE_PATH: Final = PROFILE_FOLDER / "dct.toml"
 
 
-def _same(value: FloatArray) -> FloatArray:
-    """Return the value: it has its SI unit already."""
-    return value
-
-
+_SAME: Final = Conversion()
 _TO_SI: Final[Mapping[str, Mapping[str, Conversion]]] = {
     "rad_s": {
-        **dict.fromkeys(("rpm", "1/min", "min-1", "r/min", "rev/min", "u/min", "unit_minutinver"), rad_s_from_rpm),
-        "rad/s": _same,
+        **dict.fromkeys(
+            ("rpm", "1/min", "min-1", "r/min", "rev/min", "u/min", "unit_minutinver"), Conversion(rad_s_from_rpm(1.0))
+        ),
+        "rad/s": _SAME,
     },
     "m_s": {
-        **dict.fromkeys(("km/h", "kmh", "kph", "kmph", "unit_kilometerperhour"), m_s_from_km_h),
-        "m/s": _same,
+        **dict.fromkeys(("km/h", "kmh", "kph", "kmph", "unit_kilometerperhour"), Conversion(m_s_from_km_h(1.0))),
+        "m/s": _SAME,
     },
     "pa": {
-        **dict.fromkeys(("bar", "unit_bar"), pa_from_bar),
-        **dict.fromkeys(("mbar", "hpa", "unit_millibar"), lambda pressure_hpa: pressure_hpa * 100.0),
-        "kpa": lambda pressure_kpa: pressure_kpa * 1e3,
-        "pa": _same,
+        **dict.fromkeys(("bar", "unit_bar"), Conversion(pa_from_bar(1.0))),
+        **dict.fromkeys(("mbar", "hpa", "unit_millibar"), Conversion(100.0)),
+        "kpa": Conversion(1e3),
+        "pa": _SAME,
     },
-    "nm": dict.fromkeys(("nm", "n.m", "n·m", "n*m", "n-m", "unit_newtometer"), _same),
+    "nm": dict.fromkeys(("nm", "n.m", "n·m", "n*m", "n-m", "unit_newtometer"), _SAME),
     "ratio": {
-        **dict.fromkeys(("%", "percent", "unit_percent"), lambda percent: percent / 100.0),
-        "": _same,
+        **dict.fromkeys(("%", "percent", "unit_percent"), Conversion(0.01)),
+        "": _SAME,
     },
     "k": {
-        **dict.fromkeys(("degc", "°c", "c", "deg", "degreesc", "celsius", "unit_degrecelsi"), k_from_degc),
-        "k": _same,
+        **dict.fromkeys(
+            ("degc", "°c", "c", "deg", "degreesc", "celsius", "unit_degrecelsi"), Conversion(offset=k_from_degc(0.0))
+        ),
+        "k": _SAME,
     },
     "m": {
-        **dict.fromkeys(("km", "unit_kilometer"), lambda distance_km: distance_km * 1e3),
-        **dict.fromkeys(("m", "unit_meter"), _same),
+        **dict.fromkeys(("km", "unit_kilometer"), Conversion(1e3)),
+        **dict.fromkeys(("m", "unit_meter"), _SAME),
     },
 }
 """Spellings of units, without blanks and in lower case, by the unit that ends a canonical signal's name."""
@@ -196,12 +211,10 @@ def to_si(signal: Signal, source: SignalSource, database_unit: str | None) -> Co
     """
     kind = next((kind for kind in _KINDS if signal.value.endswith(f"_{kind}")), None)
     unit = source.unit if source.unit is not None else database_unit or ""
-    convert = _same if kind is None else _TO_SI[kind].get("".join(unit.split()).lower())
+    convert = _SAME if kind is None else _TO_SI[kind].get("".join(unit.split()).lower())
     if convert is None:
         raise ConfigError(f"the unit {unit!r} of {source.place} is not one of {signal.value}")
-    if source.scale == 1.0 and source.offset == 0.0:
-        return convert
-    return lambda decoded: convert(decoded * source.scale + source.offset)
+    return convert.after(source.scale, source.offset)
 
 
 def _read_table(path: Path) -> dict[str, object]:

@@ -17,7 +17,7 @@ import numpy as np
 
 from clutch_model.jit import kernel
 from diag_service.protection.own_cycle import SLOWER_RATIO, SLOWEST
-from diag_service.protection.protection_check import FrameReason, FrameVerdicts, plain
+from diag_service.protection.protection_check import FrameReason, FrameVerdicts
 from diag_service.records import E2eChange, E2eState, Int64Array, UInt8Array
 
 WINDOW: Final = 10  # checks
@@ -233,7 +233,7 @@ class E2eStates:
         count = follow_batch(
             self._memory,
             verdicts.slot,
-            plain(t_ns, np.int64),
+            t_ns,
             verdicts.reason,
             verdicts.missing,
             self._cycle_ns,

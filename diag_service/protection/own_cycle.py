@@ -27,11 +27,14 @@ def own_period_ns(series: Series) -> int:
     """
     if series.period_ns <= 0 or len(series.t_ns) <= LEAST_STEPS:
         return series.period_ns
+    mean_ns = _mean_step_ns(series)
+    if mean_ns < (1.0 - NEAR) * SLOWER_RATIO * series.period_ns:
+        return series.period_ns  # what follows would say so too, at length
     steps_ns = _steps_ns(series)
     typical_ns = float(np.median(steps_ns))
     if not SLOWER_RATIO * series.period_ns <= typical_ns <= (SLOWEST + NEAR) * series.period_ns:
         return series.period_ns
-    if abs(_mean_step_ns(series) - typical_ns) > NEAR * typical_ns:
+    if abs(mean_ns - typical_ns) > NEAR * typical_ns:
         return series.period_ns  # a sender that waits too long and then makes up for it keeps its cycle
     regular_ns = steps_ns[np.abs(steps_ns - typical_ns) <= NEAR * typical_ns]
     if len(regular_ns) < LEAST_REGULAR * len(steps_ns):

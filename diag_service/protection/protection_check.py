@@ -7,10 +7,9 @@ those of its first sound frame. Frames of the same message from elsewhere are co
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from types import MappingProxyType
-from typing import Final, TypeVar
+from typing import Final
 
 import numpy as np
-import numpy.typing as npt
 from cantools.database.can import Message
 
 from dbc.contract import message_contract
@@ -31,10 +30,9 @@ from diag_service.protection.frame_judge import (
 )
 from diag_service.records import Int64Array, UInt8Array
 
-__all__ = ["MAX_FRAMES_LOST_BY_RESTART", "FrameReason", "FrameVerdicts", "LinkMonitor", "plain"]
+__all__ = ["MAX_FRAMES_LOST_BY_RESTART", "FrameReason", "FrameVerdicts", "LinkMonitor"]
 
 _NS_PER_MS: Final = 1_000_000
-_Scalar = TypeVar("_Scalar", bound=np.generic)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -111,7 +109,7 @@ class LinkMonitor:
         forget(self._links)
 
     def check(self, batch: FrameBatch) -> FrameVerdicts:
-        """Return a verdict on each frame and count it."""
+        """Return a verdict on each frame of a plain batch and count it."""
         count = len(batch)
         verdicts = VerdictColumns(
             reason=np.empty(count, np.uint8),
@@ -119,13 +117,7 @@ class LinkMonitor:
             sequence=np.empty(count, np.int64),
             missing=np.empty(count, np.int64),
         )
-        frames = FrameColumns(
-            t_ns=plain(batch.t_ns, np.int64),
-            can_id=plain(batch.can_id, np.uint32),
-            length=plain(batch.length, np.uint8),
-            data=plain(batch.data, np.uint8),
-            channel=plain(batch.channel, np.uint8),
-        )
+        frames = FrameColumns(batch.t_ns, batch.can_id, batch.length, batch.data, batch.channel)
         judge_frames(self._book, self._rules, self._links, self._origins, frames, verdicts, self._totals)
         return FrameVerdicts(
             reason=verdicts.reason, slot=verdicts.slot, sequence=verdicts.sequence, missing=verdicts.missing
@@ -144,14 +136,6 @@ def _rules_of(messages: Sequence[Message]) -> Rules:
         id_remainder=np.array([data_id_remainder(contract.data_id or 0) for contract in contracts], np.uint8),
         cycle_ns=np.array([contract.cycle_ms * _NS_PER_MS for contract in contracts], np.int64),
     )
-
-
-def plain(column: npt.NDArray[_Scalar], kind: type[_Scalar]) -> npt.NDArray[_Scalar]:
-    """Return a column in the one layout that loops are compiled for."""
-    flags = column.flags
-    if column.dtype == kind and flags.c_contiguous and flags.writeable:
-        return column
-    return np.require(column, kind, ("C", "W"))
 
 
 def _nonzero(counts: Int64Array) -> Mapping[int, int]:

@@ -16,7 +16,9 @@ from diag_service.summary import FrameCounts, Summary
 DEFAULT_BITRATE = 500_000
 STALE_S = 5.0  # a service that has not looked up for this long does not live
 READY_STATES = frozenset({BusState.UP, BusState.DEGRADED})
-RATE_SPAN_S = 1.0  # shorter spans tell more of the cutting into batches than of the bus
+RATE_SPAN_S = 1.0
+SILENT_S = 2.0  # more than a source keeps frames: a bus of which nothing was heard for so long says nothing
+NS_PER_S = 1_000_000_000
 
 
 class WatchedSource(LiveSource, Protocol):
@@ -69,24 +71,58 @@ def frame_counts(source: LiveSource, stages: Stages) -> FrameCounts:
     )
 
 
+class RateMeter:
+    """Frames and bits per second, since the last time or, if that was just now, as of then.
+
+    They are counted over the bus time of what was heard: frames come in batches, and the clock goes on between them.
+    """
+
+    def __init__(self, now_s: float, bitrate: int) -> None:
+        self._since_s = now_s
+        self._seen_ns: int | None = None
+        self._bitrate = bitrate
+        self._bits = 0
+        self._heard: Mapping[str, int] = {}
+        self.load_ratio = 0.0
+        self.rates_hz: Mapping[str, float] = {}
+
+    def measure(self, now_s: float, seen_ns: int | None, heard: Mapping[str, int], bits: int) -> None:
+        """Take new rates once there is something to tell.
+
+        Parameters
+        ----------
+        now_s
+            Monotonic time.
+        seen_ns
+            Bus time of the last frame; None before the first.
+        heard, bits
+            Frames by message, and bits on the bus, until now.
+        """
+        span_s = now_s - self._since_s
+        step_ns = 0 if seen_ns is None or self._seen_ns is None else seen_ns - self._seen_ns
+        if span_s < RATE_SPAN_S or (seen_ns == self._seen_ns is not None and span_s < SILENT_S):
+            return
+        # Bus time that went too far is that of another stretch.
+        over_s = step_ns / NS_PER_S if 0 < step_ns <= 2.0 * span_s * NS_PER_S else span_s
+        self.rates_hz = {name: (count - self._heard.get(name, 0)) / over_s for name, count in heard.items()}
+        self.load_ratio = (bits - self._bits) / over_s / self._bitrate
+        self._since_s, self._seen_ns, self._bits, self._heard = now_s, seen_ns, bits, heard
+
+
 class SnapshotTaker:
-    """Takes snapshots of a run; rates are those since the last one, or since the one before if that was just now."""
+    """Takes snapshots of a run."""
 
     def __init__(self, source: WatchedSource, session: Session, now_s: float, bitrate: int | None) -> None:
         self._source = source
         self._session = session
-        self._bitrate = bitrate or DEFAULT_BITRATE
-        self._since_s = now_s
-        self._bits = 0
-        self._heard: Mapping[str, int] = {}
-        self._load_ratio = 0.0
-        self._rates_hz: Mapping[str, float] = {}
+        self._meter = RateMeter(now_s, bitrate or DEFAULT_BITRATE)
 
     def take(self, now_s: float) -> Snapshot:
         """Return how things stand; ``now_s`` is monotonic."""
         stages = self._session.stages
         messages = stages.messages
-        self._measure(messages, now_s)
+        heard = {name: counts.decoded + sum(counts.rejected.values()) for name, counts in messages.items()}
+        self._meter.measure(now_s, stages.seen_ns, heard, self._source.bit_count)
         frames = frame_counts(self._source, stages)
         nominal_hz = stages.nominal_hz
         return Snapshot(
@@ -94,11 +130,14 @@ class SnapshotTaker:
             vehicle=self._session.vehicle,
             bus=self._source.status,
             clock_steps=self._source.counts.clock_steps,
-            load_ratio=self._load_ratio,
+            load_ratio=self._meter.load_ratio,
             frames=frames,
             messages=tuple(
                 MessageStatus(
-                    name=name, rate_hz=self._rates_hz.get(name, 0.0), nominal_hz=nominal_hz.get(name), counts=counts
+                    name=name,
+                    rate_hz=self._meter.rates_hz.get(name, 0.0),
+                    nominal_hz=nominal_hz.get(name),
+                    counts=counts,
                 )
                 for name, counts in messages.items()
             ),
@@ -106,16 +145,6 @@ class SnapshotTaker:
             recent=self._session.recent,
             stuck=self._session.progress.stuck,
         )
-
-    def _measure(self, messages: Mapping[str, MessageCounts], now_s: float) -> None:
-        """Take new rates once enough time has passed."""
-        span_s = now_s - self._since_s
-        if span_s < RATE_SPAN_S:
-            return
-        heard = {name: counts.decoded + sum(counts.rejected.values()) for name, counts in messages.items()}
-        self._rates_hz = {name: (count - self._heard.get(name, 0)) / span_s for name, count in heard.items()}
-        self._load_ratio = (self._source.bit_count - self._bits) / span_s / self._bitrate
-        self._since_s, self._bits, self._heard = now_s, self._source.bit_count, heard
 
 
 class Board:

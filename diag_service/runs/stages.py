@@ -8,7 +8,7 @@ from diag_service.decoding.mapping import Decoder, MessageCounts
 from diag_service.definitions.tiers import missing_for_next, tier_of
 from diag_service.estimation import Belief, Estimator
 from diag_service.estimation.estimator import without_friction
-from diag_service.frames import FrameBatch
+from diag_service.frames import FrameBatch, WatchedBits
 from diag_service.judgement.condition import ConditionMemory, judge, no_verdict
 from diag_service.judgement.indices import measure
 from diag_service.judgement.trust import TrustBasis, assess, reasons_against
@@ -72,6 +72,11 @@ class Stages:
         """Bus time beyond which the next shift will be returned, if it has ended."""
         return self._finder.due_ns
 
+    @property
+    def seen_ns(self) -> int | None:
+        """Bus time of the last frame; None before the first."""
+        return self._decoder.last_ns
+
     def flush(self) -> list[ShiftEvent]:
         """End the segment: return what is still open; frames that come later begin another one."""
         self._decoder.interrupt()
@@ -117,6 +122,11 @@ class Stages:
     def kernel_filters(self) -> tuple[tuple[int, int], ...]:
         """What a kernel need let through, as identifiers and masks."""
         return self._decoder.kernel_filters
+
+    @property
+    def watched(self) -> tuple[WatchedBits, ...]:
+        """What must change on the bus for an open shift to end; empty if that cannot be told so simply."""
+        return self._decoder.watched(self._finder.ended_by)
 
     @property
     def messages(self) -> Mapping[str, MessageCounts]:

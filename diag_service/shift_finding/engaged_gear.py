@@ -6,7 +6,8 @@ from typing import Protocol
 import numpy as np
 
 from diag_service.records import EndReason, FloatArray, GearRatios, Int64Array, Signal
-from diag_service.shift_finding.shift_bounds import DWELL_NS, MAX_SHIFT_NS, Bounds, Samples, held_values
+from diag_service.shift_finding.history import Ahead
+from diag_service.shift_finding.shift_bounds import DWELL_NS, MAX_SHIFT_NS, Bounds, held_values
 
 RATIO_TOLERANCE = 0.04  # neighbouring gears are at least 15 % apart
 MIN_SPEED_RAD_S = 50.0  # of the engine: below it drives nothing
@@ -74,9 +75,14 @@ class EngagedTracker:
         """When the last gear was left, if it was."""
         return self._left_ns
 
-    def follow(self, samples: Samples, until_ns: int) -> list[Bounds]:
+    @property
+    def ended_by(self) -> frozenset[Signal]:
+        """Nothing: how a shift ends takes more than that one of a few signals changes."""
+        return frozenset()
+
+    def follow(self, ahead: Ahead, until_ns: int) -> list[Bounds]:
         """Walk the gears with ``t < until_ns``."""
-        series = {name: samples(name, until_ns) for name in self._engaged.signals}
+        series = {name: ahead.until(name, until_ns) for name in self._engaged.signals}
         t_ns = np.unique(np.concatenate([one.t_ns for one in series.values()]))
         found: list[Bounds] = []
         if len(t_ns):

@@ -10,9 +10,10 @@ import numpy as np
 
 from diag_service.records import EndReason, GearRatios, Series, Signal
 from diag_service.shift_finding.engaged_gear import CurrentGear, EngagedTracker, RatioGear
-from diag_service.shift_finding.history import held
-from diag_service.shift_finding.shift_bounds import DWELL_NS, MAX_SHIFT_NS, Bounds, GearTracker, Samples, held_values
+from diag_service.shift_finding.history import Ahead
+from diag_service.shift_finding.shift_bounds import DWELL_NS, MAX_SHIFT_NS, Bounds, GearTracker, held_values
 
+_BOTH_GEARS = frozenset({Signal.CURRENT_GEAR, Signal.TARGET_GEAR})
 CLOSED_SLIP_RAD_S = 5.0  # 50 rpm: beyond it the clutch slips, whatever two controllers' speeds differ by
 
 
@@ -58,18 +59,25 @@ class GearPairTracker:
         """When the open shift began, if there is one."""
         return self._lone.open_ns if self._open is None else self._open.start_ns
 
-    def follow(self, samples: Samples, until_ns: int) -> list[Bounds]:
+    @property
+    def ended_by(self) -> frozenset[Signal]:
+        """Both gears: one of them must change for an open shift to end."""
+        return _BOTH_GEARS
+
+    def follow(self, ahead: Ahead, until_ns: int) -> list[Bounds]:
         """Walk the gear changes with ``t < until_ns``."""
-        current = samples(Signal.CURRENT_GEAR, until_ns)
-        target = samples(Signal.TARGET_GEAR, until_ns)
+        if self._has_target and not any(map(ahead.has_change, self.ended_by)):
+            self._close_overdue(until_ns)
+            return self._take()
+        current = ahead.until(Signal.CURRENT_GEAR, until_ns)
+        target = ahead.until(Signal.TARGET_GEAR, until_ns)
         self._note_first(current, target)
         if not self._has_target:
-            self._closed += self._lone.follow(samples, int(target.t_ns[0]) if len(target.t_ns) else until_ns)
+            self._closed += self._lone.follow(ahead, int(target.t_ns[0]) if len(target.t_ns) else until_ns)
             self._has_target = len(target.t_ns) > 0
             if self._has_target:
                 self._closed += self._lone.interrupt(int(target.t_ns[0]))
-        if (current.value != self._gears.current).any() or (target.value != self._gears.target).any():
-            self._walk(current, target)
+        self._walk(current, target)
         self._close_overdue(until_ns)
         return self._take()
 
@@ -93,12 +101,17 @@ class GearPairTracker:
 
     def _walk(self, current: Series, target: Series) -> None:
         """Take gears into account that differ from the last ones."""
-        t_ns = np.union1d(current.t_ns, target.t_ns)
-        pairs = np.column_stack((held(current, t_ns, self._gears.current), held(target, t_ns, self._gears.target)))
-        before = np.vstack(((self._gears.current, self._gears.target), pairs[:-1]))
-        for row in np.flatnonzero(np.any(pairs != before, axis=1)):
-            self._close_overdue(int(t_ns[row]))
-            self._step(int(t_ns[row]), _Gears(int(pairs[row, 0]), int(pairs[row, 1])))
+        changed: dict[int, dict[str, int]] = {}
+        for name, series, before in (
+            ("current", current, self._gears.current),
+            ("target", target, self._gears.target),
+        ):
+            values = series.value.astype(np.int64)
+            for row in np.flatnonzero(np.diff(values, prepend=before)).tolist():
+                changed.setdefault(int(series.t_ns[row]), {})[name] = int(values[row])
+        for t_ns, gears in sorted(changed.items()):
+            self._close_overdue(t_ns)
+            self._step(t_ns, replace(self._gears, **gears))
 
     def _step(self, t_ns: int, gears: _Gears) -> None:
         self._gears = gears
@@ -152,10 +165,15 @@ class TargetTracker:
         """When the open shift began, if there is one."""
         return None if self._open is None else self._open.start_ns
 
-    def follow(self, samples: Samples, until_ns: int) -> list[Bounds]:
+    @property
+    def ended_by(self) -> frozenset[Signal]:
+        """Nothing: how a shift ends takes more than that one of a few signals changes."""
+        return frozenset()
+
+    def follow(self, ahead: Ahead, until_ns: int) -> list[Bounds]:
         """Walk target gear and slip with ``t < until_ns``."""
         names = tuple(dict.fromkeys((Signal.TARGET_GEAR, Signal.ENGINE_SPEED, *self._inputs)))
-        series = {name: samples(name, until_ns) for name in names}
+        series = {name: ahead.until(name, until_ns) for name in names}
         t_ns = np.unique(np.concatenate([one.t_ns for one in series.values()]))
         values = {name: held_values(one, t_ns, self._last.get(name, np.nan)) for name, one in series.items()}
         found: list[Bounds] = []

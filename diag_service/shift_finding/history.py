@@ -37,10 +37,14 @@ class History:
         """Return the samples of one signal with ``start_ns <= t_ns < stop_ns``; valid until more are appended."""
         return self._rings.between(signal, start_ns, stop_ns)
 
+    def changed_ns(self, signal: Signal) -> int:
+        """Return when a sample of a signal last differed from the one before it, as the first one does; -1: never."""
+        return self._rings.changed_ns(signal)
+
     def cut(self, start_ns: int, stop_ns: int) -> Columns:
         """Return the samples of all signals with ``start_ns <= t_ns < stop_ns``, each with the cycle that it keeps."""
-        found = {signal: self._rings.between(signal, start_ns, stop_ns) for signal in sorted(self._rings.signals)}
-        return {signal: _kept(series) for signal, series in found.items()}
+        found = sorted(self._rings.cut(start_ns, stop_ns).items())
+        return {signal: replace(series, period_ns=own_period_ns(series)) for signal, series in found}
 
     def bad_frame_count(self, start_ns: int, stop_ns: int) -> int:
         """Return how many frames were rejected or missing in ``start_ns <= t_ns < stop_ns``."""
@@ -67,14 +71,20 @@ class History:
         self.watermark_ns = -1
 
 
-def _kept(series: Series) -> Series:
-    return replace(
-        series,
-        t_ns=series.t_ns.copy(),
-        sequence=series.sequence.copy(),
-        value=series.value.copy(),
-        period_ns=own_period_ns(series),
-    )
+class Ahead:
+    """What lies ahead of somebody who walks along a history."""
+
+    def __init__(self, history: History) -> None:
+        self._history = history
+        self.start_ns = -1  # where he stands
+
+    def until(self, signal: Signal, until_ns: int) -> Series:
+        """Return the samples of a signal up to a time; valid until more are appended."""
+        return self._history.samples(signal, self.start_ns, until_ns)
+
+    def has_change(self, signal: Signal) -> bool:
+        """Return whether a sample ahead differs from the one before it."""
+        return self._history.changed_ns(signal) >= self.start_ns
 
 
 def _worst(changes: list[E2eChange], start_ns: int, stop_ns: int) -> E2eState:

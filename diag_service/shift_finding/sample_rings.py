@@ -11,6 +11,7 @@ from diag_service.sample_block import BlockLayout, SampleBlock, Samples
 
 FIRST_CAPACITY: Final = 256  # samples of a signal; grows by doubling
 _FULL: Final = -1
+_NEVER_NS: Final = -1
 
 
 class SampleRings:
@@ -22,11 +23,6 @@ class SampleRings:
     def __init__(self) -> None:
         self.clear()
         compile_now()
-
-    @property
-    def signals(self) -> tuple[Signal, ...]:
-        """The signals that had a sample, forgotten ones included."""
-        return tuple(signal for signal, row in self._rows.items() if self._samples.filled[row])
 
     @property
     def sample_count(self) -> int:
@@ -56,6 +52,27 @@ class SampleRings:
             period_ns=self._period_ns[row],
         )
 
+    def cut(self, start_ns: int, stop_ns: int) -> dict[Signal, Series]:
+        """Return copies of the samples of all signals that ever had one, with ``start_ns <= t_ns < stop_ns``."""
+        low, high = np.empty_like(self._first), np.empty_like(self._first)
+        find_between(self._samples, self._first, start_ns, stop_ns, low, high)
+        spans = zip(self._rows.items(), low.tolist(), high.tolist(), self._samples.filled.tolist(), strict=True)
+        return {
+            signal: Series(
+                t_ns=self._samples.t_ns[row, begin:end].copy(),
+                sequence=self._samples.sequence[row, begin:end].copy(),
+                value=self._samples.value[row, begin:end].copy(),
+                period_ns=self._period_ns[row],
+            )
+            for (signal, row), begin, end, filled in spans
+            if filled
+        }
+
+    def changed_ns(self, signal: Signal) -> int:
+        """Return when a sample of a signal last differed from the one before it, as the first one does; -1: never."""
+        row = self._rows.get(signal)
+        return _NEVER_NS if row is None else int(self._changed_ns[row])
+
     def drop_before(self, keep_ns: int) -> None:
         """Forget what lies before ``keep_ns``."""
         drop_before(self._samples, self._first, keep_ns)
@@ -65,6 +82,7 @@ class SampleRings:
         self._rows: dict[Signal, int] = {}
         self._period_ns: list[int] = []
         self._first = np.zeros(0, np.int64)
+        self._changed_ns = np.zeros(0, np.int64)
         self._samples = _room(0, FIRST_CAPACITY)
         self._block_rows: tuple[BlockLayout, Int64Array] | None = None
 
@@ -73,18 +91,21 @@ class SampleRings:
             named = zip(block.layout.signals, block.layout.period_ns, strict=True)
             rows = np.array([self._row(signal, period_ns) for signal, period_ns in named], np.int64)
             self._block_rows = block.layout, rows
-        while append_rows(self._samples, self._first, self._block_rows[1], block.samples) == _FULL:
+        while self._append_rows(self._block_rows[1], block.samples) == _FULL:
             self._grow()
 
+    def _append_rows(self, rows: Int64Array, block: Samples) -> int:
+        return append_rows(self._samples, self._first, self._changed_ns, rows, block)
+
     def _append_series(self, row: int, series: Series) -> None:
-        count = len(series.t_ns)
-        while make_room(self._samples, self._first, row, count) == _FULL:
+        alone = Samples(
+            filled=np.array([len(series.t_ns)], np.int64),
+            t_ns=series.t_ns[None, :],
+            sequence=series.sequence[None, :],
+            value=series.value[None, :],
+        )
+        while self._append_rows(np.array([row], np.int64), alone) == _FULL:
             self._grow()
-        at = int(self._samples.filled[row])
-        self._samples.t_ns[row, at : at + count] = series.t_ns
-        self._samples.sequence[row, at : at + count] = series.sequence
-        self._samples.value[row, at : at + count] = series.value
-        self._samples.filled[row] = at + count
 
     def _row(self, signal: Signal, period_ns: int) -> int:
         """Return the row of a signal, a new one if it has none."""
@@ -104,6 +125,7 @@ class SampleRings:
             getattr(larger, name)[:known, :size] = getattr(old, name)
         larger.filled[:known] = old.filled
         self._first = np.append(self._first, np.zeros(rows - known, np.int64))
+        self._changed_ns = np.append(self._changed_ns, np.full(rows - known, _NEVER_NS))
         self._samples = larger
 
 
@@ -141,8 +163,11 @@ def make_room(ring: Samples, first: Int64Array, row: int, count: int) -> int:
 
 
 @array_kernel
-def append_rows(ring: Samples, first: Int64Array, rows: Int64Array, block: Samples) -> int:
-    """Append every row of a block to its ring; return -1, and leave all as it was, if one of them is too short."""
+def append_rows(ring: Samples, first: Int64Array, changed_ns: Int64Array, rows: Int64Array, block: Samples) -> int:
+    """Append every row of a block to its ring, and note when values changed.
+
+    Return -1, and leave all as it was, if one of the rings is too short.
+    """
     for number in range(rows.size):
         if make_room(ring, first, rows[number], block.filled[number]) == _FULL:
             return _FULL
@@ -153,8 +178,21 @@ def append_rows(ring: Samples, first: Int64Array, rows: Int64Array, block: Sampl
             ring.t_ns[row, stop + at] = block.t_ns[number, at]
             ring.sequence[row, stop + at] = block.sequence[number, at]
             ring.value[row, stop + at] = block.value[number, at]
+            if stop + at == 0 or ring.value[row, stop + at] != ring.value[row, stop + at - 1]:
+                changed_ns[row] = block.t_ns[number, at]
         ring.filled[row] = stop + block.filled[number]
     return 0
+
+
+@array_kernel
+def find_between(
+    ring: Samples, first: Int64Array, start_ns: int, stop_ns: int, low: Int64Array, high: Int64Array
+) -> None:
+    """Fill in which samples ``low <= at < high`` of every row lie in ``start_ns <= t_ns < stop_ns``."""
+    for row in range(first.size):
+        held = ring.t_ns[row, first[row] : ring.filled[row]]
+        low[row] = first[row] + np.searchsorted(held, start_ns)
+        high[row] = first[row] + np.searchsorted(held, stop_ns)
 
 
 @array_kernel
@@ -168,6 +206,6 @@ def drop_before(ring: Samples, first: Int64Array, keep_ns: int) -> None:
 def compile_now() -> None:
     """Have everything compiled before the first frames come: they must not wait for it."""
     ring, block, first = _room(1, 1), _room(0, 0), np.zeros(1, np.int64)
-    make_room(ring, first, 0, 0)
-    append_rows(ring, first, np.empty(0, np.int64), block)
+    append_rows(ring, first, np.zeros(1, np.int64), np.empty(0, np.int64), block)
     drop_before(ring, first, 0)
+    find_between(ring, first, 0, 0, np.zeros(1, np.int64), np.zeros(1, np.int64))

@@ -1,19 +1,16 @@
 """What finding a shift means, however its gears are known: bounds, and how a tracker is asked for them."""
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
 
 from diag_service.records import EndReason, FloatArray, Int64Array, Series, Signal
+from diag_service.shift_finding.history import Ahead
 
 NS_PER_S = 1_000_000_000
 MAX_SHIFT_NS = 5 * NS_PER_S  # a production shift takes about one second
 DWELL_NS = NS_PER_S // 20  # a clutch that stays closed, a ratio that stays put, for so long does so for good
-
-Samples = Callable[[Signal, int], Series]
-"""The samples of a signal from where the tracker stands up to a time."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -30,7 +27,7 @@ class Bounds:
 class GearTracker(Protocol):
     """Finds where shifts begin and end."""
 
-    def follow(self, samples: Samples, until_ns: int) -> list[Bounds]:
+    def follow(self, ahead: Ahead, until_ns: int) -> list[Bounds]:
         """Walk the samples with ``t < until_ns`` that are new; return the shifts that ended."""
 
     def interrupt(self, now_ns: int) -> list[Bounds]:
@@ -39,6 +36,10 @@ class GearTracker(Protocol):
     @property
     def open_ns(self) -> int | None:
         """When the open shift began, if there is one."""
+
+    @property
+    def ended_by(self) -> frozenset[Signal]:
+        """Signals of which one must change for an open shift to end in time; empty if more can end it."""
 
 
 def held_values(series: Series, t_ns: Int64Array, before: float) -> FloatArray:

@@ -1,8 +1,8 @@
 """Shift detection: canonical columns in, shift events out, the same events for any cutting of the stream."""
 
-from diag_service.records import ColumnBatch, Series, ShiftEvent, Signal
+from diag_service.records import ColumnBatch, ShiftEvent, Signal
 from diag_service.shift_finding.gear_tracking import GearPairTracker
-from diag_service.shift_finding.history import History
+from diag_service.shift_finding.history import Ahead, History
 from diag_service.shift_finding.shift_bounds import Bounds, GearTracker
 
 NS_PER_S = 1_000_000_000
@@ -20,8 +20,8 @@ class ShiftFinder:
     def __init__(self, tracker: GearTracker | None = None) -> None:
         self._tracker = tracker or GearPairTracker()
         self._history = History()
+        self._ahead = Ahead(self._history)
         self._closed: list[Bounds] = []
-        self._followed_ns = -1
         self._shift_count = 0
 
     def feed(self, batch: ColumnBatch) -> list[ShiftEvent]:
@@ -48,6 +48,11 @@ class ShiftFinder:
         return bool(self._closed) or self._tracker.open_ns is not None
 
     @property
+    def ended_by(self) -> frozenset[Signal]:
+        """Signals of which one must change for an open shift to end in time; empty if more can end it."""
+        return self._tracker.ended_by
+
+    @property
     def due_ns(self) -> int | None:
         """Bus time beyond which the oldest shift that has ended will be reported, if there is one."""
         return self._closed[0].end_ns + POST_NS if self._closed else None
@@ -60,15 +65,12 @@ class ShiftFinder:
     def _forget_segment(self) -> None:
         self._history.clear()
         self._closed.clear()
-        self._followed_ns = -1
+        self._ahead.start_ns = -1
 
     def _follow_gears(self, until_ns: int) -> None:
         """Walk the gears with ``t < until_ns``: at the watermark itself a sample may still be on its way."""
-        self._closed += self._tracker.follow(self._samples, until_ns)
-        self._followed_ns = until_ns
-
-    def _samples(self, signal: Signal, until_ns: int) -> Series:
-        return self._history.samples(signal, self._followed_ns, until_ns)
+        self._closed += self._tracker.follow(self._ahead, until_ns)
+        self._ahead.start_ns = until_ns
 
     def _cut(self, bounds: Bounds) -> ShiftEvent:
         first_ns, stop_ns = bounds.start_ns - PRE_NS, bounds.end_ns + POST_NS

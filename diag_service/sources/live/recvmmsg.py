@@ -4,17 +4,19 @@ import ctypes
 import errno
 import os
 import socket
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 
 from clutch_model.jit import array_kernel
-from diag_service.frames import BRS_FLAG, ESI_FLAG, FD_FLAG, FD_PAYLOAD_BYTES, PAYLOAD_BYTES, FrameBatch
+from diag_service.frames import BRS_FLAG, ESI_FLAG, FD_FLAG, FD_PAYLOAD_BYTES, PAYLOAD_BYTES, FrameBatch, WatchedBits
 from diag_service.records import Int64Array, UInt8Array, UInt32Array
 from diag_service.sources.columns import NS_PER_US
+from diag_service.sources.live.frame_watch import identifier, see_news, watch_for
 
-SLOTS = 256  # frames per call
+SLOTS = 512  # frames per call
 CLASSIC_BYTES = 16  # struct can_frame
 FD_BYTES = 72  # struct canfd_frame
 CONTROL_BYTES = 64  # one time stamp takes 32
@@ -74,9 +76,19 @@ class SlotColumns(NamedTuple):
 
 
 class FrameReceiver:
-    """Preallocated slots that ``receive`` fills from a non-blocking raw CAN socket with SO_TIMESTAMPNS switched on."""
+    """Preallocated slots that ``receive`` fills from a non-blocking raw CAN socket with SO_TIMESTAMPNS switched on.
 
-    def __init__(self, file_descriptor: int) -> None:
+    Frames stay in their slots until ``take``; ``has_news`` tells whether one of them says something new.
+
+    Parameters
+    ----------
+    file_descriptor : int
+        Of the socket.
+    watched : sequence of WatchedBits
+        What counts as news, besides error frames.
+    """
+
+    def __init__(self, file_descriptor: int, watched: Sequence[WatchedBits] = ()) -> None:
         self._file_descriptor = file_descriptor
         self._vectors = (_IoVector * SLOTS)()
         self._messages = (_Message * SLOTS)()
@@ -95,28 +107,51 @@ class FrameReceiver:
             header.vector_count = 1
             header.control = self._slots.control.ctypes.data + slot * CONTROL_BYTES
         self._call = ctypes.CDLL(None, use_errno=True).recvmmsg
-        self._arguments = (file_descriptor, ctypes.byref(self._messages), SLOTS, socket.MSG_DONTWAIT, None)
-        self._reception(0)  # compiles now: the first frames must not wait for the compiler
+        self._watch = watch_for(watched)
+        self.held = 0
+        self.has_news = False
+        self.take()  # compiles now: the first frames must not wait for the compiler
+        see_news(self._slots.frames, 0, 0, self._watch)
 
-    def receive(self) -> Reception | None:
-        """Return what is waiting, at most SLOTS frames; None if there is nothing.
+    @property
+    def room(self) -> int:
+        """How many slots are free."""
+        return SLOTS - self.held
+
+    def receive(self) -> int:
+        """Let what is waiting into the free slots, of which there must be one; return how many frames came.
 
         Raises
         ------
         OSError
-            As the kernel reports it, once all frames before the failure were returned or are still to be read.
+            As the kernel reports it, once all frames before the failure were received or are still to be received.
         """
-        while (count := self._call(*self._arguments)) < 0:
+        first_free = ctypes.byref(self._messages, self.held * ctypes.sizeof(_Message))
+        while (count := self._call(self._file_descriptor, first_free, self.room, socket.MSG_DONTWAIT, None)) < 0:
             number = ctypes.get_errno()
             if number == errno.EINTR:
                 continue
             if number == errno.EAGAIN:
-                return None
+                return 0
             raise OSError(number, os.strerror(number))
+        if see_news(self._slots.frames, self.held, self.held + count, self._watch):
+            self.has_news = True
+        self.held += count
+        return int(count)
+
+    def take(self) -> Reception:
+        """Return the frames in the slots, which are free again.
+
+        Raises
+        ------
+        OSError
+            If one of them has no time.
+        """
+        count, self.held, self.has_news = self.held, 0, False
         return self._reception(count)
 
     def _reception(self, count: int) -> Reception:
-        width = FD_PAYLOAD_BYTES if count and has_fd(self._slots.size, count) else PAYLOAD_BYTES
+        width = FD_PAYLOAD_BYTES if has_fd(self._slots.size, count) else PAYLOAD_BYTES
         columns = SlotColumns(
             t_ns=np.empty(count, np.int64),
             can_id=np.empty(count, np.uint32),
@@ -170,12 +205,7 @@ def read_slots(slots: Slots, count: int, columns: SlotColumns) -> int:
         # Whole microseconds, cut as candump cuts them: a live stream and its recording have identical times.
         micros = slots.control[row, 3] // NS_PER_US
         columns.t_ns[known] = slots.control[row, 2] * NS_PER_S + micros * NS_PER_US
-        columns.can_id[known] = (
-            np.uint32(frame[0])
-            | np.uint32(frame[1]) << np.uint32(8)
-            | np.uint32(frame[2]) << np.uint32(16)
-            | np.uint32(frame[3]) << np.uint32(24)
-        )
+        columns.can_id[known] = identifier(frame)
         length = min(frame[4], FD_PAYLOAD_BYTES if is_fd else PAYLOAD_BYTES)
         columns.length[known] = length
         # The byte of the flags is padding in a classic frame; past its length a sender may leave anything.

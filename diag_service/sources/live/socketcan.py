@@ -9,17 +9,17 @@ from collections.abc import AsyncIterator, Sequence
 from dataclasses import replace
 
 from diag_service.errors import SourceError
-from diag_service.frames import FrameBatch
+from diag_service.frames import FrameBatch, WatchedBits
 from diag_service.sources.live.base import SourceCounts
 from diag_service.sources.live.bus_clock import BusClock
 from diag_service.sources.live.clock_alarm import clock_alarm
 from diag_service.sources.live.frame_queue import FrameQueue
-from diag_service.sources.live.pace import URGENT_S, Pace
-from diag_service.sources.live.recvmmsg import SLOTS, SO_TIMESTAMPNS, FrameReceiver, Reception
+from diag_service.sources.live.pace import RELAXED_S, URGENT_S, Pace
+from diag_service.sources.live.recvmmsg import SLOTS, SO_TIMESTAMPNS, FrameReceiver
 
 RECEIVE_BUFFER_BYTES = 8 * 1024 * 1024  # about ten thousand frames: some seconds of a full bus
-CALLS_PER_WAKE_UP = 16  # 4096 frames, then the rest of the service gets its turn
-CROWD = 16 * SLOTS  # frames at one wake-up, twice those of a full bus: the buffer must not fill up
+CALLS_PER_WAKE_UP = 8  # 4096 frames, then the rest of the service gets its turn
+CROWD = 8 * SLOTS  # frames at one wake-up, twice those of a full bus: the buffer must not fill up
 QUIET_WAKE_UPS = 3  # without a frame; then the socket itself tells when there is one
 ALL_ERROR_CLASSES = 0x1FFF_FFFF
 CAN_RAW_ERR_FILTER = 2
@@ -50,6 +50,8 @@ class SocketCanSource:
         What takes steps of the wall clock out of the times.
     pace : Pace or None
         How long frames may gather.
+    watched : sequence of WatchedBits
+        Without news of which frames need not be handed over when nothing else is waited for.
     receive_buffer_bytes : int
         What to ask of the kernel; without privileges it may grant less.
 
@@ -69,13 +71,16 @@ class SocketCanSource:
         queue: FrameQueue | None = None,
         clock: BusClock | None = None,
         pace: Pace | None = None,
+        watched: Sequence[WatchedBits] = (),
     ) -> None:
         self._channel = channel
         self._queue = queue or FrameQueue(linger_s=0.0)
         self._socket: socket.socket | None = open_socket(
             channel, fd=fd, filters=filters, receive_buffer_bytes=receive_buffer_bytes
         )
-        self._receiver = FrameReceiver(self._socket.fileno())
+        self._receiver = FrameReceiver(self._socket.fileno(), watched)
+        self._is_watching = len(watched) > 0
+        self._granted = granted_share(self._socket)
         self._clock = clock or BusClock()
         self._pace = pace or Pace()
         self._pace.on_change = self._hurry
@@ -87,6 +92,7 @@ class SocketCanSource:
         self._loop = asyncio.get_running_loop()
         self._timer: asyncio.TimerHandle | None = None
         self._gathered_s = 0.0  # when the socket was emptied last, as the loop counts
+        self._taken_s = 0.0  # when frames were handed over last
         self._quiet_count = 0
         self._alarm = clock_alarm()
         if self._alarm is not None:
@@ -139,16 +145,20 @@ class SocketCanSource:
             return
         self._quiet_count = 0 if self._received > before else self._quiet_count + 1
         if self._quiet_count < QUIET_WAKE_UPS:
-            is_crowded = self._received - before > CROWD
-            gather_s = URGENT_S if is_crowded else self._pace.gather_s(self._seen_ns)
+            is_crowded = self._received - before > CROWD * self._granted
+            gather_s = URGENT_S if is_crowded else self._gather_s()
             self._timer = self._loop.call_later(gather_s if is_empty else 0.0, self._gather)
         else:
             self._timer = None
             self._loop.add_reader(self._socket, self._wake)
 
+    def _gather_s(self) -> float:
+        """Return for how long frames may gather: no longer than a small receive buffer holds a full bus [s]."""
+        return min(self._pace.gather_s(self._seen_ns), max(self._granted * RELAXED_S, URGENT_S))
+
     def _hurry(self) -> None:
         """Empty the socket earlier than was thought, if what is waited for now comes earlier."""
-        when_s = self._gathered_s + self._pace.gather_s(self._seen_ns)
+        when_s = self._gathered_s + self._gather_s()
         if self._timer is not None and when_s < self._timer.when():
             self._timer.cancel()
             self._timer = self._loop.call_at(when_s, self._gather)
@@ -161,7 +171,13 @@ class SocketCanSource:
         """Move what is waiting from the socket to the queue; return whether nothing is left there."""
         for _ in range(CALLS_PER_WAKE_UP):
             try:
-                reception = self._receiver.receive()
+                if self._failure is not None:
+                    self._hand_over()  # a second failure must not cost them
+                room = self._receiver.room
+                count = self._receiver.receive()
+                self._received += count
+                if count == room or is_last or not self._may_keep():
+                    self._hand_over()
             except OSError as exc:
                 # A failure overtakes the frames received before it: note it, and read on until nothing is left.
                 is_repeated = self._failure is not None
@@ -170,20 +186,27 @@ class SocketCanSource:
                     self._close()
                     return True
                 continue
-            if reception is None:
-                self._clock.settle()
-                if is_last or self._failure is not None:
-                    self._close()
+            if count == 0 and (is_last or self._failure is not None):
+                self._close()
                 return True
-            self._take(reception)
-            if reception.read < SLOTS and not is_last and self._failure is None:
-                self._clock.settle()
+            if count < room and not is_last and self._failure is None:
+                if not self._receiver.held:
+                    self._clock.settle()
                 return True  # what comes meanwhile is for the next time: no call in vain
         return False
 
-    def _take(self, reception: Reception) -> None:
-        """Count what one call brought and put it into the queue, in bus time."""
-        self._received += reception.read
+    def _may_keep(self) -> bool:
+        """Return whether the frames received can wait for more: nothing comes of them before there is news."""
+        is_heard = self._quiet_count < QUIET_WAKE_UPS - 1  # after that nobody comes back for them
+        is_patient = self._is_watching and not self._receiver.has_news and self._failure is None and is_heard
+        return is_patient and self._pace.may_keep_s > self._gathered_s - self._taken_s
+
+    def _hand_over(self) -> None:
+        """Put the frames received into the queue, in bus time."""
+        self._taken_s = self._gathered_s
+        if not self._receiver.held:
+            return
+        reception = self._receiver.take()
         self._unsupported += reception.unsupported
         batch = reception.batch
         if not len(batch):
@@ -251,6 +274,12 @@ def grow_receive_buffer(raw: socket.socket, size_bytes: int) -> None:
         raw.setsockopt(socket.SOL_SOCKET, SO_RCVBUFFORCE, size_bytes)
     except PermissionError:
         raw.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, size_bytes)
+
+
+def granted_share(raw: socket.socket) -> float:
+    """Return how much of the receive buffer that the pace counts on the system has granted."""
+    granted_bytes = raw.getsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF) // 2  # it tells twice what was asked for
+    return min(1.0, granted_bytes / RECEIVE_BUFFER_BYTES)
 
 
 def kernel_drops(raw: socket.socket) -> int:

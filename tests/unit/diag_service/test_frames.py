@@ -1,9 +1,12 @@
 """Batches keep all their columns, whatever is done to them."""
 
+from dataclasses import replace
+
 import numpy as np
 
 from diag_service.frames import BRS_FLAG, FD_FLAG, FrameBatch, empty_batch
 from diag_service.sources.columns import clear_padding, join
+from tests.traffic import assert_same
 
 
 def classic(count: int) -> FrameBatch:
@@ -65,3 +68,14 @@ def test_padding_is_cleared_at_any_width() -> None:
         cleared = clear_padding(np.full_like(batch.data, 7), length)
         assert [np.count_nonzero(row) for row in cleared] == length.tolist()
         assert (cleared[1, :3] == 7).all()
+
+
+def test_a_plain_batch_is_itself_and_any_other_becomes_one() -> None:
+    assert (plain := classic(4)).plain() is plain
+    every_second, frozen, narrow = classic(4)[::2], classic(4), classic(4)
+    frozen.data.setflags(write=False)
+    for batch in (every_second, frozen, replace(narrow, length=narrow.length.astype(np.int64))):
+        made = batch.plain()
+        assert made is not batch
+        assert made.plain() is made
+        assert_same(made, batch)

@@ -20,7 +20,7 @@ from diag_service.publishers import MemoryReporter
 from diag_service.records import E2eState
 from diag_service.runs.metrics import serving
 from diag_service.runs.monitor import Monitor, SilentReporter
-from diag_service.runs.snapshot import STALE_S, Board, Snapshot, SnapshotTaker
+from diag_service.runs.snapshot import SILENT_S, STALE_S, Board, RateMeter, Snapshot, SnapshotTaker
 from diag_service.sources import BusState, BusStatus, SourceCounts
 from diag_service.store import ResultStore
 from tests.unit.diag_service.runs.test_live import gear_frames, session_for
@@ -103,6 +103,33 @@ def test_a_snapshot_says_how_things_stand(snapshot: Snapshot) -> None:
     assert (snapshot.frames.on_bus, snapshot.frames.kernel_dropped) == (FRAMES + 7, 7)
     assert [result.seq for result in snapshot.recent] == [1, 2]
     assert snapshot.summary.shift_counts["rejected"] == 2
+
+
+def test_rates_are_those_of_the_frames_heard_however_they_were_cut() -> None:
+    meter, begin_ns = RateMeter(10.0, 500_000), 10**18
+    shown = []
+    for half_s, heard_s in enumerate(
+        (0.4, 0.9, 1.9, 1.9, 2.4, 3.4, 3.4, 3.9)
+    ):  # frames come when they were kept enough
+        count = round(100 * heard_s)
+        meter.measure(10.0 + half_s / 2, begin_ns + count * 10_000_000, {"TCU_Shift": count}, 1_000 * count)
+        shown.append((meter.rates_hz.get("TCU_Shift"), meter.load_ratio))
+    assert shown[:2] == [(None, 0.0)] * 2
+    assert [rate for rate, _ in shown[4:]] == [pytest.approx(100.0)] * 4
+    assert shown[-1][1] == pytest.approx(0.2)
+
+
+def test_a_silent_bus_has_no_rate_and_a_jump_of_bus_time_none_of_its_own() -> None:
+    meter, begin_ns = RateMeter(0.0, 500_000), 10**18
+    meter.measure(1.0, begin_ns, {"TCU_Shift": 100}, 0)
+    meter.measure(1.0 + SILENT_S / 2, begin_ns, {"TCU_Shift": 100}, 0)
+    assert meter.rates_hz == {"TCU_Shift": 100.0}
+    meter.measure(1.0 + SILENT_S, begin_ns, {"TCU_Shift": 100}, 0)
+    assert meter.rates_hz == {"TCU_Shift": 0.0}
+    meter.measure(3.0 + SILENT_S, begin_ns + 10**15, {"TCU_Shift": 300}, 0)
+    assert meter.rates_hz == {"TCU_Shift": 100.0}
+    meter.measure(5.0 + SILENT_S, begin_ns, {"TCU_Shift": 500}, 0)
+    assert meter.rates_hz == {"TCU_Shift": 100.0}
 
 
 def test_metrics_carry_the_snapshot(url: str) -> None:

@@ -56,11 +56,44 @@ def test_rows_grow_as_they_must() -> None:
 def test_a_signal_is_known_from_its_first_sample_on_and_stays_known() -> None:
     rings, layout = SampleRings(), BlockLayout(SIGNALS, (10, 10, 10))
     rings.append(block(layout, 0, (3, 0, 1)))
-    assert rings.signals == (SIGNALS[0], SIGNALS[2])
+    assert list(rings.cut(0, 0)) == [SIGNALS[0], SIGNALS[2]]
     for first in range(3, 2 * FIRST_CAPACITY):
         rings.drop_before(10 * first)
         rings.append(block(layout, first, (1, 0, 0)))
-    assert rings.signals == (SIGNALS[0], SIGNALS[2])
+    assert list(rings.cut(0, 0)) == [SIGNALS[0], SIGNALS[2]]
     assert len(rings.between(SIGNALS[2], 0, 10**9).t_ns) == len(rings.between(SIGNALS[1], 0, 10**9).t_ns) == 0
     rings.clear()
-    assert not rings.signals
+    assert not rings.cut(0, 0)
+
+
+@pytest.mark.parametrize("as_blocks", [True, False])
+def test_the_last_change_of_a_value_is_known(as_blocks: bool) -> None:
+    rings, layout, gear = SampleRings(), BlockLayout(SIGNALS[2:], (10,)), SIGNALS[2]
+    assert rings.changed_ns(gear) == -1
+    changes, values = [], [3.0, 3.0, 4.0, 4.0, 4.0, 3.0, 3.0]
+    for row, value in enumerate(values):
+        room = layout.room(1)
+        room.filled[0], room.t_ns[0, 0], room.sequence[0, 0], room.value[0, 0] = 1, 10 * row, row, value
+        one = SampleBlock(layout, room)
+        rings.append(one if as_blocks else dict(one))
+        rings.drop_before(10 * row)  # what it is compared with may have been forgotten
+        changes.append(rings.changed_ns(gear))
+    assert changes == [0, 0, 20, 20, 20, 50, 50]
+    rings.clear()
+    assert rings.changed_ns(gear) == -1
+
+
+def test_a_cut_has_what_lies_between_and_is_not_touched_later() -> None:
+    rings, layout = SampleRings(), BlockLayout(SIGNALS, (10, 10, 10))
+    rings.append(block(layout, 0, (20, 20, 0)))
+    cut = rings.cut(50, 151)
+    assert list(cut) == list(SIGNALS[:2])
+    for signal, found in cut.items():
+        wanted = rings.between(signal, 50, 151)
+        assert found.t_ns.tolist() == wanted.t_ns.tolist() == [10 * row for row in range(5, 16)]
+        assert found.value.tolist() == wanted.value.tolist()
+        assert found.sequence.tolist() == wanted.sequence.tolist()
+    for first in range(20, 4 * FIRST_CAPACITY):
+        rings.drop_before(10 * (first - 5))
+        rings.append(block(layout, first, (1, 1, 0)))
+    assert all(found.t_ns.tolist() == [10 * row for row in range(5, 16)] for found in cut.values())
