@@ -105,7 +105,7 @@ class Soaked:
 def soak(folder: Path, channel: str, minutes: float, settle_minutes: float, seed: int) -> Soaked:
     """Run the service on a rough bus; return what became of it."""
     with ExitStack() as stack:
-        arguments = ["run", "-i", "socketcan", "-c", channel, "--json", "--vehicle", "soak"]
+        arguments = ["run", "-v", "-i", "socketcan", "-c", channel, "--json", "--vehicle", "soak"]
         port = free_port()
         arguments += ["--store", str(folder / "car.sqlite"), "--metrics", str(port)]
         if shutil.which("mosquitto", path="/usr/sbin:/usr/bin:/usr/local/sbin"):

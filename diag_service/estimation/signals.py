@@ -124,5 +124,5 @@ def _has_gap(times_s: FloatArray, period_ns: int, duration_s: float) -> bool:
     inside_s = times_s[(times_s >= -2.0 * period_s) & (times_s <= duration_s)]
     if len(inside_s) < 2:
         return True
-    steps_s = np.diff(inside_s, append=max(duration_s, float(inside_s[-1])))
+    steps_s = np.diff(inside_s, prepend=min(0.0, float(inside_s[0])), append=max(duration_s, float(inside_s[-1])))
     return bool(steps_s.max() > MAX_GAP_PERIODS * period_s)

@@ -13,7 +13,17 @@ from diag_service.decoding.mapping import Decoder
 from diag_service.definitions.database import load_database
 from diag_service.definitions.profile import load_profile
 from diag_service.estimation import Belief, Estimator
-from diag_service.records import EndReason, FloatArray, Reason, Series, ShiftEstimate, ShiftEvent, Signal, Status
+from diag_service.records import (
+    BALANCE_SIGNALS,
+    EndReason,
+    FloatArray,
+    Reason,
+    Series,
+    ShiftEstimate,
+    ShiftEvent,
+    Signal,
+    Status,
+)
 from diag_service.shift_finding.shifts import ShiftFinder
 from ecu_emulator.recording import frames_of
 from tests.builders import drive_scenario
@@ -136,6 +146,21 @@ def test_one_missing_frame_is_bridged_two_in_a_row_are_not(missing_frames: int, 
     ((_, estimate),) = followed((replace(event, columns=gap),))
     assert estimate.status is status
     assert estimate.reasons == (() if status is Status.VALID else (Reason.FRAMES_MISSING,))
+
+
+@pytest.mark.parametrize("signal", BALANCE_SIGNALS)
+@pytest.mark.parametrize(
+    ("from_s", "until_s"), [(-0.25, 0.1), (-0.25, 1.0), (-1.0, 0.05), (0.3, 0.5), (1.0, 9.0)], ids=str
+)
+def test_a_signal_that_is_not_there_for_a_while_is_missed_wherever_it_is(
+    signal: Signal, from_s: float, until_s: float
+) -> None:
+    event = shifts()[0]
+    first_ns, last_ns = (event.start_ns + round(at_s * 1e9) for at_s in (from_s, until_s))
+    gap = {**event.columns, signal: without(event.columns[signal], first_ns, last_ns)}
+    ((_, estimate),) = followed((replace(event, columns=gap),))
+    assert estimate.reasons == (Reason.FRAMES_MISSING,)
+    assert estimate.friction is None
 
 
 @pytest.mark.parametrize(("catches_up", "reasons"), [(True, ()), (False, (Reason.FRAMES_MISSING,))])
