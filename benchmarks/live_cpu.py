@@ -34,8 +34,9 @@ from diag_service.definitions.profile import load_profile
 from diag_service.shift_finding.gear_tracking import tracker_for
 from diag_service.shift_finding.shifts import ShiftFinder
 from diag_service.sources.live.pace import Pace
+from diag_service.sources.live.raw_socket import RECEIVE_BUFFER_BYTES, grow_receive_buffer
 from diag_service.sources.live.recvmmsg import SO_TIMESTAMPNS
-from diag_service.sources.live.socketcan import RECEIVE_BUFFER_BYTES, SocketCanSource, grow_receive_buffer
+from diag_service.sources.live.socketcan import SocketCanSource
 from ecu_emulator.recording import Drive
 from ecu_emulator.scenario_file import load_scenario
 

@@ -1,32 +1,34 @@
 """Live frames from SocketCAN: a receive path of our own that neither hangs nor loses frames in silence."""
 
 import asyncio
-import errno
-import os
-import socket
-import struct
 from collections.abc import AsyncIterator, Sequence
 from dataclasses import replace
+from typing import TYPE_CHECKING
 
-from diag_service.errors import SourceError
 from diag_service.frames import FrameBatch, WatchedBits
 from diag_service.sources.live.base import SourceCounts
 from diag_service.sources.live.bus_clock import BusClock
 from diag_service.sources.live.clock_alarm import clock_alarm
 from diag_service.sources.live.frame_queue import FrameQueue
 from diag_service.sources.live.pace import RELAXED_S, URGENT_S, Pace
-from diag_service.sources.live.recvmmsg import SLOTS, SO_TIMESTAMPNS, FrameReceiver
+from diag_service.sources.live.raw_socket import (
+    RECEIVE_BUFFER_BYTES,
+    granted_share,
+    kernel_drops,
+    let_nothing_in,
+    open_socket,
+    reading_failed,
+)
+from diag_service.sources.live.recvmmsg import SLOTS, FrameReceiver
 
-RECEIVE_BUFFER_BYTES = 8 * 1024 * 1024  # about ten thousand frames: some seconds of a full bus
+if TYPE_CHECKING:
+    import socket
+
+    from diag_service.errors import SourceError
+
 CALLS_PER_WAKE_UP = 8  # 4096 frames, then the rest of the service gets its turn
 CROWD = 8 * SLOTS  # frames at one wake-up, twice those of a full bus: the buffer must not fill up
 QUIET_WAKE_UPS = 3  # without a frame; then the socket itself tells when there is one
-ALL_ERROR_CLASSES = 0x1FFF_FFFF
-CAN_RAW_ERR_FILTER = 2
-SO_RCVBUFFORCE = 33
-SO_MEMINFO = 55
-MEMINFO_FORMAT = "9I"
-MEMINFO_DROPS = 8  # index of SK_MEMINFO_DROPS
 
 
 class SocketCanSource:
@@ -124,8 +126,7 @@ class SocketCanSource:
     async def aclose(self) -> None:
         """Let nothing more in, take what the kernel still holds, then stop."""
         if self._socket is not None:
-            self._socket.setsockopt(socket.SOL_CAN_RAW, socket.CAN_RAW_FILTER, b"")
-            self._socket.setsockopt(socket.SOL_CAN_RAW, CAN_RAW_ERR_FILTER, 0)
+            let_nothing_in(self._socket)
         while self._socket is not None:
             self._drain(is_last=True)
 
@@ -234,86 +235,3 @@ class SocketCanSource:
             self._socket = None
         failure, self._failure = self._failure, None  # once raised it refers to this source
         self._queue.close(failure)
-
-
-def open_socket(
-    channel: str, *, fd: bool, receive_buffer_bytes: int, filters: Sequence[tuple[int, int]] = ()
-) -> socket.socket:
-    """Return a raw CAN socket, bound, stamping and non-blocking.
-
-    Raises
-    ------
-    SourceError
-        If this kernel has no CAN, or the interface is not there, not CAN, or down.
-    """
-    try:
-        raw = socket.socket(socket.AF_CAN, socket.SOCK_RAW | socket.SOCK_NONBLOCK, socket.CAN_RAW)
-    except OSError as exc:
-        raise opening_failed(channel, exc) from exc
-    try:
-        raw.setsockopt(socket.SOL_SOCKET, SO_TIMESTAMPNS, 1)
-        raw.setsockopt(socket.SOL_CAN_RAW, CAN_RAW_ERR_FILTER, ALL_ERROR_CLASSES)
-        if filters:
-            packed = b"".join(struct.pack("=II", *one) for one in filters)
-            raw.setsockopt(socket.SOL_CAN_RAW, socket.CAN_RAW_FILTER, packed)
-        if fd:
-            raw.setsockopt(socket.SOL_CAN_RAW, socket.CAN_RAW_FD_FRAMES, 1)
-        grow_receive_buffer(raw, receive_buffer_bytes)
-        raw.bind((channel,))
-        if failure := raw.getsockopt(socket.SOL_SOCKET, socket.SO_ERROR):  # an interface that is down says so here
-            raise OSError(failure, os.strerror(failure))  # noqa: TRY301 - one place translates every failure
-    except OSError as exc:
-        raw.close()
-        raise opening_failed(channel, exc) from exc
-    return raw
-
-
-def grow_receive_buffer(raw: socket.socket, size_bytes: int) -> None:
-    """Set the receive buffer's size, past the system's limit if we may."""
-    try:
-        raw.setsockopt(socket.SOL_SOCKET, SO_RCVBUFFORCE, size_bytes)
-    except PermissionError:
-        raw.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, size_bytes)
-
-
-def granted_share(raw: socket.socket) -> float:
-    """Return how much of the receive buffer that the pace counts on the system has granted."""
-    granted_bytes = raw.getsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF) // 2  # it tells twice what was asked for
-    return min(1.0, granted_bytes / RECEIVE_BUFFER_BYTES)
-
-
-def kernel_drops(raw: socket.socket) -> int:
-    """Return how many frames the kernel could not put into this socket's receive buffer."""
-    memory = raw.getsockopt(socket.SOL_SOCKET, SO_MEMINFO, struct.calcsize(MEMINFO_FORMAT))
-    return int(struct.unpack(MEMINFO_FORMAT, memory)[MEMINFO_DROPS])
-
-
-def opening_failed(channel: str, error: OSError) -> SourceError:
-    """Say why an interface cannot be opened and what to do about it."""
-    match error.errno:
-        case errno.EAFNOSUPPORT | errno.EPROTONOSUPPORT:
-            return SourceError(
-                "this kernel has no CAN sockets (modprobe can-raw), or use another interface: "
-                "-i udp_multicast -c 239.74.163.2"
-            )
-        case errno.ENODEV if not os.path.exists(f"/sys/class/net/{channel}"):  # noqa: PTH110 - a name, not a path
-            return SourceError(
-                f"no CAN interface {channel!r}: create it (ip link add {channel} type vcan; ip link set {channel} up)"
-            )
-        case errno.ENODEV:
-            return SourceError(f"{channel!r} is not a CAN interface: `ip link show type can` and `type vcan` list them")
-        case errno.ENETDOWN:
-            return SourceError(f"CAN interface {channel!r} is down: switch it on (ip link set {channel} up)")
-        case _:
-            return SourceError(f"CAN interface {channel!r} cannot be opened: {error.strerror or error}")
-
-
-def reading_failed(channel: str, error: OSError) -> SourceError:
-    """Say why an interface that was open can no longer be read."""
-    match error.errno:
-        case errno.ENETDOWN:
-            return SourceError(f"CAN interface {channel!r} went down: switch it on (ip link set {channel} up)")
-        case errno.ENODEV:
-            return SourceError(f"CAN interface {channel!r} was removed")
-        case _:
-            return SourceError(f"CAN interface {channel!r} cannot be read: {error.strerror or error}")
