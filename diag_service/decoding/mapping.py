@@ -81,6 +81,7 @@ class Decoder:
             [mapped.message.name for mapped in self._messages], [mapped.period_ns for mapped in self._messages]
         )
         self._small = self._small_batch_decoder()
+        list(rows_by_slot(_NEVER, 0))  # compiled now: the first frames must not wait for the compiler
         self._signal_count = len(self.signals)
         self._invalid: dict[Signal, int] = {}
         self._seen: set[Signal] = set()

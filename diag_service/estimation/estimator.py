@@ -8,12 +8,13 @@ import numpy as np
 from clutch_model.calibration import Calibration
 from diag_service.estimation.balance import Balance
 from diag_service.estimation.belief import Belief, Misfit
+from diag_service.estimation.film_track import compile_film
 from diag_service.estimation.parameters import State, friction_rows
 from diag_service.estimation.plausibility import doubts, zero_has_jumped
 from diag_service.estimation.preparation import measured_drives, on_coming, planned_drives, slip_window, zeroed
 from diag_service.estimation.sampling import NS_TO_S
 from diag_service.estimation.sharp import scale_free
-from diag_service.estimation.signals import ShiftSignals, gather
+from diag_service.estimation.signals import ShiftSignals, compile_signals, gather
 from diag_service.estimation.window import SlipWindow
 from diag_service.records import FloatArray, Reason, ShiftEstimate, ShiftEvent, Signal, Status
 
@@ -30,6 +31,11 @@ class Estimator:
 
     def __init__(self, calibration: Calibration) -> None:
         self._calibration = calibration
+
+    def prepare(self) -> None:
+        """Have everything compiled before the first shift comes: it must not wait for it."""
+        compile_signals()
+        compile_film(self._calibration)
 
     def estimate(self, event: ShiftEvent, belief: Belief) -> tuple[Belief, ShiftEstimate]:
         """Return the running state after a shift, and what the shift alone says about the on-coming clutch.

@@ -23,6 +23,7 @@ from clutch_model.viscosity import viscosity_pa_s
 from diag_service.estimation.sampling import GRID_S
 from diag_service.records import FloatArray
 
+_ANY_K = 350.0
 SUBSTEP_COUNT = 5  # film steps per grid step: 0.2 ms against time constants of 5 ms and more
 
 
@@ -87,6 +88,12 @@ def follow_film(clutch: int, drive: PressureDrive, calibration: Calibration, sto
         viscous_nm,
     )
     return FilmTrack(contact_pa=contact_pa, viscous_nm=viscous_nm, final_clutch_k=final_k)
+
+
+def compile_film(calibration: Calibration) -> None:
+    """Have everything compiled before the first shift comes: it must not wait for it."""
+    still = PressureDrive(piston_pa=np.zeros(2), slip_rad_s=np.zeros(2), oil_k=_ANY_K, clutch_k=_ANY_K)
+    follow_film(1, still, calibration)
 
 
 @kernel

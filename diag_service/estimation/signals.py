@@ -110,6 +110,13 @@ def _expected_pa(event: ShiftEvent | RevEvent, command: Signal, grid_s: FloatArr
     return expected_pa
 
 
+def compile_signals() -> None:
+    """Have everything compiled before the first shift comes: it must not wait for it."""
+    ends, one = np.array([0.0, 1.0]), np.zeros((1, 2))
+    Interpolation.between(ends, ends).to_samples(one)
+    _lag_behind(ends, 1.0, np.empty(2))
+
+
 @kernel
 def _lag_behind(target: FloatArray, share: float, lagging: FloatArray) -> None:
     value = target[0]

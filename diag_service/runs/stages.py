@@ -45,6 +45,8 @@ class Stages:
         self._finder = ShiftFinder(tracker_for(decoder.signals, decoder.gears))
         self.tier = tier_of(decoder.signals, knows_gears=knows_gears(decoder))
         self._estimator = Estimator(calibration)
+        if self.tier is Tier.FRICTION:
+            self._estimator.prepare()
         self._calibration = calibration
         self._basis = TrustBasis(
             mandatory_messages=decoder.mandatory_messages,

@@ -13,7 +13,7 @@ from tests.systemd.manager import INTERFACE, Manager, own_systemd, wait_for
 
 HEALTH = "http://127.0.0.1:9464"
 WATCHDOG_S = 10.0
-HEARD_FRAMES = 100  # fewer than come before the first shift, whose estimate waits for the compiler
+HEARD_FRAMES = 100
 RETURN_S = 100.0  # in User-Mode Linux a service takes long to start
 
 pytestmark = pytest.mark.vcan
