@@ -1,4 +1,4 @@
-"""Starts a systemd for one test and asks it about the shipped unit."""
+"""Starts a systemd and asks it about the shipped unit."""
 
 import subprocess
 import sys
@@ -40,10 +40,6 @@ class Manager:
         """Return a property of the unit."""
         return self.run("systemctl", "show", UNIT, f"--property={name}", "--value").strip()
 
-    def read(self, path: str) -> str:
-        """Return a file that a unit wrote."""
-        return self.run("cat", path)
-
 
 @contextmanager
 def own_systemd(log: Path) -> Iterator[Manager]:
@@ -66,9 +62,10 @@ def own_systemd(log: Path) -> Iterator[Manager]:
 def _once_up(pid: int, log: Path) -> Manager:
     deadline_s = time.monotonic() + UP_LIMIT_S
     while time.monotonic() < deadline_s:
-        inside = [one for one in psutil.Process(pid).children(recursive=True) if one.name() == "systemd"]
-        if inside and (manager := Manager(inside[0])).is_up():
-            return manager
+        for child in psutil.Process(pid).children(recursive=True):
+            with suppress(psutil.NoSuchProcess):
+                if child.name() == "systemd" and (manager := Manager(child)).is_up():
+                    return manager
         time.sleep(0.2)
     raise RuntimeError(f"systemd did not come up: {log.read_text(encoding='utf-8', errors='replace')}")
 

@@ -4,15 +4,21 @@
 # Usage: root.sh SOURCE PYTHON_PREFIX PYTHON PACKAGES INTERFACE; runs itself again inside.
 set -eu
 
-if [ "${INSIDE:-}" != yes ]; then
+case "${STAGE:-}" in
+"")
+    export STAGE=group
+    exec unshare --mount sh "$0" "$@" # the machine's own mounts stay as they are
+    ;;
+group)
     group=/sys/fs/cgroup/systemd-of-tests-$$
     [ -e /sys/fs/cgroup/cgroup.procs ] || mount -t cgroup2 cgroup2 /sys/fs/cgroup
     mkdir "$group"
     trap 'sleep 0.2; find "$group" -depth -type d -exec rmdir {} +' EXIT
-    INSIDE=yes sh -c 'echo $$ >"$0/cgroup.procs"; exec "$@"' "$group" \
+    STAGE=inside sh -c 'echo $$ >"$0/cgroup.procs"; exec "$@"' "$group" \
         unshare --mount --pid --cgroup --net --fork --kill-child --mount-proc sh "$0" "$@"
     exit
-fi
+    ;;
+esac
 
 umount /sys/fs/cgroup
 mount -t cgroup2 cgroup2 /sys/fs/cgroup # its own group is the root of what it sees
