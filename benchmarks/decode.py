@@ -27,9 +27,9 @@ from diag_service.decoding.mapping import Decoder
 from diag_service.definitions.database import load_database
 from diag_service.definitions.profile import load_profile
 from diag_service.estimation import Belief
+from diag_service.events import ShiftEvent
 from diag_service.frames import FrameBatch
 from diag_service.judgement.condition import ConditionMemory
-from diag_service.records import ShiftEvent
 from diag_service.runs.stages import Diagnosis, Stages
 from diag_service.shift_finding.shifts import ShiftFinder
 from diag_service.sources import read_log

@@ -21,13 +21,14 @@ import numpy as np
 from benchmarks.accuracy import to_batch
 from clutch_model.calibration import nominal_calibration
 from dbc.contract import DBC_PATH
+from diag_service.columns import BALANCE_SIGNALS
 from diag_service.decoding.mapping import Decoder
 from diag_service.definitions.database import load_database
 from diag_service.definitions.profile import load_profile
 from diag_service.estimation import Belief
+from diag_service.events import ShiftEvent
 from diag_service.frames import FrameBatch
 from diag_service.judgement.condition import ConditionMemory
-from diag_service.records import BALANCE_SIGNALS, ShiftEvent
 from diag_service.runs.stages import Stages
 from ecu_emulator.recording import frames_of
 from ecu_emulator.scenario_file import load_scenario

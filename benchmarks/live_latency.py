@@ -27,10 +27,11 @@ from diag_service.decoding.mapping import Decoder
 from diag_service.definitions.database import load_database
 from diag_service.definitions.profile import load_profile
 from diag_service.estimation import Belief
+from diag_service.events import ShiftEvent
 from diag_service.frames import FrameBatch
 from diag_service.judgement.condition import ConditionMemory
 from diag_service.publishers import MemoryReporter
-from diag_service.records import Int64Array, ShiftEvent, ShiftResult
+from diag_service.records import ShiftResult
 from diag_service.runs.live import run_live
 from diag_service.runs.session import Session, versions_for
 from diag_service.runs.stages import Stages
@@ -57,7 +58,7 @@ def full_bus(duration_s: float) -> FrameBatch:
     own = next(Drive(replace(load_scenario("noise_only"), cycles=cycles)).stretches(duration_s)).frames
     t_ns = np.rint(own.t_s * 1e6).astype(np.int64) * 1_000
     count = round(duration_s * FULL_HZ) - len(t_ns)
-    times: Int64Array = np.concatenate((t_ns, np.linspace(0, t_ns[-1], count).astype(np.int64) // 1_000 * 1_000))
+    times = np.concatenate((t_ns, np.linspace(0, t_ns[-1], count).astype(np.int64) // 1_000 * 1_000))
     order = np.argsort(times, kind="stable")
     return FrameBatch(
         t_ns=times[order],

@@ -30,6 +30,7 @@ from benchmarks.drawn_vehicle import CYCLES, Vehicle, draw
 from benchmarks.study import over_drives, root_mean_square
 from clutch_model.calibration import Calibration, nominal_calibration
 from dbc.contract import DBC_PATH
+from diag_service.columns import FloatArray
 from diag_service.decoding.mapping import Decoder
 from diag_service.definitions.database import load_database
 from diag_service.definitions.profile import load_profile
@@ -37,8 +38,8 @@ from diag_service.estimation import Belief
 from diag_service.estimation.parameters import FRICTION_COUNT
 from diag_service.estimation.self_calibration import SelfCalibration, self_calibrate
 from diag_service.estimation.sharp import scale_free
+from diag_service.events import RevEvent, ShiftEvent
 from diag_service.judgement.condition import ConditionMemory
-from diag_service.records import FloatArray, RevEvent, ShiftEvent
 from diag_service.runs.stages import Stages
 from diag_service.shift_finding.revs import RevFinder
 from diag_service.shift_finding.shifts import ShiftFinder

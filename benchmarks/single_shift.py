@@ -25,8 +25,9 @@ from diag_service.decoding.mapping import Decoder
 from diag_service.definitions.database import load_database
 from diag_service.definitions.profile import load_profile
 from diag_service.estimation import Belief
+from diag_service.events import ShiftEvent
 from diag_service.judgement.condition import ConditionMemory
-from diag_service.records import FrictionEstimate, Reason, ShiftEstimate, ShiftEvent, Status
+from diag_service.records import FrictionEstimate, Reason, ShiftEstimate, Status
 from diag_service.runs.stages import Stages
 from ecu_emulator.faults import SensorFault, SensorFaultKind
 from ecu_emulator.recording import frames_of

@@ -7,7 +7,7 @@ from demo.errors import DemoError
 from diag_service.decoding.mapping import Decoder
 from diag_service.definitions.database import load_database
 from diag_service.definitions.profile import load_profile
-from diag_service.records import ShiftEvent
+from diag_service.events import ShiftEvent
 from diag_service.shift_finding.shifts import ShiftFinder
 from diag_service.sources import read_log
 

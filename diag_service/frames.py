@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from diag_service.records import Int64Array, UInt8Array, UInt32Array
+from diag_service.columns import Int64Array, UInt8Array, UInt32Array
 
 EXTENDED_FLAG = 0x8000_0000  # bit 31 of ``can_id``: 29-bit identifier
 REMOTE_FLAG = 0x4000_0000

@@ -4,11 +4,12 @@ from dataclasses import dataclass
 
 from cantools.database.can import Database
 
+from diag_service.columns import Signal
 from diag_service.decoding.mapped_messages import fitting
 from diag_service.definitions.profile import Profile, load_shipped, shipped_profiles
 from diag_service.definitions.tiers import missing_for_next, tier_of
 from diag_service.errors import ConfigError
-from diag_service.records import Signal, Tier
+from diag_service.records import Tier
 
 MAX_COMPLAINTS = 3  # of a profile that does not fit: enough to see how far off it is
 

@@ -5,7 +5,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from diag_service.records import FloatArray, Int64Array, Series, Signal
+from diag_service.columns import FloatArray, Int64Array, Series, Signal
 
 
 class Samples(NamedTuple):

@@ -5,8 +5,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from diag_service.columns import FloatArray, Int64Array
 from diag_service.frames import ERROR_FLAG, EXTENDED_FLAG, FD_FLAG, REMOTE_FLAG, FrameBatch
-from diag_service.records import FloatArray, Int64Array
 
 NS_PER_S = 1_000_000_000
 STEPS_PER_OCTAVE = 8

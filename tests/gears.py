@@ -4,7 +4,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from diag_service.records import ColumnBatch, Series, Signal
+from diag_service.columns import ColumnBatch, Series, Signal
 
 STEP_NS = 10_000_000
 

@@ -8,12 +8,12 @@ import numpy as np
 from cantools.database.can import Database, Message
 
 from dbc.contract import DBC_PATH
+from diag_service.columns import FloatArray, Int64Array, Series, Signal
 from diag_service.decoding.mapped_messages import MessageColumns, fitting
 from diag_service.decoding.mapping import Decoder
 from diag_service.decoding.source_tables import signal_name
 from diag_service.definitions.database import load_database
 from diag_service.definitions.profile import Profile, SignalSource, load_profile
-from diag_service.records import FloatArray, Int64Array, Series, Signal
 from diag_service.shift_finding.shift_bounds import held_values
 from diag_service.sources import read_log
 

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from diag_service.records import ColumnBatch, FloatArray, Series, Signal
+from diag_service.columns import ColumnBatch, FloatArray, Series, Signal
 
 STEP_NS = 10_000_000
 OPEN_PA = (0.0, 0.0)

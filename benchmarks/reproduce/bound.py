@@ -28,8 +28,8 @@ from clutch_model.film import (
 )
 from clutch_model.friction import FrictionLaw, contact_torque_nm, friction_law, stribeck_weight
 from clutch_model.viscosity import viscosity_pa_s
+from diag_service.columns import FloatArray
 from diag_service.estimation.paper import central_difference
-from diag_service.records import FloatArray
 from ecu_emulator.plant import Col
 
 BoolArray = npt.NDArray[np.bool_]

@@ -8,8 +8,8 @@ import numpy.typing as npt
 
 from clutch_model.calibration import Calibration, nominal_calibration
 from clutch_model.film import film_law
+from diag_service.columns import FloatArray
 from diag_service.estimation.paper import FilmTable, PaperSignals, static_table, trajectory_table
-from diag_service.records import FloatArray
 from ecu_emulator.plant import Col, DriveSettings, Powertrain, nominal_parameters
 from ecu_emulator.tcu_data import INERTIA, PREFILL, TORQUE
 

@@ -21,8 +21,8 @@ from benchmarks.reproduce.drives import (
     rms,
 )
 from benchmarks.reproduce.study import CALIBRATION, CLUTCHES, DRIVELINE, PARAMETERS, Key, true_value
+from diag_service.columns import FloatArray
 from diag_service.estimation.full import FullSignals, estimate_drive, nominal_vehicle
-from diag_service.records import FloatArray
 from ecu_emulator.plant import Col
 
 PROCESS_COUNT = min(2, os.cpu_count() or 1)

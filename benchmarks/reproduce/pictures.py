@@ -15,9 +15,9 @@ from benchmarks.reproduce.study import CALIBRATION, CLUTCHES, Setup, analysed, f
 from clutch_model.friction import friction_law, kinetic_friction
 from clutch_model.units import bar_from_pa, rpm_from_rad_s
 from demo.picture import CLUTCH_COLOUR, INK, MUTED, STYLE
+from diag_service.columns import FloatArray
 from diag_service.estimation.paper import Analysis, PaperSignals, SteadyKalman, central_difference
 from diag_service.estimation.paper.fit import coulomb_gate, static_gate
-from diag_service.records import FloatArray
 from ecu_emulator.plant import Col
 from ecu_emulator.tcu_data import HOLD, TORQUE
 

@@ -14,6 +14,7 @@ from benchmarks.reproduce.drives import (
     rms,
 )
 from clutch_model.calibration import nominal_calibration
+from diag_service.columns import FloatArray
 from diag_service.estimation.paper import (
     Analysis,
     Differentiators,
@@ -30,7 +31,6 @@ from diag_service.estimation.paper import (
 )
 from diag_service.estimation.paper.fit import NOISELESS_GATES, NOISY_GATES
 from diag_service.estimation.paper.method import NOISELESS
-from diag_service.records import FloatArray
 
 CLUTCHES = (1, 2)
 PARAMETERS = ("mu_c", "mu_s")

@@ -10,13 +10,13 @@ from typing import Any
 import numpy as np
 
 from dbc.contract import DBC_PATH
+from diag_service.columns import FloatArray, Int64Array
 from diag_service.decoding.codec import Codec, MessageValues
 from diag_service.definitions.database import load_database
 from diag_service.errors import ConfigError, StoreError
 from diag_service.frames import FrameBatch
 from diag_service.notices import NOTICE
 from diag_service.parquet_file import NAME_TYPE, TIME_TYPE, ParquetTable, load_pyarrow
-from diag_service.records import FloatArray, Int64Array
 from diag_service.sources import read_log
 from diag_service.stopping import Trigger
 

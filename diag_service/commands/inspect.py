@@ -11,12 +11,12 @@ from cantools.database.can import Message
 from rich.console import Console
 
 from dbc.contract import DBC_PATH, message_contract
+from diag_service.columns import Int64Array
 from diag_service.definitions.addressing import NOBODY, address_book, find_slot, message_address
 from diag_service.definitions.database import load_database
 from diag_service.errors import ConfigError
 from diag_service.frames import ERROR_FLAG, EXTENDED_FLAG, REMOTE_FLAG
 from diag_service.protection.protection_check import FrameReason, LinkMonitor
-from diag_service.records import Int64Array
 from diag_service.results import JsonObject, dump, utc_from_bus_ns
 from diag_service.sources import LogReader, read_log
 from diag_service.stopping import Trigger

@@ -9,12 +9,12 @@ import numpy as np
 from cantools.database.can import Message
 
 from dbc.contract import DBC_PATH
+from diag_service.columns import Int64Array
 from diag_service.decoding.codec import Codec
 from diag_service.decoding.decode import Decoded
 from diag_service.definitions.database import load_database
 from diag_service.definitions.proposal import SignalStatistics, candidates, profile_text
 from diag_service.definitions.tiers import PURPOSE, missing_for_next, tier_of
-from diag_service.records import Int64Array
 from diag_service.sources import read_log
 from diag_service.stopping import Trigger
 from diag_service.traffic import NS_PER_S

@@ -13,9 +13,9 @@ import numpy.typing as npt
 from cantools.database.can import Message
 from cantools.database.can.signal import Signal
 
+from diag_service.columns import Int64Array, UInt8Array
 from diag_service.errors import ConfigError
 from diag_service.frames import FD_PAYLOAD_BYTES
-from diag_service.records import Int64Array, UInt8Array
 
 UInt64Array = npt.NDArray[np.uint64]
 

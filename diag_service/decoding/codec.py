@@ -8,6 +8,7 @@ import numpy as np
 from cantools.database.can import Message
 
 from clutch_model.jit import array_kernel
+from diag_service.columns import Int64Array, UInt8Array, UInt32Array
 from diag_service.decoding.decode import Decoded, SignalTable, compile_signal, payload_words
 from diag_service.decoding.signal_block import SignalBlock
 from diag_service.definitions.addressing import (
@@ -20,7 +21,6 @@ from diag_service.definitions.addressing import (
 )
 from diag_service.errors import ConfigError
 from diag_service.frames import ERROR_FLAG, FD_PAYLOAD_BYTES, REMOTE_FLAG, FrameBatch
-from diag_service.records import Int64Array, UInt8Array, UInt32Array
 
 _NO_DATA_FRAME = REMOTE_FLAG | ERROR_FLAG
 

@@ -12,9 +12,9 @@ import numpy.typing as npt
 from cantools.database.can import Message
 from cantools.database.can.signal import Signal
 
+from diag_service.columns import FloatArray, Int64Array, UInt8Array
 from diag_service.decoding.bit_fields import BitField, PayloadWords, UInt64Array, place_signal
 from diag_service.errors import ConfigError
-from diag_service.records import FloatArray, Int64Array, UInt8Array
 
 __all__ = [
     "NOT_AVAILABLE",

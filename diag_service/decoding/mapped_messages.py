@@ -7,11 +7,11 @@ import numpy as np
 from cantools.database.can import Database, Message
 from cantools.database.can.signal import Signal as DatabaseSignal
 
+from diag_service.columns import Signal
 from diag_service.decoding.source_tables import SourceTable, compile_source, find_message, signal_name
 from diag_service.definitions.addressing import Address, message_address
 from diag_service.definitions.profile import Conversion, Profile, SignalSource, to_si
 from diag_service.errors import ConfigError
-from diag_service.records import Signal
 
 NS_PER_MS: Final = 1_000_000
 

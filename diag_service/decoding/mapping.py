@@ -9,6 +9,7 @@ from typing import Final
 import numpy as np
 from cantools.database.can import Database
 
+from diag_service.columns import ColumnBatch, Columns, E2eState, GearRatios, Int64Array, Series, Signal
 from diag_service.decoding.decode import PayloadWords, payload_words
 from diag_service.decoding.mapped_messages import SignalColumn, map_signals
 from diag_service.decoding.small_batches import SMALL_FRAMES, SmallBatchDecoder, SmallColumn, is_able, is_seamless
@@ -19,7 +20,6 @@ from diag_service.frames import MAX_GAP_NS, FrameBatch, WatchedBits
 from diag_service.protection.e2e_state import E2eStates
 from diag_service.protection.error_frames import BusError, tells
 from diag_service.protection.protection_check import FrameReason, FrameVerdicts, LinkMonitor
-from diag_service.records import ColumnBatch, Columns, E2eState, GearRatios, Int64Array, Series, Signal
 
 NS_PER_S: Final = 1_000_000_000
 _NEVER: Final = np.empty(0, np.int64)

@@ -7,9 +7,9 @@ from typing import Final
 import numpy as np
 
 from clutch_model.jit import array_kernel
+from diag_service.columns import FloatArray, Int64Array
 from diag_service.decoding.bit_fields import WORD_BITS, PayloadWords, UInt64Array
 from diag_service.decoding.decode import BoolArray, Decoded, IntegerCode, Selector, SignalTable
-from diag_service.records import FloatArray, Int64Array
 
 NO_MASK: Final = np.ones((0, 0), np.bool_)
 

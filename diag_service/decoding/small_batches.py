@@ -11,6 +11,7 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from clutch_model.jit import array_kernel
+from diag_service.columns import FloatArray, Int64Array, Signal, UInt8Array, UInt32Array
 from diag_service.decoding.bit_fields import WORD_BITS, WORD_BYTES
 from diag_service.decoding.decode import IntegerCode
 from diag_service.decoding.source_tables import SourceTable
@@ -18,7 +19,6 @@ from diag_service.definitions.profile import Conversion
 from diag_service.frames import ERROR_FLAG, MAX_GAP_NS, FrameBatch, empty_batch
 from diag_service.protection.frame_judge import FrameReason
 from diag_service.protection.protection_check import FrameVerdicts
-from diag_service.records import FloatArray, Int64Array, Signal, UInt8Array, UInt32Array
 from diag_service.sample_block import BlockLayout, SampleBlock, Samples
 
 SMALL_FRAMES: Final = 4096  # beyond it array operations are the faster way

@@ -6,11 +6,11 @@ from dataclasses import dataclass
 import numpy as np
 from cantools.database.can import Message
 
+from diag_service.columns import FloatArray
 from diag_service.decoding.decode import BoolArray, Decoded, PayloadWords, SignalTable, compile_signal
 from diag_service.definitions.addressing import parameter_group
 from diag_service.definitions.profile import SignalSource
 from diag_service.errors import ConfigError
-from diag_service.records import FloatArray
 
 
 @dataclass(frozen=True, slots=True)

@@ -13,9 +13,9 @@ import numpy as np
 from cantools.database.can import Message
 
 from clutch_model.jit import array_kernel, inlined_kernel
+from diag_service.columns import Int64Array
 from diag_service.errors import ConfigError
 from diag_service.frames import EXTENDED_FLAG, REMOTE_FLAG
-from diag_service.records import Int64Array
 
 J1939: Final = "j1939"
 PDU2_FORMATS: Final = 240

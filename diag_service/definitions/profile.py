@@ -10,8 +10,8 @@ from types import MappingProxyType
 from typing import Final
 
 from clutch_model.units import k_from_degc, m_s_from_km_h, pa_from_bar, rad_s_from_rpm
+from diag_service.columns import FloatArray, GearRatios, Signal
 from diag_service.errors import ConfigError
-from diag_service.records import FloatArray, GearRatios, Signal
 
 MAX_NUMBER: Final = 0xFF  # of a channel or a J1939 source address
 PROTOCOLS: Final = {"can": False, "j1939": True}

@@ -7,9 +7,9 @@ from typing import Final
 
 import numpy as np
 
+from diag_service.columns import Signal
 from diag_service.definitions.profile import SignalSource, to_si
 from diag_service.errors import ConfigError
-from diag_service.records import Signal
 
 MIN_SCORE: Final = 3.0
 _NEVER: Final = re.compile(

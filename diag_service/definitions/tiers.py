@@ -7,7 +7,8 @@ from collections.abc import Iterable, Iterator
 from collections.abc import Set as AbstractSet
 from typing import Final
 
-from diag_service.records import BALANCE_SIGNALS, Signal, Tier
+from diag_service.columns import BALANCE_SIGNALS, Signal
+from diag_service.records import Tier
 
 Alternative = frozenset[Signal]
 Requirement = tuple[Alternative, ...]  # one of these sets

@@ -19,6 +19,7 @@ import numpy as np
 
 from clutch_model.calibration import Calibration, ClutchCalibration, FrictionCurve, InputSide
 from clutch_model.knowledge import SensorBias
+from diag_service.columns import FloatArray
 from diag_service.estimation.belief import Measurement
 from diag_service.estimation.film_track import FilmTrack, PressureDrive, follow_film
 from diag_service.estimation.nudges import AREA, COMMON, OFFSET, Nudge
@@ -27,7 +28,6 @@ from diag_service.estimation.sampling import GRID_S
 from diag_service.estimation.signals import ShiftSignals
 from diag_service.estimation.weights import SLIP_DEGREE, Weights, sines, smoothed
 from diag_service.estimation.window import SlipWindow
-from diag_service.records import FloatArray
 
 MAX_MOMENT_COUNT = 24  # beyond it the quadrature, not the noise, limits
 SAMPLES_PER_MOMENT = 2

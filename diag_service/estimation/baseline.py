@@ -5,8 +5,8 @@ from typing import Any, Self
 
 import numpy as np
 
+from diag_service.columns import FloatArray
 from diag_service.estimation.parameters import STATE_COUNT, Considered
-from diag_service.records import FloatArray
 
 BASELINE_SHIFT_COUNT = 15  # of the clutch: three times the shifts that settle a verdict
 _ARRAYS = {

@@ -13,6 +13,7 @@ from typing import Any, Self
 import numpy as np
 
 from clutch_model.calibration import Calibration
+from diag_service.columns import FloatArray
 from diag_service.estimation.baseline import BASELINE_SHIFT_COUNT, Baseline
 from diag_service.estimation.parameters import (
     STATE_COUNT,
@@ -22,7 +23,7 @@ from diag_service.estimation.parameters import (
     prior_covariance,
     prior_mean,
 )
-from diag_service.records import FloatArray, FrictionEstimate
+from diag_service.records import FrictionEstimate
 
 FRICTION_DRIFT_STD = 2e-5  # per shift: 0.15 in the life of a fluid is 1e-6, so this forgets over thousands of shifts
 OFFSET_DRIFT_NM = 0.005  # per shift: warm-up of the torque model

@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 
 from clutch_model.calibration import Calibration
+from diag_service.columns import FloatArray, Signal
 from diag_service.estimation.balance import Balance
 from diag_service.estimation.belief import Belief, Misfit
 from diag_service.estimation.film_track import compile_film
@@ -16,7 +17,8 @@ from diag_service.estimation.sampling import NS_TO_S
 from diag_service.estimation.sharp import scale_free
 from diag_service.estimation.signals import ShiftSignals, compile_signals, gather
 from diag_service.estimation.window import SlipWindow
-from diag_service.records import FloatArray, Reason, ShiftEstimate, ShiftEvent, Signal, Status
+from diag_service.events import ShiftEvent
+from diag_service.records import Reason, ShiftEstimate, Status
 
 ALGORITHM_VERSION = "torque-impulse-3"
 PASS_COUNT = 3  # each takes away what planned and measured pressures differ by, a few percent

@@ -5,9 +5,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from clutch_model.calibration import Calibration
+from diag_service.columns import FloatArray
 from diag_service.estimation.film_track import PressureDrive
 from diag_service.estimation.parameters import Considered
-from diag_service.records import FloatArray
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

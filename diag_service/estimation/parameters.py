@@ -7,7 +7,7 @@ import numpy as np
 
 from clutch_model.calibration import Calibration, ClutchCalibration
 from clutch_model.errors import CalibrationError
-from diag_service.records import FloatArray
+from diag_service.columns import FloatArray
 
 FRICTION_PRIOR_STD = 0.05  # a third of any lining's friction: weak against a single shift
 

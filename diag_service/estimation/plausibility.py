@@ -9,12 +9,14 @@ import math
 
 import numpy as np
 
+from diag_service.columns import BALANCE_SIGNALS, FloatArray, Series, Signal
 from diag_service.estimation.belief import Belief
 from diag_service.estimation.parameters import State
 from diag_service.estimation.sampling import GRID_S, NS_TO_S
 from diag_service.estimation.signals import ShiftSignals
 from diag_service.estimation.window import SlipWindow
-from diag_service.records import BALANCE_SIGNALS, FloatArray, Reason, Series, ShiftEvent, Signal
+from diag_service.events import ShiftEvent
+from diag_service.records import Reason
 
 SPEED_LIMIT_RAD_S = 2.0  # between shafts that turn together; torsion of flywheel and shafts reaches 0.8
 PRESSURE_LIMIT_PA = 0.20e5  # between a loaded clutch's pressure and its command, over `PRESSURE_MEAN_S`

@@ -13,7 +13,7 @@ from diag_service.estimation.sampling import NS_TO_S
 from diag_service.estimation.signals import ShiftSignals
 from diag_service.estimation.weights import SLIP_DEGREE, smoothed
 from diag_service.estimation.window import SlipWindow, find_window
-from diag_service.records import ShiftEvent
+from diag_service.events import ShiftEvent
 
 EMPTY_PA = 0.30e5  # an idle clutch reads less than this: it is empty, and the reading is the sensor's zero
 EMPTY_S = 0.1

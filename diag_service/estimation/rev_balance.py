@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from clutch_model.calibration import Calibration
+from diag_service.columns import BoolArray, FloatArray
 from diag_service.estimation.balance import motoring_corrected_nm
 from diag_service.estimation.belief import Measurement
 from diag_service.estimation.film_track import PressureDrive, follow_film
@@ -16,7 +17,6 @@ from diag_service.estimation.parameters import Considered, State
 from diag_service.estimation.signals import ShiftSignals
 from diag_service.estimation.weights import Weights, sines
 from diag_service.estimation.window import SlipWindow
-from diag_service.records import BoolArray, FloatArray
 
 MOMENT_COUNT = 24  # the torque of a rev has steps; more moments see little but their interpolation
 

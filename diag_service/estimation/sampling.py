@@ -6,7 +6,7 @@ from typing import Self
 import numpy as np
 
 from clutch_model.jit import kernel
-from diag_service.records import FloatArray, Int64Array, Series
+from diag_service.columns import FloatArray, Int64Array, Series
 
 NS_TO_S = 1e-9
 GRID_S = 1e-3  # ten points per CAN sample: quadrature error far below sensor noise

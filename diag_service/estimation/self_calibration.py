@@ -13,6 +13,7 @@ import numpy as np
 from clutch_model.calibration import Calibration
 from clutch_model.errors import CalibrationError
 from clutch_model.knowledge import JointUncertainty
+from diag_service.columns import FloatArray
 from diag_service.estimation.balance import Balance
 from diag_service.estimation.belief import Belief, Measurement
 from diag_service.estimation.parameters import (
@@ -30,7 +31,8 @@ from diag_service.estimation.preparation import measured_drives, on_coming, plan
 from diag_service.estimation.rev_balance import rev_measurement
 from diag_service.estimation.signals import gather
 from diag_service.estimation.window import SlipWindow
-from diag_service.records import FloatArray, Reason, RevEvent, ShiftEvent
+from diag_service.events import RevEvent, ShiftEvent
+from diag_service.records import Reason
 
 LEAST_SHIFTS_PER_CLUTCH = 4  # fewer do not tell touch point and friction apart
 MAX_EVENT_COUNT = 200  # bounds time and memory; three times what the latencies need

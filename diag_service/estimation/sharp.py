@@ -7,10 +7,10 @@ the gain is gone, and in one clutch the area too.
 
 import numpy as np
 
+from diag_service.columns import FloatArray
 from diag_service.comparison import ClutchRatio, FrictionTrend, ScaleFreeFriction
 from diag_service.estimation.belief import Belief
 from diag_service.estimation.parameters import FRICTION_COUNT, Considered, friction_rows
-from diag_service.records import FloatArray
 
 PISTON_AREAS = (Considered.PISTON_AREA1, Considered.PISTON_AREA2)
 

@@ -7,6 +7,7 @@ import numpy as np
 
 from clutch_model.calibration import Calibration
 from clutch_model.jit import kernel
+from diag_service.columns import BALANCE_SIGNALS, FloatArray, Signal
 from diag_service.estimation.sampling import (
     GRID_S,
     NS_TO_S,
@@ -14,7 +15,8 @@ from diag_service.estimation.sampling import (
     sample_times_s,
     segment_centres_s,
 )
-from diag_service.records import BALANCE_SIGNALS, EndReason, FloatArray, Reason, RevEvent, ShiftEvent, Signal
+from diag_service.events import EndReason, RevEvent, ShiftEvent
+from diag_service.records import Reason
 
 MAX_GAP_PERIODS = 2.5  # one missing frame is bridged by interpolation, two are not
 NOMINAL_PERIOD_S = 0.01  # of signals whose message states no cycle time

@@ -5,9 +5,9 @@ from functools import lru_cache
 
 import numpy as np
 
+from diag_service.columns import FloatArray
 from diag_service.estimation.sampling import GRID_S
 from diag_service.estimation.window import SlipWindow
-from diag_service.records import FloatArray
 
 SLIP_DEGREE = 5  # a shift controller's slip profile: smooth start, smooth end
 

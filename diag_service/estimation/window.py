@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from diag_service.records import FloatArray
+from diag_service.columns import FloatArray
 
 LOADED_PA = 0.25e5  # on-coming clutch: above its touch point by this much
 RELEASED_PA = 0.10e5  # off-going clutch: not above its touch point by more than this, twice the sensor noise

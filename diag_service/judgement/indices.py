@@ -10,7 +10,9 @@ import numpy as np
 import numpy.typing as npt
 
 from clutch_model.calibration import Calibration
-from diag_service.records import EndReason, FloatArray, Series, ShiftEvent, ShiftIndices, Signal
+from diag_service.columns import FloatArray, Series, Signal
+from diag_service.events import EndReason, ShiftEvent
+from diag_service.records import ShiftIndices
 
 GRID_S = 0.005
 NS_PER_S = 1e9

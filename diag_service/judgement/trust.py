@@ -12,18 +12,9 @@ from typing import Final
 
 import numpy as np
 
-from diag_service.records import (
-    BALANCE_SIGNALS,
-    Columns,
-    E2eState,
-    FloatArray,
-    Reason,
-    Series,
-    ShiftEvent,
-    Signal,
-    Trust,
-    TrustPart,
-)
+from diag_service.columns import BALANCE_SIGNALS, Columns, E2eState, FloatArray, Series, Signal
+from diag_service.events import ShiftEvent
+from diag_service.records import Reason, Trust, TrustPart
 
 MIN_TRUST: Final = 0.5
 LOSS_AT_ZERO: Final = 0.08  # share of frames lost: half of it rejects the shift

@@ -20,7 +20,7 @@ import numpy as np
 
 from clutch_model.jit import array_kernel
 from dbc.protection import COUNTER_PERIOD
-from diag_service.records import Int64Array
+from diag_service.columns import Int64Array
 
 MAX_DELTA_COUNTER: Final = 3  # permitted jump between frames one cycle apart: two frames may be lost in silence
 MAX_FRAMES_LOST_BY_RESTART: Final = 1

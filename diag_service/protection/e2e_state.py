@@ -16,9 +16,9 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from clutch_model.jit import kernel
+from diag_service.columns import E2eChange, E2eState, Int64Array, UInt8Array
 from diag_service.protection.own_cycle import SLOWER_RATIO, SLOWEST
 from diag_service.protection.protection_check import FrameReason, FrameVerdicts
-from diag_service.records import E2eChange, E2eState, Int64Array, UInt8Array
 
 WINDOW: Final = 10  # checks
 MIN_OK: Final = 7  # of a full window: three lost frames are tolerated

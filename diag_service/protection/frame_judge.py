@@ -5,10 +5,10 @@ from typing import Final, NamedTuple
 
 from clutch_model.jit import array_kernel
 from dbc.protection import COUNTER_BYTE, COUNTER_MASK, CRC_BYTE, CRC_TABLES
+from diag_service.columns import Int64Array, UInt8Array, UInt32Array
 from diag_service.definitions.addressing import ANY, NOBODY, AddressBook, find_slot
 from diag_service.frames import ERROR_FLAG, PAYLOAD_BYTES, REMOTE_FLAG
 from diag_service.protection.alive_counter import IN_SEQUENCE, REPEATED, LinkState, judge, note_unusable
-from diag_service.records import Int64Array, UInt8Array, UInt32Array
 
 ORIGINS: Final = 256  # channels, and J1939 source addresses
 

@@ -9,7 +9,7 @@ from typing import Final
 
 import numpy as np
 
-from diag_service.records import FloatArray, Series
+from diag_service.columns import FloatArray, Series
 
 SLOWEST: Final = 5  # cycles of the database: what comes less often is not believed to be meant so
 SLOWER_RATIO: Final = 1.25  # below it the database is believed: jitter is no other cycle

@@ -14,6 +14,7 @@ from cantools.database.can import Message
 
 from dbc.contract import message_contract
 from dbc.protection import data_id_remainder
+from diag_service.columns import Int64Array, UInt8Array
 from diag_service.definitions.addressing import NOBODY, Address, address_book, message_address
 from diag_service.errors import ConfigError
 from diag_service.frames import FD_PAYLOAD_BYTES, PAYLOAD_BYTES, FrameBatch, empty_batch
@@ -28,7 +29,6 @@ from diag_service.protection.frame_judge import (
     VerdictColumns,
     judge_frames,
 )
-from diag_service.records import Int64Array, UInt8Array
 
 __all__ = ["MAX_FRAMES_LOST_BY_RESTART", "FrameReason", "FrameVerdicts", "LinkMonitor"]
 

@@ -18,7 +18,8 @@ from diag_service.decoding.mapping import Decoder
 from diag_service.errors import ConfigError, SourceError
 from diag_service.estimation.parameters import NUISANCE_NAMES, STATE_COUNT, Considered, State, prior_covariance
 from diag_service.estimation.self_calibration import SelfCalibration, self_calibrate
-from diag_service.records import FrictionEstimate, RevEvent, ShiftEvent
+from diag_service.events import RevEvent, ShiftEvent
+from diag_service.records import FrictionEstimate
 from diag_service.results import JsonObject
 from diag_service.runs.recorded import OpenLog, warn_of_damage
 from diag_service.shift_finding.revs import RevFinder

@@ -5,9 +5,9 @@ import logging
 from collections.abc import Callable, Sequence
 
 from diag_service.errors import SourceError, StoreError
+from diag_service.events import ShiftEvent
 from diag_service.notices import NOTICE
 from diag_service.publishers import Outbox
-from diag_service.records import ShiftEvent
 from diag_service.runs.session import Session
 from diag_service.runs.snapshot import frame_counts
 from diag_service.sources import LinkBreak, LiveSource, Pace

@@ -15,10 +15,10 @@ from prometheus_client import CollectorRegistry, make_wsgi_app
 from prometheus_client.core import CounterMetricFamily, GaugeMetricFamily, Metric
 from prometheus_client.registry import Collector
 
+from diag_service.columns import E2eState
 from diag_service.config import ListenAddress
 from diag_service.errors import ConfigError
 from diag_service.progress import Stage
-from diag_service.records import E2eState
 from diag_service.runs.snapshot import Board, Snapshot
 from diag_service.sources import BusState
 

@@ -7,8 +7,9 @@ from rich.live import Live
 from rich.table import Table
 from rich.text import Text
 
+from diag_service.columns import E2eState
 from diag_service.publishers.console import shift_head, shift_line
-from diag_service.records import E2eState, ShiftResult
+from diag_service.records import ShiftResult
 from diag_service.runs.snapshot import MessageStatus, Snapshot
 from diag_service.sources import BusState
 from diag_service.summary import Summary, frames_line, shifts_line

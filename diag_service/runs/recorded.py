@@ -10,9 +10,9 @@ from itertools import chain
 from pathlib import Path
 
 from diag_service.errors import ConfigError, SourceError
+from diag_service.events import ShiftEvent
 from diag_service.frames import FrameBatch
 from diag_service.publishers import Outbox
-from diag_service.records import ShiftEvent
 from diag_service.runs.session import Session
 from diag_service.runs.stages import Stages
 from diag_service.sources import LogReader, merged_by_time, read_log

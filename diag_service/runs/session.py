@@ -8,11 +8,12 @@ from contextlib import suppress
 from clutch_model.calibration import Calibration
 from diag_service.errors import StoreFullError
 from diag_service.estimation import ALGORITHM_VERSION, Belief
+from diag_service.events import ShiftEvent
 from diag_service.judgement.condition import ConditionMemory
 from diag_service.notices import NOTICE
 from diag_service.progress import Progress, Stage
 from diag_service.publishers import Reporter
-from diag_service.records import ShiftEvent, ShiftResult
+from diag_service.records import ShiftResult
 from diag_service.results import utc_from_bus_ns
 from diag_service.runs.stages import Stages
 from diag_service.store import ResultStore, VehicleState, Versions

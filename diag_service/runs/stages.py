@@ -4,24 +4,17 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 from clutch_model.calibration import Calibration
+from diag_service.columns import Signal
 from diag_service.decoding.mapping import Decoder, MessageCounts
 from diag_service.definitions.tiers import missing_for_next, tier_of
 from diag_service.estimation import Belief, Estimator
 from diag_service.estimation.estimator import without_friction
+from diag_service.events import ShiftEvent
 from diag_service.frames import FrameBatch, WatchedBits
 from diag_service.judgement.condition import ConditionMemory, judge, no_verdict
 from diag_service.judgement.indices import measure
 from diag_service.judgement.trust import TrustBasis, assess, reasons_against
-from diag_service.records import (
-    ClutchVerdict,
-    Reason,
-    ShiftEstimate,
-    ShiftEvent,
-    ShiftIndices,
-    Signal,
-    Status,
-    Tier,
-)
+from diag_service.records import ClutchVerdict, Reason, ShiftEstimate, ShiftIndices, Status, Tier
 from diag_service.shift_finding.gear_tracking import tracker_for
 from diag_service.shift_finding.shifts import ShiftFinder
 from diag_service.summary import Capability, FrameCounts

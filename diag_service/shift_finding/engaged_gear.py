@@ -5,7 +5,8 @@ from typing import Protocol
 
 import numpy as np
 
-from diag_service.records import EndReason, FloatArray, GearRatios, Int64Array, Signal
+from diag_service.columns import FloatArray, GearRatios, Int64Array, Signal
+from diag_service.events import EndReason
 from diag_service.shift_finding.history import Ahead
 from diag_service.shift_finding.shift_bounds import DWELL_NS, MAX_SHIFT_NS, Bounds, held_values
 

@@ -8,7 +8,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from diag_service.records import EndReason, GearRatios, Series, Signal
+from diag_service.columns import GearRatios, Series, Signal
+from diag_service.events import EndReason
 from diag_service.shift_finding.engaged_gear import CurrentGear, EngagedTracker, RatioGear
 from diag_service.shift_finding.history import Ahead
 from diag_service.shift_finding.shift_bounds import DWELL_NS, MAX_SHIFT_NS, Bounds, GearTracker, held_values

@@ -5,8 +5,8 @@ from dataclasses import replace
 
 import numpy as np
 
+from diag_service.columns import ColumnBatch, Columns, E2eChange, E2eState, Int64Array, Series, Signal
 from diag_service.protection.own_cycle import own_period_ns
-from diag_service.records import ColumnBatch, Columns, E2eChange, E2eState, Int64Array, Series, Signal
 from diag_service.shift_finding.sample_rings import SampleRings
 
 

@@ -9,7 +9,8 @@ from typing import Final
 import numpy as np
 
 from clutch_model.calibration import Calibration
-from diag_service.records import ColumnBatch, EndReason, Int64Array, RevEvent, Signal
+from diag_service.columns import ColumnBatch, Int64Array, Signal
+from diag_service.events import EndReason, RevEvent
 from diag_service.shift_finding.history import History, held
 
 NS_PER_S: Final = 1_000_000_000

@@ -6,7 +6,7 @@ from typing import Final
 import numpy as np
 
 from clutch_model.jit import array_kernel
-from diag_service.records import Int64Array, Series, Signal
+from diag_service.columns import Int64Array, Series, Signal
 from diag_service.sample_block import BlockLayout, SampleBlock, Samples
 
 FIRST_CAPACITY: Final = 256  # samples of a signal; grows by doubling

@@ -5,7 +5,8 @@ from typing import Protocol
 
 import numpy as np
 
-from diag_service.records import EndReason, FloatArray, Int64Array, Series, Signal
+from diag_service.columns import FloatArray, Int64Array, Series, Signal
+from diag_service.events import EndReason
 from diag_service.shift_finding.history import Ahead
 
 NS_PER_S = 1_000_000_000

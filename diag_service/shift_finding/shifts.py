@@ -1,6 +1,7 @@
 """Shift detection: canonical columns in, shift events out, the same events for any cutting of the stream."""
 
-from diag_service.records import ColumnBatch, ShiftEvent, Signal
+from diag_service.columns import ColumnBatch, Signal
+from diag_service.events import ShiftEvent
 from diag_service.shift_finding.gear_tracking import GearPairTracker
 from diag_service.shift_finding.history import Ahead, History
 from diag_service.shift_finding.shift_bounds import Bounds, GearTracker

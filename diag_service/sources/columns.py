@@ -4,8 +4,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from diag_service.columns import Int64Array, UInt8Array
 from diag_service.frames import FrameBatch
-from diag_service.records import Int64Array, UInt8Array
 
 NS_PER_US = 1_000
 

@@ -14,6 +14,7 @@ import numpy as np
 
 from clutch_model.calibration import nominal_calibration
 from dbc.contract import DBC_PATH
+from diag_service.columns import Int64Array
 from diag_service.decoding.mapping import Decoder
 from diag_service.definitions.database import load_database
 from diag_service.definitions.profile import load_profile
@@ -21,7 +22,7 @@ from diag_service.errors import SourceError
 from diag_service.estimation import Belief
 from diag_service.frames import FrameBatch, empty_batch
 from diag_service.judgement.condition import ConditionMemory
-from diag_service.records import Int64Array, ShiftEstimate
+from diag_service.records import ShiftEstimate
 from diag_service.runs.stages import Stages
 from diag_service.sources import LogCounts, read_log
 from diag_service.sources.columns import join

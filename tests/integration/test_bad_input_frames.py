@@ -14,8 +14,9 @@ import numpy as np
 import pytest
 
 from dbc.protection import COUNTER_PERIOD, DATA_START_BIT, counter_of, protect
+from diag_service.columns import Int64Array, UInt8Array
 from diag_service.frames import FrameBatch
-from diag_service.records import Int64Array, Status, UInt8Array
+from diag_service.records import Status
 from tests.chain import Outcome, diagnosed, frames_of_log
 from tests.wire import CONTRACTS, DATABASE
 

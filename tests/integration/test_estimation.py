@@ -9,21 +9,13 @@ import pytest
 
 from clutch_model.calibration import nominal_calibration
 from dbc.contract import DBC_PATH
+from diag_service.columns import BALANCE_SIGNALS, FloatArray, Series, Signal
 from diag_service.decoding.mapping import Decoder
 from diag_service.definitions.database import load_database
 from diag_service.definitions.profile import load_profile
 from diag_service.estimation import Belief, Estimator
-from diag_service.records import (
-    BALANCE_SIGNALS,
-    EndReason,
-    FloatArray,
-    Reason,
-    Series,
-    ShiftEstimate,
-    ShiftEvent,
-    Signal,
-    Status,
-)
+from diag_service.events import EndReason, ShiftEvent
+from diag_service.records import Reason, ShiftEstimate, Status
 from diag_service.shift_finding.shifts import ShiftFinder
 from ecu_emulator.recording import frames_of
 from tests.builders import drive_scenario

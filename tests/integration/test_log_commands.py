@@ -14,13 +14,13 @@ from cantools.database.can import Database
 
 from dbc.contract import DBC_PATH
 from diag_service.arguments import build_parser
+from diag_service.columns import Signal
 from diag_service.commands.decode import decode_long, decode_wide
 from diag_service.decoding.codec import Codec
 from diag_service.definitions.database import load_database
 from diag_service.definitions.profile import load_profile
 from diag_service.definitions.tiers import tier_of
 from diag_service.errors import ConfigError, SourceError, StoreError
-from diag_service.records import Signal
 from diag_service.stopping import Trigger
 from tests.service import run_service, service
 

@@ -16,11 +16,12 @@ from benchmarks.reproduce.film_check import known_film_errors
 from benchmarks.reproduce.study import Setup, matched_differentiators, noiseless_errors, noisy_errors
 from clutch_model.calibration import nominal_calibration
 from clutch_model.film import film_law
+from diag_service.columns import Series, Signal
 from diag_service.estimation.paper import PaperCollection, central_difference, nominal_driveline
 from diag_service.estimation.paper.fit import NOISY_GATES
 from diag_service.estimation.paper.vehicle_route import GRID_STRIDE, paper_signals
 from diag_service.estimation.signals import gather
-from diag_service.records import Reason, Series, Signal
+from diag_service.records import Reason
 from ecu_emulator.plant import Col
 from ecu_emulator.recording import drive_settings
 from tests.builders import drive_scenario

@@ -8,10 +8,11 @@ import pytest
 
 from clutch_model.calibration import nominal_calibration
 from dbc.contract import DBC_PATH
+from diag_service.columns import Signal
 from diag_service.decoding.mapping import Decoder
 from diag_service.definitions.database import load_database
 from diag_service.definitions.profile import load_profile
-from diag_service.records import EndReason, RevEvent, ShiftEvent, Signal
+from diag_service.events import EndReason, RevEvent, ShiftEvent
 from diag_service.shift_finding.revs import LOW_RAD_S, RevFinder
 from diag_service.shift_finding.shifts import ShiftFinder
 from ecu_emulator.recording import frames_of

@@ -6,7 +6,8 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from diag_service.records import ColumnBatch, Series, ShiftEvent, Signal
+from diag_service.columns import ColumnBatch, Series, Signal
+from diag_service.events import ShiftEvent
 from diag_service.shift_finding.shifts import ShiftFinder
 from tests.gears import STEP_NS
 

@@ -10,10 +10,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from clutch_model.units import m_s_from_km_h, pa_from_bar, rad_s_from_rpm
+from diag_service.columns import ColumnBatch, Signal
 from diag_service.decoding.mapping import Decoder, DecoderCounts
 from diag_service.definitions.profile import Profile, load_profile
 from diag_service.frames import FrameBatch
-from diag_service.records import ColumnBatch, Signal
 from ecu_emulator.frames import SIGNAL_OF, FrameEncoder
 from tests.wire import CONTRACTS, DATABASE, drive, readings, received
 

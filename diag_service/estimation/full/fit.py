@@ -9,8 +9,8 @@ import numpy as np
 from clutch_model.calibration import ClutchCalibration
 from clutch_model.film import FilmLaw, film_law
 from clutch_model.friction import FrictionLaw, friction_law
+from diag_service.columns import FloatArray
 from diag_service.estimation.full.windows import Window
-from diag_service.records import FloatArray
 
 MAX_ITERATIONS = 30
 CONVERGED_STD = 0.02  # a step this small in standard deviations ends the iteration

@@ -13,7 +13,7 @@ from clutch_model.film import FilmLaw, contact_pressure_pa, film_mobility_m, vis
 from clutch_model.friction import FrictionLaw, kinetic_friction
 from clutch_model.jit import kernel
 from clutch_model.thermal import clutch_heating_rate_k_s
-from diag_service.records import FloatArray
+from diag_service.columns import FloatArray
 
 _CONTACT_END = 4.0  # film ratio beyond which nothing touches
 _MAX_ITERATIONS = 60

@@ -3,9 +3,9 @@
 import numpy as np
 
 from clutch_model.calibration import ClutchCalibration
+from diag_service.columns import FloatArray
 from diag_service.estimation.full.signals import BoolArray, FullSignals
 from diag_service.estimation.full.torques import ClutchState
-from diag_service.records import FloatArray
 
 LOAD_RATIO = 0.85  # of the least torque at which the clutch would slip
 FRICTION_RATIO = 0.85  # of the calibrated friction: lower it may have fallen, then fewer samples count as locked

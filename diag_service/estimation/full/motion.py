@@ -11,11 +11,11 @@ from typing import NamedTuple
 import numpy as np
 
 from clutch_model.calibration import InputSide
+from diag_service.columns import FloatArray
 from diag_service.estimation.full.shaft_twist import Twist, shaft_twist
 from diag_service.estimation.full.signals import BoolArray, FullSignals
 from diag_service.estimation.full.vehicle import Vehicle
 from diag_service.estimation.paper.driveline import Driveline
-from diag_service.records import FloatArray
 
 
 class State(IntEnum):

@@ -4,8 +4,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from diag_service.columns import FloatArray
 from diag_service.estimation.paper.driveline import Shaft
-from diag_service.records import FloatArray
 
 _SPLINE_DEGREE = 5  # three smooth derivatives at the samples
 

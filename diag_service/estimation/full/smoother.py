@@ -10,9 +10,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from clutch_model.jit import kernel
+from diag_service.columns import FloatArray
 from diag_service.estimation.full.motion import Forcing, MotionLaw, State
 from diag_service.estimation.full.signals import BoolArray, FullSignals
-from diag_service.records import FloatArray
 
 SIZE = len(State)
 LOCK_STD_RAD_S = 0.02  # what slip a locked clutch still shows, and the discretisation

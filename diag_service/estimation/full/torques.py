@@ -5,12 +5,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from clutch_model.calibration import Calibration, Viscosity
+from diag_service.columns import FloatArray
 from diag_service.estimation.full.inversion import heated_k
 from diag_service.estimation.full.motion import Forcing, MotionLaw, State, diff_acceleration_rad_s2
 from diag_service.estimation.full.signals import FullSignals
 from diag_service.estimation.full.smoother import Motion
 from diag_service.estimation.paper.driveline import Driveline
-from diag_service.records import FloatArray
 
 REST_RAD_S = 0.3  # slip below this is a locked clutch's and heats nothing
 

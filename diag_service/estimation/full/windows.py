@@ -7,11 +7,11 @@ import numpy as np
 from clutch_model.calibration import ClutchCalibration
 from clutch_model.film import FilmLaw, film_law
 from clutch_model.friction import FrictionLaw, friction_law
+from diag_service.columns import FloatArray
 from diag_service.estimation.full.inversion import contact_track_pa, film_track_m, piston_track_pa
 from diag_service.estimation.full.signals import BoolArray, FullSignals
 from diag_service.estimation.full.torques import ClutchState
 from diag_service.estimation.paper.differentiate import central_difference
-from diag_service.records import FloatArray
 
 SLIP_MIN_RAD_S = 0.3  # three times the slip at which a clutch locks: what is slower may be locked
 TORQUE_MIN_NM = 1.0  # below, a sample says nothing

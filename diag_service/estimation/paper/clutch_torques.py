@@ -5,9 +5,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from clutch_model.calibration import InputSide
+from diag_service.columns import FloatArray
 from diag_service.estimation.paper.differentiate import Rated
 from diag_service.estimation.paper.driveline import Shaft
-from diag_service.records import FloatArray
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

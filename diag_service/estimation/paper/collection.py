@@ -11,7 +11,8 @@ from diag_service.estimation.paper.fit import NOISY_GATES, PaperEstimate, fit
 from diag_service.estimation.paper.friction_data import FrictionData, pooled
 from diag_service.estimation.paper.method import Differentiators, analyse
 from diag_service.estimation.paper.vehicle_route import PERIOD_S, paper_signals
-from diag_service.records import Reason, ShiftEvent
+from diag_service.events import ShiftEvent
+from diag_service.records import Reason
 
 # q of the speed filter: matched with the hub acceleration of emulated shifts at 2 rpm of noise, as the paper does.
 SPEED_RATE_VARIANCE = 2.0e6  # (rad/s^3)^2

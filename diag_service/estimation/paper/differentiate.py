@@ -10,7 +10,7 @@ from typing import Protocol
 
 import numpy as np
 
-from diag_service.records import FloatArray
+from diag_service.columns import FloatArray
 
 MIN_SAMPLE_COUNT = 5  # of the fourth-order stencils
 _TRACKING_DECADES = (-14.0, 0.0)  # from asleep to believing every sample

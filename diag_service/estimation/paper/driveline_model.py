@@ -10,8 +10,8 @@ from enum import IntEnum
 import numpy as np
 
 from clutch_model.calibration import InputSide
+from diag_service.columns import FloatArray
 from diag_service.estimation.paper.driveline import Driveline
-from diag_service.records import FloatArray
 
 TORQUE_WANDER_NM_SQRT_S = 150.0  # friction torque: 15 N m in 10 ms, as in a handover
 WHEEL_WANDER_RAD_S2_SQRT_S = 30.0  # wheel acceleration: 3 rad/s^2 in 10 ms

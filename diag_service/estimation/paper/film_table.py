@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from clutch_model.film import FilmLaw, applied_pressure_pa, equilibrium_film_m
-from diag_service.records import FloatArray
+from diag_service.columns import FloatArray
 
 TABLE_END_PA = 16.0e5  # above the line pressure
 TABLE_STEP_PA = 500.0

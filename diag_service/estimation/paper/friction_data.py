@@ -9,8 +9,8 @@ from clutch_model.film import FilmLaw, contact_pressure_pa, film_law, shear_fact
 from clutch_model.friction import FrictionLaw, friction_law, stribeck_weight
 from clutch_model.jit import kernel
 from clutch_model.viscosity import viscosity_pa_s
+from diag_service.columns import FloatArray
 from diag_service.estimation.paper.signals import BoolArray
-from diag_service.records import FloatArray
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

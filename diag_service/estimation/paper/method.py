@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from clutch_model.calibration import Calibration
+from diag_service.columns import FloatArray
 from diag_service.estimation.paper.clutch_torques import Speeds, clutch_torques_nm
 from diag_service.estimation.paper.differentiate import Differentiator, Rated, central_difference
 from diag_service.estimation.paper.driveline import Driveline
@@ -16,7 +17,6 @@ from diag_service.estimation.paper.friction_data import (
     viscous_torques_nm,
 )
 from diag_service.estimation.paper.signals import PaperSignals
-from diag_service.records import FloatArray
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -11,12 +11,14 @@ from dataclasses import dataclass
 import numpy as np
 
 from clutch_model.calibration import Calibration
+from diag_service.columns import FloatArray, Signal
 from diag_service.estimation.paper.driveline import Driveline
 from diag_service.estimation.paper.driveline_model import DrivelineModel, State, driveline_model
 from diag_service.estimation.paper.signals import BoolArray, PaperSignals
 from diag_service.estimation.sampling import sample_times_s
 from diag_service.estimation.signals import ShiftSignals, gather
-from diag_service.records import FloatArray, Reason, ShiftEvent, Signal
+from diag_service.events import ShiftEvent
+from diag_service.records import Reason
 
 PERIOD_S = 0.01  # of the fast messages
 GRID_STRIDE = 10  # grid points of `gather` per period

@@ -11,7 +11,7 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from diag_service.records import Int64Array
+from diag_service.columns import Int64Array
 
 NS_PER_US: Final = 1_000
 MIN_STEP_NS: Final = 5_000_000  # several times what two readings may be apart

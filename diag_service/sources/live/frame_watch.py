@@ -6,8 +6,8 @@ from typing import NamedTuple
 import numpy as np
 
 from clutch_model.jit import array_kernel, inlined_kernel
+from diag_service.columns import BoolArray, UInt8Array, UInt32Array
 from diag_service.frames import ERROR_FLAG, WatchedBits
-from diag_service.records import BoolArray, UInt8Array, UInt32Array
 
 PAYLOAD_BYTE = 8  # of struct can_frame and struct canfd_frame
 

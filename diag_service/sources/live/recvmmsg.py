@@ -11,8 +11,8 @@ from typing import NamedTuple
 import numpy as np
 
 from clutch_model.jit import array_kernel
+from diag_service.columns import Int64Array, UInt8Array, UInt32Array
 from diag_service.frames import BRS_FLAG, ESI_FLAG, FD_FLAG, FD_PAYLOAD_BYTES, PAYLOAD_BYTES, FrameBatch, WatchedBits
-from diag_service.records import Int64Array, UInt8Array, UInt32Array
 from diag_service.sources.columns import NS_PER_US
 from diag_service.sources.live.frame_watch import identifier, see_news, watch_for
 

@@ -6,8 +6,8 @@ from typing import BinaryIO
 
 import numpy as np
 
+from diag_service.columns import Int64Array, UInt8Array, UInt32Array
 from diag_service.frames import FD_PAYLOAD_BYTES, PAYLOAD_BYTES, FrameBatch
-from diag_service.records import Int64Array, UInt8Array, UInt32Array
 from diag_service.sources.readers.word_kernels import UInt64Array
 
 BLOCK_BYTES = 2 * 1024 * 1024

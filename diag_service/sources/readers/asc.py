@@ -12,6 +12,7 @@ from typing import BinaryIO
 
 import numpy as np
 
+from diag_service.columns import UInt8Array
 from diag_service.frames import (
     BRS_FLAG,
     ERROR_FLAG,
@@ -22,7 +23,6 @@ from diag_service.frames import (
     REMOTE_FLAG,
     FrameBatch,
 )
-from diag_service.records import UInt8Array
 from diag_service.sources.columns import NS_PER_US
 from diag_service.sources.readers.arena import BLOCK_BYTES, MAX_LINE_BYTES, Arena, end_of_line, lines_of
 from diag_service.sources.readers.asc_kernel import (

@@ -1,6 +1,7 @@
 """The usual lines of an ASC file, compiled: classic frames and those of CAN FD, both in hexadecimal."""
 
 from clutch_model.jit import array_kernel
+from diag_service.columns import Int64Array, UInt8Array, UInt32Array
 from diag_service.frames import (
     BRS_FLAG,
     ESI_FLAG,
@@ -10,7 +11,6 @@ from diag_service.frames import (
     PAYLOAD_BYTES,
     REMOTE_FLAG,
 )
-from diag_service.records import Int64Array, UInt8Array, UInt32Array
 from diag_service.sources.readers.text_kernels import (
     AT_END,
     BLANK,

@@ -3,6 +3,7 @@
 import numpy as np
 
 from clutch_model.jit import array_kernel, inlined_kernel
+from diag_service.columns import Int64Array, UInt8Array, UInt32Array
 from diag_service.frames import (
     BRS_FLAG,
     ERROR_FLAG,
@@ -12,7 +13,6 @@ from diag_service.frames import (
     PAYLOAD_BYTES,
     REMOTE_FLAG,
 )
-from diag_service.records import Int64Array, UInt8Array, UInt32Array
 from diag_service.sources.readers.word_kernels import UInt64Array, half, lower, word
 
 # What has been done, and how it goes on.

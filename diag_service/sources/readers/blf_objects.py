@@ -5,8 +5,8 @@ from dataclasses import astuple, dataclass
 
 import numpy as np
 
+from diag_service.columns import Int64Array, UInt8Array
 from diag_service.frames import FrameBatch
-from diag_service.records import Int64Array, UInt8Array
 from diag_service.sources.readers.arena import Arena
 from diag_service.sources.readers.blf_kernel import (
     DAMAGED,

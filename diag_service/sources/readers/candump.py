@@ -10,8 +10,8 @@ from typing import BinaryIO
 
 import numpy as np
 
+from diag_service.columns import Int64Array, UInt8Array
 from diag_service.frames import FD_PAYLOAD_BYTES, PAYLOAD_BYTES, FrameBatch
-from diag_service.records import Int64Array, UInt8Array
 from diag_service.sources.readers.arena import BLOCK_BYTES, MAX_LINE_BYTES, Arena, lines_of
 from diag_service.sources.readers.candump_kernel import parse_lines
 from diag_service.sources.readers.channels import ChannelNames

@@ -3,8 +3,8 @@
 import numpy as np
 
 from clutch_model.jit import array_kernel
+from diag_service.columns import Int64Array, UInt8Array, UInt32Array
 from diag_service.frames import EXTENDED_FLAG, FD_FLAG, FD_PAYLOAD_BYTES, PAYLOAD_BYTES, REMOTE_FLAG
-from diag_service.records import Int64Array, UInt8Array, UInt32Array
 from diag_service.sources.readers.candump_usual import (
     CLOSE,
     ERROR_OR_ABOVE,

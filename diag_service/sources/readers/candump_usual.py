@@ -3,8 +3,8 @@
 import numpy as np
 
 from clutch_model.jit import inlined_kernel
+from diag_service.columns import Int64Array, UInt8Array, UInt32Array
 from diag_service.frames import EXTENDED_FLAG, PAYLOAD_BYTES
-from diag_service.records import Int64Array, UInt8Array, UInt32Array
 from diag_service.sources.readers.channels import NameWords
 from diag_service.sources.readers.text_kernels import BLANK, DECIMAL_PAIR, HEX_VALUE, NEWLINE, RETURN, hex_bytes
 from diag_service.sources.readers.word_kernels import (

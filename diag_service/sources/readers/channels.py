@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from diag_service.records import Int64Array, UInt8Array
+from diag_service.columns import Int64Array, UInt8Array
 from diag_service.sources.readers.word_kernels import WORD_BYTES, UInt64Array
 
 MOST_CHANNELS = 256

@@ -11,7 +11,7 @@ from typing import Final
 import numpy as np
 
 from clutch_model.jit import array_kernel
-from diag_service.records import UInt8Array
+from diag_service.columns import UInt8Array
 
 RAW_DEFLATE: Final = -zlib.MAX_WBITS
 CHECKSUM_BYTES: Final = 4

@@ -16,6 +16,7 @@ from typing import Any, BinaryIO, cast
 import numpy as np
 import numpy.typing as npt
 
+from diag_service.columns import UInt8Array
 from diag_service.errors import SourceError
 from diag_service.frames import (
     BRS_FLAG,
@@ -28,7 +29,6 @@ from diag_service.frames import (
     REMOTE_FLAG,
     FrameBatch,
 )
-from diag_service.records import UInt8Array
 from diag_service.sources.columns import clear_padding, rounded_to_us
 from diag_service.sources.readers.guarded import guarded
 from diag_service.sources.readers.merging import merged_by_time

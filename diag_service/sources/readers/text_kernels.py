@@ -7,7 +7,7 @@ import numpy as np
 import numpy.typing as npt
 
 from clutch_model.jit import array_kernel, inlined_kernel
-from diag_service.records import Int64Array, UInt8Array
+from diag_service.columns import Int64Array, UInt8Array
 
 # Outcomes of one line, in the order of a kernel's counters.
 FRAME, SKIPPED, MALFORMED = range(3)

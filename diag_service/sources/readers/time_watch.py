@@ -4,8 +4,8 @@ import numpy as np
 import numpy.typing as npt
 
 from clutch_model.jit import array_kernel
+from diag_service.columns import Int64Array
 from diag_service.frames import MAX_GAP_NS, FrameBatch
-from diag_service.records import Int64Array
 from diag_service.sources.columns import join
 from diag_service.sources.readers.tally import Tally
 

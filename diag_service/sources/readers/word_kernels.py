@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from clutch_model.jit import inlined_kernel
-from diag_service.records import UInt8Array
+from diag_service.columns import UInt8Array
 
 UInt64Array = npt.NDArray[np.uint64]
 

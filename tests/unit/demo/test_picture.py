@@ -7,7 +7,8 @@ import pytest
 
 from clutch_model.calibration import nominal_calibration
 from demo.picture import curve_band, draw, stribeck_weights
-from diag_service.records import EndReason, Series, ShiftEvent, Signal
+from diag_service.columns import Series, Signal
+from diag_service.events import EndReason, ShiftEvent
 from tests.unit.demo.outcomes import FRICTION, good_outcome
 
 REFERENCE = nominal_calibration().clutches[0].friction

@@ -5,8 +5,8 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
+from diag_service.columns import Int64Array
 from diag_service.frames import ERROR_FLAG, EXTENDED_FLAG, FD_FLAG, FrameBatch
-from diag_service.records import Int64Array
 from diag_service.traffic import IdTraffic, Jump, TrafficMeter, TrafficReport, frame_bits
 
 MS = 1_000_000

@@ -7,8 +7,8 @@ import numpy as np
 import numpy.typing as npt
 
 from clutch_model.jit import array_kernel
+from diag_service.columns import Int64Array, UInt8Array
 from diag_service.frames import PAYLOAD_BYTES
-from diag_service.records import Int64Array, UInt8Array
 from diag_service.sources.readers import text_kernels
 from diag_service.sources.readers.tables.layout import BLANKS
 from diag_service.sources.readers.text_kernels import (

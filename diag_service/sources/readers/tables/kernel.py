@@ -4,6 +4,7 @@ import numpy as np
 import numpy.typing as npt
 
 from clutch_model.jit import array_kernel
+from diag_service.columns import Int64Array, UInt8Array, UInt32Array
 from diag_service.frames import (
     BRS_FLAG,
     ERROR_FLAG,
@@ -14,7 +15,6 @@ from diag_service.frames import (
     PAYLOAD_BYTES,
     REMOTE_FLAG,
 )
-from diag_service.records import Int64Array, UInt8Array, UInt32Array
 from diag_service.sources.readers.tables import fields
 from diag_service.sources.readers.tables.layout import BLANKS, Meaning, Role
 from diag_service.sources.readers.text_kernels import (

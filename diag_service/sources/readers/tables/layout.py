@@ -6,7 +6,7 @@ from enum import IntEnum, IntFlag
 
 import numpy as np
 
-from diag_service.records import Int64Array
+from diag_service.columns import Int64Array
 
 
 class Role(IntEnum):

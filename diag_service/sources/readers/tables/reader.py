@@ -6,8 +6,8 @@ from typing import BinaryIO, Protocol
 
 import numpy as np
 
+from diag_service.columns import UInt8Array
 from diag_service.frames import FrameBatch
-from diag_service.records import UInt8Array
 from diag_service.sources.readers.arena import BLOCK_BYTES, MAX_LINE_BYTES, Arena, end_of_line, lines_of
 from diag_service.sources.readers.tables import kernel
 from diag_service.sources.readers.tables.kernel import ABSOLUTE, BASE_US, CLOCK_FIELDS, FIELDS, MODE, NOW_US

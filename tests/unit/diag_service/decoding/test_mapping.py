@@ -10,12 +10,12 @@ import pytest
 from cantools.database.can import Database
 
 from clutch_model.units import pa_from_bar, rad_s_from_rpm
+from diag_service.columns import BALANCE_SIGNALS, Signal
 from diag_service.decoding.mapping import Decoder, DecoderCounts
 from diag_service.definitions.profile import Profile, SignalSource, load_profile
 from diag_service.errors import ConfigError
 from diag_service.frames import ERROR_FLAG, FrameBatch, empty_batch
 from diag_service.protection.protection_check import FrameReason
-from diag_service.records import BALANCE_SIGNALS, Signal
 from ecu_emulator.frames import FrameEncoder
 from ecu_emulator.readings import Readings
 from tests.wire import CONTRACTS, DATABASE, START_NS, drive, joined, of_message, received

@@ -4,12 +4,12 @@ import numpy as np
 import pytest
 
 from dbc.contract import DBC_PATH
+from diag_service.columns import ColumnBatch, Signal
 from diag_service.decoding.mapping import Decoder
 from diag_service.decoding.small_batches import SMALL_FRAMES
 from diag_service.definitions.database import load_database
 from diag_service.definitions.profile import load_profile
 from diag_service.frames import FrameBatch
-from diag_service.records import ColumnBatch, Signal
 from tests.wire import drive, received
 
 

@@ -5,12 +5,12 @@ import numpy as np
 import pytest
 from cantools.database.can import Database, Message
 
+from diag_service.columns import UInt8Array
 from diag_service.decoding.decode import payload_words
 from diag_service.decoding.source_tables import compile_source, find_message, signal_name
 from diag_service.definitions.database import load_database
 from diag_service.definitions.profile import PROFILE_FOLDER, SignalSource
 from diag_service.errors import ConfigError
-from diag_service.records import UInt8Array
 
 TEXT = """VERSION ""
 BU_: A

@@ -6,9 +6,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from diag_service.columns import BALANCE_SIGNALS, GearRatios, Signal
 from diag_service.definitions.profile import SignalSource, find_profile, load_profile, shipped_profiles, to_si
 from diag_service.errors import ConfigError
-from diag_service.records import BALANCE_SIGNALS, GearRatios, Signal
 
 
 def write(folder: Path, text: str) -> Path:

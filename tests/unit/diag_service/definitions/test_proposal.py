@@ -5,9 +5,9 @@ from pathlib import Path
 
 import pytest
 
+from diag_service.columns import Signal
 from diag_service.definitions.profile import load_profile
 from diag_service.definitions.proposal import SignalStatistics, candidates, profile_text
-from diag_service.records import Signal
 
 
 def stat(

@@ -2,9 +2,10 @@
 
 import pytest
 
+from diag_service.columns import Signal
 from diag_service.definitions.profile import load_shipped
 from diag_service.definitions.tiers import missing_for_next, tier_of
-from diag_service.records import Signal, Tier
+from diag_service.records import Tier
 
 DCT = frozenset(load_shipped("dct").sources)
 PRESSURES = {Signal.CLUTCH1_PRESSURE, Signal.CLUTCH2_PRESSURE}

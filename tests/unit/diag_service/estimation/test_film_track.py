@@ -13,9 +13,9 @@ from clutch_model.film import (
     measured_film_rate_m_s,
 )
 from clutch_model.viscosity import viscosity_pa_s
+from diag_service.columns import FloatArray
 from diag_service.estimation.film_track import PressureDrive, follow_film
 from diag_service.estimation.sampling import GRID_S
-from diag_service.records import FloatArray
 
 CALIBRATION = nominal_calibration()
 OIL_K = 363.15

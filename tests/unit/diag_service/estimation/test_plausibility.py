@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from clutch_model.calibration import nominal_calibration
+from diag_service.columns import FloatArray, Series, Signal
 from diag_service.estimation import Belief
 from diag_service.estimation.parameters import State
 from diag_service.estimation.plausibility import is_frozen, zero_has_jumped
-from diag_service.records import FloatArray, Series, Signal
 
 COUNT = 180
 

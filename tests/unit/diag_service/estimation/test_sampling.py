@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
+from diag_service.columns import FloatArray, Series
 from diag_service.estimation.sampling import Interpolation, sample_times_s, segment_centres_s
-from diag_service.records import FloatArray, Series
 
 PERIOD_NS = 10_000_000
 

@@ -21,7 +21,8 @@ from diag_service.estimation.rev_balance import rev_measurement
 from diag_service.estimation.self_calibration import SelfCalibration, self_calibrate
 from diag_service.estimation.signals import gather
 from diag_service.estimation.window import SlipWindow
-from diag_service.records import EndReason, Reason, RevEvent, ShiftEvent
+from diag_service.events import EndReason, RevEvent, ShiftEvent
+from diag_service.records import Reason
 from diag_service.shift_finding.revs import RevFinder
 from diag_service.shift_finding.shifts import ShiftFinder
 from ecu_emulator.recording import frames_of

@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 
 from clutch_model.calibration import nominal_calibration
+from diag_service.columns import FloatArray, Series, Signal
+from diag_service.events import EndReason, ShiftEvent
 from diag_service.judgement.indices import measure
-from diag_service.records import EndReason, FloatArray, Series, ShiftEvent, Signal
 
 CALIBRATION = nominal_calibration()
 STEP_NS = 10_000_000

@@ -10,26 +10,15 @@ import pytest
 
 from clutch_model.calibration import nominal_calibration
 from dbc.contract import DBC_PATH
+from diag_service.columns import BALANCE_SIGNALS, E2eState, FloatArray, Int64Array, Series, Signal
 from diag_service.decoding.mapping import Decoder
 from diag_service.definitions.database import load_database
 from diag_service.definitions.profile import load_profile
 from diag_service.estimation import Belief
+from diag_service.events import EndReason, ShiftEvent
 from diag_service.judgement.condition import ConditionMemory
 from diag_service.judgement.trust import MIN_TRUST, TrustBasis, assess, reasons_against
-from diag_service.records import (
-    BALANCE_SIGNALS,
-    E2eState,
-    EndReason,
-    FloatArray,
-    Int64Array,
-    Reason,
-    Series,
-    ShiftEvent,
-    Signal,
-    Status,
-    Trust,
-    TrustPart,
-)
+from diag_service.records import Reason, Status, Trust, TrustPart
 from diag_service.runs.stages import Stages
 from ecu_emulator.recording import Drive
 from tests.builders import drive_scenario

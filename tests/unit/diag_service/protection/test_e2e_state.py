@@ -5,10 +5,10 @@ from collections.abc import Sequence
 import numpy as np
 import pytest
 
+from diag_service.columns import E2eChange, E2eState
 from diag_service.protection.e2e_state import MAX_ERRORS, MIN_OK, MIN_TIMEOUT_NS, TIMEOUT_CYCLES, WINDOW, E2eStates
 from diag_service.protection.own_cycle import SLOWEST
 from diag_service.protection.protection_check import FrameReason, FrameVerdicts
-from diag_service.records import E2eChange, E2eState
 
 NAME = "message"
 CYCLE_NS = 100_000_000

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
+from diag_service.columns import Int64Array, Series
 from diag_service.protection.own_cycle import LEAST_STEPS, SLOWEST, own_period_ns
-from diag_service.records import Int64Array, Series
 
 MS = 1_000_000
 NOMINAL_NS = 10 * MS

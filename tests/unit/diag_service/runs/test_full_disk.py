@@ -13,9 +13,10 @@ from diag_service.definitions.database import load_database
 from diag_service.definitions.profile import load_profile
 from diag_service.errors import StoreFullError
 from diag_service.estimation import Belief
+from diag_service.events import EndReason, ShiftEvent
 from diag_service.judgement.condition import ConditionMemory
 from diag_service.publishers import MemoryReporter
-from diag_service.records import EndReason, ShiftEvent, ShiftResult
+from diag_service.records import ShiftResult
 from diag_service.runs.session import Session
 from diag_service.runs.stages import Stages
 from diag_service.store import ResultStore, VehicleState, Versions

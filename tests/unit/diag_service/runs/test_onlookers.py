@@ -11,13 +11,13 @@ import pytest
 from prometheus_client.parser import text_string_to_metric_families
 from rich.console import Console
 
+from diag_service.columns import E2eState
 from diag_service.config import ListenAddress, parse_listen_address
 from diag_service.errors import ConfigError
 from diag_service.frames import FrameBatch
 from diag_service.progress import Stage, Stuck
 from diag_service.protection.error_frames import BusError
 from diag_service.publishers import MemoryReporter
-from diag_service.records import E2eState
 from diag_service.runs.metrics import serving
 from diag_service.runs.monitor import Monitor, SilentReporter
 from diag_service.runs.snapshot import SILENT_S, STALE_S, Board, RateMeter, Snapshot, SnapshotTaker

@@ -7,7 +7,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from diag_service.records import ColumnBatch, EndReason, FloatArray, GearRatios, Series, ShiftEvent, Signal
+from diag_service.columns import ColumnBatch, FloatArray, GearRatios, Series, Signal
+from diag_service.events import EndReason, ShiftEvent
 from diag_service.shift_finding.gear_tracking import GearPairTracker, tracker_for
 from diag_service.shift_finding.shift_bounds import MAX_SHIFT_NS
 from diag_service.shift_finding.shifts import ShiftFinder

@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from clutch_model.calibration import nominal_calibration
-from diag_service.records import ColumnBatch, EndReason, RevEvent, Series, Signal
+from diag_service.columns import ColumnBatch, Series, Signal
+from diag_service.events import EndReason, RevEvent
 from diag_service.shift_finding.revs import HIGH_RAD_S, LOW_RAD_S, MARGIN_NS, MAX_REV_NS, RevFinder
 from tests.revs import CLOSED_PA, IDLE_RAD_S, OPEN_PA, REV_ROWS, STEP_NS, Piece, idle, rev, whole_batch
 

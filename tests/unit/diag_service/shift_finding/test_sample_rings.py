@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from diag_service.records import Series, Signal
+from diag_service.columns import Series, Signal
 from diag_service.sample_block import BlockLayout, SampleBlock
 from diag_service.shift_finding.sample_rings import FIRST_CAPACITY, SampleRings
 

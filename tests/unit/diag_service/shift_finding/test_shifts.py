@@ -5,7 +5,8 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from diag_service.records import ColumnBatch, EndReason, Series, Signal
+from diag_service.columns import ColumnBatch, Series, Signal
+from diag_service.events import EndReason
 from diag_service.shift_finding.shift_bounds import MAX_SHIFT_NS
 from diag_service.shift_finding.shifts import POST_NS, PRE_NS, ShiftFinder
 from tests.gears import STEP_NS, batch_of, gear_batch

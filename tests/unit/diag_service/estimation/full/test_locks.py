@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from clutch_model.calibration import nominal_calibration
+from diag_service.columns import FloatArray
 from diag_service.estimation.full import FullSignals
 from diag_service.estimation.full.locks import lasting_least, locked_clutches, moving_mean
 from diag_service.estimation.full.torques import ClutchState
-from diag_service.records import FloatArray
 
 COUNT = 1000
 CLUTCHES = nominal_calibration().clutches

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from clutch_model.calibration import nominal_calibration
+from diag_service.columns import FloatArray
 from diag_service.estimation.full import FullSignals, nominal_vehicle
 from diag_service.estimation.full.motion import Forcing, State, forcing, motion_law
 from diag_service.estimation.full.signals import BoolArray
@@ -18,7 +19,6 @@ from diag_service.estimation.full.smoother import (
     smooth,
 )
 from diag_service.estimation.paper import nominal_driveline
-from diag_service.records import FloatArray
 
 PERIOD_S, COUNT = 1e-3, 60
 DRIVELINE, VEHICLE = nominal_driveline(), nominal_vehicle()

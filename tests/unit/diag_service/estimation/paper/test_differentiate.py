@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from numpy.polynomial import Polynomial
 
+from diag_service.columns import FloatArray
 from diag_service.estimation.paper import (
     SteadyKalman,
     central_difference,
@@ -11,7 +12,6 @@ from diag_service.estimation.paper import (
     quiet_filter,
     steady_kalman,
 )
-from diag_service.records import FloatArray
 
 PERIOD_S = 1e-3
 

@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 
 from clutch_model.calibration import nominal_calibration
+from diag_service.columns import FloatArray
 from diag_service.estimation.paper import nominal_driveline
 from diag_service.estimation.paper.driveline_model import State, driveline_model
 from diag_service.estimation.paper.vehicle_route import PERIOD_S, SPEED_STATES, Readings, smoothed_states
-from diag_service.records import FloatArray
 
 SIDE = nominal_calibration().input_side
 DRIVELINE = nominal_driveline()

@@ -6,8 +6,9 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
+from diag_service.columns import Int64Array
 from diag_service.frames import FrameBatch
-from diag_service.records import Int64Array, Status
+from diag_service.records import Status
 from diag_service.sources.live.bus_clock import BusClock, ClockReading, read_clocks
 from ecu_emulator.recording import Drive
 from tests.builders import drive_scenario

@@ -4,8 +4,8 @@ import struct
 
 import numpy as np
 
+from diag_service.columns import UInt8Array
 from diag_service.frames import ERROR_FLAG, EXTENDED_FLAG, WatchedBits
-from diag_service.records import UInt8Array
 from diag_service.sources.live.frame_watch import FrameWatch, see_news, watch_for
 
 GEAR = WatchedBits(can_id=0x120, mask=0x8000_07FF, payload=b"\x00\x0f")
