@@ -3,7 +3,7 @@
 import math
 from typing import NamedTuple
 
-from clutch_model.calibration import ClutchCalibration
+from clutch_model.clutch import ClutchCalibration
 from clutch_model.jit import kernel
 
 # Greenwood-Tripp F_5/2 for Gaussian heights, Patir-Cheng 1978: 4.4086e-5 * (4 - H)^6.804 for H < 4.

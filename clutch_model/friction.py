@@ -3,7 +3,7 @@
 import math
 from typing import NamedTuple
 
-from clutch_model.calibration import FrictionCurve
+from clutch_model.clutch import FrictionCurve
 from clutch_model.jit import kernel
 
 

@@ -11,7 +11,8 @@ from matplotlib import style
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from clutch_model.calibration import FrictionCurve, nominal_calibration
+from clutch_model.calibration import nominal_calibration
+from clutch_model.clutch import FrictionCurve
 from clutch_model.friction import friction_law, stribeck_weight
 from clutch_model.units import bar_from_pa, rpm_from_rad_s
 from demo.listener import ClutchState

@@ -4,7 +4,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass, fields, replace
 from typing import Any, Final
 
-from clutch_model.calibration import Calibration, ClutchCalibration, nominal_table
+from clutch_model.calibration import Calibration, nominal_table
+from clutch_model.clutch import ClutchCalibration
 from clutch_model.errors import CalibrationError
 from ecu_emulator.effects import affected_calibration, affected_parameters
 from ecu_emulator.errors import ConfigError

@@ -2,7 +2,8 @@
 
 from dataclasses import replace
 
-from clutch_model.calibration import Calibration, ClutchCalibration
+from clutch_model.calibration import Calibration
+from clutch_model.clutch import ClutchCalibration
 from ecu_emulator.plant.parameters import PlantParameters
 from ecu_emulator.scenario import Effects
 

@@ -17,7 +17,8 @@ from typing import Self
 
 import numpy as np
 
-from clutch_model.calibration import Calibration, ClutchCalibration, FrictionCurve, InputSide
+from clutch_model.calibration import Calibration, InputSide
+from clutch_model.clutch import ClutchCalibration, FrictionCurve
 from clutch_model.knowledge import SensorBias
 from diag_service.columns import FloatArray
 from diag_service.estimation.belief import Measurement

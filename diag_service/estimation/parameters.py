@@ -5,7 +5,8 @@ from enum import IntEnum
 
 import numpy as np
 
-from clutch_model.calibration import Calibration, ClutchCalibration
+from clutch_model.calibration import Calibration
+from clutch_model.clutch import ClutchCalibration
 from clutch_model.errors import CalibrationError
 from diag_service.columns import FloatArray
 

@@ -5,7 +5,8 @@ from dataclasses import dataclass, replace
 from statistics import NormalDist
 from typing import Any, Self
 
-from clutch_model.calibration import Calibration, FrictionCurve
+from clutch_model.calibration import Calibration
+from clutch_model.clutch import FrictionCurve
 from diag_service.comparison import FrictionTrend
 from diag_service.estimation.belief import Belief
 from diag_service.estimation.sharp import clutch_ratio, common_scale_std_ratio, scale_free, trend

@@ -3,7 +3,7 @@
 import math
 from typing import NamedTuple
 
-from clutch_model.calibration import ClutchCalibration
+from clutch_model.clutch import ClutchCalibration
 from clutch_model.jit import kernel
 
 _FADE_RATIO = 0.02  # the first share of the volume over which an empty cavity loses its pressure

@@ -3,7 +3,8 @@
 import numpy as np
 import numpy.typing as npt
 
-from clutch_model.calibration import Calibration, ClutchCalibration
+from clutch_model.calibration import Calibration
+from clutch_model.clutch import ClutchCalibration
 from clutch_model.errors import DomainError
 from clutch_model.film import applied_pressure_pa, equilibrium_film_m, film_law
 from clutch_model.friction import friction_law

@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from clutch_model.calibration import ClutchCalibration
+from clutch_model.clutch import ClutchCalibration
 from clutch_model.film import FilmLaw, film_law
 from clutch_model.friction import FrictionLaw, friction_law
 from diag_service.columns import FloatArray

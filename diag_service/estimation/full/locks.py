@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from clutch_model.calibration import ClutchCalibration
+from clutch_model.clutch import ClutchCalibration
 from diag_service.columns import FloatArray
 from diag_service.estimation.full.signals import BoolArray, FullSignals
 from diag_service.estimation.full.torques import ClutchState

@@ -7,7 +7,7 @@ from types import MappingProxyType
 
 import numpy as np
 
-from clutch_model.calibration import FrictionCurve
+from clutch_model.clutch import FrictionCurve
 from diag_service.estimation.paper.friction_data import FrictionData
 from diag_service.estimation.paper.signals import BoolArray
 

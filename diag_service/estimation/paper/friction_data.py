@@ -4,7 +4,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from clutch_model.calibration import ClutchCalibration, Viscosity
+from clutch_model.calibration import Viscosity
+from clutch_model.clutch import ClutchCalibration
 from clutch_model.film import FilmLaw, contact_pressure_pa, film_law, shear_factor_difference, viscous_torque_nm
 from clutch_model.friction import FrictionLaw, friction_law, stribeck_weight
 from clutch_model.jit import kernel

@@ -6,7 +6,8 @@ from dataclasses import fields, replace
 import numpy as np
 import pytest
 
-from clutch_model.calibration import Calibration, ClutchCalibration, nominal_calibration
+from clutch_model.calibration import Calibration, nominal_calibration
+from clutch_model.clutch import ClutchCalibration
 from clutch_model.film import film_law
 from ecu_emulator.build import BuiltVehicle, build_vehicle
 from ecu_emulator.effects import affected_calibration, affected_parameters
