@@ -2,8 +2,9 @@
 
 Estimated: friction of both clutches, torque offset, touch-point and pressure-zero errors. Considered, that is carried
 with their uncertainty but not estimated from shift to shift: torque gain, engine inertia, piston areas, latencies and
-what else `Considered` lists. They do not steer the gain; they inflate the stated covariance (docs/model.md, section
-"Estimator"). A self-calibration finds some of them from many shifts at once.
+what else `Considered` lists. They inflate the stated covariance, and those of film and lining also steer the gain, away
+from what depends on them (docs/model.md, section "Estimator"). A self-calibration finds some of them from many shifts at
+once.
 """
 
 from dataclasses import dataclass, replace
@@ -29,6 +30,12 @@ FRICTION_DRIFT_STD = 2e-5  # per shift: 0.15 in the life of a fluid is 1e-6, so 
 OFFSET_DRIFT_NM = 0.005  # per shift: warm-up of the torque model
 PRESSURE_DRIFT_PA = 5.0  # per shift: warm-up of the pressure sensors
 STATE_FORMAT = 3
+STEERING = [
+    Considered.VISCOSITY,
+    Considered.PRESSURE_LATENCY,
+    Considered.STRIBECK_SPEED,
+    Considered.CONTACT_STIFFNESS,
+]  # their derivatives come from planned films; those of the others share noise with the residual
 LEAST_REACH = 1e-12  # a considered parameter that a residual does not show
 MAX_MISFIT = 4.0  # chi-square per degree of freedom; a clean shift stays below 2.5
 MAX_EXCESS = 48.0  # of chi-square over its expectation: an error adds as much to few numbers as to many
@@ -153,10 +160,10 @@ class Belief:
         """Return the state after a measurement, and how well its residual fits."""
         h, d = seen.by_state, seen.by_considered
         random = h @ self.covariance @ h.T + seen.noise
-        gain = np.linalg.solve(random, h @ self.covariance).T
+        common = d - h @ self.sensitivity
+        gain = self._gain(h, common, random)
         keep = np.eye(len(State)) - gain @ h
         covariance = keep @ self.covariance @ keep.T + gain @ seen.noise @ gain.T
-        common = d - h @ self.sensitivity
         expected = random + common @ self.considered @ common.T
         directions = common[:, np.diag(self.considered) > 0.0]
         scaled = np.linalg.solve(expected, np.column_stack((seen.residual, directions)))
@@ -174,6 +181,13 @@ class Belief:
             baselines=(first, second),
         )
         return state, misfit
+
+    def _gain(self, by_state: FloatArray, common: FloatArray, random: FloatArray) -> FloatArray:
+        """Return the gain of an update, shape (len(State), m): docs/model.md eq. (22)."""
+        spread = self.considered[np.ix_(STEERING, STEERING)]
+        steered = spread @ common[:, STEERING].T
+        crossed = by_state @ self.covariance - steered.T @ self.sensitivity[:, STEERING].T
+        return np.asarray(np.linalg.solve(random + common[:, STEERING] @ steered, crossed).T, np.float64)
 
     def total_covariance(self, rows: slice) -> FloatArray:
         """Return the covariance of some states, common scale included."""

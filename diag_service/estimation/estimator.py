@@ -20,7 +20,7 @@ from diag_service.estimation.window import SlipWindow
 from diag_service.events import ShiftEvent
 from diag_service.records import Reason, ShiftEstimate, Status
 
-ALGORITHM_VERSION = "torque-impulse-3"
+ALGORITHM_VERSION = "torque-impulse-4"
 PASS_COUNT = 3  # each takes away what planned and measured pressures differ by, a few percent
 SURPRISE_GATE = 25.0  # squared distance of a shift from the running state, two degrees of freedom: 4e-6 by chance
 SURPRISES_TO_YIELD = 3  # in a row: then the clutch has changed, and the running state starts afresh

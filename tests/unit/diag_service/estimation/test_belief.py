@@ -8,7 +8,7 @@ import pytest
 
 from clutch_model.calibration import nominal_calibration
 from diag_service.estimation.baseline import BASELINE_SHIFT_COUNT
-from diag_service.estimation.belief import Belief, Measurement
+from diag_service.estimation.belief import STEERING, Belief, Measurement
 from diag_service.estimation.parameters import Considered, State
 
 CALIBRATION = replace(
@@ -52,18 +52,41 @@ def test_the_stated_covariance_is_that_of_the_errors_it_makes() -> None:
     assert np.allclose(stated / np.outer(SCALE, SCALE), expected / np.outer(SCALE, SCALE), atol=1e-10)
 
 
-def test_considered_parameters_do_not_steer_the_estimate() -> None:
+def test_parameters_whose_derivatives_are_measured_do_not_steer_the_estimate() -> None:
     """Their regressors share noise with the residual: a gain that used them would pull friction down."""
     seen = random_measurement(np.random.default_rng(7), 8)
-    blind = replace(seen, by_considered=np.zeros_like(seen.by_considered))
+    planned = np.zeros_like(seen.by_considered)
+    planned[:, STEERING] = seen.by_considered[:, STEERING]
     prior = Belief.fresh(CALIBRATION)
-    assert np.array_equal(prior.updated(seen)[0].mean, prior.updated(blind)[0].mean)
+    assert np.array_equal(prior.updated(seen)[0].mean, prior.updated(replace(seen, by_considered=planned))[0].mean)
+
+
+def test_film_and_lining_steer_the_estimate_as_if_they_were_estimated() -> None:
+    """The gain of two updates is that of a Kalman filter of states and film, whose film rows are thrown away."""
+    rng = np.random.default_rng(8)
+    belief = Belief.fresh(CALIBRATION)
+    spread = belief.considered[np.ix_(STEERING, STEERING)]
+    joint = np.block(
+        [[belief.covariance, np.zeros((STATES, len(STEERING)))], [np.zeros((len(STEERING), STATES)), spread]]
+    )
+    for rows in (6, 9):
+        seen = random_measurement(rng, rows)
+        slope = np.hstack((seen.by_state, seen.by_considered[:, STEERING]))
+        gain = joint @ slope.T @ np.linalg.inv(slope @ joint @ slope.T + seen.noise)
+        gain[STATES:] = 0.0
+        after, _ = belief.updated(seen)
+        step = gain[:STATES] @ seen.residual
+        assert np.allclose((after.mean - belief.mean) / SCALE, step / SCALE, atol=1e-9)
+        keep = np.eye(len(joint)) - gain @ slope
+        joint = keep @ joint @ keep.T + gain @ seen.noise @ gain.T
+        belief = after
 
 
 def test_it_is_generalised_least_squares_with_a_prior() -> None:
     rng = np.random.default_rng(2)
     prior = Belief.fresh(CALIBRATION)
     seen = random_measurement(rng, 20)
+    seen = replace(seen, by_considered=np.zeros_like(seen.by_considered))
     after, _ = prior.updated(seen)
     weight = np.linalg.inv(seen.noise)
     information = seen.by_state.T @ weight @ seen.by_state + np.linalg.inv(prior.covariance)
