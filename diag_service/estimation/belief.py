@@ -2,9 +2,8 @@
 
 Estimated: friction of both clutches, torque offset, touch-point and pressure-zero errors. Considered, that is carried
 with their uncertainty but not estimated from shift to shift: torque gain, engine inertia, piston areas, latencies and
-what else `Considered` lists. They inflate the stated covariance, and those of film and lining also steer the gain, away
-from what depends on them (docs/model.md, section "Estimator"). A self-calibration finds some of them from many shifts at
-once.
+what else `Considered` lists. They inflate the stated covariance; those of film and lining also steer the gain, away
+from what depends on them (docs/model.md, section "Estimator"). A self-calibration finds some of them from many shifts.
 """
 
 from dataclasses import dataclass, replace
