@@ -33,8 +33,7 @@ from ecu_emulator.scenario_file import load_scenario
 SHARES = (0.0, 0.01, 0.05)
 SEEDS = 40
 FIRST_SEED = 7_000
-FAR_STD = 4.0
-MAX_FAR_SHARE = 0.003  # of the shifts of a bus that loses nothing; where frames are lost none may be that far
+FAR_STD = 4.0  # beyond it an estimate is wrong, whatever the noise
 INTERVALS = {2.0: 0.954, 3.0: 0.997}  # standard deviations, and what share of errors a normal one keeps within them
 SLACK_STD = 3.0  # of the number of errors outside, which chance alone allows
 
@@ -91,15 +90,10 @@ def report(share: float, outcomes: Iterable[Outcome]) -> bool:
             f"  within {width_std:.0f} std {100 * within(found, width_std):5.1f} % of {len(found)}, "
             f"promised {100 * promised:.1f} %: {'met' if is_kept else 'MISSED'}"
         )
-    far_count = int(np.count_nonzero(np.max(np.abs(found.reshape(-1, 2)), axis=1) > FAR_STD))
-    most = 0 if share else int(MAX_FAR_SHARE * accepted)
-    print(f"  largest error {np.abs(found).max():.1f} std, RMS {np.sqrt(np.mean(found**2)):.2f} std", end="; ")
-    print(
-        f"{far_count} of {accepted} shifts beyond {FAR_STD:g} std, "
-        f"at most {most}: {'met' if far_count <= most else 'MISSED'}",
-        flush=True,
-    )
-    return is_good and far_count <= most
+    largest = float(np.abs(found).max())
+    print(f"  largest error {largest:.1f} std, RMS {np.sqrt(np.mean(found**2)):.2f} std", end="")
+    print(f"; none beyond {FAR_STD:g} std: {'met' if largest < FAR_STD else 'MISSED'}", flush=True)
+    return is_good and largest < FAR_STD
 
 
 def drives(share: float, seeds: Iterable[int], workers: int) -> Iterator[Outcome]:
