@@ -15,6 +15,7 @@ import numpy as np
 from clutch_model.calibration import Calibration
 from diag_service.columns import FloatArray
 from diag_service.estimation.baseline import BASELINE_SHIFT_COUNT, Baseline
+from diag_service.estimation.nudges import COMMON
 from diag_service.estimation.parameters import (
     STATE_COUNT,
     Considered,
@@ -29,12 +30,7 @@ FRICTION_DRIFT_STD = 2e-5  # per shift: 0.15 in the life of a fluid is 1e-6, so 
 OFFSET_DRIFT_NM = 0.005  # per shift: warm-up of the torque model
 PRESSURE_DRIFT_PA = 5.0  # per shift: warm-up of the pressure sensors
 STATE_FORMAT = 3
-STEERING = [
-    Considered.VISCOSITY,
-    Considered.PRESSURE_LATENCY,
-    Considered.STRIBECK_SPEED,
-    Considered.CONTACT_STIFFNESS,
-]  # their derivatives come from planned films; those of the others share noise with the residual
+STEERING = list(COMMON)  # their derivatives come from planned films; those of the others share noise with the residual
 LEAST_REACH = 1e-12  # a considered parameter that a residual does not show
 MAX_MISFIT = 4.0  # chi-square per degree of freedom; a clean shift stays below 2.5
 MAX_EXCESS = 48.0  # of chi-square over its expectation: an error adds as much to few numbers as to many
