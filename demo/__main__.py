@@ -9,6 +9,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
+from demo.errors import DemoError, ExtraMissingError, check_extra
+
 if TYPE_CHECKING:
     from rich.console import Console
 
@@ -22,10 +24,14 @@ STOP_SIGNALS: Final = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the demonstration; return 0 as it must be, 1 not so, 2 usage, 130 interrupted."""
+    """Run the demonstration; return 0 as it must be, 1 not so, 2 usage or a missing extra, 130 interrupted."""
     options = _parser().parse_args(arguments)
     try:
+        check_extra("demo")
         return _run(options)
+    except ExtraMissingError as exc:
+        sys.stderr.write(f"{PROGRAM}: error: {exc}\n")
+        return USAGE
     except KeyboardInterrupt:
         sys.stderr.write(f"{PROGRAM}: interrupted\n")
         return INTERRUPTED
@@ -34,7 +40,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
 def _run(options: argparse.Namespace) -> int:
     from rich.console import Console  # noqa: PLC0415 - heavy libraries load inside the reach of the handler above
 
-    from demo.errors import DemoError  # noqa: PLC0415 - see above
     from demo.runner import DemoOptions  # noqa: PLC0415 - see above
     from diag_service.config import check_vehicle, parse_broker  # noqa: PLC0415 - see above
     from diag_service.errors import ConfigError  # noqa: PLC0415 - see above
@@ -80,6 +85,7 @@ def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog=f"python -m {PROGRAM}",
         description="Drives one shift cycle in real time and diagnoses it, as two programs on one bus.",
+        epilog="exit status: 0 as it must be, 1 not so, 2 usage or an extra that is not installed, 130 interrupted",
     )
     parser.add_argument("--scenario", default="ideal", metavar="NAME|FILE", help="what is driven (default: ideal)")
     parser.add_argument("--seed", type=int, metavar="N", help="another car, another drive")

@@ -10,7 +10,10 @@ from diag_service.defaults import BROKER_VARIABLE
 PROGRAM = "diag-service"
 
 EXIT_OK, EXIT_UNEXPECTED, EXIT_CONFIG, EXIT_SOURCE, EXIT_STORE = range(5)
-_EXIT_TEXT = "exit status: 0 done or stopped, 1 unexpected error, 2 usage, calibration or DBC, 3 bus or log, 4 store"
+_EXIT_TEXT = (
+    "exit status: 0 done or stopped, 1 unexpected error, "
+    "2 usage, calibration, DBC or an extra that is not installed, 3 bus or log, 4 store"
+)
 _FOLDERS = (
     "Logs that are named are one drive, put in order of time. A folder is many drives: every log in it, and in the "
     "folders below, is a drive of its own, judged for itself. With --output a folder that was left half-way, killed "

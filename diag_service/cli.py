@@ -16,7 +16,7 @@ from diag_service.arguments import (
     PROGRAM,
     build_parser,
 )
-from diag_service.errors import ConfigError, SourceError, StoreError
+from diag_service.errors import ConfigError, ExtraMissingError, SourceError, StoreError
 from diag_service.stopping import Trigger, ignore
 
 
@@ -55,6 +55,7 @@ def _complain(exc: Exception, *, is_verbose: bool) -> int:
     for kinds, code in (
         ((ConfigError, CalibrationError), EXIT_CONFIG),
         ((SourceError,), EXIT_SOURCE),
+        ((ExtraMissingError,), EXIT_CONFIG),
         ((StoreError,), EXIT_STORE),
     ):
         if isinstance(exc, kinds):

@@ -13,6 +13,10 @@ class SourceError(DiagServiceError):
     """A bus or a log cannot be opened or read: check the interface or the file."""
 
 
+class ExtraMissingError(SourceError):
+    """A log needs a library that only an extra brings: install it."""
+
+
 class StoreError(DiagServiceError):
     """The result store cannot be opened or written: results cannot be kept, so stop."""
 

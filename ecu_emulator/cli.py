@@ -12,7 +12,7 @@ from threading import Event
 from typing import TYPE_CHECKING, Final, NoReturn
 
 from ecu_emulator import __version__
-from ecu_emulator.errors import BusError, ConfigError, EmulatorError, RecordError
+from ecu_emulator.errors import BusError, ConfigError, EmulatorError, ExtraMissingError, RecordError
 
 if TYPE_CHECKING:
     from types import FrameType
@@ -20,7 +20,11 @@ if TYPE_CHECKING:
 PROGRAM: Final = "ecu-emulator"
 STATUS_UNEXPECTED: Final = 1
 STATUS_INTERRUPTED: Final = 130  # SIGINT again, without waiting for the clean stop
-STATUS_OF_ERROR: Final = {ConfigError: 2, BusError: 3, RecordError: 4}
+STATUS_OF_ERROR: Final = {ConfigError: 2, ExtraMissingError: 2, BusError: 3, RecordError: 4}
+EXIT_TEXT: Final = (
+    "exit status: 0 done or stopped, 1 unexpected error, 2 usage, scenario or an extra that is not installed, 3 bus, "
+    "4 file, 130 interrupted twice"
+)
 PATIENCE_S: Final = 1.0
 NS_PER_S: Final = 1_000_000_000
 DEFAULT_REVS: Final = (4, 4)
@@ -28,7 +32,7 @@ DEFAULT_START: Final = "2026-01-01T00:00:00Z"
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the program; return 0 done or stopped, 2 usage or scenario, 3 bus, 4 file, 1 anything unexpected."""
+    """Run the program and return its exit status."""
     with _stop_on_signals(is_program=arguments is None) as stop:
         options = _parser().parse_args(arguments)
         try:
@@ -124,12 +128,16 @@ class _Parser(argparse.ArgumentParser):
 
 
 def _parser() -> argparse.ArgumentParser:
-    parser = _Parser(prog=PROGRAM, description="Puts an emulated dual-clutch vehicle on a CAN bus or into a log.")
+    parser = _Parser(
+        prog=PROGRAM, description="Puts an emulated dual-clutch vehicle on a CAN bus or into a log.", epilog=EXIT_TEXT
+    )
     parser.add_argument("--version", action="version", version=f"{PROGRAM} {__version__}")
     commands = parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
-    _add_run(commands.add_parser("run", help="stream a drive onto a CAN interface in real time"))
-    _add_record(commands.add_parser("record", help="write a drive to a log file, faster than real time"))
-    scenarios = commands.add_parser("scenarios", help="list the scenarios that ship with the program")
+    _add_run(commands.add_parser("run", help="stream a drive onto a CAN interface in real time", epilog=EXIT_TEXT))
+    _add_record(
+        commands.add_parser("record", help="write a drive to a log file, faster than real time", epilog=EXIT_TEXT)
+    )
+    scenarios = commands.add_parser("scenarios", help="list the scenarios that ship with the program", epilog=EXIT_TEXT)
     scenarios.add_argument("-v", "--verbose", action="store_true", help="show a traceback on errors")
     return parser
 

@@ -15,3 +15,7 @@ class BusError(EmulatorError):
 
 class RecordError(EmulatorError):
     """A file cannot be written: check its folder and the space left."""
+
+
+class ExtraMissingError(RecordError):
+    """A log format needs a library that only an extra brings: install it."""

@@ -12,9 +12,10 @@ from datetime import UTC, datetime
 from sqlalchemy import Engine
 
 from fleet_backend.broker import BrokerAddress, Connection, connected
+from fleet_backend.choices import Pace
 from fleet_backend.database import place_of
 from fleet_backend.errors import DatabaseAwayError
-from fleet_backend.ingest import FILTERS, Pace, Pauses, Worker
+from fleet_backend.ingest import FILTERS, Pauses, Worker
 from fleet_backend.intake import Kind
 from fleet_backend.migrate import check_schema, migrate
 from fleet_backend.writer import Writer

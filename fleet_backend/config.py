@@ -4,8 +4,8 @@ from datetime import UTC, datetime
 from typing import Final
 
 from fleet_backend.broker import BrokerAddress, TlsFiles
+from fleet_backend.choices import Pace
 from fleet_backend.errors import ConfigError
-from fleet_backend.ingest import Pace
 from fleet_contract import BrokerUrlError, parse_broker_url
 
 _MAX_BATCH: Final = 30_000  # twice as many are in flight; MQTT counts to 65,535

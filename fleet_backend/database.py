@@ -10,7 +10,7 @@ from typing import Final
 
 from sqlalchemy import URL, Connection, Engine, create_engine, event, exc, make_url
 
-from fleet_backend.errors import ConfigError, DatabaseAwayError, DatabaseError, RowRefusedError
+from fleet_backend.errors import ConfigError, DatabaseAwayError, DatabaseError, ExtraMissingError, RowRefusedError
 
 _BUSY_TIMEOUT_S: Final = 30  # two workers share one SQLite file
 _POSTGRES_OPTIONS: Final = {  # a server that vanished is known after half a minute, not after two hours
@@ -47,7 +47,7 @@ def open_database(address: str) -> Engine:
     if backend == "sqlite":
         return _open_sqlite(url)
     if backend == "postgresql":
-        return create_engine(url.set(drivername="postgresql+psycopg"), connect_args=_POSTGRES_OPTIONS)
+        return _open_postgres(url)
     raise ConfigError(f"the database must be SQLite or PostgreSQL, not {backend}")
 
 
@@ -87,6 +87,13 @@ def translated(engine: Engine) -> Iterator[None]:
         raise DatabaseAwayError(text) from error
     except exc.StatementError as error:  # a value that the driver cannot even send
         raise RowRefusedError(f"database {place_of(engine)}: {_first_line(error)}") from error
+
+
+def _open_postgres(url: URL) -> Engine:
+    try:
+        return create_engine(url.set(drivername="postgresql+psycopg"), connect_args=_POSTGRES_OPTIONS)
+    except ImportError as error:  # also of the system's libpq, which psycopg without its extra needs
+        raise ExtraMissingError("psycopg") from error
 
 
 def _open_sqlite(url: URL) -> Engine:

@@ -9,6 +9,13 @@ class ConfigError(FleetBackendError):
     """The command line or a file it names cannot be used: correct it and start again."""
 
 
+class ExtraMissingError(ConfigError):
+    """A library that only an extra brings is not installed: install it."""
+
+    def __init__(self, module: str) -> None:
+        super().__init__(f"the module {module} is not installed: pip install 'clutchdiag[fleet]'")
+
+
 class BrokerError(FleetBackendError):
     """The broker is absent, silent or refuses us: connect again later."""
 

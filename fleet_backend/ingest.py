@@ -10,10 +10,10 @@ import random
 from collections import Counter
 from collections.abc import Callable, Sequence
 from contextlib import AbstractAsyncContextManager
-from dataclasses import dataclass
 from datetime import datetime
 from typing import Final, Protocol
 
+from fleet_backend.choices import Pace
 from fleet_backend.errors import BrokerError, DatabaseAwayError, RowRefusedError
 from fleet_backend.intake import IDENTITY_REASON, INGESTED, Kind, Message, Taken, batch_of, receipts_of, refuse, take
 from fleet_backend.writer import Batch
@@ -46,19 +46,6 @@ class Store(Protocol):
 
     def store(self, batch: Batch) -> None:
         """Store all of a batch, or raise DatabaseAwayError (ask again) or RowRefusedError (one row never fits)."""
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Pace:
-    """How messages are gathered: a transaction costs a disk's turn, whatever it holds."""
-
-    batch_size: int = 500
-    patience_s: float = 0.02  # how long the first message of a batch waits for others
-
-    @property
-    def max_unsettled(self) -> int:
-        """Messages that the broker may have sent us and we have not settled: one batch at work, one on its way."""
-        return 2 * self.batch_size
 
 
 class Worker:

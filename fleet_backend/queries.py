@@ -4,13 +4,13 @@ import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from datetime import datetime
-from enum import StrEnum
 from hashlib import sha256
 from typing import Final
 
 from sqlalchemy import Connection, Engine, Select, delete, func, insert, select, update
 
 from fleet_backend import views
+from fleet_backend.choices import Axis
 from fleet_backend.database import transaction
 from fleet_backend.errors import ConfigError
 from fleet_backend.schema import (
@@ -25,19 +25,6 @@ from fleet_backend.schema import (
 
 Record = Mapping[str, object]
 _ROWS_PER_READ: Final = 2000
-
-
-class Axis(StrEnum):
-    """Against what a trend is drawn."""
-
-    SHIFT = "shift"
-    ODOMETER = "odometer"
-    DATE = "date"
-
-    @property
-    def column(self) -> str:
-        """The column of the view ``clutch_trend``."""
-        return {Axis.SHIFT: "shift_number", Axis.ODOMETER: "odometer_m", Axis.DATE: "end_at"}[self]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

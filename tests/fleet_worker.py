@@ -21,9 +21,10 @@ from typing import Final
 from sqlalchemy import Connection, Engine, event
 
 from fleet_backend.broker import TlsFiles, connected
+from fleet_backend.choices import Pace
 from fleet_backend.config import parse_broker
 from fleet_backend.database import open_database
-from fleet_backend.ingest import FILTERS, Inbox, Pace, Worker
+from fleet_backend.ingest import FILTERS, Inbox, Worker
 from fleet_backend.intake import Message
 from fleet_backend.writer import Batch, Writer
 from fleet_contract import Outgoing

@@ -10,26 +10,27 @@ from typing import Final
 
 from rich.console import Console
 
-from demo.errors import DemoError
+from demo.errors import DemoError, ExtraMissingError, check_extra
 from demo.fleet.runner import run_fleet
 
 PROGRAM: Final = "fleet"
-DONE, FAILED, INTERRUPTED = 0, 1, 130
+DONE, FAILED, USAGE, INTERRUPTED = 0, 1, 2, 130
 CYCLES: Final = 2
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the demonstration; return 0 done, 1 failed, 130 interrupted."""
+    """Run the demonstration; return 0 done, 1 failed, 2 usage or a missing extra, 130 interrupted."""
     options = _parser().parse_args(arguments)
-    options.output.mkdir(parents=True, exist_ok=True)
     try:
+        check_extra("fleet")
+        options.output.mkdir(parents=True, exist_ok=True)
         asyncio.run(_interruptible(options.output, options.cycles, Console(highlight=False)))
     except asyncio.CancelledError:
         sys.stderr.write(f"{PROGRAM}: interrupted\n")
         return INTERRUPTED
     except DemoError as exc:
         sys.stderr.write(f"{PROGRAM}: error: {exc}\n")
-        return FAILED
+        return USAGE if isinstance(exc, ExtraMissingError) else FAILED
     return DONE
 
 
@@ -45,6 +46,7 @@ def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog="python -m demo.fleet",
         description="Broker, database, two ingest workers and three emulated vehicles; then the fleet, worst first.",
+        epilog="exit status: 0 done, 1 failed, 2 usage or an extra that is not installed, 130 interrupted",
     )
     parser.add_argument(
         "--cycles", type=int, default=CYCLES, metavar="N", help="ten shifts each (default: %(default)s)"

@@ -5,7 +5,7 @@ from typing import Any, BinaryIO, Final
 
 import numpy as np
 
-from ecu_emulator.errors import RecordError
+from ecu_emulator.errors import ExtraMissingError
 from ecu_emulator.frames import EncodedFrames
 from ecu_emulator.log_formats.base import EXTENDED_FLAG, PAYLOAD_BYTES, US_PER_S, Header, Int64Array
 
@@ -31,7 +31,7 @@ class Mf4Writer:
 
     Raises
     ------
-    RecordError
+    ExtraMissingError
         If asammdf is not installed.
     """
 
@@ -41,7 +41,7 @@ class Mf4Writer:
             from asammdf.blocks import v4_constants  # noqa: PLC0415
             from asammdf.blocks.v4_blocks import SourceInformation  # noqa: PLC0415
         except ImportError as exc:
-            raise RecordError("MF4 needs the optional package asammdf: pip install 'clutchdiag[mf4]'") from exc
+            raise ExtraMissingError("MF4 needs the optional package asammdf: pip install 'clutchdiag[mf4]'") from exc
         self._stream = stream
         self._start_us = header.start_us
         self._signal: Any = asammdf.Signal

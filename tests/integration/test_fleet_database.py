@@ -8,10 +8,10 @@ from sqlalchemy import Engine
 
 from diag_service.records import Condition
 from fleet_backend import queries
+from fleet_backend.choices import Axis
 from fleet_backend.database import open_database, transaction
 from fleet_backend.errors import ConfigError, RowRefusedError
 from fleet_backend.migrate import migrate
-from fleet_backend.queries import Axis
 from fleet_backend.rows import Poison, Row, quarantine_row, status_row
 from fleet_backend.schema import CLUTCH, SHIFT_RESULT, VEHICLE
 from fleet_backend.writer import Batch, Writer

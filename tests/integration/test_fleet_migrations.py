@@ -10,6 +10,7 @@ from alembic.runtime.migration import MigrationContext
 from sqlalchemy import Connection, Engine, column, inspect, table
 
 from fleet_backend import queries
+from fleet_backend.choices import Axis
 from fleet_backend.database import open_database, transaction
 from fleet_backend.errors import DatabaseAwayError, DatabaseError
 from fleet_backend.migrate import check_schema, migrate, newest_revision, revisions
@@ -58,7 +59,7 @@ def test_data_survive_the_upgrade_from_every_earlier_schema(empty: Engine, revis
     assert (seen["vehicle"], bool(seen["is_online"]), seen["service_version"]) == ("car1", True, "0.1.0")
     worst = queries.worst_first(empty)[0]
     assert (worst["vehicle"], worst["condition"]) == ("car2", "change_fluid")
-    assert len(queries.trend(empty, "car1", 2, queries.Axis.SHIFT)) == 3  # the newer algorithm stands for its shift
+    assert len(queries.trend(empty, "car1", 2, Axis.SHIFT)) == 3  # the newer algorithm stands for its shift
     assert [record["reason"] for record in queries.quarantined(empty, 9)] == ["identity"]
     assert [record["vehicle"] for record in queries.identity_alarms(empty)] == ["car1"]
 

@@ -16,6 +16,7 @@ from sqlalchemy import Engine
 from diag_service.results import shift_record
 from diag_service.store import ResultStore, VehicleState, Versions
 from fleet_backend import queries
+from fleet_backend.choices import Axis
 from fleet_backend.database import open_database
 from fleet_backend.migrate import migrate
 from fleet_contract import Outgoing, shift_message
@@ -115,4 +116,4 @@ def wait_for_line(log: Path, text: str, timeout_s: float = PATIENCE_S) -> None:
 
 
 def stored_seqs(engine: Engine) -> list[int]:
-    return [int(str(row["seq"])) for row in queries.trend(engine, "car1", 2, queries.Axis.SHIFT)]
+    return [int(str(row["seq"])) for row in queries.trend(engine, "car1", 2, Axis.SHIFT)]

@@ -12,8 +12,9 @@ from diag_service.publishers import Acknowledge, BrokerAddress, MqttConnector, O
 from diag_service.results import shift_record
 from diag_service.store import ResultStore
 from fleet_backend import queries
+from fleet_backend.choices import Axis
 from fleet_backend.database import open_database
-from fleet_certificates import Authority, Lifetime
+from fleet_certificates.authority import Authority, Lifetime
 from fleet_contract import shift_message
 from tests.acknowledger import Acknowledger
 from tests.builders import shift_result
@@ -199,9 +200,7 @@ async def test_a_certificate_of_another_vehicle_than_the_payload_is_an_alarm_and
     (alarm,) = queries.identity_alarms(engine)
     assert (alarm["vehicle"], alarm["message_count"]) == ("car1", 1)
     assert "car2" in str(alarm["reason"])
-    assert [(row["vehicle"], row["seq"]) for row in queries.trend(engine, "car1", 2, queries.Axis.SHIFT)] == [
-        ("car1", 7)
-    ]
+    assert [(row["vehicle"], row["seq"]) for row in queries.trend(engine, "car1", 2, Axis.SHIFT)] == [("car1", 7)]
     assert queries.result_count(engine) == 1
     assert "identity: 1 messages put aside" in (tmp_path / "worker-0.log").read_text(encoding="utf-8")
     engine.dispose()

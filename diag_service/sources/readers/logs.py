@@ -76,7 +76,7 @@ class LogReader(Iterator[FrameBatch]):
             raise SourceError(f"{self.path}: {exc.strerror or exc}") from exc
         except SourceError as exc:
             self.close()
-            raise SourceError(f"{self.path}: {exc}") from exc
+            raise type(exc)(f"{self.path}: {exc}") from exc
         self._watch.look(batch)
         self._be_strict()
         return batch

@@ -17,7 +17,7 @@ import numpy as np
 import numpy.typing as npt
 
 from diag_service.columns import UInt8Array
-from diag_service.errors import SourceError
+from diag_service.errors import ExtraMissingError, SourceError
 from diag_service.frames import (
     BRS_FLAG,
     ERROR_FLAG,
@@ -69,7 +69,7 @@ def read_mf4(stream: BinaryIO, tally: Tally) -> Iterator[FrameBatch]:
         If asammdf is not installed, or the file is damaged or not of version 4.
     """
     if find_spec("asammdf") is None:
-        raise SourceError("MF4 needs the optional package asammdf: pip install 'clutchdiag[mf4]'")
+        raise ExtraMissingError("MF4 needs the optional package asammdf: pip install 'clutchdiag[mf4]'")
     tally.unfinished = stream.read(len(UNFINISHED_MAGIC)) == UNFINISHED_MAGIC
     yield from guarded(mf4_batches, Path(stream.name), tally)
 
@@ -113,7 +113,7 @@ def load_asammdf() -> Asammdf:
         from asammdf.blocks.mdf_v4 import MDF4  # noqa: PLC0415
         from asammdf.blocks.utils import MdfException  # noqa: PLC0415
     except ImportError as exc:
-        raise SourceError("MF4 needs the optional package asammdf: pip install 'clutchdiag[mf4]'") from exc
+        raise ExtraMissingError("MF4 needs the optional package asammdf: pip install 'clutchdiag[mf4]'") from exc
     errors = [MdfException, *DAMAGE]
     with suppress(ImportError):
         from isal.igzip_lib import IsalError  # noqa: PLC0415 - asammdf inflates with it where it is installed

@@ -7,8 +7,9 @@ from contextlib import asynccontextmanager
 
 import pytest
 
+from fleet_backend.choices import Pace
 from fleet_backend.errors import BrokerError, DatabaseAwayError, RowRefusedError
-from fleet_backend.ingest import FILTERS, Pace, Worker
+from fleet_backend.ingest import FILTERS, Worker
 from fleet_backend.intake import Kind, Message
 from fleet_backend.writer import Batch
 from fleet_contract import Outgoing

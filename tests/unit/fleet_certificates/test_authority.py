@@ -9,7 +9,8 @@ import pytest
 from cryptography import x509
 from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
 
-from fleet_certificates import Authority, CertificateError, Lifetime
+from fleet_certificates import CertificateError
+from fleet_certificates.authority import Authority, Lifetime
 from fleet_certificates.cli import main
 
 NOW = datetime(2026, 1, 1, tzinfo=UTC)

@@ -8,7 +8,7 @@ import pytest
 
 from diag_service.errors import ConfigError, PublishError
 from diag_service.publishers import TlsFiles
-from fleet_certificates import Authority, Lifetime
+from fleet_certificates.authority import Authority, Lifetime
 
 LIFETIME = Lifetime.of_days(1, datetime(2026, 1, 1, tzinfo=UTC))
 

@@ -1,0 +1,30 @@
+"""What a user can choose, and what holds if not; imports nothing that a plain installation lacks."""
+
+from dataclasses import dataclass
+from enum import StrEnum
+
+
+class Axis(StrEnum):
+    """Against what a trend is drawn."""
+
+    SHIFT = "shift"
+    ODOMETER = "odometer"
+    DATE = "date"
+
+    @property
+    def column(self) -> str:
+        """The column of the view ``clutch_trend``."""
+        return {Axis.SHIFT: "shift_number", Axis.ODOMETER: "odometer_m", Axis.DATE: "end_at"}[self]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Pace:
+    """How messages are gathered: a transaction costs a disk's turn, whatever it holds."""
+
+    batch_size: int = 500
+    patience_s: float = 0.02  # how long the first message of a batch waits for others
+
+    @property
+    def max_unsettled(self) -> int:
+        """Messages that the broker may have sent us and we have not settled: one batch at work, one on its way."""
+        return 2 * self.batch_size

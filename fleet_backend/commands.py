@@ -1,0 +1,128 @@
+"""What the commands do, once their words are checked; loads the database's libraries, which are an extra."""
+
+import argparse
+import getpass
+import sys
+from collections.abc import Callable, Mapping, Sequence
+from datetime import UTC, datetime, timedelta
+from types import MappingProxyType
+from typing import Final
+
+from sqlalchemy import Engine
+
+from fleet_backend import queries, report
+from fleet_backend.application import run_ingest
+from fleet_backend.arguments import BROKER_VARIABLE
+from fleet_backend.broker import TlsFiles
+from fleet_backend.choices import Axis
+from fleet_backend.config import parse_broker, parse_moment, parse_pace
+from fleet_backend.database import default_database, open_database, place_of
+from fleet_backend.errors import ConfigError
+from fleet_backend.migrate import check_schema, migrate, newest_revision
+
+Command = Callable[[argparse.Namespace, Engine], None]
+
+
+def execute(options: argparse.Namespace) -> None:
+    """Do what a command line asks for; raises FleetBackendError."""
+    engine = open_database(options.database or default_database())
+    try:
+        _COMMANDS[options.command](options, engine)
+    finally:
+        engine.dispose()
+
+
+def _ingest(options: argparse.Namespace, engine: Engine) -> None:
+    if not options.broker:
+        raise ConfigError(f"no broker: give --broker or set {BROKER_VARIABLE}")
+    tls = TlsFiles(ca=options.ca, certificate=options.cert, key=options.key)
+    pace = parse_pace(options.batch, options.patience)
+    run_ingest(engine, parse_broker(options.broker, tls), pace, options.worker)
+
+
+def _migrate(_options: argparse.Namespace, engine: Engine) -> None:
+    migrate(engine)
+    sys.stdout.write(f"{place_of(engine)}: schema {newest_revision()}\n")
+
+
+def _table(options: argparse.Namespace, engine: Engine) -> None:
+    records = queries.worst_first(engine, options.limit)
+    _tell(options, records, lambda: report.show(report.fleet_table(records), sys.stdout))
+
+
+def _trend(options: argparse.Namespace, engine: Engine) -> None:
+    records = queries.trend(engine, options.vehicle, options.clutch, Axis(options.against))
+    title = f"{options.vehicle}, clutch {options.clutch}: {len(records)} valid shifts against {options.against}"
+    _tell(options, records, lambda: report.show(report.trend_table(title, records), sys.stdout))
+
+
+def _alarms(options: argparse.Namespace, engine: Engine) -> None:
+    if options.acknowledge is not None:
+        _acknowledge(options, engine)
+        return
+    clutches = queries.clutch_alarms(engine, is_open_only=not options.all)
+    identities = queries.identity_alarms(engine)
+    records = [{"alarm": "clutch", **record} for record in clutches]
+    records += [{"alarm": "identity", **record} for record in identities]
+    _tell(options, records, lambda: report.show(report.alarm_table(clutches, identities), sys.stdout))
+
+
+def _acknowledge(options: argparse.Namespace, engine: Engine) -> None:
+    vehicle, clutch = options.acknowledge, options.clutch
+    by, now = options.by or getpass.getuser(), datetime.now(UTC)
+    if clutch is None:
+        count = queries.acknowledge_quarantine(engine, vehicle, by=by, at=now)
+        sys.stdout.write(f"{count} messages on the topics of {vehicle} acknowledged\n")
+    else:
+        queries.acknowledge_clutch(engine, vehicle, clutch, by=by, note=options.note, at=now)
+        sys.stdout.write(f"alarm of clutch {clutch} of {vehicle} acknowledged\n")
+
+
+def _quarantine(options: argparse.Namespace, engine: Engine) -> None:
+    if options.purge_days is not None:
+        count = queries.purge_quarantine(engine, datetime.now(UTC) - timedelta(days=options.purge_days))
+        sys.stdout.write(f"{count} messages forgotten\n")
+        return
+    records = queries.quarantined(engine, options.limit)
+    _tell(options, records, lambda: report.show(report.quarantine_table(records), sys.stdout))
+
+
+def _seen(options: argparse.Namespace, engine: Engine) -> None:
+    records = queries.last_seen(engine)
+    _tell(options, records, lambda: report.show(report.seen_table(records), sys.stdout))
+
+
+def _fill(options: argparse.Namespace, engine: Engine) -> None:
+    at = datetime.now(UTC) if options.at is None else parse_moment(options.at)
+    odometer_m = None if options.odometer_km is None else options.odometer_km * 1000.0
+    queries.note_fill(engine, options.vehicle, options.product, at=at, odometer_m=odometer_m, note=options.note)
+    sys.stdout.write(f"{options.vehicle}: {options.product} since {at.isoformat()}\n")
+
+
+def _hash(_options: argparse.Namespace, engine: Engine) -> None:
+    found = queries.table_hash(engine)
+    sys.stdout.write(f"{found.sha256}  {found.row_count} results\n")
+
+
+def _checked(command: Command) -> Command:
+    """Return a command that first makes sure of the schema; SQLite, which is ours alone, gets it."""
+
+    def run(options: argparse.Namespace, engine: Engine) -> None:
+        (migrate if engine.dialect.name == "sqlite" else check_schema)(engine)
+        command(options, engine)
+
+    return run
+
+
+def _tell(options: argparse.Namespace, records: Sequence[report.Record], show: Callable[[], None]) -> None:
+    if options.json:
+        report.write_json(records, sys.stdout)
+    else:
+        show()
+
+
+_COMMANDS: Final[Mapping[str, Command]] = MappingProxyType({
+    "ingest": _ingest, "migrate": _migrate, "table": _checked(_table), "trend": _checked(_trend),
+    "alarms": _checked(_alarms), "quarantine": _checked(_quarantine), "seen": _checked(_seen),
+    "fill": _checked(_fill), "hash": _checked(_hash),
+})  # fmt: skip

@@ -1,0 +1,139 @@
+"""Every command of every program without extras: help and version as ever, else one line that says what to install."""
+
+import re
+from pathlib import Path
+
+import pytest
+
+from tests.plain_install import PlainInstall, extra_modules, plain_install
+
+PROGRAMS = {
+    "ecu-emulator": "ecu_emulator.cli",
+    "diag-service": "diag_service.cli",
+    "fleet-backend": "fleet_backend.cli",
+    "fleet-certificates": "fleet_certificates.cli",
+}
+COMMAND = re.compile(r"^    ([a-z]+)(?:  +\S|$)", re.MULTILINE)
+CANDUMP = "(1767225600.000000) vcan0 123#0011223344556677\n" * 4
+MDF = b"MDF     4.10    asammdf ".ljust(512, b"\0")
+
+
+@pytest.fixture(name="plain", scope="module")
+def _plain(tmp_path_factory: pytest.TempPathFactory) -> PlainInstall:
+    return plain_install(tmp_path_factory.mktemp("plain"))
+
+
+def one_line(program: str, extra: str, text: str) -> None:
+    """Hold a complaint against what every complaint of this kind is."""
+    assert re.fullmatch(rf"{program}: error: .*pip install 'clutchdiag\[{extra}\]'\n", text), text
+
+
+def test_nothing_of_the_extras_can_be_imported(plain: PlainInstall) -> None:
+    modules = sorted(extra_modules())
+    assert {"sqlalchemy", "alembic", "psycopg", "cryptography", "pyarrow", "asammdf", "amqtt"} <= set(modules)
+    found = plain.run("-c", f"import importlib.util as u; print([m for m in {modules} if u.find_spec(m)])")
+    assert found.out == "[]\n"
+
+
+@pytest.mark.parametrize("program", PROGRAMS)
+def test_help_and_version_need_no_extra(plain: PlainInstall, program: str) -> None:
+    module = PROGRAMS[program]
+    version, text = plain.run_all(module, [["--version"], ["--help"]])
+    assert (version.status, text.status) == (0, 0)
+    assert version.out.startswith(f"{program} ")
+    commands = COMMAND.findall(text.out)
+    assert len(commands) >= 3
+    for command, told in zip(commands, plain.run_all(module, [[one, "--help"] for one in commands]), strict=True):
+        assert told.status == 0, command
+        assert told.out.startswith(f"usage: {program} {command} "), command
+        assert told.err == "", command
+
+
+@pytest.mark.parametrize("program", PROGRAMS)
+def test_the_exit_status_of_a_missing_extra_is_documented(plain: PlainInstall, program: str) -> None:
+    (text,) = plain.run_all(PROGRAMS[program], [["--help"]])
+    assert re.search(r"2 usage[^;0-9]* or an extra that is not installed", " ".join(text.out.split()))
+
+
+def test_every_program_starts_as_a_module(plain: PlainInstall) -> None:
+    for program in PROGRAMS:
+        started = plain.run("-m", program.replace("-", "_"), "--version")
+        assert (started.status, started.err) == (0, ""), program
+
+
+def test_every_command_of_the_backend_says_what_to_install(plain: PlainInstall, tmp_path: Path) -> None:
+    (text,) = plain.run_all("fleet_backend.cli", [["--help"]])
+    more = {"trend": ["car1", "2"], "fill": ["car1", "oil"], "ingest": ["--broker", "mqtt://127.0.0.1"]}
+    commands = COMMAND.findall(text.out)
+    database = ["--database", f"sqlite:///{tmp_path}/fleet.sqlite"]
+    told = plain.run_all("fleet_backend.cli", [[one, *database, *more.get(one, [])] for one in commands])
+    assert [outcome.status for outcome in told] == [2] * len(commands)
+    for outcome in told:
+        one_line("fleet-backend", "fleet", outcome.err)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_every_command_that_makes_certificates_says_what_to_install(plain: PlainInstall, tmp_path: Path) -> None:
+    folder = ["--folder", str(tmp_path / "certificates")]
+    runs = [["init", *folder], ["server", "broker", "--host", "localhost", *folder], ["client", "car1", *folder]]
+    told = plain.run_all("fleet_certificates.cli", runs)
+    assert [outcome.status for outcome in told] == [2, 2, 2]
+    for outcome in told:
+        one_line("fleet-certificates", "security", outcome.err)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_parquet_and_mf4_say_what_to_install(plain: PlainInstall, tmp_path: Path) -> None:
+    log, mdf = tmp_path / "drive.log", tmp_path / "drive.mf4"
+    log.write_text(CANDUMP, encoding="utf-8")
+    mdf.write_bytes(MDF)
+    runs = {
+        "parquet": [["decode", log, "-o", "d.parquet"], ["analyze", log, "-o", "a.parquet"]],
+        "mf4": [
+            ["inspect", mdf],
+            ["signals", mdf],
+            ["analyze", mdf],
+            ["analyze", "--estimator", "paper", mdf],
+            ["calibrate", mdf, "-o", "c.toml"],
+        ],
+    }
+    for extra, words in runs.items():
+        told = plain.run_all("diag_service.cli", [[str(word) for word in one] for one in words], cwd=tmp_path)
+        for one, outcome in zip(words, told, strict=True):
+            assert outcome.status == 2, (one, outcome)
+            last = outcome.err.splitlines(keepends=True)[-1]
+            one_line("diag-service", extra, last)
+            assert "Traceback" not in outcome.err
+
+
+def test_a_folder_goes_on_without_the_logs_that_need_an_extra(plain: PlainInstall, tmp_path: Path) -> None:
+    (tmp_path / "drive.mf4").write_bytes(MDF)
+    (told,) = plain.run_all("diag_service.cli", [["analyze", str(tmp_path), "--jobs", "1"]], cwd=tmp_path)
+    assert told.status == 3
+    assert "drive.mf4: not read: " in told.out
+    assert "pip install 'clutchdiag[mf4]'" in told.err
+
+
+def test_a_log_in_mf4_says_what_to_install(plain: PlainInstall, tmp_path: Path) -> None:
+    (told,) = plain.run_all("ecu_emulator.cli", [["record", str(tmp_path / "drive.mf4")]])
+    assert told.status == 2
+    one_line("ecu-emulator", "mf4", told.err)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_the_rest_works_without_extras(plain: PlainInstall, tmp_path: Path) -> None:
+    log = tmp_path / "drive.log"
+    log.write_text(CANDUMP, encoding="utf-8")
+    runs = [["inspect", str(log)], ["signals", str(log)], ["analyze", str(log)], ["config", "check"]]
+    assert [outcome.status for outcome in plain.run_all("diag_service.cli", runs, cwd=tmp_path)] == [0] * len(runs)
+    (listed,) = plain.run_all("ecu_emulator.cli", [["scenarios"]])
+    assert listed.status == 0
+
+
+@pytest.mark.parametrize(("module", "program"), [("demo", "demo"), ("demo.fleet", "fleet")])
+def test_the_demonstrations_say_what_to_install(plain: PlainInstall, tmp_path: Path, module: str, program: str) -> None:
+    assert plain.run("-m", module, "--help").status == 0
+    told = plain.run("-m", module, "--output", str(tmp_path / "output"))
+    assert told.status == 2
+    one_line(program, "[a-z,]+", told.err)
+    assert list(tmp_path.iterdir()) == []

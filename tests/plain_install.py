@@ -1,0 +1,125 @@
+"""An interpreter that has what ``pip install clutchdiag`` brings and no extra, and runs of our programs in it."""
+
+import json
+import os
+import subprocess
+import venv
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from importlib.metadata import Distribution, PackageNotFoundError, distribution, distributions
+from pathlib import Path
+from typing import Final
+
+from packaging.requirements import Requirement
+
+from tests.unit.test_packaging import ROOT, normal, project
+
+RUN_S: Final = 300.0  # reached by what hangs only
+_ELSEWHERE: Final = frozenset({"PYTHONPATH", "PYTHONHOME", "VIRTUAL_ENV"})
+_DRIVER: Final = """
+import contextlib, importlib, io, json, sys
+module, runs = sys.argv[1], json.loads(sys.argv[2])
+outcomes = []
+for words in runs:
+    out, err = io.StringIO(), io.StringIO()
+    with contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
+        try:
+            status = importlib.import_module(module).main(words)
+        except SystemExit as exc:
+            status = exc.code
+    outcomes.append([status, out.getvalue(), err.getvalue()])
+print(json.dumps(outcomes))
+"""
+
+
+@dataclass(frozen=True, slots=True)
+class Outcome:
+    """What became of one run."""
+
+    status: int
+    out: str
+    err: str
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PlainInstall:
+    """The interpreter."""
+
+    python: Path
+
+    def run(self, *words: str, cwd: Path = ROOT) -> Outcome:
+        """Run it with these arguments."""
+        done = subprocess.run(
+            [self.python, *words],
+            cwd=cwd,
+            env={**{name: value for name, value in os.environ.items() if name not in _ELSEWHERE}, "COLUMNS": "200"},
+            capture_output=True,
+            text=True,
+            timeout=RUN_S,
+            check=False,
+        )
+        return Outcome(done.returncode, done.stdout, done.stderr)
+
+    def run_all(self, module: str, runs: Sequence[Sequence[str]], cwd: Path = ROOT) -> list[Outcome]:
+        """Call the ``main`` of a module once for each list of words, in one process, which saves its start."""
+        done = self.run("-c", _DRIVER, module, json.dumps([list(words) for words in runs]), cwd=cwd)
+        assert done.status == 0, done.err
+        return [Outcome(*outcome) for outcome in json.loads(done.out)]
+
+
+def plain_install(folder: Path) -> PlainInstall:
+    """Make the interpreter in a folder: links to the core requirements, found from their metadata, and our sources."""
+    venv.EnvBuilder(symlinks=True, with_pip=False).create(folder)
+    site = next((folder / "lib").glob("python*")) / "site-packages"
+    for name in core_distributions():
+        for entry in _top_entries(distribution(name)):
+            (site / entry.name).symlink_to(entry)
+    ours = Path(str(distribution("clutchdiag").locate_file("")))
+    (information,) = ours.glob("clutchdiag-*.dist-info")
+    (site / information.name).symlink_to(information)
+    (site / "sources.pth").write_text(f"{ROOT}\n", encoding="utf-8")
+    return PlainInstall(python=folder / "bin" / "python")
+
+
+def core_distributions() -> set[str]:
+    """Return the names of what the project requires without any extra, and of what that requires."""
+    found: set[str] = set()
+    waiting = [Requirement(text) for text in project()["project"]["dependencies"]]
+    while waiting:
+        requirement = waiting.pop()
+        name = normal(requirement.name)
+        if name in found:
+            continue
+        found.add(name)
+        for text in distribution(name).requires or []:
+            inner = Requirement(text)
+            extras = requirement.extras or {""}
+            if inner.marker is None or any(inner.marker.evaluate({"extra": extra}) for extra in extras):
+                waiting.append(inner)
+    return found
+
+
+def extra_modules() -> set[str]:
+    """Return the top-level modules that only extras bring."""
+    core = core_distributions()
+    extras = project()["project"]["optional-dependencies"]
+    names = {normal(Requirement(text).name) for name, texts in extras.items() if name != "dev" for text in texts}
+    return {module for name in names - core for module in _modules(_top_entries(distribution(name)))}
+
+
+def installed_only_with_extras() -> set[str]:
+    """Return the distributions of this environment that a plain install does not have."""
+    return {normal(found.name) for found in distributions()} - core_distributions() - {"clutchdiag"}
+
+
+def _top_entries(found: Distribution) -> list[Path]:
+    """Return the files and folders that a distribution puts into site-packages."""
+    if found.files is None:
+        raise PackageNotFoundError(found.name)
+    tops = {path.parts[0] for path in found.files if path.parts[0] not in {"..", "__pycache__"}}
+    return sorted(Path(str(found.locate_file(top))) for top in tops)
+
+
+def _modules(entries: Iterable[Path]) -> set[str]:
+    names = {entry.name.partition(".")[0] for entry in entries if entry.is_dir() or ".py" in entry.name}
+    return {name for name in names if name.isidentifier() and not name.startswith("_")}
