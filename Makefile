@@ -12,7 +12,7 @@ VCAN_LIMIT_S ?= 600
 
 PY = "$(VENV)/bin/python"
 # The ones that print figures of speed and size; studies of accuracy have targets or commands of their own.
-BENCHMARKS = decode estimator fleet_ingest live_bus live_latency outbox plant readers service service_memory
+BENCHMARKS = decode estimator fleet_ingest live_bus live_latency outbox plant readers service service_memory start
 
 .PHONY: help setup setup-system demo fleet check static test warm test-host test-vcan bench accuracy reproduce operating-curve mismatch lock sbom clean
 

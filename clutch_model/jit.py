@@ -1,18 +1,15 @@
-"""The one way this project compiles a numerical kernel, and where its machine code is kept."""
+"""The one way this project compiles a numerical kernel."""
 
-import os
 from collections.abc import Callable
-from functools import cache
-from hashlib import sha256
-from pathlib import Path
 from typing import Any, ParamSpec, TypeVar, cast
 
 import numba
-from numba.core import config as numba_config
+
+from clutch_model.kernel_cache import LateCache
+from clutch_model.kernel_digest import OPTIONS
 
 P = ParamSpec("P")
 R = TypeVar("R")
-_config: Any = numba_config  # numba sets its members at run time
 
 
 def kernel(function: Callable[P, R]) -> Callable[P, R]:
@@ -41,37 +38,7 @@ def inlined_kernel(function: Callable[P, R]) -> Callable[P, R]:
 
 
 def _compiled(function: Callable[P, R], **options: bool) -> Callable[P, R]:
-    configured = _config.CACHE_DIR
-    _config.CACHE_DIR = cache_folder(_package_of(function), configured)
-    try:
-        return cast("Callable[P, R]", numba.njit(cache=True, nogil=True, **options)(function))  # type: ignore[call-overload]
-    finally:
-        _config.CACHE_DIR = configured
-
-
-@cache
-def cache_folder(package: Path, configured: str = "") -> str:
-    """Return the folder for the machine code of a package's kernels, named after the sources they are made of.
-
-    numba looks only at the file of a kernel, not at the kernels that it calls in other files: with one folder for all
-    time, an edited law would go on in its old form. ``configured`` is numba's own setting of the parent folder; without
-    it that is the user's cache. Where no folder can be made, the answer is empty: numba then decides.
-    """
-    digest = sha256()
-    for source in sorted({*package.rglob("*.py"), *Path(__file__).parent.rglob("*.py")}):
-        digest.update(source.read_bytes())
-    parent = Path(configured or Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "clutchdiag")
-    folder = parent / f"{package.name}-{digest.hexdigest()[:16]}"
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except (OSError, RuntimeError):
-        return ""
-    return str(folder) if os.access(folder, os.W_OK) else ""
-
-
-def _package_of(function: Callable[P, R]) -> Path:
-    """Return the folder of the top-level package that a function was written in."""
-    folder = Path(function.__code__.co_filename).parent
-    while (folder.parent / "__init__.py").exists():
-        folder = folder.parent
-    return folder
+    vars(function)[OPTIONS] = options
+    dispatcher: Any = numba.njit(nogil=True, **options)(function)  # type: ignore[call-overload]  # the unlisted option
+    dispatcher._cache = LateCache(dispatcher)  # noqa: SLF001 - what njit's cache=True sets, with another key
+    return cast("Callable[P, R]", dispatcher)

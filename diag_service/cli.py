@@ -38,9 +38,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _run(options: argparse.Namespace, stop: Trigger, counts_wanted: Trigger) -> None:
-    if options.command in {"run", "monitor"}:
-        # python-can loads asammdf where it is installed: 45 MB of memory that only logs have a use for.
-        sys.modules.setdefault("asammdf", None)  # type: ignore[arg-type]  # Python's own way to say "not here"
+    # python-can loads asammdf where it is installed, and that pandas: 0.3 s, 45 MB. MF4 logs are read in a process of
+    # their own.
+    sys.modules.setdefault("asammdf", None)  # type: ignore[arg-type]  # Python's own way to say "not here"
     # Imported here: compiled libraries take a second, in which a signal must already find its handler.
     from diag_service.notices import set_up_notices  # noqa: PLC0415 - see above
 

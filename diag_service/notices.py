@@ -3,6 +3,8 @@
 import logging
 import sys
 
+from clutch_model.compiling import tell_of_compiling
+
 NOTICE = 25  # between INFO and WARNING: always shown, nothing is wrong
 _PROGRAM = "diag-service"
 
@@ -24,4 +26,7 @@ def set_up_notices(verbosity: int) -> None:
     own.handlers = [handler]
     own.propagate = False
     own.setLevel((NOTICE, logging.INFO, logging.DEBUG)[min(verbosity, 2)])
+    compiling = own.getChild("compiling")
+    compiling.setLevel(own.level)  # a level of its own: workers that leave other notices to their parent tell of this
+    tell_of_compiling(lambda line: compiling.log(NOTICE, "%s", line))
     logging.getLogger().handlers = [handler] if verbosity > 1 else [logging.NullHandler()]

@@ -3,6 +3,7 @@
 import argparse
 import math
 import signal
+import sys
 import time
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
@@ -48,8 +49,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _execute(options: argparse.Namespace, stop: Event) -> None:
-    from ecu_emulator import commands, live  # noqa: PLC0415 - heavy; signals are in hand before they load
+    with _without("asammdf"):  # python-can loads it where it is installed, and that pandas: 0.3 s for nothing
+        from clutch_model.compiling import tell_of_compiling  # noqa: PLC0415 - heavy; signals are in hand before
+        from ecu_emulator import commands, live  # noqa: PLC0415 - likewise
 
+    tell_of_compiling(lambda line: sys.stderr.write(f"{PROGRAM}: {line}\n"))
     if options.command == "scenarios":
         commands.list_scenarios()
         return
@@ -80,6 +84,17 @@ def _execute(options: argparse.Namespace, stop: Event) -> None:
         is_json=options.json,
         stop=stop,
     )
+
+
+@contextmanager
+def _without(module: str) -> Iterator[None]:
+    """Let a module seem not to be installed."""
+    is_hidden = sys.modules.setdefault(module, None) is None  # type: ignore[arg-type]  # Python's own way to say so
+    try:
+        yield
+    finally:
+        if is_hidden:
+            del sys.modules[module]
 
 
 @contextmanager

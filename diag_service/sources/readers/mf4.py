@@ -9,7 +9,7 @@ import zlib
 from collections.abc import Callable, Iterator
 from contextlib import suppress
 from dataclasses import dataclass
-from importlib.util import find_spec
+from importlib.machinery import PathFinder
 from pathlib import Path
 from typing import Any, BinaryIO, cast
 
@@ -68,7 +68,7 @@ def read_mf4(stream: BinaryIO, tally: Tally) -> Iterator[FrameBatch]:
     SourceError
         If asammdf is not installed, or the file is damaged or not of version 4.
     """
-    if find_spec("asammdf") is None:
+    if PathFinder.find_spec("asammdf") is None:  # whether or not this process keeps itself from importing it
         raise ExtraMissingError("MF4 needs the optional package asammdf: pip install 'clutchdiag[mf4]'")
     tally.unfinished = stream.read(len(UNFINISHED_MAGIC)) == UNFINISHED_MAGIC
     yield from guarded(mf4_batches, Path(stream.name), tally)

@@ -1,0 +1,87 @@
+"""Machine code is compiled once per machine: not again for an edited comment, another checkout or another folder."""
+
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+import clutch_model
+
+PACKAGE = Path(clutch_model.__file__).parent
+USE_LAWS = """
+from clutch_model.kernel_cache import on_compiling
+compiled = []
+on_compiling(compiled.append)
+from clutch_model.friction import FrictionLaw, kinetic_friction
+mu = kinetic_friction(10.0, FrictionLaw(0.1, 0.12, 5.0, 1.0, 0.1))
+print(*(name.rpartition(".")[2] for name in compiled))
+"""
+COLD = {"kinetic_friction", "stribeck_weight"}
+
+
+class Checkout:
+    """A copy of the laws in a folder of its own, all copies with one cache."""
+
+    def __init__(self, folder: Path, cache: Path) -> None:
+        self._folder, self._cache = folder, cache
+        shutil.copytree(PACKAGE, folder / PACKAGE.name, ignore=shutil.ignore_patterns("__pycache__"))
+
+    def edit(self, name: str, old: str, new: str) -> None:
+        path = self._folder / PACKAGE.name / name
+        text = path.read_text()
+        assert old in text
+        path.write_text(text.replace(old, new))
+
+    def comment_everywhere(self) -> None:
+        for path in (self._folder / PACKAGE.name).glob("*.py"):
+            head, _, rest = path.read_text().partition("\n\n")
+            path.write_text(f"{head}\n\n# edited\n{rest}\n# edited\n")
+
+    def compiled(self) -> set[str]:
+        """Return the names of the kernels that a program compiles here."""
+        done = subprocess.run(
+            [sys.executable, "-c", USE_LAWS],
+            cwd=self._folder,
+            env={**os.environ, "PYTHONPATH": str(self._folder), "XDG_CACHE_HOME": str(self._cache)},
+            capture_output=True,
+            text=True,
+            check=True,
+        )
+        return set(done.stdout.split())
+
+
+@pytest.fixture
+def cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.delenv("NUMBA_CACHE_DIR", raising=False)
+    return tmp_path / "cache"
+
+
+def test_a_comment_and_another_folder_compile_nothing_and_a_law_what_it_is_part_of(tmp_path: Path, cache: Path) -> None:
+    first = Checkout(tmp_path / "first", cache)
+    assert first.compiled() == COLD
+    second = Checkout(tmp_path / "second", cache)
+    second.comment_everywhere()
+    assert second.compiled() == set()
+    second.edit("friction.py", "return math.exp(-excess)", "return math.exp(-2.0 * excess)")
+    assert second.compiled() == COLD
+    assert first.compiled() == set()  # whose machine code is still there
+
+
+def test_the_forms_of_a_kernel_do_not_pile_up(tmp_path: Path, cache: Path) -> None:
+    checkout = Checkout(tmp_path / "only", cache)
+    checkout.edit("kernel_cache.py", "KEPT_VERSIONS = 8", "KEPT_VERSIONS = 1")
+    checkout.compiled()
+    before = sorted(path.suffix for path in cache.rglob("*.nb?"))
+    checkout.edit("friction.py", "return math.exp(-excess)", "return math.exp(-2.0 * excess)")
+    checkout.compiled()
+    assert sorted(path.suffix for path in cache.rglob("*.nb?")) == before
+
+
+def test_where_nothing_can_be_kept_the_laws_are_compiled_each_time(tmp_path: Path) -> None:
+    blocked = tmp_path / "file"
+    blocked.write_text("in the way")
+    checkout = Checkout(tmp_path / "only", blocked)
+    assert checkout.compiled() == checkout.compiled() == COLD
