@@ -2,6 +2,7 @@
 FROM python:3.11-slim-bookworm AS build
 WORKDIR /src
 COPY pyproject.toml requirements.lock README.md LICENSE ./
+COPY canbus canbus
 COPY clutch_model clutch_model
 COPY dbc dbc
 COPY diag_service diag_service

@@ -60,7 +60,7 @@ def _vcan(name: str, why: str) -> Medium:
 def _multicast(why: str) -> Medium:
     """Return multicast UDP on a port of its own: the kernel tells demos apart by the port, not by the group."""
     port = _free_udp_port()
-    options = {"port": port, "hop_limit": 0}  # no hop: the frames stay in this machine
+    options = {"port": port}  # no hop limit is named, so the frames stay in this machine
     return Medium(
         interface="udp_multicast",
         channel=MULTICAST_GROUP,

@@ -8,11 +8,12 @@ import threading
 import time
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
-from typing import Any, Final
+from typing import Final
 
 import can
 import numpy as np
 
+import canbus
 from ecu_emulator.errors import BusError
 from ecu_emulator.frames import EncodedFrames
 from ecu_emulator.punctuality import Punctuality
@@ -243,20 +244,18 @@ def open_bus(
 ) -> can.BusABC:
     """Open a bus; what is not given comes from CAN_INTERFACE, CAN_CHANNEL and can.conf, as with python-can's tools.
 
+    ``udp_multicast`` keeps to this machine unless ``hop_limit`` is configured.
+
     Raises
     ------
     BusError
         If no bus is named, or it cannot be opened; the text says what to do.
     """
-    can.set_logging_level("critical")  # it logs what it raises, and more when a half-made bus goes
-    options: dict[str, Any] = {"fd": True} if fd else {}  # what is not asked for is left to the driver
-    if bitrate is not None:
-        options["bitrate"] = bitrate
     name = " ".join(part for part in (interface, channel) if part) or "from the configuration"
     try:
         if interface == "socketcan" and channel:
             probe_socketcan(channel)
-        return can.Bus(channel, interface, **options)
+        return canbus.open_bus(interface, channel, bitrate, fd=fd)
     except can.CanInterfaceNotImplementedError as exc:
         if interface is None:
             raise BusError("no CAN interface given: use -i and -c, CAN_INTERFACE and CAN_CHANNEL, or can.conf") from exc

@@ -9,10 +9,12 @@ from queue import SimpleQueue
 from threading import Event
 from typing import Final
 
+from dbc.contract import load_contract, message_contracts
 from ecu_emulator.bus import TransmitReport, open_bus, transmit
 from ecu_emulator.control import ControlSocket
 from ecu_emulator.errors import RecordError
 from ecu_emulator.frames import EncodedFrames
+from ecu_emulator.other_senders import WORTH_SAYING, OtherSenders
 from ecu_emulator.progress import ProgressLine, people, print_json
 from ecu_emulator.recording import SHORT_STRETCH_S, Drive
 from ecu_emulator.scenario import Scenario
@@ -112,6 +114,7 @@ def run(
         TruthWriter(truth) if truth is not None else nullcontext() as writer,
         ControlSocket(control, drive.add_fault) if control is not None else nullcontext(),
         ProgressLine(console, "preparing the plant") as progress,
+        OtherSenders(bus, own_ids(), lambda can_id: console.print(_mixed_bus_text(can_id), markup=False)) as others,
     ):
         sent = SentTruth(drive, writer)
         _write_summary(summary, {})
@@ -125,11 +128,31 @@ def run(
 
         report = transmit(bus, sent.frames(), stop, start_delay_s=start_delay_s, on_progress=show)
         sent.finish(report)
-    result = {"scenario": scenario.name, "seed": scenario.seed, "shifts": sent.shift_count, **asdict(report)}
+    result = {
+        "scenario": scenario.name,
+        "seed": scenario.seed,
+        "shifts": sent.shift_count,
+        **asdict(report),
+        "foreign_frames": others.frame_count,
+    }
     console.print(_report_text(report), markup=False)
+    if others.frame_count >= WORTH_SAYING:
+        console.print(f"{others.frame_count} frames with the same identifiers came from another sender", markup=False)
     _write_summary(summary, result)
     if is_json:
         print_json(result)
+
+
+def own_ids() -> list[int]:
+    """Return the identifiers of the wire contract, which on one bus only one emulator may send."""
+    return [contract.can_id for contract in message_contracts(load_contract()).values()]
+
+
+def _mixed_bus_text(can_id: int) -> str:
+    return (
+        f"warning: another sender on this bus uses this emulator's identifiers ({can_id:03X} for one), "
+        "probably a second emulator; nothing can be estimated from a mixture: give each a bus of its own"
+    )
 
 
 def _report_text(report: TransmitReport) -> str:

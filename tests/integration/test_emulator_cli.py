@@ -160,6 +160,7 @@ def test_a_live_drive_stops_cleanly_and_accounts_for_every_frame(
     assert result == json.loads(summary_file.read_text(encoding="utf-8"))
     assert result["frames_sent"] == len(received)
     assert (result["is_complete"], result["frames_given_up"], result["shifts"]) == (False, 0, 1)
+    assert result["foreign_frames"] == 0
     assert "stopped early" in captured.err
     truth = read_truth(truth_file)
     assert [shift.number for shift in truth.shifts] == [1]

@@ -3,11 +3,11 @@
 import asyncio
 import threading
 from collections.abc import AsyncIterator, Sequence
-from typing import Any
 
 import can
 import numpy as np
 
+import canbus
 from diag_service.errors import SourceError
 from diag_service.frames import (
     BRS_FLAG,
@@ -135,19 +135,15 @@ def frame_flags(message: can.Message) -> int:
 
 
 def open_bus(interface: str, channel: str | None, bitrate: int | None, *, fd: bool) -> can.BusABC:
-    """Open a python-can bus.
+    """Open a python-can bus; ``udp_multicast`` keeps to this machine unless ``hop_limit`` is configured.
 
     Raises
     ------
     SourceError
         If the interface is unknown, its driver is missing, or the channel cannot be opened.
     """
-    can.set_logging_level("critical")  # it logs what it raises, and more when a half-made bus goes
-    options: dict[str, Any] = {"fd": True} if fd else {}  # what is not asked for is left to the driver
-    if bitrate is not None:
-        options["bitrate"] = bitrate
     try:
-        return can.Bus(channel, interface, **options)
+        return canbus.open_bus(interface, channel, bitrate, fd=fd)
     except (can.CanError, OSError, ValueError, TypeError, ImportError, RuntimeError) as exc:
         raise SourceError(f"CAN interface {interface} {channel or ''} cannot be opened: {one_line(exc)}") from exc
 
