@@ -15,6 +15,7 @@ ERROR_FLAG = 0x2000_0000
 BRS_FLAG = 0x01  # bits of ``flags``, as Linux numbers them: the payload was sent at the faster bit rate
 ESI_FLAG = 0x02  # the sender was error passive
 FD_FLAG = 0x04  # a CAN FD frame
+TX_FLAG = 0x08  # our own bit: the log says that its recorder sent the frame itself
 
 PAYLOAD_BYTES = 8  # of a classic frame
 FD_PAYLOAD_BYTES = 64  # of a CAN FD frame
@@ -53,7 +54,7 @@ class FrameBatch:
     can_id: UInt32Array  # (n,) with the flags above
     length: UInt8Array  # (n,) bytes, up to the width
     data: UInt8Array  # (n, 8) or (n, 64)
-    flags: UInt8Array = field(default_factory=_no_column)  # (n,) of FD_FLAG, BRS_FLAG, ESI_FLAG
+    flags: UInt8Array = field(default_factory=_no_column)  # (n,) of FD_FLAG, BRS_FLAG, ESI_FLAG, TX_FLAG
     channel: UInt8Array = field(default_factory=_no_column)  # (n,) bus number as the source counts; 0: it has but one
 
     def __post_init__(self) -> None:

@@ -7,7 +7,7 @@ from typing import BinaryIO
 import numpy as np
 
 from diag_service.columns import Int64Array, UInt8Array, UInt32Array
-from diag_service.frames import FD_PAYLOAD_BYTES, PAYLOAD_BYTES, FrameBatch
+from diag_service.frames import FD_FLAG, FD_PAYLOAD_BYTES, PAYLOAD_BYTES, FrameBatch
 from diag_service.sources.readers.word_kernels import UInt64Array
 
 BLOCK_BYTES = 2 * 1024 * 1024
@@ -77,7 +77,7 @@ class Arena:
         return batch
 
     def _rows(self, count: int, *, is_copied: bool) -> FrameBatch:
-        is_classic = self.data.shape[1] == PAYLOAD_BYTES or not (self.flags[:count].any())
+        is_classic = self.data.shape[1] == PAYLOAD_BYTES or not (self.flags[:count] & np.uint8(FD_FLAG)).any()
         width = PAYLOAD_BYTES if is_classic else FD_PAYLOAD_BYTES
         return FrameBatch(
             t_ns=np.array(self.t_ns[:count], copy=is_copied),

@@ -7,12 +7,11 @@ gives that in local time without a zone, to the millisecond; python-can reads it
 import re
 from collections.abc import Iterator
 from dataclasses import dataclass
-from datetime import datetime
 from typing import BinaryIO
 
 import numpy as np
 
-from diag_service.columns import UInt8Array
+from diag_service.columns import Int64Array, UInt8Array
 from diag_service.frames import (
     BRS_FLAG,
     ERROR_FLAG,
@@ -21,10 +20,12 @@ from diag_service.frames import (
     FD_FLAG,
     PAYLOAD_BYTES,
     REMOTE_FLAG,
+    TX_FLAG,
     FrameBatch,
 )
 from diag_service.sources.columns import NS_PER_US
 from diag_service.sources.readers.arena import BLOCK_BYTES, MAX_LINE_BYTES, Arena, end_of_line, lines_of
+from diag_service.sources.readers.asc_dates import date_us, decoded
 from diag_service.sources.readers.asc_kernel import (
     BASE,
     HEXADECIMAL,
@@ -40,8 +41,9 @@ from diag_service.sources.readers.asc_kernel import (
     parse_usual_lines,
 )
 from diag_service.sources.readers.tally import LogReject, Tally
-from diag_service.sources.readers.text_kernels import IS_LENGTH, LINES, POSITION, ROWS, STOP, WIDEN
+from diag_service.sources.readers.text_kernels import LENGTH_OF_CODE, LINES, POSITION, ROWS, STOP, WIDEN
 
+LONGEST_SHOWN = 60  # bytes of a date
 MIN_LINE_BYTES = 16  # "0.0 1 1 Rx d 0" is about the shortest line with a frame
 
 HEADER = re.compile(rb"(?:date|base|no\s+internal|internal|begin|end|previous|split)\b|//", re.IGNORECASE)
@@ -49,30 +51,22 @@ START = re.compile(rb"(?:date|begin\s+triggerblock)\s+(?P<date>\S.*)", re.IGNORE
 BASE_LINE = re.compile(rb"base\s+(?P<base>hex|dec)(?:\s+timestamps\s+(?P<kind>absolute|relative))?", re.IGNORECASE)
 STAMPED = re.compile(rb"(?P<seconds>\d{1,10})\.(?P<fraction>\d{1,9})\s+(?P<event>\S.*)")
 CLASSIC = re.compile(
-    rb"(?P<channel>\d{1,3})\s+(?P<id>[0-9a-f]+)(?P<extended>x?)\s+(?:Rx|Tx)\s+(?P<kind>[dr])"
-    rb"(?:\s+(?P<length>[0-9a-f]))?(?P<data>(?:\s+[0-9a-f]{1,3})*)(?:\s+\w+\s*=.*)?$",
+    rb"(?P<channel>\d{1,3})\s+(?P<id>[0-9a-f]+)(?P<extended>x?)\s+(?P<direction>[RT])x\s+(?P<kind>[dr])"
+    rb"(?:\s+(?P<length>[0-9a-f]{1,2}))?(?P<data>(?:\s+[0-9a-f]{1,3})*)(?:\s+\w+\s*=.*|\s*//.*)?$",
     re.IGNORECASE,
 )
 FD = re.compile(
-    rb"CANFD\s+(?P<channel>\d{1,3})\s+(?:Rx|Tx)\s+(?P<id>[0-9a-f]+)(?P<extended>x?)\s+(?:[a-z_]\w*\s+)?"
+    rb"CANFD\s+(?P<channel>\d{1,3})\s+(?P<direction>[RT])x\s+(?P<id>[0-9a-f]+)(?P<extended>x?)\s+(?:[a-z_]\w*\s+)?"
     rb"(?P<fast>[01])\s+(?P<passive>[01])\s+"
-    rb"(?P<length>[0-9a-f])\s+(?P<count>\d+)(?P<rest>(?:\s+[0-9a-f]+)*)$",
+    rb"(?P<length>[0-9a-f]{1,2})\s+(?P<count>\d{1,3})(?P<rest>(?:\s+[0-9a-f]+)*)(?:\s*//.*)?$",
     re.IGNORECASE,
 )
-ERROR = re.compile(rb"(?:CANFD\s+)?(?P<channel>\d{1,3})\s+(?:(?:Rx|Tx)\s+)?ErrorFrame\b", re.IGNORECASE)
+ERROR = re.compile(rb"(?:CANFD\s+)?(?P<channel>\d{1,3})\s+(?:(?P<direction>[RT])x\s+)?ErrorFrame\b", re.IGNORECASE)
 FRAME_LIKE = re.compile(rb"(?:CANFD\s+\d+|\d+\s+\S+)\s+(?:Rx|Tx)\b", re.IGNORECASE)
 CONTROL = re.compile(rb"[\x00-\x08\x0e-\x1f\x7f]|\xff")  # in no text of either encoding
+DIGITS_OF_BYTE = 2  # in hexadecimal; the numbers behind the bytes of a CANFD line may have one
+MOST_CODES = len(LENGTH_OF_CODE)
 WHOLE_BYTE_AT_END = re.compile(rb"\s[0-9a-f]{2}$", re.IGNORECASE)
-
-MONTHS = {
-    "jan": 1, "feb": 2, "mar": 3, "mär": 3, "apr": 4, "may": 5, "mai": 5, "jun": 6, "jul": 7, "aug": 8, "sep": 9,
-    "oct": 10, "okt": 10, "nov": 11, "dec": 12, "dez": 12,
-}  # fmt: skip
-DATE = re.compile(
-    r"\w+\s+(?P<month>\w{3})\w*\s+(?P<day>\d{1,2})\s+(?P<hour>\d{1,2}):(?P<minute>\d\d):(?P<second>\d\d)"
-    r"(?:\.(?P<ms>\d{1,3}))?\s*(?P<half>am|pm)?\s+(?P<year>\d{4})",
-    re.IGNORECASE,
-)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -143,7 +137,7 @@ class _Parser:
         frame = self._frame(event)
         if not is_terminated:
             is_whole = self._clock[BASE] == HEXADECIMAL and WHOLE_BYTE_AT_END.search(event) is not None
-            if not (isinstance(frame, _Frame) and is_whole and not frame.flags):
+            if not (isinstance(frame, _Frame) and is_whole and not frame.flags & FD_FLAG):
                 self._cut_off(number)
                 return None
         if isinstance(frame, _Frame):
@@ -166,8 +160,16 @@ class _Parser:
             self._clock[BASE] = 10 if base["base"].lower() == b"dec" else HEXADECIMAL
             self._clock[IS_RELATIVE] = (base["kind"] or b"").lower() == b"relative"
         elif start := START.match(line):
-            self._clock[START_US] = date_us(start["date"])
-            self._clock[NOW_US] = 0
+            self._take_start(start["date"])
+
+    def _take_start(self, date: bytes) -> None:
+        start_us = date_us(date)
+        self._clock[NOW_US] = 0
+        if start_us is not None:
+            self._clock[START_US] = start_us
+        elif not self._clock[START_US]:
+            shown = decoded(date[:LONGEST_SHOWN]).encode("ascii", "backslashreplace").decode()
+            self._tally.note(f"the date {shown!r} is not understood: times count from 1970")
 
     def _cut_off(self, number: int) -> None:
         self._tally.truncated = True
@@ -186,33 +188,45 @@ class _Parser:
         if fd := FD.match(event):
             return self._fd_frame(fd)
         if error := ERROR.match(event):
-            return _Frame(can_id=ERROR_FLAG, channel=channel_of(error))
+            return _Frame(can_id=ERROR_FLAG, channel=channel_of(error), flags=sent_flag(error))
         return LogReject.MALFORMED if FRAME_LIKE.match(event) or CONTROL.search(event) else None
 
     def _classic_frame(self, found: re.Match[bytes]) -> _Frame | LogReject:
-        length = min(int(found["length"] or b"0", 16), PAYLOAD_BYTES)
-        if found["kind"].lower() == b"r":
+        is_remote, texts = found["kind"].lower() == b"r", found["data"].split()
+        code = int(found["length"] or b"0", int(self._clock[BASE])) if is_digits(found["length"], self._clock) else -1
+        length = min(code, PAYLOAD_BYTES)
+        if is_remote and (found["length"] is None or 0 <= code < MOST_CODES):
             can_id = self._can_id(found)
             if can_id is None:
                 return LogReject.MALFORMED
-            return _Frame(can_id=can_id | REMOTE_FLAG, channel=channel_of(found), length=length)
-        return self._data_frame(found, length, found["data"].split())
+            flagged = can_id | REMOTE_FLAG
+            return _Frame(can_id=flagged, channel=channel_of(found), length=max(length, 0), flags=sent_flag(found))
+        if not 0 <= code < MOST_CODES or len(texts) != length:
+            return LogReject.MALFORMED
+        return self._data_frame(found, length, texts, 0)
 
     def _fd_frame(self, found: re.Match[bytes]) -> _Frame | LogReject:
-        count = int(found["count"])
+        count, code = int(found["count"]), -1
+        if is_digits(found["length"], self._clock):
+            code = int(found["length"], int(self._clock[BASE]))
         rest = found["rest"].split()
         # Behind the data come duration, length and flags; without flags the line speaks of CAN FD.
         said = int(rest[count + 2], 16) if len(rest) > count + 2 else SAID_FD
         is_fd = bool(said & SAID_FD)
-        if count >= len(IS_LENGTH) or not IS_LENGTH[count] or (count > PAYLOAD_BYTES and not is_fd):
+        if not 0 <= code < MOST_CODES:
             return LogReject.MALFORMED
+        length = int(LENGTH_OF_CODE[code]) if is_fd else min(code, PAYLOAD_BYTES)
         if said & SAID_REMOTE:
             can_id = self._can_id(found)
-            if can_id is None or is_fd:
+            if can_id is None or is_fd or count not in {0, length}:
                 return LogReject.MALFORMED
-            return _Frame(can_id=can_id | REMOTE_FLAG, channel=channel_of(found), length=count)
+            return _Frame(can_id=can_id | REMOTE_FLAG, channel=channel_of(found), length=length, flags=sent_flag(found))
+        texts = rest[:count]
+        is_hexadecimal = self._clock[BASE] == HEXADECIMAL
+        if count != length or (is_hexadecimal and any(len(text) != DIGITS_OF_BYTE for text in texts)):
+            return LogReject.MALFORMED
         flags = FD_FLAG | BRS_FLAG * int(found["fast"]) | ESI_FLAG * int(found["passive"])
-        return self._data_frame(found, count, rest[:count], flags if is_fd else 0)
+        return self._data_frame(found, count, texts, flags if is_fd else 0)
 
     def _can_id(self, found: re.Match[bytes]) -> int | None:
         try:
@@ -223,17 +237,31 @@ class _Parser:
             return value | EXTENDED_FLAG if value <= MAX_EXTENDED_ID else None
         return value if value <= MAX_STANDARD_ID else None
 
-    def _data_frame(
-        self, found: re.Match[bytes], length: int, texts: list[bytes], flags: int = 0
-    ) -> _Frame | LogReject:
+    def _data_frame(self, found: re.Match[bytes], length: int, texts: list[bytes], flags: int) -> _Frame | LogReject:
         can_id = self._can_id(found)
-        if can_id is None or len(texts) < length:
+        if can_id is None or len(texts) != length:
             return LogReject.MALFORMED
         try:
-            payload = bytes(int(text, int(self._clock[BASE])) for text in texts[:length])
+            payload = bytes(int(text, int(self._clock[BASE])) for text in texts)
         except ValueError:
             return LogReject.MALFORMED
-        return _Frame(can_id=can_id, channel=channel_of(found), length=length, payload=payload, flags=flags)
+        return _Frame(
+            can_id=can_id,
+            channel=channel_of(found),
+            length=length,
+            payload=payload,
+            flags=flags | sent_flag(found),
+        )
+
+
+def is_digits(text: bytes | None, clock: Int64Array) -> bool:
+    """Return whether a text is a number in the base of the file."""
+    return text is not None and (clock[BASE] == HEXADECIMAL or text.isdigit())
+
+
+def sent_flag(found: re.Match[bytes]) -> int:
+    """Return the flag of a frame that the recorder sent itself, 0 for one that it received."""
+    return TX_FLAG if (found["direction"] or b"").upper() == b"T" else 0
 
 
 def channel_of(found: re.Match[bytes]) -> int:
@@ -253,34 +281,5 @@ def read_asc(stream: BinaryIO, tally: Tally) -> Iterator[FrameBatch]:
 
 def is_asc_header(line: bytes) -> bool:
     """Return whether a line is one of those an ASC file begins with."""
-    return bool(BASE_LINE.match(line)) or bool((start := START.match(line)) and DATE.match(decoded(start["date"])))
-
-
-def date_us(text: bytes) -> int:
-    """Return a date such as ``Thu Jan  1 10:00:00.005 am 2026``, local time, in microseconds since the epoch.
-
-    0 if it is none. The digits behind the point are a count of milliseconds: python-can writes 5 ms as ``.5``.
-    """
-    found = DATE.match(decoded(text))
-    month = MONTHS.get(found["month"].lower()) if found else None
-    if found is None or month is None:
-        return 0
-    hour = int(found["hour"])
-    if found["half"]:
-        hour = hour % 12 + (12 if found["half"].lower() == "pm" else 0)
-    try:
-        start = datetime(  # noqa: DTZ001 - the format has no zone: local time, as its writers mean it
-            int(found["year"]), month, int(found["day"]), hour, int(found["minute"]), int(found["second"])
-        )
-        start_s = int(start.timestamp())
-    except (ValueError, OverflowError, OSError):  # the last two: what the C library says of the year 1
-        return 0
-    return start_s * US_PER_S + int(found["ms"] or 0) * 1_000 if start_s >= 0 else 0
-
-
-def decoded(text: bytes) -> str:
-    """Return text of either encoding that is in use."""
-    try:
-        return text.decode()
-    except UnicodeDecodeError:
-        return text.decode("latin-1")
+    start = START.match(line)
+    return bool(BASE_LINE.match(line)) or (start is not None and date_us(start["date"]) is not None)

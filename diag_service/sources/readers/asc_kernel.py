@@ -10,12 +10,14 @@ from diag_service.frames import (
     FD_PAYLOAD_BYTES,
     PAYLOAD_BYTES,
     REMOTE_FLAG,
+    TX_FLAG,
 )
 from diag_service.sources.readers.text_kernels import (
     AT_END,
     BLANK,
     HEX_VALUE,
     IS_LENGTH,
+    LENGTH_OF_CODE,
     LINES,
     NEWLINE,
     OTHER,
@@ -40,7 +42,7 @@ MAX_STANDARD_ID, MAX_EXTENDED_ID = 0x7FF, 0x1FFF_FFFF
 MAX_ID_DIGITS = 8
 US_PER_S, NS_PER_US = 1_000_000, 1_000
 LAST_US = 9_200_000_000_000_000  # since the epoch: nanoseconds must fit 64 bits
-POINT, EQUALS, UNDERSCORE = ord("."), ord("="), ord("_")
+POINT, EQUALS, UNDERSCORE, SLASH = ord("."), ord("="), ord("_"), ord("/")
 LETTER_C, LETTER_D, LETTER_R, LETTER_T, LETTER_X = ord("c"), ord("d"), ord("r"), ord("t"), ord("x")
 SAID_REMOTE, SAID_FD = 0x0010, 0x1000  # bits of the flags of a CANFD line
 UNUSUAL, TOO_LONG = -1, -2  # in place of the position behind a line
@@ -110,7 +112,7 @@ def _frame(
     """Read ``1  123x  Rx   d 8 11 22 ...``; return the position behind the line, or UNUSUAL."""
     number, at = _decimal(text, at)
     identifier, at = _identifier(text, at)
-    at = _direction(text, at)
+    is_sent, at = _direction(text, at)
     kind = text[at] | 32
     is_data, is_remote = kind == LETTER_D, kind == LETTER_R
     if number < 0 or identifier < 0 or not (is_data or is_remote) or text[at + 1] > BLANK:
@@ -121,7 +123,7 @@ def _frame(
         return UNUSUAL
     at += count >= 0
     count = min(max(count, 0), PAYLOAD_BYTES)
-    channel[row], length[row], flags[row] = number, count, 0
+    channel[row], length[row], flags[row] = number, count, TX_FLAG * is_sent
     can_id[row] = identifier | (REMOTE_FLAG if is_remote else 0)
     at = _payload(text, at, row, 0 if is_remote else count, data)
     return _end_of_line(text, at) if at >= 0 else UNUSUAL
@@ -140,14 +142,20 @@ def _fd_frame(
 ) -> int:
     """Read ``CANFD 1 Rx 123 [name] 1 0 9 12 11 22 ... duration length flags ...``; as ``_frame``."""
     number, at = _decimal(text, skip_blanks(text, skip_word(text, at)))
-    identifier, at = _identifier(text, _direction(text, at))
+    is_sent, at = _direction(text, at)
+    identifier, at = _identifier(text, at)
     if not (48 <= text[at] <= 49 and text[at + 1] <= BLANK):
         at = skip_blanks(text, skip_word(text, at))
     is_fast, at = _decimal(text, at)
     is_passive, at = _decimal(text, at)
+    code = HEX_VALUE[text[at]] if text[at + 1] <= BLANK else UNUSUAL
     at = skip_blanks(text, skip_word(text, at))
     count, at = _decimal(text, at)
-    if min(number, identifier, is_fast, is_passive, count) < 0 or count > FD_PAYLOAD_BYTES or not IS_LENGTH[count]:
+    if (
+        min(number, identifier, is_fast, is_passive, code, count) < 0
+        or count > FD_PAYLOAD_BYTES
+        or not IS_LENGTH[count]
+    ):
         return UNUSUAL
     if count > data.shape[1]:
         return TOO_LONG
@@ -161,9 +169,10 @@ def _fd_frame(
     said, at = hexadecimal(text, begin, MAX_ID_DIGITS)
     if at == begin or text[at] > BLANK or said & SAID_REMOTE or is_fast > 1 or is_passive > 1:
         return UNUSUAL
-    if count > PAYLOAD_BYTES and not said & SAID_FD:
+    if count != (LENGTH_OF_CODE[code] if said & SAID_FD else min(code, PAYLOAD_BYTES)):
         return UNUSUAL
-    flags[row] = FD_FLAG | (BRS_FLAG * is_fast) | (ESI_FLAG * is_passive) if said & SAID_FD else 0
+    kind = FD_FLAG | (BRS_FLAG * is_fast) | (ESI_FLAG * is_passive) if said & SAID_FD else 0
+    flags[row] = kind | TX_FLAG * is_sent
     return skip_line(text, at)
 
 
@@ -176,12 +185,13 @@ def _decimal(text: UInt8Array, at: int) -> tuple[int, int]:
 
 
 @array_kernel
-def _direction(text: UInt8Array, at: int) -> int:
-    """Pass over ``Rx`` or ``Tx`` and the blanks behind it; stay where neither stands."""
-    is_one = text[at] | 32 == LETTER_R or text[at] | 32 == LETTER_T
+def _direction(text: UInt8Array, at: int) -> tuple[bool, int]:
+    """Pass over ``Rx`` or ``Tx`` and the blanks behind it; return whether it is the latter. Stay where neither is."""
+    is_sent = text[at] | 32 == LETTER_T
+    is_one = is_sent or text[at] | 32 == LETTER_R
     if is_one and text[at + 1] | 32 == LETTER_X and text[at + 2] <= BLANK:
-        return skip_blanks(text, at + 2)
-    return at
+        return is_sent, skip_blanks(text, at + 2)
+    return False, at
 
 
 @array_kernel
@@ -216,10 +226,12 @@ def _payload(text: UInt8Array, at: int, row: int, count: int, data: UInt8Array) 
 
 @array_kernel
 def _end_of_line(text: UInt8Array, at: int) -> int:
-    """Pass over ``name = anything``, if it is there; return the position behind the line, or UNUSUAL."""
+    """Pass over ``name = anything`` or a comment, if it is there; return the position behind the line, or UNUSUAL."""
     at = skip_blanks(text, at)
     if text[at] == NEWLINE:
         return at + 1
+    if text[at] == SLASH and text[at + 1] == SLASH:
+        return skip_line(text, at)
     begin = at
     while 48 <= text[at] <= 57 or 97 <= (text[at] | 32) <= 122 or text[at] == UNDERSCORE:
         at += 1

@@ -12,14 +12,16 @@ from diag_service.frames import (
     FD_FLAG,
     PAYLOAD_BYTES,
     REMOTE_FLAG,
+    TX_FLAG,
 )
+from diag_service.sources.readers.text_kernels import LENGTH_OF_CODE
 from diag_service.sources.readers.word_kernels import UInt64Array, half, lower, word
 
 # What has been done, and how it goes on.
 POSITION, ROWS, OBJECTS, IS_LOST, SKIPPED, DAMAGED, FIRST_DAMAGED, IS_TOO_WIDE, REPORT_FIELDS = range(9)
 
 # The columns of a layout: where fields are, counted from the end of an object's header; -1: it has none.
-DATA, CHANNEL_BYTES, REMOTE, REMOTE_MASK, LENGTH, FD, FD_MASK, BRS_MASK, ESI_MASK, EXTENSION, IS_ERROR = range(11)
+DATA, CHANNEL_BYTES, REMOTE, REMOTE_MASK, LENGTH, FD, FD_MASK, BRS_MASK, ESI_MASK, EXTENSION, IS_ERROR, SENT = range(12)
 CAN_ID_OFFSET = 4
 
 MAGIC_WORD = int.from_bytes(b"LOBJ", "little")
@@ -37,7 +39,6 @@ MAX_OBJECT_BYTES = 4 * 1024 * 1024  # a damaged size must not swallow the rest o
 MOST_KINDS = 256  # about 140 are defined
 MAX_STANDARD_ID, MAX_EXTENDED_ID = 0x7FF, 0x1FFF_FFFF
 FIRST_BYTES = np.array([256**count - 1 for count in range(PAYLOAD_BYTES + 1)], np.uint64)  # as masks
-LENGTH_OF_CODE = np.array([0, 1, 2, 3, 4, 5, 6, 7, 8, 12, 16, 20, 24, 32, 48, 64], np.int64)
 
 
 @array_kernel
@@ -95,7 +96,7 @@ TAKEN, BROKEN, TOO_WIDE = range(3)
 # A data frame of CAN as all writers store it: 32 bytes of header, channel, flags, length, identifier and eight bytes.
 USUAL_BYTES, USUAL_CHANNEL, USUAL_FLAGS, USUAL_LENGTH, USUAL_ID, USUAL_DATA = 48, 32, 34, 35, 36, 40
 USUAL_KINDS = (1, 86)
-REMOTE_BIT = 0x80
+REMOTE_BIT, SENT_BIT = 0x80, 0x01
 
 
 @inlined_kernel
@@ -124,9 +125,10 @@ def _usual_message(
     bare = identifier & ~EXTENDED_FLAG
     if count > PAYLOAD_BYTES or bare > MAX_EXTENDED_ID or (bare == identifier and bare > MAX_STANDARD_ID):
         return False
-    if raw[np.uint64(at + USUAL_FLAGS)] & REMOTE_BIT:
+    said = raw[np.uint64(at + USUAL_FLAGS)]
+    if said & REMOTE_BIT:
         return False
-    t_ns[row], can_id[row], length[row], flags[row] = time_ns, identifier, count, 0
+    t_ns[row], can_id[row], length[row], flags[row] = time_ns, identifier, count, TX_FLAG * (said & SENT_BIT)
     channel[row] = min(half(raw, at + USUAL_CHANNEL), 255)
     data_words[row, 0] = word(raw, at + USUAL_DATA) & FIRST_BYTES[count]
     for index in range(1, data_words.shape[1]):
@@ -214,10 +216,10 @@ def _frame(
         return TOO_WIDE
     can_id[row] = identifier | (REMOTE_FLAG if is_remote else 0)
     length[row] = count
-    flags[row] = 0
+    flags[row] = TX_FLAG * (raw[body + layout[SENT]] & SENT_BIT)
     if is_fd:
         is_fast, is_passive = said & layout[BRS_MASK] != 0, said & layout[ESI_MASK] != 0
-        flags[row] = FD_FLAG | (BRS_FLAG if is_fast else 0) | (ESI_FLAG if is_passive else 0)
+        flags[row] |= FD_FLAG | (BRS_FLAG if is_fast else 0) | (ESI_FLAG if is_passive else 0)
     end = raw[body + layout[EXTENSION]] if layout[EXTENSION] >= 0 else 0
     stored = 0 if is_remote else (min(end, size) if end else size) - header - layout[DATA]
     _copy(raw, body + layout[DATA], max(min(stored, count), 0), row, data, data_words)

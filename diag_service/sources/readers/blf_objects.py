@@ -51,6 +51,7 @@ class Layout:
     esi_mask: int = 0
     extension: int = -1  # of a field that says where the data ends, from the start of the object
     is_error: bool = False
+    sent: int = 2  # of a field whose lowest bit says that the recorder sent the frame
 
 
 MESSAGE = Layout(length=3, remote=2, remote_mask=0x80, data=8)
@@ -59,7 +60,7 @@ FD_MESSAGE = Layout(
 )  # fmt: skip
 FD_MESSAGE_64 = Layout(
     length=1, remote=12, remote_mask=0x10, fd=13, fd_mask=0x10, brs_mask=0x20, esi_mask=0x40, data=40, extension=35,
-    channel_bytes=1,
+    channel_bytes=1, sent=34,
 )  # fmt: skip
 ERROR = Layout(is_error=True, data=2)
 FD_ERROR = Layout(is_error=True, data=1, channel_bytes=1)

@@ -4,7 +4,7 @@ import numpy as np
 
 from clutch_model.jit import array_kernel
 from diag_service.columns import Int64Array, UInt8Array, UInt32Array
-from diag_service.frames import EXTENDED_FLAG, FD_FLAG, FD_PAYLOAD_BYTES, PAYLOAD_BYTES, REMOTE_FLAG
+from diag_service.frames import EXTENDED_FLAG, FD_FLAG, FD_PAYLOAD_BYTES, PAYLOAD_BYTES, REMOTE_FLAG, TX_FLAG
 from diag_service.sources.readers.candump_usual import (
     CLOSE,
     ERROR_OR_ABOVE,
@@ -144,7 +144,7 @@ def _parse_line(
         count, at = _payload(text, at, row, data, PAYLOAD_BYTES)
         length[row] = count
     if at >= 0:
-        at = _parse_tail(text, at)
+        at = _parse_tail(text, at, row, flags)
     if at < 0:
         return MALFORMED, skip_line(text, -at), 0
     return FRAME, at, name
@@ -228,11 +228,12 @@ def _parse_remote(
 
 
 @array_kernel
-def _parse_tail(text: UInt8Array, at: int) -> int:
+def _parse_tail(text: UInt8Array, at: int, row: int, flags: UInt8Array) -> int:
     """Pass over what may follow a payload; return the position behind the line, negative if it is anything else."""
     if text[at] == UNDERSCORE and HEX_VALUE[text[at + 1]] > PAYLOAD_BYTES:
         at += 2  # the raw length code above eight that some controllers send
     behind = skip_blanks(text, at)
     if behind > at and (text[behind] == 82 or text[behind] == 84):  # the direction, R or T, that candump -x appends
+        flags[row] |= np.uint8(TX_FLAG if text[behind] == 84 else 0)
         behind = skip_blanks(text, behind + 1)
     return behind + 1 if text[behind] == NEWLINE else -behind

@@ -5,6 +5,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from enum import StrEnum
 
+MOST_NOTES = 8
+
 
 class LogReject(StrEnum):
     """Why a piece of a log gave no frame."""
@@ -28,6 +30,7 @@ class LogCounts:
     first_jump: str = ""  # where and how far, for people
     repeated: int = 0  # frames that equal the one before, time and all
     unfinished: bool = False  # its writer did not close it: what is missing at the end cannot be told
+    notes: tuple[str, ...] = ()  # what had to be assumed, for people: a unit, a date that is not understood
 
     @property
     def first_fault(self) -> str:
@@ -50,6 +53,12 @@ class Tally:
         self._first_jump = ""
         self._rejected: Counter[LogReject] = Counter()
         self._first_rejected = ""
+        self._notes: dict[str, None] = {}
+
+    def note(self, text: str) -> None:
+        """Say what had to be assumed about the log; each thing once, and no more than a few."""
+        if len(self._notes) < MOST_NOTES:
+            self._notes.setdefault(text)
 
     def reject(self, reason: LogReject, place: str, count: int = 1) -> None:
         """Count pieces that gave no frame; ``place`` is where the first of them is."""
@@ -73,6 +82,8 @@ class Tally:
         self.unfinished |= counts.unfinished
         self._first_rejected = self._first_rejected or counts.first_rejected
         self._rejected.update(counts.rejected)
+        for text in counts.notes:
+            self.note(text)
 
     def snapshot(self) -> LogCounts:
         """Return the counts of now."""
@@ -87,4 +98,5 @@ class Tally:
             first_jump=self._first_jump,
             repeated=self.repeated,
             unfinished=self.unfinished,
+            notes=tuple(self._notes),
         )

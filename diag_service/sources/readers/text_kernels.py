@@ -32,6 +32,7 @@ _DECIMAL_PAIRS = 10 * HEX_VALUE[:, None].astype(np.int64) + HEX_VALUE[None, :]
 _IS_DECIMAL = (HEX_VALUE >= 0) & (HEX_VALUE <= 9)
 DECIMAL_PAIR: npt.NDArray[np.int64] = np.where(_IS_DECIMAL[:, None] & _IS_DECIMAL[None, :], _DECIMAL_PAIRS, -1)
 
+LENGTH_OF_CODE = np.array([0, 1, 2, 3, 4, 5, 6, 7, 8, 12, 16, 20, 24, 32, 48, 64], np.int64)
 FD_LENGTHS = (12, 16, 20, 24, 32, 48, 64)
 IS_LENGTH: npt.NDArray[np.bool_] = np.isin(np.arange(65), (*range(9), *FD_LENGTHS))
 

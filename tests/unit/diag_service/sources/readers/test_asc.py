@@ -5,9 +5,9 @@ from datetime import datetime
 
 import pytest
 
-from diag_service.frames import BRS_FLAG, ERROR_FLAG, ESI_FLAG, EXTENDED_FLAG, FD_FLAG, REMOTE_FLAG, FrameBatch
+from diag_service.frames import BRS_FLAG, ERROR_FLAG, ESI_FLAG, EXTENDED_FLAG, FD_FLAG, REMOTE_FLAG, TX_FLAG, FrameBatch
 from diag_service.sources.columns import join
-from diag_service.sources.readers.asc import date_us, is_asc_header, read_asc
+from diag_service.sources.readers.asc import is_asc_header, read_asc
 from diag_service.sources.readers.tally import LogCounts, LogReject, Tally
 
 HEADER = b"date Thu Jan 01 10:00:00.500 2026\nbase hex  timestamps absolute\ninternal events logged\n"
@@ -70,7 +70,10 @@ def test_what_looks_like_a_frame_and_is_none_is_counted(event: bytes, reason: Lo
     ("event", "flags"),
     [
         (b"CANFD   2 Rx  123  1 0 9 12 " + b"11 " * 12 + b"0 0 303000 0 0 0 0 0", FD_FLAG | BRS_FLAG),
-        (b"CANFD   2 Tx  123 Name  0 1 9 12 " + b"11 " * 12 + b" 130000  130  1000 0 0 0 0 0", FD_FLAG | ESI_FLAG),
+        (
+            b"CANFD   2 Tx  123 Name  0 1 9 12 " + b"11 " * 12 + b" 130000  130  1000 0 0 0 0 0",
+            FD_FLAG | ESI_FLAG | TX_FLAG,
+        ),
         (b"CANFD   2 Rx  123 Name  0 0 9 12 " + b"11 " * 12, FD_FLAG),  # the compiled reader leaves it to the other
     ],
 )
@@ -143,45 +146,90 @@ def test_a_last_line_without_newline_counts_if_nothing_can_be_missing() -> None:
 
 
 @pytest.mark.parametrize(
-    ("text", "hour", "milliseconds"),
+    "event",
     [
-        (b"Thu Jan 01 10:00:00.005 2026", 10, 5),
-        (b"Thu Jan 01 10:00:00.5 2026", 10, 5),  # as python-can writes five milliseconds
-        (b"Thu Jan 1 10:00:00 2026", 10, 0),
-        (b"Thu Jan  1 10:00:00.123 pm 2026", 22, 123),
-        (b"Thu Jan 1 12:00:00.000 am 2026", 0, 0),
-        (b"Don Jan 01 10:00:00.000 2026", 10, 0),
+        b"1  123  Rx   d 12 01 02 03 04 05 06 07 08 09 0A 0B 0C",  # no classic frame is so long
+        b"1  123  Rx   d 1 01 02",
+        b"1  123  Rx   d 3 01 02",
+        b"1  123  Rx   d 0 01",
+        b"1  123  Rx   d 9 01 02 03 04 05 06 07",
+        b"1  123  Rx   d",
+        b"1  123  Rx   d 1 01 02 // comment",
+        b"1  123  Rx   d FF 01",
+        b"1  123  Rx   d g 01",
+        b"CANFD 1 Rx 123 0 0 8 7 01 02 03 04 05 06 07 0 0 1000 0 0 0 0 0",
+        b"CANFD 1 Rx 123 0 0 9 8 01 02 03 04 05 06 07 08 0 0 1000 0 0 0 0 0",
+        b"CANFD 1 Rx 123 0 0 2 300 01",
     ],
 )
-def test_dates(text: bytes, hour: int, milliseconds: int) -> None:
-    start = datetime(2026, 1, 1, hour)  # noqa: DTZ001 - local, as in the format
-    assert date_us(text) == int(start.timestamp()) * 10**6 + milliseconds * 1000
+@pytest.mark.parametrize("base", [b"base hex", b"base dec"])
+def test_a_length_and_bytes_that_disagree_are_no_frame(event: bytes, base: bytes) -> None:
+    good = b"1.0 1  16  Rx   d 1 11\n"
+    batch, counts = read(b"date Thu Jan 01 10:00:00.500 2026\n" + base + b"\n" + good + b"1.5 " + event + b"\n")
+    assert batch is not None
+    assert len(batch) == 1
+    assert counts.rejected == {LogReject.MALFORMED: 1}
+    assert counts.first_rejected == "line 4: malformed"
 
 
-@pytest.mark.parametrize(("name", "month"), [("Mär".encode(), 3), ("Mär".encode("latin-1"), 3), (b"Dez", 12)])
-def test_german_months(name: bytes, month: int) -> None:
-    assert (
-        date_us(b"Son " + name + b" 05 10:00:00.000 2026")
-        == int(
-            datetime(2026, month, 5, 10).timestamp()  # noqa: DTZ001 - local, as in the format
-        )
-        * 10**6
-    )
+def test_the_numbers_behind_a_payload_are_no_bytes_of_it() -> None:
+    batch, counts = read(HEADER + b"1.0 CANFD 1 Rx 123 0 0 2 2 01 0 0 1000 0 0 0 0 0\n")
+    assert batch is None
+    assert counts.rejected == {LogReject.MALFORMED: 1}
 
 
+@pytest.mark.parametrize("comment", [b" // slip", b"  //slip = 5", b"\t// Rx d 8"])
 @pytest.mark.parametrize(
-    "text",
+    ("event", "length"),
     [
-        b"",
-        b"yesterday",
-        b"Thu Foo 01 10:00:00 2026",
-        b"Thu Feb 30 10:00:00 2026",
-        b"Thu Jan 01 10:00:00.123 0006",
-        b"Thu Jan 01 00:00:00 0001",
+        (b"1  123  Rx   d 2 01 02", 2),
+        (b"1  123  Rx   d 0", 0),
+        (b"1  123  Rx   d 9 01 02 03 04 05 06 07 08", 8),  # a code above eight means eight bytes
+        (b"1  123  Rx   d 02 01 02", 2),
+        (b"1  123  Rx   r 2", 2),
+        (b"CANFD 1 Rx 123 0 0 2 2 01 02 0 0 1000 0 0 0 0 0", 2),
+        (b"CANFD 1 Rx 123 Name 0 0 2 2 01 02", 2),
     ],
 )
-def test_a_date_that_is_none_is_the_epoch(text: bytes) -> None:
-    assert date_us(text) == 0
+def test_a_trailing_comment_changes_nothing(event: bytes, length: int, comment: bytes) -> None:
+    batch, counts = read(HEADER + b"1.0 " + event + comment + b"\n1.0 " + event + b"\n")
+    assert batch is not None
+    assert batch.length.tolist() == [length, length]
+    assert counts == LogCounts(frames=2, skipped=3)
+
+
+def test_a_remote_frame_of_a_fd_line_has_the_length_of_its_code() -> None:
+    batch, _ = read(HEADER + b"1.0 CANFD 1 Tx 123 0 0 8 0 0 0 10 0 0 0 0 0\n")
+    assert batch is not None
+    assert (batch.can_id.tolist(), batch.length.tolist()) == ([0x123 | REMOTE_FLAG], [8])
+
+
+def test_directions() -> None:
+    events = (
+        b"1 123 Rx d 0", b"1 123 Tx d 0", b"1 123 Tx d 0 // c", b"1 123 Tx r", b"1 Tx ErrorFrame", b"1 ErrorFrame",
+        b"CANFD 1 Tx 123 1 0 0 0 0 0 1000 0 0 0 0 0", b"CANFD 1 Tx 123 Name 1 0 0 0",
+        b"CANFD 1 Rx 123 1 0 0 0 0 0 1000 0 0 0 0 0",
+    )  # fmt: skip
+    batch, _ = read(HEADER + b"".join(b"1.0 " + event + b"\n" for event in events))
+    assert batch is not None
+    assert batch.width == 8 or batch.flags.any()
+    assert (batch.flags & TX_FLAG != 0).tolist() == [False, True, True, True, True, False, True, True, False]
+
+
+def test_a_date_that_is_not_understood_is_said_once() -> None:
+    frame = b"1.0 1 123 Rx d 0\n"
+    text = b"date Thu Foo 01 10:00:00 2026\nbase hex\nBegin Triggerblock Thu Foo 01 10:00:00 2026\n" + frame
+    batch, counts = read(text)
+    assert batch is not None
+    assert batch.t_ns.tolist() == [1_000_000_000]
+    assert counts.notes == ("the date 'Thu Foo 01 10:00:00 2026' is not understood: times count from 1970",)
+
+
+def test_a_date_that_is_understood_stays_where_a_later_one_is_not() -> None:
+    batch, counts = read(HEADER + b"Begin Triggerblock someday\n1.0 1 123 Rx d 0\n")
+    assert batch is not None
+    assert batch.t_ns.tolist() == [START_NS + 1_000_000_000]
+    assert not counts.notes
 
 
 def test_recognition() -> None:
