@@ -112,6 +112,7 @@ def inspection_record(inspection: Inspection) -> JsonObject:
         "unreadable": {reason.value: count for reason, count in counts.rejected.items()},
         "first_unreadable": counts.first_rejected,
         "truncated": counts.truncated,
+        "notes": list(counts.notes),
         **table,
         "protection": {name: asdict(link) for name, link in inspection.links.items()},
     }
@@ -152,6 +153,7 @@ def _head(inspection: Inspection, bitrate: int) -> list[str]:
     kinds = f"{traffic.fd_frames} CAN FD, {traffic.remote_frames} remote, {traffic.error_frames} error frames"
     since = f"from {utc_from_bus_ns(traffic.first_ns)}{'' if inspection.is_whole else ' (stopped)'}"
     lines = [f"{inspection.reader.path}: {what} {since}", f"bus load at {rate}: {load}; {kinds}"]
+    lines += counts.notes
     if counts.first_rejected:
         total = sum(counts.rejected.values())
         lines.append(f"{total} pieces are no frames, the first: {counts.first_rejected}")

@@ -139,6 +139,8 @@ def warn_of_damage(logs: Sequence[OpenLog]) -> None:
     """Warn of logs with holes."""
     for log in logs:
         counts = log.reader.counts
+        for note in counts.notes:
+            _LOG.warning("%s: %s", log.path, note)
         if counts.first_rejected:
             total = sum(counts.rejected.values())
             _LOG.warning("%s: %d pieces are no frames, the first: %s", log.path, total, counts.first_rejected)

@@ -1,5 +1,6 @@
 """Columns that compiled readers fill row by row, and the lines of text to fill them from."""
 
+import codecs
 from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import BinaryIO
@@ -12,6 +13,7 @@ from diag_service.sources.readers.word_kernels import UInt64Array
 
 BLOCK_BYTES = 2 * 1024 * 1024
 MAX_LINE_BYTES = 4096  # whatever is longer is not text
+BYTE_ORDER_MARK = codecs.BOM_UTF8  # some editors and converters put it before a text
 LEAST_HANDED_OVER = 0.75  # of an arena: what is not used of it is kept as long as the batch
 
 
@@ -100,12 +102,17 @@ class Lines:
 def lines_of(stream: BinaryIO) -> Iterator[Lines]:
     """Yield a text in blocks of whole lines, about 2 MiB each, and last what follows the last newline.
 
-    Of a line that is too long to be one only the end is passed on, behind a NUL that makes it malformed.
+    A byte-order mark before the first one is passed over. Of a line that is too long to be one only the end is passed
+    on, behind a NUL that makes it malformed.
     """
     buffer = bytearray(BLOCK_BYTES + MAX_LINE_BYTES)
-    kept = 0
-    while got := stream.readinto(memoryview(buffer)[kept:]):  # type: ignore[attr-defined]  # of every binary file
+    kept, is_first = 0, True
+    while got := _fill(stream, memoryview(buffer)[kept:]):
         stop = kept + got
+        if is_first and buffer.startswith(BYTE_ORDER_MARK):
+            stop -= len(BYTE_ORDER_MARK)
+            buffer[:stop] = buffer[len(BYTE_ORDER_MARK) : stop + len(BYTE_ORDER_MARK)]
+        is_first = False
         end = buffer.rfind(b"\n", kept, stop) + 1
         if end:
             yield Lines(np.frombuffer(memoryview(buffer).toreadonly(), np.uint8, end))
@@ -116,6 +123,14 @@ def lines_of(stream: BinaryIO) -> Iterator[Lines]:
         buffer[:kept] = rest
     if buffer[:kept].strip():
         yield Lines(np.frombuffer(bytes(buffer[:kept]) + b"\n", np.uint8), is_terminated=False)
+
+
+def _fill(stream: BinaryIO, view: memoryview) -> int:
+    """Read until the view is full or the stream at its end, and return how much: a stream may come in small pieces."""
+    count = 0
+    while count < len(view) and (got := stream.readinto(view[count:])):  # type: ignore[attr-defined]  # of every one
+        count += got
+    return count
 
 
 def end_of_line(text: UInt8Array, at: int) -> int:

@@ -69,6 +69,12 @@ def date_us(text: bytes) -> int | None:
     return None if start_s is None else start_s * US_PER_S + _fraction_us(clock["fraction"] or "")
 
 
+def local_midnight_us(time_us: int) -> int:
+    """Return the beginning of the day, in local time, of a time since the epoch."""
+    local = datetime.fromtimestamp(time_us // US_PER_S)  # noqa: DTZ006 - local, as the logs mean it
+    return max(0, int(local.replace(hour=0, minute=0, second=0).timestamp())) * US_PER_S
+
+
 def month_of(word: str) -> int | None:
     """Return the number of the month that a word names, folded as here, None if it names none."""
     known = (word[:length] for length in range(len(word), 2, -1))

@@ -9,7 +9,7 @@ from diag_service.sources.readers import sqlite
 from diag_service.sources.readers.asc import is_asc_header
 from diag_service.sources.readers.blf import MAGIC as BLF_MAGIC
 from diag_service.sources.readers.candump import holds_candump
-from diag_service.sources.readers.tables import Busmaster, Crtd, GvretCsv, PythonCanCsv, TableFormat, Trc, frames_in
+from diag_service.sources.readers.tables import Busmaster, Crtd, GvretCsv, PythonCanCsv, Table, Trc, frames_in
 from diag_service.sources.readers.tables.csv_tables import is_gvret_header, is_python_can_header
 
 PROBE_BYTES = 64 * 1024
@@ -33,7 +33,7 @@ class LogFormat(StrEnum):
     CRTD = "crtd"
 
 
-TABLES: Mapping[LogFormat, Callable[[], TableFormat]] = MappingProxyType(
+TABLES: Mapping[LogFormat, Callable[[], Table]] = MappingProxyType(
     {
         LogFormat.TRC: Trc,
         LogFormat.CSV: PythonCanCsv,

@@ -3,7 +3,7 @@
 from diag_service.sources.readers.tables.busmaster import Busmaster
 from diag_service.sources.readers.tables.crtd import Crtd
 from diag_service.sources.readers.tables.csv_tables import GvretCsv, PythonCanCsv
-from diag_service.sources.readers.tables.reader import TableFormat, TableReader, frames_in, reader_of
+from diag_service.sources.readers.tables.reader import Table, TableReader, frames_in, reader_of
 from diag_service.sources.readers.tables.trc import Trc
 
 __all__ = [
@@ -11,7 +11,7 @@ __all__ = [
     "Crtd",
     "GvretCsv",
     "PythonCanCsv",
-    "TableFormat",
+    "Table",
     "TableReader",
     "Trc",
     "frames_in",

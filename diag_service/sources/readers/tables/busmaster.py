@@ -1,86 +1,93 @@
-"""BUSMASTER logs: the time of day, the time since the start, or that since the frame before; all local time."""
+"""BUSMASTER logs: the time of day, the time since the start, or that since the frame before; all local time.
+
+Behind the seconds stands a count of 100 microseconds, which BUSMASTER pads to four digits (its ``%04d``) and others do
+not. Where no line of the beginning has four digits, it is a count of milliseconds.
+"""
 
 import re
-from datetime import datetime, timedelta
 
+from diag_service.sources.readers.asc_dates import date_us, local_midnight_us
 from diag_service.sources.readers.tables.kernel import ABSOLUTE, DAYTIME, RELATIVE
 from diag_service.sources.readers.tables.layout import Column, Layout, Meaning, Role
-from diag_service.sources.readers.tables.reader import Clock
+from diag_service.sources.readers.tables.reader import Table
 
-START = re.compile(rb"\*\*\*START DATE AND TIME (\d+):(\d+):(\d{4}) (\d+):(\d+):(\d+):(\d{1,3})")
+START = re.compile(rb"\*\*\*START DATE AND TIME\s+(?P<date>[^*]*)")
 MODE = re.compile(rb"\*\*\*(SYSTEM|ABSOLUTE|RELATIVE) MODE\*\*\*")
 MODES = {b"SYSTEM": DAYTIME, b"ABSOLUTE": ABSOLUTE, b"RELATIVE": RELATIVE}
-DECIMAL = b"***DEC***"
+BASES = {b"***DEC***": True, b"***HEX***": False}
+COUNT = re.compile(rb"^\s*\d+:\d+:\d+:(\d+)\s", re.MULTILINE)
+USUAL_DIGITS, USUAL_UNIT_US = 4, 100
+MILLISECOND_US = 1_000
 
-LAYOUT = Layout(
-    columns=(
-        Column(role=Role.CLOCK),
-        Column(role=Role.WORD),
-        Column(role=Role.CHANNEL),
-        Column(role=Role.ID),
-        Column(role=Role.WORD),
-        Column(role=Role.LENGTH),
-        Column(role=Role.DATA),
-    ),
-    words={
-        "rx": Meaning.NOTHING,
-        "tx": Meaning.NOTHING,
-        "s": Meaning.NOTHING,
-        "x": Meaning.EXTENDED,
-        "sr": Meaning.REMOTE,
-        "xr": Meaning.EXTENDED | Meaning.REMOTE,
-        "s-fd": Meaning.FD,
-        "x-fd": Meaning.FD | Meaning.EXTENDED,
-    },
-    comment_starts=b"*",
-)
+WORDS = {
+    "rx": Meaning.NOTHING,
+    "tx": Meaning.SENT,
+    "s": Meaning.NOTHING,
+    "x": Meaning.EXTENDED,
+    "sr": Meaning.REMOTE,
+    "xr": Meaning.EXTENDED | Meaning.REMOTE,
+    "s-fd": Meaning.FD,
+    "x-fd": Meaning.FD | Meaning.EXTENDED,
+}
 
 
-class Busmaster:
-    """A log of BUSMASTER, with identifiers and data in hexadecimal."""
+def layout_of(unit_us: int, *, is_decimal: bool) -> Layout:
+    """Return the layout of lines whose clock has counts of so many microseconds."""
+    return Layout(
+        columns=(
+            Column(role=Role.CLOCK, parameter=unit_us),
+            Column(role=Role.WORD),
+            Column(role=Role.CHANNEL),
+            Column(role=Role.DECIMAL_ID if is_decimal else Role.ID),
+            Column(role=Role.WORD),
+            Column(role=Role.LENGTH),
+            Column(role=Role.DECIMAL_DATA if is_decimal else Role.DATA),
+        ),
+        words=WORDS,
+        comment_starts=b"*",
+    )
+
+
+class Busmaster(Table):
+    """A log of BUSMASTER; a line of its header says whether identifiers and bytes are hexadecimal or decimal."""
 
     def __init__(self) -> None:
-        self.layout = LAYOUT
-        self.clock = Clock()
-        self._start: datetime | None = None
+        self._unit_us = USUAL_UNIT_US
+        super().__init__(layout_of(self._unit_us, is_decimal=False))
+        self._start_us: int | None = None
         self._mode = DAYTIME
+
+    def look_ahead(self, text: bytes) -> None:
+        """Settle the unit of the clock's counts."""
+        digits = max((len(count) for count in COUNT.findall(text)), default=USUAL_DIGITS)
+        if digits < USUAL_DIGITS:
+            self.notes.append(
+                f"times are taken as milliseconds: none has the {USUAL_DIGITS} digits that BUSMASTER writes"
+            )
+        self._unit_us = MILLISECOND_US if digits < USUAL_DIGITS else USUAL_UNIT_US if digits == USUAL_DIGITS else 1
+        self.layout = layout_of(self._unit_us, is_decimal=False)
 
     def read_comment(self, line: bytes) -> bool:
         """Take up what a line without a frame says; return whether it belongs to the format."""
         if not line.startswith(b"***"):
             return False
         if found := START.match(line):
-            self._start = _start(found)
+            self._start_us = date_us(found["date"])
+            if self._start_us is None:
+                self.notes.append("the start of the log is not understood: times count from 1970")
+            self._set_clock()
         elif found := MODE.match(line):
             self._mode = MODES[found[1]]
-        else:
-            return line != DECIMAL
-        self._set_clock()
+            self._set_clock()
+        elif line in BASES:
+            self.layout = layout_of(self._unit_us, is_decimal=BASES[line])
         return True
 
     def _set_clock(self) -> None:
-        if self._start is None:
+        if self._start_us is None:
             self.clock.set(0, self._mode)
-            return
-        midnight = self._start.replace(hour=0, minute=0, second=0, microsecond=0)
-        if self._mode == DAYTIME:
-            passed_us = (self._start - midnight) // timedelta(microseconds=1)
-            self.clock.set(_epoch_us(midnight), DAYTIME, passed_us)
+        elif self._mode == DAYTIME:
+            midnight_us = local_midnight_us(self._start_us)
+            self.clock.set(midnight_us, DAYTIME, self._start_us - midnight_us)
         else:
-            self.clock.set(_epoch_us(self._start), self._mode)
-
-
-def _start(found: re.Match[bytes]) -> datetime | None:
-    """Return the start of the session, day before month; None if there is no such time."""
-    day, month, year, hour, minute, second, milliseconds = (int(found[number]) for number in range(1, 8))
-    try:
-        return datetime(year, month, day, hour, minute, second, milliseconds * 1000)  # noqa: DTZ001 - local, as logged
-    except ValueError:
-        return None
-
-
-def _epoch_us(local: datetime) -> int:
-    try:
-        return max(0, int(local.timestamp())) * 1_000_000 + local.microsecond
-    except (OverflowError, OSError, ValueError):
-        return 0
+            self.clock.set(self._start_us, self._mode)

@@ -1,7 +1,7 @@
 """CRTD logs of the Open Vehicles project: seconds since the epoch, UTC, or since the device was started."""
 
 from diag_service.sources.readers.tables.layout import SECONDS, Column, Layout, Meaning, Role
-from diag_service.sources.readers.tables.reader import Clock
+from diag_service.sources.readers.tables.reader import Table
 
 LAYOUT = Layout(
     columns=(
@@ -12,19 +12,18 @@ LAYOUT = Layout(
     ),
     words={
         "r11": Meaning.NOTHING,
-        "t11": Meaning.NOTHING,
+        "t11": Meaning.SENT,
         "r29": Meaning.EXTENDED,
-        "t29": Meaning.EXTENDED,
+        "t29": Meaning.SENT | Meaning.EXTENDED,
     },
 )
 
 
-class Crtd:
+class Crtd(Table):
     """A log in CRTD, version 1 to 3."""
 
     def __init__(self) -> None:
-        self.layout = LAYOUT
-        self.clock = Clock()
+        super().__init__(LAYOUT)
 
     def read_comment(self, line: bytes) -> bool:
         """Return False: comments have a time and a word, as frames have."""

@@ -13,18 +13,19 @@ from diag_service.sources.readers import text_kernels
 from diag_service.sources.readers.tables.layout import BLANKS
 from diag_service.sources.readers.text_kernels import (
     BLANK,
+    LENGTH_OF_CODE,
     LONGEST_NUMBER,
     NEWLINE,
     decimal,
-    decimal_parts,
     skip_blanks,
 )
 
 NO_BYTE = 256  # an empty column
-MINUS, POINT, COLON, BRACKET = ord("-"), ord("."), ord(":"), ord(")")
-LENGTH_OF_CODE = np.array([0, 1, 2, 3, 4, 5, 6, 7, 8, 12, 16, 20, 24, 32, 48, 64], np.int64)
-MOST_CODES = 16
-MINUTE_US, SECOND_US = 60_000_000, 1_000_000
+NO_TIME = -(1 << 62)  # a time may be negative
+MINUS, PLUS, POINT, COLON, LETTER_E = ord("-"), ord("+"), ord("."), ord(":"), ord("e")
+MOST_EXPONENT = 40
+MOST_CODES = len(LENGTH_OF_CODE)
+SECOND_US = 1_000_000
 MOST_HOURS = 9_999
 
 BASE64_VALUE: npt.NDArray[np.int8] = np.full(256, -1, np.int8)
@@ -65,14 +66,16 @@ def decode_length(line: Int64Array, place: int, is_fd: int, at: int) -> int:
 
 @array_kernel
 def decimal_us(text: UInt8Array, at: int, power: int) -> tuple[int, int]:
-    """Read a decimal number, perhaps with an exponent, as microseconds: times ten to this power, rounded."""
+    """Read a decimal number, perhaps with sign and exponent, as microseconds: times ten to this power, rounded."""
+    is_negative = text[at] == MINUS
+    at += is_negative or text[at] == PLUS
     mantissa, digits, begin = 0, 0, at
     while 48 <= text[at] <= 57:
         mantissa = mantissa * 10 + text[at] - 48
         digits += 1
         at += 1
         if digits > LONGEST_NUMBER:
-            return -1, -at
+            return NO_TIME, -at
     if text[at] == POINT and at > begin:
         at += 1
         while 48 <= text[at] <= 57:
@@ -81,42 +84,56 @@ def decimal_us(text: UInt8Array, at: int, power: int) -> tuple[int, int]:
                 digits += 1
                 power -= 1
             at += 1
-    if (text[at] | 32) == 101 and text[at + 1] == MINUS and 48 <= text[at + 2] <= 57 and 48 <= text[at + 3] <= 57:
-        power -= (text[at + 2] - 48) * 10 + text[at + 3] - 48
-        at += 4
     if at == begin:
-        return -1, -at
-    return scaled(mantissa, power), at
+        return NO_TIME, -at
+    exponent, at = _exponent(text, at)
+    time_us = scaled(mantissa, power + exponent)
+    return (-time_us if is_negative and time_us != NO_TIME else time_us), at
+
+
+@array_kernel
+def _exponent(text: UInt8Array, at: int) -> tuple[int, int]:
+    """Read ``e-05`` or ``E+12`` behind a number, if it is there."""
+    if (text[at] | 32) != LETTER_E:
+        return 0, at
+    begin = at + 1 + (text[at + 1] == MINUS or text[at + 1] == PLUS)
+    value, behind = decimal(text, begin, 3)
+    if behind == begin:
+        return 0, at
+    return (-value if text[at + 1] == MINUS else value), behind
 
 
 @array_kernel
 def scaled(mantissa: int, power: int) -> int:
-    """Return an integer times a power of ten, rounded half up; -1 if it is too large."""
-    if power < -LONGEST_NUMBER:
+    """Return an integer times a power of ten, rounded half up; NO_TIME if it is too large."""
+    if power < -LONGEST_NUMBER or mantissa == 0:
         return 0
+    if power > LONGEST_NUMBER:
+        return NO_TIME
     factor = 1
     for _ in range(abs(power)):
         factor *= 10
     if power < 0:
         return (mantissa + factor // 2) // factor
-    return -1 if mantissa > 9_000_000_000_000_000_000 // factor else mantissa * factor
+    return NO_TIME if mantissa > 4_000_000_000_000_000_000 // factor else mantissa * factor
 
 
 @array_kernel
-def clock_us(text: UInt8Array, at: int) -> tuple[int, int]:
-    """Read ``hours:minutes:seconds:fraction``, the fraction as digits behind a decimal point."""
+def clock_us(text: UInt8Array, at: int, unit_us: int) -> tuple[int, int]:
+    """Read ``hours:minutes:seconds:count``, a count of so many microseconds, padded with zeros or not."""
     total_us = 0
     for part in range(3):
         begin = at
         value, at = decimal(text, begin, 4)
         if at == begin or text[at] != COLON or value > (MOST_HOURS if part == 0 else 59):
-            return -1, -at
+            return NO_TIME, -at
         total_us = total_us * 60 + value
         at += 1
     begin = at
-    fraction_us, at = decimal_parts(text, begin, SECOND_US, 6)
-    total_us = total_us * SECOND_US + fraction_us
-    return (total_us, at) if at > begin else (-1, -at)
+    count, at = decimal(text, begin, 6)
+    if at == begin or count * unit_us >= SECOND_US:
+        return NO_TIME, -at
+    return total_us * SECOND_US + count * unit_us, at
 
 
 @array_kernel
@@ -179,6 +196,15 @@ def byte(text: UInt8Array, at: int, separator: int) -> tuple[int, int]:
     if text[at] == separator:
         return (value if digits else NO_BYTE), at + 1
     return (value, at) if digits and text[at] == NEWLINE else (-1, at)
+
+
+@array_kernel
+def decimal_byte(text: UInt8Array, at: int) -> tuple[int, int]:
+    """Read a byte of one to three decimal digits and the blanks behind it; -1 if it is none."""
+    begin = at
+    value, at = decimal(text, begin, 3)
+    is_one = at > begin and value <= 255 and text[at] <= BLANK
+    return (value if is_one else -1), skip_blanks(text, at)
 
 
 @array_kernel

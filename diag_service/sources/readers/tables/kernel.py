@@ -14,6 +14,7 @@ from diag_service.frames import (
     FD_PAYLOAD_BYTES,
     PAYLOAD_BYTES,
     REMOTE_FLAG,
+    TX_FLAG,
 )
 from diag_service.sources.readers.tables import fields
 from diag_service.sources.readers.tables.layout import BLANKS, Meaning, Role
@@ -33,6 +34,7 @@ from diag_service.sources.readers.text_kernels import (
     STOP,
     WIDEN,
     count_lines,
+    decimal,
     skip_blanks,
     skip_line,
 )
@@ -59,8 +61,11 @@ MAX_STANDARD_ID, MAX_EXTENDED_ID = 0x7FF, 0x1FFF_FFFF
 _TIME, _CLOCK, _CHANNEL, _ID = int(Role.TIME), int(Role.CLOCK), int(Role.CHANNEL), int(Role.ID)
 _WORD, _SWITCH, _LENGTH, _LENGTH_CODE = int(Role.WORD), int(Role.SWITCH), int(Role.LENGTH), int(Role.LENGTH_CODE)
 _DATA, _BASE64, _IGNORED = int(Role.DATA), int(Role.BASE64), int(Role.IGNORED)
+_DECIMAL_ID, _DECIMAL_DATA, _DIRECTION = int(Role.DECIMAL_ID), int(Role.DECIMAL_DATA), int(Role.DIRECTION)
 _EXTENDED, _REMOTE, _ERROR, _EVENT = int(Meaning.EXTENDED), int(Meaning.REMOTE), int(Meaning.ERROR), int(Meaning.EVENT)
 _FD, _BRS, _ESI = int(Meaning.FD), int(Meaning.BIT_RATE_SWITCH), int(Meaning.ERROR_STATE)
+_SENT = int(Meaning.SENT)
+LETTER_T = ord("t")
 
 
 @array_kernel
@@ -100,7 +105,7 @@ def parse_lines(
         if outcome == FRAME:
             outcome = _settle(row, clock, line, t_ns, can_id, length, flags, channel, data)
             row += outcome == FRAME
-        elif outcome == SKIPPED and line[TIME_US] >= 0 and clock[MODE] == RELATIVE:
+        elif outcome == SKIPPED and line[TIME_US] != fields.NO_TIME and clock[MODE] == RELATIVE:
             clock[NOW_US] += line[TIME_US]
         number += 1
         count_lines(outcomes, first, outcome, number)
@@ -122,16 +127,16 @@ def _parse_line(
     """Read the columns of one line; return the outcome and the position behind the line."""
     line[:] = UNKNOWN
     line[MEANING] = 0
+    line[TIME_US] = fields.NO_TIME
     if text[at] == NEWLINE:
         return SKIPPED, at + 1
     separator = options[SEPARATOR]
     for column in range(len(program)):
         role, parameter = program[column, 0], program[column, 1]
-        if role == _DATA:
-            at = _read_data(text, at, row, vocabulary, separator, line, data)
-        elif role == _BASE64:
-            line[COUNT], at = fields.base64_bytes(text, at, row, data)
-        elif role == _IGNORED:
+        if role == _DATA or role == _BASE64 or role == _DECIMAL_DATA:  # noqa: PLR1714, SIM109 - no tuple in a kernel
+            at = _read_payload(text, at, row, role, vocabulary, separator, line, data)
+        elif role == _IGNORED or role == _DIRECTION:  # noqa: PLR1714, SIM109 - no tuple in a kernel
+            line[MEANING] |= _SENT if role == _DIRECTION and (text[at] | 32) == LETTER_T else 0
             at = fields.skip_field(text, at, separator)
         else:
             at = _read_column(text, at, role, parameter, vocabulary, line)
@@ -166,9 +171,11 @@ def _read_column(text: UInt8Array, at: int, role: int, parameter: int, vocabular
     if role == _TIME:
         line[TIME_US], at = fields.decimal_us(text, at, parameter)
     elif role == _CLOCK:
-        line[TIME_US], at = fields.clock_us(text, at)
+        line[TIME_US], at = fields.clock_us(text, at, parameter)
     elif role == _ID:
         at = _read_id(text, at, parameter, line)
+    elif role == _DECIMAL_ID:
+        line[ID], at = decimal(text, begin, 10)
     elif role == _WORD:
         at = _read_word(text, at, parameter, vocabulary, line)
     elif role == _SWITCH:
@@ -213,6 +220,26 @@ def _read_word(text: UInt8Array, at: int, initial: int, vocabulary: Int64Array, 
 
 
 @array_kernel
+def _read_payload(
+    text: UInt8Array,
+    at: int,
+    row: int,
+    role: int,
+    vocabulary: Int64Array,
+    separator: int,
+    line: Int64Array,
+    data: UInt8Array,
+) -> int:
+    """Read the payload of a line; return the position behind it, negative if it is none."""
+    if role == _DATA:
+        return _read_data(text, at, row, vocabulary, separator, line, data)
+    if role == _DECIMAL_DATA:
+        return _read_decimal_data(text, at, row, line, data)
+    line[COUNT], at = fields.base64_bytes(text, at, row, data)
+    return at
+
+
+@array_kernel
 def _read_data(
     text: UInt8Array,
     at: int,
@@ -248,6 +275,25 @@ def _read_data(
 
 
 @array_kernel
+def _read_decimal_data(text: UInt8Array, at: int, row: int, line: Int64Array, data: UInt8Array) -> int:
+    """Read decimal bytes to the end of the line; as ``_read_data``."""
+    count = 0
+    while text[at] != NEWLINE:
+        value, behind = fields.decimal_byte(text, at)
+        if value < 0:
+            return -behind
+        if count < data.shape[1]:
+            data[row, count] = value
+        count += 1
+        if count > data.shape[1] and (count > FD_PAYLOAD_BYTES or line[LENGTH] != data.shape[1]):
+            line[COUNT] = count
+            return -behind
+        at = behind
+    line[COUNT] = count
+    return at
+
+
+@array_kernel
 def _check_length(line: Int64Array, is_padded: int) -> int:
     """Return whether the bytes that were found are those that the line speaks of."""
     count = max(line[COUNT], 0)
@@ -256,7 +302,7 @@ def _check_length(line: Int64Array, is_padded: int) -> int:
         line[LENGTH] = count
     if has_payload and (count < line[LENGTH] or (count > line[LENGTH] and not is_padded)):
         return MALFORMED
-    if not IS_LENGTH[line[LENGTH]] or line[TIME_US] < 0:
+    if not IS_LENGTH[line[LENGTH]] or line[TIME_US] == fields.NO_TIME:
         return MALFORMED
     if not has_payload:
         line[COUNT] = 0
@@ -285,7 +331,7 @@ def _settle(
     elif meaning & _EXTENDED:
         identifier |= EXTENDED_FLAG
     time_us = _advance(clock, line[TIME_US])
-    if time_us < 0:
+    if time_us == fields.NO_TIME:
         return MALFORMED
     t_ns[row] = time_us * NS_PER_US
     can_id[row] = np.uint32(identifier | (REMOTE_FLAG if meaning & _REMOTE else 0))
@@ -300,23 +346,24 @@ def _settle(
 @array_kernel
 def _frame_flags(meaning: int, length: int) -> int:
     """Return the flags of a frame; formats that do not tell FD apart still show it by its length."""
+    sent = TX_FLAG if meaning & _SENT else 0
     if not meaning & _FD and length <= PAYLOAD_BYTES:
-        return 0
-    return FD_FLAG | (BRS_FLAG if meaning & _BRS else 0) | (ESI_FLAG if meaning & _ESI else 0)
+        return sent
+    return sent | FD_FLAG | (BRS_FLAG if meaning & _BRS else 0) | (ESI_FLAG if meaning & _ESI else 0)
 
 
 @array_kernel
 def _advance(clock: Int64Array, time_us: int) -> int:
-    """Return the time since the epoch of a line, -1 if there can be no such time."""
+    """Return the time since the epoch of a line, NO_TIME if there can be no such time."""
     if clock[MODE] == RELATIVE:
         clock[NOW_US] += time_us
         time_us = clock[NOW_US]
     elif clock[MODE] == DAYTIME:
         if time_us >= DAY_US:
-            return -1
+            return fields.NO_TIME
         # Only about midnight may the time of day start again; anywhere else it jumped.
         if time_us < HOUR_US and clock[NOW_US] % DAY_US >= DAY_US - HOUR_US:
             clock[BASE_US] += DAY_US
         clock[NOW_US] = time_us
     time_us += clock[BASE_US]
-    return time_us if 0 <= time_us <= LAST_US else -1
+    return time_us if -LAST_US <= time_us <= LAST_US else fields.NO_TIME

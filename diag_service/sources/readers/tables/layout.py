@@ -14,7 +14,7 @@ class Role(IntEnum):
 
     IGNORED = 0
     TIME = 1  # a decimal number [power of ten of its unit, in microseconds]
-    CLOCK = 2  # hours:minutes:seconds:fraction
+    CLOCK = 2  # hours:minutes:seconds:count [microseconds of one]
     CHANNEL = 3  # a number, or "-"
     ID = 4  # hexadecimal, or "-" [digits of a standard identifier; 0: a word tells the kind]
     WORD = 5  # one of the layout's words, a digit before it being the channel [first letter of words for events]
@@ -23,6 +23,9 @@ class Role(IntEnum):
     LENGTH_CODE = 8  # the code that CAN FD has for lengths
     DATA = 9  # bytes in hexadecimal, each a column of its own; the last role of a layout
     BASE64 = 10  # all bytes in one
+    DECIMAL_ID = 11
+    DECIMAL_DATA = 12  # as DATA, in decimal numbers
+    DIRECTION = 13  # Tx or anything else
 
 
 class Meaning(IntFlag):
@@ -36,6 +39,7 @@ class Meaning(IntFlag):
     BIT_RATE_SWITCH = 16
     ERROR_STATE = 32
     EVENT = 64  # the line holds no frame and is not meant to
+    SENT = 128  # by the recorder itself
 
 
 SECONDS, MILLISECONDS, MICROSECONDS = 6, 3, 0
@@ -73,7 +77,7 @@ class Layout:
     @property
     def has_columns_of_bytes(self) -> bool:
         """Whether every byte of a payload stands by itself."""
-        return self.columns[-1].role is Role.DATA
+        return self.columns[-1].role in {Role.DATA, Role.DECIMAL_DATA}
 
     def program(self) -> Int64Array:
         """Return the columns as numbers, shape (n, 2), for the compiled reader."""

@@ -1,8 +1,9 @@
 """Text tables of any layout to batches of frames."""
 
 import re
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator
-from typing import BinaryIO, Protocol
+from typing import BinaryIO
 
 import numpy as np
 
@@ -11,12 +12,14 @@ from diag_service.frames import FrameBatch
 from diag_service.sources.readers.arena import BLOCK_BYTES, MAX_LINE_BYTES, Arena, end_of_line, lines_of
 from diag_service.sources.readers.tables import kernel
 from diag_service.sources.readers.tables.kernel import ABSOLUTE, BASE_US, CLOCK_FIELDS, FIELDS, MODE, NOW_US
-from diag_service.sources.readers.tables.layout import Layout
+from diag_service.sources.readers.tables.layout import Layout, Role
 from diag_service.sources.readers.tally import LogReject, Tally
 from diag_service.sources.readers.text_kernels import LINES, MALFORMED, OTHER, POSITION, ROWS, SKIPPED, STOP, WIDEN
 
 MIN_LINE_BYTES = 8  # "0 R11 1" is the shortest line with a frame
 HALF_BYTE_AT_END = re.compile(rb"[^0-9A-Fa-f][0-9A-Fa-f]\n")
+HALF_DECIMAL_BYTE_AT_END = re.compile(rb"[^0-9][0-9]{1,2}\n")
+LOOK_AHEAD_BYTES = 64 * 1024
 TRUSTED_BYTES = 8  # of a format without lengths: a frame with so many is whole
 
 
@@ -31,25 +34,39 @@ class Clock:
         self.fields[[BASE_US, MODE, NOW_US]] = base_us, mode, now_us
 
 
-class TableFormat(Protocol):
-    """A format: the layout of its lines, which its comments may change, and its clock."""
+class Table(ABC):
+    """A format: the layout of its lines, which its comments may change, and its clock.
 
-    layout: Layout
-    clock: Clock
+    ``notes`` is what had to be assumed, for people.
+    """
 
+    def __init__(self, layout: Layout) -> None:
+        self.layout = layout
+        self.clock = Clock()
+        self.notes: list[str] = []
+
+    @abstractmethod
     def read_comment(self, line: bytes) -> bool:
         """Take up what a line without a frame says; return whether it belongs to the format."""
+
+    def look_ahead(self, text: bytes) -> None:  # noqa: B027 - most formats have nothing to settle
+        """Settle what single lines do not tell, from the beginning of the log."""
 
 
 class TableReader:
     """Reads the text of one file."""
 
-    def __init__(self, table: TableFormat, tally: Tally, rows: int) -> None:
+    def __init__(self, table: Table, tally: Tally, rows: int) -> None:
         self._format = table
         self._tally = tally
         self._arena = Arena.of(rows)
         self._line = np.zeros(FIELDS, np.int64)
         self._lines = 0
+        self._compile()
+
+    def look_ahead(self, text: UInt8Array) -> None:
+        """Let the format look at the beginning of the log."""
+        self._format.look_ahead(text[:LOOK_AHEAD_BYTES].tobytes())
         self._compile()
 
     def parse(self, text: UInt8Array) -> FrameBatch:
@@ -75,6 +92,8 @@ class TableReader:
         place = f"line {self._lines + int(first[MALFORMED])}"
         self._tally.reject(LogReject.MALFORMED, place, int(outcomes[MALFORMED]))
         self._lines += int(report[LINES])
+        for note in self._format.notes:
+            self._tally.note(note)
         return self._arena.batch(int(report[ROWS]))
 
     def parse_last(self, text: UInt8Array) -> FrameBatch:
@@ -82,7 +101,7 @@ class TableReader:
         place, tally, self._tally = f"line {self._lines + 1}", self._tally, Tally()
         batch = self.parse(text)
         layout = self._format.layout
-        is_halved = layout.has_columns_of_bytes and HALF_BYTE_AT_END.search(text[-4:].tobytes())
+        is_halved = layout.has_columns_of_bytes and _half_byte_of(layout).search(text[-4:].tobytes())
         if len(batch) and not is_halved and batch.length[0] >= (1 if layout.tells_length else TRUSTED_BYTES):
             return batch
         if self._tally.skipped and self._is_comment[text[0]]:
@@ -107,12 +126,14 @@ class TableReader:
         self._is_comment[list(layout.comment_starts)] = True
 
 
-def reader_of(new_format: Callable[[], TableFormat]) -> Callable[[BinaryIO, Tally], Iterator[FrameBatch]]:
+def reader_of(new_format: Callable[[], Table]) -> Callable[[BinaryIO, Tally], Iterator[FrameBatch]]:
     """Return the function that reads logs of a format."""
 
     def read(stream: BinaryIO, tally: Tally) -> Iterator[FrameBatch]:
         reader = TableReader(new_format(), tally, (BLOCK_BYTES + MAX_LINE_BYTES) // MIN_LINE_BYTES + 1)
-        for lines in lines_of(stream):
+        for number, lines in enumerate(lines_of(stream)):
+            if number == 0:
+                reader.look_ahead(lines.text)
             batch = reader.parse(lines.text) if lines.is_terminated else reader.parse_last(lines.text)
             if len(batch):
                 tally.frames += len(batch)
@@ -121,7 +142,16 @@ def reader_of(new_format: Callable[[], TableFormat]) -> Callable[[BinaryIO, Tall
     return read
 
 
-def frames_in(table: TableFormat, text: bytes) -> int:
+def frames_in(table: Table, text: bytes) -> int:
     """Return how many lines of a piece of text hold a frame."""
+    return len(frames_of(table, text))
+
+
+def frames_of(table: Table, text: bytes) -> FrameBatch:
+    """Return the frames of a piece of text, which may be cut anywhere."""
     reader = TableReader(table, Tally(), len(text) // MIN_LINE_BYTES + 2)
-    return len(reader.parse(np.frombuffer(text + b"\n", np.uint8)))
+    return reader.parse(np.frombuffer(text + b"\n", np.uint8))
+
+
+def _half_byte_of(layout: Layout) -> re.Pattern[bytes]:
+    return HALF_BYTE_AT_END if layout.columns[-1].role is Role.DATA else HALF_DECIMAL_BYTE_AT_END

@@ -5,7 +5,7 @@ from datetime import UTC, datetime
 from decimal import Decimal, InvalidOperation
 
 from diag_service.sources.readers.tables.layout import MILLISECONDS, Column, Layout, Meaning, Role
-from diag_service.sources.readers.tables.reader import Clock
+from diag_service.sources.readers.tables.reader import Table
 
 DAY_US = 86_400_000_000
 DAYS_TO_EPOCH = 25_569  # from 1899-12-30 to 1970-01-01
@@ -15,6 +15,7 @@ STANDARD_DIGITS = 4
 VERSION = re.compile(rb";\$FILEVERSION\s*=\s*(\d\.\d)", re.IGNORECASE)
 START_DAYS = re.compile(rb";\$STARTTIME\s*=\s*([\d.]{1,40})", re.IGNORECASE)
 COLUMNS = re.compile(rb";\$COLUMNS\s*=\s*([A-Za-z,\s]+)", re.IGNORECASE)
+UNKNOWN_DATE = re.compile(rb";\s*Start time:\s*\S")
 START_DATE = re.compile(rb";\s*Start time:\s*(\d+)\.(\d+)\.(\d{4})\s+(\d+):(\d+):(\d+)(?:\.(\d{1,3}))?")
 
 _NUMBER = Column(role=Role.IGNORED)
@@ -28,7 +29,7 @@ _DATA = Column(role=Role.DATA)
 
 OLD_WORDS = {
     "rx": Meaning.NOTHING,
-    "tx": Meaning.NOTHING,
+    "tx": Meaning.SENT,
     "rtr": Meaning.REMOTE,
     "error": Meaning.ERROR,
     "warng": Meaning.EVENT,
@@ -53,7 +54,7 @@ NEW_COLUMNS = {
     "T": _TYPE,
     "B": _BUS,
     "I": _ID,
-    "d": Column(role=Role.IGNORED),
+    "d": Column(role=Role.DIRECTION),
     "R": _RESERVED,
     "l": Column(role=Role.LENGTH),
     "L": _LENGTH,
@@ -81,12 +82,11 @@ LAYOUTS = {
 }
 
 
-class Trc:
+class Trc(Table):
     """The trace of PCAN-View and PCAN-Explorer; without a version it is 1.0."""
 
     def __init__(self) -> None:
-        self.layout = LAYOUTS[b"1.0"]
-        self.clock = Clock()
+        super().__init__(LAYOUTS[b"1.0"])
         self._has_start = False
 
     def read_comment(self, line: bytes) -> bool:
@@ -100,6 +100,8 @@ class Trc:
             return self._take_start(_days_us(days[1]))
         if (date := START_DATE.match(line)) and not self._has_start:
             return self._take_start(_date_us(date))
+        if UNKNOWN_DATE.match(line) and not self._has_start:
+            self.notes.append("the start time of the log is not understood: times count from 1970")
         return True
 
     def _take_columns(self, listed: bytes) -> bool:

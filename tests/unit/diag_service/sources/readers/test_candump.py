@@ -12,6 +12,7 @@ from diag_service.frames import (
     EXTENDED_FLAG,
     FD_FLAG,
     REMOTE_FLAG,
+    TX_FLAG,
     FrameBatch,
 )
 from diag_service.sources.columns import join
@@ -209,3 +210,19 @@ def test_what_a_wide_row_held_before_is_gone() -> None:
     *_, last = read_candump(stream, tally)
     assert last.data[-1].tobytes() == bytes.fromhex("1122334455667788").ljust(last.width, b"\0")
     assert tally.frames == 120_000
+
+
+@pytest.mark.parametrize("size", [1, 2, 3, 4, 5, 1_000_000])
+def test_a_byte_order_mark_before_the_log_is_no_part_of_it(size: int) -> None:
+    class Trickle(io.BytesIO):
+        """Gives so many bytes at a time, as a compressed file may."""
+
+        def readinto(self, buffer: "memoryview | bytearray") -> int:  # type: ignore[override]  # any buffer will do
+            return super().readinto(memoryview(buffer)[:size])
+
+    text = b"\xef\xbb\xbf(1.000000) can0 123#11\n(2.000000) can0 124#22 T\n(3.000000) can0 125#33 R\n"
+    tally = Tally()
+    batch = join(list(read_candump(Trickle(text), tally)))
+    assert batch.can_id.tolist() == [0x123, 0x124, 0x125]
+    assert batch.flags.tolist() == [0, TX_FLAG, 0]
+    assert tally.snapshot() == LogCounts(frames=3)

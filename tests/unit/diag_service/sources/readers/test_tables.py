@@ -1,12 +1,13 @@
 """Text tables: what each format's lines mean, and that no line goes uncounted."""
 
 import io
+from collections.abc import Sequence
 from datetime import UTC, datetime
 
 import numpy as np
 import pytest
 
-from diag_service.frames import BRS_FLAG, ERROR_FLAG, ESI_FLAG, EXTENDED_FLAG, FD_FLAG, REMOTE_FLAG, FrameBatch
+from diag_service.frames import BRS_FLAG, ERROR_FLAG, ESI_FLAG, EXTENDED_FLAG, FD_FLAG, REMOTE_FLAG, TX_FLAG, FrameBatch
 from diag_service.sources.columns import join
 from diag_service.sources.readers.detection import TABLES, LogFormat
 from diag_service.sources.readers.tables import frames_in, reader_of
@@ -76,8 +77,14 @@ def rows(batch: FrameBatch | None) -> list[Row]:
             LogFormat.GVRET,
             GVRET_HEADER,
             b"7,00000123,false,Tx,2,16," + b",".join([b"5A"] * 16),
-            (7_000, 0x123, 16, "5a" * 16, FD_FLAG, 2),
+            (7_000, 0x123, 16, "5a" * 16, FD_FLAG | TX_FLAG, 2),
         ),
+        (LogFormat.GVRET, GVRET_HEADER, b"-2000001,123,false,Rx,0,0", (-2_000_001_000, 0x123, 0, "", 0, 0)),
+        (LogFormat.GVRET, GVRET_HEADER, b"1.66064E+08,123,false,Rx,0,0", (166_064_000_000, 0x123, 0, "", 0, 0)),
+        (LogFormat.GVRET, GVRET_HEADER, b"-1.5e3,123,false,Rx,0,0", (-1_500_000, 0x123, 0, "", 0, 0)),
+        (LogFormat.GVRET, GVRET_HEADER, b"+25e-1,123,false,Rx,0,0", (3_000, 0x123, 0, "", 0, 0)),
+        (LogFormat.GVRET, GVRET_HEADER, b"0E+00,123,false,,0,0", (0, 0x123, 0, "", 0, 0)),
+        (LogFormat.CSV, CSV_HEADER, b"1.5E+2,0x1,0,0,0,0,", (150 * 10**9, 1, 0, "", 0, 0)),
         (
             LogFormat.TRC,
             b";   Start time: 01.01.2026 12:00:00.682.0\n",
@@ -100,7 +107,7 @@ def rows(batch: FrameBatch | None) -> list[Row]:
             LogFormat.TRC,
             b";$FILEVERSION=1.2\n;$STARTTIME=46023.5\n",
             b"  1)   2.5 2  Tx   0300  1  0A",
-            (NOON_NS + 2_500_000, 0x300, 1, "0a", 0, 2),
+            (NOON_NS + 2_500_000, 0x300, 1, "0a", TX_FLAG, 2),
         ),
         (
             LogFormat.TRC,
@@ -123,7 +130,7 @@ def rows(batch: FrameBatch | None) -> list[Row]:
                 0x18EF_C034 | EXTENDED_FLAG,
                 12,
                 "0102030405060708090a0b0c",
-                FD_FLAG | BRS_FLAG | ESI_FLAG,
+                FD_FLAG | BRS_FLAG | ESI_FLAG | TX_FLAG,
                 2,
             ),
         ),
@@ -145,7 +152,7 @@ def rows(batch: FrameBatch | None) -> list[Row]:
             b"1320745424.002 2R29 18FEF100 FA 01",
             (1_320_745_424_002_000_000, 0x18FE_F100 | EXTENDED_FLAG, 2, "fa01", 0, 2),
         ),
-        (LogFormat.CRTD, b"12.5 CEV Event\n", b"12.6 T11 402", (12_600_000_000, 0x402, 0, "", 0, 0)),
+        (LogFormat.CRTD, b"12.5 CEV Event\n", b"12.6 T11 402", (12_600_000_000, 0x402, 0, "", TX_FLAG, 0)),
     ],
 )
 def test_a_line_becomes_a_frame(log_format: LogFormat, header: bytes, line: bytes, row: Row) -> None:
@@ -174,6 +181,107 @@ def test_busmaster_has_three_kinds_of_time(mode: bytes, elapsed_us: list[int]) -
 
 
 @pytest.mark.parametrize(
+    ("counts", "elapsed_us", "note"),
+    [
+        ((b"3329", b"5", b"0005"), (332_900, 500, 500), ""),  # of 100 us, padded or not
+        ((b"0005", b"0012"), (500, 1_200), ""),
+        ((b"332", b"5", b"12", b"005"), (332_000, 5_000, 12_000, 5_000), "milliseconds"),
+        ((b"332900", b"000500"), (332_900, 500), ""),
+    ],
+)
+def test_busmaster_counts_behind_the_seconds(counts: tuple[bytes, ...], elapsed_us: tuple[int, ...], note: str) -> None:
+    lines = b"".join(b"0:0:1:" + count + b" Rx 1 0x7 s 0\n" for count in counts)
+    batch, found = read(LogFormat.BUSMASTER, BUSMASTER % b"ABSOLUTE" + lines)
+    assert batch is not None
+    start_us = int(LOCAL_START.timestamp()) * 10**6 + 325_000
+    assert (batch.t_ns // 1000 - start_us - 10**6).tolist() == list(elapsed_us)
+    assert not found.rejected
+    assert note in "".join(found.notes)
+    assert bool(note) == bool(found.notes)
+
+
+def test_busmaster_in_decimal() -> None:
+    header = (BUSMASTER % b"SYSTEM").replace(b"***HEX***", b"***DEC***")
+    lines = (
+        b"23:59:38:0000 Rx 1 291 s 3 000 010 255\n23:59:38:0001 Tx 2 419360000 x 2 7 08\n"
+        b"23:59:38:0002 Rx 1 7 sr 3\n23:59:38:0003 Rx 1 291 s-fd 12 1 2 3 4 5 6 7 8 9 10 11 12\n"
+        b"23:59:38:0004 Rx 1 291 s 2 10 256\n23:59:38:0005 Rx 1 0x123 s 1 10\n23:59:38:0005 Rx 1 2048 s 1 10\n"
+        b"***HEX***\n23:59:38:0006 Rx 1 0x123 s 1 10\n"
+    )
+    batch, counts = read(LogFormat.BUSMASTER, header + lines)
+    found = [(can_id, payload, flags) for _, can_id, _, payload, flags, _ in rows(batch)]
+    assert found == [
+        (291, "000aff", 0),
+        (419_360_000 | EXTENDED_FLAG, "0708", TX_FLAG),
+        (7 | REMOTE_FLAG, "000000", 0),
+        (291, "0102030405060708090a0b0c", FD_FLAG),
+        (0x123, "10", 0),
+    ]
+    assert counts.rejected == {LogReject.MALFORMED: 3}
+
+
+def test_a_last_decimal_byte_may_be_missing_digits() -> None:
+    header = (BUSMASTER % b"SYSTEM").replace(b"***HEX***", b"***DEC***")
+    whole = header + b"23:59:38:0000 Rx 1 291 s 3 000 010 255"
+    batch, counts = read(LogFormat.BUSMASTER, whole)
+    assert batch is not None
+    assert not counts.truncated
+    for missing in range(1, 20):
+        _, counts = read(LogFormat.BUSMASTER, whole[:-missing])
+        assert counts.truncated
+        assert counts.rejected == {LogReject.CUT_OFF: 1}
+
+
+@pytest.mark.parametrize(
+    ("start", "t_ns"),
+    [
+        (b"1:2:2026 23:59:37:7", int(LOCAL_START.replace(microsecond=7_000).timestamp() * 1e6) * 1000),
+        (b"2026-02-01 23:59:37.325", int(LOCAL_START.timestamp() * 1e6) * 1000),
+        (b"soon", None),
+    ],
+)
+def test_busmaster_starts(start: bytes, t_ns: int | None) -> None:
+    header = (BUSMASTER % b"ABSOLUTE").replace(b"1:2:2026 23:59:37:325", start)
+    batch, counts = read(LogFormat.BUSMASTER, header + b"0:0:1:0000 Rx 1 0x7 s 0\n")
+    assert batch is not None
+    assert batch.t_ns.tolist() == [(t_ns or 0) + 10**9]
+    assert bool(counts.notes) == (t_ns is None)
+
+
+def gvret(times: Sequence[str]) -> bytes:
+    return GVRET_HEADER + b"".join(b"%s,123,false,Rx,0,8,1,2,3,4,5,6,7,8\n" % time.encode() for time in times)
+
+
+@pytest.mark.parametrize(("per_second", "unit"), [(1_000_000, ""), (1_000, "milliseconds"), (1, "seconds")])
+@pytest.mark.parametrize("first_s", [0, -3, 1_600_000_000])
+def test_the_load_of_the_bus_tells_the_unit_of_gvret(per_second: int, unit: str, first_s: int) -> None:
+    gap_s = 0.004
+    times = [f"{(first_s + gap_s * k) * per_second:.{3 if per_second == 1 else 0}f}" for k in range(2_000)]
+    batch, counts = read(LogFormat.GVRET, gvret(times))
+    assert batch is not None
+    assert batch.t_ns.tolist() == [round((first_s + gap_s * k) * 1e6) * 1000 for k in range(2_000)]
+    assert counts.rejected == {}
+    assert (unit in counts.notes[0]) if unit else not counts.notes
+
+
+def test_a_slow_bus_and_a_short_log_keep_microseconds() -> None:
+    for times in ([str(100_000 * k) for k in range(200)], ["1", "2", "3"]):
+        batch, counts = read(LogFormat.GVRET, gvret(times))
+        assert batch is not None
+        assert batch.t_ns.tolist() == [int(time) * 1000 for time in times]
+        assert not counts.notes
+
+
+def test_the_directions_of_gvret_and_the_new_trc() -> None:
+    lines = b"1,123,false,Rx,0,0\n2,123,false,Tx,0,0\n3,123,false,tx,0,0\n4,123,false,,0,0\n"
+    batch, _ = read(LogFormat.GVRET, GVRET_HEADER + lines)
+    assert [row[4] for row in rows(batch)] == [0, TX_FLAG, TX_FLAG, 0]
+    lines = b"1 1.0 DT 1 0300 Rx - 0\n2 2.0 FD 1 0300 Tx - 0\n3 3.0 DT 1 0300 - - 0\n"
+    batch, _ = read(LogFormat.TRC, TRC_21 + lines)
+    assert [row[4] for row in rows(batch)] == [0, TX_FLAG | FD_FLAG, 0]
+
+
+@pytest.mark.parametrize(
     ("log_format", "header", "line"),
     [
         (LogFormat.CSV, CSV_HEADER, b"0.5,0x1,0,0,0,2,AQ=="),
@@ -188,6 +296,11 @@ def test_busmaster_has_three_kinds_of_time(mode: bytes, elapsed_us: list[int]) -
         (LogFormat.GVRET, GVRET_HEADER, b"7,00000123,false,Rx,0,2,5A"),
         (LogFormat.GVRET, GVRET_HEADER, b"7,00000123,false,Rx,0,2,5A,5G"),
         (LogFormat.GVRET, GVRET_HEADER, b"7,00000123,maybe,Rx,0,1,5A"),
+        (LogFormat.GVRET, GVRET_HEADER, b"--7,00000123,false,Rx,0,1,5A"),
+        (LogFormat.GVRET, GVRET_HEADER, b"-,00000123,false,Rx,0,1,5A"),
+        (LogFormat.GVRET, GVRET_HEADER, b"7e,00000123,false,Rx,0,1,5A"),
+        (LogFormat.GVRET, GVRET_HEADER, b"7E+99,00000123,false,Rx,0,1,5A"),
+        (LogFormat.GVRET, GVRET_HEADER, b"-7E+17,00000123,false,Rx,0,1,5A"),
         (LogFormat.GVRET, GVRET_HEADER, b"7,3FFFFFFF,true,Rx,0,1,5A"),
         (LogFormat.GVRET, GVRET_HEADER, b"7,00000123,false,Rx,0,9,1,2,3,4,5,6,7,8,9"),
         (LogFormat.TRC, TRC_21, b"  1   1.0 DT 1  0300 Rx -  2  0A 0B 0C"),
@@ -247,13 +360,13 @@ def test_events_between_frames_are_skipped() -> None:
 
 
 def test_blocks_cut_lines_anywhere_and_a_longer_payload_loses_nothing() -> None:
-    lines = [b"%d,00000%03X,false,Rx,0,8,01,02,03,04,05,06,07,08\n" % (k, k % 0x800) for k in range(100_000)]
-    lines[60_000] = b"60000,00000123,false,Rx,0,12," + b",".join([b"5A"] * 12) + b"\n"
+    lines = [b"%d,00000%03X,false,Rx,0,8,01,02,03,04,05,06,07,08\n" % (k * 1_000, k % 0x800) for k in range(100_000)]
+    lines[60_000] = b"60000000,00000123,false,Rx,0,12," + b",".join([b"5A"] * 12) + b"\n"
     lines[70_000] = b"garbage\n"
     batch, counts = read(LogFormat.GVRET, GVRET_HEADER + b"".join(lines))
     assert batch is not None
     kept = np.delete(np.arange(100_000), 70_000)
-    assert np.array_equal(batch.t_ns, kept * 1_000)
+    assert np.array_equal(batch.t_ns, kept * 1_000_000)
     assert np.flatnonzero(batch.length == 12).tolist() == [60_000]
     assert counts == LogCounts(
         frames=99_999, skipped=1, rejected={LogReject.MALFORMED: 1}, first_rejected="line 70002: malformed"
