@@ -20,8 +20,8 @@ _STEMS = (
     "mai may mag mei maj kve touko май мая",
     "jun juin iun giu cze cvn cerven haz kesa июн",
     "jul juil iul lug lip cvc cervenec tem heina июл",
-    "aug aou ago sie srp agu elo авг",
-    "sep set szept wrz zar eyl syys сен",
+    "aug aou ago sie srp agu elo авг",  # codespell:ignore
+    "sep set szept wrz zar eyl syys сен",  # codespell:ignore
     "oct okt ott out paz rij eki loka окт",
     "nov noi lis kas marras ноя",
     "dec dez dic des gru pro ara joulu дек",

@@ -45,7 +45,10 @@ def test_times(text: bytes, hour: int, milliseconds: int) -> None:
     ("names", "language"),
     [
         ("Jan Feb Mrz Apr Mai Jun Jul Aug Sep Okt Nov Dez", "German"),
-        ("Januar Februar März April Mai Juni Juli August September Oktober November Dezember", "German"),
+        (
+            "Januar Februar März April Mai Juni Juli August September Oktober November Dezember",
+            "German",
+        ),  # codespell:ignore
         ("janv. févr. mars avr. mai juin juil. août sept. oct. nov. déc.", "French"),
         ("ene feb mar abr may jun jul ago sep oct nov dic", "Spanish"),
         ("gen feb mar apr mag giu lug ago set ott nov dic", "Italian"),
@@ -54,7 +57,7 @@ def test_times(text: bytes, hour: int, milliseconds: int) -> None:
         ("jan feb mar apr maj jun jul aug sep okt nov dec", "Swedish, Danish"),
         ("jan feb mar apr mai jun jul aug sep okt nov des", "Norwegian"),
         ("tammi helmi maalis huhti touko kesä heinä elo syys loka marras joulu", "Finnish"),
-        ("sty lut mar kwi maj cze lip sie wrz paź lis gru", "Polish"),
+        ("sty lut mar kwi maj cze lip sie wrz paź lis gru", "Polish"),  # codespell:ignore
         ("led úno bře dub kvě čvn čvc srp zář říj lis pro", "Czech"),
         ("oca şub mar nis may haz tem ağu eyl eki kas ara", "Turkish"),
         ("jan. febr. márc. ápr. máj. jún. júl. aug. szept. okt. nov. dec.", "Hungarian"),
