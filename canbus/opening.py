@@ -14,7 +14,8 @@ _HANDLED: Final = frozenset({"interface", "channel"})
 def open_bus(interface: str | None, channel: str | None, bitrate: int | None, *, fd: bool = False) -> can.BusABC:
     """Open a bus; what is not given comes from CAN_INTERFACE, CAN_CHANNEL, CAN_CONFIG and can.conf.
 
-    The interface ``udp_multicast`` keeps to this machine unless the configuration names a ``hop_limit``.
+    The interface ``udp_multicast`` keeps to this machine unless the configuration names a ``hop_limit``. No bus hears
+    itself, whatever is configured.
 
     Raises
     ------
@@ -25,11 +26,12 @@ def open_bus(interface: str | None, channel: str | None, bitrate: int | None, *,
     options: dict[str, Any] = {"fd": True} if fd else {}  # what is not asked for is left to the driver
     if bitrate is not None:
         options["bitrate"] = bitrate
-    if interface in {None, UDP_MULTICAST}:
-        named = {"interface": interface, "channel": channel}
-        found = can.util.load_config(config={**{key: name for key, name in named.items() if name}, **options})
-        if found["interface"] == UDP_MULTICAST:
-            return _multicast(found)
+    named = {"interface": interface, "channel": channel}
+    found = can.util.load_config(config={**{key: name for key, name in named.items() if name}, **options})
+    if found["interface"] == UDP_MULTICAST:
+        return _multicast(found)
+    if found.get("receive_own_messages"):
+        options["receive_own_messages"] = False
     return can.Bus(channel, interface, **options)
 
 

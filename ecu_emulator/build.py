@@ -45,14 +45,14 @@ class BuiltVehicle:
 
 
 def build_vehicle(scenario: Scenario) -> BuiltVehicle:
-    """Return the vehicle of a scenario; the same scenario and seed always give the same one.
+    """Return the vehicle of a scenario; the same scenario and vehicle seed always give the same one.
 
     Raises
     ------
     ConfigError
         If a truth override names an unknown key or leads outside a physical range.
     """
-    drawn = _draw(scenario.scatter, scenario.seed)
+    drawn = _draw(scenario.scatter, scenario.seed_of_vehicle)
     try:
         calibration = affected_calibration(
             Calibration.from_mapping(_overridden(nominal_table(), scenario.truth.calibration, "truth.calibration")),

@@ -58,7 +58,13 @@ def _execute(options: argparse.Namespace, stop: Event) -> None:
         commands.list_scenarios()
         return
     scenario = commands.choose_scenario(
-        options.scenario, fluid=options.fluid, seed=options.seed, cycles=options.cycles, routine=options.routine
+        options.scenario,
+        fluid=options.fluid,
+        seed=options.seed,
+        vehicle_seed=options.vehicle_seed,
+        drive_seed=options.drive_seed,
+        cycles=options.cycles,
+        routine=options.routine,
     )
     if options.command == "record":
         commands.record(
@@ -183,7 +189,9 @@ def _add_record(parser: argparse.ArgumentParser) -> None:
 def _add_drive(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--scenario", default="ideal", metavar="NAME|FILE", help="shipped scenario or TOML file")
     parser.add_argument("--fluid", choices=("ideal", "case1", "case2", "ageing"), help="override the fluid")
-    parser.add_argument("--seed", type=int, metavar="N", help="override the seed")
+    parser.add_argument("--seed", type=int, metavar="N", help="override the seed of car and drive")
+    parser.add_argument("--vehicle-seed", type=int, metavar="N", help="draw the car from this seed, not from --seed")
+    parser.add_argument("--drive-seed", type=int, metavar="N", help="draw driver and noise from this one")
     parser.add_argument("--cycles", type=int, metavar="N", help="override the number of shift cycles")
     parser.add_argument(
         "--routine",

@@ -21,6 +21,8 @@ def choose_scenario(
     *,
     fluid: str | None,
     seed: int | None,
+    vehicle_seed: int | None = None,
+    drive_seed: int | None = None,
     cycles: int | None,
     routine: tuple[int, int] | None = None,
 ) -> Scenario:
@@ -34,10 +36,13 @@ def choose_scenario(
     scenario = load_scenario(name_or_file)
     if fluid is not None:
         scenario = replace(scenario, fluid=replace(scenario.fluid, condition=FluidCondition(fluid)))
-    if seed is not None:
-        scenario = replace(scenario, seed=seed)
-    if cycles is not None:
-        scenario = replace(scenario, cycles=cycles)
+    scenario = replace(
+        scenario,
+        seed=scenario.seed if seed is None else seed,
+        vehicle_seed=scenario.vehicle_seed if vehicle_seed is None else vehicle_seed,
+        drive_seed=scenario.drive_seed if drive_seed is None else drive_seed,
+        cycles=scenario.cycles if cycles is None else cycles,
+    )
     if routine is not None:
         scenario = replace(scenario, routine=Routine(open_revs=routine[0], closed_revs=routine[1]))
     return scenario
@@ -110,5 +115,7 @@ def record(
                 "shifts": totals.shifts,
                 "duration_s": totals.duration_s,
                 "speed_ratio": round(speed, 2),
+                "vehicle_seed": scenario.seed_of_vehicle,
+                "drive_seed": scenario.seed_of_drive,
             }
         )

@@ -119,7 +119,7 @@ def run(
         sent = SentTruth(drive, writer)
         _write_summary(summary, {})
         console.print(
-            f"{scenario.name}, seed {scenario.seed}: sending on {choice.name or bus.channel_info}", markup=False
+            f"{scenario.name}, {_seeds_text(scenario)}: sending on {choice.name or bus.channel_info}", markup=False
         )
 
         def show(sent_s: float, frame_count: int) -> None:
@@ -131,6 +131,8 @@ def run(
     result = {
         "scenario": scenario.name,
         "seed": scenario.seed,
+        "vehicle_seed": scenario.seed_of_vehicle,
+        "drive_seed": scenario.seed_of_drive,
         "shifts": sent.shift_count,
         **asdict(report),
         "foreign_frames": others.frame_count,
@@ -141,6 +143,11 @@ def run(
     _write_summary(summary, result)
     if is_json:
         print_json(result)
+
+
+def _seeds_text(scenario: Scenario) -> str:
+    vehicle, drive = scenario.seed_of_vehicle, scenario.seed_of_drive
+    return f"seed {drive}" if vehicle == drive else f"vehicle seed {vehicle}, drive seed {drive}"
 
 
 def own_ids() -> list[int]:

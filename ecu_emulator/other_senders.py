@@ -19,7 +19,7 @@ class OtherSenders:
     Parameters
     ----------
     bus
-        An open bus; it is only read here, in a thread of its own, through a filter.
+        An open bus that does not hear itself; it is only read here, in a thread of its own, through a filter.
     can_ids
         Standard identifiers that nobody else should send.
     on_heard
@@ -58,7 +58,7 @@ class OtherSenders:
                 self._note(message.arbitration_id)
 
     def _is_foreign(self, message: can.Message) -> bool:
-        is_plain = message.is_rx and not (message.is_error_frame or message.is_extended_id)
+        is_plain = not (message.is_error_frame or message.is_extended_id)
         return is_plain and message.arbitration_id in self._can_ids
 
     def _note(self, can_id: int) -> None:

@@ -67,11 +67,11 @@ class Drive:
             sensors=vehicle.sensors,
             installation=_installation(scenario, vehicle),
             startup_s=scenario.startup.by_sender(),
-            seed=scenario.seed,
+            seed=scenario.seed_of_drive,
             faults=scenario.sensor_faults,
         )
-        self._loss = FrameLoss(scenario.effects.frame_loss_ratio, scenario.seed)
-        self._bus_faults = BusFaults(scenario.bus_faults, scenario.seed, message_contracts(database))
+        self._loss = FrameLoss(scenario.effects.frame_loss_ratio, scenario.seed_of_drive)
+        self._bus_faults = BusFaults(scenario.bus_faults, scenario.seed_of_drive, message_contracts(database))
         self._asked: SimpleQueue[SensorFault | BusFault] = SimpleQueue()  # filled by other threads
         self._shift_count = 0
         self._frame_count = 0
@@ -163,7 +163,7 @@ def drive_settings(scenario: Scenario) -> DriveSettings:
     factors = ageing_factors(scenario.fluid.ageing_cycles) if is_ageing else ()
     return DriveSettings(
         cycles=scenario.cycles,
-        seed=scenario.seed,
+        seed=scenario.seed_of_drive,
         pedal_ratio=scenario.driver.pedal_ratio,
         vary_ratio=scenario.driver.variation_ratio,
         initial_oil_k=scenario.ambient.oil_temperature_k,
@@ -194,6 +194,8 @@ def _drive_truth(scenario: Scenario, vehicle: BuiltVehicle) -> DriveTruth:
         scenario=scenario.name,
         vehicle=scenario.vehicle,
         seed=scenario.seed,
+        vehicle_seed=scenario.seed_of_vehicle,
+        drive_seed=scenario.seed_of_drive,
         cycles=scenario.cycles,
         fluid=scenario.fluid.condition,
         mu_c=(first.mu_c, second.mu_c),

@@ -167,7 +167,9 @@ class Scenario(_Ranged):
     name: str
     description: str = ""
     vehicle: str = "dct-demo"
-    seed: int = 1
+    seed: int = 1  # of everything that is drawn, unless one of the next two is given
+    vehicle_seed: int | None = None  # of what stays with the car: production scatter
+    drive_seed: int | None = None  # of what changes from drive to drive: driver, noise, losses on the bus
     cycles: int = 1  # each is 1-2-3-4-5-6-5-4-3-2-1
     odometer_m: float = ranged(12_345_000.0, 0.0, 4.0e9)
     fluid: Fluid = field(default_factory=Fluid)
@@ -187,10 +189,22 @@ class Scenario(_Ranged):
         _Ranged.__post_init__(self)
         if not _VEHICLE_ID.fullmatch(self.vehicle):
             raise ConfigError(f"vehicle must be 1..64 letters, digits, '-' or '_', got {self.vehicle!r}")
-        if not 0 <= self.seed < 2**63:
-            raise ConfigError(f"seed must be 0..2^63-1, got {self.seed}")
+        for name in ("seed", "vehicle_seed", "drive_seed"):
+            seed = getattr(self, name)
+            if seed is not None and not 0 <= seed < 2**63:
+                raise ConfigError(f"{name} must be 0..2^63-1, got {seed}")
         if not 1 <= self.cycles <= 100_000:
             raise ConfigError(f"cycles must be 1..100000, got {self.cycles}")
+
+    @property
+    def seed_of_vehicle(self) -> int:
+        """Seed of what stays with the car."""
+        return self.seed if self.vehicle_seed is None else self.vehicle_seed
+
+    @property
+    def seed_of_drive(self) -> int:
+        """Seed of what changes from drive to drive."""
+        return self.seed if self.drive_seed is None else self.drive_seed
 
 
 def _check_range(member: "Field[object]", value: float) -> None:

@@ -189,7 +189,7 @@ def _record(record: type[RecordT], table: Mapping[str, object], prefix: str) -> 
 
 
 def _typed(member: "Field[object]", value: object, prefix: str) -> object:
-    wanted = member.type
+    wanted = int if member.type == int | None else member.type
     is_number = isinstance(value, int | float) and not isinstance(value, bool)
     if wanted is float and not is_number:
         raise ConfigError(f"{prefix}{member.name} must be a number, got {value!r}")

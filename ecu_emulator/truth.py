@@ -36,6 +36,8 @@ class DriveTruth:
     scenario: str
     vehicle: str
     seed: int
+    vehicle_seed: int  # what stays with the car was drawn from this one
+    drive_seed: int  # what changes from drive to drive from this one
     cycles: int
     fluid: str
     mu_c: tuple[float, float]  # per clutch, at the start
@@ -239,12 +241,13 @@ def read_truth(path: Path) -> TruthLog:
             kind: [_content(line) for line in lines if line["kind"] == kind] for kind in (_DRIVE, _SHIFT, _REV, _TOTALS)
         }
         (drive,) = by_kind[_DRIVE]
+        seeds = dict.fromkeys(("vehicle_seed", "drive_seed"), drive["seed"])  # older files have one for both
         totals = [
             Totals(**{**line, "faults": tuple(FaultTruth(**fault) for fault in line.get("faults", ()))})
             for line in by_kind[_TOTALS]
         ]
         return TruthLog(
-            drive=DriveTruth(**{**drive, "mu_c": tuple(drive["mu_c"]), "mu_s": tuple(drive["mu_s"])}),
+            drive=DriveTruth(**{**seeds, **drive, "mu_c": tuple(drive["mu_c"]), "mu_s": tuple(drive["mu_s"])}),
             shifts=tuple(ShiftTruth(**line) for line in by_kind[_SHIFT]),
             totals=totals[0] if totals else None,
             revs=tuple(RevTruth(**line) for line in by_kind[_REV]),

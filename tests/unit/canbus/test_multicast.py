@@ -137,3 +137,13 @@ def test_a_reach_that_is_none_is_refused(place: UdpBus, limit: object, monkeypat
     monkeypatch.setenv("CAN_CONFIG", json.dumps({"hop_limit": limit}))
     with pytest.raises(TypeError, match="hop_limit"):
         open_bus("udp_multicast", place.group, None)
+
+
+@pytest.mark.parametrize("interface", ["virtual", "udp_multicast"])
+def test_no_bus_hears_itself_whatever_is_configured(
+    interface: str, place: UdpBus, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("CAN_CONFIG", json.dumps({"port": place.port, "receive_own_messages": True}))
+    with open_bus(interface, place.group, None) as bus:
+        bus.send(FRAME)
+        assert bus.recv(QUIET_S) is None

@@ -61,6 +61,8 @@ def good_outcome() -> Outcome:
                 scenario="ideal",
                 vehicle="car1",
                 seed=1,
+                vehicle_seed=1,
+                drive_seed=1,
                 cycles=1,
                 fluid="ideal",
                 mu_c=(FRICTION.mu_c, FRICTION.mu_c),
