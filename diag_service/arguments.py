@@ -9,10 +9,12 @@ from diag_service.defaults import BROKER_VARIABLE
 
 PROGRAM = "diag-service"
 
-EXIT_OK, EXIT_UNEXPECTED, EXIT_CONFIG, EXIT_SOURCE, EXIT_STORE = range(5)
+EXIT_OK, EXIT_UNEXPECTED, EXIT_CONFIG, EXIT_SOURCE, EXIT_STORE, EXIT_INCOMPLETE = range(6)
+EXIT_SIGNALLED = 128  # and the number of the signal, as a shell tells it
 _EXIT_TEXT = (
-    "exit status: 0 done or stopped, 1 unexpected error, "
-    "2 usage, calibration, DBC or an extra that is not installed, 3 bus or log, 4 store"
+    "exit status: 0 done, 1 unexpected error, 2 usage, calibration, DBC or an extra that is not installed, "
+    "3 bus or log, 4 store, 5 a log broke off and was not judged, or lost something and --strict was asked for, "
+    "130 stopped early by SIGINT, 143 by SIGTERM; run and monitor usually end by a signal: 0"
 )
 _FOLDERS = (
     "Logs that are named are one drive, put in order of time. A folder is many drives: every log in it, and in the "
@@ -161,6 +163,18 @@ def _add_decode(decode: argparse.ArgumentParser) -> None:
         default="wide",
         help="wide: a row per frame, a column per signal; long: a row per value (default: %(default)s)",
     )
+    decode.add_argument(
+        "--values",
+        choices=("numbers", "texts", "both"),
+        default="numbers",
+        help="values that the database names: as numbers, as texts in a column beside, or both (default: %(default)s)",
+    )
+    decode.add_argument(
+        "--strict",
+        action="store_true",
+        help="end with status 5 if anything of the log is not in the file, and say what",
+    )
+    decode.add_argument("--json", action="store_true", help="one JSON object on standard output")
     _add_verbosity(decode)
 
 

@@ -9,14 +9,23 @@ from importlib import import_module
 from clutch_model.errors import CalibrationError
 from diag_service.arguments import (
     EXIT_CONFIG,
+    EXIT_INCOMPLETE,
     EXIT_OK,
+    EXIT_SIGNALLED,
     EXIT_SOURCE,
     EXIT_STORE,
     EXIT_UNEXPECTED,
     PROGRAM,
     build_parser,
 )
-from diag_service.errors import ConfigError, ExtraMissingError, SourceError, StoreError
+from diag_service.errors import (
+    ConfigError,
+    ExtraMissingError,
+    IncompleteError,
+    SourceError,
+    StoppedError,
+    StoreError,
+)
 from diag_service.stopping import Trigger, ignore
 
 
@@ -29,6 +38,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         options = build_parser().parse_args(arguments)
         try:
             _run(options, stop, counts_wanted)
+        except StoppedError as exc:
+            return _end_early(exc, stop)
         except Exception as exc:  # noqa: BLE001 - the one place where nothing may pass
             return _complain(exc, is_verbose=options.verbose > 0)
         return EXIT_OK
@@ -49,6 +60,14 @@ def _run(options: argparse.Namespace, stop: Trigger, counts_wanted: Trigger) -> 
     commands.execute(options, stop, counts_wanted)
 
 
+def _end_early(exc: StoppedError, stop: Trigger) -> int:
+    """Say that a run was stopped and return the exit status; a reader that hung up wants to hear no more."""
+    if stop.signal is None:
+        return EXIT_OK
+    sys.stderr.write(f"{PROGRAM}: {exc}\n")
+    return EXIT_SIGNALLED + stop.signal
+
+
 def _complain(exc: Exception, *, is_verbose: bool) -> int:
     """Write one line about an error, with ``-v`` also where it came from, and return the exit status."""
     status = EXIT_UNEXPECTED
@@ -57,6 +76,7 @@ def _complain(exc: Exception, *, is_verbose: bool) -> int:
         ((SourceError,), EXIT_SOURCE),
         ((ExtraMissingError,), EXIT_CONFIG),
         ((StoreError,), EXIT_STORE),
+        ((IncompleteError,), EXIT_INCOMPLETE),
     ):
         if isinstance(exc, kinds):
             status = code

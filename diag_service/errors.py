@@ -17,6 +17,14 @@ class ExtraMissingError(SourceError):
     """A log needs a library that only an extra brings: install it."""
 
 
+class StoppedError(DiagServiceError):
+    """The run was told to stop before it had seen everything: start it again for the whole."""
+
+
+class IncompleteError(DiagServiceError):
+    """A log ends before its own end or lost something: what it holds was shown or written, but that is not all."""
+
+
 class StoreError(DiagServiceError):
     """The result store cannot be opened or written: results cannot be kept, so stop."""
 

@@ -9,6 +9,7 @@ from typing import Any, Self
 from diag_service.errors import ConfigError, StoreError
 
 TIME_TYPE = "timestamp[ns, UTC]"
+BOOL_TYPE = "bool"
 NAME_TYPE = "name"  # a text of few different values
 
 
@@ -35,7 +36,7 @@ class ParquetTable:
     path : Path
         The file.
     columns : Mapping of str to str
-        Names and types: ``int64``, ``float64``, ``string``, ``TIME_TYPE`` or ``NAME_TYPE``.
+        Names and types: ``int64``, ``float64``, ``string``, ``BOOL_TYPE``, ``TIME_TYPE`` or ``NAME_TYPE``.
     metadata : Mapping of str to Mapping of str to str
         Of columns, such as ``{"unit": "rpm"}``.
 
@@ -56,6 +57,7 @@ class ParquetTable:
             "int64": self._arrow.int64(),
             "float64": self._arrow.float64(),
             "string": self._arrow.string(),
+            BOOL_TYPE: self._arrow.bool_(),
             TIME_TYPE: self._arrow.timestamp("ns", "UTC"),
             NAME_TYPE: self._arrow.dictionary(self._arrow.int32(), self._arrow.string()),
         }

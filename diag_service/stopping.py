@@ -10,6 +10,7 @@ class Trigger:
 
     def __init__(self) -> None:
         self.is_set = False
+        self.signal: int | None = None  # the first one that set it; None: none did
         self._listeners: list[Callable[[], None]] = []
 
     def set(self) -> None:
@@ -31,7 +32,8 @@ class Trigger:
     def listen_to(self, *numbers: signal.Signals) -> None:
         """Let signals set the trigger instead of ending the process; main thread only."""
 
-        def handle(_number: int, _frame: FrameType | None) -> None:
+        def handle(number: int, _frame: FrameType | None) -> None:
+            self.signal = self.signal or number
             self.set()
 
         for number in numbers:

@@ -30,6 +30,7 @@ class FrameCounts:
     rejected: Mapping[str, int] = field(default_factory=dict)  # reason -> frames
     missing: int = 0  # never on this side of the bus, as alive counters tell
     invalid_values: int = 0  # not available or out of range, in decoded frames
+    invalid: Mapping[str, Mapping[str, int]] = field(default_factory=dict)  # the same: signal -> reason -> values
     unreadable: Mapping[str, int] = field(default_factory=dict)  # lines or objects of a log, reason -> count
 
     @property
@@ -127,6 +128,7 @@ def summary_record(summary: Summary) -> JsonObject:
             "rejected": dict(frames.rejected),
             "missing": frames.missing,
             "invalid_values": frames.invalid_values,
+            "invalid_signals": {signal: dict(reasons) for signal, reasons in frames.invalid.items()},
             "unreadable": dict(frames.unreadable),
         },
         "shifts": {
@@ -158,6 +160,12 @@ def frames_line(frames: FrameCounts) -> str:
     if any(frames.unreadable.values()):
         parts.append(_with_reasons("unreadable in the log", frames.unreadable))
     return ", ".join(parts)
+
+
+def values_line(frames: FrameCounts) -> str:
+    """Return which signals lost how many values and why, as one line for people; empty if none did."""
+    signals = [_with_reasons(signal, frames.invalid[signal]) for signal in sorted(frames.invalid)]
+    return f"values that are no measurements: {', '.join(signals)}" if signals else ""
 
 
 def shifts_line(summary: Summary) -> str:

@@ -11,7 +11,7 @@ from cantools.database.can import Message
 from dbc.contract import DBC_PATH
 from diag_service.columns import Int64Array
 from diag_service.decoding.codec import Codec
-from diag_service.decoding.decode import Decoded
+from diag_service.decoding.decode import NO_INVALID, Decoded
 from diag_service.definitions.database import load_database
 from diag_service.definitions.proposal import SignalStatistics, candidates, profile_text
 from diag_service.definitions.tiers import PURPOSE, missing_for_next, tier_of
@@ -28,9 +28,11 @@ class _Range:
         self.lowest = np.inf
         self.highest = -np.inf
         self.is_integer = True
+        self.invalid = NO_INVALID
 
     def add(self, decoded: Decoded) -> None:
         """Take more values."""
+        self.invalid = self.invalid.plus(decoded.invalid)
         good = decoded.value if decoded.is_good is None else decoded.value[decoded.is_good]
         good = good[np.isfinite(good)]
         if len(good):
@@ -81,11 +83,12 @@ class Survey:
                 SignalStatistics(
                     message=message.name,
                     signal=name,
-                    unit=message.get_signal_by_name(name).unit or "",
+                    unit=self._codec.tables[slot].definitions[name].unit or "",
                     count=seen.count,
                     lowest=seen.lowest,
                     highest=seen.highest,
                     is_integer=seen.is_integer,
+                    invalid=seen.invalid._asdict(),
                 )
             )
         return found
@@ -100,7 +103,7 @@ def execute(options: argparse.Namespace, stop: Trigger, counts_wanted: Trigger) 
     """Survey a log and write a profile whose comments say what there is."""
     del counts_wanted
     database = options.dbc or DBC_PATH
-    survey = Survey(Codec(load_database(database).messages))
+    survey = Survey(Codec(load_database(database).messages, check_codes=True))
     survey.add(options.log, stop)
     best = candidates(survey.statistics())
     tier = tier_of(best.keys())
@@ -123,4 +126,7 @@ def _listing(survey: Survey) -> Iterator[str]:
         for one in statistics:
             if one.message == message.name:
                 span = f"{one.lowest:g} to {one.highest:g} {one.unit}".rstrip() if one.count else "no value"
-                yield f"  {one.signal}: {span}"
+                lost = "".join(
+                    f", {count} values {reason.replace('_', ' ')}" for reason, count in one.invalid.items() if count
+                )
+                yield f"  {one.signal}: {span}{lost}"

@@ -112,6 +112,14 @@ class BitField:
         )
         return bytes(self.first_byte) + mask.rstrip(b"\0")
 
+    @property
+    def last_byte(self) -> int:
+        """Place of the last byte that the signal lies in."""
+        if self.spill:
+            return self.first_byte + WORD_BYTES
+        in_word = WORD_BITS - 1 - self.shift if self.is_big else self.shift + self.length - 1
+        return self.first_byte + in_word // 8
+
     def _with_ninth_byte(self, word: UInt64Array, ninth: UInt64Array) -> UInt64Array:
         """Return the word moved by ``spill`` bits, so that the whole signal is in it."""
         if self.is_big:

@@ -1,11 +1,10 @@
 """Signals compiled to tables, so that a few array operations decode a column; bit-identical to cantools."""
 
 import math
-import re
 from collections.abc import Iterable
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -14,12 +13,14 @@ from cantools.database.can.signal import Signal
 
 from diag_service.columns import FloatArray, Int64Array, UInt8Array
 from diag_service.decoding.bit_fields import BitField, PayloadWords, UInt64Array, place_signal
+from diag_service.definitions.not_available import CodeRange
 from diag_service.errors import ConfigError
 
 __all__ = [
-    "NOT_AVAILABLE",
+    "NO_INVALID",
     "BoolArray",
     "Decoded",
+    "InvalidCounts",
     "PayloadWords",
     "SignalTable",
     "compile_signal",
@@ -32,21 +33,41 @@ MAX_FACTOR: Final = 1e100  # beyond any unit; keeps the arithmetic of wide integ
 EXACT_INTEGER: Final = 2**53  # float64 holds every integer up to here
 MAX_MULTIPLEX_DEPTH: Final = 8
 FLOAT_TYPES: Final = {16: ("u2", "f2"), 32: ("u4", "f4"), 64: ("u8", "f8")}  # bits -> integer and float of that size
-NOT_AVAILABLE: Final = re.compile(
-    r"(?<![a-z])(n\s*/?\s*a|sna|snv|not[ _-]?av\w*|unavail\w*|not[ _-]?valid|invalid\w*|undefined|error\w*|fault\w*"
-    r"|init\w*|fehler\w*|ung(ue|ü)ltig\w*|nicht[ _-]?verf(ue|ü)gbar\w*)(?![a-z])",
-    re.IGNORECASE,
-)
-"""Texts in value tables that say a raw value is not a measurement."""
+
+
+class InvalidCounts(NamedTuple):
+    """Values that are no measurements, by why; a signal that its multiplexer leaves out is none of them."""
+
+    not_available: int = 0  # codes, and floats that are no numbers
+    out_of_range: int = 0
+    incomplete: int = 0  # a signal that corrects this one has no value
+
+    @property
+    def total(self) -> int:
+        """All of them."""
+        return sum(self)
+
+    def plus(self, more: "InvalidCounts") -> "InvalidCounts":
+        """Return the sums, reason by reason."""
+        return InvalidCounts(*(one + other for one, other in zip(self, more, strict=True)))
+
+
+NO_INVALID: Final = InvalidCounts()
 
 
 @dataclass(frozen=True, slots=True)
 class Decoded:
-    """One decoded signal; where ``is_good`` is false the value means nothing."""
+    """One decoded signal: what was sent, and what of it is a measurement."""
 
     value: FloatArray  # (n,) in the unit of the database
-    is_good: BoolArray | None  # (n,); None: all are good
-    invalid_count: int  # not available or out of range; a signal that its multiplexer leaves out is neither
+    is_good: BoolArray | None  # (n,) present and a measurement; None: all are
+    invalid: InvalidCounts = NO_INVALID
+    is_present: BoolArray | None = None  # (n,) in the frame at all; None: in all of them
+
+    @property
+    def invalid_count(self) -> int:
+        """Values in the frames that are no measurements."""
+        return self.invalid.total
 
 
 @dataclass(frozen=True, slots=True)
@@ -76,7 +97,7 @@ class IntegerCode:
     offset: int | float
     raw_range: tuple[int, int]  # what the database calls valid
     raw_limits: tuple[int, int]  # what fits the bits
-    not_available: tuple[int, ...]  # inside ``raw_range``
+    not_available: tuple[CodeRange, ...] = ()
 
     def value(self, raw: UInt64Array | Int64Array) -> FloatArray:
         """Return physical values in the very operations that cantools uses, shape (n,)."""
@@ -100,19 +121,25 @@ class IntegerCode:
         """Whether float64 holds every product and sum of integers that can occur."""
         return self._widest <= EXACT_INTEGER and self._widest * abs(self.scale) + abs(self.offset) <= EXACT_INTEGER
 
-    def is_valid(self, raw: UInt64Array | Int64Array) -> BoolArray | None:
-        """Return which raw values are measurements, shape (n,); None: all can be."""
-        valid: BoolArray | None = None
+    def is_code(self, raw: UInt64Array | Int64Array) -> BoolArray | None:
+        """Return which raw values say that there is no measurement, shape (n,); None: none can."""
+        found: BoolArray | None = None
+        kind = raw.dtype.type
+        for first, last in self.not_available:
+            inside = (raw >= kind(first)) & (raw <= kind(last))
+            found = inside if found is None else found | inside
+        return found
+
+    def is_outside(self, raw: UInt64Array | Int64Array) -> BoolArray | None:
+        """Return which raw values lie outside the range, shape (n,); None: none can."""
+        outside: BoolArray | None = None
         kind = raw.dtype.type
         if self.raw_range[0] > self.raw_limits[0]:
-            valid = raw >= kind(self.raw_range[0])
+            outside = raw < kind(self.raw_range[0])
         if self.raw_range[1] < self.raw_limits[1]:
-            below = raw <= kind(self.raw_range[1])
-            valid = below if valid is None else valid & below
-        for code in self.not_available:
-            differs = raw != kind(code)
-            valid = differs if valid is None else valid & differs
-        return valid
+            above = raw > kind(self.raw_range[1])
+            outside = above if outside is None else outside | above
+        return outside
 
 
 @dataclass(frozen=True, slots=True)
@@ -124,16 +151,22 @@ class FloatCode:
     offset: int | float
     value_range: tuple[float, float]
 
-    def value(self, bits: UInt64Array) -> FloatArray:
-        """Return physical values, shape (n,)."""
+    def raw_number(self, bits: UInt64Array) -> FloatArray:
+        """Return the floats that were sent, shape (n,)."""
         unsigned, floating = FLOAT_TYPES[self.length]
         with np.errstate(over="ignore", invalid="ignore"):
-            value: FloatArray = bits.astype(unsigned).view(floating).astype(np.float64)
+            number: FloatArray = bits.astype(unsigned).view(floating).astype(np.float64)
+        return number
+
+    def value(self, bits: UInt64Array) -> FloatArray:
+        """Return physical values, shape (n,)."""
+        value = self.raw_number(bits)
+        with np.errstate(over="ignore", invalid="ignore"):
             return value if self.scale == 1 and self.offset == 0 else value * float(self.scale) + float(self.offset)
 
-    def is_valid(self, value: FloatArray) -> BoolArray:
-        """Return which values are finite and in range, shape (n,)."""
-        return np.isfinite(value) & (value >= self.value_range[0]) & (value <= self.value_range[1])
+    def is_outside(self, value: FloatArray) -> BoolArray:
+        """Return which values lie outside the range, shape (n,)."""
+        return (value < self.value_range[0]) | (value > self.value_range[1])
 
 
 @dataclass(frozen=True, slots=True)
@@ -147,19 +180,24 @@ class SignalTable:
     def decode(self, words: PayloadWords) -> Decoded:
         """Return the signal in every payload."""
         raw = self.field.raw(words)
+        present = self.presence(words) if self.selectors else None
         if isinstance(self.code, FloatCode):
             value = self.code.value(raw.view(np.uint64))
-            valid: BoolArray | None = self.code.is_valid(value)
-        else:
-            value = self.code.value(raw)
-            valid = self.code.is_valid(raw)
-        if self.selectors:
-            present = self.presence(words)
-            good = present if valid is None else present & valid
-            return Decoded(value, good, int(np.count_nonzero(present & ~good)))
-        if valid is None or valid.all():
-            return Decoded(value, None, 0)
-        return Decoded(value, valid, int(np.count_nonzero(~valid)))
+            return _judged(value, present, ~np.isfinite(value), self.code.is_outside(value))
+        return _judged(self.code.value(raw), present, self.code.is_code(raw), self.code.is_outside(raw))
+
+    def fits(self, size: int) -> bool:
+        """Return whether a payload of ``size`` bytes holds the signal and the multiplexers above it."""
+        return all(field.last_byte < size for field in (self.field, *(one.field for one in self.selectors)))
+
+    def cut_off_count(self, words: PayloadWords, size: int) -> int:
+        """Return in how many payloads of ``size`` bytes the signal would be, were they longer.
+
+        Where even its multiplexer is cut off, that cannot be known: all are counted.
+        """
+        if not all(selector.field.last_byte < size for selector in self.selectors):
+            return len(words)
+        return int(np.count_nonzero(self.presence(words)))
 
     def presence(self, words: PayloadWords) -> BoolArray:
         """Return which frames carry the signal, as its multiplexers say, shape (n,)."""
@@ -171,22 +209,44 @@ class SignalTable:
         return present
 
 
+def _judged(
+    value: FloatArray, present: BoolArray | None, is_code: BoolArray | None, is_outside: BoolArray | None
+) -> Decoded:
+    """Return values with what is known of each; a code that lies outside the range is a code."""
+    if is_code is None and is_outside is None:
+        return Decoded(value, present, NO_INVALID, present)
+    nowhere = np.zeros(len(value), np.bool_)
+    codes = nowhere if is_code is None else is_code
+    beyond = nowhere if is_outside is None else is_outside & ~codes
+    if present is not None:
+        codes, beyond = codes & present, beyond & present
+    invalid = InvalidCounts(int(np.count_nonzero(codes)), int(np.count_nonzero(beyond)))
+    if not invalid.total:
+        return Decoded(value, present, invalid, present)
+    good = ~(codes | beyond)
+    return Decoded(value, good if present is None else good & present, invalid, present)
+
+
 def payload_words(data: UInt8Array, rows: Int64Array | None = None) -> PayloadWords:
     """Return payloads, shape (n, 8) or (n, 64), as words: some rows of them, or all."""
     return PayloadWords(data, rows)
 
 
-def compile_signal(message: Message, name: str, *, check_range: bool = True) -> SignalTable:
+def compile_signal(
+    message: Message, signal: Signal, *, check_range: bool = True, codes: tuple[CodeRange, ...] = ()
+) -> SignalTable:
     """Return the table of one signal.
 
     Parameters
     ----------
     message : Message
         Message as cantools parsed it.
-    name : str
-        Name of a signal of the message.
+    signal : Signal
+        One of its signals.
     check_range : bool
         Whether values outside the signal's [min|max] are invalid; some databases have junk there.
+    codes : tuple of CodeRange
+        Raw values of an integer that are no measurements.
 
     Raises
     ------
@@ -194,8 +254,7 @@ def compile_signal(message: Message, name: str, *, check_range: bool = True) -> 
         If the signal cannot be decoded: outside its message or the 64 bytes of a frame, of a width that its type
         does not have, or multiplexed by something that is no multiplexer.
     """
-    signal = message.get_signal_by_name(name)
-    where = f"{message.name}.{name}"
+    where = f"{message.name}.{signal.name}"
     field = place_signal(message, signal)
     factors = (signal.scale, signal.offset)
     if signal.scale == 0 or not all(abs(factor) <= MAX_FACTOR for factor in factors):
@@ -203,25 +262,23 @@ def compile_signal(message: Message, name: str, *, check_range: bool = True) -> 
     code = _float_code(signal, where, check_range=check_range) if signal.conversion.is_float else None
     return SignalTable(
         field=field,
-        code=code or _integer_code(signal, field, check_range=check_range),
+        code=code or _integer_code(signal, field, codes, check_range=check_range),
         selectors=_selectors(message, signal, where),
     )
 
 
-def _integer_code(signal: Signal, field: BitField, *, check_range: bool) -> IntegerCode:
+def _integer_code(signal: Signal, field: BitField, codes: tuple[CodeRange, ...], *, check_range: bool) -> IntegerCode:
     """Compile scaling and validity of an integer signal."""
     scale, offset = signal.scale, signal.offset
     if float(scale).is_integer() and float(offset).is_integer():
         scale, offset = int(scale), int(offset)
     raw_limits = field.raw_limits
-    raw_range = _raw_range(signal, raw_limits) if check_range else raw_limits
-    codes = [code for code, text in signal.choices.items() if NOT_AVAILABLE.search(str(text))] if signal.choices else []
     return IntegerCode(
         scale=scale,
         offset=offset,
-        raw_range=raw_range,
+        raw_range=_raw_range(signal, raw_limits) if check_range else raw_limits,
         raw_limits=raw_limits,
-        not_available=tuple(code for code in sorted(codes) if raw_range[0] <= code <= raw_range[1]),
+        not_available=codes,
     )
 
 

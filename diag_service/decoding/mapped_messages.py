@@ -60,7 +60,7 @@ def fitting(database: Database, profile: Profile) -> tuple[tuple[MessageColumns,
     for signal, source in profile.sources.items():
         try:
             message = find_message(database.messages, source)
-            column = _column(message, signal, source)
+            column = _column(message, signal, source, is_j1939=profile.is_j1939)
         except ConfigError as error:
             problems.append(f"{error} (for {signal.value})")
             continue
@@ -86,14 +86,14 @@ def fitting(database: Database, profile: Profile) -> tuple[tuple[MessageColumns,
     return mapped, tuple(problems)
 
 
-def _column(message: Message, signal: Signal, source: SignalSource) -> SignalColumn:
+def _column(message: Message, signal: Signal, source: SignalSource, *, is_j1939: bool) -> SignalColumn:
     """Return one compiled signal."""
     found = message.get_signal_by_name(signal_name(message, source))
     convert = to_si(signal, source, found.unit)
     is_plain = source.check_range and source.less is None and source.times is None
     return SignalColumn(
         signal=signal,
-        table=compile_source(message, source),
+        table=compile_source(message, source, is_j1939=is_j1939),
         to_si=convert,
         limits=_limits(found, convert) if is_plain else None,
     )

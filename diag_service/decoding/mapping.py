@@ -10,7 +10,7 @@ import numpy as np
 from cantools.database.can import Database
 
 from diag_service.columns import ColumnBatch, Columns, E2eState, GearRatios, Int64Array, Series, Signal
-from diag_service.decoding.decode import PayloadWords, payload_words
+from diag_service.decoding.decode import NO_INVALID, InvalidCounts, PayloadWords, payload_words
 from diag_service.decoding.mapped_messages import SignalColumn, map_signals
 from diag_service.decoding.small_batches import SMALL_FRAMES, SmallBatchDecoder, SmallColumn, is_able, is_seamless
 from diag_service.definitions.addressing import kernel_filters, rows_by_slot
@@ -51,7 +51,7 @@ class DecoderCounts:
     missing: int  # of protected messages, not in ``received``
     invalid_values: int  # not available or out of range, in frames that were decoded
     messages: Mapping[str, MessageCounts]
-    invalid: Mapping[Signal, int]  # signals with invalid values
+    invalid: Mapping[Signal, InvalidCounts]  # signals with invalid values
 
 
 class Decoder:
@@ -83,7 +83,7 @@ class Decoder:
         self._small = self._small_batch_decoder()
         list(rows_by_slot(_NEVER, 0))  # compiled now: the first frames must not wait for the compiler
         self._signal_count = len(self.signals)
-        self._invalid: dict[Signal, int] = {}
+        self._invalid: dict[Signal, InvalidCounts] = {}
         self._seen: set[Signal] = set()
         self.last_ns: int | None = None  # bus time of the last frame
         self._is_interrupted = False
@@ -163,7 +163,7 @@ class Decoder:
             ignored=int(total[FrameReason.UNKNOWN_ID]),
             rejected=_rejected(total),
             missing=int(missing.sum()),
-            invalid_values=sum(self._invalid.values()),
+            invalid_values=sum(invalid.total for invalid in self._invalid.values()),
             messages=MappingProxyType(messages),
             invalid=MappingProxyType(dict(self._invalid)),
         )
@@ -227,8 +227,8 @@ class Decoder:
     ) -> tuple[Columns, Int64Array]:
         """Return the columns of a few frames, and when messages failed."""
         columns, invalid, has_bad = decoder.decode(segment, verdicts)
-        for signal, count in invalid.items():
-            self._invalid[signal] = self._invalid.get(signal, 0) + count
+        for signal, counts in invalid.items():
+            self._invalid[signal] = self._invalid.get(signal, NO_INVALID).plus(counts)
         return columns, _bad_frame_ns(segment, verdicts) if has_bad else _NEVER
 
     def _columns(self, segment: FrameBatch, verdicts: FrameVerdicts) -> tuple[Columns, Int64Array]:
@@ -258,8 +258,8 @@ class Decoder:
     ) -> Series:
         """Return the valid samples of one signal and count the others."""
         decoded = column.table.decode(words)
-        if decoded.invalid_count:
-            self._invalid[column.signal] = self._invalid.get(column.signal, 0) + decoded.invalid_count
+        if decoded.invalid.total:
+            self._invalid[column.signal] = self._invalid.get(column.signal, NO_INVALID).plus(decoded.invalid)
         value = decoded.value
         if decoded.is_good is not None:
             value, t_ns, sequence = value[decoded.is_good], t_ns[decoded.is_good], sequence[decoded.is_good]

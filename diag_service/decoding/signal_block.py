@@ -9,7 +9,15 @@ import numpy as np
 from clutch_model.jit import array_kernel
 from diag_service.columns import FloatArray, Int64Array
 from diag_service.decoding.bit_fields import WORD_BITS, PayloadWords, UInt64Array
-from diag_service.decoding.decode import BoolArray, Decoded, IntegerCode, Selector, SignalTable
+from diag_service.decoding.decode import (
+    NO_INVALID,
+    BoolArray,
+    Decoded,
+    IntegerCode,
+    InvalidCounts,
+    Selector,
+    SignalTable,
+)
 
 NO_MASK: Final = np.ones((0, 0), np.bool_)
 
@@ -24,7 +32,7 @@ class _Field(IntEnum):
     IS_CHECKED = 4  # some raw values are no measurements
     LOWEST = 5
     HIGHEST = 6
-    FIRST_CODE = 7  # of the raw values inside that range that are none
+    FIRST_CODE = 7  # of the ranges of raw values that are none
     LAST_CODE = 8
 
 
@@ -47,7 +55,8 @@ class SignalBlock:
         row_of = {name: row for row, (name, _, _) in enumerate(plain)}
         self._signals = [(name, row_of.get(name, -1), table) for name, table in tables.items()]  # -1: by itself
         self._words = list(dict.fromkeys((table.field.first_byte, table.field.is_big) for _, table, _ in plain))
-        self._codes = np.array([raw for _, _, code in plain for raw in code.not_available], np.int64)
+        codes = [span for _, _, code in plain for span in code.not_available]
+        self._codes = np.array(codes, np.int64).reshape(-1, 2)
         self._fields = np.zeros((len(plain), len(_Field)), np.int64)
         self._factors = np.array([(code.scale, code.offset) for _, _, code in plain], np.float64).reshape(-1, 2)
         known = 0
@@ -65,7 +74,7 @@ class SignalBlock:
         """Return all signals in every payload."""
         value = np.empty((len(self._fields), len(words)))
         good = np.empty(value.shape, np.bool_) if self._has_checks else NO_MASK
-        bad_count = np.zeros(len(self._fields), np.int64)
+        bad_count = np.zeros((len(self._fields), 2), np.int64)
         if len(self._fields):
             _decode_rows(words.words(self._words), self._fields, self._factors, self._codes, value, good, bad_count)
         values, bad_counts = list(value), bad_count.tolist()
@@ -75,22 +84,27 @@ class SignalBlock:
             if row < 0:
                 found[name] = table.decode(words)
                 continue
-            is_good = good[row] if bad_counts[row] else None
+            invalid = InvalidCounts(*bad_counts[row])
+            is_good = good[row] if invalid.total else None
             if not table.selectors:
-                found[name] = Decoded(values[row], is_good, bad_counts[row])
+                found[name] = Decoded(values[row], is_good, invalid)
                 continue
             if table.selectors not in present:
                 present[table.selectors] = table.presence(words)
-            found[name] = _selected(values[row], present[table.selectors], is_good)
+            if invalid.not_available and invalid.out_of_range:  # which of them are present, the table tells
+                found[name] = table.decode(words)
+            else:
+                found[name] = _selected(values[row], present[table.selectors], is_good, invalid)
         return found
 
 
-def _selected(value: FloatArray, present: BoolArray, is_good: BoolArray | None) -> Decoded:
-    """Return a signal with the frames that do not carry it masked out."""
+def _selected(value: FloatArray, present: BoolArray, is_good: BoolArray | None, invalid: InvalidCounts) -> Decoded:
+    """Return a signal with the frames that do not carry it masked out; what is invalid, is so for one reason."""
     if is_good is None:
-        return Decoded(value, present, 0)
+        return Decoded(value, present, NO_INVALID, present)
     good = present & is_good
-    return Decoded(value, good, int(np.count_nonzero(present) - np.count_nonzero(good)))
+    bad_count = int(np.count_nonzero(present) - np.count_nonzero(good))
+    return Decoded(value, good, InvalidCounts(*(bad_count if count else 0 for count in invalid)), present)
 
 
 @array_kernel
@@ -115,7 +129,8 @@ def _decode_rows(
         if field[_IS_CHECKED]:
             unusable = codes[field[_FIRST_CODE] : field[_LAST_CODE]]
             is_signed = field[_IS_SIGNED] != 0
-            bad_count[row] = _check(word, left, right, is_signed, field[_LOWEST], field[_HIGHEST], unusable, good[row])
+            ends = field[_LOWEST], field[_HIGHEST]
+            _check(word, left, right, is_signed, ends, unusable, good[row], bad_count[row])
 
 
 @array_kernel
@@ -140,18 +155,23 @@ def _check(
     left: np.uint64,
     right: np.uint64,
     is_signed: bool,  # noqa: FBT001 - a compiled function
-    lowest: int,
-    highest: int,
+    ends: tuple[int, int],
     unusable: Int64Array,
     good: BoolArray,
-) -> int:
-    """Fill in which raw values are measurements; return how many are none."""
-    count = 0
+    bad_count: Int64Array,
+) -> None:
+    """Fill in which raw values are measurements, and how many are codes and how many out of range."""
+    lowest, highest = ends
+    codes = 0
+    outside = 0
     for row in range(word.size):
         raw = np.int64(word[row] << left) >> np.int64(right) if is_signed else np.int64((word[row] << left) >> right)
-        is_good = lowest <= raw <= highest
-        for place in range(unusable.size):
-            is_good &= raw != unusable[place]
-        good[row] = is_good
-        count += not is_good
-    return count
+        is_code = False
+        for place in range(unusable.shape[0]):
+            is_code |= unusable[place, 0] <= raw <= unusable[place, 1]
+        is_inside = lowest <= raw <= highest
+        good[row] = is_inside and not is_code
+        codes += is_code
+        outside += not is_code and not is_inside
+    bad_count[0] = codes
+    bad_count[1] = outside

@@ -13,7 +13,7 @@ import numpy as np
 from clutch_model.jit import array_kernel
 from diag_service.columns import FloatArray, Int64Array, Signal, UInt8Array, UInt32Array
 from diag_service.decoding.bit_fields import WORD_BITS, WORD_BYTES
-from diag_service.decoding.decode import IntegerCode
+from diag_service.decoding.decode import NO_INVALID, IntegerCode, InvalidCounts
 from diag_service.decoding.source_tables import SourceTable
 from diag_service.definitions.profile import Conversion
 from diag_service.frames import ERROR_FLAG, MAX_GAP_NS, FrameBatch, empty_batch
@@ -57,7 +57,8 @@ class SignalRules(NamedTuple):
     si_factor: FloatArray
     si_offset: FloatArray
     code_begin: Int64Array  # (k + 1,) where the codes that are no measurements begin
-    code: Int64Array
+    code_first: Int64Array  # ranges of them
+    code_last: Int64Array
 
 
 class SmallBatchDecoder:
@@ -81,10 +82,12 @@ class SmallBatchDecoder:
         )  # compiles now: the first real batch must not wait for the compiler
         is_seamless(nothing, np.empty(0, np.uint32), 0)
 
-    def decode(self, batch: FrameBatch, verdicts: FrameVerdicts) -> tuple[SampleBlock, dict[Signal, int], bool]:
-        """Return the columns, how many values of each signal were invalid, and whether a frame was bad or missing."""
+    def decode(
+        self, batch: FrameBatch, verdicts: FrameVerdicts
+    ) -> tuple[SampleBlock, dict[Signal, InvalidCounts], bool]:
+        """Return the columns, which values of each signal were invalid, and whether a frame was bad or missing."""
         samples = self._layout.room(len(batch))
-        invalid = np.zeros(len(self._layout.signals), np.int64)
+        invalid = np.zeros((len(self._layout.signals), len(NO_INVALID)), np.int64)
         bad = decode_frames(
             self._rules,
             batch.t_ns,
@@ -98,7 +101,8 @@ class SmallBatchDecoder:
         )
         counts = {}
         if bad & _HAS_INVALID:
-            counts = {self._layout.signals[row]: int(invalid[row]) for row in np.flatnonzero(invalid)}
+            rows = np.flatnonzero(invalid.any(axis=1))
+            counts = {self._layout.signals[row]: InvalidCounts(*invalid[row].tolist()) for row in rows}
         return SampleBlock(self._layout, samples), counts, bool(bad & _HAS_BAD)
 
 
@@ -134,7 +138,8 @@ def _rules_of(columns: Sequence[SmallColumn], layout: BlockLayout, message_count
         si_factor=np.array([column.to_si.factor for column in columns], np.float64),
         si_offset=np.array([column.to_si.offset for column in columns], np.float64),
         code_begin=_integers(accumulate((len(code.not_available) for code in codes), initial=0)),
-        code=_integers(value for code in codes for value in code.not_available),
+        code_first=_integers(first for code in codes for first, _ in code.not_available),
+        code_last=_integers(last for code in codes for _, last in code.not_available),
     )
 
 
@@ -175,8 +180,9 @@ def decode_frames(
         for number in range(rules.begin[slot[frame]], rules.begin[slot[frame] + 1]):
             raw = raw_value(rules, number, data[frame])
             row = rules.row[number]
-            if not is_measurement(rules, number, raw):
-                invalid[row] += 1
+            is_code = is_no_value(rules, number, raw)
+            if is_code or not rules.low[number] <= raw <= rules.high[number]:
+                invalid[row, 0 if is_code else 1] += 1
                 found |= _HAS_INVALID
                 continue
             at = samples.filled[row]
@@ -206,9 +212,9 @@ def raw_value(rules: SignalRules, number: int, payload: UInt8Array) -> int:
 
 
 @array_kernel
-def is_measurement(rules: SignalRules, number: int, raw: int) -> bool:
-    """Return whether a raw value is in range and none of the codes that say that there is no value."""
-    is_good = rules.low[number] <= raw <= rules.high[number]
+def is_no_value(rules: SignalRules, number: int, raw: int) -> bool:
+    """Return whether a raw value is one of the codes that say that there is no value."""
     for place in range(rules.code_begin[number], rules.code_begin[number + 1]):
-        is_good &= raw != rules.code[place]
-    return bool(is_good)
+        if rules.code_first[place] <= raw <= rules.code_last[place]:
+            return True
+    return False

@@ -7,8 +7,16 @@ import numpy as np
 from cantools.database.can import Message
 
 from diag_service.columns import FloatArray
-from diag_service.decoding.decode import BoolArray, Decoded, PayloadWords, SignalTable, compile_signal
+from diag_service.decoding.decode import (
+    BoolArray,
+    Decoded,
+    InvalidCounts,
+    PayloadWords,
+    SignalTable,
+    compile_signal,
+)
 from diag_service.definitions.addressing import parameter_group
+from diag_service.definitions.not_available import no_value_codes
 from diag_service.definitions.profile import SignalSource
 from diag_service.errors import ConfigError
 
@@ -28,28 +36,49 @@ class SourceTable:
         found = self.main.decode(words)
         if self.less is None and self.times is None and self.valid is None and not self.invalid:
             return found
-        good = self._good(found)
-        value = found.value
+        good = _all(found)
+        is_valid, is_code = self._profile_says(found.value)
+        invalid = found.invalid.plus(
+            InvalidCounts(
+                not_available=int(np.count_nonzero(good & is_code)),
+                out_of_range=int(np.count_nonzero(good & ~is_code & ~is_valid)),
+            )
+        )
+        good = good & is_valid & ~is_code
+        own_count, value = int(np.count_nonzero(good)), found.value
         if self.less is not None:
             value, good = _combined(self.less.decode(words), good, value, np.subtract)
         if self.times is not None:
             value, good = _combined(self.times.decode(words), good, value, np.multiply)
-        present = np.ones(len(value), np.bool_) if found.is_good is None else found.is_good
-        worse = int(np.count_nonzero(present & ~good))
-        return Decoded(value, None if good.all() else good, found.invalid_count + worse)
+        invalid = invalid.plus(InvalidCounts(incomplete=own_count - int(np.count_nonzero(good))))
+        return Decoded(value, None if good.all() else good, invalid, found.is_present)
 
-    def _good(self, found: Decoded) -> BoolArray:
-        """Return which values of the signal itself the profile calls measurements."""
-        good = np.ones(len(found.value), np.bool_) if found.is_good is None else found.is_good.copy()
+    def _profile_says(self, value: FloatArray) -> tuple[BoolArray, BoolArray]:
+        """Return which values are inside the profile's range, and which are codes that it lists."""
+        inside, codes = np.ones(len(value), np.bool_), np.zeros(len(value), np.bool_)
         if self.valid is not None:
-            good &= (found.value >= self.valid[0]) & (found.value <= self.valid[1])
+            inside = (value >= self.valid[0]) & (value <= self.valid[1])
         if self.invalid:
-            good &= ~np.isin(found.value, self.invalid)
-        return good
+            codes = np.isin(value, self.invalid)
+        return inside, codes
 
 
-def compile_source(message: Message, source: SignalSource) -> SourceTable:
+def _all(found: Decoded) -> BoolArray:
+    """Return which values are good, also if all are."""
+    return np.ones(len(found.value), np.bool_) if found.is_good is None else found.is_good
+
+
+def compile_source(message: Message, source: SignalSource, *, is_j1939: bool = False) -> SourceTable:
     """Return the compiled source.
+
+    Parameters
+    ----------
+    message : Message
+        Where it is.
+    source : SignalSource
+        What the profile says of it.
+    is_j1939 : bool
+        Take a message with a 29-bit identifier for one of J1939, whatever the database says.
 
     Raises
     ------
@@ -58,9 +87,11 @@ def compile_source(message: Message, source: SignalSource) -> SourceTable:
     """
 
     def compiled(name: str) -> SignalTable:
-        if name not in {signal.name for signal in message.signals}:
+        signal = next((signal for signal in message.signals if signal.name == name), None)
+        if signal is None:
             raise ConfigError(f"{message.name} has no signal {name}")
-        return compile_signal(message, name, check_range=source.check_range)
+        codes = no_value_codes(message, signal, is_j1939=is_j1939) if source.check_codes else ()
+        return compile_signal(message, signal, check_range=source.check_range, codes=codes)
 
     return SourceTable(
         main=compiled(signal_name(message, source)),

@@ -116,6 +116,22 @@ def address_book(addresses: Sequence[Address]) -> AddressBook:
     )
 
 
+def overwritten(addresses: Sequence[Address]) -> dict[int, int]:
+    """Return the slots of messages whose identifier a later message has, too, with the slot of the last of those."""
+    shared = _shared_groups(addresses)
+    last: dict[tuple[bool, bool, int], int] = {}
+    places: list[tuple[bool, bool, int]] = []
+    for slot, address in enumerate(addresses):
+        key = (
+            _group_key(address, is_shared=parameter_group(address.can_id) in shared)
+            if address.is_group
+            else address.can_id
+        )
+        places.append((address.is_group, address.is_extended, key))
+        last[places[-1]] = slot
+    return {slot: last[place] for slot, place in enumerate(places) if last[place] != slot}
+
+
 def kernel_filters(addresses: Sequence[Address]) -> tuple[tuple[int, int], ...]:
     """Return identifier and mask, with SocketCAN's flags, that let the data frames of some messages through."""
     return tuple(_kernel_filter(address) for address in addresses)

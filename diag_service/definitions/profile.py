@@ -92,6 +92,7 @@ class SignalSource:
     scale: float = 1.0
     offset: float = 0.0  # in the unit of the database
     check_range: bool = True  # whether values outside the database's [min|max] are invalid
+    check_codes: bool = True  # whether codes that say "not available" by their place in the scale are invalid
     valid: tuple[float, float] | None = None  # decoded values outside are invalid
     invalid: tuple[float, ...] = ()  # decoded values that are codes
     less: str | None = None  # signal of the same message that is subtracted
@@ -240,7 +241,7 @@ _FIELD_TYPES: Final[Mapping[str, type | tuple[type, ...]]] = {
     **dict.fromkeys(("pgn", "spn"), int),
     **dict.fromkeys(("scale", "offset"), (int, float)),
     **dict.fromkeys(("valid", "invalid"), list),
-    "check_range": bool,
+    **dict.fromkeys(("check_range", "check_codes"), bool),
     "source_address": int,
 }
 

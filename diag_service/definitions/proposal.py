@@ -1,8 +1,8 @@
 """A mapping profile proposed from names, units and statistics: a start for people who know their vehicle."""
 
 import re
-from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
 from typing import Final
 
 import numpy as np
@@ -32,6 +32,7 @@ class SignalStatistics:
     lowest: float  # in the unit of the database; NaN without values
     highest: float
     is_integer: bool
+    invalid: Mapping[str, int] = field(default_factory=dict)  # reason -> values that are no measurements
 
     @property
     def place(self) -> str:

@@ -15,6 +15,7 @@ from diag_service.summary import (
     ratio_line,
     sharp_lines,
     shifts_line,
+    values_line,
 )
 
 _CONDITION_STYLE = {
@@ -60,6 +61,8 @@ class ConsoleReporter:
             self._line(Text(ratio_line(ratio)))
         self._line(Text(shifts_line(summary)))
         self._line(Text(frames_line(summary.frames)))
+        if line := values_line(summary.frames):
+            self._line(Text(line))
         if line := capability_line(summary):
             self._line(Text(line))
 

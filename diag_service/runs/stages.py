@@ -148,6 +148,10 @@ class Stages:
             rejected={reason.name.lower(): count for reason, count in counts.rejected.items()},
             missing=counts.missing,
             invalid_values=counts.invalid_values,
+            invalid={
+                signal.value: {reason: count for reason, count in invalid._asdict().items() if count}
+                for signal, invalid in counts.invalid.items()
+            },
         )
 
 

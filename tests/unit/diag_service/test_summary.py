@@ -3,7 +3,15 @@
 import pytest
 
 from diag_service.records import Tier
-from diag_service.summary import Capability, FrameCounts, ShiftTally, capability_line, summarise, summary_record
+from diag_service.summary import (
+    Capability,
+    FrameCounts,
+    ShiftTally,
+    capability_line,
+    summarise,
+    summary_record,
+    values_line,
+)
 from tests.builders import shift_result
 
 MISSING = "friction needs clutch1_pressure_pa"
@@ -37,3 +45,16 @@ def test_the_record_for_programs() -> None:
     capability = Capability(profile="vw", tier=Tier.KINEMATIC, missing=MISSING, unseen=("pedal_ratio",))
     record = summary_record(summarise("car1", FrameCounts(), ShiftTally(), None, capability))
     assert record["capability"] == {"profile": "vw", "tier": 3, "missing": MISSING, "unseen": ["pedal_ratio"]}
+
+
+def test_which_signals_lost_values_and_why() -> None:
+    invalid = {"pedal_ratio": {"out_of_range": 1}, "engine_speed_rad_s": {"not_available": 3, "out_of_range": 2}}
+    frames = FrameCounts(invalid_values=6, invalid=invalid)
+    assert values_line(frames) == (
+        "values that are no measurements: engine_speed_rad_s (3 not available, 2 out of range), "
+        "pedal_ratio (1 out of range)"
+    )
+    assert values_line(FrameCounts()) == ""
+    record = summary_record(summarise("car1", frames, ShiftTally(), None))
+    assert isinstance(record["frames"], dict)
+    assert record["frames"]["invalid_signals"] == invalid

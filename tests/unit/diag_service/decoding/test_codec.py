@@ -1,5 +1,6 @@
 """All signals of a database at once: the bits of cantools in every corner, and only from frames that carry them."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import cantools
@@ -7,9 +8,10 @@ import numpy as np
 import pytest
 from cantools.database.can import Database, Message
 from cantools.database.can.signal import Signal
+from cantools.database.errors import DecodeError
 
-from diag_service.decoding.codec import Codec, MessageValues
-from diag_service.frames import ERROR_FLAG, EXTENDED_FLAG, REMOTE_FLAG, FrameBatch
+from diag_service.decoding.codec import Codec, FrameFate, MessageValues
+from diag_service.frames import ERROR_FLAG, EXTENDED_FLAG, FD_FLAG, REMOTE_FLAG, FrameBatch
 from tests.cantools_oracle import reference, same_bits
 from tests.wire import DATABASE
 
@@ -46,9 +48,7 @@ def assert_as_cantools(message: Message, batch: FrameBatch, found: MessageValues
         is_there = ~np.isnan(wanted[name])
         assert same_bits(decoded.value[is_there], wanted[name][is_there]), f"{message.name}.{name}"
         assert not (is_good & ~is_there).any(), f"{message.name}.{name}"
-        signal = message.get_signal_by_name(name)
-        if signal.choices is None:  # else some of the values are codes
-            assert np.array_equal(is_good, np.isfinite(wanted[name])), f"{message.name}.{name}"
+        assert np.array_equal(is_good, np.isfinite(wanted[name])), f"{message.name}.{name}"
 
 
 @pytest.mark.parametrize("database", [DATABASE, corners()], ids=["own", "corners"])
@@ -73,7 +73,7 @@ def test_every_page_of_a_multiplexer_is_met() -> None:
     assert found.signals["FarPage"].is_good.tolist() == [True, False, False, False, True, False]
 
 
-def test_frames_that_do_not_carry_the_message_are_left_out() -> None:
+def test_every_frame_has_one_fate() -> None:
     message = DATABASE.messages[0]
     ids = [message.frame_id | flag for flag in (0, REMOTE_FLAG, ERROR_FLAG, EXTENDED_FLAG, 0)]
     batch = FrameBatch(
@@ -82,8 +82,92 @@ def test_frames_that_do_not_carry_the_message_are_left_out() -> None:
         length=np.array([8, 8, 8, 8, 7], np.uint8),
         data=np.zeros((5, 8), np.uint8),
     )
-    (found,) = Codec(DATABASE.messages).decode(batch)
-    assert found.rows.tolist() == [0]
+    codec = Codec(DATABASE.messages)
+    whole, part = codec.decode(batch)
+    assert (whole.rows.tolist(), part.rows.tolist()) == ([0], [4])
+    match = codec.match(batch)
+    assert match.slot.tolist() == [0, -1, -1, -1, 0]
+    assert match.counts[0].tolist() == [1, 1, 0, 0, 0, 0, 0]
+    assert match.counts[-1].tolist() == [0, 0, 0, 0, 1, 1, 1]
+
+
+@pytest.mark.parametrize("database", [DATABASE, corners()], ids=["own", "corners"])
+def test_short_frames_give_the_signals_that_fit_as_cantools_does(database: Database) -> None:
+    codec = Codec(database.messages, check_range=False)
+    batch = frames(database.messages, ROWS, seed=8)
+    size = np.random.default_rng(8).integers(0, batch.length + 1).astype(np.uint8)
+    batch.data[np.arange(64) >= size[:, None]] = 0
+    batch = replace(batch, length=size)
+    values = dict.fromkeys(range(len(database.messages)), 0)
+    for found in codec.decode(batch):
+        message = database.messages[found.slot]
+        for place, row in enumerate(found.rows.tolist()):
+            try:
+                wanted = message.decode(
+                    batch.data[row, : size[row]].tobytes(), decode_choices=False, allow_truncated=True
+                )
+            except DecodeError:  # a page of a multiplexer without signals
+                continue
+            assert isinstance(wanted, dict)
+            there = {
+                name: decoded.value[place].item()
+                for name, decoded in found.signals.items()
+                if decoded.is_present is None or decoded.is_present[place]
+            }
+            assert repr(there) == repr({name: float(str(wanted[name])) for name in there})
+            assert there.keys() == wanted.keys()
+            values[found.slot] += len(there)
+    assert all(values.values())
+
+
+def test_what_lies_behind_the_end_of_a_short_frame_is_counted() -> None:
+    message = Message(0x100, "M", 8, [Signal("A", start=0, length=8), Signal("B", start=56, length=8)])
+    batch = FrameBatch(
+        t_ns=np.arange(3), can_id=np.full(3, 0x100, np.uint32), length=np.array([0, 7, 8], np.uint8),
+        data=np.ones((3, 8), np.uint8),
+    )  # fmt: skip
+    found = list(Codec([message]).decode(batch))
+    assert [(one.rows.tolist(), list(one.signals), dict(one.cut_off)) for one in found] == [
+        ([2], ["A", "B"], {}), ([0], [], {"A": 1, "B": 1}), ([1], ["A"], {"B": 1}),
+    ]  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("size", "is_fd", "fd_flag", "length", "fate"),
+    [
+        (8, False, 0, 8, FrameFate.DECODED),
+        (20, False, 0, 8, FrameFate.TRANSPORTED),  # a first frame of ISO-TP, or a packet of J1939
+        (20, True, 0, 8, FrameFate.SHORT),
+        (20, False, FD_FLAG, 20, FrameFate.DECODED),
+        (20, False, FD_FLAG, 12, FrameFate.SHORT),
+        (20, False, 0, 20, FrameFate.DECODED),  # a log whose format does not tell CAN FD
+        (100, True, FD_FLAG, 64, FrameFate.TRANSPORTED),
+    ],
+)
+def test_messages_longer_than_their_frames_need_a_transport_protocol(
+    size: int, is_fd: bool, fd_flag: int, length: int, fate: FrameFate
+) -> None:
+    message = Message(0x100, "M", size, [Signal("A", start=0, length=8)], is_fd=is_fd)
+    batch = FrameBatch(
+        t_ns=np.arange(1), can_id=np.full(1, 0x100, np.uint32), length=np.array([length], np.uint8),
+        data=np.ones((1, 64), np.uint8), flags=np.array([fd_flag], np.uint8),
+    )  # fmt: skip
+    codec = Codec([message])
+    assert np.flatnonzero(codec.match(batch).counts[0]).tolist() == [fate]
+    assert len(list(codec.decode(batch))) == (fate is not FrameFate.TRANSPORTED)
+
+
+def test_of_messages_with_one_identifier_the_last_counts() -> None:
+    first, last = (Message(0x100, name, 8, [Signal(name, start=0, length=8)]) for name in ("First", "Last"))
+    codec = Codec([first, last])
+    assert [table.message.name for table in codec.tables] == ["Last"]
+    assert codec.overwritten == ((first, last),)
+
+
+def test_signals_of_one_name_in_a_message_are_numbered() -> None:
+    signals = [Signal("A", start=0, length=8), Signal("A", start=8, length=8)]
+    (table,) = Codec([Message(0x100, "M", 8, signals, strict=False)]).tables
+    assert {name: one.field.shift for name, one in table.signals.items()} == {"A": 0, "A#2": 8}
 
 
 def test_signal_that_cannot_be_decoded_does_not_take_the_others_along() -> None:

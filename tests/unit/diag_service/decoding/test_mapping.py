@@ -11,6 +11,7 @@ from cantools.database.can import Database
 
 from clutch_model.units import pa_from_bar, rad_s_from_rpm
 from diag_service.columns import BALANCE_SIGNALS, Signal
+from diag_service.decoding.decode import InvalidCounts
 from diag_service.decoding.mapping import Decoder, DecoderCounts
 from diag_service.definitions.profile import Profile, SignalSource, load_profile
 from diag_service.errors import ConfigError
@@ -76,7 +77,10 @@ def test_not_available_values_are_left_out_and_counted() -> None:
     assert columns.columns[Signal.HUB_SPEED].sequence.tolist() == [0, 2]
     assert columns.columns[Signal.INPUT1_SPEED].sequence.tolist() == [0, 1, 2]
     assert Signal.INPUT2_SPEED not in columns.columns
-    assert stage.counts.invalid == {Signal.HUB_SPEED: 1, Signal.INPUT2_SPEED: 3}
+    assert stage.counts.invalid == {
+        Signal.HUB_SPEED: InvalidCounts(not_available=1),
+        Signal.INPUT2_SPEED: InvalidCounts(not_available=3),
+    }
     assert stage.counts.invalid_values == 4
     assert stage.counts.decoded == 3
 

@@ -6,7 +6,7 @@ import pytest
 from cantools.database.can import Database, Message
 
 from diag_service.columns import UInt8Array
-from diag_service.decoding.decode import payload_words
+from diag_service.decoding.decode import InvalidCounts, payload_words
 from diag_service.decoding.source_tables import compile_source, find_message, signal_name
 from diag_service.definitions.database import load_database
 from diag_service.definitions.profile import PROFILE_FOLDER, SignalSource
@@ -68,3 +68,24 @@ def test_j1939_numbers() -> None:
         find_message(database.messages, SignalSource(pgn=99, spn=1))
     with pytest.raises(ConfigError, match="EEC1 has no signal with SPN 7"):
         signal_name(found, SignalSource(pgn=61444, spn=7))
+
+
+def test_why_values_are_no_measurements_is_counted() -> None:
+    found = compile_source(
+        message(), SignalSource(message="M", signal="Share", times="Standard", valid=(0.0, 90.0), invalid=(7.5,))
+    ).decode(payload_words(payloads((15, 0, 0), (190, 0, 0), (255, 0, 0), (1, 0, 255), (1, 0, 1))))
+    assert found.is_good is not None
+    assert found.is_good.tolist() == [False, False, False, False, True]
+    assert found.invalid == InvalidCounts(not_available=1, out_of_range=2, incomplete=1)
+
+
+NAMED = TEXT + 'VAL_ 256 Loss 255 "SNA" ;\n'
+
+
+@pytest.mark.parametrize(("check_codes", "good"), [(True, [True, False]), (False, [True, True])])
+def test_a_profile_may_trust_every_code(check_codes: bool, good: list[bool]) -> None:
+    database = cantools.database.load_string(NAMED, "dbc")
+    assert isinstance(database, Database)
+    source = SignalSource(message="M", signal="Loss", check_range=False, check_codes=check_codes)
+    found = compile_source(database.messages[0], source).decode(payload_words(payloads((0, 254, 0), (0, 255, 0))))
+    assert ([True, True] if found.is_good is None else found.is_good.tolist()) == good

@@ -1,0 +1,1 @@
+"""What ``decode`` writes: the signals of a log as tables, and an account of what is not in them."""

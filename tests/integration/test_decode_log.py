@@ -1,0 +1,303 @@
+"""``decode`` gives every number that cantools gives, tells signals apart, and accounts for every frame."""
+
+import json
+import signal
+from importlib import import_module
+from pathlib import Path
+from typing import Any
+
+import cantools
+import pyarrow.parquet as pq
+import pytest
+from cantools.database.can import Database
+
+from diag_service.arguments import build_parser
+from diag_service.errors import IncompleteError, StoppedError
+from diag_service.stopping import Trigger
+from tests.service import run_service, service
+
+Row = dict[str, Any]
+
+STATES = """VERSION ""
+BU_: A
+BO_ 256 Brake: 4 A
+ SG_ State : 0|3@1+ (1,0) [0|3] "" A
+ SG_ Lamp : 3|1@1+ (1,0) [0|1] "" A
+ SG_ Speed : 8|16@1+ (0.5,-10) [0|100] "km/h" A
+VAL_ 256 State 0 "kein_Fehler" 1 "Fault" 2 "initializing" 7 "SNA" ;
+VAL_ 256 Lamp 0 "No Fault" 1 "Error present" ;
+VAL_ 256 Speed 65535 "not available" ;
+"""
+TWINS = """VERSION ""
+BU_: A
+BO_ 256 Status: 8 A
+ SG_ Value : 0|8@1+ (1,0) [0|0] "rpm" A
+BO_ 512 Status: 8 A
+ SG_ Value : 0|8@1+ (1,100) [0|0] "bar" A
+BO_ 2147484160 Status: 8 A
+ SG_ Value : 0|8@1+ (1,200) [0|0] "" A
+BO_ 768 Other: 8 A
+ SG_ Value : 0|8@1+ (1,0) [0|0] "" A
+"""
+LOSSES = """VERSION ""
+BU_: A
+BO_ 256 Whole: 8 A
+ SG_ Low : 0|8@1+ (1,0) [0|10] "" A
+ SG_ High : 56|8@1+ (1,0) [0|0] "" A
+BO_ 257 Long: 20 A
+ SG_ Piece : 0|8@1+ (1,0) [0|0] "" A
+BO_ 258 Bad: 2 A
+ SG_ Outside : 12|8@1+ (1,0) [0|0] "" A
+ SG_ Inside : 0|8@1+ (1,0) [0|0] "" A
+BO_ 259 Nothing: 8 A
+"""
+LOST_LOG = """(1.000000) can0 100#0102030405060708
+(1.001000) can0 100#01020304050607
+(1.002000) can0 100#
+(1.003000) can0 101#1014010203040506
+(1.004000) can0 102#0102
+(1.005000) can0 103#0102
+(1.006000) can0 7AB#00
+(1.007000) can0 100#R
+(1.008000) can0 20000001#0000000000000000
+what is this
+(1.009000) can0 100#FF02030405060708
+"""
+
+
+def execute(*words: str | Path, stop: Trigger | None = None) -> None:
+    """Run the command in this process."""
+    options = build_parser().parse_args(["decode", *(str(word) for word in words)])
+    import_module("diag_service.commands.decode").execute(options, stop or Trigger(), Trigger())
+
+
+def decoded(tmp_path: Path, database: str, log: str, *words: str) -> list[Row]:
+    """Return the rows of a decoded log."""
+    (tmp_path / "car.dbc").write_text(database, encoding="utf-8")
+    (tmp_path / "drive.log").write_text(log, encoding="ascii")
+    execute(tmp_path / "drive.log", "--dbc", tmp_path / "car.dbc", "-o", tmp_path / "out.parquet", *words)
+    return list(pq.read_table(tmp_path / "out.parquet").to_pylist())
+
+
+def told(tmp_path: Path, capsys: pytest.CaptureFixture[str], database: str, log: str, *words: str) -> Row:
+    """Return what ``decode --json`` says."""
+    decoded(tmp_path, database, log, "--json", *words)
+    record = json.loads(capsys.readouterr().out)
+    assert isinstance(record, dict)
+    return record
+
+
+def log_of(*frames: str) -> str:
+    """Return a candump log."""
+    return "".join(f"({1 + place / 1000:.6f}) can0 {frame}\n" for place, frame in enumerate(frames))
+
+
+STATE_LOG = log_of("100#00000000", "100#09640000", "100#0AFFFF00", "100#07FEFF00", "100#0B010000")
+
+
+def test_no_text_of_a_value_table_and_no_range_removes_a_value(tmp_path: Path) -> None:
+    rows = decoded(tmp_path, STATES, STATE_LOG)
+    database = cantools.database.load_string(STATES, "dbc")
+    assert isinstance(database, Database)
+    for row, line in zip(rows, STATE_LOG.splitlines(), strict=True):
+        wanted = database.decode_message(0x100, bytes.fromhex(line.split("#")[1]), decode_choices=False)
+        assert isinstance(wanted, dict)
+        assert {name: row[f"Brake.{name}"] for name in wanted} == wanted
+
+
+def test_named_states_stand_beside_the_numbers(tmp_path: Path) -> None:
+    rows = decoded(tmp_path, STATES, STATE_LOG, "--values", "both")
+    assert [row["Brake.State"] for row in rows] == [0, 1, 2, 7, 3]
+    assert [row["Brake.State.text"] for row in rows] == ["kein_Fehler", "Fault", "initializing", "SNA", None]
+    assert [row["Brake.Lamp.text"] for row in rows] == ["No Fault"] + ["Error present"] * 2 + [
+        "No Fault",
+        "Error present",
+    ]
+    assert [row["Brake.Speed.text"] for row in rows] == [None, None, "not available", None, None]
+    assert list(rows[0])[-6:] == [
+        "Brake.State", "Brake.State.text", "Brake.Lamp", "Brake.Lamp.text", "Brake.Speed", "Brake.Speed.text"
+    ]  # fmt: skip
+
+
+def test_texts_take_the_place_of_the_numbers_that_have_one(tmp_path: Path) -> None:
+    rows = decoded(tmp_path, STATES, STATE_LOG, "--values", "texts")
+    assert [(row["Brake.State"], row["Brake.State.text"]) for row in rows] == [
+        (None, "kein_Fehler"), (None, "Fault"), (None, "initializing"), (None, "SNA"), (3, None)
+    ]  # fmt: skip
+    assert [row["Brake.Speed"] for row in rows] == [-10.0, 40.0, None, 32757.0, -9.5]
+
+
+@pytest.mark.parametrize("values", ["numbers", "texts", "both"])
+def test_long_rows_say_the_same(tmp_path: Path, values: str) -> None:
+    rows = decoded(tmp_path, STATES, STATE_LOG, "--layout", "long", "--values", values)
+    states = [row for row in rows if row["signal"] == "State"]
+    assert [row["value"] for row in states] == ([None] * 4 + [3] if values == "texts" else [0, 1, 2, 7, 3])
+    if values == "numbers":
+        assert "text" not in states[0]
+    else:
+        assert [row["text"] for row in states] == ["kein_Fehler", "Fault", "initializing", "SNA", None]
+    assert len(rows) == 15
+
+
+TWIN_LOG = log_of("100#0100000000000000", "200#0200000000000000", "00000200#0300000000000000", "300#0400000000000000")
+
+
+def test_signals_of_messages_that_share_a_name_are_told_apart(tmp_path: Path) -> None:
+    rows = decoded(tmp_path, TWINS, TWIN_LOG)
+    values = [{name: value for name, value in row.items() if "." in name and value is not None} for row in rows]
+    assert values == [
+        {"Status@0x100.Value": 1.0}, {"Status@0x200.Value": 102.0}, {"Status@0x00000200.Value": 203.0},
+        {"Other.Value": 4.0},
+    ]  # fmt: skip
+    assert [row["message"] for row in rows] == ["Status@0x100", "Status@0x200", "Status@0x00000200", "Other"]
+    assert [(row["id"], row["is_extended"]) for row in rows] == [
+        (0x100, False), (0x200, False), (0x200, True), (0x300, False)
+    ]  # fmt: skip
+
+
+def test_long_rows_of_messages_that_share_a_name_are_told_apart(tmp_path: Path) -> None:
+    rows = decoded(tmp_path, TWINS, TWIN_LOG, "--layout", "long")
+    assert [(row["message"], row["value"], row["unit"]) for row in rows] == [
+        ("Status@0x100", 1.0, "rpm"), ("Status@0x200", 102.0, "bar"), ("Status@0x00000200", 203.0, ""),
+        ("Other", 4.0, ""),
+    ]  # fmt: skip
+
+
+def test_the_names_do_not_depend_on_the_log(tmp_path: Path) -> None:
+    rows = decoded(tmp_path, TWINS, log_of("200#0200000000000000"))
+    assert rows[0]["Status@0x200.Value"] == 102.0
+
+
+def test_senders_of_one_parameter_group_are_told_apart_by_their_identifier(tmp_path: Path) -> None:
+    log = tmp_path / "truck.log"
+    log.write_text(log_of("0CF00400#0000000001000000", "0CF00427#0000000002000000"), encoding="ascii")
+    dbc = Path(import_module("diag_service").__file__ or "").parent / "profiles" / "j1939.dbc"
+    execute(log, "--dbc", dbc, "-o", tmp_path / "out.parquet")
+    rows = pq.read_table(tmp_path / "out.parquet").to_pylist()
+    assert [(row["id"] & 0xFF, row["EEC1.EngineSpeed"]) for row in rows] == [(0, 32.0), (0x27, 64.0)]
+
+
+def test_every_frame_and_every_loss_is_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    record = told(tmp_path, capsys, LOSSES, LOST_LOG)
+    frames = record["frames"]
+    assert frames.pop("read") == sum(frames.values()) == 10
+    assert frames == {
+        "decoded": 3, "short": 2, "transported": 1, "without_signals": 1, "unknown": 1, "remote": 1, "error": 1
+    }  # fmt: skip
+    assert record["unreadable"] == {"malformed": 1}
+    assert record["refused"] == {"Bad.Outside": "Bad.Outside lies outside its message"}
+    whole = record["messages"][0]["signals"]
+    assert whole["Low"] == {"column": "Whole.Low", "values": 3, "cut_off": 1, "out_of_range": 1, "not_a_number": 0}
+    assert whole["High"] == {"column": "Whole.High", "values": 2, "cut_off": 2, "out_of_range": 0, "not_a_number": 0}
+    assert record["identifiers"] == {
+        "seen": 5, "known": 4, "unknown": [{"id": "0x7AB", "is_extended": False, "frames": 1}], "nearest": []
+    }  # fmt: skip
+    assert len(record["losses"]) == 5
+    rows = pq.read_table(tmp_path / "out.parquet").to_pylist()
+    assert record["rows"] == len(rows) == 5
+    assert [row["Whole.Low"] for row in rows] == [1, 1, None, None, 255]
+    assert [row["Whole.High"] for row in rows] == [8, None, None, None, 8]
+    assert [row["Bad.Inside"] for row in rows] == [None, None, None, 1, None]
+
+
+def test_people_are_told_the_same(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    decoded(tmp_path, LOSSES, LOST_LOG)
+    out = capsys.readouterr().out
+    for text in (
+        "10 frames: 3 decoded, 2 decoded in part, 1 pieces of longer messages, 1 of messages without signals, ",
+        "1 of no message of the database, 1 remote frames, 1 error frames",
+        "5 rows in",
+        "1 pieces of the log are no frames (1 malformed), the first: line 10",
+        "2 frames are shorter than their message: 3 values are not in them",
+        "need ISO-TP or J1939 transport and are not decoded: Long (20 bytes) 1",
+        "1 signals cannot be decoded: Bad.Outside lies outside its message",
+        "1 values outside [min|max], written as sent: Whole.Low 1",
+        "1 of 5 identifiers are not in the database: 0x7AB 1",
+    ):
+        assert text in out
+
+
+def test_a_cut_log_is_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    record = told(tmp_path, capsys, STATES, STATE_LOG[:-5])
+    assert (record["truncated"], record["losses"][0]) == (True, "the log ends before its own end")
+    assert record["frames"]["read"] == record["rows"] == 4
+
+
+def test_strict_writes_the_file_and_complains(tmp_path: Path) -> None:
+    with pytest.raises(IncompleteError, match=r"drive\.log: not all of it is in .*out\.parquet: 1 pieces .*and 4 more"):
+        decoded(tmp_path, LOSSES, LOST_LOG, "--strict")
+    assert pq.read_table(tmp_path / "out.parquet").num_rows == 5
+    assert len(decoded(tmp_path, STATES, STATE_LOG, "--strict")) == 5  # nothing was lost
+
+
+def test_strict_as_a_process_has_its_own_status(tmp_path: Path) -> None:
+    decoded(tmp_path, LOSSES, LOST_LOG)
+    words = ("decode", tmp_path / "drive.log", "--dbc", tmp_path / "car.dbc", "-o", tmp_path / "o.parquet")
+    strict = run_service(tmp_path / "strict", *words, "--strict", "--json")
+    assert (strict.status, len(strict.out.splitlines())) == (5, 1)
+    assert "not all of it is in" in strict.err.splitlines()[-1]
+    assert run_service(tmp_path / "plain", *words).status == 0
+
+
+def test_a_database_that_matches_nothing_is_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    log = log_of("18FEF100#0000000000000000", "101#00", "101#00")
+    database = STATES.replace("BO_ 256", "BO_ 2566844926").replace(" 256 ", " 2566844926 ")  # 18FEF1FE, 29 bits
+    record = told(tmp_path, capsys, database, log)
+    assert record["identifiers"]["known"] == 0
+    (loss,) = record["losses"]
+    assert loss == (
+        "0 of 2 identifiers are in this database; nearest: 0x101 of the log to 0x18FEF1FE Brake; 0x18FEF100 of the log "
+        "to 0x18FEF1FE Brake (the same J1939 parameter group, but the database does not call the message one of J1939)"
+    )
+    assert record["rows"] == 0
+    with pytest.raises(IncompleteError, match="0 of 2 identifiers are in this database"):
+        decoded(tmp_path, database, log, "--strict")
+
+
+def test_the_number_is_the_same_but_not_the_kind(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    record = told(tmp_path, capsys, STATES, log_of("00000100#00000000"))
+    assert record["losses"][0].endswith("Brake (the same number, but the log's has 29 bits)")
+
+
+class _Stopping(Trigger):
+    """A trigger that is set when it has been looked at a few times."""
+
+    looks = 0
+
+    @property
+    def is_set(self) -> bool:
+        """Whether it has been looked at often enough."""
+        self.looks += 1
+        return self.looks > 3
+
+    @is_set.setter
+    def is_set(self, value: bool) -> None:
+        pass
+
+
+@pytest.mark.parametrize("layout", ["wide", "long"])
+def test_what_was_stopped_leaves_nothing(
+    tmp_path: Path, layout: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr("diag_service.commands.decode.MAX_CELLS", 8)
+    (tmp_path / "car.dbc").write_text(STATES, encoding="utf-8")
+    (tmp_path / "drive.log").write_text(STATE_LOG, encoding="ascii")
+    words = (tmp_path / "drive.log", "--dbc", tmp_path / "car.dbc", "-o", tmp_path / "out.parquet")
+    with pytest.raises(StoppedError, match="stopped early: no file was written"):
+        execute(*words, "--layout", layout, stop=_Stopping())
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["car.dbc", "drive.log"]
+    assert capsys.readouterr().out == ""
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_signal_has_the_status_that_a_shell_gives_it(tmp_path: Path, number: signal.Signals) -> None:
+    (tmp_path / "car.dbc").write_text(STATES, encoding="utf-8")
+    (tmp_path / "drive.log").write_text(STATE_LOG, encoding="ascii")
+    words = ("decode", tmp_path / "drive.log", "--dbc", tmp_path / "car.dbc", "-o", tmp_path / "out.parquet")
+    with service(tmp_path / "run", *words) as running:
+        running.wait_until_it_catches(signal.SIGTERM)  # the later of the two
+        running.send(number)
+        ended = running.wait()
+    assert (ended.status, ended.out) == (128 + number, "")
+    assert ended.err == "diag-service: stopped early: no file was written\n"
+    assert not list(tmp_path.glob("*parquet*"))
