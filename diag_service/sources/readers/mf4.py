@@ -6,7 +6,7 @@ Times are floating-point seconds from the start in the file, rounded to whole mi
 import logging
 import struct
 import zlib
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from importlib.machinery import PathFinder
@@ -27,11 +27,13 @@ from diag_service.frames import (
     FD_PAYLOAD_BYTES,
     PAYLOAD_BYTES,
     REMOTE_FLAG,
+    TX_FLAG,
     FrameBatch,
 )
 from diag_service.sources.columns import clear_padding, rounded_to_us
 from diag_service.sources.readers.guarded import guarded
 from diag_service.sources.readers.merging import merged_by_time
+from diag_service.sources.readers.mf4_mending import UNFINISHED_MAGIC, Mended, mended
 from diag_service.sources.readers.tally import LogReject, Tally
 from diag_service.sources.readers.text_kernels import IS_LENGTH
 
@@ -39,7 +41,6 @@ Records = npt.NDArray[np.void]  # one row per frame, fields named "CAN_DataFrame
 
 IntegerArray = npt.NDArray[np.integer[Any]]
 
-UNFINISHED_MAGIC = b"UnFinMF "
 FRAMES_PER_READ = 262_144
 NS_PER_S = 1e9
 MAX_STANDARD_ID, MAX_ID = 0x7FF, 0x1FFF_FFFF
@@ -85,11 +86,13 @@ def mf4_batches(path: Path, folder: Path, tally: Tally) -> Iterator[FrameBatch]:
     asammdf = load_asammdf()
     mdf: Any = None
     try:
-        # A file that the writer left unfinished is completed in a copy.
-        mdf = asammdf.open_mdf(path, process_bus_logging=False, temporary_folder=folder)
+        # A file that is cut off, or that its writer left unfinished, is completed in a copy.
+        whole = mended(path, folder)
+        mdf = asammdf.open_mdf(whole.path, process_bus_logging=False, temporary_folder=folder)
+        count_missing(mdf.groups, whole, tally)
         start_ns = measurement_start_ns(mdf.header)
         groups = [(number, kind) for number, group in enumerate(mdf.groups) if (kind := frame_kind(group))]
-        streams = [read_group(mdf, number, kind, start_ns, tally) for number, kind in groups]
+        streams = [read_group(mdf, number, kind, start_ns, whole, tally) for number, kind in groups]
         for batch in merged_by_time(streams):
             tally.frames += len(batch)
             yield batch
@@ -138,6 +141,19 @@ def measurement_start_ns(header: Any) -> int:  # noqa: ANN401 - asammdf's own ob
     return int(header.abs_time)
 
 
+def count_missing(groups: Sequence[Any], whole: Mended, tally: Tally) -> None:  # asammdf's own objects
+    """Count the frames that are missing at the end of a file."""
+    tally.truncated |= whole.is_cut
+    for number, group in enumerate(groups):
+        missing = whole.missing.get(group.channel_group.address, 0)
+        if missing and not FLAG_OF_KIND.keys().isdisjoint(channel.name for channel in group.channels):
+            found = whole.found[group.channel_group.address]
+            tally.reject(LogReject.CUT_OFF, f"record {found + 1} of group {number}", missing)
+    if whole.lost_at:
+        tally.truncated = True
+        tally.reject(LogReject.DAMAGED, whole.lost_at)
+
+
 def frame_kind(group: Any) -> str | None:  # noqa: ANN401 - asammdf's own objects
     """Return which kind of CAN frames a group holds, None if it holds something else or nothing."""
     names = {channel.name for channel in group.channels}
@@ -146,11 +162,14 @@ def frame_kind(group: Any) -> str | None:  # noqa: ANN401 - asammdf's own object
     return next((kind for kind in FLAG_OF_KIND if kind in names), None)
 
 
-def read_group(mdf: Any, number: int, kind: str, start_ns: int, tally: Tally) -> Iterator[FrameBatch]:  # noqa: ANN401 - asammdf's own objects
+def read_group(mdf: Any, number: int, kind: str, start_ns: int, whole: Mended, tally: Tally) -> Iterator[FrameBatch]:  # noqa: ANN401 - asammdf's own objects
     """Yield the frames of one group; what is missing at its end is counted."""
-    stated, done = int(mdf.groups[number].channel_group.cycles_nr), 0
+    group, done = mdf.groups[number].channel_group, 0
+    stated = whole.found.get(group.address, int(group.cycles_nr))
     while done < stated:
-        signal = mdf.get(kind, group=number, raw=False, record_offset=done, record_count=FRAMES_PER_READ)
+        signal = mdf.get(
+            kind, group=number, raw=False, record_offset=done, record_count=min(FRAMES_PER_READ, stated - done)
+        )
         if not len(signal.samples):
             tally.truncated = True
             tally.reject(LogReject.CUT_OFF, f"record {done + 1} of group {number}", stated - done)
@@ -177,10 +196,10 @@ def frames_of(
     is_frame = is_time & ((is_length & (is_extended | (number <= MAX_STANDARD_ID))) | (kind == ERROR))
     length = np.where(is_length & (kind != ERROR), stored, 0).astype(np.uint8)
     can_id = number | np.where(is_extended, np.uint32(EXTENDED_FLAG), np.uint32(0))
-    flags = np.zeros(len(length), np.uint8)
+    flags = np.where(is_sent(samples, kind), np.uint8(TX_FLAG), np.uint8(0))
     if is_fd.any():
         fast, passive = (column(samples, kind, field) != 0 for field in ("BRS", "ESI"))
-        flags = (is_fd * (FD_FLAG | BRS_FLAG * fast | ESI_FLAG * passive)).astype(np.uint8)
+        flags |= (is_fd * (FD_FLAG | BRS_FLAG * fast | ESI_FLAG * passive)).astype(np.uint8)
     elapsed_ns = np.rint(np.where(is_time, elapsed_s, 0.0) * NS_PER_S).astype(np.int64)
     batch = FrameBatch(
         t_ns=rounded_to_us(start_ns + elapsed_ns),
@@ -191,6 +210,16 @@ def frames_of(
         channel=np.clip(column(samples, kind, "BusChannel"), 0, 255).astype(np.uint8),
     )
     return batch, is_frame
+
+
+def is_sent(samples: Records, kind: str) -> npt.NDArray[np.bool_]:
+    """Return which frames the recorder sent itself: a number, or the text that a conversion makes of it."""
+    name = f"{kind}.Dir"
+    if name not in (samples.dtype.names or ()):
+        return np.zeros(len(samples), np.bool_)
+    values = np.asarray(samples[name])
+    sent: npt.NDArray[np.bool_] = (np.char.lower(values) == b"tx") if values.dtype.kind == "S" else values == 1
+    return sent
 
 
 def column(samples: Records, kind: str, field: str) -> IntegerArray:
