@@ -17,7 +17,7 @@ from fleet_backend.database import place_of
 from fleet_backend.errors import DatabaseAwayError
 from fleet_backend.ingest import FILTERS, Pauses, Worker
 from fleet_backend.intake import Kind
-from fleet_backend.migrate import check_schema, migrate
+from fleet_backend.migrate import make_ready
 from fleet_backend.writer import Writer
 
 REPORT_S = 60.0
@@ -27,8 +27,8 @@ _LOG = logging.getLogger(__name__)
 def run_ingest(engine: Engine, address: BrokerAddress, pace: Pace, name: str | None) -> None:
     """Ingest until SIGINT or SIGTERM.
 
-    An SQLite database, which belongs to this program alone, is brought to the present schema first; a PostgreSQL must
-    have it, since other workers may still write the schema before it.
+    An SQLite database of an earlier schema, which belongs to this program alone, is upgraded first; a PostgreSQL must
+    have the present one, since other workers may still write the schema before it.
 
     Raises
     ------
@@ -63,7 +63,6 @@ async def _work(engine: Engine, worker: Worker, title: str) -> None:
 async def _prepare(engine: Engine) -> None:
     """Return when the database answers and has the schema that the writer needs."""
     pauses = Pauses()
-    make_ready = migrate if engine.dialect.name == "sqlite" else check_schema
     while True:
         try:
             await asyncio.to_thread(make_ready, engine)

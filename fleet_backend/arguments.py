@@ -42,6 +42,12 @@ def build_parser() -> Parser:
     def add_question(name: str, text: str) -> argparse.ArgumentParser:
         command = add(name, text)
         command.add_argument("--json", action="store_true", help="one JSON object per line")
+        command.add_argument(
+            "--width",
+            type=_count,
+            metavar="N",
+            help="columns to fit a table into (default: the terminal's, in a pipe any)",
+        )
         return command
 
     _add_ingest(add("ingest", "take results from the broker into the database, until stopped"))

@@ -14,13 +14,20 @@ from fleet_backend.arguments import (
     EXIT_DATABASE,
     EXIT_OK,
     EXIT_UNEXPECTED,
+    EXIT_UNKNOWN,
     PROGRAM,
     build_parser,
 )
-from fleet_backend.errors import BrokerError, ConfigError, DatabaseError, ExtraMissingError
+from fleet_backend.errors import BrokerError, ConfigError, DatabaseError, ExtraMissingError, UnknownVehicleError
+from fleet_backend.standard_output import standard_output
 from fleet_contract import VariableError, check_variables
 
-_STATUS_OF: Final = ((ConfigError, EXIT_CONFIG), (BrokerError, EXIT_BROKER), (DatabaseError, EXIT_DATABASE))
+_STATUS_OF: Final = (
+    (ConfigError, EXIT_CONFIG),
+    (BrokerError, EXIT_BROKER),
+    (DatabaseError, EXIT_DATABASE),
+    (UnknownVehicleError, EXIT_UNKNOWN),
+)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -29,7 +36,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     _set_up_log(options.verbose)
     try:
         _check_environment()
-        _load_commands().execute(options)
+        with standard_output():
+            _load_commands().execute(options)
     except KeyboardInterrupt:
         return EXIT_OK
     except Exception as exc:  # noqa: BLE001 - the one place where nothing may pass

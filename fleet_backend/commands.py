@@ -18,14 +18,16 @@ from fleet_backend.choices import Axis
 from fleet_backend.config import parse_broker, parse_moment, parse_pace
 from fleet_backend.database import default_database, open_database, place_of
 from fleet_backend.errors import ConfigError
-from fleet_backend.migrate import check_schema, migrate, newest_revision
+from fleet_backend.layout import Sheet
+from fleet_backend.migrate import make_ready, migrate, newest_revision
 
 Command = Callable[[argparse.Namespace, Engine], None]
 
 
 def execute(options: argparse.Namespace) -> None:
     """Do what a command line asks for; raises FleetBackendError."""
-    engine = open_database(options.database or default_database())
+    must_exist = options.command != "migrate"  # a mistyped name must not become an empty fleet
+    engine = open_database(options.database or default_database(), must_exist=must_exist)
     try:
         _COMMANDS[options.command](options, engine)
     finally:
@@ -47,13 +49,14 @@ def _migrate(_options: argparse.Namespace, engine: Engine) -> None:
 
 def _table(options: argparse.Namespace, engine: Engine) -> None:
     records = queries.worst_first(engine, options.limit)
-    _tell(options, records, lambda: report.show(report.fleet_table(records), sys.stdout))
+    _tell(options, records, lambda: report.fleet_table(records))
 
 
 def _trend(options: argparse.Namespace, engine: Engine) -> None:
+    queries.check_vehicle(engine, options.vehicle)
     records = queries.trend(engine, options.vehicle, options.clutch, Axis(options.against))
     title = f"{options.vehicle}, clutch {options.clutch}: {len(records)} valid shifts against {options.against}"
-    _tell(options, records, lambda: report.show(report.trend_table(title, records), sys.stdout))
+    _tell(options, records, lambda: report.trend_table(title, records))
 
 
 def _alarms(options: argparse.Namespace, engine: Engine) -> None:
@@ -64,12 +67,13 @@ def _alarms(options: argparse.Namespace, engine: Engine) -> None:
     identities = queries.identity_alarms(engine)
     records = [{"alarm": "clutch", **record} for record in clutches]
     records += [{"alarm": "identity", **record} for record in identities]
-    _tell(options, records, lambda: report.show(report.alarm_table(clutches, identities), sys.stdout))
+    _tell(options, records, lambda: report.alarm_table(clutches, identities))
 
 
 def _acknowledge(options: argparse.Namespace, engine: Engine) -> None:
     vehicle, clutch = options.acknowledge, options.clutch
     by, now = options.by or getpass.getuser(), datetime.now(UTC)
+    queries.check_vehicle(engine, vehicle)
     if clutch is None:
         count = queries.acknowledge_quarantine(engine, vehicle, by=by, at=now)
         sys.stdout.write(f"{count} messages on the topics of {vehicle} acknowledged\n")
@@ -84,15 +88,16 @@ def _quarantine(options: argparse.Namespace, engine: Engine) -> None:
         sys.stdout.write(f"{count} messages forgotten\n")
         return
     records = queries.quarantined(engine, options.limit)
-    _tell(options, records, lambda: report.show(report.quarantine_table(records), sys.stdout))
+    _tell(options, records, lambda: report.quarantine_table(records))
 
 
 def _seen(options: argparse.Namespace, engine: Engine) -> None:
     records = queries.last_seen(engine)
-    _tell(options, records, lambda: report.show(report.seen_table(records), sys.stdout))
+    _tell(options, records, lambda: report.seen_table(records))
 
 
 def _fill(options: argparse.Namespace, engine: Engine) -> None:
+    queries.check_vehicle(engine, options.vehicle)
     at = datetime.now(UTC) if options.at is None else parse_moment(options.at)
     odometer_m = None if options.odometer_km is None else options.odometer_km * 1000.0
     queries.note_fill(engine, options.vehicle, options.product, at=at, odometer_m=odometer_m, note=options.note)
@@ -105,20 +110,20 @@ def _hash(_options: argparse.Namespace, engine: Engine) -> None:
 
 
 def _checked(command: Command) -> Command:
-    """Return a command that first makes sure of the schema; SQLite, which is ours alone, gets it."""
+    """Return a command that first makes sure of the schema."""
 
     def run(options: argparse.Namespace, engine: Engine) -> None:
-        (migrate if engine.dialect.name == "sqlite" else check_schema)(engine)
+        make_ready(engine)
         command(options, engine)
 
     return run
 
 
-def _tell(options: argparse.Namespace, records: Sequence[report.Record], show: Callable[[], None]) -> None:
+def _tell(options: argparse.Namespace, records: Sequence[report.Record], sheet: Callable[[], Sheet]) -> None:
     if options.json:
         report.write_json(records, sys.stdout)
     else:
-        show()
+        report.show(sheet(), sys.stdout, options.width)
 
 
 _COMMANDS: Final[Mapping[str, Command]] = MappingProxyType({

@@ -1,17 +1,22 @@
 """The database itself: opened by its address, made durable, its errors translated."""
 
+import contextlib
 import os
 from collections.abc import Iterator
 from contextlib import contextmanager
+from difflib import get_close_matches
 from pathlib import Path
-from sqlite3 import SQLITE_ERROR
+from sqlite3 import SQLITE_CORRUPT, SQLITE_ERROR, SQLITE_NOTADB
 from sqlite3 import Connection as SqliteConnection
 from typing import Final
 
 from sqlalchemy import URL, Connection, Engine, create_engine, event, exc, make_url
 
 from fleet_backend.errors import ConfigError, DatabaseAwayError, DatabaseError, ExtraMissingError, RowRefusedError
+from fleet_backend.private_file import create_private, keep_private
 
+_NOT_OURS: Final = frozenset({SQLITE_ERROR, SQLITE_NOTADB, SQLITE_CORRUPT})  # no pause puts these right
+_IN_MEMORY: Final = frozenset({None, "", ":memory:"})
 _BUSY_TIMEOUT_S: Final = 30  # two workers share one SQLite file
 _POSTGRES_OPTIONS: Final = {  # a server that vanished is known after half a minute, not after two hours
     "connect_timeout": 5,
@@ -29,15 +34,17 @@ def default_database() -> str:
     return f"sqlite:///{state / 'clutchdiag' / 'fleet.sqlite'}"
 
 
-def open_database(address: str) -> Engine:
+def open_database(address: str, *, must_exist: bool = False) -> Engine:
     """Return an engine for ``sqlite:///FILE`` or ``postgresql://[user[:password]@]host[:port]/NAME``.
 
-    Nothing is connected yet, except that the folder of an SQLite file is made.
+    Nothing is connected yet, but an SQLite file is made, with its folder, unless it ``must_exist``.
 
     Raises
     ------
     ConfigError
         If the address is none; the message does not repeat it, since it may hold a password.
+    DatabaseError
+        If there is no such file.
     """
     try:
         url = make_url(address)
@@ -45,7 +52,7 @@ def open_database(address: str) -> Engine:
     except exc.ArgumentError as error:
         raise ConfigError("the database must be sqlite:///FILE or postgresql://host/NAME") from error
     if backend == "sqlite":
-        return _open_sqlite(url)
+        return _open_sqlite(url, must_exist=must_exist)
     if backend == "postgresql":
         return _open_postgres(url)
     raise ConfigError(f"the database must be SQLite or PostgreSQL, not {backend}")
@@ -54,6 +61,12 @@ def open_database(address: str) -> Engine:
 def place_of(engine: Engine) -> str:
     """Return where a database is, for people; without its password."""
     return engine.url.render_as_string(hide_password=True)
+
+
+def close_to_others(engine: Engine) -> None:
+    """Let nobody but its owner read an SQLite database, which must be ours; a server sees to that itself."""
+    if engine.dialect.name == "sqlite" and engine.url.database not in _IN_MEMORY:
+        keep_private(Path(str(engine.url.database)))
 
 
 @contextmanager
@@ -80,7 +93,7 @@ def translated(engine: Engine) -> Iterator[None]:
         yield
     except exc.DBAPIError as error:
         text = f"database {place_of(engine)}: {_first_line(error)}"
-        if isinstance(error, exc.ProgrammingError) or _sqlite_code(error) == SQLITE_ERROR:
+        if isinstance(error, exc.ProgrammingError) or _sqlite_code(error) in _NOT_OURS:
             raise DatabaseError(text) from error
         if isinstance(error, exc.IntegrityError | exc.DataError):
             raise RowRefusedError(text) from error
@@ -96,17 +109,37 @@ def _open_postgres(url: URL) -> Engine:
         raise ExtraMissingError("psycopg") from error
 
 
-def _open_sqlite(url: URL) -> Engine:
-    if url.database and url.database != ":memory:":
-        folder = Path(url.database).absolute().parent
-        try:
-            folder.mkdir(parents=True, exist_ok=True)
-        except OSError as error:
-            raise ConfigError(f"cannot make the folder {folder}: {error.strerror}") from error
+def _open_sqlite(url: URL, *, must_exist: bool) -> Engine:
+    path = None if url.database in _IN_MEMORY else Path(str(url.database)).absolute()
+    if url.host or url.query or (path is None and must_exist):
+        raise ConfigError("an SQLite database must be sqlite:///FILE, with three slashes, or four before a full path")
+    if path is not None:
+        (_find_file if must_exist else _make_file)(path)
     engine = create_engine(url, connect_args={"timeout": _BUSY_TIMEOUT_S})
     event.listen(engine, "connect", _prepare_sqlite)
     event.listen(engine, "begin", _begin_immediate)
     return engine
+
+
+def _find_file(path: Path) -> None:
+    """Raise DatabaseError unless there is such a file; SQLite would make an empty one."""
+    if path.is_file():
+        return
+    if path.exists():
+        raise DatabaseError(f"{path} is no file")
+    with contextlib.suppress(OSError):
+        near = get_close_matches(path.name, [entry.name for entry in path.parent.iterdir()], n=1)
+        if near:
+            raise DatabaseError(f"there is no database {path}; is it {near[0]}? fleet-backend migrate creates one")
+    raise DatabaseError(f"there is no database {path}; fleet-backend migrate creates one")
+
+
+def _make_file(path: Path) -> None:
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        create_private(path)
+    except OSError as error:
+        raise ConfigError(f"cannot make {path}: {error.strerror}") from error
 
 
 def _prepare_sqlite(connection: SqliteConnection, _record: object) -> None:

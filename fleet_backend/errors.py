@@ -16,6 +16,10 @@ class ExtraMissingError(ConfigError):
         super().__init__(f"the module {module} is not installed: pip install 'clutchdiag[fleet]'")
 
 
+class UnknownVehicleError(FleetBackendError):
+    """Nothing was ever heard of a vehicle: correct its name."""
+
+
 class BrokerError(FleetBackendError):
     """The broker is absent, silent or refuses us: connect again later."""
 

@@ -7,9 +7,9 @@ from alembic import command
 from alembic.config import Config
 from alembic.runtime.migration import MigrationContext
 from alembic.script import ScriptDirectory
-from sqlalchemy import Connection, Engine, text
+from sqlalchemy import Connection, Engine, inspect, text
 
-from fleet_backend.database import place_of, transaction
+from fleet_backend.database import close_to_others, place_of, transaction
 from fleet_backend.errors import DatabaseError
 
 _FOLDER: Final = Path(__file__).with_name("migrations")
@@ -33,6 +33,7 @@ def migrate(engine: Engine, revision: str = "head") -> None:
         config = _config()
         config.attributes["connection"] = connection
         command.upgrade(config, revision)
+    close_to_others(engine)
 
 
 def check_schema(engine: Engine) -> None:
@@ -41,8 +42,24 @@ def check_schema(engine: Engine) -> None:
         _refuse_unknown(engine, connection)
         found = _revision(connection)
     if found != newest_revision():
-        state = "is empty" if found is None else f"has the older schema {found}"
+        state = "has no schema of fleet-backend" if found is None else f"has the older schema {found}"
         raise DatabaseError(f"database {place_of(engine)} {state}; run: fleet-backend migrate")
+
+
+def make_ready(engine: Engine) -> None:
+    """Make sure of the schema; an SQLite database of an earlier one, which is ours alone, is upgraded.
+
+    Raises
+    ------
+    DatabaseAwayError
+        If the database does not answer.
+    DatabaseError
+        If it has no schema of ours, or one that it may not be brought from to the present one.
+    """
+    if engine.dialect.name == "sqlite" and _has_schema(engine):
+        migrate(engine)
+    else:
+        check_schema(engine)
 
 
 def revisions() -> list[str]:
@@ -59,6 +76,13 @@ def _refuse_unknown(engine: Engine, connection: Connection) -> None:
     found = _revision(connection)
     if found is not None and found not in revisions():
         raise DatabaseError(f"database {place_of(engine)} was made by a newer program (schema {found})")
+    if found is None and engine.dialect.name == "sqlite" and inspect(connection).get_table_names():
+        raise DatabaseError(f"database {place_of(engine)} is another program's, not a fleet's")
+
+
+def _has_schema(engine: Engine) -> bool:
+    with transaction(engine) as connection:
+        return _revision(connection) is not None
 
 
 def _revision(connection: Connection) -> str | None:

@@ -4,6 +4,7 @@ import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from datetime import datetime
+from difflib import get_close_matches
 from hashlib import sha256
 from typing import Final
 
@@ -12,7 +13,7 @@ from sqlalchemy import Connection, Engine, Select, delete, func, insert, select,
 from fleet_backend import views
 from fleet_backend.choices import Axis
 from fleet_backend.database import transaction
-from fleet_backend.errors import ConfigError
+from fleet_backend.errors import ConfigError, UnknownVehicleError
 from fleet_backend.schema import (
     ALARM_ACKNOWLEDGEMENT,
     FLUID_FILL,
@@ -38,6 +39,19 @@ class TableHash:
 def worst_first(engine: Engine, limit: int | None = None) -> Sequence[Record]:
     """Return the running condition of every clutch, the worst first."""
     return _records(engine, select(views.FLEET).order_by(views.FLEET.c.place).limit(limit))
+
+
+def check_vehicle(engine: Engine, vehicle: str) -> None:
+    """Raise UnknownVehicleError, with names that are near, unless something came from a vehicle or on its topics."""
+    known = select(VEHICLE.c.vehicle).union(select(QUARANTINE.c.vehicle).where(QUARANTINE.c.vehicle.is_not(None)))
+    with transaction(engine) as connection:
+        names = {str(name) for name in connection.execute(known).scalars()}
+    if vehicle in names:
+        return
+    folded = {name.casefold(): name for name in sorted(names)}
+    near = [folded[name] for name in get_close_matches(vehicle.casefold(), folded, n=3)]
+    hint = f"did you mean {', '.join(near)}?" if near else "fleet-backend seen lists those that are"
+    raise UnknownVehicleError(f"no vehicle {vehicle} is known; {hint}")
 
 
 def trend(engine: Engine, vehicle: str, clutch: int, axis: Axis) -> Sequence[Record]:
@@ -111,11 +125,11 @@ def last_seen(engine: Engine) -> Sequence[Record]:
 def note_fill(
     engine: Engine, vehicle: str, product: str, *, at: datetime, odometer_m: float | None, note: str | None
 ) -> None:
-    """Note that a vehicle got new fluid; ConfigError if the vehicle is unknown or the fill known."""
+    """Note that a vehicle got new fluid; UnknownVehicleError if it never spoke, ConfigError if the fill is known."""
     key = (FLUID_FILL.c.vehicle == vehicle) & (FLUID_FILL.c.filled_at == at)
     with transaction(engine) as connection:
         if not _has(connection, select(VEHICLE.c.vehicle).where(VEHICLE.c.vehicle == vehicle)):
-            raise ConfigError(f"no vehicle {vehicle} is known")
+            raise UnknownVehicleError(f"of vehicle {vehicle} there are no results and no state")
         if _has(connection, select(FLUID_FILL.c.vehicle).where(key)):
             raise ConfigError(f"the fill of {vehicle} at {at.isoformat()} is noted already")
         connection.execute(

@@ -1,21 +1,19 @@
 """Tables for people, JSON lines for programs."""
 
 import json
-import os
 from collections.abc import Callable, Mapping, Sequence
 from datetime import datetime
+from types import MappingProxyType
 from typing import Final, TextIO
 
-from rich.box import SIMPLE_HEAD
 from rich.console import Console
-from rich.markup import escape
-from rich.table import Table
+
+from fleet_backend.layout import Sheet, lines_of
 
 Record = Mapping[str, object]
 Cell = Callable[[Record], str]
 _NONE: Final = "-"
-_ANY_WIDTH: Final = 200
-_STYLES: Final = {"change_fluid": "bold red", "watch": "yellow", "good": "green"}
+_STYLES: Final = MappingProxyType({"change fluid": "bold red", "watch": "yellow", "good": "green"})
 
 
 def write_json(records: Sequence[Record], out: TextIO) -> None:
@@ -23,17 +21,17 @@ def write_json(records: Sequence[Record], out: TextIO) -> None:
     out.writelines(json.dumps(record, default=_as_text) + "\n" for record in records)
 
 
-def fleet_table(records: Sequence[Record]) -> Table:
+def fleet_table(records: Sequence[Record]) -> Sheet:
     """Return the clutches of the fleet, worst first, with intervals of two standard deviations and what is wrong."""
-    table = _table(
+    return _sheet(
         f"Fleet, worst first: {len(records)} clutches; ± two standard deviations, slope in 1e-3 s/rad",
         records,
         {
             "vehicle": _plain("vehicle"),
             "clutch": _plain("clutch"),
-            "condition": lambda record: _condition(record["condition"]),
+            "condition": _condition,
             "slope": _interval("slope_s_rad", "slope_high_s_rad", "{:+.2f}", scale=1e3),
-            "P < 0": _number("probability_negative_slope", "{:.3f}"),
+            "P<0": _number("probability_negative_slope", "{:.3f}"),
             "mu_C": _interval("mu_c", "mu_c_high", "{:.3f}"),
             "mu_S": _interval("mu_s", "mu_s_high", "{:.3f}"),
             "shifts": _plain("shift_count"),
@@ -41,15 +39,14 @@ def fleet_table(records: Sequence[Record]) -> Table:
             "fluid": _plain("fluid"),
             "last shift": _moment("end_at", "%Y-%m-%d"),
         },
+        dispensable=("fluid", "km", "shifts", "mu_S", "mu_C", "last shift", "P<0", "slope"),
+        remarks=[(f"{record['vehicle']}, clutch {record['clutch']}", _remark(record)) for record in records],
     )
-    reasons = [_reason(record) for record in records if record["condition"] != "good"]
-    table.caption, table.caption_justify = "\n".join(reasons) or None, "left"
-    return table
 
 
-def trend_table(title: str, records: Sequence[Record]) -> Table:
+def trend_table(title: str, records: Sequence[Record]) -> Sheet:
     """Return the estimates of a clutch, one shift per line."""
-    return _table(
+    return _sheet(
         title,
         records,
         {
@@ -60,18 +57,19 @@ def trend_table(title: str, records: Sequence[Record]) -> Table:
             "mu_S": _spread("mu_s", "random_std_mu_s"),
             "running mu_C": _spread("running_mu_c", "running_std_mu_c"),
             "running mu_S": _spread("running_mu_s", "running_std_mu_s"),
-            "condition": lambda record: _condition(record["condition"]),
+            "condition": _condition,
             "fluid": _plain("fluid"),
             "algorithm": _plain("algorithm_version"),
         },
+        dispensable=("algorithm", "fluid", "km", "running mu_S", "running mu_C", "condition"),
     )
 
 
-def alarm_table(clutches: Sequence[Record], identities: Sequence[Record]) -> Table:
+def alarm_table(clutches: Sequence[Record], identities: Sequence[Record]) -> Sheet:
     """Return all alarms; those of clutches before those of strangers."""
     rows: list[Record] = [{**record, "kind": "change fluid"} for record in clutches]
     rows += [{**record, "kind": f"identity ({record['message_count']} messages)"} for record in identities]
-    return _table(
+    return _sheet(
         f"Alarms: {len(rows)}",
         rows,
         {
@@ -84,12 +82,13 @@ def alarm_table(clutches: Sequence[Record], identities: Sequence[Record]) -> Tab
             "by": _plain("acknowledged_by"),
             "reason": _plain("reason"),
         },
+        dispensable=("by", "cleared", "acknowledged"),
     )
 
 
-def quarantine_table(records: Sequence[Record]) -> Table:
+def quarantine_table(records: Sequence[Record]) -> Sheet:
     """Return what was kept aside."""
-    return _table(
+    return _sheet(
         f"Quarantine: the latest {len(records)}",
         records,
         {
@@ -99,12 +98,13 @@ def quarantine_table(records: Sequence[Record]) -> Table:
             "bytes": _plain("size_bytes"),
             "detail": _plain("detail"),
         },
+        dispensable=("bytes",),
     )
 
 
-def seen_table(records: Sequence[Record]) -> Table:
+def seen_table(records: Sequence[Record]) -> Sheet:
     """Return when each vehicle was heard of."""
-    return _table(
+    return _sheet(
         f"Vehicles: {len(records)}, the longest silence first",
         records,
         {
@@ -115,27 +115,42 @@ def seen_table(records: Sequence[Record]) -> Table:
             "metrics": _moment("metrics_at"),
             "version": _plain("service_version"),
         },
+        dispensable=("version", "metrics", "since (UTC)"),
     )
 
 
-def show(table: Table, out: TextIO) -> None:
-    """Print a table; wide enough for every column where nobody watches and nobody says how wide."""
-    console = Console(file=out)
-    is_known = console.is_terminal or "COLUMNS" in os.environ
-    Console(file=out, width=console.width if is_known else _ANY_WIDTH).print(table)
+def show(sheet: Sheet, out: TextIO, width: int | None = None) -> None:
+    """Print a sheet: to a terminal as wide as that is, elsewhere as wide as it is, unless a width is asked for."""
+    console = _Console(file=out, highlight=False)
+    if width is None and console.is_terminal:
+        width = console.width
+    for line in lines_of(sheet, width):
+        console.print(line, soft_wrap=True)
 
 
-def _table(title: str, records: Sequence[Record], columns: Mapping[str, Cell]) -> Table:
-    table = Table(title=title, title_justify="left", box=SIMPLE_HEAD, padding=(0, 1, 0, 0), pad_edge=False)
-    for name in columns:
-        table.add_column(name, overflow="fold")
-    for record in records:
-        table.add_row(*(cell(record) for cell in columns.values()))
-    return table
+class _Console(Console):
+    """A console that lets its owner know of a broken pipe, instead of ending the process."""
+
+    def on_broken_pipe(self) -> None:
+        raise BrokenPipeError
+
+
+def _sheet(
+    title: str,
+    records: Sequence[Record],
+    columns: Mapping[str, Cell],
+    *,
+    dispensable: Sequence[str],
+    remarks: Sequence[tuple[str, str]] | None = None,
+) -> Sheet:
+    rows = [[cell(record) for cell in columns.values()] for record in records]
+    return Sheet(
+        title=title, columns=list(columns), rows=rows, dispensable=dispensable, remarks=remarks, styles=_STYLES
+    )
 
 
 def _plain(name: str) -> Cell:
-    return lambda record: _NONE if record.get(name) is None else escape(str(record[name]))
+    return lambda record: _NONE if record.get(name) is None else str(record[name])
 
 
 def _number(name: str, form: str, *, scale: float = 1.0) -> Cell:
@@ -151,7 +166,7 @@ def _interval(name: str, high: str, form: str, *, scale: float = 1.0) -> Cell:
         value, end = record.get(name), record.get(high)
         if not isinstance(value, int | float) or not isinstance(end, int | float):
             return _NONE
-        return f"{form.format(value * scale)} ± {form.replace('+', '').format((end - value) * scale)}"
+        return f"{form.format(value * scale)} ±{form.replace('+', '').format((end - value) * scale)}"
 
     return cell
 
@@ -160,7 +175,7 @@ def _spread(name: str, std: str) -> Cell:
     def cell(record: Record) -> str:
         if record.get(name) is None:
             return _NONE
-        return f"{_number(name, '{:.4f}')(record)} ± {_number(std, '{:.4f}')(record)}"
+        return f"{_number(name, '{:.4f}')(record)} ±{_number(std, '{:.4f}')(record)}"
 
     return cell
 
@@ -173,15 +188,12 @@ def _moment(name: str, form: str = "%Y-%m-%d %H:%M:%S") -> Cell:
     return cell
 
 
-def _condition(value: object) -> str:
-    text = str(value)
-    style = _STYLES.get(text)
-    name = text.replace("_", " ")
-    return f"[{style}]{name}[/]" if style else name
+def _condition(record: Record) -> str:
+    return str(record["condition"]).replace("_", " ")
 
 
-def _reason(record: Record) -> str:
-    return escape(f"{record['vehicle']}, clutch {record['clutch']}: {record['condition_reason']}")
+def _remark(record: Record) -> str:
+    return "" if record["condition"] == "good" else str(record["condition_reason"])
 
 
 def _truth(value: object) -> bool | None:

@@ -133,8 +133,8 @@ async def _until(is_so: Callable[[], bool], what: str) -> None:
 async def _backend(folder: Path, command: str, database: str, *more: str, width: int | None = None) -> str:
     """Run a command of the backend and return what it said, in lines of a width if that matters."""
     place = _subfolder(folder, "questions")
-    environment = {} if width is None else {"COLUMNS": str(width)}
-    await run(BACKEND, command, "--database", database, *more, folder=place, environment=environment)
+    wide = () if width is None else ("--width", str(width))
+    await run(BACKEND, command, "--database", database, *more, *wide, folder=place, environment={})
     return output_files(BACKEND, place)[0].read_text(encoding="utf-8")
 
 

@@ -10,7 +10,7 @@ from diag_service.records import Condition
 from fleet_backend import queries
 from fleet_backend.choices import Axis
 from fleet_backend.database import open_database, transaction
-from fleet_backend.errors import ConfigError, RowRefusedError
+from fleet_backend.errors import ConfigError, RowRefusedError, UnknownVehicleError
 from fleet_backend.migrate import migrate
 from fleet_backend.rows import Poison, Row, quarantine_row, status_row
 from fleet_backend.schema import CLUTCH, SHIFT_RESULT, VEHICLE
@@ -116,7 +116,7 @@ def test_a_trend_has_three_axes_and_knows_the_fluid(engine: Engine) -> None:
 
 
 def test_a_fill_needs_a_known_vehicle_and_is_noted_once(engine: Engine) -> None:
-    with pytest.raises(ConfigError, match="no vehicle"):
+    with pytest.raises(UnknownVehicleError, match="of vehicle ghost there are no results"):
         queries.note_fill(engine, "ghost", "oil", at=NOW, odometer_m=None, note=None)
     results(engine)
     queries.note_fill(engine, "car1", "oil", at=NOW, odometer_m=None, note=None)

@@ -100,7 +100,7 @@ def test_migrating_again_changes_nothing(empty: Engine) -> None:
 
 
 def test_an_empty_database_is_not_taken_for_a_ready_one(empty: Engine) -> None:
-    with pytest.raises(DatabaseError, match="is empty; run: fleet-backend migrate"):
+    with pytest.raises(DatabaseError, match="has no schema of fleet-backend; run: fleet-backend migrate"):
         check_schema(empty)
 
 

@@ -63,7 +63,7 @@ def postgres_url(postgres_server: PostgresServer, postgres_template: str) -> str
 @pytest.fixture
 def sqlite_url(sqlite_template: Path, tmp_path: Path) -> str:
     """Return the address of an SQLite database with the present schema."""
-    path = shutil.copyfile(sqlite_template, tmp_path / "fleet.sqlite")
+    path = shutil.copy(sqlite_template, tmp_path / "fleet.sqlite")
     return f"sqlite:///{path}"
 
 

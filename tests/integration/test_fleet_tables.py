@@ -1,0 +1,220 @@
+"""The backend's tables before terminals, in pipes and in pipes that break; names that are mistyped."""
+
+import json
+import re
+import sqlite3
+from contextlib import closing
+from datetime import UTC, datetime
+from pathlib import Path
+
+import pytest
+
+from diag_service.records import Condition
+from fleet_backend.cli import main
+from fleet_backend.database import open_database
+from fleet_backend.rows import Poison, quarantine_row
+from fleet_backend.writer import Batch, Writer
+from tests.fleet import fleet_result, row_of
+from tests.terminal import before_head, in_broken_pipe, in_pipe, in_terminal, on_full_disk
+
+VIN, LONGEST = "WVWZZZ1JZ3W386752", "bus-" + "0123456789" * 6
+QUESTIONS = (["table"], ["trend", VIN, "2"], ["alarms"], ["quarantine"], ["seen"])
+MODULE = "fleet_backend"
+
+
+@pytest.fixture(name="database")
+def _database(sqlite_url: str) -> str:
+    """Return the address of a database with vehicles of short and long names and something to say of each."""
+    engine = open_database(sqlite_url)
+    rows = [row_of(fleet_result(seq, vehicle=VIN, condition=Condition.CHANGE_FLUID)) for seq in (1, 2, 3)]
+    rows += [row_of(fleet_result(1, vehicle=name)) for name in (LONGEST, "taxi-1", "taxi-2")]
+    detail = "not of the schema:\tdata.estimate [bold]\x1b[31m\nsecond line \udc80"
+    poison = Poison(topic=f"clutchdiag/v1/{VIN}/shift", vehicle=VIN, payload=b"{", reason="identity", detail=detail)
+    now = datetime.now(UTC)
+    Writer(engine).store(Batch(shifts=rows, quarantined=[quarantine_row(poison, now)]))
+    engine.dispose()
+    return sqlite_url
+
+
+@pytest.mark.parametrize("width", [60, 80])
+@pytest.mark.parametrize("question", QUESTIONS, ids=" ".join)
+def test_a_terminal_breaks_no_word_and_loses_no_vehicle(
+    capsys: pytest.CaptureFixture[str], database: str, question: list[str], width: int
+) -> None:
+    assert main([*question, "--database", database]) == 0
+    known = set(capsys.readouterr().out.split())
+    shown = in_terminal(width, MODULE, *question, "--database", database)
+    assert (shown.status, shown.err) == (0, b"")
+    told = [line for line in shown.lines if line.strip("─")]
+    cut = next((index for index, line in enumerate(told) if line.startswith("Left out at this")), len(told))
+    reasons = re.sub(r"(\S+), clutch (\d): ", r"\1 \2 ", "\n".join(told[cut:])).split()  # "vehicle, clutch 2: ..."
+    assert {word for line in told[:cut] for word in line.split()} <= known
+    assert {VIN, LONGEST, "taxi-1"} & known <= {word for line in told for word in line.split()} | set(reasons)
+    assert [line for line in shown.lines if len(line) > width and len(line.split()) > 2] == []
+
+
+@pytest.mark.parametrize("question", QUESTIONS, ids=" ".join)
+def test_a_pipe_gets_a_line_per_record_in_columns(
+    capsys: pytest.CaptureFixture[str], database: str, question: list[str]
+) -> None:
+    told = in_pipe(MODULE, *question, "--database", database, COLUMNS="20")
+    assert (told.status, told.err) == (0, b"")
+    _title, head, *rows = told.lines
+    assert "\x1b" not in told.out.decode()
+    assert main([*question, "--json", "--database", database]) == 0
+    records = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
+    fields = [re.split(r" {2,}", row) for row in rows]
+    assert [len(row) for row in fields] == [len(re.split(r" {2,}", head))] * len(records)
+    if "vehicle" in head:
+        place = re.split(r" {2,}", head).index("vehicle")
+        assert [row[place] for row in fields] == [record["vehicle"] for record in records]
+
+
+def test_a_width_can_be_asked_for(database: str) -> None:
+    told = in_pipe(MODULE, "seen", "--width", "50", "--database", database)
+    assert max(len(line) for line in told.lines if LONGEST not in line) <= 50
+
+
+def test_a_wide_terminal_shows_all_columns(database: str) -> None:
+    head = in_terminal(250, MODULE, "table", "--database", database).lines[1]
+    assert re.split(r" {2,}", head.strip()) == [
+        *("vehicle", "clutch", "condition", "slope", "P<0", "mu_C", "mu_S", "shifts", "km", "fluid", "last shift"),
+    ]
+
+
+@pytest.mark.parametrize("more", [[], ["--json"]], ids=["text", "json"])
+def test_a_reader_who_hangs_up_is_no_error(sqlite_url: str, more: list[str]) -> None:
+    engine = open_database(sqlite_url)
+    rows = [row_of(fleet_result(1, vehicle=f"vehicle-{number:040}")) for number in range(1500)]  # above a pipe's 64 KiB
+    Writer(engine).store(Batch(shifts=rows, quarantined=[]))
+    engine.dispose()
+    words = ("seen", *more, "--database", sqlite_url)
+    told = before_head(MODULE, *words)
+    assert (told.status, told.err) == (0, b"")
+    assert told.out.count(b"\n") == 1
+    broken = in_broken_pipe(MODULE, *words)
+    assert (broken.status, broken.err) == (0, b"")
+
+
+@pytest.mark.parametrize("words", [["table"], ["hash"], ["table", "--json"]], ids=" ".join)
+def test_a_short_answer_into_a_broken_pipe_is_no_error(database: str, words: list[str]) -> None:
+    broken = in_broken_pipe(MODULE, *words, "--database", database)
+    assert (broken.status, broken.err) == (0, b"")
+
+
+def test_an_answer_that_cannot_be_written_is_an_error(database: str) -> None:
+    told = on_full_disk(MODULE, "hash", "--database", database)
+    assert told.status == 1
+    assert re.fullmatch(rb"fleet-backend: error: [^\n]*No space left on device[^\n]*\n", told.err)
+
+
+def test_a_narrow_encoding_is_no_error(database: str) -> None:
+    told = in_pipe(MODULE, "table", "--database", database, PYTHONIOENCODING="ascii")
+    assert (told.status, told.err) == (0, b"")
+    assert VIN.encode() in told.out
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        *(["trend", "{}", "2"], ["fill", "{}", "oil"], ["alarms", "--acknowledge", "{}"]),
+        ["alarms", "--acknowledge", "{}", "--clutch", "2"],
+        ["trend", "{}", "1", "--json"],
+    ],
+    ids=" ".join,
+)
+@pytest.mark.parametrize(("name", "hint"), [("taxi1", "did you mean taxi-1, taxi-2?"), ("zzz", "fleet-backend seen")])
+def test_an_unknown_vehicle_is_an_error(
+    database: str, capsys: pytest.CaptureFixture[str], words: list[str], name: str, hint: str
+) -> None:
+    assert main([*(word.format(name) for word in words), "--database", database]) == 5
+    captured = capsys.readouterr()
+    assert re.fullmatch(rf"fleet-backend: error: no vehicle {name} is known; .*\n", captured.err)
+    assert hint in captured.err
+    assert captured.out == ""
+
+
+ALL = [*QUESTIONS, ["hash"], ["fill", "taxi-1", "oil"], ["ingest", "--broker", "mqtt://127.0.0.1"]]
+ALL += [["alarms", "--acknowledge", "taxi-1"], ["quarantine", "--purge-days", "1"]]
+
+
+@pytest.mark.parametrize("words", ALL, ids=" ".join)
+def test_a_mistyped_database_is_an_error_and_is_not_made(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path, words: list[str]
+) -> None:
+    (tmp_path / "fleet.sqlite").touch()
+    for place in ("flet.sqlite", "folder/fleet.sqlite"):
+        assert main([*words, "--database", f"sqlite:///{tmp_path}/{place}"]) == 4
+        captured = capsys.readouterr()
+        assert re.fullmatch(r"fleet-backend: error: there is no database .*fleet-backend migrate.*\n", captured.err)
+        assert ("is it fleet.sqlite?" in captured.err) == (place == "flet.sqlite")
+    assert [entry.name for entry in tmp_path.iterdir()] == ["fleet.sqlite"]
+
+
+@pytest.mark.parametrize("words", ALL, ids=" ".join)
+def test_a_file_that_is_no_fleet_database_is_an_error(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path, words: list[str]
+) -> None:
+    empty, text, folder = tmp_path / "empty", tmp_path / "text", tmp_path / "folder"
+    empty.touch()
+    text.write_text("not a database at all, but long enough to be looked at\n" * 40, encoding="utf-8")
+    folder.mkdir()
+    for path, hint in ((empty, "run: fleet-backend migrate"), (text, "not a database"), (folder, "is no file")):
+        before = path.read_bytes() if path.is_file() else b""
+        assert main([*words, "--database", f"sqlite:///{path}"]) == 4
+        captured = capsys.readouterr()
+        assert re.fullmatch(r"fleet-backend: error: [^\n]*\n", captured.err)
+        assert hint in captured.err
+        assert captured.out == ""
+        assert not path.is_file() or path == empty or path.read_bytes() == before
+
+
+def test_another_programs_database_is_left_alone(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    path = tmp_path / "places.sqlite"
+    with sqlite3.connect(path) as other:
+        other.execute("CREATE TABLE places (name TEXT)")
+    other.close()
+    before = path.read_bytes()
+    for command in ("table", "migrate"):
+        assert main([command, "--database", f"sqlite:///{path}"]) == 4
+        assert "another program's" in capsys.readouterr().err
+    with sqlite3.connect(path) as other:
+        assert other.execute("SELECT name FROM sqlite_master").fetchall() == [("places",)]
+    other.close()
+    assert len(before) == path.stat().st_size
+
+
+@pytest.mark.parametrize("address", ["sqlite://", "sqlite:///:memory:", "sqlite://fleet.sqlite", "sqlite:///"])
+def test_an_address_without_a_file_is_an_error(capsys: pytest.CaptureFixture[str], address: str) -> None:
+    assert main(["table", "--database", address]) == 2
+    assert "sqlite:///FILE" in capsys.readouterr().err
+
+
+def test_a_postgresql_without_our_schema_names_the_command(
+    capsys: pytest.CaptureFixture[str], empty_database: str
+) -> None:
+    if empty_database.startswith("sqlite"):
+        Path(empty_database.removeprefix("sqlite:///")).touch()
+    assert main(["table", "--database", empty_database]) == 4
+    captured = capsys.readouterr()
+    assert re.fullmatch(r"fleet-backend: error: database .*; run: fleet-backend migrate\n", captured.err)
+
+
+def test_migrate_makes_a_database_that_others_cannot_read(tmp_path: Path) -> None:
+    path = tmp_path / "new" / "fleet.sqlite"
+    assert main(["migrate", "--database", f"sqlite:///{path}"]) == 0
+    assert main(["table", "--database", f"sqlite:///{path}"]) == 0
+    assert {file.name: oct(file.stat().st_mode & 0o777) for file in path.parent.iterdir()} == {path.name: "0o600"}
+
+
+def test_a_database_that_others_can_read_is_closed_to_them(capsys: pytest.CaptureFixture[str], database: str) -> None:
+    path = Path(database.removeprefix("sqlite:///"))
+    path.chmod(0o644)
+    with closing(sqlite3.connect(path)) as reader:  # keeps what SQLite puts beside a database
+        reader.execute("SELECT * FROM vehicle").fetchall()
+        assert len([*path.parent.glob("fleet.sqlite-*")]) == 2
+        assert main(["hash", "--database", database]) == 0
+        assert {file.stat().st_mode & 0o777 for file in path.parent.glob("fleet.sqlite*")} == {0o600}
+    assert "fleet.sqlite could be read by other users (mode 644) and is closed to them now" in capsys.readouterr().err
+    assert main(["hash", "--database", database]) == 0
+    assert capsys.readouterr().err == ""

@@ -1,0 +1,72 @@
+"""Tables for terminals: what is wrapped, what is left out, and when records become blocks."""
+
+import pytest
+
+from fleet_backend.layout import Sheet, lines_of, plain
+
+ROW = ("WVWZZZ1JZ3W386752", "2", "change fluid", "+2.10 ±0.60", "1234")
+SHEET = Sheet(
+    title="Fleet",
+    columns=("vehicle", "clutch", "condition", "slope", "km"),
+    rows=[ROW],
+    dispensable=("km",),
+    remarks=[("WVWZZZ1JZ3W386752, clutch 2", "slope negative")],
+    styles={"change fluid": "bold red"},
+)
+
+
+def shown(width: int | None) -> list[str]:
+    return [line.plain for line in lines_of(SHEET, width)]
+
+
+def test_where_there_is_room_nothing_is_wrapped() -> None:
+    assert shown(80) == [
+        "Fleet",
+        "vehicle            clutch  condition     slope        km",
+        "─" * 58,
+        "WVWZZZ1JZ3W386752  2       change fluid  +2.10 ±0.60  1234",
+        "WVWZZZ1JZ3W386752, clutch 2: slope negative",
+    ]
+
+
+def test_texts_are_wrapped_between_words_first() -> None:
+    assert shown(52)[1:5] == [
+        "vehicle            clutch  condition   slope    km",
+        "─" * 52,
+        "WVWZZZ1JZ3W386752  2       change      +2.10    1234",
+        "                           fluid       ±0.60",
+    ]
+
+
+def test_then_columns_go_and_are_named() -> None:
+    assert shown(42)[1] == "vehicle           clutch condition  slope"
+    assert "Left out at this width: km." in " ".join(shown(42))
+
+
+def test_in_the_end_a_record_is_a_block() -> None:
+    assert shown(30)[1:] == [
+        "",
+        "vehicle    WVWZZZ1JZ3W386752",
+        "clutch     2",
+        "condition  change fluid",
+        "slope      +2.10 ±0.60",
+        "km         1234",
+        "reason     slope negative",
+    ]
+
+
+def test_a_pipe_has_all_on_one_line() -> None:
+    assert shown(None)[1:] == [
+        "vehicle            clutch  condition     slope        km    reason",
+        "WVWZZZ1JZ3W386752  2       change fluid  +2.10 ±0.60  1234  slope negative",
+    ]
+
+
+@pytest.mark.parametrize("width", [30, 42, 52, 80])
+def test_a_text_keeps_its_colour(width: int) -> None:
+    coloured = {line.plain[span.start : span.end] for line in lines_of(SHEET, width) for span in line.spans}
+    assert {"change", "fluid"} <= {word for text in coloured for word in text.split()}
+
+
+def test_what_a_terminal_would_act_on_is_shown_instead() -> None:
+    assert plain("a\x1b[31m\tb\n c\udc80\u200b") == "a\\x1b[31m b c\\udc80\\u200b"
