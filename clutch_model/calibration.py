@@ -16,6 +16,7 @@ import tomli_w
 from clutch_model.clutch import ClutchCalibration, ClutchGeometry, ClutchThermal, FilmSurface, FrictionCurve, Piston
 from clutch_model.errors import CalibrationError
 from clutch_model.knowledge import JointUncertainty, SensorBias, SensorNoise, Uncertainty
+from clutch_model.plain_files import read_toml_file
 from clutch_model.ranged import Pair, Ranged
 from clutch_model.tables import check_keys, numbers, require, subtable
 
@@ -114,10 +115,15 @@ def read_calibration(path: Path) -> Calibration:
         If the file is missing, not TOML, or holds a value outside its range.
     """
     try:
-        text = path.read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError) as exc:
-        raise CalibrationError(f"cannot read calibration {path}: {exc}") from exc
-    return _parse(text, str(path))
+        table = read_toml_file(path)
+    except OSError as exc:
+        raise CalibrationError(f"cannot read calibration {path}: {exc.strerror or exc}") from exc
+    except ValueError as exc:
+        raise CalibrationError(f"{path} is not TOML: {exc}") from exc
+    try:
+        return Calibration.from_mapping(table)
+    except CalibrationError as exc:
+        raise CalibrationError(f"{path}: {exc}") from exc
 
 
 def calibration_toml(calibration: Calibration) -> str:
@@ -136,15 +142,6 @@ def nominal_table() -> dict[str, Any]:
 def nominal_calibration() -> Calibration:
     """Return the calibration that ships with the package."""
     return Calibration.from_mapping(nominal_table())
-
-
-def _parse(text: str, origin: str) -> Calibration:
-    try:
-        return Calibration.from_mapping(tomllib.loads(text))
-    except tomllib.TOMLDecodeError as exc:
-        raise CalibrationError(f"{origin} is not TOML: {exc}") from exc
-    except CalibrationError as exc:
-        raise CalibrationError(f"{origin}: {exc}") from exc
 
 
 def _record(record: type[RecordT], table: object, where: str) -> RecordT:

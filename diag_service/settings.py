@@ -3,14 +3,14 @@
 Imported only where a file or a variable asks for it: pydantic takes a moment that a plain start does without.
 """
 
-import tomllib
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 from urllib.parse import urlsplit
 
 from pydantic import SecretStr, ValidationError
-from pydantic_settings import BaseSettings, PydanticBaseSettingsSource, SettingsConfigDict, TomlConfigSettingsSource
+from pydantic_settings import BaseSettings, PydanticBaseSettingsSource, SettingsConfigDict
 
+from clutch_model.plain_files import read_toml_file
 from diag_service.defaults import PREFIX, OptionValue
 from diag_service.errors import ConfigError
 from diag_service.publishers.tls import check_secret_mode
@@ -51,8 +51,8 @@ class Settings(BaseSettings):
         file_secret_settings: PydanticBaseSettingsSource,
     ) -> tuple[PydanticBaseSettingsSource, ...]:
         """Let the environment stand over the file; ``.env`` files and secret folders do not count."""
-        del init_settings, dotenv_settings, file_secret_settings
-        return env_settings, TomlConfigSettingsSource(settings_cls)
+        del settings_cls, dotenv_settings, file_secret_settings
+        return env_settings, init_settings
 
 
 def load_settings(file: Path | None) -> dict[str, OptionValue]:
@@ -64,14 +64,9 @@ def load_settings(file: Path | None) -> dict[str, OptionValue]:
         If a key is unknown, a value unfit, or a file with a password may be read by others. The message does not repeat
         values, which may be secret.
     """
-    if file is not None:
-        _check_file(file)
-
-    class FileSettings(Settings):
-        model_config = SettingsConfigDict(toml_file=file)
-
+    table = {} if file is None else _read(file)
     try:
-        settings = FileSettings()
+        settings = Settings(**table)
     except ValidationError as exc:
         problems = [f"{'.'.join(map(str, error['loc']))}: {error['msg']}" for error in exc.errors(include_input=False)]
         raise ConfigError(f"settings{'' if file is None else f' in {file}'}: {'; '.join(problems)}") from None
@@ -83,12 +78,13 @@ def load_settings(file: Path | None) -> dict[str, OptionValue]:
     }
 
 
-def _check_file(file: Path) -> None:
+def _read(file: Path) -> dict[str, Any]:
     try:
-        table = tomllib.loads(file.read_text(encoding="utf-8"))
+        table = read_toml_file(file)
     except OSError as exc:
-        raise ConfigError(f"cannot read {file}: {exc.strerror}") from exc
+        raise ConfigError(f"cannot read {file}: {exc.strerror or exc}") from exc
     except ValueError as exc:
         raise ConfigError(f"{file} is no TOML: {exc}") from exc
     if "@" in str(table.get("broker", "")) and urlsplit(str(table["broker"])).password is not None:
         check_secret_mode(file)
+    return table

@@ -8,6 +8,7 @@ from importlib.resources import files
 from pathlib import Path
 from typing import Final, TypeVar
 
+from clutch_model.plain_files import read_small_file
 from ecu_emulator.errors import ConfigError
 from ecu_emulator.faults import BusFault, SensorFault
 from ecu_emulator.scenario import (
@@ -52,9 +53,12 @@ def load_scenario(name_or_file: str) -> Scenario:
         known = ", ".join(shipped_scenarios())
         raise ConfigError(f"no scenario {name_or_file!r}: use a TOML file or one of {known}")
     try:
-        return parse_scenario(path.read_text(encoding="utf-8"), str(path))
-    except (OSError, UnicodeDecodeError) as exc:
+        text = read_small_file(path, takes_pipes=True).decode("utf-8")
+    except OSError as exc:
+        raise ConfigError(f"cannot read scenario {path}: {exc.strerror or exc}") from exc
+    except UnicodeDecodeError as exc:
         raise ConfigError(f"cannot read scenario {path}: {exc}") from exc
+    return parse_scenario(text, str(path))
 
 
 def parse_scenario(text: str, origin: str) -> Scenario:
@@ -69,6 +73,8 @@ def parse_scenario(text: str, origin: str) -> Scenario:
         return _scenario(tomllib.loads(text))
     except tomllib.TOMLDecodeError as exc:
         raise ConfigError(f"{origin} is not TOML: {exc}") from exc
+    except RecursionError as exc:
+        raise ConfigError(f"{origin} is not TOML: its lists or tables are nested too deeply") from exc
     except ConfigError as exc:
         raise ConfigError(f"{origin}: {exc}") from exc
 

@@ -14,11 +14,13 @@ from typing import Any, Final, Self, TextIO
 
 import numpy as np
 
+from clutch_model.plain_files import read_small_file
 from ecu_emulator.errors import RecordError
 from ecu_emulator.plant.columns import Col
 from ecu_emulator.readings import FloatArray
 from ecu_emulator.tcu_data import CLOSED_REVS
 
+MAX_TRUTH_BYTES: Final = 64 * 2**20  # a shift takes half a kilobyte
 _DRIVE: Final = "drive"
 _SHIFT: Final = "shift"
 _REV: Final = "rev"
@@ -236,7 +238,7 @@ def read_truth(path: Path) -> TruthLog:
         If the file is missing or is not a truth file.
     """
     try:
-        lines = [json.loads(line) for line in path.read_text(encoding="utf-8").splitlines()]
+        lines = [json.loads(line) for line in read_small_file(path, MAX_TRUTH_BYTES).decode("utf-8").splitlines()]
         by_kind = {
             kind: [_content(line) for line in lines if line["kind"] == kind] for kind in (_DRIVE, _SHIFT, _REV, _TOTALS)
         }
@@ -253,7 +255,7 @@ def read_truth(path: Path) -> TruthLog:
             revs=tuple(RevTruth(**line) for line in by_kind[_REV]),
         )
     except OSError as exc:
-        raise RecordError(f"cannot read truth {path}: {exc.strerror}") from exc
+        raise RecordError(f"cannot read truth {path}: {exc.strerror or exc}") from exc
     except (ValueError, KeyError, TypeError) as exc:
         raise RecordError(f"{path} is not a truth file: {exc}") from exc
 

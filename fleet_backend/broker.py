@@ -6,8 +6,10 @@ after the commit, so a database that is away fills the broker and the vehicles' 
 
 import asyncio
 import contextlib
+import errno
 import logging
 import ssl
+import stat
 from collections import deque
 from collections.abc import AsyncIterator, Iterable, Sequence
 from contextlib import asynccontextmanager
@@ -28,6 +30,7 @@ from fleet_contract import Outgoing
 
 TIMEOUT_S: Final = 5.0  # for a connection or a subscription
 KEEPALIVE_S: Final = 15  # a dead broker is known after 1.5 times this
+MAX_CERTIFICATE_BYTES: Final = 4 * 2**20  # a system's whole list has a quarter of one
 MAX_PACKET_BYTES: Final = 262_144  # far above any result; the broker keeps longer packets from us
 _AT_LEAST_ONCE: Final = 1
 _ANY_CALLS: Final = 65_535  # packet identifiers that MQTT has; aiomqtt would warn of ten calls
@@ -46,6 +49,9 @@ class TlsFiles:
     def context(self) -> ssl.SSLContext:
         """Return what TLS needs; raises ConfigError if a file cannot be used."""
         try:
+            for path in (self.ca, self.certificate, self.key):
+                if path is not None:
+                    _check_plain(path)
             context = ssl.create_default_context(cafile=self.ca)
             if self.certificate is not None:
                 context.load_cert_chain(self.certificate, self.key)
@@ -188,6 +194,13 @@ async def connected(address: BrokerAddress, filters: Sequence[str], *, max_unset
     finally:
         with contextlib.suppress(aiomqtt.MqttError):
             await connection.__aexit__(None, None, None)
+
+
+def _check_plain(path: Path) -> None:
+    """Raise OSError of what a library would read without an end, or wait for without one."""
+    status = path.stat()
+    if not stat.S_ISREG(status.st_mode) or status.st_size > MAX_CERTIFICATE_BYTES:
+        raise OSError(errno.EINVAL, f"{path} is no plain file of at most {MAX_CERTIFICATE_BYTES >> 20} MiB")
 
 
 def _is_refusal(code: object) -> bool:

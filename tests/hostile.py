@@ -1,8 +1,9 @@
 """Files that are made to do harm, and what refusing them takes: time and memory of all processes that work on them.
 
-Endless loops, bombs of every compression, sizes that no CAN message has, tables without an end. Each is read by a
-process of its own; what it and its children use is sampled while they run. The limits are 10 s of processor time and
-512 MiB, the interpreter and all libraries included.
+Endless loops, bombs of every compression, sizes that no CAN message has, tables without an end, ten gigabytes of
+nothing behind a sound header, devices, pipes and folders in place of files. Each is read by a process of its own; what
+it and its children use is sampled while they run. The limits are 10 s of processor time and 512 MiB, the interpreter
+and all libraries included.
 
     python -m tests.hostile
 """
@@ -10,6 +11,7 @@ process of its own; what it and its children use is sampled while they run. The 
 import argparse
 import lzma
 import os
+import socket
 import sqlite3
 import struct
 import subprocess
@@ -24,7 +26,7 @@ from tempfile import TemporaryDirectory
 
 LIMIT_S = 10.0
 LIMIT_BYTES = 512 * 2**20
-HANG_S = 300.0
+HANG_S = 60.0
 SAMPLE_S = 0.02
 TICKS_PER_S = os.sysconf("SC_CLK_TCK")
 PSS_MARK = "Pss:"
@@ -41,15 +43,17 @@ except SourceError as exc:
     said = str(exc)
 print(said)
 """
-READ_DATABASE = """
+READ = """
 import sys
+from importlib import import_module
 from pathlib import Path
-from diag_service.definitions.database import load_database
-from diag_service.errors import ConfigError
+module, _, name = sys.argv[2].partition(":")
 try:
-    load_database(Path(sys.argv[1]))
+    getattr(import_module(module), name)(Path(sys.argv[1]))
     print()
-except ConfigError as exc:
+except Exception as exc:
+    if not type(exc).__module__.endswith(".errors"):
+        raise
     print(exc)
 """
 LINE = b"(1.0) can0 123#11\n"
@@ -193,16 +197,87 @@ HOSTILE: Mapping[str, Callable[[], bytes]] = {
         b'FormatVersion=6.0 // x\nTitle="x"\n\n{SENDRECEIVE}\n\n[m]\nID=100h\nLen=4000000000\nVar=s unsigned 0,8\n'
     ),
 }
-DATABASES = frozenset({".dbc", ".kcd", ".sym"})
+
+
+def listen_at(path: Path) -> None:
+    """Leave a socket there."""
+    with socket.socket(socket.AF_UNIX) as listener:
+        listener.bind(str(path))
+
+
+HOLE_BYTES = 10 * 2**30
+LINES = LINE * 2_000
+# Sound beginnings, behind which comes nothing; and the same between two sound pieces.
+HOLLOW: Mapping[str, Callable[[], bytes]] = {
+    "hollow.log": lambda: LINES,
+    "hollow.asc": lambda: b"date Thu Jan 1 10:00:00.005 am 2026\nbase hex  timestamps absolute\n",
+    "hollow.trc": lambda: b";$FILEVERSION=1.1\n;$STARTTIME=46000.5\n",
+    "hollow.csv": lambda: b"timestamp,arbitration_id,extended,remote,error,dlc,data\n",
+    "hollow.gvret": lambda: b"Time Stamp,ID,Extended,Dir,Bus,LEN,D1,D2,D3,D4,D5,D6,D7,D8\n",
+    "hollow.busmaster": lambda: b"***BUSMASTER Ver 3.2.2***\n***PROTOCOL CAN***\n",
+    "hollow.crtd": lambda: b"1000.000100 R11 402 FA 01 C3 A0 96 00 07 01\n" * 2_000,
+    "hollow.blf": endless_blf,
+    "hollow.mf4": mf4,
+    "unfinished.mf4": lambda: mf4().replace(b"MDF     ", b"UnFinMF ", 1),
+    "hollow.db": lambda: sqlite_file("CREATE TABLE messages (ts, arbitration_id, extended, remote, error, dlc, data)"),
+    "hollow.gz": lambda: deflated(LINES, 1, 31)[:-20],
+    "hollow.xz": lambda: xz_bomb()[:1_000],
+    "hollow.dbc": lambda: dbc(""),
+    "hollow.profile": lambda: b'name = "hollow"\n',
+    "hollow.calibration": lambda: b"",
+}
+DATABASE = "diag_service.definitions.database:load_database"
+READERS: Mapping[str, str] = {
+    ".dbc": DATABASE,
+    ".kcd": DATABASE,
+    ".sym": DATABASE,
+    ".profile": "diag_service.definitions.profile:load_profile",
+    ".calibration": "clutch_model.calibration:read_calibration",
+    ".config": "diag_service.settings:load_settings",
+    ".password": "diag_service.publishers.tls:read_secret",
+    ".plant": "ecu_emulator.plant.parameters:read_parameters",
+    ".scenario": "ecu_emulator.scenario_file:load_scenario",
+    ".truth": "ecu_emulator.truth:read_truth",
+}  # by suffix; everything else is a log
+PLACES: Mapping[str, Callable[[Path], None]] = {
+    "zero": lambda path: path.symlink_to("/dev/zero"),
+    "random": lambda path: path.symlink_to("/dev/urandom"),
+    "pipe": os.mkfifo,
+    "folder": Path.mkdir,
+    "socket": listen_at,
+}  # that are no files
+NO_FILES = tuple(
+    f"{place}{suffix}" for place in PLACES for suffix in (*READERS, ".log") if suffix not in {".kcd", ".sym"}
+)
+ALL = (*HOSTILE, *HOLLOW, *(f"middle-{name}" for name in HOLLOW), *NO_FILES)
 SLOW = frozenset({"slow.dbc", "lines.asc"})  # take all the time that they are given
+
+
+def make(name: str, path: Path) -> None:
+    """Make one of ``ALL``."""
+    kind, _, _ = name.partition(".")
+    if name in HOSTILE:
+        path.write_bytes(HOSTILE[name]())
+    elif name in NO_FILES:
+        PLACES[kind](path)
+        if kind == "pipe":
+            path.chmod(0o600)
+    else:
+        beginning = HOLLOW[name.removeprefix("middle-")]()
+        with path.open("wb") as file:
+            file.write(beginning)
+            file.truncate(HOLE_BYTES)
+            if name.startswith("middle-"):
+                file.seek(0, os.SEEK_END)
+                file.write(beginning)
 
 
 def refusal_of(path: Path) -> Refusal:
     """Have a file read by a process of its own, and return what that took."""
-    script = READ_DATABASE if path.suffix in DATABASES else READ_LOG
+    reader = READERS.get(path.suffix)
     began_s = time.monotonic()
     process = subprocess.Popen(
-        [sys.executable, "-c", script, str(path)],
+        [sys.executable, "-c", READ_LOG if reader is None else READ, str(path), str(reader)],
         stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True, start_new_session=True,
     )  # fmt: skip
     cpu_s: dict[int, float] = {}
@@ -244,22 +319,24 @@ def memory_bytes(pid: int) -> int:
 
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--only", choices=HOSTILE, action="append", help="default: all")
+    parser.add_argument("--only", choices=ALL, metavar="FILE", action="append", help="default: all")
     options = parser.parse_args()
     bad_count = 0
-    print(f"{'file':14} {'bytes':>10} {'CPU s':>6} {'wall s':>6} {'MiB':>5}  what is said")
+    print(f"{'file':24} {'bytes':>11} {'CPU s':>6} {'wall s':>6} {'MiB':>5}  what is said")
     with TemporaryDirectory() as folder:
-        for name in options.only or HOSTILE:
+        for name in options.only or ALL:
             path = Path(folder) / name
-            path.write_bytes(HOSTILE[name]())
+            make(name, path)
+            size_bytes = path.lstat().st_size
             taken = refusal_of(path)
             bad_count += not taken.is_good
             said = taken.said.replace(f"{folder}/", "")
             print(
-                f"{name:14} {path.stat().st_size:10} {taken.cpu_s:6.2f} {taken.wall_s:6.2f} "
+                f"{name:24} {size_bytes:11} {taken.cpu_s:6.2f} {taken.wall_s:6.2f} "
                 f"{taken.peak_bytes / 2**20:5.0f}  {'' if taken.is_good else 'BAD: '}{said}",
                 flush=True,
             )
+            path.rmdir() if path.is_dir() and not path.is_symlink() else path.unlink()
     print(f"{bad_count} not refused within {LIMIT_S:.0f} s of processor time and {LIMIT_BYTES >> 20} MiB")
     return 1 if bad_count else 0
 

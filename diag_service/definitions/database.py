@@ -18,6 +18,7 @@ from typing import Final
 
 from cantools.database.can import Database
 
+from clutch_model.plain_files import read_small_file
 from dbc.contract import DBC_PATH, load_contract
 from diag_service.definitions import database_child
 from diag_service.errors import ConfigError
@@ -89,9 +90,7 @@ def load_database(path: Path) -> Database:
 def _read_text(path: Path) -> str:
     """Return the text of the file; DBC files come in UTF-8 and in the Windows code page."""
     try:
-        if path.stat().st_size > MAX_FILE_BYTES:
-            raise ConfigError(f"{path} is too large for a database (more than {MAX_FILE_BYTES // 2**20} MiB)")
-        content = path.read_bytes()
+        content = read_small_file(path, MAX_FILE_BYTES)
     except OSError as error:
         raise ConfigError(f"cannot read the database {path}: {error.strerror or error}") from error
     if content.startswith(_BYTE_ORDER_MARKS):

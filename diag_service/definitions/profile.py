@@ -1,7 +1,6 @@
 """Profiles: in which message and signal of a database each canonical signal is found, and in which unit."""
 
 import math
-import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from itertools import pairwise
@@ -9,6 +8,7 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Final
 
+from clutch_model.plain_files import read_toml_file
 from clutch_model.units import k_from_degc, m_s_from_km_h, pa_from_bar, rad_s_from_rpm
 from diag_service.columns import FloatArray, GearRatios, Signal
 from diag_service.errors import ConfigError
@@ -221,10 +221,10 @@ def to_si(signal: Signal, source: SignalSource, database_unit: str | None) -> Co
 def _read_table(path: Path) -> dict[str, object]:
     """Return the TOML file as a table."""
     try:
-        return tomllib.loads(path.read_text(encoding="utf-8"))
+        return read_toml_file(path, takes_pipes=False)  # it is read twice: what it holds names a stream
     except OSError as error:
         raise ConfigError(f"cannot read the profile {path}: {error.strerror or error}") from error
-    except (UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
+    except ValueError as error:
         raise ConfigError(f"the profile {path} is not TOML: {error}") from error
 
 

@@ -4,8 +4,10 @@ import ssl
 from dataclasses import dataclass
 from pathlib import Path
 
+from clutch_model.plain_files import check_plain_file, read_small_file
 from diag_service.errors import ConfigError, PublishError
 
+MAX_SECRET_BYTES = 64 * 1024
 _OTHERS = 0o077  # permission bits of group and world
 
 
@@ -31,11 +33,15 @@ class TlsFiles:
             If a file is missing, unreadable, no certificate, or a key that others may read; it may be put right.
         """
         try:
+            if self.authority is not None:
+                check_plain_file(self.authority)
             context = ssl.create_default_context(cafile=self.authority)
             context.minimum_version = ssl.TLSVersion.TLSv1_2
             context.sslsocket_class = _ClosingSocket
             if self.certificate is not None and self.key is not None:
                 check_secret_mode(self.key)
+                check_plain_file(self.key)
+                check_plain_file(self.certificate)
                 context.load_cert_chain(self.certificate, self.key)
         except ssl.SSLError as exc:
             raise PublishError(f"certificate or key cannot be used: {exc.reason or exc}") from exc
@@ -76,9 +82,11 @@ def read_secret(path: Path) -> str:
     """Return the secret in a file, without the end of its line; raises ConfigError."""
     check_secret_mode(path)
     try:
-        return path.read_text(encoding="utf-8").rstrip("\r\n")
-    except (OSError, UnicodeDecodeError) as exc:
-        raise ConfigError(f"cannot read {path}: {exc}") from exc
+        return read_small_file(path, MAX_SECRET_BYTES, takes_pipes=True).decode("utf-8").rstrip("\r\n")
+    except OSError as exc:
+        raise ConfigError(f"cannot read {path}: {exc.strerror or exc}") from exc
+    except UnicodeDecodeError as exc:
+        raise ConfigError(f"cannot read {path}: it is no UTF-8 text") from exc
 
 
 def _stamp(path: Path) -> tuple[int, int, int] | None:

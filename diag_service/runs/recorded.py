@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 from itertools import chain
 from pathlib import Path
 
+from clutch_model.plain_files import open_plain_file
 from diag_service.errors import ConfigError, SourceError
 from diag_service.events import ShiftEvent
 from diag_service.frames import FrameBatch
@@ -72,11 +73,11 @@ def stream_of(paths: Iterable[Path]) -> str:
     digest = hashlib.sha256()
     for path in paths:
         try:
-            with path.open("rb") as file:
+            with open_plain_file(path) as file:
                 while block := file.read(_BLOCK_BYTES):
                     digest.update(block)
         except OSError as exc:
-            raise SourceError(f"cannot read {path}: {exc.strerror}") from exc
+            raise SourceError(f"cannot read {path}: {exc.strerror or exc}") from exc
     return digest.hexdigest()
 
 

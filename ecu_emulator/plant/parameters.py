@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import NamedTuple, Self, TypeVar, cast
 
 from clutch_model.errors import CalibrationError
+from clutch_model.plain_files import read_toml_file
 from clutch_model.tables import check_keys, number, numbers, require, subtable
 from ecu_emulator.plant.driveline import FlywheelParameters, OutputParameters, ShaftParameters, SynchroniserParameters
 from ecu_emulator.plant.engine import EngineParameters
@@ -161,9 +162,13 @@ def read_parameters(path: Path) -> PlantParameters:
         If the file is missing, not TOML, or holds a value outside its range.
     """
     try:
-        return PlantParameters.from_mapping(tomllib.loads(path.read_text(encoding="utf-8")))
-    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as exc:
+        table = read_toml_file(path)
+    except OSError as exc:
+        raise CalibrationError(f"cannot read plant parameters {path}: {exc.strerror or exc}") from exc
+    except ValueError as exc:
         raise CalibrationError(f"cannot read plant parameters {path}: {exc}") from exc
+    try:
+        return PlantParameters.from_mapping(table)
     except CalibrationError as exc:
         raise CalibrationError(f"{path}: {exc}") from exc
 

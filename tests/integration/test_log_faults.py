@@ -1,6 +1,7 @@
 """Logs with faults: strictness, jumps of time, overlapping logs, generated damage, and files made to do harm."""
 
 import gzip
+from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
@@ -10,13 +11,14 @@ from diag_service.errors import ConfigError, SourceError
 from diag_service.runs.recorded import open_drive
 from diag_service.sources import LogReject, merged_by_time, read_log
 from diag_service.sources.columns import join
+from diag_service.sources.readers.patience import FREE_BYTES
 from diag_service.sources.readers.tally import LogCounts
 from ecu_emulator.record import open_log
 from tests.damage.kinds import DAMAGES
-from tests.damage.recordings import SUFFIXES
+from tests.damage.recordings import RECORDED, SUFFIXES
 from tests.damage.trial import run
 from tests.fuzz import READERS, fuzz
-from tests.hostile import HOSTILE, SLOW, refusal_of
+from tests.hostile import HOSTILE, SLOW, make, refusal_of, sqlite_file
 from tests.traffic import START_NS, as_received, assert_same, random_frames
 
 FRAMES = random_frames(3_000)
@@ -131,10 +133,14 @@ def test_compressed_logs_are_read_by_what_they_hold(suffix: str, tmp_path: Path)
     assert reader.counts.rejected[LogReject.CUT_OFF] >= 1
 
 
-@pytest.mark.parametrize("name", [name for name in HOSTILE if name not in SLOW])
+NOT_EVEN_FILES = ("zero.dbc", "zero.log", "zero.profile", "zero.calibration", "pipe.dbc", "pipe.log", "socket.log")
+TEN_GIGABYTES = ("hollow.trc", "hollow.blf", "hollow.mf4", "hollow.asc", "middle-hollow.log", "middle-hollow.gz")
+
+
+@pytest.mark.parametrize("name", [*(name for name in HOSTILE if name not in SLOW), *NOT_EVEN_FILES, *TEN_GIGABYTES])
 def test_what_is_made_to_do_harm_is_refused_within_limits(name: str, tmp_path: Path) -> None:
     path = tmp_path / name
-    path.write_bytes(HOSTILE[name]())
+    make(name, path)
     refusal = refusal_of(path)
     assert refusal.is_good, refusal
 
@@ -146,6 +152,49 @@ def test_generated_damage_is_survived(log_format: str, tmp_path: Path) -> None:
     assert tally.count == len(DAMAGES)
     assert tally.noticed >= tally.count - 2  # bits may flip where nothing is told by them
     assert tally.accepted > 0
+
+
+def record(path: Path) -> None:
+    """Write sixty thousand frames."""
+    if path.suffix == ".db":
+        numbers = "WITH RECURSIVE n(i) AS (VALUES(1) UNION ALL SELECT i + 1 FROM n LIMIT 60000)"
+        table = "CREATE TABLE messages (ts, arbitration_id, extended, remote, error, dlc, data)"
+        path.write_bytes(
+            sqlite_file(table, f"INSERT INTO messages {numbers} SELECT i * 0.01, 291, 0, 0, 0, 1, x'11' FROM n")
+        )
+        return
+    with open_log(path.with_suffix("") if path.suffix == ".gz" else path, start_ns=START_NS) as log:
+        log.write(random_frames(60_000))
+    if path.suffix == ".gz":
+        path.write_bytes(gzip.compress(path.with_suffix("").read_bytes()))
+
+
+@pytest.mark.parametrize("suffix", [*RECORDED.values(), ".log.gz", ".db"])
+@pytest.mark.parametrize("is_begun", [False, True])
+def test_a_file_that_shrinks_while_it_is_read_is_counted_as_cut(suffix: str, tmp_path: Path, *, is_begun: bool) -> None:
+    path = tmp_path / f"drive{suffix}"
+    record(path)
+    reader = read_log(path)
+    frames = len(next(reader)) if is_begun else 0
+    with path.open("r+b") as file:
+        file.truncate(3_000)
+    with suppress(SourceError):  # if nothing is left
+        frames += sum(len(batch) for batch in reader)
+    assert frames == reader.counts.frames
+    assert reader.counts.truncated
+    assert reader.counts.rejected[LogReject.CUT_OFF] >= 1
+
+
+def test_zeros_behind_a_log_are_left_unread_and_counted(tmp_path: Path) -> None:
+    path = tmp_path / "drive.blf"
+    with open_log(path, start_ns=START_NS) as log:
+        log.write(FRAMES)
+    with path.open("r+b") as file:
+        file.truncate(2 * FREE_BYTES)
+    reader = read_log(path)
+    assert_same(list(reader), as_received(FRAMES))
+    assert reader.counts.rejected[LogReject.GIVEN_UP] == 1
+    assert reader.counts.truncated
 
 
 @pytest.mark.parametrize("reader", READERS)

@@ -132,6 +132,12 @@ def test_a_calibration_of_another_version_starts_a_state_of_its_own(drive_log: P
         (("analyze", "{tmp}/empty.log"), 3, "empty.log"),
         (("analyze", "{tmp}/garbage.log"), 3, "garbage.log"),
         (("analyze", "{tmp}/empty"), 2, "holds no log"),
+        (("analyze", "{tmp}/pipe"), 3, "it is a pipe, not a plain file"),
+        (("analyze", "/dev/zero"), 3, "it is a device"),
+        (("analyze", "{log}", "--dbc", "/dev/zero"), 2, "it is a device"),
+        (("analyze", "{log}", "--dbc", "{tmp}/pipe"), 2, "it is a pipe"),
+        (("analyze", "{log}", "--profile", "{tmp}/pipe"), 2, "it is a pipe"),
+        (("analyze", "{log}", "--config", "/dev/zero"), 2, "it is a device"),
         (("analyze", "{log}", "--store", "{tmp}"), 4, "unable to open"),
         (("analyze", "{log}", "--store", "{tmp}/garbage.log"), 4, "not a database"),
         (("analyze", "{log}", "--store", "/proc/car.sqlite"), 4, "/proc/car.sqlite"),
@@ -142,6 +148,7 @@ def test_what_cannot_be_used_is_told_in_one_line(
 ) -> None:
     (tmp_path / "empty").mkdir()
     (tmp_path / "empty.log").touch()
+    os.mkfifo(tmp_path / "pipe")
     (tmp_path / "garbage.log").write_bytes(bytes(range(256)) * 40)
     (tmp_path / "foreign.dbc").write_text('VERSION ""\nBU_: A\nBO_ 1 M: 8 A\n SG_ S : 0|8@1+ (1,0) [0|255] "" A\n')
     (tmp_path / "range.toml").write_text(NOMINAL.read_text(encoding="utf-8").replace("mu_c = 0.14", "mu_c = 1.4"))

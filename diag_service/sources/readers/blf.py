@@ -129,7 +129,9 @@ def next_object(stream: BinaryIO, position: int, size_bytes: int, tally: Tally |
             if tally is not None and position + found - start > LONGEST_PADDING:
                 tally.reject(LogReject.DAMAGED, f"byte {start}")
             return position + found
-        position += max(1, len(block) - len(OBJECT_MAGIC) + 1)
+        if len(block) <= len(OBJECT_MAGIC):  # the end, perhaps earlier than it was
+            break
+        position += len(block) - len(OBJECT_MAGIC) + 1
     if tally is not None and size_bytes - start > LONGEST_PADDING:
         tally.reject(LogReject.DAMAGED, f"byte {start}")
     return size_bytes

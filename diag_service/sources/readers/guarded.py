@@ -12,7 +12,7 @@ import subprocess
 import sys
 import threading
 from collections.abc import Callable, Iterator
-from contextlib import closing
+from contextlib import closing, suppress
 from multiprocessing.connection import Connection, Pipe
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -20,7 +20,7 @@ from tempfile import TemporaryDirectory
 from diag_service.errors import SourceError
 from diag_service.frames import FrameBatch
 from diag_service.sources.readers import guarded_server
-from diag_service.sources.readers.tally import LogCounts, Tally
+from diag_service.sources.readers.tally import LogCounts, LogReject, Tally
 
 Work = Callable[[Path, Path, Tally], Iterator[FrameBatch]]  # a file, a folder for temporary ones, counts
 
@@ -50,7 +50,8 @@ def guarded(work: Work, path: Path, tally: Tally) -> Iterator[FrameBatch]:
         If the work raises one, or takes more time or memory than any sound file of this size does.
     """
     size_bytes = path.stat().st_size
-    cpu_s = CPU_S + size_bytes / BYTES_PER_CPU_S
+    content_bytes = stored_bytes(path, size_bytes)
+    cpu_s = CPU_S + content_bytes / BYTES_PER_CPU_S
     with TemporaryDirectory(prefix="clutchdiag-") as folder:
         receiving, sending = Pipe(duplex=False)
         with closing(receiving):
@@ -60,7 +61,8 @@ def guarded(work: Work, path: Path, tally: Tally) -> Iterator[FrameBatch]:
                     "name": work.__qualname__,
                     "path": str(path.resolve()),
                     "folder": folder,
-                    "memory_bytes": MEMORY_BYTES + MEMORY_PER_BYTE * size_bytes,
+                    "memory_bytes": MEMORY_BYTES + MEMORY_PER_BYTE * content_bytes,
+                    "file_bytes": MEMORY_BYTES + MEMORY_PER_BYTE * content_bytes,
                     "cpu_s": int(cpu_s) + 1,
                 }
                 _SERVER.ask(json.dumps(request).encode(), sending.fileno())
@@ -68,8 +70,23 @@ def guarded(work: Work, path: Path, tally: Tally) -> Iterator[FrameBatch]:
                 yield message
     if isinstance(message, LogCounts):
         tally.take(message)
+    elif path.stat().st_size < size_bytes:  # what ends a process that looks where the file no longer is
+        tally.truncated = True
+        tally.reject(LogReject.CUT_OFF, "where the file shrank while it was read")
     else:
-        raise SourceError(message)
+        is_hollow = content_bytes < size_bytes / 2
+        raise SourceError(f"{message}; most of the file was never written" if is_hollow else message)
+
+
+def stored_bytes(path: Path, size_bytes: int) -> int:
+    """Return how much of a file is there: what was never written takes no room, and holds nothing."""
+    found_bytes, position = 0, 0
+    with suppress(OSError), path.open("rb") as file:  # ENXIO: nothing more
+        while position < size_bytes and found_bytes < size_bytes:
+            start = os.lseek(file.fileno(), position, os.SEEK_DATA)
+            position = os.lseek(file.fileno(), start, os.SEEK_HOLE)
+            found_bytes += position - start
+    return found_bytes
 
 
 def _receive(receiving: Connection, wait_s: float) -> FrameBatch | LogCounts | str:

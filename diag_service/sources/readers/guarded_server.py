@@ -43,6 +43,7 @@ def work(request: dict[str, str | int], sending: Connection) -> None:
     resource.setrlimit(resource.RLIMIT_AS, (pages * PAGE_BYTES + int(request["memory_bytes"]),) * 2)
     resource.setrlimit(resource.RLIMIT_CPU, (int(request["cpu_s"]),) * 2)
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
+    resource.setrlimit(resource.RLIMIT_FSIZE, (int(request["file_bytes"]),) * 2)  # of copies that it makes
     tally = Tally()
     try:
         for batch in task(Path(str(request["path"])), Path(str(request["folder"])), tally):

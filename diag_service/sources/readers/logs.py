@@ -1,10 +1,13 @@
 """Log files of all formats, told apart by their contents, as batches of frames."""
 
 from collections.abc import Callable, Iterator, Mapping
+from contextlib import suppress
+from io import BufferedReader
 from pathlib import Path
 from types import MappingProxyType
 from typing import BinaryIO, cast
 
+from clutch_model.plain_files import open_plain_file
 from diag_service.errors import SourceError
 from diag_service.frames import FrameBatch
 from diag_service.sources.readers.asc import read_asc
@@ -13,9 +16,10 @@ from diag_service.sources.readers.candump import read_candump
 from diag_service.sources.readers.compressed import InflatedStream, compression_of
 from diag_service.sources.readers.detection import PROBE_BYTES, TABLES, LogFormat, detect_format, detect_text
 from diag_service.sources.readers.mf4 import read_mf4
+from diag_service.sources.readers.patience import PatientStream
 from diag_service.sources.readers.sqlite import read_sqlite
 from diag_service.sources.readers.tables import reader_of
-from diag_service.sources.readers.tally import LogCounts, Tally
+from diag_service.sources.readers.tally import LogCounts, LogReject, Tally
 from diag_service.sources.readers.time_watch import TimeWatch
 
 READERS: Mapping[LogFormat, Callable[[BinaryIO, Tally], Iterator[FrameBatch]]] = MappingProxyType(
@@ -44,7 +48,8 @@ class LogReader(Iterator[FrameBatch]):
         self.format = log_format
         self._tally = tally
         self._stream = stream
-        self._batches = READERS[log_format](stream, self._tally)
+        self._opened = path.stat()
+        self._batches = READERS[log_format](cast("BinaryIO", PatientStream(stream, tally)), tally)
         self._watch = TimeWatch(tally)
         self._is_strict = is_strict
 
@@ -64,17 +69,18 @@ class LogReader(Iterator[FrameBatch]):
         try:
             batch = next(self._batches)
         except StopIteration:
+            self._look_at_size()
             self.close()
             self._be_strict()
             if self._tally.frames == 0:
-                raise SourceError(
-                    f"{self.path}: no CAN frame in this {self.format} log{self._first_reject()}"
-                ) from None
+                raise SourceError(f"{self.path}: {self._nothing_found()}") from None
             raise
         except OSError as exc:
+            self._look_at_size()
             self.close()
             raise SourceError(f"{self.path}: {exc.strerror or exc}") from exc
         except SourceError as exc:
+            self._look_at_size()
             self.close()
             raise type(exc)(f"{self.path}: {exc}") from exc
         self._watch.look(batch)
@@ -85,14 +91,25 @@ class LogReader(Iterator[FrameBatch]):
         """Close the file; reading to the end does it, too."""
         self._stream.close()
 
+    def _look_at_size(self) -> None:
+        """Count it as cut if the file has become shorter since it was opened."""
+        with suppress(OSError):
+            now, opened = self.path.stat(), self._opened
+            if now.st_ino == opened.st_ino and now.st_size < opened.st_size:
+                self._tally.truncated = True
+                self._tally.reject(LogReject.CUT_OFF, f"byte {now.st_size}, where the file shrank while it was read")
+
     def _be_strict(self) -> None:
         if self._is_strict and (fault := self.counts.first_fault):
             self.close()
             raise SourceError(f"{self.path}: {fault}")
 
-    def _first_reject(self) -> str:
-        first = self.counts.first_rejected
-        return f" ({first})" if first else ""
+    def _nothing_found(self) -> str:
+        counts = self.counts
+        if LogReject.GIVEN_UP in counts.rejected:
+            return f"no CAN frame in the first megabytes of this {self.format} log, nor anything else of it: given up"
+        first = f" ({counts.first_rejected})" if counts.first_rejected else ""
+        return f"no CAN frame in this {self.format} log{first}"
 
 
 def read_log(path: Path | str, *, is_strict: bool = False) -> LogReader:
@@ -105,7 +122,7 @@ def read_log(path: Path | str, *, is_strict: bool = False) -> LogReader:
     """
     path = Path(path)
     try:
-        stream = path.open("rb")
+        stream = BufferedReader(open_plain_file(path))
     except IsADirectoryError as exc:
         raise SourceError(f"{path}: is a folder, not a log file") from exc
     except FileNotFoundError as exc:

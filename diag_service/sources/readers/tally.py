@@ -13,6 +13,7 @@ class LogReject(StrEnum):
 
     MALFORMED = "malformed"  # not in the grammar of the format
     CUT_OFF = "cut_off"  # the file ends inside it
+    GIVEN_UP = "given_up"  # so much without a frame before it that what follows was not read
     DAMAGED = "damaged"  # a container or object whose size or compression is wrong
 
 
@@ -67,6 +68,11 @@ class Tally:
         if not self._rejected:
             self._first_rejected = f"{place}: {reason}"
         self._rejected[reason] += count
+
+    @property
+    def rejects(self) -> int:
+        """How many pieces gave no frame."""
+        return self._rejected.total()
 
     def jump(self, back: int, ahead: int, place: str) -> None:
         """Count jumps of time; ``place`` is where the first of them is."""
