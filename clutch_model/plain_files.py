@@ -5,7 +5,6 @@ A device that never ends would fill the memory, a pipe that nobody writes to wou
 
 import errno
 import os
-import select
 import stat
 import tomllib
 from io import FileIO
@@ -13,12 +12,10 @@ from pathlib import Path
 from typing import Any, Final
 
 MAX_TABLE_BYTES: Final = 4 * 2**20  # far above any settings file, calibration, profile or scenario
-PIPE_WAIT_S: Final = 5.0  # for the next bytes of whoever writes into a pipe
-_PIECE_BYTES: Final = 2**16
 _NULL_DEVICE: Final = os.makedev(1, 3)  # an empty file, by custom
 
 
-def read_small_file(path: Path, most_bytes: int = MAX_TABLE_BYTES, *, takes_pipes: bool = False) -> bytes:
+def read_small_file(path: Path, most_bytes: int = MAX_TABLE_BYTES) -> bytes:
     """Return what a file holds.
 
     Parameters
@@ -27,26 +24,22 @@ def read_small_file(path: Path, most_bytes: int = MAX_TABLE_BYTES, *, takes_pipe
         A plain file, or a link to one.
     most_bytes : int
         How large it may be.
-    takes_pipes : bool
-        Read a pipe as well, such as a shell makes of ``<(command)``, as long as something comes.
 
     Raises
     ------
     OSError
         If it is missing, unreadable, too large or of another kind; ``strerror`` says so in words.
     """
-    with open_plain_file(path, takes_pipes=takes_pipes) as file:
-        status = os.fstat(file.fileno())
-        if status.st_size > most_bytes:
+    with open_plain_file(path) as file:
+        if os.fstat(file.fileno()).st_size > most_bytes:
             raise _too_large(path, most_bytes)
-        read = _read_pipe if stat.S_ISFIFO(status.st_mode) else _read_plain
-        content = read(file.fileno(), most_bytes + 1)
+        content = _read(file.fileno(), most_bytes + 1)
     if len(content) > most_bytes:
         raise _too_large(path, most_bytes)
     return content
 
 
-def open_plain_file(path: Path, *, takes_pipes: bool = False) -> FileIO:
+def open_plain_file(path: Path) -> FileIO:
     """Return a plain file, opened for reading; never waits, whatever the name stands for.
 
     Raises
@@ -58,10 +51,10 @@ def open_plain_file(path: Path, *, takes_pipes: bool = False) -> FileIO:
         file = FileIO(str(path), "rb", opener=_open_at_once)
     except OSError as error:
         if error.errno == errno.ENXIO:  # a socket, or a device without anything behind it
-            _check_kind(path, path.stat(), takes_pipes=takes_pipes)
+            _check_kind(path, path.stat())
         raise
     try:
-        _check_kind(path, os.fstat(file.fileno()), takes_pipes=takes_pipes)
+        _check_kind(path, os.fstat(file.fileno()))
     except OSError:
         file.close()
         raise
@@ -71,12 +64,12 @@ def open_plain_file(path: Path, *, takes_pipes: bool = False) -> FileIO:
 def check_plain_file(path: Path, most_bytes: int = MAX_TABLE_BYTES) -> None:
     """Raise OSError, as ``read_small_file`` does, of a file that a library is going to read whole."""
     status = path.stat()
-    _check_kind(path, status, takes_pipes=False)
+    _check_kind(path, status)
     if status.st_size > most_bytes:
         raise _too_large(path, most_bytes)
 
 
-def read_toml_file(path: Path, *, takes_pipes: bool = True) -> dict[str, Any]:
+def read_toml_file(path: Path) -> dict[str, Any]:
     """Return the table that a TOML file holds.
 
     Raises
@@ -86,7 +79,7 @@ def read_toml_file(path: Path, *, takes_pipes: bool = True) -> dict[str, Any]:
     ValueError
         If it is no TOML.
     """
-    text = read_small_file(path, takes_pipes=takes_pipes).decode("utf-8")
+    text = read_small_file(path).decode("utf-8")
     try:
         return tomllib.loads(text)
     except RecursionError:
@@ -98,12 +91,12 @@ def _open_at_once(name: str, flags: int) -> int:
     return os.open(name, flags | os.O_NONBLOCK | os.O_NOCTTY)
 
 
-def _check_kind(path: Path, status: os.stat_result, *, takes_pipes: bool) -> None:
+def _check_kind(path: Path, status: os.stat_result) -> None:
     mode = status.st_mode
     if stat.S_ISDIR(mode):
         raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR), str(path))
     is_null = stat.S_ISCHR(mode) and status.st_rdev == _NULL_DEVICE
-    if stat.S_ISREG(mode) or is_null or (takes_pipes and stat.S_ISFIFO(mode)):
+    if stat.S_ISREG(mode) or is_null:
         return
     kind = "a pipe" if stat.S_ISFIFO(mode) else "a socket" if stat.S_ISSOCK(mode) else "a device"
     raise OSError(errno.EINVAL, f"it is {kind}, not a plain file", str(path))
@@ -113,23 +106,9 @@ def _too_large(path: Path, most_bytes: int) -> OSError:
     return OSError(errno.EFBIG, f"it is too large (more than {most_bytes / 2**20:g} MiB)", str(path))
 
 
-def _read_plain(descriptor: int, most_bytes: int) -> bytes:
+def _read(descriptor: int, most_bytes: int) -> bytes:
     pieces, missing_bytes = list[bytes](), most_bytes
     while missing_bytes and (piece := os.read(descriptor, min(missing_bytes, 2**20))):
         pieces.append(piece)
         missing_bytes -= len(piece)
     return b"".join(pieces)
-
-
-def _read_pipe(descriptor: int, most_bytes: int) -> bytes:
-    poll = select.poll()
-    poll.register(descriptor, select.POLLIN)
-    content = bytearray()
-    while len(content) < most_bytes:
-        if not poll.poll(PIPE_WAIT_S * 1_000):
-            raise OSError(errno.ETIMEDOUT, f"nobody has written into this pipe for {PIPE_WAIT_S:g} s")
-        piece = os.read(descriptor, _PIECE_BYTES)
-        if not piece:
-            break
-        content += piece
-    return bytes(content)

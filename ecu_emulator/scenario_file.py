@@ -53,7 +53,7 @@ def load_scenario(name_or_file: str) -> Scenario:
         known = ", ".join(shipped_scenarios())
         raise ConfigError(f"no scenario {name_or_file!r}: use a TOML file or one of {known}")
     try:
-        text = read_small_file(path, takes_pipes=True).decode("utf-8")
+        text = read_small_file(path).decode("utf-8")
     except OSError as exc:
         raise ConfigError(f"cannot read scenario {path}: {exc.strerror or exc}") from exc
     except UnicodeDecodeError as exc:

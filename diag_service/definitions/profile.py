@@ -221,7 +221,7 @@ def to_si(signal: Signal, source: SignalSource, database_unit: str | None) -> Co
 def _read_table(path: Path) -> dict[str, object]:
     """Return the TOML file as a table."""
     try:
-        return read_toml_file(path, takes_pipes=False)  # it is read twice: what it holds names a stream
+        return read_toml_file(path)
     except OSError as error:
         raise ConfigError(f"cannot read the profile {path}: {error.strerror or error}") from error
     except ValueError as error:

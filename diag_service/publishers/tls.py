@@ -1,13 +1,18 @@
 """TLS to a broker: files that are read anew for every connection: a certificate is renewed without a restart."""
 
+import errno
+import os
+import select
 import ssl
 from dataclasses import dataclass
+from io import FileIO
 from pathlib import Path
 
 from clutch_model.plain_files import check_plain_file, read_small_file
 from diag_service.errors import ConfigError, PublishError
 
 MAX_SECRET_BYTES = 64 * 1024
+PIPE_WAIT_S = 5.0  # for whoever writes a secret into a pipe
 _OTHERS = 0o077  # permission bits of group and world
 
 
@@ -82,11 +87,28 @@ def read_secret(path: Path) -> str:
     """Return the secret in a file, without the end of its line; raises ConfigError."""
     check_secret_mode(path)
     try:
-        return read_small_file(path, MAX_SECRET_BYTES, takes_pipes=True).decode("utf-8").rstrip("\r\n")
+        return _read_secret(path).decode("utf-8").rstrip("\r\n")
     except OSError as exc:
         raise ConfigError(f"cannot read {path}: {exc.strerror or exc}") from exc
     except UnicodeDecodeError as exc:
         raise ConfigError(f"cannot read {path}: it is no UTF-8 text") from exc
+
+
+def _read_secret(path: Path) -> bytes:
+    """Return what a file holds, or what a command writes into the pipe that a shell makes of ``<(command)``."""
+    if not path.is_fifo():
+        return read_small_file(path, MAX_SECRET_BYTES)
+    content, poll = bytearray(), select.poll()
+    with FileIO(str(path), opener=lambda name, flags: os.open(name, flags | os.O_NONBLOCK)) as file:
+        poll.register(file, select.POLLIN)
+        while len(content) <= MAX_SECRET_BYTES:
+            if not poll.poll(PIPE_WAIT_S * 1_000):
+                raise OSError(errno.ETIMEDOUT, f"nobody has written into this pipe for {PIPE_WAIT_S:g} s")
+            piece = file.read(MAX_SECRET_BYTES)
+            if not piece:
+                return bytes(content)
+            content += piece
+    raise OSError(errno.EFBIG, "nobody has so long a secret")
 
 
 def _stamp(path: Path) -> tuple[int, int, int] | None:

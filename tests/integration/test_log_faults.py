@@ -154,14 +154,17 @@ def test_generated_damage_is_survived(log_format: str, tmp_path: Path) -> None:
     assert tally.accepted > 0
 
 
+MANY_ROWS = (
+    "INSERT INTO messages WITH RECURSIVE n(i) AS (VALUES(1) UNION ALL SELECT i + 1 FROM n LIMIT 60000)"
+    " SELECT i * 0.01, 291, 0, 0, 0, 1, x'11' FROM n"
+)
+
+
 def record(path: Path) -> None:
     """Write sixty thousand frames."""
     if path.suffix == ".db":
-        numbers = "WITH RECURSIVE n(i) AS (VALUES(1) UNION ALL SELECT i + 1 FROM n LIMIT 60000)"
         table = "CREATE TABLE messages (ts, arbitration_id, extended, remote, error, dlc, data)"
-        path.write_bytes(
-            sqlite_file(table, f"INSERT INTO messages {numbers} SELECT i * 0.01, 291, 0, 0, 0, 1, x'11' FROM n")
-        )
+        path.write_bytes(sqlite_file(table, MANY_ROWS))
         return
     with open_log(path.with_suffix("") if path.suffix == ".gz" else path, start_ns=START_NS) as log:
         log.write(random_frames(60_000))

@@ -2,13 +2,11 @@
 
 import os
 import socket
-import threading
 from collections.abc import Callable, Mapping
 from pathlib import Path
 
 import pytest
 
-from clutch_model import plain_files
 from clutch_model.plain_files import check_plain_file, read_small_file, read_toml_file
 
 
@@ -29,7 +27,7 @@ OTHERS: Mapping[str, Callable[[Path], None]] = {
 def test_what_is_no_file_is_refused_at_once(kind: str, tmp_path: Path) -> None:
     path = tmp_path / "it"
     OTHERS[kind](path)
-    for use in (read_small_file, check_plain_file, lambda it: read_toml_file(it, takes_pipes=False)):
+    for use in (read_small_file, check_plain_file, read_toml_file):
         with pytest.raises(OSError, match=kind):
             use(path)
 
@@ -48,33 +46,6 @@ def test_sizes_are_limited_whatever_the_file_system_says(tmp_path: Path) -> None
 
 def test_the_null_device_is_an_empty_file() -> None:
     assert read_toml_file(Path(os.devnull)) == {}
-
-
-def test_a_pipe_is_read_while_something_comes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    path = tmp_path / "pipe"
-    os.mkfifo(path)
-    writer = threading.Thread(target=lambda: path.write_bytes(b"a = 1\n"))
-    writer.start()
-    assert read_toml_file(path) == {"a": 1}
-    writer.join()
-    monkeypatch.setattr(plain_files, "PIPE_WAIT_S", 0.01)
-    with pytest.raises(OSError, match="nobody has written into this pipe"):
-        read_small_file(path, takes_pipes=True)
-
-
-def test_a_pipe_without_an_end_is_refused(tmp_path: Path) -> None:
-    path = tmp_path / "pipe"
-    os.mkfifo(path)
-
-    def write() -> None:
-        with pytest.raises(BrokenPipeError):
-            path.write_bytes(bytes(2**20))
-
-    writer = threading.Thread(target=write)
-    writer.start()
-    with pytest.raises(OSError, match="too large"):
-        read_small_file(path, 1_000, takes_pipes=True)
-    writer.join()
 
 
 @pytest.mark.parametrize("text", ["a = ", "a = " + "[" * 100_000, "a = " + "{a = " * 50_000])

@@ -1,13 +1,16 @@
 """Certificate files: read anew, checked for who may read the key, and a renewal noticed."""
 
+import os
 import ssl
+import threading
 from datetime import UTC, datetime
 from pathlib import Path
 
 import pytest
 
 from diag_service.errors import ConfigError, PublishError
-from diag_service.publishers import TlsFiles
+from diag_service.publishers import TlsFiles, tls
+from diag_service.publishers.tls import read_secret
 from fleet_certificates.authority import Authority, Lifetime
 
 LIFETIME = Lifetime.of_days(1, datetime(2026, 1, 1, tzinfo=UTC))
@@ -63,3 +66,30 @@ def test_files_that_may_be_put_right_are_a_matter_of_patience(
 def test_a_certificate_without_a_key_is_a_mistake(tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match="needs its key"):
         TlsFiles(certificate=tmp_path / "car1.crt")
+
+
+def test_a_secret_may_come_through_a_pipe(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = tmp_path / "pipe"
+    os.mkfifo(path, 0o600)
+    writer = threading.Thread(target=lambda: path.write_bytes(b"open sesame\n"))
+    writer.start()
+    assert read_secret(path) == "open sesame"
+    writer.join()
+    monkeypatch.setattr(tls, "PIPE_WAIT_S", 0.01)
+    with pytest.raises(ConfigError, match="nobody has written into this pipe"):
+        read_secret(path)
+
+
+def test_a_secret_without_an_end_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "pipe"
+    os.mkfifo(path, 0o600)
+
+    def write() -> None:
+        with pytest.raises(BrokenPipeError):
+            path.write_bytes(bytes(2**20))
+
+    writer = threading.Thread(target=write)
+    writer.start()
+    with pytest.raises(ConfigError, match="so long a secret"):
+        read_secret(path)
+    writer.join()
