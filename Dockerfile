@@ -1,5 +1,6 @@
 # Image of all programs. Versions and hashes come from requirements.lock, development tools stay outside.
-FROM python:3.11-slim-bookworm AS build
+# tests/integration/test_image.py carries these steps out in a plain folder, without an engine and a package index.
+FROM python:3.11.14-slim-bookworm AS build
 WORKDIR /src
 COPY pyproject.toml requirements.lock README.md LICENSE ./
 COPY canbus canbus
@@ -16,9 +17,9 @@ RUN awk '/^[^ #]/ { keep = /^uv==/ } keep' requirements.lock > /tmp/uv.lock \
  && python -m venv /opt/uv && /opt/uv/bin/pip install --no-cache-dir --require-hashes -r /tmp/uv.lock \
  && python -m venv --without-pip /opt/clutchdiag \
  && /opt/uv/bin/uv pip install --no-cache --python /opt/clutchdiag/bin/python \
-      --constraints requirements.lock --build-constraints requirements.lock ".[fleet,mf4]"
+      --constraints requirements.lock --build-constraints requirements.lock ".[fleet,mf4,parquet,security]"
 
-FROM python:3.11-slim-bookworm
+FROM python:3.11.14-slim-bookworm
 COPY --from=build /opt/clutchdiag /opt/clutchdiag
 ENV PATH=/opt/clutchdiag/bin:$PATH \
     PYTHONUNBUFFERED=1 \
@@ -27,8 +28,10 @@ ENV PATH=/opt/clutchdiag/bin:$PATH \
 RUN useradd --system --no-create-home clutchdiag \
  && install -d -o clutchdiag -g clutchdiag /var/cache/clutchdiag /var/lib/clutchdiag
 USER clutchdiag
-# Compile the numerical kernels once; a host with another processor compiles them again at its first start.
+# Compile the numerical kernels; a host with another processor compiles them again at its first start. A volume on the
+# cache's folder begins with what is in the image, and keeps what such a host has compiled.
 RUN ecu-emulator record /tmp/warm.log --scenario noise_only --cycles 1 \
  && diag-service analyze /tmp/warm.log --json > /dev/null \
+ && python -c 'from diag_service.sources.live.recvmmsg import FrameReceiver; FrameReceiver(-1)' \
  && rm /tmp/warm*
 CMD ["diag-service", "--help"]

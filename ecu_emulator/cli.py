@@ -86,6 +86,7 @@ def _execute(options: argparse.Namespace, stop: Event) -> None:
         truth=options.truth,
         summary=options.summary,
         control=options.control,
+        alive=options.alive,
         start_delay_s=options.start_delay,
         is_json=options.json,
         stop=stop,
@@ -172,6 +173,7 @@ def _add_run(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--truth", type=Path, metavar="FILE", help="write the truth about every shift to this file")
     parser.add_argument("--summary", type=Path, metavar="FILE", help="write the transmit report to this file as JSON")
     parser.add_argument("--control", type=Path, metavar="SOCKET", help="take faults at run time on this Unix socket")
+    parser.add_argument("--alive", type=Path, metavar="FILE", help="touch this file while frames go out")
     parser.add_argument("--start-delay", type=_seconds, default=0.0, metavar="S", help="wait before the first frame")
 
 

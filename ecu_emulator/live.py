@@ -18,6 +18,7 @@ from ecu_emulator.other_senders import WORTH_SAYING, OtherSenders
 from ecu_emulator.progress import ProgressLine, people, print_json
 from ecu_emulator.recording import SHORT_STRETCH_S, Drive
 from ecu_emulator.scenario import Scenario
+from ecu_emulator.sign_of_life import SignOfLife
 from ecu_emulator.truth import RevTruth, ShiftTruth, TruthWriter
 
 MS_PER_S: Final = 1e3
@@ -96,6 +97,7 @@ def run(
     truth: Path | None,
     summary: Path | None,
     control: Path | None,
+    alive: Path | None,
     start_delay_s: float,
     is_json: bool,
     stop: Event,
@@ -118,12 +120,15 @@ def run(
     ):
         sent = SentTruth(drive, writer)
         _write_summary(summary, {})
+        life = SignOfLife(alive) if alive is not None else None
         console.print(
             f"{scenario.name}, {_seeds_text(scenario)}: sending on {choice.name or bus.channel_info}", markup=False
         )
 
         def show(sent_s: float, frame_count: int) -> None:
             sent.sent_until(sent_s)
+            if life is not None:
+                life.tell(frame_count)
             progress.update(f"{sent_s:.0f} s driven, {sent.shift_count} shifts, {frame_count} frames sent", sent_s)
 
         report = transmit(bus, sent.frames(), stop, start_delay_s=start_delay_s, on_progress=show)

@@ -8,6 +8,7 @@ import socket
 import uuid
 from contextlib import AbstractAsyncContextManager
 from datetime import UTC, datetime
+from pathlib import Path
 
 from sqlalchemy import Engine
 
@@ -18,14 +19,15 @@ from fleet_backend.errors import DatabaseAwayError
 from fleet_backend.ingest import FILTERS, Pauses, Worker
 from fleet_backend.intake import Kind
 from fleet_backend.migrate import make_ready
+from fleet_backend.sign_of_life import give_signs, prepare
 from fleet_backend.writer import Writer
 
 REPORT_S = 60.0
 _LOG = logging.getLogger(__name__)
 
 
-def run_ingest(engine: Engine, address: BrokerAddress, pace: Pace, name: str | None) -> None:
-    """Ingest until SIGINT or SIGTERM.
+def run_ingest(engine: Engine, address: BrokerAddress, pace: Pace, name: str | None, alive: Path | None = None) -> None:
+    """Ingest until SIGINT or SIGTERM; while all is well, touch the file ``alive``.
 
     An SQLite database of an earlier schema, which belongs to this program alone, is upgraded first; a PostgreSQL must
     have the present one, since other workers may still write the schema before it.
@@ -34,16 +36,20 @@ def run_ingest(engine: Engine, address: BrokerAddress, pace: Pace, name: str | N
     ------
     DatabaseError
         If the database has another schema.
+    ConfigError
+        If the file ``alive`` cannot be made.
     """
-    asyncio.run(_ingest(engine, address, pace, name or f"{socket.gethostname()}-{uuid.uuid4().hex[:8]}"))
+    if alive is not None:
+        prepare(alive)
+    asyncio.run(_ingest(engine, address, pace, name or f"{socket.gethostname()}-{uuid.uuid4().hex[:8]}", alive))
 
 
-async def _ingest(engine: Engine, address: BrokerAddress, pace: Pace, name: str) -> None:
+async def _ingest(engine: Engine, address: BrokerAddress, pace: Pace, name: str, alive: Path | None) -> None:
     def connect() -> AbstractAsyncContextManager[Connection]:
         return connected(address, FILTERS, max_unsettled=pace.max_unsettled)
 
     worker = Worker(connect, Writer(engine), name=name, now=_utc_now, pace=pace)
-    task = asyncio.ensure_future(_work(engine, worker, f"{name}: {address} into {place_of(engine)}"))
+    task = asyncio.ensure_future(_work(engine, worker, f"{name}: {address} into {place_of(engine)}", alive))
     loop = asyncio.get_running_loop()
     for number in (signal.SIGINT, signal.SIGTERM):
         loop.add_signal_handler(number, task.cancel)
@@ -52,12 +58,14 @@ async def _ingest(engine: Engine, address: BrokerAddress, pace: Pace, name: str)
     _LOG.info("%s", _counts_line(worker))
 
 
-async def _work(engine: Engine, worker: Worker, title: str) -> None:
+async def _work(engine: Engine, worker: Worker, title: str, alive: Path | None) -> None:
     await _prepare(engine)
     _LOG.info("worker %s", title)
     async with asyncio.TaskGroup() as tasks:
         tasks.create_task(worker.run(), name="worker")
         tasks.create_task(_report(worker), name="report")
+        if alive is not None:
+            tasks.create_task(give_signs(alive, worker, engine), name="sign of life")
 
 
 async def _prepare(engine: Engine) -> None:

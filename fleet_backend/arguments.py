@@ -88,6 +88,9 @@ def _add_ingest(command: argparse.ArgumentParser) -> None:
     command.add_argument("--key", type=Path, metavar="FILE", help="its private key")
     command.add_argument("--worker", metavar="NAME", help="name of this worker, unlike any other's (default: made up)")
     command.add_argument(
+        "--alive", type=Path, metavar="FILE", help="touch this file every 5 s while broker and database answer"
+    )
+    command.add_argument(
         "--batch",
         type=int,
         default=pace.batch_size,

@@ -39,7 +39,7 @@ def _ingest(options: argparse.Namespace, engine: Engine) -> None:
         raise ConfigError(f"no broker: give --broker or set {BROKER_VARIABLE}")
     tls = TlsFiles(ca=options.ca, certificate=options.cert, key=options.key)
     pace = parse_pace(options.batch, options.patience)
-    run_ingest(engine, parse_broker(options.broker, tls), pace, options.worker)
+    run_ingest(engine, parse_broker(options.broker, tls), pace, options.worker, options.alive)
 
 
 def _migrate(_options: argparse.Namespace, engine: Engine) -> None:

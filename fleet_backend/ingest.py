@@ -76,6 +76,7 @@ class Worker:
         self._now = now
         self._pace = pace
         self.counts: Counter[Kind] = Counter()  # committed, repetitions included
+        self.is_listening = False
 
     async def run(self) -> None:
         """Connect, take, commit, acknowledge; come back after every loss. Ends only when it is cancelled."""
@@ -85,8 +86,10 @@ class Worker:
                 async with self._connect() as inbox:
                     _LOG.info("listening")
                     pauses.reset()
+                    self.is_listening = True
                     await self._serve(inbox)
             except BrokerError as exc:
+                self.is_listening = False
                 await pauses.wait(exc)
 
     async def _serve(self, inbox: Inbox) -> None:

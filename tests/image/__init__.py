@@ -1,0 +1,1 @@
+"""What a container engine would make of Dockerfile, .dockerignore and docker-compose.yml, without one."""

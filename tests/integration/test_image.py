@@ -1,0 +1,99 @@
+"""The image's own steps, taken from the Dockerfile, in a plain folder, and its programs there."""
+
+import ast
+import json
+import os
+import sys
+import tomllib
+from collections.abc import Iterator
+from pathlib import Path
+
+import numba.core.config
+import pytest
+
+from clutch_model.kernel_cache import cache_folder
+from tests.image.plain import PlainImage
+
+ROOT = Path(__file__).parents[2]
+PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
+PROGRAMS = sorted(PROJECT["project"]["scripts"])
+PACKAGES = sorted(name.removesuffix("*") for name in PROJECT["tool"]["setuptools"]["packages"]["find"]["include"])
+
+
+@pytest.fixture(scope="module")
+def image(tmp_path_factory: pytest.TempPathFactory) -> PlainImage:
+    kernels = cache_folder(numba.core.config.CACHE_DIR)  # type: ignore[attr-defined]  # set at run time
+    assert kernels is not None
+    return PlainImage(ROOT, tmp_path_factory.mktemp("image") / "root", kernels.parent)
+
+
+@pytest.mark.parametrize("program", PROGRAMS)
+def test_every_program_runs(image: PlainImage, program: str) -> None:
+    for option in ("--help", "--version"):
+        done = image.run(program, option)
+        assert (done.returncode, done.stderr) == (0, "")
+    assert PROJECT["project"]["version"] in done.stdout
+
+
+def test_a_drive_is_recorded_and_analysed(image: PlainImage) -> None:
+    log = str(image.path("/tmp/drive.mf4"))  # noqa: S108 - of the image
+    done = image.run("ecu-emulator", "record", log, "--scenario", "noise_only", "--cycles", "1")
+    assert done.returncode == 0, done.stderr
+    done = image.run("diag-service", "analyze", log, "--json")
+    assert done.returncode == 0, done.stderr
+    assert json.loads(done.stdout.splitlines()[-1])["shifts"]["by_status"]["valid"] == 10
+
+
+def test_the_fleet_and_its_certificates_work(image: PlainImage) -> None:
+    url = f"sqlite:///{image.path('/tmp/fleet.sqlite')}"  # noqa: S108 - of the image
+    for words in (("fleet-backend", "migrate", "--database", url), ("fleet-backend", "table", "--database", url)):
+        done = image.run(*words)
+        assert done.returncode == 0, done.stderr
+    done = image.run("fleet-certificates", "init", "--help")
+    assert done.returncode == 0, done.stderr
+
+
+def imported_names() -> Iterator[str]:
+    """Yield every module that the sources import from outside, wherever in a file."""
+    for package in PACKAGES:
+        for path in (ROOT / package).rglob("*.py"):
+            for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+                if isinstance(node, ast.Import):
+                    yield from (alias.name for alias in node.names)
+                elif isinstance(node, ast.ImportFrom) and node.module is not None and not node.level:
+                    yield node.module
+                elif isinstance(node, ast.Call) and "import_module" in ast.unparse(node.func):
+                    yield from (str(word.value) for word in node.args if isinstance(word, ast.Constant))
+
+
+def test_the_extras_that_the_image_names_cover_every_import(image: PlainImage) -> None:
+    names = sorted({name.partition(".")[0] for name in imported_names()} - sys.stdlib_module_names)
+    assert {"asammdf", "can", "numba", "pyarrow"} <= set(names)
+    text = f"import importlib.util as u; print([n for n in {names} if u.find_spec(n) is None])"
+    done = image.run("python", "-c", text)
+    assert done.stdout.strip() == "[]", done.stdout
+
+
+def test_nothing_of_the_clone_is_seen_from_the_image(image: PlainImage) -> None:
+    done = image.run("python", "-c", "import clutch_model, canbus, sys; print(clutch_model.__file__, *sys.path)")
+    assert str(ROOT) not in done.stdout
+    assert str(image.root) in done.stdout.split()[0]
+
+
+def test_the_lock_of_the_installer_holds_it_alone_with_its_hashes(image: PlainImage) -> None:
+    lines = image.path("/tmp/uv.lock").read_text(encoding="utf-8").splitlines()  # noqa: S108 - of the image
+    assert lines[0].startswith("uv==")
+    hashes = [line for line in lines[1:] if not line.lstrip().startswith("#")]
+    assert hashes
+    assert all(line.startswith("    --hash=sha256:") for line in hashes)
+
+
+def test_the_image_runs_as_a_user_of_its_own_that_owns_its_folders(image: PlainImage) -> None:
+    last = image.stages[-1]
+    users = [entry.text for entry in last.instructions if entry.name == "USER"]
+    assert users == ["clutchdiag"]
+    made = " ".join(entry.text for entry in last.instructions if entry.name == "RUN")
+    owned = made.split("install -d -o clutchdiag -g clutchdiag ")[1].split(" && ")[0].split()
+    variables = last.environment
+    assert variables["NUMBA_CACHE_DIR"] in owned
+    assert os.path.join(variables["XDG_STATE_HOME"], "clutchdiag") in owned  # noqa: PTH118 - paths of the image
