@@ -214,6 +214,8 @@ def _reporter(stop: Trigger, *, as_json: bool) -> Reporter:
 def _outbox(config: DiagnosisConfig, store: ResultStore, session: Session, *, is_live: bool) -> Outbox | None:
     if config.broker is None:
         return None
+    if danger := config.broker.exposure:
+        _LOG.warning("%s", danger)
     versions = _versions(config)
     status = ServiceStatus(
         vehicle=config.vehicle,

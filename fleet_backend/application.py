@@ -48,6 +48,8 @@ async def _ingest(engine: Engine, address: BrokerAddress, pace: Pace, name: str,
     def connect() -> AbstractAsyncContextManager[Connection]:
         return connected(address, FILTERS, max_unsettled=pace.max_unsettled)
 
+    if address.exposure:
+        _LOG.warning("%s", address.exposure)
     worker = Worker(connect, Writer(engine), name=name, now=_utc_now, pace=pace)
     task = asyncio.ensure_future(_work(engine, worker, f"{name}: {address} into {place_of(engine)}", alive))
     loop = asyncio.get_running_loop()

@@ -26,7 +26,7 @@ from paho.mqtt.reasoncodes import ReasonCode
 
 from fleet_backend.errors import BrokerError, ConfigError
 from fleet_backend.intake import Message
-from fleet_contract import Outgoing
+from fleet_contract import Outgoing, exposure
 
 TIMEOUT_S: Final = 5.0  # for a connection or a subscription
 KEEPALIVE_S: Final = 15  # a dead broker is known after 1.5 times this
@@ -73,6 +73,11 @@ class BrokerAddress:
     def __str__(self) -> str:
         host = f"[{self.host}]" if ":" in self.host else self.host
         return f"{host}:{self.port}"
+
+    @property
+    def exposure(self) -> str | None:
+        """What to warn of before anything is sent there; None if nobody on the way can read it."""
+        return exposure(self.host, is_encrypted=self.tls is not None, has_password=self.password is not None)
 
 
 class Connection(aiomqtt.Client):

@@ -1,6 +1,6 @@
 """What vehicle and fleet backend agree on: topics, envelope, schemas, receipts. Neither application is known here."""
 
-from fleet_contract.broker_url import BrokerUrl, parse_broker_url
+from fleet_contract.broker_url import BrokerUrl, exposure, is_this_machine, parse_broker_url
 from fleet_contract.described import ASYNCAPI_PATH, SCHEMA_FOLDER, VSS_OVERLAY_PATH, schema
 from fleet_contract.errors import (
     BrokerUrlError,
@@ -59,7 +59,9 @@ __all__ = [
     "clutch_message",
     "config_message",
     "dump",
+    "exposure",
     "filter_of",
+    "is_this_machine",
     "is_vehicle",
     "key_of",
     "metrics_message",

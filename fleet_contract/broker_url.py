@@ -1,6 +1,7 @@
 """How a broker is written where people name one: ``mqtt[s]://[user[:password]@]host[:port]``."""
 
 from dataclasses import dataclass, field
+from ipaddress import ip_address
 from typing import Final
 from urllib.parse import unquote, urlsplit
 
@@ -19,6 +20,25 @@ class BrokerUrl:
     username: str | None
     password: str | None = field(repr=False)
     is_encrypted: bool
+
+
+def is_this_machine(host: str) -> bool:
+    """Return whether a host is this machine's loopback interface, by its name or address alone."""
+    try:
+        address = ip_address(host.partition("%")[0])
+    except ValueError:
+        name = host.casefold().rstrip(".")
+        return name == "localhost" or name.endswith(".localhost")
+    mapped = getattr(address, "ipv4_mapped", None)
+    return address.is_loopback or (mapped is not None and mapped.is_loopback)
+
+
+def exposure(host: str, *, is_encrypted: bool, has_password: bool) -> str | None:
+    """Return what to warn of before anything is sent to a broker; None if nobody on the way can read it."""
+    if is_encrypted or is_this_machine(host):
+        return None
+    what = "results and the broker's password" if has_password else "results"
+    return f"{what} go to {host} unencrypted: whoever is on the way can read them; mqtts:// encrypts"
 
 
 def parse_broker_url(text: str) -> BrokerUrl:

@@ -13,6 +13,7 @@ from types import TracebackType
 from typing import Self
 
 from diag_service.errors import StoreError
+from diag_service.private_file import PRIVATE_MODE, keep_private
 from diag_service.results import JsonObject, dump
 
 JOURNAL_SCHEMA = "clutchdiag/journal/v1"
@@ -47,12 +48,13 @@ class Journal:
         self.path = path
         self._settings = settings
         try:
-            self._descriptor = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o644)
+            self._descriptor = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, PRIVATE_MODE)
         except OSError as exc:
             raise StoreError(f"cannot use {path}: {exc.strerror}") from exc
         try:
             fcntl.flock(self._descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
             self.done = self._recover()
+            keep_private(path)
         except BlockingIOError as exc:
             os.close(self._descriptor)
             raise StoreError(f"{path} is in use by another run") from exc

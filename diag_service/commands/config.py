@@ -1,16 +1,21 @@
 """``diag-service config check``: what a run would use, checked, secrets masked."""
 
 import argparse
+import logging
 import sys
 
 from diag_service.commands.meaning import bus_config, diagnosis_config
 from diag_service.options import describe
 from diag_service.stopping import Trigger
 
+_LOG = logging.getLogger(__name__)
+
 
 def execute(options: argparse.Namespace, stop: Trigger, counts_wanted: Trigger) -> None:
     """Check the settings and print them."""
     del stop, counts_wanted
-    diagnosis_config(options)
+    broker = diagnosis_config(options).broker
     bus_config(options)
+    if broker is not None and broker.exposure:
+        _LOG.warning("%s", broker.exposure)
     sys.stdout.write(describe(options))

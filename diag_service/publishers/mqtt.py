@@ -23,6 +23,7 @@ from fleet_contract import (
     ContractError,
     Outgoing,
     Receipt,
+    exposure,
     read_message,
     receipts_of,
     status_message,
@@ -51,6 +52,11 @@ class BrokerAddress:
     def __str__(self) -> str:
         host = f"[{self.host}]" if ":" in self.host else self.host
         return f"{host}:{self.port}"
+
+    @property
+    def exposure(self) -> str | None:
+        """What to warn of before anything is sent there; None if nobody on the way can read it."""
+        return exposure(self.host, is_encrypted=self.tls is not None, has_password=self.password is not None)
 
 
 class MqttLink:

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Final
 
 from diag_service.errors import StoreError, StoreFullError
+from diag_service.private_file import PRIVATE_MODE, create_private, keep_private
 from diag_service.store.schema import APPLICATION_ID, SCHEMA_VERSION, create_tables, migrate
 
 _BUSY_TIMEOUT_S: Final = 5.0  # for a person who reads the store with another program
@@ -20,7 +21,7 @@ def own(path: Path) -> int:
     lock_path = path.with_name(path.name + ".lock")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        descriptor = os.open(lock_path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o644)
+        descriptor = os.open(lock_path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, PRIVATE_MODE)
     except OSError as exc:
         raise StoreError(f"cannot use store {path}: {exc.strerror} ({exc.filename})") from exc
     try:
@@ -39,11 +40,16 @@ def own(path: Path) -> int:
 
 def connect(path: Path) -> sqlite3.Connection:
     """Open or create the database of a store, in its present form."""
+    try:
+        create_private(path)
+    except OSError as exc:
+        raise StoreError(f"cannot use store {path}: {exc.strerror}") from exc
     with translated(str(path)):
         connection = sqlite3.connect(path, timeout=_BUSY_TIMEOUT_S, isolation_level=None, check_same_thread=False)
     try:
         with translated(str(path)):
             _prepare(connection, path)
+        keep_private(path)
     except BaseException:
         connection.close()
         raise

@@ -2,7 +2,7 @@
 
 import pytest
 
-from fleet_contract import BrokerUrl, BrokerUrlError, parse_broker_url
+from fleet_contract import BrokerUrl, BrokerUrlError, exposure, is_this_machine, parse_broker_url
 
 
 @pytest.mark.parametrize(
@@ -30,3 +30,34 @@ def test_what_is_none_is_refused_without_repeating_it(text: str) -> None:
     with pytest.raises(BrokerUrlError, match="the broker must be mqtt") as caught:
         parse_broker_url(text)
     assert "hunter" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    "host",
+    [
+        "localhost",
+        "LOCALHOST.",
+        "car.localhost",
+        "127.0.0.1",
+        "127.8.9.10",
+        "::1",
+        "0:0:0:0:0:0:0:1",
+        "::ffff:127.0.0.1",
+    ],
+)
+def test_this_machine_is_known_by_name_and_address(host: str) -> None:
+    assert is_this_machine(host)
+    assert exposure(host, is_encrypted=False, has_password=True) is None
+
+
+@pytest.mark.parametrize(
+    "host",
+    ["broker", "localhost.example.org", "10.0.0.1", "192.0.2.1", "fe80::1%eth0", "127.0.0.1.nip.io"],
+)
+def test_another_machine_is_warned_of_unless_it_is_encrypted(host: str) -> None:
+    assert exposure(host, is_encrypted=True, has_password=True) is None
+    text = exposure(host, is_encrypted=False, has_password=False)
+    assert text is not None
+    assert "mqtts://" in text
+    assert "password" not in text
+    assert "password" in (exposure(host, is_encrypted=False, has_password=True) or "")

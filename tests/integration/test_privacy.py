@@ -1,0 +1,131 @@
+"""Results are for their owner's eyes: modes of the files that hold them, and warnings where they travel in the open."""
+
+import os
+import re
+import signal
+import sqlite3
+import subprocess
+import sys
+from collections.abc import Iterator
+from contextlib import closing
+from pathlib import Path
+
+import pytest
+
+from diag_service.batch.journal import Journal
+from diag_service.cli import main
+from diag_service.store import ResultStore
+from tests.builders import shift_result
+from tests.outboxes import STATE
+
+CANDUMP = "(1767225600.000000) vcan0 123#0011223344556677\n" * 4
+
+
+@pytest.fixture(autouse=True)
+def _usual_mask() -> Iterator[None]:
+    """Let new files be readable by all, as they usually are."""
+    before = os.umask(0o022)
+    yield
+    os.umask(before)
+
+
+def modes(folder: Path) -> set[int]:
+    return {path.stat().st_mode & 0o777 for path in folder.iterdir()}
+
+
+def test_a_store_and_what_lies_beside_it_is_private(tmp_path: Path) -> None:
+    with closing(ResultStore.open(tmp_path / "car.sqlite")) as store:
+        store.add(shift_result(1), STATE)
+        names = {path.name for path in tmp_path.iterdir()}
+        assert names >= {"car.sqlite", "car.sqlite-wal", "car.sqlite-shm", "car.sqlite.lock"}
+        assert modes(tmp_path) == {0o600}
+    assert modes(tmp_path) == {0o600}
+
+
+def test_a_store_that_others_could_read_is_closed_to_them(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    path = tmp_path / "car.sqlite"
+    ResultStore.open(path).close()
+    path.chmod(0o664)
+    with closing(sqlite3.connect(path)) as reader:
+        reader.execute("SELECT * FROM result").fetchall()  # keeps what SQLite puts beside it, open as the store is
+        with closing(ResultStore.open(path)):
+            assert {file.stat().st_mode & 0o777 for file in tmp_path.glob("car.sqlite*")} == {0o600}
+    told = [record.getMessage() for record in caplog.records]
+    assert f"{path} could be read by other users (mode 664) and is closed to them now" in told
+    caplog.clear()
+    ResultStore.open(path).close()
+    assert caplog.records == []
+
+
+def test_a_store_that_is_not_ours_to_close_is_warned_of(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = tmp_path / "car.sqlite"
+    ResultStore.open(path).close()
+    path.chmod(0o664)
+
+    def refuse(self: Path, mode: int) -> None:
+        raise PermissionError(1, "Operation not permitted")
+
+    monkeypatch.setattr(Path, "chmod", refuse)
+    ResultStore.open(path).close()
+    assert "car.sqlite can be read by other users (mode 664): Operation not permitted" in caplog.text
+
+
+def test_another_programs_file_keeps_its_mode(tmp_path: Path) -> None:
+    path = tmp_path / "places.sqlite"
+    with closing(sqlite3.connect(path)) as other:
+        other.execute("CREATE TABLE places (name TEXT)")
+    with pytest.raises(Exception, match="another program"):
+        ResultStore.open(path)
+    assert path.stat().st_mode & 0o777 == 0o644
+
+
+def test_the_journal_of_a_folder_run_is_private_and_its_output_is_not(tmp_path: Path) -> None:
+    folder, output = tmp_path / "logs", tmp_path / "all.jsonl"
+    folder.mkdir()
+    (folder / "a.log").write_text(CANDUMP, encoding="utf-8")
+    assert main(["analyze", str(folder), "-o", str(output), "--jobs", "1"]) == 0
+    assert (output.stat().st_mode & 0o777, (tmp_path / "all.jsonl.journal").stat().st_mode & 0o777) == (0o644, 0o600)
+
+
+def test_an_older_journal_is_closed_to_others(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    path = tmp_path / "journal"
+    path.touch(mode=0o644)
+    with Journal(path, "settings"):
+        assert path.stat().st_mode & 0o777 == 0o600
+    assert "could be read by other users (mode 644)" in caplog.text
+
+
+@pytest.mark.parametrize(("url", "count"), [("mqtt://broker.invalid", 1), ("mqtt://127.0.0.1:9", 0), ("mqtts://b", 0)])
+def test_a_broker_on_another_machine_without_encryption_is_warned_of_once(
+    capsys: pytest.CaptureFixture[str], url: str, count: int
+) -> None:
+    assert main(["config", "check", "--broker", url]) == 0
+    assert capsys.readouterr().err.count("unencrypted") == count
+
+
+def test_an_analysis_warns_once(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    log = tmp_path / "a.log"
+    log.write_text(CANDUMP, encoding="utf-8")
+    assert main(["analyze", str(log), "--broker", "mqtt://car:secret@broker.invalid"]) == 0
+    err = capsys.readouterr().err
+    assert re.findall(r"warning: results and the broker's password go to broker.invalid unencrypted.*mqtts://", err)
+    assert err.count("unencrypted") == 1
+    assert "secret" not in err
+
+
+def test_a_backend_warns_once(sqlite_url: str) -> None:
+    words = ["ingest", "--database", sqlite_url, "--broker", "mqtt://broker.invalid"]
+    with subprocess.Popen(
+        [sys.executable, "-m", "fleet_backend", *words], stderr=subprocess.PIPE, text=True
+    ) as backend:
+        assert backend.stderr is not None
+        lines = []
+        for line in backend.stderr:
+            lines.append(line)
+            if "WARNING: broker" in line or len(lines) > 50:  # it has tried to connect
+                break
+        backend.send_signal(signal.SIGTERM)
+        lines += list(backend.stderr)
+    assert "".join(lines).count("unencrypted") == 1
