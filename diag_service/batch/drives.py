@@ -1,15 +1,12 @@
 """Which drives are meant by files and folders."""
 
 import hashlib
-import logging
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 from diag_service.errors import ConfigError, SourceError
-from diag_service.sources import is_log
-
-_LOG = logging.getLogger(__name__)
+from diag_service.sources import why_no_log
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -33,7 +30,23 @@ class Drive:
         return hashlib.sha256("\0".join(parts).encode(errors="surrogateescape")).hexdigest()
 
 
-def find_drives(paths: Sequence[Path]) -> list[Drive]:
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LeftOut:
+    """A file in a folder that is no drive, and why."""
+
+    path: Path
+    reason: str
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Found:
+    """What files and folders hold."""
+
+    drives: tuple[Drive, ...]
+    left_out: tuple[LeftOut, ...]
+
+
+def find_drives(paths: Sequence[Path]) -> Found:
     """Return the drives that files and folders stand for: the files together one, every log in a folder one.
 
     Raises
@@ -44,17 +57,19 @@ def find_drives(paths: Sequence[Path]) -> list[Drive]:
         If a path is not there or cannot be read.
     """
     named = [path for path in paths if not path.is_dir()]
-    drives = [drive_of(named)] if named else []
+    drives, left_out = [drive_of(named)] if named else [], list[LeftOut]()
     for folder in paths:
         if folder.is_dir():
-            logs = list(_logs_in(folder))
+            logs, others = _sorted_out(folder)
             if not logs:
-                raise ConfigError(f"{folder} holds no log that can be read")
+                first = f", for one {others[0].path.name}: {others[0].reason}" if others else ""
+                raise ConfigError(f"{folder} holds no log that can be read{first}")
+            left_out += others
             drives += [drive_of([log]) for log in logs]
     files = [path.resolve() for drive in drives for path in drive.paths]
     if twice := {str(path) for path in files if files.count(path) > 1}:
         raise ConfigError(f"named twice: {', '.join(sorted(twice))}")
-    return drives
+    return Found(drives=tuple(drives), left_out=tuple(left_out))
 
 
 def drive_of(paths: Iterable[Path]) -> Drive:
@@ -77,14 +92,15 @@ def drive_of(paths: Iterable[Path]) -> Drive:
     )
 
 
-def _logs_in(folder: Path) -> Iterator[Path]:
-    """Yield the logs in a folder and below, by name; other files are left alone."""
-    others = 0
+def _sorted_out(folder: Path) -> tuple[list[Path], list[LeftOut]]:
+    """Return the logs in a folder and below, by name, and what else is there, each with why it is no log."""
+    logs, others = list[Path](), list[LeftOut]()
     for path in sorted(folder.rglob("*")):
-        if path.is_file():
-            if is_log(path):
-                yield path
-            else:
-                others += 1
-    if others:
-        _LOG.info("%s: %d files are no logs", folder, others)
+        if path.is_dir():
+            continue
+        reason = why_no_log(path) if path.is_file() else "not a regular file"
+        if reason:
+            others.append(LeftOut(path=path, reason=reason))
+        else:
+            logs.append(path)
+    return logs, others

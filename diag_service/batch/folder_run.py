@@ -17,7 +17,7 @@ from typing import TextIO
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn, TransferSpeedColumn
 
-from diag_service.batch.drives import Drive, find_drives
+from diag_service.batch.drives import Drive, LeftOut, find_drives
 from diag_service.batch.journal import Entry, Journal
 from diag_service.batch.tables import TableFormat, format_of, write_results
 from diag_service.batch.worker import analyse_drive, start_worker
@@ -33,6 +33,7 @@ from diag_service.stopping import Trigger
 
 POLL_S = 0.2  # how soon a request to stop is heard
 WAITING_PER_JOB = 2  # drives handed out ahead: a worker never waits, a stop never takes long
+LEFT_OUT_SCHEMA = "clutchdiag/left-out/v1"
 _LOG = logging.getLogger(__name__)
 
 
@@ -79,13 +80,15 @@ def analyse_folders(
     if config.broker is not None:
         _LOG.warning("results of folders are not published")
     settings = settings_digest(config)
-    drives = find_drives(paths)
+    found = find_drives(paths)
+    drives = found.drives
     with ExitStack() as stack:
         journal = stack.enter_context(Journal(_journal_path(output, stack), settings))
         to_do = [drive for drive in drives if drive.key not in journal.done]
         if len(to_do) < len(drives):
             _LOG.log(NOTICE, "%d of %d drives were done before", len(drives) - len(to_do), len(drives))
         lines = _Lines(sys.stdout, as_json=as_json)
+        lines.leave_out(found.left_out)
         for drive, entry in _analysed(config, to_do, jobs, stop):
             journal.add(entry)
             lines.tell(drive, entry)
@@ -193,6 +196,7 @@ class _Lines:
     def __init__(self, stream: TextIO, *, as_json: bool) -> None:
         self._stream = stream
         self._as_json = as_json
+        self._left_out = 0
 
     def tell(self, drive: Drive, entry: Entry) -> None:
         """Tell of one drive."""
@@ -202,10 +206,19 @@ class _Lines:
             return
         self._write(f"{drive.name}: {drive_line(entry)}")
 
+    def leave_out(self, files: Sequence[LeftOut]) -> None:
+        """Tell of files that are no drives: people on standard error, each with its reason."""
+        self._left_out = len(files)
+        for one in files:
+            _LOG.log(NOTICE, "left out: %s: %s", one.path, one.reason)
+            if self._as_json:
+                self._write(dump({"schema": LEFT_OUT_SCHEMA, "path": str(one.path), "reason": one.reason}))
+
     def end(self, tally: Tally) -> None:
         """Tell of all of them."""
         if not self._as_json:
-            self._write(f"{tally.drives} drives, {tally.shifts} shifts, {tally.failed} could not be read")
+            left_out = f", {self._left_out} files left out" if self._left_out else ""
+            self._write(f"{tally.drives} drives, {tally.shifts} shifts, {tally.failed} could not be read{left_out}")
 
     def _write(self, line: str) -> None:
         self._stream.write(line + "\n")

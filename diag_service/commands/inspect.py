@@ -109,6 +109,7 @@ def inspection_record(inspection: Inspection) -> JsonObject:
         "schema": SCHEMA,
         "path": str(inspection.reader.path),
         "format": inspection.reader.format.value,
+        "evidence": inspection.reader.evidence,
         "unreadable": {reason.value: count for reason, count in counts.rejected.items()},
         "first_unreadable": counts.first_rejected,
         "truncated": counts.truncated,
@@ -153,6 +154,7 @@ def _head(inspection: Inspection, bitrate: int) -> list[str]:
     kinds = f"{traffic.fd_frames} CAN FD, {traffic.remote_frames} remote, {traffic.error_frames} error frames"
     since = f"from {utc_from_bus_ns(traffic.first_ns)}{'' if inspection.is_whole else ' (stopped)'}"
     lines = [f"{inspection.reader.path}: {what} {since}", f"bus load at {rate}: {load}; {kinds}"]
+    lines.append(f"taken for {inspection.reader.format.value}: {inspection.reader.evidence}")
     lines += counts.notes
     if counts.first_rejected:
         total = sum(counts.rejected.values())

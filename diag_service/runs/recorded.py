@@ -140,6 +140,7 @@ def warn_of_damage(logs: Sequence[OpenLog]) -> None:
     """Warn of logs with holes."""
     for log in logs:
         counts = log.reader.counts
+        _LOG.info("%s: taken for %s: %s", log.path, log.reader.format, log.reader.evidence)
         for note in counts.notes:
             _LOG.warning("%s: %s", log.path, note)
         if counts.first_rejected:

@@ -6,7 +6,7 @@ from diag_service.sources.live.factory import BusOpener, open_source
 from diag_service.sources.live.pace import Pace
 from diag_service.sources.live.supervisor import SupervisedSource, supervise
 from diag_service.sources.readers.detection import LogFormat
-from diag_service.sources.readers.logs import LogReader, is_log, read_log
+from diag_service.sources.readers.logs import LogReader, is_log, read_log, why_no_log
 from diag_service.sources.readers.merging import merged_by_time
 from diag_service.sources.readers.tally import LogCounts, LogReject
 
@@ -29,4 +29,5 @@ __all__ = [
     "open_source",
     "read_log",
     "supervise",
+    "why_no_log",
 ]

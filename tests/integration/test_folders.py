@@ -61,6 +61,25 @@ def test_logs_that_cannot_be_read_are_told_and_do_not_stop_the_others(drive_log:
     assert f"2 drives, {SHIFT_COUNT} shifts, 1 could not be read" in ended.out
 
 
+def test_files_that_are_left_out_are_listed_with_their_reasons(drive_log: Path, tmp_path: Path) -> None:
+    folder = tmp_path / "logs"
+    fill_folder(folder, drive_log, 1)
+    notes = folder / "notes.txt"
+    notes.write_bytes(b"what we measured\n" * 900 + b"  1)     1841 0001 8 00 11 22 33 44 55 66 77\n")
+    (folder / "trip.zip").write_bytes(b"PK\x03\x04" + bytes(90))
+    ended = run_service(tmp_path / "text", "analyze", folder, "--jobs", "1")
+    assert ended.status == 0
+    assert f"1 drives, {SHIFT_COUNT} shifts, 0 could not be read, 2 files left out" in ended.out
+    assert f"left out: {notes}: not a log of a known format" in ended.err
+    assert re.search(rf"left out: {folder / 'trip.zip'}: not a log .*: a zip archive", ended.err)
+    ended = run_service(tmp_path / "json", "analyze", folder, "--jobs", "1", "--json")
+    records = [json.loads(line) for line in ended.out.splitlines()]
+    left_out = [record for record in records if record["schema"] == "clutchdiag/left-out/v1"]
+    assert [(record["path"], bool(record["reason"])) for record in left_out] == [
+        (str(notes), True), (str(folder / "trip.zip"), True),
+    ]  # fmt: skip
+
+
 @pytest.mark.parametrize(
     ("arguments", "error", "text"),
     [

@@ -40,9 +40,9 @@ def read_candump(stream: BinaryIO, tally: Tally) -> Iterator[FrameBatch]:
             yield batch
 
 
-def holds_candump(text: bytes) -> bool:
-    """Return whether any line of a piece of text holds a frame in candump's grammar."""
-    return len(_Parser(Tally()).parse(np.frombuffer(text + b"\n", np.uint8))) > 0
+def frames_in_candump(text: bytes) -> int:
+    """Return how many lines of a piece of text hold a frame in candump's grammar."""
+    return len(_Parser(Tally()).parse(np.frombuffer(text + b"\n", np.uint8)))
 
 
 @dataclass(slots=True)

@@ -26,6 +26,7 @@ Work = Callable[[Path, Path, Tally], Iterator[FrameBatch]]  # a file, a folder f
 
 MEMORY_BYTES = 128 * 1024 * 1024  # beyond what the library itself takes, for a small file
 MEMORY_PER_BYTE = 4
+COPY_PER_BYTE = 32  # of copies on the disk: records that were packed are there as they are
 CPU_S = 3.0
 BYTES_PER_CPU_S = 2_000_000
 WAIT_PER_CPU_S = 20.0  # others may use the machine, too; processor time is what is limited
@@ -62,7 +63,7 @@ def guarded(work: Work, path: Path, tally: Tally) -> Iterator[FrameBatch]:
                     "path": str(path.resolve()),
                     "folder": folder,
                     "memory_bytes": MEMORY_BYTES + MEMORY_PER_BYTE * content_bytes,
-                    "file_bytes": MEMORY_BYTES + MEMORY_PER_BYTE * content_bytes,
+                    "file_bytes": MEMORY_BYTES + COPY_PER_BYTE * content_bytes,
                     "cpu_s": int(cpu_s) + 1,
                 }
                 _SERVER.ask(json.dumps(request).encode(), sending.fileno())

@@ -14,7 +14,7 @@ from diag_service.sources.readers.asc import read_asc
 from diag_service.sources.readers.blf import read_blf
 from diag_service.sources.readers.candump import read_candump
 from diag_service.sources.readers.compressed import InflatedStream, compression_of
-from diag_service.sources.readers.detection import PROBE_BYTES, TABLES, LogFormat, detect_format, detect_text
+from diag_service.sources.readers.detection import PROBE_BYTES, TABLES, Detected, LogFormat, detect, detect_text
 from diag_service.sources.readers.mf4 import read_mf4
 from diag_service.sources.readers.patience import PatientStream
 from diag_service.sources.readers.sqlite import read_sqlite
@@ -42,14 +42,15 @@ class LogReader(Iterator[FrameBatch]):
     """
 
     def __init__(
-        self, path: Path, stream: BinaryIO, log_format: LogFormat, tally: Tally, *, is_strict: bool = False
+        self, path: Path, stream: BinaryIO, detected: Detected, tally: Tally, *, is_strict: bool = False
     ) -> None:
         self.path = path
-        self.format = log_format
+        self.format = detected.format
+        self.evidence = detected.evidence  # why it was taken for that
         self._tally = tally
         self._stream = stream
         self._opened = path.stat()
-        self._batches = READERS[log_format](cast("BinaryIO", PatientStream(stream, tally)), tally)
+        self._batches = READERS[detected.format](cast("BinaryIO", PatientStream(stream, tally)), tally)
         self._watch = TimeWatch(tally)
         self._is_strict = is_strict
 
@@ -141,11 +142,16 @@ def read_log(path: Path | str, *, is_strict: bool = False) -> LogReader:
 
 def is_log(path: Path) -> bool:
     """Return whether a file is a log of a known format, by its first bytes; False if it cannot be read."""
+    return not why_no_log(path)
+
+
+def why_no_log(path: Path) -> str:
+    """Return why a file is no log of a known format, by its first bytes; empty if it is one."""
     try:
         read_log(path).close()
-    except SourceError:
-        return False
-    return True
+    except SourceError as exc:
+        return str(exc).removeprefix(f"{path}: ")
+    return ""
 
 
 def _reader(path: Path, stream: BinaryIO, *, is_strict: bool) -> LogReader:
@@ -154,11 +160,11 @@ def _reader(path: Path, stream: BinaryIO, *, is_strict: bool) -> LogReader:
     stream.seek(0)
     compression = compression_of(probe)
     if compression is None:
-        return LogReader(path, stream, detect_format(probe), Tally(), is_strict=is_strict)
+        return LogReader(path, stream, detect(probe), Tally(), is_strict=is_strict)
     inflated, tally = InflatedStream(stream, compression), Tally()
-    log_format = detect_text(_beginning(inflated))
+    detected = detect_text(_beginning(inflated))
     inflated.restart(tally)
-    return LogReader(path, cast("BinaryIO", inflated), log_format, tally, is_strict=is_strict)
+    return LogReader(path, cast("BinaryIO", inflated), detected, tally, is_strict=is_strict)
 
 
 def _beginning(inflated: InflatedStream) -> bytes:

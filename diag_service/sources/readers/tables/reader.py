@@ -147,9 +147,9 @@ def frames_in(table: Table, text: bytes) -> int:
     return len(frames_of(table, text))
 
 
-def frames_of(table: Table, text: bytes) -> FrameBatch:
+def frames_of(table: Table, text: bytes, tally: Tally | None = None) -> FrameBatch:
     """Return the frames of a piece of text, which may be cut anywhere."""
-    reader = TableReader(table, Tally(), len(text) // MIN_LINE_BYTES + 2)
+    reader = TableReader(table, tally or Tally(), len(text) // MIN_LINE_BYTES + 2)
     return reader.parse(np.frombuffer(text + b"\n", np.uint8))
 
 

@@ -16,7 +16,7 @@ from diag_service.frames import (
     FrameBatch,
 )
 from diag_service.sources.columns import join
-from diag_service.sources.readers.candump import holds_candump, read_candump
+from diag_service.sources.readers.candump import frames_in_candump, read_candump
 from diag_service.sources.readers.tally import LogCounts, LogReject, Tally
 
 
@@ -154,10 +154,10 @@ def test_a_line_without_end_does_not_fill_the_memory() -> None:
 
 
 def test_recognition() -> None:
-    assert holds_candump(b"# comment\n(1.0) can0 123#11\n")
-    assert holds_candump(b"(1.0) can0 123##0")
-    assert not holds_candump(b"time,id,data\n1.0,123,11\n")
-    assert not holds_candump(b"")
+    assert frames_in_candump(b"# comment\n(1.0) can0 123#11\n")
+    assert frames_in_candump(b"(1.0) can0 123##0")
+    assert not frames_in_candump(b"time,id,data\n1.0,123,11\n")
+    assert not frames_in_candump(b"")
 
 
 USUAL = b"(1767225600.123456) vcan0 0A0#1122334455667788"
