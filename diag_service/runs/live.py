@@ -10,6 +10,7 @@ from diag_service.notices import NOTICE
 from diag_service.publishers import Outbox
 from diag_service.runs.session import Session
 from diag_service.runs.snapshot import frame_counts
+from diag_service.runs.two_senders import SenderWatch
 from diag_service.sources import LinkBreak, LiveSource, Pace
 from diag_service.stopping import Trigger
 from diag_service.summary import FrameCounts, Summary, frames_line, shifts_line
@@ -17,6 +18,7 @@ from diag_service.tasks import first_error
 
 COUNTS_PERIOD_S = 60.0
 SHOW_PERIOD_S = 0.5
+SENDERS_PERIOD_S = 2.0
 SENDER_PAUSE_S = 1.0
 RETRY_PERIOD_S = 5.0  # how often a full disk is asked for room
 _LOG = logging.getLogger(__name__)
@@ -68,6 +70,7 @@ async def run_live(
                 tasks.create_task(_close_in_time(source, stop, duration_s), name="closer"),
                 tasks.create_task(_tell_counts(session, counts, counts_wanted), name="counts"),
                 tasks.create_task(_show(show), name="onlookers"),
+                tasks.create_task(_watch_senders(counts), name="two senders"),
                 tasks.create_task(_retry(session, outbox, turn), name="full disk"),
             )
             try:
@@ -158,6 +161,14 @@ async def _show(show: Callable[[], None]) -> None:
     while True:
         show()
         await asyncio.sleep(SHOW_PERIOD_S)
+
+
+async def _watch_senders(frame_counts: Callable[[], FrameCounts]) -> None:
+    watch = SenderWatch()
+    while True:
+        await asyncio.sleep(SENDERS_PERIOD_S)
+        if (text := watch.look(frame_counts())) is not None:
+            _LOG.warning("%s", text)
 
 
 async def _next(trigger: Trigger) -> None:

@@ -16,6 +16,7 @@ from diag_service.frames import FrameBatch
 from diag_service.publishers import Outbox
 from diag_service.runs.session import Session
 from diag_service.runs.stages import Stages
+from diag_service.runs.two_senders import SenderWatch
 from diag_service.sources import LogReader, merged_by_time, read_log
 from diag_service.stopping import Trigger
 from diag_service.summary import FrameCounts, Summary
@@ -105,6 +106,8 @@ async def run_logs(logs: Sequence[OpenLog], session: Session, *, stop: Trigger, 
     warn_of_damage(logs)
     warn_of_slow_messages(session.stages)
     frames = frame_counts(logs, session.stages, is_whole=not stop.is_set)
+    if (text := SenderWatch().look(frames)) is not None:
+        _LOG.warning("%s", text)
     session.finish(frames, unpublished_count)
     return session.summary(frames, unpublished_count)
 

@@ -8,6 +8,7 @@ import sys
 import threading
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from pathlib import Path
 
 import can
 import pytest
@@ -15,6 +16,7 @@ import pytest
 from canbus import MulticastBus
 from ecu_emulator.other_senders import WORTH_SAYING, OtherSenders
 from tests.replay import UdpBus, free_bus
+from tests.service import service
 
 OWN = (0x0A0, 0x0B0)
 HANG_S = 300.0
@@ -120,9 +122,14 @@ def end(programs: "Sequence[subprocess.Popen[str]]") -> None:
         program.kill()
 
 
-def test_two_emulators_on_one_group_both_say_so() -> None:
+def test_two_emulators_on_one_group_both_say_so_and_the_service_too(tmp_path: Path) -> None:
     place = free_bus()
-    with start(place) as first, start(place) as second:
+    listening = ("run", "-i", "udp_multicast", "-c", place.group, "--store", tmp_path / "car.sqlite")
+    with (
+        service(tmp_path / "run", *listening, variables=place.variables) as listener,
+        start(place) as first,
+        start(place) as second,
+    ):
         programs = (first, second)
         watchdog = threading.Timer(HANG_S, end, [programs])
         watchdog.start()
@@ -131,6 +138,9 @@ def test_two_emulators_on_one_group_both_say_so() -> None:
             warning = next((line for line in program.stderr if line.startswith("warning: ")), "")
             assert "another sender" in warning
             assert "second emulator" in warning
+        listener.wait_for(lambda: "two senders use the same identifiers" in listener.err)
+        listener.send(signal.SIGTERM)
+        listener.wait()
         for program in programs:
             program.send_signal(signal.SIGINT)
         for program in programs:
