@@ -13,6 +13,7 @@ from fleet_backend.errors import ConfigError
 from fleet_backend.ingest import Worker
 
 PERIOD_S: Final = 5.0
+RETRY_S: Final = 0.5  # how soon it is told that all is well again
 
 
 def prepare(path: Path) -> None:
@@ -36,9 +37,10 @@ async def give_signs(path: Path, worker: Worker, engine: Engine, period_s: float
     A database that hangs touches nothing.
     """
     while True:
-        if worker.is_listening and await asyncio.to_thread(answers, engine):
+        is_well = worker.is_listening and await asyncio.to_thread(answers, engine)
+        if is_well:
             _touch(path)
-        await asyncio.sleep(period_s)
+        await asyncio.sleep(period_s if is_well else min(RETRY_S, period_s))
 
 
 def answers(engine: Engine) -> bool:

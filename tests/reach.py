@@ -2,12 +2,13 @@
 
 import asyncio
 import json
+import os
 import socket
 import subprocess
 import sys
 import threading
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass, field
 
 from diag_service.sources import open_source
 from ecu_emulator.bus import open_bus, transmit
@@ -27,6 +28,14 @@ NETWORK = (
     "route add default via 192.0.2.254",
 )
 OPENING_S = 0.3
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Case:
+    """A group and the variables of the environment that name more."""
+
+    group: str
+    variables: dict[str, str] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -69,14 +78,22 @@ async def _meet(group: str) -> int:
     return sum([len(batch) async for batch in source])
 
 
+def reach_of(case: Case) -> Reach:
+    """Let the two ends meet on a group, as a configuration has it, and return what happened."""
+    os.environ.pop("CAN_CONFIG", None)
+    os.environ.update(case.variables)
+    cable = Cable()
+    heard = asyncio.run(_meet(case.group))
+    udp, ipv4 = cable.counts()
+    return Reach(heard=heard, left_udp=udp, left_ipv4=ipv4)
+
+
 def main(arguments: Sequence[str]) -> None:
-    """Build the network, let the two ends meet on a group and print what happened."""
+    """Build the network and print what happened in each case."""
     for command in NETWORK:
         subprocess.run(["ip", *command.split()], check=True, timeout=20)
-    cable = Cable()
-    heard = asyncio.run(_meet(arguments[0]))
-    udp, ipv4 = cable.counts()
-    print(json.dumps({"heard": heard, "left_udp": udp, "left_ipv4": ipv4}))
+    for content in json.loads(arguments[0]):
+        print(json.dumps(asdict(reach_of(Case(**content)))), flush=True)
 
 
 if __name__ == "__main__":
