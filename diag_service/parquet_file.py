@@ -10,6 +10,7 @@ from diag_service.errors import ConfigError, StoreError
 
 TIME_TYPE = "timestamp[ns, UTC]"
 BOOL_TYPE = "bool"
+TIME_ENCODING = "DELTA_BINARY_PACKED"
 NAME_TYPE = "name"  # a text of few different values
 
 
@@ -36,7 +37,7 @@ class ParquetTable:
     path : Path
         The file.
     columns : Mapping of str to str
-        Names and types: ``int64``, ``float64``, ``string``, ``BOOL_TYPE``, ``TIME_TYPE`` or ``NAME_TYPE``.
+        Names and types: ``int32``, ``int64``, ``float64``, ``string``, ``BOOL_TYPE``, ``TIME_TYPE`` or ``NAME_TYPE``.
     metadata : Mapping of str to Mapping of str to str
         Of columns, such as ``{"unit": "rpm"}``.
 
@@ -54,6 +55,7 @@ class ParquetTable:
         self._arrow = load_pyarrow()
         self._path = path
         kinds = {
+            "int32": self._arrow.int32(),
             "int64": self._arrow.int64(),
             "float64": self._arrow.float64(),
             "string": self._arrow.string(),
@@ -66,7 +68,15 @@ class ParquetTable:
             [self._arrow.field(name, kinds[kind], metadata=extra.get(name)) for name, kind in columns.items()]
         )
         try:
-            self._writer = self._arrow.parquet.ParquetWriter(path, self.schema, compression="zstd")
+            self._writer = self._arrow.parquet.ParquetWriter(
+                path,
+                self.schema,
+                compression="zstd",
+                # Times hardly repeat, so differences are smaller; nobody looks for the least of some names.
+                use_dictionary=[name for name, kind in columns.items() if kind != TIME_TYPE],
+                write_statistics=[name for name, kind in columns.items() if kind not in {NAME_TYPE, BOOL_TYPE}],
+                column_encoding={name: TIME_ENCODING for name, kind in columns.items() if kind == TIME_TYPE},
+            )
         except OSError as exc:
             raise StoreError(f"cannot write {path}: {exc.strerror or exc}") from exc
 

@@ -13,11 +13,11 @@ from diag_service.decoding.decode import (
     NO_INVALID,
     BoolArray,
     Decoded,
-    IntegerCode,
     InvalidCounts,
     Selector,
     SignalTable,
 )
+from diag_service.decoding.value_codes import IntegerCode
 
 NO_MASK: Final = np.ones((0, 0), np.bool_)
 

@@ -13,8 +13,9 @@ import numpy as np
 from clutch_model.jit import array_kernel
 from diag_service.columns import FloatArray, Int64Array, Signal, UInt8Array, UInt32Array
 from diag_service.decoding.bit_fields import WORD_BITS, WORD_BYTES
-from diag_service.decoding.decode import NO_INVALID, IntegerCode, InvalidCounts
+from diag_service.decoding.decode import NO_INVALID, InvalidCounts
 from diag_service.decoding.source_tables import SourceTable
+from diag_service.decoding.value_codes import IntegerCode
 from diag_service.definitions.profile import Conversion
 from diag_service.frames import ERROR_FLAG, MAX_GAP_NS, FrameBatch, empty_batch
 from diag_service.protection.frame_judge import FrameReason

@@ -20,7 +20,7 @@ from diag_service.signal_tables.texts import NAMELESS, Int32Array, Values, Value
 
 TIME, CHANNEL, ID, IS_EXTENDED = "time", "channel", "id", "is_extended"
 MESSAGE, SIGNAL, VALUE, TEXT, UNIT = "message", "signal", "value", "text", "unit"
-FRAME_KINDS: Final = {TIME: TIME_TYPE, CHANNEL: "int64", ID: "int64", IS_EXTENDED: BOOL_TYPE, MESSAGE: NAME_TYPE}
+FRAME_KINDS: Final = {TIME: TIME_TYPE, CHANNEL: "int64", ID: "int32", IS_EXTENDED: BOOL_TYPE, MESSAGE: NAME_TYPE}
 _BARE_ID: Final = np.uint32(0x1FFF_FFFF)
 Column = Any  # of pyarrow, which is untyped
 
@@ -61,7 +61,7 @@ class Layout:
         return {
             TIME: arrow.array(batch.t_ns[rows], type=arrow.timestamp("ns", "UTC")),
             CHANNEL: batch.channel[rows].astype(np.int64),
-            ID: (can_id & _BARE_ID).astype(np.int64),
+            ID: (can_id & _BARE_ID).astype(np.int32),
             IS_EXTENDED: (can_id & np.uint32(EXTENDED_FLAG)) != 0,
         }
 
@@ -115,7 +115,8 @@ class WideLayout(Layout):
                 self._fill(cells, (one.slot, name), target, one, decoded)
         messages = [self._names.messages[one.slot] for one in found]
         columns = self._frame_columns(batch, rows[order])
-        columns[MESSAGE] = coded(messages, [len(one.rows) for one in found], order)
+        which = np.repeat(np.arange(len(found), dtype=np.int32), [len(one.rows) for one in found])[order]
+        columns[MESSAGE] = coded(messages, which)
         for place in self._places:
             columns[self._names.columns[place]] = cells.numbers(place)
             if place in self._texts:
@@ -158,10 +159,10 @@ class LongLayout(Layout):
             return 0, {}
         rows = np.concatenate([part.rows for part in parts])
         order = np.argsort(rows, kind="stable")
-        counts = [len(part.rows) for part in parts]
+        which = np.repeat(np.arange(len(parts), dtype=np.int32), [len(part.rows) for part in parts])[order]
         columns = self._frame_columns(batch, rows[order])
-        columns[MESSAGE] = coded([part.message for part in parts], counts, order)
-        columns[SIGNAL] = coded([part.signal for part in parts], counts, order)
+        columns[MESSAGE] = coded([part.message for part in parts], which)
+        columns[SIGNAL] = coded([part.signal for part in parts], which)
         value = np.concatenate([part.value for part in parts])[order]
         if self._values is Values.NUMBERS:
             columns[VALUE] = value
@@ -171,7 +172,7 @@ class LongLayout(Layout):
             hidden = is_named if self._values is Values.TEXTS else None
             columns[VALUE] = load_pyarrow().array(value, mask=hidden)
             columns[TEXT] = _dictionary(codes[order], names)
-        columns[UNIT] = coded([part.unit for part in parts], counts, order)
+        columns[UNIT] = coded([part.unit for part in parts], which)
         return len(rows), columns
 
     def _parts(self, one: MessageValues) -> Iterator[_Part]:
@@ -229,11 +230,13 @@ class _Cells:
         return _dictionary(np.full(self._count, NAMELESS, np.int32) if codes is None else codes, names)
 
 
-def coded(names: Sequence[str], counts: Sequence[int], order: Int64Array) -> Column:
-    """Return a text column as codes and their names: each name as often as it counts, then put in order."""
+def coded(names: Sequence[str], which: Int32Array) -> Column:
+    """Return a text column as codes and their names; ``which`` of the names each row has."""
     known = {name: code for code, name in enumerate(dict.fromkeys(names))}
-    codes = np.repeat(np.array([known[name] for name in names], np.int32), counts)[order]
-    return _dictionary(codes, list(known))
+    codes = np.array([known[name] for name in names], np.int32)[which]
+    arrow = load_pyarrow()
+    indices = arrow.Array.from_buffers(arrow.int32(), len(codes), [None, arrow.py_buffer(codes)])
+    return arrow.DictionaryArray.from_arrays(indices, arrow.array(list(known), arrow.string()))
 
 
 def _joined_texts(parts: Sequence[_Part]) -> tuple[Int32Array, list[str]]:

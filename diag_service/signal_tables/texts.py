@@ -8,7 +8,8 @@ import numpy.typing as npt
 from cantools.database.can.signal import Signal
 
 from diag_service.decoding.bit_fields import PayloadWords
-from diag_service.decoding.decode import FloatCode, SignalTable
+from diag_service.decoding.decode import SignalTable
+from diag_service.decoding.value_codes import FloatCode
 
 Int32Array = npt.NDArray[np.int32]
 NAMELESS: Final = -1
