@@ -53,7 +53,7 @@ _DECODED, _SHORT, _TRANSPORTED = int(FrameFate.DECODED), int(FrameFate.SHORT), i
 _WITHOUT_SIGNALS, _UNKNOWN = int(FrameFate.WITHOUT_SIGNALS), int(FrameFate.UNKNOWN)
 _REMOTE, _ERROR = int(FrameFate.REMOTE), int(FrameFate.ERROR)
 _FD_ONLY, _NO_FRAME = int(Carriage.FD_ONLY), int(Carriage.NO_FRAME)
-_REMOTE_FLAG, _ERROR_FLAG, _FD_FLAG = int(REMOTE_FLAG), int(ERROR_FLAG), int(FD_FLAG)
+_NO_DATA, _ERROR_FLAG, _FD_FLAG = int(REMOTE_FLAG | ERROR_FLAG), int(ERROR_FLAG), int(FD_FLAG)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -86,7 +86,7 @@ class MessageValues:
     rows: Int64Array  # (k,) of the batch, rising
     signals: Mapping[str, Decoded]  # (k,) each
     cut_off: Mapping[str, int]  # values that lie behind the end of short frames
-    words: PayloadWords
+    words: PayloadWords  # made anew: those that were decoded need not stay in memory
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -137,13 +137,14 @@ class Codec:
         self._min_length = np.array(lengths, np.int64)
         self._carriage = np.array([table.carriage for table in self.tables], np.int64)
         self._is_empty = np.array([not table.signals for table in self.tables], np.bool_)
+        self._is_plain = ~self._is_empty & (self._carriage == Carriage.ANY_FRAME)  # of nearly all frames
 
     def match(self, batch: FrameBatch) -> FrameMatch:
         """Return which message each frame of a batch is."""
         slot = np.empty(len(batch), np.int64)
         counts = np.zeros((len(self.tables) + 1, len(FrameFate)), np.int64)
         find_slots(
-            self._book, self._min_length, self._carriage, self._is_empty,
+            self._book, self._min_length, self._carriage, self._is_empty, self._is_plain,
             np.require(batch.can_id, np.uint32, ("C", "W")), np.require(batch.length, np.uint8, ("C", "W")),
             np.require(batch.flags, np.uint8, ("C", "W")), slot, counts,
         )  # fmt: skip
@@ -156,8 +157,9 @@ class Codec:
     def decode(self, batch: FrameBatch, match: FrameMatch | None = None) -> Iterator[MessageValues]:
         """Yield the messages that are in a batch, in the order of the codec."""
         match = match or self.match(batch)
+        short_counts = match.counts[:, _SHORT].tolist()
         for slot, rows in rows_by_slot(match.slot, len(self.tables)):
-            if not match.counts[slot, FrameFate.SHORT]:
+            if not short_counts[slot]:
                 yield self._whole(batch, slot, rows)
                 continue
             length = batch.length[rows]
@@ -167,8 +169,9 @@ class Codec:
                 yield self._part(batch, slot, rows[length == size], size)
 
     def _whole(self, batch: FrameBatch, slot: int, rows: Int64Array) -> MessageValues:
+        signals = self._blocks[slot].decode(payload_words(batch.data, rows))
         words = payload_words(batch.data, rows)
-        return MessageValues(slot=slot, rows=rows, signals=self._blocks[slot].decode(words), cut_off={}, words=words)
+        return MessageValues(slot=slot, rows=rows, signals=signals, cut_off={}, words=words)
 
     def _part(self, batch: FrameBatch, slot: int, rows: Int64Array, size: int) -> MessageValues:
         """Return the signals that lie in frames of some size, and how many values lie behind their end."""
@@ -179,7 +182,8 @@ class Codec:
         words = payload_words(batch.data, rows)
         signals = self._parts[slot, size].decode(words)
         cut_off = {name: table.cut_off_count(words, size) for name, table in tables.items() if name not in signals}
-        return MessageValues(slot=slot, rows=rows, signals=signals, cut_off=cut_off, words=words)
+        again = payload_words(batch.data, rows)
+        return MessageValues(slot=slot, rows=rows, signals=signals, cut_off=cut_off, words=again)
 
 
 def message_table(
@@ -222,6 +226,7 @@ def find_slots(
     min_length: Int64Array,
     carriage: Int64Array,
     is_empty: BoolArray,
+    is_plain: BoolArray,
     can_id: UInt32Array,
     length: UInt8Array,
     flags: UInt8Array,
@@ -230,23 +235,25 @@ def find_slots(
 ) -> None:
     """Fill in the message of each frame, NOBODY where no signal can be decoded, and count what becomes of them."""
     nobody = counts.shape[0] - 1
+    unknown = 0
     for row in range(can_id.size):
         slot[row] = NOBODY
-        if can_id[row] & _ERROR_FLAG:
-            counts[nobody, _ERROR] += 1
-            continue
-        if can_id[row] & _REMOTE_FLAG:
-            counts[nobody, _REMOTE] += 1
+        if can_id[row] & _NO_DATA:
+            counts[nobody, _ERROR if can_id[row] & _ERROR_FLAG else _REMOTE] += 1
             continue
         found = find_slot(book, int(can_id[row]))
         if found == NOBODY:
-            counts[nobody, _UNKNOWN] += 1
-            continue
-        is_classic = flags[row] & _FD_FLAG == 0 and length[row] <= PAYLOAD_BYTES
-        if carriage[found] == _NO_FRAME or (carriage[found] == _FD_ONLY and is_classic):
+            unknown += 1
+        elif is_plain[found] and length[row] >= min_length[found]:
+            slot[row] = found
+            counts[found, _DECODED] += 1
+        elif carriage[found] == _NO_FRAME or (
+            carriage[found] == _FD_ONLY and flags[row] & _FD_FLAG == 0 and length[row] <= PAYLOAD_BYTES
+        ):
             counts[found, _TRANSPORTED] += 1
         elif is_empty[found]:
             counts[found, _WITHOUT_SIGNALS] += 1
         else:
             slot[row] = found
             counts[found, _DECODED if length[row] >= min_length[found] else _SHORT] += 1
+    counts[nobody, _UNKNOWN] = unknown

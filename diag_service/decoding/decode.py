@@ -167,7 +167,7 @@ def compile_signal(
     check_range : bool
         Whether values outside the signal's [min|max] are invalid; some databases have junk there.
     codes : tuple of CodeRange
-        Raw values of an integer that are no measurements.
+        Raw values of an integer that are no measurements, as ranges that do not overlap.
 
     Raises
     ------

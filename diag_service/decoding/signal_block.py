@@ -84,14 +84,16 @@ class SignalBlock:
             if row < 0:
                 found[name] = table.decode(words)
                 continue
-            invalid = InvalidCounts(*bad_counts[row])
-            is_good = good[row] if invalid.total else None
+            codes, outside = bad_counts[row]
+            is_bad = codes or outside  # rarely: what is the same for all signals is made once
+            invalid = InvalidCounts(codes, outside) if is_bad else NO_INVALID
+            is_good = good[row] if is_bad else None
             if not table.selectors:
                 found[name] = Decoded(values[row], is_good, invalid)
                 continue
             if table.selectors not in present:
                 present[table.selectors] = table.presence(words)
-            if invalid.not_available and invalid.out_of_range:  # which of them are present, the table tells
+            if codes and outside:  # which of them are present, the table tells
                 found[name] = table.decode(words)
             else:
                 found[name] = _selected(values[row], present[table.selectors], is_good, invalid)
@@ -162,16 +164,21 @@ def _check(
 ) -> None:
     """Fill in which raw values are measurements, and how many are codes and how many out of range."""
     lowest, highest = ends
-    codes = 0
     outside = 0
     for row in range(word.size):
         raw = np.int64(word[row] << left) >> np.int64(right) if is_signed else np.int64((word[row] << left) >> right)
-        is_code = False
-        for place in range(unusable.shape[0]):
-            is_code |= unusable[place, 0] <= raw <= unusable[place, 1]
         is_inside = lowest <= raw <= highest
-        good[row] = is_inside and not is_code
-        codes += is_code
-        outside += not is_code and not is_inside
+        good[row] = is_inside
+        outside += not is_inside
+    codes = 0
+    for place in range(unusable.shape[0]):
+        for row in range(word.size):
+            raw = (
+                np.int64(word[row] << left) >> np.int64(right) if is_signed else np.int64((word[row] << left) >> right)
+            )
+            if unusable[place, 0] <= raw <= unusable[place, 1]:
+                codes += 1
+                outside -= not good[row]
+                good[row] = False
     bad_count[0] = codes
     bad_count[1] = outside

@@ -57,7 +57,18 @@ def no_value_codes(message: Message, signal: Signal, *, is_j1939: bool = False) 
     codes = _named_ends(signal)
     if message.is_extended_frame and (is_j1939 or message.protocol == J1939) and not signal.is_signed:
         codes += _j1939_codes(message, signal)
-    return tuple(sorted(set(codes)))
+    return _merged(codes)
+
+
+def _merged(codes: list[CodeRange]) -> tuple[CodeRange, ...]:
+    """Return the same raw values as ranges that rise and do not touch."""
+    merged: list[CodeRange] = []
+    for first, last in sorted(codes):
+        if merged and first <= merged[-1][1] + 1:
+            merged[-1] = merged[-1][0], max(last, merged[-1][1])
+        else:
+            merged.append((first, last))
+    return tuple(merged)
 
 
 def _j1939_codes(message: Message, signal: Signal) -> list[CodeRange]:

@@ -4,13 +4,14 @@ Nothing is null that a frame carries: null are signals of other messages, of oth
 behind the end of a short frame.
 """
 
+from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any, Final
 
 import numpy as np
 
-from diag_service.columns import FloatArray, Int64Array, UInt32Array
+from diag_service.columns import FloatArray, Int64Array, UInt8Array, UInt32Array
 from diag_service.decoding.codec import MessageTable, MessageValues
 from diag_service.decoding.decode import BoolArray, Decoded
 from diag_service.frames import EXTENDED_FLAG, FrameBatch
@@ -106,13 +107,12 @@ class WideLayout(Layout):
         order = np.argsort(rows, kind="stable")
         to_row = np.empty(len(rows), np.int64)
         to_row[order] = np.arange(len(rows))
-        cells = _Cells(len(rows))
+        cells, slots = _Cells(len(rows)), Counter(one.slot for one in found)
         start = 0
         for one in found:
             target = to_row[start : start + len(one.rows)]
             start += len(one.rows)
-            for name, decoded in one.signals.items():
-                self._fill(cells, (one.slot, name), target, one, decoded)
+            self._fill(cells, one, target, is_only=slots[one.slot] == 1)
         messages = [self._names.messages[one.slot] for one in found]
         columns = self._frame_columns(batch, rows[order])
         which = np.repeat(np.arange(len(found), dtype=np.int32), [len(one.rows) for one in found])[order]
@@ -123,16 +123,26 @@ class WideLayout(Layout):
                 columns[self._names.columns[place] + TEXT_SUFFIX] = cells.texts(place, self._texts[place].names)
         return len(rows), columns
 
-    def _fill(self, cells: "_Cells", place: Place, target: Int64Array, one: MessageValues, decoded: Decoded) -> None:
-        texts = self._texts.get(place)
-        if texts is None:
-            cells.put(place, target, decoded.value, decoded.is_present)
-            return
-        codes = texts.codes(one.words)
-        if decoded.is_present is not None:
-            codes = np.where(decoded.is_present, codes, np.int32(NAMELESS))
+    def _fill(self, cells: "_Cells", one: MessageValues, target: Int64Array, *, is_only: bool) -> None:
+        """Fill in the values of some frames; ``is_only`` if no others of their message are in the row group."""
+        bits = cells.bits_of(target)
+        for name, decoded in one.signals.items():
+            place = one.slot, name
+            if place in self._texts:
+                self._fill_named(cells, place, target, one, decoded)
+            elif is_only and decoded.is_present is None:
+                cells.put_all(place, target, decoded.value, bits)
+            else:
+                cells.put(place, target, decoded.value, decoded.is_present)
+
+    def _fill_named(
+        self, cells: "_Cells", place: Place, target: Int64Array, one: MessageValues, decoded: Decoded
+    ) -> None:
+        """Fill in the values of a signal with a value table, and their texts."""
+        present, codes = decoded.is_present, self._texts[place].codes(one.words)
+        if present is not None:
+            codes = np.where(present, codes, np.int32(NAMELESS))
         cells.put_codes(place, target, codes)
-        present = decoded.is_present
         if self._values is Values.TEXTS:
             present = codes == NAMELESS if present is None else present & (codes == NAMELESS)
         cells.put(place, target, decoded.value, present)
@@ -199,6 +209,7 @@ class _Cells:
         self._count = row_count
         self._value: dict[Place, FloatArray] = {}
         self._is_there: dict[Place, BoolArray] = {}
+        self._bits: dict[Place, UInt8Array] = {}
         self._codes: dict[Place, Int32Array] = {}
 
     def put(self, place: Place, target: Int64Array, value: FloatArray, is_present: BoolArray | None) -> None:
@@ -208,6 +219,18 @@ class _Cells:
             self._is_there[place] = np.zeros(self._count, np.bool_)
         self._value[place][target] = value
         self._is_there[place][target] = True if is_present is None else is_present
+
+    def put_all(self, place: Place, target: Int64Array, value: FloatArray, bits: UInt8Array) -> None:
+        """Fill in a signal at once; ``bits`` of its rows serve all signals of a message."""
+        self._value[place] = np.zeros(self._count)
+        self._value[place][target] = value
+        self._bits[place] = bits
+
+    def bits_of(self, target: Int64Array) -> UInt8Array:
+        """Return a bit per row, set in some of them."""
+        is_there = np.zeros(self._count, np.bool_)
+        is_there[target] = True
+        return np.packbits(is_there, bitorder="little")
 
     def put_codes(self, place: Place, target: Int64Array, codes: Int32Array) -> None:
         """Fill in some rows of a signal's texts."""
@@ -220,7 +243,9 @@ class _Cells:
         arrow = load_pyarrow()
         if place not in self._value:
             return arrow.nulls(self._count, arrow.float64())
-        bits = np.packbits(self._is_there[place], bitorder="little")
+        bits = self._bits.get(place)
+        if bits is None:
+            bits = np.packbits(self._is_there[place], bitorder="little")
         buffers = [arrow.py_buffer(bits), arrow.py_buffer(self._value[place])]
         return arrow.Array.from_buffers(arrow.float64(), self._count, buffers)
 

@@ -69,6 +69,11 @@ def test_j1939_sets_codes_apart(length: int, expected: tuple[CodeRange, ...]) ->
     assert codes(length, can_id=PROPRIETARY_B, protocol="j1939") == ()
 
 
+def test_codes_of_both_kinds_are_told_once() -> None:
+    assert codes(8, {250: "SNA", 255: "SNA"}, can_id=EEC1, protocol="j1939") == ((0xFB, 0xFF),)
+    assert codes(8, dict.fromkeys(range(240, 256), "SNA"), can_id=EEC1, protocol="j1939") == ((240, 255),)
+
+
 def test_floats_have_no_codes() -> None:
     conversion = BaseConversion.factory(is_float=True, choices={255: "SNA"})  # type: ignore[arg-type]  # as above
     signal = Signal("S", start=0, length=32, conversion=conversion)
