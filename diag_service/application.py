@@ -1,9 +1,7 @@
 """Wiring: a checked configuration becomes stages, a store, a reporter and an outbox, and runs."""
 
 import asyncio
-import io
 import logging
-import os
 import sys
 import uuid
 from collections.abc import Callable, Mapping
@@ -21,6 +19,7 @@ from diag_service.estimation import Belief
 from diag_service.estimation.paper import PaperCollection, nominal_driveline
 from diag_service.interpretation import interpret
 from diag_service.judgement.condition import ConditionMemory
+from diag_service.legible import legible
 from diag_service.notices import NOTICE
 from diag_service.publishers import (
     Acknowledge,
@@ -45,9 +44,11 @@ from diag_service.runs.snapshot import Board, Snapshot, SnapshotTaker
 from diag_service.runs.stages import Stages
 from diag_service.service_manager import ServiceManager
 from diag_service.sources import BusOpener, Pace, supervise
+from diag_service.standard_output import discard
 from diag_service.stopping import Trigger
 from diag_service.store import ResultStore, Versions
 from diag_service.summary import frames_line
+from diag_service.terminal import PeopleConsole
 from fleet_contract import Outgoing, config_message, metrics_message
 
 _LOG = logging.getLogger(__name__)
@@ -73,7 +74,7 @@ def run_bus(config: DiagnosisConfig, bus: BusConfig, store_path: Path, controls:
 def run_monitor(config: DiagnosisConfig, bus: BusConfig, controls: Controls) -> None:
     """Show a live bus until told to stop; nothing is stored or published."""
     decoder = interpret(config.dbc, config.profile).decoder()
-    with closing(ResultStore.in_memory()) as store, Monitor(_HonestConsole()) as monitor:
+    with closing(ResultStore.in_memory()) as store, Monitor(PeopleConsole()) as monitor:
         session = _session(config, decoder, store, None, PipeReporter(SilentReporter(), controls.stop.set))
         asyncio.run(_run_bus(replace(config, broker=None), bus, store, session, controls, monitor.show))
 
@@ -107,7 +108,7 @@ def run_paper_recorded(config: DiagnosisConfig, paths: list[Path], controls: Con
     stages = Stages(decoder, config.calibration, Belief.fresh(config.calibration), ConditionMemory.fresh())
     collection = PaperCollection(config.calibration, nominal_driveline())
     logs = open_drive(paths, is_strict=config.is_strict)
-    run_paper(logs, stages, collection, sys.stdout if as_json else Console(), controls.stop)
+    run_paper(logs, stages, collection, sys.stdout if as_json else PeopleConsole(), controls.stop)
 
 
 def run_calibrate(
@@ -121,7 +122,7 @@ def run_calibrate(
     if as_json:
         sys.stdout.write(dump(calibrate_run.record(found, config.calibration, config.vehicle)) + "\n")
     else:
-        calibrate_run.show(found, config.calibration, output, Console())
+        calibrate_run.show(found, config.calibration, output, PeopleConsole())
 
 
 async def _run_bus(
@@ -201,14 +202,12 @@ def _versions(config: DiagnosisConfig) -> Versions:
 
 def _reporter(stop: Trigger, *, as_json: bool) -> Reporter:
     def hang_up() -> None:
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # what is still buffered goes nowhere
+        discard()
         stop.set()
 
-    if isinstance(sys.stdout, io.TextIOWrapper):
-        sys.stdout.reconfigure(errors="replace")  # a terminal that cannot show a sign is no reason to stop
     if as_json:
         return PipeReporter(JsonLinesReporter(sys.stdout, Console(stderr=True)), hang_up)
-    return PipeReporter(ConsoleReporter(_HonestConsole()), hang_up)
+    return PipeReporter(ConsoleReporter(PeopleConsole()), hang_up)
 
 
 def _outbox(config: DiagnosisConfig, store: ResultStore, session: Session, *, is_live: bool) -> Outbox | None:
@@ -253,8 +252,8 @@ def _greeting(config: DiagnosisConfig, status: ServiceStatus) -> Outgoing:
         "broker_is_encrypted": config.broker is not None and config.broker.tls is not None,
         "acknowledge": config.acknowledge.value,
         "store_budget_bytes": config.budget_bytes,
-        "dbc": str(config.dbc or "shipped"),
-        "profile": str(config.profile or "shipped"),
+        "dbc": legible(str(config.dbc or "shipped")),
+        "profile": legible(str(config.profile or "shipped")),
     }
     return config_message(config.vehicle, _utc_now(), settings)
 
@@ -280,10 +279,3 @@ def _connect_now(connector: MqttConnector) -> Callable[[], AbstractAsyncContextM
 
 def _utc_now() -> str:
     return iso_utc(datetime.now(UTC))
-
-
-class _HonestConsole(Console):
-    """A console that lets its owner know of a broken pipe, instead of ending the process."""
-
-    def on_broken_pipe(self) -> None:
-        raise BrokenPipeError

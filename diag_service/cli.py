@@ -26,6 +26,8 @@ from diag_service.errors import (
     StoppedError,
     StoreError,
 )
+from diag_service.legible import legible
+from diag_service.standard_output import standard_output
 from diag_service.stopping import Trigger, ignore
 
 
@@ -37,7 +39,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     try:
         options = build_parser().parse_args(arguments)
         try:
-            _run(options, stop, counts_wanted)
+            with standard_output():
+                _run(options, stop, counts_wanted)
         except StoppedError as exc:
             return _end_early(exc, stop)
         except Exception as exc:  # noqa: BLE001 - the one place where nothing may pass
@@ -80,7 +83,7 @@ def _complain(exc: Exception, *, is_verbose: bool) -> int:
     ):
         if isinstance(exc, kinds):
             status = code
-    text = " ".join(str(exc).split())
+    text = legible(" ".join(str(exc).split()))
     if status == EXIT_UNEXPECTED:
         hint = "" if is_verbose else " (-v shows where)"
         text = f"unexpected {type(exc).__name__}: {text}{hint}"

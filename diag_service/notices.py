@@ -4,6 +4,7 @@ import logging
 import sys
 
 from clutch_model.compiling import tell_of_compiling
+from diag_service.legible import legible
 
 NOTICE = 25  # between INFO and WARNING: always shown, nothing is wrong
 _PROGRAM = "diag-service"
@@ -14,7 +15,7 @@ class _OneLine(logging.Formatter):
 
     def format(self, record: logging.LogRecord) -> str:
         level = f"{record.levelname.lower()}: " if record.levelno >= logging.WARNING else ""
-        line = f"{_PROGRAM}: {level}{record.getMessage()}"
+        line = f"{_PROGRAM}: {level}{legible(record.getMessage())}"
         return f"{line}\n{self.formatException(record.exc_info)}" if record.exc_info else line
 
 

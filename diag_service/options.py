@@ -8,6 +8,7 @@ from urllib.parse import urlsplit
 
 from diag_service.defaults import BROKER_VARIABLE, CONFIG_VARIABLE, DEFAULTS, PREFIX, OptionValue
 from diag_service.errors import ConfigError
+from diag_service.legible import legible
 from fleet_contract import VariableError, check_variables
 
 
@@ -51,6 +52,6 @@ def _line(name: str, value: OptionValue) -> str:
         return f"{name} = {str(value).lower()}\n"
     if isinstance(value, int | float):
         return f"{name} = {value}\n"
-    text = mask(str(value)) if name == "broker" else str(value)
+    text = mask(str(value)) if name == "broker" else legible(str(value))
     escaped = text.replace("\\", "\\\\").replace('"', '\\"')
     return f'{name} = "{escaped}"\n'

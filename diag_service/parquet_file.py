@@ -68,8 +68,9 @@ class ParquetTable:
             [self._arrow.field(name, kinds[kind], metadata=extra.get(name)) for name, kind in columns.items()]
         )
         try:
+            self._file = path.open("wb")  # pyarrow itself takes no name that is not UTF-8
             self._writer = self._arrow.parquet.ParquetWriter(
-                path,
+                self._file,
                 self.schema,
                 compression="zstd",
                 # Times hardly repeat, so differences are smaller; nobody looks for the least of some names.
@@ -86,7 +87,10 @@ class ParquetTable:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        self._translated(self._writer.close)
+        try:
+            self._translated(self._writer.close)
+        finally:
+            self._translated(self._file.close)
 
     def write_rows(self, rows: Sequence[Mapping[str, object]]) -> None:
         """Write rows as one group; keys that are missing are null."""

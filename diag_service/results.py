@@ -12,6 +12,7 @@ from typing import Any, TypeVar
 
 from diag_service.comparison import ClutchRatio, FrictionTrend, ScaleFreeFriction, ShiftScatter
 from diag_service.errors import ResultError
+from diag_service.legible import legible_record
 from diag_service.records import (
     ClutchVerdict,
     Condition,
@@ -148,7 +149,10 @@ def dump(record: Mapping[str, object]) -> str:
         If a number is NaN or infinite, which JSON cannot carry.
     """
     try:
-        return json.dumps(record, allow_nan=False, separators=(",", ":"))
+        text = json.dumps(record, allow_nan=False, separators=(",", ":"))
+        if "\\ud" not in text:
+            return text
+        return json.dumps(legible_record(record), allow_nan=False, separators=(",", ":"))
     except ValueError as exc:
         raise ResultError(f"a result holds a number that is not finite: {record!r}") from exc
 

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Final, NoReturn
 
 from ecu_emulator import __version__
 from ecu_emulator.errors import BusError, ConfigError, EmulatorError, ExtraMissingError, RecordError
+from ecu_emulator.standard_output import standard_output
 
 if TYPE_CHECKING:
     from types import FrameType
@@ -37,7 +38,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     with _stop_on_signals(is_program=arguments is None) as stop:
         options = _parser().parse_args(arguments)
         try:
-            _execute(options, stop)
+            with standard_output():
+                _execute(options, stop)
         except EmulatorError as exc:
             return _fail(str(exc), STATUS_OF_ERROR.get(type(exc), STATUS_UNEXPECTED), verbose=options.verbose)
         except KeyboardInterrupt:

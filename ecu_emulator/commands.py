@@ -1,11 +1,12 @@
 """What the emulator's commands do, once arguments are read and signals are in hand; live sending is in ``live``."""
 
+import shutil
+import sys
+import textwrap
 import time
 from dataclasses import replace
 from pathlib import Path
 from threading import Event
-
-from rich.console import Console
 
 from ecu_emulator.errors import ConfigError
 from ecu_emulator.progress import ProgressLine, people, print_json
@@ -50,9 +51,20 @@ def choose_scenario(
 
 def list_scenarios() -> None:
     """Print the shipped scenarios."""
-    console = Console(highlight=False, soft_wrap=True)
+    width = shutil.get_terminal_size().columns if sys.stdout.isatty() else None
     for name in shipped_scenarios():
-        console.print(f"{name:<12} {load_scenario(name).description}", markup=False)
+        sys.stdout.write(hanging(f"{name:<12} ", load_scenario(name).description, width) + "\n")
+
+
+def hanging(head: str, text: str, width: int | None) -> str:
+    """Return a text behind a head, its further lines below its first; without a width there is one line."""
+    if width is None:
+        return f"{head}{text}"
+    indent = min(len(head), width // 2)
+    lines = textwrap.wrap(
+        f"{head}{text}", width, subsequent_indent=" " * indent, break_long_words=False, break_on_hyphens=False
+    )
+    return "\n".join(lines)
 
 
 def record(

@@ -1,12 +1,15 @@
 """What the program says: progress and results for people on standard error, data on standard output."""
 
 import json
+import sys
 from collections.abc import Mapping
 from types import TracebackType
 from typing import Final, Self
 
 from rich.console import Console
 from rich.status import Status
+
+from ecu_emulator.standard_output import legible
 
 LOG_PERIOD_S: Final = 10.0
 
@@ -18,7 +21,8 @@ def people() -> Console:
 
 def print_json(content: Mapping[str, object]) -> None:
     """Print one JSON line on standard output."""
-    Console(soft_wrap=True).out(json.dumps(content), highlight=False)
+    told = {name: legible(value) if isinstance(value, str) else value for name, value in content.items()}
+    sys.stdout.write(json.dumps(told) + "\n")
 
 
 class ProgressLine:

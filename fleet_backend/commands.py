@@ -26,6 +26,9 @@ Command = Callable[[argparse.Namespace, Engine], None]
 
 def execute(options: argparse.Namespace) -> None:
     """Do what a command line asks for; raises FleetBackendError."""
+    for name in ("vehicle", "acknowledge", "product", "note", "by"):
+        if not (getattr(options, name, None) or "").isprintable():
+            raise ConfigError(f"{name} holds characters that are no text")
     must_exist = options.command != "migrate"  # a mistyped name must not become an empty fleet
     engine = open_database(options.database or default_database(), must_exist=must_exist)
     try:

@@ -60,6 +60,8 @@ def open_database(address: str, *, must_exist: bool = False) -> Engine:
 
 def place_of(engine: Engine) -> str:
     """Return where a database is, for people; without its password."""
+    if engine.dialect.name == "sqlite":  # whose file may have a name that is no text
+        return f"sqlite:///{engine.url.database or ''}"
     return engine.url.render_as_string(hide_password=True)
 
 

@@ -92,7 +92,7 @@ class Authority:
         purpose: x509.ObjectIdentifier,
         hosts: x509.SubjectAlternativeName | None,
     ) -> None:
-        if name == AUTHORITY or "/" in name or not name or name.startswith("."):
+        if name == AUTHORITY or "/" in name or not name.isprintable() or not name or name.startswith("."):
             raise CertificateError(f"{name!r} is no name for a certificate")
         key = ec.generate_private_key(ec.SECP256R1())
         builder = _builder(_name(name), self._certificate.subject, key.public_key(), lifetime)

@@ -8,6 +8,7 @@ from pathlib import Path
 
 from diag_service.batch.journal import Entry
 from diag_service.errors import ConfigError, StoreError
+from diag_service.legible import legible
 from diag_service.parquet_file import ParquetTable
 from diag_service.results import JsonObject, dump
 from fleet_contract.described import schema
@@ -104,18 +105,18 @@ def _rows(entries: Iterable[Entry]) -> Iterator[dict[str, object]]:
         paths = entry.drive["paths"]
         path = ";".join(map(str, paths)) if isinstance(paths, list) else paths
         for shift in entry.shifts:
-            yield {"path": path, **flattened(shift)}
+            yield {"path": legible(str(path)), **flattened(shift)}
 
 
 def _write_json_lines(part: Path, entries: Iterable[Entry]) -> None:
-    with part.open("w", encoding="utf-8", errors="surrogateescape") as file:
+    with part.open("w", encoding="utf-8", errors="backslashreplace") as file:
         for entry in entries:
             records: list[JsonObject] = [*entry.shifts, entry.drive]
             file.writelines(dump(record) + "\n" for record in records)
 
 
 def _write_csv(part: Path, entries: Iterable[Entry]) -> None:
-    with part.open("w", encoding="utf-8", errors="surrogateescape", newline="") as file:
+    with part.open("w", encoding="utf-8", errors="backslashreplace", newline="") as file:
         writer = csv.DictWriter(file, list(columns()), restval="", extrasaction="ignore")
         writer.writeheader()
         writer.writerows(_rows(entries))

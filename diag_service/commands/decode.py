@@ -8,7 +8,6 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from rich.console import Console
 
 from dbc.contract import DBC_PATH
 from diag_service.decoding.codec import HAS_VALUES, Codec
@@ -24,6 +23,7 @@ from diag_service.signal_tables.record import account_record
 from diag_service.signal_tables.texts import Values
 from diag_service.sources import LogReader, read_log
 from diag_service.stopping import Trigger
+from diag_service.terminal import PeopleConsole
 
 MAX_CELLS = 4_000_000  # of a row group: 32 MB of numbers
 CELLS_PER_FRAME = 64  # of the long table, at most as a rule
@@ -144,6 +144,6 @@ def _show(plan: Plan, account: Account, reader: LogReader, output: Path) -> None
         *account.losses(),
         *account.remarks(),
     ]
-    console = Console()
+    console = PeopleConsole()
     for line in lines:
         console.print(line, highlight=False, markup=False, soft_wrap=True)

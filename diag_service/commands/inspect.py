@@ -20,6 +20,7 @@ from diag_service.protection.protection_check import FrameReason, LinkMonitor
 from diag_service.results import JsonObject, dump, utc_from_bus_ns
 from diag_service.sources import LogReader, read_log
 from diag_service.stopping import Trigger
+from diag_service.terminal import PeopleConsole
 from diag_service.traffic import NS_PER_S, IdTraffic, TrafficMeter, TrafficReport
 
 SCHEMA = "clutchdiag/inspect/v1"
@@ -54,7 +55,7 @@ def execute(options: argparse.Namespace, stop: Trigger, counts_wanted: Trigger) 
     if options.bitrate <= 0:
         raise ConfigError(f"the bit rate must be > 0, got {options.bitrate}")
     messages = load_database(options.dbc or DBC_PATH).messages
-    console = Console()
+    console = PeopleConsole()
     for path in options.logs:
         inspection = inspect_log(path, messages, options.bitrate, stop)
         if options.json:

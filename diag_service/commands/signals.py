@@ -15,6 +15,7 @@ from diag_service.decoding.decode import NO_INVALID, Decoded
 from diag_service.definitions.database import load_database
 from diag_service.definitions.proposal import SignalStatistics, candidates, profile_text
 from diag_service.definitions.tiers import PURPOSE, missing_for_next, tier_of
+from diag_service.legible import legible
 from diag_service.sources import read_log
 from diag_service.stopping import Trigger
 from diag_service.traffic import NS_PER_S
@@ -116,7 +117,7 @@ def execute(options: argparse.Namespace, stop: Trigger, counts_wanted: Trigger) 
         *_listing(survey),
         "",
     ]
-    sys.stdout.write(profile_text(options.log.stem, best, remarks))
+    sys.stdout.write(profile_text(legible(options.log.stem), best, [legible(remark) for remark in remarks]))
 
 
 def _listing(survey: Survey) -> Iterator[str]:

@@ -1,0 +1,62 @@
+"""What the programs say before terminals, in pipes, in pipes that break and on a full disk."""
+
+import re
+from pathlib import Path
+
+import pytest
+
+from tests.terminal import before_head, in_broken_pipe, in_pipe, in_terminal, on_full_disk
+
+COMMANDS = (
+    ("diag_service", "inspect", "{log}"),
+    ("diag_service", "analyze", "{log}"),
+    ("ecu_emulator", "scenarios"),
+)
+JSON = (
+    ("diag_service", "inspect", "--json", "{log}"),
+    ("diag_service", "analyze", "--json", "{log}"),
+    ("diag_service", "signals", "{log}"),
+    ("diag_service", "config", "check"),
+    ("diag_service", "analyze", "--jobs", "1", "{folder}"),
+)
+
+
+def words(command: tuple[str, ...], log: Path) -> list[str]:
+    return [word.format(log=log, folder=log.parent) for word in command]
+
+
+@pytest.fixture(name="log", scope="module")
+def _log(cycle_log: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return a short log with a few shifts, alone in its folder."""
+    path = tmp_path_factory.mktemp("drive") / "drive.log"
+    with cycle_log.open(encoding="ascii") as file:
+        path.write_text("".join(line for line, _ in zip(file, range(20_000), strict=False)), encoding="ascii")
+    return path
+
+
+@pytest.mark.parametrize("width", [60, 80])
+@pytest.mark.parametrize("command", COMMANDS, ids=" ".join)
+def test_a_terminal_breaks_no_word_and_loses_none(log: Path, command: tuple[str, ...], width: int) -> None:
+    whole = in_pipe(*words(command, log))
+    shown = in_terminal(width, *words(command, log))
+    assert (whole.status, shown.status) == (0, 0)
+    assert " ".join(shown.lines).split() == " ".join(whole.lines).split()
+    assert [line for line in shown.lines if len(line) > width and len(line.split()) > 1] == []
+
+
+@pytest.mark.parametrize("command", [*COMMANDS, *JSON], ids=" ".join)
+def test_a_reader_who_hangs_up_is_no_error(log: Path, command: tuple[str, ...]) -> None:
+    broken = in_broken_pipe(*words(command, log))
+    assert (broken.status, re.findall(rb"Traceback|rror|ignored", broken.err)) == (0, [])
+
+
+def test_head_gets_its_line(log: Path) -> None:
+    told = before_head("diag_service", "inspect", log)
+    assert (told.status, told.out.count(b"\n"), told.err) == (0, 1, b"")
+
+
+@pytest.mark.parametrize("command", [COMMANDS[0], COMMANDS[2], JSON[0], JSON[3]], ids=" ".join)
+def test_what_cannot_be_written_is_an_error(log: Path, command: tuple[str, ...]) -> None:
+    told = on_full_disk(*words(command, log))
+    assert told.status == 1
+    assert re.fullmatch(rb"[a-z-]+: error: [^\n]*No space left on device[^\n]*\n", told.err)
