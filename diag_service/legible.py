@@ -4,7 +4,7 @@ from collections.abc import Mapping
 
 
 def legible(text: str) -> str:
-    r"""Return a text with its undecodable bytes as escapes, such as ``caf\xe9.log``."""
+    r"""Return a text with its undecodable bytes as escapes, such as ``log\xe9.log``."""
     try:
         return text.encode(errors="surrogateescape").decode(errors="backslashreplace")
     except UnicodeEncodeError:  # a lone surrogate that stands for no byte
