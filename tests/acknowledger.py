@@ -8,6 +8,7 @@ import paho.mqtt.client as mqtt
 from paho.mqtt.enums import CallbackAPIVersion
 
 from fleet_contract import Channel, Receipt, ResultKey, ack_messages, filter_of, key_of, read_message
+from tests.patience import HANG_S
 
 
 class Acknowledger:
@@ -28,7 +29,7 @@ class Acknowledger:
 
     def __enter__(self) -> Self:
         self._client.loop_start()
-        assert self._ready.wait(10.0)
+        assert self._ready.wait(HANG_S)
         return self
 
     def __exit__(self, *_: object) -> None:

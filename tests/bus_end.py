@@ -11,6 +11,7 @@ from itertools import cycle
 from pathlib import Path
 from typing import Self
 
+from tests.patience import HANG_S
 from tests.wire import CONTRACTS, DATABASE
 
 _FRAME = struct.Struct("=IB3x8s")
@@ -35,20 +36,21 @@ def raw_socket(channel: str) -> socket.socket:
     return raw
 
 
-def wait_for_shift(channel: str, from_gear: int, timeout_s: float = 60.0) -> None:
-    """Return when a gear change out of ``from_gear`` has begun, as the bus says."""
+def wait_for_shift(channel: str, from_gear: int, frame_count: int = 1) -> None:
+    """Return when so many frames of a gear change out of ``from_gear`` were on the bus, each 10 ms after the other."""
     contract = CONTRACTS["TCU_Shift"]
     message = DATABASE.get_message_by_name(contract.name)
     with raw_socket(channel) as raw:
         only_gears = struct.pack("=II", contract.can_id, socket.CAN_SFF_MASK)
         raw.setsockopt(socket.SOL_CAN_RAW, socket.CAN_RAW_FILTER, only_gears)
-        raw.settimeout(timeout_s)
-        deadline_s = time.monotonic() + timeout_s
+        raw.settimeout(HANG_S)
+        deadline_s = time.monotonic() + HANG_S
         while time.monotonic() < deadline_s:
             values = message.decode_simple(_FRAME.unpack(raw.recv(16))[2], decode_choices=False)
-            if values["CurrentGear"] == from_gear != values["TargetGear"]:
+            frame_count -= values["CurrentGear"] == from_gear != values["TargetGear"]
+            if frame_count == 0:
                 return
-    raise TimeoutError(f"no shift from gear {from_gear} within {timeout_s:g} s")
+    raise TimeoutError(f"no shift from gear {from_gear} within {HANG_S:g} s")
 
 
 class Stranger:

@@ -18,6 +18,7 @@ from diag_service.records import ShiftResult
 from diag_service.store import ResultStore, VehicleState, Versions
 from fleet_contract import Outgoing, Receipt
 from tests.builders import shift_result
+from tests.patience import HANG_S
 
 STATE = VehicleState(belief={}, condition={}, versions=Versions(algorithm="a", calibration="c"))
 NOW = "2026-01-01T00:00:00.000000Z"
@@ -82,7 +83,7 @@ async def send(store: ResultStore, port: int) -> int:
     address = BrokerAddress(host="127.0.0.1", port=port)
     connector = MqttConnector(address, "clutchdiag-car1", is_persistent=True)
     outbox = Outbox(store, "car1", lambda: connector.connect(NOW), str(address), acknowledge=Acknowledge.BACKEND)
-    return await outbox.close(asyncio.create_task(outbox.run()), timeout_s=30.0)
+    return await outbox.close(asyncio.create_task(outbox.run()), timeout_s=HANG_S)
 
 
 def main(path: str, port: str, last_seq: str, step: str = Step.NONE) -> int:

@@ -13,6 +13,8 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
+from tests.patience import HANG_S
+
 Record = dict[str, Any]
 OWN_PREFIXES = ("CAN_", "CLUTCHDIAG_")
 NOTHING: Mapping[str, str] = MappingProxyType({})
@@ -73,7 +75,7 @@ class Service:
         """Send a signal."""
         self.process.send_signal(number)
 
-    def wait_until_it_catches(self, number: signal.Signals, timeout_s: float = 20.0) -> None:
+    def wait_until_it_catches(self, number: signal.Signals, timeout_s: float = HANG_S) -> None:
         """Return when the process has a handler for a signal; before that it is an interpreter that starts."""
 
         def catches() -> bool:
@@ -83,7 +85,7 @@ class Service:
 
         self.wait_for(catches, timeout_s)
 
-    def wait_for(self, condition: Callable[[], bool], timeout_s: float = 60.0) -> None:
+    def wait_for(self, condition: Callable[[], bool], timeout_s: float = HANG_S) -> None:
         """Return when a condition holds; fail if it never does or the service ends before."""
         deadline_s = time.monotonic() + timeout_s
         while not condition():
@@ -91,7 +93,7 @@ class Service:
             assert time.monotonic() < deadline_s, f"never came true; out: {self.out} err: {self.err}"
             time.sleep(0.005)
 
-    def wait(self, timeout_s: float = 60.0) -> Ended:
+    def wait(self, timeout_s: float = HANG_S) -> Ended:
         """Return what is left when the service has ended."""
         status = self.process.wait(timeout_s)
         return Ended(status=status, out=self.out, err=self.err)
@@ -113,7 +115,7 @@ def service(
     finally:
         if running.process.poll() is None:
             running.process.kill()
-        running.process.wait(10)
+        running.process.wait(HANG_S)
 
 
 def run_service(
@@ -121,7 +123,7 @@ def run_service(
 ) -> Ended:
     """Run a service to its end."""
     with service(folder, *arguments, wrapper=wrapper, variables=variables) as running:
-        return running.wait(120.0)
+        return running.wait()
 
 
 def environment() -> dict[str, str]:

@@ -9,6 +9,7 @@ import paho.mqtt.client as mqtt
 from paho.mqtt.enums import CallbackAPIVersion
 
 from fleet_contract import read_message
+from tests.patience import HANG_S
 
 Payload = dict[str, Any]
 
@@ -30,7 +31,7 @@ class Subscriber:
 
     def __enter__(self) -> Self:
         self._client.loop_start()
-        assert self._ready.wait(10.0)
+        assert self._ready.wait(HANG_S)
         return self
 
     def __exit__(self, *_: object) -> None:
@@ -47,7 +48,7 @@ class Subscriber:
         with self._lock:
             return {topic: payload for topic, payload, is_retained in self._messages if is_retained}
 
-    def wait(self, condition: Callable[["Subscriber"], bool], timeout_s: float = 20.0) -> None:
+    def wait(self, condition: Callable[["Subscriber"], bool], timeout_s: float = HANG_S) -> None:
         """Return when a condition holds; fail the test if it never does."""
         deadline_s = time.monotonic() + timeout_s
         while not condition(self):

@@ -17,12 +17,14 @@ from tests.bus_end import Stranger, candump, wait_for_shift
 from tests.plugins.broker import Mosquitto
 from tests.plugins.vcan import own_vcan
 from tests.service import Ended, Record, Service, run_service, service
+from tests.starvation import is_starved, stalls, undisturbed
 from tests.subscriber import Payload, Subscriber
 from tests.uml.vcan import ip_link
 
 SHIFT_COUNT = 10
 EMULATOR = (sys.executable, "-m", "ecu_emulator")
 LARGEST_ERROR = 4.0  # in stated standard deviations
+OPEN_FRAMES = 40  # of a shift that is under way: 0.4 s
 NOT_THE_DRIVES = ("stream", "seq", "produced_at")
 
 pytestmark = pytest.mark.vcan
@@ -66,12 +68,22 @@ class LiveDrive:
     shifts: list[Payload]
     clutches: list[Payload]
     statuses: list[Payload]
+    stalls: list[tuple[int, int]]  # when the machine did not let the emulator send [ns]
+
+    @property
+    def is_starved(self) -> bool:
+        """Whether no shift is left of which anything could be claimed."""
+        return all(is_starved(shift, self.stalls) for shift in self.live.shifts)
 
 
 @pytest.fixture(scope="module")
 def drive(tmp_path_factory: pytest.TempPathFactory) -> LiveDrive:
-    """Return what one cycle in real time left: about 45 s."""
-    folder = tmp_path_factory.mktemp("live")
+    """Return what one cycle in real time left: about 45 s, again where the machine was too busy for all of it."""
+    return undisturbed(lambda _: drive_live(tmp_path_factory.mktemp("live")), lambda found: found.is_starved)
+
+
+def drive_live(folder: Path) -> LiveDrive:
+    """Drive one cycle, heard by everyone."""
     log, truth, data = folder / "bus.log", folder / "truth.jsonl", folder / "mosquitto"
     data.mkdir()
     broker = Mosquitto(data)
@@ -87,7 +99,7 @@ def drive(tmp_path_factory: pytest.TempPathFactory) -> LiveDrive:
                 emulator(folder / "emulator", vcan, "--scenario", "case1", "--truth", truth) as driving,
                 Stranger(vcan, 0.1) as stranger,
             ):
-                emulated = driving.wait(120.0)
+                emulated = driving.wait()
             live.send(signal.SIGTERM)
             ended = live.wait()
             backend.wait(lambda heard: heard.payloads("/status")[-1]["status"] == "offline")
@@ -100,6 +112,7 @@ def drive(tmp_path_factory: pytest.TempPathFactory) -> LiveDrive:
             shifts=backend.payloads("/shift"),
             clutches=[*backend.payloads("/clutch/1"), *backend.payloads("/clutch/2")],
             statuses=backend.payloads("/status"),
+            stalls=stalls(log),
         )
     finally:
         broker.stop()
@@ -120,7 +133,7 @@ def test_every_frame_sent_is_accounted_for(drive: LiveDrive) -> None:
     assert (frames["kernel_dropped"], frames["queue_dropped"], frames["missing"]) == (0, 0, 0)
     assert frames["rejected"] == {kind: drive.strangers[kind] for kind in ("bad_crc", "short")}
     assert frames["decoded"] + frames["ignored"] == report["frames_sent"] + drive.strangers["ignored"]
-    assert min(drive.strangers.values()) > 50
+    assert min(drive.strangers.values()) > (0 if drive.stalls else 50)
 
 
 def test_a_candump_analysed_afterwards_says_the_same_to_the_bit(drive: LiveDrive) -> None:
@@ -142,10 +155,14 @@ def test_what_a_subscriber_heard_lies_within_its_own_uncertainty_of_the_truth(dr
     for shift, truth in zip(drive.shifts, drive.truth.shifts, strict=True):
         told = (shift["from_gear"], shift["to_gear"], shift["clutch"])
         assert told == (truth.from_gear, truth.to_gear, truth.clutch)
+        if is_starved(shift, drive.stalls) and shift["status"] == "rejected":
+            assert (bool(shift["reasons"]), shift["friction"]) == (True, None)
+            continue
         assert (shift["status"], shift["reasons"]) == ("valid", [])
         friction = shift["friction"]
         errors.append((friction["mu_c"] - truth.mu_c) / friction["std_mu_c"])
         errors.append((friction["mu_s"] - truth.mu_s) / friction["std_mu_s"])
+    assert errors
     assert max(map(abs, errors)) <= LARGEST_ERROR, errors
 
 
@@ -163,10 +180,37 @@ def test_frames_that_the_service_was_too_slow_for_are_counted_to_the_frame(vcan:
 
     In the end the interface is switched off under the service, which costs no count either.
     """
+
+    def attempt(number: int) -> Overload:
+        assert ip_link("set", vcan, "up")
+        return overload(tmp_path / str(number), vcan)
+
+    found = undisturbed(attempt, lambda found: found.report["shifts"] > 1)  # it was stopped too late
+    frames = found.ended.summary["frames"]
+    assert not found.report["is_complete"]
+    assert frames["kernel_dropped"] > 500
+    assert frames["on_bus"] == accounted(frames) == found.report["frames_sent"] + found.stranger.total
+    assert 0 < rejected(frames) <= found.stranger.sent["bad_crc"] + found.stranger.sent["short"]
+    hurt, *_, cut = found.ended.shifts  # a gap of more than a second cuts a shift in two, the second may be sound
+    assert (hurt["from_gear"], hurt["status"], hurt["friction"]) == (1, "rejected", None)
+    assert (cut["from_gear"], cut["status"], cut["reasons"]) == (2, "rejected", ["interrupted"])
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Overload:
+    """What came of a bus that was too much for a while."""
+
+    report: Record
+    ended: Ended
+    stranger: Stranger
+
+
+def overload(folder: Path, vcan: str) -> Overload:
+    """Freeze a service for a second of a drive, flood the bus, switch it off in the end."""
     wrapper = ("setpriv", "--bounding-set", "-net_admin", "--inh-caps", "-net_admin")
-    with listening(tmp_path / "service", vcan, wrapper=wrapper) as live:
+    with listening(folder / "service", vcan, wrapper=wrapper) as live:
         with (
-            emulator(tmp_path / "emulator", vcan, "--scenario", "noise_only") as driving,
+            emulator(folder / "emulator", vcan, "--scenario", "noise_only") as driving,
             Stranger(vcan, 0.01) as stranger,
         ):
             wait_for_shift(vcan, from_gear=1)
@@ -183,31 +227,36 @@ def test_frames_that_the_service_was_too_slow_for_are_counted_to_the_frame(vcan:
         ended = live.wait()
     assert (emulated.status, ended.status) == (0, 0)
     assert "Traceback" not in ended.err
-    report, frames = emulated.records[0], ended.summary["frames"]
-    assert not report["is_complete"]
-    assert frames["kernel_dropped"] > 500
-    assert frames["on_bus"] == accounted(frames) == report["frames_sent"] + stranger.total
-    assert 0 < rejected(frames) <= stranger.sent["bad_crc"] + stranger.sent["short"]
-    hurt, *_, cut = ended.shifts  # a gap of more than a second cuts a shift in two, the second of which may be sound
-    assert (hurt["from_gear"], hurt["status"], hurt["friction"]) == (1, "rejected", None)
-    assert (cut["from_gear"], cut["status"], cut["reasons"]) == (2, "rejected", ["interrupted"])
+    return Overload(report=emulated.records[0], ended=ended, stranger=stranger)
 
 
 def test_a_service_stopped_in_the_middle_of_a_shift(vcan: str, tmp_path: Path) -> None:
     """The emulator drives on, until its interface is switched off."""
-    with (
-        listening(tmp_path / "service", vcan) as live,
-        emulator(tmp_path / "emulator", vcan, "--scenario", "noise_only") as driving,
-    ):
-        wait_for_shift(vcan, from_gear=2)
-        time.sleep(0.4)
-        live.send(signal.SIGINT)
-        ended = live.wait()
-        assert ip_link("set", vcan, "down")
-        emulated = driving.wait()
+
+    def attempt(number: int) -> tuple[Ended, Ended, Path]:
+        assert ip_link("set", vcan, "up")
+        folder, log = tmp_path / str(number), tmp_path / f"{number}.log"
+        with (
+            candump(vcan, log),
+            listening(folder / "service", vcan) as live,
+            emulator(folder / "emulator", vcan, "--scenario", "noise_only") as driving,
+        ):
+            wait_for_shift(vcan, from_gear=2, frame_count=OPEN_FRAMES)
+            live.send(signal.SIGINT)
+            ended = live.wait()
+            assert ip_link("set", vcan, "down")
+            return ended, driving.wait(), log
+
+    def is_disturbed(outcome: tuple[Ended, Ended, Path]) -> bool:
+        ended, _, log = outcome
+        is_over = [shift["reasons"] for shift in ended.shifts[1:2]] != [["interrupted"]]
+        return is_over and bool(stalls(log))
+
+    ended, emulated, log = undisturbed(attempt, is_disturbed)
     assert (ended.status, emulated.status) == (0, 3)
     finished, cut = ended.shifts
-    assert (finished["from_gear"], finished["status"]) == (1, "valid")
+    assert finished["from_gear"] == 1
+    assert finished["status"] == "valid" or is_starved(finished, stalls(log))
     assert (cut["from_gear"], cut["status"], cut["reasons"]) == (2, "rejected", ["interrupted"])
     frames = ended.summary["frames"]
     assert frames["on_bus"] == accounted(frames) == frames["decoded"] + frames["ignored"] > 0
@@ -218,21 +267,25 @@ def test_a_service_stopped_in_the_middle_of_a_shift(vcan: str, tmp_path: Path) -
 
 def test_an_emulator_stopped_in_the_middle_of_a_shift(vcan: str, tmp_path: Path) -> None:
     """Then the service, with that shift still open."""
-    truth = tmp_path / "truth.jsonl"
-    with listening(tmp_path / "service", vcan) as live:
-        with emulator(tmp_path / "emulator", vcan, "--scenario", "noise_only", "--truth", truth) as driving:
-            wait_for_shift(vcan, from_gear=1)
-            time.sleep(0.4)
-            driving.send(signal.SIGINT)
-            emulated = driving.wait()
-        live.send(signal.SIGTERM)
-        ended = live.wait()
+
+    def attempt(number: int) -> tuple[Ended, Ended]:
+        folder = tmp_path / str(number)
+        with listening(folder / "service", vcan) as live:
+            truth = ("--truth", folder / "truth.jsonl")
+            with emulator(folder / "emulator", vcan, "--scenario", "noise_only", *truth) as driving:
+                wait_for_shift(vcan, from_gear=1, frame_count=OPEN_FRAMES)
+                driving.send(signal.SIGINT)
+                emulated = driving.wait()
+            live.send(signal.SIGTERM)
+            return emulated, live.wait()
+
+    emulated, ended = undisturbed(attempt, lambda outcome: outcome[0].records[0]["shifts"] > 0)  # stopped too late
     assert (emulated.status, ended.status) == (0, 0)
     (cut,) = ended.shifts
     assert (cut["from_gear"], cut["status"], cut["reasons"]) == (1, "rejected", ["interrupted"])
     report, frames = emulated.records[0], ended.summary["frames"]
     assert (report["is_complete"], report["shifts"]) == (False, 0)
     assert frames["on_bus"] == accounted(frames) == report["frames_sent"]
-    totals = read_truth(truth).totals
+    totals = read_truth(max(tmp_path.glob("*/truth.jsonl"))).totals
     assert totals is not None
     assert (totals.frames, totals.shifts) == (report["frames_sent"], 0)

@@ -17,6 +17,7 @@ from fleet_contract import Receipt, ack_messages
 from tests.acknowledger import Acknowledger
 from tests.doomed_edge import Step
 from tests.outboxes import NOW, STATUS, put, sending, until
+from tests.patience import HANG_S
 from tests.plugins.broker import Mosquitto
 
 pytestmark = pytest.mark.broker
@@ -115,7 +116,7 @@ def test_kill_9_around_every_step_loses_and_doubles_nothing(tmp_path: Path, brok
     def run(last_seq: int, step: Step) -> int:
         arguments = (str(tmp_path / "car1.sqlite"), str(broker.port), str(last_seq), step.value)
         return subprocess.run(
-            [sys.executable, "-m", "tests.doomed_edge", *arguments], check=False, timeout=60
+            [sys.executable, "-m", "tests.doomed_edge", *arguments], check=False, timeout=HANG_S
         ).returncode
 
     with Acknowledger(broker.port) as backend:

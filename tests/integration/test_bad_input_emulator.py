@@ -8,6 +8,7 @@ from pathlib import Path
 
 import pytest
 
+from tests.patience import HANG_S
 from tests.service import run_service, service
 
 EMULATOR = (sys.executable, "-m", "ecu_emulator")
@@ -16,7 +17,7 @@ SCENARIO = Path(__file__).parents[2] / "ecu_emulator" / "scenarios" / "noise_onl
 
 def emulate(*arguments: str | Path, wrapper: tuple[str, ...] = ()) -> subprocess.CompletedProcess[str]:
     command = [*wrapper, *EMULATOR, *map(str, arguments)]
-    return subprocess.run(command, capture_output=True, text=True, check=False, timeout=120)
+    return subprocess.run(command, capture_output=True, text=True, check=False, timeout=HANG_S)
 
 
 def assert_one_line(done: subprocess.CompletedProcess[str], status: int, *texts: str) -> None:

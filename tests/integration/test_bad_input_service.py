@@ -29,6 +29,7 @@ from pathlib import Path
 
 import pytest
 
+from tests.patience import HANG_S
 from tests.plugins.broker import Mosquitto
 from tests.plugins.drives import SHIFT_COUNT
 from tests.service import run_service, service
@@ -105,7 +106,7 @@ def test_a_log_that_ends_too_early(tmp_path: Path, suffix: str) -> None:
     """What came before the cut counts, and the cut is told; an MF4 file without its end is none."""
     log, cut = tmp_path / f"drive{suffix}", tmp_path / f"cut{suffix}"
     record = [sys.executable, "-m", "ecu_emulator", "record", str(log), "--scenario", "noise_only"]
-    subprocess.run(record, check=True, capture_output=True, timeout=120)
+    subprocess.run(record, check=True, capture_output=True, timeout=HANG_S)
     cut.write_bytes(log.read_bytes()[: log.stat().st_size * 3 // 10])
     ended = run_service(tmp_path, "analyze", cut, "--json")
     if suffix == ".mf4":

@@ -16,6 +16,7 @@ from diag_service.results import ServiceStatus, clutch_record, shift_record
 from diag_service.store import ResultStore
 from fleet_contract import schema
 from tests.outboxes import NOW, STATUS, put, sending, until
+from tests.patience import HANG_S
 from tests.plugins.broker import Mosquitto, free_port
 from tests.subscriber import Subscriber
 
@@ -123,7 +124,7 @@ async def test_a_broker_that_dies_in_between_loses_and_doubles_nothing(
                 await until(lambda: store.unpublished_count("car1") < 20)
                 await asyncio.to_thread(end, broker)
                 await asyncio.to_thread(broker.start)
-            assert await outbox.close(sender, timeout_s=20.0) == 0
+            assert await outbox.close(sender, timeout_s=HANG_S) == 0
         await asyncio.to_thread(subscriber.wait, lambda heard: set(seqs(heard)) == set(range(1, 61)))
 
 
@@ -159,7 +160,7 @@ async def test_a_silent_broker_delays_the_end_for_a_limited_time(store: ResultSt
         broker.freeze()
         put(store, range(2, 4))
         outbox.nudge()
-        async with asyncio.timeout(4.0):
+        async with asyncio.timeout(HANG_S):
             assert await outbox.close(sender, timeout_s=0.3) == 2
     broker.thaw()
 
@@ -170,7 +171,7 @@ async def test_a_listener_that_is_no_broker_delays_the_end_for_a_limited_time(st
         outbox = outbox_for(store, local(mute.getsockname()[1]))
         async with sending(outbox) as sender:
             await asyncio.sleep(0.2)
-            async with asyncio.timeout(4.0):
+            async with asyncio.timeout(HANG_S):
                 assert await outbox.close(sender, timeout_s=0.3) == 1
 
 
@@ -178,7 +179,7 @@ async def test_nobody_at_the_port(store: ResultStore) -> None:
     put(store, [1])
     outbox = outbox_for(store, local(free_port()))
     async with sending(outbox) as sender:
-        async with asyncio.timeout(2.0):
+        async with asyncio.timeout(HANG_S):
             assert await outbox.close(sender) == 1
 
 

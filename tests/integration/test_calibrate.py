@@ -8,10 +8,13 @@ from pathlib import Path
 import pytest
 
 from clutch_model.calibration import nominal_calibration, read_calibration
+from tests.patience import HANG_S
 
 
 def run(*arguments: str) -> subprocess.CompletedProcess[str]:
-    return subprocess.run([sys.executable, "-m", *arguments], capture_output=True, text=True, timeout=300, check=False)
+    return subprocess.run(
+        [sys.executable, "-m", *arguments], capture_output=True, text=True, timeout=HANG_S, check=False
+    )
 
 
 @pytest.fixture(scope="module")

@@ -15,6 +15,7 @@ import pytest
 from ecu_emulator import __version__
 from ecu_emulator.cli import main
 from ecu_emulator.truth import read_truth, truth_path
+from tests.patience import HANG_S
 
 RECORD = ("--scenario", "noise_only", "--cycles", "1")
 
@@ -172,7 +173,7 @@ def test_a_live_drive_stops_cleanly_and_accounts_for_every_frame(
 
 def receive_then_kill(listener: can.BusABC, received: list[can.Message], number: signal.Signals) -> None:
     """Receive three seconds of driving, which hold one shift, then ask the program to stop."""
-    while (message := listener.recv(timeout=60.0)) is not None:
+    while (message := listener.recv(timeout=HANG_S)) is not None:
         received.append(message)
         if message.timestamp - received[0].timestamp > 3.0:
             os.kill(os.getpid(), number)
@@ -188,7 +189,7 @@ def test_a_signal_while_starting_up_is_a_clean_stop(delay_s: float) -> None:
     )
     time.sleep(delay_s)
     program.send_signal(signal.SIGTERM)
-    _, said = program.communicate(timeout=60.0)
+    _, said = program.communicate(timeout=HANG_S)
     assert program.returncode == 0, said
     assert "stopped early: 0 frames sent" in said
 
@@ -204,7 +205,7 @@ def test_a_recording_that_is_stopped_is_whole(tmp_path: Path) -> None:
     while not truth_path(path).exists() and program.poll() is None:
         time.sleep(0.02)
     program.send_signal(signal.SIGINT)
-    out, said = program.communicate(timeout=60.0)
+    out, said = program.communicate(timeout=HANG_S)
     assert program.returncode == 0, said
     result = json.loads(out)
     assert not result["finished"]

@@ -13,6 +13,7 @@ from ecu_emulator.errors import ConfigError, RecordError
 from ecu_emulator.faults import BusFault, BusFaultKind, SensorFault, SensorFaultKind
 from ecu_emulator.recording import Drive
 from tests.builders import drive_scenario
+from tests.patience import HANG_S
 
 
 @pytest.fixture
@@ -30,7 +31,7 @@ def path(tmp_path: Path, taken: list[SensorFault | BusFault]) -> Iterator[Path]:
 
 def answers(path: Path, *lines: str) -> list[str]:
     with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as caller:
-        caller.settimeout(10.0)
+        caller.settimeout(HANG_S)
         caller.connect(str(path))
         caller.sendall("".join(f"{line}\n" for line in lines).encode())
         caller.shutdown(socket.SHUT_WR)
@@ -73,7 +74,7 @@ def test_a_line_that_cannot_be_used_says_why_and_the_next_one_counts(
 
 def test_a_line_without_an_end_is_cut_off(path: Path) -> None:
     with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as caller:
-        caller.settimeout(10.0)
+        caller.settimeout(HANG_S)
         caller.connect(str(path))
         caller.sendall(b"x" * (2 * LINE_BYTES + 1))
         assert caller.recv(200).startswith(b"error: a line has at most")

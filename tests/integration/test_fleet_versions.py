@@ -18,6 +18,7 @@ from fleet_backend.intake import Kind, Message, batch_of, take
 from fleet_backend.writer import Writer
 from tests.fleet import NOW
 from tests.fleet_worker import worker
+from tests.patience import HANG_S
 from tests.plugins.broker import Mosquitto
 
 GOLDEN = Path(__file__).parents[1] / "golden"
@@ -66,6 +67,6 @@ async def test_the_store_of_the_first_version_drains_into_the_present_backend(
     with worker(tmp_path, broker.url, sqlite_url), closing(ResultStore.open(path)) as store:
         assert store.unpublished_count("car1") == 2
         outbox = Outbox(store, "car1", connect, "the broker", acknowledge=Acknowledge.BACKEND)
-        left = await outbox.close(asyncio.create_task(outbox.run()), timeout_s=60.0)
+        left = await outbox.close(asyncio.create_task(outbox.run()), timeout_s=HANG_S)
     assert left == 0
     assert queries.result_count(engine) == 2

@@ -23,6 +23,7 @@ from fleet_contract import Outgoing, shift_message
 from tests.builders import shift_result
 from tests.fleet import fleet_result
 from tests.fleet_worker import worker
+from tests.patience import HANG_S
 from tests.plugins.broker import Mosquitto
 from tests.plugins.disk import Mount, fill_up
 from tests.resending_edge import ResendingEdge
@@ -32,7 +33,6 @@ pytestmark = [pytest.mark.vcan, pytest.mark.broker]
 
 STATE = VehicleState(belief={}, condition={}, versions=Versions(algorithm="a", calibration="c"))
 MIB = 2**20
-PATIENCE_S = 300.0  # User-Mode Linux on a busy machine is slow
 SHIFT_COUNT = 10  # of the drive
 BUDGET_RESULTS = 1200  # some 4 MiB
 MESSAGE_COUNT = 150
@@ -48,16 +48,16 @@ def test_a_vehicle_whose_disk_fills_up_goes_on_and_delivers_everything(
         worker(tmp_path, broker.url, sqlite_url),
         service(tmp_path / "edge", *arguments, "--broker", broker.url, program=program) as running,
     ):
-        running.wait_for(lambda: running.out.count("\n") >= 1, PATIENCE_S)
+        running.wait_for(lambda: running.out.count("\n") >= 1, HANG_S)
         filler = fill_up(disk)
-        running.wait_for(lambda: "disk is full; results wait in memory" in running.err, PATIENCE_S)
+        running.wait_for(lambda: "disk is full; results wait in memory" in running.err, HANG_S)
         told = running.out.count("\n")
         time.sleep(1.0)  # shifts go on, and nobody is told what is not stored
         assert running.out.count("\n") == told
         filler.unlink()
-        running.wait_for(lambda: running.out.count("\n") == SHIFT_COUNT, PATIENCE_S)
+        running.wait_for(lambda: running.out.count("\n") == SHIFT_COUNT, HANG_S)
         engine = open_database(sqlite_url)
-        running.wait_for(lambda: queries.result_count(engine) == SHIFT_COUNT, PATIENCE_S)
+        running.wait_for(lambda: queries.result_count(engine) == SHIFT_COUNT, HANG_S)
         running.send(signal.SIGTERM)
         ended = running.wait()
     assert ended.status == 0, ended.err
@@ -90,7 +90,7 @@ def test_a_backend_whose_disk_fills_up_waits_and_stores_everything(
     sent = messages(MESSAGE_COUNT)
     with worker(tmp_path, broker.url, database) as pid, ResendingEdge(broker.port) as edge:
         edge.keep(sent[:20])
-        edge.deliver(PATIENCE_S)
+        edge.deliver(HANG_S)
         filler = fill_up(disk)
         edge.keep(sent)
         edge.send_once()
@@ -99,7 +99,7 @@ def test_a_backend_whose_disk_fills_up_waits_and_stores_everything(
         assert edge.waiting_count > 0
         assert Path(f"/proc/{pid}").exists()
         filler.unlink()
-        edge.deliver(PATIENCE_S)
+        edge.deliver(HANG_S)
     assert stored_seqs(engine) == list(range(1, MESSAGE_COUNT + 1))
     engine.dispose()
 
@@ -108,7 +108,7 @@ def messages(count: int) -> list[Outgoing]:
     return [shift_message(shift_record(fleet_result(seq))) for seq in range(1, count + 1)]
 
 
-def wait_for_line(log: Path, text: str, timeout_s: float = PATIENCE_S) -> None:
+def wait_for_line(log: Path, text: str, timeout_s: float = HANG_S) -> None:
     deadline_s = time.monotonic() + timeout_s
     while text not in log.read_text(encoding="utf-8"):
         assert time.monotonic() < deadline_s, log.read_text(encoding="utf-8")

@@ -27,6 +27,7 @@ from ecu_emulator.recording import drive_settings
 from tests.builders import drive_scenario
 from tests.cycles import drive_rows
 from tests.integration.test_estimation import shifts
+from tests.patience import HANG_S
 from tests.wire import START_NS
 
 CALIBRATION, DRIVELINE = nominal_calibration(), nominal_driveline()
@@ -114,7 +115,7 @@ def analyze(log: Path, *options: str) -> subprocess.CompletedProcess[str]:
         capture_output=True,
         text=True,
         check=False,
-        timeout=120,
+        timeout=HANG_S,
     )
 
 

@@ -8,6 +8,8 @@ from pathlib import Path
 
 import pytest
 
+from tests.patience import HANG_S
+
 ROOT = Path(__file__).parents[2]
 MODULES = {"ecu-emulator": "ecu_emulator", "diag-service": "diag_service", "fleet-backend": "fleet_backend"}
 DOCUMENTS = ("README.md", "docs/fleet.md")
@@ -28,7 +30,7 @@ def help_text(module: str, command: str) -> str:
         text=True,
         check=True,
         cwd=ROOT,
-        timeout=60,
+        timeout=HANG_S,
     )
     return answer.stdout
 

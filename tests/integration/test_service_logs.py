@@ -14,6 +14,7 @@ from jsonschema import Draft202012Validator
 
 from clutch_model.calibration import nominal_calibration
 from fleet_contract import schema
+from tests.patience import HANG_S
 from tests.plugins.broker import Mosquitto, free_port
 from tests.plugins.drives import SHIFT_COUNT
 from tests.replay import INTERFACE, free_bus
@@ -234,7 +235,7 @@ def test_a_reader_that_hangs_up_ends_the_run(drive_log: Path) -> None:
     assert analysis.stderr is not None
     err = analysis.stderr.read()
     analysis.stderr.close()
-    assert (analysis.wait(60), err) == (0, b"")
+    assert (analysis.wait(HANG_S), err) == (0, b"")
     assert head.stdout.count(b"\n") == 1
 
 

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import pytest
 
+from tests.patience import HANG_S
 from tests.replay import INTERFACE, Replay, free_bus
 from tests.service import Service, service
 
@@ -19,7 +20,7 @@ def fetch(running: Service, path: str) -> str:
     """Return what the running service serves, wherever it said that it does."""
     found = re.search(r"metrics on (http://[\d.]+:\d+)/metrics", running.err)
     assert found is not None
-    with urllib.request.urlopen(f"{found[1]}{path}", timeout=5.0) as answer:  # noqa: S310 - our own server
+    with urllib.request.urlopen(f"{found[1]}{path}", timeout=HANG_S) as answer:  # noqa: S310 - our own server
         return str(answer.read().decode())
 
 
@@ -30,7 +31,7 @@ def test_onlookers_see_a_live_bus(tmp_path: Path, drive_log: Path, command: str)
     store = ("--store", tmp_path / "car.sqlite") if command == "run" else ()
     with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as manager:
         manager.bind(str(tmp_path / "notify"))
-        manager.settimeout(20.0)
+        manager.settimeout(HANG_S)
         variables = {**bus.variables, "NOTIFY_SOCKET": manager.getsockname()}
         arguments = (command, "-i", INTERFACE, "-c", bus.group, "--metrics", "0", *store)
         with service(tmp_path / command, *arguments, variables=variables) as running:

@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 
 from diag_service.definitions.profile import PROFILE_PATH
+from tests.patience import HANG_S
 from tests.service import Ended, run_service
 
 SHIFT_COUNT = 3
@@ -68,7 +69,7 @@ def test_the_target_alone_finds_the_shifts_that_both_gears_find(drive_log: Path,
 def test_a_worn_clutch_carries_less_than_it_is_asked_for(tmp_path: Path) -> None:
     log = tmp_path / "aged.log"
     command = [sys.executable, "-m", "ecu_emulator", "record", str(log), "--scenario", "case2"]
-    subprocess.run(command, check=True, capture_output=True, timeout=300)
+    subprocess.run(command, check=True, capture_output=True, timeout=HANG_S)
     drive = json.loads(log.with_name("aged.log.truth.jsonl").read_text(encoding="utf-8").splitlines()[0])
     profile = profile_without(tmp_path, "clutch1_pressure", "clutch2_pressure")
     ended = run_service(tmp_path, "analyze", log, "--profile", profile, "--json")

@@ -14,6 +14,7 @@ from diag_service.protection.error_frames import BusError
 from diag_service.sources import BusOpener, BusState, LinkBreak, SupervisedSource, supervise
 from diag_service.sources.live.interface import Seen, index_of, present_name, restart_controller
 from tests.link_cycles import TARGET_S, run_cycles
+from tests.patience import HANG_S
 from tests.uml.vcan import create_vcan, ip_link
 from tests.wire import CONTRACTS, DATABASE
 
@@ -42,7 +43,7 @@ class Listener:
             self.heard += ["break"] if isinstance(part, LinkBreak) else part.can_id.tolist()
 
     async def until(self, *states: BusState) -> None:
-        async with asyncio.timeout(TARGET_S):
+        async with asyncio.timeout(HANG_S):
             while True:
                 if self.source.status.state in states:
                     return
@@ -50,7 +51,7 @@ class Listener:
 
     async def close(self) -> list[int | str]:
         await self.source.aclose()
-        await asyncio.wait_for(self._task, 5.0)
+        await asyncio.wait_for(self._task, HANG_S)
         return self.heard
 
 

@@ -19,7 +19,9 @@ from diag_service.sources.live.clock_alarm import ClockAlarm
 from diag_service.sources.live.frame_queue import FrameQueue
 from diag_service.sources.live.pace import EXPECTING_S, KEPT_S, Pace
 from diag_service.sources.live.socketcan import SocketCanSource
+from tests.patience import HANG_S
 from tests.rough_bus import is_guest
+from tests.starvation import again_if_starved
 from tests.traffic import assert_same
 from tests.uml.vcan import ip_link
 
@@ -127,7 +129,7 @@ async def test_frames_received_before_the_interface_goes_down_are_delivered_then
         batches.extend([batch async for batch in source])
 
     with pytest.raises(SourceError, match=f"{vcan}' went down: switch it on"):
-        await asyncio.wait_for(read_on(), timeout=5.0)
+        await asyncio.wait_for(read_on(), timeout=HANG_S)
     assert source.counts.received == 20
     await source.aclose()
 
@@ -138,7 +140,7 @@ async def test_an_interface_switched_off_while_reading_is_an_error_and_no_hang(v
     await asyncio.sleep(0.05)
     assert ip_link("set", vcan, "down")
     with pytest.raises(SourceError, match="went down"):
-        await asyncio.wait_for(collector, timeout=5.0)
+        await asyncio.wait_for(collector, timeout=HANG_S)
     await source.aclose()
 
 
@@ -148,7 +150,7 @@ async def test_an_interface_removed_while_reading_is_an_error_and_no_hang(vcan: 
     await asyncio.sleep(0.05)
     assert ip_link("delete", vcan)
     with pytest.raises(SourceError, match=r"went down|was removed"):
-        await asyncio.wait_for(collector, timeout=5.0)
+        await asyncio.wait_for(collector, timeout=HANG_S)
     await source.aclose()
 
 
@@ -215,6 +217,7 @@ class Gears:
         await self.reader
 
 
+@again_if_starved
 async def test_frames_without_news_wait_for_those_with_news(vcan: str) -> None:
     gears = Gears(vcan)
     for gear in (3, 4):
@@ -228,6 +231,7 @@ async def test_frames_without_news_wait_for_those_with_news(vcan: str) -> None:
     assert [gear for batch in gears.batches for gear in batch] == [3] * 20 + [4] * 20
 
 
+@again_if_starved
 async def test_frames_without_news_are_handed_over_once_they_are_old_or_the_bus_is_silent(vcan: str) -> None:
     gears = Gears(vcan)
     await asyncio.to_thread(send_gear, vcan, 3, 125)
@@ -237,6 +241,7 @@ async def test_frames_without_news_are_handed_over_once_they_are_old_or_the_bus_
     await gears.close()
 
 
+@again_if_starved
 async def test_nothing_is_kept_once_a_result_is_due(vcan: str) -> None:
     gears = Gears(vcan)
     gears.pace.wait_for(is_expecting=True, due_ns=1)
@@ -251,7 +256,7 @@ async def test_frames_that_were_kept_are_delivered_before_the_error(vcan: str) -
     assert sum(map(len, gears.batches)) < 20
     assert ip_link("set", vcan, "down")
     with pytest.raises(SourceError, match="went down"):
-        await asyncio.wait_for(gears.reader, timeout=5.0)
+        await asyncio.wait_for(gears.reader, timeout=HANG_S)
     assert sum(map(len, gears.batches)) == 20
     await gears.source.aclose()
 

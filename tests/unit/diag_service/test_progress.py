@@ -8,6 +8,7 @@ from diag_service.progress import Progress, Stage
 from diag_service.publishers import MemoryReporter
 from diag_service.records import ShiftResult
 from diag_service.store import ResultStore, VehicleState
+from tests.patience import HANG_S
 from tests.unit.diag_service.runs.test_live import gear_frames, session_for
 
 PATIENCE_S = 30.0
@@ -55,7 +56,7 @@ def test_a_store_that_hangs_is_seen_from_outside(monkeypatch: pytest.MonkeyPatch
 
     def hang(result: ShiftResult, state: VehicleState) -> None:
         is_inside.set()
-        may_go_on.wait(30.0)
+        may_go_on.wait(HANG_S)
         add(result, state)
 
     monkeypatch.setattr(store, "add", hang)
@@ -64,7 +65,7 @@ def test_a_store_that_hangs_is_seen_from_outside(monkeypatch: pytest.MonkeyPatch
     (event, *_) = session.stages.segment(gear_frames(3))
     worker = threading.Thread(target=session.settle, args=(event,))
     worker.start()
-    assert is_inside.wait(30.0)
+    assert is_inside.wait(HANG_S)
     clock.now_s += PATIENCE_S
     stuck = session.progress.stuck
     assert stuck is not None

@@ -7,13 +7,14 @@ from pathlib import Path
 import pytest
 
 from diag_service.service_manager import ServiceManager
+from tests.patience import HANG_S
 
 
 @pytest.fixture(name="manager_socket")
 def _manager_socket(tmp_path: Path) -> Iterator[socket.socket]:
     with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as heard:
         heard.bind(str(tmp_path / "notify"))
-        heard.settimeout(5.0)
+        heard.settimeout(HANG_S)
         yield heard
 
 
@@ -32,7 +33,7 @@ def test_a_manager_is_told_the_life_of_the_service(manager_socket: socket.socket
 def test_an_abstract_address() -> None:
     with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as heard:
         heard.bind("\0clutchdiag-test-notify")
-        heard.settimeout(5.0)
+        heard.settimeout(HANG_S)
         ServiceManager("@clutchdiag-test-notify", None).ready()
         assert heard.recv(100) == b"READY=1"
 

@@ -11,6 +11,7 @@ import pytest
 from ecu_emulator.bus import open_bus, to_messages, transmit
 from ecu_emulator.errors import BusError
 from ecu_emulator.frames import EncodedFrames
+from tests.patience import HANG_S
 from tests.traffic import random_frames
 
 
@@ -115,7 +116,7 @@ def test_a_plant_that_is_too_slow_is_counted(stop: threading.Event) -> None:
 
     def slow() -> Iterator[EncodedFrames]:
         yield quick_frames(3)
-        gate.wait(5.0)
+        gate.wait(HANG_S)
         yield quick_frames(3)
 
     def on_progress(_t_s: float, _sent: int) -> None:

@@ -14,6 +14,7 @@ from fleet_backend.intake import Kind, Message
 from fleet_backend.writer import Batch
 from fleet_contract import Outgoing
 from tests.fleet import NOW, fleet_result, message_of
+from tests.patience import HANG_S
 
 
 class Records:
@@ -122,7 +123,7 @@ async def test_poison_is_kept_settled_and_counted() -> None:
 async def test_it_comes_back_after_every_lost_connection() -> None:
     records = Records([[message_of(fleet_result(1))], []])
     task = asyncio.ensure_future(worker_of(records).run())
-    async with asyncio.timeout(10):
+    async with asyncio.timeout(HANG_S):
         while records.steps.count("connect") < 4:  # noqa: ASYNC110 - the worker has no event for it
             await asyncio.sleep(0.001)
     task.cancel()

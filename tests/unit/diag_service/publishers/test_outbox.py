@@ -12,6 +12,7 @@ from diag_service.results import shift_record
 from diag_service.store import ResultStore, VehicleState, Versions
 from fleet_contract import Outcome, Outgoing, Receipt, key_of, metrics_message, read_message
 from tests.builders import shift_result
+from tests.patience import HANG_S
 
 NOW = "2026-01-01T00:00:00.000000Z"
 STATE = VehicleState(belief={}, condition={}, versions=Versions(algorithm="a", calibration="c"))
@@ -54,7 +55,7 @@ def seqs(link: MemoryLink) -> list[int]:
 
 
 async def until(condition: Callable[[], bool]) -> None:
-    async with asyncio.timeout(5.0):
+    async with asyncio.timeout(HANG_S):
         while not condition():  # noqa: ASYNC110 - the condition lives in a database
             await asyncio.sleep(0.001)
 
@@ -160,7 +161,7 @@ async def test_closing_an_outbox_whose_broker_is_absent_takes_one_attempt(store:
     outbox = Outbox(store, "car1", broker.connect, "broker")
     put(store, 1)
     sender = asyncio.create_task(outbox.run())
-    async with asyncio.timeout(2.0):
+    async with asyncio.timeout(HANG_S):
         assert await outbox.close(sender) == 1
 
 
@@ -173,7 +174,7 @@ async def test_closing_an_outbox_whose_broker_is_silent_takes_a_limited_time(sto
     outbox = Outbox(store, "car1", Broker(Silent()).connect, "broker")
     put(store, 1)
     sender = asyncio.create_task(outbox.run())
-    async with asyncio.timeout(2.0):
+    async with asyncio.timeout(HANG_S):
         assert await outbox.close(sender, timeout_s=0.05) == 1
     assert sender.cancelled()
 

@@ -29,6 +29,7 @@ from diag_service.stopping import Trigger
 from diag_service.store import ResultStore, VehicleState
 from ecu_emulator.frames import FrameEncoder
 from ecu_emulator.readings import Readings
+from tests.patience import HANG_S
 
 CALIBRATION = nominal_calibration()
 VERSIONS = versions_for(CALIBRATION, "digest")
@@ -105,7 +106,7 @@ def session_for(store: ResultStore, reporter: Reporter) -> Session:
 async def run(
     source: ListSource, session: Session, *, stop: Trigger | None = None, outbox: Outbox | None = None
 ) -> None:
-    async with asyncio.timeout(20.0):
+    async with asyncio.timeout(HANG_S):
         await run_live(
             source,
             session,
@@ -187,7 +188,7 @@ async def test_numbers_are_told_on_request(store: ResultStore, caplog: pytest.Lo
             duration_s=None,
         )
     )
-    async with asyncio.timeout(10.0):
+    async with asyncio.timeout(HANG_S):
         while f"{len(frames)} decoded" not in caplog.text:
             wanted.set()
             await asyncio.sleep(0.02)

@@ -23,6 +23,7 @@ from diag_service.runs.monitor import Monitor, SilentReporter
 from diag_service.runs.snapshot import SILENT_S, STALE_S, Board, RateMeter, Snapshot, SnapshotTaker
 from diag_service.sources import BusState, BusStatus, SourceCounts
 from diag_service.store import ResultStore
+from tests.patience import HANG_S
 from tests.unit.diag_service.runs.test_live import gear_frames, session_for
 
 STATUS = BusStatus(
@@ -87,7 +88,7 @@ def _url(board: Board) -> Iterator[str]:
 
 def get(url: str) -> tuple[int, str]:
     try:
-        with urllib.request.urlopen(url, timeout=5.0) as answer:  # noqa: S310 - our own server
+        with urllib.request.urlopen(url, timeout=HANG_S) as answer:  # noqa: S310 - our own server
             return answer.status, answer.read().decode()
     except urllib.error.HTTPError as error:
         with error:
@@ -184,7 +185,7 @@ def test_health_follows_the_snapshot(snapshot: Snapshot) -> None:
 
 def test_a_client_that_says_nothing_holds_up_nobody(url: str) -> None:
     host, port = url.removeprefix("http://").split(":")
-    with socket.create_connection((host, int(port)), timeout=5.0):
+    with socket.create_connection((host, int(port)), timeout=HANG_S):
         assert get(f"{url}/livez") == (200, "OK\n")
 
 

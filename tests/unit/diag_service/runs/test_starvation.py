@@ -25,6 +25,7 @@ from diag_service.summary import Summary
 from ecu_emulator.bus import open_bus
 from fleet_contract import Outgoing
 from tests.builders import shift_result
+from tests.patience import HANG_S
 from tests.unit.diag_service.runs.test_live import ListSource, cut, gear_frames, run, session_for
 
 SHIFTS = 5
@@ -160,7 +161,7 @@ async def test_a_driver_that_fails_once_is_opened_again(
         with monkeypatch.context() as patched:
             patched.setattr(type(sender), "_recv_internal", _fail)
             await asyncio.wait_for(has_broken.wait(), 5.0)
-        async with asyncio.timeout(5.0):
+        async with asyncio.timeout(HANG_S):
             while 0x123 not in heard:
                 sender.send(can.Message(arbitration_id=0x123, is_extended_id=False))
                 await asyncio.sleep(0.01)

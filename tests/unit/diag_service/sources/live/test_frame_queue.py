@@ -11,6 +11,7 @@ import pytest
 from diag_service.errors import SourceError
 from diag_service.frames import FrameBatch
 from diag_service.sources.live.frame_queue import FrameQueue
+from tests.patience import HANG_S
 from tests.traffic import as_received, assert_same, random_frames
 
 
@@ -49,7 +50,7 @@ async def test_a_queue_half_full_does_not_wait_for_more() -> None:
     _, parts = batches(60, 60)
     queue = FrameQueue(limit=100, linger_s=3600.0)
     queue.offer(parts[0])
-    taken = await asyncio.wait_for(queue.take(), timeout=5.0)
+    taken = await asyncio.wait_for(queue.take(), timeout=HANG_S)
     assert taken is not None
     assert len(taken) == 60
 
@@ -60,7 +61,7 @@ async def test_the_end_comes_after_the_frames() -> None:
     queue.offer(parts[0])
     queue.offer(parts[1])
     queue.close()
-    taken = await asyncio.wait_for(queue.take(), timeout=5.0)
+    taken = await asyncio.wait_for(queue.take(), timeout=HANG_S)
     assert taken is not None
     assert_same(taken, whole)
     assert await queue.take() is None
@@ -99,7 +100,7 @@ async def test_a_thread_loses_nothing() -> None:
     producer = threading.Thread(target=produce)
     producer.start()
     taken = []
-    while (batch := await asyncio.wait_for(queue.take(), timeout=5.0)) is not None:
+    while (batch := await asyncio.wait_for(queue.take(), timeout=HANG_S)) is not None:
         taken.append(batch)
     producer.join()
     assert queue.dropped == 0

@@ -12,6 +12,7 @@ from diag_service.frames import ERROR_FLAG, FrameBatch
 from diag_service.notices import NOTICE
 from diag_service.sources import BusState, LinkBreak, SourceCounts, SupervisedSource, supervise
 from diag_service.sources.live.supervisor import Patience
+from tests.patience import HANG_S
 
 QUICK = Patience(retry_s=0.001, restart_s=0.01)
 
@@ -69,7 +70,7 @@ class Script:
 async def parts_of(source: SupervisedSource, count: int) -> list[list[int] | str]:
     """Return the first parts: the numbers of a batch, the problem of a break."""
     parts: list[list[int] | str] = []
-    async with asyncio.timeout(5.0):
+    async with asyncio.timeout(HANG_S):
         async for part in source:
             parts.append(part.problem if isinstance(part, LinkBreak) else part.t_ns.tolist())
             if len(parts) == count:
