@@ -16,10 +16,11 @@ from diag_service.errors import ConfigError, IncompleteError, StoppedError, Stor
 from diag_service.frames import FrameBatch
 from diag_service.parquet_file import ParquetTable, load_pyarrow
 from diag_service.results import JsonObject, dump
-from diag_service.signal_tables.account import Account, frame_texts, values_text
+from diag_service.signal_tables.account import Account
 from diag_service.signal_tables.layouts import LongLayout, WideLayout
 from diag_service.signal_tables.names import TableNames, table_names
 from diag_service.signal_tables.record import account_record
+from diag_service.signal_tables.report import frame_texts, losses, remarks, values_text
 from diag_service.signal_tables.texts import Values
 from diag_service.sources import LogReader, read_log
 from diag_service.stopping import Trigger
@@ -68,10 +69,10 @@ def execute(options: argparse.Namespace, stop: Trigger, counts_wanted: Trigger) 
         sys.stdout.write(dump(_record(plan, account, reader, options.output)) + "\n")
     else:
         _show(plan, account, reader, options.output)
-    losses = list(account.losses())
-    if options.strict and losses:
-        more = f"; and {len(losses) - 1} more" if len(losses) > 1 else ""
-        raise IncompleteError(f"{options.log}: not all of it is in {options.output}: {losses[0]}{more}")
+    lost = list(losses(account))
+    if options.strict and lost:
+        more = f"; and {len(lost) - 1} more" if len(lost) > 1 else ""
+        raise IncompleteError(f"{options.log}: not all of it is in {options.output}: {lost[0]}{more}")
 
 
 def decode_log(plan: Plan, output: Path, stop: Trigger) -> tuple[Account, LogReader]:
@@ -141,8 +142,8 @@ def _show(plan: Plan, account: Account, reader: LogReader, output: Path) -> None
     lines = [
         f"{plan.log}: {reader.format.value}, {account.log.frames} frames: {', '.join(frame_texts(account))}",
         f"{account.row_count} rows in {output}: {values_text(account)}",
-        *account.losses(),
-        *account.remarks(),
+        *losses(account),
+        *remarks(account),
     ]
     console = PeopleConsole()
     for line in lines:

@@ -1,21 +1,21 @@
-"""What became of a log that was decoded, to the frame, and what is not in the table and why."""
+"""What became of a log that was decoded, to the frame."""
 
 from collections import Counter
-from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import Final
 
 import numpy as np
 
 from diag_service.columns import Int64Array
-from diag_service.decoding.codec import HAS_VALUES, Codec, FrameFate, FrameMatch, MessageTable, MessageValues
-from diag_service.definitions.addressing import parameter_group
+from diag_service.decoding.codec import Codec, FrameFate, FrameMatch, MessageTable, MessageValues
+from diag_service.definitions.addressing import J1939, parameter_group
 from diag_service.frames import ERROR_FLAG, EXTENDED_FLAG, REMOTE_FLAG, FrameBatch
-from diag_service.signal_tables.names import Place, TableNames, identifier_text
+from diag_service.signal_tables.names import Place, TableNames
 from diag_service.sources import LogCounts
 
 _BARE_ID: Final = 0x1FFF_FFFF
-SHOWN_COUNT: Final = 8
+MAX_IDS: Final = 65_536  # that are counted one by one: no bus has as many, a log of noise has
+TRANSPORT_DATA: Final = 0xEB00  # the parameter group of packets of J1939 transport (TP.DT)
 _NO_DATA: Final = np.uint32(REMOTE_FLAG | ERROR_FLAG)
 
 
@@ -50,6 +50,7 @@ class Account:
     counts: Int64Array = field(init=False)  # (messages + 1, fates)
     signals: dict[Place, SignalCounts] = field(default_factory=dict)
     frames_of_id: Counter[int] = field(default_factory=Counter)  # data frames by identifier with its flags
+    unlisted_count: int = 0  # data frames whose identifiers came when there were too many to be listed
 
     def __post_init__(self) -> None:
         self.counts = np.zeros((len(self.codec.tables) + 1, len(FrameFate)), np.int64)
@@ -59,7 +60,10 @@ class Account:
         self.counts += match.counts
         can_ids, counts = np.unique(batch.can_id[(batch.can_id & _NO_DATA) == 0], return_counts=True)
         for can_id, count in zip(can_ids.tolist(), counts.tolist(), strict=True):
-            self.frames_of_id[can_id] += count
+            if can_id in self.frames_of_id or len(self.frames_of_id) < MAX_IDS or self.codec.knows(can_id):
+                self.frames_of_id[can_id] += count
+            else:
+                self.unlisted_count += count
 
     def add_values(self, found: MessageValues) -> None:
         """Count the values of some frames of one message."""
@@ -111,6 +115,24 @@ class Account:
         }
 
     @property
+    def packet_count(self) -> int:
+        """How many frames are packets of J1939 transport, of whatever message."""
+        return sum(
+            count
+            for can_id, count in self.frames_of_id.items()
+            if can_id & EXTENDED_FLAG and parameter_group(can_id & _BARE_ID) == TRANSPORT_DATA
+        )
+
+    @property
+    def long_messages(self) -> list[str]:
+        """Messages of J1939 in the database that no classic frame holds."""
+        return [
+            name
+            for table, name in zip(self.codec.tables, self.names.messages, strict=True)
+            if table.carriage and table.message.protocol == J1939
+        ]
+
+    @property
     def overwritten(self) -> list[tuple[str, str]]:
         """Messages that came, but gave way to a later one of the same identifier."""
         seen = {id(self.codec.tables[slot].message): slot for slot in self.seen_slots}
@@ -134,94 +156,6 @@ class Account:
         tables = self.codec.tables
         return [_nearest(can_id, tables, self.names) for can_id, _ in self.unknown_ids[:count] if tables]
 
-    def losses(self) -> Iterator[str]:
-        """Yield for people what of the log is not in the table though it should be."""
-        log, fates = self.log, self.fates
-        if log.truncated:
-            yield "the log ends before its own end"
-        if log.unfinished:
-            yield "the log was never closed by its writer: what is missing at its end cannot be told"
-        if log.first_rejected:
-            rejected = {reason.value: count for reason, count in log.rejected.items()}
-            head = _with_reasons(f"{sum(rejected.values())} pieces of the log are no frames", rejected)
-            yield f"{head}, the first: {log.first_rejected}"
-        if self.frames_of_id and not self.known_count:
-            yield self._why_nothing()
-        if cut_off := sum(counts.cut_off for counts in self.signals.values()):
-            yield f"{fates[FrameFate.SHORT]} frames are shorter than their message: {cut_off} values are not in them"
-        if fates[FrameFate.TRANSPORTED]:
-            sizes = {f"{name} ({size} bytes)": frames for name, (size, frames) in self.transported.items()}
-            yield (
-                f"{fates[FrameFate.TRANSPORTED]} frames are pieces of messages longer than a frame, which need ISO-TP "
-                f"or J1939 transport and are not decoded: {listing(sizes)}"
-            )
-        if refused := list(self.refused.values()):
-            more = f"; and {len(refused) - SHOWN_COUNT} more" if len(refused) > SHOWN_COUNT else ""
-            yield f"{len(refused)} signals cannot be decoded: {'; '.join(refused[:SHOWN_COUNT])}{more}"
-        if fates[FrameFate.WITHOUT_SIGNALS]:
-            yield f"{fates[FrameFate.WITHOUT_SIGNALS]} frames are of messages without a signal that can be decoded"
-        for old, new in self.overwritten:
-            yield f"message {old} has the identifier of {new}, by which its frames are decoded"
-
-    def _why_nothing(self) -> str:
-        near = [
-            f"{shown(one.can_id)} of the log to {shown(one.message_id)} {one.message}"
-            + (f" ({one.remark})" if one.remark else "")
-            for one in self.nearest()
-        ]
-        head = f"0 of {len(self.frames_of_id)} identifiers are in this database"
-        return f"{head}; nearest: {'; '.join(near)}" if near else head
-
-    def remarks(self) -> Iterator[str]:
-        """Yield for people what is in the table, or is missing by right, but may be worth a look."""
-        yield from self.log.notes
-        short_count, unknown = self.fates[FrameFate.SHORT], self.unknown_ids
-        if short_count and not any(counts.cut_off for counts in self.signals.values()):
-            yield f"{short_count} frames are shorter than their message, but hold all its signals"
-        if unknown and self.known_count:
-            frames = {shown(can_id): count for can_id, count in unknown}
-            yield f"{len(unknown)} of {len(self.frames_of_id)} identifiers are not in the database: {listing(frames)}"
-        for attribute, text in (("out_of_range", "outside [min|max]"), ("not_a_number", "that are no numbers")):
-            counts = {self.names.columns[place]: getattr(one, attribute) for place, one in self.signals.items()}
-            found = {name: count for name, count in counts.items() if count}
-            if found:
-                yield f"{sum(found.values())} values {text}, written as sent: " + listing(found)
-
-
-def listing(counts: Mapping[str, int], shown_count: int = SHOWN_COUNT) -> str:
-    """Return the largest counts by name, and how many more there are."""
-    largest = sorted(counts.items(), key=lambda one: (-one[1], one[0]))
-    parts = [f"{name} {count}" for name, count in largest[:shown_count]]
-    return ", ".join(parts + ([f"and {len(largest) - shown_count} more"] if len(largest) > shown_count else []))
-
-
-def shown(can_id: int) -> str:
-    """Return an identifier with its flags for people."""
-    return identifier_text(can_id & _BARE_ID, is_extended=bool(can_id & EXTENDED_FLAG))
-
-
-def frame_texts(account: Account) -> Iterator[str]:
-    """Yield what became of the frames, in words; only what occurred."""
-    words = {
-        FrameFate.DECODED: "decoded",
-        FrameFate.SHORT: "decoded in part",
-        FrameFate.TRANSPORTED: "pieces of longer messages",
-        FrameFate.WITHOUT_SIGNALS: "of messages without signals",
-        FrameFate.UNKNOWN: "of no message of the database",
-        FrameFate.REMOTE: "remote frames",
-        FrameFate.ERROR: "error frames",
-    }
-    for fate, count in account.fates.items():
-        if count or fate is FrameFate.DECODED:
-            yield f"{count} {words[fate]}"
-
-
-def values_text(account: Account) -> str:
-    """Return how many values there are, in words."""
-    values = sum(counts.values for counts in account.signals.values())
-    with_values = int(np.count_nonzero(account.counts[:-1, list(HAS_VALUES)].sum(axis=1)))
-    return f"{values} values of {len(account.signals)} signals in {with_values} messages"
-
 
 def _nearest(can_id: int, tables: tuple[MessageTable, ...], names: TableNames) -> Nearest:
     bare, is_extended = can_id & _BARE_ID, bool(can_id & EXTENDED_FLAG)
@@ -244,8 +178,3 @@ def _nearest(can_id: int, tables: tuple[MessageTable, ...], names: TableNames) -
         )
     flag = EXTENDED_FLAG if message.is_extended_frame else 0
     return Nearest(can_id=can_id, message=names.messages[slot], message_id=message.frame_id | flag, remark=remark)
-
-
-def _with_reasons(head: str, counts: Mapping[str, int]) -> str:
-    named = [f"{count} {name.replace('_', ' ')}" for name, count in counts.items() if count]
-    return f"{head} ({', '.join(named)})" if named else head

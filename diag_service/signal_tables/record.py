@@ -8,6 +8,7 @@ from diag_service.frames import EXTENDED_FLAG
 from diag_service.results import JsonObject
 from diag_service.signal_tables.account import Account
 from diag_service.signal_tables.names import identifier_text
+from diag_service.signal_tables.report import losses
 
 SCHEMA: Final = "clutchdiag/decode/v1"
 _BARE_ID: Final = 0x1FFF_FFFF
@@ -32,6 +33,7 @@ def account_record(account: Account) -> JsonObject:
         "identifiers": {
             "seen": len(account.frames_of_id),
             "known": account.known_count,
+            "unlisted_frames": account.unlisted_count,
             "unknown": [{**_identifier(can_id), "frames": count} for can_id, count in account.unknown_ids],
             "nearest": [
                 {**_identifier(one.can_id), "message": one.message, "message_id": _identifier(one.message_id)["id"]}
@@ -41,7 +43,7 @@ def account_record(account: Account) -> JsonObject:
         "messages": [_message(account, slot) for slot in account.seen_slots],
         "refused": account.refused,
         "overwritten": [{"message": old, "by": new} for old, new in account.overwritten],
-        "losses": list(account.losses()),
+        "losses": list(losses(account)),
     }
 
 

@@ -190,9 +190,10 @@ def test_every_frame_and_every_loss_is_told(tmp_path: Path, capsys: pytest.Captu
     assert whole["Low"] == {"column": "Whole.Low", "values": 3, "cut_off": 1, "out_of_range": 1, "not_a_number": 0}
     assert whole["High"] == {"column": "Whole.High", "values": 2, "cut_off": 2, "out_of_range": 0, "not_a_number": 0}
     assert record["identifiers"] == {
-        "seen": 5, "known": 4, "unknown": [{"id": "0x7AB", "is_extended": False, "frames": 1}], "nearest": []
+        "seen": 5, "known": 4, "unlisted_frames": 0, "nearest": [],
+        "unknown": [{"id": "0x7AB", "is_extended": False, "frames": 1}],
     }  # fmt: skip
-    assert len(record["losses"]) == 5
+    assert len(record["losses"]) == 4
     rows = pq.read_table(tmp_path / "out.parquet").to_pylist()
     assert record["rows"] == len(rows) == 5
     assert [row["Whole.Low"] for row in rows] == [1, 1, None, None, 255]
@@ -217,6 +218,43 @@ def test_people_are_told_the_same(tmp_path: Path, capsys: pytest.CaptureFixture[
         assert text in out
 
 
+def test_of_messages_with_one_identifier_the_last_is_written_and_the_other_told(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    database = TWINS.replace("BO_ 512 Status", "BO_ 256 Later").replace("BO_ 768 Other", "BO_ 512 Other")
+    record = told(tmp_path, capsys, database, log_of("100#0100000000000000"))
+    assert record["losses"] == ["message Status has the identifier of Later, by which its frames are decoded"]
+    assert pq.read_table(tmp_path / "out.parquet").to_pylist()[0]["Later.Value"] == 101.0
+
+
+def test_packets_of_j1939_transport_are_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    database = (
+        STATES.replace("BO_ 256 Brake: 4", "BO_ 2566845438 VIN: 17").replace(" 256 ", " 2566845438 ")
+        + 'BA_DEF_ BO_ "VFrameFormat" ENUM "StandardCAN","ExtendedCAN","reserved","J1939PG";\n'
+        + 'BA_DEF_DEF_ "VFrameFormat" "J1939PG";\nBA_ "VFrameFormat" BO_ 2566845438 3;\n'
+    )
+    log = log_of("18ECFF00#20110003FFECFE00", "18EBFF00#0131323334353637", "18EBFF00#0231323334353637")
+    record = told(tmp_path, capsys, database, log)
+    assert record["losses"][1] == (
+        "2 frames are packets of J1939 transport, which are not put together; of the database these messages come that "
+        "way: VIN"
+    )
+
+
+def test_identifiers_without_end_take_no_memory_without_end(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("diag_service.signal_tables.account.MAX_IDS", 3)
+    record = told(tmp_path, capsys, STATES, log_of("100#00000000", *(f"{number:08X}#00" for number in range(9))))
+    assert (record["identifiers"]["seen"], record["identifiers"]["unlisted_frames"]) == (3, 7)
+    assert record["frames"]["unknown"] == 9
+
+
+def test_jumps_of_time_are_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    decoded(tmp_path, STATES, STATE_LOG + STATE_LOG, "--strict")  # nothing is lost by them
+    assert "1 jumps of time, 1 of them back, the first: " in capsys.readouterr().out
+
+
 def test_a_cut_log_is_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     record = told(tmp_path, capsys, STATES, STATE_LOG[:-5])
     assert (record["truncated"], record["losses"][0]) == (True, "the log ends before its own end")
@@ -224,7 +262,7 @@ def test_a_cut_log_is_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -
 
 
 def test_strict_writes_the_file_and_complains(tmp_path: Path) -> None:
-    with pytest.raises(IncompleteError, match=r"drive\.log: not all of it is in .*out\.parquet: 1 pieces .*and 4 more"):
+    with pytest.raises(IncompleteError, match=r"drive\.log: not all of it is in .*out\.parquet: 1 pieces .*and 3 more"):
         decoded(tmp_path, LOSSES, LOST_LOG, "--strict")
     assert pq.read_table(tmp_path / "out.parquet").num_rows == 5
     assert len(decoded(tmp_path, STATES, STATE_LOG, "--strict")) == 5  # nothing was lost
