@@ -7,11 +7,13 @@ a second.
 """
 
 import logging
+import os
 import pickle
 import re
 import signal
 import subprocess
 import sys
+from collections.abc import Sequence
 from enum import StrEnum
 from pathlib import Path
 from typing import Final
@@ -21,6 +23,9 @@ from cantools.database.can import Database
 from clutch_model.plain_files import read_small_file
 from dbc.contract import DBC_PATH, load_contract
 from diag_service.definitions import database_child
+from diag_service.definitions.database_parsing import Parsed
+from diag_service.definitions.dbc_sieve import Offence
+from diag_service.definitions.message_choice import bus_of, chosen_messages
 from diag_service.errors import ConfigError
 
 MAX_FILE_BYTES: Final = 32 * 2**20  # the largest public databases have about 5 MB as DBC, some more as ARXML
@@ -30,6 +35,7 @@ MAX_DIGITS: Final = 9  # no number that sizes something needs more
 PARSER_BYTES: Final = 368 * 2**20  # six megabytes of DBC take 360
 PARSER_TIME_S: Final = 9  # and seven seconds of computing
 MAX_WAIT_S: Final = 60.0  # for the parsing process on a busy machine; its computing time is limited by itself
+MAX_WARNINGS: Final = 20
 HEAD_CHARACTERS: Final = 65_536  # a file says what it is in its beginning
 
 _LOG: Final = logging.getLogger(__name__)
@@ -40,6 +46,7 @@ _SIGNAL_PLACE: Final = re.compile(r"(?<!\d)(\d++)\s*+\|\s*+(\d++)\s*+@")
 _MULTIPLEX_VALUES: Final = re.compile(r"\bSG_MUL_VAL_\s[^;]*+(?:;|\Z)")
 _RANGE: Final = re.compile(r"(?<!\d)(\d++)\s*+-\s*+(\d++)")
 _ROOT: Final = re.compile(r"<(?:[\w.-]+:)?([A-Za-z_][\w.-]*)[\s/>]")
+_NARROW_BYTES: Final = 64  # that tell whether a text without a mark has two bytes for each letter
 _BYTE_ORDER_MARKS: Final = (b"\xff\xfe", b"\xfe\xff")  # of UTF-16
 
 
@@ -61,30 +68,58 @@ _ARTICLE: Final = {
 _FORMAT_OF_ROOT: Final = {"NetworkDefinition": DatabaseFormat.KCD, "AUTOSAR": DatabaseFormat.ARXML}
 
 
-def load_database(path: Path) -> Database:
+def load_database(path: Path, *, is_lenient: bool = False) -> Database:
     """Return the messages of a DBC, KCD, ARXML or SYM file; which one it is, its contents say.
 
-    A file that breaks the strict rules (overlapping signals, signals outside their message) is loaded without them,
-    and a warning is logged; whether the signals in use are sound is checked when they are mapped.
+    Signals that overlap or lie outside their message are warned of, message by message; whether the signals in use
+    are sound is checked when they are mapped.
+
+    Parameters
+    ----------
+    path : Path
+        The file; of a network of several buses, ``FILE#BUS`` is one of them.
+    is_lenient : bool
+        Leave items out of a DBC file that cannot be right, with a warning of each, instead of refusing the file.
 
     Raises
     ------
     ConfigError
-        If the file is missing, unreadable, of another format, has no messages, names sizes that no CAN message has, or
-        takes too much memory or time to parse.
+        If the file is missing, unreadable, of another format, has no messages, names sizes that no CAN message has,
+        takes too much memory or time to parse, or has items that cannot be right.
     """
     if path == DBC_PATH:
         return load_contract()
-    text = _read_text(path)
-    database_format = _format_of(text, path)
+    file, bus = bus_of(path)
+    text = _read_text(file)
+    database_format = _format_of(text, file)
     if database_format == DatabaseFormat.DBC:
-        _refuse_absurd_sizes(text, path)
-    database, complaint = _parse(text, database_format, path)
-    if not database.messages:
-        raise ConfigError(f"{path} is not {_ARTICLE[database_format]} file, or it has no messages")
-    if complaint:
-        _LOG.warning("%s does not load strictly (%s); loaded without strict checks", path, complaint)
-    return database
+        _refuse_absurd_sizes(text, file)
+    parsed = _parse(text, database_format, file, is_lenient=is_lenient)
+    if parsed.database is None:
+        raise ConfigError(_refusal(parsed.offences, file))
+    if not parsed.database.messages:
+        raise ConfigError(f"{file} is not {_ARTICLE[database_format]} file, or it has no messages")
+    _warn_each(file, [_said(offence) for offence in parsed.offences])
+    _warn_each(file, [f"does not load strictly: {complaint}" for complaint in parsed.complaints])
+    return chosen_messages(parsed.database, bus, file, is_lenient=is_lenient)
+
+
+def _refusal(offences: Sequence[Offence], path: Path) -> str:
+    real = [offence for offence in offences if not offence.is_harmless]
+    more = f"; {len(real) - 1} more like this" if len(real) > 1 else ""
+    return f"{path} does not load strictly: {real[0]}{more} (--lenient leaves out what cannot be right)"
+
+
+def _said(offence: Offence) -> str:
+    return f"{offence}{'' if offence.is_mended else ' (left out)'}"
+
+
+def _warn_each(path: Path, said: Sequence[str]) -> None:
+    """Warn of the first of many things, and say how many more there are."""
+    for text in said[:MAX_WARNINGS]:
+        _LOG.warning("%s: %s", path, text)
+    if len(said) > MAX_WARNINGS:
+        _LOG.warning("%s: and %d more like these", path, len(said) - MAX_WARNINGS)
 
 
 def _read_text(path: Path) -> str:
@@ -93,8 +128,15 @@ def _read_text(path: Path) -> str:
         content = read_small_file(path, MAX_FILE_BYTES)
     except OSError as error:
         raise ConfigError(f"cannot read the database {path}: {error.strerror or error}") from error
+    text = _decoded(content).rstrip("\x00\x1a")  # how files of old ended
+    return text.replace("\r\n", "\n").replace("\r", "\n") + "\n"
+
+
+def _decoded(content: bytes) -> str:
     if content.startswith(_BYTE_ORDER_MARKS):
         return content.decode("utf-16", errors="replace")
+    if content[:_NARROW_BYTES].count(0) * 3 > len(content[:_NARROW_BYTES]):  # every other byte, as a rule
+        return content.decode("utf-16-le" if content[1:2] == b"\0" else "utf-16-be", errors="replace")
     try:
         return content.decode("utf-8-sig")
     except UnicodeDecodeError:
@@ -141,13 +183,20 @@ def _shown(digits: str) -> str:
     return digits if len(digits) <= 20 else f"{digits[:17]}..."
 
 
-def _parse(text: str, database_format: DatabaseFormat, path: Path) -> tuple[Database, str]:
-    """Return what cantools makes of the text, and what its strict check complains of."""
-    limits = (str(PARSER_BYTES), str(PARSER_TIME_S))
-    command = [sys.executable, "-P", database_child.__file__, database_format, *limits]
+def _parse(text: str, database_format: DatabaseFormat, path: Path, *, is_lenient: bool) -> Parsed:
+    """Return what cantools makes of the text, and what is wrong with it."""
+    mode = database_child.LENIENT if is_lenient else database_child.STRICT
+    words = (database_format, str(PARSER_BYTES), str(PARSER_TIME_S), mode)
+    command = [sys.executable, "-P", "-m", database_child.__name__, *words]
+    folders = os.pathsep.join(folder for folder in sys.path if folder)
     try:
-        done = subprocess.run(  # noqa: S603 - this interpreter, a script of ours
-            command, input=text.encode(), capture_output=True, check=False, timeout=MAX_WAIT_S
+        done = subprocess.run(  # noqa: S603 - this interpreter, a module of ours
+            command,
+            input=text.encode(errors="replace"),
+            capture_output=True,
+            check=False,
+            timeout=MAX_WAIT_S,
+            env={**os.environ, "PYTHONPATH": folders},
         )
     except subprocess.TimeoutExpired as error:
         raise ConfigError(f"{path} was not parsed within {MAX_WAIT_S:.0f} s") from error
@@ -160,7 +209,5 @@ def _parse(text: str, database_format: DatabaseFormat, path: Path) -> tuple[Data
     if done.returncode != 0:
         lines = done.stderr.decode(errors="replace").strip().splitlines() or ["the parser ended without a word"]
         raise ConfigError(f"{path} is not {_ARTICLE[database_format]} file: {lines[-1][:200]}")
-    database, complaint = pickle.loads(done.stdout)  # noqa: S301 - written by our own script
-    if not isinstance(database, Database):
-        raise ConfigError(f"{path} holds no CAN messages")
-    return database, str(complaint)
+    parsed: Parsed = pickle.loads(done.stdout)  # noqa: S301 - written by our own module
+    return parsed

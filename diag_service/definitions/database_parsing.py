@@ -1,0 +1,76 @@
+"""What cantools makes of the text of a database, and what of a DBC text has to be left out before it does."""
+
+import gc
+from dataclasses import dataclass
+from typing import Final
+
+import cantools
+from cantools.database.can import Database, Message
+
+from diag_service.definitions.dbc_doubts import has_doubts
+from diag_service.definitions.dbc_sieve import Offence, Sieve
+
+MOST_COMPLAINTS: Final = 1_000  # that are handed over
+ParseError = cantools.Error
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Parsed:
+    """What came of a text."""
+
+    database: Database | None  # None: offences speak against it
+    offences: tuple[Offence, ...] = ()  # what was left out of a DBC file, or would have to be
+    complaints: tuple[str, ...] = ()  # of cantools' strict check, one for each message
+
+
+def parsed_dbc(text: str, *, is_lenient: bool) -> Parsed:
+    """Return what comes of a DBC text; raises cantools.Error."""
+    parsed, failure = None, None
+    if not is_lenient:
+        try:
+            parsed = checked(text, "dbc")
+        except cantools.Error as error:
+            failure = ParseError(one_line(error))
+        if parsed is not None and parsed.database is not None and not has_doubts(text, parsed.database):
+            return parsed
+        gc.collect()  # what the failed attempt left
+    sieve = Sieve(text)
+    if not sieve.has_messages and failure is not None:
+        raise failure
+    offences = tuple(sieve.offences)
+    if not is_lenient and any(not offence.is_harmless for offence in offences):
+        return Parsed(database=None, offences=offences)
+    if parsed is not None:
+        return parsed
+    clean = sieve.text
+    del sieve
+    found = checked(clean, "dbc")
+    return Parsed(database=found.database, offences=offences, complaints=found.complaints)
+
+
+def checked(text: str, database_format: str) -> Parsed:
+    """Return the database that cantools makes of a text, and what its strict check says; raises cantools.Error."""
+    database = cantools.database.load_string(text, database_format=database_format, strict=False)
+    if not isinstance(database, Database):
+        raise ParseError("it holds no CAN messages")
+    complaints = [complaint for message in database.messages for complaint in complaints_of(message)]
+    return Parsed(database=database, complaints=tuple(complaints[:MOST_COMPLAINTS]))
+
+
+def complaints_of(message: Message) -> list[str]:
+    """Return what the strict check says of a message and those it contains."""
+    complaints = []
+    try:
+        message.refresh(strict=True)
+    except cantools.Error as error:
+        complaints.append(one_line(error))
+    for contained in message.contained_messages or ():
+        complaints += complaints_of(contained)
+    return complaints
+
+
+def one_line(error: Exception) -> str:
+    """Return the text of a foreign error, on one line of bearable length."""
+    cause = error.__cause__ or error
+    text = " ".join(str(cause).split()) or type(cause).__name__
+    return text if len(text) <= 160 else f"{text[:157]}..."
