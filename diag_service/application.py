@@ -64,7 +64,7 @@ class Controls:
 
 def run_bus(config: DiagnosisConfig, bus: BusConfig, store_path: Path, controls: Controls, *, as_json: bool) -> None:
     """Diagnose a live bus until it is told to stop."""
-    decoder = interpret(config.dbc, config.profile).decoder()
+    decoder = interpret(config.dbc, config.profile, is_lenient=config.is_lenient).decoder()
     with closing(ResultStore.open(store_path, config.budget_bytes)) as store:
         reporter = DetachedReporter(_reporter(controls.stop, as_json=as_json))
         session = _session(config, decoder, store, None, reporter)
@@ -73,7 +73,7 @@ def run_bus(config: DiagnosisConfig, bus: BusConfig, store_path: Path, controls:
 
 def run_monitor(config: DiagnosisConfig, bus: BusConfig, controls: Controls) -> None:
     """Show a live bus until told to stop; nothing is stored or published."""
-    decoder = interpret(config.dbc, config.profile).decoder()
+    decoder = interpret(config.dbc, config.profile, is_lenient=config.is_lenient).decoder()
     with closing(ResultStore.in_memory()) as store, Monitor(PeopleConsole()) as monitor:
         session = _session(config, decoder, store, None, PipeReporter(SilentReporter(), controls.stop.set))
         asyncio.run(_run_bus(replace(config, broker=None), bus, store, session, controls, monitor.show))
@@ -83,7 +83,7 @@ def run_recorded(
     config: DiagnosisConfig, paths: list[Path], store_path: Path | None, controls: Controls, *, as_json: bool
 ) -> None:
     """Diagnose the logs of a drive."""
-    meaning = interpret(config.dbc, config.profile)
+    meaning = interpret(config.dbc, config.profile, is_lenient=config.is_lenient)
     decoder = meaning.decoder()
     logs = open_drive(paths, is_strict=config.is_strict)
     stream = stream_of([*(log.path for log in logs), *meaning.files])
@@ -104,7 +104,7 @@ def run_recorded(
 
 def run_paper_recorded(config: DiagnosisConfig, paths: list[Path], controls: Controls, *, as_json: bool) -> None:
     """Analyse the logs of a drive by the paper's method; nothing is stored, judged or published."""
-    decoder = interpret(config.dbc, config.profile).decoder()
+    decoder = interpret(config.dbc, config.profile, is_lenient=config.is_lenient).decoder()
     stages = Stages(decoder, config.calibration, Belief.fresh(config.calibration), ConditionMemory.fresh())
     collection = PaperCollection(config.calibration, nominal_driveline())
     logs = open_drive(paths, is_strict=config.is_strict)
@@ -116,7 +116,10 @@ def run_calibrate(
 ) -> None:
     """Find what a vehicle's sensors and masses really are from its logs, and write its own calibration file."""
     events = calibrate_run.find_events(
-        open_drive(paths), interpret(config.dbc, config.profile).decoder(), config.calibration, controls.stop
+        open_drive(paths),
+        interpret(config.dbc, config.profile, is_lenient=config.is_lenient).decoder(),
+        config.calibration,
+        controls.stop,
     )
     found = calibrate_run.run_calibrate(events, config.calibration, config.vehicle, output)
     if as_json:

@@ -135,7 +135,7 @@ def _add_calibrate(calibrate: argparse.ArgumentParser) -> None:
 
 def _add_inspect(inspect: argparse.ArgumentParser) -> None:
     inspect.add_argument("logs", nargs="+", type=Path, metavar="LOG", help="log file")
-    inspect.add_argument("--dbc", type=Path, metavar="FILE", help="names messages; the shipped one also checks them")
+    _add_database(inspect, "names messages; the shipped one also checks them")
     inspect.add_argument(
         "-b",
         "--bitrate",
@@ -149,14 +149,14 @@ def _add_inspect(inspect: argparse.ArgumentParser) -> None:
 
 def _add_signals(signals: argparse.ArgumentParser) -> None:
     signals.add_argument("log", type=Path, metavar="LOG", help="log file")
-    signals.add_argument("--dbc", type=Path, metavar="FILE", help="message database (default: the shipped one)")
+    _add_database(signals, "message database (default: the shipped one)")
     _add_verbosity(signals)
 
 
 def _add_decode(decode: argparse.ArgumentParser) -> None:
     decode.add_argument("log", type=Path, metavar="LOG", help="log file")
     decode.add_argument("-o", "--output", type=Path, required=True, metavar="FILE", help="Parquet file to write")
-    decode.add_argument("--dbc", type=Path, metavar="FILE", help="message database (default: the shipped one)")
+    _add_database(decode, "message database (default: the shipped one)")
     decode.add_argument(
         "--layout",
         choices=("wide", "long"),
@@ -178,10 +178,18 @@ def _add_decode(decode: argparse.ArgumentParser) -> None:
     _add_verbosity(decode)
 
 
-def _add_meaning(parser: argparse.ArgumentParser) -> None:
+def _add_database(parser: argparse.ArgumentParser, text: str) -> None:
+    parser.add_argument("--dbc", type=Path, metavar="FILE[#BUS]", help=text)
     parser.add_argument(
-        "--dbc", type=Path, metavar="FILE", help="message database: DBC, KCD, ARXML or SYM (default: the shipped one)"
+        "--lenient",
+        action="store_true",
+        default=None,
+        help="leave out items of a DBC file that cannot be right, each with a warning, instead of refusing the file",
     )
+
+
+def _add_meaning(parser: argparse.ArgumentParser) -> None:
+    _add_database(parser, "message database: DBC, KCD, ARXML or SYM (default: the shipped one)")
     parser.add_argument(
         "--profile",
         type=Path,

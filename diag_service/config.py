@@ -34,6 +34,7 @@ class DiagnosisConfig:
     calibration: Calibration
     broker: BrokerAddress | None
     is_strict: bool = False  # of logs: stop at the first fault
+    is_lenient: bool = False  # of the database: leave out what cannot be right
     acknowledge: Acknowledge = Acknowledge.BROKER
     budget_bytes: int | None = None  # of the store; None: no limit
 

@@ -12,6 +12,7 @@ BROKER_VARIABLE: Final = f"{PREFIX}BROKER"  # keeps a password out of the proces
 DEFAULTS: Final[Mapping[str, OptionValue]] = {
     "vehicle": "vehicle",
     "dbc": None,
+    "lenient": False,
     "profile": None,
     "calibration": None,
     "store": None,

@@ -9,6 +9,7 @@ from cantools.database.can import Database
 from dbc.contract import DBC_PATH
 from diag_service.decoding.mapping import Decoder
 from diag_service.definitions.database import load_database
+from diag_service.definitions.message_choice import bus_of
 from diag_service.definitions.profile import PROFILE_FOLDER, Profile, find_profile, load_profile
 from diag_service.errors import ConfigError
 from diag_service.notices import NOTICE
@@ -30,7 +31,7 @@ class Interpretation:
         return Decoder(self.database, self.profile)
 
 
-def interpret(dbc: Path | None, profile: Path | None) -> Interpretation:
+def interpret(dbc: Path | None, profile: Path | None, *, is_lenient: bool = False) -> Interpretation:
     """Return what the user named, checked; without a profile the shipped one that fits the database is taken and told.
 
     Raises
@@ -41,12 +42,12 @@ def interpret(dbc: Path | None, profile: Path | None) -> Interpretation:
     if dbc is None and profile is None:
         return Interpretation(database=load_database(DBC_PATH), profile=load_profile(), files=())
     if profile is None:
-        database = load_database(dbc or DBC_PATH)
+        database = load_database(dbc or DBC_PATH, is_lenient=is_lenient)
         fit = choose_profile(database)
         _LOG.log(NOTICE, "%s", fit.said)
         return Interpretation(database=database, profile=fit.profile, files=_files(dbc, fit.profile, None))
     named = find_profile(profile)
-    database = load_database(dbc or named.database or DBC_PATH)
+    database = load_database(dbc or named.database or DBC_PATH, is_lenient=is_lenient)
     if named.is_lenient:
         fit = fit_of(database, named)
         if fit.tier is None:
@@ -58,4 +59,4 @@ def interpret(dbc: Path | None, profile: Path | None) -> Interpretation:
 def _files(dbc: Path | None, profile: Profile, named: Path | None) -> tuple[Path, ...]:
     shipped = PROFILE_FOLDER / f"{profile.name}.toml"
     source = shipped if profile.is_lenient else named
-    return tuple(path for path in (dbc, source) if path is not None)
+    return tuple(bus_of(path)[0] for path in (dbc, source) if path is not None)

@@ -23,6 +23,7 @@ class Settings(BaseSettings):
 
     vehicle: str | None = None
     dbc: Path | None = None
+    lenient: bool | None = None
     profile: Path | None = None
     calibration: Path | None = None
     store: Path | None = None

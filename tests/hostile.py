@@ -156,7 +156,7 @@ def wide_pages() -> bytes:
 
 
 def slow_dbc() -> bytes:
-    return dbc("".join(f'BO_ {k} m{k}: 1785 A\n SG_ s : 0|14000@1+ (1,0) [0|0] "" A\n\n' for k in range(3000)))
+    return dbc("".join(f'BO_ {2**31 + k} m{k}: 1785 A\n SG_ s : 0|14000@1+ (1,0) [0|0] "" A\n\n' for k in range(3000)))
 
 
 def kcd_bomb() -> bytes:
@@ -191,6 +191,9 @@ HOSTILE: Mapping[str, Callable[[], bytes]] = {
     "message.dbc": lambda: dbc('BO_ 1 m: 4000000000 A\n SG_ s : 0|8@1+ (1,0) [0|0] "" A\n'),
     "pages.dbc": wide_pages,
     "slow.dbc": slow_dbc,
+    "words.dbc": lambda: dbc("BO_ 1 m: 8 A\n" + "SG_ " * 2_000_000),
+    "words.lenient": lambda: dbc("BO_ 1 m: 8 A\n" + "SG_ " * 2_000_000),
+    "quotes.lenient": lambda: dbc("BO_ 1 m: 8 A\n" + '"\n BO_ ' * 1_000_000),
     "message.kcd": kcd_bomb,
     "entities.kcd": lambda: ENTITIES,
     "message.sym": lambda: (
@@ -203,6 +206,13 @@ def listen_at(path: Path) -> None:
     """Leave a socket there."""
     with socket.socket(socket.AF_UNIX) as listener:
         listener.bind(str(path))
+
+
+def load_leniently(path: Path) -> None:
+    """Load a database with all that can be left out left out."""
+    from diag_service.definitions.database import load_database  # noqa: PLC0415 - in the process that is watched
+
+    load_database(path, is_lenient=True)
 
 
 HOLE_BYTES = 10 * 2**30
@@ -231,6 +241,7 @@ READERS: Mapping[str, str] = {
     ".dbc": DATABASE,
     ".kcd": DATABASE,
     ".sym": DATABASE,
+    ".lenient": "tests.hostile:load_leniently",
     ".profile": "diag_service.definitions.profile:load_profile",
     ".calibration": "clutch_model.calibration:read_calibration",
     ".config": "diag_service.settings:load_settings",
@@ -247,10 +258,15 @@ PLACES: Mapping[str, Callable[[Path], None]] = {
     "socket": listen_at,
 }  # that are no files
 NO_FILES = tuple(
-    f"{place}{suffix}" for place in PLACES for suffix in (*READERS, ".log") if suffix not in {".kcd", ".sym"}
+    f"{place}{suffix}"
+    for place in PLACES
+    for suffix in (*READERS, ".log")
+    if suffix not in {".kcd", ".sym", ".lenient"}
 )
 ALL = (*HOSTILE, *HOLLOW, *(f"middle-{name}" for name in HOLLOW), *NO_FILES)
-SLOW = frozenset({"slow.dbc", "lines.asc"})  # take all the time that they are given
+SLOW = frozenset(
+    {"slow.dbc", "lines.asc", "words.dbc", "words.lenient", "quotes.lenient"}
+)  # take all the time that they are given
 
 
 def make(name: str, path: Path) -> None:

@@ -105,7 +105,7 @@ def checked_jobs(jobs: int | None) -> int:
 def settings_digest(config: DiagnosisConfig) -> str:
     """Return a digest of all that decides about results besides the logs: their files and the versions."""
     versions = versions_for(config.calibration, calibration_digest(config.calibration))
-    files = stream_of(interpret(config.dbc, config.profile).files)
+    files = stream_of(interpret(config.dbc, config.profile, is_lenient=config.is_lenient).files)
     parts = (config.vehicle, versions.algorithm, versions.calibration, files, str(config.is_strict))
     return hashlib.sha256("\0".join(parts).encode()).hexdigest()
 

@@ -38,7 +38,7 @@ class Analyst:
 
     @cached_property
     def _meaning(self) -> Interpretation:
-        return interpret(self.config.dbc, self.config.profile)
+        return interpret(self.config.dbc, self.config.profile, is_lenient=self.config.is_lenient)
 
     def analyse(self, drive: Drive) -> Entry:
         """Return the account of a drive and its shifts; a log that cannot be read gives the reason instead."""

@@ -5,6 +5,7 @@ import logging
 import sys
 
 from diag_service.commands.meaning import bus_config, diagnosis_config
+from diag_service.interpretation import interpret
 from diag_service.options import describe
 from diag_service.stopping import Trigger
 
@@ -14,8 +15,10 @@ _LOG = logging.getLogger(__name__)
 def execute(options: argparse.Namespace, stop: Trigger, counts_wanted: Trigger) -> None:
     """Check the settings and print them."""
     del stop, counts_wanted
-    broker = diagnosis_config(options).broker
+    diagnosis = diagnosis_config(options)
     bus_config(options)
+    interpret(diagnosis.dbc, diagnosis.profile, is_lenient=diagnosis.is_lenient)
+    broker = diagnosis.broker
     if broker is not None and broker.exposure:
         _LOG.warning("%s", broker.exposure)
     sys.stdout.write(describe(options))

@@ -47,7 +47,7 @@ def execute(options: argparse.Namespace, stop: Trigger, counts_wanted: Trigger) 
     if options.output.suffix.lower() != ".parquet":
         raise ConfigError(f"{options.output}: the signals are written as .parquet")
     load_pyarrow()
-    codec = Codec(load_database(options.dbc or DBC_PATH).messages)
+    codec = Codec(load_database(options.dbc or DBC_PATH, is_lenient=bool(options.lenient)).messages)
     plan = Plan(
         log=options.log,
         codec=codec,

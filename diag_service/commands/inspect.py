@@ -54,7 +54,7 @@ def execute(options: argparse.Namespace, stop: Trigger, counts_wanted: Trigger) 
     del counts_wanted
     if options.bitrate <= 0:
         raise ConfigError(f"the bit rate must be > 0, got {options.bitrate}")
-    messages = load_database(options.dbc or DBC_PATH).messages
+    messages = load_database(options.dbc or DBC_PATH, is_lenient=bool(options.lenient)).messages
     console = PeopleConsole()
     for path in options.logs:
         inspection = inspect_log(path, messages, options.bitrate, stop)

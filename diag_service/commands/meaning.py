@@ -14,6 +14,7 @@ def diagnosis_config(options: argparse.Namespace) -> config.DiagnosisConfig:
     return config.DiagnosisConfig(
         vehicle=config.check_vehicle(options.vehicle),
         dbc=options.dbc,
+        is_lenient=options.lenient,
         profile=options.profile,
         calibration=config.load_calibration(options.calibration),
         broker=_broker(options),

@@ -104,7 +104,7 @@ def execute(options: argparse.Namespace, stop: Trigger, counts_wanted: Trigger) 
     """Survey a log and write a profile whose comments say what there is."""
     del counts_wanted
     database = options.dbc or DBC_PATH
-    survey = Survey(Codec(load_database(database).messages, check_codes=True))
+    survey = Survey(Codec(load_database(database, is_lenient=bool(options.lenient)).messages, check_codes=True))
     survey.add(options.log, stop)
     best = candidates(survey.statistics())
     tier = tier_of(best.keys())

@@ -96,30 +96,30 @@ def load_database(path: Path, *, is_lenient: bool = False) -> Database:
         _refuse_absurd_sizes(text, file)
     parsed = _parse(text, database_format, file, is_lenient=is_lenient)
     if parsed.database is None:
-        raise ConfigError(_refusal(parsed.offences, file))
+        raise ConfigError(_refusal(parsed, file))
     if not parsed.database.messages:
         raise ConfigError(f"{file} is not {_ARTICLE[database_format]} file, or it has no messages")
-    _warn_each(file, [_said(offence) for offence in parsed.offences])
-    _warn_each(file, [f"does not load strictly: {complaint}" for complaint in parsed.complaints])
+    _warn_each(file, [_said(offence) for offence in parsed.offences], parsed.offence_count)
+    complaints = [f"does not load strictly: {complaint}" for complaint in parsed.complaints]
+    _warn_each(file, complaints, len(complaints))
     return chosen_messages(parsed.database, bus, file, is_lenient=is_lenient)
 
 
-def _refusal(offences: Sequence[Offence], path: Path) -> str:
-    real = [offence for offence in offences if not offence.is_harmless]
-    more = f"; {len(real) - 1} more like this" if len(real) > 1 else ""
-    return f"{path} does not load strictly: {real[0]}{more} (--lenient leaves out what cannot be right)"
+def _refusal(parsed: Parsed, path: Path) -> str:
+    more = f"; {parsed.offence_count - 1} more like this" if parsed.offence_count > 1 else ""
+    return f"{path} does not load strictly: {parsed.offences[0]}{more} (--lenient leaves out what cannot be right)"
 
 
 def _said(offence: Offence) -> str:
     return f"{offence}{'' if offence.is_mended else ' (left out)'}"
 
 
-def _warn_each(path: Path, said: Sequence[str]) -> None:
+def _warn_each(path: Path, said: Sequence[str], count: int) -> None:
     """Warn of the first of many things, and say how many more there are."""
     for text in said[:MAX_WARNINGS]:
         _LOG.warning("%s: %s", path, text)
-    if len(said) > MAX_WARNINGS:
-        _LOG.warning("%s: and %d more like these", path, len(said) - MAX_WARNINGS)
+    if count > MAX_WARNINGS:
+        _LOG.warning("%s: and %d more like these", path, count - MAX_WARNINGS)
 
 
 def _read_text(path: Path) -> str:

@@ -10,7 +10,7 @@ from cantools.database.can import Database, Message
 from diag_service.definitions.dbc_doubts import has_doubts
 from diag_service.definitions.dbc_sieve import Offence, Sieve
 
-MOST_COMPLAINTS: Final = 1_000  # that are handed over
+MOST_SAID: Final = 1_000  # of offences, and of complaints, that are handed over
 ParseError = cantools.Error
 
 
@@ -19,7 +19,8 @@ class Parsed:
     """What came of a text."""
 
     database: Database | None  # None: offences speak against it
-    offences: tuple[Offence, ...] = ()  # what was left out of a DBC file, or would have to be
+    offences: tuple[Offence, ...] = ()  # what was left out of a DBC file, or would have to be; the first of them
+    offence_count: int = 0
     complaints: tuple[str, ...] = ()  # of cantools' strict check, one for each message
 
 
@@ -37,15 +38,16 @@ def parsed_dbc(text: str, *, is_lenient: bool) -> Parsed:
     sieve = Sieve(text)
     if not sieve.has_messages and failure is not None:
         raise failure
-    offences = tuple(sieve.offences)
-    if not is_lenient and any(not offence.is_harmless for offence in offences):
-        return Parsed(database=None, offences=offences)
+    grave = [offence for offence in sieve.offences if not offence.is_harmless]
+    if not is_lenient and grave:
+        return Parsed(database=None, offences=tuple(grave[:MOST_SAID]), offence_count=len(grave))
+    count, offences = len(sieve.offences), tuple(sieve.offences[:MOST_SAID])
     if parsed is not None:
         return parsed
     clean = sieve.text
     del sieve
     found = checked(clean, "dbc")
-    return Parsed(database=found.database, offences=offences, complaints=found.complaints)
+    return Parsed(database=found.database, offences=offences, offence_count=count, complaints=found.complaints)
 
 
 def checked(text: str, database_format: str) -> Parsed:
@@ -54,7 +56,7 @@ def checked(text: str, database_format: str) -> Parsed:
     if not isinstance(database, Database):
         raise ParseError("it holds no CAN messages")
     complaints = [complaint for message in database.messages for complaint in complaints_of(message)]
-    return Parsed(database=database, complaints=tuple(complaints[:MOST_COMPLAINTS]))
+    return Parsed(database=database, complaints=tuple(complaints[:MOST_SAID]))
 
 
 def complaints_of(message: Message) -> list[str]:

@@ -95,8 +95,10 @@ class Sieve:
     def text(self) -> str:
         """The text without what is wrong with it; what remains keeps its line."""
         pieces, position = list[str](), 0
+        if not self.offences:
+            return self._tokens.text
         edits = [*self._edits, *self._mends.values()]
-        for start, stop, instead in sorted(edits, key=lambda edit: (edit[0], -edit[1])):
+        for start, stop, instead in sorted(edits, key=lambda edit: (edit[0], -edit[1], edit[2])):
             if start < position:
                 continue
             pieces += (self._tokens.text[position:start], instead, "\n" * self._tokens.text.count("\n", start, stop))
@@ -128,6 +130,8 @@ class Sieve:
         """Yield the statements that are sound, or can be mended."""
         for statement in self._tokens.statements():
             if not statement.problem:
+                if statement.kind == "N":  # it would end elsewhere if what follows it is left out, and means nothing
+                    self._mends[statement.tokens] = (*self._tokens.span(statement), "")
                 yield statement
             elif statement.ending:
                 _, stop = self._tokens.span(statement)
@@ -283,13 +287,18 @@ def take_signal(words: list[str], statement: Statement, message: Message) -> str
 
 def in_ascii(name: str, taken: set[str]) -> str:
     """Return a name in the letters that DBC files may use, unlike any that is taken."""
-    spelled = "".join(_SPELLED.get(letter, letter) for letter in unicodedata.normalize("NFC", name))
-    plain = unicodedata.normalize("NFKD", spelled).encode("ascii", "ignore").decode("ascii")
-    plain = re.sub(r"\W", "_", plain, flags=re.ASCII)
+    plain = "".join(_letter_in_ascii(letter) for letter in unicodedata.normalize("NFC", name))
     plain = plain if plain and not plain[0].isdigit() else f"_{plain}"
     while plain in taken:
         plain += "_"
     return plain
+
+
+def _letter_in_ascii(letter: str) -> str:
+    if letter in _SPELLED or letter.isascii():
+        return _SPELLED.get(letter, letter)
+    base = unicodedata.normalize("NFKD", letter)[0]
+    return base if base.isascii() and base.isalnum() else f"u{ord(letter):04x}"
 
 
 def _is_whole(text: str) -> bool:

@@ -35,6 +35,7 @@ VALUES: dict[str, str | int | float | bool] = {
     "bitrate": 500000,
     "fd": True,
     "only_mapped": True,
+    "lenient": True,
     "duration": 12.5,
     "metrics": "9100",
 }

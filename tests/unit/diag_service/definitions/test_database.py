@@ -63,6 +63,84 @@ def test_units_survive_any_usual_encoding(tmp_path: Path, encoding: str) -> None
     assert database.messages[0].signals[0].unit == "°C"
 
 
+def test_every_message_that_breaks_strict_rules_is_named(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    messages = "".join(
+        f'BO_ {256 + k} M{k}: 8 A\n SG_ s : 0|8@1+ (1,0) [0|0] "" A\n SG_ t : {(4, 60)[k % 2]}|8@1+ (1,0) [0|0] "" A\n'
+        for k in range(30)
+    )
+    with caplog.at_level(logging.WARNING, logger="diag_service"):
+        load_database(write(tmp_path, HEAD + messages))
+    said = [record.getMessage() for record in caplog.records]
+    assert len(said) == 21
+    assert "overlapping in message M0." in said[0]
+    assert "does not fit in message M1." in said[1]
+    assert "and 10 more like these" in said[-1]
+
+
+@pytest.mark.parametrize("encoding", ["utf-8", "utf-8-sig", "cp1252", "utf-16", "utf-16-le", "utf-16-be"])
+@pytest.mark.parametrize("ends", ["\n", "\r\n", "\r"])
+def test_lines_are_counted_whatever_encoding_and_line_ends(tmp_path: Path, encoding: str, ends: str) -> None:
+    text = HEAD + SIGNAL + 'VAL_ 300 x 1 "\xfc";\n'
+    path = write(tmp_path, text.replace("\n", ends).encode(encoding))
+    assert 'line 5: VAL_ 300 x 1 "\xfc";: there is no message 300' in refusal(path)
+    assert load_database(path, is_lenient=True).messages[0].name == "M"
+
+
+@pytest.mark.parametrize("end", ["", "\x1a", "\x00\x00", "// the end", "\n\n\x1a"])
+def test_how_a_file_ends_does_not_matter(tmp_path: Path, end: str, caplog: pytest.LogCaptureFixture) -> None:
+    with caplog.at_level(logging.WARNING, logger="diag_service"):
+        assert len(load_database(write(tmp_path, HEAD + SIGNAL + end)).messages) == 1
+    assert not caplog.records
+
+
+def test_signals_of_no_message_do_no_harm(tmp_path: Path) -> None:
+    independent = 'BO_ 3221225472 VECTOR__INDEPENDENT_SIG_MSG: 0 A\n SG_ q : 0|8@1+ (1,0) [0|0] "" A\n'
+    path = write(tmp_path, HEAD + independent + SIGNAL + 'VAL_ 3221225472 q 0 "a";\nVAL_ 256 s 0 "b";\n')
+    (message,) = load_database(path).messages
+    assert message.signals[0].choices == {0: "b"}
+
+
+def test_what_is_left_out_is_listed_up_to_a_limit(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    path = write(tmp_path, HEAD + SIGNAL + "".join(f'VAL_ {300 + k} x 0 "a";\n' for k in range(30)))
+    assert "29 more like this" in refusal(path)
+    with caplog.at_level(logging.WARNING, logger="diag_service"):
+        load_database(path, is_lenient=True)
+    said = [record.getMessage() for record in caplog.records]
+    assert said[0].endswith('some.dbc: line 5: VAL_ 300 x 0 "a";: there is no message 300 (left out)')
+    assert said[20].endswith("and 10 more like these")
+    assert len(said) == 21
+
+
+BUSES: Final = (
+    '<Document/><Bus name="Body"><Message id="0x100" name="A" length="8"><Signal name="s" offset="0"/></Message></Bus>'
+    '<Bus name="Drive"><Message id="{}" name="B" length="8"><Signal name="t" offset="0"/></Message></Bus>'
+    "</NetworkDefinition>"
+)
+
+
+def test_messages_of_all_buses_unless_one_identifier_means_two_things(tmp_path: Path) -> None:
+    path = tmp_path / "net.kcd"
+    path.write_text(xml(BUSES.format("0x200")))
+    assert [message.name for message in load_database(path).messages] == ["A", "B"]
+    path.write_text(xml(BUSES.format("0x100")))
+    assert "the identifier 0x100 belongs to A of Body and to B of Drive; name one of them: " in refusal(path)
+    for bus, name in (("Body", "A"), ("Drive", "B")):
+        (message,) = load_database(tmp_path / f"net.kcd#{bus}").messages
+        assert message.name == name
+    assert "has no bus 'Bodi'; it has Body, Drive" in refusal(tmp_path / "net.kcd#Bodi")
+    (tmp_path / "net.kcd#Bodi").write_text(xml(BUSES.format("0x200")))
+    assert len(load_database(tmp_path / "net.kcd#Bodi").messages) == 2
+
+
+def test_identifiers_that_are_there_twice_are_said(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    path = write(tmp_path, HEAD + SIGNAL + SIGNAL.replace("M:", "N:"))
+    with caplog.at_level(logging.WARNING, logger="diag_service"):
+        assert len(load_database(path).messages) == 2
+        assert [message.name for message in load_database(path, is_lenient=True).messages] == ["M"]
+    assert "the identifier 0x100 belongs to M and to N" in caplog.records[0].getMessage()
+    assert caplog.records[1].getMessage().endswith("(left out)")
+
+
 def test_missing_file_and_folder(tmp_path: Path) -> None:
     assert "No such file" in refusal(tmp_path / "absent.dbc")
     assert "directory" in refusal(tmp_path)
@@ -84,17 +162,17 @@ def test_other_content_is_refused(tmp_path: Path, content: bytes) -> None:
 
 
 @pytest.mark.parametrize(
-    "text",
+    ("text", "place"),
     [
-        HEAD + 'BO_ 256 M: 8 A\n SG_ s : 0|8@1+ (x,0) [0|0] "" A\n',
-        HEAD + SIGNAL + 'BA_ "Undefined" BO_ 256 1;\n',
-        HEAD + SIGNAL + 'BA_DEF_ BO_ "GenMsgCycleTime" INT 0 10;\nBA_ "GenMsgCycleTime" BO_ 256 abc;\n',
-        HEAD + 'BO_ 99999999999 M: 8 A\n SG_ s : 0|8@1+ (1,0) [0|0] "" A\n',
-        HEAD + 'BO_ 256 M: 8 A\n SG_ s : 0|0@1+ (1,0) [0|0] "" A\n',
+        (HEAD + 'BO_ 256 M: 8 A\n SG_ s : 0|8@1+ (x,0) [0|0] "" A\n', "line 4: SG_ s : 0|8@1+ (x,0)"),
+        (HEAD + SIGNAL + 'BA_ "Undefined" BO_ 256 1;\n', 'line 5: BA_ "Undefined" BO_ 256 1;'),
+        (HEAD + SIGNAL + 'BA_DEF_ BO_ "T" INT 0 10;\nBA_ "T" BO_ 256 abc;\n', 'line 6: BA_ "T" BO_ 256 abc;'),
+        (HEAD + 'BO_ 99999999999 M: 8 A\n SG_ s : 0|8@1+ (1,0) [0|0] "" A\n', "line 3: BO_ 99999999999 M: 8 A:"),
+        (HEAD + 'BO_ 256 M: 8 A\n SG_ s : 0|0@1+ (1,0) [0|0] "" A\n', "line 4: SG_ s : 0|0@1+"),
     ],
 )
-def test_damaged_database_is_refused(tmp_path: Path, text: str) -> None:
-    assert "not a DBC file" in refusal(write(tmp_path, text))
+def test_damaged_database_is_refused_with_line_and_cause(tmp_path: Path, text: str, place: str) -> None:
+    assert f"some.dbc does not load strictly: {place}" in refusal(write(tmp_path, text))
 
 
 @pytest.mark.parametrize(
@@ -138,7 +216,7 @@ WIDE_PAGES: Final = (
     ("text", "complaint"),
     [
         (HEAD + WIDE_PAGES, "takes more than 368 MiB of memory"),
-        (HEAD + 'BO_ 1 m: 8 A\n SG_ s m0-4294967295 : 8|8@1+ (1,0) [0|0] "" A\n', "not a DBC file"),
+        (HEAD + 'BO_ 1 m: 8 A\n SG_ s m0-4294967295 : 8|8@1+ (1,0) [0|0] "" A\n', "line 4: SG_ s m0-42949"),
         (kcd('length="4000000000"', 'offset="0" length="8"'), "takes more than 368 MiB of memory"),
         (kcd('length="auto"', 'offset="4000000000" length="8"'), "takes more than 368 MiB of memory"),
         (kcd('length="8"', 'offset="0" length="4000000000"'), "takes more than 368 MiB of memory"),
