@@ -1,6 +1,7 @@
 """Signals as columns of samples: what the decoder makes of frames, and what every later stage reads.
 
-SI units, radians, kelvin and pascal throughout. Times are bus times in integer nanoseconds since the epoch.
+SI units, radians, kelvin and pascal throughout. Times are bus times in integer nanoseconds since the epoch, or since
+whatever a log counts from: below zero they are as good as above.
 """
 
 from collections.abc import Mapping
@@ -15,6 +16,8 @@ BoolArray = npt.NDArray[np.bool_]
 Int64Array = npt.NDArray[np.int64]
 UInt8Array = npt.NDArray[np.uint8]
 UInt32Array = npt.NDArray[np.uint32]
+
+BEFORE_ALL_NS = -(2**62)  # in place of a time: before any that a frame can have
 
 
 class Signal(StrEnum):

@@ -5,8 +5,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from diag_service.columns import FloatArray, Int64Array
-from diag_service.frames import ERROR_FLAG, EXTENDED_FLAG, FD_FLAG, REMOTE_FLAG, FrameBatch
+from diag_service.columns import BEFORE_ALL_NS, FloatArray, Int64Array
+from diag_service.frames import ERROR_FLAG, EXTENDED_FLAG, FD_FLAG, REMOTE_FLAG, TX_FLAG, FrameBatch
 
 NS_PER_S = 1_000_000_000
 STEPS_PER_OCTAVE = 8
@@ -52,6 +52,7 @@ class TrafficReport:
     error_frames: int
     remote_frames: int
     fd_frames: int
+    sent_frames: int  # by the recorder itself, where the log says so
     jumps: tuple[Jump, ...]  # the first ones
     jump_count: int
     bus_load_ratio: float  # mean, at the assumed bit rate
@@ -74,7 +75,7 @@ class TrafficMeter:
         self._squares_s2 = np.zeros((0, BIN_COUNT))
         self._jumps: list[Jump] = []
         self._jump_count = 0
-        self._kinds = dict.fromkeys((ERROR_FLAG, REMOTE_FLAG, FD_FLAG), 0)
+        self._kinds = dict.fromkeys((ERROR_FLAG, REMOTE_FLAG, FD_FLAG, TX_FLAG), 0)
         self._ends_ns: tuple[int, int] | None = None  # first and latest time of all
         self._bus_ns = 0  # time inside segments
         self._last_bus_ns: int | None = None
@@ -91,14 +92,15 @@ class TrafficMeter:
         self._ends_ns = (min(before[0], first_ns), max(before[1], last_ns))
         for segment, is_new in self._segments(batch):
             if is_new:
-                self._last_ns[:] = -1
+                self._last_ns[:] = BEFORE_ALL_NS
             self._follow(segment)
         bits = frame_bits(batch)
         self._bits += float(bits.sum())
         self._load(batch.t_ns, bits)
         for flag in (ERROR_FLAG, REMOTE_FLAG):
             self._kinds[flag] += int(np.count_nonzero(batch.can_id & np.uint32(flag)))
-        self._kinds[FD_FLAG] += int(np.count_nonzero(batch.flags & np.uint8(FD_FLAG)))
+        for flag in (FD_FLAG, TX_FLAG):
+            self._kinds[flag] += int(np.count_nonzero(batch.flags & np.uint8(flag)))
 
     def report(self) -> TrafficReport:
         """Return what was counted until now."""
@@ -112,6 +114,7 @@ class TrafficMeter:
             error_frames=self._kinds[ERROR_FLAG],
             remote_frames=self._kinds[REMOTE_FLAG],
             fd_frames=self._kinds[FD_FLAG],
+            sent_frames=self._kinds[TX_FLAG],
             jumps=tuple(self._jumps),
             jump_count=self._jump_count,
             bus_load_ratio=self._bits / (self._bitrate * duration_s) if duration_s else 0.0,
@@ -142,7 +145,7 @@ class TrafficMeter:
         begins = np.flatnonzero(np.diff(rows, prepend=-1))
         before_ns = np.concatenate((t_ns[:1], t_ns[:-1]))
         before_ns[begins] = self._last_ns[rows[begins]]
-        known = before_ns >= 0
+        known = before_ns > BEFORE_ALL_NS
         step_ns, row = (t_ns - before_ns)[known], rows[known]
         self._last_ns[rows[np.append(begins[1:], len(rows)) - 1]] = t_ns[np.append(begins[1:], len(rows)) - 1]
         np.add.at(self._count, rows, 1)
@@ -162,7 +165,7 @@ class TrafficMeter:
         if row == len(self._count):
             for name in ("_count", "_length", "_elapsed_ns", "_longest_ns"):
                 setattr(self, name, np.append(getattr(self, name), 0))
-            self._last_ns = np.append(self._last_ns, -1)
+            self._last_ns = np.append(self._last_ns, BEFORE_ALL_NS)
             for name in ("_bins", "_sums_s", "_squares_s2"):
                 table = getattr(self, name)
                 setattr(self, name, np.vstack((table, np.zeros((1, BIN_COUNT), table.dtype))))

@@ -153,6 +153,7 @@ def _head(inspection: Inspection, bitrate: int) -> list[str]:
     what = f"{inspection.reader.format.value}, {traffic.frames} frames, {len(traffic.ids)} ids, {duration_s:.3f} s"
     load = f"{100 * traffic.bus_load_ratio:.1f} %, busiest second {100 * traffic.peak_load_ratio:.1f} %"
     kinds = f"{traffic.fd_frames} CAN FD, {traffic.remote_frames} remote, {traffic.error_frames} error frames"
+    kinds += f"; {traffic.sent_frames} sent by the recorder" if traffic.sent_frames else ""
     since = f"from {utc_from_bus_ns(traffic.first_ns)}{'' if inspection.is_whole else ' (stopped)'}"
     lines = [f"{inspection.reader.path}: {what} {since}", f"bus load at {rate}: {load}; {kinds}"]
     lines.append(f"taken for {inspection.reader.format.value}: {inspection.reader.evidence}")

@@ -16,7 +16,7 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from clutch_model.jit import kernel
-from diag_service.columns import E2eChange, E2eState, Int64Array, UInt8Array
+from diag_service.columns import BEFORE_ALL_NS, E2eChange, E2eState, Int64Array, UInt8Array
 from diag_service.protection.own_cycle import SLOWER_RATIO, SLOWEST
 from diag_service.protection.protection_check import FrameReason, FrameVerdicts
 
@@ -28,7 +28,6 @@ LEARNING_STEPS: Final = 16  # over which the own cycle of a message forgets; one
 MIN_TIMEOUT_NS: Final = 200_000_000  # a listener's machine may be busy: this much lateness says nothing of the sender
 
 _MASK: Final = (1 << WINDOW) - 1
-_NONE: Final = -1
 _OK: Final = int(FrameReason.OK)
 _SHORT: Final = int(FrameReason.SHORT)
 _BAD_CRC: Final = int(FrameReason.BAD_CRC)
@@ -44,7 +43,7 @@ class E2eMemory(NamedTuple):
     state: Int64Array  # of E2eState
     ok_bits: Int64Array  # the last WINDOW checks, the latest lowest: 1 where all was well
     error_bits: Int64Array  # 1 where the frame was broken
-    heard_ns: Int64Array  # last frame of whatever kind, -1 before the first
+    heard_ns: Int64Array  # last frame of whatever kind, BEFORE_ALL_NS before the first
     own_ns: Int64Array  # cycle that the message keeps, no less than the database's; 0 where that is unknown
     invalidations: Int64Array  # times that the message lost its trust
 
@@ -89,23 +88,23 @@ def add_check(memory: E2eMemory, slot: int, is_ok: int, is_error: int) -> bool:
 
 @kernel
 def timeout_at_ns(memory: E2eMemory, slot: int) -> int:
-    """Return when a message that stays silent is overdue; -1 if it is unknown how often it should come."""
-    if memory.own_ns[slot] <= 0 or memory.heard_ns[slot] < 0:
-        return _NONE
+    """Return when a message that stays silent is overdue; BEFORE_ALL_NS if it is unknown how often it should come."""
+    if memory.own_ns[slot] <= 0 or memory.heard_ns[slot] == BEFORE_ALL_NS:
+        return BEFORE_ALL_NS
     return int(memory.heard_ns[slot] + max(TIMEOUT_CYCLES * memory.own_ns[slot], MIN_TIMEOUT_NS))
 
 
 @kernel
 def is_overdue(memory: E2eMemory, slot: int, now_ns: int) -> bool:
     """Return whether a message that was heard has been silent for longer than its timeout."""
-    return bool(0 <= timeout_at_ns(memory, slot) < now_ns)
+    return bool(BEFORE_ALL_NS < timeout_at_ns(memory, slot) < now_ns)
 
 
 @kernel
 def learn_cycle(memory: E2eMemory, slot: int, now_ns: int, missing: int, cycle_ns: int) -> None:
     """Take the time since the last frame into account, frames that are missing in between left out."""
     own_ns = memory.own_ns[slot]
-    if own_ns > 0 and memory.heard_ns[slot] >= 0:
+    if own_ns > 0 and memory.heard_ns[slot] > BEFORE_ALL_NS:
         step_ns = (now_ns - memory.heard_ns[slot]) // (1 + max(missing, 0))
         step_ns = min(max(step_ns, own_ns // 2), 2 * own_ns)
         own_ns += (step_ns - own_ns) // LEARNING_STEPS
@@ -225,7 +224,7 @@ class E2eStates:
         """Start again with every message, after a jump of bus time; counts and learnt cycles go on."""
         for name, column in zip(E2eMemory._fields, self._memory, strict=True):
             if name not in {"invalidations", "own_ns"}:
-                column[:] = _NONE if name == "heard_ns" else 0
+                column[:] = BEFORE_ALL_NS if name == "heard_ns" else 0
 
     def follow(self, t_ns: Int64Array, verdicts: FrameVerdicts) -> tuple[E2eChange, ...]:
         """Return the changes of state that frames bring about, those by silence until the last of them included."""

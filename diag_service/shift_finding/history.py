@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from diag_service.columns import ColumnBatch, Columns, E2eChange, E2eState, Int64Array, Series, Signal
+from diag_service.columns import BEFORE_ALL_NS, ColumnBatch, Columns, E2eChange, E2eState, Int64Array, Series, Signal
 from diag_service.protection.own_cycle import own_period_ns
 from diag_service.shift_finding.sample_rings import SampleRings
 
@@ -17,7 +17,7 @@ class History:
         self._rings = SampleRings()
         self._bad_ns: list[Int64Array] = []
         self._e2e: dict[str, list[E2eChange]] = {}
-        self.watermark_ns = -1  # all that happened before it has been seen
+        self.watermark_ns = BEFORE_ALL_NS  # all that happened before it has been seen
 
     @property
     def sample_count(self) -> int:
@@ -68,7 +68,7 @@ class History:
         self._rings.clear()
         self._bad_ns.clear()
         self._e2e.clear()
-        self.watermark_ns = -1
+        self.watermark_ns = BEFORE_ALL_NS
 
 
 class Ahead:
@@ -76,7 +76,7 @@ class Ahead:
 
     def __init__(self, history: History) -> None:
         self._history = history
-        self.start_ns = -1  # where he stands
+        self.start_ns = BEFORE_ALL_NS  # where he stands
 
     def until(self, signal: Signal, until_ns: int) -> Series:
         """Return the samples of a signal up to a time; valid until more are appended."""

@@ -9,7 +9,7 @@ from typing import Final
 import numpy as np
 
 from clutch_model.calibration import Calibration
-from diag_service.columns import ColumnBatch, Int64Array, Signal
+from diag_service.columns import BEFORE_ALL_NS, ColumnBatch, Int64Array, Signal
 from diag_service.events import EndReason, RevEvent
 from diag_service.shift_finding.history import History, held
 
@@ -61,7 +61,7 @@ class RevFinder:
         self._open: _Bounds | None = None
         self._regime = _IN_GEAR
         self._gears = [_UNKNOWN, _UNKNOWN]
-        self._followed_ns = -1
+        self._followed_ns = BEFORE_ALL_NS
         self._rev_count = 0
 
     def feed(self, batch: ColumnBatch) -> list[RevEvent]:
@@ -173,4 +173,4 @@ class RevFinder:
         self._open = None
         self._regime = _IN_GEAR
         self._gears = [_UNKNOWN, _UNKNOWN]
-        self._followed_ns = -1
+        self._followed_ns = BEFORE_ALL_NS

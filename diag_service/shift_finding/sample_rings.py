@@ -6,12 +6,11 @@ from typing import Final
 import numpy as np
 
 from clutch_model.jit import array_kernel
-from diag_service.columns import Int64Array, Series, Signal
+from diag_service.columns import BEFORE_ALL_NS, Int64Array, Series, Signal
 from diag_service.sample_block import BlockLayout, SampleBlock, Samples
 
 FIRST_CAPACITY: Final = 256  # samples of a signal; grows by doubling
 _FULL: Final = -1
-_NEVER_NS: Final = -1
 
 
 class SampleRings:
@@ -69,9 +68,9 @@ class SampleRings:
         }
 
     def changed_ns(self, signal: Signal) -> int:
-        """Return when a sample of a signal last differed from the one before it, as the first one does; -1: never."""
+        """Return when a sample of a signal last differed from the one before it, as the first one does."""
         row = self._rows.get(signal)
-        return _NEVER_NS if row is None else int(self._changed_ns[row])
+        return BEFORE_ALL_NS if row is None else int(self._changed_ns[row])
 
     def drop_before(self, keep_ns: int) -> None:
         """Forget what lies before ``keep_ns``."""
@@ -125,7 +124,7 @@ class SampleRings:
             getattr(larger, name)[:known, :size] = getattr(old, name)
         larger.filled[:known] = old.filled
         self._first = np.append(self._first, np.zeros(rows - known, np.int64))
-        self._changed_ns = np.append(self._changed_ns, np.full(rows - known, _NEVER_NS))
+        self._changed_ns = np.append(self._changed_ns, np.full(rows - known, BEFORE_ALL_NS))
         self._samples = larger
 
 

@@ -1,6 +1,6 @@
 """Shift detection: canonical columns in, shift events out, the same events for any cutting of the stream."""
 
-from diag_service.columns import ColumnBatch, Signal
+from diag_service.columns import BEFORE_ALL_NS, ColumnBatch, Signal
 from diag_service.events import ShiftEvent
 from diag_service.shift_finding.gear_tracking import GearPairTracker
 from diag_service.shift_finding.history import Ahead, History
@@ -66,7 +66,7 @@ class ShiftFinder:
     def _forget_segment(self) -> None:
         self._history.clear()
         self._closed.clear()
-        self._ahead.start_ns = -1
+        self._ahead.start_ns = BEFORE_ALL_NS
 
     def _follow_gears(self, until_ns: int) -> None:
         """Walk the gears with ``t < until_ns``: at the watermark itself a sample may still be on its way."""

@@ -19,9 +19,11 @@ from diag_service.sources.readers.mf4 import read_mf4
 from diag_service.sources.readers.patience import PatientStream
 from diag_service.sources.readers.sqlite import read_sqlite
 from diag_service.sources.readers.tables import reader_of
+from diag_service.sources.readers.tables.time_unit import bus_load_ratio, is_plausible
 from diag_service.sources.readers.tally import LogCounts, LogReject, Tally
 from diag_service.sources.readers.time_watch import TimeWatch
 
+LOAD_FRAMES = 2_000  # the first ones, from which a load is told
 READERS: Mapping[LogFormat, Callable[[BinaryIO, Tally], Iterator[FrameBatch]]] = MappingProxyType(
     {
         LogFormat.CANDUMP: read_candump,
@@ -53,6 +55,7 @@ class LogReader(Iterator[FrameBatch]):
         self._batches = READERS[detected.format](cast("BinaryIO", PatientStream(stream, tally)), tally)
         self._watch = TimeWatch(tally)
         self._is_strict = is_strict
+        self._is_first = True
 
     @property
     def counts(self) -> LogCounts:
@@ -84,6 +87,9 @@ class LogReader(Iterator[FrameBatch]):
             self._look_at_size()
             self.close()
             raise type(exc)(f"{self.path}: {exc}") from exc
+        if self._is_first:
+            self._is_first = False
+            self._look_at_load(batch[:LOAD_FRAMES])
         self._watch.look(batch)
         self._be_strict()
         return batch
@@ -91,6 +97,17 @@ class LogReader(Iterator[FrameBatch]):
     def close(self) -> None:
         """Close the file; reading to the end does it, too."""
         self._stream.close()
+
+    def _look_at_load(self, batch: FrameBatch) -> None:
+        """Say so if the first frames come faster than any bus carries them."""
+        load_ratio = bus_load_ratio(batch)
+        if load_ratio == float("inf"):
+            self._tally.note(f"the first {len(batch)} frames, or those of one channel, all have the same time")
+        elif not is_plausible(load_ratio):
+            self._tally.note(
+                f"the times cannot be right: the first {len(batch)} frames would load a bus of 1 Mbit/s by "
+                f"{100 * load_ratio:.0f} %"
+            )
 
     def _look_at_size(self) -> None:
         """Count it as cut if the file has become shorter since it was opened."""

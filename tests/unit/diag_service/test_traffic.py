@@ -90,7 +90,7 @@ def test_kinds_and_channels_are_told_apart() -> None:
         (0, ERROR_FLAG | 4, 3),
         (1, 0x100, 3),
     ]
-    assert (report.error_frames, report.remote_frames, report.fd_frames) == (3, 0, 0)
+    assert (report.error_frames, report.remote_frames, report.fd_frames, report.sent_frames) == (3, 0, 0, 0)
 
 
 def test_nothing_is_nothing() -> None:

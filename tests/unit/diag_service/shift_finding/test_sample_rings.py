@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from diag_service.columns import Series, Signal
+from diag_service.columns import BEFORE_ALL_NS, Series, Signal
 from diag_service.sample_block import BlockLayout, SampleBlock
 from diag_service.shift_finding.sample_rings import FIRST_CAPACITY, SampleRings
 
@@ -69,7 +69,7 @@ def test_a_signal_is_known_from_its_first_sample_on_and_stays_known() -> None:
 @pytest.mark.parametrize("as_blocks", [True, False])
 def test_the_last_change_of_a_value_is_known(as_blocks: bool) -> None:
     rings, layout, gear = SampleRings(), BlockLayout(SIGNALS[2:], (10,)), SIGNALS[2]
-    assert rings.changed_ns(gear) == -1
+    assert rings.changed_ns(gear) == BEFORE_ALL_NS
     changes, values = [], [3.0, 3.0, 4.0, 4.0, 4.0, 3.0, 3.0]
     for row, value in enumerate(values):
         room = layout.room(1)
@@ -80,7 +80,7 @@ def test_the_last_change_of_a_value_is_known(as_blocks: bool) -> None:
         changes.append(rings.changed_ns(gear))
     assert changes == [0, 0, 20, 20, 20, 50, 50]
     rings.clear()
-    assert rings.changed_ns(gear) == -1
+    assert rings.changed_ns(gear) == BEFORE_ALL_NS
 
 
 def test_a_cut_has_what_lies_between_and_is_not_touched_later() -> None:
