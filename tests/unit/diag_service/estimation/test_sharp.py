@@ -50,7 +50,7 @@ def drive(rng: np.random.Generator) -> tuple[Belief, np.ndarray, np.ndarray, np.
     then = state[:FRICTION_COUNT].copy()
     for number in range(BASELINE_SHIFT_COUNT + LATER_COUNT):
         before = belief.drifted()
-        state = state + rng.multivariate_normal(np.zeros(STATES), before.covariance - belief.covariance)
+        state = state + rng.normal(size=STATES) * np.sqrt(np.diag(before.covariance - belief.covariance))
         seen = kinds[number % 2]
         residual = seen.by_state @ (state - before.mean) + seen.by_considered @ wrong + rng.normal(size=10)
         belief, _ = before.updated(replace(seen, residual=residual))
