@@ -5,11 +5,12 @@ import pytest
 
 from dbc.contract import DBC_PATH
 from diag_service.columns import ColumnBatch, Signal
+from diag_service.decoding.decode import InvalidCounts
 from diag_service.decoding.mapping import Decoder
 from diag_service.decoding.small_batches import SMALL_FRAMES
 from diag_service.definitions.database import load_database
-from diag_service.definitions.profile import load_profile
-from diag_service.frames import FrameBatch
+from diag_service.definitions.profile import PROFILE_FOLDER, load_profile, load_shipped
+from diag_service.frames import EXTENDED_FLAG, FrameBatch
 from tests.wire import drive, received
 
 
@@ -62,3 +63,23 @@ def test_a_block_reads_like_a_mapping() -> None:
     assert all(len(small[signal].t_ns) for signal in small)
     with pytest.raises(KeyError):
         decoder().feed(batch[:1])[0].columns[Signal.BRAKE_PRESSURE]
+
+
+def test_values_that_are_no_measurements_are_counted_alike_by_reason() -> None:
+    count = SMALL_FRAMES + 500
+    data = np.zeros((count, 8), np.uint8)
+    data[:, 4] = np.arange(count) % 256  # the high byte of the engine speed, of which FB to FF say something else
+    batch = FrameBatch(
+        t_ns=np.arange(count) * 10_000_000,
+        can_id=np.full(count, 0x0CF0_0400 | EXTENDED_FLAG, np.uint32),
+        length=np.full(count, 8, np.uint8),
+        data=data,
+    )
+    database = load_database(PROFILE_FOLDER / "j1939.dbc")
+    whole, pieces = Decoder(database, load_shipped("j1939")), Decoder(database, load_shipped("j1939"))
+    whole.feed(batch)
+    for first in range(0, count, 100):
+        pieces.feed(batch[first : first + 100])
+    not_available = int(np.count_nonzero(data[:, 4] >= 0xFB))
+    assert whole.counts.invalid == {Signal.ENGINE_SPEED: InvalidCounts(not_available=not_available)}
+    assert pieces.counts == whole.counts

@@ -15,6 +15,7 @@ from diag_service.definitions.addressing import (
     find_slot,
     kernel_filters,
     message_address,
+    overwritten,
     parameter_group,
     rows_by_slot,
 )
@@ -111,6 +112,12 @@ def test_messages_of_one_group_are_told_apart_by_sender() -> None:
 def test_messages_that_cannot_be_told_apart_are_refused(addresses: list[Address]) -> None:
     with pytest.raises(ConfigError, match="several messages have the identifier"):
         address_book(addresses)
+    assert overwritten(addresses) == {0: 1}
+
+
+def test_messages_that_can_be_told_apart_overwrite_nothing() -> None:
+    exact = Address(name="A", can_id=EEC1, is_extended=True, is_group=False)
+    assert overwritten([group(EEC1), group(EEC1 | 0x0F), group(EEC1 | 0xFE), exact]) == {}
 
 
 def test_database_or_profile_says_that_a_message_is_of_j1939() -> None:
