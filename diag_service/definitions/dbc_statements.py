@@ -50,7 +50,7 @@ FORMS: Final[Mapping[str, tuple[str, str]]] = {
 _PATTERNS: Final = {kind: re.compile(pattern) for kind, (pattern, _) in FORMS.items()}
 # A string in which a line begins like a statement lacks its closing quote.
 _TOKEN: Final = re.compile(
-    r"""[ \t\r\n]+|//[^\n]*|(?P<n>[-+]?[0-9]+\.?[0-9]*(?:[eE][-+]?[0-9]+)?)|(?P<w>\w+)"""
+    r"""[ \t\r\n]+|//[^\n]*|(?P<n>[-+]?[0-9]+\.?[0-9]*(?:[eE][-+]?[0-9]+)?)|(?P<w>(?:\w|[^\x00-\x7f\s])+)"""
     r"""|(?P<s>"(?:\\"|\\(?!")|[^"\n\\]|\n"""
     r"""(?![ \t]*(?:BO|SG|CM|BA|BA_DEF|BA_DEF_DEF|VAL|VAL_TABLE|SIG_VALTYPE)_\s))*?")"""
     r"""|(?P<p>.)""",

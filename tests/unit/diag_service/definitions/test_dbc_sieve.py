@@ -119,6 +119,7 @@ def test_a_float_of_no_float_length_is_left_out_rather_than_read_as_a_number() -
         ("BO_ 256 M: 8\n" + signal("s", 0, tail='""'), {"M": ["s"]}),
         ("BO_ 256 M: 8 Gerät\n" + signal("Öl", 0, tail='"°C" Gerät') + 'VAL_ 256 Öl 0 "ä";\n', {"M": ["Oel"]}),
         ("BO_ 256 M: 8 A\n" + signal("Öl", 0) + signal("Oel", 8), {"M": ["Oel_", "Oel"]}),
+        ("BO_ 256 M: 8 A\n" + signal("Temp_°C", 0), {"M": ["Temp_u00b0C"]}),
         ("BO_ 256 温度: 8 A\n" + signal("s", 0), {"u6e29u5ea6": ["s"]}),
     ],
 )
