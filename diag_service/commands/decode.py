@@ -131,6 +131,7 @@ def _record(plan: Plan, account: Account, reader: LogReader, output: Path) -> Js
         **account_record(account),
         "path": str(plan.log),
         "format": reader.format.value,
+        "evidence": reader.evidence,
         "output": str(output),
         "layout": plan.layout,
         "values": plan.values.value,
@@ -141,6 +142,7 @@ def _show(plan: Plan, account: Account, reader: LogReader, output: Path) -> None
     """Say the same to people."""
     lines = [
         f"{plan.log}: {reader.format.value}, {account.log.frames} frames: {', '.join(frame_texts(account))}",
+        f"taken for {reader.format.value}: {reader.evidence}",
         f"{account.row_count} rows in {output}: {values_text(account)}",
         *losses(account),
         *remarks(account),

@@ -12,7 +12,7 @@ from rich.console import Console
 
 from dbc.contract import DBC_PATH, message_contract
 from diag_service.columns import Int64Array
-from diag_service.definitions.addressing import NOBODY, address_book, find_slot, message_address
+from diag_service.definitions.addressing import NOBODY, address_book, find_slot, message_address, overwritten
 from diag_service.definitions.database import load_database
 from diag_service.errors import ConfigError
 from diag_service.frames import ERROR_FLAG, EXTENDED_FLAG, REMOTE_FLAG
@@ -121,10 +121,13 @@ def inspection_record(inspection: Inspection) -> JsonObject:
 
 
 def _names(messages: Sequence[Message], can_ids: AbstractSet[int]) -> dict[int, str]:
-    """Return the names of the messages that identifiers, with their flags, belong to."""
-    book = address_book([message_address(message) for message in messages])
+    """Return the names of the messages that identifiers, with their flags, belong to; of several the last one's."""
+    addresses = [message_address(message) for message in messages]
+    later = overwritten(addresses)
+    kept = [slot for slot in range(len(messages)) if slot not in later]
+    book = address_book([addresses[slot] for slot in kept])
     slots = {can_id: find_slot(book, can_id) for can_id in can_ids if not can_id & (REMOTE_FLAG | ERROR_FLAG)}
-    return {can_id: messages[slot].name for can_id, slot in slots.items() if slot != NOBODY}
+    return {can_id: messages[kept[slot]].name for can_id, slot in slots.items() if slot != NOBODY}
 
 
 def _link_errors(row: Int64Array, missing: int) -> LinkErrors:

@@ -207,6 +207,7 @@ def test_people_are_told_the_same(tmp_path: Path, capsys: pytest.CaptureFixture[
     for text in (
         "10 frames: 3 decoded, 2 decoded in part, 1 pieces of longer messages, 1 of messages without signals, ",
         "1 of no message of the database, 1 remote frames, 1 error frames",
+        "taken for candump: ",
         "5 rows in",
         "1 pieces of the log are no frames (1 malformed), the first: line 10",
         "2 frames are shorter than their message: 3 values are not in them",
@@ -225,6 +226,11 @@ def test_of_messages_with_one_identifier_the_last_is_written_and_the_other_told(
     record = told(tmp_path, capsys, database, log_of("100#0100000000000000"))
     assert record["losses"] == ["message Status has the identifier of Later, by which its frames are decoded"]
     assert pq.read_table(tmp_path / "out.parquet").to_pylist()[0]["Later.Value"] == 101.0
+    options = build_parser().parse_args(
+        ["inspect", str(tmp_path / "drive.log"), "--dbc", str(tmp_path / "car.dbc"), "--json"]
+    )
+    import_module("diag_service.commands.inspect").execute(options, Trigger(), Trigger())
+    assert [one["message"] for one in json.loads(capsys.readouterr().out)["ids"]] == ["Later"]
 
 
 def test_packets_of_j1939_transport_are_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
