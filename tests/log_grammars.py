@@ -15,6 +15,7 @@ from can.io.generic import MessageWriter
 CODE_OF_LENGTH = {length: code for code, length in enumerate([*range(9), 12, 16, 20, 24, 32, 48, 64])}
 START_S = 1_767_225_600  # 2026-01-01T00:00:00Z: python-can's ASC has trouble with the milliseconds of a start
 DAYS_BEFORE_EPOCH = 25_569
+GVRET_HEADER = ("Time Stamp,ID,Extended,Dir,Bus,LEN,D1,D2,D3,D4,D5,D6,D7,D8",)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -166,10 +167,13 @@ def _trc_header(version: str, columns: str = "") -> list[str]:
     return [f";$FILEVERSION={version}", f";$STARTTIME={days:.10f}", *names, ";", ";   Message   Time"]
 
 
-def _gvret(_: int, frame: Frame) -> str:
-    head = f"{frame.t_us},{frame.can_id:08X},{str(frame.is_extended).lower()}"
-    direction = "Tx" if frame.is_sent else "Rx"
-    return f"{head},{direction},{frame.channel},{frame.length}," + "".join(f"{byte:02X}," for byte in frame.data)
+def _gvret(start_us: int, time: str) -> Callable[[int, Frame], str]:
+    def line(_: int, frame: Frame) -> str:
+        head = f"{frame.t_us + start_us:{time}},{frame.can_id:08X},{str(frame.is_extended).lower()}"
+        direction = "Tx" if frame.is_sent else "Rx"
+        return f"{head},{direction},{frame.channel},{frame.length}," + "".join(f"{byte:02X}," for byte in frame.data)
+
+    return line
 
 
 def _csv(_: int, frame: Frame) -> str:
@@ -241,8 +245,16 @@ GRAMMARS: Mapping[str, Grammar] = MappingProxyType({
         write=_by_python_can(can.SqliteWriter), has_fd=True, has_fd_flags=False, has_direction=False, is_text=False
     ),
     "gvret": Grammar(
-        write=_by_hand(_gvret, ["Time Stamp,ID,Extended,Dir,Bus,LEN,D1,D2,D3,D4,D5,D6,D7,D8"]),
+        write=_by_hand(_gvret(0, "d"), GVRET_HEADER),
         start_us=0, has_fd=True, has_fd_flags=False, has_remote=False, has_error=False, channels=10,
+    ),
+    "gvret below zero": Grammar(
+        write=_by_hand(_gvret(-50_000, "d"), GVRET_HEADER),
+        start_us=-50_000, has_fd=True, has_fd_flags=False, has_remote=False, has_error=False, channels=10,
+    ),
+    "gvret with exponents": Grammar(
+        write=_by_hand(_gvret(-50_000, ".9E"), GVRET_HEADER),
+        start_us=-50_000, has_fd=True, has_fd_flags=False, has_remote=False, has_error=False, channels=10,
     ),
     "busmaster": Grammar(
         write=_by_hand(_busmaster(is_decimal=False), _busmaster_header("HEX")),
