@@ -99,7 +99,6 @@ class Detected:
 class _Candidate:
     """How many of the lines of a text are frames of a format."""
 
-    format: LogFormat
     frames: int
     others: int  # lines that are neither frames nor comments of that format
 
@@ -145,12 +144,15 @@ def detect_text(probe: bytes) -> Detected:
             if is_header(line.strip()):
                 return Detected(format=log_format, evidence=f"line {number} is its header")
     lines = first_lines(text, is_cut=len(probe) >= PROBE_BYTES)
-    candidates = [_candidate(log_format, lines) for log_format in (LogFormat.CANDUMP, *TABLES, LogFormat.ASC)]
-    likeliest = max(candidates, key=lambda one: (one.is_likely, one.frames))
-    shown = f"{likeliest.frames} of the first {len(lines)} lines"
-    if likeliest.is_likely:
-        return Detected(format=likeliest.format, evidence=f"{shown} are frames in its grammar")
-    raise SourceError(_not_known(probe, f"{shown} fit {likeliest.format}" if likeliest.frames else ""))
+    hint, most = "", 0
+    for log_format in (LogFormat.CANDUMP, *TABLES, LogFormat.ASC):
+        found = _candidate(log_format, lines)
+        shown = f"{found.frames} of the first {len(lines)} lines"
+        if found.is_likely:
+            return Detected(format=log_format, evidence=f"{shown} are frames in its grammar")
+        if found.frames > most:
+            hint, most = f"{shown} fit {log_format}", found.frames
+    raise SourceError(_not_known(probe, hint))
 
 
 def first_lines(text: bytes, *, is_cut: bool) -> list[bytes]:
@@ -174,7 +176,7 @@ def _candidate(log_format: LogFormat, lines: Sequence[bytes]) -> _Candidate:
     frames, skipped = _counted(log_format, b"\n".join(fitting))
     if log_format is LogFormat.ASC:  # skips whatever begins with a time
         skipped = 0
-    return _Candidate(format=log_format, frames=frames, others=len(lines) - frames - skipped)
+    return _Candidate(frames=frames, others=len(lines) - frames - skipped)
 
 
 def _counted(log_format: LogFormat, text: bytes) -> tuple[int, int]:
