@@ -2,6 +2,8 @@
 
 import logging
 import os
+import stat
+from contextlib import suppress
 from pathlib import Path
 from typing import Final
 
@@ -13,21 +15,28 @@ _LOG: Final = logging.getLogger(__name__)
 
 def create_private(path: Path) -> None:
     """Make an empty file for its owner only, unless there is one; SQLite gives its mode to what it puts beside it."""
-    os.close(os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, PRIVATE_MODE))
+    with suppress(FileExistsError):
+        os.close(os.open(path, os.O_RDWR | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, PRIVATE_MODE))
 
 
 def keep_private(path: Path) -> None:
-    """Close a file, and what SQLite put beside it, to others, and say so; where that is not ours to do, warn."""
+    """Close a file, and what SQLite put beside it, to others, and say so once; where that is not ours to do, warn.
+
+    A file that its owner made read-only is left as it is: nobody keeps results in it.
+    """
+    told: list[str] = []
     for file in (path.with_name(path.name + suffix) for suffix in _COMPANIONS):
         try:
             mode = file.stat().st_mode & 0o777
         except OSError:
             continue
-        if not mode & _OTHERS:
+        if not mode & _OTHERS or not mode & stat.S_IWUSR:
             continue
         try:
-            file.chmod(PRIVATE_MODE)
+            file.chmod(mode & ~_OTHERS)
         except OSError as exc:
-            _LOG.warning("%s can be read by other users (mode %03o): %s", file, mode, exc.strerror)
+            told.append(f"{file} can be read by other users (mode {mode:03o}): {exc.strerror}")
         else:
-            _LOG.warning("%s could be read by other users (mode %03o) and is closed to them now", file, mode)
+            told.append(f"{file} could be read by other users (mode {mode:03o}) and is closed to them now")
+    if told:
+        _LOG.warning("%s", told[0])

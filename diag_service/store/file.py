@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Final
 
 from diag_service.errors import StoreError, StoreFullError
-from diag_service.private_file import PRIVATE_MODE, create_private, keep_private
+from diag_service.private_file import PRIVATE_MODE, create_private
 from diag_service.store.schema import APPLICATION_ID, SCHEMA_VERSION, create_tables, migrate
 
 _BUSY_TIMEOUT_S: Final = 5.0  # for a person who reads the store with another program
@@ -49,7 +49,6 @@ def connect(path: Path) -> sqlite3.Connection:
     try:
         with translated(str(path)):
             _prepare(connection, path)
-        keep_private(path)
     except BaseException:
         connection.close()
         raise

@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import Self
 
 from diag_service.errors import ResultError, StoreError
+from diag_service.private_file import keep_private
 from diag_service.records import ShiftResult
 from diag_service.results import JsonObject, StoredResult, dump, parse_shift, shift_record
 from diag_service.store import budget, waiting
@@ -76,10 +77,12 @@ class ResultStore:
         path = path.absolute()
         descriptor = own(path)
         try:
-            return cls(connect(path), descriptor, str(path), budget_bytes)
+            store = cls(connect(path), descriptor, str(path), budget_bytes)
         except BaseException:
             os.close(descriptor)
             raise
+        keep_private(path)
+        return store
 
     @classmethod
     def in_memory(cls) -> Self:

@@ -98,7 +98,7 @@ def test_a_store_that_cannot_be_opened_is_not_left_locked(path: Path) -> None:
 @pytest.mark.parametrize(
     ("spoil", "message"),
     [
-        (lambda path: path.mkdir(), "Is a directory"),
+        (lambda path: path.mkdir(), "unable to open database file"),
         (lambda path: path.write_bytes(b"x" * 5000), "file is not a database"),
         (lambda path: edit(path, "CREATE TABLE guests (name)"), "of another program"),
         (lambda path: edit(path, "PRAGMA application_id = 7"), "of another program"),
