@@ -52,11 +52,22 @@ def parsed_dbc(text: str, *, is_lenient: bool) -> Parsed:
 
 def checked(text: str, database_format: str) -> Parsed:
     """Return the database that cantools makes of a text, and what its strict check says; raises cantools.Error."""
-    database = cantools.database.load_string(text, database_format=database_format, strict=False)
-    if not isinstance(database, Database):
-        raise ParseError("it holds no CAN messages")
+    try:
+        return Parsed(database=loaded(text, database_format, is_strict=True))
+    except ParseError as error:
+        if not isinstance(error.__cause__, ParseError):  # no matter of strictness
+            raise
+    database = loaded(text, database_format, is_strict=False)
     complaints = [complaint for message in database.messages for complaint in complaints_of(message)]
     return Parsed(database=database, complaints=tuple(complaints[:MOST_SAID]))
+
+
+def loaded(text: str, database_format: str, *, is_strict: bool) -> Database:
+    """Return the database that cantools makes of a text; raises cantools.Error."""
+    database = cantools.database.load_string(text, database_format=database_format, strict=is_strict)
+    if not isinstance(database, Database):
+        raise ParseError("it holds no CAN messages")
+    return database
 
 
 def complaints_of(message: Message) -> list[str]:
