@@ -32,7 +32,8 @@ from diag_service.estimation import Belief
 from diag_service.frames import FrameBatch
 from diag_service.judgement.condition import ConditionMemory
 from diag_service.publishers import MemoryReporter
-from diag_service.runs.recorded import open_drive, run_logs, stream_of
+from diag_service.runs.drive import open_drive, stream_of
+from diag_service.runs.recorded import run_logs
 from diag_service.runs.session import Session, versions_for
 from diag_service.runs.stages import Stages
 from diag_service.shift_finding.shifts import ShiftFinder

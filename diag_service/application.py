@@ -35,10 +35,11 @@ from diag_service.publishers.outbox import MetricsMessage
 from diag_service.publishers.pipe import PipeReporter
 from diag_service.results import ServiceStatus, dump, iso_utc
 from diag_service.runs import calibrate_run
+from diag_service.runs.drive import insist_on_the_whole, open_drive, stream_of
 from diag_service.runs.live import run_live
 from diag_service.runs.monitor import Monitor, SilentReporter
 from diag_service.runs.paper_run import run_paper
-from diag_service.runs.recorded import open_drive, run_logs, stream_of
+from diag_service.runs.recorded import run_logs
 from diag_service.runs.session import Session, resume, versions_for
 from diag_service.runs.snapshot import Board, Snapshot, SnapshotTaker
 from diag_service.runs.stages import Stages
@@ -47,7 +48,7 @@ from diag_service.sources import BusOpener, Pace, supervise
 from diag_service.standard_output import discard
 from diag_service.stopping import Trigger
 from diag_service.store import ResultStore, Versions
-from diag_service.summary import frames_line
+from diag_service.summary import Summary, frames_line
 from diag_service.terminal import PeopleConsole
 from fleet_contract import Outgoing, config_message, metrics_message
 
@@ -82,7 +83,13 @@ def run_monitor(config: DiagnosisConfig, bus: BusConfig, controls: Controls) -> 
 def run_recorded(
     config: DiagnosisConfig, paths: list[Path], store_path: Path | None, controls: Controls, *, as_json: bool
 ) -> None:
-    """Diagnose the logs of a drive."""
+    """Diagnose the logs of a drive.
+
+    Raises
+    ------
+    StoppedError, IncompleteError
+        If it was a part of the drive only, after that was told.
+    """
     meaning = interpret(config.dbc, config.profile, is_lenient=config.is_lenient)
     decoder = meaning.decoder()
     logs = open_drive(paths, is_strict=config.is_strict)
@@ -92,14 +99,16 @@ def run_recorded(
     ) as store:
         session = _session(config, decoder, store, stream, _reporter(controls.stop, as_json=as_json))
 
-        async def run() -> None:
+        async def run() -> Summary:
             summary = await run_logs(
                 logs, session, stop=controls.stop, outbox=_outbox(config, store, session, is_live=False)
             )
             if summary.unpublished_count and store_path is None:
                 _LOG.warning("%d results were not delivered and are not kept; --store would", summary.unpublished_count)
+            return summary
 
-        asyncio.run(run())
+        summary = asyncio.run(run())
+    insist_on_the_whole(summary.gaps)
 
 
 def run_paper_recorded(config: DiagnosisConfig, paths: list[Path], controls: Controls, *, as_json: bool) -> None:
@@ -121,11 +130,11 @@ def run_calibrate(
         config.calibration,
         controls.stop,
     )
-    found = calibrate_run.run_calibrate(events, config.calibration, config.vehicle, output)
+    found = calibrate_run.run_calibrate(events, config.calibration, config.vehicle, output, controls.stop)
     if as_json:
-        sys.stdout.write(dump(calibrate_run.record(found, config.calibration, config.vehicle)) + "\n")
+        sys.stdout.write(dump(calibrate_run.record(found, config.calibration, config.vehicle, events.gaps)) + "\n")
     else:
-        calibrate_run.show(found, config.calibration, output, PeopleConsole())
+        calibrate_run.show(found, config.calibration, output, PeopleConsole(), events.gaps)
 
 
 async def _run_bus(
@@ -241,6 +250,7 @@ def _outbox(config: DiagnosisConfig, store: ResultStore, session: Session, *, is
         str(config.broker),
         acknowledge=config.acknowledge,
         greetings=[_greeting(config, status)] if is_live else (),
+        holds_states=not is_live,
         metrics=_metrics_of(store, session) if is_live else None,
     )
 

@@ -2,10 +2,11 @@
 
 from collections import Counter
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field, replace
+from enum import StrEnum
 
 from diag_service.comparison import ClutchRatio
-from diag_service.records import ClutchVerdict, ShiftEstimate, ShiftResult, Status, Tier
+from diag_service.records import ClutchVerdict, Condition, ShiftEstimate, ShiftResult, Status, Tier
 from diag_service.results import JsonObject, clutch_record
 
 RECENT_COUNT = 8
@@ -15,6 +16,30 @@ TIER_TEXT = {
     Tier.TORQUE: "torque capacity, no friction",
     Tier.KINEMATIC: "shift time and slip, no friction",
 }
+
+
+class Gap(StrEnum):
+    """Why a run has seen a part of its drive only."""
+
+    STOPPED = "stopped_early"
+    LOG_CUT = "log_cut"  # the file ends before its own end
+    LOG_NOT_CLOSED = "log_not_closed"  # its writer did not get to its end: what is missing cannot be told
+
+
+GAP_TEXT = {
+    Gap.STOPPED: "stopped early",
+    Gap.LOG_CUT: "a log broke off before its own end",
+    Gap.LOG_NOT_CLOSED: "a log broke off: its writer did not close it",
+}
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LogShare:
+    """What one log gave to a run."""
+
+    path: str
+    frames: int  # read
+    decoded: int
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -93,12 +118,20 @@ class Summary:
     unpublished_count: int | None  # None without a broker
     latest: tuple[ShiftResult, ...]  # last result of each clutch, clutch 1 first
     capability: Capability = FULL
+    gaps: tuple[Gap, ...] = ()  # why this is a part of the drive; none: it is the whole
+    logs: tuple[LogShare, ...] = ()  # none for a bus
 
 
 def summarise(
-    vehicle: str, frames: FrameCounts, tally: ShiftTally, unpublished_count: int | None, capability: Capability = FULL
+    vehicle: str,
+    frames: FrameCounts,
+    tally: ShiftTally,
+    unpublished_count: int | None,
+    capability: Capability = FULL,
+    gaps: tuple[Gap, ...] = (),
+    logs: tuple[LogShare, ...] = (),
 ) -> Summary:
-    """Return the numbers of a run as they stand."""
+    """Return the numbers of a run as they stand; of a part of a drive no clutch has a verdict."""
     return Summary(
         vehicle=vehicle,
         frames=frames,
@@ -108,8 +141,25 @@ def summarise(
         known_count=tally.known_count,
         unpublished_count=unpublished_count,
         capability=capability,
-        latest=tuple(result for _, result in sorted(tally.latest.items())),
+        latest=tuple(unjudged(result, gaps) for _, result in sorted(tally.latest.items())),
+        gaps=gaps,
+        logs=logs,
     )
+
+
+def unjudged(result: ShiftResult, gaps: tuple[Gap, ...]) -> ShiftResult:
+    """Return a result without its verdict if there are gaps: a part of a drive may say the opposite of the whole."""
+    if not gaps:
+        return result
+    verdict = replace(result.verdict, condition=Condition.NO_VERDICT, reason=gaps_line(gaps))
+    return replace(result, verdict=verdict)
+
+
+def gaps_line(gaps: tuple[Gap, ...]) -> str:
+    """Return why there is no verdict, for people; empty if nothing is missing."""
+    if not gaps:
+        return ""
+    return f"{', '.join(GAP_TEXT[gap] for gap in gaps)}: this is a part of the drive, which gets no verdict"
 
 
 def summary_record(summary: Summary) -> JsonObject:
@@ -118,6 +168,8 @@ def summary_record(summary: Summary) -> JsonObject:
     return {
         "schema": SUMMARY_SCHEMA,
         "vehicle": summary.vehicle,
+        "complete": not summary.gaps,
+        "incomplete": [gap.value for gap in summary.gaps],
         "frames": {
             "on_bus": frames.on_bus,
             "decoded": frames.decoded,
@@ -145,6 +197,7 @@ def summary_record(summary: Summary) -> JsonObject:
             "missing": summary.capability.missing,
             "unseen": list(summary.capability.unseen),
         },
+        "logs": [asdict(log) for log in summary.logs],
     }
 
 

@@ -22,18 +22,20 @@ from diag_service.batch.journal import Entry, Journal
 from diag_service.batch.tables import TableFormat, format_of, write_results
 from diag_service.batch.worker import analyse_drive, start_worker
 from diag_service.config import DiagnosisConfig, calibration_digest
-from diag_service.errors import ConfigError, SourceError
+from diag_service.errors import ConfigError, SourceError, StoppedError
 from diag_service.interpretation import interpret
 from diag_service.notices import NOTICE
 from diag_service.parquet_file import load_pyarrow
 from diag_service.results import dump
-from diag_service.runs.recorded import stream_of
+from diag_service.runs.drive import stream_of
 from diag_service.runs.session import versions_for
 from diag_service.stopping import Trigger
+from diag_service.summary import GAP_TEXT, Gap
 
 POLL_S = 0.2  # how soon a request to stop is heard
 WAITING_PER_JOB = 2  # drives handed out ahead: a worker never waits, a stop never takes long
 LEFT_OUT_SCHEMA = "clutchdiag/left-out/v1"
+ACCOUNT_VERSION = "2"  # of what a journal keeps of a drive; entries of an older one are made anew
 _LOG = logging.getLogger(__name__)
 
 
@@ -44,12 +46,15 @@ class Tally:
     drives: int = 0
     shifts: int = 0
     failed: int = 0
+    cut: int = 0
 
     def add(self, entry: Entry) -> None:
         """Count one drive."""
         self.drives += 1
         self.shifts += len(entry.shifts)
         self.failed += entry.drive["error"] is not None
+        summary = entry.drive["summary"]
+        self.cut += isinstance(summary, dict) and not summary["complete"]
 
 
 def analyse_folders(
@@ -73,6 +78,8 @@ def analyse_folders(
         If no log at all could be read.
     StoreError
         If journal or output cannot be written.
+    StoppedError
+        If it was stopped before every drive was done.
     """
     jobs = checked_jobs(jobs)
     if output is not None and format_of(output) is TableFormat.PARQUET:
@@ -106,7 +113,7 @@ def settings_digest(config: DiagnosisConfig) -> str:
     """Return a digest of all that decides about results besides the logs: their files and the versions."""
     versions = versions_for(config.calibration, calibration_digest(config.calibration))
     files = stream_of(interpret(config.dbc, config.profile, is_lenient=config.is_lenient).files)
-    parts = (config.vehicle, versions.algorithm, versions.calibration, files, str(config.is_strict))
+    parts = (config.vehicle, versions.algorithm, versions.calibration, files, str(config.is_strict), ACCOUNT_VERSION)
     return hashlib.sha256("\0".join(parts).encode()).hexdigest()
 
 
@@ -140,6 +147,8 @@ def _analysed(
             finished, _ = wait(running, POLL_S, FIRST_COMPLETED)
             for future in finished:
                 drive = running.pop(future)
+                if stop.is_set and isinstance(future.exception(), BrokenProcessPool):
+                    continue  # the signal went to the whole group: the drive is not done, nothing else is wrong
                 done_count += 1
                 progress.update(task, advance=drive.size_bytes, done=done_count)
                 yield drive, _outcome(future, drive)
@@ -176,8 +185,7 @@ def _conclude(journal: Journal, drives: Sequence[Drive], output: Path | None, li
     lines.end(tally)
     if len(done) < len(drives):
         hint = "; the same command goes on" if output is not None else ""
-        _LOG.log(NOTICE, "stopped: %d of %d drives are done%s", len(done), len(drives), hint)
-        return
+        raise StoppedError(f"stopped early: {len(done)} of {len(drives)} drives are done{hint}")
     if output is not None:
         write_results(output, (journal.entry(drive.key) for drive in drives))
     if tally.failed == tally.drives:
@@ -218,7 +226,10 @@ class _Lines:
         """Tell of all of them."""
         if not self._as_json:
             left_out = f", {self._left_out} files left out" if self._left_out else ""
-            self._write(f"{tally.drives} drives, {tally.shifts} shifts, {tally.failed} could not be read{left_out}")
+            cut = f", {tally.cut} broke off and have no verdict" if tally.cut else ""
+            self._write(
+                f"{tally.drives} drives, {tally.shifts} shifts, {tally.failed} could not be read{cut}{left_out}"
+            )
 
     def _write(self, line: str) -> None:
         self._stream.write(line + "\n")
@@ -241,5 +252,6 @@ def drive_line(entry: Entry) -> str:
         f"tier {tier or 'none'}",
         f"{len(entry.shifts)} shifts{counts}",
         *clutches,
+        *(GAP_TEXT[Gap(gap)] for gap in summary["incomplete"]),
     ]
     return ", ".join(parts)

@@ -9,7 +9,7 @@ from pathlib import Path
 from diag_service.batch.journal import Entry
 from diag_service.errors import ConfigError, StoreError
 from diag_service.legible import legible
-from diag_service.parquet_file import ParquetTable
+from diag_service.parquet_file import BOOL_TYPE, ParquetTable
 from diag_service.results import JsonObject, dump
 from fleet_contract.described import schema
 from fleet_contract.topics import Channel
@@ -63,7 +63,7 @@ def write_results(path: Path, entries: Iterable[Entry]) -> None:
 def columns() -> dict[str, str]:
     """Return the columns of the table and their types, from the schema of a shift result: nested keys by dots."""
     description = schema(Channel.SHIFT.label)
-    return {"path": "string", **dict(_leaves(description, description))}
+    return {"path": "string", "complete": BOOL_TYPE, **dict(_leaves(description, description))}
 
 
 def flattened(record: Mapping[str, object], prefix: str = "") -> dict[str, object]:
@@ -104,8 +104,10 @@ def _rows(entries: Iterable[Entry]) -> Iterator[dict[str, object]]:
     for entry in entries:
         paths = entry.drive["paths"]
         path = ";".join(map(str, paths)) if isinstance(paths, list) else paths
+        summary = entry.drive.get("summary")
+        is_complete = isinstance(summary, dict) and summary["complete"]
         for shift in entry.shifts:
-            yield {"path": legible(str(path)), **flattened(shift)}
+            yield {"path": legible(str(path)), "complete": is_complete, **flattened(shift)}
 
 
 def _write_json_lines(part: Path, entries: Iterable[Entry]) -> None:
@@ -119,7 +121,7 @@ def _write_csv(part: Path, entries: Iterable[Entry]) -> None:
     with part.open("w", encoding="utf-8", errors="backslashreplace", newline="") as file:
         writer = csv.DictWriter(file, list(columns()), restval="", extrasaction="ignore")
         writer.writeheader()
-        writer.writerows(_rows(entries))
+        writer.writerows({**row, "complete": str(row["complete"]).lower()} for row in _rows(entries))
 
 
 def _write_parquet(part: Path, entries: Iterable[Entry]) -> None:

@@ -20,12 +20,13 @@ from diag_service.judgement.condition import ConditionMemory
 from diag_service.notices import set_up_notices
 from diag_service.publishers import MemoryReporter
 from diag_service.results import JsonObject, shift_record
-from diag_service.runs.recorded import open_drive, run_logs, stream_of
+from diag_service.runs.drive import open_drive, stream_of
+from diag_service.runs.recorded import run_logs
 from diag_service.runs.session import Session, versions_for
 from diag_service.runs.stages import Stages
 from diag_service.stopping import Trigger, ignore
 from diag_service.store import ResultStore
-from diag_service.summary import summary_record
+from diag_service.summary import summary_record, unjudged
 
 DRIVE_SCHEMA = "clutchdiag/drive/v1"
 
@@ -49,7 +50,8 @@ class Analyst:
             return Entry(key=drive.key, drive={**head, "stream": None, "error": str(exc), "summary": None}, shifts=())
         (summary,) = reporter.summaries
         account: JsonObject = {**head, "stream": stream, "error": None, "summary": summary_record(summary)}
-        return Entry(key=drive.key, drive=account, shifts=tuple(shift_record(one) for one in reporter.results))
+        results = (unjudged(one, summary.gaps) for one in reporter.results)  # the last one is taken for the drive's
+        return Entry(key=drive.key, drive=account, shifts=tuple(map(shift_record, results)))
 
     def _run(self, drive: Drive) -> tuple[str, MemoryReporter]:
         calibration = self.config.calibration

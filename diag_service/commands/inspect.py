@@ -14,7 +14,7 @@ from dbc.contract import DBC_PATH, message_contract
 from diag_service.columns import Int64Array
 from diag_service.definitions.addressing import NOBODY, address_book, find_slot, message_address, overwritten
 from diag_service.definitions.database import load_database
-from diag_service.errors import ConfigError
+from diag_service.errors import ConfigError, StoppedError
 from diag_service.frames import ERROR_FLAG, EXTENDED_FLAG, REMOTE_FLAG
 from diag_service.protection.protection_check import FrameReason, LinkMonitor
 from diag_service.results import JsonObject, dump, utc_from_bus_ns
@@ -50,7 +50,7 @@ class Inspection:
 
 
 def execute(options: argparse.Namespace, stop: Trigger, counts_wanted: Trigger) -> None:
-    """Inspect one log after the other."""
+    """Inspect one log after the other; raises StoppedError if that was stopped."""
     del counts_wanted
     if options.bitrate <= 0:
         raise ConfigError(f"the bit rate must be > 0, got {options.bitrate}")
@@ -62,6 +62,8 @@ def execute(options: argparse.Namespace, stop: Trigger, counts_wanted: Trigger) 
             sys.stdout.write(dump(inspection_record(inspection)) + "\n")
         else:
             _show(inspection, options.bitrate, console)
+        if not inspection.is_whole:
+            raise StoppedError("stopped early: what was shown last is of a part of the log")
 
 
 def inspect_log(path: Path, messages: Sequence[Message], bitrate: int, stop: Trigger) -> Inspection:
@@ -77,8 +79,10 @@ def inspect_log(path: Path, messages: Sequence[Message], bitrate: int, stop: Tri
     protected = [message for message in messages if message_contract(message).data_id is not None]
     monitor = LinkMonitor(protected)
     last_ns: int | None = None
+    is_whole = True
     for batch in reader:
         if stop.is_set:
+            is_whole = False
             break
         meter.add(batch)
         if last_ns is not None and not 0 <= int(batch.t_ns[0]) - last_ns <= NS_PER_S:
@@ -96,7 +100,7 @@ def inspect_log(path: Path, messages: Sequence[Message], bitrate: int, stop: Tri
             for message, row, lost in zip(protected, counts[:-1], missing, strict=True)
             if row.sum()
         },
-        is_whole=not stop.is_set,
+        is_whole=is_whole,
     )
 
 
@@ -109,6 +113,8 @@ def inspection_record(inspection: Inspection) -> JsonObject:
     return {
         "schema": SCHEMA,
         "path": str(inspection.reader.path),
+        "complete": inspection.is_whole and not (counts.truncated or counts.unfinished),
+        "stopped_early": not inspection.is_whole,
         "format": inspection.reader.format.value,
         "evidence": inspection.reader.evidence,
         "unreadable": {reason.value: count for reason, count in counts.rejected.items()},
@@ -157,7 +163,8 @@ def _head(inspection: Inspection, bitrate: int) -> list[str]:
     load = f"{100 * traffic.bus_load_ratio:.1f} %, busiest second {100 * traffic.peak_load_ratio:.1f} %"
     kinds = f"{traffic.fd_frames} CAN FD, {traffic.remote_frames} remote, {traffic.error_frames} error frames"
     kinds += f"; {traffic.sent_frames} sent by the recorder" if traffic.sent_frames else ""
-    since = f"from {utc_from_bus_ns(traffic.first_ns)}{'' if inspection.is_whole else ' (stopped)'}"
+    part = "" if inspection.is_whole else " (stopped early: a part of the log)"
+    since = f"from {utc_from_bus_ns(traffic.first_ns)}{part}"
     lines = [f"{inspection.reader.path}: {what} {since}", f"bus load at {rate}: {load}; {kinds}"]
     lines.append(f"taken for {inspection.reader.format.value}: {inspection.reader.evidence}")
     lines += counts.notes
@@ -166,6 +173,8 @@ def _head(inspection: Inspection, bitrate: int) -> list[str]:
         lines.append(f"{total} pieces are no frames, the first: {counts.first_rejected}")
     if counts.truncated:
         lines.append("the log ends before its own end")
+    elif counts.unfinished:
+        lines.append("the log was not closed by its writer; what is missing at its end cannot be told")
     lines.append(f"{traffic.jump_count} jumps of time" if traffic.jump_count else "no jump of time")
     lines += [f"  at {utc_from_bus_ns(jump.at_ns)} by {jump.by_ns / NS_PER_S:+.6f} s" for jump in traffic.jumps]
     return lines

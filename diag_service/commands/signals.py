@@ -15,6 +15,7 @@ from diag_service.decoding.decode import NO_INVALID, Decoded
 from diag_service.definitions.database import load_database
 from diag_service.definitions.proposal import SignalStatistics, candidates, profile_text
 from diag_service.definitions.tiers import PURPOSE, missing_for_next, tier_of
+from diag_service.errors import StoppedError
 from diag_service.legible import legible
 from diag_service.sources import read_log
 from diag_service.stopping import Trigger
@@ -52,13 +53,17 @@ class Survey:
         self._counts: dict[int, int] = {}
         self._ends_ns: tuple[int, int] | None = None
         self.frames = 0
+        self.is_cut = False
         self.unknown = 0
 
     def add(self, path: Path, stop: Trigger) -> None:
-        """Take all frames of a log."""
-        for batch in read_log(path):
-            if stop.is_set or not len(batch):
-                return
+        """Take all frames of a log; raises StoppedError."""
+        reader = read_log(path)
+        for batch in reader:
+            if stop.is_set:
+                raise StoppedError("stopped early: no profile is proposed from a part of a log")
+            if not len(batch):
+                continue
             self._extend(batch.t_ns)
             self.frames += len(batch)
             self.unknown += len(batch)
@@ -67,6 +72,7 @@ class Survey:
                 self._counts[found.slot] = self._counts.get(found.slot, 0) + len(found.rows)
                 for name, decoded in found.signals.items():
                     self._ranges.setdefault((found.slot, name), _Range()).add(decoded)
+        self.is_cut = reader.counts.truncated or reader.counts.unfinished
 
     def messages(self) -> Iterator[tuple[Message, int, float]]:
         """Yield the messages that came, how often, and their rate [Hz]."""
@@ -113,6 +119,7 @@ def execute(options: argparse.Namespace, stop: Trigger, counts_wanted: Trigger) 
         f"Proposed for {options.log.name} and {database.name} by names, units and values: check every line.",
         f"As it stands it reaches {reach}. {missing_for_next(best.keys())}",
         "",
+        *(["The log ends before its own end."] if survey.is_cut else []),
         f"{survey.frames} frames, {survey.unknown} of them of no message of the database.",
         *_listing(survey),
         "",

@@ -11,6 +11,7 @@ from diag_service.summary import (
     Summary,
     capability_line,
     frames_line,
+    gaps_line,
     latest_ratio,
     ratio_line,
     sharp_lines,
@@ -51,6 +52,8 @@ class ConsoleReporter:
 
     def finish(self, summary: Summary) -> None:
         """Print the table of clutches and the numbers of the run."""
+        if summary.gaps:
+            self._line(Text(gaps_line(summary.gaps), style="bold red"))
         if summary.latest:
             self._console.print(_clutch_table(summary))
         for result in summary.latest:

@@ -70,6 +70,8 @@ class Delivery:
         Positions that earlier connections may have taken with them; those that are sent are taken out.
     published :
         Told the positions that a broker acknowledged and that are therefore forgotten.
+    holds_states :
+        Whether the states of clutches must not be told yet.
     """
 
     def __init__(
@@ -82,6 +84,7 @@ class Delivery:
         repeat: dict[int, None],
         published: Callable[[list[int]], None],
         counts: Counts,
+        holds_states: Callable[[], bool] = lambda: False,
     ) -> None:
         self._store = store
         self._vehicle = vehicle
@@ -90,6 +93,8 @@ class Delivery:
         self._repeat = repeat
         self._published = published
         self._counts = counts
+        self._holds_states = holds_states
+        self._are_states_held = False  # whether some were to be told and were not
         self._lanes: Lanes | None = None  # not begun
         self._inbox: list[Receipt] = []
         self._owed = Owed()
@@ -105,12 +110,15 @@ class Delivery:
         if self._acknowledge is Acknowledge.BACKEND:
             await self._link.listen(self._vehicle, self._hear)
         latest = await asyncio.to_thread(self._store.latest, self._vehicle)
-        await self._link.send([*greetings, *self._states(latest)])
+        messages = [*greetings, *self._states(latest)]
+        if messages:
+            await self._link.send(messages)
 
     async def step(self) -> bool:
         """Do what there is to do; False if nothing is left but to wait."""
         self.wake.clear()
         await self._settle()
+        await self._tell_held_states()
         batch = await asyncio.to_thread(self._next_batch, self._now_s())
         if not batch:
             return False
@@ -127,6 +135,11 @@ class Delivery:
         self._counts.acknowledged += len(positions)
         self._published(positions)
         return True
+
+    async def _tell_held_states(self) -> None:
+        if self._are_states_held and not self._holds_states():
+            self._are_states_held = False
+            await self._link.send(self._states(await asyncio.to_thread(self._store.latest, self._vehicle)))
 
     @property
     def is_owed(self) -> bool:
@@ -217,7 +230,10 @@ class Delivery:
         self._is_silent, self._asked_s = True, now_s
 
     def _states(self, rows: Sequence[StoredResult]) -> list[Outgoing]:
-        """Return the states of clutches that these results leave, unless a newer one has been told."""
+        """Return the states of clutches that these results leave, unless a newer one has been told or all are held."""
+        if self._holds_states():
+            self._are_states_held = True
+            return []
         newest = {row.clutch: row for row in sorted(rows, key=lambda row: row.position)}
         news = [row for row in newest.values() if row.position > self._state_position.get(row.clutch, -1)]
         self._state_position.update({row.clutch: row.position for row in news})

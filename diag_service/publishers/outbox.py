@@ -46,6 +46,8 @@ class Outbox:
         Messages that open every connection.
     metrics :
         Makes a message of the outbox's numbers, now and then; None: nobody wants them.
+    holds_states :
+        Keep the states of clutches back until ``tell_states``: those of a part of a drive are none.
     """
 
     def __init__(
@@ -58,6 +60,7 @@ class Outbox:
         acknowledge: Acknowledge = Acknowledge.BROKER,
         greetings: Sequence[Outgoing] = (),
         metrics: MetricsMessage | None = None,
+        holds_states: bool = False,
     ) -> None:
         self._store = store
         self._vehicle = vehicle
@@ -66,6 +69,7 @@ class Outbox:
         self._acknowledge = acknowledge
         self._greetings = greetings
         self._metrics = metrics
+        self._holds_states = holds_states
         self._metrics_due_s = 0.0  # of the loop
         self._delivery: Delivery | None = None  # over the present connection
         self._closing = asyncio.Event()
@@ -78,6 +82,11 @@ class Outbox:
         """Say that the store holds something new."""
         if self._delivery is not None:
             self._delivery.wake.set()
+
+    def tell_states(self) -> None:
+        """Let the states of clutches go out that were kept back."""
+        self._holds_states = False
+        self.nudge()
 
     async def run(self) -> None:
         """Connect, send, reconnect; return after ``close`` once all is sent or a fresh attempt has sent nothing."""
@@ -119,6 +128,7 @@ class Outbox:
             repeat=self._repeat,
             published=self._note_published,
             counts=self.counts,
+            holds_states=lambda: self._holds_states,
         )
         await delivery.begin(self._greetings)
         if self._is_down:
@@ -128,7 +138,7 @@ class Outbox:
             while await delivery.step():
                 await self._tell_metrics(link)
             await self._tell_metrics(link)
-            if self._closing.is_set() and not delivery.is_owed:
+            if self._closing.is_set() and not delivery.is_owed and not delivery.wake.is_set():
                 return
             await self._wait(link, delivery)
 

@@ -5,7 +5,6 @@ import os
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from datetime import UTC, date, datetime
-from itertools import chain
 from pathlib import Path
 
 from rich import box
@@ -15,16 +14,17 @@ from rich.table import Table
 from clutch_model.calibration import Calibration, calibration_toml
 from clutch_model.units import bar_from_pa
 from diag_service.decoding.mapping import Decoder
-from diag_service.errors import ConfigError, SourceError
+from diag_service.errors import ConfigError, SourceError, StoppedError
 from diag_service.estimation.parameters import NUISANCE_NAMES, STATE_COUNT, Considered, State, prior_covariance
 from diag_service.estimation.self_calibration import SelfCalibration, self_calibrate
 from diag_service.events import RevEvent, ShiftEvent
 from diag_service.records import FrictionEstimate
 from diag_service.results import JsonObject
-from diag_service.runs.recorded import OpenLog, warn_of_damage
+from diag_service.runs.drive import OpenLog, frames_of, gaps_in, warn_of_damage
 from diag_service.shift_finding.revs import RevFinder
 from diag_service.shift_finding.shifts import ShiftFinder
 from diag_service.stopping import Trigger
+from diag_service.summary import GAP_TEXT, Gap
 
 CALIBRATION_SCHEMA = "clutchdiag/self-calibration/v1"
 _NS_PER_S = 1_000_000_000
@@ -36,6 +36,7 @@ class CalibrationEvents:
 
     shifts: tuple[ShiftEvent, ...]
     revs: tuple[RevEvent, ...]
+    gaps: tuple[Gap, ...] = ()  # why the drives are not all there
 
     @property
     def last_day(self) -> date:
@@ -82,14 +83,15 @@ def find_events(
     Raises
     ------
     SourceError
-        If there is no shift, or the search was stopped.
+        If there is no shift.
+    StoppedError
+        If the search was stopped.
     """
     shift_finder, rev_finder = ShiftFinder(), RevFinder(calibration)
     shifts: list[ShiftEvent] = []
     revs: list[RevEvent] = []
-    for batch in chain.from_iterable(chain((log.first,), log.reader) for log in logs):
-        if stop.is_set:
-            raise SourceError("stopped before the logs were read to their end: nothing was calibrated")
+    for batch in frames_of(logs):
+        _go_on(stop)
         for columns in decoder.feed(batch):
             shifts += shift_finder.feed(columns)
             revs += rev_finder.feed(columns)
@@ -98,22 +100,32 @@ def find_events(
     warn_of_damage(logs)
     if not shifts:
         raise SourceError("no shift in these logs: nothing to calibrate from")
-    return CalibrationEvents(shifts=tuple(shifts), revs=tuple(revs))
+    return CalibrationEvents(shifts=tuple(shifts), revs=tuple(revs), gaps=gaps_in(logs, was_stopped=False))
 
 
-def run_calibrate(events: CalibrationEvents, start: Calibration, vehicle: str, path: Path) -> SelfCalibration:
+def _go_on(stop: Trigger) -> None:
+    if stop.is_set:
+        raise StoppedError("stopped early: nothing was calibrated, no file was written")
+
+
+def run_calibrate(
+    events: CalibrationEvents, start: Calibration, vehicle: str, path: Path, stop: Trigger
+) -> SelfCalibration:
     """Calibrate a vehicle and write its calibration file.
 
     Raises
     ------
     ConfigError
         If the drives do not suffice, or the file cannot be written.
+    StoppedError
+        If it was stopped before the file was written.
     """
     version = f"{start.version}-{vehicle}-{events.last_day.isoformat()}"
     found = self_calibrate(events.shifts, events.revs, start, version)
     if isinstance(found, str):
         raise ConfigError(f"no self-calibration: {found}")
     calibration = replace(found.calibration, made_on=events.last_day)
+    _go_on(stop)
     _write(path, calibration)
     return replace(found, calibration=calibration)
 
@@ -130,8 +142,10 @@ def _write(path: Path, calibration: Calibration) -> None:
         raise ConfigError(f"cannot write {path}: {exc.strerror or exc}") from exc
 
 
-def show(found: SelfCalibration, start: Calibration, path: Path, console: Console) -> None:
+def show(found: SelfCalibration, start: Calibration, path: Path, console: Console, gaps: tuple[Gap, ...] = ()) -> None:
     """Print what was found, for people."""
+    for gap in gaps:
+        console.print(f"{GAP_TEXT[gap]}: calibrated from what there is", style="bold red", soft_wrap=True)
     table = Table(box=box.SIMPLE_HEAD, pad_edge=False, padding=(0, 1, 0, 0))
     for name, justify in (("parameter", "left"), ("found", "right"), ("std", "right"), ("std before", "right")):
         table.add_column(name, justify=justify, no_wrap=True)  # type: ignore[arg-type]
@@ -167,11 +181,13 @@ def show(found: SelfCalibration, start: Calibration, path: Path, console: Consol
     console.print(f"calibration {found.calibration.version} in {path}", highlight=False, soft_wrap=True)
 
 
-def record(found: SelfCalibration, start: Calibration, vehicle: str) -> JsonObject:
+def record(found: SelfCalibration, start: Calibration, vehicle: str, gaps: tuple[Gap, ...] = ()) -> JsonObject:
     """Return what was found, for machines; SI units."""
     return {
         "schema": CALIBRATION_SCHEMA,
         "vehicle": vehicle,
+        "complete": not gaps,
+        "incomplete": [gap.value for gap in gaps],
         "calibration_version": found.calibration.version,
         "parameters": {
             name: {"value": value, "std": std, "std_before": before} for name, value, std, before in _rows(found, start)

@@ -7,12 +7,14 @@ from rich import box
 from rich.console import Console
 from rich.table import Table
 
+from diag_service.errors import StoppedError
 from diag_service.estimation.paper import PaperCollection, PaperEstimate, PaperShift, PooledClutch
 from diag_service.results import JsonObject, dump
-from diag_service.runs.recorded import OpenLog, events, frame_counts, warn_of_damage
+from diag_service.runs.drive import OpenLog, gaps_in, insist_on_the_whole, warn_of_damage
+from diag_service.runs.recorded import events, frame_counts
 from diag_service.runs.stages import Stages
 from diag_service.stopping import Trigger
-from diag_service.summary import frames_line
+from diag_service.summary import Gap, frames_line, gaps_line
 
 PAPER_SCHEMA = "clutchdiag/paper/v1"
 _HEAD = f"{'shift':>5}  {'gears':<5} {'clutch':>6}  {'mu_C':>8} {'n':>4} {'mu_S':>8} {'n':>4}"
@@ -21,24 +23,45 @@ _HEAD = f"{'shift':>5}  {'gears':<5} {'clutch':>6}  {'mu_C':>8} {'n':>4} {'mu_S'
 def run_paper(
     logs: Sequence[OpenLog], stages: Stages, collection: PaperCollection, output: Console | TextIO, stop: Trigger
 ) -> None:
-    """Analyse the shifts of a drive; tables to a console, JSON lines to any other stream."""
+    """Analyse the shifts of a drive; tables to a console, JSON lines to any other stream.
+
+    Raises
+    ------
+    StoppedError, IncompleteError
+        If it was a part of the drive only, after that was told.
+    """
     if isinstance(output, Console):
         output.print(_HEAD, style="bold", highlight=False, soft_wrap=True)
-    for event in events(logs, stages, stop):
-        shift = collection.add(event)
-        if isinstance(output, Console):
-            output.print(shift_line(shift), highlight=False, soft_wrap=True)
-        else:
-            _write(output, _shift_record(shift))
-    pooled = collection.pooled()
+    was_stopped = False
+    try:
+        for event in events(logs, stages, stop):
+            _tell(collection.add(event), output)
+    except StoppedError:
+        was_stopped = True
     warn_of_damage(logs)
+    gaps = gaps_in(logs, was_stopped=was_stopped)
+    frames = frames_line(frame_counts(logs, stages, is_whole=not was_stopped))
+    _conclude(collection.pooled(), gaps, frames, output)
+    insist_on_the_whole(gaps)
+
+
+def _tell(shift: PaperShift, output: Console | TextIO) -> None:
     if isinstance(output, Console):
+        output.print(shift_line(shift), highlight=False, soft_wrap=True)
+    else:
+        _write(output, _shift_record(shift))
+
+
+def _conclude(pooled: Sequence[PooledClutch], gaps: tuple[Gap, ...], frames: str, output: Console | TextIO) -> None:
+    if isinstance(output, Console):
+        if gaps:
+            output.print(gaps_line(gaps), style="bold red", highlight=False, soft_wrap=True)
         output.print(_table(pooled))
         output.print("n: samples that passed every gate; no uncertainty is stated, so no verdict", soft_wrap=True)
-        output.print(frames_line(frame_counts(logs, stages, is_whole=not stop.is_set)), highlight=False, soft_wrap=True)
+        output.print(frames, highlight=False, soft_wrap=True)
         return
     for clutch in pooled:
-        _write(output, _pooled_record(clutch))
+        _write(output, _pooled_record(clutch, gaps))
 
 
 def shift_line(shift: PaperShift) -> str:
@@ -82,12 +105,14 @@ def _shift_record(shift: PaperShift) -> JsonObject:
     }
 
 
-def _pooled_record(clutch: PooledClutch) -> JsonObject:
+def _pooled_record(clutch: PooledClutch, gaps: tuple[Gap, ...]) -> JsonObject:
     return {
         "schema": PAPER_SCHEMA,
         "scope": "pooled",
         "clutch": clutch.clutch,
         "shift_count": clutch.shift_count,
+        "complete": not gaps,
+        "incomplete": [gap.value for gap in gaps],
         **_estimate_record(clutch.estimate),
     }
 

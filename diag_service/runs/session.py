@@ -17,7 +17,7 @@ from diag_service.records import ShiftResult
 from diag_service.results import utc_from_bus_ns
 from diag_service.runs.stages import Stages
 from diag_service.store import ResultStore, VehicleState, Versions
-from diag_service.summary import FrameCounts, ShiftTally, Summary, frames_line, summarise
+from diag_service.summary import FrameCounts, Gap, LogShare, ShiftTally, Summary, frames_line, summarise
 
 MAX_PENDING = 1000  # results in memory while the disk is full
 _LOG = logging.getLogger(__name__)
@@ -117,12 +117,25 @@ class Session:
         """The last shifts, oldest first."""
         return self._tally.recent
 
-    def summary(self, frames: FrameCounts, unpublished_count: int | None) -> Summary:
+    def summary(
+        self,
+        frames: FrameCounts,
+        unpublished_count: int | None,
+        gaps: tuple[Gap, ...] = (),
+        logs: tuple[LogShare, ...] = (),
+    ) -> Summary:
         """Return the numbers of the run as they stand."""
-        return summarise(self._vehicle, frames, self._tally, unpublished_count, self.stages.capability())
+        capability = self.stages.capability()
+        return summarise(self._vehicle, frames, self._tally, unpublished_count, capability, gaps, logs)
 
-    def finish(self, frames: FrameCounts, unpublished_count: int | None) -> None:
-        """Tell the numbers of the run.
+    def finish(
+        self,
+        frames: FrameCounts,
+        unpublished_count: int | None,
+        gaps: tuple[Gap, ...] = (),
+        logs: tuple[LogShare, ...] = (),
+    ) -> Summary:
+        """Tell the numbers of the run, and return them.
 
         Raises
         ------
@@ -132,7 +145,9 @@ class Session:
         self._store_pending()
         if not frames.is_balanced:
             _LOG.error("frame counts do not add up: %s", frames_line(frames))
-        self.reporter.finish(self.summary(frames, unpublished_count))
+        summary = self.summary(frames, unpublished_count, gaps, logs)
+        self.reporter.finish(summary)
+        return summary
 
     def _known(self, event: ShiftEvent) -> ShiftResult | None:
         if self._stream is None:

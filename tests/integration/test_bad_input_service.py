@@ -112,7 +112,7 @@ def test_a_log_that_ends_too_early(tmp_path: Path, suffix: str) -> None:
     if suffix == ".mf4":
         ended.assert_one_line(3, "damaged or cut off")
         return
-    assert ended.status == 0
+    assert ended.status == 5
     assert f"diag-service: warning: {cut} ends before its own end\n" in ended.err
     assert "Traceback" not in ended.err
     assert ended.summary["frames"]["unreadable"] == {"cut_off": 1}
@@ -144,16 +144,19 @@ def test_a_broker_that_refuses_gets_its_results_once_it_lets_us_in(drive_log: Pa
 
 def test_an_analysis_stopped_at_any_moment_ends_well_and_is_taken_up(cycle_log: Path, tmp_path: Path) -> None:
     arguments = ("analyze", cycle_log, "--json", "--store", tmp_path / "car.sqlite")
-    stopped = []
+    stopped, statuses = [], []
     for number, delay_s in ((signal.SIGINT, 0.0), (signal.SIGTERM, 0.5), (signal.SIGINT, 0.8), (signal.SIGTERM, 1.1)):
         with service(tmp_path / f"{delay_s}", *arguments) as running:
             running.wait_until_it_catches(signal.SIGUSR1)  # the last to get a handler
             time.sleep(delay_s)
             running.send(number)
-            stopped.append(running.wait())
+            ended = running.wait()
+            stopped.append(ended)
+            statuses.append(0 if ended.summary["complete"] else 128 + number)
     whole = run_service(tmp_path / "whole", *arguments)
-    assert [ended.status for ended in (*stopped, whole)] == [0] * 5
-    assert [ended.err for ended in (*stopped, whole)] == [""] * 5
+    assert [ended.status for ended in (*stopped, whole)] == [*statuses, 0]
+    assert statuses[0] == 130
+    assert all(ended.err.count("\n") == (not ended.summary["complete"]) for ended in (*stopped, whole))
     for ended in stopped:
         assert ended.shifts == whole.shifts[: len(ended.shifts)]
         assert ended.summary["schema"] == "clutchdiag/summary/v1"

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from diag_service.errors import ConfigError, SourceError
-from diag_service.runs.recorded import open_drive
+from diag_service.runs.drive import open_drive
 from diag_service.sources import LogReject, merged_by_time, read_log
 from diag_service.sources.columns import join
 from diag_service.sources.readers.patience import FREE_BYTES

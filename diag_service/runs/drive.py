@@ -1,0 +1,126 @@
+"""The logs of one drive: opened, put in order, read as one stream, and what is wrong with each of them."""
+
+import hashlib
+import logging
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from itertools import chain
+from pathlib import Path
+
+from clutch_model.plain_files import open_plain_file
+from diag_service.errors import ConfigError, IncompleteError, SourceError, StoppedError
+from diag_service.frames import FrameBatch
+from diag_service.sources import LogReader, merged_by_time, read_log
+from diag_service.summary import Gap, gaps_line
+
+_BLOCK_BYTES = 1 << 20
+_LOG = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class OpenLog:
+    """A log whose first frames have been read."""
+
+    path: Path
+    reader: LogReader
+    first: FrameBatch
+
+
+def open_drive(paths: Iterable[Path], *, is_strict: bool = False) -> list[OpenLog]:
+    """Open the logs of a drive; the one with the earliest first frame comes first.
+
+    Raises
+    ------
+    ConfigError
+        If a log is named twice, or two hold the same.
+    SourceError
+        If a log cannot be read or holds no frame; of a strict one also if anything is wrong with it.
+    """
+    paths = list(paths)
+    _check_distinct(paths)
+    logs: list[OpenLog] = []
+    for path in paths:
+        reader = read_log(path, is_strict=is_strict)
+        first = next(reader, None)
+        if first is None or not len(first):
+            raise SourceError(f"{path} holds no frame that can be read")
+        logs.append(OpenLog(path=path, reader=reader, first=first))
+    return sorted(logs, key=lambda log: int(log.first.t_ns[0]))
+
+
+def _check_distinct(paths: Sequence[Path]) -> None:
+    """Raise ``ConfigError`` where a recording is there twice; what is no file, its reader complains of."""
+    files = [path for path in paths if path.is_file()]
+    for number, path in enumerate(files):
+        for other in files[:number]:
+            if path.samefile(other):
+                raise ConfigError(f"{path} is given twice")
+            if path.stat().st_size == other.stat().st_size and stream_of([path]) == stream_of([other]):
+                raise ConfigError(f"{path} and {other} are the same recording")
+
+
+def stream_of(paths: Iterable[Path]) -> str:
+    """Return the name of a recorded stream: the sha256 of its files, one after the other."""
+    digest = hashlib.sha256()
+    for path in paths:
+        try:
+            with open_plain_file(path) as file:
+                while block := file.read(_BLOCK_BYTES):
+                    digest.update(block)
+        except OSError as exc:
+            raise SourceError(f"cannot read {path}: {exc.strerror or exc}") from exc
+    return digest.hexdigest()
+
+
+def frames_of(logs: Sequence[OpenLog]) -> Iterator[FrameBatch]:
+    """Yield the frames of a drive; logs that overlap are merged by time."""
+    return merged_by_time([chain((log.first,), log.reader) for log in logs])
+
+
+def gaps_in(logs: Sequence[OpenLog], *, was_stopped: bool) -> tuple[Gap, ...]:
+    """Return why what was read of a drive is a part of it; nothing if it is the whole."""
+    counts = [log.reader.counts for log in logs]
+    found = {
+        Gap.STOPPED: was_stopped,
+        Gap.LOG_CUT: any(one.truncated for one in counts),
+        Gap.LOG_NOT_CLOSED: any(one.unfinished and not one.truncated for one in counts),
+    }
+    return tuple(gap for gap, is_there in found.items() if is_there)
+
+
+def insist_on_the_whole(gaps: tuple[Gap, ...]) -> None:
+    """End a run that has told what it found in a part of a drive.
+
+    Raises
+    ------
+    StoppedError
+        If it was stopped.
+    IncompleteError
+        If a log broke off.
+    """
+    if Gap.STOPPED in gaps:
+        raise StoppedError(gaps_line(gaps))
+    if gaps:
+        raise IncompleteError(gaps_line(gaps))
+
+
+def warn_of_damage(logs: Sequence[OpenLog]) -> None:
+    """Warn of logs with holes."""
+    for log in logs:
+        counts = log.reader.counts
+        _LOG.info("%s: taken for %s: %s", log.path, log.reader.format, log.reader.evidence)
+        for note in counts.notes:
+            _LOG.warning("%s: %s", log.path, note)
+        if counts.first_rejected:
+            total = sum(counts.rejected.values())
+            _LOG.warning("%s: %d pieces are no frames, the first: %s", log.path, total, counts.first_rejected)
+        if counts.first_jump:
+            jumps = counts.jumps_back + counts.jumps_ahead
+            _LOG.warning("%s: %d jumps of time, %d of them back, the first: %s", log.path, jumps, counts.jumps_back,
+                         counts.first_jump)  # fmt: skip
+        if counts.repeated:
+            _LOG.warning("%s: %d frames are there twice", log.path, counts.repeated)
+        if counts.truncated:
+            _LOG.warning("%s ends before its own end", log.path)
+        elif counts.unfinished:
+            _LOG.warning("%s was not closed by its writer; what is missing at its end cannot be told", log.path)

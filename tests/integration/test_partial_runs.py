@@ -1,0 +1,184 @@
+"""A part of a drive is no drive: what was stopped, and what broke off, says so and carries no verdict."""
+
+import csv
+import fcntl
+import gzip
+import json
+import os
+import signal
+import subprocess
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import pytest
+
+from tests.plugins.broker import Mosquitto
+from tests.plugins.drives import SHIFT_COUNT
+from tests.service import PROGRAM, Ended, environment, run_service
+from tests.subscriber import Subscriber
+
+PIPE_BYTES = 4096
+LEFT_BYTES = 300  # room for the head and a line or two: then whoever writes waits
+STATUS = {signal.SIGINT: 130, signal.SIGTERM: 143}
+
+
+@contextmanager
+def narrow_pipe() -> Iterator[tuple[int, int]]:
+    """Return both ends of a pipe that is all but full, so that a program that writes to it waits for us."""
+    reading, writing = os.pipe()
+    fcntl.fcntl(writing, fcntl.F_SETPIPE_SZ, PIPE_BYTES)
+    os.write(writing, b"." * (PIPE_BYTES - LEFT_BYTES))
+    try:
+        yield reading, writing
+    finally:
+        os.close(reading)
+
+
+def stopped(number: signal.Signals, *arguments: str | Path) -> Ended:
+    """Run the service and send it a signal after its first line, before it can have written its last."""
+    with narrow_pipe() as (reading, writing):
+        process = subprocess.Popen(
+            [*PROGRAM, *map(str, arguments)], stdout=writing, stderr=subprocess.PIPE, env=environment()
+        )
+        os.close(writing)
+        os.read(reading, PIPE_BYTES - LEFT_BYTES)
+        out = os.read(reading, 1)  # it has begun
+        process.send_signal(number)
+        wait_until_delivered(process.pid, number)
+        while piece := os.read(reading, 1 << 16):
+            out += piece
+        assert process.stderr is not None
+        err = process.stderr.read().decode()
+        process.stderr.close()
+        return Ended(status=process.wait(60), out=out.decode(), err=err)
+
+
+def wait_until_delivered(pid: int, number: signal.Signals) -> None:
+    """Return when a process has taken a signal."""
+    while True:
+        text = Path(f"/proc/{pid}/status").read_text(encoding="ascii")
+        pending = int(next(line for line in text.splitlines() if line.startswith("ShdPnd:")).split()[1], 16)
+        if not pending >> (number - 1) & 1:
+            return
+
+
+@pytest.fixture(scope="module")
+def cut_log(cycle_log: Path) -> Path:
+    """Return a drive whose last line is cut."""
+    path = cycle_log.with_name("cut.log")
+    path.write_bytes(cycle_log.read_bytes()[:-10])
+    return path
+
+
+@pytest.mark.parametrize("number", STATUS)
+def test_an_analysis_that_was_stopped_carries_no_verdict(cycle_log: Path, number: signal.Signals) -> None:
+    ended = stopped(number, "analyze", cycle_log, "--json")
+    assert ended.status == STATUS[number], ended.err
+    assert "stopped early" in ended.err
+    assert (ended.summary["complete"], ended.summary["incomplete"]) == (False, ["stopped_early"])
+    assert 0 < len(ended.shifts) < 10
+    for clutch in ended.summary["clutches"]:
+        assert clutch["condition"] == "no_verdict"
+        assert clutch["reason"].startswith("stopped early")
+        assert clutch["friction"] is not None
+
+
+def test_people_read_that_an_analysis_was_stopped(cycle_log: Path) -> None:
+    ended = stopped(signal.SIGINT, "analyze", cycle_log)
+    assert ended.status == 130
+    _, table = ended.out.split("condition", 1)
+    assert "stopped early" in table
+    assert "no verdict" in table
+    assert "good" not in table
+
+
+def test_the_papers_method_marks_what_it_pooled_from_a_part(cycle_log: Path) -> None:
+    ended = stopped(signal.SIGINT, "analyze", cycle_log, "--estimator", "paper", "--json")
+    pooled = [record for record in ended.records if record["scope"] == "pooled"]
+    assert ended.status == 130
+    assert [(one["complete"], one["incomplete"]) for one in pooled] == [(False, ["stopped_early"])] * 2
+
+
+def test_a_whole_drive_is_complete(drive_log: Path, tmp_path: Path) -> None:
+    ended = run_service(tmp_path, "analyze", drive_log, "--json")
+    assert ended.status == 0
+    assert (ended.summary["complete"], ended.summary["incomplete"]) == (True, [])
+
+
+@pytest.mark.parametrize("how", ["cut", "gzip"])
+def test_a_log_that_broke_off_carries_no_verdict(cycle_log: Path, cut_log: Path, tmp_path: Path, how: str) -> None:
+    log = cut_log
+    if how == "gzip":
+        log = tmp_path / "cut.log.gz"
+        packed = gzip.compress(cycle_log.read_bytes(), 1)
+        log.write_bytes(packed[: len(packed) * 9 // 10])
+    ended = run_service(tmp_path / "json", "analyze", log, "--json")
+    assert ended.status == 5
+    assert f"{log} ends before its own end" in ended.err
+    assert (ended.summary["complete"], ended.summary["incomplete"]) == (False, ["log_cut"])
+    assert [clutch["condition"] for clutch in ended.summary["clutches"]] == ["no_verdict"] * 2
+    assert any(shift["friction"] for shift in ended.shifts)
+    text = run_service(tmp_path / "text", "analyze", log)
+    assert text.status == 5
+    _, table = text.out.split("condition", 1)
+    assert "a log broke off" in table
+    assert "good" not in table
+
+
+def test_a_cut_log_ends_a_strict_analysis(cut_log: Path, tmp_path: Path) -> None:
+    assert run_service(tmp_path, "analyze", cut_log, "--strict").status == 3
+
+
+def test_a_cut_log_among_many_has_no_verdict_in_the_tables(cut_log: Path, drive_log: Path, tmp_path: Path) -> None:
+    (tmp_path / "logs").mkdir()
+    for log in (cut_log, drive_log):
+        (tmp_path / "logs" / log.name).write_bytes(log.read_bytes())
+    ended = run_service(tmp_path / "run", "analyze", tmp_path / "logs", "-o", tmp_path / "out.csv", "--jobs", "1")
+    assert ended.status == 0, ended.err
+    assert "cut.log: " in ended.out
+    assert "a log broke off" in ended.out
+    assert f"{SHIFT_COUNT} shifts" in ended.out
+    with (tmp_path / "out.csv").open(encoding="utf-8", newline="") as file:
+        rows = list(csv.DictReader(file))
+    by_name = {name: [row for row in rows if row["path"].endswith(name)] for name in ("cut.log", "drive.log")}
+    assert {row["complete"] for row in by_name["cut.log"]} == {"false"}
+    assert {row["verdict.condition"] for row in by_name["cut.log"]} == {"no_verdict"}
+    assert {row["complete"] for row in by_name["drive.log"]} == {"true"}
+    assert "good" in {row["verdict.condition"] for row in by_name["drive.log"]}
+
+
+def test_a_folder_run_that_was_stopped_goes_on_later(cycle_log: Path, drive_log: Path, tmp_path: Path) -> None:
+    folder = tmp_path / "logs"
+    folder.mkdir()
+    lines = drive_log.read_bytes().splitlines(keepends=True)
+    for number in range(8):
+        (folder / f"{number}.log").write_bytes(b"".join(lines[number:]))
+    arguments = ("analyze", folder, "-o", tmp_path / "out.jsonl", "--jobs", "1", "--json")
+    ended = stopped(signal.SIGINT, *arguments)
+    assert ended.status == 130, ended.err
+    assert "the same command goes on" in ended.err
+    assert not (tmp_path / "out.jsonl").exists()
+    again = run_service(tmp_path / "again", *arguments)
+    assert again.status == 0, again.err
+    assert "drives were done before" in again.err
+    records = [json.loads(line) for line in (tmp_path / "out.jsonl").read_text(encoding="utf-8").splitlines()]
+    assert sum(record["schema"] == "clutchdiag/drive/v1" for record in records) == 8
+
+
+def test_signals_of_a_cut_log_say_so(cut_log: Path, tmp_path: Path) -> None:
+    ended = run_service(tmp_path, "signals", cut_log)
+    assert ended.status == 0
+    assert "# The log ends before its own end." in ended.out
+
+
+@pytest.mark.broker
+def test_no_clutch_state_is_published_of_a_part(
+    cut_log: Path, drive_log: Path, tmp_path: Path, broker: Mosquitto
+) -> None:
+    with Subscriber(broker.port) as subscriber:
+        run_service(tmp_path / "cut", "analyze", cut_log, "--vehicle", "cut", "--broker", broker.url)
+        run_service(tmp_path / "whole", "analyze", drive_log, "--vehicle", "whole", "--broker", broker.url)
+        subscriber.wait(lambda heard: bool(heard.payloads("whole/clutch/1") and heard.payloads("whole/clutch/2")))
+        assert len(subscriber.payloads("cut/shift")) == 10
+        assert not subscriber.payloads("cut/clutch/1")
