@@ -176,6 +176,10 @@ class Decoder:
             return [self._decode(batch, breaks_before=False)]
         return [self._decode(segment, breaks_before=breaks) for segment, breaks in self._segments(batch)]
 
+    def release_channels(self) -> None:
+        """Follow messages from the channel on which they are heard next: another log may number its channels anew."""
+        self._monitor.release_channels()
+
     def interrupt(self) -> None:
         """End the segment: what comes next has nothing to do with what came before."""
         self._is_interrupted = True

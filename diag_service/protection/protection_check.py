@@ -73,6 +73,7 @@ class LinkMonitor:
             addresses = [message_address(message) for message in messages]
         self._book = address_book(addresses)
         self._rules = _rules_of(messages)
+        self._named_channel = np.array([address.channel for address in addresses], np.int64)
         self._links = fresh_links(len(messages))
         self._origins = Origins(
             channel=np.array([address.channel for address in addresses], np.int64),
@@ -103,6 +104,10 @@ class LinkMonitor:
     def channels(self, slot: int) -> Mapping[int, int]:
         """Return how many frames of a message came on each channel."""
         return _nonzero(self._origins.channel_frames[slot])
+
+    def release_channels(self) -> None:
+        """Follow each message from the channel on which it is heard next, unless its address names one."""
+        self._origins.channel[:] = self._named_channel
 
     def reset(self) -> None:
         """Forget counters and times, after a jump of bus time; counts, sequence numbers and origins go on."""

@@ -90,7 +90,7 @@ def find_events(
     shift_finder, rev_finder = ShiftFinder(), RevFinder(calibration)
     shifts: list[ShiftEvent] = []
     revs: list[RevEvent] = []
-    for batch in frames_of(logs):
+    for batch in frames_of(logs, decoder):
         _go_on(stop)
         for columns in decoder.feed(batch):
             shifts += shift_finder.feed(columns)

@@ -6,6 +6,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import chain
 from pathlib import Path
+from typing import Protocol
 
 from clutch_model.plain_files import open_plain_file
 from diag_service.errors import ConfigError, IncompleteError, SourceError, StoppedError
@@ -72,9 +73,24 @@ def stream_of(paths: Iterable[Path]) -> str:
     return digest.hexdigest()
 
 
-def frames_of(logs: Sequence[OpenLog]) -> Iterator[FrameBatch]:
-    """Yield the frames of a drive; logs that overlap are merged by time."""
-    return merged_by_time([chain((log.first,), log.reader) for log in logs])
+class ChannelFollower(Protocol):
+    """Who follows messages from one channel each."""
+
+    def release_channels(self) -> None:
+        """Follow messages from the channel on which they are heard next."""
+
+
+def frames_of(logs: Sequence[OpenLog], follower: ChannelFollower) -> Iterator[FrameBatch]:
+    """Yield the frames of a drive; logs that overlap are merged by time.
+
+    Formats number channels each in its own way, so where a log ends the follower looks for its messages anew.
+    """
+
+    def frames(log: OpenLog) -> Iterator[FrameBatch]:
+        yield from chain((log.first,), log.reader)
+        follower.release_channels()  # all of its frames were taken: the merger asks for more only then
+
+    return merged_by_time([frames(log) for log in logs])
 
 
 def gaps_in(logs: Sequence[OpenLog], *, was_stopped: bool) -> tuple[Gap, ...]:

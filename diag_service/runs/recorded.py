@@ -73,7 +73,7 @@ def events(logs: Sequence[OpenLog], stages: Stages, stop: Trigger) -> Iterator[S
     StoppedError
         As soon as it is told to stop, if there is anything left to do.
     """
-    for batch in frames_of(logs):
+    for batch in frames_of(logs, stages):
         yield from _until(stop, stages.segment(batch))
         if stop.is_set:
             raise StoppedError(STOPPED_TEXT)

@@ -113,6 +113,10 @@ class Stages:
             unseen=tuple(signal.value for signal in Signal if signal in self._decoder.signals - seen),
         )
 
+    def release_channels(self) -> None:
+        """Follow messages from the channel on which they are heard next: another log may number its channels anew."""
+        self._decoder.release_channels()
+
     @property
     def kernel_filters(self) -> tuple[tuple[int, int], ...]:
         """What a kernel need let through, as identifiers and masks."""
