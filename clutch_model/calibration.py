@@ -71,6 +71,7 @@ class Calibration:
     made_on: date | None = field(default=None, repr=False)  # when it was made for one vehicle; no number of the model
     bias: SensorBias = field(default_factory=SensorBias)
     joint: JointUncertainty | None = None
+    vehicle: str | None = field(default=None, repr=False)  # whose it is; None: of every vehicle of the type
 
     @classmethod
     def from_mapping(cls, table: Mapping[str, Any]) -> Self:
@@ -84,7 +85,9 @@ class Calibration:
         known = {"name", "version", "clutch", "viscosity", "input_side", "uncertainty", "noise"}
         made_on = table.get("made_on")
         require(made_on is None or type(made_on) is date, f"made_on must be a day (2026-01-31), got {made_on!r}")
-        optional = {"bias", "joint", "made_on"}
+        vehicle = table.get("vehicle")
+        require(vehicle is None or isinstance(vehicle, str), f"vehicle must be a text, got {vehicle!r}")
+        optional = {"bias", "joint", "made_on", "vehicle"}
         check_keys("calibration", set(table) | optional, known | optional)
         clutches = table["clutch"]
         require(
@@ -101,6 +104,7 @@ class Calibration:
             uncertainty=_record(Uncertainty, table["uncertainty"], "uncertainty"),
             noise=_record(SensorNoise, table["noise"], "noise"),
             made_on=made_on,
+            vehicle=vehicle,
             bias=_record(SensorBias, table.get("bias", {}), "bias"),
             joint=_joint(table["joint"]) if "joint" in table else None,
         )

@@ -44,6 +44,11 @@ class DiagnosisConfig:
             raise ConfigError(f"the disk budget must be at least {SMALLEST_BUDGET_BYTES} bytes")
         if self.broker is None and self.acknowledge is Acknowledge.BACKEND:
             raise ConfigError("without a broker no backend can acknowledge anything")
+        if self.calibration.vehicle not in {None, self.vehicle}:
+            raise ConfigError(
+                f"the calibration is of vehicle {self.calibration.vehicle}, not of {self.vehicle} (--vehicle); "
+                "a file without its line 'vehicle' is for all"
+            )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

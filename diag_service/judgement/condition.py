@@ -21,7 +21,11 @@ WATCH_MARGIN_RATIO = 0.50  # half of the new fluid's margin against shudder is g
 CHANGE_PROBABILITY = 0.95  # a workshop visit costs: be sure
 WATCH_PROBABILITY = 0.80
 LEAVE_PROBABILITY = 0.20  # to call off a verdict once given, its cause must have become unlikely
+FIT_WINDOW = 20  # shifts of both clutches: two cycles
+MIN_MISFIT_COUNT = 3  # a clutch that changes at once contradicts its running state twice, then starts afresh
+MAX_MISFIT_SHARE = 0.25  # none of 3,200 shifts of sound drives misfit; of another vehicle's calibration half do
 MEMORY_FORMAT = 2
+_CONTRADICTIONS = frozenset({Reason.MISFIT, Reason.ZERO_JUMPED, Reason.NOT_UPDATED})
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -30,11 +34,27 @@ class ConditionMemory:
 
     conditions: tuple[Condition, Condition] = (Condition.NO_VERDICT, Condition.NO_VERDICT)
     scatters: tuple[Scatter | None, Scatter | None] = (None, None)
+    fits: tuple[bool, ...] = ()  # whether the last shifts agreed with the calibration, the oldest first
 
     @classmethod
     def fresh(cls) -> Self:
         """Return the memory of a vehicle not judged before."""
         return cls()
+
+    def with_fit(self, estimate: ShiftEstimate) -> Self:
+        """Return the memory after a shift that may have been held against the calibration."""
+        contradicts = not _CONTRADICTIONS.isdisjoint(estimate.reasons)
+        if not contradicts and estimate.status is not Status.VALID:
+            return self
+        return replace(self, fits=(*self.fits, not contradicts)[-FIT_WINDOW:])
+
+    @property
+    def misfit_text(self) -> str:
+        """Why no verdict rests on this calibration; empty if one may."""
+        count = self.fits.count(False)
+        if count < MIN_MISFIT_COUNT or count < MAX_MISFIT_SHARE * len(self.fits):
+            return ""
+        return f"calibration does not fit: {count} of the last {len(self.fits)} shifts contradict it"
 
     def with_shift(self, estimate: ShiftEstimate, before: Belief) -> Self:
         """Return the memory after a shift, of which the running state stood at ``before``.
@@ -57,6 +77,7 @@ class ConditionMemory:
             "format": MEMORY_FORMAT,
             "conditions": [condition.name for condition in self.conditions],
             "scatters": [one and one.to_json() for one in self.scatters],
+            "fits": list(self.fits),
         }
 
     @classmethod
@@ -73,7 +94,8 @@ class ConditionMemory:
                 raise ValueError(f"condition memory of format {table['format']!r}, expected {MEMORY_FORMAT}")
             first, second = (Condition[name] for name in table["conditions"])
             scatters = [one and Scatter.from_json(one) for one in table["scatters"]]
-            return cls(conditions=(first, second), scatters=(scatters[0], scatters[1]))
+            fits = tuple(bool(one) for one in table.get("fits", ()))  # stores of earlier versions have none
+            return cls(conditions=(first, second), scatters=(scatters[0], scatters[1]), fits=fits)
         except (KeyError, TypeError, IndexError) as exc:
             raise ValueError(f"not a condition memory: {exc!r}") from exc
 
@@ -92,6 +114,8 @@ def judge(
     known = bool(shift_count)
     friction, since = belief.friction(clutch), trend(belief, clutch) if known else None
     condition, reason = _decide(friction, since, reference, shift_count, memory.conditions[index])
+    if memory.misfit_text:
+        condition, reason = Condition.NO_VERDICT, memory.misfit_text
     conditions = list(memory.conditions)
     conditions[index] = condition
     scatter = memory.scatters[index]

@@ -124,7 +124,7 @@ def run_calibrate(
     found = self_calibrate(events.shifts, events.revs, start, version)
     if isinstance(found, str):
         raise ConfigError(f"no self-calibration: {found}")
-    calibration = replace(found.calibration, made_on=events.last_day)
+    calibration = replace(found.calibration, made_on=events.last_day, vehicle=vehicle)
     _go_on(stop)
     _write(path, calibration)
     return replace(found, calibration=calibration)

@@ -90,7 +90,7 @@ class Stages:
             belief, indices = self._belief, None  # data that are not trusted leave no trace in the running state
         estimate = replace(estimate, trust=trust, tier=self.tier or Tier.KINEMATIC, indices=indices)
         if self.tier is Tier.FRICTION:
-            memory = self._memory.with_shift(estimate, self._belief)
+            memory = self._memory.with_fit(estimate).with_shift(estimate, self._belief)
             self._memory, verdict = judge(memory, belief, estimate.clutch, self._calibration)
         else:
             verdict = no_verdict(estimate.clutch, missing_for_next(self._decoder.signals))

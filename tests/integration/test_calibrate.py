@@ -43,9 +43,12 @@ def test_a_calibration_is_found_written_and_used(routine_log: Path, cycle_log: P
         assert abs(parameter["value"] - drawn[key]) < 4.0 * parameter["std"]
         assert parameter["std"] < parameter["std_before"]
 
-    used = run("diag_service", "analyze", str(cycle_log), "--calibration", str(own), "--json")
+    used = run("diag_service", "analyze", str(cycle_log), "--calibration", str(own), "--json", "--vehicle", "car")
     assert used.returncode == 0, used.stderr
     assert calibration.version in used.stdout
+    other = run("diag_service", "analyze", str(cycle_log), "--calibration", str(own), "--vehicle", "car2")
+    assert other.returncode == 2
+    assert "the calibration is of vehicle car, not of car2" in other.stderr
 
 
 def test_the_table_for_people_says_what_driving_cannot_tell(cycle_log: Path, tmp_path: Path) -> None:

@@ -172,3 +172,12 @@ GOOD_MEMORY = ConditionMemory.fresh().to_json()
 def test_a_damaged_memory_is_refused(table: dict[str, object]) -> None:
     with pytest.raises(ValueError, match=r"condition memory|impossible scatter"):
         ConditionMemory.from_json(table)
+
+
+def test_a_calibration_that_shifts_contradict_gives_no_verdict() -> None:
+    fits = (True, False, True, False, True, True, False)
+    memory = ConditionMemory(fits=fits)
+    assert memory.misfit_text == "calibration does not fit: 3 of the last 7 shifts contradict it"
+    assert ConditionMemory.from_json(memory.to_json()) == memory
+    assert not ConditionMemory(fits=(*fits, *[True] * 6)).misfit_text
+    assert not ConditionMemory(fits=(False, False)).misfit_text
