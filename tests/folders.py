@@ -18,6 +18,7 @@ from typing import Any
 
 import psutil
 
+from tests.patience import HANG_S
 from tests.plugins.drives import send_time_s
 from tests.service import PROGRAM, environment
 
@@ -68,7 +69,7 @@ def kill_and_resume(folder: Path, output: Path, *, jobs: int, kill_after: int) -
     family = psutil.Process(first.pid).children(recursive=True)
     first.send_signal(signal.SIGKILL)
     first.wait()
-    _, alive = psutil.wait_procs(family, timeout=10.0)
+    _, alive = psutil.wait_procs(family, timeout=HANG_S)
     done_before = _line_count(journal)
     with journal.open("ab") as file:
         file.write(b'{"schema":"clutchdiag/journal/v1","key":"cut off in the mid')  # as a kill while writing leaves it

@@ -12,6 +12,7 @@ from dataclasses import asdict, dataclass, field
 
 from diag_service.sources import open_source
 from ecu_emulator.bus import open_bus, transmit
+from tests.patience import HANG_S
 from tests.traffic import random_frames
 
 FRAME_COUNT = 50
@@ -91,7 +92,7 @@ def reach_of(case: Case) -> Reach:
 def main(arguments: Sequence[str]) -> None:
     """Build the network and print what happened in each case."""
     for command in NETWORK:
-        subprocess.run(["ip", *command.split()], check=True, timeout=20)
+        subprocess.run(["ip", *command.split()], check=True, timeout=HANG_S)
     for content in json.loads(arguments[0]):
         print(json.dumps(asdict(reach_of(Case(**content)))), flush=True)
 

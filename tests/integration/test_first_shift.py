@@ -50,11 +50,8 @@ print(statuses.count("valid"), sorted(compiled() - before))
 """
 
 
-def test_the_first_shift_finds_everything_compiled(tmp_path: Path) -> None:
-    log = tmp_path / "drive.log"
-    record = (sys.executable, "-m", "ecu_emulator", "record", log, "--cycles", "1")
-    subprocess.run(record, check=True, capture_output=True, env=environment())
+def test_the_first_shift_finds_everything_compiled(cycle_log: Path) -> None:
     asked = subprocess.run(
-        (sys.executable, "-c", COUNT, log), check=True, capture_output=True, text=True, env=environment()
+        (sys.executable, "-c", COUNT, cycle_log), check=True, capture_output=True, text=True, env=environment()
     )
     assert asked.stdout == "10 []\n"

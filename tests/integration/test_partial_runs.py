@@ -13,6 +13,7 @@ from pathlib import Path
 
 import pytest
 
+from tests.patience import HANG_S
 from tests.plugins.broker import Mosquitto
 from tests.plugins.drives import SHIFT_COUNT
 from tests.service import PROGRAM, Ended, environment, run_service
@@ -51,7 +52,7 @@ def stopped(number: signal.Signals, *arguments: str | Path) -> Ended:
         assert process.stderr is not None
         err = process.stderr.read().decode()
         process.stderr.close()
-        return Ended(status=process.wait(60), out=out.decode(), err=err)
+        return Ended(status=process.wait(HANG_S), out=out.decode(), err=err)
 
 
 def wait_until_delivered(pid: int, number: signal.Signals) -> None:
@@ -64,9 +65,9 @@ def wait_until_delivered(pid: int, number: signal.Signals) -> None:
 
 
 @pytest.fixture(scope="module")
-def cut_log(cycle_log: Path) -> Path:
+def cut_log(cycle_log: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Return a drive whose last line is cut."""
-    path = cycle_log.with_name("cut.log")
+    path = tmp_path_factory.mktemp("cut") / "cut.log"
     path.write_bytes(cycle_log.read_bytes()[:-10])
     return path
 

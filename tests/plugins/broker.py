@@ -11,6 +11,8 @@ from pathlib import Path
 
 import pytest
 
+from tests.patience import HANG_S
+
 _PROGRAM_FOLDERS = ("/usr/local/sbin", "/usr/sbin", "/sbin")
 _START_S = 10.0
 
@@ -112,7 +114,7 @@ class Mosquitto:
             return
         self._process.send_signal(signal.SIGCONT)
         self._process.send_signal(number)
-        self._process.wait(timeout=10)
+        self._process.wait(timeout=HANG_S)
         self._process = None
 
 

@@ -12,6 +12,8 @@ from pathlib import Path
 
 import pytest
 
+from tests.patience import HANG_S
+
 SYSTEM_PROGRAM_FOLDERS = ("/usr/local/sbin", "/usr/sbin", "/sbin")
 
 
@@ -28,7 +30,7 @@ def broker_line() -> str:
     program = shutil.which("mosquitto", path=path)
     if program is None:
         return "none, mosquitto is not installed"
-    answer = subprocess.run([program, "-h"], capture_output=True, text=True, check=False, timeout=10)
+    answer = subprocess.run([program, "-h"], capture_output=True, text=True, check=False, timeout=HANG_S)
     return next(iter(answer.stdout.splitlines()), "mosquitto of unknown version")
 
 
