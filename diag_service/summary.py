@@ -23,13 +23,11 @@ class Gap(StrEnum):
 
     STOPPED = "stopped_early"
     LOG_CUT = "log_cut"  # the file ends before its own end
-    LOG_NOT_CLOSED = "log_not_closed"  # its writer did not get to its end: what is missing cannot be told
 
 
 GAP_TEXT = {
     Gap.STOPPED: "stopped early",
     Gap.LOG_CUT: "a log broke off before its own end",
-    Gap.LOG_NOT_CLOSED: "a log broke off: its writer did not close it",
 }
 
 

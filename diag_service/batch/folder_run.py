@@ -35,7 +35,7 @@ from diag_service.summary import GAP_TEXT, Gap
 POLL_S = 0.2  # how soon a request to stop is heard
 WAITING_PER_JOB = 2  # drives handed out ahead: a worker never waits, a stop never takes long
 LEFT_OUT_SCHEMA = "clutchdiag/left-out/v1"
-ACCOUNT_VERSION = "2"  # of what a journal keeps of a drive; entries of an older one are made anew
+ACCOUNT_VERSION = "3"  # of what a journal keeps of a drive; entries of an older one are made anew
 _LOG = logging.getLogger(__name__)
 
 

@@ -113,7 +113,7 @@ def inspection_record(inspection: Inspection) -> JsonObject:
     return {
         "schema": SCHEMA,
         "path": str(inspection.reader.path),
-        "complete": inspection.is_whole and not (counts.truncated or counts.unfinished),
+        "complete": inspection.is_whole and not counts.truncated,
         "stopped_early": not inspection.is_whole,
         "format": inspection.reader.format.value,
         "evidence": inspection.reader.evidence,

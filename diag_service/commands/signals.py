@@ -72,7 +72,7 @@ class Survey:
                 self._counts[found.slot] = self._counts.get(found.slot, 0) + len(found.rows)
                 for name, decoded in found.signals.items():
                     self._ranges.setdefault((found.slot, name), _Range()).add(decoded)
-        self.is_cut = reader.counts.truncated or reader.counts.unfinished
+        self.is_cut = reader.counts.truncated
 
     def messages(self) -> Iterator[tuple[Message, int, float]]:
         """Yield the messages that came, how often, and their rate [Hz]."""

@@ -94,12 +94,13 @@ def frames_of(logs: Sequence[OpenLog], follower: ChannelFollower) -> Iterator[Fr
 
 
 def gaps_in(logs: Sequence[OpenLog], *, was_stopped: bool) -> tuple[Gap, ...]:
-    """Return why what was read of a drive is a part of it; nothing if it is the whole."""
-    counts = [log.reader.counts for log in logs]
+    """Return why what was read of a drive is a part of it; nothing if it is the whole.
+
+    A log that was merely not closed shows nothing that is missing: many recorders leave every file so.
+    """
     found = {
         Gap.STOPPED: was_stopped,
-        Gap.LOG_CUT: any(one.truncated for one in counts),
-        Gap.LOG_NOT_CLOSED: any(one.unfinished and not one.truncated for one in counts),
+        Gap.LOG_CUT: any(log.reader.counts.truncated for log in logs),
     }
     return tuple(gap for gap, is_there in found.items() if is_there)
 

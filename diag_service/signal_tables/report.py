@@ -19,8 +19,6 @@ def losses(account: Account) -> Iterator[str]:
     log, fates = account.log, account.fates
     if log.truncated:
         yield "the log ends before its own end"
-    if log.unfinished:
-        yield "the log was never closed by its writer: what is missing at its end cannot be told"
     if log.first_rejected:
         rejected = {reason.value: count for reason, count in log.rejected.items()}
         head = _with_reasons(f"{sum(rejected.values())} pieces of the log are no frames", rejected)
@@ -62,6 +60,8 @@ def remarks(account: Account) -> Iterator[str]:
     """Yield for people what is in the table, or is missing by right, but may be worth a look."""
     log = account.log
     yield from log.notes
+    if log.unfinished:
+        yield "the log was never closed by its writer: what is missing at its end cannot be told"
     if jumps := log.jumps_back + log.jumps_ahead:
         yield f"{jumps} jumps of time, {log.jumps_back} of them back, the first: {log.first_jump}"
     if log.repeated:

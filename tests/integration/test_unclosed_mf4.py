@@ -1,0 +1,62 @@
+"""An MF4 file that its writer did not close is no evidence that anything is missing: loggers leave every file so."""
+
+import json
+from pathlib import Path
+
+import pytest
+
+from diag_service.sources import read_log
+from diag_service.sources.columns import join
+from ecu_emulator.frames import EncodedFrames
+from ecu_emulator.record import open_log
+from tests.in_process import ended
+from tests.mf4_layouts import Layout, laid_out
+from tests.traffic import START_NS
+
+asammdf = pytest.importorskip("asammdf")
+
+
+@pytest.fixture(scope="module")
+def unclosed(drive_log: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return a drive as a logger leaves it that is switched off with the car."""
+    folder = tmp_path_factory.mktemp("mf4")
+    frames = join(list(read_log(drive_log)))
+    with open_log(folder / "drive.mf4", start_ns=START_NS) as log:
+        t_s = (frames.t_ns - frames.t_ns[0]) / 1e9
+        log.write(EncodedFrames(t_s=t_s, can_id=frames.can_id, length=frames.length, data=frames.data))
+    with asammdf.MDF(folder / "drive.mf4") as mdf:
+        mdf.save(folder / "plain.mf4", compression=0)
+    path = folder / "unclosed.mf4"
+    path.write_bytes(laid_out(folder / "plain.mf4", Layout.PLAIN, is_sorted=True, is_finished=False).contents)
+    return path
+
+
+def test_a_log_that_was_not_closed_gets_its_verdict(unclosed: Path) -> None:
+    told = ended("analyze", unclosed, "--json", "--strict")
+    assert told.status == 0, told.err
+    assert f"{unclosed} was not closed by its writer" in told.err
+    assert (told.summary["complete"], told.summary["incomplete"]) == (True, [])
+    assert "good" in {clutch["condition"] for clutch in told.summary["clutches"]}
+
+
+def test_a_log_that_was_not_closed_and_is_cut_gets_none(unclosed: Path, tmp_path: Path) -> None:
+    cut = tmp_path / "cut.mf4"
+    cut.write_bytes(unclosed.read_bytes()[:-20_000])
+    told = ended("analyze", cut, "--json")
+    assert told.status == 5, told.err
+    assert (told.summary["complete"], told.summary["incomplete"]) == (False, ["log_cut"])
+
+
+def test_decode_loses_nothing_of_a_log_that_was_not_closed(unclosed: Path, tmp_path: Path) -> None:
+    told = ended("decode", unclosed, "-o", tmp_path / "out.parquet", "--strict", "--json")
+    assert told.status == 0, told.err
+    record = json.loads(told.out)
+    assert (record["unfinished"], record["losses"]) == (True, [])
+    assert "never closed by its writer" in ended("decode", unclosed, "-o", tmp_path / "again.parquet").out
+
+
+def test_inspect_and_signals_take_it_for_whole(unclosed: Path) -> None:
+    inspected = ended("inspect", unclosed, "--json")
+    assert json.loads(inspected.out)["complete"]
+    assert "not closed by its writer" in ended("inspect", unclosed).out
+    assert "ends before its own end" not in ended("signals", unclosed).out
