@@ -35,7 +35,7 @@ from diag_service.publishers.outbox import MetricsMessage
 from diag_service.publishers.pipe import PipeReporter
 from diag_service.results import ServiceStatus, dump, iso_utc
 from diag_service.runs import calibrate_run
-from diag_service.runs.drive import insist_on_the_whole, open_drive, stream_of
+from diag_service.runs.drive import insist_on_every_source, insist_on_the_whole, open_drive, stream_of
 from diag_service.runs.live import run_live
 from diag_service.runs.monitor import Monitor, SilentReporter
 from diag_service.runs.paper_run import run_paper
@@ -88,7 +88,7 @@ def run_recorded(
     Raises
     ------
     StoppedError, IncompleteError
-        If it was a part of the drive only, after that was told.
+        If it was a part of the drive only, or of a strict run if a log or a channel gave nothing, after that was told.
     """
     meaning = interpret(config.dbc, config.profile, is_lenient=config.is_lenient)
     decoder = meaning.decoder()
@@ -109,6 +109,8 @@ def run_recorded(
 
         summary = asyncio.run(run())
     insist_on_the_whole(summary.gaps)
+    if config.is_strict:
+        insist_on_every_source(summary.contributions)
 
 
 def run_paper_recorded(config: DiagnosisConfig, paths: list[Path], controls: Controls, *, as_json: bool) -> None:
@@ -117,7 +119,8 @@ def run_paper_recorded(config: DiagnosisConfig, paths: list[Path], controls: Con
     stages = Stages(decoder, config.calibration, Belief.fresh(config.calibration), ConditionMemory.fresh())
     collection = PaperCollection(config.calibration, nominal_driveline())
     logs = open_drive(paths, is_strict=config.is_strict)
-    run_paper(logs, stages, collection, sys.stdout if as_json else PeopleConsole(), controls.stop)
+    output = sys.stdout if as_json else PeopleConsole()
+    run_paper(logs, stages, collection, output, controls.stop, is_strict=config.is_strict)
 
 
 def run_calibrate(

@@ -13,7 +13,8 @@ EXIT_OK, EXIT_UNEXPECTED, EXIT_CONFIG, EXIT_SOURCE, EXIT_STORE, EXIT_INCOMPLETE 
 EXIT_SIGNALLED = 128  # and the number of the signal, as a shell tells it
 _EXIT_TEXT = (
     "exit status: 0 done, 1 unexpected error, 2 usage, calibration, DBC or an extra that is not installed, "
-    "3 bus or log, 4 store, 5 a log broke off and was not judged, or lost something and --strict was asked for, "
+    "3 bus or log, 4 store, 5 a log broke off and was not judged, or --strict was asked for and a log lost something "
+    "or contributed nothing, "
     "130 stopped early by SIGINT, 143 by SIGTERM; run and monitor usually end by a signal: 0"
 )
 _FOLDERS = (
@@ -111,7 +112,8 @@ def _add_analyze(analyze: argparse.ArgumentParser) -> None:
     analyze.add_argument(
         "--strict",
         action="store_true",
-        help="stop at the first line or object that is no frame, jump of time or cut, and say where",
+        help="stop at the first line or object that is no frame, jump of time or cut, and say where; end with status 5 "
+        "if a log or a channel contributed nothing",
     )
     analyze.add_argument(
         "-o", "--output", type=Path, metavar="FILE", help="write the results to a .jsonl, .csv or .parquet file"

@@ -2,10 +2,11 @@
 
 from collections import Counter
 from collections.abc import Iterator, Mapping
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import dataclass, field, replace
 from enum import StrEnum
 
 from diag_service.comparison import ClutchRatio
+from diag_service.contributions import NO_LOGS, Contributions, log_record
 from diag_service.records import ClutchVerdict, Condition, ShiftEstimate, ShiftResult, Status, Tier
 from diag_service.results import JsonObject, clutch_record
 
@@ -29,15 +30,6 @@ GAP_TEXT = {
     Gap.STOPPED: "stopped early",
     Gap.LOG_CUT: "a log broke off before its own end",
 }
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class LogShare:
-    """What one log gave to a run."""
-
-    path: str
-    frames: int  # read
-    decoded: int
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -117,7 +109,7 @@ class Summary:
     latest: tuple[ShiftResult, ...]  # last result of each clutch, clutch 1 first
     capability: Capability = FULL
     gaps: tuple[Gap, ...] = ()  # why this is a part of the drive; none: it is the whole
-    logs: tuple[LogShare, ...] = ()  # none for a bus
+    contributions: Contributions = NO_LOGS
 
 
 def summarise(
@@ -127,7 +119,7 @@ def summarise(
     unpublished_count: int | None,
     capability: Capability = FULL,
     gaps: tuple[Gap, ...] = (),
-    logs: tuple[LogShare, ...] = (),
+    contributions: Contributions = NO_LOGS,
 ) -> Summary:
     """Return the numbers of a run as they stand; of a part of a drive no clutch has a verdict."""
     return Summary(
@@ -141,7 +133,7 @@ def summarise(
         capability=capability,
         latest=tuple(unjudged(result, gaps) for _, result in sorted(tally.latest.items())),
         gaps=gaps,
-        logs=logs,
+        contributions=contributions,
     )
 
 
@@ -195,7 +187,8 @@ def summary_record(summary: Summary) -> JsonObject:
             "missing": summary.capability.missing,
             "unseen": list(summary.capability.unseen),
         },
-        "logs": [asdict(log) for log in summary.logs],
+        "logs": [log_record(log) for log in summary.contributions.logs],
+        "idle": list(summary.contributions.idle),
     }
 
 

@@ -1,4 +1,4 @@
-"""Runs the service's command line in this process: for tests of what it says, where a process of its own adds nothing."""
+"""Runs the service's command line in this process, where a process of its own would add nothing."""
 
 import contextlib
 import io

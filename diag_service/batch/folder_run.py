@@ -22,7 +22,7 @@ from diag_service.batch.journal import Entry, Journal
 from diag_service.batch.tables import TableFormat, format_of, write_results
 from diag_service.batch.worker import analyse_drive, start_worker
 from diag_service.config import DiagnosisConfig, calibration_digest
-from diag_service.errors import ConfigError, SourceError, StoppedError
+from diag_service.errors import ConfigError, IncompleteError, SourceError, StoppedError
 from diag_service.interpretation import interpret
 from diag_service.notices import NOTICE
 from diag_service.parquet_file import load_pyarrow
@@ -47,6 +47,7 @@ class Tally:
     shifts: int = 0
     failed: int = 0
     cut: int = 0
+    idle: int = 0  # drives with a log or a channel that gave nothing
 
     def add(self, entry: Entry) -> None:
         """Count one drive."""
@@ -54,7 +55,9 @@ class Tally:
         self.shifts += len(entry.shifts)
         self.failed += entry.drive["error"] is not None
         summary = entry.drive["summary"]
-        self.cut += isinstance(summary, dict) and not summary["complete"]
+        if isinstance(summary, dict):
+            self.cut += not summary["complete"]
+            self.idle += bool(summary["idle"])
 
 
 def analyse_folders(
@@ -80,6 +83,8 @@ def analyse_folders(
         If journal or output cannot be written.
     StoppedError
         If it was stopped before every drive was done.
+    IncompleteError
+        Of a strict run, after all was written, if a log or a channel gave nothing.
     """
     jobs = checked_jobs(jobs)
     if output is not None and format_of(output) is TableFormat.PARQUET:
@@ -99,7 +104,9 @@ def analyse_folders(
         for drive, entry in _analysed(config, to_do, jobs, stop):
             journal.add(entry)
             lines.tell(drive, entry)
-        _conclude(journal, drives, output, lines)
+        tally = _conclude(journal, drives, output, lines)
+    if config.is_strict and tally.idle:
+        raise IncompleteError(f"{tally.idle} of {tally.drives} drives have a log or a channel that contributed nothing")
 
 
 def checked_jobs(jobs: int | None) -> int:
@@ -176,8 +183,8 @@ def _progress(drives: Sequence[Drive]) -> Progress:
     )
 
 
-def _conclude(journal: Journal, drives: Sequence[Drive], output: Path | None, lines: "_Lines") -> None:
-    """Write the output, or say how to go on."""
+def _conclude(journal: Journal, drives: Sequence[Drive], output: Path | None, lines: "_Lines") -> Tally:
+    """Write the output, or say how to go on; return what became of the drives."""
     tally = Tally()
     done = [drive for drive in drives if drive.key in journal.done]
     for drive in done:
@@ -192,6 +199,7 @@ def _conclude(journal: Journal, drives: Sequence[Drive], output: Path | None, li
         raise SourceError(f"none of {tally.drives} drives could be read, the first: {_first_error(journal, drives)}")
     if output is not None:
         _LOG.log(NOTICE, "%d shifts of %d drives in %s", tally.shifts, tally.drives, output)
+    return tally
 
 
 def _first_error(journal: Journal, drives: Sequence[Drive]) -> str:
@@ -253,5 +261,6 @@ def drive_line(entry: Entry) -> str:
         f"{len(entry.shifts)} shifts{counts}",
         *clutches,
         *(GAP_TEXT[Gap(gap)] for gap in summary["incomplete"]),
+        *summary["idle"],
     ]
     return ", ".join(parts)

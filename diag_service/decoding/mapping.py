@@ -77,6 +77,7 @@ class Decoder:
         )
         self.gears: GearRatios | None = profile.gears
         self.profile_name = profile.name
+        self.named_channel = profile.channel
         self._e2e = E2eStates(
             [mapped.message.name for mapped in self._messages], [mapped.period_ns for mapped in self._messages]
         )
@@ -176,9 +177,10 @@ class Decoder:
             return [self._decode(batch, breaks_before=False)]
         return [self._decode(segment, breaks_before=breaks) for segment, breaks in self._segments(batch)]
 
-    def release_channels(self) -> None:
-        """Follow messages from the channel on which they are heard next: another log may number its channels anew."""
-        self._monitor.release_channels()
+    @property
+    def sources(self) -> LinkMonitor:
+        """Who follows each message from one source: a reader of several logs tells it where one begins and ends."""
+        return self._monitor
 
     def interrupt(self) -> None:
         """End the segment: what comes next has nothing to do with what came before."""

@@ -53,9 +53,11 @@ class Rules(NamedTuple):
 class Origins(NamedTuple):
     """Where each message is followed from, ANY until it is known, and how many frames came from where."""
 
-    channel: Int64Array  # (m,)
+    channel: Int64Array  # (m,) as frames are marked: a channel of a bus, or the source that stands for one of a log
     sender: Int64Array  # (m,) J1939 source address
-    channel_frames: Int64Array  # (m, 256)
+    named: Int64Array  # (m,) the only channel that is listened to, ANY if all are
+    number: Int64Array  # (256,) channel that a mark stands for
+    channel_frames: Int64Array  # (m, 256) by number
     sender_frames: Int64Array  # (m, 256), of J1939 messages
 
 
@@ -83,6 +85,7 @@ class Totals(NamedTuple):
 
     frames: Int64Array  # (m + 1, reasons); the last row is of frames of no message
     missing: Int64Array  # (m,)
+    marked: Int64Array  # (256, reasons), by the mark of the frames
 
 
 @array_kernel
@@ -112,6 +115,7 @@ def judge_frames(
         verdicts.slot[row] = slot
         verdicts.reason[row] = reason
         totals.frames[slot if slot != NOBODY else totals.missing.size, reason] += 1
+        totals.marked[frames.channel[row], reason] += 1
 
 
 @array_kernel
@@ -124,8 +128,11 @@ def identify(book: AddressBook, origins: Origins, frames: FrameColumns, row: int
     if slot == NOBODY:
         return NOBODY, _UNKNOWN_ID
     channel = frames.channel[row]
-    origins.channel_frames[slot, channel] += 1
+    number = origins.number[channel]
+    origins.channel_frames[slot, number] += 1
     if origins.channel[slot] != ANY and origins.channel[slot] != channel:
+        return slot, _OTHER_CHANNEL
+    if origins.named[slot] != ANY and origins.named[slot] != number:
         return slot, _OTHER_CHANNEL
     if book.is_group[slot]:
         sender = can_id & 0xFF

@@ -15,7 +15,7 @@ from cantools.database.can import Message
 from dbc.contract import message_contract
 from dbc.protection import data_id_remainder
 from diag_service.columns import Int64Array, UInt8Array
-from diag_service.definitions.addressing import NOBODY, Address, address_book, message_address
+from diag_service.definitions.addressing import ANY, NOBODY, Address, address_book, message_address
 from diag_service.errors import ConfigError
 from diag_service.frames import FD_PAYLOAD_BYTES, PAYLOAD_BYTES, FrameBatch, empty_batch
 from diag_service.protection.alive_counter import MAX_FRAMES_LOST_BY_RESTART, forget, fresh_links
@@ -73,10 +73,11 @@ class LinkMonitor:
             addresses = [message_address(message) for message in messages]
         self._book = address_book(addresses)
         self._rules = _rules_of(messages)
-        self._named_channel = np.array([address.channel for address in addresses], np.int64)
         self._links = fresh_links(len(messages))
         self._origins = Origins(
-            channel=np.array([address.channel for address in addresses], np.int64),
+            channel=np.full(len(messages), ANY, np.int64),
+            named=np.array([address.channel for address in addresses], np.int64),
+            number=np.arange(ORIGINS, dtype=np.int64),
             sender=np.array([address.sender for address in addresses], np.int64),
             channel_frames=np.zeros((len(messages), ORIGINS), np.int64),
             sender_frames=np.zeros((len(messages), ORIGINS), np.int64),
@@ -84,6 +85,7 @@ class LinkMonitor:
         self._totals = Totals(
             frames=np.zeros((len(messages) + 1, len(FrameReason)), np.int64),
             missing=np.zeros(len(messages), np.int64),
+            marked=np.zeros((ORIGINS, len(FrameReason)), np.int64),
         )
         self.check(empty_batch())  # compiles now: the first real batch must not wait for the compiler
 
@@ -105,9 +107,18 @@ class LinkMonitor:
         """Return how many frames of a message came on each channel."""
         return _nonzero(self._origins.channel_frames[slot])
 
-    def release_channels(self) -> None:
-        """Follow each message from the channel on which it is heard next, unless its address names one."""
-        self._origins.channel[:] = self._named_channel
+    def begin_source(self, source: int, channel: int) -> None:
+        """Learn that frames marked with ``source`` come from a channel of some log; at first a mark is the channel."""
+        self._origins.number[source] = channel
+
+    def source_counts(self, source: int) -> Mapping[FrameReason, int]:
+        """Return what became of the frames with a mark since it was given; reasons that occurred."""
+        return MappingProxyType({FrameReason(place): n for place, n in _nonzero(self._totals.marked[source]).items()})
+
+    def end_source(self, source: int) -> None:
+        """Follow its messages from where they are heard next: a log has ended, and its mark may be given to another."""
+        self._origins.channel[self._origins.channel == source] = ANY
+        self._totals.marked[source] = 0
 
     def reset(self) -> None:
         """Forget counters and times, after a jump of bus time; counts, sequence numbers and origins go on."""

@@ -20,7 +20,8 @@ from diag_service.estimation.self_calibration import SelfCalibration, self_calib
 from diag_service.events import RevEvent, ShiftEvent
 from diag_service.records import FrictionEstimate
 from diag_service.results import JsonObject
-from diag_service.runs.drive import OpenLog, frames_of, gaps_in, warn_of_damage
+from diag_service.runs.drive import OpenLog, gaps_in, warn_of_damage, warn_of_idle
+from diag_service.runs.drive_frames import DriveFrames
 from diag_service.shift_finding.revs import RevFinder
 from diag_service.shift_finding.shifts import ShiftFinder
 from diag_service.stopping import Trigger
@@ -90,7 +91,8 @@ def find_events(
     shift_finder, rev_finder = ShiftFinder(), RevFinder(calibration)
     shifts: list[ShiftEvent] = []
     revs: list[RevEvent] = []
-    for batch in frames_of(logs, decoder):
+    drive = DriveFrames(logs, decoder.sources)
+    for batch in drive:
         _go_on(stop)
         for columns in decoder.feed(batch):
             shifts += shift_finder.feed(columns)
@@ -98,6 +100,7 @@ def find_events(
     shifts += shift_finder.flush()
     revs += rev_finder.flush()
     warn_of_damage(logs)
+    warn_of_idle(drive.contributions(decoder.named_channel))
     if not shifts:
         raise SourceError("no shift in these logs: nothing to calibrate from")
     return CalibrationEvents(shifts=tuple(shifts), revs=tuple(revs), gaps=gaps_in(logs, was_stopped=False))

@@ -2,16 +2,15 @@
 
 import hashlib
 import logging
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from itertools import chain
 from pathlib import Path
-from typing import Protocol
 
 from clutch_model.plain_files import open_plain_file
+from diag_service.contributions import Contributions
 from diag_service.errors import ConfigError, IncompleteError, SourceError, StoppedError
 from diag_service.frames import FrameBatch
-from diag_service.sources import LogReader, merged_by_time, read_log
+from diag_service.sources import LogReader, read_log
 from diag_service.summary import Gap, gaps_line
 
 _BLOCK_BYTES = 1 << 20
@@ -73,26 +72,6 @@ def stream_of(paths: Iterable[Path]) -> str:
     return digest.hexdigest()
 
 
-class ChannelFollower(Protocol):
-    """Who follows messages from one channel each."""
-
-    def release_channels(self) -> None:
-        """Follow messages from the channel on which they are heard next."""
-
-
-def frames_of(logs: Sequence[OpenLog], follower: ChannelFollower) -> Iterator[FrameBatch]:
-    """Yield the frames of a drive; logs that overlap are merged by time.
-
-    Formats number channels each in its own way, so where a log ends the follower looks for its messages anew.
-    """
-
-    def frames(log: OpenLog) -> Iterator[FrameBatch]:
-        yield from chain((log.first,), log.reader)
-        follower.release_channels()  # all of its frames were taken: the merger asks for more only then
-
-    return merged_by_time([frames(log) for log in logs])
-
-
 def gaps_in(logs: Sequence[OpenLog], *, was_stopped: bool) -> tuple[Gap, ...]:
     """Return why what was read of a drive is a part of it; nothing if it is the whole.
 
@@ -119,6 +98,25 @@ def insist_on_the_whole(gaps: tuple[Gap, ...]) -> None:
         raise StoppedError(gaps_line(gaps))
     if gaps:
         raise IncompleteError(gaps_line(gaps))
+
+
+def insist_on_every_source(contributions: Contributions) -> None:
+    """End a strict run that has told what it found, if a log or a channel gave nothing to it.
+
+    Raises
+    ------
+    IncompleteError
+        If one did; the first is named.
+    """
+    if idle := contributions.idle:
+        more = f"; and {len(idle) - 1} more" if len(idle) > 1 else ""
+        raise IncompleteError(f"{idle[0]}{more}")
+
+
+def warn_of_idle(contributions: Contributions) -> None:
+    """Warn of logs and channels that gave nothing."""
+    for text in contributions.idle:
+        _LOG.warning("%s", text)
 
 
 def warn_of_damage(logs: Sequence[OpenLog]) -> None:

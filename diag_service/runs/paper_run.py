@@ -10,7 +10,15 @@ from rich.table import Table
 from diag_service.errors import StoppedError
 from diag_service.estimation.paper import PaperCollection, PaperEstimate, PaperShift, PooledClutch
 from diag_service.results import JsonObject, dump
-from diag_service.runs.drive import OpenLog, gaps_in, insist_on_the_whole, warn_of_damage
+from diag_service.runs.drive import (
+    OpenLog,
+    gaps_in,
+    insist_on_every_source,
+    insist_on_the_whole,
+    warn_of_damage,
+    warn_of_idle,
+)
+from diag_service.runs.drive_frames import DriveFrames
 from diag_service.runs.recorded import events, frame_counts
 from diag_service.runs.stages import Stages
 from diag_service.stopping import Trigger
@@ -21,28 +29,39 @@ _HEAD = f"{'shift':>5}  {'gears':<5} {'clutch':>6}  {'mu_C':>8} {'n':>4} {'mu_S'
 
 
 def run_paper(
-    logs: Sequence[OpenLog], stages: Stages, collection: PaperCollection, output: Console | TextIO, stop: Trigger
+    logs: Sequence[OpenLog],
+    stages: Stages,
+    collection: PaperCollection,
+    output: Console | TextIO,
+    stop: Trigger,
+    *,
+    is_strict: bool = False,
 ) -> None:
     """Analyse the shifts of a drive; tables to a console, JSON lines to any other stream.
 
     Raises
     ------
     StoppedError, IncompleteError
-        If it was a part of the drive only, after that was told.
+        If it was a part of the drive only, or of a strict run if a log or a channel gave nothing, after that was told.
     """
     if isinstance(output, Console):
         output.print(_HEAD, style="bold", highlight=False, soft_wrap=True)
     was_stopped = False
+    drive = DriveFrames(logs, stages.sources)
     try:
-        for event in events(logs, stages, stop):
+        for event in events(drive, stages, stop):
             _tell(collection.add(event), output)
     except StoppedError:
         was_stopped = True
+    contributions = drive.contributions(stages.named_channel, is_whole=not was_stopped)
     warn_of_damage(logs)
+    warn_of_idle(contributions)
     gaps = gaps_in(logs, was_stopped=was_stopped)
     frames = frames_line(frame_counts(logs, stages, is_whole=not was_stopped))
     _conclude(collection.pooled(), gaps, frames, output)
     insist_on_the_whole(gaps)
+    if is_strict:
+        insist_on_every_source(contributions)
 
 
 def _tell(shift: PaperShift, output: Console | TextIO) -> None:

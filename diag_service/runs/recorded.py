@@ -9,7 +9,8 @@ from dataclasses import replace
 from diag_service.errors import StoppedError
 from diag_service.events import ShiftEvent
 from diag_service.publishers import Outbox
-from diag_service.runs.drive import OpenLog, frames_of, gaps_in, warn_of_damage
+from diag_service.runs.drive import OpenLog, gaps_in, warn_of_damage, warn_of_idle
+from diag_service.runs.drive_frames import DriveFrames
 from diag_service.runs.session import Session
 from diag_service.runs.stages import Stages
 from diag_service.runs.two_senders import SenderWatch
@@ -35,10 +36,11 @@ async def run_logs(logs: Sequence[OpenLog], session: Session, *, stop: Trigger, 
             loop.call_soon_threadsafe(outbox.nudge)
 
     unpublished_count: int | None = None
+    drive = DriveFrames(logs, session.stages.sources)
     try:
         async with asyncio.TaskGroup() as tasks:
             sender = None if outbox is None else tasks.create_task(outbox.run(), name="outbox")
-            is_whole = await asyncio.to_thread(_analyse, logs, session, stop, tell_outbox)
+            is_whole = await asyncio.to_thread(_analyse, drive, session, stop, tell_outbox)
             gaps = gaps_in(logs, was_stopped=not is_whole)
             if outbox is not None and sender is not None:
                 if not gaps:
@@ -46,18 +48,20 @@ async def run_logs(logs: Sequence[OpenLog], session: Session, *, stop: Trigger, 
                 unpublished_count = await outbox.close(sender)
     except BaseExceptionGroup as group:
         raise first_error(group) from group
+    contributions = drive.contributions(session.stages.named_channel, is_whole=is_whole)
     warn_of_damage(logs)
+    warn_of_idle(contributions)
     warn_of_slow_messages(session.stages)
     frames = frame_counts(logs, session.stages, is_whole=is_whole)
     if (text := SenderWatch().look(frames)) is not None:
         _LOG.warning("%s", text)
-    return session.finish(frames, unpublished_count, gaps)
+    return session.finish(frames, unpublished_count, gaps, contributions)
 
 
-def _analyse(logs: Sequence[OpenLog], session: Session, stop: Trigger, tell_outbox: Callable[[], None]) -> bool:
+def _analyse(drive: DriveFrames, session: Session, stop: Trigger, tell_outbox: Callable[[], None]) -> bool:
     """Settle the shifts of a drive; return whether that was all of them."""
     try:
-        for event in events(logs, session.stages, stop):
+        for event in events(drive, session.stages, stop):
             session.settle(event)
             tell_outbox()
     except StoppedError:
@@ -65,7 +69,7 @@ def _analyse(logs: Sequence[OpenLog], session: Session, stop: Trigger, tell_outb
     return True
 
 
-def events(logs: Sequence[OpenLog], stages: Stages, stop: Trigger) -> Iterator[ShiftEvent]:
+def events(drive: DriveFrames, stages: Stages, stop: Trigger) -> Iterator[ShiftEvent]:
     """Yield the shifts of a drive.
 
     Raises
@@ -73,7 +77,7 @@ def events(logs: Sequence[OpenLog], stages: Stages, stop: Trigger) -> Iterator[S
     StoppedError
         As soon as it is told to stop, if there is anything left to do.
     """
-    for batch in frames_of(logs, stages):
+    for batch in drive:
         yield from _until(stop, stages.segment(batch))
         if stop.is_set:
             raise StoppedError(STOPPED_TEXT)

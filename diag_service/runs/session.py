@@ -6,6 +6,7 @@ from collections.abc import Callable
 from contextlib import suppress
 
 from clutch_model.calibration import Calibration
+from diag_service.contributions import NO_LOGS, Contributions
 from diag_service.errors import StoreFullError
 from diag_service.estimation import ALGORITHM_VERSION, Belief
 from diag_service.events import ShiftEvent
@@ -17,7 +18,7 @@ from diag_service.records import ShiftResult
 from diag_service.results import utc_from_bus_ns
 from diag_service.runs.stages import Stages
 from diag_service.store import ResultStore, VehicleState, Versions
-from diag_service.summary import FrameCounts, Gap, LogShare, ShiftTally, Summary, frames_line, summarise
+from diag_service.summary import FrameCounts, Gap, ShiftTally, Summary, frames_line, summarise
 
 MAX_PENDING = 1000  # results in memory while the disk is full
 _LOG = logging.getLogger(__name__)
@@ -122,18 +123,18 @@ class Session:
         frames: FrameCounts,
         unpublished_count: int | None,
         gaps: tuple[Gap, ...] = (),
-        logs: tuple[LogShare, ...] = (),
+        contributions: Contributions = NO_LOGS,
     ) -> Summary:
         """Return the numbers of the run as they stand."""
         capability = self.stages.capability()
-        return summarise(self._vehicle, frames, self._tally, unpublished_count, capability, gaps, logs)
+        return summarise(self._vehicle, frames, self._tally, unpublished_count, capability, gaps, contributions)
 
     def finish(
         self,
         frames: FrameCounts,
         unpublished_count: int | None,
         gaps: tuple[Gap, ...] = (),
-        logs: tuple[LogShare, ...] = (),
+        contributions: Contributions = NO_LOGS,
     ) -> Summary:
         """Tell the numbers of the run, and return them.
 
@@ -145,7 +146,7 @@ class Session:
         self._store_pending()
         if not frames.is_balanced:
             _LOG.error("frame counts do not add up: %s", frames_line(frames))
-        summary = self.summary(frames, unpublished_count, gaps, logs)
+        summary = self.summary(frames, unpublished_count, gaps, contributions)
         self.reporter.finish(summary)
         return summary
 

@@ -14,6 +14,7 @@ from diag_service.frames import FrameBatch, WatchedBits
 from diag_service.judgement.condition import ConditionMemory, judge, no_verdict
 from diag_service.judgement.indices import measure
 from diag_service.judgement.trust import TrustBasis, assess, reasons_against
+from diag_service.protection.protection_check import LinkMonitor
 from diag_service.records import ClutchVerdict, Reason, ShiftEstimate, ShiftIndices, Status, Tier
 from diag_service.shift_finding.gear_tracking import tracker_for
 from diag_service.shift_finding.shifts import ShiftFinder
@@ -113,9 +114,15 @@ class Stages:
             unseen=tuple(signal.value for signal in Signal if signal in self._decoder.signals - seen),
         )
 
-    def release_channels(self) -> None:
-        """Follow messages from the channel on which they are heard next: another log may number its channels anew."""
-        self._decoder.release_channels()
+    @property
+    def sources(self) -> LinkMonitor:
+        """Who follows each message from one source."""
+        return self._decoder.sources
+
+    @property
+    def named_channel(self) -> int | None:
+        """The only channel that is listened to, as the profile names it; None: every one."""
+        return self._decoder.named_channel
 
     @property
     def kernel_filters(self) -> tuple[tuple[int, int], ...]:

@@ -1,6 +1,6 @@
 """Several streams of frames, each in its own order, as one in the order of time."""
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 
 import numpy as np
 
@@ -8,26 +8,44 @@ from diag_service.frames import FrameBatch
 from diag_service.sources.columns import join
 
 
-def merged_by_time(streams: Iterable[Iterator[FrameBatch]]) -> Iterator[FrameBatch]:
+def _unchanged(_number: int, batch: FrameBatch) -> FrameBatch:
+    return batch
+
+
+def merged_by_time(
+    streams: Iterable[Iterator[FrameBatch]], marked: Callable[[int, FrameBatch], FrameBatch] = _unchanged
+) -> Iterator[FrameBatch]:
     """Yield the frames of all streams; of frames with the same time those of an earlier stream come first.
 
-    Each stream is held one batch ahead. Where its time jumps back its frames stay in their order.
+    Each stream is held one batch ahead. Where its time jumps back its frames stay in their order. A stream that ends
+    is asked for more before another begins with frames of the same time.
+
+    Parameters
+    ----------
+    marked :
+        Returns frames of a stream, by its place, as they shall leave; called as they are due.
     """
-    waiting = [(stream, batch) for stream in streams if (batch := _next(stream)) is not None]
+    waiting = [(number, stream, batch) for number, stream in enumerate(streams) if (batch := _next(stream)) is not None]
+    begun: set[int] = set()
     while len(waiting) > 1:
-        horizon_ns = min(int(batch.t_ns[-1]) for _, batch in waiting)
-        due = [_due(batch, horizon_ns) for _, batch in waiting]
+        horizon_ns, first = min((int(batch.t_ns[-1]), place) for place, (*_, batch) in enumerate(waiting))
+        due = [
+            0 if place > first and number not in begun and batch.t_ns[0] == horizon_ns else _due(batch, horizon_ns)
+            for place, (number, _, batch) in enumerate(waiting)
+        ]
         if not any(due):  # the time of every stream jumps back: the one that is behind goes on as it is
-            first = min(range(len(waiting)), key=lambda index: int(waiting[index][1].t_ns[0]))
-            due[first] = len(waiting[first][1])
-        taken = [batch[:count] for (_, batch), count in zip(waiting, due, strict=True) if count]
+            behind = min(range(len(waiting)), key=lambda place: int(waiting[place][2].t_ns[0]))
+            due[behind] = len(waiting[behind][2])
+        parts = list(zip(waiting, due, strict=True))
+        begun.update(number for (number, *_), count in parts if count)
+        taken = [marked(number, batch[:count]) for (number, _, batch), count in parts if count]
         yield taken[0] if len(taken) == 1 else _sorted(join(taken))
-        left = [(stream, batch[count:]) for (stream, batch), count in zip(waiting, due, strict=True)]
-        refilled = [(stream, batch if len(batch) else _next(stream)) for stream, batch in left]
-        waiting = [(stream, batch) for stream, batch in refilled if batch is not None]
-    for stream, batch in waiting:
-        yield batch
-        yield from (rest for rest in stream if len(rest))
+        left = [(number, stream, batch[count:]) for (number, stream, batch), count in parts]
+        refilled = [(number, stream, batch if len(batch) else _next(stream)) for number, stream, batch in left]
+        waiting = [(number, stream, batch) for number, stream, batch in refilled if batch is not None]
+    for number, stream, batch in waiting:
+        yield marked(number, batch)
+        yield from (marked(number, rest) for rest in stream if len(rest))
 
 
 def _next(stream: Iterator[FrameBatch]) -> FrameBatch | None:
