@@ -15,6 +15,7 @@ from diag_service.definitions.profile import load_profile
 from diag_service.estimation import Belief
 from diag_service.events import ShiftEvent
 from diag_service.judgement.condition import ConditionMemory
+from diag_service.runs.calibrate_run import find_events
 from diag_service.runs.drive import open_drive
 from diag_service.runs.drive_frames import DriveFrames
 from diag_service.runs.recorded import events
@@ -227,6 +228,15 @@ def test_strict_ends_with_a_status_of_its_own(
     assert (plain.status, strict.status) == (0, 5), strict.err
     assert "contributed nothing" in strict.err.splitlines()[-1]
     assert len(plain.records) == len(strict.records)
+
+
+def test_a_calibration_says_which_log_gave_nothing(
+    lines: list[bytes], tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    logs = [written(tmp_path / "drive.log", lines), written(tmp_path / "copy.log", on(1, lines[50:-50]))]
+    found = find_events(open_drive(logs), Decoder(DATABASE, load_profile()), nominal_calibration(), Trigger())
+    assert len(found.shifts) == 3
+    assert f"{logs[1]} contributed nothing: " in caplog.text
 
 
 def test_the_summary_tells_the_share_of_each_log(halves: list[Path]) -> None:
