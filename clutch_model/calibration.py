@@ -86,7 +86,8 @@ class Calibration:
         made_on = table.get("made_on")
         require(made_on is None or type(made_on) is date, f"made_on must be a day (2026-01-31), got {made_on!r}")
         vehicle = table.get("vehicle")
-        require(vehicle is None or isinstance(vehicle, str), f"vehicle must be a text, got {vehicle!r}")
+        is_name = isinstance(vehicle, str) and vehicle.isprintable() and vehicle != ""
+        require(vehicle is None or is_name, f"vehicle must be a text that can be printed, got {vehicle!r}")
         optional = {"bias", "joint", "made_on", "vehicle"}
         check_keys("calibration", set(table) | optional, known | optional)
         clutches = table["clutch"]

@@ -198,8 +198,10 @@ def _add_meaning(parser: argparse.ArgumentParser) -> None:
         metavar="P",
         help="which DBC signals are which: TOML file or shipped name (default: the shipped one that fits the DBC)",
     )
-    parser.add_argument("--calibration", type=Path, metavar="FILE", help="vehicle type (TOML; default: nominal)")
-    parser.add_argument("--vehicle", metavar="ID", help="vehicle id (default: vehicle)")
+    parser.add_argument(
+        "--calibration", type=Path, metavar="FILE", help="of a vehicle or its type (TOML; default: nominal)"
+    )
+    parser.add_argument("--vehicle", metavar="ID", help="vehicle id (default: the calibration's, or vehicle)")
     parser.add_argument("--config", type=Path, metavar="FILE", help="TOML file with settings, see 'config check'")
 
 

@@ -7,6 +7,7 @@ from enum import StrEnum
 from pathlib import Path
 
 from clutch_model.calibration import Calibration, nominal_calibration, read_calibration
+from diag_service.defaults import UNNAMED_VEHICLE
 from diag_service.errors import ConfigError
 from diag_service.publishers import Acknowledge, BrokerAddress, TlsFiles
 from diag_service.publishers.tls import read_secret
@@ -92,6 +93,22 @@ def check_vehicle(vehicle: str) -> str:
             f"{vehicle!r} is no vehicle id: up to 64 letters, digits, '_', '.' or '-', not starting with '.' or '-'"
         )
     return vehicle
+
+
+def vehicle_of(named: str | None, calibration: Calibration) -> str:
+    """Return the id of the vehicle: the one that was named, or else that of its calibration.
+
+    Raises
+    ------
+    ConfigError
+        If it is no vehicle id.
+    """
+    if named is not None:
+        return check_vehicle(named)
+    try:
+        return check_vehicle(UNNAMED_VEHICLE if calibration.vehicle is None else calibration.vehicle)
+    except ConfigError as exc:
+        raise ConfigError(f"the calibration's vehicle: {exc}") from exc
 
 
 def parse_broker(url: str, tls: TlsFiles | None = None, password_file: Path | None = None) -> BrokerAddress:

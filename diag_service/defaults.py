@@ -9,8 +9,9 @@ OptionValue = str | int | float | bool | Path | None
 PREFIX: Final = "CLUTCHDIAG_"  # of environment variables, such as CLUTCHDIAG_BROKER
 CONFIG_VARIABLE: Final = f"{PREFIX}CONFIG"
 BROKER_VARIABLE: Final = f"{PREFIX}BROKER"  # keeps a password out of the process list
+UNNAMED_VEHICLE: Final = "vehicle"  # what a vehicle is called that nobody names
 DEFAULTS: Final[Mapping[str, OptionValue]] = {
-    "vehicle": "vehicle",
+    "vehicle": None,  # that of the calibration
     "dbc": None,
     "lenient": False,
     "profile": None,

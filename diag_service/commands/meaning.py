@@ -11,12 +11,14 @@ from diag_service.publishers import Acknowledge, BrokerAddress, TlsFiles
 def diagnosis_config(options: argparse.Namespace) -> config.DiagnosisConfig:
     """Return how frames become results, open options filled in; raises ConfigError or CalibrationError."""
     fill_in(options)
+    calibration = config.load_calibration(options.calibration)
+    options.vehicle = config.vehicle_of(options.vehicle, calibration)
     return config.DiagnosisConfig(
-        vehicle=config.check_vehicle(options.vehicle),
+        vehicle=options.vehicle,
         dbc=options.dbc,
         is_lenient=options.lenient,
         profile=options.profile,
-        calibration=config.load_calibration(options.calibration),
+        calibration=calibration,
         broker=_broker(options),
         acknowledge=Acknowledge(options.acknowledge),
         budget_bytes=None if options.store_budget is None else options.store_budget << 20,

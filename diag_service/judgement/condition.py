@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from enum import StrEnum
 from statistics import NormalDist
 from typing import Any, Self
 
@@ -22,10 +23,19 @@ CHANGE_PROBABILITY = 0.95  # a workshop visit costs: be sure
 WATCH_PROBABILITY = 0.80
 LEAVE_PROBABILITY = 0.20  # to call off a verdict once given, its cause must have become unlikely
 FIT_WINDOW = 20  # shifts of both clutches: two cycles
-MIN_MISFIT_COUNT = 3  # a clutch that changes at once contradicts its running state twice, then starts afresh
-MAX_MISFIT_SHARE = 0.25  # none of 3,200 shifts of sound drives misfit; of another vehicle's calibration half do
+MAX_MISFIT_SHARE = 0.25  # none of the shifts of sound drives misfit; of another vehicle's calibration half do
+MIN_MISFIT_COUNT = 3  # one or two shifts are no share
+NEW_FLUID_SURPRISES = 4  # it contradicts the running state of each clutch twice, then that starts afresh
 MEMORY_FORMAT = 2
-_CONTRADICTIONS = frozenset({Reason.MISFIT, Reason.ZERO_JUMPED, Reason.NOT_UPDATED})
+_MISFITS = frozenset({Reason.MISFIT, Reason.ZERO_JUMPED})
+
+
+class Fit(StrEnum):
+    """What a shift says of the calibration that it was estimated with."""
+
+    AGREES = "agrees"
+    SURPRISES = "surprises"  # it contradicts the running state: the clutch has changed, or the calibration is wrong
+    MISFITS = "misfits"  # it contradicts the calibration
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -34,7 +44,7 @@ class ConditionMemory:
 
     conditions: tuple[Condition, Condition] = (Condition.NO_VERDICT, Condition.NO_VERDICT)
     scatters: tuple[Scatter | None, Scatter | None] = (None, None)
-    fits: tuple[bool, ...] = ()  # whether the last shifts agreed with the calibration, the oldest first
+    fits: tuple[Fit, ...] = ()  # of the last shifts, the oldest first
 
     @classmethod
     def fresh(cls) -> Self:
@@ -43,18 +53,27 @@ class ConditionMemory:
 
     def with_fit(self, estimate: ShiftEstimate) -> Self:
         """Return the memory after a shift that may have been held against the calibration."""
-        contradicts = not _CONTRADICTIONS.isdisjoint(estimate.reasons)
-        if not contradicts and estimate.status is not Status.VALID:
+        if not _MISFITS.isdisjoint(estimate.reasons):
+            fit = Fit.MISFITS
+        elif estimate.status is not Status.VALID:
             return self
-        return replace(self, fits=(*self.fits, not contradicts)[-FIT_WINDOW:])
+        else:
+            fit = Fit.SURPRISES if Reason.NOT_UPDATED in estimate.reasons else Fit.AGREES
+        return replace(self, fits=(*self.fits, fit)[-FIT_WINDOW:])
 
     @property
     def misfit_text(self) -> str:
         """Why no verdict rests on this calibration; empty if one may."""
-        count = self.fits.count(False)
+        misfits, surprises = self.fits.count(Fit.MISFITS), self.fits.count(Fit.SURPRISES)
+        count = misfits + surprises
         if count < MIN_MISFIT_COUNT or count < MAX_MISFIT_SHARE * len(self.fits):
             return ""
-        return f"calibration does not fit: {count} of the last {len(self.fits)} shifts contradict it"
+        if not misfits and surprises <= NEW_FLUID_SURPRISES:
+            return ""
+        return (
+            f"calibration does not fit: {count} of the last {len(self.fits)} shifts contradict it; "
+            "diag-service calibrate makes this vehicle's own"
+        )
 
     def with_shift(self, estimate: ShiftEstimate, before: Belief) -> Self:
         """Return the memory after a shift, of which the running state stood at ``before``.
@@ -77,7 +96,7 @@ class ConditionMemory:
             "format": MEMORY_FORMAT,
             "conditions": [condition.name for condition in self.conditions],
             "scatters": [one and one.to_json() for one in self.scatters],
-            "fits": list(self.fits),
+            "fits": [fit.name for fit in self.fits],
         }
 
     @classmethod
@@ -94,7 +113,7 @@ class ConditionMemory:
                 raise ValueError(f"condition memory of format {table['format']!r}, expected {MEMORY_FORMAT}")
             first, second = (Condition[name] for name in table["conditions"])
             scatters = [one and Scatter.from_json(one) for one in table["scatters"]]
-            fits = tuple(bool(one) for one in table.get("fits", ()))  # stores of earlier versions have none
+            fits = tuple(Fit[one] for one in table.get("fits", ()))  # stores of earlier versions have none
             return cls(conditions=(first, second), scatters=(scatters[0], scatters[1]), fits=fits)
         except (KeyError, TypeError, IndexError) as exc:
             raise ValueError(f"not a condition memory: {exc!r}") from exc

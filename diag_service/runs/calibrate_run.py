@@ -14,6 +14,7 @@ from rich.table import Table
 from clutch_model.calibration import Calibration, calibration_toml
 from clutch_model.units import bar_from_pa
 from diag_service.decoding.mapping import Decoder
+from diag_service.defaults import UNNAMED_VEHICLE
 from diag_service.errors import ConfigError, SourceError, StoppedError
 from diag_service.estimation.parameters import NUISANCE_NAMES, STATE_COUNT, Considered, State, prior_covariance
 from diag_service.estimation.self_calibration import SelfCalibration, self_calibrate
@@ -127,7 +128,8 @@ def run_calibrate(
     found = self_calibrate(events.shifts, events.revs, start, version)
     if isinstance(found, str):
         raise ConfigError(f"no self-calibration: {found}")
-    calibration = replace(found.calibration, made_on=events.last_day, vehicle=vehicle)
+    owner = None if vehicle == UNNAMED_VEHICLE else vehicle
+    calibration = replace(found.calibration, made_on=events.last_day, vehicle=owner)
     _go_on(stop)
     _write(path, calibration)
     return replace(found, calibration=calibration)
@@ -182,6 +184,8 @@ def show(found: SelfCalibration, start: Calibration, path: Path, console: Consol
             soft_wrap=True,
         )
     console.print(f"calibration {found.calibration.version} in {path}", highlight=False, soft_wrap=True)
+    if found.calibration.vehicle is None:
+        console.print("it names no vehicle (--vehicle) and so is taken for any", highlight=False, soft_wrap=True)
 
 
 def record(found: SelfCalibration, start: Calibration, vehicle: str, gaps: tuple[Gap, ...] = ()) -> JsonObject:

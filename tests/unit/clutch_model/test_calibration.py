@@ -1,8 +1,15 @@
+import tomllib
 from pathlib import Path
 
 import pytest
 
-from clutch_model.calibration import Calibration, nominal_calibration, nominal_table, read_calibration
+from clutch_model.calibration import (
+    Calibration,
+    calibration_toml,
+    nominal_calibration,
+    nominal_table,
+    read_calibration,
+)
 from clutch_model.errors import CalibrationError
 
 
@@ -70,3 +77,15 @@ def test_a_file_that_cannot_be_used_is_named(tmp_path: Path) -> None:
     path.write_text("name = ", encoding="utf-8")
     with pytest.raises(CalibrationError, match=r"bad\.toml is not TOML"):
         read_calibration(path)
+
+
+def test_a_calibration_may_name_its_vehicle() -> None:
+    named = Calibration.from_mapping(nominal_table() | {"vehicle": "car7"})
+    assert (named.vehicle, nominal_calibration().vehicle) == ("car7", None)
+    assert Calibration.from_mapping(tomllib.loads(calibration_toml(named))) == named
+
+
+@pytest.mark.parametrize("vehicle", [7, "", "car\n7", ["car7"]])
+def test_a_vehicle_is_a_text_of_one_line(vehicle: object) -> None:
+    with pytest.raises(CalibrationError, match="vehicle must be a text"):
+        Calibration.from_mapping(nominal_table() | {"vehicle": vehicle})

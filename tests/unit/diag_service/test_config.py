@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from clutch_model.calibration import nominal_calibration
-from diag_service.config import BusConfig, calibration_digest, check_vehicle, default_store, parse_broker
+from diag_service.config import BusConfig, calibration_digest, check_vehicle, default_store, parse_broker, vehicle_of
 from diag_service.errors import ConfigError
 from diag_service.publishers import BrokerAddress
 
@@ -24,6 +24,21 @@ def test_vehicle_ids(vehicle: str) -> None:
 def test_vehicle_ids_that_would_be_topics_or_paths(vehicle: str) -> None:
     with pytest.raises(ConfigError, match="vehicle id"):
         check_vehicle(vehicle)
+
+
+@pytest.mark.parametrize(
+    ("named", "calibrated", "expected"),
+    [(None, None, "vehicle"), (None, "car7", "car7"), ("car8", None, "car8"), ("car8", "car7", "car8")],
+)
+def test_a_vehicle_is_named_by_hand_or_else_by_its_calibration(
+    named: str | None, calibrated: str | None, expected: str
+) -> None:
+    assert vehicle_of(named, replace(nominal_calibration(), vehicle=calibrated)) == expected
+
+
+def test_a_calibration_may_name_a_vehicle_that_is_no_id() -> None:
+    with pytest.raises(ConfigError, match="the calibration's vehicle: 'car 7' is no vehicle id"):
+        vehicle_of(None, replace(nominal_calibration(), vehicle="car 7"))
 
 
 @pytest.mark.parametrize(

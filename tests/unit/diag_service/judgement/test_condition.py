@@ -9,7 +9,7 @@ from clutch_model.calibration import nominal_calibration
 from diag_service.estimation.baseline import BASELINE_SHIFT_COUNT
 from diag_service.estimation.belief import Belief
 from diag_service.estimation.parameters import State
-from diag_service.judgement.condition import ConditionMemory, judge
+from diag_service.judgement.condition import ConditionMemory, Fit, judge
 from diag_service.judgement.scatter import LEAST_SHIFT_COUNT
 from diag_service.records import Condition, Reason, Status
 from tests.builders import rejected, shift_estimate, shift_result
@@ -164,6 +164,8 @@ GOOD_MEMORY = ConditionMemory.fresh().to_json()
         GOOD_MEMORY | {"conditions": ["FINE", "GOOD"]},
         GOOD_MEMORY | {"conditions": None},
         GOOD_MEMORY | {"format": 1},
+        GOOD_MEMORY | {"fits": ["PERHAPS"]},
+        GOOD_MEMORY | {"fits": None},
         GOOD_MEMORY | {"scatters": [None]},
         GOOD_MEMORY | {"scatters": [{"variance_mu_c": 1e-6}, None]},
         GOOD_MEMORY | {"scatters": [{"variance_mu_c": -1.0, "variance_mu_s": 1e-6, "shift_count": 3}, None]},
@@ -174,10 +176,62 @@ def test_a_damaged_memory_is_refused(table: dict[str, object]) -> None:
         ConditionMemory.from_json(table)
 
 
+AGREES, SURPRISES, MISFITS = Fit.AGREES, Fit.SURPRISES, Fit.MISFITS
+
+
+def after(*reasons: Reason | None) -> ConditionMemory:
+    """Return the memory after some shifts, each with the reason against it."""
+    memory = ConditionMemory.fresh()
+    for reason in reasons:
+        shift = shift_estimate()
+        if reason is Reason.NOT_UPDATED:
+            shift = replace(shift, reasons=(reason,))
+        elif reason is not None:
+            shift = replace(shift, status=Status.REJECTED, reasons=(reason,))
+        memory = memory.with_fit(shift)
+    return memory
+
+
+def test_a_shift_says_whether_the_calibration_fits_unless_it_says_nothing() -> None:
+    memory = after(None, Reason.MISFIT, Reason.ZERO_JUMPED, Reason.NOT_UPDATED, Reason.FRAMES_MISSING, Reason.SATURATED)
+    assert memory.fits == (AGREES, MISFITS, MISFITS, SURPRISES)
+
+
 def test_a_calibration_that_shifts_contradict_gives_no_verdict() -> None:
-    fits = (True, False, True, False, True, True, False)
+    fits = (AGREES, MISFITS, AGREES, SURPRISES, AGREES, AGREES, MISFITS)
     memory = ConditionMemory(fits=fits)
-    assert memory.misfit_text == "calibration does not fit: 3 of the last 7 shifts contradict it"
+    assert memory.misfit_text.startswith("calibration does not fit: 3 of the last 7 shifts contradict it")
+    assert "diag-service calibrate" in memory.misfit_text
     assert ConditionMemory.from_json(memory.to_json()) == memory
-    assert not ConditionMemory(fits=(*fits, *[True] * 6)).misfit_text
-    assert not ConditionMemory(fits=(False, False)).misfit_text
+    memory, verdict = judge(memory, believed(0.140, 0.119), 1, CALIBRATION)
+    assert (verdict.condition, verdict.reason) == (Condition.NO_VERDICT, memory.misfit_text)
+
+
+@pytest.mark.parametrize(
+    "fits",
+    [
+        (),
+        (MISFITS, MISFITS),  # too few to be a share
+        (MISFITS,) * 3 + (AGREES,) * 10,  # too small a share
+        (AGREES,) * 2 + (SURPRISES,) * 4,  # new fluid: two shifts of each clutch
+    ],
+)
+def test_what_sound_drives_may_hold_costs_no_verdict(fits: tuple[Fit, ...]) -> None:
+    memory = ConditionMemory(fits=fits)
+    assert not memory.misfit_text
+    assert judge(memory, believed(0.140, 0.119), 1, CALIBRATION)[1].condition is Condition.GOOD
+
+
+def test_surprises_that_do_not_end_speak_against_the_calibration() -> None:
+    assert ConditionMemory(fits=(AGREES,) * 5 + (SURPRISES,) * 5).misfit_text
+
+
+def test_what_was_long_ago_is_forgotten() -> None:
+    assert after(*[Reason.MISFIT] * 20).misfit_text
+    assert not after(*[Reason.MISFIT] * 20, *[None] * 16).misfit_text
+
+
+def test_a_memory_of_an_earlier_version_knows_of_no_fit() -> None:
+    table = ConditionMemory.fresh().to_json()
+    del table["fits"]
+    assert ConditionMemory.from_json(table).fits == ()
