@@ -3,7 +3,7 @@
 FROM python:3.11.14-slim-bookworm AS build
 WORKDIR /src
 COPY pyproject.toml requirements.lock README.md LICENSE ./
-COPY canbus canbus
+COPY canlog canlog
 COPY clutch_model clutch_model
 COPY dbc dbc
 COPY diag_service diag_service
@@ -32,6 +32,6 @@ USER clutchdiag
 # cache's folder begins with what is in the image, and keeps what such a host has compiled.
 RUN ecu-emulator record /tmp/warm.log --scenario noise_only --cycles 1 \
  && diag-service analyze /tmp/warm.log --json > /dev/null \
- && python -c 'from diag_service.sources.live.recvmmsg import FrameReceiver; FrameReceiver(-1)' \
+ && python -c 'from canlog.live.recvmmsg import FrameReceiver; FrameReceiver(-1)' \
  && rm /tmp/warm*
 CMD ["diag-service", "--help"]

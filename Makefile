@@ -124,7 +124,7 @@ warm: setup
 	@folder=$$(mktemp -d) && trap 'rm -rf "$$folder"' EXIT && { \
 	  $(PY) -m ecu_emulator record "$$folder/warm.log" --scenario noise_only --cycles 1 && \
 	  $(PY) -m diag_service analyze "$$folder/warm.log" --json && \
-	  $(PY) -c 'from diag_service.sources.live.recvmmsg import FrameReceiver; FrameReceiver(-1)'; } >"$$folder/said" 2>&1 || { \
+	  $(PY) -c 'from canlog.live.recvmmsg import FrameReceiver; FrameReceiver(-1)'; } >"$$folder/said" 2>&1 || { \
 	  cat "$$folder/said" >&2; exit 1; }
 
 # Three workers keep two cores busy: one of them mostly waits, for a drive in real time, a broker or a process that was killed.

@@ -19,17 +19,16 @@ from pathlib import Path
 
 import numpy as np
 
+from canlog.frames import FrameBatch
 from clutch_model.calibration import Calibration, nominal_calibration
 from clutch_model.knowledge import Uncertainty
-from dbc.contract import DBC_PATH
-from diag_service.decoding.mapping import Decoder
-from diag_service.definitions.database import load_database
-from diag_service.definitions.profile import load_profile
-from diag_service.estimation import Belief
-from diag_service.frames import FrameBatch
-from diag_service.judgement.condition import ConditionMemory
-from diag_service.records import FrictionEstimate, Status
-from diag_service.runs.stages import Stages
+from dbc.contract import load_contract
+from diag_service.diagnosis.condition.condition import ConditionMemory
+from diag_service.diagnosis.friction import Belief
+from diag_service.diagnosis.records import FrictionEstimate, Status
+from diag_service.mapping.decoder import Decoder
+from diag_service.mapping.profile import load_profile
+from diag_service.service.stages import Stages
 from ecu_emulator.frames import EncodedFrames
 from ecu_emulator.recording import frames_of
 from ecu_emulator.scenario import FluidCondition
@@ -98,7 +97,7 @@ def analyse(case: Case) -> list[Row]:
     )
     frames, truth = frames_of(scenario)
     calibration = exactly_known() if case.are_nuisances_known else nominal_calibration()
-    decoder = Decoder(load_database(DBC_PATH), load_profile())
+    decoder = Decoder(load_contract(), load_profile())
     stages = Stages(decoder, calibration, Belief.fresh(calibration), ConditionMemory.fresh())
     diagnoses = stages.feed(to_batch(frames))
     true = {1: (truth.drive.mu_c[0], truth.drive.mu_s[0]), 2: (truth.drive.mu_c[1], truth.drive.mu_s[1])}

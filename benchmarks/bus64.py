@@ -7,9 +7,9 @@ import cantools
 import numpy as np
 from cantools.database.can import Database
 
-from diag_service.columns import FloatArray
-from diag_service.decoding.codec import Codec
-from diag_service.frames import FrameBatch
+from canlog.arrays import FloatArray
+from canlog.decode.codec import Codec
+from canlog.frames import FrameBatch
 from ecu_emulator.frames import EncodedFrames
 from ecu_emulator.record import open_log
 

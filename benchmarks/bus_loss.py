@@ -18,14 +18,13 @@ import numpy as np
 
 from benchmarks.accuracy import to_batch
 from clutch_model.calibration import nominal_calibration
-from dbc.contract import DBC_PATH
-from diag_service.decoding.mapping import Decoder
-from diag_service.definitions.database import load_database
-from diag_service.definitions.profile import load_profile
-from diag_service.estimation import Belief
-from diag_service.judgement.condition import ConditionMemory
-from diag_service.records import Status
-from diag_service.runs.stages import Stages
+from dbc.contract import load_contract
+from diag_service.diagnosis.condition.condition import ConditionMemory
+from diag_service.diagnosis.friction import Belief
+from diag_service.diagnosis.records import Status
+from diag_service.mapping.decoder import Decoder
+from diag_service.mapping.profile import load_profile
+from diag_service.service.stages import Stages
 from ecu_emulator.faults import BusFault, BusFaultKind
 from ecu_emulator.recording import frames_of
 from ecu_emulator.scenario_file import load_scenario
@@ -52,7 +51,7 @@ def lossy_drive(share: float, seed: int) -> Outcome:
     faults = () if loss is None else (loss,)
     frames, truth = frames_of(replace(load_scenario("noise_only"), seed=seed, bus_faults=faults))
     calibration = nominal_calibration()
-    decoder = Decoder(load_database(DBC_PATH), load_profile())
+    decoder = Decoder(load_contract(), load_profile())
     stages = Stages(decoder, calibration, Belief.fresh(calibration), ConditionMemory.fresh())
     diagnoses = stages.feed(to_batch(frames))
     errors: list[float] = []

@@ -16,16 +16,17 @@ from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
+from canlog.errors import DefinitionError
+from canlog.logs import is_log
 from clutch_model.calibration import nominal_calibration
 from diag_service.batch.drives import drive_of
 from diag_service.batch.journal import Entry
 from diag_service.batch.worker import Analyst
-from diag_service.config import DiagnosisConfig
+from diag_service.diagnosis.results import dump
 from diag_service.errors import ConfigError
-from diag_service.interpretation import interpret
-from diag_service.profile_choice import fit_of
-from diag_service.results import dump
-from diag_service.sources import is_log
+from diag_service.mapping.interpretation import interpret
+from diag_service.mapping.profile_choice import fit_of
+from diag_service.settings.config import DiagnosisConfig
 from tests.recode import recode
 
 DATABASES = frozenset({".dbc", ".kcd", ".arxml", ".sym"})
@@ -82,7 +83,7 @@ def told(reading: Reading, log: Path) -> bool:
     """Print the account of a log; return whether it must not be."""
     try:
         entry = reading.analyse(log)
-    except ConfigError as exc:
+    except (ConfigError, DefinitionError) as exc:
         print(f"  with {reading.name}: refused: {exc}")
         return False
     summary = entry.drive["summary"]
@@ -110,7 +111,7 @@ def synthetic(database: Path, log: Path) -> bool:
     print(f"database {database.name}, with a simulated drive")
     try:
         meaning = interpret(database, None)
-    except ConfigError as exc:
+    except (ConfigError, DefinitionError) as exc:
         print(f"  refused: {exc}")
         return False
     print(f"  {fit_of(meaning.database, meaning.profile).said}")

@@ -14,7 +14,7 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 from benchmarks.decoding.comparison import Tally, compare_database, explained
-from diag_service.errors import ConfigError
+from canlog.errors import DefinitionError
 
 SUFFIXES = frozenset({".dbc", ".kcd", ".arxml", ".sym"})
 SHOWN_COUNT = 5
@@ -33,7 +33,7 @@ def report(path: Path, count: int, seed: int) -> Tally | None:
     """Compare one file and print what was found; None if it cannot be loaded."""
     try:
         tally = compare_database(path, count, seed)
-    except ConfigError as error:
+    except DefinitionError as error:
         print(f"{path.name}: refused: {error}")
         return None
     print(f"{path.name}: {words(tally)}")

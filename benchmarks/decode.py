@@ -20,19 +20,18 @@ from cantools.database.can import Database
 from benchmarks.decoding.hour import record_drive, write_hour
 from benchmarks.decoding.layout import database, random_batches
 from benchmarks.measuring import machine, peak_mib, took_s
+from canlog.decode.codec import Codec
+from canlog.frames import FrameBatch
+from canlog.logs import read_log
 from clutch_model.calibration import nominal_calibration
-from dbc.contract import DBC_PATH
-from diag_service.decoding.codec import Codec
-from diag_service.decoding.mapping import Decoder
-from diag_service.definitions.database import load_database
-from diag_service.definitions.profile import load_profile
-from diag_service.estimation import Belief
-from diag_service.events import ShiftEvent
-from diag_service.frames import FrameBatch
-from diag_service.judgement.condition import ConditionMemory
-from diag_service.runs.stages import Diagnosis, Stages
-from diag_service.shift_finding.shifts import ShiftFinder
-from diag_service.sources import read_log
+from dbc.contract import load_contract
+from diag_service.diagnosis.condition.condition import ConditionMemory
+from diag_service.diagnosis.events import ShiftEvent
+from diag_service.diagnosis.friction import Belief
+from diag_service.diagnosis.shifts.shifts import ShiftFinder
+from diag_service.mapping.decoder import Decoder
+from diag_service.mapping.profile import load_profile
+from diag_service.service.stages import Diagnosis, Stages
 
 ROUNDS: Final = 5
 LOG_ROUNDS: Final = 3
@@ -94,7 +93,7 @@ def shifts_of(path: Path) -> list[ShiftEvent]:
 
 def iterate_shifts(path: Path, after_batch: Callable[[int], None] = lambda _: None) -> Iterator[ShiftEvent]:
     """Yield the shifts in a log; ``after_batch`` is called with the number of batches so far."""
-    decoder, finder = Decoder(load_database(DBC_PATH), load_profile()), ShiftFinder()
+    decoder, finder = Decoder(load_contract(), load_profile()), ShiftFinder()
     for number, batch in enumerate(read_log(path), start=1):
         for columns in decoder.feed(batch):
             yield from finder.feed(columns)
@@ -105,7 +104,7 @@ def iterate_shifts(path: Path, after_batch: Callable[[int], None] = lambda _: No
 def results_of(path: Path) -> list[Diagnosis]:
     """Return what is said of the shifts in a log, from the file to results."""
     calibration = nominal_calibration()
-    decoder = Decoder(load_database(DBC_PATH), load_profile())
+    decoder = Decoder(load_contract(), load_profile())
     stages = Stages(decoder, calibration, Belief.fresh(calibration), ConditionMemory.fresh())
     diagnoses = [diagnosis for batch in read_log(path) for diagnosis in stages.feed(batch)]
     return [*diagnoses, *(stages.conclude(event) for event in stages.flush())]

@@ -19,17 +19,16 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from benchmarks.accuracy import to_batch
+from canlog.frames import FrameBatch
 from clutch_model.calibration import nominal_calibration
-from dbc.contract import DBC_PATH
-from diag_service.columns import BALANCE_SIGNALS
-from diag_service.decoding.mapping import Decoder
-from diag_service.definitions.database import load_database
-from diag_service.definitions.profile import load_profile
-from diag_service.estimation import Belief
-from diag_service.events import ShiftEvent
-from diag_service.frames import FrameBatch
-from diag_service.judgement.condition import ConditionMemory
-from diag_service.runs.stages import Stages
+from dbc.contract import load_contract
+from diag_service.diagnosis.columns import BALANCE_SIGNALS
+from diag_service.diagnosis.condition.condition import ConditionMemory
+from diag_service.diagnosis.events import ShiftEvent
+from diag_service.diagnosis.friction import Belief
+from diag_service.mapping.decoder import Decoder
+from diag_service.mapping.profile import load_profile
+from diag_service.service.stages import Stages
 from ecu_emulator.recording import frames_of
 from ecu_emulator.scenario_file import load_scenario
 
@@ -49,7 +48,7 @@ MS = 1e3
 def new_stages() -> Stages:
     """Return all stages, before their first frame."""
     calibration = nominal_calibration()
-    decoder = Decoder(load_database(DBC_PATH), load_profile())
+    decoder = Decoder(load_contract(), load_profile())
     return Stages(decoder, calibration, Belief.fresh(calibration), ConditionMemory.fresh())
 
 

@@ -19,15 +19,14 @@ from benchmarks.drawn_vehicle import CYCLES, draw
 from benchmarks.self_calibration import events_of
 from benchmarks.study import over_drives
 from clutch_model.calibration import Calibration, nominal_calibration
-from dbc.contract import DBC_PATH
-from diag_service.decoding.mapping import Decoder
-from diag_service.definitions.database import load_database
-from diag_service.definitions.profile import load_profile
-from diag_service.estimation import Belief
-from diag_service.estimation.self_calibration import self_calibrate
-from diag_service.events import ShiftEvent
-from diag_service.judgement.condition import ConditionMemory
-from diag_service.runs.stages import Diagnosis, Stages
+from dbc.contract import load_contract
+from diag_service.diagnosis.condition.condition import ConditionMemory
+from diag_service.diagnosis.events import ShiftEvent
+from diag_service.diagnosis.friction import Belief
+from diag_service.diagnosis.friction.self_calibration import self_calibrate
+from diag_service.mapping.decoder import Decoder
+from diag_service.mapping.profile import load_profile
+from diag_service.service.stages import Diagnosis, Stages
 from ecu_emulator.recording import frames_of
 from ecu_emulator.scenario import Routine, Scenario
 from ecu_emulator.scenario_file import load_scenario
@@ -112,7 +111,7 @@ def own_calibration(scenario: Scenario) -> Calibration | None:
 def driven(scenario: Scenario) -> Drive:
     """Drive a scenario in memory, frames and decoding included, as far as its shifts."""
     frames, truth = frames_of(scenario)
-    decoder = Decoder(load_database(DBC_PATH), load_profile())
+    decoder = Decoder(load_contract(), load_profile())
     return Drive(
         decoder=decoder, shifts=tuple(_stages(decoder, nominal_calibration()).segment(to_batch(frames))), truth=truth
     )

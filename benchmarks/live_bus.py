@@ -23,11 +23,10 @@ import psutil
 
 from benchmarks.guest_meter import FOLDER_VARIABLE, answering
 from benchmarks.live_cpu import PERIODS_S, QUIET_S, datagrams, drive_frames, report_cpu
-from dbc.contract import DBC_PATH
-from diag_service.decoding.mapping import Decoder
-from diag_service.definitions.database import load_database
-from diag_service.definitions.profile import load_profile
-from diag_service.sources.live.socketcan import SocketCanSource
+from canlog.live.socketcan import SocketCanSource
+from dbc.contract import load_contract
+from diag_service.mapping.decoder import Decoder
+from diag_service.mapping.profile import load_profile
 from tests.uml.vcan import create_vcan, has_can_sockets, ip_link
 
 ROUNDS = 2
@@ -56,7 +55,7 @@ async def listen(channels: list[str], started: Start, wait: Start) -> list[tuple
     started()
 
     async def read(source: SocketCanSource) -> None:
-        decoder = Decoder(load_database(DBC_PATH), load_profile())
+        decoder = Decoder(load_contract(), load_profile())
         async for batch in source:
             decoder.feed(batch)
 

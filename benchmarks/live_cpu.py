@@ -1,7 +1,7 @@
 """What it costs to receive: CPU per frame from the socket to the shifts, beside python-can with cantools.
 
 Frames come in bursts of ten, each burst at once: one wake-up for whoever reads as they come. The service lets them
-gather while nothing waits for them (``diag_service.sources.live.pace``), here as it does live: it knows of shifts. All
+gather while nothing waits for them (``canlog.live.pace``), here as it does live: it knows of shifts. All
 processor time of the receiving process counts, that in the kernel included.
 
 Where this kernel has no CAN, User-Mode Linux has. A system call takes many times longer there, and a guest takes the
@@ -27,16 +27,15 @@ import can
 import psutil
 
 from benchmarks.guest_meter import ask, meter_folder
-from dbc.contract import DBC_PATH, load_contract
-from diag_service.decoding.mapping import Decoder
-from diag_service.definitions.database import load_database
-from diag_service.definitions.profile import load_profile
-from diag_service.shift_finding.gear_tracking import tracker_for
-from diag_service.shift_finding.shifts import ShiftFinder
-from diag_service.sources.live.pace import Pace
-from diag_service.sources.live.raw_socket import RECEIVE_BUFFER_BYTES, grow_receive_buffer
-from diag_service.sources.live.recvmmsg import SO_TIMESTAMPNS
-from diag_service.sources.live.socketcan import SocketCanSource
+from canlog.live.pace import Pace
+from canlog.live.raw_socket import RECEIVE_BUFFER_BYTES, grow_receive_buffer
+from canlog.live.recvmmsg import SO_TIMESTAMPNS
+from canlog.live.socketcan import SocketCanSource
+from dbc.contract import load_contract
+from diag_service.diagnosis.shifts.gear_tracking import tracker_for
+from diag_service.diagnosis.shifts.shifts import ShiftFinder
+from diag_service.mapping.decoder import Decoder
+from diag_service.mapping.profile import load_profile
 from ecu_emulator.recording import Drive
 from ecu_emulator.scenario_file import load_scenario
 
@@ -129,7 +128,7 @@ def sending_socket(channel: str) -> socket.socket:
 async def own_path(channel: str, sender: Sender) -> Cost:
     """Receive, check CRC, counters, E2E states and ranges, decode, and look for shifts, as the service does."""
     pace = Pace()
-    decoder = Decoder(load_database(DBC_PATH), load_profile())
+    decoder = Decoder(load_contract(), load_profile())
     finder = ShiftFinder(tracker_for(decoder.signals, decoder.gears))
     source = SocketCanSource(channel, pace=pace, watched=decoder.watched(finder.ended_by))
     began_s = clock_s()
@@ -257,7 +256,7 @@ def datagrams() -> Iterator[str]:
 
     where = "can.interfaces.socketcan.socketcan"
     with (
-        patch("diag_service.sources.live.socketcan.open_socket", open_socket),
+        patch("canlog.live.socketcan.open_socket", open_socket),
         patch(f"{where}.create_socket", create),
         patch(f"{where}.bind_socket", bind),
     ):

@@ -21,24 +21,23 @@ from pathlib import Path
 
 import numpy as np
 
+from canlog.frames import FrameBatch
+from canlog.live import Pace, SourceCounts
+from canlog.live.frame_queue import FrameQueue
 from clutch_model.calibration import nominal_calibration
-from dbc.contract import DBC_PATH
-from diag_service.decoding.mapping import Decoder
-from diag_service.definitions.database import load_database
-from diag_service.definitions.profile import load_profile
-from diag_service.estimation import Belief
-from diag_service.events import ShiftEvent
-from diag_service.frames import FrameBatch
-from diag_service.judgement.condition import ConditionMemory
-from diag_service.publishers import MemoryReporter
-from diag_service.records import ShiftResult
-from diag_service.runs.live import run_live
-from diag_service.runs.session import Session, versions_for
-from diag_service.runs.stages import Stages
-from diag_service.shift_finding.shifts import POST_NS
-from diag_service.sources import Pace, SourceCounts
-from diag_service.sources.live.frame_queue import FrameQueue
-from diag_service.stopping import Trigger
+from dbc.contract import load_contract
+from diag_service.delivery import MemoryReporter
+from diag_service.diagnosis.condition.condition import ConditionMemory
+from diag_service.diagnosis.events import ShiftEvent
+from diag_service.diagnosis.friction import Belief
+from diag_service.diagnosis.records import ShiftResult
+from diag_service.diagnosis.shifts.shifts import POST_NS
+from diag_service.mapping.decoder import Decoder
+from diag_service.mapping.profile import load_profile
+from diag_service.service.live import run_live
+from diag_service.service.session import Session, versions_for
+from diag_service.service.stages import Stages
+from diag_service.service.stopping import Trigger
 from diag_service.store import ResultStore
 from ecu_emulator.recording import Drive
 from ecu_emulator.scenario_file import load_scenario
@@ -148,7 +147,7 @@ class TimedReporter(MemoryReporter):
 async def run(frames: FrameBatch, store: ResultStore) -> tuple[list[float], list[tuple[float, float]], SourceCounts]:
     """Run the service over the drive; return latencies and parts of settling [s], and what became of the frames."""
     calibration = nominal_calibration()
-    decoder = Decoder(load_database(DBC_PATH), load_profile())
+    decoder = Decoder(load_contract(), load_profile())
     reporter = TimedReporter()
     session = TimedSession(
         stages=Stages(decoder, calibration, Belief.fresh(calibration), ConditionMemory.fresh()),
@@ -171,7 +170,7 @@ async def run(frames: FrameBatch, store: ResultStore) -> tuple[list[float], list
 def warm_up() -> None:
     """Have everything compiled by a short drive, as it is in a service that ran before."""
     calibration = nominal_calibration()
-    decoder = Decoder(load_database(DBC_PATH), load_profile())
+    decoder = Decoder(load_contract(), load_profile())
     Stages(decoder, calibration, Belief.fresh(calibration), ConditionMemory.fresh()).feed(full_bus(WARM_UP_S))
 
 

@@ -18,8 +18,8 @@ import numpy as np
 
 from benchmarks.mismatch_rows import BY_NAME, ROWS, Mismatch
 from benchmarks.study import diagnose, over_drives, percent, root_mean_square
-from diag_service.records import FrictionEstimate, Status
-from diag_service.runs.stages import Diagnosis
+from diag_service.diagnosis.records import FrictionEstimate, Status
+from diag_service.service.stages import Diagnosis
 from ecu_emulator.scenario import FluidCondition, Scenario
 from ecu_emulator.scenario_file import load_scenario
 

@@ -24,8 +24,8 @@ from matplotlib.figure import Figure
 from benchmarks.study import diagnose, over_drives, percent
 from clutch_model.calibration import nominal_calibration
 from demo.picture import CONDITION_COLOUR, GRID, STYLE
-from diag_service.records import Condition
-from diag_service.runs.stages import Diagnosis
+from diag_service.diagnosis.records import Condition
+from diag_service.service.stages import Diagnosis
 from ecu_emulator.scenario import Scenario, Truth
 from ecu_emulator.scenario_file import load_scenario
 

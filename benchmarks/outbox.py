@@ -23,8 +23,8 @@ import aiomqtt
 import paho.mqtt.client as mqtt
 from paho.mqtt.enums import CallbackAPIVersion
 
-from diag_service.publishers import Acknowledge, BrokerAddress, MqttConnector, Outbox
-from diag_service.results import dump, iso_utc, shift_record
+from diag_service.delivery import Acknowledge, BrokerAddress, MqttConnector, Outbox
+from diag_service.diagnosis.results import dump, iso_utc, shift_record
 from diag_service.store import ResultStore, VehicleState, Versions
 from fleet_contract import (
     Channel,

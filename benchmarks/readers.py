@@ -26,14 +26,13 @@ from rich.table import Table
 
 from benchmarks.bus64 import Decoder, dbc_text, load_bus, write_log
 from benchmarks.measuring import machine, peak_mib, took_s
-from diag_service.frames import FrameBatch
-from diag_service.sources import read_log
-from diag_service.sources.readers import blf
-from diag_service.sources.readers.blf import CONTAINER_HEADER
-from diag_service.sources.readers.blf_objects import OBJECT_HEADER
-from diag_service.sources.readers.inflating import inflated_by_libdeflate, inflated_by_zlib
-from diag_service.sources.readers.mf4 import mf4_batches
-from diag_service.sources.readers.tally import Tally
+from canlog.frames import FrameBatch
+from canlog.logs import blf, read_log
+from canlog.logs.blf import CONTAINER_HEADER
+from canlog.logs.blf_objects import OBJECT_HEADER
+from canlog.logs.inflating import inflated_by_libdeflate, inflated_by_zlib
+from canlog.logs.mf4 import mf4_batches
+from canlog.logs.tally import Tally
 
 FRAMES: Final = 2_000_000
 ROUNDS: Final = 3

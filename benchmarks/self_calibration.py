@@ -28,21 +28,20 @@ import numpy as np
 from benchmarks.accuracy import to_batch
 from benchmarks.drawn_vehicle import CYCLES, Vehicle, draw
 from benchmarks.study import over_drives, root_mean_square
+from canlog.arrays import FloatArray
 from clutch_model.calibration import Calibration, nominal_calibration
-from dbc.contract import DBC_PATH
-from diag_service.columns import FloatArray
-from diag_service.decoding.mapping import Decoder
-from diag_service.definitions.database import load_database
-from diag_service.definitions.profile import load_profile
-from diag_service.estimation import Belief
-from diag_service.estimation.parameters import FRICTION_COUNT
-from diag_service.estimation.self_calibration import SelfCalibration, self_calibrate
-from diag_service.estimation.sharp import scale_free
-from diag_service.events import RevEvent, ShiftEvent
-from diag_service.judgement.condition import ConditionMemory
-from diag_service.runs.stages import Stages
-from diag_service.shift_finding.revs import RevFinder
-from diag_service.shift_finding.shifts import ShiftFinder
+from dbc.contract import load_contract
+from diag_service.diagnosis.condition.condition import ConditionMemory
+from diag_service.diagnosis.events import RevEvent, ShiftEvent
+from diag_service.diagnosis.friction import Belief
+from diag_service.diagnosis.friction.parameters import FRICTION_COUNT
+from diag_service.diagnosis.friction.self_calibration import SelfCalibration, self_calibrate
+from diag_service.diagnosis.friction.sharp import scale_free
+from diag_service.diagnosis.shifts.revs import RevFinder
+from diag_service.diagnosis.shifts.shifts import ShiftFinder
+from diag_service.mapping.decoder import Decoder
+from diag_service.mapping.profile import load_profile
+from diag_service.service.stages import Stages
 from ecu_emulator.frames import EncodedFrames
 from ecu_emulator.recording import frames_of
 from ecu_emulator.scenario import Routine, Scenario
@@ -176,7 +175,7 @@ def _percent(values: FloatArray) -> tuple[float, ...]:
 
 
 def _decoder() -> Decoder:
-    return Decoder(load_database(DBC_PATH), load_profile())
+    return Decoder(load_contract(), load_profile())
 
 
 def report(rows: Sequence[Row]) -> Iterator[str]:

@@ -23,24 +23,23 @@ import can
 from can.io import CanutilsLogReader
 from cantools.database.can import Database
 
+from canlog.frames import FrameBatch
+from canlog.logs import read_log
 from clutch_model.calibration import nominal_calibration
-from dbc.contract import DBC_PATH, load_contract
-from diag_service.decoding.mapping import Decoder
-from diag_service.definitions.database import load_database
-from diag_service.definitions.profile import load_profile
-from diag_service.estimation import Belief
-from diag_service.frames import FrameBatch
-from diag_service.judgement.condition import ConditionMemory
-from diag_service.publishers import MemoryReporter
-from diag_service.runs.drive import open_drive, stream_of
-from diag_service.runs.recorded import run_logs
-from diag_service.runs.session import Session, versions_for
-from diag_service.runs.stages import Stages
-from diag_service.shift_finding.shifts import ShiftFinder
-from diag_service.sources import read_log
-from diag_service.stopping import Trigger
+from dbc.contract import load_contract
+from diag_service.delivery import MemoryReporter
+from diag_service.diagnosis.condition.condition import ConditionMemory
+from diag_service.diagnosis.friction import Belief
+from diag_service.diagnosis.shifts.shifts import ShiftFinder
+from diag_service.diagnosis.summary import Summary
+from diag_service.mapping.decoder import Decoder
+from diag_service.mapping.profile import load_profile
+from diag_service.service.drive import open_drive, stream_of
+from diag_service.service.recorded import run_logs
+from diag_service.service.session import Session, versions_for
+from diag_service.service.stages import Stages
+from diag_service.service.stopping import Trigger
 from diag_service.store import ResultStore
-from diag_service.summary import Summary
 
 TARGET_S = 2.0
 CYCLES = 3
@@ -65,7 +64,7 @@ def record(path: Path, cycles: int) -> None:
 
 def new_decoder() -> Decoder:
     """Return a decoder of the shipped DBC that has seen nothing."""
-    return Decoder(load_database(DBC_PATH), load_profile())
+    return Decoder(load_contract(), load_profile())
 
 
 def new_stages() -> Stages:

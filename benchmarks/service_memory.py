@@ -27,12 +27,15 @@ sys.modules.setdefault("asammdf", None)  # type: ignore[arg-type]  # as ``diag-s
 import numpy as np
 import psutil
 
-from dbc.contract import load_contract, message_contracts
-from dbc.protection import protect
-from diag_service import arguments, cli
-from diag_service.frames import FrameBatch
-from diag_service.sources import FrameSource, SourceCounts, read_log
-from diag_service.sources.columns import join
+from canlog.e2e.contract import message_contracts
+from canlog.e2e.profile1 import protect
+from canlog.frame_columns import join
+from canlog.frames import FrameBatch
+from canlog.live import FrameSource, SourceCounts
+from canlog.logs import read_log
+from dbc.contract import load_contract
+from diag_service import cli
+from diag_service.commands import arguments
 
 TARGET_MB = 300.0
 SETTLED_S = 900.0  # caches and arenas have their size by then; from here on growth would be a leak
@@ -133,7 +136,7 @@ def run_service(source: LoopedDrive) -> dict[str, object]:
         Path("out.jsonl").open("w", encoding="utf-8") as out,
         redirect_stdout(out),
         redirect_stderr(out),
-        patch("diag_service.application.BusOpener", partial(DriveOpener, source)),
+        patch("diag_service.service.application.BusOpener", partial(DriveOpener, source)),
     ):
         status = cli.main(["run", "--store", "results.sqlite", "--json"])
     if status != arguments.EXIT_OK:

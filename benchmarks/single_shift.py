@@ -20,22 +20,21 @@ import numpy as np
 from benchmarks.accuracy import to_batch
 from benchmarks.study import over_drives
 from clutch_model.calibration import nominal_calibration
-from dbc.contract import DBC_PATH
-from diag_service.decoding.mapping import Decoder
-from diag_service.definitions.database import load_database
-from diag_service.definitions.profile import load_profile
-from diag_service.estimation import Belief
-from diag_service.events import ShiftEvent
-from diag_service.judgement.condition import ConditionMemory
-from diag_service.records import FrictionEstimate, Reason, ShiftEstimate, Status
-from diag_service.runs.stages import Stages
+from dbc.contract import load_contract
+from diag_service.diagnosis.condition.condition import ConditionMemory
+from diag_service.diagnosis.events import ShiftEvent
+from diag_service.diagnosis.friction import Belief
+from diag_service.diagnosis.records import FrictionEstimate, Reason, ShiftEstimate, Status
+from diag_service.mapping.decoder import Decoder
+from diag_service.mapping.profile import load_profile
+from diag_service.service.stages import Stages
 from ecu_emulator.faults import SensorFault, SensorFaultKind
 from ecu_emulator.recording import frames_of
 from ecu_emulator.scenario import FluidCondition, Scenario
 from ecu_emulator.scenario_file import load_scenario
 from ecu_emulator.truth import ShiftTruth, TruthLog
 
-DATABASE, PROFILE, CALIBRATION = load_database(DBC_PATH), load_profile(), nominal_calibration()
+DATABASE, PROFILE, CALIBRATION = load_contract(), load_profile(), nominal_calibration()
 NOISE_ONLY, SCATTERED = "noise_only", "ideal"
 FLUIDS = (FluidCondition.IDEAL, FluidCondition.CASE_1, FluidCondition.CASE_2)  # in turn, seed by seed
 FIRST_SEED = 110_000  # checks, limits and priors were chosen on seeds below

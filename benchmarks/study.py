@@ -10,13 +10,12 @@ import numpy.typing as npt
 
 from benchmarks.accuracy import to_batch
 from clutch_model.calibration import nominal_calibration
-from dbc.contract import DBC_PATH
-from diag_service.decoding.mapping import Decoder
-from diag_service.definitions.database import load_database
-from diag_service.definitions.profile import load_profile
-from diag_service.estimation import Belief
-from diag_service.judgement.condition import ConditionMemory
-from diag_service.runs.stages import Diagnosis, Stages
+from dbc.contract import load_contract
+from diag_service.diagnosis.condition.condition import ConditionMemory
+from diag_service.diagnosis.friction import Belief
+from diag_service.mapping.decoder import Decoder
+from diag_service.mapping.profile import load_profile
+from diag_service.service.stages import Diagnosis, Stages
 from ecu_emulator.recording import frames_of
 from ecu_emulator.scenario import Scenario
 from ecu_emulator.truth import TruthLog
@@ -31,7 +30,7 @@ def diagnose(scenario: Scenario) -> tuple[list[Diagnosis], TruthLog]:
     """Drive a scenario in memory, frames and decoding included, and return what the service makes of its shifts."""
     frames, truth = frames_of(scenario)
     calibration = nominal_calibration()
-    decoder = Decoder(load_database(DBC_PATH), load_profile())
+    decoder = Decoder(load_contract(), load_profile())
     stages = Stages(decoder, calibration, Belief.fresh(calibration), ConditionMemory.fresh())
     return stages.feed(to_batch(frames)), truth
 

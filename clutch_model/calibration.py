@@ -13,10 +13,10 @@ from typing import Any, Self, TypeVar, cast
 
 import tomli_w
 
+from canlog.plain_files import read_toml_file
 from clutch_model.clutch import ClutchCalibration, ClutchGeometry, ClutchThermal, FilmSurface, FrictionCurve, Piston
 from clutch_model.errors import CalibrationError
 from clutch_model.knowledge import JointUncertainty, SensorBias, SensorNoise, Uncertainty
-from clutch_model.plain_files import read_toml_file
 from clutch_model.ranged import Pair, Ranged
 from clutch_model.tables import check_keys, numbers, require, subtable
 

@@ -3,8 +3,8 @@
 import math
 from typing import NamedTuple
 
+from canlog.jit import kernel
 from clutch_model.clutch import ClutchCalibration
-from clutch_model.jit import kernel
 
 # Greenwood-Tripp F_5/2 for Gaussian heights, Patir-Cheng 1978: 4.4086e-5 * (4 - H)^6.804 for H < 4.
 _CONTACT_SCALE = 4.4086e-5

@@ -3,8 +3,8 @@
 import math
 from typing import NamedTuple
 
+from canlog.jit import kernel
 from clutch_model.clutch import FrictionCurve
-from clutch_model.jit import kernel
 
 
 class FrictionLaw(NamedTuple):

@@ -1,6 +1,6 @@
 """Lumped heat balance of a clutch pack and of the sump, docs/model.md section "Thermal"."""
 
-from clutch_model.jit import kernel
+from canlog.jit import kernel
 
 
 @kernel

@@ -2,7 +2,7 @@
 
 import math
 
-from clutch_model.jit import kernel
+from canlog.jit import kernel
 
 
 @kernel

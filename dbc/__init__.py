@@ -1,16 +1,5 @@
-"""The wire contract that emulator and service share: database, timing and end-to-end protection."""
+"""The wire contract: the project's own database."""
 
-from dbc.contract import DBC_PATH, MessageContract, load_contract, message_contract, message_contracts
-from dbc.protection import COUNTER_PERIOD, counter_of, crc_is_valid, protect
+from dbc.contract import DBC_PATH, load_contract
 
-__all__ = [
-    "COUNTER_PERIOD",
-    "DBC_PATH",
-    "MessageContract",
-    "counter_of",
-    "crc_is_valid",
-    "load_contract",
-    "message_contract",
-    "message_contracts",
-    "protect",
-]
+__all__ = ["DBC_PATH", "load_contract"]

@@ -41,8 +41,8 @@ def _run(options: argparse.Namespace) -> int:
     from rich.console import Console  # noqa: PLC0415 - heavy libraries load inside the reach of the handler above
 
     from demo.runner import DemoOptions  # noqa: PLC0415 - see above
-    from diag_service.config import check_vehicle, parse_broker  # noqa: PLC0415 - see above
     from diag_service.errors import ConfigError  # noqa: PLC0415 - see above
+    from diag_service.settings.config import check_vehicle, parse_broker  # noqa: PLC0415 - see above
 
     console = Console(highlight=False)
     if not console.is_terminal:

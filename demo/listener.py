@@ -8,10 +8,10 @@ from dataclasses import dataclass
 import aiomqtt
 
 from demo.errors import DemoError
+from diag_service.delivery import BrokerAddress
+from diag_service.diagnosis.records import FrictionEstimate, ShiftResult
+from diag_service.diagnosis.results import shift_from, verdict_from
 from diag_service.errors import ResultError
-from diag_service.publishers import BrokerAddress
-from diag_service.records import FrictionEstimate, ShiftResult
-from diag_service.results import shift_from, verdict_from
 from fleet_contract import CLUTCHES, Channel, ContractError, Incoming, read_message, topic_of
 
 _AT_LEAST_ONCE = 1

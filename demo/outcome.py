@@ -4,7 +4,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 from demo.listener import ClutchState
-from diag_service.records import FrictionEstimate, ShiftResult
+from diag_service.diagnosis.records import FrictionEstimate, ShiftResult
 from ecu_emulator.truth import ShiftTruth, TruthLog
 from fleet_contract import CLUTCHES
 

@@ -11,15 +11,16 @@ from matplotlib import style
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from canlog.arrays import FloatArray
 from clutch_model.calibration import nominal_calibration
 from clutch_model.clutch import FrictionCurve
 from clutch_model.friction import friction_law, stribeck_weight
 from clutch_model.units import bar_from_pa, rpm_from_rad_s
 from demo.listener import ClutchState
 from demo.outcome import Outcome
-from diag_service.columns import FloatArray, Signal
-from diag_service.events import ShiftEvent
-from diag_service.records import FrictionEstimate
+from diag_service.diagnosis.columns import Signal
+from diag_service.diagnosis.events import ShiftEvent
+from diag_service.diagnosis.records import FrictionEstimate
 
 NS_PER_S = 1e9
 LegendPlace = Literal["center left", "upper center"]  # where the signals of a shift leave room

@@ -10,7 +10,7 @@ from rich.text import Text
 
 from demo.listener import ClutchState
 from demo.outcome import MAX_ERROR_STD, Comparison, FrameAccount, Outcome, compare
-from diag_service.records import FrictionEstimate, ShiftResult
+from diag_service.diagnosis.records import FrictionEstimate, ShiftResult
 
 _NS_PER_S = 1e9
 _MS_PER_S = 1e3

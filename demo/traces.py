@@ -2,14 +2,13 @@
 
 from pathlib import Path
 
-from dbc.contract import DBC_PATH
+from canlog.logs import read_log
+from dbc.contract import load_contract
 from demo.errors import DemoError
-from diag_service.decoding.mapping import Decoder
-from diag_service.definitions.database import load_database
-from diag_service.definitions.profile import load_profile
-from diag_service.events import ShiftEvent
-from diag_service.shift_finding.shifts import ShiftFinder
-from diag_service.sources import read_log
+from diag_service.diagnosis.events import ShiftEvent
+from diag_service.diagnosis.shifts.shifts import ShiftFinder
+from diag_service.mapping.decoder import Decoder
+from diag_service.mapping.profile import load_profile
 
 
 def recorded_shift(path: Path, number: int) -> ShiftEvent:
@@ -20,7 +19,7 @@ def recorded_shift(path: Path, number: int) -> ShiftEvent:
     DemoError
         If the recording has no such shift.
     """
-    decoder, finder = Decoder(load_database(DBC_PATH), load_profile()), ShiftFinder()
+    decoder, finder = Decoder(load_contract(), load_profile()), ShiftFinder()
     events = [event for batch in read_log(path) for columns in decoder.feed(batch) for event in finder.feed(columns)]
     for event in [*events, *finder.flush()]:
         if event.number == number:

@@ -6,8 +6,9 @@ import sys
 from collections.abc import Sequence
 from importlib import import_module
 
+from canlog.errors import DefinitionError, ExtraMissingError, OutputError, SourceError
 from clutch_model.errors import CalibrationError
-from diag_service.arguments import (
+from diag_service.commands.arguments import (
     EXIT_CONFIG,
     EXIT_INCOMPLETE,
     EXIT_OK,
@@ -18,17 +19,10 @@ from diag_service.arguments import (
     PROGRAM,
     build_parser,
 )
-from diag_service.errors import (
-    ConfigError,
-    ExtraMissingError,
-    IncompleteError,
-    SourceError,
-    StoppedError,
-    StoreError,
-)
+from diag_service.console.standard_output import standard_output
+from diag_service.errors import ConfigError, IncompleteError, StoppedError, StoreError
 from diag_service.legible import legible
-from diag_service.standard_output import standard_output
-from diag_service.stopping import Trigger, ignore
+from diag_service.service.stopping import Trigger, ignore
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -56,7 +50,7 @@ def _run(options: argparse.Namespace, stop: Trigger, counts_wanted: Trigger) -> 
     # their own.
     sys.modules.setdefault("asammdf", None)  # type: ignore[arg-type]  # Python's own way to say "not here"
     # Imported here: compiled libraries take a second, in which a signal must already find its handler.
-    from diag_service.notices import set_up_notices  # noqa: PLC0415 - see above
+    from diag_service.console.notices import set_up_notices  # noqa: PLC0415 - see above
 
     set_up_notices(options.verbose)
     commands = import_module(f"diag_service.commands.{options.command}")
@@ -75,10 +69,10 @@ def _complain(exc: Exception, *, is_verbose: bool) -> int:
     """Write one line about an error, with ``-v`` also where it came from, and return the exit status."""
     status = EXIT_UNEXPECTED
     for kinds, code in (
-        ((ConfigError, CalibrationError), EXIT_CONFIG),
+        ((ConfigError, CalibrationError, DefinitionError), EXIT_CONFIG),
         ((SourceError,), EXIT_SOURCE),
         ((ExtraMissingError,), EXIT_CONFIG),
-        ((StoreError,), EXIT_STORE),
+        ((StoreError, OutputError), EXIT_STORE),
         ((IncompleteError,), EXIT_INCOMPLETE),
     ):
         if isinstance(exc, kinds):

@@ -9,14 +9,6 @@ class ConfigError(DiagServiceError):
     """The command line or a file it names cannot be used: correct it and start again."""
 
 
-class SourceError(DiagServiceError):
-    """A bus or a log cannot be opened or read: check the interface or the file."""
-
-
-class ExtraMissingError(SourceError):
-    """A log needs a library that only an extra brings: install it."""
-
-
 class StoppedError(DiagServiceError):
     """The run was told to stop before it had seen everything: start it again for the whole."""
 

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from enum import IntEnum, StrEnum
 from typing import Final
 
-from dbc.protection import COUNTER_PERIOD
+from canlog.e2e.profile1 import COUNTER_PERIOD
 from ecu_emulator.errors import ConfigError
 from ecu_emulator.signals import NOMINAL_SENSORS
 

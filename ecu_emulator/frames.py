@@ -10,9 +10,9 @@ import numpy.typing as npt
 from cantools.database.can import Database, Message
 from cantools.database.can.signal import Signal
 
+from canlog.e2e.contract import message_contract
+from canlog.e2e.profile1 import PAYLOAD_BYTES, protect
 from clutch_model.units import bar_from_pa, degc_from_k, km_h_from_m_s, rpm_from_rad_s
-from dbc.contract import message_contract
-from dbc.protection import PAYLOAD_BYTES, protect
 from ecu_emulator.readings import FloatArray, Readings
 
 UInt8Array = npt.NDArray[np.uint8]

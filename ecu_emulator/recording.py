@@ -6,7 +6,8 @@ from dataclasses import dataclass
 from queue import SimpleQueue
 from typing import Final
 
-from dbc.contract import load_contract, message_contracts
+from canlog.e2e.contract import message_contracts
+from dbc.contract import load_contract
 from ecu_emulator.build import BuiltVehicle, ageing_factors, build_vehicle
 from ecu_emulator.bus_faults import BusFaults
 from ecu_emulator.faults import BusFault, SensorFault

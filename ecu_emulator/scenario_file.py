@@ -8,7 +8,7 @@ from importlib.resources import files
 from pathlib import Path
 from typing import Final, TypeVar
 
-from clutch_model.plain_files import read_small_file
+from canlog.plain_files import read_small_file
 from ecu_emulator.errors import ConfigError
 from ecu_emulator.faults import BusFault, SensorFault
 from ecu_emulator.scenario import (

@@ -12,7 +12,7 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
-from clutch_model.jit import kernel
+from canlog.jit import kernel
 from ecu_emulator.errors import ConfigError
 from ecu_emulator.faults import SensorFault
 from ecu_emulator.plant.columns import Col

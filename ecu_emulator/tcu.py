@@ -9,7 +9,7 @@ import math
 import numpy as np
 import numpy.typing as npt
 
-from clutch_model.jit import array_kernel, kernel
+from canlog.jit import array_kernel, kernel
 from ecu_emulator import tcu_data as at
 from ecu_emulator.tcu_data import ClutchActuation, ControlParameters
 

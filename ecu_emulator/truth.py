@@ -14,7 +14,7 @@ from typing import Any, Final, Self, TextIO
 
 import numpy as np
 
-from clutch_model.plain_files import read_small_file
+from canlog.plain_files import read_small_file
 from ecu_emulator.errors import RecordError
 from ecu_emulator.plant.columns import Col
 from ecu_emulator.readings import FloatArray

@@ -7,7 +7,7 @@ shafts as well, whose inertia is known from the drawing; docs/model.md section "
 import numpy as np
 import numpy.typing as npt
 
-from clutch_model.jit import array_kernel
+from canlog.jit import array_kernel
 from ecu_emulator import tcu
 from ecu_emulator import tcu_data as at
 from ecu_emulator.tcu_data import ClutchActuation, ControlParameters, WorkshopParameters

@@ -2,8 +2,8 @@
 
 from dataclasses import replace
 
-from diag_service.comparison import ClutchRatio, FrictionTrend, ScaleFreeFriction, ShiftScatter
-from diag_service.records import (
+from diag_service.diagnosis.comparison import ClutchRatio, FrictionTrend, ScaleFreeFriction, ShiftScatter
+from diag_service.diagnosis.records import (
     ClutchVerdict,
     Condition,
     FrictionEstimate,

@@ -4,20 +4,19 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 
+from canlog.frame_columns import join
+from canlog.frames import FrameBatch
+from canlog.logs import read_log
 from clutch_model.calibration import nominal_calibration
-from dbc.contract import DBC_PATH
-from diag_service.decoding.mapping import Decoder
-from diag_service.definitions.database import load_database
-from diag_service.definitions.profile import load_profile
-from diag_service.estimation import Belief
-from diag_service.frames import FrameBatch
-from diag_service.judgement.condition import ConditionMemory
-from diag_service.records import ClutchVerdict, ShiftEstimate
-from diag_service.results import JsonObject
-from diag_service.runs.stages import Diagnosis, Stages
-from diag_service.sources import read_log
-from diag_service.sources.columns import join
-from diag_service.summary import FrameCounts
+from dbc.contract import load_contract
+from diag_service.diagnosis.condition.condition import ConditionMemory
+from diag_service.diagnosis.friction import Belief
+from diag_service.diagnosis.records import ClutchVerdict, ShiftEstimate
+from diag_service.diagnosis.results import JsonObject
+from diag_service.diagnosis.summary import FrameCounts
+from diag_service.mapping.decoder import Decoder
+from diag_service.mapping.profile import load_profile
+from diag_service.service.stages import Diagnosis, Stages
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -46,7 +45,7 @@ def frames_of_log(path: Path, duration_s: float) -> FrameBatch:
 def diagnosed(batches: Iterable[FrameBatch]) -> Outcome:
     """Run fresh stages over batches to the end of the stream."""
     calibration = nominal_calibration()
-    decoder = Decoder(load_database(DBC_PATH), load_profile())
+    decoder = Decoder(load_contract(), load_profile())
     stages = Stages(decoder, calibration, Belief.fresh(calibration), ConditionMemory.fresh())
     found = [diagnosis for batch in batches for diagnosis in stages.feed(batch)]
     found += [stages.conclude(event) for event in stages.flush()]

@@ -12,9 +12,9 @@ from contextlib import closing
 from enum import StrEnum
 from pathlib import Path
 
-from diag_service.publishers import Acknowledge, BrokerAddress, MqttConnector, Outbox, mqtt
-from diag_service.publishers.mqtt_client import PipeliningClient
-from diag_service.records import ShiftResult
+from diag_service.delivery import Acknowledge, BrokerAddress, MqttConnector, Outbox, mqtt
+from diag_service.delivery.mqtt_client import PipeliningClient
+from diag_service.diagnosis.records import ShiftResult
 from diag_service.store import ResultStore, VehicleState, Versions
 from fleet_contract import Outgoing, Receipt
 from tests.builders import shift_result

@@ -13,10 +13,11 @@ from unittest.mock import patch
 
 import numpy as np
 
+from canlog.frame_columns import join
+from canlog.frames import FrameBatch
+from canlog.live import FrameSource, SourceCounts
+from canlog.logs import read_log
 from diag_service import cli
-from diag_service.frames import FrameBatch
-from diag_service.sources import FrameSource, SourceCounts, read_log
-from diag_service.sources.columns import join
 
 SPEED_RATIO = 10.0
 SLICE_NS = 50_000_000  # as often as a live source hands over frames
@@ -71,5 +72,7 @@ class FastBusOpener:
 
 
 if __name__ == "__main__":
-    with patch("diag_service.application.BusOpener", partial(FastBusOpener, Path(sys.argv[1]), int(sys.argv[2]))):
+    with patch(
+        "diag_service.service.application.BusOpener", partial(FastBusOpener, Path(sys.argv[1]), int(sys.argv[2]))
+    ):
         sys.exit(cli.main(sys.argv[3:]))

@@ -20,15 +20,15 @@ import numpy as np
 from hypothesis import HealthCheck, given, seed, settings
 from hypothesis import strategies as st
 
-from diag_service.errors import SourceError
-from diag_service.frames import ERROR_FLAG, EXTENDED_FLAG, FD_FLAG, FrameBatch
-from diag_service.sources.readers.asc import read_asc
-from diag_service.sources.readers.blf import read_blf
-from diag_service.sources.readers.candump import read_candump
-from diag_service.sources.readers.detection import TABLES, LogFormat
-from diag_service.sources.readers.tables import reader_of
-from diag_service.sources.readers.tally import Tally
-from diag_service.sources.readers.text_kernels import IS_LENGTH
+from canlog.errors import SourceError
+from canlog.frames import ERROR_FLAG, EXTENDED_FLAG, FD_FLAG, FrameBatch
+from canlog.logs.asc import read_asc
+from canlog.logs.blf import read_blf
+from canlog.logs.candump import read_candump
+from canlog.logs.detection import TABLES, LogFormat
+from canlog.logs.tables import reader_of
+from canlog.logs.tally import Tally
+from canlog.logs.text_kernels import IS_LENGTH
 from ecu_emulator.log_formats import (
     AscWriter,
     BlfWriter,

@@ -4,7 +4,8 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from diag_service.columns import ColumnBatch, Series, Signal
+from canlog.series import Series
+from diag_service.diagnosis.columns import ColumnBatch, Signal
 
 STEP_NS = 10_000_000
 

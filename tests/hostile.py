@@ -33,8 +33,8 @@ PSS_MARK = "Pss:"
 
 READ_LOG = """
 import sys
-from diag_service.errors import SourceError
-from diag_service.sources import read_log
+from canlog.errors import SourceError
+from canlog.logs import read_log
 try:
     reader = read_log(sys.argv[1])
     frames = sum(len(batch) for batch in reader)
@@ -210,7 +210,7 @@ def listen_at(path: Path) -> None:
 
 def load_leniently(path: Path) -> None:
     """Load a database with all that can be left out left out."""
-    from diag_service.definitions.database import load_database  # noqa: PLC0415 - in the process that is watched
+    from canlog.database.loading import load_database  # noqa: PLC0415 - in the process that is watched
 
     load_database(path, is_lenient=True)
 
@@ -236,16 +236,16 @@ HOLLOW: Mapping[str, Callable[[], bytes]] = {
     "hollow.profile": lambda: b'name = "hollow"\n',
     "hollow.calibration": lambda: b"",
 }
-DATABASE = "diag_service.definitions.database:load_database"
+DATABASE = "canlog.database.loading:load_database"
 READERS: Mapping[str, str] = {
     ".dbc": DATABASE,
     ".kcd": DATABASE,
     ".sym": DATABASE,
     ".lenient": "tests.hostile:load_leniently",
-    ".profile": "diag_service.definitions.profile:load_profile",
+    ".profile": "diag_service.mapping.profile:load_profile",
     ".calibration": "clutch_model.calibration:read_calibration",
-    ".config": "diag_service.settings:load_settings",
-    ".password": "diag_service.publishers.tls:read_secret",
+    ".config": "diag_service.settings.files:load_settings",
+    ".password": "diag_service.delivery.tls:read_secret",
     ".plant": "ecu_emulator.plant.parameters:read_parameters",
     ".scenario": "ecu_emulator.scenario_file:load_scenario",
     ".truth": "ecu_emulator.truth:read_truth",

@@ -5,8 +5,8 @@ from collections.abc import AsyncIterator, Callable, Iterable
 from contextlib import asynccontextmanager
 from typing import Final
 
-from diag_service.publishers import Outbox
-from diag_service.results import ServiceStatus
+from diag_service.delivery import Outbox
+from diag_service.diagnosis.results import ServiceStatus
 from diag_service.store import ResultStore, VehicleState, Versions
 from tests.builders import shift_result
 

@@ -10,7 +10,7 @@ import threading
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field
 
-from diag_service.sources import open_source
+from canlog.live import open_source
 from ecu_emulator.bus import open_bus, transmit
 from tests.patience import HANG_S
 from tests.traffic import random_frames

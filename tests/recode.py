@@ -7,15 +7,17 @@ import cantools
 import numpy as np
 from cantools.database.can import Database, Message
 
-from dbc.contract import DBC_PATH
-from diag_service.columns import FloatArray, Int64Array, Series, Signal
-from diag_service.decoding.mapped_messages import MessageColumns, fitting
-from diag_service.decoding.mapping import Decoder
-from diag_service.decoding.source_tables import signal_name
-from diag_service.definitions.database import load_database
-from diag_service.definitions.profile import Profile, SignalSource, load_profile
-from diag_service.shift_finding.shift_bounds import held_values
-from diag_service.sources import read_log
+from canlog.arrays import FloatArray, Int64Array
+from canlog.database.loading import load_database
+from canlog.logs import read_log
+from canlog.series import Series
+from dbc.contract import load_contract
+from diag_service.diagnosis.columns import Signal
+from diag_service.diagnosis.shifts.shift_bounds import held_values
+from diag_service.mapping.decoder import Decoder
+from diag_service.mapping.mapped_messages import MessageColumns, fitting
+from diag_service.mapping.profile import Profile, SignalSource, load_profile
+from diag_service.mapping.source_tables import signal_name
 
 Drive = Mapping[Signal, Series]
 LESS = 10.0  # of a signal that is subtracted: some loss
@@ -24,7 +26,7 @@ TIMES = 400.0  # of a signal that multiplies: some standard torque
 
 def drive_of(log: Path) -> dict[Signal, Series]:
     """Return all canonical signals of a recording of our bus, with those that other vehicles have instead of ours."""
-    decoder = Decoder(load_database(DBC_PATH), load_profile())
+    decoder = Decoder(load_contract(), load_profile())
     pieces: dict[Signal, list[Series]] = {}
     for batch in read_log(log):
         for columns in decoder.feed(batch):

@@ -5,7 +5,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from diag_service.columns import ColumnBatch, FloatArray, Series, Signal
+from canlog.arrays import FloatArray
+from canlog.series import Series
+from diag_service.diagnosis.columns import ColumnBatch, Signal
 
 STEP_NS = 10_000_000
 OPEN_PA = (0.0, 0.0)

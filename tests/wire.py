@@ -2,8 +2,9 @@
 
 import numpy as np
 
-from dbc.contract import load_contract, message_contracts
-from diag_service.frames import FrameBatch
+from canlog.e2e.contract import message_contracts
+from canlog.frames import FrameBatch
+from dbc.contract import load_contract
 from ecu_emulator.frames import EncodedFrames, FrameEncoder
 from ecu_emulator.readings import FloatArray, Readings
 

@@ -13,13 +13,13 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from benchmarks.decoding.random_log import CLASSIC_BYTES, FD_BYTES, SentFrame, random_frames, write_candump
+from canlog.database.loading import load_database
+from canlog.decode.codec import Codec, MessageTable
+from canlog.tables.account import Account
+from canlog.tables.names import table_names
+from canlog.tables.texts import Values
 from diag_service.commands.decode import Plan, decode_log
-from diag_service.decoding.codec import Codec, MessageTable
-from diag_service.definitions.database import load_database
-from diag_service.signal_tables.account import Account
-from diag_service.signal_tables.names import table_names
-from diag_service.signal_tables.texts import Values
-from diag_service.stopping import Trigger
+from diag_service.service.stopping import Trigger
 from tests.cantools_oracle import Readings, readings
 
 FloatArray = npt.NDArray[np.float64]

@@ -8,9 +8,9 @@ from typing import Final
 
 import numpy as np
 
-from diag_service.frames import FrameBatch
-from diag_service.sources import read_log
-from diag_service.sources.columns import join
+from canlog.frame_columns import join
+from canlog.frames import FrameBatch
+from canlog.logs import read_log
 from ecu_emulator.frames import EncodedFrames
 from ecu_emulator.log_formats import BlfWriter, CandumpWriter, Header
 

@@ -7,7 +7,7 @@ from cantools.database.can import Database, Message
 from cantools.database.can.signal import Signal
 from cantools.database.conversion import BaseConversion
 
-from diag_service.frames import FrameBatch
+from canlog.frames import FrameBatch
 
 BATCH_FRAMES: Final = 65_536
 FIRST_ID: Final = 0x100

@@ -18,6 +18,7 @@ import numpy.typing as npt
 
 from benchmarks.reproduce.drives import PERIOD_S, PRESSURE_NOISE_RATIO, PaperDrive, rms
 from benchmarks.reproduce.study import CLUTCHES, PARAMETERS, Key, true_value
+from canlog.arrays import FloatArray
 from clutch_model.calibration import Viscosity
 from clutch_model.clutch import ClutchCalibration
 from clutch_model.film import (
@@ -29,8 +30,7 @@ from clutch_model.film import (
 )
 from clutch_model.friction import FrictionLaw, contact_torque_nm, friction_law, stribeck_weight
 from clutch_model.viscosity import viscosity_pa_s
-from diag_service.columns import FloatArray
-from diag_service.estimation.paper import central_difference
+from diag_service.diagnosis.friction.paper import central_difference
 from ecu_emulator.plant import Col
 
 BoolArray = npt.NDArray[np.bool_]

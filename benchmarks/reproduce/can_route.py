@@ -7,13 +7,12 @@ import numpy as np
 
 from benchmarks.reproduce.drives import CYCLE_COUNT, Case, PaperDrive
 from benchmarks.reproduce.study import CALIBRATION, DRIVELINE, Errors, errors_of
-from dbc.contract import DBC_PATH
-from diag_service.decoding.mapping import Decoder
-from diag_service.definitions.database import load_database
-from diag_service.definitions.profile import load_profile
-from diag_service.estimation.paper import PaperCollection, PaperEstimate
-from diag_service.frames import FrameBatch
-from diag_service.shift_finding.shifts import ShiftFinder
+from canlog.frames import FrameBatch
+from dbc.contract import load_contract
+from diag_service.diagnosis.friction.paper import PaperCollection, PaperEstimate
+from diag_service.diagnosis.shifts.shifts import ShiftFinder
+from diag_service.mapping.decoder import Decoder
+from diag_service.mapping.profile import load_profile
 from ecu_emulator.recording import frames_of
 from ecu_emulator.scenario import FluidCondition
 from ecu_emulator.scenario_file import load_scenario
@@ -42,7 +41,7 @@ def _estimates(case: Case, seed: int) -> tuple[PaperEstimate, PaperEstimate]:
         length=frames.length,
         data=frames.data,
     )
-    decoder, finder = Decoder(load_database(DBC_PATH), load_profile()), ShiftFinder()
+    decoder, finder = Decoder(load_contract(), load_profile()), ShiftFinder()
     collection = PaperCollection(CALIBRATION, DRIVELINE)
     for columns in decoder.feed(batch):
         for event in finder.feed(columns):

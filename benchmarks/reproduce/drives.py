@@ -6,10 +6,10 @@ from enum import StrEnum
 import numpy as np
 import numpy.typing as npt
 
+from canlog.arrays import FloatArray
 from clutch_model.calibration import Calibration, nominal_calibration
 from clutch_model.film import film_law
-from diag_service.columns import FloatArray
-from diag_service.estimation.paper import FilmTable, PaperSignals, static_table, trajectory_table
+from diag_service.diagnosis.friction.paper import FilmTable, PaperSignals, static_table, trajectory_table
 from ecu_emulator.plant import Col, DriveSettings, Powertrain, nominal_parameters
 from ecu_emulator.tcu_data import INERTIA, PREFILL, TORQUE
 

@@ -7,9 +7,9 @@ import numpy as np
 
 from benchmarks.reproduce.drives import BoolArray, PaperDrive, noisy
 from benchmarks.reproduce.study import CALIBRATION, CLUTCHES, Setup, analysed, error_percent, true_value
-from diag_service.columns import FloatArray
-from diag_service.estimation.paper.fit import fit, static_gate
-from diag_service.estimation.paper.friction_data import FrictionData
+from canlog.arrays import FloatArray
+from diag_service.diagnosis.friction.paper.fit import fit, static_gate
+from diag_service.diagnosis.friction.paper.friction_data import FrictionData
 
 PRIOR_FACTORS = (0.8, 0.9, 1.0, 1.1, 1.2)
 PASS_COUNT = 5

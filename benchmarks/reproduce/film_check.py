@@ -4,8 +4,8 @@ from collections.abc import Sequence
 
 from benchmarks.reproduce.drives import PaperDrive
 from benchmarks.reproduce.study import CALIBRATION, Errors, Setup, analysed, errors_of
-from diag_service.estimation.paper.fit import PaperEstimate, fit
-from diag_service.estimation.paper.friction_data import ClutchTorques, friction_data, viscous_torques_nm
+from diag_service.diagnosis.friction.paper.fit import PaperEstimate, fit
+from diag_service.diagnosis.friction.paper.friction_data import ClutchTorques, friction_data, viscous_torques_nm
 from ecu_emulator.plant import Col
 
 

@@ -8,6 +8,7 @@ from functools import lru_cache
 
 import numpy as np
 
+from benchmarks.full_estimator import FullSignals, estimate_drive, nominal_vehicle
 from benchmarks.reproduce.bound import bounds_percent
 from benchmarks.reproduce.drives import (
     CYCLE_COUNT,
@@ -21,8 +22,7 @@ from benchmarks.reproduce.drives import (
     rms,
 )
 from benchmarks.reproduce.study import CALIBRATION, CLUTCHES, DRIVELINE, PARAMETERS, Key, true_value
-from diag_service.columns import FloatArray
-from diag_service.estimation.full import FullSignals, estimate_drive, nominal_vehicle
+from canlog.arrays import FloatArray
 from ecu_emulator.plant import Col
 
 PROCESS_COUNT = min(2, os.cpu_count() or 1)

@@ -12,12 +12,12 @@ from matplotlib.figure import Figure
 
 from benchmarks.reproduce.drives import PERIOD_S, BoolArray, PaperDrive
 from benchmarks.reproduce.study import CALIBRATION, CLUTCHES, Setup, analysed, fitted
+from canlog.arrays import FloatArray
 from clutch_model.friction import friction_law, kinetic_friction
 from clutch_model.units import bar_from_pa, rpm_from_rad_s
 from demo.picture import CLUTCH_COLOUR, INK, MUTED, STYLE
-from diag_service.columns import FloatArray
-from diag_service.estimation.paper import Analysis, PaperSignals, SteadyKalman, central_difference
-from diag_service.estimation.paper.fit import coulomb_gate, static_gate
+from diag_service.diagnosis.friction.paper import Analysis, PaperSignals, SteadyKalman, central_difference
+from diag_service.diagnosis.friction.paper.fit import coulomb_gate, static_gate
 from ecu_emulator.plant import Col
 from ecu_emulator.tcu_data import HOLD, TORQUE
 

@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 
 from benchmarks.reproduce.drives import PERIOD_S, PaperDrive, noisy
 from benchmarks.reproduce.study import TUNING_SEED, Errors, Setup, noisy_errors, with_gates
-from diag_service.estimation.paper import FilmTable, central_difference, matched_filter
+from diag_service.diagnosis.friction.paper import FilmTable, central_difference, matched_filter
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

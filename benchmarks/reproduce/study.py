@@ -13,9 +13,9 @@ from benchmarks.reproduce.drives import (
     noisy,
     rms,
 )
+from canlog.arrays import FloatArray
 from clutch_model.calibration import nominal_calibration
-from diag_service.columns import FloatArray
-from diag_service.estimation.paper import (
+from diag_service.diagnosis.friction.paper import (
     Analysis,
     Differentiators,
     FilmTable,
@@ -29,8 +29,8 @@ from diag_service.estimation.paper import (
     nominal_driveline,
     quiet_filter,
 )
-from diag_service.estimation.paper.fit import NOISELESS_GATES, NOISY_GATES
-from diag_service.estimation.paper.method import NOISELESS
+from diag_service.diagnosis.friction.paper.fit import NOISELESS_GATES, NOISY_GATES
+from diag_service.diagnosis.friction.paper.method import NOISELESS
 
 CLUTCHES = (1, 2)
 PARAMETERS = ("mu_c", "mu_s")

@@ -5,8 +5,9 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from diag_service.errors import ConfigError, SourceError
-from diag_service.sources import why_no_log
+from canlog.errors import SourceError
+from canlog.logs import why_no_log
+from diag_service.errors import ConfigError
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -17,20 +17,21 @@ from typing import TextIO
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn, TransferSpeedColumn
 
+from canlog.errors import SourceError
+from canlog.notice import NOTICE
+from canlog.parquet_file import load_pyarrow
 from diag_service.batch.drives import Drive, LeftOut, find_drives
 from diag_service.batch.journal import Entry, Journal
 from diag_service.batch.tables import TableFormat, format_of, write_results
 from diag_service.batch.worker import analyse_drive, start_worker
-from diag_service.config import DiagnosisConfig, calibration_digest
-from diag_service.errors import ConfigError, IncompleteError, SourceError, StoppedError
-from diag_service.interpretation import interpret
-from diag_service.notices import NOTICE
-from diag_service.parquet_file import load_pyarrow
-from diag_service.results import dump
-from diag_service.runs.drive import stream_of
-from diag_service.runs.session import versions_for
-from diag_service.stopping import Trigger
-from diag_service.summary import GAP_TEXT, Gap
+from diag_service.diagnosis.results import dump
+from diag_service.diagnosis.summary import GAP_TEXT, Gap
+from diag_service.errors import ConfigError, IncompleteError, StoppedError
+from diag_service.mapping.interpretation import interpret
+from diag_service.service.drive import stream_of
+from diag_service.service.session import versions_for
+from diag_service.service.stopping import Trigger
+from diag_service.settings.config import DiagnosisConfig, calibration_digest
 
 POLL_S = 0.2  # how soon a request to stop is heard
 WAITING_PER_JOB = 2  # drives handed out ahead: a worker never waits, a stop never takes long
@@ -79,7 +80,7 @@ def analyse_folders(
         If the options do not fit, or a folder holds no log.
     SourceError
         If no log at all could be read.
-    StoreError
+    StoreError, OutputError
         If journal or output cannot be written.
     StoppedError
         If it was stopped before every drive was done.

@@ -12,9 +12,9 @@ from pathlib import Path
 from types import TracebackType
 from typing import Self
 
+from diag_service.diagnosis.results import JsonObject, dump
 from diag_service.errors import StoreError
-from diag_service.private_file import PRIVATE_MODE, keep_private
-from diag_service.results import JsonObject, dump
+from diag_service.store.private_file import PRIVATE_MODE, keep_private
 
 JOURNAL_SCHEMA = "clutchdiag/journal/v1"
 

@@ -6,11 +6,11 @@ from contextlib import contextmanager
 from enum import StrEnum
 from pathlib import Path
 
+from canlog.parquet_file import BOOL_TYPE, ParquetTable
 from diag_service.batch.journal import Entry
+from diag_service.diagnosis.results import JsonObject, dump
 from diag_service.errors import ConfigError, StoreError
 from diag_service.legible import legible
-from diag_service.parquet_file import BOOL_TYPE, ParquetTable
-from diag_service.results import JsonObject, dump
 from fleet_contract.described import schema
 from fleet_contract.topics import Channel
 
@@ -45,9 +45,9 @@ def write_results(path: Path, entries: Iterable[Entry]) -> None:
 
     Raises
     ------
-    StoreError
+    StoreError, OutputError
         If the file cannot be written.
-    ConfigError
+    ExtraMissingError
         If Parquet is asked for and pyarrow is missing.
     """
     with _replacing(path) as part:

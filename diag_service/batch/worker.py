@@ -10,23 +10,23 @@ from dataclasses import dataclass
 from functools import cached_property
 from multiprocessing import parent_process
 
+from canlog.errors import SourceError
 from diag_service.batch.drives import Drive
 from diag_service.batch.journal import Entry
-from diag_service.config import DiagnosisConfig, calibration_digest
-from diag_service.errors import SourceError
-from diag_service.estimation import Belief
-from diag_service.interpretation import Interpretation, interpret
-from diag_service.judgement.condition import ConditionMemory
-from diag_service.notices import set_up_notices
-from diag_service.publishers import MemoryReporter
-from diag_service.results import JsonObject, shift_record
-from diag_service.runs.drive import open_drive, stream_of
-from diag_service.runs.recorded import run_logs
-from diag_service.runs.session import Session, versions_for
-from diag_service.runs.stages import Stages
-from diag_service.stopping import Trigger, ignore
+from diag_service.console.notices import set_up_notices
+from diag_service.delivery import MemoryReporter
+from diag_service.diagnosis.condition.condition import ConditionMemory
+from diag_service.diagnosis.friction import Belief
+from diag_service.diagnosis.results import JsonObject, shift_record
+from diag_service.diagnosis.summary import summary_record, unjudged
+from diag_service.mapping.interpretation import Interpretation, interpret
+from diag_service.service.drive import open_drive, stream_of
+from diag_service.service.recorded import run_logs
+from diag_service.service.session import Session, versions_for
+from diag_service.service.stages import Stages
+from diag_service.service.stopping import Trigger, ignore
+from diag_service.settings.config import DiagnosisConfig, calibration_digest
 from diag_service.store import ResultStore
-from diag_service.summary import summary_record, unjudged
 
 DRIVE_SCHEMA = "clutchdiag/drive/v1"
 

@@ -2,10 +2,11 @@
 
 import argparse
 
-from diag_service import application, config
 from diag_service.commands.meaning import diagnosis_config
 from diag_service.errors import ConfigError
-from diag_service.stopping import Trigger
+from diag_service.service import application
+from diag_service.service.stopping import Trigger
+from diag_service.settings import config
 
 
 def execute(options: argparse.Namespace, stop: Trigger, counts_wanted: Trigger) -> None:

@@ -5,9 +5,9 @@ import logging
 import sys
 
 from diag_service.commands.meaning import bus_config, diagnosis_config
-from diag_service.interpretation import interpret
-from diag_service.options import describe
-from diag_service.stopping import Trigger
+from diag_service.mapping.interpretation import interpret
+from diag_service.service.stopping import Trigger
+from diag_service.settings.options import describe
 
 _LOG = logging.getLogger(__name__)
 

@@ -9,22 +9,21 @@ from pathlib import Path
 
 import numpy as np
 
-from dbc.contract import DBC_PATH
-from diag_service.decoding.codec import HAS_VALUES, Codec
-from diag_service.definitions.database import load_database
+from canlog.decode.codec import HAS_VALUES, Codec
+from canlog.frames import FrameBatch
+from canlog.logs import LogReader, read_log
+from canlog.parquet_file import ParquetTable, load_pyarrow
+from canlog.tables.account import Account
+from canlog.tables.layouts import LongLayout, WideLayout
+from canlog.tables.names import TableNames, table_names
+from canlog.tables.record import account_record
+from canlog.tables.report import frame_texts, losses, remarks, values_text
+from canlog.tables.texts import Values
+from diag_service.console.terminal import PeopleConsole
+from diag_service.diagnosis.results import JsonObject, dump
 from diag_service.errors import ConfigError, IncompleteError, StoppedError, StoreError
-from diag_service.frames import FrameBatch
-from diag_service.parquet_file import ParquetTable, load_pyarrow
-from diag_service.results import JsonObject, dump
-from diag_service.signal_tables.account import Account
-from diag_service.signal_tables.layouts import LongLayout, WideLayout
-from diag_service.signal_tables.names import TableNames, table_names
-from diag_service.signal_tables.record import account_record
-from diag_service.signal_tables.report import frame_texts, losses, remarks, values_text
-from diag_service.signal_tables.texts import Values
-from diag_service.sources import LogReader, read_log
-from diag_service.stopping import Trigger
-from diag_service.terminal import PeopleConsole
+from diag_service.mapping.databases import open_database
+from diag_service.service.stopping import Trigger
 
 MAX_CELLS = 4_000_000  # of a row group: 32 MB of numbers
 CELLS_PER_FRAME = 64  # of the long table, at most as a rule
@@ -47,7 +46,7 @@ def execute(options: argparse.Namespace, stop: Trigger, counts_wanted: Trigger) 
     if options.output.suffix.lower() != ".parquet":
         raise ConfigError(f"{options.output}: the signals are written as .parquet")
     load_pyarrow()
-    codec = Codec(load_database(options.dbc or DBC_PATH, is_lenient=bool(options.lenient)).messages)
+    codec = Codec(open_database(options.dbc, is_lenient=bool(options.lenient)).messages)
     plan = Plan(
         log=options.log,
         codec=codec,

@@ -10,18 +10,18 @@ from pathlib import Path
 from cantools.database.can import Message
 from rich.console import Console
 
-from dbc.contract import DBC_PATH, message_contract
-from diag_service.columns import Int64Array
-from diag_service.definitions.addressing import NOBODY, address_book, find_slot, message_address, overwritten
-from diag_service.definitions.database import load_database
+from canlog.arrays import Int64Array
+from canlog.database.addressing import NOBODY, address_book, find_slot, message_address, overwritten
+from canlog.e2e.contract import message_contract
+from canlog.e2e.protection_check import FrameReason, LinkMonitor
+from canlog.frames import ERROR_FLAG, EXTENDED_FLAG, REMOTE_FLAG
+from canlog.logs import LogReader, read_log
+from canlog.traffic import NS_PER_S, IdTraffic, TrafficMeter, TrafficReport
+from diag_service.console.terminal import PeopleConsole
+from diag_service.diagnosis.results import JsonObject, dump, utc_from_bus_ns
 from diag_service.errors import ConfigError, StoppedError
-from diag_service.frames import ERROR_FLAG, EXTENDED_FLAG, REMOTE_FLAG
-from diag_service.protection.protection_check import FrameReason, LinkMonitor
-from diag_service.results import JsonObject, dump, utc_from_bus_ns
-from diag_service.sources import LogReader, read_log
-from diag_service.stopping import Trigger
-from diag_service.terminal import PeopleConsole
-from diag_service.traffic import NS_PER_S, IdTraffic, TrafficMeter, TrafficReport
+from diag_service.mapping.databases import open_database
+from diag_service.service.stopping import Trigger
 
 SCHEMA = "clutchdiag/inspect/v1"
 MS_PER_S = 1e3
@@ -54,7 +54,7 @@ def execute(options: argparse.Namespace, stop: Trigger, counts_wanted: Trigger) 
     del counts_wanted
     if options.bitrate <= 0:
         raise ConfigError(f"the bit rate must be > 0, got {options.bitrate}")
-    messages = load_database(options.dbc or DBC_PATH, is_lenient=bool(options.lenient)).messages
+    messages = open_database(options.dbc, is_lenient=bool(options.lenient)).messages
     console = PeopleConsole()
     for path in options.logs:
         inspection = inspect_log(path, messages, options.bitrate, stop)

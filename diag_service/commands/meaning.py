@@ -2,10 +2,10 @@
 
 import argparse
 
-from diag_service import config
+from diag_service.delivery import Acknowledge, BrokerAddress, TlsFiles
 from diag_service.errors import ConfigError
-from diag_service.options import fill_in
-from diag_service.publishers import Acknowledge, BrokerAddress, TlsFiles
+from diag_service.settings import config
+from diag_service.settings.options import fill_in
 
 
 def diagnosis_config(options: argparse.Namespace) -> config.DiagnosisConfig:

@@ -2,9 +2,9 @@
 
 import argparse
 
-from diag_service import application
 from diag_service.commands.meaning import bus_config, diagnosis_config
-from diag_service.stopping import Trigger
+from diag_service.service import application
+from diag_service.service.stopping import Trigger
 
 
 def execute(options: argparse.Namespace, stop: Trigger, counts_wanted: Trigger) -> None:

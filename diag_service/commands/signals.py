@@ -8,18 +8,18 @@ from pathlib import Path
 import numpy as np
 from cantools.database.can import Message
 
+from canlog.arrays import Int64Array
+from canlog.decode.codec import Codec
+from canlog.decode.signal_table import NO_INVALID, Decoded
+from canlog.logs import read_log
+from canlog.traffic import NS_PER_S
 from dbc.contract import DBC_PATH
-from diag_service.columns import Int64Array
-from diag_service.decoding.codec import Codec
-from diag_service.decoding.decode import NO_INVALID, Decoded
-from diag_service.definitions.database import load_database
-from diag_service.definitions.proposal import SignalStatistics, candidates, profile_text
-from diag_service.definitions.tiers import PURPOSE, missing_for_next, tier_of
 from diag_service.errors import StoppedError
 from diag_service.legible import legible
-from diag_service.sources import read_log
-from diag_service.stopping import Trigger
-from diag_service.traffic import NS_PER_S
+from diag_service.mapping.databases import open_database
+from diag_service.mapping.proposal import SignalStatistics, candidates, profile_text
+from diag_service.mapping.tiers import PURPOSE, missing_for_next, tier_of
+from diag_service.service.stopping import Trigger
 
 
 class _Range:
@@ -110,7 +110,7 @@ def execute(options: argparse.Namespace, stop: Trigger, counts_wanted: Trigger) 
     """Survey a log and write a profile whose comments say what there is."""
     del counts_wanted
     database = options.dbc or DBC_PATH
-    survey = Survey(Codec(load_database(database, is_lenient=bool(options.lenient)).messages, check_codes=True))
+    survey = Survey(Codec(open_database(options.dbc, is_lenient=bool(options.lenient)).messages, check_codes=True))
     survey.add(options.log, stop)
     best = candidates(survey.statistics())
     tier = tier_of(best.keys())

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Final
 
 from diag_service.errors import StoreError, StoreFullError
-from diag_service.private_file import PRIVATE_MODE, create_private
+from diag_service.store.private_file import PRIVATE_MODE, create_private
 from diag_service.store.schema import APPLICATION_ID, SCHEMA_VERSION, create_tables, migrate
 
 _BUSY_TIMEOUT_S: Final = 5.0  # for a person who reads the store with another program

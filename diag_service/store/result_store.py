@@ -15,13 +15,13 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Self
 
+from diag_service.diagnosis.records import ShiftResult
+from diag_service.diagnosis.results import JsonObject, StoredResult, dump, parse_shift, shift_record
 from diag_service.errors import ResultError, StoreError
-from diag_service.private_file import keep_private
-from diag_service.records import ShiftResult
-from diag_service.results import JsonObject, StoredResult, dump, parse_shift, shift_record
 from diag_service.store import budget, waiting
 from diag_service.store.budget import DroppedCounts
 from diag_service.store.file import connect, connect_in_memory, own, translated
+from diag_service.store.private_file import keep_private
 from fleet_contract import Receipt
 
 

@@ -4,7 +4,7 @@ import sqlite3
 from collections.abc import Iterable, Sequence
 from typing import Final
 
-from diag_service.results import StoredResult
+from diag_service.diagnosis.results import StoredResult
 from diag_service.store.schema import DELIVERED, QUARANTINED, WAITING
 from fleet_contract import Outcome, Receipt, ResultKey
 

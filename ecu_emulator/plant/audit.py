@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from clutch_model.jit import array_kernel
+from canlog.jit import array_kernel
 from ecu_emulator.plant import state as at
 from ecu_emulator.plant.driveline import ENGAGED, geared_torque_nm
 from ecu_emulator.plant.rates import PlantLaw

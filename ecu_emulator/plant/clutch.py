@@ -6,9 +6,9 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from canlog.jit import array_kernel, kernel
 from clutch_model.film import FilmLaw, contact_pressure_pa, film_rate_m_s, shear_factor_difference
 from clutch_model.friction import FrictionLaw, kinetic_friction
-from clutch_model.jit import array_kernel, kernel
 from ecu_emulator.plant import state as at
 from ecu_emulator.plant.hydraulics import CavityLaw, HydraulicsParameters, cavity_pressure_pa, orifice_flow_m3_s
 

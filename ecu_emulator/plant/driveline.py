@@ -2,7 +2,7 @@
 
 from typing import NamedTuple
 
-from clutch_model.jit import kernel
+from canlog.jit import kernel
 from ecu_emulator.plant.vehicle import tanh_exact
 
 _LOSS_SPEED_RAD_S = 5.0  # over which the meshing loss changes sign

@@ -3,7 +3,7 @@
 import math
 from typing import NamedTuple
 
-from clutch_model.jit import kernel
+from canlog.jit import kernel
 
 _AIR_GAS_CONSTANT_J_KG_K = 287.0
 _CYCLE_RAD = 4.0 * math.pi  # one four-stroke cycle

@@ -5,7 +5,7 @@ import math
 import numpy as np
 import numpy.typing as npt
 
-from clutch_model.jit import array_kernel, kernel
+from canlog.jit import array_kernel, kernel
 from ecu_emulator.plant import state as at
 from ecu_emulator.plant.audit import SYNCHRONISERS, add_powers, note, stored_energy_j, undo
 from ecu_emulator.plant.clutch import advance_clutch

@@ -2,8 +2,8 @@
 
 from typing import NamedTuple
 
+from canlog.jit import kernel
 from clutch_model.film import FilmLaw
-from clutch_model.jit import kernel
 
 
 class LiningParameters(NamedTuple):

@@ -5,7 +5,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from clutch_model.jit import array_kernel
+from canlog.jit import array_kernel
 from clutch_model.viscosity import viscosity_pa_s
 from ecu_emulator import tcu, tcu_data, workshop
 from ecu_emulator.plant import state as at

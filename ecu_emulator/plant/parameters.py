@@ -8,8 +8,8 @@ from importlib.resources import files
 from pathlib import Path
 from typing import NamedTuple, Self, TypeVar, cast
 
+from canlog.plain_files import read_toml_file
 from clutch_model.errors import CalibrationError
-from clutch_model.plain_files import read_toml_file
 from clutch_model.tables import check_keys, number, numbers, require, subtable
 from ecu_emulator.plant.driveline import FlywheelParameters, OutputParameters, ShaftParameters, SynchroniserParameters
 from ecu_emulator.plant.engine import EngineParameters

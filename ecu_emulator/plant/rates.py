@@ -5,7 +5,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from clutch_model.jit import array_kernel
+from canlog.jit import array_kernel
 from clutch_model.thermal import clutch_heating_rate_k_s, sump_heating_rate_k_s
 from ecu_emulator.plant import state as at
 from ecu_emulator.plant.clutch import ClutchLaw, capacity_nm, contact_nm, viscous_nm

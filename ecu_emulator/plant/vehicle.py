@@ -3,7 +3,7 @@
 import math
 from typing import NamedTuple
 
-from clutch_model.jit import kernel
+from canlog.jit import kernel
 
 GRAVITY_M_S2 = 9.81
 _ROLLING_SPEED_M_S = 0.1  # over which rolling resistance changes sign

@@ -13,8 +13,8 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Final
 
-from diag_service.publishers import Acknowledge, BrokerAddress, Link, MqttConnector, Outbox
-from diag_service.results import iso_utc
+from diag_service.delivery import Acknowledge, BrokerAddress, Link, MqttConnector, Outbox
+from diag_service.diagnosis.results import iso_utc
 from diag_service.store import ResultStore, VehicleState, Versions
 from tests.fleet import fleet_result
 

@@ -12,7 +12,7 @@ from typing import Final
 
 from sqlalchemy import Engine, select
 
-from diag_service.results import shift_record
+from diag_service.diagnosis.results import shift_record
 from diag_service.store import ResultStore
 from fleet_backend.database import open_database, transaction
 from fleet_backend.migrate import migrate

@@ -5,8 +5,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from diag_service.frames import MAX_GAP_NS
-from diag_service.records import FrictionEstimate, ShiftEstimate, Status
+from canlog.frames import MAX_GAP_NS
+from diag_service.diagnosis.records import FrictionEstimate, ShiftEstimate, Status
 from ecu_emulator.frames import EncodedFrames
 from tests.damage.recordings import NS_PER_US, Outcome, times_us, true_friction
 

@@ -12,20 +12,19 @@ from types import MappingProxyType
 
 import numpy as np
 
+from canlog.arrays import Int64Array
+from canlog.errors import SourceError
+from canlog.frame_columns import join
+from canlog.frames import FrameBatch, empty_batch
+from canlog.logs import LogCounts, read_log
 from clutch_model.calibration import nominal_calibration
-from dbc.contract import DBC_PATH
-from diag_service.columns import Int64Array
-from diag_service.decoding.mapping import Decoder
-from diag_service.definitions.database import load_database
-from diag_service.definitions.profile import load_profile
-from diag_service.errors import SourceError
-from diag_service.estimation import Belief
-from diag_service.frames import FrameBatch, empty_batch
-from diag_service.judgement.condition import ConditionMemory
-from diag_service.records import ShiftEstimate
-from diag_service.runs.stages import Stages
-from diag_service.sources import LogCounts, read_log
-from diag_service.sources.columns import join
+from dbc.contract import load_contract
+from diag_service.diagnosis.condition.condition import ConditionMemory
+from diag_service.diagnosis.friction import Belief
+from diag_service.diagnosis.records import ShiftEstimate
+from diag_service.mapping.decoder import Decoder
+from diag_service.mapping.profile import load_profile
+from diag_service.service.stages import Stages
 from ecu_emulator.frames import EncodedFrames
 from ecu_emulator.record import DEFAULT_START_NS, open_log
 from ecu_emulator.recording import Drive
@@ -165,7 +164,7 @@ def analyse(path: Path) -> Outcome:
     """Read and diagnose a recording."""
     calibration = nominal_calibration()
     stages = Stages(
-        Decoder(load_database(DBC_PATH), load_profile()),
+        Decoder(load_contract(), load_profile()),
         calibration,
         Belief.fresh(calibration),
         ConditionMemory.fresh(),

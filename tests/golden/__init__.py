@@ -2,7 +2,7 @@
 
 from pathlib import Path
 
-from diag_service.results import ServiceStatus, clutch_record, shift_record, status_record
+from diag_service.diagnosis.results import ServiceStatus, clutch_record, shift_record, status_record
 from fleet_contract import (
     Outcome,
     Outgoing,

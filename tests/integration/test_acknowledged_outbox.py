@@ -11,7 +11,7 @@ from pathlib import Path
 import aiomqtt
 import pytest
 
-from diag_service.publishers import Acknowledge, BrokerAddress, MqttConnector, Outbox
+from diag_service.delivery import Acknowledge, BrokerAddress, MqttConnector, Outbox
 from diag_service.store import ResultStore
 from fleet_contract import Receipt, ack_messages
 from tests.acknowledger import Acknowledger
@@ -31,9 +31,9 @@ def _store() -> Iterator[ResultStore]:
 
 @pytest.fixture(autouse=True)
 def _short_pauses(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("diag_service.publishers.outbox.FIRST_PAUSE_S", 0.05)
-    monkeypatch.setattr("diag_service.publishers.outbox.LONGEST_PAUSE_S", 0.2)
-    monkeypatch.setattr("diag_service.publishers.delivery.RESEND_S", 0.5)
+    monkeypatch.setattr("diag_service.delivery.outbox.FIRST_PAUSE_S", 0.05)
+    monkeypatch.setattr("diag_service.delivery.outbox.LONGEST_PAUSE_S", 0.2)
+    monkeypatch.setattr("diag_service.delivery.delivery.RESEND_S", 0.5)
 
 
 @asynccontextmanager

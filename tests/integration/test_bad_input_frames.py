@@ -13,10 +13,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from dbc.protection import COUNTER_PERIOD, DATA_START_BIT, counter_of, protect
-from diag_service.columns import Int64Array, UInt8Array
-from diag_service.frames import FrameBatch
-from diag_service.records import Status
+from canlog.arrays import Int64Array, UInt8Array
+from canlog.e2e.profile1 import COUNTER_PERIOD, DATA_START_BIT, counter_of, protect
+from canlog.frames import FrameBatch
+from diag_service.diagnosis.records import Status
 from tests.chain import Outcome, diagnosed, frames_of_log
 from tests.wire import CONTRACTS, DATABASE
 

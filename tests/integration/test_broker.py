@@ -11,8 +11,8 @@ import pytest
 from amqtt.broker import Broker as AmqttBroker
 from jsonschema import Draft202012Validator
 
-from diag_service.publishers import BrokerAddress, MqttConnector, Outbox
-from diag_service.results import ServiceStatus, clutch_record, shift_record
+from diag_service.delivery import BrokerAddress, MqttConnector, Outbox
+from diag_service.diagnosis.results import ServiceStatus, clutch_record, shift_record
 from diag_service.store import ResultStore
 from fleet_contract import schema
 from tests.outboxes import NOW, STATUS, put, sending, until
@@ -33,8 +33,8 @@ def _store() -> Iterator[ResultStore]:
 
 @pytest.fixture(autouse=True)
 def _short_pauses(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("diag_service.publishers.outbox.FIRST_PAUSE_S", 0.05)
-    monkeypatch.setattr("diag_service.publishers.outbox.LONGEST_PAUSE_S", 0.2)
+    monkeypatch.setattr("diag_service.delivery.outbox.FIRST_PAUSE_S", 0.05)
+    monkeypatch.setattr("diag_service.delivery.outbox.LONGEST_PAUSE_S", 0.2)
 
 
 @pytest.fixture(name="strict_broker")

@@ -7,10 +7,10 @@ from dataclasses import dataclass
 import can
 import pytest
 
-from diag_service.errors import SourceError
-from diag_service.frames import BRS_FLAG, ESI_FLAG, FD_FLAG, FrameBatch
-from diag_service.sources import FrameSource, open_source
-from diag_service.sources.columns import join
+from canlog.errors import SourceError
+from canlog.frame_columns import join
+from canlog.frames import BRS_FLAG, ESI_FLAG, FD_FLAG, FrameBatch
+from canlog.live import FrameSource, open_source
 from ecu_emulator.bus import TransmitReport, open_bus, transmit
 from ecu_emulator.frames import EncodedFrames
 from tests.patience import HANG_S

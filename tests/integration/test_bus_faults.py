@@ -7,15 +7,14 @@ import pytest
 
 from benchmarks.accuracy import to_batch
 from clutch_model.calibration import nominal_calibration
-from dbc.contract import DBC_PATH
-from diag_service.decoding.mapping import Decoder
-from diag_service.definitions.database import load_database
-from diag_service.definitions.profile import load_profile
-from diag_service.estimation import Belief
-from diag_service.judgement.condition import ConditionMemory
-from diag_service.records import Status
-from diag_service.runs.stages import Diagnosis, Stages
-from diag_service.summary import FrameCounts
+from dbc.contract import load_contract
+from diag_service.diagnosis.condition.condition import ConditionMemory
+from diag_service.diagnosis.friction import Belief
+from diag_service.diagnosis.records import Status
+from diag_service.diagnosis.summary import FrameCounts
+from diag_service.mapping.decoder import Decoder
+from diag_service.mapping.profile import load_profile
+from diag_service.service.stages import Diagnosis, Stages
 from ecu_emulator.faults import BusFault, BusFaultKind, Phase
 from ecu_emulator.recording import frames_of
 from ecu_emulator.truth import TruthLog
@@ -43,7 +42,7 @@ def fault(kind: str, **changes: float | str) -> BusFault:
 def analysed(*faults: BusFault, seed: int = 41) -> tuple[list[Diagnosis], FrameCounts, TruthLog]:
     frames, truth = frames_of(replace(drive_scenario(seed=seed), bus_faults=faults))
     calibration = nominal_calibration()
-    decoder = Decoder(load_database(DBC_PATH), load_profile())
+    decoder = Decoder(load_contract(), load_profile())
     stages = Stages(decoder, calibration, Belief.fresh(calibration), ConditionMemory.fresh())
     diagnoses = stages.feed(to_batch(frames))
     counts = stages.frame_counts()

@@ -7,24 +7,23 @@ from pathlib import Path
 import pytest
 
 from clutch_model.calibration import nominal_calibration
-from dbc.contract import DBC_PATH
-from diag_service.contributions import Contributions
-from diag_service.decoding.mapping import Decoder, DecoderCounts
-from diag_service.definitions.database import load_database
-from diag_service.definitions.profile import load_profile
-from diag_service.estimation import Belief
-from diag_service.events import ShiftEvent
-from diag_service.judgement.condition import ConditionMemory
-from diag_service.runs.calibrate_run import find_events
-from diag_service.runs.drive import open_drive
-from diag_service.runs.drive_frames import DriveFrames
-from diag_service.runs.recorded import events
-from diag_service.runs.stages import Stages
-from diag_service.stopping import Trigger
+from dbc.contract import load_contract
+from diag_service.diagnosis.condition.condition import ConditionMemory
+from diag_service.diagnosis.contributions import Contributions
+from diag_service.diagnosis.events import ShiftEvent
+from diag_service.diagnosis.friction import Belief
+from diag_service.mapping.decoder import Decoder, DecoderCounts
+from diag_service.mapping.profile import load_profile
+from diag_service.service.calibrate_run import find_events
+from diag_service.service.drive import open_drive
+from diag_service.service.drive_frames import DriveFrames
+from diag_service.service.recorded import events
+from diag_service.service.stages import Stages
+from diag_service.service.stopping import Trigger
 from tests.in_process import ended
 from tests.service import Ended
 
-DATABASE = load_database(DBC_PATH)
+DATABASE = load_contract()
 GATEWAY = b"0B3"  # TCU_Shift
 OTHER_ID = b"7F0"  # of no message that is used
 ENGINE = (b"0A0", b"0A8")  # what the engine sends, by identifier

@@ -6,11 +6,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from diag_service.errors import SourceError
-from diag_service.frames import FrameBatch
-from diag_service.sources import LogReject, read_log
-from diag_service.sources.columns import join
-from diag_service.sources.readers.tally import LogCounts
+from canlog.errors import SourceError
+from canlog.frame_columns import join
+from canlog.frames import FrameBatch
+from canlog.logs import LogReject, read_log
+from canlog.logs.tally import LogCounts
 from ecu_emulator.record import open_log
 from tests.mf4_layouts import Layout, Recording, laid_out
 from tests.traffic import START_NS, as_received, assert_same, random_frames

@@ -11,9 +11,9 @@ import pyarrow.parquet as pq
 import pytest
 from cantools.database.can import Database
 
-from diag_service.arguments import build_parser
+from diag_service.commands.arguments import build_parser
 from diag_service.errors import IncompleteError, StoppedError
-from diag_service.stopping import Trigger
+from diag_service.service.stopping import Trigger
 from tests.service import run_service, service
 
 Row = dict[str, Any]
@@ -250,7 +250,7 @@ def test_packets_of_j1939_transport_are_told(tmp_path: Path, capsys: pytest.Capt
 def test_identifiers_without_end_take_no_memory_without_end(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("diag_service.signal_tables.account.MAX_IDS", 3)
+    monkeypatch.setattr("canlog.tables.account.MAX_IDS", 3)
     record = told(tmp_path, capsys, STATES, log_of("100#00000000", *(f"{number:08X}#00" for number in range(9))))
     assert (record["identifiers"]["seen"], record["identifiers"]["unlisted_frames"]) == (3, 7)
     assert record["frames"]["unknown"] == 9

@@ -7,8 +7,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from dbc.contract import load_contract, message_contracts
-from dbc.protection import COUNTER_PERIOD, counter_of, crc_is_valid, data_id_remainder
+from canlog.e2e.contract import message_contracts
+from canlog.e2e.profile1 import COUNTER_PERIOD, counter_of, crc_is_valid, data_id_remainder
+from dbc.contract import load_contract
 from ecu_emulator.errors import ConfigError
 from ecu_emulator.frames import EncodedFrames, merge
 from ecu_emulator.live import SentTruth

@@ -7,16 +7,17 @@ from functools import cache
 import numpy as np
 import pytest
 
+from canlog.arrays import FloatArray
+from canlog.series import Series
 from clutch_model.calibration import nominal_calibration
-from dbc.contract import DBC_PATH
-from diag_service.columns import BALANCE_SIGNALS, FloatArray, Series, Signal
-from diag_service.decoding.mapping import Decoder
-from diag_service.definitions.database import load_database
-from diag_service.definitions.profile import load_profile
-from diag_service.estimation import Belief, Estimator
-from diag_service.events import EndReason, ShiftEvent
-from diag_service.records import Reason, ShiftEstimate, Status
-from diag_service.shift_finding.shifts import ShiftFinder
+from dbc.contract import load_contract
+from diag_service.diagnosis.columns import BALANCE_SIGNALS, Signal
+from diag_service.diagnosis.events import EndReason, ShiftEvent
+from diag_service.diagnosis.friction import Belief, Estimator
+from diag_service.diagnosis.records import Reason, ShiftEstimate, Status
+from diag_service.diagnosis.shifts.shifts import ShiftFinder
+from diag_service.mapping.decoder import Decoder
+from diag_service.mapping.profile import load_profile
 from ecu_emulator.recording import frames_of
 from tests.builders import drive_scenario
 from tests.wire import received
@@ -29,7 +30,7 @@ FACTORS = {"ideal": (1.0, 1.0), "case1": (0.95, 1.05), "case2": (0.85, 1.15)}
 def shifts(fluid: str = "ideal", seed: int = 77, cycles: int = 1) -> tuple[ShiftEvent, ...]:
     """Return the shifts of an emulated drive as the service finds them."""
     frames, _ = frames_of(drive_scenario(fluid=fluid, seed=seed, cycles=cycles))
-    decoder, finder = Decoder(load_database(DBC_PATH), load_profile()), ShiftFinder()
+    decoder, finder = Decoder(load_contract(), load_profile()), ShiftFinder()
     return tuple(event for columns in decoder.feed(received(frames)) for event in finder.feed(columns))
 
 

@@ -14,14 +14,14 @@ from pathlib import Path
 from numba.core.dispatcher import Dispatcher
 
 from clutch_model.calibration import nominal_calibration
-from dbc.contract import DBC_PATH
-from diag_service.decoding.mapping import Decoder
-from diag_service.definitions.database import load_database
-from diag_service.definitions.profile import load_profile
-from diag_service.estimation import Belief
-from diag_service.judgement.condition import ConditionMemory
-from diag_service.runs.stages import Stages
-from diag_service.sources import read_log
+from dbc.contract import DBC_PATH, load_contract
+from diag_service.mapping.decoder import Decoder
+from canlog.database.loading import load_database
+from diag_service.mapping.profile import load_profile
+from diag_service.diagnosis.friction import Belief
+from diag_service.diagnosis.condition.condition import ConditionMemory
+from diag_service.service.stages import Stages
+from canlog.logs import read_log
 
 PIECE = 500  # frames, as a live bus hands them over
 
@@ -37,7 +37,7 @@ def compiled():
 
 batches = list(read_log(Path(sys.argv[1])))
 calibration = nominal_calibration()
-decoder = Decoder(load_database(DBC_PATH), load_profile())
+decoder = Decoder(load_contract(), load_profile())
 stages = Stages(decoder, calibration, Belief.fresh(calibration), ConditionMemory.fresh())
 before = compiled()
 statuses = [

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 from sqlalchemy import Engine
 
-from diag_service.records import Condition
+from diag_service.diagnosis.records import Condition
 from fleet_backend.cli import main
 from fleet_backend.database import open_database
 from fleet_backend.rows import Poison, quarantine_row

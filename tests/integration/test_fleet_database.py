@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from sqlalchemy import Engine
 
-from diag_service.records import Condition
+from diag_service.diagnosis.records import Condition
 from fleet_backend import queries
 from fleet_backend.choices import Axis
 from fleet_backend.database import open_database, transaction

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 from sqlalchemy import Engine
 
-from diag_service.publishers import Acknowledge, BrokerAddress, Link, MqttConnector, Outbox
+from diag_service.delivery import Acknowledge, BrokerAddress, Link, MqttConnector, Outbox
 from diag_service.store import ResultStore
 from fleet_backend import queries
 from fleet_backend.database import open_database

@@ -8,12 +8,13 @@ from pathlib import Path
 import pyarrow.parquet as pq
 import pytest
 
-from diag_service.arguments import build_parser
+from canlog.errors import SourceError
 from diag_service.batch.journal import Entry
 from diag_service.batch.tables import write_results
 from diag_service.commands import analyze
-from diag_service.errors import ConfigError, SourceError, StoreError
-from diag_service.stopping import Trigger
+from diag_service.commands.arguments import build_parser
+from diag_service.errors import ConfigError, StoreError
+from diag_service.service.stopping import Trigger
 from tests.folders import fill_folder, kill_and_resume
 from tests.plugins.drives import SHIFT_COUNT
 from tests.service import run_service

@@ -12,14 +12,13 @@ import diag_service.cli
 import ecu_emulator.cli
 from benchmarks.accuracy import to_batch
 from clutch_model.calibration import nominal_calibration, read_calibration
-from dbc.contract import DBC_PATH
-from diag_service.decoding.mapping import Decoder
-from diag_service.definitions.database import load_database
-from diag_service.definitions.profile import load_profile
-from diag_service.estimation import Belief
-from diag_service.judgement.condition import ConditionMemory
-from diag_service.records import Condition
-from diag_service.runs.stages import Stages
+from dbc.contract import load_contract
+from diag_service.diagnosis.condition.condition import ConditionMemory
+from diag_service.diagnosis.friction import Belief
+from diag_service.diagnosis.records import Condition
+from diag_service.mapping.decoder import Decoder
+from diag_service.mapping.profile import load_profile
+from diag_service.service.stages import Stages
 from ecu_emulator.recording import frames_of
 from ecu_emulator.scenario import FluidCondition, Scenario
 from ecu_emulator.scenario_file import load_scenario
@@ -142,7 +141,7 @@ def fluid(condition: FluidCondition, drive_seed: int) -> Scenario:
 
 def test_new_fluid_after_the_first_cycle_costs_no_verdict() -> None:
     calibration = nominal_calibration()
-    decoder = Decoder(load_database(DBC_PATH), load_profile())
+    decoder = Decoder(load_contract(), load_profile())
     belief, memory = Belief.fresh(calibration), ConditionMemory.fresh()
     reasons = []
     for scenario in (fluid(FluidCondition.CASE_2, 1), fluid(FluidCondition.IDEAL, 2)):

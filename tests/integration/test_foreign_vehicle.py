@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from diag_service.definitions.profile import load_profile
+from diag_service.mapping.profile import load_profile
 from tests.plugins.drives import SHIFT_COUNT
 from tests.recode import load_strict, recode
 from tests.service import run_service

@@ -5,12 +5,12 @@ from functools import cache
 import numpy as np
 import pytest
 
+from benchmarks.full_estimator import FullAnalysis, estimate_drive, nominal_vehicle
 from benchmarks.reproduce.bound import bounds_percent
 from benchmarks.reproduce.drives import Case, PaperDrive, drive
 from benchmarks.reproduce.full_route import Found, Job, full_signals, run
 from clutch_model.calibration import nominal_calibration
-from diag_service.estimation.full import FullAnalysis, estimate_drive, nominal_vehicle
-from diag_service.estimation.paper import nominal_driveline
+from diag_service.diagnosis.friction.paper import nominal_driveline
 from ecu_emulator.plant import Col
 
 DRIVE_SEED = 7

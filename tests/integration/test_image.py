@@ -11,7 +11,7 @@ from pathlib import Path
 import numba.core.config
 import pytest
 
-from clutch_model.kernel_cache import cache_folder
+from canlog.kernel_cache import cache_folder
 from tests.image.plain import PlainImage
 
 ROOT = Path(__file__).parents[2]
@@ -75,7 +75,7 @@ def test_the_extras_that_the_image_names_cover_every_import(image: PlainImage) -
 
 
 def test_nothing_of_the_clone_is_seen_from_the_image(image: PlainImage) -> None:
-    done = image.run("python", "-c", "import clutch_model, canbus, sys; print(clutch_model.__file__, *sys.path)")
+    done = image.run("python", "-c", "import clutch_model, canlog, sys; print(clutch_model.__file__, *sys.path)")
     assert str(ROOT) not in done.stdout
     assert str(image.root) in done.stdout.split()[0]
 

@@ -8,11 +8,13 @@ from pathlib import Path
 
 import pytest
 
+import canlog
 import clutch_model
 
-PACKAGE = Path(clutch_model.__file__).parent
+PACKAGES = [Path(package.__file__ or "").parent for package in (clutch_model, canlog)]
+LAWS, LIBRARY = (package.name for package in PACKAGES)
 USE_LAWS = """
-from clutch_model.kernel_cache import on_compiling
+from canlog.kernel_cache import on_compiling
 compiled = []
 on_compiling(compiled.append)
 from clutch_model.friction import FrictionLaw, kinetic_friction
@@ -27,23 +29,31 @@ class Checkout:
 
     def __init__(self, folder: Path, cache: Path) -> None:
         self._folder, self._cache = folder, cache
-        shutil.copytree(PACKAGE, folder / PACKAGE.name, ignore=shutil.ignore_patterns("__pycache__"))
+        for package in PACKAGES:
+            shutil.copytree(package, folder / package.name, ignore=shutil.ignore_patterns("__pycache__"))
 
     def edit(self, name: str, old: str, new: str) -> None:
-        path = self._folder / PACKAGE.name / name
+        path = self._folder / name
         text = path.read_text()
         assert old in text
         path.write_text(text.replace(old, new))
 
     def comment_everywhere(self) -> None:
-        for path in (self._folder / PACKAGE.name).glob("*.py"):
+        for path in (self._folder / LAWS).glob("*.py"):
             head, _, rest = path.read_text().partition("\n\n")
             path.write_text(f"{head}\n\n# edited\n{rest}\n# edited\n")
 
-    def compiled(self) -> set[str]:
+    def move(self, name: str, new_name: str) -> None:
+        """Give a module of the laws another name, wherever it is mentioned."""
+        laws = self._folder / LAWS
+        (laws / f"{name}.py").rename(laws / f"{new_name}.py")
+        for path in laws.glob("*.py"):
+            path.write_text(path.read_text().replace(f"{LAWS}.{name} ", f"{LAWS}.{new_name} "))
+
+    def compiled(self, law: str = "friction") -> set[str]:
         """Return the names of the kernels that a program compiles here."""
         done = subprocess.run(
-            [sys.executable, "-c", USE_LAWS],
+            [sys.executable, "-c", USE_LAWS.replace("friction import", f"{law} import")],
             cwd=self._folder,
             env={**os.environ, "PYTHONPATH": str(self._folder), "XDG_CACHE_HOME": str(self._cache)},
             capture_output=True,
@@ -65,17 +75,17 @@ def test_a_comment_and_another_folder_compile_nothing_and_a_law_what_it_is_part_
     second = Checkout(tmp_path / "second", cache)
     second.comment_everywhere()
     assert second.compiled() == set()
-    second.edit("friction.py", "return math.exp(-excess)", "return math.exp(-2.0 * excess)")
+    second.edit("clutch_model/friction.py", "return math.exp(-excess)", "return math.exp(-2.0 * excess)")
     assert second.compiled() == COLD
     assert first.compiled() == set()  # whose machine code is still there
 
 
 def test_the_forms_of_a_kernel_do_not_pile_up(tmp_path: Path, cache: Path) -> None:
     checkout = Checkout(tmp_path / "only", cache)
-    checkout.edit("kernel_cache.py", "KEPT_VERSIONS = 8", "KEPT_VERSIONS = 1")
+    checkout.edit("canlog/kernel_cache.py", "KEPT_VERSIONS = 8", "KEPT_VERSIONS = 1")
     checkout.compiled()
     before = sorted(path.suffix for path in cache.rglob("*.nb?"))
-    checkout.edit("friction.py", "return math.exp(-excess)", "return math.exp(-2.0 * excess)")
+    checkout.edit("clutch_model/friction.py", "return math.exp(-excess)", "return math.exp(-2.0 * excess)")
     checkout.compiled()
     assert sorted(path.suffix for path in cache.rglob("*.nb?")) == before
 
@@ -85,3 +95,20 @@ def test_where_nothing_can_be_kept_the_laws_are_compiled_each_time(tmp_path: Pat
     blocked.write_text("in the way")
     checkout = Checkout(tmp_path / "only", blocked)
     assert checkout.compiled() == checkout.compiled() == COLD
+
+
+def test_a_law_that_moved_to_another_module_is_compiled_there(tmp_path: Path, cache: Path) -> None:
+    checkout = Checkout(tmp_path / "only", cache)
+    assert checkout.compiled() == COLD
+    checkout.move("friction", "lining_friction")
+    assert checkout.compiled("lining_friction") == COLD
+    assert checkout.compiled("lining_friction") == set()
+
+
+def test_machine_code_that_cannot_be_loaded_is_made_anew(tmp_path: Path, cache: Path) -> None:
+    checkout = Checkout(tmp_path / "only", cache)
+    checkout.compiled()
+    for index in cache.rglob("*.nbi"):
+        index.write_bytes(index.read_bytes()[:-20])
+    assert checkout.compiled() == COLD
+    assert checkout.compiled() == set()

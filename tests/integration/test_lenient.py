@@ -5,8 +5,8 @@ from pathlib import Path
 import pytest
 
 from dbc.contract import DBC_PATH
-from diag_service.arguments import build_parser
 from diag_service.cli import main
+from diag_service.commands.arguments import build_parser
 
 ITEM = 'VAL_ 300 Missing 0 "off" 1 "on";'
 COMMANDS = {

@@ -12,13 +12,14 @@ import pyarrow.parquet as pq
 import pytest
 from cantools.database.can import Database
 
+from canlog.errors import DefinitionError, OutputError, SourceError
 from dbc.contract import DBC_PATH
-from diag_service.arguments import build_parser
-from diag_service.columns import Signal
-from diag_service.definitions.profile import load_profile
-from diag_service.definitions.tiers import tier_of
-from diag_service.errors import ConfigError, SourceError, StoreError
-from diag_service.stopping import Trigger
+from diag_service.commands.arguments import build_parser
+from diag_service.diagnosis.columns import Signal
+from diag_service.errors import ConfigError
+from diag_service.mapping.profile import load_profile
+from diag_service.mapping.tiers import tier_of
+from diag_service.service.stopping import Trigger
 from tests.service import run_service, service
 
 FRAME_COUNT = 1000
@@ -143,11 +144,11 @@ def test_row_groups_are_small_whatever_the_log(
     ("arguments", "error", "text"),
     [
         (("decode", "{log}", "-o", "{tmp}/out.csv"), ConfigError, "are written as .parquet"),
-        (("decode", "{log}", "-o", "{tmp}/none/out.parquet"), StoreError, "cannot write"),
+        (("decode", "{log}", "-o", "{tmp}/none/out.parquet"), OutputError, "cannot write"),
         (("decode", "{tmp}/none.log", "-o", "{tmp}/out.parquet"), SourceError, "none.log"),
         (("inspect", "{log}", "-b", "0"), ConfigError, "bit rate must be > 0"),
         (("inspect", "{tmp}/none.log"), SourceError, "none.log"),
-        (("signals", "{log}", "--dbc", "{log}"), ConfigError, "short.log"),
+        (("signals", "{log}", "--dbc", "{log}"), DefinitionError, "short.log"),
     ],
 )
 def test_what_cannot_be_done_is_told(

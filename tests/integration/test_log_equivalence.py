@@ -4,8 +4,8 @@ from pathlib import Path
 
 import pytest
 
-from diag_service.records import Status
-from diag_service.sources import read_log
+from canlog.logs import read_log
+from diag_service.diagnosis.records import Status
 from tests.chain import Outcome, diagnosed
 from tests.damage.recordings import SUFFIXES, WRITERS, short_drive
 

@@ -7,12 +7,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from diag_service.errors import ConfigError, SourceError
-from diag_service.runs.drive import open_drive
-from diag_service.sources import LogReject, merged_by_time, read_log
-from diag_service.sources.columns import join
-from diag_service.sources.readers.patience import FREE_BYTES
-from diag_service.sources.readers.tally import LogCounts
+from canlog.errors import SourceError
+from canlog.frame_columns import join
+from canlog.logs import LogReject, merged_by_time, read_log
+from canlog.logs.patience import FREE_BYTES
+from canlog.logs.tally import LogCounts
+from diag_service.errors import ConfigError
+from diag_service.service.drive import open_drive
 from ecu_emulator.record import open_log
 from tests.damage.kinds import DAMAGES
 from tests.damage.recordings import RECORDED, SUFFIXES

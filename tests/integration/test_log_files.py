@@ -10,9 +10,9 @@ import can
 import numpy as np
 import pytest
 
-from diag_service.errors import SourceError
-from diag_service.sources import LogFormat, LogReject, read_log
-from diag_service.sources.columns import join
+from canlog.errors import SourceError
+from canlog.frame_columns import join
+from canlog.logs import LogFormat, LogReject, read_log
 from ecu_emulator.bus import to_messages
 from ecu_emulator.errors import RecordError
 from ecu_emulator.frames import EncodedFrames

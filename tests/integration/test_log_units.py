@@ -6,9 +6,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from diag_service.frames import EXTENDED_FLAG
-from diag_service.sources import read_log
-from diag_service.sources.columns import join
+from canlog.frame_columns import join
+from canlog.frames import EXTENDED_FLAG
+from canlog.logs import read_log
 from tests.service import Ended, run_service
 
 FIRST_US = -3_000_000_000  # fifty minutes below zero

@@ -13,7 +13,7 @@ from pathlib import Path
 import can
 import pytest
 
-from canbus import MulticastBus
+from canlog.bus.multicast import MulticastBus
 from ecu_emulator.other_senders import WORTH_SAYING, OtherSenders
 from tests.replay import UdpBus, free_bus
 from tests.service import service

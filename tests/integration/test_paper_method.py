@@ -6,6 +6,7 @@ import sys
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
@@ -16,12 +17,12 @@ from benchmarks.reproduce.film_check import known_film_errors
 from benchmarks.reproduce.study import Setup, matched_differentiators, noiseless_errors, noisy_errors
 from clutch_model.calibration import nominal_calibration
 from clutch_model.film import film_law
-from diag_service.columns import Series, Signal
-from diag_service.estimation.paper import PaperCollection, central_difference, nominal_driveline
-from diag_service.estimation.paper.fit import NOISY_GATES
-from diag_service.estimation.paper.vehicle_route import GRID_STRIDE, paper_signals
-from diag_service.estimation.signals import gather
-from diag_service.records import Reason
+from diag_service.diagnosis.columns import Signal
+from diag_service.diagnosis.friction.paper import PaperCollection, central_difference, nominal_driveline
+from diag_service.diagnosis.friction.paper.fit import NOISY_GATES
+from diag_service.diagnosis.friction.paper.vehicle_route import GRID_STRIDE, paper_signals
+from diag_service.diagnosis.friction.signals import gather
+from diag_service.diagnosis.records import Reason
 from ecu_emulator.plant import Col
 from ecu_emulator.recording import drive_settings
 from tests.builders import drive_scenario
@@ -29,6 +30,9 @@ from tests.cycles import drive_rows
 from tests.integration.test_estimation import shifts
 from tests.patience import HANG_S
 from tests.wire import START_NS
+
+if TYPE_CHECKING:
+    from canlog.series import Series
 
 CALIBRATION, DRIVELINE = nominal_calibration(), nominal_driveline()
 

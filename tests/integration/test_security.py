@@ -8,8 +8,8 @@ from pathlib import Path
 
 import pytest
 
-from diag_service.publishers import Acknowledge, BrokerAddress, MqttConnector, Outbox, TlsFiles
-from diag_service.results import shift_record
+from diag_service.delivery import Acknowledge, BrokerAddress, MqttConnector, Outbox, TlsFiles
+from diag_service.diagnosis.results import shift_record
 from diag_service.store import ResultStore
 from fleet_backend import queries
 from fleet_backend.choices import Axis
@@ -67,9 +67,9 @@ def _store() -> Iterator[ResultStore]:
 
 @pytest.fixture(autouse=True)
 def _short_pauses(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("diag_service.publishers.outbox.FIRST_PAUSE_S", 0.05)
-    monkeypatch.setattr("diag_service.publishers.outbox.LONGEST_PAUSE_S", 0.2)
-    monkeypatch.setattr("diag_service.publishers.mqtt.RENEWAL_PERIOD_S", 0.1)
+    monkeypatch.setattr("diag_service.delivery.outbox.FIRST_PAUSE_S", 0.05)
+    monkeypatch.setattr("diag_service.delivery.outbox.LONGEST_PAUSE_S", 0.2)
+    monkeypatch.setattr("diag_service.delivery.mqtt.RENEWAL_PERIOD_S", 0.1)
 
 
 def files(authority: Authority, name: str | None) -> TlsFiles:

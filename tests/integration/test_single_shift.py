@@ -7,7 +7,7 @@ import pytest
 
 from benchmarks.single_shift import NOISE_ONLY, SCATTERED, Case, outcomes, shifts_of
 from benchmarks.study import diagnose
-from diag_service.records import Reason, Status
+from diag_service.diagnosis.records import Reason, Status
 from ecu_emulator.faults import Phase, SensorFault, SensorFaultKind
 from tests.builders import drive_scenario
 

@@ -12,8 +12,8 @@ from typing import Any
 
 import pytest
 
+from diag_service.diagnosis.results import StoredResult
 from diag_service.errors import StoreError
-from diag_service.results import StoredResult
 from diag_service.store import APPLICATION_ID, SCHEMA_VERSION, ResultStore, VehicleState, Versions
 from fleet_contract import Receipt, raw_shift_message, read_message
 from tests.builders import shift_result

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from diag_service.definitions.profile import PROFILE_PATH
+from diag_service.mapping.profile import PROFILE_PATH
 from tests.patience import HANG_S
 from tests.service import Ended, run_service
 

@@ -5,8 +5,8 @@ from pathlib import Path
 
 import pytest
 
-from diag_service.sources import read_log
-from diag_service.sources.columns import join
+from canlog.frame_columns import join
+from canlog.logs import read_log
 from ecu_emulator.frames import EncodedFrames
 from ecu_emulator.record import open_log
 from tests.in_process import ended

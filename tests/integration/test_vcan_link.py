@@ -7,12 +7,12 @@ from pathlib import Path
 
 import pytest
 
-from diag_service.decoding.mapping import Decoder
-from diag_service.definitions.profile import load_profile
-from diag_service.frames import ERROR_FLAG
-from diag_service.protection.error_frames import BusError
-from diag_service.sources import BusOpener, BusState, LinkBreak, SupervisedSource, supervise
-from diag_service.sources.live.interface import Seen, index_of, present_name, restart_controller
+from canlog.frames import ERROR_FLAG
+from canlog.live import BusOpener, BusState, LinkBreak, SupervisedSource, supervise
+from canlog.live.error_frames import BusError
+from canlog.live.interface import Seen, index_of, present_name, restart_controller
+from diag_service.mapping.decoder import Decoder
+from diag_service.mapping.profile import load_profile
 from tests.link_cycles import TARGET_S, run_cycles
 from tests.patience import HANG_S
 from tests.uml.vcan import create_vcan, ip_link

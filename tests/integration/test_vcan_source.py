@@ -11,14 +11,15 @@ from pathlib import Path
 
 import pytest
 
-from diag_service.errors import SourceError
-from diag_service.frames import FrameBatch, WatchedBits
-from diag_service.sources import FrameSource, open_source, read_log
-from diag_service.sources.columns import join
-from diag_service.sources.live.clock_alarm import ClockAlarm
-from diag_service.sources.live.frame_queue import FrameQueue
-from diag_service.sources.live.pace import EXPECTING_S, KEPT_S, Pace
-from diag_service.sources.live.socketcan import SocketCanSource
+from canlog.errors import SourceError
+from canlog.frame_columns import join
+from canlog.frames import FrameBatch, WatchedBits
+from canlog.live import FrameSource, open_source
+from canlog.live.clock_alarm import ClockAlarm
+from canlog.live.frame_queue import FrameQueue
+from canlog.live.pace import EXPECTING_S, KEPT_S, Pace
+from canlog.live.socketcan import SocketCanSource
+from canlog.logs import read_log
 from tests.patience import HANG_S
 from tests.rough_bus import is_guest
 from tests.starvation import again_if_starved

@@ -7,14 +7,13 @@ import numpy as np
 import pytest
 
 from clutch_model.calibration import nominal_calibration
-from dbc.contract import DBC_PATH
-from diag_service.columns import Signal
-from diag_service.decoding.mapping import Decoder
-from diag_service.definitions.database import load_database
-from diag_service.definitions.profile import load_profile
-from diag_service.events import EndReason, RevEvent, ShiftEvent
-from diag_service.shift_finding.revs import LOW_RAD_S, RevFinder
-from diag_service.shift_finding.shifts import ShiftFinder
+from dbc.contract import load_contract
+from diag_service.diagnosis.columns import Signal
+from diag_service.diagnosis.events import EndReason, RevEvent, ShiftEvent
+from diag_service.diagnosis.shifts.revs import LOW_RAD_S, RevFinder
+from diag_service.diagnosis.shifts.shifts import ShiftFinder
+from diag_service.mapping.decoder import Decoder
+from diag_service.mapping.profile import load_profile
 from ecu_emulator.recording import frames_of
 from ecu_emulator.scenario import Routine
 from ecu_emulator.truth import TruthLog
@@ -27,7 +26,7 @@ def heard(name: str, open_revs: int, closed_revs: int, seed: int) -> tuple[list[
     """Return what the service finds in a drive of one cycle, and the truth."""
     routine = Routine(open_revs=open_revs, closed_revs=closed_revs)
     frames, truth = frames_of(replace(drive_scenario(name, seed=seed), routine=routine))
-    decoder = Decoder(load_database(DBC_PATH), load_profile())
+    decoder = Decoder(load_contract(), load_profile())
     revs, shifts = RevFinder(nominal_calibration()), ShiftFinder()
     found_revs: list[RevEvent] = []
     found_shifts: list[ShiftEvent] = []

@@ -8,8 +8,8 @@ import numpy as np
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from diag_service.frames import FrameBatch
-from diag_service.records import Status
+from canlog.frames import FrameBatch
+from diag_service.diagnosis.records import Status
 from ecu_emulator.recording import Drive
 from ecu_emulator.scenario import Effects
 from tests.builders import drive_scenario

@@ -6,10 +6,10 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from diag_service.sources.readers.asc import read_asc
-from diag_service.sources.readers.blf import read_blf
-from diag_service.sources.readers.candump import read_candump
-from diag_service.sources.readers.tally import LogReject, Tally
+from canlog.logs.asc import read_asc
+from canlog.logs.blf import read_blf
+from canlog.logs.candump import read_candump
+from canlog.logs.tally import LogReject, Tally
 from ecu_emulator.log_formats import BlfWriter, CandumpWriter, Header
 from tests.traffic import START_NS, as_received, random_frames
 

@@ -8,9 +8,9 @@ from cantools.database.conversion import BaseConversion
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from diag_service.decoding.codec import message_table
-from diag_service.decoding.decode import payload_words
-from diag_service.decoding.signal_block import SignalBlock
+from canlog.decode.codec import message_table
+from canlog.decode.signal_block import SignalBlock
+from canlog.decode.signal_table import payload_words
 from tests.cantools_oracle import reference, same_bits
 
 FD_LENGTHS = [1, 2, 3, 4, 5, 6, 7, 8, 12, 16, 20, 24, 32, 48, 64]

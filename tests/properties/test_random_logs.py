@@ -9,19 +9,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from diag_service.frames import (
-    BRS_FLAG,
-    ERROR_FLAG,
-    ESI_FLAG,
-    EXTENDED_FLAG,
-    FD_FLAG,
-    REMOTE_FLAG,
-    TX_FLAG,
-    FrameBatch,
-)
-from diag_service.sources import read_log
-from diag_service.sources.columns import join
-from diag_service.sources.readers.tally import LogCounts
+from canlog.frame_columns import join
+from canlog.frames import BRS_FLAG, ERROR_FLAG, ESI_FLAG, EXTENDED_FLAG, FD_FLAG, REMOTE_FLAG, TX_FLAG, FrameBatch
+from canlog.logs import read_log
+from canlog.logs.tally import LogCounts
 from tests.log_grammars import CODE_OF_LENGTH, GRAMMARS, PACKERS, Frame, Grammar
 
 NO_JUMP_US = 900_000  # a longer gap is counted, too

@@ -7,8 +7,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from clutch_model.calibration import nominal_calibration
-from diag_service.events import RevEvent
-from diag_service.shift_finding.revs import RevFinder
+from diag_service.diagnosis.events import RevEvent
+from diag_service.diagnosis.shifts.revs import RevFinder
 from tests.revs import CLOSED_PA, OPEN_PA, STEP_NS, Piece, batch_between, columns_of, idle, rev
 
 CALIBRATION = nominal_calibration()

@@ -6,9 +6,10 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from diag_service.columns import ColumnBatch, Series, Signal
-from diag_service.events import ShiftEvent
-from diag_service.shift_finding.shifts import ShiftFinder
+from canlog.series import Series
+from diag_service.diagnosis.columns import ColumnBatch, Signal
+from diag_service.diagnosis.events import ShiftEvent
+from diag_service.diagnosis.shifts.shifts import ShiftFinder
 from tests.gears import STEP_NS
 
 gear_runs = st.lists(st.tuples(st.integers(0, 4), st.integers(0, 4), st.integers(1, 120)), min_size=1, max_size=12)

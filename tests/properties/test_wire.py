@@ -9,11 +9,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from canlog.frames import FrameBatch
 from clutch_model.units import m_s_from_km_h, pa_from_bar, rad_s_from_rpm
-from diag_service.columns import ColumnBatch, Signal
-from diag_service.decoding.mapping import Decoder, DecoderCounts
-from diag_service.definitions.profile import Profile, load_profile
-from diag_service.frames import FrameBatch
+from diag_service.diagnosis.columns import ColumnBatch, Signal
+from diag_service.mapping.decoder import Decoder, DecoderCounts
+from diag_service.mapping.profile import Profile, load_profile
 from ecu_emulator.frames import SIGNAL_OF, FrameEncoder
 from tests.wire import CONTRACTS, DATABASE, drive, readings, received
 

@@ -5,8 +5,8 @@ from pathlib import Path
 import pytest
 
 from diag_service import cli
-from diag_service.arguments import PROGRAM
-from diag_service.runs.snapshot import STALE_S
+from diag_service.commands.arguments import PROGRAM
+from diag_service.service.snapshot import STALE_S
 
 UNIT = Path(__file__).parents[2] / "docs" / "deploy" / "clutchdiag.service"
 

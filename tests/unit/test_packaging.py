@@ -12,7 +12,7 @@ import pytest
 
 ROOT = Path(__file__).parents[2]
 PACKAGES = (
-    "canbus",
+    "canlog",
     "clutch_model",
     "dbc",
     "diag_service",

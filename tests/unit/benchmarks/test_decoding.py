@@ -7,9 +7,9 @@ import numpy as np
 from benchmarks.decode import decode_all, decode_each, iterate_shifts
 from benchmarks.decoding.hour import write_hour
 from benchmarks.decoding.layout import database, random_batches
-from diag_service.decoding.codec import Codec
-from diag_service.sources import read_log
-from diag_service.sources.columns import join
+from canlog.decode.codec import Codec
+from canlog.frame_columns import join
+from canlog.logs import read_log
 from tests.wire import drive, received
 
 

@@ -27,10 +27,10 @@ from benchmarks.operating_curve import (
     verdict_at,
 )
 from clutch_model.calibration import nominal_calibration
-from diag_service.estimation import Belief
-from diag_service.judgement.condition import ConditionMemory
-from diag_service.records import Condition
-from diag_service.runs.stages import Diagnosis
+from diag_service.diagnosis.condition.condition import ConditionMemory
+from diag_service.diagnosis.friction import Belief
+from diag_service.diagnosis.records import Condition
+from diag_service.service.stages import Diagnosis
 from ecu_emulator.build import build_vehicle
 from tests.builders import shift_estimate, shift_result
 

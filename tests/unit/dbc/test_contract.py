@@ -5,8 +5,9 @@ import pytest
 from cantools.database.can.signal import Signal
 
 import dbc
-from dbc.contract import PROTECTION_SIGNALS, load_contract, message_contract, message_contracts
-from dbc.protection import DATA_START_BIT
+from canlog.e2e.contract import PROTECTION_SIGNALS, message_contract, message_contracts
+from canlog.e2e.profile1 import DATA_START_BIT
+from dbc.contract import load_contract
 
 DATABASE = load_contract()
 CONTRACTS = message_contracts(DATABASE)

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 from demo.listener import ClutchState
 from demo.outcome import SHIFTS_PER_CYCLE, FrameAccount, Outcome
-from diag_service.records import ShiftResult
+from diag_service.diagnosis.records import ShiftResult
 from ecu_emulator.truth import DriveTruth, ShiftTruth, Totals, TruthLog
 from tests.builders import friction_estimate, shift_result
 

@@ -6,7 +6,7 @@ import pytest
 
 from demo.outcome import MAX_ERROR_STD, FrameAccount, Outcome, complaints, frame_account
 from demo.table import clutch_table, frame_lines, shift_table, verdict_line
-from diag_service.records import FrictionEstimate, Reason, Status
+from diag_service.diagnosis.records import FrictionEstimate, Reason, Status
 from tests.unit.demo.outcomes import FRICTION, good_frames, good_outcome
 
 

@@ -5,10 +5,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from canlog.series import Series
 from clutch_model.calibration import nominal_calibration
 from demo.picture import curve_band, draw, stribeck_weights
-from diag_service.columns import Series, Signal
-from diag_service.events import EndReason, ShiftEvent
+from diag_service.diagnosis.columns import Signal
+from diag_service.diagnosis.events import EndReason, ShiftEvent
 from tests.unit.demo.outcomes import FRICTION, good_outcome
 
 REFERENCE = nominal_calibration().clutches[0].friction

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 import numpy as np
 import pytest
 
-from dbc.protection import counter_of, crc_is_valid, data_id_remainder
+from canlog.e2e.profile1 import counter_of, crc_is_valid, data_id_remainder
 from ecu_emulator.bus_faults import BusFaults
 from ecu_emulator.errors import ConfigError
 from ecu_emulator.fault_onsets import MS_PER_S

@@ -8,8 +8,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from canlog.e2e.profile1 import counter_of, crc_is_valid, data_id_remainder
 from clutch_model.units import rad_s_from_rpm
-from dbc.protection import counter_of, crc_is_valid, data_id_remainder
 from ecu_emulator.frames import SIGNAL_OF, EncodedFrames, FrameEncoder, merge
 from ecu_emulator.readings import FloatArray, Readings
 from tests.wire import CONTRACTS, DATABASE, drive, readings

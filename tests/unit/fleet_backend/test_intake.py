@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import pytest
 
-from diag_service.results import clutch_record, shift_record
+from diag_service.diagnosis.results import clutch_record, shift_record
 from fleet_backend.intake import Kind, Message, Taken, batch_of, receipts_of, refuse, take
 from fleet_contract import Outcome, clutch_message, metrics_message, shift_message, status_message
 from tests.fleet import NOW, delivered, fleet_result, message_of

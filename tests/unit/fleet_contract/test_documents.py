@@ -9,7 +9,7 @@ from ruamel.yaml import YAML
 from vss_tools.main import get_trees
 from vss_tools.model import VSSDataDatatype
 
-from diag_service.records import Condition
+from diag_service.diagnosis.records import Condition
 from fleet_contract import ASYNCAPI_PATH, CLUTCHES, SCHEMA_FOLDER, VSS_OVERLAY_PATH, Channel, schema, topic_of
 from fleet_contract.described import ENVELOPE
 

@@ -5,8 +5,9 @@ from pathlib import Path
 
 import pytest
 
+from canlog.errors import SourceError
 from diag_service.batch.drives import drive_of, find_drives
-from diag_service.errors import ConfigError, SourceError
+from diag_service.errors import ConfigError
 
 LINE = b"(1700000000.000000) can0 0A0#0011223344556677\n"
 

@@ -7,11 +7,12 @@ from pathlib import Path
 
 import pytest
 
+from canlog.errors import ExtraMissingError
+from canlog.parquet_file import load_pyarrow
 from diag_service.batch.journal import Entry
 from diag_service.batch.tables import columns, flattened, format_of, write_results
+from diag_service.diagnosis.results import shift_record
 from diag_service.errors import ConfigError, StoreError
-from diag_service.parquet_file import load_pyarrow
-from diag_service.results import shift_record
 from tests.builders import rejected, shift_result
 
 ENTRIES = tuple(
@@ -54,5 +55,5 @@ def test_names_that_ask_for_no_format() -> None:
 
 def test_without_pyarrow_parquet_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "pyarrow.parquet", None)
-    with pytest.raises(ConfigError, match=r"pip install 'clutchdiag\[parquet\]'"):
+    with pytest.raises(ExtraMissingError, match=r"pip install 'clutchdiag\[parquet\]'"):
         load_pyarrow()

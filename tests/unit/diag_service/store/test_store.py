@@ -7,8 +7,8 @@ from dataclasses import replace
 
 import pytest
 
+from diag_service.diagnosis.results import StoredResult, dump, shift_record
 from diag_service.errors import ResultError
-from diag_service.results import StoredResult, dump, shift_record
 from diag_service.store import ResultStore, VehicleState, Versions
 from fleet_contract import Outcome, Receipt, key_of
 from tests.builders import shift_result

@@ -1,0 +1,1 @@
+"""Message databases: DBC, KCD, ARXML and SYM files, parsed within limits, and which frame is which message."""

@@ -1,0 +1,236 @@
+"""Which message a frame is: by its identifier, by its J1939 parameter group, and from whom it comes.
+
+A J1939 identifier has, from its highest bit, 3 bits of priority, 2 of data page, 8 of PDU format, 8 of PDU specific and
+8 of source address (SAE J1939-21). Below a PDU format of 240 (PDU 1) the PDU specific byte is the destination; from 240
+on (PDU 2) it belongs to the group. Priority, destination and source address do not say what a frame means.
+"""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import Final, NamedTuple
+
+import numpy as np
+from cantools.database.can import Message
+
+from canlog.arrays import Int64Array
+from canlog.errors import DefinitionError
+from canlog.frames import EXTENDED_FLAG, REMOTE_FLAG
+from canlog.jit import array_kernel, inlined_kernel
+
+J1939: Final = "j1939"
+PDU2_FORMATS: Final = 240
+NULL_ADDRESS: Final = 0xFE  # what databases write where any sender is meant
+STANDARD_IDS: Final = 0x800
+ANY: Final = -1  # sender or channel: the first one that is heard
+NOBODY: Final = -1
+
+_ID_MASK: Final = 0x1FFF_FFFF
+_EXTENDED: Final = int(EXTENDED_FLAG)
+_SENDER_BITS: Final = 9
+_ANY_SENDER: Final = 0x100  # beside the 256 source addresses
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Address:
+    """How the frames of one message are known."""
+
+    name: str  # of the message, for people
+    can_id: int  # without flags
+    is_extended: bool
+    is_group: bool  # by its J1939 parameter group; else by the whole identifier
+    sender: int = ANY  # J1939 source address
+    channel: int = ANY
+
+
+class AddressBook(NamedTuple):
+    """Addresses as tables for a kernel; slots are places in the sequence of addresses."""
+
+    standard: Int64Array  # (2048,) slot of each 11-bit identifier, NOBODY where there is none
+    extended: Int64Array  # sorted 29-bit identifiers
+    extended_slot: Int64Array
+    group: Int64Array  # sorted: group and source address, or group and _ANY_SENDER
+    group_slot: Int64Array
+    is_group: Int64Array  # (m,) by slot
+
+
+def message_address(
+    message: Message, *, is_j1939: bool = False, sender: int | None = None, channel: int | None = None
+) -> Address:
+    """Return how frames of a message are known.
+
+    Parameters
+    ----------
+    message : Message
+        A database may say itself that it is one of J1939.
+    is_j1939 : bool
+        Take a message with a 29-bit identifier for one of J1939, whatever the database says.
+    sender, channel : int or None
+        J1939 source address and bus to listen to; None: the first that is heard.
+    """
+    return Address(
+        name=message.name,
+        can_id=message.frame_id,
+        is_extended=message.is_extended_frame,
+        is_group=message.is_extended_frame and (is_j1939 or message.protocol == J1939),
+        sender=ANY if sender is None else sender,
+        channel=ANY if channel is None else channel,
+    )
+
+
+def parameter_group(can_id: int) -> int:
+    """Return the J1939 parameter group number (PGN) of a 29-bit identifier."""
+    return int(_group_of(can_id))
+
+
+def address_book(addresses: Sequence[Address]) -> AddressBook:
+    """Return the tables of some addresses.
+
+    Of messages of one parameter group that several senders have each to themselves, each is known by group and source
+    address, as the database writes it; the null address stands for all the others.
+
+    Raises
+    ------
+    DefinitionError
+        If two messages cannot be told apart.
+    """
+    standard = np.full(STANDARD_IDS, NOBODY, np.int64)
+    extended: dict[int, int] = {}
+    groups: dict[int, int] = {}
+    shared = _shared_groups(addresses)
+    for slot, address in enumerate(addresses):
+        if address.is_group:
+            key = _group_key(address, is_shared=parameter_group(address.can_id) in shared)
+            is_new = groups.setdefault(key, slot) == slot
+        elif address.is_extended:
+            is_new = extended.setdefault(address.can_id, slot) == slot
+        else:
+            is_new = standard[address.can_id] == NOBODY
+            standard[address.can_id] = slot
+        if not is_new:
+            raise DefinitionError(f"several messages have the identifier {address.can_id:#x}")
+    return AddressBook(
+        standard,
+        *_sorted_table(extended),
+        *_sorted_table(groups),
+        is_group=np.array([address.is_group for address in addresses], np.int64),
+    )
+
+
+def overwritten(addresses: Sequence[Address]) -> dict[int, int]:
+    """Return the slots of messages whose identifier a later message has, too, with the slot of the last of those."""
+    shared = _shared_groups(addresses)
+    last: dict[tuple[bool, bool, int], int] = {}
+    places: list[tuple[bool, bool, int]] = []
+    for slot, address in enumerate(addresses):
+        key = (
+            _group_key(address, is_shared=parameter_group(address.can_id) in shared)
+            if address.is_group
+            else address.can_id
+        )
+        places.append((address.is_group, address.is_extended, key))
+        last[places[-1]] = slot
+    return {slot: last[place] for slot, place in enumerate(places) if last[place] != slot}
+
+
+def kernel_filters(addresses: Sequence[Address]) -> tuple[tuple[int, int], ...]:
+    """Return identifier and mask, with SocketCAN's flags, that let the data frames of some messages through."""
+    return tuple(_kernel_filter(address) for address in addresses)
+
+
+def _kernel_filter(address: Address) -> tuple[int, int]:
+    if not address.is_extended:
+        return address.can_id, STANDARD_IDS - 1 | _EXTENDED | REMOTE_FLAG
+    mask = _ID_MASK
+    if address.is_group:
+        is_addressed = (address.can_id >> 16) & 0xFF < PDU2_FORMATS
+        mask = 0x03FF_0000 if is_addressed else 0x03FF_FF00
+    return address.can_id & mask | _EXTENDED, mask | _EXTENDED | REMOTE_FLAG
+
+
+def rows_by_slot(slot: Int64Array, count: int) -> Iterator[tuple[int, Int64Array]]:
+    """Yield the slots that occur, rising, each with its rows, rising; negative slots are left out."""
+    order = np.empty(len(slot), np.int64)
+    stop = np.zeros(count + 1, np.int64)
+    sort_by_slot(slot, order, stop)
+    for number in range(count):
+        rows = order[stop[number] : stop[number + 1]]
+        if len(rows):
+            yield number, rows
+
+
+def _shared_groups(addresses: Sequence[Address]) -> set[int]:
+    """Return the parameter groups that several messages have."""
+    groups = [parameter_group(address.can_id) for address in addresses if address.is_group]
+    return {group for group in groups if groups.count(group) > 1}
+
+
+def _group_key(address: Address, *, is_shared: bool) -> int:
+    """Return the key of a message of J1939 in its table."""
+    source = address.can_id & 0xFF if address.sender == ANY else address.sender
+    if not is_shared or source == NULL_ADDRESS:
+        source = _ANY_SENDER
+    return parameter_group(address.can_id) << _SENDER_BITS | source
+
+
+def _sorted_table(slots: dict[int, int]) -> tuple[Int64Array, Int64Array]:
+    """Return keys and slots, sorted by key."""
+    items = sorted(slots.items())
+    return np.array([key for key, _ in items], np.int64), np.array([slot for _, slot in items], np.int64)
+
+
+@inlined_kernel
+def find_slot(book: AddressBook, can_id: int) -> int:
+    """Return the slot of a data frame's identifier, with its flags; NOBODY if it is of no known message."""
+    if can_id & _EXTENDED == 0:
+        return int(book.standard[can_id]) if can_id < STANDARD_IDS else NOBODY
+    bare = can_id & _ID_MASK
+    place = find(book.extended, bare)
+    if place >= 0:
+        return int(book.extended_slot[place])
+    if book.group.size:
+        key = _group_of(bare) << _SENDER_BITS
+        place = find(book.group, key | (bare & 0xFF))
+        if place < 0:
+            place = find(book.group, key | _ANY_SENDER)
+        if place >= 0:
+            return int(book.group_slot[place])
+    return NOBODY
+
+
+@inlined_kernel
+def find(keys: Int64Array, key: int) -> int:
+    """Return the place of a key among sorted ones; -1 if it is not among them."""
+    low = 0
+    high = keys.size
+    while low < high:
+        middle = (low + high) >> 1
+        if keys[middle] < key:
+            low = middle + 1
+        else:
+            high = middle
+    return low if low < keys.size and keys[low] == key else -1
+
+
+@inlined_kernel
+def _group_of(can_id: int) -> int:
+    """Return the parameter group number in the 29 bits of an identifier."""
+    group = (can_id >> 8) & 0x3FFFF
+    return group if (group >> 8) & 0xFF >= PDU2_FORMATS else group & 0x3FF00
+
+
+@array_kernel
+def sort_by_slot(slot: Int64Array, order: Int64Array, stop: Int64Array) -> None:
+    """Fill in the rows in the order of their slots, and where the rows of slot k end, in ``stop[k + 1]``."""
+    for row in range(slot.size):
+        if slot[row] >= 0:
+            stop[slot[row] + 1] += 1
+    for number in range(1, stop.size):
+        stop[number] += stop[number - 1]
+    # While filling, stop[k] is where the next row of slot k goes; afterwards it is where slot k + 1 begins.
+    for row in range(slot.size):
+        if slot[row] >= 0:
+            order[stop[slot[row]]] = row
+            stop[slot[row]] += 1
+    for number in range(stop.size - 1, 0, -1):
+        stop[number] = stop[number - 1]
+    stop[0] = 0

@@ -1,0 +1,305 @@
+"""What in a DBC file cannot be right, line by line, and the text without it.
+
+What is left out takes along what rests on it: a message its signals, a signal its texts. Nothing is left out that
+would let another signal be read wrongly.
+"""
+
+import re
+import unicodedata
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, field
+from itertools import chain
+from typing import Final
+
+from canlog.database.dbc_attributes import AttributeRules
+from canlog.database.dbc_statements import Statement, Tokens
+
+EXTENDED_BIT: Final = 1 << 31
+STANDARD_BITS, EXTENDED_BITS = 11, 29
+INDEPENDENT: Final = "VECTOR__INDEPENDENT_SIG_MSG"  # where CANdb++ keeps signals of no message
+FLOAT_TYPES: Final = frozenset({1, 2})
+FLOAT_BITS: Final = frozenset({16, 32, 64})
+_WHOLE: Final = re.compile(r"[-+]?[0-9]+")
+_MARKER: Final = re.compile(r"M|m[0-9]+M?")
+_SPELLED: Final = {"ä": "ae", "ö": "oe", "ü": "ue", "Ä": "Ae", "Ö": "Oe", "Ü": "Ue", "ß": "ss"}
+NOT_WHOLE: Final = "the identifier must be a whole number"
+LEAST_TEXT_WORDS: Final = 4  # of VAL_ without a single text
+SG_NAME, SG_MARKER = 1, 2
+SG_TOKENS_WITH_MARKER = ":"  # what stands in the place of a marker if there is none
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Offence:
+    """One item that cannot be right."""
+
+    line: int
+    item: str  # its beginning
+    cause: str
+    is_mended: bool = False  # else it is left out
+    is_harmless: bool = False  # nothing is lost without it
+
+    def __str__(self) -> str:
+        return f"line {self.line}: {self.item}: {self.cause}"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Signal:
+    """What other statements may say of a signal depends on."""
+
+    statement: Statement
+    marker: str
+    length_bits: int
+
+
+@dataclass(slots=True, kw_only=True)
+class Message:
+    """A message and its signals, by name."""
+
+    name: str
+    signals: dict[str, Signal] = field(default_factory=dict)
+    selected: set[str] = field(default_factory=set)  # signals whose multiplexer SG_MUL_VAL_ names
+
+    @property
+    def multiplexers(self) -> set[str]:
+        """The names of the signals that select others."""
+        return {name for name, signal in self.signals.items() if signal.marker.endswith("M")}
+
+
+class Sieve:
+    """Looks at one text; ``offences`` says what is wrong with it, ``text`` what is left."""
+
+    def __init__(self, text: str) -> None:
+        self._tokens = Tokens(text)
+        self._edits: list[tuple[int, int, str]] = []
+        self._mends: dict[range, tuple[int, int, str]] = {}
+        self._messages: dict[int, list[Message]] = {}  # by identifier; several, where one is there twice
+        self._attributes = AttributeRules()
+        self._names: dict[str, str] = {}
+        self._left_out: set[range] = set()
+        self.offences: list[Offence] = []
+        self.has_messages = False
+        self._rename()
+        statements = list(self._sound())
+        self._take_messages(statements)
+        self._check("DQ", statements, self._attributes.define)
+        self._check("EP", statements, self._attributes.check_default)
+        self._check("M", statements, self._check_multiplexer)
+        self._check_markers()
+        self._check("F", statements, self._check_type)
+        self._check("L", statements, self._check_texts)
+        self._check("AR", statements, self._attributes.check_value)
+        self._check("KHCJ", statements, check_numbers)
+        self.offences.sort(key=lambda offence: offence.line)
+
+    @property
+    def text(self) -> str:
+        """The text without what is wrong with it; what remains keeps its line."""
+        pieces, position = list[str](), 0
+        if not self.offences:
+            return self._tokens.text
+        edits = [*self._edits, *self._mends.values()]
+        for start, stop, instead in sorted(edits, key=lambda edit: (edit[0], -edit[1], edit[2])):
+            if start < position:
+                continue
+            pieces += (self._tokens.text[position:start], instead, "\n" * self._tokens.text.count("\n", start, stop))
+            position = stop
+        return "".join([*pieces, self._tokens.text[position:]])
+
+    def _rename(self) -> None:
+        """Spell names in ASCII, the only letters that the grammar knows."""
+        tokens = self._tokens
+        if tokens.text.isascii():
+            return
+        known = {tokens.word(index) for index, kind in enumerate(tokens.kinds) if kind == "w"}
+        for index, kind in enumerate(tokens.kinds):
+            if kind != "w" or (name := tokens.word(index)).isascii():
+                continue
+            start, stop = tokens.starts[index], tokens.stops[index]
+            if name not in self._names:
+                self._names[name] = spelled = in_ascii(name, known)
+                known.add(spelled)
+                cause = f"a name has other letters than A to Z; it is called {spelled}"
+                self.offences.append(Offence(line=tokens.line(start), item=name, cause=cause, is_mended=True))
+            self._edits.append((start, stop, self._names[name]))
+
+    def _words(self, statement: Statement) -> list[str]:
+        words = [self._names.get(word, word) for word in self._tokens.words(statement)]
+        return [*words, statement.ending.strip()] if statement.ending else words
+
+    def _sound(self) -> Iterator[Statement]:
+        """Yield the statements that are sound, or can be mended."""
+        for statement in self._tokens.statements():
+            if not statement.problem:
+                if statement.kind == "N":  # it would end elsewhere if what follows it is left out, and means nothing
+                    self._mends[statement.tokens] = (*self._tokens.span(statement), "")
+                yield statement
+            elif statement.ending:
+                _, stop = self._tokens.span(statement)
+                self._mends[statement.tokens] = (stop, stop, statement.ending)
+                self._offend(statement, f"{statement.problem}; it is read as if it had one", is_mended=True)
+                yield statement
+            else:
+                self._leave_out(statement, statement.problem)
+
+    def _offend(self, statement: Statement, cause: str, *, is_mended: bool = False, is_harmless: bool = False) -> None:
+        start, _ = self._tokens.span(statement)
+        self.offences.append(
+            Offence(
+                line=self._tokens.line(start),
+                item=self._tokens.item(statement),
+                cause=cause,
+                is_mended=is_mended,
+                is_harmless=is_harmless,
+            )
+        )
+
+    def _leave_out(self, statement: Statement, cause: str, *, is_harmless: bool = False) -> None:
+        if statement.tokens not in self._left_out:
+            self._left_out.add(statement.tokens)
+            self._mends.pop(statement.tokens, None)
+            self._edits.append((*self._tokens.span(statement), ""))
+            self._offend(statement, cause, is_harmless=is_harmless)
+
+    def _take_messages(self, statements: list[Statement]) -> None:
+        current: Message | None = None
+        is_open = False  # signals may follow
+        for statement in statements:
+            if statement.kind == "O":
+                current, cause = self._message(self._words(statement))
+                is_open = True
+                if cause:
+                    self._leave_out(statement, cause)
+            elif statement.kind != "G":
+                is_open = False
+            elif not is_open:
+                self._leave_out(statement, "it belongs to no message")
+            elif current is None:
+                self._leave_out(statement, "its message is left out")
+            elif cause := take_signal(self._words(statement), statement, current):
+                self._leave_out(statement, cause)
+
+    def _message(self, words: list[str]) -> tuple[Message | None, str]:
+        """Return the message of a statement, or why it is none."""
+        _, identifier, name, _, length, *_ = words
+        self.has_messages = True
+        if not (_is_whole(identifier) and _is_whole(length)) or (len(length) > 1 and length.startswith("0")):
+            return None, "identifier and length must be whole numbers"
+        number = int(identifier)
+        bits = (number & ~EXTENDED_BIT).bit_length()
+        most_bits = EXTENDED_BITS if number & EXTENDED_BIT else STANDARD_BITS
+        message = Message(name=name)
+        if name != INDEPENDENT and (number < 0 or bits > most_bits):
+            return None, f"the identifier has more than {most_bits} bits"
+        self._messages.setdefault(number, []).append(message)
+        return message, ""
+
+    def _check(self, kinds: str, statements: list[Statement], find_cause: Callable[[list[str]], str]) -> None:
+        """Leave out the statements of some kinds that there is a cause to leave out."""
+        for statement in statements:
+            if statement.kind in kinds and (cause := find_cause(self._words(statement))):
+                is_harmless = cause == INDEPENDENT
+                self._leave_out(statement, "of no message" if is_harmless else cause, is_harmless=is_harmless)
+
+    def _find(self, identifier: str, signal: str) -> Message | str:
+        """Return the message of a signal, or why there is none."""
+        if not _is_whole(identifier):
+            return NOT_WHOLE
+        messages = self._messages.get(int(identifier), [])
+        if not messages:
+            return f"there is no message {identifier}"
+        if any(message.name == INDEPENDENT for message in messages):
+            return INDEPENDENT
+        lacking = f"message {messages[0].name} ({identifier}) has no signal {signal}"
+        return next((message for message in messages if signal in message.signals), lacking)
+
+    def _check_texts(self, words: list[str]) -> str:
+        if not _is_whole(words[1]):
+            return ""  # of an environment variable
+        if not all(_is_whole(number) for number in words[3:-1:2]):
+            return "its numbers must be whole"
+        message = self._find(words[1], words[2])
+        return message if isinstance(message, str) and len(words) > LEAST_TEXT_WORDS else ""
+
+    def _check_type(self, words: list[str]) -> str:
+        _, identifier, name, _, number, *_ = words
+        message = self._find(identifier, name)
+        if isinstance(message, str):
+            return message
+        signal = message.signals[name]
+        is_float = _is_whole(number) and int(number) in FLOAT_TYPES
+        if is_float and signal.length_bits not in FLOAT_BITS:
+            self._forget(message, name, f"SIG_VALTYPE_ makes it a float of {signal.length_bits} bits")
+            return "its signal is left out"
+        return "" if is_float or number in {"0", "+0"} else f"there is no type {number}"
+
+    def _check_multiplexer(self, words: list[str]) -> str:
+        _, identifier, name, multiplexer, *ranges = words
+        message = self._find(identifier, name)
+        if isinstance(message, str):  # of nothing, it does no harm
+            return message if message == NOT_WHOLE else ""
+        if multiplexer not in message.multiplexers:
+            return f"message {message.name} has no multiplexer {multiplexer}"
+        for first, last in zip(ranges[0::3], ranges[1::3], strict=False):
+            if not (_is_whole(first) and last.startswith("-") and _is_whole(last)):
+                return "its ranges must be whole numbers"
+        message.selected.add(name)
+        return ""
+
+    def _check_markers(self) -> None:
+        """Leave out the signals of which nothing says when they are there."""
+        for message in chain.from_iterable(self._messages.values()):
+            multiplexers = message.multiplexers
+            for name, signal in tuple(message.signals.items()):
+                is_selected = signal.marker.startswith("m") and name not in message.selected
+                if is_selected and not multiplexers and message.name != INDEPENDENT:
+                    self._forget(message, name, f"it is multiplexed, but {message.name} has no multiplexer (M)")
+                elif is_selected and len(multiplexers) > 1:
+                    several = ", ".join(sorted(multiplexers))
+                    self._forget(message, name, f"SG_MUL_VAL_ does not say which of {several} selects it")
+
+    def _forget(self, message: Message, name: str, cause: str) -> None:
+        self._leave_out(message.signals.pop(name).statement, cause)
+
+
+def check_numbers(words: list[str]) -> str:
+    """Return what is wrong with the numbers of a statement that bears on no value; empty if nothing is."""
+    places: Mapping[str, tuple[int, ...]] = {"BO_TX_BU_": (1,), "SIG_GROUP_": (1, 3), "EV_": (3, 11)}
+    at = (2,) if words[1] in {"SG_", "BO_"} else places.get(words[0], ())
+    return "" if all(_is_whole(words[place]) for place in at) else NOT_WHOLE
+
+
+def take_signal(words: list[str], statement: Statement, message: Message) -> str:
+    """Add a signal to its message; return why it cannot be, if so."""
+    name, marker = words[SG_NAME], words[SG_MARKER]
+    marker = "" if marker == SG_TOKENS_WITH_MARKER else marker
+    colon = words.index(":")
+    start, length = words[colon + 1], words[colon + 3]
+    if not (_is_whole(start) and _is_whole(length)) or int(start) < 0 or int(length) <= 0:
+        return "start and length must be whole numbers, the length above 0"
+    if marker and not _MARKER.fullmatch(marker):
+        hint = ", without its number" if marker == "m" else ""
+        return f"{marker} is no multiplexer's mark{hint} (M, or m and a number)"
+    if name in message.signals and message.name != INDEPENDENT:
+        return f"message {message.name} has another signal {name}"
+    message.signals[name] = Signal(statement=statement, marker=marker, length_bits=int(length))
+    return ""
+
+
+def in_ascii(name: str, taken: set[str]) -> str:
+    """Return a name in the letters that DBC files may use, unlike any that is taken."""
+    plain = "".join(_letter_in_ascii(letter) for letter in unicodedata.normalize("NFC", name))
+    plain = plain if plain and not plain[0].isdigit() else f"_{plain}"
+    while plain in taken:
+        plain += "_"
+    return plain
+
+
+def _letter_in_ascii(letter: str) -> str:
+    if letter in _SPELLED or letter.isascii():
+        return _SPELLED.get(letter, letter)
+    base = unicodedata.normalize("NFKD", letter)[0]
+    return base if base.isascii() and base.isalnum() else f"u{ord(letter):04x}"
+
+
+def _is_whole(text: str) -> bool:
+    return _WHOLE.fullmatch(text) is not None and len(text) <= 20

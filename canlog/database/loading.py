@@ -1,0 +1,210 @@
+"""Databases of other people, DBC, KCD, ARXML and SYM: read with the care that foreign files need.
+
+cantools believes every number in a file: 92 bytes of DBC can take 8.7 GB, and nested ranges of multiplexers multiply.
+So the text is looked at for sizes that no CAN message has, which gives the best message, then parsed in a process of
+its own with little memory and time (database_child.py), which bounds whatever else a file may do and costs a third of
+a second.
+"""
+
+import logging
+import os
+import pickle
+import re
+import signal
+import subprocess
+import sys
+from collections.abc import Sequence
+from enum import StrEnum
+from pathlib import Path
+from typing import Final
+
+from cantools.database.can import Database
+
+from canlog.database import database_child
+from canlog.database.database_parsing import Parsed
+from canlog.database.dbc_sieve import Offence
+from canlog.database.message_choice import bus_of, chosen_messages
+from canlog.errors import DefinitionError
+from canlog.plain_files import read_small_file
+
+MAX_FILE_BYTES: Final = 32 * 2**20  # the largest public databases have about 5 MB as DBC, some more as ARXML
+MAX_MESSAGE_BYTES: Final = 1785  # longest J1939 transport message, far above any CAN frame
+MAX_MULTIPLEX_RANGE: Final = 65_536  # the parser writes every value of a multiplexer range out
+MAX_DIGITS: Final = 9  # no number that sizes something needs more
+PARSER_BYTES: Final = 368 * 2**20  # six megabytes of DBC take 360
+PARSER_TIME_S: Final = 8  # and seven seconds of computing; with all that surrounds it, ten at most
+MAX_WAIT_S: Final = 60.0  # for the parsing process on a busy machine; its computing time is limited by itself
+MAX_WARNINGS: Final = 20
+HEAD_CHARACTERS: Final = 65_536  # a file says what it is in its beginning
+
+_LOG: Final = logging.getLogger(__name__)
+# None of these looks at a character more than a few times, whatever the text: possessive, and open ends are ends.
+_STRING: Final = re.compile(r'"(?:[^"\\]|\\.)*+(?:"|\Z)', re.DOTALL)
+_MESSAGE: Final = re.compile(r"\bBO_\s++\d++\s++\w++\s*+:\s*+(\d++)")
+_SIGNAL_PLACE: Final = re.compile(r"(?<!\d)(\d++)\s*+\|\s*+(\d++)\s*+@")
+_MULTIPLEX_VALUES: Final = re.compile(r"\bSG_MUL_VAL_\s[^;]*+(?:;|\Z)")
+_RANGE: Final = re.compile(r"(?<!\d)(\d++)\s*+-\s*+(\d++)")
+_ROOT: Final = re.compile(r"<(?:[\w.-]+:)?([A-Za-z_][\w.-]*)[\s/>]")
+_NARROW_BYTES: Final = 64  # that tell whether a text without a mark has two bytes for each letter
+_BYTE_ORDER_MARKS: Final = (b"\xff\xfe", b"\xfe\xff")  # of UTF-16
+
+
+class DatabaseFormat(StrEnum):
+    """The formats that can be read, as cantools names them."""
+
+    DBC = "dbc"
+    KCD = "kcd"
+    ARXML = "arxml"
+    SYM = "sym"
+
+
+_ARTICLE: Final = {
+    DatabaseFormat.DBC: "a DBC",
+    DatabaseFormat.KCD: "a KCD",
+    DatabaseFormat.ARXML: "an ARXML",
+    DatabaseFormat.SYM: "a SYM",
+}
+_FORMAT_OF_ROOT: Final = {"NetworkDefinition": DatabaseFormat.KCD, "AUTOSAR": DatabaseFormat.ARXML}
+
+
+def load_database(path: Path, *, is_lenient: bool = False) -> Database:
+    """Return the messages of a DBC, KCD, ARXML or SYM file; which one it is, its contents say.
+
+    Signals that overlap or lie outside their message are warned of, message by message; whether the signals in use
+    are sound is checked when they are mapped.
+
+    Parameters
+    ----------
+    path : Path
+        The file; of a network of several buses, ``FILE#BUS`` is one of them.
+    is_lenient : bool
+        Leave items out of a DBC file that cannot be right, with a warning of each, instead of refusing the file.
+
+    Raises
+    ------
+    DefinitionError
+        If the file is missing, unreadable, of another format, has no messages, names sizes that no CAN message has,
+        takes too much memory or time to parse, or has items that cannot be right.
+    """
+    file, bus = bus_of(path)
+    text = _read_text(file)
+    database_format = _format_of(text, file)
+    if database_format == DatabaseFormat.DBC:
+        _refuse_absurd_sizes(text, file)
+    parsed = _parse(text, database_format, file, is_lenient=is_lenient)
+    if parsed.database is None:
+        raise DefinitionError(_refusal(parsed, file))
+    if not parsed.database.messages:
+        raise DefinitionError(f"{file} is not {_ARTICLE[database_format]} file, or it has no messages")
+    _warn_each(file, [_said(offence) for offence in parsed.offences], parsed.offence_count)
+    complaints = [f"does not load strictly: {complaint}" for complaint in parsed.complaints]
+    _warn_each(file, complaints, len(complaints))
+    return chosen_messages(parsed.database, bus, file, is_lenient=is_lenient)
+
+
+def _refusal(parsed: Parsed, path: Path) -> str:
+    more = f"; {parsed.offence_count - 1} more like this" if parsed.offence_count > 1 else ""
+    return f"{path} does not load strictly: {parsed.offences[0]}{more} (--lenient leaves out what cannot be right)"
+
+
+def _said(offence: Offence) -> str:
+    return f"{offence}{'' if offence.is_mended else ' (left out)'}"
+
+
+def _warn_each(path: Path, said: Sequence[str], count: int) -> None:
+    """Warn of the first of many things, and say how many more there are."""
+    for text in said[:MAX_WARNINGS]:
+        _LOG.warning("%s: %s", path, text)
+    if count > MAX_WARNINGS:
+        _LOG.warning("%s: and %d more like these", path, count - MAX_WARNINGS)
+
+
+def _read_text(path: Path) -> str:
+    """Return the text of the file; DBC files come in UTF-8 and in the Windows code page."""
+    try:
+        content = read_small_file(path, MAX_FILE_BYTES)
+    except OSError as error:
+        raise DefinitionError(f"cannot read the database {path}: {error.strerror or error}") from error
+    text = _decoded(content).rstrip("\x00\x1a")  # how files of old ended
+    return text.replace("\r\n", "\n").replace("\r", "\n") + "\n"
+
+
+def _decoded(content: bytes) -> str:
+    if content.startswith(_BYTE_ORDER_MARKS):
+        return content.decode("utf-16", errors="replace")
+    if content[:_NARROW_BYTES].count(0) * 3 > len(content[:_NARROW_BYTES]):  # every other byte, as a rule
+        return content.decode("utf-16-le" if content[1:2] == b"\0" else "utf-16-be", errors="replace")
+    try:
+        return content.decode("utf-8-sig")
+    except UnicodeDecodeError:
+        return content.decode("cp1252", errors="replace")
+
+
+def _format_of(text: str, path: Path) -> DatabaseFormat:
+    """Return the format of a text; whatever is nothing else is taken for a DBC file."""
+    head = text[:HEAD_CHARACTERS].lstrip()
+    if head.startswith("FormatVersion"):
+        return DatabaseFormat.SYM
+    if not head.startswith("<"):
+        return DatabaseFormat.DBC
+    root = _ROOT.search(head)
+    if root is None or root[1] not in _FORMAT_OF_ROOT:
+        raise DefinitionError(f"{path} is not a DBC file, and of XML neither KCD nor ARXML")
+    if "<!DOCTYPE" in text or "<!ENTITY" in text:
+        raise DefinitionError(f"{path} defines a document type or entities, which no {root[1]} file needs")
+    return _FORMAT_OF_ROOT[root[1]]
+
+
+def _refuse_absurd_sizes(text: str, path: Path) -> None:
+    """Raise DefinitionError for sizes that would make the parser fill the memory, before it sees them."""
+    bare = _STRING.sub('""', text)
+    for (size,) in ((match.group(1),) for match in _MESSAGE.finditer(bare)):
+        if _number(size) > MAX_MESSAGE_BYTES:
+            raise DefinitionError(f"{path}: a message of {_shown(size)} bytes is not a CAN message")
+    for start, length in _SIGNAL_PLACE.findall(bare):
+        if _number(start) + _number(length) > 8 * MAX_MESSAGE_BYTES:
+            raise DefinitionError(f"{path}: a signal at {_shown(start)}|{_shown(length)} lies outside any CAN message")
+    for statement in _MULTIPLEX_VALUES.findall(bare):
+        for first, last in _RANGE.findall(statement):
+            if _number(last) - _number(first) >= MAX_MULTIPLEX_RANGE:
+                raise DefinitionError(f"{path}: the multiplexer range {_shown(first)}-{_shown(last)} is too wide")
+
+
+def _number(digits: str) -> int:
+    """Return a decimal number, or a billion if it has more digits than any size needs."""
+    return int(digits) if len(digits) <= MAX_DIGITS else 10**MAX_DIGITS
+
+
+def _shown(digits: str) -> str:
+    """Return a number short enough for one line."""
+    return digits if len(digits) <= 20 else f"{digits[:17]}..."
+
+
+def _parse(text: str, database_format: DatabaseFormat, path: Path, *, is_lenient: bool) -> Parsed:
+    """Return what cantools makes of the text, and what is wrong with it."""
+    mode = database_child.LENIENT if is_lenient else database_child.STRICT
+    words = (database_format, str(PARSER_BYTES), str(PARSER_TIME_S), mode)
+    command = [sys.executable, "-P", "-m", database_child.__name__, *words]
+    folders = os.pathsep.join(folder for folder in sys.path if folder)
+    try:
+        done = subprocess.run(  # noqa: S603 - this interpreter, a module of ours
+            command,
+            input=text.encode(errors="replace"),
+            capture_output=True,
+            check=False,
+            timeout=MAX_WAIT_S,
+            env={**os.environ, "PYTHONPATH": folders},
+        )
+    except subprocess.TimeoutExpired as error:
+        raise DefinitionError(f"{path} was not parsed within {MAX_WAIT_S:.0f} s") from error
+    except OSError as error:
+        raise DefinitionError(f"cannot start the process that parses {path}: {error.strerror or error}") from error
+    if done.returncode == database_child.OUT_OF_MEMORY or b"MemoryError" in done.stderr:
+        raise DefinitionError(f"{path} takes more than {PARSER_BYTES // 2**20} MiB of memory to parse")
+    if done.returncode in {-signal.SIGXCPU, -signal.SIGKILL}:
+        raise DefinitionError(f"{path} takes more than {PARSER_TIME_S} s to parse")
+    if done.returncode != 0:
+        lines = done.stderr.decode(errors="replace").strip().splitlines() or ["the parser ended without a word"]
+        raise DefinitionError(f"{path} is not {_ARTICLE[database_format]} file: {lines[-1][:200]}")
+    parsed: Parsed = pickle.loads(done.stdout)  # noqa: S301 - written by our own module
+    return parsed

@@ -1,0 +1,1 @@
+"""Frames to signals: messages compiled to tables that a few array operations decode."""

@@ -1,0 +1,259 @@
+"""All signals of a database: frames in, one table of columns per message out, in the units of the database."""
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from enum import IntEnum
+from types import MappingProxyType
+from typing import Final
+
+import numpy as np
+from cantools.database.can import Message
+from cantools.database.can.signal import Signal
+
+from canlog.arrays import Int64Array, UInt8Array, UInt32Array
+from canlog.database.addressing import (
+    NOBODY,
+    AddressBook,
+    address_book,
+    find_slot,
+    message_address,
+    overwritten,
+    rows_by_slot,
+)
+from canlog.database.not_available import no_value_codes
+from canlog.decode.signal_block import SignalBlock
+from canlog.decode.signal_table import BoolArray, Decoded, PayloadWords, SignalTable, compile_signal, payload_words
+from canlog.errors import DefinitionError
+from canlog.frames import ERROR_FLAG, FD_FLAG, FD_PAYLOAD_BYTES, PAYLOAD_BYTES, REMOTE_FLAG, FrameBatch
+from canlog.jit import array_kernel
+
+
+class FrameFate(IntEnum):
+    """What becomes of a frame; every frame has exactly one fate."""
+
+    DECODED = 0
+    SHORT = 1  # shorter than its message: the signals that fit are decoded
+    TRANSPORTED = 2  # a piece of a message that is longer than the frame can be: it needs ISO-TP or J1939 transport
+    WITHOUT_SIGNALS = 3  # of a message of which no signal can be decoded
+    UNKNOWN = 4  # of no message of the database
+    REMOTE = 5
+    ERROR = 6
+
+
+class Carriage(IntEnum):
+    """Which frames can hold a message."""
+
+    ANY_FRAME = 0
+    FD_ONLY = 1  # more than eight bytes, and the database does not call it a CAN FD message
+    NO_FRAME = 2  # longer than any frame
+
+
+HAS_VALUES: Final = (FrameFate.DECODED, FrameFate.SHORT)
+_DECODED, _SHORT, _TRANSPORTED = int(FrameFate.DECODED), int(FrameFate.SHORT), int(FrameFate.TRANSPORTED)
+_WITHOUT_SIGNALS, _UNKNOWN = int(FrameFate.WITHOUT_SIGNALS), int(FrameFate.UNKNOWN)
+_REMOTE, _ERROR = int(FrameFate.REMOTE), int(FrameFate.ERROR)
+_FD_ONLY, _NO_FRAME = int(Carriage.FD_ONLY), int(Carriage.NO_FRAME)
+_NO_DATA, _ERROR_FLAG, _FD_FLAG = int(REMOTE_FLAG | ERROR_FLAG), int(ERROR_FLAG), int(FD_FLAG)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class MessageTable:
+    """A message, compiled; ``refused`` says why a signal cannot be decoded.
+
+    Signals are known by their names; of several of one name in a message the later ones have a number: ``Name#2``.
+    """
+
+    message: Message
+    signals: Mapping[str, SignalTable]
+    refused: Mapping[str, str]
+    definitions: Mapping[str, Signal]  # of all signals, decoded or refused
+
+    @property
+    def carriage(self) -> Carriage:
+        """Which frames can hold the message."""
+        if self.message.length > FD_PAYLOAD_BYTES:
+            return Carriage.NO_FRAME
+        if self.message.length > PAYLOAD_BYTES and not self.message.is_fd:
+            return Carriage.FD_ONLY
+        return Carriage.ANY_FRAME
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class MessageValues:
+    """Frames of one message in a batch, and what its signals say; short frames come apart, by their length."""
+
+    slot: int  # place of the message in the codec
+    rows: Int64Array  # (k,) of the batch, rising
+    signals: Mapping[str, Decoded]  # (k,) each
+    cut_off: Mapping[str, int]  # values that lie behind the end of short frames
+    words: PayloadWords  # made anew: those that were decoded need not stay in memory
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class FrameMatch:
+    """Which message each frame of a batch is, and what becomes of the frames of each message."""
+
+    slot: Int64Array  # (n,) NOBODY where no signal can be decoded
+    counts: Int64Array  # (messages + 1, fates), in the last row frames of no message
+
+
+class Codec:
+    """The messages of a database as tables: every sender of a J1939 parameter group, every channel.
+
+    Of messages with one identifier the last one counts, as in cantools; ``overwritten`` has the others and the last.
+
+    Parameters
+    ----------
+    messages : sequence of Message
+        What to decode.
+    is_j1939 : bool
+        Match all 29-bit identifiers by parameter group, whatever the database says.
+    check_range : bool
+        Whether values outside a signal's [min|max] are invalid.
+    check_codes : bool
+        Whether codes that say "not available" by their place in the scale are invalid.
+    """
+
+    def __init__(
+        self,
+        messages: Sequence[Message],
+        *,
+        is_j1939: bool = False,
+        check_range: bool = True,
+        check_codes: bool = False,
+    ) -> None:
+        addresses = [message_address(message, is_j1939=is_j1939) for message in messages]
+        later = overwritten(addresses)
+        self.overwritten = tuple((messages[old], messages[new]) for old, new in later.items())
+        kept = [slot for slot in range(len(messages)) if slot not in later]
+        self.tables = tuple(
+            message_table(messages[slot], check_range=check_range, check_codes=check_codes, is_j1939=is_j1939)
+            for slot in kept
+        )
+        self._blocks = [SignalBlock(table.signals) for table in self.tables]
+        self._parts: dict[tuple[int, int], SignalBlock] = {}  # slot and length of a short frame
+        self._book = address_book([addresses[slot] for slot in kept])
+        lengths = [min(table.message.length, FD_PAYLOAD_BYTES) for table in self.tables]
+        self._min_length = np.array(lengths, np.int64)
+        self._carriage = np.array([table.carriage for table in self.tables], np.int64)
+        self._is_empty = np.array([not table.signals for table in self.tables], np.bool_)
+        self._is_plain = ~self._is_empty & (self._carriage == Carriage.ANY_FRAME)  # of nearly all frames
+
+    def match(self, batch: FrameBatch) -> FrameMatch:
+        """Return which message each frame of a batch is."""
+        slot = np.empty(len(batch), np.int64)
+        counts = np.zeros((len(self.tables) + 1, len(FrameFate)), np.int64)
+        find_slots(
+            self._book, self._min_length, self._carriage, self._is_empty, self._is_plain,
+            np.require(batch.can_id, np.uint32, ("C", "W")), np.require(batch.length, np.uint8, ("C", "W")),
+            np.require(batch.flags, np.uint8, ("C", "W")), slot, counts,
+        )  # fmt: skip
+        return FrameMatch(slot=slot, counts=counts)
+
+    def knows(self, can_id: int) -> bool:
+        """Return whether data frames of an identifier, with its flags, are of a message."""
+        return bool(find_slot(self._book, can_id) != NOBODY)
+
+    def decode(self, batch: FrameBatch, match: FrameMatch | None = None) -> Iterator[MessageValues]:
+        """Yield the messages that are in a batch, in the order of the codec."""
+        match = match or self.match(batch)
+        short_counts = match.counts[:, _SHORT].tolist()
+        for slot, rows in rows_by_slot(match.slot, len(self.tables)):
+            if not short_counts[slot]:
+                yield self._whole(batch, slot, rows)
+                continue
+            length = batch.length[rows]
+            if (is_whole := length >= self._min_length[slot]).any():
+                yield self._whole(batch, slot, rows[is_whole])
+            for size in np.unique(length[~is_whole]).tolist():
+                yield self._part(batch, slot, rows[length == size], size)
+
+    def _whole(self, batch: FrameBatch, slot: int, rows: Int64Array) -> MessageValues:
+        signals = self._blocks[slot].decode(payload_words(batch.data, rows))
+        words = payload_words(batch.data, rows)
+        return MessageValues(slot=slot, rows=rows, signals=signals, cut_off={}, words=words)
+
+    def _part(self, batch: FrameBatch, slot: int, rows: Int64Array, size: int) -> MessageValues:
+        """Return the signals that lie in frames of some size, and how many values lie behind their end."""
+        tables = self.tables[slot].signals
+        if (slot, size) not in self._parts:
+            fitting = {name: table for name, table in tables.items() if table.fits(size)}
+            self._parts[slot, size] = SignalBlock(fitting)
+        words = payload_words(batch.data, rows)
+        signals = self._parts[slot, size].decode(words)
+        cut_off = {name: table.cut_off_count(words, size) for name, table in tables.items() if name not in signals}
+        again = payload_words(batch.data, rows)
+        return MessageValues(slot=slot, rows=rows, signals=signals, cut_off=cut_off, words=again)
+
+
+def message_table(
+    message: Message, *, check_range: bool = True, check_codes: bool = False, is_j1939: bool = False
+) -> MessageTable:
+    """Return a message with all its signals compiled that can be."""
+    signals: dict[str, SignalTable] = {}
+    refused: dict[str, str] = {}
+    definitions = dict(_labelled(message.signals))
+    for name, signal in definitions.items():
+        codes = no_value_codes(message, signal, is_j1939=is_j1939) if check_codes else ()
+        try:
+            signals[name] = compile_signal(message, signal, check_range=check_range, codes=codes)
+        except DefinitionError as error:
+            refused[name] = str(error)
+    return MessageTable(
+        message=message,
+        signals=MappingProxyType(signals),
+        refused=MappingProxyType(refused),
+        definitions=MappingProxyType(definitions),
+    )
+
+
+def _labelled(signals: Sequence[Signal]) -> Iterator[tuple[str, Signal]]:
+    """Yield signals with names that differ."""
+    taken = {signal.name for signal in signals}
+    seen: set[str] = set()
+    for signal in signals:
+        name, number = signal.name, 1
+        while name in seen or (number > 1 and name in taken):
+            number += 1
+            name = f"{signal.name}#{number}"
+        seen.add(name)
+        yield name, signal
+
+
+@array_kernel
+def find_slots(
+    book: AddressBook,
+    min_length: Int64Array,
+    carriage: Int64Array,
+    is_empty: BoolArray,
+    is_plain: BoolArray,
+    can_id: UInt32Array,
+    length: UInt8Array,
+    flags: UInt8Array,
+    slot: Int64Array,
+    counts: Int64Array,
+) -> None:
+    """Fill in the message of each frame, NOBODY where no signal can be decoded, and count what becomes of them."""
+    nobody = counts.shape[0] - 1
+    unknown = 0
+    for row in range(can_id.size):
+        slot[row] = NOBODY
+        if can_id[row] & _NO_DATA:
+            counts[nobody, _ERROR if can_id[row] & _ERROR_FLAG else _REMOTE] += 1
+            continue
+        found = find_slot(book, int(can_id[row]))
+        if found == NOBODY:
+            unknown += 1
+        elif is_plain[found] and length[row] >= min_length[found]:
+            slot[row] = found
+            counts[found, _DECODED] += 1
+        elif carriage[found] == _NO_FRAME or (
+            carriage[found] == _FD_ONLY and flags[row] & _FD_FLAG == 0 and length[row] <= PAYLOAD_BYTES
+        ):
+            counts[found, _TRANSPORTED] += 1
+        elif is_empty[found]:
+            counts[found, _WITHOUT_SIGNALS] += 1
+        else:
+            slot[row] = found
+            counts[found, _DECODED if length[row] >= min_length[found] else _SHORT] += 1
+    counts[nobody, _UNKNOWN] = unknown

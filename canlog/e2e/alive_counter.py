@@ -1,0 +1,170 @@
+"""How an alive counter should move, and what its jumps say about lost, late and stray frames.
+
+The counter check follows profile 1, with elapsed bus time in the place of its cyclic calls: each cycle without valid
+data widens the permitted jump by one. Where profile 1 leaves room, this receiver does the following.
+
+- The first frame of a message, and the first after a jump of bus time, is accepted: there is nothing to compare.
+- A jump beyond what the elapsed time permits rejects that one frame and remembers it. The next frame is accepted if
+  it continues either the last accepted one (the odd frame was a stray) or the remembered one (the sender's counter
+  restarted). A restart of a sender therefore costs at most ``MAX_FRAMES_LOST_BY_RESTART`` frames.
+- A counter that does not move rejects every frame until it moves. The same counter after one or more whole periods
+  of lost frames, on time to a cycle, is not stuck; but once stuck, time is no excuse.
+- Losses longer than the counter's period are counted by time. If the frames turn out to have been late instead (the
+  next ones come in a burst), the count of missing frames is taken back; sequence numbers only ever grow. A late
+  sender may catch up. Only a loss of a whole period while its sender was late cannot be counted: it leaves no trace.
+"""
+
+from typing import Final, NamedTuple
+
+import numpy as np
+
+from canlog.arrays import Int64Array
+from canlog.e2e.profile1 import COUNTER_PERIOD
+from canlog.jit import array_kernel
+
+MAX_DELTA_COUNTER: Final = 3  # permitted jump between frames one cycle apart: two frames may be lost in silence
+MAX_FRAMES_LOST_BY_RESTART: Final = 1
+LATE_CYCLES: Final = 1.0  # jitter within which a gap still counts as whole counter periods
+BURST_CYCLES: Final = 0.5  # frames closer than this were held back, not sent one cycle apart
+
+IN_SEQUENCE, REPEATED, WRONG_SEQUENCE = range(3)  # what is said of one frame
+
+_NONE: Final = -1
+
+
+class LinkState(NamedTuple):
+    """What is remembered of each message, arrays of shape (m,); counters are -1 where there is none."""
+
+    valid_counter: Int64Array  # last accepted frame
+    valid_ns: Int64Array
+    sequence: Int64Array  # its transmission number
+    stray_counter: Int64Array  # last frame rejected for its jump
+    stray_ns: Int64Array
+    seen_counter: Int64Array  # last frame with a good CRC
+    seen_ns: Int64Array
+    is_stuck: Int64Array
+    rejected: Int64Array  # frames rejected since the last accepted one that stood in for a transmission
+    rejected_after_stray: Int64Array
+    late: Int64Array  # cycles by which the sender may still catch up; fades while it does not
+    assumed: Int64Array  # frames counted as missing at the last accepted frame on the evidence of time alone
+
+
+def fresh_links(count: int) -> LinkState:
+    """Return the state of some messages of which nothing was seen."""
+    links = LinkState(*(np.full(count, _NONE, np.int64) for _ in LinkState._fields))
+    forget(links)
+    return links
+
+
+def forget(links: LinkState) -> None:
+    """Forget counters and times, after a jump of bus time; sequence numbers go on."""
+    for name, column in zip(LinkState._fields, links, strict=True):
+        if name != "sequence":
+            column[:] = _NONE if name.endswith("counter") else 0
+
+
+@array_kernel
+def elapsed_cycles(elapsed_ns: int, cycle_ns: int) -> float:
+    """Return elapsed time in cycles; -1 if the cycle time is unknown."""
+    return elapsed_ns / cycle_ns if cycle_ns > 0 else -1.0
+
+
+@array_kernel
+def whole_periods(delta: int, cycles: float) -> int:
+    """Return how many counter periods passed unseen, if the frame is on time for that; else 0."""
+    periods = int(np.rint((cycles - delta) / COUNTER_PERIOD))
+    if periods > 0 and abs(cycles - delta - COUNTER_PERIOD * periods) <= LATE_CYCLES:
+        return int(periods)
+    return 0
+
+
+@array_kernel
+def permitted_advance(counter: int, since: int, cycles: float, late: int) -> int:
+    """Return by how many transmissions ``counter`` follows the counter ``since``; 0 if time does not permit it.
+
+    A sender that was ``late`` by some cycles may catch up by as many.
+    """
+    delta = (counter - since) % COUNTER_PERIOD
+    periods = whole_periods(delta, cycles)
+    if periods > 0:
+        return delta + COUNTER_PERIOD * periods
+    limit = MAX_DELTA_COUNTER - 1 + max(1, int(np.rint(cycles)) + late)
+    return delta if delta <= limit else 0
+
+
+@array_kernel
+def accept(state: LinkState, slot: int, counter: int, t_ns: int, advance: int, proven: int, cycles: float) -> int:
+    """Move the state on to an accepted frame; return how many frames are missing before it.
+
+    ``advance`` counts transmissions since the last accepted frame, ``proven`` those that the counter itself shows.
+    """
+    missing = max(0, advance - 1 - int(state.rejected[slot]))
+    assumed = missing - max(0, proven - 1 - int(state.rejected[slot]))
+    if cycles >= BURST_CYCLES:
+        late = max(int(state.late[slot]) - 1, int(np.rint(cycles)) - advance)
+    else:
+        late = int(state.late[slot]) - advance
+        missing -= int(state.assumed[slot])
+    state.late[slot] = max(0, late)
+    state.assumed[slot] = assumed
+    state.sequence[slot] += advance
+    state.valid_counter[slot] = counter
+    state.valid_ns[slot] = t_ns
+    state.stray_counter[slot] = _NONE
+    state.rejected[slot] = 0
+    return missing
+
+
+@array_kernel
+def is_repeated(state: LinkState, slot: int, counter: int, t_ns: int, cycle_ns: int) -> bool:
+    """Return whether the counter has not moved since the last frame; remember the frame."""
+    same = counter == state.seen_counter[slot]
+    cycles = elapsed_cycles(t_ns - state.seen_ns[slot], cycle_ns)
+    repeated = same and (state.is_stuck[slot] == 1 or whole_periods(0, cycles) == 0)
+    if repeated and cycles >= BURST_CYCLES:
+        state.rejected[slot] += 1
+        state.rejected_after_stray[slot] += 1
+    state.is_stuck[slot] = 1 if repeated else 0
+    state.seen_counter[slot] = counter
+    state.seen_ns[slot] = t_ns
+    return repeated
+
+
+@array_kernel
+def judge(state: LinkState, slot: int, counter: int, t_ns: int, cycle_ns: int) -> tuple[int, int]:
+    """Return reason and missing frames of one frame with a good CRC, and move the state on."""
+    if counter >= COUNTER_PERIOD:
+        state.rejected[slot] += 1
+        return WRONG_SEQUENCE, 0
+    if is_repeated(state, slot, counter, t_ns, cycle_ns):
+        return REPEATED, 0
+    if state.valid_counter[slot] == _NONE:
+        state.rejected[slot] = 0
+        return IN_SEQUENCE, accept(state, slot, counter, t_ns, 1, 1, -1.0)
+    cycles = elapsed_cycles(t_ns - state.valid_ns[slot], cycle_ns)
+    advance = permitted_advance(counter, state.valid_counter[slot], cycles, state.late[slot])
+    if advance > 0:
+        proven = (counter - state.valid_counter[slot]) % COUNTER_PERIOD
+        return IN_SEQUENCE, accept(state, slot, counter, t_ns, advance, proven, cycles)
+    if state.stray_counter[slot] != _NONE:
+        stray_cycles = elapsed_cycles(t_ns - state.stray_ns[slot], cycle_ns)
+        restarted = permitted_advance(counter, state.stray_counter[slot], stray_cycles, 0)
+        if restarted > 0:
+            # How many were sent around the restart nobody knows: time numbers them, only the counter proves a loss.
+            missing = max(0, restarted - 1 - state.rejected_after_stray[slot])
+            by_time = max(1, int(np.rint(cycles))) if cycle_ns > 0 else restarted + state.rejected[slot]
+            accept(state, slot, counter, t_ns, by_time, by_time, -1.0)
+            return IN_SEQUENCE, missing
+    state.stray_counter[slot] = counter
+    state.stray_ns[slot] = t_ns
+    state.rejected_after_stray[slot] = 0
+    if not 0.0 <= cycles < BURST_CYCLES:
+        state.rejected[slot] += 1
+    return WRONG_SEQUENCE, 0
+
+
+@array_kernel
+def note_unusable(state: LinkState, slot: int) -> None:
+    """Remember a frame that stood in for a transmission but could not be read."""
+    state.rejected[slot] += 1
+    state.rejected_after_stray[slot] += 1

@@ -1,0 +1,58 @@
+"""How often a message really comes, where that is less often than its database says.
+
+A vehicle may send every 20 ms what its database has every 10 ms. Held against the database it would lose every second
+frame and run late for ever; held against its own cycle it is as regular as any other. The alive counter tells the two
+apart: frames that were sent and lost leave gaps in it.
+"""
+
+from typing import Final
+
+import numpy as np
+
+from canlog.arrays import FloatArray
+from canlog.series import Series
+
+SLOWEST: Final = 5  # cycles of the database: what comes less often is not believed to be meant so
+SLOWER_RATIO: Final = 1.25  # below it the database is believed: jitter is no other cycle
+LEAST_STEPS: Final = 8
+LEAST_REGULAR: Final = 0.5  # share of the steps that must be near the typical one
+NEAR: Final = 0.25  # of the typical step
+NS_PER_MS: Final = 1_000_000
+
+
+def own_period_ns(series: Series) -> int:
+    """Return the cycle that the samples of a stretch keep [ns]; the database's unless they plainly keep a slower one.
+
+    Cycles are whole milliseconds. A stretch that is too short, without a regular step, or slower than ``SLOWEST``
+    cycles of the database is held against the database, and fails there.
+    """
+    if series.period_ns <= 0 or len(series.t_ns) <= LEAST_STEPS:
+        return series.period_ns
+    mean_ns = _mean_step_ns(series)
+    if mean_ns < (1.0 - NEAR) * SLOWER_RATIO * series.period_ns:
+        return series.period_ns  # what follows would say so too, at length
+    steps_ns = _steps_ns(series)
+    typical_ns = float(np.median(steps_ns))
+    if not SLOWER_RATIO * series.period_ns <= typical_ns <= (SLOWEST + NEAR) * series.period_ns:
+        return series.period_ns
+    if abs(mean_ns - typical_ns) > NEAR * typical_ns:
+        return series.period_ns  # a sender that waits too long and then makes up for it keeps its cycle
+    regular_ns = steps_ns[np.abs(steps_ns - typical_ns) <= NEAR * typical_ns]
+    if len(regular_ns) < LEAST_REGULAR * len(steps_ns):
+        return series.period_ns
+    own_ns = round(float(regular_ns.mean()) / NS_PER_MS) * NS_PER_MS
+    return own_ns if series.period_ns < own_ns <= SLOWEST * series.period_ns else series.period_ns
+
+
+def _mean_step_ns(series: Series) -> float:
+    """Return the time from one transmission to the next over the whole stretch."""
+    count = len(series.t_ns) - 1 if series.sequence[0] < 0 else int(series.sequence[-1] - series.sequence[0])
+    return int(series.t_ns[-1] - series.t_ns[0]) / max(count, 1)
+
+
+def _steps_ns(series: Series) -> FloatArray:
+    """Return the time from one transmission to the next, wherever two samples tell it, shape (n - 1,)."""
+    steps_ns: FloatArray = np.diff(series.t_ns).astype(np.float64)
+    if series.sequence[0] >= 0:
+        steps_ns /= np.maximum(np.diff(series.sequence), 1)
+    return steps_ns

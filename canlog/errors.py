@@ -1,0 +1,21 @@
+"""The one family of errors of this library; a subclass says what a caller does next."""
+
+
+class CanlogError(Exception):
+    """Base of all errors that this library raises on purpose."""
+
+
+class DefinitionError(CanlogError):
+    """A database, or a signal of it, cannot be used as asked: correct the file or the question."""
+
+
+class SourceError(CanlogError):
+    """A bus or a log cannot be opened or read: check the interface or the file."""
+
+
+class ExtraMissingError(SourceError):
+    """A library that only an extra brings is not installed: install it."""
+
+
+class OutputError(CanlogError):
+    """A file cannot be written: check the disk and the folder."""

@@ -1,0 +1,116 @@
+"""FrameBatch: the one columnar type that every source yields."""
+
+from dataclasses import dataclass, field, replace
+from typing import Any, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from canlog.arrays import Int64Array, UInt8Array, UInt32Array
+
+EXTENDED_FLAG = 0x8000_0000  # bit 31 of ``can_id``: 29-bit identifier
+REMOTE_FLAG = 0x4000_0000
+ERROR_FLAG = 0x2000_0000
+
+BRS_FLAG = 0x01  # bits of ``flags``, as Linux numbers them: the payload was sent at the faster bit rate
+ESI_FLAG = 0x02  # the sender was error passive
+FD_FLAG = 0x04  # a CAN FD frame
+TX_FLAG = 0x08  # our own bit: the log says that its recorder sent the frame itself
+
+PAYLOAD_BYTES = 8  # of a classic frame
+FD_PAYLOAD_BYTES = 64  # of a CAN FD frame
+
+BEFORE_ALL_NS = -(2**62)  # in place of a time: before any that a frame can have
+MAX_GAP_NS = 1_000_000_000  # a bus that was silent for longer starts a new segment
+
+
+class WatchedBits(NamedTuple):
+    """Bits of one message's payload, of which a reader of frames wants to hear when they change."""
+
+    can_id: int  # of its frames under the mask, both with the flags above
+    mask: int
+    payload: bytes  # ones where a bit is watched
+
+
+Rows = slice | Int64Array | npt.NDArray[np.bool_]
+
+
+def _no_column() -> UInt8Array:
+    return np.empty(0, np.uint8)
+
+
+_PLAIN_KINDS = tuple(np.dtype(kind) for kind in (np.int64, np.uint32, np.uint8, np.uint8, np.uint8))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class FrameBatch:
+    """Frames in the order of arrival, as arrays; no Python object per frame.
+
+    ``t_ns`` is bus time in whole microseconds (what a candump log keeps), so a live stream and its recording decode
+    to the same bits. Payload bytes past ``length`` are zero. A batch of classic frames has payload rows of 8 bytes,
+    one that may hold CAN FD frames has 64; ``flags`` and ``channel`` are zeros if they are left out.
+    """
+
+    t_ns: Int64Array  # (n,)
+    can_id: UInt32Array  # (n,) with the flags above
+    length: UInt8Array  # (n,) bytes, up to the width
+    data: UInt8Array  # (n, 8) or (n, 64)
+    flags: UInt8Array = field(default_factory=_no_column)  # (n,) of FD_FLAG, BRS_FLAG, ESI_FLAG, TX_FLAG
+    channel: UInt8Array = field(default_factory=_no_column)  # (n,) bus number as the source counts; 0: it has but one
+
+    def __post_init__(self) -> None:
+        for name in ("flags", "channel"):
+            if not len(getattr(self, name)):
+                object.__setattr__(self, name, np.zeros(len(self.t_ns), np.uint8))
+
+    def __len__(self) -> int:
+        return len(self.t_ns)
+
+    def __getitem__(self, rows: Rows) -> "FrameBatch":
+        return FrameBatch(
+            t_ns=self.t_ns[rows],
+            can_id=self.can_id[rows],
+            length=self.length[rows],
+            data=self.data[rows],
+            flags=self.flags[rows],
+            channel=self.channel[rows],
+        )
+
+    @property
+    def width(self) -> int:
+        """Bytes of a payload row."""
+        return int(self.data.shape[1])
+
+    def plain(self) -> "FrameBatch":
+        """Return the same frames with every column in the one layout that loops are compiled for."""
+        columns: tuple[npt.NDArray[Any], ...] = (self.t_ns, self.can_id, self.length, self.data, self.channel)
+        if all(
+            column.flags.carray and column.dtype == kind for column, kind in zip(columns, _PLAIN_KINDS, strict=True)
+        ):
+            return self
+        return FrameBatch(
+            t_ns=np.require(self.t_ns, np.int64, ("C", "W")),
+            can_id=np.require(self.can_id, np.uint32, ("C", "W")),
+            length=np.require(self.length, np.uint8, ("C", "W")),
+            data=np.require(self.data, np.uint8, ("C", "W")),
+            flags=self.flags,
+            channel=np.require(self.channel, np.uint8, ("C", "W")),
+        )
+
+    def widened(self, width: int) -> "FrameBatch":
+        """Return the same frames with payload rows of at least ``width`` bytes."""
+        if self.width >= width:
+            return self
+        data = np.zeros((len(self), width), np.uint8)
+        data[:, : self.width] = self.data
+        return replace(self, data=data)
+
+
+def empty_batch() -> FrameBatch:
+    """Return a batch without frames."""
+    return FrameBatch(
+        t_ns=np.empty(0, np.int64),
+        can_id=np.empty(0, np.uint32),
+        length=np.empty(0, np.uint8),
+        data=np.empty((0, PAYLOAD_BYTES), np.uint8),
+    )

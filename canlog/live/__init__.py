@@ -1,0 +1,21 @@
+"""Live buses: received without waiting, supervised, in bus time."""
+
+from canlog.live.base import FrameSource, LinkBreak, LiveSource, SourceCounts
+from canlog.live.bus_state import BusState, BusStatus
+from canlog.live.factory import BusOpener, open_source
+from canlog.live.pace import Pace
+from canlog.live.supervisor import SupervisedSource, supervise
+
+__all__ = [
+    "BusOpener",
+    "BusState",
+    "BusStatus",
+    "FrameSource",
+    "LinkBreak",
+    "LiveSource",
+    "Pace",
+    "SourceCounts",
+    "SupervisedSource",
+    "open_source",
+    "supervise",
+]

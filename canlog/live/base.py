@@ -1,0 +1,68 @@
+"""What every live source of frames offers, whatever bus it listens to."""
+
+from collections.abc import AsyncIterator
+from dataclasses import dataclass
+from typing import Protocol
+
+from canlog.frames import FrameBatch
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SourceCounts:
+    """Frames of a live bus, counted since the source was opened.
+
+    ``received + kernel_dropped`` frames were on the bus; ``received - queue_dropped - unsupported`` were handed over.
+    """
+
+    received: int = 0  # read from the interface
+    kernel_dropped: int = 0  # lost in the socket's receive buffer, as the kernel counts them
+    queue_dropped: int = 0  # read, but the service was too far behind to keep them
+    unsupported: int = 0  # neither CAN nor CAN FD
+    clock_steps: int = 0  # of the wall clock; bus time does not follow them
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LinkBreak:
+    """The bus was away: what comes after is another stretch, whatever its times say."""
+
+    problem: str
+
+
+class FrameSource(Protocol):
+    """A live bus as batches of frames, oldest first.
+
+    Iteration ends after ``aclose``, with all frames received until then handed over, and raises ``SourceError`` when
+    the bus fails; frames received before the failure are handed over first.
+    """
+
+    @property
+    def description(self) -> str:
+        """Interface and channel, for people."""
+
+    @property
+    def counts(self) -> SourceCounts:
+        """What has been received and lost until now; exact, also after the source was closed."""
+
+    def __aiter__(self) -> AsyncIterator[FrameBatch]:
+        """Iterate over the batches."""
+
+    async def aclose(self) -> None:
+        """Stop receiving; a second call does nothing."""
+
+
+class LiveSource(Protocol):
+    """What a live run reads: like a FrameSource, which is one, but a bus that failed may come back after a break."""
+
+    @property
+    def description(self) -> str:
+        """Interface and channel, for people."""
+
+    @property
+    def counts(self) -> SourceCounts:
+        """What has been received and lost until now; exact, also after the source was closed."""
+
+    def __aiter__(self) -> AsyncIterator[FrameBatch | LinkBreak]:
+        """Iterate over batches and breaks."""
+
+    async def aclose(self) -> None:
+        """Stop receiving; a second call does nothing."""

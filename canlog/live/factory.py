@@ -1,0 +1,142 @@
+"""Which source a user means: command line, environment and can.conf, as python-can reads them."""
+
+import asyncio
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from canlog.errors import SourceError
+from canlog.frames import WatchedBits
+from canlog.live.base import FrameSource
+from canlog.live.interface import Seen, index_of, present_name, restart_controller
+from canlog.live.pace import Pace
+from canlog.live.socketcan import SocketCanSource
+
+SOCKETCAN = "socketcan"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class BusSettings:
+    """A bus, fully named."""
+
+    interface: str
+    channel: str | None
+    bitrate: int | None
+    fd: bool
+
+    @property
+    def description(self) -> str:
+        """Interface and channel, for people."""
+        return f"{self.interface} {self.channel}" if self.channel is not None else self.interface
+
+
+class BusOpener:
+    """Opens one bus, again and again.
+
+    Parameters
+    ----------
+    interface, channel, bitrate, fd
+        As python-can names them. What is not given comes from ``CAN_INTERFACE``, ``CAN_CHANNEL`` and
+        ``CAN_BITRATE``, then from ``can.conf``.
+    filters
+        Identifiers and masks that a SocketCAN interface is to let through; other interfaces give everything.
+    pace
+        How long frames of a SocketCAN interface may gather.
+    watched
+        What is news while a shift is on.
+    """
+
+    def __init__(
+        self,
+        interface: str | None = None,
+        channel: str | None = None,
+        bitrate: int | None = None,
+        *,
+        fd: bool = False,
+        filters: Sequence[tuple[int, int]] = (),
+        pace: Pace | None = None,
+        watched: Sequence[WatchedBits] = (),
+    ) -> None:
+        self._pace = pace
+        self._given = (interface, channel, bitrate, fd)
+        self._filters = filters
+        self._watched = watched
+        self._settings: BusSettings | None = None
+        self._last: Seen | None = None  # a SocketCAN interface, to find it under another name
+
+    async def open(self) -> FrameSource:
+        """Open the bus; when this returns, it receives.
+
+        Raises
+        ------
+        SourceError
+            If the bus is not named completely or cannot be opened.
+        """
+        if self._settings is None:
+            # python-can takes up to a second to import, and a driver may take as long to open: neither stops the loop.
+            interface, channel, bitrate, fd = self._given
+            self._settings = await asyncio.to_thread(complete_settings, interface, channel, bitrate, fd=fd)
+        settings = self._settings
+        if settings.interface != SOCKETCAN:
+            return await _open_pythoncan(settings)
+        if not settings.channel:
+            raise SourceError("no CAN channel given: name the interface, for example -i socketcan -c vcan0")
+        name = present_name(settings.channel, self._last)
+        source = SocketCanSource(name, fd=settings.fd, filters=self._filters, pace=self._pace, watched=self._watched)
+        self._last = Seen(name=name, index=index_of(name))
+        return source
+
+    async def restart(self) -> str | None:
+        """Ask the controller to leave bus-off; return why that cannot be, None if it was accepted."""
+        settings = self._settings
+        if settings is None or settings.interface != SOCKETCAN or settings.channel is None:
+            return "only SocketCAN offers it"
+        return await asyncio.to_thread(restart_controller, present_name(settings.channel, self._last))
+
+
+async def open_source(
+    interface: str | None = None, channel: str | None = None, bitrate: int | None = None, *, fd: bool = False
+) -> FrameSource:
+    """Open a live bus once; arguments and errors as ``BusOpener``."""
+    return await BusOpener(interface, channel, bitrate, fd=fd).open()
+
+
+async def _open_pythoncan(settings: BusSettings) -> FrameSource:
+    from canlog.live import pythoncan  # noqa: PLC0415 - heavy, and not needed for SocketCAN
+
+    bus = await asyncio.to_thread(
+        pythoncan.open_bus, settings.interface, settings.channel, settings.bitrate, fd=settings.fd
+    )
+    return pythoncan.PythonCanSource(bus, settings.description)
+
+
+def complete_settings(interface: str | None, channel: str | None, bitrate: int | None, *, fd: bool) -> BusSettings:
+    """Return the settings with what the user left out taken from environment and configuration files.
+
+    Raises
+    ------
+    SourceError
+        If no interface is named anywhere, or one that python-can does not know.
+    """
+    if interface == SOCKETCAN and channel is not None:
+        return BusSettings(interface=interface, channel=channel, bitrate=bitrate, fd=fd)
+    import can  # noqa: PLC0415 - heavy, and not needed for a SocketCAN interface named in full
+
+    given = {"interface": interface, "channel": channel, "bitrate": bitrate}
+    try:
+        found = can.util.load_config(config={key: value for key, value in given.items() if value is not None})
+    except can.CanInterfaceNotImplementedError as exc:
+        hint = "-i INTERFACE -c CHANNEL, CAN_INTERFACE and CAN_CHANNEL, or ~/can.conf"
+        if interface is None:
+            raise SourceError(f"no usable CAN interface given: use {hint} ({exc})") from exc
+        known = ", ".join(sorted(can.VALID_INTERFACES))
+        raise SourceError(f"unknown CAN interface {interface!r}: choose one of {known}") from exc
+    except (OSError, ValueError, TypeError) as exc:
+        raise SourceError(f"the configuration of python-can cannot be used: {exc}") from exc
+    name = found.get("channel")
+    rate = found.get("bitrate")
+    return BusSettings(
+        interface=str(found["interface"]),
+        channel=None if name is None else str(name),
+        bitrate=None if rate is None else int(rate),
+        fd=fd or bool(found.get("fd")),
+    )

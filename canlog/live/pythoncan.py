@@ -1,0 +1,155 @@
+"""Live frames from any other interface of python-can: a reader thread whose end the service sees."""
+
+import asyncio
+import threading
+from collections.abc import AsyncIterator, Sequence
+
+import can
+import numpy as np
+
+from canlog.bus import opening
+from canlog.errors import SourceError
+from canlog.frames import (
+    BRS_FLAG,
+    ERROR_FLAG,
+    ESI_FLAG,
+    EXTENDED_FLAG,
+    FD_FLAG,
+    FD_PAYLOAD_BYTES,
+    PAYLOAD_BYTES,
+    REMOTE_FLAG,
+    FrameBatch,
+)
+from canlog.live.base import SourceCounts
+from canlog.live.frame_queue import FrameQueue
+
+POLL_S = 0.1  # how soon the thread notices that it shall stop
+MESSAGES_PER_BATCH = 256
+PATIENCE_S = 3.0  # with a driver that does not return
+LAST_BATCHES = 64  # what an interface may still hold; bounded, for the bus may never fall silent
+NS_PER_US = 1_000
+US_PER_S = 1e6
+
+
+class PythonCanSource:
+    """Frames of an open python-can bus, which this object owns from now on.
+
+    python-can keeps times as floating-point seconds; they are rounded to whole microseconds. What an interface loses
+    before python-can hands it over is not known, so ``kernel_dropped`` stays 0.
+    """
+
+    def __init__(self, bus: can.BusABC, description: str, *, queue: FrameQueue | None = None) -> None:
+        self._bus = bus
+        self._description = description
+        self._queue = queue or FrameQueue()
+        self._received = 0
+        self._is_stopping = threading.Event()
+        self._thread = threading.Thread(target=self._read, name="python-can reader", daemon=True)
+        self._thread.start()
+
+    @property
+    def description(self) -> str:
+        """Interface and channel, for people."""
+        return self._description
+
+    @property
+    def counts(self) -> SourceCounts:
+        """What has been received and lost until now."""
+        return SourceCounts(received=self._received, queue_dropped=self._queue.dropped)
+
+    async def __aiter__(self) -> AsyncIterator[FrameBatch]:
+        """Iterate over the batches."""
+        while (batch := await self._queue.take()) is not None:
+            if len(batch):
+                yield batch
+
+    async def aclose(self) -> None:
+        """Take what the interface still holds, then end the thread and the bus; a driver that hangs is left behind."""
+        self._is_stopping.set()
+        await asyncio.to_thread(self._thread.join, PATIENCE_S)
+        if self._thread.is_alive():
+            self._queue.close(SourceError(f"{self._description} does not answer"))
+
+    def _read(self) -> None:
+        """Read until told to stop; whatever ends this thread, the consumer learns of it."""
+        error: SourceError | None = SourceError(f"{self._description}: the reader ended unexpectedly")
+        try:
+            while not self._is_stopping.is_set():
+                self._offer(self._receive(POLL_S))
+            for _ in range(LAST_BATCHES):
+                self._offer(self._receive(0.0))
+            error = None
+        except (can.CanError, OSError, ValueError) as exc:
+            error = SourceError(f"{self._description} cannot be read: {one_line(exc)}")
+        finally:
+            self._bus.shutdown()
+            self._queue.close(error)
+
+    def _receive(self, timeout_s: float) -> list[can.Message]:
+        """Wait for one message, then take those that are there already."""
+        messages: list[can.Message] = []
+        while len(messages) < MESSAGES_PER_BATCH:
+            message = self._bus.recv(timeout=0.0 if messages else timeout_s)
+            if message is None:
+                break
+            messages.append(message)
+        return messages
+
+    def _offer(self, messages: Sequence[can.Message]) -> None:
+        self._received += len(messages)
+        if messages:
+            self._queue.offer(to_batch(messages))
+
+
+def to_batch(messages: Sequence[can.Message]) -> FrameBatch:
+    """Return python-can messages as columns."""
+    width = FD_PAYLOAD_BYTES if any(message.is_fd for message in messages) else PAYLOAD_BYTES
+    t_us = np.rint(np.array([message.timestamp for message in messages]) * US_PER_S).astype(np.int64)
+    capacity = np.array([FD_PAYLOAD_BYTES if message.is_fd else PAYLOAD_BYTES for message in messages], np.uint8)
+    length = np.array([message.dlc for message in messages], np.uint8)
+    payload = b"".join(bytes(message.data).ljust(width, b"\0") for message in messages)
+    return FrameBatch(
+        t_ns=t_us * NS_PER_US,
+        can_id=np.array([flagged_id(message) for message in messages], np.uint32),
+        length=np.minimum(length, capacity),
+        data=np.frombuffer(payload, np.uint8).reshape(-1, width),
+        flags=np.array([frame_flags(message) for message in messages], np.uint8),
+    )
+
+
+def flagged_id(message: can.Message) -> int:
+    """Return the identifier with the flags of frames.py."""
+    return (
+        message.arbitration_id
+        | (EXTENDED_FLAG if message.is_extended_id and not message.is_error_frame else 0)
+        | (REMOTE_FLAG if message.is_remote_frame else 0)
+        | (ERROR_FLAG if message.is_error_frame else 0)
+    )
+
+
+def frame_flags(message: can.Message) -> int:
+    """Return the flags of a message; a classic frame has none."""
+    if not message.is_fd:
+        return 0
+    return FD_FLAG | (BRS_FLAG if message.bitrate_switch else 0) | (ESI_FLAG if message.error_state_indicator else 0)
+
+
+def open_bus(interface: str, channel: str | None, bitrate: int | None, *, fd: bool) -> can.BusABC:
+    """Open a python-can bus; ``udp_multicast`` keeps to this machine unless ``hop_limit`` is configured.
+
+    Raises
+    ------
+    SourceError
+        If the interface is unknown, its driver is missing, or the channel cannot be opened.
+    """
+    try:
+        return opening.open_bus(interface, channel, bitrate, fd=fd)
+    except (can.CanError, OSError, ValueError, TypeError, ImportError, RuntimeError) as exc:
+        raise SourceError(f"CAN interface {interface} {channel or ''} cannot be opened: {one_line(exc)}") from exc
+
+
+def one_line(error: BaseException) -> str:
+    """Return what a third-party error says, its cause included, as one line."""
+    cause = error.__cause__
+    texts = [str(error) or type(error).__name__] + ([str(cause)] if cause is not None else [])
+    return " ".join("; ".join(texts).split())

@@ -1,0 +1,107 @@
+"""Raw CAN sockets of Linux: how one is opened, what its kernel counts, and what its errors mean to people."""
+
+import errno
+import os
+import socket
+import struct
+from collections.abc import Sequence
+
+from canlog.errors import SourceError
+from canlog.live.recvmmsg import SO_TIMESTAMPNS
+
+RECEIVE_BUFFER_BYTES = 8 * 1024 * 1024  # about ten thousand frames: some seconds of a full bus
+ALL_ERROR_CLASSES = 0x1FFF_FFFF
+CAN_RAW_ERR_FILTER = 2
+SO_RCVBUFFORCE = 33
+SO_MEMINFO = 55
+MEMINFO_FORMAT = "9I"
+MEMINFO_DROPS = 8  # index of SK_MEMINFO_DROPS
+
+
+def open_socket(
+    channel: str, *, fd: bool, receive_buffer_bytes: int, filters: Sequence[tuple[int, int]] = ()
+) -> socket.socket:
+    """Return a raw CAN socket, bound, stamping and non-blocking.
+
+    Raises
+    ------
+    SourceError
+        If this kernel has no CAN, or the interface is not there, not CAN, or down.
+    """
+    try:
+        raw = socket.socket(socket.AF_CAN, socket.SOCK_RAW | socket.SOCK_NONBLOCK, socket.CAN_RAW)
+    except OSError as exc:
+        raise opening_failed(channel, exc) from exc
+    try:
+        raw.setsockopt(socket.SOL_SOCKET, SO_TIMESTAMPNS, 1)
+        raw.setsockopt(socket.SOL_CAN_RAW, CAN_RAW_ERR_FILTER, ALL_ERROR_CLASSES)
+        if filters:
+            packed = b"".join(struct.pack("=II", *one) for one in filters)
+            raw.setsockopt(socket.SOL_CAN_RAW, socket.CAN_RAW_FILTER, packed)
+        if fd:
+            raw.setsockopt(socket.SOL_CAN_RAW, socket.CAN_RAW_FD_FRAMES, 1)
+        grow_receive_buffer(raw, receive_buffer_bytes)
+        raw.bind((channel,))
+        if failure := raw.getsockopt(socket.SOL_SOCKET, socket.SO_ERROR):  # an interface that is down says so here
+            raise OSError(failure, os.strerror(failure))  # noqa: TRY301 - one place translates every failure
+    except OSError as exc:
+        raw.close()
+        raise opening_failed(channel, exc) from exc
+    return raw
+
+
+def grow_receive_buffer(raw: socket.socket, size_bytes: int) -> None:
+    """Set the receive buffer's size, past the system's limit if we may."""
+    try:
+        raw.setsockopt(socket.SOL_SOCKET, SO_RCVBUFFORCE, size_bytes)
+    except PermissionError:
+        raw.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, size_bytes)
+
+
+def let_nothing_in(raw: socket.socket) -> None:
+    """Have the kernel give this socket no more frames; those that it holds can still be read."""
+    raw.setsockopt(socket.SOL_CAN_RAW, socket.CAN_RAW_FILTER, b"")
+    raw.setsockopt(socket.SOL_CAN_RAW, CAN_RAW_ERR_FILTER, 0)
+
+
+def granted_share(raw: socket.socket) -> float:
+    """Return how much of the receive buffer that the pace counts on the system has granted."""
+    granted_bytes = raw.getsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF) // 2  # it tells twice what was asked for
+    return min(1.0, granted_bytes / RECEIVE_BUFFER_BYTES)
+
+
+def kernel_drops(raw: socket.socket) -> int:
+    """Return how many frames the kernel could not put into this socket's receive buffer."""
+    memory = raw.getsockopt(socket.SOL_SOCKET, SO_MEMINFO, struct.calcsize(MEMINFO_FORMAT))
+    return int(struct.unpack(MEMINFO_FORMAT, memory)[MEMINFO_DROPS])
+
+
+def opening_failed(channel: str, error: OSError) -> SourceError:
+    """Say why an interface cannot be opened and what to do about it."""
+    match error.errno:
+        case errno.EAFNOSUPPORT | errno.EPROTONOSUPPORT:
+            return SourceError(
+                "this kernel has no CAN sockets (modprobe can-raw), or use another interface: "
+                "-i udp_multicast -c 239.74.163.2"
+            )
+        case errno.ENODEV if not os.path.exists(f"/sys/class/net/{channel}"):  # noqa: PTH110 - a name, not a path
+            return SourceError(
+                f"no CAN interface {channel!r}: create it (ip link add {channel} type vcan; ip link set {channel} up)"
+            )
+        case errno.ENODEV:
+            return SourceError(f"{channel!r} is not a CAN interface: `ip link show type can` and `type vcan` list them")
+        case errno.ENETDOWN:
+            return SourceError(f"CAN interface {channel!r} is down: switch it on (ip link set {channel} up)")
+        case _:
+            return SourceError(f"CAN interface {channel!r} cannot be opened: {error.strerror or error}")
+
+
+def reading_failed(channel: str, error: OSError) -> SourceError:
+    """Say why an interface that was open can no longer be read."""
+    match error.errno:
+        case errno.ENETDOWN:
+            return SourceError(f"CAN interface {channel!r} went down: switch it on (ip link set {channel} up)")
+        case errno.ENODEV:
+            return SourceError(f"CAN interface {channel!r} was removed")
+        case _:
+            return SourceError(f"CAN interface {channel!r} cannot be read: {error.strerror or error}")

@@ -1,0 +1,237 @@
+"""Live frames from SocketCAN: a receive path of our own that neither hangs nor loses frames in silence."""
+
+import asyncio
+from collections.abc import AsyncIterator, Sequence
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+from canlog.frames import FrameBatch, WatchedBits
+from canlog.live.base import SourceCounts
+from canlog.live.bus_clock import BusClock
+from canlog.live.clock_alarm import clock_alarm
+from canlog.live.frame_queue import FrameQueue
+from canlog.live.pace import RELAXED_S, URGENT_S, Pace
+from canlog.live.raw_socket import (
+    RECEIVE_BUFFER_BYTES,
+    granted_share,
+    kernel_drops,
+    let_nothing_in,
+    open_socket,
+    reading_failed,
+)
+from canlog.live.recvmmsg import SLOTS, FrameReceiver
+
+if TYPE_CHECKING:
+    import socket
+
+    from canlog.errors import SourceError
+
+CALLS_PER_WAKE_UP = 8  # 4096 frames, then the rest of the service gets its turn
+CROWD = 8 * SLOTS  # frames at one wake-up, twice those of a full bus: the buffer must not fill up
+QUIET_WAKE_UPS = 3  # without a frame; then the socket itself tells when there is one
+
+
+class SocketCanSource:
+    """Frames of one SocketCAN interface, among them error frames; it receives from construction on.
+
+    While frames come they gather in the kernel, which notes their times, and the socket is emptied as often as the
+    pace says, whether or not somebody consumes them. A bus that fell silent is waited for.
+
+    The kernel's own counter of frames lost in the receive buffer is read with SO_MEMINFO. SO_RXQ_OVFL would tell
+    the same number with the next frame only, and so never the losses after the last one.
+
+    Parameters
+    ----------
+    channel : str
+        Interface name, such as ``vcan0``.
+    fd : bool
+        Receive CAN FD frames as well; without it the kernel keeps them from this socket, uncounted.
+    filters : sequence of (identifier, mask)
+        What the kernel lets through besides error frames; everything if empty. What it holds back is not counted.
+    clock : BusClock or None
+        What takes steps of the wall clock out of the times.
+    pace : Pace or None
+        How long frames may gather.
+    watched : sequence of WatchedBits
+        Without news of which frames need not be handed over when nothing else is waited for.
+    receive_buffer_bytes : int
+        What to ask of the kernel; without privileges it may grant less.
+
+    Raises
+    ------
+    SourceError
+        If the interface cannot be listened to; the text says what to do.
+    """
+
+    def __init__(
+        self,
+        channel: str,
+        *,
+        fd: bool = False,
+        filters: Sequence[tuple[int, int]] = (),
+        receive_buffer_bytes: int = RECEIVE_BUFFER_BYTES,
+        queue: FrameQueue | None = None,
+        clock: BusClock | None = None,
+        pace: Pace | None = None,
+        watched: Sequence[WatchedBits] = (),
+    ) -> None:
+        self._channel = channel
+        self._queue = queue or FrameQueue(linger_s=0.0)
+        self._socket: socket.socket | None = open_socket(
+            channel, fd=fd, filters=filters, receive_buffer_bytes=receive_buffer_bytes
+        )
+        self._receiver = FrameReceiver(self._socket.fileno(), watched)
+        self._is_watching = len(watched) > 0
+        self._granted = granted_share(self._socket)
+        self._clock = clock or BusClock()
+        self._pace = pace or Pace()
+        self._pace.on_change = self._hurry
+        self._received = 0
+        self._seen_ns: int | None = None  # bus time of the last frame
+        self._unsupported = 0
+        self._final_drops = 0
+        self._failure: SourceError | None = None
+        self._loop = asyncio.get_running_loop()
+        self._timer: asyncio.TimerHandle | None = None
+        self._gathered_s = 0.0  # when the socket was emptied last, as the loop counts
+        self._taken_s = 0.0  # when frames were handed over last
+        self._quiet_count = 0
+        self._alarm = clock_alarm()
+        if self._alarm is not None:
+            self._loop.add_reader(self._alarm, self._see_clock_set)
+        self._loop.add_reader(self._socket, self._wake)
+
+    @property
+    def description(self) -> str:
+        """Interface and channel, for people."""
+        return f"socketcan {self._channel}"
+
+    @property
+    def counts(self) -> SourceCounts:
+        """What has been received and lost until now."""
+        return SourceCounts(
+            received=self._received,
+            kernel_dropped=self._final_drops if self._socket is None else kernel_drops(self._socket),
+            queue_dropped=self._queue.dropped,
+            unsupported=self._unsupported,
+            clock_steps=self._clock.step_count,
+        )
+
+    async def __aiter__(self) -> AsyncIterator[FrameBatch]:
+        """Iterate over the batches."""
+        while (batch := await self._queue.take()) is not None:
+            if len(batch):
+                yield batch
+
+    async def aclose(self) -> None:
+        """Let nothing more in, take what the kernel still holds, then stop."""
+        if self._socket is not None:
+            let_nothing_in(self._socket)
+        while self._socket is not None:
+            self._drain(is_last=True)
+
+    def _wake(self) -> None:
+        """Begin to empty the socket at regular times; runs when a bus that was silent says something."""
+        if self._socket is not None:
+            self._loop.remove_reader(self._socket)
+            self._quiet_count = 0
+            self._gather()
+
+    def _gather(self) -> None:
+        """Empty the socket, and see to it that this happens again."""
+        before = self._received
+        self._gathered_s = self._loop.time()
+        is_empty = self._drain()
+        if self._socket is None:
+            return
+        self._quiet_count = 0 if self._received > before else self._quiet_count + 1
+        if self._quiet_count < QUIET_WAKE_UPS:
+            is_crowded = self._received - before > CROWD * self._granted
+            gather_s = URGENT_S if is_crowded else self._gather_s()
+            self._timer = self._loop.call_later(gather_s if is_empty else 0.0, self._gather)
+        else:
+            self._timer = None
+            self._loop.add_reader(self._socket, self._wake)
+
+    def _gather_s(self) -> float:
+        """Return for how long frames may gather: no longer than a small receive buffer holds a full bus [s]."""
+        return min(self._pace.gather_s(self._seen_ns), max(self._granted * RELAXED_S, URGENT_S))
+
+    def _hurry(self) -> None:
+        """Empty the socket earlier than was thought, if what is waited for now comes earlier."""
+        when_s = self._gathered_s + self._gather_s()
+        if self._timer is not None and when_s < self._timer.when():
+            self._timer.cancel()
+            self._timer = self._loop.call_at(when_s, self._gather)
+
+    def _see_clock_set(self) -> None:
+        if self._alarm is not None and self._alarm.acknowledge():
+            self._clock.look()
+
+    def _drain(self, *, is_last: bool = False) -> bool:
+        """Move what is waiting from the socket to the queue; return whether nothing is left there."""
+        for _ in range(CALLS_PER_WAKE_UP):
+            try:
+                if self._failure is not None:
+                    self._hand_over()  # a second failure must not cost them
+                room = self._receiver.room
+                count = self._receiver.receive()
+                self._received += count
+                if count == room or is_last or not self._may_keep():
+                    self._hand_over()
+            except OSError as exc:
+                # A failure overtakes the frames received before it: note it, and read on until nothing is left.
+                is_repeated = self._failure is not None
+                self._failure = self._failure or reading_failed(self._channel, exc)
+                if is_repeated:
+                    self._close()
+                    return True
+                continue
+            if count == 0 and (is_last or self._failure is not None):
+                self._close()
+                return True
+            if count < room and not is_last and self._failure is None:
+                if not self._receiver.held:
+                    self._clock.settle()
+                return True  # what comes meanwhile is for the next time: no call in vain
+        return False
+
+    def _may_keep(self) -> bool:
+        """Return whether the frames received can wait for more: nothing comes of them before there is news."""
+        is_heard = self._quiet_count < QUIET_WAKE_UPS - 1  # after that nobody comes back for them
+        is_patient = self._is_watching and not self._receiver.has_news and self._failure is None and is_heard
+        return is_patient and self._pace.may_keep_s > self._gathered_s - self._taken_s
+
+    def _hand_over(self) -> None:
+        """Put the frames received into the queue, in bus time."""
+        self._taken_s = self._gathered_s
+        if not self._receiver.held:
+            return
+        reception = self._receiver.take()
+        self._unsupported += reception.unsupported
+        batch = reception.batch
+        if not len(batch):
+            return
+        if self._alarm is None:
+            self._clock.look()
+        else:
+            self._clock.look_if_stale(int(batch.t_ns[-1]))
+        times = self._clock.bus_time_ns(batch.t_ns)
+        self._seen_ns = int(times[-1])
+        self._queue.offer(batch if times is batch.t_ns else replace(batch, t_ns=times))
+
+    def _close(self) -> None:
+        if self._timer is not None:
+            self._timer.cancel()
+            self._timer = None
+        if self._alarm is not None:
+            self._loop.remove_reader(self._alarm)
+            self._alarm.close()
+            self._alarm = None
+        if self._socket is not None:
+            self._loop.remove_reader(self._socket)
+            self._final_drops = kernel_drops(self._socket)
+            self._socket.close()
+            self._socket = None
+        failure, self._failure = self._failure, None  # once raised it refers to this source
+        self._queue.close(failure)

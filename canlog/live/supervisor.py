@@ -1,0 +1,191 @@
+"""A live bus that comes back: the source that reads it is opened again, for as long as it takes."""
+
+import asyncio
+import logging
+from collections.abc import AsyncIterator
+from dataclasses import dataclass, fields
+from typing import Protocol
+
+import numpy as np
+
+from canlog.errors import SourceError
+from canlog.frames import EXTENDED_FLAG, FrameBatch
+from canlog.live.base import FrameSource, LinkBreak, SourceCounts
+from canlog.live.bus_state import BusState, BusStatus, BusWatch
+from canlog.notice import NOTICE
+
+RETRY_S = 0.1  # from the return of the interface to its first frame: this and the opening
+LONGEST_RETRY_S = 1.0  # for a bus that opens, but fails before it gave anything
+RESTART_PERIOD_S = 1.0
+COUNT_PERIOD_S = 0.5  # how soon a loss shows in the state
+STANDARD_BITS = 47  # ISO 11898-1: start to end of frame without data, and three bits of intermission
+EXTENDED_BITS = 20  # more in a frame with 29-bit identifier
+_LOG = logging.getLogger(__name__)
+
+
+class Opener(Protocol):
+    """One bus that can be opened again and again."""
+
+    async def open(self) -> FrameSource:
+        """Open the bus; raise SourceError if it cannot be opened now."""
+
+    async def restart(self) -> str | None:
+        """Ask the controller to leave bus-off; return why that cannot be, None if it was accepted."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Patience:
+    """How often is tried again [s]."""
+
+    retry_s: float = RETRY_S
+    longest_retry_s: float = LONGEST_RETRY_S
+    restart_s: float = RESTART_PERIOD_S
+
+
+class SupervisedSource:
+    """The frames of a bus over all its openings, with a ``LinkBreak`` wherever it was away.
+
+    Frames received before a failure come first, then the break, then what is heard after the return. Iteration ends
+    with ``aclose`` only.
+    """
+
+    def __init__(self, opener: Opener, first: FrameSource, patience: Patience | None = None) -> None:
+        self._opener = opener
+        self._patience = patience or Patience()
+        self._source: FrameSource | None = first
+        self._description = first.description
+        self._past = SourceCounts()
+        self._retry_s = self._patience.retry_s
+        self._watch = BusWatch()
+        self._bit_count = 0
+        self._counted_s = -COUNT_PERIOD_S
+        self._dropped = 0  # at the last count
+        self._closing = asyncio.Event()
+        self._restarter: asyncio.Task[None] | None = None
+
+    @property
+    def description(self) -> str:
+        """Interface and channel, for people."""
+        return self._description
+
+    @property
+    def counts(self) -> SourceCounts:
+        """What all openings together received and lost."""
+        return self._past if self._source is None else _sum(self._past, self._source.counts)
+
+    @property
+    def bit_count(self) -> int:
+        """Bits on the bus that the frames heard stand for, stuff bits left out."""
+        return self._bit_count
+
+    @property
+    def status(self) -> BusStatus:
+        """State of the bus and what has happened to it."""
+        return self._watch.status(_now_s())
+
+    async def __aiter__(self) -> AsyncIterator[FrameBatch | LinkBreak]:
+        """Iterate over batches and breaks."""
+        while self._source is not None:
+            try:
+                async for batch in self._source:
+                    self._hear(batch)
+                    yield batch
+            except SourceError as exc:
+                problem = str(exc)
+            else:
+                return
+            await self._let_go(problem)
+            yield LinkBreak(problem=problem)
+            await self._reopen()
+
+    async def aclose(self) -> None:
+        """Stop receiving and trying; a second call does nothing."""
+        self._closing.set()
+        if self._restarter is not None:
+            self._restarter.cancel()
+        if self._source is not None:
+            await self._source.aclose()
+
+    def _hear(self, batch: FrameBatch) -> None:
+        now_s = _now_s()
+        if now_s - self._counted_s > COUNT_PERIOD_S:  # a question to the kernel
+            counts = self.counts
+            self._counted_s, self._dropped = now_s, counts.kernel_dropped + counts.queue_dropped
+        self._bit_count += frame_bits(batch)
+        self._retry_s = self._patience.retry_s
+        self._watch.hear(batch, self._dropped, now_s)
+        if self._watch.is_off and (self._restarter is None or self._restarter.done()):
+            self._restarter = asyncio.create_task(self._restart(), name="bus restart")
+
+    async def _let_go(self, problem: str) -> None:
+        self._watch.lose(problem)
+        _LOG.warning("%s; waiting for its return", problem)
+        if self._source is not None:
+            await self._source.aclose()
+            self._past, self._source = _sum(self._past, self._source.counts), None
+
+    async def _reopen(self) -> None:
+        """Open the bus as soon as it can be opened, unless this is closed before."""
+        lost_s = _now_s()
+        await _first_of(self._closing, self._retry_s)
+        while not self._closing.is_set():
+            try:
+                source = await self._opener.open()
+            except SourceError as exc:
+                _LOG.debug("not yet: %s", exc)
+            else:
+                self._source, self._description = source, source.description
+                self._retry_s = min(2.0 * self._retry_s, self._patience.longest_retry_s)
+                self._watch.return_()
+                _LOG.log(NOTICE, "%s is read again after %.1f s", source.description, _now_s() - lost_s)
+                if self._closing.is_set():
+                    await source.aclose()
+                return
+            await _first_of(self._closing, self._patience.retry_s)
+
+    async def _restart(self) -> None:
+        """Ask for a restart, once in a while, until the controller is back on the bus."""
+        last_refusal: str | None = None
+        while self.status.state is BusState.BUS_OFF:
+            refusal = await self._opener.restart()
+            self._watch.ask_restart()
+            if refusal is None:
+                _LOG.log(NOTICE, "%s is bus-off; asked it to restart", self._description)
+            elif refusal != last_refusal:
+                _LOG.warning("%s is bus-off and cannot be restarted from here: %s", self._description, refusal)
+            last_refusal = refusal
+            await asyncio.sleep(self._patience.restart_s)
+
+
+async def supervise(opener: Opener) -> SupervisedSource:
+    """Open a bus for the first time and keep it open from then on.
+
+    Raises
+    ------
+    SourceError
+        If it cannot be opened now: a service that never heard its bus was most likely told the wrong one.
+    """
+    return SupervisedSource(opener, await opener.open())
+
+
+def frame_bits(batch: FrameBatch) -> int:
+    """Return how many bits frames take on the bus, the space between them included, stuff bits left out."""
+    extended = np.count_nonzero(batch.can_id & np.uint32(EXTENDED_FLAG))
+    return len(batch) * STANDARD_BITS + int(extended) * EXTENDED_BITS + 8 * int(batch.length.sum(dtype=np.int64))
+
+
+def _sum(past: SourceCounts, present: SourceCounts) -> SourceCounts:
+    return SourceCounts(
+        **{field.name: getattr(past, field.name) + getattr(present, field.name) for field in fields(SourceCounts)}
+    )
+
+
+def _now_s() -> float:
+    return asyncio.get_running_loop().time()
+
+
+async def _first_of(event: asyncio.Event, timeout_s: float) -> None:
+    try:
+        await asyncio.wait_for(event.wait(), timeout_s)
+    except TimeoutError:
+        return

@@ -1,0 +1,197 @@
+"""Which format the first bytes of a log speak of, whatever its name."""
+
+import codecs
+import re
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from enum import StrEnum
+from io import BytesIO
+from types import MappingProxyType
+
+from canlog.errors import SourceError
+from canlog.logs import sqlite
+from canlog.logs.arena import BYTE_ORDER_MARK
+from canlog.logs.asc import is_asc_header, read_asc
+from canlog.logs.blf import MAGIC as BLF_MAGIC
+from canlog.logs.candump import frames_in_candump
+from canlog.logs.tables import Busmaster, Crtd, GvretCsv, PythonCanCsv, Table, Trc, frames_of
+from canlog.logs.tables.csv_tables import is_gvret_header, is_python_can_header
+from canlog.logs.tally import Tally
+
+PROBE_BYTES = 64 * 1024
+HEADER_LINES = 20  # a format that names itself does so in its first lines
+LINES_LOOKED_AT = 100  # where no line names a format, most of these must be frames of it
+COMMENTS = (b"#", b"//")
+UTF_16_BYTES = 64
+MDF_MAGICS = (b"MDF     ", b"UnFinMF ")
+MDF_VERSION = slice(8, 9)
+
+
+class LogFormat(StrEnum):
+    """The log formats that can be read."""
+
+    CANDUMP = "candump"
+    BLF = "blf"
+    ASC = "asc"
+    MF4 = "mf4"
+    TRC = "trc"
+    CSV = "csv"
+    SQLITE = "sqlite"
+    GVRET = "gvret"
+    BUSMASTER = "busmaster"
+    CRTD = "crtd"
+
+
+TABLES: Mapping[LogFormat, Callable[[], Table]] = MappingProxyType(
+    {
+        LogFormat.TRC: Trc,
+        LogFormat.CSV: PythonCanCsv,
+        LogFormat.GVRET: GvretCsv,
+        LogFormat.BUSMASTER: Busmaster,
+        LogFormat.CRTD: Crtd,
+    }
+)
+HEADERS: Mapping[LogFormat, Callable[[bytes], bool]] = MappingProxyType(
+    {
+        LogFormat.ASC: is_asc_header,
+        LogFormat.TRC: lambda line: line.upper().startswith(b";$FILEVERSION"),
+        LogFormat.CSV: is_python_can_header,
+        LogFormat.GVRET: is_gvret_header,
+        LogFormat.BUSMASTER: lambda line: line.startswith(b"***BUSMASTER"),
+    }
+)
+
+
+# What lines of tables without a header must look like besides: a column of anything proves nothing.
+TYPICAL: Mapping[LogFormat, re.Pattern[bytes]] = MappingProxyType(
+    {
+        LogFormat.TRC: re.compile(rb"\s*(?:\d+\)\s+-?[\d.]+\s|;)"),
+        LogFormat.CSV: re.compile(rb"[\d.eE+-]+,\s*0x[0-9a-fA-F]+,[01],"),
+        LogFormat.GVRET: re.compile(rb"[\d.eE+-]+,[0-9a-fA-F]+,(?:true|false),", re.IGNORECASE),
+        LogFormat.BUSMASTER: re.compile(rb"\s*(?:\d+:\d+:\d+:\d+\s+[RT]x\s|\*\*\*)"),
+        LogFormat.CRTD: re.compile(rb"\d+(?:\.\d+)?\s+\d?(?:[RT](?:11|29)|C[A-Z]{2})\s"),
+    }
+)
+OTHER_FORMATS: Mapping[bytes, str] = MappingProxyType(
+    {
+        b"PK\x03\x04": "a zip archive",
+        b"BZh": "a file compressed by bzip2",
+        b"\x28\xb5\x2f\xfd": "a file compressed by zstd",
+        b"7z\xbc\xaf": "a 7z archive",
+        b"\xd4\xc3\xb2\xa1": "a pcap capture",
+        b"\xa1\xb2\xc3\xd4": "a pcap capture",
+        b"\x0a\x0d\x0d\x0a": "a pcapng capture",
+        b"\x89HDF": "an HDF5 file",
+        b"PAR1": "a Parquet file",
+    }
+)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Detected:
+    """What a file was taken for, and why."""
+
+    format: LogFormat
+    evidence: str
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Candidate:
+    """How many of the lines of a text are frames of a format."""
+
+    frames: int
+    others: int  # lines that are neither frames nor comments of that format
+
+    @property
+    def is_likely(self) -> bool:
+        return self.frames > self.others
+
+
+def detect(probe: bytes) -> Detected:
+    """Return the format of a file that begins so.
+
+    Raises
+    ------
+    SourceError
+        If the file is empty or of no known format.
+    """
+    if not probe.strip():
+        raise SourceError("the file is empty")
+    if probe.startswith(BLF_MAGIC):
+        return Detected(format=LogFormat.BLF, evidence="it begins with LOGG")
+    if probe.startswith(sqlite.MAGIC):
+        return Detected(format=LogFormat.SQLITE, evidence="it begins with SQLite format 3")
+    if probe.startswith(MDF_MAGICS):
+        if probe[MDF_VERSION] != b"4":
+            raise SourceError("an MDF file of a version before 4: convert it")
+        return Detected(format=LogFormat.MF4, evidence=f"it begins with {probe[: MDF_VERSION.stop].decode('ascii')}")
+    return detect_text(probe)
+
+
+def detect_text(probe: bytes) -> Detected:
+    """Return the format of a text: the one that a first line names, else the one that most of its first lines are in.
+
+    Raises
+    ------
+    SourceError
+        If it is of no known format.
+    """
+    if is_utf_16(probe):
+        raise SourceError("a text in UTF-16: convert it to UTF-8, for example by iconv -f UTF-16 -t UTF-8")
+    text = probe.removeprefix(BYTE_ORDER_MARK)
+    for number, line in enumerate(text.splitlines()[:HEADER_LINES], 1):
+        for log_format, is_header in HEADERS.items():
+            if is_header(line.strip()):
+                return Detected(format=log_format, evidence=f"line {number} is its header")
+    lines = first_lines(text, is_cut=len(probe) >= PROBE_BYTES)
+    hint, most = "", 0
+    for log_format in (LogFormat.CANDUMP, *TABLES, LogFormat.ASC):
+        found = _candidate(log_format, lines)
+        shown = f"{found.frames} of the first {len(lines)} lines"
+        if found.is_likely:
+            return Detected(format=log_format, evidence=f"{shown} are frames in its grammar")
+        if found.frames > most:
+            hint, most = f"{shown} fit {log_format}", found.frames
+    raise SourceError(_not_known(probe, hint))
+
+
+def first_lines(text: bytes, *, is_cut: bool) -> list[bytes]:
+    """Return the first lines that are neither empty nor comments of any program; the last may be cut off."""
+    lines = text.splitlines()
+    if is_cut and len(lines) > 1:
+        del lines[-1]
+    return [line for line in lines if line.strip() and not line.lstrip().startswith(COMMENTS)][:LINES_LOOKED_AT]
+
+
+def is_utf_16(probe: bytes) -> bool:
+    """Return whether a text has two bytes for each character."""
+    beginning = probe[:UTF_16_BYTES].removeprefix(codecs.BOM_UTF16_LE).removeprefix(codecs.BOM_UTF16_BE)
+    halves = beginning[::2], beginning[1::2]
+    return any(half and not any(half) and other.isascii() and all(other) for half, other in (halves, halves[::-1]))
+
+
+def _candidate(log_format: LogFormat, lines: Sequence[bytes]) -> _Candidate:
+    typical = TYPICAL.get(log_format)
+    fitting = [line for line in lines if typical is None or typical.match(line)]
+    frames, skipped = _counted(log_format, b"\n".join(fitting))
+    if log_format is LogFormat.ASC:  # skips whatever begins with a time
+        skipped = 0
+    return _Candidate(frames=frames, others=len(lines) - frames - skipped)
+
+
+def _counted(log_format: LogFormat, text: bytes) -> tuple[int, int]:
+    """Return how many lines are frames of a format, and how many something else of it."""
+    if not text:
+        return 0, 0
+    if log_format is LogFormat.CANDUMP:
+        return frames_in_candump(text), 0
+    if log_format is LogFormat.ASC:
+        return sum(len(batch) for batch in read_asc(BytesIO(text + b"\n"), Tally())), 0
+    tally = Tally()
+    return len(frames_of(TABLES[log_format](), text, tally)), tally.skipped
+
+
+def _not_known(probe: bytes, hint: str) -> str:
+    other = next((name for magic, name in OTHER_FORMATS.items() if probe.startswith(magic)), "")
+    known = f"not a log of a known format ({', '.join(LogFormat)})"
+    return f"{known}: {other or f'only {hint}'}" if other or hint else known

@@ -1,0 +1,151 @@
+"""Libraries that parse what nobody vouches for, in a child process with limits on its memory and time.
+
+A server process imports the library once and forks a child for each file, so a file costs milliseconds. The child sends
+batches, then its counts; what ends it early is one clear error here.
+"""
+
+import atexit
+import json
+import os
+import socket
+import subprocess
+import sys
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import closing, suppress
+from multiprocessing.connection import Connection, Pipe
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+from canlog.errors import SourceError
+from canlog.frames import FrameBatch
+from canlog.logs import guarded_server
+from canlog.logs.tally import LogCounts, LogReject, Tally
+
+Work = Callable[[Path, Path, Tally], Iterator[FrameBatch]]  # a file, a folder for temporary ones, counts
+
+MEMORY_BYTES = 128 * 1024 * 1024  # beyond what the library itself takes, for a small file
+MEMORY_PER_BYTE = 4
+COPY_PER_BYTE = 32  # of copies on the disk: records that were packed are there as they are
+CPU_S = 3.0
+BYTES_PER_CPU_S = 2_000_000
+WAIT_PER_CPU_S = 20.0  # others may use the machine, too; processor time is what is limited
+GAVE_UP = "reading it takes more time or memory than any sound file of its size: it is damaged"
+
+
+def guarded(work: Work, path: Path, tally: Tally) -> Iterator[FrameBatch]:
+    """Yield what a piece of work yields, done by a child.
+
+    Parameters
+    ----------
+    work
+        A function of a module; errors that it raises are of this package.
+    path
+        The file that it reads; the limits grow with its size.
+    tally
+        Takes over what the work counts.
+
+    Raises
+    ------
+    SourceError
+        If the work raises one, or takes more time or memory than any sound file of this size does.
+    """
+    size_bytes = path.stat().st_size
+    content_bytes = stored_bytes(path, size_bytes)
+    cpu_s = CPU_S + content_bytes / BYTES_PER_CPU_S
+    with TemporaryDirectory(prefix="clutchdiag-") as folder:
+        receiving, sending = Pipe(duplex=False)
+        with closing(receiving):
+            with closing(sending):
+                request = {
+                    "module": work.__module__,
+                    "name": work.__qualname__,
+                    "path": str(path.resolve()),
+                    "folder": folder,
+                    "memory_bytes": MEMORY_BYTES + MEMORY_PER_BYTE * content_bytes,
+                    "file_bytes": MEMORY_BYTES + COPY_PER_BYTE * content_bytes,
+                    "cpu_s": int(cpu_s) + 1,
+                }
+                _SERVER.ask(json.dumps(request).encode(), sending.fileno())
+            while isinstance(message := _receive(receiving, WAIT_PER_CPU_S * cpu_s), FrameBatch):
+                yield message
+    if isinstance(message, LogCounts):
+        tally.take(message)
+    elif path.stat().st_size < size_bytes:  # what ends a process that looks where the file no longer is
+        tally.truncated = True
+        tally.reject(LogReject.CUT_OFF, "where the file shrank while it was read")
+    else:
+        is_hollow = content_bytes < size_bytes / 2
+        raise SourceError(f"{message}; most of the file was never written" if is_hollow else message)
+
+
+def stored_bytes(path: Path, size_bytes: int) -> int:
+    """Return how much of a file is there: what was never written takes no room, and holds nothing."""
+    found_bytes, position = 0, 0
+    with suppress(OSError), path.open("rb") as file:  # ENXIO: nothing more
+        while position < size_bytes and found_bytes < size_bytes:
+            start = os.lseek(file.fileno(), position, os.SEEK_DATA)
+            position = os.lseek(file.fileno(), start, os.SEEK_HOLE)
+            found_bytes += position - start
+    return found_bytes
+
+
+def _receive(receiving: Connection, wait_s: float) -> FrameBatch | LogCounts | str:
+    """Return the next message of the child, or what is to be said of its end."""
+    try:
+        if receiving.poll(wait_s):
+            message: FrameBatch | LogCounts | str = receiving.recv()
+            return message
+    except (EOFError, OSError):
+        pass
+    return GAVE_UP
+
+
+class _Server:
+    """The process that forks the children; started when it is first needed, ended with this one."""
+
+    def __init__(self) -> None:
+        self._lock = threading.Lock()
+        self._process: subprocess.Popen[bytes] | None = None
+        self._control: socket.socket | None = None
+
+    def ask(self, request: bytes, reply_to: int) -> None:
+        """Have a child do what the request says and write to this pipe.
+
+        Raises
+        ------
+        SourceError
+            If no process can be started.
+        """
+        with self._lock:
+            try:
+                control = self._control
+                if control is None or self._process is None or self._process.poll() is not None:
+                    control = self._start()
+                socket.send_fds(control, [request], [reply_to])
+            except OSError as exc:
+                raise SourceError(f"no process can be started to read it: {exc.strerror or exc}") from exc
+
+    def stop(self) -> None:
+        """End the process."""
+        if self._control is not None and self._process is not None:
+            self._control.close()
+            self._process.wait()
+
+    def _start(self) -> socket.socket:
+        ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+        with closing(theirs):
+            self._process = subprocess.Popen(  # noqa: S603 - this interpreter, a module of this package
+                [sys.executable, "-m", guarded_server.__name__, str(theirs.fileno())],
+                pass_fds=[theirs.fileno()],
+                env={**os.environ, "PYTHONPATH": os.pathsep.join(folder for folder in sys.path if folder)},
+                stdin=subprocess.DEVNULL,
+                stdout=subprocess.DEVNULL,
+                stderr=subprocess.DEVNULL,
+            )
+        self._control = ours
+        return ours
+
+
+_SERVER = _Server()
+atexit.register(_SERVER.stop)

@@ -1,0 +1,63 @@
+"""Several streams of frames, each in its own order, as one in the order of time."""
+
+from collections.abc import Callable, Iterable, Iterator
+
+import numpy as np
+
+from canlog.frame_columns import join
+from canlog.frames import FrameBatch
+
+
+def _unchanged(_number: int, batch: FrameBatch) -> FrameBatch:
+    return batch
+
+
+def merged_by_time(
+    streams: Iterable[Iterator[FrameBatch]], marked: Callable[[int, FrameBatch], FrameBatch] = _unchanged
+) -> Iterator[FrameBatch]:
+    """Yield the frames of all streams; of frames with the same time those of an earlier stream come first.
+
+    Each stream is held one batch ahead. Where its time jumps back its frames stay in their order. A stream that ends
+    is asked for more before another begins with frames of the same time.
+
+    Parameters
+    ----------
+    marked :
+        Returns frames of a stream, by its place, as they shall leave; called as they are due.
+    """
+    waiting = [(number, stream, batch) for number, stream in enumerate(streams) if (batch := _next(stream)) is not None]
+    begun: set[int] = set()
+    while len(waiting) > 1:
+        horizon_ns, first = min((int(batch.t_ns[-1]), place) for place, (*_, batch) in enumerate(waiting))
+        due = [
+            0 if place > first and number not in begun and batch.t_ns[0] == horizon_ns else _due(batch, horizon_ns)
+            for place, (number, _, batch) in enumerate(waiting)
+        ]
+        if not any(due):  # the time of every stream jumps back: the one that is behind goes on as it is
+            behind = min(range(len(waiting)), key=lambda place: int(waiting[place][2].t_ns[0]))
+            due[behind] = len(waiting[behind][2])
+        parts = list(zip(waiting, due, strict=True))
+        begun.update(number for (number, *_), count in parts if count)
+        taken = [marked(number, batch[:count]) for (number, _, batch), count in parts if count]
+        yield taken[0] if len(taken) == 1 else _sorted(join(taken))
+        left = [(number, stream, batch[count:]) for (number, stream, batch), count in parts]
+        refilled = [(number, stream, batch if len(batch) else _next(stream)) for number, stream, batch in left]
+        waiting = [(number, stream, batch) for number, stream, batch in refilled if batch is not None]
+    for number, stream, batch in waiting:
+        yield marked(number, batch)
+        yield from (marked(number, rest) for rest in stream if len(rest))
+
+
+def _next(stream: Iterator[FrameBatch]) -> FrameBatch | None:
+    """Return the next batch that holds a frame."""
+    return next((batch for batch in stream if len(batch)), None)
+
+
+def _sorted(batch: FrameBatch) -> FrameBatch:
+    return batch[np.argsort(batch.t_ns, kind="stable")]
+
+
+def _due(batch: FrameBatch, horizon_ns: int) -> int:
+    """Return how many frames from the first come no later."""
+    later = np.flatnonzero(batch.t_ns > horizon_ns)
+    return int(later[0]) if len(later) else len(batch)

@@ -1,0 +1,195 @@
+"""Log files of all formats, told apart by their contents, as batches of frames."""
+
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import suppress
+from io import BufferedReader
+from pathlib import Path
+from types import MappingProxyType
+from typing import BinaryIO, cast
+
+from canlog.errors import SourceError
+from canlog.frames import FrameBatch
+from canlog.logs.asc import read_asc
+from canlog.logs.blf import read_blf
+from canlog.logs.candump import read_candump
+from canlog.logs.compressed import InflatedStream, compression_of
+from canlog.logs.detection import PROBE_BYTES, TABLES, Detected, LogFormat, detect, detect_text
+from canlog.logs.mf4 import read_mf4
+from canlog.logs.patience import PatientStream
+from canlog.logs.sqlite import read_sqlite
+from canlog.logs.tables import reader_of
+from canlog.logs.tables.time_unit import bus_load_ratio, is_plausible
+from canlog.logs.tally import LogCounts, LogReject, Tally
+from canlog.logs.time_watch import TimeWatch
+from canlog.plain_files import open_plain_file
+
+LOAD_FRAMES = 2_000  # the first ones, from which a load is told
+READERS: Mapping[LogFormat, Callable[[BinaryIO, Tally], Iterator[FrameBatch]]] = MappingProxyType(
+    {
+        LogFormat.CANDUMP: read_candump,
+        LogFormat.BLF: read_blf,
+        LogFormat.ASC: read_asc,
+        LogFormat.MF4: read_mf4,
+        LogFormat.SQLITE: read_sqlite,
+        **{log_format: reader_of(new_table) for log_format, new_table in TABLES.items()},
+    }
+)
+
+
+class LogReader(Iterator[FrameBatch]):
+    """The frames of one log file, once, oldest first as far as the file is in order.
+
+    A strict one stops with an error at the first line, object or record that is no frame and not meant to be anything
+    else, at the first jump of time, and where the file ends before its own end.
+    """
+
+    def __init__(
+        self, path: Path, stream: BinaryIO, detected: Detected, tally: Tally, *, is_strict: bool = False
+    ) -> None:
+        self.path = path
+        self.format = detected.format
+        self.evidence = detected.evidence  # why it was taken for that
+        self._tally = tally
+        self._stream = stream
+        self._opened = path.stat()
+        self._batches = READERS[detected.format](cast("BinaryIO", PatientStream(stream, tally)), tally)
+        self._watch = TimeWatch(tally)
+        self._is_strict = is_strict
+        self._is_first = True
+
+    @property
+    def counts(self) -> LogCounts:
+        """What has been found until now."""
+        return self._tally.snapshot()
+
+    def __next__(self) -> FrameBatch:
+        """Return the next batch.
+
+        Raises
+        ------
+        SourceError
+            If the file cannot be read on, its end is reached without a single frame, or a strict reader meets a fault.
+        """
+        try:
+            batch = next(self._batches)
+        except StopIteration:
+            self._look_at_size()
+            self.close()
+            self._be_strict()
+            if self._tally.frames == 0:
+                raise SourceError(f"{self.path}: {self._nothing_found()}") from None
+            raise
+        except OSError as exc:
+            self._look_at_size()
+            self.close()
+            raise SourceError(f"{self.path}: {exc.strerror or exc}") from exc
+        except SourceError as exc:
+            self._look_at_size()
+            self.close()
+            raise type(exc)(f"{self.path}: {exc}") from exc
+        if self._is_first:
+            self._is_first = False
+            self._look_at_load(batch[:LOAD_FRAMES])
+        self._watch.look(batch)
+        self._be_strict()
+        return batch
+
+    def close(self) -> None:
+        """Close the file; reading to the end does it, too."""
+        self._stream.close()
+
+    def _look_at_load(self, batch: FrameBatch) -> None:
+        """Say so if the first frames come faster than any bus carries them."""
+        load_ratio = bus_load_ratio(batch)
+        if load_ratio == float("inf"):
+            self._tally.note(f"the first {len(batch)} frames, or those of one channel, all have the same time")
+        elif not is_plausible(load_ratio):
+            self._tally.note(
+                f"the times cannot be right: the first {len(batch)} frames would load a bus of 1 Mbit/s by "
+                f"{100 * load_ratio:.0f} %"
+            )
+
+    def _look_at_size(self) -> None:
+        """Count it as cut if the file has become shorter since it was opened."""
+        with suppress(OSError):
+            now, opened = self.path.stat(), self._opened
+            if now.st_ino == opened.st_ino and now.st_size < opened.st_size:
+                self._tally.truncated = True
+                self._tally.reject(LogReject.CUT_OFF, f"byte {now.st_size}, where the file shrank while it was read")
+
+    def _be_strict(self) -> None:
+        if self._is_strict and (fault := self.counts.first_fault):
+            self.close()
+            raise SourceError(f"{self.path}: {fault}")
+
+    def _nothing_found(self) -> str:
+        counts = self.counts
+        if LogReject.GIVEN_UP in counts.rejected:
+            return f"no CAN frame in the first megabytes of this {self.format} log, nor anything else of it: given up"
+        first = f" ({counts.first_rejected})" if counts.first_rejected else ""
+        return f"no CAN frame in this {self.format} log{first}"
+
+
+def read_log(path: Path | str, *, is_strict: bool = False) -> LogReader:
+    """Open a log file, perhaps compressed, and return its reader.
+
+    Raises
+    ------
+    SourceError
+        If the file is missing, unreadable, empty or not a log of a known format.
+    """
+    path = Path(path)
+    try:
+        stream = BufferedReader(open_plain_file(path))
+    except IsADirectoryError as exc:
+        raise SourceError(f"{path}: is a folder, not a log file") from exc
+    except FileNotFoundError as exc:
+        raise SourceError(f"{path}: no such file") from exc
+    except OSError as exc:
+        raise SourceError(f"{path}: {exc.strerror or exc}") from exc
+    try:
+        return _reader(path, stream, is_strict=is_strict)
+    except OSError as exc:
+        stream.close()
+        raise SourceError(f"{path}: {exc.strerror or exc}") from exc
+    except SourceError as exc:
+        stream.close()
+        raise SourceError(f"{path}: {exc}") from exc
+
+
+def is_log(path: Path) -> bool:
+    """Return whether a file is a log of a known format, by its first bytes; False if it cannot be read."""
+    return not why_no_log(path)
+
+
+def why_no_log(path: Path) -> str:
+    """Return why a file is no log of a known format, by its first bytes; empty if it is one."""
+    try:
+        read_log(path).close()
+    except SourceError as exc:
+        return str(exc).removeprefix(f"{path}: ")
+    return ""
+
+
+def _reader(path: Path, stream: BinaryIO, *, is_strict: bool) -> LogReader:
+    """Return the reader of an open file, after a look at its beginning."""
+    probe = stream.read(PROBE_BYTES)
+    stream.seek(0)
+    compression = compression_of(probe)
+    if compression is None:
+        return LogReader(path, stream, detect(probe), Tally(), is_strict=is_strict)
+    inflated, tally = InflatedStream(stream, compression), Tally()
+    detected = detect_text(_beginning(inflated))
+    inflated.restart(tally)
+    return LogReader(path, cast("BinaryIO", inflated), detected, tally, is_strict=is_strict)
+
+
+def _beginning(inflated: InflatedStream) -> bytes:
+    """Return the first bytes that a compressed file holds."""
+    pieces, missing_bytes = list[bytes](), PROBE_BYTES
+    while missing_bytes and (piece := inflated.read(missing_bytes)):
+        pieces.append(piece)
+        missing_bytes -= len(piece)
+    if not pieces:
+        raise SourceError("the compressed file holds nothing")
+    return b"".join(pieces)

@@ -1,0 +1,119 @@
+"""What compiled readers of text share: digits, blanks, and payloads in hexadecimal.
+
+Every text that is parsed ends with a newline, and no step passes over one, so none needs the length of the text.
+"""
+
+import numpy as np
+import numpy.typing as npt
+
+from canlog.arrays import Int64Array, UInt8Array
+from canlog.jit import array_kernel, inlined_kernel
+
+# Outcomes of one line, in the order of a kernel's counters.
+FRAME, SKIPPED, MALFORMED = range(3)
+
+# Why a kernel stops before the end of its text, and what it has done until then.
+POSITION, LINES, ROWS, STOP = range(4)
+AT_END, WIDEN, NEW_CHANNEL, OTHER = range(4)
+
+NEWLINE, TAB, RETURN, BLANK = 10, 9, 13, 32
+LONGEST_NUMBER = 18  # digits that 64 bits surely hold
+NO_NUMBER = -1
+
+HEX_VALUE: npt.NDArray[np.int8] = np.full(256, -1, np.int8)
+for _digit in range(16):
+    HEX_VALUE[ord(f"{_digit:x}")] = HEX_VALUE[ord(f"{_digit:X}")] = _digit
+
+# Two characters at a time: their value as hexadecimal and as decimal digits, -1 for any others.
+_HEX_PAIRS = 16 * HEX_VALUE[:, None].astype(np.int16) + HEX_VALUE[None, :]
+_ARE_HEX = (HEX_VALUE[:, None] >= 0) & (HEX_VALUE[None, :] >= 0)
+HEX_PAIR: npt.NDArray[np.int16] = np.where(_ARE_HEX, _HEX_PAIRS, np.int16(-1))
+_DECIMAL_PAIRS = 10 * HEX_VALUE[:, None].astype(np.int64) + HEX_VALUE[None, :]
+_IS_DECIMAL = (HEX_VALUE >= 0) & (HEX_VALUE <= 9)
+DECIMAL_PAIR: npt.NDArray[np.int64] = np.where(_IS_DECIMAL[:, None] & _IS_DECIMAL[None, :], _DECIMAL_PAIRS, -1)
+
+LENGTH_OF_CODE = np.array([0, 1, 2, 3, 4, 5, 6, 7, 8, 12, 16, 20, 24, 32, 48, 64], np.int64)
+FD_LENGTHS = (12, 16, 20, 24, 32, 48, 64)
+IS_LENGTH: npt.NDArray[np.bool_] = np.isin(np.arange(65), (*range(9), *FD_LENGTHS))
+
+
+@array_kernel
+def skip_blanks(text: UInt8Array, at: int) -> int:
+    """Return the position of the next character that is neither space, tabulator nor carriage return."""
+    while text[at] == BLANK or text[at] == TAB or text[at] == RETURN:
+        at += 1
+    return at
+
+
+@array_kernel
+def skip_word(text: UInt8Array, at: int) -> int:
+    """Return the position behind the characters that are neither blank nor the end of the line."""
+    while text[at] > BLANK:
+        at += 1
+    return at
+
+
+@array_kernel
+def skip_line(text: UInt8Array, at: int) -> int:
+    """Return the position behind the line."""
+    while text[at] != NEWLINE:
+        at += 1
+    return at + 1
+
+
+@inlined_kernel
+def decimal(text: UInt8Array, at: int, most_digits: int) -> tuple[int, int]:
+    """Read a number of up to so many digits; return it and the position behind it, which is ``at`` if there is none."""
+    value, begin = 0, at
+    while 48 <= text[at] <= 57 and at - begin < most_digits:
+        value = value * 10 + text[at] - 48
+        at += 1
+    return value, at
+
+
+@inlined_kernel
+def decimal_parts(text: UInt8Array, at: int, whole: int, most_digits: int) -> tuple[int, int]:
+    """Read digits behind a decimal point as parts of a whole, a power of ten; further ones are worth nothing."""
+    value, begin = 0, at
+    while 48 <= text[at] <= 57 and at - begin < most_digits:
+        whole //= 10
+        value += whole * (text[at] - 48)
+        at += 1
+    return value, at
+
+
+@inlined_kernel
+def hexadecimal(text: UInt8Array, at: int, most_digits: int) -> tuple[int, int]:
+    """Read a number of up to so many hexadecimal digits, as ``decimal``."""
+    value, begin = 0, at
+    while HEX_VALUE[text[at]] >= 0 and at - begin < most_digits:
+        value = value * 16 + HEX_VALUE[text[at]]
+        at += 1
+    return value, at
+
+
+@array_kernel
+def hex_bytes(text: UInt8Array, at: int, row: int, data: UInt8Array, limit: int, separator: int) -> tuple[int, int]:
+    """Read bytes of two digits into a row until something else comes; return how many and the position behind them.
+
+    Between two bytes the separator may stand. More bytes than the limit are not read.
+    """
+    count = 0
+    while count < limit and text[at] != NEWLINE:
+        value = HEX_PAIR[text[at], text[at + 1]]
+        if value < 0:
+            break
+        data[row, count] = value
+        count += 1
+        at += 2
+        if text[at] == separator and HEX_VALUE[text[at + 1]] >= 0:
+            at += 1
+    return count, at
+
+
+@array_kernel
+def count_lines(outcomes: Int64Array, first: Int64Array, outcome: int, line: int) -> None:
+    """Count one line."""
+    if outcomes[outcome] == 0:
+        first[outcome] = line
+    outcomes[outcome] += 1

@@ -1,0 +1,110 @@
+"""Parquet files through pyarrow, an optional dependency; written row group by row group."""
+
+from collections.abc import Mapping, Sequence
+from importlib import import_module
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Self
+
+from canlog.errors import ExtraMissingError, OutputError
+
+TIME_TYPE = "timestamp[ns, UTC]"
+BOOL_TYPE = "bool"
+TIME_ENCODING = "DELTA_BINARY_PACKED"
+NAME_TYPE = "name"  # a text of few different values
+
+
+def load_pyarrow() -> Any:  # noqa: ANN401 - an untyped library
+    """Return pyarrow.
+
+    Raises
+    ------
+    ExtraMissingError
+        If it is not installed.
+    """
+    try:
+        import_module("pyarrow.parquet")
+        return import_module("pyarrow")
+    except ImportError as exc:
+        raise ExtraMissingError("Parquet needs pyarrow: pip install 'clutchdiag[parquet]'") from exc
+
+
+class ParquetTable:
+    """A Parquet file that grows by row groups.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+    columns : Mapping of str to str
+        Names and types: ``int32``, ``int64``, ``float64``, ``string``, ``BOOL_TYPE``, ``TIME_TYPE`` or ``NAME_TYPE``.
+    metadata : Mapping of str to Mapping of str to str
+        Of columns, such as ``{"unit": "rpm"}``.
+
+    Raises
+    ------
+    ExtraMissingError
+        If pyarrow is not installed.
+    OutputError
+        If the file cannot be written.
+    """
+
+    def __init__(
+        self, path: Path, columns: Mapping[str, str], metadata: Mapping[str, Mapping[str, str]] | None = None
+    ) -> None:
+        self._arrow = load_pyarrow()
+        self._path = path
+        kinds = {
+            "int32": self._arrow.int32(),
+            "int64": self._arrow.int64(),
+            "float64": self._arrow.float64(),
+            "string": self._arrow.string(),
+            BOOL_TYPE: self._arrow.bool_(),
+            TIME_TYPE: self._arrow.timestamp("ns", "UTC"),
+            NAME_TYPE: self._arrow.dictionary(self._arrow.int32(), self._arrow.string()),
+        }
+        extra = metadata or {}
+        self.schema: Any = self._arrow.schema(
+            [self._arrow.field(name, kinds[kind], metadata=extra.get(name)) for name, kind in columns.items()]
+        )
+        try:
+            self._file = path.open("wb")  # pyarrow itself takes no name that is not UTF-8
+            self._writer = self._arrow.parquet.ParquetWriter(
+                self._file,
+                self.schema,
+                compression="zstd",
+                # Times hardly repeat, so differences are smaller; nobody looks for the least of some names.
+                use_dictionary=[name for name, kind in columns.items() if kind != TIME_TYPE],
+                write_statistics=[name for name, kind in columns.items() if kind not in {NAME_TYPE, BOOL_TYPE}],
+                column_encoding={name: TIME_ENCODING for name, kind in columns.items() if kind == TIME_TYPE},
+            )
+        except OSError as exc:
+            raise OutputError(f"cannot write {path}: {exc.strerror or exc}") from exc
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        try:
+            self._translated(self._writer.close)
+        finally:
+            self._translated(self._file.close)
+
+    def write_rows(self, rows: Sequence[Mapping[str, object]]) -> None:
+        """Write rows as one group; keys that are missing are null."""
+        if rows:
+            table = self._arrow.Table.from_pylist(list(rows), schema=self.schema)
+            self._translated(lambda: self._writer.write_table(table))
+
+    def write_columns(self, columns: Mapping[str, object]) -> None:
+        """Write arrays of one length, one per column in their order, as one group."""
+        batch = self._arrow.record_batch(list(columns.values()), schema=self.schema)
+        self._translated(lambda: self._writer.write_batch(batch))
+
+    def _translated(self, write: Any) -> None:  # noqa: ANN401 - a call into an untyped library
+        try:
+            write()
+        except OSError as exc:
+            raise OutputError(f"cannot write {self._path}: {exc.strerror or exc}") from exc

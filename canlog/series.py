@@ -1,0 +1,30 @@
+"""Samples of one signal, as a decoder makes them of its frames."""
+
+from dataclasses import dataclass
+
+from canlog.arrays import FloatArray, Int64Array
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Series:
+    """Samples of one signal, oldest first; invalid samples were left out and counted before.
+
+    ``sequence`` numbers the transmissions of the message (unwrapped alive counter, gaps where frames are
+    missing); without a counter in the DBC it is all -1. ``period_ns`` is the nominal cycle time, 0 if unknown; in
+    an event it is the message's own, where that is plainly longer.
+    """
+
+    t_ns: Int64Array  # (n,)
+    sequence: Int64Array  # (n,)
+    value: FloatArray  # (n,), finite
+    period_ns: int = 0
+
+    def between(self, start_ns: int, stop_ns: int) -> "Series":
+        """Return the samples with ``start_ns <= t_ns < stop_ns``."""
+        first, last = self.t_ns.searchsorted((start_ns, stop_ns))
+        return Series(
+            t_ns=self.t_ns[first:last],
+            sequence=self.sequence[first:last],
+            value=self.value[first:last],
+            period_ns=self.period_ns,
+        )

@@ -1,0 +1,221 @@
+"""What traffic a log holds, one pass, bounded memory: rates, jitter, gaps and load, whatever the frames mean."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from canlog.arrays import FloatArray, Int64Array
+from canlog.frames import BEFORE_ALL_NS, ERROR_FLAG, EXTENDED_FLAG, FD_FLAG, REMOTE_FLAG, TX_FLAG, FrameBatch
+
+NS_PER_S = 1_000_000_000
+STEPS_PER_OCTAVE = 8
+OCTAVES = 40  # from 1 us to 12 days
+BIN_COUNT = STEPS_PER_OCTAVE * OCTAVES
+GAP_RATIO = 3.0  # an interval beyond so many typical ones is a gap: two frames are missing
+JUMP_NS = NS_PER_S  # bus time that stands still for longer, or goes back, starts a new segment
+MAX_JUMPS = 20  # that are listed; all are counted
+STUFF_SHARE = 0.1  # stuff bits on top, as random payloads have them; at worst it is 0.25
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class IdTraffic:
+    """The frames of one identifier on one channel."""
+
+    channel: int
+    can_id: int  # with its flags
+    count: int
+    length: int  # bytes of the longest
+    rate_hz: float  # 0 for a single frame
+    period_s: float  # typical interval; 0 for a single frame
+    jitter_s: float  # standard deviation of the intervals that are no gaps
+    gap_count: int
+    longest_gap_s: float
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Jump:
+    """Where bus time jumps."""
+
+    at_ns: int  # before it
+    by_ns: int
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class TrafficReport:
+    """All of it."""
+
+    frames: int
+    first_ns: int
+    last_ns: int
+    ids: tuple[IdTraffic, ...]
+    error_frames: int
+    remote_frames: int
+    fd_frames: int
+    sent_frames: int  # by the recorder itself, where the log says so
+    jumps: tuple[Jump, ...]  # the first ones
+    jump_count: int
+    bus_load_ratio: float  # mean, at the assumed bit rate
+    peak_load_ratio: float  # in the busiest whole second
+
+
+class TrafficMeter:
+    """Counts frames as they come; ``bitrate`` is what the load is told for [bit/s]."""
+
+    def __init__(self, bitrate: int) -> None:
+        self._bitrate = bitrate
+        self._slots: dict[int, int] = {}  # channel and identifier -> row
+        self._count = np.zeros(0, np.int64)
+        self._length = np.zeros(0, np.int64)
+        self._last_ns = np.zeros(0, np.int64)
+        self._elapsed_ns = np.zeros(0, np.int64)  # intervals inside segments, summed
+        self._longest_ns = np.zeros(0, np.int64)
+        self._bins = np.zeros((0, BIN_COUNT), np.int64)
+        self._sums_s = np.zeros((0, BIN_COUNT))
+        self._squares_s2 = np.zeros((0, BIN_COUNT))
+        self._jumps: list[Jump] = []
+        self._jump_count = 0
+        self._kinds = dict.fromkeys((ERROR_FLAG, REMOTE_FLAG, FD_FLAG, TX_FLAG), 0)
+        self._ends_ns: tuple[int, int] | None = None  # first and latest time of all
+        self._bus_ns = 0  # time inside segments
+        self._last_bus_ns: int | None = None
+        self._bits = 0.0
+        self._second: tuple[int, float] = (0, 0.0)  # the second under way and its bits
+        self._peak_bits = 0.0
+
+    def add(self, batch: FrameBatch) -> None:
+        """Count a batch."""
+        if not len(batch):
+            return
+        first_ns, last_ns = int(batch.t_ns.min()), int(batch.t_ns.max())
+        before = self._ends_ns or (first_ns, last_ns)
+        self._ends_ns = (min(before[0], first_ns), max(before[1], last_ns))
+        for segment, is_new in self._segments(batch):
+            if is_new:
+                self._last_ns[:] = BEFORE_ALL_NS
+            self._follow(segment)
+        bits = frame_bits(batch)
+        self._bits += float(bits.sum())
+        self._load(batch.t_ns, bits)
+        for flag in (ERROR_FLAG, REMOTE_FLAG):
+            self._kinds[flag] += int(np.count_nonzero(batch.can_id & np.uint32(flag)))
+        for flag in (FD_FLAG, TX_FLAG):
+            self._kinds[flag] += int(np.count_nonzero(batch.flags & np.uint8(flag)))
+
+    def report(self) -> TrafficReport:
+        """Return what was counted until now."""
+        first_ns, last_ns = self._ends_ns or (0, 0)
+        duration_s = self._bus_ns / NS_PER_S
+        return TrafficReport(
+            frames=int(self._count.sum()),
+            first_ns=first_ns,
+            last_ns=last_ns,
+            ids=tuple(self._id_traffic(key, row) for key, row in sorted(self._slots.items())),
+            error_frames=self._kinds[ERROR_FLAG],
+            remote_frames=self._kinds[REMOTE_FLAG],
+            fd_frames=self._kinds[FD_FLAG],
+            sent_frames=self._kinds[TX_FLAG],
+            jumps=tuple(self._jumps),
+            jump_count=self._jump_count,
+            bus_load_ratio=self._bits / (self._bitrate * duration_s) if duration_s else 0.0,
+            peak_load_ratio=max(self._peak_bits, self._second[1]) / self._bitrate,
+        )
+
+    def _segments(self, batch: FrameBatch) -> Iterator[tuple[FrameBatch, bool]]:
+        """Cut a batch where bus time jumps."""
+        before_ns = int(batch.t_ns[0]) if self._last_bus_ns is None else self._last_bus_ns
+        steps_ns = np.diff(batch.t_ns, prepend=before_ns)
+        cuts = np.flatnonzero((steps_ns < 0) | (steps_ns > JUMP_NS))
+        self._bus_ns += int(steps_ns.sum() - steps_ns[cuts].sum())
+        self._last_bus_ns = int(batch.t_ns[-1])
+        self._jump_count += len(cuts)
+        for cut in cuts[: MAX_JUMPS - len(self._jumps)].tolist():
+            self._jumps.append(Jump(at_ns=int(batch.t_ns[cut] - steps_ns[cut]), by_ns=int(steps_ns[cut])))
+        starts = [0, *(cut for cut in cuts.tolist() if cut)]
+        for start, stop in zip(starts, [*starts[1:], len(batch)], strict=True):
+            yield batch[start:stop], bool(len(cuts)) and start in cuts
+
+    def _follow(self, segment: FrameBatch) -> None:
+        """Count the intervals between frames of one identifier."""
+        key = segment.channel.astype(np.int64) << 32 | segment.can_id
+        unique, inverse = np.unique(key, return_inverse=True)
+        rows = np.array([self._row(one) for one in unique.tolist()], np.int64)[inverse]
+        order = np.argsort(rows, kind="stable")
+        rows, t_ns = rows[order], segment.t_ns[order]
+        begins = np.flatnonzero(np.diff(rows, prepend=-1))
+        before_ns = np.concatenate((t_ns[:1], t_ns[:-1]))
+        before_ns[begins] = self._last_ns[rows[begins]]
+        known = before_ns > BEFORE_ALL_NS
+        step_ns, row = (t_ns - before_ns)[known], rows[known]
+        self._last_ns[rows[np.append(begins[1:], len(rows)) - 1]] = t_ns[np.append(begins[1:], len(rows)) - 1]
+        np.add.at(self._count, rows, 1)
+        np.maximum.at(self._length, rows, segment.length[order].astype(np.int64))
+        np.add.at(self._elapsed_ns, row, step_ns)
+        np.maximum.at(self._longest_ns, row, step_ns)
+        cell = row * BIN_COUNT + _bin_of(step_ns)
+        step_s = step_ns / NS_PER_S
+        size = self._bins.size
+        self._bins += np.bincount(cell, minlength=size).reshape(self._bins.shape)
+        self._sums_s += np.bincount(cell, step_s, size).reshape(self._bins.shape)
+        self._squares_s2 += np.bincount(cell, step_s**2, size).reshape(self._bins.shape)
+
+    def _row(self, key: int) -> int:
+        """Return the row of a channel and identifier, a new one if need be."""
+        row = self._slots.setdefault(key, len(self._slots))
+        if row == len(self._count):
+            for name in ("_count", "_length", "_elapsed_ns", "_longest_ns"):
+                setattr(self, name, np.append(getattr(self, name), 0))
+            self._last_ns = np.append(self._last_ns, BEFORE_ALL_NS)
+            for name in ("_bins", "_sums_s", "_squares_s2"):
+                table = getattr(self, name)
+                setattr(self, name, np.vstack((table, np.zeros((1, BIN_COUNT), table.dtype))))
+        return row
+
+    def _load(self, t_ns: Int64Array, bits: FloatArray) -> None:
+        """Find the busiest second."""
+        second = t_ns // NS_PER_S
+        begins = np.flatnonzero(np.diff(second, prepend=second[0] - 1))
+        for at, total in zip(second[begins].tolist(), np.add.reduceat(bits, begins).tolist(), strict=True):
+            self._peak_bits = max(self._peak_bits, self._second[1])
+            before = self._second[1] if at == self._second[0] else 0.0
+            self._second = (at, before + total)
+
+    def _id_traffic(self, key: int, row: int) -> IdTraffic:
+        bins = self._bins[row]
+        steps = int(bins.sum())
+        middle = int(np.searchsorted(np.cumsum(bins), (steps + 1) // 2)) if steps else 0
+        limit = min(BIN_COUNT, middle + 1 + round(STEPS_PER_OCTAVE * np.log2(GAP_RATIO)))
+        regular = int(bins[:limit].sum())
+        mean_s = float(self._sums_s[row, :limit].sum()) / max(regular, 1)
+        variance_s2 = float(self._squares_s2[row, :limit].sum()) / max(regular, 1) - mean_s**2
+        return IdTraffic(
+            channel=key >> 32,
+            can_id=key & 0xFFFF_FFFF,
+            count=int(self._count[row]),
+            length=int(self._length[row]),
+            rate_hz=steps / (int(self._elapsed_ns[row]) / NS_PER_S) if self._elapsed_ns[row] else 0.0,
+            period_s=mean_s,
+            jitter_s=float(np.sqrt(max(0.0, variance_s2))),
+            gap_count=steps - regular,
+            longest_gap_s=int(self._longest_ns[row]) / NS_PER_S if steps > regular else 0.0,
+        )
+
+
+def frame_bits(batch: FrameBatch) -> FloatArray:
+    """Return the length of frames on the wire in bits at the arbitration rate, stuff bits estimated, shape (n,).
+
+    ISO 11898-1: 47 bits around the payload with an 11-bit identifier, 67 with 29 bits, spaces between frames
+    included. The faster part of CAN FD frames with a bit rate switch is counted at the slower rate: an upper bound.
+    """
+    overhead = np.where(batch.can_id & np.uint32(EXTENDED_FLAG), 67.0, 47.0)
+    overhead += np.where(batch.flags & np.uint8(FD_FLAG), 14.0, 0.0)  # longer checksum and stuff count
+    payload = np.where(batch.can_id & np.uint32(REMOTE_FLAG), 0.0, 8.0 * batch.length)
+    bits: FloatArray = (overhead + payload) * (1.0 + STUFF_SHARE)
+    return bits
+
+
+def _bin_of(step_ns: Int64Array) -> Int64Array:
+    """Return the logarithmic bin of intervals, shape (n,)."""
+    steps = STEPS_PER_OCTAVE * np.log2(np.maximum(step_ns, 1000) / 1000.0)
+    bins: Int64Array = np.minimum(steps, BIN_COUNT - 1).astype(np.int64)
+    return bins

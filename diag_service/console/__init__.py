@@ -1,0 +1,1 @@
+"""What people read: notices, progress, lines that fit a terminal."""

@@ -1,0 +1,37 @@
+"""What the service says on standard error: one line per message, with the program's name before it."""
+
+import logging
+import sys
+
+from canlog.compiling import tell_of_compiling
+from canlog.notice import NOTICE
+from diag_service.legible import legible
+
+_PROGRAM = "diag-service"
+OWN = ("diag_service", "canlog")  # whose messages are shown without being asked for
+COMPILING = "diag_service.compiling"
+
+
+class _OneLine(logging.Formatter):
+    """``diag-service: warning: text``; no level where nothing is wrong, a traceback only if one is attached."""
+
+    def format(self, record: logging.LogRecord) -> str:
+        level = f"{record.levelname.lower()}: " if record.levelno >= logging.WARNING else ""
+        line = f"{_PROGRAM}: {level}{legible(record.getMessage())}"
+        return f"{line}\n{self.formatException(record.exc_info)}" if record.exc_info else line
+
+
+def set_up_notices(verbosity: int) -> None:
+    """Show what the service itself says; with ``verbosity`` 1 more of it, with 2 also what its libraries say."""
+    handler = logging.StreamHandler(sys.stderr)
+    handler.setFormatter(_OneLine())
+    level = (NOTICE, logging.INFO, logging.DEBUG)[min(verbosity, 2)]
+    for name in OWN:
+        own = logging.getLogger(name)
+        own.handlers = [handler]
+        own.propagate = False
+        own.setLevel(level)
+    compiling = logging.getLogger(COMPILING)
+    compiling.setLevel(level)  # a level of its own: workers that leave other notices to their parent tell of this
+    tell_of_compiling(lambda line: compiling.log(NOTICE, "%s", line))
+    logging.getLogger().handlers = [handler] if verbosity > 1 else [logging.NullHandler()]

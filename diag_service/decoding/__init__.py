@@ -1,1 +1,0 @@
-"""Frames become canonical columns."""

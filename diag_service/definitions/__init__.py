@@ -1,1 +1,0 @@
-"""What is on a bus: databases, profiles and addresses of messages, and what they suffice for."""

@@ -1,0 +1,26 @@
+"""Those who hear of results: people, the next program in a pipe, a broker, and a double for tests."""
+
+from diag_service.delivery.base import Link, Reporter
+from diag_service.delivery.console import ConsoleReporter
+from diag_service.delivery.delivery import Acknowledge
+from diag_service.delivery.detached import DetachedReporter
+from diag_service.delivery.jsonlines import JsonLinesReporter
+from diag_service.delivery.memory import MemoryLink, MemoryReporter
+from diag_service.delivery.mqtt import BrokerAddress, MqttConnector
+from diag_service.delivery.outbox import Outbox
+from diag_service.delivery.tls import TlsFiles
+
+__all__ = [
+    "Acknowledge",
+    "BrokerAddress",
+    "ConsoleReporter",
+    "DetachedReporter",
+    "JsonLinesReporter",
+    "Link",
+    "MemoryLink",
+    "MemoryReporter",
+    "MqttConnector",
+    "Outbox",
+    "Reporter",
+    "TlsFiles",
+]

@@ -1,0 +1,125 @@
+"""A line per shift and a closing table, for people."""
+
+from rich import box
+from rich.console import Console
+from rich.table import Table
+from rich.text import Text
+
+from clutch_model.units import degc_from_k
+from diag_service.diagnosis.records import Condition, FrictionEstimate, ShiftResult, Status
+from diag_service.diagnosis.summary import (
+    Summary,
+    capability_line,
+    frames_line,
+    gaps_line,
+    latest_ratio,
+    ratio_line,
+    sharp_lines,
+    shifts_line,
+    values_line,
+)
+
+_CONDITION_STYLE = {
+    Condition.NO_VERDICT: "dim",
+    Condition.GOOD: "green",
+    Condition.WATCH: "yellow",
+    Condition.CHANGE_FLUID: "bold red",
+}
+_STATUS_STYLE = {Status.VALID: "green", Status.REJECTED: "red", Status.UNOBSERVED: "yellow"}
+_HEAD = (
+    f"{'shift':>5}  {'gears':<5} {'clutch':>6}  {'status':<10} {'mu_C':>8} {'std':>7} {'mu_S':>8} {'std':>7} "
+    f"{'P(slope<0)':>10} {'trust':>5} {'oil':>6}  clutch is"
+)
+
+
+class ConsoleReporter:
+    """Prints results as they come; rich decides about colours."""
+
+    def __init__(self, console: Console) -> None:
+        self._console = console
+        self._has_head = False
+
+    def listening(self, where: str) -> None:
+        """Say that frames are being read."""
+        self._line(Text(f"listening on {where}"))
+
+    def report(self, result: ShiftResult) -> None:
+        """Print one shift."""
+        if not self._has_head:
+            self._line(shift_head())
+            self._has_head = True
+        self._line(shift_line(result))
+
+    def finish(self, summary: Summary) -> None:
+        """Print the table of clutches and the numbers of the run."""
+        if summary.gaps:
+            self._line(Text(gaps_line(summary.gaps), style="bold red"))
+        if summary.latest:
+            self._console.print(_clutch_table(summary))
+        for result in summary.latest:
+            self._line(Text(f"clutch {result.verdict.clutch}: {result.verdict.reason}"))
+            for line in sharp_lines(result.verdict):
+                self._line(Text(f"  {line}"))
+        if ratio := latest_ratio(summary):
+            self._line(Text(ratio_line(ratio)))
+        self._line(Text(shifts_line(summary)))
+        self._line(Text(frames_line(summary.frames)))
+        if line := values_line(summary.frames):
+            self._line(Text(line))
+        if line := capability_line(summary):
+            self._line(Text(line))
+
+    def _line(self, text: Text) -> None:
+        self._console.print(text, soft_wrap=True)
+        self._console.file.flush()
+
+
+def shift_head() -> Text:
+    """Return the head over lines of shifts."""
+    return Text(_HEAD, style="bold")
+
+
+def shift_line(result: ShiftResult) -> Text:
+    """Return one shift as a line; columns as in the head."""
+    estimate, verdict = result.estimate, result.verdict
+    line = Text(f"{estimate.number:>5}  {f'{estimate.from_gear}-{estimate.to_gear}':<5} {estimate.clutch:>6}  ")
+    line.append(f"{estimate.status.value:<10} ", _STATUS_STYLE[estimate.status])
+    line.append(_friction_columns(estimate.friction))
+    line.append(f" {'-' if estimate.trust is None else f'{estimate.trust.score:.2f}':>5}")
+    oil_k = estimate.sump_temperature_k
+    line.append(f" {'-' if oil_k is None else f'{degc_from_k(oil_k):.0f} °C':>6}  ")
+    line.append(_words(verdict.condition), _CONDITION_STYLE[verdict.condition])
+    if estimate.reasons:
+        line.append(f" [{', '.join(reason.value.replace('_', ' ') for reason in estimate.reasons)}]")
+    return line
+
+
+def _friction_columns(friction: FrictionEstimate | None) -> str:
+    if friction is None:
+        return f"{'-':>8} {'-':>7} {'-':>8} {'-':>7} {'-':>10}"
+    return (
+        f"{friction.mu_c:>8.4f} {friction.std_mu_c:>7.4f} {friction.mu_s:>8.4f} {friction.std_mu_s:>7.4f} "
+        f"{friction.probability_negative_slope:>10.3f}"
+    )
+
+
+def _clutch_table(summary: Summary) -> Table:
+    table = Table(box=box.SIMPLE_HEAD, pad_edge=False, padding=(0, 1, 0, 0))
+    for name in ("clutch", "condition", "mu_C", "mu_S", "P(slope<0)", "level", "n"):
+        table.add_column(name, justify="left" if name == "condition" else "right", no_wrap=True)
+    for result in summary.latest:
+        verdict, friction = result.verdict, result.verdict.friction
+        table.add_row(
+            str(verdict.clutch),
+            Text(_words(verdict.condition), _CONDITION_STYLE[verdict.condition]),
+            "-" if friction is None else f"{friction.mu_c:.4f} ± {friction.std_mu_c:.4f}",
+            "-" if friction is None else f"{friction.mu_s:.4f} ± {friction.std_mu_s:.4f}",
+            "-" if friction is None else f"{friction.probability_negative_slope:.3f}",
+            "-" if verdict.level_ratio is None else f"{100.0 * verdict.level_ratio:.1f} %",
+            str(verdict.shift_count),
+        )
+    return table
+
+
+def _words(condition: Condition) -> str:
+    return condition.name.lower().replace("_", " ")

@@ -1,0 +1,72 @@
+"""The test double of every publisher: keeps what it is given, fails when it is told to."""
+
+import asyncio
+from collections.abc import Sequence
+
+from diag_service.delivery.base import Hear
+from diag_service.diagnosis.records import ShiftResult
+from diag_service.diagnosis.results import shift_from
+from diag_service.diagnosis.summary import Summary
+from diag_service.errors import PublishError
+from fleet_contract import Channel, JsonObject, Outgoing, Receipt, key_of, read_message
+
+
+class MemoryLink:
+    """A broker connection in memory, with a backend behind it if it ``is_acknowledging``."""
+
+    def __init__(self, *, is_acknowledging: bool = False) -> None:
+        self.results: list[ShiftResult] = []
+        self.states: list[JsonObject] = []  # of clutches
+        self.others: list[Outgoing] = []
+        self.is_refusing = False
+        self.is_acknowledging = is_acknowledging
+        self.cut = asyncio.Event()
+        self.hear: Hear | None = None
+
+    async def send(self, messages: Sequence[Outgoing]) -> None:
+        """Keep messages, or refuse them."""
+        for message in messages:
+            if self.is_refusing or self.cut.is_set():
+                raise PublishError("the memory refuses")
+            self._keep(message)
+        await asyncio.sleep(0)
+
+    async def listen(self, vehicle: str, hear: Hear) -> None:  # noqa: ARG002 - there is one vehicle here
+        """Acknowledge to this listener."""
+        self.hear = hear
+
+    async def lost(self) -> None:
+        """Return when the test cuts the connection."""
+        await self.cut.wait()
+
+    def _keep(self, message: Outgoing) -> None:
+        incoming = read_message(message.topic, message.payload)
+        if incoming.address.channel is Channel.SHIFT:
+            self.results.append(shift_from(incoming.data))
+            if self.is_acknowledging and self.hear is not None:
+                self.hear([Receipt(key=key_of(incoming.data))])
+        elif incoming.address.channel is Channel.CLUTCH:
+            self.states.append(incoming.data)
+        else:
+            self.others.append(message)
+
+
+class MemoryReporter:
+    """A listener in memory."""
+
+    def __init__(self) -> None:
+        self.places: list[str] = []
+        self.results: list[ShiftResult] = []
+        self.summaries: list[Summary] = []
+
+    def listening(self, where: str) -> None:
+        """Keep the place."""
+        self.places.append(where)
+
+    def report(self, result: ShiftResult) -> None:
+        """Keep the result."""
+        self.results.append(result)
+
+    def finish(self, summary: Summary) -> None:
+        """Keep the numbers."""
+        self.summaries.append(summary)

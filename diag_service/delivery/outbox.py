@@ -1,0 +1,215 @@
+"""The outbox: keeps a connection to a broker, delivers what the store holds, survives the absence of everyone.
+
+A result stays in the store as undelivered until the one whose word counts has acknowledged it, so a slow, absent or
+refusing broker or backend costs nothing but time. Delivery is at least once and in any order; the key (vehicle, stream,
+seq, versions) tells a repetition. A broker's word is weak: it acknowledges before its subscribers or its disk have the
+message, so what it acknowledged shortly before a connection broke is sent again. A backend's word is its commit.
+"""
+
+import asyncio
+import logging
+import random
+from collections import deque
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import AbstractAsyncContextManager
+
+from canlog.notice import NOTICE
+from diag_service.delivery.base import Link
+from diag_service.delivery.delivery import Acknowledge, Counts, Delivery, OutboxStore
+from diag_service.errors import PublishError, StoreFullError
+from fleet_contract import Outgoing
+
+FIRST_PAUSE_S = 0.5
+LONGEST_PAUSE_S = 30.0
+DRAIN_S = 5.0  # how long an ending service waits for its broker
+SETTLE_S = 5.0  # after this a result that a broker acknowledged is taken to be where it belongs
+METRICS_PERIOD_S = 60.0
+_MAX_UNSETTLED = 1000
+
+Connect = Callable[[], AbstractAsyncContextManager[Link]]
+MetricsMessage = Callable[[Mapping[str, float]], Outgoing]
+_LOG = logging.getLogger(__name__)
+
+
+class Outbox:
+    """Sends what the store holds for one vehicle, for as long as ``run`` runs.
+
+    Parameters
+    ----------
+    connect :
+        Opens a connection, or raises PublishError.
+    where :
+        The broker, for people; without credentials.
+    acknowledge :
+        Whose word lets a result be forgotten.
+    greetings :
+        Messages that open every connection.
+    metrics :
+        Makes a message of the outbox's numbers, now and then; None: nobody wants them.
+    holds_states :
+        Keep the states of clutches back until ``tell_states``: those of a part of a drive are none.
+    """
+
+    def __init__(
+        self,
+        store: OutboxStore,
+        vehicle: str,
+        connect: Connect,
+        where: str,
+        *,
+        acknowledge: Acknowledge = Acknowledge.BROKER,
+        greetings: Sequence[Outgoing] = (),
+        metrics: MetricsMessage | None = None,
+        holds_states: bool = False,
+    ) -> None:
+        self._store = store
+        self._vehicle = vehicle
+        self._connect = connect
+        self._where = where
+        self._acknowledge = acknowledge
+        self._greetings = greetings
+        self._metrics = metrics
+        self._holds_states = holds_states
+        self._metrics_due_s = 0.0  # of the loop
+        self._delivery: Delivery | None = None  # over the present connection
+        self._closing = asyncio.Event()
+        self._is_down = False
+        self._unsettled: deque[tuple[float, int]] = deque(maxlen=_MAX_UNSETTLED)  # when, position
+        self._repeat: dict[int, None] = {}  # positions that may have been lost with a connection, in order
+        self.counts = Counts()
+
+    def nudge(self) -> None:
+        """Say that the store holds something new."""
+        if self._delivery is not None:
+            self._delivery.wake.set()
+
+    def tell_states(self) -> None:
+        """Let the states of clutches go out that were kept back."""
+        self._holds_states = False
+        self.nudge()
+
+    async def run(self) -> None:
+        """Connect, send, reconnect; return after ``close`` once all is sent or a fresh attempt has sent nothing."""
+        failure_count = 0
+        while True:
+            is_last_attempt = self._closing.is_set()
+            sent_before = self.counts.sent
+            try:
+                async with self._connect() as link:
+                    failure_count = 0
+                    await self._serve(link)
+                    return
+            except (PublishError, StoreFullError) as exc:  # a full disk cannot note receipts; they come again
+                self._take_up_unsettled()
+                await self._note_failure(exc)
+            finally:
+                self._delivery = None
+            if is_last_attempt and self.counts.sent == sent_before:
+                return
+            await self._pause(failure_count)
+            failure_count += 1
+
+    async def close(self, sender: asyncio.Task[None], timeout_s: float = DRAIN_S) -> int:
+        """Let ``sender``, the task of ``run``, send what is left, for a limited time; return what remains unsent."""
+        self._closing.set()
+        self.nudge()
+        try:
+            await asyncio.wait_for(sender, timeout_s)
+        except TimeoutError:
+            _LOG.info("broker %s did not take everything in %g s", self._where, timeout_s)
+        return await asyncio.to_thread(self._store.unpublished_count, self._vehicle)
+
+    async def _serve(self, link: Link) -> None:
+        delivery = self._delivery = Delivery(
+            self._store,
+            self._vehicle,
+            link,
+            acknowledge=self._acknowledge,
+            repeat=self._repeat,
+            published=self._note_published,
+            counts=self.counts,
+            holds_states=lambda: self._holds_states,
+        )
+        await delivery.begin(self._greetings)
+        if self._is_down:
+            self._is_down = False
+            _LOG.log(NOTICE, "broker %s takes results again", self._where)
+        while True:
+            while await delivery.step():
+                await self._tell_metrics(link)
+            await self._tell_metrics(link)
+            if self._closing.is_set() and not delivery.is_owed and not delivery.wake.is_set():
+                return
+            await self._wait(link, delivery)
+
+    async def _wait(self, link: Link, delivery: Delivery) -> None:
+        """Return when there is something to do; raises PublishError if the connection is lost."""
+        patience_s = delivery.patience_s()
+        if self._metrics is not None:
+            metrics_s = max(0.0, self._metrics_due_s - self._now_s())
+            patience_s = metrics_s if patience_s is None else min(patience_s, metrics_s)
+        news = asyncio.ensure_future(delivery.wake.wait())
+        loss = asyncio.ensure_future(link.lost())
+        try:
+            await asyncio.wait((news, loss), return_when=asyncio.FIRST_COMPLETED, timeout=patience_s)
+        finally:
+            news.cancel()
+            loss.cancel()
+            await asyncio.gather(news, loss, return_exceptions=True)
+        if not loss.cancelled():
+            loss.result()
+            raise PublishError("connection lost")
+
+    async def _tell_metrics(self, link: Link) -> None:
+        if self._metrics is None or self._now_s() < self._metrics_due_s:
+            return
+        self._metrics_due_s = self._now_s() + METRICS_PERIOD_S
+        await link.send([await asyncio.to_thread(self._metrics_message, self._metrics)])
+
+    def _metrics_message(self, make: MetricsMessage) -> Outgoing:
+        counts = self.counts
+        numbers = {
+            "outbox_waiting_count": self._store.unpublished_count(self._vehicle),
+            "outbox_sent_count": counts.sent,
+            "outbox_repeated_count": counts.repeated,
+            "outbox_acknowledged_count": counts.acknowledged,
+            "outbox_quarantined_count": counts.quarantined,
+            "outbox_failure_count": counts.failed,
+        }
+        return make(numbers)
+
+    def _note_published(self, positions: list[int]) -> None:
+        self._forget_settled()
+        now_s = self._now_s()
+        self._unsettled.extend((now_s, position) for position in positions)
+
+    def _take_up_unsettled(self) -> None:
+        """Send again, over the next connection, what a broker acknowledged just before this one broke."""
+        self._forget_settled()
+        self._repeat.update((position, None) for _, position in self._unsettled)
+        self._unsettled.clear()
+
+    def _forget_settled(self) -> None:
+        while self._unsettled and self._now_s() - self._unsettled[0][0] > SETTLE_S:
+            self._unsettled.popleft()
+
+    @staticmethod
+    def _now_s() -> float:
+        return asyncio.get_running_loop().time()
+
+    async def _note_failure(self, exc: PublishError | StoreFullError) -> None:
+        self.counts.failed += 1
+        if self._is_down:
+            return
+        self._is_down = True
+        waiting = await asyncio.to_thread(self._store.unpublished_count, self._vehicle)
+        _LOG.warning("broker %s: %s; %d results wait in the store, trying again", self._where, exc, waiting)
+
+    async def _pause(self, failure_count: int) -> None:
+        """Wait longer after each failure, at random so that a fleet does not come back as one; ``close`` ends it."""
+        longest_s = min(LONGEST_PAUSE_S, FIRST_PAUSE_S * 2.0 ** min(failure_count, 10))
+        pause_s = longest_s * (0.5 + 0.5 * random.random())  # noqa: S311 - spreads load, guards nothing
+        try:
+            await asyncio.wait_for(self._closing.wait(), pause_s)
+        except TimeoutError:
+            return

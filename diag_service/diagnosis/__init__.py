@@ -1,0 +1,1 @@
+"""From canonical columns to results: pure, without clock, file or socket."""

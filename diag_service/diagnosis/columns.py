@@ -1,0 +1,87 @@
+"""Signals as columns of samples: what the decoder makes of frames, and what every later stage reads.
+
+SI units, radians, kelvin and pascal throughout. Times are bus times in integer nanoseconds since the epoch, or since
+whatever a log counts from: below zero they are as good as above.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from enum import StrEnum
+
+import numpy as np
+
+from canlog.arrays import Int64Array
+from canlog.e2e.e2e_state import E2eChange
+from canlog.series import Series
+
+
+class Signal(StrEnum):
+    """Canonical signals; the unit is the end of the name. A mapping profile fills them from a DBC."""
+
+    ENGINE_SPEED = "engine_speed_rad_s"  # mean over the last crank segment
+    ENGINE_TORQUE = "engine_torque_nm"  # at the crankshaft, friction deducted
+    PEDAL = "pedal_ratio"
+    THROTTLE = "throttle_ratio"
+    HUB_SPEED = "hub_speed_rad_s"
+    INPUT1_SPEED = "input1_speed_rad_s"
+    INPUT2_SPEED = "input2_speed_rad_s"
+    INPUT_SPEED = "input_speed_rad_s"  # of the shaft that carries the gear, where the bus has one for both clutches
+    OUTPUT_SPEED = "output_speed_rad_s"
+    CLUTCH1_PRESSURE = "clutch1_pressure_pa"
+    CLUTCH2_PRESSURE = "clutch2_pressure_pa"
+    CLUTCH1_PRESSURE_COMMAND = "clutch1_pressure_command_pa"
+    CLUTCH2_PRESSURE_COMMAND = "clutch2_pressure_command_pa"
+    CLUTCH1_TORQUE_COMMAND = "clutch1_torque_command_nm"
+    CLUTCH2_TORQUE_COMMAND = "clutch2_torque_command_nm"
+    CLUTCH_TORQUE = "clutch_torque_nm"  # of both clutches together, as the transmission controller states it
+    CURRENT_GEAR = "current_gear"
+    TARGET_GEAR = "target_gear"
+    PRESELECTED_GEAR = "preselected_gear"
+    SHIFT_PHASE = "shift_phase"
+    SUMP_TEMPERATURE = "sump_temperature_k"
+    WHEEL_FL_SPEED = "wheel_fl_speed_m_s"
+    WHEEL_FR_SPEED = "wheel_fr_speed_m_s"
+    WHEEL_RL_SPEED = "wheel_rl_speed_m_s"
+    WHEEL_RR_SPEED = "wheel_rr_speed_m_s"
+    VEHICLE_SPEED = "vehicle_speed_m_s"
+    BRAKE_PRESSURE = "brake_pressure_pa"
+    ODOMETER = "odometer_m"
+    AMBIENT_TEMPERATURE = "ambient_temperature_k"
+
+
+BALANCE_SIGNALS = (
+    Signal.ENGINE_SPEED,
+    Signal.ENGINE_TORQUE,
+    Signal.HUB_SPEED,
+    Signal.INPUT1_SPEED,
+    Signal.INPUT2_SPEED,
+    Signal.CLUTCH1_PRESSURE,
+    Signal.CLUTCH2_PRESSURE,
+)
+"""What the torque balance of the input side needs, sample by sample."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class GearRatios:
+    """Engine speed over another speed in every gear, where no signal tells the gear."""
+
+    over: Signal  # output speed [rad/s] or vehicle speed [m/s]
+    ratios: tuple[float, ...]  # first gear first; dimensionless, or [rad/m]
+
+
+Columns = Mapping[Signal, Series]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ColumnBatch:
+    """Decoded columns of one batch of frames.
+
+    ``watermark_ns`` is the time of the last frame of the batch, of whatever kind: all that happened before it has
+    been seen. ``breaks_before`` says that bus time jumped: what came earlier is another segment.
+    """
+
+    columns: Columns
+    watermark_ns: int
+    breaks_before: bool = False
+    bad_frame_ns: Int64Array = field(default_factory=lambda: np.empty(0, np.int64))  # (m,) rejected or missing
+    e2e_changes: tuple[E2eChange, ...] = ()  # of each message in the order of time

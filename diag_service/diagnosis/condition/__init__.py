@@ -1,0 +1,1 @@
+"""What estimates say of clutch and fluid."""

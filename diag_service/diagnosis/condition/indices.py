@@ -1,0 +1,143 @@
+"""What speeds and torques alone say about a shift: its time, its slip, and the torque its clutch carried.
+
+None of it is friction. Definitions and limits: docs/model.md, indices of a shift.
+"""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from canlog.arrays import FloatArray
+from canlog.series import Series
+from clutch_model.calibration import Calibration
+from diag_service.diagnosis.columns import Signal
+from diag_service.diagnosis.events import EndReason, ShiftEvent
+from diag_service.diagnosis.records import ShiftIndices
+
+GRID_S = 0.005
+NS_PER_S = 1e9
+SLIP_RAD_S = 5.0  # beyond it the clutch slips, whatever the speeds of two controllers differ by
+RELEASED_RATIO = 0.1  # an off-going clutch that is asked for less than this share has let go
+MIN_TORQUE_NM = 10.0  # below it a ratio of torques says nothing
+MIN_WINDOW_S = 0.1
+SMOOTH_S = 0.06  # half width of the parabola that differentiates the engine speed
+CORRELATION_S = 0.1  # residuals are alike for about as long as torque lags
+INERTIA_STD_RATIO = 0.2  # of the engine inertia: below the first tier nobody has calibrated it for the vehicle
+
+
+@dataclass(frozen=True, slots=True)
+class _Grid:
+    """The signals of a shift on one even grid from its start to its end."""
+
+    t_s: FloatArray  # (n,) since the start of the shift
+    event: ShiftEvent
+
+    def value(self, signal: Signal) -> FloatArray | None:
+        """Return a signal on the grid, linear between samples, shape (n,); None if it is not there."""
+        series = self.event.columns.get(signal)
+        if series is None or len(series.t_ns) < 2:
+            return None
+        return np.interp(self.t_s, _since(series, self.event), series.value)
+
+
+def measure(event: ShiftEvent, calibration: Calibration) -> ShiftIndices:
+    """Return the indices of a shift as far as its signals go."""
+    is_complete = event.end_reason is EndReason.COMPLETE and event.end_ns > event.start_ns
+    shift_time_s = (event.end_ns - event.start_ns) / NS_PER_S
+    grid = _Grid(np.arange(0.0, max(shift_time_s, GRID_S), GRID_S), event)
+    slip_rad_s = _slip(grid) if is_complete else None
+    if slip_rad_s is None:
+        return ShiftIndices(
+            shift_time_s=shift_time_s if is_complete else None,
+            slip_duration_s=None,
+            peak_slip_rad_s=None,
+            slip_angle_rad=None,
+            torque_capacity_ratio=None,
+            std_torque_capacity_ratio=None,
+        )
+    size = np.abs(slip_rad_s)
+    ratio, std = _torque_capacity(grid, slip_rad_s, calibration) or (None, None)
+    return ShiftIndices(
+        shift_time_s=shift_time_s,
+        slip_duration_s=float(np.count_nonzero(size > SLIP_RAD_S) * GRID_S),
+        peak_slip_rad_s=float(size.max()),
+        slip_angle_rad=float(size.sum() * GRID_S),
+        torque_capacity_ratio=ratio,
+        std_torque_capacity_ratio=std,
+    )
+
+
+def _slip(grid: _Grid) -> FloatArray | None:
+    """Return the slip of the on-coming clutch: its input side less the shaft of the gear that engages."""
+    hub = grid.value(Signal.HUB_SPEED)
+    engine = hub if hub is not None else grid.value(Signal.ENGINE_SPEED)
+    shaft = grid.value(Signal.INPUT1_SPEED if grid.event.to_gear % 2 else Signal.INPUT2_SPEED)
+    shaft = shaft if shaft is not None else grid.value(Signal.INPUT_SPEED)
+    return None if engine is None or shaft is None else engine - shaft
+
+
+def _torque_capacity(grid: _Grid, slip_rad_s: FloatArray, calibration: Calibration) -> tuple[float, float] | None:
+    """Return the torque transmitted at slip over the one asked for, and its standard deviation; docs/model.md eq. (T1).
+
+    Least squares through the origin; the deviation adds the scatter of the residuals, the gain and the offset of the
+    engine torque, and the inertia.
+    """
+    asked = _asked(grid, slip_rad_s)
+    engine_nm = grid.value(Signal.ENGINE_TORQUE)
+    if asked is None or engine_nm is None or Signal.ENGINE_SPEED not in grid.event.columns:
+        return None
+    asked_nm, is_alone = asked
+    use = (np.abs(slip_rad_s) > SLIP_RAD_S) & is_alone & (np.abs(asked_nm) > MIN_TORQUE_NM)
+    if np.count_nonzero(use) * GRID_S < MIN_WINDOW_S:
+        return None
+    inertia_nm = calibration.input_side.engine_inertia_kg_m2 * _acceleration(grid)[use]
+    asked_nm = asked_nm[use]
+    transmitted_nm = engine_nm[use] - inertia_nm
+    weight = asked_nm / float(asked_nm @ asked_nm)
+    ratio = float(weight @ transmitted_nm)
+    residual_nm = transmitted_nm - ratio * asked_nm
+    belief = calibration.uncertainty
+    parts = (
+        math.sqrt(float(residual_nm @ residual_nm) / len(asked_nm) * float(weight @ weight) * CORRELATION_S / GRID_S),
+        belief.torque_gain_ratio * float(weight @ engine_nm[use]),
+        belief.torque_offset_nm * float(weight.sum()),
+        INERTIA_STD_RATIO * float(weight @ inertia_nm),
+    )
+    return ratio, math.hypot(*parts)
+
+
+def _asked(grid: _Grid, slip_rad_s: FloatArray) -> tuple[FloatArray, npt.NDArray[np.bool_]] | None:
+    """Return the torque asked of the on-coming clutch, signed as its slip, and where it alone carries the engine."""
+    is_odd = grid.event.to_gear % 2 == 1
+    commands = (Signal.CLUTCH1_TORQUE_COMMAND, Signal.CLUTCH2_TORQUE_COMMAND)
+    on, off = (grid.value(signal) for signal in (commands if is_odd else commands[::-1]))
+    if on is not None and off is not None:
+        return on * np.sign(slip_rad_s), np.abs(off) < RELEASED_RATIO * np.maximum(on, MIN_TORQUE_NM)
+    total = grid.value(Signal.CLUTCH_TORQUE)
+    return None if total is None else (total, np.ones(len(total), np.bool_))
+
+
+def _acceleration(grid: _Grid) -> FloatArray:
+    """Return the engine's acceleration on the grid [rad/s2]: the slope of a parabola through the speeds around."""
+    series = grid.event.columns[Signal.ENGINE_SPEED]
+    t_s = _since(series, grid.event)
+    first, last = np.searchsorted(t_s, grid.t_s - SMOOTH_S), np.searchsorted(t_s, grid.t_s + SMOOTH_S)
+    around = first[:, None] + np.arange(int(np.max(last - first, initial=0)))
+    inside = around < last[:, None]
+    around = np.minimum(around, len(t_s) - 1)
+    apart = np.where(inside, (t_s[around] - grid.t_s[:, None]) / SMOOTH_S, 0.0)
+    powers = inside[..., None] * apart[..., None] ** np.arange(3)
+    normal = powers.swapaxes(1, 2) @ powers
+    is_fit = np.count_nonzero(inside, axis=1) >= 3
+    normal[~is_fit] = np.eye(3)
+    moments = np.einsum("gwp,gw->gp", powers, series.value[around])
+    slopes: FloatArray = np.linalg.solve(normal, moments[..., None])[:, 1, 0] / SMOOTH_S
+    return np.where(is_fit, slopes, 0.0)
+
+
+def _since(series: Series, event: ShiftEvent) -> FloatArray:
+    """Return the times of samples after the start of the shift [s], shape (n,)."""
+    times: FloatArray = (series.t_ns - event.start_ns) / NS_PER_S
+    return times

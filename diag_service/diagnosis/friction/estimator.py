@@ -1,0 +1,172 @@
+"""One shift in, one friction estimate and a new running state out."""
+
+import math
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from clutch_model.calibration import Calibration
+from diag_service.diagnosis.columns import Signal
+from diag_service.diagnosis.events import ShiftEvent
+from diag_service.diagnosis.friction.balance import Balance
+from diag_service.diagnosis.friction.belief import Belief, Misfit
+from diag_service.diagnosis.friction.film_track import compile_film
+from diag_service.diagnosis.friction.parameters import State, friction_rows
+from diag_service.diagnosis.friction.plausibility import doubts, zero_has_jumped
+from diag_service.diagnosis.friction.preparation import measured_drives, on_coming, planned_drives, slip_window, zeroed
+from diag_service.diagnosis.friction.sampling import NS_TO_S
+from diag_service.diagnosis.friction.sharp import scale_free
+from diag_service.diagnosis.friction.signals import ShiftSignals, compile_signals, gather
+from diag_service.diagnosis.friction.window import SlipWindow
+from diag_service.diagnosis.records import Reason, ShiftEstimate, Status
+
+if TYPE_CHECKING:
+    from canlog.arrays import FloatArray
+
+ALGORITHM_VERSION = "torque-impulse-4"
+PASS_COUNT = 3  # each takes away what planned and measured pressures differ by, a few percent
+SURPRISE_GATE = 25.0  # squared distance of a shift from the running state, two degrees of freedom: 4e-6 by chance
+SURPRISES_TO_YIELD = 3  # in a row: then the clutch has changed, and the running state starts afresh
+SCORE_GATE = 4.5  # by chance one clean shift in 13,000; a latency or width that the type does not have
+FULL_WINDOW_S = 0.25  # the shortest slip window that every regular shift offers
+
+
+class Estimator:
+    """Estimates friction from shifts; holds nothing but the calibration."""
+
+    def __init__(self, calibration: Calibration) -> None:
+        self._calibration = calibration
+
+    def prepare(self) -> None:
+        """Have everything compiled before the first shift comes: it must not wait for it."""
+        compile_signals()
+        compile_film(self._calibration)
+
+    def estimate(self, event: ShiftEvent, belief: Belief) -> tuple[Belief, ShiftEstimate]:
+        """Return the running state after a shift, and what the shift alone says about the on-coming clutch.
+
+        The shift's own estimate uses what is known of offsets, but not the running friction. A shift whose signals
+        contradict each other, or that does not fit the model, is rejected; one that fits, but contradicts the running
+        state, is shown and kept out of it, until three in a row agree that the clutch has changed.
+        """
+        signals = gather(event, self._calibration)
+        if isinstance(signals, Reason):
+            return belief, without_friction(event, Status.REJECTED, signals)
+        clutch = on_coming(event.to_gear)
+        before, belief = belief, zeroed(signals, belief, self._calibration)
+        if zero_has_jumped(before, belief):
+            return before, without_friction(event, Status.REJECTED, Reason.ZERO_JUMPED)
+        drives = measured_drives(signals, belief, event, self._calibration)
+        window = slip_window(signals, drives, clutch, self._calibration)
+        if window is None:
+            return belief, without_friction(event, Status.UNOBSERVED, Reason.NO_SLIP_WINDOW)
+        if found := doubts(event, signals, window, clutch, belief):
+            return before, without_friction(event, Status.REJECTED, *found)
+        balance = Balance(signals, window, drives, planned_drives(signals, drives, window), self._calibration)
+        alone, misfit, gate = self._fit(balance, belief.forget_friction(clutch, self._calibration))
+        ratio = misfit.chi_square_ratio
+        fit = min(1.0, max(0.0, (gate - ratio) / (gate - 1.0)))
+        estimate = replace(self._describe(event, signals, window, balance, alone, fit), chi_square_ratio=ratio)
+        warmed = replace(
+            belief,
+            clutch_temperature_k=(balance.tracks[0].final_clutch_k, balance.tracks[1].final_clutch_k),
+            temperature_ns=event.end_ns,
+        )
+        if ratio > gate or misfit.worst_score > SCORE_GATE:
+            return warmed, replace(
+                estimate, status=Status.REJECTED, reasons=(Reason.MISFIT,), friction=None, scale_free=None
+            )
+        return self._combined(warmed, balance, clutch, alone, estimate)
+
+    def _fit(self, balance: Balance, prior: Belief) -> tuple[Belief, Misfit, float]:
+        """Return the posterior, how well it fits, and the largest chi-square per degree of freedom that is believed."""
+        posterior, misfit, gate = prior, Misfit(chi_square_ratio=math.inf, worst_score=math.inf), 0.0
+        at = prior.mean
+        for _ in range(PASS_COUNT):
+            seen = balance.measurement(at, prior.mean)
+            gate = seen.misfit_gate
+            posterior, misfit = prior.updated(seen)
+            at = np.concatenate((posterior.mean[: State.TORQUE_OFFSET], prior.mean[State.TORQUE_OFFSET :]))
+        return posterior, misfit, gate
+
+    def _combined(
+        self, belief: Belief, balance: Balance, clutch: int, alone: Belief, estimate: ShiftEstimate
+    ) -> tuple[Belief, ShiftEstimate]:
+        """Fold the shift into the running state, unless it contradicts it."""
+        m = clutch - 1
+        refused = list(belief.refused_counts)
+        counts = list(belief.shift_counts)
+        if counts[m] and _surprise(belief, alone, clutch) > SURPRISE_GATE:
+            refused[m] += 1
+            if refused[m] < SURPRISES_TO_YIELD:
+                kept = replace(belief, refused_counts=(refused[0], refused[1]))
+                return kept, replace(estimate, reasons=(Reason.NOT_UPDATED,))
+            belief = belief.forget_friction(clutch, self._calibration)
+            counts[m] = 0
+        refused[m] = 0
+        counts[m] += 1
+        posterior, _, _ = self._fit(balance, belief.drifted())
+        counted = replace(posterior, shift_counts=(counts[0], counts[1]), refused_counts=(refused[0], refused[1]))
+        return counted.counted(clutch, estimate.end_ns), estimate
+
+    def _describe(
+        self,
+        event: ShiftEvent,
+        signals: ShiftSignals,
+        window: SlipWindow,
+        balance: Balance,
+        alone: Belief,
+        fit: float,
+    ) -> ShiftEstimate:
+        """Describe what a shift says alone; ``fit`` is 1 for no misfit, 0 at its gate."""
+        clutch = on_coming(event.to_gear)
+        window_s = float(signals.grid_s[window.stop - 1] - signals.grid_s[window.first])
+        mu: FloatArray = alone.mean[friction_rows(clutch)]
+        return replace(
+            without_friction(event, Status.VALID),
+            friction=alone.friction(clutch),
+            scale_free=scale_free(alone, clutch),
+            sample_count=balance.sample_count,
+            window_s=window_s,
+            quality=fit * min(1.0, window_s / FULL_WINDOW_S) / (1.0 + event.bad_frame_count / balance.sample_count),
+            clutch_temperature_k=balance.tracks[clutch - 1].final_clutch_k,
+            slip_energy_j=balance.slip_energy_j(clutch, mu),
+        )
+
+
+def _surprise(belief: Belief, alone: Belief, clutch: int) -> float:
+    """Return the squared distance between a shift's own friction and the running one, common scale left out."""
+    rows = friction_rows(clutch)
+    spread = belief.covariance[rows, rows] + alone.covariance[rows, rows]
+    step = alone.mean[rows] - belief.mean[rows]
+    return float(step @ np.linalg.solve(spread, step))
+
+
+def without_friction(event: ShiftEvent, status: Status, *reasons: Reason) -> ShiftEstimate:
+    """Return the estimate of a shift that says nothing of friction: when and what it was, and why not."""
+    return ShiftEstimate(
+        number=event.number,
+        from_gear=event.from_gear,
+        to_gear=event.to_gear,
+        clutch=on_coming(event.to_gear),
+        start_ns=event.start_ns,
+        end_ns=event.end_ns,
+        status=status,
+        reasons=reasons,
+        friction=None,
+        sample_count=0,
+        window_s=0.0,
+        chi_square_ratio=0.0,
+        quality=0.0,
+        sump_temperature_k=_mean(event, Signal.SUMP_TEMPERATURE),
+        clutch_temperature_k=None,
+        slip_energy_j=None,
+        duration_s=(event.end_ns - event.start_ns) * NS_TO_S,
+        odometer_m=_mean(event, Signal.ODOMETER),
+    )
+
+
+def _mean(event: ShiftEvent, signal: Signal) -> float | None:
+    series = event.columns.get(signal)
+    return float(np.mean(series.value)) if series is not None and len(series.value) else None

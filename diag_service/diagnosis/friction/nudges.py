@@ -1,0 +1,66 @@
+"""Small changes of what moves the films or of how they answer, for derivatives by finite differences."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from canlog.arrays import FloatArray
+from clutch_model.calibration import Calibration
+from diag_service.diagnosis.friction.film_track import PressureDrive
+from diag_service.diagnosis.friction.parameters import Considered
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Nudge:
+    """A change of what moves the films or of how they answer, for derivatives."""
+
+    pressure_pa: float = 0.0
+    area_ratio: float = 0.0
+    latency_s: float = 0.0
+    viscosity_ratio: float = 0.0
+    stribeck_speed_ratio: float = 0.0
+    contact_stiffness_ratio: float = 0.0
+
+    @property
+    def moves_film(self) -> bool:
+        """Whether the film answers: it knows the width of the friction curve by its heat only, which is too little."""
+        return self != Nudge(stribeck_speed_ratio=self.stribeck_speed_ratio)
+
+    def of_drive(self, drive: PressureDrive, grid_s: FloatArray) -> PressureDrive:
+        """Return the changed drive of a film."""
+        earlier_pa = np.interp(grid_s + self.latency_s, grid_s, drive.piston_pa)
+        return replace(drive, piston_pa=(earlier_pa + self.pressure_pa) * (1.0 + self.area_ratio))
+
+    def of_calibration(self, calibration: Calibration) -> Calibration:
+        """Return the changed belief."""
+        oil = calibration.viscosity
+        first, second = (
+            replace(
+                clutch,
+                friction=replace(
+                    clutch.friction,
+                    stribeck_speed_rad_s=clutch.friction.stribeck_speed_rad_s * (1.0 + self.stribeck_speed_ratio),
+                ),
+                film=replace(
+                    clutch.film,
+                    contact_stiffness_pa=clutch.film.contact_stiffness_pa * (1.0 + self.contact_stiffness_ratio),
+                ),
+            )
+            for clutch in calibration.clutches
+        )
+        return replace(
+            calibration,
+            viscosity=replace(oil, a_pa_s=oil.a_pa_s * (1.0 + self.viscosity_ratio)),
+            clutches=(first, second),
+        )
+
+
+OFFSET = Nudge(pressure_pa=2.0e3)
+COMMON = {
+    Considered.VISCOSITY: (Nudge(viscosity_ratio=0.05), 0.05),
+    Considered.PRESSURE_LATENCY: (Nudge(latency_s=1e-3), 1e-3),
+    Considered.STRIBECK_SPEED: (Nudge(stribeck_speed_ratio=0.05), 0.05),
+    Considered.CONTACT_STIFFNESS: (Nudge(contact_stiffness_ratio=0.05), 0.05),
+}
+"""What both clutches share: the change, and its size."""
+AREA = (Nudge(area_ratio=0.01), 0.01)

@@ -1,0 +1,147 @@
+"""Speed and acceleration, pressure and its rate: by central differences or by a steady Kalman filter.
+
+Central differences, docs/model.md eq. (10), suit signals without noise. With noise the paper runs the estimator of
+eqs. (11) to (16); its gain is constant, so the whole record is one linear filter.
+"""
+
+import math
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+
+from canlog.arrays import FloatArray
+
+MIN_SAMPLE_COUNT = 5  # of the fourth-order stencils
+_TRACKING_DECADES = (-14.0, 0.0)  # from asleep to believing every sample
+_INNER = np.array([1.0, -8.0, 0.0, 8.0, -1.0]) / 12.0
+_FIRST = np.array([-25.0, 48.0, -36.0, 16.0, -3.0]) / 12.0
+_SECOND = np.array([-3.0, -10.0, 18.0, -6.0, 1.0]) / 12.0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Rated:
+    """A signal and its derivative with respect to time, both (n,)."""
+
+    value: FloatArray
+    rate: FloatArray
+
+
+class Differentiator(Protocol):
+    """Anything that finds a signal and its rate in even samples of it."""
+
+    def __call__(self, samples: FloatArray, period_s: float) -> Rated:
+        """Return signal and rate, shape (n,) each."""
+        ...
+
+
+def central_difference(samples: FloatArray, period_s: float) -> Rated:
+    """Return the samples as they are and their fourth-order derivative, eq. (10); one-sided at both ends.
+
+    Raises
+    ------
+    ValueError
+        With fewer than five samples.
+    """
+    if len(samples) < MIN_SAMPLE_COUNT:
+        raise ValueError(f"a fourth-order derivative needs {MIN_SAMPLE_COUNT} samples, got {len(samples)}")
+    rate = np.empty_like(samples)
+    rate[2:-2] = np.correlate(samples, _INNER, mode="valid")
+    head, tail = samples[:MIN_SAMPLE_COUNT], samples[: -MIN_SAMPLE_COUNT - 1 : -1]
+    rate[0], rate[1] = _FIRST @ head, _SECOND @ head
+    rate[-1], rate[-2] = -_FIRST @ tail, -_SECOND @ tail
+    return Rated(value=samples, rate=rate / period_s)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SteadyKalman:
+    """The estimator of eqs. (11) to (16) with a gain that has settled.
+
+    ``x(n+1) = A*x(n) + L*(y(n) - C*x(n))``, x = (signal, rate): what it says at instant n knows the samples before n.
+    """
+
+    value_gain: float  # L of the signal [-]
+    rate_gain_1_s: float  # L of its rate [1/s]
+
+    def __call__(self, samples: FloatArray, period_s: float) -> Rated:
+        """Return the filtered signal and rate; the filter starts at the first sample, at rest."""
+        from scipy.signal import lfilter  # noqa: PLC0415 - scipy takes a second; only this method needs it
+
+        decay = 1.0 - self.value_gain + period_s * self.rate_gain_1_s
+        denominator = (1.0, self.value_gain - 2.0, decay)
+        departure = samples - samples[0]
+        value = lfilter((0.0, self.value_gain, decay - 1.0), denominator, departure)
+        rate = lfilter((0.0, self.rate_gain_1_s, -self.rate_gain_1_s), denominator, departure)
+        return Rated(value=samples[0] + value, rate=rate)
+
+    def rate_noise_1_s(self, period_s: float) -> float:
+        """Return the standard deviation of the rate per standard deviation of white noise in the samples [1/s].
+
+        That of an alpha-beta tracker, which is what a steady filter of two states is.
+        """
+        beta = period_s * self.rate_gain_1_s
+        alpha = self.value_gain - beta
+        return math.sqrt(2.0 / (alpha * (4.0 - 2.0 * alpha - beta))) * beta / period_s
+
+
+def steady_kalman_gain(period_s: float, rate_variance: float, sample_variance: float) -> tuple[float, float]:
+    """Return the steady gain L of the paper's filter for signal and rate, eqs. (11) to (16).
+
+    Parameters
+    ----------
+    period_s : float
+        T; the process noise acts through G = (T^2/2, T).
+    rate_variance, sample_variance : float
+        q and r, in squared units of the rate's derivative and of the samples.
+    """
+    from scipy.linalg import solve_discrete_are  # noqa: PLC0415 - as above
+
+    # Scaled states (w, T*dw/dt) and unit measurement noise: the raw equation is too ill-conditioned.
+    transition = np.array([[1.0, 1.0], [0.0, 1.0]])
+    drive = np.array([0.5, 1.0]) * period_s**2
+    process = np.outer(drive, drive) * rate_variance / sample_variance
+    observed = np.array([[1.0, 0.0]])
+    covariance = solve_discrete_are(transition.T, observed.T, process, np.eye(1))
+    gain = transition @ covariance @ observed.T / (observed @ covariance @ observed.T + 1.0)
+    return float(gain[0, 0]), float(gain[1, 0] / period_s)
+
+
+def steady_kalman(period_s: float, rate_variance: float, sample_variance: float) -> SteadyKalman:
+    """Return the filter of a process variance q and a sample variance r."""
+    value_gain, rate_gain_1_s = steady_kalman_gain(period_s, rate_variance, sample_variance)
+    return SteadyKalman(value_gain=value_gain, rate_gain_1_s=rate_gain_1_s)
+
+
+def matched_filter(samples: FloatArray, ideal_rate: FloatArray, period_s: float) -> SteadyKalman:
+    """Return the filter whose rate comes nearest (RMS) to the ideal one: how the paper chooses q.
+
+    The ideal rate is that of the same signal without noise, by central differences.
+    """
+    from scipy.optimize import minimize_scalar  # noqa: PLC0415 - as above
+
+    def miss(tracking_decade: float) -> float:
+        return float(np.mean((_tracker(tracking_decade, period_s)(samples, period_s).rate - ideal_rate) ** 2))
+
+    best = minimize_scalar(miss, bounds=_TRACKING_DECADES, method="bounded", options={"xatol": 1e-3})
+    return _tracker(float(best.x), period_s)
+
+
+def quiet_filter(period_s: float, sample_std: float, rate_std: float) -> SteadyKalman:
+    """Return the fastest filter that turns white noise of ``sample_std`` into a rate no noisier than ``rate_std``.
+
+    Raises
+    ------
+    ValueError
+        If no filter of this period does.
+    """
+    from scipy.optimize import brentq  # noqa: PLC0415 - as above
+
+    def excess(tracking_decade: float) -> float:
+        return _tracker(tracking_decade, period_s).rate_noise_1_s(period_s) * sample_std / rate_std - 1.0
+
+    return _tracker(float(brentq(excess, *_TRACKING_DECADES)), period_s)
+
+
+def _tracker(decade: float, period_s: float) -> SteadyKalman:
+    """Return the filter whose ``q*T^4/r``, on which alone the gain depends, is 10 to the power ``decade``."""
+    return steady_kalman(period_s, 10.0**decade / period_s**4, 1.0)

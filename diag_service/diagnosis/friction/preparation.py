@@ -1,0 +1,106 @@
+"""From the signals of a shift to what its balance needs: sensor zeros, drives of the films, the slip window."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+
+from clutch_model.calibration import Calibration
+from diag_service.diagnosis.events import ShiftEvent
+from diag_service.diagnosis.friction.belief import Belief, Measurement
+from diag_service.diagnosis.friction.film_track import PressureDrive
+from diag_service.diagnosis.friction.parameters import Considered, State
+from diag_service.diagnosis.friction.sampling import NS_TO_S
+from diag_service.diagnosis.friction.signals import ShiftSignals
+from diag_service.diagnosis.friction.weights import SLIP_DEGREE, smoothed
+from diag_service.diagnosis.friction.window import SlipWindow, find_window
+
+EMPTY_PA = 0.30e5  # an idle clutch reads less than this: it is empty, and the reading is the sensor's zero
+EMPTY_S = 0.1
+PRESSURE_DEGREE = 3
+
+
+def on_coming(to_gear: int) -> int:
+    """Return the clutch that carries a gear: 1 the odd ones, 2 the even ones."""
+    return 1 if to_gear % 2 else 2
+
+
+def zeros_seen(signals: ShiftSignals, belief: Belief, calibration: Calibration) -> list[Measurement]:
+    """Return what a clutch that is empty before the shift says about the zero of its pressure sensor."""
+    std_pa = calibration.noise.pressure_pa
+    seen = []
+    for m, pressure in enumerate(signals.pressure):
+        early = pressure.value[pressure.times_s < signals.grid_s[0] + EMPTY_S]
+        if len(early) < 3 or np.max(early) > EMPTY_PA:
+            continue
+        row = np.zeros((1, len(State)))
+        row[0, State.ZERO1 + m] = 1.0
+        seen.append(
+            Measurement(
+                residual=np.array([np.mean(early) - belief.mean[State.ZERO1 + m]]),
+                by_state=row,
+                by_considered=np.zeros((1, len(Considered))),
+                noise=np.array([[std_pa**2 / len(early)]]),
+            )
+        )
+    return seen
+
+
+def zeroed(signals: ShiftSignals, belief: Belief, calibration: Calibration) -> Belief:
+    """Return the state with the pressure sensors' zeros measured on the clutch that is empty before the shift."""
+    for seen in zeros_seen(signals, belief, calibration):
+        belief, _ = belief.updated(seen)
+    return belief
+
+
+def measured_drives(
+    signals: ShiftSignals, belief: Belief, event: ShiftEvent, calibration: Calibration
+) -> tuple[PressureDrive, PressureDrive]:
+    """Return what drives the films as measured, freed of the offsets that are believed."""
+    first, second = (
+        PressureDrive(
+            piston_pa=signals.pressure[m].on_grid - belief.mean[State.TOUCH1 + m] - belief.mean[State.ZERO1 + m],
+            slip_rad_s=signals.slip_rad_s(m + 1),
+            oil_k=signals.oil_k,
+            clutch_k=_clutch_k(m, signals.oil_k, belief, event.start_ns + signals.grid_s[0] / NS_TO_S, calibration),
+        )
+        for m in range(2)
+    )
+    return first, second
+
+
+def _clutch_k(m: int, oil_k: float, belief: Belief, now_ns: float, calibration: Calibration) -> float:
+    """Return the temperature of a pack: what it had, cooled towards the oil since."""
+    if belief.clutch_temperature_k is None or now_ns < belief.temperature_ns:
+        return oil_k
+    thermal = calibration.clutches[m].thermal
+    elapsed_s = (now_ns - belief.temperature_ns) * NS_TO_S
+    kept = math.exp(-elapsed_s * thermal.convection_w_k / thermal.heat_capacity_j_k)
+    return oil_k + (belief.clutch_temperature_k[m] - oil_k) * kept
+
+
+def planned_drives(
+    signals: ShiftSignals, measured: tuple[PressureDrive, PressureDrive], window: SlipWindow
+) -> tuple[PressureDrive, PressureDrive]:
+    """Return what would drive the films without sensor noise: commanded pressure and smooth slip.
+
+    Without a command on the bus the measured pressure is smoothed, which leaves a tenth of the noise.
+    """
+    first, second = (
+        replace(
+            drive,
+            piston_pa=smoothed(drive.piston_pa, window, PRESSURE_DEGREE) if expected_pa is None else expected_pa,
+            slip_rad_s=smoothed(drive.slip_rad_s, window, SLIP_DEGREE),
+        )
+        for drive, expected_pa in zip(measured, signals.expected_pa, strict=True)
+    )
+    return first, second
+
+
+def slip_window(
+    signals: ShiftSignals, drives: tuple[PressureDrive, PressureDrive], clutch: int, calibration: Calibration
+) -> SlipWindow | None:
+    """Return the slip window of the on-coming clutch, or None."""
+    over_pa = [drive.piston_pa - one.touch_pressure_pa for drive, one in zip(drives, calibration.clutches, strict=True)]
+    on, off = clutch - 1, 2 - clutch
+    return find_window(signals.grid_s, drives[on].slip_rad_s, over_pa[on], over_pa[off])

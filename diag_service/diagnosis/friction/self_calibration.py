@@ -1,0 +1,292 @@
+"""Self-calibration: what a vehicle's sensors and masses really are, found from many of its shifts at once.
+
+Maximum a posteriori over friction and everything that `parameters` lists, by Gauss-Newton on the impulse balances of
+all shifts and engine revs; docs/model.md, section "Self-calibration". Shifts alone tell latencies, offsets and inertia
+over torque gain; the gain itself, the scale of friction, only revs with open *and* closed clutches.
+"""
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from canlog.arrays import FloatArray
+from clutch_model.calibration import Calibration
+from clutch_model.errors import CalibrationError
+from clutch_model.knowledge import JointUncertainty
+from diag_service.diagnosis.events import RevEvent, ShiftEvent
+from diag_service.diagnosis.friction.balance import Balance
+from diag_service.diagnosis.friction.belief import Belief, Measurement
+from diag_service.diagnosis.friction.parameters import (
+    FRICTION_COUNT,
+    NAMES,
+    NUISANCE_NAMES,
+    STATE_COUNT,
+    Considered,
+    State,
+    displaced,
+    prior_covariance,
+    prior_mean,
+)
+from diag_service.diagnosis.friction.preparation import (
+    measured_drives,
+    on_coming,
+    planned_drives,
+    slip_window,
+    zeros_seen,
+)
+from diag_service.diagnosis.friction.rev_balance import rev_measurement
+from diag_service.diagnosis.friction.signals import gather
+from diag_service.diagnosis.friction.window import SlipWindow
+from diag_service.diagnosis.records import Reason
+
+LEAST_SHIFTS_PER_CLUTCH = 4  # fewer do not tell touch point and friction apart
+MAX_EVENT_COUNT = 200  # bounds time and memory; three times what the latencies need
+MAX_PASS_COUNT = 18
+ROUGH_PASS_COUNT = 3  # within them, or while steps are cut short, even a good shift does not fit
+LONGEST_STEP = 2.0  # standard deviations of the prior: far off, the balance is not linear
+FULL_STEP_COUNT = 5  # half steps after them end a swing between two ways of counting a sample at an edge
+CONVERGED = 0.02  # of a standard deviation
+NEARLY_CONVERGED = 0.3  # a slip window that begins a sample earlier or later from pass to pass can do that
+MAX_MISFIT_SHARE = 1 / 3  # of the shifts
+MAX_DEPARTURE = 5.0  # standard deviations of the type
+MAX_MEAN_MISFIT = 2.0  # of the shifts used: beyond it this is not the vehicle type that the calibration describes
+LOOSE_STD = {
+    Considered.TORQUE_LATENCY: 0.015,
+    Considered.PRESSURE_LATENCY: 0.010,
+    Considered.MOTORING_GAIN: 0.05,
+}
+"""What a vehicle that never calibrated itself may differ by from its type, where that is more than the type states."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SelfCalibration:
+    """What the drives of one vehicle told about it."""
+
+    calibration: Calibration  # moved to the values found, with their joint uncertainty
+    belief: Belief  # friction as these drives left it
+    mean: FloatArray  # (len(NAMES),) states, and displacements of the considered parameters from the start
+    covariance: FloatArray  # (len(NAMES), len(NAMES))
+    shift_counts: tuple[int, int]  # used, of clutch 1 and 2
+    rejected_count: int  # shifts that could not be used or did not fit
+    rev_counts: tuple[int, int]  # used, with open and with closed clutches
+    mean_misfit: float  # chi-square per degree of freedom of the shifts used
+
+    def std(self, name: str) -> float:
+        """Return the standard deviation of a parameter by its name in ``NAMES``."""
+        row = NAMES.index(name)
+        return float(np.sqrt(self.covariance[row, row]))
+
+
+Span = tuple[float, float]
+"""First and last instant of a slip window [s] after the start of its shift."""
+
+
+@dataclass(frozen=True, slots=True)
+class _Seen:
+    """The balance of one event at the present point."""
+
+    measurements: tuple[Measurement, ...]
+    misfit: float
+    fits: bool
+    clutch: int  # 0: a rev
+    number: int
+    span: Span
+    is_closed_rev: bool = False
+
+
+def self_calibrate(
+    shifts: Sequence[ShiftEvent], revs: Sequence[RevEvent], start: Calibration, version: str
+) -> SelfCalibration | str:
+    """Return what the shifts and revs of one vehicle say, or why they do not suffice.
+
+    Parameters
+    ----------
+    shifts, revs
+        In order of time; friction is taken to be the same in all of them.
+    start : Calibration
+        Of the vehicle type.
+    version : str
+        What the new calibration calls itself.
+    """
+    if start.joint is not None:
+        return f"calibration {start.version} is that of one vehicle already: start from its type"
+    shifts, revs = shifts[-MAX_EVENT_COUNT:], revs[-MAX_EVENT_COUNT:]
+    prior = np.concatenate((prior_mean(start), np.zeros(len(Considered))))
+    spread = _loosened(prior_covariance(start))
+    weight = np.linalg.inv(spread)
+    mean, point = prior, start
+    windows: dict[int, Span] = {}  # chosen anew in every pass while empty
+    used: list[_Seen] = []
+    fine_count = 0
+    rest = np.inf
+    for number in range(MAX_PASS_COUNT):
+        belief = replace(Belief.fresh(point), mean=mean[:STATE_COUNT])
+        seen = [*_seen_shifts(shifts, belief, point, windows), *_seen_revs(revs, belief, point)]
+        used = [one for one in seen if not fine_count or one.fits]
+        if problem := _shortage(seen, used):
+            return problem
+        information, gradient = _gathered(used)
+        covariance = np.asarray(np.linalg.inv(weight + information), np.float64)
+        step: FloatArray = covariance @ (weight @ (prior - mean) + gradient)
+        share = _share(step, spread)
+        mean = mean + step * (share if fine_count < FULL_STEP_COUNT else 0.5 * share)
+        try:
+            point = displaced(start, mean)
+        except CalibrationError as exc:
+            return f"no vehicle explains these shifts: {exc}"
+        rest = float(np.max(np.abs(step) / np.sqrt(np.diag(covariance))))
+        if fine_count and rest < CONVERGED:
+            break
+        if fine_count or (share == 1.0 and number + 1 >= ROUGH_PASS_COUNT):
+            fine_count += 1
+            # From here on the same data pass after pass, or it would not converge.
+            windows = windows or {one.number: one.span for one in used if one.clutch}
+    if rest > NEARLY_CONVERGED:
+        return f"the self-calibration did not converge: still {rest:.1f} standard deviations a pass"
+    if problem := _departure(mean - prior, spread):
+        return problem
+    return _concluded(point, mean, covariance, used, len(shifts), version)
+
+
+def _gathered(used: Sequence[_Seen]) -> tuple[FloatArray, FloatArray]:
+    """Return what all balances say: the information matrix and the gradient; docs/model.md eqs. (30) and (31)."""
+    information, gradient = np.zeros((len(NAMES), len(NAMES))), np.zeros(len(NAMES))
+    for measurement in (one for event in used for one in event.measurements):
+        slope = np.hstack((measurement.by_state, measurement.by_considered))
+        scaled = np.linalg.solve(measurement.noise, slope)
+        information += slope.T @ scaled
+        gradient += scaled.T @ measurement.residual
+        if measurement.overlap is not None:
+            gradient[STATE_COUNT:] -= measurement.overlap
+    return information, gradient
+
+
+def _share(step: FloatArray, spread: FloatArray) -> float:
+    """Return how much of a step the linearisation bears, 0..1."""
+    longest = float(np.max(np.abs(step[FRICTION_COUNT:]) / np.sqrt(np.diag(spread)[FRICTION_COUNT:])))
+    return LONGEST_STEP / max(longest, LONGEST_STEP)
+
+
+def _departure(moved: FloatArray, spread: FloatArray) -> str:
+    """Return which parameter is farther from the vehicle type than can be; empty if none is."""
+    departure = np.abs(moved[FRICTION_COUNT:]) / np.sqrt(np.diag(spread)[FRICTION_COUNT:])
+    worst = int(np.argmax(departure))
+    if departure[worst] <= MAX_DEPARTURE:
+        return ""
+    return (
+        f"{NUISANCE_NAMES[worst]} would be {departure[worst]:.0f} standard deviations from its type: "
+        "not a vehicle of this type"
+    )
+
+
+def _loosened(covariance: FloatArray) -> FloatArray:
+    """Return the prior with the deviations of a vehicle that never calibrated itself."""
+    loose = covariance.copy()
+    for parameter, std in LOOSE_STD.items():
+        row = STATE_COUNT + parameter
+        loose[row, row] = max(loose[row, row], std**2)
+    return loose
+
+
+def _seen_shifts(
+    events: Sequence[ShiftEvent], belief: Belief, point: Calibration, windows: Mapping[int, Span]
+) -> Iterator[_Seen]:
+    """Yield the balances of the shifts, in the windows that are given or else in those that their signals show."""
+    for event in events:
+        if windows and event.number not in windows:
+            continue
+        signals = gather(event, point)
+        if isinstance(signals, Reason):
+            continue
+        clutch = on_coming(event.to_gear)
+        drives = measured_drives(signals, belief, event, point)
+        window = (
+            _window_at(windows[event.number], signals.grid_s)
+            if windows
+            else slip_window(signals, drives, clutch, point)
+        )
+        if window is None:
+            continue
+        balance = Balance(signals, window, drives, planned_drives(signals, drives, window), point)
+        belief = replace(
+            belief,
+            clutch_temperature_k=(balance.tracks[0].final_clutch_k, balance.tracks[1].final_clutch_k),
+            temperature_ns=event.end_ns,
+        )
+        seen = balance.measurement(belief.mean, belief.mean)
+        seen = replace(seen, overlap=balance.overlap(seen.noise, float(belief.mean[State.TORQUE_OFFSET])))
+        span = float(signals.grid_s[window.first]), float(signals.grid_s[window.stop - 1])
+        misfit = _misfit(seen)
+        fits = misfit <= seen.misfit_gate
+        yield _Seen((seen, *zeros_seen(signals, belief, point)), misfit, fits, clutch, event.number, span)
+
+
+def _window_at(span: Span, grid_s: FloatArray) -> SlipWindow:
+    first, last = np.searchsorted(grid_s, span).tolist()
+    return SlipWindow(first=first, stop=min(last + 1, len(grid_s)), direction=0.0)
+
+
+def _seen_revs(events: Sequence[RevEvent], belief: Belief, point: Calibration) -> Iterator[_Seen]:
+    for event in events:
+        signals = gather(event, point)
+        if isinstance(signals, Reason):
+            continue
+        inside = np.flatnonzero(signals.grid_s >= 0.0)
+        window = SlipWindow(first=int(inside[0]), stop=len(signals.grid_s), direction=0.0)
+        seen = rev_measurement(signals, window, belief.mean, point, are_clutches_closed=event.are_clutches_closed)
+        span = float(signals.grid_s[window.first]), float(signals.grid_s[-1])
+        misfit = _misfit(seen)
+        fits = misfit <= seen.misfit_gate
+        yield _Seen((seen,), misfit, fits, 0, event.number, span, event.are_clutches_closed)
+
+
+def _misfit(seen: Measurement) -> float:
+    return float(seen.residual @ np.linalg.solve(seen.noise, seen.residual)) / len(seen.residual)
+
+
+def _shortage(seen: Sequence[_Seen], used: Sequence[_Seen]) -> str:
+    """Return what is missing in the shifts that are left; empty if nothing is."""
+    for clutch in (1, 2):
+        count = sum(one.clutch == clutch for one in used)
+        if count < LEAST_SHIFTS_PER_CLUTCH:
+            return f"{count} usable shifts onto clutch {clutch}, needed are {LEAST_SHIFTS_PER_CLUTCH}"
+    seen_count, used_count = (sum(one.clutch > 0 for one in some) for some in (seen, used))
+    if seen_count - used_count > MAX_MISFIT_SHARE * seen_count:
+        return f"{seen_count - used_count} of {seen_count} shifts do not fit: not a vehicle of this type"
+    return ""
+
+
+def _concluded(
+    point: Calibration, mean: FloatArray, covariance: FloatArray, used: Sequence[_Seen], shift_count: int, version: str
+) -> SelfCalibration | str:
+    """Return the result, unless its shifts fit too badly to believe it."""
+    misfit = float(np.mean([one.misfit for one in used if one.clutch]))
+    if misfit > MAX_MEAN_MISFIT:
+        return f"chi-square {misfit:.1f} per degree of freedom: not a vehicle of this type"
+    nuisances = covariance[FRICTION_COUNT:, FRICTION_COUNT:]
+    std = np.sqrt(np.diag(nuisances))
+    correlation = nuisances / np.outer(std, std)
+    correlation = np.clip((correlation + correlation.T) / 2.0, -1.0, 1.0)
+    np.fill_diagonal(correlation, 1.0)
+    calibration = replace(
+        point,
+        version=version,
+        joint=JointUncertainty(
+            names=NUISANCE_NAMES,
+            std=tuple(std.tolist()),
+            correlation=tuple(tuple(row) for row in correlation.tolist()),
+        ),
+    )
+    counts = tuple(sum(one.clutch == clutch for one in used) for clutch in (1, 2))
+    revs = tuple(sum(one.clutch == 0 and one.is_closed_rev is closed for one in used) for closed in (False, True))
+    return SelfCalibration(
+        calibration=calibration,
+        belief=replace(Belief.joint(mean[:STATE_COUNT], covariance, calibration), shift_counts=(counts[0], counts[1])),
+        mean=mean,
+        covariance=covariance,
+        shift_counts=(counts[0], counts[1]),
+        rejected_count=shift_count - sum(counts),
+        rev_counts=(revs[0], revs[1]),
+        mean_misfit=misfit,
+    )

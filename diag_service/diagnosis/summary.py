@@ -1,0 +1,283 @@
+"""What a run did, in numbers: frames in, frames refused and why, shifts out. For people and for machines."""
+
+from collections import Counter
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field, replace
+from enum import StrEnum
+
+from diag_service.diagnosis.comparison import ClutchRatio
+from diag_service.diagnosis.contributions import NO_LOGS, Contributions, log_record
+from diag_service.diagnosis.records import ClutchVerdict, Condition, ShiftEstimate, ShiftResult, Status, Tier
+from diag_service.diagnosis.results import JsonObject, clutch_record
+
+RECENT_COUNT = 8
+SUMMARY_SCHEMA = "clutchdiag/summary/v1"
+TIER_TEXT = {
+    Tier.FRICTION: "friction",
+    Tier.TORQUE: "torque capacity, no friction",
+    Tier.KINEMATIC: "shift time and slip, no friction",
+}
+
+
+class Gap(StrEnum):
+    """Why a run has seen a part of its drive only."""
+
+    STOPPED = "stopped_early"
+    LOG_CUT = "log_cut"  # the file ends before its own end
+
+
+GAP_TEXT = {
+    Gap.STOPPED: "stopped early",
+    Gap.LOG_CUT: "a log broke off before its own end",
+}
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class FrameCounts:
+    """Frames of one run. ``on_bus = decoded + ignored + rejected + unsupported + dropped``, to the frame."""
+
+    on_bus: int = 0  # seen by the interface or in the log, those lost on the way included
+    decoded: int = 0
+    ignored: int = 0  # of messages that the service does not use
+    unsupported: int = 0  # neither CAN nor CAN FD
+    kernel_dropped: int = 0
+    queue_dropped: int = 0
+    rejected: Mapping[str, int] = field(default_factory=dict)  # reason -> frames
+    missing: int = 0  # never on this side of the bus, as alive counters tell
+    invalid_values: int = 0  # not available or out of range, in decoded frames
+    invalid: Mapping[str, Mapping[str, int]] = field(default_factory=dict)  # the same: signal -> reason -> values
+    unreadable: Mapping[str, int] = field(default_factory=dict)  # lines or objects of a log, reason -> count
+
+    @property
+    def rejected_count(self) -> int:
+        """Frames rejected for whatever reason."""
+        return sum(self.rejected.values())
+
+    @property
+    def is_balanced(self) -> bool:
+        """Whether every frame is accounted for."""
+        dropped = self.kernel_dropped + self.queue_dropped
+        return self.on_bus == self.decoded + self.ignored + self.unsupported + self.rejected_count + dropped
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Capability:
+    """What the signals of a run suffice for."""
+
+    profile: str = "dct"
+    tier: Tier | None = Tier.FRICTION  # None: not even shifts can be found
+    missing: str = ""  # what the next better tier needs; empty at the first
+    unseen: tuple[str, ...] = ()  # mapped canonical signals that never had a value
+
+
+FULL = Capability()
+
+
+class ShiftTally:
+    """Counts of the shifts of one run, and the last result of each clutch."""
+
+    def __init__(self) -> None:
+        self.by_status: Counter[Status] = Counter()
+        self.by_reason: Counter[str] = Counter()
+        self.stored_count = 0
+        self.known_count = 0  # their key was in the store before
+        self.latest: dict[int, ShiftResult] = {}
+        self.recent: tuple[ShiftResult, ...] = ()  # replaced, never changed: other threads read it
+
+    def add(self, result: ShiftResult, *, is_new: bool) -> None:
+        """Count one shift."""
+        estimate: ShiftEstimate = result.estimate
+        self.by_status[estimate.status] += 1
+        self.by_reason.update(reason.value for reason in estimate.reasons)
+        self.stored_count += is_new
+        self.known_count += not is_new
+        self.latest[estimate.clutch] = result
+        self.recent = (*self.recent, result)[-RECENT_COUNT:]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Summary:
+    """The numbers of a run, at its end or on request."""
+
+    vehicle: str
+    frames: FrameCounts
+    shift_counts: Mapping[str, int]  # status -> shifts
+    reason_counts: Mapping[str, int]  # reason -> shifts
+    stored_count: int
+    known_count: int
+    unpublished_count: int | None  # None without a broker
+    latest: tuple[ShiftResult, ...]  # last result of each clutch, clutch 1 first
+    capability: Capability = FULL
+    gaps: tuple[Gap, ...] = ()  # why this is a part of the drive; none: it is the whole
+    contributions: Contributions = NO_LOGS
+
+
+def summarise(
+    vehicle: str,
+    frames: FrameCounts,
+    tally: ShiftTally,
+    unpublished_count: int | None,
+    capability: Capability = FULL,
+    gaps: tuple[Gap, ...] = (),
+    contributions: Contributions = NO_LOGS,
+) -> Summary:
+    """Return the numbers of a run as they stand; of a part of a drive no clutch has a verdict."""
+    return Summary(
+        vehicle=vehicle,
+        frames=frames,
+        shift_counts={status.value: tally.by_status[status] for status in Status},
+        reason_counts=dict(sorted(tally.by_reason.items())),
+        stored_count=tally.stored_count,
+        known_count=tally.known_count,
+        unpublished_count=unpublished_count,
+        capability=capability,
+        latest=tuple(unjudged(result, gaps) for _, result in sorted(tally.latest.items())),
+        gaps=gaps,
+        contributions=contributions,
+    )
+
+
+def unjudged(result: ShiftResult, gaps: tuple[Gap, ...]) -> ShiftResult:
+    """Return a result without its verdict if there are gaps: a part of a drive may say the opposite of the whole."""
+    if not gaps:
+        return result
+    verdict = replace(result.verdict, condition=Condition.NO_VERDICT, reason=gaps_line(gaps))
+    return replace(result, verdict=verdict)
+
+
+def gaps_line(gaps: tuple[Gap, ...]) -> str:
+    """Return why there is no verdict, for people; empty if nothing is missing."""
+    if not gaps:
+        return ""
+    return f"{', '.join(GAP_TEXT[gap] for gap in gaps)}: this is a part of the drive, which gets no verdict"
+
+
+def summary_record(summary: Summary) -> JsonObject:
+    """Return the numbers as the final JSON object of a run."""
+    frames = summary.frames
+    return {
+        "schema": SUMMARY_SCHEMA,
+        "vehicle": summary.vehicle,
+        "complete": not summary.gaps,
+        "incomplete": [gap.value for gap in summary.gaps],
+        "frames": {
+            "on_bus": frames.on_bus,
+            "decoded": frames.decoded,
+            "ignored": frames.ignored,
+            "unsupported": frames.unsupported,
+            "kernel_dropped": frames.kernel_dropped,
+            "queue_dropped": frames.queue_dropped,
+            "rejected": dict(frames.rejected),
+            "missing": frames.missing,
+            "invalid_values": frames.invalid_values,
+            "invalid_signals": {signal: dict(reasons) for signal, reasons in frames.invalid.items()},
+            "unreadable": dict(frames.unreadable),
+        },
+        "shifts": {
+            "by_status": dict(summary.shift_counts),
+            "by_reason": dict(summary.reason_counts),
+            "stored": summary.stored_count,
+            "already_stored": summary.known_count,
+            "unpublished": summary.unpublished_count,
+        },
+        "clutches": [clutch_record(result) for result in summary.latest],
+        "capability": {
+            "profile": summary.capability.profile,
+            "tier": summary.capability.tier,
+            "missing": summary.capability.missing,
+            "unseen": list(summary.capability.unseen),
+        },
+        "logs": [log_record(log) for log in summary.contributions.logs],
+        "idle": list(summary.contributions.idle),
+    }
+
+
+def frames_line(frames: FrameCounts) -> str:
+    """Return the frame numbers as one line for people."""
+    parts = [f"{frames.on_bus} frames", f"{frames.decoded} decoded", f"{frames.ignored} ignored"]
+    parts.append(_with_reasons(f"{frames.rejected_count} rejected", frames.rejected))
+    if frames.unsupported:
+        parts.append(f"{frames.unsupported} neither CAN nor CAN FD")
+    parts.append(f"{frames.kernel_dropped + frames.queue_dropped} dropped")
+    parts.append(f"{frames.missing} missing")
+    parts.append(f"{frames.invalid_values} values not available")
+    if any(frames.unreadable.values()):
+        parts.append(_with_reasons("unreadable in the log", frames.unreadable))
+    return ", ".join(parts)
+
+
+def values_line(frames: FrameCounts) -> str:
+    """Return which signals lost how many values and why, as one line for people; empty if none did."""
+    signals = [_with_reasons(signal, frames.invalid[signal]) for signal in sorted(frames.invalid)]
+    return f"values that are no measurements: {', '.join(signals)}" if signals else ""
+
+
+def shifts_line(summary: Summary) -> str:
+    """Return the shift numbers as one line for people."""
+    total = sum(summary.shift_counts.values())
+    parts = [_with_reasons(f"{total} shifts", summary.shift_counts)]
+    if any(summary.reason_counts.values()):
+        parts.append(_with_reasons("reasons", summary.reason_counts))
+    if summary.known_count:
+        parts.append(f"{summary.known_count} were stored before")
+    if summary.unpublished_count:
+        parts.append(f"{summary.unpublished_count} wait for the broker")
+    return ", ".join(parts)
+
+
+def capability_line(summary: Summary) -> str:
+    """Return one line for people: what the signals suffice for and what is missing; empty where all is there."""
+    capability = summary.capability
+    has_shifts = any(summary.shift_counts.values())
+    if capability.tier is Tier.FRICTION and has_shifts:
+        return ""
+    parts = [] if has_shifts else ["no shift was found"]
+    if capability.tier is None:
+        parts.append(f"the signals do not show shifts: {capability.missing}")
+    elif capability.tier is not Tier.FRICTION:
+        parts.append(f"tier {capability.tier:d} of 3, {TIER_TEXT[capability.tier]}: {capability.missing}")
+    if capability.unseen:
+        parts.append(f"mapped by profile {capability.profile}, but never seen: {', '.join(capability.unseen)}")
+    return "; ".join(parts)
+
+
+def sharp_lines(verdict: ClutchVerdict) -> Iterator[str]:
+    """Yield for people what is known of a clutch without knowing the common scale, as far as it is."""
+    free, scatter, since = verdict.scale_free, verdict.shift_scatter, verdict.trend
+    if free is not None and verdict.common_scale_std_ratio is not None:
+        yield (
+            f"scale-free mu_C {free.mu_c:.4f} ± {free.std_mu_c:.4f}, mu_S {free.mu_s:.4f} ± {free.std_mu_s:.4f}; "
+            f"common scale ± {100.0 * verdict.common_scale_std_ratio:.1f} %"
+        )
+    if scatter is not None:
+        std = f"mu_C {scatter.std_mu_c:.4f}, mu_S {scatter.std_mu_s:.4f}"
+        yield f"shift-to-shift std {std} ({scatter.shift_count} shifts)"
+    if since is not None:
+        yield (
+            f"trend mu_C {_change(since.change_mu_c_ratio, since.std_change_mu_c_ratio)}, "
+            f"mu_S {_change(since.change_mu_s_ratio, since.std_change_mu_s_ratio)} "
+            f"against the baseline ({since.baseline_shift_count} shifts)"
+        )
+
+
+def latest_ratio(summary: Summary) -> ClutchRatio | None:
+    """Return the ratio of the clutches after the last shift of a run, if both are known."""
+    newest = max(summary.latest, key=lambda result: result.estimate.end_ns, default=None)
+    return None if newest is None else newest.verdict.clutch_ratio
+
+
+def ratio_line(ratio: ClutchRatio) -> str:
+    """Return the friction of clutch 1 over that of clutch 2 as one line for people."""
+    return (
+        f"mu_C1/mu_C2 {ratio.mu_c_ratio:.3f} ± {ratio.std_mu_c_ratio:.3f}, "
+        f"mu_S1/mu_S2 {ratio.mu_s_ratio:.3f} ± {ratio.std_mu_s_ratio:.3f}"
+    )
+
+
+def _change(ratio: float, std_ratio: float) -> str:
+    return f"{100.0 * ratio:+.1f} ± {100.0 * std_ratio:.1f} %"
+
+
+def _with_reasons(head: str, counts: Mapping[str, int]) -> str:
+    named = [f"{count} {name.replace('_', ' ')}" for name, count in counts.items() if count]
+    return f"{head} ({', '.join(named)})" if named else head

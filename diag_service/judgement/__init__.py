@@ -1,1 +1,0 @@
-"""What estimates are worth and what they say of clutch and fluid."""

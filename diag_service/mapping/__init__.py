@@ -1,0 +1,1 @@
+"""What signals of a database mean: profiles, and frames to canonical columns."""

@@ -1,0 +1,289 @@
+"""Frames become canonical columns: protection check, bit fields, SI units, and a count of everything left out."""
+
+from collections.abc import Iterator, Mapping
+from collections.abc import Set as AbstractSet
+from dataclasses import dataclass
+from types import MappingProxyType
+from typing import Final
+
+import numpy as np
+from cantools.database.can import Database
+
+from canlog.arrays import Int64Array
+from canlog.database.addressing import kernel_filters, rows_by_slot
+from canlog.decode.signal_table import NO_INVALID, InvalidCounts, PayloadWords, payload_words
+from canlog.e2e.e2e_state import E2eState, E2eStates
+from canlog.e2e.protection_check import FrameReason, FrameVerdicts, LinkMonitor
+from canlog.frames import MAX_GAP_NS, FrameBatch, WatchedBits
+from canlog.live.error_frames import BusError, tells
+from canlog.series import Series
+from diag_service.diagnosis.columns import ColumnBatch, Columns, GearRatios, Signal
+from diag_service.mapping.mapped_messages import SignalColumn, map_signals
+from diag_service.mapping.profile import Profile
+from diag_service.mapping.small_batches import SMALL_FRAMES, SmallBatchDecoder, SmallColumn, is_able, is_seamless
+from diag_service.mapping.tiers import MANDATORY
+
+NS_PER_S: Final = 1_000_000_000
+_NEVER: Final = np.empty(0, np.int64)
+
+REJECTIONS: Final = tuple(reason for reason in FrameReason if reason not in {FrameReason.OK, FrameReason.UNKNOWN_ID})
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class MessageCounts:
+    """What became of the frames of one message."""
+
+    decoded: int
+    rejected: Mapping[FrameReason, int]  # reasons that occurred
+    missing: int  # sent, says the alive counter, but never received
+    channels: Mapping[int, int]  # frames by the bus they came on
+    senders: Mapping[int, int]  # frames by J1939 source address, empty for other messages
+    e2e_state: E2eState
+    invalidations: int  # times that the message as a whole lost its trust
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class DecoderCounts:
+    """What became of all frames: ``received = decoded + ignored + sum(rejected.values())``."""
+
+    received: int
+    decoded: int
+    ignored: int  # messages that no mapped signal needs
+    rejected: Mapping[FrameReason, int]  # reasons that occurred
+    missing: int  # of protected messages, not in ``received``
+    invalid_values: int  # not available or out of range, in frames that were decoded
+    messages: Mapping[str, MessageCounts]
+    invalid: Mapping[Signal, InvalidCounts]  # signals with invalid values
+
+
+class Decoder:
+    """Turns frames into canonical columns; what comes out does not depend on how the stream was cut.
+
+    Parameters
+    ----------
+    database : Database
+        Messages of the bus.
+    profile : Profile
+        Where the canonical signals are.
+
+    Raises
+    ------
+    ConfigError
+        If the profile does not fit the database.
+    """
+
+    def __init__(self, database: Database, profile: Profile) -> None:
+        self._messages = map_signals(database, profile)
+        self._monitor = LinkMonitor(
+            [mapped.message for mapped in self._messages], [mapped.address for mapped in self._messages]
+        )
+        self.gears: GearRatios | None = profile.gears
+        self.profile_name = profile.name
+        self.named_channel = profile.channel
+        self._e2e = E2eStates(
+            [mapped.message.name for mapped in self._messages], [mapped.period_ns for mapped in self._messages]
+        )
+        self._small = self._small_batch_decoder()
+        list(rows_by_slot(_NEVER, 0))  # compiled now: the first frames must not wait for the compiler
+        self._signal_count = len(self.signals)
+        self._invalid: dict[Signal, InvalidCounts] = {}
+        self._seen: set[Signal] = set()
+        self.last_ns: int | None = None  # bus time of the last frame
+        self._is_interrupted = False
+
+    @property
+    def signals(self) -> frozenset[Signal]:
+        """The canonical signals that this bus can deliver."""
+        return frozenset(column.signal for mapped in self._messages for column in mapped.columns)
+
+    @property
+    def seen(self) -> frozenset[Signal]:
+        """The canonical signals of which at least one valid value came until now."""
+        return frozenset(self._seen)
+
+    @property
+    def mandatory_messages(self) -> frozenset[str]:
+        """The messages without which there is no estimate."""
+        return frozenset(
+            mapped.message.name
+            for mapped in self._messages
+            if any(column.signal in MANDATORY for column in mapped.columns)
+        )
+
+    @property
+    def nominal_hz(self) -> Mapping[str, float]:
+        """How often each cyclic message should come."""
+        return {m.message.name: NS_PER_S / m.period_ns for m in self._messages if m.period_ns > 0}
+
+    @property
+    def slow_messages(self) -> Mapping[str, tuple[int, int]]:
+        """The messages that come plainly less often than the database says: their own cycle and that [ns]."""
+        cycles = zip(self._messages, self._e2e.own_cycles_ns, strict=True)
+        return {m.message.name: (own_ns, m.period_ns) for m, own_ns in cycles if own_ns > m.period_ns}
+
+    @property
+    def kernel_filters(self) -> tuple[tuple[int, int], ...]:
+        """Identifier and mask, as SocketCAN wants them, of each message that is looked at."""
+        return kernel_filters([mapped.address for mapped in self._messages])
+
+    def watched(self, signals: AbstractSet[Signal]) -> tuple[WatchedBits, ...]:
+        """Return the bits that some signals are made of; none if the bus lacks one or it is not plain bits."""
+        found = [
+            WatchedBits(*kernel_filters([mapped.address])[0], payload=column.table.main.field.payload_mask)
+            for mapped in self._messages
+            for column in mapped.columns
+            if column.signal in signals and is_able(column.table)
+        ]
+        return tuple(found) if len(found) == len(signals) else ()
+
+    @property
+    def limits(self) -> Mapping[Signal, tuple[float, float]]:
+        """The ends of the scales of the signals for which the database tells them, SI."""
+        columns = (column for mapped in self._messages for column in mapped.columns)
+        return {column.signal: column.limits for column in columns if column.limits is not None}
+
+    @property
+    def counts(self) -> DecoderCounts:
+        """What became of all frames until now."""
+        counts, missing = self._monitor.counts, self._monitor.missing
+        total = counts.sum(axis=0)
+        states, invalidations = self._e2e.states, self._e2e.invalidations
+        messages = {
+            mapped.message.name: MessageCounts(
+                decoded=int(counts[slot, FrameReason.OK]),
+                rejected=_rejected(counts[slot]),
+                missing=int(missing[slot]),
+                channels=self._monitor.channels(slot),
+                senders=self._monitor.senders(slot),
+                e2e_state=states[slot],
+                invalidations=invalidations[slot],
+            )
+            for slot, mapped in enumerate(self._messages)
+        }
+        return DecoderCounts(
+            received=int(total.sum()),
+            decoded=int(total[FrameReason.OK]),
+            ignored=int(total[FrameReason.UNKNOWN_ID]),
+            rejected=_rejected(total),
+            missing=int(missing.sum()),
+            invalid_values=sum(invalid.total for invalid in self._invalid.values()),
+            messages=MappingProxyType(messages),
+            invalid=MappingProxyType(dict(self._invalid)),
+        )
+
+    def feed(self, batch: FrameBatch) -> list[ColumnBatch]:
+        """Return the columns of a batch: none if it is empty, several if bus time jumps inside it."""
+        batch = batch.plain()
+        if self._goes_on(batch):
+            self.last_ns = int(batch.t_ns[-1])
+            return [self._decode(batch, breaks_before=False)]
+        return [self._decode(segment, breaks_before=breaks) for segment, breaks in self._segments(batch)]
+
+    @property
+    def sources(self) -> LinkMonitor:
+        """Who follows each message from one source: a reader of several logs tells it where one begins and ends."""
+        return self._monitor
+
+    def interrupt(self) -> None:
+        """End the segment: what comes next has nothing to do with what came before."""
+        self._is_interrupted = True
+
+    def _goes_on(self, batch: FrameBatch) -> bool:
+        """Return whether the frames go on where the last ones ended, as they nearly always do."""
+        if self.last_ns is None or self._is_interrupted or not len(batch):
+            return False
+        return is_seamless(batch.t_ns, batch.can_id, self.last_ns)
+
+    def _segments(self, batch: FrameBatch) -> Iterator[tuple[FrameBatch, bool]]:
+        """Cut a batch where bus time goes back or stands still for too long, and where the controller left the bus."""
+        if not len(batch):
+            return
+        before_ns = batch.t_ns[0] if self.last_ns is None else self.last_ns
+        steps_ns = np.diff(batch.t_ns, prepend=before_ns)
+        breaks = (steps_ns < 0) | (steps_ns > MAX_GAP_NS) | tells(batch, BusError.BUS_OFF)
+        breaks[0] |= self._is_interrupted
+        jumps = np.flatnonzero(breaks).tolist()
+        self.last_ns = int(batch.t_ns[-1])
+        self._is_interrupted = False
+        starts = jumps if jumps[:1] == [0] else [0, *jumps]
+        for start, stop in zip(starts, [*starts[1:], len(batch)], strict=True):
+            yield batch[start:stop], start in jumps
+
+    def _decode(self, segment: FrameBatch, *, breaks_before: bool) -> ColumnBatch:
+        """Return the columns of frames without a jump of bus time between them."""
+        if breaks_before:
+            self._monitor.reset()
+            self._e2e.reset()
+        verdicts = self._monitor.check(segment)
+        columns, bad_frame_ns = (
+            self._columns(segment, verdicts)
+            if self._small is None or len(segment) > SMALL_FRAMES
+            else self._small_columns(self._small, segment, verdicts)
+        )
+        if len(self._seen) < self._signal_count:
+            self._seen |= columns.keys()
+        return ColumnBatch(
+            columns=columns,
+            watermark_ns=int(segment.t_ns[-1]),
+            breaks_before=breaks_before,
+            bad_frame_ns=bad_frame_ns,
+            e2e_changes=self._e2e.follow(segment.t_ns, verdicts),
+        )
+
+    def _small_columns(
+        self, decoder: SmallBatchDecoder, segment: FrameBatch, verdicts: FrameVerdicts
+    ) -> tuple[Columns, Int64Array]:
+        """Return the columns of a few frames, and when messages failed."""
+        columns, invalid, has_bad = decoder.decode(segment, verdicts)
+        for signal, counts in invalid.items():
+            self._invalid[signal] = self._invalid.get(signal, NO_INVALID).plus(counts)
+        return columns, _bad_frame_ns(segment, verdicts) if has_bad else _NEVER
+
+    def _columns(self, segment: FrameBatch, verdicts: FrameVerdicts) -> tuple[Columns, Int64Array]:
+        """Return the columns of many frames, and when messages failed."""
+        columns: dict[Signal, Series] = {}
+        for slot, rows in rows_by_slot(verdicts.accepted, len(self._messages)):
+            mapped = self._messages[slot]
+            words = payload_words(segment.data, rows)
+            t_ns, sequence = segment.t_ns[rows], verdicts.sequence[rows]
+            for column in mapped.columns:
+                series = self._series(column, words, t_ns, sequence, mapped.period_ns)
+                if len(series.t_ns):
+                    columns[column.signal] = series
+        return columns, _bad_frame_ns(segment, verdicts)
+
+    def _small_batch_decoder(self) -> SmallBatchDecoder | None:
+        """Return the decoder of small batches, if every signal is plain enough for it."""
+        columns = [
+            SmallColumn(slot, column.signal, column.table, column.to_si, mapped.period_ns)
+            for slot, mapped in enumerate(self._messages)
+            for column in mapped.columns
+        ]
+        return SmallBatchDecoder(columns, len(self._messages)) if all(is_able(one.table) for one in columns) else None
+
+    def _series(
+        self, column: SignalColumn, words: PayloadWords, t_ns: Int64Array, sequence: Int64Array, period_ns: int
+    ) -> Series:
+        """Return the valid samples of one signal and count the others."""
+        decoded = column.table.decode(words)
+        if decoded.invalid.total:
+            self._invalid[column.signal] = self._invalid.get(column.signal, NO_INVALID).plus(decoded.invalid)
+        value = decoded.value
+        if decoded.is_good is not None:
+            value, t_ns, sequence = value[decoded.is_good], t_ns[decoded.is_good], sequence[decoded.is_good]
+        return Series(t_ns=t_ns, sequence=sequence, value=column.to_si(value), period_ns=period_ns)
+
+
+def _rejected(row: Int64Array) -> Mapping[FrameReason, int]:
+    """Return the rejections of one row of counts."""
+    return MappingProxyType({reason: int(row[reason]) for reason in REJECTIONS if row[reason]})
+
+
+def _bad_frame_ns(segment: FrameBatch, verdicts: FrameVerdicts) -> Int64Array:
+    """Return when mapped messages failed: a rejected frame at its own time, a missing one where it was missed.
+
+    Frames of another channel or sender are no failures of those that are followed.
+    """
+    is_rejected = (verdicts.reason >= FrameReason.SHORT) & (verdicts.reason <= FrameReason.WRONG_SEQUENCE)
+    times = np.repeat(segment.t_ns, is_rejected + np.maximum(verdicts.missing, 0))
+    return times.astype(np.int64, copy=False)

@@ -1,0 +1,288 @@
+"""Profiles: in which message and signal of a database each canonical signal is found, and in which unit."""
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from itertools import pairwise
+from pathlib import Path
+from types import MappingProxyType
+from typing import Final
+
+from canlog.arrays import FloatArray
+from canlog.plain_files import read_toml_file
+from clutch_model.units import k_from_degc, m_s_from_km_h, pa_from_bar, rad_s_from_rpm
+from diag_service.diagnosis.columns import GearRatios, Signal
+from diag_service.errors import ConfigError
+
+MAX_NUMBER: Final = 0xFF  # of a channel or a J1939 source address
+PROTOCOLS: Final = {"can": False, "j1939": True}
+PROFILE_KEYS: Final = frozenset({"name", "signals", "protocol", "channel", "database", "gears"})
+
+
+@dataclass(frozen=True, slots=True)
+class Conversion:
+    """From decoded values to SI: ``factor * value + offset``."""
+
+    factor: float = 1.0
+    offset: float = 0.0
+
+    def __call__(self, value: FloatArray) -> FloatArray:
+        """Return values in SI, of the same shape."""
+        return value * self.factor + self.offset
+
+    def after(self, scale: float, offset: float) -> "Conversion":
+        """Return the conversion of values that are to be scaled and moved first."""
+        return Conversion(self.factor * scale, self.factor * offset + self.offset)
+
+
+PROFILE_FOLDER: Final = Path(__file__).parents[1] / "profiles"
+PROFILE_PATH: Final = PROFILE_FOLDER / "dct.toml"
+
+
+_SAME: Final = Conversion()
+_TO_SI: Final[Mapping[str, Mapping[str, Conversion]]] = {
+    "rad_s": {
+        **dict.fromkeys(
+            ("rpm", "1/min", "min-1", "r/min", "rev/min", "u/min", "unit_minutinver"), Conversion(rad_s_from_rpm(1.0))
+        ),
+        "rad/s": _SAME,
+    },
+    "m_s": {
+        **dict.fromkeys(("km/h", "kmh", "kph", "kmph", "unit_kilometerperhour"), Conversion(m_s_from_km_h(1.0))),
+        "m/s": _SAME,
+    },
+    "pa": {
+        **dict.fromkeys(("bar", "unit_bar"), Conversion(pa_from_bar(1.0))),
+        **dict.fromkeys(("mbar", "hpa", "unit_millibar"), Conversion(100.0)),
+        "kpa": Conversion(1e3),
+        "pa": _SAME,
+    },
+    "nm": dict.fromkeys(("nm", "n.m", "n·m", "n*m", "n-m", "unit_newtometer"), _SAME),
+    "ratio": {
+        **dict.fromkeys(("%", "percent", "unit_percent"), Conversion(0.01)),
+        "": _SAME,
+    },
+    "k": {
+        **dict.fromkeys(
+            ("degc", "°c", "c", "deg", "degreesc", "celsius", "unit_degrecelsi"), Conversion(offset=k_from_degc(0.0))
+        ),
+        "k": _SAME,
+    },
+    "m": {
+        **dict.fromkeys(("km", "unit_kilometer"), Conversion(1e3)),
+        **dict.fromkeys(("m", "unit_meter"), _SAME),
+    },
+}
+"""Spellings of units, without blanks and in lower case, by the unit that ends a canonical signal's name."""
+
+_KINDS: Final = ("rad_s", "m_s", "ratio", "nm", "pa", "k", "m")  # longest first
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SignalSource:
+    """Where one canonical signal comes from: ``SI(scale * (decoded - less) * times + offset)``.
+
+    The message is named, or by its J1939 parameter group; the signal is named, or by its J1939 parameter number.
+    """
+
+    message: str = ""
+    pgn: int | None = None
+    signal: str = ""
+    spn: int | None = None
+    unit: str | None = None  # None: as the database says
+    scale: float = 1.0
+    offset: float = 0.0  # in the unit of the database
+    check_range: bool = True  # whether values outside the database's [min|max] are invalid
+    check_codes: bool = True  # whether codes that say "not available" by their place in the scale are invalid
+    valid: tuple[float, float] | None = None  # decoded values outside are invalid
+    invalid: tuple[float, ...] = ()  # decoded values that are codes
+    less: str | None = None  # signal of the same message that is subtracted
+    times: str | None = None  # signal of the same message that multiplies, such as a reference torque
+    source_address: int | None = None  # of a J1939 message; None: the first sender that is heard
+
+    def __post_init__(self) -> None:
+        if not (math.isfinite(self.scale) and math.isfinite(self.offset)) or self.scale == 0.0:
+            raise ConfigError(f"scale {self.scale} and offset {self.offset} are not usable")
+        if bool(self.message) is (self.pgn is not None):
+            raise ConfigError("lacks message, or has it beside pgn" if self.message else "lacks message")
+        if bool(self.signal) is (self.spn is not None):
+            raise ConfigError("lacks signal, or has it beside spn" if self.signal else "lacks signal")
+        if self.valid is not None and not self.valid[0] < self.valid[1]:
+            raise ConfigError(f"valid {list(self.valid)} is no range")
+        if self.source_address is not None and not 0 <= self.source_address <= MAX_NUMBER:
+            raise ConfigError(f"source_address {self.source_address} is not one of J1939")
+
+    @property
+    def place(self) -> str:
+        """Message and signal, for people."""
+        message = self.message or f"PGN {self.pgn}"
+        return f"{message}.{self.signal}" if self.signal else f"{message} SPN {self.spn}"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Profile:
+    """A named set of sources."""
+
+    name: str
+    sources: Mapping[Signal, SignalSource]
+    gears: GearRatios | None = None  # where no signal tells the gear
+    database: Path | None = None  # the database that ships with the profile
+    is_lenient: bool = False  # a shipped profile serves many databases: what one lacks is left out
+    is_j1939: bool = False  # 29-bit identifiers are matched by their parameter group, whatever the database says
+    channel: int | None = None  # bus of a log with several; None: the first on which a message is heard
+
+
+def shipped_profiles() -> tuple[str, ...]:
+    """Return the names of the profiles that ship with the service."""
+    return tuple(sorted(path.stem for path in PROFILE_FOLDER.glob("*.toml")))
+
+
+def find_profile(name: Path) -> Profile:
+    """Return a profile by its path, or by the name of one that ships with the service.
+
+    Raises
+    ------
+    ConfigError
+        If there is no such profile, or it is unusable.
+    """
+    if len(name.parts) == 1 and name.name in shipped_profiles() and not name.exists():
+        return load_shipped(name.name)
+    if len(name.parts) == 1 and not name.suffix and not name.exists():
+        raise ConfigError(f"no profile {name}: give a TOML file or one of {', '.join(shipped_profiles())}")
+    return load_profile(name)
+
+
+def load_shipped(name: str) -> Profile:
+    """Return a profile that ships with the service."""
+    profile = load_profile(PROFILE_FOLDER / f"{name}.toml")
+    return replace(profile, is_lenient=True)
+
+
+def load_profile(path: Path = PROFILE_PATH) -> Profile:
+    """Return a profile from its TOML file.
+
+    Raises
+    ------
+    ConfigError
+        If the file is unreadable or not TOML, or with all the entries that are wrong: unknown canonical signals,
+        unknown or missing keys, values of the wrong type.
+    """
+    table = _read_table(path)
+    signals = table.get("signals")
+    if not isinstance(signals, dict) or table.keys() - PROFILE_KEYS:
+        raise ConfigError(
+            f"profile {path} must have a table [signals] and, besides, at most name, protocol, channel, database, gears"
+        )
+    sources: dict[Signal, SignalSource] = {}
+    problems: list[str] = []
+    for key, entry in signals.items():
+        try:
+            sources[_canonical(key)] = _source(entry)
+        except ConfigError as error:
+            problems.append(f"{key}: {error}")
+    gears: GearRatios | None = None
+    try:
+        gears = _gears(table.get("gears"))
+    except ConfigError as error:
+        problems.append(f"gears: {error}")
+    channel = table.get("channel")
+    if channel is not None and not (type(channel) is int and 0 <= channel <= MAX_NUMBER):
+        problems.append(f"channel must be a number up to {MAX_NUMBER}")
+    protocol = table.get("protocol", "can")
+    if not isinstance(protocol, str) or protocol not in PROTOCOLS:
+        problems.append(f"protocol must be one of {', '.join(PROTOCOLS)}")
+    if problems:
+        raise ConfigError(f"profile {path}: {'; '.join(problems)}")
+    return Profile(
+        name=str(table.get("name", path.stem)),
+        sources=MappingProxyType(sources),
+        gears=gears,
+        database=path.parent / str(table["database"]) if "database" in table else None,
+        is_j1939=PROTOCOLS[str(protocol)],
+        channel=channel if isinstance(channel, int) else None,
+    )
+
+
+def to_si(signal: Signal, source: SignalSource, database_unit: str | None) -> Conversion:
+    """Return the conversion of decoded values to the SI unit of a canonical signal.
+
+    Raises
+    ------
+    ConfigError
+        If the unit is unknown or of another kind than the signal.
+    """
+    kind = next((kind for kind in _KINDS if signal.value.endswith(f"_{kind}")), None)
+    unit = source.unit if source.unit is not None else database_unit or ""
+    convert = _SAME if kind is None else _TO_SI[kind].get("".join(unit.split()).lower())
+    if convert is None:
+        raise ConfigError(f"the unit {unit!r} of {source.place} is not one of {signal.value}")
+    return convert.after(source.scale, source.offset)
+
+
+def _read_table(path: Path) -> dict[str, object]:
+    """Return the TOML file as a table."""
+    try:
+        return read_toml_file(path)
+    except OSError as error:
+        raise ConfigError(f"cannot read the profile {path}: {error.strerror or error}") from error
+    except ValueError as error:
+        raise ConfigError(f"the profile {path} is not TOML: {error}") from error
+
+
+def _canonical(key: str) -> Signal:
+    """Return the canonical signal of a key."""
+    try:
+        return Signal(key)
+    except ValueError as error:
+        raise ConfigError("not a canonical signal") from error
+
+
+_FIELD_TYPES: Final[Mapping[str, type | tuple[type, ...]]] = {
+    **dict.fromkeys(("message", "signal", "unit", "less", "times"), str),
+    **dict.fromkeys(("pgn", "spn"), int),
+    **dict.fromkeys(("scale", "offset"), (int, float)),
+    **dict.fromkeys(("valid", "invalid"), list),
+    **dict.fromkeys(("check_range", "check_codes"), bool),
+    "source_address": int,
+}
+
+
+def _source(entry: object) -> SignalSource:
+    """Return one checked entry of a profile."""
+    if not isinstance(entry, dict):
+        raise ConfigError("must be a table with message and signal")
+    for key, value in entry.items():
+        expected = _FIELD_TYPES.get(key)
+        if expected is None:
+            raise ConfigError(f"unknown key {key}")
+        if not isinstance(value, expected) or (isinstance(value, bool) and expected is not bool):
+            raise ConfigError(f"{key} has the wrong type")
+    lists = {key: _numbers(key, entry[key]) for key in ("valid", "invalid") if key in entry}
+    if len(lists.get("valid", (0.0, 0.0))) != 2:
+        raise ConfigError("valid must be [lowest, highest]")
+    return SignalSource(**{**entry, **lists})
+
+
+def _gears(entry: object) -> GearRatios | None:
+    """Return the checked table of ratios, if there is one."""
+    if entry is None:
+        return None
+    if not isinstance(entry, dict) or entry.keys() != {"over", "ratios"}:
+        raise ConfigError("must be a table with over and ratios")
+    over = _canonical(entry["over"])
+    if over not in {Signal.OUTPUT_SPEED, Signal.VEHICLE_SPEED}:
+        raise ConfigError(f"over must be {Signal.OUTPUT_SPEED.value} or {Signal.VEHICLE_SPEED.value}")
+    ratios = _numbers("ratios", entry["ratios"])
+    if len(ratios) < 2 or any(high <= low for high, low in pairwise(ratios)) or ratios[-1] <= 0.0:
+        raise ConfigError("ratios must fall from gear to gear and stay above 0")
+    return GearRatios(over=over, ratios=ratios)
+
+
+def _numbers(key: str, value: object) -> tuple[float, ...]:
+    """Return a list of finite numbers."""
+    numbers = value if isinstance(value, list) else []
+    if not numbers or any(isinstance(one, bool) or not isinstance(one, int | float) for one in numbers):
+        raise ConfigError(f"{key} must be a list of numbers")
+    if not all(math.isfinite(one) for one in numbers):
+        raise ConfigError(f"{key} must be finite")
+    return tuple(float(one) for one in numbers)

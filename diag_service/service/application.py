@@ -1,0 +1,297 @@
+"""Wiring: a checked configuration becomes stages, a store, a reporter and an outbox, and runs."""
+
+import asyncio
+import logging
+import sys
+import uuid
+from collections.abc import Callable, Mapping
+from contextlib import AbstractAsyncContextManager, ExitStack, closing
+from dataclasses import dataclass, replace
+from datetime import UTC, datetime
+from importlib.metadata import version
+from pathlib import Path
+
+from rich.console import Console
+
+from canlog.live import BusOpener, Pace, supervise
+from canlog.notice import NOTICE
+from diag_service.console.standard_output import discard
+from diag_service.console.terminal import PeopleConsole
+from diag_service.delivery import (
+    Acknowledge,
+    ConsoleReporter,
+    DetachedReporter,
+    JsonLinesReporter,
+    Link,
+    MqttConnector,
+    Outbox,
+    Reporter,
+)
+from diag_service.delivery.outbox import MetricsMessage
+from diag_service.delivery.pipe import PipeReporter
+from diag_service.diagnosis.condition.condition import ConditionMemory
+from diag_service.diagnosis.friction import Belief
+from diag_service.diagnosis.friction.paper import PaperCollection, nominal_driveline
+from diag_service.diagnosis.results import ServiceStatus, dump, iso_utc
+from diag_service.diagnosis.summary import Summary, frames_line
+from diag_service.legible import legible
+from diag_service.mapping.decoder import Decoder
+from diag_service.mapping.interpretation import interpret
+from diag_service.service import calibrate_run
+from diag_service.service.drive import insist_on_every_source, insist_on_the_whole, open_drive, stream_of
+from diag_service.service.live import run_live
+from diag_service.service.monitor import Monitor, SilentReporter
+from diag_service.service.paper_run import run_paper
+from diag_service.service.recorded import run_logs
+from diag_service.service.service_manager import ServiceManager
+from diag_service.service.session import Session, resume, versions_for
+from diag_service.service.snapshot import Board, Snapshot, SnapshotTaker
+from diag_service.service.stages import Stages
+from diag_service.service.stopping import Trigger
+from diag_service.settings.config import BusConfig, DiagnosisConfig, calibration_digest
+from diag_service.store import ResultStore, Versions
+from fleet_contract import Outgoing, config_message, metrics_message
+
+_LOG = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Controls:
+    """What the operating system's signals set."""
+
+    stop: Trigger
+    counts_wanted: Trigger
+
+
+def run_bus(config: DiagnosisConfig, bus: BusConfig, store_path: Path, controls: Controls, *, as_json: bool) -> None:
+    """Diagnose a live bus until it is told to stop."""
+    decoder = interpret(config.dbc, config.profile, is_lenient=config.is_lenient).decoder()
+    with closing(ResultStore.open(store_path, config.budget_bytes)) as store:
+        reporter = DetachedReporter(_reporter(controls.stop, as_json=as_json))
+        session = _session(config, decoder, store, None, reporter)
+        asyncio.run(_run_bus(config, bus, store, session, controls))
+
+
+def run_monitor(config: DiagnosisConfig, bus: BusConfig, controls: Controls) -> None:
+    """Show a live bus until told to stop; nothing is stored or published."""
+    decoder = interpret(config.dbc, config.profile, is_lenient=config.is_lenient).decoder()
+    with closing(ResultStore.in_memory()) as store, Monitor(PeopleConsole()) as monitor:
+        session = _session(config, decoder, store, None, PipeReporter(SilentReporter(), controls.stop.set))
+        asyncio.run(_run_bus(replace(config, broker=None), bus, store, session, controls, monitor.show))
+
+
+def run_recorded(
+    config: DiagnosisConfig, paths: list[Path], store_path: Path | None, controls: Controls, *, as_json: bool
+) -> None:
+    """Diagnose the logs of a drive.
+
+    Raises
+    ------
+    StoppedError, IncompleteError
+        If it was a part of the drive only, or of a strict run if a log or a channel gave nothing, after that was told.
+    """
+    meaning = interpret(config.dbc, config.profile, is_lenient=config.is_lenient)
+    decoder = meaning.decoder()
+    logs = open_drive(paths, is_strict=config.is_strict)
+    stream = stream_of([*(log.path for log in logs), *meaning.files])
+    with closing(
+        ResultStore.in_memory() if store_path is None else ResultStore.open(store_path, config.budget_bytes)
+    ) as store:
+        session = _session(config, decoder, store, stream, _reporter(controls.stop, as_json=as_json))
+
+        async def run() -> Summary:
+            summary = await run_logs(
+                logs, session, stop=controls.stop, outbox=_outbox(config, store, session, is_live=False)
+            )
+            if summary.unpublished_count and store_path is None:
+                _LOG.warning("%d results were not delivered and are not kept; --store would", summary.unpublished_count)
+            return summary
+
+        summary = asyncio.run(run())
+    insist_on_the_whole(summary.gaps)
+    if config.is_strict:
+        insist_on_every_source(summary.contributions)
+
+
+def run_paper_recorded(config: DiagnosisConfig, paths: list[Path], controls: Controls, *, as_json: bool) -> None:
+    """Analyse the logs of a drive by the paper's method; nothing is stored, judged or published."""
+    decoder = interpret(config.dbc, config.profile, is_lenient=config.is_lenient).decoder()
+    stages = Stages(decoder, config.calibration, Belief.fresh(config.calibration), ConditionMemory.fresh())
+    collection = PaperCollection(config.calibration, nominal_driveline())
+    logs = open_drive(paths, is_strict=config.is_strict)
+    output = sys.stdout if as_json else PeopleConsole()
+    run_paper(logs, stages, collection, output, controls.stop, is_strict=config.is_strict)
+
+
+def run_calibrate(
+    config: DiagnosisConfig, paths: list[Path], output: Path, controls: Controls, *, as_json: bool
+) -> None:
+    """Find what a vehicle's sensors and masses really are from its logs, and write its own calibration file."""
+    events = calibrate_run.find_events(
+        open_drive(paths),
+        interpret(config.dbc, config.profile, is_lenient=config.is_lenient).decoder(),
+        config.calibration,
+        controls.stop,
+    )
+    found = calibrate_run.run_calibrate(events, config.calibration, config.vehicle, output, controls.stop)
+    if as_json:
+        sys.stdout.write(dump(calibrate_run.record(found, config.calibration, config.vehicle, events.gaps)) + "\n")
+    else:
+        calibrate_run.show(found, config.calibration, output, PeopleConsole(), events.gaps)
+
+
+async def _run_bus(
+    config: DiagnosisConfig,
+    bus: BusConfig,
+    store: ResultStore,
+    session: Session,
+    controls: Controls,
+    onlooker: Callable[[Snapshot], None] = lambda _: None,
+) -> None:
+    filters = session.stages.kernel_filters if bus.is_filtered else ()
+    pace = Pace()
+    watched = session.stages.watched
+    opener = BusOpener(
+        bus.interface, bus.channel, bus.bitrate, fd=bus.is_fd, filters=filters, pace=pace, watched=watched
+    )
+    source = await supervise(opener)
+    session.reporter.listening(f"{source.description} for {config.vehicle}, results in {store.where}")
+    now_s = asyncio.get_running_loop().time
+    taker = SnapshotTaker(source, session, now_s(), bus.bitrate)
+    manager, board = ServiceManager.from_environment(), Board()
+
+    def show() -> None:
+        snapshot = taker.take(now_s())
+        board.pin(snapshot)
+        onlooker(snapshot)
+        _report_life(manager, snapshot)
+
+    with ExitStack() as stack:
+        stack.callback(manager.stopping)
+        if bus.metrics is not None:
+            from diag_service.service.metrics import serving  # noqa: PLC0415 - a web server and its library, for few runs
+
+            port = stack.enter_context(serving(bus.metrics, board))
+            _LOG.log(NOTICE, "metrics on http://%s:%d/metrics", bus.metrics.host, port)
+        manager.ready()
+        await run_live(
+            source,
+            session,
+            stop=controls.stop,
+            counts_wanted=controls.counts_wanted,
+            outbox=_outbox(config, store, session, is_live=True),
+            duration_s=bus.duration_s,
+            show=show,
+            pace=pace,
+        )
+
+
+def _report_life(manager: ServiceManager, snapshot: Snapshot) -> None:
+    """Tell the manager that the service lives, unless one of its stages hangs."""
+    if snapshot.stuck is None:
+        manager.alive(f"bus {snapshot.bus.state.value}, {frames_line(snapshot.frames)}")
+        return
+    _LOG.error("%s", snapshot.stuck)
+    manager.struggling(str(snapshot.stuck))
+
+
+def _session(
+    config: DiagnosisConfig, decoder: Decoder, store: ResultStore, stream: str | None, reporter: Reporter
+) -> Session:
+    versions = _versions(config)
+    belief, memory = resume(store, config.vehicle, versions, config.calibration)
+    return Session(
+        stages=Stages(decoder, config.calibration, belief, memory),
+        store=store,
+        reporter=reporter,
+        vehicle=config.vehicle,
+        versions=versions,
+        stream=stream,
+        utc_now=_utc_now,
+    )
+
+
+def _versions(config: DiagnosisConfig) -> Versions:
+    return versions_for(config.calibration, calibration_digest(config.calibration))
+
+
+def _reporter(stop: Trigger, *, as_json: bool) -> Reporter:
+    def hang_up() -> None:
+        discard()
+        stop.set()
+
+    if as_json:
+        return PipeReporter(JsonLinesReporter(sys.stdout, Console(stderr=True)), hang_up)
+    return PipeReporter(ConsoleReporter(PeopleConsole()), hang_up)
+
+
+def _outbox(config: DiagnosisConfig, store: ResultStore, session: Session, *, is_live: bool) -> Outbox | None:
+    if config.broker is None:
+        return None
+    if danger := config.broker.exposure:
+        _LOG.warning("%s", danger)
+    versions = _versions(config)
+    status = ServiceStatus(
+        vehicle=config.vehicle,
+        is_online=True,
+        connected_at=_utc_now(),
+        service_version=version("clutchdiag"),
+        algorithm_version=versions.algorithm,
+        calibration_version=versions.calibration,
+    )
+    identifier = f"clutchdiag-{config.vehicle}" if is_live else f"clutchdiag-{uuid.uuid4()}"
+    connector = MqttConnector(
+        config.broker,
+        identifier,
+        status if is_live else None,
+        is_persistent=is_live and config.acknowledge is Acknowledge.BACKEND,
+    )
+    return Outbox(
+        store,
+        config.vehicle,
+        _connect_now(connector),
+        str(config.broker),
+        acknowledge=config.acknowledge,
+        greetings=[_greeting(config, status)] if is_live else (),
+        holds_states=not is_live,
+        metrics=_metrics_of(store, session) if is_live else None,
+    )
+
+
+def _greeting(config: DiagnosisConfig, status: ServiceStatus) -> Outgoing:
+    """Return what a live service says of itself at birth; nothing secret is among it."""
+    settings: dict[str, str | float | bool | None] = {
+        "service_version": status.service_version,
+        "algorithm_version": status.algorithm_version,
+        "calibration_version": status.calibration_version,
+        "broker": str(config.broker),
+        "broker_is_encrypted": config.broker is not None and config.broker.tls is not None,
+        "acknowledge": config.acknowledge.value,
+        "store_budget_bytes": config.budget_bytes,
+        "dbc": legible(str(config.dbc or "shipped")),
+        "profile": legible(str(config.profile or "shipped")),
+    }
+    return config_message(config.vehicle, _utc_now(), settings)
+
+
+def _metrics_of(store: ResultStore, session: Session) -> MetricsMessage:
+    def message(numbers: Mapping[str, float]) -> Outgoing:
+        dropped = store.dropped_counts()
+        own = {
+            "store_used_bytes": store.used_bytes(),
+            "store_dropped_delivered_count": dropped.delivered,
+            "store_dropped_empty_count": dropped.empty,
+            "store_dropped_undelivered_count": dropped.undelivered,
+            "store_given_up_count": session.given_up_count,
+        }
+        return metrics_message(session.vehicle, _utc_now(), {**numbers, **own})
+
+    return message
+
+
+def _connect_now(connector: MqttConnector) -> Callable[[], AbstractAsyncContextManager[Link]]:
+    return lambda: connector.connect(_utc_now())
+
+
+def _utc_now() -> str:
+    return iso_utc(datetime.now(UTC))

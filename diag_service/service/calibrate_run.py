@@ -1,0 +1,232 @@
+"""Self-calibration of one vehicle from recorded drives: what was found, and a calibration file of its own."""
+
+import contextlib
+import os
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from datetime import UTC, date, datetime
+from pathlib import Path
+
+from rich import box
+from rich.console import Console
+from rich.table import Table
+
+from canlog.errors import SourceError
+from clutch_model.calibration import Calibration, calibration_toml
+from clutch_model.units import bar_from_pa
+from diag_service.diagnosis.events import RevEvent, ShiftEvent
+from diag_service.diagnosis.friction.parameters import NUISANCE_NAMES, STATE_COUNT, Considered, State, prior_covariance
+from diag_service.diagnosis.friction.self_calibration import SelfCalibration, self_calibrate
+from diag_service.diagnosis.records import FrictionEstimate
+from diag_service.diagnosis.results import JsonObject
+from diag_service.diagnosis.shifts.revs import RevFinder
+from diag_service.diagnosis.shifts.shifts import ShiftFinder
+from diag_service.diagnosis.summary import GAP_TEXT, Gap
+from diag_service.errors import ConfigError, StoppedError
+from diag_service.mapping.decoder import Decoder
+from diag_service.service.drive import OpenLog, gaps_in, warn_of_damage, warn_of_idle
+from diag_service.service.drive_frames import DriveFrames
+from diag_service.service.stopping import Trigger
+from diag_service.settings.defaults import UNNAMED_VEHICLE
+
+CALIBRATION_SCHEMA = "clutchdiag/self-calibration/v1"
+_NS_PER_S = 1_000_000_000
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class CalibrationEvents:
+    """What drives hold for a self-calibration, in order of time."""
+
+    shifts: tuple[ShiftEvent, ...]
+    revs: tuple[RevEvent, ...]
+    gaps: tuple[Gap, ...] = ()  # why the drives are not all there
+
+    @property
+    def last_day(self) -> date:
+        """Day of the last event [UTC], from bus time."""
+        last_ns = max([*(shift.end_ns for shift in self.shifts), *(rev.end_ns for rev in self.revs)])
+        return datetime.fromtimestamp(last_ns / _NS_PER_S, UTC).date()
+
+
+@dataclass(frozen=True, slots=True)
+class _Unit:
+    """How people read a parameter."""
+
+    label: str
+    unit: str
+    factor: float  # from SI
+
+
+_PER_CENT = 100.0
+_UNITS = {
+    "torque_offset": _Unit("torque offset", "Nm", 1.0),
+    "touch1": _Unit("touch pressure of clutch 1, error", "bar", float(bar_from_pa(1.0))),
+    "touch2": _Unit("touch pressure of clutch 2, error", "bar", float(bar_from_pa(1.0))),
+    "zero1": _Unit("pressure zero of clutch 1", "bar", float(bar_from_pa(1.0))),
+    "zero2": _Unit("pressure zero of clutch 2", "bar", float(bar_from_pa(1.0))),
+    "torque_gain": _Unit("torque gain, error", "%", _PER_CENT),
+    "engine_inertia": _Unit("engine inertia, error", "%", _PER_CENT),
+    "piston_area1": _Unit("piston area of clutch 1, error", "%", _PER_CENT),
+    "piston_area2": _Unit("piston area of clutch 2, error", "%", _PER_CENT),
+    "viscosity": _Unit("viscosity, error", "%", _PER_CENT),
+    "torque_latency": _Unit("torque latency against the speeds", "ms", 1e3),
+    "pressure_latency": _Unit("pressure latency against the speeds", "ms", 1e3),
+    "motoring_gain": _Unit("gain of motoring torque, error", "%", _PER_CENT),
+    "stribeck_speed": _Unit("Stribeck speed, error", "%", _PER_CENT),
+    "contact_stiffness": _Unit("contact stiffness, error", "%", _PER_CENT),
+    "shaft_inertia": _Unit("inertia of the input shafts, error", "%", _PER_CENT),
+}
+
+
+def find_events(
+    logs: Sequence[OpenLog], decoder: Decoder, calibration: Calibration, stop: Trigger
+) -> CalibrationEvents:
+    """Return the shifts and engine revs of some drives.
+
+    Raises
+    ------
+    SourceError
+        If there is no shift.
+    StoppedError
+        If the search was stopped.
+    """
+    shift_finder, rev_finder = ShiftFinder(), RevFinder(calibration)
+    shifts: list[ShiftEvent] = []
+    revs: list[RevEvent] = []
+    drive = DriveFrames(logs, decoder.sources)
+    for batch in drive:
+        _go_on(stop)
+        for columns in decoder.feed(batch):
+            shifts += shift_finder.feed(columns)
+            revs += rev_finder.feed(columns)
+    shifts += shift_finder.flush()
+    revs += rev_finder.flush()
+    warn_of_damage(logs)
+    warn_of_idle(drive.contributions(decoder.named_channel))
+    if not shifts:
+        raise SourceError("no shift in these logs: nothing to calibrate from")
+    return CalibrationEvents(shifts=tuple(shifts), revs=tuple(revs), gaps=gaps_in(logs, was_stopped=False))
+
+
+def _go_on(stop: Trigger) -> None:
+    if stop.is_set:
+        raise StoppedError("stopped early: nothing was calibrated, no file was written")
+
+
+def run_calibrate(
+    events: CalibrationEvents, start: Calibration, vehicle: str, path: Path, stop: Trigger
+) -> SelfCalibration:
+    """Calibrate a vehicle and write its calibration file.
+
+    Raises
+    ------
+    ConfigError
+        If the drives do not suffice, or the file cannot be written.
+    StoppedError
+        If it was stopped before the file was written.
+    """
+    version = f"{start.version}-{vehicle}-{events.last_day.isoformat()}"
+    found = self_calibrate(events.shifts, events.revs, start, version)
+    if isinstance(found, str):
+        raise ConfigError(f"no self-calibration: {found}")
+    owner = None if vehicle == UNNAMED_VEHICLE else vehicle
+    calibration = replace(found.calibration, made_on=events.last_day, vehicle=owner)
+    _go_on(stop)
+    _write(path, calibration)
+    return replace(found, calibration=calibration)
+
+
+def _write(path: Path, calibration: Calibration) -> None:
+    """Write a calibration file whole or not at all."""
+    partial = path.with_name(f".{path.name}.{os.getpid()}.partial")
+    try:
+        partial.write_text(calibration_toml(calibration), encoding="utf-8")
+        partial.replace(path)
+    except OSError as exc:
+        with contextlib.suppress(OSError):
+            partial.unlink(missing_ok=True)
+        raise ConfigError(f"cannot write {path}: {exc.strerror or exc}") from exc
+
+
+def show(found: SelfCalibration, start: Calibration, path: Path, console: Console, gaps: tuple[Gap, ...] = ()) -> None:
+    """Print what was found, for people."""
+    for gap in gaps:
+        console.print(f"{GAP_TEXT[gap]}: calibrated from what there is", style="bold red", soft_wrap=True)
+    table = Table(box=box.SIMPLE_HEAD, pad_edge=False, padding=(0, 1, 0, 0))
+    for name, justify in (("parameter", "left"), ("found", "right"), ("std", "right"), ("std before", "right")):
+        table.add_column(name, justify=justify, no_wrap=True)  # type: ignore[arg-type]
+    table.add_column("", no_wrap=True)
+    for name, value, std, before in _rows(found, start):
+        unit = _UNITS[name]
+        cells = (f"{unit.factor * number:.3g}" for number in (std, before))
+        table.add_row(unit.label, f"{unit.factor * value:+.3g}", *cells, unit.unit)
+    console.print(table)
+    for clutch in (1, 2):
+        friction = found.belief.friction(clutch)
+        console.print(
+            f"clutch {clutch}: mu_C {friction.mu_c:.4f} ± {friction.std_mu_c:.4f}"
+            f"  mu_S {friction.mu_s:.4f} ± {friction.std_mu_s:.4f}  (total std)",
+            highlight=False,
+            soft_wrap=True,
+        )
+    opened, closed = found.rev_counts
+    console.print(
+        f"used: {found.shift_counts[0]} shifts onto clutch 1, {found.shift_counts[1]} onto clutch 2, engine revs in"
+        f" neutral {opened} with open and {closed} with closed clutches; not used: {found.rejected_count} shifts;"
+        f" chi-square {found.mean_misfit:.2f} per degree of freedom",
+        highlight=False,
+        soft_wrap=True,
+    )
+    if not (opened and closed):
+        console.print(
+            "the torque gain, and with it the scale of friction, is not observable from driving: "
+            "engine revs in neutral with open and then with closed clutches (workshop routine) tell it",
+            highlight=False,
+            soft_wrap=True,
+        )
+    console.print(f"calibration {found.calibration.version} in {path}", highlight=False, soft_wrap=True)
+    if found.calibration.vehicle is None:
+        console.print("it names no vehicle (--vehicle) and so is taken for any", highlight=False, soft_wrap=True)
+
+
+def record(found: SelfCalibration, start: Calibration, vehicle: str, gaps: tuple[Gap, ...] = ()) -> JsonObject:
+    """Return what was found, for machines; SI units."""
+    return {
+        "schema": CALIBRATION_SCHEMA,
+        "vehicle": vehicle,
+        "complete": not gaps,
+        "incomplete": [gap.value for gap in gaps],
+        "calibration_version": found.calibration.version,
+        "parameters": {
+            name: {"value": value, "std": std, "std_before": before} for name, value, std, before in _rows(found, start)
+        },
+        "friction": {str(clutch): _friction(found.belief.friction(clutch)) for clutch in (1, 2)},
+        "shift_counts": list(found.shift_counts),
+        "rev_counts": list(found.rev_counts),
+        "rejected_shift_count": found.rejected_count,
+        "chi_square_ratio": found.mean_misfit,
+    }
+
+
+def _friction(friction: FrictionEstimate) -> JsonObject:
+    return {
+        "mu_c": friction.mu_c,
+        "std_mu_c": friction.std_mu_c,
+        "mu_s": friction.mu_s,
+        "std_mu_s": friction.std_mu_s,
+    }
+
+
+def _rows(found: SelfCalibration, start: Calibration) -> Iterator[tuple[str, float, float, float]]:
+    """Yield name, value, std and the type's std of each parameter; ratios and states as they are kept."""
+    before = prior_covariance(start).diagonal() ** 0.5
+    for row, name in enumerate((*State, *Considered)):
+        key = name.name.lower()
+        if key not in NUISANCE_NAMES:
+            continue
+        value = float(found.mean[row])
+        if row >= STATE_COUNT and name is Considered.TORQUE_LATENCY:
+            value += start.bias.torque_latency_s
+        if row >= STATE_COUNT and name is Considered.PRESSURE_LATENCY:
+            value += start.bias.pressure_latency_s
+        yield key, value, found.std(key), float(before[row])

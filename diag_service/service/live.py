@@ -1,0 +1,187 @@
+"""A live bus through the pipeline: read, diagnosed, stored and published at the same time."""
+
+import asyncio
+import logging
+from collections.abc import Callable, Sequence
+
+from canlog.errors import SourceError
+from canlog.live import LinkBreak, LiveSource, Pace
+from canlog.notice import NOTICE
+from diag_service.delivery import Outbox
+from diag_service.diagnosis.events import ShiftEvent
+from diag_service.diagnosis.summary import FrameCounts, Summary, frames_line, shifts_line
+from diag_service.errors import StoreError
+from diag_service.service.session import Session
+from diag_service.service.snapshot import frame_counts
+from diag_service.service.stopping import Trigger
+from diag_service.service.tasks import first_error
+from diag_service.service.two_senders import SenderWatch
+
+COUNTS_PERIOD_S = 60.0
+SHOW_PERIOD_S = 0.5
+SENDERS_PERIOD_S = 2.0
+SENDER_PAUSE_S = 1.0
+RETRY_PERIOD_S = 5.0  # how often a full disk is asked for room
+_LOG = logging.getLogger(__name__)
+
+
+async def run_live(
+    source: LiveSource,
+    session: Session,
+    *,
+    stop: Trigger,
+    counts_wanted: Trigger,
+    outbox: Outbox | None,
+    duration_s: float | None,
+    show: Callable[[], None] = lambda: None,
+    pace: Pace | None = None,
+) -> Summary:
+    """Diagnose a live bus until ``stop``, ``duration_s`` or its failure; return the numbers.
+
+    The bus is read while a worker thread estimates; what it cannot keep up with is counted by the source. A shift that
+    is open when the bus goes away is reported as interrupted. If the bus does not come back, all that was found is
+    stored and told before its error is raised.
+
+    Parameters
+    ----------
+    show
+        Called every ``SHOW_PERIOD_S`` by the loop that reads the bus, and once more when that has ended.
+    pace
+        Is told what is waited for, so that the source need not hurry before.
+
+    Raises
+    ------
+    SourceError
+        If the bus fails for good.
+    StoreError
+        If a result cannot be stored.
+    """
+
+    def counts() -> FrameCounts:
+        return frame_counts(source, session.stages)
+
+    pace = pace or Pace()
+    failure: SourceError | None = None
+    unpublished_count: int | None = None
+    turn = asyncio.Lock()  # a session is settled by one thread at a time
+    try:
+        async with asyncio.TaskGroup() as tasks:
+            sender = None if outbox is None else tasks.create_task(_keep_sending(outbox), name="outbox")
+            helpers = (
+                tasks.create_task(_close_in_time(source, stop, duration_s), name="closer"),
+                tasks.create_task(_tell_counts(session, counts, counts_wanted), name="counts"),
+                tasks.create_task(_show(show), name="onlookers"),
+                tasks.create_task(_watch_senders(counts), name="two senders"),
+                tasks.create_task(_retry(session, outbox, turn), name="full disk"),
+            )
+            try:
+                async for part in source:
+                    stages = session.stages
+                    events = stages.flush() if isinstance(part, LinkBreak) else stages.segment(part)
+                    pace.wait_for(is_expecting=stages.is_expecting, due_ns=stages.due_ns)
+                    await _settle_all(session, events, outbox, turn)
+            except SourceError as exc:
+                failure = exc
+            await _settle_all(session, session.stages.flush(), outbox, turn)
+            async with turn:  # a thread that stores would outlive its task
+                for helper in helpers:
+                    helper.cancel()
+            if outbox is not None and sender is not None:
+                unpublished_count = await outbox.close(sender)
+    except BaseExceptionGroup as group:
+        raise first_error(group) from group
+    finally:
+        await source.aclose()
+    show()
+    session.finish(counts(), unpublished_count)
+    if failure is not None:
+        raise failure
+    return session.summary(counts(), unpublished_count)
+
+
+async def _settle_all(
+    session: Session, events: Sequence[ShiftEvent], outbox: Outbox | None, turn: asyncio.Lock
+) -> None:
+    for event in events:
+        async with turn:
+            await asyncio.to_thread(session.settle, event)
+        if outbox is not None:
+            outbox.nudge()
+
+
+async def _retry(session: Session, outbox: Outbox | None, turn: asyncio.Lock) -> None:
+    """Try again and again to store what a full disk did not take; the next shift may be hours away."""
+    while True:
+        await asyncio.sleep(RETRY_PERIOD_S)
+        async with turn:
+            is_stored = await asyncio.to_thread(session.retry)
+        if is_stored and outbox is not None:
+            outbox.nudge()
+
+
+async def _keep_sending(outbox: Outbox) -> None:
+    """Run the outbox until it is done; one that dies is started again, unless the store is what failed."""
+    while True:
+        sender = asyncio.create_task(outbox.run(), name="outbox run")
+        try:
+            await asyncio.wait({sender})
+        finally:
+            sender.cancel()
+        error = sender.exception()
+        if error is None:
+            return
+        if isinstance(error, StoreError):
+            raise error
+        _LOG.error("sending results failed: %s; they are in the store, trying again", " ".join(str(error).split()))
+        await asyncio.sleep(SENDER_PAUSE_S)
+
+
+async def _close_in_time(source: LiveSource, stop: Trigger, duration_s: float | None) -> None:
+    """Close the source at ``stop`` or after ``duration_s``; its iteration ends with what was received until then."""
+    try:
+        await asyncio.wait_for(_next(stop), duration_s)
+    except TimeoutError:
+        _LOG.info("stopping after %g s", duration_s)
+    await source.aclose()
+
+
+async def _tell_counts(session: Session, frame_counts: Callable[[], FrameCounts], wanted: Trigger) -> None:
+    """Log the numbers when they are asked for, and now and then for who wants to know more."""
+    while True:
+        level = NOTICE
+        try:
+            await asyncio.wait_for(_next(wanted), COUNTS_PERIOD_S)
+        except TimeoutError:
+            level = logging.INFO
+        wanted.is_set = False
+        frames = frame_counts()
+        _LOG.log(level, "%s; %s", frames_line(frames), shifts_line(session.summary(frames, None)))
+
+
+async def _show(show: Callable[[], None]) -> None:
+    while True:
+        show()
+        await asyncio.sleep(SHOW_PERIOD_S)
+
+
+async def _watch_senders(frame_counts: Callable[[], FrameCounts]) -> None:
+    watch = SenderWatch()
+    while True:
+        await asyncio.sleep(SENDERS_PERIOD_S)
+        if (text := watch.look(frame_counts())) is not None:
+            _LOG.warning("%s", text)
+
+
+async def _next(trigger: Trigger) -> None:
+    """Return when the trigger is set, from whatever thread or signal handler."""
+    loop = asyncio.get_running_loop()
+    heard = asyncio.Event()
+
+    def hear() -> None:
+        loop.call_soon_threadsafe(heard.set)
+
+    trigger.subscribe(hear)
+    try:
+        await heard.wait()
+    finally:
+        trigger.unsubscribe(hear)

@@ -1,0 +1,111 @@
+"""A live run for people: one screen that is drawn anew, with everything that a listener can know of its bus."""
+
+from typing import Self
+
+from rich.console import Console, Group, RenderableType
+from rich.live import Live
+from rich.table import Table
+from rich.text import Text
+
+from canlog.e2e.e2e_state import E2eState
+from canlog.live import BusState
+from diag_service.delivery.console import shift_head, shift_line
+from diag_service.diagnosis.records import ShiftResult
+from diag_service.diagnosis.summary import Summary, frames_line, shifts_line
+from diag_service.service.snapshot import MessageStatus, Snapshot
+
+SLOW_RATIO = 0.9  # a message below this share of its nominal rate is marked
+_STATE_STYLE = {
+    BusState.UP: "green",
+    BusState.DEGRADED: "yellow",
+    BusState.DOWN: "bold red",
+    BusState.BUS_OFF: "bold red",
+    BusState.RESTARTED: "yellow",
+}
+_E2E_STYLE = {E2eState.NO_DATA: "dim", E2eState.INIT: "yellow", E2eState.VALID: "green", E2eState.INVALID: "bold red"}
+
+
+class Monitor:
+    """Draws snapshots while it is entered; a stream that is no terminal gets the last one only."""
+
+    def __init__(self, console: Console) -> None:
+        self._live = Live(console=console, auto_refresh=False, transient=False)
+
+    def __enter__(self) -> Self:
+        self._live.__enter__()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._live.stop()
+
+    def show(self, snapshot: Snapshot) -> None:
+        """Draw the present state."""
+        self._live.update(screen(snapshot), refresh=True)
+
+
+class SilentReporter:
+    """A reporter for a run whose results are seen elsewhere."""
+
+    def listening(self, where: str) -> None:
+        """Say nothing."""
+
+    def report(self, result: ShiftResult) -> None:
+        """Say nothing."""
+
+    def finish(self, summary: Summary) -> None:
+        """Say nothing."""
+
+
+def screen(snapshot: Snapshot) -> RenderableType:
+    """Return everything as one picture."""
+    return Group(
+        _head(snapshot),
+        _message_table(snapshot.messages),
+        Text(frames_line(snapshot.frames)),
+        Text(shifts_line(snapshot.summary)),
+        *_shift_lines(snapshot.recent),
+    )
+
+
+def _head(snapshot: Snapshot) -> Text:
+    bus = snapshot.bus
+    head = Text(f"{snapshot.vehicle}  bus ")
+    head.append(_words(bus.state.value), _STATE_STYLE[bus.state])
+    head.append(f"  load {100.0 * snapshot.load_ratio:.1f} %  interrupted {bus.interruption_count} times")
+    if bus.errors:
+        errors = ", ".join(f"{count} {_words(error.value)}" for error, count in bus.errors.items())
+        head.append(f"  error frames: {errors}", "yellow")
+    if bus.last_problem is not None:
+        head.append(f"  last problem: {bus.last_problem}", "dim")
+    if snapshot.stuck is not None:
+        head.append(f"  {snapshot.stuck}", "bold red")
+    return head
+
+
+def _message_table(messages: tuple[MessageStatus, ...]) -> Table:
+    table = Table(box=None, pad_edge=False, padding=(0, 2, 0, 0))
+    table.add_column("message", no_wrap=True)
+    for name in ("1/s", "nominal", "E2E", "decoded", "rejected", "missing", "lapses"):
+        table.add_column(name, justify="left" if name == "E2E" else "right", no_wrap=True)
+    for message in messages:
+        counts, nominal_hz = message.counts, message.nominal_hz
+        is_slow = nominal_hz is not None and message.rate_hz < SLOW_RATIO * nominal_hz
+        table.add_row(
+            message.name,
+            Text(f"{message.rate_hz:.1f}", "red" if is_slow else ""),
+            "-" if nominal_hz is None else f"{nominal_hz:.1f}",
+            Text(_words(counts.e2e_state.name.lower()), _E2E_STYLE[counts.e2e_state]),
+            str(counts.decoded),
+            str(sum(counts.rejected.values())),
+            str(counts.missing),
+            str(counts.invalidations),
+        )
+    return table
+
+
+def _shift_lines(recent: tuple[ShiftResult, ...]) -> list[Text]:
+    return [shift_head(), *(shift_line(result) for result in reversed(recent))] if recent else []
+
+
+def _words(name: str) -> str:
+    return name.replace("_", " ")

@@ -1,0 +1,211 @@
+"""The shifts of one run: diagnosed, stored, told. ``live`` and ``recorded`` feed it."""
+
+import logging
+from collections import deque
+from collections.abc import Callable
+from contextlib import suppress
+
+from canlog.notice import NOTICE
+from clutch_model.calibration import Calibration
+from diag_service.console.progress import Progress, Stage
+from diag_service.delivery import Reporter
+from diag_service.diagnosis.condition.condition import ConditionMemory
+from diag_service.diagnosis.contributions import NO_LOGS, Contributions
+from diag_service.diagnosis.events import ShiftEvent
+from diag_service.diagnosis.friction import ALGORITHM_VERSION, Belief
+from diag_service.diagnosis.records import ShiftResult
+from diag_service.diagnosis.results import utc_from_bus_ns
+from diag_service.diagnosis.summary import FrameCounts, Gap, ShiftTally, Summary, frames_line, summarise
+from diag_service.errors import StoreFullError
+from diag_service.service.stages import Stages
+from diag_service.store import ResultStore, VehicleState, Versions
+
+MAX_PENDING = 1000  # results in memory while the disk is full
+_LOG = logging.getLogger(__name__)
+
+
+class Session:
+    """The shifts of one run: each is estimated, stored, then told, in that order.
+
+    Parameters
+    ----------
+    stream : str or None
+        Name of a log's stream, in which the number of a shift is its key; None for the live stream of the store.
+    utc_now :
+        Clock of ``produced_at`` in a live stream.
+    progress :
+        Hears when a shift is estimated and stored.
+    """
+
+    def __init__(
+        self,
+        *,
+        stages: Stages,
+        store: ResultStore,
+        reporter: Reporter,
+        vehicle: str,
+        versions: Versions,
+        stream: str | None,
+        utc_now: Callable[[], str],
+        progress: Progress | None = None,
+    ) -> None:
+        self.stages = stages
+        self.progress = progress or Progress()
+        self._store = store
+        self.reporter = reporter
+        self._vehicle = vehicle
+        self._versions = versions
+        self._stream = stream
+        self._utc_now = utc_now
+        self._tally = ShiftTally()
+        self._pending: deque[tuple[ShiftResult, VehicleState]] = deque()  # what a full disk did not take yet
+        self._is_disk_full = False
+        self.given_up_count = 0  # results that never found room on the disk
+
+    def settle(self, event: ShiftEvent) -> None:
+        """Estimate, store and tell one shift; one that is stored already is told again, and changes nothing.
+
+        A live bus does not wait for a full disk: what cannot be stored now is told when it can be.
+        """
+        result = self._known(event)
+        if result is not None:
+            self._tell(result, is_new=False)
+            return
+        self._pending.append(self._diagnose(event))
+        try:
+            self._store_pending()
+        except StoreFullError as exc:
+            if self._stream is not None:
+                raise
+            self._note_full_disk(exc)
+
+    def retry(self) -> bool:
+        """Store and tell what a full disk has not taken yet; return whether anything was."""
+        waiting_count = len(self._pending)
+        with suppress(StoreFullError):
+            self._store_pending()
+        return len(self._pending) < waiting_count
+
+    def _store_pending(self) -> None:
+        """Store and tell what waits, in order; raises StoreFullError at the first that the disk does not take."""
+        while self._pending:
+            with self.progress.working(Stage.STORE):
+                self._store.add(*self._pending[0])
+            self._tell(self._pending.popleft()[0], is_new=True)
+        if self._is_disk_full:
+            self._is_disk_full = False
+            _LOG.log(NOTICE, "the disk takes results again; %d were given up in between", self.given_up_count)
+
+    def _note_full_disk(self, exc: StoreFullError) -> None:
+        if not self._is_disk_full:
+            self._is_disk_full = True
+            _LOG.warning("%s; results wait in memory", exc)
+        while len(self._pending) > MAX_PENDING:
+            self._pending.popleft()
+            self.given_up_count += 1
+
+    def _tell(self, result: ShiftResult, *, is_new: bool) -> None:
+        self._tally.add(result, is_new=is_new)
+        self.reporter.report(result)
+
+    @property
+    def vehicle(self) -> str:
+        """Vehicle id."""
+        return self._vehicle
+
+    @property
+    def recent(self) -> tuple[ShiftResult, ...]:
+        """The last shifts, oldest first."""
+        return self._tally.recent
+
+    def summary(
+        self,
+        frames: FrameCounts,
+        unpublished_count: int | None,
+        gaps: tuple[Gap, ...] = (),
+        contributions: Contributions = NO_LOGS,
+    ) -> Summary:
+        """Return the numbers of the run as they stand."""
+        capability = self.stages.capability()
+        return summarise(self._vehicle, frames, self._tally, unpublished_count, capability, gaps, contributions)
+
+    def finish(
+        self,
+        frames: FrameCounts,
+        unpublished_count: int | None,
+        gaps: tuple[Gap, ...] = (),
+        contributions: Contributions = NO_LOGS,
+    ) -> Summary:
+        """Tell the numbers of the run, and return them.
+
+        Raises
+        ------
+        StoreFullError
+            If there are results for which the disk still has no room.
+        """
+        self._store_pending()
+        if not frames.is_balanced:
+            _LOG.error("frame counts do not add up: %s", frames_line(frames))
+        summary = self.summary(frames, unpublished_count, gaps, contributions)
+        self.reporter.finish(summary)
+        return summary
+
+    def _known(self, event: ShiftEvent) -> ShiftResult | None:
+        if self._stream is None:
+            return None
+        return self._store.find(self._vehicle, self._stream, event.number, self._versions)
+
+    def _next_seq(self) -> int:
+        return self._pending[-1][0].seq + 1 if self._pending else self._store.next_seq()
+
+    def _diagnose(self, event: ShiftEvent) -> tuple[ShiftResult, VehicleState]:
+        with self.progress.working(Stage.ESTIMATE):
+            diagnosis = self.stages.conclude(event)
+        is_live = self._stream is None
+        result = ShiftResult(
+            vehicle=self._vehicle,
+            stream=self._stream or self._store.stream,
+            seq=self._next_seq() if is_live else event.number,
+            estimate=diagnosis.estimate,
+            verdict=diagnosis.verdict,
+            algorithm_version=self._versions.algorithm,
+            calibration_version=self._versions.calibration,
+            produced_at=self._utc_now() if is_live else utc_from_bus_ns(event.end_ns),
+        )
+        state = VehicleState(
+            belief=diagnosis.belief.to_json(), condition=diagnosis.memory.to_json(), versions=self._versions
+        )
+        return result, state
+
+
+def versions_for(calibration: Calibration, digest: str) -> Versions:
+    """Return the versions that results of this program and calibration carry; ``digest`` tells edited copies apart."""
+    return Versions(algorithm=ALGORITHM_VERSION, calibration=f"{calibration.version}+{digest}")
+
+
+def resume(
+    store: ResultStore, vehicle: str, versions: Versions, calibration: Calibration
+) -> tuple[Belief, ConditionMemory]:
+    """Return the running state of a vehicle, or a fresh one if what is stored was made in another way."""
+    fresh = Belief.fresh(calibration), ConditionMemory.fresh()
+    state = store.state(vehicle)
+    if state is None:
+        return fresh
+    if state.versions != versions:
+        _LOG.warning(
+            "the running state of %s was made by algorithm %s with calibration %s; starting afresh with a new "
+            "baseline, results stay",
+            vehicle,
+            state.versions.algorithm,
+            state.versions.calibration,
+        )
+        return fresh
+    try:
+        return Belief.from_json(state.belief, calibration), ConditionMemory.from_json(state.condition)
+    except ValueError as exc:
+        _LOG.warning(
+            "the running state of %s cannot be used (%s); starting afresh with a new baseline, results stay",
+            vehicle,
+            exc,
+        )
+        return fresh

@@ -1,0 +1,175 @@
+"""How a live run stands at one moment, for whoever looks on: monitor, metrics, watchdog."""
+
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from typing import Protocol
+
+from canlog.live import BusState, BusStatus, LiveSource
+from diag_service.console.progress import Stuck
+from diag_service.diagnosis.records import ShiftResult
+from diag_service.diagnosis.summary import FrameCounts, Summary
+from diag_service.mapping.decoder import MessageCounts
+from diag_service.service.session import Session
+from diag_service.service.stages import Stages
+
+DEFAULT_BITRATE = 500_000
+STALE_S = 5.0  # a service that has not looked up for this long does not live
+READY_STATES = frozenset({BusState.UP, BusState.DEGRADED})
+RATE_SPAN_S = 1.0
+SILENT_S = 2.0  # more than a source keeps frames: a bus of which nothing was heard for so long says nothing
+NS_PER_S = 1_000_000_000
+
+
+class WatchedSource(LiveSource, Protocol):
+    """A live bus whose state and load are known."""
+
+    @property
+    def status(self) -> BusStatus:
+        """State of the bus and what has happened to it."""
+
+    @property
+    def bit_count(self) -> int:
+        """Bits on the bus that the frames heard stand for, stuff bits left out."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class MessageStatus:
+    """One message: how often it comes and what it is worth."""
+
+    name: str
+    rate_hz: float
+    nominal_hz: float | None  # None: not cyclic
+    counts: MessageCounts
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Snapshot:
+    """Everything that can be seen of a live run."""
+
+    taken_s: float  # monotonic
+    vehicle: str
+    bus: BusStatus
+    clock_steps: int  # of the wall clock, taken out of bus time
+    load_ratio: float  # share of the bit rate that the frames took, stuff bits left out
+    frames: FrameCounts
+    messages: tuple[MessageStatus, ...]
+    summary: Summary
+    recent: tuple[ShiftResult, ...]  # oldest first
+    stuck: Stuck | None  # a stage that makes no progress
+
+
+def frame_counts(source: LiveSource, stages: Stages) -> FrameCounts:
+    """Return what became of the frames of a live bus."""
+    seen = source.counts
+    return replace(
+        stages.frame_counts(),
+        on_bus=seen.received + seen.kernel_dropped,
+        unsupported=seen.unsupported,
+        kernel_dropped=seen.kernel_dropped,
+        queue_dropped=seen.queue_dropped,
+    )
+
+
+class RateMeter:
+    """Frames and bits per second, since the last time or, if that was just now, as of then.
+
+    They are counted over the bus time of what was heard: frames come in batches, and the clock goes on between them.
+    """
+
+    def __init__(self, now_s: float, bitrate: int) -> None:
+        self._since_s = now_s
+        self._seen_ns: int | None = None
+        self._bitrate = bitrate
+        self._bits = 0
+        self._heard: Mapping[str, int] = {}
+        self.load_ratio = 0.0
+        self.rates_hz: Mapping[str, float] = {}
+
+    def measure(self, now_s: float, seen_ns: int | None, heard: Mapping[str, int], bits: int) -> None:
+        """Take new rates once there is something to tell.
+
+        Parameters
+        ----------
+        now_s
+            Monotonic time.
+        seen_ns
+            Bus time of the last frame; None before the first.
+        heard, bits
+            Frames by message, and bits on the bus, until now.
+        """
+        span_s = now_s - self._since_s
+        step_ns = 0 if seen_ns is None or self._seen_ns is None else seen_ns - self._seen_ns
+        if span_s < RATE_SPAN_S or (seen_ns == self._seen_ns is not None and span_s < SILENT_S):
+            return
+        # Bus time that went too far is that of another stretch.
+        over_s = step_ns / NS_PER_S if 0 < step_ns <= 2.0 * span_s * NS_PER_S else span_s
+        self.rates_hz = {name: (count - self._heard.get(name, 0)) / over_s for name, count in heard.items()}
+        self.load_ratio = (bits - self._bits) / over_s / self._bitrate
+        self._since_s, self._seen_ns, self._bits, self._heard = now_s, seen_ns, bits, heard
+
+
+class SnapshotTaker:
+    """Takes snapshots of a run."""
+
+    def __init__(self, source: WatchedSource, session: Session, now_s: float, bitrate: int | None) -> None:
+        self._source = source
+        self._session = session
+        self._meter = RateMeter(now_s, bitrate or DEFAULT_BITRATE)
+
+    def take(self, now_s: float) -> Snapshot:
+        """Return how things stand; ``now_s`` is monotonic."""
+        stages = self._session.stages
+        messages = stages.messages
+        heard = {name: counts.decoded + sum(counts.rejected.values()) for name, counts in messages.items()}
+        self._meter.measure(now_s, stages.seen_ns, heard, self._source.bit_count)
+        frames = frame_counts(self._source, stages)
+        nominal_hz = stages.nominal_hz
+        return Snapshot(
+            taken_s=now_s,
+            vehicle=self._session.vehicle,
+            bus=self._source.status,
+            clock_steps=self._source.counts.clock_steps,
+            load_ratio=self._meter.load_ratio,
+            frames=frames,
+            messages=tuple(
+                MessageStatus(
+                    name=name,
+                    rate_hz=self._meter.rates_hz.get(name, 0.0),
+                    nominal_hz=nominal_hz.get(name),
+                    counts=counts,
+                )
+                for name, counts in messages.items()
+            ),
+            summary=self._session.summary(frames, None),
+            recent=self._session.recent,
+            stuck=self._session.progress.stuck,
+        )
+
+
+class Board:
+    """Where the service pins its latest snapshot, and others read it from other threads."""
+
+    def __init__(self, now_s: Callable[[], float] = time.monotonic) -> None:
+        self._now_s = now_s
+        self._latest: Snapshot | None = None
+
+    def pin(self, snapshot: Snapshot) -> None:
+        """Show a new snapshot."""
+        self._latest = snapshot
+
+    @property
+    def latest(self) -> Snapshot | None:
+        """The last snapshot, None before the first."""
+        return self._latest
+
+    @property
+    def is_live(self) -> bool:
+        """Whether the service looks up now and then, and every stage gets done what it has to do."""
+        latest = self._latest
+        return latest is not None and latest.stuck is None and self._now_s() - latest.taken_s < STALE_S
+
+    @property
+    def is_ready(self) -> bool:
+        """Whether it is at work and hears its bus."""
+        return self.is_live and self._latest is not None and self._latest.bus.state in READY_STATES

@@ -1,0 +1,171 @@
+"""Frames in, diagnoses out: the order of the stages, and the only file that knows it."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+from canlog.e2e.protection_check import LinkMonitor
+from canlog.frames import FrameBatch, WatchedBits
+from clutch_model.calibration import Calibration
+from diag_service.diagnosis.columns import Signal
+from diag_service.diagnosis.condition.condition import ConditionMemory, judge, no_verdict
+from diag_service.diagnosis.condition.indices import measure
+from diag_service.diagnosis.events import ShiftEvent
+from diag_service.diagnosis.friction import Belief, Estimator
+from diag_service.diagnosis.friction.estimator import without_friction
+from diag_service.diagnosis.quality.trust import TrustBasis, assess, reasons_against
+from diag_service.diagnosis.records import ClutchVerdict, Reason, ShiftEstimate, ShiftIndices, Status, Tier
+from diag_service.diagnosis.shifts.gear_tracking import tracker_for
+from diag_service.diagnosis.shifts.shifts import ShiftFinder
+from diag_service.diagnosis.summary import Capability, FrameCounts
+from diag_service.mapping.decoder import Decoder, MessageCounts
+from diag_service.mapping.tiers import missing_for_next, tier_of
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Diagnosis:
+    """What the stages make of one shift, and the state after it."""
+
+    estimate: ShiftEstimate
+    verdict: ClutchVerdict
+    belief: Belief
+    memory: ConditionMemory
+
+
+class Stages:
+    """Frames in, diagnoses out: no clock, no socket, no file; the same results for any cutting of the stream."""
+
+    def __init__(self, decoder: Decoder, calibration: Calibration, belief: Belief, memory: ConditionMemory) -> None:
+        self._decoder = decoder
+        self._finder = ShiftFinder(tracker_for(decoder.signals, decoder.gears))
+        self.tier = tier_of(decoder.signals, knows_gears=knows_gears(decoder))
+        self._estimator = Estimator(calibration)
+        if self.tier is Tier.FRICTION:
+            self._estimator.prepare()
+        self._calibration = calibration
+        self._basis = TrustBasis(
+            mandatory_messages=decoder.mandatory_messages,
+            limits=decoder.limits,
+            calibration_date=calibration.made_on,
+        )
+        self._belief = belief
+        self._memory = memory
+
+    def feed(self, batch: FrameBatch) -> list[Diagnosis]:
+        """Return the diagnoses of the shifts that these frames complete."""
+        return [self.conclude(event) for event in self.segment(batch)]
+
+    def segment(self, batch: FrameBatch) -> list[ShiftEvent]:
+        """Return the shifts that these frames complete; quick."""
+        return [event for columns in self._decoder.feed(batch) for event in self._finder.feed(columns)]
+
+    @property
+    def is_expecting(self) -> bool:
+        """Whether a shift has begun that was not returned yet."""
+        return self._finder.is_expecting
+
+    @property
+    def due_ns(self) -> int | None:
+        """Bus time beyond which the next shift will be returned, if it has ended."""
+        return self._finder.due_ns
+
+    @property
+    def seen_ns(self) -> int | None:
+        """Bus time of the last frame; None before the first."""
+        return self._decoder.last_ns
+
+    def flush(self) -> list[ShiftEvent]:
+        """End the segment: return what is still open; frames that come later begin another one."""
+        self._decoder.interrupt()
+        return self._finder.flush()
+
+    def conclude(self, event: ShiftEvent) -> Diagnosis:
+        """Estimate and judge the next shift; shifts must come in order. May take a moment.
+
+        Below the first tier nothing is said of friction, and the running state stays as it is.
+        """
+        trust = assess(event, self._basis)
+        belief, estimate = self._estimate(event)
+        indices: ShiftIndices | None = measure(event, self._calibration)
+        if estimate.status is not Status.REJECTED and (reasons := reasons_against(trust)):
+            estimate = replace(estimate, status=Status.REJECTED, reasons=reasons, friction=None, scale_free=None)
+            belief, indices = self._belief, None  # data that are not trusted leave no trace in the running state
+        estimate = replace(estimate, trust=trust, tier=self.tier or Tier.KINEMATIC, indices=indices)
+        if self.tier is Tier.FRICTION:
+            memory = self._memory.with_fit(estimate).with_shift(estimate, self._belief)
+            self._memory, verdict = judge(memory, belief, estimate.clutch, self._calibration)
+        else:
+            verdict = no_verdict(estimate.clutch, missing_for_next(self._decoder.signals))
+        self._belief = belief
+        return Diagnosis(estimate=estimate, verdict=verdict, belief=self._belief, memory=self._memory)
+
+    def _estimate(self, event: ShiftEvent) -> tuple[Belief, ShiftEstimate]:
+        if self.tier is Tier.FRICTION:
+            return self._estimator.estimate(event, self._belief)
+        return self._belief, without_friction(event, Status.UNOBSERVED, Reason.SIGNAL_MISSING)
+
+    def capability(self) -> Capability:
+        """Return what the signals that came suffice for."""
+        seen = self._decoder.seen
+        has_gears = knows_gears(self._decoder)
+        return Capability(
+            profile=self._decoder.profile_name,
+            tier=tier_of(seen, knows_gears=has_gears),
+            missing=missing_for_next(seen, knows_gears=has_gears),
+            unseen=tuple(signal.value for signal in Signal if signal in self._decoder.signals - seen),
+        )
+
+    @property
+    def sources(self) -> LinkMonitor:
+        """Who follows each message from one source."""
+        return self._decoder.sources
+
+    @property
+    def named_channel(self) -> int | None:
+        """The only channel that is listened to, as the profile names it; None: every one."""
+        return self._decoder.named_channel
+
+    @property
+    def kernel_filters(self) -> tuple[tuple[int, int], ...]:
+        """What a kernel need let through, as identifiers and masks."""
+        return self._decoder.kernel_filters
+
+    @property
+    def watched(self) -> tuple[WatchedBits, ...]:
+        """What must change on the bus for an open shift to end; empty if that cannot be told so simply."""
+        return self._decoder.watched(self._finder.ended_by)
+
+    @property
+    def messages(self) -> Mapping[str, MessageCounts]:
+        """What became of the frames of each message, and its state."""
+        return self._decoder.counts.messages
+
+    @property
+    def nominal_hz(self) -> Mapping[str, float]:
+        """How often each cyclic message should come."""
+        return self._decoder.nominal_hz
+
+    @property
+    def slow_messages(self) -> Mapping[str, tuple[int, int]]:
+        """The messages that come plainly less often than they should: their own cycle and the database's [ns]."""
+        return self._decoder.slow_messages
+
+    def frame_counts(self) -> FrameCounts:
+        """Return what the decoder counted; how the frames came here, their source adds."""
+        counts = self._decoder.counts
+        return FrameCounts(
+            on_bus=counts.received,
+            decoded=counts.decoded,
+            ignored=counts.ignored,
+            rejected={reason.name.lower(): count for reason, count in counts.rejected.items()},
+            missing=counts.missing,
+            invalid_values=counts.invalid_values,
+            invalid={
+                signal.value: {reason: count for reason, count in invalid._asdict().items() if count}
+                for signal, invalid in counts.invalid.items()
+            },
+        )
+
+
+def knows_gears(decoder: Decoder) -> bool:
+    """Return whether the gear can be told from the ratio of two speeds that the bus has."""
+    return decoder.gears is not None and decoder.signals >= {Signal.ENGINE_SPEED, decoder.gears.over}

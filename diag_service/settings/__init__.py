@@ -1,0 +1,1 @@
+"""What a user can set: by option, environment or file, checked once."""

@@ -1,0 +1,184 @@
+"""What a run is to do, checked once: the command line's words become values, or a ConfigError."""
+
+import hashlib
+import os
+from dataclasses import dataclass
+from enum import StrEnum
+from pathlib import Path
+
+from clutch_model.calibration import Calibration, nominal_calibration, read_calibration
+from diag_service.delivery import Acknowledge, BrokerAddress, TlsFiles
+from diag_service.delivery.tls import read_secret
+from diag_service.errors import ConfigError
+from diag_service.settings.defaults import UNNAMED_VEHICLE
+from fleet_contract import BrokerUrlError, is_vehicle, parse_broker_url
+
+_DIGEST_LENGTH = 12
+SMALLEST_BUDGET_BYTES = 1 << 20
+_LOOPBACK = "127.0.0.1"
+
+
+class EstimatorKind(StrEnum):
+    """How friction is estimated from shifts."""
+
+    IMPULSE = "impulse"  # this project's: with uncertainty and verdict
+    PAPER = "paper"  # SAE 2015-01-1146: the yardstick, without either
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class DiagnosisConfig:
+    """How frames become results; the same for a bus and for logs. ``None`` means what ships with the service."""
+
+    vehicle: str
+    dbc: Path | None
+    profile: Path | None
+    calibration: Calibration
+    broker: BrokerAddress | None
+    is_strict: bool = False  # of logs: stop at the first fault
+    is_lenient: bool = False  # of the database: leave out what cannot be right
+    acknowledge: Acknowledge = Acknowledge.BROKER
+    budget_bytes: int | None = None  # of the store; None: no limit
+
+    def __post_init__(self) -> None:
+        """Check what depends on each other."""
+        if self.budget_bytes is not None and self.budget_bytes < SMALLEST_BUDGET_BYTES:
+            raise ConfigError(f"the disk budget must be at least {SMALLEST_BUDGET_BYTES} bytes")
+        if self.broker is None and self.acknowledge is Acknowledge.BACKEND:
+            raise ConfigError("without a broker no backend can acknowledge anything")
+        if self.calibration.vehicle not in {None, self.vehicle}:
+            raise ConfigError(
+                f"the calibration is of vehicle {self.calibration.vehicle}, not of {self.vehicle} (--vehicle); "
+                "a file without its line 'vehicle' is for all"
+            )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ListenAddress:
+    """Where to serve."""
+
+    host: str
+    port: int
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class BusConfig:
+    """Which bus to listen to; ``None`` means what python-can's own configuration says."""
+
+    interface: str | None
+    channel: str | None
+    bitrate: int | None
+    is_fd: bool
+    duration_s: float | None
+    is_filtered: bool = False  # whether the kernel discards what no mapped signal needs
+    metrics: ListenAddress | None = None  # where to serve metrics and health checks
+
+    def __post_init__(self) -> None:
+        """Check the numbers."""
+        if self.bitrate is not None and self.bitrate <= 0:
+            raise ConfigError(f"the bit rate must be > 0, got {self.bitrate}")
+        if self.duration_s is not None and not 0.0 < self.duration_s < float("inf"):
+            raise ConfigError(f"the duration must be > 0 s, got {self.duration_s:g}")
+
+
+def check_vehicle(vehicle: str) -> str:
+    """Return a vehicle id that is fit for an MQTT topic and a file name.
+
+    Raises
+    ------
+    ConfigError
+        If it has other characters than letters, digits, ``_``, ``.`` and ``-``, or is longer than 64.
+    """
+    if not is_vehicle(vehicle):
+        raise ConfigError(
+            f"{vehicle!r} is no vehicle id: up to 64 letters, digits, '_', '.' or '-', not starting with '.' or '-'"
+        )
+    return vehicle
+
+
+def vehicle_of(named: str | None, calibration: Calibration) -> str:
+    """Return the id of the vehicle: the one that was named, or else that of its calibration.
+
+    Raises
+    ------
+    ConfigError
+        If it is no vehicle id.
+    """
+    if named is not None:
+        return check_vehicle(named)
+    try:
+        return check_vehicle(UNNAMED_VEHICLE if calibration.vehicle is None else calibration.vehicle)
+    except ConfigError as exc:
+        raise ConfigError(f"the calibration's vehicle: {exc}") from exc
+
+
+def parse_broker(url: str, tls: TlsFiles | None = None, password_file: Path | None = None) -> BrokerAddress:
+    """Return the broker that ``mqtt[s]://[user[:password]@]host[:port]`` names.
+
+    Parameters
+    ----------
+    tls :
+        Certificates, for ``mqtts``; without them the system's authorities count and we show no certificate.
+    password_file :
+        Holds the password in place of the URL; readable for its owner only.
+
+    Raises
+    ------
+    ConfigError
+        If the text is no such address; the message does not repeat it, since it may hold a password.
+    """
+    try:
+        parts = parse_broker_url(url)
+    except BrokerUrlError as exc:
+        raise ConfigError(str(exc)) from exc
+    if tls not in {None, TlsFiles()} and not parts.is_encrypted:
+        raise ConfigError("certificates need a broker at mqtts://")
+    return BrokerAddress(
+        host=parts.host,
+        port=parts.port,
+        username=parts.username,
+        password=parts.password if password_file is None else read_secret(password_file),
+        tls=(tls or TlsFiles()) if parts.is_encrypted else None,
+    )
+
+
+def parse_listen_address(text: str) -> ListenAddress:
+    """Return the address that ``[HOST:]PORT`` names; without a host it is this machine's own.
+
+    Raises
+    ------
+    ConfigError
+        If the text is no such address.
+    """
+    host, _, port = text.rpartition(":")
+    if not port.isdecimal() or int(port) > 0xFFFF:
+        raise ConfigError(f"the metrics address must be [HOST:]PORT, got {text!r}")
+    return ListenAddress(host=host.strip("[]") or _LOOPBACK, port=int(port))
+
+
+def check_paper_options(store: Path | None, broker: BrokerAddress | None) -> None:
+    """Refuse to keep or send what the paper's method finds.
+
+    Raises
+    ------
+    ConfigError
+        If a store or a broker is named.
+    """
+    if store is not None or broker is not None:
+        raise ConfigError("the paper's method states no uncertainty: its results are shown, not stored or published")
+
+
+def load_calibration(path: Path | None) -> Calibration:
+    """Return the calibration in a file, or the one that ships; raises CalibrationError."""
+    return nominal_calibration() if path is None else read_calibration(path)
+
+
+def calibration_digest(calibration: Calibration) -> str:
+    """Return a short fingerprint of every number of a calibration, so that an edited copy is not taken for it."""
+    return hashlib.sha256(repr(calibration).encode()).hexdigest()[:_DIGEST_LENGTH]
+
+
+def default_store(vehicle: str) -> Path:
+    """Return where a live service keeps its results: the user's state directory."""
+    home = os.environ.get("XDG_STATE_HOME", "")
+    state = Path(home) if Path(home).is_absolute() else Path.home() / ".local" / "state"
+    return state / "clutchdiag" / f"{vehicle}.sqlite"

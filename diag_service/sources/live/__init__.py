@@ -1,1 +1,0 @@
-"""Live buses: received without waiting, supervised, in bus time."""

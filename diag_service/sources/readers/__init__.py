@@ -1,1 +1,0 @@
-"""Logs of every format, read whatever is damaged and counted."""

@@ -1,0 +1,202 @@
+"""Frames are known by identifier or by J1939 parameter group, and followed from one channel and one sender."""
+
+from pathlib import Path
+from typing import Final
+
+import cantools
+import numpy as np
+import pytest
+from cantools.database.can import Database, Message
+
+from canlog.database.addressing import (
+    Address,
+    address_book,
+    find_slot,
+    kernel_filters,
+    message_address,
+    overwritten,
+    parameter_group,
+    rows_by_slot,
+)
+from canlog.decode.codec import Codec
+from canlog.e2e.protection_check import FrameReason, LinkMonitor
+from canlog.errors import DefinitionError
+from canlog.frames import EXTENDED_FLAG, FrameBatch
+from tests.wire import DATABASE
+
+CORNERS: Final = Path(__file__).parents[3] / "data" / "corners.dbc"
+EEC1: Final = 0x0CF0_0400  # group 61444, without its sender
+OK: Final = FrameReason.OK
+UNKNOWN_ID: Final = FrameReason.UNKNOWN_ID
+OTHER_CHANNEL: Final = FrameReason.OTHER_CHANNEL
+OTHER_SENDER: Final = FrameReason.OTHER_SENDER
+
+
+def eec1() -> Message:
+    database = cantools.database.load_file(CORNERS)
+    assert isinstance(database, Database)
+    return database.get_message_by_name("EEC1")
+
+
+def group(can_id: int, *, sender: int = -1, name: str = "G") -> Address:
+    return Address(name=name, can_id=can_id, is_extended=True, is_group=True, sender=sender)
+
+
+def slots(addresses: list[Address], *can_ids: int) -> list[int]:
+    book = address_book(addresses)
+    return [find_slot(book, can_id | EXTENDED_FLAG) for can_id in can_ids]
+
+
+def batch(can_ids: list[int], channels: list[int] | None = None, length: int = 8) -> FrameBatch:
+    count = len(can_ids)
+    return FrameBatch(
+        t_ns=np.arange(count) * 10_000_000,
+        can_id=np.array(can_ids, np.uint32),
+        length=np.full(count, length, np.uint8),
+        data=np.zeros((count, 8), np.uint8),
+        channel=np.array(channels if channels is not None else [0] * count, np.uint8),
+    )
+
+
+def reasons(monitor: LinkMonitor, frames: FrameBatch) -> list[FrameReason]:
+    return [FrameReason(reason) for reason in monitor.check(frames).reason.tolist()]
+
+
+@pytest.mark.parametrize(
+    ("can_id", "number"),
+    [
+        (0x0CF0_0400, 61444),  # EEC1, PDU 2: the specific byte is part of the group
+        (0x18FE_F1FE, 65265),  # CCVS
+        (0x18EA_FF0B, 0xEA00),  # request to all, PDU 1: the specific byte is the destination
+        (0x1DEF_2103, 0x1EF00),  # data page 1
+        (0x1FFF_FFFF, 0x3FFFF),
+    ],
+)
+def test_parameter_group(can_id: int, number: int) -> None:
+    assert parameter_group(can_id) == number
+
+
+def test_priority_sender_and_destination_do_not_matter_to_a_group() -> None:
+    pdu1, pdu2 = group(0x18EA_00FE), group(0x0CF0_04FE)
+    found = slots([pdu1, pdu2], 0x18EA_FF0B, 0x00EA_0500, 0x0CF0_0400, 0x1CF0_04AA, 0x0CF0_05FE, 0x0DF0_04FE)
+    assert found == [0, 0, 1, 1, -1, -1]
+
+
+def test_standard_and_extended_identifiers_of_one_number_are_two_messages() -> None:
+    standard = Address(name="S", can_id=0x123, is_extended=False, is_group=False)
+    extended = Address(name="E", can_id=0x123, is_extended=True, is_group=False)
+    book = address_book([standard, extended])
+    assert [find_slot(book, can_id) for can_id in (0x123, 0x123 | EXTENDED_FLAG, 0x124, 0x800)] == [0, 1, -1, -1]
+
+
+def test_a_whole_identifier_goes_before_a_group() -> None:
+    exact = Address(name="X", can_id=0x0CF0_0417, is_extended=True, is_group=False)
+    assert slots([group(EEC1), exact], 0x0CF0_0417, 0x0CF0_0418) == [1, 0]
+
+
+def test_messages_of_one_group_are_told_apart_by_sender() -> None:
+    engine, retarder, rest = group(EEC1), group(EEC1 | 0x0F), group(EEC1 | 0xFE)
+    assert slots([engine, retarder, rest], EEC1, EEC1 | 0x0F, EEC1 | 0x21) == [0, 1, 2]
+    assert slots([engine, retarder], EEC1, EEC1 | 0x0F, EEC1 | 0x21) == [0, 1, -1]
+
+
+@pytest.mark.parametrize(
+    "addresses",
+    [
+        [group(0x0CF0_0400), group(0x18F0_0400)],
+        [group(0x0CF0_0400, sender=3), group(0x0CF0_0401, sender=3)],
+        [Address(name="A", can_id=5, is_extended=False, is_group=False)] * 2,
+        [Address(name="A", can_id=5, is_extended=True, is_group=False)] * 2,
+    ],
+)
+def test_messages_that_cannot_be_told_apart_are_refused(addresses: list[Address]) -> None:
+    with pytest.raises(DefinitionError, match="several messages have the identifier"):
+        address_book(addresses)
+    assert overwritten(addresses) == {0: 1}
+
+
+def test_messages_that_can_be_told_apart_overwrite_nothing() -> None:
+    exact = Address(name="A", can_id=EEC1, is_extended=True, is_group=False)
+    assert overwritten([group(EEC1), group(EEC1 | 0x0F), group(EEC1 | 0xFE), exact]) == {}
+
+
+def test_database_or_profile_says_that_a_message_is_of_j1939() -> None:
+    own = DATABASE.messages[0]
+    assert message_address(eec1()).is_group
+    assert not message_address(own, is_j1939=True).is_group  # 11 bits
+    plain = Message(EEC1, "M", 8, [], is_extended_frame=True)
+    assert not message_address(plain).is_group
+    assert message_address(plain, is_j1939=True).is_group
+
+
+def test_the_first_sender_is_followed_and_the_others_are_counted() -> None:
+    monitor = LinkMonitor([eec1()])
+    ids = [can_id | EXTENDED_FLAG for can_id in (EEC1 | 7, EEC1 | 3, EEC1 | 7, 0x18F0_0407, EEC1 | 9)]
+    assert reasons(monitor, batch(ids)) == [OK, OTHER_SENDER, OK, OK, OTHER_SENDER]
+    monitor.reset()
+    assert reasons(monitor, batch(ids[1:3])) == [OTHER_SENDER, OK]
+    assert monitor.senders(0) == {3: 2, 7: 4, 9: 1}
+
+
+def test_the_named_sender_is_followed() -> None:
+    monitor = LinkMonitor([eec1()], [message_address(eec1(), sender=3)])
+    ids = [can_id | EXTENDED_FLAG for can_id in (EEC1 | 7, EEC1 | 3, EEC1 | 7)]
+    assert reasons(monitor, batch(ids)) == [OTHER_SENDER, OK, OTHER_SENDER]
+
+
+def test_one_identifier_on_two_channels_is_counted_and_not_mixed() -> None:
+    message = Message(0x100, "M", 8, [])
+    monitor = LinkMonitor([message])
+    assert reasons(monitor, batch([0x100] * 4, [2, 1, 2, 1])) == [OK, OTHER_CHANNEL, OK, OTHER_CHANNEL]
+    assert monitor.channels(0) == {1: 2, 2: 2}
+    assert not monitor.senders(0)
+    named = LinkMonitor([message], [message_address(message, channel=1)])
+    assert reasons(named, batch([0x100] * 4, [2, 1, 2, 1])) == [OTHER_CHANNEL, OK, OTHER_CHANNEL, OK]
+
+
+def test_a_frame_that_is_not_sound_decides_nothing() -> None:
+    monitor = LinkMonitor([Message(0x100, "M", 8, [])])
+    assert reasons(monitor, batch([0x100], [1], length=7)) == [FrameReason.SHORT]
+    assert reasons(monitor, batch([0x100] * 2, [2, 1])) == [OK, OTHER_CHANNEL]
+
+
+def test_unknown_frames_are_ignored_and_counted_once() -> None:
+    monitor = LinkMonitor([eec1()])
+    assert reasons(monitor, batch([0x0CF0_0500 | EXTENDED_FLAG, 0x400])) == [UNKNOWN_ID, UNKNOWN_ID]
+    assert monitor.counts.sum() == monitor.counts[-1, UNKNOWN_ID] == 2
+
+
+def test_all_senders_of_a_group_are_decoded_by_the_codec() -> None:
+    ids = [can_id | EXTENDED_FLAG for can_id in (EEC1 | 7, 0x18F0_0403, 0x0CF0_0500)]
+    (found,) = Codec([eec1()]).decode(batch(ids))
+    assert found.rows.tolist() == [0, 1]
+    assert found.signals["ActualEngPercentTorque"].value.tolist() == [-125.0, -125.0]
+
+
+def test_rows_are_grouped_by_slot_in_their_order() -> None:
+    slot = np.array([2, -1, 0, 2, 0, -1, 4, 2])
+    assert [(number, rows.tolist()) for number, rows in rows_by_slot(slot, 5)] == [
+        (0, [2, 4]),
+        (2, [0, 3, 7]),
+        (4, [6]),
+    ]
+    assert list(rows_by_slot(np.array([-1, -1]), 3)) == []
+    assert list(rows_by_slot(np.empty(0, np.int64), 0)) == []
+
+
+@pytest.mark.parametrize(
+    ("can_id", "is_extended", "is_group", "passes", "fails"),
+    [
+        (0x123, False, False, [0x123], [0x122, 0x8000_0123, 0x4000_0123]),
+        (0x123, True, False, [0x8000_0123], [0x123, 0x8000_1123, 0xC000_0123]),
+        (0x0CF00400, True, True, [0x8CF0_0400, 0x98F0_0455], [0x8CF0_0500, 0x0CF0_0400, 0x8CEF_0400]),
+        (0x0CEF1122, True, True, [0x8CEF_1122, 0x98EF_FF00], [0x8CEE_1122, 0x8DEF_1122]),
+    ],
+)
+def test_a_kernel_filter_lets_a_message_through_and_nothing_else(
+    can_id: int, is_extended: bool, is_group: bool, passes: list[int], fails: list[int]
+) -> None:
+    address = Address(name="message", can_id=can_id, is_extended=is_extended, is_group=is_group)
+    ((wanted, mask),) = kernel_filters([address])
+    assert [one & mask == wanted & mask for one in passes] == [True] * len(passes)
+    assert [one & mask == wanted & mask for one in fails] == [False] * len(fails)

@@ -1,0 +1,307 @@
+"""Databases of other people: good ones load, bad ones are refused with one clear line and without harm."""
+
+import logging
+import resource
+from pathlib import Path
+from typing import Final
+
+import cantools
+import numpy as np
+import pytest
+from cantools.database.can import Database
+
+from canlog.database import loading as database_module
+from canlog.database.loading import MAX_FILE_BYTES, load_database
+from canlog.decode.codec import Codec
+from canlog.errors import DefinitionError
+from canlog.frames import EXTENDED_FLAG, FrameBatch
+from dbc.contract import load_contract
+from tests.cantools_oracle import reference, same_bits
+from tests.wire import DATABASE
+
+DATA: Final = Path(__file__).parents[3] / "data"
+
+HEAD = 'VERSION ""\nBU_: A\n'
+SIGNAL = 'BO_ 256 M: 8 A\n SG_ s : 0|8@1+ (1,0) [0|0] "" A\n'
+
+
+def write(folder: Path, text: str | bytes) -> Path:
+    path = folder / "some.dbc"
+    path.write_bytes(text if isinstance(text, bytes) else text.encode())
+    return path
+
+
+def refusal(path: Path) -> str:
+    with pytest.raises(DefinitionError) as refused:
+        load_database(path)
+    text = str(refused.value)
+    assert "\n" not in text
+    assert len(text) < 400
+    return text
+
+
+def test_own_database_loads_without_a_warning(caplog: pytest.LogCaptureFixture) -> None:
+    with caplog.at_level(logging.WARNING):
+        assert len(load_contract().messages) == 10
+    assert not caplog.records
+
+
+def test_database_that_breaks_strict_rules_loads_with_a_warning(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    path = write(tmp_path, HEAD + SIGNAL + ' SG_ t : 4|8@1+ (1,0) [0|0] "" A\n')
+    with caplog.at_level(logging.WARNING, logger="canlog"):
+        database = load_database(path)
+    assert [signal.name for signal in database.messages[0].signals] == ["s", "t"]
+    assert "overlapping" in caplog.text
+
+
+@pytest.mark.parametrize("encoding", ["utf-8", "utf-8-sig", "cp1252"])
+def test_units_survive_any_usual_encoding(tmp_path: Path, encoding: str) -> None:
+    text = HEAD + 'BO_ 256 M: 8 A\n SG_ s : 0|8@1+ (1,0) [0|0] "°C" A\n'
+    database = load_database(write(tmp_path, text.encode(encoding)))
+    assert database.messages[0].signals[0].unit == "°C"
+
+
+def test_every_message_that_breaks_strict_rules_is_named(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    messages = "".join(
+        f'BO_ {256 + k} M{k}: 8 A\n SG_ s : 0|8@1+ (1,0) [0|0] "" A\n SG_ t : {(4, 60)[k % 2]}|8@1+ (1,0) [0|0] "" A\n'
+        for k in range(30)
+    )
+    with caplog.at_level(logging.WARNING, logger="canlog"):
+        load_database(write(tmp_path, HEAD + messages))
+    said = [record.getMessage() for record in caplog.records]
+    assert len(said) == 21
+    assert "overlapping in message M0." in said[0]
+    assert "does not fit in message M1." in said[1]
+    assert "and 10 more like these" in said[-1]
+
+
+@pytest.mark.parametrize("encoding", ["utf-8", "utf-8-sig", "cp1252", "utf-16", "utf-16-le", "utf-16-be"])
+@pytest.mark.parametrize("ends", ["\n", "\r\n", "\r"])
+def test_lines_are_counted_whatever_encoding_and_line_ends(tmp_path: Path, encoding: str, ends: str) -> None:
+    text = HEAD + SIGNAL + 'VAL_ 300 x 1 "\xfc";\n'
+    path = write(tmp_path, text.replace("\n", ends).encode(encoding))
+    assert 'line 5: VAL_ 300 x 1 "\xfc";: there is no message 300' in refusal(path)
+    assert load_database(path, is_lenient=True).messages[0].name == "M"
+
+
+@pytest.mark.parametrize("end", ["", "\x1a", "\x00\x00", "// the end", "\n\n\x1a"])
+def test_how_a_file_ends_does_not_matter(tmp_path: Path, end: str, caplog: pytest.LogCaptureFixture) -> None:
+    with caplog.at_level(logging.WARNING, logger="canlog"):
+        assert len(load_database(write(tmp_path, HEAD + SIGNAL + end)).messages) == 1
+    assert not caplog.records
+
+
+def test_signals_of_no_message_do_no_harm(tmp_path: Path) -> None:
+    independent = 'BO_ 3221225472 VECTOR__INDEPENDENT_SIG_MSG: 0 A\n SG_ q : 0|8@1+ (1,0) [0|0] "" A\n'
+    path = write(tmp_path, HEAD + independent + SIGNAL + 'VAL_ 3221225472 q 0 "a";\nVAL_ 256 s 0 "b";\n')
+    (message,) = load_database(path).messages
+    assert message.signals[0].choices == {0: "b"}
+
+
+def test_what_is_left_out_is_listed_up_to_a_limit(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    path = write(tmp_path, HEAD + SIGNAL + "".join(f'VAL_ {300 + k} x 0 "a";\n' for k in range(30)))
+    assert "29 more like this" in refusal(path)
+    with caplog.at_level(logging.WARNING, logger="canlog"):
+        load_database(path, is_lenient=True)
+    said = [record.getMessage() for record in caplog.records]
+    assert said[0].endswith('some.dbc: line 5: VAL_ 300 x 0 "a";: there is no message 300 (left out)')
+    assert said[20].endswith("and 10 more like these")
+    assert len(said) == 21
+
+
+BUSES: Final = (
+    '<Document/><Bus name="Body"><Message id="0x100" name="A" length="8"><Signal name="s" offset="0"/></Message></Bus>'
+    '<Bus name="Drive"><Message id="{}" name="B" length="8"><Signal name="t" offset="0"/></Message></Bus>'
+    "</NetworkDefinition>"
+)
+
+
+def test_messages_of_all_buses_unless_one_identifier_means_two_things(tmp_path: Path) -> None:
+    path = tmp_path / "net.kcd"
+    path.write_text(xml(BUSES.format("0x200")))
+    assert [message.name for message in load_database(path).messages] == ["A", "B"]
+    path.write_text(xml(BUSES.format("0x100")))
+    assert "the identifier 0x100 belongs to A of Body and to B of Drive; name one of them: " in refusal(path)
+    for bus, name in (("Body", "A"), ("Drive", "B")):
+        (message,) = load_database(tmp_path / f"net.kcd#{bus}").messages
+        assert message.name == name
+    assert "has no bus 'Bodi'; it has Body, Drive" in refusal(tmp_path / "net.kcd#Bodi")
+    (tmp_path / "net.kcd#Bodi").write_text(xml(BUSES.format("0x200")))
+    assert len(load_database(tmp_path / "net.kcd#Bodi").messages) == 2
+
+
+def test_identifiers_that_are_there_twice_are_said(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    path = write(tmp_path, HEAD + SIGNAL + SIGNAL.replace("M:", "N:"))
+    with caplog.at_level(logging.WARNING, logger="canlog"):
+        assert len(load_database(path).messages) == 2
+        assert [message.name for message in load_database(path, is_lenient=True).messages] == ["M"]
+    assert "the identifier 0x100 belongs to M and to N" in caplog.records[0].getMessage()
+    assert caplog.records[1].getMessage().endswith("(left out)")
+
+
+def test_missing_file_and_folder(tmp_path: Path) -> None:
+    assert "No such file" in refusal(tmp_path / "absent.dbc")
+    assert "directory" in refusal(tmp_path)
+
+
+@pytest.mark.parametrize(
+    "content",
+    [
+        b"",
+        b"hello, world",
+        b"\x7fELF\x02\x01\x01" + bytes(range(256)),
+        b'<?xml version="1.0"?><a/>',
+        b"<",
+        b"(0.1) can0 1#00\n",
+    ],
+)
+def test_other_content_is_refused(tmp_path: Path, content: bytes) -> None:
+    assert "not a DBC file" in refusal(write(tmp_path, content))
+
+
+@pytest.mark.parametrize(
+    ("text", "place"),
+    [
+        (HEAD + 'BO_ 256 M: 8 A\n SG_ s : 0|8@1+ (x,0) [0|0] "" A\n', "line 4: SG_ s : 0|8@1+ (x,0)"),
+        (HEAD + SIGNAL + 'BA_ "Undefined" BO_ 256 1;\n', 'line 5: BA_ "Undefined" BO_ 256 1;'),
+        (HEAD + SIGNAL + 'BA_DEF_ BO_ "T" INT 0 10;\nBA_ "T" BO_ 256 abc;\n', 'line 6: BA_ "T" BO_ 256 abc;'),
+        (HEAD + 'BO_ 99999999999 M: 8 A\n SG_ s : 0|8@1+ (1,0) [0|0] "" A\n', "line 3: BO_ 99999999999 M: 8 A:"),
+        (HEAD + 'BO_ 256 M: 8 A\n SG_ s : 0|0@1+ (1,0) [0|0] "" A\n', "line 4: SG_ s : 0|0@1+"),
+    ],
+)
+def test_damaged_database_is_refused_with_line_and_cause(tmp_path: Path, text: str, place: str) -> None:
+    assert f"some.dbc does not load strictly: {place}" in refusal(write(tmp_path, text))
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        'BO_ 1 m: 8 A\n SG_ s : 0|4000000000@1+ (1,0) [0|0] "" A\n',
+        'BO_ 1 m: 8 A\n SG_ s : 4000000000|8@1+ (1,0) [0|0] "" A\n',
+        "BO_ 1 m: 8 A\n SG_ s\n:\n0 | " + "9" * 5000 + ' @ 1+ (1,0) [0|0] "" A\n',
+        'BO_ 1 m: 4000000000 A\n SG_ s : 0|8@1+ (1,0) [0|0] "" A\n',
+        "BO_ 1 m:\n" + "9" * 5000 + ' A\n SG_ s : 0|8@1+ (1,0) [0|0] "" A\n',
+        'BO_ 1 m: 8 A\n SG_ p M : 0|8@1+ (1,0) [0|0] "" A\nSG_MUL_VAL_ 1 s p 0-4000000000;\n',
+    ],
+)
+def test_sizes_that_would_fill_the_memory_are_refused(tmp_path: Path, text: str) -> None:
+    assert any(words in refusal(write(tmp_path, HEAD + text)) for words in ("not a CAN", "any CAN", "too wide"))
+
+
+def xml(body: str, head: str = "") -> str:
+    return f'<?xml version="1.0"?>{head}<NetworkDefinition xmlns="http://kayak.2codeornot2code.org/1.0">{body}'
+
+
+def kcd(message: str, signal: str) -> str:
+    message = f'<Message id="0x1" name="m" {message}><Signal name="s" {signal}/></Message>'
+    return xml(f'<Document/><Bus name="b">{message}</Bus></NetworkDefinition>')
+
+
+def sym(lines: str) -> str:
+    return f'FormatVersion=6.0 // x\nTitle="x"\n\n{{SENDRECEIVE}}\n\n[m]\nID=100h\n{lines}\n'
+
+
+ENTITIES: Final = '<!DOCTYPE a [<!ENTITY b "bbbbbbbb"><!ENTITY c "&b;&b;&b;&b;&b;&b;&b;&b;">]>'
+PAGES: Final = range(2000)
+WIDE_PAGES: Final = (
+    'BO_ 1 m: 8 A\n SG_ p M : 0|16@1+ (1,0) [0|0] "" A\n'
+    + "".join(f' SG_ s{k} m0 : 8|8@1+ (1,0) [0|0] "" A\n' for k in PAGES)
+    + "".join(f"SG_MUL_VAL_ 1 s{k} p 0-65535;\n" for k in PAGES)
+)
+
+
+@pytest.mark.parametrize(
+    ("text", "complaint"),
+    [
+        (HEAD + WIDE_PAGES, "takes more than 368 MiB of memory"),
+        (HEAD + 'BO_ 1 m: 8 A\n SG_ s m0-4294967295 : 8|8@1+ (1,0) [0|0] "" A\n', "line 4: SG_ s m0-42949"),
+        (kcd('length="4000000000"', 'offset="0" length="8"'), "takes more than 368 MiB of memory"),
+        (kcd('length="auto"', 'offset="4000000000" length="8"'), "takes more than 368 MiB of memory"),
+        (kcd('length="8"', 'offset="0" length="4000000000"'), "takes more than 368 MiB of memory"),
+        (xml("<a>" * 300_000), "not a KCD file"),
+        (xml("<Bus/></NetworkDefinition>"), "not a KCD file"),
+        (xml("&c;</NetworkDefinition>", ENTITIES), "defines a document type or entities"),
+        (xml("</NetworkDefinition>", '<!DOCTYPE a SYSTEM "file:///etc/passwd">'), "defines a document type"),
+        ('<?xml version="1.0"?><AUTOSAR xmlns="http://autosar.org/schema/r4.0"/>', "not an ARXML file"),
+        ("<html><body/></html>", "neither KCD nor ARXML"),
+        (sym("Len=4000000000\nVar=s unsigned 0,8"), "takes more than 368 MiB of memory"),
+        (sym("Len=8\nVar=s unsigned 0,4000000000"), "takes more than 368 MiB of memory"),
+        ("FormatVersion=6.0\n[[m]\n", "not a SYM file"),
+    ],
+)
+def test_hostile_database_is_refused_within_the_limits(tmp_path: Path, text: str, complaint: str) -> None:
+    assert complaint in refusal(write(tmp_path, text))
+
+
+def test_entities_are_found_in_any_encoding(tmp_path: Path) -> None:
+    text = xml("&c;</NetworkDefinition>", ENTITIES)
+    assert "defines a document type" in refusal(write(tmp_path, text.encode("utf-16")))
+
+
+@pytest.mark.parametrize("piece", ["9", '\\"', "SG_MUL_VAL_ ", "1 | "])
+def test_long_repetitions_are_looked_at_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, piece: str) -> None:
+    monkeypatch.setattr(database_module, "PARSER_TIME_S", 1)
+    before_s = resource.getrusage(resource.RUSAGE_SELF).ru_utime
+    refusal(write(tmp_path, HEAD + piece * (400_000 // len(piece))))
+    assert resource.getrusage(resource.RUSAGE_SELF).ru_utime - before_s < 2.0
+
+
+def test_time_to_parse_is_limited(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(database_module, "PARSER_TIME_S", 1)
+    wide = "".join(f'BO_ {k} m{k}: 1785 A\n SG_ s : 0|14000@1+ (1,0) [0|0] "" A\n\n' for k in range(1000))
+    assert "takes more than 1 s to parse" in refusal(write(tmp_path, HEAD + wide))
+
+
+def as_kcd() -> str:
+    corners = cantools.database.load_file(DATA / "corners.dbc")
+    assert isinstance(corners, Database)
+    return corners.as_kcd_string()
+
+
+@pytest.mark.parametrize(
+    ("text", "name", "count"),
+    [
+        (as_kcd(), "Multiplexed", 11),
+        (DATABASE.as_sym_string(), "TCU_Pressures", 10),
+        ((DATA / "engine.arxml").read_text(), "Engine", 1),
+        ((DATA / "corners.dbc").read_text(), "SignedBig", 11),
+    ],
+    ids=["kcd", "sym", "arxml", "dbc"],
+)
+def test_every_format_decodes_to_the_bits_of_cantools(tmp_path: Path, text: str, name: str, count: int) -> None:
+    database = load_database(write(tmp_path, text))
+    assert len(database.messages) == count
+    message = database.get_message_by_name(name)
+    data = np.random.default_rng(3).integers(0, 256, (50, 8)).astype(np.uint8)
+    batch = FrameBatch(
+        t_ns=np.arange(50),
+        can_id=np.full(50, message.frame_id | (EXTENDED_FLAG if message.is_extended_frame else 0), np.uint32),
+        length=np.full(50, 8, np.uint8),
+        data=data,
+    )
+    (found,) = Codec([message], check_range=False).decode(batch)
+    wanted = reference(message, [row.tobytes() for row in data])
+    for signal, decoded in found.signals.items():
+        is_there = ~np.isnan(wanted[signal])
+        assert same_bits(decoded.value[is_there], wanted[signal][is_there])
+
+
+def test_what_autosar_says_of_a_signal_arrives() -> None:
+    message = load_database(DATA / "engine.arxml").get_message_by_name("Engine")
+    speed, torque = (message.get_signal_by_name(name) for name in ("EngineSpeed", "EngineTorque"))
+    assert (message.frame_id, speed.unit, torque.unit) == (0x123, "rpm", "Nm")
+    assert (speed.scale, torque.scale, torque.offset, torque.is_signed) == (0.25, 0.5, -10.0, True)
+
+
+def test_sizes_inside_texts_are_harmless(tmp_path: Path) -> None:
+    path = write(tmp_path, HEAD + SIGNAL + 'CM_ SG_ 256 s "was SG_ s : 0|4000000000@1+, \\"quoted\\"";\n')
+    assert load_database(path).messages[0].name == "M"
+
+
+def test_huge_file_is_refused_unread(tmp_path: Path) -> None:
+    path = tmp_path / "huge.dbc"
+    with path.open("wb") as file:
+        file.truncate(MAX_FILE_BYTES + 1)
+    assert "too large" in refusal(path)

@@ -1,0 +1,177 @@
+"""All signals of a database at once: the bits of cantools in every corner, and only from frames that carry them."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import cantools
+import numpy as np
+import pytest
+from cantools.database.can import Database, Message
+from cantools.database.can.signal import Signal
+from cantools.database.errors import DecodeError
+
+from canlog.decode.codec import Codec, FrameFate, MessageValues
+from canlog.frames import ERROR_FLAG, EXTENDED_FLAG, FD_FLAG, REMOTE_FLAG, FrameBatch
+from tests.cantools_oracle import reference, same_bits
+from tests.wire import DATABASE
+
+CORNERS = Path(__file__).parents[3] / "data" / "corners.dbc"
+ROWS = 200
+
+
+def corners() -> Database:
+    database = cantools.database.load_file(CORNERS, strict=True)
+    assert isinstance(database, Database)
+    return database
+
+
+def frames(messages: list[Message], rows: int, seed: int) -> FrameBatch:
+    """Return frames of all messages in turn, with random payloads of the right length and small multiplexer values."""
+    rng = np.random.default_rng(seed)
+    count = rows * len(messages)
+    flags = [EXTENDED_FLAG if message.is_extended_frame else 0 for message in messages]
+    ids = [message.frame_id | flag for message, flag in zip(messages, flags, strict=True)]
+    length = np.tile([message.length for message in messages], rows)
+    data = rng.integers(0, 256, (count, 64)).astype(np.uint8)
+    data[np.arange(64) >= length[:, None]] = 0
+    return FrameBatch(
+        t_ns=np.arange(count), can_id=np.tile(ids, rows).astype(np.uint32), length=length.astype(np.uint8), data=data
+    )
+
+
+def assert_as_cantools(message: Message, batch: FrameBatch, found: MessageValues) -> None:
+    payloads = [batch.data[row, : message.length].tobytes() for row in found.rows]
+    wanted = reference(message, payloads)
+    assert found.signals.keys() == wanted.keys()
+    for name, decoded in found.signals.items():
+        is_good = np.ones(len(payloads), np.bool_) if decoded.is_good is None else decoded.is_good
+        is_there = ~np.isnan(wanted[name])
+        assert same_bits(decoded.value[is_there], wanted[name][is_there]), f"{message.name}.{name}"
+        assert not (is_good & ~is_there).any(), f"{message.name}.{name}"
+        assert np.array_equal(is_good, np.isfinite(wanted[name])), f"{message.name}.{name}"
+
+
+@pytest.mark.parametrize("database", [DATABASE, corners()], ids=["own", "corners"])
+def test_every_signal_has_the_bits_of_cantools(database: Database) -> None:
+    codec = Codec(database.messages, check_range=False)
+    batch = frames(database.messages, ROWS, seed=5)
+    found = list(codec.decode(batch))
+    assert [values.slot for values in found] == list(range(len(database.messages)))
+    for values in found:
+        assert len(values.rows) == ROWS
+        assert not codec.tables[values.slot].refused
+        assert_as_cantools(database.messages[values.slot], batch, values)
+
+
+def test_every_page_of_a_multiplexer_is_met() -> None:
+    message = corners().get_message_by_name("LongFrame")
+    batch = frames([message], 6, seed=1)
+    batch.data[:, 54] = [200, 3, 0, 255, 200, 3]
+    (found,) = Codec([message], check_range=False).decode(batch)
+    assert_as_cantools(message, batch, found)
+    assert found.signals["FarPage"].is_good is not None
+    assert found.signals["FarPage"].is_good.tolist() == [True, False, False, False, True, False]
+
+
+def test_every_frame_has_one_fate() -> None:
+    message = DATABASE.messages[0]
+    ids = [message.frame_id | flag for flag in (0, REMOTE_FLAG, ERROR_FLAG, EXTENDED_FLAG, 0)]
+    batch = FrameBatch(
+        t_ns=np.arange(5),
+        can_id=np.array(ids, np.uint32),
+        length=np.array([8, 8, 8, 8, 7], np.uint8),
+        data=np.zeros((5, 8), np.uint8),
+    )
+    codec = Codec(DATABASE.messages)
+    whole, part = codec.decode(batch)
+    assert (whole.rows.tolist(), part.rows.tolist()) == ([0], [4])
+    match = codec.match(batch)
+    assert match.slot.tolist() == [0, -1, -1, -1, 0]
+    assert match.counts[0].tolist() == [1, 1, 0, 0, 0, 0, 0]
+    assert match.counts[-1].tolist() == [0, 0, 0, 0, 1, 1, 1]
+
+
+@pytest.mark.parametrize("database", [DATABASE, corners()], ids=["own", "corners"])
+def test_short_frames_give_the_signals_that_fit_as_cantools_does(database: Database) -> None:
+    codec = Codec(database.messages, check_range=False)
+    batch = frames(database.messages, ROWS, seed=8)
+    size = np.random.default_rng(8).integers(0, batch.length + 1).astype(np.uint8)
+    batch.data[np.arange(64) >= size[:, None]] = 0
+    batch = replace(batch, length=size)
+    values = dict.fromkeys(range(len(database.messages)), 0)
+    for found in codec.decode(batch):
+        message = database.messages[found.slot]
+        for place, row in enumerate(found.rows.tolist()):
+            try:
+                wanted = message.decode(
+                    batch.data[row, : size[row]].tobytes(), decode_choices=False, allow_truncated=True
+                )
+            except DecodeError:  # a page of a multiplexer without signals
+                continue
+            assert isinstance(wanted, dict)
+            there = {
+                name: decoded.value[place].item()
+                for name, decoded in found.signals.items()
+                if decoded.is_present is None or decoded.is_present[place]
+            }
+            assert repr(there) == repr({name: float(str(wanted[name])) for name in there})
+            assert there.keys() == wanted.keys()
+            values[found.slot] += len(there)
+    assert all(values.values())
+
+
+def test_what_lies_behind_the_end_of_a_short_frame_is_counted() -> None:
+    message = Message(0x100, "M", 8, [Signal("A", start=0, length=8), Signal("B", start=56, length=8)])
+    batch = FrameBatch(
+        t_ns=np.arange(3), can_id=np.full(3, 0x100, np.uint32), length=np.array([0, 7, 8], np.uint8),
+        data=np.ones((3, 8), np.uint8),
+    )  # fmt: skip
+    found = list(Codec([message]).decode(batch))
+    assert [(one.rows.tolist(), list(one.signals), dict(one.cut_off)) for one in found] == [
+        ([2], ["A", "B"], {}), ([0], [], {"A": 1, "B": 1}), ([1], ["A"], {"B": 1}),
+    ]  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("size", "is_fd", "fd_flag", "length", "fate"),
+    [
+        (8, False, 0, 8, FrameFate.DECODED),
+        (20, False, 0, 8, FrameFate.TRANSPORTED),  # a first frame of ISO-TP, or a packet of J1939
+        (20, True, 0, 8, FrameFate.SHORT),
+        (20, False, FD_FLAG, 20, FrameFate.DECODED),
+        (20, False, FD_FLAG, 12, FrameFate.SHORT),
+        (20, False, 0, 20, FrameFate.DECODED),  # a log whose format does not tell CAN FD
+        (100, True, FD_FLAG, 64, FrameFate.TRANSPORTED),
+    ],
+)
+def test_messages_longer_than_their_frames_need_a_transport_protocol(
+    size: int, is_fd: bool, fd_flag: int, length: int, fate: FrameFate
+) -> None:
+    message = Message(0x100, "M", size, [Signal("A", start=0, length=8)], is_fd=is_fd)
+    batch = FrameBatch(
+        t_ns=np.arange(1), can_id=np.full(1, 0x100, np.uint32), length=np.array([length], np.uint8),
+        data=np.ones((1, 64), np.uint8), flags=np.array([fd_flag], np.uint8),
+    )  # fmt: skip
+    codec = Codec([message])
+    assert np.flatnonzero(codec.match(batch).counts[0]).tolist() == [fate]
+    assert len(list(codec.decode(batch))) == (fate is not FrameFate.TRANSPORTED)
+
+
+def test_of_messages_with_one_identifier_the_last_counts() -> None:
+    first, last = (Message(0x100, name, 8, [Signal(name, start=0, length=8)]) for name in ("First", "Last"))
+    codec = Codec([first, last])
+    assert [table.message.name for table in codec.tables] == ["Last"]
+    assert codec.overwritten == ((first, last),)
+
+
+def test_signals_of_one_name_in_a_message_are_numbered() -> None:
+    signals = [Signal("A", start=0, length=8), Signal("A", start=8, length=8)]
+    (table,) = Codec([Message(0x100, "M", 8, signals, strict=False)]).tables
+    assert {name: one.field.shift for name, one in table.signals.items()} == {"A": 0, "A#2": 8}
+
+
+def test_signal_that_cannot_be_decoded_does_not_take_the_others_along() -> None:
+    signals = [Signal("Wide", start=0, length=80), Signal("Narrow", start=80, length=8)]
+    (table,) = Codec([Message(0x100, "M", 64, signals, is_fd=True)]).tables
+    assert table.signals.keys() == {"Narrow"}
+    assert table.refused == {"Wide": "M.Wide has 80 bits; up to 64 are understood"}

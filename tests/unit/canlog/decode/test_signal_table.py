@@ -1,0 +1,281 @@
+"""Compiled signals decode to the same bits as cantools; what is no measurement is marked."""
+
+import math
+from typing import Final
+
+import cantools
+import numpy as np
+import numpy.typing as npt
+import pytest
+from cantools.database.can import Database, Message
+from cantools.database.can.signal import Signal
+from cantools.database.conversion import BaseConversion
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as hnp
+
+from canlog.decode.signal_table import InvalidCounts, compile_signal, payload_words
+from canlog.errors import DefinitionError
+from tests.wire import CONTRACTS, DATABASE
+
+UInt8Array = npt.NDArray[np.uint8]
+
+payloads = hnp.arrays(np.uint8, st.tuples(st.integers(1, 12), st.just(8)))
+factors = st.one_of(
+    st.integers(-1000, 1000).filter(bool),
+    st.sampled_from([1, 1.0, 2.0, 0.25, 0.01, 0.4, -0.1, 1e-9, 3]),
+    st.floats(1e-6, 1e6),
+)
+offsets = st.one_of(st.sampled_from([0, -40, 0.0, -273.15, 0.5]), st.integers(-(10**6), 10**6), st.floats(-1e6, 1e6))
+BITS: Final = 64
+
+
+def single(
+    start: int, length: int, *, big: bool = False, scale: float = 1, offset: float = 0, **more: object
+) -> Message:
+    """Return a message with one signal; ``start`` counts bits in the order of transmission if big-endian."""
+    conversion = BaseConversion.factory(
+        scale=scale,
+        offset=offset,
+        is_float=bool(more.pop("is_float", False)),
+        choices=more.pop("choices", None),  # type: ignore[arg-type]  # cantools wants its own mapping type
+    )
+    signal = Signal(
+        "S",
+        start=8 * (start // 8) + 7 - start % 8 if big else start,
+        length=length,
+        byte_order="big_endian" if big else "little_endian",
+        conversion=conversion,
+        **more,  # type: ignore[arg-type]  # whatever the test is about
+    )
+    return Message(0x100, "M", 8, [signal], strict=False)
+
+
+@st.composite
+def layouts(draw: st.DrawFn) -> Message:
+    """Draw a message with one integer or float signal anywhere in it."""
+    is_float = draw(st.booleans())
+    length = draw(st.sampled_from([16, 32, 64]) if is_float else st.integers(1, BITS))
+    start = draw(st.integers(0, BITS - length))
+    return single(
+        start,
+        length,
+        big=draw(st.booleans()),
+        scale=draw(factors),
+        offset=draw(offsets),
+        is_signed=draw(st.booleans()),
+        is_float=is_float,
+    )
+
+
+def expected(message: Message, data: UInt8Array, name: str = "S") -> list[float]:
+    """Return what cantools decodes, NaN where the signal is not in the frame."""
+    rows = [message.decode(row.tobytes(), decode_choices=False) for row in data]
+    values = []
+    for row in rows:
+        assert isinstance(row, dict)
+        value = row.get(name, math.nan)
+        assert isinstance(value, int | float)
+        values.append(float(value))
+    return values
+
+
+def assert_same_bits(actual: npt.NDArray[np.float64], wanted: list[float]) -> None:
+    reference = np.array(wanted)
+    is_nan = np.isnan(reference)
+    assert np.array_equal(np.isnan(actual), is_nan)
+    assert np.array_equal(actual[~is_nan].view(np.uint64), reference[~is_nan].view(np.uint64))
+
+
+@given(layouts(), payloads)
+def test_any_layout_decodes_to_the_bits_of_cantools(message: Message, data: UInt8Array) -> None:
+    decoded = compile_signal(message, message.signals[0]).decode(payload_words(data))
+    assert_same_bits(decoded.value, expected(message, data))
+
+
+@pytest.mark.parametrize("name", sorted(CONTRACTS))
+@given(data=payloads)
+def test_own_messages_decode_to_the_bits_of_cantools(name: str, data: UInt8Array) -> None:
+    message = DATABASE.get_message_by_name(name)
+    words = payload_words(data)
+    for signal in message.signals:
+        decoded = compile_signal(message, signal).decode(words)
+        assert_same_bits(decoded.value, expected(message, data, signal.name))
+
+
+@pytest.mark.parametrize("name", sorted(CONTRACTS))
+@given(data=payloads)
+def test_own_signals_are_good_inside_their_range_only(name: str, data: UInt8Array) -> None:
+    message = DATABASE.get_message_by_name(name)
+    words = payload_words(data)
+    for signal in message.signals:
+        decoded = compile_signal(message, signal).decode(words)
+        assert signal.minimum is not None
+        assert signal.maximum is not None
+        step = signal.scale / 4
+        in_range = [signal.minimum - step <= value <= signal.maximum + step for value in decoded.value.tolist()]
+        good = np.ones(len(data), np.bool_) if decoded.is_good is None else decoded.is_good
+        assert good.tolist() == in_range
+        assert decoded.invalid_count == in_range.count(False)
+
+
+@given(
+    st.sampled_from([(63, 1), (64, 1), (60, 10**9), (64, -7), (54, 3)]),
+    st.booleans(),
+    st.sampled_from([0, 5, 0.5, -(10**30)]),
+    payloads,
+)
+def test_integers_wider_than_a_float_keep_every_bit(
+    shape: tuple[int, int], signed: bool, offset: float, data: UInt8Array
+) -> None:
+    length, scale = shape
+    message = single(0, length, scale=scale, offset=offset, is_signed=signed)
+    decoded = compile_signal(message, message.signals[0]).decode(payload_words(data))
+    assert_same_bits(decoded.value, expected(message, data))
+
+
+MULTIPLEXED = """VERSION ""
+BU_: A
+BO_ 256 M: 8 A
+ SG_ Page M : 0|4@1+ (1,0) [0|15] "" A
+ SG_ First m0 : 8|16@1- (0.5,0) [-10000|10000] "" A
+ SG_ Second m1 : 8|16@1+ (1,-3) [0|0] "" A
+ SG_ Inner m2M : 4|4@1+ (1,0) [0|15] "" A
+ SG_ Deep m3 : 8|8@1+ (1,0) [0|0] "" A
+ SG_ Always : 56|8@1+ (1,0) [0|0] "" A
+SG_MUL_VAL_ 256 First Page 0-0, 5-7;
+SG_MUL_VAL_ 256 Second Page 1-1;
+SG_MUL_VAL_ 256 Inner Page 2-2;
+SG_MUL_VAL_ 256 Deep Inner 3-3, 9-9;
+"""
+
+
+def multiplexed() -> Message:
+    database = cantools.database.load_string(MULTIPLEXED, "dbc", strict=False)
+    assert isinstance(database, Database)
+    return database.messages[0]
+
+
+@given(hnp.arrays(np.uint8, (6, 8)))
+def test_multiplexed_signals_are_present_where_cantools_finds_them(data: UInt8Array) -> None:
+    message = multiplexed()
+    data[:, 0] = [0x00, 0x05, 0x07, 0x01, 0x32, 0x92]  # low nibble: page; high nibble: page within page 2
+    for name in ("First", "Second", "Inner", "Deep", "Always"):
+        decoded = compile_signal(message, message.get_signal_by_name(name), check_range=False).decode(
+            payload_words(data)
+        )
+        wanted = np.array(expected(message, data, name))
+        good = np.ones(len(data), np.bool_) if decoded.is_good is None else decoded.is_good
+        assert good.tolist() == (~np.isnan(wanted)).tolist()
+        assert decoded.value[good].tolist() == wanted[good].tolist()
+        assert decoded.invalid_count == 0
+
+
+def test_page_of_nobody_carries_nothing() -> None:
+    decoded = compile_signal(multiplexed(), multiplexed().get_signal_by_name("First")).decode(
+        payload_words(values(0x0F, 0x04, 0x00))
+    )
+    assert decoded.is_good is not None
+    assert decoded.is_good.tolist() == [False, False, True]
+
+
+def test_absent_signal_is_not_counted_as_invalid() -> None:
+    data = np.zeros((2, 8), np.uint8)
+    data[:, 1:3] = [0xFF, 0x7F]  # 16383.5, out of range, but only present on page 0
+    data[1, 0] = 1
+    decoded = compile_signal(multiplexed(), multiplexed().get_signal_by_name("First")).decode(payload_words(data))
+    assert decoded.is_good is not None
+    assert decoded.is_good.tolist() == [False, False]
+    assert decoded.invalid_count == 1
+
+
+def values(*bytes_0: int) -> UInt8Array:
+    data = np.zeros((len(bytes_0), 8), np.uint8)
+    data[:, 0] = bytes_0
+    return data
+
+
+def good(message: Message, data: UInt8Array, *, check_range: bool = True) -> list[bool]:
+    decoded = compile_signal(message, message.signals[0], check_range=check_range).decode(payload_words(data))
+    return [True] * len(data) if decoded.is_good is None else decoded.is_good.tolist()
+
+
+def test_range_is_checked_to_the_nearest_step() -> None:
+    message = single(0, 8, scale=0.1, offset=-1.0, minimum=0.0, maximum=15.3)
+    assert good(message, values(9, 10, 163, 164)) == [False, True, True, False]
+    assert good(message, values(9, 10, 163, 164), check_range=False) == [True] * 4
+
+
+def test_range_of_a_falling_scale() -> None:
+    message = single(0, 8, scale=-0.5, offset=10, minimum=0.0, maximum=5.0)
+    assert good(message, values(9, 10, 20, 21)) == [False, True, True, False]
+
+
+@pytest.mark.parametrize(
+    ("minimum", "maximum"), [(None, None), (5.0, 5.0), (7.0, 3.0), (1e9, 2e9), (-math.inf, 10**400)]
+)
+def test_range_that_is_none_is_not_checked(minimum: float | None, maximum: float | None) -> None:
+    assert good(single(0, 8, minimum=minimum, maximum=maximum), values(0, 5, 255)) == [True] * 3
+
+
+def test_no_text_of_a_value_table_takes_a_value_away() -> None:
+    message = single(0, 8, minimum=0, maximum=255, choices={0: "Fault", 3: "Not available", 254: "Error", 255: "SNA"})
+    assert good(message, values(0, 3, 4, 254, 255)) == [True] * 5
+
+
+def test_codes_are_counted_apart_from_what_is_out_of_range() -> None:
+    message = single(0, 8, minimum=0, maximum=100)
+    for scale in (message, single(0, 8, minimum=0, maximum=100, scale=1.0)):
+        table = compile_signal(scale, scale.signals[0], codes=((50, 60), (255, 255)))
+        found = table.decode(payload_words(values(0, 50, 55, 61, 101, 255)))
+        assert found.is_good is not None
+        assert found.is_good.tolist() == [True, False, False, True, False, False]
+        assert found.invalid == InvalidCounts(not_available=3, out_of_range=1)
+        assert found.is_present is None  # all of them were sent
+
+
+def test_floats_that_are_no_numbers_are_no_measurements() -> None:
+    message = single(0, 32, is_float=True, minimum=-10.0, maximum=10.0)
+    numbers = np.array([1.5, math.nan, math.inf, -math.inf, 10.0, 10.1], "<f4")
+    data = np.zeros((6, 8), np.uint8)
+    data[:, :4] = numbers.view(np.uint8).reshape(-1, 4)
+    assert good(message, data) == [True, False, False, False, True, False]
+
+
+@pytest.mark.parametrize(
+    ("message", "complaint"),
+    [
+        (single(60, 8), "outside its message"),
+        (single(60, 8, big=True), "outside its message"),
+        (single(0, 24, is_float=True), "no float has 24 bits"),
+        (single(0, 8, scale=0), "not usable"),
+        (single(0, 8, scale=math.inf), "not usable"),
+        (single(0, 8, offset=math.nan), "not usable"),
+        (single(0, 8, multiplexer_ids=[1], multiplexer_signal="Nobody"), "no proper multiplexer"),
+        (single(0, 8, multiplexer_ids=[1]), "no proper multiplexer"),
+    ],
+)
+def test_signals_that_cannot_be_decoded_are_refused(message: Message, complaint: str) -> None:
+    with pytest.raises(DefinitionError, match=complaint):
+        compile_signal(message, message.signals[0])
+
+
+def test_signal_beyond_a_frame_is_refused() -> None:
+    signal = Signal("S", start=512, length=8)
+    with pytest.raises(DefinitionError, match="outside the 64 bytes of a CAN FD frame"):
+        compile_signal(Message(0x100, "M", 70, [signal], is_fd=True), signal)
+
+
+def test_signal_wider_than_a_word_is_refused() -> None:
+    signal = Signal("S", start=0, length=65)
+    with pytest.raises(DefinitionError, match="has 65 bits; up to 64"):
+        compile_signal(Message(0x100, "M", 64, [signal], is_fd=True), signal)
+
+
+def test_multiplexers_that_select_each_other_are_refused() -> None:
+    signals = [Signal("A", start=0, length=8, is_multiplexer=True), Signal("B", start=8, length=8, is_multiplexer=True)]
+    message = Message(0x100, "M", 8, signals)
+    for signal, other in zip(message.signals, "BA", strict=True):
+        signal.multiplexer_ids, signal.multiplexer_signal = [1], other
+    with pytest.raises(DefinitionError, match="no proper multiplexer"):
+        compile_signal(message, message.get_signal_by_name("A"))

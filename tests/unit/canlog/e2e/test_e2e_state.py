@@ -1,0 +1,206 @@
+"""The E2E state machine of a message: held against AUTOSAR's own words, one check at a time."""
+
+from collections.abc import Sequence
+
+import numpy as np
+import pytest
+
+from canlog.e2e.e2e_state import (
+    MAX_ERRORS,
+    MIN_OK,
+    MIN_TIMEOUT_NS,
+    TIMEOUT_CYCLES,
+    WINDOW,
+    E2eChange,
+    E2eState,
+    E2eStates,
+)
+from canlog.e2e.own_cycle import SLOWEST
+from canlog.e2e.protection_check import FrameReason, FrameVerdicts
+
+NAME = "message"
+CYCLE_NS = 100_000_000
+OK, SHORT, BAD_CRC, REPEATED, JUMP = (
+    FrameReason.OK, FrameReason.SHORT, FrameReason.BAD_CRC, FrameReason.REPEATED, FrameReason.WRONG_SEQUENCE
+)  # fmt: skip
+NO_DATA, INIT, VALID, INVALID = E2eState
+
+
+def verdicts(reasons: Sequence[FrameReason], missing: Sequence[int] | None = None, slot: int = 0) -> FrameVerdicts:
+    count = len(reasons)
+    return FrameVerdicts(
+        reason=np.array(reasons, np.uint8),
+        slot=np.full(count, slot, np.int64),
+        sequence=np.zeros(count, np.int64),
+        missing=np.zeros(count, np.int64) if missing is None else np.array(missing, np.int64),
+    )
+
+
+def on_time(count: int, first: int = 0) -> np.ndarray[tuple[int], np.dtype[np.int64]]:
+    return (first + np.arange(count, dtype=np.int64)) * CYCLE_NS
+
+
+def machine() -> E2eStates:
+    return E2eStates([NAME], [CYCLE_NS])
+
+
+class Reference:
+    """E2E_SMCheck of the specification with one set of limits and clearToInvalid, as a list of words."""
+
+    def __init__(self) -> None:
+        self.state = "NODATA"
+        self.window: list[str] = []
+
+    def check(self, status: str) -> str:
+        self.window = [*self.window, status][-WINDOW:]
+        ok, errors = self.window.count("OK"), self.window.count("ERROR")
+        is_trusted = ok >= MIN_OK and errors <= MAX_ERRORS
+        match self.state:
+            case "NODATA" if status not in {"ERROR", "NONEWDATA"}:
+                self.state = "INIT"
+            case "INIT" if is_trusted:
+                self.state = "VALID"
+            case "INIT" if errors > MAX_ERRORS:
+                self._distrust()
+            case "VALID" if not is_trusted:
+                self._distrust()
+            case "INVALID" if is_trusted:
+                self.state = "VALID"
+        return self.state
+
+    def _distrust(self) -> None:
+        self.state = "INVALID"
+        self.window = []
+
+
+STATUS = {OK: "OK", SHORT: "ERROR", BAD_CRC: "ERROR", REPEATED: "REPEATED", JUMP: "WRONGSEQUENCE"}
+STATE = {NO_DATA: "NODATA", INIT: "INIT", VALID: "VALID", INVALID: "INVALID"}
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_it_is_the_machine_of_the_specification(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    weights = [0.9, 0.02, 0.04, 0.02, 0.02]
+    kinds = list(STATUS)
+    stage, reference = machine(), Reference()
+    seen = set()
+    for number, index in enumerate(rng.choice(len(kinds), 3_000, p=weights)):
+        lost = int(rng.integers(1, 4)) if rng.random() < 0.05 and number else 0
+        stage.follow(on_time(1, number), verdicts([kinds[index]], [lost]))
+        for _ in range(lost):
+            reference.check("NONEWDATA")
+        reference.check(STATUS[kinds[index]])
+        assert STATE[stage.states[0]] == reference.state
+        seen.add(reference.state)
+    assert seen >= {"VALID", "INVALID"}
+
+
+def test_trust_is_earned_by_good_frames() -> None:
+    stage = machine()
+    assert stage.states == (NO_DATA,)
+    assert stage.follow(on_time(MIN_OK - 1), verdicts([OK] * (MIN_OK - 1))) == (change(0, INIT),)
+    assert stage.follow(on_time(1, MIN_OK - 1), verdicts([OK])) == (change((MIN_OK - 1) * CYCLE_NS, VALID),)
+
+
+def change(t_ns: int, state: E2eState) -> E2eChange:
+    return E2eChange(t_ns=t_ns, message=NAME, state=state)
+
+
+@pytest.mark.parametrize(("lost", "state"), [(3, VALID), (4, INVALID)])
+def test_some_lost_frames_are_tolerated(lost: int, state: E2eState) -> None:
+    stage = machine()
+    stage.follow(on_time(WINDOW), verdicts([OK] * WINDOW))
+    stage.follow(on_time(1, WINDOW + lost), verdicts([OK], [lost]))
+    assert stage.states == (state,)
+    assert stage.invalidations == (int(state is INVALID),)
+
+
+@pytest.mark.parametrize("reason", [SHORT, BAD_CRC])
+def test_one_broken_frame_in_a_window_is_tolerated_two_are_not(reason: FrameReason) -> None:
+    stage = machine()
+    stage.follow(on_time(WINDOW), verdicts([OK] * WINDOW))
+    stage.follow(on_time(1, WINDOW), verdicts([reason]))
+    assert stage.states == (VALID,)
+    stage.follow(on_time(1, WINDOW + 1), verdicts([reason]))
+    assert stage.states == (INVALID,)
+
+
+@pytest.mark.parametrize("reason", [REPEATED, JUMP])
+def test_a_counter_that_does_not_count_costs_trust(reason: FrameReason) -> None:
+    stage = machine()
+    stage.follow(on_time(WINDOW), verdicts([OK] * WINDOW))
+    stage.follow(on_time(3, WINDOW), verdicts([reason] * 3))
+    assert stage.states == (VALID,)
+    stage.follow(on_time(1, WINDOW + 3), verdicts([reason]))
+    assert stage.states == (INVALID,)
+
+
+def test_trust_that_was_lost_must_be_earned_anew() -> None:
+    stage = machine()
+    stage.follow(on_time(WINDOW + 2), verdicts([OK] * WINDOW + [BAD_CRC] * 2))
+    stage.follow(on_time(MIN_OK - 1, WINDOW + 2), verdicts([OK] * (MIN_OK - 1)))
+    assert stage.states == (INVALID,)
+    stage.follow(on_time(1, WINDOW + 2 + MIN_OK), verdicts([OK]))
+    assert stage.states == (VALID,)
+
+
+def test_silence_is_found_at_the_same_moment_by_the_next_frame_and_by_frames_of_others() -> None:
+    timeout_ns = TIMEOUT_CYCLES * CYCLE_NS
+    expected = change((WINDOW - 1) * CYCLE_NS + timeout_ns, INVALID)
+    alone, watched = machine(), machine()
+    for stage in (alone, watched):
+        stage.follow(on_time(WINDOW), verdicts([OK] * WINDOW))
+    assert alone.follow(on_time(1, 40), verdicts([OK])) == (expected,)
+    assert watched.follow(on_time(20, WINDOW), verdicts([FrameReason.UNKNOWN_ID] * 20, slot=-1)) == (expected,)
+    assert watched.follow(on_time(1, 40), verdicts([OK])) == ()
+    assert alone.states == watched.states == (INVALID,)
+
+
+def test_the_timeout_leaves_room_for_a_busy_machine_and_unknown_cycles_have_none() -> None:
+    quick = E2eStates([NAME, "other"], [1_000_000, 0])
+    quick.follow(on_time(1), verdicts([OK], slot=0))
+    quick.follow(on_time(1), verdicts([OK], slot=1))
+    late = np.array([MIN_TIMEOUT_NS], np.int64)
+    assert quick.follow(late, verdicts([FrameReason.UNKNOWN_ID], slot=-1)) == ()
+    assert quick.follow(late + 1, verdicts([FrameReason.UNKNOWN_ID], slot=-1)) == (change(MIN_TIMEOUT_NS, INVALID),)
+    quick.follow(late * 1000, verdicts([FrameReason.UNKNOWN_ID], slot=-1))
+    assert quick.states == (INVALID, INIT)
+
+
+def slow_frames(cycles: float, count: int) -> np.ndarray[tuple[int], np.dtype[np.int64]]:
+    return (np.arange(count) * cycles * CYCLE_NS).astype(np.int64)
+
+
+def test_the_timeout_follows_a_message_that_is_slower_than_its_database() -> None:
+    stage = machine()
+    t_ns = slow_frames(2.0, 100)
+    assert stage.follow(t_ns, verdicts([OK] * 100))[-1].state is VALID
+    assert stage.own_cycles_ns[0] == pytest.approx(2 * CYCLE_NS, rel=0.02)
+    timeout_ns = TIMEOUT_CYCLES * stage.own_cycles_ns[0]
+    later = np.array([t_ns[-1] + timeout_ns - CYCLE_NS, t_ns[-1] + timeout_ns + CYCLE_NS])
+    assert stage.follow(later, verdicts([FrameReason.UNKNOWN_ID] * 2, slot=-1)) == (
+        change(int(t_ns[-1]) + timeout_ns, INVALID),
+    )
+
+
+def test_the_timeout_grows_no_further_than_five_cycles_of_the_database() -> None:
+    stage = machine()
+    stage.follow(slow_frames(8.0, 200), verdicts([OK] * 200))
+    assert stage.own_cycles_ns == (SLOWEST * CYCLE_NS,)
+
+
+def test_losses_and_single_gaps_are_no_slower_cycle() -> None:
+    stage = machine()
+    t_ns = slow_frames(2.0, 100)
+    stage.follow(t_ns, verdicts([OK] * 100, [0] + [1] * 99))
+    assert stage.own_cycles_ns == (CYCLE_NS,)
+    stage.follow(t_ns[-1] + on_time(1, 40), verdicts([OK]))
+    assert stage.own_cycles_ns == (CYCLE_NS,)
+
+
+def test_a_reset_forgets_all_but_the_counts() -> None:
+    stage = machine()
+    stage.follow(on_time(WINDOW + 2), verdicts([OK] * WINDOW + [SHORT] * 2))
+    stage.reset()
+    assert stage.states == (NO_DATA,)
+    assert stage.invalidations == (1,)

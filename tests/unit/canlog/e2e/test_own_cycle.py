@@ -1,0 +1,59 @@
+"""The cycle that a message keeps, where it is slower than its database says."""
+
+import numpy as np
+import pytest
+
+from canlog.arrays import Int64Array
+from canlog.e2e.own_cycle import LEAST_STEPS, SLOWEST, own_period_ns
+from canlog.series import Series
+
+MS = 1_000_000
+NOMINAL_NS = 10 * MS
+COUNT = 100
+
+
+def series(t_ns: Int64Array, sequence: Int64Array | None = None, period_ns: int = NOMINAL_NS) -> Series:
+    numbers = np.arange(len(t_ns)) if sequence is None else sequence
+    return Series(t_ns=t_ns, sequence=numbers, value=np.zeros(len(t_ns)), period_ns=period_ns)
+
+
+def every(period_ns: int, count: int = COUNT) -> Int64Array:
+    return np.arange(count, dtype=np.int64) * period_ns
+
+
+@pytest.mark.parametrize("cycle_ms", [13, 15, 20, 50])
+def test_a_slower_cycle_is_found_in_spite_of_jitter_and_gaps(cycle_ms: int) -> None:
+    rng = np.random.default_rng(cycle_ms)
+    t_ns = every(cycle_ms * MS) + rng.integers(0, MS, COUNT)
+    t_ns[60:] += 300 * MS  # the bus was silent
+    is_kept = rng.random(COUNT) < 0.9
+    found = series(t_ns[is_kept], np.arange(COUNT)[is_kept])
+    assert own_period_ns(found) == cycle_ms * MS
+
+
+def test_lost_frames_are_no_slower_cycle() -> None:
+    assert own_period_ns(series(every(2 * NOMINAL_NS), 2 * np.arange(COUNT))) == NOMINAL_NS
+
+
+def test_a_sender_that_makes_up_for_its_delays_keeps_its_cycle() -> None:
+    steps_ns = np.tile(np.repeat([18 * MS, 1 * MS], [11, 9]), 5)  # on a busy machine: 10 ms in the mean
+    assert own_period_ns(series(np.cumsum(steps_ns))) == NOMINAL_NS
+
+
+def test_without_a_counter_time_alone_tells() -> None:
+    assert own_period_ns(series(every(2 * NOMINAL_NS), np.full(COUNT, -1))) == 2 * NOMINAL_NS
+
+
+@pytest.mark.parametrize("t_ns", [every(9 * MS), every(NOMINAL_NS), every(12 * MS), every((SLOWEST + 1) * NOMINAL_NS)])
+def test_jitter_and_what_is_far_too_slow_leave_the_database_right(t_ns: Int64Array) -> None:
+    assert own_period_ns(series(t_ns)) == NOMINAL_NS
+
+
+def test_no_cycle_without_regular_steps() -> None:
+    steps_ns = np.random.default_rng(1).integers(5 * MS, 60 * MS, COUNT)
+    assert own_period_ns(series(np.cumsum(steps_ns))) == NOMINAL_NS
+
+
+def test_too_little_says_nothing() -> None:
+    assert own_period_ns(series(every(2 * NOMINAL_NS, LEAST_STEPS))) == NOMINAL_NS
+    assert own_period_ns(series(every(2 * NOMINAL_NS), period_ns=0)) == 0

@@ -1,0 +1,298 @@
+"""Frames are judged by length, CRC and counter, in this order; the count of missing frames is exact."""
+
+from collections.abc import Sequence
+from typing import Final
+
+import cantools
+import numpy as np
+import pytest
+from cantools.database.can import Database, Message
+
+from canlog.e2e.profile1 import protect
+from canlog.e2e.protection_check import MAX_FRAMES_LOST_BY_RESTART, FrameReason, FrameVerdicts, LinkMonitor
+from canlog.errors import DefinitionError
+from canlog.frames import ERROR_FLAG, EXTENDED_FLAG, REMOTE_FLAG, FrameBatch
+from tests.wire import CONTRACTS, DATABASE, START_NS
+
+NAME: Final = "TCU_Pressures"
+DATA_ID: Final = CONTRACTS[NAME].data_id or 0
+CYCLE_MS: Final = 10
+
+OK = FrameReason.OK
+BAD_CRC = FrameReason.BAD_CRC
+SHORT = FrameReason.SHORT
+REPEATED = FrameReason.REPEATED
+WRONG_SEQUENCE = FrameReason.WRONG_SEQUENCE
+
+
+def frames(counters: Sequence[int], t_ms: Sequence[float] | None = None, damaged: Sequence[int] = ()) -> FrameBatch:
+    """Return frames of one message, one cycle apart unless times are given; ``damaged`` rows get a bad CRC."""
+    count = len(counters)
+    times = np.arange(count) * float(CYCLE_MS) if t_ms is None else np.array(t_ms, np.float64)
+    data = protect(np.full((count, 8), 0x50, np.uint8), DATA_ID, np.array(counters, np.int64))
+    data[list(damaged), 0] ^= 0x55
+    return FrameBatch(
+        t_ns=START_NS + (times * 1e6).astype(np.int64),
+        can_id=np.full(count, CONTRACTS[NAME].can_id, np.uint32),
+        length=np.full(count, 8, np.uint8),
+        data=data,
+    )
+
+
+def monitor() -> LinkMonitor:
+    return LinkMonitor([DATABASE.get_message_by_name(NAME)])
+
+
+def check(batch: FrameBatch) -> tuple[LinkMonitor, FrameVerdicts]:
+    link = monitor()
+    return link, link.check(batch)
+
+
+def reasons(verdicts: FrameVerdicts) -> list[FrameReason]:
+    return [FrameReason(reason) for reason in verdicts.reason.tolist()]
+
+
+def test_undisturbed_frames_are_numbered_without_gaps() -> None:
+    link, verdicts = check(frames([number % 15 for number in range(40)]))
+    assert reasons(verdicts) == [OK] * 40
+    assert verdicts.sequence.tolist() == list(range(40))
+    assert link.missing.tolist() == [0]
+
+
+def test_counter_may_start_anywhere() -> None:
+    _, verdicts = check(frames([13, 14, 0, 1]))
+    assert verdicts.sequence.tolist() == [0, 1, 2, 3]
+
+
+@pytest.mark.parametrize("lost", [1, 2, 7, 13, 14, 15, 16, 29, 30, 45, 99])
+def test_lost_frames_are_counted_by_counter_and_time(lost: int) -> None:
+    numbers = [0, 1, 2, 3 + lost, 4 + lost, 5 + lost]
+    link, verdicts = check(frames([n % 15 for n in numbers], [n * CYCLE_MS for n in numbers]))
+    assert reasons(verdicts) == [OK] * 6
+    assert verdicts.sequence.tolist() == numbers
+    assert verdicts.missing.tolist() == [0, 0, 0, lost, 0, 0]
+    assert link.missing.tolist() == [lost]
+
+
+def test_damaged_frame_is_rejected_but_not_missing() -> None:
+    link, verdicts = check(frames([0, 1, 2, 3], damaged=[2]))
+    assert reasons(verdicts) == [OK, OK, BAD_CRC, OK]
+    assert verdicts.sequence.tolist() == [0, 1, -1, 3]
+    assert link.missing.tolist() == [0]
+
+
+def test_damaged_and_lost_frames_are_told_apart() -> None:
+    link, verdicts = check(frames([0, 1, 4, 5], [0, 10, 40, 50], damaged=[2]))
+    assert reasons(verdicts) == [OK, OK, BAD_CRC, OK]
+    assert link.missing.tolist() == [2]
+
+
+def test_short_frame_is_rejected_before_its_crc_is_looked_at() -> None:
+    batch = frames([0, 1, 2], damaged=[1])
+    batch.length[1] = 7
+    link, verdicts = check(batch)
+    assert reasons(verdicts) == [OK, SHORT, OK]
+    assert link.missing.tolist() == [0]
+
+
+def test_stuck_counter_rejects_until_it_moves() -> None:
+    link, verdicts = check(frames([3, 4, *[4] * 40, 5, 6]))
+    assert reasons(verdicts) == [OK, OK, *[REPEATED] * 40, OK, OK]
+    assert link.missing.tolist() == [0]
+    assert (np.diff(verdicts.sequence[verdicts.sequence >= 0]) > 0).all()
+
+
+def test_stuck_counter_stays_stuck_over_a_gap() -> None:
+    _, verdicts = check(frames([4, 4, 4, 4], [0, 10, 160, 310]))
+    assert reasons(verdicts) == [OK, REPEATED, REPEATED, REPEATED]
+
+
+def test_copy_of_a_frame_is_rejected_and_hides_no_loss() -> None:
+    link, verdicts = check(frames([0, 1, 1, 3], [0, 10, 10.2, 30]))
+    assert reasons(verdicts) == [OK, OK, REPEATED, OK]
+    assert link.missing.tolist() == [1]
+
+
+def test_stray_frame_costs_only_itself() -> None:
+    link, verdicts = check(frames([5, 6, 2, 7, 8], [0, 10, 15, 20, 30]))
+    assert reasons(verdicts) == [OK, OK, WRONG_SEQUENCE, OK, OK]
+    assert verdicts.sequence.tolist() == [0, 1, -1, 2, 3]
+    assert link.missing.tolist() == [0]
+
+
+@pytest.mark.parametrize("before", range(15))
+@pytest.mark.parametrize("pause_ms", [10, 20, 45, 150, 400])
+def test_restart_of_a_sender_costs_no_more_than_promised(before: int, pause_ms: int) -> None:
+    counters = [*((before - 3 + k) % 15 for k in range(4)), *range(10)]
+    times = [*range(0, 40, 10), *(30 + pause_ms + 10 * k for k in range(10))]
+    _, verdicts = check(frames(counters, times))
+    rejected = [reason for reason in reasons(verdicts) if reason != OK]
+    assert len(rejected) <= MAX_FRAMES_LOST_BY_RESTART
+    assert (np.diff(verdicts.sequence[verdicts.sequence >= 0]) > 0).all()
+
+
+def test_restart_is_numbered_by_time() -> None:
+    link, verdicts = check(frames([8, 9, 3, 4, 5]))
+    assert reasons(verdicts) == [OK, OK, WRONG_SEQUENCE, OK, OK]
+    assert verdicts.sequence.tolist() == [0, 1, -1, 3, 4]
+    assert link.missing.tolist() == [0]
+
+
+def test_counter_stuck_at_a_wrong_value_is_never_accepted() -> None:
+    _, verdicts = check(frames([5, 6, *[12] * 60]))
+    assert reasons(verdicts)[2:] == [WRONG_SEQUENCE, *[REPEATED] * 59]
+
+
+def test_fifteen_is_not_a_counter() -> None:
+    batch = frames([0, 1, 2])
+    batch.data[1, 1] |= 0x0F
+    from_scratch = batch.data[1:2].copy()
+    from_scratch[:, 0] = 0
+    batch.data[1, 0] = _crc_of(from_scratch)
+    link, verdicts = check(batch)
+    assert reasons(verdicts) == [OK, WRONG_SEQUENCE, OK]
+    assert link.missing.tolist() == [0]
+
+
+def _crc_of(data: np.ndarray[tuple[int, int], np.dtype[np.uint8]]) -> int:
+    """Find the CRC by trial: the monitor must then not call it bad."""
+    for crc in range(256):
+        data[0, 0] = crc
+        trial = FrameBatch(
+            t_ns=np.array([START_NS]),
+            can_id=np.array([CONTRACTS[NAME].can_id], np.uint32),
+            length=np.array([8], np.uint8),
+            data=data,
+        )
+        if reasons(check(trial)[1]) != [BAD_CRC]:
+            return crc
+    raise AssertionError("no CRC fits")
+
+
+def test_late_frames_in_a_burst_are_not_missing() -> None:
+    held = [50.0 + 10.0 * 16 + 0.1 * k for k in range(16)]
+    times = [*range(0, 60, 10), *held, *(220.0 + 10 * k for k in range(5))]
+    link, verdicts = check(frames([k % 15 for k in range(len(times))], times))
+    assert reasons(verdicts) == [OK] * len(times)
+    assert link.missing.tolist() == [0]
+    assert verdicts.missing.sum() == 0
+    assert (np.diff(verdicts.sequence) > 0).all()
+
+
+def test_loss_inside_a_burst_is_counted() -> None:
+    numbers = [0, 1, 2, 3, 8, 9, 10, 11, 12]
+    times = [0, 10, 110, 110.1, 110.2, 110.3, 110.4, 110.5, 120]
+    link, verdicts = check(frames(numbers, times))
+    assert reasons(verdicts) == [OK] * len(numbers)
+    assert verdicts.sequence.tolist() == numbers
+    assert link.missing.tolist() == [4]
+
+
+def test_allowance_for_catching_up_fades() -> None:
+    numbers = [*range(15), *range(15), *range(15), 9]
+    times = [0, *(200.0 + 10.0 * k for k in range(45))]
+    _, verdicts = check(frames(numbers, times))
+    assert reasons(verdicts) == [*[OK] * 45, WRONG_SEQUENCE]
+
+
+def test_pause_of_the_sender_is_not_a_loss() -> None:
+    link, verdicts = check(frames([0, 1, 2, 3, 4], [0, 10, 105, 115, 125]))
+    assert reasons(verdicts) == [OK] * 5
+    assert verdicts.sequence.tolist() == [0, 1, 2, 3, 4]
+    assert link.missing.tolist() == [0]
+
+
+def test_jitter_is_harmless() -> None:
+    rng = np.random.default_rng(5)
+    times = np.arange(300) * 10.0 + rng.uniform(-4.0, 4.0, 300)
+    link, verdicts = check(frames([k % 15 for k in range(300)], times.tolist()))
+    assert verdicts.sequence.tolist() == list(range(300))
+    assert link.missing.tolist() == [0]
+
+
+def test_reset_accepts_any_counter_and_goes_on_numbering() -> None:
+    link = monitor()
+    link.check(frames([0, 1, 2]))
+    link.reset()
+    verdicts = link.check(frames([9, 10]))
+    assert reasons(verdicts) == [OK, OK]
+    assert verdicts.sequence.tolist() == [3, 4]
+
+
+def test_frames_of_nobody_remote_and_error_frames() -> None:
+    batch = frames([0, 1, 2, 3, 4])
+    batch.can_id[1:] = [0x7FF, batch.can_id[1] | REMOTE_FLAG, ERROR_FLAG | 0x20, batch.can_id[4] | EXTENDED_FLAG]
+    link, verdicts = check(batch)
+    remote = FrameReason.REMOTE_OR_ERROR
+    assert reasons(verdicts) == [OK, FrameReason.UNKNOWN_ID, remote, remote, FrameReason.UNKNOWN_ID]
+    assert verdicts.slot.tolist()[:2] == [0, -1]
+    assert link.counts.tolist()[0][OK] == 1
+    assert link.counts.sum() == 5
+
+
+FOREIGN: Final = """VERSION ""
+BU_: A
+BO_ 2566844926 Truck: 8 A
+ SG_ s : 0|16@1+ (1,0) [0|0] "" A
+BO_ 256 Short: 3 A
+ SG_ s : 0|16@1+ (1,0) [0|0] "" A
+BA_DEF_ BO_ "E2EDataId" INT 0 65535;
+BA_DEF_DEF_ "E2EDataId" 0;
+"""
+
+
+def foreign(extra: str = "") -> list[Message]:
+    database = cantools.database.load_string(FOREIGN + extra, "dbc", strict=False)
+    assert isinstance(database, Database)
+    return database.messages
+
+
+def test_foreign_messages_are_checked_for_their_length_only() -> None:
+    link = LinkMonitor(foreign())
+    verdicts = link.check(
+        FrameBatch(
+            t_ns=np.array([1, 2, 3, 3]),
+            can_id=np.array([0x18FEF1FE | EXTENDED_FLAG, 0x100, 0x100, 0x18FEF1FE], np.uint32),
+            length=np.array([8, 2, 3, 8], np.uint8),
+            data=np.full((4, 8), 0xA5, np.uint8),
+        )
+    )
+    assert reasons(verdicts) == [OK, SHORT, OK, FrameReason.UNKNOWN_ID]
+    assert verdicts.sequence.tolist() == [-1] * 4
+    assert verdicts.slot.tolist() == [0, 1, 1, -1]
+    assert link.missing.tolist() == [0, 0]
+
+
+def test_counter_without_a_known_cycle_time() -> None:
+    message = foreign('BA_ "E2EDataId" BO_ 2566844926 4660;\n')[0]
+    numbers = [0, 1, 3, 3, 4, 12, 13, 14]
+    data = protect(np.zeros((len(numbers), 8), np.uint8), 4660, np.array(numbers))
+    link = LinkMonitor([message])
+    verdicts = link.check(
+        FrameBatch(
+            t_ns=np.arange(len(numbers)) * 7_000_000,
+            can_id=np.full(len(numbers), 0x18FEF1FE | EXTENDED_FLAG, np.uint32),
+            length=np.full(len(numbers), 8, np.uint8),
+            data=data,
+        )
+    )
+    assert reasons(verdicts) == [OK, OK, OK, REPEATED, OK, WRONG_SEQUENCE, OK, OK]
+    assert link.missing.tolist() == [1]
+    assert (np.diff(verdicts.sequence[verdicts.sequence >= 0]) > 0).all()
+
+
+def test_protected_message_of_another_size_is_refused() -> None:
+    with pytest.raises(DefinitionError, match="Short: protection is understood for messages of 8 bytes"):
+        LinkMonitor(foreign('BA_ "E2EDataId" BO_ 256 4660;\n'))
+
+
+def test_two_messages_with_one_identifier_are_refused() -> None:
+    message = foreign()[1]
+    with pytest.raises(DefinitionError, match="identifier 0x100"):
+        LinkMonitor([message, message])
+
+
+def test_nothing_to_look_at() -> None:
+    link = LinkMonitor([])
+    assert reasons(link.check(frames([0, 1]))) == [FrameReason.UNKNOWN_ID] * 2
+    assert link.counts.tolist()[0][FrameReason.UNKNOWN_ID] == 2

@@ -1,0 +1,177 @@
+"""Bus time does not follow the wall clock: moved by hours or stepped during a shift, every bit of an estimate stays."""
+
+from functools import cache
+from itertools import pairwise
+
+import numpy as np
+import pytest
+
+from canlog.arrays import Int64Array
+from canlog.frames import FrameBatch
+from canlog.live.bus_clock import BusClock, ClockReading, read_clocks
+from diag_service.diagnosis.records import Status
+from ecu_emulator.recording import Drive
+from tests.builders import drive_scenario
+from tests.chain import Outcome, diagnosed
+from tests.wire import received
+
+NS_PER_S = 1_000_000_000
+HOURS_NS = 2 * 3600 * NS_PER_S
+DRAIN_NS = 10_000_000
+UPTIME_NS = 12_345 * NS_PER_S
+DURATION_S = 6.0  # one shift and the beginning of the next
+
+
+class Clocks:
+    """The clocks of a machine whose user moves the wall clock at some moments."""
+
+    def __init__(self, start_ns: int, steps: dict[int, int]) -> None:
+        self._start_ns = start_ns
+        self._steps = steps  # true time -> step
+        self.true_ns = start_ns
+
+    def wall_ns(self, true_ns: Int64Array) -> Int64Array:
+        """Return what the wall clock shows at true times."""
+        shown = true_ns.copy()
+        for when, step in self._steps.items():
+            shown[true_ns >= when] += step
+        return shown
+
+    def read(self) -> ClockReading:
+        """Return what both clocks show now."""
+        wall = int(self.wall_ns(np.array([self.true_ns]))[0])
+        return ClockReading(wall, UPTIME_NS + self.true_ns - self._start_ns)
+
+
+@cache
+def frames() -> FrameBatch:
+    return received(next(Drive(drive_scenario()).stretches(DURATION_S)).frames)
+
+
+@cache
+def undisturbed() -> Outcome:
+    return diagnosed([frames()])
+
+
+def heard(steps: dict[int, int]) -> tuple[list[FrameBatch], BusClock]:
+    """Return the batches that a receiver hands on whose machine's clock is moved; true times after the start [ns]."""
+    batch = frames()
+    start_ns = int(batch.t_ns[0])
+    clocks = Clocks(start_ns, {start_ns + after: step for after, step in steps.items()})
+    clock = BusClock(clocks.read)
+    stamps = clocks.wall_ns(batch.t_ns)
+    drains = np.arange(start_ns, batch.t_ns[-1] + 2 * DRAIN_NS, DRAIN_NS)
+    batches: list[FrameBatch] = []
+    for earlier, now in pairwise(np.searchsorted(batch.t_ns, drains).tolist()):
+        clocks.true_ns = int(drains[len(batches) + 1])
+        clock.look()
+        piece = batch[earlier:now]
+        batches.append(
+            FrameBatch(
+                t_ns=clock.bus_time_ns(stamps[earlier:now]),
+                can_id=piece.can_id,
+                length=piece.length,
+                data=piece.data,
+            )
+        )
+    return batches, clock
+
+
+def shift_middle_ns() -> int:
+    estimate = undisturbed().diagnoses[0].estimate
+    assert estimate.status is Status.VALID
+    return (estimate.start_ns + estimate.end_ns) // 2 - int(frames().t_ns[0])
+
+
+@pytest.mark.parametrize("step_ns", [HOURS_NS, -HOURS_NS, NS_PER_S // 5, -NS_PER_S // 5])
+def test_a_clock_that_steps_during_a_shift_changes_no_bit(step_ns: int) -> None:
+    batches, clock = heard({shift_middle_ns() + 3_456_789: step_ns})
+    assert clock.step_count == 1
+    assert diagnosed(batches).fingerprint == undisturbed().fingerprint
+
+
+def test_a_clock_that_steps_again_and_again_changes_no_bit() -> None:
+    middle_ns = shift_middle_ns()
+    steps = {middle_ns + number * 37_000_000: HOURS_NS * (1 - 2 * (number % 2)) for number in range(-9, 9)}
+    batches, clock = heard(steps)
+    assert clock.step_count == len(steps)
+    assert diagnosed(batches).fingerprint == undisturbed().fingerprint
+
+
+def test_a_clock_moved_before_the_start_moves_times_and_nothing_else() -> None:
+    moved = FrameBatch(
+        t_ns=frames().t_ns + HOURS_NS, can_id=frames().can_id, length=frames().length, data=frames().data
+    )
+    for there, here in zip(diagnosed([moved]).diagnoses, undisturbed().diagnoses, strict=True):
+        assert there.estimate.friction == here.estimate.friction
+        assert there.estimate.trust == here.estimate.trust
+        assert there.estimate.start_ns == here.estimate.start_ns + HOURS_NS
+
+
+def test_without_a_step_the_kernels_stamps_stand() -> None:
+    batches, clock = heard({})
+    assert clock.step_count == 0
+    assert np.array_equal(np.concatenate([batch.t_ns for batch in batches]), frames().t_ns)
+
+
+def test_a_clock_that_is_corrected_slowly_is_followed() -> None:
+    readings = iter([ClockReading(number * 1_000_500_000, number * NS_PER_S) for number in range(100)])
+    clock = BusClock(lambda: next(readings))
+    for _ in range(99):
+        clock.look()
+    assert clock.step_count == 0
+    stamp = np.array([99 * 1_000_500_000], np.int64)
+    assert clock.bus_time_ns(stamp).tolist() == stamp.tolist()
+
+
+def test_a_machine_too_busy_to_read_both_clocks_at_once_sees_no_step() -> None:
+    readings = iter([ClockReading(1_000_000_000, 0), None, ClockReading(3_000_000_000, 2_000_000_000)])
+    clock = BusClock(lambda: next(readings))
+    stamp_ns = np.array([2_000_000_000])
+    for _ in range(2):
+        clock.look()
+        assert clock.bus_time_ns(stamp_ns).tolist() == stamp_ns.tolist()
+    assert clock.step_count == 0
+
+
+def test_clocks_that_are_never_read_at_one_moment_are_not_compared(monkeypatch: pytest.MonkeyPatch) -> None:
+    ticks = iter(range(0, 10**12, 7_000_000))  # every reading comes 7 ms after the one before
+    monkeypatch.setattr("time.clock_gettime_ns", lambda _clock: next(ticks))
+    assert read_clocks() is None
+
+
+def test_who_is_told_of_steps_looks_once_a_second_and_where_a_stamp_is_far_away() -> None:
+    looks: list[int] = []
+    clocks = Clocks(NS_PER_S, {5 * NS_PER_S: HOURS_NS})
+
+    def read() -> ClockReading:
+        looks.append(clocks.true_ns)
+        return clocks.read()
+
+    clock = BusClock(read)
+    for true_ns in range(NS_PER_S, 9 * NS_PER_S, NS_PER_S // 10):
+        clocks.true_ns = true_ns
+        stamp = clocks.wall_ns(np.array([true_ns - 1_000_000]))
+        clock.look_if_stale(int(stamp[0]))
+        assert clock.bus_time_ns(stamp).tolist() == [true_ns - 1_000_000]
+        clock.settle()
+    assert clock.step_count == 1
+    assert 8 <= len(looks) <= 12
+
+
+def test_a_small_step_told_at_once_moves_neither_the_frames_before_nor_those_after() -> None:
+    """The receiver is told between two frames that it reads together."""
+    clocks = Clocks(NS_PER_S, {NS_PER_S + 330_000_000: -50_000_000})
+    clock = BusClock(clocks.read)
+    true_ns = np.arange(NS_PER_S, NS_PER_S + 600_000_000, 10_000_000)
+    for first in range(0, len(true_ns), 2):
+        part = true_ns[first : first + 2]
+        before = clocks.true_ns
+        clocks.true_ns = int(part[-1])
+        if before < NS_PER_S + 330_000_000 <= clocks.true_ns:
+            clock.look()
+        stamps = clocks.wall_ns(part)
+        clock.look_if_stale(int(stamps[-1]))
+        assert clock.bus_time_ns(stamps).tolist() == part.tolist()
+        clock.settle()
+    assert clock.step_count == 1

@@ -1,0 +1,75 @@
+"""The state of a bus: what is heard moves it, and trouble is forgotten."""
+
+import numpy as np
+
+from canlog.frames import ERROR_FLAG, FrameBatch
+from canlog.live.bus_state import TROUBLE_S, BusState, BusWatch
+from canlog.live.error_frames import BusError
+
+DATA, BUS_OFF, RESTART, ARBITRATION = 0x123, ERROR_FLAG | 0x40, ERROR_FLAG | 0x100, ERROR_FLAG | 0x2
+
+
+def heard(*can_ids: int) -> FrameBatch:
+    count = len(can_ids)
+    return FrameBatch(
+        t_ns=np.arange(count, dtype=np.int64),
+        can_id=np.array(can_ids, np.uint32),
+        length=np.full(count, 8, np.uint8),
+        data=np.zeros((count, 8), np.uint8),
+    )
+
+
+def test_a_bus_that_delivers_is_up() -> None:
+    watch = BusWatch()
+    watch.hear(heard(DATA, DATA), 0, 1.0)
+    status = watch.status(1.0)
+    assert (status.state, status.errors, status.interruption_count) == (BusState.UP, {}, 0)
+    assert status.last_problem is None
+
+
+def test_an_error_degrades_the_bus_for_a_while() -> None:
+    watch = BusWatch()
+    watch.hear(heard(DATA, ARBITRATION, DATA), 0, 10.0)
+    assert watch.status(10.0 + 0.9 * TROUBLE_S).state is BusState.DEGRADED
+    assert watch.status(10.0 + TROUBLE_S).state is BusState.UP
+    assert watch.status(99.0).errors == {BusError.ARBITRATION_LOST: 1}
+
+
+def test_a_loss_degrades_the_bus_once() -> None:
+    watch = BusWatch()
+    watch.hear(heard(DATA), 7, 10.0)
+    watch.hear(heard(DATA), 7, 10.0 + TROUBLE_S)
+    assert watch.status(10.0).state is BusState.DEGRADED
+    assert watch.status(10.0 + TROUBLE_S).state is BusState.UP
+
+
+def test_bus_off_lasts_until_a_restart_and_that_until_a_frame() -> None:
+    watch = BusWatch()
+    states = []
+    for batch in (heard(DATA, BUS_OFF), heard(ARBITRATION), heard(RESTART), heard(DATA)):
+        watch.hear(batch, 0, 0.0)
+        states.append(watch.status(2 * TROUBLE_S).state)
+    assert states == [BusState.BUS_OFF, BusState.BUS_OFF, BusState.RESTARTED, BusState.UP]
+    assert watch.status(0.0).last_problem == "the controller went bus-off"
+
+
+def test_the_order_inside_a_batch_counts() -> None:
+    for batch, state in (
+        (heard(BUS_OFF, RESTART, DATA), BusState.UP),
+        (heard(DATA, BUS_OFF, RESTART), BusState.RESTARTED),
+        (heard(RESTART, DATA, BUS_OFF), BusState.BUS_OFF),
+    ):
+        watch = BusWatch()
+        watch.hear(batch, 0, 0.0)
+        assert watch.status(2 * TROUBLE_S).state is state
+
+
+def test_an_interface_that_goes_and_comes() -> None:
+    watch = BusWatch()
+    watch.lose("gone")
+    assert watch.status(0.0).state is BusState.DOWN
+    watch.return_()
+    assert watch.status(0.0).state is BusState.RESTARTED
+    watch.hear(heard(DATA), 0, 1.0)
+    status = watch.status(1.0)
+    assert (status.state, status.interruption_count, status.last_problem) == (BusState.UP, 1, "gone")

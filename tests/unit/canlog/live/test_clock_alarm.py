@@ -1,0 +1,21 @@
+"""The alarm for a clock that is set: silent as long as nobody sets it; a guest's clock is set beside the vcan."""
+
+import os
+
+import pytest
+
+from canlog.live.clock_alarm import ClockAlarm, clock_alarm
+
+
+def test_an_alarm_is_silent_while_nobody_sets_the_clock() -> None:
+    alarm = ClockAlarm()
+    assert not alarm.acknowledge()
+    os.fstat(alarm.fileno())
+    alarm.close()
+    alarm.close()
+    assert alarm.fileno() == -1
+
+
+def test_where_there_are_no_such_timers_there_is_no_alarm(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("canlog.live.clock_alarm.NEVER_S", -1)
+    assert clock_alarm() is None

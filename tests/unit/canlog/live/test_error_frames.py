@@ -1,0 +1,62 @@
+"""Error frames: each kind of trouble is told from the bits that Linux gives it."""
+
+import numpy as np
+import pytest
+
+from canlog.frames import ERROR_FLAG, FrameBatch, empty_batch
+from canlog.live.error_frames import BusError, count_errors, is_error, tells
+
+CASES = [
+    (0x001, 0x00, {BusError.TRANSMIT_TIMEOUT}),
+    (0x002, 0x00, {BusError.ARBITRATION_LOST}),
+    (0x004, 0x01, {BusError.CONTROLLER_OVERFLOW}),
+    (0x004, 0x04, {BusError.ERROR_WARNING}),
+    (0x004, 0x20, {BusError.ERROR_PASSIVE}),
+    (0x004, 0x40, {BusError.ERROR_ACTIVE}),
+    (0x008, 0x00, {BusError.PROTOCOL}),
+    (0x088, 0x00, {BusError.PROTOCOL}),
+    (0x010, 0x00, {BusError.TRANSCEIVER}),
+    (0x020, 0x00, {BusError.NO_ACKNOWLEDGE}),
+    (0x040, 0x00, {BusError.BUS_OFF}),
+    (0x100, 0x00, {BusError.RESTARTED}),
+    (0x200, 0x00, {BusError.OTHER}),
+    (0x004, 0x00, {BusError.OTHER}),
+    (0x042, 0x00, {BusError.BUS_OFF, BusError.ARBITRATION_LOST}),
+    (0x00C, 0x30, {BusError.PROTOCOL, BusError.ERROR_PASSIVE}),
+]
+
+
+def error_frames(*frames: tuple[int, int]) -> FrameBatch:
+    """Return error frames of given classes and controller bytes."""
+    data = np.zeros((len(frames), 8), np.uint8)
+    data[:, 1] = [controller for _, controller in frames]
+    return FrameBatch(
+        t_ns=np.arange(len(frames), dtype=np.int64),
+        can_id=np.array([ERROR_FLAG | classes for classes, _ in frames], np.uint32),
+        length=np.full(len(frames), 8, np.uint8),
+        data=data,
+    )
+
+
+@pytest.mark.parametrize(("classes", "controller", "told"), CASES)
+def test_every_kind_has_its_bits(classes: int, controller: int, told: set[BusError]) -> None:
+    assert count_errors(error_frames((classes, controller))) == dict.fromkeys(told, 1)
+
+
+def test_counts_add_up_over_a_batch() -> None:
+    batch = error_frames(*((classes, controller) for classes, controller, _ in CASES))
+    expected = {error: sum(error in told for _, _, told in CASES) for error in BusError}
+    assert count_errors(batch) == expected
+    assert tells(batch, BusError.BUS_OFF).sum() == 2
+
+
+def test_frames_of_the_bus_are_no_errors_whatever_their_identifier() -> None:
+    plain = FrameBatch(
+        t_ns=np.zeros(2, np.int64),
+        can_id=np.array([0x040, 0x8000_0040], np.uint32),
+        length=np.full(2, 8, np.uint8),
+        data=np.full((2, 8), 0xFF, np.uint8),
+    )
+    assert not is_error(plain).any()
+    assert not count_errors(plain)
+    assert not count_errors(empty_batch())

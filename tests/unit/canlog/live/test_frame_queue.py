@@ -1,0 +1,123 @@
+"""The queue between receiver and service: nothing is lost in silence, nothing waits for ever."""
+
+import asyncio
+import gc
+import threading
+import weakref
+
+import numpy as np
+import pytest
+
+from canlog.errors import SourceError
+from canlog.frames import FrameBatch
+from canlog.live.frame_queue import FrameQueue
+from tests.patience import HANG_S
+from tests.traffic import as_received, assert_same, random_frames
+
+
+def batches(count: int, sizes: int = 10) -> tuple[FrameBatch, list[FrameBatch]]:
+    whole = as_received(random_frames(count))
+    return whole, [whole[first : first + sizes] for first in range(0, count, sizes)]
+
+
+async def test_small_batches_are_joined() -> None:
+    whole, parts = batches(100)
+    queue = FrameQueue(linger_s=0.0)
+    for part in parts:
+        queue.offer(part)
+    taken = await queue.take()
+    assert taken is not None
+    assert_same(taken, whole)
+
+
+async def test_what_does_not_fit_is_dropped_newest_first_and_counted() -> None:
+    whole, parts = batches(100)
+    queue = FrameQueue(limit=45, linger_s=0.0)
+    for part in parts:
+        queue.offer(part)
+    assert queue.dropped == 55
+    taken = await queue.take()
+    assert taken is not None
+    assert_same(taken, whole[:45])
+    queue.offer(parts[0])
+    taken = await queue.take()
+    assert taken is not None
+    assert_same(taken, parts[0])
+    assert queue.dropped == 55
+
+
+async def test_a_queue_half_full_does_not_wait_for_more() -> None:
+    _, parts = batches(60, 60)
+    queue = FrameQueue(limit=100, linger_s=3600.0)
+    queue.offer(parts[0])
+    taken = await asyncio.wait_for(queue.take(), timeout=HANG_S)
+    assert taken is not None
+    assert len(taken) == 60
+
+
+async def test_the_end_comes_after_the_frames() -> None:
+    whole, parts = batches(20)
+    queue = FrameQueue(linger_s=3600.0)
+    queue.offer(parts[0])
+    queue.offer(parts[1])
+    queue.close()
+    taken = await asyncio.wait_for(queue.take(), timeout=HANG_S)
+    assert taken is not None
+    assert_same(taken, whole)
+    assert await queue.take() is None
+    assert await queue.take() is None
+
+
+async def test_an_error_comes_after_the_frames_and_the_first_one_counts() -> None:
+    _, parts = batches(10)
+    queue = FrameQueue()
+    queue.offer(parts[0])
+    queue.close(SourceError("went down"))
+    queue.close(SourceError("later"))
+    assert await queue.take() is not None
+    with pytest.raises(SourceError, match="went down"):
+        await queue.take()
+
+
+async def test_a_closed_queue_takes_nothing_and_counts_it() -> None:
+    _, parts = batches(10)
+    queue = FrameQueue()
+    queue.close()
+    queue.offer(parts[0])
+    assert queue.dropped == 10
+    assert await queue.take() is None
+
+
+async def test_a_thread_loses_nothing() -> None:
+    whole, parts = batches(5_000)
+    queue = FrameQueue(linger_s=0.0)
+
+    def produce() -> None:
+        for part in parts:
+            queue.offer(part)
+        queue.close()
+
+    producer = threading.Thread(target=produce)
+    producer.start()
+    taken = []
+    while (batch := await asyncio.wait_for(queue.take(), timeout=HANG_S)) is not None:
+        taken.append(batch)
+    producer.join()
+    assert queue.dropped == 0
+    assert_same([batch for batch in taken if len(batch)], whole)
+    assert np.all(whole.length <= 8)
+
+
+async def test_a_queue_that_ended_with_an_error_is_not_kept_alive_by_it() -> None:
+    """An error refers to all that raised it: a bus that fails for months must not leave its receivers behind."""
+    queue = FrameQueue(linger_s=0.0)
+    queue.close(SourceError("gone"))
+    with pytest.raises(SourceError, match="gone"):
+        await queue.take()
+    gone = weakref.ref(queue)
+    gc.disable()
+    try:
+        del queue
+        assert gone() is None
+    finally:
+        gc.enable()

@@ -1,0 +1,45 @@
+"""How long frames gather: nobody hurries until something can come of it."""
+
+import pytest
+
+from canlog.live.pace import EXPECTING_S, KEPT_S, LATE_S, NS_PER_S, RELAXED_S, URGENT_S, Pace
+from diag_service.diagnosis.shifts.shifts import POST_NS
+
+NOW_NS = 1_700_000_000_000_000_000
+
+
+def waiting(*, due_ns: int | None = None) -> Pace:
+    pace = Pace()
+    pace.wait_for(is_expecting=True, due_ns=due_ns)
+    return pace
+
+
+def test_nothing_hurries_while_nothing_goes_on() -> None:
+    assert Pace().gather_s(None) == Pace().gather_s(NOW_NS) == RELAXED_S
+
+
+def test_the_end_of_a_shift_is_known_before_its_result_is_due() -> None:
+    assert waiting().gather_s(NOW_NS) == EXPECTING_S <= POST_NS / NS_PER_S
+
+
+@pytest.mark.parametrize(
+    ("ahead_s", "expected_s"), [(0.04, 0.04 + LATE_S), (0.0, URGENT_S), (-1.0, URGENT_S), (9.0, EXPECTING_S)]
+)
+def test_frames_are_looked_at_just_when_a_result_is_due(ahead_s: float, expected_s: float) -> None:
+    pace = waiting(due_ns=NOW_NS + round(ahead_s * NS_PER_S))
+    assert pace.gather_s(NOW_NS) == pytest.approx(expected_s)
+
+
+def test_frames_without_news_are_kept_until_more_than_news_is_waited_for() -> None:
+    assert Pace().may_keep_s == waiting().may_keep_s == KEPT_S
+    assert waiting(due_ns=NOW_NS).may_keep_s == 0.0
+
+
+def test_a_source_hears_of_it_when_something_else_is_waited_for() -> None:
+    pace, heard = Pace(), list[float]()
+    pace.on_change = lambda: heard.append(pace.gather_s(NOW_NS))
+    for _ in range(2):
+        pace.wait_for(is_expecting=True, due_ns=None)
+    pace.wait_for(is_expecting=True, due_ns=NOW_NS)
+    pace.wait_for(is_expecting=False, due_ns=None)
+    assert heard == [EXPECTING_S, URGENT_S, RELAXED_S]

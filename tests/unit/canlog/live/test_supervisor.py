@@ -1,0 +1,147 @@
+"""A supervised bus: opened again after every failure, with a break in between and counts that go on."""
+
+import asyncio
+import logging
+from collections.abc import AsyncIterator
+
+import numpy as np
+import pytest
+
+from canlog.errors import SourceError
+from canlog.frames import ERROR_FLAG, FrameBatch
+from canlog.live import BusState, LinkBreak, SourceCounts, SupervisedSource, supervise
+from canlog.live.supervisor import Patience
+from canlog.notice import NOTICE
+from tests.patience import HANG_S
+
+QUICK = Patience(retry_s=0.001, restart_s=0.01)
+
+
+def numbered(*numbers: int, flags: int = 0) -> FrameBatch:
+    count = len(numbers)
+    return FrameBatch(
+        t_ns=np.array(numbers, np.int64),
+        can_id=np.full(count, 0x40 | flags, np.uint32),
+        length=np.full(count, 8, np.uint8),
+        data=np.zeros((count, 8), np.uint8),
+    )
+
+
+class ShortSource:
+    """A bus that gives some batches and then fails, or stays silent until it is closed."""
+
+    def __init__(self, *batches: FrameBatch, failure: str | None = None) -> None:
+        self._batches = batches
+        self._failure = failure
+        self._closed = asyncio.Event()
+        self.description = "short"
+        self.counts = SourceCounts(received=sum(map(len, batches)), kernel_dropped=1)
+
+    async def __aiter__(self) -> AsyncIterator[FrameBatch]:
+        for batch in self._batches:
+            yield batch
+        if self._failure is not None:
+            raise SourceError(self._failure)
+        await self._closed.wait()
+
+    async def aclose(self) -> None:
+        self._closed.set()
+
+
+class Script:
+    """An opener that does what it was told, one step per attempt; None is an attempt that fails."""
+
+    def __init__(self, *steps: ShortSource | None, refusal: str | None = None) -> None:
+        self._steps = iter(steps)
+        self._refusal = refusal
+        self.restart_count = 0
+
+    async def open(self) -> ShortSource:
+        step = next(self._steps, None)
+        if step is None:
+            raise SourceError("still away")
+        return step
+
+    async def restart(self) -> str | None:
+        self.restart_count += 1
+        return self._refusal
+
+
+async def parts_of(source: SupervisedSource, count: int) -> list[list[int] | str]:
+    """Return the first parts: the numbers of a batch, the problem of a break."""
+    parts: list[list[int] | str] = []
+    async with asyncio.timeout(HANG_S):
+        async for part in source:
+            parts.append(part.problem if isinstance(part, LinkBreak) else part.t_ns.tolist())
+            if len(parts) == count:
+                await source.aclose()
+    return parts
+
+
+async def test_it_is_opened_again_until_that_works(caplog: pytest.LogCaptureFixture) -> None:
+    caplog.set_level(NOTICE)
+    script = Script(
+        None, None, ShortSource(numbered(3), failure="removed"), None, ShortSource(numbered(4), numbered(5, 6))
+    )
+    source = SupervisedSource(script, ShortSource(numbered(1, 2), failure="went down"), QUICK)
+    assert await parts_of(source, 6) == [[1, 2], "went down", [3], "removed", [4], [5, 6]]
+    assert source.counts == SourceCounts(received=6, kernel_dropped=3)
+    assert source.status.interruption_count == 2
+    levels = [record.levelno for record in caplog.records]
+    assert levels == [logging.WARNING, NOTICE] * 2
+
+
+async def test_closing_ends_the_wait_for_a_bus() -> None:
+    source = SupervisedSource(Script(), ShortSource(failure="went down"), QUICK)
+    iteration = asyncio.create_task(parts_of(source, 9))
+    await asyncio.sleep(0.02)
+    assert source.status.state is BusState.DOWN
+    await source.aclose()
+    await source.aclose()
+    assert await asyncio.wait_for(iteration, 5.0) == ["went down"]
+
+
+async def test_the_first_opening_must_succeed() -> None:
+    with pytest.raises(SourceError, match="still away"):
+        await supervise(Script())
+    source = await supervise(Script(ShortSource(numbered(1))))
+    assert source.description == "short"
+    assert source.status.state is BusState.UP
+    assert await parts_of(source, 1) == [[1]]
+
+
+async def test_a_controller_that_is_bus_off_is_asked_to_restart_now_and_then(caplog: pytest.LogCaptureFixture) -> None:
+    script = Script(refusal="Operation not permitted")
+    source = SupervisedSource(script, ShortSource(numbered(1, flags=ERROR_FLAG)), QUICK)
+    iteration = asyncio.create_task(parts_of(source, 9))
+    await asyncio.sleep(0.105)
+    await source.aclose()
+    await iteration
+    assert source.status.state is BusState.BUS_OFF
+    assert 2 <= script.restart_count <= 11
+    assert source.status.restart_count == script.restart_count
+    assert [record.levelno for record in caplog.records] == [logging.WARNING]
+    assert "not permitted" in caplog.text
+
+
+async def test_a_frame_ends_the_requests_for_a_restart() -> None:
+    script = Script()
+    first = ShortSource(numbered(1, flags=ERROR_FLAG), numbered(2))
+    source = SupervisedSource(script, first, QUICK)
+    iteration = asyncio.create_task(parts_of(source, 9))
+    await asyncio.sleep(0.05)
+    assert script.restart_count <= 1
+    await source.aclose()
+    assert await iteration == [[1], [2]]
+
+
+async def test_a_bus_that_opens_and_fails_at_once_is_tried_less_and_less_often() -> None:
+    steps = [ShortSource(failure="no") for _ in range(30)]
+    source = SupervisedSource(
+        Script(*steps), ShortSource(numbered(1), failure="no"), Patience(retry_s=0.001, longest_retry_s=0.05)
+    )
+    iteration = asyncio.create_task(parts_of(source, 99))
+    await asyncio.sleep(0.3)
+    await source.aclose()
+    await iteration
+    assert 2 <= source.status.interruption_count <= 14

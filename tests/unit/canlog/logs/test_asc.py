@@ -1,0 +1,239 @@
+"""Vector ASC: header lines that decide how the others are read, and the kinds of line there are."""
+
+import io
+from datetime import datetime
+
+import pytest
+
+from canlog.frame_columns import join
+from canlog.frames import BRS_FLAG, ERROR_FLAG, ESI_FLAG, EXTENDED_FLAG, FD_FLAG, REMOTE_FLAG, TX_FLAG, FrameBatch
+from canlog.logs.asc import is_asc_header, read_asc
+from canlog.logs.tally import LogCounts, LogReject, Tally
+
+HEADER = b"date Thu Jan 01 10:00:00.500 2026\nbase hex  timestamps absolute\ninternal events logged\n"
+START_NS = int(datetime(2026, 1, 1, 10).timestamp()) * 10**9 + 500_000_000  # noqa: DTZ001 - local, as in the format
+
+
+def read(text: bytes) -> tuple[FrameBatch | None, LogCounts]:
+    tally = Tally()
+    batches = list(read_asc(io.BytesIO(text), tally))
+    return (join(batches) if batches else None), tally.snapshot()
+
+
+@pytest.mark.parametrize(
+    ("event", "can_id", "length", "data"),
+    [
+        (b"1  A0              Rx   d 8 11 22 33 44 55 66 77 88", 0xA0, 8, "1122334455667788"),
+        (b"2  18FEF100x       Tx   d 2 0A ff", 0x18FE_F100 | EXTENDED_FLAG, 2, "0aff"),
+        (b"1  123             Rx   d 0", 0x123, 0, ""),
+        (b"1  123             Rx   d 2 01 02  Length = 0 BitCount = 64 ID = 291", 0x123, 2, "0102"),
+        (b"1  123             Rx   r", 0x123 | REMOTE_FLAG, 0, ""),
+        (b"1  123             Rx   r 4", 0x123 | REMOTE_FLAG, 4, ""),
+        (b"1  ErrorFrame", ERROR_FLAG, 0, ""),
+        (b"CANFD   1 Rx        123  Name 0 0 2  2 11 22  0  0  0  0", 0x123, 2, "1122"),
+        (b"CANFD   1 Rx        123  1 0 2  2 11 22  130000  130  200000 0 0 0 0 0", 0x123, 2, "1122"),
+    ],
+)
+def test_an_event_becomes_a_frame(event: bytes, can_id: int, length: int, data: str) -> None:
+    batch, counts = read(HEADER + b"   1.000002 " + event + b"\n")
+    assert batch is not None
+    assert batch.t_ns.tolist() == [START_NS + 1_000_002_000]
+    assert (batch.can_id.tolist(), batch.length.tolist()) == ([can_id], [length])
+    assert batch.data[0].tobytes() == bytes.fromhex(data).ljust(8, b"\0")
+    assert counts == LogCounts(frames=1, skipped=3)
+
+
+@pytest.mark.parametrize(
+    ("event", "reason"),
+    [
+        (b"1  A0  Rx   d 8 11 22 33", LogReject.MALFORMED),
+        (b"1  A0  Rx   d 1 100", LogReject.MALFORMED),
+        (b"1  A0Z Rx   d 1 10", LogReject.MALFORMED),
+        (b"1  800 Rx   d 1 10", LogReject.MALFORMED),
+        (b"1  3FFFFFFFx Rx   d 1 10", LogReject.MALFORMED),
+        (b"1  \xff\x01\x02", LogReject.MALFORMED),
+        (b"CANFD   1 Rx  123  1 0 9 13 " + b"11 " * 13 + b"0 0 303000 0 0 0 0 0", LogReject.MALFORMED),
+        (b"CANFD   1 Rx  123  1 0 9 12 " + b"11 " * 11 + b"0 0 303000 0 0 0 0 0", LogReject.MALFORMED),
+        (b"CANFD   1 Rx  123  1 0 9 12 " + b"11 " * 12 + b"0 0 0 0 0 0 0 0", LogReject.MALFORMED),
+    ],
+)
+def test_what_looks_like_a_frame_and_is_none_is_counted(event: bytes, reason: LogReject) -> None:
+    good = b"1.0 1  A0  Rx   d 1 11\n"
+    batch, counts = read(HEADER + good + b"1.5 " + event + b"\n" + good)
+    assert batch is not None
+    assert len(batch) == 2
+    assert counts.rejected == {reason: 1}
+    assert counts.first_rejected == f"line 5: {reason}"
+
+
+@pytest.mark.parametrize(
+    ("event", "flags"),
+    [
+        (b"CANFD   2 Rx  123  1 0 9 12 " + b"11 " * 12 + b"0 0 303000 0 0 0 0 0", FD_FLAG | BRS_FLAG),
+        (
+            b"CANFD   2 Tx  123 Name  0 1 9 12 " + b"11 " * 12 + b" 130000  130  1000 0 0 0 0 0",
+            FD_FLAG | ESI_FLAG | TX_FLAG,
+        ),
+        (b"CANFD   2 Rx  123 Name  0 0 9 12 " + b"11 " * 12, FD_FLAG),  # the compiled reader leaves it to the other
+    ],
+)
+def test_can_fd_is_taken(event: bytes, flags: int) -> None:
+    good = b"1.0 1  A0  Rx   d 1 11\n"
+    batch, counts = read(HEADER + good + b"1.5 " + event + b"\n" + good)
+    assert batch is not None
+    assert batch.can_id.tolist() == [0xA0, 0x123, 0xA0]
+    assert batch.length.tolist() == [1, 12, 1]
+    assert batch.flags.tolist() == [0, flags, 0]
+    assert batch.channel.tolist() == [1, 2, 1]
+    assert batch.data[1].tobytes() == (b"\x11" * 12).ljust(64, b"\0")
+    assert counts == LogCounts(frames=3, skipped=3)
+
+
+def test_events_of_other_kinds_and_comments_are_skipped() -> None:
+    others = (
+        b"// version 8.1.0\n\nBegin Triggerblock Thu Jan 01 10:00:00.500 2026\n0.000000 Start of measurement\n"
+        b"1.0 1  Statistic: D 0 R 0 XD 0\n1.1 CAN 1 Status:chip status error active\n"
+        b"1.2 1  A0 TxRq d 1 11\n1.3 1  A0 Rx d 1 11\nEnd TriggerBlock\n"
+    )
+    batch, counts = read(HEADER + others)
+    assert batch is not None
+    assert batch.t_ns.tolist() == [START_NS + 1_300_000_000]
+    assert counts == LogCounts(frames=1, skipped=11)
+
+
+def test_relative_times_add_up_over_every_event() -> None:
+    text = (
+        b"date Thu Jan 01 10:00:00.500 2026\nbase hex timestamps relative\n"
+        b"1.0 1 A0 Rx d 0\n0.25 CAN 1 Status:ok\n0.25 1 A0 Rx d 0\n"
+    )
+    batch, _ = read(text)
+    assert batch is not None
+    assert (batch.t_ns - START_NS).tolist() == [1_000_000_000, 1_500_000_000]
+
+
+@pytest.mark.parametrize("kind", [b"absolute", b"relative"])
+def test_a_time_beyond_what_can_be_told_is_no_frame(kind: bytes) -> None:
+    lines = b"1.0 1 A0 Rx d 0\n" + b"9999999999.0 1 A0 Rx d 0\n" * 1_000
+    batch, counts = read(b"date Thu Jan 01 10:00:00.500 2026\nbase hex timestamps %s\n%s" % (kind, lines))
+    assert batch is not None
+    assert (batch.t_ns - START_NS).tolist() == [1_000_000_000]
+    assert counts.rejected == {LogReject.MALFORMED: 1_000}
+
+
+def test_decimal_base() -> None:
+    batch, counts = read(b"base dec timestamps absolute\n1.0 1 160 Rx d 3 10 255 7\n1.1 1 A0 Rx d 0\n")
+    assert batch is not None
+    assert batch.can_id.tolist() == [160]
+    assert batch.data[0, :3].tolist() == [10, 255, 7]
+    assert counts.rejected == {LogReject.MALFORMED: 1}
+
+
+@pytest.mark.parametrize("missing", range(2, 36))
+def test_a_frame_cut_off_by_the_end_is_counted(missing: int) -> None:
+    whole = b"1.0 1  A0  Rx   d 8 11 22 33 44 55 66 77 88\n"
+    batch, counts = read(HEADER + whole + whole[:-missing])
+    assert batch is not None
+    assert len(batch) == 1
+    assert counts.truncated
+    assert counts.rejected == {LogReject.CUT_OFF: 1}
+
+
+def test_a_last_line_without_newline_counts_if_nothing_can_be_missing() -> None:
+    batch, counts = read(HEADER + b"1.0 1  A0  Rx   d 2 11 22")
+    assert batch is not None
+    assert batch.length.tolist() == [2]
+    assert counts == LogCounts(frames=1, skipped=3)
+
+
+@pytest.mark.parametrize(
+    "event",
+    [
+        b"1  123  Rx   d 12 01 02 03 04 05 06 07 08 09 0A 0B 0C",  # no classic frame is so long
+        b"1  123  Rx   d 1 01 02",
+        b"1  123  Rx   d 3 01 02",
+        b"1  123  Rx   d 0 01",
+        b"1  123  Rx   d 9 01 02 03 04 05 06 07",
+        b"1  123  Rx   d",
+        b"1  123  Rx   d 1 01 02 // comment",
+        b"1  123  Rx   d FF 01",
+        b"1  123  Rx   d g 01",
+        b"CANFD 1 Rx 123 0 0 8 7 01 02 03 04 05 06 07 0 0 1000 0 0 0 0 0",
+        b"CANFD 1 Rx 123 0 0 9 8 01 02 03 04 05 06 07 08 0 0 1000 0 0 0 0 0",
+        b"CANFD 1 Rx 123 0 0 2 300 01",
+    ],
+)
+@pytest.mark.parametrize("base", [b"base hex", b"base dec"])
+def test_a_length_and_bytes_that_disagree_are_no_frame(event: bytes, base: bytes) -> None:
+    good = b"1.0 1  16  Rx   d 1 11\n"
+    batch, counts = read(b"date Thu Jan 01 10:00:00.500 2026\n" + base + b"\n" + good + b"1.5 " + event + b"\n")
+    assert batch is not None
+    assert len(batch) == 1
+    assert counts.rejected == {LogReject.MALFORMED: 1}
+    assert counts.first_rejected == "line 4: malformed"
+
+
+def test_the_numbers_behind_a_payload_are_no_bytes_of_it() -> None:
+    batch, counts = read(HEADER + b"1.0 CANFD 1 Rx 123 0 0 2 2 01 0 0 1000 0 0 0 0 0\n")
+    assert batch is None
+    assert counts.rejected == {LogReject.MALFORMED: 1}
+
+
+@pytest.mark.parametrize("comment", [b" // slip", b"  //slip = 5", b"\t// Rx d 8"])
+@pytest.mark.parametrize(
+    ("event", "length"),
+    [
+        (b"1  123  Rx   d 2 01 02", 2),
+        (b"1  123  Rx   d 0", 0),
+        (b"1  123  Rx   d 9 01 02 03 04 05 06 07 08", 8),  # a code above eight means eight bytes
+        (b"1  123  Rx   d 02 01 02", 2),
+        (b"1  123  Rx   r 2", 2),
+        (b"CANFD 1 Rx 123 0 0 2 2 01 02 0 0 1000 0 0 0 0 0", 2),
+        (b"CANFD 1 Rx 123 Name 0 0 2 2 01 02", 2),
+    ],
+)
+def test_a_trailing_comment_changes_nothing(event: bytes, length: int, comment: bytes) -> None:
+    batch, counts = read(HEADER + b"1.0 " + event + comment + b"\n1.0 " + event + b"\n")
+    assert batch is not None
+    assert batch.length.tolist() == [length, length]
+    assert counts == LogCounts(frames=2, skipped=3)
+
+
+def test_a_remote_frame_of_a_fd_line_has_the_length_of_its_code() -> None:
+    batch, _ = read(HEADER + b"1.0 CANFD 1 Tx 123 0 0 8 0 0 0 10 0 0 0 0 0\n")
+    assert batch is not None
+    assert (batch.can_id.tolist(), batch.length.tolist()) == ([0x123 | REMOTE_FLAG], [8])
+
+
+def test_directions() -> None:
+    events = (
+        b"1 123 Rx d 0", b"1 123 Tx d 0", b"1 123 Tx d 0 // c", b"1 123 Tx r", b"1 Tx ErrorFrame", b"1 ErrorFrame",
+        b"CANFD 1 Tx 123 1 0 0 0 0 0 1000 0 0 0 0 0", b"CANFD 1 Tx 123 Name 1 0 0 0",
+        b"CANFD 1 Rx 123 1 0 0 0 0 0 1000 0 0 0 0 0",
+    )  # fmt: skip
+    batch, _ = read(HEADER + b"".join(b"1.0 " + event + b"\n" for event in events))
+    assert batch is not None
+    assert batch.width == 8 or batch.flags.any()
+    assert (batch.flags & TX_FLAG != 0).tolist() == [False, True, True, True, True, False, True, True, False]
+
+
+def test_a_date_that_is_not_understood_is_said_once() -> None:
+    frame = b"1.0 1 123 Rx d 0\n"
+    text = b"date Thu Foo 01 10:00:00 2026\nbase hex\nBegin Triggerblock Thu Foo 01 10:00:00 2026\n" + frame
+    batch, counts = read(text)
+    assert batch is not None
+    assert batch.t_ns.tolist() == [1_000_000_000]
+    assert counts.notes == ("the date 'Thu Foo 01 10:00:00 2026' is not understood: times count from 1970",)
+
+
+def test_a_date_that_is_understood_stays_where_a_later_one_is_not() -> None:
+    batch, counts = read(HEADER + b"Begin Triggerblock someday\n1.0 1 123 Rx d 0\n")
+    assert batch is not None
+    assert batch.t_ns.tolist() == [START_NS + 1_000_000_000]
+    assert not counts.notes
+
+
+def test_recognition() -> None:
+    assert is_asc_header(b"base hex  timestamps absolute")
+    assert is_asc_header(b"date Thu Jan 01 10:00:00.500 2026")
+    assert not is_asc_header(b"date,time,id")
+    assert not is_asc_header(b"(1.0) can0 123#11")

@@ -1,0 +1,219 @@
+"""candump's grammar: what is a frame, what is not, and what the end of a file may hide."""
+
+import io
+
+import numpy as np
+import pytest
+
+from canlog.frame_columns import join
+from canlog.frames import BRS_FLAG, ERROR_FLAG, ESI_FLAG, EXTENDED_FLAG, FD_FLAG, REMOTE_FLAG, TX_FLAG, FrameBatch
+from canlog.logs.candump import frames_in_candump, read_candump
+from canlog.logs.tally import LogCounts, LogReject, Tally
+
+
+def read(text: bytes) -> tuple[FrameBatch | None, LogCounts]:
+    tally = Tally()
+    batches = list(read_candump(io.BytesIO(text), tally))
+    return (join(batches) if batches else None), tally.snapshot()
+
+
+@pytest.mark.parametrize(
+    ("line", "t_ns", "can_id", "length", "data"),
+    [
+        (b"(1767225600.000001) vcan0 0A0#1122334455667788", 1_767_225_600_000_001_000, 0xA0, 8, "1122334455667788"),
+        (b"(0.5) can1 7fF#aBcd", 500_000_000, 0x7FF, 2, "abcd"),
+        (b"(1.123456999)\tcan0  18FEF100#00", 1_123_456_000, 0x18FE_F100 | EXTENDED_FLAG, 1, "00"),
+        (b"(1.0) can0 00000123#", 10**9, 0x123 | EXTENDED_FLAG, 0, ""),
+        (b"(1.0) can0 123#R", 10**9, 0x123 | REMOTE_FLAG, 0, ""),
+        (b"(1.0) can0 123#R8", 10**9, 0x123 | REMOTE_FLAG, 8, ""),
+        (b"(1.0) can0 20000080#0000000000000000", 10**9, 0x80 | ERROR_FLAG, 8, ""),
+        (b"(1.0) can0 123#11.22.33 R", 10**9, 0x123, 3, "112233"),
+        (b"(1.0) can0 123#11 T\r", 10**9, 0x123, 1, "11"),
+        (b"(1.0) can0 123#1122334455667788_E", 10**9, 0x123, 8, "1122334455667788"),
+    ],
+)
+def test_a_line_becomes_a_frame(line: bytes, t_ns: int, can_id: int, length: int, data: str) -> None:
+    batch, counts = read(line + b"\n")
+    assert batch is not None
+    assert (batch.t_ns.tolist(), batch.can_id.tolist(), batch.length.tolist()) == ([t_ns], [can_id], [length])
+    assert batch.data[0].tobytes() == bytes.fromhex(data).ljust(8, b"\0")
+    assert counts == LogCounts(frames=1)
+
+
+@pytest.mark.parametrize(
+    "line",
+    [
+        b"hello",
+        b"1.0 can0 123#11",
+        b"(1.0 can0 123#11",
+        b"(.5) can0 123#11",
+        b"(1.) can0 123#11",
+        b"(1.0000000001) can0 123#11",
+        b"(12345678901.0) can0 123#11",
+        b"(-1.0) can0 123#11",
+        b"(1.0) 123#11",
+        b"(1.0) can0 12#11",
+        b"(1.0) can0 1234#11",
+        b"(1.0) can0 800#11",
+        b"(1.0) can0 F2345678#11",
+        b"(1.0) can0 123456789#11",
+        b"(1.0) can0 123 11",
+        b"(1.0) can0 123#1",
+        b"(1.0) can0 123#1G",
+        b"(1.0) can0 123#112233445566778899",
+        b"(1.0) can0 123#R9",
+        b"(1.0) can0 123#11 X",
+        b"\xff\x00\x80",
+    ],
+)
+def test_any_other_line_is_counted_with_its_number(line: bytes) -> None:
+    good = b"(1.0) can0 123#11\n"
+    batch, counts = read(good + b"\n" + line + b"\n" + good)
+    assert batch is not None
+    assert batch.can_id.tolist() == [0x123, 0x123]
+    assert counts == LogCounts(
+        frames=2, skipped=1, rejected={LogReject.MALFORMED: 1}, first_rejected="line 3: malformed"
+    )
+
+
+@pytest.mark.parametrize(
+    ("payload", "flags", "length"),
+    [(b"0", FD_FLAG, 0), (b"1AB", FD_FLAG | BRS_FLAG, 1), (b"3" + b"5A" * 64, FD_FLAG | BRS_FLAG | ESI_FLAG, 64)],
+)
+def test_can_fd_is_taken_and_widens_what_follows(payload: bytes, flags: int, length: int) -> None:
+    batch, counts = read(b"(1.0) can0 124#11\n(1.5) can0 123##" + payload + b"\n(2.0) can1 124#1122\n")
+    assert batch is not None
+    assert batch.can_id.tolist() == [0x124, 0x123, 0x124]
+    assert batch.length.tolist() == [1, length, 2]
+    assert batch.flags.tolist() == [0, flags, 0]
+    assert batch.channel.tolist() == [0, 0, 1]
+    assert batch.data[0].tobytes() == b"\x11".ljust(64, b"\0")
+    assert batch.data[1].tobytes() == bytes.fromhex(payload[1:].decode()).ljust(64, b"\0")
+    assert counts == LogCounts(frames=3)
+
+
+@pytest.mark.parametrize("payload", [b"", b"G", b"0" + b"5A" * 9, b"0" + b"5A" * 65])
+def test_an_fd_frame_of_a_length_that_there_is_not_is_malformed(payload: bytes) -> None:
+    batch, counts = read(b"(1.0) can0 123##" + payload + b"\n")
+    assert batch is None
+    assert counts.rejected == {LogReject.MALFORMED: 1}
+
+
+def test_channels_have_the_number_in_their_name_unless_it_is_taken() -> None:
+    names = (b"can2", b"vcan2", b"slcan", b"can2", b"can17")
+    batch, _ = read(b"".join(b"(1.0) %s 123#11\n" % name for name in names))
+    assert batch is not None
+    assert batch.channel.tolist() == [2, 0, 1, 2, 17]
+
+
+@pytest.mark.parametrize("end", range(8, 24))
+def test_a_payload_cut_off_by_the_end_is_never_taken_for_a_shorter_one(end: int) -> None:
+    whole = b"(1.0) can0 123#1122334455667788\n"
+    batch, counts = read(whole + whole[:end])
+    assert batch is not None
+    assert len(batch) == 1
+    assert counts.truncated
+    assert counts.rejected == {LogReject.CUT_OFF: 1}
+    assert counts.first_rejected == "line 2: cut_off"
+
+
+def test_a_last_line_without_newline_counts_if_nothing_can_be_missing() -> None:
+    batch, counts = read(b"(1.0) can0 123#11\n(2.0) can0 123#1122334455667788")
+    assert batch is not None
+    assert len(batch) == 2
+    assert counts == LogCounts(frames=2)
+
+
+def test_blocks_cut_lines_anywhere() -> None:
+    # Three blocks of 2 MiB; line lengths differ, so that their borders fall inside lines.
+    lines = [b"(%d.%06d) can0 %03X#%s\n" % (k, k, k % 0x800, b"5A" * (k % 9)) for k in range(180_000)]
+    lines[100_000] = b"garbage\n"
+    batch, counts = read(b"".join(lines))
+    kept = np.delete(np.arange(180_000), 100_000)
+    assert batch is not None
+    assert np.array_equal(batch.t_ns, kept * 1_000_001_000)
+    assert np.array_equal(batch.length, kept % 9)
+    assert counts.first_rejected == "line 100001: malformed"
+
+
+def test_a_line_without_end_does_not_fill_the_memory() -> None:
+    batch, counts = read(b"(1.0) can0 123#11\n" + b"x" * 5_000_000 + b"\n(2.0) can0 123#11\n")
+    assert batch is not None
+    assert len(batch) == 2
+    assert counts.rejected == {LogReject.MALFORMED: 1}
+    assert counts.first_rejected == "line 2: malformed"
+
+
+def test_recognition() -> None:
+    assert frames_in_candump(b"# comment\n(1.0) can0 123#11\n")
+    assert frames_in_candump(b"(1.0) can0 123##0")
+    assert not frames_in_candump(b"time,id,data\n1.0,123,11\n")
+    assert not frames_in_candump(b"")
+
+
+USUAL = b"(1767225600.123456) vcan0 0A0#1122334455667788"
+
+
+@pytest.mark.parametrize("place", range(len(USUAL)))
+def test_a_damaged_line_is_read_alike_eight_characters_at_a_time_and_one_by_one(place: int) -> None:
+    # A line at the end of the text is read by character, one far from it by words.
+    far = b"\n" + USUAL * 2 + b"\n"
+    for character in sorted({*range(256)} - {ord("\n")}):
+        line = USUAL[:place] + bytes([character]) + USUAL[place + 1 :] + b"\n"
+        first, first_counts = read(USUAL + b"\n" + line + far)
+        last, last_counts = read(USUAL + b"\n" + far[1:] + line)
+        assert first is not None
+        assert last is not None
+        assert len(first) == len(last)
+        assert first_counts.rejected[LogReject.MALFORMED] == last_counts.rejected[LogReject.MALFORMED]
+        if len(first) == 2:
+            assert first.t_ns[1] == last.t_ns[1]
+            assert first.can_id[1] == last.can_id[1]
+            assert first.data[1].tobytes() == last.data[1].tobytes()
+            assert (first.length[1], first.channel[1]) == (last.length[1], last.channel[1])
+
+
+@pytest.mark.parametrize("name", [b"can0", b"vcan17", b"x234567", b"much-longer-name"])
+@pytest.mark.parametrize("end", [b"\n", b"\r\n", b" R\n"])
+@pytest.mark.parametrize("size", range(9))
+def test_lines_of_every_length_name_and_end(name: bytes, end: bytes, size: int) -> None:
+    lines = [
+        b"(1767225600.%06d) %s %s#%s" % (k, name, identifier, b"5a" * size) + end
+        for k in range(4)
+        for identifier in (b"7FF", b"1FFFFFFF")
+    ]
+    batch, counts = read(b"".join(lines))
+    assert batch is not None
+    assert counts == LogCounts(frames=8)
+    assert batch.t_ns.tolist() == [1_767_225_600_000_000_000 + k * 1_000 for k in range(4) for _ in range(2)]
+    assert batch.can_id.tolist() == [0x7FF, 0x1FFF_FFFF | EXTENDED_FLAG] * 4
+    assert (batch.length == size).all()
+    assert batch.data.tobytes() == (b"\x5a" * size).ljust(8, b"\0") * 8
+    assert len(set(batch.channel.tolist())) == 1
+
+
+def test_what_a_wide_row_held_before_is_gone() -> None:
+    wide = b"(1767225600.000000) can0 123##0" + b"FF" * 64 + b"\n"
+    narrow = b"(1767225600.000001) can0 123#11\n(1767225600.000002) can0 123#1122334455667788\n"
+    stream, tally = io.BytesIO(), Tally()
+    stream.write(wide * 20_000 + narrow * 50_000)
+    stream.seek(0)
+    *_, last = read_candump(stream, tally)
+    assert last.data[-1].tobytes() == bytes.fromhex("1122334455667788").ljust(last.width, b"\0")
+    assert tally.frames == 120_000
+
+
+@pytest.mark.parametrize("size", [1, 2, 3, 4, 5, 1_000_000])
+def test_a_byte_order_mark_before_the_log_is_no_part_of_it(size: int) -> None:
+    class Trickle(io.BytesIO):
+        """Gives so many bytes at a time, as a compressed file may."""
+
+        def readinto(self, buffer: "memoryview | bytearray") -> int:  # type: ignore[override]  # any buffer will do
+            return super().readinto(memoryview(buffer)[:size])
+
+    text = b"\xef\xbb\xbf(1.000000) can0 123#11\n(2.000000) can0 124#22 T\n(3.000000) can0 125#33 R\n"
+    tally = Tally()
+    batch = join(list(read_candump(Trickle(text), tally)))
+    assert batch.can_id.tolist() == [0x123, 0x124, 0x125]
+    assert batch.flags.tolist() == [0, TX_FLAG, 0]
+    assert tally.snapshot() == LogCounts(frames=3)

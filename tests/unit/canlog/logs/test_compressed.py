@@ -1,0 +1,74 @@
+"""Compressed contents: all of them, cut ones, damaged ones, and those that are a trap."""
+
+import gzip
+import io
+import lzma
+import zlib
+
+import pytest
+
+from canlog.errors import SourceError
+from canlog.logs.compressed import Compression, InflatedStream, compression_of
+from canlog.logs.tally import LogCounts, LogReject, Tally
+
+TEXT = b"".join(b"(%d.%06d) can0 %03X#%016X\n" % (k, k, k % 0x800, k * 2_654_435_761) for k in range(20_000))
+WRAPPED = {Compression.GZIP: gzip.compress(TEXT), Compression.XZ: lzma.compress(TEXT)}
+
+
+def contents(wrapped: bytes, kind: Compression) -> tuple[bytes, LogCounts]:
+    stream, tally = InflatedStream(io.BytesIO(wrapped), kind), Tally()
+    stream.restart(tally)
+    buffer, pieces = bytearray(10_007), list[bytes]()
+    while got := stream.readinto(buffer):
+        pieces.append(bytes(buffer[:got]))
+    return b"".join(pieces), tally.snapshot()
+
+
+@pytest.mark.parametrize("kind", WRAPPED)
+def test_everything_comes_out(kind: Compression) -> None:
+    assert compression_of(WRAPPED[kind]) is kind
+    assert contents(WRAPPED[kind], kind) == (TEXT, LogCounts())
+
+
+@pytest.mark.parametrize("kind", WRAPPED)
+def test_streams_may_follow_each_other_with_padding_between(kind: Compression) -> None:
+    assert contents(WRAPPED[kind] + bytes(8) + WRAPPED[kind] + bytes(4), kind) == (TEXT + TEXT, LogCounts())
+
+
+@pytest.mark.parametrize("kind", WRAPPED)
+@pytest.mark.parametrize("fraction", [0.1, 0.5, 0.999])
+def test_a_cut_file_gives_its_beginning(kind: Compression, fraction: float) -> None:
+    wrapped = WRAPPED[kind][: int(fraction * len(WRAPPED[kind]))]
+    found, counts = contents(wrapped, kind)
+    assert TEXT.startswith(found)
+    assert counts.truncated
+    assert counts.rejected == {LogReject.CUT_OFF: 1}
+    assert counts.first_rejected == f"byte {len(wrapped)} of the {kind} file: cut_off"
+
+
+@pytest.mark.parametrize("kind", WRAPPED)
+def test_damage_is_found_by_the_checksum_if_by_nothing_else(kind: Compression) -> None:
+    wrapped = bytearray(WRAPPED[kind])
+    wrapped[len(wrapped) // 2] ^= 0x10
+    _, counts = contents(bytes(wrapped), kind)
+    assert counts.rejected == {LogReject.DAMAGED: 1}
+
+
+@pytest.mark.parametrize("kind", WRAPPED)
+def test_what_follows_and_is_no_stream_is_damage(kind: Compression) -> None:
+    found, counts = contents(WRAPPED[kind] + b"garbage", kind)
+    assert found == TEXT
+    assert counts.rejected == {LogReject.DAMAGED: 1}
+
+
+def test_a_bomb_is_refused() -> None:
+    bomb = zlib.compressobj(9, zlib.DEFLATED, 31)
+    wrapped = b"".join(bomb.compress(bytes(1 << 20)) for _ in range(256)) + bomb.flush()
+    with pytest.raises(SourceError, match="256 times its size"):
+        contents(wrapped, Compression.GZIP)
+
+
+def test_a_dictionary_of_gigabytes_is_refused() -> None:
+    filters = [{"id": lzma.FILTER_LZMA2, "dict_size": 1 << 29}]
+    _, counts = contents(lzma.compress(b"(1.0) can0 123#11\n", filters=filters), Compression.XZ)
+    assert counts.rejected == {LogReject.DAMAGED: 1}

@@ -1,0 +1,104 @@
+"""What a file is taken for: a header, or most of its first lines; one line that fits proves nothing."""
+
+import codecs
+
+import pytest
+
+from canlog.errors import SourceError
+from canlog.logs.detection import PROBE_BYTES, LogFormat, detect
+
+LINES = {
+    LogFormat.CANDUMP: b"(1700000000.000000) can0 0A0#0011223344556677",
+    LogFormat.ASC: b"1.5 1  A0 Rx d 2 01 02",
+    LogFormat.TRC: b"  1)     1841 0001 8 00 11 22 33 44 55 66 77",
+    LogFormat.CSV: b"0.5,0x1,0,0,0,1,AQ==",
+    LogFormat.GVRET: b"166064000,0000021A,false,1,2,FE,36",
+    LogFormat.BUSMASTER: b"16:49:37:3329 Rx 1 0x144 s 1 5E",
+    LogFormat.CRTD: b"12.6 1R11 402 00",
+}
+HEADERS = {
+    LogFormat.ASC: b"base hex  timestamps absolute",
+    LogFormat.TRC: b";$FILEVERSION=2.1",
+    LogFormat.CSV: b"timestamp,arbitration_id,extended,remote,error,dlc,data",
+    LogFormat.GVRET: b"Time Stamp,ID,Extended,Dir,Bus,LEN,D1,D2",
+    LogFormat.BUSMASTER: b"***BUSMASTER Ver 3.2.2***",
+}
+PROSE = b"What was measured on the second day, with the same car:"
+
+
+@pytest.mark.parametrize(("log_format", "line"), LINES.items())
+def test_most_of_the_first_lines_decide(log_format: LogFormat, line: bytes) -> None:
+    found = detect(b"\n".join([PROSE, line, line, b"", b"# comment", line]))
+    assert found.format is log_format
+    assert found.evidence == "3 of the first 4 lines are frames in its grammar"
+
+
+@pytest.mark.parametrize(("log_format", "header"), HEADERS.items())
+def test_a_header_decides(log_format: LogFormat, header: bytes) -> None:
+    found = detect(b"\xef\xbb\xbf" + PROSE + b"\r\n" + header + b"\r\n" + PROSE * 50)
+    assert (found.format, found.evidence) == (log_format, "line 2 is its header")
+
+
+@pytest.mark.parametrize(
+    ("probe", "log_format"),
+    [
+        (b"LOGG" + bytes(200), LogFormat.BLF),
+        (b"SQLite format 3\0", LogFormat.SQLITE),
+        (b"UnFinMF 4.11", LogFormat.MF4),
+    ],
+)
+def test_a_binary_format_names_itself(probe: bytes, log_format: LogFormat) -> None:
+    found = detect(probe)
+    assert found.format is log_format
+    assert found.evidence.startswith("it begins with")
+
+
+@pytest.mark.parametrize("line", LINES.values())
+@pytest.mark.parametrize("where", [0, 3, 30, 80])
+def test_one_line_that_fits_proves_nothing(line: bytes, where: int) -> None:
+    lines = [PROSE] * where + [line] + [PROSE] * 30
+    with pytest.raises(SourceError, match=r"not a log of a known format .*: only 1 of the first \d+ lines fit"):
+        detect(b"\n".join(lines))
+
+
+@pytest.mark.parametrize(
+    "line",
+    [
+        b"1 2 3 0",  # a table of numbers would be one of TRC, were its first column anything
+        b"1,2,0,3,0",  # and this one of GVRET
+        b"1.5 car",  # an event of CRTD by its first letter
+        b"0.5 some text behind a number",  # and one of ASC by its time
+        b"12:30:45:100 called, nobody there",
+        b"; a setting",
+    ],
+)
+def test_tables_of_something_else_are_no_logs(line: bytes) -> None:
+    with pytest.raises(SourceError, match="not a log of a known format"):
+        detect(b"\n".join([line] * 200))
+    for one in LINES.values():
+        with pytest.raises(SourceError, match="only 1 of"):
+            detect(b"\n".join([line] * 9 + [one]) if not line.startswith(b";") else b"\n".join([PROSE] * 9 + [one]))
+
+
+def test_a_line_that_the_probe_cuts_does_not_count() -> None:
+    line = LINES[LogFormat.CRTD] + b" 00" * 1_000
+    probe = (PROSE + b"\n" + LINES[LogFormat.CANDUMP] + b"\n") * 2 + LINES[LogFormat.CANDUMP] + b"\n" + line * 50
+    assert detect(probe[:PROBE_BYTES]).format is LogFormat.CANDUMP
+
+
+@pytest.mark.parametrize("encoding", ["utf-16", "utf-16-le", "utf-16-be"])
+def test_a_text_in_utf_16_is_said_to_be_one(encoding: str) -> None:
+    text = b"\n".join([LINES[LogFormat.CANDUMP]] * 5).decode()
+    for mark in (b"", codecs.BOM_UTF16_BE if encoding.endswith("be") else codecs.BOM_UTF16_LE):
+        probe = text.encode(encoding)
+        with pytest.raises(SourceError, match="UTF-16: convert it to UTF-8"):
+            detect(probe if probe.startswith(mark) else mark + probe)
+
+
+@pytest.mark.parametrize(
+    ("probe", "name"),
+    [(b"PK\x03\x04rest", "a zip archive"), (b"\xd4\xc3\xb2\xa1rest", "a pcap capture"), (b"BZh91", "bzip2")],
+)
+def test_other_formats_are_named(probe: bytes, name: str) -> None:
+    with pytest.raises(SourceError, match=name):
+        detect(probe)

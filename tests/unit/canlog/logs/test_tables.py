@@ -1,0 +1,397 @@
+"""Text tables: what each format's lines mean, and that no line goes uncounted."""
+
+import io
+from collections.abc import Sequence
+from datetime import UTC, datetime
+
+import numpy as np
+import pytest
+
+from canlog.frame_columns import join
+from canlog.frames import BRS_FLAG, ERROR_FLAG, ESI_FLAG, EXTENDED_FLAG, FD_FLAG, REMOTE_FLAG, TX_FLAG, FrameBatch
+from canlog.logs.detection import TABLES, LogFormat
+from canlog.logs.tables import frames_in, reader_of
+from canlog.logs.tally import LogCounts, LogReject, Tally
+
+CSV_HEADER = b"timestamp,arbitration_id,extended,remote,error,dlc,data\n"
+GVRET_HEADER = b"Time Stamp,ID,Extended,Dir,Bus,LEN,D1,D2,D3,D4,D5,D6,D7,D8\n"
+TRC_21 = b";$FILEVERSION=2.1\r\n;$STARTTIME=46023.5\r\n;$COLUMNS=N,O,T,B,I,d,R,L,D\r\n"
+NOON_NS = 1_767_268_800_000_000_000  # 2026-01-01T12:00:00Z, day 46023.5
+BUSMASTER = (
+    b"***BUSMASTER Ver 3.2.2***\n***PROTOCOL CAN***\n***START DATE AND TIME 1:2:2026 23:59:37:325***\n***HEX***\n"
+    b"***%s MODE***\n***<Time><Tx/Rx><Channel><CAN ID><Type><DLC><DataBytes>***\n"
+)
+LOCAL_START = datetime(2026, 2, 1, 23, 59, 37, 325_000)  # noqa: DTZ001 - local, as in the format
+
+Row = tuple[int, int, int, str, int, int]  # time, identifier, length, payload, flags, channel
+
+
+def read(log_format: LogFormat, text: bytes) -> tuple[FrameBatch | None, LogCounts]:
+    tally = Tally()
+    batches = list(reader_of(TABLES[log_format])(io.BytesIO(text), tally))
+    return (join(batches) if batches else None), tally.snapshot()
+
+
+def rows(batch: FrameBatch | None) -> list[Row]:
+    if batch is None:
+        return []
+    assert not any(batch.data[row, length:].any() for row, length in enumerate(batch.length))
+    return [
+        (int(t_ns), int(can_id), int(length), bytes(data[:length]).hex(), int(flags), int(channel))
+        for t_ns, can_id, length, data, flags, channel in zip(
+            batch.t_ns, batch.can_id, batch.length, batch.data, batch.flags, batch.channel, strict=True
+        )
+    ]
+
+
+@pytest.mark.parametrize(
+    ("log_format", "header", "line", "row"),
+    [
+        (
+            LogFormat.CSV,
+            CSV_HEADER,
+            b"1767225600.123456,0x123,1,0,0,8,AQIDBAUGBwg=",
+            (1_767_225_600_123_456_000, 0x123 | EXTENDED_FLAG, 8, "0102030405060708", 0, 0),
+        ),
+        (LogFormat.CSV, CSV_HEADER, b"1e-05,0x7ff,0,1,0,3,", (10_000, 0x7FF | REMOTE_FLAG, 3, "000000", 0, 0)),
+        (LogFormat.CSV, CSV_HEADER, b"0.5,0x1,0,0,1,0,", (500_000_000, ERROR_FLAG, 0, "", 0, 0)),
+        (
+            LogFormat.CSV,
+            CSV_HEADER,
+            b"2.0,0x1,0,0,0,12,AQIDBAUGBwgJCgsM",
+            (2 * 10**9, 1, 12, "0102030405060708090a0b0c", FD_FLAG, 0),
+        ),
+        (
+            LogFormat.GVRET,
+            b"Time Stamp,ID,Extended,Bus,LEN,D1\n",
+            b"166064000,0000021A,false,1,2,FE,36,12,FE,69,05,07,AD,",
+            (166_064_000_000, 0x21A, 2, "fe36", 0, 1),
+        ),
+        (
+            LogFormat.GVRET,
+            GVRET_HEADER,
+            b"166064000,18FEF100,true,Rx,0,3,5,A,00",
+            (166_064_000_000, 0x18FE_F100 | EXTENDED_FLAG, 3, "050a00", 0, 0),
+        ),
+        (
+            LogFormat.GVRET,
+            GVRET_HEADER,
+            b"7,00000123,false,Tx,2,16," + b",".join([b"5A"] * 16),
+            (7_000, 0x123, 16, "5a" * 16, FD_FLAG | TX_FLAG, 2),
+        ),
+        (LogFormat.GVRET, GVRET_HEADER, b"-2000001,123,false,Rx,0,0", (-2_000_001_000, 0x123, 0, "", 0, 0)),
+        (LogFormat.GVRET, GVRET_HEADER, b"1.66064E+08,123,false,Rx,0,0", (166_064_000_000, 0x123, 0, "", 0, 0)),
+        (LogFormat.GVRET, GVRET_HEADER, b"-1.5e3,123,false,Rx,0,0", (-1_500_000, 0x123, 0, "", 0, 0)),
+        (LogFormat.GVRET, GVRET_HEADER, b"+25e-1,123,false,Rx,0,0", (3_000, 0x123, 0, "", 0, 0)),
+        (LogFormat.GVRET, GVRET_HEADER, b"0E+00,123,false,,0,0", (0, 0x123, 0, "", 0, 0)),
+        (LogFormat.CSV, CSV_HEADER, b"1.5E+2,0x1,0,0,0,0,", (150 * 10**9, 1, 0, "", 0, 0)),
+        (
+            LogFormat.TRC,
+            b";   Start time: 01.01.2026 12:00:00.682.0\n",
+            b"  1)     1841 0001 8 00 11 22 33 44 55 66 77",
+            (NOON_NS + 2_523_000_000, 1, 8, "0011223344556677", 0, 0),
+        ),
+        (
+            LogFormat.TRC,
+            b"; no date\n",
+            b"  2)  1842 0008 4 ERROR 00 19 08 08",
+            (1_842_000_000, ERROR_FLAG, 0, "", 0, 0),
+        ),
+        (
+            LogFormat.TRC,
+            b";$FILEVERSION=1.1\n;$STARTTIME=46023.5\n",
+            b"  1)   2.5  Rx   18FEF100  3  RTR",
+            (NOON_NS + 2_500_000, 0x18FE_F100 | EXTENDED_FLAG | REMOTE_FLAG, 3, "000000", 0, 0),
+        ),
+        (
+            LogFormat.TRC,
+            b";$FILEVERSION=1.2\n;$STARTTIME=46023.5\n",
+            b"  1)   2.5 2  Tx   0300  1  0A",
+            (NOON_NS + 2_500_000, 0x300, 1, "0a", TX_FLAG, 2),
+        ),
+        (
+            LogFormat.TRC,
+            b";$FILEVERSION=1.3\n;$STARTTIME=46023.5\n",
+            b"  1)   2.5 1  Rx   0300 -  2  0A 0B",
+            (NOON_NS + 2_500_000, 0x300, 2, "0a0b", 0, 1),
+        ),
+        (
+            LogFormat.TRC,
+            b";$FILEVERSION=2.0\n;$STARTTIME=46023.5\n;$COLUMNS=N,O,T,I,d,l,D\n",
+            b"  1   1059.900 DT   0300 Rx 2  0A 0B",
+            (NOON_NS + 1_059_900_000, 0x300, 2, "0a0b", 0, 0),
+        ),
+        (
+            LogFormat.TRC,
+            TRC_21,
+            b"  1   1059.900 FE 2  18EFC034 Tx -  9    01 02 03 04 05 06 07 08 09 0A 0B 0C \r",
+            (
+                NOON_NS + 1_059_900_000,
+                0x18EF_C034 | EXTENDED_FLAG,
+                12,
+                "0102030405060708090a0b0c",
+                FD_FLAG | BRS_FLAG | ESI_FLAG | TX_FLAG,
+                2,
+            ),
+        ),
+        (
+            LogFormat.TRC,
+            TRC_21,
+            b"  5      0.001 RR 1      0100 Rx -  3 \r",
+            (NOON_NS + 1_000, 0x100 | REMOTE_FLAG, 3, "000000", 0, 1),
+        ),
+        (
+            LogFormat.TRC,
+            TRC_21,
+            b"  3   1.0005 ER 1  - Rx -  5  04 00 02 00 00 \r",
+            (NOON_NS + 1_001_000, ERROR_FLAG, 0, "", 0, 1),
+        ),
+        (
+            LogFormat.CRTD,
+            b"1320745424.000 CXX converted log\n",
+            b"1320745424.002 2R29 18FEF100 FA 01",
+            (1_320_745_424_002_000_000, 0x18FE_F100 | EXTENDED_FLAG, 2, "fa01", 0, 2),
+        ),
+        (LogFormat.CRTD, b"12.5 CEV Event\n", b"12.6 T11 402", (12_600_000_000, 0x402, 0, "", TX_FLAG, 0)),
+    ],
+)
+def test_a_line_becomes_a_frame(log_format: LogFormat, header: bytes, line: bytes, row: Row) -> None:
+    batch, counts = read(log_format, header + line + b"\n")
+    assert rows(batch) == [row]
+    assert counts == LogCounts(frames=1, skipped=header.count(b"\n"))
+
+
+@pytest.mark.parametrize(
+    ("mode", "elapsed_us"),
+    [
+        (b"SYSTEM", [7_900, 30_009_700, 32_009_700]),  # over midnight, the last line an hour behind nothing
+        (b"ABSOLUTE", [86_377_332_900, 7_334_700, 9_334_700]),
+        (b"RELATIVE", [86_377_332_900, 86_384_667_600, 86_394_002_300]),
+    ],
+)
+def test_busmaster_has_three_kinds_of_time(mode: bytes, elapsed_us: list[int]) -> None:
+    lines = b"23:59:37:3329 Rx 1 0x144 s 1 5E\n00:00:07:3347 Tx 2 0x18FEF100 x 1 5F\n0:0:9:3347 Rx 1 0x7 sr 3\n"
+    batch, counts = read(LogFormat.BUSMASTER, BUSMASTER % mode + lines)
+    assert batch is not None
+    start_us = int(LOCAL_START.timestamp()) * 10**6 + 325_000
+    assert (batch.t_ns // 1000 - start_us).tolist() == elapsed_us
+    assert batch.can_id.tolist() == [0x144, 0x18FE_F100 | EXTENDED_FLAG, 0x7 | REMOTE_FLAG]
+    assert batch.channel.tolist() == [1, 2, 1]
+    assert counts == LogCounts(frames=3, skipped=6)
+
+
+@pytest.mark.parametrize(
+    ("counts", "elapsed_us", "note"),
+    [
+        ((b"3329", b"5", b"0005"), (332_900, 500, 500), ""),  # of 100 us, padded or not
+        ((b"0005", b"0012"), (500, 1_200), ""),
+        ((b"332", b"5", b"12", b"005"), (332_000, 5_000, 12_000, 5_000), "milliseconds"),
+        ((b"332900", b"000500"), (332_900, 500), ""),
+    ],
+)
+def test_busmaster_counts_behind_the_seconds(counts: tuple[bytes, ...], elapsed_us: tuple[int, ...], note: str) -> None:
+    lines = b"".join(b"0:0:1:" + count + b" Rx 1 0x7 s 0\n" for count in counts)
+    batch, found = read(LogFormat.BUSMASTER, BUSMASTER % b"ABSOLUTE" + lines)
+    assert batch is not None
+    start_us = int(LOCAL_START.timestamp()) * 10**6 + 325_000
+    assert (batch.t_ns // 1000 - start_us - 10**6).tolist() == list(elapsed_us)
+    assert not found.rejected
+    assert note in "".join(found.notes)
+    assert bool(note) == bool(found.notes)
+
+
+def test_busmaster_in_decimal() -> None:
+    header = (BUSMASTER % b"SYSTEM").replace(b"***HEX***", b"***DEC***")
+    lines = (
+        b"23:59:38:0000 Rx 1 291 s 3 000 010 255\n23:59:38:0001 Tx 2 419360000 x 2 7 08\n"
+        b"23:59:38:0002 Rx 1 7 sr 3\n23:59:38:0003 Rx 1 291 s-fd 12 1 2 3 4 5 6 7 8 9 10 11 12\n"
+        b"23:59:38:0004 Rx 1 291 s 2 10 256\n23:59:38:0005 Rx 1 0x123 s 1 10\n23:59:38:0005 Rx 1 2048 s 1 10\n"
+        b"***HEX***\n23:59:38:0006 Rx 1 0x123 s 1 10\n"
+    )
+    batch, counts = read(LogFormat.BUSMASTER, header + lines)
+    found = [(can_id, payload, flags) for _, can_id, _, payload, flags, _ in rows(batch)]
+    assert found == [
+        (291, "000aff", 0),
+        (419_360_000 | EXTENDED_FLAG, "0708", TX_FLAG),
+        (7 | REMOTE_FLAG, "000000", 0),
+        (291, "0102030405060708090a0b0c", FD_FLAG),
+        (0x123, "10", 0),
+    ]
+    assert counts.rejected == {LogReject.MALFORMED: 3}
+
+
+def test_a_last_decimal_byte_may_be_missing_digits() -> None:
+    header = (BUSMASTER % b"SYSTEM").replace(b"***HEX***", b"***DEC***")
+    whole = header + b"23:59:38:0000 Rx 1 291 s 3 000 010 255"
+    batch, counts = read(LogFormat.BUSMASTER, whole)
+    assert batch is not None
+    assert not counts.truncated
+    for missing in range(1, 20):
+        _, counts = read(LogFormat.BUSMASTER, whole[:-missing])
+        assert counts.truncated
+        assert counts.rejected == {LogReject.CUT_OFF: 1}
+
+
+@pytest.mark.parametrize(
+    ("start", "t_ns"),
+    [
+        (b"1:2:2026 23:59:37:7", int(LOCAL_START.replace(microsecond=7_000).timestamp() * 1e6) * 1000),
+        (b"2026-02-01 23:59:37.325", int(LOCAL_START.timestamp() * 1e6) * 1000),
+        (b"soon", None),
+    ],
+)
+def test_busmaster_starts(start: bytes, t_ns: int | None) -> None:
+    header = (BUSMASTER % b"ABSOLUTE").replace(b"1:2:2026 23:59:37:325", start)
+    batch, counts = read(LogFormat.BUSMASTER, header + b"0:0:1:0000 Rx 1 0x7 s 0\n")
+    assert batch is not None
+    assert batch.t_ns.tolist() == [(t_ns or 0) + 10**9]
+    assert bool(counts.notes) == (t_ns is None)
+
+
+def gvret(times: Sequence[str]) -> bytes:
+    return GVRET_HEADER + b"".join(b"%s,123,false,Rx,0,8,1,2,3,4,5,6,7,8\n" % time.encode() for time in times)
+
+
+@pytest.mark.parametrize(("per_second", "unit"), [(1_000_000, ""), (1_000, "milliseconds"), (1, "seconds")])
+@pytest.mark.parametrize("first_s", [0, -3, 1_600_000_000])
+def test_the_load_of_the_bus_tells_the_unit_of_gvret(per_second: int, unit: str, first_s: int) -> None:
+    gap_s = 0.004
+    times = [f"{(first_s + gap_s * k) * per_second:.{3 if per_second == 1 else 0}f}" for k in range(2_000)]
+    batch, counts = read(LogFormat.GVRET, gvret(times))
+    assert batch is not None
+    assert batch.t_ns.tolist() == [round((first_s + gap_s * k) * 1e6) * 1000 for k in range(2_000)]
+    assert counts.rejected == {}
+    assert (unit in counts.notes[0]) if unit else not counts.notes
+
+
+def test_a_slow_bus_and_a_short_log_keep_microseconds() -> None:
+    for times in ([str(100_000 * k) for k in range(200)], ["1", "2", "3"]):
+        batch, counts = read(LogFormat.GVRET, gvret(times))
+        assert batch is not None
+        assert batch.t_ns.tolist() == [int(time) * 1000 for time in times]
+        assert not counts.notes
+
+
+def test_the_directions_of_gvret_and_the_new_trc() -> None:
+    lines = b"1,123,false,Rx,0,0\n2,123,false,Tx,0,0\n3,123,false,tx,0,0\n4,123,false,,0,0\n"
+    batch, _ = read(LogFormat.GVRET, GVRET_HEADER + lines)
+    assert [row[4] for row in rows(batch)] == [0, TX_FLAG, TX_FLAG, 0]
+    lines = b"1 1.0 DT 1 0300 Rx - 0\n2 2.0 FD 1 0300 Tx - 0\n3 3.0 DT 1 0300 - - 0\n"
+    batch, _ = read(LogFormat.TRC, TRC_21 + lines)
+    assert [row[4] for row in rows(batch)] == [0, TX_FLAG | FD_FLAG, 0]
+
+
+@pytest.mark.parametrize(
+    ("log_format", "header", "line"),
+    [
+        (LogFormat.CSV, CSV_HEADER, b"0.5,0x1,0,0,0,2,AQ=="),
+        (LogFormat.CSV, CSV_HEADER, b"0.5,0x1,0,0,0,1,AQ="),
+        (LogFormat.CSV, CSV_HEADER, b"0.5,0x800,0,0,0,1,AQ=="),
+        (LogFormat.CSV, CSV_HEADER, b"0.5,0x1,2,0,0,1,AQ=="),
+        (LogFormat.CSV, CSV_HEADER, b"nan,0x1,0,0,0,1,AQ=="),
+        (LogFormat.CSV, CSV_HEADER, b"99999999999999999999,0x1,0,0,0,1,AQ=="),
+        (LogFormat.CSV, CSV_HEADER, b"99999999999999999,0x1,0,0,0,1,AQ=="),
+        (LogFormat.CSV, CSV_HEADER, b"time,0x1,0,0,0,1,AQ=="),
+        (LogFormat.CSV, CSV_HEADER, b"0.5,0x1,0,0,0,1,AQ==,1"),
+        (LogFormat.GVRET, GVRET_HEADER, b"7,00000123,false,Rx,0,2,5A"),
+        (LogFormat.GVRET, GVRET_HEADER, b"7,00000123,false,Rx,0,2,5A,5G"),
+        (LogFormat.GVRET, GVRET_HEADER, b"7,00000123,maybe,Rx,0,1,5A"),
+        (LogFormat.GVRET, GVRET_HEADER, b"--7,00000123,false,Rx,0,1,5A"),
+        (LogFormat.GVRET, GVRET_HEADER, b"-,00000123,false,Rx,0,1,5A"),
+        (LogFormat.GVRET, GVRET_HEADER, b"7e,00000123,false,Rx,0,1,5A"),
+        (LogFormat.GVRET, GVRET_HEADER, b"7E+99,00000123,false,Rx,0,1,5A"),
+        (LogFormat.GVRET, GVRET_HEADER, b"-7E+17,00000123,false,Rx,0,1,5A"),
+        (LogFormat.GVRET, GVRET_HEADER, b"7,3FFFFFFF,true,Rx,0,1,5A"),
+        (LogFormat.GVRET, GVRET_HEADER, b"7,00000123,false,Rx,0,9,1,2,3,4,5,6,7,8,9"),
+        (LogFormat.TRC, TRC_21, b"  1   1.0 DT 1  0300 Rx -  2  0A 0B 0C"),
+        (LogFormat.TRC, TRC_21, b"  1   1.0 DT 1  0300 Rx -  2  0A 0"),
+        (LogFormat.TRC, TRC_21, b"  1   1.0 DT 1  0300 Rx -  2  0A0B"),
+        (LogFormat.TRC, TRC_21, b"  1   1.0 XX 1  0300 Rx -  1  0A"),
+        (LogFormat.TRC, TRC_21, b"  1   1.0 DT 1  0800 Rx -  1  0A"),
+        (LogFormat.TRC, TRC_21, b";$FILEVERSION=7.3"),
+        (LogFormat.TRC, TRC_21, b";$COLUMNS=N,O,Q"),
+        (LogFormat.TRC, TRC_21, b";$STARTTIME=1"),
+        (LogFormat.BUSMASTER, BUSMASTER % b"SYSTEM", b"16:49:37:3329 Rx 1 0x144 s 2 5E"),
+        (LogFormat.BUSMASTER, BUSMASTER % b"SYSTEM", b"24:00:00:0000 Rx 1 0x144 s 1 5E"),
+        (LogFormat.BUSMASTER, BUSMASTER % b"SYSTEM", b"16:60:37:3329 Rx 1 0x144 s 1 5E"),
+        (LogFormat.BUSMASTER, BUSMASTER % b"SYSTEM", b"16:49:37:3329 Rx 1 0x144 q 1 5E"),
+        (LogFormat.CRTD, b"", b"12.6 Q11 402 00"),
+        (LogFormat.CRTD, b"", b"12.6 R11 402 0"),
+        (LogFormat.CRTD, b"", b"\xff\x00\x80"),
+    ],
+)
+def test_what_is_no_frame_is_counted_with_its_line(log_format: LogFormat, header: bytes, line: bytes) -> None:
+    batch, counts = read(log_format, header + b"\n" + line + b"\n")
+    number = header.count(b"\n") + 2
+    assert batch is None
+    assert counts.rejected == {LogReject.MALFORMED: 1}
+    assert counts.first_rejected == f"line {number}: malformed"
+    assert counts.skipped == number - 1
+
+
+@pytest.mark.parametrize(
+    ("log_format", "text"),
+    [
+        (LogFormat.TRC, TRC_21 + b"  1   1.0 DT 1  0300 Rx -  3  0A 0B 0C"),
+        (LogFormat.CSV, CSV_HEADER + b"0.5,0x1,0,0,0,4,AQIDBA=="),
+        (LogFormat.GVRET, GVRET_HEADER + b"7,00000123,false,Rx,0,3,5A,5B,5C"),
+        (LogFormat.CRTD, b"12.5 CEV Event\n12.6 R11 402 01 02 03 04 05 06 07 08"),
+    ],
+)
+def test_a_last_line_counts_only_if_nothing_of_it_can_be_missing(log_format: LogFormat, text: bytes) -> None:
+    batch, counts = read(log_format, text)
+    assert batch is not None
+    assert not counts.truncated
+    line = text.splitlines()[-1]
+    for missing in range(1, len(line.strip())):
+        _, counts = read(log_format, text[:-missing])
+        assert counts.truncated, line[:-missing]
+        assert counts.rejected == {LogReject.CUT_OFF: 1}
+
+
+def test_events_between_frames_are_skipped() -> None:
+    text = (
+        TRC_21 + b"  1   1.0 ST 1  - Rx -  4  00 00 00 08 \r\n  2   2.0 EC 1 - Rx - 2 01 02\r\n"
+        b"  3   3.0 DT 1  0300 Rx -  0 \r\n; the end\r\n"
+    )
+    batch, counts = read(LogFormat.TRC, text)
+    assert rows(batch) == [(NOON_NS + 3_000_000, 0x300, 0, "", 0, 1)]
+    assert counts == LogCounts(frames=1, skipped=6)
+
+
+def test_blocks_cut_lines_anywhere_and_a_longer_payload_loses_nothing() -> None:
+    lines = [b"%d,00000%03X,false,Rx,0,8,01,02,03,04,05,06,07,08\n" % (k * 1_000, k % 0x800) for k in range(100_000)]
+    lines[60_000] = b"60000000,00000123,false,Rx,0,12," + b",".join([b"5A"] * 12) + b"\n"
+    lines[70_000] = b"garbage\n"
+    batch, counts = read(LogFormat.GVRET, GVRET_HEADER + b"".join(lines))
+    assert batch is not None
+    kept = np.delete(np.arange(100_000), 70_000)
+    assert np.array_equal(batch.t_ns, kept * 1_000_000)
+    assert np.flatnonzero(batch.length == 12).tolist() == [60_000]
+    assert counts == LogCounts(
+        frames=99_999, skipped=1, rejected={LogReject.MALFORMED: 1}, first_rejected="line 70002: malformed"
+    )
+
+
+def test_a_line_without_end_does_not_fill_the_memory() -> None:
+    _, counts = read(LogFormat.CRTD, b"12.6 R11 402 00\n" + b"x" * 5_000_000 + b"\n12.6 R11 402 00\n")
+    assert counts.frames == 2
+    assert counts.rejected == {LogReject.MALFORMED: 1}
+
+
+@pytest.mark.parametrize("log_format", TABLES)
+def test_a_format_finds_no_frames_in_another(log_format: LogFormat) -> None:
+    samples = {
+        LogFormat.TRC: b"  1   1.0 8 4 01 02 03 04\n",
+        LogFormat.CSV: b"0.5,0x1,0,0,0,1,AQ==\n",
+        LogFormat.GVRET: b"7,00000123,false,0,1,5A\n",
+        LogFormat.BUSMASTER: b"16:49:37:3329 Rx 1 0x144 s 1 5E\n",
+        LogFormat.CRTD: b"12.6 R11 402 00\n",
+    }
+    found = {name: frames_in(TABLES[log_format](), text) for name, text in samples.items()}
+    assert [name for name, count in found.items() if count] == [log_format]
+
+
+def test_the_epoch_of_pcan_is_a_day_number() -> None:
+    batch, _ = read(LogFormat.TRC, b";$FILEVERSION=1.1\n;$STARTTIME=25569.0\n 1) 0.0 Rx 0300 0\n")
+    assert rows(batch)[0][0] == int(datetime(1970, 1, 1, tzinfo=UTC).timestamp())

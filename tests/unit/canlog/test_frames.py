@@ -1,0 +1,81 @@
+"""Batches keep all their columns, whatever is done to them."""
+
+from dataclasses import replace
+
+import numpy as np
+
+from canlog.frame_columns import clear_padding, join
+from canlog.frames import BRS_FLAG, FD_FLAG, FrameBatch, empty_batch
+from tests.traffic import assert_same
+
+
+def classic(count: int) -> FrameBatch:
+    numbers = np.arange(count)
+    return FrameBatch(
+        t_ns=numbers * 1_000_000,
+        can_id=numbers.astype(np.uint32),
+        length=np.full(count, 8, np.uint8),
+        data=np.repeat(numbers.astype(np.uint8)[:, None], 8, axis=1),
+    )
+
+
+def fd(count: int) -> FrameBatch:
+    numbers = np.arange(count)
+    return FrameBatch(
+        t_ns=numbers * 1_000_000,
+        can_id=numbers.astype(np.uint32),
+        length=np.full(count, 48, np.uint8),
+        data=np.repeat(numbers.astype(np.uint8)[:, None], 64, axis=1),
+        flags=np.full(count, FD_FLAG | BRS_FLAG, np.uint8),
+        channel=(numbers % 2).astype(np.uint8),
+    )
+
+
+def test_flags_and_channel_are_zeros_unless_given() -> None:
+    batch = classic(3)
+    assert batch.flags.tolist() == batch.channel.tolist() == [0, 0, 0]
+    assert batch.flags.dtype == batch.channel.dtype == np.uint8
+
+
+def test_rows_are_taken_from_every_column() -> None:
+    batch = fd(6)
+    for rows, expected in (
+        (slice(1, 4), [1, 2, 3]),
+        (np.array([5, 0]), [5, 0]),
+        (np.array([False, True, False, False, True, False]), [1, 4]),
+    ):
+        part = batch[rows]
+        assert part.can_id.tolist() == part.data[:, 63].tolist() == expected
+        assert (part.t_ns // 1_000_000).tolist() == expected
+        assert part.channel.tolist() == [number % 2 for number in expected]
+        assert part.length.tolist() == [48] * len(expected)
+        assert part.flags.tolist() == [FD_FLAG | BRS_FLAG] * len(expected)
+
+
+def test_a_join_is_as_wide_as_its_widest_part() -> None:
+    both = join([classic(3), fd(2), classic(1)])
+    assert both.width == 64
+    assert both.data[:, 7].tolist() == [0, 1, 2, 0, 1, 0]
+    assert both.data[:, 8].tolist() == [0, 0, 0, 0, 1, 0]
+    assert both.flags.tolist() == [0, 0, 0, FD_FLAG | BRS_FLAG, FD_FLAG | BRS_FLAG, 0]
+    assert both.channel.tolist() == [0, 0, 0, 0, 1, 0]
+    assert join([classic(3), classic(2), empty_batch()]).width == 8
+
+
+def test_padding_is_cleared_at_any_width() -> None:
+    for batch in (classic(3), fd(3)):
+        length = np.array([0, 3, batch.width], np.uint8)
+        cleared = clear_padding(np.full_like(batch.data, 7), length)
+        assert [np.count_nonzero(row) for row in cleared] == length.tolist()
+        assert (cleared[1, :3] == 7).all()
+
+
+def test_a_plain_batch_is_itself_and_any_other_becomes_one() -> None:
+    assert (plain := classic(4)).plain() is plain
+    every_second, frozen, narrow = classic(4)[::2], classic(4), classic(4)
+    frozen.data.setflags(write=False)
+    for batch in (every_second, frozen, replace(narrow, length=narrow.length.astype(np.int64))):
+        made = batch.plain()
+        assert made is not batch
+        assert made.plain() is made
+        assert_same(made, batch)

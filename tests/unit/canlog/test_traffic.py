@@ -1,0 +1,126 @@
+"""Traffic measured: rates, jitter, gaps, jumps and load, the same for any cutting of the stream."""
+
+from itertools import pairwise
+
+import numpy as np
+import pytest
+
+from canlog.arrays import Int64Array
+from canlog.frames import ERROR_FLAG, EXTENDED_FLAG, FD_FLAG, FrameBatch
+from canlog.traffic import IdTraffic, Jump, TrafficMeter, TrafficReport, frame_bits
+
+MS = 1_000_000
+START_NS = 1_700_000_000_000_000_000
+
+
+def frames(t_ns: Int64Array, can_id: int = 0x100, length: int = 8, flags: int = 0, channel: int = 0) -> FrameBatch:
+    count = len(t_ns)
+    return FrameBatch(
+        t_ns=START_NS + np.asarray(t_ns, np.int64),
+        can_id=np.full(count, can_id, np.uint32),
+        length=np.full(count, length, np.uint8),
+        data=np.zeros((count, 8), np.uint8),
+        flags=np.full(count, flags, np.uint8),
+        channel=np.full(count, channel, np.uint8),
+    )
+
+
+def measured(*batches: FrameBatch, bitrate: int = 500_000) -> TrafficReport:
+    meter = TrafficMeter(bitrate)
+    for batch in batches:
+        meter.add(batch)
+    return meter.report()
+
+
+def only_id(*batches: FrameBatch) -> IdTraffic:
+    (found,) = measured(*batches).ids
+    return found
+
+
+def test_a_steady_message() -> None:
+    found = only_id(frames(np.arange(1000) * 10 * MS))
+    assert (found.count, found.length, found.gap_count, found.longest_gap_s) == (1000, 8, 0, 0.0)
+    assert found.rate_hz == pytest.approx(100.0)
+    assert found.period_s == pytest.approx(0.010)
+    assert found.jitter_s == pytest.approx(0.0, abs=1e-8)
+
+
+def test_jitter_is_the_deviation_of_the_intervals() -> None:
+    noise_ns = np.random.default_rng(1).normal(0.0, 0.2 * MS, 5000).astype(np.int64)
+    assert only_id(frames(np.arange(5000) * 10 * MS + noise_ns)).jitter_s == pytest.approx(0.2e-3 * 2**0.5, rel=0.05)
+
+
+def test_missing_frames_are_gaps_and_no_jitter() -> None:
+    kept = np.delete(np.arange(1000), [*range(200, 205), *range(500, 510)])
+    found = only_id(frames(kept * 10 * MS))
+    assert found.gap_count == 2
+    assert found.longest_gap_s == pytest.approx(0.110)
+    assert found.jitter_s == pytest.approx(0.0, abs=1e-8)
+
+
+def test_time_that_jumps_is_listed_and_is_no_gap() -> None:
+    t_ns = np.concatenate((np.arange(100), 500 + np.arange(100), 300 + np.arange(100))) * 10 * MS
+    report = measured(frames(t_ns))
+    assert report.jump_count == 2
+    assert report.jumps[0] == Jump(at_ns=START_NS + 990 * MS, by_ns=4010 * MS)
+    assert report.jumps[1].by_ns == -2990 * MS
+    assert report.ids[0].gap_count == 0
+    assert report.ids[0].rate_hz == pytest.approx(100.0)
+
+
+def test_load_at_a_bit_rate() -> None:
+    report = measured(frames(np.arange(2000) * MS), bitrate=250_000)
+    bits = (47 + 64) * 1.1
+    assert report.bus_load_ratio == pytest.approx(bits * 1000 / 250_000, rel=1e-3)
+    assert report.peak_load_ratio == pytest.approx(bits * 1000 / 250_000, rel=1e-3)
+
+
+def test_bits_of_kinds_of_frames() -> None:
+    t_ns = np.zeros(1, np.int64)
+    assert frame_bits(frames(t_ns)).tolist() == pytest.approx([111 * 1.1])
+    assert frame_bits(frames(t_ns, EXTENDED_FLAG, 0)).tolist() == pytest.approx([67 * 1.1])
+    assert frame_bits(frames(t_ns, flags=FD_FLAG))[0] > frame_bits(frames(t_ns))[0]
+
+
+def test_kinds_and_channels_are_told_apart() -> None:
+    t_ns = np.arange(3) * 10 * MS
+    report = measured(frames(t_ns), frames(t_ns + 30 * MS, channel=1), frames(t_ns + 60 * MS, ERROR_FLAG | 4))
+    assert [(one.channel, one.can_id, one.count) for one in report.ids] == [
+        (0, 0x100, 3),
+        (0, ERROR_FLAG | 4, 3),
+        (1, 0x100, 3),
+    ]
+    assert (report.error_frames, report.remote_frames, report.fd_frames, report.sent_frames) == (3, 0, 0, 0)
+
+
+def test_nothing_is_nothing() -> None:
+    assert measured() == measured(frames(np.empty(0, np.int64)))
+    assert only_id(frames(np.zeros(1, np.int64))).rate_hz == 0.0
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_cutting_the_stream_changes_nothing(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    count = 400
+    steps = rng.choice([0, MS, 10 * MS, 400 * MS, 2000 * MS, -50 * MS], count, p=[0.1, 0.4, 0.4, 0.05, 0.03, 0.02])
+    batch = FrameBatch(
+        t_ns=START_NS + np.cumsum(steps),
+        can_id=rng.integers(1, 5, count).astype(np.uint32),
+        length=rng.integers(0, 9, count).astype(np.uint8),
+        data=np.zeros((count, 8), np.uint8),
+    )
+    cuts = [0, *sorted(set(rng.integers(1, count, 12).tolist())), count]
+    whole = measured(batch)
+    pieces = measured(*(batch[first:last] for first, last in pairwise(cuts)))
+    assert pieces.bus_load_ratio == pytest.approx(whole.bus_load_ratio)
+    assert pieces.peak_load_ratio == pytest.approx(whole.peak_load_ratio)
+    assert pieces.jumps == whole.jumps
+    for one, other in zip(pieces.ids, whole.ids, strict=True):
+        assert (one.can_id, one.count, one.gap_count, one.longest_gap_s) == (
+            other.can_id,
+            other.count,
+            other.gap_count,
+            other.longest_gap_s,
+        )
+        assert one.rate_hz == pytest.approx(other.rate_hz)
+        assert one.jitter_s == pytest.approx(other.jitter_s, abs=1e-8)

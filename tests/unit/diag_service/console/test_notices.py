@@ -1,0 +1,47 @@
+"""Standard error: one line per message, with the program's name; libraries only when asked for."""
+
+import logging
+from collections.abc import Iterator
+
+import pytest
+
+from canlog.notice import NOTICE
+from diag_service.console.notices import set_up_notices
+from diag_service.service.tasks import first_error
+
+
+@pytest.fixture(autouse=True)
+def _restored_logging() -> Iterator[None]:
+    loggers = (logging.getLogger(), logging.getLogger("diag_service"))
+    before = [(logger, logger.handlers, logger.level, logger.propagate) for logger in loggers]
+    yield
+    for logger, handlers, level, propagate in before:
+        logger.handlers, logger.propagate = handlers, propagate
+        logger.setLevel(level)
+
+
+@pytest.mark.parametrize(
+    ("verbosity", "lines"),
+    [
+        (0, ["diag-service: warning: late", "diag-service: 7 frames"]),
+        (1, ["diag-service: warning: late", "diag-service: 7 frames", "diag-service: detail"]),
+        (
+            2,
+            ["diag-service: warning: late", "diag-service: 7 frames", "diag-service: detail", "diag-service: error: x"],
+        ),
+    ],
+)
+def test_what_is_shown(verbosity: int, lines: list[str], capsys: pytest.CaptureFixture[str]) -> None:
+    set_up_notices(verbosity)
+    own = logging.getLogger("diag_service.service.live")
+    own.warning("late")
+    own.log(NOTICE, "%d frames", 7)
+    own.info("detail")
+    logging.getLogger("mqtt").error("x")
+    assert capsys.readouterr().err.splitlines() == lines
+
+
+def test_the_first_error_of_nested_groups() -> None:
+    first = ValueError("first")
+    group = BaseExceptionGroup("all", [ExceptionGroup("inner", [first, TypeError("second")]), KeyError("third")])
+    assert first_error(group) is first

@@ -1,0 +1,76 @@
+"""A stage that hangs is seen, whatever the loop does meanwhile."""
+
+import threading
+
+import pytest
+
+from diag_service.console.progress import Progress, Stage
+from diag_service.delivery import MemoryReporter
+from diag_service.diagnosis.records import ShiftResult
+from diag_service.store import ResultStore, VehicleState
+from tests.patience import HANG_S
+from tests.unit.diag_service.service.test_live import gear_frames, session_for
+
+PATIENCE_S = 30.0
+
+
+class Clock:
+    """A clock that is moved by hand."""
+
+    def __init__(self) -> None:
+        self.now_s = 1_000.0
+
+    def __call__(self) -> float:
+        """Return the time."""
+        return self.now_s
+
+
+def test_who_works_for_a_while_is_not_stuck_and_who_is_done_is_not_either() -> None:
+    clock = Clock()
+    progress = Progress(patience_s=PATIENCE_S, now_s=clock)
+    assert progress.stuck is None
+    with progress.working(Stage.ESTIMATE):
+        clock.now_s += 0.9 * PATIENCE_S
+        assert progress.stuck is None
+    clock.now_s += PATIENCE_S
+    assert progress.stuck is None
+
+
+def test_the_stage_that_works_longest_is_named() -> None:
+    clock = Clock()
+    progress = Progress(patience_s=PATIENCE_S, now_s=clock)
+    with progress.working(Stage.STORE):
+        clock.now_s += 5.0
+        with progress.working(Stage.ESTIMATE):
+            clock.now_s += PATIENCE_S
+            assert str(progress.stuck) == "stuck in store for 35 s"
+        with pytest.raises(ValueError, match="broken"), progress.working(Stage.ESTIMATE):
+            raise ValueError("broken")
+    assert progress.stuck is None
+
+
+def test_a_store_that_hangs_is_seen_from_outside(monkeypatch: pytest.MonkeyPatch) -> None:
+    clock, may_go_on, is_inside = Clock(), threading.Event(), threading.Event()
+    store = ResultStore.in_memory()
+    add = store.add
+
+    def hang(result: ShiftResult, state: VehicleState) -> None:
+        is_inside.set()
+        may_go_on.wait(HANG_S)
+        add(result, state)
+
+    monkeypatch.setattr(store, "add", hang)
+    session = session_for(store, MemoryReporter())
+    session.progress = Progress(patience_s=PATIENCE_S, now_s=clock)
+    (event, *_) = session.stages.segment(gear_frames(3))
+    worker = threading.Thread(target=session.settle, args=(event,))
+    worker.start()
+    assert is_inside.wait(HANG_S)
+    clock.now_s += PATIENCE_S
+    stuck = session.progress.stuck
+    assert stuck is not None
+    assert stuck.stage is Stage.STORE
+    may_go_on.set()
+    worker.join()
+    assert session.progress.stuck is None
+    store.close()

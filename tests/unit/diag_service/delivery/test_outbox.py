@@ -1,0 +1,355 @@
+"""The outbox against a broker in memory: order, marks, absence, return, and a bounded goodbye."""
+
+import asyncio
+from collections.abc import AsyncIterator, Callable, Iterator, Sequence
+from contextlib import asynccontextmanager, closing
+
+import pytest
+
+from diag_service.delivery import Acknowledge, MemoryLink, Outbox
+from diag_service.diagnosis.results import shift_record
+from diag_service.errors import PublishError, StoreFullError
+from diag_service.store import ResultStore, VehicleState, Versions
+from fleet_contract import Outcome, Outgoing, Receipt, key_of, metrics_message, read_message
+from tests.builders import shift_result
+from tests.patience import HANG_S
+
+NOW = "2026-01-01T00:00:00.000000Z"
+STATE = VehicleState(belief={}, condition={}, versions=Versions(algorithm="a", calibration="c"))
+
+
+class Broker:
+    """Lets connections in or not; each gets the next of the given links."""
+
+    def __init__(self, *links: MemoryLink) -> None:
+        self.links = list(links)
+        self.is_absent = False
+        self.attempt_count = 0
+
+    @asynccontextmanager
+    async def connect(self) -> AsyncIterator[MemoryLink]:
+        self.attempt_count += 1
+        if self.is_absent:
+            raise PublishError("connection refused")
+        yield self.links.pop(0)
+
+
+@pytest.fixture(name="store")
+def _store() -> Iterator[ResultStore]:
+    with closing(ResultStore.in_memory()) as store:
+        yield store
+
+
+@pytest.fixture(autouse=True)
+def _no_pauses(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("diag_service.delivery.outbox.FIRST_PAUSE_S", 0.001)
+
+
+def put(store: ResultStore, *seqs: int) -> None:
+    for seq in seqs:
+        store.add(shift_result(seq), STATE)
+
+
+def seqs(link: MemoryLink) -> list[int]:
+    return [result.seq for result in link.results]
+
+
+async def until(condition: Callable[[], bool]) -> None:
+    async with asyncio.timeout(HANG_S):
+        while not condition():  # noqa: ASYNC110 - the condition lives in a database
+            await asyncio.sleep(0.001)
+
+
+async def test_what_waits_is_sent_in_order_then_what_comes(store: ResultStore) -> None:
+    link = MemoryLink()
+    outbox = Outbox(store, "car1", Broker(link).connect, "broker")
+    put(store, 1, 2)
+    sender = asyncio.create_task(outbox.run())
+    await until(lambda: seqs(link) == [1, 2])
+    put(store, 3)
+    outbox.nudge()
+    await until(lambda: seqs(link) == [1, 2, 3])
+    assert await outbox.close(sender) == 0
+    assert store.unpublished_count("car1") == 0
+
+
+async def test_closing_sends_what_is_left(store: ResultStore) -> None:
+    link = MemoryLink()
+    outbox = Outbox(store, "car1", Broker(link).connect, "broker")
+    sender = asyncio.create_task(outbox.run())
+    put(store, *range(1, 251))  # more than one read of the store, and nobody said so
+    assert await outbox.close(sender) == 0
+    assert sorted(seqs(link)) == list(range(1, 251))
+
+
+async def test_a_broken_connection_loses_nothing(store: ResultStore, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("diag_service.delivery.outbox.SETTLE_S", 0.0)
+    first, second = MemoryLink(), MemoryLink()
+    outbox = Outbox(store, "car1", Broker(first, second).connect, "broker")
+    put(store, 1)
+    sender = asyncio.create_task(outbox.run())
+    await until(lambda: store.unpublished_count("car1") == 0)
+    first.cut.set()
+    put(store, 2)
+    outbox.nudge()
+    await until(lambda: seqs(second) == [2])
+    assert [state["seq"] for state in second.states] == [2]  # a restarted broker hears the state again
+    await outbox.close(sender)
+    assert seqs(first) == [1]
+
+
+async def test_what_was_acknowledged_just_before_the_connection_broke_is_sent_again(store: ResultStore) -> None:
+    first, second, third = MemoryLink(), MemoryLink(), MemoryLink()
+    outbox = Outbox(store, "car1", Broker(first, second, third).connect, "broker")
+    put(store, 1, 2)
+    sender = asyncio.create_task(outbox.run())
+    await until(lambda: seqs(first) == [1, 2] and store.unpublished_count("car1") == 0)
+    first.cut.set()
+    await until(lambda: seqs(second) == [1, 2])
+    second.cut.set()
+    await until(lambda: seqs(third) == [1, 2])
+    put(store, 3)
+    outbox.nudge()
+    await until(lambda: seqs(third) == [1, 2, 3])
+    await outbox.close(sender)
+
+
+async def test_a_loss_while_idle_is_noticed(store: ResultStore) -> None:
+    first, second = MemoryLink(), MemoryLink()
+    broker = Broker(first, second)
+    outbox = Outbox(store, "car1", broker.connect, "broker")
+    sender = asyncio.create_task(outbox.run())
+    await until(lambda: broker.attempt_count == 1)
+    first.cut.set()
+    await until(lambda: broker.attempt_count == 2)
+    await outbox.close(sender)
+
+
+async def test_an_absent_broker_is_told_of_once_and_tried_again(
+    store: ResultStore, caplog: pytest.LogCaptureFixture
+) -> None:
+    broker = Broker(link := MemoryLink())
+    broker.is_absent = True
+    outbox = Outbox(store, "car1", broker.connect, "broker.example")
+    put(store, 1, 2, 3)
+    sender = asyncio.create_task(outbox.run())
+    await until(lambda: broker.attempt_count > 5)
+    broker.is_absent = False
+    await until(lambda: seqs(link) == [1, 2, 3])
+    await outbox.close(sender)
+    warnings = [record.getMessage() for record in caplog.records if record.levelname == "WARNING"]
+    assert len(warnings) == 1
+    assert "broker.example" in warnings[0]
+    assert "3 results wait" in warnings[0]
+
+
+async def test_a_refused_result_blocks_the_queue_not_the_run(store: ResultStore) -> None:
+    refusing = MemoryLink()
+    refusing.is_refusing = True
+    broker = Broker(refusing)
+    outbox = Outbox(store, "car1", broker.connect, "broker")
+    put(store, 1, 2)
+    sender = asyncio.create_task(outbox.run())
+    await until(lambda: not broker.links)
+    broker.is_absent = True
+    assert await outbox.close(sender) == 2
+
+
+async def test_closing_an_outbox_whose_broker_is_absent_takes_one_attempt(store: ResultStore) -> None:
+    broker = Broker()
+    broker.is_absent = True
+    outbox = Outbox(store, "car1", broker.connect, "broker")
+    put(store, 1)
+    sender = asyncio.create_task(outbox.run())
+    async with asyncio.timeout(HANG_S):
+        assert await outbox.close(sender) == 1
+
+
+async def test_closing_an_outbox_whose_broker_is_silent_takes_a_limited_time(store: ResultStore) -> None:
+    class Silent(MemoryLink):
+        async def send(self, messages: Sequence[Outgoing]) -> None:
+            if messages:
+                await asyncio.Event().wait()
+
+    outbox = Outbox(store, "car1", Broker(Silent()).connect, "broker")
+    put(store, 1)
+    sender = asyncio.create_task(outbox.run())
+    async with asyncio.timeout(HANG_S):
+        assert await outbox.close(sender, timeout_s=0.05) == 1
+    assert sender.cancelled()
+
+
+# --- with a backend whose word counts ---
+
+
+def backend_outbox(store: ResultStore, broker: Broker) -> Outbox:
+    return Outbox(store, "car1", broker.connect, "broker", acknowledge=Acknowledge.BACKEND)
+
+
+def receipts(*seqs: int, outcome: Outcome = Outcome.ACCEPTED, reason: str | None = None) -> list[Receipt]:
+    return [Receipt(key=key_of(shift_record(shift_result(seq))), outcome=outcome, reason=reason) for seq in seqs]
+
+
+async def test_only_the_backend_lets_a_result_be_forgotten(store: ResultStore) -> None:
+    link = MemoryLink()
+    outbox = backend_outbox(store, Broker(link))
+    put(store, 1, 2, 3)
+    sender = asyncio.create_task(outbox.run())
+    await until(lambda: seqs(link) == [1, 2, 3] and link.hear is not None)
+    assert store.unpublished_count("car1") == 3
+    assert link.hear is not None
+    link.hear(receipts(2, 99))
+    await until(lambda: store.unpublished_count("car1") == 2)
+    link.hear(receipts(1, 3, 2))
+    assert await outbox.close(sender) == 0
+    assert seqs(link) == [1, 2, 3]
+
+
+async def test_a_backend_that_acknowledges_at_once_gets_each_result_once(store: ResultStore) -> None:
+    link = MemoryLink(is_acknowledging=True)
+    outbox = backend_outbox(store, Broker(link))
+    put(store, *range(1, 1001))
+    sender = asyncio.create_task(outbox.run())
+    assert await outbox.close(sender) == 0
+    assert sorted(seqs(link)) == list(range(1, 1001))
+    assert (outbox.counts.sent, outbox.counts.acknowledged, outbox.counts.repeated) == (1000, 1000, 0)
+
+
+async def test_what_nobody_acknowledged_is_sent_again_over_the_next_connection(store: ResultStore) -> None:
+    first, second = MemoryLink(), MemoryLink(is_acknowledging=True)
+    outbox = backend_outbox(store, Broker(first, second))
+    put(store, 1, 2)
+    sender = asyncio.create_task(outbox.run())
+    await until(lambda: seqs(first) == [1, 2])
+    assert first.hear is not None
+    first.hear(receipts(1))
+    await until(lambda: store.unpublished_count("car1") == 1)
+    first.cut.set()
+    await until(lambda: store.unpublished_count("car1") == 0)
+    assert seqs(second) == [2]
+    await outbox.close(sender)
+
+
+async def test_silence_is_told_once_and_results_are_sent_again_less_and_less_often(
+    store: ResultStore, caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("diag_service.delivery.delivery.RESEND_S", 0.05)
+    link = MemoryLink()
+    outbox = backend_outbox(store, Broker(link))
+    put(store, 1, 2)
+    sender = asyncio.create_task(outbox.run())
+    await until(lambda: seqs(link) == [1, 2] * 4)
+    count = len(link.results)
+    await asyncio.sleep(0.1)  # half of the present pause
+    assert len(link.results) == count
+    assert caplog.text.count("no backend acknowledged 2 results") == 1
+    assert link.hear is not None
+    link.hear(receipts(1, 2))
+    assert await outbox.close(sender) == 0
+    assert outbox.counts.repeated == 6
+
+
+async def test_a_silent_backend_is_asked_with_a_few_and_gets_the_others_when_it_answers(
+    store: ResultStore, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("diag_service.delivery.delivery.RESEND_S", 0.02)
+    monkeypatch.setattr("diag_service.delivery.delivery.PROBE", 2)
+    monkeypatch.setattr("diag_service.delivery.owed.ASTRAY_S", 0.0)
+    link = MemoryLink()
+    outbox = backend_outbox(store, Broker(link))
+    put(store, *range(1, 11))
+    sender = asyncio.create_task(outbox.run())
+    await until(lambda: len(link.results) == 16)  # all once, and three questions
+    asked = set(seqs(link)[10:])
+    assert len(asked) == 6
+    link.is_acknowledging = True
+    await until(lambda: store.unpublished_count("car1") == 0)
+    assert await outbox.close(sender) == 0
+
+
+async def test_a_quarantined_result_is_forgotten_and_told(store: ResultStore, caplog: pytest.LogCaptureFixture) -> None:
+    link = MemoryLink()
+    outbox = backend_outbox(store, Broker(link))
+    put(store, 1)
+    sender = asyncio.create_task(outbox.run())
+    await until(lambda: seqs(link) == [1])
+    assert link.hear is not None
+    link.hear(receipts(1, outcome=Outcome.QUARANTINED, reason="quality: must be at most 1"))
+    assert await outbox.close(sender) == 0
+    assert "put aside 1 results" in caplog.text
+    assert "quality: must be at most 1" in caplog.text
+
+
+async def test_a_silent_backend_gets_no_more_than_a_window_and_what_happens_now(
+    store: ResultStore, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("diag_service.delivery.delivery.WINDOW", 20)
+    link = MemoryLink()
+    outbox = backend_outbox(store, Broker(link))
+    put(store, *range(1, 101))
+    sender = asyncio.create_task(outbox.run())
+    await until(lambda: len(link.results) == 20)
+    put(store, 101)
+    outbox.nudge()
+    await until(lambda: seqs(link)[20:] == [101])
+    assert await outbox.close(sender, timeout_s=0.05) == 101
+
+
+async def test_metrics_and_greetings_are_sent(store: ResultStore) -> None:
+    link = MemoryLink()
+    greeting = metrics_message("car1", NOW, {"hello_count": 1})
+    outbox = Outbox(
+        store,
+        "car1",
+        Broker(link).connect,
+        "broker",
+        greetings=[greeting],
+        metrics=lambda numbers: metrics_message("car1", NOW, numbers),
+    )
+    put(store, 1, 2)
+    sender = asyncio.create_task(outbox.run())
+    await until(lambda: len(link.others) == 2)
+    await outbox.close(sender)
+    assert link.others[0] == greeting
+    numbers = read_message(link.others[1].topic, link.others[1].payload).data["metrics"]
+    assert isinstance(numbers, dict)
+    assert numbers["outbox_sent_count"] == 2
+
+
+async def test_what_a_dying_worker_took_with_it_is_sent_again_soon(
+    store: ResultStore, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("diag_service.delivery.owed.ASTRAY_S", 0.01)
+    link = MemoryLink()
+    outbox = backend_outbox(store, Broker(link))
+    put(store, 1)
+    sender = asyncio.create_task(outbox.run())
+    await until(lambda: seqs(link) == [1])
+    await asyncio.sleep(0.02)
+    put(store, 2)
+    outbox.nudge()
+    await until(lambda: seqs(link) == [1, 2] and link.hear is not None)
+    assert link.hear is not None
+    link.hear(receipts(2))
+    await until(lambda: seqs(link) == [1, 2, 1])  # long before its time limit
+    link.hear(receipts(1))
+    assert await outbox.close(sender) == 0
+
+
+async def test_a_disk_without_room_for_a_receipt_is_tried_again(
+    store: ResultStore, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    def refuse(_receipts: Sequence[Receipt]) -> list[int]:
+        raise StoreFullError("cannot use store x: database or disk is full")
+
+    first, second = MemoryLink(is_acknowledging=True), MemoryLink(is_acknowledging=True)
+    broker = Broker(first, second)
+    outbox = backend_outbox(store, broker)
+    put(store, 1)
+    with monkeypatch.context() as full:
+        full.setattr(store, "settle", refuse)
+        sender = asyncio.create_task(outbox.run())
+        await until(lambda: "disk is full; 1 results wait" in caplog.text)
+    await until(lambda: store.unpublished_count("car1") == 0)
+    assert (seqs(first), seqs(second)) == ([1], [1])
+    assert await outbox.close(sender) == 0

@@ -1,0 +1,136 @@
+"""What people and the next program in a pipe get to see."""
+
+import io
+import json
+from dataclasses import replace
+
+import pytest
+from rich.console import Console
+
+from diag_service.delivery import ConsoleReporter, JsonLinesReporter, MemoryReporter
+from diag_service.delivery.pipe import PipeReporter
+from diag_service.diagnosis.records import Reason, ShiftResult
+from diag_service.diagnosis.results import shift_record
+from diag_service.diagnosis.summary import FrameCounts, ShiftTally, Summary, frames_line, shifts_line, summarise
+from tests.builders import rejected, shift_result
+
+FRAMES = FrameCounts(
+    on_bus=100,
+    decoded=70,
+    ignored=10,
+    kernel_dropped=3,
+    queue_dropped=4,
+    rejected={"bad_crc": 12, "repeated": 0, "short": 1},
+    missing=5,
+)
+
+
+def interrupted(seq: int) -> ShiftResult:
+    result = rejected(shift_result(seq, to_gear=3))
+    return replace(result, estimate=replace(result.estimate, reasons=(Reason.INTERRUPTED,)))
+
+
+def numbers() -> Summary:
+    tally = ShiftTally()
+    tally.add(shift_result(1), is_new=True)
+    tally.add(shift_result(2), is_new=False)
+    tally.add(interrupted(3), is_new=True)
+    return summarise("car1", FRAMES, tally, 2)
+
+
+def test_frames_add_up_or_not() -> None:
+    assert FRAMES.is_balanced
+    assert not replace(FRAMES, decoded=71).is_balanced
+    assert replace(FRAMES, unsupported=5, on_bus=105).is_balanced
+
+
+def test_the_numbers_in_words() -> None:
+    assert frames_line(FRAMES) == (
+        "100 frames, 70 decoded, 10 ignored, 13 rejected (12 bad crc, 1 short), 7 dropped, 5 missing, "
+        "0 values not available"
+    )
+    assert shifts_line(numbers()) == (
+        "3 shifts (2 valid, 1 rejected), reasons (1 interrupted), 1 were stored before, 2 wait for the broker"
+    )
+
+
+def test_json_lines_hold_records_only() -> None:
+    out, people = io.StringIO(), io.StringIO()
+    reporter = JsonLinesReporter(out, Console(file=people))
+    reporter.listening("vcan0")
+    reporter.report(shift_result(1))
+    reporter.finish(numbers())
+    shift, summary = (json.loads(line) for line in out.getvalue().splitlines())
+    assert shift == shift_record(shift_result(1))
+    assert summary["frames"]["rejected"] == {"bad_crc": 12, "repeated": 0, "short": 1}
+    assert summary["shifts"] == {
+        "by_status": {"valid": 2, "rejected": 1, "unobserved": 0},
+        "by_reason": {"interrupted": 1},
+        "stored": 2,
+        "already_stored": 1,
+        "unpublished": 2,
+    }
+    assert [clutch["clutch"] for clutch in summary["clutches"]] == [1, 2]
+    assert people.getvalue() == "listening on vcan0\n"
+
+
+def test_people_see_a_line_per_shift_whatever_the_width() -> None:
+    out = io.StringIO()
+    reporter = ConsoleReporter(Console(file=out, width=40))
+    reporter.listening("vcan0")
+    reporter.report(shift_result(1))
+    reporter.report(interrupted(2))
+    lines = out.getvalue().splitlines()
+    assert lines[0] == "listening on vcan0"
+    assert " ".join(lines[2].split()) == "1 1-2 2 valid 0.1361 0.0012 0.1200 0.0016 0.000 0.85 80 °C good"
+    assert " ".join(lines[3].split()) == "2 2-3 1 rejected - - - - - 0.85 - no verdict [interrupted]"
+    assert len(lines) == 4
+
+
+def test_people_see_the_clutches_at_the_end() -> None:
+    out = io.StringIO()
+    ConsoleReporter(Console(file=out, width=80)).finish(numbers())
+    text = out.getvalue()
+    assert "0.1361 ± 0.0012" in text
+    assert "99.0 %" in text
+    assert "clutch 2: mu-v slope negative with probability 0.000" in text
+    assert "  scale-free mu_C 0.1388 ± 0.0009, mu_S 0.1224 ± 0.0013; common scale ± 3.0 %\n" in text
+    assert "  shift-to-shift std mu_C 0.0021, mu_S 0.0047 (18 shifts)\n" in text
+    assert "  trend mu_C -1.5 ± 0.4 %, mu_S +0.3 ± 0.8 % against the baseline (15 shifts)\n" in text
+    assert text.endswith(frames_line(FRAMES) + "\n")
+
+
+def test_people_see_the_ratio_after_the_last_shift() -> None:
+    out = io.StringIO()
+    tally = ShiftTally()
+    tally.add(interrupted(1), is_new=True)
+    tally.add(shift_result(2), is_new=True)
+    ConsoleReporter(Console(file=out, width=80)).finish(summarise("car1", FRAMES, tally, None))
+    assert "mu_C1/mu_C2 1.004 ± 0.014, mu_S1/mu_S2 0.991 ± 0.017\n" in out.getvalue()
+
+
+def test_a_broken_pipe_is_told_once_and_then_nothing_is_written() -> None:
+    class Broken(MemoryReporter):
+        def report(self, result: ShiftResult) -> None:
+            super().report(result)
+            raise BrokenPipeError
+
+    broken, breaks = Broken(), list[str]()
+    reporter = PipeReporter(broken, lambda: breaks.append("broken"))
+    reporter.listening("vcan0")
+    reporter.report(shift_result(1))
+    reporter.report(shift_result(2))
+    reporter.finish(numbers())
+    assert breaks == ["broken"]
+    assert [result.seq for result in broken.results] == [1]
+    assert broken.summaries == []
+
+
+def test_other_errors_pass_a_pipe() -> None:
+    class Failing(MemoryReporter):
+        def report(self, result: ShiftResult) -> None:
+            super().report(result)
+            raise OSError("no space left")
+
+    with pytest.raises(OSError, match="no space left"):
+        PipeReporter(Failing(), lambda: None).report(shift_result(1))

@@ -1,0 +1,95 @@
+"""Certificate files: read anew, checked for who may read the key, and a renewal noticed."""
+
+import os
+import ssl
+import threading
+from datetime import UTC, datetime
+from pathlib import Path
+
+import pytest
+
+from diag_service.delivery import TlsFiles, tls
+from diag_service.delivery.tls import read_secret
+from diag_service.errors import ConfigError, PublishError
+from fleet_certificates.authority import Authority, Lifetime
+
+LIFETIME = Lifetime.of_days(1, datetime(2026, 1, 1, tzinfo=UTC))
+
+
+@pytest.fixture(name="authority")
+def _authority(tmp_path: Path) -> Authority:
+    authority = Authority.make(tmp_path, LIFETIME)
+    authority.issue_client("car1", LIFETIME)
+    return authority
+
+
+@pytest.fixture(name="files")
+def _files(tmp_path: Path, authority: Authority) -> TlsFiles:
+    assert authority.folder == tmp_path
+    return TlsFiles(authority=tmp_path / "ca.crt", certificate=tmp_path / "car1.crt", key=tmp_path / "car1.key")
+
+
+def test_the_name_of_the_broker_is_checked_and_old_versions_are_not_spoken(files: TlsFiles) -> None:
+    context = files.context()
+    assert context.check_hostname
+    assert context.verify_mode is ssl.CERT_REQUIRED
+    assert context.minimum_version is ssl.TLSVersion.TLSv1_2
+
+
+def test_a_renewal_is_noticed(files: TlsFiles, authority: Authority) -> None:
+    before = files.fingerprint()
+    assert files.fingerprint() == before
+    authority.issue_client("car1", LIFETIME)
+    assert files.fingerprint() != before
+
+
+@pytest.mark.parametrize(
+    ("spoil", "message"),
+    [
+        (lambda folder: (folder / "car1.key").chmod(0o640), "chmod 600"),
+        (lambda folder: (folder / "car1.key").unlink(), "cannot read"),
+        (lambda folder: (folder / "ca.crt").unlink(), "cannot be read"),
+        (lambda folder: (folder / "ca.crt").write_bytes(b"x"), "cannot be used"),
+        (lambda folder: (folder / "car1.crt").write_bytes((folder / "ca.crt").read_bytes()), "cannot be used"),
+    ],
+)
+def test_files_that_may_be_put_right_are_a_matter_of_patience(
+    files: TlsFiles, tmp_path: Path, spoil: "object", message: str
+) -> None:
+    assert callable(spoil)
+    spoil(tmp_path)
+    files.fingerprint()
+    with pytest.raises(PublishError, match=message):
+        files.context()
+
+
+def test_a_certificate_without_a_key_is_a_mistake(tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match="needs its key"):
+        TlsFiles(certificate=tmp_path / "car1.crt")
+
+
+def test_a_secret_may_come_through_a_pipe(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = tmp_path / "pipe"
+    os.mkfifo(path, 0o600)
+    writer = threading.Thread(target=lambda: path.write_bytes(b"open sesame\n"))
+    writer.start()
+    assert read_secret(path) == "open sesame"
+    writer.join()
+    monkeypatch.setattr(tls, "PIPE_WAIT_S", 0.01)
+    with pytest.raises(ConfigError, match="nobody has written into this pipe"):
+        read_secret(path)
+
+
+def test_a_secret_without_an_end_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "pipe"
+    os.mkfifo(path, 0o600)
+
+    def write() -> None:
+        with pytest.raises(BrokenPipeError):
+            path.write_bytes(bytes(2**20))
+
+    writer = threading.Thread(target=write)
+    writer.start()
+    with pytest.raises(ConfigError, match="so long a secret"):
+        read_secret(path)
+    writer.join()

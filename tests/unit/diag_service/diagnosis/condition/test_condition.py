@@ -1,0 +1,237 @@
+"""The verdict, its thresholds and its hysteresis."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from clutch_model.calibration import nominal_calibration
+from diag_service.diagnosis.condition.condition import ConditionMemory, Fit, judge
+from diag_service.diagnosis.condition.scatter import LEAST_SHIFT_COUNT
+from diag_service.diagnosis.friction.baseline import BASELINE_SHIFT_COUNT
+from diag_service.diagnosis.friction.belief import Belief
+from diag_service.diagnosis.friction.parameters import State
+from diag_service.diagnosis.records import Condition, Reason, Status
+from tests.builders import rejected, shift_estimate, shift_result
+
+CALIBRATION = nominal_calibration()
+
+
+def believed(mu_c: float, mu_s: float, *, std: float = 0.001, shift_count: int = 5) -> Belief:
+    """Return a running state with the friction of both clutches known to ``std``."""
+    belief = Belief.fresh(CALIBRATION)
+    mean = belief.mean.copy()
+    mean[: State.MU_S2 + 1] = [mu_c, mu_s, mu_c, mu_s]
+    covariance = belief.covariance.copy()
+    covariance[:4, :4] = np.eye(4) * std**2
+    return replace(belief, mean=mean, covariance=covariance, shift_counts=(shift_count, shift_count))
+
+
+def condition_of(belief: Belief, previous: Condition = Condition.NO_VERDICT) -> Condition:
+    _, verdict = judge(ConditionMemory(conditions=(previous, previous)), belief, 1, CALIBRATION)
+    return verdict.condition
+
+
+@pytest.mark.parametrize(
+    ("mu_c", "mu_s", "expected"),
+    [
+        (0.140, 0.119, Condition.GOOD),
+        (0.133, 0.125, Condition.WATCH),  # case 1: the margin against shudder is more than halved
+        (0.119, 0.137, Condition.CHANGE_FLUID),  # case 2: negative slope
+        (0.105, 0.088, Condition.CHANGE_FLUID),  # healthy slope, but a quarter of the torque is gone
+        (0.122, 0.104, Condition.WATCH),
+    ],
+)
+def test_known_fluids_get_their_verdict(mu_c: float, mu_s: float, expected: Condition) -> None:
+    assert condition_of(believed(mu_c, mu_s)) is expected
+
+
+def test_one_shift_is_no_verdict() -> None:
+    assert condition_of(believed(0.119, 0.137, shift_count=1)) is Condition.NO_VERDICT
+
+
+def test_an_uncertain_margin_is_no_verdict() -> None:
+    assert condition_of(believed(0.140, 0.119, std=0.02)) is Condition.NO_VERDICT
+
+
+def test_a_certain_shudder_is_told_even_when_the_margin_is_uncertain() -> None:
+    assert condition_of(believed(0.10, 0.15, std=0.01)) is Condition.CHANGE_FLUID
+
+
+def test_a_verdict_stays_until_its_cause_is_unlikely() -> None:
+    borderline = believed(0.1295, 0.1285, std=0.001)  # slope negative with probability 0.24
+    assert condition_of(borderline) is Condition.WATCH
+    assert condition_of(borderline, previous=Condition.CHANGE_FLUID) is Condition.CHANGE_FLUID
+    clear = believed(0.133, 0.129, std=0.001)
+    assert condition_of(clear, previous=Condition.CHANGE_FLUID) is Condition.WATCH
+
+
+def test_the_reason_names_cause_and_certainty() -> None:
+    _, verdict = judge(ConditionMemory.fresh(), believed(0.119, 0.137), 2, CALIBRATION)
+    assert verdict.clutch == 2
+    assert "shudder" in verdict.reason
+    assert "5 shifts" in verdict.reason
+    assert verdict.level_ratio == pytest.approx(0.85)
+
+
+def test_each_clutch_has_its_own_memory() -> None:
+    memory, _ = judge(ConditionMemory.fresh(), believed(0.119, 0.137), 2, CALIBRATION)
+    assert memory.conditions == (Condition.NO_VERDICT, Condition.CHANGE_FLUID)
+    assert ConditionMemory.from_json(memory.to_json()) == memory
+
+
+def aged(ratio: float, *, later_count: int = 10) -> Belief:
+    """Return a state whose friction was at first as in the calibration and is now a share of it, slope healthy."""
+    first = believed(0.140, 0.119, shift_count=BASELINE_SHIFT_COUNT).counted(1, 1).counted(2, 1)
+    now = replace(first, mean=first.mean * np.array([ratio] * 4 + [1.0] * 5))
+    for _ in range(later_count):
+        now = now.counted(1, 2)
+    return now
+
+
+def uncertain_scale(belief: Belief) -> Belief:
+    """Return a state whose level says little: the gain of the torque reading may be wrong by a sixth."""
+    considered = belief.considered.copy()
+    considered[0, 0] = 0.17**2
+    return replace(belief, considered=considered)
+
+
+@pytest.mark.parametrize(
+    ("ratio", "expected", "by_level_alone"),
+    [
+        (0.95, Condition.GOOD, Condition.GOOD),
+        (0.88, Condition.WATCH, Condition.GOOD),
+        (0.78, Condition.CHANGE_FLUID, Condition.WATCH),
+    ],
+)
+def test_friction_lost_since_the_baseline_is_told_although_the_level_is_uncertain(
+    ratio: float, expected: Condition, by_level_alone: Condition
+) -> None:
+    assert condition_of(uncertain_scale(aged(1.0))) is Condition.GOOD
+    belief = uncertain_scale(aged(ratio))
+    _, verdict = judge(ConditionMemory.fresh(), belief, 1, CALIBRATION)
+    assert verdict.condition is expected
+    assert ("lost since the baseline" in verdict.reason) is (expected is not Condition.GOOD)
+    assert verdict.trend is not None
+    assert verdict.trend.change_mu_c_ratio == pytest.approx(ratio - 1.0)
+    assert condition_of(replace(belief, baselines=(None, None))) is by_level_alone
+
+
+def test_a_verdict_says_what_is_sharp_as_far_as_it_is_known() -> None:
+    _, unknown = judge(ConditionMemory.fresh(), believed(0.14, 0.119, shift_count=0), 1, CALIBRATION)
+    assert unknown.scale_free is None
+    assert unknown.common_scale_std_ratio is None
+    assert unknown.clutch_ratio is None
+    assert unknown.trend is None
+    _, verdict = judge(ConditionMemory.fresh(), believed(0.14, 0.119), 1, CALIBRATION)
+    assert verdict.scale_free is not None
+    assert verdict.common_scale_std_ratio == pytest.approx(np.hypot(0.03, 0.01))
+    assert verdict.clutch_ratio is not None
+    assert verdict.trend is None
+    assert verdict.shift_scatter is None
+
+
+def test_the_scatter_of_shifts_comes_with_the_verdict_once_there_were_enough() -> None:
+    belief, memory = believed(0.1361, 0.12), ConditionMemory.fresh()
+    for number in range(1, LEAST_SHIFT_COUNT + 1):
+        assert judge(memory, belief, 2, CALIBRATION)[1].shift_scatter is None
+        memory = memory.with_shift(shift_estimate(number), belief)
+    scatter = judge(memory, belief, 2, CALIBRATION)[1].shift_scatter
+    assert scatter is not None
+    assert scatter.shift_count == LEAST_SHIFT_COUNT
+    assert judge(memory, belief, 1, CALIBRATION)[1].shift_scatter is None
+    assert ConditionMemory.from_json(memory.to_json()) == memory
+
+
+def test_only_shifts_that_entered_the_running_state_scatter() -> None:
+    memory, estimate = ConditionMemory.fresh(), shift_estimate()
+    refused = replace(estimate, reasons=(Reason.NOT_UPDATED,))
+    assert memory.with_shift(refused, believed(0.14, 0.12)) == memory
+    assert memory.with_shift(rejected(shift_result()).estimate, believed(0.14, 0.12)) == memory
+    assert memory.with_shift(replace(estimate, status=Status.REJECTED), believed(0.14, 0.12)) == memory
+    assert memory.with_shift(estimate, believed(0.14, 0.12, shift_count=0)) == memory
+    assert memory.with_shift(estimate, believed(0.14, 0.12)) != memory
+
+
+GOOD_MEMORY = ConditionMemory.fresh().to_json()
+
+
+@pytest.mark.parametrize(
+    "table",
+    [
+        {},
+        {"conditions": ["FINE", "GOOD"]},
+        GOOD_MEMORY | {"conditions": ["FINE", "GOOD"]},
+        GOOD_MEMORY | {"conditions": None},
+        GOOD_MEMORY | {"format": 1},
+        GOOD_MEMORY | {"fits": ["PERHAPS"]},
+        GOOD_MEMORY | {"fits": None},
+        GOOD_MEMORY | {"scatters": [None]},
+        GOOD_MEMORY | {"scatters": [{"variance_mu_c": 1e-6}, None]},
+        GOOD_MEMORY | {"scatters": [{"variance_mu_c": -1.0, "variance_mu_s": 1e-6, "shift_count": 3}, None]},
+    ],
+)
+def test_a_damaged_memory_is_refused(table: dict[str, object]) -> None:
+    with pytest.raises(ValueError, match=r"condition memory|impossible scatter"):
+        ConditionMemory.from_json(table)
+
+
+AGREES, SURPRISES, MISFITS = Fit.AGREES, Fit.SURPRISES, Fit.MISFITS
+
+
+def after(*reasons: Reason | None) -> ConditionMemory:
+    """Return the memory after some shifts, each with the reason against it."""
+    memory = ConditionMemory.fresh()
+    for reason in reasons:
+        shift = shift_estimate()
+        if reason is Reason.NOT_UPDATED:
+            shift = replace(shift, reasons=(reason,))
+        elif reason is not None:
+            shift = replace(shift, status=Status.REJECTED, reasons=(reason,))
+        memory = memory.with_fit(shift)
+    return memory
+
+
+def test_a_shift_says_whether_the_calibration_fits_unless_it_says_nothing() -> None:
+    memory = after(None, Reason.MISFIT, Reason.ZERO_JUMPED, Reason.NOT_UPDATED, Reason.FRAMES_MISSING, Reason.SATURATED)
+    assert memory.fits == (AGREES, MISFITS, MISFITS, SURPRISES)
+
+
+def test_a_calibration_that_shifts_contradict_gives_no_verdict() -> None:
+    fits = (AGREES, MISFITS, AGREES, SURPRISES, AGREES, AGREES, MISFITS)
+    memory = ConditionMemory(fits=fits)
+    assert memory.misfit_text.startswith("calibration does not fit: 3 of the last 7 shifts contradict it")
+    assert "diag-service calibrate" in memory.misfit_text
+    assert ConditionMemory.from_json(memory.to_json()) == memory
+    memory, verdict = judge(memory, believed(0.140, 0.119), 1, CALIBRATION)
+    assert (verdict.condition, verdict.reason) == (Condition.NO_VERDICT, memory.misfit_text)
+
+
+@pytest.mark.parametrize(
+    "fits",
+    [
+        (),
+        (MISFITS, MISFITS),  # too few to be a share
+        (MISFITS,) * 3 + (AGREES,) * 10,  # too small a share
+        (AGREES,) * 2 + (SURPRISES,) * 4,  # new fluid: two shifts of each clutch
+    ],
+)
+def test_what_sound_drives_may_hold_costs_no_verdict(fits: tuple[Fit, ...]) -> None:
+    memory = ConditionMemory(fits=fits)
+    assert not memory.misfit_text
+    assert judge(memory, believed(0.140, 0.119), 1, CALIBRATION)[1].condition is Condition.GOOD
+
+
+def test_surprises_that_do_not_end_speak_against_the_calibration() -> None:
+    assert ConditionMemory(fits=(AGREES,) * 5 + (SURPRISES,) * 5).misfit_text
+
+
+def test_what_was_long_ago_is_forgotten() -> None:
+    assert after(*[Reason.MISFIT] * 20).misfit_text
+    assert not after(*[Reason.MISFIT] * 20, *[None] * 16).misfit_text
+
+
+def test_a_memory_of_an_earlier_version_knows_of_no_fit() -> None:
+    table = ConditionMemory.fresh().to_json()
+    del table["fits"]
+    assert ConditionMemory.from_json(table).fits == ()

@@ -1,0 +1,110 @@
+"""Indices of a made-up shift whose every number is known."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from canlog.arrays import FloatArray
+from canlog.series import Series
+from clutch_model.calibration import nominal_calibration
+from diag_service.diagnosis.columns import Signal
+from diag_service.diagnosis.condition.indices import measure
+from diag_service.diagnosis.events import EndReason, ShiftEvent
+
+CALIBRATION = nominal_calibration()
+STEP_NS = 10_000_000
+START_NS = 1_000_000_000
+ROWS = np.arange(-50, 110)
+T_S = ROWS * 0.01
+INERTIA_KG_M2 = CALIBRATION.input_side.engine_inertia_kg_m2
+DECELERATION_RAD_S2 = -80.0
+SLIP_RAD_S = np.clip(60.0 + DECELERATION_RAD_S2 * T_S, 0.0, None)  # closes after 0.75 s
+ASKED_NM = 150.0
+
+
+def series(value: FloatArray | float) -> Series:
+    return Series(
+        t_ns=START_NS + ROWS * STEP_NS,
+        sequence=ROWS.astype(np.int64),
+        value=np.broadcast_to(np.asarray(value, np.float64), ROWS.shape).copy(),
+    )
+
+
+def shift(ratio: float = 0.9, *, to_gear: int = 2, sign: float = 1.0) -> ShiftEvent:
+    """Return a shift whose clutch carries ``ratio`` of what it is asked for."""
+    engine_nm = sign * (ratio * ASKED_NM + INERTIA_KG_M2 * DECELERATION_RAD_S2)
+    return ShiftEvent(
+        number=1,
+        from_gear=1,
+        to_gear=to_gear,
+        start_ns=START_NS,
+        end_ns=START_NS + 1_000_000_000,
+        end_reason=EndReason.COMPLETE,
+        bad_frame_count=0,
+        columns={
+            Signal.ENGINE_SPEED: series(300.0 + sign * SLIP_RAD_S),
+            Signal.INPUT_SPEED: series(300.0),
+            Signal.ENGINE_TORQUE: series(engine_nm),
+            Signal.CLUTCH1_TORQUE_COMMAND: series(0.0),
+            Signal.CLUTCH2_TORQUE_COMMAND: series(ASKED_NM),
+        },
+    )
+
+
+def without(event: ShiftEvent, *signals: Signal, **more: Series) -> ShiftEvent:
+    kept = {signal: one for signal, one in event.columns.items() if signal not in signals}
+    return replace(event, columns={**kept, **{Signal(name): one for name, one in more.items()}})
+
+
+def test_time_and_slip() -> None:
+    found = measure(shift(), CALIBRATION)
+    assert found.shift_time_s == 1.0
+    assert found.peak_slip_rad_s == pytest.approx(60.0)
+    assert found.slip_duration_s == pytest.approx(55.0 / 80.0, abs=0.01)
+    assert found.slip_angle_rad == pytest.approx(0.5 * 60.0 * 0.75, rel=0.01)
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+@pytest.mark.parametrize("ratio", [1.0, 0.8])
+def test_torque_capacity_is_transmitted_over_asked(ratio: float, sign: float) -> None:
+    found = measure(shift(ratio, sign=sign), CALIBRATION)
+    assert found.torque_capacity_ratio == pytest.approx(ratio, abs=0.01)
+    assert found.std_torque_capacity_ratio is not None
+    assert 0.03 < found.std_torque_capacity_ratio < 0.1  # gain 3 %, offset 5 Nm, inertia 20 % of 16 Nm
+
+
+def test_the_torque_that_the_controller_states_serves_as_well() -> None:
+    commands = (Signal.CLUTCH1_TORQUE_COMMAND, Signal.CLUTCH2_TORQUE_COMMAND)
+    found = measure(without(shift(), *commands, clutch_torque_nm=series(ASKED_NM)), CALIBRATION)
+    assert found.torque_capacity_ratio == pytest.approx(0.9, abs=0.01)
+
+
+def test_while_the_other_clutch_carries_too_nothing_is_said_of_capacity() -> None:
+    found = measure(without(shift(), clutch1_torque_command_nm=series(50.0)), CALIBRATION)
+    assert (found.torque_capacity_ratio, found.std_torque_capacity_ratio) == (None, None)
+    assert found.peak_slip_rad_s is not None
+
+
+@pytest.mark.parametrize("signal", [Signal.ENGINE_TORQUE, Signal.CLUTCH2_TORQUE_COMMAND])
+def test_without_torques_only_time_and_slip(signal: Signal) -> None:
+    found = measure(without(shift(), signal), CALIBRATION)
+    assert found.torque_capacity_ratio is None
+    assert found.slip_duration_s is not None
+
+
+@pytest.mark.parametrize("signal", [Signal.ENGINE_SPEED, Signal.INPUT_SPEED])
+def test_without_a_speed_only_time(signal: Signal) -> None:
+    found = measure(without(shift(), signal), CALIBRATION)
+    assert (found.shift_time_s, found.peak_slip_rad_s, found.torque_capacity_ratio) == (1.0, None, None)
+
+
+def test_a_shift_without_an_end_has_no_time() -> None:
+    found = measure(replace(shift(), end_reason=EndReason.TOO_LONG), CALIBRATION)
+    assert (found.shift_time_s, found.peak_slip_rad_s) == (None, None)
+
+
+def test_each_clutch_is_seen_by_its_own_shaft() -> None:
+    shafts = {"input1_speed_rad_s": series(300.0), "input2_speed_rad_s": series(200.0)}
+    event = without(shift(to_gear=3), Signal.INPUT_SPEED, **shafts)
+    assert measure(event, CALIBRATION).peak_slip_rad_s == pytest.approx(60.0)

@@ -1,0 +1,59 @@
+"""Shift-to-shift scatter: what comes out is what went in, outliers or not."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from diag_service.diagnosis.condition.scatter import LEAST_SHIFT_COUNT, Scatter
+from diag_service.diagnosis.records import FrictionEstimate
+from tests.builders import friction_estimate
+
+RUNNING = replace(friction_estimate(), random_std_mu_c=0.0, random_std_mu_s=0.0)
+STD = np.array([0.002, 0.005])
+
+
+def shift(distances: np.ndarray) -> FrictionEstimate:
+    return replace(RUNNING, mu_c=RUNNING.mu_c + distances[0], mu_s=RUNNING.mu_s + distances[1], random_std_mu_c=0.001)
+
+
+def followed(distances: np.ndarray, running: FrictionEstimate = RUNNING) -> Scatter:
+    scatter = Scatter.begun(replace(shift(distances[0]), random_std_mu_s=0.003))
+    for one in distances:
+        scatter = scatter.with_shift(replace(shift(one), random_std_mu_s=0.003), running)
+    return scatter
+
+
+def test_it_is_the_deviation_of_the_shifts() -> None:
+    rng = np.random.default_rng(1)
+    found = []
+    for _ in range(60):
+        reported = followed(rng.normal(size=(60, 2)) * STD).reported
+        assert reported is not None
+        found.append((reported.std_mu_c, reported.std_mu_s))
+    assert np.mean(found, axis=0) == pytest.approx(STD, rel=0.1)
+    assert np.all(np.std(found, axis=0) < 0.2 * STD)
+
+
+def test_an_outlier_does_not_take_it_away() -> None:
+    distances = np.random.default_rng(2).normal(size=(60, 2)) * STD
+    clean = followed(distances).reported
+    distances[40] = 0.1
+    spoilt = followed(distances).reported
+    assert clean is not None
+    assert spoilt is not None
+    assert spoilt.std_mu_c < 1.15 * clean.std_mu_c
+    assert np.std(distances[:, 0]) > 4.0 * clean.std_mu_c  # what a plain deviation would have said
+
+
+def test_the_error_of_the_running_estimate_is_taken_out() -> None:
+    rng = np.random.default_rng(3)
+    unsure = replace(RUNNING, random_std_mu_c=0.001)  # as unsure as a shift: half of each squared distance is its
+    found = followed(rng.normal(size=(2000, 2)) * STD, unsure)
+    assert found.variance_mu_c == pytest.approx(STD[0] ** 2 / 2.0, rel=0.35)
+
+
+def test_nothing_is_said_before_there_were_enough() -> None:
+    distances = np.random.default_rng(4).normal(size=(LEAST_SHIFT_COUNT, 2)) * STD
+    assert followed(distances[:-1]).reported is None
+    assert followed(distances).reported is not None

@@ -1,0 +1,88 @@
+"""The film followed by the estimator against a much finer integration of the same law."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from canlog.arrays import FloatArray
+from clutch_model.calibration import nominal_calibration
+from clutch_model.film import (
+    contact_pressure_pa,
+    equilibrium_film_m,
+    film_law,
+    measured_film_rate_m_s,
+)
+from clutch_model.viscosity import viscosity_pa_s
+from diag_service.diagnosis.friction.film_track import PressureDrive, follow_film
+from diag_service.diagnosis.friction.sampling import GRID_S
+
+CALIBRATION = nominal_calibration()
+OIL_K = 363.15
+FINE = 100  # steps per grid step
+
+
+def engagement_pa(grid_s: FloatArray) -> FloatArray:
+    """Empty, filled to just above the touch point, torque ramp, hold, release."""
+    return np.interp(grid_s, [0.0, 0.1, 0.15, 0.4, 0.7, 0.9, 0.95, 1.2], [0, 0, 1.6e5, 1.7e5, 4e5, 4e5, 0, 0])
+
+
+def reference_contact_pa(clutch: int, piston_pa: FloatArray, viscosity: float) -> FloatArray:
+    law = film_law(CALIBRATION.clutches[clutch - 1])
+    film_m = equilibrium_film_m(0.0, law)
+    contact_pa = np.empty_like(piston_pa)
+    step_s = GRID_S / FINE
+    for k in range(len(piston_pa)):
+        contact_pa[k] = contact_pressure_pa(film_m, law)
+        if k + 1 < len(piston_pa):
+            for j in range(FINE):
+                pressure = piston_pa[k] + (j + 0.5) / FINE * (piston_pa[k + 1] - piston_pa[k])
+                half = film_m + 0.5 * step_s * measured_film_rate_m_s(film_m, pressure, viscosity, law)
+                film_m += step_s * measured_film_rate_m_s(half, pressure, viscosity, law)
+                film_m = min(max(film_m, law.min_film_m), law.open_gap_m)
+    return contact_pa
+
+
+@pytest.mark.parametrize("clutch", [1, 2])
+def test_contact_pressure_follows_the_film_law(clutch: int) -> None:
+    grid_s = np.arange(0.0, 1.2, GRID_S)
+    piston_pa = engagement_pa(grid_s)
+    drive = PressureDrive(piston_pa=piston_pa, slip_rad_s=np.zeros(len(grid_s)), oil_k=OIL_K, clutch_k=OIL_K)
+    track = follow_film(clutch, drive, CALIBRATION)
+    oil = CALIBRATION.viscosity
+    expected = reference_contact_pa(clutch, piston_pa, viscosity_pa_s(OIL_K, oil.a_pa_s, oil.b_k, oil.pole_k))
+    assert np.max(expected) > 1e5
+    error = np.abs(track.contact_pa - expected) / np.max(expected)
+    assert np.max(error) < 0.02  # at the release, where the rate jumps inside a step
+    assert np.mean(error) < 1e-4
+
+
+def test_a_slipping_pack_heats_by_its_friction_power() -> None:
+    grid_s = np.arange(0.0, 1.0, GRID_S)
+    drive = PressureDrive(
+        piston_pa=np.full(len(grid_s), 3e5), slip_rad_s=np.full(len(grid_s), 50.0), oil_k=OIL_K, clutch_k=OIL_K
+    )
+    believed = CALIBRATION.clutches[0]
+    track = follow_film(1, drive, CALIBRATION)
+    torque_nm = believed.geometry.contact_factor_m3 * believed.friction.mu_c * track.contact_pa[500]
+    heated_k = torque_nm * 50.0 / believed.thermal.heat_capacity_j_k
+    assert track.final_clutch_k - OIL_K == pytest.approx(heated_k, rel=0.2)
+    assert track.viscous_nm[500] > 0.0
+
+
+def test_a_locked_pack_stays_cool_despite_the_noise_of_its_slip() -> None:
+    slip = np.random.default_rng(1).normal(0.0, 0.3, 1000)
+    drive = PressureDrive(piston_pa=np.full(1000, 8e5), slip_rad_s=slip, oil_k=OIL_K, clutch_k=OIL_K)
+    assert follow_film(1, drive, CALIBRATION).final_clutch_k == pytest.approx(OIL_K, abs=0.05)
+
+
+def test_thicker_oil_delays_the_contact() -> None:
+    grid_s = np.arange(0.0, 1.2, GRID_S)
+    drive = PressureDrive(
+        piston_pa=engagement_pa(grid_s), slip_rad_s=np.zeros(len(grid_s)), oil_k=OIL_K, clutch_k=OIL_K
+    )
+    oil = CALIBRATION.viscosity
+    thicker = replace(CALIBRATION, viscosity=replace(oil, a_pa_s=1.5 * oil.a_pa_s))
+    thin, thick = follow_film(1, drive, CALIBRATION), follow_film(1, drive, thicker)
+    rising = (grid_s > 0.42) & (grid_s < 0.7)
+    assert np.all(thick.contact_pa[rising] < thin.contact_pa[rising])

@@ -1,0 +1,232 @@
+"""What a vehicle says about itself: derivatives, refusals, and the answer where the truth is known."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+from functools import lru_cache
+
+import numpy as np
+import pytest
+
+from benchmarks.accuracy import to_batch
+from clutch_model.calibration import Calibration, nominal_calibration
+from dbc.contract import load_contract
+from diag_service.diagnosis.events import EndReason, RevEvent, ShiftEvent
+from diag_service.diagnosis.friction.balance import Balance
+from diag_service.diagnosis.friction.belief import Belief, Measurement
+from diag_service.diagnosis.friction.parameters import NAMES, STATE_COUNT, Considered, State, displaced, prior_mean
+from diag_service.diagnosis.friction.preparation import measured_drives, on_coming, planned_drives, slip_window
+from diag_service.diagnosis.friction.rev_balance import rev_measurement
+from diag_service.diagnosis.friction.self_calibration import SelfCalibration, self_calibrate
+from diag_service.diagnosis.friction.signals import gather
+from diag_service.diagnosis.friction.window import SlipWindow
+from diag_service.diagnosis.records import Reason
+from diag_service.diagnosis.shifts.revs import RevFinder
+from diag_service.diagnosis.shifts.shifts import ShiftFinder
+from diag_service.mapping.decoder import Decoder
+from diag_service.mapping.profile import load_profile
+from ecu_emulator.recording import frames_of
+from ecu_emulator.scenario import Routine, Scenario, Truth
+from tests.builders import drive_scenario
+
+NOMINAL = nominal_calibration()
+TORQUE_LATENCY_S, PRESSURE_LATENCY_S, SPEED_LATENCY_S = 0.023, 0.011, 0.004
+GAIN, OFFSET_NM, INERTIA = 1.03, -6.0, 0.96
+SPEEDS = ("engine_speed_rad_s", "hub_speed_rad_s", "input1_speed_rad_s", "input2_speed_rad_s")
+
+
+def seen(scenario: Scenario) -> tuple[tuple[ShiftEvent, ...], tuple[RevEvent, ...]]:
+    frames, _ = frames_of(scenario)
+    decoder, shift_finder, rev_finder = (
+        Decoder(load_contract(), load_profile()),
+        ShiftFinder(),
+        RevFinder(NOMINAL),
+    )
+    shifts: list[ShiftEvent] = []
+    revs: list[RevEvent] = []
+    for columns in decoder.feed(to_batch(frames)):
+        shifts += shift_finder.feed(columns)
+        revs += rev_finder.feed(columns)
+    return tuple(shifts + shift_finder.flush()), tuple(revs + rev_finder.flush())
+
+
+@lru_cache
+def unlike_its_type() -> tuple[tuple[ShiftEvent, ...], tuple[RevEvent, ...]]:
+    """Return shifts and revs of a vehicle that is not what its type promises."""
+    base = drive_scenario(seed=4, cycles=2)
+    sensors = {
+        name: replace(sensor, latency_s=SPEED_LATENCY_S) if name in SPEEDS else sensor
+        for name, sensor in base.sensors.items()
+    }
+    torque = sensors["engine_torque_nm"]
+    sensors["engine_torque_nm"] = replace(torque, gain_ratio=GAIN, offset=OFFSET_NM, latency_s=TORQUE_LATENCY_S)
+    for name in ("clutch1_pressure_pa", "clutch2_pressure_pa"):
+        sensors[name] = replace(sensors[name], latency_s=PRESSURE_LATENCY_S)
+    inertia_kg_m2 = INERTIA * NOMINAL.input_side.engine_inertia_kg_m2
+    truth = Truth(calibration={"input_side.engine_inertia_kg_m2": inertia_kg_m2})
+    return seen(replace(base, sensors=sensors, truth=truth, routine=Routine(open_revs=4, closed_revs=4)))
+
+
+@lru_cache
+def without_noise() -> tuple[tuple[ShiftEvent, ...], tuple[RevEvent, ...]]:
+    base = drive_scenario(seed=5)
+    sensors = {name: replace(sensor, noise_std=0.0) for name, sensor in base.sensors.items()}
+    return seen(replace(base, sensors=sensors, routine=Routine(open_revs=1, closed_revs=1)))
+
+
+def found(shifts: Sequence[ShiftEvent], revs: Sequence[RevEvent]) -> SelfCalibration:
+    result = self_calibrate(shifts, revs, NOMINAL, "test")
+    assert isinstance(result, SelfCalibration), result
+    return result
+
+
+def test_driving_tells_latencies_offset_and_inertia_over_gain() -> None:
+    shifts, _ = unlike_its_type()
+    result = found(shifts, ())
+    bias = result.calibration.bias
+    product = bias.torque_gain * result.calibration.input_side.engine_inertia_kg_m2
+    assert bias.torque_latency_s == pytest.approx(TORQUE_LATENCY_S - SPEED_LATENCY_S, abs=0.003)
+    assert bias.pressure_latency_s == pytest.approx(PRESSURE_LATENCY_S - SPEED_LATENCY_S, abs=0.004)
+    assert bias.torque_offset_nm == pytest.approx(OFFSET_NM, abs=2.0)
+    assert product == pytest.approx(GAIN * INERTIA * NOMINAL.input_side.engine_inertia_kg_m2, rel=0.05)
+    assert result.shift_counts == (10, 10)
+    assert result.std("torque_gain") > 0.015  # driving does not tell it
+
+
+def test_revs_with_open_and_closed_clutches_tell_the_gain() -> None:
+    result = found(*unlike_its_type())
+    assert result.rev_counts == (4, 4)
+    assert result.std("torque_gain") < 0.015
+    assert result.calibration.bias.torque_gain == pytest.approx(GAIN, abs=4.0 * result.std("torque_gain"))
+    for clutch in (1, 2):
+        friction = result.belief.friction(clutch)
+        assert friction.mu_c == pytest.approx(0.140, abs=4.0 * friction.std_mu_c)
+        assert friction.mu_s == pytest.approx(0.119, abs=4.0 * friction.std_mu_s)
+
+
+def test_the_found_calibration_holds_its_own_uncertainty_and_starts_a_state_with_it() -> None:
+    result = found(*unlike_its_type())
+    fresh = Belief.fresh(result.calibration)
+    for name, state in (("torque_offset", State.TORQUE_OFFSET), ("touch1", State.TOUCH1)):
+        total = fresh.total_covariance(slice(state, state + 1))[0, 0]
+        assert np.sqrt(total) == pytest.approx(result.std(name), rel=1e-6)
+    assert np.allclose(fresh.mean[State.TORQUE_OFFSET :], result.mean[State.TORQUE_OFFSET : STATE_COUNT])
+
+
+def test_a_vehicle_is_calibrated_from_its_type_only() -> None:
+    shifts, revs = unlike_its_type()
+    again = self_calibrate(shifts, revs, found(shifts, revs).calibration, "again")
+    assert isinstance(again, str)
+    assert "start from its type" in again
+
+
+def test_too_few_shifts_are_refused() -> None:
+    shifts, revs = unlike_its_type()
+    refusal = self_calibrate(shifts[:6], revs, NOMINAL, "test")
+    assert isinstance(refusal, str)
+    assert "usable shifts" in refusal
+
+
+def test_another_vehicle_type_is_refused() -> None:
+    """Half the engine's inertia cannot be this type, however the parameters bend."""
+    shifts, _ = unlike_its_type()
+    side = NOMINAL.input_side
+    other = replace(NOMINAL, input_side=replace(side, engine_inertia_kg_m2=0.4 * side.engine_inertia_kg_m2))
+    refusal = self_calibrate(shifts, (), other, "test")
+    assert isinstance(refusal, str)
+    assert "not a vehicle of this type" in refusal
+
+
+def test_an_interrupted_rev_is_not_used() -> None:
+    shifts, revs = unlike_its_type()
+    broken = [replace(rev, end_reason=EndReason.INTERRUPTED) for rev in revs]
+    assert found(shifts, broken).rev_counts == (0, 0)
+
+
+STEPS = {
+    Considered.TORQUE_GAIN: 0.01,
+    Considered.ENGINE_INERTIA: 0.01,
+    Considered.PISTON_AREA2: 0.01,
+    Considered.VISCOSITY: 0.02,
+    Considered.TORQUE_LATENCY: 0.001,
+    Considered.PRESSURE_LATENCY: 0.001,
+    Considered.STRIBECK_SPEED: 0.02,
+    Considered.CONTACT_STIFFNESS: 0.02,
+}
+
+
+def shift_residual(
+    event: ShiftEvent, calibration: Calibration, window: SlipWindow | None
+) -> tuple[Measurement, SlipWindow]:
+    signals = gather(event, calibration)
+    assert not isinstance(signals, Reason)
+    belief = Belief.fresh(NOMINAL)
+    drives = measured_drives(signals, belief, event, calibration)
+    chosen = window or slip_window(signals, drives, on_coming(event.to_gear), calibration)
+    assert chosen is not None
+    balance = Balance(signals, chosen, drives, planned_drives(signals, drives, chosen), calibration)
+    return balance.measurement(belief.mean, belief.mean), chosen
+
+
+def moved(parameter: Considered, step: float) -> Calibration:
+    mean = np.concatenate((prior_mean(NOMINAL), np.zeros(len(Considered))))
+    mean[STATE_COUNT + parameter] = step
+    return displaced(NOMINAL, mean)
+
+
+@pytest.mark.parametrize("parameter", STEPS)
+def test_derivatives_of_a_shift_are_those_of_its_residual(parameter: Considered) -> None:
+    """Without noise the planned drives are nearly the measured ones, so finite differences are the reference."""
+    event = without_noise()[0][0]
+    plain, window = shift_residual(event, NOMINAL, None)
+    step = STEPS[parameter]
+    changed, _ = shift_residual(event, moved(parameter, step), window)
+    slope = plain.by_considered[:, parameter]
+    difference = -(changed.residual - plain.residual) / step
+    assert np.linalg.norm(difference - slope) < 0.25 * np.linalg.norm(slope)
+    assert difference @ slope > 0.97 * np.linalg.norm(difference) * np.linalg.norm(slope)
+
+
+REV_STEPS = (
+    Considered.TORQUE_GAIN,
+    Considered.ENGINE_INERTIA,
+    Considered.SHAFT_INERTIA,
+    Considered.TORQUE_LATENCY,
+    Considered.MOTORING_GAIN,
+)
+
+
+@pytest.mark.parametrize("parameter", REV_STEPS)
+def test_derivatives_of_a_rev_are_those_of_its_residual(parameter: Considered) -> None:
+    rev = without_noise()[1][-1]
+    assert rev.are_clutches_closed
+
+    def measured(calibration: Calibration) -> Measurement:
+        signals = gather(rev, calibration)
+        assert not isinstance(signals, Reason)
+        first = int(np.searchsorted(signals.grid_s, 0.0))
+        window = SlipWindow(first=first, stop=len(signals.grid_s), direction=0.0)
+        return rev_measurement(signals, window, prior_mean(NOMINAL), calibration, are_clutches_closed=True)
+
+    step = 1e-3
+    plain, changed = measured(NOMINAL), measured(moved(parameter, step))
+    slope = plain.by_considered[:, parameter]
+    difference = -(changed.residual - plain.residual) / step
+    assert np.linalg.norm(difference - slope) < 0.05 * np.linalg.norm(slope)
+
+
+def test_a_balanced_rev_leaves_nothing() -> None:
+    """The residual of a noise-free rev is small against what one percent of inertia would make of it."""
+    for rev in without_noise()[1]:
+        signals = gather(rev, NOMINAL)
+        assert not isinstance(signals, Reason)
+        first = int(np.searchsorted(signals.grid_s, 0.0))
+        window = SlipWindow(first=first, stop=len(signals.grid_s), direction=0.0)
+        seen_rev = rev_measurement(
+            signals, window, prior_mean(NOMINAL), NOMINAL, are_clutches_closed=rev.are_clutches_closed
+        )
+        one_percent = 0.01 * np.linalg.norm(seen_rev.by_considered[:, Considered.ENGINE_INERTIA])
+        assert np.linalg.norm(seen_rev.residual) < one_percent
+
+
+def test_every_parameter_has_a_name() -> None:
+    assert len(NAMES) == len(set(NAMES)) == STATE_COUNT + len(Considered)

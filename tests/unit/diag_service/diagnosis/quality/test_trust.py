@@ -1,0 +1,196 @@
+"""Trust in the data of a shift: 1 for a sound one, and each flaw costs its own part."""
+
+from collections.abc import Callable
+from dataclasses import replace
+from datetime import date
+from functools import cache, partial
+
+import numpy as np
+import pytest
+
+from canlog.arrays import FloatArray, Int64Array
+from canlog.e2e.e2e_state import E2eState
+from canlog.series import Series
+from clutch_model.calibration import nominal_calibration
+from dbc.contract import load_contract
+from diag_service.diagnosis.columns import BALANCE_SIGNALS, Signal
+from diag_service.diagnosis.condition.condition import ConditionMemory
+from diag_service.diagnosis.events import EndReason, ShiftEvent
+from diag_service.diagnosis.friction import Belief
+from diag_service.diagnosis.quality.trust import MIN_TRUST, TrustBasis, assess, reasons_against
+from diag_service.diagnosis.records import Reason, Status, Trust, TrustPart
+from diag_service.mapping.decoder import Decoder
+from diag_service.mapping.profile import load_profile
+from diag_service.service.stages import Stages
+from ecu_emulator.recording import Drive
+from tests.builders import drive_scenario
+from tests.wire import received
+
+CALIBRATION = nominal_calibration()
+BARE = ShiftEvent(
+    number=1,
+    from_gear=1,
+    to_gear=2,
+    start_ns=0,
+    end_ns=10,
+    end_reason=EndReason.COMPLETE,
+    columns={},
+    bad_frame_count=0,
+)
+
+
+@cache
+def decoder() -> Decoder:
+    return Decoder(load_contract(), load_profile())
+
+
+def stages() -> Stages:
+    fresh = Decoder(load_contract(), load_profile())
+    return Stages(fresh, CALIBRATION, Belief.fresh(CALIBRATION), ConditionMemory.fresh())
+
+
+@cache
+def sound() -> ShiftEvent:
+    """Return the first shift of a drive with sensor noise."""
+    return stages().segment(received(next(Drive(drive_scenario()).stretches(6.0)).frames))[0]
+
+
+@cache
+def basis() -> TrustBasis:
+    return TrustBasis(mandatory_messages=decoder().mandatory_messages, limits=decoder().limits)
+
+
+def with_values(signal: Signal, change: Callable[[FloatArray], FloatArray]) -> ShiftEvent:
+    columns = dict(sound().columns)
+    columns[signal] = replace(columns[signal], value=change(columns[signal].value))
+    return replace(sound(), columns=columns)
+
+
+def thinned(keep: Callable[[Series], Int64Array]) -> ShiftEvent:
+    """Return the shift with only some samples of the balance signals."""
+    columns = dict(sound().columns)
+    for signal in BALANCE_SIGNALS:
+        one = columns[signal]
+        rows = keep(one)
+        columns[signal] = replace(one, t_ns=one.t_ns[rows], sequence=one.sequence[rows], value=one.value[rows])
+    return replace(sound(), columns=columns)
+
+
+def clipped(cut: float, end: float, value: FloatArray) -> FloatArray:
+    return np.where(value > cut, end, value)
+
+
+def part(event: ShiftEvent, which: TrustPart, on: TrustBasis | None = None) -> float:
+    trust = assess(event, on or basis())
+    assert trust.score == pytest.approx(np.prod(list(trust.parts.values())))
+    return trust.parts[which]
+
+
+def test_a_sound_shift_is_trusted_in_full() -> None:
+    trust = assess(sound(), basis())
+    assert trust.parts == dict.fromkeys(set(TrustPart) - {TrustPart.CALIBRATION}, 1.0)
+    assert trust.score == 1.0
+    assert reasons_against(trust) == ()
+
+
+def test_nothing_to_judge_by_is_no_reason() -> None:
+    assert assess(BARE, TrustBasis()) == Trust(score=1.0, parts={})
+
+
+@pytest.mark.parametrize(("share", "expected"), [(0.01, 0.875), (0.04, 0.5), (0.2, 0.0)])
+def test_lost_frames(share: float, expected: float) -> None:
+    def keep(one: Series) -> Int64Array:
+        count = len(one.t_ns)
+        lost = np.linspace(1, count - 2, round(share * count)).astype(int)
+        return np.setdiff1d(np.arange(count), lost)
+
+    assert part(thinned(keep), TrustPart.FRAMES) == pytest.approx(expected, abs=0.09)
+
+
+@pytest.mark.parametrize(
+    ("message", "state", "expected"),
+    [
+        ("TCU_Pressures", E2eState.INVALID, 0.0),
+        ("TCU_Temperature", E2eState.INIT, 0.0),
+        ("BRK_WheelSpeeds", E2eState.INVALID, 0.9),
+        ("IC_Odometer", E2eState.INIT, 1.0),
+    ],
+)
+def test_messages_that_are_not_valid(message: str, state: E2eState, expected: float) -> None:
+    event = replace(sound(), e2e={**sound().e2e, message: state})
+    assert part(event, TrustPart.PROTECTION) == pytest.approx(expected)
+
+
+def test_a_mandatory_message_that_was_never_heard_is_fatal() -> None:
+    heard = {name: state for name, state in sound().e2e.items() if name != "TCU_InputSpeeds"}
+    trust = assess(replace(sound(), e2e=heard), basis())
+    assert reasons_against(trust) == (Reason.E2E_INVALID,)
+
+
+@pytest.mark.parametrize(("late_share", "expected"), [(0.0, 1.0), (0.3, 0.7), (1.0, 0.0)])
+def test_late_frames(late_share: float, expected: float) -> None:
+    columns = dict(sound().columns)
+    for signal in BALANCE_SIGNALS:
+        one = columns[signal]
+        is_late = np.arange(len(one.t_ns)) > (1.0 - late_share) * len(one.t_ns)
+        columns[signal] = replace(one, t_ns=one.t_ns + np.where(is_late, 40_000_000, 0))
+    assert part(replace(sound(), columns=columns), TrustPart.TIME) == pytest.approx(expected, abs=0.02)
+
+
+def test_a_sensor_at_the_end_of_its_scale() -> None:
+    low, high = basis().limits[Signal.ENGINE_TORQUE]
+    assert low < 0.0 < high
+    cut = float(np.quantile(sound().columns[Signal.ENGINE_TORQUE].value, 0.9))
+    for end in (low, high):
+        event = with_values(Signal.ENGINE_TORQUE, partial(clipped, cut, end))
+        assert part(event, TrustPart.SATURATION) < 0.1
+    still = with_values(Signal.ENGINE_SPEED, np.zeros_like)
+    assert part(still, TrustPart.SATURATION) == 1.0
+
+
+@pytest.mark.parametrize(
+    ("signal", "change"),
+    [
+        (Signal.WHEEL_FL_SPEED, lambda value: np.full_like(value, value[0] * 0.6)),
+        (Signal.OUTPUT_SPEED, lambda value: np.full_like(value, value[0])),
+        (Signal.HUB_SPEED, lambda value: value + 4.0),
+        (Signal.ENGINE_SPEED, lambda value: value * 1.05),
+        (Signal.CLUTCH1_PRESSURE, lambda value: value + 1.2e5),
+        (Signal.CLUTCH2_PRESSURE_COMMAND, lambda value: value + 1.2e5),
+    ],
+)
+def test_sensors_that_contradict_each_other(signal: Signal, change: Callable[[FloatArray], FloatArray]) -> None:
+    event = with_values(signal, change)
+    assert part(event, TrustPart.PLAUSIBILITY) < MIN_TRUST
+    assert reasons_against(assess(event, basis())) == (Reason.IMPLAUSIBLE,)
+
+
+def test_sensors_that_a_bus_lacks_are_not_judged() -> None:
+    few = {signal: sound().columns[signal] for signal in (Signal.INPUT1_SPEED, Signal.OUTPUT_SPEED)}
+    assert TrustPart.PLAUSIBILITY not in assess(replace(sound(), columns=few), basis()).parts
+
+
+@pytest.mark.parametrize(("years", "expected"), [(0, 1.0), (5, 1.0), (10, 0.5), (20, 0.0)])
+def test_an_old_calibration(years: int, expected: float) -> None:
+    start = date.fromtimestamp(sound().end_ns / 1e9)  # noqa: DTZ012 - only the year counts here
+    made = replace(basis(), calibration_date=date(start.year - years, start.month, min(start.day, 28)))
+    assert part(sound(), TrustPart.CALIBRATION, made) == pytest.approx(expected, abs=0.01)
+
+
+def test_flaws_that_pass_alone_may_not_pass_together() -> None:
+    parts = {TrustPart.FRAMES: 0.7, TrustPart.TIME: 0.65}
+    assert reasons_against(Trust(score=0.455, parts=parts)) == (Reason.LOW_TRUST,)
+    assert reasons_against(Trust(score=0.5, parts=parts)) == ()
+
+
+def test_a_shift_that_is_not_trusted_is_rejected_and_leaves_no_trace() -> None:
+    plain, gated = stages(), stages()
+    before = gated.conclude(replace(sound(), columns={})).belief
+    assert plain.conclude(sound()).estimate.status is Status.VALID
+    event = replace(sound(), e2e={**sound().e2e, "TCU_Pressures": E2eState.INVALID})
+    diagnosis = gated.conclude(event)
+    estimate = diagnosis.estimate
+    assert (estimate.status, estimate.reasons, estimate.friction) == (Status.REJECTED, (Reason.E2E_INVALID,), None)
+    assert estimate.trust is not None
+    assert estimate.trust.score == 0.0
+    assert diagnosis.belief.to_json() == before.to_json()

@@ -1,0 +1,162 @@
+"""Shifts without the pair of gear signals: from target and slip, from the current gear alone, from speeds."""
+
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from canlog.arrays import FloatArray
+from canlog.series import Series
+from diag_service.diagnosis.columns import ColumnBatch, GearRatios, Signal
+from diag_service.diagnosis.events import EndReason, ShiftEvent
+from diag_service.diagnosis.shifts.gear_tracking import GearPairTracker, tracker_for
+from diag_service.diagnosis.shifts.shift_bounds import MAX_SHIFT_NS
+from diag_service.diagnosis.shifts.shifts import ShiftFinder
+
+STEP_NS = 10_000_000
+RATIOS = GearRatios(over=Signal.OUTPUT_SPEED, ratios=(4.0, 2.5, 1.5))
+ENGINE_RAD_S = 200.0
+TARGET_SIGNALS = frozenset({Signal.TARGET_GEAR, Signal.ENGINE_SPEED, Signal.INPUT_SPEED})
+Bounds = tuple[int, int, int, int, EndReason]
+
+
+def columns_of(**values: FloatArray) -> ColumnBatch:
+    rows = np.arange(len(next(iter(values.values()))), dtype=np.int64)
+    return ColumnBatch(
+        columns={
+            Signal(name): Series(t_ns=rows * STEP_NS, sequence=rows, value=np.asarray(value, np.float64))
+            for name, value in values.items()
+        },
+        watermark_ns=int(rows[-1]) * STEP_NS,
+    )
+
+
+def bounds(events: list[ShiftEvent]) -> list[Bounds]:
+    """Return gears, first and last row, and how it ended."""
+    return [
+        (event.from_gear, event.to_gear, event.start_ns // STEP_NS, event.end_ns // STEP_NS, event.end_reason)
+        for event in events
+    ]
+
+
+def shifts(finder: ShiftFinder, batch: ColumnBatch) -> list[Bounds]:
+    return bounds(finder.feed(batch) + finder.flush())
+
+
+def by_target(target: FloatArray, slip: FloatArray) -> list[Bounds]:
+    batch = columns_of(
+        target_gear=target,
+        engine_speed_rad_s=np.full(len(slip), ENGINE_RAD_S),
+        input_speed_rad_s=ENGINE_RAD_S - slip,
+    )
+    return shifts(ShiftFinder(tracker_for(TARGET_SIGNALS)), batch)
+
+
+def test_a_target_and_the_slip_bound_a_shift() -> None:
+    target = np.repeat((1.0, 2.0), (50, 150))
+    slip = np.repeat((0.0, 40.0, 1.0, 40.0, 0.0), (60, 20, 2, 30, 88))  # closes for two samples only: not the end
+    assert by_target(target, slip) == [(1, 2, 50, 112, EndReason.COMPLETE)]
+
+
+def test_a_clutch_that_never_slips_leaves_the_end_unknown() -> None:
+    target = np.repeat((1.0, 2.0), (50, 900))
+    assert by_target(target, np.zeros(950)) == [(1, 2, 50, 50 + MAX_SHIFT_NS // STEP_NS, EndReason.TOO_LONG)]
+
+
+def test_a_new_target_abandons_the_shift() -> None:
+    target = np.repeat((1.0, 2.0, 3.0), (50, 20, 130))
+    slip = np.repeat((0.0, 40.0, 0.0), (52, 60, 88))
+    assert by_target(target, slip) == [(1, 2, 50, 70, EndReason.ABANDONED), (2, 3, 70, 112, EndReason.COMPLETE)]
+
+
+def test_neutral_is_no_gear_to_shift_from() -> None:
+    assert by_target(np.repeat((0.0, 1.0), (50, 100)), np.repeat((0.0, 40.0, 0.0), (50, 20, 80))) == []
+
+
+def test_the_slip_of_two_shafts_is_that_of_the_gear_that_engages() -> None:
+    signals = (TARGET_SIGNALS - {Signal.INPUT_SPEED}) | {Signal.INPUT1_SPEED, Signal.INPUT2_SPEED}
+    batch = columns_of(
+        target_gear=np.repeat((1.0, 2.0), (50, 100)),
+        engine_speed_rad_s=np.full(150, ENGINE_RAD_S),
+        input1_speed_rad_s=np.full(150, ENGINE_RAD_S - 30.0),
+        input2_speed_rad_s=np.repeat((ENGINE_RAD_S - 60.0, ENGINE_RAD_S), (90, 60)),
+    )
+    assert shifts(ShiftFinder(tracker_for(signals)), batch) == [(1, 2, 50, 90, EndReason.COMPLETE)]
+
+
+def test_the_ratio_of_speeds_bounds_a_shift() -> None:
+    ratio = np.concatenate((np.full(50, 4.0), np.linspace(4.0, 2.5, 40), np.full(60, 2.5)))
+    finder = ShiftFinder(tracker_for(frozenset({Signal.ENGINE_SPEED, Signal.OUTPUT_SPEED}), RATIOS))
+    batch = columns_of(engine_speed_rad_s=np.full(150, ENGINE_RAD_S), output_speed_rad_s=ENGINE_RAD_S / ratio)
+    ((from_gear, to_gear, start, end, reason),) = shifts(finder, batch)
+    assert (from_gear, to_gear, reason) == (1, 2, EndReason.COMPLETE)
+    assert start == pytest.approx(54, abs=1)  # 4 % off the first ratio
+    assert end == pytest.approx(86, abs=2)
+
+
+def test_standing_between_two_gears_is_no_shift() -> None:
+    ratio = np.concatenate((np.full(50, 4.0), np.full(700, 40.0), np.full(60, 2.5)))
+    finder = ShiftFinder(tracker_for(frozenset({Signal.ENGINE_SPEED, Signal.OUTPUT_SPEED}), RATIOS))
+    batch = columns_of(engine_speed_rad_s=np.full(810, ENGINE_RAD_S), output_speed_rad_s=ENGINE_RAD_S / ratio)
+    assert shifts(finder, batch) == []
+
+
+def test_the_current_gear_alone_tells_when_a_gear_was_left_and_reached() -> None:
+    gears = np.repeat((3.0, 0.0, 4.0, 5.0), (50, 60, 80, 80))
+    assert shifts(ShiftFinder(), columns_of(current_gear=gears)) == [
+        (3, 4, 50, 110, EndReason.COMPLETE),
+        (4, 5, 190, 190, EndReason.COMPLETE),
+    ]
+
+
+def test_a_target_that_comes_late_takes_over() -> None:
+    current = np.repeat((3.0, 4.0, 4.0, 5.0), (50, 60, 90, 80))
+    batch = columns_of(current_gear=current)
+    target = Series(
+        t_ns=np.arange(120, 280, dtype=np.int64) * STEP_NS,
+        sequence=np.arange(160, dtype=np.int64),
+        value=np.repeat((4.0, 5.0), (40, 120)),
+    )
+    both = ColumnBatch(columns={**batch.columns, Signal.TARGET_GEAR: target}, watermark_ns=batch.watermark_ns)
+    assert shifts(ShiftFinder(), both) == [(3, 4, 50, 50, EndReason.COMPLETE), (4, 5, 160, 200, EndReason.COMPLETE)]
+
+
+def test_a_pair_of_gears_is_preferred() -> None:
+    signals = TARGET_SIGNALS | {Signal.CURRENT_GEAR, Signal.OUTPUT_SPEED}
+    assert isinstance(tracker_for(signals, RATIOS), GearPairTracker)
+
+
+runs = st.lists(st.tuples(st.integers(0, 3), st.sampled_from((0.0, 3.0, 40.0)), st.integers(1, 90)), max_size=14)
+cuts = st.lists(st.integers(1, 1200), max_size=10)
+
+
+@given(runs=runs.filter(bool), cuts=cuts, kind=st.sampled_from(("target", "ratio", "current")))
+def test_cutting_the_stream_anywhere_changes_no_shift(
+    runs: list[tuple[int, float, int]], cuts: list[int], kind: str
+) -> None:
+    gears = np.array([gear for gear, _, count in runs for _ in range(count)], np.float64)
+    slip = np.array([slip for _, slip, count in runs for _ in range(count)])
+    tracker_signals = {
+        "target": TARGET_SIGNALS,
+        "ratio": frozenset({Signal.ENGINE_SPEED, Signal.OUTPUT_SPEED}),
+        "current": frozenset({Signal.CURRENT_GEAR, Signal.TARGET_GEAR}),
+    }[kind]
+    whole = columns_of(
+        **{"current_gear" if kind == "current" else "target_gear": gears},
+        engine_speed_rad_s=np.full(len(gears), ENGINE_RAD_S),
+        input_speed_rad_s=ENGINE_RAD_S - slip,
+        output_speed_rad_s=ENGINE_RAD_S / np.array((40.0, *RATIOS.ratios))[gears.astype(int)],
+    )
+
+    def found(rows: list[int]) -> list[Bounds]:
+        finder = ShiftFinder(tracker_for(tracker_signals, RATIOS if kind == "ratio" else None))
+        events: list[ShiftEvent] = []
+        for start, stop in pairwise(rows):
+            cut = {name: one.between(start * STEP_NS, stop * STEP_NS) for name, one in whole.columns.items()}
+            events += finder.feed(ColumnBatch(columns=cut, watermark_ns=(stop - 1) * STEP_NS))
+        return bounds(events + finder.flush())
+
+    ends = [0, len(gears)]
+    assert found(sorted({*ends, *(cut for cut in cuts if cut < len(gears))})) == found(ends)

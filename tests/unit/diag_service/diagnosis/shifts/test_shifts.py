@@ -1,0 +1,132 @@
+"""Shift detection on hand-made gear signals."""
+
+from itertools import pairwise
+
+import numpy as np
+import pytest
+
+from canlog.series import Series
+from diag_service.diagnosis.columns import ColumnBatch, Signal
+from diag_service.diagnosis.events import EndReason
+from diag_service.diagnosis.shifts.shift_bounds import MAX_SHIFT_NS
+from diag_service.diagnosis.shifts.shifts import POST_NS, PRE_NS, ShiftFinder
+from tests.gears import STEP_NS, batch_of, gear_batch
+
+
+def test_a_shift_is_reported_with_its_history() -> None:
+    gears = [(1, 1)] * 100 + [(1, 2)] * 90 + [(2, 2)] * 100
+    events = ShiftFinder().feed(gear_batch(gears))
+    assert [(event.from_gear, event.to_gear, event.number) for event in events] == [(1, 2, 1)]
+    event = events[0]
+    assert event.end_reason is EndReason.COMPLETE
+    assert event.start_ns == 100 * STEP_NS
+    assert event.end_ns == 190 * STEP_NS
+    cut = event.columns[Signal.TARGET_GEAR].t_ns
+    assert cut[0] == event.start_ns - PRE_NS
+    assert cut[-1] == event.end_ns + POST_NS - STEP_NS
+
+
+def test_a_shift_is_not_reported_before_its_signals_are_complete() -> None:
+    gears = [(1, 1)] * 10 + [(1, 2)] * 90 + [(2, 2)] * 100
+    finder = ShiftFinder()
+    reported = [len(finder.feed(gear_batch(gears[row : row + 1], first_row=row))) for row in range(len(gears))]
+    assert reported.index(1) == 100 + POST_NS // STEP_NS + 1
+    assert sum(reported) == 1
+
+
+def test_ten_shifts_up_and_down_are_numbered() -> None:
+    ladder = [1, 2, 3, 4, 5, 6, 5, 4, 3, 2, 1]
+    gears = [(1, 1)] * 50
+    for old, new in pairwise(ladder):
+        gears += [(old, new)] * 80 + [(new, new)] * 60
+    events = ShiftFinder().feed(gear_batch(gears))
+    assert [event.number for event in events] == list(range(1, 11))
+    assert [event.to_gear for event in events] == ladder[1:]
+
+
+def test_a_change_of_mind_abandons_the_first_shift() -> None:
+    gears = [(2, 2)] * 50 + [(2, 3)] * 30 + [(2, 1)] * 80 + [(1, 1)] * 50
+    events = ShiftFinder().feed(gear_batch(gears))
+    assert [(event.to_gear, event.end_reason) for event in events] == [
+        (3, EndReason.ABANDONED),
+        (1, EndReason.COMPLETE),
+    ]
+
+
+def test_a_withdrawn_target_abandons_the_shift() -> None:
+    events = ShiftFinder().feed(gear_batch([(2, 2)] * 50 + [(2, 3)] * 30 + [(2, 2)] * 50))
+    assert [event.end_reason for event in events] == [EndReason.ABANDONED]
+
+
+def test_an_endless_shift_is_reported_once_and_forgotten() -> None:
+    finder = ShiftFinder()
+    rows = MAX_SHIFT_NS // STEP_NS
+    events = finder.feed(gear_batch([(1, 1)] * 50 + [(1, 2)] * (4 * rows)))
+    assert [event.end_reason for event in events] == [EndReason.TOO_LONG]
+    assert finder.flush() == []
+
+
+def test_the_end_of_the_stream_interrupts_an_open_shift() -> None:
+    finder = ShiftFinder()
+    assert finder.feed(gear_batch([(1, 1)] * 50 + [(1, 2)] * 30)) == []
+    assert [event.end_reason for event in finder.flush()] == [EndReason.INTERRUPTED]
+    assert finder.flush() == []
+
+
+def test_a_jump_of_bus_time_interrupts_an_open_shift_and_starts_afresh() -> None:
+    finder = ShiftFinder()
+    finder.feed(gear_batch([(1, 1)] * 50 + [(1, 2)] * 30))
+    second = gear_batch([(1, 1)] * 50 + [(1, 2)] * 80 + [(2, 2)] * 50, breaks_before=True)
+    assert [(event.number, event.end_reason) for event in finder.feed(second)] == [
+        (1, EndReason.INTERRUPTED),
+        (2, EndReason.COMPLETE),
+    ]
+
+
+@pytest.mark.parametrize("cut", [1, 7, 300])
+def test_a_shift_that_was_on_before_the_stream_is_no_complete_one(cut: int) -> None:
+    gears = [(1, 2)] * 40 + [(2, 2)] * 60 + [(2, 3)] * 80 + [(3, 3)] * 60
+    finder = ShiftFinder()
+    events = [
+        event
+        for row in range(0, len(gears), cut)
+        for event in finder.feed(gear_batch(gears[row : row + cut], first_row=row))
+    ]
+    assert [event.end_reason for event in events] == [EndReason.INTERRUPTED, EndReason.COMPLETE]
+
+
+def test_after_a_jump_of_bus_time_a_shift_in_progress_is_not_complete_either() -> None:
+    finder = ShiftFinder()
+    finder.feed(gear_batch([(1, 1)] * 50 + [(1, 2)] * 30))
+    rest = gear_batch([(1, 2)] * 30 + [(2, 2)] * 50, breaks_before=True)
+    assert [event.end_reason for event in finder.feed(rest)] == [EndReason.INTERRUPTED, EndReason.INTERRUPTED]
+
+
+def test_neutral_is_no_gear_to_shift_from() -> None:
+    assert ShiftFinder().feed(gear_batch([(0, 1)] * 50 + [(1, 1)] * 50)) == []
+
+
+def test_bad_frames_inside_the_cut_are_counted() -> None:
+    batch = gear_batch([(1, 1)] * 100 + [(1, 2)] * 90 + [(2, 2)] * 100)
+    bad_ns = np.array([1, 120, 150, 280], dtype=np.int64) * STEP_NS
+    with_bad = ColumnBatch(columns=batch.columns, watermark_ns=batch.watermark_ns, bad_frame_ns=bad_ns)
+    assert ShiftFinder().feed(with_bad)[0].bad_frame_count == 2
+
+
+def test_gears_of_two_messages_are_joined_in_time() -> None:
+    rows = np.arange(300, dtype=np.int64)
+    current = Series(t_ns=rows * STEP_NS, sequence=rows, value=np.where(rows < 190, 1.0, 2.0))
+    target = Series(t_ns=rows * STEP_NS + 3, sequence=rows, value=np.where(rows < 100, 1.0, 2.0))
+    events = ShiftFinder().feed(batch_of({Signal.CURRENT_GEAR: current, Signal.TARGET_GEAR: target}))
+    assert [(event.start_ns, event.end_ns) for event in events] == [(100 * STEP_NS + 3, 190 * STEP_NS)]
+
+
+@pytest.mark.parametrize("shift_count", [200])
+def test_memory_stays_bounded_while_driving(shift_count: int) -> None:
+    finder = ShiftFinder()
+    cycle = [(1, 1)] * 60 + [(1, 2)] * 80 + [(2, 2)] * 60 + [(2, 1)] * 80
+    found = 0
+    for number in range(shift_count // 2):
+        found += len(finder.feed(gear_batch(cycle, first_row=number * len(cycle))))
+    assert found >= shift_count - 2
+    assert finder.buffered_sample_count < 4 * (MAX_SHIFT_NS + PRE_NS + POST_NS) // STEP_NS

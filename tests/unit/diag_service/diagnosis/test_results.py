@@ -1,0 +1,142 @@
+"""The public JSON: what the schemas say is what is written, and nothing is lost on the way back."""
+
+import json
+import math
+from dataclasses import replace
+
+import pytest
+from jsonschema import Draft202012Validator
+
+from diag_service.diagnosis.records import Condition, Reason, Status
+from diag_service.diagnosis.results import (
+    ServiceStatus,
+    clutch_record,
+    dump,
+    parse_shift,
+    shift_record,
+    status_record,
+    utc_from_bus_ns,
+)
+from diag_service.errors import ResultError
+from fleet_contract import schema
+from tests.builders import START_NS, friction_estimate, rejected, shift_result
+
+STATUS = ServiceStatus(
+    vehicle="car1",
+    is_online=True,
+    connected_at="2026-01-01T00:00:00.000000Z",
+    service_version="0.1.0",
+    algorithm_version="algorithm-1",
+    calibration_version="1+0123456789ab",
+)
+RECORDS = [
+    pytest.param("shift", shift_record(shift_result()), id="shift"),
+    pytest.param("shift", shift_record(rejected(shift_result())), id="rejected shift"),
+    pytest.param("clutch", clutch_record(shift_result()), id="clutch"),
+    pytest.param("clutch", clutch_record(rejected(shift_result())), id="unknown clutch"),
+    pytest.param("status", status_record(STATUS), id="online"),
+    pytest.param("status", status_record(replace(STATUS, is_online=False)), id="offline"),
+]
+
+
+@pytest.mark.parametrize(("name", "record"), RECORDS)
+def test_records_are_what_the_schema_describes(name: str, record: dict[str, object]) -> None:
+    description = schema(name)
+    Draft202012Validator.check_schema(description)
+    Draft202012Validator(description).validate(json.loads(dump(record)))
+    assert list(record) == list(description["properties"])  # type: ignore[call-overload]  # keys and their order
+
+
+@pytest.mark.parametrize("key", ["seq", "friction", "status", "verdict"])
+def test_the_schema_misses_a_missing_key(key: str) -> None:
+    record = shift_record(shift_result())
+    del record[key]
+    assert not Draft202012Validator(schema("shift")).is_valid(record)
+
+
+def test_the_schemas_know_every_status_reason_and_condition() -> None:
+    shift = schema("shift")
+    properties = shift["properties"]
+    assert isinstance(properties, dict)
+    assert properties["status"]["enum"] == [status.value for status in Status]
+    assert properties["reasons"]["items"]["enum"] == [reason.value for reason in Reason]
+    clutch = schema("clutch")["properties"]
+    assert isinstance(clutch, dict)
+    assert clutch["condition"]["enum"] == [condition.name.lower() for condition in Condition]
+
+
+def test_the_schemas_describe_friction_alike() -> None:
+    shift, clutch = schema("shift")["$defs"], schema("clutch")["$defs"]
+    assert isinstance(shift, dict)
+    assert isinstance(clutch, dict)
+    for name in clutch:
+        assert shift[name] == clutch[name]
+
+
+@pytest.mark.parametrize("result", [shift_result(3, to_gear=5), rejected(shift_result())])
+def test_a_shift_survives_the_round_trip_to_the_bit(result: object) -> None:
+    assert isinstance(result, type(shift_result()))
+    assert parse_shift(dump(shift_record(result))) == result
+
+
+def test_a_reader_ignores_keys_of_later_releases() -> None:
+    record = shift_record(shift_result()) | {"colour": "amber"}
+    assert parse_shift(dump(record)) == shift_result()
+
+
+def test_results_of_before_the_sharp_numbers_are_read() -> None:
+    record = json.loads(dump(shift_record(shift_result())))
+    added = ("scale_free", "common_scale_std_ratio", "shift_scatter", "trend", "clutch_ratio")
+    del record["scale_free"]
+    for key in added:
+        del record["verdict"][key]
+    Draft202012Validator(schema("shift")).validate(record)
+    old = parse_shift(json.dumps(record))
+    assert old.estimate == replace(shift_result().estimate, scale_free=None)
+    assert [getattr(old.verdict, key) for key in added] == [None] * len(added)
+
+
+def test_whole_numbers_are_floats_where_floats_belong() -> None:
+    record = shift_record(shift_result()) | {"quality": 1}
+    quality = parse_shift(dump(record)).estimate.quality
+    assert (quality, type(quality)) == (1.0, float)
+
+
+@pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf])
+def test_no_json_for_a_number_that_is_not_finite(value: float) -> None:
+    result = shift_result()
+    broken = replace(result, estimate=replace(result.estimate, friction=replace(friction_estimate(), mu_s=value)))
+    with pytest.raises(ResultError, match="not finite"):
+        dump(shift_record(broken))
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"schema": "clutchdiag/shift/v2"},
+        {"seq": "1"},
+        {"seq": True},
+        {"status": "perfect"},
+        {"reasons": ["bad mood"]},
+        {"reasons": "misfit"},
+        {"friction": [1, 2]},
+        {"friction": {"mu_c": 0.1}},
+        {"scale_free": {"mu_c": 0.1}},
+        {"verdict": None},
+    ],
+)
+def test_a_foreign_record_is_refused(change: dict[str, object]) -> None:
+    with pytest.raises(ResultError):
+        parse_shift(dump(shift_record(shift_result()) | change))
+
+
+@pytest.mark.parametrize("text", ["", "[]", "{", "null"])
+def test_text_that_is_no_record_is_refused(text: str) -> None:
+    with pytest.raises(ResultError):
+        parse_shift(text)
+
+
+def test_bus_time_is_utc_with_microseconds() -> None:
+    assert utc_from_bus_ns(START_NS) == "2026-01-01T00:00:00.123456Z"
+    assert utc_from_bus_ns(-1_000) == "1969-12-31T23:59:59.999999Z"
+    assert utc_from_bus_ns(0) == "1970-01-01T00:00:00.000000Z"

@@ -1,0 +1,60 @@
+"""What is said of the capability of a run."""
+
+import pytest
+
+from diag_service.diagnosis.records import Tier
+from diag_service.diagnosis.summary import (
+    Capability,
+    FrameCounts,
+    ShiftTally,
+    capability_line,
+    summarise,
+    summary_record,
+    values_line,
+)
+from tests.builders import shift_result
+
+MISSING = "friction needs clutch1_pressure_pa"
+
+
+def line(capability: Capability, *, has_shift: bool) -> str:
+    tally = ShiftTally()
+    if has_shift:
+        tally.add(shift_result(1), is_new=True)
+    return capability_line(summarise("car1", FrameCounts(), tally, None, capability))
+
+
+@pytest.mark.parametrize(
+    ("capability", "has_shift", "said"),
+    [
+        (Capability(), True, ""),
+        (Capability(), False, "no shift was found"),
+        (Capability(tier=Tier.TORQUE, missing=MISSING), True, f"tier 2 of 3, torque capacity, no friction: {MISSING}"),
+        (
+            Capability(tier=None, missing="x", unseen=("pedal_ratio",)),
+            False,
+            "no shift was found; the signals do not show shifts: x; mapped by profile dct, but never seen: pedal_ratio",
+        ),
+    ],
+)
+def test_the_line_for_people(capability: Capability, has_shift: bool, said: str) -> None:
+    assert line(capability, has_shift=has_shift) == said
+
+
+def test_the_record_for_programs() -> None:
+    capability = Capability(profile="vw", tier=Tier.KINEMATIC, missing=MISSING, unseen=("pedal_ratio",))
+    record = summary_record(summarise("car1", FrameCounts(), ShiftTally(), None, capability))
+    assert record["capability"] == {"profile": "vw", "tier": 3, "missing": MISSING, "unseen": ["pedal_ratio"]}
+
+
+def test_which_signals_lost_values_and_why() -> None:
+    invalid = {"pedal_ratio": {"out_of_range": 1}, "engine_speed_rad_s": {"not_available": 3, "out_of_range": 2}}
+    frames = FrameCounts(invalid_values=6, invalid=invalid)
+    assert values_line(frames) == (
+        "values that are no measurements: engine_speed_rad_s (3 not available, 2 out of range), "
+        "pedal_ratio (1 out of range)"
+    )
+    assert values_line(FrameCounts()) == ""
+    record = summary_record(summarise("car1", frames, ShiftTally(), None))
+    assert isinstance(record["frames"], dict)
+    assert record["frames"]["invalid_signals"] == invalid

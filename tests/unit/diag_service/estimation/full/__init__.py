@@ -1,1 +1,0 @@
-"""The full-information estimator, piece by piece."""

@@ -1,0 +1,230 @@
+"""Profiles name sources for canonical signals; mistakes are reported together, units are checked by kind."""
+
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from diag_service.diagnosis.columns import BALANCE_SIGNALS, GearRatios, Signal
+from diag_service.errors import ConfigError
+from diag_service.mapping.profile import SignalSource, find_profile, load_profile, shipped_profiles, to_si
+
+
+def write(folder: Path, text: str) -> Path:
+    path = folder / "some.toml"
+    path.write_text(text, encoding="utf-8")
+    return path
+
+
+def source(unit: str | None = None, scale: float = 1.0, offset: float = 0.0) -> SignalSource:
+    return SignalSource(message="M", signal="S", unit=unit, scale=scale, offset=offset)
+
+
+def converted(signal: Signal, unit: str | None, value: float, scale: float = 1.0, offset: float = 0.0) -> float:
+    return float(to_si(signal, source(scale=scale, offset=offset), unit)(np.array([value]))[0])
+
+
+def test_the_profile_of_our_database_has_a_source_for_every_signal_of_ours() -> None:
+    profile = load_profile()
+    assert profile.name == "dct"
+    assert profile.sources.keys() == set(Signal) - {Signal.INPUT_SPEED, Signal.CLUTCH_TORQUE}
+    assert profile.sources.keys() >= set(BALANCE_SIGNALS)
+
+
+def test_shipped_profiles_are_found_by_name() -> None:
+    assert shipped_profiles() == ("dct", "hyundai_dct", "j1939", "vw_mqb")
+    for name in shipped_profiles():
+        profile = find_profile(Path(name))
+        assert (profile.name, profile.is_lenient) == (name, True)
+    assert find_profile(Path("j1939")).database is not None
+
+
+def test_a_name_that_does_not_ship_is_refused_with_those_that_do() -> None:
+    with pytest.raises(ConfigError, match="no profile audi: give a TOML file or one of dct, hyundai_dct"):
+        find_profile(Path("audi"))
+
+
+def test_a_file_comes_before_a_shipped_name(tmp_path: Path) -> None:
+    path = write(tmp_path, '[signals]\nodometer_m = { message = "M", signal = "S" }\n')
+    assert find_profile(path).is_lenient is False
+
+
+def test_ratios_of_gears(tmp_path: Path) -> None:
+    text = '[signals]\n[gears]\nover = "output_speed_rad_s"\nratios = [4.0, 2.5, 1.5]\n'
+    assert load_profile(write(tmp_path, text)).gears == GearRatios(over=Signal.OUTPUT_SPEED, ratios=(4.0, 2.5, 1.5))
+
+
+@pytest.mark.parametrize(
+    ("gears", "text"),
+    [
+        ("3", "must be a table"),
+        ('{ over = "output_speed_rad_s" }', "must be a table"),
+        ('{ over = "pedal_ratio", ratios = [2.0, 1.0] }', "over must be"),
+        ('{ over = "output_speed_rad_s", ratios = [1.0, 2.0] }', "must fall"),
+        ('{ over = "output_speed_rad_s", ratios = [1.0, 0.0] }', "above 0"),
+        ('{ over = "output_speed_rad_s", ratios = [inf, 1.0] }', "finite"),
+        ('{ over = "output_speed_rad_s", ratios = ["a"] }', "list of numbers"),
+    ],
+)
+def test_ratios_that_cannot_be_are_refused(tmp_path: Path, gears: str, text: str) -> None:
+    with pytest.raises(ConfigError, match=text):
+        load_profile(write(tmp_path, f"gears = {gears}\n[signals]\n"))
+
+
+def test_sources_by_j1939_numbers_and_with_validity(tmp_path: Path) -> None:
+    text = """[signals]
+engine_speed_rad_s = { pgn = 61444, spn = 190 }
+current_gear = { message = "M", signal = "S", valid = [0, 8], invalid = [7], less = "L", times = "T" }
+"""
+    profile = load_profile(write(tmp_path, text))
+    assert profile.sources == {
+        Signal.ENGINE_SPEED: SignalSource(pgn=61444, spn=190),
+        Signal.CURRENT_GEAR: SignalSource(
+            message="M", signal="S", valid=(0.0, 8.0), invalid=(7.0,), less="L", times="T"
+        ),
+    }
+    assert profile.sources[Signal.ENGINE_SPEED].place == "PGN 61444 SPN 190"
+
+
+def test_entry_with_everything(tmp_path: Path) -> None:
+    text = '[signals]\nodometer_m = { message="M", signal="S", unit="km", scale=2, offset=-1.5, check_range=false }\n'
+    profile = load_profile(write(tmp_path, text))
+    assert profile.name == "some"
+    assert profile.sources == {
+        Signal.ODOMETER: SignalSource(message="M", signal="S", unit="km", scale=2, offset=-1.5, check_range=False)
+    }
+
+
+def test_protocol_channel_and_sender(tmp_path: Path) -> None:
+    text = """
+protocol = "j1939"
+channel = 2
+[signals]
+engine_speed_rad_s = { message = "EEC1", signal = "EngSpeed", source_address = 0 }
+"""
+    profile = load_profile(write(tmp_path, text))
+    assert (profile.is_j1939, profile.channel) == (True, 2)
+    assert profile.sources[Signal.ENGINE_SPEED].source_address == 0
+    plain = load_profile()
+    assert (plain.is_j1939, plain.channel) == (False, None)
+
+
+@pytest.mark.parametrize(
+    ("line", "complaint"),
+    [
+        ('protocol = "lin"', "protocol must be one of can, j1939"),
+        ("protocol = [1]", "protocol must be one of can, j1939"),
+        ("channel = 256", "channel must be a number up to 255"),
+        ("channel = -1", "channel must be a number up to 255"),
+        ("channel = true", "channel must be a number up to 255"),
+        ('channel = "can0"', "channel must be a number up to 255"),
+        ("colour = 1", "must have a table"),
+    ],
+)
+def test_unusable_protocol_or_channel_is_refused(tmp_path: Path, line: str, complaint: str) -> None:
+    with pytest.raises(ConfigError, match=complaint):
+        load_profile(write(tmp_path, line + "\n[signals]\n"))
+
+
+@pytest.mark.parametrize("address", [-1, 256])
+def test_source_address_that_is_none_is_refused(address: int) -> None:
+    with pytest.raises(ConfigError, match="not one of J1939"):
+        SignalSource(message="M", signal="S", source_address=address)
+
+
+@pytest.mark.parametrize(
+    ("signal", "unit", "value", "si"),
+    [
+        (Signal.ENGINE_SPEED, "rpm", 60.0, 2.0 * math.pi),
+        (Signal.ENGINE_SPEED, "1/min", 60.0, 2.0 * math.pi),
+        (Signal.ENGINE_SPEED, "Unit_MinutInver", 60.0, 2.0 * math.pi),
+        (Signal.ENGINE_SPEED, "rad/s", 3.0, 3.0),
+        (Signal.ENGINE_TORQUE, "N m", 3.0, 3.0),
+        (Signal.CLUTCH1_PRESSURE, "bar", 2.0, 2e5),
+        (Signal.CLUTCH1_PRESSURE, "kPa", 2.0, 2e3),
+        (Signal.CLUTCH1_PRESSURE, "mbar", 2.0, 2e2),
+        (Signal.CLUTCH1_PRESSURE, "Pa", 2.0, 2.0),
+        (Signal.SUMP_TEMPERATURE, "degC", 20.0, 293.15),
+        (Signal.SUMP_TEMPERATURE, "°C", 20.0, 293.15),
+        (Signal.SUMP_TEMPERATURE, "K", 20.0, 20.0),
+        (Signal.VEHICLE_SPEED, "km/h", 36.0, 10.0),
+        (Signal.VEHICLE_SPEED, "m/s", 36.0, 36.0),
+        (Signal.PEDAL, "%", 36.0, 0.36),
+        (Signal.PEDAL, "", 0.36, 0.36),
+        (Signal.PEDAL, None, 0.36, 0.36),
+        (Signal.ODOMETER, "km", 1.5, 1500.0),
+        (Signal.CURRENT_GEAR, None, 3.0, 3.0),
+        (Signal.SHIFT_PHASE, "phase", 3.0, 3.0),
+    ],
+)
+def test_units(signal: Signal, unit: str | None, value: float, si: float) -> None:
+    assert converted(signal, unit, value) == pytest.approx(si, rel=1e-12)
+
+
+def test_scale_and_offset_apply_in_the_unit_of_the_database() -> None:
+    assert converted(Signal.ODOMETER, "km", 10.0, scale=2.0, offset=1.0) == 21_000.0
+
+
+def test_unit_of_the_profile_overrides_that_of_the_database() -> None:
+    assert float(to_si(Signal.ODOMETER, source(unit="m"), "km")(np.array([5.0]))[0]) == 5.0
+
+
+@pytest.mark.parametrize(
+    ("signal", "unit"), [(Signal.ENGINE_SPEED, "km/h"), (Signal.VEHICLE_SPEED, "mph"), (Signal.CLUTCH1_PRESSURE, None)]
+)
+def test_unit_of_another_kind_is_refused(signal: Signal, unit: str | None) -> None:
+    with pytest.raises(ConfigError, match=f"is not one of {signal.value}"):
+        to_si(signal, source(), unit)
+
+
+def test_all_mistakes_are_reported_together(tmp_path: Path) -> None:
+    text = """
+[signals]
+odometer_km = { message = "M", signal = "S" }
+pedal_ratio = { message = "M" }
+engine_torque_nm = { message = "M", signal = "S", gain = 2.0 }
+hub_speed_rad_s = { message = "M", signal = 5 }
+input1_speed_rad_s = { message = "M", signal = "S", scale = true }
+input2_speed_rad_s = { message = "M", signal = "S", scale = 0.0 }
+output_speed_rad_s = { message = "M", signal = "S", offset = nan }
+current_gear = "M.S"
+target_gear = { message = "M", pgn = 3, signal = "S" }
+preselected_gear = { message = "M", signal = "S", valid = [3, 1] }
+shift_phase = { message = "M", signal = "S", valid = [3] }
+"""
+    with pytest.raises(ConfigError) as refused:
+        load_profile(write(tmp_path, text))
+    complaints = str(refused.value)
+    for complaint in (
+        "odometer_km: not a canonical signal",
+        "pedal_ratio: lacks signal",
+        "engine_torque_nm: unknown key gain",
+        "hub_speed_rad_s: signal has the wrong type",
+        "input1_speed_rad_s: scale has the wrong type",
+        "input2_speed_rad_s: scale 0.0",
+        "output_speed_rad_s: scale 1.0 and offset nan",
+        "current_gear: must be a table",
+        "target_gear: lacks message, or has it beside pgn",
+        "preselected_gear: valid [3.0, 1.0] is no range",
+        "shift_phase: valid must be [lowest, highest]",
+    ):
+        assert complaint in complaints
+    assert "\n" not in complaints
+
+
+@pytest.mark.parametrize("text", ["", "signals = 3", "name = 'x'", "[signals]\n[more]\n"])
+def test_profile_without_its_table_is_refused(tmp_path: Path, text: str) -> None:
+    with pytest.raises(ConfigError, match="must have a table"):
+        load_profile(write(tmp_path, text))
+
+
+def test_unreadable_profiles_are_refused(tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match="is not TOML"):
+        load_profile(write(tmp_path, "signals = ["))
+    with pytest.raises(ConfigError, match="No such file"):
+        load_profile(tmp_path / "absent.toml")
+    binary = tmp_path / "binary.toml"
+    binary.write_bytes(b"\xff\xfe\x00")
+    with pytest.raises(ConfigError, match="is not TOML"):
+        load_profile(binary)

@@ -1,0 +1,138 @@
+"""A live session on a disk that fills up: nothing stops, nothing is told that is not stored, what waits is bounded."""
+
+from collections.abc import Iterator
+from contextlib import closing
+
+import numpy as np
+import pytest
+
+from clutch_model.calibration import nominal_calibration
+from dbc.contract import load_contract
+from diag_service.delivery import MemoryReporter
+from diag_service.diagnosis.condition.condition import ConditionMemory
+from diag_service.diagnosis.events import EndReason, ShiftEvent
+from diag_service.diagnosis.friction import Belief
+from diag_service.diagnosis.records import ShiftResult
+from diag_service.diagnosis.summary import FrameCounts
+from diag_service.errors import StoreFullError
+from diag_service.mapping.decoder import Decoder
+from diag_service.mapping.profile import load_profile
+from diag_service.service.session import Session
+from diag_service.service.stages import Stages
+from diag_service.store import ResultStore, VehicleState, Versions
+
+VERSIONS = Versions(algorithm="a", calibration="c")
+NOW = "2026-01-01T00:00:00.000000Z"
+
+
+class FillingStore(ResultStore):
+    """A store whose disk can be full."""
+
+    is_full = False
+
+    def add(self, result: ShiftResult, state: VehicleState) -> bool:
+        if self.is_full:
+            raise StoreFullError("cannot use store x: database or disk is full")
+        return super().add(result, state)
+
+
+@pytest.fixture(name="store")
+def _store() -> Iterator[FillingStore]:
+    with closing(FillingStore.in_memory()) as store:
+        yield store
+
+
+def session_on(store: ResultStore, stream: str | None = None) -> tuple[Session, MemoryReporter]:
+    calibration, reporter = nominal_calibration(), MemoryReporter()
+    decoder = Decoder(load_contract(), load_profile())
+    session = Session(
+        stages=Stages(decoder, calibration, Belief.fresh(calibration), ConditionMemory.fresh()),
+        store=store,
+        reporter=reporter,
+        vehicle="car1",
+        versions=VERSIONS,
+        stream=stream,
+        utc_now=lambda: NOW,
+    )
+    return session, reporter
+
+
+def event(number: int) -> ShiftEvent:
+    """Return a shift without signals: rejected, and a result all the same."""
+    return ShiftEvent(
+        number=number,
+        from_gear=1,
+        to_gear=2,
+        start_ns=number * 10**9,
+        end_ns=number * 10**9 + 1,
+        end_reason=EndReason.COMPLETE,
+        columns={},
+        bad_frame_count=0,
+    )
+
+
+def told(reporter: MemoryReporter) -> list[int]:
+    return [result.seq for result in reporter.results]
+
+
+def test_results_wait_and_are_told_when_they_are_stored(store: FillingStore, caplog: pytest.LogCaptureFixture) -> None:
+    session, reporter = session_on(store)
+    session.settle(event(1))
+    store.is_full = True
+    session.settle(event(2))
+    session.settle(event(3))
+    assert told(reporter) == [1]
+    store.is_full = False
+    session.settle(event(4))
+    assert told(reporter) == [1, 2, 3, 4]
+    assert [result.seq for result in store.results("car1")] == [1, 2, 3, 4]
+    assert [record.getMessage() for record in caplog.records if record.levelname == "WARNING"] == [
+        "cannot use store x: database or disk is full; results wait in memory"
+    ]
+
+
+def test_room_that_comes_between_two_shifts_is_used(store: FillingStore, caplog: pytest.LogCaptureFixture) -> None:
+    session, reporter = session_on(store)
+    assert not session.retry()
+    store.is_full = True
+    session.settle(event(1))
+    assert not session.retry()
+    store.is_full = False
+    assert session.retry()
+    assert told(reporter) == [1]
+    assert caplog.text.count("results wait in memory") == 1
+
+
+def test_the_end_of_a_run_is_a_last_attempt(store: FillingStore) -> None:
+    session, reporter = session_on(store)
+    store.is_full = True
+    session.settle(event(1))
+    with pytest.raises(StoreFullError):
+        session.finish(FrameCounts(), None)
+    assert reporter.summaries == []
+    store.is_full = False
+    session.finish(FrameCounts(), None)
+    assert (told(reporter), len(reporter.summaries)) == ([1], 1)
+
+
+def test_what_waits_is_bounded_and_what_is_given_up_counted(
+    store: FillingStore, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("diag_service.service.session.MAX_PENDING", 3)
+    session, reporter = session_on(store)
+    store.is_full = True
+    for number in range(1, 6):
+        session.settle(event(number))
+    store.is_full = False
+    session.finish(FrameCounts(), None)
+    assert session.given_up_count == 2
+    assert len(told(reporter)) == 3
+    assert len(set(told(reporter))) == 3
+    assert np.all(np.diff(told(reporter)) > 0)
+
+
+def test_the_analysis_of_a_log_stops_at_a_full_disk(store: FillingStore) -> None:
+    session, _ = session_on(store, stream="a log")
+    store.is_full = True
+    with pytest.raises(StoreFullError):
+        session.settle(event(1))

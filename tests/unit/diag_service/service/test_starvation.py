@@ -1,0 +1,194 @@
+"""A listener that raises, blocks or dies costs the others nothing; python-can's asyncio path fails each of these.
+
+Its issues 1865 and 907 (a reader that died leaves its consumer waiting for ever) and 1912 (one listener's error is the
+end of all) are what the tests here are about, on this service's own path.
+"""
+
+import asyncio
+import logging
+import threading
+from collections.abc import AsyncIterator, Sequence
+from contextlib import asynccontextmanager
+from typing import Any
+
+import can
+import pytest
+
+from canlog.live import BusOpener, LinkBreak, SupervisedSource
+from canlog.live.supervisor import Patience
+from diag_service.delivery import DetachedReporter, MemoryLink, MemoryReporter, Outbox
+from diag_service.diagnosis.records import ShiftResult
+from diag_service.diagnosis.summary import Summary
+from diag_service.errors import PublishError, StoreError
+from diag_service.service import live
+from diag_service.store import ResultStore
+from ecu_emulator.bus import open_bus
+from fleet_contract import Outgoing
+from tests.builders import shift_result
+from tests.patience import HANG_S
+from tests.unit.diag_service.service.test_live import ListSource, cut, gear_frames, run, session_for
+
+SHIFTS = 5
+
+
+class RaisingReporter(MemoryReporter):
+    """Raises over every second result."""
+
+    def report(self, result: ShiftResult) -> None:
+        if result.seq % 2 == 0:
+            raise RuntimeError("no")
+        super().report(result)
+
+
+class BlockingReporter(MemoryReporter):
+    """Does not return from the first result until it is let go."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.let_go = threading.Event()
+
+    def report(self, result: ShiftResult) -> None:
+        self.let_go.wait()
+        super().report(result)
+
+
+@pytest.fixture(name="store")
+def _store() -> ResultStore:
+    return ResultStore.in_memory()
+
+
+def linked(link: Any, store: ResultStore) -> Outbox:  # noqa: ANN401 - whatever stands in for a link
+    @asynccontextmanager
+    async def connect() -> AsyncIterator[Any]:
+        yield link
+
+    return Outbox(store, "car1", connect, "memory")
+
+
+async def test_a_reporter_that_raises_costs_what_it_was_told(store: ResultStore) -> None:
+    raising, link = RaisingReporter(), MemoryLink()
+    reporter = DetachedReporter(raising)
+    await run(ListSource(cut(gear_frames(SHIFTS), 50)), session_for(store, reporter), outbox=linked(link, store))
+    assert [result.seq for result in store.results("car1")] == [1, 2, 3, 4, 5]
+    assert sorted(result.seq for result in link.results) == [1, 2, 3, 4, 5]
+    assert [result.seq for result in raising.results] == [1, 3, 5]
+    assert len(raising.summaries) == 1
+    assert (reporter.failed, reporter.dropped) == (2, 0)
+
+
+async def test_a_reporter_that_blocks_holds_up_nobody(store: ResultStore, caplog: pytest.LogCaptureFixture) -> None:
+    blocking, link = BlockingReporter(), MemoryLink()
+    reporter = DetachedReporter(blocking, limit=2, drain_s=0.05)
+    await run(ListSource(cut(gear_frames(SHIFTS), 50)), session_for(store, reporter), outbox=linked(link, store))
+    assert sorted(result.seq for result in link.results) == [1, 2, 3, 4, 5]
+    assert reporter.dropped >= 2
+    assert "does not take them" in caplog.text
+    blocking.let_go.set()
+
+
+class FailingLink(MemoryLink):
+    """Fails in its own way over the first messages it is given, then works."""
+
+    def __init__(self, error: Exception) -> None:
+        super().__init__()
+        self._error: Exception | None = error
+
+    async def send(self, messages: Sequence[Outgoing]) -> None:
+        if self._error is not None and messages:
+            error, self._error = self._error, None
+            raise error
+        await super().send(messages)
+
+
+@pytest.mark.parametrize("error", [PublishError("away"), RuntimeError("a defect"), TimeoutError("slow")])
+async def test_a_publisher_that_dies_is_started_again(
+    store: ResultStore, error: Exception, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(live, "SENDER_PAUSE_S", 0.01)
+    monkeypatch.setattr("diag_service.delivery.outbox.FIRST_PAUSE_S", 0.01)
+    reporter, link = MemoryReporter(), FailingLink(error)
+    await run(ListSource(cut(gear_frames(SHIFTS), 50)), session_for(store, reporter), outbox=linked(link, store))
+    assert [result.seq for result in reporter.results] == [1, 2, 3, 4, 5]
+    assert {result.seq for result in link.results} == {1, 2, 3, 4, 5}
+    assert reporter.summaries[0].unpublished_count == 0
+
+
+async def test_a_publisher_whose_store_failed_ends_the_run(store: ResultStore) -> None:
+    with pytest.raises(StoreError, match="full"):
+        await run(
+            ListSource(cut(gear_frames(SHIFTS), 50)),
+            session_for(store, MemoryReporter()),
+            outbox=linked(FailingLink(StoreError("the disk is full")), store),
+        )
+
+
+class StuckLink(MemoryLink):
+    """Never returns."""
+
+    async def send(self, messages: Sequence[Outgoing]) -> None:
+        if messages:
+            await asyncio.Event().wait()
+
+
+async def test_a_publisher_that_blocks_holds_up_nobody(store: ResultStore, monkeypatch: pytest.MonkeyPatch) -> None:
+    outbox = linked(StuckLink(), store)
+    monkeypatch.setattr(Outbox.close, "__defaults__", (0.05,))
+    reporter = MemoryReporter()
+    await run(ListSource(cut(gear_frames(SHIFTS), 50)), session_for(store, reporter), outbox=outbox)
+    assert [result.seq for result in reporter.results] == [1, 2, 3, 4, 5]
+    assert reporter.summaries[0].unpublished_count == SHIFTS
+
+
+async def test_a_driver_that_fails_once_is_opened_again(
+    monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    caplog.set_level(logging.INFO)
+    opener = BusOpener("virtual", "starvation")
+    source = SupervisedSource(opener, await opener.open(), Patience(retry_s=0.01))
+    heard: list[int | str] = []
+    has_broken = asyncio.Event()
+
+    async def listen() -> None:
+        async for part in source:
+            if isinstance(part, LinkBreak):
+                heard.append("break")
+                has_broken.set()
+            else:
+                heard.extend(part.can_id.tolist())
+
+    listening = asyncio.create_task(listen())
+    with open_bus("virtual", "starvation") as sender:
+        with monkeypatch.context() as patched:
+            patched.setattr(type(sender), "_recv_internal", _fail)
+            await asyncio.wait_for(has_broken.wait(), 5.0)
+        async with asyncio.timeout(HANG_S):
+            while 0x123 not in heard:
+                sender.send(can.Message(arbitration_id=0x123, is_extended_id=False))
+                await asyncio.sleep(0.01)
+    await source.aclose()
+    await asyncio.wait_for(listening, 5.0)
+    assert heard[0] == "break"
+    assert "is read again" in caplog.text
+
+
+def _fail(*_: object, **__: object) -> None:
+    raise can.CanOperationError("the driver is gone")
+
+
+def test_a_detached_reporter_keeps_the_order_and_tells_the_end() -> None:
+    memory = MemoryReporter()
+    reporter = DetachedReporter(memory)
+    for seq in range(1, 20):
+        reporter.report(shift_result(seq))
+    reporter.finish(_summary())
+    assert [result.seq for result in memory.results] == list(range(1, 20))
+    assert len(memory.summaries) == 1
+
+
+def _summary() -> Summary:
+    store = ResultStore.in_memory()
+    try:
+        session = session_for(store, MemoryReporter())
+        return session.summary(session.stages.frame_counts(), None)
+    finally:
+        store.close()
