@@ -130,7 +130,7 @@ async def own_path(channel: str, sender: Sender) -> Cost:
     pace = Pace()
     decoder = Decoder(load_contract(), load_profile())
     finder = ShiftFinder(tracker_for(decoder.signals, decoder.gears))
-    source = SocketCanSource(channel, pace=pace, watched=decoder.watched(finder.ended_by))
+    source = SocketCanSource(channel, pace=pace)
     began_s = clock_s()
     sender.start()
 

@@ -1,7 +1,7 @@
 """FrameBatch: the one columnar type that every source yields."""
 
 from dataclasses import dataclass, field, replace
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -22,14 +22,6 @@ FD_PAYLOAD_BYTES = 64  # of a CAN FD frame
 
 BEFORE_ALL_NS = -(2**62)  # in place of a time: before any that a frame can have
 MAX_GAP_NS = 1_000_000_000  # a bus that was silent for longer starts a new segment
-
-
-class WatchedBits(NamedTuple):
-    """Bits of one message's payload, of which a reader of frames wants to hear when they change."""
-
-    can_id: int  # of its frames under the mask, both with the flags above
-    mask: int
-    payload: bytes  # ones where a bit is watched
 
 
 Rows = slice | Int64Array | npt.NDArray[np.bool_]

@@ -104,15 +104,6 @@ class BitField:
         return 0, 2**self.length - 1
 
     @property
-    def payload_mask(self) -> bytes:
-        """Ones where the signal lies in its payload, up to its last byte; all nine bytes where it has a spill."""
-        word = (2**self.length - 1) << self.shift
-        mask = (
-            b"\xff" * (WORD_BYTES + 1) if self.spill else word.to_bytes(WORD_BYTES, "big" if self.is_big else "little")
-        )
-        return bytes(self.first_byte) + mask.rstrip(b"\0")
-
-    @property
     def last_byte(self) -> int:
         """Place of the last byte that the signal lies in."""
         if self.spill:

@@ -5,7 +5,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from canlog.errors import SourceError
-from canlog.frames import WatchedBits
 from canlog.live.base import FrameSource
 from canlog.live.interface import Seen, index_of, present_name, restart_controller
 from canlog.live.pace import Pace
@@ -41,8 +40,6 @@ class BusOpener:
         Identifiers and masks that a SocketCAN interface is to let through; other interfaces give everything.
     pace
         How long frames of a SocketCAN interface may gather.
-    watched
-        What is news while a shift is on.
     """
 
     def __init__(
@@ -54,12 +51,10 @@ class BusOpener:
         fd: bool = False,
         filters: Sequence[tuple[int, int]] = (),
         pace: Pace | None = None,
-        watched: Sequence[WatchedBits] = (),
     ) -> None:
         self._pace = pace
         self._given = (interface, channel, bitrate, fd)
         self._filters = filters
-        self._watched = watched
         self._settings: BusSettings | None = None
         self._last: Seen | None = None  # a SocketCAN interface, to find it under another name
 
@@ -81,7 +76,7 @@ class BusOpener:
         if not settings.channel:
             raise SourceError("no CAN channel given: name the interface, for example -i socketcan -c vcan0")
         name = present_name(settings.channel, self._last)
-        source = SocketCanSource(name, fd=settings.fd, filters=self._filters, pace=self._pace, watched=self._watched)
+        source = SocketCanSource(name, fd=settings.fd, filters=self._filters, pace=self._pace)
         self._last = Seen(name=name, index=index_of(name))
         return source
 

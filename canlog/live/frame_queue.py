@@ -31,7 +31,7 @@ class FrameQueue:
         self._dropped = 0
         self._is_closed = False
         self._error: SourceError | None = None
-        self._has_news = asyncio.Event()
+        self._has_frames = asyncio.Event()
         self._is_urgent = asyncio.Event()
 
     @property
@@ -51,7 +51,7 @@ class FrameQueue:
             self._waiting += fitting
             is_half_full = self._waiting > self._limit // 2
         if was_empty:
-            self._signal(self._has_news)
+            self._signal(self._has_frames)
         if is_half_full:
             self._signal(self._is_urgent)
 
@@ -62,7 +62,7 @@ class FrameQueue:
                 return
             self._is_closed = True
             self._error = error
-        self._signal(self._has_news)
+        self._signal(self._has_frames)
         self._signal(self._is_urgent)
 
     async def take(self) -> FrameBatch | None:
@@ -73,7 +73,7 @@ class FrameQueue:
         SourceError
             If the queue was closed with one, after the frames before it were taken.
         """
-        await self._has_news.wait()
+        await self._has_frames.wait()
         if self._linger_s > 0.0:
             try:
                 async with asyncio.timeout(self._linger_s):
@@ -84,7 +84,7 @@ class FrameQueue:
             batches, self._batches = list(self._batches), deque()
             self._waiting = 0
             if not self._is_closed:
-                self._has_news.clear()
+                self._has_frames.clear()
                 self._is_urgent.clear()
         if batches:
             return join(batches)

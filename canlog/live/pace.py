@@ -5,7 +5,6 @@ from typing import Final
 
 NS_PER_S: Final = 1_000_000_000
 RELAXED_S: Final = 0.5  # 2,200 frames of a full bus of 500 kbit/s, a quarter of what the receive buffer holds
-KEPT_S: Final = 1.0  # what is shown of the bus need not be newer
 EXPECTING_S: Final = 0.1  # no longer than what a shift needs after its end: its end is known before that is over
 URGENT_S: Final = 0.01
 LATE_S: Final = 0.002  # frames of the moment that is waited for must have arrived
@@ -38,11 +37,6 @@ class Pace:
         if (is_expecting, due_ns) != (self._is_expecting, self._due_ns):
             self._is_expecting, self._due_ns = is_expecting, due_ns
             self.on_change()
-
-    @property
-    def may_keep_s(self) -> float:
-        """For how long frames without news may be kept from the consumer [s]: 0 if it waits for more than news."""
-        return KEPT_S if self._due_ns is None else 0.0
 
     def gather_s(self, seen_ns: int | None) -> float:
         """For how long frames may gather that come after bus time ``seen_ns`` [s]."""

@@ -4,7 +4,6 @@ import ctypes
 import errno
 import os
 import socket
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -12,9 +11,8 @@ import numpy as np
 
 from canlog.arrays import Int64Array, UInt8Array, UInt32Array
 from canlog.frame_columns import NS_PER_US
-from canlog.frames import BRS_FLAG, ESI_FLAG, FD_FLAG, FD_PAYLOAD_BYTES, PAYLOAD_BYTES, FrameBatch, WatchedBits
-from canlog.jit import array_kernel
-from canlog.live.frame_watch import identifier, see_news, watch_for
+from canlog.frames import BRS_FLAG, ESI_FLAG, FD_FLAG, FD_PAYLOAD_BYTES, PAYLOAD_BYTES, FrameBatch
+from canlog.jit import array_kernel, inlined_kernel
 
 SLOTS = 512  # frames per call
 CLASSIC_BYTES = 16  # struct can_frame
@@ -76,20 +74,9 @@ class SlotColumns(NamedTuple):
 
 
 class FrameReceiver:
-    """Preallocated slots that ``receive`` fills from a non-blocking raw CAN socket with SO_TIMESTAMPNS switched on.
+    """Preallocated slots that ``receive`` fills from a non-blocking raw CAN socket with SO_TIMESTAMPNS switched on."""
 
-    Frames stay in their slots until ``take``; ``has_news`` tells whether one of them says something new.
-
-    Parameters
-    ----------
-    file_descriptor : int
-        Of the socket.
-    watched : sequence of WatchedBits
-        What counts as news, besides error frames.
-    """
-
-    def __init__(self, file_descriptor: int, watched: Sequence[WatchedBits] = ()) -> None:
-        self._file_descriptor = file_descriptor
+    def __init__(self, file_descriptor: int) -> None:
         self._vectors = (_IoVector * SLOTS)()
         self._messages = (_Message * SLOTS)()
         headers = np.frombuffer(memoryview(self._messages).cast("B"), np.uint8).reshape(SLOTS, ctypes.sizeof(_Message))
@@ -107,47 +94,25 @@ class FrameReceiver:
             header.vector_count = 1
             header.control = self._slots.control.ctypes.data + slot * CONTROL_BYTES
         self._call = ctypes.CDLL(None, use_errno=True).recvmmsg
-        self._watch = watch_for(watched)
-        self.held = 0
-        self.has_news = False
-        self.take()  # compiles now: the first frames must not wait for the compiler
-        see_news(self._slots.frames, 0, 0, self._watch)
+        self._arguments = (file_descriptor, ctypes.byref(self._messages), SLOTS, socket.MSG_DONTWAIT, None)
+        self._reception(0)  # compiles now: the first frames must not wait for the compiler
 
-    @property
-    def room(self) -> int:
-        """How many slots are free."""
-        return SLOTS - self.held
-
-    def receive(self) -> int:
-        """Let what is waiting into the free slots, of which there must be one; return how many frames came.
+    def receive(self) -> Reception:
+        """Return what is waiting, at most ``SLOTS`` frames.
 
         Raises
         ------
         OSError
-            As the kernel reports it, once all frames before the failure were received or are still to be received.
+            As the kernel reports it, once all frames before the failure were returned or are still to be returned;
+            also if a frame has no time.
         """
-        first_free = ctypes.byref(self._messages, self.held * ctypes.sizeof(_Message))
-        while (count := self._call(self._file_descriptor, first_free, self.room, socket.MSG_DONTWAIT, None)) < 0:
+        while (count := self._call(*self._arguments)) < 0:
             number = ctypes.get_errno()
             if number == errno.EINTR:
                 continue
             if number == errno.EAGAIN:
-                return 0
+                return self._reception(0)
             raise OSError(number, os.strerror(number))
-        if see_news(self._slots.frames, self.held, self.held + count, self._watch):
-            self.has_news = True
-        self.held += count
-        return int(count)
-
-    def take(self) -> Reception:
-        """Return the frames in the slots, which are free again.
-
-        Raises
-        ------
-        OSError
-            If one of them has no time.
-        """
-        count, self.held, self.has_news = self.held, 0, False
         return self._reception(count)
 
     def _reception(self, count: int) -> Reception:
@@ -180,6 +145,17 @@ def has_fd(size: UInt32Array, count: int) -> bool:
     for row in range(count):
         fd_count += size[row] == FD_BYTES
     return fd_count > 0
+
+
+@inlined_kernel
+def identifier(frame: UInt8Array) -> int:
+    """Return the identifier of a frame as the kernel lays it out, with its flags."""
+    return int(
+        np.uint32(frame[0])
+        | np.uint32(frame[1]) << np.uint32(8)
+        | np.uint32(frame[2]) << np.uint32(16)
+        | np.uint32(frame[3]) << np.uint32(24)
+    )
 
 
 @array_kernel

@@ -5,7 +5,7 @@ from collections.abc import AsyncIterator, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
-from canlog.frames import FrameBatch, WatchedBits
+from canlog.frames import FrameBatch
 from canlog.live.base import SourceCounts
 from canlog.live.bus_clock import BusClock
 from canlog.live.clock_alarm import clock_alarm
@@ -19,7 +19,7 @@ from canlog.live.raw_socket import (
     open_socket,
     reading_failed,
 )
-from canlog.live.recvmmsg import SLOTS, FrameReceiver
+from canlog.live.recvmmsg import SLOTS, FrameReceiver, Reception
 
 if TYPE_CHECKING:
     import socket
@@ -52,8 +52,6 @@ class SocketCanSource:
         What takes steps of the wall clock out of the times.
     pace : Pace or None
         How long frames may gather.
-    watched : sequence of WatchedBits
-        Without news of which frames need not be handed over when nothing else is waited for.
     receive_buffer_bytes : int
         What to ask of the kernel; without privileges it may grant less.
 
@@ -73,15 +71,13 @@ class SocketCanSource:
         queue: FrameQueue | None = None,
         clock: BusClock | None = None,
         pace: Pace | None = None,
-        watched: Sequence[WatchedBits] = (),
     ) -> None:
         self._channel = channel
         self._queue = queue or FrameQueue(linger_s=0.0)
         self._socket: socket.socket | None = open_socket(
             channel, fd=fd, filters=filters, receive_buffer_bytes=receive_buffer_bytes
         )
-        self._receiver = FrameReceiver(self._socket.fileno(), watched)
-        self._is_watching = len(watched) > 0
+        self._receiver = FrameReceiver(self._socket.fileno())
         self._granted = granted_share(self._socket)
         self._clock = clock or BusClock()
         self._pace = pace or Pace()
@@ -94,7 +90,6 @@ class SocketCanSource:
         self._loop = asyncio.get_running_loop()
         self._timer: asyncio.TimerHandle | None = None
         self._gathered_s = 0.0  # when the socket was emptied last, as the loop counts
-        self._taken_s = 0.0  # when frames were handed over last
         self._quiet_count = 0
         self._alarm = clock_alarm()
         if self._alarm is not None:
@@ -172,13 +167,7 @@ class SocketCanSource:
         """Move what is waiting from the socket to the queue; return whether nothing is left there."""
         for _ in range(CALLS_PER_WAKE_UP):
             try:
-                if self._failure is not None:
-                    self._hand_over()  # a second failure must not cost them
-                room = self._receiver.room
-                count = self._receiver.receive()
-                self._received += count
-                if count == room or is_last or not self._may_keep():
-                    self._hand_over()
+                reception = self._receiver.receive()
             except OSError as exc:
                 # A failure overtakes the frames received before it: note it, and read on until nothing is left.
                 is_repeated = self._failure is not None
@@ -187,27 +176,18 @@ class SocketCanSource:
                     self._close()
                     return True
                 continue
-            if count == 0 and (is_last or self._failure is not None):
+            self._hand_over(reception)
+            if reception.read == 0 and (is_last or self._failure is not None):
                 self._close()
                 return True
-            if count < room and not is_last and self._failure is None:
-                if not self._receiver.held:
-                    self._clock.settle()
+            if reception.read < SLOTS and not is_last and self._failure is None:
+                self._clock.settle()
                 return True  # what comes meanwhile is for the next time: no call in vain
         return False
 
-    def _may_keep(self) -> bool:
-        """Return whether the frames received can wait for more: nothing comes of them before there is news."""
-        is_heard = self._quiet_count < QUIET_WAKE_UPS - 1  # after that nobody comes back for them
-        is_patient = self._is_watching and not self._receiver.has_news and self._failure is None and is_heard
-        return is_patient and self._pace.may_keep_s > self._gathered_s - self._taken_s
-
-    def _hand_over(self) -> None:
-        """Put the frames received into the queue, in bus time."""
-        self._taken_s = self._gathered_s
-        if not self._receiver.held:
-            return
-        reception = self._receiver.take()
+    def _hand_over(self, reception: Reception) -> None:
+        """Count what one call brought and put it into the queue, in bus time."""
+        self._received += reception.read
         self._unsupported += reception.unsupported
         batch = reception.batch
         if not len(batch):

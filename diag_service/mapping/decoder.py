@@ -1,7 +1,6 @@
 """Frames become canonical columns: protection check, bit fields, SI units, and a count of everything left out."""
 
 from collections.abc import Iterator, Mapping
-from collections.abc import Set as AbstractSet
 from dataclasses import dataclass
 from types import MappingProxyType
 from typing import Final
@@ -14,7 +13,7 @@ from canlog.database.addressing import kernel_filters, rows_by_slot
 from canlog.decode.signal_table import NO_INVALID, InvalidCounts, PayloadWords, payload_words
 from canlog.e2e.e2e_state import E2eState, E2eStates
 from canlog.e2e.protection_check import FrameReason, FrameVerdicts, LinkMonitor
-from canlog.frames import MAX_GAP_NS, FrameBatch, WatchedBits
+from canlog.frames import MAX_GAP_NS, FrameBatch
 from canlog.live.error_frames import BusError, tells
 from canlog.series import Series
 from diag_service.diagnosis.columns import ColumnBatch, Columns, GearRatios, Signal
@@ -125,16 +124,6 @@ class Decoder:
     def kernel_filters(self) -> tuple[tuple[int, int], ...]:
         """Identifier and mask, as SocketCAN wants them, of each message that is looked at."""
         return kernel_filters([mapped.address for mapped in self._messages])
-
-    def watched(self, signals: AbstractSet[Signal]) -> tuple[WatchedBits, ...]:
-        """Return the bits that some signals are made of; none if the bus lacks one or it is not plain bits."""
-        found = [
-            WatchedBits(*kernel_filters([mapped.address])[0], payload=column.table.main.field.payload_mask)
-            for mapped in self._messages
-            for column in mapped.columns
-            if column.signal in signals and is_able(column.table)
-        ]
-        return tuple(found) if len(found) == len(signals) else ()
 
     @property
     def limits(self) -> Mapping[Signal, tuple[float, float]]:

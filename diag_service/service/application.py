@@ -150,10 +150,7 @@ async def _run_bus(
 ) -> None:
     filters = session.stages.kernel_filters if bus.is_filtered else ()
     pace = Pace()
-    watched = session.stages.watched
-    opener = BusOpener(
-        bus.interface, bus.channel, bus.bitrate, fd=bus.is_fd, filters=filters, pace=pace, watched=watched
-    )
+    opener = BusOpener(bus.interface, bus.channel, bus.bitrate, fd=bus.is_fd, filters=filters, pace=pace)
     source = await supervise(opener)
     session.reporter.listening(f"{source.description} for {config.vehicle}, results in {store.where}")
     now_s = asyncio.get_running_loop().time

@@ -17,7 +17,7 @@ DEFAULT_BITRATE = 500_000
 STALE_S = 5.0  # a service that has not looked up for this long does not live
 READY_STATES = frozenset({BusState.UP, BusState.DEGRADED})
 RATE_SPAN_S = 1.0
-SILENT_S = 2.0  # more than a source keeps frames: a bus of which nothing was heard for so long says nothing
+SILENT_S = 2.0  # more than frames gather for: a bus of which nothing was heard for so long says nothing
 NS_PER_S = 1_000_000_000
 
 

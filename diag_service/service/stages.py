@@ -4,7 +4,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 from canlog.e2e.protection_check import LinkMonitor
-from canlog.frames import FrameBatch, WatchedBits
+from canlog.frames import FrameBatch
 from clutch_model.calibration import Calibration
 from diag_service.diagnosis.columns import Signal
 from diag_service.diagnosis.condition.condition import ConditionMemory, judge, no_verdict
@@ -128,11 +128,6 @@ class Stages:
     def kernel_filters(self) -> tuple[tuple[int, int], ...]:
         """What a kernel need let through, as identifiers and masks."""
         return self._decoder.kernel_filters
-
-    @property
-    def watched(self) -> tuple[WatchedBits, ...]:
-        """What must change on the bus for an open shift to end; empty if that cannot be told so simply."""
-        return self._decoder.watched(self._finder.ended_by)
 
     @property
     def messages(self) -> Mapping[str, MessageCounts]:

@@ -13,11 +13,11 @@ import pytest
 
 from canlog.errors import SourceError
 from canlog.frame_columns import join
-from canlog.frames import FrameBatch, WatchedBits
+from canlog.frames import FrameBatch
 from canlog.live import FrameSource, open_source
 from canlog.live.clock_alarm import ClockAlarm
 from canlog.live.frame_queue import FrameQueue
-from canlog.live.pace import EXPECTING_S, KEPT_S, Pace
+from canlog.live.pace import Pace
 from canlog.live.socketcan import SocketCanSource
 from canlog.logs import read_log
 from tests.patience import HANG_S
@@ -186,80 +186,22 @@ def test_who_sets_the_clock_rings_the_alarm() -> None:
     alarm.close()
 
 
-WATCHED = WatchedBits(can_id=0x123, mask=0x8000_07FF, payload=b"\xff")
-
-
-def send_gear(channel: str, gear: int, count: int) -> None:
-    """Send frames of one gear, one every 20 ms."""
-    with socket.socket(socket.AF_CAN, socket.SOCK_RAW, socket.CAN_RAW) as raw:
-        raw.bind((channel,))
-        for number in range(count):
-            raw.send(struct.pack("<IB3x8s", 0x123, 2, bytes((gear, number))))
-            time.sleep(0.02)
-
-
-class Gears:
-    """What a source that watches for another gear hands over, as it comes."""
-
-    def __init__(self, channel: str) -> None:
-        self.pace = Pace()
-        self.pace.wait_for(is_expecting=True, due_ns=None)
-        self.source = SocketCanSource(channel, watched=[WATCHED], pace=self.pace)
-        self.batches: list[list[int]] = []
-        self.reader = asyncio.create_task(self._read())
-
-    async def _read(self) -> None:
-        async for batch in self.source:
-            self.batches.append(batch.data[:, 0].tolist())
-
-    async def close(self) -> None:
-        """Let the source hand over all it has."""
-        await self.source.aclose()
-        await self.reader
-
-
 @again_if_starved
-async def test_frames_without_news_wait_for_those_with_news(vcan: str) -> None:
-    gears = Gears(vcan)
-    for gear in (3, 4):
-        await asyncio.to_thread(send_gear, vcan, gear, 20)
-    await gears.close()
-    first, changed, *_ = gears.batches
-    assert set(first) == {3}
-    assert len(first) < 10
-    assert (first + changed).count(3) == 20
-    assert 4 in changed
-    assert [gear for batch in gears.batches for gear in batch] == [3] * 20 + [4] * 20
-
-
-@again_if_starved
-async def test_frames_without_news_are_handed_over_once_they_are_old_or_the_bus_is_silent(vcan: str) -> None:
-    gears = Gears(vcan)
-    await asyncio.to_thread(send_gear, vcan, 3, 125)
-    assert 3 <= len(gears.batches) <= 2.5 / EXPECTING_S / 3
-    await asyncio.sleep(KEPT_S)
-    assert sum(map(len, gears.batches)) == 125
-    await gears.close()
-
-
-@again_if_starved
-async def test_nothing_is_kept_once_a_result_is_due(vcan: str) -> None:
-    gears = Gears(vcan)
-    gears.pace.wait_for(is_expecting=True, due_ns=1)
-    await asyncio.to_thread(send_gear, vcan, 3, 20)
-    assert len(gears.batches) > 5
-    await gears.close()
-
-
-async def test_frames_that_were_kept_are_delivered_before_the_error(vcan: str) -> None:
-    gears = Gears(vcan)
-    await asyncio.to_thread(send_gear, vcan, 3, 20)
-    assert sum(map(len, gears.batches)) < 20
-    assert ip_link("set", vcan, "down")
-    with pytest.raises(SourceError, match="went down"):
-        await asyncio.wait_for(gears.reader, timeout=HANG_S)
-    assert sum(map(len, gears.batches)) == 20
-    await gears.source.aclose()
+async def test_frames_come_soon_while_a_shift_is_on_and_at_leisure_otherwise(vcan: str) -> None:
+    batch_counts = []
+    for is_expecting in (False, True):
+        pace = Pace()
+        pace.wait_for(is_expecting=is_expecting, due_ns=None)
+        source = SocketCanSource(vcan, pace=pace)
+        collector = asyncio.create_task(collect(source))
+        await asyncio.to_thread(send_numbers, vcan, 40, gap_s=0.02)
+        await source.aclose()
+        batches = await collector
+        assert sum(map(len, batches)) == 40
+        batch_counts.append(len(batches))
+    relaxed, hurried = batch_counts
+    assert relaxed <= 4
+    assert hurried >= 6
 
 
 async def test_a_small_receive_buffer_is_emptied_as_often_as_it_needs(vcan: str) -> None:

@@ -2,7 +2,7 @@
 
 import pytest
 
-from canlog.live.pace import EXPECTING_S, KEPT_S, LATE_S, NS_PER_S, RELAXED_S, URGENT_S, Pace
+from canlog.live.pace import EXPECTING_S, LATE_S, NS_PER_S, RELAXED_S, URGENT_S, Pace
 from diag_service.diagnosis.shifts.shifts import POST_NS
 
 NOW_NS = 1_700_000_000_000_000_000
@@ -28,11 +28,6 @@ def test_the_end_of_a_shift_is_known_before_its_result_is_due() -> None:
 def test_frames_are_looked_at_just_when_a_result_is_due(ahead_s: float, expected_s: float) -> None:
     pace = waiting(due_ns=NOW_NS + round(ahead_s * NS_PER_S))
     assert pace.gather_s(NOW_NS) == pytest.approx(expected_s)
-
-
-def test_frames_without_news_are_kept_until_more_than_news_is_waited_for() -> None:
-    assert Pace().may_keep_s == waiting().may_keep_s == KEPT_S
-    assert waiting(due_ns=NOW_NS).may_keep_s == 0.0
 
 
 def test_a_source_hears_of_it_when_something_else_is_waited_for() -> None:

@@ -318,24 +318,3 @@ def test_one_identifier_on_two_channels_is_never_mixed() -> None:
         assert stage.counts.rejected == {FrameReason.OTHER_CHANNEL: len(batch)}
         assert stage.counts.messages["TCU_Shift"].channels == {1: 100, 2: 100}
         assert balanced(stage.counts)
-
-
-def test_watched_bits_are_those_of_the_signals_in_frames_of_their_messages() -> None:
-    stage, batch = decoder(), received(drive(0.5))
-    both = {Signal.CURRENT_GEAR, Signal.TARGET_GEAR}
-    for watched in stage.watched(both):
-        assert np.array_equal((batch.can_id & watched.mask) == watched.can_id, batch.can_id == TCU_SHIFT)
-    current, target = (int.from_bytes(watched.payload, "little") for watched in stage.watched(both))
-    assert current & target == 0
-    gears = of_message(batch, "TCU_Shift").data.copy().view("<u8")[:, 0]
-    shown = stage.feed(batch)[0].columns
-    for mask, signal in ((current, Signal.CURRENT_GEAR), (target, Signal.TARGET_GEAR)):
-        assert len(set(zip((gears & np.uint64(mask)).tolist(), shown[signal].value.tolist(), strict=True))) == 5
-
-
-def test_nothing_is_watched_unless_all_of_it_can_be() -> None:
-    profile = load_profile()
-    sources = dict(profile.sources)
-    del sources[Signal.TARGET_GEAR]
-    assert Decoder(DATABASE, replace(profile, sources=sources)).watched({Signal.CURRENT_GEAR, Signal.TARGET_GEAR}) == ()
-    assert decoder().watched(set()) == ()
