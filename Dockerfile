@@ -9,8 +9,8 @@ COPY dbc dbc
 COPY diag_service diag_service
 COPY ecu_emulator ecu_emulator
 COPY fleet_backend fleet_backend
-COPY fleet_certificates fleet_certificates
 COPY fleet_contract fleet_contract
+COPY program_io program_io
 # The lock's own uv installs the project: the lock then constrains, so only what the project needs comes in,
 # and every file is held against the lock's hashes.
 RUN awk '/^[^ #]/ { keep = /^uv==/ } keep' requirements.lock > /tmp/uv.lock \

@@ -19,10 +19,10 @@ from diag_service.commands.arguments import (
     PROGRAM,
     build_parser,
 )
-from diag_service.console.standard_output import standard_output
 from diag_service.errors import ConfigError, IncompleteError, StoppedError, StoreError
-from diag_service.legible import legible
 from diag_service.service.stopping import Trigger, ignore
+from program_io.legible import legible
+from program_io.standard_output import standard_output
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Final, NoReturn
 
 from ecu_emulator import __version__
 from ecu_emulator.errors import BusError, ConfigError, EmulatorError, ExtraMissingError, RecordError
-from ecu_emulator.standard_output import standard_output
+from program_io.standard_output import standard_output
 
 if TYPE_CHECKING:
     from types import FrameType

@@ -19,8 +19,8 @@ from fleet_backend.arguments import (
     build_parser,
 )
 from fleet_backend.errors import BrokerError, ConfigError, DatabaseError, ExtraMissingError, UnknownVehicleError
-from fleet_backend.standard_output import standard_output
 from fleet_contract import VariableError, check_variables
+from program_io.standard_output import standard_output
 
 _STATUS_OF: Final = (
     (ConfigError, EXIT_CONFIG),
@@ -65,9 +65,10 @@ def _load_commands() -> ModuleType:
 def _set_up_log(verbosity: int) -> None:
     handler = logging.StreamHandler(sys.stderr)
     handler.setFormatter(logging.Formatter(f"%(asctime)s {PROGRAM}: %(levelname)s: %(message)s"))
-    own = logging.getLogger("fleet_backend")
-    own.handlers, own.propagate = [handler], False
-    own.setLevel(logging.DEBUG if verbosity else logging.INFO)
+    for name in ("fleet_backend", "program_io"):
+        own = logging.getLogger(name)
+        own.handlers, own.propagate = [handler], False
+        own.setLevel(logging.DEBUG if verbosity else logging.INFO)
     logging.getLogger().handlers = [handler] if verbosity > 1 else [logging.NullHandler()]
 
 

@@ -1,8 +1,6 @@
 """A file whose age tells whether a worker can work: what a container's health check can look at."""
 
 import asyncio
-import os
-from contextlib import suppress
 from pathlib import Path
 from typing import Final
 
@@ -11,6 +9,7 @@ from sqlalchemy.exc import SQLAlchemyError
 
 from fleet_backend.errors import ConfigError
 from fleet_backend.ingest import Worker
+from program_io.sign_of_life import give_sign, make_sign
 
 PERIOD_S: Final = 5.0
 RETRY_S: Final = 0.5  # how soon it is told that all is well again
@@ -25,8 +24,7 @@ def prepare(path: Path) -> None:
         If it cannot be made.
     """
     try:
-        path.touch()
-        os.utime(path, (0.0, 0.0))
+        make_sign(path)
     except OSError as exc:
         raise ConfigError(f"cannot touch {path}: {exc.strerror}") from exc
 
@@ -39,7 +37,7 @@ async def give_signs(path: Path, worker: Worker, engine: Engine, period_s: float
     while True:
         is_well = worker.is_listening and await asyncio.to_thread(answers, engine)
         if is_well:
-            _touch(path)
+            give_sign(path)
         await asyncio.sleep(period_s if is_well else min(RETRY_S, period_s))
 
 
@@ -51,8 +49,3 @@ def answers(engine: Engine) -> bool:
     except SQLAlchemyError:
         return False
     return True
-
-
-def _touch(path: Path) -> None:
-    with suppress(OSError):  # a file that cannot be touched any more grows old, which says enough
-        path.touch()

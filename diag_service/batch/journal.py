@@ -14,7 +14,7 @@ from typing import Self
 
 from diag_service.diagnosis.results import JsonObject, dump
 from diag_service.errors import StoreError
-from diag_service.store.private_file import PRIVATE_MODE, keep_private
+from program_io.private_file import PRIVATE_MODE, keep_private
 
 JOURNAL_SCHEMA = "clutchdiag/journal/v1"
 

@@ -10,9 +10,9 @@ from canlog.parquet_file import BOOL_TYPE, ParquetTable
 from diag_service.batch.journal import Entry
 from diag_service.diagnosis.results import JsonObject, dump
 from diag_service.errors import ConfigError, StoreError
-from diag_service.legible import legible
 from fleet_contract.described import schema
 from fleet_contract.topics import Channel
+from program_io.legible import legible
 
 BATCH_ROWS = 4096
 TYPES = {"integer": "int64", "number": "float64"}

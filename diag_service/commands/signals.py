@@ -15,11 +15,11 @@ from canlog.logs import read_log
 from canlog.traffic import NS_PER_S
 from dbc.contract import DBC_PATH
 from diag_service.errors import StoppedError
-from diag_service.legible import legible
 from diag_service.mapping.databases import open_database
 from diag_service.mapping.proposal import SignalStatistics, candidates, profile_text
 from diag_service.mapping.tiers import PURPOSE, missing_for_next, tier_of
 from diag_service.service.stopping import Trigger
+from program_io.legible import legible
 
 
 class _Range:

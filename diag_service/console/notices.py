@@ -5,10 +5,10 @@ import sys
 
 from canlog.compiling import tell_of_compiling
 from canlog.notice import NOTICE
-from diag_service.legible import legible
+from program_io.legible import legible
 
 _PROGRAM = "diag-service"
-OWN = ("diag_service", "canlog")  # whose messages are shown without being asked for
+OWN = ("diag_service", "canlog", "program_io")  # whose messages are shown without being asked for
 COMPILING = "diag_service.compiling"
 
 

@@ -11,7 +11,7 @@ from rich.segment import Segment
 from rich.table import Table
 from rich.text import Text
 
-from diag_service.legible import legible
+from program_io.legible import legible
 
 INDENT: Final = "    "  # of what goes on in the next line
 _WORD: Final = re.compile(r"\S+")

@@ -25,8 +25,8 @@ from diag_service.diagnosis.records import (
     TrustPart,
 )
 from diag_service.errors import ResultError
-from diag_service.legible import legible_record
 from fleet_contract import Channel, ResultKey
+from program_io.legible import legible_record
 
 JsonObject = dict[str, object]
 

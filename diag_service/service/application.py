@@ -15,7 +15,6 @@ from rich.console import Console
 
 from canlog.live import BusOpener, Pace, supervise
 from canlog.notice import NOTICE
-from diag_service.console.standard_output import discard
 from diag_service.console.terminal import PeopleConsole
 from diag_service.delivery import (
     Acknowledge,
@@ -34,7 +33,6 @@ from diag_service.diagnosis.friction import Belief
 from diag_service.diagnosis.friction.paper import PaperCollection, nominal_driveline
 from diag_service.diagnosis.results import ServiceStatus, dump, iso_utc
 from diag_service.diagnosis.summary import Summary, frames_line
-from diag_service.legible import legible
 from diag_service.mapping.decoder import Decoder
 from diag_service.mapping.interpretation import interpret
 from diag_service.service import calibrate_run
@@ -51,6 +49,8 @@ from diag_service.service.stopping import Trigger
 from diag_service.settings.config import BusConfig, DiagnosisConfig, calibration_digest
 from diag_service.store import ResultStore, Versions
 from fleet_contract import Outgoing, config_message, metrics_message
+from program_io.legible import legible
+from program_io.standard_output import discard
 
 _LOG = logging.getLogger(__name__)
 

@@ -7,9 +7,9 @@ from pathlib import Path
 from urllib.parse import urlsplit
 
 from diag_service.errors import ConfigError
-from diag_service.legible import legible
 from diag_service.settings.defaults import BROKER_VARIABLE, CONFIG_VARIABLE, DEFAULTS, PREFIX, OptionValue
 from fleet_contract import VariableError, check_variables
+from program_io.legible import legible
 
 
 def fill_in(options: argparse.Namespace) -> None:

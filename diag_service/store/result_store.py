@@ -21,8 +21,8 @@ from diag_service.errors import ResultError, StoreError
 from diag_service.store import budget, waiting
 from diag_service.store.budget import DroppedCounts
 from diag_service.store.file import connect, connect_in_memory, own, translated
-from diag_service.store.private_file import keep_private
 from fleet_contract import Receipt
+from program_io.private_file import keep_private
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -11,7 +11,7 @@ PROGRAMS = {
     "ecu-emulator": "ecu_emulator.cli",
     "diag-service": "diag_service.cli",
     "fleet-backend": "fleet_backend.cli",
-    "fleet-certificates": "fleet_certificates.cli",
+    "fleet-certificates": "fleet_backend.certificates.cli",
 }
 COMMAND = re.compile(r"^    ([a-z]+)(?:  +\S|$)", re.MULTILINE)
 CANDUMP = "(1767225600.000000) vcan0 123#0011223344556677\n" * 4
@@ -56,8 +56,8 @@ def test_the_exit_status_of_a_missing_extra_is_documented(plain: PlainInstall, p
 
 
 def test_every_program_starts_as_a_module(plain: PlainInstall) -> None:
-    for program in PROGRAMS:
-        started = plain.run("-m", program.replace("-", "_"), "--version")
+    for program, module in PROGRAMS.items():
+        started = plain.run("-m", module.removesuffix(".cli"), "--version")
         assert (started.status, started.err) == (0, ""), program
 
 
@@ -76,7 +76,7 @@ def test_every_command_of_the_backend_says_what_to_install(plain: PlainInstall, 
 def test_every_command_that_makes_certificates_says_what_to_install(plain: PlainInstall, tmp_path: Path) -> None:
     folder = ["--folder", str(tmp_path / "certificates")]
     runs = [["init", *folder], ["server", "broker", "--host", "localhost", *folder], ["client", "car1", *folder]]
-    told = plain.run_all("fleet_certificates.cli", runs)
+    told = plain.run_all("fleet_backend.certificates.cli", runs)
     assert [outcome.status for outcome in told] == [2, 2, 2]
     for outcome in told:
         one_line("fleet-certificates", "security", outcome.err)

@@ -202,9 +202,9 @@ def test_the_backend_keeps_its_database_under_such_a_name(odd: Path) -> None:
 
 def test_certificates_lie_in_a_folder_of_such_a_name(odd: Path) -> None:
     folder = ["--folder", odd_name("-certificates")]
-    assert run("fleet_certificates", "init", *folder, cwd=odd).status == 0
-    assert run("fleet_certificates", "client", "car1", *folder, cwd=odd).status == 0
-    told = run("fleet_certificates", "client", odd_name(""), *folder, cwd=odd)
+    assert run("fleet_backend.certificates", "init", *folder, cwd=odd).status == 0
+    assert run("fleet_backend.certificates", "client", "car1", *folder, cwd=odd).status == 0
+    told = run("fleet_backend.certificates", "client", odd_name(""), *folder, cwd=odd)
     assert (told.status, told.err.count("\n")) == (2, 1)
-    told = run("fleet_certificates", "init", *folder, cwd=odd)
+    told = run("fleet_backend.certificates", "init", *folder, cwd=odd)
     assert (told.status, told.err.count("\n")) == (2, 1)

@@ -12,9 +12,9 @@ from diag_service.delivery import Acknowledge, BrokerAddress, MqttConnector, Out
 from diag_service.diagnosis.results import shift_record
 from diag_service.store import ResultStore
 from fleet_backend import queries
+from fleet_backend.certificates.authority import Authority, Lifetime
 from fleet_backend.choices import Axis
 from fleet_backend.database import open_database
-from fleet_certificates.authority import Authority, Lifetime
 from fleet_contract import shift_message
 from tests.acknowledger import Acknowledger
 from tests.builders import shift_result

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from diag_service.store import ResultStore
-from fleet_certificates.authority import Authority, Lifetime
+from fleet_backend.certificates.authority import Authority, Lifetime
 from tests.acknowledger import Acknowledger
 from tests.plugins.broker import Mosquitto
 from tests.service import run_service

@@ -18,8 +18,8 @@ PACKAGES = (
     "diag_service",
     "ecu_emulator",
     "fleet_backend",
-    "fleet_certificates",
     "fleet_contract",
+    "program_io",
 )
 SUBPACKAGES = sorted(
     ".".join(path.parent.relative_to(ROOT).parts)

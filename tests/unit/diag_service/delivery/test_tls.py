@@ -11,7 +11,7 @@ import pytest
 from diag_service.delivery import TlsFiles, tls
 from diag_service.delivery.tls import read_secret
 from diag_service.errors import ConfigError, PublishError
-from fleet_certificates.authority import Authority, Lifetime
+from fleet_backend.certificates.authority import Authority, Lifetime
 
 LIFETIME = Lifetime.of_days(1, datetime(2026, 1, 1, tzinfo=UTC))
 

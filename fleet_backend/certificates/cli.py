@@ -8,7 +8,7 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Final, NoReturn
 
-from fleet_certificates.errors import CertificateError
+from fleet_backend.certificates.errors import CertificateError
 
 PROGRAM: Final = "fleet-certificates"
 EXIT_OK, EXIT_UNEXPECTED, EXIT_USAGE = range(3)
@@ -32,9 +32,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def _execute(options: argparse.Namespace) -> None:
     try:
-        from fleet_certificates.authority import Authority, Lifetime  # noqa: PLC0415 - needs the extra
+        from fleet_backend.certificates.authority import Authority, Lifetime  # noqa: PLC0415 - needs the extra
     except ModuleNotFoundError as exc:
-        if exc.name is None or exc.name.startswith("fleet_certificates"):
+        if exc.name is None or exc.name.startswith("fleet_backend.certificates"):
             raise
         raise CertificateError(f"the module {exc.name} is not installed: pip install 'clutchdiag[security]'") from exc
     lifetime = Lifetime.of_days(options.days, datetime.now(UTC))

@@ -1,8 +1,0 @@
-"""Certificates for a fleet under test: an authority, a broker's certificate, and one per vehicle, made and renewed.
-
-``fleet_certificates.authority`` makes them; it needs the extra ``security``, so nothing here loads it.
-"""
-
-from fleet_certificates.errors import CertificateError
-
-__all__ = ["CertificateError"]
