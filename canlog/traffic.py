@@ -6,7 +6,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from canlog.arrays import FloatArray, Int64Array
-from canlog.frames import BEFORE_ALL_NS, ERROR_FLAG, EXTENDED_FLAG, FD_FLAG, REMOTE_FLAG, TX_FLAG, FrameBatch
+from canlog.bus_load import frame_bits
+from canlog.frames import BEFORE_ALL_NS, ERROR_FLAG, FD_FLAG, REMOTE_FLAG, TX_FLAG, FrameBatch
 
 NS_PER_S = 1_000_000_000
 STEPS_PER_OCTAVE = 8
@@ -15,7 +16,6 @@ BIN_COUNT = STEPS_PER_OCTAVE * OCTAVES
 GAP_RATIO = 3.0  # an interval beyond so many typical ones is a gap: two frames are missing
 JUMP_NS = NS_PER_S  # bus time that stands still for longer, or goes back, starts a new segment
 MAX_JUMPS = 20  # that are listed; all are counted
-STUFF_SHARE = 0.1  # stuff bits on top, as random payloads have them; at worst it is 0.25
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -199,19 +199,6 @@ class TrafficMeter:
             gap_count=steps - regular,
             longest_gap_s=int(self._longest_ns[row]) / NS_PER_S if steps > regular else 0.0,
         )
-
-
-def frame_bits(batch: FrameBatch) -> FloatArray:
-    """Return the length of frames on the wire in bits at the arbitration rate, stuff bits estimated, shape (n,).
-
-    ISO 11898-1: 47 bits around the payload with an 11-bit identifier, 67 with 29 bits, spaces between frames
-    included. The faster part of CAN FD frames with a bit rate switch is counted at the slower rate: an upper bound.
-    """
-    overhead = np.where(batch.can_id & np.uint32(EXTENDED_FLAG), 67.0, 47.0)
-    overhead += np.where(batch.flags & np.uint8(FD_FLAG), 14.0, 0.0)  # longer checksum and stuff count
-    payload = np.where(batch.can_id & np.uint32(REMOTE_FLAG), 0.0, 8.0 * batch.length)
-    bits: FloatArray = (overhead + payload) * (1.0 + STUFF_SHARE)
-    return bits
 
 
 def _bin_of(step_ns: Int64Array) -> Int64Array:

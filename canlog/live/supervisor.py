@@ -6,10 +6,9 @@ from collections.abc import AsyncIterator
 from dataclasses import dataclass, fields
 from typing import Protocol
 
-import numpy as np
-
+from canlog.bus_load import frame_bits
 from canlog.errors import SourceError
-from canlog.frames import EXTENDED_FLAG, FrameBatch
+from canlog.frames import FrameBatch
 from canlog.live.base import FrameSource, LinkBreak, SourceCounts
 from canlog.live.bus_state import BusState, BusStatus, BusWatch
 from canlog.notice import NOTICE
@@ -18,8 +17,6 @@ RETRY_S = 0.1  # from the return of the interface to its first frame: this and t
 LONGEST_RETRY_S = 1.0  # for a bus that opens, but fails before it gave anything
 RESTART_PERIOD_S = 1.0
 COUNT_PERIOD_S = 0.5  # how soon a loss shows in the state
-STANDARD_BITS = 47  # ISO 11898-1: start to end of frame without data, and three bits of intermission
-EXTENDED_BITS = 20  # more in a frame with 29-bit identifier
 _LOG = logging.getLogger(__name__)
 
 
@@ -57,7 +54,7 @@ class SupervisedSource:
         self._past = SourceCounts()
         self._retry_s = self._patience.retry_s
         self._watch = BusWatch()
-        self._bit_count = 0
+        self._bit_count = 0.0
         self._counted_s = -COUNT_PERIOD_S
         self._dropped = 0  # at the last count
         self._closing = asyncio.Event()
@@ -74,8 +71,8 @@ class SupervisedSource:
         return self._past if self._source is None else _sum(self._past, self._source.counts)
 
     @property
-    def bit_count(self) -> int:
-        """Bits on the bus that the frames heard stand for, stuff bits left out."""
+    def bit_count(self) -> float:
+        """Bits on the bus that the frames heard stand for, stuff bits estimated."""
         return self._bit_count
 
     @property
@@ -111,7 +108,7 @@ class SupervisedSource:
         if now_s - self._counted_s > COUNT_PERIOD_S:  # a question to the kernel
             counts = self.counts
             self._counted_s, self._dropped = now_s, counts.kernel_dropped + counts.queue_dropped
-        self._bit_count += frame_bits(batch)
+        self._bit_count += float(frame_bits(batch).sum())
         self._retry_s = self._patience.retry_s
         self._watch.hear(batch, self._dropped, now_s)
         if self._watch.is_off and (self._restarter is None or self._restarter.done()):
@@ -166,12 +163,6 @@ async def supervise(opener: Opener) -> SupervisedSource:
         If it cannot be opened now: a service that never heard its bus was most likely told the wrong one.
     """
     return SupervisedSource(opener, await opener.open())
-
-
-def frame_bits(batch: FrameBatch) -> int:
-    """Return how many bits frames take on the bus, the space between them included, stuff bits left out."""
-    extended = np.count_nonzero(batch.can_id & np.uint32(EXTENDED_FLAG))
-    return len(batch) * STANDARD_BITS + int(extended) * EXTENDED_BITS + 8 * int(batch.length.sum(dtype=np.int64))
 
 
 def _sum(past: SourceCounts, present: SourceCounts) -> SourceCounts:

@@ -47,7 +47,9 @@ class SnapshotCollector(Collector):
 def _bus(snapshot: Snapshot) -> Iterator[Metric]:
     bus = snapshot.bus
     yield _gauge("bus_state", "1 for the state that the bus is in.", "state", _one_of(BusState, bus.state))
-    yield GaugeMetricFamily("clutchdiag_bus_load_ratio", "Share of the bit rate, no stuff bits.", snapshot.load_ratio)
+    yield GaugeMetricFamily(
+        "clutchdiag_bus_load_ratio", "Share of the bit rate, stuff bits estimated.", snapshot.load_ratio
+    )
     yield _counter("bus_errors", "Error frames by what they tell.", "kind", dict(bus.errors))
     yield CounterMetricFamily(
         "clutchdiag_bus_interruptions", "Times that the interface was lost.", bus.interruption_count

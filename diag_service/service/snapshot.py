@@ -29,8 +29,8 @@ class WatchedSource(LiveSource, Protocol):
         """State of the bus and what has happened to it."""
 
     @property
-    def bit_count(self) -> int:
-        """Bits on the bus that the frames heard stand for, stuff bits left out."""
+    def bit_count(self) -> float:
+        """Bits on the bus that the frames heard stand for, stuff bits estimated."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -51,7 +51,7 @@ class Snapshot:
     vehicle: str
     bus: BusStatus
     clock_steps: int  # of the wall clock, taken out of bus time
-    load_ratio: float  # share of the bit rate that the frames took, stuff bits left out
+    load_ratio: float  # share of the bit rate that the frames took, stuff bits estimated
     frames: FrameCounts
     messages: tuple[MessageStatus, ...]
     summary: Summary
@@ -81,12 +81,12 @@ class RateMeter:
         self._since_s = now_s
         self._seen_ns: int | None = None
         self._bitrate = bitrate
-        self._bits = 0
+        self._bits = 0.0
         self._heard: Mapping[str, int] = {}
         self.load_ratio = 0.0
         self.rates_hz: Mapping[str, float] = {}
 
-    def measure(self, now_s: float, seen_ns: int | None, heard: Mapping[str, int], bits: int) -> None:
+    def measure(self, now_s: float, seen_ns: int | None, heard: Mapping[str, int], bits: float) -> None:
         """Take new rates once there is something to tell.
 
         Parameters

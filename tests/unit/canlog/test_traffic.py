@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from canlog.arrays import Int64Array
-from canlog.frames import ERROR_FLAG, EXTENDED_FLAG, FD_FLAG, FrameBatch
-from canlog.traffic import IdTraffic, Jump, TrafficMeter, TrafficReport, frame_bits
+from canlog.frames import ERROR_FLAG, FrameBatch
+from canlog.traffic import IdTraffic, Jump, TrafficMeter, TrafficReport
 
 MS = 1_000_000
 START_NS = 1_700_000_000_000_000_000
@@ -70,16 +70,9 @@ def test_time_that_jumps_is_listed_and_is_no_gap() -> None:
 
 def test_load_at_a_bit_rate() -> None:
     report = measured(frames(np.arange(2000) * MS), bitrate=250_000)
-    bits = (47 + 64) * 1.1
+    bits = (34 + 64) * 1.1 + 13
     assert report.bus_load_ratio == pytest.approx(bits * 1000 / 250_000, rel=1e-3)
     assert report.peak_load_ratio == pytest.approx(bits * 1000 / 250_000, rel=1e-3)
-
-
-def test_bits_of_kinds_of_frames() -> None:
-    t_ns = np.zeros(1, np.int64)
-    assert frame_bits(frames(t_ns)).tolist() == pytest.approx([111 * 1.1])
-    assert frame_bits(frames(t_ns, EXTENDED_FLAG, 0)).tolist() == pytest.approx([67 * 1.1])
-    assert frame_bits(frames(t_ns, flags=FD_FLAG))[0] > frame_bits(frames(t_ns))[0]
 
 
 def test_kinds_and_channels_are_told_apart() -> None:

@@ -1,0 +1,98 @@
+"""What frames take of a bus: one estimate for logs and live buses, near what bit by bit was on the wire."""
+
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+import pytest
+
+from canlog.bus_load import ERROR_BITS, frame_bits
+from canlog.frames import ERROR_FLAG, EXTENDED_FLAG, FD_FLAG, REMOTE_FLAG, FrameBatch
+from canlog.live import SupervisedSource
+from canlog.logs import read_log
+from canlog.traffic import TrafficMeter
+from tests.unit.canlog.live.test_supervisor import Script, ShortSource, numbered, parts_of
+
+RECORDINGS: Final = Path(__file__).parents[2] / "golden" / "recordings"
+CRC_POLYNOMIAL: Final = 0x4599  # ISO 11898-1, 15 bits
+TAIL_BITS: Final = 13
+BITRATE: Final = 500_000
+EVERY: Final = 97  # frames of a recording; the neighbour of a frame is of another message
+
+
+def number_bits(number: int, count: int) -> list[int]:
+    return [number >> place & 1 for place in reversed(range(count))]
+
+
+def sent_bits(can_id: int, payload: bytes) -> int:
+    """Return the exact length of a classic data frame on the wire, space behind it included, bit by bit."""
+    if can_id & EXTENDED_FLAG:
+        head = [0, *number_bits(can_id >> 18 & 0x7FF, 11), 1, 1, *number_bits(can_id & 0x3FFFF, 18), 0, 0, 0]
+    else:
+        head = [0, *number_bits(can_id & 0x7FF, 11), 0, 0, 0]
+    bits = [*head, *number_bits(len(payload), 4), *(bit for byte in payload for bit in number_bits(byte, 8))]
+    crc = 0
+    for bit in bits:
+        crc = crc << 1 ^ CRC_POLYNOMIAL if bit ^ crc >> 14 & 1 else crc << 1
+        crc &= 0x7FFF
+    bits += number_bits(crc, 15)
+    stuffed, last, run = 0, -1, 0
+    for bit in bits:
+        last, run = bit, run + 1 if bit == last else 1
+        if run == 5:
+            stuffed, last, run = stuffed + 1, 1 - bit, 1
+    return len(bits) + stuffed + TAIL_BITS
+
+
+def one_frame(can_id: int = 0x100, length: int = 8, *, is_fd: bool = False) -> FrameBatch:
+    return FrameBatch(
+        t_ns=np.zeros(1, np.int64),
+        can_id=np.array([can_id], np.uint32),
+        length=np.array([length], np.uint8),
+        data=np.zeros((1, 64), np.uint8),
+        flags=np.array([FD_FLAG if is_fd else 0], np.uint8),
+    )
+
+
+@pytest.mark.parametrize("name", ["ideal", "foreign", "j1939", "faults"])
+def test_the_estimate_is_near_what_was_on_the_wire(name: str) -> None:
+    batch = next(read_log(RECORDINGS / f"{name}.log.xz"))[::EVERY]
+    batch = batch[(batch.can_id & np.uint32(ERROR_FLAG | REMOTE_FLAG)) == 0]
+    payloads = [row.tobytes()[:length] for row, length in zip(batch.data, batch.length.tolist(), strict=True)]
+    exact = sum(sent_bits(can_id, payload) for can_id, payload in zip(batch.can_id.tolist(), payloads, strict=True))
+    assert float(frame_bits(batch).sum()) == pytest.approx(exact, rel=0.04)
+
+
+@pytest.mark.parametrize("extended", [0, EXTENDED_FLAG])
+@pytest.mark.parametrize("length", [0, 1, 8])
+def test_no_frame_is_shorter_or_longer_than_stuffing_permits(extended: int, length: int) -> None:
+    estimate = float(frame_bits(one_frame(0x155 | extended, length))[0])
+    rng = np.random.default_rng(length)
+    exact = [sent_bits(int(rng.integers(0, 0x800)) | extended, rng.bytes(length)) for _ in range(200)]
+    whole = 47 + 8 * length + (20 if extended else 0)
+    assert whole < estimate < whole * 1.25
+    assert min(exact) <= estimate
+    assert float(np.mean(exact)) == pytest.approx(
+        estimate, rel=0.08
+    )  # random payloads need less stuffing than real ones
+
+
+def test_a_remote_frame_has_no_payload_and_an_error_frame_is_short() -> None:
+    assert frame_bits(one_frame(0x100 | REMOTE_FLAG)) == frame_bits(one_frame(0x100, 0))
+    assert frame_bits(one_frame(ERROR_FLAG | 0x88)).tolist() == [ERROR_BITS]
+
+
+def test_a_frame_of_can_fd_has_a_longer_checksum() -> None:
+    short, long = (float(frame_bits(one_frame(length=length, is_fd=True))[0]) for length in (16, 20))
+    assert float(frame_bits(one_frame(is_fd=True))[0]) > float(frame_bits(one_frame())[0])
+    assert long - short > 4 * 8
+
+
+async def test_a_live_bus_and_a_log_of_it_have_the_same_load() -> None:
+    batches = [numbered(*range(0, 10**9, 10**7)), numbered(10**9, flags=EXTENDED_FLAG)]
+    source = SupervisedSource(Script(), ShortSource(*batches))
+    await parts_of(source, 2)
+    meter = TrafficMeter(BITRATE)
+    for batch in batches:
+        meter.add(batch)
+    assert source.bit_count / BITRATE == pytest.approx(meter.report().bus_load_ratio)  # over one second
