@@ -6,12 +6,12 @@ from diag_service.diagnosis.comparison import ClutchRatio, FrictionTrend, ScaleF
 from diag_service.diagnosis.records import (
     ClutchVerdict,
     Condition,
+    DataQuality,
     FrictionEstimate,
+    QualityPart,
     ShiftEstimate,
     ShiftResult,
     Status,
-    Trust,
-    TrustPart,
 )
 from ecu_emulator.scenario import FluidCondition, Scenario
 from ecu_emulator.scenario_file import load_scenario
@@ -76,7 +76,7 @@ def shift_estimate(number: int = 1, to_gear: int = 2) -> ShiftEstimate:
         slip_energy_j=8400.0,
         duration_s=0.9,
         odometer_m=1234.0,
-        trust=Trust(score=0.9 * 0.95, parts={TrustPart.FRAMES: 0.95, TrustPart.PROTECTION: 0.9}),
+        data_quality=DataQuality(score=0.9 * 0.95, parts={QualityPart.FRAMES: 0.95, QualityPart.PROTECTION: 0.9}),
         scale_free=scale_free_friction(),
     )
 

@@ -85,7 +85,7 @@ def shift_line(result: ShiftResult) -> Text:
     line = Text(f"{estimate.number:>5}  {f'{estimate.from_gear}-{estimate.to_gear}':<5} {estimate.clutch:>6}  ")
     line.append(f"{estimate.status.value:<10} ", _STATUS_STYLE[estimate.status])
     line.append(_friction_columns(estimate.friction))
-    line.append(f" {'-' if estimate.trust is None else f'{estimate.trust.score:.2f}':>5}")
+    line.append(f" {'-' if estimate.data_quality is None else f'{estimate.data_quality.score:.2f}':>5}")
     oil_k = estimate.sump_temperature_k
     line.append(f" {'-' if oil_k is None else f'{degc_from_k(oil_k):.0f} °C':>6}  ")
     line.append(_words(verdict.condition), _CONDITION_STYLE[verdict.condition])

@@ -45,7 +45,7 @@ class Reason(StrEnum):
     SATURATED = "saturated"  # signals at the end of their scale
     IMPLAUSIBLE = "implausible"  # sensors contradict each other
     CALIBRATION_OLD = "calibration_old"
-    LOW_TRUST = "low_trust"  # each flaw alone would pass, together they do not
+    LOW_DATA_QUALITY = "low_trust"  # each flaw alone would pass, together they do not
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -68,8 +68,8 @@ class FrictionEstimate:
     probability_negative_slope: float
 
 
-class TrustPart(StrEnum):
-    """What the trust in a shift's data is made of."""
+class QualityPart(StrEnum):
+    """What the quality of a shift's data is made of."""
 
     FRAMES = "frames"
     PROTECTION = "protection"
@@ -80,11 +80,11 @@ class TrustPart(StrEnum):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Trust:
-    """How far the data of a shift may be trusted, each 0..1; parts that cannot be judged are left out."""
+class DataQuality:
+    """How far the data of a shift can be believed, each 0..1; parts that cannot be judged are left out."""
 
     score: float
-    parts: Mapping[TrustPart, float]
+    parts: Mapping[QualityPart, float]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -121,7 +121,7 @@ class ShiftEstimate:
     slip_energy_j: float | None
     duration_s: float
     odometer_m: float | None
-    trust: Trust | None = None  # in the data, whatever the estimate; None in results of older versions
+    data_quality: DataQuality | None = None  # whatever the estimate; None in results of older versions
     scale_free: ScaleFreeFriction | None = None  # None where there is no friction, and in results of older versions
     tier: Tier = Tier.FRICTION  # what the vehicle's signals suffice for
     indices: ShiftIndices | None = None

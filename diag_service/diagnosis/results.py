@@ -14,15 +14,15 @@ from diag_service.diagnosis.comparison import ClutchRatio, FrictionTrend, ScaleF
 from diag_service.diagnosis.records import (
     ClutchVerdict,
     Condition,
+    DataQuality,
     FrictionEstimate,
+    QualityPart,
     Reason,
     ShiftEstimate,
     ShiftIndices,
     ShiftResult,
     Status,
     Tier,
-    Trust,
-    TrustPart,
 )
 from diag_service.errors import ResultError
 from fleet_contract import Channel, ResultKey
@@ -103,7 +103,7 @@ def shift_record(result: ShiftResult) -> JsonObject:
         "clutch_temperature_k": estimate.clutch_temperature_k,
         "slip_energy_j": estimate.slip_energy_j,
         "odometer_m": estimate.odometer_m,
-        "trust": _trust_record(estimate.trust),
+        "trust": _data_quality_record(estimate.data_quality),
         "verdict": _verdict_record(result.verdict),
         "algorithm_version": result.algorithm_version,
         "calibration_version": result.calibration_version,
@@ -194,10 +194,10 @@ def _numbers_record(numbers: _Numbers | None) -> JsonObject | None:
     return None if numbers is None else asdict(numbers)
 
 
-def _trust_record(trust: Trust | None) -> JsonObject | None:
-    if trust is None:
+def _data_quality_record(quality: DataQuality | None) -> JsonObject | None:
+    if quality is None:
         return None
-    return {"score": trust.score, "parts": {part.value: value for part, value in trust.parts.items()}}
+    return {"score": quality.score, "parts": {part.value: value for part, value in quality.parts.items()}}
 
 
 def _verdict_record(verdict: ClutchVerdict) -> JsonObject:
@@ -241,7 +241,7 @@ def _shift_from(table: JsonObject) -> ShiftResult:
         odometer_m=_optional(table, "odometer_m"),
         tier=Tier(_value(table, "tier", int)) if "tier" in table else Tier.FRICTION,  # older results lack both
         indices=_indices_from(table.get("indices")),
-        trust=_trust_from(table.get("trust")),
+        data_quality=_data_quality_from(table.get("trust")),
         scale_free=_numbers_from(ScaleFreeFriction, table.get("scale_free")),
     )
     return ShiftResult(
@@ -274,13 +274,13 @@ def _verdict_from(table: object) -> ClutchVerdict:
     )
 
 
-def _trust_from(table: object) -> Trust | None:
+def _data_quality_from(table: object) -> DataQuality | None:
     if table is None:
         return None
     if not isinstance(table, dict) or not isinstance(table["parts"], dict):
         raise TypeError("trust must be an object with parts, or null")
-    parts = {TrustPart(name): _value(table["parts"], name, float) for name in table["parts"]}
-    return Trust(score=_value(table, "score", float), parts=parts)
+    parts = {QualityPart(name): _value(table["parts"], name, float) for name in table["parts"]}
+    return DataQuality(score=_value(table, "score", float), parts=parts)
 
 
 def _numbers_from(kind: type[NumbersT], table: object) -> NumbersT | None:

@@ -105,9 +105,9 @@ def _messages(snapshot: Snapshot) -> Iterator[Metric]:
 def _shifts(snapshot: Snapshot) -> Iterator[Metric]:
     yield _counter("shifts", "Shifts by what their estimate is worth.", "status", snapshot.summary.shift_counts)
     yield _counter("shift_reasons", "Shifts that were not used, by reason.", "reason", snapshot.summary.reason_counts)
-    trusts = [result.estimate.trust for result in snapshot.recent if result.estimate.trust is not None]
-    if trusts:
-        yield GaugeMetricFamily("clutchdiag_last_shift_trust", "Trust in the last shift, 0..1.", trusts[-1].score)
+    qualities = [result.estimate.data_quality for result in snapshot.recent if result.estimate.data_quality is not None]
+    if qualities:
+        yield GaugeMetricFamily("clutchdiag_last_shift_trust", "Trust in the last shift, 0..1.", qualities[-1].score)
 
 
 def _gauge(name: str, text: str, label: str, values: Any) -> Metric:  # noqa: ANN401 - any numbers by name

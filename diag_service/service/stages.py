@@ -12,7 +12,7 @@ from diag_service.diagnosis.condition.indices import measure
 from diag_service.diagnosis.events import ShiftEvent
 from diag_service.diagnosis.friction import Belief, Estimator
 from diag_service.diagnosis.friction.estimator import without_friction
-from diag_service.diagnosis.quality.trust import TrustBasis, assess, reasons_against
+from diag_service.diagnosis.quality.data_quality import QualityBasis, data_quality, reasons_against
 from diag_service.diagnosis.records import ClutchVerdict, Reason, ShiftEstimate, ShiftIndices, Status, Tier
 from diag_service.diagnosis.shifts.gear_tracking import tracker_for
 from diag_service.diagnosis.shifts.shifts import ShiftFinder
@@ -42,9 +42,9 @@ class Stages:
         if self.tier is Tier.FRICTION:
             self._estimator.prepare()
         self._calibration = calibration
-        self._basis = TrustBasis(
+        self._basis = QualityBasis(
             mandatory_messages=decoder.mandatory_messages,
-            limits=decoder.limits,
+            scale_ends=decoder.limits,
             calibration_date=calibration.made_on,
         )
         self._belief = belief
@@ -83,13 +83,16 @@ class Stages:
 
         Below the first tier nothing is said of friction, and the running state stays as it is.
         """
-        trust = assess(event, self._basis)
-        belief, estimate = self._estimate(event)
-        indices: ShiftIndices | None = measure(event, self._calibration)
-        if estimate.status is not Status.REJECTED and (reasons := reasons_against(trust)):
-            estimate = replace(estimate, status=Status.REJECTED, reasons=reasons, friction=None, scale_free=None)
-            belief, indices = self._belief, None  # data that are not trusted leave no trace in the running state
-        estimate = replace(estimate, trust=trust, tier=self.tier or Tier.KINEMATIC, indices=indices)
+        quality = data_quality(event, self._basis)
+        against = reasons_against(quality)
+        belief, estimate = self._estimate(event, is_described_only=bool(against))
+        indices: ShiftIndices | None = None
+        if against and estimate.status is not Status.REJECTED:
+            estimate = replace(estimate, status=Status.REJECTED, reasons=against, friction=None, scale_free=None)
+            belief = self._belief  # data that are not believed leave no trace in the running state
+        else:
+            indices = measure(event, self._calibration)
+        estimate = replace(estimate, data_quality=quality, tier=self.tier or Tier.KINEMATIC, indices=indices)
         if self.tier is Tier.FRICTION:
             memory = self._memory.with_fit(estimate).with_shift(estimate, self._belief)
             self._memory, verdict = judge(memory, belief, estimate.clutch, self._calibration)
@@ -98,9 +101,9 @@ class Stages:
         self._belief = belief
         return Diagnosis(estimate=estimate, verdict=verdict, belief=self._belief, memory=self._memory)
 
-    def _estimate(self, event: ShiftEvent) -> tuple[Belief, ShiftEstimate]:
+    def _estimate(self, event: ShiftEvent, *, is_described_only: bool) -> tuple[Belief, ShiftEstimate]:
         if self.tier is Tier.FRICTION:
-            return self._estimator.estimate(event, self._belief)
+            return self._estimator.estimate(event, self._belief, is_described_only=is_described_only)
         return self._belief, without_friction(event, Status.UNOBSERVED, Reason.SIGNAL_MISSING)
 
     def capability(self) -> Capability:

@@ -21,7 +21,7 @@ from diag_service.diagnosis.columns import Signal
 from diag_service.diagnosis.friction.paper import PaperCollection, central_difference, nominal_driveline
 from diag_service.diagnosis.friction.paper.fit import NOISY_GATES
 from diag_service.diagnosis.friction.paper.vehicle_route import GRID_STRIDE, paper_signals
-from diag_service.diagnosis.friction.signals import gather
+from diag_service.diagnosis.quality.usability import usable_signals
 from diag_service.diagnosis.records import Reason
 from ecu_emulator.plant import Col
 from ecu_emulator.recording import drive_settings
@@ -86,7 +86,7 @@ def test_the_vehicle_route_finds_the_torques() -> None:
     rows = drive_rows(drive_settings(drive_scenario(seed=77)))
     misses_nm = []
     for event in shifts():
-        signals, gathered = paper_signals(event, CALIBRATION, DRIVELINE), gather(event, CALIBRATION)
+        signals, gathered = paper_signals(event, CALIBRATION, DRIVELINE), usable_signals(event, CALIBRATION)
         assert not isinstance(signals, Reason)
         assert not isinstance(gathered, Reason)
         grid_s = gathered.grid_s[::GRID_STRIDE] + (event.start_ns - START_NS) * 1e-9

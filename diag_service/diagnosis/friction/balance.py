@@ -21,12 +21,12 @@ from canlog.arrays import FloatArray
 from clutch_model.calibration import Calibration, InputSide
 from clutch_model.clutch import ClutchCalibration, FrictionCurve
 from clutch_model.knowledge import SensorBias
+from diag_service.diagnosis.alignment.aligned_signals import AlignedSignals
+from diag_service.diagnosis.alignment.sampling import GRID_S
 from diag_service.diagnosis.friction.belief import Measurement
 from diag_service.diagnosis.friction.film_track import FilmTrack, PressureDrive, follow_film
 from diag_service.diagnosis.friction.nudges import AREA, COMMON, OFFSET, Nudge
 from diag_service.diagnosis.friction.parameters import Considered, State, friction_rows
-from diag_service.diagnosis.friction.sampling import GRID_S
-from diag_service.diagnosis.friction.signals import ShiftSignals
 from diag_service.diagnosis.friction.weights import SLIP_DEGREE, Weights, sines, smoothed
 from diag_service.diagnosis.friction.window import SlipWindow
 
@@ -58,7 +58,7 @@ class _Spread:
     hub_rate: FloatArray
 
     @classmethod
-    def of(cls, signals: ShiftSignals, weights: Weights) -> Self:
+    def of(cls, signals: AlignedSignals, weights: Weights) -> Self:
         """Return those of a window's test functions."""
         return cls(
             torque_value=signals.engine_torque.interpolation.to_samples(weights.value),
@@ -86,7 +86,7 @@ class Balance:
 
     def __init__(
         self,
-        signals: ShiftSignals,
+        signals: AlignedSignals,
         window: SlipWindow,
         measured: tuple[PressureDrive, PressureDrive],
         planned: tuple[PressureDrive, PressureDrive],

@@ -24,6 +24,7 @@ from diag_service.diagnosis.friction.parameters import (
     prior_covariance,
     prior_mean,
 )
+from diag_service.diagnosis.quality.plausibility import PressureZeros
 from diag_service.diagnosis.records import FrictionEstimate
 
 FRICTION_DRIFT_STD = 2e-5  # per shift: 0.15 in the life of a fluid is 1e-6, so this forgets over thousands of shifts
@@ -183,6 +184,12 @@ class Belief:
         steered = spread @ common[:, STEERING].T
         crossed = by_state @ self.covariance - steered.T @ self.sensitivity[:, STEERING].T
         return np.asarray(np.linalg.solve(random + common[:, STEERING] @ steered, crossed).T, np.float64)
+
+    @property
+    def pressure_zeros(self) -> PressureZeros:
+        """What is known of the zeros of the pressure sensors."""
+        zeros = slice(State.ZERO1, State.ZERO2 + 1)
+        return PressureZeros(mean_pa=self.mean[zeros], variance_pa2=np.diag(self.covariance)[zeros])
 
     def total_covariance(self, rows: slice) -> FloatArray:
         """Return the covariance of some states, common scale included."""

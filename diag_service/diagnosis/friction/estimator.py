@@ -7,18 +7,19 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from clutch_model.calibration import Calibration
+from diag_service.diagnosis.alignment.aligned_signals import AlignedSignals, compile_alignment
+from diag_service.diagnosis.alignment.sampling import NS_TO_S
 from diag_service.diagnosis.columns import Signal
 from diag_service.diagnosis.events import ShiftEvent
 from diag_service.diagnosis.friction.balance import Balance
 from diag_service.diagnosis.friction.belief import Belief, Misfit
 from diag_service.diagnosis.friction.film_track import compile_film
 from diag_service.diagnosis.friction.parameters import State, friction_rows
-from diag_service.diagnosis.friction.plausibility import doubts, zero_has_jumped
 from diag_service.diagnosis.friction.preparation import measured_drives, on_coming, planned_drives, slip_window, zeroed
-from diag_service.diagnosis.friction.sampling import NS_TO_S
 from diag_service.diagnosis.friction.sharp import scale_free
-from diag_service.diagnosis.friction.signals import ShiftSignals, compile_signals, gather
 from diag_service.diagnosis.friction.window import SlipWindow
+from diag_service.diagnosis.quality.plausibility import SlippingClutch, plausibility_faults, zero_has_jumped
+from diag_service.diagnosis.quality.usability import usable_signals
 from diag_service.diagnosis.records import Reason, ShiftEstimate, Status
 
 if TYPE_CHECKING:
@@ -40,29 +41,37 @@ class Estimator:
 
     def prepare(self) -> None:
         """Have everything compiled before the first shift comes: it must not wait for it."""
-        compile_signals()
+        compile_alignment()
         compile_film(self._calibration)
 
-    def estimate(self, event: ShiftEvent, belief: Belief) -> tuple[Belief, ShiftEstimate]:
+    def estimate(
+        self, event: ShiftEvent, belief: Belief, *, is_described_only: bool = False
+    ) -> tuple[Belief, ShiftEstimate]:
         """Return the running state after a shift, and what the shift alone says about the on-coming clutch.
 
         The shift's own estimate uses what is known of offsets, but not the running friction. A shift whose signals
         contradict each other, or that does not fit the model, is rejected; one that fits, but contradicts the running
-        state, is shown and kept out of it, until three in a row agree that the clutch has changed.
+        state, is shown and kept out of it, until three in a row agree that the clutch has changed. One that is
+        described only, because its data are not believed, is not even held against the running state.
         """
-        signals = gather(event, self._calibration)
+        signals = usable_signals(event, self._calibration)
         if isinstance(signals, Reason):
             return belief, without_friction(event, Status.REJECTED, signals)
         clutch = on_coming(event.to_gear)
         before, belief = belief, zeroed(signals, belief, self._calibration)
-        if zero_has_jumped(before, belief):
+        if zero_has_jumped(before.pressure_zeros, belief.pressure_zeros):
             return before, without_friction(event, Status.REJECTED, Reason.ZERO_JUMPED)
         drives = measured_drives(signals, belief, event, self._calibration)
         window = slip_window(signals, drives, clutch, self._calibration)
         if window is None:
             return belief, without_friction(event, Status.UNOBSERVED, Reason.NO_SLIP_WINDOW)
-        if found := doubts(event, signals, window, clutch, belief):
-            return before, without_friction(event, Status.REJECTED, *found)
+        slipping = SlippingClutch(
+            number=clutch,
+            rows=slice(window.first, window.stop),
+            pressure_zero_pa=float(belief.pressure_zeros.mean_pa[clutch - 1]),
+        )
+        if faults := plausibility_faults(event, signals, slipping):
+            return before, without_friction(event, Status.REJECTED, *faults)
         balance = Balance(signals, window, drives, planned_drives(signals, drives, window), self._calibration)
         alone, misfit, gate = self._fit(balance, belief.forget_friction(clutch, self._calibration))
         ratio = misfit.chi_square_ratio
@@ -73,10 +82,13 @@ class Estimator:
             clutch_temperature_k=(balance.tracks[0].final_clutch_k, balance.tracks[1].final_clutch_k),
             temperature_ns=event.end_ns,
         )
-        if ratio > gate or misfit.worst_score > SCORE_GATE:
-            return warmed, replace(
+        is_misfit = ratio > gate or misfit.worst_score > SCORE_GATE
+        if is_misfit:
+            estimate = replace(
                 estimate, status=Status.REJECTED, reasons=(Reason.MISFIT,), friction=None, scale_free=None
             )
+        if is_misfit or is_described_only:
+            return warmed, estimate
         return self._combined(warmed, balance, clutch, alone, estimate)
 
     def _fit(self, balance: Balance, prior: Belief) -> tuple[Belief, Misfit, float]:
@@ -113,7 +125,7 @@ class Estimator:
     def _describe(
         self,
         event: ShiftEvent,
-        signals: ShiftSignals,
+        signals: AlignedSignals,
         window: SlipWindow,
         balance: Balance,
         alone: Belief,

@@ -6,12 +6,12 @@ from dataclasses import replace
 import numpy as np
 
 from clutch_model.calibration import Calibration
+from diag_service.diagnosis.alignment.aligned_signals import AlignedSignals
+from diag_service.diagnosis.alignment.sampling import NS_TO_S
 from diag_service.diagnosis.events import ShiftEvent
 from diag_service.diagnosis.friction.belief import Belief, Measurement
 from diag_service.diagnosis.friction.film_track import PressureDrive
 from diag_service.diagnosis.friction.parameters import Considered, State
-from diag_service.diagnosis.friction.sampling import NS_TO_S
-from diag_service.diagnosis.friction.signals import ShiftSignals
 from diag_service.diagnosis.friction.weights import SLIP_DEGREE, smoothed
 from diag_service.diagnosis.friction.window import SlipWindow, find_window
 
@@ -25,7 +25,7 @@ def on_coming(to_gear: int) -> int:
     return 1 if to_gear % 2 else 2
 
 
-def zeros_seen(signals: ShiftSignals, belief: Belief, calibration: Calibration) -> list[Measurement]:
+def zeros_seen(signals: AlignedSignals, belief: Belief, calibration: Calibration) -> list[Measurement]:
     """Return what a clutch that is empty before the shift says about the zero of its pressure sensor."""
     std_pa = calibration.noise.pressure_pa
     seen = []
@@ -46,7 +46,7 @@ def zeros_seen(signals: ShiftSignals, belief: Belief, calibration: Calibration) 
     return seen
 
 
-def zeroed(signals: ShiftSignals, belief: Belief, calibration: Calibration) -> Belief:
+def zeroed(signals: AlignedSignals, belief: Belief, calibration: Calibration) -> Belief:
     """Return the state with the pressure sensors' zeros measured on the clutch that is empty before the shift."""
     for seen in zeros_seen(signals, belief, calibration):
         belief, _ = belief.updated(seen)
@@ -54,7 +54,7 @@ def zeroed(signals: ShiftSignals, belief: Belief, calibration: Calibration) -> B
 
 
 def measured_drives(
-    signals: ShiftSignals, belief: Belief, event: ShiftEvent, calibration: Calibration
+    signals: AlignedSignals, belief: Belief, event: ShiftEvent, calibration: Calibration
 ) -> tuple[PressureDrive, PressureDrive]:
     """Return what drives the films as measured, freed of the offsets that are believed."""
     first, second = (
@@ -80,7 +80,7 @@ def _clutch_k(m: int, oil_k: float, belief: Belief, now_ns: float, calibration: 
 
 
 def planned_drives(
-    signals: ShiftSignals, measured: tuple[PressureDrive, PressureDrive], window: SlipWindow
+    signals: AlignedSignals, measured: tuple[PressureDrive, PressureDrive], window: SlipWindow
 ) -> tuple[PressureDrive, PressureDrive]:
     """Return what would drive the films without sensor noise: commanded pressure and smooth slip.
 
@@ -98,7 +98,7 @@ def planned_drives(
 
 
 def slip_window(
-    signals: ShiftSignals, drives: tuple[PressureDrive, PressureDrive], clutch: int, calibration: Calibration
+    signals: AlignedSignals, drives: tuple[PressureDrive, PressureDrive], clutch: int, calibration: Calibration
 ) -> SlipWindow | None:
     """Return the slip window of the on-coming clutch, or None."""
     over_pa = [drive.piston_pa - one.touch_pressure_pa for drive, one in zip(drives, calibration.clutches, strict=True)]

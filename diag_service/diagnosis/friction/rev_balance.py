@@ -10,11 +10,11 @@ import numpy as np
 
 from canlog.arrays import BoolArray, FloatArray
 from clutch_model.calibration import Calibration
+from diag_service.diagnosis.alignment.aligned_signals import AlignedSignals
 from diag_service.diagnosis.friction.balance import motoring_corrected_nm
 from diag_service.diagnosis.friction.belief import Measurement
 from diag_service.diagnosis.friction.film_track import PressureDrive, follow_film
 from diag_service.diagnosis.friction.parameters import Considered, State
-from diag_service.diagnosis.friction.signals import ShiftSignals
 from diag_service.diagnosis.friction.weights import Weights, sines
 from diag_service.diagnosis.friction.window import SlipWindow
 
@@ -32,7 +32,7 @@ class _Loads:
 
 
 def rev_measurement(
-    signals: ShiftSignals, window: SlipWindow, at: FloatArray, calibration: Calibration, *, are_clutches_closed: bool
+    signals: AlignedSignals, window: SlipWindow, at: FloatArray, calibration: Calibration, *, are_clutches_closed: bool
 ) -> Measurement:
     """Linearise the balance of a rev about the state ``at``, shape (len(State),); docs/model.md eqs. (32) and (33)."""
     side, bias = calibration.input_side, calibration.bias
@@ -62,7 +62,7 @@ def rev_measurement(
     )
 
 
-def _hub(signals: ShiftSignals, weights: Weights, calibration: Calibration) -> tuple[FloatArray, FloatArray]:
+def _hub(signals: AlignedSignals, weights: Weights, calibration: Calibration) -> tuple[FloatArray, FloatArray]:
     """Return the impulse of the hub and the noise in it."""
     side = calibration.input_side
     weight = side.hub_inertia_kg_m2 * weights.rate - side.hub_damping_nms_rad * weights.value
@@ -70,7 +70,7 @@ def _hub(signals: ShiftSignals, weights: Weights, calibration: Calibration) -> t
     return weight @ signals.hub_speed.on_grid, noise
 
 
-def _open_loads(signals: ShiftSignals, weights: Weights, calibration: Calibration) -> _Loads:
+def _open_loads(signals: AlignedSignals, weights: Weights, calibration: Calibration) -> _Loads:
     """Return hub and drag of the open clutches."""
     known_nms, hub = _hub(signals, weights, calibration)
     for clutch in (1, 2):
@@ -84,7 +84,7 @@ def _open_loads(signals: ShiftSignals, weights: Weights, calibration: Calibratio
     return _Loads(known_nms=known_nms, shaft_nms=np.zeros_like(known_nms), hub=hub, shafts=())
 
 
-def _closed_loads(signals: ShiftSignals, weights: Weights, calibration: Calibration) -> _Loads:
+def _closed_loads(signals: AlignedSignals, weights: Weights, calibration: Calibration) -> _Loads:
     """Return hub and both input shafts, which turn with it."""
     side = calibration.input_side
     known_nms, hub = _hub(signals, weights, calibration)
@@ -100,7 +100,7 @@ def _closed_loads(signals: ShiftSignals, weights: Weights, calibration: Calibrat
 
 
 def _noise_and_overlap(
-    signals: ShiftSignals, weights: Weights, loads: _Loads, is_motoring: BoolArray, calibration: Calibration
+    signals: AlignedSignals, weights: Weights, loads: _Loads, is_motoring: BoolArray, calibration: Calibration
 ) -> tuple[FloatArray, FloatArray]:
     """Return the covariance of the residual, shape (k, k), and what the derivatives share with it; eq. (31)."""
     bias, side, sensors = calibration.bias, calibration.input_side, calibration.noise

@@ -36,8 +36,8 @@ from diag_service.diagnosis.friction.preparation import (
     zeros_seen,
 )
 from diag_service.diagnosis.friction.rev_balance import rev_measurement
-from diag_service.diagnosis.friction.signals import gather
 from diag_service.diagnosis.friction.window import SlipWindow
+from diag_service.diagnosis.quality.usability import usable_signals
 from diag_service.diagnosis.records import Reason
 
 LEAST_SHIFTS_PER_CLUTCH = 4  # fewer do not tell touch point and friction apart
@@ -196,7 +196,7 @@ def _seen_shifts(
     for event in events:
         if windows and event.number not in windows:
             continue
-        signals = gather(event, point)
+        signals = usable_signals(event, point)
         if isinstance(signals, Reason):
             continue
         clutch = on_coming(event.to_gear)
@@ -229,7 +229,7 @@ def _window_at(span: Span, grid_s: FloatArray) -> SlipWindow:
 
 def _seen_revs(events: Sequence[RevEvent], belief: Belief, point: Calibration) -> Iterator[_Seen]:
     for event in events:
-        signals = gather(event, point)
+        signals = usable_signals(event, point)
         if isinstance(signals, Reason):
             continue
         inside = np.flatnonzero(signals.grid_s >= 0.0)

@@ -6,7 +6,7 @@ from functools import lru_cache
 import numpy as np
 
 from canlog.arrays import FloatArray
-from diag_service.diagnosis.friction.sampling import GRID_S
+from diag_service.diagnosis.alignment.sampling import GRID_S
 from diag_service.diagnosis.friction.window import SlipWindow
 
 SLIP_DEGREE = 5  # a shift controller's slip profile: smooth start, smooth end

@@ -12,13 +12,14 @@ import numpy as np
 
 from canlog.arrays import FloatArray
 from clutch_model.calibration import Calibration
+from diag_service.diagnosis.alignment.aligned_signals import AlignedSignals
+from diag_service.diagnosis.alignment.sampling import sample_times_s
 from diag_service.diagnosis.columns import Signal
 from diag_service.diagnosis.events import ShiftEvent
 from diag_service.diagnosis.friction.paper.driveline import Driveline
 from diag_service.diagnosis.friction.paper.driveline_model import DrivelineModel, State, driveline_model
 from diag_service.diagnosis.friction.paper.signals import BoolArray, PaperSignals
-from diag_service.diagnosis.friction.sampling import sample_times_s
-from diag_service.diagnosis.friction.signals import ShiftSignals, gather
+from diag_service.diagnosis.quality.usability import usable_signals
 from diag_service.diagnosis.records import Reason
 
 PERIOD_S = 0.01  # of the fast messages
@@ -47,7 +48,7 @@ TORQUE_STATES = (State.CLUTCH1_TORQUE, State.CLUTCH2_TORQUE)
 
 def paper_signals(event: ShiftEvent, calibration: Calibration, driveline: Driveline) -> PaperSignals | Reason:
     """Return a shift's signals with the torques of the vehicle route, or why there are none."""
-    gathered = gather(event, calibration)
+    gathered = usable_signals(event, calibration)
     if isinstance(gathered, Reason):
         return gathered
     grid_s = gathered.grid_s[::GRID_STRIDE]
@@ -113,7 +114,7 @@ def _updated(mean: FloatArray, covariance: FloatArray, readings: Readings, k: in
     return mean, 0.5 * (covariance + covariance.T)
 
 
-def _readings(gathered: ShiftSignals, wheel_rad_s: FloatArray, calibration: Calibration) -> Readings:
+def _readings(gathered: AlignedSignals, wheel_rad_s: FloatArray, calibration: Calibration) -> Readings:
     def taken(values: FloatArray) -> FloatArray:
         return values[::GRID_STRIDE]
 

@@ -104,7 +104,7 @@ def test_a_clock_moved_before_the_start_moves_times_and_nothing_else() -> None:
     )
     for there, here in zip(diagnosed([moved]).diagnoses, undisturbed().diagnoses, strict=True):
         assert there.estimate.friction == here.estimate.friction
-        assert there.estimate.trust == here.estimate.trust
+        assert there.estimate.data_quality == here.estimate.data_quality
         assert there.estimate.start_ns == here.estimate.start_ns + HOURS_NS
 
 

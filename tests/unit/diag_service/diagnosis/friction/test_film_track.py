@@ -14,8 +14,8 @@ from clutch_model.film import (
     measured_film_rate_m_s,
 )
 from clutch_model.viscosity import viscosity_pa_s
+from diag_service.diagnosis.alignment.sampling import GRID_S
 from diag_service.diagnosis.friction.film_track import PressureDrive, follow_film
-from diag_service.diagnosis.friction.sampling import GRID_S
 
 CALIBRATION = nominal_calibration()
 OIL_K = 363.15

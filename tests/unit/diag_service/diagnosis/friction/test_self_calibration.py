@@ -17,8 +17,8 @@ from diag_service.diagnosis.friction.parameters import NAMES, STATE_COUNT, Consi
 from diag_service.diagnosis.friction.preparation import measured_drives, on_coming, planned_drives, slip_window
 from diag_service.diagnosis.friction.rev_balance import rev_measurement
 from diag_service.diagnosis.friction.self_calibration import SelfCalibration, self_calibrate
-from diag_service.diagnosis.friction.signals import gather
 from diag_service.diagnosis.friction.window import SlipWindow
+from diag_service.diagnosis.quality.usability import usable_signals
 from diag_service.diagnosis.records import Reason
 from diag_service.diagnosis.shifts.revs import RevFinder
 from diag_service.diagnosis.shifts.shifts import ShiftFinder
@@ -157,7 +157,7 @@ STEPS = {
 def shift_residual(
     event: ShiftEvent, calibration: Calibration, window: SlipWindow | None
 ) -> tuple[Measurement, SlipWindow]:
-    signals = gather(event, calibration)
+    signals = usable_signals(event, calibration)
     assert not isinstance(signals, Reason)
     belief = Belief.fresh(NOMINAL)
     drives = measured_drives(signals, belief, event, calibration)
@@ -201,7 +201,7 @@ def test_derivatives_of_a_rev_are_those_of_its_residual(parameter: Considered) -
     assert rev.are_clutches_closed
 
     def measured(calibration: Calibration) -> Measurement:
-        signals = gather(rev, calibration)
+        signals = usable_signals(rev, calibration)
         assert not isinstance(signals, Reason)
         first = int(np.searchsorted(signals.grid_s, 0.0))
         window = SlipWindow(first=first, stop=len(signals.grid_s), direction=0.0)
@@ -217,7 +217,7 @@ def test_derivatives_of_a_rev_are_those_of_its_residual(parameter: Considered) -
 def test_a_balanced_rev_leaves_nothing() -> None:
     """The residual of a noise-free rev is small against what one percent of inertia would make of it."""
     for rev in without_noise()[1]:
-        signals = gather(rev, NOMINAL)
+        signals = usable_signals(rev, NOMINAL)
         assert not isinstance(signals, Reason)
         first = int(np.searchsorted(signals.grid_s, 0.0))
         window = SlipWindow(first=first, stop=len(signals.grid_s), direction=0.0)

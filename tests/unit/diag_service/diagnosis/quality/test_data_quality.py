@@ -1,4 +1,4 @@
-"""Trust in the data of a shift: 1 for a sound one, and each flaw costs its own part."""
+"""Quality of the data of a shift: 1 for a sound one, and each flaw costs its own part."""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -17,8 +17,9 @@ from diag_service.diagnosis.columns import BALANCE_SIGNALS, Signal
 from diag_service.diagnosis.condition.condition import ConditionMemory
 from diag_service.diagnosis.events import EndReason, ShiftEvent
 from diag_service.diagnosis.friction import Belief
-from diag_service.diagnosis.quality.trust import MIN_TRUST, TrustBasis, assess, reasons_against
-from diag_service.diagnosis.records import Reason, Status, Trust, TrustPart
+from diag_service.diagnosis.quality.data_quality import QualityBasis, data_quality, reasons_against
+from diag_service.diagnosis.quality.limits import LIMITS
+from diag_service.diagnosis.records import DataQuality, QualityPart, Reason, Status
 from diag_service.mapping.decoder import Decoder
 from diag_service.mapping.profile import load_profile
 from diag_service.service.stages import Stages
@@ -56,8 +57,8 @@ def sound() -> ShiftEvent:
 
 
 @cache
-def basis() -> TrustBasis:
-    return TrustBasis(mandatory_messages=decoder().mandatory_messages, limits=decoder().limits)
+def basis() -> QualityBasis:
+    return QualityBasis(mandatory_messages=decoder().mandatory_messages, scale_ends=decoder().limits)
 
 
 def with_values(signal: Signal, change: Callable[[FloatArray], FloatArray]) -> ShiftEvent:
@@ -80,21 +81,21 @@ def clipped(cut: float, end: float, value: FloatArray) -> FloatArray:
     return np.where(value > cut, end, value)
 
 
-def part(event: ShiftEvent, which: TrustPart, on: TrustBasis | None = None) -> float:
-    trust = assess(event, on or basis())
-    assert trust.score == pytest.approx(np.prod(list(trust.parts.values())))
-    return trust.parts[which]
+def part(event: ShiftEvent, which: QualityPart, on: QualityBasis | None = None) -> float:
+    quality = data_quality(event, on or basis())
+    assert quality.score == pytest.approx(np.prod(list(quality.parts.values())))
+    return quality.parts[which]
 
 
-def test_a_sound_shift_is_trusted_in_full() -> None:
-    trust = assess(sound(), basis())
-    assert trust.parts == dict.fromkeys(set(TrustPart) - {TrustPart.CALIBRATION}, 1.0)
-    assert trust.score == 1.0
-    assert reasons_against(trust) == ()
+def test_a_sound_shift_is_believed_in_full() -> None:
+    quality = data_quality(sound(), basis())
+    assert quality.parts == dict.fromkeys(set(QualityPart) - {QualityPart.CALIBRATION}, 1.0)
+    assert quality.score == 1.0
+    assert reasons_against(quality) == ()
 
 
 def test_nothing_to_judge_by_is_no_reason() -> None:
-    assert assess(BARE, TrustBasis()) == Trust(score=1.0, parts={})
+    assert data_quality(BARE, QualityBasis()) == DataQuality(score=1.0, parts={})
 
 
 @pytest.mark.parametrize(("share", "expected"), [(0.01, 0.875), (0.04, 0.5), (0.2, 0.0)])
@@ -104,7 +105,7 @@ def test_lost_frames(share: float, expected: float) -> None:
         lost = np.linspace(1, count - 2, round(share * count)).astype(int)
         return np.setdiff1d(np.arange(count), lost)
 
-    assert part(thinned(keep), TrustPart.FRAMES) == pytest.approx(expected, abs=0.09)
+    assert part(thinned(keep), QualityPart.FRAMES) == pytest.approx(expected, abs=0.09)
 
 
 @pytest.mark.parametrize(
@@ -118,13 +119,13 @@ def test_lost_frames(share: float, expected: float) -> None:
 )
 def test_messages_that_are_not_valid(message: str, state: E2eState, expected: float) -> None:
     event = replace(sound(), e2e={**sound().e2e, message: state})
-    assert part(event, TrustPart.PROTECTION) == pytest.approx(expected)
+    assert part(event, QualityPart.PROTECTION) == pytest.approx(expected)
 
 
 def test_a_mandatory_message_that_was_never_heard_is_fatal() -> None:
     heard = {name: state for name, state in sound().e2e.items() if name != "TCU_InputSpeeds"}
-    trust = assess(replace(sound(), e2e=heard), basis())
-    assert reasons_against(trust) == (Reason.E2E_INVALID,)
+    quality = data_quality(replace(sound(), e2e=heard), basis())
+    assert reasons_against(quality) == (Reason.E2E_INVALID,)
 
 
 @pytest.mark.parametrize(("late_share", "expected"), [(0.0, 1.0), (0.3, 0.7), (1.0, 0.0)])
@@ -134,18 +135,18 @@ def test_late_frames(late_share: float, expected: float) -> None:
         one = columns[signal]
         is_late = np.arange(len(one.t_ns)) > (1.0 - late_share) * len(one.t_ns)
         columns[signal] = replace(one, t_ns=one.t_ns + np.where(is_late, 40_000_000, 0))
-    assert part(replace(sound(), columns=columns), TrustPart.TIME) == pytest.approx(expected, abs=0.02)
+    assert part(replace(sound(), columns=columns), QualityPart.TIME) == pytest.approx(expected, abs=0.02)
 
 
 def test_a_sensor_at_the_end_of_its_scale() -> None:
-    low, high = basis().limits[Signal.ENGINE_TORQUE]
+    low, high = basis().scale_ends[Signal.ENGINE_TORQUE]
     assert low < 0.0 < high
     cut = float(np.quantile(sound().columns[Signal.ENGINE_TORQUE].value, 0.9))
     for end in (low, high):
         event = with_values(Signal.ENGINE_TORQUE, partial(clipped, cut, end))
-        assert part(event, TrustPart.SATURATION) < 0.1
+        assert part(event, QualityPart.SATURATION) < 0.1
     still = with_values(Signal.ENGINE_SPEED, np.zeros_like)
-    assert part(still, TrustPart.SATURATION) == 1.0
+    assert part(still, QualityPart.SATURATION) == 1.0
 
 
 @pytest.mark.parametrize(
@@ -161,29 +162,29 @@ def test_a_sensor_at_the_end_of_its_scale() -> None:
 )
 def test_sensors_that_contradict_each_other(signal: Signal, change: Callable[[FloatArray], FloatArray]) -> None:
     event = with_values(signal, change)
-    assert part(event, TrustPart.PLAUSIBILITY) < MIN_TRUST
-    assert reasons_against(assess(event, basis())) == (Reason.IMPLAUSIBLE,)
+    assert part(event, QualityPart.PLAUSIBILITY) < LIMITS.least_score_ratio
+    assert reasons_against(data_quality(event, basis())) == (Reason.IMPLAUSIBLE,)
 
 
 def test_sensors_that_a_bus_lacks_are_not_judged() -> None:
     few = {signal: sound().columns[signal] for signal in (Signal.INPUT1_SPEED, Signal.OUTPUT_SPEED)}
-    assert TrustPart.PLAUSIBILITY not in assess(replace(sound(), columns=few), basis()).parts
+    assert QualityPart.PLAUSIBILITY not in data_quality(replace(sound(), columns=few), basis()).parts
 
 
 @pytest.mark.parametrize(("years", "expected"), [(0, 1.0), (5, 1.0), (10, 0.5), (20, 0.0)])
 def test_an_old_calibration(years: int, expected: float) -> None:
     start = date.fromtimestamp(sound().end_ns / 1e9)  # noqa: DTZ012 - only the year counts here
     made = replace(basis(), calibration_date=date(start.year - years, start.month, min(start.day, 28)))
-    assert part(sound(), TrustPart.CALIBRATION, made) == pytest.approx(expected, abs=0.01)
+    assert part(sound(), QualityPart.CALIBRATION, made) == pytest.approx(expected, abs=0.01)
 
 
 def test_flaws_that_pass_alone_may_not_pass_together() -> None:
-    parts = {TrustPart.FRAMES: 0.7, TrustPart.TIME: 0.65}
-    assert reasons_against(Trust(score=0.455, parts=parts)) == (Reason.LOW_TRUST,)
-    assert reasons_against(Trust(score=0.5, parts=parts)) == ()
+    parts = {QualityPart.FRAMES: 0.7, QualityPart.TIME: 0.65}
+    assert reasons_against(DataQuality(score=0.455, parts=parts)) == (Reason.LOW_DATA_QUALITY,)
+    assert reasons_against(DataQuality(score=0.5, parts=parts)) == ()
 
 
-def test_a_shift_that_is_not_trusted_is_rejected_and_leaves_no_trace() -> None:
+def test_a_shift_that_is_not_believed_is_rejected_and_leaves_no_trace() -> None:
     plain, gated = stages(), stages()
     before = gated.conclude(replace(sound(), columns={})).belief
     assert plain.conclude(sound()).estimate.status is Status.VALID
@@ -191,6 +192,6 @@ def test_a_shift_that_is_not_trusted_is_rejected_and_leaves_no_trace() -> None:
     diagnosis = gated.conclude(event)
     estimate = diagnosis.estimate
     assert (estimate.status, estimate.reasons, estimate.friction) == (Status.REJECTED, (Reason.E2E_INVALID,), None)
-    assert estimate.trust is not None
-    assert estimate.trust.score == 0.0
+    assert estimate.data_quality is not None
+    assert estimate.data_quality.score == 0.0
     assert diagnosis.belief.to_json() == before.to_json()

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from canlog.series import Series
-from diag_service.diagnosis.friction.sampling import Interpolation, sample_times_s, segment_centres_s
+from diag_service.diagnosis.alignment.sampling import Interpolation, sample_times_s, segment_centres_s
 
 if TYPE_CHECKING:
     from canlog.arrays import FloatArray

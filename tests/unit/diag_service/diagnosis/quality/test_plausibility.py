@@ -1,7 +1,5 @@
 """Checks of signals against each other: repeated values and jumping zeros."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
@@ -10,8 +8,7 @@ from canlog.series import Series
 from clutch_model.calibration import nominal_calibration
 from diag_service.diagnosis.columns import Signal
 from diag_service.diagnosis.friction import Belief
-from diag_service.diagnosis.friction.parameters import State
-from diag_service.diagnosis.friction.plausibility import is_frozen, zero_has_jumped
+from diag_service.diagnosis.quality.plausibility import PressureZeros, is_frozen, zero_has_jumped
 
 COUNT = 180
 
@@ -62,9 +59,9 @@ def test_a_pressure_sensor_that_cannot_show_less_than_nothing_repeats_zero() -> 
 
 @pytest.mark.parametrize(("moved_std", "has_jumped"), [(4.9, False), (5.1, True), (-5.1, True)])
 def test_a_zero_jumps_when_it_moves_further_than_both_knowledges_allow(moved_std: float, has_jumped: bool) -> None:
-    before = Belief.fresh(nominal_calibration())
-    covariance, mean = before.covariance.copy(), before.mean.copy()
-    covariance[State.ZERO2, State.ZERO2] *= 0.19
-    mean[State.ZERO2] += moved_std * np.sqrt(before.covariance[State.ZERO2, State.ZERO2] * 0.81)
-    assert zero_has_jumped(before, replace(before, mean=mean, covariance=covariance)) is has_jumped
-    assert not zero_has_jumped(before, before)
+    known = Belief.fresh(nominal_calibration()).pressure_zeros
+    moved_pa = np.array([0.0, moved_std * np.sqrt(0.81 * known.variance_pa2[1])])
+    left = known.variance_pa2 * [1.0, 0.19]
+    measured = PressureZeros(mean_pa=known.mean_pa + moved_pa, variance_pa2=left)
+    assert zero_has_jumped(known, measured) is has_jumped
+    assert not zero_has_jumped(known, known)

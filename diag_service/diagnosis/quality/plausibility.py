@@ -1,0 +1,180 @@
+"""Signals held against each other: what the torque balance alone would take for friction.
+
+A sensor that lies changes the balance, and chi-square sees that, unless another friction would explain it as well: a
+pressure that reads too low, a slip that reads too high. No check here needs friction. `agreement` looks at the samples
+of any vehicle, over a whole shift; `plausibility_faults` at the aligned signals of the torque balance, in its slip
+window and moment by moment.
+"""
+
+import math
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from canlog.arrays import FloatArray
+from canlog.series import Series
+from diag_service.diagnosis.alignment.aligned_signals import COMMAND_LAG_S, AlignedSignals
+from diag_service.diagnosis.alignment.sampling import GRID_S, NS_TO_S
+from diag_service.diagnosis.columns import BALANCE_SIGNALS, Columns, Signal
+from diag_service.diagnosis.events import ShiftEvent
+from diag_service.diagnosis.quality.limits import LIMITS, QualityLimits
+from diag_service.diagnosis.records import Reason
+
+_LAG_NS: Final = round(COMMAND_LAG_S / NS_TO_S)
+_CLIPPED_PA: Final = 0.0  # a sensor that cannot show less than nothing repeats zero with reason
+_ROUNDING: Final = 1e-6  # of a variance: far above what doubles lose, far below what a measurement tells
+_WHEELS: Final = (Signal.WHEEL_FL_SPEED, Signal.WHEEL_FR_SPEED, Signal.WHEEL_RL_SPEED, Signal.WHEEL_RR_SPEED)
+_PRESSURES: Final = (
+    (Signal.CLUTCH1_PRESSURE, Signal.CLUTCH1_PRESSURE_COMMAND),
+    (Signal.CLUTCH2_PRESSURE, Signal.CLUTCH2_PRESSURE_COMMAND),
+)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PressureZeros:
+    """What is known of the zeros of both pressure sensors: reading minus truth on an empty clutch."""
+
+    mean_pa: FloatArray  # (2,)
+    variance_pa2: FloatArray  # (2,)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SlippingClutch:
+    """The on-coming clutch of a shift, as far as its signals can be held against each other."""
+
+    number: int  # 1 or 2
+    rows: slice  # of the grid, in which it alone is loaded and slips
+    pressure_zero_pa: float  # what its pressure sensor reads without pressure
+
+
+def agreement(columns: Columns, limits: QualityLimits = LIMITS) -> float | None:
+    """Return how well sensors agree that must, 0 to 1; the worst pair counts, None if there is no pair."""
+    judged = (_wheels(columns, limits), _hub(columns, limits), _pressures(columns, limits))
+    return min((value for value in judged if value is not None), default=None)
+
+
+def plausibility_faults(
+    event: ShiftEvent, signals: AlignedSignals, clutch: SlippingClutch, limits: QualityLimits = LIMITS
+) -> tuple[Reason, ...]:
+    """Return why the signals of a shift, once put on one clock, cannot all be true; empty if they can."""
+    found = {
+        Reason.SENSOR_FROZEN: any(is_frozen(event.columns[one], one, limits) for one in BALANCE_SIGNALS),
+        Reason.SPEEDS_DISAGREE: speed_gap_rad_s(event, signals, clutch, limits) > limits.speeds_rad_s,
+        Reason.PRESSURE_OFF_COMMAND: _misses_command(signals, clutch, limits),
+    }
+    return tuple(reason for reason, is_found in found.items() if is_found)
+
+
+def zero_has_jumped(known: PressureZeros, measured: PressureZeros, limits: QualityLimits = LIMITS) -> bool:
+    """Return whether the zero of a pressure sensor, measured on an empty clutch, contradicts what was known of it.
+
+    ``measured`` is what is known with the measurement, ``known`` without. A zero moves by its update, and the variance
+    of the update is what the variance of the zero loses.
+    """
+    moved_pa = measured.mean_pa - known.mean_pa
+    # A zero that was not measured moves a little with the other one; rounding must not make that a contradiction.
+    variance = np.maximum(known.variance_pa2 - measured.variance_pa2, _ROUNDING * known.variance_pa2)
+    return bool(np.any(moved_pa**2 > limits.zero_gate * variance))
+
+
+def is_frozen(series: Series, signal: Signal, limits: QualityLimits = LIMITS) -> bool:
+    """Return whether a signal repeats one value longer than its own noise and resolution explain.
+
+    How often neighbours are equal elsewhere in the signal says how likely a repetition is.
+    """
+    value = series.value
+    edges = np.flatnonzero(np.diff(value, prepend=np.nan, append=np.nan) != 0.0)
+    lengths = np.diff(edges)
+    longest = int(np.argmax(lengths))
+    if "pressure" in signal and value[edges[longest]] <= _CLIPPED_PA:
+        return False
+    others = len(value) - int(lengths[longest])
+    repeats = others - (len(lengths) - 1)
+    share = (repeats + 1.0) / (others + 2.0)
+    return bool(lengths[longest] > 1.0 + math.log(limits.repeats_chance / len(value)) / math.log(share))
+
+
+def speed_gap_rad_s(
+    event: ShiftEvent, signals: AlignedSignals, clutch: SlippingClutch, limits: QualityLimits = LIMITS
+) -> float:
+    """Return the largest mean difference [rad/s] between speeds that must agree.
+
+    Engine and hub at all times; hub and input shaft of the clutch that is locked before the shift and of the one that
+    is locked at its end; both input shafts, whose gears are engaged, up to their ratio.
+    """
+    end_s = (event.end_ns - event.start_ns) * NS_TO_S
+    grid_s = signals.grid_s
+    before = signals.slip_rad_s(3 - clutch.number)[grid_s < grid_s[0] + limits.locked_s]
+    after = signals.slip_rad_s(clutch.number)[grid_s >= end_s - limits.locked_s]
+    geared = slice(max(0, clutch.rows.start - round(limits.settled_s / GRID_S)), len(grid_s))
+    first, second = (speed.on_grid[geared] for speed in signals.input_speed)
+    apart = first - float(np.median(first / np.maximum(second, 1.0))) * second
+    return max(
+        _largest_mean(signals.engine_speed.on_grid - signals.hub_speed.on_grid, limits.speeds_mean_s),
+        _largest_mean(apart, limits.speeds_mean_s),
+        abs(float(np.mean(before))),
+        abs(float(np.mean(after))),
+    )
+
+
+def _misses_command(signals: AlignedSignals, clutch: SlippingClutch, limits: QualityLimits) -> bool:
+    """Tell whether the on-coming clutch's pressure is not the commanded one while it slips; False without command."""
+    expected_pa = signals.expected_pa[clutch.number - 1]
+    if expected_pa is None:
+        return False
+    error_pa = (signals.pressure[clutch.number - 1].on_grid - clutch.pressure_zero_pa - expected_pa)[clutch.rows]
+    return bool(
+        abs(float(np.mean(error_pa))) > limits.pressure_window_pa
+        or _largest_mean(error_pa, limits.pressure_mean_s) > limits.pressure_moment_pa
+    )
+
+
+def _largest_mean(values: FloatArray, span_s: float) -> float:
+    """Return the largest magnitude of the running mean over a span of the grid."""
+    count = min(round(span_s / GRID_S), len(values))
+    total = np.cumsum(np.insert(values, 0, 0.0))
+    return float(np.max(np.abs(total[count:] - total[:-count])) / count)
+
+
+def _wheels(columns: Columns, limits: QualityLimits) -> float | None:
+    """Compare wheel speeds with the speed of the transmission output: their ratio is one number."""
+    output = columns.get(Signal.OUTPUT_SPEED)
+    if output is None or not len(output.t_ns):
+        return None
+    ratios = []
+    for wheel in (columns[signal] for signal in _WHEELS if signal in columns):
+        turning = _at(output, wheel)
+        is_fast = (wheel.value > limits.least_wheel_m_s) & (turning > 0.0)
+        if is_fast.any():
+            ratios.append(wheel.value[is_fast] / turning[is_fast])
+    if not ratios:
+        return None
+    middle = float(np.median(np.concatenate(ratios)))
+    return limits.wheel_ratio.score(max(float(np.sqrt(np.mean((ratio / middle - 1.0) ** 2))) for ratio in ratios))
+
+
+def _hub(columns: Columns, limits: QualityLimits) -> float | None:
+    """Compare engine and clutch hub."""
+    engine, hub = columns.get(Signal.ENGINE_SPEED), columns.get(Signal.HUB_SPEED)
+    if engine is None or hub is None or not len(engine.t_ns) or not len(hub.t_ns):
+        return None
+    return limits.hub_mean_rad_s.score(abs(float(np.mean(engine.value - _at(hub, engine)))))
+
+
+def _pressures(columns: Columns, limits: QualityLimits) -> float | None:
+    """Compare clutch pressures with what was commanded a moment before."""
+    differences_pa = [
+        float(np.median(np.abs(pressure.value - _at(command, pressure, _LAG_NS))))
+        for read, commanded in _PRESSURES
+        for pressure, command in ((columns.get(read), columns.get(commanded)),)
+        if pressure is not None and command is not None and len(pressure.t_ns) and len(command.t_ns)
+    ]
+    return limits.pressure_median_pa.score(max(differences_pa)) if differences_pa else None
+
+
+def _at(series: Series, other: Series, lag_ns: int = 0) -> FloatArray:
+    """Return one signal at the times of another, or ``lag_ns`` before them."""
+    origin_ns = int(series.t_ns[0])
+    asked = (other.t_ns - origin_ns - lag_ns).astype(np.float64)
+    return np.interp(asked, (series.t_ns - origin_ns).astype(np.float64), series.value)
