@@ -79,7 +79,7 @@ def _slip(grid: _Grid) -> FloatArray | None:
 
 
 def _torque_capacity(grid: _Grid, slip_rad_s: FloatArray, calibration: Calibration) -> tuple[float, float] | None:
-    """Return the torque transmitted at slip over the one asked for, and its standard deviation; docs/model.md eq. (T1).
+    """Return the torque transmitted at slip over the one asked for, and its standard deviation; docs/model.md eq. (I4).
 
     Least squares through the origin; the deviation adds the scatter of the residuals, the gain and the offset of the
     engine torque, and the inertia.
