@@ -3,8 +3,11 @@
 import math
 from typing import NamedTuple
 
+import numpy as np
+
 from canlog.jit import kernel
 from clutch_model.clutch import ClutchCalibration
+from clutch_model.units import Quantity
 
 # Greenwood-Tripp F_5/2 for Gaussian heights, Patir-Cheng 1978: 4.4086e-5 * (4 - H)^6.804 for H < 4.
 _CONTACT_SCALE = 4.4086e-5
@@ -58,11 +61,25 @@ def film_law(clutch: ClutchCalibration) -> FilmLaw:
     )
 
 
-@kernel
-def applied_pressure_pa(piston_pa: float, law: FilmLaw) -> float:
-    """Return what the piston presses on the lining [Pa], its return spring deducted; 0 while the spring wins."""
+def applied_pressures_pa(piston_pa: Quantity, law: FilmLaw) -> Quantity:
+    """Return what the piston presses on the lining [Pa], its return spring deducted; 0 while the spring wins.
+
+    Docs/model.md eq. (H6), for numbers or arrays; the singular is the same law, for other kernels.
+    """
     net_n = piston_pa * law.piston_area_m2 - law.closed_spring_force_n
-    return max(0.0, net_n / law.lining_area_m2)
+    applied_pa: Quantity = np.maximum(0.0, net_n / law.lining_area_m2)
+    return applied_pa
+
+
+applied_pressure_pa = kernel(applied_pressures_pa)
+
+
+def piston_pressures_pa(applied_pa: Quantity, law: FilmLaw) -> Quantity:
+    """Return the piston pressure [Pa] of a closed pack that presses on the lining like this: (H6) solved for it."""
+    return (law.closed_spring_force_n + law.lining_area_m2 * applied_pa) / law.piston_area_m2
+
+
+piston_pressure_pa = kernel(piston_pressures_pa)
 
 
 @kernel
@@ -167,5 +184,10 @@ def shear_factor_difference(film_ratio: float) -> float:
 @kernel
 def viscous_torque_nm(slip_rad_s: float, film_m: float, viscosity: float, law: FilmLaw) -> float:
     """Return the torque of the sheared film [N m], with the sign of the slip; docs/model.md eq. (5)."""
-    shear = shear_factor_difference(film_m / law.roughness_m)
+    return sheared_torque_nm(slip_rad_s, film_m, viscosity, shear_factor_difference(film_m / law.roughness_m), law)
+
+
+@kernel
+def sheared_torque_nm(slip_rad_s: float, film_m: float, viscosity: float, shear: float, law: FilmLaw) -> float:
+    """Return `viscous_torque_nm` where the ``shear`` factor difference of the film is known already."""
     return law.viscous_factor_m4 * viscosity * slip_rad_s / film_m * shear

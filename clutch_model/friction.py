@@ -1,10 +1,15 @@
-"""Kinetic friction coefficient of a wet lining and the torque of the asperities that touch."""
+"""Kinetic friction coefficient of a wet lining and the torque of the asperities that touch.
 
-import math
+A law in the plural takes numbers or whole arrays; its singular is the same law, compiled for other kernels to call.
+"""
+
 from typing import NamedTuple
+
+import numpy as np
 
 from canlog.jit import kernel
 from clutch_model.clutch import FrictionCurve
+from clutch_model.units import Quantity
 
 
 class FrictionLaw(NamedTuple):
@@ -28,15 +33,16 @@ def friction_law(curve: FrictionCurve) -> FrictionLaw:
     )
 
 
-@kernel
-def stribeck_weight(slip_rad_s: float, law: FrictionLaw) -> float:
+def stribeck_weights(slip_rad_s: Quantity, law: FrictionLaw) -> Quantity:
     """Return the share of ``mu_s`` in the friction coefficient, 1 at lock and 0 at high slip: ``e`` of eq. (18)."""
-    excess = (abs(slip_rad_s) - law.lock_band_rad_s) / law.stribeck_speed_rad_s
-    if excess <= 0.0:
-        return 1.0
+    excess = np.maximum(np.abs(slip_rad_s) - law.lock_band_rad_s, 0.0) / law.stribeck_speed_rad_s
     if law.stribeck_exponent != 1.0:
-        excess = math.exp(law.stribeck_exponent * math.log(excess))
-    return math.exp(-excess)
+        excess = excess**law.stribeck_exponent
+    weight: Quantity = np.exp(-excess)
+    return weight
+
+
+stribeck_weight = kernel(stribeck_weights)
 
 
 @kernel
@@ -45,10 +51,12 @@ def kinetic_friction(slip_rad_s: float, law: FrictionLaw) -> float:
     return law.mu_c + (law.mu_s - law.mu_c) * stribeck_weight(slip_rad_s, law)
 
 
-@kernel
-def contact_torque_nm(direction: float, mu: float, contact_pa: float, contact_factor_m3: float) -> float:
+def contact_torques_nm(direction: Quantity, mu: float, contact_pa: Quantity, contact_factor_m3: float) -> Quantity:
     """Return the torque of the asperity contact [N m], positive for hub-faster slip; docs/model.md eq. (6).
 
     ``direction`` is the sign of the slip, chosen by the caller inside the lock band.
     """
-    return direction * mu * contact_pa * contact_factor_m3
+    return direction * (contact_factor_m3 * mu * contact_pa)
+
+
+contact_torque_nm = kernel(contact_torques_nm)

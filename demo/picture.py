@@ -14,7 +14,7 @@ from matplotlib.figure import Figure
 from canlog.arrays import FloatArray
 from clutch_model.calibration import nominal_calibration
 from clutch_model.clutch import FrictionCurve
-from clutch_model.friction import friction_law, stribeck_weight
+from clutch_model.friction import friction_law, stribeck_weights
 from clutch_model.units import bar_from_pa, rpm_from_rad_s
 from demo.listener import ClutchState
 from demo.outcome import Outcome
@@ -93,7 +93,7 @@ def curve_band(
 
     The coefficient is linear in both estimates, docs/model.md eq. (8), so their covariance carries over exactly.
     """
-    weight_s = stribeck_weights(slip_rad_s, reference)
+    weight_s = stribeck_weights(slip_rad_s, friction_law(reference))
     weight_c = 1.0 - weight_s
     variance = (
         (weight_c * friction.std_mu_c) ** 2
@@ -101,12 +101,6 @@ def curve_band(
         + 2.0 * friction.correlation * weight_c * friction.std_mu_c * weight_s * friction.std_mu_s
     )
     return weight_c * friction.mu_c + weight_s * friction.mu_s, np.sqrt(np.maximum(variance, 0.0))
-
-
-def stribeck_weights(slip_rad_s: FloatArray, reference: FrictionCurve) -> FloatArray:
-    """Return the share of mu_S in the friction coefficient at each slip [rad/s], shape (n,)."""
-    law = friction_law(reference)
-    return np.array([stribeck_weight(float(slip), law) for slip in slip_rad_s])
 
 
 def _draw_shift(panels: Sequence[Axes], event: ShiftEvent) -> None:
@@ -147,7 +141,7 @@ def _draw_curves(panels: Sequence[Axes], outcome: Outcome) -> None:
     slip_rad_s = np.linspace(0.0, SLIP_MAX_RAD_S, SLIP_POINTS)
     for clutch, axes in enumerate(panels, start=1):
         reference = nominal_calibration().clutches[clutch - 1].friction
-        weights = stribeck_weights(slip_rad_s, reference)
+        weights = stribeck_weights(slip_rad_s, friction_law(reference))
         state = outcome.clutches.get(clutch)
         for result in outcome.shifts:
             if result.estimate.clutch == clutch and result.estimate.friction is not None:

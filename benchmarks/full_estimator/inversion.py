@@ -11,8 +11,8 @@ import numpy as np
 
 from canlog.arrays import FloatArray
 from canlog.jit import kernel
-from clutch_model.film import FilmLaw, contact_pressure_pa, film_mobility_m, viscous_torque_nm
-from clutch_model.friction import FrictionLaw, kinetic_friction
+from clutch_model.film import FilmLaw, contact_pressure_pa, film_mobility_m, piston_pressure_pa, viscous_torque_nm
+from clutch_model.friction import FrictionLaw, contact_torque_nm, kinetic_friction
 from clutch_model.thermal import clutch_heating_rate_k_s
 
 _CONTACT_END = 4.0  # film ratio beyond which nothing touches
@@ -25,7 +25,8 @@ _TOLERANCE_RATIO = 1e-13
 def clutch_torque_nm(film_m: float, slip_rad_s: float, viscosity: float, friction: FrictionLaw, law: FilmLaw) -> float:
     """Return the size of the torque of a slipping clutch [N m], contact and film together; eqs. (4) to (6)."""
     speed = abs(slip_rad_s)
-    contact_nm = law.contact_factor_m3 * kinetic_friction(speed, friction) * contact_pressure_pa(film_m, law)
+    mu = kinetic_friction(speed, friction)
+    contact_nm = contact_torque_nm(1.0, mu, contact_pressure_pa(film_m, law), law.contact_factor_m3)
     return contact_nm + viscous_torque_nm(speed, film_m, viscosity, law)
 
 
@@ -95,7 +96,7 @@ def piston_track_pa(
         springs_pa = law.separation_pressure_pa * (1.0 - film_m[k] / law.open_gap_m)
         squeeze_pa = -film_rate_m_s[k] * viscosity[k] / film_mobility_m(film_m[k], law)
         applied_pa = contact_pressure_pa(film_m[k], law) + springs_pa + squeeze_pa
-        piston_pa[k] = (law.closed_spring_force_n + law.lining_area_m2 * applied_pa) / law.piston_area_m2
+        piston_pa[k] = piston_pressure_pa(applied_pa, law)
 
 
 def heated_k(

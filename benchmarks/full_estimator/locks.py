@@ -6,6 +6,8 @@ from benchmarks.full_estimator.signals import BoolArray, FullSignals
 from benchmarks.full_estimator.torques import ClutchState
 from canlog.arrays import FloatArray
 from clutch_model.clutch import ClutchCalibration
+from clutch_model.film import applied_pressures_pa, film_law
+from clutch_model.friction import contact_torques_nm
 
 LOAD_RATIO = 0.85  # of the least torque at which the clutch would slip
 FRICTION_RATIO = 0.85  # of the calibrated friction: lower it may have fallen, then fewer samples count as locked
@@ -29,11 +31,10 @@ def locked_clutches(
 
 def _locked(pressure_pa: FloatArray, state: ClutchState, clutch: ClutchCalibration, period_s: float) -> BoolArray:
     width = max(1, round(MEAN_S / period_s))
-    geometry = clutch.geometry
-    net_n = moving_mean(pressure_pa, width) * geometry.piston_area_m2 - clutch.piston.closed_spring_force_n
-    applied_pa = lasting_least(net_n / geometry.lining_area_m2, width)
+    law = film_law(clutch)
+    applied_pa = lasting_least(applied_pressures_pa(moving_mean(pressure_pa, width), law), width)
     friction = FRICTION_RATIO * min(clutch.friction.mu_c, clutch.friction.mu_s)
-    slipping_nm = geometry.contact_factor_m3 * friction * applied_pa
+    slipping_nm = contact_torques_nm(np.ones_like(applied_pa), friction, applied_pa, law.contact_factor_m3)
     is_slow = np.abs(state.slip_rad_s) < SLIP_MAX_RAD_S + SLIP_MAX_STD * state.slip_std_rad_s
     is_held = (applied_pa > APPLIED_MIN_PA) & (np.abs(state.torque_nm) < LOAD_RATIO * slipping_nm) & is_slow
     locked: BoolArray = lasting_least(is_held.astype(np.float64), round(PERSISTENCE_S / period_s)) > 0.5

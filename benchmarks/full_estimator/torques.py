@@ -9,7 +9,8 @@ from benchmarks.full_estimator.motion import Forcing, MotionLaw, State, diff_acc
 from benchmarks.full_estimator.signals import FullSignals
 from benchmarks.full_estimator.smoother import Motion
 from canlog.arrays import FloatArray
-from clutch_model.calibration import Calibration, Viscosity
+from clutch_model.calibration import Calibration
+from clutch_model.viscosity import viscosities_pa_s
 from diag_service.diagnosis.friction.paper.driveline import Driveline
 
 REST_RAD_S = 0.3  # slip below this is a locked clutch's and heats nothing
@@ -35,6 +36,7 @@ def clutch_states(
 ) -> tuple[ClutchState, ClutchState]:
     """Return both clutches: T_F from eqs. (2) and (3), the pack's heat from (T1)."""
     acceleration = diff_acceleration_rad_s2(motion.states, forced, law)
+    oil = calibration.viscosity
     found = []
     for m, (shaft, clutch) in enumerate(zip(driveline.shafts, calibration.clutches, strict=True)):
         twist, ratio = forced.twist[m], forced.ratio[m]
@@ -52,12 +54,7 @@ def clutch_states(
                 torque_nm=torque_nm,
                 slip_rad_s=slip_rad_s,
                 slip_std_rad_s=motion.slip_std_rad_s[m],
-                viscosity=_viscosity_pa_s(clutch_k, calibration.viscosity),
+                viscosity=viscosities_pa_s(clutch_k, oil.a_pa_s, oil.b_k, oil.pole_k),
             )
         )
     return found[0], found[1]
-
-
-def _viscosity_pa_s(temperature_k: FloatArray, oil: Viscosity) -> FloatArray:
-    viscosity: FloatArray = oil.a_pa_s * np.exp(oil.b_k / (temperature_k - oil.pole_k))
-    return viscosity

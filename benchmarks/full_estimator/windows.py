@@ -9,7 +9,7 @@ from benchmarks.full_estimator.signals import BoolArray, FullSignals
 from benchmarks.full_estimator.torques import ClutchState
 from canlog.arrays import FloatArray
 from clutch_model.clutch import ClutchCalibration
-from clutch_model.film import FilmLaw, film_law
+from clutch_model.film import FilmLaw, film_law, piston_pressures_pa
 from clutch_model.friction import FrictionLaw, friction_law
 from diag_service.diagnosis.friction.paper.differentiate import central_difference
 
@@ -96,7 +96,7 @@ def _in_contact(window: Window, friction: FrictionLaw, law: FilmLaw) -> list[Win
     film_m = window.film_m(friction, law)
     contact_pa = np.empty_like(film_m)
     contact_track_pa(film_m, law, contact_pa)
-    let_go_pa = (law.closed_spring_force_n + law.lining_area_m2 * LET_GO_PA) / law.piston_area_m2
+    let_go_pa = piston_pressures_pa(LET_GO_PA, law)
     touching = [_part(window, rows) for rows in stretches(contact_pa > CONTACT_MIN_PA, 0)]
     return [
         _part(part, rows)

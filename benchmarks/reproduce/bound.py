@@ -11,11 +11,13 @@ The reading of the pressure sensor differs from it by white noise, so each sampl
 information, g the derivative of P_K by (mu_C, mu_S).
 """
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
 
+from benchmarks.full_estimator.inversion import piston_track_pa
 from benchmarks.reproduce.drives import PERIOD_S, PRESSURE_NOISE_RATIO, PaperDrive, rms
 from benchmarks.reproduce.study import CLUTCHES, PARAMETERS, Key, true_value
 from canlog.arrays import FloatArray
@@ -25,11 +27,10 @@ from clutch_model.film import (
     FilmLaw,
     contact_pressure_pa,
     film_law,
-    film_mobility_m,
     viscous_torque_nm,
 )
-from clutch_model.friction import FrictionLaw, contact_torque_nm, friction_law, stribeck_weight
-from clutch_model.viscosity import viscosity_pa_s
+from clutch_model.friction import FrictionLaw, contact_torque_nm, friction_law, kinetic_friction, stribeck_weight
+from clutch_model.viscosity import viscosities_pa_s
 from diag_service.diagnosis.friction.paper import central_difference
 from ecu_emulator.plant import Col
 
@@ -93,11 +94,8 @@ def piston_pressure_pa(
     film_m: FloatArray, film_rate_m_s: FloatArray, viscosity: FloatArray, law: FilmLaw
 ) -> FloatArray:
     """Return the piston pressure that moves the film like this [Pa], shape (n,): eq. (7) solved for it."""
-    contact_pa = np.array([contact_pressure_pa(one, law) for one in film_m])
-    mobility_m = np.array([film_mobility_m(one, law) for one in film_m])
-    springs_pa = law.separation_pressure_pa * (1.0 - film_m / law.open_gap_m)
-    applied_pa = contact_pa + springs_pa - film_rate_m_s * viscosity / mobility_m
-    piston_pa: FloatArray = (law.closed_spring_force_n + law.lining_area_m2 * applied_pa) / law.piston_area_m2
+    piston_pa = np.empty_like(film_m)
+    piston_track_pa(film_m, film_rate_m_s, viscosity, law, piston_pa)
     return piston_pa
 
 
@@ -134,7 +132,7 @@ def _film_slopes_m(stretch: Stretch, law: FilmLaw, friction: FrictionLaw) -> Flo
         zip(stretch.film_m, stretch.slip_rad_s, stretch.viscosity, strict=True)
     ):
         share = stribeck_weight(slip, friction)
-        mu = (1.0 - share) * friction.mu_c + share * friction.mu_s
+        mu = kinetic_friction(slip, friction)
         by_film_nm_m = (
             _torque_nm(film_m + NUDGE_M, slip, viscosity, mu, law)
             - _torque_nm(film_m - NUDGE_M, slip, viscosity, mu, law)
@@ -145,9 +143,10 @@ def _film_slopes_m(stretch: Stretch, law: FilmLaw, friction: FrictionLaw) -> Flo
 
 
 def _torque_nm(film_m: float, slip_rad_s: float, viscosity: float, mu: float, law: FilmLaw) -> float:
-    contact_nm = contact_torque_nm(np.sign(slip_rad_s), mu, contact_pressure_pa(film_m, law), law.contact_factor_m3)
+    sign = math.copysign(1.0, slip_rad_s)
+    contact_nm = contact_torque_nm(sign, mu, contact_pressure_pa(film_m, law), law.contact_factor_m3)
     return contact_nm + viscous_torque_nm(slip_rad_s, film_m, viscosity, law)
 
 
 def _viscosities(temperature_k: FloatArray, oil: Viscosity) -> FloatArray:
-    return np.array([viscosity_pa_s(one, oil.a_pa_s, oil.b_k, oil.pole_k) for one in temperature_k])
+    return viscosities_pa_s(temperature_k, oil.a_pa_s, oil.b_k, oil.pole_k)

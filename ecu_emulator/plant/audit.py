@@ -6,6 +6,7 @@ import numpy as np
 import numpy.typing as npt
 
 from canlog.jit import array_kernel
+from clutch_model.thermal import convected_w
 from ecu_emulator.plant import state as at
 from ecu_emulator.plant.driveline import ENGAGED, geared_torque_nm
 from ecu_emulator.plant.rates import PlantLaw
@@ -144,7 +145,7 @@ def add_powers(
     share = vehicle.driven_brake_ratio
     powers[BRAKES] = brake_n * (share * rim_m_s + (1.0 - share) * y[at.V])
     powers[ROAD] = road_load_n(y[at.V], law.grade_ratio, vehicle) * y[at.V]
-    powers[COOLANT] = law.sump_convection_w_k * (y[at.T_OIL] - law.coolant_k)
+    powers[COOLANT] = convected_w(y[at.T_OIL], law.coolant_k, law.sump_convection_w_k)
     for entry in range(ACCOUNT_COUNT):
         account[entry] += weight_s * powers[entry]
 

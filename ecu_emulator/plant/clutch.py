@@ -7,8 +7,8 @@ import numpy as np
 import numpy.typing as npt
 
 from canlog.jit import array_kernel, kernel
-from clutch_model.film import FilmLaw, contact_pressure_pa, film_rate_m_s, shear_factor_difference
-from clutch_model.friction import FrictionLaw, kinetic_friction
+from clutch_model.film import FilmLaw, contact_pressure_pa, film_rate_m_s, shear_factor_difference, sheared_torque_nm
+from clutch_model.friction import FrictionLaw, contact_torque_nm, kinetic_friction
 from ecu_emulator.plant import state as at
 from ecu_emulator.plant.hydraulics import CavityLaw, HydraulicsParameters, cavity_pressure_pa, orifice_flow_m3_s
 
@@ -33,7 +33,10 @@ class ClutchLaw(NamedTuple):
 
 @kernel
 def film_derivative_m_s(film_m: float, volume_m3: float, viscosity: float, law: ClutchLaw) -> float:
-    """Return the film's rate [m/s] for the oil volume behind the piston; docs/model.md eq. (7)."""
+    """Return the film's rate [m/s] for the oil volume behind the piston; docs/model.md eq. (7).
+
+    With the pressure of (H4) put into (H6) the force of the spring cancels.
+    """
     excess_m3 = volume_m3 - law.cavity.full_volume_m3
     applied_pa = max(0.0, excess_m3 / law.valve.pack_compliance_m3_pa * law.cavity.area_m2 / law.film.lining_area_m2)
     return film_rate_m_s(film_m, applied_pa, viscosity, excess_m3 >= 0.0, law.film)
@@ -44,7 +47,7 @@ def refresh_contact(y: FloatArray, clutch: int, law: ClutchLaw) -> None:
     """Recompute what depends on the film alone."""
     film_m = y[at.FILM + clutch]
     y[at.P_C + clutch] = contact_pressure_pa(film_m, law.film)
-    y[at.SHEAR + clutch] = shear_factor_difference(film_m / law.film.roughness_m) / film_m
+    y[at.SHEAR + clutch] = shear_factor_difference(film_m / law.film.roughness_m)
 
 
 @kernel
@@ -102,15 +105,16 @@ def advance_clutch(y: FloatArray, u: FloatArray, clutch: int, dt_s: float, law: 
 
 @array_kernel
 def capacity_nm(y: FloatArray, u: FloatArray, clutch: int, law: ClutchLaw) -> float:
-    """Return the largest torque the locked clutch holds [N m], ``C * mu_S * P_C``."""
-    return float(law.film.contact_factor_m3 * u[at.MU_S + clutch] * y[at.P_C + clutch])
+    """Return the largest torque the locked clutch holds [N m]; docs/model.md eq. (K3)."""
+    return float(contact_torque_nm(1.0, u[at.MU_S + clutch], y[at.P_C + clutch], law.film.contact_factor_m3))
 
 
 @array_kernel
 def viscous_nm(y: FloatArray, u: FloatArray, clutch: int, law: ClutchLaw) -> float:
     """Return the torque of the sheared film [N m]; docs/model.md eq. (5)."""
     slip_rad_s = y[at.W_H] - y[at.W_L + clutch]
-    return float(law.film.viscous_factor_m4 * u[at.VISCOSITY + clutch] * slip_rad_s * y[at.SHEAR + clutch])
+    film_m, viscosity, shear = y[at.FILM + clutch], u[at.VISCOSITY + clutch], y[at.SHEAR + clutch]
+    return float(sheared_torque_nm(slip_rad_s, film_m, viscosity, shear, law.film))
 
 
 @array_kernel
@@ -133,4 +137,5 @@ def contact_nm(y: FloatArray, u: FloatArray, clutch: int, law: ClutchLaw) -> flo
         friction.stribeck_exponent,
         friction.lock_band_rad_s,
     )
-    return float(direction * kinetic_friction(slip_rad_s, current) * contact_pa * law.film.contact_factor_m3)
+    mu = kinetic_friction(slip_rad_s, current)
+    return float(contact_torque_nm(direction, mu, contact_pa, law.film.contact_factor_m3))

@@ -7,7 +7,7 @@ from clutch_model.calibration import Calibration
 from clutch_model.clutch import ClutchCalibration
 from clutch_model.errors import DomainError
 from clutch_model.film import applied_pressure_pa, equilibrium_film_m, film_law
-from clutch_model.friction import friction_law
+from clutch_model.friction import contact_torque_nm, friction_law
 from ecu_emulator import tcu_data
 from ecu_emulator.plant import state as at
 from ecu_emulator.plant.audit import ACCOUNT_COUNT, PowerBalance, power_balance
@@ -129,7 +129,8 @@ def _plant_law(truth: Calibration, parameters: PlantParameters, drive: DriveSett
 def _actuation(plant: PlantLaw, friction_coefficient: float) -> ClutchActuation:
     def slope(clutch: ClutchLaw) -> float:
         film = clutch.film
-        return film.lining_area_m2 / (film.contact_factor_m3 * friction_coefficient * film.piston_area_m2)
+        torque_nm_pa = contact_torque_nm(1.0, friction_coefficient, 1.0, film.contact_factor_m3)
+        return film.lining_area_m2 / (torque_nm_pa * film.piston_area_m2)
 
     first, second = plant.clutches
     return ClutchActuation(

@@ -6,7 +6,7 @@ import numpy as np
 import numpy.typing as npt
 
 from canlog.jit import array_kernel
-from clutch_model.thermal import clutch_heating_rate_k_s, sump_heating_rate_k_s
+from clutch_model.thermal import clutch_heating_rate_k_s, convected_w, sump_heating_rate_k_s
 from ecu_emulator.plant import state as at
 from ecu_emulator.plant.clutch import ClutchLaw, capacity_nm, contact_nm, viscous_nm
 from ecu_emulator.plant.driveline import (
@@ -219,7 +219,7 @@ def heat_rates(y: FloatArray, out: FloatArray, law: PlantLaw) -> None:
         out[at.T_C + k] = clutch_heating_rate_k_s(
             power_w, y[at.T_C + k], y[at.T_OIL], clutch.heat_capacity_j_k, clutch.convection_w_k
         )
-        to_oil_w += clutch.convection_w_k * (y[at.T_C + k] - y[at.T_OIL])
+        to_oil_w += convected_w(y[at.T_C + k], y[at.T_OIL], clutch.convection_w_k)
     out[at.T_OIL] = sump_heating_rate_k_s(
         to_oil_w, y[at.T_OIL], law.coolant_k, law.sump_heat_capacity_j_k, law.sump_convection_w_k
     )

@@ -27,7 +27,7 @@ FILM = 25  # and 26
 
 # Functions of the film, kept with it.
 P_C = 27  # and 28, contact pressure
-SHEAR = 29  # and 30, (phi_f - phi_fs) / h
+SHEAR = 29  # and 30, phi_f - phi_fs
 STATE_COUNT = 31
 
 # Torques behind the rates in the output of `rates.evaluate`.

@@ -20,6 +20,7 @@ import numpy as np
 from canlog.arrays import FloatArray
 from clutch_model.calibration import Calibration, InputSide
 from clutch_model.clutch import ClutchCalibration, FrictionCurve
+from clutch_model.friction import contact_torques_nm, friction_law, stribeck_weights
 from clutch_model.knowledge import SensorBias
 from diag_service.diagnosis.alignment.aligned_signals import AlignedSignals
 from diag_service.diagnosis.alignment.sampling import GRID_S
@@ -253,20 +254,15 @@ def motoring_corrected_nm(reading_nm: FloatArray, offset_nm: float, bias: Sensor
 
 def contact_nm(believed: ClutchCalibration, drive: PressureDrive, track: FilmTrack) -> FloatArray:
     """Return the contact torque per unit of mu_c and mu_s on the grid, shape (n, 2); eqs. (6) and (8)."""
-    full_nm = believed.geometry.contact_factor_m3 * track.contact_pa * direction(drive.slip_rad_s)
-    share = stribeck_weights(drive.slip_rad_s, believed.friction)
+    sign = direction(drive.slip_rad_s)
+    full_nm = contact_torques_nm(sign, 1.0, track.contact_pa, believed.geometry.contact_factor_m3)
+    share = stribeck_weights(drive.slip_rad_s, friction_law(believed.friction))
     return np.column_stack((full_nm * (1.0 - share), full_nm * share))
 
 
 def direction(slip_rad_s: FloatArray) -> FloatArray:
     """Return the sign of the slip, fading near zero, shape (n,)."""
     return np.clip(slip_rad_s / SIGN_WIDTH_RAD_S, -1.0, 1.0)
-
-
-def stribeck_weights(slip_rad_s: FloatArray, curve: FrictionCurve) -> FloatArray:
-    """Return the share of mu_s in the friction at each slip, shape (n,); ``e`` of docs/model.md eq. (18)."""
-    excess = np.maximum(np.abs(slip_rad_s) - curve.lock_band_rad_s, 0.0) / curve.stribeck_speed_rad_s
-    return np.exp(-(excess**curve.stribeck_exponent))
 
 
 def steepness(slip_rad_s: FloatArray, curve: FrictionCurve) -> FloatArray:

@@ -18,7 +18,7 @@ from clutch_model.film import (
     measured_film_rate_m_s,
     viscous_torque_nm,
 )
-from clutch_model.friction import FrictionLaw, friction_law, kinetic_friction
+from clutch_model.friction import FrictionLaw, contact_torque_nm, friction_law, kinetic_friction
 from clutch_model.thermal import clutch_heating_rate_k_s
 from clutch_model.viscosity import viscosity_pa_s
 from diag_service.diagnosis.alignment.sampling import GRID_S
@@ -115,7 +115,8 @@ def _follow(
         contact_pa[k] = contact_pressure_pa(film_m, law)
         viscous_nm[k] = viscous_torque_nm(slip, film_m, viscosity, law)
         mu = kinetic_friction(slip, friction)
-        power_w = (law.contact_factor_m3 * mu * contact_pa[k] + abs(viscous_nm[k])) * abs(slip)
+        contact_nm = contact_torque_nm(1.0, mu, contact_pa[k], law.contact_factor_m3)
+        power_w = (contact_nm + abs(viscous_nm[k])) * abs(slip)
         if abs(slip) < 1.0:
             power_w = 0.0  # locked, or as good as; the noise of the slip would heat it
         clutch_k += GRID_S * clutch_heating_rate_k_s(

@@ -7,7 +7,8 @@ import pytest
 
 from canlog.series import Series
 from clutch_model.calibration import nominal_calibration
-from demo.picture import curve_band, draw, stribeck_weights
+from clutch_model.friction import friction_law, stribeck_weights
+from demo.picture import curve_band, draw
 from diag_service.diagnosis.columns import Signal
 from diag_service.diagnosis.events import EndReason, ShiftEvent
 from tests.unit.demo.outcomes import FRICTION, good_outcome
@@ -27,7 +28,7 @@ def test_the_band_agrees_with_random_draws() -> None:
     off_diagonal = FRICTION.correlation * FRICTION.std_mu_c * FRICTION.std_mu_s
     covariance = [[FRICTION.std_mu_c**2, off_diagonal], [off_diagonal, FRICTION.std_mu_s**2]]
     drawn = np.random.default_rng(1).multivariate_normal([FRICTION.mu_c, FRICTION.mu_s], covariance, 200_000)
-    weight = stribeck_weights(slip_rad_s, REFERENCE)
+    weight = stribeck_weights(slip_rad_s, friction_law(REFERENCE))
     curves = drawn @ np.vstack((1.0 - weight, weight))
     mean, std = curve_band(slip_rad_s, FRICTION, REFERENCE)
     assert mean == pytest.approx(curves.mean(axis=0), rel=1e-3)

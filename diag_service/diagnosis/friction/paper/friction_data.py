@@ -9,7 +9,7 @@ from canlog.jit import kernel
 from clutch_model.calibration import Viscosity
 from clutch_model.clutch import ClutchCalibration
 from clutch_model.film import FilmLaw, contact_pressure_pa, film_law, shear_factor_difference, viscous_torque_nm
-from clutch_model.friction import FrictionLaw, friction_law, stribeck_weight
+from clutch_model.friction import FrictionLaw, contact_torques_nm, friction_law, stribeck_weight
 from clutch_model.viscosity import viscosity_pa_s
 from diag_service.diagnosis.friction.paper.signals import BoolArray
 
@@ -71,7 +71,7 @@ def friction_data(
     law = film_law(clutch)
     contact_pa, shear, share = (np.empty_like(film_m) for _ in range(3))
     _fill_surface(slip_rad_s, film_m, law, friction_law(clutch.friction), contact_pa, shear, share)
-    capacity_nm = law.contact_factor_m3 * contact_pa
+    capacity_nm = contact_torques_nm(np.ones_like(contact_pa), 1.0, contact_pa, law.contact_factor_m3)
     contact_nm = (torques.friction_nm - torques.viscous_nm) * np.sign(slip_rad_s)
     mu = np.divide(contact_nm, capacity_nm, out=np.zeros_like(film_m), where=capacity_nm > 0.0)
     return FrictionData(
