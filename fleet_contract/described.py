@@ -1,11 +1,11 @@
 """The JSON Schemas of the contract: where they are, and the check of a record against its own."""
 
 import json
+from collections.abc import Callable
 from functools import cache
 from pathlib import Path
 from typing import Final
 
-from fleet_contract.schema_check import Check, compile_schema
 from fleet_contract.strict_json import JsonObject
 from fleet_contract.topics import Channel
 
@@ -32,5 +32,7 @@ def check_envelope(event: JsonObject) -> None:
 
 
 @cache
-def _check_of(name: str) -> Check:
+def _check_of(name: str) -> Callable[[object], None]:
+    from fleet_contract.schema_check import compile_schema  # noqa: PLC0415 - who only sends needs no library for it
+
     return compile_schema(schema(name))
