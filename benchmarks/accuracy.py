@@ -24,7 +24,7 @@ from clutch_model.calibration import Calibration, nominal_calibration
 from clutch_model.knowledge import Uncertainty
 from dbc.contract import load_contract
 from diag_service.diagnosis.condition.condition import ConditionMemory
-from diag_service.diagnosis.friction import Belief
+from diag_service.diagnosis.friction import FilterState
 from diag_service.diagnosis.records import FrictionEstimate, Status
 from diag_service.mapping.decoder import Decoder
 from diag_service.mapping.profile import load_profile
@@ -98,7 +98,7 @@ def analyse(case: Case) -> list[Row]:
     frames, truth = frames_of(scenario)
     calibration = exactly_known() if case.are_nuisances_known else nominal_calibration()
     decoder = Decoder(load_contract(), load_profile())
-    stages = Stages(decoder, calibration, Belief.fresh(calibration), ConditionMemory.fresh())
+    stages = Stages(decoder, calibration, FilterState.fresh(calibration), ConditionMemory.fresh())
     diagnoses = stages.feed(to_batch(frames))
     true = {1: (truth.drive.mu_c[0], truth.drive.mu_s[0]), 2: (truth.drive.mu_c[1], truth.drive.mu_s[1])}
 
@@ -133,8 +133,8 @@ def analyse(case: Case) -> list[Row]:
                 f"{estimate.status} {', '.join(estimate.reasons)} chi2 {estimate.chi_square_ratio:.2f}",
                 file=sys.stderr,
             )
-    belief = diagnoses[-1].belief
-    rows += [row("running", clutch, belief.friction(clutch), 0.0, is_upshift=False) for clutch in (1, 2)]
+    state = diagnoses[-1].state
+    rows += [row("running", clutch, state.friction(clutch), 0.0, is_upshift=False) for clutch in (1, 2)]
     return rows
 
 

@@ -29,7 +29,7 @@ from dbc.contract import load_contract
 from diag_service.delivery import MemoryReporter
 from diag_service.diagnosis.condition.condition import ConditionMemory
 from diag_service.diagnosis.events import ShiftEvent
-from diag_service.diagnosis.friction import Belief
+from diag_service.diagnosis.friction import FilterState
 from diag_service.diagnosis.records import ShiftResult
 from diag_service.diagnosis.shifts.shifts import POST_NS
 from diag_service.mapping.decoder import Decoder
@@ -150,7 +150,7 @@ async def run(frames: FrameBatch, store: ResultStore) -> tuple[list[float], list
     decoder = Decoder(load_contract(), load_profile())
     reporter = TimedReporter()
     session = TimedSession(
-        stages=Stages(decoder, calibration, Belief.fresh(calibration), ConditionMemory.fresh()),
+        stages=Stages(decoder, calibration, FilterState.fresh(calibration), ConditionMemory.fresh()),
         store=store,
         reporter=reporter,
         vehicle="benchmark",
@@ -171,7 +171,7 @@ def warm_up() -> None:
     """Have everything compiled by a short drive, as it is in a service that ran before."""
     calibration = nominal_calibration()
     decoder = Decoder(load_contract(), load_profile())
-    Stages(decoder, calibration, Belief.fresh(calibration), ConditionMemory.fresh()).feed(full_bus(WARM_UP_S))
+    Stages(decoder, calibration, FilterState.fresh(calibration), ConditionMemory.fresh()).feed(full_bus(WARM_UP_S))
 
 
 def main() -> int:

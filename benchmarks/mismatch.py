@@ -87,8 +87,8 @@ def outcomes(case: Case) -> list[Outcome]:
             used_shifts=used,
         )
 
-    belief = diagnoses[-1].belief
-    return [outcome(name, clutch, belief.friction(clutch)) for name in PARAMETERS for clutch in (1, 2)]
+    state = diagnoses[-1].state
+    return [outcome(name, clutch, state.friction(clutch)) for name in PARAMETERS for clutch in (1, 2)]
 
 
 def cases_of(rows: Sequence[Mismatch], seeds: int, first_seed: int) -> list[Case]:

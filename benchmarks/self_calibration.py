@@ -32,12 +32,12 @@ from canlog.arrays import FloatArray
 from clutch_model.calibration import Calibration, nominal_calibration
 from dbc.contract import load_contract
 from diag_service.diagnosis.condition.condition import ConditionMemory
-from diag_service.diagnosis.events import RevEvent, ShiftEvent
-from diag_service.diagnosis.friction import Belief
+from diag_service.diagnosis.events import RunUpEvent, ShiftEvent
+from diag_service.diagnosis.friction import FilterState
 from diag_service.diagnosis.friction.parameters import FRICTION_COUNT
+from diag_service.diagnosis.friction.scale_free import scale_free
 from diag_service.diagnosis.friction.self_calibration import SelfCalibration, self_calibrate
-from diag_service.diagnosis.friction.sharp import scale_free
-from diag_service.diagnosis.shifts.revs import RevFinder
+from diag_service.diagnosis.shifts.run_ups import RunUpFinder
 from diag_service.diagnosis.shifts.shifts import ShiftFinder
 from diag_service.mapping.decoder import Decoder
 from diag_service.mapping.profile import load_profile
@@ -96,12 +96,12 @@ def study(vehicle: Vehicle, start: Calibration) -> list[Row]:
     """Drive one vehicle three times and return its rows, calibrated from what is believed of its type."""
     routine = Routine(open_revs=REV_COUNT, closed_revs=REV_COUNT)
     frames, truth = frames_of(vehicle.scenario(0, routine))
-    shifts, revs = events_of(frames)
-    opened = [rev for rev in revs if not rev.are_clutches_closed]
+    shifts, run_ups = events_of(frames)
+    opened = [run_up for run_up in run_ups if not run_up.are_clutches_closed]
     true = np.array([value for m in range(2) for value in (truth.drive.mu_c[m], truth.drive.mu_s[m])])
     rows = []
     found: SelfCalibration | str = ""
-    for kind, used in (("cycles alone", []), (f"+ {FEW_REVS} revs", opened[:FEW_REVS]), ("workshop", revs)):
+    for kind, used in (("cycles alone", []), (f"+ {FEW_REVS} revs", opened[:FEW_REVS]), ("workshop", run_ups)):
         found = self_calibrate(shifts, used, start, "study")
         rows.append(Row(kind=kind, problem=found) if isinstance(found, str) else judged(kind, vehicle, found, true))
     if not isinstance(found, str):
@@ -110,27 +110,27 @@ def study(vehicle: Vehicle, start: Calibration) -> list[Row]:
     return rows
 
 
-def events_of(frames: EncodedFrames) -> tuple[list[ShiftEvent], list[RevEvent]]:
+def events_of(frames: EncodedFrames) -> tuple[list[ShiftEvent], list[RunUpEvent]]:
     """Return the shifts and revs that the service sees in a drive."""
-    decoder, shift_finder, rev_finder = _decoder(), ShiftFinder(), RevFinder(nominal_calibration())
-    shifts, revs = [], []
+    decoder, shift_finder, run_up_finder = _decoder(), ShiftFinder(), RunUpFinder(nominal_calibration())
+    shifts, run_ups = [], []
     for columns in decoder.feed(to_batch(frames)):
         shifts += shift_finder.feed(columns)
-        revs += rev_finder.feed(columns)
-    return shifts + shift_finder.flush(), revs + rev_finder.flush()
+        run_ups += run_up_finder.feed(columns)
+    return shifts + shift_finder.flush(), run_ups + run_up_finder.flush()
 
 
 def friction_of(scenario: Scenario, calibration: Calibration) -> FloatArray:
     """Return mu_C and mu_S of both clutches as a drive leaves them, estimated from nothing but the calibration."""
-    stages = Stages(_decoder(), calibration, Belief.fresh(calibration), ConditionMemory.fresh())
+    stages = Stages(_decoder(), calibration, FilterState.fresh(calibration), ConditionMemory.fresh())
     frames, _ = frames_of(scenario)
-    belief = stages.feed(to_batch(frames))[-1].belief
-    return np.array([value for one in map(belief.friction, (1, 2)) for value in (one.mu_c, one.mu_s)])
+    state = stages.feed(to_batch(frames))[-1].state
+    return np.array([value for one in map(state.friction, (1, 2)) for value in (one.mu_c, one.mu_s)])
 
 
 def judged(kind: str, vehicle: Vehicle, found: SelfCalibration, true: FloatArray) -> Row:
     """Return what a calibration found against the truth."""
-    friction = [found.belief.friction(clutch) for clutch in (1, 2)]
+    friction = [found.state.friction(clutch) for clutch in (1, 2)]
     mu = np.array([value for one in friction for value in (one.mu_c, one.mu_s)])
     std = np.array([value for one in friction for value in (one.std_mu_c, one.std_mu_s)])
     scaled = found.mean[:FRICTION_COUNT]
@@ -143,7 +143,7 @@ def judged(kind: str, vehicle: Vehicle, found: SelfCalibration, true: FloatArray
         ],
         2,
     )
-    free = [scale_free(found.belief, clutch) for clutch in (1, 2)]
+    free = [scale_free(found.state, clutch) for clutch in (1, 2)]
     scaled_std = np.array([value for one in free for value in (one.std_mu_c, one.std_mu_s)])
     bias, side = found.calibration.bias, found.calibration.input_side
     nominal_kg_m2 = nominal_calibration().input_side.engine_inertia_kg_m2

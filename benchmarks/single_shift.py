@@ -23,7 +23,7 @@ from clutch_model.calibration import nominal_calibration
 from dbc.contract import load_contract
 from diag_service.diagnosis.condition.condition import ConditionMemory
 from diag_service.diagnosis.events import ShiftEvent
-from diag_service.diagnosis.friction import Belief
+from diag_service.diagnosis.friction import FilterState
 from diag_service.diagnosis.records import FrictionEstimate, Reason, ShiftEstimate, Status
 from diag_service.mapping.decoder import Decoder
 from diag_service.mapping.profile import load_profile
@@ -89,15 +89,15 @@ class Outcome:
         return self.is_accepted and off > FAR_STD
 
 
-def stages_from(belief: Belief) -> Stages:
+def stages_from(state: FilterState) -> Stages:
     """Return the stages of the service with a running state."""
-    return Stages(Decoder(DATABASE, PROFILE), CALIBRATION, belief, ConditionMemory.fresh())
+    return Stages(Decoder(DATABASE, PROFILE), CALIBRATION, state, ConditionMemory.fresh())
 
 
 def shifts_of(scenario: Scenario) -> tuple[list[ShiftEvent], TruthLog]:
     """Drive a scenario in memory and return its shifts as the service finds them."""
     frames, truth = frames_of(scenario)
-    return stages_from(Belief.fresh(CALIBRATION)).segment(to_batch(frames)), truth
+    return stages_from(FilterState.fresh(CALIBRATION)).segment(to_batch(frames)), truth
 
 
 def scenario_of(case: Case) -> Scenario:
@@ -158,17 +158,17 @@ def outcomes(case: Case) -> list[Outcome]:
     """Make one drive, and one with faults if the case asks for it, and return what became of its shifts."""
     scenario = scenario_of(case)
     events, truth = shifts_of(scenario)
-    stages = stages_from(Belief.fresh(CALIBRATION))
+    stages = stages_from(FilterState.fresh(CALIBRATION))
     diagnoses = [stages.conclude(event) for event in events]
     if not case.is_faulty:
         pairs = zip(diagnoses, truth.shifts, strict=True)
         return [outcome(case, diagnosis.estimate, shift, None) for diagnosis, shift in pairs]
-    beliefs = [Belief.fresh(CALIBRATION), *(diagnosis.belief for diagnosis in diagnoses)]
+    states = [FilterState.fresh(CALIBRATION), *(diagnosis.state for diagnosis in diagnoses)]
     rng = np.random.default_rng(case.seed)
     faults = {row: drawn_fault(truth.shifts[row], rng) for row in range(case.seed % FAULT_EVERY, len(events), 3)}
     faulty, _ = shifts_of(replace(scenario, sensor_faults=tuple(faults.values())))
     return [
-        outcome(case, stages_from(beliefs[row]).conclude(faulty[row]).estimate, truth.shifts[row], fault)
+        outcome(case, stages_from(states[row]).conclude(faulty[row]).estimate, truth.shifts[row], fault)
         for row, fault in faults.items()
     ]
 

@@ -16,7 +16,7 @@ from diag_service.batch.journal import Entry
 from diag_service.console.notices import set_up_notices
 from diag_service.delivery import MemoryReporter
 from diag_service.diagnosis.condition.condition import ConditionMemory
-from diag_service.diagnosis.friction import Belief
+from diag_service.diagnosis.friction import FilterState
 from diag_service.diagnosis.results import JsonObject, shift_record
 from diag_service.diagnosis.summary import summary_record, unjudged
 from diag_service.mapping.interpretation import Interpretation, interpret
@@ -57,7 +57,7 @@ class Analyst:
         calibration = self.config.calibration
         logs = open_drive(drive.paths, is_strict=self.config.is_strict)
         stream = stream_of([*(log.path for log in logs), *self._meaning.files])
-        stages = Stages(self._meaning.decoder(), calibration, Belief.fresh(calibration), ConditionMemory.fresh())
+        stages = Stages(self._meaning.decoder(), calibration, FilterState.fresh(calibration), ConditionMemory.fresh())
         reporter = MemoryReporter()
         with closing(ResultStore.in_memory()) as store:
             session = Session(

@@ -14,7 +14,7 @@ from diag_service.diagnosis.summary import (
     gaps_line,
     latest_ratio,
     ratio_line,
-    sharp_lines,
+    scale_free_lines,
     shifts_line,
     values_line,
 )
@@ -58,7 +58,7 @@ class ConsoleReporter:
             self._console.print(_clutch_table(summary))
         for result in summary.latest:
             self._line(Text(f"clutch {result.verdict.clutch}: {result.verdict.reason}"))
-            for line in sharp_lines(result.verdict):
+            for line in scale_free_lines(result.verdict):
                 self._line(Text(f"  {line}"))
         if ratio := latest_ratio(summary):
             self._line(Text(ratio_line(ratio)))

@@ -1,4 +1,4 @@
-"""Shifts and engine revs with the signals around them: what shift finding cuts out of the columns.
+"""Shifts and free engine run-ups with the signals around them: what shift finding cuts out of the columns.
 
 SI units, radians, kelvin and pascal throughout. Times are bus times in integer nanoseconds since the epoch.
 """
@@ -12,7 +12,7 @@ from diag_service.diagnosis.columns import Columns
 
 
 class EndReason(StrEnum):
-    """How a shift or a rev ended."""
+    """How a shift or a run-up ended."""
 
     COMPLETE = "complete"
     INTERRUPTED = "interrupted"  # the stream began or ended amid it, or bus time jumped
@@ -36,10 +36,10 @@ class ShiftEvent:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class RevEvent:
-    """One engine rev in neutral with its signals, cut a little wider than the rev itself.
+class RunUpEvent:
+    """One free engine run-up in neutral with its signals, cut a little wider than the run-up itself.
 
-    A rev goes from low engine speed through a high peak back to low speed, both clutches open or both closed all along.
+    It goes from low engine speed through a high peak back to low speed, both clutches open or both closed all along.
     """
 
     number: int  # 1, 2, ... within the stream

@@ -241,7 +241,7 @@ def capability_line(summary: Summary) -> str:
     return "; ".join(parts)
 
 
-def sharp_lines(verdict: ClutchVerdict) -> Iterator[str]:
+def scale_free_lines(verdict: ClutchVerdict) -> Iterator[str]:
     """Yield for people what is known of a clutch without knowing the common scale, as far as it is."""
     free, scatter, since = verdict.scale_free, verdict.shift_scatter, verdict.trend
     if free is not None and verdict.common_scale_std_ratio is not None:

@@ -29,7 +29,7 @@ from diag_service.delivery import (
 from diag_service.delivery.outbox import MetricsMessage
 from diag_service.delivery.pipe import PipeReporter
 from diag_service.diagnosis.condition.condition import ConditionMemory
-from diag_service.diagnosis.friction import Belief
+from diag_service.diagnosis.friction import FilterState
 from diag_service.diagnosis.friction.paper import PaperCollection, nominal_driveline
 from diag_service.diagnosis.results import ServiceStatus, dump, iso_utc
 from diag_service.diagnosis.summary import Summary, frames_line
@@ -116,7 +116,7 @@ def run_recorded(
 def run_paper_recorded(config: DiagnosisConfig, paths: list[Path], controls: Controls, *, as_json: bool) -> None:
     """Analyse the logs of a drive by the paper's method; nothing is stored, judged or published."""
     decoder = interpret(config.dbc, config.profile, is_lenient=config.is_lenient).decoder()
-    stages = Stages(decoder, config.calibration, Belief.fresh(config.calibration), ConditionMemory.fresh())
+    stages = Stages(decoder, config.calibration, FilterState.fresh(config.calibration), ConditionMemory.fresh())
     collection = PaperCollection(config.calibration, nominal_driveline())
     logs = open_drive(paths, is_strict=config.is_strict)
     output = sys.stdout if as_json else PeopleConsole()
@@ -196,9 +196,9 @@ def _session(
     config: DiagnosisConfig, decoder: Decoder, store: ResultStore, stream: str | None, reporter: Reporter
 ) -> Session:
     versions = _versions(config)
-    belief, memory = resume(store, config.vehicle, versions, config.calibration)
+    filter_state, memory = resume(store, config.vehicle, versions, config.calibration)
     return Session(
-        stages=Stages(decoder, config.calibration, belief, memory),
+        stages=Stages(decoder, config.calibration, filter_state, memory),
         store=store,
         reporter=reporter,
         vehicle=config.vehicle,

@@ -14,12 +14,12 @@ from rich.table import Table
 from canlog.errors import SourceError
 from clutch_model.calibration import Calibration, calibration_toml
 from clutch_model.units import bar_from_pa
-from diag_service.diagnosis.events import RevEvent, ShiftEvent
+from diag_service.diagnosis.events import RunUpEvent, ShiftEvent
 from diag_service.diagnosis.friction.parameters import NUISANCE_NAMES, STATE_COUNT, Considered, State, prior_covariance
 from diag_service.diagnosis.friction.self_calibration import SelfCalibration, self_calibrate
 from diag_service.diagnosis.records import FrictionEstimate
 from diag_service.diagnosis.results import JsonObject
-from diag_service.diagnosis.shifts.revs import RevFinder
+from diag_service.diagnosis.shifts.run_ups import RunUpFinder
 from diag_service.diagnosis.shifts.shifts import ShiftFinder
 from diag_service.diagnosis.summary import GAP_TEXT, Gap
 from diag_service.errors import ConfigError, StoppedError
@@ -38,13 +38,13 @@ class CalibrationEvents:
     """What drives hold for a self-calibration, in order of time."""
 
     shifts: tuple[ShiftEvent, ...]
-    revs: tuple[RevEvent, ...]
+    run_ups: tuple[RunUpEvent, ...]
     gaps: tuple[Gap, ...] = ()  # why the drives are not all there
 
     @property
     def last_day(self) -> date:
         """Day of the last event [UTC], from bus time."""
-        last_ns = max([*(shift.end_ns for shift in self.shifts), *(rev.end_ns for rev in self.revs)])
+        last_ns = max([*(shift.end_ns for shift in self.shifts), *(run_up.end_ns for run_up in self.run_ups)])
         return datetime.fromtimestamp(last_ns / _NS_PER_S, UTC).date()
 
 
@@ -90,22 +90,22 @@ def find_events(
     StoppedError
         If the search was stopped.
     """
-    shift_finder, rev_finder = ShiftFinder(), RevFinder(calibration)
+    shift_finder, run_up_finder = ShiftFinder(), RunUpFinder(calibration)
     shifts: list[ShiftEvent] = []
-    revs: list[RevEvent] = []
+    run_ups: list[RunUpEvent] = []
     drive = DriveFrames(logs, decoder.sources)
     for batch in drive:
         _go_on(stop)
         for columns in decoder.feed(batch):
             shifts += shift_finder.feed(columns)
-            revs += rev_finder.feed(columns)
+            run_ups += run_up_finder.feed(columns)
     shifts += shift_finder.flush()
-    revs += rev_finder.flush()
+    run_ups += run_up_finder.flush()
     warn_of_damage(logs)
     warn_of_idle(drive.contributions(decoder.named_channel))
     if not shifts:
         raise SourceError("no shift in these logs: nothing to calibrate from")
-    return CalibrationEvents(shifts=tuple(shifts), revs=tuple(revs), gaps=gaps_in(logs, was_stopped=False))
+    return CalibrationEvents(shifts=tuple(shifts), run_ups=tuple(run_ups), gaps=gaps_in(logs, was_stopped=False))
 
 
 def _go_on(stop: Trigger) -> None:
@@ -126,7 +126,7 @@ def run_calibrate(
         If it was stopped before the file was written.
     """
     version = f"{start.version}-{vehicle}-{events.last_day.isoformat()}"
-    found = self_calibrate(events.shifts, events.revs, start, version)
+    found = self_calibrate(events.shifts, events.run_ups, start, version)
     if isinstance(found, str):
         raise ConfigError(f"no self-calibration: {found}")
     owner = None if vehicle == UNNAMED_VEHICLE else vehicle
@@ -162,14 +162,14 @@ def show(found: SelfCalibration, start: Calibration, path: Path, console: Consol
         table.add_row(unit.label, f"{unit.factor * value:+.3g}", *cells, unit.unit)
     console.print(table)
     for clutch in (1, 2):
-        friction = found.belief.friction(clutch)
+        friction = found.state.friction(clutch)
         console.print(
             f"clutch {clutch}: mu_C {friction.mu_c:.4f} ± {friction.std_mu_c:.4f}"
             f"  mu_S {friction.mu_s:.4f} ± {friction.std_mu_s:.4f}  (total std)",
             highlight=False,
             soft_wrap=True,
         )
-    opened, closed = found.rev_counts
+    opened, closed = found.run_up_counts
     console.print(
         f"used: {found.shift_counts[0]} shifts onto clutch 1, {found.shift_counts[1]} onto clutch 2, engine revs in"
         f" neutral {opened} with open and {closed} with closed clutches; not used: {found.rejected_count} shifts;"
@@ -200,9 +200,9 @@ def record(found: SelfCalibration, start: Calibration, vehicle: str, gaps: tuple
         "parameters": {
             name: {"value": value, "std": std, "std_before": before} for name, value, std, before in _rows(found, start)
         },
-        "friction": {str(clutch): _friction(found.belief.friction(clutch)) for clutch in (1, 2)},
+        "friction": {str(clutch): _friction(found.state.friction(clutch)) for clutch in (1, 2)},
         "shift_counts": list(found.shift_counts),
-        "rev_counts": list(found.rev_counts),
+        "rev_counts": list(found.run_up_counts),
         "rejected_shift_count": found.rejected_count,
         "chi_square_ratio": found.mean_misfit,
     }

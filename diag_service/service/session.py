@@ -12,7 +12,7 @@ from diag_service.delivery import Reporter
 from diag_service.diagnosis.condition.condition import ConditionMemory
 from diag_service.diagnosis.contributions import NO_LOGS, Contributions
 from diag_service.diagnosis.events import ShiftEvent
-from diag_service.diagnosis.friction import ALGORITHM_VERSION, Belief
+from diag_service.diagnosis.friction import ALGORITHM_VERSION, FilterState
 from diag_service.diagnosis.records import ShiftResult
 from diag_service.diagnosis.results import utc_from_bus_ns
 from diag_service.diagnosis.summary import FrameCounts, Gap, ShiftTally, Summary, frames_line, summarise
@@ -173,7 +173,7 @@ class Session:
             produced_at=self._utc_now() if is_live else utc_from_bus_ns(event.end_ns),
         )
         state = VehicleState(
-            belief=diagnosis.belief.to_json(), condition=diagnosis.memory.to_json(), versions=self._versions
+            belief=diagnosis.state.to_json(), condition=diagnosis.memory.to_json(), versions=self._versions
         )
         return result, state
 
@@ -185,9 +185,9 @@ def versions_for(calibration: Calibration, digest: str) -> Versions:
 
 def resume(
     store: ResultStore, vehicle: str, versions: Versions, calibration: Calibration
-) -> tuple[Belief, ConditionMemory]:
+) -> tuple[FilterState, ConditionMemory]:
     """Return the running state of a vehicle, or a fresh one if what is stored was made in another way."""
-    fresh = Belief.fresh(calibration), ConditionMemory.fresh()
+    fresh = FilterState.fresh(calibration), ConditionMemory.fresh()
     state = store.state(vehicle)
     if state is None:
         return fresh
@@ -201,7 +201,7 @@ def resume(
         )
         return fresh
     try:
-        return Belief.from_json(state.belief, calibration), ConditionMemory.from_json(state.condition)
+        return FilterState.from_json(state.belief, calibration), ConditionMemory.from_json(state.condition)
     except ValueError as exc:
         _LOG.warning(
             "the running state of %s cannot be used (%s); starting afresh with a new baseline, results stay",

@@ -10,7 +10,7 @@ from diag_service.diagnosis.columns import Signal
 from diag_service.diagnosis.condition.condition import ConditionMemory, judge, no_verdict
 from diag_service.diagnosis.condition.indices import measure
 from diag_service.diagnosis.events import ShiftEvent
-from diag_service.diagnosis.friction import Belief, Estimator
+from diag_service.diagnosis.friction import Estimator, FilterState
 from diag_service.diagnosis.friction.estimator import without_friction
 from diag_service.diagnosis.quality.data_quality import QualityBasis, data_quality, reasons_against
 from diag_service.diagnosis.records import ClutchVerdict, Reason, ShiftEstimate, ShiftIndices, Status, Tier
@@ -27,14 +27,14 @@ class Diagnosis:
 
     estimate: ShiftEstimate
     verdict: ClutchVerdict
-    belief: Belief
+    state: FilterState
     memory: ConditionMemory
 
 
 class Stages:
     """Frames in, diagnoses out: no clock, no socket, no file; the same results for any cutting of the stream."""
 
-    def __init__(self, decoder: Decoder, calibration: Calibration, belief: Belief, memory: ConditionMemory) -> None:
+    def __init__(self, decoder: Decoder, calibration: Calibration, state: FilterState, memory: ConditionMemory) -> None:
         self._decoder = decoder
         self._finder = ShiftFinder(tracker_for(decoder.signals, decoder.gears))
         self.tier = tier_of(decoder.signals, knows_gears=knows_gears(decoder))
@@ -47,7 +47,7 @@ class Stages:
             scale_ends=decoder.limits,
             calibration_date=calibration.made_on,
         )
-        self._belief = belief
+        self._state = state
         self._memory = memory
 
     def feed(self, batch: FrameBatch) -> list[Diagnosis]:
@@ -85,26 +85,26 @@ class Stages:
         """
         quality = data_quality(event, self._basis)
         against = reasons_against(quality)
-        belief, estimate = self._estimate(event, is_described_only=bool(against))
+        state, estimate = self._estimate(event, is_described_only=bool(against))
         indices: ShiftIndices | None = None
         if against and estimate.status is not Status.REJECTED:
             estimate = replace(estimate, status=Status.REJECTED, reasons=against, friction=None, scale_free=None)
-            belief = self._belief  # data that are not believed leave no trace in the running state
+            state = self._state  # data that are not believed leave no trace in the running state
         else:
             indices = measure(event, self._calibration)
         estimate = replace(estimate, data_quality=quality, tier=self.tier or Tier.KINEMATIC, indices=indices)
         if self.tier is Tier.FRICTION:
-            memory = self._memory.with_fit(estimate).with_shift(estimate, self._belief)
-            self._memory, verdict = judge(memory, belief, estimate.clutch, self._calibration)
+            memory = self._memory.with_fit(estimate).with_shift(estimate, self._state)
+            self._memory, verdict = judge(memory, state, estimate.clutch, self._calibration)
         else:
             verdict = no_verdict(estimate.clutch, missing_for_next(self._decoder.signals))
-        self._belief = belief
-        return Diagnosis(estimate=estimate, verdict=verdict, belief=self._belief, memory=self._memory)
+        self._state = state
+        return Diagnosis(estimate=estimate, verdict=verdict, state=self._state, memory=self._memory)
 
-    def _estimate(self, event: ShiftEvent, *, is_described_only: bool) -> tuple[Belief, ShiftEstimate]:
+    def _estimate(self, event: ShiftEvent, *, is_described_only: bool) -> tuple[FilterState, ShiftEstimate]:
         if self.tier is Tier.FRICTION:
-            return self._estimator.estimate(event, self._belief, is_described_only=is_described_only)
-        return self._belief, without_friction(event, Status.UNOBSERVED, Reason.SIGNAL_MISSING)
+            return self._estimator.estimate(event, self._state, is_described_only=is_described_only)
+        return self._state, without_friction(event, Status.UNOBSERVED, Reason.SIGNAL_MISSING)
 
     def capability(self) -> Capability:
         """Return what the signals that came suffice for."""

@@ -11,7 +11,7 @@ from dbc.contract import load_contract
 from diag_service.diagnosis.condition.condition import ConditionMemory
 from diag_service.diagnosis.contributions import Contributions
 from diag_service.diagnosis.events import ShiftEvent
-from diag_service.diagnosis.friction import Belief
+from diag_service.diagnosis.friction import FilterState
 from diag_service.mapping.decoder import Decoder, DecoderCounts
 from diag_service.mapping.profile import load_profile
 from diag_service.service.calibrate_run import find_events
@@ -42,7 +42,7 @@ class Followed:
 def followed(paths: Sequence[Path], channel: int | None = None) -> Followed:
     decoder = Decoder(DATABASE, replace(load_profile(), channel=channel))
     calibration = nominal_calibration()
-    stages = Stages(decoder, calibration, Belief.fresh(calibration), ConditionMemory.fresh())
+    stages = Stages(decoder, calibration, FilterState.fresh(calibration), ConditionMemory.fresh())
     frames = DriveFrames(open_drive(paths), stages.sources)
     shifts = list(events(frames, stages, Trigger()))
     return Followed(

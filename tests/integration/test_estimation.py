@@ -13,7 +13,7 @@ from clutch_model.calibration import nominal_calibration
 from dbc.contract import load_contract
 from diag_service.diagnosis.columns import BALANCE_SIGNALS, Signal
 from diag_service.diagnosis.events import EndReason, ShiftEvent
-from diag_service.diagnosis.friction import Belief, Estimator
+from diag_service.diagnosis.friction import Estimator, FilterState
 from diag_service.diagnosis.records import Reason, ShiftEstimate, Status
 from diag_service.diagnosis.shifts.shifts import ShiftFinder
 from diag_service.mapping.decoder import Decoder
@@ -34,11 +34,11 @@ def shifts(fluid: str = "ideal", seed: int = 77, cycles: int = 1) -> tuple[Shift
     return tuple(event for columns in decoder.feed(received(frames)) for event in finder.feed(columns))
 
 
-def followed(events: tuple[ShiftEvent, ...]) -> Iterator[tuple[Belief, ShiftEstimate]]:
-    belief, estimator = Belief.fresh(CALIBRATION), Estimator(CALIBRATION)
+def followed(events: tuple[ShiftEvent, ...]) -> Iterator[tuple[FilterState, ShiftEstimate]]:
+    state, estimator = FilterState.fresh(CALIBRATION), Estimator(CALIBRATION)
     for event in events:
-        belief, estimate = estimator.estimate(event, belief)
-        yield belief, estimate
+        state, estimate = estimator.estimate(event, state)
+        yield state, estimate
 
 
 def changed(event: ShiftEvent, signal: Signal, change: Callable[[FloatArray, FloatArray], FloatArray]) -> ShiftEvent:
@@ -63,9 +63,9 @@ def test_friction_is_found_within_its_interval(fluid: str) -> None:
         assert friction is not None
         assert abs(friction.mu_c - factor_c * reference.mu_c) < 4 * friction.random_std_mu_c
         assert abs(friction.mu_s - factor_s * reference.mu_s) < 4 * friction.random_std_mu_s
-    belief = outcomes[-1][0]
+    state = outcomes[-1][0]
     for clutch in (1, 2):
-        friction = belief.friction(clutch)
+        friction = state.friction(clutch)
         reference = CALIBRATION.clutches[clutch - 1].friction
         assert friction.mu_c == pytest.approx(factor_c * reference.mu_c, rel=0.03)
         assert friction.mu_s == pytest.approx(factor_s * reference.mu_s, rel=0.06)
@@ -73,8 +73,8 @@ def test_friction_is_found_within_its_interval(fluid: str) -> None:
 
 
 def test_the_common_scale_is_stated_apart() -> None:
-    *_, (belief, _) = followed(shifts())
-    friction = belief.friction(1)
+    *_, (state, _) = followed(shifts())
+    friction = state.friction(1)
     assert friction.std_mu_c > 0.02 * friction.mu_c  # torque gain and inertia, 3 % each, partly cancelling
     assert friction.random_std_mu_c < 0.5 * friction.std_mu_c
 
@@ -192,9 +192,9 @@ def test_frames_that_are_late_together_are_not_missing(catches_up: bool, reasons
     ids=["interrupted", "abandoned", "signal missing", "oil too cold"],
 )
 def test_an_unusable_shift_says_why(event: Callable[[ShiftEvent], ShiftEvent], reason: Reason) -> None:
-    ((belief, estimate),) = followed((event(shifts()[0]),))
+    ((state, estimate),) = followed((event(shifts()[0]),))
     assert (estimate.status, estimate.reasons, estimate.friction) == (Status.REJECTED, (reason,), None)
-    assert np.array_equal(belief.mean, Belief.fresh(CALIBRATION).mean)
+    assert np.array_equal(state.mean, FilterState.fresh(CALIBRATION).mean)
 
 
 def test_a_clutch_that_never_slips_is_unobserved() -> None:
@@ -208,10 +208,10 @@ def test_new_fluid_is_believed_after_three_shifts_that_agree() -> None:
     old, new = shifts("case2", cycles=3), shifts("ideal", seed=78)
     outcomes = list(followed((*old, *new)))[len(old) :]
     for clutch in (1, 2):
-        own = [(belief, estimate) for belief, estimate in outcomes if estimate.clutch == clutch]
+        own = [(state, estimate) for state, estimate in outcomes if estimate.clutch == clutch]
         refused = [Reason.NOT_UPDATED in estimate.reasons for _, estimate in own]
         assert sum(refused) == 2
-        belief = own[-1][0]
-        friction = belief.friction(clutch)
+        state = own[-1][0]
+        friction = state.friction(clutch)
         assert friction.mu_c == pytest.approx(0.140, abs=4 * friction.random_std_mu_c)
-        assert belief.shift_counts[clutch - 1] == 3
+        assert state.shift_counts[clutch - 1] == 3

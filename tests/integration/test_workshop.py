@@ -9,8 +9,8 @@ import pytest
 from clutch_model.calibration import nominal_calibration
 from dbc.contract import load_contract
 from diag_service.diagnosis.columns import Signal
-from diag_service.diagnosis.events import EndReason, RevEvent, ShiftEvent
-from diag_service.diagnosis.shifts.revs import LOW_RAD_S, RevFinder
+from diag_service.diagnosis.events import EndReason, RunUpEvent, ShiftEvent
+from diag_service.diagnosis.shifts.run_ups import LOW_RAD_S, RunUpFinder
 from diag_service.diagnosis.shifts.shifts import ShiftFinder
 from diag_service.mapping.decoder import Decoder
 from diag_service.mapping.profile import load_profile
@@ -22,39 +22,41 @@ from tests.traffic import START_NS, as_received
 
 
 @lru_cache(maxsize=4)
-def heard(name: str, open_revs: int, closed_revs: int, seed: int) -> tuple[list[RevEvent], list[ShiftEvent], TruthLog]:
+def drive(
+    name: str, open_revs: int, closed_revs: int, seed: int
+) -> tuple[list[RunUpEvent], list[ShiftEvent], TruthLog]:
     """Return what the service finds in a drive of one cycle, and the truth."""
     routine = Routine(open_revs=open_revs, closed_revs=closed_revs)
     frames, truth = frames_of(replace(drive_scenario(name, seed=seed), routine=routine))
     decoder = Decoder(load_contract(), load_profile())
-    revs, shifts = RevFinder(nominal_calibration()), ShiftFinder()
-    found_revs: list[RevEvent] = []
+    run_ups, shifts = RunUpFinder(nominal_calibration()), ShiftFinder()
+    found_run_ups: list[RunUpEvent] = []
     found_shifts: list[ShiftEvent] = []
     for columns in decoder.feed(as_received(frames)):
-        found_revs += revs.feed(columns)
+        found_run_ups += run_ups.feed(columns)
         found_shifts += shifts.feed(columns)
-    return found_revs + revs.flush(), found_shifts + shifts.flush(), truth
+    return found_run_ups + run_ups.flush(), found_shifts + shifts.flush(), truth
 
 
 @pytest.mark.parametrize(("name", "seed"), [("noise_only", 1), ("ideal", 7)])
-def test_as_many_revs_are_found_as_were_performed(name: str, seed: int) -> None:
-    revs, _, truth = heard(name, 4, 3, seed)
-    assert [rev.are_clutches_closed for rev in revs] == [False] * 4 + [True] * 3
-    assert [rev.are_clutches_closed for rev in revs] == [rev.are_clutches_closed for rev in truth.revs]
-    assert all(rev.end_reason is EndReason.COMPLETE and rev.bad_frame_count == 0 for rev in revs)
+def test_as_many_run_ups_are_found_as_were_performed(name: str, seed: int) -> None:
+    run_ups, _, truth = drive(name, 4, 3, seed)
+    assert [run_up.are_clutches_closed for run_up in run_ups] == [False] * 4 + [True] * 3
+    assert [run_up.are_clutches_closed for run_up in run_ups] == [rev.are_clutches_closed for rev in truth.revs]
+    assert all(run_up.end_reason is EndReason.COMPLETE and run_up.bad_frame_count == 0 for run_up in run_ups)
 
 
-def test_a_rev_is_found_where_it_was_performed() -> None:
-    revs, _, truth = heard("noise_only", 4, 3, 1)
-    for rev, performed in zip(revs, truth.revs, strict=True):
-        assert performed.t_start_s - 0.1 < (rev.start_ns - START_NS) * 1e-9 < performed.t_start_s + 0.25
-        assert performed.t_end_s - 0.5 < (rev.end_ns - START_NS) * 1e-9 < performed.t_end_s
-        assert rev.columns[Signal.ENGINE_SPEED].value.max() > 395.0
-        assert rev.columns[Signal.ENGINE_SPEED].value[0] < LOW_RAD_S
+def test_a_run_up_is_found_where_it_was_performed() -> None:
+    run_ups, _, truth = drive("noise_only", 4, 3, 1)
+    for run_up, performed in zip(run_ups, truth.revs, strict=True):
+        assert performed.t_start_s - 0.1 < (run_up.start_ns - START_NS) * 1e-9 < performed.t_start_s + 0.25
+        assert performed.t_end_s - 0.5 < (run_up.end_ns - START_NS) * 1e-9 < performed.t_end_s
+        assert run_up.columns[Signal.ENGINE_SPEED].value.max() > 395.0
+        assert run_up.columns[Signal.ENGINE_SPEED].value[0] < LOW_RAD_S
 
 
-def test_neither_revs_nor_the_start_are_shifts() -> None:
-    _, shifts, truth = heard("noise_only", 4, 3, 1)
+def test_neither_run_ups_nor_the_start_are_shifts() -> None:
+    _, shifts, truth = drive("noise_only", 4, 3, 1)
     assert [(shift.from_gear, shift.to_gear) for shift in shifts] == [
         (shift.from_gear, shift.to_gear) for shift in truth.shifts
     ]
@@ -62,18 +64,18 @@ def test_neither_revs_nor_the_start_are_shifts() -> None:
     assert all(shift.end_reason is EndReason.COMPLETE for shift in shifts)
 
 
-def test_a_normal_drive_has_no_revs() -> None:
-    revs, shifts, truth = heard("noise_only", 0, 0, 1)
-    assert revs == []
+def test_a_normal_drive_has_no_run_ups() -> None:
+    run_ups, shifts, truth = drive("noise_only", 0, 0, 1)
+    assert run_ups == []
     assert truth.revs == ()
     assert len(shifts) == 10
 
 
 def test_the_input_shafts_show_which_part_it_is() -> None:
     """Closed clutches carry the input shafts along; open ones drag them behind."""
-    for rev in heard("noise_only", 4, 3, 1)[0]:
-        columns = {signal: series.between(rev.start_ns, rev.end_ns) for signal, series in rev.columns.items()}
+    for run_up in drive("noise_only", 4, 3, 1)[0]:
+        columns = {signal: series.between(run_up.start_ns, run_up.end_ns) for signal, series in run_up.columns.items()}
         hub_rad_s = columns[Signal.HUB_SPEED].value
         for signal in (Signal.INPUT1_SPEED, Signal.INPUT2_SPEED):
             slip_rad_s = np.abs(hub_rad_s - columns[signal].value)
-            assert (slip_rad_s.max() < 2.0) == rev.are_clutches_closed
+            assert (slip_rad_s.max() < 2.0) == run_up.are_clutches_closed

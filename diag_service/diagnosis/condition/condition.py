@@ -10,8 +10,8 @@ from clutch_model.calibration import Calibration
 from clutch_model.clutch import FrictionCurve
 from diag_service.diagnosis.comparison import FrictionTrend
 from diag_service.diagnosis.condition.scatter import Scatter
-from diag_service.diagnosis.friction.belief import Belief
-from diag_service.diagnosis.friction.sharp import clutch_ratio, common_scale_std_ratio, scale_free, trend
+from diag_service.diagnosis.friction.filter_state import FilterState
+from diag_service.diagnosis.friction.scale_free import clutch_ratio, common_scale_std_ratio, scale_free, trend
 from diag_service.diagnosis.records import ClutchVerdict, Condition, FrictionEstimate, Reason, ShiftEstimate, Status
 
 MIN_SHIFT_COUNT = 2  # one shift may be an outlier
@@ -25,7 +25,7 @@ LEAVE_PROBABILITY = 0.20  # to call off a verdict once given, its cause must hav
 FIT_WINDOW = 20  # shifts of both clutches: two cycles
 MAX_MISFIT_SHARE = 0.25  # none of the shifts of sound drives misfit; of another vehicle's calibration half do
 MIN_MISFIT_COUNT = 3  # one or two shifts are no share
-NEW_FLUID_SURPRISES = 4  # it contradicts the running state of each clutch twice, then that starts afresh
+NEW_FLUID_CONTRADICTIONS = 4  # it contradicts the running state of each clutch twice, then that starts afresh
 MEMORY_FORMAT = 2
 _MISFITS = frozenset({Reason.MISFIT, Reason.ZERO_JUMPED})
 
@@ -64,18 +64,18 @@ class ConditionMemory:
     @property
     def misfit_text(self) -> str:
         """Why no verdict rests on this calibration; empty if one may."""
-        misfits, surprises = self.fits.count(Fit.MISFITS), self.fits.count(Fit.SURPRISES)
-        count = misfits + surprises
+        misfits, contradictions = self.fits.count(Fit.MISFITS), self.fits.count(Fit.SURPRISES)
+        count = misfits + contradictions
         if count < MIN_MISFIT_COUNT or count < MAX_MISFIT_SHARE * len(self.fits):
             return ""
-        if not misfits and surprises <= NEW_FLUID_SURPRISES:
+        if not misfits and contradictions <= NEW_FLUID_CONTRADICTIONS:
             return ""
         return (
             f"calibration does not fit: {count} of the last {len(self.fits)} shifts contradict it; "
             "diag-service calibrate makes this vehicle's own"
         )
 
-    def with_shift(self, estimate: ShiftEstimate, before: Belief) -> Self:
+    def with_shift(self, estimate: ShiftEstimate, before: FilterState) -> Self:
         """Return the memory after a shift, of which the running state stood at ``before``.
 
         Only a shift that entered the running state counts, and only if there was one before it.
@@ -120,7 +120,7 @@ class ConditionMemory:
 
 
 def judge(
-    memory: ConditionMemory, belief: Belief, clutch: int, calibration: Calibration
+    memory: ConditionMemory, state: FilterState, clutch: int, calibration: Calibration
 ) -> tuple[ConditionMemory, ClutchVerdict]:
     """Return the verdict on clutch 1 or 2 from its running state, and the memory with it.
 
@@ -129,9 +129,9 @@ def judge(
     """
     index = clutch - 1
     reference = calibration.clutches[index].friction
-    shift_count = belief.shift_counts[index]
+    shift_count = state.shift_counts[index]
     known = bool(shift_count)
-    friction, since = belief.friction(clutch), trend(belief, clutch) if known else None
+    friction, since = state.friction(clutch), trend(state, clutch) if known else None
     condition, reason = _decide(friction, since, reference, shift_count, memory.conditions[index])
     if memory.misfit_text:
         condition, reason = Condition.NO_VERDICT, memory.misfit_text
@@ -145,11 +145,11 @@ def judge(
         level_ratio=friction.mu_c / reference.mu_c if known else None,
         friction=friction if known else None,
         shift_count=shift_count,
-        scale_free=scale_free(belief, clutch) if known else None,
-        common_scale_std_ratio=common_scale_std_ratio(belief, clutch) if known else None,
+        scale_free=scale_free(state, clutch) if known else None,
+        common_scale_std_ratio=common_scale_std_ratio(state, clutch) if known else None,
         shift_scatter=None if scatter is None else scatter.reported,
         trend=since,
-        clutch_ratio=clutch_ratio(belief),
+        clutch_ratio=clutch_ratio(state),
     )
     return replace(memory, conditions=(conditions[0], conditions[1])), verdict
 

@@ -98,11 +98,11 @@ def _torque_capacity(grid: _Grid, slip_rad_s: FloatArray, calibration: Calibrati
     weight = asked_nm / float(asked_nm @ asked_nm)
     ratio = float(weight @ transmitted_nm)
     residual_nm = transmitted_nm - ratio * asked_nm
-    belief = calibration.uncertainty
+    spread = calibration.uncertainty
     parts = (
         math.sqrt(float(residual_nm @ residual_nm) / len(asked_nm) * float(weight @ weight) * CORRELATION_S / GRID_S),
-        belief.torque_gain_ratio * float(weight @ engine_nm[use]),
-        belief.torque_offset_nm * float(weight.sum()),
+        spread.torque_gain_ratio * float(weight @ engine_nm[use]),
+        spread.torque_offset_nm * float(weight.sum()),
         INERTIA_STD_RATIO * float(weight @ inertia_nm),
     )
     return ratio, math.hypot(*parts)

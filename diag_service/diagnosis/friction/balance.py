@@ -24,10 +24,10 @@ from clutch_model.friction import contact_torques_nm, friction_law, stribeck_wei
 from clutch_model.knowledge import SensorBias
 from diag_service.diagnosis.alignment.aligned_signals import AlignedSignals
 from diag_service.diagnosis.alignment.sampling import GRID_S
-from diag_service.diagnosis.friction.belief import Measurement
-from diag_service.diagnosis.friction.film_track import FilmTrack, PressureDrive, follow_film
-from diag_service.diagnosis.friction.nudges import AREA, COMMON, OFFSET, Nudge
+from diag_service.diagnosis.friction.film_track import FilmTrack, PressureDrive, integrate_film
+from diag_service.diagnosis.friction.filter_state import Measurement
 from diag_service.diagnosis.friction.parameters import Considered, State, friction_rows
+from diag_service.diagnosis.friction.perturbations import AREA, COMMON, OFFSET, Perturbation
 from diag_service.diagnosis.friction.weights import SLIP_DEGREE, Weights, sines, smoothed
 from diag_service.diagnosis.friction.window import SlipWindow
 
@@ -106,12 +106,12 @@ class Balance:
         self._spread = _Spread.of(signals, self._weights)
         self._planned_speed_rad_s = smoothed(signals.engine_speed.on_grid, window, SLIP_DEGREE)
         self._planned_torque_nm = smoothed(signals.engine_torque.on_grid, window, SLIP_DEGREE)
-        self.tracks = (follow_film(1, measured[0], calibration), follow_film(2, measured[1], calibration))
+        self.tracks = (integrate_film(1, measured[0], calibration), integrate_film(2, measured[1], calibration))
         self._seen = self._weigh(measured, self.tracks, calibration)
         self._tracks_planned = self._followed(planned, calibration)
         self._nominal = self._weigh(planned, self._tracks_planned, calibration)
-        nudges = (OFFSET, AREA[0], *(nudge for nudge, _ in COMMON.values()))
-        self._changed = {nudge: self._nudged(nudge) for nudge in nudges}
+        perturbations = (OFFSET, AREA[0], *(perturbation for perturbation, _ in COMMON.values()))
+        self._changed = {perturbation: self._perturbed(perturbation) for perturbation in perturbations}
 
     def measurement(self, at: FloatArray, prior: FloatArray) -> Measurement:
         """Linearise the balance about the state ``at``, as seen from the state ``prior``; both (len(State),).
@@ -146,13 +146,13 @@ class Balance:
         by_considered[:, Considered.TORQUE_LATENCY] = weights.rate @ torque_nm
         for m in range(2):
             plain_nms = self._nominal[m].impulse(mu[m])
-            change = {nudge: moments[m].impulse(mu[m]) - plain_nms for nudge, moments in self._changed.items()}
+            change = {one: moments[m].impulse(mu[m]) - plain_nms for one, moments in self._changed.items()}
             by_state[:, friction_rows(m + 1)] = self._nominal[m].by_friction
             by_state[:, State.TOUCH1 + m] = -change[OFFSET] / OFFSET.pressure_pa
             by_state[:, State.ZERO1 + m] = -change[OFFSET] / OFFSET.pressure_pa
             by_considered[:, Considered.PISTON_AREA1 + m] = change[AREA[0]] / AREA[1]
-            for column, (nudge, size) in COMMON.items():
-                by_considered[:, column] += change[nudge] / size
+            for column, (perturbation, size) in COMMON.items():
+                by_considered[:, column] += change[perturbation] / size
         return Measurement(
             residual=gap_nms - by_state @ (prior - at),
             by_state=by_state,
@@ -194,12 +194,12 @@ class Balance:
         torque_nm = contact_nm(self._calibration.clutches[clutch - 1], drive, track) @ mu + track.viscous_nm
         return float(np.sum(np.abs(torque_nm * drive.slip_rad_s)) * GRID_S)
 
-    def _nudged(self, nudge: Nudge) -> tuple[ClutchMoments, ClutchMoments]:
+    def _perturbed(self, perturbation: Perturbation) -> tuple[ClutchMoments, ClutchMoments]:
         """Follow both films from the planned drives, changed a little."""
-        calibration = nudge.of_calibration(self._calibration)
-        if not nudge.moves_film:
+        calibration = perturbation.of_calibration(self._calibration)
+        if not perturbation.moves_film:
             return self._weigh(self._planned, self._tracks_planned, calibration)
-        first, second = (nudge.of_drive(drive, self._signals.grid_s) for drive in self._planned)
+        first, second = (perturbation.of_drive(drive, self._signals.grid_s) for drive in self._planned)
         return self._weigh((first, second), self._followed((first, second), calibration), calibration)
 
     def _followed(
@@ -207,7 +207,7 @@ class Balance:
     ) -> tuple[FilmTrack, FilmTrack]:
         """Follow both films up to the end of the slip window: what comes after has no weight."""
         stop = self._window.stop
-        return follow_film(1, drives[0], calibration, stop), follow_film(2, drives[1], calibration, stop)
+        return integrate_film(1, drives[0], calibration, stop), integrate_film(2, drives[1], calibration, stop)
 
     def _weigh(
         self, drives: tuple[PressureDrive, PressureDrive], tracks: tuple[FilmTrack, FilmTrack], calibration: Calibration

@@ -19,7 +19,7 @@ _ARRAYS = {
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Baseline:
-    """Frozen ``(mu_c, mu_s)`` of one clutch, in the terms of `Belief`.
+    """Frozen ``(mu_c, mu_s)`` of one clutch, in the terms of `FilterState`.
 
     ``cross`` is the covariance between the random error of today's state and that of the baseline. It begins as the
     baseline's own and fades as later shifts outweigh the earlier ones.

@@ -12,11 +12,11 @@ from diag_service.diagnosis.alignment.sampling import NS_TO_S
 from diag_service.diagnosis.columns import Signal
 from diag_service.diagnosis.events import ShiftEvent
 from diag_service.diagnosis.friction.balance import Balance
-from diag_service.diagnosis.friction.belief import Belief, Misfit
 from diag_service.diagnosis.friction.film_track import compile_film
+from diag_service.diagnosis.friction.filter_state import FilterState, Misfit
 from diag_service.diagnosis.friction.parameters import State, friction_rows
 from diag_service.diagnosis.friction.preparation import measured_drives, on_coming, planned_drives, slip_window, zeroed
-from diag_service.diagnosis.friction.sharp import scale_free
+from diag_service.diagnosis.friction.scale_free import scale_free
 from diag_service.diagnosis.friction.window import SlipWindow
 from diag_service.diagnosis.quality.plausibility import SlippingClutch, plausibility_faults, zero_has_jumped
 from diag_service.diagnosis.quality.usability import usable_signals
@@ -27,8 +27,8 @@ if TYPE_CHECKING:
 
 ALGORITHM_VERSION = "torque-impulse-4"
 PASS_COUNT = 3  # each takes away what planned and measured pressures differ by, a few percent
-SURPRISE_GATE = 25.0  # squared distance of a shift from the running state, two degrees of freedom: 4e-6 by chance
-SURPRISES_TO_YIELD = 3  # in a row: then the clutch has changed, and the running state starts afresh
+INNOVATION_GATE = 25.0  # squared distance of a shift from the running state, two degrees of freedom: 4e-6 by chance
+REFUSALS_TO_YIELD = 3  # in a row: then the clutch has changed, and the running state starts afresh
 SCORE_GATE = 4.5  # by chance one clean shift in 13,000; a latency or width that the type does not have
 FULL_WINDOW_S = 0.25  # the shortest slip window that every regular shift offers
 
@@ -45,8 +45,8 @@ class Estimator:
         compile_film(self._calibration)
 
     def estimate(
-        self, event: ShiftEvent, belief: Belief, *, is_described_only: bool = False
-    ) -> tuple[Belief, ShiftEstimate]:
+        self, event: ShiftEvent, state: FilterState, *, is_described_only: bool = False
+    ) -> tuple[FilterState, ShiftEstimate]:
         """Return the running state after a shift, and what the shift alone says about the on-coming clutch.
 
         The shift's own estimate uses what is known of offsets, but not the running friction. A shift whose signals
@@ -56,29 +56,29 @@ class Estimator:
         """
         signals = usable_signals(event, self._calibration)
         if isinstance(signals, Reason):
-            return belief, without_friction(event, Status.REJECTED, signals)
+            return state, without_friction(event, Status.REJECTED, signals)
         clutch = on_coming(event.to_gear)
-        before, belief = belief, zeroed(signals, belief, self._calibration)
-        if zero_has_jumped(before.pressure_zeros, belief.pressure_zeros):
+        before, state = state, zeroed(signals, state, self._calibration)
+        if zero_has_jumped(before.pressure_zeros, state.pressure_zeros):
             return before, without_friction(event, Status.REJECTED, Reason.ZERO_JUMPED)
-        drives = measured_drives(signals, belief, event, self._calibration)
+        drives = measured_drives(signals, state, event, self._calibration)
         window = slip_window(signals, drives, clutch, self._calibration)
         if window is None:
-            return belief, without_friction(event, Status.UNOBSERVED, Reason.NO_SLIP_WINDOW)
+            return state, without_friction(event, Status.UNOBSERVED, Reason.NO_SLIP_WINDOW)
         slipping = SlippingClutch(
             number=clutch,
             rows=slice(window.first, window.stop),
-            pressure_zero_pa=float(belief.pressure_zeros.mean_pa[clutch - 1]),
+            pressure_zero_pa=float(state.pressure_zeros.mean_pa[clutch - 1]),
         )
         if faults := plausibility_faults(event, signals, slipping):
             return before, without_friction(event, Status.REJECTED, *faults)
         balance = Balance(signals, window, drives, planned_drives(signals, drives, window), self._calibration)
-        alone, misfit, gate = self._fit(balance, belief.forget_friction(clutch, self._calibration))
+        alone, misfit, gate = self._fit(balance, state.forget_friction(clutch, self._calibration))
         ratio = misfit.chi_square_ratio
         fit = min(1.0, max(0.0, (gate - ratio) / (gate - 1.0)))
         estimate = replace(self._describe(event, signals, window, balance, alone, fit), chi_square_ratio=ratio)
         warmed = replace(
-            belief,
+            state,
             clutch_temperature_k=(balance.tracks[0].final_clutch_k, balance.tracks[1].final_clutch_k),
             temperature_ns=event.end_ns,
         )
@@ -91,7 +91,7 @@ class Estimator:
             return warmed, estimate
         return self._combined(warmed, balance, clutch, alone, estimate)
 
-    def _fit(self, balance: Balance, prior: Belief) -> tuple[Belief, Misfit, float]:
+    def _fit(self, balance: Balance, prior: FilterState) -> tuple[FilterState, Misfit, float]:
         """Return the posterior, how well it fits, and the largest chi-square per degree of freedom that is believed."""
         posterior, misfit, gate = prior, Misfit(chi_square_ratio=math.inf, worst_score=math.inf), 0.0
         at = prior.mean
@@ -103,22 +103,22 @@ class Estimator:
         return posterior, misfit, gate
 
     def _combined(
-        self, belief: Belief, balance: Balance, clutch: int, alone: Belief, estimate: ShiftEstimate
-    ) -> tuple[Belief, ShiftEstimate]:
+        self, state: FilterState, balance: Balance, clutch: int, alone: FilterState, estimate: ShiftEstimate
+    ) -> tuple[FilterState, ShiftEstimate]:
         """Fold the shift into the running state, unless it contradicts it."""
         m = clutch - 1
-        refused = list(belief.refused_counts)
-        counts = list(belief.shift_counts)
-        if counts[m] and _surprise(belief, alone, clutch) > SURPRISE_GATE:
+        refused = list(state.refused_counts)
+        counts = list(state.shift_counts)
+        if counts[m] and _normalised_innovation(state, alone, clutch) > INNOVATION_GATE:
             refused[m] += 1
-            if refused[m] < SURPRISES_TO_YIELD:
-                kept = replace(belief, refused_counts=(refused[0], refused[1]))
+            if refused[m] < REFUSALS_TO_YIELD:
+                kept = replace(state, refused_counts=(refused[0], refused[1]))
                 return kept, replace(estimate, reasons=(Reason.NOT_UPDATED,))
-            belief = belief.forget_friction(clutch, self._calibration)
+            state = state.forget_friction(clutch, self._calibration)
             counts[m] = 0
         refused[m] = 0
         counts[m] += 1
-        posterior, _, _ = self._fit(balance, belief.drifted())
+        posterior, _, _ = self._fit(balance, state.drifted())
         counted = replace(posterior, shift_counts=(counts[0], counts[1]), refused_counts=(refused[0], refused[1]))
         return counted.counted(clutch, estimate.end_ns), estimate
 
@@ -128,7 +128,7 @@ class Estimator:
         signals: AlignedSignals,
         window: SlipWindow,
         balance: Balance,
-        alone: Belief,
+        alone: FilterState,
         fit: float,
     ) -> ShiftEstimate:
         """Describe what a shift says alone; ``fit`` is 1 for no misfit, 0 at its gate."""
@@ -147,11 +147,11 @@ class Estimator:
         )
 
 
-def _surprise(belief: Belief, alone: Belief, clutch: int) -> float:
+def _normalised_innovation(state: FilterState, alone: FilterState, clutch: int) -> float:
     """Return the squared distance between a shift's own friction and the running one, common scale left out."""
     rows = friction_rows(clutch)
-    spread = belief.covariance[rows, rows] + alone.covariance[rows, rows]
-    step = alone.mean[rows] - belief.mean[rows]
+    spread = state.covariance[rows, rows] + alone.covariance[rows, rows]
+    step = alone.mean[rows] - state.mean[rows]
     return float(step @ np.linalg.solve(spread, step))
 
 

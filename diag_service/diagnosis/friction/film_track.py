@@ -57,7 +57,7 @@ class FilmTrack:
     final_clutch_k: float
 
 
-def follow_film(clutch: int, drive: PressureDrive, calibration: Calibration, stop: int | None = None) -> FilmTrack:
+def integrate_film(clutch: int, drive: PressureDrive, calibration: Calibration, stop: int | None = None) -> FilmTrack:
     """Integrate film and pack temperature of clutch 1 or 2; docs/model.md eq. (7) and section "Thermal".
 
     The clutch starts in equilibrium: open, or pressed and at rest. Its heat uses the calibration's friction, which is
@@ -93,7 +93,7 @@ def follow_film(clutch: int, drive: PressureDrive, calibration: Calibration, sto
 def compile_film(calibration: Calibration) -> None:
     """Have everything compiled before the first shift comes: it must not wait for it."""
     still = PressureDrive(piston_pa=np.zeros(2), slip_rad_s=np.zeros(2), oil_k=_ANY_K, clutch_k=_ANY_K)
-    follow_film(1, still, calibration)
+    integrate_film(1, still, calibration)
 
 
 @kernel
@@ -134,8 +134,8 @@ def _follow(
 def _film_step(film_m: float, piston_pa: float, viscosity: float, step_s: float, law: FilmLaw) -> float:
     """Return the film one step later by the exponential Rosenbrock-Euler rule, exact for a linear rate."""
     rate = measured_film_rate_m_s(film_m, piston_pa, viscosity, law)
-    nudge_m = 1e-4 * film_m
-    slope = (measured_film_rate_m_s(film_m + nudge_m, piston_pa, viscosity, law) - rate) / nudge_m
+    step_m = 1e-4 * film_m
+    slope = (measured_film_rate_m_s(film_m + step_m, piston_pa, viscosity, law) - rate) / step_m
     reach = slope * step_s
     stretch = step_s if abs(reach) < 1e-6 else step_s * (math.exp(min(reach, 50.0)) - 1.0) / reach
     return min(max(film_m + rate * stretch, law.min_film_m), law.open_gap_m)

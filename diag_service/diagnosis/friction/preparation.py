@@ -9,8 +9,8 @@ from clutch_model.calibration import Calibration
 from diag_service.diagnosis.alignment.aligned_signals import AlignedSignals
 from diag_service.diagnosis.alignment.sampling import NS_TO_S
 from diag_service.diagnosis.events import ShiftEvent
-from diag_service.diagnosis.friction.belief import Belief, Measurement
 from diag_service.diagnosis.friction.film_track import PressureDrive
+from diag_service.diagnosis.friction.filter_state import FilterState, Measurement
 from diag_service.diagnosis.friction.parameters import Considered, State
 from diag_service.diagnosis.friction.weights import SLIP_DEGREE, smoothed
 from diag_service.diagnosis.friction.window import SlipWindow, find_window
@@ -25,7 +25,7 @@ def on_coming(to_gear: int) -> int:
     return 1 if to_gear % 2 else 2
 
 
-def zeros_seen(signals: AlignedSignals, belief: Belief, calibration: Calibration) -> list[Measurement]:
+def zeros_seen(signals: AlignedSignals, state: FilterState, calibration: Calibration) -> list[Measurement]:
     """Return what a clutch that is empty before the shift says about the zero of its pressure sensor."""
     std_pa = calibration.noise.pressure_pa
     seen = []
@@ -37,7 +37,7 @@ def zeros_seen(signals: AlignedSignals, belief: Belief, calibration: Calibration
         row[0, State.ZERO1 + m] = 1.0
         seen.append(
             Measurement(
-                residual=np.array([np.mean(early) - belief.mean[State.ZERO1 + m]]),
+                residual=np.array([np.mean(early) - state.mean[State.ZERO1 + m]]),
                 by_state=row,
                 by_considered=np.zeros((1, len(Considered))),
                 noise=np.array([[std_pa**2 / len(early)]]),
@@ -46,37 +46,37 @@ def zeros_seen(signals: AlignedSignals, belief: Belief, calibration: Calibration
     return seen
 
 
-def zeroed(signals: AlignedSignals, belief: Belief, calibration: Calibration) -> Belief:
+def zeroed(signals: AlignedSignals, state: FilterState, calibration: Calibration) -> FilterState:
     """Return the state with the pressure sensors' zeros measured on the clutch that is empty before the shift."""
-    for seen in zeros_seen(signals, belief, calibration):
-        belief, _ = belief.updated(seen)
-    return belief
+    for seen in zeros_seen(signals, state, calibration):
+        state, _ = state.updated(seen)
+    return state
 
 
 def measured_drives(
-    signals: AlignedSignals, belief: Belief, event: ShiftEvent, calibration: Calibration
+    signals: AlignedSignals, state: FilterState, event: ShiftEvent, calibration: Calibration
 ) -> tuple[PressureDrive, PressureDrive]:
     """Return what drives the films as measured, freed of the offsets that are believed."""
     first, second = (
         PressureDrive(
-            piston_pa=signals.pressure[m].on_grid - belief.mean[State.TOUCH1 + m] - belief.mean[State.ZERO1 + m],
+            piston_pa=signals.pressure[m].on_grid - state.mean[State.TOUCH1 + m] - state.mean[State.ZERO1 + m],
             slip_rad_s=signals.slip_rad_s(m + 1),
             oil_k=signals.oil_k,
-            clutch_k=_clutch_k(m, signals.oil_k, belief, event.start_ns + signals.grid_s[0] / NS_TO_S, calibration),
+            clutch_k=_clutch_k(m, signals.oil_k, state, event.start_ns + signals.grid_s[0] / NS_TO_S, calibration),
         )
         for m in range(2)
     )
     return first, second
 
 
-def _clutch_k(m: int, oil_k: float, belief: Belief, now_ns: float, calibration: Calibration) -> float:
+def _clutch_k(m: int, oil_k: float, state: FilterState, now_ns: float, calibration: Calibration) -> float:
     """Return the temperature of a pack: what it had, cooled towards the oil since."""
-    if belief.clutch_temperature_k is None or now_ns < belief.temperature_ns:
+    if state.clutch_temperature_k is None or now_ns < state.temperature_ns:
         return oil_k
     thermal = calibration.clutches[m].thermal
-    elapsed_s = (now_ns - belief.temperature_ns) * NS_TO_S
+    elapsed_s = (now_ns - state.temperature_ns) * NS_TO_S
     kept = math.exp(-elapsed_s * thermal.convection_w_k / thermal.heat_capacity_j_k)
-    return oil_k + (belief.clutch_temperature_k[m] - oil_k) * kept
+    return oil_k + (state.clutch_temperature_k[m] - oil_k) * kept
 
 
 def planned_drives(

@@ -1,8 +1,8 @@
 """Self-calibration: what a vehicle's sensors and masses really are, found from many of its shifts at once.
 
 Maximum a posteriori over friction and everything that `parameters` lists, by Gauss-Newton on the impulse balances of
-all shifts and engine revs; docs/model.md, section "Self-calibration". Shifts alone tell latencies, offsets and inertia
-over torque gain; the gain itself, the scale of friction, only revs with open *and* closed clutches.
+all shifts and free engine run-ups; docs/model.md, section "Self-calibration". Shifts alone show latencies, offsets and
+inertia over torque gain; the gain itself, the scale of friction, only run-ups with open *and* closed clutches.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
@@ -14,9 +14,9 @@ from canlog.arrays import FloatArray
 from clutch_model.calibration import Calibration
 from clutch_model.errors import CalibrationError
 from clutch_model.knowledge import JointUncertainty
-from diag_service.diagnosis.events import RevEvent, ShiftEvent
+from diag_service.diagnosis.events import RunUpEvent, ShiftEvent
 from diag_service.diagnosis.friction.balance import Balance
-from diag_service.diagnosis.friction.belief import Belief, Measurement
+from diag_service.diagnosis.friction.filter_state import FilterState, Measurement
 from diag_service.diagnosis.friction.parameters import (
     FRICTION_COUNT,
     NAMES,
@@ -35,7 +35,7 @@ from diag_service.diagnosis.friction.preparation import (
     slip_window,
     zeros_seen,
 )
-from diag_service.diagnosis.friction.rev_balance import rev_measurement
+from diag_service.diagnosis.friction.run_up_balance import run_up_measurement
 from diag_service.diagnosis.friction.window import SlipWindow
 from diag_service.diagnosis.quality.usability import usable_signals
 from diag_service.diagnosis.records import Reason
@@ -64,12 +64,12 @@ class SelfCalibration:
     """What the drives of one vehicle told about it."""
 
     calibration: Calibration  # moved to the values found, with their joint uncertainty
-    belief: Belief  # friction as these drives left it
+    state: FilterState  # friction as these drives left it
     mean: FloatArray  # (len(NAMES),) states, and displacements of the considered parameters from the start
     covariance: FloatArray  # (len(NAMES), len(NAMES))
     shift_counts: tuple[int, int]  # used, of clutch 1 and 2
     rejected_count: int  # shifts that could not be used or did not fit
-    rev_counts: tuple[int, int]  # used, with open and with closed clutches
+    run_up_counts: tuple[int, int]  # used, with open and with closed clutches
     mean_misfit: float  # chi-square per degree of freedom of the shifts used
 
     def std(self, name: str) -> float:
@@ -89,20 +89,20 @@ class _Seen:
     measurements: tuple[Measurement, ...]
     misfit: float
     fits: bool
-    clutch: int  # 0: a rev
+    clutch: int  # 0: a run-up
     number: int
     span: Span
-    is_closed_rev: bool = False
+    is_closed_run_up: bool = False
 
 
 def self_calibrate(
-    shifts: Sequence[ShiftEvent], revs: Sequence[RevEvent], start: Calibration, version: str
+    shifts: Sequence[ShiftEvent], run_ups: Sequence[RunUpEvent], start: Calibration, version: str
 ) -> SelfCalibration | str:
-    """Return what the shifts and revs of one vehicle say, or why they do not suffice.
+    """Return what the shifts and run-ups of one vehicle say, or why they do not suffice.
 
     Parameters
     ----------
-    shifts, revs
+    shifts, run-ups
         In order of time; friction is taken to be the same in all of them.
     start : Calibration
         Of the vehicle type.
@@ -111,7 +111,7 @@ def self_calibrate(
     """
     if start.joint is not None:
         return f"calibration {start.version} is that of one vehicle already: start from its type"
-    shifts, revs = shifts[-MAX_EVENT_COUNT:], revs[-MAX_EVENT_COUNT:]
+    shifts, run_ups = shifts[-MAX_EVENT_COUNT:], run_ups[-MAX_EVENT_COUNT:]
     prior = np.concatenate((prior_mean(start), np.zeros(len(Considered))))
     spread = _loosened(prior_covariance(start))
     weight = np.linalg.inv(spread)
@@ -121,8 +121,8 @@ def self_calibrate(
     fine_count = 0
     rest = np.inf
     for number in range(MAX_PASS_COUNT):
-        belief = replace(Belief.fresh(point), mean=mean[:STATE_COUNT])
-        seen = [*_seen_shifts(shifts, belief, point, windows), *_seen_revs(revs, belief, point)]
+        state = replace(FilterState.fresh(point), mean=mean[:STATE_COUNT])
+        seen = [*_seen_shifts(shifts, state, point, windows), *_seen_run_ups(run_ups, state, point)]
         used = [one for one in seen if not fine_count or one.fits]
         if problem := _shortage(seen, used):
             return problem
@@ -190,7 +190,7 @@ def _loosened(covariance: FloatArray) -> FloatArray:
 
 
 def _seen_shifts(
-    events: Sequence[ShiftEvent], belief: Belief, point: Calibration, windows: Mapping[int, Span]
+    events: Sequence[ShiftEvent], state: FilterState, point: Calibration, windows: Mapping[int, Span]
 ) -> Iterator[_Seen]:
     """Yield the balances of the shifts, in the windows that are given or else in those that their signals show."""
     for event in events:
@@ -200,7 +200,7 @@ def _seen_shifts(
         if isinstance(signals, Reason):
             continue
         clutch = on_coming(event.to_gear)
-        drives = measured_drives(signals, belief, event, point)
+        drives = measured_drives(signals, state, event, point)
         window = (
             _window_at(windows[event.number], signals.grid_s)
             if windows
@@ -209,17 +209,17 @@ def _seen_shifts(
         if window is None:
             continue
         balance = Balance(signals, window, drives, planned_drives(signals, drives, window), point)
-        belief = replace(
-            belief,
+        state = replace(
+            state,
             clutch_temperature_k=(balance.tracks[0].final_clutch_k, balance.tracks[1].final_clutch_k),
             temperature_ns=event.end_ns,
         )
-        seen = balance.measurement(belief.mean, belief.mean)
-        seen = replace(seen, overlap=balance.overlap(seen.noise, float(belief.mean[State.TORQUE_OFFSET])))
+        seen = balance.measurement(state.mean, state.mean)
+        seen = replace(seen, overlap=balance.overlap(seen.noise, float(state.mean[State.TORQUE_OFFSET])))
         span = float(signals.grid_s[window.first]), float(signals.grid_s[window.stop - 1])
         misfit = _misfit(seen)
         fits = misfit <= seen.misfit_gate
-        yield _Seen((seen, *zeros_seen(signals, belief, point)), misfit, fits, clutch, event.number, span)
+        yield _Seen((seen, *zeros_seen(signals, state, point)), misfit, fits, clutch, event.number, span)
 
 
 def _window_at(span: Span, grid_s: FloatArray) -> SlipWindow:
@@ -227,14 +227,14 @@ def _window_at(span: Span, grid_s: FloatArray) -> SlipWindow:
     return SlipWindow(first=first, stop=min(last + 1, len(grid_s)), direction=0.0)
 
 
-def _seen_revs(events: Sequence[RevEvent], belief: Belief, point: Calibration) -> Iterator[_Seen]:
+def _seen_run_ups(events: Sequence[RunUpEvent], state: FilterState, point: Calibration) -> Iterator[_Seen]:
     for event in events:
         signals = usable_signals(event, point)
         if isinstance(signals, Reason):
             continue
         inside = np.flatnonzero(signals.grid_s >= 0.0)
         window = SlipWindow(first=int(inside[0]), stop=len(signals.grid_s), direction=0.0)
-        seen = rev_measurement(signals, window, belief.mean, point, are_clutches_closed=event.are_clutches_closed)
+        seen = run_up_measurement(signals, window, state.mean, point, are_clutches_closed=event.are_clutches_closed)
         span = float(signals.grid_s[window.first]), float(signals.grid_s[-1])
         misfit = _misfit(seen)
         fits = misfit <= seen.misfit_gate
@@ -279,14 +279,16 @@ def _concluded(
         ),
     )
     counts = tuple(sum(one.clutch == clutch for one in used) for clutch in (1, 2))
-    revs = tuple(sum(one.clutch == 0 and one.is_closed_rev is closed for one in used) for closed in (False, True))
+    run_ups = tuple(sum(one.clutch == 0 and one.is_closed_run_up is closed for one in used) for closed in (False, True))
     return SelfCalibration(
         calibration=calibration,
-        belief=replace(Belief.joint(mean[:STATE_COUNT], covariance, calibration), shift_counts=(counts[0], counts[1])),
+        state=replace(
+            FilterState.joint(mean[:STATE_COUNT], covariance, calibration), shift_counts=(counts[0], counts[1])
+        ),
         mean=mean,
         covariance=covariance,
         shift_counts=(counts[0], counts[1]),
         rejected_count=shift_count - sum(counts),
-        rev_counts=(revs[0], revs[1]),
+        run_up_counts=(run_ups[0], run_ups[1]),
         mean_misfit=misfit,
     )

@@ -16,7 +16,7 @@ from diag_service.diagnosis.friction.paper.driveline import Driveline, nominal_d
 from diag_service.diagnosis.friction.paper.film_table import FilmTable, static_table, trajectory_table
 from diag_service.diagnosis.friction.paper.fit import Gate, Gates, PaperEstimate, fit
 from diag_service.diagnosis.friction.paper.method import Analysis, Differentiators, analyse
-from diag_service.diagnosis.friction.paper.signals import PaperSignals
+from diag_service.diagnosis.friction.paper.paper_signals import PaperSignals
 
 __all__ = [
     "Analysis",

@@ -11,7 +11,7 @@ from clutch_model.clutch import ClutchCalibration
 from clutch_model.film import FilmLaw, contact_pressure_pa, film_law, shear_factor_difference, viscous_torque_nm
 from clutch_model.friction import FrictionLaw, contact_torques_nm, friction_law, stribeck_weight
 from clutch_model.viscosity import viscosity_pa_s
-from diag_service.diagnosis.friction.paper.signals import BoolArray
+from diag_service.diagnosis.friction.paper.paper_signals import BoolArray
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

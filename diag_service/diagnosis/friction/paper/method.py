@@ -16,7 +16,7 @@ from diag_service.diagnosis.friction.paper.friction_data import (
     friction_data,
     viscous_torques_nm,
 )
-from diag_service.diagnosis.friction.paper.signals import PaperSignals
+from diag_service.diagnosis.friction.paper.paper_signals import PaperSignals
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -18,7 +18,7 @@ from diag_service.diagnosis.columns import Signal
 from diag_service.diagnosis.events import ShiftEvent
 from diag_service.diagnosis.friction.paper.driveline import Driveline
 from diag_service.diagnosis.friction.paper.driveline_model import DrivelineModel, State, driveline_model
-from diag_service.diagnosis.friction.paper.signals import BoolArray, PaperSignals
+from diag_service.diagnosis.friction.paper.paper_signals import BoolArray, PaperSignals
 from diag_service.diagnosis.quality.usability import usable_signals
 from diag_service.diagnosis.records import Reason
 

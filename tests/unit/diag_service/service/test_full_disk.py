@@ -11,7 +11,7 @@ from dbc.contract import load_contract
 from diag_service.delivery import MemoryReporter
 from diag_service.diagnosis.condition.condition import ConditionMemory
 from diag_service.diagnosis.events import EndReason, ShiftEvent
-from diag_service.diagnosis.friction import Belief
+from diag_service.diagnosis.friction import FilterState
 from diag_service.diagnosis.records import ShiftResult
 from diag_service.diagnosis.summary import FrameCounts
 from diag_service.errors import StoreFullError
@@ -46,7 +46,7 @@ def session_on(store: ResultStore, stream: str | None = None) -> tuple[Session, 
     calibration, reporter = nominal_calibration(), MemoryReporter()
     decoder = Decoder(load_contract(), load_profile())
     session = Session(
-        stages=Stages(decoder, calibration, Belief.fresh(calibration), ConditionMemory.fresh()),
+        stages=Stages(decoder, calibration, FilterState.fresh(calibration), ConditionMemory.fresh()),
         store=store,
         reporter=reporter,
         vehicle="car1",

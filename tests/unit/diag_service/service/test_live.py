@@ -17,7 +17,7 @@ from clutch_model.calibration import nominal_calibration
 from dbc.contract import load_contract
 from diag_service.delivery import MemoryLink, MemoryReporter, Outbox, Reporter
 from diag_service.diagnosis.condition.condition import ConditionMemory
-from diag_service.diagnosis.friction import Belief
+from diag_service.diagnosis.friction import FilterState
 from diag_service.diagnosis.records import Reason, ShiftResult, Status
 from diag_service.errors import StoreError
 from diag_service.mapping.decoder import Decoder
@@ -91,9 +91,9 @@ def _store() -> Iterator[ResultStore]:
 
 def session_for(store: ResultStore, reporter: Reporter) -> Session:
     decoder = Decoder(load_contract(), load_profile(PROFILE_PATH))
-    belief, memory = resume(store, "car1", VERSIONS, CALIBRATION)
+    filter_state, memory = resume(store, "car1", VERSIONS, CALIBRATION)
     return Session(
-        stages=Stages(decoder, CALIBRATION, belief, memory),
+        stages=Stages(decoder, CALIBRATION, filter_state, memory),
         store=store,
         reporter=reporter,
         vehicle="car1",
@@ -202,8 +202,8 @@ def test_the_running_state_survives_a_restart(store: ResultStore) -> None:
         first.settle(event)
     state = store.state("car1")
     assert state is not None
-    belief, memory = resume(store, "car1", VERSIONS, CALIBRATION)
-    assert belief.to_json() == state.belief
+    filter_state, memory = resume(store, "car1", VERSIONS, CALIBRATION)
+    assert filter_state.to_json() == state.belief
     assert memory.to_json() == state.condition
 
 
@@ -213,8 +213,8 @@ def test_a_state_of_other_versions_is_not_used(store: ResultStore, caplog: pytes
         session.settle(event)
     for other in (replace(VERSIONS, algorithm="older"), replace(VERSIONS, calibration="older")):
         caplog.clear()
-        belief, memory = resume(store, "car1", other, CALIBRATION)
-        assert belief.to_json() == Belief.fresh(CALIBRATION).to_json()
+        filter_state, memory = resume(store, "car1", other, CALIBRATION)
+        assert filter_state.to_json() == FilterState.fresh(CALIBRATION).to_json()
         assert memory == ConditionMemory.fresh()
         assert [record.levelno for record in caplog.records] == [logging.WARNING]
         assert "results stay" in caplog.text
@@ -226,8 +226,8 @@ def test_a_state_that_cannot_be_read_is_told_and_replaced(store: ResultStore, ca
     session.settle(session.stages.segment(gear_frames(2))[0])
     (result,) = store.results("car1")
     store.add(replace(result, seq=2), VehicleState(belief={"odd": 1}, condition={}, versions=VERSIONS))
-    belief, _ = resume(store, "car1", VERSIONS, CALIBRATION)
-    assert belief.to_json() == Belief.fresh(CALIBRATION).to_json()
+    filter_state, _ = resume(store, "car1", VERSIONS, CALIBRATION)
+    assert filter_state.to_json() == FilterState.fresh(CALIBRATION).to_json()
     assert "cannot be used" in caplog.text
 
 

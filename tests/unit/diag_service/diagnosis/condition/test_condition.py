@@ -9,7 +9,7 @@ from clutch_model.calibration import nominal_calibration
 from diag_service.diagnosis.condition.condition import ConditionMemory, Fit, judge
 from diag_service.diagnosis.condition.scatter import LEAST_SHIFT_COUNT
 from diag_service.diagnosis.friction.baseline import BASELINE_SHIFT_COUNT
-from diag_service.diagnosis.friction.belief import Belief
+from diag_service.diagnosis.friction.filter_state import FilterState
 from diag_service.diagnosis.friction.parameters import State
 from diag_service.diagnosis.records import Condition, Reason, Status
 from tests.builders import rejected, shift_estimate, shift_result
@@ -17,18 +17,18 @@ from tests.builders import rejected, shift_estimate, shift_result
 CALIBRATION = nominal_calibration()
 
 
-def believed(mu_c: float, mu_s: float, *, std: float = 0.001, shift_count: int = 5) -> Belief:
+def believed(mu_c: float, mu_s: float, *, std: float = 0.001, shift_count: int = 5) -> FilterState:
     """Return a running state with the friction of both clutches known to ``std``."""
-    belief = Belief.fresh(CALIBRATION)
-    mean = belief.mean.copy()
+    state = FilterState.fresh(CALIBRATION)
+    mean = state.mean.copy()
     mean[: State.MU_S2 + 1] = [mu_c, mu_s, mu_c, mu_s]
-    covariance = belief.covariance.copy()
+    covariance = state.covariance.copy()
     covariance[:4, :4] = np.eye(4) * std**2
-    return replace(belief, mean=mean, covariance=covariance, shift_counts=(shift_count, shift_count))
+    return replace(state, mean=mean, covariance=covariance, shift_counts=(shift_count, shift_count))
 
 
-def condition_of(belief: Belief, previous: Condition = Condition.NO_VERDICT) -> Condition:
-    _, verdict = judge(ConditionMemory(conditions=(previous, previous)), belief, 1, CALIBRATION)
+def condition_of(state: FilterState, previous: Condition = Condition.NO_VERDICT) -> Condition:
+    _, verdict = judge(ConditionMemory(conditions=(previous, previous)), state, 1, CALIBRATION)
     return verdict.condition
 
 
@@ -80,7 +80,7 @@ def test_each_clutch_has_its_own_memory() -> None:
     assert ConditionMemory.from_json(memory.to_json()) == memory
 
 
-def aged(ratio: float, *, later_count: int = 10) -> Belief:
+def aged(ratio: float, *, later_count: int = 10) -> FilterState:
     """Return a state whose friction was at first as in the calibration and is now a share of it, slope healthy."""
     first = believed(0.140, 0.119, shift_count=BASELINE_SHIFT_COUNT).counted(1, 1).counted(2, 1)
     now = replace(first, mean=first.mean * np.array([ratio] * 4 + [1.0] * 5))
@@ -89,11 +89,11 @@ def aged(ratio: float, *, later_count: int = 10) -> Belief:
     return now
 
 
-def uncertain_scale(belief: Belief) -> Belief:
+def uncertain_scale(state: FilterState) -> FilterState:
     """Return a state whose level says little: the gain of the torque reading may be wrong by a sixth."""
-    considered = belief.considered.copy()
+    considered = state.considered.copy()
     considered[0, 0] = 0.17**2
-    return replace(belief, considered=considered)
+    return replace(state, considered=considered)
 
 
 @pytest.mark.parametrize(
@@ -108,13 +108,13 @@ def test_friction_lost_since_the_baseline_is_told_although_the_level_is_uncertai
     ratio: float, expected: Condition, by_level_alone: Condition
 ) -> None:
     assert condition_of(uncertain_scale(aged(1.0))) is Condition.GOOD
-    belief = uncertain_scale(aged(ratio))
-    _, verdict = judge(ConditionMemory.fresh(), belief, 1, CALIBRATION)
+    state = uncertain_scale(aged(ratio))
+    _, verdict = judge(ConditionMemory.fresh(), state, 1, CALIBRATION)
     assert verdict.condition is expected
     assert ("lost since the baseline" in verdict.reason) is (expected is not Condition.GOOD)
     assert verdict.trend is not None
     assert verdict.trend.change_mu_c_ratio == pytest.approx(ratio - 1.0)
-    assert condition_of(replace(belief, baselines=(None, None))) is by_level_alone
+    assert condition_of(replace(state, baselines=(None, None))) is by_level_alone
 
 
 def test_a_verdict_says_what_is_sharp_as_far_as_it_is_known() -> None:
@@ -132,14 +132,14 @@ def test_a_verdict_says_what_is_sharp_as_far_as_it_is_known() -> None:
 
 
 def test_the_scatter_of_shifts_comes_with_the_verdict_once_there_were_enough() -> None:
-    belief, memory = believed(0.1361, 0.12), ConditionMemory.fresh()
+    state, memory = believed(0.1361, 0.12), ConditionMemory.fresh()
     for number in range(1, LEAST_SHIFT_COUNT + 1):
-        assert judge(memory, belief, 2, CALIBRATION)[1].shift_scatter is None
-        memory = memory.with_shift(shift_estimate(number), belief)
-    scatter = judge(memory, belief, 2, CALIBRATION)[1].shift_scatter
+        assert judge(memory, state, 2, CALIBRATION)[1].shift_scatter is None
+        memory = memory.with_shift(shift_estimate(number), state)
+    scatter = judge(memory, state, 2, CALIBRATION)[1].shift_scatter
     assert scatter is not None
     assert scatter.shift_count == LEAST_SHIFT_COUNT
-    assert judge(memory, belief, 1, CALIBRATION)[1].shift_scatter is None
+    assert judge(memory, state, 1, CALIBRATION)[1].shift_scatter is None
     assert ConditionMemory.from_json(memory.to_json()) == memory
 
 

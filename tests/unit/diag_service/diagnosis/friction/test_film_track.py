@@ -15,7 +15,7 @@ from clutch_model.film import (
 )
 from clutch_model.viscosity import viscosity_pa_s
 from diag_service.diagnosis.alignment.sampling import GRID_S
-from diag_service.diagnosis.friction.film_track import PressureDrive, follow_film
+from diag_service.diagnosis.friction.film_track import PressureDrive, integrate_film
 
 CALIBRATION = nominal_calibration()
 OIL_K = 363.15
@@ -48,7 +48,7 @@ def test_contact_pressure_follows_the_film_law(clutch: int) -> None:
     grid_s = np.arange(0.0, 1.2, GRID_S)
     piston_pa = engagement_pa(grid_s)
     drive = PressureDrive(piston_pa=piston_pa, slip_rad_s=np.zeros(len(grid_s)), oil_k=OIL_K, clutch_k=OIL_K)
-    track = follow_film(clutch, drive, CALIBRATION)
+    track = integrate_film(clutch, drive, CALIBRATION)
     oil = CALIBRATION.viscosity
     expected = reference_contact_pa(clutch, piston_pa, viscosity_pa_s(OIL_K, oil.a_pa_s, oil.b_k, oil.pole_k))
     assert np.max(expected) > 1e5
@@ -63,7 +63,7 @@ def test_a_slipping_pack_heats_by_its_friction_power() -> None:
         piston_pa=np.full(len(grid_s), 3e5), slip_rad_s=np.full(len(grid_s), 50.0), oil_k=OIL_K, clutch_k=OIL_K
     )
     believed = CALIBRATION.clutches[0]
-    track = follow_film(1, drive, CALIBRATION)
+    track = integrate_film(1, drive, CALIBRATION)
     torque_nm = believed.geometry.contact_factor_m3 * believed.friction.mu_c * track.contact_pa[500]
     heated_k = torque_nm * 50.0 / believed.thermal.heat_capacity_j_k
     assert track.final_clutch_k - OIL_K == pytest.approx(heated_k, rel=0.2)
@@ -73,7 +73,7 @@ def test_a_slipping_pack_heats_by_its_friction_power() -> None:
 def test_a_locked_pack_stays_cool_despite_the_noise_of_its_slip() -> None:
     slip = np.random.default_rng(1).normal(0.0, 0.3, 1000)
     drive = PressureDrive(piston_pa=np.full(1000, 8e5), slip_rad_s=slip, oil_k=OIL_K, clutch_k=OIL_K)
-    assert follow_film(1, drive, CALIBRATION).final_clutch_k == pytest.approx(OIL_K, abs=0.05)
+    assert integrate_film(1, drive, CALIBRATION).final_clutch_k == pytest.approx(OIL_K, abs=0.05)
 
 
 def test_thicker_oil_delays_the_contact() -> None:
@@ -83,6 +83,6 @@ def test_thicker_oil_delays_the_contact() -> None:
     )
     oil = CALIBRATION.viscosity
     thicker = replace(CALIBRATION, viscosity=replace(oil, a_pa_s=1.5 * oil.a_pa_s))
-    thin, thick = follow_film(1, drive, CALIBRATION), follow_film(1, drive, thicker)
+    thin, thick = integrate_film(1, drive, CALIBRATION), integrate_film(1, drive, thicker)
     rising = (grid_s > 0.42) & (grid_s < 0.7)
     assert np.all(thick.contact_pa[rising] < thin.contact_pa[rising])

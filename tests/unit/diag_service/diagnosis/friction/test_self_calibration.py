@@ -10,17 +10,17 @@ import pytest
 from benchmarks.accuracy import to_batch
 from clutch_model.calibration import Calibration, nominal_calibration
 from dbc.contract import load_contract
-from diag_service.diagnosis.events import EndReason, RevEvent, ShiftEvent
+from diag_service.diagnosis.events import EndReason, RunUpEvent, ShiftEvent
 from diag_service.diagnosis.friction.balance import Balance
-from diag_service.diagnosis.friction.belief import Belief, Measurement
+from diag_service.diagnosis.friction.filter_state import FilterState, Measurement
 from diag_service.diagnosis.friction.parameters import NAMES, STATE_COUNT, Considered, State, displaced, prior_mean
 from diag_service.diagnosis.friction.preparation import measured_drives, on_coming, planned_drives, slip_window
-from diag_service.diagnosis.friction.rev_balance import rev_measurement
+from diag_service.diagnosis.friction.run_up_balance import run_up_measurement
 from diag_service.diagnosis.friction.self_calibration import SelfCalibration, self_calibrate
 from diag_service.diagnosis.friction.window import SlipWindow
 from diag_service.diagnosis.quality.usability import usable_signals
 from diag_service.diagnosis.records import Reason
-from diag_service.diagnosis.shifts.revs import RevFinder
+from diag_service.diagnosis.shifts.run_ups import RunUpFinder
 from diag_service.diagnosis.shifts.shifts import ShiftFinder
 from diag_service.mapping.decoder import Decoder
 from diag_service.mapping.profile import load_profile
@@ -34,24 +34,24 @@ GAIN, OFFSET_NM, INERTIA = 1.03, -6.0, 0.96
 SPEEDS = ("engine_speed_rad_s", "hub_speed_rad_s", "input1_speed_rad_s", "input2_speed_rad_s")
 
 
-def seen(scenario: Scenario) -> tuple[tuple[ShiftEvent, ...], tuple[RevEvent, ...]]:
+def seen(scenario: Scenario) -> tuple[tuple[ShiftEvent, ...], tuple[RunUpEvent, ...]]:
     frames, _ = frames_of(scenario)
-    decoder, shift_finder, rev_finder = (
+    decoder, shift_finder, run_up_finder = (
         Decoder(load_contract(), load_profile()),
         ShiftFinder(),
-        RevFinder(NOMINAL),
+        RunUpFinder(NOMINAL),
     )
     shifts: list[ShiftEvent] = []
-    revs: list[RevEvent] = []
+    run_ups: list[RunUpEvent] = []
     for columns in decoder.feed(to_batch(frames)):
         shifts += shift_finder.feed(columns)
-        revs += rev_finder.feed(columns)
-    return tuple(shifts + shift_finder.flush()), tuple(revs + rev_finder.flush())
+        run_ups += run_up_finder.feed(columns)
+    return tuple(shifts + shift_finder.flush()), tuple(run_ups + run_up_finder.flush())
 
 
 @lru_cache
-def unlike_its_type() -> tuple[tuple[ShiftEvent, ...], tuple[RevEvent, ...]]:
-    """Return shifts and revs of a vehicle that is not what its type promises."""
+def unlike_its_type() -> tuple[tuple[ShiftEvent, ...], tuple[RunUpEvent, ...]]:
+    """Return shifts and run-ups of a vehicle that is not what its type promises."""
     base = drive_scenario(seed=4, cycles=2)
     sensors = {
         name: replace(sensor, latency_s=SPEED_LATENCY_S) if name in SPEEDS else sensor
@@ -67,14 +67,14 @@ def unlike_its_type() -> tuple[tuple[ShiftEvent, ...], tuple[RevEvent, ...]]:
 
 
 @lru_cache
-def without_noise() -> tuple[tuple[ShiftEvent, ...], tuple[RevEvent, ...]]:
+def without_noise() -> tuple[tuple[ShiftEvent, ...], tuple[RunUpEvent, ...]]:
     base = drive_scenario(seed=5)
     sensors = {name: replace(sensor, noise_std=0.0) for name, sensor in base.sensors.items()}
     return seen(replace(base, sensors=sensors, routine=Routine(open_revs=1, closed_revs=1)))
 
 
-def found(shifts: Sequence[ShiftEvent], revs: Sequence[RevEvent]) -> SelfCalibration:
-    result = self_calibrate(shifts, revs, NOMINAL, "test")
+def found(shifts: Sequence[ShiftEvent], run_ups: Sequence[RunUpEvent]) -> SelfCalibration:
+    result = self_calibrate(shifts, run_ups, NOMINAL, "test")
     assert isinstance(result, SelfCalibration), result
     return result
 
@@ -94,18 +94,18 @@ def test_driving_tells_latencies_offset_and_inertia_over_gain() -> None:
 
 def test_revs_with_open_and_closed_clutches_tell_the_gain() -> None:
     result = found(*unlike_its_type())
-    assert result.rev_counts == (4, 4)
+    assert result.run_up_counts == (4, 4)
     assert result.std("torque_gain") < 0.015
     assert result.calibration.bias.torque_gain == pytest.approx(GAIN, abs=4.0 * result.std("torque_gain"))
     for clutch in (1, 2):
-        friction = result.belief.friction(clutch)
+        friction = result.state.friction(clutch)
         assert friction.mu_c == pytest.approx(0.140, abs=4.0 * friction.std_mu_c)
         assert friction.mu_s == pytest.approx(0.119, abs=4.0 * friction.std_mu_s)
 
 
 def test_the_found_calibration_holds_its_own_uncertainty_and_starts_a_state_with_it() -> None:
     result = found(*unlike_its_type())
-    fresh = Belief.fresh(result.calibration)
+    fresh = FilterState.fresh(result.calibration)
     for name, state in (("torque_offset", State.TORQUE_OFFSET), ("touch1", State.TOUCH1)):
         total = fresh.total_covariance(slice(state, state + 1))[0, 0]
         assert np.sqrt(total) == pytest.approx(result.std(name), rel=1e-6)
@@ -113,15 +113,15 @@ def test_the_found_calibration_holds_its_own_uncertainty_and_starts_a_state_with
 
 
 def test_a_vehicle_is_calibrated_from_its_type_only() -> None:
-    shifts, revs = unlike_its_type()
-    again = self_calibrate(shifts, revs, found(shifts, revs).calibration, "again")
+    shifts, run_ups = unlike_its_type()
+    again = self_calibrate(shifts, run_ups, found(shifts, run_ups).calibration, "again")
     assert isinstance(again, str)
     assert "start from its type" in again
 
 
 def test_too_few_shifts_are_refused() -> None:
-    shifts, revs = unlike_its_type()
-    refusal = self_calibrate(shifts[:6], revs, NOMINAL, "test")
+    shifts, run_ups = unlike_its_type()
+    refusal = self_calibrate(shifts[:6], run_ups, NOMINAL, "test")
     assert isinstance(refusal, str)
     assert "usable shifts" in refusal
 
@@ -137,9 +137,9 @@ def test_another_vehicle_type_is_refused() -> None:
 
 
 def test_an_interrupted_rev_is_not_used() -> None:
-    shifts, revs = unlike_its_type()
-    broken = [replace(rev, end_reason=EndReason.INTERRUPTED) for rev in revs]
-    assert found(shifts, broken).rev_counts == (0, 0)
+    shifts, run_ups = unlike_its_type()
+    broken = [replace(run_up, end_reason=EndReason.INTERRUPTED) for run_up in run_ups]
+    assert found(shifts, broken).run_up_counts == (0, 0)
 
 
 STEPS = {
@@ -159,12 +159,12 @@ def shift_residual(
 ) -> tuple[Measurement, SlipWindow]:
     signals = usable_signals(event, calibration)
     assert not isinstance(signals, Reason)
-    belief = Belief.fresh(NOMINAL)
-    drives = measured_drives(signals, belief, event, calibration)
+    state = FilterState.fresh(NOMINAL)
+    drives = measured_drives(signals, state, event, calibration)
     chosen = window or slip_window(signals, drives, on_coming(event.to_gear), calibration)
     assert chosen is not None
     balance = Balance(signals, chosen, drives, planned_drives(signals, drives, chosen), calibration)
-    return balance.measurement(belief.mean, belief.mean), chosen
+    return balance.measurement(state.mean, state.mean), chosen
 
 
 def moved(parameter: Considered, step: float) -> Calibration:
@@ -196,16 +196,16 @@ REV_STEPS = (
 
 
 @pytest.mark.parametrize("parameter", REV_STEPS)
-def test_derivatives_of_a_rev_are_those_of_its_residual(parameter: Considered) -> None:
-    rev = without_noise()[1][-1]
-    assert rev.are_clutches_closed
+def test_derivatives_of_a_run_up_are_those_of_its_residual(parameter: Considered) -> None:
+    run_up = without_noise()[1][-1]
+    assert run_up.are_clutches_closed
 
     def measured(calibration: Calibration) -> Measurement:
-        signals = usable_signals(rev, calibration)
+        signals = usable_signals(run_up, calibration)
         assert not isinstance(signals, Reason)
         first = int(np.searchsorted(signals.grid_s, 0.0))
         window = SlipWindow(first=first, stop=len(signals.grid_s), direction=0.0)
-        return rev_measurement(signals, window, prior_mean(NOMINAL), calibration, are_clutches_closed=True)
+        return run_up_measurement(signals, window, prior_mean(NOMINAL), calibration, are_clutches_closed=True)
 
     step = 1e-3
     plain, changed = measured(NOMINAL), measured(moved(parameter, step))
@@ -215,14 +215,14 @@ def test_derivatives_of_a_rev_are_those_of_its_residual(parameter: Considered) -
 
 
 def test_a_balanced_rev_leaves_nothing() -> None:
-    """The residual of a noise-free rev is small against what one percent of inertia would make of it."""
-    for rev in without_noise()[1]:
-        signals = usable_signals(rev, NOMINAL)
+    """The residual of a noise-free run-up is small against what one percent of inertia would make of it."""
+    for run_up in without_noise()[1]:
+        signals = usable_signals(run_up, NOMINAL)
         assert not isinstance(signals, Reason)
         first = int(np.searchsorted(signals.grid_s, 0.0))
         window = SlipWindow(first=first, stop=len(signals.grid_s), direction=0.0)
-        seen_rev = rev_measurement(
-            signals, window, prior_mean(NOMINAL), NOMINAL, are_clutches_closed=rev.are_clutches_closed
+        seen_rev = run_up_measurement(
+            signals, window, prior_mean(NOMINAL), NOMINAL, are_clutches_closed=run_up.are_clutches_closed
         )
         one_percent = 0.01 * np.linalg.norm(seen_rev.by_considered[:, Considered.ENGINE_INERTIA])
         assert np.linalg.norm(seen_rev.residual) < one_percent

@@ -16,7 +16,7 @@ from dbc.contract import load_contract
 from diag_service.diagnosis.columns import BALANCE_SIGNALS, Signal
 from diag_service.diagnosis.condition.condition import ConditionMemory
 from diag_service.diagnosis.events import EndReason, ShiftEvent
-from diag_service.diagnosis.friction import Belief
+from diag_service.diagnosis.friction import FilterState
 from diag_service.diagnosis.quality.data_quality import QualityBasis, data_quality, reasons_against
 from diag_service.diagnosis.quality.limits import LIMITS
 from diag_service.diagnosis.records import DataQuality, QualityPart, Reason, Status
@@ -47,7 +47,7 @@ def decoder() -> Decoder:
 
 def stages() -> Stages:
     fresh = Decoder(load_contract(), load_profile())
-    return Stages(fresh, CALIBRATION, Belief.fresh(CALIBRATION), ConditionMemory.fresh())
+    return Stages(fresh, CALIBRATION, FilterState.fresh(CALIBRATION), ConditionMemory.fresh())
 
 
 @cache
@@ -186,7 +186,7 @@ def test_flaws_that_pass_alone_may_not_pass_together() -> None:
 
 def test_a_shift_that_is_not_believed_is_rejected_and_leaves_no_trace() -> None:
     plain, gated = stages(), stages()
-    before = gated.conclude(replace(sound(), columns={})).belief
+    before = gated.conclude(replace(sound(), columns={})).state
     assert plain.conclude(sound()).estimate.status is Status.VALID
     event = replace(sound(), e2e={**sound().e2e, "TCU_Pressures": E2eState.INVALID})
     diagnosis = gated.conclude(event)
@@ -194,4 +194,4 @@ def test_a_shift_that_is_not_believed_is_rejected_and_leaves_no_trace() -> None:
     assert (estimate.status, estimate.reasons, estimate.friction) == (Status.REJECTED, (Reason.E2E_INVALID,), None)
     assert estimate.data_quality is not None
     assert estimate.data_quality.score == 0.0
-    assert diagnosis.belief.to_json() == before.to_json()
+    assert diagnosis.state.to_json() == before.to_json()

@@ -7,7 +7,7 @@ from canlog.arrays import FloatArray
 from canlog.series import Series
 from clutch_model.calibration import nominal_calibration
 from diag_service.diagnosis.columns import Signal
-from diag_service.diagnosis.friction import Belief
+from diag_service.diagnosis.friction import FilterState
 from diag_service.diagnosis.quality.plausibility import PressureZeros, is_frozen, zero_has_jumped
 
 COUNT = 180
@@ -59,7 +59,7 @@ def test_a_pressure_sensor_that_cannot_show_less_than_nothing_repeats_zero() -> 
 
 @pytest.mark.parametrize(("moved_std", "has_jumped"), [(4.9, False), (5.1, True), (-5.1, True)])
 def test_a_zero_jumps_when_it_moves_further_than_both_knowledges_allow(moved_std: float, has_jumped: bool) -> None:
-    known = Belief.fresh(nominal_calibration()).pressure_zeros
+    known = FilterState.fresh(nominal_calibration()).pressure_zeros
     moved_pa = np.array([0.0, moved_std * np.sqrt(0.81 * known.variance_pa2[1])])
     left = known.variance_pa2 * [1.0, 0.19]
     measured = PressureZeros(mean_pa=known.mean_pa + moved_pa, variance_pa2=left)

@@ -1,4 +1,4 @@
-"""Engine revs in neutral, what the workshop routine consists of: canonical columns in, rev events out.
+"""Free engine run-ups in neutral, what the workshop routine consists of: canonical columns in, run-up events out.
 
 The same events for any cutting of the stream.
 """
@@ -12,12 +12,14 @@ from canlog.arrays import Int64Array
 from canlog.frames import BEFORE_ALL_NS
 from clutch_model.calibration import Calibration
 from diag_service.diagnosis.columns import ColumnBatch, Signal
-from diag_service.diagnosis.events import EndReason, RevEvent
+from diag_service.diagnosis.events import EndReason, RunUpEvent
 from diag_service.diagnosis.shifts.history import History, held
 
 NS_PER_S: Final = 1_000_000_000
-MARGIN_NS: Final = NS_PER_S // 5  # before and after a rev: what sensor latencies and the crank segment reach back from
-MAX_REV_NS: Final = 10 * NS_PER_S
+MARGIN_NS: Final = (
+    NS_PER_S // 5
+)  # before and after a run-up: what sensor latencies and the crank segment reach back from
+MAX_RUN_UP_NS: Final = 10 * NS_PER_S
 LOW_RAD_S: Final = 130.0  # 1240 rpm: above any warm idle
 HIGH_RAD_S: Final = 250.0  # 2390 rpm: a blip of the pedal stays below
 CLOSED_MARGIN_PA: Final = 5.0e4  # above the touch point: the clutch carries what turns its input shaft
@@ -35,7 +37,7 @@ _PRESSURES: Final = (Signal.CLUTCH1_PRESSURE, Signal.CLUTCH2_PRESSURE)
 
 @dataclass(frozen=True, slots=True)
 class _Bounds:
-    """A rev that has begun, or whose end was seen but whose signals are not all here yet."""
+    """A run-up that has begun, or whose end was seen but whose signals are not all here yet."""
 
     start_ns: int
     is_high: bool  # the engine has been fast in it
@@ -43,12 +45,12 @@ class _Bounds:
     end_reason: EndReason
 
 
-class RevFinder:
-    """Finds engine revs in neutral in a stream of column batches with bounded memory.
+class RunUpFinder:
+    """Finds free engine run-ups in neutral in a stream of column batches with bounded memory.
 
-    A rev lasts from the first sample of the engine speed at or above ``LOW_RAD_S`` to the next one below, with current
-    and target gear neutral all along and ``HIGH_RAD_S`` reached in between. It is reported once bus time has passed
-    ``MARGIN_NS`` beyond its end, if both clutches were empty or both well above their touch points throughout.
+    A run-up lasts from the first sample of the engine speed at or above ``LOW_RAD_S`` to the next one below, with
+    current and target gear neutral all along and ``HIGH_RAD_S`` reached in between. It is reported once bus time has
+    passed ``MARGIN_NS`` beyond its end, if both clutches were empty or both well above their touch points throughout.
 
     Parameters
     ----------
@@ -64,10 +66,10 @@ class RevFinder:
         self._regime = _IN_GEAR
         self._gears = [_UNKNOWN, _UNKNOWN]
         self._followed_ns = BEFORE_ALL_NS
-        self._rev_count = 0
+        self._run_up_count = 0
 
-    def feed(self, batch: ColumnBatch) -> list[RevEvent]:
-        """Take the next columns and return the revs that are now known in full, oldest first."""
+    def feed(self, batch: ColumnBatch) -> list[RunUpEvent]:
+        """Take the next columns and return the run-ups that are now known in full, oldest first."""
         events = self.flush() if batch.breaks_before else []
         self._history.append(batch)
         self._follow(self._history.watermark_ns)
@@ -76,8 +78,8 @@ class RevFinder:
         self._forget_past()
         return events
 
-    def flush(self) -> list[RevEvent]:
-        """End the segment: report what is closed, and the open rev as interrupted."""
+    def flush(self) -> list[RunUpEvent]:
+        """End the segment: report what is closed, and the open run-up as interrupted."""
         self._follow(self._history.watermark_ns + 1)
         self._close(self._history.watermark_ns, EndReason.INTERRUPTED)
         events = [event for bounds in self._closed for event in self._cut(bounds)]
@@ -86,7 +88,7 @@ class RevFinder:
 
     @property
     def buffered_sample_count(self) -> int:
-        """Samples held of all signals: bounded by the longest rev, whatever the length of the drive."""
+        """Samples held of all signals: bounded by the longest run-up, whatever the length of the drive."""
         return self._history.sample_count
 
     def _follow(self, until_ns: int) -> None:
@@ -129,19 +131,19 @@ class RevFinder:
         self._open = None
 
     def _close_overdue(self, now_ns: int) -> None:
-        if self._open is not None and now_ns > self._open.start_ns + MAX_REV_NS:
-            self._close(self._open.start_ns + MAX_REV_NS, EndReason.TOO_LONG)
+        if self._open is not None and now_ns > self._open.start_ns + MAX_RUN_UP_NS:
+            self._close(self._open.start_ns + MAX_RUN_UP_NS, EndReason.TOO_LONG)
 
-    def _cut(self, bounds: _Bounds) -> list[RevEvent]:
+    def _cut(self, bounds: _Bounds) -> list[RunUpEvent]:
         """Return the event, or none if the clutches were neither both open nor both closed."""
         are_closed = self._are_closed(bounds)
         if are_closed is None:
             return []
         first_ns, stop_ns = bounds.start_ns - MARGIN_NS, bounds.end_ns + MARGIN_NS
-        self._rev_count += 1
+        self._run_up_count += 1
         return [
-            RevEvent(
-                number=self._rev_count,
+            RunUpEvent(
+                number=self._run_up_count,
                 start_ns=bounds.start_ns,
                 end_ns=bounds.end_ns,
                 are_clutches_closed=are_closed,

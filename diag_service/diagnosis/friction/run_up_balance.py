@@ -1,4 +1,4 @@
-"""The impulse balance of an engine rev in neutral: known inertias, no friction; docs/model.md "Self-calibration".
+"""The impulse balance of a free engine run-up: known inertias, no friction; docs/model.md "Self-calibration".
 
 With both clutches open the torque turns engine and hub; with both closed the input shafts as well, whose inertia is
 known from drawings. The difference tells the gain of the torque reading, and with it the scale of friction.
@@ -12,13 +12,13 @@ from canlog.arrays import BoolArray, FloatArray
 from clutch_model.calibration import Calibration
 from diag_service.diagnosis.alignment.aligned_signals import AlignedSignals
 from diag_service.diagnosis.friction.balance import motoring_corrected_nm
-from diag_service.diagnosis.friction.belief import Measurement
-from diag_service.diagnosis.friction.film_track import PressureDrive, follow_film
+from diag_service.diagnosis.friction.film_track import PressureDrive, integrate_film
+from diag_service.diagnosis.friction.filter_state import Measurement
 from diag_service.diagnosis.friction.parameters import Considered, State
 from diag_service.diagnosis.friction.weights import Weights, sines
 from diag_service.diagnosis.friction.window import SlipWindow
 
-MOMENT_COUNT = 24  # the torque of a rev has steps; more moments see little but their interpolation
+MOMENT_COUNT = 24  # the torque of a run-up has steps; more moments see little but their interpolation
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -31,10 +31,10 @@ class _Loads:
     shafts: tuple[FloatArray, ...]  # (k, n) of the input speeds' samples
 
 
-def rev_measurement(
+def run_up_measurement(
     signals: AlignedSignals, window: SlipWindow, at: FloatArray, calibration: Calibration, *, are_clutches_closed: bool
 ) -> Measurement:
-    """Linearise the balance of a rev about the state ``at``, shape (len(State),); docs/model.md eqs. (32) and (33)."""
+    """Linearise the balance of a run-up about a state, shape (len(State),); docs/model.md eqs. (32) and (33)."""
     side, bias = calibration.input_side, calibration.bias
     weights = sines(signals.grid_s, window, MOMENT_COUNT)
     offset_nm = at[State.TORQUE_OFFSET]
@@ -80,7 +80,7 @@ def _open_loads(signals: AlignedSignals, weights: Weights, calibration: Calibrat
             oil_k=signals.oil_k,
             clutch_k=signals.oil_k,
         )
-        known_nms = known_nms - weights.value @ follow_film(clutch, drive, calibration).viscous_nm
+        known_nms = known_nms - weights.value @ integrate_film(clutch, drive, calibration).viscous_nm
     return _Loads(known_nms=known_nms, shaft_nms=np.zeros_like(known_nms), hub=hub, shafts=())
 
 

@@ -11,7 +11,7 @@ from diag_service.diagnosis.friction.parameters import Considered
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Nudge:
+class Perturbation:
     """A change of what moves the films or of how they answer, for derivatives."""
 
     pressure_pa: float = 0.0
@@ -24,7 +24,7 @@ class Nudge:
     @property
     def moves_film(self) -> bool:
         """Whether the film answers: it knows the width of the friction curve by its heat only, which is too little."""
-        return self != Nudge(stribeck_speed_ratio=self.stribeck_speed_ratio)
+        return self != Perturbation(stribeck_speed_ratio=self.stribeck_speed_ratio)
 
     def of_drive(self, drive: PressureDrive, grid_s: FloatArray) -> PressureDrive:
         """Return the changed drive of a film."""
@@ -32,7 +32,7 @@ class Nudge:
         return replace(drive, piston_pa=(earlier_pa + self.pressure_pa) * (1.0 + self.area_ratio))
 
     def of_calibration(self, calibration: Calibration) -> Calibration:
-        """Return the changed belief."""
+        """Return the changed calibration."""
         oil = calibration.viscosity
         first, second = (
             replace(
@@ -55,12 +55,12 @@ class Nudge:
         )
 
 
-OFFSET = Nudge(pressure_pa=2.0e3)
+OFFSET = Perturbation(pressure_pa=2.0e3)
 COMMON = {
-    Considered.VISCOSITY: (Nudge(viscosity_ratio=0.05), 0.05),
-    Considered.PRESSURE_LATENCY: (Nudge(latency_s=1e-3), 1e-3),
-    Considered.STRIBECK_SPEED: (Nudge(stribeck_speed_ratio=0.05), 0.05),
-    Considered.CONTACT_STIFFNESS: (Nudge(contact_stiffness_ratio=0.05), 0.05),
+    Considered.VISCOSITY: (Perturbation(viscosity_ratio=0.05), 0.05),
+    Considered.PRESSURE_LATENCY: (Perturbation(latency_s=1e-3), 1e-3),
+    Considered.STRIBECK_SPEED: (Perturbation(stribeck_speed_ratio=0.05), 0.05),
+    Considered.CONTACT_STIFFNESS: (Perturbation(contact_stiffness_ratio=0.05), 0.05),
 }
 """What both clutches share: the change, and its size."""
-AREA = (Nudge(area_ratio=0.01), 0.01)
+AREA = (Perturbation(area_ratio=0.01), 0.01)

@@ -10,12 +10,18 @@ from hypothesis import strategies as st
 
 from clutch_model.calibration import nominal_calibration
 from diag_service.diagnosis.friction.baseline import BASELINE_SHIFT_COUNT
-from diag_service.diagnosis.friction.belief import Belief, Measurement
+from diag_service.diagnosis.friction.filter_state import FilterState, Measurement
 from diag_service.diagnosis.friction.parameters import FRICTION_COUNT, Considered, friction_rows
-from diag_service.diagnosis.friction.sharp import PISTON_AREAS, clutch_ratio, common_scale_std_ratio, scale_free, trend
+from diag_service.diagnosis.friction.scale_free import (
+    PISTON_AREAS,
+    clutch_ratio,
+    common_scale_std_ratio,
+    scale_free,
+    trend,
+)
 
 CALIBRATION = nominal_calibration()
-STATES, CONSIDERED = len(Belief.fresh(CALIBRATION).mean), len(Considered)
+STATES, CONSIDERED = len(FilterState.fresh(CALIBRATION).mean), len(Considered)
 STATE_SCALE = np.array([0.002] * FRICTION_COUNT + [5.0] + [8e3] * 4)
 DRAWS = 1000
 LATER_COUNT = 25
@@ -25,7 +31,7 @@ COVERAGE = (0.915, 0.985)  # of two deviations; 1000 draws know 95 % to 0.7 %
 def two_shifts() -> tuple[Measurement, Measurement]:
     """Return what two kinds of shift see: every state and every considered parameter, with gain and inertia alike."""
     rng = np.random.default_rng(11)
-    fresh = Belief.fresh(CALIBRATION)
+    fresh = FilterState.fresh(CALIBRATION)
     scale = np.sqrt(np.diag(fresh.considered))
     scale[scale == 0.0] = 1.0
 
@@ -41,23 +47,23 @@ def two_shifts() -> tuple[Measurement, Measurement]:
     return one(), one()
 
 
-def drive(rng: np.random.Generator) -> tuple[Belief, np.ndarray, np.ndarray, np.ndarray]:
+def drive(rng: np.random.Generator) -> tuple[FilterState, np.ndarray, np.ndarray, np.ndarray]:
     """Return the state after many shifts, friction times gain at the baseline and now, and what was wrong."""
     kinds = two_shifts()
-    belief = replace(Belief.fresh(CALIBRATION), covariance=np.diag(np.square(STATE_SCALE)))
-    state = belief.mean + rng.normal(size=STATES) * STATE_SCALE
-    wrong = rng.multivariate_normal(np.zeros(CONSIDERED), belief.considered)
-    then = state[:FRICTION_COUNT].copy()
+    state = replace(FilterState.fresh(CALIBRATION), covariance=np.diag(np.square(STATE_SCALE)))
+    true_state = state.mean + rng.normal(size=STATES) * STATE_SCALE
+    wrong = rng.multivariate_normal(np.zeros(CONSIDERED), state.considered)
+    then = true_state[:FRICTION_COUNT].copy()
     for number in range(BASELINE_SHIFT_COUNT + LATER_COUNT):
-        before = belief.drifted()
-        state = state + rng.normal(size=STATES) * np.sqrt(np.diag(before.covariance - belief.covariance))
+        before = state.drifted()
+        true_state = true_state + rng.normal(size=STATES) * np.sqrt(np.diag(before.covariance - state.covariance))
         seen = kinds[number % 2]
-        residual = seen.by_state @ (state - before.mean) + seen.by_considered @ wrong + rng.normal(size=10)
-        belief, _ = before.updated(replace(seen, residual=residual))
-        belief = replace(belief, shift_counts=(number + 1, number + 1)).counted(1, number).counted(2, number)
+        residual = seen.by_state @ (true_state - before.mean) + seen.by_considered @ wrong + rng.normal(size=10)
+        state, _ = before.updated(replace(seen, residual=residual))
+        state = replace(state, shift_counts=(number + 1, number + 1)).counted(1, number).counted(2, number)
         if number + 1 == BASELINE_SHIFT_COUNT:
-            then = state[:FRICTION_COUNT].copy()
-    return belief, then, state[:FRICTION_COUNT], wrong
+            then = true_state[:FRICTION_COUNT].copy()
+    return state, then, true_state[:FRICTION_COUNT], wrong
 
 
 @cache
@@ -66,12 +72,12 @@ def errors() -> dict[str, np.ndarray]:
     rng = np.random.default_rng(12)
     found: dict[str, list[float]] = {}
     for _ in range(DRAWS):
-        belief, then, now, wrong = drive(rng)
+        state, then, now, wrong = drive(rng)
         gain, area = 1.0 + wrong[Considered.TORQUE_GAIN], 1.0 + wrong[Considered.PISTON_AREA1]
-        since, ratio = trend(belief, 2), clutch_ratio(belief)
+        since, ratio = trend(state, 2), clutch_ratio(state)
         assert since is not None
         assert ratio is not None
-        free, change = scale_free(belief, 1), (now - then) / gain
+        free, change = scale_free(state, 1), (now - then) / gain
         pairs = {
             "scale-free mu_C": (free.mu_c - now[0] * area, free.std_mu_c),
             "scale-free mu_S": (free.mu_s - now[1] * area, free.std_mu_s),
@@ -101,8 +107,8 @@ def test_the_stated_deviation_is_that_of_the_errors(name: str) -> None:
 
 
 def test_a_trend_is_sharper_than_its_two_ends() -> None:
-    belief, *_ = drive(np.random.default_rng(13))
-    since, friction = trend(belief, 1), belief.friction(1)
+    state, *_ = drive(np.random.default_rng(13))
+    since, friction = trend(state, 1), state.friction(1)
     assert since is not None
     assert since.std_change_mu_c_ratio < 0.2 * friction.std_mu_c / friction.mu_c
     assert since.later_shift_count == LATER_COUNT
@@ -110,28 +116,28 @@ def test_a_trend_is_sharper_than_its_two_ends() -> None:
 
 
 @cache
-def some_state() -> Belief:
+def some_state() -> FilterState:
     return drive(np.random.default_rng(14))[0]
 
 
 @settings(deadline=None)  # the first call makes the state
 @given(gain=st.floats(0.5, 2.0))
 def test_what_is_free_of_scale_does_not_know_the_gain(gain: float) -> None:
-    belief = some_state()
-    scaled = replace(belief, torque_gain=gain)
+    state = some_state()
+    scaled = replace(state, torque_gain=gain)
     for clutch in (1, 2):
-        assert scale_free(scaled, clutch) == scale_free(belief, clutch)
-        assert scaled.friction(clutch).mu_c == pytest.approx(belief.friction(clutch).mu_c / gain)
-        here, there = trend(scaled, clutch), trend(belief, clutch)
+        assert scale_free(scaled, clutch) == scale_free(state, clutch)
+        assert scaled.friction(clutch).mu_c == pytest.approx(state.friction(clutch).mu_c / gain)
+        here, there = trend(scaled, clutch), trend(state, clutch)
         assert here is not None
         assert there is not None
         assert here.change_mu_c_ratio == there.change_mu_c_ratio
         assert here.std_change_mu_s_ratio == there.std_change_mu_s_ratio
-    assert clutch_ratio(scaled) == clutch_ratio(belief)
+    assert clutch_ratio(scaled) == clutch_ratio(state)
 
 
 def test_gain_alone_leaves_the_ratio_certain_and_the_areas_do_not() -> None:
-    fresh = Belief.fresh(CALIBRATION)
+    fresh = FilterState.fresh(CALIBRATION)
     sensitivity = np.zeros_like(fresh.sensitivity)
     sensitivity[:FRICTION_COUNT, Considered.ENGINE_INERTIA] = 0.5 * fresh.mean[:FRICTION_COUNT]  # alike in all four
     known = replace(fresh, covariance=np.zeros_like(fresh.covariance), shift_counts=(1, 1), sensitivity=sensitivity)
@@ -147,7 +153,7 @@ def test_gain_alone_leaves_the_ratio_certain_and_the_areas_do_not() -> None:
 
 @pytest.mark.parametrize("clutch", [1, 2])
 def test_the_common_scale_is_that_of_gain_and_piston_area(clutch: int) -> None:
-    fresh, scatter = Belief.fresh(CALIBRATION), CALIBRATION.uncertainty
+    fresh, scatter = FilterState.fresh(CALIBRATION), CALIBRATION.uncertainty
     gain, area = scatter.torque_gain_ratio, scatter.piston_area_ratio
     assert common_scale_std_ratio(fresh, clutch) == pytest.approx(np.hypot(gain, area))
     assert common_scale_std_ratio(replace(fresh, torque_gain=1.5), clutch) == pytest.approx(np.hypot(gain / 1.5, area))
@@ -159,7 +165,7 @@ def test_the_common_scale_is_that_of_gain_and_piston_area(clutch: int) -> None:
 
 @pytest.mark.parametrize("clutch", [1, 2])
 def test_a_piston_area_that_is_the_lever_of_friction_only_leaves_the_scale_free_value_certain(clutch: int) -> None:
-    fresh, rows = Belief.fresh(CALIBRATION), friction_rows(clutch)
+    fresh, rows = FilterState.fresh(CALIBRATION), friction_rows(clutch)
     sensitivity = np.zeros_like(fresh.sensitivity)
     sensitivity[rows, PISTON_AREAS[clutch - 1]] = fresh.mean[rows]
     covariance = np.eye(len(fresh.mean)) * 1e-6
@@ -171,7 +177,7 @@ def test_a_piston_area_that_is_the_lever_of_friction_only_leaves_the_scale_free_
 
 
 def test_nothing_is_compared_before_there_is_something_to_compare_with() -> None:
-    fresh = Belief.fresh(CALIBRATION)
+    fresh = FilterState.fresh(CALIBRATION)
     assert clutch_ratio(replace(fresh, shift_counts=(0, 3))) is None
     frozen = replace(fresh, shift_counts=(0, BASELINE_SHIFT_COUNT)).counted(2, 1)
     assert trend(frozen, 1) is None

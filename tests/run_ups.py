@@ -1,4 +1,4 @@
-"""Hand-made signals for the rev detector: the engine speed of one rev after the other, gears and pressures with it."""
+"""Hand-made signals for the finder of run-ups: the engine speed of one after the other, with gears and pressures."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -13,8 +13,8 @@ STEP_NS = 10_000_000
 OPEN_PA = (0.0, 0.0)
 CLOSED_PA = (4.0e5, 5.0e5)
 IDLE_RAD_S = 80.0
-REV_ROWS = 200  # 2 s
-_SHARE = np.linspace(0.0, 1.0, REV_ROWS, endpoint=False)
+RUN_UP_ROWS = 200  # 2 s
+_SHARE = np.linspace(0.0, 1.0, RUN_UP_ROWS, endpoint=False)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -26,7 +26,7 @@ class Piece:
     pressure_pa: tuple[float, float] = OPEN_PA
 
 
-def rev(pressure_pa: tuple[float, float] = OPEN_PA, *, top_rad_s: float = 400.0, gear: int = 0) -> Piece:
+def run_up(pressure_pa: tuple[float, float] = OPEN_PA, *, top_rad_s: float = 400.0, gear: int = 0) -> Piece:
     """Return 2 s from idle through a peak back to idle."""
     swing = np.sin(np.pi * _SHARE) * (top_rad_s - IDLE_RAD_S)
     return Piece(speed_rad_s=IDLE_RAD_S + swing, gear=gear, pressure_pa=pressure_pa)

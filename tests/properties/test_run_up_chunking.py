@@ -1,4 +1,4 @@
-"""However the stream is cut, the same revs come out."""
+"""However the stream is cut, the same run-ups come out."""
 
 from itertools import pairwise
 
@@ -7,15 +7,15 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from clutch_model.calibration import nominal_calibration
-from diag_service.diagnosis.events import RevEvent
-from diag_service.diagnosis.shifts.revs import RevFinder
-from tests.revs import CLOSED_PA, OPEN_PA, STEP_NS, Piece, batch_between, columns_of, idle, rev
+from diag_service.diagnosis.events import RunUpEvent
+from diag_service.diagnosis.shifts.run_ups import RunUpFinder
+from tests.run_ups import CLOSED_PA, OPEN_PA, STEP_NS, Piece, batch_between, columns_of, idle, run_up
 
 CALIBRATION = nominal_calibration()
 PRESSURES = st.sampled_from([OPEN_PA, CLOSED_PA])
 GEARS = st.sampled_from([0, 0, 0, 1])
 PIECES = st.one_of(
-    st.builds(rev, PRESSURES, top_rad_s=st.floats(120.0, 420.0), gear=GEARS),
+    st.builds(run_up, PRESSURES, top_rad_s=st.floats(120.0, 420.0), gear=GEARS),
     st.builds(lambda rows, gear: idle(rows, gear=gear), st.integers(1, 150), GEARS),
     st.builds(
         lambda rows, speed_rad_s: Piece(speed_rad_s=np.full(rows, speed_rad_s)),
@@ -26,7 +26,7 @@ PIECES = st.one_of(
 CUTS = st.lists(st.integers(0, 6000), max_size=12)
 
 
-def fingerprint(event: RevEvent) -> tuple[object, ...]:
+def fingerprint(event: RunUpEvent) -> tuple[object, ...]:
     bits = {signal: (series.t_ns.tobytes(), series.value.tobytes()) for signal, series in event.columns.items()}
     what = event.number, event.start_ns, event.end_ns, event.are_clutches_closed, event.end_reason
     return *what, event.bad_frame_count, bits
@@ -38,7 +38,7 @@ def test_cutting_the_stream_anywhere_changes_no_event(pieces: list[Piece], rows:
     end_ns = max(int(series.t_ns[-1]) for series in columns.values()) + 1
     whole_batch = batch_between(columns, 0, end_ns)
     assert whole_batch is not None
-    whole, cut = RevFinder(CALIBRATION), RevFinder(CALIBRATION)
+    whole, cut = RunUpFinder(CALIBRATION), RunUpFinder(CALIBRATION)
     expected = whole.feed(whole_batch) + whole.flush()
     # Every millisecond may be a cut, so that the samples of one instant's messages fall apart.
     grid_ns = sorted({0, end_ns, *(row * STEP_NS // 10 * 7 for row in rows if row * STEP_NS // 10 * 7 < end_ns)})

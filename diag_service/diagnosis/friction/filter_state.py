@@ -15,7 +15,6 @@ import numpy as np
 from canlog.arrays import FloatArray
 from clutch_model.calibration import Calibration
 from diag_service.diagnosis.friction.baseline import BASELINE_SHIFT_COUNT, Baseline
-from diag_service.diagnosis.friction.nudges import COMMON
 from diag_service.diagnosis.friction.parameters import (
     STATE_COUNT,
     Considered,
@@ -24,6 +23,7 @@ from diag_service.diagnosis.friction.parameters import (
     prior_covariance,
     prior_mean,
 )
+from diag_service.diagnosis.friction.perturbations import COMMON
 from diag_service.diagnosis.quality.plausibility import PressureZeros
 from diag_service.diagnosis.records import FrictionEstimate
 
@@ -66,10 +66,10 @@ class Misfit:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Belief:
+class FilterState:
     """Mean of the estimated state, covariance of its random error, and what the considered parameters do to it.
 
-    The error of the state, belief minus truth, is a random part plus ``sensitivity @ c``, with c the truth of the
+    The error of the state, estimate minus truth, is a random part plus ``sensitivity @ c``, with c the truth of the
     considered parameters minus their values in the calibration.
     """
 
@@ -106,7 +106,7 @@ class Belief:
         scale = np.sqrt(np.diag(spread))
         scale[scale == 0.0] = 1.0  # certain; explains nothing
         explained = np.linalg.pinv(spread / np.outer(scale, scale), hermitian=True) / np.outer(scale, scale)
-        sensitivity = -covariance[states, considered] @ explained  # an error is belief minus truth, ``c`` the reverse
+        sensitivity = -covariance[states, considered] @ explained  # an error is estimate minus truth, ``c`` the reverse
         random = covariance[states, states] - sensitivity @ spread @ sensitivity.T
         first, second = (clutch.friction.stribeck_speed_rad_s for clutch in calibration.clutches)
         return cls(
@@ -197,7 +197,7 @@ class Belief:
         return self.covariance[rows, rows] + sensitivity @ self.considered @ sensitivity.T
 
     def friction(self, clutch: int) -> FrictionEstimate:
-        """Return the friction of clutch 1 or 2 as now believed."""
+        """Return the friction of clutch 1 or 2 as now estimated."""
         rows = friction_rows(clutch)
         mu_c, mu_s = self.mean[rows] / self.torque_gain
         sensitivity = self.sensitivity[rows] / self.torque_gain
