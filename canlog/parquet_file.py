@@ -6,7 +6,8 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
 
-from canlog.errors import ExtraMissingError, OutputError
+from canlog.errors import OutputError
+from canlog.extras import load_extra
 
 TIME_TYPE = "timestamp[ns, UTC]"
 BOOL_TYPE = "bool"
@@ -22,11 +23,24 @@ def load_pyarrow() -> Any:  # noqa: ANN401 - an untyped library
     ExtraMissingError
         If it is not installed.
     """
-    try:
-        import_module("pyarrow.parquet")
-        return import_module("pyarrow")
-    except ImportError as exc:
-        raise ExtraMissingError("Parquet needs pyarrow: pip install 'clutchdiag[parquet]'") from exc
+    load_extra("pyarrow.parquet", "Parquet needs pyarrow", "parquet")
+    return import_module("pyarrow")
+
+
+def arrow_schema(columns: Mapping[str, str], metadata: Mapping[str, Mapping[str, str]] | None = None) -> Any:  # noqa: ANN401 - an untyped library
+    """Return names, types and metadata of columns, as of ``ParquetTable``, for pyarrow."""
+    arrow = load_pyarrow()
+    kinds = {
+        "int32": arrow.int32(),
+        "int64": arrow.int64(),
+        "float64": arrow.float64(),
+        "string": arrow.string(),
+        BOOL_TYPE: arrow.bool_(),
+        TIME_TYPE: arrow.timestamp("ns", "UTC"),
+        NAME_TYPE: arrow.dictionary(arrow.int32(), arrow.string()),
+    }
+    extra = metadata or {}
+    return arrow.schema([arrow.field(name, kinds[kind], metadata=extra.get(name)) for name, kind in columns.items()])
 
 
 class ParquetTable:
@@ -54,19 +68,7 @@ class ParquetTable:
     ) -> None:
         self._arrow = load_pyarrow()
         self._path = path
-        kinds = {
-            "int32": self._arrow.int32(),
-            "int64": self._arrow.int64(),
-            "float64": self._arrow.float64(),
-            "string": self._arrow.string(),
-            BOOL_TYPE: self._arrow.bool_(),
-            TIME_TYPE: self._arrow.timestamp("ns", "UTC"),
-            NAME_TYPE: self._arrow.dictionary(self._arrow.int32(), self._arrow.string()),
-        }
-        extra = metadata or {}
-        self.schema: Any = self._arrow.schema(
-            [self._arrow.field(name, kinds[kind], metadata=extra.get(name)) for name, kind in columns.items()]
-        )
+        self.schema: Any = arrow_schema(columns, metadata)
         try:
             self._file = path.open("wb")  # pyarrow itself takes no name that is not UTF-8
             self._writer = self._arrow.parquet.ParquetWriter(

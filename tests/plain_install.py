@@ -47,12 +47,13 @@ class PlainInstall:
 
     python: Path
 
-    def run(self, *words: str, cwd: Path = ROOT) -> Outcome:
-        """Run it with these arguments."""
+    def run(self, *words: str, cwd: Path = ROOT, **environment: str) -> Outcome:
+        """Run it with these arguments, in an environment with these variables besides."""
+        kept = {name: value for name, value in os.environ.items() if name not in _ELSEWHERE}
         done = subprocess.run(
             [self.python, *words],
             cwd=cwd,
-            env={**{name: value for name, value in os.environ.items() if name not in _ELSEWHERE}, "COLUMNS": "200"},
+            env={**kept, "COLUMNS": "200", **environment},
             capture_output=True,
             text=True,
             timeout=RUN_S,
@@ -69,11 +70,7 @@ class PlainInstall:
 
 def plain_install(folder: Path) -> PlainInstall:
     """Make the interpreter in a folder: links to the core requirements, found from their metadata, and our sources."""
-    venv.EnvBuilder(symlinks=True, with_pip=False).create(folder)
-    site = next((folder / "lib").glob("python*")) / "site-packages"
-    for name in core_distributions():
-        for entry in _top_entries(distribution(name)):
-            (site / entry.name).symlink_to(entry)
+    site = linked_environment(folder, core_distributions())
     ours = Path(str(distribution("clutchdiag").locate_file("")))
     (information,) = ours.glob("clutchdiag-*.dist-info")
     (site / information.name).symlink_to(information)
@@ -81,10 +78,25 @@ def plain_install(folder: Path) -> PlainInstall:
     return PlainInstall(python=folder / "bin" / "python")
 
 
+def linked_environment(folder: Path, names: Iterable[str]) -> Path:
+    """Make an environment in a folder with links to these distributions; return its site-packages."""
+    venv.EnvBuilder(symlinks=True, with_pip=False).create(folder)
+    site = next((folder / "lib").glob("python*")) / "site-packages"
+    for name in names:
+        for entry in _top_entries(distribution(name)):
+            (site / entry.name).symlink_to(entry)
+    return site
+
+
 def core_distributions() -> set[str]:
     """Return the names of what the project requires without any extra, and of what that requires."""
+    return distributions_of(project()["project"]["dependencies"])
+
+
+def distributions_of(requirements: Iterable[str]) -> set[str]:
+    """Return the names of some requirements, and of what they require."""
     found: set[str] = set()
-    waiting = [Requirement(text) for text in project()["project"]["dependencies"]]
+    waiting = [Requirement(text) for text in requirements]
     while waiting:
         requirement = waiting.pop()
         name = normal(requirement.name)

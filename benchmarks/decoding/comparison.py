@@ -16,10 +16,9 @@ from benchmarks.decoding.random_log import CLASSIC_BYTES, FD_BYTES, SentFrame, r
 from canlog.database.loading import load_database
 from canlog.decode.codec import Codec, MessageTable
 from canlog.tables.account import Account
+from canlog.tables.decoding import Plan, TableShape, decode_log
 from canlog.tables.names import table_names
 from canlog.tables.texts import Values
-from diag_service.commands.decode import Plan, decode_log
-from diag_service.service.stopping import Trigger
 from tests.cantools_oracle import Readings, readings
 
 FloatArray = npt.NDArray[np.float64]
@@ -94,11 +93,12 @@ def _compare(codec: Codec, slots: Sequence[int], frames: Sequence[SentFrame], fo
     """Compare some messages of a database."""
     log, wide, long = (Path(folder) / name for name in ("random.log", "wide.parquet", "long.parquet"))
     write_candump(log, [codec.tables[slot].message for slot in slots], frames)
-    names, stop = table_names(codec.tables), Trigger()
-    plan = Plan(log=log, codec=codec, names=names, layout="wide", values=Values.BOTH)
-    account, _ = decode_log(plan, wide, stop)
-    again = Plan(log=log, codec=codec, names=names, layout="long", values=Values.TEXTS)
-    decode_log(again, long, stop)
+    names = table_names(codec.tables)
+    decoded = decode_log(log, Plan(codec=codec, names=names, shape=TableShape.WIDE, values=Values.BOTH), wide)
+    if decoded is None:
+        raise RuntimeError("nobody stops it")
+    account, _ = decoded
+    decode_log(log, Plan(codec=codec, names=names, shape=TableShape.LONG, values=Values.TEXTS), long)
     wide_table, long_cells = _WideFile(wide, len(frames)), dict(_long_cells(long, len(frames)))
     tally = Tally()
     for place, slot in enumerate(slots):

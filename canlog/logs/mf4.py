@@ -17,7 +17,8 @@ import numpy as np
 import numpy.typing as npt
 
 from canlog.arrays import UInt8Array
-from canlog.errors import ExtraMissingError, SourceError
+from canlog.errors import SourceError
+from canlog.extras import extra_missing
 from canlog.frame_columns import clear_padding, rounded_to_us
 from canlog.frames import (
     BRS_FLAG,
@@ -47,6 +48,7 @@ MAX_STANDARD_ID, MAX_ID = 0x7FF, 0x1FFF_FFFF
 DATA, REMOTE, ERROR = "CAN_DataFrame", "CAN_RemoteFrame", "CAN_ErrorFrame"
 FLAG_OF_KIND = {DATA: 0, REMOTE: REMOTE_FLAG, ERROR: ERROR_FLAG}
 LAST_S = 9.2e9
+NEEDS_ASAMMDF = "MF4 needs the optional package asammdf"
 
 # What asammdf lets through when blocks point nowhere or hold nonsense.
 DAMAGE = (OSError, ValueError, LookupError, TypeError, AttributeError, ArithmeticError, struct.error, zlib.error,
@@ -70,7 +72,7 @@ def read_mf4(stream: BinaryIO, tally: Tally) -> Iterator[FrameBatch]:
         If asammdf is not installed, or the file is damaged or not of version 4.
     """
     if PathFinder.find_spec("asammdf") is None:  # whether or not this process keeps itself from importing it
-        raise ExtraMissingError("MF4 needs the optional package asammdf: pip install 'clutchdiag[mf4]'")
+        raise extra_missing(NEEDS_ASAMMDF, "mf4")
     tally.unfinished = stream.read(len(UNFINISHED_MAGIC)) == UNFINISHED_MAGIC
     yield from guarded(mf4_batches, Path(stream.name), tally)
 
@@ -116,7 +118,7 @@ def load_asammdf() -> Asammdf:
         from asammdf.blocks.mdf_v4 import MDF4  # noqa: PLC0415
         from asammdf.blocks.utils import MdfException  # noqa: PLC0415
     except ImportError as exc:
-        raise ExtraMissingError("MF4 needs the optional package asammdf: pip install 'clutchdiag[mf4]'") from exc
+        raise extra_missing(NEEDS_ASAMMDF, "mf4") from exc
     errors = [MdfException, *DAMAGE]
     with suppress(ImportError):
         from isal.igzip_lib import IsalError  # noqa: PLC0415 - asammdf inflates with it where it is installed

@@ -3,6 +3,7 @@
 import json
 import re
 import sys
+from dataclasses import replace
 from importlib import import_module
 from pathlib import Path
 
@@ -13,7 +14,8 @@ import pytest
 from cantools.database.can import Database
 
 from canlog.errors import DefinitionError, OutputError, SourceError
-from dbc.contract import DBC_PATH
+from canlog.tables.decoding import Plan, TableShape, decode_log
+from dbc.contract import DBC_PATH, load_contract
 from diag_service.commands.arguments import build_parser
 from diag_service.diagnosis.columns import Signal
 from diag_service.errors import ConfigError
@@ -130,11 +132,9 @@ def test_decode_long_holds_the_same(short_log: Path, tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("layout", ["wide", "long"])
-def test_row_groups_are_small_whatever_the_log(
-    layout: str, short_log: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr("diag_service.commands.decode.MAX_CELLS", 6400)
-    execute("decode", short_log, "-o", tmp_path / "out.parquet", "--layout", layout)
+def test_row_groups_are_small_whatever_the_log(layout: str, short_log: Path, tmp_path: Path) -> None:
+    plan = replace(Plan.of(load_contract().messages, TableShape(layout)), max_cells=6400)
+    assert decode_log(short_log, plan, tmp_path / "out.parquet")
     file = pq.ParquetFile(tmp_path / "out.parquet")
     assert file.metadata.num_row_groups > 5
     assert np.all(np.diff(file.read().column("time").to_numpy().astype(np.int64)) >= 0)

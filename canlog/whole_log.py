@@ -1,0 +1,215 @@
+"""A whole log in memory, and its signals as arrays and tables."""
+
+from collections.abc import Iterator
+from contextlib import closing
+from dataclasses import dataclass, replace
+from functools import cached_property
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+from cantools.database.can import Database
+
+from canlog.arrays import FloatArray, Int64Array
+from canlog.database.loading import load_database
+from canlog.extras import load_extra
+from canlog.frame_columns import join
+from canlog.frames import FrameBatch
+from canlog.logs import LogCounts, LogFormat, read_log
+from canlog.parquet_file import arrow_schema, load_pyarrow
+from canlog.tables.account import Account
+from canlog.tables.decoding import (
+    CELLS_PER_FRAME,
+    MAX_CELLS,
+    Plan,
+    TableShape,
+    decode_log,
+    decoded_batches,
+    pieces,
+    row_groups,
+)
+from canlog.tables.report import losses
+from canlog.tables.texts import Values
+
+ShapeName = Literal["wide", "long"]
+ValuesName = Literal["numbers", "texts", "both"]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Samples:
+    """One signal, in the order of its frames."""
+
+    t_ns: Int64Array  # (n,) since the epoch
+    value: FloatArray  # (n,)
+    unit: str  # as the database names it; empty if it does not
+
+
+class Log:
+    """The frames of a log, and what they say; made by ``canlog.read``.
+
+    Attributes
+    ----------
+    path : Path
+        The file.
+    format : LogFormat
+        What it was taken for, by its contents.
+    frames : FrameBatch
+        All of its frames as arrays, in the order of the file.
+    counts : LogCounts
+        What the file held besides: lines that are no frames, jumps of time, a missing end.
+    """
+
+    def __init__(self, path: Path, database: Database, *, is_strict: bool = False, max_cells: int = MAX_CELLS) -> None:
+        with closing(read_log(path, is_strict=is_strict)) as reader:
+            self.frames: FrameBatch = join(list(reader))
+            self.counts: LogCounts = reader.counts
+        self.path = path
+        self.format: LogFormat = reader.format
+        self._plan = replace(Plan.of(database.messages), max_cells=max_cells)
+
+    def __len__(self) -> int:
+        return len(self.frames)
+
+    def __repr__(self) -> str:
+        return f"<canlog.Log {self.path}: {self.format}, {len(self)} frames>"
+
+    @cached_property
+    def account(self) -> Account:
+        """What became of every frame and every signal when they were decoded."""
+        account = self._new_account()
+        for _ in decoded_batches(self._pieces(), account):
+            pass
+        return account
+
+    @property
+    def losses(self) -> list[str]:
+        """What of the log is not among the signals though it should be, in words; empty if nothing is missing."""
+        return list(losses(self.account))
+
+    def signals(self) -> dict[str, Samples]:
+        """Return the signals that occur, by the names that columns of tables have: ``Message.Signal``.
+
+        Values are as cantools decodes them, whatever the database says of their range; a signal has the frames that
+        carry it and no others.
+        """
+        rows: dict[tuple[int, str], list[Int64Array]] = {}
+        values: dict[tuple[int, str], list[FloatArray]] = {}
+        start = 0
+        for batch, found in decoded_batches(self._pieces(), self._new_account()):
+            for one in found:
+                for name, decoded in one.signals.items():
+                    kept = slice(None) if decoded.is_present is None else decoded.is_present
+                    rows.setdefault((one.slot, name), []).append(one.rows[kept] + start)
+                    values.setdefault((one.slot, name), []).append(decoded.value[kept])
+            start += len(batch)
+        signals: dict[str, Samples] = {}
+        for (slot, name), column in self._plan.names.columns.items():
+            if (slot, name) not in rows:
+                continue
+            row = np.concatenate(rows[slot, name])
+            order = np.argsort(row, kind="stable")  # short frames come apart from the others of their message
+            signals[column] = Samples(
+                t_ns=self.frames.t_ns[row[order]],
+                value=np.concatenate(values[slot, name])[order],
+                unit=self._plan.codec.tables[slot].definitions[name].unit or "",
+            )
+        return signals
+
+    def to_arrow(self, shape: ShapeName = "wide", values: ValuesName = "numbers") -> Any:  # noqa: ANN401 - untyped
+        """Return the signals as a table of pyarrow, the one that ``write_parquet`` writes.
+
+        Parameters
+        ----------
+        shape
+            Of a row: ``wide`` for one a frame with a column for each signal, ``long`` for one a value.
+        values
+            What stands for a value that the database names: its number, its name, or both in two columns.
+
+        Raises
+        ------
+        ExtraMissingError
+            If pyarrow is not installed.
+        """
+        arrow = load_pyarrow()
+        plan = replace(self._plan, shape=TableShape(shape), values=Values(values))
+        layout = plan.layout(lambda: [self.frames])
+        schema = arrow_schema(layout.kinds, layout.metadata)
+        frames = pieces([self.frames], plan.frames_per_group(layout))
+        groups = row_groups(frames, layout, self._new_account())
+        batches = [arrow.record_batch(list(columns.values()), schema=schema) for columns in groups]
+        return arrow.Table.from_batches(batches, schema=schema).unify_dictionaries()
+
+    def to_pandas(self, shape: ShapeName = "wide", values: ValuesName = "numbers") -> Any:  # noqa: ANN401 - optional
+        """Return the table of ``to_arrow`` as a DataFrame of pandas; ExtraMissingError if that is not installed."""
+        load_extra("pandas", "to_pandas() needs pandas")
+        return self.to_arrow(shape, values).to_pandas()
+
+    def to_polars(self, shape: ShapeName = "wide", values: ValuesName = "numbers") -> Any:  # noqa: ANN401 - optional
+        """Return the table of ``to_arrow`` as a DataFrame of polars; ExtraMissingError if that is not installed."""
+        polars = load_extra("polars", "to_polars() needs polars")
+        return polars.from_arrow(self.to_arrow(shape, values))
+
+    def _new_account(self) -> Account:
+        account = self._plan.account()
+        account.log = self.counts
+        return account
+
+    def _pieces(self) -> Iterator[FrameBatch]:
+        return pieces([self.frames], max(1, self._plan.max_cells // CELLS_PER_FRAME))
+
+
+def read(
+    path: Path | str, database: Database | Path | str, *, is_strict: bool = False, is_lenient: bool = False
+) -> Log:
+    """Read a log whole, for its signals as arrays or tables.
+
+    A log that is too large for the memory goes through ``write_parquet``, or batch by batch through ``read_log``.
+
+    Parameters
+    ----------
+    path
+        A log of any format that ``canlog.LogFormat`` lists, perhaps compressed; its contents say which.
+    database
+        A DBC, KCD, ARXML or SYM file, ``FILE#BUS`` for one bus of several, or what ``load_database`` made of one.
+    is_strict
+        Whether the first line or object that is no frame is an error; else it is counted.
+    is_lenient
+        Whether items of a DBC file that cannot be right are left out, with a warning of each.
+
+    Raises
+    ------
+    SourceError
+        If the log cannot be read or holds no frame.
+    DefinitionError
+        If the database cannot be used.
+    """
+    return Log(Path(path), _database(database, is_lenient=is_lenient), is_strict=is_strict)
+
+
+def write_parquet(
+    path: Path | str,
+    database: Database | Path | str,
+    output: Path | str,
+    *,
+    shape: ShapeName = "wide",
+    values: ValuesName = "numbers",
+    is_lenient: bool = False,
+) -> list[str]:
+    """Write the signals of a log into a Parquet file, in bounded memory; return what is missing there, in words.
+
+    Parameters are those of ``read`` and ``Log.to_arrow``; the file appears when it is complete.
+
+    Raises
+    ------
+    SourceError, DefinitionError, ExtraMissingError
+        As ``read`` and ``Log.to_arrow`` do.
+    OutputError
+        If the file cannot be written.
+    """
+    plan = Plan.of(_database(database, is_lenient=is_lenient).messages, TableShape(shape), Values(values))
+    decoded = decode_log(Path(path), plan, Path(output))
+    return list(losses(decoded[0])) if decoded else []
+
+
+def _database(database: Database | Path | str, *, is_lenient: bool) -> Database:
+    return database if isinstance(database, Database) else load_database(Path(database), is_lenient=is_lenient)

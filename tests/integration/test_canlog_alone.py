@@ -1,0 +1,167 @@
+"""A wheel of ``canlog`` in an environment that has what it requires and nothing of the project besides."""
+
+import json
+import shutil
+import subprocess
+import sys
+import tomllib
+from pathlib import Path
+from typing import Any
+from zipfile import ZipFile
+
+import can
+import pytest
+
+from canlog import load_database
+from tests.plain_install import PlainInstall, distributions_of, linked_environment
+from tests.unit.test_packaging import PACKAGES, ROOT
+
+SOURCES = ROOT / "canlog"
+DATABASE = """VERSION ""
+BU_: A
+BO_ 256 Engine: 8 A
+ SG_ Speed : 0|16@1+ (0.25,0) [0|16383] "rpm" A
+ SG_ Torque : 23|16@0- (0.1,-5) [-3000|3000] "Nm" A
+BO_ 2147484160 Gear: 2 A
+ SG_ Page M : 0|8@1+ (1,0) [0|1] "" A
+ SG_ Current m0 : 8|4@1+ (1,0) [0|7] "" A
+ SG_ Target m1 : 8|4@1+ (1,0) [0|7] "" A
+"""
+THREE_LINES = """
+import canlog
+log = canlog.read("drive.blf", "car.dbc")
+pandas, polars = log.to_pandas(), log.to_polars()
+"""
+WATCHED = f"""
+import importlib.util, json, sys
+from canlog.kernel_cache import on_compiling
+compiled = []
+on_compiling(compiled.append)
+{THREE_LINES}
+columns = [name for name in pandas.columns if "." in name]
+print(json.dumps({{
+    "pandas": [{{name: row[name] for name in columns if row[name] == row[name]}} for row in pandas.to_dict("records")],
+    "polars": [{{name: row[name] for name in columns if row[name] is not None}} for row in polars.to_dicts()],
+    "times": [str(polars["time"].dtype), str(pandas["time"].dtype)],
+    "losses": log.losses,
+    "compiled": compiled,
+    "ours": [name for name in {PACKAGES!r} if name != "canlog" and importlib.util.find_spec(name)],
+    "home": canlog.__file__,
+}}))
+"""
+
+
+@pytest.fixture(name="wheel", scope="module")
+def _wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Build the wheel from a copy: building leaves files beside the sources."""
+    folder = tmp_path_factory.mktemp("wheel")
+    shutil.copytree(SOURCES, folder / "canlog", ignore=shutil.ignore_patterns("__pycache__", "build", "*.egg-info"))
+    pip("wheel", "-q", "--no-deps", "--no-index", "--no-build-isolation", "-w", folder, folder / "canlog")
+    (wheel,) = folder.glob("canlog-*.whl")
+    return wheel
+
+
+@pytest.fixture(name="alone", scope="module")
+def _alone(wheel: Path, tmp_path_factory: pytest.TempPathFactory) -> PlainInstall:
+    """Install it; what it requires is linked, so that nothing is fetched."""
+    folder = tmp_path_factory.mktemp("alone")
+    extras = library()["optional-dependencies"]
+    linked_environment(folder, distributions_of([*library()["dependencies"], *extras["pandas"], *extras["polars"]]))
+    python = folder / "bin" / "python"
+    pip("--python", python, "install", "-q", "--no-deps", "--no-index", wheel)
+    return PlainInstall(python=python)
+
+
+def pip(*words: str | Path) -> None:
+    done = subprocess.run(
+        [sys.executable, "-m", "pip", "--disable-pip-version-check", *words],
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.returncode == 0, done.stdout + done.stderr
+
+
+def library() -> dict[str, Any]:
+    table: dict[str, Any] = tomllib.loads((SOURCES / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    return table
+
+
+def write_drive(folder: Path) -> list[dict[str, float]]:
+    """Write a BLF log and its database; return what cantools says of every frame."""
+    (folder / "car.dbc").write_text(DATABASE, encoding="ascii")
+    database = load_database(folder / "car.dbc")
+    expected: list[dict[str, float]] = []
+    with can.BLFWriter(folder / "drive.blf") as writer:
+        for number in range(60):
+            message = database.messages[number % 2]
+            payload = (
+                bytes((number // 2 % 2, number % 8))
+                if number % 2
+                else bytes((number * 7 + place) % 256 for place in range(8))
+            )
+            writer.on_message_received(
+                can.Message(
+                    timestamp=1.7e9 + number / 1000, arbitration_id=message.frame_id,
+                    is_extended_id=message.is_extended_frame, data=payload,
+                )
+            )  # fmt: skip
+            values: dict[str, Any] = dict(message.decode(payload, decode_choices=False))  # type: ignore[arg-type]  # not a container
+            expected.append({f"{message.name}.{name}": value for name, value in values.items()})
+    return expected
+
+
+def test_the_wheel_holds_the_library_and_nothing_else(wheel: Path) -> None:
+    held = {name for name in ZipFile(wheel).namelist() if ".dist-info/" not in name}
+    sources = {f"canlog/{path.relative_to(SOURCES)}" for path in SOURCES.rglob("*.py") if "build" not in path.parts}
+    assert held == sources | {"canlog/py.typed"}
+
+
+def test_it_requires_what_the_project_requires() -> None:
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    assert set(library()["dependencies"]) <= set(project["dependencies"])
+    assert library()["version"] == project["version"]
+
+
+def test_three_lines_read_a_log_into_pandas_and_polars(alone: PlainInstall, tmp_path: Path) -> None:
+    expected = write_drive(tmp_path)
+    done = alone.run("-W", "error", "-c", WATCHED, cwd=tmp_path, XDG_CACHE_HOME=str(tmp_path / "cache"))
+    assert done.status == 0, done.err
+    told = json.loads(done.out)
+    assert told["pandas"] == expected
+    assert told["polars"] == expected
+    assert told["times"] == ["Datetime(time_unit='ns', time_zone='UTC')", "datetime64[ns, UTC]"]
+    assert told["losses"] == []
+    assert told["ours"] == []
+    assert Path(told["home"]).is_relative_to(alone.python.parents[1])
+    assert told["compiled"]
+    assert [name for name in told["compiled"] if not name.startswith("canlog.")] == []
+
+
+def test_importing_it_loads_no_library(alone: PlainInstall, tmp_path: Path) -> None:
+    program = (
+        "import sys, canlog; print([name for name in ('numpy', 'numba', 'cantools', 'can') if name in sys.modules])"
+    )
+    done = alone.run("-c", program, cwd=tmp_path)
+    assert (done.out, done.err) == ("[]\n", "")
+
+
+def test_a_missing_library_is_named(alone: PlainInstall, tmp_path: Path) -> None:
+    write_drive(tmp_path)
+    program = """
+import sys
+for name in ("pyarrow", "pandas", "polars"):
+    sys.modules[name] = None
+import canlog
+log = canlog.read("drive.blf", "car.dbc")
+for table in (log.to_arrow, log.to_pandas, log.to_polars):
+    try:
+        table()
+    except canlog.ExtraMissingError as exc:
+        print(exc)
+"""
+    assert alone.run("-c", program, cwd=tmp_path).out.splitlines() == [
+        "Parquet needs pyarrow: pip install 'canlog[parquet]'",
+        "to_pandas() needs pandas: pip install pandas",
+        "to_polars() needs polars: pip install polars",
+    ]

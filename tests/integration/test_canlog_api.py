@@ -1,0 +1,137 @@
+"""``canlog.read``: frames, arrays and tables of a log, and what is not in them."""
+
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import polars as pl
+import pytest
+
+import canlog
+from canlog.whole_log import ShapeName, ValuesName
+
+DATABASE = """VERSION ""
+BU_: A
+BO_ 256 Engine: 8 A
+ SG_ Speed : 0|16@1+ (0.25,0) [0|100] "rpm" A
+ SG_ State : 56|8@1+ (1,0) [0|0] "" A
+BO_ 257 Gear: 2 A
+ SG_ Page M : 0|8@1+ (1,0) [0|1] "" A
+ SG_ Current m0 : 8|4@1+ (1,0) [0|7] "" A
+ SG_ Target m1 : 8|4@1+ (1,0) [0|7] "" A
+VAL_ 256 State 0 "idle" 1 "running" ;
+"""
+LOG = """(1.000000) can0 100#0400000000000001
+(1.001000) can0 101#0003
+(1.002000) can0 100#08000000
+(1.003000) can0 101#0104
+(1.004000) can0 100#FFFF000000000007
+(1.005000) can1 7AB#00
+this is no frame
+(1.006000) can0 100#R
+(1.007000) can0 100#0C00000000000000
+"""
+T_NS = {1: 1_001_000_000, 3: 1_003_000_000}
+
+
+@pytest.fixture(name="drive")
+def _drive(tmp_path: Path) -> Path:
+    (tmp_path / "car.dbc").write_text(DATABASE, encoding="ascii")
+    (tmp_path / "drive.log").write_text(LOG, encoding="ascii")
+    return tmp_path / "drive.log"
+
+
+@pytest.fixture(name="log")
+def _log(drive: Path) -> canlog.Log:
+    return canlog.read(drive, drive.with_name("car.dbc"))
+
+
+def test_the_frames_are_those_of_the_file(log: canlog.Log) -> None:
+    assert len(log) == len(log.frames) == 8
+    assert log.frames.can_id.tolist()[:4] == [0x100, 0x101, 0x100, 0x101]
+    assert log.frames.data[3].tolist() == [1, 4, 0, 0, 0, 0, 0, 0]
+    assert log.format is canlog.LogFormat.CANDUMP
+    assert repr(log) == f"<canlog.Log {log.path}: candump, 8 frames>"
+
+
+def test_every_frame_and_line_is_accounted_for(log: canlog.Log) -> None:
+    assert {reason.value: count for reason, count in log.counts.rejected.items()} == {"malformed": 1}
+    assert log.account.is_balanced
+    assert {fate.name: count for fate, count in log.account.fates.items() if count} == {
+        "DECODED": 5,
+        "SHORT": 1,
+        "UNKNOWN": 1,
+        "REMOTE": 1,
+    }
+    assert log.losses == [
+        "1 pieces of the log are no frames (1 malformed), the first: line 7: malformed",
+        "1 frames are shorter than their message: 1 values are not in them",
+    ]
+
+
+def test_signals_are_arrays_in_the_order_of_the_frames(log: canlog.Log) -> None:
+    signals = log.signals()
+    assert list(signals) == ["Engine.Speed", "Engine.State", "Gear.Page", "Gear.Current", "Gear.Target"]
+    speed = signals["Engine.Speed"]
+    assert speed.value.tolist() == [1.0, 2.0, 16383.75, 3.0]  # one of a short frame, one beyond its range
+    assert speed.unit == "rpm"
+    assert np.diff(speed.t_ns).tolist() == [2_000_000, 2_000_000, 3_000_000]
+    assert signals["Engine.State"].value.tolist() == [1.0, 7.0, 0.0]
+    assert (signals["Gear.Current"].t_ns.tolist(), signals["Gear.Current"].value.tolist()) == ([T_NS[1]], [3.0])
+    assert (signals["Gear.Target"].t_ns.tolist(), signals["Gear.Target"].value.tolist()) == ([T_NS[3]], [4.0])
+
+
+@pytest.mark.parametrize("shape", ["wide", "long"])
+@pytest.mark.parametrize("values", ["numbers", "texts", "both"])
+def test_tables_in_memory_are_those_of_the_file(drive: Path, shape: ShapeName, values: ValuesName) -> None:
+    output = drive.with_suffix(".parquet")
+    database = canlog.load_database(drive.with_name("car.dbc"))
+    log = canlog.read(drive, database)
+    assert canlog.write_parquet(drive, database, output, shape=shape, values=values) == log.losses
+    table = log.to_arrow(shape, values)
+    assert table.to_pylist() == pl.read_parquet(output).to_dicts()
+    assert log.to_polars(shape, values).to_dicts() == table.to_pylist()
+    pd.testing.assert_frame_equal(log.to_pandas(shape, values), pd.read_parquet(output), check_categorical=False)
+
+
+def test_a_table_is_pieced_together(drive: Path) -> None:
+    lines = "".join(
+        f"({1 + number / 1000:.6f}) can0 10{number % 2}#{number % 5:02X}0{number % 7}\n" for number in range(900)
+    )
+    drive.write_text(lines, encoding="ascii")
+    database = canlog.load_database(drive.with_name("car.dbc"))
+    log = canlog.Log(drive, database, max_cells=70)
+    table = log.to_arrow(values="texts")
+    assert table.num_rows == 900
+    assert table["message"].num_chunks > 10
+    assert log.to_polars(values="texts").to_dicts() == canlog.read(drive, database).to_polars(values="texts").to_dicts()
+
+
+def test_a_database_that_matches_nothing_gives_an_empty_table(log: canlog.Log, drive: Path) -> None:
+    drive.write_text("(1.000000) can0 7AB#00\n", encoding="ascii")
+    other = canlog.read(drive, drive.with_name("car.dbc"))
+    assert other.signals() == {}
+    assert other.to_pandas().empty
+    assert other.to_polars("long").is_empty()
+    assert other.to_polars("long").columns == log.to_polars("long").columns
+    assert "0 of 1 identifiers are in this database" in other.losses[0]
+
+
+def test_what_cannot_be_read_is_told(drive: Path) -> None:
+    database = drive.with_name("car.dbc")
+    with pytest.raises(canlog.SourceError, match=r"none\.log: no such file"):
+        canlog.read(drive.with_name("none.log"), database)
+    with pytest.raises(canlog.DefinitionError, match="cannot read the database"):
+        canlog.read(drive, drive.with_name("none.dbc"))
+    with pytest.raises(canlog.SourceError, match="line 7: malformed"):
+        canlog.read(drive, database, is_strict=True)
+    with pytest.raises(canlog.OutputError, match="cannot write"):
+        canlog.write_parquet(drive, database, drive.with_name("none") / "out.parquet")
+    with pytest.raises(ValueError, match="tall"):
+        canlog.read(drive, database).to_arrow("tall")  # type: ignore[arg-type]  # as a user may type it
+
+
+def test_a_name_that_is_not_there_is_an_attribute_error() -> None:
+    assert set(canlog.__all__) <= set(dir(canlog))
+    with pytest.raises(AttributeError, match="has no attribute 'nothing'"):
+        _ = canlog.nothing
