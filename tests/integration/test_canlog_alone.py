@@ -1,6 +1,7 @@
 """A wheel of ``canlog`` in an environment that has what it requires and nothing of the project besides."""
 
 import json
+import re
 import shutil
 import subprocess
 import sys
@@ -27,17 +28,18 @@ BO_ 2147484160 Gear: 2 A
  SG_ Current m0 : 8|4@1+ (1,0) [0|7] "" A
  SG_ Target m1 : 8|4@1+ (1,0) [0|7] "" A
 """
-THREE_LINES = """
-import canlog
-log = canlog.read("drive.blf", "car.dbc")
-pandas, polars = log.to_pandas(), log.to_polars()
-"""
+# What its README shows: three lines from a log to a table, and then what else there is.
+THREE_LINES, MORE_LINES = re.findall(
+    r"^```python$(.*?)^```$", (SOURCES / "README.md").read_text(), re.DOTALL | re.MULTILINE
+)
 WATCHED = f"""
 import importlib.util, json, sys
 from canlog.kernel_cache import on_compiling
 compiled = []
 on_compiling(compiled.append)
 {THREE_LINES}
+polars, pandas = table, log.to_pandas()
+{MORE_LINES}
 columns = [name for name in pandas.columns if "." in name]
 print(json.dumps({{
     "pandas": [{{name: row[name] for name in columns if row[name] == row[name]}} for row in pandas.to_dict("records")],
@@ -127,7 +129,8 @@ def test_three_lines_read_a_log_into_pandas_and_polars(alone: PlainInstall, tmp_
     expected = write_drive(tmp_path)
     done = alone.run("-W", "error", "-c", WATCHED, cwd=tmp_path, XDG_CACHE_HOME=str(tmp_path / "cache"))
     assert done.status == 0, done.err
-    told = json.loads(done.out)
+    told = json.loads(done.out.splitlines()[-1])
+    assert (tmp_path / "drive.parquet").is_file()
     assert told["pandas"] == expected
     assert told["polars"] == expected
     assert told["times"] == ["Datetime(time_unit='ns', time_zone='UTC')", "datetime64[ns, UTC]"]
