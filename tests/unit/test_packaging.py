@@ -139,7 +139,7 @@ def test_files_named_in_the_text_exist(document: Path) -> None:
 
 
 def test_decisions_have_a_number_each_and_state_what_they_must() -> None:
-    decisions = sorted((ROOT / "docs" / "decisions").glob("*.md"))
+    decisions = sorted((ROOT / "docs" / "decisions").glob("[0-9]*.md"))
     assert len({path.name[:4] for path in decisions}) == len(decisions)
     for path in decisions:
         text = path.read_text(encoding="utf-8")
