@@ -16,14 +16,13 @@ from enum import StrEnum
 from io import StringIO
 from pathlib import Path
 
-import matplotlib as mpl
 import numpy as np
-from matplotlib import style
 from matplotlib.figure import Figure
 
+from benchmarks.drawing import as_svg, drawing_style
 from benchmarks.study import diagnose, over_drives, percent
 from clutch_model.calibration import nominal_calibration
-from demo.picture import CONDITION_COLOUR, GRID, STYLE
+from demo.picture import CONDITION_COLOUR, GRID
 from diag_service.diagnosis.records import Condition
 from diag_service.service.stages import Diagnosis
 from ecu_emulator.scenario import Scenario, Truth
@@ -48,7 +47,6 @@ COLOURS: Mapping[Condition, str] = {
     },
 }
 CONDITIONS = tuple(COLOURS)
-HASH_SALT = "clutchdiag"  # the same picture for the same numbers
 
 
 class Axis(StrEnum):
@@ -234,7 +232,7 @@ def comma_separated(shares: Shares) -> str:
 
 def picture(shares: Shares) -> str:
     """Return the SVG: one row per axis, one column per horizon after which a verdict is possible, shares stacked."""
-    with style.context(STYLE), mpl.rc_context({"svg.hashsalt": HASH_SALT, "svg.fonttype": "none"}):
+    with drawing_style():
         figure = Figure(figsize=(9.6, 5.2), layout="constrained")
         panels = figure.subplots(len(Axis), len(DRAWN), sharey=True, squeeze=False)
         for row, axis in zip(panels, Axis, strict=True):
@@ -254,9 +252,7 @@ def picture(shares: Shares) -> str:
             row[0].set_ylabel("verdicts [%]")
         handles, labels = panels[0, 0].get_legend_handles_labels()
         figure.legend(handles, labels, loc="outside lower center", ncols=len(CONDITIONS))
-        stream = StringIO()
-        figure.savefig(stream, format="svg", metadata={"Date": None})
-    return "\n".join(line.rstrip() for line in stream.getvalue().splitlines()) + "\n"
+        return as_svg(figure)
 
 
 def main() -> int:

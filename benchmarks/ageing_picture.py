@@ -1,0 +1,111 @@
+"""The picture of the README: what the service says of a fluid that ages, beside the truth.
+
+python -m benchmarks.ageing_picture    # drives the scenario "ageing", writes docs/ageing.svg; half a minute
+"""
+
+import argparse
+import sys
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import groupby
+from pathlib import Path
+
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from benchmarks.drawing import as_svg, drawing_style
+from benchmarks.study import diagnose
+from demo.picture import CONDITION_COLOUR, INK
+from diag_service.diagnosis.records import Condition, FrictionEstimate
+from ecu_emulator.scenario_file import load_scenario
+from ecu_emulator.truth import ShiftTruth
+
+SCENARIO = "ageing"
+CLUTCH = 2
+PATH = Path(__file__).parents[1] / "docs" / "ageing.svg"
+BAND_STD = 2.0
+MU_C_COLOUR, MU_S_COLOUR = "#0f6cbd", "#c2410c"
+UNKNOWN_COLOUR = "#94a3b0"
+LEAST_NAMED = 12  # shifts: a verdict that lasts shorter has no room for its name
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Point:
+    """What was said after one shift of the clutch, and what was true in it."""
+
+    truth: ShiftTruth
+    running: FrictionEstimate
+    condition: Condition
+
+
+def points() -> list[Point]:
+    """Drive the scenario and return the shifts onto the clutch, in order."""
+    diagnoses, truth = diagnose(load_scenario(SCENARIO))
+    true_of = {shift.number: shift for shift in truth.shifts}
+    return [
+        Point(
+            truth=true_of[one.estimate.number],
+            running=one.verdict.friction,
+            condition=one.verdict.condition,
+        )
+        for one in diagnoses
+        if one.estimate.clutch == CLUTCH and one.verdict.friction is not None
+    ]
+
+
+def draw(shown: Sequence[Point]) -> str:
+    """Return the picture as SVG: both coefficients over the shifts, and the verdict below."""
+    with drawing_style():
+        figure = Figure(figsize=(8.0, 3.8), layout="constrained")
+        upper, lower = figure.subplots(2, 1, sharex=True, height_ratios=(9.0, 1.0))
+        _draw_friction(upper, shown)
+        _draw_verdicts(lower, shown)
+        return as_svg(figure)
+
+
+def _draw_friction(axes: Axes, shown: Sequence[Point]) -> None:
+    numbers = range(1, len(shown) + 1)
+    for name, label, colour in (
+        ("mu_c", "friction at high slip, mu_C", MU_C_COLOUR),
+        ("mu_s", "friction at low slip, mu_S", MU_S_COLOUR),
+    ):
+        mean = [getattr(point.running, name) for point in shown]
+        std = [getattr(point.running, f"std_{name}") for point in shown]
+        low = [value - BAND_STD * one for value, one in zip(mean, std, strict=True)]
+        high = [value + BAND_STD * one for value, one in zip(mean, std, strict=True)]
+        axes.fill_between(numbers, low, high, color=colour, alpha=0.18, lw=0.0)
+        axes.plot(numbers, mean, color=colour, lw=2.0, label=label)
+        axes.plot(numbers, [getattr(point.truth, name) for point in shown], color=INK, lw=1.2, ls="--")
+    axes.plot([], [], color=INK, lw=1.2, ls="--", label="truth")
+    axes.fill_between([], [], [], color=UNKNOWN_COLOUR, alpha=0.4, lw=0.0, label="± 2 stated std")
+    axes.set_title(f"A fluid that ages: clutch {CLUTCH}, shift by shift")
+    axes.legend(loc="lower left", ncols=2)
+
+
+def _draw_verdicts(axes: Axes, shown: Sequence[Point]) -> None:
+    first = 1
+    for condition, same in groupby(shown, key=lambda point: point.condition):
+        stop = first + len(list(same))
+        label = condition.name.lower().replace("_", " ")
+        axes.axvspan(first - 0.5, stop - 0.5, color=CONDITION_COLOUR.get(label, UNKNOWN_COLOUR), lw=0.0)
+        if stop - first >= LEAST_NAMED:
+            middle = 0.5 * (first + stop - 1)
+            axes.text(middle, 0.45, label, ha="center", va="center", fontsize=8, fontweight="bold", color="white")
+        first = stop
+    axes.set_ylim(0.0, 1.0)
+    axes.set_yticks([])
+    axes.grid(visible=False)
+    axes.set_xlabel(f"shifts onto clutch {CLUTCH}; the bar is the verdict after each of them")
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Make the picture."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--output", type=Path, default=PATH)
+    arguments = parser.parse_args(argv)
+    arguments.output.write_text(draw(points()), encoding="utf-8")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
