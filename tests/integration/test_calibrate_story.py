@@ -1,4 +1,4 @@
-"""The README's story of a vehicle's own calibration, played with the README's own commands."""
+"""The story of a vehicle's own calibration in docs/usage.md, played with its own commands."""
 
 import json
 import re
@@ -16,7 +16,7 @@ from clutch_model.calibration import read_calibration
 from ecu_emulator.truth import DriveTruth, read_truth, truth_path
 
 ROOT = Path(__file__).parents[2]
-SECTION = re.compile(r"^### One vehicle's own calibration\n(.*?)^### ", re.MULTILINE | re.DOTALL)
+SECTION = re.compile(r"^## One vehicle's own calibration\n(.*?)^## ", re.MULTILINE | re.DOTALL)
 BLOCK = re.compile(r"^```sh\n(.*?)^```", re.MULTILINE | re.DOTALL)
 PROGRAMS: Mapping[str, Callable[[Sequence[str]], int]] = {
     "ecu-emulator": ecu_emulator.cli.main,
@@ -37,7 +37,7 @@ class Played:
 
 
 def story() -> list[list[str]]:
-    section = SECTION.search((ROOT / "README.md").read_text(encoding="utf-8"))
+    section = SECTION.search((ROOT / "docs" / "usage.md").read_text(encoding="utf-8"))
     assert section is not None
     block = BLOCK.search(section[1])
     assert block is not None

@@ -1,0 +1,105 @@
+"""What the documents show exists: programs, commands, options, modules, make targets, variables, files and headings."""
+
+import importlib.util
+import re
+import subprocess
+import sys
+from functools import cache
+from pathlib import Path
+
+import pytest
+
+from tests.documents import MODULES, PAGES, ROOT, Shown, all_commands, page_text
+from tests.patience import HANG_S
+
+OPTION = re.compile(r"(?<![\w-])--?[a-z][a-z-]*")
+PROGRAM_COMMANDS = [one for one in all_commands() if one.line.split()[0] in MODULES and len(one.line.split()) > 1]
+MODULE_COMMANDS = [one for one in all_commands() if re.search(r"(^|-- )python -m ", one.line)]
+
+LINKING_PAGES = (
+    *PAGES,
+    "CHANGELOG.md",
+    *(f"docs/decisions/{page.name}" for page in (ROOT / "docs" / "decisions").glob("*.md")),
+)
+
+
+def options_in(words: list[str]) -> set[str]:
+    """Return the options of a command line, without what is handed on behind ``--`` or to the shell."""
+    own = words[: next((row for row, word in enumerate(words) if word in {"--", "&", "|", ">"}), len(words))]
+    return {word.partition("=")[0] for word in own if OPTION.fullmatch(word.partition("=")[0])}
+
+
+@cache
+def help_text(*words: str) -> str:
+    answer = subprocess.run(
+        [sys.executable, "-m", *words, "--help"], capture_output=True, text=True, check=True, cwd=ROOT, timeout=HANG_S
+    )
+    return answer.stdout
+
+
+@cache
+def subcommands(module: str) -> frozenset[str]:
+    """Return the commands that a program's help lists."""
+    return frozenset(re.findall(r"^ {2,4}([a-z]+)(?= {2,}|$)", help_text(module), re.MULTILINE))
+
+
+@pytest.mark.parametrize("shown", PROGRAM_COMMANDS, ids=lambda shown: shown.line)
+def test_a_shown_command_is_understood(shown: Shown) -> None:
+    program, command, *arguments = shown.line.split()
+    module = MODULES[program]
+    if command.startswith("-"):
+        assert options_in([command, *arguments]) <= set(OPTION.findall(help_text(module)))
+        return
+    assert command in subcommands(module)
+    known = set(OPTION.findall(help_text(module, command)))
+    assert options_in(arguments) <= known, shown.page
+
+
+@pytest.mark.parametrize("shown", MODULE_COMMANDS, ids=lambda shown: shown.line)
+def test_a_shown_module_exists_and_knows_its_options(shown: Shown) -> None:
+    for part in re.findall(r"python -m (.*?)(?= -- |$)", shown.line):
+        module, *arguments = part.split()
+        found = importlib.util.find_spec(module)
+        assert found is not None, f"{shown.page}: {module}"
+        assert found.origin is not None
+        folder = Path(found.origin).parent if found.submodule_search_locations else None
+        sources = sorted(folder.glob("*.py")) if folder else [Path(found.origin)]
+        text = "".join(source.read_text(encoding="utf-8") for source in sources)
+        if module != "pytest":
+            assert {option for option in options_in(arguments) if f'"{option}"' not in text} == set(), shown.page
+
+
+@pytest.mark.parametrize("program", MODULES)
+def test_the_documents_show_every_command_of_a_program(program: str) -> None:
+    shown = {one.line.split()[1] for one in PROGRAM_COMMANDS if one.line.split()[0] == program}
+    assert subcommands(MODULES[program]) - shown == set()
+
+
+def test_every_make_target_and_variable_in_the_documents_exists() -> None:
+    makefile = (ROOT / "Makefile").read_text(encoding="utf-8")
+    targets = set(re.findall(r"^([a-z-]+):(?!=)", makefile, re.MULTILINE))
+    variables = set(re.findall(r"\$\(?(?:if )?\$?\(?([A-Z]+)\)", makefile))
+    for page in (*PAGES, "CHANGELOG.md"):
+        commands = re.findall(r"^make ([a-z-]+)|`make ([a-z-]+)((?: [A-Z]+=\S+?)*)`", page_text(page), re.MULTILINE)
+        assert {first or second for first, second, _ in commands} - targets == set(), page
+        assigned = set(re.findall(r"\b([A-Z]+)=", " ".join(settings for _, _, settings in commands)))
+        assert assigned - variables == set(), page
+
+
+def anchor_of(heading: str) -> str:
+    """Return the anchor that a heading gets on the pages of common hosts of repositories."""
+    plain = re.sub(r"\[([^]]*)\]\([^)]*\)", r"\1", heading).lower()
+    return re.sub(r"[^\w\- ]", "", plain).replace(" ", "-")
+
+
+@pytest.mark.parametrize("page", LINKING_PAGES)
+def test_every_link_of_a_page_leads_somewhere(page: str) -> None:
+    for target in re.findall(r"\]\(([^)\s]+)\)", re.sub(r"`[^`\n]*`", "", page_text(page))):
+        if target.startswith(("http:", "https:")):
+            continue
+        name, _, anchor = target.partition("#")
+        path = (ROOT / page).parent / name if name else ROOT / page
+        assert path.exists(), f"{page}: {target}"
+        if anchor:
+            headings = re.findall(r"^#+ (.+)$", path.read_text(encoding="utf-8"), re.MULTILINE)
+            assert anchor in {anchor_of(heading) for heading in headings}, f"{page}: {target}"

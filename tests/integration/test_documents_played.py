@@ -1,0 +1,103 @@
+"""The commands in the documents' shell blocks are run, page by page, or named with the test that runs their like."""
+
+import shlex
+import shutil
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+
+import pytest
+
+import diag_service.cli
+import ecu_emulator.cli
+import fleet_backend.certificates.cli
+import fleet_backend.cli
+from diag_service.diagnosis.records import Condition
+from fleet_backend.database import open_database
+from fleet_backend.writer import Batch, Writer
+from tests.documents import PAGES, ROOT, Shown, block_lines
+from tests.fleet import fleet_result, row_of
+
+PROGRAMS: Mapping[str, Callable[[Sequence[str]], int]] = {
+    "ecu-emulator": ecu_emulator.cli.main,
+    "diag-service": diag_service.cli.main,
+    "fleet-backend": fleet_backend.cli.main,
+    "fleet-certificates": fleet_backend.certificates.cli.main,
+}
+ELSEWHERE = {
+    "make demo": "tests/e2e/test_demo.py",
+    "make test": ".ci/run",
+    "make check": "Makefile",
+    "make setup": ".ci/run",
+    ".venv/bin/pre-commit": ".pre-commit-config.yaml",
+    "sudo modprobe": "tests/uml/vcan.py",
+    "diag-service run": "tests/e2e/test_vcan_drive.py",
+    "diag-service monitor": "tests/integration/test_service_onlookers.py",
+    "ecu-emulator run": "tests/e2e/test_vcan_drive.py",
+    "echo": "tests/integration/test_emulator_control.py",
+    "ecu-emulator record first.log": "tests/integration/test_calibrate_story.py",
+    "diag-service calibrate first.log": "tests/integration/test_calibrate_story.py",
+    "ecu-emulator record later.log": "tests/integration/test_calibrate_story.py",
+    "diag-service analyze later.log": "tests/integration/test_calibrate_story.py",
+    "export": "tests/integration/test_fleet_cli.py",
+    "fleet-backend ingest": "tests/e2e/test_fleet_chaos.py",
+    "fleet-backend migrate": "tests/integration/test_fleet_cli.py",
+    "python -m": "tests/integration/test_documents.py",
+}
+"""What needs a bus, a broker, root or minutes, by the beginning of its line, and where it is run or checked instead."""
+
+
+def place_of(line: str) -> str | None:
+    """Return where a command is run instead of here; None: here."""
+    return next((place for start, place in ELSEWHERE.items() if f"{line} ".startswith(f"{start} ")), None)
+
+
+def played_lines(page: str) -> list[Shown]:
+    return [one for one in block_lines(page) if place_of(one.line) is None]
+
+
+PLAYED_PAGES = [page for page in PAGES if played_lines(page)]
+
+
+@pytest.fixture(name="workshop", scope="module")
+def _workshop(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return a folder with what the documents suppose to be there: a database, logs."""
+    folder = tmp_path_factory.mktemp("documents")
+    shutil.copy(ROOT / "dbc" / "dct.dbc", folder / "car.dbc")
+    (folder / "logs").mkdir()
+    for name, seed in (("monday.log", 1), ("tuesday.blf", 2), ("logs/one.log", 3)):
+        drive = ["record", str(folder / name), "--scenario", "noise_only", "--cycles", "1", "--seed", str(seed)]
+        assert ecu_emulator.cli.main(drive) == 0
+    return folder
+
+
+@pytest.fixture(name="stage")
+def _stage(workshop: Path, tmp_path: Path, sqlite_url: str, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """Go to a copy of the workshop, with a fleet of which a vehicle is known and alarms are pending."""
+    stage = tmp_path / "stage"
+    shutil.copytree(workshop, stage)
+    engine = open_database(sqlite_url)
+    worn = [fleet_result(seq, vehicle="CAR1", condition=Condition.CHANGE_FLUID) for seq in (1, 2, 3)]
+    Writer(engine).store(Batch(shifts=[row_of(result) for result in worn], quarantined=[]))
+    engine.dispose()
+    monkeypatch.chdir(stage)
+    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state"))
+    monkeypatch.setenv("CLUTCHDIAG_DATABASE", sqlite_url)
+    return stage
+
+
+@pytest.mark.parametrize("page", PLAYED_PAGES)
+def test_the_commands_of_a_page_run_in_their_order(page: str, stage: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    for shown in played_lines(page):
+        line, _, target = shown.line.partition(" > ")
+        program, *words = shlex.split(line)
+        with (stage / (target.strip() or "out")).open("w", encoding="utf-8") as out, monkeypatch.context() as patch:
+            patch.setattr("sys.stdout", out)
+            status = PROGRAMS[program](words)
+        assert status == 0, shown.line
+
+
+def test_what_is_not_run_here_is_run_where_it_is_said() -> None:
+    lines = [one.line for page in PAGES for one in block_lines(page)]
+    for start, place in ELSEWHERE.items():
+        assert any(f"{line} ".startswith(f"{start} ") for line in lines), f"no page shows {start!r} any more"
+        assert (ROOT / place).exists(), place
