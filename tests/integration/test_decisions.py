@@ -26,11 +26,6 @@ def test_every_page_is_in_the_index_with_its_title_and_status() -> None:
     assert [line for line in index.splitlines() if line.startswith("| [")] == [row_of(page) for page in PAGES]
 
 
-def test_every_decision_has_a_number_of_its_own() -> None:
-    numbers = [page.name[:4] for page in PAGES]
-    assert sorted(set(numbers)) == numbers
-
-
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name[:4])
 def test_what_supersedes_a_page_is_said_on_both(page: Path) -> None:
     status = status_of(page)

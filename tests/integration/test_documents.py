@@ -1,4 +1,4 @@
-"""What the documents show exists: programs, commands, options, modules, make targets, variables, files and headings."""
+"""What the documents show exists: programs, commands, options, modules, make targets and variables."""
 
 import importlib.util
 import re
@@ -15,12 +15,6 @@ from tests.patience import HANG_S
 OPTION = re.compile(r"(?<![\w-])--?[a-z][a-z-]*")
 PROGRAM_COMMANDS = [one for one in all_commands() if one.line.split()[0] in MODULES and len(one.line.split()) > 1]
 MODULE_COMMANDS = [one for one in all_commands() if re.search(r"(^|-- )python -m ", one.line)]
-
-LINKING_PAGES = (
-    *PAGES,
-    "CHANGELOG.md",
-    *(f"docs/decisions/{page.name}" for page in (ROOT / "docs" / "decisions").glob("*.md")),
-)
 
 
 def options_in(words: list[str]) -> set[str]:
@@ -84,22 +78,3 @@ def test_every_make_target_and_variable_in_the_documents_exists() -> None:
         assert {first or second for first, second, _ in commands} - targets == set(), page
         assigned = set(re.findall(r"\b([A-Z]+)=", " ".join(settings for _, _, settings in commands)))
         assert assigned - variables == set(), page
-
-
-def anchor_of(heading: str) -> str:
-    """Return the anchor that a heading gets on the pages of common hosts of repositories."""
-    plain = re.sub(r"\[([^]]*)\]\([^)]*\)", r"\1", heading).lower()
-    return re.sub(r"[^\w\- ]", "", plain).replace(" ", "-")
-
-
-@pytest.mark.parametrize("page", LINKING_PAGES)
-def test_every_link_of_a_page_leads_somewhere(page: str) -> None:
-    for target in re.findall(r"\]\(([^)\s]+)\)", re.sub(r"`[^`\n]*`", "", page_text(page))):
-        if target.startswith(("http:", "https:")):
-            continue
-        name, _, anchor = target.partition("#")
-        path = (ROOT / page).parent / name if name else ROOT / page
-        assert path.exists(), f"{page}: {target}"
-        if anchor:
-            headings = re.findall(r"^#+ (.+)$", path.read_text(encoding="utf-8"), re.MULTILINE)
-            assert anchor in {anchor_of(heading) for heading in headings}, f"{page}: {target}"

@@ -41,6 +41,7 @@ ELSEWHERE = {
     "export": "tests/integration/test_fleet_cli.py",
     "fleet-backend ingest": "tests/e2e/test_fleet_chaos.py",
     "fleet-backend migrate": "tests/integration/test_fleet_cli.py",
+    "pip install": "tests/integration/test_canlog_alone.py",
     "python -m": "tests/integration/test_documents.py",
 }
 """What needs a bus, a broker, root or minutes, by the beginning of its line, and where it is run or checked instead."""
