@@ -57,7 +57,7 @@ class LogShare:
         return dict(total)
 
     @property
-    def followed(self) -> tuple[int, ...]:
+    def used_channels(self) -> tuple[int, ...]:
         """The channels from which frames were used."""
         return tuple(one.channel for one in self.channels if one.decoded)
 
@@ -80,18 +80,18 @@ def idle_lines(logs: Sequence[LogShare], named_channel: int | None) -> Iterator[
     """
     for log in logs:
         if not log.decoded:
-            yield f"{log.path} contributed nothing: {_fates(log, logs, named_channel)}"
+            yield f"{log.path} contributed nothing: {_log_fate(log, logs, named_channel)}"
         elif named_channel is None:
             for one in log.channels:
                 if one.is_passed_over:
-                    yield f"channel {one.channel} of {log.path} contributed nothing: {_fates_of(one)}"
+                    yield f"channel {one.channel} of {log.path} contributed nothing: {_channel_fate(one)}"
 
 
 def log_record(log: LogShare) -> JsonObject:
     """Return the share of a log as a JSON object."""
     return {
         "path": log.path,
-        "followed_channels": list(log.followed),
+        "followed_channels": list(log.used_channels),
         **_counts(log),
         "channels": [{"channel": one.channel, **_counts(one)} for one in log.channels],
     }
@@ -106,23 +106,23 @@ def _counts(share: LogShare | ChannelShare) -> JsonObject:
     }
 
 
-def _fates(log: LogShare, logs: Sequence[LogShare], named_channel: int | None) -> str:
+def _log_fate(log: LogShare, logs: Sequence[LogShare], named_channel: int | None) -> str:
     """Return in words what became of the frames of a log of which none was used."""
     elsewhere = [one for one in log.channels if one.rejected.get(OTHER_CHANNEL)]
     own = {one.channel for one in elsewhere}
     if named_channel is not None:
         wanted = f"the profile names {named_channel}"
     else:
-        used = {channel for other in logs for channel in other.followed}
+        used = {channel for other in logs for channel in other.used_channels}
         wanted = f"the drive follows {_listed(used - own)}" if used - own else "the drive follows those of other logs"
-    return _told(log, f"on another channel ({_listed(own)}; {wanted})")
+    return _fate_text(log, f"on another channel ({_listed(own)}; {wanted})")
 
 
-def _fates_of(one: ChannelShare) -> str:
-    return _told(one, "of messages that are followed elsewhere")
+def _channel_fate(one: ChannelShare) -> str:
+    return _fate_text(one, "of messages that are followed elsewhere")
 
 
-def _told(share: LogShare | ChannelShare, elsewhere: str) -> str:
+def _fate_text(share: LogShare | ChannelShare, elsewhere: str) -> str:
     counts = {elsewhere: share.rejected.get(OTHER_CHANNEL, 0), "of messages that are not used": share.ignored}
     counts |= {
         f"rejected: {reason.replace('_', ' ')}": count

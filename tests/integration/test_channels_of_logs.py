@@ -97,7 +97,7 @@ def test_a_second_log_with_another_channel_contributes(halves: list[Path], lines
     assert not found.rejected
     assert found.counts.decoded + found.counts.ignored == len(lines)
     assert len(found.shifts) == 3
-    assert [log.followed for log in found.contributions.logs] == [(0,), (1,)]
+    assert [log.used_channels for log in found.contributions.logs] == [(0,), (1,)]
     assert not found.contributions.idle
 
 
@@ -139,7 +139,7 @@ def test_a_log_that_ends_frees_its_own_messages_only(lines: list[bytes], tmp_pat
         written(tmp_path / "last.log", rest[len(rest) // 2 :]),
     ])  # fmt: skip
     assert found.rejected == {"other_channel": len(engine)}
-    assert [log.followed for log in found.contributions.logs] == [(0,)] * 3
+    assert [log.used_channels for log in found.contributions.logs] == [(0,)] * 3
     assert found.contributions.idle == (
         (
             f"channel 5 of {tmp_path / 'engine.log'} contributed nothing: {len(engine)} frames of messages that are "

@@ -38,10 +38,10 @@ class Scatter:
         count = self.shift_count + 1
         weight = 1.0 / (STATED_WEIGHT + min(count, MEMORY_SHIFT_COUNT))
         return type(self)(
-            variance_mu_c=_followed(
+            variance_mu_c=_next_variance(
                 self.variance_mu_c, alone.mu_c - running.mu_c, alone.random_std_mu_c, running.random_std_mu_c, weight
             ),
-            variance_mu_s=_followed(
+            variance_mu_s=_next_variance(
                 self.variance_mu_s, alone.mu_s - running.mu_s, alone.random_std_mu_s, running.random_std_mu_s, weight
             ),
             shift_count=count,
@@ -77,6 +77,6 @@ class Scatter:
         return scatter
 
 
-def _followed(variance: float, distance: float, alone_std: float, running_std: float, weight: float) -> float:
+def _next_variance(variance: float, distance: float, alone_std: float, running_std: float, weight: float) -> float:
     share = alone_std**2 / (alone_std**2 + running_std**2)
     return variance + weight * (min(share * distance**2, CLIP_STD**2 * variance) - variance)

@@ -108,7 +108,7 @@ class Balance:
         self._planned_torque_nm = smoothed(signals.engine_torque.on_grid, window, SLIP_DEGREE)
         self.tracks = (integrate_film(1, measured[0], calibration), integrate_film(2, measured[1], calibration))
         self._seen = self._weigh(measured, self.tracks, calibration)
-        self._tracks_planned = self._followed(planned, calibration)
+        self._tracks_planned = self._film_tracks(planned, calibration)
         self._nominal = self._weigh(planned, self._tracks_planned, calibration)
         perturbations = (OFFSET, AREA[0], *(perturbation for perturbation, _ in COMMON.values()))
         self._changed = {perturbation: self._perturbed(perturbation) for perturbation in perturbations}
@@ -195,17 +195,17 @@ class Balance:
         return float(np.sum(np.abs(torque_nm * drive.slip_rad_s)) * GRID_S)
 
     def _perturbed(self, perturbation: Perturbation) -> tuple[ClutchMoments, ClutchMoments]:
-        """Follow both films from the planned drives, changed a little."""
+        """Integrate both films from the planned drives, changed a little."""
         calibration = perturbation.of_calibration(self._calibration)
         if not perturbation.moves_film:
             return self._weigh(self._planned, self._tracks_planned, calibration)
         first, second = (perturbation.of_drive(drive, self._signals.grid_s) for drive in self._planned)
-        return self._weigh((first, second), self._followed((first, second), calibration), calibration)
+        return self._weigh((first, second), self._film_tracks((first, second), calibration), calibration)
 
-    def _followed(
+    def _film_tracks(
         self, drives: tuple[PressureDrive, PressureDrive], calibration: Calibration
     ) -> tuple[FilmTrack, FilmTrack]:
-        """Follow both films up to the end of the slip window: what comes after has no weight."""
+        """Integrate both films up to the end of the slip window: what comes after has no weight."""
         stop = self._window.stop
         return integrate_film(1, drives[0], calibration, stop), integrate_film(2, drives[1], calibration, stop)
 

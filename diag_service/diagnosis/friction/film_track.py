@@ -62,27 +62,27 @@ def integrate_film(clutch: int, drive: PressureDrive, calibration: Calibration, 
 
     The clutch starts in equilibrium: open, or pressed and at rest. Its heat uses the calibration's friction, which is
     near enough: 15 % of friction changes the pack by about one kelvin. ``stop`` is the number of grid points to
-    follow, by default all; the track is zero beyond them.
+    integrate, by default all; the track is zero beyond them.
     """
-    believed = calibration.clutches[clutch - 1]
-    law = film_law(believed)
+    nominal = calibration.clutches[clutch - 1]
+    law = film_law(nominal)
     oil = calibration.viscosity
     heat = HeatLaw(
         a_pa_s=oil.a_pa_s,
         b_k=oil.b_k,
         pole_k=oil.pole_k,
-        heat_capacity_j_k=float(believed.thermal.heat_capacity_j_k),
-        convection_w_k=float(believed.thermal.convection_w_k),
+        heat_capacity_j_k=float(nominal.thermal.heat_capacity_j_k),
+        convection_w_k=float(nominal.thermal.convection_w_k),
         oil_k=drive.oil_k,
     )
     contact_pa = np.zeros_like(drive.piston_pa)
     viscous_nm = np.zeros_like(drive.piston_pa)
-    final_k = _follow(
+    final_k = _integrate(
         drive.piston_pa[:stop],
         drive.slip_rad_s[:stop],
         drive.clutch_k,
         law,
-        friction_law(believed.friction),
+        friction_law(nominal.friction),
         heat,
         contact_pa,
         viscous_nm,
@@ -97,7 +97,7 @@ def compile_film(calibration: Calibration) -> None:
 
 
 @kernel
-def _follow(
+def _integrate(
     piston_pa: FloatArray,
     slip_rad_s: FloatArray,
     clutch_k: float,

@@ -9,7 +9,7 @@ from canlog.arrays import FloatArray
 LOADED_PA = 0.25e5  # on-coming clutch: above its touch point by this much
 RELEASED_PA = 0.10e5  # off-going clutch: not above its touch point by more than this, twice the sensor noise
 SLIP_MIN_RAD_S = 0.8  # nearly three times the noise of the slip: slower may be locked; what is slow tells mu_S
-SETTLE_S = 0.02  # after the release: contact of the off-going clutch fades within a few film time constants
+FADE_S = 0.02  # after the release: contact of the off-going clutch fades within a few film time constants
 MIN_WINDOW_S = 0.08  # eight samples; anything shorter is noise
 
 
@@ -45,7 +45,7 @@ def find_window(
     if best is None:
         return None
     step_s = float(grid_s[1] - grid_s[0])
-    first = best.first + round(SETTLE_S / step_s)
+    first = best.first + round(FADE_S / step_s)
     if (best.stop - first) * step_s < MIN_WINDOW_S:
         return None
     return SlipWindow(first=first, stop=best.stop, direction=best.direction)

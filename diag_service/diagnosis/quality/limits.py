@@ -47,7 +47,7 @@ class QualityLimits:
     speeds_rad_s: float = 2.0  # between shafts that turn together; sound: 0.76, torsion of flywheel and shafts
     speeds_mean_s: float = 0.05  # five samples: noise falls by half, a fault shorter than that weighs little
     locked_s: float = 0.10  # before the shift one clutch is locked, at its end the other one
-    settled_s: float = 0.10  # before its slip window the on-coming shaft stands in gear
+    in_gear_s: float = 0.10  # before its slip window the on-coming shaft stands in gear
     pressure_moment_pa: float = 0.20e5  # pressure of the slipping clutch less the expected one; sound: 0.10e5
     pressure_mean_s: float = 0.06  # the span of that moment
     pressure_window_pa: float = 0.10e5  # the same over the whole slip window; sound: 0.05e5

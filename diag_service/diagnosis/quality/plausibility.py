@@ -107,7 +107,7 @@ def speed_gap_rad_s(
     grid_s = signals.grid_s
     before = signals.slip_rad_s(3 - clutch.number)[grid_s < grid_s[0] + limits.locked_s]
     after = signals.slip_rad_s(clutch.number)[grid_s >= end_s - limits.locked_s]
-    geared = slice(max(0, clutch.rows.start - round(limits.settled_s / GRID_S)), len(grid_s))
+    geared = slice(max(0, clutch.rows.start - round(limits.in_gear_s / GRID_S)), len(grid_s))
     first, second = (speed.on_grid[geared] for speed in signals.input_speed)
     apart = first - float(np.median(first / np.maximum(second, 1.0))) * second
     return max(
@@ -119,7 +119,7 @@ def speed_gap_rad_s(
 
 
 def _misses_command(signals: AlignedSignals, clutch: SlippingClutch, limits: QualityLimits) -> bool:
-    """Tell whether the on-coming clutch's pressure is not the commanded one while it slips; False without command."""
+    """Return whether the on-coming clutch's pressure is not the commanded one while it slips; False without command."""
     expected_pa = signals.expected_pa[clutch.number - 1]
     if expected_pa is None:
         return False

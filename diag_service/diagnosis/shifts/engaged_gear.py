@@ -16,11 +16,11 @@ MIN_SPEED_RAD_S = 50.0  # of the engine: below it drives nothing
 
 
 class EngagedGear(Protocol):
-    """Tells which gear is engaged."""
+    """Says which gear is engaged."""
 
     @property
     def signals(self) -> tuple[Signal, ...]:
-        """The signals that it takes."""
+        """The signals that it needs."""
 
     def gears(self, values: Mapping[Signal, FloatArray]) -> Int64Array:
         """Return the gear from values held at the same times, shape (n,); below 1 for none."""
@@ -77,12 +77,7 @@ class EngagedTracker:
         """When the last gear was left, if it was."""
         return self._left_ns
 
-    @property
-    def ended_by(self) -> frozenset[Signal]:
-        """Nothing: how a shift ends takes more than that one of a few signals changes."""
-        return frozenset()
-
-    def follow(self, ahead: Ahead, until_ns: int) -> list[Bounds]:
+    def track(self, ahead: Ahead, until_ns: int) -> list[Bounds]:
         """Walk the gears with ``t < until_ns``."""
         series = {name: ahead.until(name, until_ns) for name in self._engaged.signals}
         t_ns = np.unique(np.concatenate([one.t_ns for one in series.values()]))
@@ -93,24 +88,24 @@ class EngagedTracker:
             gears = self._engaged.gears(values)
             for row in np.flatnonzero(np.diff(gears, prepend=-1)):
                 found += self._step(int(t_ns[row]), int(gears[row]))
-        return [*found, *self._settle(until_ns)]
+        return [*found, *self._end_if_due(until_ns)]
 
     def interrupt(self, now_ns: int) -> list[Bounds]:
         """Forget the stretch; what it left open is no shift that is known."""
-        found = self._settle(now_ns)
+        found = self._end_if_due(now_ns)
         self._forget()
         return found
 
     def _step(self, t_ns: int, matched: int) -> list[Bounds]:
-        found = self._settle(t_ns)
+        found = self._end_if_due(t_ns)
         if matched != self._seen:
             if self._gear >= 1 and self._seen == self._gear and self._left_ns is None:
                 self._left_ns = t_ns
             self._seen, self._seen_ns = matched, t_ns
         return found
 
-    def _settle(self, now_ns: int) -> list[Bounds]:
-        """Take the ratio that is there for a gear once it has stayed; return the shift that led to it."""
+    def _end_if_due(self, now_ns: int) -> list[Bounds]:
+        """Return the shift that led to the gear which has stayed engaged for long enough by now, if there is one."""
         if self._seen >= 1 and now_ns >= self._seen_ns + DWELL_NS:
             came_from, left_ns = self._gear, self._left_ns
             self._gear, self._left_ns = self._seen, None

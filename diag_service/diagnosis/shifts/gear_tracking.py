@@ -61,27 +61,22 @@ class GearPairTracker:
         """When the open shift began, if there is one."""
         return self._lone.open_ns if self._open is None else self._open.start_ns
 
-    @property
-    def ended_by(self) -> frozenset[Signal]:
-        """Both gears: one of them must change for an open shift to end."""
-        return _BOTH_GEARS
-
-    def follow(self, ahead: Ahead, until_ns: int) -> list[Bounds]:
+    def track(self, ahead: Ahead, until_ns: int) -> list[Bounds]:
         """Walk the gear changes with ``t < until_ns``."""
-        if self._has_target and not any(map(ahead.has_change, self.ended_by)):
+        if self._has_target and not any(map(ahead.has_change, _BOTH_GEARS)):
             self._close_overdue(until_ns)
-            return self._take()
+            return self._pop_closed()
         current = ahead.until(Signal.CURRENT_GEAR, until_ns)
         target = ahead.until(Signal.TARGET_GEAR, until_ns)
         self._note_first(current, target)
         if not self._has_target:
-            self._closed += self._lone.follow(ahead, int(target.t_ns[0]) if len(target.t_ns) else until_ns)
+            self._closed += self._lone.track(ahead, int(target.t_ns[0]) if len(target.t_ns) else until_ns)
             self._has_target = len(target.t_ns) > 0
             if self._has_target:
                 self._closed += self._lone.interrupt(int(target.t_ns[0]))
         self._walk(current, target)
         self._close_overdue(until_ns)
-        return self._take()
+        return self._pop_closed()
 
     def interrupt(self, now_ns: int) -> list[Bounds]:
         """Return the open shift as interrupted."""
@@ -90,9 +85,9 @@ class GearPairTracker:
         self._gears, self._has_target = _Gears(), False
         self._first_ns.clear()
         self._overdue = False
-        return self._take()
+        return self._pop_closed()
 
-    def _take(self) -> list[Bounds]:
+    def _pop_closed(self) -> list[Bounds]:
         closed, self._closed = self._closed, []
         return closed
 
@@ -102,7 +97,7 @@ class GearPairTracker:
                 self._first_ns[signal] = int(series.t_ns[0])
 
     def _walk(self, current: Series, target: Series) -> None:
-        """Take gears into account that differ from the last ones."""
+        """Step through the gears that differ from the last ones."""
         changed: dict[int, dict[str, int]] = {}
         for name, series, before in (
             ("current", current, self._gears.current),
@@ -167,12 +162,7 @@ class TargetTracker:
         """When the open shift began, if there is one."""
         return None if self._open is None else self._open.start_ns
 
-    @property
-    def ended_by(self) -> frozenset[Signal]:
-        """Nothing: how a shift ends takes more than that one of a few signals changes."""
-        return frozenset()
-
-    def follow(self, ahead: Ahead, until_ns: int) -> list[Bounds]:
+    def track(self, ahead: Ahead, until_ns: int) -> list[Bounds]:
         """Walk target gear and slip with ``t < until_ns``."""
         names = tuple(dict.fromkeys((Signal.TARGET_GEAR, Signal.ENGINE_SPEED, *self._inputs)))
         series = {name: ahead.until(name, until_ns) for name in names}
@@ -188,18 +178,18 @@ class TargetTracker:
             changes = np.flatnonzero(np.diff(state, prepend=-1))
             for row in changes:
                 found += self._step(int(t_ns[row]), int(target[row]), slips=bool(state[row] % 2))
-        return [*found, *self._settle(until_ns)]
+        return [*found, *self._end_if_due(until_ns)]
 
     def interrupt(self, now_ns: int) -> list[Bounds]:
         """Return the open shift as interrupted."""
-        found = self._settle(now_ns)
+        found = self._end_if_due(now_ns)
         if self._open is not None:
             found.append(replace(self._open, end_ns=now_ns))
         self._forget()
         return found
 
     def _step(self, t_ns: int, target: int, *, slips: bool) -> list[Bounds]:
-        found = self._settle(t_ns)
+        found = self._end_if_due(t_ns)
         if target != self._gear:
             if self._open is not None:
                 found.append(replace(self._open, end_ns=t_ns, end_reason=EndReason.ABANDONED))
@@ -213,7 +203,7 @@ class TargetTracker:
             self._closed_ns = t_ns
         return found
 
-    def _settle(self, now_ns: int) -> list[Bounds]:
+    def _end_if_due(self, now_ns: int) -> list[Bounds]:
         """Return the open shift if its clutch has been closed for long enough by now, or the shift takes too long."""
         if self._open is None:
             return []

@@ -2,16 +2,19 @@
 
 from collections.abc import Mapping
 from dataclasses import replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from canlog.arrays import Int64Array
 from canlog.e2e.e2e_state import E2eChange, E2eState
 from canlog.e2e.own_cycle import own_period_ns
 from canlog.frames import BEFORE_ALL_NS
 from canlog.series import Series
 from diag_service.diagnosis.columns import ColumnBatch, Columns, Signal
 from diag_service.diagnosis.shifts.sample_rings import SampleRings
+
+if TYPE_CHECKING:
+    from canlog.arrays import Int64Array
 
 
 class History:
@@ -29,7 +32,7 @@ class History:
         return self._rings.sample_count
 
     def append(self, batch: ColumnBatch) -> None:
-        """Take the next columns."""
+        """Append the next columns."""
         self._rings.append(batch.columns)
         if len(batch.bad_frame_ns):
             self._bad_ns.append(batch.bad_frame_ns)
@@ -101,9 +104,3 @@ def _worst(changes: list[E2eChange], start_ns: int, stop_ns: int) -> E2eState:
             was_invalid |= state is E2eState.INVALID
         state = change.state
     return E2eState.INVALID if was_invalid else state
-
-
-def held(series: Series, t_ns: Int64Array, before: int) -> Int64Array:
-    """Return the gear in force at each time: the latest sample, or the one known ``before`` the first."""
-    held = np.concatenate(((before,), series.value.astype(np.int64)))
-    return held[np.searchsorted(series.t_ns, t_ns, side="right")]

@@ -13,7 +13,8 @@ from canlog.frames import BEFORE_ALL_NS
 from clutch_model.calibration import Calibration
 from diag_service.diagnosis.columns import ColumnBatch, Signal
 from diag_service.diagnosis.events import EndReason, RunUpEvent
-from diag_service.diagnosis.shifts.history import History, held
+from diag_service.diagnosis.shifts.history import History
+from diag_service.diagnosis.shifts.shift_bounds import held_values
 
 NS_PER_S: Final = 1_000_000_000
 MARGIN_NS: Final = (
@@ -65,14 +66,14 @@ class RunUpFinder:
         self._open: _Bounds | None = None
         self._regime = _IN_GEAR
         self._gears = [_UNKNOWN, _UNKNOWN]
-        self._followed_ns = BEFORE_ALL_NS
+        self._tracked_ns = BEFORE_ALL_NS
         self._run_up_count = 0
 
     def feed(self, batch: ColumnBatch) -> list[RunUpEvent]:
-        """Take the next columns and return the run-ups that are now known in full, oldest first."""
+        """Append the next columns and return the run-ups that are now known in full, oldest first."""
         events = self.flush() if batch.breaks_before else []
         self._history.append(batch)
-        self._follow(self._history.watermark_ns)
+        self._track_speed(self._history.watermark_ns)
         while self._closed and self._closed[0].end_ns + MARGIN_NS < self._history.watermark_ns:
             events += self._cut(self._closed.pop(0))
         self._forget_past()
@@ -80,7 +81,7 @@ class RunUpFinder:
 
     def flush(self) -> list[RunUpEvent]:
         """End the segment: report what is closed, and the open run-up as interrupted."""
-        self._follow(self._history.watermark_ns + 1)
+        self._track_speed(self._history.watermark_ns + 1)
         self._close(self._history.watermark_ns, EndReason.INTERRUPTED)
         events = [event for bounds in self._closed for event in self._cut(bounds)]
         self._forget_segment()
@@ -91,13 +92,13 @@ class RunUpFinder:
         """Samples held of all signals: bounded by the longest run-up, whatever the length of the drive."""
         return self._history.sample_count
 
-    def _follow(self, until_ns: int) -> None:
+    def _track_speed(self, until_ns: int) -> None:
         """Walk the engine speed with ``t < until_ns``: at the watermark itself a sample may still be on its way."""
-        speed = self._history.samples(Signal.ENGINE_SPEED, self._followed_ns, until_ns)
+        speed = self._history.samples(Signal.ENGINE_SPEED, self._tracked_ns, until_ns)
         is_neutral = np.ones(len(speed.t_ns), np.bool_)
         for index, signal in enumerate(_GEARS):
             is_neutral &= self._held_gear(index, signal, speed.t_ns, until_ns) == 0
-        self._followed_ns = until_ns
+        self._tracked_ns = until_ns
         reached = np.digitize(speed.value, (LOW_RAD_S, HIGH_RAD_S))
         regimes = np.concatenate(((self._regime,), np.where(is_neutral, reached, _IN_GEAR)))
         for row in np.flatnonzero(np.diff(regimes)).tolist():
@@ -107,8 +108,8 @@ class RunUpFinder:
 
     def _held_gear(self, index: int, signal: Signal, t_ns: Int64Array, until_ns: int) -> Int64Array:
         """Return the gear in force at each time, and remember the last one."""
-        series = self._history.samples(signal, self._followed_ns, until_ns)
-        gears = held(series, t_ns, self._gears[index])
+        series = self._history.samples(signal, self._tracked_ns, until_ns)
+        gears = held_values(series, t_ns, self._gears[index]).astype(np.int64)
         if len(series.value):
             self._gears[index] = int(series.value[-1])
         return gears
@@ -154,7 +155,7 @@ class RunUpFinder:
         ]
 
     def _are_closed(self, bounds: _Bounds) -> bool | None:
-        """Tell whether both clutches were closed, both open (False) or anything else (None)."""
+        """Return whether both clutches were closed, both open (False) or anything else (None)."""
         pressures = [self._history.samples(signal, bounds.start_ns, bounds.end_ns + 1).value for signal in _PRESSURES]
         pairs = list(zip(pressures, self._touch_pa, strict=True))
         if not all(len(pressure_pa) for pressure_pa in pressures):
@@ -177,4 +178,4 @@ class RunUpFinder:
         self._open = None
         self._regime = _IN_GEAR
         self._gears = [_UNKNOWN, _UNKNOWN]
-        self._followed_ns = BEFORE_ALL_NS
+        self._tracked_ns = BEFORE_ALL_NS

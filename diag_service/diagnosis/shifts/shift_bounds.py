@@ -7,7 +7,6 @@ import numpy as np
 
 from canlog.arrays import FloatArray, Int64Array
 from canlog.series import Series
-from diag_service.diagnosis.columns import Signal
 from diag_service.diagnosis.events import EndReason
 from diag_service.diagnosis.shifts.history import Ahead
 
@@ -30,7 +29,7 @@ class Bounds:
 class GearTracker(Protocol):
     """Finds where shifts begin and end."""
 
-    def follow(self, ahead: Ahead, until_ns: int) -> list[Bounds]:
+    def track(self, ahead: Ahead, until_ns: int) -> list[Bounds]:
         """Walk the samples with ``t < until_ns`` that are new; return the shifts that ended."""
 
     def interrupt(self, now_ns: int) -> list[Bounds]:
@@ -39,10 +38,6 @@ class GearTracker(Protocol):
     @property
     def open_ns(self) -> int | None:
         """When the open shift began, if there is one."""
-
-    @property
-    def ended_by(self) -> frozenset[Signal]:
-        """Signals of which one must change for an open shift to end in time; empty if more can end it."""
 
 
 def held_values(series: Series, t_ns: Int64Array, before: float) -> FloatArray:

@@ -1,7 +1,7 @@
 """Shift detection: canonical columns in, shift events out, the same events for any cutting of the stream."""
 
 from canlog.frames import BEFORE_ALL_NS
-from diag_service.diagnosis.columns import ColumnBatch, Signal
+from diag_service.diagnosis.columns import ColumnBatch
 from diag_service.diagnosis.events import ShiftEvent
 from diag_service.diagnosis.shifts.gear_tracking import GearPairTracker
 from diag_service.diagnosis.shifts.history import Ahead, History
@@ -27,10 +27,10 @@ class ShiftFinder:
         self._shift_count = 0
 
     def feed(self, batch: ColumnBatch) -> list[ShiftEvent]:
-        """Take the next columns and return the shifts that are now known in full, oldest first."""
+        """Append the next columns and return the shifts that are now known in full, oldest first."""
         events = self.flush() if batch.breaks_before else []
         self._history.append(batch)
-        self._follow_gears(self._history.watermark_ns)
+        self._track_gears(self._history.watermark_ns)
         while (due_ns := self.due_ns) is not None and due_ns < self._history.watermark_ns:
             events.append(self._cut(self._closed.pop(0)))
         self._forget_past()
@@ -38,7 +38,7 @@ class ShiftFinder:
 
     def flush(self) -> list[ShiftEvent]:
         """End the segment: report what is closed, and the open shift as interrupted."""
-        self._follow_gears(self._history.watermark_ns + 1)
+        self._track_gears(self._history.watermark_ns + 1)
         self._closed += self._tracker.interrupt(self._history.watermark_ns)
         events = [self._cut(bounds) for bounds in self._closed]
         self._forget_segment()
@@ -48,11 +48,6 @@ class ShiftFinder:
     def is_expecting(self) -> bool:
         """Whether a shift has begun that was not reported yet."""
         return bool(self._closed) or self._tracker.open_ns is not None
-
-    @property
-    def ended_by(self) -> frozenset[Signal]:
-        """Signals of which one must change for an open shift to end in time; empty if more can end it."""
-        return self._tracker.ended_by
 
     @property
     def due_ns(self) -> int | None:
@@ -69,9 +64,9 @@ class ShiftFinder:
         self._closed.clear()
         self._ahead.start_ns = BEFORE_ALL_NS
 
-    def _follow_gears(self, until_ns: int) -> None:
+    def _track_gears(self, until_ns: int) -> None:
         """Walk the gears with ``t < until_ns``: at the watermark itself a sample may still be on its way."""
-        self._closed += self._tracker.follow(self._ahead, until_ns)
+        self._closed += self._tracker.track(self._ahead, until_ns)
         self._ahead.start_ns = until_ns
 
     def _cut(self, bounds: Bounds) -> ShiftEvent:

@@ -34,7 +34,7 @@ LOOSE_SPEED_RAD_S = 50.0
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Readings:
-    """What the smoother is told at every period."""
+    """What the smoother reads at every period."""
 
     engine_nm: FloatArray  # (n,)
     speeds_rad_s: FloatArray  # (n, 5) engine, hub, inputs, wheel
@@ -100,14 +100,14 @@ def _start(readings: Readings) -> tuple[FloatArray, FloatArray]:
 
 def _updated(mean: FloatArray, covariance: FloatArray, readings: Readings, k: int) -> tuple[FloatArray, FloatArray]:
     """Return mean and covariance after the readings of one period; they are independent, so one after the other."""
-    told = [
+    measured = [
         (state, value, std)
         for state, value, std in zip(SPEED_STATES, readings.speeds_rad_s[k], readings.speed_std_rad_s, strict=True)
     ]
-    told += [
+    measured += [
         (state, 0.0, OPEN_STD_NM) for state, is_open in zip(TORQUE_STATES, readings.is_open[k], strict=True) if is_open
     ]
-    for state, value, std in told:
+    for state, value, std in measured:
         gain = covariance[:, state] / (covariance[state, state] + std**2)
         mean = mean + gain * (value - mean[state])
         covariance = covariance - np.outer(gain, covariance[state])
@@ -115,20 +115,20 @@ def _updated(mean: FloatArray, covariance: FloatArray, readings: Readings, k: in
 
 
 def _readings(gathered: AlignedSignals, wheel_rad_s: FloatArray, calibration: Calibration) -> Readings:
-    def taken(values: FloatArray) -> FloatArray:
+    def per_period(values: FloatArray) -> FloatArray:
         return values[::GRID_STRIDE]
 
-    torque_nm = taken(gathered.engine_torque.on_grid)
+    torque_nm = per_period(gathered.engine_torque.on_grid)
     speeds = (gathered.engine_speed, gathered.hub_speed, *gathered.input_speed)
     noise = calibration.noise
     stds = (noise.engine_speed_rad_s, noise.hub_speed_rad_s, noise.input_speed_rad_s, noise.input_speed_rad_s)
     return Readings(
         engine_nm=0.5 * (torque_nm + np.append(torque_nm[1:], torque_nm[-1])),  # mean over the period to come
-        speeds_rad_s=np.column_stack([*(taken(one.on_grid) for one in speeds), wheel_rad_s]),
+        speeds_rad_s=np.column_stack([*(per_period(one.on_grid) for one in speeds), wheel_rad_s]),
         speed_std_rad_s=np.array([*stds, WHEEL_STD_RAD_S]),
         is_open=np.column_stack(
             [
-                taken(pressure.on_grid) < clutch.touch_pressure_pa - noise.pressure_pa
+                per_period(pressure.on_grid) < clutch.touch_pressure_pa - noise.pressure_pa
                 for pressure, clutch in zip(gathered.pressure, calibration.clutches, strict=True)
             ]
         ),
@@ -148,7 +148,7 @@ def _wheel_speed_m_s(event: ShiftEvent, grid_s: FloatArray) -> FloatArray | None
 
 
 def _is_shifting(event: ShiftEvent, grid_s: FloatArray) -> BoolArray:
-    """Tell which grid points lie in the shift before its clutch stuck; without phases on the bus, in the shift."""
+    """Return which grid points lie in the shift before its clutch stuck; without phases on the bus, in the shift."""
     in_shift: BoolArray = grid_s >= 0.0
     phase = event.columns.get(Signal.SHIFT_PHASE)
     if phase is None or not len(phase.t_ns):

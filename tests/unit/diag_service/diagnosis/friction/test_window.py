@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from diag_service.diagnosis.friction.window import LOADED_PA, MIN_WINDOW_S, SETTLE_S, SLIP_MIN_RAD_S, find_window
+from diag_service.diagnosis.friction.window import FADE_S, LOADED_PA, MIN_WINDOW_S, SLIP_MIN_RAD_S, find_window
 
 GRID_S = np.arange(0.0, 1.0, 1e-3)
 LOADED = np.full(len(GRID_S), 4 * LOADED_PA)
@@ -16,7 +16,7 @@ def test_it_ends_at_the_first_low_slip(direction: float) -> None:
     window = find_window(GRID_S, slip, LOADED, EMPTY)
     assert window is not None
     assert window.direction == direction
-    assert GRID_S[window.first] == pytest.approx(SETTLE_S)
+    assert GRID_S[window.first] == pytest.approx(FADE_S)
     assert abs(slip[window.stop - 1]) > SLIP_MIN_RAD_S >= abs(slip[window.stop])
 
 
@@ -24,7 +24,7 @@ def test_it_waits_for_the_release_of_the_off_going_clutch() -> None:
     released = np.where(GRID_S < 0.3, 2e5, -0.5e5)
     window = find_window(GRID_S, np.full(len(GRID_S), 40.0), LOADED, released)
     assert window is not None
-    assert GRID_S[window.first] == pytest.approx(0.3 + SETTLE_S)
+    assert GRID_S[window.first] == pytest.approx(0.3 + FADE_S)
 
 
 def test_locked_samples_after_a_crossing_are_never_used() -> None:
