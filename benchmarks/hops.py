@@ -98,7 +98,7 @@ def new_session(store: ResultStore) -> Session:
         store=store,
         reporter=MemoryReporter(),
         vehicle=VEHICLE,
-        versions=versions_for(nominal_calibration(), "0"),
+        versions=versions_for(nominal_calibration()),
         stream=None,
         utc_now=lambda: NOW,
     )

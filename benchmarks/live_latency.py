@@ -154,7 +154,7 @@ async def run(frames: FrameBatch, store: ResultStore) -> tuple[list[float], list
         store=store,
         reporter=reporter,
         vehicle="benchmark",
-        versions=versions_for(calibration, "benchmark"),
+        versions=versions_for(calibration),
         stream=None,
         utc_now=lambda: "2026-01-01T00:00:00.000000Z",
     )

@@ -82,7 +82,7 @@ def analyse(path: Path) -> Summary:
             store=store,
             reporter=MemoryReporter(),
             vehicle="benchmark",
-            versions=versions_for(calibration, "benchmark"),
+            versions=versions_for(calibration),
             stream=stream_of([path]),
             utc_now=lambda: "",
         )

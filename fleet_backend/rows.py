@@ -35,6 +35,14 @@ _PLAIN: Final = (
     "slip_energy_j",
     "odometer_m",
 )
+_CONTENT: Final = (
+    *_PLAIN,
+    *("version_rank", "produced_at", "start_at", "end_at", "reasons"),
+    *FRICTION_COLUMNS,
+    *("condition", "condition_reason", "level_ratio"),
+    *(RUNNING + name for name in FRICTION_COLUMNS),
+    "running_shift_count",
+)
 _HEAD_LENGTH: Final = 2048
 _DETAIL_LENGTH: Final = 500
 
@@ -66,9 +74,18 @@ def shift_row(data: Mapping[str, object]) -> Row:
     row["level_ratio"] = verdict["level_ratio"]
     row.update(_friction(verdict["friction"], RUNNING))
     row["running_shift_count"] = verdict["shift_count"]
-    content = repr(tuple(row.values())).encode("utf-8", "replace")
-    row["content_digest"] = int.from_bytes(blake2b(content, digest_size=8).digest(), signed=True)
+    row["content_digest"] = content_digest(row)
     return row
+
+
+def content_digest(row: Row) -> int:
+    """Return a number that two contents of one result share only if they are equal.
+
+    Databases hold it and compare it with that of a result that comes again, so a result must keep its own: it is made
+    of these columns in this order, of nothing that a row gets besides.
+    """
+    content = repr(tuple(row[name] for name in _CONTENT)).encode("utf-8", "replace")
+    return int.from_bytes(blake2b(content, digest_size=8).digest(), signed=True)
 
 
 def status_row(data: Mapping[str, object]) -> Row:

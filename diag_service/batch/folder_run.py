@@ -31,7 +31,7 @@ from diag_service.mapping.interpretation import interpret
 from diag_service.service.drive import stream_of
 from diag_service.service.session import versions_for
 from diag_service.service.stopping import Trigger
-from diag_service.settings.config import DiagnosisConfig, calibration_digest
+from diag_service.settings.config import DiagnosisConfig
 
 POLL_S = 0.2  # how soon a request to stop is heard
 WAITING_PER_JOB = 2  # drives handed out ahead: a worker never waits, a stop never takes long
@@ -119,7 +119,7 @@ def checked_jobs(jobs: int | None) -> int:
 
 def settings_digest(config: DiagnosisConfig) -> str:
     """Return a digest of all that decides about results besides the logs: their files and the versions."""
-    versions = versions_for(config.calibration, calibration_digest(config.calibration))
+    versions = versions_for(config.calibration)
     files = stream_of(interpret(config.dbc, config.profile, is_lenient=config.is_lenient).files)
     parts = (config.vehicle, versions.algorithm, versions.calibration, files, str(config.is_strict), ACCOUNT_VERSION)
     return hashlib.sha256("\0".join(parts).encode()).hexdigest()

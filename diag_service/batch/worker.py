@@ -25,7 +25,7 @@ from diag_service.service.recorded import run_logs
 from diag_service.service.session import Session, versions_for
 from diag_service.service.stages import Stages
 from diag_service.service.stopping import Trigger, ignore
-from diag_service.settings.config import DiagnosisConfig, calibration_digest
+from diag_service.settings.config import DiagnosisConfig
 from diag_service.store import ResultStore
 
 DRIVE_SCHEMA = "clutchdiag/drive/v1"
@@ -65,7 +65,7 @@ class Analyst:
                 store=store,
                 reporter=reporter,
                 vehicle=self.config.vehicle,
-                versions=versions_for(calibration, calibration_digest(calibration)),
+                versions=versions_for(calibration),
                 stream=stream,
                 utc_now=str,
             )

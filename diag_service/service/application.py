@@ -46,7 +46,7 @@ from diag_service.service.session import Session, resume, versions_for
 from diag_service.service.snapshot import Board, Snapshot, SnapshotTaker
 from diag_service.service.stages import Stages
 from diag_service.service.stopping import Trigger
-from diag_service.settings.config import BusConfig, DiagnosisConfig, calibration_digest
+from diag_service.settings.config import BusConfig, DiagnosisConfig
 from diag_service.store import ResultStore, Versions
 from fleet_contract import Outgoing, config_message, metrics_message
 from program_io.legible import legible
@@ -209,7 +209,7 @@ def _session(
 
 
 def _versions(config: DiagnosisConfig) -> Versions:
-    return versions_for(config.calibration, calibration_digest(config.calibration))
+    return versions_for(config.calibration)
 
 
 def _reporter(stop: Trigger, *, as_json: bool) -> Reporter:

@@ -7,6 +7,7 @@ from contextlib import suppress
 
 from canlog.notice import NOTICE
 from clutch_model.calibration import Calibration
+from clutch_model.fingerprint import fingerprint
 from diag_service.console.progress import Progress, Stage
 from diag_service.delivery import Reporter
 from diag_service.diagnosis.condition.condition import ConditionMemory
@@ -178,9 +179,9 @@ class Session:
         return result, state
 
 
-def versions_for(calibration: Calibration, digest: str) -> Versions:
-    """Return the versions that results of this program and calibration carry; ``digest`` tells edited copies apart."""
-    return Versions(algorithm=ALGORITHM_VERSION, calibration=f"{calibration.version}+{digest}")
+def versions_for(calibration: Calibration) -> Versions:
+    """Return the versions that results of this program and calibration carry; its fingerprint tells copies apart."""
+    return Versions(algorithm=ALGORITHM_VERSION, calibration=f"{calibration.version}+{fingerprint(calibration)}")
 
 
 def resume(

@@ -1,6 +1,5 @@
 """What a run is to do, checked once: the command line's words become values, or a ConfigError."""
 
-import hashlib
 import os
 from dataclasses import dataclass
 from enum import StrEnum
@@ -13,7 +12,6 @@ from diag_service.errors import ConfigError
 from diag_service.settings.defaults import UNNAMED_VEHICLE
 from fleet_contract import BrokerUrlError, is_vehicle, parse_broker_url
 
-_DIGEST_LENGTH = 12
 SMALLEST_BUDGET_BYTES = 1 << 20
 _LOOPBACK = "127.0.0.1"
 
@@ -170,11 +168,6 @@ def check_paper_options(store: Path | None, broker: BrokerAddress | None) -> Non
 def load_calibration(path: Path | None) -> Calibration:
     """Return the calibration in a file, or the one that ships; raises CalibrationError."""
     return nominal_calibration() if path is None else read_calibration(path)
-
-
-def calibration_digest(calibration: Calibration) -> str:
-    """Return a short fingerprint of every number of a calibration, so that an edited copy is not taken for it."""
-    return hashlib.sha256(repr(calibration).encode()).hexdigest()[:_DIGEST_LENGTH]
 
 
 def default_store(vehicle: str) -> Path:

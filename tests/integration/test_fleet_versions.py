@@ -18,6 +18,7 @@ from fleet_backend.intake import Kind, Message, batch_of, take
 from fleet_backend.writer import Writer
 from tests.fleet import NOW
 from tests.fleet_worker import worker
+from tests.golden import earlier
 from tests.patience import HANG_S
 from tests.plugins.broker import Mosquitto
 
@@ -53,20 +54,24 @@ def test_messages_of_every_version_are_understood(engine: Engine) -> None:
 
 
 @pytest.mark.broker
-async def test_the_store_of_the_first_version_drains_into_the_present_backend(
-    tmp_path: Path, broker: Mosquitto, sqlite_url: str, engine: Engine
+@pytest.mark.parametrize(("name", "waiting"), [("store-v1.sql", 2), ("edge.sql", 37)])
+async def test_the_store_of_an_earlier_version_drains_into_the_present_backend(
+    tmp_path: Path, broker: Mosquitto, sqlite_url: str, engine: Engine, name: str, waiting: int
 ) -> None:
     path = tmp_path / "edge.sqlite"
-    with closing(sqlite3.connect(path)) as connection:
-        connection.executescript((GOLDEN / "store-v1.sql").read_text(encoding="utf-8"))
+    if name == "edge.sql":
+        earlier.database(name, path)
+    else:
+        with closing(sqlite3.connect(path)) as connection:
+            connection.executescript((GOLDEN / name).read_text(encoding="utf-8"))
     connector = MqttConnector(BrokerAddress(host="127.0.0.1", port=broker.port), "clutchdiag-car1", is_persistent=True)
 
     def connect() -> AbstractAsyncContextManager[Link]:
         return connector.connect("2026-01-01T00:00:00.000000Z")
 
     with worker(tmp_path, broker.url, sqlite_url), closing(ResultStore.open(path)) as store:
-        assert store.unpublished_count("car1") == 2
+        assert store.unpublished_count("car1") == waiting
         outbox = Outbox(store, "car1", connect, "the broker", acknowledge=Acknowledge.BACKEND)
         left = await outbox.close(asyncio.create_task(outbox.run()), timeout_s=HANG_S)
     assert left == 0
-    assert queries.result_count(engine) == 2
+    assert queries.result_count(engine) == waiting

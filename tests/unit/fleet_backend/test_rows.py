@@ -1,10 +1,14 @@
 """What is kept of a message in a row."""
 
+import json
+
+import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from fleet_backend.rows import Poison, quarantine_row
+from fleet_backend.rows import Poison, content_digest, quarantine_row, shift_row
 from tests.fleet import NOW, fleet_result, row_of
+from tests.golden import FOLDER as GOLDEN
 
 
 @given(st.binary(max_size=200), st.text(max_size=50))
@@ -16,6 +20,18 @@ def test_whatever_came_is_kept_in_printable_text(payload: bytes, detail: str) ->
         assert text.isprintable()
         assert text.encode().decode() == text
     assert row["size_bytes"] == len(payload)
+
+
+@pytest.mark.parametrize(("name", "known"), [("shift", -3664896956469182395), ("shift-rejected", -5958550621060343079)])
+def test_the_digest_of_a_content_is_for_ever(name: str, known: int) -> None:
+    data = json.loads((GOLDEN / "v1" / f"{name}.json").read_text(encoding="utf-8"))["data"]
+    assert shift_row(data)["content_digest"] == known
+
+
+def test_what_a_row_gets_besides_is_not_its_content() -> None:
+    row = row_of(fleet_result(1))
+    reordered = {"a_later_column": 1, **{name: row[name] for name in reversed(row)}}
+    assert content_digest(reordered) == row["content_digest"]
 
 
 def test_the_digest_of_the_content_tells_results_apart_and_nothing_else() -> None:

@@ -32,7 +32,7 @@ from ecu_emulator.readings import Readings
 from tests.patience import HANG_S
 
 CALIBRATION = nominal_calibration()
-VERSIONS = versions_for(CALIBRATION, "digest")
+VERSIONS = versions_for(CALIBRATION)
 NOW = "2026-01-01T00:00:00.000000Z"
 NS_PER_S = 1_000_000_000
 

@@ -1,0 +1,100 @@
+import math
+import tomllib
+from collections.abc import Iterator
+from dataclasses import asdict, dataclass, replace
+from datetime import date
+from typing import Any
+
+import pytest
+
+from clutch_model.calibration import (
+    Calibration,
+    calibration_table,
+    calibration_toml,
+    nominal_calibration,
+    nominal_table,
+    read_calibration,
+)
+from clutch_model.clutch import FrictionCurve
+from clutch_model.fingerprint import canonical_text, fingerprint
+from tests.golden import earlier
+
+NOMINAL = nominal_calibration()
+OF_A_VEHICLE = read_calibration(earlier.CALIBRATION)
+Path = tuple[str | int, ...]
+
+
+def leaves(table: object, path: Path = ()) -> Iterator[Path]:
+    """Yield where every number and text of nested tables is."""
+    entries = table.items() if isinstance(table, dict) else enumerate(table) if isinstance(table, list | tuple) else ()
+    for key, value in entries:
+        yield from leaves(value, (*path, key))
+    if not isinstance(table, dict | list | tuple):
+        yield path
+
+
+def edited(table: Any, path: Path) -> Any:  # noqa: ANN401 - whatever a file holds
+    """Return nested tables with the value at a path changed, a float in its last digit."""
+    if isinstance(table, float):
+        return math.nextafter(table, math.inf)
+    if not path:
+        return f"{table}x" if isinstance(table, str) else table + 1
+    entries = dict(table) if isinstance(table, dict) else list(table)
+    entries[path[0]] = edited(table[path[0]], path[1:])  # type: ignore[index]  # by its name or its place
+    return entries
+
+
+def turned(table: object) -> object:
+    """Return nested tables with their keys in the opposite order."""
+    if isinstance(table, dict):
+        return {key: turned(table[key]) for key in reversed(table)}
+    return [turned(one) for one in table] if isinstance(table, list) else table
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Renamed(FrictionCurve):
+    """A record that another program calls otherwise."""
+
+
+@pytest.mark.parametrize(
+    ("calibration", "known"), [(NOMINAL, "c03b84f3ca97"), (OF_A_VEHICLE, "dc5431dc3a92")], ids=["type", "vehicle"]
+)
+def test_the_fingerprint_of_an_unchanged_calibration_is_for_ever(calibration: Calibration, known: str) -> None:
+    assert fingerprint(calibration) == known
+
+
+def test_what_the_program_calls_its_records_does_not_count() -> None:
+    clutch = NOMINAL.clutches[0]
+    other = replace(clutch, friction=Renamed(**asdict(clutch.friction)))
+    assert fingerprint(replace(NOMINAL, clutches=(other, NOMINAL.clutches[1]))) == fingerprint(NOMINAL)
+
+
+@pytest.mark.parametrize("calibration", [NOMINAL, OF_A_VEHICLE], ids=["type", "vehicle"])
+def test_every_number_and_text_counts(calibration: Calibration) -> None:
+    table = calibration_table(calibration)
+    paths = [path for path in leaves(table) if path[0] not in {"vehicle", "made_on"}]
+    texts = {canonical_text(edited(table, path)) for path in paths}
+    assert len(texts) == len(paths) > 60
+    assert canonical_text(table) not in texts
+
+
+def test_whose_it_is_and_since_when_does_not_count() -> None:
+    named = replace(NOMINAL, vehicle="car1", made_on=date(2026, 1, 31))
+    assert fingerprint(named) == fingerprint(NOMINAL)
+
+
+def test_the_order_of_the_file_does_not_count() -> None:
+    reordered = Calibration.from_mapping(turned(nominal_table()))  # type: ignore[arg-type]
+    assert fingerprint(reordered) == fingerprint(NOMINAL)
+
+
+def test_a_file_that_was_written_and_read_again_is_the_same() -> None:
+    again = Calibration.from_mapping(tomllib.loads(calibration_toml(OF_A_VEHICLE)))
+    assert fingerprint(again) == fingerprint(OF_A_VEHICLE)
+
+
+def test_a_key_that_files_get_later_counts_behind_the_others() -> None:
+    table = calibration_table(NOMINAL)
+    later = {**table, "noise": {"a_later_one": 0.5, **table["noise"]}}
+    expected = canonical_text(table).replace("pressure_pa=5000.0), bias", "pressure_pa=5000.0, a_later_one=0.5), bias")
+    assert canonical_text(later) == expected != canonical_text(table)
