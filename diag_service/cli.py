@@ -1,10 +1,10 @@
 """The command line of the service: words to configuration, errors to one line and an exit status."""
 
-import argparse
 import signal
 import sys
 from collections.abc import Sequence
 from importlib import import_module
+from types import SimpleNamespace
 
 from canlog.errors import DefinitionError, ExtraMissingError, OutputError, SourceError
 from clutch_model.errors import CalibrationError
@@ -17,7 +17,7 @@ from diag_service.commands.arguments import (
     EXIT_STORE,
     EXIT_UNEXPECTED,
     PROGRAM,
-    build_parser,
+    parse_arguments,
 )
 from diag_service.errors import ConfigError, IncompleteError, StoppedError, StoreError
 from diag_service.service.stopping import Trigger, ignore
@@ -31,21 +31,23 @@ def main(arguments: Sequence[str] | None = None) -> int:
     stop.listen_to(signal.SIGINT, signal.SIGTERM)
     counts_wanted.listen_to(signal.SIGUSR1)
     try:
-        options = build_parser().parse_args(arguments)
+        is_verbose = False
         try:
+            options = parse_arguments(arguments)
+            is_verbose = options.verbose > 0
             with standard_output():
                 _run(options, stop, counts_wanted)
         except StoppedError as exc:
             return _end_early(exc, stop)
         except Exception as exc:  # noqa: BLE001 - the one place where nothing may pass
-            return _complain(exc, is_verbose=options.verbose > 0)
+            return _complain(exc, is_verbose=is_verbose)
         return EXIT_OK
     finally:
         if arguments is None:  # a signal while the interpreter winds down must not change the exit status
             ignore(signal.SIGINT, signal.SIGTERM, signal.SIGUSR1)
 
 
-def _run(options: argparse.Namespace, stop: Trigger, counts_wanted: Trigger) -> None:
+def _run(options: SimpleNamespace, stop: Trigger, counts_wanted: Trigger) -> None:
     # python-can loads asammdf where it is installed, and that pandas: 0.3 s, 45 MB. MF4 logs are read in a process of
     # their own.
     sys.modules.setdefault("asammdf", None)  # type: ignore[arg-type]  # Python's own way to say "not here"

@@ -1,12 +1,13 @@
-"""The words of the command line: which commands and options there are. Needs no extra."""
+"""The words of the command line: which commands there are, and which options each takes. Needs no extra."""
 
-import argparse
-import os
-from importlib.metadata import version
-from pathlib import Path
-from typing import Final, NoReturn
+from collections.abc import Sequence
+from types import SimpleNamespace
+from typing import Final
+
+import click
 
 from fleet_backend.choices import Axis, Pace
+from program_io.command_line import FILE, VERBOSE, Command, Option, Program, parse
 
 PROGRAM: Final = "fleet-backend"
 BROKER_VARIABLE: Final = "CLUTCHDIAG_BROKER"  # these keep passwords out of the process list
@@ -18,129 +19,155 @@ _EXIT_TEXT: Final = (
     "3 broker, 4 database, 5 unknown vehicle"
 )
 _QUARANTINE_LIMIT: Final = 50
+_PACE: Final = Pace()
 
 
-class Parser(argparse.ArgumentParser):
-    """A parser that complains in one line, as everything else does."""
-
-    def error(self, message: str) -> NoReturn:
-        """Complain and leave."""
-        self.exit(EXIT_CONFIG, f"{PROGRAM}: error: {message} (see {self.prog} --help)\n")
-
-
-def build_parser() -> Parser:
-    """Return the parser of the whole command line."""
-    parser = Parser(
-        prog=PROGRAM, description="Keeps the results of a fleet and answers questions about it.", epilog=_EXIT_TEXT
-    )
-    parser.add_argument("--version", action="version", version=f"{PROGRAM} {version('clutchdiag')}")
-    commands = parser.add_subparsers(dest="command", required=True, metavar="COMMAND", parser_class=Parser)
-
-    def add(name: str, text: str) -> argparse.ArgumentParser:
-        return _with_common(commands.add_parser(name, help=text, description=text, epilog=_EXIT_TEXT))
-
-    def add_question(name: str, text: str) -> argparse.ArgumentParser:
-        command = add(name, text)
-        command.add_argument("--json", action="store_true", help="one JSON object per line")
-        command.add_argument(
-            "--width",
-            type=_count,
-            metavar="N",
-            help="columns to fit a table into (default: the terminal's, in a pipe any)",
-        )
-        return command
-
-    _add_ingest(add("ingest", "take results from the broker into the database, until stopped"))
-    add("migrate", "create the database, or bring it to the schema of this version")
-    table = add_question("table", "show the running condition of every clutch, the worst first")
-    table.add_argument("--limit", type=_count, metavar="N", help="show the N worst only")
-    _add_trend(add_question("trend", "show how the friction of a clutch went"))
-    _add_alarms(add_question("alarms", "show or acknowledge alarms"))
-    _add_quarantine(add_question("quarantine", "show or forget messages that could not be used"))
-    add_question("seen", "show when each vehicle was heard of")
-    _add_fill(add("fill", "note that a vehicle got new fluid"))
-    add("hash", "show a hash of all results: equal results, equal hash, in any database")
-    return parser
+def _count(text: str | int) -> int:
+    """Return how many lines are wanted; databases differ in what a negative number means."""
+    if not str(text).isdecimal():
+        raise ValueError(f"must be a count, got {text}")
+    return int(text)
 
 
-def _with_common(command: argparse.ArgumentParser) -> argparse.ArgumentParser:
-    command.add_argument(
+_COMMON: Final = (
+    Option(
         "--database",
-        default=os.environ.get(DATABASE_VARIABLE),
+        envvar=DATABASE_VARIABLE,
         metavar="URL",
         help=f"postgresql://[user@]host[:port]/NAME or sqlite:///FILE (default: the environment's"
         f" {DATABASE_VARIABLE}, else an SQLite file in the user's state directory)",
-    )
-    command.add_argument("-v", "--verbose", action="count", default=0, help="say more; twice: libraries too")
-    return command
-
-
-def _add_ingest(command: argparse.ArgumentParser) -> None:
-    pace = Pace()
-    command.add_argument(
+    ),
+    VERBOSE,
+)
+_QUESTION: Final = (
+    *_COMMON,
+    Option("--json", is_flag=True, help="one JSON object per line"),
+    Option(
+        "--width", type=_count, metavar="N", help="columns to fit a table into (default: the terminal's, in a pipe any)"
+    ),
+)
+_VEHICLE: Final = click.Argument(["vehicle"], metavar="VEHICLE", help="vehicle id")
+_CLUTCH: Final = click.Choice([1, 2])
+_INGEST: Final = Command(
+    "ingest",
+    "take results from the broker into the database, until stopped",
+    *_COMMON,
+    Option(
         "--broker",
-        default=os.environ.get(BROKER_VARIABLE),
+        envvar=BROKER_VARIABLE,
         metavar="URL",
         help=f"mqtt[s]://[user[:password]@]host[:port], MQTT 5 (default: the environment's {BROKER_VARIABLE})",
-    )
-    command.add_argument("--ca", type=Path, metavar="FILE", help="certificate authority of an mqtts:// broker")
-    command.add_argument("--cert", type=Path, metavar="FILE", help="our certificate, for mutual TLS")
-    command.add_argument("--key", type=Path, metavar="FILE", help="its private key")
-    command.add_argument("--worker", metavar="NAME", help="name of this worker, unlike any other's (default: made up)")
-    command.add_argument(
-        "--alive", type=Path, metavar="FILE", help="touch this file every 5 s while broker and database answer"
-    )
-    command.add_argument(
+    ),
+    Option("--ca", type=FILE, metavar="FILE", help="certificate authority of an mqtts:// broker"),
+    Option("--cert", type=FILE, metavar="FILE", help="our certificate, for mutual TLS"),
+    Option("--key", type=FILE, metavar="FILE", help="its private key"),
+    Option("--worker", metavar="NAME", help="name of this worker, unlike any other's (default: made up)"),
+    Option("--alive", type=FILE, metavar="FILE", help="touch this file every 5 s while broker and database answer"),
+    Option(
         "--batch",
         type=int,
-        default=pace.batch_size,
+        default=_PACE.batch_size,
         metavar="N",
-        help="messages per transaction (default: %(default)s)",
-    )
-    command.add_argument(
+        help=f"messages per transaction (default: {_PACE.batch_size})",
+    ),
+    Option(
         "--patience",
         type=float,
-        default=pace.patience_s * 1000.0,
+        default=_PACE.patience_s * 1000.0,
         metavar="MS",
-        help="how long the first message of a batch waits for others (default: %(default)g)",
-    )
-
-
-def _add_trend(command: argparse.ArgumentParser) -> None:
-    command.add_argument("vehicle", metavar="VEHICLE")
-    command.add_argument("clutch", type=int, choices=(1, 2))
-    command.add_argument(
-        "--against", choices=[axis.value for axis in Axis], default=Axis.SHIFT.value, help="(default: %(default)s)"
-    )
-
-
-def _add_alarms(command: argparse.ArgumentParser) -> None:
-    command.add_argument("--all", action="store_true", help="also those that are cleared")
-    command.add_argument(
+        help=f"how long the first message of a batch waits for others (default: {_PACE.patience_s * 1000.0:g})",
+    ),
+    examples=(
+        f"{PROGRAM} ingest --broker mqtts://fleet@broker.example --database postgresql://fleet@db.example/fleet",
+    ),
+)
+_TABLE: Final = Command(
+    "table",
+    "show the running condition of every clutch, the worst first",
+    *_QUESTION,
+    Option("--limit", type=_count, metavar="N", help="show the N worst only"),
+    examples=(f"{PROGRAM} table --limit 10",),
+)
+_TREND: Final = Command(
+    "trend",
+    "show how the friction of a clutch went",
+    _VEHICLE,
+    click.Argument(["clutch"], type=_CLUTCH, metavar="CLUTCH", help="1 or 2"),
+    *_QUESTION,
+    Option(
+        "--against",
+        type=click.Choice([axis.value for axis in Axis]),
+        default=Axis.SHIFT.value,
+        help=f"what the trend is shown over (default: {Axis.SHIFT})",
+    ),
+    examples=(f"{PROGRAM} trend car1 2 --against odometer",),
+)
+_ALARMS: Final = Command(
+    "alarms",
+    "show or acknowledge alarms",
+    *_QUESTION,
+    Option("--all", is_flag=True, help="also those that are cleared"),
+    Option(
         "--acknowledge",
         metavar="VEHICLE",
         help="acknowledge the latest alarm of its --clutch, or without --clutch what was kept aside on its topics",
-    )
-    command.add_argument("--clutch", type=int, choices=(1, 2))
-    command.add_argument("--by", metavar="WHO", help="who acknowledges (default: the user)")
-    command.add_argument("--note", metavar="TEXT")
+    ),
+    Option("--clutch", type=_CLUTCH, help="whose alarm is acknowledged"),
+    Option("--by", metavar="WHO", help="who acknowledges (default: the user)"),
+    Option("--note", metavar="TEXT", help="what is to be remembered of it"),
+    examples=(
+        f"{PROGRAM} alarms --all --json",
+        f"{PROGRAM} alarms --acknowledge car1 --clutch 2 --note 'fluid is on order'",
+    ),
+)
+_QUARANTINE: Final = Command(
+    "quarantine",
+    "show or forget messages that could not be used",
+    *_QUESTION,
+    Option(
+        "--limit",
+        type=_count,
+        default=_QUARANTINE_LIMIT,
+        metavar="N",
+        help=f"show the N latest only (default: {_QUARANTINE_LIMIT})",
+    ),
+    Option("--purge-days", type=float, metavar="D", help="forget what is older than D days instead"),
+    examples=(f"{PROGRAM} quarantine --purge-days 90",),
+)
+_FILL: Final = Command(
+    "fill",
+    "note that a vehicle got new fluid",
+    _VEHICLE,
+    click.Argument(["product"], metavar="PRODUCT", help="name of the fluid"),
+    *_COMMON,
+    Option("--at", metavar="DATE", help="ISO 8601, UTC without a zone (default: now)"),
+    Option("--odometer-km", type=float, metavar="KM", help="reading of the odometer"),
+    Option("--note", metavar="TEXT", help="what is to be remembered of it"),
+    examples=(f"{PROGRAM} fill car1 DCTF-II --at 2026-01-31 --odometer-km 61200",),
+)
+COMMAND_LINE: Final = Program(
+    PROGRAM,
+    "Keeps the results of a fleet and answers questions about it.",
+    _EXIT_TEXT,
+    _INGEST,
+    Command(
+        "migrate",
+        "create the database, or bring it to the schema of this version",
+        *_COMMON,
+        examples=(f"{PROGRAM} migrate --database sqlite:///fleet.sqlite",),
+    ),
+    *(_TABLE, _TREND, _ALARMS, _QUARANTINE),
+    Command("seen", "show when each vehicle was heard of", *_QUESTION, examples=(f"{PROGRAM} seen --json",)),
+    _FILL,
+    Command(
+        "hash",
+        "show a hash of all results: equal results, equal hash, in any database",
+        *_COMMON,
+        examples=(f"{PROGRAM} hash",),
+    ),
+)
 
 
-def _add_quarantine(command: argparse.ArgumentParser) -> None:
-    command.add_argument("--limit", type=_count, default=_QUARANTINE_LIMIT, metavar="N", help="(default: %(default)s)")
-    command.add_argument("--purge-days", type=float, metavar="D", help="forget what is older than D days instead")
-
-
-def _add_fill(command: argparse.ArgumentParser) -> None:
-    command.add_argument("vehicle", metavar="VEHICLE")
-    command.add_argument("product", metavar="PRODUCT")
-    command.add_argument("--at", metavar="DATE", help="ISO 8601, UTC without a zone (default: now)")
-    command.add_argument("--odometer-km", type=float, metavar="KM")
-    command.add_argument("--note", metavar="TEXT")
-
-
-def _count(text: str) -> int:
-    """Return how many lines are wanted; databases differ in what a negative number means."""
-    if not text.isdecimal():
-        raise argparse.ArgumentTypeError(f"must be a count, got {text}")
-    return int(text)
+def parse_arguments(words: Sequence[str] | None) -> SimpleNamespace:
+    """Return what a command line says; raises SystemExit after help or a complaint."""
+    return parse(COMMAND_LINE, words)

@@ -16,7 +16,7 @@ from fleet_backend.arguments import (
     EXIT_UNEXPECTED,
     EXIT_UNKNOWN,
     PROGRAM,
-    build_parser,
+    parse_arguments,
 )
 from fleet_backend.errors import BrokerError, ConfigError, DatabaseError, ExtraMissingError, UnknownVehicleError
 from fleet_contract import VariableError, check_variables
@@ -32,7 +32,7 @@ _STATUS_OF: Final = (
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the backend and return its exit status."""
-    options = build_parser().parse_args(arguments)
+    options = parse_arguments(arguments)
     _set_up_log(options.verbose)
     try:
         _check_environment()

@@ -1,11 +1,10 @@
 """What the commands do, once their words are checked; loads the database's libraries, which are an extra."""
 
-import argparse
 import getpass
 import sys
 from collections.abc import Callable, Mapping, Sequence
 from datetime import UTC, datetime, timedelta
-from types import MappingProxyType
+from types import MappingProxyType, SimpleNamespace
 from typing import Final
 
 from sqlalchemy import Engine
@@ -21,10 +20,10 @@ from fleet_backend.errors import ConfigError
 from fleet_backend.layout import Sheet
 from fleet_backend.migrate import make_ready, migrate, newest_revision
 
-Command = Callable[[argparse.Namespace, Engine], None]
+Command = Callable[[SimpleNamespace, Engine], None]
 
 
-def execute(options: argparse.Namespace) -> None:
+def execute(options: SimpleNamespace) -> None:
     """Do what a command line asks for; raises FleetBackendError."""
     for name in ("vehicle", "acknowledge", "product", "note", "by"):
         if not (getattr(options, name, None) or "").isprintable():
@@ -37,7 +36,7 @@ def execute(options: argparse.Namespace) -> None:
         engine.dispose()
 
 
-def _ingest(options: argparse.Namespace, engine: Engine) -> None:
+def _ingest(options: SimpleNamespace, engine: Engine) -> None:
     if not options.broker:
         raise ConfigError(f"no broker: give --broker or set {BROKER_VARIABLE}")
     tls = TlsFiles(ca=options.ca, certificate=options.cert, key=options.key)
@@ -45,24 +44,24 @@ def _ingest(options: argparse.Namespace, engine: Engine) -> None:
     run_ingest(engine, parse_broker(options.broker, tls), pace, options.worker, options.alive)
 
 
-def _migrate(_options: argparse.Namespace, engine: Engine) -> None:
+def _migrate(_options: SimpleNamespace, engine: Engine) -> None:
     migrate(engine)
     sys.stdout.write(f"{place_of(engine)}: schema {newest_revision()}\n")
 
 
-def _table(options: argparse.Namespace, engine: Engine) -> None:
+def _table(options: SimpleNamespace, engine: Engine) -> None:
     records = queries.worst_first(engine, options.limit)
     _tell(options, records, lambda: report.fleet_table(records))
 
 
-def _trend(options: argparse.Namespace, engine: Engine) -> None:
+def _trend(options: SimpleNamespace, engine: Engine) -> None:
     queries.check_vehicle(engine, options.vehicle)
     records = queries.trend(engine, options.vehicle, options.clutch, Axis(options.against))
     title = f"{options.vehicle}, clutch {options.clutch}: {len(records)} valid shifts against {options.against}"
     _tell(options, records, lambda: report.trend_table(title, records))
 
 
-def _alarms(options: argparse.Namespace, engine: Engine) -> None:
+def _alarms(options: SimpleNamespace, engine: Engine) -> None:
     if options.acknowledge is not None:
         _acknowledge(options, engine)
         return
@@ -73,7 +72,7 @@ def _alarms(options: argparse.Namespace, engine: Engine) -> None:
     _tell(options, records, lambda: report.alarm_table(clutches, identities))
 
 
-def _acknowledge(options: argparse.Namespace, engine: Engine) -> None:
+def _acknowledge(options: SimpleNamespace, engine: Engine) -> None:
     vehicle, clutch = options.acknowledge, options.clutch
     by, now = options.by or getpass.getuser(), datetime.now(UTC)
     queries.check_vehicle(engine, vehicle)
@@ -85,7 +84,7 @@ def _acknowledge(options: argparse.Namespace, engine: Engine) -> None:
         sys.stdout.write(f"alarm of clutch {clutch} of {vehicle} acknowledged\n")
 
 
-def _quarantine(options: argparse.Namespace, engine: Engine) -> None:
+def _quarantine(options: SimpleNamespace, engine: Engine) -> None:
     if options.purge_days is not None:
         count = queries.purge_quarantine(engine, datetime.now(UTC) - timedelta(days=options.purge_days))
         sys.stdout.write(f"{count} messages forgotten\n")
@@ -94,12 +93,12 @@ def _quarantine(options: argparse.Namespace, engine: Engine) -> None:
     _tell(options, records, lambda: report.quarantine_table(records))
 
 
-def _seen(options: argparse.Namespace, engine: Engine) -> None:
+def _seen(options: SimpleNamespace, engine: Engine) -> None:
     records = queries.last_seen(engine)
     _tell(options, records, lambda: report.seen_table(records))
 
 
-def _fill(options: argparse.Namespace, engine: Engine) -> None:
+def _fill(options: SimpleNamespace, engine: Engine) -> None:
     queries.check_vehicle(engine, options.vehicle)
     at = datetime.now(UTC) if options.at is None else parse_moment(options.at)
     odometer_m = None if options.odometer_km is None else options.odometer_km * 1000.0
@@ -107,7 +106,7 @@ def _fill(options: argparse.Namespace, engine: Engine) -> None:
     sys.stdout.write(f"{options.vehicle}: {options.product} since {at.isoformat()}\n")
 
 
-def _hash(_options: argparse.Namespace, engine: Engine) -> None:
+def _hash(_options: SimpleNamespace, engine: Engine) -> None:
     found = queries.table_hash(engine)
     sys.stdout.write(f"{found.sha256}  {found.row_count} results\n")
 
@@ -115,14 +114,14 @@ def _hash(_options: argparse.Namespace, engine: Engine) -> None:
 def _checked(command: Command) -> Command:
     """Return a command that first makes sure of the schema."""
 
-    def run(options: argparse.Namespace, engine: Engine) -> None:
+    def run(options: SimpleNamespace, engine: Engine) -> None:
         make_ready(engine)
         command(options, engine)
 
     return run
 
 
-def _tell(options: argparse.Namespace, records: Sequence[report.Record], sheet: Callable[[], Sheet]) -> None:
+def _tell(options: SimpleNamespace, records: Sequence[report.Record], sheet: Callable[[], Sheet]) -> None:
     if options.json:
         report.write_json(records, sys.stdout)
     else:

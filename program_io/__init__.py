@@ -1,1 +1,1 @@
-"""What every program does at the edge of its machine: standard output, files for its owner, signs of life."""
+"""What every program does at the edge of its machine: command line, standard output, private files, signs of life."""

@@ -1,6 +1,6 @@
 """``diag-service analyze``: diagnose the logs of one drive, or folders of drives."""
 
-import argparse
+from types import SimpleNamespace
 
 from diag_service.commands.meaning import diagnosis_config
 from diag_service.errors import ConfigError
@@ -9,9 +9,9 @@ from diag_service.service.stopping import Trigger
 from diag_service.settings import config
 
 
-def execute(options: argparse.Namespace, stop: Trigger, counts_wanted: Trigger) -> None:
+def execute(options: SimpleNamespace, stop: Trigger, counts_wanted: Trigger) -> None:
     """Diagnose what was named."""
-    is_stored = options.store is not None  # by the command line: settings of other runs do not matter to folders
+    is_stored = "store" in options.given  # on the command line: settings of other runs do not matter to folders
     diagnosis = diagnosis_config(options)
     controls = application.Controls(stop=stop, counts_wanted=counts_wanted)
     is_paper = options.estimator == config.EstimatorKind.PAPER

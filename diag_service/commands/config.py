@@ -1,8 +1,8 @@
 """``diag-service config check``: what a run would use, checked, secrets masked."""
 
-import argparse
 import logging
 import sys
+from types import SimpleNamespace
 
 from diag_service.commands.meaning import bus_config, diagnosis_config
 from diag_service.mapping.interpretation import interpret
@@ -12,7 +12,7 @@ from diag_service.settings.options import describe
 _LOG = logging.getLogger(__name__)
 
 
-def execute(options: argparse.Namespace, stop: Trigger, counts_wanted: Trigger) -> None:
+def execute(options: SimpleNamespace, stop: Trigger, counts_wanted: Trigger) -> None:
     """Check the settings and print them."""
     del stop, counts_wanted
     diagnosis = diagnosis_config(options)

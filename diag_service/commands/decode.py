@@ -1,7 +1,7 @@
 """``diag-service decode``: the signals of a log as Parquet, in bounded memory, and what is not among them."""
 
-import argparse
 import sys
+from types import SimpleNamespace
 
 from canlog.logs import LogReader
 from canlog.parquet_file import load_pyarrow
@@ -17,13 +17,13 @@ from diag_service.mapping.databases import open_database
 from diag_service.service.stopping import Trigger
 
 
-def execute(options: argparse.Namespace, stop: Trigger, counts_wanted: Trigger) -> None:
+def execute(options: SimpleNamespace, stop: Trigger, counts_wanted: Trigger) -> None:
     """Decode a log; the file appears when it is complete. Raises StoppedError if that was stopped."""
     del counts_wanted
     if options.output.suffix.lower() != ".parquet":
         raise ConfigError(f"{options.output}: the signals are written as .parquet")
     load_pyarrow()
-    messages = open_database(options.dbc, is_lenient=bool(options.lenient)).messages
+    messages = open_database(options.dbc, is_lenient=options.lenient).messages
     plan = Plan.of(messages, TableShape(options.layout), Values(options.values))
     decoded = decode_log(options.log, plan, options.output, lambda: stop.is_set)
     if decoded is None:
@@ -39,7 +39,7 @@ def execute(options: argparse.Namespace, stop: Trigger, counts_wanted: Trigger) 
         raise IncompleteError(f"{options.log}: not all of it is in {options.output}: {lost[0]}{more}")
 
 
-def _record(options: argparse.Namespace, account: Account, reader: LogReader) -> JsonObject:
+def _record(options: SimpleNamespace, account: Account, reader: LogReader) -> JsonObject:
     """Return everything that is to be said as one JSON object."""
     return {
         **account_record(account),
@@ -52,7 +52,7 @@ def _record(options: argparse.Namespace, account: Account, reader: LogReader) ->
     }
 
 
-def _show(options: argparse.Namespace, account: Account, reader: LogReader) -> None:
+def _show(options: SimpleNamespace, account: Account, reader: LogReader) -> None:
     """Say the same to people."""
     lines = [
         f"{options.log}: {reader.format.value}, {account.log.frames} frames: {', '.join(frame_texts(account))}",

@@ -1,11 +1,11 @@
 """``diag-service inspect``: what traffic a log holds, in seconds, whatever the frames mean."""
 
-import argparse
 import sys
 from collections.abc import Sequence
 from collections.abc import Set as AbstractSet
 from dataclasses import asdict, dataclass
 from pathlib import Path
+from types import SimpleNamespace
 
 from cantools.database.can import Message
 from rich.console import Console
@@ -49,12 +49,12 @@ class Inspection:
     is_whole: bool
 
 
-def execute(options: argparse.Namespace, stop: Trigger, counts_wanted: Trigger) -> None:
+def execute(options: SimpleNamespace, stop: Trigger, counts_wanted: Trigger) -> None:
     """Inspect one log after the other; raises StoppedError if that was stopped."""
     del counts_wanted
     if options.bitrate <= 0:
         raise ConfigError(f"the bit rate must be > 0, got {options.bitrate}")
-    messages = open_database(options.dbc, is_lenient=bool(options.lenient)).messages
+    messages = open_database(options.dbc, is_lenient=options.lenient).messages
     console = PeopleConsole()
     for path in options.logs:
         inspection = inspect_log(path, messages, options.bitrate, stop)

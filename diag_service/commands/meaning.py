@@ -1,32 +1,29 @@
 """Options that several commands share, as checked values."""
 
-import argparse
+from dataclasses import replace
+from types import SimpleNamespace
 
-from diag_service.delivery import Acknowledge, BrokerAddress, TlsFiles
+from diag_service.delivery import Acknowledge, TlsFiles
 from diag_service.errors import ConfigError
 from diag_service.settings import config
-from diag_service.settings.options import fill_in
 
 
-def diagnosis_config(options: argparse.Namespace) -> config.DiagnosisConfig:
-    """Return how frames become results, open options filled in; raises ConfigError or CalibrationError."""
-    fill_in(options)
+def diagnosis_config(options: SimpleNamespace) -> config.DiagnosisConfig:
+    """Return how frames become results; names the vehicle. Raises ConfigError or CalibrationError."""
     calibration = config.load_calibration(options.calibration)
     options.vehicle = config.vehicle_of(options.vehicle, calibration)
-    return config.DiagnosisConfig(
+    settings = config.DiagnosisConfig(
         vehicle=options.vehicle,
         dbc=options.dbc,
         is_lenient=options.lenient,
         profile=options.profile,
         calibration=calibration,
-        broker=_broker(options),
-        acknowledge=Acknowledge(options.acknowledge),
-        budget_bytes=None if options.store_budget is None else options.store_budget << 20,
-        is_strict=options.command == "analyze" and options.strict,
+        is_strict=getattr(options, "strict", False),
     )
+    return _with_delivery(settings, options) if hasattr(options, "broker") else settings
 
 
-def bus_config(options: argparse.Namespace) -> config.BusConfig:
+def bus_config(options: SimpleNamespace) -> config.BusConfig:
     """Return which bus to listen to; raises ConfigError."""
     return config.BusConfig(
         interface=options.interface,
@@ -39,10 +36,15 @@ def bus_config(options: argparse.Namespace) -> config.BusConfig:
     )
 
 
-def _broker(options: argparse.Namespace) -> BrokerAddress | None:
+def _with_delivery(settings: config.DiagnosisConfig, options: SimpleNamespace) -> config.DiagnosisConfig:
+    """Return the settings with those that only commands have which deliver and store results."""
     tls = TlsFiles(authority=options.ca, certificate=options.cert, key=options.key)
-    if options.broker:
-        return config.parse_broker(options.broker, tls, options.password_file)
-    if options.command not in {"calibrate", "monitor"} and (tls != TlsFiles() or options.password_file is not None):
+    broker = config.parse_broker(options.broker, tls, options.password_file) if options.broker else None
+    if broker is None and (tls != TlsFiles() or options.password_file is not None):
         raise ConfigError("certificates and passwords need a broker")
-    return None
+    return replace(
+        settings,
+        broker=broker,
+        acknowledge=Acknowledge(options.acknowledge),
+        budget_bytes=None if options.store_budget is None else options.store_budget << 20,
+    )

@@ -1,6 +1,6 @@
 """``diag-service run``: diagnose a live bus."""
 
-import argparse
+from types import SimpleNamespace
 
 from diag_service.commands.meaning import bus_config, diagnosis_config
 from diag_service.service import application
@@ -8,7 +8,7 @@ from diag_service.service.stopping import Trigger
 from diag_service.settings import config
 
 
-def execute(options: argparse.Namespace, stop: Trigger, counts_wanted: Trigger) -> None:
+def execute(options: SimpleNamespace, stop: Trigger, counts_wanted: Trigger) -> None:
     """Diagnose the bus until it is told to stop."""
     diagnosis = diagnosis_config(options)
     bus = bus_config(options)

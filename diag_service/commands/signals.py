@@ -1,9 +1,9 @@
 """``diag-service signals``: what signals a log holds, and a profile proposed from them, as one TOML text."""
 
-import argparse
 import sys
 from collections.abc import Iterator
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 from cantools.database.can import Message
@@ -106,11 +106,11 @@ class Survey:
         self._ends_ns = (min(before[0], first_ns), max(before[1], last_ns))
 
 
-def execute(options: argparse.Namespace, stop: Trigger, counts_wanted: Trigger) -> None:
+def execute(options: SimpleNamespace, stop: Trigger, counts_wanted: Trigger) -> None:
     """Survey a log and write a profile whose comments say what there is."""
     del counts_wanted
     database = options.dbc or DBC_PATH
-    survey = Survey(Codec(open_database(options.dbc, is_lenient=bool(options.lenient)).messages, check_codes=True))
+    survey = Survey(Codec(open_database(options.dbc, is_lenient=options.lenient).messages, check_codes=True))
     survey.add(options.log, stop)
     best = candidates(survey.statistics())
     tier = tier_of(best.keys())

@@ -27,7 +27,7 @@ from diag_service.mapping.decoder import Decoder
 from diag_service.service.drive import OpenLog, gaps_in, warn_of_damage, warn_of_idle
 from diag_service.service.drive_frames import DriveFrames
 from diag_service.service.stopping import Trigger
-from diag_service.settings.defaults import UNNAMED_VEHICLE
+from diag_service.settings.config import UNNAMED_VEHICLE
 
 CALIBRATION_SCHEMA = "clutchdiag/self-calibration/v1"
 _NS_PER_S = 1_000_000_000

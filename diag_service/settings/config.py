@@ -9,9 +9,9 @@ from clutch_model.calibration import Calibration, nominal_calibration, read_cali
 from diag_service.delivery import Acknowledge, BrokerAddress, TlsFiles
 from diag_service.delivery.tls import read_secret
 from diag_service.errors import ConfigError
-from diag_service.settings.defaults import UNNAMED_VEHICLE
 from fleet_contract import BrokerUrlError, is_vehicle, parse_broker_url
 
+UNNAMED_VEHICLE = "vehicle"  # what a vehicle is called that nobody names
 SMALLEST_BUDGET_BYTES = 1 << 20
 _LOOPBACK = "127.0.0.1"
 
@@ -31,7 +31,7 @@ class DiagnosisConfig:
     dbc: Path | None
     profile: Path | None
     calibration: Calibration
-    broker: BrokerAddress | None
+    broker: BrokerAddress | None = None
     is_strict: bool = False  # of logs: stop at the first fault
     is_lenient: bool = False  # of the database: leave out what cannot be right
     acknowledge: Acknowledge = Acknowledge.BROKER

@@ -1,32 +1,145 @@
-"""Options that the command line leaves open: the environment, a settings file or a default fills them in."""
+"""The options that can be set: each is declared here, once, for command line, environment and settings file.
 
-import argparse
+Over the file stands the environment, and over both the command line. Loads next to nothing.
+"""
+
 import os
 from collections.abc import Mapping
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any, Final
 from urllib.parse import urlsplit
 
+import click
+
 from diag_service.errors import ConfigError
-from diag_service.settings.defaults import BROKER_VARIABLE, CONFIG_VARIABLE, DEFAULTS, PREFIX, OptionValue
-from fleet_contract import VariableError, check_variables
+from program_io.command_line import FILE, Option
 from program_io.legible import legible
 
+VARIABLES: Final = "CLUTCHDIAG"  # begins the environment variables, such as CLUTCHDIAG_BROKER
+_KINDS: Final = {
+    "boolean": "true or false",
+    "float": "a number",
+    "integer": "a whole number",
+    "path": "a file name",
+    "text": "a text",
+}
 
-def fill_in(options: argparse.Namespace) -> None:
-    """Give every option that is still ``None`` the value that was set elsewhere, or its default; raises ConfigError."""
+
+class Setting(Option):
+    """An option that the environment or a settings file may set, under its name with ``_`` for ``-``."""
+
+    def __init__(self, *names: str, **attributes: Any) -> None:  # noqa: ANN401 - click's own, many of them
+        super().__init__(*names, allow_from_autoenv=True, **attributes)
+
+    @property
+    def demand(self) -> str:
+        """What a value must be."""
+        if isinstance(self.type, click.Choice):
+            return f"must be {' or '.join(self.type.choices)}"
+        return f"must be {_KINDS[self.type.name]}"
+
+    def type_cast_value(self, ctx: click.Context, value: Any) -> Any:  # noqa: ANN401 - as click has it
+        """Return what a text stands for; of the environment's texts none is repeated, since it may be secret."""
+        try:
+            return super().type_cast_value(ctx, value)
+        except click.BadParameter:
+            if ctx.get_parameter_source(self.name) is click.ParameterSource.COMMANDLINE:
+                raise
+            raise ConfigError(f"settings: {self.name}: {self.demand}") from None
+
+
+def _read_elsewhere(ctx: click.Context, _option: click.Parameter, file: Path | None) -> Path | None:
+    """Check the names of the environment's variables and take the values of a settings file as defaults."""
+    if ctx.resilient_parsing:
+        return file
+    from fleet_contract import VariableError, check_variables  # noqa: PLC0415 - help does without
+
     try:
         check_variables(os.environ)
     except VariableError as exc:
         raise ConfigError(str(exc)) from exc
-    values = {**DEFAULTS, **_set_elsewhere(options.config)}
-    for name, value in values.items():
-        if getattr(options, name, None) is None:
-            setattr(options, name, value)
+    if file is not None:
+        from diag_service.settings.files import load_settings  # noqa: PLC0415 - most do without
+
+        ctx.default_map = load_settings(file)
+    return file
 
 
-def describe(options: argparse.Namespace) -> str:
+MEANING: Final = (
+    Setting("--vehicle", metavar="ID", help="vehicle id (default: the calibration's, or vehicle)"),
+    Setting(
+        "--dbc",
+        type=FILE,
+        metavar="FILE[#BUS]",
+        help="message database: DBC, KCD, ARXML or SYM (default: the shipped one)",
+    ),
+    Setting(
+        "--lenient",
+        is_flag=True,
+        help="leave out items of a DBC file that cannot be right, each with a warning, instead of refusing the file",
+    ),
+    Setting(
+        "--profile",
+        type=FILE,
+        metavar="P",
+        help="which DBC signals are which: TOML file or shipped name (default: the shipped one that fits the DBC)",
+    ),
+    Setting("--calibration", type=FILE, metavar="FILE", help="of a vehicle or its type (TOML; default: nominal)"),
+)
+DELIVERY: Final = (
+    Setting(
+        "--store",
+        type=FILE,
+        metavar="FILE",
+        help="SQLite file for results (default of run: in the user's state directory, by vehicle; of analyze: none, "
+        "results are shown only)",
+    ),
+    Setting(
+        "--store-budget",
+        type=int,
+        metavar="MIB",
+        help="how large the store may grow; delivered results go first, then empty ones (default: no limit)",
+    ),
+    Setting(
+        "--broker",
+        metavar="URL",
+        help=f"mqtt[s]://[user[:password]@]host[:port] (default: the environment's {VARIABLES}_BROKER, else none)",
+    ),
+    Setting("--ca", type=FILE, metavar="FILE", help="authority of an mqtts:// broker (default: system)"),
+    Setting("--cert", type=FILE, metavar="FILE", help="our certificate; a renewed one is taken up at once"),
+    Setting("--key", type=FILE, metavar="FILE", help="its key, readable for its owner only"),
+    Setting("--password-file", type=FILE, metavar="FILE", help="holds the broker's password, chmod 600"),
+    Setting(
+        "--acknowledge",
+        type=click.Choice(["broker", "backend"]),
+        default="broker",
+        help="whose word lets the outbox forget a result; a backend gives it after its commit (default: broker)",
+    ),
+)
+BUS: Final = (
+    Setting("-i", "--interface", help="python-can interface: socketcan, udp_multicast, ..."),
+    Setting("-c", "--channel", help="channel of the interface, such as vcan0"),
+    Setting("-b", "--bitrate", type=int, help="bit rate, for interfaces that set it [bit/s]"),
+    Setting("--fd", is_flag=True, help="open the interface in CAN FD mode"),
+    Setting("--only-mapped", is_flag=True, help="let the kernel discard other messages, uncounted"),
+    Setting("--duration", type=float, metavar="S", help="stop after this many seconds"),
+    Setting("--metrics", metavar="[HOST:]PORT", help="serve /metrics, /livez and /readyz there (default: nowhere)"),
+)
+CONFIG: Final = Setting(
+    "--config",
+    type=FILE,
+    metavar="FILE",
+    is_eager=True,
+    callback=_read_elsewhere,
+    help="TOML file with settings, see 'config check'",
+)
+SETTINGS: Final[Mapping[str, Setting]] = {option.name: option for option in (*MEANING, *DELIVERY, *BUS)}
+
+
+def describe(options: SimpleNamespace) -> str:
     """Return the options as the text of a settings file, with what is secret masked."""
-    return "".join(_line(name, getattr(options, name)) for name in DEFAULTS)
+    return "".join(_line(name, getattr(options, name)) for name in SETTINGS)
 
 
 def mask(url: str) -> str:
@@ -35,17 +148,7 @@ def mask(url: str) -> str:
     return url if password is None else url.replace(f":{password}@", ":***@")
 
 
-def _set_elsewhere(file: Path | None) -> Mapping[str, OptionValue]:
-    file = file or (Path(os.environ[CONFIG_VARIABLE]) if os.environ.get(CONFIG_VARIABLE) else None)
-    names = [name for name in DEFAULTS if os.environ.get(PREFIX + name.upper())]
-    if file is None and not set(names) - {"broker"}:
-        return {"broker": os.environ[BROKER_VARIABLE]} if names else {}
-    from diag_service.settings.files import load_settings  # noqa: PLC0415 - loads pydantic
-
-    return load_settings(file)
-
-
-def _line(name: str, value: OptionValue) -> str:
+def _line(name: str, value: str | float | Path | None) -> str:
     if value is None:
         return f"# {name} is not set\n"
     if isinstance(value, bool):

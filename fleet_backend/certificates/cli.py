@@ -1,24 +1,56 @@
 """Command line: ``fleet-certificates init|server|client``; the same command renews."""
 
-import argparse
 import sys
 from collections.abc import Sequence
 from datetime import UTC, datetime
-from importlib.metadata import version
 from pathlib import Path
-from typing import Final, NoReturn
+from types import SimpleNamespace
+from typing import Final
+
+import click
 
 from fleet_backend.certificates.errors import CertificateError
+from program_io.command_line import FILE, Command, Option, Program, parse
 
 PROGRAM: Final = "fleet-certificates"
 EXIT_OK, EXIT_UNEXPECTED, EXIT_USAGE = range(3)
 _EXIT_TEXT: Final = "exit status: 0 done, 1 unexpected error, 2 usage, or an extra that is not installed"
-_DAYS: Final = {"init": 3650.0, "server": 398.0, "client": 90.0}
+_FOLDER: Final = Option(
+    "--folder", type=FILE, default=Path("certificates"), metavar="FOLDER", help="default: certificates"
+)
+
+
+def _days(default: float) -> Option:
+    return Option("--days", type=float, default=default, help=f"until it expires (default: {default:g})")
+
+
+COMMAND_LINE: Final = Program(
+    PROGRAM,
+    "Makes and renews certificates of a test authority, for trials: its key lies in the same folder. A certificate "
+    "that exists is replaced, whole; running services take the new one by themselves.",
+    _EXIT_TEXT,
+    Command("init", "make an authority", _FOLDER, _days(3650.0), examples=(f"{PROGRAM} init --folder fleet",)),
+    Command(
+        "server",
+        "make or renew the certificate of a broker",
+        click.Argument(["name"], help="name of the files"),
+        Option("--host", multiple=True, help="name or address of the broker; may be repeated"),
+        *(_FOLDER, _days(398.0)),
+        examples=(f"{PROGRAM} server broker --host broker.example --host 192.0.2.7 --folder fleet",),
+    ),
+    Command(
+        "client",
+        "make or renew the certificate of a vehicle or a backend",
+        click.Argument(["name"], help="vehicle id, or the name of the backend: the common name of the certificate"),
+        *(_FOLDER, _days(90.0)),
+        examples=(f"{PROGRAM} client car1 --folder fleet",),
+    ),
+)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Make what is asked for and return the exit status."""
-    options = _parser().parse_args(arguments)
+    options = parse(COMMAND_LINE, arguments)
     try:
         _execute(options)
     except CertificateError as exc:
@@ -30,7 +62,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     return EXIT_OK
 
 
-def _execute(options: argparse.Namespace) -> None:
+def _execute(options: SimpleNamespace) -> None:
     try:
         from fleet_backend.certificates.authority import Authority, Lifetime  # noqa: PLC0415 - needs the extra
     except ModuleNotFoundError as exc:
@@ -44,37 +76,3 @@ def _execute(options: argparse.Namespace) -> None:
         Authority.open(options.folder).issue_server(options.name, options.host, lifetime)
     else:
         Authority.open(options.folder).issue_client(options.name, lifetime)
-
-
-class _Parser(argparse.ArgumentParser):
-    """A parser that complains in one line, as everything else does."""
-
-    def error(self, message: str) -> NoReturn:
-        self.exit(EXIT_USAGE, f"{PROGRAM}: error: {message} (see {self.prog} --help)\n")
-
-
-def _parser() -> _Parser:
-    parser = _Parser(
-        prog=PROGRAM,
-        epilog=_EXIT_TEXT,
-        description="Makes and renews certificates of a test authority, for trials: its key lies in the same folder. "
-        "A certificate that exists is replaced, whole; running services take the new one by themselves.",
-    )
-    parser.add_argument("--version", action="version", version=f"{PROGRAM} {version('clutchdiag')}")
-    commands = parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
-    _command(commands.add_parser("init", help="make an authority", epilog=_EXIT_TEXT), "init")
-    server = commands.add_parser("server", help="make or renew the certificate of a broker", epilog=_EXIT_TEXT)
-    server.add_argument("name", help="name of the files")
-    server.add_argument("--host", action="append", default=[], help="name or address of the broker; may be repeated")
-    _command(server, "server")
-    client = commands.add_parser(
-        "client", help="make or renew the certificate of a vehicle or a backend", epilog=_EXIT_TEXT
-    )
-    client.add_argument("name", help="vehicle id, or the name of the backend: the common name of the certificate")
-    _command(client, "client")
-    return parser
-
-
-def _command(parser: argparse.ArgumentParser, name: str) -> None:
-    parser.add_argument("--folder", type=Path, default=Path("certificates"), help="default: %(default)s")
-    parser.add_argument("--days", type=float, default=_DAYS[name], help="until it expires (default: %(default)g)")

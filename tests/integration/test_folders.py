@@ -12,7 +12,7 @@ from canlog.errors import SourceError
 from diag_service.batch.journal import Entry
 from diag_service.batch.tables import write_results
 from diag_service.commands import analyze
-from diag_service.commands.arguments import build_parser
+from diag_service.commands.arguments import parse_arguments
 from diag_service.errors import ConfigError, StoreError
 from diag_service.service.stopping import Trigger
 from tests.folders import fill_folder, kill_and_resume
@@ -101,4 +101,4 @@ def test_what_cannot_be_done_is_told(
     (tmp_path / "empty.log").touch()
     words = ["analyze", *(argument.format(log=drive_log, tmp=tmp_path) for argument in arguments)]
     with pytest.raises(error, match=re.escape(text)):
-        analyze.execute(build_parser().parse_args(words), Trigger(), Trigger())
+        analyze.execute(parse_arguments(words), Trigger(), Trigger())

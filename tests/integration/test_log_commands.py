@@ -16,7 +16,7 @@ from cantools.database.can import Database
 from canlog.errors import DefinitionError, OutputError, SourceError
 from canlog.tables.decoding import Plan, TableShape, decode_log
 from dbc.contract import DBC_PATH, load_contract
-from diag_service.commands.arguments import build_parser
+from diag_service.commands.arguments import parse_arguments
 from diag_service.diagnosis.columns import Signal
 from diag_service.errors import ConfigError
 from diag_service.mapping.profile import load_profile
@@ -29,7 +29,7 @@ FRAME_COUNT = 1000
 
 def execute(*words: str | Path) -> None:
     """Run a command in this process."""
-    options = build_parser().parse_args([str(word) for word in words])
+    options = parse_arguments([str(word) for word in words])
     import_module(f"diag_service.commands.{options.command}").execute(options, Trigger(), Trigger())
 
 

@@ -1,20 +1,20 @@
 """Settings: the command line over the environment over the file over the defaults; unknown keys and secrets."""
 
-import argparse
 import subprocess
 import sys
 import tomllib
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
 from diag_service.cli import main
+from diag_service.commands.arguments import parse_arguments
 from diag_service.errors import ConfigError
 from diag_service.settings.config import parse_broker
-from diag_service.settings.defaults import DEFAULTS, PREFIX
-from diag_service.settings.files import Settings, load_settings
-from diag_service.settings.options import describe, fill_in
-from fleet_contract import SERVICE_VARIABLES
+from diag_service.settings.files import load_settings
+from diag_service.settings.options import SETTINGS, VARIABLES, describe
+from fleet_contract import PREFIX, SERVICE_VARIABLES
 from tests.service import environment
 
 VALUES: dict[str, str | int | float | bool] = {
@@ -39,11 +39,12 @@ VALUES: dict[str, str | int | float | bool] = {
     "duration": 12.5,
     "metrics": "9100",
 }
+UNSET = dict.fromkeys(VALUES) | {"lenient": False, "fd": False, "only_mapped": False, "acknowledge": "broker"}
 
 
 @pytest.fixture(autouse=True)
 def _nothing_set(monkeypatch: pytest.MonkeyPatch) -> None:
-    for name in (*DEFAULTS, "config"):
+    for name in (*VALUES, "config"):
         monkeypatch.delenv(PREFIX + name.upper(), raising=False)
 
 
@@ -52,38 +53,67 @@ def toml(values: dict[str, str | int | float | bool]) -> str:
     return "".join(f"{name} = {word}\n" for name, word in words.items())
 
 
-def filled(file: Path | None = None, **given: object) -> argparse.Namespace:
-    options = argparse.Namespace(config=file, **given)
-    fill_in(options)
-    return options
+def settings(file: Path | None = None, *words: str) -> dict[str, object]:
+    """Return the settings of a run."""
+    options = parse_arguments(["config", "check", *words, *([] if file is None else ["--config", str(file)])])
+    return {name: getattr(options, name) for name in VALUES}
+
+
+def changed(values: dict[str, object]) -> dict[str, str]:
+    """Return the settings that are not as they are where nobody sets them."""
+    return {name: str(value) for name, value in values.items() if value != UNSET[name]}
 
 
 def test_every_option_can_be_set_and_left_out() -> None:
-    assert set(VALUES) == set(DEFAULTS) == set(Settings.model_fields)
-    assert vars(filled()) == {"config": None, **DEFAULTS}
+    assert set(VALUES) == set(SETTINGS)
+    assert settings() == UNSET
 
 
 @pytest.mark.parametrize("name", VALUES)
 def test_an_option_of_the_file(name: str, tmp_path: Path) -> None:
     file = tmp_path / "car.toml"
     file.write_text(toml({name: VALUES[name]}), encoding="utf-8")
-    options = filled(file)
-    assert {key: str(value) for key, value in vars(options).items() if key != "config" and value != DEFAULTS[key]} == {
-        name: str(VALUES[name])
-    }
+    assert changed(settings(file)) == {name: str(VALUES[name])}
 
 
 @pytest.mark.parametrize("name", VALUES)
 def test_an_option_that_the_file_leaves_out(name: str, tmp_path: Path) -> None:
     file = tmp_path / "car.toml"
     file.write_text(toml({key: value for key, value in VALUES.items() if key != name}), encoding="utf-8")
-    assert getattr(filled(file), name) == DEFAULTS[name]
+    assert settings(file)[name] == UNSET[name]
 
 
 @pytest.mark.parametrize("name", VALUES)
 def test_an_option_of_the_environment(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv(PREFIX + name.upper(), str(VALUES[name]))
-    assert str(getattr(filled(), name)) == str(VALUES[name])
+    assert changed(settings()) == {name: str(VALUES[name])}
+
+
+@pytest.mark.parametrize("name", VALUES)
+def test_an_option_of_the_command_line(name: str) -> None:
+    word = f"--{name.replace('_', '-')}"
+    assert changed(settings(None, word, *([] if VALUES[name] is True else [str(VALUES[name])]))) == {
+        name: str(VALUES[name])
+    }
+
+
+@pytest.mark.parametrize("off", ["0", "false", "no"])
+def test_the_environment_turns_off_what_the_file_turns_on(
+    off: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    file = tmp_path / "car.toml"
+    file.write_text("fd = true\nonly_mapped = true\n", encoding="utf-8")
+    monkeypatch.setenv("CLUTCHDIAG_FD", off)
+    monkeypatch.setenv("CLUTCHDIAG_ONLY_MAPPED", "")  # as good as not set
+    assert changed(settings(file)) == {"only_mapped": "True"}
+
+
+def test_commands_that_take_no_settings_leave_the_environment_alone(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("CLUTCHDIAG_DBC", "/none.dbc")
+    monkeypatch.setenv("CLUTCHDIAG_BITRATE", "125000")
+    monkeypatch.setenv("CLUTCHDIAG_OUTPUT", "no setting")
+    options = parse_arguments(["inspect", "a.log"])
+    assert (options.dbc, options.bitrate) == (None, 500_000)
 
 
 def test_who_stands_over_whom(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -92,8 +122,11 @@ def test_who_stands_over_whom(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -
     monkeypatch.setenv("CLUTCHDIAG_CONFIG", str(file))
     monkeypatch.setenv("CLUTCHDIAG_CHANNEL", "environment")
     monkeypatch.setenv("CLUTCHDIAG_INTERFACE", "environment")
-    options = filled(interface="line")
-    assert (options.vehicle, options.channel, options.interface) == ("file", "environment", "line")
+    assert changed(settings(None, "--interface", "line")) == {
+        "vehicle": "file",
+        "channel": "environment",
+        "interface": "line",
+    }
 
 
 @pytest.mark.parametrize(
@@ -102,6 +135,17 @@ def test_who_stands_over_whom(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -
         ("vehicel = 'car1'", "vehicel: Extra inputs are not permitted"),
         ("store_budget = 'large'", "store_budget"),
         ("acknowledge = 'nobody'", "acknowledge"),
+        ("acknowledge = 1", "acknowledge: must be broker or backend"),
+        ("bitrate = 5.5", "bitrate: must be a whole number"),
+        ("bitrate = true", "bitrate: must be a whole number"),
+        ("duration = 'long'", "duration: must be a number"),
+        ("duration = 2026-01-01", "duration: must be a number"),
+        ("fd = 'perhaps'", "fd: must be true or false"),
+        ("fd = 2", "fd: must be true or false"),
+        ("vehicle = 5", "vehicle: must be a text"),
+        ("store = ['a', 'b']", "store: must be a file name"),
+        ('store = "a\\u0000b"', "store: must be a file name"),
+        ("fd = 2\nvehicle = 5", "fd: must be true or false; vehicle: must be a text"),
         ("vehicle = ", "is no TOML"),
         ("[bus]\nchannel = 'vcan0'", "bus: Extra inputs are not permitted"),
     ],
@@ -120,9 +164,31 @@ def test_a_file_that_is_not_there(tmp_path: Path) -> None:
 
 def test_what_is_wrong_is_not_repeated(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("CLUTCHDIAG_STORE_BUDGET", "hunter2")
-    with pytest.raises(ConfigError) as caught:
-        load_settings(None)
+    with pytest.raises(ConfigError, match="store_budget: must be a whole number") as caught:
+        settings()
     assert "hunter2" not in str(caught.value)
+    file = tmp_path / "car.toml"
+    file.write_text("store_budget = 'hunter2'", encoding="utf-8")
+    with pytest.raises(ConfigError, match="store_budget: must be a whole number") as caught:
+        load_settings(file)
+    assert "hunter2" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("text", "value"),
+    [
+        ("bitrate = 5e5", 500_000),
+        ("bitrate = '500000'", 500_000),
+        ("duration = 12", 12.0),
+        ("fd = 1", True),
+        ("fd = 'off'", False),
+        ("store = 'car.sqlite'", Path("car.sqlite")),
+    ],
+)
+def test_a_value_may_be_written_in_more_than_one_way(text: str, value: object, tmp_path: Path) -> None:
+    file = tmp_path / "car.toml"
+    file.write_text(text, encoding="utf-8")
+    assert settings(file)[text.split(maxsplit=1)[0]] == value
 
 
 def test_a_password_in_a_file_that_others_may_read_is_refused(tmp_path: Path) -> None:
@@ -136,8 +202,18 @@ def test_a_password_in_a_file_that_others_may_read_is_refused(tmp_path: Path) ->
     assert load_settings(file) == {"broker": "mqtt://car1:hunter2@host"}
 
 
+def test_a_broker_in_a_file_that_is_no_address_is_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    file = tmp_path / "car.toml"
+    file.write_text('broker = "mqtt://car1:hunter2@[::1"\n', encoding="utf-8")
+    file.chmod(0o600)
+    assert main(["config", "check", "--config", str(file)]) == 2
+    err = capsys.readouterr().err
+    assert err.startswith("diag-service: error: the broker must be ")
+    assert "hunter2" not in err
+
+
 def test_the_settings_are_shown_as_a_file_with_the_password_masked() -> None:
-    options = argparse.Namespace(**{**VALUES, "broker": "mqtts://car1:hunter2@host", "metrics": None})
+    options = SimpleNamespace(**{**VALUES, "broker": "mqtts://car1:hunter2@host", "metrics": None})
     text = describe(options)
     assert "hunter2" not in text
     assert tomllib.loads(text) == {key: value for key, value in VALUES.items() if key != "metrics"} | {
@@ -185,11 +261,10 @@ def test_a_password_of_a_file(tmp_path: Path) -> None:
     assert "hunter2" not in repr(address)
 
 
-def test_a_start_without_settings_does_not_wait_for_pydantic() -> None:
+def test_words_are_read_before_anything_heavy_is_loaded() -> None:
     code = (
-        "import argparse, sys; from diag_service import cli; from diag_service.service import application;"
-        "from diag_service.settings import options;"
-        " options.fill_in(argparse.Namespace(config=None)); sys.exit('pydantic' in sys.modules)"
+        "import sys; from diag_service import cli; from diag_service.commands.arguments import parse_arguments;"
+        "parse_arguments(['run']); sys.exit(bool({'numpy', 'numba', 'rich', 'can', 'asyncio'} & set(sys.modules)))"
     )
     started = subprocess.run([sys.executable, "-c", code], check=False, env=environment())
     assert started.returncode == 0
@@ -198,16 +273,17 @@ def test_a_start_without_settings_does_not_wait_for_pydantic() -> None:
 def test_a_variable_that_nothing_reads_is_an_error_that_names_the_nearest(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("CLUTCHDIAG_VEHICEL", "hunter2")
     with pytest.raises(ConfigError, match=r"CLUTCHDIAG_VEHICEL.*CLUTCHDIAG_VEHICLE") as caught:
-        filled()
+        settings()
     assert "hunter2" not in str(caught.value)
     monkeypatch.setenv("CLUTCHDIAG_VEHICEL", "")  # as good as not set
-    assert filled().vehicle == DEFAULTS["vehicle"]
+    assert settings() == UNSET
 
 
 def test_the_backend_s_variables_are_no_mistake_here(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("CLUTCHDIAG_DATABASE", "postgresql://fleet@db/fleet")
-    assert filled().vehicle == DEFAULTS["vehicle"]
+    assert settings() == UNSET
 
 
 def test_the_contract_knows_every_variable() -> None:
-    assert {PREFIX + name.upper() for name in (*DEFAULTS, "config")} == SERVICE_VARIABLES
+    assert {PREFIX + name.upper() for name in (*SETTINGS, "config")} == SERVICE_VARIABLES
+    assert f"{VARIABLES}_" == PREFIX

@@ -1,0 +1,220 @@
+"""Command lines by click: complaints in one line, help with examples and exit statuses, completion by the shell.
+
+A program parses first and works afterwards: ``parse`` returns a namespace and calls nothing, so that signals, exit
+statuses and the loading of libraries stay with the program.
+"""
+
+import re
+import sys
+from collections.abc import Sequence
+from itertools import pairwise
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any, Final
+
+import click
+
+DISTRIBUTION: Final = "clutchdiag"
+EXIT_USAGE: Final = 2
+FILE: Final = click.Path(readable=False, path_type=Path)  # whether it can be read is found out by reading it
+_LOOKS_LIKE_OPTION: Final = re.compile(r"-(?!\d*\.?\d+$).")  # a negative number does not
+_CONTEXT: Final = {"help_option_names": ["-h", "--help"], "max_content_width": 120}
+
+
+class Option(click.Option):
+    """An option whose value is called by the option's name in the help, as ``BITRATE`` of ``--bitrate``.
+
+    Parameters
+    ----------
+    names, attributes :
+        As click has them. With a ``flag_value`` the option may stand without a value, too.
+    """
+
+    def __init__(self, *names: str, **attributes: Any) -> None:  # noqa: ANN401 - click's own, many of them
+        if "flag_value" in attributes:
+            attributes["is_flag"] = False
+        super().__init__(names, **{"allow_from_autoenv": False, **attributes})
+        self.needs_value = not (self.is_flag or self.count or "flag_value" in attributes)
+
+    def make_metavar(self, ctx: click.Context) -> str:
+        """Return what stands for the value in the help."""
+        is_named = self.metavar is not None or isinstance(self.type, click.Choice)
+        return super().make_metavar(ctx) if is_named else self.name.upper()
+
+
+VERBOSE: Final = Option("-v", "--verbose", count=True, help="say more; twice: libraries too")
+
+
+class _Page(click.Command):
+    """How the help of everything looks."""
+
+    examples: tuple[str, ...] = ()
+
+    def format_usage(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        """Write the line that begins with ``usage:``."""
+        formatter.write_usage(ctx.command_path, " ".join(self.collect_usage_pieces(ctx)), prefix="usage: ")
+
+    def format_epilog(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        """Write the examples, and what the exit status of the program means."""
+        if self.examples:
+            with formatter.section("Examples"):
+                formatter.write("".join(f"  {line}\n" for line in self.examples))
+        formatter.write_paragraph()
+        formatter.write_text(ctx.find_root().command.epilog or "")
+
+
+class Command(_Page):
+    """A command that, called, returns its words: ``command``, its options and ``given``, those of the command line.
+
+    Parameters
+    ----------
+    text, description :
+        What the program's help says of it, and what its own help says, if that is more.
+    examples :
+        Whole command lines, shown in the help.
+    variables :
+        Prefix, without ``_``, of the environment variables that stand for options with ``allow_from_autoenv``.
+    """
+
+    def __init__(
+        self,
+        name: str,
+        text: str,
+        *params: click.Parameter,
+        examples: Sequence[str] = (),
+        description: str = "",
+        variables: str | None = None,
+    ) -> None:
+        super().__init__(
+            name,
+            params=list(params),
+            help=description or text,
+            short_help=text,
+            context_settings={**_CONTEXT, "auto_envvar_prefix": variables},
+        )
+        self.examples = tuple(examples)
+
+    def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
+        """Parse the words, of which an option may be abbreviated."""
+        try:
+            return super().parse_args(ctx, args if ctx.resilient_parsing else self._in_full(ctx, args))
+        except click.UsageError as exc:
+            exc.ctx = exc.ctx or ctx  # whose help is to be seen
+            raise
+
+    def invoke(self, ctx: click.Context) -> SimpleNamespace:
+        """Return the words."""
+        command = ctx.command_path.split()[1]
+        given = {name for name in ctx.params if ctx.get_parameter_source(name) is click.ParameterSource.COMMANDLINE}
+        return SimpleNamespace(**{"command": command, "given": frozenset(given), **ctx.params})
+
+    def _in_full(self, ctx: click.Context, words: Sequence[str]) -> list[str]:
+        """Return the words with ``--veh`` as ``--vehicle``; complain of an option where a value belongs."""
+        end = words.index("--") if "--" in words else len(words)
+        options = {name: one for one in self.get_params(ctx) if isinstance(one, click.Option) for name in one.opts}
+        full = [_unabbreviated(word, list(options)) for word in words[:end]]
+        for word, following in pairwise([*full, "--"]):
+            option = options.get(word)
+            if isinstance(option, Option) and option.needs_value and _LOOKS_LIKE_OPTION.match(following):
+                ctx.fail(f"argument {'/'.join(option.opts)}: expected one argument")
+        return [*full, *words[end:]]
+
+
+class Group(_Page, click.Group):
+    """Commands under one word.
+
+    Parameters
+    ----------
+    name, text :
+        The word, and what the help says of it.
+    metavar :
+        What stands for a command in the help.
+    """
+
+    def __init__(self, name: str, text: str, *commands: click.Command, metavar: str = "COMMAND") -> None:
+        super().__init__(
+            name,
+            commands=list(commands),
+            help=text,
+            short_help=text,
+            subcommand_metavar=f"{metavar} ...",
+            invoke_without_command=True,  # and say ourselves which word is missing
+            callback=self._require_command,
+            context_settings=_CONTEXT,
+        )
+        self.metavar = metavar
+
+    def list_commands(self, ctx: click.Context) -> list[str]:
+        """Return the names of the commands in the order in which they were declared."""
+        del ctx
+        return list(self.commands)
+
+    def resolve_command(
+        self, ctx: click.Context, args: list[str]
+    ) -> tuple[str | None, click.Command | None, list[str]]:
+        """Return the command that the first word names."""
+        if args[0] not in self.commands and not ctx.resilient_parsing:
+            choice = ", ".join(map(repr, self.commands))
+            ctx.fail(f"argument {self.metavar}: invalid choice: {args[0]!r} (choose from {choice})")
+        return super().resolve_command(ctx, args)
+
+    def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        """Write the commands, each with its whole text."""
+        with formatter.section("Commands"), formatter.indentation():
+            formatter.write_dl([(name, self.commands[name].short_help or "") for name in self.list_commands(ctx)])
+
+    def _require_command(self) -> None:
+        ctx = click.get_current_context()
+        if ctx.invoked_subcommand is None:
+            ctx.fail(f"the following arguments are required: {self.metavar}")
+
+
+class Program(Group):
+    """A whole program, with ``--version`` and with what its exit status means."""
+
+    def __init__(self, name: str, text: str, exit_text: str, *commands: click.Command) -> None:
+        super().__init__(name, text, *commands)
+        self.epilog = exit_text
+        click.version_option(package_name=DISTRIBUTION, prog_name=name, message="%(prog)s %(version)s")(self)
+
+
+def parse(program: Program, words: Sequence[str] | None) -> SimpleNamespace:
+    """Return what a command line says; ``None`` stands for the command line of this process.
+
+    Raises
+    ------
+    SystemExit
+        After help, version, or the words that a shell may complete; and with status 2 after a complaint.
+    """
+    name = program.name or ""
+    try:
+        outcome = program.main(words, name, standalone_mode=False)
+    except click.UsageError as exc:
+        path = name if exc.ctx is None else exc.ctx.command_path
+        text = " ".join(_complaint(exc).split()).removesuffix(".")
+        sys.stderr.write(f"{name}: error: {text} (see {path} --help)\n")
+        raise SystemExit(EXIT_USAGE) from None
+    if isinstance(outcome, SimpleNamespace):
+        return outcome
+    raise SystemExit(outcome)
+
+
+def _complaint(exc: click.UsageError) -> str:
+    """Return what is wrong, beginning with the option or the argument."""
+    if isinstance(exc, click.BadParameter) and exc.param is not None:
+        name = (
+            "/".join(exc.param.opts)
+            if isinstance(exc.param, click.Option)
+            else exc.param.human_readable_name.rstrip(".")
+        )
+        is_missing = isinstance(exc, click.MissingParameter)
+        return f"the following arguments are required: {name}" if is_missing else f"argument {name}: {exc.message}"
+    text = exc.format_message()
+    return text[:1].lower() + text[1:]
+
+
+def _unabbreviated(word: str, names: Sequence[str]) -> str:
+    """Return a long option in full, if what there is of it is the beginning of one only."""
+    begin, equals, value = word.partition("=")
+    full = [name for name in names if name.startswith(begin)]
+    return f"{full[0]}{equals}{value}" if begin.startswith("--") and begin not in names and len(full) == 1 else word
