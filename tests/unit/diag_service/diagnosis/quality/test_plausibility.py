@@ -1,4 +1,7 @@
-"""Checks of signals against each other: repeated values and jumping zeros."""
+"""Checks of signals against each other: repeated values, jumping zeros, speeds and pressures that must agree."""
+
+from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -6,10 +9,25 @@ import pytest
 from canlog.arrays import FloatArray
 from canlog.series import Series
 from clutch_model.calibration import nominal_calibration
+from diag_service.diagnosis.alignment.aligned_signals import COMMAND_LAG_S, AlignedSignals
 from diag_service.diagnosis.columns import Signal
+from diag_service.diagnosis.events import ShiftEvent
 from diag_service.diagnosis.friction import FilterState
-from diag_service.diagnosis.quality.plausibility import PressureZeros, is_frozen, zero_has_jumped
+from diag_service.diagnosis.friction.preparation import measured_drives, slip_window
+from diag_service.diagnosis.quality.limits import LIMITS, QualityLimits
+from diag_service.diagnosis.quality.plausibility import (
+    PressureZeros,
+    SlippingClutch,
+    agreement,
+    is_frozen,
+    plausibility_faults,
+    zero_has_jumped,
+)
+from diag_service.diagnosis.quality.usability import usable_signals
+from diag_service.diagnosis.records import Reason
+from tests.unit.diag_service.diagnosis.shifts_of_a_drive import changed, first_shifts, without
 
+CALIBRATION = nominal_calibration()
 COUNT = 180
 
 
@@ -59,9 +77,82 @@ def test_a_pressure_sensor_that_cannot_show_less_than_nothing_repeats_zero() -> 
 
 @pytest.mark.parametrize(("moved_std", "has_jumped"), [(4.9, False), (5.1, True), (-5.1, True)])
 def test_a_zero_jumps_when_it_moves_further_than_both_knowledges_allow(moved_std: float, has_jumped: bool) -> None:
-    known = FilterState.fresh(nominal_calibration()).pressure_zeros
+    known = FilterState.fresh(CALIBRATION).pressure_zeros
     moved_pa = np.array([0.0, moved_std * np.sqrt(0.81 * known.variance_pa2[1])])
     left = known.variance_pa2 * [1.0, 0.19]
     measured = PressureZeros(mean_pa=known.mean_pa + moved_pa, variance_pa2=left)
     assert zero_has_jumped(known, measured) is has_jumped
     assert not zero_has_jumped(known, known)
+
+
+def of_shift(event: ShiftEvent) -> tuple[AlignedSignals, SlippingClutch]:
+    """Return the aligned signals of the shift to second gear and what is known of its clutch."""
+    signals = usable_signals(event, CALIBRATION)
+    assert not isinstance(signals, Reason)
+    drives = measured_drives(signals, FilterState.fresh(CALIBRATION), event, CALIBRATION)
+    window = slip_window(signals, drives, 2, CALIBRATION)
+    assert window is not None
+    return signals, SlippingClutch(number=2, rows=slice(window.first, window.stop), pressure_zero_pa=0.0)
+
+
+def faults_of(event: ShiftEvent, limits: QualityLimits = LIMITS) -> tuple[Reason, ...]:
+    """Return the faults of a changed shift, in the slip window of the sound one."""
+    signals = usable_signals(event, CALIBRATION)
+    assert not isinstance(signals, Reason)
+    return plausibility_faults(event, signals, of_shift(first_shifts()[0])[1], limits)
+
+
+@pytest.mark.parametrize(
+    ("signal", "change", "faults"),
+    [
+        (Signal.HUB_SPEED, lambda _, value: value, ()),
+        (Signal.HUB_SPEED, lambda _, value: value + 2.5, (Reason.SPEEDS_DISAGREE,)),
+        (Signal.HUB_SPEED, lambda t_s, value: value - 4.0 * ((t_s > 0.3) & (t_s < 0.4)), (Reason.SPEEDS_DISAGREE,)),
+        (Signal.INPUT1_SPEED, lambda _, value: value + 3.0, (Reason.SPEEDS_DISAGREE,)),
+        (Signal.INPUT2_SPEED, lambda _, value: value + 3.0, (Reason.SPEEDS_DISAGREE,)),
+        (Signal.CLUTCH2_PRESSURE, lambda _, value: value + 0.15e5, (Reason.PRESSURE_OFF_COMMAND,)),
+        (Signal.CLUTCH2_PRESSURE_COMMAND, lambda _, value: value + 0.15e5, (Reason.PRESSURE_OFF_COMMAND,)),
+        (Signal.CLUTCH1_PRESSURE, lambda _, value: value + 0.15e5, ()),  # of the clutch that lets go
+        (Signal.ENGINE_TORQUE, lambda t_s, value: np.where(t_s > 0.3, value[0], value), (Reason.SENSOR_FROZEN,)),
+    ],
+)
+def test_signals_that_cannot_all_be_true(
+    signal: Signal, change: Callable[[FloatArray, FloatArray], FloatArray], faults: tuple[Reason, ...]
+) -> None:
+    assert faults_of(changed(first_shifts()[0], signal, change)) == faults
+
+
+def test_a_known_zero_is_no_fault_and_an_unknown_one_is() -> None:
+    event = changed(first_shifts()[0], Signal.CLUTCH2_PRESSURE, lambda _, value: value + 0.15e5)
+    signals, clutch = of_shift(event)
+    assert plausibility_faults(event, signals, clutch) == (Reason.PRESSURE_OFF_COMMAND,)
+    assert plausibility_faults(event, signals, replace(clutch, pressure_zero_pa=0.15e5)) == ()
+
+
+def test_without_a_command_pressure_is_not_judged() -> None:
+    event = changed(first_shifts()[0], Signal.CLUTCH2_PRESSURE, lambda _, value: value + 0.15e5)
+    assert faults_of(without(event, Signal.CLUTCH2_PRESSURE_COMMAND)) == ()
+
+
+def test_limits_are_an_argument() -> None:
+    event = changed(first_shifts()[0], Signal.CLUTCH2_PRESSURE, lambda _, value: value + 0.15e5)
+    assert faults_of(event, replace(LIMITS, pressure_window_pa=1e5, pressure_moment_pa=1e5)) == ()
+    strict = replace(LIMITS, speeds_rad_s=0.0, repeats_chance=1.0)
+    assert set(faults_of(first_shifts()[0], strict)) >= {Reason.SENSOR_FROZEN, Reason.SPEEDS_DISAGREE}
+
+
+def test_both_looks_at_a_pressure_know_the_one_lag_behind_its_command() -> None:
+    """A pressure that is its command 25 ms later agrees fully; one without a lag, or with twice as much, less."""
+
+    def agreement_at(lag_s: float) -> float | None:
+        rows = np.arange(200)
+        t_ns = rows * 10_000_000
+        commanded_pa = 40e5 * np.sin(rows * 0.1)
+        command = Series(t_ns=t_ns, sequence=rows, value=commanded_pa)
+        late_ns = t_ns - round(lag_s * 1e9)
+        pressure = replace(command, value=np.interp(late_ns, t_ns, commanded_pa))
+        return agreement({Signal.CLUTCH1_PRESSURE: pressure, Signal.CLUTCH1_PRESSURE_COMMAND: command})
+
+    assert agreement_at(COMMAND_LAG_S) == 1.0
+    for wrong_s in (0.0, 2.0 * COMMAND_LAG_S):
+        assert (agreement_at(wrong_s) or 0.0) < 0.1

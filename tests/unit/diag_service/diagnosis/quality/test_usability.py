@@ -1,0 +1,99 @@
+"""Whether the signals of a shift can be put on one clock: a reason for each way in which they cannot."""
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from clutch_model.calibration import nominal_calibration
+from diag_service.diagnosis.alignment.aligned_signals import AlignedSignals
+from diag_service.diagnosis.alignment.sampling import GRID_S
+from diag_service.diagnosis.columns import BALANCE_SIGNALS, Signal
+from diag_service.diagnosis.events import EndReason, ShiftEvent
+from diag_service.diagnosis.quality.limits import QualityLimits
+from diag_service.diagnosis.quality.usability import has_gap, usable_signals
+from diag_service.diagnosis.records import Reason
+from tests.unit.diag_service.diagnosis.shifts_of_a_drive import changed, first_shifts, thinned, without
+
+CALIBRATION = nominal_calibration()
+PERIOD_NS = 10_000_000
+
+
+def without_samples(event: ShiftEvent, signal: Signal) -> ShiftEvent:
+    return thinned(event, signal, slice(None))
+
+
+def with_oil(event: ShiftEvent, oil_k: float) -> ShiftEvent:
+    return changed(event, Signal.SUMP_TEMPERATURE, lambda t_s, _: np.full(len(t_s), oil_k))
+
+
+def with_times_that_jump_back(event: ShiftEvent) -> ShiftEvent:
+    torque = event.columns[Signal.ENGINE_TORQUE]
+    t_ns = torque.t_ns.copy()
+    t_ns[20] = t_ns[18]
+    turned = replace(torque, t_ns=t_ns, sequence=np.full_like(torque.sequence, -1))
+    return replace(event, columns={**event.columns, Signal.ENGINE_TORQUE: turned})
+
+
+def test_the_signals_of_a_sound_shift_come_on_one_grid() -> None:
+    event = first_shifts()[0]
+    signals = usable_signals(event, CALIBRATION)
+    assert isinstance(signals, AlignedSignals)
+    assert np.diff(signals.grid_s) == pytest.approx(GRID_S)
+    speeds = (signals.engine_speed, signals.hub_speed, *signals.input_speed)
+    for one in (*speeds, signals.engine_torque, *signals.pressure):
+        assert len(one.on_grid) == len(signals.grid_s)
+        assert one.times_s[0] <= signals.grid_s[0]
+    assert all(expected is not None for expected in signals.expected_pa)
+    slip_rad_s = signals.hub_speed.on_grid - signals.input_speed[1].on_grid
+    assert np.array_equal(signals.slip_rad_s(2), slip_rad_s)
+
+
+@pytest.mark.parametrize("signal", [*BALANCE_SIGNALS, Signal.SUMP_TEMPERATURE])
+def test_a_signal_that_is_missing(signal: Signal) -> None:
+    assert usable_signals(without(first_shifts()[0], signal), CALIBRATION) is Reason.SIGNAL_MISSING
+
+
+@pytest.mark.parametrize(
+    ("spoil", "reason"),
+    [
+        (lambda event: replace(event, end_reason=EndReason.TOO_LONG), Reason.INTERRUPTED),
+        (lambda event: replace(event, end_reason=EndReason.ABANDONED), Reason.INTERRUPTED),
+        (lambda event: without_samples(event, Signal.SUMP_TEMPERATURE), Reason.SIGNAL_MISSING),
+        (lambda event: without_samples(event, Signal.HUB_SPEED), Reason.FRAMES_MISSING),
+        (lambda event: thinned(event, Signal.CLUTCH2_PRESSURE, slice(80, 82)), Reason.FRAMES_MISSING),
+        (lambda event: with_oil(event, 232.0), Reason.OUT_OF_RANGE),
+        (lambda event: with_oil(event, 444.0), Reason.OUT_OF_RANGE),
+        (with_times_that_jump_back, Reason.OUT_OF_RANGE),
+    ],
+)
+def test_what_cannot_be_used_says_why(spoil: Callable[[ShiftEvent], ShiftEvent], reason: Reason) -> None:
+    assert usable_signals(spoil(first_shifts()[0]), CALIBRATION) is reason
+
+
+def test_one_lost_frame_is_bridged_and_its_command_is_not_needed() -> None:
+    event = thinned(first_shifts()[0], Signal.CLUTCH2_PRESSURE, slice(80, 81))
+    signals = usable_signals(without(event, Signal.CLUTCH2_PRESSURE_COMMAND), CALIBRATION)
+    assert isinstance(signals, AlignedSignals)
+    assert signals.expected_pa[1] is None
+    assert signals.expected_pa[0] is not None
+
+
+@pytest.mark.parametrize(
+    ("lost", "is_missing"),
+    [((), False), ((50,), False), ((50, 51), True), ((0, 1), False), ((19, 20, 21), True), ((118, 119), True)],
+)
+def test_a_gap_counts_from_the_start_of_a_shift_to_its_end(lost: tuple[int, ...], is_missing: bool) -> None:
+    """120 samples from 0.2 s before the shift; two in a row, and those two inside or at an edge, are a gap."""
+    times_s = np.delete(np.arange(-20, 100) * 0.01, lost)
+    assert has_gap(times_s, PERIOD_NS, 0.999) is is_missing
+
+
+def test_limits_are_an_argument() -> None:
+    event = thinned(first_shifts()[0], Signal.CLUTCH2_PRESSURE, slice(80, 82))
+    assert isinstance(usable_signals(event, CALIBRATION, QualityLimits(gap_periods=3.5)), AlignedSignals)
+    sound = first_shifts()[0]
+    assert usable_signals(sound, CALIBRATION, QualityLimits(oil_range_k=(0.0, 1.0))) is Reason.OUT_OF_RANGE
+    assert has_gap(np.arange(0.0, 1.0, 0.02), 0, 0.98) is False
+    assert has_gap(np.arange(0.0, 1.0, 0.02), 0, 0.98, QualityLimits(nominal_period_s=0.005)) is True
