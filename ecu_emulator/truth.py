@@ -15,6 +15,7 @@ from typing import Any, Final, Self, TextIO
 import numpy as np
 
 from canlog.plain_files import read_small_file
+from clutch_model.gears import clutch_of_gear
 from ecu_emulator.errors import RecordError
 from ecu_emulator.plant.columns import Col
 from ecu_emulator.readings import FloatArray
@@ -127,7 +128,7 @@ class ShiftWatcher:
     def _shift(self, during: FloatArray, after: FloatArray) -> ShiftTruth:
         self._count += 1
         to_gear = int(during[0, Col.TARGET_GEAR])
-        index = (to_gear - 1) % 2  # odd gears hang on clutch 1
+        index = clutch_of_gear(to_gear) - 1
         return ShiftTruth(
             number=self._count,
             t_start_s=round(float(during[0, Col.T_S]), 3),

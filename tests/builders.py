@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 
+from clutch_model.gears import clutch_of_gear
 from diag_service.diagnosis.comparison import ClutchRatio, FrictionTrend, ScaleFreeFriction, ShiftScatter
 from diag_service.diagnosis.records import (
     ClutchVerdict,
@@ -61,7 +62,7 @@ def shift_estimate(number: int = 1, to_gear: int = 2) -> ShiftEstimate:
         number=number,
         from_gear=to_gear - 1,
         to_gear=to_gear,
-        clutch=2 if to_gear % 2 == 0 else 1,
+        clutch=clutch_of_gear(to_gear),
         start_ns=start_ns,
         end_ns=start_ns + 900_000_000,
         status=Status.VALID,

@@ -9,6 +9,7 @@ import numpy.typing as npt
 from canlog.arrays import FloatArray
 from clutch_model.calibration import Calibration, nominal_calibration
 from clutch_model.film import film_law
+from clutch_model.gears import clutch_of_gear
 from diag_service.diagnosis.friction.paper import FilmTable, PaperSignals, static_table, trajectory_table
 from ecu_emulator.plant import Col, DriveSettings, Powertrain, nominal_parameters
 from ecu_emulator.tcu_data import INERTIA, PREFILL, TORQUE
@@ -109,7 +110,7 @@ def static_tables() -> tuple[FilmTable, FilmTable]:
 def trajectory_tables() -> tuple[FilmTable, FilmTable]:
     """Return the film tables of both clutches as one calibration cycle with fresh fluid shows them."""
     cycle = drive(Case.IDEAL, cycles=1, seed=CALIBRATION_SEED)
-    phase, odd = cycle.rows[:, Col.SHIFT_PHASE], cycle.rows[:, Col.TARGET_GEAR] % 2 == 1
+    phase, clutch = cycle.rows[:, Col.SHIFT_PHASE], clutch_of_gear(cycle.rows[:, Col.TARGET_GEAR])
     engaging = (phase == TORQUE) | (phase == INERTIA)
     first, second = (
         trajectory_table(
@@ -117,7 +118,7 @@ def trajectory_tables() -> tuple[FilmTable, FilmTable]:
             cycle.rows[mine, Col.FILM1 + m],
             film_law(cycle.truth.clutches[m]),
         )
-        for m, mine in enumerate((engaging & odd, engaging & ~odd))
+        for m, mine in enumerate((engaging & (clutch == 1), engaging & (clutch == 2)))
     )
     return first, second
 

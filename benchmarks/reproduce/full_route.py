@@ -23,6 +23,7 @@ from benchmarks.reproduce.drives import (
 )
 from benchmarks.reproduce.study import CALIBRATION, CLUTCHES, DRIVELINE, PARAMETERS, Key, true_value
 from canlog.arrays import FloatArray
+from clutch_model.gears import clutch_of_gear
 from ecu_emulator.plant import Col
 
 PROCESS_COUNT = min(2, os.cpu_count() or 1)
@@ -75,7 +76,7 @@ def full_signals(driven: PaperDrive, noise_seed: int | None) -> FullSignals:
     current, preselected = (
         driven.rows[:, column].astype(np.int64) for column in (Col.CURRENT_GEAR, Col.PRESELECTED_GEAR)
     )
-    odd = current % 2 == 1
+    on_first = clutch_of_gear(current) == 1
     return FullSignals(
         period_s=PERIOD_S,
         hub_rad_s=read.hub_rad_s,
@@ -84,7 +85,7 @@ def full_signals(driven: PaperDrive, noise_seed: int | None) -> FullSignals:
         flywheel_nm=clean.flywheel_nm,
         shaft_nm=clean.shaft_nm,
         oil_k=clean.oil_k,
-        gears=np.stack((np.where(odd, current, preselected), np.where(odd, preselected, current))),
+        gears=np.stack((np.where(on_first, current, preselected), np.where(on_first, preselected, current))),
         speed_std_rad_s=SPEED_NOISE_RATIO * np.array([rms(one) for one in (clean.hub_rad_s, *clean.input_rad_s)]),
         pressure_std_pa=PRESSURE_NOISE_RATIO * np.array([rms(one) for one in clean.pressure_pa]),
     )

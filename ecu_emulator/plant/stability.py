@@ -3,6 +3,7 @@
 import math
 from collections.abc import Mapping, Sequence
 
+from clutch_model.gears import clutch_of_gear
 from clutch_model.tables import require
 from ecu_emulator.plant.rates import PlantLaw
 
@@ -62,7 +63,7 @@ def _shaft_rate(stiffness_nm_rad: float, damping_nms_rad: float, first_kg_m2: fl
 
 
 def _synchroniser_rate(law: PlantLaw, overall_ratios: Sequence[float], gear: int, current: int) -> float:
-    shafts = (law.shafts.second, law.shafts.first)  # by gear modulo 2
-    load_kg_m2 = law.output.inertia_kg_m2 + overall_ratios[current] ** 2 * shafts[current % 2].gear_inertia_kg_m2
-    mobility = 1.0 / shafts[gear % 2].gear_inertia_kg_m2 + overall_ratios[gear] ** 2 / load_kg_m2
+    turned, turning = (law.shafts[clutch_of_gear(one) - 1].gear_inertia_kg_m2 for one in (current, gear))
+    load_kg_m2 = law.output.inertia_kg_m2 + overall_ratios[current] ** 2 * turned
+    mobility = 1.0 / turning + overall_ratios[gear] ** 2 / load_kg_m2
     return law.synchroniser.torque_nm / law.synchroniser.full_torque_slip_rad_s * mobility

@@ -12,6 +12,7 @@ import numpy.typing as npt
 from canlog.arrays import FloatArray
 from canlog.series import Series
 from clutch_model.calibration import Calibration
+from clutch_model.gears import clutch_of_gear
 from diag_service.diagnosis.columns import Signal
 from diag_service.diagnosis.events import EndReason, ShiftEvent
 from diag_service.diagnosis.records import ShiftIndices
@@ -73,7 +74,8 @@ def _slip(grid: _Grid) -> FloatArray | None:
     """Return the slip of the on-coming clutch: its input side less the shaft of the gear that engages."""
     hub = grid.value(Signal.HUB_SPEED)
     engine = hub if hub is not None else grid.value(Signal.ENGINE_SPEED)
-    shaft = grid.value(Signal.INPUT1_SPEED if grid.event.to_gear % 2 else Signal.INPUT2_SPEED)
+    is_first = clutch_of_gear(grid.event.to_gear) == 1
+    shaft = grid.value(Signal.INPUT1_SPEED if is_first else Signal.INPUT2_SPEED)
     shaft = shaft if shaft is not None else grid.value(Signal.INPUT_SPEED)
     return None if engine is None or shaft is None else engine - shaft
 
@@ -110,9 +112,9 @@ def _torque_capacity(grid: _Grid, slip_rad_s: FloatArray, calibration: Calibrati
 
 def _asked(grid: _Grid, slip_rad_s: FloatArray) -> tuple[FloatArray, npt.NDArray[np.bool_]] | None:
     """Return the torque asked of the on-coming clutch, signed as its slip, and where it alone carries the engine."""
-    is_odd = grid.event.to_gear % 2 == 1
     commands = (Signal.CLUTCH1_TORQUE_COMMAND, Signal.CLUTCH2_TORQUE_COMMAND)
-    on, off = (grid.value(signal) for signal in (commands if is_odd else commands[::-1]))
+    is_first = clutch_of_gear(grid.event.to_gear) == 1
+    on, off = (grid.value(signal) for signal in (commands if is_first else commands[::-1]))
     if on is not None and off is not None:
         return on * np.sign(slip_rad_s), np.abs(off) < RELEASED_RATIO * np.maximum(on, MIN_TORQUE_NM)
     total = grid.value(Signal.CLUTCH_TORQUE)

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from clutch_model.calibration import Calibration
+from clutch_model.gears import clutch_of_gear
 from diag_service.diagnosis.alignment.aligned_signals import AlignedSignals, compile_alignment
 from diag_service.diagnosis.alignment.sampling import NS_TO_S
 from diag_service.diagnosis.columns import Signal
@@ -15,7 +16,7 @@ from diag_service.diagnosis.friction.balance import Balance
 from diag_service.diagnosis.friction.film_track import compile_film
 from diag_service.diagnosis.friction.filter_state import FilterState, Misfit
 from diag_service.diagnosis.friction.parameters import State, friction_rows
-from diag_service.diagnosis.friction.preparation import measured_drives, on_coming, planned_drives, slip_window, zeroed
+from diag_service.diagnosis.friction.preparation import measured_drives, planned_drives, slip_window, zeroed
 from diag_service.diagnosis.friction.scale_free import scale_free
 from diag_service.diagnosis.friction.window import SlipWindow
 from diag_service.diagnosis.quality.plausibility import SlippingClutch, plausibility_faults, zero_has_jumped
@@ -57,7 +58,7 @@ class Estimator:
         signals = usable_signals(event, self._calibration)
         if isinstance(signals, Reason):
             return state, without_friction(event, Status.REJECTED, signals)
-        clutch = on_coming(event.to_gear)
+        clutch = clutch_of_gear(event.to_gear)
         before, state = state, zeroed(signals, state, self._calibration)
         if zero_has_jumped(before.pressure_zeros, state.pressure_zeros):
             return before, without_friction(event, Status.REJECTED, Reason.ZERO_JUMPED)
@@ -132,7 +133,7 @@ class Estimator:
         fit: float,
     ) -> ShiftEstimate:
         """Describe what a shift says alone; ``fit`` is 1 for no misfit, 0 at its gate."""
-        clutch = on_coming(event.to_gear)
+        clutch = clutch_of_gear(event.to_gear)
         window_s = float(signals.grid_s[window.stop - 1] - signals.grid_s[window.first])
         mu: FloatArray = alone.mean[friction_rows(clutch)]
         return replace(
@@ -161,7 +162,7 @@ def without_friction(event: ShiftEvent, status: Status, *reasons: Reason) -> Shi
         number=event.number,
         from_gear=event.from_gear,
         to_gear=event.to_gear,
-        clutch=on_coming(event.to_gear),
+        clutch=clutch_of_gear(event.to_gear),
         start_ns=event.start_ns,
         end_ns=event.end_ns,
         status=status,

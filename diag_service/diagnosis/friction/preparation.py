@@ -20,11 +20,6 @@ EMPTY_S = 0.1
 PRESSURE_DEGREE = 3
 
 
-def on_coming(to_gear: int) -> int:
-    """Return the clutch that carries a gear: 1 the odd ones, 2 the even ones."""
-    return 1 if to_gear % 2 else 2
-
-
 def zeros_seen(signals: AlignedSignals, state: FilterState, calibration: Calibration) -> list[Measurement]:
     """Return what a clutch that is empty before the shift says about the zero of its pressure sensor."""
     std_pa = calibration.noise.pressure_pa

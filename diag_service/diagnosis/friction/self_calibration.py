@@ -13,6 +13,7 @@ import numpy as np
 from canlog.arrays import FloatArray
 from clutch_model.calibration import Calibration
 from clutch_model.errors import CalibrationError
+from clutch_model.gears import clutch_of_gear
 from clutch_model.knowledge import JointUncertainty
 from diag_service.diagnosis.events import RunUpEvent, ShiftEvent
 from diag_service.diagnosis.friction.balance import Balance
@@ -30,7 +31,6 @@ from diag_service.diagnosis.friction.parameters import (
 )
 from diag_service.diagnosis.friction.preparation import (
     measured_drives,
-    on_coming,
     planned_drives,
     slip_window,
     zeros_seen,
@@ -199,7 +199,7 @@ def _seen_shifts(
         signals = usable_signals(event, point)
         if isinstance(signals, Reason):
             continue
-        clutch = on_coming(event.to_gear)
+        clutch = clutch_of_gear(event.to_gear)
         drives = measured_drives(signals, state, event, point)
         window = (
             _window_at(windows[event.number], signals.grid_s)

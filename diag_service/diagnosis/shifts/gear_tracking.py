@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from canlog.series import Series
+from clutch_model.gears import clutch_of_gear
 from diag_service.diagnosis.columns import GearRatios, Signal
 from diag_service.diagnosis.events import EndReason
 from diag_service.diagnosis.shifts.engaged_gear import CurrentGear, EngagedTracker, RatioGear
@@ -172,8 +173,8 @@ class TargetTracker:
         if len(t_ns):
             self._last = {name: float(value[-1]) for name, value in values.items()}
             target = np.nan_to_num(values[Signal.TARGET_GEAR]).astype(np.int64)
-            odd, even = (np.abs(values[Signal.ENGINE_SPEED] - values[name]) for name in self._inputs)
-            slip_rad_s = np.where(target % 2 == 1, odd, even)
+            first, second = (np.abs(values[Signal.ENGINE_SPEED] - values[name]) for name in self._inputs)
+            slip_rad_s = np.where(clutch_of_gear(target) == 1, first, second)
             state = 2 * target + (slip_rad_s > CLOSED_SLIP_RAD_S)  # an unknown slip counts as closed
             changes = np.flatnonzero(np.diff(state, prepend=-1))
             for row in changes:

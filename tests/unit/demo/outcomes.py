@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 
+from clutch_model.gears import clutch_of_gear
 from demo.listener import ClutchState
 from demo.outcome import SHIFTS_PER_CYCLE, FrameAccount, Outcome
 from diag_service.diagnosis.records import ShiftResult
@@ -26,7 +27,7 @@ def true_shift(number: int) -> ShiftTruth:
         t_end_s=4.0 * number + 1.0,
         from_gear=from_gear,
         to_gear=to_gear,
-        clutch=2 if to_gear % 2 == 0 else 1,
+        clutch=clutch_of_gear(to_gear),
         mu_c=FRICTION.mu_c,
         mu_s=FRICTION.mu_s,
         clutch_temperature_k=360.0,

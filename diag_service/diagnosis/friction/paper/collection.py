@@ -4,6 +4,7 @@ from dataclasses import dataclass, replace
 
 from clutch_model.calibration import Calibration
 from clutch_model.film import film_law
+from clutch_model.gears import clutch_of_gear
 from diag_service.diagnosis.events import ShiftEvent
 from diag_service.diagnosis.friction.paper.differentiate import quiet_filter, steady_kalman
 from diag_service.diagnosis.friction.paper.driveline import Driveline
@@ -62,11 +63,11 @@ class PaperCollection:
             number=event.number,
             from_gear=event.from_gear,
             to_gear=event.to_gear,
-            clutch=1 if event.to_gear % 2 else 2,
+            clutch=clutch_of_gear(event.to_gear),
             reason=None,
             estimate=None,
         )
-        if abs(event.to_gear - event.from_gear) % 2 == 0:
+        if clutch_of_gear(event.from_gear) == shift.clutch:
             return replace(shift, reason=Reason.NO_SLIP_WINDOW)
         signals = paper_signals(event, self._calibration, self._driveline)
         if isinstance(signals, Reason):

@@ -12,6 +12,7 @@ import numpy as np
 
 from canlog.arrays import FloatArray
 from clutch_model.calibration import Calibration
+from clutch_model.gears import clutch_of_gear
 from diag_service.diagnosis.alignment.aligned_signals import AlignedSignals
 from diag_service.diagnosis.alignment.sampling import sample_times_s
 from diag_service.diagnosis.columns import Signal
@@ -56,7 +57,9 @@ def paper_signals(event: ShiftEvent, calibration: Calibration, driveline: Drivel
     if wheel_m_s is None:
         return Reason.SIGNAL_MISSING
     readings = _readings(gathered, wheel_m_s / driveline.wheel_radius_m, calibration)
-    gears = (event.from_gear, event.to_gear) if event.from_gear % 2 else (event.to_gear, event.from_gear)
+    gears = (event.from_gear, event.to_gear)
+    if clutch_of_gear(event.from_gear) != 1:
+        gears = gears[::-1]
     model = driveline_model(gears, PERIOD_S, calibration.input_side, driveline, calibration.noise.engine_torque_nm)
     states = smoothed_states(model, readings)
     return PaperSignals(

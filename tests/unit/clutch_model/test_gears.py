@@ -1,0 +1,49 @@
+import ast
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from clutch_model.gears import clutch_of_gear
+from ecu_emulator.tcu import clutch_of
+
+ROOT = Path(__file__).parents[3]
+WORDS = ("gear", "current", "target")
+
+
+def halved(source: str) -> Iterator[int]:
+    """Yield the lines on which a gear is taken modulo two."""
+    for node in (one for one in ast.walk(ast.parse(source)) if isinstance(one, ast.BinOp)):
+        is_halved = isinstance(node.op, ast.Mod) and ast.unparse(node.right) == "2"
+        if is_halved and any(word in ast.unparse(node.left).lower() for word in WORDS):
+            yield node.lineno
+
+
+@pytest.mark.parametrize(("gear", "clutch"), [(1, 1), (2, 2), (3, 1), (4, 2), (5, 1), (6, 2), (7, 1), (8, 2), (0, 2)])
+def test_clutch_1_carries_the_odd_gears(gear: int, clutch: int) -> None:
+    assert clutch_of_gear(gear) == clutch
+    assert clutch_of(gear) == clutch - 1  # the place in pairs, as the compiled control takes it
+
+
+def test_it_is_the_same_for_arrays() -> None:
+    gears = np.arange(-1, 9)
+    assert clutch_of_gear(gears).tolist() == [clutch_of_gear(int(gear)) for gear in gears]
+    assert clutch_of_gear(gears.astype(np.float64)).tolist() == clutch_of_gear(gears).tolist()
+
+
+def test_nobody_else_decides_which_clutch_carries_a_gear() -> None:
+    again = [
+        f"{path.relative_to(ROOT)}:{line}"
+        for package in ("ecu_emulator", "diag_service", "fleet_backend", "benchmarks", "demo")
+        for path in sorted((ROOT / package).rglob("*.py"))
+        for line in halved(path.read_text(encoding="utf-8"))
+    ]
+    assert again == []
+
+
+@pytest.mark.parametrize(
+    "line", ["1 if event.to_gear % 2 else 2", "rows[:, Col.TARGET_GEAR] % 2 == 1", "(gear - 1) % 2"]
+)
+def test_a_second_place_would_be_found(line: str) -> None:
+    assert list(halved(line))
