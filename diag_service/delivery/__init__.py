@@ -5,6 +5,7 @@ from diag_service.delivery.console import ConsoleReporter
 from diag_service.delivery.delivery import Acknowledge
 from diag_service.delivery.detached import DetachedReporter
 from diag_service.delivery.jsonlines import JsonLinesReporter
+from diag_service.delivery.limits import DeliveryLimits
 from diag_service.delivery.memory import MemoryLink, MemoryReporter
 from diag_service.delivery.mqtt import BrokerAddress, MqttConnector
 from diag_service.delivery.outbox import Outbox
@@ -14,6 +15,7 @@ __all__ = [
     "Acknowledge",
     "BrokerAddress",
     "ConsoleReporter",
+    "DeliveryLimits",
     "DetachedReporter",
     "JsonLinesReporter",
     "Link",

@@ -11,16 +11,12 @@ from typing import Final, Protocol
 from canlog.notice import NOTICE
 from diag_service.delivery.base import Link
 from diag_service.delivery.lanes import Lanes, WaitingResults
+from diag_service.delivery.limits import DeliveryLimits
 from diag_service.delivery.owed import Owed
 from diag_service.diagnosis.results import StoredResult, clutch_record, parse_shift
 from fleet_contract import Outcome, Outgoing, Receipt, clutch_message, raw_shift_message
 
 BATCH: Final = 200
-WINDOW: Final = 2000  # results that a backend may owe us a receipt for
-BACKLOG_LAG_S: Final = 2.0  # so far behind a backend may be before it gets more of the backlog
-RESEND_S = 5.0  # after so long without one they are sent again
-LONGEST_RESEND_S: Final = 30.0  # while all is silent a few are sent again, less and less often up to this
-PROBE: Final = 20  # results that ask a silent backend whether it is there; the others wait for its word
 _LOG = logging.getLogger(__name__)
 
 
@@ -85,6 +81,7 @@ class Delivery:
         published: Callable[[list[int]], None],
         counts: Counts,
         holds_states: Callable[[], bool] = lambda: False,
+        limits: DeliveryLimits,
     ) -> None:
         self._store = store
         self._vehicle = vehicle
@@ -97,8 +94,9 @@ class Delivery:
         self._are_states_held = False  # whether some were to be told and were not
         self._lanes: Lanes | None = None  # not begun
         self._inbox: list[Receipt] = []
-        self._owed = Owed()
-        self._resend_s = RESEND_S
+        self._limits = limits
+        self._owed = Owed(limits.astray_after_s)
+        self._resend_s = limits.resend_after_s
         self._is_heard = False  # since results were last found overdue
         self._is_silent = False
         self._asked_s = 0.0  # when a silent backend was last asked [s of the loop]
@@ -168,7 +166,8 @@ class Delivery:
         self._complain_of([receipt for receipt in receipts if receipt.outcome is Outcome.QUARANTINED])
         if self._is_silent:
             _LOG.log(NOTICE, "the backend acknowledges results again")
-        self._resend_s, self._is_heard, self._is_silent, self._asked_s = RESEND_S, True, False, 0.0
+        self._resend_s, self._asked_s = self._limits.resend_after_s, 0.0
+        self._is_heard, self._is_silent = True, False
 
     def _complain_of(self, refused: list[Receipt]) -> None:
         self._counts.quarantined += len(refused)
@@ -184,11 +183,11 @@ class Delivery:
         again = self._next_repeated()
         if again:
             return again
-        room = WINDOW - len(self._owed)
-        if room > 0 and self._owed.lag_s(now_s) < BACKLOG_LAG_S:
+        room = self._limits.window_count - len(self._owed)
+        if room > 0 and self._owed.lag_s(now_s) < self._limits.backlog_lag_s:
             return self._lanes.next(min(BATCH, room))
         # The backend is behind; what happens now does not wait until it has caught up.
-        return self._lanes.next_fresh(min(BATCH, WINDOW + room))
+        return self._lanes.next_fresh(min(BATCH, self._limits.window_count + room))
 
     def _next_repeated(self) -> list[StoredResult]:
         while self._repeat:
@@ -212,7 +211,7 @@ class Delivery:
             self._is_heard = False
         else:
             self._note_silence(now_s)
-            overdue = self._owed.take_oldest(PROBE)
+            overdue = self._owed.take_oldest(self._limits.probe_count)
         self._repeat.update(dict.fromkeys(overdue))
 
     def _due_s(self) -> float | None:
@@ -222,10 +221,12 @@ class Delivery:
 
     def _note_silence(self, now_s: float) -> None:
         if self._is_silent:
-            self._resend_s = min(2.0 * self._resend_s, LONGEST_RESEND_S)
+            self._resend_s = min(2.0 * self._resend_s, self._limits.longest_resend_s)
         else:
             _LOG.warning(
-                "no backend acknowledged %d results in %g s; they are kept and sent again", len(self._owed), RESEND_S
+                "no backend acknowledged %d results in %g s; they are kept and sent again",
+                len(self._owed),
+                self._limits.resend_after_s,
             )
         self._is_silent, self._asked_s = True, now_s
 

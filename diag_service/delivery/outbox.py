@@ -16,13 +16,11 @@ from contextlib import AbstractAsyncContextManager
 from canlog.notice import NOTICE
 from diag_service.delivery.base import Link
 from diag_service.delivery.delivery import Acknowledge, Counts, Delivery, OutboxStore
+from diag_service.delivery.limits import DeliveryLimits
 from diag_service.errors import PublishError, StoreFullError
 from fleet_contract import Outgoing
 
-FIRST_PAUSE_S = 0.5
-LONGEST_PAUSE_S = 30.0
 DRAIN_S = 5.0  # how long an ending service waits for its broker
-SETTLE_S = 5.0  # after this a result that a broker acknowledged is taken to be where it belongs
 METRICS_PERIOD_S = 60.0
 _MAX_UNSETTLED = 1000
 
@@ -48,6 +46,8 @@ class Outbox:
         Makes a message of the outbox's numbers, now and then; None: nobody wants them.
     holds_states :
         Keep the states of clutches back until ``tell_states``: those of a part of a drive are none.
+    limits :
+        How long to wait for whom, and how much may be under way.
     """
 
     def __init__(
@@ -61,6 +61,7 @@ class Outbox:
         greetings: Sequence[Outgoing] = (),
         metrics: MetricsMessage | None = None,
         holds_states: bool = False,
+        limits: DeliveryLimits | None = None,
     ) -> None:
         self._store = store
         self._vehicle = vehicle
@@ -70,6 +71,7 @@ class Outbox:
         self._greetings = greetings
         self._metrics = metrics
         self._holds_states = holds_states
+        self.limits = limits or DeliveryLimits()
         self._metrics_due_s = 0.0  # of the loop
         self._delivery: Delivery | None = None  # over the present connection
         self._closing = asyncio.Event()
@@ -129,6 +131,7 @@ class Outbox:
             published=self._note_published,
             counts=self.counts,
             holds_states=lambda: self._holds_states,
+            limits=self.limits,
         )
         await delivery.begin(self._greetings)
         if self._is_down:
@@ -190,7 +193,7 @@ class Outbox:
         self._unsettled.clear()
 
     def _forget_settled(self) -> None:
-        while self._unsettled and self._now_s() - self._unsettled[0][0] > SETTLE_S:
+        while self._unsettled and self._now_s() - self._unsettled[0][0] > self.limits.settled_after_s:
             self._unsettled.popleft()
 
     @staticmethod
@@ -207,7 +210,7 @@ class Outbox:
 
     async def _pause(self, failure_count: int) -> None:
         """Wait longer after each failure, at random so that a fleet does not come back as one; ``close`` ends it."""
-        longest_s = min(LONGEST_PAUSE_S, FIRST_PAUSE_S * 2.0 ** min(failure_count, 10))
+        longest_s = min(self.limits.longest_pause_s, self.limits.first_pause_s * 2.0 ** min(failure_count, 10))
         pause_s = longest_s * (0.5 + 0.5 * random.random())  # noqa: S311 - spreads load, guards nothing
         try:
             await asyncio.wait_for(self._closing.wait(), pause_s)

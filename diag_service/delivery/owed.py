@@ -2,9 +2,6 @@
 
 from collections.abc import Iterable
 from itertools import islice
-from typing import Final
-
-ASTRAY_S: Final = 2.0  # what was sent so long before an acknowledged one was lost on its way, not delayed
 
 
 class Owed:
@@ -12,9 +9,15 @@ class Owed:
 
     A receipt for a younger result says of an older one that the backend is not behind: a worker or a broker died with
     it. It is sent again at once instead of when its time is over; only once, since workers may differ in speed.
+
+    Parameters
+    ----------
+    astray_after_s :
+        What was sent so long before an acknowledged one was lost on its way, not delayed.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, astray_after_s: float) -> None:
+        self._astray_after_s = astray_after_s
         self._sent_s: dict[int, float] = {}  # the longest owed first
         self._heard_s = float("-inf")  # when the youngest acknowledged result was sent
         self._hurried: set[int] = set()  # were sent again before their time
@@ -35,7 +38,7 @@ class Owed:
 
     def take_astray(self) -> list[int]:
         """Take out what must have been lost on its way."""
-        limit_s = self._heard_s - ASTRAY_S
+        limit_s = self._heard_s - self._astray_after_s
         astray = [position for position in self._sent_until(limit_s) if position not in self._hurried]
         self._hurried.update(astray)
         return self._forget(astray)

@@ -20,7 +20,6 @@ from diag_service.service.two_senders import SenderWatch
 COUNTS_PERIOD_S = 60.0
 SHOW_PERIOD_S = 0.5
 SENDERS_PERIOD_S = 2.0
-SENDER_PAUSE_S = 1.0
 RETRY_PERIOD_S = 5.0  # how often a full disk is asked for room
 _LOG = logging.getLogger(__name__)
 
@@ -133,7 +132,7 @@ async def _keep_sending(outbox: Outbox) -> None:
         if isinstance(error, StoreError):
             raise error
         _LOG.error("sending results failed: %s; they are in the store, trying again", " ".join(str(error).split()))
-        await asyncio.sleep(SENDER_PAUSE_S)
+        await asyncio.sleep(outbox.limits.restart_pause_s)
 
 
 async def _close_in_time(source: LiveSource, stop: Trigger, duration_s: float | None) -> None:

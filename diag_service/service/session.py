@@ -21,7 +21,7 @@ from diag_service.errors import StoreFullError
 from diag_service.service.stages import Stages
 from diag_service.store import ResultStore, VehicleState, Versions
 
-MAX_PENDING = 1000  # results in memory while the disk is full
+MAX_PENDING_COUNT = 1000  # results in memory while the disk is full
 _LOG = logging.getLogger(__name__)
 
 
@@ -36,6 +36,8 @@ class Session:
         Clock of ``produced_at`` in a live stream.
     progress :
         Hears when a shift is estimated and stored.
+    max_pending_count :
+        Results that are kept in memory while the disk is full.
     """
 
     def __init__(
@@ -49,6 +51,7 @@ class Session:
         stream: str | None,
         utc_now: Callable[[], str],
         progress: Progress | None = None,
+        max_pending_count: int = MAX_PENDING_COUNT,
     ) -> None:
         self.stages = stages
         self.progress = progress or Progress()
@@ -60,6 +63,7 @@ class Session:
         self._utc_now = utc_now
         self._tally = ShiftTally()
         self._pending: deque[tuple[ShiftResult, VehicleState]] = deque()  # what a full disk did not take yet
+        self._max_pending_count = max_pending_count
         self._is_disk_full = False
         self.given_up_count = 0  # results that never found room on the disk
 
@@ -101,7 +105,7 @@ class Session:
         if not self._is_disk_full:
             self._is_disk_full = True
             _LOG.warning("%s; results wait in memory", exc)
-        while len(self._pending) > MAX_PENDING:
+        while len(self._pending) > self._max_pending_count:
             self._pending.popleft()
             self.given_up_count += 1
 

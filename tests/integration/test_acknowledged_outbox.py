@@ -11,7 +11,7 @@ from pathlib import Path
 import aiomqtt
 import pytest
 
-from diag_service.delivery import Acknowledge, BrokerAddress, MqttConnector, Outbox
+from diag_service.delivery import Acknowledge, BrokerAddress, DeliveryLimits, MqttConnector, Outbox
 from diag_service.store import ResultStore
 from fleet_contract import Receipt, ack_messages
 from tests.acknowledger import Acknowledger
@@ -23,24 +23,22 @@ from tests.plugins.broker import Mosquitto
 pytestmark = pytest.mark.broker
 
 
+QUICK = DeliveryLimits(first_pause_s=0.05, longest_pause_s=0.2, resend_after_s=0.5)
+
+
 @pytest.fixture(name="store")
 def _store() -> Iterator[ResultStore]:
     with closing(ResultStore.in_memory()) as store:
         yield store
 
 
-@pytest.fixture(autouse=True)
-def _short_pauses(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("diag_service.delivery.outbox.FIRST_PAUSE_S", 0.05)
-    monkeypatch.setattr("diag_service.delivery.outbox.LONGEST_PAUSE_S", 0.2)
-    monkeypatch.setattr("diag_service.delivery.delivery.RESEND_S", 0.5)
-
-
 @asynccontextmanager
 async def running(store: ResultStore, broker: Mosquitto) -> AsyncIterator[Outbox]:
     address = BrokerAddress(host="127.0.0.1", port=broker.port)
     connector = MqttConnector(address, "clutchdiag-car1", STATUS, is_persistent=True)
-    outbox = Outbox(store, "car1", lambda: connector.connect(NOW), str(address), acknowledge=Acknowledge.BACKEND)
+    outbox = Outbox(
+        store, "car1", lambda: connector.connect(NOW), str(address), acknowledge=Acknowledge.BACKEND, limits=QUICK
+    )
     async with sending(outbox):
         yield outbox
 

@@ -11,7 +11,7 @@ import pytest
 from amqtt.broker import Broker as AmqttBroker
 from jsonschema import Draft202012Validator
 
-from diag_service.delivery import BrokerAddress, MqttConnector, Outbox
+from diag_service.delivery import BrokerAddress, DeliveryLimits, MqttConnector, Outbox
 from diag_service.diagnosis.results import ServiceStatus, clutch_record, shift_record
 from diag_service.store import ResultStore
 from fleet_contract import schema
@@ -22,6 +22,7 @@ from tests.subscriber import Subscriber
 
 pytestmark = pytest.mark.broker
 
+QUICK = DeliveryLimits(first_pause_s=0.05, longest_pause_s=0.2)
 USERS = {"backend": "heard", "car1": "driven"}
 
 
@@ -29,12 +30,6 @@ USERS = {"backend": "heard", "car1": "driven"}
 def _store() -> Iterator[ResultStore]:
     with closing(ResultStore.in_memory()) as store:
         yield store
-
-
-@pytest.fixture(autouse=True)
-def _short_pauses(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("diag_service.delivery.outbox.FIRST_PAUSE_S", 0.05)
-    monkeypatch.setattr("diag_service.delivery.outbox.LONGEST_PAUSE_S", 0.2)
 
 
 @pytest.fixture(name="strict_broker")
@@ -57,7 +52,7 @@ def seqs(subscriber: Subscriber) -> list[int]:
 
 def outbox_for(store: ResultStore, address: BrokerAddress, status: ServiceStatus | None = STATUS) -> Outbox:
     connector = MqttConnector(address, "clutchdiag-car1", status)
-    return Outbox(store, "car1", lambda: connector.connect(NOW), str(address))
+    return Outbox(store, "car1", lambda: connector.connect(NOW), str(address), limits=QUICK)
 
 
 def local(port: int, username: str | None = None, password: str | None = None) -> BrokerAddress:

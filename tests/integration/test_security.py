@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from diag_service.delivery import Acknowledge, BrokerAddress, MqttConnector, Outbox, TlsFiles
+from diag_service.delivery import Acknowledge, BrokerAddress, DeliveryLimits, MqttConnector, Outbox, TlsFiles
 from diag_service.diagnosis.results import shift_record
 from diag_service.store import ResultStore
 from fleet_backend import queries
@@ -24,6 +24,7 @@ from tests.plugins.broker import Mosquitto
 
 pytestmark = pytest.mark.broker
 
+QUICK = DeliveryLimits(first_pause_s=0.05, longest_pause_s=0.2)
 ACCESS_LIST = Path(__file__).parents[2] / "docs" / "deploy" / "mosquitto.acl"
 A_DAY = Lifetime.of_days(1, datetime.now(UTC))
 ALARM_S = 60.0  # within which somebody has to know
@@ -67,8 +68,6 @@ def _store() -> Iterator[ResultStore]:
 
 @pytest.fixture(autouse=True)
 def _short_pauses(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("diag_service.delivery.outbox.FIRST_PAUSE_S", 0.05)
-    monkeypatch.setattr("diag_service.delivery.outbox.LONGEST_PAUSE_S", 0.2)
     monkeypatch.setattr("diag_service.delivery.mqtt.RENEWAL_PERIOD_S", 0.1)
 
 
@@ -85,7 +84,9 @@ async def running(
 ) -> AsyncIterator[Outbox]:
     address = BrokerAddress(host=host, port=broker.port, tls=tls)
     connector = MqttConnector(address, f"clutchdiag-{vehicle}", is_persistent=True)
-    outbox = Outbox(store, vehicle, lambda: connector.connect(NOW), str(address), acknowledge=Acknowledge.BACKEND)
+    outbox = Outbox(
+        store, vehicle, lambda: connector.connect(NOW), str(address), acknowledge=Acknowledge.BACKEND, limits=QUICK
+    )
     async with sending(outbox):
         yield outbox
 

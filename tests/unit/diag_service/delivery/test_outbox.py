@@ -3,10 +3,11 @@
 import asyncio
 from collections.abc import AsyncIterator, Callable, Iterator, Sequence
 from contextlib import asynccontextmanager, closing
+from dataclasses import replace
 
 import pytest
 
-from diag_service.delivery import Acknowledge, MemoryLink, Outbox
+from diag_service.delivery import Acknowledge, DeliveryLimits, MemoryLink, Outbox
 from diag_service.diagnosis.results import shift_record
 from diag_service.errors import PublishError, StoreFullError
 from diag_service.store import ResultStore, VehicleState, Versions
@@ -14,6 +15,7 @@ from fleet_contract import Outcome, Outgoing, Receipt, key_of, metrics_message, 
 from tests.builders import shift_result
 from tests.patience import HANG_S
 
+QUICK = DeliveryLimits(first_pause_s=0.001)
 NOW = "2026-01-01T00:00:00.000000Z"
 STATE = VehicleState(belief={}, condition={}, versions=Versions(algorithm="a", calibration="c"))
 
@@ -40,11 +42,6 @@ def _store() -> Iterator[ResultStore]:
         yield store
 
 
-@pytest.fixture(autouse=True)
-def _no_pauses(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("diag_service.delivery.outbox.FIRST_PAUSE_S", 0.001)
-
-
 def put(store: ResultStore, *seqs: int) -> None:
     for seq in seqs:
         store.add(shift_result(seq), STATE)
@@ -62,7 +59,7 @@ async def until(condition: Callable[[], bool]) -> None:
 
 async def test_what_waits_is_sent_in_order_then_what_comes(store: ResultStore) -> None:
     link = MemoryLink()
-    outbox = Outbox(store, "car1", Broker(link).connect, "broker")
+    outbox = Outbox(store, "car1", Broker(link).connect, "broker", limits=QUICK)
     put(store, 1, 2)
     sender = asyncio.create_task(outbox.run())
     await until(lambda: seqs(link) == [1, 2])
@@ -75,17 +72,16 @@ async def test_what_waits_is_sent_in_order_then_what_comes(store: ResultStore) -
 
 async def test_closing_sends_what_is_left(store: ResultStore) -> None:
     link = MemoryLink()
-    outbox = Outbox(store, "car1", Broker(link).connect, "broker")
+    outbox = Outbox(store, "car1", Broker(link).connect, "broker", limits=QUICK)
     sender = asyncio.create_task(outbox.run())
     put(store, *range(1, 251))  # more than one read of the store, and nobody said so
     assert await outbox.close(sender) == 0
     assert sorted(seqs(link)) == list(range(1, 251))
 
 
-async def test_a_broken_connection_loses_nothing(store: ResultStore, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("diag_service.delivery.outbox.SETTLE_S", 0.0)
+async def test_a_broken_connection_loses_nothing(store: ResultStore) -> None:
     first, second = MemoryLink(), MemoryLink()
-    outbox = Outbox(store, "car1", Broker(first, second).connect, "broker")
+    outbox = Outbox(store, "car1", Broker(first, second).connect, "broker", limits=replace(QUICK, settled_after_s=0.0))
     put(store, 1)
     sender = asyncio.create_task(outbox.run())
     await until(lambda: store.unpublished_count("car1") == 0)
@@ -100,7 +96,7 @@ async def test_a_broken_connection_loses_nothing(store: ResultStore, monkeypatch
 
 async def test_what_was_acknowledged_just_before_the_connection_broke_is_sent_again(store: ResultStore) -> None:
     first, second, third = MemoryLink(), MemoryLink(), MemoryLink()
-    outbox = Outbox(store, "car1", Broker(first, second, third).connect, "broker")
+    outbox = Outbox(store, "car1", Broker(first, second, third).connect, "broker", limits=QUICK)
     put(store, 1, 2)
     sender = asyncio.create_task(outbox.run())
     await until(lambda: seqs(first) == [1, 2] and store.unpublished_count("car1") == 0)
@@ -117,7 +113,7 @@ async def test_what_was_acknowledged_just_before_the_connection_broke_is_sent_ag
 async def test_a_loss_while_idle_is_noticed(store: ResultStore) -> None:
     first, second = MemoryLink(), MemoryLink()
     broker = Broker(first, second)
-    outbox = Outbox(store, "car1", broker.connect, "broker")
+    outbox = Outbox(store, "car1", broker.connect, "broker", limits=QUICK)
     sender = asyncio.create_task(outbox.run())
     await until(lambda: broker.attempt_count == 1)
     first.cut.set()
@@ -130,7 +126,7 @@ async def test_an_absent_broker_is_told_of_once_and_tried_again(
 ) -> None:
     broker = Broker(link := MemoryLink())
     broker.is_absent = True
-    outbox = Outbox(store, "car1", broker.connect, "broker.example")
+    outbox = Outbox(store, "car1", broker.connect, "broker.example", limits=QUICK)
     put(store, 1, 2, 3)
     sender = asyncio.create_task(outbox.run())
     await until(lambda: broker.attempt_count > 5)
@@ -147,7 +143,7 @@ async def test_a_refused_result_blocks_the_queue_not_the_run(store: ResultStore)
     refusing = MemoryLink()
     refusing.is_refusing = True
     broker = Broker(refusing)
-    outbox = Outbox(store, "car1", broker.connect, "broker")
+    outbox = Outbox(store, "car1", broker.connect, "broker", limits=QUICK)
     put(store, 1, 2)
     sender = asyncio.create_task(outbox.run())
     await until(lambda: not broker.links)
@@ -158,7 +154,7 @@ async def test_a_refused_result_blocks_the_queue_not_the_run(store: ResultStore)
 async def test_closing_an_outbox_whose_broker_is_absent_takes_one_attempt(store: ResultStore) -> None:
     broker = Broker()
     broker.is_absent = True
-    outbox = Outbox(store, "car1", broker.connect, "broker")
+    outbox = Outbox(store, "car1", broker.connect, "broker", limits=QUICK)
     put(store, 1)
     sender = asyncio.create_task(outbox.run())
     async with asyncio.timeout(HANG_S):
@@ -171,7 +167,7 @@ async def test_closing_an_outbox_whose_broker_is_silent_takes_a_limited_time(sto
             if messages:
                 await asyncio.Event().wait()
 
-    outbox = Outbox(store, "car1", Broker(Silent()).connect, "broker")
+    outbox = Outbox(store, "car1", Broker(Silent()).connect, "broker", limits=QUICK)
     put(store, 1)
     sender = asyncio.create_task(outbox.run())
     async with asyncio.timeout(HANG_S):
@@ -182,8 +178,8 @@ async def test_closing_an_outbox_whose_broker_is_silent_takes_a_limited_time(sto
 # --- with a backend whose word counts ---
 
 
-def backend_outbox(store: ResultStore, broker: Broker) -> Outbox:
-    return Outbox(store, "car1", broker.connect, "broker", acknowledge=Acknowledge.BACKEND)
+def backend_outbox(store: ResultStore, broker: Broker, limits: DeliveryLimits = QUICK) -> Outbox:
+    return Outbox(store, "car1", broker.connect, "broker", acknowledge=Acknowledge.BACKEND, limits=limits)
 
 
 def receipts(*seqs: int, outcome: Outcome = Outcome.ACCEPTED, reason: str | None = None) -> list[Receipt]:
@@ -231,11 +227,10 @@ async def test_what_nobody_acknowledged_is_sent_again_over_the_next_connection(s
 
 
 async def test_silence_is_told_once_and_results_are_sent_again_less_and_less_often(
-    store: ResultStore, caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
+    store: ResultStore, caplog: pytest.LogCaptureFixture
 ) -> None:
-    monkeypatch.setattr("diag_service.delivery.delivery.RESEND_S", 0.05)
     link = MemoryLink()
-    outbox = backend_outbox(store, Broker(link))
+    outbox = backend_outbox(store, Broker(link), replace(QUICK, resend_after_s=0.05))
     put(store, 1, 2)
     sender = asyncio.create_task(outbox.run())
     await until(lambda: seqs(link) == [1, 2] * 4)
@@ -249,14 +244,9 @@ async def test_silence_is_told_once_and_results_are_sent_again_less_and_less_oft
     assert outbox.counts.repeated == 6
 
 
-async def test_a_silent_backend_is_asked_with_a_few_and_gets_the_others_when_it_answers(
-    store: ResultStore, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr("diag_service.delivery.delivery.RESEND_S", 0.02)
-    monkeypatch.setattr("diag_service.delivery.delivery.PROBE", 2)
-    monkeypatch.setattr("diag_service.delivery.owed.ASTRAY_S", 0.0)
+async def test_a_silent_backend_is_asked_with_a_few_and_gets_the_others_when_it_answers(store: ResultStore) -> None:
     link = MemoryLink()
-    outbox = backend_outbox(store, Broker(link))
+    outbox = backend_outbox(store, Broker(link), replace(QUICK, resend_after_s=0.02, probe_count=2, astray_after_s=0.0))
     put(store, *range(1, 11))
     sender = asyncio.create_task(outbox.run())
     await until(lambda: len(link.results) == 16)  # all once, and three questions
@@ -280,12 +270,9 @@ async def test_a_quarantined_result_is_forgotten_and_told(store: ResultStore, ca
     assert "quality: must be at most 1" in caplog.text
 
 
-async def test_a_silent_backend_gets_no_more_than_a_window_and_what_happens_now(
-    store: ResultStore, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr("diag_service.delivery.delivery.WINDOW", 20)
+async def test_a_silent_backend_gets_no_more_than_a_window_and_what_happens_now(store: ResultStore) -> None:
     link = MemoryLink()
-    outbox = backend_outbox(store, Broker(link))
+    outbox = backend_outbox(store, Broker(link), replace(QUICK, window_count=20))
     put(store, *range(1, 101))
     sender = asyncio.create_task(outbox.run())
     await until(lambda: len(link.results) == 20)
@@ -305,6 +292,7 @@ async def test_metrics_and_greetings_are_sent(store: ResultStore) -> None:
         "broker",
         greetings=[greeting],
         metrics=lambda numbers: metrics_message("car1", NOW, numbers),
+        limits=QUICK,
     )
     put(store, 1, 2)
     sender = asyncio.create_task(outbox.run())
@@ -316,12 +304,9 @@ async def test_metrics_and_greetings_are_sent(store: ResultStore) -> None:
     assert numbers["outbox_sent_count"] == 2
 
 
-async def test_what_a_dying_worker_took_with_it_is_sent_again_soon(
-    store: ResultStore, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr("diag_service.delivery.owed.ASTRAY_S", 0.01)
+async def test_what_a_dying_worker_took_with_it_is_sent_again_soon(store: ResultStore) -> None:
     link = MemoryLink()
-    outbox = backend_outbox(store, Broker(link))
+    outbox = backend_outbox(store, Broker(link), replace(QUICK, astray_after_s=0.01))
     put(store, 1)
     sender = asyncio.create_task(outbox.run())
     await until(lambda: seqs(link) == [1])

@@ -17,7 +17,7 @@ from diag_service.diagnosis.summary import FrameCounts
 from diag_service.errors import StoreFullError
 from diag_service.mapping.decoder import Decoder
 from diag_service.mapping.profile import load_profile
-from diag_service.service.session import Session
+from diag_service.service.session import MAX_PENDING_COUNT, Session
 from diag_service.service.stages import Stages
 from diag_service.store import ResultStore, VehicleState, Versions
 
@@ -42,7 +42,9 @@ def _store() -> Iterator[FillingStore]:
         yield store
 
 
-def session_on(store: ResultStore, stream: str | None = None) -> tuple[Session, MemoryReporter]:
+def session_on(
+    store: ResultStore, stream: str | None = None, *, max_pending_count: int = MAX_PENDING_COUNT
+) -> tuple[Session, MemoryReporter]:
     calibration, reporter = nominal_calibration(), MemoryReporter()
     decoder = Decoder(load_contract(), load_profile())
     session = Session(
@@ -53,6 +55,7 @@ def session_on(store: ResultStore, stream: str | None = None) -> tuple[Session, 
         versions=VERSIONS,
         stream=stream,
         utc_now=lambda: NOW,
+        max_pending_count=max_pending_count,
     )
     return session, reporter
 
@@ -115,11 +118,8 @@ def test_the_end_of_a_run_is_a_last_attempt(store: FillingStore) -> None:
     assert (told(reporter), len(reporter.summaries)) == ([1], 1)
 
 
-def test_what_waits_is_bounded_and_what_is_given_up_counted(
-    store: FillingStore, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr("diag_service.service.session.MAX_PENDING", 3)
-    session, reporter = session_on(store)
+def test_what_waits_is_bounded_and_what_is_given_up_counted(store: FillingStore) -> None:
+    session, reporter = session_on(store, max_pending_count=3)
     store.is_full = True
     for number in range(1, 6):
         session.settle(event(number))

@@ -16,11 +16,10 @@ import pytest
 
 from canlog.live import BusOpener, LinkBreak, SupervisedSource
 from canlog.live.supervisor import Patience
-from diag_service.delivery import DetachedReporter, MemoryLink, MemoryReporter, Outbox
+from diag_service.delivery import DeliveryLimits, DetachedReporter, MemoryLink, MemoryReporter, Outbox
 from diag_service.diagnosis.records import ShiftResult
 from diag_service.diagnosis.summary import Summary
 from diag_service.errors import PublishError, StoreError
-from diag_service.service import live
 from diag_service.store import ResultStore
 from ecu_emulator.bus import open_bus
 from fleet_contract import Outgoing
@@ -29,6 +28,7 @@ from tests.patience import HANG_S
 from tests.unit.diag_service.service.test_live import ListSource, cut, gear_frames, run, session_for
 
 SHIFTS = 5
+QUICK = DeliveryLimits(first_pause_s=0.01, restart_pause_s=0.01)
 
 
 class RaisingReporter(MemoryReporter):
@@ -62,7 +62,7 @@ def linked(link: Any, store: ResultStore) -> Outbox:  # noqa: ANN401 - whatever 
     async def connect() -> AsyncIterator[Any]:
         yield link
 
-    return Outbox(store, "car1", connect, "memory")
+    return Outbox(store, "car1", connect, "memory", limits=QUICK)
 
 
 async def test_a_reporter_that_raises_costs_what_it_was_told(store: ResultStore) -> None:
@@ -101,11 +101,7 @@ class FailingLink(MemoryLink):
 
 
 @pytest.mark.parametrize("error", [PublishError("away"), RuntimeError("a defect"), TimeoutError("slow")])
-async def test_a_publisher_that_dies_is_started_again(
-    store: ResultStore, error: Exception, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(live, "SENDER_PAUSE_S", 0.01)
-    monkeypatch.setattr("diag_service.delivery.outbox.FIRST_PAUSE_S", 0.01)
+async def test_a_publisher_that_dies_is_started_again(store: ResultStore, error: Exception) -> None:
     reporter, link = MemoryReporter(), FailingLink(error)
     await run(ListSource(cut(gear_frames(SHIFTS), 50)), session_for(store, reporter), outbox=linked(link, store))
     assert [result.seq for result in reporter.results] == [1, 2, 3, 4, 5]
