@@ -5,6 +5,7 @@ import sys
 from collections.abc import Sequence
 from importlib import import_module
 from types import SimpleNamespace
+from typing import Final
 
 from canlog.errors import DefinitionError, ExtraMissingError, OutputError, SourceError
 from clutch_model.errors import CalibrationError
@@ -15,14 +16,20 @@ from diag_service.commands.arguments import (
     EXIT_SIGNALLED,
     EXIT_SOURCE,
     EXIT_STORE,
-    EXIT_UNEXPECTED,
     PROGRAM,
     parse_arguments,
 )
 from diag_service.errors import ConfigError, IncompleteError, StoppedError, StoreError
 from diag_service.service.stopping import Trigger, ignore
-from program_io.legible import legible
+from program_io.complaint import complain
 from program_io.standard_output import standard_output
+
+_STATUSES: Final = (
+    ((ConfigError, CalibrationError, DefinitionError, ExtraMissingError), EXIT_CONFIG),
+    (SourceError, EXIT_SOURCE),
+    ((StoreError, OutputError), EXIT_STORE),
+    (IncompleteError, EXIT_INCOMPLETE),
+)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -40,7 +47,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         except StoppedError as exc:
             return _end_early(exc, stop)
         except Exception as exc:  # noqa: BLE001 - the one place where nothing may pass
-            return _complain(exc, is_verbose=is_verbose)
+            return complain(PROGRAM, exc, _STATUSES, is_verbose=is_verbose, hint=" (-v shows where)")
         return EXIT_OK
     finally:
         if arguments is None:  # a signal while the interpreter winds down must not change the exit status
@@ -65,27 +72,3 @@ def _end_early(exc: StoppedError, stop: Trigger) -> int:
         return EXIT_OK
     sys.stderr.write(f"{PROGRAM}: {exc}\n")
     return EXIT_SIGNALLED + stop.signal
-
-
-def _complain(exc: Exception, *, is_verbose: bool) -> int:
-    """Write one line about an error, with ``-v`` also where it came from, and return the exit status."""
-    status = EXIT_UNEXPECTED
-    for kinds, code in (
-        ((ConfigError, CalibrationError, DefinitionError), EXIT_CONFIG),
-        ((SourceError,), EXIT_SOURCE),
-        ((ExtraMissingError,), EXIT_CONFIG),
-        ((StoreError, OutputError), EXIT_STORE),
-        ((IncompleteError,), EXIT_INCOMPLETE),
-    ):
-        if isinstance(exc, kinds):
-            status = code
-    text = legible(" ".join(str(exc).split()))
-    if status == EXIT_UNEXPECTED:
-        hint = "" if is_verbose else " (-v shows where)"
-        text = f"unexpected {type(exc).__name__}: {text}{hint}"
-    if is_verbose:
-        import traceback  # noqa: PLC0415 - needed here only
-
-        traceback.print_exception(exc)
-    sys.stderr.write(f"{PROGRAM}: error: {text}\n")
-    return status

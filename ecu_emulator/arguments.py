@@ -7,7 +7,7 @@ from typing import Final
 
 import click
 
-from program_io.command_line import FILE, Command, Option, Program, parse
+from program_io.command_line import FILE, INT, Choice, Command, Option, Program, parse
 
 PROGRAM: Final = "ecu-emulator"
 EXIT_TEXT: Final = (
@@ -49,11 +49,11 @@ def _instant_ns(text: str) -> int:
 _VERBOSE: Final = Option("-v", "--verbose", is_flag=True, help="show a traceback on errors")
 _DRIVE: Final = (
     Option("--scenario", default="ideal", metavar="NAME|FILE", help="shipped scenario or TOML file"),
-    Option("--fluid", type=click.Choice(["ideal", "case1", "case2", "ageing"]), help="override the fluid"),
-    Option("--seed", type=int, metavar="N", help="override the seed of car and drive"),
-    Option("--vehicle-seed", type=int, metavar="N", help="draw the car from this seed, not from --seed"),
-    Option("--drive-seed", type=int, metavar="N", help="draw driver and noise from this one"),
-    Option("--cycles", type=int, metavar="N", help="override the number of shift cycles"),
+    Option("--fluid", type=Choice(["ideal", "case1", "case2", "ageing"]), help="override the fluid"),
+    Option("--seed", type=INT, metavar="N", help="override the seed of car and drive"),
+    Option("--vehicle-seed", type=INT, metavar="N", help="draw the car from this seed, not from --seed"),
+    Option("--drive-seed", type=INT, metavar="N", help="draw driver and noise from this one"),
+    Option("--cycles", type=INT, metavar="N", help="override the number of shift cycles"),
     Option(
         "--routine",
         type=_rev_counts,
@@ -70,7 +70,7 @@ _RUN: Final = Command(
     "stream a drive onto a CAN interface in real time",
     Option("-i", "--interface", help="python-can interface (default: can.conf, CAN_INTERFACE)"),
     Option("-c", "--channel", help="channel, e.g. vcan0 (default: can.conf, CAN_CHANNEL)"),
-    Option("-b", "--bitrate", type=int, help="bit rate of a real interface [bit/s]"),
+    Option("-b", "--bitrate", type=INT, help="bit rate of a real interface [bit/s]"),
     Option("--fd", is_flag=True, help="open the interface in CAN FD mode"),
     *_DRIVE,
     Option("--truth", type=FILE, metavar="FILE", help="write the truth about every shift to this file"),
@@ -89,7 +89,7 @@ _RECORD: Final = Command(
     click.Argument(["file"], type=FILE, metavar="FILE", help="log to write"),
     Option(
         "--format",
-        type=click.Choice(["candump", "blf", "asc", "mf4", "trc", "csv", "gvret"]),
+        type=Choice(["candump", "blf", "asc", "mf4", "trc", "csv", "gvret"]),
         help="default: by the file's suffix",
     ),
     Option("--start-time", type=_instant_ns, default=DEFAULT_START, metavar="ISO", help=f"default: {DEFAULT_START}"),

@@ -11,15 +11,15 @@ from types import SimpleNamespace
 from typing import TYPE_CHECKING, Final
 
 from ecu_emulator.arguments import PROGRAM, parse_arguments
-from ecu_emulator.errors import BusError, ConfigError, EmulatorError, ExtraMissingError, RecordError
+from ecu_emulator.errors import BusError, ConfigError, ExtraMissingError, RecordError
+from program_io.complaint import complain
 from program_io.standard_output import standard_output
 
 if TYPE_CHECKING:
     from types import FrameType
 
-STATUS_UNEXPECTED: Final = 1
 STATUS_INTERRUPTED: Final = 130  # SIGINT again, without waiting for the clean stop
-STATUS_OF_ERROR: Final = {ConfigError: 2, ExtraMissingError: 2, BusError: 3, RecordError: 4}
+STATUSES: Final = (((ConfigError, ExtraMissingError), 2), (BusError, 3), (RecordError, 4))
 PATIENCE_S: Final = 1.0
 
 
@@ -30,13 +30,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
         try:
             with standard_output():
                 _execute(options, stop)
-        except EmulatorError as exc:
-            return _fail(str(exc), STATUS_OF_ERROR.get(type(exc), STATUS_UNEXPECTED), verbose=options.verbose)
         except KeyboardInterrupt:
-            return _fail("interrupted", STATUS_INTERRUPTED, verbose=False)
+            sys.stderr.write(f"{PROGRAM}: error: interrupted\n")
+            return STATUS_INTERRUPTED
         except Exception as exc:  # noqa: BLE001 - the one place where nothing may escape
-            text = f"unexpected {type(exc).__name__}: {exc}"
-            return _fail(text, STATUS_UNEXPECTED, verbose=options.verbose)
+            return complain(PROGRAM, exc, STATUSES, is_verbose=options.verbose)
     return 0
 
 
@@ -119,13 +117,3 @@ def _stop_on_signals(*, is_program: bool) -> Iterator[Event]:
     finally:
         for number, handler in before.items():
             signal.signal(number, signal.SIG_IGN if is_program else handler)
-
-
-def _fail(text: str, status: int, *, verbose: bool) -> int:
-    from rich.console import Console  # noqa: PLC0415 - only when there is something to say
-
-    console = Console(stderr=True, soft_wrap=True, highlight=False)
-    if verbose:
-        console.print_exception()
-    console.print(f"{PROGRAM}: error: {text}", markup=False)
-    return status

@@ -7,7 +7,7 @@ from typing import Final
 import click
 
 from fleet_backend.choices import Axis, Pace
-from program_io.command_line import FILE, VERBOSE, Command, Option, Program, parse
+from program_io.command_line import FILE, FLOAT, INT, VERBOSE, Choice, Command, Option, Program, parse
 
 PROGRAM: Final = "fleet-backend"
 BROKER_VARIABLE: Final = "CLUTCHDIAG_BROKER"  # these keep passwords out of the process list
@@ -47,7 +47,7 @@ _QUESTION: Final = (
     ),
 )
 _VEHICLE: Final = click.Argument(["vehicle"], metavar="VEHICLE", help="vehicle id")
-_CLUTCH: Final = click.Choice([1, 2])
+_CLUTCH: Final = Choice([1, 2])
 _INGEST: Final = Command(
     "ingest",
     "take results from the broker into the database, until stopped",
@@ -65,14 +65,14 @@ _INGEST: Final = Command(
     Option("--alive", type=FILE, metavar="FILE", help="touch this file every 5 s while broker and database answer"),
     Option(
         "--batch",
-        type=int,
+        type=INT,
         default=_PACE.batch_size,
         metavar="N",
         help=f"messages per transaction (default: {_PACE.batch_size})",
     ),
     Option(
         "--patience",
-        type=float,
+        type=FLOAT,
         default=_PACE.patience_s * 1000.0,
         metavar="MS",
         help=f"how long the first message of a batch waits for others (default: {_PACE.patience_s * 1000.0:g})",
@@ -96,7 +96,7 @@ _TREND: Final = Command(
     *_QUESTION,
     Option(
         "--against",
-        type=click.Choice([axis.value for axis in Axis]),
+        type=Choice([axis.value for axis in Axis]),
         default=Axis.SHIFT.value,
         help=f"what the trend is shown over (default: {Axis.SHIFT})",
     ),
@@ -131,7 +131,7 @@ _QUARANTINE: Final = Command(
         metavar="N",
         help=f"show the N latest only (default: {_QUARANTINE_LIMIT})",
     ),
-    Option("--purge-days", type=float, metavar="D", help="forget what is older than D days instead"),
+    Option("--purge-days", type=FLOAT, metavar="D", help="forget what is older than D days instead"),
     examples=(f"{PROGRAM} quarantine --purge-days 90",),
 )
 _FILL: Final = Command(
@@ -141,7 +141,7 @@ _FILL: Final = Command(
     click.Argument(["product"], metavar="PRODUCT", help="name of the fluid"),
     *_COMMON,
     Option("--at", metavar="DATE", help="ISO 8601, UTC without a zone (default: now)"),
-    Option("--odometer-km", type=float, metavar="KM", help="reading of the odometer"),
+    Option("--odometer-km", type=FLOAT, metavar="KM", help="reading of the odometer"),
     Option("--note", metavar="TEXT", help="what is to be remembered of it"),
     examples=(f"{PROGRAM} fill car1 DCTF-II --at 2026-01-31 --odometer-km 61200",),
 )

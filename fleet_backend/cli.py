@@ -13,16 +13,16 @@ from fleet_backend.arguments import (
     EXIT_CONFIG,
     EXIT_DATABASE,
     EXIT_OK,
-    EXIT_UNEXPECTED,
     EXIT_UNKNOWN,
     PROGRAM,
     parse_arguments,
 )
 from fleet_backend.errors import BrokerError, ConfigError, DatabaseError, ExtraMissingError, UnknownVehicleError
 from fleet_contract import VariableError, check_variables
+from program_io.complaint import complain
 from program_io.standard_output import standard_output
 
-_STATUS_OF: Final = (
+_STATUSES: Final = (
     (ConfigError, EXIT_CONFIG),
     (BrokerError, EXIT_BROKER),
     (DatabaseError, EXIT_DATABASE),
@@ -41,7 +41,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except KeyboardInterrupt:
         return EXIT_OK
     except Exception as exc:  # noqa: BLE001 - the one place where nothing may pass
-        return _complain(exc, is_verbose=options.verbose > 0)
+        return complain(PROGRAM, exc, _STATUSES, is_verbose=options.verbose > 0, hint=" (-v shows where)")
     return EXIT_OK
 
 
@@ -70,17 +70,3 @@ def _set_up_log(verbosity: int) -> None:
         own.handlers, own.propagate = [handler], False
         own.setLevel(logging.DEBUG if verbosity else logging.INFO)
     logging.getLogger().handlers = [handler] if verbosity > 1 else [logging.NullHandler()]
-
-
-def _complain(exc: Exception, *, is_verbose: bool) -> int:
-    """Write one line about an error, with ``-v`` also where it came from, and return the exit status."""
-    status = next((code for kind, code in _STATUS_OF if isinstance(exc, kind)), EXIT_UNEXPECTED)
-    text = " ".join(str(exc).split())
-    if status == EXIT_UNEXPECTED:
-        text = f"unexpected {type(exc).__name__}: {text}{'' if is_verbose else ' (-v shows where)'}"
-    if is_verbose:
-        import traceback  # noqa: PLC0415 - needed here only
-
-        traceback.print_exception(exc)
-    sys.stderr.write(f"{PROGRAM}: error: {text}\n")
-    return status

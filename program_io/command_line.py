@@ -6,11 +6,11 @@ statuses and the loading of libraries stay with the program.
 
 import re
 import sys
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from itertools import pairwise
 from pathlib import Path
 from types import SimpleNamespace
-from typing import Any, Final
+from typing import Any, Final, TypeVar
 
 import click
 
@@ -19,6 +19,36 @@ EXIT_USAGE: Final = 2
 FILE: Final = click.Path(readable=False, path_type=Path)  # whether it can be read is found out by reading it
 _LOOKS_LIKE_OPTION: Final = re.compile(r"-(?!\d*\.?\d+$).")  # a negative number does not
 _CONTEXT: Final = {"help_option_names": ["-h", "--help"], "max_content_width": 120}
+
+_Word = TypeVar("_Word", int, str)
+
+
+class Number(click.ParamType[float]):
+    """A number; what is none is told as ``invalid int value: 'x'``."""
+
+    def __init__(self, kind: type[int] | type[float]) -> None:
+        self.name = kind.__name__
+        self._kind = kind
+
+    def convert(self, value: str | float, param: click.Parameter | None, ctx: click.Context | None) -> float:
+        """Return what a text stands for."""
+        try:
+            return self._kind(value)
+        except ValueError:
+            self.fail(f"invalid {self.name} value: {value!r}", param, ctx)
+
+
+class Choice(click.Choice[_Word]):
+    """One of a few words; another one is told as ``invalid choice``."""
+
+    def get_invalid_choice_message(self, value: object, ctx: click.Context | None) -> str:
+        """Return the complaint."""
+        del ctx
+        return _invalid_choice(value, self.choices)
+
+
+INT: Final = Number(int)
+FLOAT: Final = Number(float)
 
 
 class Option(click.Option):
@@ -90,17 +120,20 @@ class Command(_Page):
             params=list(params),
             help=description or text,
             short_help=text,
-            context_settings={**_CONTEXT, "auto_envvar_prefix": variables},
+            context_settings={**_CONTEXT, "allow_extra_args": True, "auto_envvar_prefix": variables},
         )
         self.examples = tuple(examples)
 
     def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
         """Parse the words, of which an option may be abbreviated."""
         try:
-            return super().parse_args(ctx, args if ctx.resilient_parsing else self._in_full(ctx, args))
+            rest = super().parse_args(ctx, args if ctx.resilient_parsing else self._in_full(ctx, args))
+            if rest and not ctx.resilient_parsing:
+                ctx.fail(f"unrecognized arguments: {' '.join(rest)}")
         except click.UsageError as exc:
             exc.ctx = exc.ctx or ctx  # whose help is to be seen
             raise
+        return rest
 
     def invoke(self, ctx: click.Context) -> SimpleNamespace:
         """Return the words."""
@@ -154,8 +187,7 @@ class Group(_Page, click.Group):
     ) -> tuple[str | None, click.Command | None, list[str]]:
         """Return the command that the first word names."""
         if args[0] not in self.commands and not ctx.resilient_parsing:
-            choice = ", ".join(map(repr, self.commands))
-            ctx.fail(f"argument {self.metavar}: invalid choice: {args[0]!r} (choose from {choice})")
+            ctx.fail(f"argument {self.metavar}: {_invalid_choice(args[0], self.commands)}")
         return super().resolve_command(ctx, args)
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
@@ -199,6 +231,10 @@ def parse(program: Program, words: Sequence[str] | None) -> SimpleNamespace:
     raise SystemExit(outcome)
 
 
+def _invalid_choice(word: object, choices: Iterable[object]) -> str:
+    return f"invalid choice: {word!r} (choose from {', '.join(map(repr, choices))})"
+
+
 def _complaint(exc: click.UsageError) -> str:
     """Return what is wrong, beginning with the option or the argument."""
     if isinstance(exc, click.BadParameter) and exc.param is not None:
@@ -210,6 +246,8 @@ def _complaint(exc: click.UsageError) -> str:
         is_missing = isinstance(exc, click.MissingParameter)
         return f"the following arguments are required: {name}" if is_missing else f"argument {name}: {exc.message}"
     text = exc.format_message()
+    if isinstance(exc, click.NoSuchOption):
+        text = text.replace(exc.message, f"unrecognized arguments: {exc.option_name}.")
     return text[:1].lower() + text[1:]
 
 

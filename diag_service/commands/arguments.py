@@ -7,7 +7,7 @@ from typing import Final
 import click
 
 from diag_service.settings.options import BUS, CONFIG, DELIVERY, MEANING, VARIABLES
-from program_io.command_line import FILE, VERBOSE, Command, Group, Option, Program, parse
+from program_io.command_line import FILE, INT, VERBOSE, Choice, Command, Group, Option, Program, parse
 
 PROGRAM: Final = "diag-service"
 
@@ -72,7 +72,7 @@ _ANALYZE: Final = Command(
     _logs("log file, or folder of log files"),
     Option(
         "--estimator",
-        type=click.Choice(["impulse", "paper"]),
+        type=Choice(["impulse", "paper"]),
         default="impulse",
         help="impulse: the service's own; paper: the method of SAE 2015-01-1146, without uncertainty and verdict",
     ),
@@ -83,7 +83,7 @@ _ANALYZE: Final = Command(
         "if a log or a channel contributed nothing",
     ),
     _output("write the results to a .jsonl, .csv or .parquet file"),
-    Option("--jobs", type=int, metavar="N", help="drives of folders at a time (default: one per core)"),
+    Option("--jobs", type=INT, metavar="N", help="drives of folders at a time (default: one per core)"),
     *(*MEANING, CONFIG, *DELIVERY, _JSON_LINES, VERBOSE),
     variables=VARIABLES,
     description=_FOLDERS,
@@ -112,7 +112,7 @@ _INSPECT: Final = Command(
     Option(
         "-b",
         "--bitrate",
-        type=int,
+        type=INT,
         default=DEFAULT_BITRATE,
         help=f"bit rate that the bus load is told for [bit/s] (default: {DEFAULT_BITRATE})",
     ),
@@ -132,13 +132,13 @@ _DECODE: Final = Command(
     *(_LOG, _output("Parquet file to write", required=True), *_DATABASE),
     Option(
         "--layout",
-        type=click.Choice(["wide", "long"]),
+        type=Choice(["wide", "long"]),
         default="wide",
         help="wide: a row per frame, a column per signal; long: a row per value (default: wide)",
     ),
     Option(
         "--values",
-        type=click.Choice(["numbers", "texts", "both"]),
+        type=Choice(["numbers", "texts", "both"]),
         default="numbers",
         help="values that the database names: as numbers, as texts in a column beside, or both (default: numbers)",
     ),

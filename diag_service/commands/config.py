@@ -2,12 +2,17 @@
 
 import logging
 import sys
+from pathlib import Path
 from types import SimpleNamespace
+from urllib.parse import urlsplit
+
+import tomli_w
 
 from diag_service.commands.meaning import bus_config, diagnosis_config
 from diag_service.mapping.interpretation import interpret
 from diag_service.service.stopping import Trigger
-from diag_service.settings.options import describe
+from diag_service.settings.options import SETTINGS
+from program_io.legible import legible
 
 _LOG = logging.getLogger(__name__)
 
@@ -22,3 +27,22 @@ def execute(options: SimpleNamespace, stop: Trigger, counts_wanted: Trigger) -> 
     if broker is not None and broker.exposure:
         _LOG.warning("%s", broker.exposure)
     sys.stdout.write(describe(options))
+
+
+def describe(options: SimpleNamespace) -> str:
+    """Return the options as the text of a settings file, with what is secret masked."""
+    return "".join(_line(name, getattr(options, name)) for name in SETTINGS)
+
+
+def _line(name: str, value: str | float | Path | None) -> str:
+    if value is None:
+        return f"# {name} is not set\n"
+    if isinstance(value, str | Path):
+        value = legible(_masked(str(value)) if name == "broker" else str(value))
+    return tomli_w.dumps({name: value})
+
+
+def _masked(url: str) -> str:
+    """Return a URL without its password."""
+    password = urlsplit(url).password
+    return url if password is None else url.replace(f":{password}@", ":***@")

@@ -63,7 +63,7 @@ def _converted(key: str, value: object) -> object:
     option = SETTINGS.get(key)
     if option is None:
         raise ValueError("Extra inputs are not permitted")
-    takes_numbers = option.type.name in {"boolean", "float", "integer"}
+    takes_numbers = option.type.name in {"boolean", "float", "int"}
     if isinstance(value, str) or (takes_numbers and isinstance(value, bool | int | float)):
         text = str(int(value)) if isinstance(value, float) and value.is_integer() else str(value)
         with suppress(click.BadParameter, ValueError):

@@ -6,21 +6,18 @@ Over the file stands the environment, and over both the command line. Loads next
 import os
 from collections.abc import Mapping
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any, Final
-from urllib.parse import urlsplit
 
 import click
 
 from diag_service.errors import ConfigError
-from program_io.command_line import FILE, Option
-from program_io.legible import legible
+from program_io.command_line import FILE, FLOAT, INT, Choice, Option
 
 VARIABLES: Final = "CLUTCHDIAG"  # begins the environment variables, such as CLUTCHDIAG_BROKER
 _KINDS: Final = {
     "boolean": "true or false",
     "float": "a number",
-    "integer": "a whole number",
+    "int": "a whole number",
     "path": "a file name",
     "text": "a text",
 }
@@ -35,7 +32,7 @@ class Setting(Option):
     @property
     def demand(self) -> str:
         """What a value must be."""
-        if isinstance(self.type, click.Choice):
+        if isinstance(self.type, Choice):
             return f"must be {' or '.join(self.type.choices)}"
         return f"must be {_KINDS[self.type.name]}"
 
@@ -97,7 +94,7 @@ DELIVERY: Final = (
     ),
     Setting(
         "--store-budget",
-        type=int,
+        type=INT,
         metavar="MIB",
         help="how large the store may grow; delivered results go first, then empty ones (default: no limit)",
     ),
@@ -112,7 +109,7 @@ DELIVERY: Final = (
     Setting("--password-file", type=FILE, metavar="FILE", help="holds the broker's password, chmod 600"),
     Setting(
         "--acknowledge",
-        type=click.Choice(["broker", "backend"]),
+        type=Choice(["broker", "backend"]),
         default="broker",
         help="whose word lets the outbox forget a result; a backend gives it after its commit (default: broker)",
     ),
@@ -120,10 +117,10 @@ DELIVERY: Final = (
 BUS: Final = (
     Setting("-i", "--interface", help="python-can interface: socketcan, udp_multicast, ..."),
     Setting("-c", "--channel", help="channel of the interface, such as vcan0"),
-    Setting("-b", "--bitrate", type=int, help="bit rate, for interfaces that set it [bit/s]"),
+    Setting("-b", "--bitrate", type=INT, help="bit rate, for interfaces that set it [bit/s]"),
     Setting("--fd", is_flag=True, help="open the interface in CAN FD mode"),
     Setting("--only-mapped", is_flag=True, help="let the kernel discard other messages, uncounted"),
-    Setting("--duration", type=float, metavar="S", help="stop after this many seconds"),
+    Setting("--duration", type=FLOAT, metavar="S", help="stop after this many seconds"),
     Setting("--metrics", metavar="[HOST:]PORT", help="serve /metrics, /livez and /readyz there (default: nowhere)"),
 )
 CONFIG: Final = Setting(
@@ -135,26 +132,3 @@ CONFIG: Final = Setting(
     help="TOML file with settings, see 'config check'",
 )
 SETTINGS: Final[Mapping[str, Setting]] = {option.name: option for option in (*MEANING, *DELIVERY, *BUS)}
-
-
-def describe(options: SimpleNamespace) -> str:
-    """Return the options as the text of a settings file, with what is secret masked."""
-    return "".join(_line(name, getattr(options, name)) for name in SETTINGS)
-
-
-def mask(url: str) -> str:
-    """Return a URL without its password."""
-    password = urlsplit(url).password
-    return url if password is None else url.replace(f":{password}@", ":***@")
-
-
-def _line(name: str, value: str | float | Path | None) -> str:
-    if value is None:
-        return f"# {name} is not set\n"
-    if isinstance(value, bool):
-        return f"{name} = {str(value).lower()}\n"
-    if isinstance(value, int | float):
-        return f"{name} = {value}\n"
-    text = mask(str(value)) if name == "broker" else legible(str(value))
-    escaped = text.replace("\\", "\\\\").replace('"', '\\"')
-    return f'{name} = "{escaped}"\n'

@@ -1,6 +1,5 @@
 """Command line: ``fleet-certificates init|server|client``; the same command renews."""
 
-import sys
 from collections.abc import Sequence
 from datetime import UTC, datetime
 from pathlib import Path
@@ -10,10 +9,11 @@ from typing import Final
 import click
 
 from fleet_backend.certificates.errors import CertificateError
-from program_io.command_line import FILE, Command, Option, Program, parse
+from program_io.command_line import FILE, FLOAT, Command, Option, Program, parse
+from program_io.complaint import complain
 
 PROGRAM: Final = "fleet-certificates"
-EXIT_OK, EXIT_UNEXPECTED, EXIT_USAGE = range(3)
+EXIT_OK, EXIT_USAGE = 0, 2
 _EXIT_TEXT: Final = "exit status: 0 done, 1 unexpected error, 2 usage, or an extra that is not installed"
 _FOLDER: Final = Option(
     "--folder", type=FILE, default=Path("certificates"), metavar="FOLDER", help="default: certificates"
@@ -21,7 +21,7 @@ _FOLDER: Final = Option(
 
 
 def _days(default: float) -> Option:
-    return Option("--days", type=float, default=default, help=f"until it expires (default: {default:g})")
+    return Option("--days", type=FLOAT, default=default, help=f"until it expires (default: {default:g})")
 
 
 COMMAND_LINE: Final = Program(
@@ -53,12 +53,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     options = parse(COMMAND_LINE, arguments)
     try:
         _execute(options)
-    except CertificateError as exc:
-        sys.stderr.write(f"{PROGRAM}: error: {exc}\n")
-        return EXIT_USAGE
     except Exception as exc:  # noqa: BLE001 - the one place where nothing may pass
-        sys.stderr.write(f"{PROGRAM}: error: unexpected {type(exc).__name__}: {' '.join(str(exc).split())}\n")
-        return EXIT_UNEXPECTED
+        return complain(PROGRAM, exc, [(CertificateError, EXIT_USAGE)])
     return EXIT_OK
 
 

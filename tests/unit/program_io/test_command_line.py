@@ -5,17 +5,17 @@ from types import SimpleNamespace
 import click
 import pytest
 
-from program_io.command_line import FILE, VERBOSE, Command, Group, Option, Program, parse
+from program_io.command_line import FILE, FLOAT, INT, VERBOSE, Choice, Command, Group, Option, Program, parse
 
 ANSWER = Command(
     "answer",
     "answer a question",
     click.Argument(["words"], nargs=-1, required=True, metavar="WORD...", help="what is asked"),
     Option("-o", "--output", type=FILE, metavar="FILE", required=True, help="where to"),
-    Option("-n", "--count", type=int, default=1, help="how often"),
-    Option("--colour", type=click.Choice(["red", "blue"]), help="of the ink"),
-    Option("--column", type=float, help="where it begins"),
-    Option("--pause", type=int, flag_value=5, metavar="[S]", help="wait before it"),
+    Option("-n", "--count", type=INT, default=1, help="how often"),
+    Option("--colour", type=Choice(["red", "blue"]), help="of the ink"),
+    Option("--column", type=FLOAT, help="where it begins"),
+    Option("--pause", type=INT, flag_value=5, metavar="[S]", help="wait before it"),
     Option("--loud", is_flag=True, help="in capitals"),
     VERBOSE,
     examples=("oracle answer why -o answer.txt",),
@@ -71,26 +71,28 @@ def test_an_option_is_written_as_users_write_it(words: tuple[str, ...], name: st
     [
         ((), "the following arguments are required: COMMAND", "oracle"),
         (("ask",), "argument COMMAND: invalid choice: 'ask' (choose from 'answer', 'well')", "oracle"),
-        (("--loud",), "no such option '--loud'", "oracle"),
+        (("--loud",), "unrecognized arguments: --loud", "oracle"),
         (("well",), "the following arguments are required: ACTION", "oracle well"),
         (("well", "dig"), "argument ACTION: invalid choice: 'dig' (choose from 'clean')", "oracle well"),
-        (("well", "clean", "now"), "got unexpected extra argument (now)", "oracle well clean"),
+        (("well", "clean", "now", "then"), "unrecognized arguments: now then", "oracle well clean"),
+        (("answer", "-o", "a", "why", "--column", "x"), "argument --column: invalid float value: 'x'", "oracle answer"),
+        (("well", "clean", "now"), "unrecognized arguments: now", "oracle well clean"),
         (("answer",), "the following arguments are required: WORD", "oracle answer"),
         (("answer", "why"), "the following arguments are required: -o/--output", "oracle answer"),
         (("answer", "why", "-o"), "argument -o/--output: expected one argument", "oracle answer"),
         (("answer", "why", "-o", "--loud"), "argument -o/--output: expected one argument", "oracle answer"),
         (("answer", "why", "--out", "-v"), "argument -o/--output: expected one argument", "oracle answer"),
-        (("answer", "-o", "a", "why", "-n", "x"), "argument -n/--count: 'x' is not a valid integer", "oracle answer"),
+        (("answer", "-o", "a", "why", "-n", "x"), "argument -n/--count: invalid int value: 'x'", "oracle answer"),
         (
             ("answer", "-o", "a", "why", "--colour", "green"),
-            "argument --colour: 'green' is not one of 'red', 'blue'",
+            "argument --colour: invalid choice: 'green' (choose from 'red', 'blue')",
             "oracle answer",
         ),
         (("answer", "--loud=yes"), "option '--loud' does not take a value", "oracle answer"),
-        (("answer", "--verbsoe"), "no such option '--verbsoe'. Did you mean '--verbose'?", "oracle answer"),
+        (("answer", "--verbsoe"), "unrecognized arguments: --verbsoe. Did you mean '--verbose'?", "oracle answer"),
         (
             ("answer", "--co", "1"),
-            "no such option '--co'. (Did you mean one of: '--colour', '--column', '--count'?)",
+            "unrecognized arguments: --co. (Did you mean one of: '--colour', '--column', '--count'?)",
             "oracle answer",
         ),
     ],

@@ -10,10 +10,11 @@ import pytest
 
 from diag_service.cli import main
 from diag_service.commands.arguments import parse_arguments
+from diag_service.commands.config import describe
 from diag_service.errors import ConfigError
 from diag_service.settings.config import parse_broker
 from diag_service.settings.files import load_settings
-from diag_service.settings.options import SETTINGS, VARIABLES, describe
+from diag_service.settings.options import SETTINGS, VARIABLES
 from fleet_contract import PREFIX, SERVICE_VARIABLES
 from tests.service import environment
 
@@ -220,6 +221,13 @@ def test_the_settings_are_shown_as_a_file_with_the_password_masked() -> None:
         "broker": "mqtts://car1:***@host"
     }
     assert "# metrics is not set\n" in text
+
+
+@pytest.mark.parametrize("text", ['a"b', "a'b", "a\\b", "a\nb", "a\x1bb", "\u00e4"])
+def test_a_shown_text_is_read_back_as_it_was(text: str) -> None:
+    shown = describe(SimpleNamespace(**{**VALUES, "interface": text}))
+    assert tomllib.loads(shown)["interface"] == text
+    assert len(shown.splitlines()) == len(VALUES)
 
 
 def test_config_check_prints_what_a_run_would_use(
