@@ -27,8 +27,8 @@ import can
 import psutil
 
 from benchmarks.guest_meter import ask, meter_folder
+from canlog.bus.receive_buffer import RECEIVE_BUFFER_BYTES, grow_receive_buffer
 from canlog.live.pace import Pace
-from canlog.live.raw_socket import RECEIVE_BUFFER_BYTES, grow_receive_buffer
 from canlog.live.recvmmsg import SO_TIMESTAMPNS
 from canlog.live.socketcan import SocketCanSource
 from dbc.contract import load_contract

@@ -10,6 +10,8 @@ from typing import Any, Final
 import can
 from can.interfaces.udp_multicast.utils import pack_message, unpack_message
 
+from canlog.bus.receive_buffer import grow_receive_buffer
+
 DEFAULT_GROUP: Final = "ff15:7079:7468:6f6e:6465:6d6f:6d63:6173"  # group and port are python-can's own
 DEFAULT_PORT: Final = 43113
 THIS_MACHINE: Final = 0  # hops
@@ -179,6 +181,7 @@ def _join(receiver: socket.socket, group: Address, *, is_local: bool) -> None:
     """Listen to one group and port, beside others who do."""
     receiver.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
     receiver.setsockopt(socket.SOL_SOCKET, SO_TIMESTAMPNS, 1)
+    grow_receive_buffer(receiver)
     receiver.bind(group)  # not to any address: a datagram to this machine alone is not on the bus
     packed = socket.inet_pton(receiver.family, str(group[0]).partition("%")[0])
     if receiver.family == socket.AF_INET6:

@@ -6,13 +6,12 @@ import socket
 import struct
 from collections.abc import Sequence
 
+from canlog.bus.receive_buffer import RECEIVE_BUFFER_BYTES, grow_receive_buffer
 from canlog.errors import SourceError
 from canlog.live.recvmmsg import SO_TIMESTAMPNS
 
-RECEIVE_BUFFER_BYTES = 8 * 1024 * 1024  # about ten thousand frames: some seconds of a full bus
 ALL_ERROR_CLASSES = 0x1FFF_FFFF
 CAN_RAW_ERR_FILTER = 2
-SO_RCVBUFFORCE = 33
 SO_MEMINFO = 55
 MEMINFO_FORMAT = "9I"
 MEMINFO_DROPS = 8  # index of SK_MEMINFO_DROPS
@@ -48,14 +47,6 @@ def open_socket(
         raw.close()
         raise opening_failed(channel, exc) from exc
     return raw
-
-
-def grow_receive_buffer(raw: socket.socket, size_bytes: int) -> None:
-    """Set the receive buffer's size, past the system's limit if we may."""
-    try:
-        raw.setsockopt(socket.SOL_SOCKET, SO_RCVBUFFORCE, size_bytes)
-    except PermissionError:
-        raw.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, size_bytes)
 
 
 def let_nothing_in(raw: socket.socket) -> None:

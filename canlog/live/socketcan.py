@@ -5,6 +5,7 @@ from collections.abc import AsyncIterator, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
+from canlog.bus.receive_buffer import RECEIVE_BUFFER_BYTES
 from canlog.frames import FrameBatch
 from canlog.live.base import SourceCounts
 from canlog.live.bus_clock import BusClock
@@ -12,7 +13,6 @@ from canlog.live.clock_alarm import clock_alarm
 from canlog.live.frame_queue import FrameQueue
 from canlog.live.pace import RELAXED_S, URGENT_S, Pace
 from canlog.live.raw_socket import (
-    RECEIVE_BUFFER_BYTES,
     granted_share,
     kernel_drops,
     let_nothing_in,

@@ -14,6 +14,7 @@ from tests.replay import UdpBus, free_bus
 
 PATIENCE_S = 20.0
 QUIET_S = 0.05
+BURST = 5_000  # frames: a full bus for more than a second
 FRAME = can.Message(arbitration_id=0x123, is_extended_id=False, data=b"\x01\x02")
 
 
@@ -147,3 +148,13 @@ def test_no_bus_hears_itself_whatever_is_configured(
     with open_bus(interface, place.group, None) as bus:
         bus.send(FRAME)
         assert bus.recv(QUIET_S) is None
+
+
+def test_a_burst_waits_for_a_listener_that_is_busy(bus: MulticastBus, place: UdpBus) -> None:
+    with MulticastBus(place.group, place.port) as other:
+        for number in range(BURST):
+            bus.send(can.Message(arbitration_id=number % 0x800, is_extended_id=False, data=number.to_bytes(2, "big")))
+        heard: list[int] = []
+        while len(heard) < BURST and (message := other.recv(PATIENCE_S)) is not None:
+            heard.append(int.from_bytes(message.data, "big"))
+    assert heard == list(range(BURST))
