@@ -85,8 +85,11 @@ class Stages:
         """
         quality = data_quality(event, self._basis)
         against = reasons_against(quality)
-        state, estimate = self._estimate(event, is_described_only=bool(against))
         indices: ShiftIndices | None = None
+        if self.tier is Tier.FRICTION:
+            state, estimate = self._estimator.estimate(event, self._state, is_described_only=bool(against))
+        else:
+            state, estimate = self._state, without_friction(event, Status.UNOBSERVED, Reason.SIGNAL_MISSING)
         if against and estimate.status is not Status.REJECTED:
             estimate = replace(estimate, status=Status.REJECTED, reasons=against, friction=None, scale_free=None)
             state = self._state  # data that are not believed leave no trace in the running state
@@ -100,11 +103,6 @@ class Stages:
             verdict = no_verdict(estimate.clutch, missing_for_next(self._decoder.signals))
         self._state = state
         return Diagnosis(estimate=estimate, verdict=verdict, state=self._state, memory=self._memory)
-
-    def _estimate(self, event: ShiftEvent, *, is_described_only: bool) -> tuple[FilterState, ShiftEstimate]:
-        if self.tier is Tier.FRICTION:
-            return self._estimator.estimate(event, self._state, is_described_only=is_described_only)
-        return self._state, without_friction(event, Status.UNOBSERVED, Reason.SIGNAL_MISSING)
 
     def capability(self) -> Capability:
         """Return what the signals that came suffice for."""

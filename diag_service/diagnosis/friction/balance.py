@@ -106,8 +106,8 @@ class Balance:
         self._spread = _Spread.of(signals, self._weights)
         self._planned_speed_rad_s = smoothed(signals.engine_speed.on_grid, window, SLIP_DEGREE)
         self._planned_torque_nm = smoothed(signals.engine_torque.on_grid, window, SLIP_DEGREE)
-        self.tracks = (integrate_film(1, measured[0], calibration), integrate_film(2, measured[1], calibration))
-        self._seen = self._weigh(measured, self.tracks, calibration)
+        self._tracks = (integrate_film(1, measured[0], calibration), integrate_film(2, measured[1], calibration))
+        self._seen = self._weigh(measured, self._tracks, calibration)
         self._tracks_planned = self._film_tracks(planned, calibration)
         self._nominal = self._weigh(planned, self._tracks_planned, calibration)
         perturbations = (OFFSET, AREA[0], *(perturbation for perturbation, _ in COMMON.values()))
@@ -188,9 +188,15 @@ class Balance:
         )
         return overlap
 
+    @property
+    def final_clutch_k(self) -> tuple[float, float]:
+        """Temperature of each pack at the end of the cut [K]."""
+        first, second = self._tracks
+        return first.final_clutch_k, second.final_clutch_k
+
     def slip_energy_j(self, clutch: int, mu: FloatArray) -> float:
         """Return the heat made in a clutch over the whole cut [J], for its ``(mu_c, mu_s)``."""
-        drive, track = self._measured[clutch - 1], self.tracks[clutch - 1]
+        drive, track = self._measured[clutch - 1], self._tracks[clutch - 1]
         torque_nm = contact_nm(self._calibration.clutches[clutch - 1], drive, track) @ mu + track.viscous_nm
         return float(np.sum(np.abs(torque_nm * drive.slip_rad_s)) * GRID_S)
 

@@ -78,11 +78,7 @@ class Estimator:
         ratio = misfit.chi_square_ratio
         fit = min(1.0, max(0.0, (gate - ratio) / (gate - 1.0)))
         estimate = replace(self._describe(event, signals, window, balance, alone, fit), chi_square_ratio=ratio)
-        warmed = replace(
-            state,
-            clutch_temperature_k=(balance.tracks[0].final_clutch_k, balance.tracks[1].final_clutch_k),
-            temperature_ns=event.end_ns,
-        )
+        warmed = state.warmed(balance.final_clutch_k, event.end_ns)
         is_misfit = ratio > gate or misfit.worst_score > SCORE_GATE
         if is_misfit:
             estimate = replace(
@@ -143,7 +139,7 @@ class Estimator:
             sample_count=balance.sample_count,
             window_s=window_s,
             quality=fit * min(1.0, window_s / FULL_WINDOW_S) / (1.0 + event.bad_frame_count / balance.sample_count),
-            clutch_temperature_k=balance.tracks[clutch - 1].final_clutch_k,
+            clutch_temperature_k=balance.final_clutch_k[clutch - 1],
             slip_energy_j=balance.slip_energy_j(clutch, mu),
         )
 

@@ -147,6 +147,10 @@ class FilterState:
             )
         return replace(self, baselines=(baselines[0], baselines[1]))
 
+    def warmed(self, clutch_temperature_k: tuple[float, float], at_ns: int) -> Self:
+        """Return the state with the temperatures of both packs at a bus time."""
+        return replace(self, clutch_temperature_k=clutch_temperature_k, temperature_ns=at_ns)
+
     def drifted(self) -> Self:
         """Return the state one shift later: every estimated parameter wanders a little."""
         wander = [FRICTION_DRIFT_STD] * 4 + [OFFSET_DRIFT_NM] + [PRESSURE_DRIFT_PA] * 4

@@ -209,11 +209,7 @@ def _seen_shifts(
         if window is None:
             continue
         balance = Balance(signals, window, drives, planned_drives(signals, drives, window), point)
-        state = replace(
-            state,
-            clutch_temperature_k=(balance.tracks[0].final_clutch_k, balance.tracks[1].final_clutch_k),
-            temperature_ns=event.end_ns,
-        )
+        state = state.warmed(balance.final_clutch_k, event.end_ns)
         seen = balance.measurement(state.mean, state.mean)
         seen = replace(seen, overlap=balance.overlap(seen.noise, float(state.mean[State.TORQUE_OFFSET])))
         span = float(signals.grid_s[window.first]), float(signals.grid_s[window.stop - 1])
