@@ -133,14 +133,9 @@ def read_calibration(path: Path) -> Calibration:
 
 def calibration_toml(calibration: Calibration) -> str:
     """Return a calibration as the text of a file that `read_calibration` reads back to the same numbers."""
-    return tomli_w.dumps(calibration_table(calibration))
-
-
-def calibration_table(calibration: Calibration) -> dict[str, Any]:
-    """Return a calibration as the nested tables of its file; keys that say nothing are left out."""
     table = asdict(calibration)
     table["clutch"] = table.pop("clutches")
-    return {key: value for key, value in table.items() if value is not None}
+    return tomli_w.dumps({key: value for key, value in table.items() if value is not None})
 
 
 def nominal_table() -> dict[str, Any]:

@@ -4,14 +4,16 @@ Running states, keys of results and rows of fleets carry fingerprints, so an unc
 for ever: a vehicle whose fingerprint changes loses its baseline. The text that is digested is therefore made of the
 keys of the calibration *file* and of exact numbers, in an order that is written down here and nowhere else, with words
 that are part of the form. Nothing of it follows from how the program's records are called, ordered or printed. A key
-that files get later comes behind the others of its table.
+that files get later comes behind the others of its table, and only where it is not at its default: what a program
+learns to be told must not take the baseline from vehicles of which nobody says it.
 """
 
 import hashlib
 from collections.abc import Iterator, Mapping
-from typing import Final
+from dataclasses import MISSING, Field, fields, is_dataclass
+from typing import Any, Final
 
-from clutch_model.calibration import Calibration, calibration_table
+from clutch_model.calibration import Calibration
 
 _LENGTH: Final = 12
 _FRICTION: Final = ("mu_c", "mu_s", "stribeck_speed_rad_s", "stribeck_exponent", "lock_band_rad_s")
@@ -35,11 +37,11 @@ _BIAS: Final = (
     *("torque_gain", "motoring_gain", "torque_offset_nm", "torque_latency_s", "pressure_latency_s"),
     *("touch_offsets_pa", "pressure_zeros_pa"),
 )
-_WHOLE: Final = ("name", "version", "clutch", "viscosity", "input_side", "uncertainty", "noise", "bias", "joint")
-# Of each table of a file: the form's word for it, and its keys in the order of the form.
+_WHOLE: Final = ("name", "version", "clutches", "viscosity", "input_side", "uncertainty", "noise", "bias", "joint")
+# Of each table of a file, ``clutches`` for [[clutch]]: the word of the form for it, its keys in the order of the form.
 _FORM: Final[Mapping[str, tuple[str, tuple[str, ...]]]] = {
     "calibration": ("Calibration", _WHOLE),
-    "clutch": ("ClutchCalibration", ("friction", "geometry", "piston", "film", "thermal")),
+    "clutches": ("ClutchCalibration", ("friction", "geometry", "piston", "film", "thermal")),
     "friction": ("FrictionCurve", _FRICTION),
     "geometry": ("ClutchGeometry", _GEOMETRY),
     "piston": ("Piston", _PISTON),
@@ -52,34 +54,43 @@ _FORM: Final[Mapping[str, tuple[str, tuple[str, ...]]]] = {
     "bias": ("SensorBias", _BIAS),
     "joint": ("JointUncertainty", ("names", "std", "correlation")),
 }
-_SPELLED: Final = {"clutch": "clutches"}  # keys that the form spells in another way than the file
 _NO_NUMBERS: Final = frozenset({"made_on", "vehicle"})  # whose it is and since when changes no result
 
 
 def fingerprint(calibration: Calibration) -> str:
     """Return the fingerprint of a calibration: twelve hexadecimal digits."""
-    return hashlib.sha256(canonical_text(calibration_table(calibration)).encode()).hexdigest()[:_LENGTH]
+    return hashlib.sha256(canonical_text(calibration).encode()).hexdigest()[:_LENGTH]
 
 
-def canonical_text(table: Mapping[str, object]) -> str:
-    """Return the form of a calibration that is digested, from the tables of its file."""
-    numbers = {key: value for key, value in table.items() if key not in _NO_NUMBERS}
-    return _table(numbers, "calibration")
+def canonical_text(calibration: Calibration) -> str:
+    """Return the form of a calibration that is digested."""
+    return _table(calibration, "calibration")
 
 
-def _table(table: Mapping[str, object], name: str) -> str:
-    word, keys = _FORM[name]
-    later = sorted(set(table).difference(keys))
-    return f"{word}({', '.join(_entries(table, (*keys, *later)))})"
+def _table(record: Any, name: str) -> str:  # noqa: ANN401 - a record of any kind
+    word, keys = _FORM.get(name, (name, ()))
+    return f"{word}({', '.join((*_known(record, keys), *_later(record, keys)))})"
 
 
-def _entries(table: Mapping[str, object], keys: tuple[str, ...]) -> Iterator[str]:
+def _known(record: object, keys: tuple[str, ...]) -> Iterator[str]:
     for key in keys:
-        yield f"{_SPELLED.get(key, key)}={_value(table.get(key), key)}"
+        yield f"{key}={_value(getattr(record, key), key)}"
+
+
+def _later(record: Any, keys: tuple[str, ...]) -> Iterator[str]:  # noqa: ANN401 - a record of any kind
+    others = (member for member in fields(record) if member.name not in _NO_NUMBERS.union(keys))
+    for member in sorted(others, key=lambda one: one.name):
+        value = getattr(record, member.name)
+        if value != _default(member):
+            yield f"{member.name}={_value(value, member.name)}"
+
+
+def _default(member: Field[Any]) -> object:
+    return member.default if member.default_factory is MISSING else member.default_factory()
 
 
 def _value(value: object, key: str) -> str:
-    if isinstance(value, Mapping):
+    if is_dataclass(value):
         return _table(value, key)
     if isinstance(value, list | tuple):
         parts = [_value(part, key) for part in value]
