@@ -3,8 +3,6 @@
 import math
 from typing import NamedTuple
 
-import numpy as np
-
 from canlog.jit import kernel
 from clutch_model.clutch import ClutchCalibration
 from clutch_model.units import Quantity
@@ -61,21 +59,18 @@ def film_law(clutch: ClutchCalibration) -> FilmLaw:
     )
 
 
-def applied_pressures_pa(piston_pa: Quantity, law: FilmLaw) -> Quantity:
-    """Return what the piston presses on the lining [Pa], its return spring deducted; 0 while the spring wins.
-
-    Docs/model.md eq. (H6), for numbers or arrays; the singular is the same law, for other kernels.
-    """
+@kernel
+def applied_pressure_pa(piston_pa: float, law: FilmLaw) -> float:
+    """Return what the piston presses on the lining [Pa], its return spring deducted, or 0; docs/model.md eq. (H6)."""
     net_n = piston_pa * law.piston_area_m2 - law.closed_spring_force_n
-    applied_pa: Quantity = np.maximum(0.0, net_n / law.lining_area_m2)
-    return applied_pa
-
-
-applied_pressure_pa = kernel(applied_pressures_pa)
+    return max(0.0, net_n / law.lining_area_m2)
 
 
 def piston_pressures_pa(applied_pa: Quantity, law: FilmLaw) -> Quantity:
-    """Return the piston pressure [Pa] of a closed pack that presses on the lining like this: (H6) solved for it."""
+    """Return the piston pressure [Pa] of a closed pack that presses on the lining like this: (H6) solved for it.
+
+    For numbers or arrays; the singular is the same law, compiled for other kernels to call.
+    """
     return (law.closed_spring_force_n + law.lining_area_m2 * applied_pa) / law.piston_area_m2
 
 

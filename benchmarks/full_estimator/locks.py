@@ -6,7 +6,7 @@ from benchmarks.full_estimator.signals import BoolArray, FullSignals
 from benchmarks.full_estimator.torques import ClutchState
 from canlog.arrays import FloatArray
 from clutch_model.clutch import ClutchCalibration
-from clutch_model.film import applied_pressures_pa, film_law
+from clutch_model.film import applied_pressure_pa, film_law
 from clutch_model.friction import contact_torques_nm
 
 LOAD_RATIO = 0.85  # of the least torque at which the clutch would slip
@@ -32,7 +32,8 @@ def locked_clutches(
 def _locked(pressure_pa: FloatArray, state: ClutchState, clutch: ClutchCalibration, period_s: float) -> BoolArray:
     width = max(1, round(MEAN_S / period_s))
     law = film_law(clutch)
-    applied_pa = lasting_least(applied_pressures_pa(moving_mean(pressure_pa, width), law), width)
+    mean_pa = moving_mean(pressure_pa, width)
+    applied_pa = lasting_least(np.array([applied_pressure_pa(one, law) for one in mean_pa]), width)
     friction = FRICTION_RATIO * min(clutch.friction.mu_c, clutch.friction.mu_s)
     slipping_nm = contact_torques_nm(np.ones_like(applied_pa), friction, applied_pa, law.contact_factor_m3)
     is_slow = np.abs(state.slip_rad_s) < SLIP_MAX_RAD_S + SLIP_MAX_STD * state.slip_std_rad_s
