@@ -1,9 +1,10 @@
 """The one way this project compiles a numerical kernel."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, ParamSpec, TypeVar, cast
 
 import numba
+from numba.core import types as numba_types
 
 from canlog.kernel_cache import LateCache
 from canlog.kernel_digest import OPTIONS
@@ -39,6 +40,17 @@ def inlined_kernel(function: Callable[P, R]) -> Callable[P, R]:
 
 def _compiled(function: Callable[P, R], **options: bool) -> Callable[P, R]:
     vars(function)[OPTIONS] = options
-    dispatcher: Any = numba.njit(nogil=True, **options)(function)  # type: ignore[call-overload]  # the unlisted option
+    dispatcher: Any = numba.njit(nogil=True, no_cfunc_wrapper=True, **options)(function)  # type: ignore[call-overload]  # the unlisted option
     dispatcher._cache = LateCache(dispatcher)  # noqa: SLF001 - what njit's cache=True sets, with another key
+    dispatcher.get_call_template = _whatever_the_constants(dispatcher.get_call_template)
     return cast("Callable[P, R]", dispatcher)
+
+
+def _whatever_the_constants(get_call_template: Callable[..., Any]) -> Callable[..., Any]:
+    """Have a kernel compiled once for all calls from other kernels: numba makes one more for each constant argument."""
+    unliteral: Callable[[Any], Any] = numba_types.unliteral
+
+    def general(args: Sequence[Any], keywords: Mapping[str, Any]) -> object:
+        return get_call_template(tuple(unliteral(kind) for kind in args), keywords)
+
+    return general

@@ -1,5 +1,9 @@
 """A kernel computes what its source says."""
 
+from typing import Any
+
+from numba.core import types
+
 from canlog.jit import array_kernel, kernel
 
 
@@ -17,3 +21,15 @@ def test_a_kernel_without_reference_counts_computes_the_same() -> None:
         return 2.0 * value
 
     assert twice(1.5) == 3.0
+
+
+def test_a_kernel_has_one_form_whatever_constants_others_call_it_with() -> None:
+    @kernel
+    def times(value: int, factor: int) -> int:
+        return value * factor
+
+    dispatcher: Any = times
+    for factor in (types.IntegerLiteral(4), types.IntegerLiteral(64), types.int64):
+        dispatcher.get_call_template((types.int64, factor), {})  # as a kernel that calls it does
+    assert dispatcher.signatures == [(types.int64, types.int64)]
+    assert times(3, 4) == 12
