@@ -95,7 +95,7 @@ def iterate_shifts(path: Path, after_batch: Callable[[int], None] = lambda _: No
     """Yield the shifts in a log; ``after_batch`` is called with the number of batches so far."""
     decoder, finder = Decoder(load_contract(), load_profile()), ShiftFinder()
     for number, batch in enumerate(read_log(path), start=1):
-        for columns in decoder.feed(batch):
+        for columns in decoder.stream(batch):
             yield from finder.feed(columns)
         after_batch(number)
     yield from finder.flush()

@@ -76,10 +76,12 @@ class FrameBatch:
     def plain(self) -> "FrameBatch":
         """Return the same frames with every column in the one layout that loops are compiled for."""
         columns: tuple[npt.NDArray[Any], ...] = (self.t_ns, self.can_id, self.length, self.data, self.channel)
-        if all(
-            column.flags.carray and column.dtype == kind for column, kind in zip(columns, _PLAIN_KINDS, strict=True)
-        ):
-            return self
+        for column, kind in zip(columns, _PLAIN_KINDS, strict=True):
+            if not column.flags.carray or column.dtype != kind:
+                return self._copied_plain()
+        return self
+
+    def _copied_plain(self) -> "FrameBatch":
         return FrameBatch(
             t_ns=np.require(self.t_ns, np.int64, ("C", "W")),
             can_id=np.require(self.can_id, np.uint32, ("C", "W")),

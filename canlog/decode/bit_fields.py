@@ -4,7 +4,6 @@ A payload is read as 64-bit words that begin at any byte, in either byte order; 
 them. Only a signal of more than 56 bits that lies across nine bytes needs a byte besides.
 """
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Final
 
@@ -16,12 +15,15 @@ from cantools.database.can.signal import Signal
 from canlog.arrays import Int64Array, UInt8Array
 from canlog.errors import DefinitionError
 from canlog.frames import FD_PAYLOAD_BYTES
+from canlog.jit import array_kernel, inlined_kernel
 
 UInt64Array = npt.NDArray[np.uint64]
 
 WORD_BYTES: Final = 8
 WORD_BITS: Final = 64
 LITTLE_WORD: Final = np.dtype(np.uint64)  # of the machines that numba compiles for
+_ODD_BYTES: Final = np.uint64(0x00FF_00FF_00FF_00FF)
+_ODD_PAIRS: Final = np.uint64(0x0000_FFFF_0000_FFFF)
 
 
 class PayloadWords:
@@ -36,43 +38,72 @@ class PayloadWords:
     """
 
     def __init__(self, data: UInt8Array, rows: Int64Array | None = None) -> None:
-        self._data = data
-        self._rows = rows
+        self._payloads = word_view(data)
+        self._rows = np.arange(len(data)) if rows is None else rows
         self._words: dict[tuple[int, bool], UInt64Array] = {}
 
     def __len__(self) -> int:
-        return len(self._data if self._rows is None else self._rows)
+        return len(self._rows)
 
     def word(self, first_byte: int, *, is_big: bool) -> UInt64Array:
         """Return the eight bytes from ``first_byte`` on, the first of them highest if ``is_big``, shape (n,)."""
         key = first_byte, is_big
         if key not in self._words:
-            self._words[key] = self.word(first_byte, is_big=False).byteswap() if is_big else self._little(first_byte)
+            self._words[key] = self.words(np.array([key], np.int64))[0]
         return self._words[key]
 
-    def words(self, places: Sequence[tuple[int, bool]]) -> UInt64Array:
+    def words(self, places: Int64Array) -> UInt64Array:
         """Return several words by their first bytes and whether they are big-endian, shape (words, n)."""
         found = np.empty((len(places), len(self)), np.uint64)
-        for row, (first_byte, is_big) in zip(found, places, strict=True):
-            row[:] = self.word(first_byte, is_big=is_big)
+        pick_words(self._payloads, self._rows, places, found)
         return found
 
     def byte(self, index: int) -> UInt64Array:
         """Return one byte of each payload, shape (n,)."""
-        return self._piece(index)[:, 0].astype(np.uint64)
+        return self.word(index, is_big=False) & np.uint64(0xFF)
 
-    def _little(self, first_byte: int) -> UInt64Array:
-        """Return a little-endian word; those that payloads are made of can be picked without copying bytes."""
-        if first_byte % WORD_BYTES == 0 and self._data.shape[1] % WORD_BYTES == 0 and self._data.flags.c_contiguous:
-            words: UInt64Array = self._data.view(LITTLE_WORD)[:, first_byte // WORD_BYTES]
-            return words if self._rows is None else words.take(self._rows)
-        return np.ascontiguousarray(self._piece(first_byte)).view(LITTLE_WORD)[:, 0]
 
-    def _piece(self, first_byte: int) -> UInt8Array:
-        piece = self._data[:, first_byte : first_byte + WORD_BYTES]
-        piece = piece if self._rows is None else piece[self._rows]
-        missing = WORD_BYTES - piece.shape[1]
-        return np.pad(piece, ((0, 0), (0, missing))) if missing else piece
+def word_view(data: UInt8Array) -> UInt64Array:
+    """Return payloads as little-endian words, shape (n, words), zeros behind their last byte."""
+    missing = -data.shape[1] % WORD_BYTES
+    whole = np.pad(data, ((0, 0), (0, missing))) if missing else np.ascontiguousarray(data)
+    words: UInt64Array = whole.view(LITTLE_WORD)
+    return words if words.flags.aligned else words.copy()
+
+
+@array_kernel
+def pick_words(payloads: UInt64Array, rows: Int64Array, places: Int64Array, words: UInt64Array) -> None:
+    """Fill in words of some payloads, shape (words, rows): by their first bytes and whether they are big-endian."""
+    for number in range(places.shape[0]):
+        pick_word(payloads, rows, places[number, 0], places[number, 1] != 0, words[number])
+
+
+@array_kernel
+def pick_word(
+    payloads: UInt64Array,
+    rows: Int64Array,
+    first_byte: int,
+    is_big: bool,  # noqa: FBT001 - a compiled function
+    word: UInt64Array,
+) -> None:
+    """Fill in the eight bytes from ``first_byte`` on of some payloads."""
+    column = first_byte // WORD_BYTES
+    passed = np.uint64(8 * (first_byte % WORD_BYTES))  # bits of that column in front of the word
+    width = payloads.shape[1]
+    for at in range(rows.size):
+        bits = payloads[rows[at], column] if column < width else np.uint64(0)
+        if passed:
+            following = payloads[rows[at], column + 1] if column + 1 < width else np.uint64(0)
+            bits = bits >> passed | following << (np.uint64(WORD_BITS) - passed)
+        word[at] = byteswapped(bits) if is_big else bits
+
+
+@inlined_kernel
+def byteswapped(word: np.uint64) -> np.uint64:
+    """Return a word with its bytes in the other order."""
+    word = (word & _ODD_BYTES) << np.uint64(8) | (word >> np.uint64(8)) & _ODD_BYTES
+    word = (word & _ODD_PAIRS) << np.uint64(16) | (word >> np.uint64(16)) & _ODD_PAIRS
+    return np.uint64(word << np.uint64(32) | word >> np.uint64(32))
 
 
 @dataclass(frozen=True, slots=True)

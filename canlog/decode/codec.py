@@ -4,7 +4,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from enum import IntEnum
 from types import MappingProxyType
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
 from cantools.database.can import Message
@@ -97,6 +97,15 @@ class FrameMatch:
     counts: Int64Array  # (messages + 1, fates), in the last row frames of no message
 
 
+class SlotRules(NamedTuple):
+    """Which frames of each message can be decoded, arrays of shape (messages,)."""
+
+    min_length: Int64Array
+    carriage: Int64Array
+    is_empty: BoolArray  # no signal can be decoded
+    is_plain: BoolArray  # any frame that is long enough can be
+
+
 class Codec:
     """The messages of a database as tables: every sender of a J1939 parameter group, every channel.
 
@@ -135,16 +144,17 @@ class Codec:
         self._book = address_book([addresses[slot] for slot in kept])
         lengths = [min(table.message.length, FD_PAYLOAD_BYTES) for table in self.tables]
         self._min_length = np.array(lengths, np.int64)
-        self._carriage = np.array([table.carriage for table in self.tables], np.int64)
-        self._is_empty = np.array([not table.signals for table in self.tables], np.bool_)
-        self._is_plain = ~self._is_empty & (self._carriage == Carriage.ANY_FRAME)  # of nearly all frames
+        carriage = np.array([table.carriage for table in self.tables], np.int64)
+        is_empty = np.array([not table.signals for table in self.tables], np.bool_)
+        is_plain = ~is_empty & (carriage == Carriage.ANY_FRAME)  # of nearly all frames
+        self._rules = SlotRules(self._min_length, carriage, is_empty, is_plain)
 
     def match(self, batch: FrameBatch) -> FrameMatch:
         """Return which message each frame of a batch is."""
         slot = np.empty(len(batch), np.int64)
         counts = np.zeros((len(self.tables) + 1, len(FrameFate)), np.int64)
         find_slots(
-            self._book, self._min_length, self._carriage, self._is_empty, self._is_plain,
+            self._book, self._rules,
             np.require(batch.can_id, np.uint32, ("C", "W")), np.require(batch.length, np.uint8, ("C", "W")),
             np.require(batch.flags, np.uint8, ("C", "W")), slot, counts,
         )  # fmt: skip
@@ -223,10 +233,7 @@ def _labelled(signals: Sequence[Signal]) -> Iterator[tuple[str, Signal]]:
 @array_kernel
 def find_slots(
     book: AddressBook,
-    min_length: Int64Array,
-    carriage: Int64Array,
-    is_empty: BoolArray,
-    is_plain: BoolArray,
+    rules: SlotRules,
     can_id: UInt32Array,
     length: UInt8Array,
     flags: UInt8Array,
@@ -244,16 +251,16 @@ def find_slots(
         found = find_slot(book, int(can_id[row]))
         if found == NOBODY:
             unknown += 1
-        elif is_plain[found] and length[row] >= min_length[found]:
+        elif rules.is_plain[found] and length[row] >= rules.min_length[found]:
             slot[row] = found
             counts[found, _DECODED] += 1
-        elif carriage[found] == _NO_FRAME or (
-            carriage[found] == _FD_ONLY and flags[row] & _FD_FLAG == 0 and length[row] <= PAYLOAD_BYTES
+        elif rules.carriage[found] == _NO_FRAME or (
+            rules.carriage[found] == _FD_ONLY and flags[row] & _FD_FLAG == 0 and length[row] <= PAYLOAD_BYTES
         ):
             counts[found, _TRANSPORTED] += 1
-        elif is_empty[found]:
+        elif rules.is_empty[found]:
             counts[found, _WITHOUT_SIGNALS] += 1
         else:
             slot[row] = found
-            counts[found, _DECODED if length[row] >= min_length[found] else _SHORT] += 1
+            counts[found, _DECODED if length[row] >= rules.min_length[found] else _SHORT] += 1
     counts[nobody, _UNKNOWN] = unknown

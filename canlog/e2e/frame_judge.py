@@ -71,13 +71,13 @@ class FrameColumns(NamedTuple):
     channel: UInt8Array
 
 
-class VerdictColumns(NamedTuple):
+class FrameVerdicts(NamedTuple):
     """What is said of each frame, arrays of shape (n,)."""
 
-    reason: UInt8Array
-    slot: Int64Array
-    sequence: Int64Array
-    missing: Int64Array
+    reason: UInt8Array  # of FrameReason
+    slot: Int64Array  # index of the message, -1 if the frame belongs to none
+    sequence: Int64Array  # transmission number of accepted protected frames, else -1
+    missing: Int64Array  # frames found missing at this one; negative takes back what was counted before
 
 
 class Totals(NamedTuple):
@@ -95,7 +95,7 @@ def judge_frames(
     links: LinkState,
     origins: Origins,
     frames: FrameColumns,
-    verdicts: VerdictColumns,
+    verdicts: FrameVerdicts,
     totals: Totals,
 ) -> None:
     """Judge frames in their order: fill the verdicts, move the states on, add to the counts."""
@@ -167,7 +167,7 @@ def follow(book: AddressBook, origins: Origins, frames: FrameColumns, row: int, 
 
 @array_kernel
 def sequence_reason(
-    rules: Rules, links: LinkState, frames: FrameColumns, row: int, slot: int, verdicts: VerdictColumns
+    rules: Rules, links: LinkState, frames: FrameColumns, row: int, slot: int, verdicts: FrameVerdicts
 ) -> int:
     """Return whether the counter of a sound frame is as it should be; number the frame, and tell what is missing."""
     counter = int(frames.data[row, COUNTER_BYTE] & COUNTER_MASK)

@@ -5,25 +5,24 @@ those of its first sound frame. Frames of the same message from elsewhere are co
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from types import MappingProxyType
 from typing import Final
 
 import numpy as np
 from cantools.database.can import Message
 
-from canlog.arrays import Int64Array, UInt8Array
-from canlog.database.addressing import ANY, NOBODY, Address, address_book, message_address
+from canlog.arrays import Int64Array
+from canlog.database.addressing import ANY, Address, address_book, message_address
 from canlog.e2e.alive_counter import MAX_FRAMES_LOST_BY_RESTART, forget, fresh_links
 from canlog.e2e.contract import message_contract
 from canlog.e2e.frame_judge import (
     ORIGINS,
     FrameColumns,
     FrameReason,
+    FrameVerdicts,
     Origins,
     Rules,
     Totals,
-    VerdictColumns,
     judge_frames,
 )
 from canlog.e2e.profile1 import data_id_remainder
@@ -33,21 +32,6 @@ from canlog.frames import FD_PAYLOAD_BYTES, PAYLOAD_BYTES, FrameBatch, empty_bat
 __all__ = ["MAX_FRAMES_LOST_BY_RESTART", "FrameReason", "FrameVerdicts", "LinkMonitor"]
 
 _NS_PER_MS: Final = 1_000_000
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class FrameVerdicts:
-    """One verdict per frame."""
-
-    reason: UInt8Array  # (n,) of FrameReason
-    slot: Int64Array  # (n,) index of the message, -1 if the frame belongs to none
-    sequence: Int64Array  # (n,) transmission number of accepted protected frames, else -1
-    missing: Int64Array  # (n,) frames found missing at this one; negative takes back what was counted before
-
-    @property
-    def accepted(self) -> Int64Array:
-        """The message of each frame that may be believed, -1 for all others, shape (n,)."""
-        return np.where(self.reason == FrameReason.OK, self.slot, NOBODY)
 
 
 class LinkMonitor:
@@ -127,7 +111,7 @@ class LinkMonitor:
     def check(self, batch: FrameBatch) -> FrameVerdicts:
         """Return a verdict on each frame of a plain batch and count it."""
         count = len(batch)
-        verdicts = VerdictColumns(
+        verdicts = FrameVerdicts(
             reason=np.empty(count, np.uint8),
             slot=np.empty(count, np.int64),
             sequence=np.empty(count, np.int64),
@@ -135,9 +119,7 @@ class LinkMonitor:
         )
         frames = FrameColumns(batch.t_ns, batch.can_id, batch.length, batch.data, batch.channel)
         judge_frames(self._book, self._rules, self._links, self._origins, frames, verdicts, self._totals)
-        return FrameVerdicts(
-            reason=verdicts.reason, slot=verdicts.slot, sequence=verdicts.sequence, missing=verdicts.missing
-        )
+        return verdicts
 
 
 def _rules_of(messages: Sequence[Message]) -> Rules:

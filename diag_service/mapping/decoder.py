@@ -9,20 +9,21 @@ import numpy as np
 from cantools.database.can import Database
 
 from canlog.arrays import Int64Array
-from canlog.database.addressing import kernel_filters, rows_by_slot
-from canlog.decode.signal_table import NO_INVALID, InvalidCounts, PayloadWords, payload_words
+from canlog.database.addressing import kernel_filters
+from canlog.decode.signal_table import NO_INVALID, InvalidCounts, payload_words
 from canlog.e2e.e2e_state import E2eState, E2eStates
 from canlog.e2e.protection_check import FrameReason, FrameVerdicts, LinkMonitor
 from canlog.frames import MAX_GAP_NS, FrameBatch
 from canlog.live.error_frames import BusError, tells
 from canlog.series import Series
 from diag_service.diagnosis.columns import ColumnBatch, Columns, GearRatios, Signal
-from diag_service.mapping.mapped_messages import SignalColumn, map_signals
+from diag_service.mapping.mapped_messages import map_signals
 from diag_service.mapping.profile import Profile
-from diag_service.mapping.small_batches import SMALL_FRAMES, SmallBatchDecoder, SmallColumn, is_able, is_seamless
+from diag_service.mapping.sample_pass import DecodedFrames, SamplePass, is_able, is_seamless
 from diag_service.mapping.tiers import MANDATORY
 
 NS_PER_S: Final = 1_000_000_000
+PIECE_FRAMES: Final = 8192  # their samples stay in the cache, and in memory that the system need not map anew
 _NEVER: Final = np.empty(0, np.int64)
 
 REJECTIONS: Final = tuple(reason for reason in FrameReason if reason not in {FrameReason.OK, FrameReason.UNKNOWN_ID})
@@ -82,8 +83,12 @@ class Decoder:
         self._e2e = E2eStates(
             [mapped.message.name for mapped in self._messages], [mapped.period_ns for mapped in self._messages]
         )
-        self._small = self._small_batch_decoder()
-        list(rows_by_slot(_NEVER, 0))  # compiled now: the first frames must not wait for the compiler
+        self._pass = SamplePass(self._messages)
+        self._apart = [
+            (slot, [column for column in mapped.columns if not is_able(column.table)])
+            for slot, mapped in enumerate(self._messages)
+        ]
+        self._apart = [(slot, columns) for slot, columns in self._apart if columns]
         self._signal_count = len(self.signals)
         self._invalid: dict[Signal, InvalidCounts] = {}
         self._seen: set[Signal] = set()
@@ -160,6 +165,11 @@ class Decoder:
             invalid=MappingProxyType(dict(self._invalid)),
         )
 
+    def stream(self, batch: FrameBatch) -> Iterator[ColumnBatch]:
+        """Yield the columns of a batch bit by bit: as ``feed``, but a long one in pieces that suit the machine."""
+        for first in range(0, len(batch), PIECE_FRAMES):
+            yield from self.feed(batch if len(batch) <= PIECE_FRAMES else batch[first : first + PIECE_FRAMES])
+
     def feed(self, batch: FrameBatch) -> list[ColumnBatch]:
         """Return the columns of a batch: none if it is empty, several if bus time jumps inside it."""
         batch = batch.plain()
@@ -204,11 +214,7 @@ class Decoder:
             self._monitor.reset()
             self._e2e.reset()
         verdicts = self._monitor.check(segment)
-        columns, bad_frame_ns = (
-            self._columns(segment, verdicts)
-            if self._small is None or len(segment) > SMALL_FRAMES
-            else self._small_columns(self._small, segment, verdicts)
-        )
+        columns, bad_frame_ns = self._columns(segment, verdicts)
         if len(self._seen) < self._signal_count:
             self._seen |= columns.keys()
         return ColumnBatch(
@@ -219,48 +225,40 @@ class Decoder:
             e2e_changes=self._e2e.follow(segment.t_ns, verdicts),
         )
 
-    def _small_columns(
-        self, decoder: SmallBatchDecoder, segment: FrameBatch, verdicts: FrameVerdicts
-    ) -> tuple[Columns, Int64Array]:
-        """Return the columns of a few frames, and when messages failed."""
-        columns, invalid, has_bad = decoder.decode(segment, verdicts)
-        for signal, counts in invalid.items():
-            self._invalid[signal] = self._invalid.get(signal, NO_INVALID).plus(counts)
-        return columns, _bad_frame_ns(segment, verdicts) if has_bad else _NEVER
-
     def _columns(self, segment: FrameBatch, verdicts: FrameVerdicts) -> tuple[Columns, Int64Array]:
-        """Return the columns of many frames, and when messages failed."""
-        columns: dict[Signal, Series] = {}
-        for slot, rows in rows_by_slot(verdicts.accepted, len(self._messages)):
-            mapped = self._messages[slot]
+        """Return the samples of accepted frames, and when messages failed."""
+        decoded = self._pass.decode(segment, verdicts)
+        for signal, counts in decoded.invalid.items():
+            self._count_invalid(signal, counts)
+        bad_frame_ns = _bad_frame_ns(segment, verdicts) if decoded.has_bad else _NEVER
+        if not self._apart:
+            return decoded.samples, bad_frame_ns
+        return {**decoded.samples, **self._columns_apart(segment, verdicts, decoded)}, bad_frame_ns
+
+    def _columns_apart(self, segment: FrameBatch, verdicts: FrameVerdicts, decoded: DecodedFrames) -> Columns:
+        """Return the samples of the signals that are more than plain integers, each by operations on arrays."""
+        found: dict[Signal, Series] = {}
+        for slot, columns in self._apart:
+            rows = decoded.rows(slot)
+            if not len(rows):
+                continue
             words = payload_words(segment.data, rows)
-            t_ns, sequence = segment.t_ns[rows], verdicts.sequence[rows]
-            for column in mapped.columns:
-                series = self._series(column, words, t_ns, sequence, mapped.period_ns)
-                if len(series.t_ns):
-                    columns[column.signal] = series
-        return columns, _bad_frame_ns(segment, verdicts)
+            for column in columns:
+                one = column.table.decode(words)
+                if one.invalid.total:
+                    self._count_invalid(column.signal, one.invalid)
+                good = slice(None) if one.is_good is None else one.is_good
+                if len(kept := rows[good]):
+                    found[column.signal] = Series(
+                        t_ns=segment.t_ns[kept],
+                        sequence=verdicts.sequence[kept],
+                        value=column.to_si(one.value[good]),
+                        period_ns=self._messages[slot].period_ns,
+                    )
+        return found
 
-    def _small_batch_decoder(self) -> SmallBatchDecoder | None:
-        """Return the decoder of small batches, if every signal is plain enough for it."""
-        columns = [
-            SmallColumn(slot, column.signal, column.table, column.to_si, mapped.period_ns)
-            for slot, mapped in enumerate(self._messages)
-            for column in mapped.columns
-        ]
-        return SmallBatchDecoder(columns, len(self._messages)) if all(is_able(one.table) for one in columns) else None
-
-    def _series(
-        self, column: SignalColumn, words: PayloadWords, t_ns: Int64Array, sequence: Int64Array, period_ns: int
-    ) -> Series:
-        """Return the valid samples of one signal and count the others."""
-        decoded = column.table.decode(words)
-        if decoded.invalid.total:
-            self._invalid[column.signal] = self._invalid.get(column.signal, NO_INVALID).plus(decoded.invalid)
-        value = decoded.value
-        if decoded.is_good is not None:
-            value, t_ns, sequence = value[decoded.is_good], t_ns[decoded.is_good], sequence[decoded.is_good]
-        return Series(t_ns=t_ns, sequence=sequence, value=column.to_si(value), period_ns=period_ns)
+    def _count_invalid(self, signal: Signal, counts: InvalidCounts) -> None:
+        self._invalid[signal] = self._invalid.get(signal, NO_INVALID).plus(counts)
 
 
 def _rejected(row: Int64Array) -> Mapping[FrameReason, int]:

@@ -96,7 +96,7 @@ def find_events(
     drive = DriveFrames(logs, decoder.sources)
     for batch in drive:
         _go_on(stop)
-        for columns in decoder.feed(batch):
+        for columns in decoder.stream(batch):
             shifts += shift_finder.feed(columns)
             run_ups += run_up_finder.feed(columns)
     shifts += shift_finder.flush()

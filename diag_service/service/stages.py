@@ -56,7 +56,7 @@ class Stages:
 
     def segment(self, batch: FrameBatch) -> list[ShiftEvent]:
         """Return the shifts that these frames complete; quick."""
-        return [event for columns in self._decoder.feed(batch) for event in self._finder.feed(columns)]
+        return [event for columns in self._decoder.stream(batch) for event in self._finder.feed(columns)]
 
     @property
     def is_expecting(self) -> bool:

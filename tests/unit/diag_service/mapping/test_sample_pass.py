@@ -1,0 +1,139 @@
+"""One compiled pass for few frames and for many: the bits of each signal's own table, however the stream is cut."""
+
+import numpy as np
+import pytest
+
+from canlog.database.loading import load_database
+from canlog.decode.signal_table import InvalidCounts, payload_words
+from canlog.e2e.protection_check import FrameReason, FrameVerdicts
+from canlog.frames import EXTENDED_FLAG, FrameBatch
+from dbc.contract import load_contract
+from diag_service.diagnosis.columns import ColumnBatch, Signal
+from diag_service.mapping.decoder import PIECE_FRAMES, Decoder
+from diag_service.mapping.mapped_messages import MessageColumns, map_signals
+from diag_service.mapping.profile import PROFILE_FOLDER, Profile, load_profile, load_shipped
+from diag_service.mapping.sample_pass import SamplePass
+from tests.wire import drive, received
+
+
+def damaged_drive() -> FrameBatch:
+    """Return frames of which some have flipped bits, are short, come twice or not at all, or say not available."""
+    batch = received(drive(9.0, seed=5))
+    rng = np.random.default_rng(6)
+    batch.data[rng.random(len(batch)) < 0.05, 3] ^= 0x55
+    batch.length[rng.random(len(batch)) < 0.02] = 3
+    rows = np.sort(np.concatenate((np.flatnonzero(rng.random(len(batch)) < 0.97), rng.integers(0, len(batch), 20))))
+    return batch[rows]
+
+
+def decoder() -> Decoder:
+    return Decoder(load_contract(), load_profile())
+
+
+def joined(parts: list[ColumnBatch]) -> dict[Signal, tuple[bytes, bytes, bytes]]:
+    """Return all samples as bytes."""
+    signals = {signal for part in parts for signal in part.columns}
+    return {
+        signal: (
+            b"".join(part.columns[signal].t_ns.tobytes() for part in parts if signal in part.columns),
+            b"".join(part.columns[signal].sequence.tobytes() for part in parts if signal in part.columns),
+            b"".join(part.columns[signal].value.tobytes() for part in parts if signal in part.columns),
+        )
+        for signal in signals
+    }
+
+
+@pytest.mark.parametrize("size", [1, 10, 300, 3000])
+def test_small_batches_give_the_bits_of_large_ones(size: int) -> None:
+    batch = damaged_drive()
+    whole, pieces = decoder(), decoder()
+    at_once = whole.feed(batch)
+    in_pieces = [part for first in range(0, len(batch), size) for part in pieces.feed(batch[first : first + size])]
+    assert joined(in_pieces) == joined(at_once)
+    assert pieces.counts == whole.counts
+    assert pieces.seen == whole.seen
+    assert whole.counts.rejected
+    bad_ns = np.concatenate([part.bad_frame_ns for part in in_pieces])
+    assert np.array_equal(bad_ns, np.concatenate([part.bad_frame_ns for part in at_once]))
+
+
+def test_a_block_reads_like_a_mapping() -> None:
+    batch = received(drive(0.2, seed=1))
+    small = decoder().feed(batch)[0].columns
+    assert len(small) == len(list(small)) > 10
+    assert all(len(small[signal].t_ns) for signal in small)
+    with pytest.raises(KeyError):
+        decoder().feed(batch[:1])[0].columns[Signal.BRAKE_PRESSURE]
+
+
+def test_values_that_are_no_measurements_are_counted_alike_by_reason() -> None:
+    count = 5_000
+    data = np.zeros((count, 8), np.uint8)
+    data[:, 4] = np.arange(count) % 256  # the high byte of the engine speed, of which FB to FF say something else
+    batch = FrameBatch(
+        t_ns=np.arange(count) * 10_000_000,
+        can_id=np.full(count, 0x0CF0_0400 | EXTENDED_FLAG, np.uint32),
+        length=np.full(count, 8, np.uint8),
+        data=data,
+    )
+    database = load_database(PROFILE_FOLDER / "j1939.dbc")
+    whole, pieces = Decoder(database, load_shipped("j1939")), Decoder(database, load_shipped("j1939"))
+    whole.feed(batch)
+    for first in range(0, count, 100):
+        pieces.feed(batch[first : first + 100])
+    not_available = int(np.count_nonzero(data[:, 4] >= 0xFB))
+    assert whole.counts.invalid == {Signal.ENGINE_SPEED: InvalidCounts(not_available=not_available)}
+    assert pieces.counts == whole.counts
+
+
+def test_a_long_batch_comes_in_pieces_of_the_same_samples() -> None:
+    once = received(drive(9.0, seed=2))
+    span_ns = int(once.t_ns[-1] - once.t_ns[0]) + 10_000_000
+    long = once[np.tile(np.arange(len(once)), 3)]
+    long.t_ns[:] += np.repeat(np.arange(3), len(once)) * span_ns
+    whole, pieces = decoder(), decoder()
+    at_once, in_pieces = whole.feed(long), list(pieces.stream(long))
+    assert len(in_pieces) == -(-len(long) // PIECE_FRAMES) > 1 == len(at_once)
+    assert joined(in_pieces) == joined(at_once)
+    assert pieces.counts == whole.counts
+    assert list(pieces.stream(long[:0])) == []
+
+
+def any_frames(messages: tuple[MessageColumns, ...], count: int, width: int) -> tuple[FrameBatch, FrameVerdicts]:
+    """Return frames of any payload of some messages, each accepted, rejected or of nobody."""
+    rng = np.random.default_rng(count + width)
+    slot = rng.integers(-1, len(messages), count)
+    reason = np.where(slot < 0, FrameReason.UNKNOWN_ID, rng.choice([FrameReason.OK, FrameReason.BAD_CRC], count))
+    batch = FrameBatch(
+        t_ns=np.cumsum(rng.integers(0, 10**7, count)),
+        can_id=np.full(count, 1, np.uint32),
+        length=np.full(count, width, np.uint8),
+        data=rng.integers(0, 256, (count, width), dtype=np.uint8),
+    )
+    sequence, missing = np.arange(count), np.zeros(count, np.int64)
+    return batch, FrameVerdicts(reason=reason.astype(np.uint8), slot=slot, sequence=sequence, missing=missing)
+
+
+@pytest.mark.parametrize("width", [8, 64])
+@pytest.mark.parametrize("count", [0, 1, 17, 2000])
+@pytest.mark.parametrize("profile", [load_profile(), load_shipped("j1939")], ids=lambda profile: profile.name)
+def test_the_pass_gives_what_each_table_says_of_any_payload(profile: Profile, count: int, width: int) -> None:
+    database = load_database(PROFILE_FOLDER / "j1939.dbc") if profile.name == "j1939" else load_contract()
+    messages = map_signals(database, profile)
+    batch, verdicts = any_frames(messages, count, width)
+    found = SamplePass(messages).decode(batch, verdicts)
+    assert found.has_bad == (FrameReason.BAD_CRC in verdicts.reason)
+    for slot, mapped in enumerate(messages):
+        rows = np.flatnonzero((verdicts.slot == slot) & (verdicts.reason == FrameReason.OK))
+        assert np.array_equal(found.rows(slot), rows)
+        for column in mapped.columns:
+            wanted = column.table.decode(payload_words(batch.data, rows))
+            good = np.ones(len(rows), np.bool_) if wanted.is_good is None else wanted.is_good
+            assert found.invalid.get(column.signal, InvalidCounts()) == wanted.invalid
+            if not good.any():
+                assert column.signal not in found.samples
+                continue
+            series = found.samples[column.signal]
+            assert series.t_ns.tolist() == batch.t_ns[rows[good]].tolist()
+            assert series.sequence.tolist() == rows[good].tolist()
+            assert series.value.tobytes() == column.to_si(wanted.value[good]).tobytes()
