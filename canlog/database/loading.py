@@ -67,7 +67,7 @@ _ARTICLE: Final = {
 _FORMAT_OF_ROOT: Final = {"NetworkDefinition": DatabaseFormat.KCD, "AUTOSAR": DatabaseFormat.ARXML}
 
 
-def load_database(path: Path, *, is_lenient: bool = False) -> Database:
+def load_database(path: Path, *, is_lenient: bool = False, parser_time_s: int = PARSER_TIME_S) -> Database:
     """Return the messages of a DBC, KCD, ARXML or SYM file; which one it is, its contents say.
 
     Signals that overlap or lie outside their message are warned of, message by message; whether the signals in use
@@ -79,6 +79,8 @@ def load_database(path: Path, *, is_lenient: bool = False) -> Database:
         The file; of a network of several buses, ``FILE#BUS`` is one of them.
     is_lenient : bool
         Leave items out of a DBC file that cannot be right, with a warning of each, instead of refusing the file.
+    parser_time_s : int
+        How much processor time [s] the parsing may take.
 
     Raises
     ------
@@ -91,7 +93,7 @@ def load_database(path: Path, *, is_lenient: bool = False) -> Database:
     database_format = _format_of(text, file)
     if database_format == DatabaseFormat.DBC:
         _refuse_absurd_sizes(text, file)
-    parsed = _parse(text, database_format, file, is_lenient=is_lenient)
+    parsed = _parse(text, database_format, file, is_lenient=is_lenient, parser_time_s=parser_time_s)
     if parsed.database is None:
         raise DefinitionError(_refusal(parsed, file))
     if not parsed.database.messages:
@@ -180,10 +182,10 @@ def _shown(digits: str) -> str:
     return digits if len(digits) <= 20 else f"{digits[:17]}..."
 
 
-def _parse(text: str, database_format: DatabaseFormat, path: Path, *, is_lenient: bool) -> Parsed:
+def _parse(text: str, database_format: DatabaseFormat, path: Path, *, is_lenient: bool, parser_time_s: int) -> Parsed:
     """Return what cantools makes of the text, and what is wrong with it."""
     mode = database_child.LENIENT if is_lenient else database_child.STRICT
-    words = (database_format, str(PARSER_BYTES), str(PARSER_TIME_S), mode)
+    words = (database_format, str(PARSER_BYTES), str(parser_time_s), mode)
     command = [sys.executable, "-P", "-m", database_child.__name__, *words]
     folders = os.pathsep.join(folder for folder in sys.path if folder)
     try:
@@ -202,7 +204,7 @@ def _parse(text: str, database_format: DatabaseFormat, path: Path, *, is_lenient
     if done.returncode == database_child.OUT_OF_MEMORY or b"MemoryError" in done.stderr:
         raise DefinitionError(f"{path} takes more than {PARSER_BYTES // 2**20} MiB of memory to parse")
     if done.returncode in {-signal.SIGXCPU, -signal.SIGKILL}:
-        raise DefinitionError(f"{path} takes more than {PARSER_TIME_S} s to parse")
+        raise DefinitionError(f"{path} takes more than {parser_time_s} s to parse")
     if done.returncode != 0:
         lines = done.stderr.decode(errors="replace").strip().splitlines() or ["the parser ended without a word"]
         raise DefinitionError(f"{path} is not {_ARTICLE[database_format]} file: {lines[-1][:200]}")

@@ -25,13 +25,13 @@ class ClockAlarm:
         If this system has no such timers.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, expiry_s: int = NEVER_S) -> None:
         library = ctypes.CDLL(None, use_errno=True)
         self._descriptor = int(library.timerfd_create(time.CLOCK_REALTIME, TFD_FLAGS))
         if self._descriptor < 0:
             raise OSError(ctypes.get_errno(), os.strerror(ctypes.get_errno()))
         flags = TFD_TIMER_ABSTIME | TFD_TIMER_CANCEL_ON_SET
-        if library.timerfd_settime(self._descriptor, flags, _TIMES.pack(0, 0, NEVER_S, 0), None) != 0:
+        if library.timerfd_settime(self._descriptor, flags, _TIMES.pack(0, 0, expiry_s, 0), None) != 0:
             number = ctypes.get_errno()
             self.close()
             raise OSError(number, os.strerror(number))
@@ -55,9 +55,9 @@ class ClockAlarm:
         self._descriptor = -1
 
 
-def clock_alarm() -> ClockAlarm | None:
+def clock_alarm(expiry_s: int = NEVER_S) -> ClockAlarm | None:
     """Return an alarm, or None where there can be none."""
     try:
-        return ClockAlarm()
+        return ClockAlarm(expiry_s)
     except (OSError, AttributeError):
         return None
