@@ -21,7 +21,7 @@ from typing import Any
 
 from benchmarks.service import new_stages, record
 from clutch_model.calibration import nominal_calibration
-from diag_service.delivery import BrokerAddress, MemoryReporter, MqttConnector, Outbox
+from diag_service.delivery import MemoryReporter, MqttConnector, Outbox
 from diag_service.diagnosis.events import ShiftEvent
 from diag_service.diagnosis.records import ClutchVerdict, ShiftEstimate, ShiftResult
 from diag_service.diagnosis.results import StoredResult
@@ -33,6 +33,7 @@ from diag_service.service.stages import Diagnosis
 from diag_service.service.stopping import Trigger
 from diag_service.store import ResultStore
 from fleet_contract import Outgoing
+from fleet_link import BrokerAddress
 from tests.plugins.broker import Mosquitto
 
 CARRIERS = (ShiftEvent, ShiftEstimate, ClutchVerdict, Diagnosis, ShiftResult, StoredResult, Outgoing)

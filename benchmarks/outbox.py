@@ -23,7 +23,7 @@ import aiomqtt
 import paho.mqtt.client as mqtt
 from paho.mqtt.enums import CallbackAPIVersion
 
-from diag_service.delivery import Acknowledge, BrokerAddress, MqttConnector, Outbox
+from diag_service.delivery import Acknowledge, MqttConnector, Outbox
 from diag_service.diagnosis.results import dump, iso_utc, shift_record
 from diag_service.store import ResultStore, VehicleState, Versions
 from fleet_contract import (
@@ -35,6 +35,7 @@ from fleet_contract import (
     raw_shift_message,
     read_message,
 )
+from fleet_link import BrokerAddress
 from tests.builders import shift_result
 from tests.plugins.broker import Mosquitto
 

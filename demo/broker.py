@@ -10,7 +10,7 @@ from amqtt.contexts import BrokerConfig
 from amqtt.errors import AMQTTError
 
 from demo.errors import DemoError
-from diag_service.delivery import BrokerAddress
+from fleet_link import BrokerAddress
 
 _HOST = "127.0.0.1"
 

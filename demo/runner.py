@@ -21,10 +21,10 @@ from demo.picture import draw
 from demo.programs import EMULATOR, SERVICE, Program, output_files, program, run
 from demo.table import live_line, print_outcome, verdict_line
 from demo.traces import recorded_shift
-from diag_service.delivery import BrokerAddress
 from diag_service.diagnosis.records import ShiftResult
 from ecu_emulator.truth import read_truth
 from fleet_contract import CLUTCHES
+from fleet_link import BrokerAddress
 
 CYCLE_S = 40.6  # what one cycle takes on the road
 READY_S = 30.0  # for a program to load and announce itself

@@ -12,7 +12,7 @@ from pathlib import Path
 
 from sqlalchemy import Engine
 
-from fleet_backend.broker import BrokerAddress, Connection, connected
+from fleet_backend.broker import BrokerInbox, connected
 from fleet_backend.choices import Pace
 from fleet_backend.database import place_of
 from fleet_backend.errors import DatabaseAwayError
@@ -21,6 +21,7 @@ from fleet_backend.intake import Kind
 from fleet_backend.migrate import make_ready
 from fleet_backend.sign_of_life import give_signs, prepare
 from fleet_backend.writer import Writer
+from fleet_link import BrokerAddress
 
 REPORT_S = 60.0
 _LOG = logging.getLogger(__name__)
@@ -45,7 +46,7 @@ def run_ingest(engine: Engine, address: BrokerAddress, pace: Pace, name: str | N
 
 
 async def _ingest(engine: Engine, address: BrokerAddress, pace: Pace, name: str, alive: Path | None) -> None:
-    def connect() -> AbstractAsyncContextManager[Connection]:
+    def connect() -> AbstractAsyncContextManager[BrokerInbox]:
         return connected(address, FILTERS, max_unsettled=pace.max_unsettled)
 
     if address.exposure:

@@ -65,7 +65,7 @@ def _load_commands() -> ModuleType:
 def _set_up_log(verbosity: int) -> None:
     handler = logging.StreamHandler(sys.stderr)
     handler.setFormatter(logging.Formatter(f"%(asctime)s {PROGRAM}: %(levelname)s: %(message)s"))
-    for name in ("fleet_backend", "program_io"):
+    for name in ("fleet_backend", "fleet_link", "program_io"):
         own = logging.getLogger(name)
         own.handlers, own.propagate = [handler], False
         own.setLevel(logging.DEBUG if verbosity else logging.INFO)

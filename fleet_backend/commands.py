@@ -12,7 +12,6 @@ from sqlalchemy import Engine
 from fleet_backend import queries, report
 from fleet_backend.application import run_ingest
 from fleet_backend.arguments import BROKER_VARIABLE
-from fleet_backend.broker import TlsFiles
 from fleet_backend.choices import Axis
 from fleet_backend.config import parse_broker, parse_moment, parse_pace
 from fleet_backend.database import default_database, open_database, place_of
@@ -39,9 +38,14 @@ def execute(options: SimpleNamespace) -> None:
 def _ingest(options: SimpleNamespace, engine: Engine) -> None:
     if not options.broker:
         raise ConfigError(f"no broker: give --broker or set {BROKER_VARIABLE}")
-    tls = TlsFiles(ca=options.ca, certificate=options.cert, key=options.key)
     pace = parse_pace(options.batch, options.patience)
-    run_ingest(engine, parse_broker(options.broker, tls), pace, options.worker, options.alive)
+    run_ingest(
+        engine,
+        parse_broker(options.broker, ca=options.ca, certificate=options.cert, key=options.key),
+        pace,
+        options.worker,
+        options.alive,
+    )
 
 
 def _migrate(_options: SimpleNamespace, engine: Engine) -> None:

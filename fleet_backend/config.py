@@ -1,39 +1,37 @@
 """What a run is to do, checked once: the command line's words become values, or a ConfigError."""
 
 from datetime import UTC, datetime
+from pathlib import Path
 from typing import Final
 
-from fleet_backend.broker import BrokerAddress, TlsFiles
+import fleet_link
 from fleet_backend.choices import Pace
 from fleet_backend.errors import ConfigError
-from fleet_contract import BrokerUrlError, parse_broker_url
+from fleet_link import AddressError, BrokerAddress, TlsFiles
 
 _MAX_BATCH: Final = 30_000  # twice as many are in flight; MQTT counts to 65,535
 
 
-def parse_broker(url: str, tls: TlsFiles) -> BrokerAddress:
-    """Return the broker that ``mqtt[s]://[user[:password]@]host[:port]`` names.
+def parse_broker(
+    url: str, *, ca: Path | None = None, certificate: Path | None = None, key: Path | None = None
+) -> BrokerAddress:
+    """Return the broker that ``mqtt[s]://[user[:password]@]host[:port]`` names, with certificates for ``mqtts``.
 
     Raises
     ------
     ConfigError
-        If the text is no such address; the message does not repeat it, since it may hold a password.
+        If the text is no such address; the message does not repeat it, since it may hold a password. If a certificate
+        cannot be used: that is said now, not at the first connection.
     """
     try:
-        parts = parse_broker_url(url)
-    except BrokerUrlError as exc:
+        address = fleet_link.parse_broker(
+            url, TlsFiles(authority=ca, certificate=certificate, key=certificate if key is None else key)
+        )
+        if address.tls is not None:
+            address.tls.context(is_key_private=False)
+    except AddressError as exc:
         raise ConfigError(str(exc)) from exc
-    if parts.is_encrypted:
-        tls.context()  # a wrong file is said now, not at the first connection
-    elif tls != TlsFiles():
-        raise ConfigError("certificates need a broker at mqtts://")
-    return BrokerAddress(
-        host=parts.host,
-        port=parts.port,
-        username=parts.username,
-        password=parts.password,
-        tls=tls if parts.is_encrypted else None,
-    )
+    return address
 
 
 def parse_pace(batch_size: int, patience_ms: float) -> Pace:

@@ -15,9 +15,10 @@ from typing import Final, Protocol
 
 from fleet_backend.choices import Pace
 from fleet_backend.errors import BrokerError, DatabaseAwayError, RowRefusedError
-from fleet_backend.intake import IDENTITY_REASON, INGESTED, Kind, Message, Taken, batch_of, receipts_of, refuse, take
+from fleet_backend.intake import IDENTITY_REASON, INGESTED, Kind, Taken, batch_of, receipts_of, refuse, take
 from fleet_backend.writer import Batch
 from fleet_contract import Outgoing, ack_messages, filter_of
+from fleet_link import Message
 
 GROUP: Final = "ingest"  # of the shared subscription
 # States go to every worker: a shared subscription never gets what the broker retained, and two writers agree.

@@ -23,19 +23,11 @@ from fleet_contract import (
     parse_topic,
     read_message,
 )
+from fleet_link import Message
 
 INGESTED: Final = (Channel.SHIFT, Channel.STATUS, Channel.METRICS)
 IDENTITY_REASON: Final = "identity"  # of the view identity_alarm too
 _LONGEST_KEY_PART: Final = 128  # what an acknowledgement can carry
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Message:
-    """What a broker delivered."""
-
-    topic: str
-    payload: bytes
-    packet_id: int  # for its acknowledgement to the broker; 0 needs none
 
 
 class Kind(Enum):

@@ -12,11 +12,11 @@ from contextlib import closing
 from enum import StrEnum
 from pathlib import Path
 
-from diag_service.delivery import Acknowledge, BrokerAddress, MqttConnector, Outbox, mqtt
-from diag_service.delivery.mqtt_client import PipeliningClient
+from diag_service.delivery import Acknowledge, MqttConnector, Outbox, mqtt
 from diag_service.diagnosis.records import ShiftResult
 from diag_service.store import ResultStore, VehicleState, Versions
 from fleet_contract import Outgoing, Receipt
+from fleet_link import BrokerAddress, Connection
 from tests.builders import shift_result
 from tests.patience import HANG_S
 
@@ -60,7 +60,7 @@ class DoomedStore(ResultStore):
         return positions
 
 
-class DoomedClient(PipeliningClient):
+class DoomedConnection(Connection):
     """A connection whose process dies around a message of a result."""
 
     step = Step.NONE
@@ -87,8 +87,8 @@ async def send(store: ResultStore, port: int) -> int:
 
 
 def main(path: str, port: str, last_seq: str, step: str = Step.NONE) -> int:
-    DoomedClient.step = Step(step)
-    vars(mqtt)["PipeliningClient"] = DoomedClient
+    DoomedConnection.step = Step(step)
+    vars(mqtt)["Connection"] = DoomedConnection
     with closing(DoomedStore.open(Path(path))) as store:
         store.step = Step(step)
         while (seq := store.next_seq()) <= int(last_seq):

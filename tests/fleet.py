@@ -5,9 +5,9 @@ from datetime import UTC, datetime
 
 from diag_service.diagnosis.records import Condition, ShiftResult
 from diag_service.diagnosis.results import shift_record
-from fleet_backend.intake import Message
 from fleet_backend.rows import Row, shift_row
 from fleet_contract import Outgoing, shift_message
+from fleet_link import Message
 from tests.builders import shift_result
 
 NOW = datetime(2026, 3, 1, 12, tzinfo=UTC)

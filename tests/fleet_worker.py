@@ -20,14 +20,14 @@ from typing import Final
 
 from sqlalchemy import Connection, Engine, event
 
-from fleet_backend.broker import TlsFiles, connected
+from fleet_backend.broker import connected
 from fleet_backend.choices import Pace
 from fleet_backend.config import parse_broker
 from fleet_backend.database import open_database
 from fleet_backend.ingest import FILTERS, Inbox, Worker
-from fleet_backend.intake import Message
 from fleet_backend.writer import Batch, Writer
 from fleet_contract import Outgoing
+from fleet_link import Message
 
 START_S: Final = 120.0
 
@@ -127,7 +127,7 @@ def _wait_for(log: Path, text: str, child: "subprocess.Popen[bytes]") -> None:
 
 
 async def _work(broker: str, engine: Engine, doom: Doom) -> None:
-    address = parse_broker(broker, TlsFiles())
+    address = parse_broker(broker)
     pace = Pace(batch_size=20, patience_s=0.05)
 
     @asynccontextmanager

@@ -245,7 +245,7 @@ READERS: Mapping[str, str] = {
     ".profile": "diag_service.mapping.profile:load_profile",
     ".calibration": "clutch_model.calibration:read_calibration",
     ".config": "diag_service.settings.files:load_settings",
-    ".password": "diag_service.delivery.tls:read_secret",
+    ".password": "fleet_link.secret_files:read_secret",
     ".plant": "ecu_emulator.plant.parameters:read_parameters",
     ".scenario": "ecu_emulator.scenario_file:load_scenario",
     ".truth": "ecu_emulator.truth:read_truth",

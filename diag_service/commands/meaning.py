@@ -3,9 +3,10 @@
 from dataclasses import replace
 from types import SimpleNamespace
 
-from diag_service.delivery import Acknowledge, TlsFiles
+from diag_service.delivery import Acknowledge
 from diag_service.errors import ConfigError
 from diag_service.settings import config
+from fleet_link import TlsFiles
 
 
 def diagnosis_config(options: SimpleNamespace) -> config.DiagnosisConfig:
@@ -38,7 +39,7 @@ def bus_config(options: SimpleNamespace) -> config.BusConfig:
 
 def _with_delivery(settings: config.DiagnosisConfig, options: SimpleNamespace) -> config.DiagnosisConfig:
     """Return the settings with those that only commands have which deliver and store results."""
-    tls = TlsFiles(authority=options.ca, certificate=options.cert, key=options.key)
+    tls = config.tls_files(options.ca, options.cert, options.key)
     broker = config.parse_broker(options.broker, tls, options.password_file) if options.broker else None
     if broker is None and (tls != TlsFiles() or options.password_file is not None):
         raise ConfigError("certificates and passwords need a broker")

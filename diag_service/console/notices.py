@@ -8,7 +8,7 @@ from canlog.notice import NOTICE
 from program_io.legible import legible
 
 _PROGRAM = "diag-service"
-OWN = ("diag_service", "canlog", "program_io")  # whose messages are shown without being asked for
+OWN = ("diag_service", "canlog", "fleet_link", "program_io")  # whose messages are shown without being asked for
 COMPILING = "diag_service.compiling"
 
 

@@ -7,13 +7,11 @@ from diag_service.delivery.detached import DetachedReporter
 from diag_service.delivery.jsonlines import JsonLinesReporter
 from diag_service.delivery.limits import DeliveryLimits
 from diag_service.delivery.memory import MemoryLink, MemoryReporter
-from diag_service.delivery.mqtt import BrokerAddress, MqttConnector
+from diag_service.delivery.mqtt import MqttConnector
 from diag_service.delivery.outbox import Outbox
-from diag_service.delivery.tls import TlsFiles
 
 __all__ = [
     "Acknowledge",
-    "BrokerAddress",
     "ConsoleReporter",
     "DeliveryLimits",
     "DetachedReporter",
@@ -24,5 +22,4 @@ __all__ = [
     "MqttConnector",
     "Outbox",
     "Reporter",
-    "TlsFiles",
 ]

@@ -1,21 +1,13 @@
-"""MQTT through aiomqtt: version 5 where the broker speaks it, since only 5 says that it refused a message."""
+"""MQTT: version 5 where the broker speaks it, since only 5 says that it refused a message."""
 
 import asyncio
 import contextlib
 import logging
-from collections.abc import AsyncIterator, Sequence
-from contextlib import asynccontextmanager
-from dataclasses import dataclass, field, replace
-from typing import Any
-
-import aiomqtt
-from paho.mqtt.packettypes import PacketTypes
-from paho.mqtt.properties import Properties
-from paho.mqtt.reasoncodes import ReasonCode
+from collections.abc import AsyncIterator, Iterator, Sequence
+from contextlib import asynccontextmanager, contextmanager
+from dataclasses import replace
 
 from diag_service.delivery.base import Hear
-from diag_service.delivery.mqtt_client import AT_LEAST_ONCE, PipeliningClient
-from diag_service.delivery.tls import TlsFiles
 from diag_service.diagnosis.results import ServiceStatus, status_record
 from diag_service.errors import PublishError
 from fleet_contract import (
@@ -23,49 +15,38 @@ from fleet_contract import (
     ContractError,
     Outgoing,
     Receipt,
-    exposure,
     read_message,
     receipts_of,
     status_message,
     topic_of,
 )
+from fleet_link import (
+    BrokerAddress,
+    Connection,
+    LinkDownError,
+    LinkError,
+    Message,
+    Terms,
+    TlsFiles,
+    VersionRefusedError,
+)
 
-TIMEOUT_S = 5.0  # for a connection or an acknowledgement
 RENEWAL_PERIOD_S = 5.0  # how often a look is taken whether a certificate was renewed
-KEEPALIVE_S = 20  # a dead peer is known after 1.5 times this
+_MAX_IN_FLIGHT = 100
+_BATCH = 100  # messages to us that are read in one go
 _FAREWELL_S = 1.0
 _SESSION_S = 7 * 24 * 3600  # how long a broker keeps acknowledgements for a vehicle that is away
-_UNSUPPORTED_PROTOCOL = 132  # MQTT 5.0, table 3-1
 _LOG = logging.getLogger(__name__)
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class BrokerAddress:
-    """Where a broker is and who we are to it; its text shows no password."""
-
-    host: str
-    port: int = 1883
-    username: str | None = None
-    password: str | None = field(default=None, repr=False)
-    tls: TlsFiles | None = None  # None: not encrypted
-
-    def __str__(self) -> str:
-        host = f"[{self.host}]" if ":" in self.host else self.host
-        return f"{host}:{self.port}"
-
-    @property
-    def exposure(self) -> str | None:
-        """What to warn of before anything is sent there; None if nobody on the way can read it."""
-        return exposure(self.host, is_encrypted=self.tls is not None, has_password=self.password is not None)
 
 
 class MqttLink:
     """One connection, while it lasts."""
 
-    def __init__(self, client: PipeliningClient, tls: TlsFiles | None = None) -> None:
-        self._client = client
+    def __init__(self, connection: Connection, tls: TlsFiles | None = None, *, renewal_period_s: float) -> None:
+        self._connection = connection
         self._tls = tls
         self._tls_fingerprint = None if tls is None else tls.fingerprint()
+        self._renewal_period_s = renewal_period_s
         self._hear: Hear | None = None
         self._early: list[Receipt] = []  # heard before anyone listened: a persistent session brings them at once
         self._reader = asyncio.create_task(self._read(), name="mqtt-reader")
@@ -78,35 +59,21 @@ class MqttLink:
         PublishError
             If the connection breaks, the acknowledgement does not come, or it says no.
         """
-        delivery = asyncio.ensure_future(self._client.publish_all(messages))
-        try:
-            await asyncio.wait((delivery, self._reader), return_when=asyncio.FIRST_COMPLETED)
-            if not delivery.done():  # aiomqtt itself would wait for the time limit
-                raise PublishError(self._client.refusal or "connection lost")  # some brokers say no and hang up
-            delivery.result()
-        except aiomqtt.MqttError as exc:
-            raise PublishError(_one_line(exc)) from exc
-        finally:
-            delivery.cancel()
-            await asyncio.gather(delivery, return_exceptions=True)
+        with _translated():
+            await self._connection.publish_all(messages)
 
     async def listen(self, vehicle: str, hear: Hear) -> None:
         """Subscribe to the acknowledgements for a vehicle; raises PublishError if the broker refuses."""
         self._hear = hear
         if self._early:
             hear(self._early)
-        topic = topic_of(vehicle, Channel.ACK)
-        try:
-            granted = await self._client.subscribe(topic, qos=AT_LEAST_ONCE)
-        except aiomqtt.MqttError as exc:
-            raise PublishError(_one_line(exc)) from exc
-        if any(_number(code) > AT_LEAST_ONCE for code in granted):
-            raise PublishError(f"subscription to {topic} was refused")
+        with _translated():
+            await self._connection.subscribe([topic_of(vehicle, Channel.ACK)])
 
     async def lost(self) -> None:
         """Return when the connection is lost, or when a certificate was renewed."""
         while self._tls is not None and self._tls.fingerprint() == self._tls_fingerprint:
-            done, _ = await asyncio.wait((self._reader,), timeout=RENEWAL_PERIOD_S)
+            done, _ = await asyncio.wait((self._reader,), timeout=self._renewal_period_s)
             if done:
                 return
         if self._tls is None:
@@ -119,14 +86,18 @@ class MqttLink:
 
     async def _read(self) -> None:
         """Hand on acknowledgements until the connection is lost."""
-        with contextlib.suppress(aiomqtt.MqttError):
-            async for message in self._client.messages:
-                try:
-                    incoming = read_message(str(message.topic), _payload(message))
-                    if incoming.address.channel is Channel.ACK:
-                        (self._hear or self._early.extend)(receipts_of(incoming.data))
-                except ContractError as exc:
-                    _LOG.warning("a message to us is ignored: %s", exc)
+        with contextlib.suppress(LinkDownError):
+            while True:
+                for message in await self._connection.collect(_BATCH, 0.0):
+                    self._take(message)
+
+    def _take(self, message: Message) -> None:
+        try:
+            incoming = read_message(message.topic, message.payload)
+            if incoming.address.channel is Channel.ACK:
+                (self._hear or self._early.extend)(receipts_of(incoming.data))
+        except ContractError as exc:
+            _LOG.warning("a message to us is ignored: %s", exc)
 
 
 class MqttConnector:
@@ -142,6 +113,8 @@ class MqttConnector:
         one announces itself.
     is_persistent :
         Whether the broker is to keep acknowledgements for us while we are away.
+    renewal_period_s :
+        How often a look is taken whether a certificate was renewed.
     """
 
     def __init__(
@@ -151,12 +124,14 @@ class MqttConnector:
         status: ServiceStatus | None = None,
         *,
         is_persistent: bool = False,
+        renewal_period_s: float = RENEWAL_PERIOD_S,
     ) -> None:
         self._address = address
         self._identifier = identifier
         self._status = status
         self._is_persistent = is_persistent
-        self._protocol: aiomqtt.ProtocolVersion | None = None  # not known yet
+        self._renewal_period_s = renewal_period_s
+        self._is_version_5: bool | None = None  # not known yet
 
     @asynccontextmanager
     async def connect(self, connected_at: str) -> AsyncIterator[MqttLink]:
@@ -169,8 +144,9 @@ class MqttConnector:
         """
         online = None if self._status is None else replace(self._status, is_online=True, connected_at=connected_at)
         offline = None if online is None else replace(online, is_online=False)
-        client = await self._open(offline)
-        link = MqttLink(client, self._address.tls)
+        with _translated():
+            connection = await self._open(offline)
+        link = MqttLink(connection, self._address.tls, renewal_period_s=self._renewal_period_s)
         try:
             if online is not None:
                 await _announce(link, online)
@@ -182,96 +158,46 @@ class MqttConnector:
                         await asyncio.wait_for(_announce(link, offline), _FAREWELL_S)
         finally:
             await link.end()
-            await _leave(client)
+            await connection.close()
 
-    async def _open(self, will: ServiceStatus | None) -> PipeliningClient:
+    async def _open(self, will: ServiceStatus | None) -> Connection:
         """Connect in the version that the broker speaks.
 
         A will makes a CONNECT that some 3.1.1 brokers misread and never answer, so the version is found without one;
         and without our name, for what the broker kept for us must not go to a connection that ends at once.
         """
-        if self._protocol is None:
-            probe = self._client(aiomqtt.ProtocolVersion.V5, None, identifier=None)
-            try:
-                await _enter(probe)
-            except _VersionRefusedError:
-                self._protocol = aiomqtt.ProtocolVersion.V311
-            else:
-                self._protocol = aiomqtt.ProtocolVersion.V5
-                await _leave(probe)
+        if self._is_version_5 is None:
+            self._is_version_5 = await self._speaks_version_5()
+        terms = Terms(
+            is_version_5=self._is_version_5,
+            identifier=self._identifier,
+            will=None if will is None else status_message(status_record(will)),
+            session_s=_SESSION_S if self._is_persistent else 0,
+            max_in_flight=_MAX_IN_FLIGHT,
+        )
         try:
-            return await _enter(self._client(self._protocol, will, self._identifier))
-        except PublishError:
-            self._protocol = None  # who answers next time may be another broker
+            return await Connection.open(self._address, terms)
+        except LinkDownError:
+            self._is_version_5 = None  # who answers next time may be another broker
             raise
 
-    def _client(
-        self, protocol: aiomqtt.ProtocolVersion, will: ServiceStatus | None, identifier: str | None
-    ) -> PipeliningClient:
-        is_kept = self._is_persistent and identifier is not None
-        session: dict[str, Any] = {"clean_session": not is_kept}
-        if protocol is aiomqtt.ProtocolVersion.V5:
-            session = {"clean_start": not is_kept, "properties": _session_properties() if is_kept else None}
-        return PipeliningClient(
-            self._address.host,
-            self._address.port,
-            username=self._address.username,
-            password=self._address.password,
-            identifier=identifier,
-            protocol=protocol,
-            will=None if will is None else _will(will),
-            **session,
-            tls_context=None if self._address.tls is None else self._address.tls.context(),
-            timeout=TIMEOUT_S,
-            keepalive=KEEPALIVE_S,
-        )
-
-
-class _VersionRefusedError(PublishError):
-    """The broker does not speak this version of the protocol."""
-
-
-async def _enter(client: PipeliningClient) -> PipeliningClient:
-    try:
-        return await client.__aenter__()
-    except aiomqtt.MqttCodeError as exc:
-        kind = _VersionRefusedError if _code(exc) == _UNSUPPORTED_PROTOCOL else PublishError
-        raise kind(f"connection refused: {_one_line(exc)}") from exc
-    except aiomqtt.MqttError as exc:
-        raise PublishError(client.complaint or _one_line(exc)) from exc
-
-
-async def _leave(client: PipeliningClient) -> None:
-    with contextlib.suppress(aiomqtt.MqttError):
-        await client.__aexit__(None, None, None)
+    async def _speaks_version_5(self) -> bool:
+        try:
+            probe = await Connection.open(self._address, Terms())
+        except VersionRefusedError:
+            return False
+        await probe.close()
+        return True
 
 
 async def _announce(link: MqttLink, status: ServiceStatus) -> None:
     await link.send([status_message(status_record(status))])
 
 
-def _will(status: ServiceStatus) -> aiomqtt.Will:
-    message = status_message(status_record(status))
-    return aiomqtt.Will(message.topic, message.payload, qos=AT_LEAST_ONCE, retain=message.is_retained)
-
-
-def _session_properties() -> Properties:
-    properties = Properties(PacketTypes.CONNECT)  # type: ignore[no-untyped-call]
-    properties.SessionExpiryInterval = _SESSION_S
-    return properties
-
-
-def _payload(message: aiomqtt.Message) -> bytes:
-    return message.payload if isinstance(message.payload, bytes) else str(message.payload).encode()
-
-
-def _number(code: ReasonCode | int) -> int:
-    return int(code.value) if isinstance(code, ReasonCode) else code
-
-
-def _code(exc: aiomqtt.MqttCodeError) -> int | None:
-    return exc.rc.value if isinstance(exc.rc, ReasonCode) else exc.rc
-
-
-def _one_line(exc: Exception) -> str:
-    return " ".join(str(exc).split()) or type(exc).__name__
+@contextmanager
+def _translated() -> Iterator[None]:
+    """Make the errors of the link ours; a certificate that cannot be used now may be put right."""
+    try:
+        yield
+    except LinkError as exc:
+        raise PublishError(str(exc)) from exc

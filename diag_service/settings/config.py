@@ -5,11 +5,12 @@ from dataclasses import dataclass
 from enum import StrEnum
 from pathlib import Path
 
+import fleet_link
 from clutch_model.calibration import Calibration, nominal_calibration, read_calibration
-from diag_service.delivery import Acknowledge, BrokerAddress, TlsFiles
-from diag_service.delivery.tls import read_secret
+from diag_service.delivery import Acknowledge
 from diag_service.errors import ConfigError
-from fleet_contract import BrokerUrlError, is_vehicle, parse_broker_url
+from fleet_contract import is_vehicle
+from fleet_link import AddressError, BrokerAddress, TlsFiles
 
 UNNAMED_VEHICLE = "vehicle"  # what a vehicle is called that nobody names
 SMALLEST_BUDGET_BYTES = 1 << 20
@@ -125,18 +126,17 @@ def parse_broker(url: str, tls: TlsFiles | None = None, password_file: Path | No
         If the text is no such address; the message does not repeat it, since it may hold a password.
     """
     try:
-        parts = parse_broker_url(url)
-    except BrokerUrlError as exc:
+        return fleet_link.parse_broker(url, tls, password_file)
+    except AddressError as exc:
         raise ConfigError(str(exc)) from exc
-    if tls not in {None, TlsFiles()} and not parts.is_encrypted:
-        raise ConfigError("certificates need a broker at mqtts://")
-    return BrokerAddress(
-        host=parts.host,
-        port=parts.port,
-        username=parts.username,
-        password=parts.password if password_file is None else read_secret(password_file),
-        tls=(tls or TlsFiles()) if parts.is_encrypted else None,
-    )
+
+
+def tls_files(authority: Path | None, certificate: Path | None, key: Path | None) -> TlsFiles:
+    """Return where certificates are; raises ConfigError if a certificate has no key, or a key no certificate."""
+    try:
+        return TlsFiles(authority=authority, certificate=certificate, key=key)
+    except AddressError as exc:
+        raise ConfigError(str(exc)) from exc
 
 
 def parse_listen_address(text: str) -> ListenAddress:

@@ -8,9 +8,9 @@ from urllib.parse import urlsplit
 import click
 
 from canlog.plain_files import read_toml_file
-from diag_service.delivery.tls import check_secret_mode
 from diag_service.errors import ConfigError
 from diag_service.settings.options import SETTINGS
+from fleet_link import AddressError, check_secret_mode
 
 
 def load_settings(file: Path) -> dict[str, Any]:
@@ -41,8 +41,15 @@ def _read(file: Path) -> dict[str, Any]:
     except ValueError as exc:
         raise ConfigError(f"{file} is no TOML: {exc}") from exc
     if _holds_password(str(table.get("broker", ""))):
-        check_secret_mode(file)
+        _check_secret_mode(file)
     return table
+
+
+def _check_secret_mode(file: Path) -> None:
+    try:
+        check_secret_mode(file)
+    except AddressError as exc:
+        raise ConfigError(str(exc)) from exc
 
 
 def _holds_password(url: str) -> bool:

@@ -13,9 +13,10 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Final
 
-from diag_service.delivery import Acknowledge, BrokerAddress, Link, MqttConnector, Outbox
+from diag_service.delivery import Acknowledge, Link, MqttConnector, Outbox
 from diag_service.diagnosis.results import iso_utc
 from diag_service.store import ResultStore, VehicleState, Versions
+from fleet_link import BrokerAddress
 from tests.fleet import fleet_result
 
 STATE: Final = VehicleState(belief={}, condition={}, versions=Versions(algorithm="a", calibration="c"))

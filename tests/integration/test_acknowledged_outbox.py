@@ -11,9 +11,10 @@ from pathlib import Path
 import aiomqtt
 import pytest
 
-from diag_service.delivery import Acknowledge, BrokerAddress, DeliveryLimits, MqttConnector, Outbox
+from diag_service.delivery import Acknowledge, DeliveryLimits, MqttConnector, Outbox
 from diag_service.store import ResultStore
 from fleet_contract import Receipt, ack_messages
+from fleet_link import BrokerAddress
 from tests.acknowledger import Acknowledger
 from tests.doomed_edge import Step
 from tests.outboxes import NOW, STATUS, put, sending, until

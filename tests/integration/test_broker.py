@@ -11,10 +11,11 @@ import pytest
 from amqtt.broker import Broker as AmqttBroker
 from jsonschema import Draft202012Validator
 
-from diag_service.delivery import BrokerAddress, DeliveryLimits, MqttConnector, Outbox
+from diag_service.delivery import DeliveryLimits, MqttConnector, Outbox
 from diag_service.diagnosis.results import ServiceStatus, clutch_record, shift_record
 from diag_service.store import ResultStore
 from fleet_contract import schema
+from fleet_link import BrokerAddress
 from tests.outboxes import NOW, STATUS, put, sending, until
 from tests.patience import HANG_S
 from tests.plugins.broker import Mosquitto, free_port

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from diag_service.delivery import Acknowledge, BrokerAddress, DeliveryLimits, MqttConnector, Outbox, TlsFiles
+from diag_service.delivery import Acknowledge, DeliveryLimits, MqttConnector, Outbox
 from diag_service.diagnosis.results import shift_record
 from diag_service.store import ResultStore
 from fleet_backend import queries
@@ -16,6 +16,7 @@ from fleet_backend.certificates.authority import Authority, Lifetime
 from fleet_backend.choices import Axis
 from fleet_backend.database import open_database
 from fleet_contract import shift_message
+from fleet_link import BrokerAddress, TlsFiles
 from tests.acknowledger import Acknowledger
 from tests.builders import shift_result
 from tests.fleet_worker import worker
@@ -66,11 +67,6 @@ def _store() -> Iterator[ResultStore]:
         yield store
 
 
-@pytest.fixture(autouse=True)
-def _short_pauses(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("diag_service.delivery.mqtt.RENEWAL_PERIOD_S", 0.1)
-
-
 def files(authority: Authority, name: str | None) -> TlsFiles:
     folder = authority.folder
     if name is None:
@@ -83,7 +79,7 @@ async def running(
     store: ResultStore, broker: Mosquitto, tls: TlsFiles, *, host: str = "127.0.0.1", vehicle: str = "car1"
 ) -> AsyncIterator[Outbox]:
     address = BrokerAddress(host=host, port=broker.port, tls=tls)
-    connector = MqttConnector(address, f"clutchdiag-{vehicle}", is_persistent=True)
+    connector = MqttConnector(address, f"clutchdiag-{vehicle}", is_persistent=True, renewal_period_s=0.1)
     outbox = Outbox(
         store, vehicle, lambda: connector.connect(NOW), str(address), acknowledge=Acknowledge.BACKEND, limits=QUICK
     )

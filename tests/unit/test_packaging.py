@@ -19,6 +19,7 @@ PACKAGES = (
     "ecu_emulator",
     "fleet_backend",
     "fleet_contract",
+    "fleet_link",
     "program_io",
 )
 SUBPACKAGES = sorted(

@@ -5,24 +5,25 @@ from pathlib import Path
 
 import pytest
 
-from fleet_backend.broker import TlsFiles
+from fleet_backend.certificates.authority import Authority, Lifetime
 from fleet_backend.config import parse_broker, parse_moment, parse_pace
 from fleet_backend.database import default_database, open_database, place_of
 from fleet_backend.errors import ConfigError
+from fleet_link import TlsFiles
 
-PLAIN = TlsFiles()
+SYSTEMS = TlsFiles()  # without files the authorities of the system count
 
 
 def test_a_broker_has_a_host_and_the_usual_port() -> None:
-    address = parse_broker("mqtt://example.org", PLAIN)
+    address = parse_broker("mqtt://example.org")
     assert (address.host, address.port, address.tls) == ("example.org", 1883, None)
-    secure = parse_broker("mqtts://example.org", PLAIN)
-    assert (secure.port, secure.tls) == (8883, PLAIN)
-    assert str(parse_broker("mqtt://[::1]:1", PLAIN)) == "[::1]:1"
+    secure = parse_broker("mqtts://example.org")
+    assert (secure.port, secure.tls) == (8883, SYSTEMS)
+    assert str(parse_broker("mqtt://[::1]:1")) == "[::1]:1"
 
 
 def test_a_password_is_read_and_never_shown() -> None:
-    address = parse_broker("mqtt://fleet:p%40ss@example.org", PLAIN)
+    address = parse_broker("mqtt://fleet:p%40ss@example.org")
     assert (address.username, address.password) == ("fleet", "p@ss")
     assert "p@ss" not in f"{address} {address!r}"
 
@@ -32,15 +33,30 @@ def test_a_password_is_read_and_never_shown() -> None:
 )
 def test_what_is_no_broker_is_refused_without_repeating_it(url: str) -> None:
     with pytest.raises(ConfigError, match="the broker must be mqtt"):
-        parse_broker(url, PLAIN)
+        parse_broker(url)
 
 
 def test_certificates_need_tls_and_must_exist() -> None:
-    missing = TlsFiles(ca=Path("no-such-file"))
+    missing = Path("no-such-file")
     with pytest.raises(ConfigError, match="mqtts"):
-        parse_broker("mqtt://x", missing)
+        parse_broker("mqtt://x", ca=missing)
     with pytest.raises(ConfigError, match="no-such-file"):
-        parse_broker("mqtts://x", missing)
+        parse_broker("mqtts://x", ca=missing)
+    with pytest.raises(ConfigError, match="no-such-file"):
+        parse_broker("mqtts://x", certificate=missing)
+    with pytest.raises(ConfigError, match="needs its key"):
+        parse_broker("mqtts://x", key=missing)
+
+
+def test_a_certificate_and_its_key_may_lie_in_one_file_that_a_container_mounts_for_all(tmp_path: Path) -> None:
+    lifetime = Lifetime.of_days(1, datetime.now(UTC))
+    Authority.make(tmp_path, lifetime).issue_client("fleet", lifetime)
+    both = tmp_path / "both.pem"
+    both.write_bytes((tmp_path / "fleet.crt").read_bytes() + (tmp_path / "fleet.key").read_bytes())
+    both.chmod(0o444)
+    address = parse_broker("mqtts://x", ca=tmp_path / "ca.crt", certificate=both)
+    assert address.tls is not None
+    assert address.tls.certificate == both
 
 
 def test_a_pace_has_bounds() -> None:

@@ -10,9 +10,10 @@ import pytest
 from fleet_backend.choices import Pace
 from fleet_backend.errors import BrokerError, DatabaseAwayError, RowRefusedError
 from fleet_backend.ingest import FILTERS, Worker
-from fleet_backend.intake import Kind, Message
+from fleet_backend.intake import Kind
 from fleet_backend.writer import Batch
 from fleet_contract import Outgoing
+from fleet_link import Message
 from tests.fleet import NOW, fleet_result, message_of
 from tests.patience import HANG_S
 

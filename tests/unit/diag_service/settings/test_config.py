@@ -6,7 +6,6 @@ from pathlib import Path
 import pytest
 
 from clutch_model.calibration import nominal_calibration
-from diag_service.delivery import BrokerAddress
 from diag_service.errors import ConfigError
 from diag_service.settings.config import (
     BusConfig,
@@ -15,6 +14,7 @@ from diag_service.settings.config import (
     parse_broker,
     vehicle_of,
 )
+from fleet_link import BrokerAddress
 
 BUS = BusConfig(interface=None, channel=None, bitrate=None, is_fd=False, duration_s=None)
 

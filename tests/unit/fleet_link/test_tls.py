@@ -8,10 +8,8 @@ from pathlib import Path
 
 import pytest
 
-from diag_service.delivery import TlsFiles, tls
-from diag_service.delivery.tls import read_secret
-from diag_service.errors import ConfigError, PublishError
 from fleet_backend.certificates.authority import Authority, Lifetime
+from fleet_link import AddressError, TlsFiles, read_secret
 
 LIFETIME = Lifetime.of_days(1, datetime(2026, 1, 1, tzinfo=UTC))
 
@@ -59,25 +57,24 @@ def test_files_that_may_be_put_right_are_a_matter_of_patience(
     assert callable(spoil)
     spoil(tmp_path)
     files.fingerprint()
-    with pytest.raises(PublishError, match=message):
+    with pytest.raises(AddressError, match=message):
         files.context()
 
 
 def test_a_certificate_without_a_key_is_a_mistake(tmp_path: Path) -> None:
-    with pytest.raises(ConfigError, match="needs its key"):
+    with pytest.raises(AddressError, match="needs its key"):
         TlsFiles(certificate=tmp_path / "car1.crt")
 
 
-def test_a_secret_may_come_through_a_pipe(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_secret_may_come_through_a_pipe(tmp_path: Path) -> None:
     path = tmp_path / "pipe"
     os.mkfifo(path, 0o600)
     writer = threading.Thread(target=lambda: path.write_bytes(b"open sesame\n"))
     writer.start()
     assert read_secret(path) == "open sesame"
     writer.join()
-    monkeypatch.setattr(tls, "PIPE_WAIT_S", 0.01)
-    with pytest.raises(ConfigError, match="nobody has written into this pipe"):
-        read_secret(path)
+    with pytest.raises(AddressError, match="nobody has written into this pipe"):
+        read_secret(path, pipe_wait_s=0.01)
 
 
 def test_a_secret_without_an_end_is_refused(tmp_path: Path) -> None:
@@ -90,6 +87,13 @@ def test_a_secret_without_an_end_is_refused(tmp_path: Path) -> None:
 
     writer = threading.Thread(target=write)
     writer.start()
-    with pytest.raises(ConfigError, match="so long a secret"):
+    with pytest.raises(AddressError, match="so long a secret"):
         read_secret(path)
     writer.join()
+
+
+def test_a_key_that_others_may_read_is_taken_only_by_whoever_says_so(files: TlsFiles, tmp_path: Path) -> None:
+    (tmp_path / "car1.key").chmod(0o644)
+    assert files.context(is_key_private=False).check_hostname
+    with pytest.raises(AddressError, match="chmod 600"):
+        files.context()

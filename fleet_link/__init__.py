@@ -1,0 +1,23 @@
+"""The way to a broker, for vehicles and backends: address, certificates, secrets, and one MQTT connection at a time."""
+
+from fleet_link.address import BrokerAddress, parse_broker
+from fleet_link.connection import Connection, Message
+from fleet_link.errors import AddressError, LinkDownError, LinkError, VersionRefusedError
+from fleet_link.secret_files import check_secret_mode, read_secret
+from fleet_link.terms import Terms
+from fleet_link.tls import TlsFiles
+
+__all__ = [
+    "AddressError",
+    "BrokerAddress",
+    "Connection",
+    "LinkDownError",
+    "LinkError",
+    "Message",
+    "Terms",
+    "TlsFiles",
+    "VersionRefusedError",
+    "check_secret_mode",
+    "parse_broker",
+    "read_secret",
+]

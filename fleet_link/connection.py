@@ -1,0 +1,252 @@
+"""One connection to a broker: many messages in flight, refusals told, messages in batches, acknowledged when we say so.
+
+It speaks through paho-mqtt alone, by its public interface. aiomqtt, which is built on it, tells nobody that a broker
+refused a message, and acknowledges what it received before anyone has kept it.
+"""
+
+import asyncio
+import contextlib
+import logging
+from collections import deque
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from typing import Final, Self
+
+from paho.mqtt.client import MQTT_ERR_SUCCESS, MQTT_LOG_ERR, Client, MQTTMessage, error_string
+from paho.mqtt.properties import Properties
+from paho.mqtt.reasoncodes import ReasonCode
+
+from fleet_contract import Outgoing
+from fleet_link.address import BrokerAddress
+from fleet_link.errors import LinkDownError, VersionRefusedError
+from fleet_link.socket_loop import SocketLoop
+from fleet_link.terms import AT_LEAST_ONCE, Terms, connect, make_client
+
+_UNLIMITED_IN_FLIGHT: Final = 65535  # MQTT 5.0, 3.2.2.3.3: without a Receive Maximum
+_UNSUPPORTED_PROTOCOL: Final = 132  # MQTT 5.0, table 3-1
+_LOST: Final = "connection lost"
+_LOG: Final = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Message:
+    """What a broker delivered."""
+
+    topic: str
+    payload: bytes
+    packet_id: int  # for its acknowledgement to the broker; 0 needs none
+
+
+class Connection:
+    """One connection, from `open` to `close`."""
+
+    def __init__(self, address: BrokerAddress, terms: Terms) -> None:
+        self._address = address
+        self._terms = terms
+        self._window = 1
+        self._in_flight: dict[int, str] = {}  # packet id -> topic, of what `publish_all` waits for
+        self._granted: set[str] = set()  # topics on which the broker took a message
+        self._is_probing = False  # on a topic that is not among them
+        self._refusal: str | None = None  # of a message of the last batch
+        self._complaint: str | None = None  # of the socket: TLS says no after the handshake
+        self._inbox: deque[Message] = deque()
+        self._answered = asyncio.Event()  # a message of ours was acknowledged or refused, or all is lost
+        self._arrived = asyncio.Event()  # a message came, or all is lost
+        self._is_lost = asyncio.Event()
+        loop = asyncio.get_running_loop()
+        self._accepted: asyncio.Future[ReasonCode | None] = loop.create_future()
+        self._subscribed: dict[int, asyncio.Future[list[ReasonCode] | None]] = {}
+        self._client = make_client(address, terms)
+        self._client.on_connect = self._on_connect
+        self._client.on_disconnect = self._on_disconnect
+        self._client.on_subscribe = self._on_subscribe
+        self._client.on_message = self._on_message
+        self._client.on_publish = self._on_publish
+        self._client.on_log = self._on_log
+        self._socket_loop = SocketLoop(self._client, self._lose)
+
+    @classmethod
+    async def open(cls, address: BrokerAddress, terms: Terms) -> Self:
+        """Connect.
+
+        Raises
+        ------
+        VersionRefusedError, LinkDownError
+            If the broker does not speak this version; if it is absent, silent or refuses us.
+        AddressError
+            If a certificate cannot be used.
+        """
+        connection = cls(address, terms)
+        try:
+            await connection._connect()
+        except BaseException:
+            await connection.close()
+            raise
+        return connection
+
+    async def publish_all(self, messages: Sequence[Outgoing]) -> None:
+        """Return when the broker has acknowledged all messages.
+
+        Raises
+        ------
+        LinkDownError
+            If it refuses one, does not answer for as long as a call may take, or the connection is gone.
+        """
+        self._refusal = None
+        self._in_flight.clear()  # what an interrupted call left behind
+        queue = deque(messages)
+        while queue or self._in_flight:
+            while queue and self._may_start(queue[0].topic):
+                self._start(queue.popleft())
+            self._answered.clear()
+            try:
+                await asyncio.wait_for(self._answered.wait(), self._terms.timeout_s)  # the next answer, not the last
+            except TimeoutError:
+                raise LinkDownError(f"no answer in {self._terms.timeout_s:g} s") from None
+            if self._refusal is not None or self._is_lost.is_set():
+                raise LinkDownError(self._refusal or _LOST)  # some brokers say no and hang up
+
+    def send(self, messages: Iterable[Outgoing]) -> None:
+        """Send messages at least once, and wait for nothing: who does not get them asks again."""
+        for message in messages:
+            self._client.publish(message.topic, message.payload, AT_LEAST_ONCE, message.is_retained)
+
+    async def subscribe(self, filters: Sequence[str]) -> None:
+        """Subscribe; raises LinkDownError if the broker refuses one."""
+        result, packet_id = self._client.subscribe([(name, AT_LEAST_ONCE) for name in filters])
+        if result != MQTT_ERR_SUCCESS or packet_id is None:
+            raise LinkDownError(_LOST)
+        granted = self._subscribed[packet_id] = asyncio.get_running_loop().create_future()
+        try:
+            codes = await asyncio.wait_for(granted, self._terms.timeout_s)
+        except TimeoutError:
+            raise LinkDownError(f"no answer in {self._terms.timeout_s:g} s") from None
+        finally:
+            del self._subscribed[packet_id]
+        if codes is None:
+            raise LinkDownError(_LOST)
+        refused = [name for name, code in zip(filters, codes, strict=True) if code.is_failure]
+        if refused:
+            raise LinkDownError(f"subscription to {', '.join(refused)} was refused")
+
+    async def collect(self, limit: int, patience_s: float) -> list[Message]:
+        """Return the next messages: as many as came until ``patience_s`` after the first, ``limit`` at most.
+
+        Raises
+        ------
+        LinkDownError
+            If the connection is lost; messages that were not settled come again.
+        """
+        while not self._inbox and not self._is_lost.is_set():
+            self._arrived.clear()
+            await self._arrived.wait()
+        if self._is_lost.is_set() and (self._terms.max_unsettled is not None or not self._inbox):
+            raise LinkDownError(_LOST)
+        if len(self._inbox) < limit:
+            await asyncio.sleep(patience_s)
+        return [self._inbox.popleft() for _ in range(min(limit, len(self._inbox)))]
+
+    def settle(self, messages: Sequence[Message]) -> None:
+        """Tell the broker that messages have arrived for good; it then sends as many others."""
+        for message in messages:
+            if message.packet_id:
+                self._client.ack(message.packet_id, AT_LEAST_ONCE)
+
+    async def lost(self) -> None:
+        """Return when the connection is lost."""
+        await self._is_lost.wait()
+
+    async def close(self) -> None:
+        """Take leave of the broker; the socket is closed when this returns, or soon after if the broker is slow."""
+        if self._client.disconnect() == MQTT_ERR_SUCCESS:
+            with contextlib.suppress(TimeoutError):
+                await asyncio.wait_for(self._is_lost.wait(), self._terms.timeout_s)
+        self._socket_loop.end()
+
+    async def _connect(self) -> None:
+        try:
+            await asyncio.to_thread(connect, self._client, self._address, self._terms)  # it blocks
+            code = await asyncio.wait_for(self._accepted, self._terms.timeout_s)
+        except TimeoutError:  # one of the system's is an OSError, too
+            raise LinkDownError(self._complaint or "Operation timed out") from None
+        except OSError as exc:
+            raise LinkDownError(" ".join(str(exc).split()) or type(exc).__name__) from exc
+        if code is None:
+            raise LinkDownError(self._complaint or _LOST)
+        if code.is_failure:
+            kind = VersionRefusedError if code.value == _UNSUPPORTED_PROTOCOL else LinkDownError
+            raise kind(f"connection refused: [code:{code.value}] {code}")
+
+    def _may_start(self, topic: str) -> bool:
+        """Return whether a message may go now: the first of a topic goes alone.
+
+        Mosquitto 2.0.11 says no to a message and then drops the connection if more came with it; its answer is lost.
+        """
+        if not self._in_flight:
+            return True
+        return topic in self._granted and not self._is_probing and len(self._in_flight) < self._window
+
+    def _start(self, message: Outgoing) -> None:
+        info = self._client.publish(message.topic, message.payload, AT_LEAST_ONCE, message.is_retained)
+        if info.rc != MQTT_ERR_SUCCESS:
+            raise LinkDownError(f"cannot send: {error_string(info.rc)}")
+        self._in_flight[info.mid] = message.topic
+        self._is_probing = message.topic not in self._granted
+
+    def _lose(self) -> None:
+        self._is_lost.set()
+        self._answered.set()
+        self._arrived.set()
+        if not self._accepted.done():
+            self._accepted.set_result(None)
+        for granted in self._subscribed.values():
+            if not granted.done():
+                granted.set_result(None)
+
+    def _on_connect(
+        self,
+        _client: Client,
+        _userdata: object,
+        _flags: object,
+        reason_code: ReasonCode,
+        properties: Properties | None,
+    ) -> None:
+        self._window = min(getattr(properties, "ReceiveMaximum", _UNLIMITED_IN_FLIGHT), self._terms.max_in_flight)
+        if not self._accepted.done():  # paho-mqtt may call more than once
+            self._accepted.set_result(reason_code)
+
+    def _on_disconnect(self, *_told: object) -> None:
+        self._lose()
+
+    def _on_subscribe(
+        self, _client: Client, _userdata: object, mid: int, codes: list[ReasonCode], _properties: Properties | None
+    ) -> None:
+        granted = self._subscribed.get(mid)
+        if granted is not None and not granted.done():
+            granted.set_result(codes)
+
+    def _on_message(self, _client: Client, _userdata: object, message: MQTTMessage) -> None:
+        packet_id = message.mid if message.qos else 0
+        limit = self._terms.max_unsettled
+        if not packet_id and limit is not None and len(self._inbox) >= limit:
+            return  # QoS 0 knows no limit, and promises nothing
+        self._inbox.append(Message(topic=message.topic, payload=bytes(message.payload), packet_id=packet_id))
+        self._arrived.set()
+
+    def _on_publish(
+        self, _client: Client, _userdata: object, mid: int, reason_code: ReasonCode, _properties: Properties
+    ) -> None:
+        topic = self._in_flight.pop(mid, None)
+        if topic is None:
+            if reason_code.is_failure:
+                _LOG.warning("the broker refused an acknowledgement: %s", reason_code)
+            return
+        if reason_code.is_failure:
+            self._refusal = f"{topic} was refused: {reason_code}"
+        else:
+            self._granted.add(topic)
+        self._answered.set()
+
+    def _on_log(self, _client: Client, _userdata: object, level: int, text: str) -> None:
+        if level == MQTT_LOG_ERR:
+            self._complaint = text

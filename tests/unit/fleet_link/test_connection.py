@@ -1,0 +1,192 @@
+"""A connection against brokers that say little, the wrong thing or nothing; against a real one in tests/integration."""
+
+import asyncio
+from collections.abc import AsyncIterator, Awaitable, Callable
+from contextlib import asynccontextmanager, suppress
+
+import pytest
+
+from fleet_contract import Outgoing
+from fleet_link import BrokerAddress, Connection, LinkDownError, Terms, VersionRefusedError
+from tests.patience import HANG_S
+
+ACCEPTED = bytes([0x20, 3, 0, 0, 0])  # CONNACK of MQTT 5 without properties
+AT_MOST_TWO = bytes([0x20, 6, 0, 0, 3, 0x21, 0, 2])  # with a Receive Maximum of 2
+NOT_AUTHORISED = bytes([0x20, 3, 0, 0x87, 0])
+NOT_THIS_VERSION = bytes([0x20, 2, 0, 1])  # as a broker of 3.1.1 says it
+SHORT = Terms(timeout_s=0.2)
+
+Script = Callable[[asyncio.StreamReader, asyncio.StreamWriter], Awaitable[None]]
+
+
+async def packet(reader: asyncio.StreamReader) -> tuple[int, bytes]:
+    """Return the kind and the content of the next packet of less than 16 KiB."""
+    kind, length = await reader.readexactly(2)
+    if length & 0x80:
+        length = (length & 0x7F) + 128 * (await reader.readexactly(1))[0]
+    return kind >> 4, await reader.readexactly(length)
+
+
+@asynccontextmanager
+async def broker(script: Script) -> AsyncIterator[BrokerAddress]:
+    """Serve a script to whoever connects."""
+    ended = asyncio.Queue[None]()
+    count = 0
+
+    async def serve(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        nonlocal count
+        count += 1
+        with suppress(asyncio.IncompleteReadError, ConnectionError):
+            await script(reader, writer)
+        with suppress(ConnectionError):
+            writer.close()
+            await writer.wait_closed()
+        ended.put_nowait(None)
+
+    server = await asyncio.start_server(serve, "127.0.0.1", 0)
+    async with server:
+        yield BrokerAddress(host="127.0.0.1", port=server.sockets[0].getsockname()[1])
+        for _ in range(count):
+            await asyncio.wait_for(ended.get(), HANG_S)
+
+
+def saying(answer: bytes) -> Script:
+    """Return the script of a broker that answers a CONNECT and then only listens."""
+
+    async def script(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        await packet(reader)
+        writer.write(answer)
+        while await reader.read(1024):
+            pass
+
+    return script
+
+
+async def hang_up(reader: asyncio.StreamReader, _writer: asyncio.StreamWriter) -> None:
+    await packet(reader)
+
+
+def messages(count: int, topic: str = "t") -> list[Outgoing]:
+    return [Outgoing(topic=topic, payload=b"%d" % number, is_retained=False) for number in range(count)]
+
+
+@pytest.mark.parametrize(
+    ("script", "said"),
+    [
+        (saying(NOT_AUTHORISED), r"connection refused: \[code:135\] Not authorized"),
+        (saying(b""), "Operation timed out"),
+        (hang_up, "connection lost"),
+        (saying(b"HTTP/1.1 400 Bad Request\r\n\r\n"), "connection lost|timed out"),
+    ],
+    ids=["refused", "silent", "hung up", "no broker"],
+)
+async def test_a_broker_that_does_not_take_us_is_down(script: Script, said: str) -> None:
+    async with broker(script) as address:
+        with pytest.raises(LinkDownError, match=said):
+            await asyncio.wait_for(Connection.open(address, SHORT), HANG_S)
+
+
+async def test_where_nobody_listens_it_says_so() -> None:
+    async with broker(hang_up) as address:
+        pass
+    with pytest.raises(LinkDownError, match="Connection refused"):
+        await Connection.open(address, SHORT)
+
+
+async def test_another_version_is_told_from_a_refusal() -> None:
+    async with broker(saying(NOT_THIS_VERSION)) as address:
+        with pytest.raises(VersionRefusedError):
+            await Connection.open(address, SHORT)
+
+
+async def test_no_answer_to_a_message_is_an_error() -> None:
+    async with broker(saying(ACCEPTED)) as address:
+        connection = await Connection.open(address, SHORT)
+        with pytest.raises(LinkDownError, match=r"no answer in 0\.2 s"):
+            await connection.publish_all(messages(1))
+        with pytest.raises(LinkDownError, match=r"no answer in 0\.2 s"):
+            await connection.subscribe(["t"])
+        await connection.close()
+
+
+async def test_messages_of_others_are_no_answer_to_ours() -> None:
+    async def chat(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        await packet(reader)
+        writer.write(ACCEPTED)
+        while True:
+            writer.write(bytes([0x30, 5, 0, 1]) + b"t" + bytes([0]) + b"x")
+            await writer.drain()
+            await asyncio.sleep(0.01)
+
+    async with broker(chat) as address:
+        connection = await Connection.open(address, SHORT)
+        with pytest.raises(LinkDownError, match="no answer"):
+            await asyncio.wait_for(connection.publish_all(messages(1)), HANG_S)
+        assert {message.payload for message in await connection.collect(10, 0.0)} == {b"x"}
+        await connection.close()
+
+
+async def test_no_more_is_in_flight_than_the_broker_takes() -> None:
+    waiting, most = 0, 0
+
+    async def count(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        nonlocal waiting, most
+        await packet(reader)
+        writer.write(AT_MOST_TWO)
+        while True:
+            kind, content = await packet(reader)
+            if kind == 3:
+                waiting += 1
+                most = max(most, waiting)
+                asyncio.get_running_loop().call_later(0.01, answer, writer, content[3:5])
+
+    def answer(writer: asyncio.StreamWriter, packet_id: bytes) -> None:
+        nonlocal waiting
+        waiting -= 1
+        writer.write(bytes([0x40, 2]) + packet_id)
+
+    async with broker(count) as address:
+        connection = await Connection.open(address, Terms(max_in_flight=100))
+        await asyncio.wait_for(connection.publish_all(messages(20)), HANG_S)
+        await connection.close()
+    assert most == 2
+
+
+async def test_a_loss_ends_whoever_waits() -> None:
+    async def leave(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        await packet(reader)
+        writer.write(ACCEPTED)
+        await packet(reader)
+
+    async with broker(leave) as address:
+        connection = await Connection.open(address, Terms())
+        reading = asyncio.create_task(connection.collect(10, 0.0))
+        with pytest.raises(LinkDownError, match="connection lost"):
+            await asyncio.wait_for(connection.publish_all(messages(3)), HANG_S)
+        with pytest.raises(LinkDownError, match="connection lost"):
+            await asyncio.wait_for(reading, HANG_S)
+        await asyncio.wait_for(connection.lost(), HANG_S)
+        with pytest.raises(LinkDownError):
+            await connection.publish_all(messages(1))
+        await connection.close()
+
+
+async def test_bytes_that_are_no_mqtt_end_the_connection() -> None:
+    async def babble(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        await packet(reader)
+        writer.write(ACCEPTED + bytes([0x40, 1, 7]) + bytes([0xF0, 0xFF, 0xFF, 0xFF, 0xFF, 0xFF]))
+        await reader.read()
+
+    async with broker(babble) as address:
+        connection = await Connection.open(address, Terms())
+        await asyncio.wait_for(connection.lost(), HANG_S)
+        await connection.close()
+
+
+async def test_whoever_gives_up_waiting_leaves_no_socket_behind() -> None:
+    async with broker(saying(b"")) as address:
+        attempt = asyncio.create_task(Connection.open(address, Terms()))
+        await asyncio.sleep(0.05)
+        attempt.cancel()
+        with pytest.raises(asyncio.CancelledError):
+            await asyncio.wait_for(attempt, HANG_S)
