@@ -17,7 +17,7 @@ import click
 DISTRIBUTION: Final = "clutchdiag"
 EXIT_USAGE: Final = 2
 FILE: Final = click.Path(readable=False, path_type=Path)  # whether it can be read is found out by reading it
-_LOOKS_LIKE_OPTION: Final = re.compile(r"-(?!\d*\.?\d+$).")  # a negative number does not
+_LOOKS_LIKE_OPTION: Final = re.compile(r"-(?!\d*\.?\d+$)\S+$")  # neither a negative number does nor a sentence
 _CONTEXT: Final = {"help_option_names": ["-h", "--help"], "max_content_width": 120}
 
 _Word = TypeVar("_Word", int, str)
@@ -238,11 +238,8 @@ def _invalid_choice(word: object, choices: Iterable[object]) -> str:
 def _complaint(exc: click.UsageError) -> str:
     """Return what is wrong, beginning with the option or the argument."""
     if isinstance(exc, click.BadParameter) and exc.param is not None:
-        name = (
-            "/".join(exc.param.opts)
-            if isinstance(exc.param, click.Option)
-            else exc.param.human_readable_name.rstrip(".")
-        )
+        is_option = isinstance(exc.param, click.Option)
+        name = "/".join(exc.param.opts) if is_option else exc.param.human_readable_name.rstrip(".")
         is_missing = isinstance(exc, click.MissingParameter)
         return f"the following arguments are required: {name}" if is_missing else f"argument {name}: {exc.message}"
     text = exc.format_message()
