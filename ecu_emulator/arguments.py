@@ -46,38 +46,37 @@ def _instant_ns(text: str) -> int:
     return int(aware.replace(microsecond=0).timestamp()) * NS_PER_S + aware.microsecond * 1000
 
 
-_VERBOSE: Final = Option("-v", "--verbose", is_flag=True, help="show a traceback on errors")
+_VERBOSE: Final = Option("-v --verbose", "show a traceback on errors")
 _DRIVE: Final = (
-    Option("--scenario", default="ideal", metavar="NAME|FILE", help="shipped scenario or TOML file"),
-    Option("--fluid", type=Choice(["ideal", "case1", "case2", "ageing"]), help="override the fluid"),
-    Option("--seed", type=INT, metavar="N", help="override the seed of car and drive"),
-    Option("--vehicle-seed", type=INT, metavar="N", help="draw the car from this seed, not from --seed"),
-    Option("--drive-seed", type=INT, metavar="N", help="draw driver and noise from this one"),
-    Option("--cycles", type=INT, metavar="N", help="override the number of shift cycles"),
+    Option("--scenario NAME|FILE", "shipped scenario or TOML file", default="ideal"),
+    Option("--fluid", "override the fluid", Choice(["ideal", "case1", "case2", "ageing"])),
+    Option("--seed N", "override the seed of car and drive", INT),
+    Option("--vehicle-seed N", "draw the car from this seed, not from --seed", INT),
+    Option("--drive-seed N", "draw driver and noise from this one", INT),
+    Option("--cycles N", "override the number of shift cycles", INT),
     Option(
-        "--routine",
-        type=_rev_counts,
-        flag_value=DEFAULT_REVS,
-        metavar="[OPEN[,CLOSED]]",
-        help="begin with the workshop routine: so many revs in neutral with open, then with closed clutches "
+        "--routine [OPEN[,CLOSED]]",
+        "begin with the workshop routine: so many revs in neutral with open, then with closed clutches "
         f"({DEFAULT_REVS})",
+        _rev_counts,
+        flag_value=DEFAULT_REVS,
     ),
-    Option("--json", is_flag=True, help="print the result as one JSON line on stdout"),
+    Option("--json", "print the result as one JSON line on stdout"),
     _VERBOSE,
 )
 _RUN: Final = Command(
     "run",
     "stream a drive onto a CAN interface in real time",
-    Option("-i", "--interface", help="python-can interface (default: can.conf, CAN_INTERFACE)"),
-    Option("-c", "--channel", help="channel, e.g. vcan0 (default: can.conf, CAN_CHANNEL)"),
-    Option("-b", "--bitrate", type=INT, help="bit rate of a real interface [bit/s]"),
-    Option("--fd", is_flag=True, help="open the interface in CAN FD mode"),
+    Option("-i --interface INTERFACE", "python-can interface (default: can.conf, CAN_INTERFACE)"),
+    Option("-c --channel CHANNEL", "channel, e.g. vcan0 (default: can.conf, CAN_CHANNEL)"),
+    Option("-b --bitrate BITRATE", "bit rate of a real interface [bit/s]", INT),
+    Option("--fd", "open the interface in CAN FD mode"),
     *_DRIVE,
-    Option("--truth", type=FILE, metavar="FILE", help="write the truth about every shift to this file"),
-    Option("--summary", type=FILE, metavar="FILE", help="write the transmit report to this file as JSON"),
-    Option("--control", type=FILE, metavar="SOCKET", help="take faults at run time on this Unix socket"),
-    Option("--alive", type=FILE, metavar="FILE", help="touch this file while frames go out"),
-    Option("--start-delay", type=_seconds, default="0", metavar="S", help="wait before the first frame"),
+    Option("--truth FILE", "write the truth about every shift to this file", FILE),
+    Option("--summary FILE", "write the transmit report to this file as JSON", FILE),
+    Option("--control SOCKET", "take faults at run time on this Unix socket", FILE),
+    Option("--alive FILE", "touch this file while frames go out", FILE),
+    Option("--start-delay S", "wait before the first frame", _seconds, default="0"),
     examples=(
         f"{PROGRAM} run -i socketcan -c vcan0",
         f"{PROGRAM} run -i socketcan -c vcan0 --fluid case2 --cycles 3 --truth truth.jsonl --json",
@@ -88,14 +87,12 @@ _RECORD: Final = Command(
     "write a drive to a log file, faster than real time",
     click.Argument(["file"], type=FILE, metavar="FILE", help="log to write"),
     Option(
-        "--format",
-        type=Choice(["candump", "blf", "asc", "mf4", "trc", "csv", "gvret"]),
-        help="default: by the file's suffix",
+        "--format", "default: by the file's suffix", Choice(["candump", "blf", "asc", "mf4", "trc", "csv", "gvret"])
     ),
-    Option("--start-time", type=_instant_ns, default=DEFAULT_START, metavar="ISO", help=f"default: {DEFAULT_START}"),
-    Option("-c", "--channel", default="vcan0", help="channel name in the log (default: vcan0)"),
+    Option("--start-time ISO", f"default: {DEFAULT_START}", _instant_ns, default=DEFAULT_START),
+    Option("-c --channel CHANNEL", "channel name in the log (default: vcan0)", default="vcan0"),
     *_DRIVE,
-    Option("--truth", type=FILE, metavar="FILE", help="default: FILE.truth.jsonl beside the log"),
+    Option("--truth FILE", "default: FILE.truth.jsonl beside the log", FILE),
     examples=(
         f"{PROGRAM} record drive.log",
         f"{PROGRAM} record drive.blf --scenario case1 --cycles 5 --routine",

@@ -31,20 +31,17 @@ def _count(text: str | int) -> int:
 
 _COMMON: Final = (
     Option(
-        "--database",
-        envvar=DATABASE_VARIABLE,
-        metavar="URL",
-        help=f"postgresql://[user@]host[:port]/NAME or sqlite:///FILE (default: the environment's"
+        "--database URL",
+        f"postgresql://[user@]host[:port]/NAME or sqlite:///FILE (default: the environment's"
         f" {DATABASE_VARIABLE}, else an SQLite file in the user's state directory)",
+        envvar=DATABASE_VARIABLE,
     ),
     VERBOSE,
 )
 _QUESTION: Final = (
     *_COMMON,
-    Option("--json", is_flag=True, help="one JSON object per line"),
-    Option(
-        "--width", type=_count, metavar="N", help="columns to fit a table into (default: the terminal's, in a pipe any)"
-    ),
+    Option("--json", "one JSON object per line"),
+    Option("--width N", "columns to fit a table into (default: the terminal's, in a pipe any)", _count),
 )
 _VEHICLE: Final = click.Argument(["vehicle"], metavar="VEHICLE", help="vehicle id")
 _CLUTCH: Final = Choice([1, 2])
@@ -53,29 +50,21 @@ _INGEST: Final = Command(
     "take results from the broker into the database, until stopped",
     *_COMMON,
     Option(
-        "--broker",
+        "--broker URL",
+        f"mqtt[s]://[user[:password]@]host[:port], MQTT 5 (default: the environment's {BROKER_VARIABLE})",
         envvar=BROKER_VARIABLE,
-        metavar="URL",
-        help=f"mqtt[s]://[user[:password]@]host[:port], MQTT 5 (default: the environment's {BROKER_VARIABLE})",
     ),
-    Option("--ca", type=FILE, metavar="FILE", help="certificate authority of an mqtts:// broker"),
-    Option("--cert", type=FILE, metavar="FILE", help="our certificate, for mutual TLS"),
-    Option("--key", type=FILE, metavar="FILE", help="its private key"),
-    Option("--worker", metavar="NAME", help="name of this worker, unlike any other's (default: made up)"),
-    Option("--alive", type=FILE, metavar="FILE", help="touch this file every 5 s while broker and database answer"),
+    Option("--ca FILE", "certificate authority of an mqtts:// broker", FILE),
+    Option("--cert FILE", "our certificate, for mutual TLS", FILE),
+    Option("--key FILE", "its private key", FILE),
+    Option("--worker NAME", "name of this worker, unlike any other's (default: made up)"),
+    Option("--alive FILE", "touch this file every 5 s while broker and database answer", FILE),
+    Option("--batch N", f"messages per transaction (default: {_PACE.batch_size})", INT, default=_PACE.batch_size),
     Option(
-        "--batch",
-        type=INT,
-        default=_PACE.batch_size,
-        metavar="N",
-        help=f"messages per transaction (default: {_PACE.batch_size})",
-    ),
-    Option(
-        "--patience",
-        type=FLOAT,
+        "--patience MS",
+        f"how long the first message of a batch waits for others (default: {_PACE.patience_s * 1000.0:g})",
+        FLOAT,
         default=_PACE.patience_s * 1000.0,
-        metavar="MS",
-        help=f"how long the first message of a batch waits for others (default: {_PACE.patience_s * 1000.0:g})",
     ),
     examples=(
         f"{PROGRAM} ingest --broker mqtts://fleet@broker.example --database postgresql://fleet@db.example/fleet",
@@ -85,7 +74,7 @@ _TABLE: Final = Command(
     "table",
     "show the running condition of every clutch, the worst first",
     *_QUESTION,
-    Option("--limit", type=_count, metavar="N", help="show the N worst only"),
+    Option("--limit N", "show the N worst only", _count),
     examples=(f"{PROGRAM} table --limit 10",),
 )
 _TREND: Final = Command(
@@ -96,9 +85,9 @@ _TREND: Final = Command(
     *_QUESTION,
     Option(
         "--against",
-        type=Choice([axis.value for axis in Axis]),
+        f"what the trend is shown over (default: {Axis.SHIFT})",
+        Choice([axis.value for axis in Axis]),
         default=Axis.SHIFT.value,
-        help=f"what the trend is shown over (default: {Axis.SHIFT})",
     ),
     examples=(f"{PROGRAM} trend car1 2 --against odometer",),
 )
@@ -106,15 +95,14 @@ _ALARMS: Final = Command(
     "alarms",
     "show or acknowledge alarms",
     *_QUESTION,
-    Option("--all", is_flag=True, help="also those that are cleared"),
+    Option("--all", "also those that are cleared"),
     Option(
-        "--acknowledge",
-        metavar="VEHICLE",
-        help="acknowledge the latest alarm of its --clutch, or without --clutch what was kept aside on its topics",
+        "--acknowledge VEHICLE",
+        "acknowledge the latest alarm of its --clutch, or without --clutch what was kept aside on its topics",
     ),
-    Option("--clutch", type=_CLUTCH, help="whose alarm is acknowledged"),
-    Option("--by", metavar="WHO", help="who acknowledges (default: the user)"),
-    Option("--note", metavar="TEXT", help="what is to be remembered of it"),
+    Option("--clutch", "whose alarm is acknowledged", _CLUTCH),
+    Option("--by WHO", "who acknowledges (default: the user)"),
+    Option("--note TEXT", "what is to be remembered of it"),
     examples=(
         f"{PROGRAM} alarms --all --json",
         f"{PROGRAM} alarms --acknowledge car1 --clutch 2 --note 'fluid is on order'",
@@ -124,14 +112,8 @@ _QUARANTINE: Final = Command(
     "quarantine",
     "show or forget messages that could not be used",
     *_QUESTION,
-    Option(
-        "--limit",
-        type=_count,
-        default=_QUARANTINE_LIMIT,
-        metavar="N",
-        help=f"show the N latest only (default: {_QUARANTINE_LIMIT})",
-    ),
-    Option("--purge-days", type=FLOAT, metavar="D", help="forget what is older than D days instead"),
+    Option("--limit N", f"show the N latest only (default: {_QUARANTINE_LIMIT})", _count, default=_QUARANTINE_LIMIT),
+    Option("--purge-days D", "forget what is older than D days instead", FLOAT),
     examples=(f"{PROGRAM} quarantine --purge-days 90",),
 )
 _FILL: Final = Command(
@@ -140,9 +122,9 @@ _FILL: Final = Command(
     _VEHICLE,
     click.Argument(["product"], metavar="PRODUCT", help="name of the fluid"),
     *_COMMON,
-    Option("--at", metavar="DATE", help="ISO 8601, UTC without a zone (default: now)"),
-    Option("--odometer-km", type=FLOAT, metavar="KM", help="reading of the odometer"),
-    Option("--note", metavar="TEXT", help="what is to be remembered of it"),
+    Option("--at DATE", "ISO 8601, UTC without a zone (default: now)"),
+    Option("--odometer-km KM", "reading of the odometer", FLOAT),
+    Option("--note TEXT", "what is to be remembered of it"),
     examples=(f"{PROGRAM} fill car1 DCTF-II --at 2026-01-31 --odometer-km 61200",),
 )
 COMMAND_LINE: Final = Program(

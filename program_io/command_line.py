@@ -6,7 +6,7 @@ statuses and the loading of libraries stay with the program.
 
 import re
 import sys
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from itertools import pairwise
 from pathlib import Path
 from types import SimpleNamespace
@@ -52,27 +52,37 @@ FLOAT: Final = Number(float)
 
 
 class Option(click.Option):
-    """An option whose value is called by the option's name in the help, as ``BITRATE`` of ``--bitrate``.
+    """An option, written as the help shows it: ``-b --bitrate BITRATE`` takes a value, ``--fd`` takes none.
 
     Parameters
     ----------
-    names, attributes :
-        As click has them. With a ``flag_value`` the option may stand without a value, too.
+    words, text, kind :
+        Names and what stands for the value, the help, and what the value is: a text if nothing is said.
+    attributes :
+        As click has them. With a ``flag_value`` the option may stand without its value, too.
     """
 
-    def __init__(self, *names: str, **attributes: Any) -> None:  # noqa: ANN401 - click's own, many of them
+    can_be_set = False  # by a variable of the environment that bears its name
+
+    def __init__(
+        self,
+        words: str,
+        text: str,
+        kind: click.ParamType[Any] | Callable[[str], object] | None = None,
+        **attributes: Any,  # noqa: ANN401 - click's own, many of them
+    ) -> None:
+        names = [word for word in words.split() if word.startswith("-")]
+        metavar = words.split()[len(names)] if len(names) < len(words.split()) else None
+        attributes["allow_from_autoenv"] = self.can_be_set
         if "flag_value" in attributes:
             attributes["is_flag"] = False
-        super().__init__(names, **{"allow_from_autoenv": False, **attributes})
+        elif metavar is None and kind is None and not attributes.get("count"):
+            attributes["is_flag"] = True
+        super().__init__(names, type=kind, metavar=metavar, help=text, **attributes)
         self.needs_value = not (self.is_flag or self.count or "flag_value" in attributes)
 
-    def make_metavar(self, ctx: click.Context) -> str:
-        """Return what stands for the value in the help."""
-        is_named = self.metavar is not None or isinstance(self.type, click.Choice)
-        return super().make_metavar(ctx) if is_named else self.name.upper()
 
-
-VERBOSE: Final = Option("-v", "--verbose", count=True, help="say more; twice: libraries too")
+VERBOSE: Final = Option("-v --verbose", "say more; twice: libraries too", count=True)
 
 
 class _Page(click.Command):
@@ -103,7 +113,7 @@ class Command(_Page):
     examples :
         Whole command lines, shown in the help.
     variables :
-        Prefix, without ``_``, of the environment variables that stand for options with ``allow_from_autoenv``.
+        Prefix, without ``_``, of the environment variables that stand for options that ``can_be_set``.
     """
 
     def __init__(

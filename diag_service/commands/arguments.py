@@ -27,8 +27,8 @@ _FOLDERS: Final = (
 DEFAULT_BITRATE: Final = 500_000
 
 
-_JSON_LINES: Final = Option("--json", is_flag=True, help="JSON lines on standard output, text on standard error")
-_JSON: Final = Option("--json", is_flag=True, help="one JSON object on standard output")
+_JSON_LINES: Final = Option("--json", "JSON lines on standard output, text on standard error")
+_JSON: Final = Option("--json", "one JSON object on standard output")
 _DATABASE: Final = tuple(option for option in MEANING if option.name in {"dbc", "lenient"})
 _LOG: Final = click.Argument(["log"], type=FILE, metavar="LOG", help="log file")
 
@@ -38,7 +38,7 @@ def _logs(text: str) -> click.Argument:
 
 
 def _output(text: str, *, required: bool = False) -> Option:
-    return Option("-o", "--output", type=FILE, metavar="FILE", required=required, help=text)
+    return Option("-o --output FILE", text, FILE, required=required)
 
 
 _RUN: Final = Command(
@@ -72,18 +72,17 @@ _ANALYZE: Final = Command(
     _logs("log file, or folder of log files"),
     Option(
         "--estimator",
-        type=Choice(["impulse", "paper"]),
+        "impulse: the service's own; paper: the method of SAE 2015-01-1146, without uncertainty and verdict",
+        Choice(["impulse", "paper"]),
         default="impulse",
-        help="impulse: the service's own; paper: the method of SAE 2015-01-1146, without uncertainty and verdict",
     ),
     Option(
         "--strict",
-        is_flag=True,
-        help="stop at the first line or object that is no frame, jump of time or cut, and say where; end with status 5 "
+        "stop at the first line or object that is no frame, jump of time or cut, and say where; end with status 5 "
         "if a log or a channel contributed nothing",
     ),
     _output("write the results to a .jsonl, .csv or .parquet file"),
-    Option("--jobs", type=INT, metavar="N", help="drives of folders at a time (default: one per core)"),
+    Option("--jobs N", "drives of folders at a time (default: one per core)", INT),
     *(*MEANING, CONFIG, *DELIVERY, _JSON_LINES, VERBOSE),
     variables=VARIABLES,
     description=_FOLDERS,
@@ -99,7 +98,7 @@ _CALIBRATE: Final = Command(
     _logs("logs of one vehicle, a drive or more"),
     _output("calibration file to write (TOML)", required=True),
     *(*MEANING, CONFIG),
-    Option("--json", is_flag=True, help="JSON on standard output"),
+    Option("--json", "JSON on standard output"),
     VERBOSE,
     variables=VARIABLES,
     examples=(f"{PROGRAM} calibrate monday.log tuesday.log --vehicle car1 -o car1.toml",),
@@ -110,11 +109,10 @@ _INSPECT: Final = Command(
     _logs("log file"),
     *_DATABASE,
     Option(
-        "-b",
-        "--bitrate",
-        type=INT,
+        "-b --bitrate BITRATE",
+        f"bit rate that the bus load is told for [bit/s] (default: {DEFAULT_BITRATE})",
+        INT,
         default=DEFAULT_BITRATE,
-        help=f"bit rate that the bus load is told for [bit/s] (default: {DEFAULT_BITRATE})",
     ),
     *(_JSON, VERBOSE),
     description="Show what traffic a log holds. A database names the messages; the shipped one also checks them.",
@@ -132,17 +130,17 @@ _DECODE: Final = Command(
     *(_LOG, _output("Parquet file to write", required=True), *_DATABASE),
     Option(
         "--layout",
-        type=Choice(["wide", "long"]),
+        "wide: a row per frame, a column per signal; long: a row per value (default: wide)",
+        Choice(["wide", "long"]),
         default="wide",
-        help="wide: a row per frame, a column per signal; long: a row per value (default: wide)",
     ),
     Option(
         "--values",
-        type=Choice(["numbers", "texts", "both"]),
+        "values that the database names: as numbers, as texts in a column beside, or both (default: numbers)",
+        Choice(["numbers", "texts", "both"]),
         default="numbers",
-        help="values that the database names: as numbers, as texts in a column beside, or both (default: numbers)",
     ),
-    Option("--strict", is_flag=True, help="end with status 5 if anything of the log is not in the file, and say what"),
+    Option("--strict", "end with status 5 if anything of the log is not in the file, and say what"),
     *(_JSON, VERBOSE),
     examples=(f"{PROGRAM} decode drive.blf --dbc car.dbc -o drive.parquet",),
 )

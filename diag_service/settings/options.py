@@ -26,8 +26,7 @@ _KINDS: Final = {
 class Setting(Option):
     """An option that the environment or a settings file may set, under its name with ``_`` for ``-``."""
 
-    def __init__(self, *names: str, **attributes: Any) -> None:  # noqa: ANN401 - click's own, many of them
-        super().__init__(*names, allow_from_autoenv=True, **attributes)
+    can_be_set = True
 
     @property
     def demand(self) -> str:
@@ -64,71 +63,56 @@ def _read_elsewhere(ctx: click.Context, _option: click.Parameter, file: Path | N
 
 
 MEANING: Final = (
-    Setting("--vehicle", metavar="ID", help="vehicle id (default: the calibration's, or vehicle)"),
-    Setting(
-        "--dbc",
-        type=FILE,
-        metavar="FILE[#BUS]",
-        help="message database: DBC, KCD, ARXML or SYM (default: the shipped one)",
-    ),
+    Setting("--vehicle ID", "vehicle id (default: the calibration's, or vehicle)"),
+    Setting("--dbc FILE[#BUS]", "message database: DBC, KCD, ARXML or SYM (default: the shipped one)", FILE),
     Setting(
         "--lenient",
-        is_flag=True,
-        help="leave out items of a DBC file that cannot be right, each with a warning, instead of refusing the file",
+        "leave out items of a DBC file that cannot be right, each with a warning, instead of refusing the file",
     ),
     Setting(
-        "--profile",
-        type=FILE,
-        metavar="P",
-        help="which DBC signals are which: TOML file or shipped name (default: the shipped one that fits the DBC)",
+        "--profile P",
+        "which DBC signals are which: TOML file or shipped name (default: the shipped one that fits the DBC)",
+        FILE,
     ),
-    Setting("--calibration", type=FILE, metavar="FILE", help="of a vehicle or its type (TOML; default: nominal)"),
+    Setting("--calibration FILE", "of a vehicle or its type (TOML; default: nominal)", FILE),
 )
 DELIVERY: Final = (
     Setting(
-        "--store",
-        type=FILE,
-        metavar="FILE",
-        help="SQLite file for results (default of run: in the user's state directory, by vehicle; of analyze: none, "
+        "--store FILE",
+        "SQLite file for results (default of run: in the user's state directory, by vehicle; of analyze: none, "
         "results are shown only)",
+        FILE,
     ),
     Setting(
-        "--store-budget",
-        type=INT,
-        metavar="MIB",
-        help="how large the store may grow; delivered results go first, then empty ones (default: no limit)",
+        "--store-budget MIB",
+        "how large the store may grow; delivered results go first, then empty ones (default: no limit)",
+        INT,
     ),
     Setting(
-        "--broker",
-        metavar="URL",
-        help=f"mqtt[s]://[user[:password]@]host[:port] (default: the environment's {VARIABLES}_BROKER, else none)",
+        "--broker URL",
+        f"mqtt[s]://[user[:password]@]host[:port] (default: the environment's {VARIABLES}_BROKER, else none)",
     ),
-    Setting("--ca", type=FILE, metavar="FILE", help="authority of an mqtts:// broker (default: system)"),
-    Setting("--cert", type=FILE, metavar="FILE", help="our certificate; a renewed one is taken up at once"),
-    Setting("--key", type=FILE, metavar="FILE", help="its key, readable for its owner only"),
-    Setting("--password-file", type=FILE, metavar="FILE", help="holds the broker's password, chmod 600"),
+    Setting("--ca FILE", "authority of an mqtts:// broker (default: system)", FILE),
+    Setting("--cert FILE", "our certificate; a renewed one is taken up at once", FILE),
+    Setting("--key FILE", "its key, readable for its owner only", FILE),
+    Setting("--password-file FILE", "holds the broker's password, chmod 600", FILE),
     Setting(
         "--acknowledge",
-        type=Choice(["broker", "backend"]),
+        "whose word lets the outbox forget a result; a backend gives it after its commit (default: broker)",
+        Choice(["broker", "backend"]),
         default="broker",
-        help="whose word lets the outbox forget a result; a backend gives it after its commit (default: broker)",
     ),
 )
 BUS: Final = (
-    Setting("-i", "--interface", help="python-can interface: socketcan, udp_multicast, ..."),
-    Setting("-c", "--channel", help="channel of the interface, such as vcan0"),
-    Setting("-b", "--bitrate", type=INT, help="bit rate, for interfaces that set it [bit/s]"),
-    Setting("--fd", is_flag=True, help="open the interface in CAN FD mode"),
-    Setting("--only-mapped", is_flag=True, help="let the kernel discard other messages, uncounted"),
-    Setting("--duration", type=FLOAT, metavar="S", help="stop after this many seconds"),
-    Setting("--metrics", metavar="[HOST:]PORT", help="serve /metrics, /livez and /readyz there (default: nowhere)"),
+    Setting("-i --interface INTERFACE", "python-can interface: socketcan, udp_multicast, ..."),
+    Setting("-c --channel CHANNEL", "channel of the interface, such as vcan0"),
+    Setting("-b --bitrate BITRATE", "bit rate, for interfaces that set it [bit/s]", INT),
+    Setting("--fd", "open the interface in CAN FD mode"),
+    Setting("--only-mapped", "let the kernel discard other messages, uncounted"),
+    Setting("--duration S", "stop after this many seconds", FLOAT),
+    Setting("--metrics [HOST:]PORT", "serve /metrics, /livez and /readyz there (default: nowhere)"),
 )
 CONFIG: Final = Setting(
-    "--config",
-    type=FILE,
-    metavar="FILE",
-    is_eager=True,
-    callback=_read_elsewhere,
-    help="TOML file with settings, see 'config check'",
+    "--config FILE", "TOML file with settings, see 'config check'", FILE, is_eager=True, callback=_read_elsewhere
 )
 SETTINGS: Final[Mapping[str, Setting]] = {option.name: option for option in (*MEANING, *DELIVERY, *BUS)}

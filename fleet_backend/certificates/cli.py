@@ -15,13 +15,11 @@ from program_io.complaint import complain
 PROGRAM: Final = "fleet-certificates"
 EXIT_OK, EXIT_USAGE = 0, 2
 _EXIT_TEXT: Final = "exit status: 0 done, 1 unexpected error, 2 usage, or an extra that is not installed"
-_FOLDER: Final = Option(
-    "--folder", type=FILE, default=Path("certificates"), metavar="FOLDER", help="default: certificates"
-)
+_FOLDER: Final = Option("--folder FOLDER", "default: certificates", FILE, default=Path("certificates"))
 
 
 def _days(default: float) -> Option:
-    return Option("--days", type=FLOAT, default=default, help=f"until it expires (default: {default:g})")
+    return Option("--days DAYS", f"until it expires (default: {default:g})", FLOAT, default=default)
 
 
 COMMAND_LINE: Final = Program(
@@ -34,7 +32,7 @@ COMMAND_LINE: Final = Program(
         "server",
         "make or renew the certificate of a broker",
         click.Argument(["name"], help="name of the files"),
-        Option("--host", multiple=True, help="name or address of the broker; may be repeated"),
+        Option("--host HOST", "name or address of the broker; may be repeated", multiple=True),
         *(_FOLDER, _days(398.0)),
         examples=(f"{PROGRAM} server broker --host broker.example --host 192.0.2.7 --folder fleet",),
     ),
