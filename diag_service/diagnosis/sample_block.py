@@ -19,6 +19,16 @@ class Samples(NamedTuple):
     value: FloatArray  # (k, n)
 
 
+def empty_rows(count: int, size: int) -> Samples:
+    """Return empty rows for ``size`` samples each."""
+    return Samples(
+        filled=np.zeros(count, np.int64),
+        t_ns=np.empty((count, size), np.int64),
+        sequence=np.empty((count, size), np.int64),
+        value=np.empty((count, size)),
+    )
+
+
 class BlockLayout:
     """Which signal is in which row of a block, and how often it comes."""
 
@@ -29,13 +39,7 @@ class BlockLayout:
 
     def room(self, size: int) -> Samples:
         """Return empty rows for ``size`` samples each."""
-        shape = len(self.signals), size
-        return Samples(
-            filled=np.zeros(shape[0], np.int64),
-            t_ns=np.empty(shape, np.int64),
-            sequence=np.empty(shape, np.int64),
-            value=np.empty(shape),
-        )
+        return empty_rows(len(self.signals), size)
 
 
 class SampleBlock(Mapping[Signal, Series]):

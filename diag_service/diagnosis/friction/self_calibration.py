@@ -86,13 +86,22 @@ Span = tuple[float, float]
 class _Seen:
     """The balance of one event at the present point."""
 
-    measurements: tuple[Measurement, ...]
-    misfit: float
-    fits: bool
+    measurements: tuple[Measurement, ...]  # the balance itself first
     clutch: int  # 0: a run-up
     number: int
     span: Span
     is_closed_run_up: bool = False
+
+    @property
+    def misfit(self) -> float:
+        """Chi-square of the balance per degree of freedom."""
+        seen = self.measurements[0]
+        return float(seen.residual @ np.linalg.solve(seen.noise, seen.residual)) / len(seen.residual)
+
+    @property
+    def fits(self) -> bool:
+        """Whether the model explains the balance."""
+        return self.misfit <= self.measurements[0].misfit_gate
 
 
 def self_calibrate(
@@ -213,9 +222,7 @@ def _seen_shifts(
         seen = balance.measurement(state.mean, state.mean)
         seen = replace(seen, overlap=balance.overlap(seen.noise, float(state.mean[State.TORQUE_OFFSET])))
         span = float(signals.grid_s[window.first]), float(signals.grid_s[window.stop - 1])
-        misfit = _misfit(seen)
-        fits = misfit <= seen.misfit_gate
-        yield _Seen((seen, *zeros_seen(signals, state, point)), misfit, fits, clutch, event.number, span)
+        yield _Seen((seen, *zeros_seen(signals, state, point)), clutch, event.number, span)
 
 
 def _window_at(span: Span, grid_s: FloatArray) -> SlipWindow:
@@ -232,13 +239,7 @@ def _seen_run_ups(events: Sequence[RunUpEvent], state: FilterState, point: Calib
         window = SlipWindow(first=int(inside[0]), stop=len(signals.grid_s), direction=0.0)
         seen = run_up_measurement(signals, window, state.mean, point, are_clutches_closed=event.are_clutches_closed)
         span = float(signals.grid_s[window.first]), float(signals.grid_s[-1])
-        misfit = _misfit(seen)
-        fits = misfit <= seen.misfit_gate
-        yield _Seen((seen,), misfit, fits, 0, event.number, span, event.are_clutches_closed)
-
-
-def _misfit(seen: Measurement) -> float:
-    return float(seen.residual @ np.linalg.solve(seen.noise, seen.residual)) / len(seen.residual)
+        yield _Seen((seen,), 0, event.number, span, event.are_clutches_closed)
 
 
 def _shortage(seen: Sequence[_Seen], used: Sequence[_Seen]) -> str:

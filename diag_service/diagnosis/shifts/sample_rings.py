@@ -10,7 +10,7 @@ from canlog.frames import BEFORE_ALL_NS
 from canlog.jit import array_kernel
 from canlog.series import Series
 from diag_service.diagnosis.columns import Signal
-from diag_service.diagnosis.sample_block import BlockLayout, SampleBlock, Samples
+from diag_service.diagnosis.sample_block import BlockLayout, SampleBlock, Samples, empty_rows
 
 FIRST_CAPACITY: Final = 256  # samples of a signal; grows by doubling
 _FULL: Final = -1
@@ -85,7 +85,7 @@ class SampleRings:
         self._period_ns: list[int] = []
         self._first = np.zeros(0, np.int64)
         self._changed_ns = np.zeros(0, np.int64)
-        self._samples = _room(0, FIRST_CAPACITY)
+        self._samples = empty_rows(0, FIRST_CAPACITY)
         self._block_rows: tuple[BlockLayout, Int64Array] | None = None
 
     def _append_block(self, block: SampleBlock) -> None:
@@ -93,11 +93,7 @@ class SampleRings:
             named = zip(block.layout.signals, block.layout.period_ns, strict=True)
             rows = np.array([self._row(signal, period_ns) for signal, period_ns in named], np.int64)
             self._block_rows = block.layout, rows
-        while self._append_rows(self._block_rows[1], block.samples) == _FULL:
-            self._grow()
-
-    def _append_rows(self, rows: Int64Array, block: Samples) -> int:
-        return append_rows(self._samples, self._first, self._changed_ns, rows, block)
+        self._append_rows(self._block_rows[1], block.samples)
 
     def _append_series(self, row: int, series: Series) -> None:
         alone = Samples(
@@ -106,8 +102,11 @@ class SampleRings:
             sequence=series.sequence[None, :],
             value=series.value[None, :],
         )
-        while self._append_rows(np.array([row], np.int64), alone) == _FULL:
-            self._grow()
+        self._append_rows(np.array([row], np.int64), alone)
+
+    def _append_rows(self, rows: Int64Array, block: Samples) -> None:
+        while append_rows(self._samples, self._first, self._changed_ns, rows, block) == _FULL:
+            self._resize(len(self._period_ns), 2 * self._samples.t_ns.shape[1])
 
     def _row(self, signal: Signal, period_ns: int) -> int:
         """Return the row of a signal, a new one if it has none."""
@@ -117,11 +116,8 @@ class SampleRings:
             self._resize(row + 1, self._samples.t_ns.shape[1])
         return row
 
-    def _grow(self) -> None:
-        self._resize(len(self._period_ns), 2 * self._samples.t_ns.shape[1])
-
     def _resize(self, rows: int, capacity: int) -> None:
-        old, larger = self._samples, _room(rows, capacity)
+        old, larger = self._samples, empty_rows(rows, capacity)
         known, size = old.t_ns.shape
         for name in ("t_ns", "sequence", "value"):
             getattr(larger, name)[:known, :size] = getattr(old, name)
@@ -129,15 +125,6 @@ class SampleRings:
         self._first = np.append(self._first, np.zeros(rows - known, np.int64))
         self._changed_ns = np.append(self._changed_ns, np.full(rows - known, BEFORE_ALL_NS))
         self._samples = larger
-
-
-def _room(rows: int, capacity: int) -> Samples:
-    return Samples(
-        filled=np.zeros(rows, np.int64),
-        t_ns=np.empty((rows, capacity), np.int64),
-        sequence=np.empty((rows, capacity), np.int64),
-        value=np.empty((rows, capacity)),
-    )
 
 
 _NO_SAMPLES: Final = Series(t_ns=np.empty(0, np.int64), sequence=np.empty(0, np.int64), value=np.empty(0))
@@ -207,7 +194,7 @@ def drop_before(ring: Samples, first: Int64Array, keep_ns: int) -> None:
 
 def compile_now() -> None:
     """Have everything compiled before the first frames come: they must not wait for it."""
-    ring, block, first = _room(1, 1), _room(0, 0), np.zeros(1, np.int64)
+    ring, block, first = empty_rows(1, 1), empty_rows(0, 0), np.zeros(1, np.int64)
     append_rows(ring, first, np.zeros(1, np.int64), np.empty(0, np.int64), block)
     drop_before(ring, first, 0)
     find_between(ring, first, 0, 0, np.zeros(1, np.int64), np.zeros(1, np.int64))
