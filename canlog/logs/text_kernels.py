@@ -18,7 +18,6 @@ AT_END, WIDEN, NEW_CHANNEL, OTHER = range(4)
 
 NEWLINE, TAB, RETURN, BLANK = 10, 9, 13, 32
 LONGEST_NUMBER = 18  # digits that 64 bits surely hold
-NO_NUMBER = -1
 
 HEX_VALUE: npt.NDArray[np.int8] = np.full(256, -1, np.int8)
 for _digit in range(16):

@@ -35,7 +35,6 @@ _EVEN_BYTES, _EVEN_HALVES = np.uint64(0x00FF_00FF_00FF_00FF), np.uint64(0x0000_F
 _LOW_HALF = np.uint64(0xFFFF_FFFF)
 _TEN, _BYTES_0_AND_4 = np.uint64(10), np.uint64(0x0000_00FF_0000_00FF)
 _MILLIONS, _HUNDREDS = np.uint64(100 + (1_000_000 << 32)), np.uint64(1 + (10_000 << 32))
-_LOWEST_BYTE = np.uint64(0xFF)
 
 
 @inlined_kernel

@@ -3,7 +3,7 @@
 from canlog.logs.tables.busmaster import Busmaster
 from canlog.logs.tables.crtd import Crtd
 from canlog.logs.tables.csv_tables import GvretCsv, PythonCanCsv
-from canlog.logs.tables.reader import Table, TableReader, frames_in, frames_of, reader_of
+from canlog.logs.tables.reader import Table, TableReader, frames_of, reader_of
 from canlog.logs.tables.trc import Trc
 
 __all__ = [
@@ -14,7 +14,6 @@ __all__ = [
     "Table",
     "TableReader",
     "Trc",
-    "frames_in",
     "frames_of",
     "reader_of",
 ]

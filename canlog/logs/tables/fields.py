@@ -16,7 +16,6 @@ from canlog.logs.text_kernels import BLANK, LENGTH_OF_CODE, LONGEST_NUMBER, NEWL
 NO_BYTE = 256  # an empty column
 NO_TIME = -(1 << 62)  # a time may be negative
 MINUS, PLUS, POINT, COLON, LETTER_E = ord("-"), ord("+"), ord("."), ord(":"), ord("e")
-MOST_EXPONENT = 40
 MOST_CODES = len(LENGTH_OF_CODE)
 SECOND_US = 1_000_000
 MOST_HOURS = 9_999

@@ -142,11 +142,6 @@ def reader_of(new_format: Callable[[], Table]) -> Callable[[BinaryIO, Tally], It
     return read
 
 
-def frames_in(table: Table, text: bytes) -> int:
-    """Return how many lines of a piece of text hold a frame."""
-    return len(frames_of(table, text))
-
-
 def frames_of(table: Table, text: bytes, tally: Tally | None = None) -> FrameBatch:
     """Return the frames of a piece of text, which may be cut anywhere."""
     reader = TableReader(table, tally or Tally(), len(text) // MIN_LINE_BYTES + 2)

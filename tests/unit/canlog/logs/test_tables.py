@@ -10,7 +10,7 @@ import pytest
 from canlog.frame_columns import join
 from canlog.frames import BRS_FLAG, ERROR_FLAG, ESI_FLAG, EXTENDED_FLAG, FD_FLAG, REMOTE_FLAG, TX_FLAG, FrameBatch
 from canlog.logs.detection import TABLES, LogFormat
-from canlog.logs.tables import frames_in, reader_of
+from canlog.logs.tables import frames_of, reader_of
 from canlog.logs.tally import LogCounts, LogReject, Tally
 
 CSV_HEADER = b"timestamp,arbitration_id,extended,remote,error,dlc,data\n"
@@ -388,7 +388,7 @@ def test_a_format_finds_no_frames_in_another(log_format: LogFormat) -> None:
         LogFormat.BUSMASTER: b"16:49:37:3329 Rx 1 0x144 s 1 5E\n",
         LogFormat.CRTD: b"12.6 R11 402 00\n",
     }
-    found = {name: frames_in(TABLES[log_format](), text) for name, text in samples.items()}
+    found = {name: len(frames_of(TABLES[log_format](), text)) for name, text in samples.items()}
     assert [name for name, count in found.items() if count] == [log_format]
 
 
