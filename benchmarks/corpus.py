@@ -27,7 +27,7 @@ from diag_service.errors import ConfigError
 from diag_service.mapping.interpretation import interpret
 from diag_service.mapping.profile_choice import fit_of
 from diag_service.settings.config import DiagnosisConfig
-from tests.recode import recode
+from tests.support.recode import recode
 
 DATABASES = frozenset({".dbc", ".kcd", ".arxml", ".sym"})
 J1939 = Path("j1939")

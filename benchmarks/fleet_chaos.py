@@ -14,7 +14,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 from demo.fleet.postgres import PostgresServer
-from tests.chaos.storm import Account, BrokerDisk, Plan, Storm
+from tests.support.chaos.storm import Account, BrokerDisk, Plan, Storm
 
 
 def told(disk: BrokerDisk, account: Account) -> str:

@@ -24,10 +24,10 @@ from fleet_backend.database import open_database
 from fleet_backend.migrate import migrate
 from fleet_backend.queries import result_count
 from fleet_contract import shift_message
-from tests.fleet import fleet_result
-from tests.fleet_worker import worker
 from tests.plugins.disk import fill_up
-from tests.resending_edge import ResendingEdge
+from tests.support.fleet import fleet_result
+from tests.support.fleet_worker import worker
+from tests.support.resending_edge import ResendingEdge
 
 DISK = "size=24m"
 DELIVER_S = 300.0

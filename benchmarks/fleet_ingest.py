@@ -27,7 +27,7 @@ from fleet_backend.queries import table_hash
 from fleet_backend.rows import Row, shift_row
 from fleet_backend.writer import Batch, Writer
 from fleet_contract import Channel, shift_message, topic_of
-from tests.builders import shift_result
+from tests.support.builders import shift_result
 
 TARGET_PER_S = 5000
 VEHICLES = 40

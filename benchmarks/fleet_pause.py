@@ -67,7 +67,9 @@ def measure(pause_s: float) -> bool:
         words = ("--broker", str(port), "--results", str(per_edge), "--rate", str(RATE_PER_S))
         names = [f"edge{number}" for number in range(EDGES)]
         edges = [
-            start(stack, "tests.chaos.edge", "--store", str(folder / f"{name}.sqlite"), "--vehicle", name, *words)
+            start(
+                stack, "tests.support.chaos.edge", "--store", str(folder / f"{name}.sqlite"), "--vehicle", name, *words
+            )
             for name in names
         ]
         time.sleep(BEFORE_S)

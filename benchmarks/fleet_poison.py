@@ -24,8 +24,8 @@ from fleet_backend.migrate import migrate
 from fleet_backend.queries import result_count
 from fleet_backend.schema import QUARANTINE
 from fleet_contract import Channel, Outgoing, shift_message, topic_of
-from tests.fleet import fleet_result
-from tests.poison import poison_messages, readable_count
+from tests.support.fleet import fleet_result
+from tests.support.poison import poison_messages, readable_count
 
 LIMIT_S = 120.0
 MIB = 2**20

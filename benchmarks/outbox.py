@@ -36,8 +36,8 @@ from fleet_contract import (
     read_message,
 )
 from fleet_link import BrokerAddress
-from tests.builders import shift_result
 from tests.plugins.broker import Mosquitto
+from tests.support.builders import shift_result
 
 VEHICLE: Final = "car1"
 STATE: Final = VehicleState(belief={}, condition={}, versions=Versions(algorithm="a", calibration="c"))

@@ -19,7 +19,7 @@ from canlog.tables.account import Account
 from canlog.tables.decoding import Plan, TableShape, decode_log
 from canlog.tables.names import table_names
 from canlog.tables.texts import Values
-from tests.cantools_oracle import Readings, readings
+from tests.support.cantools_oracle import Readings, readings
 
 FloatArray = npt.NDArray[np.float64]
 BoolArray = npt.NDArray[np.bool_]

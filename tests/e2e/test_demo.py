@@ -11,9 +11,9 @@ from pathlib import Path
 import psutil
 import pytest
 
-from tests.patience import HANG_S
-from tests.service import environment
-from tests.starvation import STARVED_S, undisturbed
+from tests.support.patience import HANG_S
+from tests.support.service import environment
+from tests.support.starvation import STARVED_S, undisturbed
 
 ROOT = Path(__file__).parents[2]
 INTERRUPTED = 130

@@ -18,8 +18,8 @@ from pathlib import Path
 import pytest
 
 from tests.plugins.broker import Mosquitto
-from tests.service import Ended, Record, Service, service
-from tests.subscriber import Subscriber
+from tests.support.service import Ended, Record, Service, service
+from tests.support.subscriber import Subscriber
 
 SHIFT_COUNT = 10
 BEHIND_NS = 150_000_000  # after the end of a shift: its own signals are complete, those of the next have not begun
@@ -75,7 +75,7 @@ def run(folder: Path, log: Path, store: Path, broker: Mosquitto, end: Callable[[
     """Run the service behind the last stored shift, end it somehow, and return what it said."""
     results = stored(store)
     start_ns = int(results[-1]["end_bus_ns"]) + BEHIND_NS if results else 0
-    program = (sys.executable, "-m", "tests.fast_bus", str(log), str(start_ns))
+    program = (sys.executable, "-m", "tests.support.fast_bus", str(log), str(start_ns))
     arguments = ("run", "--store", store, "--json", "--vehicle", "car1", "--broker", broker.url)
     with service(folder, *arguments, program=program) as running:
         end(running)

@@ -13,12 +13,12 @@ from jsonschema import Draft202012Validator
 
 from ecu_emulator.truth import TruthLog, read_truth
 from fleet_contract import schema
-from tests.bus_end import Stranger, candump, wait_for_shift
 from tests.plugins.broker import Mosquitto
 from tests.plugins.vcan import own_vcan
-from tests.service import Ended, Record, Service, run_service, service
-from tests.starvation import is_starved, stalls, undisturbed
-from tests.subscriber import Payload, Subscriber
+from tests.support.bus_end import Stranger, candump, wait_for_shift
+from tests.support.service import Ended, Record, Service, run_service, service
+from tests.support.starvation import is_starved, stalls, undisturbed
+from tests.support.subscriber import Payload, Subscriber
 from tests.uml.vcan import ip_link
 
 SHIFT_COUNT = 10

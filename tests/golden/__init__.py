@@ -15,7 +15,7 @@ from fleet_contract import (
     shift_message,
     status_message,
 )
-from tests.builders import rejected, shift_result
+from tests.support.builders import rejected, shift_result
 
 FOLDER = Path(__file__).parent
 NOW = "2026-01-01T00:00:06.000000Z"

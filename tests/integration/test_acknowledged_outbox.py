@@ -15,11 +15,11 @@ from diag_service.delivery import Acknowledge, DeliveryLimits, MqttConnector, Ou
 from diag_service.store import ResultStore
 from fleet_contract import Receipt, ack_messages
 from fleet_link import BrokerAddress
-from tests.acknowledger import Acknowledger
-from tests.doomed_edge import Step
-from tests.outboxes import NOW, STATUS, put, sending, until
-from tests.patience import HANG_S
 from tests.plugins.broker import Mosquitto
+from tests.support.acknowledger import Acknowledger
+from tests.support.doomed_edge import Step
+from tests.support.outboxes import NOW, STATUS, put, sending, until
+from tests.support.patience import HANG_S
 
 pytestmark = pytest.mark.broker
 
@@ -115,7 +115,7 @@ def test_kill_9_around_every_step_loses_and_doubles_nothing(tmp_path: Path, brok
     def run(last_seq: int, step: Step) -> int:
         arguments = (str(tmp_path / "car1.sqlite"), str(broker.port), str(last_seq), step.value)
         return subprocess.run(
-            [sys.executable, "-m", "tests.doomed_edge", *arguments], check=False, timeout=HANG_S
+            [sys.executable, "-m", "tests.support.doomed_edge", *arguments], check=False, timeout=HANG_S
         ).returncode
 
     with Acknowledger(broker.port) as backend:

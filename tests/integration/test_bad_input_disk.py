@@ -12,7 +12,7 @@ import pytest
 
 from ecu_emulator.cli import main
 from tests.plugins.disk import Mount
-from tests.service import run_service
+from tests.support.service import run_service
 
 pytestmark = pytest.mark.vcan
 

@@ -8,8 +8,8 @@ from pathlib import Path
 
 import pytest
 
-from tests.patience import HANG_S
-from tests.service import run_service, service
+from tests.support.patience import HANG_S
+from tests.support.service import run_service, service
 
 EMULATOR = (sys.executable, "-m", "ecu_emulator")
 SCENARIO = Path(__file__).parents[2] / "ecu_emulator" / "scenarios" / "noise_only.toml"

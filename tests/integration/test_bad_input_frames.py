@@ -17,8 +17,8 @@ from canlog.arrays import Int64Array, UInt8Array
 from canlog.e2e.profile1 import COUNTER_PERIOD, DATA_START_BIT, counter_of, protect
 from canlog.frames import FrameBatch
 from diag_service.diagnosis.records import Status
-from tests.chain import Outcome, diagnosed, frames_of_log
-from tests.wire import CONTRACTS, DATABASE
+from tests.support.chain import Outcome, diagnosed, frames_of_log
+from tests.support.wire import CONTRACTS, DATABASE
 
 DURATION_S = 10.0  # three shifts
 SHIFT = 1  # the one that suffers, counted from 0

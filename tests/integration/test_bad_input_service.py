@@ -29,11 +29,11 @@ from pathlib import Path
 
 import pytest
 
-from tests.patience import HANG_S
 from tests.plugins.broker import Mosquitto
 from tests.plugins.drives import SHIFT_COUNT
-from tests.service import run_service, service
-from tests.subscriber import Subscriber
+from tests.support.patience import HANG_S
+from tests.support.service import run_service, service
+from tests.support.subscriber import Subscriber
 
 NOMINAL = Path(__file__).parents[2] / "clutch_model" / "calibrations" / "nominal.toml"
 FOREIGN_DBC = """VERSION ""

@@ -16,10 +16,10 @@ from diag_service.diagnosis.results import ServiceStatus, clutch_record, shift_r
 from diag_service.store import ResultStore
 from fleet_contract import schema
 from fleet_link import BrokerAddress
-from tests.outboxes import NOW, STATUS, put, sending, until
-from tests.patience import HANG_S
 from tests.plugins.broker import Mosquitto, free_port
-from tests.subscriber import Subscriber
+from tests.support.outboxes import NOW, STATUS, put, sending, until
+from tests.support.patience import HANG_S
+from tests.support.subscriber import Subscriber
 
 pytestmark = pytest.mark.broker
 

@@ -13,9 +13,9 @@ from canlog.frames import BRS_FLAG, ESI_FLAG, FD_FLAG, FrameBatch
 from canlog.live import FrameSource, open_source
 from ecu_emulator.bus import TransmitReport, open_bus, transmit
 from ecu_emulator.frames import EncodedFrames
-from tests.patience import HANG_S
-from tests.starvation import again_if_starved
-from tests.traffic import as_received, assert_same_contents, random_frames
+from tests.support.patience import HANG_S
+from tests.support.starvation import again_if_starved
+from tests.support.traffic import as_received, assert_same_contents, random_frames
 
 
 @dataclass(frozen=True, slots=True)

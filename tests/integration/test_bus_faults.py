@@ -18,7 +18,7 @@ from diag_service.service.stages import Diagnosis, Stages
 from ecu_emulator.faults import BusFault, BusFaultKind, Phase
 from ecu_emulator.recording import frames_of
 from ecu_emulator.truth import TruthLog
-from tests.builders import drive_scenario
+from tests.support.builders import drive_scenario
 
 MESSAGE = "TCU_Pressures"
 SHIFT = 3

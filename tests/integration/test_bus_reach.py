@@ -9,7 +9,7 @@ from dataclasses import asdict
 import pytest
 
 from demo import medium
-from tests.reach import FRAME_COUNT, Case, Reach
+from tests.support.reach import FRAME_COUNT, Case, Reach
 
 IPV4, IPV6 = "239.74.163.2", "ff15:7079:7468:6f6e:6465:6d6f:6d63:6173"
 NAMESPACE = ("unshare", "--net") if os.geteuid() == 0 else ("unshare", "--net", "--map-root-user")
@@ -38,7 +38,7 @@ def reaches(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Reach]:
     }
     asked = json.dumps([asdict(case) for case in cases.values()])
     answer = subprocess.run(
-        [*NAMESPACE, sys.executable, "-m", "tests.reach", asked],
+        [*NAMESPACE, sys.executable, "-m", "tests.support.reach", asked],
         capture_output=True,
         text=True,
         check=False,

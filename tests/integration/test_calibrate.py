@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from clutch_model.calibration import nominal_calibration, read_calibration
-from tests.patience import HANG_S
+from tests.support.patience import HANG_S
 
 
 def run(*arguments: str) -> subprocess.CompletedProcess[str]:

@@ -14,7 +14,7 @@ import can
 import pytest
 
 from canlog import load_database
-from tests.plain_install import PlainInstall, distributions_of, linked_environment
+from tests.support.plain_install import PlainInstall, distributions_of, linked_environment
 from tests.unit.test_packaging import PACKAGES, ROOT
 
 SOURCES = ROOT / "canlog"

@@ -20,8 +20,8 @@ from diag_service.service.drive_frames import DriveFrames
 from diag_service.service.recorded import events
 from diag_service.service.stages import Stages
 from diag_service.service.stopping import Trigger
-from tests.in_process import ended
-from tests.service import Ended
+from tests.support.in_process import ended
+from tests.support.service import Ended
 
 DATABASE = load_contract()
 GATEWAY = b"0B3"  # TCU_Shift

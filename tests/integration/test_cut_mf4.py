@@ -12,8 +12,8 @@ from canlog.frames import FrameBatch
 from canlog.logs import LogReject, read_log
 from canlog.logs.tally import LogCounts
 from ecu_emulator.record import open_log
-from tests.mf4_layouts import Layout, Recording, laid_out
-from tests.traffic import START_NS, as_received, assert_same, random_frames
+from tests.support.mf4_layouts import Layout, Recording, laid_out
+from tests.support.traffic import START_NS, as_received, assert_same, random_frames
 
 asammdf = pytest.importorskip("asammdf")
 

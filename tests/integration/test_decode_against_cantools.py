@@ -9,7 +9,7 @@ from benchmarks.decoding import comparison
 from benchmarks.decoding.comparison import Tally, compare_database
 from dbc.contract import DBC_PATH
 from diag_service.mapping.profile import PROFILE_FOLDER
-from tests.cantools_oracle import Readings, readings
+from tests.support.cantools_oracle import Readings, readings
 
 DATA = Path(__file__).parents[1] / "data"
 DATABASES = [

@@ -14,7 +14,7 @@ from cantools.database.can import Database
 from diag_service.commands.arguments import parse_arguments
 from diag_service.errors import IncompleteError, StoppedError
 from diag_service.service.stopping import Trigger
-from tests.service import run_service, service
+from tests.support.service import run_service, service
 
 Row = dict[str, Any]
 

@@ -9,8 +9,8 @@ from pathlib import Path
 
 import pytest
 
-from tests.documents import MODULES, PAGES, ROOT, Shown, all_commands, page_text
-from tests.patience import HANG_S
+from tests.support.documents import MODULES, PAGES, ROOT, Shown, all_commands, page_text
+from tests.support.patience import HANG_S
 
 OPTION = re.compile(r"(?<![\w-])--?[a-z][a-z-]*")
 PROGRAM_COMMANDS = [one for one in all_commands() if one.line.split()[0] in MODULES and len(one.line.split()) > 1]

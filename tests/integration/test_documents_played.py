@@ -14,8 +14,8 @@ import fleet_backend.cli
 from diag_service.diagnosis.records import Condition
 from fleet_backend.database import open_database
 from fleet_backend.writer import Batch, Writer
-from tests.documents import PAGES, ROOT, Shown, block_lines
-from tests.fleet import fleet_result, row_of
+from tests.support.documents import PAGES, ROOT, Shown, block_lines
+from tests.support.fleet import fleet_result, row_of
 
 PROGRAMS: Mapping[str, Callable[[Sequence[str]], int]] = {
     "ecu-emulator": ecu_emulator.cli.main,

@@ -15,7 +15,7 @@ import pytest
 from ecu_emulator import __version__
 from ecu_emulator.cli import main
 from ecu_emulator.truth import read_truth, truth_path
-from tests.patience import HANG_S
+from tests.support.patience import HANG_S
 
 RECORD = ("--scenario", "noise_only", "--cycles", "1")
 

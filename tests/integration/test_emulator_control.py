@@ -12,8 +12,8 @@ from ecu_emulator.control import LINE_BYTES, ControlSocket
 from ecu_emulator.errors import ConfigError, RecordError
 from ecu_emulator.faults import BusFault, BusFaultKind, SensorFault, SensorFaultKind
 from ecu_emulator.recording import Drive
-from tests.builders import drive_scenario
-from tests.patience import HANG_S
+from tests.support.builders import drive_scenario
+from tests.support.patience import HANG_S
 
 
 @pytest.fixture

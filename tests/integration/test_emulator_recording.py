@@ -16,7 +16,7 @@ from ecu_emulator.live import SentTruth
 from ecu_emulator.recording import Drive, frames_of
 from ecu_emulator.scenario import Fluid, FluidCondition, Routine, Truth
 from ecu_emulator.truth import TruthLog, TruthWriter, read_truth
-from tests.builders import drive_scenario
+from tests.support.builders import drive_scenario
 
 GEARS = [1, 2, 3, 4, 5, 6, 5, 4, 3, 2, 1]
 

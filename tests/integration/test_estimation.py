@@ -19,8 +19,8 @@ from diag_service.diagnosis.shifts.shifts import ShiftFinder
 from diag_service.mapping.decoder import Decoder
 from diag_service.mapping.profile import load_profile
 from ecu_emulator.recording import frames_of
-from tests.builders import drive_scenario
-from tests.wire import received
+from tests.support.builders import drive_scenario
+from tests.support.wire import received
 
 CALIBRATION = nominal_calibration()
 FACTORS = {"ideal": (1.0, 1.0), "case1": (0.95, 1.05), "case2": (0.85, 1.15)}

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.plain_install import PlainInstall, extra_modules, plain_install
+from tests.support.plain_install import PlainInstall, extra_modules, plain_install
 
 PROGRAMS = {
     "ecu-emulator": "ecu_emulator.cli",

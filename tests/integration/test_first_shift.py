@@ -4,7 +4,7 @@ import subprocess
 import sys
 from pathlib import Path
 
-from tests.service import environment
+from tests.support.service import environment
 
 COUNT = """
 import gc

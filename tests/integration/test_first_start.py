@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.service import environment
+from tests.support.service import environment
 
 
 @pytest.mark.parametrize(

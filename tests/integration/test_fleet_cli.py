@@ -13,8 +13,8 @@ from fleet_backend.cli import main
 from fleet_backend.database import open_database
 from fleet_backend.rows import Poison, quarantine_row
 from fleet_backend.writer import Batch, Writer
-from tests.fleet import fleet_result, row_of
 from tests.plugins.broker import free_port
+from tests.support.fleet import fleet_result, row_of
 
 
 @pytest.fixture(autouse=True)

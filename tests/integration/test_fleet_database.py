@@ -15,7 +15,7 @@ from fleet_backend.migrate import migrate
 from fleet_backend.rows import Poison, Row, quarantine_row, status_row
 from fleet_backend.schema import CLUTCH, SHIFT_RESULT, VEHICLE
 from fleet_backend.writer import Batch, Writer
-from tests.fleet import NOW, START, fleet_result, row_of
+from tests.support.fleet import NOW, START, fleet_result, row_of
 
 WORN = Condition.CHANGE_FLUID
 

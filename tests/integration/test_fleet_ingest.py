@@ -22,11 +22,11 @@ from fleet_backend.database import open_database
 from fleet_backend.migrate import migrate
 from fleet_backend.writer import Batch, Writer
 from fleet_contract import Outgoing, shift_message
-from tests.fleet import fleet_result, row_of
-from tests.fleet_worker import Step, worker
 from tests.plugins.broker import Mosquitto
-from tests.poison import poison_messages
-from tests.resending_edge import ResendingEdge
+from tests.support.fleet import fleet_result, row_of
+from tests.support.fleet_worker import Step, worker
+from tests.support.poison import poison_messages
+from tests.support.resending_edge import ResendingEdge
 
 pytestmark = pytest.mark.broker
 
@@ -110,7 +110,7 @@ def test_a_worker_killed_at_any_step_loses_and_doubles_nothing(
     doomed = ("--step", step.value, "--number", "2")
     with ResendingEdge(broker.port) as edge:
         edge.keep(sent)
-        with worker(tmp_path, broker.url, sqlite_url, *doomed, module="tests.fleet_worker") as pid:
+        with worker(tmp_path, broker.url, sqlite_url, *doomed, module="tests.support.fleet_worker") as pid:
             _wait_until(edge.send_once)
             _wait_until(lambda: _is_dead(pid))
         assert edge.waiting_count > 0

@@ -18,8 +18,8 @@ from fleet_backend.rows import moment
 from fleet_backend.schema import METADATA, UtcDateTime
 from fleet_backend.views import CLUTCH_ALARM, CURRENT_SHIFT, FLEET, IDENTITY_ALARM, LAST_SEEN, TREND
 from fleet_backend.writer import Batch, Writer
-from tests.fleet import fleet_result, row_of
 from tests.plugins.broker import free_port
+from tests.support.fleet import fleet_result, row_of
 
 EARLIER = revisions()[:-1]
 GOLDEN = Path(__file__).parents[1] / "golden"

@@ -14,8 +14,8 @@ from fleet_backend.cli import main
 from fleet_backend.database import open_database
 from fleet_backend.rows import Poison, quarantine_row
 from fleet_backend.writer import Batch, Writer
-from tests.fleet import fleet_result, row_of
-from tests.terminal import before_head, in_broken_pipe, in_pipe, in_terminal, on_full_disk
+from tests.support.fleet import fleet_result, row_of
+from tests.support.terminal import before_head, in_broken_pipe, in_pipe, in_terminal, on_full_disk
 
 VIN, LONGEST = "WVWZZZ1JZ3W386752", "bus-" + "0123456789" * 6
 QUESTIONS = (["table"], ["trend", VIN, "2"], ["alarms"], ["quarantine"], ["seen"])

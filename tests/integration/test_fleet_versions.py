@@ -17,11 +17,11 @@ from fleet_backend.database import open_database
 from fleet_backend.intake import Kind, batch_of, take
 from fleet_backend.writer import Writer
 from fleet_link import BrokerAddress, Message
-from tests.fleet import NOW
-from tests.fleet_worker import worker
 from tests.golden import earlier
-from tests.patience import HANG_S
 from tests.plugins.broker import Mosquitto
+from tests.support.fleet import NOW
+from tests.support.fleet_worker import worker
+from tests.support.patience import HANG_S
 
 GOLDEN = Path(__file__).parents[1] / "golden"
 KINDS = {

@@ -15,9 +15,9 @@ from diag_service.commands import analyze
 from diag_service.commands.arguments import parse_arguments
 from diag_service.errors import ConfigError, StoreError
 from diag_service.service.stopping import Trigger
-from tests.folders import fill_folder, kill_and_resume
 from tests.plugins.drives import SHIFT_COUNT
-from tests.service import run_service
+from tests.support.service import run_service
+from tests.tools.folders import fill_folder, kill_and_resume
 
 LOG_COUNT = 5
 

@@ -6,8 +6,8 @@ import pytest
 
 from diag_service.mapping.profile import load_profile
 from tests.plugins.drives import SHIFT_COUNT
-from tests.recode import load_strict, recode
-from tests.service import run_service
+from tests.support.recode import load_strict, recode
+from tests.support.service import run_service
 
 DATA = Path(__file__).parents[1] / "data"
 DBC, PROFILE = DATA / "foreign.dbc", DATA / "foreign.toml"

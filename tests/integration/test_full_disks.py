@@ -20,14 +20,14 @@ from fleet_backend.choices import Axis
 from fleet_backend.database import open_database
 from fleet_backend.migrate import migrate
 from fleet_contract import Outgoing, shift_message
-from tests.builders import shift_result
-from tests.fleet import fleet_result
-from tests.fleet_worker import worker
-from tests.patience import HANG_S
 from tests.plugins.broker import Mosquitto
 from tests.plugins.disk import Mount, fill_up
-from tests.resending_edge import ResendingEdge
-from tests.service import service
+from tests.support.builders import shift_result
+from tests.support.fleet import fleet_result
+from tests.support.fleet_worker import worker
+from tests.support.patience import HANG_S
+from tests.support.resending_edge import ResendingEdge
+from tests.support.service import service
 
 pytestmark = [pytest.mark.vcan, pytest.mark.broker]
 
@@ -42,7 +42,7 @@ def test_a_vehicle_whose_disk_fills_up_goes_on_and_delivers_everything(
     mount: Mount, cycle_log: Path, tmp_path: Path, broker: Mosquitto, sqlite_url: str
 ) -> None:
     disk = mount("size=1m")
-    program = (sys.executable, "-m", "tests.fast_bus", str(cycle_log), "0")
+    program = (sys.executable, "-m", "tests.support.fast_bus", str(cycle_log), "0")
     arguments = ("run", "--store", disk / "car.sqlite", "--json", "--vehicle", "car1", "--acknowledge", "backend")
     with (
         worker(tmp_path, broker.url, sqlite_url),

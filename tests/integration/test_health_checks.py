@@ -10,10 +10,10 @@ from pathlib import Path
 
 import pytest
 
-from tests.image.compose import read_compose
 from tests.plugins.broker import Mosquitto, free_port
-from tests.replay import INTERFACE, free_bus
-from tests.service import service
+from tests.support.image.compose import read_compose
+from tests.support.replay import INTERFACE, free_bus
+from tests.support.service import service
 
 SERVICES = read_compose(Path(__file__).parents[2] / "docker-compose.yml")["services"]
 HANG_S = 300.0

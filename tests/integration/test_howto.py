@@ -15,8 +15,8 @@ from canlog.logs.tally import Tally
 from diag_service.delivery import Outbox
 from diag_service.store import ResultStore, VehicleState, Versions
 from fleet_contract import Channel, read_message
-from tests.builders import shift_result
-from tests.documents import page_text
+from tests.support.builders import shift_result
+from tests.support.documents import page_text
 
 BLOCK = re.compile(r"^( *)```python\n(.*?)^\1```", re.MULTILINE | re.DOTALL)
 STATE = VehicleState(belief={}, condition={}, versions=Versions(algorithm="a", calibration="c"))

@@ -12,7 +12,7 @@ import numba.core.config
 import pytest
 
 from canlog.kernel_cache import cache_folder
-from tests.image.plain import PlainImage
+from tests.support.image.plain import PlainImage
 
 ROOT = Path(__file__).parents[2]
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))

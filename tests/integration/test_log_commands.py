@@ -22,7 +22,7 @@ from diag_service.errors import ConfigError
 from diag_service.mapping.profile import load_profile
 from diag_service.mapping.tiers import tier_of
 from diag_service.service.stopping import Trigger
-from tests.service import run_service, service
+from tests.support.service import run_service, service
 
 FRAME_COUNT = 1000
 

@@ -6,8 +6,8 @@ import pytest
 
 from canlog.logs import read_log
 from diag_service.diagnosis.records import Status
-from tests.chain import Outcome, diagnosed
-from tests.damage.recordings import SUFFIXES, WRITERS, short_drive
+from tests.support.chain import Outcome, diagnosed
+from tests.tools.damage.recordings import SUFFIXES, WRITERS, short_drive
 
 
 def outcome(log_format: str, folder: Path) -> Outcome:

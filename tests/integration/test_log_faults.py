@@ -15,12 +15,12 @@ from canlog.logs.tally import LogCounts
 from diag_service.errors import ConfigError
 from diag_service.service.drive import open_drive
 from ecu_emulator.record import open_log
-from tests.damage.kinds import DAMAGES
-from tests.damage.recordings import RECORDED, SUFFIXES
-from tests.damage.trial import run
-from tests.fuzz import READERS, fuzz
-from tests.hostile import HOSTILE, SLOW, make, refusal_of, sqlite_file
-from tests.traffic import START_NS, as_received, assert_same, random_frames
+from tests.support.traffic import START_NS, as_received, assert_same, random_frames
+from tests.tools.damage.kinds import DAMAGES
+from tests.tools.damage.recordings import RECORDED, SUFFIXES
+from tests.tools.damage.trial import run
+from tests.tools.fuzz import READERS, fuzz
+from tests.tools.hostile import HOSTILE, SLOW, make, refusal_of, sqlite_file
 
 FRAMES = random_frames(3_000)
 

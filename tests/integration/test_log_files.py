@@ -17,7 +17,7 @@ from ecu_emulator.bus import to_messages
 from ecu_emulator.errors import RecordError
 from ecu_emulator.frames import EncodedFrames
 from ecu_emulator.record import open_log
-from tests.traffic import START_NS, as_received, assert_same, assert_same_contents, random_frames
+from tests.support.traffic import START_NS, as_received, assert_same, assert_same_contents, random_frames
 
 SUFFIXES = {
     LogFormat.CANDUMP: ".log",

@@ -9,7 +9,7 @@ import pytest
 from canlog.frame_columns import join
 from canlog.frames import EXTENDED_FLAG
 from canlog.logs import read_log
-from tests.service import Ended, run_service
+from tests.support.service import Ended, run_service
 
 FIRST_US = -3_000_000_000  # fifty minutes below zero
 

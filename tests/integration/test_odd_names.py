@@ -18,7 +18,7 @@ from dbc.contract import DBC_PATH
 from diag_service.batch.journal import Entry
 from diag_service.batch.tables import write_results
 from diag_service.diagnosis.results import JsonObject, shift_record
-from tests.builders import shift_result
+from tests.support.builders import shift_result
 
 ODD = b"log\xe9-\xff[b]"  # Latin-1, no text at all, and what looks like rich's markup
 SHOWN = "log\\xe9-\\xff[b]"

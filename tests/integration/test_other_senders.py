@@ -15,8 +15,8 @@ import pytest
 
 from canlog.bus.multicast import MulticastBus
 from ecu_emulator.other_senders import WORTH_SAYING, OtherSenders
-from tests.replay import UdpBus, free_bus
-from tests.service import service
+from tests.support.replay import UdpBus, free_bus
+from tests.support.service import service
 
 OWN = (0x0A0, 0x0B0)
 HANG_S = 300.0

@@ -25,11 +25,11 @@ from diag_service.diagnosis.quality.usability import usable_signals
 from diag_service.diagnosis.records import Reason
 from ecu_emulator.plant import Col
 from ecu_emulator.recording import drive_settings
-from tests.builders import drive_scenario
-from tests.cycles import drive_rows
 from tests.integration.test_estimation import shifts
-from tests.patience import HANG_S
-from tests.wire import START_NS
+from tests.support.builders import drive_scenario
+from tests.support.cycles import drive_rows
+from tests.support.patience import HANG_S
+from tests.support.wire import START_NS
 
 if TYPE_CHECKING:
     from canlog.series import Series

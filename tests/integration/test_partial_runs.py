@@ -13,11 +13,11 @@ from pathlib import Path
 
 import pytest
 
-from tests.patience import HANG_S
 from tests.plugins.broker import Mosquitto
 from tests.plugins.drives import SHIFT_COUNT
-from tests.service import PROGRAM, Ended, environment, run_service
-from tests.subscriber import Subscriber
+from tests.support.patience import HANG_S
+from tests.support.service import PROGRAM, Ended, environment, run_service
+from tests.support.subscriber import Subscriber
 
 PIPE_BYTES = 4096
 LEFT_BYTES = 300  # room for the head and a line or two: then whoever writes waits

@@ -15,8 +15,8 @@ import pytest
 from diag_service.batch.journal import Journal
 from diag_service.cli import main
 from diag_service.store import ResultStore
-from tests.builders import shift_result
-from tests.outboxes import STATE
+from tests.support.builders import shift_result
+from tests.support.outboxes import STATE
 
 CANDUMP = "(1767225600.000000) vcan0 123#0011223344556677\n" * 4
 

@@ -17,11 +17,11 @@ from fleet_backend.choices import Axis
 from fleet_backend.database import open_database
 from fleet_contract import shift_message
 from fleet_link import BrokerAddress, TlsFiles
-from tests.acknowledger import Acknowledger
-from tests.builders import shift_result
-from tests.fleet_worker import worker
-from tests.outboxes import NOW, put, sending, until
 from tests.plugins.broker import Mosquitto
+from tests.support.acknowledger import Acknowledger
+from tests.support.builders import shift_result
+from tests.support.fleet_worker import worker
+from tests.support.outboxes import NOW, put, sending, until
 
 pytestmark = pytest.mark.broker
 

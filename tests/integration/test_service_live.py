@@ -10,9 +10,9 @@ from pathlib import Path
 import pytest
 
 from tests.plugins.broker import Mosquitto
-from tests.replay import INTERFACE, Replay, UdpBus, free_bus
-from tests.service import Record, Service, run_service, service
-from tests.subscriber import Subscriber
+from tests.support.replay import INTERFACE, Replay, UdpBus, free_bus
+from tests.support.service import Record, Service, run_service, service
+from tests.support.subscriber import Subscriber
 
 FIRST_SHIFT_DONE_S = 3.2
 SECOND_SHIFT_OPEN_S = 4.2

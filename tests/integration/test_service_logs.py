@@ -14,12 +14,12 @@ from jsonschema import Draft202012Validator
 
 from clutch_model.calibration import nominal_calibration
 from fleet_contract import schema
-from tests.patience import HANG_S
 from tests.plugins.broker import Mosquitto, free_port
 from tests.plugins.drives import SHIFT_COUNT
-from tests.replay import INTERFACE, free_bus
-from tests.service import PROGRAM, environment, run_service, service
-from tests.subscriber import Subscriber
+from tests.support.patience import HANG_S
+from tests.support.replay import INTERFACE, free_bus
+from tests.support.service import PROGRAM, environment, run_service, service
+from tests.support.subscriber import Subscriber
 
 NOMINAL = Path(__file__).parents[2] / "clutch_model" / "calibrations" / "nominal.toml"
 

@@ -8,9 +8,9 @@ from pathlib import Path
 
 import pytest
 
-from tests.patience import HANG_S
-from tests.replay import INTERFACE, Replay, free_bus
-from tests.service import Service, service
+from tests.support.patience import HANG_S
+from tests.support.replay import INTERFACE, Replay, free_bus
+from tests.support.service import Service, service
 
 FIRST_SHIFT_DONE_S = 3.2
 ONE_SHIFT = r'clutchdiag_shifts_total\{status="\w+"\} 1\.0'

@@ -8,9 +8,9 @@ import pytest
 
 from diag_service.store import ResultStore
 from fleet_backend.certificates.authority import Authority, Lifetime
-from tests.acknowledger import Acknowledger
 from tests.plugins.broker import Mosquitto
-from tests.service import run_service
+from tests.support.acknowledger import Acknowledger
+from tests.support.service import run_service
 
 pytestmark = pytest.mark.broker
 

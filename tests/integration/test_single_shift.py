@@ -9,7 +9,7 @@ from benchmarks.single_shift import NOISE_ONLY, SCATTERED, Case, outcomes, shift
 from benchmarks.study import diagnose
 from diag_service.diagnosis.records import Reason, Status
 from ecu_emulator.faults import Phase, SensorFault, SensorFaultKind
-from tests.builders import drive_scenario
+from tests.support.builders import drive_scenario
 
 SHIFT = 3  # 3-4 by clutch 2
 

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.terminal import before_head, in_broken_pipe, in_pipe, in_terminal, on_full_disk
+from tests.support.terminal import before_head, in_broken_pipe, in_pipe, in_terminal, on_full_disk
 
 COMMANDS = (
     ("diag_service", "inspect", "{log}"),

@@ -16,8 +16,8 @@ from diag_service.diagnosis.results import StoredResult
 from diag_service.errors import StoreError
 from diag_service.store import APPLICATION_ID, SCHEMA_VERSION, ResultStore, VehicleState, Versions
 from fleet_contract import Receipt, raw_shift_message, read_message
-from tests.builders import shift_result
 from tests.golden import FOLDER as GOLDEN
+from tests.support.builders import shift_result
 
 STATE = VehicleState(belief={"mark": 1}, condition={}, versions=Versions(algorithm="a", calibration="c"))
 

@@ -9,8 +9,8 @@ from pathlib import Path
 import pytest
 
 from diag_service.mapping.profile import PROFILE_PATH
-from tests.patience import HANG_S
-from tests.service import Ended, run_service
+from tests.support.patience import HANG_S
+from tests.support.service import Ended, run_service
 
 SHIFT_COUNT = 3
 

@@ -10,7 +10,7 @@ from pathlib import Path
 import psutil
 import pytest
 
-from tests.patience import HANG_S
+from tests.support.patience import HANG_S
 from tests.uml import run as launcher
 
 REPOSITORY = Path(__file__).parents[2]

@@ -13,10 +13,10 @@ from canlog.live.error_frames import BusError
 from canlog.live.interface import Seen, index_of, present_name, restart_controller
 from diag_service.mapping.decoder import Decoder
 from diag_service.mapping.profile import load_profile
-from tests.link_cycles import TARGET_S, run_cycles
-from tests.patience import HANG_S
+from tests.support.patience import HANG_S
+from tests.support.wire import CONTRACTS, DATABASE
+from tests.tools.link_cycles import TARGET_S, run_cycles
 from tests.uml.vcan import create_vcan, ip_link
-from tests.wire import CONTRACTS, DATABASE
 
 pytestmark = pytest.mark.vcan
 

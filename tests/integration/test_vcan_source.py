@@ -20,10 +20,10 @@ from canlog.live.frame_queue import FrameQueue
 from canlog.live.pace import Pace
 from canlog.live.socketcan import SocketCanSource
 from canlog.logs import read_log
-from tests.patience import HANG_S
-from tests.rough_bus import is_guest
-from tests.starvation import again_if_starved
-from tests.traffic import assert_same
+from tests.support.patience import HANG_S
+from tests.support.rough_bus import is_guest
+from tests.support.starvation import again_if_starved
+from tests.support.traffic import assert_same
 from tests.uml.vcan import ip_link
 
 pytestmark = pytest.mark.vcan

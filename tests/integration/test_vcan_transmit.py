@@ -6,8 +6,8 @@ import pytest
 
 from ecu_emulator.bus import TransmitReport, open_bus, transmit
 from ecu_emulator.errors import BusError
-from tests.starvation import StarvationWatch, undisturbed
-from tests.traffic import random_frames
+from tests.support.starvation import StarvationWatch, undisturbed
+from tests.support.traffic import random_frames
 from tests.uml.vcan import ip_link
 
 pytestmark = pytest.mark.vcan

@@ -17,8 +17,8 @@ from diag_service.mapping.profile import load_profile
 from ecu_emulator.recording import frames_of
 from ecu_emulator.scenario import Routine
 from ecu_emulator.truth import TruthLog
-from tests.builders import drive_scenario
-from tests.traffic import START_NS, as_received
+from tests.support.builders import drive_scenario
+from tests.support.traffic import START_NS, as_received
 
 
 @lru_cache(maxsize=4)

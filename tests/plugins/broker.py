@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.patience import HANG_S
+from tests.support.patience import HANG_S
 
 _PROGRAM_FOLDERS = ("/usr/local/sbin", "/usr/sbin", "/sbin")
 _START_S = 10.0

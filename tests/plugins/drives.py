@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.patience import HANG_S
+from tests.support.patience import HANG_S
 
 SHIFT_COUNT = 3  # 1-2, 2-3, 3-4
 _END_S = 12

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.patience import HANG_S
+from tests.support.patience import HANG_S
 
 SYSTEM_PROGRAM_FOLDERS = ("/usr/local/sbin", "/usr/sbin", "/sbin")
 

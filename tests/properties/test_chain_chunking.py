@@ -12,9 +12,9 @@ from canlog.frames import FrameBatch
 from diag_service.diagnosis.records import Status
 from ecu_emulator.recording import Drive
 from ecu_emulator.scenario import Effects
-from tests.builders import drive_scenario
-from tests.chain import Outcome, diagnosed
-from tests.wire import received
+from tests.support.builders import drive_scenario
+from tests.support.chain import Outcome, diagnosed
+from tests.support.wire import received
 
 DURATION_S = 10.0  # three shifts
 FRAME_COUNT = 6_000  # or some more: cuts beyond the end fall together there

@@ -11,7 +11,7 @@ from canlog.logs.blf import read_blf
 from canlog.logs.candump import read_candump
 from canlog.logs.tally import LogReject, Tally
 from ecu_emulator.log_formats import BlfWriter, CandumpWriter, Header
-from tests.traffic import START_NS, as_received, random_frames
+from tests.support.traffic import START_NS, as_received, random_frames
 
 FRAMES = random_frames(60)
 EXPECTED = as_received(FRAMES)

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from canlog.decode.codec import message_table
 from canlog.decode.signal_block import SignalBlock
 from canlog.decode.signal_table import payload_words
-from tests.cantools_oracle import reference, same_bits
+from tests.support.cantools_oracle import reference, same_bits
 
 FD_LENGTHS = [1, 2, 3, 4, 5, 6, 7, 8, 12, 16, 20, 24, 32, 48, 64]
 ROWS = 6

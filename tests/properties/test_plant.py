@@ -4,7 +4,17 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from ecu_emulator.plant import Col, DriveSettings, FrictionFactors
-from tests.cycles import CASE_1, CASE_2, CYCLE_SHIFTS, IDEAL, FloatArray, drive_rows, powertrain, shifts, slip_rad_s
+from tests.support.cycles import (
+    CASE_1,
+    CASE_2,
+    CYCLE_SHIFTS,
+    IDEAL,
+    FloatArray,
+    drive_rows,
+    powertrain,
+    shifts,
+    slip_rad_s,
+)
 
 DRIVE = DriveSettings(seed=3, vary_ratio=0.05)
 STRETCH_S = 3.0

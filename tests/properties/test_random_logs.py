@@ -13,7 +13,7 @@ from canlog.frame_columns import join
 from canlog.frames import BRS_FLAG, ERROR_FLAG, ESI_FLAG, EXTENDED_FLAG, FD_FLAG, REMOTE_FLAG, TX_FLAG, FrameBatch
 from canlog.logs import read_log
 from canlog.logs.tally import LogCounts
-from tests.log_grammars import CODE_OF_LENGTH, GRAMMARS, PACKERS, Frame, Grammar
+from tests.support.log_grammars import CODE_OF_LENGTH, GRAMMARS, PACKERS, Frame, Grammar
 
 NO_JUMP_US = 900_000  # a longer gap is counted, too
 LEAST_GAP_US = 200  # more frames than that no bus carries

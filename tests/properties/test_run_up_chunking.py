@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from clutch_model.calibration import nominal_calibration
 from diag_service.diagnosis.events import RunUpEvent
 from diag_service.diagnosis.shifts.run_ups import RunUpFinder
-from tests.run_ups import CLOSED_PA, OPEN_PA, STEP_NS, Piece, batch_between, columns_of, idle, run_up
+from tests.support.run_ups import CLOSED_PA, OPEN_PA, STEP_NS, Piece, batch_between, columns_of, idle, run_up
 
 CALIBRATION = nominal_calibration()
 PRESSURES = st.sampled_from([OPEN_PA, CLOSED_PA])

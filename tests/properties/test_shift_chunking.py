@@ -10,7 +10,7 @@ from canlog.series import Series
 from diag_service.diagnosis.columns import ColumnBatch, Signal
 from diag_service.diagnosis.events import ShiftEvent
 from diag_service.diagnosis.shifts.shifts import ShiftFinder
-from tests.gears import STEP_NS
+from tests.support.gears import STEP_NS
 
 gear_runs = st.lists(st.tuples(st.integers(0, 4), st.integers(0, 4), st.integers(1, 120)), min_size=1, max_size=12)
 cuts = st.lists(st.integers(0, 1500), max_size=12)

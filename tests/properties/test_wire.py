@@ -15,7 +15,7 @@ from diag_service.diagnosis.columns import ColumnBatch, Signal
 from diag_service.mapping.decoder import Decoder, DecoderCounts
 from diag_service.mapping.profile import Profile, load_profile
 from ecu_emulator.frames import SIGNAL_OF, FrameEncoder
-from tests.wire import CONTRACTS, DATABASE, drive, readings, received
+from tests.support.wire import CONTRACTS, DATABASE, drive, readings, received
 
 DRIVE: Final = received(drive(0.7))
 ROWS: Final = len(DRIVE)

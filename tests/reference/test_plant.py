@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from ecu_emulator.plant import Col, DriveSettings
-from tests.cycles import CYCLE_SHIFTS, drive_rows, powertrain, shifts
+from tests.support.cycles import CYCLE_SHIFTS, drive_rows, powertrain, shifts
 
 COMPARED_S = 10.0
 STEPS_S = [2.5e-4, 2.0e-4, 1.0e-4]

@@ -6,8 +6,8 @@ from typing import Self
 
 import pytest
 
-from tests import starvation
-from tests.starvation import StarvationWatch, again_if_starved, is_starved, stalls, undisturbed
+from tests.support import starvation
+from tests.support.starvation import StarvationWatch, again_if_starved, is_starved, stalls, undisturbed
 
 BEAT = f"{starvation.BEAT_ID}#00"
 

@@ -10,7 +10,7 @@ from benchmarks.decoding.layout import database, random_batches
 from canlog.decode.codec import Codec
 from canlog.frame_columns import join
 from canlog.logs import read_log
-from tests.wire import drive, received
+from tests.support.wire import drive, received
 
 
 def test_ten_messages_with_64_signals() -> None:

@@ -19,7 +19,7 @@ from benchmarks.mismatch import (
 from benchmarks.mismatch_rows import BY_NAME, MATCHED, ROWS, Mismatch
 from ecu_emulator.build import build_vehicle
 from ecu_emulator.scenario import Effects, FluidCondition, Scenario
-from tests.builders import drive_scenario
+from tests.support.builders import drive_scenario
 
 NAME = "w_S x 1.5"
 

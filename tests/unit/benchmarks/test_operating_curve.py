@@ -32,7 +32,7 @@ from diag_service.diagnosis.friction import FilterState
 from diag_service.diagnosis.records import Condition
 from diag_service.service.stages import Diagnosis
 from ecu_emulator.build import build_vehicle
-from tests.builders import shift_estimate, shift_result
+from tests.support.builders import shift_estimate, shift_result
 
 
 def diagnosis(number: int, clutch: int, condition: Condition) -> Diagnosis:

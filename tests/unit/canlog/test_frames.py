@@ -6,7 +6,7 @@ import numpy as np
 
 from canlog.frame_columns import clear_padding, join
 from canlog.frames import BRS_FLAG, FD_FLAG, FrameBatch, empty_batch
-from tests.traffic import assert_same
+from tests.support.traffic import assert_same
 
 
 def classic(count: int) -> FrameBatch:

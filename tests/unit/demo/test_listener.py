@@ -11,7 +11,7 @@ from demo.listener import Listener
 from diag_service.diagnosis.records import ShiftResult
 from diag_service.diagnosis.results import ServiceStatus, shift_record, status_record
 from fleet_contract import Channel, Outgoing, shift_message, status_message, topic_of
-from tests.builders import shift_result
+from tests.support.builders import shift_result
 
 VEHICLE = "car1"
 

@@ -9,7 +9,7 @@ from ecu_emulator.errors import ConfigError
 from ecu_emulator.plant.parameters import nominal_parameters
 from ecu_emulator.scenario import FluidCondition, Scatter, Truth, production_scatter
 from ecu_emulator.signals import NOMINAL_SENSORS
-from tests.builders import drive_scenario
+from tests.support.builders import drive_scenario
 
 COMPARED = ("engine_torque_nm", "clutch1_pressure_pa", "clutch2_pressure_pa", "hub_speed_rad_s", "engine_speed_rad_s")
 

@@ -11,8 +11,8 @@ import pytest
 from ecu_emulator.bus import open_bus, to_messages, transmit
 from ecu_emulator.errors import BusError
 from ecu_emulator.frames import EncodedFrames
-from tests.patience import HANG_S
-from tests.traffic import random_frames
+from tests.support.patience import HANG_S
+from tests.support.traffic import random_frames
 
 
 class AnsweringBus(can.BusABC):

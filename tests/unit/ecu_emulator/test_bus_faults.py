@@ -13,9 +13,9 @@ from ecu_emulator.fault_onsets import MS_PER_S
 from ecu_emulator.faults import BusFault, BusFaultKind, Phase
 from ecu_emulator.frame_changes import ERROR_FLAG, FOREIGN_IDS, FRAME_S
 from ecu_emulator.frames import EncodedFrames, merge
+from tests.support.wire import CONTRACTS, drive
 from tests.unit.ecu_emulator.rows import made_up_rows
 from tests.unit.ecu_emulator.test_sensor_faults import rows_with_shifts
-from tests.wire import CONTRACTS, drive
 
 MESSAGE = "TCU_Pressures"
 CONTRACT = CONTRACTS[MESSAGE]

@@ -23,7 +23,7 @@ from ecu_emulator.readings import FloatArray
 from ecu_emulator.recording import Drive
 from ecu_emulator.scenario import Effects, Scenario
 from ecu_emulator.scenario_file import parse_scenario
-from tests.builders import drive_scenario
+from tests.support.builders import drive_scenario
 
 NOMINAL = nominal_calibration()
 PARAMETERS = nominal_parameters()

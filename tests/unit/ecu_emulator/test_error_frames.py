@@ -10,7 +10,7 @@ from ecu_emulator.bus import to_messages
 from ecu_emulator.errors import RecordError
 from ecu_emulator.frame_changes import error_frames, joined
 from ecu_emulator.record import open_log
-from tests.wire import drive
+from tests.support.wire import drive
 
 SOUND = drive(0.02)
 FRAMES = joined(SOUND, error_frames(np.array([0.021, 0.022])))

@@ -12,7 +12,7 @@ from canlog.e2e.profile1 import counter_of, crc_is_valid, data_id_remainder
 from clutch_model.units import rad_s_from_rpm
 from ecu_emulator.frames import SIGNAL_OF, EncodedFrames, FrameEncoder, merge
 from ecu_emulator.readings import FloatArray, Readings
-from tests.wire import CONTRACTS, DATABASE, drive, readings
+from tests.support.wire import CONTRACTS, DATABASE, drive, readings
 
 NO_FRAMES = EncodedFrames(
     t_s=np.empty(0), can_id=np.empty(0, np.uint32), length=np.empty(0, np.uint8), data=np.empty((0, 8), np.uint8)

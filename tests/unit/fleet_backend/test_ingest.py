@@ -14,8 +14,8 @@ from fleet_backend.intake import Kind
 from fleet_backend.writer import Batch
 from fleet_contract import Outgoing
 from fleet_link import Message
-from tests.fleet import NOW, fleet_result, message_of
-from tests.patience import HANG_S
+from tests.support.fleet import NOW, fleet_result, message_of
+from tests.support.patience import HANG_S
 
 
 class Records:

@@ -9,7 +9,7 @@ from diag_service.diagnosis.results import clutch_record, shift_record
 from fleet_backend.intake import Kind, Taken, batch_of, receipts_of, refuse, take
 from fleet_contract import Outcome, clutch_message, metrics_message, shift_message, status_message
 from fleet_link import Message
-from tests.fleet import NOW, delivered, fleet_result, message_of
+from tests.support.fleet import NOW, delivered, fleet_result, message_of
 
 GOOD = message_of(fleet_result(7))
 

@@ -7,8 +7,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from fleet_backend.rows import Poison, content_digest, quarantine_row, shift_row
-from tests.fleet import NOW, fleet_result, row_of
 from tests.golden import FOLDER as GOLDEN
+from tests.support.fleet import NOW, fleet_result, row_of
 
 
 @given(st.binary(max_size=200), st.text(max_size=50))

@@ -13,7 +13,7 @@ from fleet_backend.errors import ConfigError
 from fleet_backend.ingest import Inbox, Worker
 from fleet_backend.sign_of_life import answers, give_signs, prepare
 from fleet_backend.writer import Writer
-from tests.fleet import NOW
+from tests.support.fleet import NOW
 
 PERIOD_S = 0.01
 HANG_S = 60.0

@@ -18,7 +18,7 @@ from fleet_contract import (
     read_message,
     shift_message,
 )
-from tests.builders import shift_result
+from tests.support.builders import shift_result
 
 SHIFT = shift_message(shift_record(shift_result()))
 CLUTCH = clutch_message(clutch_record(shift_result()))

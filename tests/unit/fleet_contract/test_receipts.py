@@ -17,7 +17,7 @@ from fleet_contract import (
     read_message,
     receipts_of,
 )
-from tests.builders import shift_result
+from tests.support.builders import shift_result
 
 NOW = "2026-01-01T00:00:00.000000Z"
 KEY = key_of(shift_record(shift_result()))

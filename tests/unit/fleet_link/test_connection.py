@@ -8,7 +8,7 @@ import pytest
 
 from fleet_contract import Outgoing
 from fleet_link import BrokerAddress, Connection, LinkDownError, Terms, VersionRefusedError
-from tests.patience import HANG_S
+from tests.support.patience import HANG_S
 
 ACCEPTED = bytes([0x20, 3, 0, 0, 0])  # CONNACK of MQTT 5 without properties
 AT_MOST_TWO = bytes([0x20, 6, 0, 0, 3, 0x21, 0, 2])  # with a Receive Maximum of 2

@@ -10,8 +10,8 @@ from pathlib import Path
 
 import pytest
 
-from tests.image.compose import Service, read_compose
-from tests.image.dockerfile import read_stages
+from tests.support.image.compose import Service, read_compose
+from tests.support.image.dockerfile import read_stages
 
 ROOT = Path(__file__).parents[3]
 COMPOSE = read_compose(ROOT / "docker-compose.yml")

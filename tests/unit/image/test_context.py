@@ -4,8 +4,8 @@ from pathlib import Path
 
 import pytest
 
-from tests.image.context import context_files, is_ignored, read_patterns
-from tests.image.dockerfile import Copy, read_stages
+from tests.support.image.context import context_files, is_ignored, read_patterns
+from tests.support.image.dockerfile import Copy, read_stages
 
 ROOT = Path(__file__).parents[3]
 STAGES = read_stages(ROOT / "Dockerfile")

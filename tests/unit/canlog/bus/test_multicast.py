@@ -10,7 +10,7 @@ import pytest
 
 from canlog.bus.multicast import MulticastBus, is_own_address
 from canlog.bus.opening import open_bus
-from tests.replay import UdpBus, free_bus
+from tests.support.replay import UdpBus, free_bus
 
 PATIENCE_S = 20.0
 QUIET_S = 0.05

@@ -22,7 +22,7 @@ from canlog.decode.codec import Codec
 from canlog.e2e.protection_check import FrameReason, LinkMonitor
 from canlog.errors import DefinitionError
 from canlog.frames import EXTENDED_FLAG, FrameBatch
-from tests.wire import DATABASE
+from tests.support.wire import DATABASE
 
 CORNERS: Final = Path(__file__).parents[3] / "data" / "corners.dbc"
 EEC1: Final = 0x0CF0_0400  # group 61444, without its sender

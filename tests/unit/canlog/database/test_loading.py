@@ -15,8 +15,8 @@ from canlog.decode.codec import Codec
 from canlog.errors import DefinitionError
 from canlog.frames import EXTENDED_FLAG, FrameBatch
 from dbc.contract import load_contract
-from tests.cantools_oracle import reference, same_bits
-from tests.wire import DATABASE
+from tests.support.cantools_oracle import reference, same_bits
+from tests.support.wire import DATABASE
 
 DATA: Final = Path(__file__).parents[3] / "data"
 

@@ -12,8 +12,8 @@ from cantools.database.errors import DecodeError
 
 from canlog.decode.codec import Codec, FrameFate, MessageValues
 from canlog.frames import ERROR_FLAG, EXTENDED_FLAG, FD_FLAG, REMOTE_FLAG, FrameBatch
-from tests.cantools_oracle import reference, same_bits
-from tests.wire import DATABASE
+from tests.support.cantools_oracle import reference, same_bits
+from tests.support.wire import DATABASE
 
 CORNERS = Path(__file__).parents[3] / "data" / "corners.dbc"
 ROWS = 200

@@ -16,7 +16,7 @@ from hypothesis.extra import numpy as hnp
 
 from canlog.decode.signal_table import InvalidCounts, compile_signal, payload_words
 from canlog.errors import DefinitionError
-from tests.wire import CONTRACTS, DATABASE
+from tests.support.wire import CONTRACTS, DATABASE
 
 UInt8Array = npt.NDArray[np.uint8]
 

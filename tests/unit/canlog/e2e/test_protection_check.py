@@ -12,7 +12,7 @@ from canlog.e2e.profile1 import protect
 from canlog.e2e.protection_check import MAX_FRAMES_LOST_BY_RESTART, FrameReason, FrameVerdicts, LinkMonitor
 from canlog.errors import DefinitionError
 from canlog.frames import ERROR_FLAG, EXTENDED_FLAG, REMOTE_FLAG, FrameBatch
-from tests.wire import CONTRACTS, DATABASE, START_NS
+from tests.support.wire import CONTRACTS, DATABASE, START_NS
 
 NAME: Final = "TCU_Pressures"
 DATA_ID: Final = CONTRACTS[NAME].data_id or 0

@@ -11,9 +11,9 @@ from canlog.frames import FrameBatch
 from canlog.live.bus_clock import BusClock, ClockReading, read_clocks
 from diag_service.diagnosis.records import Status
 from ecu_emulator.recording import Drive
-from tests.builders import drive_scenario
-from tests.chain import Outcome, diagnosed
-from tests.wire import received
+from tests.support.builders import drive_scenario
+from tests.support.chain import Outcome, diagnosed
+from tests.support.wire import received
 
 NS_PER_S = 1_000_000_000
 HOURS_NS = 2 * 3600 * NS_PER_S

@@ -11,8 +11,8 @@ import pytest
 from canlog.errors import SourceError
 from canlog.frames import FrameBatch
 from canlog.live.frame_queue import FrameQueue
-from tests.patience import HANG_S
-from tests.traffic import as_received, assert_same, random_frames
+from tests.support.patience import HANG_S
+from tests.support.traffic import as_received, assert_same, random_frames
 
 
 def batches(count: int, sizes: int = 10) -> tuple[FrameBatch, list[FrameBatch]]:

@@ -12,7 +12,7 @@ from canlog.frames import ERROR_FLAG, FrameBatch
 from canlog.live import BusState, LinkBreak, SourceCounts, SupervisedSource, supervise
 from canlog.live.supervisor import Patience
 from canlog.notice import NOTICE
-from tests.patience import HANG_S
+from tests.support.patience import HANG_S
 
 QUICK = Patience(retry_s=0.001, restart_s=0.01)
 

@@ -13,7 +13,7 @@ from diag_service.batch.journal import Entry
 from diag_service.batch.tables import columns, flattened, format_of, write_results
 from diag_service.diagnosis.results import shift_record
 from diag_service.errors import ConfigError, StoreError
-from tests.builders import rejected, shift_result
+from tests.support.builders import rejected, shift_result
 
 ENTRIES = tuple(
     Entry(key=str(seq), drive={"paths": [f"{seq}.log"]}, shifts=(shift_record(result),))

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from diag_service.delivery.lanes import Lanes
 from diag_service.store import ResultStore, VehicleState, Versions
-from tests.builders import shift_result
+from tests.support.builders import shift_result
 
 STATE = VehicleState(belief={}, condition={}, versions=Versions(algorithm="a", calibration="c"))
 

@@ -12,8 +12,8 @@ from diag_service.diagnosis.results import shift_record
 from diag_service.errors import PublishError, StoreFullError
 from diag_service.store import ResultStore, VehicleState, Versions
 from fleet_contract import Outcome, Outgoing, Receipt, key_of, metrics_message, read_message
-from tests.builders import shift_result
-from tests.patience import HANG_S
+from tests.support.builders import shift_result
+from tests.support.patience import HANG_S
 
 QUICK = DeliveryLimits(first_pause_s=0.001)
 NOW = "2026-01-01T00:00:00.000000Z"

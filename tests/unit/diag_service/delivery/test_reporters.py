@@ -12,7 +12,7 @@ from diag_service.delivery.pipe import PipeReporter
 from diag_service.diagnosis.records import Reason, ShiftResult
 from diag_service.diagnosis.results import shift_record
 from diag_service.diagnosis.summary import FrameCounts, ShiftTally, Summary, frames_line, shifts_line, summarise
-from tests.builders import rejected, shift_result
+from tests.support.builders import rejected, shift_result
 
 FRAMES = FrameCounts(
     on_bus=100,

@@ -14,8 +14,8 @@ from diag_service.diagnosis.shifts.shifts import ShiftFinder
 from diag_service.mapping.decoder import Decoder
 from diag_service.mapping.profile import load_profile
 from ecu_emulator.recording import Drive
-from tests.builders import drive_scenario
-from tests.wire import received
+from tests.support.builders import drive_scenario
+from tests.support.wire import received
 
 
 @cache

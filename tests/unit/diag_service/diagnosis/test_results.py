@@ -19,7 +19,7 @@ from diag_service.diagnosis.results import (
 )
 from diag_service.errors import ResultError
 from fleet_contract import schema
-from tests.builders import START_NS, friction_estimate, rejected, shift_result
+from tests.support.builders import START_NS, friction_estimate, rejected, shift_result
 
 STATUS = ServiceStatus(
     vehicle="car1",

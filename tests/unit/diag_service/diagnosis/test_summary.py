@@ -12,7 +12,7 @@ from diag_service.diagnosis.summary import (
     summary_record,
     values_line,
 )
-from tests.builders import shift_result
+from tests.support.builders import shift_result
 
 MISSING = "friction needs clutch1_pressure_pa"
 

@@ -19,7 +19,7 @@ from diag_service.mapping.decoder import Decoder, DecoderCounts
 from diag_service.mapping.profile import Profile, SignalSource, load_profile
 from ecu_emulator.frames import FrameEncoder
 from ecu_emulator.readings import Readings
-from tests.wire import CONTRACTS, DATABASE, START_NS, drive, joined, of_message, received
+from tests.support.wire import CONTRACTS, DATABASE, START_NS, drive, joined, of_message, received
 
 TCU_SHIFT: Final = CONTRACTS["TCU_Shift"].can_id
 CORNERS: Final = Path(__file__).parents[3] / "data" / "corners.dbc"

@@ -13,7 +13,7 @@ from diag_service.mapping.decoder import PIECE_FRAMES, Decoder
 from diag_service.mapping.mapped_messages import MessageColumns, map_signals
 from diag_service.mapping.profile import PROFILE_FOLDER, Profile, load_profile, load_shipped
 from diag_service.mapping.sample_pass import SamplePass
-from tests.wire import drive, received
+from tests.support.wire import drive, received
 
 
 def damaged_drive() -> FrameBatch:

@@ -29,7 +29,7 @@ from diag_service.service.stopping import Trigger
 from diag_service.store import ResultStore, VehicleState
 from ecu_emulator.frames import FrameEncoder
 from ecu_emulator.readings import Readings
-from tests.patience import HANG_S
+from tests.support.patience import HANG_S
 
 CALIBRATION = nominal_calibration()
 VERSIONS = versions_for(CALIBRATION)

@@ -23,7 +23,7 @@ from diag_service.service.monitor import Monitor, SilentReporter
 from diag_service.service.snapshot import SILENT_S, STALE_S, Board, RateMeter, Snapshot, SnapshotTaker
 from diag_service.settings.config import ListenAddress, parse_listen_address
 from diag_service.store import ResultStore
-from tests.patience import HANG_S
+from tests.support.patience import HANG_S
 from tests.unit.diag_service.service.test_live import gear_frames, session_for
 
 STATUS = BusStatus(

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from diag_service.service.service_manager import ServiceManager
-from tests.patience import HANG_S
+from tests.support.patience import HANG_S
 
 
 @pytest.fixture(name="manager_socket")

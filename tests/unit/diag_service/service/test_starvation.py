@@ -23,8 +23,8 @@ from diag_service.errors import PublishError, StoreError
 from diag_service.store import ResultStore
 from ecu_emulator.bus import open_bus
 from fleet_contract import Outgoing
-from tests.builders import shift_result
-from tests.patience import HANG_S
+from tests.support.builders import shift_result
+from tests.support.patience import HANG_S
 from tests.unit.diag_service.service.test_live import ListSource, cut, gear_frames, run, session_for
 
 SHIFTS = 5

@@ -10,8 +10,8 @@ from diag_service.diagnosis.summary import FrameCounts
 from diag_service.service.two_senders import ENOUGH_FRAMES, SenderWatch
 from ecu_emulator.recording import frames_of
 from ecu_emulator.scenario_file import load_scenario, parse_scenario
-from tests.chain import diagnosed
-from tests.traffic import as_received
+from tests.support.chain import diagnosed
+from tests.support.traffic import as_received
 
 
 def counts(decoded: int, wrong: int) -> FrameCounts:

@@ -16,7 +16,7 @@ from diag_service.settings.config import parse_broker
 from diag_service.settings.files import load_settings
 from diag_service.settings.options import SETTINGS, VARIABLES
 from fleet_contract import PREFIX, SERVICE_VARIABLES
-from tests.service import environment
+from tests.support.service import environment
 
 VALUES: dict[str, str | int | float | bool] = {
     "vehicle": "car1",

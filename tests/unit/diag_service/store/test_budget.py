@@ -9,7 +9,7 @@ import pytest
 
 from diag_service.diagnosis.records import ShiftResult
 from diag_service.store import ResultStore, VehicleState, Versions
-from tests.builders import rejected, shift_result
+from tests.support.builders import rejected, shift_result
 
 STATE = VehicleState(belief={}, condition={}, versions=Versions(algorithm="a", calibration="c"))
 BUDGET_BYTES = 600_000

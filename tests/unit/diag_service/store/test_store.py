@@ -11,7 +11,7 @@ from diag_service.diagnosis.results import StoredResult, dump, shift_record
 from diag_service.errors import ResultError
 from diag_service.store import ResultStore, VehicleState, Versions
 from fleet_contract import Outcome, Receipt, key_of
-from tests.builders import shift_result
+from tests.support.builders import shift_result
 
 VERSIONS = Versions(algorithm="algorithm-1", calibration="1+0123456789ab")
 

@@ -2,7 +2,7 @@ import pytest
 
 from clutch_model.errors import DomainError
 from ecu_emulator.plant import DriveSettings
-from tests.cycles import powertrain
+from tests.support.cycles import powertrain
 
 
 def test_energy_is_conserved_over_a_cycle() -> None:

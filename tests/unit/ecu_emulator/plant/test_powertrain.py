@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from ecu_emulator.plant import Col, DriveSettings, FrictionFactors
-from tests.cycles import CYCLE_SHIFTS, FloatArray, drive_rows, powertrain, shifts, slip_rad_s
+from tests.support.cycles import CYCLE_SHIFTS, FloatArray, drive_rows, powertrain, shifts, slip_rad_s
 
 NOMINAL = DriveSettings()
 SHORT_S = 4.0

@@ -10,7 +10,7 @@ from ecu_emulator.plant.driveline import ENGAGED, SYNCHRONISING
 from ecu_emulator.plant.integration import close_synchronisers
 from ecu_emulator.plant.powertrain import drive_law
 from ecu_emulator.plant.records import as_record
-from tests.cycles import FloatArray
+from tests.support.cycles import FloatArray
 
 LAW = as_record(drive_law(nominal_calibration(), nominal_parameters(), DriveSettings()))
 GEARS = (3, 4)  # 3rd engaged on the odd shaft, 4th to be engaged on the even one

@@ -8,7 +8,7 @@ from clutch_model.errors import CalibrationError
 from ecu_emulator import tcu_data
 from ecu_emulator.plant import Col, DriveSettings, nominal_parameters
 from ecu_emulator.truth import RevTruth, RevWatcher
-from tests.cycles import CYCLE_SHIFTS, FloatArray, drive_rows, powertrain, shifts
+from tests.support.cycles import CYCLE_SHIFTS, FloatArray, drive_rows, powertrain, shifts
 
 ROUTINE = DriveSettings(open_revs=2, closed_revs=2)
 LONGEST_S = 80.0

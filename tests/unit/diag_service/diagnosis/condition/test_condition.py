@@ -12,7 +12,7 @@ from diag_service.diagnosis.friction.baseline import BASELINE_SHIFT_COUNT
 from diag_service.diagnosis.friction.filter_state import FilterState
 from diag_service.diagnosis.friction.parameters import State
 from diag_service.diagnosis.records import Condition, Reason, Status
-from tests.builders import rejected, shift_estimate, shift_result
+from tests.support.builders import rejected, shift_estimate, shift_result
 
 CALIBRATION = nominal_calibration()
 

@@ -7,7 +7,7 @@ import pytest
 
 from diag_service.diagnosis.condition.scatter import LEAST_SHIFT_COUNT, Scatter
 from diag_service.diagnosis.records import FrictionEstimate
-from tests.builders import friction_estimate
+from tests.support.builders import friction_estimate
 
 RUNNING = replace(friction_estimate(), random_std_mu_c=0.0, random_std_mu_s=0.0)
 STD = np.array([0.002, 0.005])

@@ -27,7 +27,7 @@ from diag_service.mapping.decoder import Decoder
 from diag_service.mapping.profile import load_profile
 from ecu_emulator.recording import frames_of
 from ecu_emulator.scenario import Routine, Scenario, Truth
-from tests.builders import drive_scenario
+from tests.support.builders import drive_scenario
 
 NOMINAL = nominal_calibration()
 TORQUE_LATENCY_S, PRESSURE_LATENCY_S, SPEED_LATENCY_S = 0.023, 0.011, 0.004

@@ -24,8 +24,8 @@ from diag_service.mapping.decoder import Decoder
 from diag_service.mapping.profile import load_profile
 from diag_service.service.stages import Stages
 from ecu_emulator.recording import Drive
-from tests.builders import drive_scenario
-from tests.wire import received
+from tests.support.builders import drive_scenario
+from tests.support.wire import received
 
 CALIBRATION = nominal_calibration()
 BARE = ShiftEvent(

@@ -10,7 +10,7 @@ from diag_service.diagnosis.columns import ColumnBatch, Signal
 from diag_service.diagnosis.events import EndReason
 from diag_service.diagnosis.shifts.shift_bounds import MAX_SHIFT_NS
 from diag_service.diagnosis.shifts.shifts import POST_NS, PRE_NS, ShiftFinder
-from tests.gears import STEP_NS, batch_of, gear_batch
+from tests.support.gears import STEP_NS, batch_of, gear_batch
 
 
 def test_a_shift_is_reported_with_its_history() -> None:

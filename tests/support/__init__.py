@@ -1,0 +1,1 @@
+"""Builders, doubles and helpers of the tests, and the processes that tests start."""

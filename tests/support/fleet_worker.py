@@ -1,0 +1,156 @@
+"""Ingest workers for tests: as a process, and as one that is killed at a chosen step of its work.
+
+``python -m tests.support.fleet_worker --step after_commit --number 2 ...`` ends, as by a power cut, at that step of its
+second batch.
+"""
+
+import argparse
+import asyncio
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import AsyncIterator, Iterator, Sequence
+from contextlib import asynccontextmanager, contextmanager
+from datetime import UTC, datetime
+from enum import StrEnum
+from pathlib import Path
+from typing import Final
+
+from sqlalchemy import Connection, Engine, event
+
+from fleet_backend.broker import connected
+from fleet_backend.choices import Pace
+from fleet_backend.config import parse_broker
+from fleet_backend.database import open_database
+from fleet_backend.ingest import FILTERS, Inbox, Worker
+from fleet_backend.writer import Batch, Writer
+from fleet_contract import Outgoing
+from fleet_link import Message
+
+START_S: Final = 120.0
+
+
+class Step(StrEnum):
+    """The steps between a message's arrival and its end."""
+
+    BEFORE_INSERT = "before_insert"
+    BEFORE_COMMIT = "before_commit"
+    AFTER_COMMIT = "after_commit"
+    AFTER_RECEIPT = "after_receipt"
+    AFTER_PUBACK = "after_puback"
+
+
+class Doom:
+    """Ends this process at one step of one batch."""
+
+    def __init__(self, step: Step, number: int) -> None:
+        self.step = step
+        self._left = number
+
+    def at(self, step: Step) -> None:
+        """Pass a step, or not."""
+        if step is self.step:
+            self._left -= 1
+            if not self._left:
+                os.kill(os.getpid(), signal.SIGKILL)
+
+
+class DoomedStore:
+    """A store that dies before, in or after its transaction."""
+
+    def __init__(self, engine: Engine, doom: Doom) -> None:
+        self._writer = Writer(engine)
+        self._doom = doom
+        event.listen(engine, "commit", self._before_commit)
+
+    def store(self, batch: Batch) -> None:
+        """Store a batch."""
+        self._doom.at(Step.BEFORE_INSERT)
+        self._writer.store(batch)
+        self._doom.at(Step.AFTER_COMMIT)
+
+    def _before_commit(self, _connection: Connection) -> None:
+        self._doom.at(Step.BEFORE_COMMIT)
+
+
+class DoomedInbox:
+    """A connection that dies once its words have left for the broker."""
+
+    def __init__(self, inbox: Inbox, doom: Doom) -> None:
+        self._inbox = inbox
+        self._doom = doom
+        self._pending: Step | None = None
+
+    async def collect(self, limit: int, patience_s: float) -> list[Message]:
+        """Return the next messages; what was queued for the broker before is on its way by now."""
+        await asyncio.sleep(0.1)
+        if self._pending is not None:
+            self._doom.at(self._pending)
+        return await self._inbox.collect(limit, patience_s)
+
+    def send(self, messages: Sequence[Outgoing]) -> None:
+        """Send receipts."""
+        self._inbox.send(messages)
+
+    def settle(self, messages: Sequence[Message]) -> None:
+        """Settle with the broker, unless the end comes before."""
+        if self._doom.step is Step.AFTER_RECEIPT:
+            self._pending = Step.AFTER_RECEIPT
+            return
+        self._inbox.settle(messages)
+        self._pending = Step.AFTER_PUBACK
+
+
+@contextmanager
+def worker(folder: Path, broker: str, database: str, *more: str, module: str = "fleet_backend") -> Iterator[int]:
+    """Run a worker until the block ends, and yield its process id when it listens."""
+    command = [sys.executable, "-m", module, *(["ingest"] if module == "fleet_backend" else [])]
+    log = folder / f"worker-{len(list(folder.glob('worker-*')))}.log"
+    with log.open("wb") as out:
+        child = subprocess.Popen([*command, "--broker", broker, "--database", database, *more], stderr=out)
+    try:
+        _wait_for(log, "listening", child)
+        yield child.pid
+    finally:
+        child.terminate()
+        child.wait(START_S)
+
+
+def _wait_for(log: Path, text: str, child: "subprocess.Popen[bytes]") -> None:
+    deadline_s = time.monotonic() + START_S
+    while text not in log.read_text(encoding="utf-8"):
+        assert child.poll() is None, log.read_text(encoding="utf-8")
+        assert time.monotonic() < deadline_s, log.read_text(encoding="utf-8")
+        time.sleep(0.02)
+
+
+async def _work(broker: str, engine: Engine, doom: Doom) -> None:
+    address = parse_broker(broker)
+    pace = Pace(batch_size=20, patience_s=0.05)
+
+    @asynccontextmanager
+    async def connect() -> AsyncIterator[DoomedInbox]:
+        async with connected(address, FILTERS, max_unsettled=pace.max_unsettled) as inbox:
+            sys.stderr.write("listening\n")
+            sys.stderr.flush()
+            yield DoomedInbox(inbox, doom)
+
+    store = DoomedStore(engine, doom)
+    await Worker(connect, store, name="doomed", now=lambda: datetime.now(UTC), pace=pace).run()
+
+
+def main() -> None:
+    """Work until the chosen step."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--broker", required=True)
+    parser.add_argument("--database", required=True)
+    parser.add_argument("--step", type=Step, choices=list(Step), required=True)
+    parser.add_argument("--number", type=int, default=1)
+    options = parser.parse_args()
+    asyncio.run(_work(options.broker, open_database(options.database), Doom(options.step, options.number)))
+
+
+if __name__ == "__main__":
+    main()

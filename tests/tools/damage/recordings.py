@@ -1,0 +1,186 @@
+"""A short drive in every log format there is, and what the service makes of a log."""
+
+import gzip
+import sqlite3
+from collections.abc import Callable, Mapping
+from contextlib import closing
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from functools import cache
+from pathlib import Path
+from types import MappingProxyType
+
+import numpy as np
+
+from canlog.arrays import Int64Array
+from canlog.errors import SourceError
+from canlog.frame_columns import join
+from canlog.frames import FrameBatch, empty_batch
+from canlog.logs import LogCounts, read_log
+from clutch_model.calibration import nominal_calibration
+from dbc.contract import load_contract
+from diag_service.diagnosis.condition.condition import ConditionMemory
+from diag_service.diagnosis.friction import FilterState
+from diag_service.diagnosis.records import ShiftEstimate
+from diag_service.mapping.decoder import Decoder
+from diag_service.mapping.profile import load_profile
+from diag_service.service.stages import Stages
+from ecu_emulator.frames import EncodedFrames
+from ecu_emulator.record import DEFAULT_START_NS, open_log
+from ecu_emulator.recording import Drive
+from tests.support.builders import drive_scenario
+
+RECORDED = MappingProxyType(
+    {
+        "candump": ".log",
+        "blf": ".blf",
+        "asc": ".asc",
+        "mf4": ".mf4",
+        "trc": ".trc",
+        "csv": ".csv",
+        "gvret": ".gvret.csv",
+    }
+)
+"""Formats that the emulator records, by name, with their suffixes."""
+
+DURATION_S = 10.0  # three shifts
+SCENARIO = "ideal"
+US_PER_S = 1_000_000
+NS_PER_US = 1_000
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Outcome:
+    """What became of one recording."""
+
+    estimates: tuple[ShiftEstimate, ...]
+    frames: FrameBatch  # as far as they were read
+    counts: LogCounts
+    error: str = ""
+
+
+@cache
+def short_drive() -> EncodedFrames:
+    """Return the frames of three shifts."""
+    return next(Drive(drive_scenario(SCENARIO)).stretches(DURATION_S)).frames
+
+
+@cache
+def true_friction() -> tuple[Mapping[str, float], Mapping[str, float]]:
+    """Return what the estimates of the short drive should be, clutch 1 first."""
+    truth = Drive(drive_scenario(SCENARIO)).truth
+    first, second = ({"mu_c": truth.mu_c[clutch], "mu_s": truth.mu_s[clutch]} for clutch in (0, 1))
+    return first, second
+
+
+def times_us(frames: EncodedFrames) -> Int64Array:
+    """Return when frames were sent, in microseconds of the drive."""
+    rounded: Int64Array = np.rint(frames.t_s * US_PER_S).astype(np.int64)
+    return rounded
+
+
+def write_recorded(path: Path, frames: EncodedFrames) -> None:
+    """Write a format that the emulator records."""
+    with open_log(path) as log:
+        log.write(frames)
+
+
+def write_gzip(path: Path, frames: EncodedFrames) -> None:
+    """Write candump inside gzip."""
+    plain = path.with_suffix("")
+    write_recorded(plain, frames)
+    path.write_bytes(gzip.compress(plain.read_bytes(), 6, mtime=0))
+
+
+def write_sqlite(path: Path, frames: EncodedFrames) -> None:
+    """Write the database of python-can."""
+    path.unlink(missing_ok=True)
+    rows = [
+        ((DEFAULT_START_NS // NS_PER_US + t_us) / US_PER_S, can_id, 0, 0, 0, length, data[:length].tobytes())
+        for t_us, can_id, length, data in zip(
+            times_us(frames).tolist(), frames.can_id.tolist(), frames.length.tolist(), frames.data, strict=True
+        )
+    ]
+    with closing(sqlite3.connect(path)) as database:
+        database.execute("CREATE TABLE messages (ts, arbitration_id, extended, remote, error, dlc, data)")
+        database.executemany("INSERT INTO messages VALUES (?, ?, ?, ?, ?, ?, ?)", rows)
+        database.commit()
+
+
+def write_busmaster(path: Path, frames: EncodedFrames) -> None:
+    """Write a log of BUSMASTER; its clock counts tenths of milliseconds."""
+    start = datetime.fromtimestamp(DEFAULT_START_NS / 1e9, UTC).astimezone()
+    day_us = ((start.hour * 60 + start.minute) * 60 + start.second) * US_PER_S
+    head = (
+        "***BUSMASTER Ver 3.2.2***\n"
+        f"***START DATE AND TIME {start.day}:{start.month}:{start.year} {start:%H:%M:%S}:000***\n***SYSTEM MODE***\n"
+    )
+    path.write_text(head + "".join(busmaster_line(day_us + t_us, row) for t_us, row in rows_of(frames)), "ascii")
+
+
+def busmaster_line(t_us: int, row: EncodedFrames) -> str:
+    """Return the line of one frame."""
+    seconds, rest_us = divmod(t_us, US_PER_S)
+    clock = f"{seconds // 3600:02}:{seconds // 60 % 60:02}:{seconds % 60:02}:{rest_us // 100:04}"
+    payload = row.data[0, : row.length[0]].tobytes().hex(" ").upper()
+    return f"{clock} Rx 1 0x{row.can_id[0]:X} s {row.length[0]} {payload}\n"
+
+
+def write_crtd(path: Path, frames: EncodedFrames) -> None:
+    """Write a log of the Open Vehicles project."""
+    start_us = DEFAULT_START_NS // NS_PER_US
+    lines = [
+        f"{(start_us + t_us) // US_PER_S}.{t_us % US_PER_S:06} 1R11 {row.can_id[0]:X} "
+        f"{row.data[0, : row.length[0]].tobytes().hex(' ').upper()}\n"
+        for t_us, row in rows_of(frames)
+    ]
+    path.write_text(f"{start_us // US_PER_S}.000000 CXX short drive\n" + "".join(lines), "ascii")
+
+
+def rows_of(frames: EncodedFrames) -> list[tuple[int, EncodedFrames]]:
+    """Return frames one by one, with their times."""
+    return [(t_us, frames[row : row + 1]) for row, t_us in enumerate(times_us(frames).tolist())]
+
+
+Writer = Callable[[Path, EncodedFrames], None]
+WRITERS: Mapping[str, Writer] = MappingProxyType(
+    {
+        **dict.fromkeys(RECORDED, write_recorded),
+        "sqlite": write_sqlite,
+        "busmaster": write_busmaster,
+        "crtd": write_crtd,
+        "gzip": write_gzip,
+    }
+)
+"""How every format is written."""
+
+SUFFIXES: Mapping[str, str] = MappingProxyType(
+    {**RECORDED, "sqlite": ".db", "busmaster": ".bus.log", "crtd": ".crtd", "gzip": ".log.gz"}
+)
+CLOCK_US: Mapping[str, int] = MappingProxyType({"busmaster": 100})  # the step of a format's times; else 1
+
+
+def analyse(path: Path) -> Outcome:
+    """Read and diagnose a recording."""
+    calibration = nominal_calibration()
+    stages = Stages(
+        Decoder(load_contract(), load_profile()),
+        calibration,
+        FilterState.fresh(calibration),
+        ConditionMemory.fresh(),
+    )
+    estimates: list[ShiftEstimate] = []
+    batches: list[FrameBatch] = [empty_batch()]
+    error, counts = "", LogCounts()
+    try:
+        reader = read_log(path)
+        try:
+            for batch in reader:
+                batches.append(batch)
+                estimates += [stages.conclude(event).estimate for event in stages.segment(batch)]
+            estimates += [stages.conclude(event).estimate for event in stages.flush()]
+        finally:
+            counts = reader.counts
+    except SourceError as exc:
+        error = str(exc)
+    return Outcome(estimates=tuple(estimates), frames=join(batches), counts=counts, error=error)

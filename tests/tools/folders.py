@@ -1,0 +1,112 @@
+"""A folder of logs, analysed by several processes, killed half-way and started again: no file twice, none missing.
+
+python -m tests.tools.folders --logs 100 --jobs 2
+"""
+
+import argparse
+import json
+import signal
+import subprocess
+import sys
+import time
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+
+import psutil
+
+from tests.plugins.drives import send_time_s
+from tests.support.patience import HANG_S
+from tests.support.service import PROGRAM, environment
+
+RECORD_TIMEOUT_S = 600.0
+POLL_S = 0.02
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class KilledRun:
+    """What a kill left, and what the second start made of it."""
+
+    done_before: int  # drives in the journal when the first run was killed
+    outlived: int  # its processes that did not end with it
+    records: tuple[dict[str, Any], ...]  # the output of the second run
+    second_stderr: str
+
+    @property
+    def files(self) -> Counter[str]:
+        """How often each log is in the output."""
+        return Counter(path for one in self.records if one["schema"] == "clutchdiag/drive/v1" for path in one["paths"])
+
+    @property
+    def shift_keys(self) -> Counter[tuple[str, int]]:
+        """How often each shift is in the output."""
+        return Counter((one["stream"], one["seq"]) for one in self.records if one["schema"] == "clutchdiag/shift/v1")
+
+
+def fill_folder(folder: Path, log: Path, count: int) -> list[Path]:
+    """Write copies of a candump log, each begun a little later so that all differ, and a file that is no log."""
+    lines = log.read_bytes().splitlines(keepends=True)
+    folder.mkdir(parents=True)
+    (folder / "notes.txt").write_text("not a log\n", encoding="ascii")
+    paths = [folder / f"drive{number:03}.log" for number in range(count)]
+    for number, path in enumerate(paths):
+        path.write_bytes(b"".join(lines[number:]))
+    return paths
+
+
+def kill_and_resume(folder: Path, output: Path, *, jobs: int, kill_after: int) -> KilledRun:
+    """Analyse a folder, kill the run when so many drives are done, start it again and return what came of it."""
+    journal = output.with_name(f"{output.name}.journal")
+    command = [*PROGRAM, "analyze", str(folder), "--output", str(output), "--jobs", str(jobs)]
+    first = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, env=environment())
+    while _line_count(journal) < kill_after:
+        if first.poll() is not None:
+            raise RuntimeError(f"the run ended by itself with status {first.returncode}")
+        time.sleep(POLL_S)
+    family = psutil.Process(first.pid).children(recursive=True)
+    first.send_signal(signal.SIGKILL)
+    first.wait()
+    _, alive = psutil.wait_procs(family, timeout=HANG_S)
+    done_before = _line_count(journal)
+    with journal.open("ab") as file:
+        file.write(b'{"schema":"clutchdiag/journal/v1","key":"cut off in the mid')  # as a kill while writing leaves it
+    second = subprocess.run(command, capture_output=True, text=True, check=True, env=environment())
+    records = tuple(json.loads(line) for line in output.read_text(encoding="utf-8").splitlines())
+    return KilledRun(done_before=done_before, outlived=len(alive), records=records, second_stderr=second.stderr)
+
+
+def _line_count(path: Path) -> int:
+    return path.read_bytes().count(b"\n") if path.exists() else 0
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Do it with many logs and print what was found; the status is 0 if every log was analysed exactly once."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--logs", type=int, default=100)
+    parser.add_argument("--jobs", type=int, default=2)
+    options = parser.parse_args(arguments)
+    with TemporaryDirectory() as name:
+        folder = Path(name)
+        log = folder / "cycle.log"
+        command = [sys.executable, "-m", "ecu_emulator", "record", str(log)]
+        subprocess.run(command, check=True, capture_output=True, timeout=RECORD_TIMEOUT_S)
+        lines = log.read_bytes().splitlines(keepends=True)
+        begun_s = send_time_s(lines[0])
+        log.write_bytes(b"".join(line for line in lines if send_time_s(line) < begun_s + 12.0))
+        paths = fill_folder(folder / "logs", log, options.logs)
+        run = kill_and_resume(folder / "logs", folder / "out.jsonl", jobs=options.jobs, kill_after=options.logs // 2)
+    missing = {str(path) for path in paths} - run.files.keys()
+    twice = [path for path, count in run.files.items() if count > 1]
+    repeated = [key for key, count in run.shift_keys.items() if count > 1]
+    print(f"{options.logs} logs, {options.jobs} processes, killed after {run.done_before} were done; then:")
+    print(run.second_stderr.strip())
+    print(f"missing {len(missing)}, twice {len(twice)}, shifts {run.shift_keys.total()}, of them twice {len(repeated)}")
+    print(f"processes that outlived the kill: {run.outlived}")
+    return 1 if missing or twice or repeated or run.outlived else 0
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

@@ -1,0 +1,182 @@
+"""Hypothesis against the readers of our own, for as long as one likes.
+
+Pieces of sound logs and arbitrary bytes, shuffled: reading ends without an error of another kind than ours, frames are
+those of the columns' rules, and every line of a text is accounted for. BLF is tried twice, as a file and with the
+objects inside its containers changed before they are packed.
+
+    python -m tests.tools.fuzz --reader candump --minutes 10
+"""
+
+import argparse
+import io
+import sys
+import time
+import zlib
+from collections.abc import Callable, Iterator
+from itertools import pairwise
+from typing import BinaryIO
+
+import numpy as np
+from hypothesis import HealthCheck, given, seed, settings
+from hypothesis import strategies as st
+
+from canlog.errors import SourceError
+from canlog.frames import ERROR_FLAG, EXTENDED_FLAG, FD_FLAG, FrameBatch
+from canlog.logs.asc import read_asc
+from canlog.logs.blf import read_blf
+from canlog.logs.candump import read_candump
+from canlog.logs.detection import TABLES, LogFormat
+from canlog.logs.tables import reader_of
+from canlog.logs.tally import Tally
+from canlog.logs.text_kernels import IS_LENGTH
+from ecu_emulator.log_formats import (
+    AscWriter,
+    BlfWriter,
+    CandumpWriter,
+    CsvWriter,
+    FrameWriter,
+    GvretWriter,
+    Header,
+    TrcWriter,
+)
+from ecu_emulator.log_formats.blf import CONTAINER_HEADER, DEFLATED, FILE_HEADER, LOG_CONTAINER, OBJECT_MAGIC
+from tests.support.traffic import START_NS, as_received, random_frames
+from tests.tools.damage.garbling import inflated_containers
+
+EXAMPLES_PER_ROUND = 500
+STORED = 0  # a container that is not deflated
+Reader = Callable[[BinaryIO, Tally], Iterator[FrameBatch]]
+
+
+def written(writer: type[FrameWriter]) -> bytes:
+    """Return a sound log of a few frames."""
+    frames = random_frames(40)
+    stream = io.BytesIO()
+    log = writer(stream, Header(start_us=START_NS // 1000, channel="vcan0"))
+    log.write(as_received(frames).t_ns // 1000, frames)
+    log.close()
+    return stream.getvalue()
+
+
+BUSMASTER = (
+    b"***BUSMASTER Ver 3.2.2***\n***START DATE AND TIME 1:2:2026 23:59:37:325***\n***SYSTEM MODE***\n"
+    b"23:59:37:3329 Rx 1 0x144 s 1 5E\n00:00:07:3347 Tx 2 0x18FEF100 x 8 5F 00 11 22 33 44 55 66\n"
+    b"0:0:9:3 Rx 1 0x7 sr 3\n"
+)
+CRTD = b"1320745424.000 CXX log\n1320745424.002 1R11 402 FA 01 C3 A0 96 00 07 01\n1320745424.1 2T29 18FEF100 07 64\n"
+SOUND_BLF = written(BlfWriter)
+SOUND_OBJECTS = b"".join(inflated_containers(SOUND_BLF))
+READERS: dict[str, tuple[Reader, bytes]] = {
+    "candump": (read_candump, written(CandumpWriter) + b"(1.0) can1 123##5" + b"5A" * 12 + b"\n(1.0) can0 123#R4\n"),
+    "asc": (read_asc, written(AscWriter) + b"1.5 CANFD 2 Rx 123 1 0 9 12 " + b"11 " * 12 + b"0 0 303000 0 0 0\n"),
+    "blf": (read_blf, SOUND_BLF),
+    "blf-objects": (read_blf, SOUND_OBJECTS),
+    "trc": (reader_of(TABLES[LogFormat.TRC]), written(TrcWriter)),
+    "csv": (reader_of(TABLES[LogFormat.CSV]), written(CsvWriter)),
+    "gvret": (reader_of(TABLES[LogFormat.GVRET]), written(GvretWriter)),
+    "busmaster": (reader_of(TABLES[LogFormat.BUSMASTER]), BUSMASTER),
+    "crtd": (reader_of(TABLES[LogFormat.CRTD]), CRTD),
+}
+ALPHABET = st.sampled_from(b"0123456789ABCDEFabcdefx#()., \t\r\n;*:-_=TRrd$\0\xff").map(lambda value: bytes([value]))
+
+
+def contents(sound: bytes) -> st.SearchStrategy[bytes]:
+    """Return logs of pieces of a sound one, of characters of the grammars, and of anything."""
+    lines = st.sampled_from(sound.splitlines(keepends=True))
+    places = st.tuples(st.integers(0, len(sound)), st.integers(0, 200))
+    pieces = places.map(lambda place: sound[place[0] : place[0] + place[1]])
+    mixed = st.lists(st.one_of(lines, pieces, ALPHABET, st.binary(max_size=40)), max_size=30).map(b"".join)
+    changes = st.lists(st.tuples(st.integers(0, len(sound) - 1), st.integers(0, 255)), max_size=8)
+    return st.one_of(
+        mixed, mixed.map(lambda rest: sound[:200] + rest), changes.map(lambda found: changed(sound, found))
+    )
+
+
+def packed(objects: bytes, cuts: list[int]) -> bytes:
+    """Return a BLF file that holds these objects in several containers, every other one deflated."""
+    edges = [0, *sorted(min(place, len(objects)) for place in cuts), len(objects)]
+    found = SOUND_BLF[: FILE_HEADER.size]
+    for number, (first, last) in enumerate(pairwise(edges)):
+        piece = objects[first:last]
+        stored, method = (zlib.compress(piece), DEFLATED) if number % 2 else (piece, STORED)
+        size = CONTAINER_HEADER.size + len(stored)
+        found += CONTAINER_HEADER.pack(OBJECT_MAGIC, 16, 1, size, LOG_CONTAINER, method, len(piece)) + stored
+        found += bytes(size % 4)
+    return found
+
+
+def packed_contents(sound: bytes) -> st.SearchStrategy[bytes]:
+    """Return BLF files whose objects are anything."""
+    return st.builds(packed, contents(sound), st.lists(st.integers(0, len(sound)), max_size=4))
+
+
+def changed(sound: bytes, changes: list[tuple[int, int]]) -> bytes:
+    """Return a log with some of its bytes changed."""
+    found = bytearray(sound)
+    for place, value in changes:
+        found[place] = value
+    return bytes(found)
+
+
+def check(reader: Reader, text: bytes, *, has_lines: bool) -> None:
+    """Read a log and check what must hold of any."""
+    tally, frames = Tally(), 0
+    try:
+        for batch in reader(io.BytesIO(text), tally):
+            check_batch(batch)
+            frames += len(batch)
+    except SourceError:
+        return
+    counts = tally.snapshot()
+    assert frames == counts.frames
+    if has_lines:
+        whole = text.count(b"\n")
+        accounted = counts.frames + counts.skipped + sum(counts.rejected.values())
+        assert whole <= accounted <= whole + 1
+
+
+def check_batch(batch: FrameBatch) -> None:
+    """Check the rules of the columns."""
+    assert len(batch) == len(batch.can_id) == len(batch.length) == len(batch.data) == len(batch.flags)
+    assert (batch.t_ns % 1000 == 0).all()
+    assert IS_LENGTH[batch.length].all()
+    assert ((batch.length <= 8) | (batch.flags & FD_FLAG != 0)).all()
+    number = batch.can_id & np.uint32(0x1FFF_FFFF)
+    is_standard = (batch.can_id & np.uint32(EXTENDED_FLAG | ERROR_FLAG)) == 0
+    assert (number[is_standard] <= 0x7FF).all()
+    assert not batch.data[np.arange(batch.width) >= batch.length[:, None]].any()
+
+
+def fuzz(name: str, minutes: float, first_seed: int) -> int:
+    """Fuzz one reader; return how many logs it read."""
+    reader, sound = READERS[name]
+    logs = packed_contents(sound) if name == "blf-objects" else contents(sound)
+    end_s, rounds = time.monotonic() + 60.0 * minutes, 0
+    while time.monotonic() < end_s:
+
+        @seed(first_seed + rounds)
+        @settings(
+            max_examples=EXAMPLES_PER_ROUND, deadline=None, database=None, suppress_health_check=list(HealthCheck)
+        )
+        @given(logs)
+        def one_round(text: bytes) -> None:
+            check(reader, text, has_lines=not name.startswith("blf"))
+
+        one_round()
+        rounds += 1
+    return rounds * EXAMPLES_PER_ROUND
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--reader", choices=READERS, action="append", help="default: all, one after the other")
+    parser.add_argument("--minutes", type=float, default=10.0, help="for each reader")
+    parser.add_argument("--seed", type=int, default=1)
+    options = parser.parse_args()
+    for name in options.reader or READERS:
+        print(f"{name}: {fuzz(name, options.minutes, options.seed)} logs read, nothing wrong", flush=True)
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,177 @@
+"""A service whose interface is switched off, removed or renamed in the middle of a shift, again and again.
+
+    python -m tests.uml.run -- python -m tests.tools.link_cycles --count 50
+
+The service is ``diag-service run`` as a process; a sender drives one unfinished shift after another. Each round takes
+the interface away while a shift is open and gives it back, then waits until the service says that it reads it again.
+"""
+
+import argparse
+import socket
+import struct
+import sys
+import tempfile
+import threading
+import time
+from collections.abc import Callable
+from contextlib import suppress
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Self
+
+import numpy as np
+
+from ecu_emulator.frames import FrameEncoder
+from ecu_emulator.readings import Readings
+from tests.support.service import Ended, Service, service
+from tests.support.wire import CONTRACTS, DATABASE
+from tests.uml.vcan import create_vcan, ip_link
+
+CYCLE_S = 0.01
+OPEN_AFTER = 30  # frames with equal gears before the target moves
+TARGET_S = 2.0
+RETURNED = "is read again after"
+_FRAME = struct.Struct("=IB3x8s")
+_PERIOD = 2 * OPEN_AFTER  # a multiple of the alive counter's period: the payloads repeat
+
+
+def shift_payloads() -> list[bytes]:
+    """Return the frames of one round: gears equal, then a shift that does not end."""
+    rows = np.arange(_PERIOD, dtype=np.float64)
+    values = {
+        "current_gear": np.ones(_PERIOD),
+        "target_gear": np.where(rows < OPEN_AFTER, 1.0, 2.0),
+        "preselected_gear": np.full(_PERIOD, 2.0),
+        "shift_phase": np.zeros(_PERIOD),
+    }
+    frames = FrameEncoder(DATABASE).encode(Readings(message="TCU_Shift", t_s=rows * CYCLE_S, values=values))
+    return [bytes(row) for row in frames.data]
+
+
+class ShiftSender:
+    """Sends gears at their cycle time while it is entered; an interface that is away only makes it wait."""
+
+    def __init__(self, channel: str) -> None:
+        self.channel = channel
+        self.is_shifting = threading.Event()
+        self._is_over = threading.Event()
+        self._thread = threading.Thread(target=self._send, name="shift sender")
+
+    def __enter__(self) -> Self:
+        self._thread.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._is_over.set()
+        self._thread.join()
+
+    def _send(self) -> None:
+        while not self._is_over.is_set():
+            with suppress(OSError), socket.socket(socket.AF_CAN, socket.SOCK_RAW, socket.CAN_RAW) as raw:
+                raw.bind((self.channel,))
+                self._drive(raw)
+            self._is_over.wait(CYCLE_S)
+
+    def _drive(self, raw: socket.socket) -> None:
+        """Send one shift after the other until the interface fails."""
+        payloads = shift_payloads()
+        while True:
+            for number, payload in enumerate(payloads):
+                raw.send(_FRAME.pack(CONTRACTS["TCU_Shift"].can_id, 8, payload))
+                if number < OPEN_AFTER:
+                    self.is_shifting.clear()
+                elif number > OPEN_AFTER + 5:
+                    self.is_shifting.set()
+                if self._is_over.wait(CYCLE_S):
+                    return
+
+
+def switch(name: str) -> str:
+    """Switch an interface off and on."""
+    if not (ip_link("set", name, "down") and ip_link("set", name, "up")):
+        raise RuntimeError(f"cannot switch {name}")
+    return name
+
+
+def recreate(name: str) -> str:
+    """Remove an interface and make it again."""
+    if not (ip_link("delete", name) and create_vcan(name)):
+        raise RuntimeError(f"cannot make {name} again")
+    return name
+
+
+def rename(name: str) -> str:
+    """Give an interface another name; return it."""
+    new = name.removesuffix("x") if name.endswith("x") else f"{name}x"
+    if not (ip_link("set", name, "down") and ip_link("set", name, "name", new) and ip_link("set", new, "up")):
+        raise RuntimeError(f"cannot rename {name}")
+    return new
+
+
+CALAMITIES: tuple[Callable[[str], str], ...] = (switch, recreate, rename)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LinkReport:
+    """What many interruptions did to a service."""
+
+    ended: Ended
+    channel: str  # its name in the end
+    resume_s: tuple[float, ...]  # from the return of the interface to the service's word that it reads
+
+    @property
+    def interrupted_count(self) -> int:
+        """Shifts reported as interrupted."""
+        return sum(shift["reasons"] == ["interrupted"] for shift in self.ended.shifts)
+
+
+def run_cycles(folder: Path, channel: str, count: int) -> LinkReport:
+    """Take the interface away ``count`` times during a shift; return what the service made of it."""
+    resume_s = []
+    bus = ("run", "-i", "socketcan", "-c", channel, "--json", "--store", folder / "car.sqlite")
+    with service(folder, *bus) as running, ShiftSender(channel) as sender:
+        running.wait_for(lambda: "listening" in running.err)
+        for number in range(count):
+            time.sleep(4 * CYCLE_S)
+            running.wait_for(sender.is_shifting.is_set)
+            channel = CALAMITIES[number % len(CALAMITIES)](channel)
+            began_s = time.monotonic()
+            sender.channel = channel
+            running.wait_for(lambda known=number + 1: returns(running) == known)  # type: ignore[misc]
+            resume_s.append(time.monotonic() - began_s)
+            sender.is_shifting.clear()
+        running.process.terminate()
+        ended = running.wait()
+    return LinkReport(ended=ended, channel=channel, resume_s=tuple(resume_s))
+
+
+def returns(running: Service) -> int:
+    """Return how often the service said that it reads its bus again."""
+    return running.err.count(RETURNED)
+
+
+def main() -> int:
+    """Run many rounds and print what came of them."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("--count", type=int, default=50, help="interruptions (default: 50)")
+    count = parser.parse_args().count
+    name = "vcan40"
+    if not create_vcan(name):
+        raise SystemExit(f"cannot create {name}: run `python -m tests.uml.run -- COMMAND`")
+    with tempfile.TemporaryDirectory() as folder:
+        report = run_cycles(Path(folder), name, count)
+    ip_link("delete", report.channel)
+    frames = report.ended.summary["frames"]
+    slowest_s = max(report.resume_s)
+    print(f"interruptions          {count} (switched off, removed, renamed in turn)")
+    print(f"exit status            {report.ended.status}")
+    print(f"read again after       median {np.median(report.resume_s):.2f} s, longest {slowest_s:.2f} s")
+    print(f"shifts interrupted     {report.interrupted_count}, with the one open at the end")
+    print(f"frames                 {frames['on_bus']} received, {frames['decoded']} decoded")
+    has_passed = report.ended.status == 0 and slowest_s <= TARGET_S and report.interrupted_count >= count
+    print(f"target                 no exit, <= {TARGET_S:g} s, each marked: {'met' if has_passed else 'MISSED'}")
+    return 0 if has_passed else 1
+
+
+if __name__ == "__main__":
+    sys.exit(main())
