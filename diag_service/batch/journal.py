@@ -12,8 +12,9 @@ from pathlib import Path
 from types import TracebackType
 from typing import Self
 
-from diag_service.diagnosis.results import JsonObject, dump
+from diag_service.diagnosis.results import dump
 from diag_service.errors import StoreError
+from fleet_contract import JsonObject
 from program_io.private_file import PRIVATE_MODE, keep_private
 
 JOURNAL_SCHEMA = "clutchdiag/journal/v1"

@@ -8,10 +8,9 @@ from pathlib import Path
 
 from canlog.parquet_file import BOOL_TYPE, ParquetTable
 from diag_service.batch.journal import Entry
-from diag_service.diagnosis.results import JsonObject, dump
+from diag_service.diagnosis.results import dump
 from diag_service.errors import ConfigError, StoreError
-from fleet_contract.described import schema
-from fleet_contract.topics import Channel
+from fleet_contract import Channel, JsonObject, schema
 from program_io.legible import legible
 
 BATCH_ROWS = 4096

@@ -17,7 +17,7 @@ from diag_service.console.notices import set_up_notices
 from diag_service.delivery import MemoryReporter
 from diag_service.diagnosis.condition.condition import ConditionMemory
 from diag_service.diagnosis.friction import FilterState
-from diag_service.diagnosis.results import JsonObject, shift_record
+from diag_service.diagnosis.results import shift_record
 from diag_service.diagnosis.summary import summary_record, unjudged
 from diag_service.mapping.interpretation import Interpretation, interpret
 from diag_service.service.drive import open_drive, stream_of
@@ -43,13 +43,13 @@ class Analyst:
 
     def analyse(self, drive: Drive) -> Entry:
         """Return the account of a drive and its shifts; a log that cannot be read gives the reason instead."""
-        head: JsonObject = {"schema": DRIVE_SCHEMA, "paths": [str(path) for path in drive.paths]}
+        head: dict[str, object] = {"schema": DRIVE_SCHEMA, "paths": [str(path) for path in drive.paths]}
         try:
             stream, reporter = self._run(drive)
         except SourceError as exc:
             return Entry(key=drive.key, drive={**head, "stream": None, "error": str(exc), "summary": None}, shifts=())
         (summary,) = reporter.summaries
-        account: JsonObject = {**head, "stream": stream, "error": None, "summary": summary_record(summary)}
+        account: dict[str, object] = {**head, "stream": stream, "error": None, "summary": summary_record(summary)}
         results = (unjudged(one, summary.gaps) for one in reporter.results)  # the last one is taken for the drive's
         return Entry(key=drive.key, drive=account, shifts=tuple(map(shift_record, results)))
 

@@ -11,10 +11,11 @@ from canlog.tables.record import account_record
 from canlog.tables.report import frame_texts, losses, remarks, values_text
 from canlog.tables.texts import Values
 from diag_service.console.terminal import PeopleConsole
-from diag_service.diagnosis.results import JsonObject, dump
+from diag_service.diagnosis.results import dump
 from diag_service.errors import ConfigError, IncompleteError, StoppedError
 from diag_service.mapping.databases import open_database
 from diag_service.service.stopping import Trigger
+from fleet_contract import JsonObject
 
 
 def execute(options: SimpleNamespace, stop: Trigger, counts_wanted: Trigger) -> None:

@@ -18,10 +18,11 @@ from canlog.frames import ERROR_FLAG, EXTENDED_FLAG, REMOTE_FLAG
 from canlog.logs import LogReader, read_log
 from canlog.traffic import NS_PER_S, IdTraffic, TrafficMeter, TrafficReport
 from diag_service.console.terminal import PeopleConsole
-from diag_service.diagnosis.results import JsonObject, dump, utc_from_bus_ns
+from diag_service.diagnosis.results import dump, utc_from_bus_ns
 from diag_service.errors import ConfigError, StoppedError
 from diag_service.mapping.databases import open_database
 from diag_service.service.stopping import Trigger
+from fleet_contract import JsonObject
 
 SCHEMA = "clutchdiag/inspect/v1"
 MS_PER_S = 1e3

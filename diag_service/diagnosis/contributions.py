@@ -4,7 +4,7 @@ from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 
-from diag_service.diagnosis.results import JsonObject
+from fleet_contract import JsonObject
 
 OTHER_CHANNEL = "other_channel"
 OF_NO_MESSAGE = "remote_or_error"  # the only rejection that says nothing of a message

@@ -8,7 +8,8 @@ from enum import StrEnum
 from diag_service.diagnosis.comparison import ClutchRatio
 from diag_service.diagnosis.contributions import NO_LOGS, Contributions, log_record
 from diag_service.diagnosis.records import ClutchVerdict, Condition, ShiftEstimate, ShiftResult, Status, Tier
-from diag_service.diagnosis.results import JsonObject, clutch_record
+from diag_service.diagnosis.results import clutch_record
+from fleet_contract import JsonObject
 
 RECENT_COUNT = 8
 SUMMARY_SCHEMA = "clutchdiag/summary/v1"

@@ -18,7 +18,6 @@ from diag_service.diagnosis.events import RunUpEvent, ShiftEvent
 from diag_service.diagnosis.friction.parameters import NUISANCE_NAMES, STATE_COUNT, Considered, State, prior_covariance
 from diag_service.diagnosis.friction.self_calibration import SelfCalibration, self_calibrate
 from diag_service.diagnosis.records import FrictionEstimate
-from diag_service.diagnosis.results import JsonObject
 from diag_service.diagnosis.shifts.run_ups import RunUpFinder
 from diag_service.diagnosis.shifts.shifts import ShiftFinder
 from diag_service.diagnosis.summary import GAP_TEXT, Gap
@@ -28,6 +27,7 @@ from diag_service.service.drive import OpenLog, gaps_in, warn_of_damage, warn_of
 from diag_service.service.drive_frames import DriveFrames
 from diag_service.service.stopping import Trigger
 from diag_service.settings.config import UNNAMED_VEHICLE
+from fleet_contract import JsonObject
 
 CALIBRATION_SCHEMA = "clutchdiag/self-calibration/v1"
 _NS_PER_S = 1_000_000_000

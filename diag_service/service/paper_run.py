@@ -8,7 +8,7 @@ from rich.console import Console
 from rich.table import Table
 
 from diag_service.diagnosis.friction.paper import PaperCollection, PaperEstimate, PaperShift, PooledClutch
-from diag_service.diagnosis.results import JsonObject, dump
+from diag_service.diagnosis.results import dump
 from diag_service.diagnosis.summary import Gap, frames_line, gaps_line
 from diag_service.errors import StoppedError
 from diag_service.service.drive import (
@@ -23,6 +23,7 @@ from diag_service.service.drive_frames import DriveFrames
 from diag_service.service.recorded import events, frame_counts
 from diag_service.service.stages import Stages
 from diag_service.service.stopping import Trigger
+from fleet_contract import JsonObject
 
 PAPER_SCHEMA = "clutchdiag/paper/v1"
 _HEAD = f"{'shift':>5}  {'gears':<5} {'clutch':>6}  {'mu_C':>8} {'n':>4} {'mu_S':>8} {'n':>4}"

@@ -16,12 +16,12 @@ from pathlib import Path
 from typing import Self
 
 from diag_service.diagnosis.records import ShiftResult
-from diag_service.diagnosis.results import JsonObject, StoredResult, dump, parse_shift, shift_record
+from diag_service.diagnosis.results import StoredResult, dump, parse_shift, shift_record
 from diag_service.errors import ResultError, StoreError
 from diag_service.store import budget, waiting
 from diag_service.store.budget import DroppedCounts
 from diag_service.store.file import connect, connect_in_memory, own, translated
-from fleet_contract import Receipt
+from fleet_contract import JsonObject, Receipt
 from program_io.private_file import keep_private
 
 

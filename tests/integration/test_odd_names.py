@@ -17,7 +17,7 @@ from pyarrow import parquet
 from dbc.contract import DBC_PATH
 from diag_service.batch.journal import Entry
 from diag_service.batch.tables import write_results
-from diag_service.diagnosis.results import JsonObject, shift_record
+from diag_service.diagnosis.results import shift_record
 from tests.support.builders import shift_result
 
 ODD = b"log\xe9-\xff[b]"  # Latin-1, no text at all, and what looks like rich's markup
@@ -123,7 +123,7 @@ def test_tables_are_written_under_such_names(odd: Path) -> None:
 @pytest.mark.parametrize("suffix", [".jsonl", ".csv", ".parquet"])
 def test_every_kind_of_table_takes_such_names(odd: Path, suffix: str) -> None:
     output = odd / odd_name(suffix)
-    drive: JsonObject = {"paths": ["log\udce9.log"]}
+    drive: dict[str, object] = {"paths": ["log\udce9.log"]}
     write_results(output, [Entry(key="1", drive=drive, shifts=(shift_record(shift_result(1)),))])
     content = output.read_bytes()
     text = str(parquet.read_table(io.BytesIO(content))) if suffix == ".parquet" else content.decode()

@@ -12,11 +12,11 @@ from dbc.contract import load_contract
 from diag_service.diagnosis.condition.condition import ConditionMemory
 from diag_service.diagnosis.friction import FilterState
 from diag_service.diagnosis.records import ClutchVerdict, ShiftEstimate
-from diag_service.diagnosis.results import JsonObject
 from diag_service.diagnosis.summary import FrameCounts
 from diag_service.mapping.decoder import Decoder
 from diag_service.mapping.profile import load_profile
 from diag_service.service.stages import Diagnosis, Stages
+from fleet_contract import JsonObject
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

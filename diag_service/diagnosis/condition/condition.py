@@ -4,7 +4,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from enum import StrEnum
 from statistics import NormalDist
-from typing import Any, Self
+from typing import Self
 
 from clutch_model.calibration import Calibration
 from clutch_model.clutch import FrictionCurve
@@ -12,7 +12,9 @@ from diag_service.diagnosis.comparison import FrictionTrend
 from diag_service.diagnosis.condition.scatter import Scatter
 from diag_service.diagnosis.friction.filter_state import FilterState
 from diag_service.diagnosis.friction.scale_free import clutch_ratio, common_scale_std_ratio, scale_free, trend
+from diag_service.diagnosis.plain_values import from_plain, to_plain
 from diag_service.diagnosis.records import ClutchVerdict, Condition, FrictionEstimate, Reason, ShiftEstimate, Status
+from fleet_contract import JsonObject
 
 MIN_SHIFT_COUNT = 2  # one shift may be an outlier
 MAX_MARGIN_STD_RATIO = 0.5  # of the reference margin: beyond it the slope is anyone's guess
@@ -31,11 +33,11 @@ _MISFITS = frozenset({Reason.MISFIT, Reason.ZERO_JUMPED})
 
 
 class Fit(StrEnum):
-    """What a shift says of the calibration that it was estimated with."""
+    """What a shift says of the calibration that it was estimated with; stored states hold these words."""
 
-    AGREES = "agrees"
-    SURPRISES = "surprises"  # it contradicts the running state: the clutch has changed, or the calibration is wrong
-    MISFITS = "misfits"  # it contradicts the calibration
+    AGREES = "AGREES"
+    SURPRISES = "SURPRISES"  # it contradicts the running state: the clutch has changed, or the calibration is wrong
+    MISFITS = "MISFITS"  # it contradicts the calibration
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -90,33 +92,32 @@ class ConditionMemory:
         scatters[index] = known.with_shift(alone, before.friction(estimate.clutch))
         return replace(self, scatters=(scatters[0], scatters[1]))
 
-    def to_json(self) -> dict[str, Any]:
+    def to_json(self) -> JsonObject:
         """Return the memory as JSON-ready values; floats survive the round trip bit by bit."""
-        return {
-            "format": MEMORY_FORMAT,
-            "conditions": [condition.name for condition in self.conditions],
-            "scatters": [one and one.to_json() for one in self.scatters],
-            "fits": [fit.name for fit in self.fits],
-        }
+        names = {"conditions": [one.name for one in self.conditions]}
+        return {"format": MEMORY_FORMAT} | to_plain(self) | names
 
     @classmethod
-    def from_json(cls, table: dict[str, Any]) -> Self:
-        """Rebuild a memory saved by `to_json`.
+    def from_json(cls, table: Mapping[str, object]) -> Self:
+        """Rebuild a memory saved by `to_json`; stores of earlier versions know of no fits.
 
         Raises
         ------
         ValueError
             If the table is not such a memory.
         """
+        if table.get("format") != MEMORY_FORMAT:
+            raise ValueError(f"condition memory of format {table.get('format')!r}, expected {MEMORY_FORMAT}")
         try:
-            if table["format"] != MEMORY_FORMAT:
-                raise ValueError(f"condition memory of format {table['format']!r}, expected {MEMORY_FORMAT}")
-            first, second = (Condition[name] for name in table["conditions"])
-            scatters = [one and Scatter.from_json(one) for one in table["scatters"]]
-            fits = tuple(Fit[one] for one in table.get("fits", ()))  # stores of earlier versions have none
-            return cls(conditions=(first, second), scatters=(scatters[0], scatters[1]), fits=fits)
-        except (KeyError, TypeError, IndexError) as exc:
-            raise ValueError(f"not a condition memory: {exc!r}") from exc
+            names, scatters = table["conditions"], table["scatters"]
+            conditions = [Condition[name] for name in names] if isinstance(names, list) else names
+            memory = from_plain({**table, "conditions": conditions, "scatters": scatters}, cls)
+        except (KeyError, TypeError, ValueError) as exc:
+            raise ValueError(f"not a condition memory: {exc}") from exc
+        for scatter in memory.scatters:
+            if scatter is not None and not scatter.is_possible:
+                raise ValueError(f"impossible scatter {scatter!r}")
+        return memory
 
 
 def judge(

@@ -1,7 +1,7 @@
 """Shift-to-shift scatter: how far single shifts of a clutch lie from the running estimate, measured, not stated."""
 
 from dataclasses import dataclass
-from typing import Any, Self
+from typing import Self
 
 from diag_service.diagnosis.comparison import ShiftScatter
 from diag_service.diagnosis.records import FrictionEstimate
@@ -48,6 +48,11 @@ class Scatter:
         )
 
     @property
+    def is_possible(self) -> bool:
+        """Whether shifts can scatter so; what was stored may be damaged."""
+        return 0.0 < self.variance_mu_c < 1.0 and 0.0 < self.variance_mu_s < 1.0 and self.shift_count >= 0
+
+    @property
     def reported(self) -> ShiftScatter | None:
         """What a result says of it; None before there were enough shifts."""
         if self.shift_count < LEAST_SHIFT_COUNT:
@@ -55,26 +60,6 @@ class Scatter:
         return ShiftScatter(
             std_mu_c=self.variance_mu_c**0.5, std_mu_s=self.variance_mu_s**0.5, shift_count=self.shift_count
         )
-
-    def to_json(self) -> dict[str, Any]:
-        """Return the scatter as JSON-ready values; floats survive the round trip bit by bit."""
-        return {
-            "variance_mu_c": self.variance_mu_c,
-            "variance_mu_s": self.variance_mu_s,
-            "shift_count": self.shift_count,
-        }
-
-    @classmethod
-    def from_json(cls, table: dict[str, Any]) -> Self:
-        """Rebuild a scatter saved by `to_json`; raises KeyError, TypeError or ValueError if the table is none."""
-        scatter = cls(
-            variance_mu_c=float(table["variance_mu_c"]),
-            variance_mu_s=float(table["variance_mu_s"]),
-            shift_count=int(table["shift_count"]),
-        )
-        if not (0.0 < scatter.variance_mu_c < 1.0 and 0.0 < scatter.variance_mu_s < 1.0 and scatter.shift_count >= 0):
-            raise ValueError(f"impossible scatter {table!r}")
-        return scatter
 
 
 def _next_variance(variance: float, distance: float, alone_std: float, running_std: float, weight: float) -> float:

@@ -6,15 +6,16 @@ what else `Considered` lists. They inflate the stated covariance; those of film 
 from what depends on them (docs/model.md, section "Estimator"). A self-calibration finds some of them from many shifts.
 """
 
-from dataclasses import dataclass, replace
+from collections.abc import Mapping
+from dataclasses import dataclass, fields, replace
 from statistics import NormalDist
-from typing import Any, Self
+from typing import Final, Self
 
 import numpy as np
 
 from canlog.arrays import FloatArray
 from clutch_model.calibration import Calibration
-from diag_service.diagnosis.friction.baseline import BASELINE_SHIFT_COUNT, Baseline
+from diag_service.diagnosis.friction.baseline import BASELINE_SHIFT_COUNT, SHAPES, Baseline
 from diag_service.diagnosis.friction.parameters import (
     STATE_COUNT,
     Considered,
@@ -24,13 +25,19 @@ from diag_service.diagnosis.friction.parameters import (
     prior_mean,
 )
 from diag_service.diagnosis.friction.perturbations import COMMON
+from diag_service.diagnosis.plain_values import from_plain, to_plain
 from diag_service.diagnosis.quality.plausibility import PressureZeros
 from diag_service.diagnosis.records import FrictionEstimate
+from fleet_contract import JsonObject
 
 FRICTION_DRIFT_STD = 2e-5  # per shift: 0.15 in the life of a fluid is 1e-6, so this forgets over thousands of shifts
 OFFSET_DRIFT_NM = 0.005  # per shift: warm-up of the torque model
 PRESSURE_DRIFT_PA = 5.0  # per shift: warm-up of the pressure sensors
 STATE_FORMAT = 3
+_STORED: Final = (
+    *("mean", "covariance", "sensitivity", "shift_counts", "refused_counts"),
+    *("clutch_temperature_k", "temperature_ns", "baselines"),
+)
 STEERING = list(COMMON)  # their derivatives come from planned films; those of the others share noise with the residual
 LEAST_REACH = 1e-12  # a considered parameter that a residual does not show
 MAX_MISFIT = 4.0  # chi-square per degree of freedom; a clean shift stays below 2.5
@@ -224,22 +231,13 @@ class FilterState:
             probability_negative_slope=NormalDist(float(mu_c - mu_s), std_difference).cdf(0.0),
         )
 
-    def to_json(self) -> dict[str, Any]:
+    def to_json(self) -> JsonObject:
         """Return the state as JSON-ready values; floats survive the round trip bit by bit."""
-        return {
-            "format": STATE_FORMAT,
-            "mean": self.mean.tolist(),
-            "covariance": self.covariance.tolist(),
-            "sensitivity": self.sensitivity.tolist(),
-            "shift_counts": list(self.shift_counts),
-            "refused_counts": list(self.refused_counts),
-            "clutch_temperature_k": self.clutch_temperature_k and list(self.clutch_temperature_k),
-            "temperature_ns": self.temperature_ns,
-            "baselines": [one and one.to_json() for one in self.baselines],
-        }
+        plain = to_plain(self)
+        return {"format": STATE_FORMAT} | {name: plain[name] for name in _STORED}
 
     @classmethod
-    def from_json(cls, table: dict[str, Any], calibration: Calibration) -> Self:
+    def from_json(cls, table: Mapping[str, object], calibration: Calibration) -> Self:
         """Rebuild a state saved by `to_json` under the same calibration.
 
         Raises
@@ -247,32 +245,18 @@ class FilterState:
         ValueError
             If the table is not such a state.
         """
+        if table.get("format") != STATE_FORMAT:
+            raise ValueError(f"running state of format {table.get('format')!r}, expected {STATE_FORMAT}")
         blank = cls.fresh(calibration)
         try:
-            if table["format"] != STATE_FORMAT:
-                raise ValueError(f"running state of format {table['format']!r}, expected {STATE_FORMAT}")
-            temperature = table["clutch_temperature_k"]
-            first, second = (one and Baseline.from_json(one) for one in table["baselines"])
-            state = replace(
-                blank,
-                mean=np.array(table["mean"], dtype=np.float64),
-                covariance=np.array(table["covariance"], dtype=np.float64),
-                sensitivity=np.array(table["sensitivity"], dtype=np.float64),
-                shift_counts=_pair(table["shift_counts"], int),
-                refused_counts=_pair(table["refused_counts"], int),
-                clutch_temperature_k=None if temperature is None else _pair(temperature, float),
-                temperature_ns=int(table["temperature_ns"]),
-                baselines=(first, second),
-            )
-        except (KeyError, TypeError) as exc:
-            raise ValueError(f"not a running state: {exc!r}") from exc
-        for name in ("mean", "covariance", "sensitivity"):
-            value = getattr(state, name)
-            if value.shape != getattr(blank, name).shape or not np.all(np.isfinite(value)):
-                raise ValueError(f"not a running state: bad {name}")
+            given = {one.name: getattr(blank, one.name) for one in fields(cls)}
+            state = from_plain(given | {name: table[name] for name in _STORED}, cls)
+        except (KeyError, ValueError) as exc:
+            raise ValueError(f"not a running state: {exc}") from exc
+        shapes = {name: getattr(blank, name).shape for name in ("mean", "covariance", "sensitivity")}
+        for record, expected in ((state, shapes), *((one, SHAPES) for one in state.baselines if one is not None)):
+            for name, shape in expected.items():
+                value = getattr(record, name)
+                if value.shape != shape or not np.all(np.isfinite(value)):
+                    raise ValueError(f"not a running state: bad {name} of a {type(record).__name__}")
         return state
-
-
-def _pair(values: Any, kind: type) -> tuple[Any, Any]:  # noqa: ANN401 - JSON is untyped
-    first, second = values
-    return kind(first), kind(second)

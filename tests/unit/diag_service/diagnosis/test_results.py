@@ -16,6 +16,7 @@ from diag_service.diagnosis.results import (
     shift_record,
     status_record,
     utc_from_bus_ns,
+    verdict_from,
 )
 from diag_service.errors import ResultError
 from fleet_contract import schema
@@ -140,3 +141,18 @@ def test_bus_time_is_utc_with_microseconds() -> None:
     assert utc_from_bus_ns(START_NS) == "2026-01-01T00:00:00.123456Z"
     assert utc_from_bus_ns(-1_000) == "1969-12-31T23:59:59.999999Z"
     assert utc_from_bus_ns(0) == "1970-01-01T00:00:00.000000Z"
+
+
+@pytest.mark.parametrize("condition", [1, None, "fine", ["good"]])
+def test_a_condition_is_read_from_its_word_alone(condition: object) -> None:
+    record = clutch_record(shift_result())
+    assert verdict_from(record) == shift_result().verdict
+    with pytest.raises(ResultError, match="condition"):
+        verdict_from(record | {"condition": condition})
+
+
+def test_the_complaint_about_a_record_names_the_key() -> None:
+    record = shift_record(shift_result())
+    del record["window_s"]
+    with pytest.raises(ResultError, match=r"incomplete clutchdiag/shift/v1 record: .*window_s"):
+        parse_shift(dump(record))

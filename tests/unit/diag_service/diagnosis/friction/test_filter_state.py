@@ -10,6 +10,7 @@ from clutch_model.calibration import nominal_calibration
 from diag_service.diagnosis.friction.baseline import BASELINE_SHIFT_COUNT
 from diag_service.diagnosis.friction.filter_state import STEERING, FilterState, Measurement
 from diag_service.diagnosis.friction.parameters import Considered, State
+from diag_service.diagnosis.plain_values import to_plain
 
 CALIBRATION = replace(
     nominal_calibration(), uncertainty=replace(nominal_calibration().uncertainty, motoring_gain_ratio=0.02)
@@ -17,7 +18,7 @@ CALIBRATION = replace(
 STATES, CONSIDERED = len(State), len(Considered)
 SCALE = np.array([0.1] * 4 + [5.0] + [8e3] * 4)  # keeps the random problems near unit size
 CONSIDERED_SCALE = np.sqrt(np.diag(FilterState.fresh(CALIBRATION).considered))
-FROZEN = replace(FilterState.fresh(CALIBRATION), shift_counts=(99, 99)).counted(1, 1).to_json()["baselines"][0]
+FROZEN = to_plain(replace(FilterState.fresh(CALIBRATION), shift_counts=(99, 99)).counted(1, 1).baselines[0])
 
 
 def random_measurement(rng: np.random.Generator, rows: int) -> Measurement:
