@@ -52,3 +52,13 @@ class Col(IntEnum):
     MU_S2 = 42
     ROUTINE = 43  # stage of the workshop routine, 0 without
     REV = 44  # number of the rev in neutral within its stage, 0 outside
+    SHAFT1_GEAR = 45  # gear engaged on the input shaft, 0 while none is
+    SHAFT2_GEAR = 46
+    DRIVE_STATE = 47  # `ecu_emulator.driving.states.DriveState`; 0 on the shift cycles
+    EVENT_KIND = 48  # `ecu_emulator.driving.states.EventKind`; 0 on the shift cycles and between events
+    EVENT_NUMBER = 49  # number of the event within the drive, counted from 1, 0 between events
+    IS_ABORTED = 50  # 1 once the event goes back to where it began
+    ENGINE_STATE = 51  # `ecu_emulator.driving.states.EngineState`; 0 on the shift cycles
+    COOLANT_TEMPERATURE = 52  # [K]
+    GRADE = 53  # rise over way, positive uphill
+    WANTED_SPEED = 54  # what the trace asks for now [m/s]; 0 on the shift cycles

@@ -144,6 +144,18 @@ def record_clutches(machine: Machine, law: PlantLaw, row: FloatArray) -> None:
 
 
 @array_kernel
+def record_surroundings(machine: Machine, law: PlantLaw, row: FloatArray) -> None:
+    """Write the gears of the shafts and what lies around the transmission; a cycle has no events."""
+    modes = machine.modes
+    for column in range(Col.SHAFT1_GEAR, COLUMN_COUNT):
+        row[column] = 0.0
+    for k in range(2):
+        row[Col.SHAFT1_GEAR + k] = modes[at.GEAR + k] if modes[at.LINK + k] == ENGAGED else 0
+    row[Col.COOLANT_TEMPERATURE] = law.coolant_k
+    row[Col.GRADE] = law.grade_ratio
+
+
+@array_kernel
 def record_control(machine: Machine, row: FloatArray) -> None:
     """Write what the shift control shows of itself."""
     memory, modes = machine.memory, machine.modes
@@ -178,6 +190,7 @@ def run(machine: Machine, law: DriveLaw, rows: FloatArray) -> int:
         settle(machine.y, machine.u, machine.modes, machine.slope1, law.plant)
         record_bodies(machine, law.plant, rows[index])
         record_clutches(machine, law.plant, rows[index])
+        record_surroundings(machine, law.plant, rows[index])
         record_control(machine, rows[index])
         advance_millisecond(
             machine.y,

@@ -19,6 +19,7 @@ def made_up_rows(count: int, *, seed: int = 7) -> FloatArray:
     rows[:, Col.CRANK_ANGLE] = 200.0 * t_s + 40.0 / 3.0 * (1.0 - np.cos(3.0 * t_s))
     rows[:, Col.CURRENT_GEAR] = rows[:, Col.TARGET_GEAR] = 1.0
     rows[:, [Col.ROUTINE, Col.REV]] = 0.0
+    rows[:, Col.DRIVE_STATE : Col.ENGINE_STATE + 1] = 0.0  # on the shift cycles
     return rows
 
 

@@ -193,6 +193,8 @@ def test_only_measurable_columns_reach_the_readings() -> None:
         Col.CLUTCH1_TEMPERATURE, Col.CLUTCH2_TEMPERATURE, Col.CLUTCH1_TORQUE, Col.CLUTCH2_TORQUE,
         Col.VISCOUS1_TORQUE, Col.VISCOUS2_TORQUE, Col.FLYWHEEL_TORQUE, Col.SHAFT1_TORQUE, Col.SHAFT2_TORQUE,
         Col.ROUTINE, Col.REV,
+        Col.SHAFT1_GEAR, Col.SHAFT2_GEAR, Col.DRIVE_STATE, Col.EVENT_KIND, Col.EVENT_NUMBER, Col.IS_ABORTED,
+        Col.ENGINE_STATE, Col.COOLANT_TEMPERATURE, Col.GRADE, Col.WANTED_SPEED,
     } == HIDDEN  # fmt: skip
     rows = made_up_rows(500)
     blind = rows.copy()

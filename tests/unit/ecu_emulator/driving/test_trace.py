@@ -1,0 +1,43 @@
+"""Speed traces check what they are made of."""
+
+import numpy as np
+import pytest
+
+from ecu_emulator.driving.trace import FloatArray, SpeedTrace
+from ecu_emulator.errors import ConfigError
+
+
+def trace(**changes: FloatArray) -> SpeedTrace:
+    columns = {
+        "t_s": np.array([0.0, 10.0, 20.0]),
+        "speed_m_s": np.array([0.0, 10.0, 10.0]),
+        "grade_ratio": np.zeros(3),
+    }
+    return SpeedTrace(name="made up", **{**columns, **changes})
+
+
+def test_a_trace_knows_its_length_and_its_way() -> None:
+    assert trace().duration_s == 20.0
+    assert trace().distance_m == pytest.approx(150.0)
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"t_s": np.array([0.0, 10.0])}, "needs two or more points"),
+        ({"speed_m_s": np.array([0.0, np.nan, 0.0])}, "must be finite"),
+        ({"t_s": np.array([0.0, 10.0, 10.0])}, "must begin at 0 and rise"),
+        ({"t_s": np.array([1.0, 10.0, 20.0])}, "must begin at 0 and rise"),
+        ({"speed_m_s": np.array([0.0, -1.0, 0.0])}, "speeds must be"),
+        ({"speed_m_s": np.array([0.0, 100.0, 0.0])}, "speeds must be"),
+        ({"grade_ratio": np.array([0.0, 0.3, 0.0])}, "grades must be"),
+    ],
+)
+def test_what_is_no_trace_is_refused(changes: dict[str, FloatArray], message: str) -> None:
+    with pytest.raises(ConfigError, match=message):
+        trace(**changes)
+
+
+def test_a_single_point_is_no_trace() -> None:
+    with pytest.raises(ConfigError, match="two or more"):
+        trace(t_s=np.zeros(1), speed_m_s=np.zeros(1), grade_ratio=np.zeros(1))
