@@ -56,7 +56,7 @@ def test_a_peak_counts_for_the_second_before_and_after_it() -> None:
 
 def test_limits_are_those_of_a_dense_search() -> None:
     rng = np.random.default_rng(5)
-    points_s = np.cumsum(rng.uniform(0.1, 3.0, 60))
+    points_s = np.concatenate(([0.0], np.cumsum(rng.uniform(0.1, 3.0, 59))))
     wild = trace(points_s.tolist(), rng.uniform(0.0, 30.0, 60).tolist())
     t_s = rng.uniform(-1.0, points_s[-1] + 2.0, 300)
     window_s = np.unique(np.concatenate((np.linspace(-1.0, 1.0, 4001), [0.0])))
