@@ -121,11 +121,11 @@ async def trip_of_a_shift(log: Path, port: int) -> Trip:
         outbox = Outbox(store, VEHICLE, lambda: connector.connect(NOW), "broker")
         first, second, *_ = events(DriveFrames(open_drive([log]), session.stages.sources), session.stages, Trigger())
         sender = asyncio.create_task(outbox.run())
-        session.settle(first)
+        session.process(first)
         await delivered(outbox, 1)
         with watched(trip):
             asyncio.get_running_loop().set_default_executor(ThreadPoolExecutor())  # only new threads are watched
-            session.settle(second)
+            session.process(second)
             await delivered(outbox, 2)
         await outbox.close(sender)
     return trip

@@ -26,7 +26,7 @@ from canlog.live import Pace, SourceCounts
 from canlog.live.frame_queue import FrameQueue
 from clutch_model.calibration import nominal_calibration
 from dbc.contract import load_contract
-from diag_service.delivery import MemoryReporter
+from diag_service.delivery import MemoryReporter, News
 from diag_service.diagnosis.condition.condition import ConditionMemory
 from diag_service.diagnosis.events import ShiftEvent
 from diag_service.diagnosis.friction import FilterState
@@ -120,15 +120,15 @@ class PacedSource:
 
 
 class TimedSession(Session):
-    """Notes how long it takes to settle each shift, and the processor time of that."""
+    """Notes how long it takes to process each shift, and the processor time of that."""
 
-    settled_s: list[tuple[float, float]]
+    processed_s: list[tuple[float, float]]
 
-    def settle(self, event: ShiftEvent) -> None:
+    def process(self, event: ShiftEvent) -> None:
         """Note the time."""
         began_s, cpu_s = time.monotonic(), time.thread_time()
-        super().settle(event)
-        self.settled_s.append((time.monotonic() - began_s, time.thread_time() - cpu_s))
+        super().process(event)
+        self.processed_s.append((time.monotonic() - began_s, time.thread_time() - cpu_s))
 
 
 class TimedReporter(MemoryReporter):
@@ -138,10 +138,11 @@ class TimedReporter(MemoryReporter):
         super().__init__()
         self.told_s: list[float] = []
 
-    def report(self, result: ShiftResult) -> None:
+    def report(self, news: News) -> None:
         """Note the moment."""
-        self.told_s.append(time.monotonic())
-        super().report(result)
+        if isinstance(news, ShiftResult):
+            self.told_s.append(time.monotonic())
+        super().report(news)
 
 
 async def run(frames: FrameBatch, store: ResultStore) -> tuple[list[float], list[tuple[float, float]], SourceCounts]:
@@ -158,13 +159,13 @@ async def run(frames: FrameBatch, store: ResultStore) -> tuple[list[float], list
         stream=None,
         utc_now=lambda: "2026-01-01T00:00:00.000000Z",
     )
-    session.settled_s = []
+    session.processed_s = []
     pace = Pace()
     source = PacedSource(frames, pace)
     await run_live(source, session, stop=Trigger(), counts_wanted=Trigger(), outbox=None, duration_s=None, pace=pace)
     ends_s = [(result.estimate.end_ns - int(frames.t_ns[0])) / NS for result in reporter.results]
     latencies = [told - source.began_s - end for told, end in zip(reporter.told_s, ends_s, strict=True)]
-    return latencies, session.settled_s, source.counts
+    return latencies, session.processed_s, source.counts
 
 
 def warm_up() -> None:
@@ -181,12 +182,12 @@ def main() -> int:
     frames = full_bus(CYCLE_S * parser.parse_args().shifts / CYCLE_SHIFTS)
     warm_up()
     with tempfile.TemporaryDirectory() as folder, closing(ResultStore.open(Path(folder) / "car.sqlite")) as store:
-        latencies, settled, counts = asyncio.run(run(frames, store))
+        latencies, processed, counts = asyncio.run(run(frames, store))
     p50, p99 = np.percentile(latencies, [50, 99])
     rate_hz = len(frames) / (np.ptp(frames.t_ns) / NS)
     print(f"Result after the end of a shift, {rate_hz:.0f} frames/s, {len(latencies)} shifts")
     print(f"  waits for what follows the shift     {1e3 * POST_NS / NS:6.0f} ms")
-    wall_ms, cpu_ms = 1e3 * np.array(settled).T
+    wall_ms, cpu_ms = 1e3 * np.array(processed).T
     print(f"  estimates, stores, tells: median     {np.median(wall_ms):6.0f} ms, most {wall_ms.max():.0f} ms")
     print(f"    processor time of that             {np.median(cpu_ms):6.0f} ms, most {cpu_ms.max():.0f} ms")
     print(f"  median {1e3 * p50:.0f} ms, p99 {1e3 * p99:.0f} ms, most {1e3 * max(latencies):.0f} ms")

@@ -52,8 +52,8 @@ class TimedStore(ResultStore):
         super().__init__(*arguments)  # type: ignore[arg-type]  # those of the base class
         self.settled_s: dict[int, float] = {}
 
-    def settle(self, receipts: Sequence[Receipt]) -> list[int]:
-        positions = super().settle(receipts)
+    def note_receipts(self, receipts: Sequence[Receipt]) -> list[int]:
+        positions = super().note_receipts(receipts)
         self.settled_s.update(dict.fromkeys(positions, time.monotonic()))
         return positions
 

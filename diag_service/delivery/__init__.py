@@ -1,14 +1,12 @@
 """Those who hear of results: people, the next program in a pipe, a broker, and a double for tests."""
 
-from diag_service.delivery.base import Link, Reporter
+from diag_service.delivery.base import DeliveryLimits, Link, News, Reporter
 from diag_service.delivery.console import ConsoleReporter
 from diag_service.delivery.delivery import Acknowledge
-from diag_service.delivery.detached import DetachedReporter
-from diag_service.delivery.jsonlines import JsonLinesReporter
-from diag_service.delivery.limits import DeliveryLimits
 from diag_service.delivery.memory import MemoryLink, MemoryReporter
 from diag_service.delivery.mqtt import MqttConnector
 from diag_service.delivery.outbox import Outbox
+from diag_service.delivery.reporters import DetachedReporter, JsonLinesReporter, PipeReporter
 
 __all__ = [
     "Acknowledge",
@@ -20,6 +18,8 @@ __all__ = [
     "MemoryLink",
     "MemoryReporter",
     "MqttConnector",
+    "News",
     "Outbox",
+    "PipeReporter",
     "Reporter",
 ]

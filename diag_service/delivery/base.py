@@ -1,13 +1,31 @@
 """What the pipeline knows about those who hear of results."""
 
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from typing import Protocol
 
 from diag_service.diagnosis.records import ShiftResult
 from diag_service.diagnosis.summary import Summary
 from fleet_contract import Outgoing, Receipt
 
-Hear = Callable[[list[Receipt]], None]
+News = str | ShiftResult | Summary  # where frames are read from; then each shift; at the end the numbers
+OnReceipts = Callable[[list[Receipt]], None]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class DeliveryLimits:
+    """Times and counts of an outbox; what stands here suits a vehicle on a mobile link."""
+
+    first_pause_s: float = 0.5  # after a connection broke; doubled with each further failure
+    longest_pause_s: float = 30.0
+    restart_pause_s: float = 1.0  # after the sending itself failed, which it should not
+    settled_after_s: float = 5.0  # then a result that a broker acknowledged is taken to be where it belongs
+    resend_after_s: float = 5.0  # without a receipt
+    longest_resend_s: float = 30.0  # while all is silent a few are sent again, less and less often up to this
+    astray_after_s: float = 2.0  # what was sent so long before an acknowledged one was lost on its way, not delayed
+    backlog_lag_s: float = 2.0  # so far behind a backend may be before it gets more of the backlog
+    window_count: int = 2000  # results in flight: sent, without a receipt
+    probe_count: int = 20  # results that ask a silent backend whether it is there; the others wait for its word
 
 
 class Link(Protocol):
@@ -16,21 +34,15 @@ class Link(Protocol):
     async def send(self, messages: Sequence[Outgoing]) -> None:
         """Deliver messages, several in flight; return when the broker acknowledged all, or raise PublishError."""
 
-    async def listen(self, vehicle: str, hear: Hear) -> None:
-        """Call ``hear`` with the receipts of a backend from now on; raises PublishError if that is refused."""
+    async def listen(self, vehicle: str, on_receipts: OnReceipts) -> None:
+        """Call ``on_receipts`` with the receipts of a backend from now on; raises PublishError if that is refused."""
 
     async def lost(self) -> None:
         """Return when the connection is lost, or when a better one could be had."""
 
 
 class Reporter(Protocol):
-    """Tells the person or program that started the service; may block, so it runs in the worker thread."""
+    """Shows a run to the person or program that started it; may block, so it runs in the worker thread."""
 
-    def listening(self, where: str) -> None:
-        """Say that frames are being read."""
-
-    def report(self, result: ShiftResult) -> None:
-        """Tell of one shift."""
-
-    def finish(self, summary: Summary) -> None:
-        """Tell the numbers of the run."""
+    def report(self, news: News) -> None:
+        """Show where frames are read from, a shift, or the numbers of the run, which are the last of its news."""

@@ -6,6 +6,7 @@ from rich.table import Table
 from rich.text import Text
 
 from clutch_model.units import degc_from_k
+from diag_service.delivery.base import News
 from diag_service.diagnosis.records import Condition, FrictionEstimate, ShiftResult, Status
 from diag_service.diagnosis.summary import (
     Summary,
@@ -39,19 +40,19 @@ class ConsoleReporter:
         self._console = console
         self._has_head = False
 
-    def listening(self, where: str) -> None:
-        """Say that frames are being read."""
-        self._line(Text(f"listening on {where}"))
+    def report(self, news: News) -> None:
+        """Print where frames are read from, a shift, or the table of clutches and the numbers of the run."""
+        if isinstance(news, str):
+            self._line(Text(f"listening on {news}"))
+        elif isinstance(news, Summary):
+            self._conclude(news)
+        else:
+            if not self._has_head:
+                self._line(shift_head())
+                self._has_head = True
+            self._line(shift_line(news))
 
-    def report(self, result: ShiftResult) -> None:
-        """Print one shift."""
-        if not self._has_head:
-            self._line(shift_head())
-            self._has_head = True
-        self._line(shift_line(result))
-
-    def finish(self, summary: Summary) -> None:
-        """Print the table of clutches and the numbers of the run."""
+    def _conclude(self, summary: Summary) -> None:
         if summary.gaps:
             self._line(Text(gaps_line(summary.gaps), style="bold red"))
         if summary.latest:

@@ -6,17 +6,18 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
 from itertools import islice
-from typing import Final, Protocol
+from typing import Final
 
 from canlog.notice import NOTICE
-from diag_service.delivery.base import Link
-from diag_service.delivery.lanes import Lanes, WaitingResults
-from diag_service.delivery.limits import DeliveryLimits
-from diag_service.delivery.owed import Owed
-from diag_service.diagnosis.results import StoredResult, clutch_record, parse_shift
+from diag_service.delivery.base import DeliveryLimits, Link
+from diag_service.delivery.in_flight import InFlight
+from diag_service.diagnosis.results import StoredResult, clutch_record, parse_record
+from diag_service.store import ResultStore
 from fleet_contract import Outcome, Outgoing, Receipt, clutch_message, raw_shift_message
 
 BATCH: Final = 200
+_BACKLOG_SHARE: Final = 4  # one of so many results of a batch is backlog, however much comes in
+_NEWEST_SHARE: Final = 4  # and one of so many of the backlog is its newest
 _LOG = logging.getLogger(__name__)
 
 
@@ -38,23 +39,48 @@ class Counts:
     failed: int = 0  # connections that broke, or were refused
 
 
-class OutboxStore(WaitingResults, Protocol):
-    """The part of the store that the outbox reads and marks."""
+class SendPriority:
+    """In which order one connection sends what waits; each result is handed out once.
 
-    def stored(self, positions: Sequence[int]) -> list[StoredResult]:
-        """Return the results at these positions."""
+    Results stored since the connection began go first: what happens now is not to wait behind what happened in the
+    tunnel. What waited before is the backlog: it is sent from its old end, and a share of each batch from its new end,
+    so that the last hour is known long before the last day is through.
+    """
 
-    def unpublished_count(self, vehicle: str) -> int:
-        """Return how many results wait."""
+    def __init__(self, store: ResultStore, vehicle: str) -> None:
+        self._store = store
+        self._vehicle = vehicle
+        self._fresh = store.last_position(vehicle)  # handed out up to here
+        self._old = 0
+        self._new = self._fresh + 1  # handed out from here on
 
-    def mark_published(self, positions: Sequence[int]) -> None:
-        """Note that results need no further delivery."""
+    def next(self, limit: int) -> list[StoredResult]:
+        """Return what is sent next, ``limit`` results at most; none if nothing is left."""
+        reserved = limit // _BACKLOG_SHARE if self._old + 1 < self._new else 0
+        fresh = self.next_fresh(limit - reserved)
+        return fresh + self._backlog(limit - len(fresh))
 
-    def settle(self, receipts: Sequence[Receipt]) -> list[int]:
-        """Note what a backend acknowledged; return the positions."""
+    def next_fresh(self, limit: int) -> list[StoredResult]:
+        """Return what came since the connection began, and nothing of the backlog."""
+        rows = self._store.waiting(self._vehicle, after=self._fresh, limit=limit)
+        if rows:
+            self._fresh = rows[-1].position
+        return rows
 
-    def latest(self, vehicle: str) -> list[StoredResult]:
-        """Return the newest result of each clutch."""
+    def _backlog(self, limit: int) -> list[StoredResult]:
+        if self._old + 1 >= self._new or limit < 1:
+            return []
+        oldest = self._store.waiting(self._vehicle, after=self._old, before=self._new, limit=limit)
+        if len(oldest) < limit:  # all that is left
+            self._new = self._old + 1
+            return oldest
+        share = limit // _NEWEST_SHARE
+        oldest = oldest[: limit - share]
+        self._old = oldest[-1].position
+        newest = self._store.waiting(self._vehicle, after=self._old, before=self._new, limit=share, newest_first=True)
+        if newest:
+            self._new = newest[-1].position
+        return newest + oldest
 
 
 class Delivery:
@@ -65,14 +91,14 @@ class Delivery:
     repeat :
         Positions that earlier connections may have taken with them; those that are sent are taken out.
     published :
-        Told the positions that a broker acknowledged and that are therefore forgotten.
+        Called with the positions that a broker acknowledged and that are therefore forgotten.
     holds_states :
-        Whether the states of clutches must not be told yet.
+        Whether the states of clutches must not be sent yet.
     """
 
     def __init__(
         self,
-        store: OutboxStore,
+        store: ResultStore,
         vehicle: str,
         link: Link,
         *,
@@ -91,13 +117,13 @@ class Delivery:
         self._published = published
         self._counts = counts
         self._holds_states = holds_states
-        self._are_states_held = False  # whether some were to be told and were not
-        self._lanes: Lanes | None = None  # not begun
+        self._are_states_held = False  # whether some were to be sent and were not
+        self._priority: SendPriority | None = None  # not begun
         self._inbox: list[Receipt] = []
         self._limits = limits
-        self._owed = Owed(limits.astray_after_s)
+        self._in_flight = InFlight(limits.astray_after_s)
         self._resend_s = limits.resend_after_s
-        self._is_heard = False  # since results were last found overdue
+        self._has_news = False  # since results were last found overdue
         self._is_silent = False
         self._asked_s = 0.0  # when a silent backend was last asked [s of the loop]
         self._state_position: dict[int, int] = {}  # clutch -> position of the newest result whose state was sent
@@ -106,7 +132,7 @@ class Delivery:
     async def begin(self, greetings: Sequence[Outgoing]) -> None:
         """Tell the lasting states, which a restarted broker may not know, and begin to hear the backend."""
         if self._acknowledge is Acknowledge.BACKEND:
-            await self._link.listen(self._vehicle, self._hear)
+            await self._link.listen(self._vehicle, self._add_receipts)
         latest = await asyncio.to_thread(self._store.latest, self._vehicle)
         messages = [*greetings, *self._states(latest)]
         if messages:
@@ -115,8 +141,8 @@ class Delivery:
     async def step(self) -> bool:
         """Do what there is to do; False if nothing is left but to wait."""
         self.wake.clear()
-        await self._settle()
-        await self._tell_held_states()
+        await self._note_receipts()
+        await self._send_held_states()
         batch = await asyncio.to_thread(self._next_batch, self._now_s())
         if not batch:
             return False
@@ -127,39 +153,39 @@ class Delivery:
         for position in positions:
             self._repeat.pop(position, None)
         if self._acknowledge is Acknowledge.BACKEND:
-            self._owed.send(positions, self._now_s())
+            self._in_flight.add(positions, self._now_s())
             return True
         await asyncio.to_thread(self._store.mark_published, positions)
         self._counts.acknowledged += len(positions)
         self._published(positions)
         return True
 
-    async def _tell_held_states(self) -> None:
+    async def _send_held_states(self) -> None:
         if self._are_states_held and not self._holds_states():
             self._are_states_held = False
             await self._link.send(self._states(await asyncio.to_thread(self._store.latest, self._vehicle)))
 
     @property
-    def is_owed(self) -> bool:
+    def awaits_receipts(self) -> bool:
         """Whether receipts are outstanding, or heard and not noted."""
-        return bool(len(self._owed) or self._inbox)
+        return bool(len(self._in_flight) or self._inbox)
 
-    def patience_s(self) -> float | None:
+    def backoff_s(self) -> float | None:
         """Return how long to wait until something must be sent again; None: for ever."""
         due_s = self._due_s()
         return None if due_s is None else max(0.0, due_s - self._now_s())
 
-    def _hear(self, receipts: list[Receipt]) -> None:
+    def _add_receipts(self, receipts: list[Receipt]) -> None:
         self._inbox += receipts
         self.wake.set()
 
-    async def _settle(self) -> None:
+    async def _note_receipts(self) -> None:
         """Note the receipts heard since the last step, in one transaction."""
         if not self._inbox:
             return
         receipts, self._inbox = self._inbox, []
-        positions = await asyncio.to_thread(self._store.settle, receipts)
-        self._owed.hear(positions)
+        positions = await asyncio.to_thread(self._store.note_receipts, receipts)
+        self._in_flight.acknowledge(positions)
         for position in positions:
             self._repeat.pop(position, None)
         self._counts.acknowledged += len(positions)
@@ -167,7 +193,7 @@ class Delivery:
         if self._is_silent:
             _LOG.log(NOTICE, "the backend acknowledges results again")
         self._resend_s, self._asked_s = self._limits.resend_after_s, 0.0
-        self._is_heard, self._is_silent = True, False
+        self._has_news, self._is_silent = True, False
 
     def _complain_of(self, refused: list[Receipt]) -> None:
         self._counts.quarantined += len(refused)
@@ -177,17 +203,17 @@ class Delivery:
 
     def _next_batch(self, now_s: float) -> list[StoredResult]:
         """Return what is sent next: what may be lost, what is overdue, what waits. Reads the store."""
-        if self._lanes is None:
-            self._lanes = Lanes(self._store, self._vehicle)
+        if self._priority is None:
+            self._priority = SendPriority(self._store, self._vehicle)
         self._collect_overdue(now_s)
         again = self._next_repeated()
         if again:
             return again
-        room = self._limits.window_count - len(self._owed)
-        if room > 0 and self._owed.lag_s(now_s) < self._limits.backlog_lag_s:
-            return self._lanes.next(min(BATCH, room))
+        room = self._limits.window_count - len(self._in_flight)
+        if room > 0 and self._in_flight.lag_s(now_s) < self._limits.backlog_lag_s:
+            return self._priority.next(min(BATCH, room))
         # The backend is behind; what happens now does not wait until it has caught up.
-        return self._lanes.next_fresh(min(BATCH, self._limits.window_count + room))
+        return self._priority.next_fresh(min(BATCH, self._limits.window_count + room))
 
     def _next_repeated(self) -> list[StoredResult]:
         while self._repeat:
@@ -202,21 +228,21 @@ class Delivery:
 
     def _collect_overdue(self, now_s: float) -> None:
         """Take up again what went astray or was sent too long ago; of what meets with silence a few, to ask."""
-        self._repeat.update(dict.fromkeys(self._owed.take_astray()))
+        self._repeat.update(dict.fromkeys(self._in_flight.pop_astray()))
         due_s = self._due_s()
         if due_s is None or due_s > now_s:
             return
-        if self._is_heard:
-            overdue = self._owed.take_sent_until(now_s - self._resend_s)
-            self._is_heard = False
+        if self._has_news:
+            overdue = self._in_flight.pop_sent_until(now_s - self._resend_s)
+            self._has_news = False
         else:
             self._note_silence(now_s)
-            overdue = self._owed.take_oldest(self._limits.probe_count)
+            overdue = self._in_flight.pop_oldest(self._limits.probe_count)
         self._repeat.update(dict.fromkeys(overdue))
 
     def _due_s(self) -> float | None:
-        """Return when something must be sent again; None: nothing is owed."""
-        oldest_s = self._owed.oldest_s()
+        """Return when something must be sent again; None: nothing is in flight."""
+        oldest_s = self._in_flight.oldest_s()
         return None if oldest_s is None else max(oldest_s, self._asked_s) + self._resend_s
 
     def _note_silence(self, now_s: float) -> None:
@@ -225,7 +251,7 @@ class Delivery:
         else:
             _LOG.warning(
                 "no backend acknowledged %d results in %g s; they are kept and sent again",
-                len(self._owed),
+                len(self._in_flight),
                 self._limits.resend_after_s,
             )
         self._is_silent, self._asked_s = True, now_s
@@ -238,7 +264,7 @@ class Delivery:
         newest = {row.clutch: row for row in sorted(rows, key=lambda row: row.position)}
         news = [row for row in newest.values() if row.position > self._state_position.get(row.clutch, -1)]
         self._state_position.update({row.clutch: row.position for row in news})
-        return [clutch_message(clutch_record(parse_shift(row.text))) for row in news]
+        return [clutch_message(clutch_record(parse_record(row.text))) for row in news]
 
     @staticmethod
     def _now_s() -> float:

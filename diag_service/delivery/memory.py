@@ -3,7 +3,7 @@
 import asyncio
 from collections.abc import Sequence
 
-from diag_service.delivery.base import Hear
+from diag_service.delivery.base import News, OnReceipts
 from diag_service.diagnosis.records import ShiftResult
 from diag_service.diagnosis.results import shift_from
 from diag_service.diagnosis.summary import Summary
@@ -21,7 +21,7 @@ class MemoryLink:
         self.is_refusing = False
         self.is_acknowledging = is_acknowledging
         self.cut = asyncio.Event()
-        self.hear: Hear | None = None
+        self.on_receipts: OnReceipts | None = None
 
     async def send(self, messages: Sequence[Outgoing]) -> None:
         """Keep messages, or refuse them."""
@@ -31,9 +31,9 @@ class MemoryLink:
             self._keep(message)
         await asyncio.sleep(0)
 
-    async def listen(self, vehicle: str, hear: Hear) -> None:  # noqa: ARG002 - there is one vehicle here
+    async def listen(self, vehicle: str, on_receipts: OnReceipts) -> None:  # noqa: ARG002 - there is one vehicle here
         """Acknowledge to this listener."""
-        self.hear = hear
+        self.on_receipts = on_receipts
 
     async def lost(self) -> None:
         """Return when the test cuts the connection."""
@@ -43,8 +43,8 @@ class MemoryLink:
         incoming = read_message(message.topic, message.payload)
         if incoming.address.channel is Channel.SHIFT:
             self.results.append(shift_from(incoming.data))
-            if self.is_acknowledging and self.hear is not None:
-                self.hear([Receipt(key=key_of(incoming.data))])
+            if self.is_acknowledging and self.on_receipts is not None:
+                self.on_receipts([Receipt(key=key_of(incoming.data))])
         elif incoming.address.channel is Channel.CLUTCH:
             self.states.append(incoming.data)
         else:
@@ -59,14 +59,11 @@ class MemoryReporter:
         self.results: list[ShiftResult] = []
         self.summaries: list[Summary] = []
 
-    def listening(self, where: str) -> None:
-        """Keep the place."""
-        self.places.append(where)
-
-    def report(self, result: ShiftResult) -> None:
-        """Keep the result."""
-        self.results.append(result)
-
-    def finish(self, summary: Summary) -> None:
-        """Keep the numbers."""
-        self.summaries.append(summary)
+    def report(self, news: News) -> None:
+        """Keep what came."""
+        if isinstance(news, str):
+            self.places.append(news)
+        elif isinstance(news, ShiftResult):
+            self.results.append(news)
+        elif isinstance(news, Summary):
+            self.summaries.append(news)

@@ -7,7 +7,7 @@ from collections.abc import AsyncIterator, Iterator, Sequence
 from contextlib import asynccontextmanager, contextmanager
 from dataclasses import replace
 
-from diag_service.delivery.base import Hear
+from diag_service.delivery.base import OnReceipts
 from diag_service.diagnosis.results import ServiceStatus, status_record
 from diag_service.errors import PublishError
 from fleet_contract import (
@@ -47,7 +47,7 @@ class MqttLink:
         self._tls = tls
         self._tls_fingerprint = None if tls is None else tls.fingerprint()
         self._renewal_period_s = renewal_period_s
-        self._hear: Hear | None = None
+        self._on_receipts: OnReceipts | None = None
         self._early: list[Receipt] = []  # heard before anyone listened: a persistent session brings them at once
         self._reader = asyncio.create_task(self._read(), name="mqtt-reader")
 
@@ -62,11 +62,11 @@ class MqttLink:
         with _translated():
             await self._connection.publish_all(messages)
 
-    async def listen(self, vehicle: str, hear: Hear) -> None:
+    async def listen(self, vehicle: str, on_receipts: OnReceipts) -> None:
         """Subscribe to the acknowledgements for a vehicle; raises PublishError if the broker refuses."""
-        self._hear = hear
+        self._on_receipts = on_receipts
         if self._early:
-            hear(self._early)
+            on_receipts(self._early)
         with _translated():
             await self._connection.subscribe([topic_of(vehicle, Channel.ACK)])
 
@@ -89,13 +89,13 @@ class MqttLink:
         with contextlib.suppress(LinkDownError):
             while True:
                 for message in await self._connection.collect(_BATCH, 0.0):
-                    self._take(message)
+                    self._handle(message)
 
-    def _take(self, message: Message) -> None:
+    def _handle(self, message: Message) -> None:
         try:
             incoming = read_message(message.topic, message.payload)
             if incoming.address.channel is Channel.ACK:
-                (self._hear or self._early.extend)(receipts_of(incoming.data))
+                (self._on_receipts or self._early.extend)(receipts_of(incoming.data))
         except ContractError as exc:
             _LOG.warning("a message to us is ignored: %s", exc)
 

@@ -14,10 +14,10 @@ from collections.abc import Callable, Mapping, Sequence
 from contextlib import AbstractAsyncContextManager
 
 from canlog.notice import NOTICE
-from diag_service.delivery.base import Link
-from diag_service.delivery.delivery import Acknowledge, Counts, Delivery, OutboxStore
-from diag_service.delivery.limits import DeliveryLimits
+from diag_service.delivery.base import DeliveryLimits, Link
+from diag_service.delivery.delivery import Acknowledge, Counts, Delivery
 from diag_service.errors import PublishError, StoreFullError
+from diag_service.store import ResultStore
 from fleet_contract import Outgoing
 
 DRAIN_S = 5.0  # how long an ending service waits for its broker
@@ -45,14 +45,14 @@ class Outbox:
     metrics :
         Makes a message of the outbox's numbers, now and then; None: nobody wants them.
     holds_states :
-        Keep the states of clutches back until ``tell_states``: those of a part of a drive are none.
+        Keep the states of clutches back until ``release_states``: those of a part of a drive are none.
     limits :
         How long to wait for whom, and how much may be under way.
     """
 
     def __init__(
         self,
-        store: OutboxStore,
+        store: ResultStore,
         vehicle: str,
         connect: Connect,
         where: str,
@@ -85,7 +85,7 @@ class Outbox:
         if self._delivery is not None:
             self._delivery.wake.set()
 
-    def tell_states(self) -> None:
+    def release_states(self) -> None:
         """Let the states of clutches go out that were kept back."""
         self._holds_states = False
         self.nudge()
@@ -139,22 +139,22 @@ class Outbox:
             _LOG.log(NOTICE, "broker %s takes results again", self._where)
         while True:
             while await delivery.step():
-                await self._tell_metrics(link)
-            await self._tell_metrics(link)
-            if self._closing.is_set() and not delivery.is_owed and not delivery.wake.is_set():
+                await self._send_metrics(link)
+            await self._send_metrics(link)
+            if self._closing.is_set() and not delivery.awaits_receipts and not delivery.wake.is_set():
                 return
             await self._wait(link, delivery)
 
     async def _wait(self, link: Link, delivery: Delivery) -> None:
         """Return when there is something to do; raises PublishError if the connection is lost."""
-        patience_s = delivery.patience_s()
+        wait_s = delivery.backoff_s()
         if self._metrics is not None:
             metrics_s = max(0.0, self._metrics_due_s - self._now_s())
-            patience_s = metrics_s if patience_s is None else min(patience_s, metrics_s)
+            wait_s = metrics_s if wait_s is None else min(wait_s, metrics_s)
         news = asyncio.ensure_future(delivery.wake.wait())
         loss = asyncio.ensure_future(link.lost())
         try:
-            await asyncio.wait((news, loss), return_when=asyncio.FIRST_COMPLETED, timeout=patience_s)
+            await asyncio.wait((news, loss), return_when=asyncio.FIRST_COMPLETED, timeout=wait_s)
         finally:
             news.cancel()
             loss.cancel()
@@ -163,7 +163,7 @@ class Outbox:
             loss.result()
             raise PublishError("connection lost")
 
-    async def _tell_metrics(self, link: Link) -> None:
+    async def _send_metrics(self, link: Link) -> None:
         if self._metrics is None or self._now_s() < self._metrics_due_s:
             return
         self._metrics_due_s = self._now_s() + METRICS_PERIOD_S

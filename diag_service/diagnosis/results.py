@@ -60,16 +60,22 @@ def iso_utc(moment: datetime) -> str:
 def shift_record(result: ShiftResult) -> JsonObject:
     """Return the public form of one shift result, keys in their published order."""
     estimate = to_plain(result.estimate)
-    record = {**estimate, **_common_record(result, Channel.SHIFT), "verdict": _verdict_record(result.verdict)}
-    record |= {public: estimate[name] for name, public in _PUBLIC_NAMES.items()}
+    record = estimate | {public: estimate[name] for name, public in _PUBLIC_NAMES.items()}
+    record |= {key: getattr(result, key) for key in _RESULT_KEYS}
+    record |= {"schema": SHIFT_SCHEMA, "verdict": _verdict_record(result.verdict)}
     record["start_utc"] = utc_from_bus_ns(result.estimate.start_ns)
+    record["end_utc"] = utc_from_bus_ns(result.estimate.end_ns)
     return _in_published_order(record, Channel.SHIFT)
 
 
-def clutch_record(result: ShiftResult) -> JsonObject:
-    """Return the state of the clutch after the shift that last engaged it."""
-    record = {**_verdict_record(result.verdict), **_common_record(result, Channel.CLUTCH)}
-    return _in_published_order(record, Channel.CLUTCH)
+def clutch_record(shift: JsonObject) -> JsonObject:
+    """Return the state of the clutch after the shift that last engaged it, from the ``shift_record`` of that shift."""
+    verdict = shift["verdict"]
+    if not isinstance(verdict, dict):
+        raise ResultError(f"incomplete {SHIFT_SCHEMA} record: no verdict")
+    record = {**verdict, **{key: shift[key] for key in (*_RESULT_KEYS, "end_utc")}}
+    record["schema"] = Channel.CLUTCH.schema_name
+    return {key: record.get(key) for key in _keys_of(Channel.CLUTCH)}  # results of older programs lack some
 
 
 def status_record(status: ServiceStatus) -> JsonObject:
@@ -96,29 +102,28 @@ def dump(record: Mapping[str, object]) -> str:
         raise ResultError(f"a result holds a number that is not finite: {record!r}") from exc
 
 
-def parse_shift(text: str) -> ShiftResult:
-    """Read back what ``dump(shift_record(...))`` wrote; unknown keys are ignored.
-
-    Raises
-    ------
-    ResultError
-        If the text is not a shift result of this version.
-    """
+def parse_record(text: str) -> JsonObject:
+    """Read back what ``dump(shift_record(...))`` wrote, as a record; raises ResultError if it is none."""
     try:
-        table = json.loads(text)
+        record = json.loads(text)
     except ValueError as exc:
         raise ResultError(f"not a shift result: {exc}") from exc
-    return shift_from(table)
-
-
-def shift_from(table: object) -> ShiftResult:
-    """Read back a ``shift_record``; raises ResultError if it is none of this version."""
-    if not isinstance(table, dict) or table.get("schema") != SHIFT_SCHEMA:
+    if not isinstance(record, dict) or record.get("schema") != SHIFT_SCHEMA:
         raise ResultError(f"not a {SHIFT_SCHEMA} record")
+    return record
+
+
+def parse_shift(text: str) -> ShiftResult:
+    """Read back what ``dump(shift_record(...))`` wrote; raises ResultError if it is none of this version."""
+    return shift_from(parse_record(text))
+
+
+def shift_from(record: JsonObject) -> ShiftResult:
+    """Read back a ``shift_record``, whose schema the caller knows; unknown keys are ignored; raises ResultError."""
     try:
-        estimate = table | {name: table.get(public) for name, public in _PUBLIC_NAMES.items()}
-        verdict = _condition_as_number(table.get("verdict"))
-        return from_plain(table | {"estimate": estimate, "verdict": verdict}, ShiftResult)
+        estimate = record | {name: record.get(public) for name, public in _PUBLIC_NAMES.items()}
+        verdict = _condition_as_number(record.get("verdict"))
+        return from_plain(record | {"estimate": estimate, "verdict": verdict}, ShiftResult)
     except ValueError as exc:
         raise ResultError(f"incomplete {SHIFT_SCHEMA} record: {exc}") from exc
 
@@ -129,11 +134,6 @@ def verdict_from(table: object) -> ClutchVerdict:
         return from_plain(_condition_as_number(table), ClutchVerdict)
     except ValueError as exc:
         raise ResultError(f"incomplete {Channel.CLUTCH.schema_name} record: {exc}") from exc
-
-
-def _common_record(result: ShiftResult, channel: Channel) -> JsonObject:
-    record: JsonObject = {key: getattr(result, key) for key in _RESULT_KEYS}
-    return record | {"schema": channel.schema_name, "end_utc": utc_from_bus_ns(result.estimate.end_ns)}
 
 
 def _verdict_record(verdict: ClutchVerdict) -> JsonObject:

@@ -8,7 +8,7 @@ from enum import StrEnum
 from diag_service.diagnosis.comparison import ClutchRatio
 from diag_service.diagnosis.contributions import NO_LOGS, Contributions, log_record
 from diag_service.diagnosis.records import ClutchVerdict, Condition, ShiftEstimate, ShiftResult, Status, Tier
-from diag_service.diagnosis.results import clutch_record
+from diag_service.diagnosis.results import clutch_record, shift_record
 from fleet_contract import JsonObject
 
 RECENT_COUNT = 8
@@ -181,7 +181,7 @@ def summary_record(summary: Summary) -> JsonObject:
             "already_stored": summary.known_count,
             "unpublished": summary.unpublished_count,
         },
-        "clutches": [clutch_record(result) for result in summary.latest],
+        "clutches": [clutch_record(shift_record(result)) for result in summary.latest],
         "capability": {
             "profile": summary.capability.profile,
             "tier": summary.capability.tier,

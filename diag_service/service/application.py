@@ -24,10 +24,10 @@ from diag_service.delivery import (
     Link,
     MqttConnector,
     Outbox,
+    PipeReporter,
     Reporter,
 )
 from diag_service.delivery.outbox import MetricsMessage
-from diag_service.delivery.pipe import PipeReporter
 from diag_service.diagnosis.condition.condition import ConditionMemory
 from diag_service.diagnosis.friction import FilterState
 from diag_service.diagnosis.friction.paper import PaperCollection, nominal_driveline
@@ -38,7 +38,7 @@ from diag_service.mapping.interpretation import interpret
 from diag_service.service import calibrate_run
 from diag_service.service.drive import insist_on_every_source, insist_on_the_whole, open_drive, stream_of
 from diag_service.service.live import run_live
-from diag_service.service.monitor import Monitor, SilentReporter
+from diag_service.service.monitor import Monitor
 from diag_service.service.paper_run import run_paper
 from diag_service.service.recorded import run_logs
 from diag_service.service.service_manager import ServiceManager
@@ -76,7 +76,7 @@ def run_monitor(config: DiagnosisConfig, bus: BusConfig, controls: Controls) -> 
     """Show a live bus until told to stop; nothing is stored or published."""
     decoder = interpret(config.dbc, config.profile, is_lenient=config.is_lenient).decoder()
     with closing(ResultStore.in_memory()) as store, Monitor(PeopleConsole()) as monitor:
-        session = _session(config, decoder, store, None, PipeReporter(SilentReporter(), controls.stop.set))
+        session = _session(config, decoder, store, None, monitor)
         asyncio.run(_run_bus(replace(config, broker=None), bus, store, session, controls, monitor.show))
 
 
@@ -152,7 +152,7 @@ async def _run_bus(
     pace = Pace()
     opener = BusOpener(bus.interface, bus.channel, bus.bitrate, fd=bus.is_fd, filters=filters, pace=pace)
     source = await supervise(opener)
-    session.reporter.listening(f"{source.description} for {config.vehicle}, results in {store.where}")
+    session.reporter.report(f"{source.description} for {config.vehicle}, results in {store.where}")
     now_s = asyncio.get_running_loop().time
     taker = SnapshotTaker(source, session, now_s(), bus.bitrate)
     manager, board = ServiceManager.from_environment(), Board()

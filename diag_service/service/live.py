@@ -62,7 +62,7 @@ async def run_live(
     pace = pace or Pace()
     failure: SourceError | None = None
     unpublished_count: int | None = None
-    turn = asyncio.Lock()  # a session is settled by one thread at a time
+    turn = asyncio.Lock()  # one thread at a time is at work in a session
     try:
         async with asyncio.TaskGroup() as tasks:
             sender = None if outbox is None else tasks.create_task(_keep_sending(outbox), name="outbox")
@@ -78,10 +78,10 @@ async def run_live(
                     stages = session.stages
                     events = stages.flush() if isinstance(part, LinkBreak) else stages.segment(part)
                     pace.wait_for(is_expecting=stages.is_expecting, due_ns=stages.due_ns)
-                    await _settle_all(session, events, outbox, turn)
+                    await _process_all(session, events, outbox, turn)
             except SourceError as exc:
                 failure = exc
-            await _settle_all(session, session.stages.flush(), outbox, turn)
+            await _process_all(session, session.stages.flush(), outbox, turn)
             async with turn:  # a thread that stores would outlive its task
                 for helper in helpers:
                     helper.cancel()
@@ -98,12 +98,12 @@ async def run_live(
     return session.summary(counts(), unpublished_count)
 
 
-async def _settle_all(
+async def _process_all(
     session: Session, events: Sequence[ShiftEvent], outbox: Outbox | None, turn: asyncio.Lock
 ) -> None:
     for event in events:
         async with turn:
-            await asyncio.to_thread(session.settle, event)
+            await asyncio.to_thread(session.process, event)
         if outbox is not None:
             outbox.nudge()
 

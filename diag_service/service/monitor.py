@@ -9,9 +9,10 @@ from rich.text import Text
 
 from canlog.e2e.e2e_state import E2eState
 from canlog.live import BusState
+from diag_service.delivery import News
 from diag_service.delivery.console import shift_head, shift_line
 from diag_service.diagnosis.records import ShiftResult
-from diag_service.diagnosis.summary import Summary, frames_line, shifts_line
+from diag_service.diagnosis.summary import frames_line, shifts_line
 from diag_service.service.snapshot import MessageStatus, Snapshot
 
 SLOW_RATIO = 0.9  # a message below this share of its nominal rate is marked
@@ -38,22 +39,12 @@ class Monitor:
     def __exit__(self, *_: object) -> None:
         self._live.stop()
 
+    def report(self, news: News) -> None:
+        """Do nothing, as the reporter of the run: the next snapshot has it all."""
+
     def show(self, snapshot: Snapshot) -> None:
         """Draw the present state."""
         self._live.update(screen(snapshot), refresh=True)
-
-
-class SilentReporter:
-    """A reporter for a run whose results are seen elsewhere."""
-
-    def listening(self, where: str) -> None:
-        """Say nothing."""
-
-    def report(self, result: ShiftResult) -> None:
-        """Say nothing."""
-
-    def finish(self, summary: Summary) -> None:
-        """Say nothing."""
 
 
 def screen(snapshot: Snapshot) -> RenderableType:

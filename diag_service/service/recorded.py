@@ -44,7 +44,7 @@ async def run_logs(logs: Sequence[OpenLog], session: Session, *, stop: Trigger, 
             gaps = gaps_in(logs, was_stopped=not is_whole)
             if outbox is not None and sender is not None:
                 if not gaps:
-                    outbox.tell_states()
+                    outbox.release_states()
                 unpublished_count = await outbox.close(sender)
     except BaseExceptionGroup as group:
         raise first_error(group) from group
@@ -59,10 +59,10 @@ async def run_logs(logs: Sequence[OpenLog], session: Session, *, stop: Trigger, 
 
 
 def _analyse(drive: DriveFrames, session: Session, stop: Trigger, tell_outbox: Callable[[], None]) -> bool:
-    """Settle the shifts of a drive; return whether that was all of them."""
+    """Process the shifts of a drive; return whether that was all of them."""
     try:
         for event in events(drive, session.stages, stop):
-            session.settle(event)
+            session.process(event)
             tell_outbox()
     except StoppedError:
         return False

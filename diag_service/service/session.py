@@ -67,7 +67,7 @@ class Session:
         self._is_disk_full = False
         self.given_up_count = 0  # results that never found room on the disk
 
-    def settle(self, event: ShiftEvent) -> None:
+    def process(self, event: ShiftEvent) -> None:
         """Estimate, store and tell one shift; one that is stored already is told again, and changes nothing.
 
         A live bus does not wait for a full disk: what cannot be stored now is told when it can be.
@@ -152,7 +152,7 @@ class Session:
         if not frames.is_balanced:
             _LOG.error("frame counts do not add up: %s", frames_line(frames))
         summary = self.summary(frames, unpublished_count, gaps, contributions)
-        self.reporter.finish(summary)
+        self.reporter.report(summary)
         return summary
 
     def _known(self, event: ShiftEvent) -> ShiftResult | None:

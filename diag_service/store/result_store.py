@@ -9,20 +9,31 @@ import os
 import sqlite3
 import threading
 import uuid
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import astuple, dataclass
 from pathlib import Path
-from typing import Self
+from typing import Final, Self
 
 from diag_service.diagnosis.records import ShiftResult
 from diag_service.diagnosis.results import StoredResult, dump, parse_shift, shift_record
 from diag_service.errors import ResultError, StoreError
-from diag_service.store import budget, waiting
+from diag_service.store import budget
 from diag_service.store.budget import DroppedCounts
 from diag_service.store.file import connect, connect_in_memory, own, translated
-from fleet_contract import JsonObject, Receipt
+from diag_service.store.schema import DELIVERED, QUARANTINED, WAITING
+from fleet_contract import JsonObject, Outcome, Receipt, ResultKey
 from program_io.private_file import keep_private
+
+_BY_KEY: Final = (
+    " FROM result WHERE vehicle = ? AND stream = ? AND seq = ? AND algorithm_version = ? AND calibration_version = ?"
+)
+_ROWS: Final = (
+    "SELECT position, vehicle, stream, seq, algorithm_version, calibration_version, clutch,"
+    " json_extract(json, '$.produced_at'), json FROM result"
+)
+_OUTCOMES: Final = {Outcome.ACCEPTED: DELIVERED, Outcome.QUARANTINED: QUARANTINED}
+_END: Final = 2**63 - 1  # beyond the last position
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -135,12 +146,9 @@ class ResultStore:
 
     def find(self, vehicle: str, stream: str, seq: int, versions: Versions) -> ShiftResult | None:
         """Return the result stored under a key, if any."""
+        key = (vehicle, stream, seq, versions.algorithm, versions.calibration)
         with self._transaction() as sql:
-            row = sql.execute(
-                "SELECT json FROM result WHERE vehicle = ? AND stream = ? AND seq = ?"
-                " AND algorithm_version = ? AND calibration_version = ?",
-                (vehicle, stream, seq, versions.algorithm, versions.calibration),
-            ).fetchone()
+            row = sql.execute("SELECT json" + _BY_KEY, key).fetchone()
         return None if row is None else self._parse(row[0])
 
     def state(self, vehicle: str) -> VehicleState | None:
@@ -158,20 +166,23 @@ class ResultStore:
             versions=Versions(algorithm=row[2], calibration=row[3]),
         )
 
-    def waiting(self, vehicle: str, *, after: int, before: int, limit: int) -> list[StoredResult]:
-        """Return the oldest undelivered results with ``after < position < before``, in the order they were stored."""
+    def waiting(
+        self, vehicle: str, *, after: int, before: int = _END, limit: int, newest_first: bool = False
+    ) -> list[StoredResult]:
+        """Return undelivered results with ``after < position < before``, the oldest or the newest first."""
+        order = "DESC" if newest_first else "ASC"
+        where = "vehicle = ? AND published = 0 AND position > ? AND position < ?"  # literal 0: the index knows it
         with self._transaction() as sql:
-            return waiting.oldest(sql, vehicle, after, before, limit)
+            rows = sql.execute(
+                f"{_ROWS} WHERE {where} ORDER BY position {order} LIMIT ?", (vehicle, after, before, limit)
+            )
+            return [_stored_result(row) for row in rows]
 
-    def newest_waiting(self, vehicle: str, *, after: int, before: int, limit: int) -> list[StoredResult]:
-        """Return the newest undelivered results with ``after < position < before``, the newest first."""
-        with self._transaction() as sql:
-            return waiting.newest(sql, vehicle, after, before, limit)
-
-    def stored(self, positions: Sequence[int]) -> list[StoredResult]:
+    def stored(self, positions: Iterable[int]) -> list[StoredResult]:
         """Return the results at these positions, delivered or not; those dropped since are left out."""
         with self._transaction() as sql:
-            return waiting.at(sql, positions)
+            rows = (sql.execute(f"{_ROWS} WHERE position = ?", (position,)).fetchone() for position in positions)
+            return [_stored_result(row) for row in rows if row is not None]
 
     def last_position(self, vehicle: str) -> int:
         """Return the position of the newest result; 0 without any."""
@@ -182,22 +193,28 @@ class ResultStore:
     def unpublished_count(self, vehicle: str) -> int:
         """Return how many results wait to be delivered."""
         with self._transaction() as sql:
-            return waiting.count(sql, vehicle)
+            row = sql.execute("SELECT count(*) FROM result WHERE vehicle = ? AND published = 0", (vehicle,)).fetchone()
+        return int(row[0])
 
-    def mark_published(self, positions: Sequence[int]) -> None:
+    def mark_published(self, positions: Iterable[int]) -> None:
         """Note that results need no further delivery."""
         with self._transaction() as sql:
-            waiting.mark(sql, positions)
+            _mark(sql, [(DELIVERED, None, position) for position in positions])
 
-    def settle(self, receipts: Sequence[Receipt]) -> list[int]:
+    def note_receipts(self, receipts: Sequence[Receipt]) -> list[int]:
         """Note what a backend acknowledged; return the positions of what is known here, repetitions included."""
         with self._transaction() as sql:
-            return waiting.settle(sql, receipts)
+            rows = [sql.execute("SELECT position" + _BY_KEY, astuple(receipt.key)).fetchone() for receipt in receipts]
+            known = [(int(row[0]), receipt) for row, receipt in zip(rows, receipts, strict=True) if row is not None]
+            _mark(sql, [(_OUTCOMES[receipt.outcome], receipt.reason, position) for position, receipt in known])
+        return [position for position, _ in known]
 
     def latest(self, vehicle: str) -> list[StoredResult]:
         """Return the newest result of each clutch."""
         with self._transaction() as sql:
-            return waiting.latest(sql, vehicle)
+            newest = "SELECT max(position) FROM result WHERE vehicle = ? GROUP BY clutch"
+            rows = sql.execute(f"{_ROWS} WHERE position IN ({newest}) ORDER BY clutch", (vehicle,))
+            return [_stored_result(row) for row in rows]
 
     def dropped_counts(self) -> DroppedCounts:
         """Return how many results were given up for the disk budget since the store exists."""
@@ -259,3 +276,18 @@ class ResultStore:
 
 def _key(result: ShiftResult) -> tuple[str, str, int, str, str]:
     return (result.vehicle, result.stream, result.seq, result.algorithm_version, result.calibration_version)
+
+
+def _mark(sql: sqlite3.Connection, changes: Iterable[tuple[int, str | None, int]]) -> None:
+    sql.executemany(
+        "UPDATE result SET published = ?, refusal = ? WHERE position = ? AND published = ?",
+        [(*change, WAITING) for change in changes],
+    )
+
+
+def _stored_result(row: tuple[int, str, str, int, str, str, int, str, str]) -> StoredResult:
+    position, vehicle, stream, seq, algorithm, calibration, clutch, produced_at, text = row
+    key = ResultKey(
+        vehicle=vehicle, stream=stream, seq=seq, algorithm_version=algorithm, calibration_version=calibration
+    )
+    return StoredResult(position=position, key=key, clutch=clutch, produced_at=produced_at, text=text)

@@ -32,8 +32,8 @@ def messages_v1() -> dict[str, Outgoing]:
     return {
         "shift": shift_message(shift),
         "shift-rejected": shift_message(refused),
-        "clutch": clutch_message(clutch_record(shift_result())),
-        "clutch-unknown": clutch_message(clutch_record(rejected(shift_result()))),
+        "clutch": clutch_message(clutch_record(shift_record(shift_result()))),
+        "clutch-unknown": clutch_message(clutch_record(shift_record(rejected(shift_result())))),
         "status-online": status_message(status_record(_status(is_online=True))),
         "status-offline": status_message(status_record(_status(is_online=False))),
         "metrics": metrics_message("car1", NOW, {"outbox_waiting_count": 3, "outbox_bytes": 81920, "load_ratio": 0.25}),

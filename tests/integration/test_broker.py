@@ -87,7 +87,9 @@ async def test_state_is_retained_and_events_are_not(store: ResultStore, broker: 
         await outbox.close(sender)
     latest = {result.verdict.clutch: result for result in store.results("car1")}
     assert kept.pop("clutchdiag/v1/car1/status")["status"] == "online"
-    assert kept == {f"clutchdiag/v1/car1/clutch/{clutch}": clutch_record(latest[clutch]) for clutch in (1, 2)}
+    assert kept == {
+        f"clutchdiag/v1/car1/clutch/{clutch}": clutch_record(shift_record(latest[clutch])) for clutch in (1, 2)
+    }
 
 
 async def test_a_broker_that_comes_late_gets_everything(

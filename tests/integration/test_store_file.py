@@ -129,7 +129,7 @@ def test_a_store_of_the_first_version_is_brought_up_and_drains(path: Path) -> No
         waiting = store.waiting("car1", after=0, before=99, limit=9)
         assert [row.key.seq for row in waiting] == [2, 3]
         assert read_message(*sent(waiting[0])).data == json.loads(waiting[0].text)
-        assert store.settle([Receipt(key=row.key) for row in waiting]) == [2, 3]
+        assert store.note_receipts([Receipt(key=row.key) for row in waiting]) == [2, 3]
         assert store.unpublished_count("car1") == 0
     with closing(sqlite3.connect(path)) as connection:
         assert connection.execute("PRAGMA user_version").fetchone() == (SCHEMA_VERSION,)

@@ -53,9 +53,9 @@ class DoomedStore(ResultStore):
         die_at(self.step, Step.AFTER_INSERT)
         return is_new
 
-    def settle(self, receipts: Sequence[Receipt]) -> list[int]:
+    def note_receipts(self, receipts: Sequence[Receipt]) -> list[int]:
         die_at(self.step, Step.BEFORE_SETTLE)
-        positions = super().settle(receipts)
+        positions = super().note_receipts(receipts)
         die_at(self.step, Step.AFTER_SETTLE)
         return positions
 

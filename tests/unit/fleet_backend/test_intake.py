@@ -94,7 +94,7 @@ def test_a_strange_topic_is_poison(topic: str) -> None:
 
 
 def test_a_state_that_the_backend_does_not_keep_is_poison() -> None:
-    poison(delivered(clutch_message(clutch_record(fleet_result(1)))), "topic")
+    poison(delivered(clutch_message(clutch_record(shift_record(fleet_result(1))))), "topic")
 
 
 def test_status_and_metrics_become_rows_of_their_vehicle() -> None:

@@ -21,7 +21,7 @@ from fleet_contract import (
 from tests.support.builders import shift_result
 
 SHIFT = shift_message(shift_record(shift_result()))
-CLUTCH = clutch_message(clutch_record(shift_result()))
+CLUTCH = clutch_message(clutch_record(shift_record(shift_result())))
 
 
 def changed(payload: bytes, *path: str, value: object) -> bytes:

@@ -63,7 +63,7 @@ def test_a_store_that_hangs_is_seen_from_outside(monkeypatch: pytest.MonkeyPatch
     session = session_for(store, MemoryReporter())
     session.progress = Progress(patience_s=PATIENCE_S, now_s=clock)
     (event, *_) = session.stages.segment(gear_frames(3))
-    worker = threading.Thread(target=session.settle, args=(event,))
+    worker = threading.Thread(target=session.process, args=(event,))
     worker.start()
     assert is_inside.wait(HANG_S)
     clock.now_s += PATIENCE_S

@@ -191,12 +191,12 @@ async def test_only_the_backend_lets_a_result_be_forgotten(store: ResultStore) -
     outbox = backend_outbox(store, Broker(link))
     put(store, 1, 2, 3)
     sender = asyncio.create_task(outbox.run())
-    await until(lambda: seqs(link) == [1, 2, 3] and link.hear is not None)
+    await until(lambda: seqs(link) == [1, 2, 3] and link.on_receipts is not None)
     assert store.unpublished_count("car1") == 3
-    assert link.hear is not None
-    link.hear(receipts(2, 99))
+    assert link.on_receipts is not None
+    link.on_receipts(receipts(2, 99))
     await until(lambda: store.unpublished_count("car1") == 2)
-    link.hear(receipts(1, 3, 2))
+    link.on_receipts(receipts(1, 3, 2))
     assert await outbox.close(sender) == 0
     assert seqs(link) == [1, 2, 3]
 
@@ -217,8 +217,8 @@ async def test_what_nobody_acknowledged_is_sent_again_over_the_next_connection(s
     put(store, 1, 2)
     sender = asyncio.create_task(outbox.run())
     await until(lambda: seqs(first) == [1, 2])
-    assert first.hear is not None
-    first.hear(receipts(1))
+    assert first.on_receipts is not None
+    first.on_receipts(receipts(1))
     await until(lambda: store.unpublished_count("car1") == 1)
     first.cut.set()
     await until(lambda: store.unpublished_count("car1") == 0)
@@ -238,8 +238,8 @@ async def test_silence_is_told_once_and_results_are_sent_again_less_and_less_oft
     await asyncio.sleep(0.1)  # half of the present pause
     assert len(link.results) == count
     assert caplog.text.count("no backend acknowledged 2 results") == 1
-    assert link.hear is not None
-    link.hear(receipts(1, 2))
+    assert link.on_receipts is not None
+    link.on_receipts(receipts(1, 2))
     assert await outbox.close(sender) == 0
     assert outbox.counts.repeated == 6
 
@@ -263,8 +263,8 @@ async def test_a_quarantined_result_is_forgotten_and_told(store: ResultStore, ca
     put(store, 1)
     sender = asyncio.create_task(outbox.run())
     await until(lambda: seqs(link) == [1])
-    assert link.hear is not None
-    link.hear(receipts(1, outcome=Outcome.QUARANTINED, reason="quality: must be at most 1"))
+    assert link.on_receipts is not None
+    link.on_receipts(receipts(1, outcome=Outcome.QUARANTINED, reason="quality: must be at most 1"))
     assert await outbox.close(sender) == 0
     assert "put aside 1 results" in caplog.text
     assert "quality: must be at most 1" in caplog.text
@@ -313,11 +313,11 @@ async def test_what_a_dying_worker_took_with_it_is_sent_again_soon(store: Result
     await asyncio.sleep(0.02)
     put(store, 2)
     outbox.nudge()
-    await until(lambda: seqs(link) == [1, 2] and link.hear is not None)
-    assert link.hear is not None
-    link.hear(receipts(2))
+    await until(lambda: seqs(link) == [1, 2] and link.on_receipts is not None)
+    assert link.on_receipts is not None
+    link.on_receipts(receipts(2))
     await until(lambda: seqs(link) == [1, 2, 1])  # long before its time limit
-    link.hear(receipts(1))
+    link.on_receipts(receipts(1))
     assert await outbox.close(sender) == 0
 
 
@@ -332,7 +332,7 @@ async def test_a_disk_without_room_for_a_receipt_is_tried_again(
     outbox = backend_outbox(store, broker)
     put(store, 1)
     with monkeypatch.context() as full:
-        full.setattr(store, "settle", refuse)
+        full.setattr(store, "note_receipts", refuse)
         sender = asyncio.create_task(outbox.run())
         await until(lambda: "disk is full; 1 results wait" in caplog.text)
     await until(lambda: store.unpublished_count("car1") == 0)

@@ -7,8 +7,7 @@ from dataclasses import replace
 import pytest
 from rich.console import Console
 
-from diag_service.delivery import ConsoleReporter, JsonLinesReporter, MemoryReporter
-from diag_service.delivery.pipe import PipeReporter
+from diag_service.delivery import ConsoleReporter, JsonLinesReporter, MemoryReporter, News, PipeReporter
 from diag_service.diagnosis.records import Reason, ShiftResult
 from diag_service.diagnosis.results import shift_record
 from diag_service.diagnosis.summary import FrameCounts, ShiftTally, Summary, frames_line, shifts_line, summarise
@@ -57,9 +56,9 @@ def test_the_numbers_in_words() -> None:
 def test_json_lines_hold_records_only() -> None:
     out, people = io.StringIO(), io.StringIO()
     reporter = JsonLinesReporter(out, Console(file=people))
-    reporter.listening("vcan0")
+    reporter.report("vcan0")
     reporter.report(shift_result(1))
-    reporter.finish(numbers())
+    reporter.report(numbers())
     shift, summary = (json.loads(line) for line in out.getvalue().splitlines())
     assert shift == shift_record(shift_result(1))
     assert summary["frames"]["rejected"] == {"bad_crc": 12, "repeated": 0, "short": 1}
@@ -77,7 +76,7 @@ def test_json_lines_hold_records_only() -> None:
 def test_people_see_a_line_per_shift_whatever_the_width() -> None:
     out = io.StringIO()
     reporter = ConsoleReporter(Console(file=out, width=40))
-    reporter.listening("vcan0")
+    reporter.report("vcan0")
     reporter.report(shift_result(1))
     reporter.report(interrupted(2))
     lines = out.getvalue().splitlines()
@@ -89,7 +88,7 @@ def test_people_see_a_line_per_shift_whatever_the_width() -> None:
 
 def test_people_see_the_clutches_at_the_end() -> None:
     out = io.StringIO()
-    ConsoleReporter(Console(file=out, width=80)).finish(numbers())
+    ConsoleReporter(Console(file=out, width=80)).report(numbers())
     text = out.getvalue()
     assert "0.1361 ± 0.0012" in text
     assert "99.0 %" in text
@@ -105,22 +104,23 @@ def test_people_see_the_ratio_after_the_last_shift() -> None:
     tally = ShiftTally()
     tally.add(interrupted(1), is_new=True)
     tally.add(shift_result(2), is_new=True)
-    ConsoleReporter(Console(file=out, width=80)).finish(summarise("car1", FRAMES, tally, None))
+    ConsoleReporter(Console(file=out, width=80)).report(summarise("car1", FRAMES, tally, None))
     assert "mu_C1/mu_C2 1.004 ± 0.014, mu_S1/mu_S2 0.991 ± 0.017\n" in out.getvalue()
 
 
 def test_a_broken_pipe_is_told_once_and_then_nothing_is_written() -> None:
     class Broken(MemoryReporter):
-        def report(self, result: ShiftResult) -> None:
-            super().report(result)
-            raise BrokenPipeError
+        def report(self, news: News) -> None:
+            super().report(news)
+            if isinstance(news, ShiftResult):
+                raise BrokenPipeError
 
     broken, breaks = Broken(), list[str]()
     reporter = PipeReporter(broken, lambda: breaks.append("broken"))
-    reporter.listening("vcan0")
+    reporter.report("vcan0")
     reporter.report(shift_result(1))
     reporter.report(shift_result(2))
-    reporter.finish(numbers())
+    reporter.report(numbers())
     assert breaks == ["broken"]
     assert [result.seq for result in broken.results] == [1]
     assert broken.summaries == []
@@ -128,8 +128,8 @@ def test_a_broken_pipe_is_told_once_and_then_nothing_is_written() -> None:
 
 def test_other_errors_pass_a_pipe() -> None:
     class Failing(MemoryReporter):
-        def report(self, result: ShiftResult) -> None:
-            super().report(result)
+        def report(self, news: News) -> None:
+            super().report(news)
             raise OSError("no space left")
 
     with pytest.raises(OSError, match="no space left"):

@@ -33,8 +33,8 @@ STATUS = ServiceStatus(
 RECORDS = [
     pytest.param("shift", shift_record(shift_result()), id="shift"),
     pytest.param("shift", shift_record(rejected(shift_result())), id="rejected shift"),
-    pytest.param("clutch", clutch_record(shift_result()), id="clutch"),
-    pytest.param("clutch", clutch_record(rejected(shift_result())), id="unknown clutch"),
+    pytest.param("clutch", clutch_record(shift_record(shift_result())), id="clutch"),
+    pytest.param("clutch", clutch_record(shift_record(rejected(shift_result()))), id="unknown clutch"),
     pytest.param("status", status_record(STATUS), id="online"),
     pytest.param("status", status_record(replace(STATUS, is_online=False)), id="offline"),
 ]

@@ -80,13 +80,13 @@ def told(reporter: MemoryReporter) -> list[int]:
 
 def test_results_wait_and_are_told_when_they_are_stored(store: FillingStore, caplog: pytest.LogCaptureFixture) -> None:
     session, reporter = session_on(store)
-    session.settle(event(1))
+    session.process(event(1))
     store.is_full = True
-    session.settle(event(2))
-    session.settle(event(3))
+    session.process(event(2))
+    session.process(event(3))
     assert told(reporter) == [1]
     store.is_full = False
-    session.settle(event(4))
+    session.process(event(4))
     assert told(reporter) == [1, 2, 3, 4]
     assert [result.seq for result in store.results("car1")] == [1, 2, 3, 4]
     assert [record.getMessage() for record in caplog.records if record.levelname == "WARNING"] == [
@@ -98,7 +98,7 @@ def test_room_that_comes_between_two_shifts_is_used(store: FillingStore, caplog:
     session, reporter = session_on(store)
     assert not session.retry()
     store.is_full = True
-    session.settle(event(1))
+    session.process(event(1))
     assert not session.retry()
     store.is_full = False
     assert session.retry()
@@ -109,7 +109,7 @@ def test_room_that_comes_between_two_shifts_is_used(store: FillingStore, caplog:
 def test_the_end_of_a_run_is_a_last_attempt(store: FillingStore) -> None:
     session, reporter = session_on(store)
     store.is_full = True
-    session.settle(event(1))
+    session.process(event(1))
     with pytest.raises(StoreFullError):
         session.finish(FrameCounts(), None)
     assert reporter.summaries == []
@@ -122,7 +122,7 @@ def test_what_waits_is_bounded_and_what_is_given_up_counted(store: FillingStore)
     session, reporter = session_on(store, max_pending_count=3)
     store.is_full = True
     for number in range(1, 6):
-        session.settle(event(number))
+        session.process(event(number))
     store.is_full = False
     session.finish(FrameCounts(), None)
     assert session.given_up_count == 2
@@ -135,4 +135,4 @@ def test_the_analysis_of_a_log_stops_at_a_full_disk(store: FillingStore) -> None
     session, _ = session_on(store, stream="a log")
     store.is_full = True
     with pytest.raises(StoreFullError):
-        session.settle(event(1))
+        session.process(event(1))

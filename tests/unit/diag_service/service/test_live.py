@@ -199,7 +199,7 @@ async def test_numbers_are_told_on_request(store: ResultStore, caplog: pytest.Lo
 def test_the_running_state_survives_a_restart(store: ResultStore) -> None:
     first = session_for(store, MemoryReporter())
     for event in first.stages.segment(gear_frames(3)):
-        first.settle(event)
+        first.process(event)
     state = store.state("car1")
     assert state is not None
     filter_state, memory = resume(store, "car1", VERSIONS, CALIBRATION)
@@ -210,7 +210,7 @@ def test_the_running_state_survives_a_restart(store: ResultStore) -> None:
 def test_a_state_of_other_versions_is_not_used(store: ResultStore, caplog: pytest.LogCaptureFixture) -> None:
     session = session_for(store, MemoryReporter())
     for event in session.stages.segment(gear_frames(3)):
-        session.settle(event)
+        session.process(event)
     for other in (replace(VERSIONS, algorithm="older"), replace(VERSIONS, calibration="older")):
         caplog.clear()
         filter_state, memory = resume(store, "car1", other, CALIBRATION)
@@ -223,7 +223,7 @@ def test_a_state_of_other_versions_is_not_used(store: ResultStore, caplog: pytes
 
 def test_a_state_that_cannot_be_read_is_told_and_replaced(store: ResultStore, caplog: pytest.LogCaptureFixture) -> None:
     session = session_for(store, MemoryReporter())
-    session.settle(session.stages.segment(gear_frames(2))[0])
+    session.process(session.stages.segment(gear_frames(2))[0])
     (result,) = store.results("car1")
     store.add(replace(result, seq=2), VehicleState(belief={"odd": 1}, condition={}, versions=VERSIONS))
     filter_state, _ = resume(store, "car1", VERSIONS, CALIBRATION)

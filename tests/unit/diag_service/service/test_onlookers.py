@@ -19,7 +19,7 @@ from diag_service.console.progress import Stage, Stuck
 from diag_service.delivery import MemoryReporter
 from diag_service.errors import ConfigError
 from diag_service.service.metrics import serving
-from diag_service.service.monitor import Monitor, SilentReporter
+from diag_service.service.monitor import Monitor
 from diag_service.service.snapshot import SILENT_S, STALE_S, Board, RateMeter, Snapshot, SnapshotTaker
 from diag_service.settings.config import ListenAddress, parse_listen_address
 from diag_service.store import ResultStore
@@ -63,7 +63,7 @@ def _snapshot() -> Snapshot:
     session = session_for(store, MemoryReporter())
     taker = SnapshotTaker(source, session, 100.0, 500_000)
     for event in session.stages.segment(gear_frames(3)):
-        session.settle(event)
+        session.process(event)
     source.counts = SourceCounts(received=FRAMES, kernel_dropped=7)
     source.bit_count = 250_000
     early = taker.take(100.1)
@@ -224,9 +224,9 @@ def test_the_screen_shows_everything(snapshot: Snapshot) -> None:
     assert "signal missing" in text
 
 
-def test_a_silent_reporter_says_nothing(snapshot: Snapshot, capsys: pytest.CaptureFixture[str]) -> None:
-    reporter = SilentReporter()
-    reporter.listening("vcan0")
-    reporter.report(snapshot.recent[0])
-    reporter.finish(snapshot.summary)
-    assert capsys.readouterr() == ("", "")
+def test_news_between_two_pictures_show_nothing(snapshot: Snapshot, capsys: pytest.CaptureFixture[str]) -> None:
+    out = io.StringIO()
+    monitor = Monitor(Console(file=out))
+    for news in ("vcan0", snapshot.recent[0], snapshot.summary):
+        monitor.report(news)
+    assert (out.getvalue(), *capsys.readouterr()) == ("", "", "")

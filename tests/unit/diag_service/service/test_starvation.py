@@ -16,7 +16,7 @@ import pytest
 
 from canlog.live import BusOpener, LinkBreak, SupervisedSource
 from canlog.live.supervisor import Patience
-from diag_service.delivery import DeliveryLimits, DetachedReporter, MemoryLink, MemoryReporter, Outbox
+from diag_service.delivery import DeliveryLimits, DetachedReporter, MemoryLink, MemoryReporter, News, Outbox
 from diag_service.diagnosis.records import ShiftResult
 from diag_service.diagnosis.summary import Summary
 from diag_service.errors import PublishError, StoreError
@@ -34,10 +34,10 @@ QUICK = DeliveryLimits(first_pause_s=0.01, restart_pause_s=0.01)
 class RaisingReporter(MemoryReporter):
     """Raises over every second result."""
 
-    def report(self, result: ShiftResult) -> None:
-        if result.seq % 2 == 0:
+    def report(self, news: News) -> None:
+        if isinstance(news, ShiftResult) and news.seq % 2 == 0:
             raise RuntimeError("no")
-        super().report(result)
+        super().report(news)
 
 
 class BlockingReporter(MemoryReporter):
@@ -47,9 +47,10 @@ class BlockingReporter(MemoryReporter):
         super().__init__()
         self.let_go = threading.Event()
 
-    def report(self, result: ShiftResult) -> None:
-        self.let_go.wait()
-        super().report(result)
+    def report(self, news: News) -> None:
+        if isinstance(news, ShiftResult):
+            self.let_go.wait()
+        super().report(news)
 
 
 @pytest.fixture(name="store")
@@ -176,7 +177,7 @@ def test_a_detached_reporter_keeps_the_order_and_tells_the_end() -> None:
     reporter = DetachedReporter(memory)
     for seq in range(1, 20):
         reporter.report(shift_result(seq))
-    reporter.finish(_summary())
+    reporter.report(_summary())
     assert [result.seq for result in memory.results] == list(range(1, 20))
     assert len(memory.summaries) == 1
 

@@ -111,7 +111,7 @@ def test_the_outbox_is_read_from_both_ends(store: ResultStore) -> None:
         store.add(shift_result(seq), state())
     store.mark_published([4])
     assert [row.key.seq for row in waiting(store, after=1, before=6)] == [2, 3, 5]
-    assert [row.key.seq for row in store.newest_waiting("car1", after=1, before=6, limit=2)] == [5, 3]
+    assert [row.key.seq for row in store.waiting("car1", after=1, before=6, limit=2, newest_first=True)] == [5, 3]
     assert [row.key.seq for row in store.stored([4, 99, 2])] == [4, 2]
     assert (store.last_position("car1"), store.last_position("car2")) == (6, 0)
 
@@ -126,8 +126,8 @@ def test_a_backend_settles_by_key_what_is_here(store: ResultStore) -> None:
         Receipt(key=elsewhere),
         Receipt(key=keys[2], outcome=Outcome.QUARANTINED, reason="quality: must be at most 1"),
     ]
-    assert store.settle(receipts) == [1, 3]
-    assert store.settle(receipts) == [1, 3]  # a repetition changes nothing
+    assert store.note_receipts(receipts) == [1, 3]
+    assert store.note_receipts(receipts) == [1, 3]  # a repetition changes nothing
     assert [row.key.seq for row in waiting(store)] == [2]
 
 

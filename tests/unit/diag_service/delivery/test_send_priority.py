@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from diag_service.delivery.lanes import Lanes
+from diag_service.delivery.delivery import SendPriority
 from diag_service.store import ResultStore, VehicleState, Versions
 from tests.support.builders import shift_result
 
@@ -25,39 +25,39 @@ def put(store: ResultStore, first: int, last: int) -> None:
         store.add(shift_result(seq), STATE)
 
 
-def take(lanes: Lanes, limit: int) -> list[int]:
-    return [row.key.seq for row in lanes.next(limit)]
+def handed_out(priority: SendPriority, limit: int) -> list[int]:
+    return [row.key.seq for row in priority.next(limit)]
 
 
 def test_a_short_backlog_goes_in_order(store: ResultStore) -> None:
     put(store, 1, 5)
-    lanes = Lanes(store, "car1")
-    assert take(lanes, 8) == [1, 2, 3, 4, 5]
-    assert take(lanes, 8) == []
+    priority = SendPriority(store, "car1")
+    assert handed_out(priority, 8) == [1, 2, 3, 4, 5]
+    assert handed_out(priority, 8) == []
 
 
 def test_a_long_backlog_goes_from_both_ends(store: ResultStore) -> None:
     put(store, 1, 20)
-    lanes = Lanes(store, "car1")
-    assert take(lanes, 8) == [20, 19, 1, 2, 3, 4, 5, 6]
-    assert take(lanes, 8) == [18, 17, 7, 8, 9, 10, 11, 12]
-    assert take(lanes, 8) == [13, 14, 15, 16]
+    priority = SendPriority(store, "car1")
+    assert handed_out(priority, 8) == [20, 19, 1, 2, 3, 4, 5, 6]
+    assert handed_out(priority, 8) == [18, 17, 7, 8, 9, 10, 11, 12]
+    assert handed_out(priority, 8) == [13, 14, 15, 16]
 
 
 def test_what_happens_now_goes_first_but_does_not_stop_the_backlog(store: ResultStore) -> None:
     put(store, 1, 20)
-    lanes = Lanes(store, "car1")
+    priority = SendPriority(store, "car1")
     put(store, 21, 30)
-    assert take(lanes, 8) == [21, 22, 23, 24, 25, 26, 1, 2]
-    assert take(lanes, 8) == [27, 28, 29, 30, 20, 3, 4, 5]
-    assert [row.key.seq for row in lanes.next_fresh(8)] == []
+    assert handed_out(priority, 8) == [21, 22, 23, 24, 25, 26, 1, 2]
+    assert handed_out(priority, 8) == [27, 28, 29, 30, 20, 3, 4, 5]
+    assert [row.key.seq for row in priority.next_fresh(8)] == []
 
 
 def test_without_a_backlog_all_room_is_for_what_happens_now(store: ResultStore) -> None:
-    lanes = Lanes(store, "car1")
+    priority = SendPriority(store, "car1")
     put(store, 1, 20)
-    assert [row.key.seq for row in lanes.next_fresh(3)] == [1, 2, 3]
-    assert take(lanes, 8) == [4, 5, 6, 7, 8, 9, 10, 11]
+    assert [row.key.seq for row in priority.next_fresh(3)] == [1, 2, 3]
+    assert handed_out(priority, 8) == [4, 5, 6, 7, 8, 9, 10, 11]
 
 
 @settings(deadline=None)
@@ -65,13 +65,13 @@ def test_without_a_backlog_all_room_is_for_what_happens_now(store: ResultStore) 
 def test_everything_is_handed_out_once(backlog: int, steps: list[tuple[int, int]]) -> None:
     with closing(ResultStore.in_memory()) as store:
         put(store, 1, backlog)
-        lanes, seen, last = Lanes(store, "car1"), list[int](), backlog
+        priority, seen, last = SendPriority(store, "car1"), list[int](), backlog
         for added, limit in steps:
             put(store, last + 1, last + added)
             last += added
-            taken = take(lanes, limit)
+            taken = handed_out(priority, limit)
             assert len(taken) <= limit
             seen += taken
-        while taken := take(lanes, 7):
+        while taken := handed_out(priority, 7):
             seen += taken
         assert sorted(seen) == list(range(1, last + 1))
