@@ -145,7 +145,7 @@ def test_bus_time_is_utc_with_microseconds() -> None:
 
 @pytest.mark.parametrize("condition", [1, None, "fine", ["good"]])
 def test_a_condition_is_read_from_its_word_alone(condition: object) -> None:
-    record = clutch_record(shift_result())
+    record = clutch_record(shift_record(shift_result()))
     assert verdict_from(record) == shift_result().verdict
     with pytest.raises(ResultError, match="condition"):
         verdict_from(record | {"condition": condition})
