@@ -30,17 +30,10 @@ def load_pyarrow() -> Any:  # noqa: ANN401 - an untyped library
 def arrow_schema(columns: Mapping[str, str], metadata: Mapping[str, Mapping[str, str]] | None = None) -> Any:  # noqa: ANN401 - an untyped library
     """Return names, types and metadata of columns, as of ``ParquetTable``, for pyarrow."""
     arrow = load_pyarrow()
-    kinds = {
-        "int32": arrow.int32(),
-        "int64": arrow.int64(),
-        "float64": arrow.float64(),
-        "string": arrow.string(),
-        BOOL_TYPE: arrow.bool_(),
-        TIME_TYPE: arrow.timestamp("ns", "UTC"),
-        NAME_TYPE: arrow.dictionary(arrow.int32(), arrow.string()),
-    }
-    extra = metadata or {}
-    return arrow.schema([arrow.field(name, kinds[kind], metadata=extra.get(name)) for name, kind in columns.items()])
+    own = {TIME_TYPE: arrow.timestamp("ns", "UTC"), NAME_TYPE: arrow.dictionary(arrow.int32(), arrow.string())}
+    return arrow.schema(
+        [arrow.field(name, own.get(kind, kind), metadata=(metadata or {}).get(name)) for name, kind in columns.items()]
+    )
 
 
 class ParquetTable:

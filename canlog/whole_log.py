@@ -28,8 +28,8 @@ from canlog.tables.decoding import (
     pieces,
     row_groups,
 )
+from canlog.tables.layouts import Values
 from canlog.tables.report import losses
-from canlog.tables.texts import Values
 
 ShapeName = Literal["wide", "long"]
 ValuesName = Literal["numbers", "texts", "both"]
@@ -150,9 +150,7 @@ class Log:
         return polars.from_arrow(self.to_arrow(shape, values))
 
     def _new_account(self) -> Account:
-        account = self._plan.account()
-        account.log = self.counts
-        return account
+        return Account(codec=self._plan.codec, names=self._plan.names, log=self.counts)
 
     def _pieces(self) -> Iterator[FrameBatch]:
         return pieces([self.frames], max(1, self._plan.max_cells // CELLS_PER_FRAME))

@@ -17,8 +17,8 @@ from canlog.database.loading import load_database
 from canlog.decode.codec import Codec, MessageTable
 from canlog.tables.account import Account
 from canlog.tables.decoding import Plan, TableShape, decode_log
+from canlog.tables.layouts import Values
 from canlog.tables.names import table_names
-from canlog.tables.texts import Values
 from tests.support.cantools_oracle import Readings, readings
 
 FloatArray = npt.NDArray[np.float64]

@@ -11,9 +11,8 @@ from canlog.database.addressing import J1939, parameter_group
 from canlog.decode.codec import Codec, FrameFate, FrameMatch, MessageTable, MessageValues
 from canlog.frames import ERROR_FLAG, EXTENDED_FLAG, REMOTE_FLAG, FrameBatch
 from canlog.logs import LogCounts
-from canlog.tables.names import Place, TableNames
+from canlog.tables.names import BARE_ID, Place, TableNames, flagged_id
 
-_BARE_ID: Final = 0x1FFF_FFFF
 MAX_IDS: Final = 65_536  # that are counted one by one: no bus has as many, a log of noise has
 TRANSPORT_DATA: Final = 0xEB00  # the parameter group of packets of J1939 transport (TP.DT)
 _NO_DATA: Final = np.uint32(REMOTE_FLAG | ERROR_FLAG)
@@ -120,7 +119,7 @@ class Account:
         return sum(
             count
             for can_id, count in self.frames_of_id.items()
-            if can_id & EXTENDED_FLAG and parameter_group(can_id & _BARE_ID) == TRANSPORT_DATA
+            if can_id & EXTENDED_FLAG and parameter_group(can_id & BARE_ID) == TRANSPORT_DATA
         )
 
     @property
@@ -158,7 +157,7 @@ class Account:
 
 
 def _nearest(can_id: int, tables: tuple[MessageTable, ...], names: TableNames) -> Nearest:
-    bare, is_extended = can_id & _BARE_ID, bool(can_id & EXTENDED_FLAG)
+    bare, is_extended = can_id & BARE_ID, bool(can_id & EXTENDED_FLAG)
 
     def distance(slot: int) -> tuple[int, int, int]:
         message = tables[slot].message
@@ -176,5 +175,4 @@ def _nearest(can_id: int, tables: tuple[MessageTable, ...], names: TableNames) -
             if message.is_extended_frame == is_extended
             else f"the same number, but the log's has {29 if is_extended else 11} bits"
         )
-    flag = EXTENDED_FLAG if message.is_extended_frame else 0
-    return Nearest(can_id=can_id, message=names.messages[slot], message_id=message.frame_id | flag, remark=remark)
+    return Nearest(can_id=can_id, message=names.messages[slot], message_id=flagged_id(message), remark=remark)

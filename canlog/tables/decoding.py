@@ -16,9 +16,8 @@ from canlog.frames import FrameBatch
 from canlog.logs import LogReader, read_log
 from canlog.parquet_file import ParquetTable
 from canlog.tables.account import Account
-from canlog.tables.layouts import LongLayout, WideLayout
+from canlog.tables.layouts import LongLayout, Values, WideLayout
 from canlog.tables.names import TableNames, table_names
-from canlog.tables.texts import Values
 
 MAX_CELLS: Final = 4_000_000  # of a row group: 32 MB of numbers
 CELLS_PER_FRAME: Final = 64  # of the long table, at most as a rule
@@ -63,10 +62,6 @@ class Plan:
         """Return how many frames a row group may hold."""
         cells = CELLS_PER_FRAME if self.shape is TableShape.LONG else len(layout.kinds)
         return max(1, self.max_cells // cells)
-
-    def account(self) -> Account:
-        """Return an account of nothing yet."""
-        return Account(codec=self.codec, names=self.names)
 
 
 def decoded_batches(
@@ -134,7 +129,7 @@ def decode_log(
 
 def _written(path: Path, plan: Plan, output: Path, is_stopped: Callable[[], bool]) -> tuple[Account, LogReader]:
     layout = plan.layout(lambda: _until(is_stopped, _closed_at_end(path)))
-    account = plan.account()
+    account = Account(codec=plan.codec, names=plan.names)
     with closing(read_log(path)) as reader, ParquetTable(output, layout.kinds, layout.metadata) as table:
         frames = _until(is_stopped, pieces(reader, plan.frames_per_group(layout)))
         for columns in row_groups(frames, layout, account):

@@ -1,42 +1,65 @@
-"""Decoded batches as the columns of a Parquet file: wide, a row per frame, or long, a row per value.
+"""Decoded batches as the columns of a table: wide, a row per frame, or long, a row per value.
 
 Nothing is null that a frame carries: null are signals of other messages, of other pages of a multiplexer, and what lies
 behind the end of a short frame.
 """
 
-from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from enum import StrEnum
 from typing import Any, Final
 
 import numpy as np
+import numpy.typing as npt
+from cantools.database.can.signal import Signal
 
-from canlog.arrays import FloatArray, Int64Array, UInt8Array, UInt32Array
+from canlog.arrays import BoolArray, FloatArray, Int64Array, UInt32Array
+from canlog.decode.bit_fields import PayloadWords
 from canlog.decode.codec import MessageTable, MessageValues
-from canlog.decode.signal_table import BoolArray, Decoded
+from canlog.decode.signal_table import SignalTable
+from canlog.decode.value_codes import FloatCode
 from canlog.frames import EXTENDED_FLAG, FrameBatch
 from canlog.parquet_file import BOOL_TYPE, NAME_TYPE, TIME_TYPE, load_pyarrow
 from canlog.tables.names import TEXT_SUFFIX, Place, TableNames
-from canlog.tables.texts import NAMELESS, Int32Array, Values, ValueTexts
 
 TIME, CHANNEL, ID, IS_EXTENDED = "time", "channel", "id", "is_extended"
 MESSAGE, SIGNAL, VALUE, TEXT, UNIT = "message", "signal", "value", "text", "unit"
 FRAME_KINDS: Final = {TIME: TIME_TYPE, CHANNEL: "int64", ID: "int32", IS_EXTENDED: BOOL_TYPE, MESSAGE: NAME_TYPE}
+NAMELESS: Final = -1
 _BARE_ID: Final = np.uint32(0x1FFF_FFFF)
+Int32Array = npt.NDArray[np.int32]
 Column = Any  # of pyarrow, which is untyped
 
 
-@dataclass(frozen=True, slots=True)
-class _Part:
-    """Values of one signal in a batch."""
+class Values(StrEnum):
+    """What is written for a value that has a name in the database."""
 
-    message: str
-    signal: str
-    unit: str
-    rows: Int64Array  # (n,) of the batch
-    value: FloatArray  # (n,)
-    codes: Int32Array | None  # (n,) of ``names``
-    names: tuple[str, ...]
+    NUMBERS = "numbers"  # the number
+    TEXTS = "texts"  # the name
+    BOTH = "both"
+
+
+class ValueTexts:
+    """The value table of one signal, compiled: a code for each value, and the names that codes stand for."""
+
+    def __init__(self, signal: Signal, table: SignalTable) -> None:
+        low, high = table.field.raw_limits
+        choices = {raw: str(text) for raw, text in (signal.choices or {}).items()}
+        self._table = table
+        self._raws = sorted(raw for raw in choices if isinstance(table.code, FloatCode) or low <= raw <= high)
+        self.names = tuple(dict.fromkeys(choices[raw] for raw in self._raws))
+        self._codes = np.array([self.names.index(choices[raw]) for raw in self._raws], np.int32)
+
+    def codes(self, words: PayloadWords) -> Int32Array:
+        """Return for every payload the place of its text in ``names``, NAMELESS where the value has none."""
+        if not self._raws:
+            return np.full(len(words), NAMELESS, np.int32)
+        raw = self._table.field.raw(words)
+        code = self._table.code
+        number = code.raw_number(raw.view(np.uint64)) if isinstance(code, FloatCode) else raw
+        known = np.array(self._raws, number.dtype)
+        place = np.minimum(np.searchsorted(known, number), len(known) - 1)
+        return np.where(known[place] == number, self._codes[place], np.int32(NAMELESS))
 
 
 class Layout:
@@ -72,15 +95,7 @@ class Layout:
 
 
 class WideLayout(Layout):
-    """A row per frame and a column per signal of some messages.
-
-    Parameters
-    ----------
-    tables, names, values
-        As of ``Layout``.
-    slots : sequence of int
-        The messages whose signals are columns, in their order.
-    """
+    """A row per frame, and a column per signal of the messages in ``slots``."""
 
     def __init__(self, tables: Sequence[MessageTable], names: TableNames, values: Values, slots: Sequence[int]) -> None:
         super().__init__(tables, names, values)
@@ -103,49 +118,34 @@ class WideLayout(Layout):
 
     def columns(self, batch: FrameBatch, found: Sequence[MessageValues]) -> tuple[int, dict[str, Column]]:
         """Return the number of rows and the columns of one row group, in their order."""
-        rows = np.concatenate([one.rows for one in found])
-        order = np.argsort(rows, kind="stable")
-        to_row = np.empty(len(rows), np.int64)
-        to_row[order] = np.arange(len(rows))
-        cells, slots = _Cells(len(rows)), Counter(one.slot for one in found)
-        start = 0
+        frames = np.concatenate([one.rows for one in found])
+        which = np.repeat(np.arange(len(found), dtype=np.int32), [len(one.rows) for one in found])
+        order = np.argsort(frames, kind="stable")
+        row_of = np.empty(len(batch), np.int64)
+        row_of[frames[order]] = np.arange(len(frames))
+        cells = _Cells(len(frames))
         for one in found:
-            target = to_row[start : start + len(one.rows)]
-            start += len(one.rows)
-            self._fill(cells, one, target, is_only=slots[one.slot] == 1)
-        messages = [self._names.messages[one.slot] for one in found]
-        columns = self._frame_columns(batch, rows[order])
-        which = np.repeat(np.arange(len(found), dtype=np.int32), [len(one.rows) for one in found])[order]
-        columns[MESSAGE] = coded(messages, which)
+            self._fill(cells, one, row_of[one.rows])
+        columns = self._frame_columns(batch, frames[order])
+        columns[MESSAGE] = _name_column([self._names.messages[one.slot] for one in found], which[order])
         for place in self._places:
             columns[self._names.columns[place]] = cells.numbers(place)
             if place in self._texts:
                 columns[self._names.columns[place] + TEXT_SUFFIX] = cells.texts(place, self._texts[place].names)
-        return len(rows), columns
+        return len(frames), columns
 
-    def _fill(self, cells: "_Cells", one: MessageValues, target: Int64Array, *, is_only: bool) -> None:
-        """Fill in the values of some frames; ``is_only`` if no others of their message are in the row group."""
-        bits = cells.bits_of(target)
+    def _fill(self, cells: "_Cells", one: MessageValues, rows: Int64Array) -> None:
+        """Fill in the values of some frames of one message, and the texts of those that have any."""
         for name, decoded in one.signals.items():
-            place = one.slot, name
+            place, is_there = (one.slot, name), decoded.is_present
             if place in self._texts:
-                self._fill_named(cells, place, target, one, decoded)
-            elif is_only and decoded.is_present is None:
-                cells.put_all(place, target, decoded.value, bits)
-            else:
-                cells.put(place, target, decoded.value, decoded.is_present)
-
-    def _fill_named(
-        self, cells: "_Cells", place: Place, target: Int64Array, one: MessageValues, decoded: Decoded
-    ) -> None:
-        """Fill in the values of a signal with a value table, and their texts."""
-        present, codes = decoded.is_present, self._texts[place].codes(one.words)
-        if present is not None:
-            codes = np.where(present, codes, np.int32(NAMELESS))
-        cells.put_codes(place, target, codes)
-        if self._values is Values.TEXTS:
-            present = codes == NAMELESS if present is None else present & (codes == NAMELESS)
-        cells.put(place, target, decoded.value, present)
+                codes = self._texts[place].codes(one.words)
+                if is_there is not None:
+                    codes = np.where(is_there, codes, np.int32(NAMELESS))
+                cells.put_codes(place, rows, codes)
+                if self._values is Values.TEXTS:
+                    is_there = codes == NAMELESS if is_there is None else is_there & (codes == NAMELESS)
+            cells.put(place, rows, decoded.value, is_there)
 
 
 class LongLayout(Layout):
@@ -171,35 +171,39 @@ class LongLayout(Layout):
         order = np.argsort(rows, kind="stable")
         which = np.repeat(np.arange(len(parts), dtype=np.int32), [len(part.rows) for part in parts])[order]
         columns = self._frame_columns(batch, rows[order])
-        columns[MESSAGE] = coded([part.message for part in parts], which)
-        columns[SIGNAL] = coded([part.signal for part in parts], which)
-        value = np.concatenate([part.value for part in parts])[order]
-        if self._values is Values.NUMBERS:
-            columns[VALUE] = value
-        else:
-            codes, names = _joined_texts(parts)
-            is_named = codes[order] != NAMELESS
-            hidden = is_named if self._values is Values.TEXTS else None
-            columns[VALUE] = load_pyarrow().array(value, mask=hidden)
-            columns[TEXT] = _dictionary(codes[order], names)
-        columns[UNIT] = coded([part.unit for part in parts], which)
+        columns[MESSAGE] = _name_column([self._names.messages[part.place[0]] for part in parts], which)
+        columns[SIGNAL] = _name_column([part.place[1] for part in parts], which)
+        columns[VALUE] = np.concatenate([part.value for part in parts])[order]
+        if self._values is not Values.NUMBERS:
+            arrow = load_pyarrow()
+            texts = arrow.concat_arrays([_name_column(part.names, part.codes) for part in parts])
+            columns[TEXT] = texts.take(arrow.array(order))
+            if self._values is Values.TEXTS:
+                is_nameless = columns[TEXT].is_null().to_numpy(zero_copy_only=False)
+                columns[VALUE] = _column(columns[VALUE], is_nameless)
+        columns[UNIT] = _name_column([self._unit(part.place) for part in parts], which)
         return len(rows), columns
 
-    def _parts(self, one: MessageValues) -> Iterator[_Part]:
+    def _parts(self, one: MessageValues) -> Iterator["_Part"]:
         for name, decoded in one.signals.items():
             place = one.slot, name
-            texts = self._texts.get(place)
-            codes = None if texts is None else texts.codes(one.words)
-            kept: BoolArray | slice = slice(None) if decoded.is_present is None else decoded.is_present
-            yield _Part(
-                self._names.messages[one.slot],
-                name,
-                self._unit(place),
-                one.rows[kept],
-                decoded.value[kept],
-                None if codes is None else codes[kept],
-                () if texts is None else texts.names,
-            )
+            kept = slice(None) if decoded.is_present is None else decoded.is_present
+            rows, value = one.rows[kept], decoded.value[kept]
+            codes, names = np.full(len(rows), NAMELESS, np.int32), tuple[str, ...]()
+            if place in self._texts:
+                codes, names = self._texts[place].codes(one.words)[kept], self._texts[place].names
+            yield _Part(place, rows, value, codes, names)
+
+
+@dataclass(frozen=True, slots=True)
+class _Part:
+    """Values of one signal in a batch."""
+
+    place: Place
+    rows: Int64Array  # (n,) of the batch
+    value: FloatArray  # (n,)
+    codes: Int32Array  # (n,) of ``names``
+    names: tuple[str, ...]
 
 
 class _Cells:
@@ -209,76 +213,42 @@ class _Cells:
         self._count = row_count
         self._value: dict[Place, FloatArray] = {}
         self._is_there: dict[Place, BoolArray] = {}
-        self._bits: dict[Place, UInt8Array] = {}
         self._codes: dict[Place, Int32Array] = {}
 
-    def put(self, place: Place, target: Int64Array, value: FloatArray, is_present: BoolArray | None) -> None:
-        """Fill in some rows of a signal."""
+    def put(self, place: Place, rows: Int64Array, value: FloatArray, is_there: BoolArray | None) -> None:
+        """Fill in some rows of a signal; ``is_there`` tells in which of them it is, None: in all."""
         if place not in self._value:
             self._value[place] = np.zeros(self._count)
             self._is_there[place] = np.zeros(self._count, np.bool_)
-        self._value[place][target] = value
-        self._is_there[place][target] = True if is_present is None else is_present
+        self._value[place][rows] = value
+        self._is_there[place][rows] = True if is_there is None else is_there
 
-    def put_all(self, place: Place, target: Int64Array, value: FloatArray, bits: UInt8Array) -> None:
-        """Fill in a signal at once; ``bits`` of its rows serve all signals of a message."""
-        self._value[place] = np.zeros(self._count)
-        self._value[place][target] = value
-        self._bits[place] = bits
-
-    def bits_of(self, target: Int64Array) -> UInt8Array:
-        """Return a bit per row, set in some of them."""
-        is_there = np.zeros(self._count, np.bool_)
-        is_there[target] = True
-        return np.packbits(is_there, bitorder="little")
-
-    def put_codes(self, place: Place, target: Int64Array, codes: Int32Array) -> None:
+    def put_codes(self, place: Place, rows: Int64Array, codes: Int32Array) -> None:
         """Fill in some rows of a signal's texts."""
-        if place not in self._codes:
-            self._codes[place] = np.full(self._count, NAMELESS, np.int32)
-        self._codes[place][target] = codes
+        self._codes.setdefault(place, np.full(self._count, NAMELESS, np.int32))[rows] = codes
 
     def numbers(self, place: Place) -> Column:
-        """Return the numbers of a signal; they are not copied."""
-        arrow = load_pyarrow()
+        """Return the numbers of a signal."""
         if place not in self._value:
-            return arrow.nulls(self._count, arrow.float64())
-        bits = self._bits.get(place)
-        if bits is None:
-            bits = np.packbits(self._is_there[place], bitorder="little")
-        buffers = [arrow.py_buffer(bits), arrow.py_buffer(self._value[place])]
-        return arrow.Array.from_buffers(arrow.float64(), self._count, buffers)
+            return load_pyarrow().nulls(self._count, "float64")
+        return _column(self._value[place], self._is_there[place])
 
     def texts(self, place: Place, names: Sequence[str]) -> Column:
         """Return the texts of a signal."""
-        codes = self._codes.get(place)
-        return _dictionary(np.full(self._count, NAMELESS, np.int32) if codes is None else codes, names)
+        return _name_column(names, self._codes.get(place, np.full(self._count, NAMELESS, np.int32)))
 
 
-def coded(names: Sequence[str], which: Int32Array) -> Column:
-    """Return a text column as codes and their names; ``which`` of the names each row has."""
-    known = {name: code for code, name in enumerate(dict.fromkeys(names))}
-    codes = np.array([known[name] for name in names], np.int32)[which]
+def _name_column(names: Sequence[str], which: Int32Array) -> Column:
+    """Return a text column as codes and their names; ``which`` of the names each row has, null where NAMELESS."""
     arrow = load_pyarrow()
-    indices = arrow.Array.from_buffers(arrow.int32(), len(codes), [None, arrow.py_buffer(codes)])
+    known = {name: code for code, name in enumerate(dict.fromkeys(names))}
+    codes = np.array([*(known[name] for name in names), NAMELESS], np.int32)[which]  # NAMELESS is the last place, too
+    indices = _column(codes, codes != NAMELESS)
     return arrow.DictionaryArray.from_arrays(indices, arrow.array(list(known), arrow.string()))
 
 
-def _joined_texts(parts: Sequence[_Part]) -> tuple[Int32Array, list[str]]:
-    """Return the texts of all parts, one behind the other, as codes of one list of names."""
-    known: dict[str, int] = {}
-    pieces: list[Int32Array] = []
-    for part in parts:
-        if part.codes is None:
-            pieces.append(np.full(len(part.rows), NAMELESS, np.int32))
-            continue
-        places = np.array([*(known.setdefault(name, len(known)) for name in part.names), NAMELESS], np.int32)
-        pieces.append(places[part.codes])  # NAMELESS is the last place, too
-    return np.concatenate(pieces), list(known)
-
-
-def _dictionary(codes: Int32Array, names: Sequence[str]) -> Column:
-    """Return codes and their names as a text column, null where a code is NAMELESS."""
+def _column(values: npt.NDArray[Any], is_there: BoolArray) -> Column:
+    """Return values as a column, null where they are not there; they are not copied, and their bits are packed fast."""
     arrow = load_pyarrow()
-    indices = arrow.array(codes, mask=codes == NAMELESS)
-    return arrow.DictionaryArray.from_arrays(indices, arrow.array(list(names), arrow.string()))
+    buffers = [arrow.py_buffer(np.packbits(is_there, bitorder="little")), arrow.py_buffer(values)]
+    return arrow.Array.from_buffers(arrow.from_numpy_dtype(values.dtype), len(values), buffers)

@@ -1,14 +1,17 @@
 """Names of columns: ``Message.Signal``, and the identifier where that does not tell two signals apart."""
 
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Container, Mapping, Sequence
 from dataclasses import dataclass
+from typing import Final
 
 from cantools.database.can import Message
 
 from canlog.decode.codec import MessageTable
+from canlog.frames import EXTENDED_FLAG
 
-TEXT_SUFFIX = ".text"  # of the column that names the states beside the numbers
+TEXT_SUFFIX: Final = ".text"  # of the column that names the states beside the numbers
+BARE_ID: Final = 0x1FFF_FFFF
 Place = tuple[int, str]  # slot of a message in its codec, and its signal
 
 
@@ -20,9 +23,14 @@ class TableNames:
     columns: Mapping[Place, str]
 
 
-def identifier_text(can_id: int, *, is_extended: bool) -> str:
-    """Return an identifier in hexadecimal, with eight digits if it has 29 bits, three if it has 11."""
-    return f"0x{can_id:08X}" if is_extended else f"0x{can_id:03X}"
+def flagged_id(message: Message) -> int:
+    """Return the identifier of a message as its frames have it, with the flag of 29 bits."""
+    return int(message.frame_id | (EXTENDED_FLAG if message.is_extended_frame else 0))
+
+
+def identifier_text(can_id: int) -> str:
+    """Return an identifier with its flags in hexadecimal: eight digits if it has 29 bits, three if it has 11."""
+    return f"0x{can_id & BARE_ID:08X}" if can_id & EXTENDED_FLAG else f"0x{can_id & BARE_ID:03X}"
 
 
 def table_names(tables: Sequence[MessageTable]) -> TableNames:
@@ -32,43 +40,29 @@ def table_names(tables: Sequence[MessageTable]) -> TableNames:
     get the identifier, too, and should even that not help, the later column a number.
     """
     count = Counter(table.message.name for table in tables)
-    messages = tuple(
+    messages = [
         _with_identifier(table.message) if count[table.message.name] > 1 else table.message.name for table in tables
-    )
-    wanted = {place: f"{messages[place[0]]}.{place[1]}" for place in _places(tables)}
+    ]
+    wanted = {(slot, name): f"{messages[slot]}.{name}" for slot, table in enumerate(tables) for name in table.signals}
     taken = Counter(name for column in wanted.values() for name in (column, column + TEXT_SUFFIX))
     columns: dict[Place, str] = {}
     used: set[str] = set()
-    for place, column in wanted.items():
-        name = column
-        if taken[column] > 1 or taken[column + TEXT_SUFFIX] > 1:
-            name = f"{_with_identifier(tables[place[0]].message)}.{place[1]}"
-        columns[place] = _unused(name, used)
-        used |= {columns[place], columns[place] + TEXT_SUFFIX}
-    return TableNames(messages=_distinct(messages), columns=columns)
-
-
-def _places(tables: Sequence[MessageTable]) -> Iterator[Place]:
-    """Yield all signals that can be decoded, in the order of the database."""
-    for slot, table in enumerate(tables):
-        for name in table.signals:
-            yield slot, name
+    for (slot, signal), column in wanted.items():
+        is_ambiguous = taken[column] > 1 or taken[column + TEXT_SUFFIX] > 1
+        name = _unused(f"{_with_identifier(tables[slot].message)}.{signal}" if is_ambiguous else column, used)
+        columns[slot, signal] = name
+        used |= {name, name + TEXT_SUFFIX}
+    distinct: dict[str, None] = {}
+    for name in messages:
+        distinct[_unused(name, distinct.keys())] = None
+    return TableNames(messages=tuple(distinct), columns=columns)
 
 
 def _with_identifier(message: Message) -> str:
-    return f"{message.name}@{identifier_text(message.frame_id, is_extended=message.is_extended_frame)}"
+    return f"{message.name}@{identifier_text(flagged_id(message))}"
 
 
-def _distinct(names: Sequence[str]) -> tuple[str, ...]:
-    used: set[str] = set()
-    found: list[str] = []
-    for name in names:
-        found.append(_unused(name, used))
-        used.add(found[-1])
-    return tuple(found)
-
-
-def _unused(name: str, used: set[str]) -> str:
+def _unused(name: str, used: Container[str]) -> str:
     """Return a name, with a number if it or its text column is taken."""
     found, number = name, 1
     while found in used or found + TEXT_SUFFIX in used:

@@ -1,6 +1,7 @@
-"""The account of a decoded log for people: what is not in the table, and what may be worth a look."""
+"""The account of a decoded log: for people what is missing or worth a look, for programs all of it as JSON."""
 
 from collections.abc import Iterator, Mapping
+from dataclasses import asdict
 from typing import Final
 
 import numpy as np
@@ -8,10 +9,12 @@ import numpy as np
 from canlog.decode.codec import HAS_VALUES, FrameFate
 from canlog.frames import EXTENDED_FLAG
 from canlog.tables.account import MAX_IDS, Account
-from canlog.tables.names import identifier_text
+from canlog.tables.names import flagged_id, identifier_text
 
+JsonObject = dict[str, object]
+
+SCHEMA: Final = "clutchdiag/decode/v1"
 SHOWN_COUNT: Final = 8  # of a list for people; a program gets all
-_BARE_ID: Final = 0x1FFF_FFFF
 
 
 def losses(account: Account) -> Iterator[str]:
@@ -48,7 +51,7 @@ def losses(account: Account) -> Iterator[str]:
 
 def _why_nothing(account: Account) -> str:
     near = [
-        f"{shown(one.can_id)} of the log to {shown(one.message_id)} {one.message}"
+        f"{identifier_text(one.can_id)} of the log to {identifier_text(one.message_id)} {one.message}"
         + (f" ({one.remark})" if one.remark else "")
         for one in account.nearest()
     ]
@@ -70,7 +73,7 @@ def remarks(account: Account) -> Iterator[str]:
     if short_count and not any(counts.cut_off for counts in account.signals.values()):
         yield f"{short_count} frames are shorter than their message, but hold all its signals"
     if unknown and account.known_count:
-        frames = {shown(can_id): count for can_id, count in unknown}
+        frames = {identifier_text(can_id): count for can_id, count in unknown}
         yield f"{len(unknown)} of {len(account.frames_of_id)} identifiers are not in the database: {listing(frames)}"
     if account.unlisted_count:
         yield f"{account.unlisted_count} frames have identifiers beyond the first {MAX_IDS}, not told one by one"
@@ -81,16 +84,11 @@ def remarks(account: Account) -> Iterator[str]:
             yield f"{sum(found.values())} values {text}, written as sent: " + listing(found)
 
 
-def listing(counts: Mapping[str, int], shown_count: int = SHOWN_COUNT) -> str:
+def listing(counts: Mapping[str, int]) -> str:
     """Return the largest counts by name, and how many more there are."""
     largest = sorted(counts.items(), key=lambda one: (-one[1], one[0]))
-    parts = [f"{name} {count}" for name, count in largest[:shown_count]]
-    return ", ".join(parts + ([f"and {len(largest) - shown_count} more"] if len(largest) > shown_count else []))
-
-
-def shown(can_id: int) -> str:
-    """Return an identifier with its flags for people."""
-    return identifier_text(can_id & _BARE_ID, is_extended=bool(can_id & EXTENDED_FLAG))
+    parts = [f"{name} {count}" for name, count in largest[:SHOWN_COUNT]]
+    return ", ".join(parts + ([f"and {len(largest) - SHOWN_COUNT} more"] if len(largest) > SHOWN_COUNT else []))
 
 
 def frame_texts(account: Account) -> Iterator[str]:
@@ -119,3 +117,58 @@ def values_text(account: Account) -> str:
 def _with_reasons(head: str, counts: Mapping[str, int]) -> str:
     named = [f"{count} {name.replace('_', ' ')}" for name, count in counts.items() if count]
     return f"{head} ({', '.join(named)})" if named else head
+
+
+def account_record(account: Account) -> JsonObject:
+    """Return the account; ``frames`` without ``read`` add up to ``read``."""
+    log = account.log
+    return {
+        "schema": SCHEMA,
+        "rows": account.row_count,
+        "frames": {"read": log.frames, **{fate.name.lower(): count for fate, count in account.fates.items()}},
+        "unreadable": {reason.value: count for reason, count in log.rejected.items()},
+        "first_unreadable": log.first_rejected,
+        "truncated": log.truncated,
+        "unfinished": log.unfinished,
+        "jumps_back": log.jumps_back,
+        "jumps_ahead": log.jumps_ahead,
+        "first_jump": log.first_jump,
+        "repeated": log.repeated,
+        "notes": list(log.notes),
+        "identifiers": {
+            "seen": len(account.frames_of_id),
+            "known": account.known_count,
+            "unlisted_frames": account.unlisted_count,
+            "unknown": [{**_identifier(can_id), "frames": count} for can_id, count in account.unknown_ids],
+            "nearest": [
+                {**_identifier(one.can_id), "message": one.message, "message_id": identifier_text(one.message_id)}
+                for one in (() if account.known_count else account.nearest())
+            ],
+        },
+        "messages": [_message(account, slot) for slot in account.seen_slots],
+        "refused": account.refused,
+        "overwritten": [{"message": old, "by": new} for old, new in account.overwritten],
+        "losses": list(losses(account)),
+    }
+
+
+def _message(account: Account, slot: int) -> JsonObject:
+    """Return one message that came, with all of its signals that were looked for."""
+    message = account.codec.tables[slot].message
+    fates = account.of_message(slot)
+    return {
+        "message": account.names.messages[slot],
+        "id": identifier_text(flagged_id(message)),
+        "is_extended": message.is_extended_frame,
+        "bytes": message.length,
+        "frames": {fate.name.lower(): fates[fate] for fate in FrameFate if fate in fates},
+        "signals": {
+            name: {"column": account.names.columns[slot, name], **asdict(account.signals[slot, name])}
+            for name in account.codec.tables[slot].signals
+            if (slot, name) in account.signals
+        },
+    }
+
+
+def _identifier(can_id: int) -> JsonObject:
+    return {"id": identifier_text(can_id), "is_extended": bool(can_id & EXTENDED_FLAG)}

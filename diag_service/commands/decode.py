@@ -7,9 +7,8 @@ from canlog.logs import LogReader
 from canlog.parquet_file import load_pyarrow
 from canlog.tables.account import Account
 from canlog.tables.decoding import Plan, TableShape, decode_log
-from canlog.tables.record import account_record
-from canlog.tables.report import frame_texts, losses, remarks, values_text
-from canlog.tables.texts import Values
+from canlog.tables.layouts import Values
+from canlog.tables.report import account_record, frame_texts, losses, remarks, values_text
 from diag_service.console.terminal import PeopleConsole
 from diag_service.diagnosis.results import dump
 from diag_service.errors import ConfigError, IncompleteError, StoppedError
