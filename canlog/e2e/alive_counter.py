@@ -6,7 +6,7 @@ data widens the permitted jump by one. Where profile 1 leaves room, this receive
 - The first frame of a message, and the first after a jump of bus time, is accepted: there is nothing to compare.
 - A jump beyond what the elapsed time permits rejects that one frame and remembers it. The next frame is accepted if
   it continues either the last accepted one (the odd frame was a stray) or the remembered one (the sender's counter
-  restarted). A restart of a sender therefore costs at most ``MAX_FRAMES_LOST_BY_RESTART`` frames.
+  restarted). A restart of a sender therefore costs one frame at most.
 - A counter that does not move rejects every frame until it moves. The same counter after one or more whole periods
   of lost frames, on time to a cycle, is not stuck; but once stuck, time is no excuse.
 - Losses longer than the counter's period are counted by time. If the frames turn out to have been late instead (the
@@ -23,7 +23,6 @@ from canlog.e2e.profile1 import COUNTER_PERIOD
 from canlog.jit import array_kernel
 
 MAX_DELTA_COUNTER: Final = 3  # permitted jump between frames one cycle apart: two frames may be lost in silence
-MAX_FRAMES_LOST_BY_RESTART: Final = 1
 LATE_CYCLES: Final = 1.0  # jitter within which a gap still counts as whole counter periods
 BURST_CYCLES: Final = 0.5  # frames closer than this were held back, not sent one cycle apart
 

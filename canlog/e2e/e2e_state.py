@@ -17,11 +17,11 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from canlog.arrays import Int64Array, UInt8Array
+from canlog.arrays import Int64Array
 from canlog.e2e.own_cycle import SLOWER_RATIO, SLOWEST
 from canlog.e2e.protection_check import FrameReason, FrameVerdicts
 from canlog.frames import BEFORE_ALL_NS
-from canlog.jit import kernel
+from canlog.jit import array_kernel
 
 
 class E2eState(IntEnum):
@@ -66,11 +66,12 @@ class E2eMemory(NamedTuple):
     ok_bits: Int64Array  # the last WINDOW checks, the latest lowest: 1 where all was well
     error_bits: Int64Array  # 1 where the frame was broken
     heard_ns: Int64Array  # last frame of whatever kind, BEFORE_ALL_NS before the first
-    own_ns: Int64Array  # cycle that the message keeps, no less than the database's; 0 where that is unknown
     invalidations: Int64Array  # times that the message lost its trust
+    cycle_ns: Int64Array  # cycle that the database names; 0 where that is unknown
+    own_ns: Int64Array  # cycle that the message keeps, no less than the database's
 
 
-@kernel
+@array_kernel
 def count_ones(bits: int) -> int:
     """Return how many bits are set."""
     count = 0
@@ -80,7 +81,7 @@ def count_ones(bits: int) -> int:
     return count
 
 
-@kernel
+@array_kernel
 def next_state(state: int, ok_bits: int, error_bits: int) -> int:
     """Return the state after the last check."""
     if state == _NO_DATA:
@@ -93,9 +94,9 @@ def next_state(state: int, ok_bits: int, error_bits: int) -> int:
     return _INVALID
 
 
-@kernel
-def add_check(memory: E2eMemory, slot: int, is_ok: int, is_error: int) -> bool:
-    """Take the result of one check into the window; return whether the state changed."""
+@array_kernel
+def add_check(memory: E2eMemory, slot: int, t_ns: int, is_ok: int, is_error: int, changes: Int64Array) -> int:
+    """Take the result of one check into the window; write the change of state that it brings, return how many."""
     before = memory.state[slot]
     ok_bits = ((memory.ok_bits[slot] << 1) | is_ok) & _MASK
     error_bits = ((memory.error_bits[slot] << 1) | is_error) & _MASK
@@ -103,29 +104,40 @@ def add_check(memory: E2eMemory, slot: int, is_ok: int, is_error: int) -> bool:
     is_lost = after == _INVALID and before != _INVALID
     memory.ok_bits[slot] = 0 if is_lost else ok_bits
     memory.error_bits[slot] = 0 if is_lost else error_bits
-    memory.state[slot] = after
     memory.invalidations[slot] += 1 if is_lost else 0
-    return bool(after != before)
+    return enter_state(memory, slot, t_ns, after, changes)
 
 
-@kernel
-def timeout_at_ns(memory: E2eMemory, slot: int) -> int:
-    """Return when a message that stays silent is overdue; BEFORE_ALL_NS if it is unknown how often it should come."""
+@array_kernel
+def enter_state(memory: E2eMemory, slot: int, t_ns: int, state: int, changes: Int64Array) -> int:
+    """Change the state of a message; write that into the first row of ``changes``, return whether it was one."""
+    if state == memory.state[slot]:
+        return 0
+    memory.state[slot] = state
+    changes[0, 0], changes[0, 1], changes[0, 2] = t_ns, slot, state
+    return 1
+
+
+@array_kernel
+def add_silence(memory: E2eMemory, slot: int, now_ns: int, changes: Int64Array) -> int:
+    """If a message is overdue, take that for a window without new data; write and return as ``add_check``."""
     if memory.own_ns[slot] <= 0 or memory.heard_ns[slot] == BEFORE_ALL_NS:
-        return BEFORE_ALL_NS
-    return int(memory.heard_ns[slot] + max(TIMEOUT_CYCLES * memory.own_ns[slot], MIN_TIMEOUT_NS))
+        return 0
+    overdue_ns = memory.heard_ns[slot] + max(TIMEOUT_CYCLES * memory.own_ns[slot], MIN_TIMEOUT_NS)
+    if overdue_ns >= now_ns:
+        return 0
+    memory.ok_bits[slot] = 0
+    memory.error_bits[slot] = 0
+    if memory.state[slot] != _VALID and memory.state[slot] != _INIT:
+        return 0
+    memory.invalidations[slot] += 1
+    return enter_state(memory, slot, overdue_ns, _INVALID, changes)
 
 
-@kernel
-def is_overdue(memory: E2eMemory, slot: int, now_ns: int) -> bool:
-    """Return whether a message that was heard has been silent for longer than its timeout."""
-    return bool(BEFORE_ALL_NS < timeout_at_ns(memory, slot) < now_ns)
-
-
-@kernel
-def learn_cycle(memory: E2eMemory, slot: int, now_ns: int, missing: int, cycle_ns: int) -> None:
+@array_kernel
+def learn_cycle(memory: E2eMemory, slot: int, now_ns: int, missing: int) -> None:
     """Take the time since the last frame into account, frames that are missing in between left out."""
-    own_ns = memory.own_ns[slot]
+    own_ns, cycle_ns = memory.own_ns[slot], memory.cycle_ns[slot]
     if own_ns > 0 and memory.heard_ns[slot] > BEFORE_ALL_NS:
         step_ns = (now_ns - memory.heard_ns[slot]) // (1 + max(missing, 0))
         step_ns = min(max(step_ns, own_ns // 2), 2 * own_ns)
@@ -133,75 +145,26 @@ def learn_cycle(memory: E2eMemory, slot: int, now_ns: int, missing: int, cycle_n
         memory.own_ns[slot] = min(max(own_ns, cycle_ns), SLOWEST * cycle_ns)
 
 
-@kernel
-def fall_silent(memory: E2eMemory, slot: int) -> bool:
-    """Take a timeout into account: a window without new data; return whether the state changed."""
-    is_lost = memory.state[slot] == _VALID or memory.state[slot] == _INIT
-    memory.ok_bits[slot] = 0
-    memory.error_bits[slot] = 0
-    if is_lost:
-        memory.state[slot] = _INVALID
-        memory.invalidations[slot] += 1
-    return bool(is_lost)
+@array_kernel
+def judge_messages(memory: E2eMemory, verdicts: FrameVerdicts, t_ns: Int64Array, changes: Int64Array) -> int:
+    """Judge frames in their order, then silence at the last of them.
 
-
-@kernel
-def follow_messages(
-    memory: E2eMemory,
-    slot: Int64Array,
-    t_ns: Int64Array,
-    reason: UInt8Array,
-    missing: Int64Array,
-    cycle_ns: Int64Array,
-    changes: Int64Array,
-) -> int:
-    """Judge frames in their order; fill rows (time, message, state) of ``changes``, (k, 3), and return how many."""
+    Fills rows (time, message, state) of ``changes``, (k, 3), and returns how many.
+    """
     count = 0
-    for i in range(slot.size):
-        m = slot[i]
-        if m < 0 or reason[i] >= _OTHER_CHANNEL:
+    for row in range(t_ns.size):
+        slot, reason, missing = verdicts.slot[row], verdicts.reason[row], verdicts.missing[row]
+        if slot < 0 or reason >= _OTHER_CHANNEL:
             continue
-        if is_overdue(memory, m, t_ns[i]) and fall_silent(memory, m):
-            changes[count, 0], changes[count, 1], changes[count, 2] = timeout_at_ns(memory, m), m, _INVALID
-            count += 1
-        for _ in range(min(missing[i], WINDOW)):
-            if add_check(memory, m, 0, 0):
-                changes[count, 0], changes[count, 1], changes[count, 2] = t_ns[i], m, memory.state[m]
-                count += 1
-        is_error = 1 if reason[i] == _SHORT or reason[i] == _BAD_CRC else 0
-        if add_check(memory, m, 1 if reason[i] == _OK else 0, is_error):
-            changes[count, 0], changes[count, 1], changes[count, 2] = t_ns[i], m, memory.state[m]
-            count += 1
-        learn_cycle(memory, m, t_ns[i], missing[i], cycle_ns[m])
-        memory.heard_ns[m] = t_ns[i]
-    return count
-
-
-@kernel
-def find_silent(memory: E2eMemory, now_ns: int, changes: Int64Array) -> int:
-    """Let messages that are overdue at ``now_ns`` fall silent; fill rows of ``changes`` as above."""
-    count = 0
-    for m in range(memory.state.size):
-        if is_overdue(memory, m, now_ns) and fall_silent(memory, m):
-            changes[count, 0], changes[count, 1], changes[count, 2] = timeout_at_ns(memory, m), m, _INVALID
-            count += 1
-    return count
-
-
-@kernel
-def follow_batch(
-    memory: E2eMemory,
-    slot: Int64Array,
-    t_ns: Int64Array,
-    reason: UInt8Array,
-    missing: Int64Array,
-    cycle_ns: Int64Array,
-    changes: Int64Array,
-) -> int:
-    """Judge frames, then let messages fall silent that are overdue at the last of them; as above."""
-    count = follow_messages(memory, slot, t_ns, reason, missing, cycle_ns, changes)
-    if t_ns.size:
-        count += find_silent(memory, t_ns[-1], changes[count:])
+        count += add_silence(memory, slot, t_ns[row], changes[count:])
+        for _ in range(min(missing, WINDOW)):
+            count += add_check(memory, slot, t_ns[row], 0, 0, changes[count:])
+        is_error = 1 if _SHORT <= reason <= _BAD_CRC else 0
+        count += add_check(memory, slot, t_ns[row], 1 if reason == _OK else 0, is_error, changes[count:])
+        learn_cycle(memory, slot, t_ns[row], missing)
+        memory.heard_ns[slot] = t_ns[row]
+    for slot in range(memory.state.size if t_ns.size else 0):
+        count += add_silence(memory, slot, t_ns[-1], changes[count:])
     return count
 
 
@@ -218,13 +181,11 @@ class E2eStates:
 
     def __init__(self, names: Sequence[str], cycle_ns: Sequence[int]) -> None:
         self._names = tuple(names)
-        self._cycle_ns = np.array(cycle_ns, np.int64)
         self._memory = E2eMemory(*(np.zeros(len(names), np.int64) for _ in E2eMemory._fields))
-        self._memory.own_ns[:] = self._cycle_ns
+        self._memory.cycle_ns[:] = cycle_ns
+        self._memory.own_ns[:] = cycle_ns
         self.reset()
-        nothing = np.empty(0, np.int64)
-        verdicts = FrameVerdicts(reason=np.empty(0, np.uint8), slot=nothing, sequence=nothing, missing=nothing)
-        self.follow(nothing, verdicts)  # compiled now: the first real batch must not wait for the compiler
+        self.judge(np.empty(0, np.int64), FrameVerdicts.room(0))  # compiles now: the first real batch must not wait
 
     @property
     def states(self) -> tuple[E2eState, ...]:
@@ -239,29 +200,20 @@ class E2eStates:
     @property
     def own_cycles_ns(self) -> tuple[int, ...]:
         """How often each message comes by itself; the database's cycle until it is plainly slower, 0 if unknown."""
-        is_slower = self._memory.own_ns >= SLOWER_RATIO * self._cycle_ns
-        return tuple(np.where(is_slower, self._memory.own_ns, self._cycle_ns).tolist())
+        own_ns, cycle_ns = self._memory.own_ns, self._memory.cycle_ns
+        return tuple(np.where(own_ns >= SLOWER_RATIO * cycle_ns, own_ns, cycle_ns).tolist())
 
     def reset(self) -> None:
         """Start again with every message, after a jump of bus time; counts and learnt cycles go on."""
-        for name, column in zip(E2eMemory._fields, self._memory, strict=True):
-            if name not in {"invalidations", "own_ns"}:
-                column[:] = BEFORE_ALL_NS if name == "heard_ns" else 0
+        self._memory.state[:] = _NO_DATA
+        self._memory.ok_bits[:] = 0
+        self._memory.error_bits[:] = 0
+        self._memory.heard_ns[:] = BEFORE_ALL_NS
 
-    def follow(self, t_ns: Int64Array, verdicts: FrameVerdicts) -> tuple[E2eChange, ...]:
+    def judge(self, t_ns: Int64Array, verdicts: FrameVerdicts) -> tuple[E2eChange, ...]:
         """Return the changes of state that frames bring about, those by silence until the last of them included."""
         room = np.empty((3 * len(t_ns) + len(self._names), 3), np.int64)  # by silence, by a loss, by the frame itself
-        count = follow_batch(
-            self._memory,
-            verdicts.slot,
-            t_ns,
-            verdicts.reason,
-            verdicts.missing,
-            self._cycle_ns,
-            room,
-        )
-        if not count:
-            return ()
+        count = judge_messages(self._memory, verdicts, t_ns, room)
         return tuple(
             E2eChange(t_ns=when, message=self._names[slot], state=E2eState(state))
             for when, slot, state in room[:count].tolist()

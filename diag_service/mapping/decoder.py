@@ -222,7 +222,7 @@ class Decoder:
             watermark_ns=int(segment.t_ns[-1]),
             breaks_before=breaks_before,
             bad_frame_ns=bad_frame_ns,
-            e2e_changes=self._e2e.follow(segment.t_ns, verdicts),
+            e2e_changes=self._e2e.judge(segment.t_ns, verdicts),
         )
 
     def _columns(self, segment: FrameBatch, verdicts: FrameVerdicts) -> tuple[Columns, Int64Array]:

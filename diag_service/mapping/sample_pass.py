@@ -10,7 +10,7 @@ from canlog.database.addressing import NOBODY, sort_by_slot
 from canlog.decode.bit_fields import pick_words
 from canlog.decode.signal_block import WORD, SignalRules, decode_signal, is_plain, signal_rules
 from canlog.decode.signal_table import InvalidCounts
-from canlog.e2e.frame_judge import FrameReason, FrameVerdicts
+from canlog.e2e.protection_check import FrameReason, FrameVerdicts
 from canlog.frames import ERROR_FLAG, MAX_GAP_NS, FrameBatch, empty_batch
 from canlog.jit import array_kernel, inlined_kernel
 from diag_service.diagnosis.columns import Signal
@@ -56,10 +56,8 @@ class SamplePass:
         self._rules = signal_rules([[column.table.main for column in own] for own in able])
         self._to_si = np.array([(one.to_si.factor, one.to_si.offset) for one in columns], np.float64).reshape(-1, 2)
         self._word_count = int(np.diff(self._rules.word_begin).max(initial=0))
-        nothing = np.empty(0, np.int64)
-        verdicts = FrameVerdicts(reason=np.empty(0, np.uint8), slot=nothing, sequence=nothing, missing=nothing)
-        self.decode(empty_batch(), verdicts)  # compiles now: the first real batch must not wait for the compiler
-        is_seamless(nothing, np.empty(0, np.uint32), 0)
+        self.decode(empty_batch(), FrameVerdicts.room(0))  # compiles now: the first real batch must not wait
+        is_seamless(np.empty(0, np.int64), np.empty(0, np.uint32), 0)
 
     def decode(self, batch: FrameBatch, verdicts: FrameVerdicts) -> DecodedFrames:
         """Return the samples of a batch, and what was left out."""

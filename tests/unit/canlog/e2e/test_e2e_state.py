@@ -86,7 +86,7 @@ def test_it_is_the_machine_of_the_specification(seed: int) -> None:
     seen = set()
     for number, index in enumerate(rng.choice(len(kinds), 3_000, p=weights)):
         lost = int(rng.integers(1, 4)) if rng.random() < 0.05 and number else 0
-        stage.follow(on_time(1, number), verdicts([kinds[index]], [lost]))
+        stage.judge(on_time(1, number), verdicts([kinds[index]], [lost]))
         for _ in range(lost):
             reference.check("NONEWDATA")
         reference.check(STATUS[kinds[index]])
@@ -98,8 +98,8 @@ def test_it_is_the_machine_of_the_specification(seed: int) -> None:
 def test_trust_is_earned_by_good_frames() -> None:
     stage = machine()
     assert stage.states == (NO_DATA,)
-    assert stage.follow(on_time(MIN_OK - 1), verdicts([OK] * (MIN_OK - 1))) == (change(0, INIT),)
-    assert stage.follow(on_time(1, MIN_OK - 1), verdicts([OK])) == (change((MIN_OK - 1) * CYCLE_NS, VALID),)
+    assert stage.judge(on_time(MIN_OK - 1), verdicts([OK] * (MIN_OK - 1))) == (change(0, INIT),)
+    assert stage.judge(on_time(1, MIN_OK - 1), verdicts([OK])) == (change((MIN_OK - 1) * CYCLE_NS, VALID),)
 
 
 def change(t_ns: int, state: E2eState) -> E2eChange:
@@ -109,8 +109,8 @@ def change(t_ns: int, state: E2eState) -> E2eChange:
 @pytest.mark.parametrize(("lost", "state"), [(3, VALID), (4, INVALID)])
 def test_some_lost_frames_are_tolerated(lost: int, state: E2eState) -> None:
     stage = machine()
-    stage.follow(on_time(WINDOW), verdicts([OK] * WINDOW))
-    stage.follow(on_time(1, WINDOW + lost), verdicts([OK], [lost]))
+    stage.judge(on_time(WINDOW), verdicts([OK] * WINDOW))
+    stage.judge(on_time(1, WINDOW + lost), verdicts([OK], [lost]))
     assert stage.states == (state,)
     assert stage.invalidations == (int(state is INVALID),)
 
@@ -118,29 +118,29 @@ def test_some_lost_frames_are_tolerated(lost: int, state: E2eState) -> None:
 @pytest.mark.parametrize("reason", [SHORT, BAD_CRC])
 def test_one_broken_frame_in_a_window_is_tolerated_two_are_not(reason: FrameReason) -> None:
     stage = machine()
-    stage.follow(on_time(WINDOW), verdicts([OK] * WINDOW))
-    stage.follow(on_time(1, WINDOW), verdicts([reason]))
+    stage.judge(on_time(WINDOW), verdicts([OK] * WINDOW))
+    stage.judge(on_time(1, WINDOW), verdicts([reason]))
     assert stage.states == (VALID,)
-    stage.follow(on_time(1, WINDOW + 1), verdicts([reason]))
+    stage.judge(on_time(1, WINDOW + 1), verdicts([reason]))
     assert stage.states == (INVALID,)
 
 
 @pytest.mark.parametrize("reason", [REPEATED, JUMP])
 def test_a_counter_that_does_not_count_costs_trust(reason: FrameReason) -> None:
     stage = machine()
-    stage.follow(on_time(WINDOW), verdicts([OK] * WINDOW))
-    stage.follow(on_time(3, WINDOW), verdicts([reason] * 3))
+    stage.judge(on_time(WINDOW), verdicts([OK] * WINDOW))
+    stage.judge(on_time(3, WINDOW), verdicts([reason] * 3))
     assert stage.states == (VALID,)
-    stage.follow(on_time(1, WINDOW + 3), verdicts([reason]))
+    stage.judge(on_time(1, WINDOW + 3), verdicts([reason]))
     assert stage.states == (INVALID,)
 
 
 def test_trust_that_was_lost_must_be_earned_anew() -> None:
     stage = machine()
-    stage.follow(on_time(WINDOW + 2), verdicts([OK] * WINDOW + [BAD_CRC] * 2))
-    stage.follow(on_time(MIN_OK - 1, WINDOW + 2), verdicts([OK] * (MIN_OK - 1)))
+    stage.judge(on_time(WINDOW + 2), verdicts([OK] * WINDOW + [BAD_CRC] * 2))
+    stage.judge(on_time(MIN_OK - 1, WINDOW + 2), verdicts([OK] * (MIN_OK - 1)))
     assert stage.states == (INVALID,)
-    stage.follow(on_time(1, WINDOW + 2 + MIN_OK), verdicts([OK]))
+    stage.judge(on_time(1, WINDOW + 2 + MIN_OK), verdicts([OK]))
     assert stage.states == (VALID,)
 
 
@@ -149,21 +149,21 @@ def test_silence_is_found_at_the_same_moment_by_the_next_frame_and_by_frames_of_
     expected = change((WINDOW - 1) * CYCLE_NS + timeout_ns, INVALID)
     alone, watched = machine(), machine()
     for stage in (alone, watched):
-        stage.follow(on_time(WINDOW), verdicts([OK] * WINDOW))
-    assert alone.follow(on_time(1, 40), verdicts([OK])) == (expected,)
-    assert watched.follow(on_time(20, WINDOW), verdicts([FrameReason.UNKNOWN_ID] * 20, slot=-1)) == (expected,)
-    assert watched.follow(on_time(1, 40), verdicts([OK])) == ()
+        stage.judge(on_time(WINDOW), verdicts([OK] * WINDOW))
+    assert alone.judge(on_time(1, 40), verdicts([OK])) == (expected,)
+    assert watched.judge(on_time(20, WINDOW), verdicts([FrameReason.UNKNOWN_ID] * 20, slot=-1)) == (expected,)
+    assert watched.judge(on_time(1, 40), verdicts([OK])) == ()
     assert alone.states == watched.states == (INVALID,)
 
 
 def test_the_timeout_leaves_room_for_a_busy_machine_and_unknown_cycles_have_none() -> None:
     quick = E2eStates([NAME, "other"], [1_000_000, 0])
-    quick.follow(on_time(1), verdicts([OK], slot=0))
-    quick.follow(on_time(1), verdicts([OK], slot=1))
+    quick.judge(on_time(1), verdicts([OK], slot=0))
+    quick.judge(on_time(1), verdicts([OK], slot=1))
     late = np.array([MIN_TIMEOUT_NS], np.int64)
-    assert quick.follow(late, verdicts([FrameReason.UNKNOWN_ID], slot=-1)) == ()
-    assert quick.follow(late + 1, verdicts([FrameReason.UNKNOWN_ID], slot=-1)) == (change(MIN_TIMEOUT_NS, INVALID),)
-    quick.follow(late * 1000, verdicts([FrameReason.UNKNOWN_ID], slot=-1))
+    assert quick.judge(late, verdicts([FrameReason.UNKNOWN_ID], slot=-1)) == ()
+    assert quick.judge(late + 1, verdicts([FrameReason.UNKNOWN_ID], slot=-1)) == (change(MIN_TIMEOUT_NS, INVALID),)
+    quick.judge(late * 1000, verdicts([FrameReason.UNKNOWN_ID], slot=-1))
     assert quick.states == (INVALID, INIT)
 
 
@@ -174,33 +174,33 @@ def slow_frames(cycles: float, count: int) -> np.ndarray[tuple[int], np.dtype[np
 def test_the_timeout_follows_a_message_that_is_slower_than_its_database() -> None:
     stage = machine()
     t_ns = slow_frames(2.0, 100)
-    assert stage.follow(t_ns, verdicts([OK] * 100))[-1].state is VALID
+    assert stage.judge(t_ns, verdicts([OK] * 100))[-1].state is VALID
     assert stage.own_cycles_ns[0] == pytest.approx(2 * CYCLE_NS, rel=0.02)
     timeout_ns = TIMEOUT_CYCLES * stage.own_cycles_ns[0]
     later = np.array([t_ns[-1] + timeout_ns - CYCLE_NS, t_ns[-1] + timeout_ns + CYCLE_NS])
-    assert stage.follow(later, verdicts([FrameReason.UNKNOWN_ID] * 2, slot=-1)) == (
+    assert stage.judge(later, verdicts([FrameReason.UNKNOWN_ID] * 2, slot=-1)) == (
         change(int(t_ns[-1]) + timeout_ns, INVALID),
     )
 
 
 def test_the_timeout_grows_no_further_than_five_cycles_of_the_database() -> None:
     stage = machine()
-    stage.follow(slow_frames(8.0, 200), verdicts([OK] * 200))
+    stage.judge(slow_frames(8.0, 200), verdicts([OK] * 200))
     assert stage.own_cycles_ns == (SLOWEST * CYCLE_NS,)
 
 
 def test_losses_and_single_gaps_are_no_slower_cycle() -> None:
     stage = machine()
     t_ns = slow_frames(2.0, 100)
-    stage.follow(t_ns, verdicts([OK] * 100, [0] + [1] * 99))
+    stage.judge(t_ns, verdicts([OK] * 100, [0] + [1] * 99))
     assert stage.own_cycles_ns == (CYCLE_NS,)
-    stage.follow(t_ns[-1] + on_time(1, 40), verdicts([OK]))
+    stage.judge(t_ns[-1] + on_time(1, 40), verdicts([OK]))
     assert stage.own_cycles_ns == (CYCLE_NS,)
 
 
 def test_a_reset_forgets_all_but_the_counts() -> None:
     stage = machine()
-    stage.follow(on_time(WINDOW + 2), verdicts([OK] * WINDOW + [SHORT] * 2))
+    stage.judge(on_time(WINDOW + 2), verdicts([OK] * WINDOW + [SHORT] * 2))
     stage.reset()
     assert stage.states == (NO_DATA,)
     assert stage.invalidations == (1,)
