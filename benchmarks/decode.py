@@ -26,7 +26,7 @@ from canlog.logs import read_log
 from clutch_model.calibration import nominal_calibration
 from dbc.contract import load_contract
 from diag_service.diagnosis.condition.condition import ConditionMemory
-from diag_service.diagnosis.events import ShiftEvent
+from diag_service.diagnosis.events import Event
 from diag_service.diagnosis.friction import FilterState
 from diag_service.diagnosis.shifts.shifts import ShiftFinder
 from diag_service.mapping.decoder import Decoder
@@ -86,12 +86,12 @@ def report_memory_decoding(count: int) -> None:
     print(f"  ratio {ratio:.0f} x   target >= {RATIO_TARGET:.0f} x: {verdict(ratio >= RATIO_TARGET)}")
 
 
-def shifts_of(path: Path) -> list[ShiftEvent]:
+def shifts_of(path: Path) -> list[Event]:
     """Return the shifts in a log, from the file to events."""
     return list(iterate_shifts(path))
 
 
-def iterate_shifts(path: Path, after_batch: Callable[[int], None] = lambda _: None) -> Iterator[ShiftEvent]:
+def iterate_shifts(path: Path, after_batch: Callable[[int], None] = lambda _: None) -> Iterator[Event]:
     """Yield the shifts in a log; ``after_batch`` is called with the number of batches so far."""
     decoder, finder = Decoder(load_contract(), load_profile()), ShiftFinder()
     for number, batch in enumerate(read_log(path), start=1):

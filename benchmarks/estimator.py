@@ -24,7 +24,7 @@ from clutch_model.calibration import nominal_calibration
 from dbc.contract import load_contract
 from diag_service.diagnosis.columns import BALANCE_SIGNALS
 from diag_service.diagnosis.condition.condition import ConditionMemory
-from diag_service.diagnosis.events import ShiftEvent
+from diag_service.diagnosis.events import Event
 from diag_service.diagnosis.friction import FilterState
 from diag_service.mapping.decoder import Decoder
 from diag_service.mapping.profile import load_profile
@@ -52,13 +52,13 @@ def new_stages() -> Stages:
     return Stages(decoder, calibration, FilterState.fresh(calibration), ConditionMemory.fresh())
 
 
-def update_live(stages: Stages, events: Sequence[ShiftEvent]) -> None:
+def update_live(stages: Stages, events: Sequence[Event]) -> None:
     """Estimate and judge shifts that were found before."""
     for event in events:
         stages.conclude(event)
 
 
-def filter_samples(event: ShiftEvent) -> int:
+def filter_samples(event: Event) -> int:
     """Run a filterpy filter over every signal of a shift; return how many samples that were."""
     drive = np.array([[PERIOD_S**2 / 2.0], [PERIOD_S]])
     for signal in BALANCE_SIGNALS:

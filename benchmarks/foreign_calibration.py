@@ -21,7 +21,7 @@ from benchmarks.study import over_drives
 from clutch_model.calibration import Calibration, nominal_calibration
 from dbc.contract import load_contract
 from diag_service.diagnosis.condition.condition import ConditionMemory
-from diag_service.diagnosis.events import ShiftEvent
+from diag_service.diagnosis.events import Event
 from diag_service.diagnosis.friction import FilterState
 from diag_service.diagnosis.friction.self_calibration import self_calibrate
 from diag_service.mapping.decoder import Decoder
@@ -60,7 +60,7 @@ class Drive:
     """A later drive as the service sees it, and what was true in it."""
 
     decoder: Decoder
-    shifts: tuple[ShiftEvent, ...]
+    shifts: tuple[Event, ...]
     truth: TruthLog
 
 

@@ -22,7 +22,7 @@ from typing import Any
 from benchmarks.service import new_stages, record
 from clutch_model.calibration import nominal_calibration
 from diag_service.delivery import MemoryReporter, MqttConnector, Outbox
-from diag_service.diagnosis.events import ShiftEvent
+from diag_service.diagnosis.events import Event
 from diag_service.diagnosis.records import ClutchVerdict, ShiftEstimate, ShiftResult
 from diag_service.diagnosis.results import StoredResult
 from diag_service.service.drive import open_drive
@@ -36,7 +36,7 @@ from fleet_contract import Outgoing
 from fleet_link import BrokerAddress
 from tests.plugins.broker import Mosquitto
 
-CARRIERS = (ShiftEvent, ShiftEstimate, ClutchVerdict, Diagnosis, ShiftResult, StoredResult, Outgoing)
+CARRIERS = (Event, ShiftEstimate, ClutchVerdict, Diagnosis, ShiftResult, StoredResult, Outgoing)
 RECORD_KEYS = {"schema", "friction", "clutch"}
 PACKAGES = ("diag_service", "fleet_contract", "clutch_model", "canlog")
 VEHICLE, NOW = "car1", "2026-01-01T00:00:00.000000Z"

@@ -28,7 +28,7 @@ from clutch_model.calibration import nominal_calibration
 from dbc.contract import load_contract
 from diag_service.delivery import MemoryReporter, News
 from diag_service.diagnosis.condition.condition import ConditionMemory
-from diag_service.diagnosis.events import ShiftEvent
+from diag_service.diagnosis.events import Event
 from diag_service.diagnosis.friction import FilterState
 from diag_service.diagnosis.records import ShiftResult
 from diag_service.diagnosis.shifts.shifts import POST_NS
@@ -124,7 +124,7 @@ class TimedSession(Session):
 
     processed_s: list[tuple[float, float]]
 
-    def process(self, event: ShiftEvent) -> None:
+    def process(self, event: Event) -> None:
         """Note the time."""
         began_s, cpu_s = time.monotonic(), time.thread_time()
         super().process(event)

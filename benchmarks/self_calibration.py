@@ -32,7 +32,7 @@ from canlog.arrays import FloatArray
 from clutch_model.calibration import Calibration, nominal_calibration
 from dbc.contract import load_contract
 from diag_service.diagnosis.condition.condition import ConditionMemory
-from diag_service.diagnosis.events import RunUpEvent, ShiftEvent
+from diag_service.diagnosis.events import Event
 from diag_service.diagnosis.friction import FilterState
 from diag_service.diagnosis.friction.parameters import FRICTION_COUNT
 from diag_service.diagnosis.friction.scale_free import scale_free
@@ -110,7 +110,7 @@ def study(vehicle: Vehicle, start: Calibration) -> list[Row]:
     return rows
 
 
-def events_of(frames: EncodedFrames) -> tuple[list[ShiftEvent], list[RunUpEvent]]:
+def events_of(frames: EncodedFrames) -> tuple[list[Event], list[Event]]:
     """Return the shifts and revs that the service sees in a drive."""
     decoder, shift_finder, run_up_finder = _decoder(), ShiftFinder(), RunUpFinder(nominal_calibration())
     shifts, run_ups = [], []

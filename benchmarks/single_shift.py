@@ -22,7 +22,7 @@ from benchmarks.study import over_drives
 from clutch_model.calibration import nominal_calibration
 from dbc.contract import load_contract
 from diag_service.diagnosis.condition.condition import ConditionMemory
-from diag_service.diagnosis.events import ShiftEvent
+from diag_service.diagnosis.events import Event
 from diag_service.diagnosis.friction import FilterState
 from diag_service.diagnosis.records import FrictionEstimate, Reason, ShiftEstimate, Status
 from diag_service.mapping.decoder import Decoder
@@ -94,7 +94,7 @@ def stages_from(state: FilterState) -> Stages:
     return Stages(Decoder(DATABASE, PROFILE), CALIBRATION, state, ConditionMemory.fresh())
 
 
-def shifts_of(scenario: Scenario) -> tuple[list[ShiftEvent], TruthLog]:
+def shifts_of(scenario: Scenario) -> tuple[list[Event], TruthLog]:
     """Drive a scenario in memory and return its shifts as the service finds them."""
     frames, truth = frames_of(scenario)
     return stages_from(FilterState.fresh(CALIBRATION)).segment(to_batch(frames)), truth

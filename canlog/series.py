@@ -19,6 +19,12 @@ class Series:
     value: FloatArray  # (n,), finite
     period_ns: int = 0
 
+    def copy(self) -> "Series":
+        """Return the samples in arrays of their own."""
+        return Series(
+            t_ns=self.t_ns.copy(), sequence=self.sequence.copy(), value=self.value.copy(), period_ns=self.period_ns
+        )
+
     def between(self, start_ns: int, stop_ns: int) -> "Series":
         """Return the samples with ``start_ns <= t_ns < stop_ns``."""
         first, last = self.t_ns.searchsorted((start_ns, stop_ns))

@@ -19,7 +19,7 @@ from clutch_model.units import bar_from_pa, rpm_from_rad_s
 from demo.listener import ClutchState
 from demo.outcome import Outcome
 from diag_service.diagnosis.columns import Signal
-from diag_service.diagnosis.events import ShiftEvent
+from diag_service.diagnosis.events import Event
 from diag_service.diagnosis.records import FrictionEstimate
 
 NS_PER_S = 1e9
@@ -68,7 +68,7 @@ TORQUES = (
 )
 
 
-def draw(path: Path, event: ShiftEvent, outcome: Outcome) -> None:
+def draw(path: Path, event: Event, outcome: Outcome) -> None:
     """Write the picture of one shift and of the curves of both clutches as PNG."""
     with style.context(STYLE):
         figure = Figure(figsize=SIZE_INCH, dpi=DOTS_PER_INCH, layout="constrained")
@@ -103,7 +103,7 @@ def curve_band(
     return weight_c * friction.mu_c + weight_s * friction.mu_s, np.sqrt(np.maximum(variance, 0.0))
 
 
-def _draw_shift(panels: Sequence[Axes], event: ShiftEvent) -> None:
+def _draw_shift(panels: Sequence[Axes], event: Event) -> None:
     gears = f"{event.from_gear}-{event.to_gear}"
     contents: tuple[tuple[tuple[Line, ...], str, LegendPlace], ...] = (
         (SPEEDS, f"Shift {gears} of this drive: speed [rpm]", "center left"),
@@ -120,7 +120,7 @@ def _draw_shift(panels: Sequence[Axes], event: ShiftEvent) -> None:
     panels[-1].set_xlabel("time since the target gear changed [s]; grey: the shift")
 
 
-def _draw_signal(axes: Axes, event: ShiftEvent, line: Line) -> None:
+def _draw_signal(axes: Axes, event: Event, line: Line) -> None:
     series = event.columns[line.signal]
     values = series.value
     if line.signal in {drawn.signal for drawn in SPEEDS}:

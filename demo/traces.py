@@ -5,13 +5,13 @@ from pathlib import Path
 from canlog.logs import read_log
 from dbc.contract import load_contract
 from demo.errors import DemoError
-from diag_service.diagnosis.events import ShiftEvent
+from diag_service.diagnosis.events import Event
 from diag_service.diagnosis.shifts.shifts import ShiftFinder
 from diag_service.mapping.decoder import Decoder
 from diag_service.mapping.profile import load_profile
 
 
-def recorded_shift(path: Path, number: int) -> ShiftEvent:
+def recorded_shift(path: Path, number: int) -> Event:
     """Return one shift of a recorded drive, by its number.
 
     Raises

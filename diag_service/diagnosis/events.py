@@ -17,35 +17,33 @@ class EndReason(StrEnum):
     COMPLETE = "complete"
     INTERRUPTED = "interrupted"  # the stream began or ended amid it, or bus time jumped
     TOO_LONG = "too_long"
-    ABANDONED = "abandoned"  # the target gear changed or went back before it was reached
+    ABANDONED = "abandoned"  # the target gear changed or went back before it was reached; in a run-up one was chosen
+
+
+class EventKind(StrEnum):
+    """What happened."""
+
+    SHIFT = "shift"  # from the first sample with target != current gear to the first at which they agree again
+    RUN_UP_OPEN = "run_up_open"  # in neutral the engine ran from low speed to high and back, both clutches empty
+    RUN_UP_CLOSED = "run_up_closed"  # the same, both clutches closed
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class ShiftEvent:
-    """One gear change with its signals, cut a little wider than the shift itself."""
+class Event:
+    """Something that happened on a drive, with its signals cut a little wider than itself."""
 
-    number: int  # 1, 2, ... within the stream
-    from_gear: int
+    kind: EventKind = EventKind.SHIFT
+    number: int  # 1, 2, ... within the stream, shifts and run-ups by themselves
+    from_gear: int  # 0: neutral
     to_gear: int
-    start_ns: int  # first sample with target != current
-    end_ns: int  # first sample with current == target again
+    start_ns: int
+    end_ns: int
     end_reason: EndReason
     columns: Columns
     bad_frame_count: int  # rejected or missing frames of mapped messages inside the cut
     e2e: Mapping[str, E2eState] = field(default_factory=dict)  # message -> INVALID if it ever was, else its last state
 
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class RunUpEvent:
-    """One free engine run-up in neutral with its signals, cut a little wider than the run-up itself.
-
-    It goes from low engine speed through a high peak back to low speed, both clutches open or both closed all along.
-    """
-
-    number: int  # 1, 2, ... within the stream
-    start_ns: int  # first sample of the engine speed that is no longer low
-    end_ns: int  # first sample that is low again
-    are_clutches_closed: bool  # else both are empty
-    end_reason: EndReason  # abandoned: a gear was chosen
-    columns: Columns
-    bad_frame_count: int  # rejected or missing frames of mapped messages inside the cut
+    @property
+    def are_clutches_closed(self) -> bool:
+        """Whether it is a run-up with both clutches closed all along."""
+        return self.kind is EventKind.RUN_UP_CLOSED

@@ -14,7 +14,7 @@ from rich.table import Table
 from canlog.errors import SourceError
 from clutch_model.calibration import Calibration, calibration_toml
 from clutch_model.units import bar_from_pa
-from diag_service.diagnosis.events import RunUpEvent, ShiftEvent
+from diag_service.diagnosis.events import Event
 from diag_service.diagnosis.friction.parameters import NUISANCE_NAMES, STATE_COUNT, Considered, State, prior_covariance
 from diag_service.diagnosis.friction.self_calibration import SelfCalibration, self_calibrate
 from diag_service.diagnosis.records import FrictionEstimate
@@ -37,8 +37,8 @@ _NS_PER_S = 1_000_000_000
 class CalibrationEvents:
     """What drives hold for a self-calibration, in order of time."""
 
-    shifts: tuple[ShiftEvent, ...]
-    run_ups: tuple[RunUpEvent, ...]
+    shifts: tuple[Event, ...]
+    run_ups: tuple[Event, ...]
     gaps: tuple[Gap, ...] = ()  # why the drives are not all there
 
     @property
@@ -91,8 +91,8 @@ def find_events(
         If the search was stopped.
     """
     shift_finder, run_up_finder = ShiftFinder(), RunUpFinder(calibration)
-    shifts: list[ShiftEvent] = []
-    run_ups: list[RunUpEvent] = []
+    shifts: list[Event] = []
+    run_ups: list[Event] = []
     drive = DriveFrames(logs, decoder.sources)
     for batch in drive:
         _go_on(stop)

@@ -8,7 +8,7 @@ from canlog.errors import SourceError
 from canlog.live import LinkBreak, LiveSource, Pace
 from canlog.notice import NOTICE
 from diag_service.delivery import Outbox
-from diag_service.diagnosis.events import ShiftEvent
+from diag_service.diagnosis.events import Event
 from diag_service.diagnosis.summary import FrameCounts, Summary, frames_line, shifts_line
 from diag_service.errors import StoreError
 from diag_service.service.session import Session
@@ -98,9 +98,7 @@ async def run_live(
     return session.summary(counts(), unpublished_count)
 
 
-async def _process_all(
-    session: Session, events: Sequence[ShiftEvent], outbox: Outbox | None, turn: asyncio.Lock
-) -> None:
+async def _process_all(session: Session, events: Sequence[Event], outbox: Outbox | None, turn: asyncio.Lock) -> None:
     for event in events:
         async with turn:
             await asyncio.to_thread(session.process, event)

@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 
 from diag_service.delivery import Outbox
-from diag_service.diagnosis.events import ShiftEvent
+from diag_service.diagnosis.events import Event
 from diag_service.diagnosis.summary import FrameCounts, Summary
 from diag_service.errors import StoppedError
 from diag_service.service.drive import OpenLog, gaps_in, warn_of_damage, warn_of_idle
@@ -69,7 +69,7 @@ def _analyse(drive: DriveFrames, session: Session, stop: Trigger, tell_outbox: C
     return True
 
 
-def events(drive: DriveFrames, stages: Stages, stop: Trigger) -> Iterator[ShiftEvent]:
+def events(drive: DriveFrames, stages: Stages, stop: Trigger) -> Iterator[Event]:
     """Yield the shifts of a drive.
 
     Raises
@@ -84,7 +84,7 @@ def events(drive: DriveFrames, stages: Stages, stop: Trigger) -> Iterator[ShiftE
     yield from _until(stop, stages.flush())
 
 
-def _until(stop: Trigger, found: Sequence[ShiftEvent]) -> Iterator[ShiftEvent]:
+def _until(stop: Trigger, found: Sequence[Event]) -> Iterator[Event]:
     for event in found:
         if stop.is_set:
             raise StoppedError(STOPPED_TEXT)

@@ -12,7 +12,7 @@ from diag_service.console.progress import Progress, Stage
 from diag_service.delivery import Reporter
 from diag_service.diagnosis.condition.condition import ConditionMemory
 from diag_service.diagnosis.contributions import NO_LOGS, Contributions
-from diag_service.diagnosis.events import ShiftEvent
+from diag_service.diagnosis.events import Event
 from diag_service.diagnosis.friction import ALGORITHM_VERSION, FilterState
 from diag_service.diagnosis.records import ShiftResult
 from diag_service.diagnosis.results import utc_from_bus_ns
@@ -67,7 +67,7 @@ class Session:
         self._is_disk_full = False
         self.given_up_count = 0  # results that never found room on the disk
 
-    def process(self, event: ShiftEvent) -> None:
+    def process(self, event: Event) -> None:
         """Estimate, store and tell one shift; one that is stored already is told again, and changes nothing.
 
         A live bus does not wait for a full disk: what cannot be stored now is told when it can be.
@@ -155,7 +155,7 @@ class Session:
         self.reporter.report(summary)
         return summary
 
-    def _known(self, event: ShiftEvent) -> ShiftResult | None:
+    def _known(self, event: Event) -> ShiftResult | None:
         if self._stream is None:
             return None
         return self._store.find(self._vehicle, self._stream, event.number, self._versions)
@@ -163,7 +163,7 @@ class Session:
     def _next_seq(self) -> int:
         return self._pending[-1][0].seq + 1 if self._pending else self._store.next_seq()
 
-    def _diagnose(self, event: ShiftEvent) -> tuple[ShiftResult, VehicleState]:
+    def _diagnose(self, event: Event) -> tuple[ShiftResult, VehicleState]:
         with self.progress.working(Stage.ESTIMATE):
             diagnosis = self.stages.conclude(event)
         is_live = self._stream is None

@@ -9,7 +9,7 @@ from clutch_model.calibration import Calibration
 from diag_service.diagnosis.columns import Signal
 from diag_service.diagnosis.condition.condition import ConditionMemory, judge, no_verdict
 from diag_service.diagnosis.condition.indices import measure
-from diag_service.diagnosis.events import ShiftEvent
+from diag_service.diagnosis.events import Event
 from diag_service.diagnosis.friction import Estimator, FilterState
 from diag_service.diagnosis.friction.estimator import without_friction
 from diag_service.diagnosis.quality.data_quality import QualityBasis, data_quality, reasons_against
@@ -54,7 +54,7 @@ class Stages:
         """Return the diagnoses of the shifts that these frames complete."""
         return [self.conclude(event) for event in self.segment(batch)]
 
-    def segment(self, batch: FrameBatch) -> list[ShiftEvent]:
+    def segment(self, batch: FrameBatch) -> list[Event]:
         """Return the shifts that these frames complete; quick."""
         return [event for columns in self._decoder.stream(batch) for event in self._finder.feed(columns)]
 
@@ -73,12 +73,12 @@ class Stages:
         """Bus time of the last frame; None before the first."""
         return self._decoder.last_ns
 
-    def flush(self) -> list[ShiftEvent]:
+    def flush(self) -> list[Event]:
         """End the segment: return what is still open; frames that come later begin another one."""
         self._decoder.interrupt()
         return self._finder.flush()
 
-    def conclude(self, event: ShiftEvent) -> Diagnosis:
+    def conclude(self, event: Event) -> Diagnosis:
         """Estimate and judge the next shift; shifts must come in order. May take a moment.
 
         Below the first tier nothing is said of friction, and the running state stays as it is.

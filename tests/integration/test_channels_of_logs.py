@@ -10,7 +10,7 @@ from clutch_model.calibration import nominal_calibration
 from dbc.contract import load_contract
 from diag_service.diagnosis.condition.condition import ConditionMemory
 from diag_service.diagnosis.contributions import Contributions
-from diag_service.diagnosis.events import ShiftEvent
+from diag_service.diagnosis.events import Event
 from diag_service.diagnosis.friction import FilterState
 from diag_service.mapping.decoder import Decoder, DecoderCounts
 from diag_service.mapping.profile import load_profile
@@ -33,7 +33,7 @@ ENGINE = (b"0A0", b"0A8")  # what the engine sends, by identifier
 class Followed:
     """What became of a drive of some logs."""
 
-    shifts: Sequence[ShiftEvent]
+    shifts: Sequence[Event]
     counts: DecoderCounts
     rejected: dict[str, int]
     contributions: Contributions

@@ -12,7 +12,7 @@ from canlog.series import Series
 from clutch_model.calibration import nominal_calibration
 from dbc.contract import load_contract
 from diag_service.diagnosis.columns import BALANCE_SIGNALS, Signal
-from diag_service.diagnosis.events import EndReason, ShiftEvent
+from diag_service.diagnosis.events import EndReason, Event
 from diag_service.diagnosis.friction import Estimator, FilterState
 from diag_service.diagnosis.records import Reason, ShiftEstimate, Status
 from diag_service.diagnosis.shifts.shifts import ShiftFinder
@@ -27,21 +27,21 @@ FACTORS = {"ideal": (1.0, 1.0), "case1": (0.95, 1.05), "case2": (0.85, 1.15)}
 
 
 @cache
-def shifts(fluid: str = "ideal", seed: int = 77, cycles: int = 1) -> tuple[ShiftEvent, ...]:
+def shifts(fluid: str = "ideal", seed: int = 77, cycles: int = 1) -> tuple[Event, ...]:
     """Return the shifts of an emulated drive as the service finds them."""
     frames, _ = frames_of(drive_scenario(fluid=fluid, seed=seed, cycles=cycles))
     decoder, finder = Decoder(load_contract(), load_profile()), ShiftFinder()
     return tuple(event for columns in decoder.feed(received(frames)) for event in finder.feed(columns))
 
 
-def followed(events: tuple[ShiftEvent, ...]) -> Iterator[tuple[FilterState, ShiftEstimate]]:
+def followed(events: tuple[Event, ...]) -> Iterator[tuple[FilterState, ShiftEstimate]]:
     state, estimator = FilterState.fresh(CALIBRATION), Estimator(CALIBRATION)
     for event in events:
         state, estimate = estimator.estimate(event, state)
         yield state, estimate
 
 
-def changed(event: ShiftEvent, signal: Signal, change: Callable[[FloatArray, FloatArray], FloatArray]) -> ShiftEvent:
+def changed(event: Event, signal: Signal, change: Callable[[FloatArray, FloatArray], FloatArray]) -> Event:
     """Return the shift with one signal's values changed by a function of time since its start [s] and value."""
     series = event.columns[signal]
     value = change((series.t_ns - event.start_ns) * np.float64(1e-9), series.value)
@@ -191,7 +191,7 @@ def test_frames_that_are_late_together_are_not_missing(catches_up: bool, reasons
     ],
     ids=["interrupted", "abandoned", "signal missing", "oil too cold"],
 )
-def test_an_unusable_shift_says_why(event: Callable[[ShiftEvent], ShiftEvent], reason: Reason) -> None:
+def test_an_unusable_shift_says_why(event: Callable[[Event], Event], reason: Reason) -> None:
     ((state, estimate),) = followed((event(shifts()[0]),))
     assert (estimate.status, estimate.reasons, estimate.friction) == (Status.REJECTED, (reason,), None)
     assert np.array_equal(state.mean, FilterState.fresh(CALIBRATION).mean)

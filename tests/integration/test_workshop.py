@@ -9,7 +9,7 @@ import pytest
 from clutch_model.calibration import nominal_calibration
 from dbc.contract import load_contract
 from diag_service.diagnosis.columns import Signal
-from diag_service.diagnosis.events import EndReason, RunUpEvent, ShiftEvent
+from diag_service.diagnosis.events import EndReason, Event
 from diag_service.diagnosis.shifts.run_ups import LOW_RAD_S, RunUpFinder
 from diag_service.diagnosis.shifts.shifts import ShiftFinder
 from diag_service.mapping.decoder import Decoder
@@ -22,16 +22,14 @@ from tests.support.traffic import START_NS, as_received
 
 
 @lru_cache(maxsize=4)
-def drive(
-    name: str, open_revs: int, closed_revs: int, seed: int
-) -> tuple[list[RunUpEvent], list[ShiftEvent], TruthLog]:
+def drive(name: str, open_revs: int, closed_revs: int, seed: int) -> tuple[list[Event], list[Event], TruthLog]:
     """Return what the service finds in a drive of one cycle, and the truth."""
     routine = Routine(open_revs=open_revs, closed_revs=closed_revs)
     frames, truth = frames_of(replace(drive_scenario(name, seed=seed), routine=routine))
     decoder = Decoder(load_contract(), load_profile())
     run_ups, shifts = RunUpFinder(nominal_calibration()), ShiftFinder()
-    found_run_ups: list[RunUpEvent] = []
-    found_shifts: list[ShiftEvent] = []
+    found_run_ups: list[Event] = []
+    found_shifts: list[Event] = []
     for columns in decoder.feed(as_received(frames)):
         found_run_ups += run_ups.feed(columns)
         found_shifts += shifts.feed(columns)

@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from clutch_model.calibration import nominal_calibration
-from diag_service.diagnosis.events import RunUpEvent
+from diag_service.diagnosis.events import Event
 from diag_service.diagnosis.shifts.run_ups import RunUpFinder
 from tests.support.run_ups import CLOSED_PA, OPEN_PA, STEP_NS, Piece, batch_between, columns_of, idle, run_up
 
@@ -26,7 +26,7 @@ PIECES = st.one_of(
 CUTS = st.lists(st.integers(0, 6000), max_size=12)
 
 
-def fingerprint(event: RunUpEvent) -> tuple[object, ...]:
+def fingerprint(event: Event) -> tuple[object, ...]:
     bits = {signal: (series.t_ns.tobytes(), series.value.tobytes()) for signal, series in event.columns.items()}
     what = event.number, event.start_ns, event.end_ns, event.are_clutches_closed, event.end_reason
     return *what, event.bad_frame_count, bits

@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 
 from canlog.series import Series
 from diag_service.diagnosis.columns import ColumnBatch, Signal
-from diag_service.diagnosis.events import ShiftEvent
+from diag_service.diagnosis.events import Event
 from diag_service.diagnosis.shifts.shifts import ShiftFinder
 from tests.support.gears import STEP_NS
 
@@ -37,7 +37,7 @@ def between(columns: dict[Signal, Series], start_ns: int, stop_ns: int) -> Colum
     )
 
 
-def fingerprint(event: ShiftEvent) -> tuple[object, ...]:
+def fingerprint(event: Event) -> tuple[object, ...]:
     bits = {signal: (series.t_ns.tobytes(), series.value.tobytes()) for signal, series in event.columns.items()}
     return event.number, event.from_gear, event.to_gear, event.start_ns, event.end_ns, event.end_reason, bits
 

@@ -13,7 +13,7 @@ from canlog.logs import read_log
 from canlog.series import Series
 from dbc.contract import load_contract
 from diag_service.diagnosis.columns import Signal
-from diag_service.diagnosis.shifts.shift_bounds import held_values
+from diag_service.diagnosis.shifts.tracking import held_values
 from diag_service.mapping.decoder import Decoder
 from diag_service.mapping.mapped_messages import MessageColumns, fitting
 from diag_service.mapping.profile import Profile, SignalSource, load_profile

@@ -17,7 +17,7 @@ from diag_service.diagnosis.alignment.sampling import (
     segment_centres_s,
 )
 from diag_service.diagnosis.columns import BALANCE_SIGNALS, Signal
-from diag_service.diagnosis.events import RunUpEvent, ShiftEvent
+from diag_service.diagnosis.events import Event
 
 COMMAND_LAG_S = 0.025  # from commanded to piston pressure: solenoid and feed orifice; docs/model.md, hydraulics
 
@@ -53,7 +53,7 @@ class AlignedSignals:
         return self.hub_speed.on_grid - self.input_speed[clutch - 1].on_grid
 
 
-def sampling_times(event: ShiftEvent | RunUpEvent) -> SampleTimes:
+def sampling_times(event: Event) -> SampleTimes:
     """Return when the signals of the balance were sampled, as far as they are there, freed of transmission jitter."""
     return {
         signal: sample_times_s(event.columns[signal], event.start_ns)
@@ -62,7 +62,7 @@ def sampling_times(event: ShiftEvent | RunUpEvent) -> SampleTimes:
     }
 
 
-def measured_times(sampled: SampleTimes, event: ShiftEvent | RunUpEvent, calibration: Calibration) -> SampleTimes:
+def measured_times(sampled: SampleTimes, event: Event, calibration: Calibration) -> SampleTimes:
     """Return the instants that the samples speak of: a speed of half a crank segment ago, a torque of a latency ago."""
     bias = calibration.bias
     engine_speed = event.columns[Signal.ENGINE_SPEED].value
@@ -80,7 +80,7 @@ def measured_times(sampled: SampleTimes, event: ShiftEvent | RunUpEvent, calibra
     }
 
 
-def align(times: SampleTimes, event: ShiftEvent | RunUpEvent, oil_k: float) -> AlignedSignals:
+def align(times: SampleTimes, event: Event, oil_k: float) -> AlignedSignals:
     """Return the signals of an event on the even grid that all of them reach.
 
     Parameters
@@ -124,7 +124,7 @@ def _resampled(times_s: FloatArray, value: FloatArray, grid_s: FloatArray) -> Re
     return Resampled(times_s=times_s, value=value, interpolation=interpolation, on_grid=interpolation.to_grid(value))
 
 
-def _expected_pa(event: ShiftEvent | RunUpEvent, command: Signal, grid_s: FloatArray) -> FloatArray | None:
+def _expected_pa(event: Event, command: Signal, grid_s: FloatArray) -> FloatArray | None:
     """Return the piston pressure to be expected from its command on the grid, a first-order lag behind it, or None."""
     series = event.columns.get(command)
     if series is None or not len(series.t_ns):

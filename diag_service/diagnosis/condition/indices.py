@@ -14,7 +14,7 @@ from canlog.series import Series
 from clutch_model.calibration import Calibration
 from clutch_model.gears import clutch_of_gear
 from diag_service.diagnosis.columns import Signal
-from diag_service.diagnosis.events import EndReason, ShiftEvent
+from diag_service.diagnosis.events import EndReason, Event
 from diag_service.diagnosis.records import ShiftIndices
 
 GRID_S = 0.005
@@ -33,7 +33,7 @@ class _Grid:
     """The signals of a shift on one even grid from its start to its end."""
 
     t_s: FloatArray  # (n,) since the start of the shift
-    event: ShiftEvent
+    event: Event
 
     def value(self, signal: Signal) -> FloatArray | None:
         """Return a signal on the grid, linear between samples, shape (n,); None if it is not there."""
@@ -43,7 +43,7 @@ class _Grid:
         return np.interp(self.t_s, _since(series, self.event), series.value)
 
 
-def measure(event: ShiftEvent, calibration: Calibration) -> ShiftIndices:
+def measure(event: Event, calibration: Calibration) -> ShiftIndices:
     """Return the indices of a shift as far as its signals go."""
     is_complete = event.end_reason is EndReason.COMPLETE and event.end_ns > event.start_ns
     shift_time_s = (event.end_ns - event.start_ns) / NS_PER_S
@@ -139,7 +139,7 @@ def _acceleration(grid: _Grid) -> FloatArray:
     return np.where(is_fit, slopes, 0.0)
 
 
-def _since(series: Series, event: ShiftEvent) -> FloatArray:
+def _since(series: Series, event: Event) -> FloatArray:
     """Return the times of samples after the start of the shift [s], shape (n,)."""
     times: FloatArray = (series.t_ns - event.start_ns) / NS_PER_S
     return times

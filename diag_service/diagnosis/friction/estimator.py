@@ -11,7 +11,7 @@ from clutch_model.gears import clutch_of_gear
 from diag_service.diagnosis.alignment.aligned_signals import AlignedSignals, compile_alignment
 from diag_service.diagnosis.alignment.sampling import NS_TO_S
 from diag_service.diagnosis.columns import Signal
-from diag_service.diagnosis.events import ShiftEvent
+from diag_service.diagnosis.events import Event
 from diag_service.diagnosis.friction.balance import Balance
 from diag_service.diagnosis.friction.film_track import compile_film
 from diag_service.diagnosis.friction.filter_state import FilterState, Misfit
@@ -46,7 +46,7 @@ class Estimator:
         compile_film(self._calibration)
 
     def estimate(
-        self, event: ShiftEvent, state: FilterState, *, is_described_only: bool = False
+        self, event: Event, state: FilterState, *, is_described_only: bool = False
     ) -> tuple[FilterState, ShiftEstimate]:
         """Return the running state after a shift, and what the shift alone says about the on-coming clutch.
 
@@ -121,7 +121,7 @@ class Estimator:
 
     def _describe(
         self,
-        event: ShiftEvent,
+        event: Event,
         signals: AlignedSignals,
         window: SlipWindow,
         balance: Balance,
@@ -152,7 +152,7 @@ def _normalised_innovation(state: FilterState, alone: FilterState, clutch: int) 
     return float(step @ np.linalg.solve(spread, step))
 
 
-def without_friction(event: ShiftEvent, status: Status, *reasons: Reason) -> ShiftEstimate:
+def without_friction(event: Event, status: Status, *reasons: Reason) -> ShiftEstimate:
     """Return the estimate of a shift that says nothing of friction: when and what it was, and why not."""
     return ShiftEstimate(
         number=event.number,
@@ -176,6 +176,6 @@ def without_friction(event: ShiftEvent, status: Status, *reasons: Reason) -> Shi
     )
 
 
-def _mean(event: ShiftEvent, signal: Signal) -> float | None:
+def _mean(event: Event, signal: Signal) -> float | None:
     series = event.columns.get(signal)
     return float(np.mean(series.value)) if series is not None and len(series.value) else None

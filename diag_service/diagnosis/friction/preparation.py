@@ -8,7 +8,7 @@ import numpy as np
 from clutch_model.calibration import Calibration
 from diag_service.diagnosis.alignment.aligned_signals import AlignedSignals
 from diag_service.diagnosis.alignment.sampling import NS_TO_S
-from diag_service.diagnosis.events import ShiftEvent
+from diag_service.diagnosis.events import Event
 from diag_service.diagnosis.friction.film_track import PressureDrive
 from diag_service.diagnosis.friction.filter_state import FilterState, Measurement
 from diag_service.diagnosis.friction.parameters import Considered, State
@@ -49,7 +49,7 @@ def zeroed(signals: AlignedSignals, state: FilterState, calibration: Calibration
 
 
 def measured_drives(
-    signals: AlignedSignals, state: FilterState, event: ShiftEvent, calibration: Calibration
+    signals: AlignedSignals, state: FilterState, event: Event, calibration: Calibration
 ) -> tuple[PressureDrive, PressureDrive]:
     """Return what drives the films as measured, freed of the offsets that are believed."""
     first, second = (

@@ -15,7 +15,7 @@ from clutch_model.calibration import Calibration
 from clutch_model.errors import CalibrationError
 from clutch_model.gears import clutch_of_gear
 from clutch_model.knowledge import JointUncertainty
-from diag_service.diagnosis.events import RunUpEvent, ShiftEvent
+from diag_service.diagnosis.events import Event
 from diag_service.diagnosis.friction.balance import Balance
 from diag_service.diagnosis.friction.filter_state import FilterState, Measurement
 from diag_service.diagnosis.friction.parameters import (
@@ -105,7 +105,7 @@ class _Seen:
 
 
 def self_calibrate(
-    shifts: Sequence[ShiftEvent], run_ups: Sequence[RunUpEvent], start: Calibration, version: str
+    shifts: Sequence[Event], run_ups: Sequence[Event], start: Calibration, version: str
 ) -> SelfCalibration | str:
     """Return what the shifts and run-ups of one vehicle say, or why they do not suffice.
 
@@ -199,7 +199,7 @@ def _loosened(covariance: FloatArray) -> FloatArray:
 
 
 def _seen_shifts(
-    events: Sequence[ShiftEvent], state: FilterState, point: Calibration, windows: Mapping[int, Span]
+    events: Sequence[Event], state: FilterState, point: Calibration, windows: Mapping[int, Span]
 ) -> Iterator[_Seen]:
     """Yield the balances of the shifts, in the windows that are given or else in those that their signals show."""
     for event in events:
@@ -230,7 +230,7 @@ def _window_at(span: Span, grid_s: FloatArray) -> SlipWindow:
     return SlipWindow(first=first, stop=min(last + 1, len(grid_s)), direction=0.0)
 
 
-def _seen_run_ups(events: Sequence[RunUpEvent], state: FilterState, point: Calibration) -> Iterator[_Seen]:
+def _seen_run_ups(events: Sequence[Event], state: FilterState, point: Calibration) -> Iterator[_Seen]:
     for event in events:
         signals = usable_signals(event, point)
         if isinstance(signals, Reason):

@@ -15,7 +15,7 @@ import numpy as np
 from canlog.e2e.e2e_state import E2eState
 from canlog.series import Series
 from diag_service.diagnosis.columns import BALANCE_SIGNALS, Columns, Signal
-from diag_service.diagnosis.events import ShiftEvent
+from diag_service.diagnosis.events import Event
 from diag_service.diagnosis.quality.limits import LIMITS, QualityLimits
 from diag_service.diagnosis.quality.plausibility import agreement
 from diag_service.diagnosis.records import DataQuality, QualityPart, Reason
@@ -41,7 +41,7 @@ class QualityBasis:
     calibration_date: date | None = None
 
 
-def data_quality(event: ShiftEvent, basis: QualityBasis, limits: QualityLimits = LIMITS) -> DataQuality:
+def data_quality(event: Event, basis: QualityBasis, limits: QualityLimits = LIMITS) -> DataQuality:
     """Return how far the data of a shift can be believed."""
     judged = {
         QualityPart.FRAMES: _frames(event.columns, limits),
@@ -78,7 +78,7 @@ def _frames(columns: Columns, limits: QualityLimits) -> float | None:
     return limits.lost_ratio.score(1.0 - sum(len(one.t_ns) for one in series) / sent)
 
 
-def _protection(event: ShiftEvent, mandatory: frozenset[str], limits: QualityLimits) -> float | None:
+def _protection(event: Event, mandatory: frozenset[str], limits: QualityLimits) -> float | None:
     """Judge the messages by their E2E state: one that the estimate needs and that is not valid is fatal."""
     states = {**dict.fromkeys(mandatory, E2eState.NO_DATA), **event.e2e}
     if not states:

@@ -17,7 +17,7 @@ from canlog.series import Series
 from diag_service.diagnosis.alignment.aligned_signals import COMMAND_LAG_S, AlignedSignals
 from diag_service.diagnosis.alignment.sampling import GRID_S, NS_TO_S
 from diag_service.diagnosis.columns import BALANCE_SIGNALS, Columns, Signal
-from diag_service.diagnosis.events import ShiftEvent
+from diag_service.diagnosis.events import Event
 from diag_service.diagnosis.quality.limits import LIMITS, QualityLimits
 from diag_service.diagnosis.records import Reason
 
@@ -55,7 +55,7 @@ def agreement(columns: Columns, limits: QualityLimits = LIMITS) -> float | None:
 
 
 def plausibility_faults(
-    event: ShiftEvent, signals: AlignedSignals, clutch: SlippingClutch, limits: QualityLimits = LIMITS
+    event: Event, signals: AlignedSignals, clutch: SlippingClutch, limits: QualityLimits = LIMITS
 ) -> tuple[Reason, ...]:
     """Return why the signals of a shift, once put on one clock, cannot all be true; empty if they can."""
     found = {
@@ -96,7 +96,7 @@ def is_frozen(series: Series, signal: Signal, limits: QualityLimits = LIMITS) ->
 
 
 def speed_gap_rad_s(
-    event: ShiftEvent, signals: AlignedSignals, clutch: SlippingClutch, limits: QualityLimits = LIMITS
+    event: Event, signals: AlignedSignals, clutch: SlippingClutch, limits: QualityLimits = LIMITS
 ) -> float:
     """Return the largest mean difference [rad/s] between speeds that must agree.
 

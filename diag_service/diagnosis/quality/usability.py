@@ -7,14 +7,12 @@ from clutch_model.calibration import Calibration
 from diag_service.diagnosis.alignment.aligned_signals import AlignedSignals, align, measured_times, sampling_times
 from diag_service.diagnosis.alignment.sampling import NS_TO_S
 from diag_service.diagnosis.columns import BALANCE_SIGNALS, Signal
-from diag_service.diagnosis.events import EndReason, RunUpEvent, ShiftEvent
+from diag_service.diagnosis.events import EndReason, Event
 from diag_service.diagnosis.quality.limits import LIMITS, QualityLimits
 from diag_service.diagnosis.records import Reason
 
 
-def usable_signals(
-    event: ShiftEvent | RunUpEvent, calibration: Calibration, limits: QualityLimits = LIMITS
-) -> AlignedSignals | Reason:
+def usable_signals(event: Event, calibration: Calibration, limits: QualityLimits = LIMITS) -> AlignedSignals | Reason:
     """Return the signals of a shift or engine run-up on one clock, or why they cannot be used."""
     if event.end_reason is not EndReason.COMPLETE:
         return Reason.INTERRUPTED

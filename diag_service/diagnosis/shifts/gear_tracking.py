@@ -1,26 +1,31 @@
-"""When gears change: from current and target gear, from the target and the slip, or from the ratio of speeds.
+"""When gears change: from current and target gear, from the target and the slip, or from the engaged gear alone.
 
 A tracker walks along the samples once, in steps of any size, and reports the bounds of the shifts it saw end.
 """
 
+from collections.abc import Callable, Mapping
 from collections.abc import Set as AbstractSet
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
-from canlog.series import Series
+from canlog.arrays import FloatArray, Int64Array
 from clutch_model.gears import clutch_of_gear
 from diag_service.diagnosis.columns import GearRatios, Signal
 from diag_service.diagnosis.events import EndReason
-from diag_service.diagnosis.shifts.engaged_gear import CurrentGear, EngagedTracker, RatioGear
-from diag_service.diagnosis.shifts.history import Ahead
-from diag_service.diagnosis.shifts.shift_bounds import DWELL_NS, MAX_SHIFT_NS, Bounds, GearTracker, held_values
+from diag_service.diagnosis.shifts.history import History
+from diag_service.diagnosis.shifts.tracking import NS_PER_S, Bounds, HeldSignals, Tracker
 
-_BOTH_GEARS = frozenset({Signal.CURRENT_GEAR, Signal.TARGET_GEAR})
+MAX_SHIFT_NS = 5 * NS_PER_S  # a production shift takes about one second
+DWELL_NS = NS_PER_S // 20  # a clutch that stays closed, a ratio that stays put, for so long does so for good
 CLOSED_SLIP_RAD_S = 5.0  # 50 rpm: beyond it the clutch slips, whatever two controllers' speeds differ by
+RATIO_TOLERANCE = 0.04  # neighbouring gears are at least 15 % apart
+MIN_SPEED_RAD_S = 50.0  # of the engine: below it drives nothing
+_GEAR_PAIR = (Signal.CURRENT_GEAR, Signal.TARGET_GEAR)
+GearsOf = Callable[[Mapping[Signal, FloatArray]], Int64Array]
 
 
-def tracker_for(signals: AbstractSet[Signal], gears: GearRatios | None = None) -> GearTracker:
+def tracker_for(signals: AbstractSet[Signal], gears: GearRatios | None = None) -> Tracker:
     """Return the tracker that makes the most of the signals that a bus can deliver."""
     if Signal.TARGET_GEAR in signals and Signal.CURRENT_GEAR not in signals:
         inputs = (Signal.INPUT1_SPEED, Signal.INPUT2_SPEED)
@@ -28,16 +33,83 @@ def tracker_for(signals: AbstractSet[Signal], gears: GearRatios | None = None) -
             inputs = (Signal.INPUT_SPEED, Signal.INPUT_SPEED)
         return TargetTracker(inputs)
     if Signal.CURRENT_GEAR not in signals and gears is not None:
-        return EngagedTracker(RatioGear(gears))
+        return EngagedTracker((Signal.ENGINE_SPEED, gears.over), lambda values: gears_of_ratio(values, gears))
     return GearPairTracker()
 
 
-@dataclass(slots=True)
-class _Gears:
-    """Current and target gear as last seen; 0 while unknown."""
+def gears_of_ratio(values: Mapping[Signal, FloatArray], gears: GearRatios) -> Int64Array:
+    """Return the gear whose ratio engine speed and the other one have, shape (n,); 0 for none."""
+    engine_rad_s, over = values[Signal.ENGINE_SPEED], values[gears.over]
+    drives = (engine_rad_s > MIN_SPEED_RAD_S) & (over > 0.0)
+    ratio = np.divide(engine_rad_s, over, out=np.zeros(len(over)), where=drives)
+    off = np.abs(ratio[:, None] / np.array(gears.ratios) - 1.0)
+    nearest = np.argmin(off, axis=1)
+    matches = off[np.arange(len(off)), nearest] < RATIO_TOLERANCE
+    return np.where(matches, nearest + 1, 0)
 
-    current: int = 0
-    target: int = 0
+
+def _gears(values: FloatArray) -> Int64Array:
+    """Return gears as numbers, 0 while unknown."""
+    return np.nan_to_num(values).astype(np.int64)
+
+
+class EngagedTracker:
+    """A shift lasts from when one gear is no longer engaged until another one stays engaged.
+
+    It is known only at its end: a stretch that ends between two gears tells of no shift. Which gear is engaged a
+    function says from the values of some signals, below 1 for none.
+    """
+
+    def __init__(self, signals: tuple[Signal, ...], gears_of: GearsOf) -> None:
+        self._held = HeldSignals(signals)
+        self._gears_of = gears_of
+        self._forget()
+
+    def _forget(self) -> None:
+        self._held.forget()
+        self._gear = 0  # the gear that was engaged last
+        self._left_ns: int | None = None  # since when it is not
+        self._seen = 0  # the gear that is there now
+        self._seen_ns = 0
+
+    @property
+    def open_ns(self) -> int | None:
+        """When the last gear was left, if it was."""
+        return self._left_ns
+
+    def track(self, history: History, until_ns: int) -> list[Bounds]:
+        """Walk the gears with ``t < until_ns``."""
+        t_ns, values = self._held.ahead(history, until_ns)
+        gears = self._gears_of(values)
+        found: list[Bounds] = []
+        for row in np.flatnonzero(np.diff(gears, prepend=-1)):
+            found += self._step(int(t_ns[row]), int(gears[row]))
+        return [*found, *self._end_if_due(until_ns)]
+
+    def interrupt(self, _: History, now_ns: int) -> list[Bounds]:
+        """Forget the stretch; what it left open is no shift that is known."""
+        found = self._end_if_due(now_ns)
+        self._forget()
+        return found
+
+    def _step(self, t_ns: int, matched: int) -> list[Bounds]:
+        found = self._end_if_due(t_ns)
+        if matched != self._seen:
+            if self._gear >= 1 and self._seen == self._gear and self._left_ns is None:
+                self._left_ns = t_ns
+            self._seen, self._seen_ns = matched, t_ns
+        return found
+
+    def _end_if_due(self, now_ns: int) -> list[Bounds]:
+        """Return the shift that led to the gear which has stayed engaged for long enough by now, if there is one."""
+        if self._seen >= 1 and now_ns >= self._seen_ns + DWELL_NS:
+            came_from, left_ns = self._gear, self._left_ns
+            self._gear, self._left_ns = self._seen, None
+            if left_ns is not None and came_from != self._seen and self._seen_ns + DWELL_NS <= left_ns + MAX_SHIFT_NS:
+                return [Bounds(came_from, self._seen, left_ns, self._seen_ns, EndReason.COMPLETE)]
+        elif self._left_ns is not None and now_ns > self._left_ns + MAX_SHIFT_NS:
+            self._gear, self._left_ns = 0, None  # neutral, or standing
+        return []
 
 
 class GearPairTracker:
@@ -48,94 +120,82 @@ class GearPairTracker:
     """
 
     def __init__(self) -> None:
-        self._lone = EngagedTracker(CurrentGear())
+        self._lone = EngagedTracker((Signal.CURRENT_GEAR,), lambda values: _gears(values[Signal.CURRENT_GEAR]))
+        self._held = HeldSignals(_GEAR_PAIR)
+        self._forget()
+
+    def _forget(self) -> None:
+        self._held.forget()
         self._has_target = False
-        self._gears = _Gears()
-        self._first_ns: dict[Signal, int] = {}  # when each gear came first
+        self._gears = (0, 0)  # current and target as last seen; 0 while unknown
+        self._are_known = False  # both have been seen
         self._open: Bounds | None = None
         self._is_begun = False  # the beginning of the open shift was seen
         self._overdue = False  # the open shift was reported as too long; wait until the gears agree
-        self._closed: list[Bounds] = []
 
     @property
     def open_ns(self) -> int | None:
         """When the open shift began, if there is one."""
         return self._lone.open_ns if self._open is None else self._open.start_ns
 
-    def track(self, ahead: Ahead, until_ns: int) -> list[Bounds]:
+    def track(self, history: History, until_ns: int) -> list[Bounds]:
         """Walk the gear changes with ``t < until_ns``."""
-        if self._has_target and not any(map(ahead.has_change, _BOTH_GEARS)):
-            self._close_overdue(until_ns)
-            return self._pop_closed()
-        current = ahead.until(Signal.CURRENT_GEAR, until_ns)
-        target = ahead.until(Signal.TARGET_GEAR, until_ns)
-        self._note_first(current, target)
+        found: list[Bounds] = []
         if not self._has_target:
-            self._closed += self._lone.track(ahead, int(target.t_ns[0]) if len(target.t_ns) else until_ns)
-            self._has_target = len(target.t_ns) > 0
+            target_ns = history.ahead(Signal.TARGET_GEAR, until_ns).t_ns
+            self._has_target = len(target_ns) > 0
+            found += self._lone.track(history, int(target_ns[0]) if self._has_target else until_ns)
             if self._has_target:
-                self._closed += self._lone.interrupt(int(target.t_ns[0]))
-        self._walk(current, target)
-        self._close_overdue(until_ns)
-        return self._pop_closed()
+                found += self._lone.interrupt(history, int(target_ns[0]))
+        if any(map(history.has_change_ahead, _GEAR_PAIR)):
+            found += self._walk(history, until_ns)
+        return [*found, *self._end_overdue(until_ns)]
 
-    def interrupt(self, now_ns: int) -> list[Bounds]:
+    def interrupt(self, history: History, now_ns: int) -> list[Bounds]:
         """Return the open shift as interrupted."""
-        self._closed += self._lone.interrupt(now_ns)
-        self._close(now_ns, EndReason.INTERRUPTED)
-        self._gears, self._has_target = _Gears(), False
-        self._first_ns.clear()
-        self._overdue = False
-        return self._pop_closed()
+        found = [*self._lone.interrupt(history, now_ns), *self._end(now_ns, EndReason.INTERRUPTED)]
+        self._forget()
+        return found
 
-    def _pop_closed(self) -> list[Bounds]:
-        closed, self._closed = self._closed, []
-        return closed
+    def _walk(self, history: History, until_ns: int) -> list[Bounds]:
+        """Step through the pairs that differ from the ones before."""
+        t_ns, values = self._held.ahead(history, until_ns)
+        pairs = np.column_stack([values[signal] for signal in _GEAR_PAIR])
+        are_known = np.append(self._are_known, ~np.isnan(pairs).any(axis=1)).tolist()
+        gears = np.vstack((self._gears, _gears(pairs)))
+        found: list[Bounds] = []
+        for row in np.flatnonzero((gears[1:] != gears[:-1]).any(axis=1)).tolist():
+            current, target = gears[row + 1].tolist()
+            found += self._step(int(t_ns[row]), current, target, was_known=are_known[row])
+        self._are_known = are_known[-1]
+        return found
 
-    def _note_first(self, current: Series, target: Series) -> None:
-        for signal, series in ((Signal.CURRENT_GEAR, current), (Signal.TARGET_GEAR, target)):
-            if signal not in self._first_ns and len(series.t_ns):
-                self._first_ns[signal] = int(series.t_ns[0])
-
-    def _walk(self, current: Series, target: Series) -> None:
-        """Step through the gears that differ from the last ones."""
-        changed: dict[int, dict[str, int]] = {}
-        for name, series, before in (
-            ("current", current, self._gears.current),
-            ("target", target, self._gears.target),
-        ):
-            values = series.value.astype(np.int64)
-            for row in np.flatnonzero(np.diff(values, prepend=before)).tolist():
-                changed.setdefault(int(series.t_ns[row]), {})[name] = int(values[row])
-        for t_ns, gears in sorted(changed.items()):
-            self._close_overdue(t_ns)
-            self._step(t_ns, replace(self._gears, **gears))
-
-    def _step(self, t_ns: int, gears: _Gears) -> None:
-        self._gears = gears
-        if gears.current < 1 or gears.target < 1:
-            self._close(t_ns, EndReason.ABANDONED)
-            return
-        if self._open is not None and (gears.target != self._open.to_gear or gears.current != self._open.from_gear):
-            reached = gears.current == gears.target == self._open.to_gear
-            self._close(t_ns, EndReason.COMPLETE if reached else EndReason.ABANDONED)
-        if gears.current == gears.target:
+    def _step(self, t_ns: int, current: int, target: int, *, was_known: bool) -> list[Bounds]:
+        found = self._end_overdue(t_ns)
+        self._gears = current, target
+        if current < 1 or target < 1:
+            return [*found, *self._end(t_ns, EndReason.ABANDONED)]
+        if self._open is not None and (target != self._open.to_gear or current != self._open.from_gear):
+            reached = current == target == self._open.to_gear
+            found += self._end(t_ns, EndReason.COMPLETE if reached else EndReason.ABANDONED)
+        if current == target:
             self._overdue = False
         elif self._open is None and not self._overdue:
-            self._open = Bounds(gears.current, gears.target, t_ns, t_ns, EndReason.INTERRUPTED)
-            self._is_begun = t_ns > max(self._first_ns.values())
+            self._open = Bounds(current, target, t_ns, t_ns, EndReason.INTERRUPTED)
+            self._is_begun = was_known
+        return found
 
-    def _close(self, t_ns: int, reason: EndReason) -> None:
-        if self._open is not None:
-            if reason is EndReason.COMPLETE and not self._is_begun:
-                reason = EndReason.INTERRUPTED
-            self._closed.append(replace(self._open, end_ns=t_ns, end_reason=reason))
-            self._open = None
+    def _end(self, t_ns: int, reason: EndReason) -> list[Bounds]:
+        ended, self._open = self._open, None
+        if reason is EndReason.COMPLETE and not self._is_begun:
+            reason = EndReason.INTERRUPTED
+        return [] if ended is None else [replace(ended, end_ns=t_ns, end_reason=reason)]
 
-    def _close_overdue(self, now_ns: int) -> None:
-        if self._open is not None and now_ns > self._open.start_ns + MAX_SHIFT_NS:
-            self._close(self._open.start_ns + MAX_SHIFT_NS, EndReason.TOO_LONG)
-            self._overdue = True
+    def _end_overdue(self, now_ns: int) -> list[Bounds]:
+        if self._open is None or now_ns <= self._open.start_ns + MAX_SHIFT_NS:
+            return []
+        self._overdue = True
+        return self._end(self._open.start_ns + MAX_SHIFT_NS, EndReason.TOO_LONG)
 
 
 class TargetTracker:
@@ -149,10 +209,11 @@ class TargetTracker:
 
     def __init__(self, inputs: tuple[Signal, Signal]) -> None:
         self._inputs = inputs
+        self._held = HeldSignals((Signal.TARGET_GEAR, Signal.ENGINE_SPEED, *inputs))
         self._forget()
 
     def _forget(self) -> None:
-        self._last: dict[Signal, float] = {}
+        self._held.forget()
         self._gear = 0
         self._open: Bounds | None = None
         self._has_slipped = False
@@ -163,25 +224,19 @@ class TargetTracker:
         """When the open shift began, if there is one."""
         return None if self._open is None else self._open.start_ns
 
-    def track(self, ahead: Ahead, until_ns: int) -> list[Bounds]:
+    def track(self, history: History, until_ns: int) -> list[Bounds]:
         """Walk target gear and slip with ``t < until_ns``."""
-        names = tuple(dict.fromkeys((Signal.TARGET_GEAR, Signal.ENGINE_SPEED, *self._inputs)))
-        series = {name: ahead.until(name, until_ns) for name in names}
-        t_ns = np.unique(np.concatenate([one.t_ns for one in series.values()]))
-        values = {name: held_values(one, t_ns, self._last.get(name, np.nan)) for name, one in series.items()}
+        t_ns, values = self._held.ahead(history, until_ns)
+        target = _gears(values[Signal.TARGET_GEAR])
+        first, second = (np.abs(values[Signal.ENGINE_SPEED] - values[name]) for name in self._inputs)
+        slip_rad_s = np.where(clutch_of_gear(target) == 1, first, second)
+        state = 2 * target + (slip_rad_s > CLOSED_SLIP_RAD_S)  # an unknown slip counts as closed
         found: list[Bounds] = []
-        if len(t_ns):
-            self._last = {name: float(value[-1]) for name, value in values.items()}
-            target = np.nan_to_num(values[Signal.TARGET_GEAR]).astype(np.int64)
-            first, second = (np.abs(values[Signal.ENGINE_SPEED] - values[name]) for name in self._inputs)
-            slip_rad_s = np.where(clutch_of_gear(target) == 1, first, second)
-            state = 2 * target + (slip_rad_s > CLOSED_SLIP_RAD_S)  # an unknown slip counts as closed
-            changes = np.flatnonzero(np.diff(state, prepend=-1))
-            for row in changes:
-                found += self._step(int(t_ns[row]), int(target[row]), slips=bool(state[row] % 2))
+        for row in np.flatnonzero(np.diff(state, prepend=-1)):
+            found += self._step(int(t_ns[row]), int(target[row]), slips=bool(state[row] % 2))
         return [*found, *self._end_if_due(until_ns)]
 
-    def interrupt(self, now_ns: int) -> list[Bounds]:
+    def interrupt(self, _: History, now_ns: int) -> list[Bounds]:
         """Return the open shift as interrupted."""
         found = self._end_if_due(now_ns)
         if self._open is not None:

@@ -25,6 +25,7 @@ class History:
         self._bad_ns: list[Int64Array] = []
         self._e2e: dict[str, list[E2eChange]] = {}
         self.watermark_ns = BEFORE_ALL_NS  # all that happened before it has been seen
+        self.walked_ns = BEFORE_ALL_NS  # up to where a tracker has looked at the samples
 
     @property
     def sample_count(self) -> int:
@@ -44,9 +45,13 @@ class History:
         """Return the samples of one signal with ``start_ns <= t_ns < stop_ns``; valid until more are appended."""
         return self._rings.between(signal, start_ns, stop_ns)
 
-    def changed_ns(self, signal: Signal) -> int:
-        """Return when a sample of a signal last differed from the one before it, as the first one does; -1: never."""
-        return self._rings.changed_ns(signal)
+    def ahead(self, signal: Signal, until_ns: int) -> Series:
+        """Return the samples of a signal that the tracker has not walked yet; valid until more are appended."""
+        return self._rings.between(signal, self.walked_ns, until_ns)
+
+    def has_change_ahead(self, signal: Signal) -> bool:
+        """Return whether a sample that the tracker has not walked yet differs from the one before it."""
+        return self._rings.changed_ns(signal) >= self.walked_ns
 
     def cut(self, start_ns: int, stop_ns: int) -> Columns:
         """Return the samples of all signals with ``start_ns <= t_ns < stop_ns``, each with the cycle that it keeps."""
@@ -75,23 +80,7 @@ class History:
         self._rings.clear()
         self._bad_ns.clear()
         self._e2e.clear()
-        self.watermark_ns = BEFORE_ALL_NS
-
-
-class Ahead:
-    """What lies ahead of somebody who walks along a history."""
-
-    def __init__(self, history: History) -> None:
-        self._history = history
-        self.start_ns = BEFORE_ALL_NS  # where he stands
-
-    def until(self, signal: Signal, until_ns: int) -> Series:
-        """Return the samples of a signal up to a time; valid until more are appended."""
-        return self._history.samples(signal, self.start_ns, until_ns)
-
-    def has_change(self, signal: Signal) -> bool:
-        """Return whether a sample ahead differs from the one before it."""
-        return self._history.changed_ns(signal) >= self.start_ns
+        self.watermark_ns = self.walked_ns = BEFORE_ALL_NS
 
 
 def _worst(changes: list[E2eChange], start_ns: int, stop_ns: int) -> E2eState:

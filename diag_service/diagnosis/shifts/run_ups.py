@@ -1,7 +1,4 @@
-"""Free engine run-ups in neutral, what the workshop routine consists of: canonical columns in, run-up events out.
-
-The same events for any cutting of the stream.
-"""
+"""Free engine run-ups in neutral, what the workshop routine consists of: canonical columns in, run-up events out."""
 
 from dataclasses import dataclass, replace
 from typing import Final
@@ -9,17 +6,13 @@ from typing import Final
 import numpy as np
 
 from canlog.arrays import Int64Array
-from canlog.frames import BEFORE_ALL_NS
 from clutch_model.calibration import Calibration
-from diag_service.diagnosis.columns import ColumnBatch, Signal
-from diag_service.diagnosis.events import EndReason, RunUpEvent
+from diag_service.diagnosis.columns import Signal
+from diag_service.diagnosis.events import EndReason, EventKind
 from diag_service.diagnosis.shifts.history import History
-from diag_service.diagnosis.shifts.shift_bounds import held_values
+from diag_service.diagnosis.shifts.tracking import NS_PER_S, Bounds, EventFinder, held_values
 
-NS_PER_S: Final = 1_000_000_000
-MARGIN_NS: Final = (
-    NS_PER_S // 5
-)  # before and after a run-up: what sensor latencies and the crank segment reach back from
+MARGIN_NS: Final = NS_PER_S // 5  # around a run-up: what sensor latencies and the crank segment reach back from
 MAX_RUN_UP_NS: Final = 10 * NS_PER_S
 LOW_RAD_S: Final = 130.0  # 1240 rpm: above any warm idle
 HIGH_RAD_S: Final = 250.0  # 2390 rpm: a blip of the pedal stays below
@@ -36,22 +29,12 @@ _GEARS: Final = (Signal.CURRENT_GEAR, Signal.TARGET_GEAR)
 _PRESSURES: Final = (Signal.CLUTCH1_PRESSURE, Signal.CLUTCH2_PRESSURE)
 
 
-@dataclass(frozen=True, slots=True)
-class _Bounds:
-    """A run-up that has begun, or whose end was seen but whose signals are not all here yet."""
-
-    start_ns: int
-    is_high: bool  # the engine has been fast in it
-    end_ns: int
-    end_reason: EndReason
-
-
-class RunUpFinder:
-    """Finds free engine run-ups in neutral in a stream of column batches with bounded memory.
+class RunUpFinder(EventFinder):
+    """Finds free engine run-ups in neutral.
 
     A run-up lasts from the first sample of the engine speed at or above ``LOW_RAD_S`` to the next one below, with
-    current and target gear neutral all along and ``HIGH_RAD_S`` reached in between. It is reported once bus time has
-    passed ``MARGIN_NS`` beyond its end, if both clutches were empty or both well above their touch points throughout.
+    current and target gear neutral all along and ``HIGH_RAD_S`` reached in between. It counts if both clutches were
+    empty or both well above their touch points throughout.
 
     Parameters
     ----------
@@ -60,122 +43,96 @@ class RunUpFinder:
     """
 
     def __init__(self, calibration: Calibration) -> None:
-        self._touch_pa = [clutch.touch_pressure_pa for clutch in calibration.clutches]
-        self._history = History()
-        self._closed: list[_Bounds] = []
-        self._open: _Bounds | None = None
+        first, second = (clutch.touch_pressure_pa for clutch in calibration.clutches)
+        super().__init__(RunUpTracker((first, second)), MARGIN_NS, MARGIN_NS)
+
+
+@dataclass(frozen=True, slots=True)
+class _Open:
+    """A run-up that has begun."""
+
+    start_ns: int
+    is_high: bool  # the engine has been fast in it
+
+
+class RunUpTracker:
+    """Walks the engine speed while both gears are neutral; knows the touch pressures of both clutches [Pa]."""
+
+    def __init__(self, touch_pa: tuple[float, float]) -> None:
+        self._touch_pa = touch_pa
+        self._forget()
+
+    def _forget(self) -> None:
+        self._open: _Open | None = None
         self._regime = _IN_GEAR
-        self._gears = [_UNKNOWN, _UNKNOWN]
-        self._tracked_ns = BEFORE_ALL_NS
-        self._run_up_count = 0
-
-    def feed(self, batch: ColumnBatch) -> list[RunUpEvent]:
-        """Append the next columns and return the run-ups that are now known in full, oldest first."""
-        events = self.flush() if batch.breaks_before else []
-        self._history.append(batch)
-        self._track_speed(self._history.watermark_ns)
-        while self._closed and self._closed[0].end_ns + MARGIN_NS < self._history.watermark_ns:
-            events += self._cut(self._closed.pop(0))
-        self._forget_past()
-        return events
-
-    def flush(self) -> list[RunUpEvent]:
-        """End the segment: report what is closed, and the open run-up as interrupted."""
-        self._track_speed(self._history.watermark_ns + 1)
-        self._close(self._history.watermark_ns, EndReason.INTERRUPTED)
-        events = [event for bounds in self._closed for event in self._cut(bounds)]
-        self._forget_segment()
-        return events
+        self._gears = dict.fromkeys(_GEARS, _UNKNOWN)
 
     @property
-    def buffered_sample_count(self) -> int:
-        """Samples held of all signals: bounded by the longest run-up, whatever the length of the drive."""
-        return self._history.sample_count
+    def open_ns(self) -> int | None:
+        """When the open run-up began, if there is one."""
+        return None if self._open is None else self._open.start_ns
 
-    def _track_speed(self, until_ns: int) -> None:
-        """Walk the engine speed with ``t < until_ns``: at the watermark itself a sample may still be on its way."""
-        speed = self._history.samples(Signal.ENGINE_SPEED, self._tracked_ns, until_ns)
+    def track(self, history: History, until_ns: int) -> list[Bounds]:
+        """Walk the engine speed with ``t < until_ns``."""
+        speed = history.ahead(Signal.ENGINE_SPEED, until_ns)
         is_neutral = np.ones(len(speed.t_ns), np.bool_)
-        for index, signal in enumerate(_GEARS):
-            is_neutral &= self._held_gear(index, signal, speed.t_ns, until_ns) == 0
-        self._tracked_ns = until_ns
+        for signal in _GEARS:
+            is_neutral &= self._held_gear(signal, speed.t_ns, history, until_ns) == 0
         reached = np.digitize(speed.value, (LOW_RAD_S, HIGH_RAD_S))
         regimes = np.concatenate(((self._regime,), np.where(is_neutral, reached, _IN_GEAR)))
+        ended: list[Bounds] = []
         for row in np.flatnonzero(np.diff(regimes)).tolist():
-            self._step(int(speed.t_ns[row]), int(regimes[row]), int(regimes[row + 1]))
+            ended += self._step(history, int(speed.t_ns[row]), int(regimes[row]), int(regimes[row + 1]))
         self._regime = int(regimes[-1])
-        self._close_overdue(until_ns)
+        return [*ended, *self._end_overdue(history, until_ns)]
 
-    def _held_gear(self, index: int, signal: Signal, t_ns: Int64Array, until_ns: int) -> Int64Array:
+    def interrupt(self, history: History, now_ns: int) -> list[Bounds]:
+        """Return the open run-up as interrupted."""
+        ended = self._end(history, now_ns, EndReason.INTERRUPTED)
+        self._forget()
+        return ended
+
+    def _held_gear(self, signal: Signal, t_ns: Int64Array, history: History, until_ns: int) -> Int64Array:
         """Return the gear in force at each time, and remember the last one."""
-        series = self._history.samples(signal, self._tracked_ns, until_ns)
-        gears = held_values(series, t_ns, self._gears[index]).astype(np.int64)
+        series = history.ahead(signal, until_ns)
+        gears = held_values(series, t_ns, self._gears[signal]).astype(np.int64)
         if len(series.value):
-            self._gears[index] = int(series.value[-1])
+            self._gears[signal] = int(series.value[-1])
         return gears
 
-    def _step(self, t_ns: int, before: int, regime: int) -> None:
-        self._close_overdue(t_ns)
+    def _step(self, history: History, t_ns: int, before: int, regime: int) -> list[Bounds]:
+        ended = self._end_overdue(history, t_ns)
         if self._open is None:
             if before == _LOW and regime > _LOW:
-                self._open = _Bounds(t_ns, regime == _HIGH, t_ns, EndReason.INTERRUPTED)
+                self._open = _Open(t_ns, regime == _HIGH)
         elif regime == _HIGH:
             self._open = replace(self._open, is_high=True)
         elif regime == _LOW:
-            self._close(t_ns, EndReason.COMPLETE)
+            ended += self._end(history, t_ns, EndReason.COMPLETE)
         elif regime == _IN_GEAR:
-            self._close(t_ns, EndReason.ABANDONED)
+            ended += self._end(history, t_ns, EndReason.ABANDONED)
+        return ended
 
-    def _close(self, t_ns: int, reason: EndReason) -> None:
-        if self._open is not None and self._open.is_high:
-            self._closed.append(replace(self._open, end_ns=t_ns, end_reason=reason))
-        self._open = None
-
-    def _close_overdue(self, now_ns: int) -> None:
-        if self._open is not None and now_ns > self._open.start_ns + MAX_RUN_UP_NS:
-            self._close(self._open.start_ns + MAX_RUN_UP_NS, EndReason.TOO_LONG)
-
-    def _cut(self, bounds: _Bounds) -> list[RunUpEvent]:
-        """Return the event, or none if the clutches were neither both open nor both closed."""
-        are_closed = self._are_closed(bounds)
-        if are_closed is None:
+    def _end_overdue(self, history: History, now_ns: int) -> list[Bounds]:
+        if self._open is None or now_ns <= self._open.start_ns + MAX_RUN_UP_NS:
             return []
-        first_ns, stop_ns = bounds.start_ns - MARGIN_NS, bounds.end_ns + MARGIN_NS
-        self._run_up_count += 1
-        return [
-            RunUpEvent(
-                number=self._run_up_count,
-                start_ns=bounds.start_ns,
-                end_ns=bounds.end_ns,
-                are_clutches_closed=are_closed,
-                end_reason=bounds.end_reason,
-                columns=self._history.cut(first_ns, stop_ns),
-                bad_frame_count=self._history.bad_frame_count(first_ns, stop_ns),
-            )
-        ]
+        return self._end(history, self._open.start_ns + MAX_RUN_UP_NS, EndReason.TOO_LONG)
 
-    def _are_closed(self, bounds: _Bounds) -> bool | None:
-        """Return whether both clutches were closed, both open (False) or anything else (None)."""
-        pressures = [self._history.samples(signal, bounds.start_ns, bounds.end_ns + 1).value for signal in _PRESSURES]
-        pairs = list(zip(pressures, self._touch_pa, strict=True))
+    def _end(self, history: History, end_ns: int, reason: EndReason) -> list[Bounds]:
+        """End the open run-up; return it if the engine was fast and the clutches both open or both closed."""
+        ended, self._open = self._open, None
+        if ended is None or not ended.is_high:
+            return []
+        kind = self._kind(history, ended.start_ns, end_ns)
+        return [] if kind is None else [Bounds(0, 0, ended.start_ns, end_ns, reason, kind)]
+
+    def _kind(self, history: History, start_ns: int, end_ns: int) -> EventKind | None:
+        pressures = [history.samples(signal, start_ns, end_ns + 1).value for signal in _PRESSURES]
         if not all(len(pressure_pa) for pressure_pa in pressures):
             return None
+        pairs = list(zip(pressures, self._touch_pa, strict=True))
         if all(pressure_pa.min() > touch_pa + CLOSED_MARGIN_PA for pressure_pa, touch_pa in pairs):
-            return True
+            return EventKind.RUN_UP_CLOSED
         if all(pressure_pa.max() < EMPTY_RATIO * touch_pa for pressure_pa, touch_pa in pairs):
-            return False
+            return EventKind.RUN_UP_OPEN
         return None
-
-    def _forget_past(self) -> None:
-        starts = [bounds.start_ns for bounds in self._closed]
-        if self._open is not None:
-            starts.append(self._open.start_ns)
-        self._history.drop_before(min([*starts, self._history.watermark_ns]) - MARGIN_NS)
-
-    def _forget_segment(self) -> None:
-        self._history.clear()
-        self._closed.clear()
-        self._open = None
-        self._regime = _IN_GEAR
-        self._gears = [_UNKNOWN, _UNKNOWN]
-        self._tracked_ns = BEFORE_ALL_NS

@@ -56,19 +56,8 @@ class SampleRings:
 
     def cut(self, start_ns: int, stop_ns: int) -> dict[Signal, Series]:
         """Return copies of the samples of all signals that ever had one, with ``start_ns <= t_ns < stop_ns``."""
-        low, high = np.empty_like(self._first), np.empty_like(self._first)
-        find_between(self._samples, self._first, start_ns, stop_ns, low, high)
-        spans = zip(self._rows.items(), low.tolist(), high.tolist(), self._samples.filled.tolist(), strict=True)
-        return {
-            signal: Series(
-                t_ns=self._samples.t_ns[row, begin:end].copy(),
-                sequence=self._samples.sequence[row, begin:end].copy(),
-                value=self._samples.value[row, begin:end].copy(),
-                period_ns=self._period_ns[row],
-            )
-            for (signal, row), begin, end, filled in spans
-            if filled
-        }
+        known = (signal for signal, row in self._rows.items() if self._samples.filled[row])
+        return {signal: self.between(signal, start_ns, stop_ns).copy() for signal in known}
 
     def changed_ns(self, signal: Signal) -> int:
         """Return when a sample of a signal last differed from the one before it, as the first one does."""
@@ -174,17 +163,6 @@ def append_rows(ring: Samples, first: Int64Array, changed_ns: Int64Array, rows: 
 
 
 @array_kernel
-def find_between(
-    ring: Samples, first: Int64Array, start_ns: int, stop_ns: int, low: Int64Array, high: Int64Array
-) -> None:
-    """Fill in which samples ``low <= at < high`` of every row lie in ``start_ns <= t_ns < stop_ns``."""
-    for row in range(first.size):
-        held = ring.t_ns[row, first[row] : ring.filled[row]]
-        low[row] = first[row] + np.searchsorted(held, start_ns)
-        high[row] = first[row] + np.searchsorted(held, stop_ns)
-
-
-@array_kernel
 def drop_before(ring: Samples, first: Int64Array, keep_ns: int) -> None:
     """Move the beginning of every row behind the samples that lie before ``keep_ns``."""
     for row in range(first.size):
@@ -197,4 +175,3 @@ def compile_now() -> None:
     ring, block, first = empty_rows(1, 1), empty_rows(0, 0), np.zeros(1, np.int64)
     append_rows(ring, first, np.zeros(1, np.int64), np.empty(0, np.int64), block)
     drop_before(ring, first, 0)
-    find_between(ring, first, 0, 0, np.zeros(1, np.int64), np.zeros(1, np.int64))

@@ -10,7 +10,7 @@ from clutch_model.calibration import nominal_calibration
 from clutch_model.friction import friction_law, stribeck_weights
 from demo.picture import curve_band, draw
 from diag_service.diagnosis.columns import Signal
-from diag_service.diagnosis.events import EndReason, ShiftEvent
+from diag_service.diagnosis.events import EndReason, Event
 from tests.unit.demo.outcomes import FRICTION, good_outcome
 
 REFERENCE = nominal_calibration().clutches[0].friction
@@ -38,7 +38,7 @@ def test_the_band_agrees_with_random_draws() -> None:
 def test_a_picture_is_drawn(tmp_path: Path) -> None:
     t_ns = np.arange(-50, 150) * 10_000_000
     series = Series(t_ns=t_ns, sequence=np.arange(len(t_ns)), value=np.linspace(100.0, 300.0, len(t_ns)))
-    event = ShiftEvent(
+    event = Event(
         number=1,
         from_gear=1,
         to_gear=2,

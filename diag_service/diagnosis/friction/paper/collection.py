@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 from clutch_model.calibration import Calibration
 from clutch_model.film import film_law
 from clutch_model.gears import clutch_of_gear
-from diag_service.diagnosis.events import ShiftEvent
+from diag_service.diagnosis.events import Event
 from diag_service.diagnosis.friction.paper.differentiate import quiet_filter, steady_kalman
 from diag_service.diagnosis.friction.paper.driveline import Driveline
 from diag_service.diagnosis.friction.paper.film_table import static_table
@@ -57,7 +57,7 @@ class PaperCollection:
         self._tables = (first, second)
         self._samples: tuple[list[FrictionData], list[FrictionData]] = ([], [])
 
-    def add(self, event: ShiftEvent) -> PaperShift:
+    def add(self, event: Event) -> PaperShift:
         """Analyse a shift and add its samples of both clutches to the pool."""
         shift = PaperShift(
             number=event.number,

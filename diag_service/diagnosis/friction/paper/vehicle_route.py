@@ -16,7 +16,7 @@ from clutch_model.gears import clutch_of_gear
 from diag_service.diagnosis.alignment.aligned_signals import AlignedSignals
 from diag_service.diagnosis.alignment.sampling import sample_times_s
 from diag_service.diagnosis.columns import Signal
-from diag_service.diagnosis.events import ShiftEvent
+from diag_service.diagnosis.events import Event
 from diag_service.diagnosis.friction.paper.driveline import Driveline
 from diag_service.diagnosis.friction.paper.driveline_model import DrivelineModel, State, driveline_model
 from diag_service.diagnosis.friction.paper.paper_signals import BoolArray, PaperSignals
@@ -47,7 +47,7 @@ SPEED_STATES = (State.ENGINE_SPEED, State.HUB_SPEED, State.INPUT1_SPEED, State.I
 TORQUE_STATES = (State.CLUTCH1_TORQUE, State.CLUTCH2_TORQUE)
 
 
-def paper_signals(event: ShiftEvent, calibration: Calibration, driveline: Driveline) -> PaperSignals | Reason:
+def paper_signals(event: Event, calibration: Calibration, driveline: Driveline) -> PaperSignals | Reason:
     """Return a shift's signals with the torques of the vehicle route, or why there are none."""
     gathered = usable_signals(event, calibration)
     if isinstance(gathered, Reason):
@@ -138,7 +138,7 @@ def _readings(gathered: AlignedSignals, wheel_rad_s: FloatArray, calibration: Ca
     )
 
 
-def _wheel_speed_m_s(event: ShiftEvent, grid_s: FloatArray) -> FloatArray | None:
+def _wheel_speed_m_s(event: Event, grid_s: FloatArray) -> FloatArray | None:
     """Return the mean speed of the driven (front) wheels on the grid, or None if it is not on the bus."""
     wheels = [event.columns.get(one) for one in (Signal.WHEEL_FL_SPEED, Signal.WHEEL_FR_SPEED)]
     found = [one for one in wheels if one is not None and len(one.t_ns)]
@@ -150,7 +150,7 @@ def _wheel_speed_m_s(event: ShiftEvent, grid_s: FloatArray) -> FloatArray | None
     return mean_m_s
 
 
-def _is_shifting(event: ShiftEvent, grid_s: FloatArray) -> BoolArray:
+def _is_shifting(event: Event, grid_s: FloatArray) -> BoolArray:
     """Return which grid points lie in the shift before its clutch stuck; without phases on the bus, in the shift."""
     in_shift: BoolArray = grid_s >= 0.0
     phase = event.columns.get(Signal.SHIFT_PHASE)

@@ -9,7 +9,7 @@ import numpy as np
 from canlog.arrays import FloatArray
 from dbc.contract import load_contract
 from diag_service.diagnosis.columns import Signal
-from diag_service.diagnosis.events import ShiftEvent
+from diag_service.diagnosis.events import Event
 from diag_service.diagnosis.shifts.shifts import ShiftFinder
 from diag_service.mapping.decoder import Decoder
 from diag_service.mapping.profile import load_profile
@@ -19,21 +19,21 @@ from tests.support.wire import received
 
 
 @cache
-def first_shifts() -> tuple[ShiftEvent, ...]:
+def first_shifts() -> tuple[Event, ...]:
     """Return the shifts in the first 12 s of a drive with sensor noise: 1-2 and 2-3 at least."""
     decoder, finder = Decoder(load_contract(), load_profile()), ShiftFinder()
     batch = received(next(Drive(drive_scenario()).stretches(12.0)).frames)
     return tuple(event for columns in decoder.feed(batch) for event in finder.feed(columns))
 
 
-def changed(event: ShiftEvent, signal: Signal, change: Callable[[FloatArray, FloatArray], FloatArray]) -> ShiftEvent:
+def changed(event: Event, signal: Signal, change: Callable[[FloatArray, FloatArray], FloatArray]) -> Event:
     """Return the shift with one signal's values changed by a function of time since its start [s] and value."""
     series = event.columns[signal]
     value = change((series.t_ns - event.start_ns) * np.float64(1e-9), series.value)
     return replace(event, columns={**event.columns, signal: replace(series, value=value)})
 
 
-def thinned(event: ShiftEvent, signal: Signal, lost: slice) -> ShiftEvent:
+def thinned(event: Event, signal: Signal, lost: slice) -> Event:
     """Return the shift without some samples of one signal."""
     series = event.columns[signal]
     rows = np.delete(np.arange(len(series.t_ns)), lost)
@@ -41,6 +41,6 @@ def thinned(event: ShiftEvent, signal: Signal, lost: slice) -> ShiftEvent:
     return replace(event, columns={**event.columns, signal: kept})
 
 
-def without(event: ShiftEvent, signal: Signal) -> ShiftEvent:
+def without(event: Event, signal: Signal) -> Event:
     """Return the shift on a bus that lacks a signal."""
     return replace(event, columns={one: series for one, series in event.columns.items() if one is not signal})

@@ -10,7 +10,7 @@ from clutch_model.calibration import nominal_calibration
 from dbc.contract import load_contract
 from diag_service.delivery import MemoryReporter
 from diag_service.diagnosis.condition.condition import ConditionMemory
-from diag_service.diagnosis.events import EndReason, ShiftEvent
+from diag_service.diagnosis.events import EndReason, Event
 from diag_service.diagnosis.friction import FilterState
 from diag_service.diagnosis.records import ShiftResult
 from diag_service.diagnosis.summary import FrameCounts
@@ -60,9 +60,9 @@ def session_on(
     return session, reporter
 
 
-def event(number: int) -> ShiftEvent:
+def event(number: int) -> Event:
     """Return a shift without signals: rejected, and a result all the same."""
-    return ShiftEvent(
+    return Event(
         number=number,
         from_gear=1,
         to_gear=2,

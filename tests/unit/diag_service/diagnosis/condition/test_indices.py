@@ -10,7 +10,7 @@ from canlog.series import Series
 from clutch_model.calibration import nominal_calibration
 from diag_service.diagnosis.columns import Signal
 from diag_service.diagnosis.condition.indices import measure
-from diag_service.diagnosis.events import EndReason, ShiftEvent
+from diag_service.diagnosis.events import EndReason, Event
 
 CALIBRATION = nominal_calibration()
 STEP_NS = 10_000_000
@@ -31,10 +31,10 @@ def series(value: FloatArray | float) -> Series:
     )
 
 
-def shift(ratio: float = 0.9, *, to_gear: int = 2, sign: float = 1.0) -> ShiftEvent:
+def shift(ratio: float = 0.9, *, to_gear: int = 2, sign: float = 1.0) -> Event:
     """Return a shift whose clutch carries ``ratio`` of what it is asked for."""
     engine_nm = sign * (ratio * ASKED_NM + INERTIA_KG_M2 * DECELERATION_RAD_S2)
-    return ShiftEvent(
+    return Event(
         number=1,
         from_gear=1,
         to_gear=to_gear,
@@ -52,7 +52,7 @@ def shift(ratio: float = 0.9, *, to_gear: int = 2, sign: float = 1.0) -> ShiftEv
     )
 
 
-def without(event: ShiftEvent, *signals: Signal, **more: Series) -> ShiftEvent:
+def without(event: Event, *signals: Signal, **more: Series) -> Event:
     kept = {signal: one for signal, one in event.columns.items() if signal not in signals}
     return replace(event, columns={**kept, **{Signal(name): one for name, one in more.items()}})
 

@@ -8,7 +8,7 @@ import pytest
 
 from clutch_model.calibration import nominal_calibration
 from diag_service.diagnosis.columns import Signal
-from diag_service.diagnosis.events import EndReason, ShiftEvent
+from diag_service.diagnosis.events import EndReason, Event
 from diag_service.diagnosis.friction import Estimator, FilterState
 from diag_service.diagnosis.friction.estimator import FULL_WINDOW_S, REFUSALS_TO_YIELD, without_friction
 from diag_service.diagnosis.friction.parameters import State, friction_rows
@@ -22,7 +22,7 @@ CLUTCH = 2  # the first shift goes to second gear
 ROWS = friction_rows(CLUTCH)
 
 
-def estimated(event: ShiftEvent, state: FilterState = FRESH) -> tuple[FilterState, ShiftEstimate]:
+def estimated(event: Event, state: FilterState = FRESH) -> tuple[FilterState, ShiftEstimate]:
     return ESTIMATOR.estimate(event, state)
 
 
@@ -111,7 +111,7 @@ def test_an_agreement_ends_the_row_of_contradictions() -> None:
         (lambda event: changed(event, Signal.HUB_SPEED, lambda _, value: value + 3.0), Reason.SPEEDS_DISAGREE),
     ],
 )
-def test_a_rejected_shift_leaves_the_state_as_it_was(spoil: Callable[[ShiftEvent], ShiftEvent], reason: Reason) -> None:
+def test_a_rejected_shift_leaves_the_state_as_it_was(spoil: Callable[[Event], Event], reason: Reason) -> None:
     before = known(0.14, 0.12)
     event = spoil(first_shifts()[0])
     state, estimate = estimated(event, before)

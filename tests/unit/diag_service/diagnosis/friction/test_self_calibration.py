@@ -11,7 +11,7 @@ from benchmarks.accuracy import to_batch
 from clutch_model.calibration import Calibration, nominal_calibration
 from clutch_model.gears import clutch_of_gear
 from dbc.contract import load_contract
-from diag_service.diagnosis.events import EndReason, RunUpEvent, ShiftEvent
+from diag_service.diagnosis.events import EndReason, Event
 from diag_service.diagnosis.friction.balance import Balance
 from diag_service.diagnosis.friction.filter_state import FilterState, Measurement
 from diag_service.diagnosis.friction.parameters import NAMES, STATE_COUNT, Considered, State, displaced, prior_mean
@@ -35,15 +35,15 @@ GAIN, OFFSET_NM, INERTIA = 1.03, -6.0, 0.96
 SPEEDS = ("engine_speed_rad_s", "hub_speed_rad_s", "input1_speed_rad_s", "input2_speed_rad_s")
 
 
-def seen(scenario: Scenario) -> tuple[tuple[ShiftEvent, ...], tuple[RunUpEvent, ...]]:
+def seen(scenario: Scenario) -> tuple[tuple[Event, ...], tuple[Event, ...]]:
     frames, _ = frames_of(scenario)
     decoder, shift_finder, run_up_finder = (
         Decoder(load_contract(), load_profile()),
         ShiftFinder(),
         RunUpFinder(NOMINAL),
     )
-    shifts: list[ShiftEvent] = []
-    run_ups: list[RunUpEvent] = []
+    shifts: list[Event] = []
+    run_ups: list[Event] = []
     for columns in decoder.feed(to_batch(frames)):
         shifts += shift_finder.feed(columns)
         run_ups += run_up_finder.feed(columns)
@@ -51,7 +51,7 @@ def seen(scenario: Scenario) -> tuple[tuple[ShiftEvent, ...], tuple[RunUpEvent, 
 
 
 @lru_cache
-def unlike_its_type() -> tuple[tuple[ShiftEvent, ...], tuple[RunUpEvent, ...]]:
+def unlike_its_type() -> tuple[tuple[Event, ...], tuple[Event, ...]]:
     """Return shifts and run-ups of a vehicle that is not what its type promises."""
     base = drive_scenario(seed=4, cycles=2)
     sensors = {
@@ -68,13 +68,13 @@ def unlike_its_type() -> tuple[tuple[ShiftEvent, ...], tuple[RunUpEvent, ...]]:
 
 
 @lru_cache
-def without_noise() -> tuple[tuple[ShiftEvent, ...], tuple[RunUpEvent, ...]]:
+def without_noise() -> tuple[tuple[Event, ...], tuple[Event, ...]]:
     base = drive_scenario(seed=5)
     sensors = {name: replace(sensor, noise_std=0.0) for name, sensor in base.sensors.items()}
     return seen(replace(base, sensors=sensors, routine=Routine(open_revs=1, closed_revs=1)))
 
 
-def found(shifts: Sequence[ShiftEvent], run_ups: Sequence[RunUpEvent]) -> SelfCalibration:
+def found(shifts: Sequence[Event], run_ups: Sequence[Event]) -> SelfCalibration:
     result = self_calibrate(shifts, run_ups, NOMINAL, "test")
     assert isinstance(result, SelfCalibration), result
     return result
@@ -155,9 +155,7 @@ STEPS = {
 }
 
 
-def shift_residual(
-    event: ShiftEvent, calibration: Calibration, window: SlipWindow | None
-) -> tuple[Measurement, SlipWindow]:
+def shift_residual(event: Event, calibration: Calibration, window: SlipWindow | None) -> tuple[Measurement, SlipWindow]:
     signals = usable_signals(event, calibration)
     assert not isinstance(signals, Reason)
     state = FilterState.fresh(NOMINAL)

@@ -15,7 +15,7 @@ from clutch_model.calibration import nominal_calibration
 from dbc.contract import load_contract
 from diag_service.diagnosis.columns import BALANCE_SIGNALS, Signal
 from diag_service.diagnosis.condition.condition import ConditionMemory
-from diag_service.diagnosis.events import EndReason, ShiftEvent
+from diag_service.diagnosis.events import EndReason, Event
 from diag_service.diagnosis.friction import FilterState
 from diag_service.diagnosis.quality.data_quality import QualityBasis, data_quality, reasons_against
 from diag_service.diagnosis.quality.limits import LIMITS
@@ -28,7 +28,7 @@ from tests.support.builders import drive_scenario
 from tests.support.wire import received
 
 CALIBRATION = nominal_calibration()
-BARE = ShiftEvent(
+BARE = Event(
     number=1,
     from_gear=1,
     to_gear=2,
@@ -51,7 +51,7 @@ def stages() -> Stages:
 
 
 @cache
-def sound() -> ShiftEvent:
+def sound() -> Event:
     """Return the first shift of a drive with sensor noise."""
     return stages().segment(received(next(Drive(drive_scenario()).stretches(6.0)).frames))[0]
 
@@ -61,13 +61,13 @@ def basis() -> QualityBasis:
     return QualityBasis(mandatory_messages=decoder().mandatory_messages, scale_ends=decoder().limits)
 
 
-def with_values(signal: Signal, change: Callable[[FloatArray], FloatArray]) -> ShiftEvent:
+def with_values(signal: Signal, change: Callable[[FloatArray], FloatArray]) -> Event:
     columns = dict(sound().columns)
     columns[signal] = replace(columns[signal], value=change(columns[signal].value))
     return replace(sound(), columns=columns)
 
 
-def thinned(keep: Callable[[Series], Int64Array]) -> ShiftEvent:
+def thinned(keep: Callable[[Series], Int64Array]) -> Event:
     """Return the shift with only some samples of the balance signals."""
     columns = dict(sound().columns)
     for signal in BALANCE_SIGNALS:
@@ -81,7 +81,7 @@ def clipped(cut: float, end: float, value: FloatArray) -> FloatArray:
     return np.where(value > cut, end, value)
 
 
-def part(event: ShiftEvent, which: QualityPart, on: QualityBasis | None = None) -> float:
+def part(event: Event, which: QualityPart, on: QualityBasis | None = None) -> float:
     quality = data_quality(event, on or basis())
     assert quality.score == pytest.approx(np.prod(list(quality.parts.values())))
     return quality.parts[which]

@@ -11,7 +11,7 @@ from canlog.series import Series
 from clutch_model.calibration import nominal_calibration
 from diag_service.diagnosis.alignment.aligned_signals import COMMAND_LAG_S, AlignedSignals
 from diag_service.diagnosis.columns import Signal
-from diag_service.diagnosis.events import ShiftEvent
+from diag_service.diagnosis.events import Event
 from diag_service.diagnosis.friction import FilterState
 from diag_service.diagnosis.friction.preparation import measured_drives, slip_window
 from diag_service.diagnosis.quality.limits import LIMITS, QualityLimits
@@ -85,7 +85,7 @@ def test_a_zero_jumps_when_it_moves_further_than_both_knowledges_allow(moved_std
     assert not zero_has_jumped(known, known)
 
 
-def of_shift(event: ShiftEvent) -> tuple[AlignedSignals, SlippingClutch]:
+def of_shift(event: Event) -> tuple[AlignedSignals, SlippingClutch]:
     """Return the aligned signals of the shift to second gear and what is known of its clutch."""
     signals = usable_signals(event, CALIBRATION)
     assert not isinstance(signals, Reason)
@@ -95,7 +95,7 @@ def of_shift(event: ShiftEvent) -> tuple[AlignedSignals, SlippingClutch]:
     return signals, SlippingClutch(number=2, rows=slice(window.first, window.stop), pressure_zero_pa=0.0)
 
 
-def faults_of(event: ShiftEvent, limits: QualityLimits = LIMITS) -> tuple[Reason, ...]:
+def faults_of(event: Event, limits: QualityLimits = LIMITS) -> tuple[Reason, ...]:
     """Return the faults of a changed shift, in the slip window of the sound one."""
     signals = usable_signals(event, CALIBRATION)
     assert not isinstance(signals, Reason)

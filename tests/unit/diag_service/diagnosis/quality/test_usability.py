@@ -10,7 +10,7 @@ from clutch_model.calibration import nominal_calibration
 from diag_service.diagnosis.alignment.aligned_signals import AlignedSignals
 from diag_service.diagnosis.alignment.sampling import GRID_S
 from diag_service.diagnosis.columns import BALANCE_SIGNALS, Signal
-from diag_service.diagnosis.events import EndReason, ShiftEvent
+from diag_service.diagnosis.events import EndReason, Event
 from diag_service.diagnosis.quality.limits import QualityLimits
 from diag_service.diagnosis.quality.usability import has_gap, usable_signals
 from diag_service.diagnosis.records import Reason
@@ -20,15 +20,15 @@ CALIBRATION = nominal_calibration()
 PERIOD_NS = 10_000_000
 
 
-def without_samples(event: ShiftEvent, signal: Signal) -> ShiftEvent:
+def without_samples(event: Event, signal: Signal) -> Event:
     return thinned(event, signal, slice(None))
 
 
-def with_oil(event: ShiftEvent, oil_k: float) -> ShiftEvent:
+def with_oil(event: Event, oil_k: float) -> Event:
     return changed(event, Signal.SUMP_TEMPERATURE, lambda t_s, _: np.full(len(t_s), oil_k))
 
 
-def with_times_that_jump_back(event: ShiftEvent) -> ShiftEvent:
+def with_times_that_jump_back(event: Event) -> Event:
     torque = event.columns[Signal.ENGINE_TORQUE]
     t_ns = torque.t_ns.copy()
     t_ns[20] = t_ns[18]
@@ -68,7 +68,7 @@ def test_a_signal_that_is_missing(signal: Signal) -> None:
         (with_times_that_jump_back, Reason.OUT_OF_RANGE),
     ],
 )
-def test_what_cannot_be_used_says_why(spoil: Callable[[ShiftEvent], ShiftEvent], reason: Reason) -> None:
+def test_what_cannot_be_used_says_why(spoil: Callable[[Event], Event], reason: Reason) -> None:
     assert usable_signals(spoil(first_shifts()[0]), CALIBRATION) is reason
 
 

@@ -10,9 +10,8 @@ from hypothesis import strategies as st
 from canlog.arrays import FloatArray
 from canlog.series import Series
 from diag_service.diagnosis.columns import ColumnBatch, GearRatios, Signal
-from diag_service.diagnosis.events import EndReason, ShiftEvent
-from diag_service.diagnosis.shifts.gear_tracking import GearPairTracker, tracker_for
-from diag_service.diagnosis.shifts.shift_bounds import MAX_SHIFT_NS
+from diag_service.diagnosis.events import EndReason, Event
+from diag_service.diagnosis.shifts.gear_tracking import MAX_SHIFT_NS, GearPairTracker, tracker_for
 from diag_service.diagnosis.shifts.shifts import ShiftFinder
 
 STEP_NS = 10_000_000
@@ -33,7 +32,7 @@ def columns_of(**values: FloatArray) -> ColumnBatch:
     )
 
 
-def bounds(events: list[ShiftEvent]) -> list[Bounds]:
+def bounds(events: list[Event]) -> list[Bounds]:
     """Return gears, first and last row, and how it ended."""
     return [
         (event.from_gear, event.to_gear, event.start_ns // STEP_NS, event.end_ns // STEP_NS, event.end_reason)
@@ -152,7 +151,7 @@ def test_cutting_the_stream_anywhere_changes_no_shift(
 
     def found(rows: list[int]) -> list[Bounds]:
         finder = ShiftFinder(tracker_for(tracker_signals, RATIOS if kind == "ratio" else None))
-        events: list[ShiftEvent] = []
+        events: list[Event] = []
         for start, stop in pairwise(rows):
             cut = {name: one.between(start * STEP_NS, stop * STEP_NS) for name, one in whole.columns.items()}
             events += finder.feed(ColumnBatch(columns=cut, watermark_ns=(stop - 1) * STEP_NS))

@@ -6,12 +6,12 @@ import pytest
 from canlog.series import Series
 from clutch_model.calibration import nominal_calibration
 from diag_service.diagnosis.columns import ColumnBatch, Signal
-from diag_service.diagnosis.events import EndReason, RunUpEvent
+from diag_service.diagnosis.events import EndReason, Event
 from diag_service.diagnosis.shifts.run_ups import HIGH_RAD_S, LOW_RAD_S, MARGIN_NS, MAX_RUN_UP_NS, RunUpFinder
 from tests.support.run_ups import CLOSED_PA, IDLE_RAD_S, OPEN_PA, RUN_UP_ROWS, STEP_NS, Piece, idle, run_up, whole_batch
 
 
-def found(*pieces: Piece) -> list[RunUpEvent]:
+def found(*pieces: Piece) -> list[Event]:
     finder = RunUpFinder(nominal_calibration())
     return finder.feed(whole_batch(pieces)) + finder.flush()
 

@@ -8,7 +8,7 @@ import pytest
 from canlog.series import Series
 from diag_service.diagnosis.columns import ColumnBatch, Signal
 from diag_service.diagnosis.events import EndReason
-from diag_service.diagnosis.shifts.shift_bounds import MAX_SHIFT_NS
+from diag_service.diagnosis.shifts.gear_tracking import MAX_SHIFT_NS
 from diag_service.diagnosis.shifts.shifts import POST_NS, PRE_NS, ShiftFinder
 from tests.support.gears import STEP_NS, batch_of, gear_batch
 
