@@ -1,7 +1,7 @@
 """What it costs to receive: CPU per frame from the socket to the shifts, beside python-can with cantools.
 
 Frames come in bursts of ten, each burst at once: one wake-up for whoever reads as they come. The service lets them
-gather while nothing waits for them (``canlog.live.pace``), here as it does live: it knows of shifts. All
+gather while nothing waits for them (``canlog.live.read_schedule``), here as it does live: it knows of shifts. All
 processor time of the receiving process counts, that in the kernel included.
 
 Where this kernel has no CAN, User-Mode Linux has. A system call takes many times longer there, and a guest takes the
@@ -27,9 +27,8 @@ import can
 import psutil
 
 from benchmarks.guest_meter import ask, meter_folder
-from canlog.bus.receive_buffer import RECEIVE_BUFFER_BYTES, grow_receive_buffer
-from canlog.live.pace import Pace
-from canlog.live.recvmmsg import SO_TIMESTAMPNS
+from canlog.live.raw_socket import RECEIVE_BUFFER_BYTES, SO_TIMESTAMPNS, grow_receive_buffer
+from canlog.live.read_schedule import ReadSchedule
 from canlog.live.socketcan import SocketCanSource
 from dbc.contract import load_contract
 from diag_service.diagnosis.shifts.gear_tracking import tracker_for
@@ -127,10 +126,10 @@ def sending_socket(channel: str) -> socket.socket:
 
 async def own_path(channel: str, sender: Sender) -> Cost:
     """Receive, check CRC, counters, E2E states and ranges, decode, and look for shifts, as the service does."""
-    pace = Pace()
+    schedule = ReadSchedule()
     decoder = Decoder(load_contract(), load_profile())
     finder = ShiftFinder(tracker_for(decoder.signals, decoder.gears))
-    source = SocketCanSource(channel, pace=pace)
+    source = SocketCanSource(channel, schedule=schedule)
     began_s = clock_s()
     sender.start()
 
@@ -143,7 +142,7 @@ async def own_path(channel: str, sender: Sender) -> Cost:
     async for batch in source:
         for columns in decoder.feed(batch):
             finder.feed(columns)
-        pace.wait_for(is_expecting=finder.is_expecting, due_ns=finder.due_ns)
+        schedule.wait_for(is_expecting=finder.is_expecting, due_ns=finder.due_ns)
         received += len(batch)
     await closer
     return Cost(received=received, cpu_s=clock_s() - began_s)

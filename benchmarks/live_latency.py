@@ -22,7 +22,7 @@ from pathlib import Path
 import numpy as np
 
 from canlog.frames import FrameBatch
-from canlog.live import Pace, SourceCounts
+from canlog.live import ReadSchedule, SourceCounts
 from canlog.live.frame_queue import FrameQueue
 from clutch_model.calibration import nominal_calibration
 from dbc.contract import load_contract
@@ -68,18 +68,18 @@ def full_bus(duration_s: float) -> FrameBatch:
 
 
 class PacedSource:
-    """A bus whose frames come when they are due, looked at when the pace says."""
+    """A bus whose frames come when they are due, looked at when the schedule says."""
 
     description = "paced"
 
-    def __init__(self, frames: FrameBatch, pace: Pace) -> None:
+    def __init__(self, frames: FrameBatch, schedule: ReadSchedule) -> None:
         self._frames = frames
-        self._pace = pace
+        self._schedule = schedule
         self._queue = FrameQueue(linger_s=0.0)
         self._offered = 0
         self._is_over = False
         self._news = asyncio.Event()
-        pace.on_change = self._news.set
+        schedule.on_change = self._news.set
         self.began_s = time.monotonic()
         self._feeding = asyncio.create_task(self._feed())
 
@@ -90,7 +90,7 @@ class PacedSource:
 
     async def __aiter__(self) -> AsyncIterator[FrameBatch]:
         """Iterate over the batches."""
-        while (batch := await self._queue.take()) is not None:
+        while (batch := await self._queue.next_batch()) is not None:
             if len(batch):
                 yield batch
 
@@ -110,10 +110,10 @@ class PacedSource:
         self._queue.close()
 
     async def _gather(self) -> None:
-        """Let frames gather for as long as the pace says, which may change meanwhile."""
+        """Let frames gather for as long as the schedule says, which may change meanwhile."""
         gathered_s = time.monotonic()
         seen_ns = int(self._frames.t_ns[self._offered - 1]) if self._offered else None
-        while not self._is_over and (left_s := gathered_s + self._pace.gather_s(seen_ns) - time.monotonic()) > 0.0:
+        while not self._is_over and (left_s := gathered_s + self._schedule.gather_s(seen_ns) - time.monotonic()) > 0.0:
             self._news.clear()
             with suppress(TimeoutError):
                 await asyncio.wait_for(self._news.wait(), left_s)
@@ -160,9 +160,11 @@ async def run(frames: FrameBatch, store: ResultStore) -> tuple[list[float], list
         utc_now=lambda: "2026-01-01T00:00:00.000000Z",
     )
     session.processed_s = []
-    pace = Pace()
-    source = PacedSource(frames, pace)
-    await run_live(source, session, stop=Trigger(), counts_wanted=Trigger(), outbox=None, duration_s=None, pace=pace)
+    schedule = ReadSchedule()
+    source = PacedSource(frames, schedule)
+    await run_live(
+        source, session, stop=Trigger(), counts_wanted=Trigger(), outbox=None, duration_s=None, schedule=schedule
+    )
     ends_s = [(result.estimate.end_ns - int(frames.t_ns[0])) / NS for result in reporter.results]
     latencies = [told - source.began_s - end for told, end in zip(reporter.told_s, ends_s, strict=True)]
     return latencies, session.processed_s, source.counts

@@ -3,7 +3,7 @@
 from canlog.live.base import FrameSource, LinkBreak, LiveSource, SourceCounts
 from canlog.live.bus_state import BusState, BusStatus
 from canlog.live.factory import BusOpener, open_source
-from canlog.live.pace import Pace
+from canlog.live.read_schedule import ReadSchedule
 from canlog.live.supervisor import SupervisedSource, supervise
 
 __all__ = [
@@ -13,7 +13,7 @@ __all__ = [
     "FrameSource",
     "LinkBreak",
     "LiveSource",
-    "Pace",
+    "ReadSchedule",
     "SourceCounts",
     "SupervisedSource",
     "open_source",

@@ -1,8 +1,8 @@
 """What every live source of frames offers, whatever bus it listens to."""
 
 from collections.abc import AsyncIterator
-from dataclasses import dataclass
-from typing import Protocol
+from dataclasses import dataclass, fields
+from typing import Protocol, TypeVar
 
 from canlog.frames import FrameBatch
 
@@ -20,6 +20,10 @@ class SourceCounts:
     unsupported: int = 0  # neither CAN nor CAN FD
     clock_steps: int = 0  # of the wall clock; bus time does not follow them
 
+    def __add__(self, other: "SourceCounts") -> "SourceCounts":
+        names = [field.name for field in fields(self)]
+        return SourceCounts(**{name: getattr(self, name) + getattr(other, name) for name in names})
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LinkBreak:
@@ -28,8 +32,11 @@ class LinkBreak:
     problem: str
 
 
-class FrameSource(Protocol):
-    """A live bus as batches of frames, oldest first.
+PartT_co = TypeVar("PartT_co", covariant=True)
+
+
+class Source(Protocol[PartT_co]):
+    """A live bus, part by part, oldest first.
 
     Iteration ends after ``aclose``, with all frames received until then handed over, and raises ``SourceError`` when
     the bus fails; frames received before the failure are handed over first.
@@ -43,26 +50,12 @@ class FrameSource(Protocol):
     def counts(self) -> SourceCounts:
         """What has been received and lost until now; exact, also after the source was closed."""
 
-    def __aiter__(self) -> AsyncIterator[FrameBatch]:
-        """Iterate over the batches."""
+    def __aiter__(self) -> AsyncIterator[PartT_co]:
+        """Iterate over the parts."""
 
     async def aclose(self) -> None:
         """Stop receiving; a second call does nothing."""
 
 
-class LiveSource(Protocol):
-    """What a live run reads: like a FrameSource, which is one, but a bus that failed may come back after a break."""
-
-    @property
-    def description(self) -> str:
-        """Interface and channel, for people."""
-
-    @property
-    def counts(self) -> SourceCounts:
-        """What has been received and lost until now; exact, also after the source was closed."""
-
-    def __aiter__(self) -> AsyncIterator[FrameBatch | LinkBreak]:
-        """Iterate over batches and breaks."""
-
-    async def aclose(self) -> None:
-        """Stop receiving; a second call does nothing."""
+FrameSource = Source[FrameBatch]
+LiveSource = Source[FrameBatch | LinkBreak]  # what a live run reads: a bus that failed may come back after a break

@@ -89,7 +89,7 @@ class BusClock:
         if self._last is None or not -SLACK_NS <= stamp_ns - self._last.wall_ns <= STALE_NS:
             self.look()
 
-    def settle(self) -> None:
+    def end_of_backlog(self) -> None:
         """Take note that all frames which arrived before the last look have got their time."""
         self._before = None
 

@@ -52,7 +52,7 @@ class BusWatch:
         """Whether the controller has cut itself off."""
         return self._state is BusState.BUS_OFF
 
-    def hear(self, batch: FrameBatch, dropped: int, now_s: float) -> None:
+    def add_frames(self, batch: FrameBatch, dropped: int, now_s: float) -> None:
         """Take note of frames; ``dropped`` counts all that were lost on this side until now."""
         if dropped > self._dropped:
             self._dropped = dropped
@@ -68,17 +68,17 @@ class BusWatch:
         if self._state is BusState.BUS_OFF:
             self._last_problem = "the controller went bus-off"
 
-    def lose(self, problem: str) -> None:
+    def mark_lost(self, problem: str) -> None:
         """Take note that the interface is not there any more."""
         self._state = BusState.DOWN
         self._interruption_count += 1
         self._last_problem = problem
 
-    def return_(self) -> None:
+    def mark_back(self) -> None:
         """Take note that the interface can be read again."""
         self._state = BusState.RESTARTED
 
-    def ask_restart(self) -> None:
+    def count_restart(self) -> None:
         """Take note that the controller was asked to restart."""
         self._restart_count += 1
 
@@ -96,10 +96,10 @@ class BusWatch:
 
     def _latest(self, batch: FrameBatch) -> BusState:
         """Return the state that the last telling frame of a batch with error frames leaves."""
-        news = (
-            (BusState.UP, ~is_error(batch)),
-            (BusState.BUS_OFF, tells(batch, BusError.BUS_OFF)),
-            (BusState.RESTARTED, tells(batch, BusError.RESTARTED)),
-        )
-        rows = {state: int(np.flatnonzero(told)[-1]) for state, told in news if told.any()}
+        news = {
+            BusState.UP: ~is_error(batch),
+            BusState.BUS_OFF: tells(batch, BusError.BUS_OFF),
+            BusState.RESTARTED: tells(batch, BusError.RESTARTED),
+        }
+        rows = {state: int(np.flatnonzero(told)[-1]) for state, told in news.items() if told.any()}
         return max(rows, key=lambda state: rows[state], default=self._state)

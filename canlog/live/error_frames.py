@@ -5,11 +5,9 @@ from enum import StrEnum
 from typing import Final
 
 import numpy as np
-import numpy.typing as npt
 
+from canlog.arrays import BoolArray
 from canlog.frames import ERROR_FLAG, FrameBatch
-
-BoolArray = npt.NDArray[np.bool_]
 
 
 class BusError(StrEnum):

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from canlog.errors import SourceError
 from canlog.live.base import FrameSource
 from canlog.live.interface import Seen, index_of, present_name, restart_controller
-from canlog.live.pace import Pace
+from canlog.live.read_schedule import ReadSchedule
 from canlog.live.socketcan import SocketCanSource
 
 SOCKETCAN = "socketcan"
@@ -31,15 +31,9 @@ class BusSettings:
 class BusOpener:
     """Opens one bus, again and again.
 
-    Parameters
-    ----------
-    interface, channel, bitrate, fd
-        As python-can names them. What is not given comes from ``CAN_INTERFACE``, ``CAN_CHANNEL`` and
-        ``CAN_BITRATE``, then from ``can.conf``.
-    filters
-        Identifiers and masks that a SocketCAN interface is to let through; other interfaces give everything.
-    pace
-        How long frames of a SocketCAN interface may gather.
+    Interface, channel, bit rate and ``fd`` are as python-can names them; what is not given comes from
+    ``CAN_INTERFACE``, ``CAN_CHANNEL`` and ``CAN_BITRATE``, then from ``can.conf``. Filters, identifiers with masks, and
+    schedule are for SocketCAN; other interfaces give everything at once.
     """
 
     def __init__(
@@ -50,9 +44,9 @@ class BusOpener:
         *,
         fd: bool = False,
         filters: Sequence[tuple[int, int]] = (),
-        pace: Pace | None = None,
+        schedule: ReadSchedule | None = None,
     ) -> None:
-        self._pace = pace
+        self._schedule = schedule
         self._given = (interface, channel, bitrate, fd)
         self._filters = filters
         self._settings: BusSettings | None = None
@@ -72,11 +66,16 @@ class BusOpener:
             self._settings = await asyncio.to_thread(complete_settings, interface, channel, bitrate, fd=fd)
         settings = self._settings
         if settings.interface != SOCKETCAN:
-            return await _open_pythoncan(settings)
+            from canlog.live import pythoncan  # noqa: PLC0415 - heavy, and not needed for SocketCAN
+
+            bus = await asyncio.to_thread(
+                pythoncan.open_bus, settings.interface, settings.channel, settings.bitrate, fd=settings.fd
+            )
+            return pythoncan.PythonCanSource(bus, settings.description)
         if not settings.channel:
             raise SourceError("no CAN channel given: name the interface, for example -i socketcan -c vcan0")
         name = present_name(settings.channel, self._last)
-        source = SocketCanSource(name, fd=settings.fd, filters=self._filters, pace=self._pace)
+        source = SocketCanSource(name, fd=settings.fd, filters=self._filters, schedule=self._schedule)
         self._last = Seen(name=name, index=index_of(name))
         return source
 
@@ -93,15 +92,6 @@ async def open_source(
 ) -> FrameSource:
     """Open a live bus once; arguments and errors as ``BusOpener``."""
     return await BusOpener(interface, channel, bitrate, fd=fd).open()
-
-
-async def _open_pythoncan(settings: BusSettings) -> FrameSource:
-    from canlog.live import pythoncan  # noqa: PLC0415 - heavy, and not needed for SocketCAN
-
-    bus = await asyncio.to_thread(
-        pythoncan.open_bus, settings.interface, settings.channel, settings.bitrate, fd=settings.fd
-    )
-    return pythoncan.PythonCanSource(bus, settings.description)
 
 
 def complete_settings(interface: str | None, channel: str | None, bitrate: int | None, *, fd: bool) -> BusSettings:
@@ -127,8 +117,7 @@ def complete_settings(interface: str | None, channel: str | None, bitrate: int |
         raise SourceError(f"unknown CAN interface {interface!r}: choose one of {known}") from exc
     except (OSError, ValueError, TypeError) as exc:
         raise SourceError(f"the configuration of python-can cannot be used: {exc}") from exc
-    name = found.get("channel")
-    rate = found.get("bitrate")
+    name, rate = found.get("channel"), found.get("bitrate")
     return BusSettings(
         interface=str(found["interface"]),
         channel=None if name is None else str(name),

@@ -3,6 +3,7 @@
 import asyncio
 import threading
 from collections import deque
+from collections.abc import AsyncIterator
 
 from canlog.errors import SourceError
 from canlog.frame_columns import join
@@ -15,9 +16,9 @@ LINGER_S = 0.02  # small batches cost more to decode than they gain in freshness
 class FrameQueue:
     """Carry frames from a receiver, in the loop or in a thread, to one consumer in the loop.
 
-    ``offer`` never waits: what does not fit is dropped and counted, newest first, as the kernel does it. ``take``
-    joins what has gathered, so that the consumer sees few large batches instead of many small ones; it waits for that
-    unless the receiver gathers by itself (``linger_s`` 0).
+    ``offer`` never waits: what does not fit is dropped and counted, newest first, as the kernel does it.
+    ``next_batch`` joins what has gathered, so that the consumer sees few large batches instead of many small ones; it
+    waits for that unless the receiver gathers by itself (``linger_s`` 0).
     """
 
     def __init__(self, *, limit: int = QUEUE_FRAMES, linger_s: float = LINGER_S) -> None:
@@ -65,7 +66,13 @@ class FrameQueue:
         self._signal(self._has_frames)
         self._signal(self._is_urgent)
 
-    async def take(self) -> FrameBatch | None:
+    async def __aiter__(self) -> AsyncIterator[FrameBatch]:
+        """Iterate over the batches that hold frames; ends and fails as ``next_batch`` does."""
+        while (batch := await self.next_batch()) is not None:
+            if len(batch):
+                yield batch
+
+    async def next_batch(self) -> FrameBatch | None:
         """Return everything that has gathered, or None at the end.
 
         Raises

@@ -7,7 +7,7 @@ from collections.abc import AsyncIterator, Sequence
 import can
 import numpy as np
 
-from canlog.bus import opening
+import canlog.bus
 from canlog.errors import SourceError
 from canlog.frames import (
     BRS_FLAG,
@@ -25,7 +25,7 @@ from canlog.live.frame_queue import FrameQueue
 
 POLL_S = 0.1  # how soon the thread notices that it shall stop
 MESSAGES_PER_BATCH = 256
-PATIENCE_S = 3.0  # with a driver that does not return
+JOIN_S = 3.0  # for a driver that does not return
 LAST_BATCHES = 64  # what an interface may still hold; bounded, for the bus may never fall silent
 NS_PER_US = 1_000
 US_PER_S = 1e6
@@ -40,7 +40,7 @@ class PythonCanSource:
 
     def __init__(self, bus: can.BusABC, description: str, *, queue: FrameQueue | None = None) -> None:
         self._bus = bus
-        self._description = description
+        self.description = description
         self._queue = queue or FrameQueue()
         self._received = 0
         self._is_stopping = threading.Event()
@@ -48,31 +48,24 @@ class PythonCanSource:
         self._thread.start()
 
     @property
-    def description(self) -> str:
-        """Interface and channel, for people."""
-        return self._description
-
-    @property
     def counts(self) -> SourceCounts:
         """What has been received and lost until now."""
         return SourceCounts(received=self._received, queue_dropped=self._queue.dropped)
 
-    async def __aiter__(self) -> AsyncIterator[FrameBatch]:
+    def __aiter__(self) -> AsyncIterator[FrameBatch]:
         """Iterate over the batches."""
-        while (batch := await self._queue.take()) is not None:
-            if len(batch):
-                yield batch
+        return aiter(self._queue)
 
     async def aclose(self) -> None:
         """Take what the interface still holds, then end the thread and the bus; a driver that hangs is left behind."""
         self._is_stopping.set()
-        await asyncio.to_thread(self._thread.join, PATIENCE_S)
+        await asyncio.to_thread(self._thread.join, JOIN_S)
         if self._thread.is_alive():
-            self._queue.close(SourceError(f"{self._description} does not answer"))
+            self._queue.close(SourceError(f"{self.description} does not answer"))
 
     def _read(self) -> None:
         """Read until told to stop; whatever ends this thread, the consumer learns of it."""
-        error: SourceError | None = SourceError(f"{self._description}: the reader ended unexpectedly")
+        error: SourceError | None = SourceError(f"{self.description}: the reader ended unexpectedly")
         try:
             while not self._is_stopping.is_set():
                 self._offer(self._receive(POLL_S))
@@ -80,7 +73,7 @@ class PythonCanSource:
                 self._offer(self._receive(0.0))
             error = None
         except (can.CanError, OSError, ValueError) as exc:
-            error = SourceError(f"{self._description} cannot be read: {one_line(exc)}")
+            error = SourceError(f"{self.description} cannot be read: {one_line(exc)}")
         finally:
             self._bus.shutdown()
             self._queue.close(error)
@@ -143,7 +136,7 @@ def open_bus(interface: str, channel: str | None, bitrate: int | None, *, fd: bo
         If the interface is unknown, its driver is missing, or the channel cannot be opened.
     """
     try:
-        return opening.open_bus(interface, channel, bitrate, fd=fd)
+        return canlog.bus.open_bus(interface, channel, bitrate, fd=fd)
     except (can.CanError, OSError, ValueError, TypeError, ImportError, RuntimeError) as exc:
         raise SourceError(f"CAN interface {interface} {channel or ''} cannot be opened: {one_line(exc)}") from exc
 

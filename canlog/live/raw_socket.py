@@ -6,10 +6,11 @@ import socket
 import struct
 from collections.abc import Sequence
 
-from canlog.bus.receive_buffer import RECEIVE_BUFFER_BYTES, grow_receive_buffer
 from canlog.errors import SourceError
-from canlog.live.recvmmsg import SO_TIMESTAMPNS
 
+RECEIVE_BUFFER_BYTES = 8 * 1024 * 1024  # about ten thousand frames: some seconds of a full bus
+SO_RCVBUFFORCE = 33  # linux/socket.h
+SO_TIMESTAMPNS = 35
 ALL_ERROR_CLASSES = 0x1FFF_FFFF
 CAN_RAW_ERR_FILTER = 2
 SO_MEMINFO = 55
@@ -49,6 +50,14 @@ def open_socket(
     return raw
 
 
+def grow_receive_buffer(opened: socket.socket, size_bytes: int = RECEIVE_BUFFER_BYTES) -> None:
+    """Set the receive buffer's size, past the limit of the system if we may; its default loses frames in silence."""
+    try:
+        opened.setsockopt(socket.SOL_SOCKET, SO_RCVBUFFORCE, size_bytes)
+    except OSError:  # not ours to force, or another system
+        opened.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, size_bytes)
+
+
 def let_nothing_in(raw: socket.socket) -> None:
     """Have the kernel give this socket no more frames; those that it holds can still be read."""
     raw.setsockopt(socket.SOL_CAN_RAW, socket.CAN_RAW_FILTER, b"")
@@ -56,7 +65,7 @@ def let_nothing_in(raw: socket.socket) -> None:
 
 
 def granted_share(raw: socket.socket) -> float:
-    """Return how much of the receive buffer that the pace counts on the system has granted."""
+    """Return how much of the receive buffer that the schedule counts on the system has granted."""
     granted_bytes = raw.getsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF) // 2  # it tells twice what was asked for
     return min(1.0, granted_bytes / RECEIVE_BUFFER_BYTES)
 

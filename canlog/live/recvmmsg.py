@@ -12,13 +12,13 @@ import numpy as np
 from canlog.arrays import Int64Array, UInt8Array, UInt32Array
 from canlog.frame_columns import NS_PER_US
 from canlog.frames import BRS_FLAG, ESI_FLAG, FD_FLAG, FD_PAYLOAD_BYTES, PAYLOAD_BYTES, FrameBatch
-from canlog.jit import array_kernel, inlined_kernel
+from canlog.jit import array_kernel
+from canlog.live.raw_socket import SO_TIMESTAMPNS
 
 SLOTS = 512  # frames per call
 CLASSIC_BYTES = 16  # struct can_frame
 FD_BYTES = 72  # struct canfd_frame
 CONTROL_BYTES = 64  # one time stamp takes 32
-SO_TIMESTAMPNS = 35
 NS_PER_S = 1_000_000_000
 
 _CONTROL_WORDS = CONTROL_BYTES // 8  # length, level and type, seconds, nanoseconds
@@ -58,6 +58,7 @@ class Slots(NamedTuple):
     """What the kernel filled in, one row per frame."""
 
     frames: UInt8Array  # (slots, 72)
+    can_id: UInt32Array  # (slots,) the first bytes of those
     control: Int64Array  # (slots, 8)
     size: UInt32Array  # (slots,)
     control_length: Int64Array  # (slots,)
@@ -80,8 +81,10 @@ class FrameReceiver:
         self._vectors = (_IoVector * SLOTS)()
         self._messages = (_Message * SLOTS)()
         headers = np.frombuffer(memoryview(self._messages).cast("B"), np.uint8).reshape(SLOTS, ctypes.sizeof(_Message))
+        frames = np.zeros((SLOTS, FD_BYTES), np.uint8)
         self._slots = Slots(
-            frames=np.zeros((SLOTS, FD_BYTES), np.uint8),
+            frames=frames,
+            can_id=frames.view(np.uint32)[:, 0],
             control=np.zeros((SLOTS, _CONTROL_WORDS), np.int64),
             size=headers[:, _Message.received.offset :][:, :4].view(np.uint32)[:, 0],
             control_length=headers[:, _MessageHeader.control_length.offset :][:, :8].view(np.int64)[:, 0],
@@ -116,46 +119,19 @@ class FrameReceiver:
         return self._reception(count)
 
     def _reception(self, count: int) -> Reception:
-        width = FD_PAYLOAD_BYTES if has_fd(self._slots.size, count) else PAYLOAD_BYTES
+        has_fd = bool((self._slots.size[:count] == FD_BYTES).any())
         columns = SlotColumns(
             t_ns=np.empty(count, np.int64),
             can_id=np.empty(count, np.uint32),
             length=np.empty(count, np.uint8),
             flags=np.empty(count, np.uint8),
-            data=np.zeros((count, width), np.uint8),
+            data=np.zeros((count, FD_PAYLOAD_BYTES if has_fd else PAYLOAD_BYTES), np.uint8),
         )
         known = read_slots(self._slots, count, columns)
         if known < 0:
             raise OSError(errno.EPROTO, "the kernel delivered a frame without its time")
-        batch = FrameBatch(
-            t_ns=columns.t_ns,
-            can_id=columns.can_id,
-            length=columns.length,
-            data=columns.data,
-            flags=columns.flags,
-            channel=np.zeros(count, np.uint8),
-        )
+        batch = FrameBatch(**columns._asdict(), channel=np.zeros(count, np.uint8))
         return Reception(batch=batch if known == count else batch[:known], read=count, unsupported=count - known)
-
-
-@array_kernel
-def has_fd(size: UInt32Array, count: int) -> bool:
-    """Return whether one of the frames is a CAN FD frame."""
-    fd_count = 0
-    for row in range(count):
-        fd_count += size[row] == FD_BYTES
-    return fd_count > 0
-
-
-@inlined_kernel
-def identifier(frame: UInt8Array) -> int:
-    """Return the identifier of a frame as the kernel lays it out, with its flags."""
-    return int(
-        np.uint32(frame[0])
-        | np.uint32(frame[1]) << np.uint32(8)
-        | np.uint32(frame[2]) << np.uint32(16)
-        | np.uint32(frame[3]) << np.uint32(24)
-    )
 
 
 @array_kernel
@@ -181,7 +157,7 @@ def read_slots(slots: Slots, count: int, columns: SlotColumns) -> int:
         # Whole microseconds, cut as candump cuts them: a live stream and its recording have identical times.
         micros = slots.control[row, 3] // NS_PER_US
         columns.t_ns[known] = slots.control[row, 2] * NS_PER_S + micros * NS_PER_US
-        columns.can_id[known] = identifier(frame)
+        columns.can_id[known] = slots.can_id[row]
         length = min(frame[4], FD_PAYLOAD_BYTES if is_fd else PAYLOAD_BYTES)
         columns.length[known] = length
         # The byte of the flags is padding in a classic frame; past its length a sender may leave anything.

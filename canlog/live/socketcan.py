@@ -5,20 +5,20 @@ from collections.abc import AsyncIterator, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
-from canlog.bus.receive_buffer import RECEIVE_BUFFER_BYTES
 from canlog.frames import FrameBatch
 from canlog.live.base import SourceCounts
 from canlog.live.bus_clock import BusClock
 from canlog.live.clock_alarm import clock_alarm
 from canlog.live.frame_queue import FrameQueue
-from canlog.live.pace import RELAXED_S, URGENT_S, Pace
 from canlog.live.raw_socket import (
+    RECEIVE_BUFFER_BYTES,
     granted_share,
     kernel_drops,
     let_nothing_in,
     open_socket,
     reading_failed,
 )
+from canlog.live.read_schedule import RELAXED_S, URGENT_S, ReadSchedule
 from canlog.live.recvmmsg import SLOTS, FrameReceiver, Reception
 
 if TYPE_CHECKING:
@@ -35,7 +35,7 @@ class SocketCanSource:
     """Frames of one SocketCAN interface, among them error frames; it receives from construction on.
 
     While frames come they gather in the kernel, which notes their times, and the socket is emptied as often as the
-    pace says, whether or not somebody consumes them. A bus that fell silent is waited for.
+    schedule says, whether or not somebody consumes them. A bus that fell silent is waited for.
 
     The kernel's own counter of frames lost in the receive buffer is read with SO_MEMINFO. SO_RXQ_OVFL would tell
     the same number with the next frame only, and so never the losses after the last one.
@@ -48,10 +48,6 @@ class SocketCanSource:
         Receive CAN FD frames as well; without it the kernel keeps them from this socket, uncounted.
     filters : sequence of (identifier, mask)
         What the kernel lets through besides error frames; everything if empty. What it holds back is not counted.
-    clock : BusClock or None
-        What takes steps of the wall clock out of the times.
-    pace : Pace or None
-        How long frames may gather.
     receive_buffer_bytes : int
         What to ask of the kernel; without privileges it may grant less.
 
@@ -70,9 +66,10 @@ class SocketCanSource:
         receive_buffer_bytes: int = RECEIVE_BUFFER_BYTES,
         queue: FrameQueue | None = None,
         clock: BusClock | None = None,
-        pace: Pace | None = None,
+        schedule: ReadSchedule | None = None,
     ) -> None:
         self._channel = channel
+        self.description = f"socketcan {channel}"
         self._queue = queue or FrameQueue(linger_s=0.0)
         self._socket: socket.socket | None = open_socket(
             channel, fd=fd, filters=filters, receive_buffer_bytes=receive_buffer_bytes
@@ -80,8 +77,8 @@ class SocketCanSource:
         self._receiver = FrameReceiver(self._socket.fileno())
         self._granted = granted_share(self._socket)
         self._clock = clock or BusClock()
-        self._pace = pace or Pace()
-        self._pace.on_change = self._hurry
+        self._schedule = schedule or ReadSchedule()
+        self._schedule.on_change = self._hurry
         self._received = 0
         self._seen_ns: int | None = None  # bus time of the last frame
         self._unsupported = 0
@@ -97,11 +94,6 @@ class SocketCanSource:
         self._loop.add_reader(self._socket, self._wake)
 
     @property
-    def description(self) -> str:
-        """Interface and channel, for people."""
-        return f"socketcan {self._channel}"
-
-    @property
     def counts(self) -> SourceCounts:
         """What has been received and lost until now."""
         return SourceCounts(
@@ -112,11 +104,9 @@ class SocketCanSource:
             clock_steps=self._clock.step_count,
         )
 
-    async def __aiter__(self) -> AsyncIterator[FrameBatch]:
+    def __aiter__(self) -> AsyncIterator[FrameBatch]:
         """Iterate over the batches."""
-        while (batch := await self._queue.take()) is not None:
-            if len(batch):
-                yield batch
+        return aiter(self._queue)
 
     async def aclose(self) -> None:
         """Let nothing more in, take what the kernel still holds, then stop."""
@@ -150,7 +140,7 @@ class SocketCanSource:
 
     def _gather_s(self) -> float:
         """Return for how long frames may gather: no longer than a small receive buffer holds a full bus [s]."""
-        return min(self._pace.gather_s(self._seen_ns), max(self._granted * RELAXED_S, URGENT_S))
+        return min(self._schedule.gather_s(self._seen_ns), max(self._granted * RELAXED_S, URGENT_S))
 
     def _hurry(self) -> None:
         """Empty the socket earlier than was thought, if what is waited for now comes earlier."""
@@ -181,7 +171,7 @@ class SocketCanSource:
                 self._close()
                 return True
             if reception.read < SLOTS and not is_last and self._failure is None:
-                self._clock.settle()
+                self._clock.end_of_backlog()
                 return True  # what comes meanwhile is for the next time: no call in vain
         return False
 

@@ -3,7 +3,7 @@
 import asyncio
 import logging
 from collections.abc import AsyncIterator
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from typing import Protocol
 
 from canlog.bus_load import frame_bits
@@ -31,7 +31,7 @@ class Opener(Protocol):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Patience:
+class Backoff:
     """How often is tried again [s]."""
 
     retry_s: float = RETRY_S
@@ -46,34 +46,24 @@ class SupervisedSource:
     with ``aclose`` only.
     """
 
-    def __init__(self, opener: Opener, first: FrameSource, patience: Patience | None = None) -> None:
+    def __init__(self, opener: Opener, first: FrameSource, backoff: Backoff | None = None) -> None:
         self._opener = opener
-        self._patience = patience or Patience()
+        self._backoff = backoff or Backoff()
         self._source: FrameSource | None = first
-        self._description = first.description
+        self.description = first.description
         self._past = SourceCounts()
-        self._retry_s = self._patience.retry_s
+        self._retry_s = self._backoff.retry_s
         self._watch = BusWatch()
-        self._bit_count = 0.0
+        self.bit_count = 0.0  # of all frames on the bus, stuff bits estimated
         self._counted_s = -COUNT_PERIOD_S
         self._dropped = 0  # at the last count
         self._closing = asyncio.Event()
         self._restarter: asyncio.Task[None] | None = None
 
     @property
-    def description(self) -> str:
-        """Interface and channel, for people."""
-        return self._description
-
-    @property
     def counts(self) -> SourceCounts:
         """What all openings together received and lost."""
-        return self._past if self._source is None else _sum(self._past, self._source.counts)
-
-    @property
-    def bit_count(self) -> float:
-        """Bits on the bus that the frames heard stand for, stuff bits estimated."""
-        return self._bit_count
+        return self._past if self._source is None else self._past + self._source.counts
 
     @property
     def status(self) -> BusStatus:
@@ -85,13 +75,13 @@ class SupervisedSource:
         while self._source is not None:
             try:
                 async for batch in self._source:
-                    self._hear(batch)
+                    self._note(batch)
                     yield batch
             except SourceError as exc:
                 problem = str(exc)
             else:
                 return
-            await self._let_go(problem)
+            await self._give_up(problem)
             yield LinkBreak(problem=problem)
             await self._reopen()
 
@@ -103,23 +93,23 @@ class SupervisedSource:
         if self._source is not None:
             await self._source.aclose()
 
-    def _hear(self, batch: FrameBatch) -> None:
+    def _note(self, batch: FrameBatch) -> None:
         now_s = _now_s()
         if now_s - self._counted_s > COUNT_PERIOD_S:  # a question to the kernel
             counts = self.counts
             self._counted_s, self._dropped = now_s, counts.kernel_dropped + counts.queue_dropped
-        self._bit_count += float(frame_bits(batch).sum())
-        self._retry_s = self._patience.retry_s
-        self._watch.hear(batch, self._dropped, now_s)
+        self.bit_count += float(frame_bits(batch).sum())
+        self._retry_s = self._backoff.retry_s
+        self._watch.add_frames(batch, self._dropped, now_s)
         if self._watch.is_off and (self._restarter is None or self._restarter.done()):
             self._restarter = asyncio.create_task(self._restart(), name="bus restart")
 
-    async def _let_go(self, problem: str) -> None:
-        self._watch.lose(problem)
+    async def _give_up(self, problem: str) -> None:
+        self._watch.mark_lost(problem)
         _LOG.warning("%s; waiting for its return", problem)
         if self._source is not None:
             await self._source.aclose()
-            self._past, self._source = _sum(self._past, self._source.counts), None
+            self._past, self._source = self._past + self._source.counts, None
 
     async def _reopen(self) -> None:
         """Open the bus as soon as it can be opened, unless this is closed before."""
@@ -131,27 +121,27 @@ class SupervisedSource:
             except SourceError as exc:
                 _LOG.debug("not yet: %s", exc)
             else:
-                self._source, self._description = source, source.description
-                self._retry_s = min(2.0 * self._retry_s, self._patience.longest_retry_s)
-                self._watch.return_()
+                self._source, self.description = source, source.description
+                self._retry_s = min(2.0 * self._retry_s, self._backoff.longest_retry_s)
+                self._watch.mark_back()
                 _LOG.log(NOTICE, "%s is read again after %.1f s", source.description, _now_s() - lost_s)
                 if self._closing.is_set():
                     await source.aclose()
                 return
-            await _first_of(self._closing, self._patience.retry_s)
+            await _first_of(self._closing, self._backoff.retry_s)
 
     async def _restart(self) -> None:
         """Ask for a restart, once in a while, until the controller is back on the bus."""
         last_refusal: str | None = None
         while self.status.state is BusState.BUS_OFF:
             refusal = await self._opener.restart()
-            self._watch.ask_restart()
+            self._watch.count_restart()
             if refusal is None:
-                _LOG.log(NOTICE, "%s is bus-off; asked it to restart", self._description)
+                _LOG.log(NOTICE, "%s is bus-off; asked it to restart", self.description)
             elif refusal != last_refusal:
-                _LOG.warning("%s is bus-off and cannot be restarted from here: %s", self._description, refusal)
+                _LOG.warning("%s is bus-off and cannot be restarted from here: %s", self.description, refusal)
             last_refusal = refusal
-            await asyncio.sleep(self._patience.restart_s)
+            await asyncio.sleep(self._backoff.restart_s)
 
 
 async def supervise(opener: Opener) -> SupervisedSource:
@@ -163,12 +153,6 @@ async def supervise(opener: Opener) -> SupervisedSource:
         If it cannot be opened now: a service that never heard its bus was most likely told the wrong one.
     """
     return SupervisedSource(opener, await opener.open())
-
-
-def _sum(past: SourceCounts, present: SourceCounts) -> SourceCounts:
-    return SourceCounts(
-        **{field.name: getattr(past, field.name) + getattr(present, field.name) for field in fields(SourceCounts)}
-    )
 
 
 def _now_s() -> float:

@@ -13,7 +13,7 @@ from pathlib import Path
 
 from rich.console import Console
 
-from canlog.live import BusOpener, Pace, supervise
+from canlog.live import BusOpener, ReadSchedule, supervise
 from canlog.notice import NOTICE
 from diag_service.console.terminal import PeopleConsole
 from diag_service.delivery import (
@@ -149,8 +149,8 @@ async def _run_bus(
     onlooker: Callable[[Snapshot], None] = lambda _: None,
 ) -> None:
     filters = session.stages.kernel_filters if bus.is_filtered else ()
-    pace = Pace()
-    opener = BusOpener(bus.interface, bus.channel, bus.bitrate, fd=bus.is_fd, filters=filters, pace=pace)
+    schedule = ReadSchedule()
+    opener = BusOpener(bus.interface, bus.channel, bus.bitrate, fd=bus.is_fd, filters=filters, schedule=schedule)
     source = await supervise(opener)
     session.reporter.report(f"{source.description} for {config.vehicle}, results in {store.where}")
     now_s = asyncio.get_running_loop().time
@@ -179,7 +179,7 @@ async def _run_bus(
             outbox=_outbox(config, store, session, is_live=True),
             duration_s=bus.duration_s,
             show=show,
-            pace=pace,
+            schedule=schedule,
         )
 
 

@@ -5,7 +5,7 @@ import logging
 from collections.abc import Callable, Sequence
 
 from canlog.errors import SourceError
-from canlog.live import LinkBreak, LiveSource, Pace
+from canlog.live import LinkBreak, LiveSource, ReadSchedule
 from canlog.notice import NOTICE
 from diag_service.delivery import Outbox
 from diag_service.diagnosis.events import Event
@@ -33,7 +33,7 @@ async def run_live(
     outbox: Outbox | None,
     duration_s: float | None,
     show: Callable[[], None] = lambda: None,
-    pace: Pace | None = None,
+    schedule: ReadSchedule | None = None,
 ) -> Summary:
     """Diagnose a live bus until ``stop``, ``duration_s`` or its failure; return the numbers.
 
@@ -45,7 +45,7 @@ async def run_live(
     ----------
     show
         Called every ``SHOW_PERIOD_S`` by the loop that reads the bus, and once more when that has ended.
-    pace
+    schedule
         Is told what is waited for, so that the source need not hurry before.
 
     Raises
@@ -59,7 +59,7 @@ async def run_live(
     def counts() -> FrameCounts:
         return frame_counts(source, session.stages)
 
-    pace = pace or Pace()
+    schedule = schedule or ReadSchedule()
     failure: SourceError | None = None
     unpublished_count: int | None = None
     turn = asyncio.Lock()  # one thread at a time is at work in a session
@@ -77,7 +77,7 @@ async def run_live(
                 async for part in source:
                     stages = session.stages
                     events = stages.flush() if isinstance(part, LinkBreak) else stages.segment(part)
-                    pace.wait_for(is_expecting=stages.is_expecting, due_ns=stages.due_ns)
+                    schedule.wait_for(is_expecting=stages.is_expecting, due_ns=stages.due_ns)
                     await _process_all(session, events, outbox, turn)
             except SourceError as exc:
                 failure = exc

@@ -17,7 +17,7 @@ from canlog.frames import FrameBatch
 from canlog.live import FrameSource, open_source
 from canlog.live.clock_alarm import ClockAlarm
 from canlog.live.frame_queue import FrameQueue
-from canlog.live.pace import Pace
+from canlog.live.read_schedule import ReadSchedule
 from canlog.live.socketcan import SocketCanSource
 from canlog.logs import read_log
 from tests.support.patience import HANG_S
@@ -190,9 +190,9 @@ def test_who_sets_the_clock_rings_the_alarm() -> None:
 async def test_frames_come_soon_while_a_shift_is_on_and_at_leisure_otherwise(vcan: str) -> None:
     batch_counts = []
     for is_expecting in (False, True):
-        pace = Pace()
-        pace.wait_for(is_expecting=is_expecting, due_ns=None)
-        source = SocketCanSource(vcan, pace=pace)
+        schedule = ReadSchedule()
+        schedule.wait_for(is_expecting=is_expecting, due_ns=None)
+        source = SocketCanSource(vcan, schedule=schedule)
         collector = asyncio.create_task(collect(source))
         await asyncio.to_thread(send_numbers, vcan, 40, gap_s=0.02)
         await source.aclose()

@@ -154,7 +154,7 @@ def test_who_is_told_of_steps_looks_once_a_second_and_where_a_stamp_is_far_away(
         stamp = clocks.wall_ns(np.array([true_ns - 1_000_000]))
         clock.look_if_stale(int(stamp[0]))
         assert clock.bus_time_ns(stamp).tolist() == [true_ns - 1_000_000]
-        clock.settle()
+        clock.end_of_backlog()
     assert clock.step_count == 1
     assert 8 <= len(looks) <= 12
 
@@ -173,5 +173,5 @@ def test_a_small_step_told_at_once_moves_neither_the_frames_before_nor_those_aft
         stamps = clocks.wall_ns(part)
         clock.look_if_stale(int(stamps[-1]))
         assert clock.bus_time_ns(stamps).tolist() == part.tolist()
-        clock.settle()
+        clock.end_of_backlog()
     assert clock.step_count == 1

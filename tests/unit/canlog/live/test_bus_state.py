@@ -21,7 +21,7 @@ def heard(*can_ids: int) -> FrameBatch:
 
 def test_a_bus_that_delivers_is_up() -> None:
     watch = BusWatch()
-    watch.hear(heard(DATA, DATA), 0, 1.0)
+    watch.add_frames(heard(DATA, DATA), 0, 1.0)
     status = watch.status(1.0)
     assert (status.state, status.errors, status.interruption_count) == (BusState.UP, {}, 0)
     assert status.last_problem is None
@@ -29,7 +29,7 @@ def test_a_bus_that_delivers_is_up() -> None:
 
 def test_an_error_degrades_the_bus_for_a_while() -> None:
     watch = BusWatch()
-    watch.hear(heard(DATA, ARBITRATION, DATA), 0, 10.0)
+    watch.add_frames(heard(DATA, ARBITRATION, DATA), 0, 10.0)
     assert watch.status(10.0 + 0.9 * TROUBLE_S).state is BusState.DEGRADED
     assert watch.status(10.0 + TROUBLE_S).state is BusState.UP
     assert watch.status(99.0).errors == {BusError.ARBITRATION_LOST: 1}
@@ -37,8 +37,8 @@ def test_an_error_degrades_the_bus_for_a_while() -> None:
 
 def test_a_loss_degrades_the_bus_once() -> None:
     watch = BusWatch()
-    watch.hear(heard(DATA), 7, 10.0)
-    watch.hear(heard(DATA), 7, 10.0 + TROUBLE_S)
+    watch.add_frames(heard(DATA), 7, 10.0)
+    watch.add_frames(heard(DATA), 7, 10.0 + TROUBLE_S)
     assert watch.status(10.0).state is BusState.DEGRADED
     assert watch.status(10.0 + TROUBLE_S).state is BusState.UP
 
@@ -47,7 +47,7 @@ def test_bus_off_lasts_until_a_restart_and_that_until_a_frame() -> None:
     watch = BusWatch()
     states = []
     for batch in (heard(DATA, BUS_OFF), heard(ARBITRATION), heard(RESTART), heard(DATA)):
-        watch.hear(batch, 0, 0.0)
+        watch.add_frames(batch, 0, 0.0)
         states.append(watch.status(2 * TROUBLE_S).state)
     assert states == [BusState.BUS_OFF, BusState.BUS_OFF, BusState.RESTARTED, BusState.UP]
     assert watch.status(0.0).last_problem == "the controller went bus-off"
@@ -60,16 +60,16 @@ def test_the_order_inside_a_batch_counts() -> None:
         (heard(RESTART, DATA, BUS_OFF), BusState.BUS_OFF),
     ):
         watch = BusWatch()
-        watch.hear(batch, 0, 0.0)
+        watch.add_frames(batch, 0, 0.0)
         assert watch.status(2 * TROUBLE_S).state is state
 
 
 def test_an_interface_that_goes_and_comes() -> None:
     watch = BusWatch()
-    watch.lose("gone")
+    watch.mark_lost("gone")
     assert watch.status(0.0).state is BusState.DOWN
-    watch.return_()
+    watch.mark_back()
     assert watch.status(0.0).state is BusState.RESTARTED
-    watch.hear(heard(DATA), 0, 1.0)
+    watch.add_frames(heard(DATA), 0, 1.0)
     status = watch.status(1.0)
     assert (status.state, status.interruption_count, status.last_problem) == (BusState.UP, 1, "gone")

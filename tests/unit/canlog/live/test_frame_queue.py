@@ -25,7 +25,7 @@ async def test_small_batches_are_joined() -> None:
     queue = FrameQueue(linger_s=0.0)
     for part in parts:
         queue.offer(part)
-    taken = await queue.take()
+    taken = await queue.next_batch()
     assert taken is not None
     assert_same(taken, whole)
 
@@ -36,11 +36,11 @@ async def test_what_does_not_fit_is_dropped_newest_first_and_counted() -> None:
     for part in parts:
         queue.offer(part)
     assert queue.dropped == 55
-    taken = await queue.take()
+    taken = await queue.next_batch()
     assert taken is not None
     assert_same(taken, whole[:45])
     queue.offer(parts[0])
-    taken = await queue.take()
+    taken = await queue.next_batch()
     assert taken is not None
     assert_same(taken, parts[0])
     assert queue.dropped == 55
@@ -50,7 +50,7 @@ async def test_a_queue_half_full_does_not_wait_for_more() -> None:
     _, parts = batches(60, 60)
     queue = FrameQueue(limit=100, linger_s=3600.0)
     queue.offer(parts[0])
-    taken = await asyncio.wait_for(queue.take(), timeout=HANG_S)
+    taken = await asyncio.wait_for(queue.next_batch(), timeout=HANG_S)
     assert taken is not None
     assert len(taken) == 60
 
@@ -61,11 +61,11 @@ async def test_the_end_comes_after_the_frames() -> None:
     queue.offer(parts[0])
     queue.offer(parts[1])
     queue.close()
-    taken = await asyncio.wait_for(queue.take(), timeout=HANG_S)
+    taken = await asyncio.wait_for(queue.next_batch(), timeout=HANG_S)
     assert taken is not None
     assert_same(taken, whole)
-    assert await queue.take() is None
-    assert await queue.take() is None
+    assert await queue.next_batch() is None
+    assert await queue.next_batch() is None
 
 
 async def test_an_error_comes_after_the_frames_and_the_first_one_counts() -> None:
@@ -74,9 +74,9 @@ async def test_an_error_comes_after_the_frames_and_the_first_one_counts() -> Non
     queue.offer(parts[0])
     queue.close(SourceError("went down"))
     queue.close(SourceError("later"))
-    assert await queue.take() is not None
+    assert await queue.next_batch() is not None
     with pytest.raises(SourceError, match="went down"):
-        await queue.take()
+        await queue.next_batch()
 
 
 async def test_a_closed_queue_takes_nothing_and_counts_it() -> None:
@@ -85,7 +85,7 @@ async def test_a_closed_queue_takes_nothing_and_counts_it() -> None:
     queue.close()
     queue.offer(parts[0])
     assert queue.dropped == 10
-    assert await queue.take() is None
+    assert await queue.next_batch() is None
 
 
 async def test_a_thread_loses_nothing() -> None:
@@ -100,7 +100,7 @@ async def test_a_thread_loses_nothing() -> None:
     producer = threading.Thread(target=produce)
     producer.start()
     taken = []
-    while (batch := await asyncio.wait_for(queue.take(), timeout=HANG_S)) is not None:
+    while (batch := await asyncio.wait_for(queue.next_batch(), timeout=HANG_S)) is not None:
         taken.append(batch)
     producer.join()
     assert queue.dropped == 0
@@ -113,7 +113,7 @@ async def test_a_queue_that_ended_with_an_error_is_not_kept_alive_by_it() -> Non
     queue = FrameQueue(linger_s=0.0)
     queue.close(SourceError("gone"))
     with pytest.raises(SourceError, match="gone"):
-        await queue.take()
+        await queue.next_batch()
     gone = weakref.ref(queue)
     gc.disable()
     try:

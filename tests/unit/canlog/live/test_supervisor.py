@@ -10,11 +10,11 @@ import pytest
 from canlog.errors import SourceError
 from canlog.frames import ERROR_FLAG, FrameBatch
 from canlog.live import BusState, LinkBreak, SourceCounts, SupervisedSource, supervise
-from canlog.live.supervisor import Patience
+from canlog.live.supervisor import Backoff
 from canlog.notice import NOTICE
 from tests.support.patience import HANG_S
 
-QUICK = Patience(retry_s=0.001, restart_s=0.01)
+QUICK = Backoff(retry_s=0.001, restart_s=0.01)
 
 
 def numbered(*numbers: int, flags: int = 0) -> FrameBatch:
@@ -138,7 +138,7 @@ async def test_a_frame_ends_the_requests_for_a_restart() -> None:
 async def test_a_bus_that_opens_and_fails_at_once_is_tried_less_and_less_often() -> None:
     steps = [ShortSource(failure="no") for _ in range(30)]
     source = SupervisedSource(
-        Script(*steps), ShortSource(numbered(1), failure="no"), Patience(retry_s=0.001, longest_retry_s=0.05)
+        Script(*steps), ShortSource(numbered(1), failure="no"), Backoff(retry_s=0.001, longest_retry_s=0.05)
     )
     iteration = asyncio.create_task(parts_of(source, 99))
     await asyncio.sleep(0.3)

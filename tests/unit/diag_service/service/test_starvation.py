@@ -15,7 +15,7 @@ import can
 import pytest
 
 from canlog.live import BusOpener, LinkBreak, SupervisedSource
-from canlog.live.supervisor import Patience
+from canlog.live.supervisor import Backoff
 from diag_service.delivery import DeliveryLimits, DetachedReporter, MemoryLink, MemoryReporter, News, Outbox
 from diag_service.diagnosis.records import ShiftResult
 from diag_service.diagnosis.summary import Summary
@@ -141,7 +141,7 @@ async def test_a_driver_that_fails_once_is_opened_again(
 ) -> None:
     caplog.set_level(logging.INFO)
     opener = BusOpener("virtual", "starvation")
-    source = SupervisedSource(opener, await opener.open(), Patience(retry_s=0.01))
+    source = SupervisedSource(opener, await opener.open(), Backoff(retry_s=0.01))
     heard: list[int | str] = []
     has_broken = asyncio.Event()
 

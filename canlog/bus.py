@@ -1,29 +1,63 @@
-"""A CAN bus of UDP multicast that stays in this machine unless told otherwise; its frames are those of python-can."""
+"""The bus that a user names: python-can's, but multicast UDP that keeps to this machine unless told otherwise."""
 
 import select
 import socket
 import struct
 import time
+from collections.abc import Mapping
 from functools import lru_cache
 from typing import Any, Final
 
 import can
 from can.interfaces.udp_multicast.utils import pack_message, unpack_message
 
-from canlog.bus.receive_buffer import grow_receive_buffer
+from canlog.live.raw_socket import SO_TIMESTAMPNS, grow_receive_buffer
 
+UDP_MULTICAST: Final = "udp_multicast"
 DEFAULT_GROUP: Final = "ff15:7079:7468:6f6e:6465:6d6f:6d63:6173"  # group and port are python-can's own
 DEFAULT_PORT: Final = 43113
 THIS_MACHINE: Final = 0  # hops
 MAX_HOPS: Final = 255
 LOOPBACK: Final = "127.0.0.1"
 MAX_DATAGRAM_BYTES: Final = 4096
-SO_TIMESTAMPNS: Final = 35  # linux/socket.h
 TIMESPEC: Final = struct.Struct("@ll")
 ANCILLARY_BYTES: Final = socket.CMSG_SPACE(TIMESPEC.size)
 NS_PER_S: Final = 1e9
+_HANDLED: Final = frozenset({"interface", "channel"})
 
 Address = tuple[Any, ...]  # host and port, and two numbers more with IPv6
+
+
+def open_bus(interface: str | None, channel: str | None, bitrate: int | None, *, fd: bool = False) -> can.BusABC:
+    """Open a bus; what is not given comes from CAN_INTERFACE, CAN_CHANNEL, CAN_CONFIG and can.conf.
+
+    The interface ``udp_multicast`` keeps to this machine unless the configuration names a ``hop_limit``. No bus hears
+    itself, whatever is configured.
+
+    Raises
+    ------
+    can.CanError, OSError, ValueError, TypeError, ImportError, RuntimeError
+        If no bus is named, or it cannot be opened.
+    """
+    can.set_logging_level("critical")  # python-can logs what it raises, and more when a half-made bus goes
+    options: dict[str, Any] = {"fd": True} if fd else {}  # what is not asked for is left to the driver
+    if bitrate is not None:
+        options["bitrate"] = bitrate
+    named = {"interface": interface, "channel": channel}
+    found = can.util.load_config(config={**{key: name for key, name in named.items() if name}, **options})
+    if found["interface"] == UDP_MULTICAST:
+        return _multicast(found)
+    if found.get("receive_own_messages"):
+        options["receive_own_messages"] = False
+    return can.Bus(channel, interface, **options)
+
+
+def _multicast(found: Mapping[str, Any]) -> "MulticastBus":
+    group = str(found.get("channel") or DEFAULT_GROUP)
+    options = {key: value for key, value in found.items() if key not in _HANDLED}
+    if type(options.get("hop_limit", 0)) is not int:  # nor a bool, which is an int
+        raise TypeError(f"hop_limit must be a whole number, got {options['hop_limit']!r}")
+    return MulticastBus(group, **options)
 
 
 class MulticastBus(can.BusABC):
@@ -31,25 +65,10 @@ class MulticastBus(can.BusABC):
 
     With no hop, which is the default, frames neither leave this machine nor are taken from another one; an IPv4 group
     is then joined on the loopback interface, so the network does not even learn of it. With one hop or more the bus is
-    that of the local network, or farther. Programs that use python-can's ``udp_multicast`` meet this bus.
+    that of the local network, or farther. Programs that use python-can's ``udp_multicast`` meet this bus, whose
+    arguments are the same; ``hop_limit`` is how many networks a frame may cross.
 
-    Parameters
-    ----------
-    channel
-        Multicast group, IPv4 or IPv6.
-    port
-        UDP port.
-    hop_limit
-        How many networks a frame may cross: 0 for none, 1 for the local network.
-    fd
-        Whether frames of CAN FD are received and may be sent.
-
-    Raises
-    ------
-    can.CanInitializationError
-        If the group cannot be joined.
-    ValueError
-        If the group or the number of hops is none.
+    Raises can.CanInitializationError if the group cannot be joined, ValueError if it or the number of hops is none.
     """
 
     def __init__(

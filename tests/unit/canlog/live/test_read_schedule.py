@@ -2,20 +2,20 @@
 
 import pytest
 
-from canlog.live.pace import EXPECTING_S, LATE_S, NS_PER_S, RELAXED_S, URGENT_S, Pace
+from canlog.live.read_schedule import EXPECTING_S, LATE_S, NS_PER_S, RELAXED_S, URGENT_S, ReadSchedule
 from diag_service.diagnosis.shifts.shifts import POST_NS
 
 NOW_NS = 1_700_000_000_000_000_000
 
 
-def waiting(*, due_ns: int | None = None) -> Pace:
-    pace = Pace()
-    pace.wait_for(is_expecting=True, due_ns=due_ns)
-    return pace
+def waiting(*, due_ns: int | None = None) -> ReadSchedule:
+    schedule = ReadSchedule()
+    schedule.wait_for(is_expecting=True, due_ns=due_ns)
+    return schedule
 
 
 def test_nothing_hurries_while_nothing_goes_on() -> None:
-    assert Pace().gather_s(None) == Pace().gather_s(NOW_NS) == RELAXED_S
+    assert ReadSchedule().gather_s(None) == ReadSchedule().gather_s(NOW_NS) == RELAXED_S
 
 
 def test_the_end_of_a_shift_is_known_before_its_result_is_due() -> None:
@@ -26,15 +26,15 @@ def test_the_end_of_a_shift_is_known_before_its_result_is_due() -> None:
     ("ahead_s", "expected_s"), [(0.04, 0.04 + LATE_S), (0.0, URGENT_S), (-1.0, URGENT_S), (9.0, EXPECTING_S)]
 )
 def test_frames_are_looked_at_just_when_a_result_is_due(ahead_s: float, expected_s: float) -> None:
-    pace = waiting(due_ns=NOW_NS + round(ahead_s * NS_PER_S))
-    assert pace.gather_s(NOW_NS) == pytest.approx(expected_s)
+    schedule = waiting(due_ns=NOW_NS + round(ahead_s * NS_PER_S))
+    assert schedule.gather_s(NOW_NS) == pytest.approx(expected_s)
 
 
 def test_a_source_hears_of_it_when_something_else_is_waited_for() -> None:
-    pace, heard = Pace(), list[float]()
-    pace.on_change = lambda: heard.append(pace.gather_s(NOW_NS))
+    schedule, heard = ReadSchedule(), list[float]()
+    schedule.on_change = lambda: heard.append(schedule.gather_s(NOW_NS))
     for _ in range(2):
-        pace.wait_for(is_expecting=True, due_ns=None)
-    pace.wait_for(is_expecting=True, due_ns=NOW_NS)
-    pace.wait_for(is_expecting=False, due_ns=None)
+        schedule.wait_for(is_expecting=True, due_ns=None)
+    schedule.wait_for(is_expecting=True, due_ns=NOW_NS)
+    schedule.wait_for(is_expecting=False, due_ns=None)
     assert heard == [EXPECTING_S, URGENT_S, RELAXED_S]

@@ -12,7 +12,7 @@ LATE_S: Final = 0.002  # frames of the moment that is waited for must have arriv
 Listener = Callable[[], None]
 
 
-class Pace:
+class ReadSchedule:
     """What a source and its consumer agree on: the consumer tells what it waits for.
 
     Nothing hurries while nothing can come of it. Once it is known at which bus time a result will be there, the

@@ -8,8 +8,7 @@ from collections.abc import Iterator
 import can
 import pytest
 
-from canlog.bus.multicast import MulticastBus, is_own_address
-from canlog.bus.opening import open_bus
+from canlog.bus import MulticastBus, is_own_address, open_bus
 from tests.support.replay import UdpBus, free_bus
 
 PATIENCE_S = 20.0
