@@ -13,7 +13,7 @@ from typing import Final
 import can
 import numpy as np
 
-import canlog.bus
+from canlog.live import opening
 from ecu_emulator.errors import BusError
 from ecu_emulator.frames import EncodedFrames
 from ecu_emulator.punctuality import Punctuality
@@ -255,7 +255,7 @@ def open_bus(
     try:
         if interface == "socketcan" and channel:
             probe_socketcan(channel)
-        return canlog.bus.open_bus(interface, channel, bitrate, fd=fd)
+        return opening.open_bus(interface, channel, bitrate, fd=fd)
     except can.CanInterfaceNotImplementedError as exc:
         if interface is None:
             raise BusError("no CAN interface given: use -i and -c, CAN_INTERFACE and CAN_CHANNEL, or can.conf") from exc

@@ -7,7 +7,6 @@ from collections.abc import AsyncIterator, Sequence
 import can
 import numpy as np
 
-import canlog.bus
 from canlog.errors import SourceError
 from canlog.frames import (
     BRS_FLAG,
@@ -20,6 +19,7 @@ from canlog.frames import (
     REMOTE_FLAG,
     FrameBatch,
 )
+from canlog.live import opening
 from canlog.live.base import SourceCounts
 from canlog.live.frame_queue import FrameQueue
 
@@ -136,7 +136,7 @@ def open_bus(interface: str, channel: str | None, bitrate: int | None, *, fd: bo
         If the interface is unknown, its driver is missing, or the channel cannot be opened.
     """
     try:
-        return canlog.bus.open_bus(interface, channel, bitrate, fd=fd)
+        return opening.open_bus(interface, channel, bitrate, fd=fd)
     except (can.CanError, OSError, ValueError, TypeError, ImportError, RuntimeError) as exc:
         raise SourceError(f"CAN interface {interface} {channel or ''} cannot be opened: {one_line(exc)}") from exc
 

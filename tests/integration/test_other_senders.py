@@ -13,7 +13,7 @@ from pathlib import Path
 import can
 import pytest
 
-from canlog.bus import MulticastBus
+from canlog.live.opening import MulticastBus
 from ecu_emulator.other_senders import WORTH_SAYING, OtherSenders
 from tests.support.replay import UdpBus, free_bus
 from tests.support.service import service

@@ -8,7 +8,7 @@ from collections.abc import Iterator
 import can
 import pytest
 
-from canlog.bus import MulticastBus, is_own_address, open_bus
+from canlog.live.opening import MulticastBus, is_own_address, open_bus
 from tests.support.replay import UdpBus, free_bus
 
 PATIENCE_S = 20.0
