@@ -7,11 +7,11 @@ import numpy as np
 from benchmarks.full_estimator.inversion import contact_track_pa, film_track_m, piston_track_pa
 from benchmarks.full_estimator.signals import BoolArray, FullSignals
 from benchmarks.full_estimator.torques import ClutchState
+from benchmarks.reproduce.differences import central_difference
 from canlog.arrays import FloatArray
 from clutch_model.clutch import ClutchCalibration
 from clutch_model.film import FilmLaw, film_law, piston_pressures_pa
 from clutch_model.friction import FrictionLaw, friction_law
-from diag_service.diagnosis.friction.paper.differentiate import central_difference
 
 SLIP_MIN_RAD_S = 0.3  # three times the slip at which a clutch locks: what is slower may be locked
 TORQUE_MIN_NM = 1.0  # below, a sample says nothing

@@ -18,6 +18,7 @@ import numpy as np
 import numpy.typing as npt
 
 from benchmarks.full_estimator.inversion import piston_track_pa
+from benchmarks.reproduce.differences import central_difference
 from benchmarks.reproduce.drives import PERIOD_S, PRESSURE_NOISE_RATIO, PaperDrive, rms
 from benchmarks.reproduce.study import CLUTCHES, PARAMETERS, Key, true_value
 from canlog.arrays import FloatArray
@@ -31,7 +32,6 @@ from clutch_model.film import (
 )
 from clutch_model.friction import FrictionLaw, contact_torque_nm, friction_law, kinetic_friction, stribeck_weight
 from clutch_model.viscosity import viscosities_pa_s
-from diag_service.diagnosis.friction.paper import central_difference
 from ecu_emulator.plant import Col
 
 BoolArray = npt.NDArray[np.bool_]

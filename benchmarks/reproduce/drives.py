@@ -8,15 +8,18 @@ import numpy.typing as npt
 
 from canlog.arrays import FloatArray
 from clutch_model.calibration import Calibration, nominal_calibration
-from clutch_model.film import film_law
+from clutch_model.film import FilmLaw, film_law
 from clutch_model.gears import clutch_of_gear
-from diag_service.diagnosis.friction.paper import FilmTable, PaperSignals, static_table, trajectory_table
+from diag_service.diagnosis.friction.paper.friction_data import TABLE_END_PA, FilmTable, static_table
+from diag_service.diagnosis.friction.paper.method import PaperSignals
 from ecu_emulator.plant import Col, DriveSettings, Powertrain, nominal_parameters
 from ecu_emulator.tcu_data import INERTIA, PREFILL, TORQUE
 
 BoolArray = npt.NDArray[np.bool_]
 
 PERIOD_S = 1e-3  # the paper gives none
+BIN_PA = 1.0e4  # of the table of films that engaging clutches passed
+MIN_BIN_COUNT = 10
 CYCLE_COUNT = 3
 DRIVE_SEED = 20150414
 CALIBRATION_SEED = DRIVE_SEED + 1
@@ -138,3 +141,21 @@ def _signals(rows: FloatArray) -> PaperSignals:
         oil_k=rows[:, Col.SUMP_TEMPERATURE].copy(),
         is_shifting=(phase >= PREFILL) & (phase <= INERTIA),
     )
+
+
+def trajectory_table(pressure_pa: FloatArray, film_m: FloatArray, law: FilmLaw) -> FilmTable:
+    """Return the median film at each pressure that engaging clutches passed; the static table where none did.
+
+    Parameters
+    ----------
+    pressure_pa, film_m : (n,) array
+        Pressure and film of on-coming clutches in one calibration cycle.
+    """
+    fallback = static_table(law)
+    edges_pa = np.arange(0.0, TABLE_END_PA + BIN_PA, BIN_PA)
+    centres_pa = edges_pa[:-1] + 0.5 * BIN_PA
+    bins = np.digitize(pressure_pa, edges_pa) - 1
+    medians_m = fallback.film_at(centres_pa)
+    for row in np.flatnonzero(np.bincount(bins[bins >= 0], minlength=len(centres_pa)) >= MIN_BIN_COUNT):
+        medians_m[row] = np.median(film_m[bins == row])
+    return FilmTable(pressure_pa=centres_pa, film_m=medians_m)

@@ -4,8 +4,9 @@ from collections.abc import Sequence
 
 from benchmarks.reproduce.drives import PaperDrive
 from benchmarks.reproduce.study import CALIBRATION, Errors, Setup, analysed, errors_of
-from diag_service.diagnosis.friction.paper.fit import PaperEstimate, fit
-from diag_service.diagnosis.friction.paper.friction_data import ClutchTorques, friction_data, viscous_torques_nm
+from diag_service.diagnosis.friction.paper import PaperEstimate
+from diag_service.diagnosis.friction.paper.fit import fit
+from diag_service.diagnosis.friction.paper.friction_data import friction_data, viscous_torques_nm
 from ecu_emulator.plant import Col
 
 
@@ -21,10 +22,8 @@ def _estimates(drive: PaperDrive, setup: Setup) -> tuple[PaperEstimate, PaperEst
         film_m = drive.rows[:, Col.FILM1 + m].copy()
         clutch_k = drive.rows[:, Col.CLUTCH1_TEMPERATURE + m].copy()
         slip_rad_s = clutch.data.slip_rad_s
-        torques = ClutchTorques(
-            friction_nm=clutch.torques.friction_nm,
-            viscous_nm=viscous_torques_nm(slip_rad_s, film_m, clutch_k, believed, CALIBRATION.viscosity),
-        )
-        data = friction_data(torques, slip_rad_s, film_m, clutch.pressure.rate, clutch.data.is_shifting, believed)
+        viscous_nm = viscous_torques_nm(slip_rad_s, film_m, clutch_k, believed, CALIBRATION.viscosity)
+        contact_nm = clutch.friction_nm - viscous_nm
+        data = friction_data(contact_nm, slip_rad_s, film_m, clutch.pressure.rate, clutch.data.is_shifting, believed)
         found.append(fit(data, setup.gates, believed.friction))
     return found[0], found[1]

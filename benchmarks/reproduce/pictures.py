@@ -10,14 +10,16 @@ from matplotlib import style
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from benchmarks.reproduce.differences import central_difference
 from benchmarks.reproduce.drives import PERIOD_S, BoolArray, PaperDrive
 from benchmarks.reproduce.study import CALIBRATION, CLUTCHES, Setup, analysed, fitted
 from canlog.arrays import FloatArray
 from clutch_model.friction import friction_law, kinetic_friction
 from clutch_model.units import bar_from_pa, rpm_from_rad_s
 from demo.picture import CLUTCH_COLOUR, INK, MUTED, STYLE
-from diag_service.diagnosis.friction.paper import Analysis, PaperSignals, SteadyKalman, central_difference
+from diag_service.diagnosis.friction.paper.differentiate import SteadyKalman
 from diag_service.diagnosis.friction.paper.fit import coulomb_gate, static_gate
+from diag_service.diagnosis.friction.paper.method import Analysis, PaperSignals
 from ecu_emulator.plant import Col
 from ecu_emulator.tcu_data import HOLD, TORQUE
 
@@ -251,7 +253,7 @@ def _torques(axes: Axes, drive: PaperDrive, run: Run, shift: slice) -> None:
         simulated = drive.rows[shift, Col.CLUTCH1_TORQUE + clutch - 1]
         axes.plot(x, simulated, color=CLUTCH_COLOUR[clutch], lw=5.0, alpha=0.35, label=f"clutch {clutch}, simulated")
     for clutch in CLUTCHES:
-        estimated = run.analysis.clutches[clutch - 1].torques.friction_nm[shift]
+        estimated = run.analysis.clutches[clutch - 1].friction_nm[shift]
         axes.plot(x, estimated, color=INK, lw=1.1, ls=("-", "--")[clutch - 1], label=f"clutch {clutch}, estimated")
     _mark_phases(axes, drive, shift)
     _finish_shift(axes, "Friction torque [Nm]", "center right")
@@ -271,7 +273,7 @@ def _films(panels: list[Axes], drive: PaperDrive, run: Run, shift: slice) -> Non
 def _viscous(panels: list[Axes], drive: PaperDrive, run: Run, shift: slice) -> None:
     x = _shift_time_s(shift)
     for clutch, axes in zip(CLUTCHES, panels, strict=True):
-        estimated = run.analysis.clutches[clutch - 1].torques.viscous_nm[shift]
+        estimated = run.analysis.clutches[clutch - 1].viscous_nm[shift]
         axes.plot(x, estimated, color=CLUTCH_COLOUR[clutch], lw=1.0, label="estimated")
         axes.plot(x, drive.rows[shift, Col.VISCOUS1_TORQUE + clutch - 1], color=INK, lw=1.4, label="simulated")
         _finish_shift(axes, f"Clutch {clutch}: viscous torque [Nm]", "upper right" if clutch == 1 else "lower left")

@@ -5,6 +5,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from benchmarks.reproduce.differences import NOISELESS, central_difference, matched_filter
 from benchmarks.reproduce.drives import (
     PERIOD_S,
     PRESSURE_NOISE_RATIO,
@@ -15,22 +16,11 @@ from benchmarks.reproduce.drives import (
 )
 from canlog.arrays import FloatArray
 from clutch_model.calibration import nominal_calibration
-from diag_service.diagnosis.friction.paper import (
-    Analysis,
-    Differentiators,
-    FilmTable,
-    Gates,
-    PaperEstimate,
-    PaperSignals,
-    analyse,
-    central_difference,
-    fit,
-    matched_filter,
-    nominal_driveline,
-    quiet_filter,
-)
-from diag_service.diagnosis.friction.paper.fit import NOISELESS_GATES, NOISY_GATES
-from diag_service.diagnosis.friction.paper.method import NOISELESS
+from diag_service.diagnosis.friction.paper import PaperEstimate, nominal_driveline
+from diag_service.diagnosis.friction.paper.differentiate import quiet_filter
+from diag_service.diagnosis.friction.paper.fit import NOISELESS_GATES, NOISY_GATES, Gates, fit
+from diag_service.diagnosis.friction.paper.friction_data import FilmTable
+from diag_service.diagnosis.friction.paper.method import Analysis, Differentiators, PaperSignals, analyse
 
 CLUTCHES = (1, 2)
 PARAMETERS = ("mu_c", "mu_s")

@@ -12,13 +12,14 @@ import numpy as np
 import pytest
 
 from benchmarks.reproduce.bound import bounds_percent, is_followed, piston_pressure_pa, stretches
+from benchmarks.reproduce.differences import central_difference
 from benchmarks.reproduce.drives import PERIOD_S, Case, PaperDrive, drive, noisy, static_tables
 from benchmarks.reproduce.film_check import known_film_errors
 from benchmarks.reproduce.study import Setup, matched_differentiators, noiseless_errors, noisy_errors
 from clutch_model.calibration import nominal_calibration
 from clutch_model.film import film_law
 from diag_service.diagnosis.columns import Signal
-from diag_service.diagnosis.friction.paper import PaperCollection, central_difference, nominal_driveline
+from diag_service.diagnosis.friction.paper import PaperCollection, nominal_driveline
 from diag_service.diagnosis.friction.paper.fit import NOISY_GATES
 from diag_service.diagnosis.friction.paper.vehicle_route import GRID_STRIDE, paper_signals
 from diag_service.diagnosis.quality.usability import usable_signals

@@ -17,7 +17,7 @@ from clutch_model.film import (
 from clutch_model.friction import contact_torque_nm, friction_law, kinetic_friction
 from clutch_model.units import k_from_degc, pa_from_bar
 from clutch_model.viscosity import viscosity_pa_s
-from diag_service.diagnosis.friction.paper import steady_kalman_gain
+from diag_service.diagnosis.friction.paper.differentiate import steady_kalman_gain
 
 CALIBRATION = nominal_calibration()
 LAWS = tuple(film_law(clutch) for clutch in CALIBRATION.clutches)

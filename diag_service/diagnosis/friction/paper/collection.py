@@ -8,9 +8,8 @@ from clutch_model.gears import clutch_of_gear
 from diag_service.diagnosis.events import Event
 from diag_service.diagnosis.friction.paper.differentiate import quiet_filter, steady_kalman
 from diag_service.diagnosis.friction.paper.driveline import Driveline
-from diag_service.diagnosis.friction.paper.film_table import static_table
 from diag_service.diagnosis.friction.paper.fit import NOISY_GATES, PaperEstimate, fit
-from diag_service.diagnosis.friction.paper.friction_data import FrictionData, pooled
+from diag_service.diagnosis.friction.paper.friction_data import FrictionData, pooled, static_table
 from diag_service.diagnosis.friction.paper.method import Differentiators, analyse
 from diag_service.diagnosis.friction.paper.vehicle_route import PERIOD_S, paper_signals
 from diag_service.diagnosis.records import Reason

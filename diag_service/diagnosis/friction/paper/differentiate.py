@@ -1,22 +1,17 @@
-"""Speed and acceleration, pressure and its rate: by central differences or by a steady Kalman filter.
+"""Speed and acceleration, pressure and its rate by a steady Kalman filter, docs/model.md eqs. (11) to (16).
 
-Central differences, docs/model.md eq. (10), suit signals without noise. With noise the paper runs the estimator of
-eqs. (11) to (16); its gain is constant, so the whole record is one linear filter.
+Its gain is constant, so the whole record is one linear filter.
 """
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Protocol
 
 import numpy as np
 
 from canlog.arrays import FloatArray
 
-MIN_SAMPLE_COUNT = 5  # of the fourth-order stencils
-_TRACKING_DECADES = (-14.0, 0.0)  # from asleep to believing every sample
-_INNER = np.array([1.0, -8.0, 0.0, 8.0, -1.0]) / 12.0
-_FIRST = np.array([-25.0, 48.0, -36.0, 16.0, -3.0]) / 12.0
-_SECOND = np.array([-3.0, -10.0, 18.0, -6.0, 1.0]) / 12.0
+TRACKING_DECADES = (-14.0, 0.0)  # from asleep to believing every sample
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -27,30 +22,8 @@ class Rated:
     rate: FloatArray
 
 
-class Differentiator(Protocol):
-    """Anything that finds a signal and its rate in even samples of it."""
-
-    def __call__(self, samples: FloatArray, period_s: float) -> Rated:
-        """Return signal and rate, shape (n,) each."""
-        ...
-
-
-def central_difference(samples: FloatArray, period_s: float) -> Rated:
-    """Return the samples as they are and their fourth-order derivative, eq. (10); one-sided at both ends.
-
-    Raises
-    ------
-    ValueError
-        With fewer than five samples.
-    """
-    if len(samples) < MIN_SAMPLE_COUNT:
-        raise ValueError(f"a fourth-order derivative needs {MIN_SAMPLE_COUNT} samples, got {len(samples)}")
-    rate = np.empty_like(samples)
-    rate[2:-2] = np.correlate(samples, _INNER, mode="valid")
-    head, tail = samples[:MIN_SAMPLE_COUNT], samples[: -MIN_SAMPLE_COUNT - 1 : -1]
-    rate[0], rate[1] = _FIRST @ head, _SECOND @ head
-    rate[-1], rate[-2] = -_FIRST @ tail, -_SECOND @ tail
-    return Rated(value=samples, rate=rate / period_s)
+Differentiator = Callable[[FloatArray, float], Rated]
+"""Finds a signal and its rate, shape (n,) each, in even samples of it and their period [s]."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -112,20 +85,6 @@ def steady_kalman(period_s: float, rate_variance: float, sample_variance: float)
     return SteadyKalman(value_gain=value_gain, rate_gain_1_s=rate_gain_1_s)
 
 
-def matched_filter(samples: FloatArray, ideal_rate: FloatArray, period_s: float) -> SteadyKalman:
-    """Return the filter whose rate comes nearest (RMS) to the ideal one: how the paper chooses q.
-
-    The ideal rate is that of the same signal without noise, by central differences.
-    """
-    from scipy.optimize import minimize_scalar  # noqa: PLC0415 - as above
-
-    def miss(tracking_decade: float) -> float:
-        return float(np.mean((_tracker(tracking_decade, period_s)(samples, period_s).rate - ideal_rate) ** 2))
-
-    best = minimize_scalar(miss, bounds=_TRACKING_DECADES, method="bounded", options={"xatol": 1e-3})
-    return _tracker(float(best.x), period_s)
-
-
 def quiet_filter(period_s: float, sample_std: float, rate_std: float) -> SteadyKalman:
     """Return the fastest filter that turns white noise of ``sample_std`` into a rate no noisier than ``rate_std``.
 
@@ -137,11 +96,11 @@ def quiet_filter(period_s: float, sample_std: float, rate_std: float) -> SteadyK
     from scipy.optimize import brentq  # noqa: PLC0415 - as above
 
     def excess(tracking_decade: float) -> float:
-        return _tracker(tracking_decade, period_s).rate_noise_1_s(period_s) * sample_std / rate_std - 1.0
+        return tracker(tracking_decade, period_s).rate_noise_1_s(period_s) * sample_std / rate_std - 1.0
 
-    return _tracker(float(brentq(excess, *_TRACKING_DECADES)), period_s)
+    return tracker(float(brentq(excess, *TRACKING_DECADES)), period_s)
 
 
-def _tracker(decade: float, period_s: float) -> SteadyKalman:
+def tracker(decade: float, period_s: float) -> SteadyKalman:
     """Return the filter whose ``q*T^4/r``, on which alone the gain depends, is 10 to the power ``decade``."""
     return steady_kalman(period_s, 10.0**decade / period_s**4, 1.0)

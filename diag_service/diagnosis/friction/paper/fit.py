@@ -7,9 +7,9 @@ from types import MappingProxyType
 
 import numpy as np
 
+from canlog.arrays import BoolArray
 from clutch_model.clutch import FrictionCurve
 from diag_service.diagnosis.friction.paper.friction_data import FrictionData
-from diag_service.diagnosis.friction.paper.paper_signals import BoolArray
 
 
 class Gate(StrEnum):

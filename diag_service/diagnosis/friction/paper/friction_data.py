@@ -1,17 +1,47 @@
 """From clutch torque to coefficient of friction, sample by sample; docs/model.md eq. (17)."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 import numpy as np
 
-from canlog.arrays import FloatArray
+from canlog.arrays import BoolArray, FloatArray
 from canlog.jit import kernel
 from clutch_model.calibration import Viscosity
 from clutch_model.clutch import ClutchCalibration
-from clutch_model.film import FilmLaw, contact_pressure_pa, film_law, shear_factor_difference, viscous_torque_nm
+from clutch_model.film import (
+    FilmLaw,
+    applied_pressure_pa,
+    contact_pressure_pa,
+    equilibrium_film_m,
+    film_law,
+    shear_factor_difference,
+    viscous_torque_nm,
+)
 from clutch_model.friction import FrictionLaw, contact_torques_nm, friction_law, stribeck_weight
 from clutch_model.viscosity import viscosity_pa_s
-from diag_service.diagnosis.friction.paper.paper_signals import BoolArray
+
+TABLE_END_PA = 16.0e5  # above the line pressure
+TABLE_STEP_PA = 500.0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class FilmTable:
+    """The paper's lookup table of film thickness over clutch pressure; linear between the points, constant beyond."""
+
+    pressure_pa: FloatArray  # (k,), rising
+    film_m: FloatArray  # (k,)
+
+    def film_at(self, pressure_pa: FloatArray) -> FloatArray:
+        """Return the film thickness [m] at each pressure, same shape."""
+        film_m: FloatArray = np.interp(pressure_pa, self.pressure_pa, self.film_m)
+        return film_m
+
+
+def static_table(law: FilmLaw) -> FilmTable:
+    """Return the table of equilibria: inverse of P_C, the open gap below the touch point."""
+    pressure_pa = np.arange(0.0, TABLE_END_PA, TABLE_STEP_PA)
+    film_m = np.array([equilibrium_film_m(applied_pressure_pa(float(one), law), law) for one in pressure_pa])
+    return FilmTable(pressure_pa=pressure_pa, film_m=film_m)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -30,24 +60,10 @@ class FrictionData:
         return len(self.mu)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class ClutchTorques:
-    """Total and viscous torque of one clutch [N m], both (n,)."""
-
-    friction_nm: FloatArray
-    viscous_nm: FloatArray
-
-
 def pooled(parts: list[FrictionData]) -> FrictionData:
     """Return the samples of several shifts or drives as one."""
-    return FrictionData(
-        mu=np.concatenate([part.mu for part in parts]),
-        slip_rad_s=np.concatenate([part.slip_rad_s for part in parts]),
-        shear_difference=np.concatenate([part.shear_difference for part in parts]),
-        pressure_rate_pa_s=np.concatenate([part.pressure_rate_pa_s for part in parts]),
-        static_share=np.concatenate([part.static_share for part in parts]),
-        is_shifting=np.concatenate([part.is_shifting for part in parts]),
-    )
+    columns = {one.name: np.concatenate([getattr(part, one.name) for part in parts]) for one in fields(FrictionData)}
+    return FrictionData(**columns)
 
 
 def viscous_torques_nm(
@@ -60,20 +76,19 @@ def viscous_torques_nm(
 
 
 def friction_data(
-    torques: ClutchTorques,
+    contact_nm: FloatArray,
     slip_rad_s: FloatArray,
     film_m: FloatArray,
     pressure_rate_pa_s: FloatArray,
     is_shifting: BoolArray,
     clutch: ClutchCalibration,
 ) -> FrictionData:
-    """Return the friction coefficient ``(T_F - T_V)*sgn(s)/(C*P_C(h))`` of every sample."""
+    """Return the friction coefficient ``(T_F - T_V)*sgn(s)/(C*P_C(h))`` per sample; ``contact_nm`` is ``T_F - T_V``."""
     law = film_law(clutch)
     contact_pa, shear, share = (np.empty_like(film_m) for _ in range(3))
     _fill_surface(slip_rad_s, film_m, law, friction_law(clutch.friction), contact_pa, shear, share)
     capacity_nm = contact_torques_nm(np.ones_like(contact_pa), 1.0, contact_pa, law.contact_factor_m3)
-    contact_nm = (torques.friction_nm - torques.viscous_nm) * np.sign(slip_rad_s)
-    mu = np.divide(contact_nm, capacity_nm, out=np.zeros_like(film_m), where=capacity_nm > 0.0)
+    mu = np.divide(contact_nm * np.sign(slip_rad_s), capacity_nm, out=np.zeros_like(film_m), where=capacity_nm > 0.0)
     return FrictionData(
         mu=mu,
         slip_rad_s=slip_rad_s,

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from canlog.arrays import FloatArray
+from canlog.arrays import BoolArray, FloatArray
 from clutch_model.calibration import Calibration
 from clutch_model.gears import clutch_of_gear
 from diag_service.diagnosis.alignment.aligned_signals import AlignedSignals
@@ -19,7 +19,7 @@ from diag_service.diagnosis.columns import Signal
 from diag_service.diagnosis.events import Event
 from diag_service.diagnosis.friction.paper.driveline import Driveline
 from diag_service.diagnosis.friction.paper.driveline_model import DrivelineModel, State, driveline_model
-from diag_service.diagnosis.friction.paper.paper_signals import BoolArray, PaperSignals
+from diag_service.diagnosis.friction.paper.method import PaperSignals
 from diag_service.diagnosis.quality.usability import usable_signals
 from diag_service.diagnosis.records import Reason
 

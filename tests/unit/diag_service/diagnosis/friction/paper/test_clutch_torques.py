@@ -5,8 +5,8 @@ import pytest
 
 from clutch_model.calibration import nominal_calibration
 from diag_service.diagnosis.friction.paper import nominal_driveline
-from diag_service.diagnosis.friction.paper.clutch_torques import Speeds, clutch_torques_nm
 from diag_service.diagnosis.friction.paper.differentiate import Rated
+from diag_service.diagnosis.friction.paper.method import Speeds, clutch_torques_nm
 
 SIDE = nominal_calibration().input_side
 SHAFTS = nominal_driveline().shafts

@@ -2,40 +2,10 @@
 
 import numpy as np
 import pytest
-from numpy.polynomial import Polynomial
 
-from canlog.arrays import FloatArray
-from diag_service.diagnosis.friction.paper import (
-    SteadyKalman,
-    central_difference,
-    matched_filter,
-    quiet_filter,
-    steady_kalman,
-)
+from diag_service.diagnosis.friction.paper.differentiate import SteadyKalman, quiet_filter, steady_kalman
 
 PERIOD_S = 1e-3
-
-
-@pytest.mark.parametrize("count", [5, 6, 50])
-def test_central_differences_are_exact_for_quartics(count: int) -> None:
-    quartic = Polynomial([2.0, -3.0, 0.5, 4.0, -1.5])
-    t_s = np.arange(count) * 0.1
-    found = central_difference(quartic(t_s), 0.1)
-    assert found.rate == pytest.approx(quartic.deriv()(t_s), abs=1e-9)
-    assert np.array_equal(found.value, quartic(t_s))
-
-
-def test_central_differences_are_of_fourth_order() -> None:
-    def worst(period_s: float) -> float:
-        t_s = np.arange(0.0, 2.0, period_s)
-        return float(np.max(np.abs(central_difference(np.sin(5.0 * t_s), period_s).rate - 5.0 * np.cos(5.0 * t_s))))
-
-    assert worst(0.02) / worst(0.01) == pytest.approx(16.0, rel=0.15)
-
-
-def test_four_samples_have_no_fourth_order_derivative() -> None:
-    with pytest.raises(ValueError, match="got 4"):
-        central_difference(np.zeros(4), PERIOD_S)
 
 
 @pytest.mark.filterwarnings("ignore::DeprecationWarning")
@@ -86,22 +56,3 @@ def test_the_noise_of_the_rate_is_as_stated() -> None:
 def test_a_quiet_filter_is_as_fast_as_its_noise_allows() -> None:
     kalman = quiet_filter(PERIOD_S, 2.3e4, 5e4)
     assert 2.3e4 * kalman.rate_noise_1_s(PERIOD_S) == pytest.approx(5e4, rel=1e-6)
-
-
-def noisy_swing() -> tuple[FloatArray, FloatArray]:
-    t_s = np.arange(0.0, 5.0, PERIOD_S)
-    noise = np.random.default_rng(4).normal(0.0, 5.0, len(t_s))
-    return 30.0 * np.sin(4.0 * t_s) + noise, 120.0 * np.cos(4.0 * t_s)
-
-
-def test_a_matched_filter_comes_nearer_than_slower_and_faster_ones() -> None:
-    samples, ideal = noisy_swing()
-    best = matched_filter(samples, ideal, PERIOD_S)
-
-    def miss(kalman: SteadyKalman) -> float:
-        return float(np.mean((kalman(samples, PERIOD_S).rate - ideal) ** 2))
-
-    for factor in (0.5, 2.0):
-        other = SteadyKalman(value_gain=best.value_gain * factor, rate_gain_1_s=best.rate_gain_1_s * factor**2)
-        assert miss(best) < miss(other)
-    assert miss(best) < 0.2 * float(np.mean(ideal**2))

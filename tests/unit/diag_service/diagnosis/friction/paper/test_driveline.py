@@ -8,7 +8,8 @@ from typing import Any
 import pytest
 
 from clutch_model.errors import CalibrationError
-from diag_service.diagnosis.friction.paper import Driveline, nominal_driveline
+from diag_service.diagnosis.friction.paper import nominal_driveline
+from diag_service.diagnosis.friction.paper.driveline import Driveline
 from ecu_emulator.plant import nominal_parameters
 from ecu_emulator.plant.powertrain import overall_ratios
 

@@ -5,7 +5,7 @@ import pytest
 
 from clutch_model.calibration import nominal_calibration
 from clutch_model.film import applied_pressure_pa, contact_pressure_pa, film_law
-from diag_service.diagnosis.friction.paper import static_table, trajectory_table
+from diag_service.diagnosis.friction.paper.friction_data import static_table
 
 CLUTCHES = nominal_calibration().clutches
 
@@ -24,16 +24,3 @@ def test_below_the_touch_point_the_pack_stands_open() -> None:
     law = film_law(CLUTCHES[0])
     below_pa = np.array([-1.0e5, 0.0, CLUTCHES[0].touch_pressure_pa - 2.0e3])
     assert np.all(static_table(law).film_at(below_pa) == law.open_gap_m)
-
-
-def test_a_trajectory_table_holds_medians_where_it_was_seen_and_equilibria_elsewhere() -> None:
-    law = film_law(CLUTCHES[0])
-    rng = np.random.default_rng(6)
-    pressure_pa = rng.uniform(4.0e5, 4.1e5, 101)
-    film_m = rng.uniform(11e-6, 13e-6, 101)
-    film_m[:20] = 90e-6  # outliers do not move a median far
-    table, equilibria = trajectory_table(pressure_pa, film_m, law), static_table(law)
-    assert table.film_at(np.array([4.05e5]))[0] == pytest.approx(np.median(film_m))
-    for elsewhere_pa in (3.05e5, 6.05e5):
-        where = np.array([elsewhere_pa])
-        assert table.film_at(where) == pytest.approx(equilibria.film_at(where))

@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from clutch_model.calibration import nominal_calibration
-from diag_service.diagnosis.friction.paper import Gate, fit
-from diag_service.diagnosis.friction.paper.fit import NOISELESS_GATES, NOISY_GATES, coulomb_gate, static_gate
+from diag_service.diagnosis.friction.paper.fit import NOISELESS_GATES, NOISY_GATES, Gate, coulomb_gate, fit, static_gate
 from diag_service.diagnosis.friction.paper.friction_data import FrictionData
 
 CURVE = nominal_calibration().clutches[0].friction

@@ -7,7 +7,6 @@ from clutch_model.calibration import nominal_calibration
 from clutch_model.film import contact_pressure_pa, film_law, shear_factor_difference, viscous_torque_nm
 from clutch_model.viscosity import viscosity_pa_s
 from diag_service.diagnosis.friction.paper.friction_data import (
-    ClutchTorques,
     FrictionData,
     friction_data,
     pooled,
@@ -25,14 +24,12 @@ MU = 0.131
 
 
 def data() -> FrictionData:
-    viscous_nm = viscous_torques_nm(SLIP_RAD_S, FILM_M, OIL_K, CLUTCH, OIL)
     contact_nm = [
         np.sign(slip) * MU * contact_pressure_pa(film, LAW) * LAW.contact_factor_m3
         for slip, film in zip(SLIP_RAD_S, FILM_M, strict=True)
     ]
     rate, shifting = np.arange(4.0), np.array([True, False, True, True])
-    torques = ClutchTorques(friction_nm=viscous_nm + contact_nm, viscous_nm=viscous_nm)
-    return friction_data(torques, SLIP_RAD_S, FILM_M, rate, shifting, CLUTCH)
+    return friction_data(np.array(contact_nm), SLIP_RAD_S, FILM_M, rate, shifting, CLUTCH)
 
 
 def test_the_viscous_torque_is_that_of_the_law() -> None:
@@ -55,7 +52,7 @@ def test_without_contact_there_is_no_coefficient() -> None:
     found = data()
     assert found.mu[3] == pytest.approx(MU, rel=1e-6)
     bare = friction_data(
-        ClutchTorques(friction_nm=np.ones(1), viscous_nm=np.zeros(1)),
+        np.ones(1),
         np.ones(1),
         np.array([100e-6]),
         np.zeros(1),
