@@ -25,8 +25,7 @@ from diag_service.delivery import MemoryReporter, MqttConnector, Outbox
 from diag_service.diagnosis.events import Event
 from diag_service.diagnosis.records import ClutchVerdict, ShiftEstimate, ShiftResult
 from diag_service.diagnosis.results import StoredResult
-from diag_service.service.drive import open_drive
-from diag_service.service.drive_frames import DriveFrames
+from diag_service.service.drive import DriveFrames, open_drive
 from diag_service.service.recorded import events
 from diag_service.service.session import Session, versions_for
 from diag_service.service.stages import Diagnosis
@@ -119,7 +118,9 @@ async def trip_of_a_shift(log: Path, port: int) -> Trip:
         session = new_session(store)
         connector = MqttConnector(BrokerAddress(host="127.0.0.1", port=port), "clutchdiag-hops")
         outbox = Outbox(store, VEHICLE, lambda: connector.connect(NOW), "broker")
-        first, second, *_ = events(DriveFrames(open_drive([log]), session.stages.sources), session.stages, Trigger())
+        first, second, *_ = events(
+            DriveFrames(open_drive([log]), session.stages.decoder.sources), session.stages, Trigger()
+        )
         sender = asyncio.create_task(outbox.run())
         session.process(first)
         await delivered(outbox, 1)

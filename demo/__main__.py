@@ -42,7 +42,8 @@ def _run(options: argparse.Namespace) -> int:
 
     from demo.runner import DemoOptions  # noqa: PLC0415 - see above
     from diag_service.errors import ConfigError  # noqa: PLC0415 - see above
-    from diag_service.settings.config import check_vehicle, parse_broker  # noqa: PLC0415 - see above
+    from diag_service.settings.config import check_vehicle  # noqa: PLC0415 - see above
+    from fleet_link import AddressError, parse_broker  # noqa: PLC0415 - see above
 
     console = Console(highlight=False)
     if not console.is_terminal:
@@ -58,7 +59,7 @@ def _run(options: argparse.Namespace) -> int:
             folder=options.output,
         )
         return asyncio.run(_interruptible(demo, console))
-    except ConfigError as exc:
+    except (ConfigError, AddressError) as exc:
         sys.stderr.write(f"{PROGRAM}: error: {exc}\n")
         return USAGE
     except DemoError as exc:

@@ -20,7 +20,7 @@ from diag_service.commands.arguments import (
     parse_arguments,
 )
 from diag_service.errors import ConfigError, IncompleteError, StoppedError, StoreError
-from diag_service.service.stopping import Trigger, ignore
+from diag_service.service.stopping import Controls, Trigger, ignore
 from program_io.complaint import complain
 from program_io.standard_output import standard_output
 
@@ -34,18 +34,18 @@ _STATUSES: Final = (
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the service and return its exit status."""
-    stop, counts_wanted = Trigger(), Trigger()
-    stop.listen_to(signal.SIGINT, signal.SIGTERM)
-    counts_wanted.listen_to(signal.SIGUSR1)
+    controls = Controls()
+    controls.stop.listen_to(signal.SIGINT, signal.SIGTERM)
+    controls.counts_wanted.listen_to(signal.SIGUSR1)
     try:
         is_verbose = False
         try:
             options = parse_arguments(arguments)
             is_verbose = options.verbose > 0
             with standard_output():
-                _run(options, stop, counts_wanted)
+                _run(options, controls)
         except StoppedError as exc:
-            return _end_early(exc, stop)
+            return _end_early(exc, controls.stop)
         except Exception as exc:  # noqa: BLE001 - the one place where nothing may pass
             return complain(PROGRAM, exc, _STATUSES, is_verbose=is_verbose, hint=" (-v shows where)")
         return EXIT_OK
@@ -54,7 +54,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             ignore(signal.SIGINT, signal.SIGTERM, signal.SIGUSR1)
 
 
-def _run(options: SimpleNamespace, stop: Trigger, counts_wanted: Trigger) -> None:
+def _run(options: SimpleNamespace, controls: Controls) -> None:
     # python-can loads asammdf where it is installed, and that pandas: 0.3 s, 45 MB. MF4 logs are read in a process of
     # their own.
     sys.modules.setdefault("asammdf", None)  # type: ignore[arg-type]  # Python's own way to say "not here"
@@ -63,7 +63,7 @@ def _run(options: SimpleNamespace, stop: Trigger, counts_wanted: Trigger) -> Non
 
     set_up_notices(options.verbose)
     commands = import_module(f"diag_service.commands.{options.command}")
-    commands.execute(options, stop, counts_wanted)
+    commands.execute(options, controls)
 
 
 def _end_early(exc: StoppedError, stop: Trigger) -> int:

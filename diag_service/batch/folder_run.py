@@ -27,7 +27,6 @@ from diag_service.batch.worker import analyse_drive, start_worker
 from diag_service.diagnosis.results import dump
 from diag_service.diagnosis.summary import GAP_TEXT, Gap
 from diag_service.errors import ConfigError, IncompleteError, StoppedError
-from diag_service.mapping.interpretation import interpret
 from diag_service.service.drive import stream_of
 from diag_service.service.session import versions_for
 from diag_service.service.stopping import Trigger
@@ -120,7 +119,7 @@ def checked_jobs(jobs: int | None) -> int:
 def settings_digest(config: DiagnosisConfig) -> str:
     """Return a digest of all that decides about results besides the logs: their files and the versions."""
     versions = versions_for(config.calibration)
-    files = stream_of(interpret(config.dbc, config.profile, is_lenient=config.is_lenient).files)
+    files = stream_of(config.interpretation().files)
     parts = (config.vehicle, versions.algorithm, versions.calibration, files, str(config.is_strict), ACCOUNT_VERSION)
     return hashlib.sha256("\0".join(parts).encode()).hexdigest()
 

@@ -15,15 +15,12 @@ from diag_service.batch.drives import Drive
 from diag_service.batch.journal import Entry
 from diag_service.console.notices import set_up_notices
 from diag_service.delivery import MemoryReporter
-from diag_service.diagnosis.condition.condition import ConditionMemory
-from diag_service.diagnosis.friction import FilterState
 from diag_service.diagnosis.results import shift_record
 from diag_service.diagnosis.summary import summary_record, unjudged
-from diag_service.mapping.interpretation import Interpretation, interpret
+from diag_service.mapping.interpretation import Interpretation
 from diag_service.service.drive import open_drive, stream_of
 from diag_service.service.recorded import run_logs
-from diag_service.service.session import Session, versions_for
-from diag_service.service.stages import Stages
+from diag_service.service.session import new_session
 from diag_service.service.stopping import Trigger, ignore
 from diag_service.settings.config import DiagnosisConfig
 from diag_service.store import ResultStore
@@ -39,7 +36,7 @@ class Analyst:
 
     @cached_property
     def _meaning(self) -> Interpretation:
-        return interpret(self.config.dbc, self.config.profile, is_lenient=self.config.is_lenient)
+        return self.config.interpretation()
 
     def analyse(self, drive: Drive) -> Entry:
         """Return the account of a drive and its shifts; a log that cannot be read gives the reason instead."""
@@ -54,21 +51,11 @@ class Analyst:
         return Entry(key=drive.key, drive=account, shifts=tuple(map(shift_record, results)))
 
     def _run(self, drive: Drive) -> tuple[str, MemoryReporter]:
-        calibration = self.config.calibration
         logs = open_drive(drive.paths, is_strict=self.config.is_strict)
         stream = stream_of([*(log.path for log in logs), *self._meaning.files])
-        stages = Stages(self._meaning.decoder(), calibration, FilterState.fresh(calibration), ConditionMemory.fresh())
         reporter = MemoryReporter()
         with closing(ResultStore.in_memory()) as store:
-            session = Session(
-                stages=stages,
-                store=store,
-                reporter=reporter,
-                vehicle=self.config.vehicle,
-                versions=versions_for(calibration),
-                stream=stream,
-                utc_now=str,
-            )
+            session = new_session(self.config, self._meaning.decoder(), store, stream, reporter)
             asyncio.run(run_logs(logs, session, stop=Trigger(), outbox=None))
         return stream, reporter
 

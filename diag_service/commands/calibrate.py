@@ -2,12 +2,12 @@
 
 from types import SimpleNamespace
 
-from diag_service.commands.meaning import diagnosis_config
-from diag_service.service import application
-from diag_service.service.stopping import Trigger
+from diag_service.service import calibrate_run
+from diag_service.service.stopping import Controls
+from diag_service.settings.config import diagnosis_config
 
 
-def execute(options: SimpleNamespace, stop: Trigger, counts_wanted: Trigger) -> None:
+def execute(options: SimpleNamespace, controls: Controls) -> None:
     """Calibrate a vehicle and write its file."""
-    controls = application.Controls(stop=stop, counts_wanted=counts_wanted)
-    application.run_calibrate(diagnosis_config(options), options.logs, options.output, controls, as_json=options.json)
+    config = diagnosis_config(options)
+    calibrate_run.run_calibrate(config, options.logs, options.output, controls.stop, as_json=options.json)

@@ -8,21 +8,20 @@ from urllib.parse import urlsplit
 
 import tomli_w
 
-from diag_service.commands.meaning import bus_config, diagnosis_config
-from diag_service.mapping.interpretation import interpret
-from diag_service.service.stopping import Trigger
+from diag_service.service.stopping import Controls
+from diag_service.settings.config import bus_config, diagnosis_config
 from diag_service.settings.options import SETTINGS
 from program_io.legible import legible
 
 _LOG = logging.getLogger(__name__)
 
 
-def execute(options: SimpleNamespace, stop: Trigger, counts_wanted: Trigger) -> None:
+def execute(options: SimpleNamespace, controls: Controls) -> None:
     """Check the settings and print them."""
-    del stop, counts_wanted
+    del controls
     diagnosis = diagnosis_config(options)
     bus_config(options)
-    interpret(diagnosis.dbc, diagnosis.profile, is_lenient=diagnosis.is_lenient)
+    diagnosis.interpretation()
     broker = diagnosis.broker
     if broker is not None and broker.exposure:
         _LOG.warning("%s", broker.exposure)

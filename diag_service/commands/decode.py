@@ -13,19 +13,18 @@ from diag_service.console.terminal import PeopleConsole
 from diag_service.diagnosis.results import dump
 from diag_service.errors import ConfigError, IncompleteError, StoppedError
 from diag_service.mapping.databases import open_database
-from diag_service.service.stopping import Trigger
+from diag_service.service.stopping import Controls
 from fleet_contract import JsonObject
 
 
-def execute(options: SimpleNamespace, stop: Trigger, counts_wanted: Trigger) -> None:
+def execute(options: SimpleNamespace, controls: Controls) -> None:
     """Decode a log; the file appears when it is complete. Raises StoppedError if that was stopped."""
-    del counts_wanted
     if options.output.suffix.lower() != ".parquet":
         raise ConfigError(f"{options.output}: the signals are written as .parquet")
     load_pyarrow()
     messages = open_database(options.dbc, is_lenient=options.lenient).messages
     plan = Plan.of(messages, TableShape(options.layout), Values(options.values))
-    decoded = decode_log(options.log, plan, options.output, lambda: stop.is_set)
+    decoded = decode_log(options.log, plan, options.output, lambda: controls.stop.is_set)
     if decoded is None:
         raise StoppedError("stopped early: no file was written")
     account, reader = decoded

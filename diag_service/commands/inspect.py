@@ -21,7 +21,7 @@ from diag_service.console.terminal import PeopleConsole
 from diag_service.diagnosis.results import dump, utc_from_bus_ns
 from diag_service.errors import ConfigError, StoppedError
 from diag_service.mapping.databases import open_database
-from diag_service.service.stopping import Trigger
+from diag_service.service.stopping import Controls, Trigger
 from fleet_contract import JsonObject
 
 SCHEMA = "clutchdiag/inspect/v1"
@@ -50,15 +50,14 @@ class Inspection:
     is_whole: bool
 
 
-def execute(options: SimpleNamespace, stop: Trigger, counts_wanted: Trigger) -> None:
+def execute(options: SimpleNamespace, controls: Controls) -> None:
     """Inspect one log after the other; raises StoppedError if that was stopped."""
-    del counts_wanted
     if options.bitrate <= 0:
         raise ConfigError(f"the bit rate must be > 0, got {options.bitrate}")
     messages = open_database(options.dbc, is_lenient=options.lenient).messages
     console = PeopleConsole()
     for path in options.logs:
-        inspection = inspect_log(path, messages, options.bitrate, stop)
+        inspection = inspect_log(path, messages, options.bitrate, controls.stop)
         if options.json:
             sys.stdout.write(dump(inspection_record(inspection)) + "\n")
         else:

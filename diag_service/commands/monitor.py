@@ -2,12 +2,11 @@
 
 from types import SimpleNamespace
 
-from diag_service.commands.meaning import bus_config, diagnosis_config
 from diag_service.service import application
-from diag_service.service.stopping import Trigger
+from diag_service.service.stopping import Controls
+from diag_service.settings.config import bus_config, diagnosis_config
 
 
-def execute(options: SimpleNamespace, stop: Trigger, counts_wanted: Trigger) -> None:
+def execute(options: SimpleNamespace, controls: Controls) -> None:
     """Show the bus until it is told to stop."""
-    controls = application.Controls(stop=stop, counts_wanted=counts_wanted)
     application.run_monitor(diagnosis_config(options), bus_config(options), controls)

@@ -18,7 +18,7 @@ from diag_service.errors import StoppedError
 from diag_service.mapping.databases import open_database
 from diag_service.mapping.proposal import SignalStatistics, candidates, profile_text
 from diag_service.mapping.tiers import PURPOSE, missing_for_next, tier_of
-from diag_service.service.stopping import Trigger
+from diag_service.service.stopping import Controls, Trigger
 from program_io.legible import legible
 
 
@@ -106,12 +106,11 @@ class Survey:
         self._ends_ns = (min(before[0], first_ns), max(before[1], last_ns))
 
 
-def execute(options: SimpleNamespace, stop: Trigger, counts_wanted: Trigger) -> None:
+def execute(options: SimpleNamespace, controls: Controls) -> None:
     """Survey a log and write a profile whose comments say what there is."""
-    del counts_wanted
     database = options.dbc or DBC_PATH
     survey = Survey(Codec(open_database(options.dbc, is_lenient=options.lenient).messages, check_codes=True))
-    survey.add(options.log, stop)
+    survey.add(options.log, controls.stop)
     best = candidates(survey.statistics())
     tier = tier_of(best.keys())
     reach = f"tier {tier:d} ({PURPOSE[tier]})" if tier else "no tier"

@@ -2,7 +2,6 @@
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from types import MappingProxyType
 from typing import Final
 
 import numpy as np
@@ -17,6 +16,7 @@ from canlog.frames import MAX_GAP_NS, FrameBatch
 from canlog.live.error_frames import BusError, tells
 from canlog.series import Series
 from diag_service.diagnosis.columns import ColumnBatch, Columns, GearRatios, Signal
+from diag_service.diagnosis.summary import FrameCounts
 from diag_service.mapping.mapped_messages import map_signals
 from diag_service.mapping.profile import Profile
 from diag_service.mapping.sample_pass import DecodedFrames, SamplePass, is_able, is_seamless
@@ -40,20 +40,6 @@ class MessageCounts:
     senders: Mapping[int, int]  # frames by J1939 source address, empty for other messages
     e2e_state: E2eState
     invalidations: int  # times that the message as a whole lost its trust
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class DecoderCounts:
-    """What became of all frames: ``received = decoded + ignored + sum(rejected.values())``."""
-
-    received: int
-    decoded: int
-    ignored: int  # messages that no mapped signal needs
-    rejected: Mapping[FrameReason, int]  # reasons that occurred
-    missing: int  # of protected messages, not in ``received``
-    invalid_values: int  # not available or out of range, in frames that were decoded
-    messages: Mapping[str, MessageCounts]
-    invalid: Mapping[Signal, InvalidCounts]  # signals with invalid values
 
 
 class Decoder:
@@ -137,12 +123,29 @@ class Decoder:
         return {column.signal: column.limits for column in columns if column.limits is not None}
 
     @property
-    def counts(self) -> DecoderCounts:
-        """What became of all frames until now."""
+    def counts(self) -> FrameCounts:
+        """What became of all frames until now; how they came here, their source knows."""
+        counts = self._monitor.counts.sum(axis=0)
+        invalid = {
+            signal.value: {reason: count for reason, count in counts._asdict().items() if count}
+            for signal, counts in self._invalid.items()
+        }
+        return FrameCounts(
+            on_bus=int(counts.sum()),
+            decoded=int(counts[FrameReason.OK]),
+            ignored=int(counts[FrameReason.UNKNOWN_ID]),
+            rejected={reason.name.lower(): count for reason, count in _rejected(counts).items()},
+            missing=int(self._monitor.missing.sum()),
+            invalid_values=sum(sum(reasons.values()) for reasons in invalid.values()),
+            invalid=invalid,
+        )
+
+    @property
+    def messages(self) -> Mapping[str, MessageCounts]:
+        """What became of the frames of each message until now, and its state."""
         counts, missing = self._monitor.counts, self._monitor.missing
-        total = counts.sum(axis=0)
         states, invalidations = self._e2e.states, self._e2e.invalidations
-        messages = {
+        return {
             mapped.message.name: MessageCounts(
                 decoded=int(counts[slot, FrameReason.OK]),
                 rejected=_rejected(counts[slot]),
@@ -154,16 +157,6 @@ class Decoder:
             )
             for slot, mapped in enumerate(self._messages)
         }
-        return DecoderCounts(
-            received=int(total.sum()),
-            decoded=int(total[FrameReason.OK]),
-            ignored=int(total[FrameReason.UNKNOWN_ID]),
-            rejected=_rejected(total),
-            missing=int(missing.sum()),
-            invalid_values=sum(invalid.total for invalid in self._invalid.values()),
-            messages=MappingProxyType(messages),
-            invalid=MappingProxyType(dict(self._invalid)),
-        )
 
     def stream(self, batch: FrameBatch) -> Iterator[ColumnBatch]:
         """Yield the columns of a batch bit by bit: as ``feed``, but a long one in pieces that suit the machine."""
@@ -261,9 +254,9 @@ class Decoder:
         self._invalid[signal] = self._invalid.get(signal, NO_INVALID).plus(counts)
 
 
-def _rejected(row: Int64Array) -> Mapping[FrameReason, int]:
+def _rejected(row: Int64Array) -> dict[FrameReason, int]:
     """Return the rejections of one row of counts."""
-    return MappingProxyType({reason: int(row[reason]) for reason in REJECTIONS if row[reason]})
+    return {reason: int(row[reason]) for reason in REJECTIONS if row[reason]}
 
 
 def _bad_frame_ns(segment: FrameBatch, verdicts: FrameVerdicts) -> Int64Array:

@@ -6,8 +6,7 @@ import sys
 import uuid
 from collections.abc import Callable, Mapping
 from contextlib import AbstractAsyncContextManager, ExitStack, closing
-from dataclasses import dataclass, replace
-from datetime import UTC, datetime
+from dataclasses import replace
 from importlib.metadata import version
 from pathlib import Path
 
@@ -28,26 +27,18 @@ from diag_service.delivery import (
     Reporter,
 )
 from diag_service.delivery.outbox import MetricsMessage
-from diag_service.diagnosis.condition.condition import ConditionMemory
-from diag_service.diagnosis.friction import FilterState
-from diag_service.diagnosis.friction.paper import PaperCollection, nominal_driveline
-from diag_service.diagnosis.results import ServiceStatus, dump, iso_utc
+from diag_service.diagnosis.results import ServiceStatus
 from diag_service.diagnosis.summary import Summary, frames_line
-from diag_service.mapping.decoder import Decoder
-from diag_service.mapping.interpretation import interpret
-from diag_service.service import calibrate_run
-from diag_service.service.drive import insist_on_every_source, insist_on_the_whole, open_drive, stream_of
+from diag_service.service.drive import insist, open_drive, stream_of
 from diag_service.service.live import run_live
 from diag_service.service.monitor import Monitor
-from diag_service.service.paper_run import run_paper
 from diag_service.service.recorded import run_logs
 from diag_service.service.service_manager import ServiceManager
-from diag_service.service.session import Session, resume, versions_for
+from diag_service.service.session import Session, new_session, utc_now, versions_for
 from diag_service.service.snapshot import Board, Snapshot, SnapshotTaker
-from diag_service.service.stages import Stages
-from diag_service.service.stopping import Trigger
+from diag_service.service.stopping import Controls, Trigger
 from diag_service.settings.config import BusConfig, DiagnosisConfig
-from diag_service.store import ResultStore, Versions
+from diag_service.store import ResultStore
 from fleet_contract import Outgoing, config_message, metrics_message
 from program_io.legible import legible
 from program_io.standard_output import discard
@@ -55,28 +46,20 @@ from program_io.standard_output import discard
 _LOG = logging.getLogger(__name__)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Controls:
-    """What the operating system's signals set."""
-
-    stop: Trigger
-    counts_wanted: Trigger
-
-
 def run_bus(config: DiagnosisConfig, bus: BusConfig, store_path: Path, controls: Controls, *, as_json: bool) -> None:
     """Diagnose a live bus until it is told to stop."""
-    decoder = interpret(config.dbc, config.profile, is_lenient=config.is_lenient).decoder()
+    decoder = config.interpretation().decoder()
     with closing(ResultStore.open(store_path, config.budget_bytes)) as store:
         reporter = DetachedReporter(_reporter(controls.stop, as_json=as_json))
-        session = _session(config, decoder, store, None, reporter)
+        session = new_session(config, decoder, store, None, reporter)
         asyncio.run(_run_bus(config, bus, store, session, controls))
 
 
 def run_monitor(config: DiagnosisConfig, bus: BusConfig, controls: Controls) -> None:
     """Show a live bus until told to stop; nothing is stored or published."""
-    decoder = interpret(config.dbc, config.profile, is_lenient=config.is_lenient).decoder()
+    decoder = config.interpretation().decoder()
     with closing(ResultStore.in_memory()) as store, Monitor(PeopleConsole()) as monitor:
-        session = _session(config, decoder, store, None, monitor)
+        session = new_session(config, decoder, store, None, monitor)
         asyncio.run(_run_bus(replace(config, broker=None), bus, store, session, controls, monitor.show))
 
 
@@ -90,14 +73,14 @@ def run_recorded(
     StoppedError, IncompleteError
         If it was a part of the drive only, or of a strict run if a log or a channel gave nothing, after that was told.
     """
-    meaning = interpret(config.dbc, config.profile, is_lenient=config.is_lenient)
+    meaning = config.interpretation()
     decoder = meaning.decoder()
     logs = open_drive(paths, is_strict=config.is_strict)
     stream = stream_of([*(log.path for log in logs), *meaning.files])
     with closing(
         ResultStore.in_memory() if store_path is None else ResultStore.open(store_path, config.budget_bytes)
     ) as store:
-        session = _session(config, decoder, store, stream, _reporter(controls.stop, as_json=as_json))
+        session = new_session(config, decoder, store, stream, _reporter(controls.stop, as_json=as_json))
 
         async def run() -> Summary:
             summary = await run_logs(
@@ -108,36 +91,7 @@ def run_recorded(
             return summary
 
         summary = asyncio.run(run())
-    insist_on_the_whole(summary.gaps)
-    if config.is_strict:
-        insist_on_every_source(summary.contributions)
-
-
-def run_paper_recorded(config: DiagnosisConfig, paths: list[Path], controls: Controls, *, as_json: bool) -> None:
-    """Analyse the logs of a drive by the paper's method; nothing is stored, judged or published."""
-    decoder = interpret(config.dbc, config.profile, is_lenient=config.is_lenient).decoder()
-    stages = Stages(decoder, config.calibration, FilterState.fresh(config.calibration), ConditionMemory.fresh())
-    collection = PaperCollection(config.calibration, nominal_driveline())
-    logs = open_drive(paths, is_strict=config.is_strict)
-    output = sys.stdout if as_json else PeopleConsole()
-    run_paper(logs, stages, collection, output, controls.stop, is_strict=config.is_strict)
-
-
-def run_calibrate(
-    config: DiagnosisConfig, paths: list[Path], output: Path, controls: Controls, *, as_json: bool
-) -> None:
-    """Find what a vehicle's sensors and masses really are from its logs, and write its own calibration file."""
-    events = calibrate_run.find_events(
-        open_drive(paths),
-        interpret(config.dbc, config.profile, is_lenient=config.is_lenient).decoder(),
-        config.calibration,
-        controls.stop,
-    )
-    found = calibrate_run.run_calibrate(events, config.calibration, config.vehicle, output, controls.stop)
-    if as_json:
-        sys.stdout.write(dump(calibrate_run.record(found, config.calibration, config.vehicle, events.gaps)) + "\n")
-    else:
-        calibrate_run.show(found, config.calibration, output, PeopleConsole(), events.gaps)
+    insist(summary.gaps, summary.contributions, is_strict=config.is_strict)
 
 
 async def _run_bus(
@@ -148,7 +102,7 @@ async def _run_bus(
     controls: Controls,
     onlooker: Callable[[Snapshot], None] = lambda _: None,
 ) -> None:
-    filters = session.stages.kernel_filters if bus.is_filtered else ()
+    filters = session.stages.decoder.kernel_filters if bus.is_filtered else ()
     schedule = ReadSchedule()
     opener = BusOpener(bus.interface, bus.channel, bus.bitrate, fd=bus.is_fd, filters=filters, schedule=schedule)
     source = await supervise(opener)
@@ -192,26 +146,6 @@ def _report_life(manager: ServiceManager, snapshot: Snapshot) -> None:
     manager.struggling(str(snapshot.stuck))
 
 
-def _session(
-    config: DiagnosisConfig, decoder: Decoder, store: ResultStore, stream: str | None, reporter: Reporter
-) -> Session:
-    versions = _versions(config)
-    filter_state, memory = resume(store, config.vehicle, versions, config.calibration)
-    return Session(
-        stages=Stages(decoder, config.calibration, filter_state, memory),
-        store=store,
-        reporter=reporter,
-        vehicle=config.vehicle,
-        versions=versions,
-        stream=stream,
-        utc_now=_utc_now,
-    )
-
-
-def _versions(config: DiagnosisConfig) -> Versions:
-    return versions_for(config.calibration)
-
-
 def _reporter(stop: Trigger, *, as_json: bool) -> Reporter:
     def hang_up() -> None:
         discard()
@@ -227,11 +161,11 @@ def _outbox(config: DiagnosisConfig, store: ResultStore, session: Session, *, is
         return None
     if danger := config.broker.exposure:
         _LOG.warning("%s", danger)
-    versions = _versions(config)
+    versions = versions_for(config.calibration)
     status = ServiceStatus(
         vehicle=config.vehicle,
         is_online=True,
-        connected_at=_utc_now(),
+        connected_at=utc_now(),
         service_version=version("clutchdiag"),
         algorithm_version=versions.algorithm,
         calibration_version=versions.calibration,
@@ -268,7 +202,7 @@ def _greeting(config: DiagnosisConfig, status: ServiceStatus) -> Outgoing:
         "dbc": legible(str(config.dbc or "shipped")),
         "profile": legible(str(config.profile or "shipped")),
     }
-    return config_message(config.vehicle, _utc_now(), settings)
+    return config_message(config.vehicle, utc_now(), settings)
 
 
 def _metrics_of(store: ResultStore, session: Session) -> MetricsMessage:
@@ -281,14 +215,10 @@ def _metrics_of(store: ResultStore, session: Session) -> MetricsMessage:
             "store_dropped_undelivered_count": dropped.undelivered,
             "store_given_up_count": session.given_up_count,
         }
-        return metrics_message(session.vehicle, _utc_now(), {**numbers, **own})
+        return metrics_message(session.vehicle, utc_now(), {**numbers, **own})
 
     return message
 
 
 def _connect_now(connector: MqttConnector) -> Callable[[], AbstractAsyncContextManager[Link]]:
-    return lambda: connector.connect(_utc_now())
-
-
-def _utc_now() -> str:
-    return iso_utc(datetime.now(UTC))
+    return lambda: connector.connect(utc_now())

@@ -2,31 +2,31 @@
 
 import contextlib
 import os
+import sys
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from datetime import UTC, date, datetime
 from pathlib import Path
 
 from rich import box
-from rich.console import Console
 from rich.table import Table
 
 from canlog.errors import SourceError
 from clutch_model.calibration import Calibration, calibration_toml
 from clutch_model.units import bar_from_pa
+from diag_service.console.terminal import PeopleConsole
 from diag_service.diagnosis.events import Event
 from diag_service.diagnosis.friction.parameters import NUISANCE_NAMES, STATE_COUNT, Considered, State, prior_covariance
 from diag_service.diagnosis.friction.self_calibration import SelfCalibration, self_calibrate
-from diag_service.diagnosis.records import FrictionEstimate
+from diag_service.diagnosis.results import dump
 from diag_service.diagnosis.shifts.run_ups import RunUpFinder
 from diag_service.diagnosis.shifts.shifts import ShiftFinder
 from diag_service.diagnosis.summary import GAP_TEXT, Gap
 from diag_service.errors import ConfigError, StoppedError
 from diag_service.mapping.decoder import Decoder
-from diag_service.service.drive import OpenLog, gaps_in, warn_of_damage, warn_of_idle
-from diag_service.service.drive_frames import DriveFrames
+from diag_service.service.drive import DriveFrames, OpenLog, gaps_in, open_drive, warn_of_faults
 from diag_service.service.stopping import Trigger
-from diag_service.settings.config import UNNAMED_VEHICLE
+from diag_service.settings.config import UNNAMED_VEHICLE, DiagnosisConfig
 from fleet_contract import JsonObject
 
 CALIBRATION_SCHEMA = "clutchdiag/self-calibration/v1"
@@ -101,8 +101,7 @@ def find_events(
             run_ups += run_up_finder.feed(columns)
     shifts += shift_finder.flush()
     run_ups += run_up_finder.flush()
-    warn_of_damage(logs)
-    warn_of_idle(drive.contributions(decoder.named_channel))
+    warn_of_faults(logs, drive.contributions(decoder.named_channel))
     if not shifts:
         raise SourceError("no shift in these logs: nothing to calibrate from")
     return CalibrationEvents(shifts=tuple(shifts), run_ups=tuple(run_ups), gaps=gaps_in(logs, was_stopped=False))
@@ -113,10 +112,8 @@ def _go_on(stop: Trigger) -> None:
         raise StoppedError("stopped early: nothing was calibrated, no file was written")
 
 
-def run_calibrate(
-    events: CalibrationEvents, start: Calibration, vehicle: str, path: Path, stop: Trigger
-) -> SelfCalibration:
-    """Calibrate a vehicle and write its calibration file.
+def run_calibrate(config: DiagnosisConfig, logs: Sequence[Path], path: Path, stop: Trigger, *, as_json: bool) -> None:
+    """Calibrate a vehicle from its logs, write its own calibration file and show what was found.
 
     Raises
     ------
@@ -125,15 +122,21 @@ def run_calibrate(
     StoppedError
         If it was stopped before the file was written.
     """
-    version = f"{start.version}-{vehicle}-{events.last_day.isoformat()}"
+    start = config.calibration
+    events = find_events(open_drive(logs), config.interpretation().decoder(), start, stop)
+    version = f"{start.version}-{config.vehicle}-{events.last_day.isoformat()}"
     found = self_calibrate(events.shifts, events.run_ups, start, version)
     if isinstance(found, str):
         raise ConfigError(f"no self-calibration: {found}")
-    owner = None if vehicle == UNNAMED_VEHICLE else vehicle
+    owner = None if config.vehicle == UNNAMED_VEHICLE else config.vehicle
     calibration = replace(found.calibration, made_on=events.last_day, vehicle=owner)
     _go_on(stop)
     _write(path, calibration)
-    return replace(found, calibration=calibration)
+    found = replace(found, calibration=calibration)
+    if as_json:
+        sys.stdout.write(dump(record(found, start, config.vehicle, events.gaps)) + "\n")
+    else:
+        show(found, start, path, PeopleConsole(), events.gaps)
 
 
 def _write(path: Path, calibration: Calibration) -> None:
@@ -148,49 +151,50 @@ def _write(path: Path, calibration: Calibration) -> None:
         raise ConfigError(f"cannot write {path}: {exc.strerror or exc}") from exc
 
 
-def show(found: SelfCalibration, start: Calibration, path: Path, console: Console, gaps: tuple[Gap, ...] = ()) -> None:
+def show(found: SelfCalibration, start: Calibration, path: Path, console: PeopleConsole, gaps: Sequence[Gap]) -> None:
     """Print what was found, for people."""
     for gap in gaps:
-        console.print(f"{GAP_TEXT[gap]}: calibrated from what there is", style="bold red", soft_wrap=True)
+        console.print(f"{GAP_TEXT[gap]}: calibrated from what there is", style="bold red")
     table = Table(box=box.SIMPLE_HEAD, pad_edge=False, padding=(0, 1, 0, 0))
-    for name, justify in (("parameter", "left"), ("found", "right"), ("std", "right"), ("std before", "right")):
-        table.add_column(name, justify=justify, no_wrap=True)  # type: ignore[arg-type]
+    table.add_column("parameter", no_wrap=True)
+    for name in ("found", "std", "std before"):
+        table.add_column(name, justify="right", no_wrap=True)
     table.add_column("", no_wrap=True)
     for name, value, std, before in _rows(found, start):
         unit = _UNITS[name]
         cells = (f"{unit.factor * number:.3g}" for number in (std, before))
         table.add_row(unit.label, f"{unit.factor * value:+.3g}", *cells, unit.unit)
     console.print(table)
+    for line in _lines(found, path):
+        console.print(line)
+
+
+def _lines(found: SelfCalibration, path: Path) -> Iterator[str]:
     for clutch in (1, 2):
         friction = found.state.friction(clutch)
-        console.print(
+        yield (
             f"clutch {clutch}: mu_C {friction.mu_c:.4f} ± {friction.std_mu_c:.4f}"
-            f"  mu_S {friction.mu_s:.4f} ± {friction.std_mu_s:.4f}  (total std)",
-            highlight=False,
-            soft_wrap=True,
+            f"  mu_S {friction.mu_s:.4f} ± {friction.std_mu_s:.4f}  (total std)"
         )
     opened, closed = found.run_up_counts
-    console.print(
+    yield (
         f"used: {found.shift_counts[0]} shifts onto clutch 1, {found.shift_counts[1]} onto clutch 2, engine revs in"
         f" neutral {opened} with open and {closed} with closed clutches; not used: {found.rejected_count} shifts;"
-        f" chi-square {found.mean_misfit:.2f} per degree of freedom",
-        highlight=False,
-        soft_wrap=True,
+        f" chi-square {found.mean_misfit:.2f} per degree of freedom"
     )
     if not (opened and closed):
-        console.print(
+        yield (
             "the torque gain, and with it the scale of friction, is not observable from driving: "
-            "engine revs in neutral with open and then with closed clutches (workshop routine) tell it",
-            highlight=False,
-            soft_wrap=True,
+            "engine revs in neutral with open and then with closed clutches (workshop routine) tell it"
         )
-    console.print(f"calibration {found.calibration.version} in {path}", highlight=False, soft_wrap=True)
+    yield f"calibration {found.calibration.version} in {path}"
     if found.calibration.vehicle is None:
-        console.print("it names no vehicle (--vehicle) and so is taken for any", highlight=False, soft_wrap=True)
+        yield "it names no vehicle (--vehicle) and so is taken for any"
 
 
-def record(found: SelfCalibration, start: Calibration, vehicle: str, gaps: tuple[Gap, ...] = ()) -> JsonObject:
+def record(found: SelfCalibration, start: Calibration, vehicle: str, gaps: Sequence[Gap]) -> JsonObject:
     """Return what was found, for machines; SI units."""
+    frictions = {clutch: found.state.friction(clutch) for clutch in (1, 2)}
     return {
         "schema": CALIBRATION_SCHEMA,
         "vehicle": vehicle,
@@ -200,20 +204,14 @@ def record(found: SelfCalibration, start: Calibration, vehicle: str, gaps: tuple
         "parameters": {
             name: {"value": value, "std": std, "std_before": before} for name, value, std, before in _rows(found, start)
         },
-        "friction": {str(clutch): _friction(found.state.friction(clutch)) for clutch in (1, 2)},
+        "friction": {
+            str(clutch): {key: getattr(friction, key) for key in ("mu_c", "std_mu_c", "mu_s", "std_mu_s")}
+            for clutch, friction in frictions.items()
+        },
         "shift_counts": list(found.shift_counts),
         "rev_counts": list(found.run_up_counts),
         "rejected_shift_count": found.rejected_count,
         "chi_square_ratio": found.mean_misfit,
-    }
-
-
-def _friction(friction: FrictionEstimate) -> JsonObject:
-    return {
-        "mu_c": friction.mu_c,
-        "std_mu_c": friction.std_mu_c,
-        "mu_s": friction.mu_s,
-        "std_mu_s": friction.std_mu_s,
     }
 
 

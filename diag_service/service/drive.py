@@ -2,19 +2,26 @@
 
 import hashlib
 import logging
-from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from itertools import chain
 from pathlib import Path
+from typing import Final
 
+import numpy as np
+
+from canlog.e2e.protection_check import FrameReason, LinkMonitor
 from canlog.errors import SourceError
 from canlog.frames import FrameBatch
-from canlog.logs import LogReader, read_log
+from canlog.logs import LogReader, merged_by_time, read_log
 from canlog.plain_files import open_plain_file
-from diag_service.diagnosis.contributions import Contributions
+from diag_service.diagnosis.contributions import ChannelShare, Contributions, LogShare, idle_lines
 from diag_service.diagnosis.summary import Gap, gaps_line
 from diag_service.errors import ConfigError, IncompleteError, StoppedError
 
-_BLOCK_BYTES = 1 << 20
+MOST_SOURCES: Final = 256
+_UNKNOWN: Final = -1  # the mark of a channel of which no frame came yet
+_BLOCK_BYTES: Final = 1 << 20
 _LOG = logging.getLogger(__name__)
 
 
@@ -85,43 +92,24 @@ def gaps_in(logs: Sequence[OpenLog], *, was_stopped: bool) -> tuple[Gap, ...]:
     return tuple(gap for gap, is_there in found.items() if is_there)
 
 
-def insist_on_the_whole(gaps: tuple[Gap, ...]) -> None:
-    """End a run that has told what it found in a part of a drive.
+def insist(gaps: Sequence[Gap], contributions: Contributions, *, is_strict: bool) -> None:
+    """End a run that has told what it found.
 
     Raises
     ------
-    StoppedError
-        If it was stopped.
-    IncompleteError
-        If a log broke off.
+    StoppedError, IncompleteError
+        If it was a part of the drive only; of a strict run also if a log or a channel gave nothing: the first is named.
     """
-    if Gap.STOPPED in gaps:
-        raise StoppedError(gaps_line(gaps))
     if gaps:
-        raise IncompleteError(gaps_line(gaps))
-
-
-def insist_on_every_source(contributions: Contributions) -> None:
-    """End a strict run that has told what it found, if a log or a channel gave nothing to it.
-
-    Raises
-    ------
-    IncompleteError
-        If one did; the first is named.
-    """
-    if idle := contributions.idle:
+        raise (StoppedError if Gap.STOPPED in gaps else IncompleteError)(gaps_line(tuple(gaps)))
+    idle = contributions.idle
+    if is_strict and idle:
         more = f"; and {len(idle) - 1} more" if len(idle) > 1 else ""
         raise IncompleteError(f"{idle[0]}{more}")
 
 
-def warn_of_idle(contributions: Contributions) -> None:
-    """Warn of logs and channels that gave nothing."""
-    for text in contributions.idle:
-        _LOG.warning("%s", text)
-
-
-def warn_of_damage(logs: Sequence[OpenLog]) -> None:
-    """Warn of logs with holes."""
+def warn_of_faults(logs: Sequence[OpenLog], contributions: Contributions) -> None:
+    """Warn of logs with holes, and of logs and channels that gave nothing."""
     for log in logs:
         counts = log.reader.counts
         _LOG.info("%s: taken for %s: %s", log.path, log.reader.format, log.reader.evidence)
@@ -140,3 +128,83 @@ def warn_of_damage(logs: Sequence[OpenLog]) -> None:
             _LOG.warning("%s ends before its own end", log.path)
         elif counts.unfinished:
             _LOG.warning("%s was not closed by its writer; what is missing at its end cannot be told", log.path)
+    for text in contributions.idle:
+        _LOG.warning("%s", text)
+
+
+class DriveFrames:
+    """The frames of the logs of a drive, once, merged by time; ``channel`` of a frame is the mark of its source.
+
+    A source is a channel of one of the logs. Every format numbers channels in its own way, so a number says something
+    within its log only: two logs of one time may be two buses with one number, or one bus with two. The monitor
+    follows each message from one source, and counts what became of the frames of each.
+    """
+
+    def __init__(self, logs: Sequence[OpenLog], monitor: LinkMonitor) -> None:
+        self.logs = tuple(logs)
+        self._monitor = monitor
+        self._marks = [np.full(MOST_SOURCES, _UNKNOWN, np.int64) for _ in logs]  # by channel
+        self._free = set(range(MOST_SOURCES))
+        self._ended: dict[int, LogShare] = {}
+
+    def __iter__(self) -> Iterator[FrameBatch]:
+        return merged_by_time([self._frames(number) for number in range(len(self.logs))], self._marked)
+
+    def contributions(self, named_channel: int | None, *, is_whole: bool = True) -> Contributions:
+        """Return what each log gave until now; of a part of a drive it cannot be told what gives nothing."""
+        numbers = range(len(self.logs))
+        shares = tuple(self._ended.get(number) or self._share(number) for number in numbers)
+        return Contributions(logs=shares, idle=tuple(idle_lines(shares, named_channel)) if is_whole else ())
+
+    def _frames(self, number: int) -> Iterator[FrameBatch]:
+        log = self.logs[number]
+        yield from chain((log.first,), log.reader)
+        self._end(number)  # all of its frames were taken: the merger asks for more only then
+
+    def _marked(self, number: int, batch: FrameBatch) -> FrameBatch:
+        """Return frames of a log with the marks of their sources."""
+        marks = self._marks[number]
+        present = np.flatnonzero(np.bincount(batch.channel, minlength=MOST_SOURCES))
+        for channel in present[marks[present] == _UNKNOWN].tolist():
+            marks[channel] = self._begin(number, channel)
+        if np.array_equal(marks[present], present):
+            return batch
+        return replace(batch, channel=marks[batch.channel].astype(np.uint8))
+
+    def _begin(self, number: int, channel: int) -> int:
+        """Give a channel of a log a mark: its own number, or what is free if that is taken."""
+        if not self._free:
+            raise SourceError(f"{self.logs[number].path}: more than {MOST_SOURCES} channels of logs at the same time")
+        source = channel if channel in self._free else min(self._free)
+        self._free.remove(source)
+        self._monitor.begin_source(source, channel)
+        return source
+
+    def _end(self, number: int) -> None:
+        self._ended[number] = self._share(number)
+        for source in self._sources(number).values():
+            self._monitor.end_source(source)
+            self._free.add(source)
+
+    def _sources(self, number: int) -> dict[int, int]:
+        """Return the marks of the channels of a log."""
+        marks = self._marks[number]
+        return {channel: int(marks[channel]) for channel in np.flatnonzero(marks != _UNKNOWN).tolist()}
+
+    def _share(self, number: int) -> LogShare:
+        channels = tuple(
+            _channel_share(channel, self._monitor.source_counts(source))
+            for channel, source in self._sources(number).items()
+        )
+        return LogShare(path=str(self.logs[number].path), channels=channels)
+
+
+def _channel_share(channel: int, counts: Mapping[FrameReason, int]) -> ChannelShare:
+    used = {FrameReason.OK, FrameReason.UNKNOWN_ID}
+    return ChannelShare(
+        channel=channel,
+        frames=sum(counts.values()),
+        decoded=counts.get(FrameReason.OK, 0),
+        ignored=counts.get(FrameReason.UNKNOWN_ID, 0),
+        rejected={reason.name.lower(): count for reason, count in counts.items() if reason not in used},
+    )

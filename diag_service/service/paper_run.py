@@ -1,84 +1,72 @@
 """Recorded drives by the paper's method: a line per shift, a table of both clutches, no uncertainty and no verdict."""
 
+import sys
 from collections.abc import Sequence
+from pathlib import Path
 from typing import TextIO
 
 from rich import box
-from rich.console import Console
 from rich.table import Table
 
-from diag_service.diagnosis.friction.paper import PaperCollection, PaperEstimate, PaperShift, PooledClutch
+from diag_service.console.terminal import PeopleConsole
+from diag_service.diagnosis.condition.condition import ConditionMemory
+from diag_service.diagnosis.friction import FilterState
+from diag_service.diagnosis.friction.paper import (
+    PaperCollection,
+    PaperEstimate,
+    PaperShift,
+    PooledClutch,
+    nominal_driveline,
+)
 from diag_service.diagnosis.results import dump
 from diag_service.diagnosis.summary import Gap, frames_line, gaps_line
-from diag_service.errors import StoppedError
-from diag_service.service.drive import (
-    OpenLog,
-    gaps_in,
-    insist_on_every_source,
-    insist_on_the_whole,
-    warn_of_damage,
-    warn_of_idle,
-)
-from diag_service.service.drive_frames import DriveFrames
-from diag_service.service.recorded import events, frame_counts
+from diag_service.service.drive import insist, open_drive
+from diag_service.service.recorded import replay
 from diag_service.service.stages import Stages
-from diag_service.service.stopping import Trigger
+from diag_service.service.stopping import Controls
+from diag_service.settings.config import DiagnosisConfig
 from fleet_contract import JsonObject
 
 PAPER_SCHEMA = "clutchdiag/paper/v1"
 _HEAD = f"{'shift':>5}  {'gears':<5} {'clutch':>6}  {'mu_C':>8} {'n':>4} {'mu_S':>8} {'n':>4}"
 
 
-def run_paper(
-    logs: Sequence[OpenLog],
-    stages: Stages,
-    collection: PaperCollection,
-    output: Console | TextIO,
-    stop: Trigger,
-    *,
-    is_strict: bool = False,
-) -> None:
-    """Analyse the shifts of a drive; tables to a console, JSON lines to any other stream.
+def run_paper(config: DiagnosisConfig, paths: Sequence[Path], controls: Controls, *, as_json: bool) -> None:
+    """Analyse the shifts of a drive, tables for people or JSON lines; nothing is stored, judged or published.
 
     Raises
     ------
     StoppedError, IncompleteError
-        If it was a part of the drive only, or of a strict run if a log or a channel gave nothing, after that was told.
+        As ``insist`` does, after all was told.
     """
-    if isinstance(output, Console):
-        output.print(_HEAD, style="bold", highlight=False, soft_wrap=True)
-    was_stopped = False
-    drive = DriveFrames(logs, stages.sources)
-    try:
-        for event in events(drive, stages, stop):
-            _tell(collection.add(event), output)
-    except StoppedError:
-        was_stopped = True
-    contributions = drive.contributions(stages.named_channel, is_whole=not was_stopped)
-    warn_of_damage(logs)
-    warn_of_idle(contributions)
-    gaps = gaps_in(logs, was_stopped=was_stopped)
-    frames = frames_line(frame_counts(logs, stages, is_whole=not was_stopped))
-    _conclude(collection.pooled(), gaps, frames, output)
-    insist_on_the_whole(gaps)
-    if is_strict:
-        insist_on_every_source(contributions)
+    decoder = config.interpretation().decoder()
+    stages = Stages(decoder, config.calibration, FilterState.fresh(config.calibration), ConditionMemory.fresh())
+    collection = PaperCollection(config.calibration, nominal_driveline())
+    logs = open_drive(paths, is_strict=config.is_strict)
+    output = sys.stdout if as_json else PeopleConsole()
+    if isinstance(output, PeopleConsole):
+        output.print(_HEAD, style="bold")
+    account = replay(logs, stages, controls.stop, lambda event: _show(collection.add(event), output))
+    _conclude(collection.pooled(), account.gaps, frames_line(account.frames), output)
+    insist(account.gaps, account.contributions, is_strict=config.is_strict)
 
 
-def _tell(shift: PaperShift, output: Console | TextIO) -> None:
-    if isinstance(output, Console):
-        output.print(shift_line(shift), highlight=False, soft_wrap=True)
+def _show(shift: PaperShift, output: PeopleConsole | TextIO) -> None:
+    if isinstance(output, PeopleConsole):
+        output.print(shift_line(shift))
     else:
         _write(output, _shift_record(shift))
 
 
-def _conclude(pooled: Sequence[PooledClutch], gaps: tuple[Gap, ...], frames: str, output: Console | TextIO) -> None:
-    if isinstance(output, Console):
+def _conclude(
+    pooled: Sequence[PooledClutch], gaps: tuple[Gap, ...], frames: str, output: PeopleConsole | TextIO
+) -> None:
+    if isinstance(output, PeopleConsole):
         if gaps:
-            output.print(gaps_line(gaps), style="bold red", highlight=False, soft_wrap=True)
+            output.print(gaps_line(gaps), style="bold red")
         output.print(_table(pooled))
-        output.print("n: samples that passed every gate; no uncertainty is stated, so no verdict", soft_wrap=True)
-        output.print(frames, highlight=False, soft_wrap=True)
+        output.print("n: samples that passed every gate; no uncertainty is stated, so no verdict")
+        output.print(frames)
         return
     for clutch in pooled:
         _write(output, _pooled_record(clutch, gaps))

@@ -4,14 +4,14 @@ import asyncio
 import logging
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 from diag_service.delivery import Outbox
+from diag_service.diagnosis.contributions import Contributions
 from diag_service.diagnosis.events import Event
-from diag_service.diagnosis.summary import FrameCounts, Summary
+from diag_service.diagnosis.summary import FrameCounts, Gap, Summary
 from diag_service.errors import StoppedError
-from diag_service.service.drive import OpenLog, gaps_in, warn_of_damage, warn_of_idle
-from diag_service.service.drive_frames import DriveFrames
+from diag_service.service.drive import DriveFrames, OpenLog, gaps_in, warn_of_faults
 from diag_service.service.session import Session
 from diag_service.service.stages import Stages
 from diag_service.service.stopping import Trigger
@@ -23,6 +23,15 @@ STOPPED_TEXT = "stopped early"
 _LOG = logging.getLogger(__name__)
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Account:
+    """What became of the frames of a drive."""
+
+    frames: FrameCounts
+    gaps: tuple[Gap, ...]  # why it is not the whole drive
+    contributions: Contributions
+
+
 async def run_logs(logs: Sequence[OpenLog], session: Session, *, stop: Trigger, outbox: Outbox | None) -> Summary:
     """Diagnose the logs of a drive, as ``open_drive`` put them; return the numbers.
 
@@ -30,43 +39,45 @@ async def run_logs(logs: Sequence[OpenLog], session: Session, *, stop: Trigger, 
     of the same logs takes it up. What is said of a part of a drive has no verdict, and the broker hears no state.
     """
     loop = asyncio.get_running_loop()
+    unpublished_count: int | None = None
 
-    def tell_outbox() -> None:
+    def process(event: Event) -> None:
+        session.process(event)
         if outbox is not None:
             loop.call_soon_threadsafe(outbox.nudge)
 
-    unpublished_count: int | None = None
-    drive = DriveFrames(logs, session.stages.sources)
     try:
         async with asyncio.TaskGroup() as tasks:
             sender = None if outbox is None else tasks.create_task(outbox.run(), name="outbox")
-            is_whole = await asyncio.to_thread(_analyse, drive, session, stop, tell_outbox)
-            gaps = gaps_in(logs, was_stopped=not is_whole)
+            account = await asyncio.to_thread(replay, logs, session.stages, stop, process)
             if outbox is not None and sender is not None:
-                if not gaps:
+                if not account.gaps:
                     outbox.release_states()
                 unpublished_count = await outbox.close(sender)
     except BaseExceptionGroup as group:
         raise first_error(group) from group
-    contributions = drive.contributions(session.stages.named_channel, is_whole=is_whole)
-    warn_of_damage(logs)
-    warn_of_idle(contributions)
     warn_of_slow_messages(session.stages)
-    frames = frame_counts(logs, session.stages, is_whole=is_whole)
-    if (text := SenderWatch().look(frames)) is not None:
+    if (text := SenderWatch().look(account.frames)) is not None:
         _LOG.warning("%s", text)
-    return session.finish(frames, unpublished_count, gaps, contributions)
+    return session.finish(account.frames, unpublished_count, account.gaps, account.contributions)
 
 
-def _analyse(drive: DriveFrames, session: Session, stop: Trigger, tell_outbox: Callable[[], None]) -> bool:
-    """Process the shifts of a drive; return whether that was all of them."""
+def replay(logs: Sequence[OpenLog], stages: Stages, stop: Trigger, use: Callable[[Event], None]) -> Account:
+    """Call ``use`` with each shift of a drive until told to stop; warn of what is wrong with its logs."""
+    drive = DriveFrames(logs, stages.decoder.sources)
+    is_whole = True
     try:
-        for event in events(drive, session.stages, stop):
-            session.process(event)
-            tell_outbox()
+        for event in events(drive, stages, stop):
+            use(event)
     except StoppedError:
-        return False
-    return True
+        is_whole = False
+    contributions = drive.contributions(stages.decoder.named_channel, is_whole=is_whole)
+    warn_of_faults(logs, contributions)
+    return Account(
+        frames=frame_counts(logs, stages, is_whole=is_whole),
+        gaps=gaps_in(logs, was_stopped=not is_whole),
+        contributions=contributions,
+    )
 
 
 def events(drive: DriveFrames, stages: Stages, stop: Trigger) -> Iterator[Event]:
@@ -96,7 +107,7 @@ def frame_counts(logs: Sequence[OpenLog], stages: Stages, *, is_whole: bool) -> 
     unreadable: Counter[str] = Counter()
     for log in logs:
         unreadable.update({reason.value: count for reason, count in log.reader.counts.rejected.items()})
-    counts = stages.frame_counts()
+    counts = stages.decoder.counts
     read = sum(log.reader.counts.frames for log in logs) if is_whole else counts.on_bus
     return replace(counts, on_bus=read, unreadable=dict(unreadable))
 
@@ -104,7 +115,7 @@ def frame_counts(logs: Sequence[OpenLog], stages: Stages, *, is_whole: bool) -> 
 def warn_of_slow_messages(stages: Stages) -> None:
     """Warn of messages that come less often than the database says; they are held against their own cycle."""
     by_cycles: dict[tuple[int, int], list[str]] = {}
-    for name, (own_ns, nominal_ns) in stages.slow_messages.items():
+    for name, (own_ns, nominal_ns) in stages.decoder.slow_messages.items():
         by_cycles.setdefault((round(own_ns / NS_PER_MS), round(nominal_ns / NS_PER_MS)), []).append(name)
     for (own_ms, nominal_ms), names in sorted(by_cycles.items()):
         _LOG.warning("frames every %d ms instead of %d ms: %s", own_ms, nominal_ms, ", ".join(names))

@@ -4,6 +4,7 @@ import logging
 from collections import deque
 from collections.abc import Callable
 from contextlib import suppress
+from datetime import UTC, datetime
 
 from canlog.notice import NOTICE
 from clutch_model.calibration import Calibration
@@ -15,10 +16,12 @@ from diag_service.diagnosis.contributions import NO_LOGS, Contributions
 from diag_service.diagnosis.events import Event
 from diag_service.diagnosis.friction import ALGORITHM_VERSION, FilterState
 from diag_service.diagnosis.records import ShiftResult
-from diag_service.diagnosis.results import utc_from_bus_ns
+from diag_service.diagnosis.results import iso_utc, utc_from_bus_ns
 from diag_service.diagnosis.summary import FrameCounts, Gap, ShiftTally, Summary, frames_line, summarise
 from diag_service.errors import StoreFullError
+from diag_service.mapping.decoder import Decoder
 from diag_service.service.stages import Stages
+from diag_service.settings.config import DiagnosisConfig
 from diag_service.store import ResultStore, VehicleState, Versions
 
 MAX_PENDING_COUNT = 1000  # results in memory while the disk is full
@@ -188,6 +191,28 @@ def versions_for(calibration: Calibration) -> Versions:
     return Versions(algorithm=ALGORITHM_VERSION, calibration=f"{calibration.version}+{fingerprint(calibration)}")
 
 
+def new_session(
+    config: DiagnosisConfig, decoder: Decoder, store: ResultStore, stream: str | None, reporter: Reporter
+) -> Session:
+    """Return a session that goes on from the running state in the store; ``stream`` as in `Session`."""
+    versions = versions_for(config.calibration)
+    filter_state, memory = resume(store, config.vehicle, versions, config.calibration)
+    return Session(
+        stages=Stages(decoder, config.calibration, filter_state, memory),
+        store=store,
+        reporter=reporter,
+        vehicle=config.vehicle,
+        versions=versions,
+        stream=stream,
+        utc_now=utc_now,
+    )
+
+
+def utc_now() -> str:
+    """Return the present moment as results carry it."""
+    return iso_utc(datetime.now(UTC))
+
+
 def resume(
     store: ResultStore, vehicle: str, versions: Versions, calibration: Calibration
 ) -> tuple[FilterState, ConditionMemory]:
@@ -196,21 +221,11 @@ def resume(
     state = store.state(vehicle)
     if state is None:
         return fresh
-    if state.versions != versions:
-        _LOG.warning(
-            "the running state of %s was made by algorithm %s with calibration %s; starting afresh with a new "
-            "baseline, results stay",
-            vehicle,
-            state.versions.algorithm,
-            state.versions.calibration,
-        )
-        return fresh
     try:
-        return FilterState.from_json(state.belief, calibration), ConditionMemory.from_json(state.condition)
+        if state.versions == versions:
+            return FilterState.from_json(state.belief, calibration), ConditionMemory.from_json(state.condition)
+        made_by = f"was made by algorithm {state.versions.algorithm} with calibration {state.versions.calibration}"
     except ValueError as exc:
-        _LOG.warning(
-            "the running state of %s cannot be used (%s); starting afresh with a new baseline, results stay",
-            vehicle,
-            exc,
-        )
-        return fresh
+        made_by = f"cannot be used ({exc})"
+    _LOG.warning("the running state of %s %s; starting afresh with a new baseline, results stay", vehicle, made_by)
+    return fresh

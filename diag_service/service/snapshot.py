@@ -63,7 +63,7 @@ def frame_counts(source: LiveSource, stages: Stages) -> FrameCounts:
     """Return what became of the frames of a live bus."""
     seen = source.counts
     return replace(
-        stages.frame_counts(),
+        stages.decoder.counts,
         on_bus=seen.received + seen.kernel_dropped,
         unsupported=seen.unsupported,
         kernel_dropped=seen.kernel_dropped,
@@ -119,12 +119,12 @@ class SnapshotTaker:
 
     def take(self, now_s: float) -> Snapshot:
         """Return how things stand; ``now_s`` is monotonic."""
-        stages = self._session.stages
-        messages = stages.messages
+        decoder = self._session.stages.decoder
+        messages = decoder.messages
         heard = {name: counts.decoded + sum(counts.rejected.values()) for name, counts in messages.items()}
-        self._meter.measure(now_s, stages.seen_ns, heard, self._source.bit_count)
-        frames = frame_counts(self._source, stages)
-        nominal_hz = stages.nominal_hz
+        self._meter.measure(now_s, decoder.last_ns, heard, self._source.bit_count)
+        frames = frame_counts(self._source, self._session.stages)
+        nominal_hz = decoder.nominal_hz
         return Snapshot(
             taken_s=now_s,
             vehicle=self._session.vehicle,

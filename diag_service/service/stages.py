@@ -1,9 +1,7 @@
 """Frames in, diagnoses out: the order of the stages, and the only file that knows it."""
 
-from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
-from canlog.e2e.protection_check import LinkMonitor
 from canlog.frames import FrameBatch
 from clutch_model.calibration import Calibration
 from diag_service.diagnosis.columns import Signal
@@ -16,8 +14,8 @@ from diag_service.diagnosis.quality.data_quality import QualityBasis, data_quali
 from diag_service.diagnosis.records import ClutchVerdict, Reason, ShiftEstimate, ShiftIndices, Status, Tier
 from diag_service.diagnosis.shifts.gear_tracking import tracker_for
 from diag_service.diagnosis.shifts.shifts import ShiftFinder
-from diag_service.diagnosis.summary import Capability, FrameCounts
-from diag_service.mapping.decoder import Decoder, MessageCounts
+from diag_service.diagnosis.summary import Capability
+from diag_service.mapping.decoder import Decoder
 from diag_service.mapping.tiers import missing_for_next, tier_of
 
 
@@ -35,7 +33,7 @@ class Stages:
     """Frames in, diagnoses out: no clock, no socket, no file; the same results for any cutting of the stream."""
 
     def __init__(self, decoder: Decoder, calibration: Calibration, state: FilterState, memory: ConditionMemory) -> None:
-        self._decoder = decoder
+        self.decoder = decoder
         self._finder = ShiftFinder(tracker_for(decoder.signals, decoder.gears))
         self.tier = tier_of(decoder.signals, knows_gears=knows_gears(decoder))
         self._estimator = Estimator(calibration)
@@ -56,7 +54,7 @@ class Stages:
 
     def segment(self, batch: FrameBatch) -> list[Event]:
         """Return the shifts that these frames complete; quick."""
-        return [event for columns in self._decoder.stream(batch) for event in self._finder.feed(columns)]
+        return [event for columns in self.decoder.stream(batch) for event in self._finder.feed(columns)]
 
     @property
     def is_expecting(self) -> bool:
@@ -68,14 +66,9 @@ class Stages:
         """Bus time beyond which the next shift will be returned, if it has ended."""
         return self._finder.due_ns
 
-    @property
-    def seen_ns(self) -> int | None:
-        """Bus time of the last frame; None before the first."""
-        return self._decoder.last_ns
-
     def flush(self) -> list[Event]:
         """End the segment: return what is still open; frames that come later begin another one."""
-        self._decoder.interrupt()
+        self.decoder.interrupt()
         return self._finder.flush()
 
     def conclude(self, event: Event) -> Diagnosis:
@@ -100,65 +93,19 @@ class Stages:
             memory = self._memory.with_fit(estimate).with_shift(estimate, self._state)
             self._memory, verdict = judge(memory, state, estimate.clutch, self._calibration)
         else:
-            verdict = no_verdict(estimate.clutch, missing_for_next(self._decoder.signals))
+            verdict = no_verdict(estimate.clutch, missing_for_next(self.decoder.signals))
         self._state = state
         return Diagnosis(estimate=estimate, verdict=verdict, state=self._state, memory=self._memory)
 
     def capability(self) -> Capability:
         """Return what the signals that came suffice for."""
-        seen = self._decoder.seen
-        has_gears = knows_gears(self._decoder)
+        seen = self.decoder.seen
+        has_gears = knows_gears(self.decoder)
         return Capability(
-            profile=self._decoder.profile_name,
+            profile=self.decoder.profile_name,
             tier=tier_of(seen, knows_gears=has_gears),
             missing=missing_for_next(seen, knows_gears=has_gears),
-            unseen=tuple(signal.value for signal in Signal if signal in self._decoder.signals - seen),
-        )
-
-    @property
-    def sources(self) -> LinkMonitor:
-        """Who follows each message from one source."""
-        return self._decoder.sources
-
-    @property
-    def named_channel(self) -> int | None:
-        """The only channel that is listened to, as the profile names it; None: every one."""
-        return self._decoder.named_channel
-
-    @property
-    def kernel_filters(self) -> tuple[tuple[int, int], ...]:
-        """What a kernel need let through, as identifiers and masks."""
-        return self._decoder.kernel_filters
-
-    @property
-    def messages(self) -> Mapping[str, MessageCounts]:
-        """What became of the frames of each message, and its state."""
-        return self._decoder.counts.messages
-
-    @property
-    def nominal_hz(self) -> Mapping[str, float]:
-        """How often each cyclic message should come."""
-        return self._decoder.nominal_hz
-
-    @property
-    def slow_messages(self) -> Mapping[str, tuple[int, int]]:
-        """The messages that come plainly less often than they should: their own cycle and the database's [ns]."""
-        return self._decoder.slow_messages
-
-    def frame_counts(self) -> FrameCounts:
-        """Return what the decoder counted; how the frames came here, their source adds."""
-        counts = self._decoder.counts
-        return FrameCounts(
-            on_bus=counts.received,
-            decoded=counts.decoded,
-            ignored=counts.ignored,
-            rejected={reason.name.lower(): count for reason, count in counts.rejected.items()},
-            missing=counts.missing,
-            invalid_values=counts.invalid_values,
-            invalid={
-                signal.value: {reason: count for reason, count in invalid._asdict().items() if count}
-                for signal, invalid in counts.invalid.items()
-            },
+            unseen=tuple(signal.value for signal in Signal if signal in self.decoder.signals - seen),
         )
 
 

@@ -2,6 +2,7 @@
 
 import signal
 from collections.abc import Callable
+from dataclasses import dataclass, field
 from types import FrameType
 
 
@@ -38,6 +39,14 @@ class Trigger:
 
         for number in numbers:
             signal.signal(number, handle)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Controls:
+    """What the operating system's signals set."""
+
+    stop: Trigger = field(default_factory=Trigger)
+    counts_wanted: Trigger = field(default_factory=Trigger)
 
 
 def ignore(*numbers: signal.Signals) -> None:

@@ -1,27 +1,20 @@
 """What a run is to do, checked once: the command line's words become values, or a ConfigError."""
 
 import os
-from dataclasses import dataclass
-from enum import StrEnum
+from dataclasses import dataclass, replace
 from pathlib import Path
+from types import SimpleNamespace
 
-import fleet_link
 from clutch_model.calibration import Calibration, nominal_calibration, read_calibration
 from diag_service.delivery import Acknowledge
 from diag_service.errors import ConfigError
+from diag_service.mapping.interpretation import Interpretation, interpret
 from fleet_contract import is_vehicle
-from fleet_link import AddressError, BrokerAddress, TlsFiles
+from fleet_link import AddressError, BrokerAddress, TlsFiles, parse_broker
 
 UNNAMED_VEHICLE = "vehicle"  # what a vehicle is called that nobody names
 SMALLEST_BUDGET_BYTES = 1 << 20
 _LOOPBACK = "127.0.0.1"
-
-
-class EstimatorKind(StrEnum):
-    """How friction is estimated from shifts."""
-
-    IMPULSE = "impulse"  # this project's: with uncertainty and verdict
-    PAPER = "paper"  # SAE 2015-01-1146: the yardstick, without either
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -37,6 +30,10 @@ class DiagnosisConfig:
     is_lenient: bool = False  # of the database: leave out what cannot be right
     acknowledge: Acknowledge = Acknowledge.BROKER
     budget_bytes: int | None = None  # of the store; None: no limit
+
+    def interpretation(self) -> Interpretation:
+        """Return what frames mean; raises ConfigError."""
+        return interpret(self.dbc, self.profile, is_lenient=self.is_lenient)
 
     def __post_init__(self) -> None:
         """Check what depends on each other."""
@@ -94,14 +91,43 @@ def check_vehicle(vehicle: str) -> str:
     return vehicle
 
 
-def vehicle_of(named: str | None, calibration: Calibration) -> str:
-    """Return the id of the vehicle: the one that was named, or else that of its calibration.
+def diagnosis_config(options: SimpleNamespace) -> DiagnosisConfig:
+    """Return how frames become results; names the vehicle in the options. Raises ConfigError or CalibrationError."""
+    calibration = nominal_calibration() if options.calibration is None else read_calibration(options.calibration)
+    options.vehicle = vehicle_of(options.vehicle, calibration)
+    config = DiagnosisConfig(
+        vehicle=options.vehicle,
+        dbc=options.dbc,
+        is_lenient=options.lenient,
+        profile=options.profile,
+        calibration=calibration,
+        is_strict=getattr(options, "strict", False),
+    )
+    if not hasattr(options, "broker"):  # of a command that neither delivers nor stores
+        return config
+    return replace(
+        config,
+        broker=_broker(options),
+        acknowledge=Acknowledge(options.acknowledge),
+        budget_bytes=None if options.store_budget is None else options.store_budget << 20,
+    )
 
-    Raises
-    ------
-    ConfigError
-        If it is no vehicle id.
-    """
+
+def bus_config(options: SimpleNamespace) -> BusConfig:
+    """Return which bus to listen to; raises ConfigError."""
+    return BusConfig(
+        interface=options.interface,
+        channel=options.channel,
+        bitrate=options.bitrate,
+        is_fd=options.fd,
+        duration_s=options.duration,
+        is_filtered=options.only_mapped,
+        metrics=parse_listen_address(options.metrics) if options.metrics else None,
+    )
+
+
+def vehicle_of(named: str | None, calibration: Calibration) -> str:
+    """Return the id of the vehicle: the one that was named, or else that of its calibration."""
     if named is not None:
         return check_vehicle(named)
     try:
@@ -110,33 +136,17 @@ def vehicle_of(named: str | None, calibration: Calibration) -> str:
         raise ConfigError(f"the calibration's vehicle: {exc}") from exc
 
 
-def parse_broker(url: str, tls: TlsFiles | None = None, password_file: Path | None = None) -> BrokerAddress:
-    """Return the broker that ``mqtt[s]://[user[:password]@]host[:port]`` names.
-
-    Parameters
-    ----------
-    tls :
-        Certificates, for ``mqtts``; without them the system's authorities count and we show no certificate.
-    password_file :
-        Holds the password in place of the URL; readable for its owner only.
-
-    Raises
-    ------
-    ConfigError
-        If the text is no such address; the message does not repeat it, since it may hold a password.
-    """
+def _broker(options: SimpleNamespace) -> BrokerAddress | None:
+    """Return where results are sent, with the certificates and the password for it."""
     try:
-        return fleet_link.parse_broker(url, tls, password_file)
+        tls = TlsFiles(authority=options.ca, certificate=options.cert, key=options.key)
+        if options.broker:
+            return parse_broker(options.broker, tls, options.password_file)
     except AddressError as exc:
         raise ConfigError(str(exc)) from exc
-
-
-def tls_files(authority: Path | None, certificate: Path | None, key: Path | None) -> TlsFiles:
-    """Return where certificates are; raises ConfigError if a certificate has no key, or a key no certificate."""
-    try:
-        return TlsFiles(authority=authority, certificate=certificate, key=key)
-    except AddressError as exc:
-        raise ConfigError(str(exc)) from exc
+    if tls != TlsFiles() or options.password_file is not None:
+        raise ConfigError("certificates and passwords need a broker")
+    return None
 
 
 def parse_listen_address(text: str) -> ListenAddress:
@@ -151,23 +161,6 @@ def parse_listen_address(text: str) -> ListenAddress:
     if not port.isdecimal() or int(port) > 0xFFFF:
         raise ConfigError(f"the metrics address must be [HOST:]PORT, got {text!r}")
     return ListenAddress(host=host.strip("[]") or _LOOPBACK, port=int(port))
-
-
-def check_paper_options(store: Path | None, broker: BrokerAddress | None) -> None:
-    """Refuse to keep or send what the paper's method finds.
-
-    Raises
-    ------
-    ConfigError
-        If a store or a broker is named.
-    """
-    if store is not None or broker is not None:
-        raise ConfigError("the paper's method states no uncertainty: its results are shown, not stored or published")
-
-
-def load_calibration(path: Path | None) -> Calibration:
-    """Return the calibration in a file, or the one that ships; raises CalibrationError."""
-    return nominal_calibration() if path is None else read_calibration(path)
 
 
 def default_store(vehicle: str) -> Path:

@@ -40,16 +40,12 @@ def _read(file: Path) -> dict[str, Any]:
         raise ConfigError(f"cannot read {file}: {exc.strerror or exc}") from exc
     except ValueError as exc:
         raise ConfigError(f"{file} is no TOML: {exc}") from exc
-    if _holds_password(str(table.get("broker", ""))):
-        _check_secret_mode(file)
-    return table
-
-
-def _check_secret_mode(file: Path) -> None:
     try:
-        check_secret_mode(file)
+        if _holds_password(str(table.get("broker", ""))):
+            check_secret_mode(file)
     except AddressError as exc:
         raise ConfigError(str(exc)) from exc
+    return table
 
 
 def _holds_password(url: str) -> bool:

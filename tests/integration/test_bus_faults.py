@@ -45,7 +45,7 @@ def analysed(*faults: BusFault, seed: int = 41) -> tuple[list[Diagnosis], FrameC
     decoder = Decoder(load_contract(), load_profile())
     stages = Stages(decoder, calibration, FilterState.fresh(calibration), ConditionMemory.fresh())
     diagnoses = stages.feed(to_batch(frames))
-    counts = stages.frame_counts()
+    counts = stages.decoder.counts
     assert counts.on_bus == len(frames)
     assert counts.on_bus == counts.decoded + counts.ignored + sum(counts.rejected.values())
     return diagnoses, counts, truth

@@ -12,11 +12,11 @@ from diag_service.diagnosis.condition.condition import ConditionMemory
 from diag_service.diagnosis.contributions import Contributions
 from diag_service.diagnosis.events import Event
 from diag_service.diagnosis.friction import FilterState
-from diag_service.mapping.decoder import Decoder, DecoderCounts
+from diag_service.diagnosis.summary import FrameCounts
+from diag_service.mapping.decoder import Decoder
 from diag_service.mapping.profile import load_profile
 from diag_service.service.calibrate_run import find_events
-from diag_service.service.drive import open_drive
-from diag_service.service.drive_frames import DriveFrames
+from diag_service.service.drive import DriveFrames, open_drive
 from diag_service.service.recorded import events
 from diag_service.service.stages import Stages
 from diag_service.service.stopping import Trigger
@@ -34,7 +34,7 @@ class Followed:
     """What became of a drive of some logs."""
 
     shifts: Sequence[Event]
-    counts: DecoderCounts
+    counts: FrameCounts
     rejected: dict[str, int]
     contributions: Contributions
 
@@ -43,12 +43,12 @@ def followed(paths: Sequence[Path], channel: int | None = None) -> Followed:
     decoder = Decoder(DATABASE, replace(load_profile(), channel=channel))
     calibration = nominal_calibration()
     stages = Stages(decoder, calibration, FilterState.fresh(calibration), ConditionMemory.fresh())
-    frames = DriveFrames(open_drive(paths), stages.sources)
+    frames = DriveFrames(open_drive(paths), stages.decoder.sources)
     shifts = list(events(frames, stages, Trigger()))
     return Followed(
         shifts=shifts,
         counts=decoder.counts,
-        rejected=dict(stages.frame_counts().rejected),
+        rejected=dict(stages.decoder.counts.rejected),
         contributions=frames.contributions(channel),
     )
 
@@ -167,7 +167,7 @@ def test_more_logs_than_there_are_channel_numbers(lines: list[bytes], tmp_path: 
 def test_shares_add_up_to_the_frame(buses: list[Path]) -> None:
     found = followed(buses)
     logs = found.contributions.logs
-    assert sum(log.frames for log in logs) == found.counts.received
+    assert sum(log.frames for log in logs) == found.counts.on_bus
     assert sum(log.decoded for log in logs) == found.counts.decoded
     assert sum(log.ignored for log in logs) == found.counts.ignored
     for log, path in zip(logs, buses, strict=True):

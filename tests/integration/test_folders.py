@@ -14,7 +14,7 @@ from diag_service.batch.tables import write_results
 from diag_service.commands import analyze
 from diag_service.commands.arguments import parse_arguments
 from diag_service.errors import ConfigError, StoreError
-from diag_service.service.stopping import Trigger
+from diag_service.service.stopping import Controls
 from tests.plugins.drives import SHIFT_COUNT
 from tests.support.service import run_service
 from tests.tools.folders import fill_folder, kill_and_resume
@@ -101,4 +101,4 @@ def test_what_cannot_be_done_is_told(
     (tmp_path / "empty.log").touch()
     words = ["analyze", *(argument.format(log=drive_log, tmp=tmp_path) for argument in arguments)]
     with pytest.raises(error, match=re.escape(text)):
-        analyze.execute(parse_arguments(words), Trigger(), Trigger())
+        analyze.execute(parse_arguments(words), Controls())

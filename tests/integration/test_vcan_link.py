@@ -126,7 +126,7 @@ async def test_error_frames_are_counted_and_bus_off_asks_for_a_restart(vcan: str
 async def test_the_kernel_lets_through_what_is_mapped_and_error_frames(vcan: str) -> None:
     decoder = Decoder(DATABASE, load_profile())
     bus = Listener(await supervise(BusOpener("socketcan", vcan, filters=decoder.kernel_filters)))
-    mapped = sorted(contract.can_id for name, contract in CONTRACTS.items() if name in decoder.counts.messages)
+    mapped = sorted(contract.can_id for name, contract in CONTRACTS.items() if name in decoder.messages)
     send(vcan, 0x7A0, *mapped, 0x8000_0000 | mapped[0], 0x4000_0000 | mapped[0], ERROR_FLAG | 0x02)
     await bus.until(BusState.DEGRADED)
     assert await bus.close() == [*mapped, ERROR_FLAG | 0x02]

@@ -49,4 +49,4 @@ def diagnosed(batches: Iterable[FrameBatch]) -> Outcome:
     stages = Stages(decoder, calibration, FilterState.fresh(calibration), ConditionMemory.fresh())
     found = [diagnosis for batch in batches for diagnosis in stages.feed(batch)]
     found += [stages.conclude(event) for event in stages.flush()]
-    return Outcome(diagnoses=tuple(found), counts=stages.frame_counts())
+    return Outcome(diagnoses=tuple(found), counts=stages.decoder.counts)

@@ -50,7 +50,7 @@ def test_small_batches_give_the_bits_of_large_ones(size: int) -> None:
     at_once = whole.feed(batch)
     in_pieces = [part for first in range(0, len(batch), size) for part in pieces.feed(batch[first : first + size])]
     assert joined(in_pieces) == joined(at_once)
-    assert pieces.counts == whole.counts
+    assert (pieces.counts, pieces.messages) == (whole.counts, whole.messages)
     assert pieces.seen == whole.seen
     assert whole.counts.rejected
     bad_ns = np.concatenate([part.bad_frame_ns for part in in_pieces])
@@ -82,8 +82,8 @@ def test_values_that_are_no_measurements_are_counted_alike_by_reason() -> None:
     for first in range(0, count, 100):
         pieces.feed(batch[first : first + 100])
     not_available = int(np.count_nonzero(data[:, 4] >= 0xFB))
-    assert whole.counts.invalid == {Signal.ENGINE_SPEED: InvalidCounts(not_available=not_available)}
-    assert pieces.counts == whole.counts
+    assert whole.counts.invalid == {"engine_speed_rad_s": {"not_available": not_available}}
+    assert (pieces.counts, pieces.messages) == (whole.counts, whole.messages)
 
 
 def test_a_long_batch_comes_in_pieces_of_the_same_samples() -> None:
@@ -95,7 +95,7 @@ def test_a_long_batch_comes_in_pieces_of_the_same_samples() -> None:
     at_once, in_pieces = whole.feed(long), list(pieces.stream(long))
     assert len(in_pieces) == -(-len(long) // PIECE_FRAMES) > 1 == len(at_once)
     assert joined(in_pieces) == joined(at_once)
-    assert pieces.counts == whole.counts
+    assert (pieces.counts, pieces.messages) == (whole.counts, whole.messages)
     assert list(pieces.stream(long[:0])) == []
 
 

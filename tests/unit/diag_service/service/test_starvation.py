@@ -186,6 +186,6 @@ def _summary() -> Summary:
     store = ResultStore.in_memory()
     try:
         session = session_for(store, MemoryReporter())
-        return session.summary(session.stages.frame_counts(), None)
+        return session.summary(session.stages.decoder.counts, None)
     finally:
         store.close()

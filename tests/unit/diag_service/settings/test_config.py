@@ -11,10 +11,8 @@ from diag_service.settings.config import (
     BusConfig,
     check_vehicle,
     default_store,
-    parse_broker,
     vehicle_of,
 )
-from fleet_link import BrokerAddress
 
 BUS = BusConfig(interface=None, channel=None, bitrate=None, is_fd=False, duration_s=None)
 
@@ -45,45 +43,6 @@ def test_a_vehicle_is_named_by_hand_or_else_by_its_calibration(
 def test_a_calibration_may_name_a_vehicle_that_is_no_id() -> None:
     with pytest.raises(ConfigError, match="the calibration's vehicle: 'car 7' is no vehicle id"):
         vehicle_of(None, replace(nominal_calibration(), vehicle="car 7"))
-
-
-@pytest.mark.parametrize(
-    ("url", "address"),
-    [
-        ("mqtt://broker", BrokerAddress(host="broker")),
-        ("mqtt://broker:1884/", BrokerAddress(host="broker", port=1884)),
-        ("mqtt://u:p%40ss@10.0.0.1:1", BrokerAddress(host="10.0.0.1", port=1, username="u", password="p@ss")),  # noqa: S106 - made up
-        ("mqtt://u@[::1]", BrokerAddress(host="::1", username="u")),
-    ],
-)
-def test_broker_addresses(url: str, address: BrokerAddress) -> None:
-    assert parse_broker(url) == address
-
-
-@pytest.mark.parametrize(
-    "url",
-    [
-        "broker",
-        "http://broker",
-        "mqtt://",
-        "mqtt://broker:0",
-        "mqtt://broker:70000",
-        "mqtt://broker:x",
-        "mqtt://broker/topic",
-        "mqtt://[::1",
-    ],
-)
-def test_what_is_no_broker_address(url: str) -> None:
-    with pytest.raises(ConfigError, match="the broker must be mqtt"):
-        parse_broker(url)
-
-
-def test_a_password_is_not_shown() -> None:
-    address = parse_broker("mqtt://user:secret@broker")
-    assert "secret" not in f"{address} {address!r}"
-    with pytest.raises(ConfigError) as caught:
-        parse_broker("mqtt://user:secret@broker/path")
-    assert "secret" not in str(caught.value)
 
 
 @pytest.mark.parametrize("change", [{"bitrate": 0}, {"duration_s": 0.0}, {"duration_s": float("nan")}])

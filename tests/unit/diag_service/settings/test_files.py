@@ -12,7 +12,6 @@ from diag_service.cli import main
 from diag_service.commands.arguments import parse_arguments
 from diag_service.commands.config import describe
 from diag_service.errors import ConfigError
-from diag_service.settings.config import parse_broker
 from diag_service.settings.files import load_settings
 from diag_service.settings.options import SETTINGS, VARIABLES
 from fleet_contract import PREFIX, SERVICE_VARIABLES
@@ -258,15 +257,6 @@ def test_config_check_finds_what_is_wrong(
 ) -> None:
     assert main(["config", "check", *arguments]) == 2
     assert message in capsys.readouterr().err
-
-
-def test_a_password_of_a_file(tmp_path: Path) -> None:
-    file = tmp_path / "password"
-    file.write_text("hunter2\n", encoding="utf-8")
-    file.chmod(0o600)
-    address = parse_broker("mqtts://car1@host", None, file)
-    assert (address.password, address.port) == ("hunter2", 8883)
-    assert "hunter2" not in repr(address)
 
 
 def test_words_are_read_before_anything_heavy_is_loaded() -> None:
