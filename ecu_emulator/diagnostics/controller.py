@@ -1,0 +1,128 @@
+"""One controller that runs: it keeps the state between requests and has it on the disk before anything is answered."""
+
+import threading
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Final
+
+from ecu_emulator.diagnostics.codes import NEGATIVE, Nrc
+from ecu_emulator.diagnostics.memory import TestResult
+from ecu_emulator.diagnostics.memory_file import MemoryFile
+from ecu_emulator.diagnostics.server import advance, answer, cycled, switched_on, tested, warmed_up
+from ecu_emulator.diagnostics.services.routines import finished
+from ecu_emulator.diagnostics.state import Moment, Reply, Request, ServerState
+from ecu_emulator.diagnostics.table import DiagnosticTable
+from ecu_emulator.diagnostics.values import Values
+from ecu_emulator.errors import RecordError
+
+LONGEST_SEED_BYTES: Final = 16
+
+
+class Controller:
+    """A diagnostic server that several threads may use: one that answers, one that drives and monitors.
+
+    Parameters
+    ----------
+    table
+        What it can be asked.
+    values
+        Returns the values of the vehicle now, by source.
+    clock
+        Returns a time [s] that never goes back.
+    chance
+        Returns so many random bytes.
+    store
+        The file that keeps what outlives a restart; without one, nothing does.
+
+    Raises
+    ------
+    RecordError
+        If the file cannot be read or written.
+    """
+
+    def __init__(
+        self,
+        table: DiagnosticTable,
+        *,
+        values: Callable[[], Values],
+        clock: Callable[[], float],
+        chance: Callable[[int], bytes],
+        store: MemoryFile | None = None,
+    ) -> None:
+        self.table = table
+        self._values = values
+        self._clock = clock
+        self._chance = chance
+        self._store = store
+        self._lock = threading.Lock()
+        self._state = switched_on(table, store.load() if store is not None else None, clock())
+        if store is not None:
+            store.save(self._state)
+
+    @property
+    def state(self) -> ServerState:
+        """What it remembers now."""
+        return self._state
+
+    def ask(self, payload: bytes, *, is_functional: bool = False) -> bytes | None:
+        """Return the response to a request, None if there is none; what it changed is on the disk by then."""
+        with self._lock:
+            request = Request(payload=payload, is_functional=is_functional)
+            return self._kept(answer(self.table, self._state, request, self._moment()), payload)
+
+    def tick(self) -> bytes | None:
+        """Return a response that has become due; to be called about every 10 ms."""
+        with self._lock:
+            waiting = self._state.waiting
+            payload = waiting.request.payload if waiting is not None else b""
+            return self._kept(advance(self.table, self._state, self._moment()), payload)
+
+    def report(self, number: int, result: TestResult) -> None:
+        """Take the result of a monitor.
+
+        Raises
+        ------
+        RecordError
+            If it cannot be kept.
+        """
+        self._change(lambda state: tested(self.table, state, number, result, self._moment()))
+
+    def warm_up(self) -> None:
+        """Note that the vehicle has become warm in this operation cycle; raises RecordError as ``report``."""
+        self._change(warmed_up)
+
+    def cycle(self) -> None:
+        """Begin a new operation cycle; raises RecordError as ``report``."""
+        self._change(lambda state: cycled(self.table, state))
+
+    def finish(self, routine: int) -> None:
+        """Note that the vehicle has done what a routine asked for."""
+        self._change(lambda state: finished(state, self.table, routine, self._moment()))
+
+    def _change(self, change: Callable[[ServerState], ServerState]) -> None:
+        with self._lock:
+            state = change(self._state)
+            self._save(state)
+            self._state = state
+
+    def _kept(self, reply: Reply, payload: bytes) -> bytes | None:
+        """Return a reply's response once its state is on the disk; what cannot be kept is refused and forgotten."""
+        try:
+            self._save(reply.state)
+        except RecordError:
+            self._state = replace(self._state, waiting=None)
+            return bytes([NEGATIVE, payload[0], Nrc.PROGRAMMING_FAILURE]) if payload else None
+        self._state = reply.state
+        return reply.payload
+
+    def _save(self, state: ServerState) -> None:
+        if self._store is not None and not _are_same(state, self._state):
+            self._store.save(state)
+
+    def _moment(self) -> Moment:
+        return Moment(t_s=self._clock(), values=self._values(), chance=self._chance(LONGEST_SEED_BYTES))
+
+
+def _are_same(one: ServerState, other: ServerState) -> bool:
+    """Return whether two states keep the same, at a glance."""
+    return one.memory is other.memory and one.written is other.written and one.wrong_keys is other.wrong_keys

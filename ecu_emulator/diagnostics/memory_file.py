@@ -1,0 +1,209 @@
+"""What a controller keeps without current: trouble codes, written data and wrong keys, in a file that survives a kill.
+
+The file is replaced as a whole, after its bytes have reached the disk: at any moment it is the old one or the new one.
+"""
+
+import fcntl
+import hashlib
+import json
+import os
+from collections.abc import Mapping
+from contextlib import suppress
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Final, Self
+
+from canlog.plain_files import read_small_file
+from ecu_emulator.diagnostics.codes import Status
+from ecu_emulator.diagnostics.memory import MOST_COUNT, Capture, TroubleMemory, TroubleRecord, empty_memory
+from ecu_emulator.diagnostics.state import ServerState
+from ecu_emulator.diagnostics.table import DiagnosticTable
+from ecu_emulator.errors import RecordError
+
+FORMAT: Final = 1
+OWNER_ONLY: Final = 0o600
+_COUNTERS: Final = ("occurrences", "failed_cycles", "passed_cycles", "aged_cycles")
+
+
+class MemoryFile:
+    """The file of one controller; while it is open, no other process can use it.
+
+    Parameters
+    ----------
+    path
+        Where it is, or shall be.
+    table
+        What the controller knows: the file may hold nothing else.
+
+    Raises
+    ------
+    RecordError
+        If another process uses the file, or it cannot be made.
+    """
+
+    def __init__(self, path: Path, table: DiagnosticTable) -> None:
+        self._path = path
+        self._table = table
+        self._saved: dict[str, Any] | None = None
+        self._lock = -1
+
+    def __enter__(self) -> Self:
+        try:
+            self._lock = os.open(self._beside("lock"), os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, OWNER_ONLY)
+            fcntl.flock(self._lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError as exc:
+            os.close(self._lock)
+            raise RecordError(f"{self._path} is used by another process") from exc
+        except OSError as exc:
+            raise RecordError(f"cannot lock {self._path}: {exc.strerror}") from exc
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        os.close(self._lock)
+
+    def load(self) -> ServerState | None:
+        """Return what was kept, None if there is no file yet.
+
+        Raises
+        ------
+        RecordError
+            If the file cannot be read, is damaged, or holds what the table does not describe.
+        """
+        try:
+            document = json.loads(read_small_file(self._path))
+        except FileNotFoundError:
+            return None
+        except OSError as exc:
+            raise RecordError(f"cannot read {self._path}: {exc.strerror or exc}") from exc
+        except (ValueError, RecursionError) as exc:
+            raise self._damaged("not JSON") from exc
+        if not isinstance(document, dict) or document.pop("sha256", None) != _digest(document):
+            raise self._damaged("its checksum does not fit")
+        if document.get("format") != FORMAT:
+            raise RecordError(f"{self._path} has format {document.get('format')}, this program knows {FORMAT}")
+        self._saved = document
+        try:
+            return _state(document, self._table)
+        except (KeyError, TypeError, ValueError, AttributeError) as exc:
+            raise self._damaged(f"{type(exc).__name__} {exc}") from exc
+        except RecordError as exc:
+            raise RecordError(f"{self._path}: {exc}") from exc
+
+    def save(self, state: ServerState) -> None:
+        """Write what is to be kept, if it has changed; it is on the disk when this returns.
+
+        Raises
+        ------
+        RecordError
+            If the disk is full or cannot be written; the file is as it was before.
+        """
+        document = _document(state)
+        if document == self._saved:
+            return
+        temporary = self._beside("part")
+        text = json.dumps({**document, "sha256": _digest(document)}, indent=1, sort_keys=True)
+        try:
+            descriptor = os.open(temporary, os.O_WRONLY | os.O_CREAT | os.O_TRUNC | os.O_CLOEXEC, OWNER_ONLY)
+            with os.fdopen(descriptor, "w", encoding="utf-8") as stream:
+                stream.write(text + "\n")
+                stream.flush()
+                os.fsync(stream.fileno())
+            temporary.replace(self._path)
+            _sync_folder(self._path.absolute().parent)
+        except OSError as exc:
+            with suppress(OSError):
+                temporary.unlink(missing_ok=True)
+            raise RecordError(f"cannot write {self._path}: {exc.strerror or exc}") from exc
+        self._saved = document
+
+    def _beside(self, suffix: str) -> Path:
+        return self._path.with_name(f".{self._path.name}.{suffix}")
+
+    def _damaged(self, why: str) -> RecordError:
+        return RecordError(f"{self._path} is damaged ({why}); move it away to begin with an empty memory")
+
+
+def _sync_folder(folder: Path) -> None:
+    """Make a new name durable."""
+    descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
+    try:
+        os.fsync(descriptor)
+    finally:
+        os.close(descriptor)
+
+
+def _digest(document: Mapping[str, Any]) -> str:
+    return hashlib.sha256(json.dumps(document, sort_keys=True).encode("utf-8")).hexdigest()
+
+
+def _document(state: ServerState) -> dict[str, Any]:
+    memory = state.memory
+    return {
+        "format": FORMAT,
+        "has_begun": memory.has_begun,
+        "is_warmed_up": memory.is_warmed_up,
+        "codes": {f"{number:06X}": _record_document(record) for number, record in memory.records.items()},
+        "written": {f"{number:04X}": data.hex() for number, data in state.written.items()},
+        "wrong_keys": {str(level): count for level, count in state.wrong_keys.items()},
+    }
+
+
+def _record_document(record: TroubleRecord) -> dict[str, Any]:
+    counters = {name: getattr(record, name) for name in _COUNTERS}
+    captures = {"first": _capture_document(record.first), "latest": _capture_document(record.latest)}
+    return {"status": int(record.status), **counters, **captures}
+
+
+def _capture_document(capture: Capture | None) -> dict[str, Any] | None:
+    if capture is None:
+        return None
+    return {
+        "snapshot": [[number, data.hex()] for number, data in capture.snapshot],
+        "extended": [[number, data.hex()] for number, data in capture.extended],
+    }
+
+
+def _state(document: Mapping[str, Any], table: DiagnosticTable) -> ServerState:
+    records = {int(code, 16): _record(entry) for code, entry in document["codes"].items()}
+    written = {int(number, 16): bytes.fromhex(data) for number, data in document["written"].items()}
+    wrong_keys = {int(level): _count(count) for level, count in document["wrong_keys"].items()}
+    if unknown := sorted(records.keys() - table.troubles.keys()):
+        raise RecordError(f"trouble code {unknown[0]:06X} is not in the table {table.name}")
+    for number, data in written.items():
+        datum = table.data.get(number)
+        if datum is None or datum.write is None or len(data) != datum.size_bytes:
+            raise RecordError(f"data {number:04X} of {len(data)} bytes cannot be written by the table {table.name}")
+    if unknown := sorted(wrong_keys.keys() - table.levels.keys()):
+        raise RecordError(f"security level {unknown[0]} is not in the table {table.name}")
+    memory = TroubleMemory(
+        records={**empty_memory(table.troubles).records, **records},
+        has_begun=bool(document["has_begun"]),
+        is_warmed_up=bool(document["is_warmed_up"]),
+    )
+    return ServerState(memory=memory, written=written, wrong_keys=wrong_keys)
+
+
+def _record(entry: Mapping[str, Any]) -> TroubleRecord:
+    return TroubleRecord(
+        status=Status(_count(entry["status"])),
+        **{name: _count(entry[name]) for name in _COUNTERS},
+        first=_capture(entry["first"]),
+        latest=_capture(entry["latest"]),
+    )
+
+
+def _capture(entry: Mapping[str, Any] | None) -> Capture | None:
+    if entry is None:
+        return None
+    return Capture(
+        snapshot=tuple((int(number), bytes.fromhex(data)) for number, data in entry["snapshot"]),
+        extended=tuple((int(number), bytes.fromhex(data)) for number, data in entry["extended"]),
+    )
+
+
+def _count(value: object) -> int:
+    if not isinstance(value, int) or not 0 <= value <= MOST_COUNT:
+        raise ValueError(f"not a count: {value!r}")
+    return value

@@ -1,0 +1,220 @@
+"""A diagnostic server as a function: a request and the state before it in, a response or none and the new state out.
+
+The order of checks is that of ISO 14229-1, general server response behaviour: the service, the session it is in, its
+security; then length, sub-function, the session that one is in; then what each service checks itself.
+"""
+
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+from typing import Final
+
+from ecu_emulator.diagnostics.codes import (
+    DEFAULT_SESSION,
+    NEGATIVE,
+    SILENT_WHEN_FUNCTIONAL,
+    SUPPRESS,
+    Nrc,
+    Service,
+)
+from ecu_emulator.diagnostics.memory import TestResult, begin_cycle, empty_memory, note_warm_up, report
+from ecu_emulator.diagnostics.services.call import Call, Outcome, Result, is_unlocked
+from ecu_emulator.diagnostics.services.data import (
+    CLEAR_DEFINITION,
+    DEFINE_BY_IDENTIFIER,
+    control_data,
+    define_data,
+    read_data,
+    write_data,
+)
+from ecu_emulator.diagnostics.services.routines import RESULTS, START, STOP, answered, routine_control, timed_out
+from ecu_emulator.diagnostics.services.security import delay_over, security_access
+from ecu_emulator.diagnostics.services.sessions import (
+    CODES_OFF,
+    CODES_ON,
+    HARD_RESET,
+    KEY_OFF_ON_RESET,
+    SOFT_RESET,
+    communication_control,
+    control_code_setting,
+    ecu_reset,
+    in_session,
+    session_control,
+    started,
+    tester_present,
+)
+from ecu_emulator.diagnostics.services.trouble import REPORTS, capture, clear_codes, read_codes
+from ecu_emulator.diagnostics.state import Moment, Reply, Request, ServerState, Waiting
+from ecu_emulator.diagnostics.table import DiagnosticTable
+
+AGAIN_RATIO: Final = 0.7  # of P2*, after which 78 is sent again
+
+_HANDLERS: Final[Mapping[int, Callable[[Call], Result]]] = {
+    Service.SESSION_CONTROL: session_control,
+    Service.ECU_RESET: ecu_reset,
+    Service.CLEAR_CODES: clear_codes,
+    Service.READ_CODES: read_codes,
+    Service.READ_DATA: read_data,
+    Service.SECURITY_ACCESS: security_access,
+    Service.COMMUNICATION_CONTROL: communication_control,
+    Service.DEFINE_DATA: define_data,
+    Service.WRITE_DATA: write_data,
+    Service.CONTROL_DATA: control_data,
+    Service.ROUTINE_CONTROL: routine_control,
+    Service.TESTER_PRESENT: tester_present,
+    Service.CONTROL_CODE_SETTING: control_code_setting,
+}
+_SUB_FUNCTIONS: Final[Mapping[int, frozenset[int]]] = {
+    Service.ECU_RESET: frozenset({HARD_RESET, KEY_OFF_ON_RESET, SOFT_RESET}),
+    Service.READ_CODES: REPORTS,
+    Service.COMMUNICATION_CONTROL: frozenset({0x00, 0x01, 0x02, 0x03}),
+    Service.DEFINE_DATA: frozenset({DEFINE_BY_IDENTIFIER, CLEAR_DEFINITION}),
+    Service.ROUTINE_CONTROL: frozenset({START, STOP, RESULTS}),
+    Service.TESTER_PRESENT: frozenset({0x00}),
+    Service.CONTROL_CODE_SETTING: frozenset({CODES_ON, CODES_OFF}),
+}  # those of 10 and 27 are in the table
+
+
+def switched_on(table: DiagnosticTable, kept: ServerState | None, t_s: float) -> ServerState:
+    """Return the state of a controller that gets its current at this moment; ``kept`` is what its file holds."""
+    return started(kept or ServerState(memory=empty_memory(table.troubles)), table, t_s)
+
+
+def answer(table: DiagnosticTable, state: ServerState, request: Request, moment: Moment) -> Reply:
+    """Return what a controller does with a request.
+
+    Parameters
+    ----------
+    table, state
+        What it can be asked, and what it remembers.
+    request
+        A whole request, reassembled.
+    moment
+        The time, the vehicle, and fresh random bytes for a seed.
+
+    Returns
+    -------
+    Reply
+        The response or none, and the state after it. A response 78 is followed by the final one of ``advance``.
+    """
+    if moment.t_s < state.asleep_until_s or not request.payload:
+        return Reply(payload=None, state=state)
+    state = _settled(table, state, moment)
+    if state.waiting is not None:
+        return _while_waiting(state, request)
+    call = Call(table=table, state=replace(state, heard_s=moment.t_s), moment=moment, request=request)
+    result = _checked(call)
+    if isinstance(result, Nrc):
+        result = Outcome(response=result, state=call.state)
+    if not result.is_final:
+        waiting = Waiting(
+            request=request,
+            routine=int.from_bytes(request.payload[2:4], "big"),
+            again_s=moment.t_s + AGAIN_RATIO * table.timing.p2_star_s,
+        )
+        return Reply(payload=_negative(request, Nrc.RESPONSE_PENDING), state=replace(result.state, waiting=waiting))
+    return Reply(payload=_sent(request, result.response), state=result.state)
+
+
+def advance(table: DiagnosticTable, state: ServerState, moment: Moment) -> Reply:
+    """Return what a controller does because time has passed: a response that was awaited, or 78 once more."""
+    state = _settled(table, state, moment)
+    waiting = state.waiting
+    if waiting is None:
+        return Reply(payload=None, state=state)
+    run = state.routines[waiting.routine]
+    if run.is_running and moment.t_s < waiting.again_s:
+        return Reply(payload=None, state=state)
+    if run.is_running:
+        again = replace(waiting, again_s=moment.t_s + AGAIN_RATIO * table.timing.p2_star_s)
+        return Reply(payload=_negative(waiting.request, Nrc.RESPONSE_PENDING), state=replace(state, waiting=again))
+    state = replace(state, waiting=None, heard_s=moment.t_s)
+    call = Call(table=table, state=state, moment=moment, request=waiting.request)
+    response = answered(call, table.routines[waiting.routine], run).response
+    return Reply(payload=response if isinstance(response, bytes) else None, state=state)
+
+
+def tested(table: DiagnosticTable, state: ServerState, number: int, result: TestResult, moment: Moment) -> ServerState:
+    """Return the state after a monitor has spoken; nothing changes while a client has switched that off (85)."""
+    if not state.are_codes_updated:
+        return state
+    trouble = table.troubles[number]
+    return replace(state, memory=report(state.memory, trouble, result, capture(table, trouble, state, moment)))
+
+
+def warmed_up(state: ServerState) -> ServerState:
+    """Return the state in an operation cycle that counts for ageing."""
+    return replace(state, memory=note_warm_up(state.memory))
+
+
+def cycled(table: DiagnosticTable, state: ServerState) -> ServerState:
+    """Return the state after the ignition went off and on without the controller losing its current."""
+    return replace(state, memory=begin_cycle(state.memory, table.troubles))
+
+
+def _settled(table: DiagnosticTable, state: ServerState, moment: Moment) -> ServerState:
+    """Return the state with everything done that time alone does."""
+    state = timed_out(state, table, moment)
+    for level in table.levels.values():
+        state = delay_over(state, level, moment.t_s)
+    is_over = moment.t_s - state.heard_s >= table.timing.s3_s
+    if state.session != DEFAULT_SESSION and state.waiting is None and is_over:
+        return in_session(state, table, DEFAULT_SESSION)
+    return state
+
+
+def _while_waiting(state: ServerState, request: Request) -> Reply:
+    """Refuse what comes while a response is awaited, but not what only keeps the session alive."""
+    if request.payload == bytes([Service.TESTER_PRESENT, SUPPRESS]):
+        return Reply(payload=None, state=state)
+    return Reply(payload=_negative(request, Nrc.BUSY_REPEAT_REQUEST), state=state)
+
+
+def _checked(call: Call) -> Result:
+    service = call.table.services.get(call.payload[0])
+    if service is None or service.number not in _HANDLERS:
+        return Nrc.SERVICE_NOT_SUPPORTED
+    if call.state.session not in service.sessions:
+        return Nrc.SERVICE_NOT_SUPPORTED_IN_SESSION
+    if not is_unlocked(call.state, service.levels):
+        return Nrc.SECURITY_ACCESS_DENIED
+    if _has_sub_function(service.number) and (refusal := _sub_function_refusal(call)):
+        return refusal
+    return _HANDLERS[service.number](call)
+
+
+def _sub_function_refusal(call: Call) -> Nrc | None:
+    if len(call.payload) < 2:
+        return Nrc.INCORRECT_LENGTH
+    sessions = _sessions_of_sub_function(call)
+    if not sessions:
+        return Nrc.SUB_FUNCTION_NOT_SUPPORTED
+    return None if call.state.session in sessions else Nrc.SUB_FUNCTION_NOT_SUPPORTED_IN_SESSION
+
+
+def _has_sub_function(service: int) -> bool:
+    return service in _SUB_FUNCTIONS or service in {Service.SESSION_CONTROL, Service.SECURITY_ACCESS}
+
+
+def _sessions_of_sub_function(call: Call) -> tuple[int, ...]:
+    """Return in which sessions a sub-function is there; in none if it is not known."""
+    number, table = call.payload[0], call.table
+    if number == Service.SESSION_CONTROL:
+        session = table.sessions.get(call.sub_function)
+        return session.from_sessions if session is not None else ()
+    if number == Service.SECURITY_ACCESS:
+        level = table.levels.get(call.sub_function - (call.sub_function % 2 == 0))
+        return level.sessions if level is not None else ()
+    return table.services[number].sessions if call.sub_function in _SUB_FUNCTIONS[number] else ()
+
+
+def _sent(request: Request, response: bytes | Nrc) -> bytes | None:
+    """Return what goes onto the bus: not what the client did not want, nor that others were meant."""
+    if isinstance(response, Nrc):
+        is_silent = request.is_functional and response in SILENT_WHEN_FUNCTIONAL
+        return None if is_silent else _negative(request, response)
+    is_unwanted = _has_sub_function(request.payload[0]) and bool(request.payload[1] & SUPPRESS)
+    return None if is_unwanted else response
+
+
+def _negative(request: Request, nrc: Nrc) -> bytes:
+    return bytes([NEGATIVE, request.payload[0], nrc])

@@ -1,0 +1,87 @@
+"""What every service is given, what it gives back, and the checks that services share."""
+
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
+
+from ecu_emulator.diagnostics.codes import POSITIVE, SUPPRESS, Nrc
+from ecu_emulator.diagnostics.state import Moment, Request, ServerState
+from ecu_emulator.diagnostics.table import Access, DiagnosticTable
+from ecu_emulator.diagnostics.values import holds
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Call:
+    """One request that the server has taken up."""
+
+    table: DiagnosticTable
+    state: ServerState
+    moment: Moment
+    request: Request
+
+    @property
+    def payload(self) -> bytes:
+        """The request's bytes, the service's identifier first."""
+        return self.request.payload
+
+    @property
+    def sub_function(self) -> int:
+        """The sub-function, without the bit that suppresses a positive response."""
+        return self.payload[1] & ~SUPPRESS
+
+    def positive(self, data: bytes = b"", state: ServerState | None = None) -> "Outcome":
+        """Return a positive response with these data, and the state that goes with it."""
+        return Outcome(response=bytes([self.payload[0] + POSITIVE]) + data, state=state or self.state)
+
+    def refused(self, nrc: Nrc, state: ServerState) -> "Outcome":
+        """Return a negative response that is remembered."""
+        return Outcome(response=nrc, state=state)
+
+    def echoed(self, data: bytes = b"", state: ServerState | None = None) -> "Outcome":
+        """Return a positive response that repeats the sub-function before its data."""
+        return self.positive(bytes([self.sub_function]) + data, state)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Outcome:
+    """A response and the state after it; while it is not final, 78 is sent and the response comes later."""
+
+    response: bytes | Nrc
+    state: ServerState
+    is_final: bool = True
+
+
+Result = Outcome | Nrc
+
+
+def is_in_session(call: Call, access: Access) -> bool:
+    """Return whether something may be done in the active session."""
+    return call.state.session in access.sessions
+
+
+def is_unlocked(state: ServerState, levels: tuple[int, ...]) -> bool:
+    """Return whether no security is needed, or the right one is unlocked."""
+    return not levels or state.unlocked in levels
+
+
+def unmet(call: Call, conditions: Iterable[str]) -> Nrc | None:
+    """Return what is wrong with the vehicle: the response of the first condition that does not hold."""
+    for name in conditions:
+        condition = call.table.conditions[name]
+        if not holds(condition, call.moment.values):
+            return Nrc(condition.nrc)
+    return None
+
+
+def unmet_by_service(call: Call) -> Nrc | None:
+    """Return what is wrong with the vehicle for this service."""
+    return unmet(call, call.table.services[call.payload[0]].conditions)
+
+
+def locked(state: ServerState, table: DiagnosticTable) -> ServerState:
+    """Return the state with security locked and without what needed it."""
+    controlled = {
+        number: data
+        for number, data in state.controlled.items()
+        if (control := table.data[number].control) is not None and not control.levels
+    }
+    return replace(state, unlocked=0, seed_level=0, seed=b"", controlled=controlled)

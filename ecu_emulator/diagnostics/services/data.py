@@ -1,0 +1,187 @@
+"""Data by identifier: services 22 (read), 2C (define), 2E (write) and 2F (control)."""
+
+from collections.abc import Callable, Iterable
+from dataclasses import replace
+from typing import Final
+
+from ecu_emulator.diagnostics.codes import Nrc
+from ecu_emulator.diagnostics.services.call import Call, Result, is_in_session, is_unlocked, unmet, unmet_by_service
+from ecu_emulator.diagnostics.state import Moment, Piece, ServerState
+from ecu_emulator.diagnostics.table import Access, Datum
+from ecu_emulator.diagnostics.values import are_valid, encode
+
+DEFINE_BY_IDENTIFIER: Final = 0x01
+CLEAR_DEFINITION: Final = 0x03
+FIRST_DEFINABLE: Final = 0xF300  # annex C: what clients may define
+LAST_DEFINABLE: Final = 0xF3FF
+RETURN_CONTROL: Final = 0x00
+FREEZE: Final = 0x02
+ADJUST: Final = 0x03
+_NAME_BYTES: Final = 2
+_PIECE_BYTES: Final = 4
+
+
+def data_of(datum: Datum, state: ServerState, moment: Moment) -> bytes:
+    """Return what a datum holds now: what a client made of it, what was written, or what the vehicle says."""
+    if datum.number in state.controlled:
+        return state.controlled[datum.number]
+    if datum.initial is not None:
+        return state.written.get(datum.number, datum.initial_bytes)
+    return encode(datum.fields, {**moment.values, "active_session": state.session})
+
+
+def read_data(call: Call) -> Result:
+    """Read data; those that are not there are left out, unless none is."""
+    names = call.payload[1:]
+    if not names or len(names) % _NAME_BYTES or len(names) > _NAME_BYTES * call.table.limits.most_data:
+        return Nrc.INCORRECT_LENGTH
+    response, is_any = b"", False
+    for place in range(0, len(names), _NAME_BYTES):
+        name = names[place : place + _NAME_BYTES]
+        sources = _readable(call, int.from_bytes(name, "big"))
+        if not sources:
+            continue
+        is_any = True
+        if refusal := _refusal(call, [call.table.data[piece.source].read for piece in sources]):
+            return refusal
+        response += name + b"".join(_piece(call, piece) for piece in sources)
+    if not is_any:
+        return Nrc.REQUEST_OUT_OF_RANGE
+    if 1 + len(response) > call.table.limits.most_response_bytes:
+        return Nrc.RESPONSE_TOO_LONG
+    return call.positive(response)
+
+
+def _readable(call: Call, number: int) -> tuple[Piece, ...]:
+    """Return what a data identifier consists of; nothing if it is not there in this session."""
+    datum = call.table.data.get(number)
+    if datum is None:
+        pieces = call.state.defined.get(number, ())
+    else:
+        pieces = (Piece(source=number, start=0, size_bytes=datum.size_bytes),)
+    return pieces if all(is_in_session(call, call.table.data[piece.source].read) for piece in pieces) else ()
+
+
+def _refusal(call: Call, accesses: Iterable[Access]) -> Nrc | None:
+    for access in accesses:
+        if not is_unlocked(call.state, access.levels):
+            return Nrc.SECURITY_ACCESS_DENIED
+        if refusal := unmet(call, access.conditions):
+            return refusal
+    return None
+
+
+def _piece(call: Call, piece: Piece) -> bytes:
+    data = data_of(call.table.data[piece.source], call.state, call.moment)
+    return data[piece.start : piece.start + piece.size_bytes]
+
+
+def write_data(call: Call) -> Result:
+    """Write a stored datum; it is kept over a restart."""
+    target = _target(call, lambda datum: datum.write)
+    if isinstance(target, Nrc):
+        return target
+    datum, access = target
+    data = call.payload[3:]
+    if len(data) != datum.size_bytes:
+        return Nrc.INCORRECT_LENGTH
+    if not is_unlocked(call.state, access.levels):
+        return Nrc.SECURITY_ACCESS_DENIED
+    if not are_valid(datum.fields, data):
+        return Nrc.REQUEST_OUT_OF_RANGE
+    if refusal := unmet_by_service(call) or unmet(call, access.conditions):
+        return refusal
+    state = replace(call.state, written={**call.state.written, datum.number: data})
+    return call.positive(call.payload[1:3], state)
+
+
+def _target(call: Call, access_of: Callable[[Datum], Access | None]) -> tuple[Datum, Access] | Nrc:
+    """Return the datum that a request with more than its name is about, and who may do this with it."""
+    if len(call.payload) < 1 + _NAME_BYTES + 1:
+        return Nrc.INCORRECT_LENGTH
+    datum = call.table.data.get(int.from_bytes(call.payload[1:3], "big"))
+    access = None if datum is None else access_of(datum)
+    if datum is None or access is None or not is_in_session(call, access):
+        return Nrc.REQUEST_OUT_OF_RANGE
+    return datum, access
+
+
+def control_data(call: Call) -> Result:
+    """Take a live value out of the controller's hands, or give it back."""
+    target = _target(call, lambda datum: datum.control)
+    if isinstance(target, Nrc):
+        return target
+    datum, access = target
+    if not is_unlocked(call.state, access.levels):
+        return Nrc.SECURITY_ACCESS_DENIED
+    if refusal := _control_refusal(call, datum) or unmet_by_service(call) or unmet(call, access.conditions):
+        return refusal
+    action = call.payload[3]
+    controlled = {number: data for number, data in call.state.controlled.items() if number != datum.number}
+    if action == ADJUST:
+        controlled[datum.number] = call.payload[4:]
+    elif action == FREEZE:
+        controlled[datum.number] = data_of(datum, call.state, call.moment)
+    state = replace(call.state, controlled=controlled)
+    return call.positive(call.payload[1:4] + data_of(datum, state, call.moment), state)
+
+
+def _control_refusal(call: Call, datum: Datum) -> Nrc | None:
+    action, wanted = call.payload[3], call.payload[4:]
+    if action not in {RETURN_CONTROL, FREEZE, ADJUST}:
+        return Nrc.REQUEST_OUT_OF_RANGE
+    if len(wanted) != (datum.size_bytes if action == ADJUST else 0):
+        return Nrc.INCORRECT_LENGTH
+    return None if not wanted or are_valid(datum.fields, wanted) else Nrc.REQUEST_OUT_OF_RANGE
+
+
+def define_data(call: Call) -> Result:
+    """Make a datum of pieces of others, or forget it."""
+    return _defined(call) if call.sub_function == DEFINE_BY_IDENTIFIER else _forgotten(call)
+
+
+def _defined(call: Call) -> Result:
+    described = call.payload[2 + _NAME_BYTES :]
+    if not described or len(described) % _PIECE_BYTES:
+        return Nrc.INCORRECT_LENGTH
+    number = int.from_bytes(call.payload[2:4], "big")
+    if not FIRST_DEFINABLE <= number <= LAST_DEFINABLE:
+        return Nrc.REQUEST_OUT_OF_RANGE
+    pieces = [
+        Piece(
+            source=int.from_bytes(described[place : place + 2], "big"),
+            start=described[place + 2] - 1,
+            size_bytes=described[place + 3],
+        )
+        for place in range(0, len(described), _PIECE_BYTES)
+    ]
+    if not all(_is_within(call, piece) for piece in pieces):
+        return Nrc.REQUEST_OUT_OF_RANGE
+    used = sum(map(len, call.state.defined.values()))
+    if used + len(pieces) > call.table.limits.most_pieces:
+        return Nrc.REQUEST_OUT_OF_RANGE
+    if refusal := _refusal(call, [call.table.data[piece.source].read for piece in pieces]):
+        return refusal
+    before = call.state.defined.get(number, ())
+    state = replace(call.state, defined={**call.state.defined, number: (*before, *pieces)})
+    return call.echoed(call.payload[2:4], state)
+
+
+def _is_within(call: Call, piece: Piece) -> bool:
+    datum = call.table.data.get(piece.source)
+    if datum is None or not is_in_session(call, datum.read):
+        return False
+    return piece.start >= 0 and piece.size_bytes > 0 and piece.start + piece.size_bytes <= datum.size_bytes
+
+
+def _forgotten(call: Call) -> Result:
+    name = call.payload[2:]
+    if len(name) not in {0, _NAME_BYTES}:
+        return Nrc.INCORRECT_LENGTH
+    if not name:
+        return call.echoed(state=replace(call.state, defined={}))
+    number = int.from_bytes(name, "big")
+    if not FIRST_DEFINABLE <= number <= LAST_DEFINABLE:
+        return Nrc.REQUEST_OUT_OF_RANGE
+    left = {known: pieces for known, pieces in call.state.defined.items() if known != number}
+    return call.echoed(name, replace(call.state, defined=left))

@@ -1,0 +1,114 @@
+"""Sessions and what belongs to them: services 10, 11, 28, 3E and 85."""
+
+from dataclasses import replace
+from typing import Final
+
+from ecu_emulator.diagnostics.codes import DEFAULT_SESSION, Nrc
+from ecu_emulator.diagnostics.memory import begin_cycle
+from ecu_emulator.diagnostics.services.call import Call, Result, locked, unmet_by_service
+from ecu_emulator.diagnostics.state import Communication, RoutineRun, ServerState
+from ecu_emulator.diagnostics.table import DiagnosticTable
+
+HARD_RESET: Final = 0x01
+KEY_OFF_ON_RESET: Final = 0x02
+SOFT_RESET: Final = 0x03
+CODES_ON: Final = 0x01
+CODES_OFF: Final = 0x02
+_MS_PER_S: Final = 1e3
+_P2_STAR_STEP_S: Final = 0.01
+_ALL_GROUPS: Final = b"\xff\xff\xff"
+_NORMAL: Final = 0x01  # bits of the communication type
+_MANAGEMENT: Final = 0x02
+_RESERVED: Final = 0x0C
+
+
+def session_control(call: Call) -> Result:
+    """Enter a session: response with P2 in milliseconds and P2* in steps of ten."""
+    if len(call.payload) != 2:
+        return Nrc.INCORRECT_LENGTH
+    if refusal := unmet_by_service(call):
+        return refusal
+    timing = call.table.timing
+    p2 = round(timing.p2_s * _MS_PER_S).to_bytes(2, "big")
+    p2_star = round(timing.p2_star_s / _P2_STAR_STEP_S).to_bytes(2, "big")
+    return call.echoed(p2 + p2_star, in_session(call.state, call.table, call.sub_function))
+
+
+def in_session(state: ServerState, table: DiagnosticTable, session: int) -> ServerState:
+    """Return the state after a session was entered: security is locked, and the default session ends the rest."""
+    state = replace(locked(state, table), session=session)
+    if session != DEFAULT_SESSION:
+        return state
+    routines = {number: _stopped(run) for number, run in state.routines.items()}
+    return replace(
+        state, controlled={}, communication=Communication(), are_codes_updated=True, routines=routines, waiting=None
+    )
+
+
+def _stopped(run: RoutineRun) -> RoutineRun:
+    return replace(run, is_running=False, was_stopped=True) if run.is_running else run
+
+
+def ecu_reset(call: Call) -> Result:
+    """Answer, then start anew."""
+    if len(call.payload) != 2:
+        return Nrc.INCORRECT_LENGTH
+    if refusal := unmet_by_service(call):
+        return refusal
+    state = started(call.state, call.table, call.moment.t_s, is_new_cycle=call.sub_function != SOFT_RESET)
+    return call.echoed(state=replace(state, asleep_until_s=call.moment.t_s + call.table.timing.reset_s))
+
+
+def started(state: ServerState, table: DiagnosticTable, t_s: float, *, is_new_cycle: bool = True) -> ServerState:
+    """Return the state of a controller that has just started, with what it keeps: codes, written data, wrong keys."""
+    until_s = {
+        number: t_s + level.delay_s
+        for number, level in table.levels.items()
+        if state.wrong_keys.get(number, 0) >= level.most_attempts
+    }
+    return ServerState(
+        memory=begin_cycle(state.memory, table.troubles) if is_new_cycle else state.memory,
+        written=state.written,
+        wrong_keys=state.wrong_keys,
+        locked_until_s=until_s,
+        heard_s=t_s,
+    )
+
+
+def tester_present(call: Call) -> Result:
+    """Do nothing: that a request came keeps the session alive."""
+    return Nrc.INCORRECT_LENGTH if len(call.payload) != 2 else call.echoed()
+
+
+def control_code_setting(call: Call) -> Result:
+    """Switch the updating of trouble codes on or off; the option, if there is one, must name all groups."""
+    option = call.payload[2:]
+    if len(option) not in {0, len(_ALL_GROUPS)}:
+        return Nrc.INCORRECT_LENGTH
+    if option not in {b"", _ALL_GROUPS}:
+        return Nrc.REQUEST_OUT_OF_RANGE
+    if refusal := unmet_by_service(call):
+        return refusal
+    return call.echoed(state=replace(call.state, are_codes_updated=call.sub_function == CODES_ON))
+
+
+def communication_control(call: Call) -> Result:
+    """Switch sending and receiving of messages on or off: bit 1 of the sub-function for sending, bit 0 for receiving.
+
+    0 both on, 1 receiving only, 2 sending only, 3 both off. The type says which messages; its upper half which
+    network, and this controller is on one: all (0) or the one that the request came by (F).
+    """
+    if len(call.payload) != 3:
+        return Nrc.INCORRECT_LENGTH
+    kind, network = call.payload[2], call.payload[2] >> 4
+    if kind & _RESERVED or not kind & (_NORMAL | _MANAGEMENT) or network not in {0x0, 0xF}:
+        return Nrc.REQUEST_OUT_OF_RANGE
+    if refusal := unmet_by_service(call):
+        return refusal
+    receives, sends = call.sub_function in {0x00, 0x01}, call.sub_function in {0x00, 0x02}
+    communication = call.state.communication
+    if kind & _NORMAL:
+        communication = replace(communication, sends_normal=sends, receives_normal=receives)
+    if kind & _MANAGEMENT:
+        communication = replace(communication, sends_management=sends, receives_management=receives)
+    return call.echoed(state=replace(call.state, communication=communication))

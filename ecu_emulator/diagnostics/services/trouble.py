@@ -1,0 +1,190 @@
+"""Trouble codes: services 14 (clear) and 19 (read)."""
+
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import replace
+from typing import Final
+
+from ecu_emulator.diagnostics.codes import ALL_BITS, ALL_CODES, Nrc
+from ecu_emulator.diagnostics.memory import (
+    FAILED_COUNTER,
+    FIRST_RECORD,
+    LATEST_RECORD,
+    Capture,
+    TroubleRecord,
+    clear,
+)
+from ecu_emulator.diagnostics.services.call import Call, Result, unmet_by_service
+from ecu_emulator.diagnostics.services.data import data_of
+from ecu_emulator.diagnostics.state import Moment, ServerState
+from ecu_emulator.diagnostics.table import DiagnosticTable, ExtendedRecord, Trouble
+from ecu_emulator.diagnostics.values import encode
+
+CODE_FORMAT: Final = 0x00  # SAE J2012-DA: a code of two bytes and a failure type
+ALL_RECORDS: Final = 0xFF
+ALL_REGULATED_RECORDS: Final = 0xFE  # those from 0x90 on
+_FIRST_REGULATED: Final = 0x90
+_CODE_BYTES: Final = 3
+_OF_MEMORY: Final = "memory."
+
+
+def capture(table: DiagnosticTable, trouble: Trouble, state: ServerState, moment: Moment) -> Capture:
+    """Return what is kept of the vehicle when this code fails now."""
+    values = {**moment.values, "active_session": state.session}
+    records = [table.extended[number] for number in table.extended_of(trouble)]
+    return Capture(
+        snapshot=tuple((number, data_of(table.data[number], state, moment)) for number in table.snapshot_of(trouble)),
+        extended=tuple((record.number, encode(record.fields, values)) for record in records if not _counts(record)),
+    )
+
+
+def clear_codes(call: Call) -> Result:
+    """Clear one code or all."""
+    if len(call.payload) != 1 + _CODE_BYTES:
+        return Nrc.INCORRECT_LENGTH
+    group = int.from_bytes(call.payload[1:], "big")
+    if group != ALL_CODES and group not in call.table.troubles:
+        return Nrc.REQUEST_OUT_OF_RANGE
+    if refusal := unmet_by_service(call):
+        return refusal
+    return call.positive(state=replace(call.state, memory=clear(call.state.memory, group)))
+
+
+def read_codes(call: Call) -> Result:
+    """Read trouble codes in one of the ways of service 19."""
+    result = _REPORTS[call.sub_function](call)
+    if isinstance(result, Nrc):
+        return result
+    if 2 + len(result) > call.table.limits.most_response_bytes:
+        return Nrc.RESPONSE_TOO_LONG
+    return call.echoed(result)
+
+
+def _records(call: Call) -> Iterable[tuple[int, TroubleRecord]]:
+    return call.state.memory.records.items()
+
+
+def _masked(call: Call) -> list[bytes]:
+    """Return codes with their status that have one of the bits that the client named."""
+    mask = call.payload[2]
+    return [_code(number) + bytes([record.status]) for number, record in _records(call) if record.status & mask]
+
+
+def _number_by_mask(call: Call) -> bytes | Nrc:
+    if len(call.payload) != 3:
+        return Nrc.INCORRECT_LENGTH
+    return bytes([ALL_BITS, CODE_FORMAT]) + len(_masked(call)).to_bytes(2, "big")
+
+
+def _codes_by_mask(call: Call) -> bytes | Nrc:
+    if len(call.payload) != 3:
+        return Nrc.INCORRECT_LENGTH
+    return bytes([ALL_BITS]) + b"".join(_masked(call))
+
+
+def _snapshot_names(call: Call) -> bytes | Nrc:
+    if len(call.payload) != 2:
+        return Nrc.INCORRECT_LENGTH
+    return b"".join(
+        _code(number) + bytes([name]) for number, record in _records(call) for name, _ in _snapshots(record)
+    )
+
+
+def _snapshot_by_code(call: Call) -> bytes | Nrc:
+    return _kept_by_code(call, frozenset({FIRST_RECORD, LATEST_RECORD, ALL_RECORDS}), _snapshot_records)
+
+
+def _extended_by_code(call: Call) -> bytes | Nrc:
+    names = {ALL_RECORDS, *call.table.extended}
+    if max(call.table.extended, default=0) >= _FIRST_REGULATED:
+        names.add(ALL_REGULATED_RECORDS)
+    return _kept_by_code(call, frozenset(names), _extended_records)
+
+
+def _kept_by_code(
+    call: Call, names: frozenset[int], kept: Callable[[Call, Trouble, TroubleRecord, int], bytes]
+) -> bytes | Nrc:
+    """Return a code, its status and what is kept of it; no more than the status if nothing is."""
+    if len(call.payload) != 2 + _CODE_BYTES + 1:
+        return Nrc.INCORRECT_LENGTH
+    number, name = int.from_bytes(call.payload[2:5], "big"), call.payload[5]
+    trouble = call.table.troubles.get(number)
+    if trouble is None or name not in names:
+        return Nrc.REQUEST_OUT_OF_RANGE
+    record = call.state.memory.records[number]
+    return _code(number) + bytes([record.status]) + kept(call, trouble, record, name)
+
+
+def _snapshots(record: TroubleRecord) -> list[tuple[int, Capture]]:
+    both = ((FIRST_RECORD, record.first), (LATEST_RECORD, record.latest))
+    return [(name, kept) for name, kept in both if kept is not None]
+
+
+def _snapshot_records(_call: Call, _trouble: Trouble, record: TroubleRecord, wanted: int) -> bytes:
+    return b"".join(
+        bytes([name, len(kept.snapshot)]) + b"".join(number.to_bytes(2, "big") + data for number, data in kept.snapshot)
+        for name, kept in _snapshots(record)
+        if wanted in {name, ALL_RECORDS}
+    )
+
+
+def _extended_records(call: Call, trouble: Trouble, record: TroubleRecord, wanted: int) -> bytes:
+    if record.latest is None:
+        return b""
+    captured = dict(record.latest.extended)
+    least = {ALL_RECORDS: 0, ALL_REGULATED_RECORDS: _FIRST_REGULATED}
+    return b"".join(
+        bytes([number]) + (_counters(described, record) if _counts(described) else captured.get(number, b""))
+        for number in call.table.extended_of(trouble)
+        if (described := call.table.extended[number])
+        if number == wanted or (wanted in least and number >= least[wanted])
+    )
+
+
+def _counts(record: ExtendedRecord) -> bool:
+    return all(entry.source.startswith(_OF_MEMORY) for entry in record.fields)
+
+
+def _counters(described: ExtendedRecord, record: TroubleRecord) -> bytes:
+    return encode(
+        described.fields,
+        {
+            f"{_OF_MEMORY}occurrences": record.occurrences,
+            f"{_OF_MEMORY}failed_cycles": record.failed_cycles,
+            f"{_OF_MEMORY}passed_cycles": record.passed_cycles,
+            f"{_OF_MEMORY}aged_cycles": record.aged_cycles,
+            f"{_OF_MEMORY}detection_counter": record.detection_counter,
+        },
+    )
+
+
+def _supported(call: Call) -> bytes | Nrc:
+    if len(call.payload) != 2:
+        return Nrc.INCORRECT_LENGTH
+    return bytes([ALL_BITS]) + b"".join(_code(number) + bytes([record.status]) for number, record in _records(call))
+
+
+def _detection_counters(call: Call) -> bytes | Nrc:
+    """Return the codes on their way to a failure that are not there yet."""
+    if len(call.payload) != 2:
+        return Nrc.INCORRECT_LENGTH
+    return b"".join(
+        _code(number) + bytes([record.detection_counter])
+        for number, record in _records(call)
+        if 0 < record.detection_counter < FAILED_COUNTER
+    )
+
+
+def _code(number: int) -> bytes:
+    return number.to_bytes(_CODE_BYTES, "big")
+
+
+_REPORTS: Final[Mapping[int, Callable[[Call], bytes | Nrc]]] = {
+    0x01: _number_by_mask,
+    0x02: _codes_by_mask,
+    0x03: _snapshot_names,
+    0x04: _snapshot_by_code,
+    0x06: _extended_by_code,
+    0x0A: _supported,
+    0x14: _detection_counters,
+}
+REPORTS: Final = frozenset(_REPORTS)

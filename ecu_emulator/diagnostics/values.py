@@ -1,0 +1,99 @@
+"""Values of the controller as bytes on the wire: units, scaling, and the codes for what is not known."""
+
+import math
+import re
+from collections.abc import Callable, Mapping
+from typing import Final
+
+from clutch_model.units import bar_from_pa, degc_from_k, km_h_from_m_s, rpm_from_rad_s
+from ecu_emulator.diagnostics.table import Condition, Field, Kind
+
+Value = float | str | bytes
+Values = Mapping[str, Value]  # of the controller, by source; numbers in SI
+
+_FROM_SI: Final[Mapping[tuple[str, str], Callable[[float], float]]] = {
+    ("rad_s", "rpm"): rpm_from_rad_s,
+    ("pa", "bar"): bar_from_pa,
+    ("k", "degC"): degc_from_k,
+    ("m_s", "km/h"): km_h_from_m_s,
+    ("m", "km"): lambda length_m: length_m / 1e3,
+    ("ratio", "%"): lambda ratio: ratio * 1e2,
+}
+
+
+def encode(fields: tuple[Field, ...], values: Values) -> bytes:
+    """Return the bytes of fields; a value that is missing or not a number becomes the code for not available."""
+    return b"".join(_encoded(entry, values.get(entry.source)) for entry in fields)
+
+
+def not_available(entry: Field) -> int:
+    """Return the number that says that a value is not known: all bits set, the most negative one if signed."""
+    bits = 8 * entry.size_bytes
+    return -(1 << (bits - 1)) if entry.kind is Kind.SIGNED else (1 << bits) - 1
+
+
+def _encoded(entry: Field, value: Value | None) -> bytes:
+    if entry.kind is Kind.TEXT:
+        return (
+            str("" if value is None else value).encode("ascii", "replace")[: entry.size_bytes].ljust(entry.size_bytes)
+        )
+    if entry.kind is Kind.BYTES:
+        raw = value if isinstance(value, bytes) else b""
+        return raw[: entry.size_bytes].ljust(entry.size_bytes, b"\0")
+    number = _number(entry, float(value)) if isinstance(value, int | float) else not_available(entry)
+    return number.to_bytes(entry.size_bytes, "big", signed=entry.kind is Kind.SIGNED)
+
+
+def _number(entry: Field, value: float) -> int:
+    """Return what stands for a value: the nearest step, or the last one before the code for not available."""
+    if math.isnan(value):
+        return not_available(entry)
+    bits = 8 * entry.size_bytes
+    low, high = (1 - (1 << (bits - 1)), (1 << (bits - 1)) - 1) if entry.kind is Kind.SIGNED else (0, (1 << bits) - 2)
+    steps = (in_unit(entry, value) - entry.offset) / entry.resolution
+    return high if steps >= high else low if steps <= low else round(steps)
+
+
+def in_unit(entry: Field, value: float) -> float:
+    """Return a value of SI in the field's unit."""
+    for (suffix, unit), convert in _FROM_SI.items():
+        if unit == entry.unit and entry.source.endswith(f"_{suffix}"):
+            return convert(value)
+    return value
+
+
+def decode_number(entry: Field, raw: bytes) -> float:
+    """Return a number in the field's unit."""
+    steps = int.from_bytes(raw, "big", signed=entry.kind is Kind.SIGNED)
+    return steps * entry.resolution + entry.offset
+
+
+def are_valid(fields: tuple[Field, ...], raw: bytes) -> bool:
+    """Return whether bytes, which are as long as the fields, are within what the fields allow."""
+    place = 0
+    for entry in fields:
+        piece = raw[place : place + entry.size_bytes]
+        place += entry.size_bytes
+        if not _is_valid(entry, piece):
+            return False
+    return True
+
+
+def _is_valid(entry: Field, raw: bytes) -> bool:
+    if entry.kind is Kind.BYTES:
+        return True
+    if entry.kind is Kind.TEXT:
+        is_printable = all(0x20 <= byte < 0x7F for byte in raw)
+        return is_printable and (not entry.pattern or re.fullmatch(entry.pattern, raw.decode("ascii")) is not None)
+    value = decode_number(entry, raw)
+    is_above = entry.minimum is None or value >= entry.minimum
+    return is_above and (entry.maximum is None or value <= entry.maximum)
+
+
+def holds(condition: Condition, values: Values) -> bool:
+    """Return whether a condition holds; it does not if its value is not known."""
+    value = values.get(condition.source)
+    if not isinstance(value, int | float) or math.isnan(value):
+        return False
+    is_above = condition.minimum is None or value >= condition.minimum
+    return is_above and (condition.maximum is None or value <= condition.maximum)

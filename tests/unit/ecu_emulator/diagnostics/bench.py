@@ -1,0 +1,51 @@
+"""A controller on a bench: requests and responses as hexadecimal text, the time and the vehicle in the test's hands."""
+
+from ecu_emulator.diagnostics.memory import TestResult
+from ecu_emulator.diagnostics.server import advance, answer, switched_on, tested
+from ecu_emulator.diagnostics.services.routines import finished
+from ecu_emulator.diagnostics.state import Moment, Request, ServerState
+from ecu_emulator.diagnostics.table_file import shipped_table
+from ecu_emulator.diagnostics.values import Value
+
+SEED = bytes(range(1, 17))
+PARKED: dict[str, Value] = {
+    "vehicle_speed_m_s": 0.0, "engine_speed_rad_s": 85.0, "sump_temperature_k": 353.15, "pedal_ratio": 0.0,
+    "current_gear": 0.0, "brake_ratio": 0.3,
+}  # fmt: skip
+
+
+class Bench:
+    def __init__(self, kept: ServerState | None = None) -> None:
+        self.table = shipped_table()
+        self.t_s = 1000.0
+        self.values = dict(PARKED)
+        self.state = switched_on(self.table, kept, self.t_s)
+        self.codes = {trouble.code: number for number, trouble in self.table.troubles.items()}
+
+    def ask(self, request: str, *, to_all: bool = False) -> str:
+        """Return the response, empty if there is none."""
+        moment = Moment(t_s=self.t_s, values=self.values, chance=SEED)
+        reply = answer(self.table, self.state, Request(payload=bytes.fromhex(request), is_functional=to_all), moment)
+        self.state = reply.state
+        return (reply.payload or b"").hex(" ")
+
+    def wait(self, duration_s: float) -> str:
+        self.t_s += duration_s
+        reply = advance(self.table, self.state, Moment(t_s=self.t_s, values=self.values))
+        self.state = reply.state
+        return (reply.payload or b"").hex(" ")
+
+    def monitor(self, code: str, result: TestResult) -> None:
+        moment = Moment(t_s=self.t_s, values=self.values)
+        self.state = tested(self.table, self.state, self.codes[code], result, moment)
+
+    def finish(self, routine: int) -> None:
+        self.state = finished(self.state, self.table, routine, Moment(t_s=self.t_s, values=self.values))
+
+    def unlock(self, level: int = 1) -> None:
+        for session in ("03", "40")[: 1 + (level == 3)]:
+            assert self.ask(f"10 {session}").startswith("50")
+        lock = self.table.levels[level]
+        key = int.from_bytes(SEED[: lock.seed_bytes], "big") ^ lock.key_mask
+        assert self.ask(f"27 {level:02x}").startswith("67")
+        assert self.ask(f"27 {level + 1:02x} {key.to_bytes(lock.seed_bytes, 'big').hex()}").startswith("67")

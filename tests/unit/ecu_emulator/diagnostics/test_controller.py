@@ -1,0 +1,169 @@
+"""A controller that runs: what it keeps over a restart, and what it does when it cannot keep it."""
+
+import json
+import threading
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from ecu_emulator.diagnostics.controller import Controller
+from ecu_emulator.diagnostics.memory import TestResult
+from ecu_emulator.diagnostics.memory_file import MemoryFile
+from ecu_emulator.diagnostics.table_file import parse_table, shipped_table
+from ecu_emulator.errors import RecordError
+from tests.unit.ecu_emulator.diagnostics.bench import PARKED, SEED
+
+HOT = 0x27874B
+KEY = (int.from_bytes(SEED[:4], "big") ^ 0x5AA5C33C).to_bytes(4, "big")
+
+
+def controller(store: MemoryFile | None = None, clock: Callable[[], float] = lambda: 5.0) -> Controller:
+    return Controller(
+        shipped_table(), values=lambda: PARKED, clock=clock, chance=lambda count: SEED[:count], store=store
+    )
+
+
+def unlock(one: Controller) -> None:
+    for request in (b"\x10\x03", b"\x27\x01", b"\x27\x02" + KEY):
+        assert (one.ask(request) or b"")[0] == request[0] + 0x40
+
+
+def test_codes_written_data_and_wrong_keys_outlive_a_restart(tmp_path: Path) -> None:
+    path = tmp_path / "memory.json"
+    with MemoryFile(path, shipped_table()) as store:
+        first = controller(store)
+        first.report(HOT, TestResult.FAILED)
+        unlock(first)
+        assert first.ask(b"\x2e\x04\x00\x26\x11\x21") == b"\x6e\x04\x00"
+        first.ask(b"\x10\x40")
+        for _ in range(2):
+            first.ask(b"\x27\x03")
+            first.ask(b"\x27\x04" + bytes(8))
+    with MemoryFile(path, shipped_table()) as store:
+        second = controller(store)
+        assert second.ask(b"\x19\x02\x08") == b"\x59\x02\xff\x27\x87\x4b\xed"  # failed until a test passes
+        assert second.ask(b"\x22\x04\x00") == b"\x62\x04\x00\x26\x11\x21"
+        second.ask(b"\x10\x03")
+        second.ask(b"\x10\x40")
+        assert second.ask(b"\x27\x03") == b"\x7f\x27\x37"
+
+
+def test_without_a_file_nothing_outlives_it() -> None:
+    controller().report(HOT, TestResult.FAILED)
+    assert controller().ask(b"\x19\x02\x08") == b"\x59\x02\xff"
+
+
+def test_what_cannot_be_kept_is_refused_and_forgotten(tmp_path: Path) -> None:
+    folder = tmp_path / "disk"
+    folder.mkdir()
+    with MemoryFile(folder / "memory.json", shipped_table()) as store:
+        one = controller(store)
+        one.report(HOT, TestResult.FAILED)
+        (folder / ".memory.json.part").mkdir()  # as a full disk, this stops the new file; for root as well
+        assert one.ask(b"\x14\xff\xff\xff") == b"\x7f\x14\x72"
+        with pytest.raises(RecordError, match=r"cannot write .*memory.json: Is a directory"):
+            one.report(HOT, TestResult.PASSED)
+        assert one.ask(b"\x19\x02\x08") == b"\x59\x02\xff\x27\x87\x4b\xaf"
+        (folder / ".memory.json.part").rmdir()
+        assert one.ask(b"\x14\xff\xff\xff") == b"\x54"
+
+
+def test_two_processes_cannot_share_a_file(tmp_path: Path) -> None:
+    path = tmp_path / "memory.json"
+    with (
+        MemoryFile(path, shipped_table()),
+        pytest.raises(RecordError, match=r"memory.json is used by another process"),
+        MemoryFile(path, shipped_table()),
+    ):
+        pass
+
+
+def test_a_folder_that_is_not_there_is_named(tmp_path: Path) -> None:
+    with (
+        pytest.raises(RecordError, match=r"cannot lock .*No such file"),
+        MemoryFile(tmp_path / "no/file", shipped_table()),
+    ):
+        pass
+
+
+def _saved(path: Path) -> str:
+    with MemoryFile(path, shipped_table()) as store:
+        controller(store).report(HOT, TestResult.FAILED)
+    return path.read_text(encoding="utf-8")
+
+
+@pytest.mark.parametrize(
+    "damage",
+    [
+        lambda _: "",
+        lambda text: text[:-20],
+        lambda text: text.replace('"status": 175', '"status": 80'),
+        lambda _: "[]",
+        lambda _: "{}",
+        lambda _: "[" * 100_000,
+        lambda _: "61" * 100,
+    ],
+)
+def test_a_damaged_file_is_not_believed(tmp_path: Path, damage: Callable[[str], str]) -> None:
+    path = tmp_path / "memory.json"
+    path.write_text(damage(_saved(path)), encoding="utf-8")
+    with (
+        MemoryFile(path, shipped_table()) as store,
+        pytest.raises(RecordError, match=r"memory.json is damaged .*; move it away to begin with an empty memory"),
+    ):
+        controller(store)
+
+
+def test_a_file_of_another_controller_is_refused(tmp_path: Path) -> None:
+    text = (Path(__file__).parents[4] / "ecu_emulator/diagnostics/tcu.toml").read_text(encoding="utf-8")
+    other = parse_table(text.replace('code = "P2787"', 'code = "P2786"'), "other.toml")
+    path = tmp_path / "memory.json"
+    _saved(path)
+    with MemoryFile(path, other) as store, pytest.raises(RecordError, match="trouble code 27874B is not in the table"):
+        store.load()
+
+
+def test_the_file_can_be_read_by_people_and_its_owner_only(tmp_path: Path) -> None:
+    path = tmp_path / "memory.json"
+    document = json.loads(_saved(path))
+    assert document["codes"]["27874B"]["status"] == 0xAF
+    assert path.stat().st_mode & 0o777 == 0o600
+
+
+def test_a_thread_that_monitors_and_one_that_answers_do_not_disturb_each_other() -> None:
+    one = controller()
+
+    def monitor() -> None:
+        for _ in range(300):
+            one.report(HOT, TestResult.FAILED)
+            one.report(HOT, TestResult.PASSED)
+
+    thread = threading.Thread(target=monitor)
+    thread.start()
+    for _ in range(300):
+        assert one.ask(b"\x3e\x00") == b"\x7e\x00"
+        one.tick()
+    thread.join()
+    assert one.state.memory.records[HOT].occurrences == 255
+
+
+def test_time_brings_the_answer_that_was_awaited() -> None:
+    times = iter(float(number) for number in range(100, 400))
+    one = controller(clock=lambda: next(times) / 10.0)
+    unlock(one)
+    assert one.ask(b"\x31\x01\x03\x01\x01\x01") == b"\x7f\x31\x78"
+    assert one.tick() is None
+    one.finish(0x0301)
+    assert (one.tick() or b"").startswith(b"\x71\x01\x03\x01\x00")
+
+
+def test_cycles_and_warm_ups_reach_the_memory() -> None:
+    one = controller()
+    one.report(HOT, TestResult.FAILED)
+    for _ in range(43):
+        one.cycle()
+        one.warm_up()
+        one.report(HOT, TestResult.PASSED)
+    one.cycle()
+    assert one.ask(b"\x19\x02\x08") == b"\x59\x02\xff"

@@ -1,0 +1,76 @@
+"""The table of the diagnosis: what is shipped fits together, and what is wrong with another one is said in a line."""
+
+from pathlib import Path
+
+import pytest
+
+from ecu_emulator.diagnostics.codes import Service
+from ecu_emulator.diagnostics.table_file import load_table, parse_table, shipped_table
+from ecu_emulator.errors import ConfigError
+
+TEXT = (Path(__file__).parents[4] / "ecu_emulator/diagnostics/tcu.toml").read_text(encoding="utf-8")
+
+
+def test_the_shipped_table_describes_every_service_that_there_is() -> None:
+    assert set(shipped_table().services) == set(Service)
+
+
+def test_the_trouble_codes_are_those_of_a_wet_dual_clutch() -> None:
+    codes = {trouble.code for trouble in shipped_table().troubles.values()}
+    assert codes >= {"P0811", "P0897", "P2787", "P0218", "P0810", "P2788", "P0711", "P0841", "P0868", "P0776", "P0780"}
+    assert "P0741" not in codes  # the torque converter's
+
+
+def test_a_worn_fluid_does_not_light_the_lamp() -> None:
+    assert not next(trouble for trouble in shipped_table().troubles.values() if trouble.code == "P0897").lights_lamp
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ('name = "TCU"', 'names = "TCU"', "the table: key names is unknown"),
+        ("[limits]\n", "[limits]\nmore = 1\n", "limits: key more is unknown"),
+        ("p2_s = 0.05\n", "", "timing: key p2_s is missing"),
+        ("p2_s = 0.05", "p2_s = 0.0", "timing.p2_s must be above 0"),
+        ("p2_s = 0.05", 'p2_s = "fast"', "timing: p2_s must be a number"),
+        ("s3_s = 5.0", "s3_s = true", "timing: s3_s must be a number"),
+        ("request_id = 0x7E1", "request_id = -1", "request_id must not be negative"),
+        ('code = "P0811"', 'code = "X0811"', "trouble code X0811 is none"),
+        ('code = "P0811"', 'code = "P4811"', "trouble code P4811 is none"),
+        ('code = "P0841"', 'code = "P0711"', "trouble 0x71164 is there twice"),
+        ("failed_step = 64", "failed_step = 128", "P0780: failed_step must be 1..127, got 128"),
+        ("number = 0x0310", "number = 0x0302", "data 0x302 is there twice"),
+        ('kind = "signed"', 'kind = "float"', "kind must be one of unsigned, signed, text, bytes"),
+        ("size_bytes = 17", "size_bytes = 18", "initial must have 18 bytes"),
+        ('initial = "EA60"', 'initial = "EA6"', "initial is neither ASCII text nor hexadecimal"),
+        ('pattern = "[0-9A-Z]{10}"', 'pattern = "["', "pattern is no regular expression"),
+        ('write = "maker"', 'write = "anyone"', "write must be one of actuator, extended"),
+        ('read = "open"\ninitial = "0100"', 'read = "open"', "either every field has a source, or there is an initial"),
+        ("maximum = 0.5\nnrc = 0x88", "maximum = 0.5\nnrc = 0x99", "nrc 0x99 is unknown"),
+        ('["standstill"]\n\n[access.rev', '["flying"]\n\n[access.rev', "condition flying is not"),
+        ("snapshot = [0x0100", "snapshot = [0x0999", "data 0x999 is not described"),
+        ("sessions = [0x40]", "sessions = [0x41]", "session 0x41 is not described"),
+        ('number = 0x03\nname = "maker"', 'number = 0x04\nname = "maker"', "its number must be odd"),
+        ("key_mask = 0x5AA5C33C", "key_mask = 0", "key_mask must fit 4 bytes and not be 0"),
+        ("resolution = 0.25", "resolution = 0.0", "resolution must be > 0"),
+        ("[limits]", "[limits", "is not TOML"),
+    ],
+)  # fmt: skip
+def test_what_is_wrong_is_named(old: str, new: str, message: str) -> None:
+    assert old in TEXT
+    with pytest.raises(ConfigError) as told:
+        parse_table(TEXT.replace(old, new, 1), "my.toml")
+    assert str(told.value).startswith("my.toml")
+    assert message in str(told.value)
+    assert "\n" not in str(told.value)
+
+
+def test_a_table_of_ones_own_is_read(tmp_path: Path) -> None:
+    path = tmp_path / "other.toml"
+    path.write_text(TEXT.replace('name = "TCU"', 'name = "other"'), encoding="utf-8")
+    assert load_table(path).name == "other"
+    with pytest.raises(ConfigError, match=r"cannot read .*missing.toml: No such file"):
+        load_table(tmp_path / "missing.toml")
+    path.write_bytes(b"\xff\xfe")
+    with pytest.raises(ConfigError, match="is not UTF-8"):
+        load_table(path)
