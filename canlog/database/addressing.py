@@ -5,8 +5,10 @@ A J1939 identifier has, from its highest bit, 3 bits of priority, 2 of data page
 on (PDU 2) it belongs to the group. Priority, destination and source address do not say what a frame means.
 """
 
+from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from enum import Enum, auto
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -42,6 +44,12 @@ class Address:
     channel: int = ANY
 
 
+class _Table(Enum):
+    STANDARD = auto()
+    EXTENDED = auto()
+    GROUP = auto()
+
+
 class AddressBook(NamedTuple):
     """Addresses as tables for a kernel; slots are places in the sequence of addresses."""
 
@@ -56,16 +64,9 @@ class AddressBook(NamedTuple):
 def message_address(
     message: Message, *, is_j1939: bool = False, sender: int | None = None, channel: int | None = None
 ) -> Address:
-    """Return how frames of a message are known.
+    """Return how frames of a message are known; without J1939 source address or channel, by the first that is heard.
 
-    Parameters
-    ----------
-    message : Message
-        A database may say itself that it is one of J1939.
-    is_j1939 : bool
-        Take a message with a 29-bit identifier for one of J1939, whatever the database says.
-    sender, channel : int or None
-        J1939 source address and bus to listen to; None: the first that is heard.
+    With ``is_j1939`` a message with a 29-bit identifier is taken for one of J1939, whatever the database says.
     """
     return Address(
         name=message.name,
@@ -93,42 +94,24 @@ def address_book(addresses: Sequence[Address]) -> AddressBook:
     DefinitionError
         If two messages cannot be told apart.
     """
+    slots: dict[_Table, dict[int, int]] = {table: {} for table in _Table}
+    for slot, (table, key) in enumerate(_places(addresses)):
+        if slots[table].setdefault(key, slot) != slot:
+            raise DefinitionError(f"several messages have the identifier {addresses[slot].can_id:#x}")
     standard = np.full(STANDARD_IDS, NOBODY, np.int64)
-    extended: dict[int, int] = {}
-    groups: dict[int, int] = {}
-    shared = _shared_groups(addresses)
-    for slot, address in enumerate(addresses):
-        if address.is_group:
-            key = _group_key(address, is_shared=parameter_group(address.can_id) in shared)
-            is_new = groups.setdefault(key, slot) == slot
-        elif address.is_extended:
-            is_new = extended.setdefault(address.can_id, slot) == slot
-        else:
-            is_new = standard[address.can_id] == NOBODY
-            standard[address.can_id] = slot
-        if not is_new:
-            raise DefinitionError(f"several messages have the identifier {address.can_id:#x}")
+    standard[list(slots[_Table.STANDARD])] = list(slots[_Table.STANDARD].values())
     return AddressBook(
         standard,
-        *_sorted_table(extended),
-        *_sorted_table(groups),
+        *_sorted_table(slots[_Table.EXTENDED]),
+        *_sorted_table(slots[_Table.GROUP]),
         is_group=np.array([address.is_group for address in addresses], np.int64),
     )
 
 
 def overwritten(addresses: Sequence[Address]) -> dict[int, int]:
     """Return the slots of messages whose identifier a later message has, too, with the slot of the last of those."""
-    shared = _shared_groups(addresses)
-    last: dict[tuple[bool, bool, int], int] = {}
-    places: list[tuple[bool, bool, int]] = []
-    for slot, address in enumerate(addresses):
-        key = (
-            _group_key(address, is_shared=parameter_group(address.can_id) in shared)
-            if address.is_group
-            else address.can_id
-        )
-        places.append((address.is_group, address.is_extended, key))
-        last[places[-1]] = slot
+    places = _places(addresses)
+    last = {place: slot for slot, place in enumerate(places)}
     return {slot: last[place] for slot, place in enumerate(places) if last[place] != slot}
 
 
@@ -158,18 +141,20 @@ def rows_by_slot(slot: Int64Array, count: int) -> Iterator[tuple[int, Int64Array
             yield number, rows
 
 
-def _shared_groups(addresses: Sequence[Address]) -> set[int]:
-    """Return the parameter groups that several messages have."""
-    groups = [parameter_group(address.can_id) for address in addresses if address.is_group]
-    return {group for group in groups if groups.count(group) > 1}
-
-
-def _group_key(address: Address, *, is_shared: bool) -> int:
-    """Return the key of a message of J1939 in its table."""
-    source = address.can_id & 0xFF if address.sender == ANY else address.sender
-    if not is_shared or source == NULL_ADDRESS:
-        source = _ANY_SENDER
-    return parameter_group(address.can_id) << _SENDER_BITS | source
+def _places(addresses: Sequence[Address]) -> list[tuple[_Table, int]]:
+    """Return in which table each message is looked up, and its key there."""
+    count = Counter(parameter_group(address.can_id) for address in addresses if address.is_group)
+    places: list[tuple[_Table, int]] = []
+    for address in addresses:
+        if not address.is_group:
+            places.append((_Table.EXTENDED if address.is_extended else _Table.STANDARD, address.can_id))
+            continue
+        group = parameter_group(address.can_id)
+        source = address.can_id & 0xFF if address.sender == ANY else address.sender
+        if count[group] == 1 or source == NULL_ADDRESS:
+            source = _ANY_SENDER
+        places.append((_Table.GROUP, group << _SENDER_BITS | source))
+    return places
 
 
 def _sorted_table(slots: dict[int, int]) -> tuple[Int64Array, Int64Array]:

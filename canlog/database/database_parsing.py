@@ -1,17 +1,19 @@
 """What cantools makes of the text of a database, and what of a DBC text has to be left out before it does."""
 
 import gc
+import re
 from dataclasses import dataclass
 from typing import Final
 
 import cantools
 from cantools.database.can import Database, Message
 
-from canlog.database.dbc_doubts import has_doubts
 from canlog.database.dbc_sieve import Offence, Sieve
 
 MOST_SAID: Final = 1_000  # of offences, and of complaints, that are handed over
 ParseError = cantools.Error
+# Multiplexers that are none, multiplexed signals without one, and floats: what cantools takes as it comes.
+_SUSPECT: Final = re.compile(r"\bSG_\s+\w+\s+m\w*\s*:|\bSG_MUL_VAL_\s+\d|\bSIG_VALTYPE_\s+\d")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -32,7 +34,7 @@ def parsed_dbc(text: str, *, is_lenient: bool) -> Parsed:
             parsed = checked(text, "dbc")
         except cantools.Error as error:
             failure = ParseError(one_line(error))
-        if parsed is not None and parsed.database is not None and not has_doubts(text, parsed.database):
+        if parsed is not None and parsed.database is not None and not _may_be_misread(text, parsed.database):
             return parsed
         gc.collect()  # what the failed attempt left
     sieve = Sieve(text)
@@ -48,6 +50,13 @@ def parsed_dbc(text: str, *, is_lenient: bool) -> Parsed:
     del sieve
     found = checked(clean, "dbc")
     return Parsed(database=found.database, offences=offences, offence_count=count, complaints=found.complaints)
+
+
+def _may_be_misread(text: str, database: Database) -> bool:
+    """Return whether a text that cantools takes calls for a thorough look."""
+    if _SUSPECT.search(text):
+        return True
+    return any(len({signal.name for signal in message.signals}) < len(message.signals) for message in database.messages)
 
 
 def checked(text: str, database_format: str) -> Parsed:

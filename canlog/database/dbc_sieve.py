@@ -24,8 +24,6 @@ _MARKER: Final = re.compile(r"M|m[0-9]+M?")
 _SPELLED: Final = {"ä": "ae", "ö": "oe", "ü": "ue", "Ä": "Ae", "Ö": "Oe", "Ü": "Ue", "ß": "ss"}
 NOT_WHOLE: Final = "the identifier must be a whole number"
 LEAST_TEXT_WORDS: Final = 4  # of VAL_ without a single text
-SG_NAME, SG_MARKER = 1, 2
-SG_TOKENS_WITH_MARKER = ":"  # what stands in the place of a marker if there is none
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -70,12 +68,10 @@ class Sieve:
 
     def __init__(self, text: str) -> None:
         self._tokens = Tokens(text)
-        self._edits: list[tuple[int, int, str]] = []
-        self._mends: dict[range, tuple[int, int, str]] = {}
+        self._edits: dict[range, tuple[int, int, str]] = {}  # by tokens: what stands there instead
         self._messages: dict[int, list[Message]] = {}  # by identifier; several, where one is there twice
         self._attributes = AttributeRules()
         self._names: dict[str, str] = {}
-        self._left_out: set[range] = set()
         self.offences: list[Offence] = []
         self.has_messages = False
         self._rename()
@@ -97,8 +93,7 @@ class Sieve:
         pieces, position = list[str](), 0
         if not self.offences:
             return self._tokens.text
-        edits = [*self._edits, *self._mends.values()]
-        for start, stop, instead in sorted(edits, key=lambda edit: (edit[0], -edit[1], edit[2])):
+        for start, stop, instead in sorted(self._edits.values(), key=lambda edit: (edit[0], -edit[1], edit[2])):
             if start < position:
                 continue
             pieces += (self._tokens.text[position:start], instead, "\n" * self._tokens.text.count("\n", start, stop))
@@ -120,7 +115,7 @@ class Sieve:
                 known.add(spelled)
                 cause = f"a name has other letters than A to Z; it is called {spelled}"
                 self.offences.append(Offence(line=tokens.line(start), item=name, cause=cause, is_mended=True))
-            self._edits.append((start, stop, self._names[name]))
+            self._edits[range(index, index + 1)] = (start, stop, self._names[name])
 
     def _words(self, statement: Statement) -> list[str]:
         words = [self._names.get(word, word) for word in self._tokens.words(statement)]
@@ -131,11 +126,11 @@ class Sieve:
         for statement in self._tokens.statements():
             if not statement.problem:
                 if statement.kind == "N":  # it would end elsewhere if what follows it is left out, and means nothing
-                    self._mends[statement.tokens] = (*self._tokens.span(statement), "")
+                    self._edits[statement.tokens] = (*self._tokens.span(statement), "")
                 yield statement
             elif statement.ending:
                 _, stop = self._tokens.span(statement)
-                self._mends[statement.tokens] = (stop, stop, statement.ending)
+                self._edits[statement.tokens] = (stop, stop, statement.ending)
                 self._offend(statement, f"{statement.problem}; it is read as if it had one", is_mended=True)
                 yield statement
             else:
@@ -154,10 +149,9 @@ class Sieve:
         )
 
     def _leave_out(self, statement: Statement, cause: str, *, is_harmless: bool = False) -> None:
-        if statement.tokens not in self._left_out:
-            self._left_out.add(statement.tokens)
-            self._mends.pop(statement.tokens, None)
-            self._edits.append((*self._tokens.span(statement), ""))
+        removal = (*self._tokens.span(statement), "")
+        if self._edits.get(statement.tokens) != removal:
+            self._edits[statement.tokens] = removal
             self._offend(statement, cause, is_harmless=is_harmless)
 
     def _take_messages(self, statements: list[Statement]) -> None:
@@ -270,9 +264,8 @@ def check_numbers(words: list[str]) -> str:
 
 def take_signal(words: list[str], statement: Statement, message: Message) -> str:
     """Add a signal to its message; return why it cannot be, if so."""
-    name, marker = words[SG_NAME], words[SG_MARKER]
-    marker = "" if marker == SG_TOKENS_WITH_MARKER else marker
     colon = words.index(":")
+    name, marker = words[1], "".join(words[2:colon])
     start, length = words[colon + 1], words[colon + 3]
     if not (_is_whole(start) and _is_whole(length)) or int(start) < 0 or int(length) <= 0:
         return "start and length must be whole numbers, the length above 0"

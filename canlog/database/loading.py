@@ -18,12 +18,11 @@ from enum import StrEnum
 from pathlib import Path
 from typing import Final
 
-from cantools.database.can import Database
+from cantools.database.can import Database, Message
 
 from canlog.database import database_child
 from canlog.database.database_parsing import Parsed
 from canlog.database.dbc_sieve import Offence
-from canlog.database.message_choice import bus_of, chosen_messages
 from canlog.errors import DefinitionError
 from canlog.plain_files import read_small_file
 
@@ -45,6 +44,7 @@ _SIGNAL_PLACE: Final = re.compile(r"(?<!\d)(\d++)\s*+\|\s*+(\d++)\s*+@")
 _MULTIPLEX_VALUES: Final = re.compile(r"\bSG_MUL_VAL_\s[^;]*+(?:;|\Z)")
 _RANGE: Final = re.compile(r"(?<!\d)(\d++)\s*+-\s*+(\d++)")
 _ROOT: Final = re.compile(r"<(?:[\w.-]+:)?([A-Za-z_][\w.-]*)[\s/>]")
+_BUS_MARK: Final = "#"
 _NARROW_BYTES: Final = 64  # that tell whether a text without a mark has two bytes for each letter
 _BYTE_ORDER_MARKS: Final = (b"\xff\xfe", b"\xfe\xff")  # of UTF-16
 
@@ -57,13 +57,12 @@ class DatabaseFormat(StrEnum):
     ARXML = "arxml"
     SYM = "sym"
 
+    @property
+    def in_words(self) -> str:
+        """What a file of it is called."""
+        return f"{'an' if self is DatabaseFormat.ARXML else 'a'} {self.name} file"
 
-_ARTICLE: Final = {
-    DatabaseFormat.DBC: "a DBC",
-    DatabaseFormat.KCD: "a KCD",
-    DatabaseFormat.ARXML: "an ARXML",
-    DatabaseFormat.SYM: "a SYM",
-}
+
 _FORMAT_OF_ROOT: Final = {"NetworkDefinition": DatabaseFormat.KCD, "AUTOSAR": DatabaseFormat.ARXML}
 
 
@@ -97,11 +96,11 @@ def load_database(path: Path, *, is_lenient: bool = False, parser_time_s: int = 
     if parsed.database is None:
         raise DefinitionError(_refusal(parsed, file))
     if not parsed.database.messages:
-        raise DefinitionError(f"{file} is not {_ARTICLE[database_format]} file, or it has no messages")
+        raise DefinitionError(f"{file} is not {database_format.in_words}, or it has no messages")
     _warn_each(file, [_said(offence) for offence in parsed.offences], parsed.offence_count)
     complaints = [f"does not load strictly: {complaint}" for complaint in parsed.complaints]
     _warn_each(file, complaints, len(complaints))
-    return chosen_messages(parsed.database, bus, file, is_lenient=is_lenient)
+    return _chosen_messages(parsed.database, bus, file, is_lenient=is_lenient)
 
 
 def _refusal(parsed: Parsed, path: Path) -> str:
@@ -207,6 +206,47 @@ def _parse(text: str, database_format: DatabaseFormat, path: Path, *, is_lenient
         raise DefinitionError(f"{path} takes more than {parser_time_s} s to parse")
     if done.returncode != 0:
         lines = done.stderr.decode(errors="replace").strip().splitlines() or ["the parser ended without a word"]
-        raise DefinitionError(f"{path} is not {_ARTICLE[database_format]} file: {lines[-1][:200]}")
+        raise DefinitionError(f"{path} is not {database_format.in_words}: {lines[-1][:200]}")
     parsed: Parsed = pickle.loads(done.stdout)  # noqa: S301 - written by our own module
     return parsed
+
+
+def bus_of(path: Path) -> tuple[Path, str]:
+    """Return the file and the bus that ``FILE#BUS`` names; without a bus, or if there is such a file, no bus."""
+    name, mark, bus = path.name.rpartition(_BUS_MARK)
+    if not mark or not name or path.exists():
+        return path, ""
+    return path.with_name(name), bus
+
+
+def _chosen_messages(database: Database, bus: str, path: Path, *, is_lenient: bool) -> Database:
+    """Return a database with the messages of a bus, or of all; if lenient, without those of an identifier seen before.
+
+    Raises DefinitionError if there is no such bus, or two buses use one identifier and none of them was named.
+    """
+    buses = list(dict.fromkeys(message.bus_name for message in database.messages if message.bus_name))
+    if bus and bus not in buses:
+        raise DefinitionError(f"{path} has no bus {bus!r}; it has {', '.join(buses) or 'none by name'}")
+    wanted = [message for message in database.messages if not bus or message.bus_name == bus]
+    first: dict[tuple[int, bool], Message] = {}
+    kept: list[Message] = []
+    for message in wanted:
+        other = first.setdefault((message.frame_id, message.is_extended_frame), message)
+        if other is not message:
+            said = _twice(message, other)
+            if other.bus_name != message.bus_name:
+                raise DefinitionError(f"{path}: {said}; name one of them: {path}{_BUS_MARK}{message.bus_name}")
+            _LOG.warning("%s: %s%s", path, said, " (left out)" if is_lenient else "")
+        if other is message or not is_lenient:
+            kept.append(message)
+    if len(kept) == len(database.messages):
+        return database
+    return Database(
+        messages=kept, nodes=database.nodes, buses=database.buses, version=database.version,
+        dbc_specifics=database.dbc, strict=False,
+    )  # fmt: skip
+
+
+def _twice(message: Message, other: Message) -> str:
+    places = (f"{one.name} of {one.bus_name}" if one.bus_name else one.name for one in (other, message))
+    return f"the identifier {message.frame_id:#x} belongs to {' and to '.join(places)}"

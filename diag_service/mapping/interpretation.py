@@ -6,7 +6,7 @@ from pathlib import Path
 
 from cantools.database.can import Database
 
-from canlog.database.message_choice import bus_of
+from canlog.database.loading import bus_of
 from canlog.notice import NOTICE
 from diag_service.errors import ConfigError
 from diag_service.mapping.databases import open_database
