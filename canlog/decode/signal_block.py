@@ -1,10 +1,10 @@
 """All signals of one message decoded in one compiled pass; the values are those of each signal's own table."""
 
 from collections.abc import Mapping, Sequence
-from enum import IntEnum
 from typing import Final, NamedTuple
 
 import numpy as np
+import numpy.typing as npt
 
 from canlog.arrays import FloatArray, Int64Array
 from canlog.decode.bit_fields import WORD_BITS, PayloadWords, UInt64Array
@@ -13,26 +13,22 @@ from canlog.decode.value_codes import IntegerCode
 from canlog.errors import DefinitionError
 from canlog.jit import array_kernel, inlined_kernel
 
-
-class _Field(IntEnum):
-    """What a row of the table says about a signal."""
-
-    WORD = 0  # which of the words
-    LEFT = 1  # shift that brings its highest bit to the top
-    RIGHT = 2  # shift that then brings its lowest bit to the bottom
-    IS_SIGNED = 3
-    IS_CHECKED = 4  # some raw values are no measurements
-    LOWEST = 5
-    HIGHEST = 6
-    FIRST_CODE = 7  # of the ranges of raw values that are none
-    LAST_CODE = 8
-
-
-WORD: Final = int(_Field.WORD)
-_LEFT, _RIGHT = int(_Field.LEFT), int(_Field.RIGHT)
-_IS_SIGNED, _IS_CHECKED = int(_Field.IS_SIGNED), int(_Field.IS_CHECKED)
-_LOWEST, _HIGHEST = int(_Field.LOWEST), int(_Field.HIGHEST)
-_FIRST_CODE, _LAST_CODE = int(_Field.FIRST_CODE), int(_Field.LAST_CODE)
+SIGNAL: Final = np.dtype(
+    [
+        ("word", np.int64),  # which of the words
+        ("left", np.uint64),  # shift that brings its highest bit to the top
+        ("right", np.uint64),  # shift that then brings its lowest bit to the bottom
+        ("is_signed", np.int64),
+        ("is_checked", np.int64),  # some raw values are no measurements
+        ("lowest", np.int64),
+        ("highest", np.int64),
+        ("first_code", np.int64),  # of the ranges of raw values that are none
+        ("last_code", np.int64),
+        ("scale", np.float64),
+        ("offset", np.float64),
+    ]
+)
+SignalArray = npt.NDArray[np.void]  # of SIGNAL
 
 
 class SignalRules(NamedTuple):
@@ -41,8 +37,7 @@ class SignalRules(NamedTuple):
     begin: Int64Array  # (m + 1,) where the signals of a message begin
     word_begin: Int64Array  # (m + 1,) where the words begin that they lie in
     word: Int64Array  # (w, 2) first byte of a word, and whether it is big-endian
-    field: Int64Array  # (k, 9) what ``_Field`` names
-    factor: FloatArray  # (k, 2) scale and offset
+    signal: SignalArray  # (k,)
     code: Int64Array  # (c, 2) ranges of raw values that are no measurements
 
 
@@ -54,8 +49,7 @@ def is_plain(table: SignalTable) -> bool:
 def signal_rules(messages: Sequence[Sequence[SignalTable]]) -> SignalRules:
     """Return the rules of plain signals, message by message."""
     words: list[tuple[int, bool]] = []
-    fields: list[dict[_Field, int]] = []
-    factors: list[tuple[float, float]] = []
+    signals: list[tuple[float, ...]] = []
     codes: list[tuple[int, int]] = []
     begin, word_begin = [0], [0]
     for tables in messages:
@@ -64,29 +58,22 @@ def signal_rules(messages: Sequence[Sequence[SignalTable]]) -> SignalRules:
             field, code = table.field, table.code
             if not isinstance(code, IntegerCode):
                 raise DefinitionError("only integers are read by rules")
-            row = {
-                _Field.WORD: own.index((field.first_byte, field.is_big)),
-                _Field.LEFT: WORD_BITS - field.shift - field.length,
-                _Field.RIGHT: WORD_BITS - field.length,
-                _Field.IS_SIGNED: field.is_signed,
-                _Field.IS_CHECKED: code.raw_range != code.raw_limits or len(code.not_available) > 0,
-                _Field.LOWEST: code.raw_range[0],
-                _Field.HIGHEST: code.raw_range[1],
-                _Field.FIRST_CODE: len(codes),
-                _Field.LAST_CODE: len(codes) + len(code.not_available),
-            }
-            fields.append(row)
-            factors.append((code.scale, code.offset))
+            word = own.index((field.first_byte, field.is_big))
+            shifts = WORD_BITS - field.shift - field.length, WORD_BITS - field.length
+            is_checked = code.raw_range != code.raw_limits or len(code.not_available) > 0
+            places = len(codes), len(codes) + len(code.not_available)
+            signals.append(
+                (word, *shifts, field.is_signed, is_checked, *code.raw_range, *places, code.scale, code.offset)
+            )
             codes += code.not_available
         words += own
-        begin.append(len(fields))
+        begin.append(len(signals))
         word_begin.append(len(words))
     return SignalRules(
         begin=np.array(begin, np.int64),
         word_begin=np.array(word_begin, np.int64),
         word=np.array(words, np.int64).reshape(-1, 2),
-        field=np.array([[row[name] for name in _Field] for row in fields], np.int64).reshape(-1, len(_Field)),
-        factor=np.array(factors, np.float64).reshape(-1, 2),
+        signal=np.array(signals, SIGNAL),
         code=np.array(codes, np.int64).reshape(-1, 2),
     )
 
@@ -103,11 +90,11 @@ class SignalBlock:
         row_of = {name: row for row, name in enumerate(plain)}
         self._signals = [(name, row_of.get(name, -1), table) for name, table in tables.items()]  # -1: by itself
         self._rules = signal_rules([list(plain.values())])
-        self._has_checks = bool(self._rules.field[:, _IS_CHECKED].any())
+        self._has_checks = bool(self._rules.signal["is_checked"].any())
 
     def decode(self, words: PayloadWords) -> dict[str, Decoded]:
         """Return all signals in every payload."""
-        value = np.empty((len(self._rules.field), len(words)))
+        value = np.empty((len(self._rules.signal), len(words)))
         good = np.empty((len(value), len(words) if self._has_checks else 0), np.bool_)
         bad_count = np.zeros((len(value), 2), np.int64)
         if len(value):
@@ -149,8 +136,8 @@ def _decode_rows(
     words: UInt64Array, rules: SignalRules, value: FloatArray, good: BoolArray, bad_count: Int64Array
 ) -> None:
     """Decode the signals of one message: values of shape (signals, n), and where needed which are measurements."""
-    for row in range(rules.field.shape[0]):
-        decode_signal(words[rules.field[row, WORD]], rules, row, value[row], good[row], bad_count[row])
+    for row in range(rules.signal.size):
+        decode_signal(words[rules.signal[row]["word"]], rules, row, value[row], good[row], bad_count[row])
 
 
 @inlined_kernel
@@ -161,34 +148,24 @@ def decode_signal(
 
     Where some raw values are no measurements, fill in which are, and how many are codes and how many out of range.
     """
-    field = rules.field[row]
-    left, right = np.uint64(field[_LEFT]), np.uint64(field[_RIGHT])
-    scale, offset = rules.factor[row, 0], rules.factor[row, 1]
-    if field[_IS_SIGNED]:
+    signal = rules.signal[row]
+    left, right, scale, offset = signal["left"], signal["right"], signal["scale"], signal["offset"]
+    if signal["is_signed"]:
         for at in range(word.size):
             value[at] = np.float64(np.int64(word[at] << left) >> np.int64(right)) * scale + offset
     else:
         for at in range(word.size):  # as signed numbers, which become floats faster: no plain signal has 64 bits
             value[at] = np.float64(np.int64((word[at] << left) >> right)) * scale + offset
-    if field[_IS_CHECKED]:
-        unusable = rules.code[field[_FIRST_CODE] : field[_LAST_CODE]]
-        is_signed = field[_IS_SIGNED] != 0
-        _check(word, left, right, is_signed, (field[_LOWEST], field[_HIGHEST]), unusable, good, bad_count)
+    if signal["is_checked"]:
+        unusable = rules.code[signal["first_code"] : signal["last_code"]]
+        _check(word, signal, unusable, good, bad_count)
 
 
 @inlined_kernel
-def _check(
-    word: UInt64Array,
-    left: np.uint64,
-    right: np.uint64,
-    is_signed: bool,  # noqa: FBT001 - a compiled function
-    ends: tuple[int, int],
-    unusable: Int64Array,
-    good: BoolArray,
-    bad_count: Int64Array,
-) -> None:
+def _check(word: UInt64Array, signal: np.void, unusable: Int64Array, good: BoolArray, bad_count: Int64Array) -> None:
     """Fill in which raw values are measurements, and how many are codes and how many out of range."""
-    lowest, highest = ends
+    left, right, is_signed = signal["left"], signal["right"], signal["is_signed"] != 0
+    lowest, highest = signal["lowest"], signal["highest"]
     outside = 0
     for row in range(word.size):
         raw = np.int64(word[row] << left) >> np.int64(right) if is_signed else np.int64((word[row] << left) >> right)

@@ -8,7 +8,7 @@ import numpy as np
 from canlog.arrays import BoolArray, FloatArray, Int64Array, UInt8Array, UInt32Array
 from canlog.database.addressing import NOBODY, sort_by_slot
 from canlog.decode.bit_fields import pick_words
-from canlog.decode.signal_block import WORD, SignalRules, decode_signal, is_plain, signal_rules
+from canlog.decode.signal_block import SignalRules, decode_signal, is_plain, signal_rules
 from canlog.decode.signal_table import InvalidCounts
 from canlog.e2e.protection_check import FrameReason, FrameVerdicts
 from canlog.frames import ERROR_FLAG, MAX_GAP_NS, FrameBatch, empty_batch
@@ -135,7 +135,7 @@ def decode_samples(
         first_word = rules.word_begin[message]
         pick_words(payloads, own, rules.word[first_word : rules.word_begin[message + 1]], words)
         for row in range(rules.begin[message], rules.begin[message + 1]):
-            decode_signal(words[rules.field[row, WORD]], rules, row, samples.value[row], good, invalid[row])
+            decode_signal(words[rules.signal[row]["word"]], rules, row, samples.value[row], good, invalid[row])
             has_invalid = invalid[row, 0] + invalid[row, 1] > 0
             found |= _HAS_INVALID if has_invalid else 0
             keep(own, t_ns, verdicts.sequence, samples, row, to_si[row], good, has_invalid)
