@@ -27,20 +27,12 @@ _ODD_PAIRS: Final = np.uint64(0x0000_FFFF_0000_FFFF)
 
 
 class PayloadWords:
-    """Payloads as 64-bit words, each made when it is first asked for; bytes past the end of the rows are zeros.
-
-    Parameters
-    ----------
-    data : (n, bytes) array
-        The payloads.
-    rows : (k,) array, optional
-        Which of them are meant; left out: all.
-    """
+    """Some rows of payloads, or all, as 64-bit words; bytes past the end of the rows are zeros."""
 
     def __init__(self, data: UInt8Array, rows: Int64Array | None = None) -> None:
         self._payloads = word_view(data)
         self._rows = np.arange(len(data)) if rows is None else rows
-        self._words: dict[tuple[int, bool], UInt64Array] = {}
+        self._words: dict[tuple[int, bool], UInt64Array] = {}  # those of multiplexers serve many signals
 
     def __len__(self) -> int:
         return len(self._rows)
@@ -57,10 +49,6 @@ class PayloadWords:
         found = np.empty((len(places), len(self)), np.uint64)
         pick_words(self._payloads, self._rows, places, found)
         return found
-
-    def byte(self, index: int) -> UInt64Array:
-        """Return one byte of each payload, shape (n,)."""
-        return self.word(index, is_big=False) & np.uint64(0xFF)
 
 
 def word_view(data: UInt8Array) -> UInt64Array:
@@ -121,7 +109,7 @@ class BitField:
         """Return the raw values, shape (n,)."""
         word = words.word(self.first_byte, is_big=self.is_big)
         if self.spill:
-            word = self._with_ninth_byte(word, words.byte(self.first_byte + WORD_BYTES))
+            word = self._with_ninth_byte(word, words.word(self.first_byte + WORD_BYTES, is_big=False))
         if self.is_signed:
             left = word << np.uint64(WORD_BITS - self.shift - self.length)
             return left.view(np.int64) >> np.int64(WORD_BITS - self.length)
@@ -142,8 +130,9 @@ class BitField:
         in_word = WORD_BITS - 1 - self.shift if self.is_big else self.shift + self.length - 1
         return self.first_byte + in_word // 8
 
-    def _with_ninth_byte(self, word: UInt64Array, ninth: UInt64Array) -> UInt64Array:
+    def _with_ninth_byte(self, word: UInt64Array, following: UInt64Array) -> UInt64Array:
         """Return the word moved by ``spill`` bits, so that the whole signal is in it."""
+        ninth = following & np.uint64(0xFF)
         if self.is_big:
             return (word << np.uint64(self.spill)) | (ninth >> np.uint64(8 - self.spill))
         return (word >> np.uint64(self.spill)) | (ninth << np.uint64(WORD_BITS - self.spill))

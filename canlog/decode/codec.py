@@ -10,7 +10,7 @@ import numpy as np
 from cantools.database.can import Message
 from cantools.database.can.signal import Signal
 
-from canlog.arrays import Int64Array, UInt8Array, UInt32Array
+from canlog.arrays import BoolArray, Int64Array, UInt8Array, UInt32Array
 from canlog.database.addressing import (
     NOBODY,
     AddressBook,
@@ -21,8 +21,9 @@ from canlog.database.addressing import (
     rows_by_slot,
 )
 from canlog.database.not_available import no_value_codes
+from canlog.decode.bit_fields import PayloadWords
 from canlog.decode.signal_block import SignalBlock
-from canlog.decode.signal_table import BoolArray, Decoded, PayloadWords, SignalTable, compile_signal, payload_words
+from canlog.decode.signal_table import Decoded, SignalTable, compile_signal
 from canlog.errors import DefinitionError
 from canlog.frames import ERROR_FLAG, FD_FLAG, FD_PAYLOAD_BYTES, PAYLOAD_BYTES, REMOTE_FLAG, FrameBatch
 from canlog.jit import array_kernel
@@ -86,7 +87,7 @@ class MessageValues:
     rows: Int64Array  # (k,) of the batch, rising
     signals: Mapping[str, Decoded]  # (k,) each
     cut_off: Mapping[str, int]  # values that lie behind the end of short frames
-    words: PayloadWords  # made anew: those that were decoded need not stay in memory
+    words: PayloadWords
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -110,17 +111,9 @@ class Codec:
     """The messages of a database as tables: every sender of a J1939 parameter group, every channel.
 
     Of messages with one identifier the last one counts, as in cantools; ``overwritten`` has the others and the last.
-
-    Parameters
-    ----------
-    messages : sequence of Message
-        What to decode.
-    is_j1939 : bool
-        Match all 29-bit identifiers by parameter group, whatever the database says.
-    check_range : bool
-        Whether values outside a signal's [min|max] are invalid.
-    check_codes : bool
-        Whether codes that say "not available" by their place in the scale are invalid.
+    With ``is_j1939`` all 29-bit identifiers are matched by parameter group, whatever the database says. Values outside
+    a signal's [min|max] are invalid if ``check_range``, codes that say "not available" by their place in the scale if
+    ``check_codes``.
     """
 
     def __init__(
@@ -139,15 +132,13 @@ class Codec:
             message_table(messages[slot], check_range=check_range, check_codes=check_codes, is_j1939=is_j1939)
             for slot in kept
         )
-        self._blocks = [SignalBlock(table.signals) for table in self.tables]
-        self._parts: dict[tuple[int, int], SignalBlock] = {}  # slot and length of a short frame
+        self._blocks: dict[tuple[int, int], SignalBlock] = {}  # by slot and bytes of the frame
         self._book = address_book([addresses[slot] for slot in kept])
-        lengths = [min(table.message.length, FD_PAYLOAD_BYTES) for table in self.tables]
-        self._min_length = np.array(lengths, np.int64)
+        min_length = np.array([min(table.message.length, FD_PAYLOAD_BYTES) for table in self.tables], np.int64)
         carriage = np.array([table.carriage for table in self.tables], np.int64)
         is_empty = np.array([not table.signals for table in self.tables], np.bool_)
         is_plain = ~is_empty & (carriage == Carriage.ANY_FRAME)  # of nearly all frames
-        self._rules = SlotRules(self._min_length, carriage, is_empty, is_plain)
+        self._rules = SlotRules(min_length, carriage, is_empty, is_plain)
 
     def match(self, batch: FrameBatch) -> FrameMatch:
         """Return which message each frame of a batch is."""
@@ -167,33 +158,26 @@ class Codec:
     def decode(self, batch: FrameBatch, match: FrameMatch | None = None) -> Iterator[MessageValues]:
         """Yield the messages that are in a batch, in the order of the codec."""
         match = match or self.match(batch)
-        short_counts = match.counts[:, _SHORT].tolist()
+        lengths, short_counts = self._rules.min_length.tolist(), match.counts[:, _SHORT].tolist()
         for slot, rows in rows_by_slot(match.slot, len(self.tables)):
             if not short_counts[slot]:
-                yield self._whole(batch, slot, rows)
+                yield self._values(batch, slot, rows, lengths[slot])
                 continue
-            length = batch.length[rows]
-            if (is_whole := length >= self._min_length[slot]).any():
-                yield self._whole(batch, slot, rows[is_whole])
-            for size in np.unique(length[~is_whole]).tolist():
-                yield self._part(batch, slot, rows[length == size], size)
+            sizes = np.minimum(batch.length[rows], lengths[slot])
+            for size in sorted(set(sizes.tolist()), key=lambda size: (size < lengths[slot], size)):
+                yield self._values(batch, slot, rows[sizes == size], size)
 
-    def _whole(self, batch: FrameBatch, slot: int, rows: Int64Array) -> MessageValues:
-        signals = self._blocks[slot].decode(payload_words(batch.data, rows))
-        words = payload_words(batch.data, rows)
-        return MessageValues(slot=slot, rows=rows, signals=signals, cut_off={}, words=words)
-
-    def _part(self, batch: FrameBatch, slot: int, rows: Int64Array, size: int) -> MessageValues:
+    def _values(self, batch: FrameBatch, slot: int, rows: Int64Array, size: int) -> MessageValues:
         """Return the signals that lie in frames of some size, and how many values lie behind their end."""
         tables = self.tables[slot].signals
-        if (slot, size) not in self._parts:
-            fitting = {name: table for name, table in tables.items() if table.fits(size)}
-            self._parts[slot, size] = SignalBlock(fitting)
-        words = payload_words(batch.data, rows)
-        signals = self._parts[slot, size].decode(words)
-        cut_off = {name: table.cut_off_count(words, size) for name, table in tables.items() if name not in signals}
-        again = payload_words(batch.data, rows)
-        return MessageValues(slot=slot, rows=rows, signals=signals, cut_off=cut_off, words=again)
+        if (slot, size) not in self._blocks:
+            self._blocks[slot, size] = SignalBlock({name: one for name, one in tables.items() if one.fits(size)})
+        words = PayloadWords(batch.data, rows)
+        signals = self._blocks[slot, size].decode(words)
+        cut_off: dict[str, int] = {}
+        if len(signals) < len(tables):
+            cut_off = {name: table.cut_off_count(words, size) for name, table in tables.items() if name not in signals}
+        return MessageValues(slot=slot, rows=rows, signals=signals, cut_off=cut_off, words=words)
 
 
 def message_table(

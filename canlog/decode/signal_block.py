@@ -6,9 +6,9 @@ from typing import Final, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from canlog.arrays import FloatArray, Int64Array
+from canlog.arrays import BoolArray, FloatArray, Int64Array
 from canlog.decode.bit_fields import WORD_BITS, PayloadWords, UInt64Array
-from canlog.decode.signal_table import NO_INVALID, BoolArray, Decoded, InvalidCounts, Selector, SignalTable
+from canlog.decode.signal_table import NO_INVALID, Decoded, InvalidCounts, Selector, SignalTable
 from canlog.decode.value_codes import IntegerCode
 from canlog.errors import DefinitionError
 from canlog.jit import array_kernel, inlined_kernel

@@ -9,22 +9,11 @@ import numpy as np
 from cantools.database.can import Message
 from cantools.database.can.signal import Signal
 
-from canlog.arrays import FloatArray, Int64Array, UInt8Array
+from canlog.arrays import BoolArray, FloatArray
 from canlog.database.not_available import CodeRange
 from canlog.decode.bit_fields import BitField, PayloadWords, place_signal
-from canlog.decode.value_codes import MAX_FACTOR, BoolArray, FloatCode, IntegerCode, float_code, integer_code
+from canlog.decode.value_codes import MAX_FACTOR, FloatCode, IntegerCode, float_code, integer_code
 from canlog.errors import DefinitionError
-
-__all__ = [
-    "NO_INVALID",
-    "BoolArray",
-    "Decoded",
-    "InvalidCounts",
-    "PayloadWords",
-    "SignalTable",
-    "compile_signal",
-    "payload_words",
-]
 
 MAX_MULTIPLEX_DEPTH: Final = 8
 
@@ -139,11 +128,6 @@ def _judged(
         return Decoded(value, present, invalid, present)
     good = ~(codes | beyond)
     return Decoded(value, good if present is None else good & present, invalid, present)
-
-
-def payload_words(data: UInt8Array, rows: Int64Array | None = None) -> PayloadWords:
-    """Return payloads, shape (n, 8) or (n, 64), as words: some rows of them, or all."""
-    return PayloadWords(data, rows)
 
 
 def compile_signal(

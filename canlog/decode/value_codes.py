@@ -5,15 +5,12 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-import numpy.typing as npt
 from cantools.database.can.signal import Signal
 
-from canlog.arrays import FloatArray, Int64Array
+from canlog.arrays import BoolArray, FloatArray, Int64Array
 from canlog.database.not_available import CodeRange
 from canlog.decode.bit_fields import BitField, UInt64Array
 from canlog.errors import DefinitionError
-
-BoolArray = npt.NDArray[np.bool_]
 
 MAX_FACTOR: Final = 1e100  # beyond any unit; keeps the arithmetic of wide integers finite
 EXACT_INTEGER: Final = 2**53  # float64 holds every integer up to here

@@ -9,7 +9,8 @@ from cantools.database.can import Database
 
 from canlog.arrays import Int64Array
 from canlog.database.addressing import kernel_filters
-from canlog.decode.signal_table import NO_INVALID, InvalidCounts, payload_words
+from canlog.decode.bit_fields import PayloadWords
+from canlog.decode.signal_table import NO_INVALID, InvalidCounts
 from canlog.e2e.e2e_state import E2eState, E2eStates
 from canlog.e2e.protection_check import FrameReason, FrameVerdicts, LinkMonitor
 from canlog.frames import MAX_GAP_NS, FrameBatch
@@ -235,7 +236,7 @@ class Decoder:
             rows = decoded.rows(slot)
             if not len(rows):
                 continue
-            words = payload_words(segment.data, rows)
+            words = PayloadWords(segment.data, rows)
             for column in columns:
                 one = column.table.decode(words)
                 if one.invalid.total:

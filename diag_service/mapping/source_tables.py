@@ -6,10 +6,11 @@ from dataclasses import dataclass
 import numpy as np
 from cantools.database.can import Message
 
-from canlog.arrays import FloatArray
+from canlog.arrays import BoolArray, FloatArray
 from canlog.database.addressing import parameter_group
 from canlog.database.not_available import no_value_codes
-from canlog.decode.signal_table import BoolArray, Decoded, InvalidCounts, PayloadWords, SignalTable, compile_signal
+from canlog.decode.bit_fields import PayloadWords
+from canlog.decode.signal_table import Decoded, InvalidCounts, SignalTable, compile_signal
 from diag_service.errors import ConfigError
 from diag_service.mapping.profile import SignalSource
 

@@ -8,9 +8,9 @@ from cantools.database.conversion import BaseConversion
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from canlog.decode.bit_fields import PayloadWords
 from canlog.decode.codec import message_table
 from canlog.decode.signal_block import SignalBlock
-from canlog.decode.signal_table import payload_words
 from tests.support.cantools_oracle import reference, same_bits
 
 FD_LENGTHS = [1, 2, 3, 4, 5, 6, 7, 8, 12, 16, 20, 24, 32, 48, 64]
@@ -88,7 +88,7 @@ def test_any_message_decodes_to_the_bits_of_cantools(message: Message, seed: int
     table = message_table(message, check_range=False)
     assert not table.refused
     wanted = reference(message, [row[: message.length].tobytes() for row in data])
-    words = payload_words(data)
+    words = PayloadWords(data)
     for name, decoded in SignalBlock(table.signals).decode(words).items():
         is_there = ~np.isnan(wanted[name])
         assert same_bits(decoded.value[is_there], wanted[name][is_there])
@@ -102,10 +102,10 @@ def test_signals_decode_together_as_each_by_itself(message: Message, seed: int) 
     data = random_payloads(seed, message.length)
     tables = message_table(message).signals
     rows = np.flatnonzero(np.random.default_rng(seed).random(ROWS) < 0.7)
-    together = SignalBlock(tables).decode(payload_words(data, rows))
+    together = SignalBlock(tables).decode(PayloadWords(data, rows))
     assert list(together) == list(tables)
     for name, table in tables.items():
-        alone, found = table.decode(payload_words(data[rows])), together[name]
+        alone, found = table.decode(PayloadWords(data[rows])), together[name]
         assert same_bits(alone.value, found.value)
         assert alone.invalid_count == found.invalid_count
         assert (alone.is_good is None) == (found.is_good is None)
@@ -120,6 +120,6 @@ def test_classic_rows_and_wide_rows_decode_alike(message: Message, seed: int) ->
     wide = np.zeros((ROWS, 64), np.uint8)
     wide[:, : narrow.shape[1]] = narrow
     for signal in message_table(message).signals.values():
-        near, far = signal.decode(payload_words(narrow)), signal.decode(payload_words(wide))
+        near, far = signal.decode(PayloadWords(narrow)), signal.decode(PayloadWords(wide))
         assert same_bits(near.value, far.value)
         assert near.invalid_count == far.invalid_count

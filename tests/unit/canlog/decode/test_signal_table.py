@@ -14,7 +14,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
-from canlog.decode.signal_table import InvalidCounts, compile_signal, payload_words
+from canlog.decode.bit_fields import PayloadWords
+from canlog.decode.signal_table import InvalidCounts, compile_signal
 from canlog.errors import DefinitionError
 from tests.support.wire import CONTRACTS, DATABASE
 
@@ -89,7 +90,7 @@ def assert_same_bits(actual: npt.NDArray[np.float64], wanted: list[float]) -> No
 
 @given(layouts(), payloads)
 def test_any_layout_decodes_to_the_bits_of_cantools(message: Message, data: UInt8Array) -> None:
-    decoded = compile_signal(message, message.signals[0]).decode(payload_words(data))
+    decoded = compile_signal(message, message.signals[0]).decode(PayloadWords(data))
     assert_same_bits(decoded.value, expected(message, data))
 
 
@@ -97,7 +98,7 @@ def test_any_layout_decodes_to_the_bits_of_cantools(message: Message, data: UInt
 @given(data=payloads)
 def test_own_messages_decode_to_the_bits_of_cantools(name: str, data: UInt8Array) -> None:
     message = DATABASE.get_message_by_name(name)
-    words = payload_words(data)
+    words = PayloadWords(data)
     for signal in message.signals:
         decoded = compile_signal(message, signal).decode(words)
         assert_same_bits(decoded.value, expected(message, data, signal.name))
@@ -107,7 +108,7 @@ def test_own_messages_decode_to_the_bits_of_cantools(name: str, data: UInt8Array
 @given(data=payloads)
 def test_own_signals_are_good_inside_their_range_only(name: str, data: UInt8Array) -> None:
     message = DATABASE.get_message_by_name(name)
-    words = payload_words(data)
+    words = PayloadWords(data)
     for signal in message.signals:
         decoded = compile_signal(message, signal).decode(words)
         assert signal.minimum is not None
@@ -130,7 +131,7 @@ def test_integers_wider_than_a_float_keep_every_bit(
 ) -> None:
     length, scale = shape
     message = single(0, length, scale=scale, offset=offset, is_signed=signed)
-    decoded = compile_signal(message, message.signals[0]).decode(payload_words(data))
+    decoded = compile_signal(message, message.signals[0]).decode(PayloadWords(data))
     assert_same_bits(decoded.value, expected(message, data))
 
 
@@ -162,7 +163,7 @@ def test_multiplexed_signals_are_present_where_cantools_finds_them(data: UInt8Ar
     data[:, 0] = [0x00, 0x05, 0x07, 0x01, 0x32, 0x92]  # low nibble: page; high nibble: page within page 2
     for name in ("First", "Second", "Inner", "Deep", "Always"):
         decoded = compile_signal(message, message.get_signal_by_name(name), check_range=False).decode(
-            payload_words(data)
+            PayloadWords(data)
         )
         wanted = np.array(expected(message, data, name))
         good = np.ones(len(data), np.bool_) if decoded.is_good is None else decoded.is_good
@@ -173,7 +174,7 @@ def test_multiplexed_signals_are_present_where_cantools_finds_them(data: UInt8Ar
 
 def test_page_of_nobody_carries_nothing() -> None:
     decoded = compile_signal(multiplexed(), multiplexed().get_signal_by_name("First")).decode(
-        payload_words(values(0x0F, 0x04, 0x00))
+        PayloadWords(values(0x0F, 0x04, 0x00))
     )
     assert decoded.is_good is not None
     assert decoded.is_good.tolist() == [False, False, True]
@@ -183,7 +184,7 @@ def test_absent_signal_is_not_counted_as_invalid() -> None:
     data = np.zeros((2, 8), np.uint8)
     data[:, 1:3] = [0xFF, 0x7F]  # 16383.5, out of range, but only present on page 0
     data[1, 0] = 1
-    decoded = compile_signal(multiplexed(), multiplexed().get_signal_by_name("First")).decode(payload_words(data))
+    decoded = compile_signal(multiplexed(), multiplexed().get_signal_by_name("First")).decode(PayloadWords(data))
     assert decoded.is_good is not None
     assert decoded.is_good.tolist() == [False, False]
     assert decoded.invalid_count == 1
@@ -196,7 +197,7 @@ def values(*bytes_0: int) -> UInt8Array:
 
 
 def good(message: Message, data: UInt8Array, *, check_range: bool = True) -> list[bool]:
-    decoded = compile_signal(message, message.signals[0], check_range=check_range).decode(payload_words(data))
+    decoded = compile_signal(message, message.signals[0], check_range=check_range).decode(PayloadWords(data))
     return [True] * len(data) if decoded.is_good is None else decoded.is_good.tolist()
 
 
@@ -227,7 +228,7 @@ def test_codes_are_counted_apart_from_what_is_out_of_range() -> None:
     message = single(0, 8, minimum=0, maximum=100)
     for scale in (message, single(0, 8, minimum=0, maximum=100, scale=1.0)):
         table = compile_signal(scale, scale.signals[0], codes=((50, 60), (255, 255)))
-        found = table.decode(payload_words(values(0, 50, 55, 61, 101, 255)))
+        found = table.decode(PayloadWords(values(0, 50, 55, 61, 101, 255)))
         assert found.is_good is not None
         assert found.is_good.tolist() == [True, False, False, True, False, False]
         assert found.invalid == InvalidCounts(not_available=3, out_of_range=1)

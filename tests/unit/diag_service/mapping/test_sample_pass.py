@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from canlog.database.loading import load_database
-from canlog.decode.signal_table import InvalidCounts, payload_words
+from canlog.decode.bit_fields import PayloadWords
+from canlog.decode.signal_table import InvalidCounts
 from canlog.e2e.protection_check import FrameReason, FrameVerdicts
 from canlog.frames import EXTENDED_FLAG, FrameBatch
 from dbc.contract import load_contract
@@ -127,7 +128,7 @@ def test_the_pass_gives_what_each_table_says_of_any_payload(profile: Profile, co
         rows = np.flatnonzero((verdicts.slot == slot) & (verdicts.reason == FrameReason.OK))
         assert np.array_equal(found.rows(slot), rows)
         for column in mapped.columns:
-            wanted = column.table.decode(payload_words(batch.data, rows))
+            wanted = column.table.decode(PayloadWords(batch.data, rows))
             good = np.ones(len(rows), np.bool_) if wanted.is_good is None else wanted.is_good
             assert found.invalid.get(column.signal, InvalidCounts()) == wanted.invalid
             if not good.any():

@@ -7,7 +7,8 @@ from cantools.database.can import Database, Message
 
 from canlog.arrays import UInt8Array
 from canlog.database.loading import load_database
-from canlog.decode.signal_table import InvalidCounts, payload_words
+from canlog.decode.bit_fields import PayloadWords
+from canlog.decode.signal_table import InvalidCounts
 from diag_service.errors import ConfigError
 from diag_service.mapping.profile import PROFILE_FOLDER, SignalSource
 from diag_service.mapping.source_tables import compile_source, find_message, signal_name
@@ -33,16 +34,14 @@ def payloads(*rows: tuple[int, int, int]) -> UInt8Array:
 
 def test_a_share_of_a_standard_torque_less_the_loss() -> None:
     source = SignalSource(message="M", signal="Share", less="Loss", times="Standard")
-    found = compile_source(message(), source).decode(payload_words(payloads((120, 20, 40))))
+    found = compile_source(message(), source).decode(PayloadWords(payloads((120, 20, 40))))
     assert found.value.tolist() == [(60.0 - 10.0) * 400.0]
     assert (found.is_good, found.invalid_count) == (None, 0)
 
 
 def test_a_neighbour_without_value_takes_the_value_away() -> None:
     source = SignalSource(message="M", signal="Share", less="Loss", times="Standard")
-    found = compile_source(message(), source).decode(
-        payload_words(payloads((120, 20, 40), (120, 255, 40), (255, 0, 0)))
-    )
+    found = compile_source(message(), source).decode(PayloadWords(payloads((120, 20, 40), (120, 255, 40), (255, 0, 0))))
     assert found.is_good is not None
     assert found.is_good.tolist() == [True, False, False]
     assert found.invalid_count == 2
@@ -50,7 +49,7 @@ def test_a_neighbour_without_value_takes_the_value_away() -> None:
 
 def test_valid_range_and_codes_of_the_profile() -> None:
     source = SignalSource(message="M", signal="Share", check_range=False, valid=(0.0, 50.0), invalid=(7.5,))
-    found = compile_source(message(), source).decode(payload_words(payloads((0, 0, 0), (15, 0, 0), (101, 0, 0))))
+    found = compile_source(message(), source).decode(PayloadWords(payloads((0, 0, 0), (15, 0, 0), (101, 0, 0))))
     assert found.is_good is not None
     assert (found.is_good.tolist(), found.invalid_count) == ([True, False, False], 2)
 
@@ -73,7 +72,7 @@ def test_j1939_numbers() -> None:
 def test_why_values_are_no_measurements_is_counted() -> None:
     found = compile_source(
         message(), SignalSource(message="M", signal="Share", times="Standard", valid=(0.0, 90.0), invalid=(7.5,))
-    ).decode(payload_words(payloads((15, 0, 0), (190, 0, 0), (255, 0, 0), (1, 0, 255), (1, 0, 1))))
+    ).decode(PayloadWords(payloads((15, 0, 0), (190, 0, 0), (255, 0, 0), (1, 0, 255), (1, 0, 1))))
     assert found.is_good is not None
     assert found.is_good.tolist() == [False, False, False, False, True]
     assert found.invalid == InvalidCounts(not_available=1, out_of_range=2, incomplete=1)
@@ -87,5 +86,5 @@ def test_a_profile_may_trust_every_code(check_codes: bool, good: list[bool]) -> 
     database = cantools.database.load_string(NAMED, "dbc")
     assert isinstance(database, Database)
     source = SignalSource(message="M", signal="Loss", check_range=False, check_codes=check_codes)
-    found = compile_source(database.messages[0], source).decode(payload_words(payloads((0, 254, 0), (0, 255, 0))))
+    found = compile_source(database.messages[0], source).decode(PayloadWords(payloads((0, 254, 0), (0, 255, 0))))
     assert ([True, True] if found.is_good is None else found.is_good.tolist()) == good
