@@ -1,5 +1,6 @@
 """What a shift depends on: the parameters that the estimator estimates and those that it only considers."""
 
+from collections.abc import Mapping
 from dataclasses import replace
 from enum import IntEnum
 
@@ -117,53 +118,59 @@ def _single_std(calibration: Calibration) -> list[float]:
 
 
 def displaced(calibration: Calibration, mean: FloatArray) -> Calibration:
-    """Return a calibration moved to other values of the considered parameters.
+    """Return a calibration moved to other values of all parameters.
 
     Parameters
     ----------
     mean : (len(NAMES),) array
         States, which a calibration holds as biases, and displacements of the considered parameters.
     """
-    move = dict(zip(Considered, mean[STATE_COUNT:].tolist(), strict=True))
+    at = moved(calibration, dict(zip(Considered, mean[STATE_COUNT:].tolist(), strict=True)))
+    bias = replace(
+        at.bias,
+        torque_offset_nm=float(mean[State.TORQUE_OFFSET]),
+        touch_offsets_pa=(float(mean[State.TOUCH1]), float(mean[State.TOUCH2])),
+        pressure_zeros_pa=(float(mean[State.ZERO1]), float(mean[State.ZERO2])),
+    )
+    return replace(at, bias=bias)
+
+
+def moved(calibration: Calibration, displacements: Mapping[Considered, float]) -> Calibration:
+    """Return a calibration with some considered parameters displaced; the others stay as they are."""
+    by = dict.fromkeys(Considered, 0.0) | dict(displacements)
     bias, side, oil = calibration.bias, calibration.input_side, calibration.viscosity
     first, second = (
-        _displaced_clutch(clutch, move[Considered(Considered.PISTON_AREA1 + m)], move)
-        for m, clutch in enumerate(calibration.clutches)
+        _moved_clutch(clutch, by[area], by)
+        for clutch, area in zip(calibration.clutches, (Considered.PISTON_AREA1, Considered.PISTON_AREA2), strict=True)
     )
-    shafts = 1.0 + move[Considered.SHAFT_INERTIA]
+    shafts = [inertia * (1.0 + by[Considered.SHAFT_INERTIA]) for inertia in side.input_shaft_inertias_kg_m2]
     return replace(
         calibration,
         clutches=(first, second),
-        viscosity=replace(oil, a_pa_s=oil.a_pa_s * (1.0 + move[Considered.VISCOSITY])),
+        viscosity=replace(oil, a_pa_s=oil.a_pa_s * (1.0 + by[Considered.VISCOSITY])),
         input_side=replace(
             side,
-            engine_inertia_kg_m2=side.engine_inertia_kg_m2 * (1.0 + move[Considered.ENGINE_INERTIA]),
-            input_shaft_inertias_kg_m2=(
-                side.input_shaft_inertias_kg_m2[0] * shafts,
-                side.input_shaft_inertias_kg_m2[1] * shafts,
-            ),
+            engine_inertia_kg_m2=side.engine_inertia_kg_m2 * (1.0 + by[Considered.ENGINE_INERTIA]),
+            input_shaft_inertias_kg_m2=(shafts[0], shafts[1]),
         ),
         bias=replace(
             bias,
-            torque_gain=bias.torque_gain + move[Considered.TORQUE_GAIN],
-            motoring_gain=bias.motoring_gain + move[Considered.MOTORING_GAIN],
-            torque_offset_nm=float(mean[State.TORQUE_OFFSET]),
-            torque_latency_s=bias.torque_latency_s + move[Considered.TORQUE_LATENCY],
-            pressure_latency_s=bias.pressure_latency_s + move[Considered.PRESSURE_LATENCY],
-            touch_offsets_pa=(float(mean[State.TOUCH1]), float(mean[State.TOUCH2])),
-            pressure_zeros_pa=(float(mean[State.ZERO1]), float(mean[State.ZERO2])),
+            torque_gain=bias.torque_gain + by[Considered.TORQUE_GAIN],
+            motoring_gain=bias.motoring_gain + by[Considered.MOTORING_GAIN],
+            torque_latency_s=bias.torque_latency_s + by[Considered.TORQUE_LATENCY],
+            pressure_latency_s=bias.pressure_latency_s + by[Considered.PRESSURE_LATENCY],
         ),
     )
 
 
-def _displaced_clutch(clutch: ClutchCalibration, area_ratio: float, move: dict[Considered, float]) -> ClutchCalibration:
+def _moved_clutch(clutch: ClutchCalibration, area_ratio: float, by: Mapping[Considered, float]) -> ClutchCalibration:
     """Return a clutch with another piston and lining; its springs stay, so its touch pressure moves with the area."""
-    friction, film, geometry = clutch.friction, clutch.film, clutch.geometry
+    curve, film, geometry = clutch.friction, clutch.film, clutch.geometry
+    width_rad_s = curve.stribeck_speed_rad_s * (1.0 + by[Considered.STRIBECK_SPEED])
+    stiffness_pa = film.contact_stiffness_pa * (1.0 + by[Considered.CONTACT_STIFFNESS])
     return replace(
         clutch,
         geometry=replace(geometry, piston_area_m2=geometry.piston_area_m2 * (1.0 + area_ratio)),
-        friction=replace(
-            friction, stribeck_speed_rad_s=friction.stribeck_speed_rad_s * (1.0 + move[Considered.STRIBECK_SPEED])
-        ),
-        film=replace(film, contact_stiffness_pa=film.contact_stiffness_pa * (1.0 + move[Considered.CONTACT_STIFFNESS])),
+        friction=replace(curve, stribeck_speed_rad_s=width_rad_s),
+        film=replace(film, contact_stiffness_pa=stiffness_pa),
     )

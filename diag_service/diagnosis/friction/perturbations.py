@@ -7,7 +7,7 @@ import numpy as np
 from canlog.arrays import FloatArray
 from clutch_model.calibration import Calibration
 from diag_service.diagnosis.friction.film_track import PressureDrive
-from diag_service.diagnosis.friction.parameters import Considered
+from diag_service.diagnosis.friction.parameters import Considered, moved
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -33,25 +33,13 @@ class Perturbation:
 
     def of_calibration(self, calibration: Calibration) -> Calibration:
         """Return the changed calibration."""
-        oil = calibration.viscosity
-        first, second = (
-            replace(
-                clutch,
-                friction=replace(
-                    clutch.friction,
-                    stribeck_speed_rad_s=clutch.friction.stribeck_speed_rad_s * (1.0 + self.stribeck_speed_ratio),
-                ),
-                film=replace(
-                    clutch.film,
-                    contact_stiffness_pa=clutch.film.contact_stiffness_pa * (1.0 + self.contact_stiffness_ratio),
-                ),
-            )
-            for clutch in calibration.clutches
-        )
-        return replace(
+        return moved(
             calibration,
-            viscosity=replace(oil, a_pa_s=oil.a_pa_s * (1.0 + self.viscosity_ratio)),
-            clutches=(first, second),
+            {
+                Considered.VISCOSITY: self.viscosity_ratio,
+                Considered.STRIBECK_SPEED: self.stribeck_speed_ratio,
+                Considered.CONTACT_STIFFNESS: self.contact_stiffness_ratio,
+            },
         )
 
 
