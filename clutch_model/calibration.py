@@ -5,23 +5,23 @@ Symbols in the comments are those of ``docs/model.md``. Clutch 1 carries the odd
 
 import tomllib
 from collections.abc import Mapping
-from dataclasses import MISSING, asdict, dataclass, field, fields
+from dataclasses import asdict, dataclass, field
 from datetime import date
 from importlib.resources import files
 from pathlib import Path
-from typing import Any, Self, TypeVar, cast
+from typing import Any, Final, Self
 
 import tomli_w
 
 from canlog.plain_files import read_toml_file
-from clutch_model.clutch import ClutchCalibration, ClutchGeometry, ClutchThermal, FilmSurface, FrictionCurve, Piston
+from clutch_model.clutch import ClutchCalibration
 from clutch_model.errors import CalibrationError
 from clutch_model.knowledge import JointUncertainty, SensorBias, SensorNoise, Uncertainty
 from clutch_model.ranged import Pair, Ranged
-from clutch_model.tables import check_keys, numbers, require, subtable
+from clutch_model.tables import record_from, require
 
-CLUTCH_COUNT = 2
-RecordT = TypeVar("RecordT")
+CLUTCH_COUNT: Final = 2
+_TEXTS: Final = ("name", "version")  # a number will do
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -34,8 +34,8 @@ class Viscosity:
 
     def __post_init__(self) -> None:
         """Check that the law is a decreasing viscosity."""
-        require(self.a_pa_s > 0.0 and self.b_k > 0.0, "viscosity a_pa_s and b_k must be > 0")
-        require(0.0 < self.pole_k < 233.15, "viscosity pole_k must be 0..233.15 K (below any oil temperature)")
+        require(self.a_pa_s > 0.0 and self.b_k > 0.0, "a_pa_s and b_k must be > 0")
+        require(0.0 < self.pole_k < 233.15, "pole_k must be 0..233.15 K (below any oil temperature)")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -82,33 +82,15 @@ class Calibration:
         CalibrationError
             Naming the first offending key.
         """
-        known = {"name", "version", "clutch", "viscosity", "input_side", "uncertainty", "noise"}
-        made_on = table.get("made_on")
+        made_on, vehicle, clutches = table.get("made_on"), table.get("vehicle"), table.get("clutch")
         require(made_on is None or type(made_on) is date, f"made_on must be a day (2026-01-31), got {made_on!r}")
-        vehicle = table.get("vehicle")
         is_name = isinstance(vehicle, str) and vehicle.isprintable() and vehicle != ""
         require(vehicle is None or is_name, f"vehicle must be a text that can be printed, got {vehicle!r}")
-        optional = {"bias", "joint", "made_on", "vehicle"}
-        check_keys("calibration", set(table) | optional, known | optional)
-        clutches = table["clutch"]
-        require(
-            isinstance(clutches, list) and len(clutches) == CLUTCH_COUNT,
-            f"calibration needs exactly {CLUTCH_COUNT} [[clutch]] tables",
-        )
-        first, second = (_clutch(entry, index + 1) for index, entry in enumerate(clutches))
-        return cls(
-            name=str(table["name"]),
-            version=str(table["version"]),
-            clutches=(first, second),
-            viscosity=_record(Viscosity, table["viscosity"], "viscosity"),
-            input_side=_record(InputSide, table["input_side"], "input_side"),
-            uncertainty=_record(Uncertainty, table["uncertainty"], "uncertainty"),
-            noise=_record(SensorNoise, table["noise"], "noise"),
-            made_on=made_on,
-            vehicle=vehicle,
-            bias=_record(SensorBias, table.get("bias", {}), "bias"),
-            joint=_joint(table["joint"]) if "joint" in table else None,
-        )
+        if not isinstance(clutches, list) or len(clutches) != CLUTCH_COUNT:
+            raise CalibrationError(f"calibration needs exactly {CLUTCH_COUNT} [[clutch]] tables")
+        both = tuple(record_from(ClutchCalibration, one, f"clutch {m} ") for m, one in enumerate(clutches, 1))
+        rest = {key: str(value) if key in _TEXTS else value for key, value in table.items() if key != "clutch"}
+        return record_from(cls, rest, clutches=both)
 
 
 def read_calibration(path: Path) -> Calibration:
@@ -147,52 +129,3 @@ def nominal_table() -> dict[str, Any]:
 def nominal_calibration() -> Calibration:
     """Return the calibration that ships with the package."""
     return Calibration.from_mapping(nominal_table())
-
-
-def _record(record: type[RecordT], table: object, where: str) -> RecordT:
-    if not isinstance(table, Mapping):
-        raise CalibrationError(f"{where} must be a table")
-    members = {member.name: member.type for member in fields(record)}  # type: ignore[arg-type]
-    optional = {member.name for member in fields(record) if member.default is not MISSING}  # type: ignore[arg-type]
-    check_keys(where, set(table) | optional, set(members))
-    values = {}
-    for key, value in table.items():
-        name = f"{where}.{key}"
-        if members[key] == Pair:
-            values[key] = numbers(value, name, CLUTCH_COUNT)
-            continue
-        wanted = int if members[key] in {int, "int"} else (int, float)
-        require(isinstance(value, wanted) and not isinstance(value, bool), f"{name} must be a number, got {value!r}")
-        values[key] = value
-    try:
-        return record(**values)
-    except CalibrationError as exc:
-        raise CalibrationError(f"{where}: {exc}") from exc
-
-
-def _joint(table: object) -> JointUncertainty:
-    table = subtable(table, "joint")
-    check_keys("joint", table, {"names", "std", "correlation"})
-    names, rows = table["names"], table["correlation"]
-    require(isinstance(names, list) and all(isinstance(name, str) for name in names), "joint.names must be texts")
-    require(isinstance(rows, list), "joint.correlation must be a list of lists")
-    count = len(cast("list[str]", names))
-    return JointUncertainty(
-        names=tuple(cast("list[str]", names)),
-        std=numbers(table["std"], "joint.std", count),
-        correlation=tuple(numbers(row, "joint.correlation", count) for row in cast("list[object]", rows)),
-    )
-
-
-def _clutch(table: object, number: int) -> ClutchCalibration:
-    where = f"clutch {number}"
-    if not isinstance(table, Mapping):
-        raise CalibrationError(f"{where} must be a table")
-    check_keys(where, set(table), {"friction", "geometry", "piston", "film", "thermal"})
-    return ClutchCalibration(
-        friction=_record(FrictionCurve, table["friction"], f"{where} friction"),
-        geometry=_record(ClutchGeometry, table["geometry"], f"{where} geometry"),
-        piston=_record(Piston, table["piston"], f"{where} piston"),
-        film=_record(FilmSurface, table["film"], f"{where} film"),
-        thermal=_record(ClutchThermal, table["thermal"], f"{where} thermal"),
-    )

@@ -80,13 +80,11 @@ class JointUncertainty:
     def __post_init__(self) -> None:
         """Check that it is a correlation matrix."""
         count = len(self.names)
-        require(len(set(self.names)) == count, "joint names must differ")
+        require(len(set(self.names)) == count, "names must differ")
         require(len(self.std) == count and len(self.correlation) == count, f"joint needs {count} rows")
-        require(all(math.isfinite(value) and value >= 0.0 for value in self.std), "joint std must be finite and >= 0")
+        require(all(math.isfinite(value) and value >= 0.0 for value in self.std), "std must be finite and >= 0")
         for row, values in enumerate(self.correlation):
-            require(
-                len(values) == count and values[row] == 1.0, "joint correlation must be square, ones on its diagonal"
-            )
+            require(len(values) == count and values[row] == 1.0, "correlation must be square, ones on its diagonal")
             for column, value in enumerate(values):
-                require(-1.0 <= value <= 1.0, f"joint correlation must be within 1, got {value}")
-                require(value == self.correlation[column][row], "joint correlation must be symmetric")
+                require(-1.0 <= value <= 1.0, f"correlation must be within 1, got {value}")
+                require(value == self.correlation[column][row], "correlation must be symmetric")

@@ -17,4 +17,4 @@ class Ranged:
             value = getattr(self, member.name)
             for number in value if isinstance(value, tuple) else (value,):
                 if isinstance(number, int | float) and not (math.isfinite(number) and number >= 0.0):
-                    raise CalibrationError(f"{type(self).__name__}.{member.name} must be finite and >= 0, got {number}")
+                    raise CalibrationError(f"{member.name} must be finite and >= 0, got {number}")

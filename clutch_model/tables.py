@@ -1,9 +1,22 @@
 """Nested tables, as TOML yields them, into checked records; shared by everything that loads parameters."""
 
-import math
 from collections.abc import Iterable, Mapping
+from dataclasses import MISSING, fields, is_dataclass
+from enum import StrEnum
+from types import NoneType, UnionType
+from typing import Any, Final, TypeVar, cast, get_args, get_origin, get_type_hints
+
+import msgspec
 
 from clutch_model.errors import CalibrationError
+
+RecordT = TypeVar("RecordT")
+_WORDS: Final[Mapping[object, str]] = {
+    float: "a number",
+    int: "a whole number",
+    bool: "true or false",
+    str: "a string",
+}
 
 
 def require(condition: bool, message: str) -> None:  # noqa: FBT001 - reads as a sentence at the call
@@ -12,48 +25,81 @@ def require(condition: bool, message: str) -> None:  # noqa: FBT001 - reads as a
         raise CalibrationError(message)
 
 
-def check_keys(where: str, given: Iterable[str], known: Iterable[str]) -> None:
-    """Raise `CalibrationError` if a key is unknown or missing."""
-    unknown, missing = sorted(set(given) - set(known)), sorted(set(known) - set(given))
-    require(not unknown, f"{where}: unknown key {unknown}")
-    require(not missing, f"{where}: missing key {missing}")
+def record_from(
+    kind: type[RecordT],
+    table: object,
+    prefix: str = "",
+    *,
+    error: type[Exception] = CalibrationError,
+    **given: object,
+) -> RecordT:
+    """Return a record, a dataclass or a named tuple, whose members have the names of a table's keys.
 
+    Numbers of a dataclass stay as they were written, whole ones too; those of a named tuple, which compiled code
+    takes, become floats.
 
-def number(value: object, where: str) -> float:
-    """Return a finite number of a table.
-
-    Raises
-    ------
-    CalibrationError
-        If it is something else.
-    """
-    if isinstance(value, bool) or not isinstance(value, int | float):
-        raise CalibrationError(f"{where} must be a number, got {value!r}")
-    require(math.isfinite(value), f"{where} must be finite, got {value}")
-    return float(value)
-
-
-def numbers(value: object, where: str, count: int) -> tuple[float, ...]:
-    """Return a list of ``count`` finite numbers of a table.
+    Parameters
+    ----------
+    prefix
+        Of every key in a message, such as ``viscosity.``.
+    error
+        What is raised if the table does not fit, and what the record raises if a value is out of its range.
+    given
+        Members that do not come from the table.
 
     Raises
     ------
     CalibrationError
-        If it is something else.
+        Or ``error``: naming the first key that is unknown, missing, mistyped or out of range.
     """
-    if not isinstance(value, list | tuple) or len(value) != count:
-        raise CalibrationError(f"{where} must be a list of {count} numbers, got {value!r}")
-    return tuple(number(entry, where) for entry in value)
+    if not isinstance(table, Mapping):
+        raise error(f"{prefix.rstrip('. :')} must be a table, got {table!r}".lstrip())
+    members = {name: hint for name, hint in get_type_hints(kind).items() if name not in given}
+    for key in sorted(set(table) - set(members)):
+        raise error(f"{prefix}{key} is unknown; known: {', '.join(sorted(members))}")
+    for key in members:
+        if key not in table and key not in _optional(kind):
+            raise error(f"{prefix}{key} is missing")
+    values = {key: _member(members[key], value, f"{prefix}{key}", error) for key, value in table.items()}
+    if not is_dataclass(kind):
+        values = {key: float(value) if members[key] is float else value for key, value in values.items()}
+    try:
+        return kind(**values, **given)
+    except error as exc:
+        raise error(f"{prefix}{exc}") from exc
 
 
-def subtable(value: object, where: str) -> Mapping[str, object]:
-    """Return a nested table.
+def _optional(kind: Any) -> Iterable[str]:  # noqa: ANN401 - a class of records
+    if not is_dataclass(kind):
+        return kind._field_defaults.keys() if hasattr(kind, "_field_defaults") else ()
+    return [one.name for one in fields(kind) if not one.default is one.default_factory is MISSING]
 
-    Raises
-    ------
-    CalibrationError
-        If it is something else.
-    """
-    if not isinstance(value, Mapping):
-        raise CalibrationError(f"{where} must be a table")
-    return value
+
+def _member(hint: Any, value: object, where: str, error: type[Exception]) -> Any:  # noqa: ANN401 - as annotated
+    """Return the value of one member as its annotation wants it; a record, or a table of them, may be there already."""
+    if get_origin(hint) is UnionType:  # a file has no null: what is optional is there or not
+        (hint,) = (one for one in get_args(hint) if one is not NoneType)
+    if isinstance(hint, type) and (is_dataclass(hint) or hasattr(hint, "_fields")):
+        record = cast("type[object]", hint)
+        return value if isinstance(value, record) else record_from(record, value, f"{where}.", error=error)
+    if get_origin(hint) is tuple and is_dataclass(get_args(hint)[0]):
+        kind = get_args(hint)[0]
+        if not isinstance(value, list) or not all(isinstance(one, Mapping) for one in value):
+            raise error(f"{where} must be an array of tables, got {value!r}")
+        return tuple(record_from(kind, one, f"{where} {row}: ", error=error) for row, one in enumerate(value, 1))
+    try:
+        converted = msgspec.convert(value, hint)
+    except msgspec.ValidationError as exc:
+        raise error(f"{where} must be {_word(hint)}, got {value!r}") from exc
+    return value if hint is float else converted
+
+
+def _word(hint: Any) -> str:  # noqa: ANN401 - an annotation
+    """Return what an annotation wants, for people."""
+    if isinstance(hint, type) and issubclass(hint, StrEnum):
+        return f"one of {', '.join(hint)}"
+    if get_origin(hint) is tuple:
+        inner, *others = get_args(hint)
+        count = "" if others == [...] else f"{1 + len(others)} "
+        return f"a list of {count}{_word(inner).removeprefix('a ')}s"
+    return _WORDS.get(hint, "something else")

@@ -2,30 +2,17 @@
 
 import tomllib
 from collections.abc import Mapping
-from dataclasses import MISSING, Field, fields
-from enum import StrEnum
+from dataclasses import fields
 from importlib.resources import files
 from pathlib import Path
-from typing import Final, TypeVar
+from typing import Final
 
 from canlog.plain_files import read_small_file
+from clutch_model.tables import record_from
 from ecu_emulator.errors import ConfigError
 from ecu_emulator.faults import BusFault, SensorFault
-from ecu_emulator.scenario import (
-    Ambient,
-    Driver,
-    Effects,
-    Fluid,
-    Routine,
-    Scatter,
-    Scenario,
-    Startup,
-    Truth,
-    production_scatter,
-)
+from ecu_emulator.scenario import Scatter, Scenario, Truth, production_scatter
 from ecu_emulator.signals import NOMINAL_SENSORS, Sensor, Sensors, split_unit
-
-RecordT = TypeVar("RecordT")
 
 _SHIPPED: Final = files("ecu_emulator").joinpath("scenarios")
 
@@ -90,29 +77,17 @@ def parse_fault(table: object) -> SensorFault | BusFault:
     if not isinstance(table, Mapping):
         raise ConfigError(f"a fault must be a table, got {table!r}")
     if "quantity" in table:
-        return _record(SensorFault, table, "")
-    return _record(BusFault, table, "")
+        return record_from(SensorFault, table, error=ConfigError)
+    return record_from(BusFault, table, error=ConfigError)
 
 
 def _scenario(table: Mapping[str, object]) -> Scenario:
     parts = dict(table)
-    for key, record in _PARTS.items():
-        if key in parts:
-            parts[key] = _record(record, _subtable(parts, key), f"{key}.")
     if "scatter" in parts:
         parts["scatter"] = _scatter(parts["scatter"])
-    parts["sensors"] = _sensors(_subtable(parts, "sensors"))
     parts["truth"] = _truth(_subtable(parts, "truth"))
-    parts["sensor_faults"] = _records(SensorFault, parts.get("sensor_faults", []), "sensor_faults")
-    parts["bus_faults"] = _records(BusFault, parts.get("bus_faults", []), "bus_faults")
-    if "name" not in parts:
-        raise ConfigError("key name is missing")
-    return _record(Scenario, parts, "")
-
-
-_PARTS: Final[Mapping[str, type[object]]] = {
-    "fluid": Fluid, "driver": Driver, "routine": Routine, "ambient": Ambient, "startup": Startup, "effects": Effects
-}  # fmt: skip
+    parts["sensors"] = _sensors(_subtable(parts, "sensors"))
+    return record_from(Scenario, parts, error=ConfigError)
 
 
 def _scatter(value: object) -> Scatter:
@@ -122,7 +97,7 @@ def _scatter(value: object) -> Scatter:
         raise ConfigError(f'scatter must be "none" or a table, got {value!r}')
     normal = production_scatter()
     defaults = {member.name: getattr(normal, member.name) for member in fields(Scatter)}
-    return _record(Scatter, {**defaults, **value}, "scatter.")
+    return record_from(Scatter, {**defaults, **value}, "scatter.", error=ConfigError)
 
 
 def _sensors(table: Mapping[str, object]) -> Sensors:
@@ -140,7 +115,7 @@ def _sensors(table: Mapping[str, object]) -> Sensors:
         _check_known(given, set(members), f"{where}.")
         default = {member.name: getattr(sensors[quantity], member.name) for member in fields(Sensor)}
         changed = {members[key]: value for key, value in given.items()}
-        sensors[quantity] = _record(Sensor, {**default, **changed}, f"{where}.")
+        sensors[quantity] = record_from(Sensor, {**default, **changed}, f"{where}.", error=ConfigError)
     return sensors
 
 
@@ -171,43 +146,3 @@ def _check_known(table: Mapping[str, object], known: set[str], prefix: str) -> N
     unknown = sorted(set(table) - known)
     if unknown:
         raise ConfigError(f"{prefix}{unknown[0]} is unknown; known: {', '.join(sorted(known))}")
-
-
-def _records(record: type[RecordT], tables: object, where: str) -> tuple[RecordT, ...]:
-    if not isinstance(tables, list) or not all(isinstance(table, Mapping) for table in tables):
-        raise ConfigError(f"{where} must be an array of tables, got {tables!r}")
-    return tuple(_record(record, table, f"{where} {number}: ") for number, table in enumerate(tables, start=1))
-
-
-def _record(record: type[RecordT], table: Mapping[str, object], prefix: str) -> RecordT:
-    members = {member.name: member for member in fields(record)}  # type: ignore[arg-type]  # every caller passes a dataclass
-    _check_known(table, set(members), prefix)
-    values = {key: _typed(members[key], value, prefix) for key, value in table.items()}
-    missing = [
-        name for name, one in members.items() if name not in values and one.default is one.default_factory is MISSING
-    ]
-    if missing:
-        raise ConfigError(f"{prefix}key {missing[0]} is missing")
-    try:
-        return record(**values)
-    except ConfigError as exc:
-        raise ConfigError(f"{prefix}{exc}") from exc
-
-
-def _typed(member: "Field[object]", value: object, prefix: str) -> object:
-    wanted = int if member.type == int | None else member.type
-    is_number = isinstance(value, int | float) and not isinstance(value, bool)
-    if wanted is float and not is_number:
-        raise ConfigError(f"{prefix}{member.name} must be a number, got {value!r}")
-    if wanted is int and not (is_number and isinstance(value, int)):
-        raise ConfigError(f"{prefix}{member.name} must be a whole number, got {value!r}")
-    if wanted is bool and not isinstance(value, bool):
-        raise ConfigError(f"{prefix}{member.name} must be true or false, got {value!r}")
-    if wanted is str and not isinstance(value, str):
-        raise ConfigError(f"{prefix}{member.name} must be a string, got {value!r}")
-    if isinstance(wanted, type) and issubclass(wanted, StrEnum):
-        if value not in set(wanted):
-            known = ", ".join(wanted)
-            raise ConfigError(f"{prefix}{member.name} must be one of {known}, got {value!r}")
-        return wanted(str(value))
-    return value

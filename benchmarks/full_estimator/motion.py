@@ -70,7 +70,7 @@ def motion_law(side: InputSide, driveline: Driveline, vehicle: Vehicle) -> Motio
         output_shaft_damping_nms_rad=driveline.output.damping_nms_rad,
         wheel_inertia_kg_m2=vehicle.wheel_inertia_kg_m2,
         wheel_damping_nms_rad=vehicle.wheel_damping_nms_rad,
-        wheel_radius_m=driveline.wheel_radius_m,
+        wheel_radius_m=driveline.wheel.radius_m,
         mass_kg=vehicle.mass_kg,
         tyre_stiffness_n=vehicle.tyre_stiffness_n,
         tyre_grip_n=vehicle.tyre_grip_n,

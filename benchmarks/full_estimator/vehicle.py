@@ -1,12 +1,13 @@
 """What lies between differential and road, beyond the paper's driveline: losses, wheels, tyres, mass."""
 
+import math
 import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass, fields
 from importlib.resources import files
 from typing import Self
 
-from clutch_model.tables import check_keys, number, require
+from clutch_model.tables import record_from, require
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -21,6 +22,12 @@ class Vehicle:
     tyre_stiffness_n: float  # C_kappa
     tyre_grip_n: float  # mu_t*F_z
 
+    def __post_init__(self) -> None:
+        for member in fields(self):
+            value = getattr(self, member.name)
+            require(0.0 < value < math.inf, f"{member.name} must be > 0 and finite, got {value}")
+        require(self.efficiency_ratio <= 1.0, f"efficiency_ratio must be <= 1, got {self.efficiency_ratio}")
+
     @classmethod
     def from_mapping(cls, table: Mapping[str, object]) -> Self:
         """Build a vehicle from a table.
@@ -30,13 +37,7 @@ class Vehicle:
         CalibrationError
             Naming an unknown, missing or mistyped key, a number that is not positive or an efficiency above 1.
         """
-        names = [field.name for field in fields(cls)]
-        check_keys("vehicle", table, names)
-        values = {name: number(table[name], name) for name in names}
-        for name, value in values.items():
-            require(value > 0.0, f"{name} must be > 0, got {value}")
-        require(values["efficiency_ratio"] <= 1.0, f"efficiency_ratio must be <= 1, got {values['efficiency_ratio']}")
-        return cls(**values)
+        return record_from(cls, table, "vehicle.")
 
 
 def nominal_vehicle() -> Vehicle:

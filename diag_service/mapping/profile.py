@@ -10,6 +10,7 @@ from typing import Final
 
 from canlog.arrays import FloatArray
 from canlog.plain_files import read_toml_file
+from clutch_model.tables import record_from
 from clutch_model.units import k_from_degc, m_s_from_km_h, pa_from_bar, rad_s_from_rpm
 from diag_service.diagnosis.columns import GearRatios, Signal
 from diag_service.errors import ConfigError
@@ -109,6 +110,8 @@ class SignalSource:
             raise ConfigError("lacks signal, or has it beside spn" if self.signal else "lacks signal")
         if self.valid is not None and not self.valid[0] < self.valid[1]:
             raise ConfigError(f"valid {list(self.valid)} is no range")
+        if not all(math.isfinite(one) for one in (*(self.valid or ()), *self.invalid)):
+            raise ConfigError("valid and invalid must be finite")
         if self.source_address is not None and not 0 <= self.source_address <= MAX_NUMBER:
             raise ConfigError(f"source_address {self.source_address} is not one of J1939")
 
@@ -177,7 +180,7 @@ def load_profile(path: Path = PROFILE_PATH) -> Profile:
     problems: list[str] = []
     for key, entry in signals.items():
         try:
-            sources[_canonical(key)] = _source(entry)
+            sources[_canonical(key)] = record_from(SignalSource, entry, error=ConfigError)
         except ConfigError as error:
             problems.append(f"{key}: {error}")
     gears: GearRatios | None = None
@@ -237,52 +240,16 @@ def _canonical(key: str) -> Signal:
         raise ConfigError("not a canonical signal") from error
 
 
-_FIELD_TYPES: Final[Mapping[str, type | tuple[type, ...]]] = {
-    **dict.fromkeys(("message", "signal", "unit", "less", "times"), str),
-    **dict.fromkeys(("pgn", "spn"), int),
-    **dict.fromkeys(("scale", "offset"), (int, float)),
-    **dict.fromkeys(("valid", "invalid"), list),
-    **dict.fromkeys(("check_range", "check_codes"), bool),
-    "source_address": int,
-}
-
-
-def _source(entry: object) -> SignalSource:
-    """Return one checked entry of a profile."""
-    if not isinstance(entry, dict):
-        raise ConfigError("must be a table with message and signal")
-    for key, value in entry.items():
-        expected = _FIELD_TYPES.get(key)
-        if expected is None:
-            raise ConfigError(f"unknown key {key}")
-        if not isinstance(value, expected) or (isinstance(value, bool) and expected is not bool):
-            raise ConfigError(f"{key} has the wrong type")
-    lists = {key: _numbers(key, entry[key]) for key in ("valid", "invalid") if key in entry}
-    if len(lists.get("valid", (0.0, 0.0))) != 2:
-        raise ConfigError("valid must be [lowest, highest]")
-    return SignalSource(**{**entry, **lists})
-
-
 def _gears(entry: object) -> GearRatios | None:
     """Return the checked table of ratios, if there is one."""
     if entry is None:
         return None
-    if not isinstance(entry, dict) or entry.keys() != {"over", "ratios"}:
-        raise ConfigError("must be a table with over and ratios")
-    over = _canonical(entry["over"])
-    if over not in {Signal.OUTPUT_SPEED, Signal.VEHICLE_SPEED}:
+    gears = record_from(GearRatios, entry, error=ConfigError)
+    if gears.over not in {Signal.OUTPUT_SPEED, Signal.VEHICLE_SPEED}:
         raise ConfigError(f"over must be {Signal.OUTPUT_SPEED.value} or {Signal.VEHICLE_SPEED.value}")
-    ratios = _numbers("ratios", entry["ratios"])
+    ratios = gears.ratios
+    if not all(math.isfinite(one) for one in ratios):
+        raise ConfigError("ratios must be finite")
     if len(ratios) < 2 or any(high <= low for high, low in pairwise(ratios)) or ratios[-1] <= 0.0:
         raise ConfigError("ratios must fall from gear to gear and stay above 0")
-    return GearRatios(over=over, ratios=ratios)
-
-
-def _numbers(key: str, value: object) -> tuple[float, ...]:
-    """Return a list of finite numbers."""
-    numbers = value if isinstance(value, list) else []
-    if not numbers or any(isinstance(one, bool) or not isinstance(one, int | float) for one in numbers):
-        raise ConfigError(f"{key} must be a list of numbers")
-    if not all(math.isfinite(one) for one in numbers):
-        raise ConfigError(f"{key} must be finite")
-    return tuple(float(one) for one in numbers)
+    return gears

@@ -6,19 +6,17 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, fields
 from importlib.resources import files
 from pathlib import Path
-from typing import NamedTuple, Self, TypeVar, cast
+from typing import NamedTuple, Self
 
 from canlog.plain_files import read_toml_file
 from clutch_model.errors import CalibrationError
-from clutch_model.tables import check_keys, number, numbers, require, subtable
+from clutch_model.tables import record_from, require
 from ecu_emulator.plant.driveline import FlywheelParameters, OutputParameters, ShaftParameters, SynchroniserParameters
 from ecu_emulator.plant.engine import EngineParameters
 from ecu_emulator.plant.hydraulics import HydraulicsParameters
 from ecu_emulator.plant.lining import LiningParameters
 from ecu_emulator.plant.vehicle import VehicleParameters
 from ecu_emulator.tcu_data import GEAR_COUNT, ControlParameters, WorkshopParameters
-
-TupleT = TypeVar("TupleT", bound=tuple[object, ...])
 
 _MAY_BE_ZERO = frozenset(
     {
@@ -98,8 +96,16 @@ class PlantParameters:
         for name, value in self._numbers():
             key = name.rpartition(".")[2]
             is_positive = value > 0.0 or (value == 0.0 and key in _MAY_BE_ZERO)
-            require(math.isfinite(value) and is_positive, f"{name} must be > 0, got {value}")
+            require(math.isfinite(value), f"{name} must be finite, got {value}")
+            require(is_positive, f"{name} must be > 0, got {value}")
             require(value <= 1.0 or key not in _UP_TO_ONE, f"{name} must be <= 1, got {value}")
+        for name, values, count in (
+            ("gearbox.gear_ratios", self.gearbox.gear_ratios, GEAR_COUNT),
+            ("gearbox.final_drive_ratios", self.gearbox.final_drive_ratios, GEAR_COUNT),
+            ("control.upshift_speeds_rad_s", self.control.upshift_speeds_rad_s, GEAR_COUNT - 1),
+            ("control.downshift_speeds_rad_s", self.control.downshift_speeds_rad_s, GEAR_COUNT - 1),
+        ):
+            require(len(values) == count, f"{name} must be a list of {count} numbers, got {list(values)}")
         require(self.engine.closed_throttle_rad < 0.5 * math.pi, "engine.closed_throttle_rad must be < pi/2")
 
     def _numbers(self) -> Iterator[tuple[str, float]]:
@@ -119,28 +125,11 @@ class PlantParameters:
         CalibrationError
             Naming the first offending key.
         """
-        known = [field.name for field in fields(cls) if field.name != "shafts"]
-        check_keys("plant", table, [*known, "shaft"])
-        shafts = table["shaft"]
+        shafts = table.get("shaft")
         if not isinstance(shafts, list) or len(shafts) != 2:
             raise CalibrationError("plant needs exactly 2 [[shaft]] tables")
-        return cls(
-            engine=_record(EngineParameters, table, "engine"),
-            hydraulics=_record(HydraulicsParameters, table, "hydraulics"),
-            flywheel=_record(FlywheelParameters, table, "flywheel"),
-            shafts=(
-                _record(ShaftParameters, {"shaft 1": shafts[0]}, "shaft 1"),
-                _record(ShaftParameters, {"shaft 2": shafts[1]}, "shaft 2"),
-            ),
-            gearbox=_record(GearboxParameters, table, "gearbox"),
-            synchroniser=_record(SynchroniserParameters, table, "synchroniser"),
-            output=_record(OutputParameters, table, "output"),
-            vehicle=_record(VehicleParameters, table, "vehicle"),
-            sump=_record(SumpParameters, table, "sump"),
-            lining=_record(LiningParameters, table, "lining"),
-            control=_record(ControlParameters, table, "control"),
-            workshop=_record(WorkshopParameters, table, "workshop"),
-        )
+        both = tuple(record_from(ShaftParameters, one, f"shaft {m}.") for m, one in enumerate(shafts, 1))
+        return record_from(cls, {key: value for key, value in table.items() if key != "shaft"}, shafts=both)
 
 
 def nominal_plant_table() -> dict[str, object]:
@@ -171,19 +160,3 @@ def read_parameters(path: Path) -> PlantParameters:
         return PlantParameters.from_mapping(table)
     except CalibrationError as exc:
         raise CalibrationError(f"{path}: {exc}") from exc
-
-
-def _record(record: type[TupleT], tables: Mapping[str, object], where: str) -> TupleT:
-    table = subtable(tables[where], where)
-    names = cast("tuple[str, ...]", record._fields)  # type: ignore[attr-defined]  # every NamedTuple has it
-    check_keys(where, table, names)
-    values = [_value(table[name], f"{where}.{name}") for name in names]
-    return record(*values)  # type: ignore[arg-type]  # the fields are floats and tuples of floats
-
-
-def _value(value: object, where: str) -> float | tuple[float, ...]:
-    if where.endswith("_ratios"):
-        return numbers(value, where, GEAR_COUNT)
-    if where.endswith("shift_speeds_rad_s"):
-        return numbers(value, where, GEAR_COUNT - 1)
-    return number(value, where)

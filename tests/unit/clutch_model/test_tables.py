@@ -1,39 +1,127 @@
+"""Tables of files become records: what does not fit is named with its key, its cause and its value."""
+
 import math
+from dataclasses import dataclass, field
+from enum import StrEnum
+from typing import NamedTuple
 
 import pytest
 
 from clutch_model.errors import CalibrationError
-from clutch_model.tables import check_keys, number, numbers, subtable
+from clutch_model.tables import record_from, require
 
 
-def test_unknown_and_missing_keys_are_named() -> None:
-    check_keys("film", ["a", "b"], ["b", "a"])
-    with pytest.raises(CalibrationError, match=r"film: unknown key \['c'\]"):
-        check_keys("film", ["a", "c"], ["a"])
-    with pytest.raises(CalibrationError, match=r"film: missing key \['b'\]"):
-        check_keys("film", ["a"], ["a", "b"])
+class Colour(StrEnum):
+    RED = "red"
+    BLUE = "blue"
 
 
-def test_an_integer_is_a_number() -> None:
-    value = number(3, "mass_kg")
-    assert value == 3.0
-    assert isinstance(value, float)
+class Spring(NamedTuple):
+    rate_n_m: float
+    steps: tuple[float, ...] = ()
 
 
-@pytest.mark.parametrize("value", ["3", True, None, math.nan, math.inf, [1.0]])
-def test_what_is_not_a_finite_number_is_refused(value: object) -> None:
-    with pytest.raises(CalibrationError, match="mass_kg"):
-        number(value, "mass_kg")
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Wheel:
+    radius_m: float
+
+    def __post_init__(self) -> None:
+        require(self.radius_m > 0.0, f"radius_m must be > 0, got {self.radius_m}")
 
 
-@pytest.mark.parametrize("value", [[1.0], [1.0, 2.0, 3.0], "12", 1.0, [1.0, "2"]])
-def test_lists_have_their_length_and_numbers(value: object) -> None:
-    assert numbers([1, 2.5], "gear_ratios", 2) == (1.0, 2.5)
-    with pytest.raises(CalibrationError, match="gear_ratios"):
-        numbers(value, "gear_ratios", 2)
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Car:
+    mass_kg: float
+    name: str = "car"
+    doors: int | None = None
+    is_open: bool = False
+    colour: Colour = Colour.RED
+    ratios: tuple[float, float] = (1.0, 2.0)
+    spare: Wheel | None = None
+    wheels: tuple[Wheel, ...] = ()
+    spring: Spring = field(default_factory=lambda: Spring(1.0))
 
 
-def test_a_table_is_a_table() -> None:
-    assert subtable({"a": 1}, "engine") == {"a": 1}
-    with pytest.raises(CalibrationError, match="engine must be a table"):
-        subtable([1], "engine")
+WHOLE = {
+    "mass_kg": 1500,
+    "name": "a",
+    "doors": 4,
+    "is_open": True,
+    "colour": "blue",
+    "ratios": [1, 2.5],
+    "spare": {"radius_m": 0.2},
+    "wheels": [{"radius_m": 0.3}, {"radius_m": 0.4}],
+    "spring": {"rate_n_m": 7, "steps": [1]},
+}
+
+
+def test_a_table_becomes_a_record_with_records_in_it() -> None:
+    car = record_from(Car, WHOLE)
+    assert car == Car(
+        mass_kg=1500,
+        name="a",
+        doors=4,
+        is_open=True,
+        colour=Colour.BLUE,
+        ratios=(1.0, 2.5),
+        spare=Wheel(radius_m=0.2),
+        wheels=(Wheel(radius_m=0.3), Wheel(radius_m=0.4)),
+        spring=Spring(7.0, (1.0,)),
+    )
+    assert record_from(Car, {"mass_kg": 1.5}) == Car(mass_kg=1.5)
+    assert record_from(Car, {"mass_kg": 1.5, "spare": Wheel(radius_m=1.0)}).spare == Wheel(radius_m=1.0)
+    assert record_from(Car, {}, mass_kg=2.0) == Car(mass_kg=2.0)
+
+
+def test_whole_numbers_stay_whole_but_where_compiled_code_takes_them() -> None:
+    car = record_from(Car, WHOLE)
+    assert type(car.mass_kg) is int  # the fingerprint of a calibration tells 1 from 1.0
+    assert [type(one) for one in (car.spring.rate_n_m, *car.ratios, *car.spring.steps)] == [float] * 4
+
+
+@pytest.mark.parametrize(
+    ("change", "complaint"),
+    [
+        ({"mass": 1.0}, r"^car\.mass is unknown; known: colour, doors, "),
+        ({"mass_kg": "1"}, r"^car\.mass_kg must be a number, got '1'$"),
+        ({"mass_kg": True}, r"car\.mass_kg must be a number, got True"),
+        ({"doors": 4.0}, r"car\.doors must be a whole number, got 4\.0"),
+        ({"doors": True}, r"car\.doors must be a whole number"),
+        ({"name": 3}, r"car\.name must be a string, got 3"),
+        ({"is_open": 1}, r"car\.is_open must be true or false, got 1"),
+        ({"colour": "green"}, r"car\.colour must be one of red, blue, got 'green'"),
+        ({"colour": []}, r"car\.colour must be one of red, blue"),
+        ({"ratios": [1.0]}, r"car\.ratios must be a list of 2 numbers, got \[1\.0\]"),
+        ({"ratios": [1.0, "2"]}, r"car\.ratios must be a list of 2 numbers"),
+        ({"ratios": "12"}, r"car\.ratios must be a list of 2 numbers"),
+        ({"spare": 3}, r"car\.spare must be a table, got 3"),
+        ({"spare": {}}, r"car\.spare\.radius_m is missing"),
+        ({"spare": {"radius_m": -1}}, r"car\.spare\.radius_m must be > 0, got -1"),
+        ({"wheels": {"radius_m": 0.3}}, r"car\.wheels must be an array of tables"),
+        ({"wheels": [{"radius_m": 0.3}, {"colour": 1}]}, r"car\.wheels 2: colour is unknown"),
+        ({"spring": {}}, r"car\.spring\.rate_n_m is missing"),
+        ({"spring": {"rate_n_m": 1.0, "steps": 3}}, r"car\.spring\.steps must be a list of numbers"),
+    ],
+)
+def test_what_does_not_fit_is_named(change: dict[str, object], complaint: str) -> None:
+    with pytest.raises(CalibrationError, match=complaint):
+        record_from(Car, WHOLE | change, "car.")
+
+
+@pytest.mark.parametrize("table", [None, 3, "car", [WHOLE]])
+def test_what_is_no_table_is_refused_with_the_error_that_is_asked_for(table: object) -> None:
+    with pytest.raises(ArithmeticError, match=r"^must be a table, got "):
+        record_from(Car, table, error=ArithmeticError)
+    with pytest.raises(ArithmeticError, match=r"^clutch 1 must be a table"):
+        record_from(Car, table, "clutch 1 ", error=ArithmeticError)
+
+
+def test_a_member_that_is_given_is_no_key() -> None:
+    with pytest.raises(CalibrationError, match="mass_kg is unknown"):
+        record_from(Car, {"mass_kg": 1.0}, mass_kg=2.0)
+
+
+def test_numbers_that_are_not_finite_are_for_the_record_to_judge() -> None:
+    assert record_from(Car, {"mass_kg": math.inf}).mass_kg == math.inf
+    with pytest.raises(CalibrationError, match=r"radius_m must be > 0, got nan"):
+        record_from(Wheel, {"radius_m": math.nan})

@@ -134,7 +134,7 @@ def test_every_key_reaches_its_place() -> None:
         (MINIMAL + "sensors.hub_speed.noise_std_rad_s = '2'", r"sensors\.hub_speed\.noise_std must be a number"),
         (MINIMAL + "sensors.hub_speed = 3", r"sensors\.hub_speed must be a table"),
         (MINIMAL + "sensor_faults = 3", "sensor_faults must be an array of tables"),
-        (MINIMAL + "[[sensor_faults]]\nkind = 'frozen'", "sensor_faults 1: key quantity is missing"),
+        (MINIMAL + "[[sensor_faults]]\nkind = 'frozen'", "sensor_faults 1: quantity is missing"),
         (MINIMAL + FAULT + "kind = 'broken'", "sensor_faults 1: kind must be one of frozen, offset"),
         (MINIMAL + FAULT + "kind = 'offset'", "needs a finite size other than 0"),
         (MINIMAL + FAULT + "kind = 'frozen'\nsize = 2", "needs no size"),

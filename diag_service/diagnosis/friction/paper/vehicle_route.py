@@ -56,7 +56,7 @@ def paper_signals(event: Event, calibration: Calibration, driveline: Driveline) 
     wheel_m_s = _wheel_speed_m_s(event, grid_s)
     if wheel_m_s is None:
         return Reason.SIGNAL_MISSING
-    readings = _readings(gathered, wheel_m_s / driveline.wheel_radius_m, calibration)
+    readings = _readings(gathered, wheel_m_s / driveline.wheel.radius_m, calibration)
     gears = (event.from_gear, event.to_gear)
     if clutch_of_gear(event.from_gear) != 1:
         gears = gears[::-1]

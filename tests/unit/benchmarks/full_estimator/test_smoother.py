@@ -124,7 +124,7 @@ def test_the_smoother_is_the_least_squares_solution(handover: Handover) -> None:
     start[State.HUB_SPEED] = np.mean(signals.hub_rad_s[:50])
     start[[State.DIFF_SPEED, State.WHEEL_SPEED]] = np.mean(signals.input_rad_s[0, :50]) / forced.ratio[0, 0]
     start[State.OUTPUT_TWIST] = forced.diff_nm[0] / DRIVELINE.output.stiffness_nm_rad
-    start[State.VEHICLE_SPEED] = start[State.WHEEL_SPEED] * DRIVELINE.wheel_radius_m
+    start[State.VEHICLE_SPEED] = start[State.WHEEL_SPEED] * DRIVELINE.wheel.radius_m
     states, slip_variance = dense_solution(handover, start)
     found = smooth(signals, forced, LAW, is_locked, about)
     assert found.states == pytest.approx(states, rel=1e-6, abs=1e-6)

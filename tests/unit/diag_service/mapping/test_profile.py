@@ -59,7 +59,7 @@ def test_ratios_of_gears(tmp_path: Path) -> None:
     ("gears", "text"),
     [
         ("3", "must be a table"),
-        ('{ over = "output_speed_rad_s" }', "must be a table"),
+        ('{ over = "output_speed_rad_s" }', "gears: ratios is missing"),
         ('{ over = "pedal_ratio", ratios = [2.0, 1.0] }', "over must be"),
         ('{ over = "output_speed_rad_s", ratios = [1.0, 2.0] }', "must fall"),
         ('{ over = "output_speed_rad_s", ratios = [1.0, 0.0] }', "above 0"),
@@ -199,15 +199,15 @@ shift_phase = { message = "M", signal = "S", valid = [3] }
     for complaint in (
         "odometer_km: not a canonical signal",
         "pedal_ratio: lacks signal",
-        "engine_torque_nm: unknown key gain",
-        "hub_speed_rad_s: signal has the wrong type",
-        "input1_speed_rad_s: scale has the wrong type",
+        "engine_torque_nm: gain is unknown; known: check_codes",
+        "hub_speed_rad_s: signal must be a string, got",
+        "input1_speed_rad_s: scale must be a number, got",
         "input2_speed_rad_s: scale 0.0",
         "output_speed_rad_s: scale 1.0 and offset nan",
         "current_gear: must be a table",
         "target_gear: lacks message, or has it beside pgn",
         "preselected_gear: valid [3.0, 1.0] is no range",
-        "shift_phase: valid must be [lowest, highest]",
+        "shift_phase: valid must be a list of 2 numbers, got",
     ):
         assert complaint in complaints
     assert "\n" not in complaints

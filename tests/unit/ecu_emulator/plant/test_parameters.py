@@ -46,11 +46,11 @@ def test_drag_may_be_absent() -> None:
 
 
 def test_unknown_and_missing_keys_are_named() -> None:
-    with pytest.raises(CalibrationError, match=r"sump: unknown key \['colour'\]"):
+    with pytest.raises(CalibrationError, match=r"sump\.colour is unknown"):
         PlantParameters.from_mapping(changed("sump", "colour", 1.0))
     table = nominal_plant_table()
     del table["sump"]
-    with pytest.raises(CalibrationError, match=r"plant: missing key \['sump'\]"):
+    with pytest.raises(CalibrationError, match="sump is missing"):
         PlantParameters.from_mapping(table)
     table = nominal_plant_table()
     table["shaft"] = [{}]
@@ -63,7 +63,7 @@ def test_a_file_that_cannot_be_used_is_named(tmp_path: Path) -> None:
     with pytest.raises(CalibrationError, match=r"plant\.toml"):
         read_parameters(path)
     path.write_text("[engine]\n", encoding="utf-8")
-    with pytest.raises(CalibrationError, match=r"plant\.toml.*missing key"):
+    with pytest.raises(CalibrationError, match=r"plant\.toml: plant needs exactly 2"):
         read_parameters(path)
 
 

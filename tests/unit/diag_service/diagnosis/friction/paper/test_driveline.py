@@ -28,16 +28,16 @@ def test_the_nominal_driveline_is_that_of_the_emulated_vehicle() -> None:
     assert here.output.inertia_kg_m2 == plant.output.inertia_kg_m2
     assert here.output.stiffness_nm_rad == plant.output.stiffness_nm_rad
     assert here.output.damping_nms_rad == plant.output.shaft_damping_nms_rad
-    assert here.wheel_radius_m == plant.vehicle.wheel_radius_m
+    assert here.wheel.radius_m == plant.vehicle.wheel_radius_m
 
 
 @pytest.mark.parametrize(
     ("spoil", "text"),
     [
-        (lambda whole: whole.pop("wheel"), "missing key"),
+        (lambda whole: whole.pop("wheel"), "wheel is missing"),
         (lambda whole: whole["flywheel"].update(stiffness_nm_rad=0.0), "flywheel.stiffness_nm_rad must be > 0"),
         (lambda whole: whole["shaft"].pop(), "exactly 2"),
-        (lambda whole: whole["shaft"][1].update(extra=1.0), "shaft 2: unknown key"),
+        (lambda whole: whole["shaft"][1].update(extra=1.0), r"shaft 2\.extra is unknown"),
         (lambda whole: whole["wheel"].update(radius_m=-0.3), "wheel.radius_m must be > 0"),
         (lambda whole: whole["gearbox"].update(gear_ratios=[3.0]), "gear_ratios"),
     ],
