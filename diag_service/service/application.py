@@ -140,7 +140,7 @@ async def _run_bus(
 def _report_life(manager: ServiceManager, snapshot: Snapshot) -> None:
     """Tell the manager that the service lives, unless one of its stages hangs."""
     if snapshot.stuck is None:
-        manager.alive(f"bus {snapshot.bus.state.value}, {frames_line(snapshot.frames)}")
+        manager.alive(f"bus {snapshot.bus.state.value}, {frames_line(snapshot.summary.frames)}")
         return
     _LOG.error("%s", snapshot.stuck)
     manager.struggling(str(snapshot.stuck))

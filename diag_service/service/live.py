@@ -62,6 +62,12 @@ async def run_live(
     schedule = schedule or ReadSchedule()
     failure: SourceError | None = None
     unpublished_count: int | None = None
+    watch = SenderWatch()
+
+    def warn_of_two_senders() -> None:
+        if (text := watch.look(counts())) is not None:
+            _LOG.warning("%s", text)
+
     turn = asyncio.Lock()  # one thread at a time is at work in a session
     try:
         async with asyncio.TaskGroup() as tasks:
@@ -69,8 +75,8 @@ async def run_live(
             helpers = (
                 tasks.create_task(_close_in_time(source, stop, duration_s), name="closer"),
                 tasks.create_task(_tell_counts(session, counts, counts_wanted), name="counts"),
-                tasks.create_task(_show(show), name="onlookers"),
-                tasks.create_task(_watch_senders(counts), name="two senders"),
+                tasks.create_task(_repeat(SHOW_PERIOD_S, show), name="onlookers"),
+                tasks.create_task(_repeat(SENDERS_PERIOD_S, warn_of_two_senders), name="two senders"),
                 tasks.create_task(_retry(session, outbox, turn), name="full disk"),
             )
             try:
@@ -92,10 +98,10 @@ async def run_live(
     finally:
         await source.aclose()
     show()
-    session.finish(counts(), unpublished_count)
+    summary = session.finish(counts(), unpublished_count)
     if failure is not None:
         raise failure
-    return session.summary(counts(), unpublished_count)
+    return summary
 
 
 async def _process_all(session: Session, events: Sequence[Event], outbox: Outbox | None, turn: asyncio.Lock) -> None:
@@ -155,18 +161,10 @@ async def _tell_counts(session: Session, frame_counts: Callable[[], FrameCounts]
         _LOG.log(level, "%s; %s", frames_line(frames), shifts_line(session.summary(frames, None)))
 
 
-async def _show(show: Callable[[], None]) -> None:
+async def _repeat(period_s: float, action: Callable[[], None]) -> None:
     while True:
-        show()
-        await asyncio.sleep(SHOW_PERIOD_S)
-
-
-async def _watch_senders(frame_counts: Callable[[], FrameCounts]) -> None:
-    watch = SenderWatch()
-    while True:
-        await asyncio.sleep(SENDERS_PERIOD_S)
-        if (text := watch.look(frame_counts())) is not None:
-            _LOG.warning("%s", text)
+        action()
+        await asyncio.sleep(period_s)
 
 
 async def _next(trigger: Trigger) -> None:

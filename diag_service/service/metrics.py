@@ -3,7 +3,7 @@
 import logging
 import socket
 import threading
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from http import HTTPStatus
 from socketserver import ThreadingMixIn
@@ -26,6 +26,9 @@ CLIENT_TIMEOUT_S = 5.0
 _LOG = logging.getLogger(__name__)
 
 
+_Value = float | Mapping[Any, float]
+
+
 class SnapshotCollector(Collector):
     """The latest snapshot as metric families; no families before the first."""
 
@@ -36,40 +39,13 @@ class SnapshotCollector(Collector):
         """Yield the families."""
         snapshot = self._board.latest
         if snapshot is not None:
-            yield from _bus(snapshot)
-            yield from _clock(snapshot)
-            yield from _stages(snapshot)
-            yield from _frames(snapshot)
-            yield from _messages(snapshot)
-            yield from _shifts(snapshot)
+            yield from _of_the_bus(snapshot)
+            yield from _of_messages(snapshot)
+            yield from _of_shifts(snapshot)
 
 
-def _bus(snapshot: Snapshot) -> Iterator[Metric]:
-    bus = snapshot.bus
-    yield _gauge("bus_state", "1 for the state that the bus is in.", "state", _one_of(BusState, bus.state))
-    yield GaugeMetricFamily(
-        "clutchdiag_bus_load_ratio", "Share of the bit rate, stuff bits estimated.", snapshot.load_ratio
-    )
-    yield _counter("bus_errors", "Error frames by what they tell.", "kind", dict(bus.errors))
-    yield CounterMetricFamily(
-        "clutchdiag_bus_interruptions", "Times that the interface was lost.", bus.interruption_count
-    )
-    yield CounterMetricFamily("clutchdiag_bus_restarts_asked", "Restarts asked of the controller.", bus.restart_count)
-
-
-def _clock(snapshot: Snapshot) -> Iterator[Metric]:
-    yield CounterMetricFamily("clutchdiag_clock_steps", "Steps of the wall clock.", snapshot.clock_steps)
-
-
-def _stages(snapshot: Snapshot) -> Iterator[Metric]:
-    stuck = {stage.value: 0.0 for stage in Stage}
-    if snapshot.stuck is not None:
-        stuck[snapshot.stuck.stage.value] = snapshot.stuck.for_s
-    yield _gauge("stage_stuck_seconds", "How long a stage has held work without progress.", "stage", stuck)
-
-
-def _frames(snapshot: Snapshot) -> Iterator[Metric]:
-    frames = snapshot.frames
+def _of_the_bus(snapshot: Snapshot) -> Iterator[Metric]:
+    bus, frames = snapshot.bus, snapshot.summary.frames
     fates = {
         "decoded": frames.decoded,
         "ignored": frames.ignored,
@@ -78,49 +54,58 @@ def _frames(snapshot: Snapshot) -> Iterator[Metric]:
         "queue_dropped": frames.queue_dropped,
         **{f"rejected_{reason}": count for reason, count in frames.rejected.items()},
     }
-    yield CounterMetricFamily("clutchdiag_frames_on_bus", "Frames that reached this machine.", frames.on_bus)
-    yield _counter("frames", "Frames by what became of them.", "fate", fates)
-    yield CounterMetricFamily(
-        "clutchdiag_frames_missing", "Frames that alive counters show to be lost.", frames.missing
-    )
+    yield _gauge("bus_state", "1 for the state that the bus is in.", _one_of(BusState, bus.state), "state")
+    yield _gauge("bus_load_ratio", "Share of the bit rate, stuff bits estimated.", snapshot.load_ratio)
+    yield _counter("bus_errors", "Error frames by what they tell.", dict(bus.errors), "kind")
+    yield _counter("bus_interruptions", "Times that the interface was lost.", bus.interruption_count)
+    yield _counter("bus_restarts_asked", "Restarts asked of the controller.", bus.restart_count)
+    yield _counter("clock_steps", "Steps of the wall clock.", snapshot.clock_steps)
+    yield _counter("frames_on_bus", "Frames that reached this machine.", frames.on_bus)
+    yield _counter("frames", "Frames by what became of them.", fates, "fate")
+    yield _counter("frames_missing", "Frames that alive counters show to be lost.", frames.missing)
 
 
-def _messages(snapshot: Snapshot) -> Iterator[Metric]:
+def _of_messages(snapshot: Snapshot) -> Iterator[Metric]:
     messages = snapshot.messages
     rates = {message.name: message.rate_hz for message in messages}
     nominal = {message.name: message.nominal_hz for message in messages if message.nominal_hz is not None}
-    yield _gauge("message_rate_hertz", "Frames per second, as received.", "message", rates)
-    yield _gauge("message_nominal_hertz", "Frames per second, as the database says.", "message", nominal)
-    states = GaugeMetricFamily(
-        "clutchdiag_message_e2e_state", "1 for the E2E state of the message.", labels=("message", "state")
-    )
-    for message in messages:
-        for state, value in _one_of(E2eState, message.counts.e2e_state).items():
-            states.add_metric((message.name, state), value)
-    yield states
+    states = {
+        (message.name, state): value
+        for message in messages
+        for state, value in _one_of(E2eState, message.counts.e2e_state).items()
+    }
     lapses = {message.name: message.counts.invalidations for message in messages}
-    yield _counter("message_invalidations", "Times that a message lost its trust.", "message", lapses)
+    yield _gauge("message_rate_hertz", "Frames per second, as received.", rates, "message")
+    yield _gauge("message_nominal_hertz", "Frames per second, as the database says.", nominal, "message")
+    yield _gauge("message_e2e_state", "1 for the E2E state of the message.", states, "message", "state")
+    yield _counter("message_invalidations", "Times that a message lost its trust.", lapses, "message")
 
 
-def _shifts(snapshot: Snapshot) -> Iterator[Metric]:
-    yield _counter("shifts", "Shifts by what their estimate is worth.", "status", snapshot.summary.shift_counts)
-    yield _counter("shift_reasons", "Shifts that were not used, by reason.", "reason", snapshot.summary.reason_counts)
+def _of_shifts(snapshot: Snapshot) -> Iterator[Metric]:
+    summary, stuck = snapshot.summary, {stage.value: 0.0 for stage in Stage}
+    if snapshot.stuck is not None:
+        stuck[snapshot.stuck.stage.value] = snapshot.stuck.for_s
+    yield _gauge("stage_stuck_seconds", "How long a stage has held work without progress.", stuck, "stage")
+    yield _counter("shifts", "Shifts by what their estimate is worth.", summary.shift_counts, "status")
+    yield _counter("shift_reasons", "Shifts that were not used, by reason.", summary.reason_counts, "reason")
     qualities = [result.estimate.data_quality for result in snapshot.recent if result.estimate.data_quality is not None]
     if qualities:
-        yield GaugeMetricFamily("clutchdiag_last_shift_trust", "Trust in the last shift, 0..1.", qualities[-1].score)
+        yield _gauge("last_shift_trust", "Trust in the last shift, 0..1.", qualities[-1].score)
 
 
-def _gauge(name: str, text: str, label: str, values: Any) -> Metric:  # noqa: ANN401 - any numbers by name
-    family = GaugeMetricFamily(f"clutchdiag_{name}", text, labels=(label,))
-    for key, value in values.items():
-        family.add_metric((str(key),), value)
-    return family
+def _gauge(name: str, text: str, value: _Value, *labels: str) -> Metric:
+    return _filled(GaugeMetricFamily(f"clutchdiag_{name}", text, labels=labels), value)
 
 
-def _counter(name: str, text: str, label: str, values: Any) -> Metric:  # noqa: ANN401 - any numbers by name
-    family = CounterMetricFamily(f"clutchdiag_{name}", text, labels=(label,))
-    for key, value in values.items():
-        family.add_metric((str(key),), value)
+def _counter(name: str, text: str, value: _Value, *labels: str) -> Metric:
+    return _filled(CounterMetricFamily(f"clutchdiag_{name}", text, labels=labels), value)
+
+
+def _filled(family: GaugeMetricFamily | CounterMetricFamily, value: _Value) -> Metric:
+    """Return a family with its value, or with one value for each of its labels."""
+    values = value if isinstance(value, Mapping) else {(): value}
+    for key, one in values.items():
+        family.add_metric(key if isinstance(key, tuple) else (str(key),), one)
     return family
 
 

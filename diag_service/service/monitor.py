@@ -52,7 +52,7 @@ def screen(snapshot: Snapshot) -> RenderableType:
     return Group(
         _head(snapshot),
         _message_table(snapshot.messages),
-        Text(frames_line(snapshot.frames)),
+        Text(frames_line(snapshot.summary.frames)),
         Text(shifts_line(snapshot.summary)),
         *_shift_lines(snapshot.recent),
     )
@@ -60,7 +60,7 @@ def screen(snapshot: Snapshot) -> RenderableType:
 
 def _head(snapshot: Snapshot) -> Text:
     bus = snapshot.bus
-    head = Text(f"{snapshot.vehicle}  bus ")
+    head = Text(f"{snapshot.summary.vehicle}  bus ")
     head.append(_words(bus.state.value), _STATE_STYLE[bus.state])
     head.append(f"  load {100.0 * snapshot.load_ratio:.1f} %  interrupted {bus.interruption_count} times")
     if bus.errors:

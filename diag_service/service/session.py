@@ -60,7 +60,7 @@ class Session:
         self.progress = progress or Progress()
         self._store = store
         self.reporter = reporter
-        self._vehicle = vehicle
+        self.vehicle = vehicle
         self._versions = versions
         self._stream = stream
         self._utc_now = utc_now
@@ -117,11 +117,6 @@ class Session:
         self.reporter.report(result)
 
     @property
-    def vehicle(self) -> str:
-        """Vehicle id."""
-        return self._vehicle
-
-    @property
     def recent(self) -> tuple[ShiftResult, ...]:
         """The last shifts, oldest first."""
         return self._tally.recent
@@ -135,7 +130,7 @@ class Session:
     ) -> Summary:
         """Return the numbers of the run as they stand."""
         capability = self.stages.capability()
-        return summarise(self._vehicle, frames, self._tally, unpublished_count, capability, gaps, contributions)
+        return summarise(self.vehicle, frames, self._tally, unpublished_count, capability, gaps, contributions)
 
     def finish(
         self,
@@ -161,7 +156,7 @@ class Session:
     def _known(self, event: Event) -> ShiftResult | None:
         if self._stream is None:
             return None
-        return self._store.find(self._vehicle, self._stream, event.number, self._versions)
+        return self._store.find(self.vehicle, self._stream, event.number, self._versions)
 
     def _next_seq(self) -> int:
         return self._pending[-1][0].seq + 1 if self._pending else self._store.next_seq()
@@ -171,7 +166,7 @@ class Session:
             diagnosis = self.stages.conclude(event)
         is_live = self._stream is None
         result = ShiftResult(
-            vehicle=self._vehicle,
+            vehicle=self.vehicle,
             stream=self._stream or self._store.stream,
             seq=self._next_seq() if is_live else event.number,
             estimate=diagnosis.estimate,

@@ -48,11 +48,9 @@ class Snapshot:
     """Everything that can be seen of a live run."""
 
     taken_s: float  # monotonic
-    vehicle: str
     bus: BusStatus
     clock_steps: int  # of the wall clock, taken out of bus time
     load_ratio: float  # share of the bit rate that the frames took, stuff bits estimated
-    frames: FrameCounts
     messages: tuple[MessageStatus, ...]
     summary: Summary
     recent: tuple[ShiftResult, ...]  # oldest first
@@ -123,15 +121,12 @@ class SnapshotTaker:
         messages = decoder.messages
         heard = {name: counts.decoded + sum(counts.rejected.values()) for name, counts in messages.items()}
         self._meter.measure(now_s, decoder.last_ns, heard, self._source.bit_count)
-        frames = frame_counts(self._source, self._session.stages)
         nominal_hz = decoder.nominal_hz
         return Snapshot(
             taken_s=now_s,
-            vehicle=self._session.vehicle,
             bus=self._source.status,
             clock_steps=self._source.counts.clock_steps,
             load_ratio=self._meter.load_ratio,
-            frames=frames,
             messages=tuple(
                 MessageStatus(
                     name=name,
@@ -141,7 +136,7 @@ class SnapshotTaker:
                 )
                 for name, counts in messages.items()
             ),
-            summary=self._session.summary(frames, None),
+            summary=self._session.summary(frame_counts(self._source, self._session.stages), None),
             recent=self._session.recent,
             stuck=self._session.progress.stuck,
         )

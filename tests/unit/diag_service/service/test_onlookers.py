@@ -101,7 +101,7 @@ def test_a_snapshot_says_how_things_stand(snapshot: Snapshot) -> None:
     assert shift.nominal_hz == 100.0
     assert shift.counts.e2e_state is E2eState.VALID
     assert snapshot.load_ratio == pytest.approx(0.25)
-    assert (snapshot.frames.on_bus, snapshot.frames.kernel_dropped) == (FRAMES + 7, 7)
+    assert (snapshot.summary.frames.on_bus, snapshot.summary.frames.kernel_dropped) == (FRAMES + 7, 7)
     assert [result.seq for result in snapshot.recent] == [1, 2]
     assert snapshot.summary.shift_counts["rejected"] == 2
 
