@@ -50,12 +50,8 @@ class Found:
 def find_drives(paths: Sequence[Path]) -> Found:
     """Return the drives that files and folders stand for: the files together one, every log in a folder one.
 
-    Raises
-    ------
-    ConfigError
-        If a folder holds no log, or a log is named twice.
-    SourceError
-        If a path is not there or cannot be read.
+    Raises ConfigError if a folder holds no log, or a log is named twice. Raises SourceError if a path is not there or
+    cannot be read.
     """
     named = [path for path in paths if not path.is_dir()]
     drives, left_out = [drive_of(named)] if named else [], list[LeftOut]()
@@ -74,13 +70,7 @@ def find_drives(paths: Sequence[Path]) -> Found:
 
 
 def drive_of(paths: Iterable[Path]) -> Drive:
-    """Return the drive that some files are.
-
-    Raises
-    ------
-    SourceError
-        If one is not there.
-    """
+    """Return the drive that some files are; raises SourceError if one is not there."""
     files = tuple(paths)
     try:
         stats = [path.stat() for path in files]

@@ -30,19 +30,10 @@ class Entry:
 
 
 class Journal:
-    """A file of JSON lines, owned by one process at a time.
+    """A file of JSON lines, owned by one process at a time; created where there is none.
 
-    Parameters
-    ----------
-    path : Path
-        The file; created where there is none.
-    settings : str
-        Digest of all that decides about results: entries of other settings are not taken for done.
-
-    Raises
-    ------
-    StoreError
-        If it cannot be read or written, is another program's, or is in use.
+    ``settings`` is a digest of all that decides about results: entries of other settings are not taken for done.
+    Raises StoreError if the file cannot be read or written, is another program's, or is in use.
     """
 
     def __init__(self, path: Path, settings: str) -> None:
@@ -75,13 +66,7 @@ class Journal:
         os.close(self._descriptor)
 
     def add(self, entry: Entry) -> None:
-        """Write a drive that is done, to the disk.
-
-        Raises
-        ------
-        StoreError
-            If the disk does not take it.
-        """
+        """Write a drive that is done, to the disk; raises StoreError if the disk does not take it."""
         record: JsonObject = {
             "schema": JOURNAL_SCHEMA,
             "settings": self._settings,

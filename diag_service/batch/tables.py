@@ -26,13 +26,7 @@ class TableFormat(StrEnum):
 
 
 def format_of(path: Path) -> TableFormat:
-    """Return the format that a file name asks for.
-
-    Raises
-    ------
-    ConfigError
-        If it asks for none of them.
-    """
+    """Return the format that a file name asks for; raises ConfigError if it asks for none of them."""
     try:
         return TableFormat(path.suffix.lower())
     except ValueError as exc:
@@ -42,12 +36,8 @@ def format_of(path: Path) -> TableFormat:
 def write_results(path: Path, entries: Iterable[Entry]) -> None:
     """Write the shifts of all drives, and in JSON lines their accounts; replaces the file when it is complete.
 
-    Raises
-    ------
-    StoreError, OutputError
-        If the file cannot be written.
-    ExtraMissingError
-        If Parquet is asked for and pyarrow is missing.
+    Raises StoreError or OutputError if the file cannot be written. Raises ExtraMissingError if Parquet is asked for and
+    pyarrow is missing.
     """
     with _replacing(path) as part:
         match format_of(path):

@@ -67,13 +67,7 @@ def execute(options: SimpleNamespace, controls: Controls) -> None:
 
 
 def inspect_log(path: Path, messages: Sequence[Message], bitrate: int, stop: Trigger) -> Inspection:
-    """Read a log once and return what it holds.
-
-    Raises
-    ------
-    SourceError
-        If it cannot be read.
-    """
+    """Read a log once and return what it holds; raises SourceError if it cannot be read."""
     reader = read_log(path)
     meter = TrafficMeter(bitrate)
     protected = [message for message in messages if message_contract(message).data_id is not None]

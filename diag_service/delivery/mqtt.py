@@ -54,10 +54,7 @@ class MqttLink:
     async def send(self, messages: Sequence[Outgoing]) -> None:
         """Deliver messages at least once.
 
-        Raises
-        ------
-        PublishError
-            If the connection breaks, the acknowledgement does not come, or it says no.
+        Raises PublishError if the connection breaks, the acknowledgement does not come, or it says no.
         """
         with _translated():
             await self._connection.publish_all(messages)
@@ -137,10 +134,7 @@ class MqttConnector:
     async def connect(self, connected_at: str) -> AsyncIterator[MqttLink]:
         """Open a connection, announced from ``connected_at`` on if there is something to announce.
 
-        Raises
-        ------
-        PublishError
-            If the broker is absent, silent or refuses us.
+        Raises PublishError if the broker is absent, silent or refuses us.
         """
         online = None if self._status is None else replace(self._status, is_online=True, connected_at=connected_at)
         offline = None if online is None else replace(online, is_online=False)

@@ -46,17 +46,7 @@ class MessageCounts:
 class Decoder:
     """Turns frames into canonical columns; what comes out does not depend on how the stream was cut.
 
-    Parameters
-    ----------
-    database : Database
-        Messages of the bus.
-    profile : Profile
-        Where the canonical signals are.
-
-    Raises
-    ------
-    ConfigError
-        If the profile does not fit the database.
+    Raises ConfigError if the profile does not fit the database.
     """
 
     def __init__(self, database: Database, profile: Profile) -> None:

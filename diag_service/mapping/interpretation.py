@@ -33,10 +33,7 @@ class Interpretation:
 def interpret(dbc: Path | None, profile: Path | None, *, is_lenient: bool = False) -> Interpretation:
     """Return what the user named, checked; without a profile the shipped one that fits the database is taken and told.
 
-    Raises
-    ------
-    ConfigError
-        If a file cannot be used, or no profile fits.
+    Raises ConfigError if a file cannot be used, or no profile fits.
     """
     if dbc is None and profile is None:
         return Interpretation(database=open_database(None), profile=load_profile(), files=())

@@ -40,11 +40,8 @@ class MessageColumns:
 def map_signals(database: Database, profile: Profile) -> tuple[MessageColumns, ...]:
     """Return the messages that carry the signals of a profile; a lenient profile may name more than there are.
 
-    Raises
-    ------
-    ConfigError
-        With everything that does not fit: messages or signals that the database lacks, units of another kind, signals
-        that cannot be decoded, a message with several source addresses.
+    Raises ConfigError with everything that does not fit: messages or signals that the database lacks, units of another
+    kind, signals that cannot be decoded, a message with several source addresses.
     """
     found, problems = fitting(database, profile)
     if problems and not profile.is_lenient:

@@ -143,10 +143,7 @@ def shipped_profiles() -> tuple[str, ...]:
 def find_profile(name: Path) -> Profile:
     """Return a profile by its path, or by the name of one that ships with the service.
 
-    Raises
-    ------
-    ConfigError
-        If there is no such profile, or it is unusable.
+    Raises ConfigError if there is no such profile, or it is unusable.
     """
     if len(name.parts) == 1 and name.name in shipped_profiles() and not name.exists():
         return load_shipped(name.name)
@@ -164,11 +161,8 @@ def load_shipped(name: str) -> Profile:
 def load_profile(path: Path = PROFILE_PATH) -> Profile:
     """Return a profile from its TOML file.
 
-    Raises
-    ------
-    ConfigError
-        If the file is unreadable or not TOML, or with all the entries that are wrong: unknown canonical signals,
-        unknown or missing keys, values of the wrong type.
+    Raises ConfigError if the file is unreadable or not TOML, or with all the entries that are wrong: unknown canonical
+    signals, unknown or missing keys, values of the wrong type.
     """
     table = _read_table(path)
     signals = table.get("signals")
@@ -209,10 +203,7 @@ def load_profile(path: Path = PROFILE_PATH) -> Profile:
 def to_si(signal: Signal, source: SignalSource, database_unit: str | None) -> Conversion:
     """Return the conversion of decoded values to the SI unit of a canonical signal.
 
-    Raises
-    ------
-    ConfigError
-        If the unit is unknown or of another kind than the signal.
+    Raises ConfigError if the unit is unknown or of another kind than the signal.
     """
     kind = next((kind for kind in _KINDS if signal.value.endswith(f"_{kind}")), None)
     unit = source.unit if source.unit is not None else database_unit or ""

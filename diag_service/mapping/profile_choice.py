@@ -42,10 +42,7 @@ def fit_of(database: Database, profile: Profile) -> Fit:
 def choose_profile(database: Database) -> Fit:
     """Return the shipped profile that gets most out of a database.
 
-    Raises
-    ------
-    ConfigError
-        If not even shifts can be found with any of them; the text says what is missing.
+    Raises ConfigError if not even shifts can be found with any of them; the text says what is missing.
     """
     fits = [fit_of(database, load_shipped(name)) for name in shipped_profiles()]
     usable = [fit for fit in fits if fit.tier is not None]

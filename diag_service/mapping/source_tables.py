@@ -63,21 +63,9 @@ def _all(found: Decoded) -> BoolArray:
 
 
 def compile_source(message: Message, source: SignalSource, *, is_j1939: bool = False) -> SourceTable:
-    """Return the compiled source.
+    """Return a source, compiled; raises ConfigError if the message lacks one of its signals, or one cannot be decoded.
 
-    Parameters
-    ----------
-    message : Message
-        Where it is.
-    source : SignalSource
-        What the profile says of it.
-    is_j1939 : bool
-        Take a message with a 29-bit identifier for one of J1939, whatever the database says.
-
-    Raises
-    ------
-    ConfigError
-        If the message lacks one of the signals, or one cannot be decoded.
+    ``is_j1939`` takes a message with a 29-bit identifier for one of J1939, whatever the database says.
     """
 
     def compiled(name: str) -> SignalTable:
@@ -99,10 +87,7 @@ def compile_source(message: Message, source: SignalSource, *, is_j1939: bool = F
 def find_message(messages: Sequence[Message], source: SignalSource) -> Message:
     """Return the message of a source, by its name or by its J1939 parameter group.
 
-    Raises
-    ------
-    ConfigError
-        If the database has none.
+    Raises ConfigError if the database has none.
     """
     for message in messages:
         if source.pgn is None:
@@ -117,10 +102,7 @@ def find_message(messages: Sequence[Message], source: SignalSource) -> Message:
 def signal_name(message: Message, source: SignalSource) -> str:
     """Return the name of the signal of a source, by that name or by its J1939 parameter number.
 
-    Raises
-    ------
-    ConfigError
-        If the message has none.
+    Raises ConfigError if the message has none.
     """
     for signal in message.signals:
         if signal.name == source.signal if source.spn is None else signal.spn == source.spn:

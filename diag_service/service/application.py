@@ -68,10 +68,8 @@ def run_recorded(
 ) -> None:
     """Diagnose the logs of a drive.
 
-    Raises
-    ------
-    StoppedError, IncompleteError
-        If it was a part of the drive only, or of a strict run if a log or a channel gave nothing, after that was told.
+    Raises StoppedError or IncompleteError if it was a part of the drive only, or of a strict run if a log or a channel
+    gave nothing, after that was told.
     """
     meaning = config.interpretation()
     decoder = meaning.decoder()

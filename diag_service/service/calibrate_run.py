@@ -83,12 +83,7 @@ def find_events(
 ) -> CalibrationEvents:
     """Return the shifts and engine revs of some drives.
 
-    Raises
-    ------
-    SourceError
-        If there is no shift.
-    StoppedError
-        If the search was stopped.
+    Raises SourceError if there is no shift. Raises StoppedError if the search was stopped.
     """
     shift_finder, run_up_finder = ShiftFinder(), RunUpFinder(calibration)
     shifts: list[Event] = []
@@ -115,12 +110,8 @@ def _go_on(stop: Trigger) -> None:
 def run_calibrate(config: DiagnosisConfig, logs: Sequence[Path], path: Path, stop: Trigger, *, as_json: bool) -> None:
     """Calibrate a vehicle from its logs, write its own calibration file and show what was found.
 
-    Raises
-    ------
-    ConfigError
-        If the drives do not suffice, or the file cannot be written.
-    StoppedError
-        If it was stopped before the file was written.
+    Raises ConfigError if the drives do not suffice, or the file cannot be written. Raises StoppedError if it was
+    stopped before the file was written.
     """
     start = config.calibration
     events = find_events(open_drive(logs), config.interpretation().decoder(), start, stop)

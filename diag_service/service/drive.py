@@ -37,12 +37,8 @@ class OpenLog:
 def open_drive(paths: Iterable[Path], *, is_strict: bool = False) -> list[OpenLog]:
     """Open the logs of a drive; the one with the earliest first frame comes first.
 
-    Raises
-    ------
-    ConfigError
-        If a log is named twice, or two hold the same.
-    SourceError
-        If a log cannot be read or holds no frame; of a strict one also if anything is wrong with it.
+    Raises ConfigError if a log is named twice, or two hold the same. Raises SourceError if a log cannot be read or
+    holds no frame; of a strict one also if anything is wrong with it.
     """
     paths = list(paths)
     _check_distinct(paths)
@@ -95,10 +91,8 @@ def gaps_in(logs: Sequence[OpenLog], *, was_stopped: bool) -> tuple[Gap, ...]:
 def insist(gaps: Sequence[Gap], contributions: Contributions, *, is_strict: bool) -> None:
     """End a run that has told what it found.
 
-    Raises
-    ------
-    StoppedError, IncompleteError
-        If it was a part of the drive only; of a strict run also if a log or a channel gave nothing: the first is named.
+    Raises StoppedError or IncompleteError if it was a part of the drive only; of a strict run also if a log or a
+    channel gave nothing: the first is named.
     """
     if gaps:
         raise (StoppedError if Gap.STOPPED in gaps else IncompleteError)(gaps_line(tuple(gaps)))

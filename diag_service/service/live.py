@@ -39,7 +39,7 @@ async def run_live(
 
     The bus is read while a worker thread estimates; what it cannot keep up with is counted by the source. A shift that
     is open when the bus goes away is reported as interrupted. If the bus does not come back, all that was found is
-    stored and told before its error is raised.
+    stored and told before its SourceError is raised; if a result cannot be stored, StoreError is raised.
 
     Parameters
     ----------
@@ -47,13 +47,6 @@ async def run_live(
         Called every ``SHOW_PERIOD_S`` by the loop that reads the bus, and once more when that has ended.
     schedule
         Is told what is waited for, so that the source need not hurry before.
-
-    Raises
-    ------
-    SourceError
-        If the bus fails for good.
-    StoreError
-        If a result cannot be stored.
     """
 
     def counts() -> FrameCounts:

@@ -139,10 +139,7 @@ class _Handler(WSGIRequestHandler):
 def serving(address: ListenAddress, board: Board) -> Iterator[int]:
     """Serve ``/metrics``, ``/livez`` and ``/readyz`` while entered; yield the port.
 
-    Raises
-    ------
-    ConfigError
-        If the address cannot be listened to.
+    Raises ConfigError if the address cannot be listened to.
     """
     registry = CollectorRegistry()
     registry.register(SnapshotCollector(board))

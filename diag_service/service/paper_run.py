@@ -34,10 +34,7 @@ _HEAD = f"{'shift':>5}  {'gears':<5} {'clutch':>6}  {'mu_C':>8} {'n':>4} {'mu_S'
 def run_paper(config: DiagnosisConfig, paths: Sequence[Path], controls: Controls, *, as_json: bool) -> None:
     """Analyse the shifts of a drive, tables for people or JSON lines; nothing is stored, judged or published.
 
-    Raises
-    ------
-    StoppedError, IncompleteError
-        As ``insist`` does, after all was told.
+    Raises StoppedError or IncompleteError as ``insist`` does, after all was told.
     """
     decoder = config.interpretation().decoder()
     stages = Stages(decoder, config.calibration, FilterState.fresh(config.calibration), ConditionMemory.fresh())

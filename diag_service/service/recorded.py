@@ -83,10 +83,7 @@ def replay(logs: Sequence[OpenLog], stages: Stages, stop: Trigger, use: Callable
 def events(drive: DriveFrames, stages: Stages, stop: Trigger) -> Iterator[Event]:
     """Yield the shifts of a drive.
 
-    Raises
-    ------
-    StoppedError
-        As soon as it is told to stop, if there is anything left to do.
+    Raises StoppedError as soon as it is told to stop, if there is anything left to do.
     """
     for batch in drive:
         yield from _until(stop, stages.segment(batch))

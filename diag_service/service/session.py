@@ -141,10 +141,7 @@ class Session:
     ) -> Summary:
         """Tell the numbers of the run, and return them.
 
-        Raises
-        ------
-        StoreFullError
-            If there are results for which the disk still has no room.
+        Raises StoreFullError if there are results for which the disk still has no room.
         """
         self._store_pending()
         if not frames.is_balanced:

@@ -79,10 +79,7 @@ class BusConfig:
 def check_vehicle(vehicle: str) -> str:
     """Return a vehicle id that is fit for an MQTT topic and a file name.
 
-    Raises
-    ------
-    ConfigError
-        If it has other characters than letters, digits, ``_``, ``.`` and ``-``, or is longer than 64.
+    Raises ConfigError if it has other characters than letters, digits, ``_``, ``.`` and ``-``, or is longer than 64.
     """
     if not is_vehicle(vehicle):
         raise ConfigError(
@@ -152,10 +149,7 @@ def _broker(options: SimpleNamespace) -> BrokerAddress | None:
 def parse_listen_address(text: str) -> ListenAddress:
     """Return the address that ``[HOST:]PORT`` names; without a host it is this machine's own.
 
-    Raises
-    ------
-    ConfigError
-        If the text is no such address.
+    Raises ConfigError if the text is no such address.
     """
     host, _, port = text.rpartition(":")
     if not port.isdecimal() or int(port) > 0xFFFF:

@@ -16,11 +16,8 @@ from fleet_link import AddressError, check_secret_mode
 def load_settings(file: Path) -> dict[str, Any]:
     """Return what a file sets.
 
-    Raises
-    ------
-    ConfigError
-        If a key is unknown, a value unfit, or a file with a password may be read by others. The message does not repeat
-        values, which may be secret.
+    Raises ConfigError if a key is unknown, a value unfit, or a file with a password may be read by others. The message
+    does not repeat values, which may be secret.
     """
     values, problems = {}, []
     for key, value in _read(file).items():
@@ -58,10 +55,7 @@ def _holds_password(url: str) -> bool:
 def _converted(key: str, value: object) -> object:
     """Return what the value of a key stands for; a number may be written as a text, a text not as a number.
 
-    Raises
-    ------
-    ValueError
-        If it does not fit.
+    Raises ValueError if it does not fit.
     """
     option = SETTINGS.get(key)
     if option is None:

@@ -75,15 +75,8 @@ class ResultStore:
     def open(cls, path: Path, budget_bytes: int | None = None) -> Self:
         """Open or create a store and own it until ``close``.
 
-        Parameters
-        ----------
-        budget_bytes :
-            How large it may grow, in bytes; None: without limit. What is dropped then is counted.
-
-        Raises
-        ------
-        StoreError
-            If it cannot be created, read or written, is not a store, is newer than this program or is in use.
+        It may grow to ``budget_bytes``, None: without limit; what is dropped then is counted. Raises StoreError if it
+        cannot be created, read or written, is not a store, is newer than this program or is in use.
         """
         path = path.absolute()
         descriptor = own(path)
@@ -116,12 +109,8 @@ class ResultStore:
     def add(self, result: ShiftResult, state: VehicleState) -> bool:
         """Store a result and the state after it, both or neither; False if the key is already there.
 
-        Raises
-        ------
-        StoreError
-            If the disk does not take it; nothing was stored then.
-        ResultError
-            If the result holds a number that is not finite.
+        Raises StoreError if the disk does not take it; nothing was stored then. Raises ResultError if the result holds
+        a number that is not finite.
         """
         text, belief, condition = dump(shift_record(result)), dump(state.belief), dump(state.condition)
         with self._transaction() as sql:
