@@ -4,11 +4,11 @@ import hashlib
 import logging
 import os
 import sys
-from collections.abc import Iterator, Sequence
+from collections import Counter
+from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import ExitStack
-from dataclasses import dataclass
 from multiprocessing import get_context
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -39,27 +39,6 @@ ACCOUNT_VERSION = "3"  # of what a journal keeps of a drive; entries of an older
 _LOG = logging.getLogger(__name__)
 
 
-@dataclass(slots=True)
-class Tally:
-    """What became of the drives of a run."""
-
-    drives: int = 0
-    shifts: int = 0
-    failed: int = 0
-    cut: int = 0
-    idle: int = 0  # drives with a log or a channel that gave nothing
-
-    def add(self, entry: Entry) -> None:
-        """Count one drive."""
-        self.drives += 1
-        self.shifts += len(entry.shifts)
-        self.failed += entry.drive["error"] is not None
-        summary = entry.drive["summary"]
-        if isinstance(summary, dict):
-            self.cut += not summary["complete"]
-            self.idle += bool(summary["idle"])
-
-
 def analyse_folders(
     config: DiagnosisConfig,
     paths: Sequence[Path],
@@ -72,21 +51,12 @@ def analyse_folders(
     """Analyse every drive that the paths stand for.
 
     With an output the run has a journal beside it, which survives a kill: started again, it goes on where it ended.
-
-    Raises
-    ------
-    ConfigError
-        If the options do not fit, or a folder holds no log.
-    SourceError
-        If no log at all could be read.
-    StoreError, OutputError
-        If journal or output cannot be written.
-    StoppedError
-        If it was stopped before every drive was done.
-    IncompleteError
-        Of a strict run, after all was written, if a log or a channel gave nothing.
+    Besides what reading and writing raise, there is StoppedError if it was stopped before every drive was done, and of
+    a strict run, after all was written, IncompleteError if a log or a channel gave nothing.
     """
-    jobs = checked_jobs(jobs)
+    if jobs is not None and jobs < 1:
+        raise ConfigError(f"--jobs must be at least 1, got {jobs}")
+    jobs = jobs or os.cpu_count() or 1
     if output is not None and format_of(output) is TableFormat.PARQUET:
         load_pyarrow()  # now, not after hours
     if config.broker is not None:
@@ -104,16 +74,9 @@ def analyse_folders(
         for drive, entry in _analysed(config, to_do, jobs, stop):
             journal.add(entry)
             lines.tell(drive, entry)
-        tally = _conclude(journal, drives, output, lines)
-    if config.is_strict and tally.idle:
-        raise IncompleteError(f"{tally.idle} of {tally.drives} drives have a log or a channel that contributed nothing")
-
-
-def checked_jobs(jobs: int | None) -> int:
-    """Return how many processes to use; raises ConfigError for fewer than one."""
-    if jobs is not None and jobs < 1:
-        raise ConfigError(f"--jobs must be at least 1, got {jobs}")
-    return jobs or os.cpu_count() or 1
+        totals = _conclude(journal, drives, output, lines)
+    if config.is_strict and (idle := totals["idle"]):
+        raise IncompleteError(f"{idle} of {len(drives)} drives have a log or a channel that contributed nothing")
 
 
 def settings_digest(config: DiagnosisConfig) -> str:
@@ -183,23 +146,32 @@ def _progress(drives: Sequence[Drive]) -> Progress:
     )
 
 
-def _conclude(journal: Journal, drives: Sequence[Drive], output: Path | None, lines: "_Lines") -> Tally:
+def _conclude(journal: Journal, drives: Sequence[Drive], output: Path | None, lines: "_Lines") -> Counter[str]:
     """Write the output, or say how to go on; return what became of the drives."""
-    tally = Tally()
     done = [drive for drive in drives if drive.key in journal.done]
+    totals: Counter[str] = Counter()
     for drive in done:
-        tally.add(journal.entry(drive.key))
-    lines.end(tally)
+        totals.update(_counts(journal.entry(drive.key)))
+    lines.end(totals)
     if len(done) < len(drives):
         hint = "; the same command goes on" if output is not None else ""
         raise StoppedError(f"stopped early: {len(done)} of {len(drives)} drives are done{hint}")
     if output is not None:
         write_results(output, (journal.entry(drive.key) for drive in drives))
-    if tally.failed == tally.drives:
-        raise SourceError(f"none of {tally.drives} drives could be read, the first: {_first_error(journal, drives)}")
+    if totals["failed"] == len(drives):
+        raise SourceError(f"none of {len(drives)} drives could be read, the first: {_first_error(journal, drives)}")
     if output is not None:
-        _LOG.log(NOTICE, "%d shifts of %d drives in %s", tally.shifts, tally.drives, output)
-    return tally
+        _LOG.log(NOTICE, "%d shifts of %d drives in %s", totals["shifts"], len(drives), output)
+    return totals
+
+
+def _counts(entry: Entry) -> dict[str, int]:
+    """Return what one drive adds to the totals; ``idle`` are drives with a log or a channel that gave nothing."""
+    summary = entry.drive["summary"]
+    counts = {"drives": 1, "shifts": len(entry.shifts), "failed": int(summary is None)}
+    if isinstance(summary, dict):
+        counts |= {"cut": int(not summary["complete"]), "idle": int(bool(summary["idle"]))}
+    return counts
 
 
 def _first_error(journal: Journal, drives: Sequence[Drive]) -> str:
@@ -230,14 +202,13 @@ class _Lines:
             if self._as_json:
                 self._write(dump({"schema": LEFT_OUT_SCHEMA, "path": str(one.path), "reason": one.reason}))
 
-    def end(self, tally: Tally) -> None:
+    def end(self, totals: Mapping[str, int]) -> None:
         """Tell of all of them."""
         if not self._as_json:
             left_out = f", {self._left_out} files left out" if self._left_out else ""
-            cut = f", {tally.cut} broke off and have no verdict" if tally.cut else ""
-            self._write(
-                f"{tally.drives} drives, {tally.shifts} shifts, {tally.failed} could not be read{cut}{left_out}"
-            )
+            cut = f", {totals['cut']} broke off and have no verdict" if totals["cut"] else ""
+            what = f"{totals['drives']} drives, {totals['shifts']} shifts, {totals['failed']} could not be read"
+            self._write(f"{what}{cut}{left_out}")
 
     def _write(self, line: str) -> None:
         self._stream.write(line + "\n")

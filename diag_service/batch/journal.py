@@ -7,9 +7,9 @@ import fcntl
 import json
 import os
 from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from types import TracebackType
 from typing import Self
 
 from diag_service.diagnosis.results import dump
@@ -39,30 +39,20 @@ class Journal:
     def __init__(self, path: Path, settings: str) -> None:
         self.path = path
         self._settings = settings
-        try:
+        with self._translated("use"):
             self._descriptor = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, PRIVATE_MODE)
-        except OSError as exc:
-            raise StoreError(f"cannot use {path}: {exc.strerror}") from exc
-        try:
-            fcntl.flock(self._descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            self.done = self._recover()
-            keep_private(path)
-        except BlockingIOError as exc:
-            os.close(self._descriptor)
-            raise StoreError(f"{path} is in use by another run") from exc
-        except OSError as exc:
-            os.close(self._descriptor)
-            raise StoreError(f"cannot use {path}: {exc.strerror}") from exc
-        except StoreError:
-            os.close(self._descriptor)
-            raise
+            try:
+                fcntl.flock(self._descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+                self.done = self._recover()
+                keep_private(path)
+            except BaseException:
+                os.close(self._descriptor)
+                raise
 
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         os.close(self._descriptor)
 
     def add(self, entry: Entry) -> None:
@@ -75,15 +65,12 @@ class Journal:
             "shifts": list(entry.shifts),
         }
         line = (dump(record) + "\n").encode()
-        try:
+        with self._translated("write"):
             end = os.lseek(self._descriptor, 0, os.SEEK_END)
-            written = os.write(self._descriptor, line)
-            if written != len(line):
+            if os.write(self._descriptor, line) != len(line):
                 os.ftruncate(self._descriptor, end)
                 raise StoreError(f"cannot write {self.path}: the disk is full")
             os.fsync(self._descriptor)
-        except OSError as exc:
-            raise StoreError(f"cannot write {self.path}: {exc.strerror}") from exc
         self.done[entry.key] = end
 
     def entry(self, key: str) -> Entry:
@@ -92,6 +79,15 @@ class Journal:
             file.seek(self.done[key])
             table = json.loads(file.readline())
         return Entry(key=key, drive=table["drive"], shifts=tuple(table["shifts"]))
+
+    @contextmanager
+    def _translated(self, verb: str) -> Iterator[None]:
+        try:
+            yield
+        except BlockingIOError as exc:
+            raise StoreError(f"{self.path} is in use by another run") from exc
+        except OSError as exc:
+            raise StoreError(f"cannot {verb} {self.path}: {exc.strerror}") from exc
 
     def _recover(self) -> dict[str, int]:
         """Return where each finished drive stands, and cut off what a kill left behind it."""

@@ -62,4 +62,4 @@ def _show(options: SimpleNamespace, account: Account, reader: LogReader) -> None
     ]
     console = PeopleConsole()
     for line in lines:
-        console.print(line, highlight=False, markup=False, soft_wrap=True)
+        console.print(line)

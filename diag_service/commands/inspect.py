@@ -8,7 +8,6 @@ from pathlib import Path
 from types import SimpleNamespace
 
 from cantools.database.can import Message
-from rich.console import Console
 
 from canlog.arrays import Int64Array
 from canlog.database.addressing import NOBODY, address_book, find_slot, message_address, overwritten
@@ -137,16 +136,16 @@ def _link_errors(row: Int64Array, missing: int) -> LinkErrors:
     )
 
 
-def _show(inspection: Inspection, bitrate: int, console: Console) -> None:
+def _show(inspection: Inspection, bitrate: int, console: PeopleConsole) -> None:
     for line in _head(inspection, bitrate):
-        console.print(line, highlight=False, soft_wrap=True)
+        console.print(line)
     width = max([len(name) for name in inspection.names.values()], default=0)
-    console.print(_COLUMNS.format("bus", "id", "message".ljust(width), *_HEAD), soft_wrap=True, style="bold")
+    console.print(_COLUMNS.format("bus", "id", "message".ljust(width), *_HEAD), style="bold")
     for one in inspection.traffic.ids:
         line = _COLUMNS.format(*_row(one, inspection.names.get(one.can_id, "").ljust(width)))
-        console.print(line, highlight=False, markup=False, soft_wrap=True)
+        console.print(line)
     for line in _protection_lines(inspection.links):
-        console.print(line, highlight=False, soft_wrap=True)
+        console.print(line)
 
 
 def _head(inspection: Inspection, bitrate: int) -> list[str]:

@@ -1,16 +1,12 @@
 """``diag-service signals``: what signals a log holds, and a profile proposed from them, as one TOML text."""
 
 import sys
+from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path
 from types import SimpleNamespace
 
-import numpy as np
-from cantools.database.can import Message
-
-from canlog.arrays import Int64Array
 from canlog.decode.codec import Codec
-from canlog.decode.signal_table import NO_INVALID, Decoded
 from canlog.logs import read_log
 from canlog.traffic import NS_PER_S
 from dbc.contract import DBC_PATH
@@ -22,88 +18,58 @@ from diag_service.service.stopping import Controls, Trigger
 from program_io.legible import legible
 
 
-class _Range:
-    """What the values of one signal were until now."""
-
-    def __init__(self) -> None:
-        self.count = 0
-        self.lowest = np.inf
-        self.highest = -np.inf
-        self.is_integer = True
-        self.invalid = NO_INVALID
-
-    def add(self, decoded: Decoded) -> None:
-        """Take more values."""
-        self.invalid = self.invalid.plus(decoded.invalid)
-        good = decoded.value if decoded.is_good is None else decoded.value[decoded.is_good]
-        good = good[np.isfinite(good)]
-        if len(good):
-            self.count += len(good)
-            self.lowest = min(self.lowest, float(good.min()))
-            self.highest = max(self.highest, float(good.max()))
-            self.is_integer &= bool(np.all(good == np.rint(good)))
-
-
 class Survey:
     """The messages and signals of a log, with rates and ranges."""
 
     def __init__(self, codec: Codec) -> None:
         self._codec = codec
-        self._ranges: dict[tuple[int, str], _Range] = {}
-        self._counts: dict[int, int] = {}
-        self._ends_ns: tuple[int, int] | None = None
+        self._counts: Counter[int] = Counter()  # by slot, as all here
+        self._signals: dict[int, dict[str, SignalStatistics]] = {}
+        self._ends_ns: list[int] = []  # first and last
         self.frames = 0
         self.is_cut = False
-        self.unknown = 0
+
+    @property
+    def unknown(self) -> int:
+        """Frames of no message of the database."""
+        return self.frames - self._counts.total()
 
     def add(self, path: Path, stop: Trigger) -> None:
-        """Take all frames of a log; raises StoppedError."""
+        """Count all frames of a log; raises StoppedError."""
         reader = read_log(path)
         for batch in reader:
             if stop.is_set:
                 raise StoppedError("stopped early: no profile is proposed from a part of a log")
             if not len(batch):
                 continue
-            self._extend(batch.t_ns)
+            ends_ns = [*self._ends_ns, int(batch.t_ns.min()), int(batch.t_ns.max())]
+            self._ends_ns = [min(ends_ns), max(ends_ns)]
             self.frames += len(batch)
-            self.unknown += len(batch)
             for found in self._codec.decode(batch):
-                self.unknown -= len(found.rows)
-                self._counts[found.slot] = self._counts.get(found.slot, 0) + len(found.rows)
+                self._counts[found.slot] += len(found.rows)
+                table, seen = self._codec.tables[found.slot], self._signals.setdefault(found.slot, {})
                 for name, decoded in found.signals.items():
-                    self._ranges.setdefault((found.slot, name), _Range()).add(decoded)
+                    unit = table.definitions[name].unit or ""
+                    fresh = SignalStatistics(message=table.message.name, signal=name, unit=unit)
+                    seen.setdefault(name, fresh).add(decoded)
         self.is_cut = reader.counts.truncated
-
-    def messages(self) -> Iterator[tuple[Message, int, float]]:
-        """Yield the messages that came, how often, and their rate [Hz]."""
-        first_ns, last_ns = self._ends_ns or (0, 0)
-        duration_s = (last_ns - first_ns) / NS_PER_S
-        for slot, count in sorted(self._counts.items()):
-            yield self._codec.tables[slot].message, count, (count - 1) / duration_s if duration_s else 0.0
 
     def statistics(self) -> list[SignalStatistics]:
         """Return the signals that came."""
-        found = []
-        for (slot, name), seen in sorted(self._ranges.items()):
-            message = self._codec.tables[slot].message
-            found.append(
-                SignalStatistics(
-                    message=message.name,
-                    signal=name,
-                    unit=self._codec.tables[slot].definitions[name].unit or "",
-                    count=seen.count,
-                    lowest=seen.lowest,
-                    highest=seen.highest,
-                    is_integer=seen.is_integer,
-                    invalid=seen.invalid._asdict(),
-                )
-            )
-        return found
+        return [one for _, seen in sorted(self._signals.items()) for _, one in sorted(seen.items())]
 
-    def _extend(self, t_ns: Int64Array) -> None:
-        first_ns, last_ns = int(t_ns.min()), int(t_ns.max())
-        before = self._ends_ns or (first_ns, last_ns)
-        self._ends_ns = (min(before[0], first_ns), max(before[1], last_ns))
+    def listing(self) -> Iterator[str]:
+        """Yield a line for each message that came, with its rate, and one for each of its signals, with its range."""
+        first_ns, last_ns = self._ends_ns or (0, 0)
+        duration_s = (last_ns - first_ns) / NS_PER_S
+        for slot, count in sorted(self._counts.items()):
+            message = self._codec.tables[slot].message
+            rate_hz = (count - 1) / duration_s if duration_s else 0.0
+            yield f"{message.name} ({message.frame_id:#x}): {count} frames, {rate_hz:.1f} Hz"
+            for _, one in sorted(self._signals[slot].items()):
+                span = f"{one.lowest:g} to {one.highest:g} {one.unit}".rstrip() if one.count else "no value"
+                lost = {reason.replace("_", " "): count for reason, count in one.invalid._asdict().items() if count}
+                yield f"  {one.signal}: {span}{''.join(f', {count} values {reason}' for reason, count in lost.items())}"
 
 
 def execute(options: SimpleNamespace, controls: Controls) -> None:
@@ -120,20 +86,7 @@ def execute(options: SimpleNamespace, controls: Controls) -> None:
         "",
         *(["The log ends before its own end."] if survey.is_cut else []),
         f"{survey.frames} frames, {survey.unknown} of them of no message of the database.",
-        *_listing(survey),
+        *survey.listing(),
         "",
     ]
     sys.stdout.write(profile_text(legible(options.log.stem), best, [legible(remark) for remark in remarks]))
-
-
-def _listing(survey: Survey) -> Iterator[str]:
-    statistics = survey.statistics()
-    for message, count, rate_hz in survey.messages():
-        yield f"{message.name} ({message.frame_id:#x}): {count} frames, {rate_hz:.1f} Hz"
-        for one in statistics:
-            if one.message == message.name:
-                span = f"{one.lowest:g} to {one.highest:g} {one.unit}".rstrip() if one.count else "no value"
-                lost = "".join(
-                    f", {count} values {reason.replace('_', ' ')}" for reason, count in one.invalid.items() if count
-                )
-                yield f"  {one.signal}: {span}{lost}"

@@ -1,12 +1,14 @@
 """A mapping profile proposed from names, units and statistics: a start for people who know their vehicle."""
 
+import math
 import re
-from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
 
+from canlog.decode.signal_table import NO_INVALID, Decoded, InvalidCounts
 from diag_service.diagnosis.columns import Signal
 from diag_service.errors import ConfigError
 from diag_service.mapping.profile import SignalSource, to_si
@@ -21,23 +23,34 @@ _CLUTCH1: Final = r"(clutch|kuppl\w*|clt|k)[_ ]?(1|a|odd)"
 _CLUTCH2: Final = r"(clutch|kuppl\w*|clt|k)[_ ]?(2|b|even)"
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(slots=True, kw_only=True)
 class SignalStatistics:
     """One signal of a database as it occurred in a log."""
 
     message: str
     signal: str
     unit: str
-    count: int  # valid values
-    lowest: float  # in the unit of the database; NaN without values
-    highest: float
-    is_integer: bool
-    invalid: Mapping[str, int] = field(default_factory=dict)  # reason -> values that are no measurements
+    count: int = 0  # valid values
+    lowest: float = math.inf  # in the unit of the database
+    highest: float = -math.inf
+    is_integer: bool = True
+    invalid: InvalidCounts = NO_INVALID  # values that are no measurements
 
     @property
     def place(self) -> str:
         """Message and signal."""
         return f"{self.message}.{self.signal}"
+
+    def add(self, decoded: Decoded) -> None:
+        """Count more values."""
+        self.invalid = self.invalid.plus(decoded.invalid)
+        good = decoded.value if decoded.is_good is None else decoded.value[decoded.is_good]
+        good = good[np.isfinite(good)]
+        if len(good):
+            self.count += len(good)
+            self.lowest = min(self.lowest, float(good.min()))
+            self.highest = max(self.highest, float(good.max()))
+            self.is_integer &= bool(np.all(good == np.rint(good)))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
