@@ -2,6 +2,7 @@
 
 import asyncio
 import logging
+import os
 import sys
 import uuid
 from collections.abc import Callable, Mapping
@@ -33,7 +34,7 @@ from diag_service.service.drive import insist, open_drive, stream_of
 from diag_service.service.live import run_live
 from diag_service.service.monitor import Monitor
 from diag_service.service.recorded import run_logs
-from diag_service.service.service_manager import ServiceManager
+from diag_service.service.service_manager import ADDRESS_VARIABLE, ServiceManager
 from diag_service.service.session import Session, new_session, utc_now, versions_for
 from diag_service.service.snapshot import Board, Snapshot, SnapshotTaker
 from diag_service.service.stopping import Controls, Trigger
@@ -107,7 +108,7 @@ async def _run_bus(
     session.reporter.report(f"{source.description} for {config.vehicle}, results in {store.where}")
     now_s = asyncio.get_running_loop().time
     taker = SnapshotTaker(source, session, now_s(), bus.bitrate)
-    manager, board = ServiceManager.from_environment(), Board()
+    manager, board = ServiceManager(os.environ.get(ADDRESS_VARIABLE)), Board()
 
     def show() -> None:
         snapshot = taker.take(now_s())

@@ -21,7 +21,7 @@ from diag_service.diagnosis.columns import Signal
 from diag_service.errors import ConfigError
 from diag_service.mapping.profile import load_profile
 from diag_service.mapping.tiers import tier_of
-from diag_service.service.stopping import Trigger
+from diag_service.service.stopping import Controls
 from tests.support.service import run_service, service
 
 FRAME_COUNT = 1000
@@ -30,7 +30,7 @@ FRAME_COUNT = 1000
 def execute(*words: str | Path) -> None:
     """Run a command in this process."""
     options = parse_arguments([str(word) for word in words])
-    import_module(f"diag_service.commands.{options.command}").execute(options, Trigger(), Trigger())
+    import_module(f"diag_service.commands.{options.command}").execute(options, Controls())
 
 
 @pytest.fixture

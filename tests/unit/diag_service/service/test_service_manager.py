@@ -19,27 +19,23 @@ def _manager_socket(tmp_path: Path) -> Iterator[socket.socket]:
 
 
 def test_a_manager_is_told_the_life_of_the_service(manager_socket: socket.socket) -> None:
-    variables = {"NOTIFY_SOCKET": manager_socket.getsockname(), "WATCHDOG_USEC": "10000000"}
-    manager = ServiceManager.from_environment(variables)
+    manager = ServiceManager(manager_socket.getsockname())
     manager.ready()
     manager.alive("bus up")
     manager.struggling("stuck in store")
     manager.stopping()
     heard = [manager_socket.recv(200).decode() for _ in range(4)]
     assert heard == ["READY=1", "WATCHDOG=1\nSTATUS=bus up", "STATUS=stuck in store", "STOPPING=1"]
-    assert manager.watchdog_s == 10.0
 
 
 def test_an_abstract_address() -> None:
     with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as heard:
         heard.bind("\0clutchdiag-test-notify")
         heard.settimeout(HANG_S)
-        ServiceManager("@clutchdiag-test-notify", None).ready()
+        ServiceManager("@clutchdiag-test-notify").ready()
         assert heard.recv(100) == b"READY=1"
 
 
-@pytest.mark.parametrize("variables", [{}, {"NOTIFY_SOCKET": ""}, {"NOTIFY_SOCKET": "/nowhere/at/all"}])
-def test_nobody_to_tell_is_no_error(variables: dict[str, str]) -> None:
-    manager = ServiceManager.from_environment({**variables, "WATCHDOG_USEC": "soon"})
-    manager.ready()
-    assert manager.watchdog_s is None
+@pytest.mark.parametrize("address", [None, "", "/nowhere/at/all"])
+def test_nobody_to_tell_is_no_error(address: str | None) -> None:
+    ServiceManager(address).ready()
