@@ -1,5 +1,6 @@
 """Records as values that JSON can carry, and back: enumerations by their values, arrays as lists of numbers."""
 
+from collections.abc import Mapping
 from typing import TypeVar
 
 import msgspec
@@ -28,8 +29,8 @@ def from_plain(table: object, kind: type[RecordT]) -> RecordT:
     return msgspec.convert(table, kind, dec_hook=_list_to_array)
 
 
-def _array_to_list(value: FloatArray) -> object:
-    return value.tolist()
+def _array_to_list(value: FloatArray | Mapping[object, object]) -> object:
+    return dict(value) if isinstance(value, Mapping) else value.tolist()
 
 
 def _list_to_array(_: type, value: object) -> FloatArray:

@@ -5,14 +5,23 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
 
-from diag_service.diagnosis.comparison import ClutchRatio
 from diag_service.diagnosis.contributions import NO_LOGS, Contributions, log_record
-from diag_service.diagnosis.records import ClutchVerdict, Condition, ShiftEstimate, ShiftResult, Status, Tier
+from diag_service.diagnosis.plain_values import to_plain
+from diag_service.diagnosis.records import (
+    ClutchRatio,
+    ClutchVerdict,
+    Condition,
+    ShiftEstimate,
+    ShiftResult,
+    Status,
+    Tier,
+)
 from diag_service.diagnosis.results import clutch_record, shift_record
 from fleet_contract import JsonObject
 
 RECENT_COUNT = 8
 SUMMARY_SCHEMA = "clutchdiag/summary/v1"
+_FRAME_KEYS = {"invalid": "invalid_signals"}  # public, where they are not the names of `FrameCounts`
 TIER_TEXT = {
     Tier.FRICTION: "friction",
     Tier.TORQUE: "torque capacity, no friction",
@@ -155,25 +164,13 @@ def gaps_line(gaps: tuple[Gap, ...]) -> str:
 
 def summary_record(summary: Summary) -> JsonObject:
     """Return the numbers as the final JSON object of a run."""
-    frames = summary.frames
+    frames = {_FRAME_KEYS.get(name, name): value for name, value in to_plain(summary.frames).items()}
     return {
         "schema": SUMMARY_SCHEMA,
         "vehicle": summary.vehicle,
         "complete": not summary.gaps,
         "incomplete": [gap.value for gap in summary.gaps],
-        "frames": {
-            "on_bus": frames.on_bus,
-            "decoded": frames.decoded,
-            "ignored": frames.ignored,
-            "unsupported": frames.unsupported,
-            "kernel_dropped": frames.kernel_dropped,
-            "queue_dropped": frames.queue_dropped,
-            "rejected": dict(frames.rejected),
-            "missing": frames.missing,
-            "invalid_values": frames.invalid_values,
-            "invalid_signals": {signal: dict(reasons) for signal, reasons in frames.invalid.items()},
-            "unreadable": dict(frames.unreadable),
-        },
+        "frames": frames,
         "shifts": {
             "by_status": dict(summary.shift_counts),
             "by_reason": dict(summary.reason_counts),
@@ -182,12 +179,7 @@ def summary_record(summary: Summary) -> JsonObject:
             "unpublished": summary.unpublished_count,
         },
         "clutches": [clutch_record(shift_record(result)) for result in summary.latest],
-        "capability": {
-            "profile": summary.capability.profile,
-            "tier": summary.capability.tier,
-            "missing": summary.capability.missing,
-            "unseen": list(summary.capability.unseen),
-        },
+        "capability": to_plain(summary.capability),
         "logs": [log_record(log) for log in summary.contributions.logs],
         "idle": list(summary.contributions.idle),
     }

@@ -3,15 +3,18 @@
 from dataclasses import replace
 
 from clutch_model.gears import clutch_of_gear
-from diag_service.diagnosis.comparison import ClutchRatio, FrictionTrend, ScaleFreeFriction, ShiftScatter
 from diag_service.diagnosis.records import (
+    ClutchRatio,
     ClutchVerdict,
     Condition,
     DataQuality,
     FrictionEstimate,
+    FrictionTrend,
     QualityPart,
+    ScaleFreeFriction,
     ShiftEstimate,
     ShiftResult,
+    ShiftScatter,
     Status,
 )
 from ecu_emulator.scenario import FluidCondition, Scenario

@@ -8,12 +8,19 @@ from typing import Self
 
 from clutch_model.calibration import Calibration
 from clutch_model.clutch import FrictionCurve
-from diag_service.diagnosis.comparison import FrictionTrend
 from diag_service.diagnosis.condition.scatter import Scatter
 from diag_service.diagnosis.friction.filter_state import FilterState
 from diag_service.diagnosis.friction.scale_free import clutch_ratio, common_scale_std_ratio, scale_free, trend
 from diag_service.diagnosis.plain_values import from_plain, to_plain
-from diag_service.diagnosis.records import ClutchVerdict, Condition, FrictionEstimate, Reason, ShiftEstimate, Status
+from diag_service.diagnosis.records import (
+    ClutchVerdict,
+    Condition,
+    FrictionEstimate,
+    FrictionTrend,
+    Reason,
+    ShiftEstimate,
+    Status,
+)
 from fleet_contract import JsonObject
 
 MIN_SHIFT_COUNT = 2  # one shift may be an outlier

@@ -3,8 +3,7 @@
 from dataclasses import dataclass
 from typing import Self
 
-from diag_service.diagnosis.comparison import ShiftScatter
-from diag_service.diagnosis.records import FrictionEstimate
+from diag_service.diagnosis.records import FrictionEstimate, ShiftScatter
 
 LEAST_SHIFT_COUNT = 8  # the deviation is then known to a quarter of itself
 MEMORY_SHIFT_COUNT = 50  # a few hours of driving

@@ -22,14 +22,12 @@ from clutch_model.calibration import Calibration, InputSide
 from clutch_model.clutch import ClutchCalibration, FrictionCurve
 from clutch_model.friction import contact_torques_nm, friction_law, stribeck_weights
 from clutch_model.knowledge import SensorBias
-from diag_service.diagnosis.alignment.aligned_signals import AlignedSignals
-from diag_service.diagnosis.alignment.sampling import GRID_S
+from diag_service.diagnosis.alignment import GRID_S, AlignedSignals
 from diag_service.diagnosis.friction.film_track import FilmTrack, PressureDrive, integrate_film
 from diag_service.diagnosis.friction.filter_state import Measurement
 from diag_service.diagnosis.friction.parameters import Considered, State, friction_rows
 from diag_service.diagnosis.friction.perturbations import AREA, COMMON, OFFSET, Perturbation
-from diag_service.diagnosis.friction.weights import SLIP_DEGREE, Weights, sines, smoothed
-from diag_service.diagnosis.friction.window import SlipWindow
+from diag_service.diagnosis.friction.window import SLIP_DEGREE, SlipWindow, Weights, sines, smoothed
 
 MAX_MOMENT_COUNT = 24  # beyond it the quadrature, not the noise, limits
 SAMPLES_PER_MOMENT = 2
@@ -62,10 +60,10 @@ class _Spread:
     def of(cls, signals: AlignedSignals, weights: Weights) -> Self:
         """Return those of a window's test functions."""
         return cls(
-            torque_value=signals.engine_torque.interpolation.to_samples(weights.value),
-            engine_rate=signals.engine_speed.interpolation.to_samples(weights.rate),
-            hub_value=signals.hub_speed.interpolation.to_samples(weights.value),
-            hub_rate=signals.hub_speed.interpolation.to_samples(weights.rate),
+            torque_value=signals.engine_torque.to_samples(weights.value),
+            engine_rate=signals.engine_speed.to_samples(weights.rate),
+            hub_value=signals.hub_speed.to_samples(weights.value),
+            hub_rate=signals.hub_speed.to_samples(weights.rate),
         )
 
     def hub(self, side: InputSide) -> FloatArray:
@@ -171,8 +169,8 @@ class Balance:
         signals, side, sensors = self._signals, self._calibration.input_side, self._calibration.noise
         bias, value, rate = self._calibration.bias, self._weights.value, self._weights.rate
         is_motoring = self._planned_torque_nm < torque_offset_nm
-        by_speed = signals.engine_speed.interpolation.to_samples
-        by_torque = signals.engine_torque.interpolation.to_samples
+        by_speed = signals.engine_speed.to_samples
+        by_torque = signals.engine_torque.to_samples
         speed_residual = side.engine_inertia_kg_m2 * self._spread.engine_rate
         speed_slope = side.engine_inertia_kg_m2 * by_speed(smoothed(rate, self._window, SLIP_DEGREE))
         shared = sensors.engine_speed_rad_s**2 * speed_slope @ speed_residual.T
@@ -242,11 +240,11 @@ class Balance:
             torques_nm = contact_nm(clutch, drive, track)
             by_slip = value * (torques_nm[:, 1] * (mu[m, 0] - mu[m, 1]) * steepness(drive.slip_rad_s, clutch.friction))
             all_by_slip += by_slip
-            factors.append(sensors.input_speed_rad_s * signals.input_speed[m].interpolation.to_samples(by_slip))
+            factors.append(sensors.input_speed_rad_s * signals.input_speed[m].to_samples(by_slip))
             area_ratio = clutch.geometry.piston_area_m2 / clutch.geometry.lining_area_m2
             by_pressure = area_ratio * mu[m, 0] * torques_nm.sum(axis=1) / np.maximum(track.contact_pa, 1.0)
-            factors.append(sensors.pressure_pa * signals.pressure[m].interpolation.to_samples(value * by_pressure))
-        by_hub = gain * self._spread.hub(side) - signals.hub_speed.interpolation.to_samples(all_by_slip)
+            factors.append(sensors.pressure_pa * signals.pressure[m].to_samples(value * by_pressure))
+        by_hub = gain * self._spread.hub(side) - signals.hub_speed.to_samples(all_by_slip)
         factors.append(sensors.hub_speed_rad_s * by_hub)
         return np.asarray(sum(factor @ factor.T for factor in factors))
 

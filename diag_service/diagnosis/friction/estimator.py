@@ -8,8 +8,7 @@ import numpy as np
 
 from clutch_model.calibration import Calibration
 from clutch_model.gears import clutch_of_gear
-from diag_service.diagnosis.alignment.aligned_signals import AlignedSignals, compile_alignment
-from diag_service.diagnosis.alignment.sampling import NS_TO_S
+from diag_service.diagnosis.alignment import NS_TO_S, AlignedSignals, compile_alignment
 from diag_service.diagnosis.columns import Signal
 from diag_service.diagnosis.events import Event
 from diag_service.diagnosis.friction.balance import Balance

@@ -21,7 +21,7 @@ from clutch_model.film import (
 from clutch_model.friction import FrictionLaw, contact_torque_nm, friction_law, kinetic_friction
 from clutch_model.thermal import clutch_heating_rate_k_s
 from clutch_model.viscosity import viscosity_pa_s
-from diag_service.diagnosis.alignment.sampling import GRID_S
+from diag_service.diagnosis.alignment import GRID_S
 
 _ANY_K = 350.0
 SUBSTEP_COUNT = 5  # film steps per grid step: 0.2 ms against time constants of 5 ms and more

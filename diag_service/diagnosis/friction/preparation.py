@@ -6,14 +6,12 @@ from dataclasses import replace
 import numpy as np
 
 from clutch_model.calibration import Calibration
-from diag_service.diagnosis.alignment.aligned_signals import AlignedSignals
-from diag_service.diagnosis.alignment.sampling import NS_TO_S
+from diag_service.diagnosis.alignment import NS_TO_S, AlignedSignals
 from diag_service.diagnosis.events import Event
 from diag_service.diagnosis.friction.film_track import PressureDrive
 from diag_service.diagnosis.friction.filter_state import FilterState, Measurement
 from diag_service.diagnosis.friction.parameters import Considered, State
-from diag_service.diagnosis.friction.weights import SLIP_DEGREE, smoothed
-from diag_service.diagnosis.friction.window import SlipWindow, find_window
+from diag_service.diagnosis.friction.window import SLIP_DEGREE, SlipWindow, find_window, smoothed
 
 EMPTY_PA = 0.30e5  # an idle clutch reads less than this: it is empty, and the reading is the sensor's zero
 EMPTY_S = 0.1

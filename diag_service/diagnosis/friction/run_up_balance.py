@@ -10,13 +10,12 @@ import numpy as np
 
 from canlog.arrays import BoolArray, FloatArray
 from clutch_model.calibration import Calibration
-from diag_service.diagnosis.alignment.aligned_signals import AlignedSignals
+from diag_service.diagnosis.alignment import AlignedSignals
 from diag_service.diagnosis.friction.balance import motoring_corrected_nm
 from diag_service.diagnosis.friction.film_track import PressureDrive, integrate_film
 from diag_service.diagnosis.friction.filter_state import Measurement
 from diag_service.diagnosis.friction.parameters import Considered, State
-from diag_service.diagnosis.friction.weights import Weights, sines
-from diag_service.diagnosis.friction.window import SlipWindow
+from diag_service.diagnosis.friction.window import SlipWindow, Weights, sines
 
 MOMENT_COUNT = 24  # the torque of a run-up has steps; more moments see little but their interpolation
 
@@ -66,7 +65,7 @@ def _hub(signals: AlignedSignals, weights: Weights, calibration: Calibration) ->
     """Return the impulse of the hub and the noise in it."""
     side = calibration.input_side
     weight = side.hub_inertia_kg_m2 * weights.rate - side.hub_damping_nms_rad * weights.value
-    noise = calibration.noise.hub_speed_rad_s * signals.hub_speed.interpolation.to_samples(weight)
+    noise = calibration.noise.hub_speed_rad_s * signals.hub_speed.to_samples(weight)
     return weight @ signals.hub_speed.on_grid, noise
 
 
@@ -95,7 +94,7 @@ def _closed_loads(signals: AlignedSignals, weights: Weights, calibration: Calibr
         weight = inertia - side.input_shaft_dampings_nms_rad[m] * weights.value
         known_nms = known_nms + weight @ speed.on_grid
         shaft_nms = shaft_nms + inertia @ speed.on_grid
-        shafts.append(calibration.noise.input_speed_rad_s * speed.interpolation.to_samples(weight))
+        shafts.append(calibration.noise.input_speed_rad_s * speed.to_samples(weight))
     return _Loads(known_nms=known_nms, shaft_nms=shaft_nms, hub=hub, shafts=tuple(shafts))
 
 
@@ -104,10 +103,10 @@ def _noise_and_overlap(
 ) -> tuple[FloatArray, FloatArray]:
     """Return the covariance of the residual, shape (k, k), and what the derivatives share with it; eq. (31)."""
     bias, side, sensors = calibration.bias, calibration.input_side, calibration.noise
-    by_torque = signals.engine_torque.interpolation.to_samples
+    by_torque = signals.engine_torque.to_samples
     torque = sensors.engine_torque_nm * by_torque(weights.value)
     motoring = sensors.engine_torque_nm * by_torque(weights.value * is_motoring / bias.motoring_gain)
-    engine = signals.engine_speed.interpolation.to_samples(weights.rate)
+    engine = signals.engine_speed.to_samples(weights.rate)
     engine = side.engine_inertia_kg_m2 * sensors.engine_speed_rad_s * engine
     turning = np.zeros((MOMENT_COUNT, MOMENT_COUNT))
     for shaft in loads.shafts:

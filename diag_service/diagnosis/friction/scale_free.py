@@ -8,9 +8,9 @@ the gain is gone, and in one clutch the area too.
 import numpy as np
 
 from canlog.arrays import FloatArray
-from diag_service.diagnosis.comparison import ClutchRatio, FrictionTrend, ScaleFreeFriction
 from diag_service.diagnosis.friction.filter_state import FilterState
 from diag_service.diagnosis.friction.parameters import FRICTION_COUNT, Considered, friction_rows
+from diag_service.diagnosis.records import ClutchRatio, FrictionTrend, ScaleFreeFriction
 
 PISTON_AREAS = (Considered.PISTON_AREA1, Considered.PISTON_AREA2)
 

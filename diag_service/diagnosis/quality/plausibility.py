@@ -14,8 +14,7 @@ import numpy as np
 
 from canlog.arrays import FloatArray
 from canlog.series import Series
-from diag_service.diagnosis.alignment.aligned_signals import COMMAND_LAG_S, AlignedSignals
-from diag_service.diagnosis.alignment.sampling import GRID_S, NS_TO_S
+from diag_service.diagnosis.alignment import COMMAND_LAG_S, GRID_S, NS_TO_S, AlignedSignals
 from diag_service.diagnosis.columns import BALANCE_SIGNALS, Columns, Signal
 from diag_service.diagnosis.events import Event
 from diag_service.diagnosis.quality.limits import LIMITS, QualityLimits

@@ -4,8 +4,7 @@ import numpy as np
 
 from canlog.arrays import FloatArray
 from clutch_model.calibration import Calibration
-from diag_service.diagnosis.alignment.aligned_signals import AlignedSignals, align, measured_times, sampling_times
-from diag_service.diagnosis.alignment.sampling import NS_TO_S
+from diag_service.diagnosis.alignment import NS_TO_S, AlignedSignals, align, measured_times, sampling_times
 from diag_service.diagnosis.columns import BALANCE_SIGNALS, Signal
 from diag_service.diagnosis.events import EndReason, Event
 from diag_service.diagnosis.quality.limits import LIMITS, QualityLimits

@@ -13,8 +13,7 @@ import numpy as np
 from canlog.arrays import BoolArray, FloatArray
 from clutch_model.calibration import Calibration
 from clutch_model.gears import clutch_of_gear
-from diag_service.diagnosis.alignment.aligned_signals import AlignedSignals
-from diag_service.diagnosis.alignment.sampling import sample_times_s
+from diag_service.diagnosis.alignment import AlignedSignals, sample_times_s
 from diag_service.diagnosis.columns import Signal
 from diag_service.diagnosis.events import Event
 from diag_service.diagnosis.friction.paper.driveline import Driveline

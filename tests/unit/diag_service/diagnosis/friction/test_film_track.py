@@ -14,7 +14,7 @@ from clutch_model.film import (
     measured_film_rate_m_s,
 )
 from clutch_model.viscosity import viscosity_pa_s
-from diag_service.diagnosis.alignment.sampling import GRID_S
+from diag_service.diagnosis.alignment import GRID_S
 from diag_service.diagnosis.friction.film_track import PressureDrive, integrate_film
 
 CALIBRATION = nominal_calibration()

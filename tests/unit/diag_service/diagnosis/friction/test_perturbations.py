@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from clutch_model.calibration import nominal_calibration
-from diag_service.diagnosis.alignment.sampling import GRID_S
+from diag_service.diagnosis.alignment import GRID_S
 from diag_service.diagnosis.friction.film_track import PressureDrive
 from diag_service.diagnosis.friction.parameters import Considered
 from diag_service.diagnosis.friction.perturbations import AREA, COMMON, OFFSET, Perturbation

@@ -4,9 +4,8 @@ import numpy as np
 import pytest
 
 from canlog.arrays import FloatArray
-from diag_service.diagnosis.alignment.sampling import GRID_S
-from diag_service.diagnosis.friction.weights import sines, smoothed
-from diag_service.diagnosis.friction.window import SlipWindow
+from diag_service.diagnosis.alignment import GRID_S
+from diag_service.diagnosis.friction.window import SlipWindow, sines, smoothed
 
 GRID = GRID_S * np.arange(-40.0, 460.0)
 WINDOW = SlipWindow(first=101, stop=352, direction=1.0)  # 0.25 s

@@ -9,7 +9,7 @@ import pytest
 from canlog.arrays import FloatArray
 from canlog.series import Series
 from clutch_model.calibration import nominal_calibration
-from diag_service.diagnosis.alignment.aligned_signals import COMMAND_LAG_S, AlignedSignals
+from diag_service.diagnosis.alignment import COMMAND_LAG_S, AlignedSignals
 from diag_service.diagnosis.columns import Signal
 from diag_service.diagnosis.events import Event
 from diag_service.diagnosis.friction import FilterState

@@ -7,8 +7,7 @@ import numpy as np
 import pytest
 
 from clutch_model.calibration import nominal_calibration
-from diag_service.diagnosis.alignment.aligned_signals import AlignedSignals
-from diag_service.diagnosis.alignment.sampling import GRID_S
+from diag_service.diagnosis.alignment import GRID_S, AlignedSignals
 from diag_service.diagnosis.columns import BALANCE_SIGNALS, Signal
 from diag_service.diagnosis.events import EndReason, Event
 from diag_service.diagnosis.quality.limits import QualityLimits

@@ -1,24 +1,22 @@
-"""The signals of one shift or engine run-up on one clock and one even grid, as the torque balance needs them."""
+"""The signals of one event on one clock and one even grid: when samples were taken, and what they read in between."""
 
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Self
 
 import numpy as np
 
-from canlog.arrays import FloatArray
+from canlog.arrays import FloatArray, Int64Array
 from canlog.jit import kernel
+from canlog.series import Series
 from clutch_model.calibration import Calibration
-from diag_service.diagnosis.alignment.sampling import (
-    GRID_S,
-    NS_TO_S,
-    Interpolation,
-    sample_times_s,
-    segment_centres_s,
-)
 from diag_service.diagnosis.columns import BALANCE_SIGNALS, Signal
 from diag_service.diagnosis.events import Event
 
+NS_TO_S = 1e-9
+GRID_S = 1e-3  # ten points per CAN sample: quadrature error far below sensor noise
+END_COUNT = 30  # samples, of which one is nearly on time; an event is cut that much wider than its slip window
 COMMAND_LAG_S = 0.025  # from commanded to piston pressure: solenoid and feed orifice; docs/model.md, hydraulics
 
 SampleTimes = Mapping[Signal, FloatArray]
@@ -27,12 +25,31 @@ SampleTimes = Mapping[Signal, FloatArray]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Resampled:
-    """One signal of a shift: when it was sampled, what it read, and the way to the even grid."""
+    """One signal of an event: when it was sampled, what it read, and the same on the even grid.
 
-    times_s: FloatArray  # (n,) after the start of the shift
+    Grid point j reads ``(1 - share[j]) * value[left[j]] + share[j] * value[left[j] + 1]``: linear between samples,
+    constant beyond both ends.
+    """
+
+    times_s: FloatArray  # (n,) after the start of the event
     value: FloatArray  # (n,)
-    interpolation: Interpolation
+    left: Int64Array  # (len(grid),)
+    share: FloatArray  # (len(grid),)
     on_grid: FloatArray  # (len(grid),)
+
+    @classmethod
+    def of(cls, times_s: FloatArray, value: FloatArray, grid_s: FloatArray) -> Self:
+        """Return a signal on the grid; two or more ``times_s``, strictly increasing."""
+        left = np.clip(np.searchsorted(times_s, grid_s, side="right") - 1, 0, len(times_s) - 2)
+        share = np.clip((grid_s - times_s[left]) / (times_s[left + 1] - times_s[left]), 0.0, 1.0)
+        on_grid = (1.0 - share) * value[left] + share * value[left + 1]
+        return cls(times_s=times_s, value=value, left=left, share=share, on_grid=on_grid)
+
+    def to_samples(self, weights: FloatArray) -> FloatArray:
+        """Return the weight of each sample, shape (k, n), in k weighted sums over the grid, shape (k, len(grid))."""
+        spread = np.zeros((len(weights), len(self.times_s)))
+        _spread(weights, self.left, self.share, spread)
+        return spread
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -51,6 +68,33 @@ class AlignedSignals:
     def slip_rad_s(self, clutch: int) -> FloatArray:
         """Return the slip of clutch 1 or 2 on the grid: hub minus input shaft."""
         return self.hub_speed.on_grid - self.input_speed[clutch - 1].on_grid
+
+
+def sample_times_s(series: Series, origin_ns: int) -> FloatArray:
+    """Return when the samples were taken [s] after ``origin_ns``, shape (n,), freed of transmission jitter.
+
+    A sender with a schedule sends transmission k at ``t_0 + k * period``, and a bus only ever delays. So ``t_0`` is the
+    earliest that any sample of the shift allows, however late the others came. The receive times stand where the
+    message has no counter, or the sender did not keep to one schedule: then no sample near one end of the shift comes
+    within a period of it.
+    """
+    times_s: FloatArray = (series.t_ns - origin_ns) * np.float64(NS_TO_S)
+    if series.period_ns <= 0 or len(times_s) == 0 or series.sequence[0] < 0:
+        return times_s
+    period_s = series.period_ns * NS_TO_S
+    scheduled_s: FloatArray = (series.sequence - series.sequence[0]) * np.float64(period_s)
+    delays_s = times_s - scheduled_s
+    earliest_s = float(delays_s.min())
+    ends_s = (float(delays_s[:END_COUNT].min()), float(delays_s[-END_COUNT:].min()))
+    if max(ends_s) - earliest_s > period_s:
+        return times_s
+    return scheduled_s + earliest_s
+
+
+def segment_centres_s(times_s: FloatArray, speed_rad_s: FloatArray, segment_rad: float) -> FloatArray:
+    """Return the instants to which mean speeds over the last crank segment belong: half a segment earlier."""
+    centres_s: FloatArray = times_s - 0.5 * segment_rad / np.maximum(speed_rad_s, 1.0)
+    return centres_s
 
 
 def sampling_times(event: Event) -> SampleTimes:
@@ -96,7 +140,7 @@ def align(times: SampleTimes, event: Event, oil_k: float) -> AlignedSignals:
     duration_s = (event.end_ns - event.start_ns) * NS_TO_S
     # Whole steps after the shift's start: a latency that is found more exactly must not move the points.
     grid_s = GRID_S * np.arange(math.ceil(history_s / GRID_S), math.ceil(duration_s / GRID_S), dtype=np.float64)
-    on_grid = {signal: _resampled(one, event.columns[signal].value, grid_s) for signal, one in times.items()}
+    on_grid = {signal: Resampled.of(one, event.columns[signal].value, grid_s) for signal, one in times.items()}
     return AlignedSignals(
         grid_s=grid_s,
         engine_speed=on_grid[Signal.ENGINE_SPEED],
@@ -115,13 +159,8 @@ def align(times: SampleTimes, event: Event, oil_k: float) -> AlignedSignals:
 def compile_alignment() -> None:
     """Have everything compiled before the first shift comes: it must not wait for it."""
     ends, one = np.array([0.0, 1.0]), np.zeros((1, 2))
-    Interpolation.between(ends, ends).to_samples(one)
+    Resampled.of(ends, ends, ends).to_samples(one)
     _lag_behind(ends, 1.0, np.empty(2))
-
-
-def _resampled(times_s: FloatArray, value: FloatArray, grid_s: FloatArray) -> Resampled:
-    interpolation = Interpolation.between(times_s, grid_s)
-    return Resampled(times_s=times_s, value=value, interpolation=interpolation, on_grid=interpolation.to_grid(value))
 
 
 def _expected_pa(event: Event, command: Signal, grid_s: FloatArray) -> FloatArray | None:
@@ -141,3 +180,11 @@ def _lag_behind(target: FloatArray, share: float, lagging: FloatArray) -> None:
     for row in range(len(target)):
         value += (target[row] - value) * share
         lagging[row] = value
+
+
+@kernel
+def _spread(weights: FloatArray, left: Int64Array, share: FloatArray, spread: FloatArray) -> None:
+    for k in range(weights.shape[0]):
+        for j in range(weights.shape[1]):
+            spread[k, left[j]] += weights[k, j] * (1.0 - share[j])
+            spread[k, left[j] + 1] += weights[k, j] * share[j]

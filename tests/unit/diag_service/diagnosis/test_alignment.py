@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from canlog.series import Series
-from diag_service.diagnosis.alignment.sampling import Interpolation, sample_times_s, segment_centres_s
+from diag_service.diagnosis.alignment import Resampled, sample_times_s, segment_centres_s
 
 if TYPE_CHECKING:
     from canlog.arrays import FloatArray
@@ -82,17 +82,17 @@ def test_a_mean_over_a_crank_segment_belongs_to_its_centre() -> None:
 def test_interpolation_is_exact_for_straight_lines(degree: int) -> None:
     times_s = np.array([0.0, 0.01, 0.03, 0.04])
     grid_s = np.linspace(0.0, 0.04, 41)
-    assert np.allclose(Interpolation.between(times_s, grid_s).to_grid(times_s**degree), grid_s**degree)
+    assert np.allclose(Resampled.of(times_s, times_s**degree, grid_s).on_grid, grid_s**degree)
 
 
 def test_interpolation_holds_the_ends() -> None:
-    ends = Interpolation.between(np.array([0.0, 1.0, 2.0]), np.array([-1.0, 5.0]))
-    assert np.allclose(ends.to_grid(np.array([7.0, 8.0, 9.0])), [7.0, 9.0])
+    ends = Resampled.of(np.array([0.0, 1.0, 2.0]), np.array([7.0, 8.0, 9.0]), np.array([-1.0, 5.0]))
+    assert np.allclose(ends.on_grid, [7.0, 9.0])
 
 
 def test_sample_weights_are_the_transpose_of_interpolation() -> None:
     rng = np.random.default_rng(2)
     times_s, grid_s = np.sort(rng.uniform(0.0, 1.0, 20)), np.linspace(0.0, 1.0, 300)
-    interpolation = Interpolation.between(times_s, grid_s)
     weights, value = rng.normal(size=(4, 300)), rng.normal(size=20)
-    assert np.allclose(interpolation.to_samples(weights) @ value, weights @ interpolation.to_grid(value))
+    resampled = Resampled.of(times_s, value, grid_s)
+    assert np.allclose(resampled.to_samples(weights) @ value, weights @ resampled.on_grid)
