@@ -31,8 +31,8 @@ from canlog.logs import blf, read_log
 from canlog.logs.blf import CONTAINER_HEADER
 from canlog.logs.blf_objects import OBJECT_HEADER
 from canlog.logs.inflating import inflated_by_libdeflate, inflated_by_zlib
+from canlog.logs.log_counts import LogCounts
 from canlog.logs.mf4 import mf4_batches
-from canlog.logs.tally import Tally
 
 FRAMES: Final = 2_000_000
 ROUNDS: Final = 3
@@ -61,7 +61,7 @@ class Row:
 def batches(path: Path) -> Iterator[FrameBatch]:
     """Read a log in this process."""
     with TemporaryDirectory() as folder:
-        yield from mf4_batches(path, Path(folder), Tally()) if path.suffix == ".mf4" else read_log(path)
+        yield from mf4_batches(path, Path(folder), LogCounts()) if path.suffix == ".mf4" else read_log(path)
 
 
 def decoded(path: Path, decoder: Decoder) -> int:

@@ -1,240 +1,212 @@
-"""The usual lines of an ASC file, compiled: classic frames and those of CAN FD, both in hexadecimal."""
+"""The lines of an ASC file that begin with a time, compiled: frames, and events that are none."""
 
-from canlog.arrays import Int64Array, UInt8Array, UInt32Array
+import numpy as np
+
+from canlog.arrays import BoolArray, Int64Array, UInt8Array
 from canlog.frames import (
     BRS_FLAG,
+    ERROR_FLAG,
     ESI_FLAG,
-    EXTENDED_FLAG,
     FD_FLAG,
     FD_PAYLOAD_BYTES,
     PAYLOAD_BYTES,
     REMOTE_FLAG,
     TX_FLAG,
 )
-from canlog.jit import array_kernel
+from canlog.jit import array_kernel, inlined_kernel
+from canlog.logs import asc_fields as fields
+from canlog.logs.asc_fields import DECIMAL, HEXADECIMAL, LETTER_R, NONE, SLASH
+from canlog.logs.frame_buffer import FrameRows
 from canlog.logs.text_kernels import (
     AT_END,
     BLANK,
+    FRAME,
     HEX_VALUE,
-    IS_LENGTH,
     LENGTH_OF_CODE,
     LINES,
+    MALFORMED,
     NEWLINE,
     OTHER,
     POSITION,
     ROWS,
+    SKIPPED,
     STOP,
+    TOO_LONG,
     WIDEN,
+    count_line,
     decimal,
     decimal_parts,
-    hexadecimal,
     skip_blanks,
     skip_line,
     skip_word,
 )
 
 # The clock of a file.
-START_US, NOW_US, IS_RELATIVE, BASE = range(4)
+START_US, NOW_US, IS_RELATIVE, BASE, CLOCK_FIELDS = range(5)
 
-HEXADECIMAL = 16
 MAX_SECONDS_DIGITS, MAX_FRACTION_DIGITS = 10, 9
-MAX_STANDARD_ID, MAX_EXTENDED_ID = 0x7FF, 0x1FFF_FFFF
-MAX_ID_DIGITS = 8
+MAX_CHANNEL, MOST_CHANNEL_NUMBER = 255, 999
+MOST_CODES = len(LENGTH_OF_CODE)
 US_PER_S, NS_PER_US = 1_000_000, 1_000
 LAST_US = 9_200_000_000_000_000  # since the epoch: nanoseconds must fit 64 bits
-POINT, EQUALS, UNDERSCORE, SLASH = ord("."), ord("="), ord("_"), ord("/")
-LETTER_C, LETTER_D, LETTER_R, LETTER_T, LETTER_X = ord("c"), ord("d"), ord("r"), ord("t"), ord("x")
+POINT, LETTER_D = ord("."), ord("d")
+CANFD_WORD = np.frombuffer(b"canfd", np.uint8)
+ERROR_WORD = np.frombuffer(b"errorframe", np.uint8)
 SAID_REMOTE, SAID_FD = 0x0010, 0x1000  # bits of the flags of a CANFD line
-UNUSUAL, TOO_LONG = -1, -2  # in place of the position behind a line
+FLAGS_PLACE = 2  # of the numbers behind a payload, from 0: duration, length, flags
+
+# Characters that are in no text of either encoding.
+IS_CONTROL: BoolArray = np.isin(np.arange(256), [*range(9), *range(14, 32), 127, 255])
 
 
 @array_kernel
-def parse_usual_lines(
-    text: UInt8Array,
-    clock: Int64Array,
-    t_ns: Int64Array,
-    can_id: UInt32Array,
-    length: UInt8Array,
-    flags: UInt8Array,
-    channel: UInt8Array,
-    data: UInt8Array,
-    report: Int64Array,
-) -> None:
-    """Parse lines from where the report says up to the first that is of another kind."""
-    at, line, row = report[POSITION], report[LINES], report[ROWS]
-    report[STOP] = AT_END
-    is_hexadecimal = clock[BASE] == HEXADECIMAL
+def parse_lines(text: UInt8Array, rows: FrameRows, clock: Int64Array, progress: Int64Array) -> None:
+    """Parse lines from where the progress says up to the first that does not begin with a time."""
+    at, line, row = progress[POSITION], progress[LINES], progress[ROWS]
+    progress[STOP] = AT_END
     while at < len(text):
-        time_us, behind = _time_us(text, skip_blanks(text, at))
-        now_us = clock[NOW_US] + time_us if clock[IS_RELATIVE] else time_us
-        if time_us < 0 or not is_hexadecimal or clock[START_US] + now_us > LAST_US:
-            end = UNUSUAL
-        elif text[behind] | 32 == LETTER_C:
-            end = _fd_frame(text, behind, row, can_id, length, flags, channel, data)
-        else:
-            end = _frame(text, behind, row, can_id, length, flags, channel, data)
-        if end < 0:
-            report[STOP] = WIDEN if end == TOO_LONG else OTHER
+        time_us, event = _time_us(text, skip_blanks(text, at))
+        if time_us < 0:
+            progress[STOP] = OTHER
             break
-        clock[NOW_US] = now_us
-        t_ns[row] = (clock[START_US] + clock[NOW_US]) * NS_PER_US
-        row += 1
+        outcome, behind = _event(text, event, rows, row, clock[BASE])
+        if outcome == TOO_LONG:
+            progress[STOP] = WIDEN
+            break
+        # What is later than the last is no time, and must stay a number.
+        clock[NOW_US] = min(time_us + (clock[NOW_US] if clock[IS_RELATIVE] else 0), LAST_US + 1)
+        if outcome == FRAME:
+            time_us = clock[START_US] + clock[NOW_US]
+            rows.t_ns[row] = time_us * NS_PER_US
+            outcome = FRAME if time_us <= LAST_US else MALFORMED
+        row += outcome == FRAME
         line += 1
-        at = end
-    report[POSITION], report[LINES], report[ROWS] = at, line, row
+        count_line(progress, outcome, line)
+        at = behind
+    progress[POSITION], progress[LINES], progress[ROWS] = at, line, row
 
 
 @array_kernel
 def _time_us(text: UInt8Array, at: int) -> tuple[int, int]:
-    """Read ``seconds.fraction`` and the blanks behind it, rounded to microseconds; -1 if it is none."""
+    """Read ``seconds.fraction`` and the blanks behind it, rounded to microseconds; NONE if no event follows."""
     begin = at
     seconds, at = decimal(text, begin, MAX_SECONDS_DIGITS)
     if at == begin or text[at] != POINT:
-        return -1, at
+        return NONE, at
     begin = at + 1
     fraction_ns, at = decimal_parts(text, begin, US_PER_S * NS_PER_US, MAX_FRACTION_DIGITS)
-    if at == begin or text[at] != BLANK:
-        return -1, at
-    return seconds * US_PER_S + (fraction_ns + NS_PER_US // 2) // NS_PER_US, skip_blanks(text, at)
+    behind = skip_blanks(text, at)
+    if at == begin or text[at] > BLANK or text[behind] == NEWLINE:
+        return NONE, at
+    return seconds * US_PER_S + (fraction_ns + NS_PER_US // 2) // NS_PER_US, behind
+
+
+@inlined_kernel
+def _event(text: UInt8Array, at: int, rows: FrameRows, row: int, base: int) -> tuple[int, int]:
+    """Read what stands behind a time; return the outcome and the position behind the line."""
+    is_fd = text[at] | 32 == CANFD_WORD[0]
+    number, channel_at = fields.decimal_number(text, skip_blanks(text, skip_word(text, at)) if is_fd else at)
+    end = NONE
+    if 0 <= number <= MOST_CHANNEL_NUMBER:
+        rows.channel[row] = min(number, MAX_CHANNEL)
+        end = _fd_frame(text, channel_at, rows, row, base) if is_fd else _frame(text, channel_at, rows, row, base)
+    if end >= 0:
+        return FRAME, end
+    return _other(text, at, rows, row) if end == NONE else (TOO_LONG, at)
 
 
 @array_kernel
-def _frame(
-    text: UInt8Array,
-    at: int,
-    row: int,
-    can_id: UInt32Array,
-    length: UInt8Array,
-    flags: UInt8Array,
-    channel: UInt8Array,
-    data: UInt8Array,
-) -> int:
-    """Read ``1  123x  Rx   d 8 11 22 ...``; return the position behind the line, or UNUSUAL."""
-    number, at = _decimal(text, at)
-    identifier, at = _identifier(text, at)
-    is_sent, at = _direction(text, at)
-    kind = text[at] | 32
-    is_data, is_remote = kind == LETTER_D, kind == LETTER_R
-    if number < 0 or identifier < 0 or not (is_data or is_remote) or text[at + 1] > BLANK:
-        return UNUSUAL
-    at = skip_blanks(text, at + 1)
-    count = HEX_VALUE[text[at]]
-    if count < 0 and not (is_remote and text[at] == NEWLINE):
-        return UNUSUAL
-    at += count >= 0
-    count = min(max(count, 0), PAYLOAD_BYTES)
-    channel[row], length[row], flags[row] = number, count, TX_FLAG * is_sent
-    can_id[row] = identifier | (REMOTE_FLAG if is_remote else 0)
-    at = _payload(text, at, row, 0 if is_remote else count, data)
-    return _end_of_line(text, at) if at >= 0 else UNUSUAL
-
-
-@array_kernel
-def _fd_frame(
-    text: UInt8Array,
-    at: int,
-    row: int,
-    can_id: UInt32Array,
-    length: UInt8Array,
-    flags: UInt8Array,
-    channel: UInt8Array,
-    data: UInt8Array,
-) -> int:
-    """Read ``CANFD 1 Rx 123 [name] 1 0 9 12 11 22 ... duration length flags ...``; as ``_frame``."""
-    number, at = _decimal(text, skip_blanks(text, skip_word(text, at)))
-    is_sent, at = _direction(text, at)
-    identifier, at = _identifier(text, at)
-    if not (48 <= text[at] <= 49 and text[at + 1] <= BLANK):
-        at = skip_blanks(text, skip_word(text, at))
-    is_fast, at = _decimal(text, at)
-    is_passive, at = _decimal(text, at)
-    code = HEX_VALUE[text[at]] if text[at + 1] <= BLANK else UNUSUAL
-    at = skip_blanks(text, skip_word(text, at))
-    count, at = _decimal(text, at)
-    if (
-        min(number, identifier, is_fast, is_passive, code, count) < 0
-        or count > FD_PAYLOAD_BYTES
-        or not IS_LENGTH[count]
-    ):
-        return UNUSUAL
-    if count > data.shape[1]:
-        return TOO_LONG
-    channel[row], length[row], can_id[row] = number, count, identifier
-    at = _payload(text, at - 1, row, count, data)
-    if at < 0:
-        return UNUSUAL
-    at = skip_blanks(text, skip_word(text, skip_blanks(text, at)))  # the duration
-    at = skip_blanks(text, skip_word(text, at))  # the length in bits
-    begin = at
-    said, at = hexadecimal(text, begin, MAX_ID_DIGITS)
-    if at == begin or text[at] > BLANK or said & SAID_REMOTE or is_fast > 1 or is_passive > 1:
-        return UNUSUAL
-    if count != (LENGTH_OF_CODE[code] if said & SAID_FD else min(code, PAYLOAD_BYTES)):
-        return UNUSUAL
-    kind = FD_FLAG | (BRS_FLAG * is_fast) | (ESI_FLAG * is_passive) if said & SAID_FD else 0
-    flags[row] = kind | TX_FLAG * is_sent
-    return skip_line(text, at)
-
-
-@array_kernel
-def _decimal(text: UInt8Array, at: int) -> tuple[int, int]:
-    """Read a number of one or two digits and the blanks behind it; -1 if it is none."""
-    begin = at
-    number, at = decimal(text, begin, 2)
-    return (-1, at) if at == begin or text[at] > BLANK else (number, skip_blanks(text, at))
-
-
-@array_kernel
-def _direction(text: UInt8Array, at: int) -> tuple[bool, int]:
-    """Pass over ``Rx`` or ``Tx`` and the blanks behind it; return whether it is the latter. Stay where neither is."""
-    is_sent = text[at] | 32 == LETTER_T
-    is_one = is_sent or text[at] | 32 == LETTER_R
-    if is_one and text[at + 1] | 32 == LETTER_X and text[at + 2] <= BLANK:
-        return is_sent, skip_blanks(text, at + 2)
-    return False, at
-
-
-@array_kernel
-def _identifier(text: UInt8Array, at: int) -> tuple[int, int]:
-    """Read an identifier and the blanks behind it; -1 if it is none."""
-    begin = at
-    value, at = hexadecimal(text, begin, MAX_ID_DIGITS)
-    is_extended = text[at] | 32 == LETTER_X
-    at += is_extended
-    if at == begin + is_extended or text[at] != BLANK or value > (MAX_EXTENDED_ID if is_extended else MAX_STANDARD_ID):
-        return -1, at
-    return (value | EXTENDED_FLAG if is_extended else value), skip_blanks(text, at)
-
-
-@array_kernel
-def _payload(text: UInt8Array, at: int, row: int, count: int, data: UInt8Array) -> int:
-    """Read bytes of two digits, each behind blanks; return the position behind them, -1 if there are fewer."""
-    for index in range(count):
-        if text[at] != BLANK:
-            return -1
-        at = skip_blanks(text, at)
-        high = HEX_VALUE[text[at]]
-        low = HEX_VALUE[text[at + 1]] if high >= 0 else -1
-        if low < 0:
-            return -1
-        data[row, index] = high * 16 + low
-        at += 2
-    for index in range(count, data.shape[1]):
-        data[row, index] = 0
-    return at if text[at] <= BLANK else -1
-
-
-@array_kernel
-def _end_of_line(text: UInt8Array, at: int) -> int:
-    """Pass over ``name = anything`` or a comment, if it is there; return the position behind the line, or UNUSUAL."""
-    at = skip_blanks(text, at)
-    if text[at] == NEWLINE:
-        return at + 1
-    if text[at] == SLASH and text[at + 1] == SLASH:
-        return skip_line(text, at)
-    begin = at
-    while 48 <= text[at] <= 57 or 97 <= (text[at] | 32) <= 122 or text[at] == UNDERSCORE:
+def _other(text: UInt8Array, at: int, rows: FrameRows, row: int) -> tuple[int, int]:
+    """Read an event that is no frame with a payload; return the outcome and the position behind the line."""
+    begin, is_fd, outcome = at, fields.is_word(text, at, CANFD_WORD), SKIPPED
+    number, at = fields.decimal_number(text, skip_blanks(text, at + len(CANFD_WORD)) if is_fd else at)
+    direction, behind = fields.direction(text, at)
+    if 0 <= number <= MOST_CHANNEL_NUMBER and fields.is_word(text, behind, ERROR_WORD):
+        rows.can_id[row], rows.length[row], rows.flags[row] = ERROR_FLAG, 0, TX_FLAG * (direction > 0)
+        rows.data[row, :] = 0
+        return FRAME, skip_line(text, behind)
+    if not is_fd:
+        direction, _ = fields.direction(text, skip_blanks(text, skip_word(text, at)))
+    if number >= 0 and direction >= 0:  # it looks like a frame
+        outcome = MALFORMED
+    at = begin
+    while text[at] != NEWLINE:
+        if IS_CONTROL[text[at]]:
+            outcome = MALFORMED
         at += 1
-    if at == begin or text[skip_blanks(text, at)] != EQUALS:
-        return UNUSUAL
-    return skip_line(text, at)
+    return outcome, at + 1
+
+
+@inlined_kernel
+def _frame(text: UInt8Array, at: int, rows: FrameRows, row: int, base: int) -> int:
+    """Read ``123x  Rx   d 8 11 22 ...``; return the position behind the line, or NONE."""
+    identifier, at = fields.identifier(text, at, base)
+    direction, at = fields.direction(text, at)
+    kind = text[at] | 32
+    is_remote = kind == LETTER_R
+    if min(identifier, direction) < 0 or not (kind == LETTER_D or is_remote) or text[at + 1] > BLANK:
+        return NONE
+    code, at = fields.number(text, skip_blanks(text, at + 1), base, 2)
+    if code >= MOST_CODES or (code < 0 and not is_remote):
+        return NONE
+    count = min(max(code, 0), PAYLOAD_BYTES)
+    rows.length[row], rows.flags[row] = count, TX_FLAG * direction
+    rows.can_id[row] = identifier | (REMOTE_FLAG if is_remote else 0)
+    at = fields.payload(text, at, rows.data, row, 0 if is_remote else count, base, 0)
+    while is_remote and code >= 0:  # bytes that some write, though there are none
+        value, behind = fields.number(text, skip_blanks(text, at), HEXADECIMAL, fields.BYTE_DIGITS)
+        if value < 0:
+            break
+        at = behind
+    return fields.end_of_line(text, at) if at >= 0 else NONE
+
+
+@array_kernel
+def _fd_frame(text: UInt8Array, at: int, rows: FrameRows, row: int, base: int) -> int:
+    """Read ``Rx 123 [name] 1 0 9 12 11 22 ... duration length flags ...``; as ``_frame``, or what is below NONE."""
+    direction, at = fields.direction(text, at)
+    identifier, at = fields.identifier(text, at, base)
+    if not 48 <= text[at] <= 57:
+        at = skip_blanks(text, skip_word(text, at))
+    is_fast, at = fields.decimal_number(text, at)
+    is_passive, at = fields.decimal_number(text, at)
+    code, at = fields.number(text, at, base, 2)
+    count, behind = fields.number(text, skip_blanks(text, at), DECIMAL, 3)
+    is_stated = min(direction, identifier, is_fast, is_passive, code, count) >= 0
+    if not is_stated or max(is_fast, is_passive) > 1 or code >= MOST_CODES:
+        return NONE
+    if count > rows.data.shape[1]:
+        return NONE if count > FD_PAYLOAD_BYTES else NONE - 1
+    behind = fields.payload(text, behind, rows.data, row, count, base, 1)
+    said, end = _said_flags(text, behind) if behind >= 0 else (NONE, NONE)
+    is_fd, is_remote = said & SAID_FD != 0, said & SAID_REMOTE != 0
+    length = LENGTH_OF_CODE[code] if is_fd else min(code, PAYLOAD_BYTES)
+    if end < 0 or (is_remote and is_fd) or (count != length and not (is_remote and count == 0)):
+        return NONE
+    if is_remote:
+        rows.data[row, :] = 0
+    rows.length[row], rows.can_id[row] = length, identifier | (REMOTE_FLAG if is_remote else 0)
+    kind = FD_FLAG | (BRS_FLAG * is_fast) | (ESI_FLAG * is_passive) if is_fd else 0
+    rows.flags[row] = kind | TX_FLAG * direction
+    return end
+
+
+@array_kernel
+def _said_flags(text: UInt8Array, at: int) -> tuple[int, int]:
+    """Read the flags among the numbers behind a payload; return them and the position behind the line, or NONE.
+
+    A line without flags speaks of CAN FD.
+    """
+    for place in range(FLAGS_PLACE + 1):
+        begin = skip_blanks(text, at)
+        if text[begin] == NEWLINE or (text[begin] == SLASH and text[begin + 1] == SLASH):
+            return SAID_FD, skip_line(text, begin)
+        value, at = 0, begin
+        while HEX_VALUE[text[at]] >= 0:
+            value = value << 4 | HEX_VALUE[text[at]]
+            at += 1
+        if at == begin or (text[at] > BLANK and text[at] != SLASH):
+            return NONE, NONE
+        if place == FLAGS_PLACE:
+            return value, skip_line(text, at)
+    return NONE, NONE

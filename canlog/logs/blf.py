@@ -16,7 +16,7 @@ from canlog.errors import SourceError
 from canlog.frames import FrameBatch
 from canlog.logs.blf_objects import LONGEST_PADDING, OBJECT_HEADER, OBJECT_MAGIC, ObjectStream
 from canlog.logs.inflating import sound_contents
-from canlog.logs.tally import LogReject, Tally
+from canlog.logs.log_counts import LogCounts, LogReject
 
 MAGIC = b"LOGG"
 FILE_HEADER = struct.Struct("<4sL8BQQLL8H8H")
@@ -34,7 +34,7 @@ US_PER_S = 1_000_000
 LAST_START_S = 9_000_000_000  # the year 2255: nanoseconds must fit 64 bits
 
 
-def read_blf(stream: BinaryIO, tally: Tally) -> Iterator[FrameBatch]:
+def read_blf(stream: BinaryIO, counts: LogCounts) -> Iterator[FrameBatch]:
     """Yield the frames of a BLF file, one batch for several containers.
 
     Raises
@@ -50,9 +50,9 @@ def read_blf(stream: BinaryIO, tally: Tally) -> Iterator[FrameBatch]:
     size_bytes = stream.seek(0, os.SEEK_END)
     # A writer that was killed left the size of an empty file; one that was cut is shorter than it says.
     stated_bytes = int(fields[FILE_SIZE_FIELD])
-    tally.truncated = size_bytes < stated_bytes or stated_bytes <= header_bytes < size_bytes
-    objects = ObjectStream(start_us(fields[START_FIELDS]), tally, FRAMES_PER_BATCH + FRAMES_PER_CONTAINER)
-    for data, is_whole in containers(stream, header_bytes, size_bytes, tally):
+    counts.truncated = size_bytes < stated_bytes or stated_bytes <= header_bytes < size_bytes
+    objects = ObjectStream(start_us(fields[START_FIELDS]), counts, FRAMES_PER_BATCH + FRAMES_PER_CONTAINER)
+    for data, is_whole in containers(stream, header_bytes, size_bytes, counts):
         objects.feed(data)
         if not is_whole:
             objects.lose_track()
@@ -75,23 +75,22 @@ def start_us(systemtime: tuple[int, ...]) -> int:
 
 
 def containers(
-    stream: BinaryIO, position: int, size_bytes: int, tally: Tally
+    stream: BinaryIO, position: int, size_bytes: int, counts: LogCounts
 ) -> Iterator[tuple[bytes | bytearray, bool]]:
     """Yield the inflated contents of each container and whether nothing of it is missing.
 
     Objects outside containers are passed on as they are.
     """
     is_lost = False
-    while (position := next_object(stream, position, size_bytes, None if is_lost else tally)) < size_bytes:
+    while (position := next_object(stream, position, size_bytes, None if is_lost else counts)) < size_bytes:
         stream.seek(position)
         header = stream.read(OBJECT_HEADER.size)
         if len(header) < OBJECT_HEADER.size:
-            tally.truncated = True
-            tally.reject(LogReject.CUT_OFF, f"byte {position}")
+            counts.cut_off(f"byte {position}")
             return
         _, header_bytes, _, object_bytes, object_type = OBJECT_HEADER.unpack(header)
         if not OBJECT_HEADER.size <= object_bytes <= MAX_CONTAINER_BYTES:
-            tally.reject(LogReject.DAMAGED, f"byte {position}")
+            counts.reject(LogReject.DAMAGED, f"byte {position}")
             position, is_lost = position + len(OBJECT_MAGIC), True
             continue
         body = stream.read(object_bytes - OBJECT_HEADER.size)
@@ -104,18 +103,17 @@ def containers(
         else:
             contents = Contents(header + body, is_sound=True, used_bytes=len(body))
         if not is_whole:
-            tally.truncated = True
-            tally.reject(LogReject.CUT_OFF, f"byte {position}")
+            counts.cut_off(f"byte {position}")
         elif not (contents.is_sound and is_sound):
-            tally.reject(LogReject.DAMAGED, f"byte {position}")
+            counts.reject(LogReject.DAMAGED, f"byte {position}")
         # Nor is the size of a damaged container to be trusted: look for the next one inside it.
         is_lost = not (is_whole and contents.is_sound)
         yield contents.data, not is_lost
         position += len(header) + contents.used_bytes if is_lost else object_bytes
 
 
-def next_object(stream: BinaryIO, position: int, size_bytes: int, tally: Tally | None) -> int:
-    """Return where the next object begins, ``size_bytes`` if there is none; tally what had to be stepped over."""
+def next_object(stream: BinaryIO, position: int, size_bytes: int, counts: LogCounts | None) -> int:
+    """Return where the next object begins, ``size_bytes`` if there is none; counts what had to be stepped over."""
     start = position
     stream.seek(position)
     nearby = stream.read(LONGEST_PADDING + len(OBJECT_MAGIC))
@@ -126,14 +124,14 @@ def next_object(stream: BinaryIO, position: int, size_bytes: int, tally: Tally |
         block = stream.read(SEARCH_BYTES)
         found = block.find(OBJECT_MAGIC)
         if found >= 0:
-            if tally is not None and position + found - start > LONGEST_PADDING:
-                tally.reject(LogReject.DAMAGED, f"byte {start}")
+            if counts is not None and position + found - start > LONGEST_PADDING:
+                counts.reject(LogReject.DAMAGED, f"byte {start}")
             return position + found
         if len(block) <= len(OBJECT_MAGIC):  # the end, perhaps earlier than it was
             break
         position += len(block) - len(OBJECT_MAGIC) + 1
-    if tally is not None and size_bytes - start > LONGEST_PADDING:
-        tally.reject(LogReject.DAMAGED, f"byte {start}")
+    if counts is not None and size_bytes - start > LONGEST_PADDING:
+        counts.reject(LogReject.DAMAGED, f"byte {start}")
     return size_bytes
 
 

@@ -2,11 +2,12 @@
 
 import numpy as np
 
-from canlog.arrays import Int64Array, UInt8Array, UInt32Array
+from canlog.arrays import Int64Array, UInt8Array
 from canlog.frames import BRS_FLAG, ERROR_FLAG, ESI_FLAG, EXTENDED_FLAG, FD_FLAG, PAYLOAD_BYTES, REMOTE_FLAG, TX_FLAG
 from canlog.jit import array_kernel, inlined_kernel
+from canlog.logs.frame_buffer import FrameRows
 from canlog.logs.text_kernels import LENGTH_OF_CODE
-from canlog.logs.word_kernels import UInt64Array, half, lower, word
+from canlog.logs.word_kernels import half, lower, word
 
 # What has been done, and how it goes on.
 POSITION, ROWS, OBJECTS, IS_LOST, SKIPPED, DAMAGED, FIRST_DAMAGED, IS_TOO_WIDE, REPORT_FIELDS = range(9)
@@ -33,19 +34,7 @@ FIRST_BYTES = np.array([256**count - 1 for count in range(PAYLOAD_BYTES + 1)], n
 
 
 @array_kernel
-def parse_objects(
-    raw: UInt8Array,
-    layouts: Int64Array,
-    start_ns: int,
-    t_ns: Int64Array,
-    can_id: UInt32Array,
-    length: UInt8Array,
-    flags: UInt8Array,
-    channel: UInt8Array,
-    data: UInt8Array,
-    data_words: UInt64Array,
-    report: Int64Array,
-) -> None:
+def parse_objects(raw: UInt8Array, layouts: Int64Array, start_ns: int, rows: FrameRows, report: Int64Array) -> None:
     """Go through the objects of a buffer, up to the first that it does not hold whole.
 
     ``layouts`` has a row per kind of object, with DATA < 0 where a kind holds no frame.
@@ -53,7 +42,7 @@ def parse_objects(
     at, row, objects = report[POSITION], report[ROWS], report[OBJECTS]
     report[IS_TOO_WIDE] = 0
     while True:
-        while _usual_message(raw, at, row, start_ns, t_ns, can_id, length, flags, channel, data_words):
+        while _usual_message(raw, at, rows, row, start_ns):
             at += USUAL_BYTES
             row += 1
             objects += 1
@@ -68,9 +57,7 @@ def parse_objects(
         elif layouts[kind, DATA] < 0:
             report[SKIPPED] += 1
         else:
-            outcome = _frame(
-                raw, at, size, layouts[kind], row, start_ns, t_ns, can_id, length, flags, channel, data, data_words
-            )
+            outcome = _frame(raw, at, size, layouts[kind], rows, row, start_ns)
             if outcome == TOO_WIDE:
                 report[IS_TOO_WIDE] = 1
                 break
@@ -91,18 +78,7 @@ REMOTE_BIT, SENT_BIT = 0x80, 0x01
 
 
 @inlined_kernel
-def _usual_message(
-    raw: UInt8Array,
-    at: int,
-    row: int,
-    start_ns: int,
-    t_ns: Int64Array,
-    can_id: UInt32Array,
-    length: UInt8Array,
-    flags: UInt8Array,
-    channel: UInt8Array,
-    data_words: UInt64Array,
-) -> bool:
+def _usual_message(raw: UInt8Array, at: int, rows: FrameRows, row: int, start_ns: int) -> bool:
     """Write the frame of an object of the usual kind into a row; return whether there is one."""
     if at + USUAL_BYTES > raw.size:
         return False
@@ -119,11 +95,11 @@ def _usual_message(
     said = raw[np.uint64(at + USUAL_FLAGS)]
     if said & REMOTE_BIT:
         return False
-    t_ns[row], can_id[row], length[row], flags[row] = time_ns, identifier, count, TX_FLAG * (said & SENT_BIT)
-    channel[row] = min(half(raw, at + USUAL_CHANNEL), 255)
-    data_words[row, 0] = word(raw, at + USUAL_DATA) & FIRST_BYTES[count]
-    for index in range(1, data_words.shape[1]):
-        data_words[row, index] = 0
+    rows.t_ns[row], rows.can_id[row], rows.length[row] = time_ns, identifier, count
+    rows.flags[row], rows.channel[row] = TX_FLAG * (said & SENT_BIT), min(half(raw, at + USUAL_CHANNEL), 255)
+    rows.words[row, 0] = word(raw, at + USUAL_DATA) & FIRST_BYTES[count]
+    for index in range(1, rows.words.shape[1]):
+        rows.words[row, index] = 0
     return True
 
 
@@ -165,21 +141,7 @@ def _next_object(raw: UInt8Array, at: int) -> int:
 
 
 @inlined_kernel
-def _frame(
-    raw: UInt8Array,
-    at: int,
-    size: int,
-    layout: Int64Array,
-    row: int,
-    start_ns: int,
-    t_ns: Int64Array,
-    can_id: UInt32Array,
-    length: UInt8Array,
-    flags: UInt8Array,
-    channel: UInt8Array,
-    data: UInt8Array,
-    data_words: UInt64Array,
-) -> int:
+def _frame(raw: UInt8Array, at: int, size: int, layout: Int64Array, rows: FrameRows, row: int, start_ns: int) -> int:
     """Write the frame of an object into a row; return TAKEN, or why it could not be."""
     header = half(raw, at + HEADER_SIZE_OFFSET)
     if header < STAMPED_HEADER_BYTES or header > LONGEST_HEADER_BYTES or size < header + layout[DATA]:
@@ -188,11 +150,11 @@ def _frame(
     if time_ns < 0:
         return BROKEN
     body = at + header
-    t_ns[row] = time_ns
-    channel[row] = min(half(raw, body), 255) if layout[CHANNEL_BYTES] == 2 else raw[body]
+    rows.t_ns[row] = time_ns
+    rows.channel[row] = min(half(raw, body), 255) if layout[CHANNEL_BYTES] == 2 else raw[body]
     if layout[IS_ERROR]:
-        can_id[row], length[row], flags[row] = ERROR_FLAG, 0, 0
-        data[row, :] = 0
+        rows.can_id[row], rows.length[row], rows.flags[row] = ERROR_FLAG, 0, 0
+        rows.data[row, :] = 0
         return TAKEN
     identifier = lower(raw, body + CAN_ID_OFFSET)
     limit = MAX_EXTENDED_ID | EXTENDED_FLAG if identifier & EXTENDED_FLAG else MAX_STANDARD_ID
@@ -203,31 +165,30 @@ def _frame(
     is_fd = said & layout[FD_MASK] != 0
     count = LENGTH_OF_CODE[raw[body + layout[LENGTH]] & 15]
     count = count if is_fd else min(count, PAYLOAD_BYTES)
-    if count > data.shape[1]:
+    if count > rows.data.shape[1]:
         return TOO_WIDE
-    can_id[row] = identifier | (REMOTE_FLAG if is_remote else 0)
-    length[row] = count
-    flags[row] = TX_FLAG * (raw[body + layout[SENT]] & SENT_BIT)
+    rows.can_id[row] = identifier | (REMOTE_FLAG if is_remote else 0)
+    rows.length[row] = count
+    rows.flags[row] = TX_FLAG * (raw[body + layout[SENT]] & SENT_BIT)
     if is_fd:
         is_fast, is_passive = said & layout[BRS_MASK] != 0, said & layout[ESI_MASK] != 0
-        flags[row] |= FD_FLAG | (BRS_FLAG if is_fast else 0) | (ESI_FLAG if is_passive else 0)
+        rows.flags[row] |= FD_FLAG | (BRS_FLAG if is_fast else 0) | (ESI_FLAG if is_passive else 0)
     end = raw[body + layout[EXTENSION]] if layout[EXTENSION] >= 0 else 0
     stored = 0 if is_remote else (min(end, size) if end else size) - header - layout[DATA]
-    _copy(raw, body + layout[DATA], max(min(stored, count), 0), row, data, data_words)
+    _copy(raw, body + layout[DATA], max(min(stored, count), 0), rows, row)
     return TAKEN
 
 
 @inlined_kernel
-def _copy(raw: UInt8Array, at: int, count: int, row: int, data: UInt8Array, data_words: UInt64Array) -> None:
+def _copy(raw: UInt8Array, at: int, count: int, rows: FrameRows, row: int) -> None:
     """Copy a payload into a row that is zero behind it."""
-    for index in range(1, data_words.shape[1]):
-        data_words[row, index] = 0
+    for index in range(rows.words.shape[1]):
+        rows.words[row, index] = 0
     if count <= PAYLOAD_BYTES and at + PAYLOAD_BYTES <= raw.size:  # nearly all there are
-        data_words[row, 0] = word(raw, at) & FIRST_BYTES[count]
+        rows.words[row, 0] = word(raw, at) & FIRST_BYTES[count]
         return
-    data_words[row, 0] = 0
     for index in range(count):
-        data[row, index] = raw[at + index]
+        rows.data[row, index] = raw[at + index]
 
 
 @inlined_kernel

@@ -7,7 +7,6 @@ import numpy as np
 
 from canlog.arrays import Int64Array, UInt8Array
 from canlog.frames import FrameBatch
-from canlog.logs.arena import Arena
 from canlog.logs.blf_kernel import (
     DAMAGED,
     FIRST_DAMAGED,
@@ -24,7 +23,8 @@ from canlog.logs.blf_kernel import (
     STAMPED_HEADER_BYTES,
     parse_objects,
 )
-from canlog.logs.tally import LogReject, Tally
+from canlog.logs.frame_buffer import FrameBuffer
+from canlog.logs.log_counts import LogCounts, LogReject
 
 OBJECT_MAGIC = MAGIC_WORD.to_bytes(4, "little")
 OBJECT_HEADER = struct.Struct("<4sHHLL")  # magic, header size, header version, object size, object type
@@ -80,16 +80,16 @@ class ObjectStream:
     ----------
     start_us : int
         Start of measurement since the epoch.
-    tally : Tally
+    counts : LogCounts
         Takes the counts.
     rows : int
         How many frames are added, as a rule, before they are taken; more find room, too.
     """
 
-    def __init__(self, start_us: int, tally: Tally, rows: int) -> None:
+    def __init__(self, start_us: int, counts: LogCounts, rows: int) -> None:
         self._start_ns = start_us * NS_PER_US
-        self._tally = tally
-        self._arena = Arena.of(rows)
+        self._counts = counts
+        self._frames = FrameBuffer(rows)
         self._buffer = np.empty(0, np.uint8)
         self._tail = np.empty(0, np.uint8)  # the beginning of an object that the next container continues
         self._number = 0  # objects seen, for messages
@@ -104,30 +104,26 @@ class ObjectStream:
         raw = self._joined(data)
         report = np.zeros(REPORT_FIELDS, np.int64)
         report[IS_LOST], report[OBJECTS], report[ROWS] = self._is_lost, self._number, self._rows
-        arena = self._arena
-        arena.reserve(self._rows + len(raw) // STAMPED_HEADER_BYTES + 1, self._rows)
+        self._frames.reserve(self._rows + len(raw) // STAMPED_HEADER_BYTES + 1, self._rows)
         while True:
-            parse_objects(
-                raw, LAYOUT_TABLE, self._start_ns, arena.t_ns, arena.can_id, arena.length, arena.flags, arena.channel,
-                arena.data, arena.data_words, report,
-            )  # fmt: skip
+            parse_objects(raw, LAYOUT_TABLE, self._start_ns, self._frames.rows, report)
             if not report[IS_TOO_WIDE]:
                 break
-            arena.widen(int(report[ROWS]))
+            self._frames.widen(int(report[ROWS]))
         self._tail = raw[report[POSITION] :].copy()
         if not self._tail.any():
             self._tail = self._tail[:0]
         self._rows = int(report[ROWS])
         self._is_lost = bool(report[IS_LOST])
         self._number = int(report[OBJECTS])
-        self._tally.skipped += int(report[SKIPPED])
+        self._counts.skipped += int(report[SKIPPED])
         if report[DAMAGED]:
-            self._tally.reject(LogReject.DAMAGED, f"object {report[FIRST_DAMAGED]}", int(report[DAMAGED]))
+            self._counts.reject(LogReject.DAMAGED, f"object {report[FIRST_DAMAGED]}", int(report[DAMAGED]))
 
     def take(self) -> FrameBatch:
         """Return the frames added since the last time."""
-        batch = self._arena.handed_over(self._rows)
-        self._tally.frames += self._rows
+        batch = self._frames.handed_over(self._rows)
+        self._counts.frames += self._rows
         self._rows = 0
         return batch
 
@@ -150,5 +146,4 @@ class ObjectStream:
     def finish(self) -> None:
         """Count an object that the file does not complete."""
         if len(self._tail):
-            self._tally.truncated = True
-            self._tally.reject(LogReject.CUT_OFF, f"object {self._number + 1}")
+            self._counts.cut_off(f"object {self._number + 1}")

@@ -2,157 +2,195 @@
 
 import numpy as np
 
-from canlog.arrays import Int64Array, UInt8Array, UInt32Array
+from canlog.arrays import Int64Array, UInt8Array
 from canlog.frames import EXTENDED_FLAG, FD_FLAG, FD_PAYLOAD_BYTES, PAYLOAD_BYTES, REMOTE_FLAG, TX_FLAG
-from canlog.jit import array_kernel
-from canlog.logs.candump_usual import (
-    CLOSE,
-    ERROR_OR_ABOVE,
-    EXTENDED_DIGITS,
-    HASH,
-    LONGEST_USUAL_BYTES,
-    NS_PER_S,
-    NS_PER_US,
-    OPEN,
-    POINT,
-    STANDARD_DIGITS,
-    usual_line,
-)
+from canlog.jit import array_kernel, inlined_kernel
 from canlog.logs.channels import NameWords
+from canlog.logs.frame_buffer import FrameRows
 from canlog.logs.text_kernels import (
     AT_END,
     BLANK,
+    DECIMAL_PAIR,
     FRAME,
     HEX_VALUE,
     IS_LENGTH,
     LINES,
     MALFORMED,
-    NEW_CHANNEL,
     NEWLINE,
     POSITION,
+    RETURN,
     ROWS,
     SKIPPED,
     STOP,
+    TOO_LONG,
     WIDEN,
-    count_lines,
+    count_line,
     decimal,
     decimal_parts,
     hex_bytes,
     hexadecimal,
     skip_blanks,
     skip_line,
+    skip_word,
 )
-from canlog.logs.word_kernels import UInt64Array
+from canlog.logs.word_kernels import NO_DIGITS, decimal_digits, hex_digits, reversed_bytes, word
 
+NEW_CHANNEL = 4  # the last of the outcomes of a line, and of the reasons to stop: its channel has no number yet
+
+STANDARD_DIGITS, EXTENDED_DIGITS = 3, 8
+HIGHEST_STANDARD_DIGIT = 7
 MAX_STANDARD_ID, MAX_ID = 0x7FF, 0x3FFF_FFFF
-MAX_SECONDS_DIGITS = 10
-NS_DIGITS = 9
+ERROR_OR_ABOVE = 0x2000_0000  # written with eight digits, yet not an extended identifier
+MAX_SECONDS_DIGITS, NS_DIGITS = 10, 9
+NS_PER_S, NS_PER_US = 1_000_000_000, 1_000
 FD_DIGIT_BITS = 0x03  # of the digit behind "##": bit rate switch and error state, as in ``flags``
-
-WIDEN_FIRST = 3  # beside the outcomes: a frame that does not fit into the arena
 NAME_SEED, NAME_FACTOR = -3750763034362895579, 1099511628211  # FNV-1a, 64 bits
 
-UNDERSCORE = 95
+UNUSUAL = -1  # in place of the position behind a line
+USUAL_TIME_BYTES = 20  # "(1767225600.000000) "
+LONGEST_USUAL_BYTES = 64  # of a line with a name of seven characters and eight bytes, and the word behind it
+
+# Characters of the grammar.
+OPEN, CLOSE, POINT, HASH, UNDERSCORE = ord("("), ord(")"), ord("."), ord("#"), ord("_")
+LETTER_R, LETTER_T, SMALL_R = ord("R"), ord("T"), ord("r")
+LAST_DIGITS = np.uint64(8)  # bits by which the fraction moves up in its word, behind two zeros
+TWO_ZEROS, NOT_TWO = np.uint64(0x3030), np.uint64(0xFFFF_FFFF_FFFF_0000)
 
 
 @array_kernel
-def parse_lines(
-    text: UInt8Array,
-    t_ns: Int64Array,
-    can_id: UInt32Array,
-    length: UInt8Array,
-    flags: UInt8Array,
-    channel: UInt8Array,
-    data: UInt8Array,
-    data_words: UInt64Array,
-    names: NameWords,
-    known: int,
-    report: Int64Array,
-    outcomes: Int64Array,
-    first: Int64Array,
-) -> None:
-    """Parse lines from where the report says; stop where the caller has to do something, else at the end.
-
-    ``data_words`` are the payloads of ``data`` as words of eight bytes.
-    """
-    at, line, row, index = report[POSITION], report[LINES], report[ROWS], 0
-    report[STOP] = AT_END
+def parse_lines(text: UInt8Array, rows: FrameRows, names: NameWords, known: int, progress: Int64Array) -> None:
+    """Parse lines from where the progress says; ``known`` channels have a number."""
+    at, line, row, index = progress[POSITION], progress[LINES], progress[ROWS], 0
+    progress[STOP] = AT_END
     while at < len(text):
         if at + LONGEST_USUAL_BYTES <= len(text) and known > 0:
-            index, behind = usual_line(
-                text, at, row, t_ns, can_id, length, flags, channel, data, data_words, names, index, known
-            )
+            index, behind = _usual_line(text, at, rows, row, names, index, known)
             if behind >= 0:
                 row += 1
                 line += 1
                 at = behind
                 continue
-        outcome, end, name = _parse_line(text, at, row, t_ns, can_id, length, flags, data)
-        if outcome == WIDEN_FIRST:
-            report[STOP] = WIDEN
+        outcome, behind = _parse_line(text, at, rows, row, names, known)
+        if outcome >= TOO_LONG:
+            progress[STOP] = WIDEN if outcome == TOO_LONG else NEW_CHANNEL
             break
-        if outcome == FRAME:
-            number = _channel_number(name, names, known)
-            if number < 0:
-                report[STOP] = NEW_CHANNEL
-                break
-            channel[row] = number
-            row += 1
+        row += outcome == FRAME
         line += 1
-        count_lines(outcomes, first, outcome, line)
-        at = end
-    report[POSITION], report[LINES], report[ROWS] = at, line, row
+        count_line(progress, outcome, line)
+        at = behind
+    progress[POSITION], progress[LINES], progress[ROWS] = at, line, row
+
+
+@inlined_kernel
+def _usual_line(
+    text: UInt8Array, at: int, rows: FrameRows, row: int, names: NameWords, index: int, known: int
+) -> tuple[int, int]:
+    """Parse ``(1767225600.000000) vcan0 0A0#11223344`` into a row; return the channel's place and the position behind.
+
+    The position is UNUSUAL if anything stands elsewhere. ``index`` is the channel to try first.
+    """
+    time_ns = _usual_time_ns(text, at)
+    name = word(text, at + USUAL_TIME_BYTES)
+    if (name ^ names.words[index]) & names.masks[index]:
+        index = _place_of_name(name, names, known)
+    if time_ns < 0 or index < 0:
+        return 0, UNUSUAL
+    identifier, behind = _usual_id(text, at + USUAL_TIME_BYTES + names.bytes[index])
+    if behind >= 0:
+        behind = _usual_payload(text, behind, rows, row)
+    rows.t_ns[row], rows.can_id[row], rows.flags[row], rows.channel[row] = time_ns, identifier, 0, names.numbers[index]
+    return index, behind
+
+
+@inlined_kernel
+def _usual_time_ns(text: UInt8Array, at: int) -> int:
+    """Read ``(1767225600.000000)`` and a blank; negative if it is anything else, or more than 64 bits hold."""
+    fraction = word(text, at + 11)
+    pair = DECIMAL_PAIR[text[at + 9], text[at + 10]]
+    seconds = decimal_digits(word(text, at + 1))
+    micros = decimal_digits((fraction << LAST_DIGITS) & NOT_TWO | TWO_ZEROS)
+    if text[at] != OPEN or text[at + 11] != POINT or text[at + 18] != CLOSE or text[at + 19] != BLANK:
+        return UNUSUAL
+    if seconds | pair | micros < 0:
+        return UNUSUAL
+    return int((seconds * 100 + pair) * NS_PER_S + micros * NS_PER_US)
+
+
+@inlined_kernel
+def _place_of_name(name: np.uint64, names: NameWords, known: int) -> int:
+    """Return the place of a channel among those that are known, -1 if it is not among them."""
+    for index in range(known):
+        if (name ^ names.words[index]) & names.masks[index] == 0:
+            return index
+    return -1
+
+
+@inlined_kernel
+def _usual_id(text: UInt8Array, at: int) -> tuple[int, int]:
+    """Read ``0A0#`` or ``18FEF100#``; return the identifier and the position behind it, or UNUSUAL."""
+    if text[at + STANDARD_DIGITS] == HASH:
+        high, middle, low = HEX_VALUE[text[at]], HEX_VALUE[text[at + 1]], HEX_VALUE[text[at + 2]]
+        is_usual = 0 <= high <= HIGHEST_STANDARD_DIGIT and middle | low >= 0
+        return high << 8 | middle << 4 | low, at + STANDARD_DIGITS + 1 if is_usual else UNUSUAL
+    digits = hex_digits(word(text, at)) if text[at + EXTENDED_DIGITS] == HASH else NO_DIGITS
+    identifier = reversed_bytes(digits)
+    is_usual = digits >= 0 and identifier < ERROR_OR_ABOVE
+    return identifier | EXTENDED_FLAG, at + EXTENDED_DIGITS + 1 if is_usual else UNUSUAL
+
+
+@inlined_kernel
+def _usual_payload(text: UInt8Array, at: int, rows: FrameRows, row: int) -> int:
+    """Read up to eight bytes and the end of the line; return the position behind it, or UNUSUAL."""
+    low, high = hex_digits(word(text, at)), hex_digits(word(text, at + 8))
+    for index in range(1, rows.words.shape[1]):
+        rows.words[row, index] = 0
+    if low | high >= 0:
+        at += 2 * PAYLOAD_BYTES
+        rows.length[row] = PAYLOAD_BYTES
+        rows.words[row, 0] = low | high << 32
+    else:
+        rows.words[row, 0] = 0
+        rows.length[row], at = hex_bytes(text, at, row, rows.data, PAYLOAD_BYTES, POINT)
+    at += text[at] == RETURN
+    return at + 1 if text[at] == NEWLINE else UNUSUAL
 
 
 @array_kernel
-def _parse_line(
-    text: UInt8Array,
-    at: int,
-    row: int,
-    t_ns: Int64Array,
-    can_id: UInt32Array,
-    length: UInt8Array,
-    flags: UInt8Array,
-    data: UInt8Array,
-) -> tuple[int, int, int]:
-    """Parse one line into one row; return outcome, position behind the line and a number for the channel's name."""
+def _parse_line(text: UInt8Array, at: int, rows: FrameRows, row: int, names: NameWords, known: int) -> tuple[int, int]:
+    """Parse one line into one row; return the outcome and the position behind the line."""
     at = skip_blanks(text, at)
     if text[at] == NEWLINE:
-        return SKIPPED, at + 1, 0
-    time, at = _parse_time(text, at)
-    if time < 0:
-        return MALFORMED, skip_line(text, at), 0
-    at = skip_blanks(text, at)
+        return SKIPPED, at + 1
+    rows.t_ns[row], at = _parse_time(text, at)
+    name_at = skip_blanks(text, at)
+    identifier, at = _parse_id(text, skip_blanks(text, skip_word(text, name_at)))
+    if rows.t_ns[row] < 0 or identifier < 0:
+        return MALFORMED, skip_line(text, at)
+    rows.can_id[row], rows.flags[row] = identifier, 0
+    if text[at] == HASH:
+        if rows.data.shape[1] < FD_PAYLOAD_BYTES:
+            return TOO_LONG, at
+        at = _parse_fd_payload(text, at + 1, rows, row)
+    elif text[at] == LETTER_R or text[at] == SMALL_R:
+        at = _parse_remote(text, at + 1, rows, row)
+    else:
+        rows.length[row], at = _payload(text, at, rows.data, row, PAYLOAD_BYTES)
+    if at >= 0:
+        at = _parse_tail(text, at, rows, row)
+    if at < 0:
+        return MALFORMED, skip_line(text, -at)
+    number = _channel_number(text, name_at, names, known)
+    rows.channel[row] = max(number, 0)
+    return (FRAME if number >= 0 else NEW_CHANNEL), at
+
+
+@array_kernel
+def _channel_number(text: UInt8Array, at: int, names: NameWords, known: int) -> int:
+    """Return the number of the channel whose name stands here, -1 if it is new."""
     name = NAME_SEED
-    begin = at
     while text[at] > BLANK:
         name = (name ^ text[at]) * NAME_FACTOR
         at += 1
-    identifier, at = _parse_id(text, skip_blanks(text, at))
-    if identifier < 0 or begin == at:
-        return MALFORMED, skip_line(text, at), 0
-    t_ns[row] = time
-    can_id[row] = identifier
-    flags[row] = 0
-    if text[at] == HASH:
-        if data.shape[1] < FD_PAYLOAD_BYTES:
-            return WIDEN_FIRST, at, 0
-        at = _parse_fd_payload(text, at + 1, row, length, flags, data)
-    elif text[at] == 82 or text[at] == 114:  # R or r
-        at = _parse_remote(text, at + 1, row, can_id, length, data)
-    else:
-        count, at = _payload(text, at, row, data, PAYLOAD_BYTES)
-        length[row] = count
-    if at >= 0:
-        at = _parse_tail(text, at, row, flags)
-    if at < 0:
-        return MALFORMED, skip_line(text, -at), 0
-    return FRAME, at, name
-
-
-@array_kernel
-def _channel_number(name: int, names: NameWords, known: int) -> int:
-    """Return the number of a channel's name, -1 if it is new."""
     for index in range(known):
         if names.hashes[index] == name:
             return int(names.numbers[index])
@@ -191,49 +229,41 @@ def _parse_id(text: UInt8Array, at: int) -> tuple[int, int]:
 
 
 @array_kernel
-def _payload(text: UInt8Array, at: int, row: int, data: UInt8Array, limit: int) -> tuple[int, int]:
+def _payload(text: UInt8Array, at: int, data: UInt8Array, row: int, limit: int) -> tuple[int, int]:
     """Parse ``1122`` or ``11.22`` into a row that is zero behind it; return the count and the position."""
     count, at = hex_bytes(text, at, row, data, limit, POINT)
-    for index in range(count, data.shape[1]):
-        data[row, index] = 0
+    data[row, count:] = 0
     return count, at
 
 
 @array_kernel
-def _parse_fd_payload(
-    text: UInt8Array, at: int, row: int, length: UInt8Array, flags: UInt8Array, data: UInt8Array
-) -> int:
+def _parse_fd_payload(text: UInt8Array, at: int, rows: FrameRows, row: int) -> int:
     """Parse flags and payload of an FD frame; return the position, negative if it is none."""
     digit = HEX_VALUE[text[at]]
     if digit < 0:
         return -at
-    count, at = _payload(text, at + 1, row, data, FD_PAYLOAD_BYTES)
-    flags[row] = FD_FLAG | (digit & FD_DIGIT_BITS)
-    length[row] = count
+    count, at = _payload(text, at + 1, rows.data, row, FD_PAYLOAD_BYTES)
+    rows.flags[row], rows.length[row] = FD_FLAG | (digit & FD_DIGIT_BITS), count
     return at if IS_LENGTH[count] else -at
 
 
 @array_kernel
-def _parse_remote(
-    text: UInt8Array, at: int, row: int, can_id: UInt32Array, length: UInt8Array, data: UInt8Array
-) -> int:
+def _parse_remote(text: UInt8Array, at: int, rows: FrameRows, row: int) -> int:
     """Parse what follows the ``R`` of a remote frame; return the position, negative if it is none."""
-    data[row, :] = 0
-    can_id[row] |= np.uint32(REMOTE_FLAG)
-    length[row] = 0
-    if 48 <= text[at] <= 57:
-        length[row] = text[at] - 48
-        at += 1
-    return at if length[row] <= PAYLOAD_BYTES else -at
+    rows.data[row, :] = 0
+    rows.can_id[row] |= np.uint32(REMOTE_FLAG)
+    rows.length[row], at = decimal(text, at, 1)
+    return at if rows.length[row] <= PAYLOAD_BYTES else -at
 
 
 @array_kernel
-def _parse_tail(text: UInt8Array, at: int, row: int, flags: UInt8Array) -> int:
+def _parse_tail(text: UInt8Array, at: int, rows: FrameRows, row: int) -> int:
     """Pass over what may follow a payload; return the position behind the line, negative if it is anything else."""
     if text[at] == UNDERSCORE and HEX_VALUE[text[at + 1]] > PAYLOAD_BYTES:
         at += 2  # the raw length code above eight that some controllers send
     behind = skip_blanks(text, at)
-    if behind > at and (text[behind] == 82 or text[behind] == 84):  # the direction, R or T, that candump -x appends
-        flags[row] |= np.uint8(TX_FLAG if text[behind] == 84 else 0)
+    is_sent = text[behind] == LETTER_T
+    if behind > at and (is_sent or text[behind] == LETTER_R):  # the direction that candump -x appends
+        rows.flags[row] |= np.uint8(TX_FLAG * is_sent)
         behind = skip_blanks(text, behind + 1)
     return behind + 1 if text[behind] == NEWLINE else -behind

@@ -3,13 +3,13 @@
 import io
 import lzma
 import zlib
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from enum import StrEnum
 from types import MappingProxyType
-from typing import BinaryIO, Protocol
+from typing import BinaryIO
 
 from canlog.errors import SourceError
-from canlog.logs.tally import LogReject, Tally
+from canlog.logs.log_counts import LogCounts, LogReject
 
 
 class Compression(StrEnum):
@@ -30,22 +30,9 @@ XZ_MEMORY_BYTES = 192 * 1024 * 1024  # the highest preset asks for 65 MiB
 GZIP_WINDOW = 31  # zlib's number for its largest window and a gzip header
 
 
-class Inflater(Protocol):
-    """One compressed stream."""
-
-    @property
-    def eof(self) -> bool:
-        """Whether its end was reached."""
-
-    @property
-    def unused_data(self) -> bytes:
-        """What follows the end."""
-
-    def inflate(self, piece: bytes, most_bytes: int) -> bytes:
-        """Return at most so many of the bytes to which all pieces inflate; an empty piece asks for more."""
-
-
 class _Gzip:
+    """As `lzma.LZMADecompressor`: keeps what it was given and did not come to."""
+
     def __init__(self) -> None:
         self._inner = zlib.decompressobj(GZIP_WINDOW)
 
@@ -57,29 +44,13 @@ class _Gzip:
     def unused_data(self) -> bytes:
         return self._inner.unused_data
 
-    def inflate(self, piece: bytes, most_bytes: int) -> bytes:
-        return self._inner.decompress(self._inner.unconsumed_tail + piece, most_bytes)
+    def decompress(self, piece: bytes, max_length: int) -> bytes:
+        return self._inner.decompress(self._inner.unconsumed_tail + piece, max_length)
 
 
-class _Xz:
-    def __init__(self) -> None:
-        self._inner = lzma.LZMADecompressor(lzma.FORMAT_XZ, memlimit=XZ_MEMORY_BYTES)
-
-    @property
-    def eof(self) -> bool:
-        return self._inner.eof
-
-    @property
-    def unused_data(self) -> bytes:
-        return self._inner.unused_data
-
-    def inflate(self, piece: bytes, most_bytes: int) -> bytes:
-        return self._inner.decompress(piece, most_bytes)
-
-
-INFLATERS: Mapping[Compression, Callable[[], Inflater]] = MappingProxyType(
-    {Compression.GZIP: _Gzip, Compression.XZ: _Xz}
-)
+def new_inflater(kind: Compression) -> "_Gzip | lzma.LZMADecompressor":
+    """Return what inflates one compressed stream."""
+    return _Gzip() if kind is Compression.GZIP else lzma.LZMADecompressor(lzma.FORMAT_XZ, memlimit=XZ_MEMORY_BYTES)
 
 
 def compression_of(probe: bytes) -> Compression | None:
@@ -101,13 +72,13 @@ class InflatedStream(io.RawIOBase):
     def __init__(self, stream: BinaryIO, compression: Compression) -> None:
         self._stream = stream
         self._kind = compression
-        self.restart(Tally())
+        self.restart(LogCounts())
 
-    def restart(self, tally: Tally) -> None:
+    def restart(self, counts: LogCounts) -> None:
         """Begin again, and count damage here from now on."""
         self._stream.seek(0)
-        self._tally = tally
-        self._inflater: Inflater | None = INFLATERS[self._kind]()
+        self._counts = counts
+        self._inflater: _Gzip | lzma.LZMADecompressor | None = new_inflater(self._kind)
         self._taken_bytes = 0
         self._given_bytes = 0
 
@@ -136,9 +107,9 @@ class InflatedStream(io.RawIOBase):
         if inflater is None:
             return b""
         try:
-            contents = inflater.inflate(b"", most_bytes)
+            contents = inflater.decompress(b"", most_bytes)
             if not contents and not inflater.eof:
-                contents = inflater.inflate(self._piece(), most_bytes)
+                contents = inflater.decompress(self._piece(), most_bytes)
         except (zlib.error, lzma.LZMAError, EOFError) as exc:
             self._end(LogReject.CUT_OFF if isinstance(exc, EOFError) else LogReject.DAMAGED)
             return b""
@@ -167,9 +138,9 @@ class InflatedStream(io.RawIOBase):
                 self._end(LogReject.DAMAGED)
                 return
             self._stream.seek(position)
-            self._inflater = INFLATERS[self._kind]()
+            self._inflater = new_inflater(self._kind)
 
     def _end(self, reason: LogReject) -> None:
         self._inflater = None
-        self._tally.truncated = True
-        self._tally.reject(reason, f"byte {self._stream.tell()} of the {self._kind} file")
+        self._counts.truncated = True
+        self._counts.reject(reason, f"byte {self._stream.tell()} of the {self._kind} file")

@@ -5,18 +5,17 @@ import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
-from io import BytesIO
 from types import MappingProxyType
 
 from canlog.errors import SourceError
 from canlog.logs import sqlite
-from canlog.logs.arena import BYTE_ORDER_MARK
-from canlog.logs.asc import is_asc_header, read_asc
+from canlog.logs.asc import AscLog, is_asc_header
 from canlog.logs.blf import MAGIC as BLF_MAGIC
-from canlog.logs.candump import frames_in_candump
-from canlog.logs.tables import Busmaster, Crtd, GvretCsv, PythonCanCsv, Table, Trc, frames_of
+from canlog.logs.candump import CandumpLog
+from canlog.logs.log_counts import LogCounts
+from canlog.logs.tables import Busmaster, Crtd, GvretCsv, PythonCanCsv, Table, Trc
 from canlog.logs.tables.csv_tables import is_gvret_header, is_python_can_header
-from canlog.logs.tally import Tally
+from canlog.logs.text_log import BYTE_ORDER_MARK, TextLog, frames_of
 
 PROBE_BYTES = 64 * 1024
 HEADER_LINES = 20  # a format that names itself does so in its first lines
@@ -50,6 +49,9 @@ TABLES: Mapping[LogFormat, Callable[[], Table]] = MappingProxyType(
         LogFormat.BUSMASTER: Busmaster,
         LogFormat.CRTD: Crtd,
     }
+)
+TEXT_LOGS: Mapping[LogFormat, Callable[[], TextLog]] = MappingProxyType(
+    {LogFormat.CANDUMP: CandumpLog, **TABLES, LogFormat.ASC: AscLog}  # in this order a text without a header is tried
 )
 HEADERS: Mapping[LogFormat, Callable[[bytes], bool]] = MappingProxyType(
     {
@@ -145,7 +147,7 @@ def detect_text(probe: bytes) -> Detected:
                 return Detected(format=log_format, evidence=f"line {number} is its header")
     lines = first_lines(text, is_cut=len(probe) >= PROBE_BYTES)
     hint, most = "", 0
-    for log_format in (LogFormat.CANDUMP, *TABLES, LogFormat.ASC):
+    for log_format in TEXT_LOGS:
         found = _candidate(log_format, lines)
         shown = f"{found.frames} of the first {len(lines)} lines"
         if found.is_likely:
@@ -172,23 +174,11 @@ def is_utf_16(probe: bytes) -> bool:
 
 def _candidate(log_format: LogFormat, lines: Sequence[bytes]) -> _Candidate:
     typical = TYPICAL.get(log_format)
-    fitting = [line for line in lines if typical is None or typical.match(line)]
-    frames, skipped = _counted(log_format, b"\n".join(fitting))
-    if log_format is LogFormat.ASC:  # skips whatever begins with a time
-        skipped = 0
+    counts, fitting = LogCounts(), [line for line in lines if typical is None or typical.match(line)]
+    frames = len(frames_of(TEXT_LOGS[log_format](), b"\n".join(fitting), counts)) if fitting else 0
+    # ASC skips whatever begins with a time.
+    skipped = 0 if log_format is LogFormat.ASC or not fitting else counts.skipped
     return _Candidate(frames=frames, others=len(lines) - frames - skipped)
-
-
-def _counted(log_format: LogFormat, text: bytes) -> tuple[int, int]:
-    """Return how many lines are frames of a format, and how many something else of it."""
-    if not text:
-        return 0, 0
-    if log_format is LogFormat.CANDUMP:
-        return frames_in_candump(text), 0
-    if log_format is LogFormat.ASC:
-        return sum(len(batch) for batch in read_asc(BytesIO(text + b"\n"), Tally())), 0
-    tally = Tally()
-    return len(frames_of(TABLES[log_format](), text, tally)), tally.skipped
 
 
 def _not_known(probe: bytes, hint: str) -> str:

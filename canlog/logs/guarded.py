@@ -20,9 +20,9 @@ from tempfile import TemporaryDirectory
 from canlog.errors import SourceError
 from canlog.frames import FrameBatch
 from canlog.logs import guarded_server
-from canlog.logs.tally import LogCounts, LogReject, Tally
+from canlog.logs.log_counts import LogCounts
 
-Work = Callable[[Path, Path, Tally], Iterator[FrameBatch]]  # a file, a folder for temporary ones, counts
+Work = Callable[[Path, Path, LogCounts], Iterator[FrameBatch]]  # a file, a folder for temporary ones, counts
 
 MEMORY_BYTES = 128 * 1024 * 1024  # beyond what the library itself takes, for a small file
 MEMORY_PER_BYTE = 4
@@ -33,7 +33,7 @@ WAIT_PER_CPU_S = 20.0  # others may use the machine, too; processor time is what
 GAVE_UP = "reading it takes more time or memory than any sound file of its size: it is damaged"
 
 
-def guarded(work: Work, path: Path, tally: Tally) -> Iterator[FrameBatch]:
+def guarded(work: Work, path: Path, counts: LogCounts) -> Iterator[FrameBatch]:
     """Yield what a piece of work yields, done by a child.
 
     Parameters
@@ -42,7 +42,7 @@ def guarded(work: Work, path: Path, tally: Tally) -> Iterator[FrameBatch]:
         A function of a module; errors that it raises are of this package.
     path
         The file that it reads; the limits grow with its size.
-    tally
+    counts
         Takes over what the work counts.
 
     Raises
@@ -70,10 +70,9 @@ def guarded(work: Work, path: Path, tally: Tally) -> Iterator[FrameBatch]:
             while isinstance(message := _receive(receiving, WAIT_PER_CPU_S * cpu_s), FrameBatch):
                 yield message
     if isinstance(message, LogCounts):
-        tally.take(message)
+        counts.add(message)
     elif path.stat().st_size < size_bytes:  # what ends a process that looks where the file no longer is
-        tally.truncated = True
-        tally.reject(LogReject.CUT_OFF, "where the file shrank while it was read")
+        counts.cut_off("where the file shrank while it was read")
     else:
         is_hollow = content_bytes < size_bytes / 2
         raise SourceError(f"{message}; most of the file was never written" if is_hollow else message)

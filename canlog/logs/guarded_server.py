@@ -12,7 +12,7 @@ from multiprocessing.connection import Connection
 from pathlib import Path
 
 from canlog.errors import SourceError
-from canlog.logs.tally import Tally
+from canlog.logs.log_counts import LogCounts
 
 LONGEST_REQUEST = 65_536
 PAGE_BYTES = resource.getpagesize()
@@ -44,11 +44,11 @@ def work(request: dict[str, str | int], sending: Connection) -> None:
     resource.setrlimit(resource.RLIMIT_CPU, (int(request["cpu_s"]),) * 2)
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
     resource.setrlimit(resource.RLIMIT_FSIZE, (int(request["file_bytes"]),) * 2)  # of copies that it makes
-    tally = Tally()
+    counts = LogCounts()
     try:
-        for batch in task(Path(str(request["path"])), Path(str(request["folder"])), tally):
+        for batch in task(Path(str(request["path"])), Path(str(request["folder"])), counts):
             sending.send(batch)
-        sending.send(tally.snapshot())
+        sending.send(counts)
     except SourceError as exc:
         sending.send(str(exc))
     except MemoryError:

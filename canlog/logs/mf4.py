@@ -33,9 +33,9 @@ from canlog.frames import (
     FrameBatch,
 )
 from canlog.logs.guarded import guarded
+from canlog.logs.log_counts import LogCounts, LogReject
 from canlog.logs.merging import merged_by_time
 from canlog.logs.mf4_mending import UNFINISHED_MAGIC, Mended, mended
-from canlog.logs.tally import LogReject, Tally
 from canlog.logs.text_kernels import IS_LENGTH
 
 Records = npt.NDArray[np.void]  # one row per frame, fields named "CAN_DataFrame.ID" and so on
@@ -63,7 +63,7 @@ class Asammdf:
     errors: tuple[type[BaseException], ...]
 
 
-def read_mf4(stream: BinaryIO, tally: Tally) -> Iterator[FrameBatch]:
+def read_mf4(stream: BinaryIO, counts: LogCounts) -> Iterator[FrameBatch]:
     """Yield the frames of all CAN groups of an MDF 4 file, merged by time.
 
     Raises
@@ -73,11 +73,11 @@ def read_mf4(stream: BinaryIO, tally: Tally) -> Iterator[FrameBatch]:
     """
     if PathFinder.find_spec("asammdf") is None:  # whether or not this process keeps itself from importing it
         raise extra_missing(NEEDS_ASAMMDF, "mf4")
-    tally.unfinished = stream.read(len(UNFINISHED_MAGIC)) == UNFINISHED_MAGIC
-    yield from guarded(mf4_batches, Path(stream.name), tally)
+    counts.unfinished = stream.read(len(UNFINISHED_MAGIC)) == UNFINISHED_MAGIC
+    yield from guarded(mf4_batches, Path(stream.name), counts)
 
 
-def mf4_batches(path: Path, folder: Path, tally: Tally) -> Iterator[FrameBatch]:
+def mf4_batches(path: Path, folder: Path, counts: LogCounts) -> Iterator[FrameBatch]:
     """Yield the frames of an MDF 4 file; for the child.
 
     Raises
@@ -91,12 +91,12 @@ def mf4_batches(path: Path, folder: Path, tally: Tally) -> Iterator[FrameBatch]:
         # A file that is cut off, or that its writer left unfinished, is completed in a copy.
         whole = mended(path, folder)
         mdf = asammdf.open_mdf(whole.path, process_bus_logging=False, temporary_folder=folder)
-        count_missing(mdf.groups, whole, tally)
+        count_missing(mdf.groups, whole, counts)
         start_ns = measurement_start_ns(mdf.header)
         groups = [(number, kind) for number, group in enumerate(mdf.groups) if (kind := frame_kind(group))]
-        streams = [read_group(mdf, number, kind, start_ns, whole, tally) for number, kind in groups]
+        streams = [read_group(mdf, number, kind, start_ns, whole, counts) for number, kind in groups]
         for batch in merged_by_time(streams):
-            tally.frames += len(batch)
+            counts.frames += len(batch)
             yield batch
     except asammdf.errors as exc:
         raise SourceError(f"the MF4 file is damaged or cut off: {' '.join(str(exc).split())}") from exc
@@ -143,17 +143,17 @@ def measurement_start_ns(header: Any) -> int:  # noqa: ANN401 - asammdf's own ob
     return int(header.abs_time)
 
 
-def count_missing(groups: Sequence[Any], whole: Mended, tally: Tally) -> None:  # asammdf's own objects
+def count_missing(groups: Sequence[Any], whole: Mended, counts: LogCounts) -> None:  # asammdf's own objects
     """Count the frames that are missing at the end of a file."""
-    tally.truncated |= whole.is_cut
+    counts.truncated |= whole.is_cut
     for number, group in enumerate(groups):
         missing = whole.missing.get(group.channel_group.address, 0)
         if missing and not FLAG_OF_KIND.keys().isdisjoint(channel.name for channel in group.channels):
             found = whole.found[group.channel_group.address]
-            tally.reject(LogReject.CUT_OFF, f"record {found + 1} of group {number}", missing)
+            counts.reject(LogReject.CUT_OFF, f"record {found + 1} of group {number}", missing)
     if whole.lost_at:
-        tally.truncated = True
-        tally.reject(LogReject.DAMAGED, whole.lost_at)
+        counts.truncated = True
+        counts.reject(LogReject.DAMAGED, whole.lost_at)
 
 
 def frame_kind(group: Any) -> str | None:  # noqa: ANN401 - asammdf's own objects
@@ -164,7 +164,14 @@ def frame_kind(group: Any) -> str | None:  # noqa: ANN401 - asammdf's own object
     return next((kind for kind in FLAG_OF_KIND if kind in names), None)
 
 
-def read_group(mdf: Any, number: int, kind: str, start_ns: int, whole: Mended, tally: Tally) -> Iterator[FrameBatch]:  # noqa: ANN401 - asammdf's own objects
+def read_group(
+    mdf: Any,  # noqa: ANN401 - asammdf's own object
+    number: int,
+    kind: str,
+    start_ns: int,
+    whole: Mended,
+    counts: LogCounts,
+) -> Iterator[FrameBatch]:
     """Yield the frames of one group; what is missing at its end is counted."""
     group, done = mdf.groups[number].channel_group, 0
     stated = whole.found.get(group.address, int(group.cycles_nr))
@@ -173,13 +180,12 @@ def read_group(mdf: Any, number: int, kind: str, start_ns: int, whole: Mended, t
             kind, group=number, raw=False, record_offset=done, record_count=min(FRAMES_PER_READ, stated - done)
         )
         if not len(signal.samples):
-            tally.truncated = True
-            tally.reject(LogReject.CUT_OFF, f"record {done + 1} of group {number}", stated - done)
+            counts.cut_off(f"record {done + 1} of group {number}", stated - done)
             return
         batch, is_frame = frames_of(signal.samples, np.asarray(signal.timestamps, np.float64), kind, start_ns)
         bad = np.flatnonzero(~is_frame)
         if len(bad):
-            tally.reject(LogReject.MALFORMED, f"record {done + int(bad[0]) + 1} of group {number}", len(bad))
+            counts.reject(LogReject.MALFORMED, f"record {done + int(bad[0]) + 1} of group {number}", len(bad))
         done += len(signal.samples)
         yield batch[is_frame] if len(bad) else batch
 

@@ -9,29 +9,25 @@ from typing import BinaryIO, cast
 
 from canlog.errors import SourceError
 from canlog.frames import FrameBatch
-from canlog.logs.asc import read_asc
 from canlog.logs.blf import read_blf
-from canlog.logs.candump import read_candump
+from canlog.logs.bounded_stream import BoundedStream
 from canlog.logs.compressed import InflatedStream, compression_of
-from canlog.logs.detection import PROBE_BYTES, TABLES, Detected, LogFormat, detect, detect_text
+from canlog.logs.detection import PROBE_BYTES, TEXT_LOGS, Detected, LogFormat, detect, detect_text
+from canlog.logs.log_counts import LogCounts, LogReject
 from canlog.logs.mf4 import read_mf4
-from canlog.logs.patience import PatientStream
 from canlog.logs.sqlite import read_sqlite
-from canlog.logs.tables import reader_of
 from canlog.logs.tables.time_unit import bus_load_ratio, is_plausible
-from canlog.logs.tally import LogCounts, LogReject, Tally
+from canlog.logs.text_log import reader_of
 from canlog.logs.time_watch import TimeWatch
 from canlog.plain_files import open_plain_file
 
 LOAD_FRAMES = 2_000  # the first ones, from which a load is told
-READERS: Mapping[LogFormat, Callable[[BinaryIO, Tally], Iterator[FrameBatch]]] = MappingProxyType(
+READERS: Mapping[LogFormat, Callable[[BinaryIO, LogCounts], Iterator[FrameBatch]]] = MappingProxyType(
     {
-        LogFormat.CANDUMP: read_candump,
         LogFormat.BLF: read_blf,
-        LogFormat.ASC: read_asc,
         LogFormat.MF4: read_mf4,
         LogFormat.SQLITE: read_sqlite,
-        **{log_format: reader_of(new_table) for log_format, new_table in TABLES.items()},
+        **{log_format: reader_of(new_log) for log_format, new_log in TEXT_LOGS.items()},
     }
 )
 
@@ -44,23 +40,23 @@ class LogReader(Iterator[FrameBatch]):
     """
 
     def __init__(
-        self, path: Path, stream: BinaryIO, detected: Detected, tally: Tally, *, is_strict: bool = False
+        self, path: Path, stream: BinaryIO, detected: Detected, counts: LogCounts, *, is_strict: bool = False
     ) -> None:
         self.path = path
         self.format = detected.format
         self.evidence = detected.evidence  # why it was taken for that
-        self._tally = tally
+        self._counts = counts
         self._stream = stream
         self._opened = path.stat()
-        self._batches = READERS[detected.format](cast("BinaryIO", PatientStream(stream, tally)), tally)
-        self._watch = TimeWatch(tally)
+        self._batches = READERS[detected.format](cast("BinaryIO", BoundedStream(stream, counts)), counts)
+        self._watch = TimeWatch(counts)
         self._is_strict = is_strict
         self._is_first = True
 
     @property
     def counts(self) -> LogCounts:
         """What has been found until now."""
-        return self._tally.snapshot()
+        return self._counts.snapshot()
 
     def __next__(self) -> FrameBatch:
         """Return the next batch.
@@ -76,7 +72,7 @@ class LogReader(Iterator[FrameBatch]):
             self._look_at_size()
             self.close()
             self._be_strict()
-            if self._tally.frames == 0:
+            if self._counts.frames == 0:
                 raise SourceError(f"{self.path}: {self._nothing_found()}") from None
             raise
         except OSError as exc:
@@ -102,9 +98,9 @@ class LogReader(Iterator[FrameBatch]):
         """Say so if the first frames come faster than any bus carries them."""
         load_ratio = bus_load_ratio(batch)
         if load_ratio == float("inf"):
-            self._tally.note(f"the first {len(batch)} frames, or those of one channel, all have the same time")
+            self._counts.note(f"the first {len(batch)} frames, or those of one channel, all have the same time")
         elif not is_plausible(load_ratio):
-            self._tally.note(
+            self._counts.note(
                 f"the times cannot be right: the first {len(batch)} frames would load a bus of 1 Mbit/s by "
                 f"{100 * load_ratio:.0f} %"
             )
@@ -114,8 +110,7 @@ class LogReader(Iterator[FrameBatch]):
         with suppress(OSError):
             now, opened = self.path.stat(), self._opened
             if now.st_ino == opened.st_ino and now.st_size < opened.st_size:
-                self._tally.truncated = True
-                self._tally.reject(LogReject.CUT_OFF, f"byte {now.st_size}, where the file shrank while it was read")
+                self._counts.cut_off(f"byte {now.st_size}, where the file shrank while it was read")
 
     def _be_strict(self) -> None:
         if self._is_strict and (fault := self.counts.first_fault):
@@ -177,11 +172,11 @@ def _reader(path: Path, stream: BinaryIO, *, is_strict: bool) -> LogReader:
     stream.seek(0)
     compression = compression_of(probe)
     if compression is None:
-        return LogReader(path, stream, detect(probe), Tally(), is_strict=is_strict)
-    inflated, tally = InflatedStream(stream, compression), Tally()
+        return LogReader(path, stream, detect(probe), LogCounts(), is_strict=is_strict)
+    inflated, counts = InflatedStream(stream, compression), LogCounts()
     detected = detect_text(_beginning(inflated))
-    inflated.restart(tally)
-    return LogReader(path, cast("BinaryIO", inflated), detected, tally, is_strict=is_strict)
+    inflated.restart(counts)
+    return LogReader(path, cast("BinaryIO", inflated), detected, counts, is_strict=is_strict)
 
 
 def _beginning(inflated: InflatedStream) -> bytes:

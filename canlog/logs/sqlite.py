@@ -14,7 +14,7 @@ import numpy as np
 
 from canlog.errors import SourceError
 from canlog.frames import ERROR_FLAG, EXTENDED_FLAG, FD_FLAG, FD_PAYLOAD_BYTES, PAYLOAD_BYTES, REMOTE_FLAG, FrameBatch
-from canlog.logs.tally import LogReject, Tally
+from canlog.logs.log_counts import LogCounts, LogReject
 from canlog.logs.text_kernels import IS_LENGTH
 
 MAGIC = b"SQLite format 3\0"
@@ -30,7 +30,7 @@ Row = tuple[object, ...]
 Frame = tuple[int, int, int, int, bytes]  # time [ns], identifier with flags, length, flags, payload
 
 
-def read_sqlite(stream: BinaryIO, tally: Tally) -> Iterator[FrameBatch]:
+def read_sqlite(stream: BinaryIO, counts: LogCounts) -> Iterator[FrameBatch]:
     """Yield the frames of a database in the order of its rows.
 
     Raises
@@ -45,7 +45,7 @@ def read_sqlite(stream: BinaryIO, tally: Tally) -> Iterator[FrameBatch]:
             database.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, LONGEST_VALUE)
             database.text_factory = bytes
             cursor = _messages(database)
-            yield from _batches(cursor, most_rows, tally)
+            yield from _batches(cursor, most_rows, counts)
     except sqlite3.Error as exc:
         raise SourceError(f"the SQLite file cannot be read: {exc}") from exc
 
@@ -57,7 +57,7 @@ def _messages(database: sqlite3.Connection) -> sqlite3.Cursor:
     return database.execute(QUERY)
 
 
-def _batches(cursor: sqlite3.Cursor, most_rows: int, tally: Tally) -> Iterator[FrameBatch]:
+def _batches(cursor: sqlite3.Cursor, most_rows: int, counts: LogCounts) -> Iterator[FrameBatch]:
     number, is_over = 0, False
     while not is_over:
         frames: list[Frame] = []
@@ -66,16 +66,16 @@ def _batches(cursor: sqlite3.Cursor, most_rows: int, tally: Tally) -> Iterator[F
                 number += 1
                 frame = frame_of(row)
                 if frame is None:
-                    tally.reject(LogReject.MALFORMED, f"row {number}")
+                    counts.reject(LogReject.MALFORMED, f"row {number}")
                 else:
                     frames.append(frame)
                 if number > most_rows:
                     raise sqlite3.DatabaseError("more rows than the file can hold")
         except (sqlite3.Error, MemoryError):  # of a cell that states more bytes than there can be
-            tally.truncated = is_over = True
-            tally.reject(LogReject.DAMAGED, f"row {number + 1}")
+            counts.truncated = is_over = True
+            counts.reject(LogReject.DAMAGED, f"row {number + 1}")
         if frames:
-            tally.frames += len(frames)
+            counts.frames += len(frames)
             yield batch_of(frames)
 
 

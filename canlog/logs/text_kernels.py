@@ -9,12 +9,13 @@ import numpy.typing as npt
 from canlog.arrays import Int64Array, UInt8Array
 from canlog.jit import array_kernel, inlined_kernel
 
-# Outcomes of one line, in the order of a kernel's counters.
-FRAME, SKIPPED, MALFORMED = range(3)
+# What one line comes to; the last: it is a frame, but too long for the rows.
+FRAME, SKIPPED, MALFORMED, TOO_LONG = range(4)
 
-# Why a kernel stops before the end of its text, and what it has done until then.
-POSITION, LINES, ROWS, STOP = range(4)
-AT_END, WIDEN, NEW_CHANNEL, OTHER = range(4)
+# Where a kernel is in its text, and what it has found until then.
+POSITION, LINES, ROWS, STOP, SKIPPED_LINES, MALFORMED_LINES, FIRST_MALFORMED, PROGRESS_FIELDS = range(8)
+# Why it stops: the text ends, rows must become wider, a line is not its own to read.
+AT_END, WIDEN, OTHER = range(3)
 
 NEWLINE, TAB, RETURN, BLANK = 10, 9, 13, 32
 LONGEST_NUMBER = 18  # digits that 64 bits surely hold
@@ -82,13 +83,19 @@ def decimal_parts(text: UInt8Array, at: int, whole: int, most_digits: int) -> tu
 
 
 @inlined_kernel
-def hexadecimal(text: UInt8Array, at: int, most_digits: int) -> tuple[int, int]:
-    """Read a number of up to so many hexadecimal digits, as ``decimal``."""
+def digits(text: UInt8Array, at: int, base: int, most_digits: int) -> tuple[int, int]:
+    """Read a number of up to so many digits in a base up to 16, as ``decimal``."""
     value, begin = 0, at
-    while HEX_VALUE[text[at]] >= 0 and at - begin < most_digits:
-        value = value * 16 + HEX_VALUE[text[at]]
+    while 0 <= HEX_VALUE[text[at]] < base and at - begin < most_digits:
+        value = value * base + HEX_VALUE[text[at]]
         at += 1
     return value, at
+
+
+@inlined_kernel
+def hexadecimal(text: UInt8Array, at: int, most_digits: int) -> tuple[int, int]:
+    """Read a number of up to so many hexadecimal digits, as ``decimal``."""
+    return digits(text, at, 16, most_digits)
 
 
 @array_kernel
@@ -110,9 +117,12 @@ def hex_bytes(text: UInt8Array, at: int, row: int, data: UInt8Array, limit: int,
     return count, at
 
 
-@array_kernel
-def count_lines(outcomes: Int64Array, first: Int64Array, outcome: int, line: int) -> None:
-    """Count one line."""
-    if outcomes[outcome] == 0:
-        first[outcome] = line
-    outcomes[outcome] += 1
+@inlined_kernel
+def count_line(progress: Int64Array, outcome: int, line: int) -> None:
+    """Count a line that is no frame."""
+    if outcome == SKIPPED:
+        progress[SKIPPED_LINES] += 1
+    elif outcome == MALFORMED:
+        if progress[MALFORMED_LINES] == 0:
+            progress[FIRST_MALFORMED] = line
+        progress[MALFORMED_LINES] += 1

@@ -10,8 +10,8 @@ from typing import Any
 import pytest
 
 from canlog.frames import TX_FLAG
-from canlog.logs.tables import frames_of
-from canlog.logs.tally import Tally
+from canlog.logs.log_counts import LogCounts
+from canlog.logs.text_log import frames_of
 from diag_service.delivery import Outbox
 from diag_service.store import ResultStore, VehicleState, Versions
 from fleet_contract import Channel, read_message
@@ -31,16 +31,16 @@ def names_of(class_name: str) -> dict[str, Any]:
 
 
 def test_the_layout_reads_a_log() -> None:
-    tally = Tally()
+    counts = LogCounts()
     text = b"# plain-can 1\n1767225600.001000 1 0B0 rx 2 51 D0\n1767225600.5 2 18FEF100 tx 1 07\n1.5 1 0B0 rx 2 51"
-    batch = frames_of(names_of("Plain")["Plain"](), text, tally)
+    batch = frames_of(names_of("Plain")["Plain"](), text, counts)
     assert batch.t_ns.tolist() == [1_767_225_600_001_000_000, 1_767_225_600_500_000_000]
     assert batch.can_id.tolist() == [0x0B0, 0x98FEF100]
     assert [bytes(row[:length]) for row, length in zip(batch.data, batch.length, strict=True)] == [b"\x51\xd0", b"\x07"]
     assert batch.channel.tolist() == [1, 2]
     assert batch.flags.tolist() == [0, TX_FLAG]
-    assert tally.skipped == 1
-    assert tally.rejects == 1
+    assert counts.skipped == 1
+    assert sum(counts.rejected.values()) == 1
 
 
 async def test_the_link_takes_what_the_outbox_holds(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -10,8 +10,8 @@ import pytest
 from canlog.errors import SourceError
 from canlog.frame_columns import join
 from canlog.logs import LogReject, merged_by_time, read_log
-from canlog.logs.patience import FREE_BYTES
-from canlog.logs.tally import LogCounts
+from canlog.logs.bounded_stream import FREE_BYTES
+from canlog.logs.log_counts import LogCounts
 from diag_service.errors import ConfigError
 from diag_service.service.drive import open_drive
 from ecu_emulator.record import open_log

@@ -6,10 +6,11 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from canlog.logs.asc import read_asc
+from canlog.logs.asc import AscLog
 from canlog.logs.blf import read_blf
-from canlog.logs.candump import read_candump
-from canlog.logs.tally import LogReject, Tally
+from canlog.logs.candump import CandumpLog
+from canlog.logs.log_counts import LogCounts, LogReject
+from canlog.logs.text_log import reader_of
 from ecu_emulator.log_formats import BlfWriter, CandumpWriter, Header
 from tests.support.traffic import START_NS, as_received, random_frames
 
@@ -38,9 +39,8 @@ TEXT = st.lists(st.one_of(st.sampled_from(CANDUMP.splitlines()), st.binary(max_s
 @given(TEXT)
 def test_every_line_of_a_candump_log_is_accounted_for(lines: list[bytes]) -> None:
     text = b"".join(line + b"\n" for line in lines)
-    tally = Tally()
-    frames = sum(len(batch) for batch in read_candump(io.BytesIO(text), tally))
-    counts = tally.snapshot()
+    counts = LogCounts()
+    frames = sum(len(batch) for batch in reader_of(CandumpLog)(io.BytesIO(text), counts))
     assert frames == counts.frames
     assert counts.frames + counts.skipped + sum(counts.rejected.values()) == text.count(b"\n")
 
@@ -48,33 +48,33 @@ def test_every_line_of_a_candump_log_is_accounted_for(lines: list[bytes]) -> Non
 @settings(deadline=None)  # the first call loads compiled code
 @given(st.lists(st.binary(max_size=60), max_size=20))
 def test_any_text_passes_through_the_asc_reader(lines: list[bytes]) -> None:
-    tally = Tally()
-    frames = sum(len(batch) for batch in read_asc(io.BytesIO(b"base hex\n" + b"\n".join(lines)), tally))
-    assert frames == tally.frames
+    counts = LogCounts()
+    frames = sum(len(batch) for batch in reader_of(AscLog)(io.BytesIO(b"base hex\n" + b"\n".join(lines)), counts))
+    assert frames == counts.frames
 
 
 @settings(deadline=None)  # the first call loads compiled code
 @given(st.integers(0, len(CANDUMP)))
 def test_a_candump_log_cut_anywhere_is_a_beginning_of_itself(cut: int) -> None:
-    tally = Tally()
-    batches = list(read_candump(io.BytesIO(CANDUMP[:cut]), tally))
+    counts = LogCounts()
+    batches = list(reader_of(CandumpLog)(io.BytesIO(CANDUMP[:cut]), counts))
     t_ns = np.concatenate([batch.t_ns for batch in batches]) if batches else np.empty(0, np.int64)
     data = np.concatenate([batch.data for batch in batches]) if batches else np.empty((0, 8), np.uint8)
     assert np.array_equal(t_ns, EXPECTED.t_ns[: len(t_ns)])
     assert np.array_equal(data, EXPECTED.data[: len(data)])
-    assert tally.truncated == (tally.snapshot().rejected == {LogReject.CUT_OFF: 1})
+    assert counts.truncated == (counts.rejected == {LogReject.CUT_OFF: 1})
 
 
 @settings(deadline=None)  # the first call loads compiled code
 @given(st.integers(144, len(BLF) - 1), st.binary(min_size=1, max_size=40))
 def test_a_blf_file_overwritten_anywhere_ends_and_invents_no_frame(place: int, damage: bytes) -> None:
     contents = BLF[:place] + damage + BLF[place + len(damage) :]
-    tally = Tally()
+    counts = LogCounts()
     found = {
         (int(t_ns), int(can_id), bytes(data))
-        for batch in read_blf(io.BytesIO(contents), tally)
+        for batch in read_blf(io.BytesIO(contents), counts)
         for t_ns, can_id, data in zip(batch.t_ns, batch.can_id, batch.data, strict=True)
     }
     assert found <= KNOWN
     # An object whose kind was overwritten is one of a kind that holds no frames.
-    assert found == KNOWN or tally.snapshot().rejected or tally.truncated or tally.skipped
+    assert found == KNOWN or counts.rejected or counts.truncated or counts.skipped

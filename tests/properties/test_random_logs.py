@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from canlog.frame_columns import join
 from canlog.frames import BRS_FLAG, ERROR_FLAG, ESI_FLAG, EXTENDED_FLAG, FD_FLAG, REMOTE_FLAG, TX_FLAG, FrameBatch
 from canlog.logs import read_log
-from canlog.logs.tally import LogCounts
+from canlog.logs.log_counts import LogCounts
 from tests.support.log_grammars import CODE_OF_LENGTH, GRAMMARS, PACKERS, Frame, Grammar
 
 NO_JUMP_US = 900_000  # a longer gap is counted, too

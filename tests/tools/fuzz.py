@@ -22,13 +22,13 @@ from hypothesis import strategies as st
 
 from canlog.errors import SourceError
 from canlog.frames import ERROR_FLAG, EXTENDED_FLAG, FD_FLAG, FrameBatch
-from canlog.logs.asc import read_asc
+from canlog.logs.asc import AscLog
 from canlog.logs.blf import read_blf
-from canlog.logs.candump import read_candump
+from canlog.logs.candump import CandumpLog
 from canlog.logs.detection import TABLES, LogFormat
-from canlog.logs.tables import reader_of
-from canlog.logs.tally import Tally
+from canlog.logs.log_counts import LogCounts
 from canlog.logs.text_kernels import IS_LENGTH
+from canlog.logs.text_log import reader_of
 from ecu_emulator.log_formats import (
     AscWriter,
     BlfWriter,
@@ -45,7 +45,7 @@ from tests.tools.damage.garbling import inflated_containers
 
 EXAMPLES_PER_ROUND = 500
 STORED = 0  # a container that is not deflated
-Reader = Callable[[BinaryIO, Tally], Iterator[FrameBatch]]
+Reader = Callable[[BinaryIO, LogCounts], Iterator[FrameBatch]]
 
 
 def written(writer: type[FrameWriter]) -> bytes:
@@ -67,8 +67,14 @@ CRTD = b"1320745424.000 CXX log\n1320745424.002 1R11 402 FA 01 C3 A0 96 00 07 01
 SOUND_BLF = written(BlfWriter)
 SOUND_OBJECTS = b"".join(inflated_containers(SOUND_BLF))
 READERS: dict[str, tuple[Reader, bytes]] = {
-    "candump": (read_candump, written(CandumpWriter) + b"(1.0) can1 123##5" + b"5A" * 12 + b"\n(1.0) can0 123#R4\n"),
-    "asc": (read_asc, written(AscWriter) + b"1.5 CANFD 2 Rx 123 1 0 9 12 " + b"11 " * 12 + b"0 0 303000 0 0 0\n"),
+    "candump": (
+        reader_of(CandumpLog),
+        written(CandumpWriter) + b"(1.0) can1 123##5" + b"5A" * 12 + b"\n(1.0) can0 123#R4\n",
+    ),
+    "asc": (
+        reader_of(AscLog),
+        written(AscWriter) + b"1.5 CANFD 2 Rx 123 1 0 9 12 " + b"11 " * 12 + b"0 0 303000 0 0 0\n",
+    ),
     "blf": (read_blf, SOUND_BLF),
     "blf-objects": (read_blf, SOUND_OBJECTS),
     "trc": (reader_of(TABLES[LogFormat.TRC]), written(TrcWriter)),
@@ -120,14 +126,13 @@ def changed(sound: bytes, changes: list[tuple[int, int]]) -> bytes:
 
 def check(reader: Reader, text: bytes, *, has_lines: bool) -> None:
     """Read a log and check what must hold of any."""
-    tally, frames = Tally(), 0
+    counts, frames = LogCounts(), 0
     try:
-        for batch in reader(io.BytesIO(text), tally):
+        for batch in reader(io.BytesIO(text), counts):
             check_batch(batch)
             frames += len(batch)
     except SourceError:
         return
-    counts = tally.snapshot()
     assert frames == counts.frames
     if has_lines:
         whole = text.count(b"\n")

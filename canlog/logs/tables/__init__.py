@@ -3,17 +3,7 @@
 from canlog.logs.tables.busmaster import Busmaster
 from canlog.logs.tables.crtd import Crtd
 from canlog.logs.tables.csv_tables import GvretCsv, PythonCanCsv
-from canlog.logs.tables.reader import Table, TableReader, frames_of, reader_of
+from canlog.logs.tables.table import Table
 from canlog.logs.tables.trc import Trc
 
-__all__ = [
-    "Busmaster",
-    "Crtd",
-    "GvretCsv",
-    "PythonCanCsv",
-    "Table",
-    "TableReader",
-    "Trc",
-    "frames_of",
-    "reader_of",
-]
+__all__ = ["Busmaster", "Crtd", "GvretCsv", "PythonCanCsv", "Table", "Trc"]

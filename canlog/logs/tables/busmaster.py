@@ -9,7 +9,7 @@ import re
 from canlog.logs.asc_dates import date_us, local_midnight_us
 from canlog.logs.tables.kernel import ABSOLUTE, DAYTIME, RELATIVE
 from canlog.logs.tables.layout import Column, Layout, Meaning, Role
-from canlog.logs.tables.reader import Table
+from canlog.logs.tables.table import Table
 
 START = re.compile(rb"\*\*\*START DATE AND TIME\s+(?P<date>[^*]*)")
 MODE = re.compile(rb"\*\*\*(SYSTEM|ABSOLUTE|RELATIVE) MODE\*\*\*")
@@ -85,9 +85,9 @@ class Busmaster(Table):
 
     def _set_clock(self) -> None:
         if self._start_us is None:
-            self.clock.set(0, self._mode)
+            self.set_clock(0, self._mode)
         elif self._mode == DAYTIME:
             midnight_us = local_midnight_us(self._start_us)
-            self.clock.set(midnight_us, DAYTIME, self._start_us - midnight_us)
+            self.set_clock(midnight_us, DAYTIME, self._start_us - midnight_us)
         else:
-            self.clock.set(self._start_us, self._mode)
+            self.set_clock(self._start_us, self._mode)

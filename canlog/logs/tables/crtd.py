@@ -1,7 +1,7 @@
 """CRTD logs of the Open Vehicles project: seconds since the epoch, UTC, or since the device was started."""
 
 from canlog.logs.tables.layout import SECONDS, Column, Layout, Meaning, Role
-from canlog.logs.tables.reader import Table
+from canlog.logs.tables.table import Table
 
 LAYOUT = Layout(
     columns=(
@@ -24,7 +24,3 @@ class Crtd(Table):
 
     def __init__(self) -> None:
         super().__init__(LAYOUT)
-
-    def read_comment(self, line: bytes) -> bool:
-        """Return False: comments have a time and a word, as frames have."""
-        return not line

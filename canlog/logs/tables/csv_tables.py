@@ -8,8 +8,9 @@ the load of the bus tells.
 from dataclasses import replace
 
 from canlog.logs.tables.layout import COMMA, MICROSECONDS, SECONDS, Column, Layout, Meaning, Role
-from canlog.logs.tables.reader import Table, frames_of
+from canlog.logs.tables.table import Table
 from canlog.logs.tables.time_unit import likely_unit
+from canlog.logs.text_log import frames_of
 
 PYTHON_CAN_HEADER = b"timestamp,arbitration_id,extended,remote,error,dlc,data"
 GVRET_HEADER = b"time stamp,id,extended,"

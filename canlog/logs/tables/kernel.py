@@ -1,23 +1,13 @@
 """The compiled reader of all text tables: it follows a layout, column by column."""
 
 import numpy as np
-import numpy.typing as npt
 
-from canlog.arrays import Int64Array, UInt8Array, UInt32Array
-from canlog.frames import (
-    BRS_FLAG,
-    ERROR_FLAG,
-    ESI_FLAG,
-    EXTENDED_FLAG,
-    FD_FLAG,
-    FD_PAYLOAD_BYTES,
-    PAYLOAD_BYTES,
-    REMOTE_FLAG,
-    TX_FLAG,
-)
+from canlog.arrays import Int64Array, UInt8Array
+from canlog.frames import ERROR_FLAG, EXTENDED_FLAG, FD_FLAG, FD_PAYLOAD_BYTES, PAYLOAD_BYTES, REMOTE_FLAG, TX_FLAG
 from canlog.jit import array_kernel
+from canlog.logs.frame_buffer import FrameRows
 from canlog.logs.tables import fields
-from canlog.logs.tables.layout import BLANKS, Meaning, Role
+from canlog.logs.tables.layout import BLANKS, EVENT, Program, Role
 from canlog.logs.text_kernels import (
     AT_END,
     BLANK,
@@ -32,14 +22,13 @@ from canlog.logs.text_kernels import (
     ROWS,
     SKIPPED,
     STOP,
+    TOO_LONG,
     WIDEN,
-    count_lines,
+    count_line,
     decimal,
     skip_blanks,
     skip_line,
 )
-
-WIDEN_FIRST = 3  # beside the outcomes of a line
 
 # What has been read of a line.
 TIME_US, ID, MEANING, LENGTH, CHANNEL, COUNT, FIELDS = range(7)
@@ -52,77 +41,46 @@ DAY_US = 86_400_000_000
 HOUR_US = 3_600_000_000
 LAST_US = 9_200_000_000_000_000
 
-# Options of a layout.
-SEPARATOR, IS_PADDED = range(2)
-
 NS_PER_US = 1_000
 MAX_STANDARD_ID, MAX_EXTENDED_ID = 0x7FF, 0x1FFF_FFFF
-
-_TIME, _CLOCK, _CHANNEL, _ID = int(Role.TIME), int(Role.CLOCK), int(Role.CHANNEL), int(Role.ID)
-_WORD, _SWITCH, _LENGTH, _LENGTH_CODE = int(Role.WORD), int(Role.SWITCH), int(Role.LENGTH), int(Role.LENGTH_CODE)
-_DATA, _BASE64, _IGNORED = int(Role.DATA), int(Role.BASE64), int(Role.IGNORED)
-_DECIMAL_ID, _DECIMAL_DATA, _DIRECTION = int(Role.DECIMAL_ID), int(Role.DECIMAL_DATA), int(Role.DIRECTION)
-_EXTENDED, _REMOTE, _ERROR, _EVENT = int(Meaning.EXTENDED), int(Meaning.REMOTE), int(Meaning.ERROR), int(Meaning.EVENT)
-_FD, _BRS, _ESI = int(Meaning.FD), int(Meaning.BIT_RATE_SWITCH), int(Meaning.ERROR_STATE)
-_SENT = int(Meaning.SENT)
+BUS_CHANGE_ID = 0xFFFF_FFFF  # how PCAN writes one
+FRAME_FLAGS = 0xFF  # of a meaning, as ``flags`` has them
 LETTER_T = ord("t")
 
 
 @array_kernel
 def parse_lines(
-    text: UInt8Array,
-    program: Int64Array,
-    vocabulary: Int64Array,
-    options: Int64Array,
-    is_comment: npt.NDArray[np.bool_],
-    clock: Int64Array,
-    line: Int64Array,
-    t_ns: Int64Array,
-    can_id: UInt32Array,
-    length: UInt8Array,
-    flags: UInt8Array,
-    channel: UInt8Array,
-    data: UInt8Array,
-    report: Int64Array,
-    outcomes: Int64Array,
-    first: Int64Array,
+    text: UInt8Array, rows: FrameRows, program: Program, clock: Int64Array, line: Int64Array, progress: Int64Array
 ) -> None:
-    """Parse lines from where the report says; stop before a comment, and where the arena is too narrow.
+    """Parse lines from where the progress says; stop before a comment.
 
     ``line`` is room for the fields of one line, shape (FIELDS,); ``clock`` is what the times are relative to.
     """
-    at, number, row = report[POSITION], report[LINES], report[ROWS]
-    report[STOP] = AT_END
+    at, number, row = progress[POSITION], progress[LINES], progress[ROWS]
+    progress[STOP] = AT_END
     while at < len(text):
         begin = skip_blanks(text, at)
-        if is_comment[text[begin]]:
-            report[STOP] = OTHER
+        if program.is_comment[text[begin]]:
+            progress[STOP] = OTHER
             break
-        outcome, end = _parse_line(text, begin, row, program, vocabulary, options, line, data)
-        if outcome == WIDEN_FIRST:
-            report[STOP] = WIDEN
+        outcome, end = _parse_line(text, begin, rows.data, row, program, line)
+        if outcome == TOO_LONG:
+            progress[STOP] = WIDEN
             break
         if outcome == FRAME:
-            outcome = _settle(row, clock, line, t_ns, can_id, length, flags, channel, data)
+            outcome = _store(rows, row, clock, line)
             row += outcome == FRAME
         elif outcome == SKIPPED and line[TIME_US] != fields.NO_TIME and clock[MODE] == RELATIVE:
             clock[NOW_US] += line[TIME_US]
         number += 1
-        count_lines(outcomes, first, outcome, number)
+        count_line(progress, outcome, number)
         at = end
-    report[POSITION], report[LINES], report[ROWS] = at, number, row
+    progress[POSITION], progress[LINES], progress[ROWS] = at, number, row
 
 
 @array_kernel
 def _parse_line(
-    text: UInt8Array,
-    at: int,
-    row: int,
-    program: Int64Array,
-    vocabulary: Int64Array,
-    options: Int64Array,
-    line: Int64Array,
-    data: UInt8Array,
+    text: UInt8Array, at: int, data: UInt8Array, row: int, program: Program, line: Int64Array
 ) -> tuple[int, int]:
     """Read the columns of one line; return the outcome and the position behind the line."""
     line[:] = UNKNOWN
@@ -130,27 +88,29 @@ def _parse_line(
     line[TIME_US] = fields.NO_TIME
     if text[at] == NEWLINE:
         return SKIPPED, at + 1
-    separator = options[SEPARATOR]
-    for column in range(len(program)):
-        role, parameter = program[column, 0], program[column, 1]
-        if role == _DATA or role == _BASE64 or role == _DECIMAL_DATA:  # noqa: PLR1714, SIM109 - no tuple in a kernel
-            at = _read_payload(text, at, row, role, vocabulary, separator, line, data)
-        elif role == _IGNORED or role == _DIRECTION:  # noqa: PLR1714, SIM109 - no tuple in a kernel
-            line[MEANING] |= _SENT if role == _DIRECTION and (text[at] | 32) == LETTER_T else 0
+    separator = program.separator
+    for column in range(len(program.columns)):
+        role, parameter = program.columns[column, 0], program.columns[column, 1]
+        if role == Role.DATA or role == Role.DECIMAL_DATA:  # noqa: PLR1714 - no tuple in a kernel
+            at = _read_data(text, at, data, row, role, program, line)
+        elif role == Role.BASE64:
+            line[COUNT], at = fields.base64_bytes(text, at, row, data)
+        elif role == Role.IGNORED or role == Role.DIRECTION:  # noqa: PLR1714
+            line[MEANING] |= TX_FLAG if role == Role.DIRECTION and (text[at] | 32) == LETTER_T else 0
             at = fields.skip_field(text, at, separator)
         else:
-            at = _read_column(text, at, role, parameter, vocabulary, line)
+            at = _read_column(text, at, role, parameter, program.words, line)
         if at < 0:
-            is_too_narrow = data.shape[1] < line[COUNT] <= FD_PAYLOAD_BYTES
-            return (WIDEN_FIRST if is_too_narrow else MALFORMED), skip_line(text, -at)
-        if line[MEANING] & _EVENT:
+            is_too_long = data.shape[1] < line[COUNT] <= FD_PAYLOAD_BYTES
+            return (TOO_LONG if is_too_long else MALFORMED), skip_line(text, -at)
+        if line[MEANING] & EVENT:
             return SKIPPED, skip_line(text, at)
         at = _next_column(text, at, separator)
         if at < 0:
             return MALFORMED, skip_line(text, -at)
     if text[at] != NEWLINE:
         return MALFORMED, skip_line(text, at)
-    return _check_length(line, options[IS_PADDED]), at + 1
+    return _check_length(line, program.is_padded), at + 1
 
 
 @array_kernel
@@ -165,28 +125,28 @@ def _next_column(text: UInt8Array, at: int, separator: int) -> int:
 
 
 @array_kernel
-def _read_column(text: UInt8Array, at: int, role: int, parameter: int, vocabulary: Int64Array, line: Int64Array) -> int:
+def _read_column(text: UInt8Array, at: int, role: int, parameter: int, words: Int64Array, line: Int64Array) -> int:
     """Read one column that is not data; return the position behind it, negative if it does not fit its role."""
     begin = at
-    if role == _TIME:
+    if role == Role.TIME:
         line[TIME_US], at = fields.decimal_us(text, at, parameter)
-    elif role == _CLOCK:
+    elif role == Role.CLOCK:
         line[TIME_US], at = fields.clock_us(text, at, parameter)
-    elif role == _ID:
+    elif role == Role.ID:
         at = _read_id(text, at, parameter, line)
-    elif role == _DECIMAL_ID:
+    elif role == Role.DECIMAL_ID:
         line[ID], at = decimal(text, begin, 10)
-    elif role == _WORD:
-        at = _read_word(text, at, parameter, vocabulary, line)
-    elif role == _SWITCH:
+    elif role == Role.WORD:
+        at = _read_word(text, at, parameter, words, line)
+    elif role == Role.SWITCH:
         is_on, at = fields.switch(text, at)
         line[MEANING] |= parameter * is_on
-    elif role == _CHANNEL:
+    elif role == Role.CHANNEL:
         line[CHANNEL], at = fields.number(text, at, 255)
     else:
         line[LENGTH], at = fields.number(text, at, FD_PAYLOAD_BYTES)
-        if role == _LENGTH_CODE and at > 0 and line[LENGTH] >= 0:
-            at = fields.decode_length(line, LENGTH, line[MEANING] & _FD, at)
+        if role == Role.LENGTH_CODE and at > 0 and line[LENGTH] >= 0:
+            at = fields.decode_length(line, LENGTH, line[MEANING] & FD_FLAG, at)
     return at if at > begin else -max(begin, 1)
 
 
@@ -196,71 +156,43 @@ def _read_id(text: UInt8Array, at: int, standard_digits: int, line: Int64Array) 
     value, digits, at = fields.hexadecimal(text, at)
     line[ID] = value
     if standard_digits and digits > standard_digits:
-        line[MEANING] |= _EXTENDED
-        if value == 0xFFFF_FFFF:  # how PCAN writes a change of the bus
-            line[MEANING] |= _EVENT
+        line[MEANING] |= EXTENDED_FLAG | (EVENT if value == BUS_CHANGE_ID else 0)
     return at
 
 
 @array_kernel
-def _read_word(text: UInt8Array, at: int, initial: int, vocabulary: Int64Array, line: Int64Array) -> int:
+def _read_word(text: UInt8Array, at: int, initial: int, words: Int64Array, line: Int64Array) -> int:
     """Read a word, behind a channel of one digit if there is one."""
     if 48 <= text[at] <= 57:
         line[CHANNEL] = text[at] - 48
         at += 1
     packed, behind = fields.word(text, at)
-    meaning = fields.meaning_of(packed, vocabulary)
+    meaning = fields.meaning_of(packed, words)
+    if meaning < 0 and initial and (text[at] | 32) == initial:
+        meaning = EVENT
     if meaning < 0:
-        if initial and (text[at] | 32) == initial:
-            meaning = _EVENT
-        else:
-            return -behind
+        return -behind
     line[MEANING] |= meaning
     return behind
 
 
 @array_kernel
-def _read_payload(
-    text: UInt8Array,
-    at: int,
-    row: int,
-    role: int,
-    vocabulary: Int64Array,
-    separator: int,
-    line: Int64Array,
-    data: UInt8Array,
-) -> int:
-    """Read the payload of a line; return the position behind it, negative if it is none."""
-    if role == _DATA:
-        return _read_data(text, at, row, vocabulary, separator, line, data)
-    if role == _DECIMAL_DATA:
-        return _read_decimal_data(text, at, row, line, data)
-    line[COUNT], at = fields.base64_bytes(text, at, row, data)
-    return at
-
-
-@array_kernel
 def _read_data(
-    text: UInt8Array,
-    at: int,
-    row: int,
-    vocabulary: Int64Array,
-    separator: int,
-    line: Int64Array,
-    data: UInt8Array,
+    text: UInt8Array, at: int, data: UInt8Array, row: int, role: int, program: Program, line: Int64Array
 ) -> int:
     """Read bytes to the end of the line, before them perhaps a word; return the position of the newline."""
     count = 0
-    is_word = separator == BLANKS and text[at] > BLANK and (HEX_VALUE[text[at]] < 0 or HEX_VALUE[text[at + 1]] < 0)
-    if is_word:
+    is_decimal = role == Role.DECIMAL_DATA
+    is_word = HEX_VALUE[text[at]] < 0 or HEX_VALUE[text[at + 1]] < 0
+    if not is_decimal and program.separator == BLANKS and text[at] > BLANK and is_word:
         packed, at = fields.word(text, at)
-        meaning = fields.meaning_of(packed, vocabulary)
+        meaning = fields.meaning_of(packed, program.words)
         if meaning < 0:
             return -at
         line[MEANING] |= meaning
         at = skip_blanks(text, at)
     while text[at] != NEWLINE:
-        value, behind = fields.byte(text, at, separator)
+        value, behind = fields.decimal_byte(text, at) if is_decimal else fields.byte(text, at, program.separator)
         if value < 0:
             return -behind
         if value != fields.NO_BYTE and count < data.shape[1]:
@@ -275,29 +207,10 @@ def _read_data(
 
 
 @array_kernel
-def _read_decimal_data(text: UInt8Array, at: int, row: int, line: Int64Array, data: UInt8Array) -> int:
-    """Read decimal bytes to the end of the line; as ``_read_data``."""
-    count = 0
-    while text[at] != NEWLINE:
-        value, behind = fields.decimal_byte(text, at)
-        if value < 0:
-            return -behind
-        if count < data.shape[1]:
-            data[row, count] = value
-        count += 1
-        if count > data.shape[1] and (count > FD_PAYLOAD_BYTES or line[LENGTH] != data.shape[1]):
-            line[COUNT] = count
-            return -behind
-        at = behind
-    line[COUNT] = count
-    return at
-
-
-@array_kernel
 def _check_length(line: Int64Array, is_padded: int) -> int:
     """Return whether the bytes that were found are those that the line speaks of."""
     count = max(line[COUNT], 0)
-    has_payload = not line[MEANING] & (_REMOTE | _ERROR)
+    has_payload = not line[MEANING] & (REMOTE_FLAG | ERROR_FLAG)
     if line[LENGTH] < 0:
         line[LENGTH] = count
     if has_payload and (count < line[LENGTH] or (count > line[LENGTH] and not is_padded)):
@@ -310,46 +223,24 @@ def _check_length(line: Int64Array, is_padded: int) -> int:
 
 
 @array_kernel
-def _settle(
-    row: int,
-    clock: Int64Array,
-    line: Int64Array,
-    t_ns: Int64Array,
-    can_id: UInt32Array,
-    length: UInt8Array,
-    flags: UInt8Array,
-    channel: UInt8Array,
-    data: UInt8Array,
-) -> int:
+def _store(rows: FrameRows, row: int, clock: Int64Array, line: Int64Array) -> int:
     """Write the fields of a line into a row; return whether they make a frame."""
-    meaning, identifier = line[MEANING], line[ID]
-    if meaning & _ERROR:
-        identifier = ERROR_FLAG
-        line[LENGTH] = 0
-    elif identifier < 0 or identifier > (MAX_EXTENDED_ID if meaning & _EXTENDED else MAX_STANDARD_ID):
+    meaning, identifier, length = line[MEANING], line[ID], line[LENGTH]
+    if meaning & ERROR_FLAG:
+        identifier, length, meaning = ERROR_FLAG, 0, meaning & ~EXTENDED_FLAG
+    elif identifier < 0 or identifier > (MAX_EXTENDED_ID if meaning & EXTENDED_FLAG else MAX_STANDARD_ID):
         return MALFORMED
-    elif meaning & _EXTENDED:
-        identifier |= EXTENDED_FLAG
     time_us = _advance(clock, line[TIME_US])
     if time_us == fields.NO_TIME:
         return MALFORMED
-    t_ns[row] = time_us * NS_PER_US
-    can_id[row] = np.uint32(identifier | (REMOTE_FLAG if meaning & _REMOTE else 0))
-    length[row] = line[LENGTH]
-    channel[row] = max(line[CHANNEL], 0)
-    flags[row] = _frame_flags(meaning, line[LENGTH])
-    for index in range(min(line[LENGTH], max(line[COUNT], 0)), data.shape[1]):
-        data[row, index] = 0
+    rows.t_ns[row] = time_us * NS_PER_US
+    rows.can_id[row] = np.uint32(identifier | meaning & (EXTENDED_FLAG | REMOTE_FLAG))
+    rows.length[row], rows.channel[row] = length, max(line[CHANNEL], 0)
+    # Formats that do not tell FD apart still show it by the length.
+    is_fd = meaning & FD_FLAG or length > PAYLOAD_BYTES
+    rows.flags[row] = FD_FLAG | meaning & FRAME_FLAGS if is_fd else meaning & TX_FLAG
+    rows.data[row, min(length, max(line[COUNT], 0)) :] = 0
     return FRAME
-
-
-@array_kernel
-def _frame_flags(meaning: int, length: int) -> int:
-    """Return the flags of a frame; formats that do not tell FD apart still show it by its length."""
-    sent = TX_FLAG if meaning & _SENT else 0
-    if not meaning & _FD and length <= PAYLOAD_BYTES:
-        return sent
-    return sent | FD_FLAG | (BRS_FLAG if meaning & _BRS else 0) | (ESI_FLAG if meaning & _ESI else 0)
 
 
 @array_kernel

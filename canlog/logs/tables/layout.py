@@ -3,10 +3,12 @@
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from enum import IntEnum, IntFlag
+from typing import NamedTuple
 
 import numpy as np
 
-from canlog.arrays import Int64Array
+from canlog.arrays import BoolArray, Int64Array
+from canlog.frames import BRS_FLAG, ERROR_FLAG, ESI_FLAG, EXTENDED_FLAG, FD_FLAG, REMOTE_FLAG, TX_FLAG
 
 
 class Role(IntEnum):
@@ -29,19 +31,20 @@ class Role(IntEnum):
 
 
 class Meaning(IntFlag):
-    """What a word or a switch says about a frame."""
+    """What a word or a switch says about a frame: the flags of its identifier and its own, and one of ours."""
 
     NOTHING = 0
-    EXTENDED = 1
-    REMOTE = 2
-    ERROR = 4
-    FD = 8
-    BIT_RATE_SWITCH = 16
-    ERROR_STATE = 32
-    EVENT = 64  # the line holds no frame and is not meant to
-    SENT = 128  # by the recorder itself
+    EXTENDED = EXTENDED_FLAG
+    REMOTE = REMOTE_FLAG
+    ERROR = ERROR_FLAG
+    FD = FD_FLAG
+    BIT_RATE_SWITCH = BRS_FLAG
+    ERROR_STATE = ESI_FLAG
+    EVENT = 0x100  # the line holds no frame and is not meant to
+    SENT = TX_FLAG  # by the recorder itself
 
 
+EVENT = int(Meaning.EVENT)
 SECONDS, MILLISECONDS, MICROSECONDS = 6, 3, 0
 BLANKS, COMMA = ord(" "), ord(",")
 PACKED_BYTES = 8  # of a word: its first characters tell it apart
@@ -53,6 +56,16 @@ class Column:
 
     role: Role
     parameter: int = 0
+
+
+class Program(NamedTuple):
+    """A layout, as the compiled reader follows it."""
+
+    columns: Int64Array  # (n, 2): role, parameter
+    words: Int64Array  # (n, 2): packed, meaning
+    is_comment: BoolArray  # (256,): whether a line that begins with this character is one
+    separator: int
+    is_padded: bool
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -69,24 +82,17 @@ class Layout:
     comment_starts: bytes = b""
     is_padded: bool = False
 
-    @property
-    def tells_length(self) -> bool:
-        """Whether a line says how long its payload is."""
-        return any(column.role in {Role.LENGTH, Role.LENGTH_CODE} for column in self.columns)
-
-    @property
-    def has_columns_of_bytes(self) -> bool:
-        """Whether every byte of a payload stands by itself."""
-        return self.columns[-1].role in {Role.DATA, Role.DECIMAL_DATA}
-
-    def program(self) -> Int64Array:
-        """Return the columns as numbers, shape (n, 2), for the compiled reader."""
-        return np.array([(column.role, column.parameter) for column in self.columns], np.int64)
-
-    def vocabulary(self) -> Int64Array:
-        """Return words and meanings as numbers, shape (n, 2)."""
-        known = [(packed(word), int(meaning)) for word, meaning in self.words.items()]
-        return np.array(known, np.int64).reshape(-1, 2)
+    def program(self) -> Program:
+        """Return the layout as numbers."""
+        is_comment = np.zeros(256, np.bool_)
+        is_comment[list(self.comment_starts)] = True
+        return Program(
+            columns=np.array([(column.role, column.parameter) for column in self.columns], np.int64),
+            words=np.array([(packed(word), int(one)) for word, one in self.words.items()], np.int64).reshape(-1, 2),
+            is_comment=is_comment,
+            separator=self.separator,
+            is_padded=self.is_padded,
+        )
 
 
 def packed(word: str) -> int:

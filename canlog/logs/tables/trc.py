@@ -5,7 +5,7 @@ from datetime import UTC, datetime
 from decimal import Decimal, InvalidOperation
 
 from canlog.logs.tables.layout import MILLISECONDS, Column, Layout, Meaning, Role
-from canlog.logs.tables.reader import Table
+from canlog.logs.tables.table import Table
 
 DAY_US = 86_400_000_000
 DAYS_TO_EPOCH = 25_569  # from 1899-12-30 to 1970-01-01
@@ -114,7 +114,7 @@ class Trc(Table):
     def _take_start(self, start_us: int | None) -> bool:
         if start_us is None:
             return False
-        self.clock.set(start_us)
+        self.set_clock(start_us)
         self._has_start = True
         return True
 

@@ -7,17 +7,18 @@ import pytest
 
 from canlog.frame_columns import join
 from canlog.frames import BRS_FLAG, ERROR_FLAG, ESI_FLAG, EXTENDED_FLAG, FD_FLAG, REMOTE_FLAG, TX_FLAG, FrameBatch
-from canlog.logs.asc import is_asc_header, read_asc
-from canlog.logs.tally import LogCounts, LogReject, Tally
+from canlog.logs.asc import AscLog, is_asc_header
+from canlog.logs.log_counts import LogCounts, LogReject
+from canlog.logs.text_log import reader_of
 
 HEADER = b"date Thu Jan 01 10:00:00.500 2026\nbase hex  timestamps absolute\ninternal events logged\n"
 START_NS = int(datetime(2026, 1, 1, 10).timestamp()) * 10**9 + 500_000_000  # noqa: DTZ001 - local, as in the format
 
 
 def read(text: bytes) -> tuple[FrameBatch | None, LogCounts]:
-    tally = Tally()
-    batches = list(read_asc(io.BytesIO(text), tally))
-    return (join(batches) if batches else None), tally.snapshot()
+    counts = LogCounts()
+    batches = list(reader_of(AscLog)(io.BytesIO(text), counts))
+    return (join(batches) if batches else None), counts
 
 
 @pytest.mark.parametrize(
@@ -178,7 +179,7 @@ def test_the_numbers_behind_a_payload_are_no_bytes_of_it() -> None:
     assert counts.rejected == {LogReject.MALFORMED: 1}
 
 
-@pytest.mark.parametrize("comment", [b" // slip", b"  //slip = 5", b"\t// Rx d 8"])
+@pytest.mark.parametrize("comment", [b" // slip", b"  //slip = 5", b"\t// Rx d 8", b" // c"])
 @pytest.mark.parametrize(
     ("event", "length"),
     [
@@ -189,12 +190,14 @@ def test_the_numbers_behind_a_payload_are_no_bytes_of_it() -> None:
         (b"1  123  Rx   r 2", 2),
         (b"CANFD 1 Rx 123 0 0 2 2 01 02 0 0 1000 0 0 0 0 0", 2),
         (b"CANFD 1 Rx 123 Name 0 0 2 2 01 02", 2),
+        (b"CANFD 1 Rx 123 Name 0 0 2 2 01 02 0", 2),  # behind which a comment of one letter is no flags
     ],
 )
 def test_a_trailing_comment_changes_nothing(event: bytes, length: int, comment: bytes) -> None:
     batch, counts = read(HEADER + b"1.0 " + event + comment + b"\n1.0 " + event + b"\n")
     assert batch is not None
     assert batch.length.tolist() == [length, length]
+    assert batch.flags[0] == batch.flags[1]
     assert counts == LogCounts(frames=2, skipped=3)
 
 

@@ -12,7 +12,7 @@ from canlog.errors import SourceError
 from canlog.frame_columns import join
 from canlog.frames import BRS_FLAG, ERROR_FLAG, ESI_FLAG, EXTENDED_FLAG, FD_FLAG, REMOTE_FLAG, FrameBatch
 from canlog.logs.blf import FILE_HEADER, read_blf
-from canlog.logs.tally import LogCounts, LogReject, Tally
+from canlog.logs.log_counts import LogCounts, LogReject
 
 START_NS = 1_767_225_600_123_000_000  # 2026-01-01 00:00:00.123
 SYSTEMTIME = (2026, 1, 4, 1, 0, 0, 0, 123)
@@ -44,9 +44,9 @@ def blf(containers: Sequence[bytes], *, start: Sequence[int] = SYSTEMTIME, state
 
 
 def read(contents: bytes) -> tuple[FrameBatch | None, LogCounts]:
-    tally = Tally()
-    batches = list(read_blf(io.BytesIO(contents), tally))
-    return (join(batches) if batches else None), tally.snapshot()
+    counts = LogCounts()
+    batches = list(read_blf(io.BytesIO(contents), counts))
+    return (join(batches) if batches else None), counts
 
 
 def length_code(payload: bytes) -> int:

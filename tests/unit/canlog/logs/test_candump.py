@@ -7,14 +7,15 @@ import pytest
 
 from canlog.frame_columns import join
 from canlog.frames import BRS_FLAG, ERROR_FLAG, ESI_FLAG, EXTENDED_FLAG, FD_FLAG, REMOTE_FLAG, TX_FLAG, FrameBatch
-from canlog.logs.candump import frames_in_candump, read_candump
-from canlog.logs.tally import LogCounts, LogReject, Tally
+from canlog.logs.candump import CandumpLog
+from canlog.logs.log_counts import LogCounts, LogReject
+from canlog.logs.text_log import frames_of, reader_of
 
 
 def read(text: bytes) -> tuple[FrameBatch | None, LogCounts]:
-    tally = Tally()
-    batches = list(read_candump(io.BytesIO(text), tally))
-    return (join(batches) if batches else None), tally.snapshot()
+    counts = LogCounts()
+    batches = list(reader_of(CandumpLog)(io.BytesIO(text), counts))
+    return (join(batches) if batches else None), counts
 
 
 @pytest.mark.parametrize(
@@ -145,10 +146,10 @@ def test_a_line_without_end_does_not_fill_the_memory() -> None:
 
 
 def test_recognition() -> None:
-    assert frames_in_candump(b"# comment\n(1.0) can0 123#11\n")
-    assert frames_in_candump(b"(1.0) can0 123##0")
-    assert not frames_in_candump(b"time,id,data\n1.0,123,11\n")
-    assert not frames_in_candump(b"")
+    assert len(frames_of(CandumpLog(), b"# comment\n(1.0) can0 123#11\n"))
+    assert len(frames_of(CandumpLog(), b"(1.0) can0 123##0"))
+    assert not len(frames_of(CandumpLog(), b"time,id,data\n1.0,123,11\n"))
+    assert not len(frames_of(CandumpLog(), b""))
 
 
 USUAL = b"(1767225600.123456) vcan0 0A0#1122334455667788"
@@ -195,12 +196,12 @@ def test_lines_of_every_length_name_and_end(name: bytes, end: bytes, size: int) 
 def test_what_a_wide_row_held_before_is_gone() -> None:
     wide = b"(1767225600.000000) can0 123##0" + b"FF" * 64 + b"\n"
     narrow = b"(1767225600.000001) can0 123#11\n(1767225600.000002) can0 123#1122334455667788\n"
-    stream, tally = io.BytesIO(), Tally()
+    stream, counts = io.BytesIO(), LogCounts()
     stream.write(wide * 20_000 + narrow * 50_000)
     stream.seek(0)
-    *_, last = read_candump(stream, tally)
+    *_, last = reader_of(CandumpLog)(stream, counts)
     assert last.data[-1].tobytes() == bytes.fromhex("1122334455667788").ljust(last.width, b"\0")
-    assert tally.frames == 120_000
+    assert counts.frames == 120_000
 
 
 @pytest.mark.parametrize("size", [1, 2, 3, 4, 5, 1_000_000])
@@ -212,8 +213,8 @@ def test_a_byte_order_mark_before_the_log_is_no_part_of_it(size: int) -> None:
             return super().readinto(memoryview(buffer)[:size])
 
     text = b"\xef\xbb\xbf(1.000000) can0 123#11\n(2.000000) can0 124#22 T\n(3.000000) can0 125#33 R\n"
-    tally = Tally()
-    batch = join(list(read_candump(Trickle(text), tally)))
+    counts = LogCounts()
+    batch = join(list(reader_of(CandumpLog)(Trickle(text), counts)))
     assert batch.can_id.tolist() == [0x123, 0x124, 0x125]
     assert batch.flags.tolist() == [0, TX_FLAG, 0]
-    assert tally.snapshot() == LogCounts(frames=3)
+    assert counts == LogCounts(frames=3)

@@ -9,19 +9,19 @@ import pytest
 
 from canlog.errors import SourceError
 from canlog.logs.compressed import Compression, InflatedStream, compression_of
-from canlog.logs.tally import LogCounts, LogReject, Tally
+from canlog.logs.log_counts import LogCounts, LogReject
 
 TEXT = b"".join(b"(%d.%06d) can0 %03X#%016X\n" % (k, k, k % 0x800, k * 2_654_435_761) for k in range(20_000))
 WRAPPED = {Compression.GZIP: gzip.compress(TEXT), Compression.XZ: lzma.compress(TEXT)}
 
 
 def contents(wrapped: bytes, kind: Compression) -> tuple[bytes, LogCounts]:
-    stream, tally = InflatedStream(io.BytesIO(wrapped), kind), Tally()
-    stream.restart(tally)
+    stream, counts = InflatedStream(io.BytesIO(wrapped), kind), LogCounts()
+    stream.restart(counts)
     buffer, pieces = bytearray(10_007), list[bytes]()
     while got := stream.readinto(buffer):
         pieces.append(bytes(buffer[:got]))
-    return b"".join(pieces), tally.snapshot()
+    return b"".join(pieces), counts
 
 
 @pytest.mark.parametrize("kind", WRAPPED)

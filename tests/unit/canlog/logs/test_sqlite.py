@@ -11,7 +11,7 @@ from canlog.errors import SourceError
 from canlog.frame_columns import join
 from canlog.frames import ERROR_FLAG, EXTENDED_FLAG, FD_FLAG, REMOTE_FLAG
 from canlog.logs import LogFormat, LogReject, read_log
-from canlog.logs.tally import LogCounts
+from canlog.logs.log_counts import LogCounts
 
 TABLE = "CREATE TABLE messages (ts, arbitration_id, extended, remote, error, dlc, data)"
 ENDLESS_VIEW = (

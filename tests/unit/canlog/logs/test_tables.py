@@ -10,8 +10,8 @@ import pytest
 from canlog.frame_columns import join
 from canlog.frames import BRS_FLAG, ERROR_FLAG, ESI_FLAG, EXTENDED_FLAG, FD_FLAG, REMOTE_FLAG, TX_FLAG, FrameBatch
 from canlog.logs.detection import TABLES, LogFormat
-from canlog.logs.tables import frames_of, reader_of
-from canlog.logs.tally import LogCounts, LogReject, Tally
+from canlog.logs.log_counts import LogCounts, LogReject
+from canlog.logs.text_log import frames_of, reader_of
 
 CSV_HEADER = b"timestamp,arbitration_id,extended,remote,error,dlc,data\n"
 GVRET_HEADER = b"Time Stamp,ID,Extended,Dir,Bus,LEN,D1,D2,D3,D4,D5,D6,D7,D8\n"
@@ -27,9 +27,9 @@ Row = tuple[int, int, int, str, int, int]  # time, identifier, length, payload, 
 
 
 def read(log_format: LogFormat, text: bytes) -> tuple[FrameBatch | None, LogCounts]:
-    tally = Tally()
-    batches = list(reader_of(TABLES[log_format])(io.BytesIO(text), tally))
-    return (join(batches) if batches else None), tally.snapshot()
+    counts = LogCounts()
+    batches = list(reader_of(TABLES[log_format])(io.BytesIO(text), counts))
+    return (join(batches) if batches else None), counts
 
 
 def rows(batch: FrameBatch | None) -> list[Row]:

@@ -3,7 +3,7 @@
 import os
 from typing import BinaryIO
 
-from canlog.logs.tally import LogReject, Tally
+from canlog.logs.log_counts import LogCounts, LogReject
 
 FREE_BYTES = 256 * 2**20  # may be read before anything is found
 BYTES_PER_PIECE = 64 * 2**10  # a frame and all that comes with it take 20 to 200
@@ -11,15 +11,15 @@ FREE_REJECTS = 200_000  # pieces that are no frames; some formats take 10 us for
 REJECTS_PER_PIECE = 20
 
 
-class PatientStream:
+class BoundedStream:
     """A file that ends where no log would go on, which is counted as damage.
 
     As long as frames or other sound pieces come, it goes on: what is found pays for what is read.
     """
 
-    def __init__(self, stream: BinaryIO, tally: Tally) -> None:
+    def __init__(self, stream: BinaryIO, counts: LogCounts) -> None:
         self._stream = stream
-        self._tally = tally
+        self._counts = counts
         self._read_bytes = 0
         self._has_ended = False
 
@@ -28,15 +28,15 @@ class PatientStream:
         """The name of the file."""
         return str(self._stream.name)
 
-    def read(self, size: int = -1) -> bytes:
+    def read(self, size: int) -> bytes:
         """Return the next bytes; none once it has ended."""
-        return b"" if self._is_at_end() else self._counted(self._stream.read(size))
+        content = b"" if self._is_at_end() else self._stream.read(size)
+        self._read_bytes += len(content)
+        return content
 
     def readinto(self, buffer: "memoryview | bytearray") -> int:
         """Fill the buffer as far as the file goes; 0 once it has ended."""
-        if self._is_at_end():
-            return 0
-        got = int(self._stream.readinto(buffer))  # type: ignore[attr-defined]  # of every binary file
+        got = 0 if self._is_at_end() else int(self._stream.readinto(buffer))  # type: ignore[attr-defined]  # of every one
         self._read_bytes += got
         return got
 
@@ -44,27 +44,14 @@ class PatientStream:
         """Go to a position and return it."""
         return self._stream.seek(position, whence)
 
-    def tell(self) -> int:
-        """Return the position."""
-        return self._stream.tell()
-
-    def close(self) -> None:
-        """Close the file."""
-        self._stream.close()
-
-    def _counted(self, content: bytes) -> bytes:
-        self._read_bytes += len(content)
-        return content
-
     def _is_at_end(self) -> bool:
-        tally = self._tally
-        pieces = tally.frames + tally.skipped
+        counts = self._counts
+        pieces = counts.frames + counts.skipped
         is_hopeless = (
             self._read_bytes > FREE_BYTES + BYTES_PER_PIECE * pieces
-            or tally.rejects > FREE_REJECTS + REJECTS_PER_PIECE * pieces
+            or sum(counts.rejected.values()) > FREE_REJECTS + REJECTS_PER_PIECE * pieces
         )
         if is_hopeless and not self._has_ended:
-            self._has_ended = True
-            tally.truncated = True
-            tally.reject(LogReject.GIVEN_UP, f"byte {self._read_bytes} or so")
+            self._has_ended = counts.truncated = True
+            counts.reject(LogReject.GIVEN_UP, f"byte {self._read_bytes} or so")
         return self._has_ended

@@ -1,0 +1,70 @@
+"""What a log reader found besides frames: counted and located, never fatal."""
+
+from dataclasses import dataclass, field, replace
+from enum import StrEnum
+
+MOST_NOTES = 8
+
+
+class LogReject(StrEnum):
+    """Why a piece of a log gave no frame."""
+
+    MALFORMED = "malformed"  # not in the grammar of the format
+    CUT_OFF = "cut_off"  # the file ends inside it
+    GIVEN_UP = "given_up"  # so much without a frame before it that what follows was not read
+    DAMAGED = "damaged"  # a container or object whose size or compression is wrong
+
+
+@dataclass(slots=True, kw_only=True)
+class LogCounts:
+    """What a log held, as far as it has been read: its reader adds to it, everyone else gets a `snapshot`."""
+
+    frames: int = 0
+    skipped: int = 0  # comments, events and other things that are no frames and are not meant to be
+    rejected: dict[LogReject, int] = field(default_factory=dict)
+    first_rejected: str = ""  # where and why, for people
+    truncated: bool = False  # the file ends before its own end
+    jumps_back: int = 0  # frames whose time lies before that of the frame before
+    jumps_ahead: int = 0  # frames after a silence that ends a segment
+    first_jump: str = ""  # where and how far, for people
+    repeated: int = 0  # frames that equal the one before, time and all
+    unfinished: bool = False  # its writer did not close it: what is missing at the end cannot be told
+    notes: tuple[str, ...] = ()  # what had to be assumed, for people: a unit, a date that is not understood
+
+    @property
+    def first_fault(self) -> str:
+        """What is wrong with the log, so that nobody has to look further; empty if nothing is."""
+        end = "the file ends before its own end" if self.truncated else ""
+        return self.first_rejected or self.first_jump or end
+
+    def note(self, text: str) -> None:
+        """Say what had to be assumed about the log; each thing once, and no more than a few."""
+        if text not in self.notes and len(self.notes) < MOST_NOTES:
+            self.notes += (text,)
+
+    def reject(self, reason: LogReject, place: str, count: int = 1) -> None:
+        """Count pieces that gave no frame; ``place`` is where the first of them is."""
+        if count:
+            self.first_rejected = self.first_rejected or f"{place}: {reason}"
+            self.rejected[reason] = self.rejected.get(reason, 0) + count
+
+    def cut_off(self, place: str, count: int = 1) -> None:
+        """Count pieces that the end of the file cut off or left out."""
+        self.truncated = True
+        self.reject(LogReject.CUT_OFF, place, count)
+
+    def add(self, other: "LogCounts") -> None:
+        """Add what another reader of the same log counted."""
+        self.frames += other.frames
+        self.skipped += other.skipped
+        self.truncated |= other.truncated
+        self.unfinished |= other.unfinished
+        self.first_rejected = self.first_rejected or other.first_rejected
+        for reason, count in other.rejected.items():
+            self.reject(reason, "", count)
+        for text in other.notes:
+            self.note(text)
+
+    def snapshot(self) -> "LogCounts":
+        """Return the counts of now."""
+        return replace(self, rejected=dict(self.rejected))

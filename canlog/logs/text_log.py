@@ -1,0 +1,182 @@
+"""Logs of lines: one reader for all of them, with a grammar for each format."""
+
+import codecs
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from typing import BinaryIO
+
+import numpy as np
+
+from canlog.arrays import Int64Array, UInt8Array
+from canlog.frames import FrameBatch
+from canlog.logs.frame_buffer import FrameBuffer, FrameRows
+from canlog.logs.log_counts import LogCounts, LogReject
+from canlog.logs.text_kernels import (
+    FIRST_MALFORMED,
+    LINES,
+    MALFORMED,
+    MALFORMED_LINES,
+    OTHER,
+    POSITION,
+    PROGRESS_FIELDS,
+    ROWS,
+    SKIPPED,
+    SKIPPED_LINES,
+    STOP,
+    WIDEN,
+    count_line,
+)
+
+BLOCK_BYTES = 2 * 1024 * 1024
+MAX_LINE_BYTES = 4096  # whatever is longer is not text
+LOOK_AHEAD_BYTES = 64 * 1024
+BYTE_ORDER_MARK = codecs.BOM_UTF8  # some editors and converters put it before a text
+
+
+class TextLog(ABC):
+    """The grammar of a format, and what is remembered of a file from line to line.
+
+    ``notes`` is what had to be assumed, for people.
+    """
+
+    shortest_line_bytes = 7  # of all with a frame, its newline included: "0 DT 1", in a TRC of three columns
+
+    def __init__(self) -> None:
+        self.notes: list[str] = []
+
+    @abstractmethod
+    def parse(self, text: UInt8Array, rows: FrameRows, progress: Int64Array) -> None:
+        """Read lines from where the progress says, until one needs what the compiled reader does not know."""
+
+    @abstractmethod
+    def is_whole(self, line: bytes, frame: FrameBatch) -> bool:
+        """Return whether no byte can be missing of a last line to which its newline was added."""
+
+    def read_comment(self, line: bytes) -> bool:
+        """Take up what a line without a frame says; return whether it belongs to the format."""
+        return not line
+
+    def look_ahead(self, text: bytes) -> None:  # noqa: B027 - most formats need not
+        """Find out what single lines do not tell, from the beginning of the log."""
+
+
+class TextReader:
+    """Reads the text of one file, which comes in blocks of no more than so many bytes."""
+
+    def __init__(self, log: TextLog, counts: LogCounts, block_bytes: int) -> None:
+        self._log = log
+        self._counts = counts
+        self._buffer = FrameBuffer(block_bytes // log.shortest_line_bytes + 1)
+        self._lines = 0
+        self._comments = 0
+
+    def read(self, text: UInt8Array) -> FrameBatch:
+        """Return the frames of whole lines; count what is not a frame."""
+        progress = np.zeros(PROGRESS_FIELDS, np.int64)
+        while progress[POSITION] < len(text):
+            self._log.parse(text, self._buffer.rows, progress)
+            if progress[STOP] == WIDEN:
+                self._buffer.widen(int(progress[ROWS]))
+            elif progress[STOP] == OTHER:
+                self._read_comment(text, progress)
+        self._counts.skipped += int(progress[SKIPPED_LINES])
+        place = f"line {self._lines + int(progress[FIRST_MALFORMED])}"
+        self._counts.reject(LogReject.MALFORMED, place, int(progress[MALFORMED_LINES]))
+        self._lines += int(progress[LINES])
+        return self._buffer.batch(int(progress[ROWS]))
+
+    def read_last(self, text: UInt8Array) -> FrameBatch:
+        """Return the frame of a last line without its end, if no byte of it can be missing."""
+        counts, self._counts, comments = self._counts, LogCounts(), self._comments
+        frame = self.read(text)
+        if len(frame) and self._log.is_whole(text.tobytes(), frame):
+            return frame
+        if self._comments > comments:
+            counts.skipped += 1
+        else:
+            counts.cut_off(f"line {self._lines}")
+        return frame[:0]
+
+    def _read_comment(self, text: UInt8Array, progress: Int64Array) -> None:
+        start = int(progress[POSITION])
+        progress[POSITION] = end_of_line(text, start)
+        progress[LINES] += 1
+        is_known = self._log.read_comment(text[start : progress[POSITION]].tobytes().strip())
+        self._comments += is_known
+        count_line(progress, SKIPPED if is_known else MALFORMED, progress[LINES])
+
+
+def reader_of(new_log: Callable[[], TextLog]) -> Callable[[BinaryIO, LogCounts], Iterator[FrameBatch]]:
+    """Return the function that reads logs of a format: a batch for each 2 MiB of text."""
+
+    def read(stream: BinaryIO, counts: LogCounts) -> Iterator[FrameBatch]:
+        log = new_log()
+        reader = TextReader(log, counts, BLOCK_BYTES + MAX_LINE_BYTES)
+        for number, lines in enumerate(lines_of(stream)):
+            if number == 0:
+                log.look_ahead(lines.text[:LOOK_AHEAD_BYTES].tobytes())
+            batch = reader.read(lines.text) if lines.is_terminated else reader.read_last(lines.text)
+            for note in log.notes:
+                counts.note(note)
+            if len(batch):
+                counts.frames += len(batch)
+                yield batch
+
+    return read
+
+
+def frames_of(log: TextLog, text: bytes, counts: LogCounts | None = None) -> FrameBatch:
+    """Return the frames of a piece of text, which may be cut anywhere."""
+    reader = TextReader(log, counts or LogCounts(), len(text) + 1)
+    return reader.read(np.frombuffer(text + b"\n", np.uint8))
+
+
+@dataclass(frozen=True, slots=True)
+class Lines:
+    """Whole lines of a log, each ended by a newline; the text is valid until the next ones are asked for."""
+
+    text: UInt8Array
+    is_terminated: bool = True  # False: one last line to which the newline was added, the file may have cut it
+
+
+def lines_of(stream: BinaryIO) -> Iterator[Lines]:
+    """Yield a text in blocks of whole lines, about 2 MiB each, and last what follows the last newline.
+
+    A byte-order mark before the first one is passed over. Of a line that is too long to be one only the end is passed
+    on, behind a NUL that makes it malformed.
+    """
+    buffer = bytearray(BLOCK_BYTES + MAX_LINE_BYTES)
+    kept, is_first = 0, True
+    while got := _fill(stream, memoryview(buffer)[kept:]):
+        stop = kept + got
+        if is_first and buffer.startswith(BYTE_ORDER_MARK):
+            stop -= len(BYTE_ORDER_MARK)
+            buffer[:stop] = buffer[len(BYTE_ORDER_MARK) : stop + len(BYTE_ORDER_MARK)]
+        is_first = False
+        end = buffer.rfind(b"\n", kept, stop) + 1
+        if end:
+            yield Lines(np.frombuffer(memoryview(buffer).toreadonly(), np.uint8, end))
+        rest = buffer[end:stop]
+        if len(rest) > MAX_LINE_BYTES:
+            rest = bytearray(b"\0")
+        kept = len(rest)
+        buffer[:kept] = rest
+    if buffer[:kept].strip():
+        yield Lines(np.frombuffer(bytes(buffer[:kept]) + b"\n", np.uint8), is_terminated=False)
+
+
+def end_of_line(text: UInt8Array, at: int) -> int:
+    """Return the position behind the newline that ends a line."""
+    step = 128
+    while (found := text[at : at + step].tobytes().find(b"\n")) < 0:
+        at, step = at + step, MAX_LINE_BYTES
+    return at + found + 1
+
+
+def _fill(stream: BinaryIO, view: memoryview) -> int:
+    """Read until the view is full or the stream at its end, and return how much: a stream may come in small pieces."""
+    count = 0
+    while count < len(view) and (got := stream.readinto(view[count:])):  # type: ignore[attr-defined]  # of every one
+        count += got
+    return count
