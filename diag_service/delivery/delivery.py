@@ -2,8 +2,9 @@
 
 import asyncio
 import logging
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections import deque
+from collections.abc import Sequence
+from dataclasses import dataclass, field
 from enum import StrEnum
 from itertools import islice
 from typing import Final
@@ -16,6 +17,7 @@ from diag_service.store import ResultStore
 from fleet_contract import Outcome, Outgoing, Receipt, clutch_message, raw_shift_message
 
 BATCH: Final = 200
+_MAX_PUBLISHED: Final = 1000  # results that are remembered after a broker acknowledged them
 _BACKLOG_SHARE: Final = 4  # one of so many results of a batch is backlog, however much comes in
 _NEWEST_SHARE: Final = 4  # and one of so many of the backlog is its newest
 _LOG = logging.getLogger(__name__)
@@ -83,46 +85,46 @@ class SendPriority:
         return newest + oldest
 
 
+@dataclass(slots=True, kw_only=True)
+class OutboxState:
+    """What an outbox is to do, and what it remembers from one connection to the next."""
+
+    store: ResultStore
+    vehicle: str
+    acknowledge: Acknowledge
+    limits: DeliveryLimits
+    holds_states: bool  # whether the states of clutches must not be sent yet
+    counts: Counts = field(default_factory=Counts)
+    repeat: dict[int, None] = field(default_factory=dict)  # positions that a connection may have lost, in order
+    published: deque[tuple[float, int]] = field(default_factory=lambda: deque(maxlen=_MAX_PUBLISHED))  # when, position
+
+    def note_published(self, positions: Sequence[int], now_s: float) -> None:
+        """Remember for a while what a broker acknowledged: it does so before its subscribers or its disk have it."""
+        self._forget_settled(now_s)
+        self.published.extend((now_s, position) for position in positions)
+
+    def take_up_published(self, now_s: float) -> None:
+        """Send again, over the next connection, what a broker acknowledged just before this one broke."""
+        self._forget_settled(now_s)
+        self.repeat.update((position, None) for _, position in self.published)
+        self.published.clear()
+
+    def _forget_settled(self, now_s: float) -> None:
+        while self.published and now_s - self.published[0][0] > self.limits.settled_after_s:
+            self.published.popleft()
+
+
 class Delivery:
-    """Sends what waits over one link.
+    """Sends what waits over one link; takes what it sends out of what the outbox is to repeat."""
 
-    Parameters
-    ----------
-    repeat :
-        Positions that earlier connections may have taken with them; those that are sent are taken out.
-    published :
-        Called with the positions that a broker acknowledged and that are therefore forgotten.
-    holds_states :
-        Whether the states of clutches must not be sent yet.
-    """
-
-    def __init__(
-        self,
-        store: ResultStore,
-        vehicle: str,
-        link: Link,
-        *,
-        acknowledge: Acknowledge,
-        repeat: dict[int, None],
-        published: Callable[[list[int]], None],
-        counts: Counts,
-        holds_states: Callable[[], bool] = lambda: False,
-        limits: DeliveryLimits,
-    ) -> None:
-        self._store = store
-        self._vehicle = vehicle
+    def __init__(self, state: OutboxState, link: Link) -> None:
+        self._state = state
         self._link = link
-        self._acknowledge = acknowledge
-        self._repeat = repeat
-        self._published = published
-        self._counts = counts
-        self._holds_states = holds_states
         self._are_states_held = False  # whether some were to be sent and were not
         self._priority: SendPriority | None = None  # not begun
         self._inbox: list[Receipt] = []
-        self._limits = limits
-        self._in_flight = InFlight(limits.astray_after_s)
-        self._resend_s = limits.resend_after_s
+        self._in_flight = InFlight(state.limits.astray_after_s)
+        self._resend_s = state.limits.resend_after_s
         self._has_news = False  # since results were last found overdue
         self._is_silent = False
         self._asked_s = 0.0  # when a silent backend was last asked [s of the loop]
@@ -131,9 +133,9 @@ class Delivery:
 
     async def begin(self, greetings: Sequence[Outgoing]) -> None:
         """Tell the lasting states, which a restarted broker may not know, and begin to hear the backend."""
-        if self._acknowledge is Acknowledge.BACKEND:
-            await self._link.listen(self._vehicle, self._add_receipts)
-        latest = await asyncio.to_thread(self._store.latest, self._vehicle)
+        if self._state.acknowledge is Acknowledge.BACKEND:
+            await self._link.listen(self._state.vehicle, self._add_receipts)
+        latest = await asyncio.to_thread(self._state.store.latest, self._state.vehicle)
         messages = [*greetings, *self._states(latest)]
         if messages:
             await self._link.send(messages)
@@ -148,22 +150,22 @@ class Delivery:
             return False
         messages = [raw_shift_message(row.key, row.produced_at, row.text) for row in batch]
         await self._link.send(messages + self._states(batch))
-        self._counts.sent += len(batch)
+        self._state.counts.sent += len(batch)
         positions = [row.position for row in batch]
         for position in positions:
-            self._repeat.pop(position, None)
-        if self._acknowledge is Acknowledge.BACKEND:
+            self._state.repeat.pop(position, None)
+        if self._state.acknowledge is Acknowledge.BACKEND:
             self._in_flight.add(positions, self._now_s())
             return True
-        await asyncio.to_thread(self._store.mark_published, positions)
-        self._counts.acknowledged += len(positions)
-        self._published(positions)
+        await asyncio.to_thread(self._state.store.mark_published, positions)
+        self._state.counts.acknowledged += len(positions)
+        self._state.note_published(positions, self._now_s())
         return True
 
     async def _send_held_states(self) -> None:
-        if self._are_states_held and not self._holds_states():
+        if self._are_states_held and not self._state.holds_states:
             self._are_states_held = False
-            await self._link.send(self._states(await asyncio.to_thread(self._store.latest, self._vehicle)))
+            await self._link.send(self._states(await asyncio.to_thread(self._state.store.latest, self._state.vehicle)))
 
     @property
     def awaits_receipts(self) -> bool:
@@ -184,19 +186,19 @@ class Delivery:
         if not self._inbox:
             return
         receipts, self._inbox = self._inbox, []
-        positions = await asyncio.to_thread(self._store.note_receipts, receipts)
+        positions = await asyncio.to_thread(self._state.store.note_receipts, receipts)
         self._in_flight.acknowledge(positions)
         for position in positions:
-            self._repeat.pop(position, None)
-        self._counts.acknowledged += len(positions)
+            self._state.repeat.pop(position, None)
+        self._state.counts.acknowledged += len(positions)
         self._complain_of([receipt for receipt in receipts if receipt.outcome is Outcome.QUARANTINED])
         if self._is_silent:
             _LOG.log(NOTICE, "the backend acknowledges results again")
-        self._resend_s, self._asked_s = self._limits.resend_after_s, 0.0
+        self._resend_s, self._asked_s = self._state.limits.resend_after_s, 0.0
         self._has_news, self._is_silent = True, False
 
     def _complain_of(self, refused: list[Receipt]) -> None:
-        self._counts.quarantined += len(refused)
+        self._state.counts.quarantined += len(refused)
         if refused:
             key, reason = refused[0].key.text, refused[0].reason
             _LOG.warning("the backend put aside %d results, the first %s: %s", len(refused), key, reason)
@@ -204,31 +206,31 @@ class Delivery:
     def _next_batch(self, now_s: float) -> list[StoredResult]:
         """Return what is sent next: what may be lost, what is overdue, what waits. Reads the store."""
         if self._priority is None:
-            self._priority = SendPriority(self._store, self._vehicle)
+            self._priority = SendPriority(self._state.store, self._state.vehicle)
         self._collect_overdue(now_s)
         again = self._next_repeated()
         if again:
             return again
-        room = self._limits.window_count - len(self._in_flight)
-        if room > 0 and self._in_flight.lag_s(now_s) < self._limits.backlog_lag_s:
+        room = self._state.limits.window_count - len(self._in_flight)
+        if room > 0 and self._in_flight.lag_s(now_s) < self._state.limits.backlog_lag_s:
             return self._priority.next(min(BATCH, room))
         # The backend is behind; what happens now does not wait until it has caught up.
-        return self._priority.next_fresh(min(BATCH, self._limits.window_count + room))
+        return self._priority.next_fresh(min(BATCH, self._state.limits.window_count + room))
 
     def _next_repeated(self) -> list[StoredResult]:
-        while self._repeat:
-            again = list(islice(self._repeat, BATCH))
-            rows = self._store.stored(again)
+        while self._state.repeat:
+            again = list(islice(self._state.repeat, BATCH))
+            rows = self._state.store.stored(again)
             for position in set(again).difference(row.position for row in rows):  # dropped for the disk budget
-                del self._repeat[position]
+                del self._state.repeat[position]
             if rows:
-                self._counts.repeated += len(rows)
+                self._state.counts.repeated += len(rows)
                 return rows
         return []
 
     def _collect_overdue(self, now_s: float) -> None:
         """Take up again what went astray or was sent too long ago; of what meets with silence a few, to ask."""
-        self._repeat.update(dict.fromkeys(self._in_flight.pop_astray()))
+        self._state.repeat.update(dict.fromkeys(self._in_flight.pop_astray()))
         due_s = self._due_s()
         if due_s is None or due_s > now_s:
             return
@@ -237,8 +239,8 @@ class Delivery:
             self._has_news = False
         else:
             self._note_silence(now_s)
-            overdue = self._in_flight.pop_oldest(self._limits.probe_count)
-        self._repeat.update(dict.fromkeys(overdue))
+            overdue = self._in_flight.pop_oldest(self._state.limits.probe_count)
+        self._state.repeat.update(dict.fromkeys(overdue))
 
     def _due_s(self) -> float | None:
         """Return when something must be sent again; None: nothing is in flight."""
@@ -247,18 +249,18 @@ class Delivery:
 
     def _note_silence(self, now_s: float) -> None:
         if self._is_silent:
-            self._resend_s = min(2.0 * self._resend_s, self._limits.longest_resend_s)
+            self._resend_s = min(2.0 * self._resend_s, self._state.limits.longest_resend_s)
         else:
             _LOG.warning(
                 "no backend acknowledged %d results in %g s; they are kept and sent again",
                 len(self._in_flight),
-                self._limits.resend_after_s,
+                self._state.limits.resend_after_s,
             )
         self._is_silent, self._asked_s = True, now_s
 
     def _states(self, rows: Sequence[StoredResult]) -> list[Outgoing]:
         """Return the states of clutches that these results leave, unless a newer one has been told or all are held."""
-        if self._holds_states():
+        if self._state.holds_states:
             self._are_states_held = True
             return []
         newest = {row.clutch: row for row in sorted(rows, key=lambda row: row.position)}

@@ -9,20 +9,18 @@ message, so what it acknowledged shortly before a connection broke is sent again
 import asyncio
 import logging
 import random
-from collections import deque
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import AbstractAsyncContextManager
 
 from canlog.notice import NOTICE
 from diag_service.delivery.base import DeliveryLimits, Link
-from diag_service.delivery.delivery import Acknowledge, Counts, Delivery
+from diag_service.delivery.delivery import Acknowledge, Delivery, OutboxState
 from diag_service.errors import PublishError, StoreFullError
 from diag_service.store import ResultStore
 from fleet_contract import Outgoing
 
 DRAIN_S = 5.0  # how long an ending service waits for its broker
 METRICS_PERIOD_S = 60.0
-_MAX_UNSETTLED = 1000
 
 Connect = Callable[[], AbstractAsyncContextManager[Link]]
 MetricsMessage = Callable[[Mapping[str, float]], Outgoing]
@@ -63,22 +61,22 @@ class Outbox:
         holds_states: bool = False,
         limits: DeliveryLimits | None = None,
     ) -> None:
-        self._store = store
-        self._vehicle = vehicle
+        self._state = OutboxState(
+            store=store,
+            vehicle=vehicle,
+            acknowledge=acknowledge,
+            limits=limits or DeliveryLimits(),
+            holds_states=holds_states,
+        )
+        self.counts, self.limits = self._state.counts, self._state.limits
         self._connect = connect
         self._where = where
-        self._acknowledge = acknowledge
         self._greetings = greetings
         self._metrics = metrics
-        self._holds_states = holds_states
-        self.limits = limits or DeliveryLimits()
         self._metrics_due_s = 0.0  # of the loop
         self._delivery: Delivery | None = None  # over the present connection
         self._closing = asyncio.Event()
         self._is_down = False
-        self._unsettled: deque[tuple[float, int]] = deque(maxlen=_MAX_UNSETTLED)  # when, position
-        self._repeat: dict[int, None] = {}  # positions that may have been lost with a connection, in order
-        self.counts = Counts()
 
     def nudge(self) -> None:
         """Say that the store holds something new."""
@@ -87,7 +85,7 @@ class Outbox:
 
     def release_states(self) -> None:
         """Let the states of clutches go out that were kept back."""
-        self._holds_states = False
+        self._state.holds_states = False
         self.nudge()
 
     async def run(self) -> None:
@@ -102,7 +100,7 @@ class Outbox:
                     await self._serve(link)
                     return
             except (PublishError, StoreFullError) as exc:  # a full disk cannot note receipts; they come again
-                self._take_up_unsettled()
+                self._state.take_up_published(self._now_s())
                 await self._note_failure(exc)
             finally:
                 self._delivery = None
@@ -119,20 +117,10 @@ class Outbox:
             await asyncio.wait_for(sender, timeout_s)
         except TimeoutError:
             _LOG.info("broker %s did not take everything in %g s", self._where, timeout_s)
-        return await asyncio.to_thread(self._store.unpublished_count, self._vehicle)
+        return await asyncio.to_thread(self._unpublished_count)
 
     async def _serve(self, link: Link) -> None:
-        delivery = self._delivery = Delivery(
-            self._store,
-            self._vehicle,
-            link,
-            acknowledge=self._acknowledge,
-            repeat=self._repeat,
-            published=self._note_published,
-            counts=self.counts,
-            holds_states=lambda: self._holds_states,
-            limits=self.limits,
-        )
+        delivery = self._delivery = Delivery(self._state, link)
         await delivery.begin(self._greetings)
         if self._is_down:
             self._is_down = False
@@ -172,7 +160,7 @@ class Outbox:
     def _metrics_message(self, make: MetricsMessage) -> Outgoing:
         counts = self.counts
         numbers = {
-            "outbox_waiting_count": self._store.unpublished_count(self._vehicle),
+            "outbox_waiting_count": self._unpublished_count(),
             "outbox_sent_count": counts.sent,
             "outbox_repeated_count": counts.repeated,
             "outbox_acknowledged_count": counts.acknowledged,
@@ -181,20 +169,8 @@ class Outbox:
         }
         return make(numbers)
 
-    def _note_published(self, positions: list[int]) -> None:
-        self._forget_settled()
-        now_s = self._now_s()
-        self._unsettled.extend((now_s, position) for position in positions)
-
-    def _take_up_unsettled(self) -> None:
-        """Send again, over the next connection, what a broker acknowledged just before this one broke."""
-        self._forget_settled()
-        self._repeat.update((position, None) for _, position in self._unsettled)
-        self._unsettled.clear()
-
-    def _forget_settled(self) -> None:
-        while self._unsettled and self._now_s() - self._unsettled[0][0] > self.limits.settled_after_s:
-            self._unsettled.popleft()
+    def _unpublished_count(self) -> int:
+        return self._state.store.unpublished_count(self._state.vehicle)
 
     @staticmethod
     def _now_s() -> float:
@@ -205,7 +181,7 @@ class Outbox:
         if self._is_down:
             return
         self._is_down = True
-        waiting = await asyncio.to_thread(self._store.unpublished_count, self._vehicle)
+        waiting = await asyncio.to_thread(self._unpublished_count)
         _LOG.warning("broker %s: %s; %d results wait in the store, trying again", self._where, exc, waiting)
 
     async def _pause(self, failure_count: int) -> None:
