@@ -24,8 +24,7 @@ from diag_service.batch.journal import Entry
 from diag_service.batch.worker import Analyst
 from diag_service.diagnosis.results import dump
 from diag_service.errors import ConfigError
-from diag_service.mapping.interpretation import interpret
-from diag_service.mapping.profile_choice import fit_of
+from diag_service.mapping.interpretation import fit_of, interpret
 from diag_service.settings.config import DiagnosisConfig
 from tests.support.recode import recode
 

@@ -1,5 +1,6 @@
 """The canonical signals of a profile found in a database: which messages carry them, and how each becomes SI."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Final
 
@@ -7,14 +8,59 @@ import numpy as np
 from cantools.database.can import Database, Message
 from cantools.database.can.signal import Signal as DatabaseSignal
 
-from canlog.database.addressing import Address, message_address
+from canlog.arrays import BoolArray, FloatArray
+from canlog.database.addressing import Address, message_address, parameter_group
+from canlog.database.not_available import no_value_codes
+from canlog.decode.bit_fields import PayloadWords
+from canlog.decode.signal_table import Decoded, InvalidCounts, SignalTable, compile_signal
 from canlog.errors import DefinitionError
 from diag_service.diagnosis.columns import Signal
 from diag_service.errors import ConfigError
 from diag_service.mapping.profile import Conversion, Profile, SignalSource, to_si
-from diag_service.mapping.source_tables import SourceTable, compile_source, find_message, signal_name
 
 NS_PER_MS: Final = 1_000_000
+
+
+@dataclass(frozen=True, slots=True)
+class SourceTable:
+    """One source, compiled: the signal itself and those of the same message that correct it."""
+
+    main: SignalTable
+    less: SignalTable | None
+    times: SignalTable | None
+    valid: tuple[float, float] | None
+    invalid: tuple[float, ...]
+
+    def decode(self, words: PayloadWords) -> Decoded:
+        """Return the source in every payload, in the unit of the database."""
+        found = self.main.decode(words)
+        if self.less is None and self.times is None and self.valid is None and not self.invalid:
+            return found
+        good = _all(found)
+        is_valid, is_code = self._profile_says(found.value)
+        invalid = found.invalid.plus(
+            InvalidCounts(
+                not_available=int(np.count_nonzero(good & is_code)),
+                out_of_range=int(np.count_nonzero(good & ~is_code & ~is_valid)),
+            )
+        )
+        good = good & is_valid & ~is_code
+        own_count, value = int(np.count_nonzero(good)), found.value
+        if self.less is not None:
+            value, good = _combined(self.less.decode(words), good, value, np.subtract)
+        if self.times is not None:
+            value, good = _combined(self.times.decode(words), good, value, np.multiply)
+        invalid = invalid.plus(InvalidCounts(incomplete=own_count - int(np.count_nonzero(good))))
+        return Decoded(value, None if good.all() else good, invalid, found.is_present)
+
+    def _profile_says(self, value: FloatArray) -> tuple[BoolArray, BoolArray]:
+        """Return which values are inside the profile's range, and which are codes that it lists."""
+        inside, codes = np.ones(len(value), np.bool_), np.zeros(len(value), np.bool_)
+        if self.valid is not None:
+            inside = (value >= self.valid[0]) & (value <= self.valid[1])
+        if self.invalid:
+            codes = np.isin(value, self.invalid)
+        return inside, codes
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -103,3 +149,62 @@ def _limits(signal: DatabaseSignal, convert: Conversion) -> tuple[float, float] 
         return None
     low, high = np.sort(convert(np.array([signal.minimum, signal.maximum], np.float64))).tolist()
     return low, high
+
+
+def compile_source(message: Message, source: SignalSource, *, is_j1939: bool = False) -> SourceTable:
+    """Return a source, compiled; raises ConfigError if the message lacks one of its signals, or one cannot be decoded.
+
+    ``is_j1939`` takes a message with a 29-bit identifier for one of J1939, whatever the database says.
+    """
+
+    def compiled(name: str) -> SignalTable:
+        signal = next((signal for signal in message.signals if signal.name == name), None)
+        if signal is None:
+            raise ConfigError(f"{message.name} has no signal {name}")
+        codes = no_value_codes(message, signal, is_j1939=is_j1939) if source.check_codes else ()
+        return compile_signal(message, signal, check_range=source.check_range, codes=codes)
+
+    return SourceTable(
+        main=compiled(signal_name(message, source)),
+        less=None if source.less is None else compiled(source.less),
+        times=None if source.times is None else compiled(source.times),
+        valid=source.valid,
+        invalid=source.invalid,
+    )
+
+
+def find_message(messages: Sequence[Message], source: SignalSource) -> Message:
+    """Return the message of a source, by its name or by its J1939 parameter group.
+
+    Raises ConfigError if the database has none.
+    """
+    for message in messages:
+        if source.pgn is None:
+            is_meant = message.name == source.message
+        else:
+            is_meant = message.is_extended_frame and parameter_group(message.frame_id) == source.pgn
+        if is_meant:
+            return message
+    raise ConfigError(f"the database has no message {source.message or f'of PGN {source.pgn}'}")
+
+
+def signal_name(message: Message, source: SignalSource) -> str:
+    """Return the name of the signal of a source, by that name or by its J1939 parameter number.
+
+    Raises ConfigError if the message has none.
+    """
+    for signal in message.signals:
+        if signal.name == source.signal if source.spn is None else signal.spn == source.spn:
+            return signal.name
+    raise ConfigError(f"{message.name} has no signal {source.signal or f'with SPN {source.spn}'}")
+
+
+def _combined(other: Decoded, good: BoolArray, value: FloatArray, operation: np.ufunc) -> tuple[FloatArray, BoolArray]:
+    """Return a value combined with another signal of the same frames, and where both are measurements."""
+    combined: FloatArray = operation(value, other.value)
+    return combined, good if other.is_good is None else good & other.is_good
+
+
+def _all(found: Decoded) -> BoolArray:
+    """Return which values are good, also if all are."""
+    return np.ones(len(found.value), np.bool_) if found.is_good is None else found.is_good

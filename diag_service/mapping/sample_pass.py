@@ -15,8 +15,7 @@ from canlog.frames import ERROR_FLAG, MAX_GAP_NS, FrameBatch, empty_batch
 from canlog.jit import array_kernel, inlined_kernel
 from diag_service.diagnosis.columns import Signal
 from diag_service.diagnosis.sample_block import BlockLayout, SampleBlock, Samples
-from diag_service.mapping.mapped_messages import MessageColumns
-from diag_service.mapping.source_tables import SourceTable
+from diag_service.mapping.mapped_messages import MessageColumns, SourceTable
 
 _HAS_BAD: Final = 1  # bits of what a pass found
 _HAS_INVALID: Final = 2

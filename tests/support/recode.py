@@ -15,9 +15,8 @@ from dbc.contract import load_contract
 from diag_service.diagnosis.columns import Signal
 from diag_service.diagnosis.shifts.tracking import held_values
 from diag_service.mapping.decoder import Decoder
-from diag_service.mapping.mapped_messages import MessageColumns, fitting
+from diag_service.mapping.mapped_messages import MessageColumns, fitting, signal_name
 from diag_service.mapping.profile import Profile, SignalSource, load_profile
-from diag_service.mapping.source_tables import signal_name
 
 Drive = Mapping[Signal, Series]
 LESS = 10.0  # of a signal that is subtracted: some loss

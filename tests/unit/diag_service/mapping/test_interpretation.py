@@ -10,8 +10,7 @@ from cantools.database.can import Database
 from dbc.contract import load_contract
 from diag_service.diagnosis.records import Tier
 from diag_service.errors import ConfigError
-from diag_service.mapping.interpretation import interpret
-from diag_service.mapping.profile_choice import choose_profile
+from diag_service.mapping.interpretation import choose_profile, interpret
 
 HYUNDAI_LIKE = """VERSION ""
 BU_: A

@@ -10,8 +10,8 @@ from canlog.database.loading import load_database
 from canlog.decode.bit_fields import PayloadWords
 from canlog.decode.signal_table import InvalidCounts
 from diag_service.errors import ConfigError
+from diag_service.mapping.mapped_messages import compile_source, find_message, signal_name
 from diag_service.mapping.profile import PROFILE_FOLDER, SignalSource
-from diag_service.mapping.source_tables import compile_source, find_message, signal_name
 
 TEXT = """VERSION ""
 BU_: A
