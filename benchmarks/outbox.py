@@ -40,7 +40,7 @@ from tests.plugins.broker import Mosquitto
 from tests.support.builders import shift_result
 
 VEHICLE: Final = "car1"
-STATE: Final = VehicleState(belief={}, condition={}, versions=Versions(algorithm="a", calibration="c"))
+STATE: Final = VehicleState(filter_state={}, condition={}, versions=Versions(algorithm="a", calibration="c"))
 PEER_COUNT: Final = 1000
 LIVE_PERIOD_S: Final = 0.1
 

@@ -41,7 +41,7 @@ class BrokerInbox:
 
     def settle(self, messages: Sequence[Message]) -> None:
         """Tell the broker that messages have arrived for good; it then sends as many others."""
-        self._connection.settle(messages)
+        self._connection.acknowledge(messages)
 
 
 @asynccontextmanager

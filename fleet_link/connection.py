@@ -146,7 +146,7 @@ class Connection:
             await asyncio.sleep(patience_s)
         return [self._inbox.popleft() for _ in range(min(limit, len(self._inbox)))]
 
-    def settle(self, messages: Sequence[Message]) -> None:
+    def acknowledge(self, messages: Sequence[Message]) -> None:
         """Tell the broker that messages have arrived for good; it then sends as many others."""
         for message in messages:
             if message.packet_id:

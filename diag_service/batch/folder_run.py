@@ -73,7 +73,7 @@ def analyse_folders(
         lines.leave_out(found.left_out)
         for drive, entry in _analysed(config, to_do, jobs, stop):
             journal.add(entry)
-            lines.tell(drive, entry)
+            lines.add(drive, entry)
         totals = _conclude(journal, drives, output, lines)
     if config.is_strict and (idle := totals["idle"]):
         raise IncompleteError(f"{idle} of {len(drives)} drives have a log or a channel that contributed nothing")
@@ -186,8 +186,8 @@ class _Lines:
         self._as_json = as_json
         self._left_out = 0
 
-    def tell(self, drive: Drive, entry: Entry) -> None:
-        """Tell of one drive."""
+    def add(self, drive: Drive, entry: Entry) -> None:
+        """Write what one drive said."""
         if self._as_json:
             for record in (*entry.shifts, entry.drive):
                 self._write(dump(record))

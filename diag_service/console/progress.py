@@ -7,7 +7,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from enum import StrEnum
 
-PATIENCE_S = 30.0  # a shift takes a fraction of a second, a slow disk a few
+STUCK_AFTER_S = 30.0  # a shift takes a fraction of a second, a slow disk a few
 
 
 class Stage(StrEnum):
@@ -31,8 +31,8 @@ class Stuck:
 class Progress:
     """Since when each stage has been at the work it has; asked and told from any thread."""
 
-    def __init__(self, *, patience_s: float = PATIENCE_S, now_s: Callable[[], float] = time.monotonic) -> None:
-        self._patience_s = patience_s
+    def __init__(self, *, limit_s: float = STUCK_AFTER_S, now_s: Callable[[], float] = time.monotonic) -> None:
+        self._limit_s = limit_s
         self._now_s = now_s
         self._lock = threading.Lock()
         self._since_s: dict[Stage, float] = {}
@@ -53,6 +53,6 @@ class Progress:
         """The stage that has been at its work for longest, if that is too long."""
         with self._lock:
             longest = min(self._since_s.items(), key=lambda item: item[1], default=None)
-        if longest is None or (for_s := self._now_s() - longest[1]) < self._patience_s:
+        if longest is None or (for_s := self._now_s() - longest[1]) < self._limit_s:
             return None
         return Stuck(stage=longest[0], for_s=for_s)

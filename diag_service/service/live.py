@@ -67,7 +67,7 @@ async def run_live(
             sender = None if outbox is None else tasks.create_task(_keep_sending(outbox), name="outbox")
             helpers = (
                 tasks.create_task(_close_in_time(source, stop, duration_s), name="closer"),
-                tasks.create_task(_tell_counts(session, counts, counts_wanted), name="counts"),
+                tasks.create_task(_log_counts(session, counts, counts_wanted), name="counts"),
                 tasks.create_task(_repeat(SHOW_PERIOD_S, show), name="onlookers"),
                 tasks.create_task(_repeat(SENDERS_PERIOD_S, warn_of_two_senders), name="two senders"),
                 tasks.create_task(_retry(session, outbox, turn), name="full disk"),
@@ -141,7 +141,7 @@ async def _close_in_time(source: LiveSource, stop: Trigger, duration_s: float | 
     await source.aclose()
 
 
-async def _tell_counts(session: Session, frame_counts: Callable[[], FrameCounts], wanted: Trigger) -> None:
+async def _log_counts(session: Session, frame_counts: Callable[[], FrameCounts], wanted: Trigger) -> None:
     """Log the numbers when they are asked for, and now and then for who wants to know more."""
     while True:
         level = NOTICE
@@ -163,13 +163,13 @@ async def _repeat(period_s: float, action: Callable[[], None]) -> None:
 async def _next(trigger: Trigger) -> None:
     """Return when the trigger is set, from whatever thread or signal handler."""
     loop = asyncio.get_running_loop()
-    heard = asyncio.Event()
+    is_set = asyncio.Event()
 
-    def hear() -> None:
-        loop.call_soon_threadsafe(heard.set)
+    def wake() -> None:
+        loop.call_soon_threadsafe(is_set.set)
 
-    trigger.subscribe(hear)
+    trigger.subscribe(wake)
     try:
-        await heard.wait()
+        await is_set.wait()
     finally:
-        trigger.unsubscribe(hear)
+        trigger.unsubscribe(wake)

@@ -77,7 +77,7 @@ class Session:
         """
         result = self._known(event)
         if result is not None:
-            self._tell(result, is_new=False)
+            self._report(result, is_new=False)
             return
         self._pending.append(self._diagnose(event))
         try:
@@ -99,7 +99,7 @@ class Session:
         while self._pending:
             with self.progress.working(Stage.STORE):
                 self._store.add(*self._pending[0])
-            self._tell(self._pending.popleft()[0], is_new=True)
+            self._report(self._pending.popleft()[0], is_new=True)
         if self._is_disk_full:
             self._is_disk_full = False
             _LOG.log(NOTICE, "the disk takes results again; %d were given up in between", self.given_up_count)
@@ -112,7 +112,7 @@ class Session:
             self._pending.popleft()
             self.given_up_count += 1
 
-    def _tell(self, result: ShiftResult, *, is_new: bool) -> None:
+    def _report(self, result: ShiftResult, *, is_new: bool) -> None:
         self._tally.add(result, is_new=is_new)
         self.reporter.report(result)
 
@@ -173,7 +173,7 @@ class Session:
             produced_at=self._utc_now() if is_live else utc_from_bus_ns(event.end_ns),
         )
         state = VehicleState(
-            belief=diagnosis.state.to_json(), condition=diagnosis.memory.to_json(), versions=self._versions
+            filter_state=diagnosis.state.to_json(), condition=diagnosis.memory.to_json(), versions=self._versions
         )
         return result, state
 
@@ -215,7 +215,7 @@ def resume(
         return fresh
     try:
         if state.versions == versions:
-            return FilterState.from_json(state.belief, calibration), ConditionMemory.from_json(state.condition)
+            return FilterState.from_json(state.filter_state, calibration), ConditionMemory.from_json(state.condition)
         made_by = f"was made by algorithm {state.versions.algorithm} with calibration {state.versions.calibration}"
     except ValueError as exc:
         made_by = f"cannot be used ({exc})"

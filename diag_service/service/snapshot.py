@@ -17,7 +17,7 @@ DEFAULT_BITRATE = 500_000
 STALE_S = 5.0  # a service that has not looked up for this long does not live
 READY_STATES = frozenset({BusState.UP, BusState.DEGRADED})
 RATE_SPAN_S = 1.0
-SILENT_S = 2.0  # more than frames gather for: a bus of which nothing was heard for so long says nothing
+SILENT_S = 2.0  # more than frames gather for: a bus of which nothing was counts for so long says nothing
 NS_PER_S = 1_000_000_000
 
 
@@ -30,7 +30,7 @@ class WatchedSource(LiveSource, Protocol):
 
     @property
     def bit_count(self) -> float:
-        """Bits on the bus that the frames heard stand for, stuff bits estimated."""
+        """Bits on the bus that the frames counts stand for, stuff bits estimated."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -72,7 +72,7 @@ def frame_counts(source: LiveSource, stages: Stages) -> FrameCounts:
 class RateMeter:
     """Frames and bits per second, since the last time or, if that was just now, as of then.
 
-    They are counted over the bus time of what was heard: frames come in batches, and the clock goes on between them.
+    They are counted over the bus time of what was counts: frames come in batches, and the clock goes on between them.
     """
 
     def __init__(self, now_s: float, bitrate: int) -> None:
@@ -80,21 +80,15 @@ class RateMeter:
         self._seen_ns: int | None = None
         self._bitrate = bitrate
         self._bits = 0.0
-        self._heard: Mapping[str, int] = {}
+        self._received: Mapping[str, int] = {}
         self.load_ratio = 0.0
         self.rates_hz: Mapping[str, float] = {}
 
-    def measure(self, now_s: float, seen_ns: int | None, heard: Mapping[str, int], bits: float) -> None:
-        """Take new rates once there is something to tell.
+    def measure(self, now_s: float, seen_ns: int | None, received: Mapping[str, int], bits: float) -> None:
+        """Take new rates once there is something new.
 
-        Parameters
-        ----------
-        now_s
-            Monotonic time.
-        seen_ns
-            Bus time of the last frame; None before the first.
-        heard, bits
-            Frames by message, and bits on the bus, until now.
+        ``seen_ns`` is the bus time of the last frame, None before the first; ``received`` and ``bits`` count the frames
+        by message, and the bits on the bus, until ``now_s`` (monotonic).
         """
         span_s = now_s - self._since_s
         step_ns = 0 if seen_ns is None or self._seen_ns is None else seen_ns - self._seen_ns
@@ -102,9 +96,9 @@ class RateMeter:
             return
         # Bus time that went too far is that of another stretch.
         over_s = step_ns / NS_PER_S if 0 < step_ns <= 2.0 * span_s * NS_PER_S else span_s
-        self.rates_hz = {name: (count - self._heard.get(name, 0)) / over_s for name, count in heard.items()}
+        self.rates_hz = {name: (count - self._received.get(name, 0)) / over_s for name, count in received.items()}
         self.load_ratio = (bits - self._bits) / over_s / self._bitrate
-        self._since_s, self._seen_ns, self._bits, self._heard = now_s, seen_ns, bits, heard
+        self._since_s, self._seen_ns, self._bits, self._received = now_s, seen_ns, bits, received
 
 
 class SnapshotTaker:
@@ -119,8 +113,8 @@ class SnapshotTaker:
         """Return how things stand; ``now_s`` is monotonic."""
         decoder = self._session.stages.decoder
         messages = decoder.messages
-        heard = {name: counts.decoded + sum(counts.rejected.values()) for name, counts in messages.items()}
-        self._meter.measure(now_s, decoder.last_ns, heard, self._source.bit_count)
+        received = {name: one.decoded + sum(one.rejected.values()) for name, one in messages.items()}
+        self._meter.measure(now_s, decoder.last_ns, received, self._source.bit_count)
         nominal_hz = decoder.nominal_hz
         return Snapshot(
             taken_s=now_s,

@@ -46,9 +46,9 @@ class Versions:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class VehicleState:
-    """Running state of one vehicle: friction belief and verdict memory, as their own modules wrote them."""
+    """Running state of one vehicle: of its friction filter and its verdicts, as their own modules wrote them."""
 
-    belief: JsonObject
+    filter_state: JsonObject
     condition: JsonObject
     versions: Versions
 
@@ -112,7 +112,7 @@ class ResultStore:
         Raises StoreError if the disk does not take it; nothing was stored then. Raises ResultError if the result holds
         a number that is not finite.
         """
-        text, belief, condition = dump(shift_record(result)), dump(state.belief), dump(state.condition)
+        text, filter_state, condition = dump(shift_record(result)), dump(state.filter_state), dump(state.condition)
         with self._transaction() as sql:
             inserted = sql.execute(
                 "INSERT OR IGNORE INTO result"
@@ -124,7 +124,7 @@ class ResultStore:
                 return False
             sql.execute(
                 "INSERT OR REPLACE INTO state VALUES (?, ?, ?, ?, ?)",
-                (result.vehicle, belief, condition, state.versions.algorithm, state.versions.calibration),
+                (result.vehicle, filter_state, condition, state.versions.algorithm, state.versions.calibration),
             )
             if result.stream == self.stream:
                 last_seq = max(self._last_seq(sql), result.seq)
@@ -150,7 +150,7 @@ class ResultStore:
         if row is None:
             return None
         return VehicleState(
-            belief=self._object(row[0]),
+            filter_state=self._object(row[0]),
             condition=self._object(row[1]),
             versions=Versions(algorithm=row[2], calibration=row[3]),
         )

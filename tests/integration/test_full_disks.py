@@ -31,7 +31,7 @@ from tests.support.service import service
 
 pytestmark = [pytest.mark.vcan, pytest.mark.broker]
 
-STATE = VehicleState(belief={}, condition={}, versions=Versions(algorithm="a", calibration="c"))
+STATE = VehicleState(filter_state={}, condition={}, versions=Versions(algorithm="a", calibration="c"))
 MIB = 2**20
 SHIFT_COUNT = 10  # of the drive
 BUDGET_RESULTS = 1200  # some 4 MiB

@@ -19,7 +19,7 @@ from tests.support.builders import shift_result
 from tests.support.documents import page_text
 
 BLOCK = re.compile(r"^( *)```python\n(.*?)^\1```", re.MULTILINE | re.DOTALL)
-STATE = VehicleState(belief={}, condition={}, versions=Versions(algorithm="a", calibration="c"))
+STATE = VehicleState(filter_state={}, condition={}, versions=Versions(algorithm="a", calibration="c"))
 
 
 def names_of(class_name: str) -> dict[str, Any]:

@@ -19,7 +19,7 @@ from fleet_contract import Receipt, raw_shift_message, read_message
 from tests.golden import FOLDER as GOLDEN
 from tests.support.builders import shift_result
 
-STATE = VehicleState(belief={"mark": 1}, condition={}, versions=Versions(algorithm="a", calibration="c"))
+STATE = VehicleState(filter_state={"mark": 1}, condition={}, versions=Versions(algorithm="a", calibration="c"))
 
 
 @pytest.fixture(name="path")
@@ -172,7 +172,7 @@ def test_a_full_database_refuses_whole_results_and_keeps_the_others(
     def fill_up(store: ResultStore) -> None:
         nonlocal stored
         for seq in range(1, 1000):
-            store.add(shift_result(seq), replace(STATE, belief={"seq": seq}))
+            store.add(shift_result(seq), replace(STATE, filter_state={"seq": seq}))
             stored = seq
 
     with closing(ResultStore.open(path)) as store:
@@ -183,7 +183,7 @@ def test_a_full_database_refuses_whole_results_and_keeps_the_others(
         assert [result.seq for result in store.results("car1")] == list(range(1, stored + 1))
         state = store.state("car1")
         assert state is not None
-        assert state.belief == {"seq": stored}
+        assert state.filter_state == {"seq": stored}
 
 
 def test_a_new_store_says_whose_it_is(path: Path) -> None:

@@ -64,9 +64,9 @@ def test_running_states_are_those_of_the_calibrations_of_then(
     assert kept is not None
     assert kept.versions == versions_for(calibration)
     assert state.shift_counts == shift_counts
-    assert state.to_json() == kept.belief
+    assert state.to_json() == kept.filter_state
     assert memory.to_json() == kept.condition
-    baselines = kept.belief["baselines"]
+    baselines = kept.filter_state["baselines"]
     assert isinstance(baselines, list)
     assert [one is not None for one in baselines] == [vehicle == "car1"] * 2
 

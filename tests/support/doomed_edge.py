@@ -20,7 +20,7 @@ from fleet_link import BrokerAddress, Connection
 from tests.support.builders import shift_result
 from tests.support.patience import HANG_S
 
-STATE = VehicleState(belief={}, condition={}, versions=Versions(algorithm="a", calibration="c"))
+STATE = VehicleState(filter_state={}, condition={}, versions=Versions(algorithm="a", calibration="c"))
 NOW = "2026-01-01T00:00:00.000000Z"
 
 

@@ -11,7 +11,7 @@ from diag_service.store import ResultStore, VehicleState, Versions
 from tests.support.builders import shift_result
 
 NOW: Final = "2026-01-01T00:00:00.000000Z"
-STATE: Final = VehicleState(belief={}, condition={}, versions=Versions(algorithm="a", calibration="c"))
+STATE: Final = VehicleState(filter_state={}, condition={}, versions=Versions(algorithm="a", calibration="c"))
 STATUS: Final = ServiceStatus(
     vehicle="car1",
     is_online=True,

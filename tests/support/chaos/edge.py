@@ -19,7 +19,7 @@ from diag_service.store import ResultStore, VehicleState, Versions
 from fleet_link import BrokerAddress
 from tests.support.fleet import fleet_result
 
-STATE: Final = VehicleState(belief={}, condition={}, versions=Versions(algorithm="a", calibration="c"))
+STATE: Final = VehicleState(filter_state={}, condition={}, versions=Versions(algorithm="a", calibration="c"))
 AT_WORK, ALL_MADE = "at work", "all made"  # said on standard error
 _LOOK_S: Final = 0.1
 

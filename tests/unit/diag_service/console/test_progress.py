@@ -11,7 +11,7 @@ from diag_service.store import ResultStore, VehicleState
 from tests.support.patience import HANG_S
 from tests.unit.diag_service.service.test_live import gear_frames, session_for
 
-PATIENCE_S = 30.0
+STUCK_AFTER_S = 30.0
 
 
 class Clock:
@@ -27,22 +27,22 @@ class Clock:
 
 def test_who_works_for_a_while_is_not_stuck_and_who_is_done_is_not_either() -> None:
     clock = Clock()
-    progress = Progress(patience_s=PATIENCE_S, now_s=clock)
+    progress = Progress(limit_s=STUCK_AFTER_S, now_s=clock)
     assert progress.stuck is None
     with progress.working(Stage.ESTIMATE):
-        clock.now_s += 0.9 * PATIENCE_S
+        clock.now_s += 0.9 * STUCK_AFTER_S
         assert progress.stuck is None
-    clock.now_s += PATIENCE_S
+    clock.now_s += STUCK_AFTER_S
     assert progress.stuck is None
 
 
 def test_the_stage_that_works_longest_is_named() -> None:
     clock = Clock()
-    progress = Progress(patience_s=PATIENCE_S, now_s=clock)
+    progress = Progress(limit_s=STUCK_AFTER_S, now_s=clock)
     with progress.working(Stage.STORE):
         clock.now_s += 5.0
         with progress.working(Stage.ESTIMATE):
-            clock.now_s += PATIENCE_S
+            clock.now_s += STUCK_AFTER_S
             assert str(progress.stuck) == "stuck in store for 35 s"
         with pytest.raises(ValueError, match="broken"), progress.working(Stage.ESTIMATE):
             raise ValueError("broken")
@@ -61,12 +61,12 @@ def test_a_store_that_hangs_is_seen_from_outside(monkeypatch: pytest.MonkeyPatch
 
     monkeypatch.setattr(store, "add", hang)
     session = session_for(store, MemoryReporter())
-    session.progress = Progress(patience_s=PATIENCE_S, now_s=clock)
+    session.progress = Progress(limit_s=STUCK_AFTER_S, now_s=clock)
     (event, *_) = session.stages.segment(gear_frames(3))
     worker = threading.Thread(target=session.process, args=(event,))
     worker.start()
     assert is_inside.wait(HANG_S)
-    clock.now_s += PATIENCE_S
+    clock.now_s += STUCK_AFTER_S
     stuck = session.progress.stuck
     assert stuck is not None
     assert stuck.stage is Stage.STORE

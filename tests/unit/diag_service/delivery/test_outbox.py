@@ -17,7 +17,7 @@ from tests.support.patience import HANG_S
 
 QUICK = DeliveryLimits(first_pause_s=0.001)
 NOW = "2026-01-01T00:00:00.000000Z"
-STATE = VehicleState(belief={}, condition={}, versions=Versions(algorithm="a", calibration="c"))
+STATE = VehicleState(filter_state={}, condition={}, versions=Versions(algorithm="a", calibration="c"))
 
 
 class Broker:

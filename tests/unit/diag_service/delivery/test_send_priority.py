@@ -11,7 +11,7 @@ from diag_service.delivery.delivery import SendPriority
 from diag_service.store import ResultStore, VehicleState, Versions
 from tests.support.builders import shift_result
 
-STATE = VehicleState(belief={}, condition={}, versions=Versions(algorithm="a", calibration="c"))
+STATE = VehicleState(filter_state={}, condition={}, versions=Versions(algorithm="a", calibration="c"))
 
 
 @pytest.fixture(name="store")

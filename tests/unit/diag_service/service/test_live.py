@@ -203,7 +203,7 @@ def test_the_running_state_survives_a_restart(store: ResultStore) -> None:
     state = store.state("car1")
     assert state is not None
     filter_state, memory = resume(store, "car1", VERSIONS, CALIBRATION)
-    assert filter_state.to_json() == state.belief
+    assert filter_state.to_json() == state.filter_state
     assert memory.to_json() == state.condition
 
 
@@ -225,7 +225,7 @@ def test_a_state_that_cannot_be_read_is_told_and_replaced(store: ResultStore, ca
     session = session_for(store, MemoryReporter())
     session.process(session.stages.segment(gear_frames(2))[0])
     (result,) = store.results("car1")
-    store.add(replace(result, seq=2), VehicleState(belief={"odd": 1}, condition={}, versions=VERSIONS))
+    store.add(replace(result, seq=2), VehicleState(filter_state={"odd": 1}, condition={}, versions=VERSIONS))
     filter_state, _ = resume(store, "car1", VERSIONS, CALIBRATION)
     assert filter_state.to_json() == FilterState.fresh(CALIBRATION).to_json()
     assert "cannot be used" in caplog.text

@@ -11,7 +11,7 @@ from diag_service.diagnosis.records import ShiftResult
 from diag_service.store import ResultStore, VehicleState, Versions
 from tests.support.builders import rejected, shift_result
 
-STATE = VehicleState(belief={}, condition={}, versions=Versions(algorithm="a", calibration="c"))
+STATE = VehicleState(filter_state={}, condition={}, versions=Versions(algorithm="a", calibration="c"))
 BUDGET_BYTES = 600_000
 
 

@@ -17,7 +17,7 @@ VERSIONS = Versions(algorithm="algorithm-1", calibration="1+0123456789ab")
 
 
 def state(mark: object = 1) -> VehicleState:
-    return VehicleState(belief={"mark": mark}, condition={"conditions": []}, versions=VERSIONS)
+    return VehicleState(filter_state={"mark": mark}, condition={"conditions": []}, versions=VERSIONS)
 
 
 @pytest.fixture(name="store")
