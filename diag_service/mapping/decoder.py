@@ -32,8 +32,9 @@ REJECTIONS: Final = tuple(reason for reason in FrameReason if reason not in {Fra
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class MessageCounts:
-    """What became of the frames of one message."""
+    """What became of the frames of one message, and what it is worth."""
 
+    nominal_hz: float | None  # how often it should come; None: not cyclic
     decoded: int
     rejected: Mapping[FrameReason, int]  # reasons that occurred
     missing: int  # sent, says the alive counter, but never received
@@ -92,11 +93,6 @@ class Decoder:
         )
 
     @property
-    def nominal_hz(self) -> Mapping[str, float]:
-        """How often each cyclic message should come."""
-        return {m.message.name: NS_PER_S / m.period_ns for m in self._messages if m.period_ns > 0}
-
-    @property
     def slow_messages(self) -> Mapping[str, tuple[int, int]]:
         """The messages that come plainly less often than the database says: their own cycle and that [ns]."""
         cycles = zip(self._messages, self._e2e.own_cycles_ns, strict=True)
@@ -138,6 +134,7 @@ class Decoder:
         states, invalidations = self._e2e.states, self._e2e.invalidations
         return {
             mapped.message.name: MessageCounts(
+                nominal_hz=NS_PER_S / mapped.period_ns if mapped.period_ns > 0 else None,
                 decoded=int(counts[slot, FrameReason.OK]),
                 rejected=_rejected(counts[slot]),
                 missing=int(missing[slot]),

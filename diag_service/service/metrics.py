@@ -66,16 +66,15 @@ def _of_the_bus(snapshot: Snapshot) -> Iterator[Metric]:
 
 
 def _of_messages(snapshot: Snapshot) -> Iterator[Metric]:
-    messages = snapshot.messages
-    rates = {message.name: message.rate_hz for message in messages}
-    nominal = {message.name: message.nominal_hz for message in messages if message.nominal_hz is not None}
+    messages = snapshot.messages.items()
+    nominal = {name: message.nominal_hz for name, message in messages if message.nominal_hz is not None}
     states = {
-        (message.name, state): value
-        for message in messages
-        for state, value in _one_of(E2eState, message.counts.e2e_state).items()
+        (name, state): value
+        for name, message in messages
+        for state, value in _one_of(E2eState, message.e2e_state).items()
     }
-    lapses = {message.name: message.counts.invalidations for message in messages}
-    yield _gauge("message_rate_hertz", "Frames per second, as received.", rates, "message")
+    lapses = {name: message.invalidations for name, message in messages}
+    yield _gauge("message_rate_hertz", "Frames per second, as received.", snapshot.rates_hz, "message")
     yield _gauge("message_nominal_hertz", "Frames per second, as the database says.", nominal, "message")
     yield _gauge("message_e2e_state", "1 for the E2E state of the message.", states, "message", "state")
     yield _counter("message_invalidations", "Times that a message lost its trust.", lapses, "message")

@@ -13,7 +13,7 @@ from diag_service.delivery import News
 from diag_service.delivery.console import shift_head, shift_line
 from diag_service.diagnosis.records import ShiftResult
 from diag_service.diagnosis.summary import frames_line, shifts_line
-from diag_service.service.snapshot import MessageStatus, Snapshot
+from diag_service.service.snapshot import Snapshot
 
 SLOW_RATIO = 0.9  # a message below this share of its nominal rate is marked
 _STATE_STYLE = {
@@ -51,7 +51,7 @@ def screen(snapshot: Snapshot) -> RenderableType:
     """Return everything as one picture."""
     return Group(
         _head(snapshot),
-        _message_table(snapshot.messages),
+        _message_table(snapshot),
         Text(frames_line(snapshot.summary.frames)),
         Text(shifts_line(snapshot.summary)),
         *_shift_lines(snapshot.recent),
@@ -73,17 +73,17 @@ def _head(snapshot: Snapshot) -> Text:
     return head
 
 
-def _message_table(messages: tuple[MessageStatus, ...]) -> Table:
+def _message_table(snapshot: Snapshot) -> Table:
     table = Table(box=None, pad_edge=False, padding=(0, 2, 0, 0))
     table.add_column("message", no_wrap=True)
     for name in ("1/s", "nominal", "E2E", "decoded", "rejected", "missing", "lapses"):
         table.add_column(name, justify="left" if name == "E2E" else "right", no_wrap=True)
-    for message in messages:
-        counts, nominal_hz = message.counts, message.nominal_hz
-        is_slow = nominal_hz is not None and message.rate_hz < SLOW_RATIO * nominal_hz
+    for name, counts in snapshot.messages.items():
+        rate_hz, nominal_hz = snapshot.rates_hz[name], counts.nominal_hz
+        is_slow = nominal_hz is not None and rate_hz < SLOW_RATIO * nominal_hz
         table.add_row(
-            message.name,
-            Text(f"{message.rate_hz:.1f}", "red" if is_slow else ""),
+            name,
+            Text(f"{rate_hz:.1f}", "red" if is_slow else ""),
             "-" if nominal_hz is None else f"{nominal_hz:.1f}",
             Text(_words(counts.e2e_state.name.lower()), _E2E_STYLE[counts.e2e_state]),
             str(counts.decoded),

@@ -34,16 +34,6 @@ class WatchedSource(LiveSource, Protocol):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class MessageStatus:
-    """One message: how often it comes and what it is worth."""
-
-    name: str
-    rate_hz: float
-    nominal_hz: float | None  # None: not cyclic
-    counts: MessageCounts
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
 class Snapshot:
     """Everything that can be seen of a live run."""
 
@@ -51,7 +41,8 @@ class Snapshot:
     bus: BusStatus
     clock_steps: int  # of the wall clock, taken out of bus time
     load_ratio: float  # share of the bit rate that the frames took, stuff bits estimated
-    messages: tuple[MessageStatus, ...]
+    messages: Mapping[str, MessageCounts]
+    rates_hz: Mapping[str, float]  # of messages, as received
     summary: Summary
     recent: tuple[ShiftResult, ...]  # oldest first
     stuck: Stuck | None  # a stage that makes no progress
@@ -115,21 +106,13 @@ class SnapshotTaker:
         messages = decoder.messages
         received = {name: one.decoded + sum(one.rejected.values()) for name, one in messages.items()}
         self._meter.measure(now_s, decoder.last_ns, received, self._source.bit_count)
-        nominal_hz = decoder.nominal_hz
         return Snapshot(
             taken_s=now_s,
             bus=self._source.status,
             clock_steps=self._source.counts.clock_steps,
             load_ratio=self._meter.load_ratio,
-            messages=tuple(
-                MessageStatus(
-                    name=name,
-                    rate_hz=self._meter.rates_hz.get(name, 0.0),
-                    nominal_hz=nominal_hz.get(name),
-                    counts=counts,
-                )
-                for name, counts in messages.items()
-            ),
+            messages=messages,
+            rates_hz={name: self._meter.rates_hz.get(name, 0.0) for name in messages},
             summary=self._session.summary(frame_counts(self._source, self._session.stages), None),
             recent=self._session.recent,
             stuck=self._session.progress.stuck,

@@ -96,10 +96,9 @@ def get(url: str) -> tuple[int, str]:
 
 
 def test_a_snapshot_says_how_things_stand(snapshot: Snapshot) -> None:
-    shift = next(message for message in snapshot.messages if message.name == "TCU_Shift")
-    assert shift.rate_hz == FRAMES / 2.0
-    assert shift.nominal_hz == 100.0
-    assert shift.counts.e2e_state is E2eState.VALID
+    assert snapshot.rates_hz["TCU_Shift"] == FRAMES / 2.0
+    assert snapshot.messages["TCU_Shift"].nominal_hz == 100.0
+    assert snapshot.messages["TCU_Shift"].e2e_state is E2eState.VALID
     assert snapshot.load_ratio == pytest.approx(0.25)
     assert (snapshot.summary.frames.on_bus, snapshot.summary.frames.kernel_dropped) == (FRAMES + 7, 7)
     assert [result.seq for result in snapshot.recent] == [1, 2]
