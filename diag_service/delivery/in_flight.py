@@ -9,15 +9,10 @@ class InFlight:
 
     A receipt for a younger result says of an older one that the backend is not behind: a worker or a broker died with
     it. It is sent again at once instead of when its time is over; only once, since workers may differ in speed.
-
-    Parameters
-    ----------
-    astray_after_s :
-        What was sent so long before an acknowledged one was lost on its way, not delayed.
     """
 
     def __init__(self, astray_after_s: float) -> None:
-        self._astray_after_s = astray_after_s
+        self._astray_after_s = astray_after_s  # before an acknowledged one: lost on its way, not delayed
         self._sent_s: dict[int, float] = {}  # the longest in flight first
         self._landed_s = float("-inf")  # when the youngest acknowledged result was sent
         self._hurried: set[int] = set()  # were sent again before their time

@@ -100,27 +100,17 @@ class MqttLink:
 class MqttConnector:
     """Opens connections to one broker for one vehicle.
 
-    Parameters
-    ----------
-    status :
-        What a live service announces when it connects (retained) and takes back when it leaves or dies; None for
-        a run that only delivers results.
-    identifier :
-        Client identifier. A fixed one lets the broker end the session of a service that vanished before the new
-        one announces itself.
-    is_persistent :
-        Whether the broker is to keep acknowledgements for us while we are away.
-    renewal_period_s :
-        How often a look is taken whether a certificate was renewed.
+    A live service announces its status when it connects (retained), and takes it back when it leaves or dies. A fixed
+    identifier lets the broker end the session of a service that vanished before the new one announces itself.
     """
 
     def __init__(
         self,
         address: BrokerAddress,
         identifier: str,
-        status: ServiceStatus | None = None,
+        status: ServiceStatus | None = None,  # None: the run only delivers results
         *,
-        is_persistent: bool = False,
+        is_persistent: bool = False,  # whether the broker keeps acknowledgements for us while we are away
         renewal_period_s: float = RENEWAL_PERIOD_S,
     ) -> None:
         self._address = address

@@ -28,37 +28,19 @@ _LOG = logging.getLogger(__name__)
 
 
 class Outbox:
-    """Sends what the store holds for one vehicle, for as long as ``run`` runs.
-
-    Parameters
-    ----------
-    connect :
-        Opens a connection, or raises PublishError.
-    where :
-        The broker, for people; without credentials.
-    acknowledge :
-        Whose word lets a result be forgotten.
-    greetings :
-        Messages that open every connection.
-    metrics :
-        Makes a message of the outbox's numbers, now and then; None: nobody wants them.
-    holds_states :
-        Keep the states of clutches back until ``release_states``: those of a part of a drive are none.
-    limits :
-        How long to wait for whom, and how much may be under way.
-    """
+    """Sends what the store holds for one vehicle, for as long as ``run`` runs."""
 
     def __init__(
         self,
         store: ResultStore,
         vehicle: str,
-        connect: Connect,
-        where: str,
+        connect: Connect,  # or raises PublishError
+        where: str,  # the broker, for people; without credentials
         *,
         acknowledge: Acknowledge = Acknowledge.BROKER,
-        greetings: Sequence[Outgoing] = (),
-        metrics: MetricsMessage | None = None,
-        holds_states: bool = False,
+        greetings: Sequence[Outgoing] = (),  # open every connection
+        metrics: MetricsMessage | None = None,  # makes a message of the outbox's numbers, now and then
+        holds_states: bool = False,  # until ``release_states``: the states that a part of a drive leaves are none
         limits: DeliveryLimits | None = None,
     ) -> None:
         self._state = OutboxState(

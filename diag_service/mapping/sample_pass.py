@@ -41,10 +41,7 @@ class DecodedFrames(NamedTuple):
 class SamplePass:
     """Decodes the accepted frames of a batch into a block of samples; ``is_able`` tells which signals.
 
-    Parameters
-    ----------
-    messages : sequence of MessageColumns
-        The messages that are looked at, in the order of their slots.
+    The messages are those that are looked at, in the order of their slots.
     """
 
     def __init__(self, messages: Sequence[MessageColumns]) -> None:

@@ -32,35 +32,22 @@ async def run_live(
     counts_wanted: Trigger,
     outbox: Outbox | None,
     duration_s: float | None,
-    show: Callable[[], None] = lambda: None,
-    schedule: ReadSchedule | None = None,
+    show: Callable[[], None] = lambda: None,  # every ``SHOW_PERIOD_S``, and once more when all has ended
+    schedule: ReadSchedule | None = None,  # learns what is waited for: the source need not hurry before
 ) -> Summary:
     """Diagnose a live bus until ``stop``, ``duration_s`` or its failure; return the numbers.
 
     The bus is read while a worker thread estimates; what it cannot keep up with is counted by the source. A shift that
     is open when the bus goes away is reported as interrupted. If the bus does not come back, all that was found is
     stored and told before its SourceError is raised; if a result cannot be stored, StoreError is raised.
-
-    Parameters
-    ----------
-    show
-        Called every ``SHOW_PERIOD_S`` by the loop that reads the bus, and once more when that has ended.
-    schedule
-        Is told what is waited for, so that the source need not hurry before.
     """
 
     def counts() -> FrameCounts:
         return frame_counts(source, session.stages)
 
-    schedule = schedule or ReadSchedule()
     failure: SourceError | None = None
     unpublished_count: int | None = None
-    watch = SenderWatch()
-
-    def warn_of_two_senders() -> None:
-        if (text := watch.look(counts())) is not None:
-            _LOG.warning("%s", text)
-
+    senders = SenderWatch()
     turn = asyncio.Lock()  # one thread at a time is at work in a session
     try:
         async with asyncio.TaskGroup() as tasks:
@@ -69,15 +56,11 @@ async def run_live(
                 tasks.create_task(_close_in_time(source, stop, duration_s), name="closer"),
                 tasks.create_task(_log_counts(session, counts, counts_wanted), name="counts"),
                 tasks.create_task(_repeat(SHOW_PERIOD_S, show), name="onlookers"),
-                tasks.create_task(_repeat(SENDERS_PERIOD_S, warn_of_two_senders), name="two senders"),
+                tasks.create_task(_repeat(SENDERS_PERIOD_S, lambda: senders.warn(counts())), name="two senders"),
                 tasks.create_task(_retry(session, outbox, turn), name="full disk"),
             )
             try:
-                async for part in source:
-                    stages = session.stages
-                    events = stages.flush() if isinstance(part, LinkBreak) else stages.segment(part)
-                    schedule.wait_for(is_expecting=stages.is_expecting, due_ns=stages.due_ns)
-                    await _process_all(session, events, outbox, turn)
+                await _read(source, session, outbox, turn, schedule or ReadSchedule())
             except SourceError as exc:
                 failure = exc
             await _process_all(session, session.stages.flush(), outbox, turn)
@@ -95,6 +78,16 @@ async def run_live(
     if failure is not None:
         raise failure
     return summary
+
+
+async def _read(
+    source: LiveSource, session: Session, outbox: Outbox | None, turn: asyncio.Lock, schedule: ReadSchedule
+) -> None:
+    stages = session.stages
+    async for part in source:
+        events = stages.flush() if isinstance(part, LinkBreak) else stages.segment(part)
+        schedule.wait_for(is_expecting=stages.is_expecting, due_ns=stages.due_ns)
+        await _process_all(session, events, outbox, turn)
 
 
 async def _process_all(session: Session, events: Sequence[Event], outbox: Outbox | None, turn: asyncio.Lock) -> None:

@@ -57,8 +57,7 @@ async def run_logs(logs: Sequence[OpenLog], session: Session, *, stop: Trigger, 
     except BaseExceptionGroup as group:
         raise first_error(group) from group
     warn_of_slow_messages(session.stages)
-    if (text := SenderWatch().look(account.frames)) is not None:
-        _LOG.warning("%s", text)
+    SenderWatch().warn(account.frames)
     return session.finish(account.frames, unpublished_count, account.gaps, account.contributions)
 
 

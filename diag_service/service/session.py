@@ -24,24 +24,12 @@ from diag_service.service.stages import Stages
 from diag_service.settings.config import DiagnosisConfig
 from diag_service.store import ResultStore, VehicleState, Versions
 
-MAX_PENDING_COUNT = 1000  # results in memory while the disk is full
+MAX_PENDING_COUNT = 1000
 _LOG = logging.getLogger(__name__)
 
 
 class Session:
-    """The shifts of one run: each is estimated, stored, then told, in that order.
-
-    Parameters
-    ----------
-    stream : str or None
-        Name of a log's stream, in which the number of a shift is its key; None for the live stream of the store.
-    utc_now :
-        Clock of ``produced_at`` in a live stream.
-    progress :
-        Hears when a shift is estimated and stored.
-    max_pending_count :
-        Results that are kept in memory while the disk is full.
-    """
+    """The shifts of one run: each is estimated, stored, then told, in that order."""
 
     def __init__(
         self,
@@ -51,10 +39,10 @@ class Session:
         reporter: Reporter,
         vehicle: str,
         versions: Versions,
-        stream: str | None,
-        utc_now: Callable[[], str],
+        stream: str | None,  # of a log, in which the number of a shift is its key; None: the live stream of the store
+        utc_now: Callable[[], str],  # the clock of a live stream
         progress: Progress | None = None,
-        max_pending_count: int = MAX_PENDING_COUNT,
+        max_pending_count: int = MAX_PENDING_COUNT,  # results in memory while the disk is full
     ) -> None:
         self.stages = stages
         self.progress = progress or Progress()

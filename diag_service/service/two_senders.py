@@ -1,5 +1,6 @@
 """Whether two senders share the identifiers of one vehicle, as two emulators on one bus do: counters tell."""
 
+import logging
 from dataclasses import dataclass
 from typing import Final
 
@@ -8,6 +9,7 @@ from diag_service.diagnosis.summary import FrameCounts
 BY_COUNTER: Final = ("repeated", "wrong_sequence")  # two senders in step repeat each other's counters
 ENOUGH_FRAMES: Final = 500  # judged by their counters; about a second of a bus
 SUSPICIOUS_SHARE: Final = 0.2  # two senders in turn come to about a half, one on a bad bus to a few percent
+_LOG = logging.getLogger(__name__)
 
 
 @dataclass(slots=True)
@@ -17,6 +19,11 @@ class SenderWatch:
     _decoded: int = 0  # until the last judgement
     _rejected: int = 0
     _is_said: bool = False
+
+    def warn(self, frames: FrameCounts) -> None:
+        """Warn of what there is to be said."""
+        if (text := self.look(frames)) is not None:
+            _LOG.warning("%s", text)
 
     def look(self, frames: FrameCounts) -> str | None:
         """Return what is to be said about the frames since the last judgement, None if nothing is."""
