@@ -1,11 +1,13 @@
-"""Which clutch carries a gear: the one thing that plant, control and diagnosis all know of the gearbox's layout."""
+"""Which clutch carries a gear, the one thing that all know of the gearbox's layout; and what both clutches have."""
 
+from collections.abc import Iterable
 from typing import TypeVar
 
 import numpy as np
 import numpy.typing as npt
 
 Gear = TypeVar("Gear", int, npt.NDArray[np.int64], npt.NDArray[np.float64])
+T = TypeVar("T")
 
 
 def clutch_of_gear(gear: Gear) -> Gear:
@@ -14,3 +16,14 @@ def clutch_of_gear(gear: Gear) -> Gear:
     Neutral (0) counts as even: something has to be said of it, and nothing that matters depends on it.
     """
     return 1 + (gear - 1) % 2
+
+
+def both_clutches(values: Iterable[T]) -> tuple[T, T]:
+    """Return what clutch 1 and what clutch 2 has; raises ValueError unless there are two."""
+    first, second = values
+    return first, second
+
+
+def with_clutch(both: tuple[T, T], clutch: int, value: T) -> tuple[T, T]:
+    """Return what both clutches have, with another value for clutch 1 or 2."""
+    return (value, both[1]) if clutch == 1 else (both[0], value)

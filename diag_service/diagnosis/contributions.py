@@ -2,7 +2,8 @@
 
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
+from typing import Self
 
 from fleet_contract import JsonObject
 
@@ -11,14 +12,20 @@ OF_NO_MESSAGE = "remote_or_error"  # the only rejection that says nothing of a m
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class ChannelShare:
-    """What one channel of a log gave: ``frames = decoded + ignored + sum(rejected.values())``, to the frame."""
+class FrameShare:
+    """What became of some frames: ``frames = decoded + ignored + sum(rejected.values())``, to the frame."""
 
-    channel: int  # as its log numbers it
-    frames: int
+    frames: int  # that were looked at
     decoded: int
     ignored: int  # of messages that are not used
     rejected: Mapping[str, int] = field(default_factory=dict)  # reason -> frames
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ChannelShare(FrameShare):
+    """What one channel of a log gave."""
+
+    channel: int  # as its log numbers it
 
     @property
     def is_passed_over(self) -> bool:
@@ -27,34 +34,22 @@ class ChannelShare:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class LogShare:
+class LogShare(FrameShare):
     """What one log gave: the sum of its channels."""
 
     path: str
     channels: tuple[ChannelShare, ...]  # by number
 
-    @property
-    def frames(self) -> int:
-        """Frames that were looked at."""
-        return sum(one.frames for one in self.channels)
-
-    @property
-    def decoded(self) -> int:
-        """Frames that were used."""
-        return sum(one.decoded for one in self.channels)
-
-    @property
-    def ignored(self) -> int:
-        """Frames of messages that are not used."""
-        return sum(one.ignored for one in self.channels)
-
-    @property
-    def rejected(self) -> Mapping[str, int]:
-        """Frames that were not used, by reason."""
-        total: Counter[str] = Counter()
-        for one in self.channels:
-            total.update(one.rejected)
-        return dict(total)
+    @classmethod
+    def of(cls, path: str, channels: tuple[ChannelShare, ...]) -> Self:
+        """Return the share of a log whose channels gave this."""
+        rejected: Counter[str] = Counter()
+        for one in channels:
+            rejected.update(one.rejected)
+        frames, decoded, ignored = (
+            sum(getattr(one, name) for one in channels) for name in ("frames", "decoded", "ignored")
+        )
+        return cls(frames=frames, decoded=decoded, ignored=ignored, rejected=rejected, path=path, channels=channels)
 
     @property
     def used_channels(self) -> tuple[int, ...]:
@@ -97,13 +92,8 @@ def log_record(log: LogShare) -> JsonObject:
     }
 
 
-def _counts(share: LogShare | ChannelShare) -> JsonObject:
-    return {
-        "frames": share.frames,
-        "decoded": share.decoded,
-        "ignored": share.ignored,
-        "rejected": dict(share.rejected),
-    }
+def _counts(share: FrameShare) -> JsonObject:
+    return {one.name: getattr(share, one.name) for one in fields(FrameShare)}
 
 
 def _log_fate(log: LogShare, logs: Sequence[LogShare], named_channel: int | None) -> str:
@@ -122,7 +112,7 @@ def _channel_fate(one: ChannelShare) -> str:
     return _fate_text(one, "of messages that are followed elsewhere")
 
 
-def _fate_text(share: LogShare | ChannelShare, elsewhere: str) -> str:
+def _fate_text(share: FrameShare, elsewhere: str) -> str:
     counts = {elsewhere: share.rejected.get(OTHER_CHANNEL, 0), "of messages that are not used": share.ignored}
     counts |= {
         f"rejected: {reason.replace('_', ' ')}": count

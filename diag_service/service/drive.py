@@ -190,7 +190,7 @@ class DriveFrames:
             _channel_share(channel, self._monitor.source_counts(source))
             for channel, source in self._sources(number).items()
         )
-        return LogShare(path=str(self.logs[number].path), channels=channels)
+        return LogShare.of(str(self.logs[number].path), channels)
 
 
 def _channel_share(channel: int, counts: Mapping[FrameReason, int]) -> ChannelShare:

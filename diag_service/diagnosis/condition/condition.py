@@ -8,6 +8,7 @@ from typing import Self
 
 from clutch_model.calibration import Calibration
 from clutch_model.clutch import FrictionCurve
+from clutch_model.gears import with_clutch
 from diag_service.diagnosis.condition.scatter import Scatter
 from diag_service.diagnosis.friction.filter_state import FilterState
 from diag_service.diagnosis.friction.scale_free import clutch_ratio, common_scale_std_ratio, scale_free, trend
@@ -94,10 +95,9 @@ class ConditionMemory:
             return self
         if not before.shift_counts[index]:
             return self
-        scatters = list(self.scatters)
-        known = scatters[index] or Scatter.begun(alone)
-        scatters[index] = known.with_shift(alone, before.friction(estimate.clutch))
-        return replace(self, scatters=(scatters[0], scatters[1]))
+        known = self.scatters[index] or Scatter.begun(alone)
+        scatter = known.with_shift(alone, before.friction(estimate.clutch))
+        return replace(self, scatters=with_clutch(self.scatters, estimate.clutch, scatter))
 
     def to_json(self) -> JsonObject:
         """Return the memory as JSON-ready values; floats survive the round trip bit by bit."""
@@ -143,8 +143,6 @@ def judge(
     condition, reason = _decide(friction, since, reference, shift_count, memory.conditions[index])
     if memory.misfit_text:
         condition, reason = Condition.NO_VERDICT, memory.misfit_text
-    conditions = list(memory.conditions)
-    conditions[index] = condition
     scatter = memory.scatters[index]
     verdict = ClutchVerdict(
         clutch=clutch,
@@ -159,7 +157,7 @@ def judge(
         trend=since,
         clutch_ratio=clutch_ratio(state),
     )
-    return replace(memory, conditions=(conditions[0], conditions[1])), verdict
+    return replace(memory, conditions=with_clutch(memory.conditions, clutch, condition)), verdict
 
 
 def no_verdict(clutch: int, missing: str) -> ClutchVerdict:

@@ -21,6 +21,7 @@ from canlog.arrays import FloatArray
 from clutch_model.calibration import Calibration, InputSide
 from clutch_model.clutch import ClutchCalibration, FrictionCurve
 from clutch_model.friction import contact_torques_nm, friction_law, stribeck_weights
+from clutch_model.gears import both_clutches
 from clutch_model.knowledge import SensorBias
 from diag_service.diagnosis.alignment import GRID_S, AlignedSignals
 from diag_service.diagnosis.friction.film_track import FilmTrack, PressureDrive, integrate_film
@@ -189,8 +190,7 @@ class Balance:
     @property
     def final_clutch_k(self) -> tuple[float, float]:
         """Temperature of each pack at the end of the cut [K]."""
-        first, second = self._tracks
-        return first.final_clutch_k, second.final_clutch_k
+        return both_clutches(track.final_clutch_k for track in self._tracks)
 
     def slip_energy_j(self, clutch: int, mu: FloatArray) -> float:
         """Return the heat made in a clutch over the whole cut [J], for its ``(mu_c, mu_s)``."""
@@ -203,8 +203,8 @@ class Balance:
         calibration = perturbation.of_calibration(self._calibration)
         if not perturbation.moves_film:
             return self._weigh(self._planned, self._tracks_planned, calibration)
-        first, second = (perturbation.of_drive(drive, self._signals.grid_s) for drive in self._planned)
-        return self._weigh((first, second), self._film_tracks((first, second), calibration), calibration)
+        drives = both_clutches(perturbation.of_drive(drive, self._signals.grid_s) for drive in self._planned)
+        return self._weigh(drives, self._film_tracks(drives, calibration), calibration)
 
     def _film_tracks(
         self, drives: tuple[PressureDrive, PressureDrive], calibration: Calibration
@@ -216,14 +216,13 @@ class Balance:
     def _weigh(
         self, drives: tuple[PressureDrive, PressureDrive], tracks: tuple[FilmTrack, FilmTrack], calibration: Calibration
     ) -> tuple[ClutchMoments, ClutchMoments]:
-        first, second = (
+        return both_clutches(
             ClutchMoments(
                 viscous=self._weights.value @ tracks[m].viscous_nm,
                 by_friction=self._weights.value @ contact_nm(calibration.clutches[m], drives[m], tracks[m]),
             )
             for m in range(2)
         )
-        return first, second
 
     def _noise(self, mu: FloatArray) -> FloatArray:
         """Return the covariance of the residual from sensor noise, shape (k, k), every sample independent."""

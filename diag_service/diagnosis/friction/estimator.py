@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from clutch_model.calibration import Calibration
-from clutch_model.gears import clutch_of_gear
+from clutch_model.gears import clutch_of_gear, with_clutch
 from diag_service.diagnosis.alignment import NS_TO_S, AlignedSignals, compile_alignment
 from diag_service.diagnosis.columns import Signal
 from diag_service.diagnosis.events import Event
@@ -102,20 +102,19 @@ class Estimator:
         self, state: FilterState, balance: Balance, clutch: int, alone: FilterState, estimate: ShiftEstimate
     ) -> tuple[FilterState, ShiftEstimate]:
         """Fold the shift into the running state, unless it contradicts it."""
-        m = clutch - 1
-        refused = list(state.refused_counts)
-        counts = list(state.shift_counts)
-        if counts[m] and _normalised_innovation(state, alone, clutch) > INNOVATION_GATE:
-            refused[m] += 1
-            if refused[m] < REFUSALS_TO_YIELD:
-                kept = replace(state, refused_counts=(refused[0], refused[1]))
+        count, refused = state.shift_counts[clutch - 1], state.refused_counts[clutch - 1]
+        if count and _normalised_innovation(state, alone, clutch) > INNOVATION_GATE:
+            if refused + 1 < REFUSALS_TO_YIELD:
+                kept = replace(state, refused_counts=with_clutch(state.refused_counts, clutch, refused + 1))
                 return kept, replace(estimate, reasons=(Reason.NOT_UPDATED,))
             state = state.forget_friction(clutch, self._calibration)
-            counts[m] = 0
-        refused[m] = 0
-        counts[m] += 1
+            count = 0
         posterior, _, _ = self._fit(balance, state.drifted())
-        counted = replace(posterior, shift_counts=(counts[0], counts[1]), refused_counts=(refused[0], refused[1]))
+        counted = replace(
+            posterior,
+            shift_counts=with_clutch(state.shift_counts, clutch, count + 1),
+            refused_counts=with_clutch(state.refused_counts, clutch, 0),
+        )
         return counted.counted(clutch, estimate.end_ns), estimate
 
     def _describe(

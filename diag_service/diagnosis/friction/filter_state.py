@@ -15,6 +15,7 @@ import numpy as np
 
 from canlog.arrays import FloatArray
 from clutch_model.calibration import Calibration
+from clutch_model.gears import both_clutches, with_clutch
 from diag_service.diagnosis.friction.baseline import BASELINE_SHIFT_COUNT, SHAPES, Baseline
 from diag_service.diagnosis.friction.parameters import (
     STATE_COUNT,
@@ -115,14 +116,13 @@ class FilterState:
         explained = np.linalg.pinv(spread / np.outer(scale, scale), hermitian=True) / np.outer(scale, scale)
         sensitivity = -covariance[states, considered] @ explained  # an error is estimate minus truth, ``c`` the reverse
         random = covariance[states, states] - sensitivity @ spread @ sensitivity.T
-        first, second = (clutch.friction.stribeck_speed_rad_s for clutch in calibration.clutches)
         return cls(
             mean=mean,
             covariance=(random + random.T) / 2.0,
             sensitivity=sensitivity,
             considered=spread,
             torque_gain=calibration.bias.torque_gain,
-            stribeck_speed_rad_s=(first, second),
+            stribeck_speed_rad_s=both_clutches(one.friction.stribeck_speed_rad_s for one in calibration.clutches),
         )
 
     def forget_friction(self, clutch: int, calibration: Calibration) -> Self:
@@ -135,8 +135,8 @@ class FilterState:
         covariance[:, rows] = 0.0
         covariance[rows, rows] = blank.covariance[rows, rows]
         sensitivity[rows, :] = 0.0
-        first, second = (one and one.without(rows) for one in self.baselines)
-        return replace(self, mean=mean, covariance=covariance, sensitivity=sensitivity, baselines=(first, second))
+        baselines = both_clutches(one and one.without(rows) for one in self.baselines)
+        return replace(self, mean=mean, covariance=covariance, sensitivity=sensitivity, baselines=baselines)
 
     def counted(self, clutch: int, end_ns: int) -> Self:
         """Return the state after the baseline of a clutch took note of a shift that the friction now contains.
@@ -144,15 +144,12 @@ class FilterState:
         The baseline is frozen at the first shift with which the clutch has had enough of them, and stays.
         """
         rows, count = friction_rows(clutch), self.shift_counts[clutch - 1]
-        baselines = list(self.baselines)
-        known = baselines[clutch - 1]
-        if known is not None:
-            baselines[clutch - 1] = replace(known, later_count=known.later_count + 1)
+        baseline = self.baselines[clutch - 1]
+        if baseline is not None:
+            baseline = replace(baseline, later_count=baseline.later_count + 1)
         elif count >= BASELINE_SHIFT_COUNT:
-            baselines[clutch - 1] = Baseline.of(
-                rows, self.mean, self.covariance, self.sensitivity, end_ns=end_ns, count=count
-            )
-        return replace(self, baselines=(baselines[0], baselines[1]))
+            baseline = Baseline.of(rows, self.mean, self.covariance, self.sensitivity, end_ns=end_ns, count=count)
+        return replace(self, baselines=with_clutch(self.baselines, clutch, baseline))
 
     def warmed(self, clutch_temperature_k: tuple[float, float], at_ns: int) -> Self:
         """Return the state with the temperatures of both packs at a bus time."""
@@ -179,13 +176,12 @@ class FilterState:
             chi_square_ratio=float(seen.residual @ scaled[:, 0]) / len(seen.residual),
             worst_score=float(np.max(np.abs(directions.T @ scaled[:, 0]) / reach, initial=0.0)),
         )
-        first, second = (one and one.after(keep) for one in self.baselines)
         state = replace(
             self,
             mean=self.mean + gain @ seen.residual,
             covariance=(covariance + covariance.T) / 2.0,
             sensitivity=keep @ self.sensitivity + gain @ d,
-            baselines=(first, second),
+            baselines=both_clutches(one and one.after(keep) for one in self.baselines),
         )
         return state, misfit
 

@@ -10,6 +10,7 @@ from canlog.arrays import FloatArray
 from clutch_model.calibration import Calibration
 from clutch_model.clutch import ClutchCalibration
 from clutch_model.errors import CalibrationError
+from clutch_model.gears import both_clutches
 
 FRICTION_PRIOR_STD = 0.05  # a third of any lining's friction: weak against a single shift
 
@@ -139,19 +140,19 @@ def moved(calibration: Calibration, displacements: Mapping[Considered, float]) -
     """Return a calibration with some considered parameters displaced; the others stay as they are."""
     by = dict.fromkeys(Considered, 0.0) | dict(displacements)
     bias, side, oil = calibration.bias, calibration.input_side, calibration.viscosity
-    first, second = (
+    clutches = both_clutches(
         _moved_clutch(clutch, by[area], by)
         for clutch, area in zip(calibration.clutches, (Considered.PISTON_AREA1, Considered.PISTON_AREA2), strict=True)
     )
-    shafts = [inertia * (1.0 + by[Considered.SHAFT_INERTIA]) for inertia in side.input_shaft_inertias_kg_m2]
+    shafts_ratio = 1.0 + by[Considered.SHAFT_INERTIA]
     return replace(
         calibration,
-        clutches=(first, second),
+        clutches=clutches,
         viscosity=replace(oil, a_pa_s=oil.a_pa_s * (1.0 + by[Considered.VISCOSITY])),
         input_side=replace(
             side,
             engine_inertia_kg_m2=side.engine_inertia_kg_m2 * (1.0 + by[Considered.ENGINE_INERTIA]),
-            input_shaft_inertias_kg_m2=(shafts[0], shafts[1]),
+            input_shaft_inertias_kg_m2=both_clutches(one * shafts_ratio for one in side.input_shaft_inertias_kg_m2),
         ),
         bias=replace(
             bias,

@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 
 from clutch_model.calibration import Calibration
+from clutch_model.gears import both_clutches
 from diag_service.diagnosis.alignment import NS_TO_S, AlignedSignals
 from diag_service.diagnosis.events import Event
 from diag_service.diagnosis.friction.film_track import PressureDrive
@@ -50,7 +51,7 @@ def measured_drives(
     signals: AlignedSignals, state: FilterState, event: Event, calibration: Calibration
 ) -> tuple[PressureDrive, PressureDrive]:
     """Return what drives the films as measured, freed of the offsets that are believed."""
-    first, second = (
+    return both_clutches(
         PressureDrive(
             piston_pa=signals.pressure[m].on_grid - state.mean[State.TOUCH1 + m] - state.mean[State.ZERO1 + m],
             slip_rad_s=signals.slip_rad_s(m + 1),
@@ -59,7 +60,6 @@ def measured_drives(
         )
         for m in range(2)
     )
-    return first, second
 
 
 def _clutch_k(m: int, oil_k: float, state: FilterState, now_ns: float, calibration: Calibration) -> float:
@@ -79,7 +79,7 @@ def planned_drives(
 
     Without a command on the bus the measured pressure is smoothed, which leaves a tenth of the noise.
     """
-    first, second = (
+    return both_clutches(
         replace(
             drive,
             piston_pa=smoothed(drive.piston_pa, window, PRESSURE_DEGREE) if expected_pa is None else expected_pa,
@@ -87,7 +87,6 @@ def planned_drives(
         )
         for drive, expected_pa in zip(measured, signals.expected_pa, strict=True)
     )
-    return first, second
 
 
 def slip_window(

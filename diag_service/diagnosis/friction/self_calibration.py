@@ -13,7 +13,7 @@ import numpy as np
 from canlog.arrays import FloatArray
 from clutch_model.calibration import Calibration
 from clutch_model.errors import CalibrationError
-from clutch_model.gears import clutch_of_gear
+from clutch_model.gears import both_clutches, clutch_of_gear
 from clutch_model.knowledge import JointUncertainty
 from diag_service.diagnosis.events import Event
 from diag_service.diagnosis.friction.balance import Balance
@@ -275,17 +275,15 @@ def _concluded(
             correlation=tuple(tuple(row) for row in correlation.tolist()),
         ),
     )
-    counts = tuple(sum(one.clutch == clutch for one in used) for clutch in (1, 2))
-    run_ups = tuple(sum(one.clutch == 0 and one.is_closed_run_up is closed for one in used) for closed in (False, True))
+    counts = both_clutches(sum(one.clutch == clutch for one in used) for clutch in (1, 2))
+    closed_count = sum(one.is_closed_run_up for one in used)
     return SelfCalibration(
         calibration=calibration,
-        state=replace(
-            FilterState.joint(mean[:STATE_COUNT], covariance, calibration), shift_counts=(counts[0], counts[1])
-        ),
+        state=replace(FilterState.joint(mean[:STATE_COUNT], covariance, calibration), shift_counts=counts),
         mean=mean,
         covariance=covariance,
-        shift_counts=(counts[0], counts[1]),
+        shift_counts=counts,
         rejected_count=shift_count - sum(counts),
-        run_up_counts=(run_ups[0], run_ups[1]),
+        run_up_counts=(len(used) - sum(counts) - closed_count, closed_count),
         mean_misfit=misfit,
     )

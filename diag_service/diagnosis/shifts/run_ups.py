@@ -7,6 +7,7 @@ import numpy as np
 
 from canlog.arrays import Int64Array
 from clutch_model.calibration import Calibration
+from clutch_model.gears import both_clutches
 from diag_service.diagnosis.columns import Signal
 from diag_service.diagnosis.events import EndReason, EventKind
 from diag_service.diagnosis.shifts.history import History
@@ -43,8 +44,8 @@ class RunUpFinder(EventFinder):
     """
 
     def __init__(self, calibration: Calibration) -> None:
-        first, second = (clutch.touch_pressure_pa for clutch in calibration.clutches)
-        super().__init__(RunUpTracker((first, second)), MARGIN_NS, MARGIN_NS)
+        touch_pa = both_clutches(clutch.touch_pressure_pa for clutch in calibration.clutches)
+        super().__init__(RunUpTracker(touch_pa), MARGIN_NS, MARGIN_NS)
 
 
 @dataclass(frozen=True, slots=True)

@@ -4,7 +4,7 @@ from dataclasses import dataclass, replace
 
 from clutch_model.calibration import Calibration
 from clutch_model.film import film_law
-from clutch_model.gears import clutch_of_gear
+from clutch_model.gears import both_clutches, clutch_of_gear
 from diag_service.diagnosis.events import Event
 from diag_service.diagnosis.friction.paper.differentiate import quiet_filter, steady_kalman
 from diag_service.diagnosis.friction.paper.driveline import Driveline
@@ -52,8 +52,7 @@ class PaperCollection:
             speed=steady_kalman(PERIOD_S, SPEED_RATE_VARIANCE, noise.hub_speed_rad_s**2),
             pressure=quiet_filter(PERIOD_S, noise.pressure_pa, rate_limit_pa_s / RATE_GATE_STD),
         )
-        first, second = (static_table(film_law(clutch)) for clutch in calibration.clutches)
-        self._tables = (first, second)
+        self._tables = both_clutches(static_table(film_law(clutch)) for clutch in calibration.clutches)
         self._samples: tuple[list[FrictionData], list[FrictionData]] = ([], [])
 
     def add(self, event: Event) -> PaperShift:
@@ -78,7 +77,7 @@ class PaperCollection:
 
     def pooled(self) -> tuple[PooledClutch, PooledClutch]:
         """Return what the shifts so far say together."""
-        first, second = (
+        return both_clutches(
             PooledClutch(
                 clutch=clutch,
                 estimate=self._fitted(clutch, pooled(samples)) if samples else None,
@@ -86,7 +85,6 @@ class PaperCollection:
             )
             for clutch, samples in enumerate(self._samples, start=1)
         )
-        return first, second
 
     def _fitted(self, clutch: int, data: FrictionData) -> PaperEstimate:
         return fit(data, NOISY_GATES, self._calibration.clutches[clutch - 1].friction)

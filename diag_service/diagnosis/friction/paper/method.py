@@ -6,6 +6,7 @@ import numpy as np
 
 from canlog.arrays import BoolArray, FloatArray
 from clutch_model.calibration import Calibration, InputSide
+from clutch_model.gears import both_clutches
 from diag_service.diagnosis.friction.paper.differentiate import Differentiator, Rated
 from diag_service.diagnosis.friction.paper.driveline import Driveline, Shaft
 from diag_service.diagnosis.friction.paper.friction_data import (
@@ -97,7 +98,7 @@ def analyse(
                 pressure=pressure, film_m=film_m, friction_nm=friction_nm[m], viscous_nm=viscous_nm, data=data
             )
         )
-    return Analysis(speeds=speeds, clutches=(clutches[0], clutches[1]))
+    return Analysis(speeds=speeds, clutches=both_clutches(clutches))
 
 
 def clutch_torques_nm(
