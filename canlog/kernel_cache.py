@@ -19,6 +19,7 @@ from numba.core.caching import CompileResultCacheImpl, FunctionCache, NullCache
 from canlog.kernel_digest import kernel_key
 
 NumbaObject = Any  # its modules have no types
+STEP = 20  # kernels between two lines for people
 KEPT_VERSIONS = 8  # of each kernel: as many checkouts can take turns without compiling
 _config: NumbaObject = numba_config  # numba sets its members at run time
 _listeners: list[Callable[[str], None]] = []
@@ -52,6 +53,27 @@ def cache_folder(configured: str) -> Path | None:
     except (OSError, RuntimeError):  # no home, no rights, something else in the way
         return None
     return folder if os.access(folder, os.W_OK) else None
+
+
+def tell_of_compiling(say: Callable[[str], object]) -> None:
+    """Have ``say`` called with a line for people when this process begins to compile, and with more as it goes on."""
+    count = 0
+
+    def tell(_name: str) -> None:
+        nonlocal count
+        if count == 0:
+            say(f"compiling numerical kernels, {_how_often()}; this takes up to a minute")
+        elif count % STEP == 0:
+            say(f"compiling numerical kernels: {count} done, at most {kernel_count()} to do in all")
+        count += 1
+
+    on_compiling(tell)
+
+
+def _how_often() -> str:
+    if has_cache():
+        return "as at every first start"
+    return "as at every start, since no folder can be written for them (NUMBA_CACHE_DIR names one)"
 
 
 class _Locator:
@@ -108,11 +130,8 @@ class LateCache:
         except RuntimeError:  # no folder: machine code lives as long as the process
             return NullCache()
 
-    @property
-    def cache_path(self) -> str | None:
-        """Folder of the machine code; None if there is none."""
-        path: str | None = self._cache.cache_path
-        return path
+    def __getattr__(self, name: str) -> Any:  # noqa: ANN401 - whatever else numba asks of a cache
+        return getattr(self._cache, name)
 
     def load_overload(self, signature: NumbaObject, target_context: NumbaObject) -> NumbaObject:
         """Return the machine code for some argument types, None if it must be compiled."""
@@ -133,28 +152,15 @@ class LateCache:
         """Keep machine code; a full disk or a cache that was sealed meanwhile only costs the next start."""
         with suppress(OSError):
             self._cache.save_overload(signature, data)
-            self._forget_old_versions()
-
-    def enable(self) -> None:
-        """Use the cache."""
-        self._cache.enable()
-
-    def disable(self) -> None:
-        """Leave the cache alone."""
-        self._cache.disable()
-
-    def flush(self) -> None:
-        """Forget the machine code."""
-        self._cache.flush()
+            if self._cache.cache_path is not None:
+                self._forget_old_versions()
 
     def _forget_old_versions(self) -> None:
         """Delete the machine code of this kernel's older forms beyond those that are kept."""
-        if self.cache_path is None:
-            return
         stem = f"{self._function.__module__.rpartition('.')[2]}.{self._function.__qualname__}-"
         python = f".py{sys.version_info[0]}{sys.version_info[1]}"
         stem = stem.replace("<", "").replace(">", "")
-        indices = [path for path in Path(self.cache_path).glob(f"{stem}*.nbi") if python in path.name]
+        indices = [path for path in Path(self._cache.cache_path).glob(f"{stem}*.nbi") if python in path.name]
         indices.sort(key=lambda path: path.stat().st_mtime_ns, reverse=True)
         for index in indices[KEPT_VERSIONS:]:
             for path in (*index.parent.glob(f"{index.stem}.*.nbc"), index):

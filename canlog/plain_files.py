@@ -7,7 +7,7 @@ import errno
 import os
 import stat
 import tomllib
-from io import FileIO
+from io import BufferedReader, FileIO
 from pathlib import Path
 from typing import Any, Final
 
@@ -16,37 +16,19 @@ _NULL_DEVICE: Final = os.makedev(1, 3)  # an empty file, by custom
 
 
 def read_small_file(path: Path, most_bytes: int = MAX_TABLE_BYTES) -> bytes:
-    """Return what a file holds.
+    """Return what a plain file, or one that a link leads to, holds.
 
-    Parameters
-    ----------
-    path : Path
-        A plain file, or a link to one.
-    most_bytes : int
-        How large it may be.
-
-    Raises
-    ------
-    OSError
-        If it is missing, unreadable, too large or of another kind; ``strerror`` says so in words.
+    Raises OSError if it is missing, unreadable, too large or of another kind; ``strerror`` says so in words.
     """
-    with open_plain_file(path) as file:
-        if os.fstat(file.fileno()).st_size > most_bytes:
-            raise _too_large(path, most_bytes)
-        content = _read(file.fileno(), most_bytes + 1)
+    with BufferedReader(open_plain_file(path)) as file:
+        content = file.read(most_bytes + 1)
     if len(content) > most_bytes:
         raise _too_large(path, most_bytes)
     return content
 
 
 def open_plain_file(path: Path) -> FileIO:
-    """Return a plain file, opened for reading; never waits, whatever the name stands for.
-
-    Raises
-    ------
-    OSError
-        If it is missing, unreadable or of another kind; ``strerror`` says so in words.
-    """
+    """Return a plain file, opened for reading; raises as ``read_small_file``, and never waits, whatever the name is."""
     try:
         file = FileIO(str(path), "rb", opener=_open_at_once)
     except OSError as error:
@@ -70,15 +52,7 @@ def check_plain_file(path: Path, most_bytes: int = MAX_TABLE_BYTES) -> None:
 
 
 def read_toml_file(path: Path) -> dict[str, Any]:
-    """Return the table that a TOML file holds.
-
-    Raises
-    ------
-    OSError
-        As ``read_small_file`` does.
-    ValueError
-        If it is no TOML.
-    """
+    """Return the table that a TOML file holds; raises as ``read_small_file``, and ValueError if it is no TOML."""
     text = read_small_file(path).decode("utf-8")
     try:
         return tomllib.loads(text)
@@ -104,11 +78,3 @@ def _check_kind(path: Path, status: os.stat_result) -> None:
 
 def _too_large(path: Path, most_bytes: int) -> OSError:
     return OSError(errno.EFBIG, f"it is too large (more than {most_bytes / 2**20:g} MiB)", str(path))
-
-
-def _read(descriptor: int, most_bytes: int) -> bytes:
-    pieces, missing_bytes = list[bytes](), most_bytes
-    while missing_bytes and (piece := os.read(descriptor, min(missing_bytes, 2**20))):
-        pieces.append(piece)
-        missing_bytes -= len(piece)
-    return b"".join(pieces)

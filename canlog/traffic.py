@@ -93,10 +93,10 @@ class TrafficMeter:
         for segment, is_new in self._segments(batch):
             if is_new:
                 self._last_ns[:] = BEFORE_ALL_NS
-            self._follow(segment)
+            self._add_intervals(segment)
         bits = frame_bits(batch)
         self._bits += float(bits.sum())
-        self._load(batch.t_ns, bits)
+        self._add_load(batch.t_ns, bits)
         for flag in (ERROR_FLAG, REMOTE_FLAG):
             self._kinds[flag] += int(np.count_nonzero(batch.can_id & np.uint32(flag)))
         for flag in (FD_FLAG, TX_FLAG):
@@ -135,7 +135,7 @@ class TrafficMeter:
         for start, stop in zip(starts, [*starts[1:], len(batch)], strict=True):
             yield batch[start:stop], bool(len(cuts)) and start in cuts
 
-    def _follow(self, segment: FrameBatch) -> None:
+    def _add_intervals(self, segment: FrameBatch) -> None:
         """Count the intervals between frames of one identifier."""
         key = segment.channel.astype(np.int64) << 32 | segment.can_id
         unique, inverse = np.unique(key, return_inverse=True)
@@ -171,7 +171,7 @@ class TrafficMeter:
                 setattr(self, name, np.vstack((table, np.zeros((1, BIN_COUNT), table.dtype))))
         return row
 
-    def _load(self, t_ns: Int64Array, bits: FloatArray) -> None:
+    def _add_load(self, t_ns: Int64Array, bits: FloatArray) -> None:
         """Find the busiest second."""
         second = t_ns // NS_PER_S
         begins = np.flatnonzero(np.diff(second, prepend=second[0] - 1))

@@ -3,7 +3,7 @@
 import logging
 import sys
 
-from canlog.compiling import tell_of_compiling
+from canlog.kernel_cache import tell_of_compiling
 from canlog.notice import NOTICE
 from program_io.legible import legible
 
