@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from canlog.arrays import Int64Array, UInt8Array
-from canlog.frames import FrameBatch
+from canlog.frames import COLUMNS, FrameBatch
 
 NS_PER_US = 1_000
 
@@ -16,14 +16,7 @@ def join(batches: Sequence[FrameBatch]) -> FrameBatch:
         return batches[0]
     width = max(batch.width for batch in batches)
     batches = [batch.widened(width) for batch in batches]
-    return FrameBatch(
-        t_ns=np.concatenate([batch.t_ns for batch in batches]),
-        can_id=np.concatenate([batch.can_id for batch in batches]),
-        length=np.concatenate([batch.length for batch in batches]),
-        data=np.concatenate([batch.data for batch in batches]),
-        flags=np.concatenate([batch.flags for batch in batches]),
-        channel=np.concatenate([batch.channel for batch in batches]),
-    )
+    return FrameBatch(**{name: np.concatenate([getattr(batch, name) for batch in batches]) for name in COLUMNS})
 
 
 def clear_padding(data: UInt8Array, length: UInt8Array | Int64Array) -> UInt8Array:

@@ -31,7 +31,13 @@ def _no_column() -> UInt8Array:
     return np.empty(0, np.uint8)
 
 
-_PLAIN_KINDS = tuple(np.dtype(kind) for kind in (np.int64, np.uint32, np.uint8, np.uint8, np.uint8))
+_BYTES = np.dtype(np.uint8)
+_KINDS: dict[str, np.dtype[Any]] = {
+    "t_ns": np.dtype(np.int64),
+    "can_id": np.dtype(np.uint32),
+    **dict.fromkeys(("length", "data", "flags", "channel"), _BYTES),
+}
+COLUMNS = tuple(_KINDS)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -59,14 +65,7 @@ class FrameBatch:
         return len(self.t_ns)
 
     def __getitem__(self, rows: Rows) -> "FrameBatch":
-        return FrameBatch(
-            t_ns=self.t_ns[rows],
-            can_id=self.can_id[rows],
-            length=self.length[rows],
-            data=self.data[rows],
-            flags=self.flags[rows],
-            channel=self.channel[rows],
-        )
+        return FrameBatch(**{name: getattr(self, name)[rows] for name in COLUMNS})
 
     @property
     def width(self) -> int:
@@ -75,21 +74,10 @@ class FrameBatch:
 
     def plain(self) -> "FrameBatch":
         """Return the same frames with every column in the one layout that loops are compiled for."""
-        columns: tuple[npt.NDArray[Any], ...] = (self.t_ns, self.can_id, self.length, self.data, self.channel)
-        for column, kind in zip(columns, _PLAIN_KINDS, strict=True):
-            if not column.flags.carray or column.dtype != kind:
-                return self._copied_plain()
-        return self
-
-    def _copied_plain(self) -> "FrameBatch":
-        return FrameBatch(
-            t_ns=np.require(self.t_ns, np.int64, ("C", "W")),
-            can_id=np.require(self.can_id, np.uint32, ("C", "W")),
-            length=np.require(self.length, np.uint8, ("C", "W")),
-            data=np.require(self.data, np.uint8, ("C", "W")),
-            flags=self.flags,
-            channel=np.require(self.channel, np.uint8, ("C", "W")),
-        )
+        columns: dict[str, npt.NDArray[Any]] = {name: getattr(self, name) for name in COLUMNS}
+        if all(column.flags.carray and column.dtype == _KINDS[name] for name, column in columns.items()):
+            return self
+        return FrameBatch(**{name: np.require(column, _KINDS[name], ("C", "W")) for name, column in columns.items()})
 
     def widened(self, width: int) -> "FrameBatch":
         """Return the same frames with payload rows of at least ``width`` bytes."""

@@ -144,11 +144,8 @@ class Codec:
         """Return which message each frame of a batch is."""
         slot = np.empty(len(batch), np.int64)
         counts = np.zeros((len(self.tables) + 1, len(FrameFate)), np.int64)
-        find_slots(
-            self._book, self._rules,
-            np.require(batch.can_id, np.uint32, ("C", "W")), np.require(batch.length, np.uint8, ("C", "W")),
-            np.require(batch.flags, np.uint8, ("C", "W")), slot, counts,
-        )  # fmt: skip
+        plain = batch.plain()
+        find_slots(self._book, self._rules, plain.can_id, plain.length, plain.flags, slot, counts)
         return FrameMatch(slot=slot, counts=counts)
 
     def knows(self, can_id: int) -> bool:
