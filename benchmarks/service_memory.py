@@ -27,7 +27,7 @@ sys.modules.setdefault("asammdf", None)  # type: ignore[arg-type]  # as ``diag-s
 import numpy as np
 import psutil
 
-from canlog.e2e.contract import message_contracts
+from canlog.e2e.message_contract import message_contracts
 from canlog.e2e.profile1 import protect
 from canlog.frame_columns import join
 from canlog.frames import FrameBatch

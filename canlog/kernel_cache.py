@@ -55,7 +55,7 @@ def cache_folder(configured: str) -> Path | None:
     return folder if os.access(folder, os.W_OK) else None
 
 
-def tell_of_compiling(say: Callable[[str], object]) -> None:
+def announce_compiling(say: Callable[[str], object]) -> None:
     """Have ``say`` called with a line for people when this process begins to compile, and with more as it goes on."""
     count = 0
 

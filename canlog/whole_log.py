@@ -17,7 +17,7 @@ from canlog.frame_columns import join
 from canlog.frames import FrameBatch
 from canlog.logs import LogCounts, LogFormat, read_log
 from canlog.parquet_file import arrow_schema, load_pyarrow
-from canlog.tables.account import Account
+from canlog.tables.account import DecodeAccount
 from canlog.tables.decoding import (
     CELLS_PER_FRAME,
     MAX_CELLS,
@@ -74,7 +74,7 @@ class Log:
         return f"<canlog.Log {self.path}: {self.format}, {len(self)} frames>"
 
     @cached_property
-    def account(self) -> Account:
+    def account(self) -> DecodeAccount:
         """What became of every frame and every signal when they were decoded."""
         account = self._new_account()
         for _ in decoded_batches(self._pieces(), account):
@@ -149,8 +149,8 @@ class Log:
         polars = load_extra("polars", "to_polars() needs polars")
         return polars.from_arrow(self.to_arrow(shape, values))
 
-    def _new_account(self) -> Account:
-        return Account(codec=self._plan.codec, names=self._plan.names, log=self.counts)
+    def _new_account(self) -> DecodeAccount:
+        return DecodeAccount(codec=self._plan.codec, names=self._plan.names, log=self.counts)
 
     def _pieces(self) -> Iterator[FrameBatch]:
         return pieces([self.frames], max(1, self._plan.max_cells // CELLS_PER_FRAME))

@@ -5,7 +5,7 @@ from typing import Final
 
 import numpy as np
 
-from canlog.e2e.contract import MessageContract
+from canlog.e2e.message_contract import MessageContract
 from ecu_emulator import frame_changes as change
 from ecu_emulator.errors import ConfigError
 from ecu_emulator.fault_onsets import MS_PER_S, Onsets

@@ -9,7 +9,7 @@ from queue import SimpleQueue
 from threading import Event
 from typing import Final
 
-from canlog.e2e.contract import message_contracts
+from canlog.e2e.message_contract import message_contracts
 from dbc.contract import load_contract
 from ecu_emulator.bus import TransmitReport, open_bus, transmit
 from ecu_emulator.control import ControlSocket

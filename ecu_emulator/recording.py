@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from queue import SimpleQueue
 from typing import Final
 
-from canlog.e2e.contract import message_contracts
+from canlog.e2e.message_contract import message_contracts
 from dbc.contract import load_contract
 from ecu_emulator.build import BuiltVehicle, ageing_factors, build_vehicle
 from ecu_emulator.bus_faults import BusFaults

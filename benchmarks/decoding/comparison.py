@@ -15,7 +15,7 @@ import pyarrow.parquet as pq
 from benchmarks.decoding.random_log import CLASSIC_BYTES, FD_BYTES, SentFrame, random_frames, write_candump
 from canlog.database.loading import load_database
 from canlog.decode.codec import Codec, MessageTable
-from canlog.tables.account import Account
+from canlog.tables.account import DecodeAccount
 from canlog.tables.decoding import Plan, TableShape, decode_log
 from canlog.tables.layouts import Values
 from canlog.tables.names import table_names
@@ -178,7 +178,7 @@ def _judge_long(
         tally.examples.append(f"{where}: the long table differs from the wide one")
 
 
-def _check_account(tally: Tally, account: Account, slot: int, value_count: int, transported_count: int) -> None:
+def _check_account(tally: Tally, account: DecodeAccount, slot: int, value_count: int, transported_count: int) -> None:
     """Hold the account of one message against what was found in the table."""
     counted = sum(one.values for (owner, _), one in account.signals.items() if owner == slot)
     transported = account.transported.get(account.names.messages[slot], (0, 0))[1]

@@ -33,7 +33,7 @@ _ANY_SENDER: Final = 0x100  # beside the 256 source addresses
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Address:
+class MessageAddress:
     """How the frames of one message are known."""
 
     name: str  # of the message, for people
@@ -63,12 +63,12 @@ class AddressBook(NamedTuple):
 
 def message_address(
     message: Message, *, is_j1939: bool = False, sender: int | None = None, channel: int | None = None
-) -> Address:
+) -> MessageAddress:
     """Return how frames of a message are known; without J1939 source address or channel, by the first that is heard.
 
     With ``is_j1939`` a message with a 29-bit identifier is taken for one of J1939, whatever the database says.
     """
-    return Address(
+    return MessageAddress(
         name=message.name,
         can_id=message.frame_id,
         is_extended=message.is_extended_frame,
@@ -83,7 +83,7 @@ def parameter_group(can_id: int) -> int:
     return int(_group_of(can_id))
 
 
-def address_book(addresses: Sequence[Address]) -> AddressBook:
+def address_book(addresses: Sequence[MessageAddress]) -> AddressBook:
     """Return the tables of some addresses.
 
     Of messages of one parameter group that several senders have each to themselves, each is known by group and source
@@ -108,19 +108,19 @@ def address_book(addresses: Sequence[Address]) -> AddressBook:
     )
 
 
-def overwritten(addresses: Sequence[Address]) -> dict[int, int]:
+def overwritten(addresses: Sequence[MessageAddress]) -> dict[int, int]:
     """Return the slots of messages whose identifier a later message has, too, with the slot of the last of those."""
     places = _places(addresses)
     last = {place: slot for slot, place in enumerate(places)}
     return {slot: last[place] for slot, place in enumerate(places) if last[place] != slot}
 
 
-def kernel_filters(addresses: Sequence[Address]) -> tuple[tuple[int, int], ...]:
+def kernel_filters(addresses: Sequence[MessageAddress]) -> tuple[tuple[int, int], ...]:
     """Return identifier and mask, with SocketCAN's flags, that let the data frames of some messages through."""
     return tuple(_kernel_filter(address) for address in addresses)
 
 
-def _kernel_filter(address: Address) -> tuple[int, int]:
+def _kernel_filter(address: MessageAddress) -> tuple[int, int]:
     if not address.is_extended:
         return address.can_id, STANDARD_IDS - 1 | _EXTENDED | REMOTE_FLAG
     mask = _ID_MASK
@@ -141,7 +141,7 @@ def rows_by_slot(slot: Int64Array, count: int) -> Iterator[tuple[int, Int64Array
             yield number, rows
 
 
-def _places(addresses: Sequence[Address]) -> list[tuple[_Table, int]]:
+def _places(addresses: Sequence[MessageAddress]) -> list[tuple[_Table, int]]:
     """Return in which table each message is looked up, and its key there."""
     count = Counter(parameter_group(address.can_id) for address in addresses if address.is_group)
     places: list[tuple[_Table, int]] = []

@@ -41,7 +41,7 @@ class Offence:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Signal:
+class SievedSignal:
     """What other statements may say of a signal depends on."""
 
     statement: Statement
@@ -50,11 +50,11 @@ class Signal:
 
 
 @dataclass(slots=True, kw_only=True)
-class Message:
+class SievedMessage:
     """A message and its signals, by name."""
 
     name: str
-    signals: dict[str, Signal] = field(default_factory=dict)
+    signals: dict[str, SievedSignal] = field(default_factory=dict)
     selected: set[str] = field(default_factory=set)  # signals whose multiplexer SG_MUL_VAL_ names
 
     @property
@@ -69,14 +69,14 @@ class Sieve:
     def __init__(self, text: str) -> None:
         self._tokens = Tokens(text)
         self._edits: dict[range, tuple[int, int, str]] = {}  # by tokens: what stands there instead
-        self._messages: dict[int, list[Message]] = {}  # by identifier; several, where one is there twice
+        self._messages: dict[int, list[SievedMessage]] = {}  # by identifier; several, where one is there twice
         self._attributes = AttributeRules()
         self._names: dict[str, str] = {}
         self.offences: list[Offence] = []
         self.has_messages = False
         self._rename()
         statements = list(self._sound())
-        self._take_messages(statements)
+        self._read_messages(statements)
         self._check("DQ", statements, self._attributes.define)
         self._check("EP", statements, self._attributes.check_default)
         self._check("M", statements, self._check_multiplexer)
@@ -154,8 +154,8 @@ class Sieve:
             self._edits[statement.tokens] = removal
             self._offend(statement, cause, is_harmless=is_harmless)
 
-    def _take_messages(self, statements: list[Statement]) -> None:
-        current: Message | None = None
+    def _read_messages(self, statements: list[Statement]) -> None:
+        current: SievedMessage | None = None
         is_open = False  # signals may follow
         for statement in statements:
             if statement.kind == "O":
@@ -169,10 +169,10 @@ class Sieve:
                 self._leave_out(statement, "it belongs to no message")
             elif current is None:
                 self._leave_out(statement, "its message is left out")
-            elif cause := take_signal(self._words(statement), statement, current):
+            elif cause := add_signal(self._words(statement), statement, current):
                 self._leave_out(statement, cause)
 
-    def _message(self, words: list[str]) -> tuple[Message | None, str]:
+    def _message(self, words: list[str]) -> tuple[SievedMessage | None, str]:
         """Return the message of a statement, or why it is none."""
         _, identifier, name, _, length, *_ = words
         self.has_messages = True
@@ -181,7 +181,7 @@ class Sieve:
         number = int(identifier)
         bits = (number & ~EXTENDED_BIT).bit_length()
         most_bits = EXTENDED_BITS if number & EXTENDED_BIT else STANDARD_BITS
-        message = Message(name=name)
+        message = SievedMessage(name=name)
         if name != INDEPENDENT and (number < 0 or bits > most_bits):
             return None, f"the identifier has more than {most_bits} bits"
         self._messages.setdefault(number, []).append(message)
@@ -194,7 +194,7 @@ class Sieve:
                 is_harmless = cause == INDEPENDENT
                 self._leave_out(statement, "of no message" if is_harmless else cause, is_harmless=is_harmless)
 
-    def _find(self, identifier: str, signal: str) -> Message | str:
+    def _find(self, identifier: str, signal: str) -> SievedMessage | str:
         """Return the message of a signal, or why there is none."""
         if not _is_whole(identifier):
             return NOT_WHOLE
@@ -251,7 +251,7 @@ class Sieve:
                     several = ", ".join(sorted(multiplexers))
                     self._forget(message, name, f"SG_MUL_VAL_ does not say which of {several} selects it")
 
-    def _forget(self, message: Message, name: str, cause: str) -> None:
+    def _forget(self, message: SievedMessage, name: str, cause: str) -> None:
         self._leave_out(message.signals.pop(name).statement, cause)
 
 
@@ -262,7 +262,7 @@ def check_numbers(words: list[str]) -> str:
     return "" if all(_is_whole(words[place]) for place in at) else NOT_WHOLE
 
 
-def take_signal(words: list[str], statement: Statement, message: Message) -> str:
+def add_signal(words: list[str], statement: Statement, message: SievedMessage) -> str:
     """Add a signal to its message; return why it cannot be, if so."""
     colon = words.index(":")
     name, marker = words[1], "".join(words[2:colon])
@@ -274,7 +274,7 @@ def take_signal(words: list[str], statement: Statement, message: Message) -> str
         return f"{marker} is no multiplexer's mark{hint} (M, or m and a number)"
     if name in message.signals and message.name != INDEPENDENT:
         return f"message {message.name} has another signal {name}"
-    message.signals[name] = Signal(statement=statement, marker=marker, length_bits=int(length))
+    message.signals[name] = SievedSignal(statement=statement, marker=marker, length_bits=int(length))
     return ""
 
 

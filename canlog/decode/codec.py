@@ -26,7 +26,7 @@ from canlog.decode.signal_block import SignalBlock
 from canlog.decode.signal_table import Decoded, SignalTable, compile_signal
 from canlog.errors import DefinitionError
 from canlog.frames import ERROR_FLAG, FD_FLAG, FD_PAYLOAD_BYTES, PAYLOAD_BYTES, REMOTE_FLAG, FrameBatch
-from canlog.jit import array_kernel
+from canlog.jit import array_kernel, inlined_kernel
 
 
 class FrameFate(IntEnum):
@@ -41,19 +41,10 @@ class FrameFate(IntEnum):
     ERROR = 6
 
 
-class Carriage(IntEnum):
-    """Which frames can hold a message."""
-
-    ANY_FRAME = 0
-    FD_ONLY = 1  # more than eight bytes, and the database does not call it a CAN FD message
-    NO_FRAME = 2  # longer than any frame
-
-
 HAS_VALUES: Final = (FrameFate.DECODED, FrameFate.SHORT)
 _DECODED, _SHORT, _TRANSPORTED = int(FrameFate.DECODED), int(FrameFate.SHORT), int(FrameFate.TRANSPORTED)
 _WITHOUT_SIGNALS, _UNKNOWN = int(FrameFate.WITHOUT_SIGNALS), int(FrameFate.UNKNOWN)
 _REMOTE, _ERROR = int(FrameFate.REMOTE), int(FrameFate.ERROR)
-_FD_ONLY, _NO_FRAME = int(Carriage.FD_ONLY), int(Carriage.NO_FRAME)
 _NO_DATA, _ERROR_FLAG, _FD_FLAG = int(REMOTE_FLAG | ERROR_FLAG), int(ERROR_FLAG), int(FD_FLAG)
 
 
@@ -70,13 +61,10 @@ class MessageTable:
     definitions: Mapping[str, Signal]  # of all signals, decoded or refused
 
     @property
-    def carriage(self) -> Carriage:
-        """Which frames can hold the message."""
-        if self.message.length > FD_PAYLOAD_BYTES:
-            return Carriage.NO_FRAME
-        if self.message.length > PAYLOAD_BYTES and not self.message.is_fd:
-            return Carriage.FD_ONLY
-        return Carriage.ANY_FRAME
+    def needed_bytes(self) -> int:
+        """What a frame must have room for to hold the message at once; 0: frames of it do, says the database."""
+        is_usual = self.message.length <= (FD_PAYLOAD_BYTES if self.message.is_fd else PAYLOAD_BYTES)
+        return 0 if is_usual else self.message.length
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -102,7 +90,7 @@ class SlotRules(NamedTuple):
     """Which frames of each message can be decoded, arrays of shape (messages,)."""
 
     min_length: Int64Array
-    carriage: Int64Array
+    needed_bytes: Int64Array  # as of MessageTable
     is_empty: BoolArray  # no signal can be decoded
     is_plain: BoolArray  # any frame that is long enough can be
 
@@ -135,10 +123,10 @@ class Codec:
         self._blocks: dict[tuple[int, int], SignalBlock] = {}  # by slot and bytes of the frame
         self._book = address_book([addresses[slot] for slot in kept])
         min_length = np.array([min(table.message.length, FD_PAYLOAD_BYTES) for table in self.tables], np.int64)
-        carriage = np.array([table.carriage for table in self.tables], np.int64)
+        needed_bytes = np.array([table.needed_bytes for table in self.tables], np.int64)
         is_empty = np.array([not table.signals for table in self.tables], np.bool_)
-        is_plain = ~is_empty & (carriage == Carriage.ANY_FRAME)  # of nearly all frames
-        self._rules = SlotRules(min_length, carriage, is_empty, is_plain)
+        is_plain = ~is_empty & (needed_bytes == 0)  # of nearly all frames
+        self._rules = SlotRules(min_length, needed_bytes, is_empty, is_plain)
 
     def match(self, batch: FrameBatch) -> FrameMatch:
         """Return which message each frame of a batch is."""
@@ -211,6 +199,12 @@ def _labelled(signals: Sequence[Signal]) -> Iterator[tuple[str, Signal]]:
         yield name, signal
 
 
+@inlined_kernel
+def frame_room(flags: int, length: int) -> int:
+    """Return how many bytes frames of this kind have room for; not every log says which are of CAN FD."""
+    return FD_PAYLOAD_BYTES if flags & _FD_FLAG or length > PAYLOAD_BYTES else PAYLOAD_BYTES
+
+
 @array_kernel
 def find_slots(
     book: AddressBook,
@@ -235,9 +229,7 @@ def find_slots(
         elif rules.is_plain[found] and length[row] >= rules.min_length[found]:
             slot[row] = found
             counts[found, _DECODED] += 1
-        elif rules.carriage[found] == _NO_FRAME or (
-            rules.carriage[found] == _FD_ONLY and flags[row] & _FD_FLAG == 0 and length[row] <= PAYLOAD_BYTES
-        ):
+        elif rules.needed_bytes[found] > frame_room(flags[row], length[row]):
             counts[found, _TRANSPORTED] += 1
         elif rules.is_empty[found]:
             counts[found, _WITHOUT_SIGNALS] += 1

@@ -7,7 +7,7 @@ The timeout follows the cycle that the message itself keeps, from the one that t
 times as long: a bus that is slower than its database is held against itself, and a gap in it is still one.
 
 All its parameters are the same in every state, as AUTOSAR's constraints permit; the window is cleared on the way to
-``INVALID``, so that trust must be earned anew.
+``INVALID``, so that a message must prove itself anew.
 """
 
 from collections.abc import Sequence
@@ -66,7 +66,7 @@ class E2eMemory(NamedTuple):
     ok_bits: Int64Array  # the last WINDOW checks, the latest lowest: 1 where all was well
     error_bits: Int64Array  # 1 where the frame was broken
     heard_ns: Int64Array  # last frame of whatever kind, BEFORE_ALL_NS before the first
-    invalidations: Int64Array  # times that the message lost its trust
+    invalidations: Int64Array  # times that the message became invalid
     cycle_ns: Int64Array  # cycle that the database names; 0 where that is unknown
     own_ns: Int64Array  # cycle that the message keeps, no less than the database's
 
@@ -194,7 +194,7 @@ class E2eStates:
 
     @property
     def invalidations(self) -> tuple[int, ...]:
-        """How often each message lost its trust."""
+        """How often each message became invalid."""
         return tuple(self._memory.invalidations.tolist())
 
     @property

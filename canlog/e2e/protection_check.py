@@ -13,9 +13,17 @@ import numpy as np
 from cantools.database.can import Message
 
 from canlog.arrays import Int64Array, UInt8Array, UInt32Array
-from canlog.database.addressing import ANY, NOBODY, Address, AddressBook, address_book, find_slot, message_address
+from canlog.database.addressing import (
+    ANY,
+    NOBODY,
+    AddressBook,
+    MessageAddress,
+    address_book,
+    find_slot,
+    message_address,
+)
 from canlog.e2e.alive_counter import IN_SEQUENCE, REPEATED, LinkState, forget, fresh_links, judge, note_unusable
-from canlog.e2e.contract import message_contract
+from canlog.e2e.message_contract import message_contract
 from canlog.e2e.profile1 import COUNTER_BYTE, COUNTER_MASK, CRC_BYTE, CRC_TABLES, data_id_remainder
 from canlog.errors import DefinitionError
 from canlog.frames import ERROR_FLAG, FD_PAYLOAD_BYTES, PAYLOAD_BYTES, REMOTE_FLAG, FrameBatch, empty_batch
@@ -91,7 +99,7 @@ class FrameVerdicts(NamedTuple):
         return cls(np.empty(count, np.uint8), *(np.empty(count, np.int64) for _ in range(3)))
 
 
-class Totals(NamedTuple):
+class FrameTotals(NamedTuple):
     """Running counts."""
 
     frames: Int64Array  # (m + 1, reasons); the last row is of frames of no message
@@ -107,7 +115,7 @@ def judge_frames(
     origins: Origins,
     frames: FrameColumns,
     verdicts: FrameVerdicts,
-    totals: Totals,
+    totals: FrameTotals,
 ) -> None:
     """Judge frames in their order: fill the verdicts, move the states on, add to the counts."""
     for row in range(frames.t_ns.size):
@@ -198,7 +206,7 @@ class LinkMonitor:
     8 bytes.
     """
 
-    def __init__(self, messages: Sequence[Message], addresses: Sequence[Address] | None = None) -> None:
+    def __init__(self, messages: Sequence[Message], addresses: Sequence[MessageAddress] | None = None) -> None:
         if addresses is None:
             addresses = [message_address(message) for message in messages]
         self._book = address_book(addresses)
@@ -212,7 +220,7 @@ class LinkMonitor:
             channel_frames=np.zeros((len(messages), ORIGINS), np.int64),
             sender_frames=np.zeros((len(messages), ORIGINS), np.int64),
         )
-        self._totals = Totals(
+        self._totals = FrameTotals(
             frames=np.zeros((len(messages) + 1, len(FrameReason)), np.int64),
             missing=np.zeros(len(messages), np.int64),
             marked=np.zeros((ORIGINS, len(FrameReason)), np.int64),

@@ -1,9 +1,9 @@
 """Live buses: received without waiting, supervised, in bus time."""
 
-from canlog.live.base import FrameSource, LinkBreak, LiveSource, SourceCounts
 from canlog.live.bus_state import BusState, BusStatus
 from canlog.live.factory import BusOpener, open_source
 from canlog.live.read_schedule import ReadSchedule
+from canlog.live.sources import FrameSource, LinkBreak, LiveSource, SourceCounts
 from canlog.live.supervisor import SupervisedSource, supervise
 
 __all__ = [

@@ -9,7 +9,7 @@ from types import MappingProxyType
 import numpy as np
 
 from canlog.frames import FrameBatch
-from canlog.live.error_frames import GOOD_NEWS, BusError, count_errors, is_error, tells
+from canlog.live.error_frames import GOOD_NEWS, BusTrouble, count_errors, is_error, reports
 
 TROUBLE_S = 5.0  # how long an error frame or a loss is remembered as trouble
 
@@ -29,7 +29,7 @@ class BusStatus:
     """State of a bus and what has happened to it."""
 
     state: BusState
-    errors: Mapping[BusError, int]  # error frames by what they tell
+    errors: Mapping[BusTrouble, int]  # error frames by what they tell
     interruption_count: int  # times that the interface was lost
     restart_count: int  # restarts asked of the controller
     last_problem: str | None
@@ -40,7 +40,7 @@ class BusWatch:
 
     def __init__(self) -> None:
         self._state = BusState.UP
-        self._errors: Counter[BusError] = Counter()
+        self._errors: Counter[BusTrouble] = Counter()
         self._interruption_count = 0
         self._restart_count = 0
         self._last_problem: str | None = None
@@ -98,8 +98,8 @@ class BusWatch:
         """Return the state that the last telling frame of a batch with error frames leaves."""
         news = {
             BusState.UP: ~is_error(batch),
-            BusState.BUS_OFF: tells(batch, BusError.BUS_OFF),
-            BusState.RESTARTED: tells(batch, BusError.RESTARTED),
+            BusState.BUS_OFF: reports(batch, BusTrouble.BUS_OFF),
+            BusState.RESTARTED: reports(batch, BusTrouble.RESTARTED),
         }
         rows = {state: int(np.flatnonzero(told)[-1]) for state, told in news.items() if told.any()}
         return max(rows, key=lambda state: rows[state], default=self._state)

@@ -10,7 +10,7 @@ from canlog.arrays import BoolArray
 from canlog.frames import ERROR_FLAG, FrameBatch
 
 
-class BusError(StrEnum):
+class BusTrouble(StrEnum):
     """A kind of trouble on the bus; one error frame may tell of several."""
 
     BUS_OFF = "bus_off"
@@ -29,21 +29,21 @@ class BusError(StrEnum):
 
 _CONTROLLER: Final = 0x04  # class "controller": byte 1 says what about it
 _CLASSES: Final = {
-    BusError.TRANSMIT_TIMEOUT: 0x01,
-    BusError.ARBITRATION_LOST: 0x02,
-    BusError.PROTOCOL: 0x08 | 0x80,  # protocol violation, bus error
-    BusError.TRANSCEIVER: 0x10,
-    BusError.NO_ACKNOWLEDGE: 0x20,
-    BusError.BUS_OFF: 0x40,
-    BusError.RESTARTED: 0x100,
+    BusTrouble.TRANSMIT_TIMEOUT: 0x01,
+    BusTrouble.ARBITRATION_LOST: 0x02,
+    BusTrouble.PROTOCOL: 0x08 | 0x80,  # protocol violation, bus error
+    BusTrouble.TRANSCEIVER: 0x10,
+    BusTrouble.NO_ACKNOWLEDGE: 0x20,
+    BusTrouble.BUS_OFF: 0x40,
+    BusTrouble.RESTARTED: 0x100,
 }
 _CONTROLLER_STATES: Final = {
-    BusError.CONTROLLER_OVERFLOW: 0x01 | 0x02,  # receive, transmit
-    BusError.ERROR_WARNING: 0x04 | 0x08,
-    BusError.ERROR_PASSIVE: 0x10 | 0x20,
-    BusError.ERROR_ACTIVE: 0x40,
+    BusTrouble.CONTROLLER_OVERFLOW: 0x01 | 0x02,  # receive, transmit
+    BusTrouble.ERROR_WARNING: 0x04 | 0x08,
+    BusTrouble.ERROR_PASSIVE: 0x10 | 0x20,
+    BusTrouble.ERROR_ACTIVE: 0x40,
 }
-GOOD_NEWS: Final = frozenset({BusError.RESTARTED, BusError.ERROR_ACTIVE})
+GOOD_NEWS: Final = frozenset({BusTrouble.RESTARTED, BusTrouble.ERROR_ACTIVE})
 
 
 def is_error(batch: FrameBatch) -> BoolArray:
@@ -52,7 +52,7 @@ def is_error(batch: FrameBatch) -> BoolArray:
     return found
 
 
-def tells(batch: FrameBatch, error: BusError) -> BoolArray:
+def reports(batch: FrameBatch, error: BusTrouble) -> BoolArray:
     """Return which frames are error frames that tell of ``error``, shape (n,)."""
     found = is_error(batch)
     if error in _CLASSES:
@@ -62,12 +62,12 @@ def tells(batch: FrameBatch, error: BusError) -> BoolArray:
         found &= (batch.data[:, 1] & np.uint8(_CONTROLLER_STATES[error])) != 0
     else:
         for known in (*_CLASSES, *_CONTROLLER_STATES):
-            found &= ~tells(batch, known)
+            found &= ~reports(batch, known)
     return found
 
 
-def count_errors(batch: FrameBatch) -> Counter[BusError]:
+def count_errors(batch: FrameBatch) -> Counter[BusTrouble]:
     """Return how many error frames of a batch tell of each kind of trouble; kinds that do not occur are left out."""
     if not is_error(batch).any():
         return Counter()
-    return Counter({error: count for error in BusError if (count := int(tells(batch, error).sum()))})
+    return Counter({error: count for error in BusTrouble if (count := int(reports(batch, error).sum()))})

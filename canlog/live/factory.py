@@ -5,10 +5,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from canlog.errors import SourceError
-from canlog.live.base import FrameSource
 from canlog.live.interface import Seen, index_of, present_name, restart_controller
 from canlog.live.read_schedule import ReadSchedule
 from canlog.live.socketcan import SocketCanSource
+from canlog.live.sources import FrameSource
 
 SOCKETCAN = "socketcan"
 

@@ -25,7 +25,7 @@ ANCILLARY_BYTES: Final = socket.CMSG_SPACE(TIMESPEC.size)
 NS_PER_S: Final = 1e9
 _HANDLED: Final = frozenset({"interface", "channel"})
 
-Address = tuple[Any, ...]  # host and port, and two numbers more with IPv6
+SocketAddress = tuple[Any, ...]  # host and port, and two numbers more with IPv6
 
 
 def open_bus(interface: str | None, channel: str | None, bitrate: int | None, *, fd: bool = False) -> can.BusABC:
@@ -133,7 +133,7 @@ class MulticastBus(can.BusABC):
             if self._is_heard(origin) and (message := self._message(data, ancillary)) is not None:
                 return message, False
 
-    def _is_heard(self, origin: Address) -> bool:
+    def _is_heard(self, origin: SocketAddress) -> bool:
         if not is_own_address(self._family, (origin[0], 0, *origin[2:])):
             return not self._is_local
         return bool(origin[1] != self._own_port)
@@ -158,7 +158,7 @@ class MulticastBus(can.BusABC):
 
 
 @lru_cache(maxsize=64)
-def is_own_address(family: socket.AddressFamily, address: Address) -> bool:
+def is_own_address(family: socket.AddressFamily, address: SocketAddress) -> bool:
     """Return whether an address is one of this machine: one that a socket can be bound to, whatever port is free.
 
     The kernel drops what comes from outside and pretends to come from here.
@@ -171,7 +171,7 @@ def is_own_address(family: socket.AddressFamily, address: Address) -> bool:
     return True
 
 
-def _resolved(group: str, port: int) -> tuple[socket.AddressFamily, Address]:
+def _resolved(group: str, port: int) -> tuple[socket.AddressFamily, SocketAddress]:
     try:
         found = socket.getaddrinfo(group, port, type=socket.SOCK_DGRAM, flags=socket.AI_NUMERICHOST)
         family, address = found[0][0], found[0][4]
@@ -196,7 +196,7 @@ def _prepare_sender(sender: socket.socket, hops: int) -> None:
         sender.setsockopt(socket.IPPROTO_IP, socket.IP_MULTICAST_IF, socket.inet_aton(LOOPBACK))
 
 
-def _join(receiver: socket.socket, group: Address, *, is_local: bool) -> None:
+def _join(receiver: socket.socket, group: SocketAddress, *, is_local: bool) -> None:
     """Listen to one group and port, beside others who do."""
     receiver.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
     receiver.setsockopt(socket.SOL_SOCKET, SO_TIMESTAMPNS, 1)

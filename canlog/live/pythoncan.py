@@ -20,8 +20,8 @@ from canlog.frames import (
     FrameBatch,
 )
 from canlog.live import opening
-from canlog.live.base import SourceCounts
 from canlog.live.frame_queue import FrameQueue
+from canlog.live.sources import SourceCounts
 
 POLL_S = 0.1  # how soon the thread notices that it shall stop
 MESSAGES_PER_BATCH = 256

@@ -6,7 +6,6 @@ from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from canlog.frames import FrameBatch
-from canlog.live.base import SourceCounts
 from canlog.live.bus_clock import BusClock
 from canlog.live.clock_alarm import clock_alarm
 from canlog.live.frame_queue import FrameQueue
@@ -20,6 +19,7 @@ from canlog.live.raw_socket import (
 )
 from canlog.live.read_schedule import RELAXED_S, URGENT_S, ReadSchedule
 from canlog.live.recvmmsg import SLOTS, FrameReceiver, Reception
+from canlog.live.sources import SourceCounts
 
 if TYPE_CHECKING:
     import socket

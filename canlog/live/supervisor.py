@@ -9,8 +9,8 @@ from typing import Protocol
 from canlog.bus_load import frame_bits
 from canlog.errors import SourceError
 from canlog.frames import FrameBatch
-from canlog.live.base import FrameSource, LinkBreak, SourceCounts
 from canlog.live.bus_state import BusState, BusStatus, BusWatch
+from canlog.live.sources import FrameSource, LinkBreak, SourceCounts
 from canlog.notice import NOTICE
 
 RETRY_S = 0.1  # from the return of the interface to its first frame: this and the opening

@@ -39,7 +39,7 @@ class Nearest:
 
 
 @dataclass(slots=True, kw_only=True)
-class Account:
+class DecodeAccount:
     """The running account; ``frames`` of every fate add up to the frames of the log."""
 
     codec: Codec
@@ -128,7 +128,7 @@ class Account:
         return [
             name
             for table, name in zip(self.codec.tables, self.names.messages, strict=True)
-            if table.carriage and table.message.protocol == J1939
+            if table.needed_bytes and table.message.protocol == J1939
         ]
 
     @property

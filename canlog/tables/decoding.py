@@ -15,7 +15,7 @@ from canlog.errors import OutputError
 from canlog.frames import FrameBatch
 from canlog.logs import LogReader, read_log
 from canlog.parquet_file import ParquetTable
-from canlog.tables.account import Account
+from canlog.tables.account import DecodeAccount
 from canlog.tables.layouts import LongLayout, Values, WideLayout
 from canlog.tables.names import TableNames, table_names
 
@@ -65,7 +65,7 @@ class Plan:
 
 
 def decoded_batches(
-    batches: Iterable[FrameBatch], account: Account
+    batches: Iterable[FrameBatch], account: DecodeAccount
 ) -> Iterator[tuple[FrameBatch, list[MessageValues]]]:
     """Yield batches with what their signals say, and enter both into the account."""
     for batch in batches:
@@ -78,7 +78,7 @@ def decoded_batches(
 
 
 def row_groups(
-    batches: Iterable[FrameBatch], layout: WideLayout | LongLayout, account: Account
+    batches: Iterable[FrameBatch], layout: WideLayout | LongLayout, account: DecodeAccount
 ) -> Iterator[Mapping[str, Any]]:
     """Yield the columns of one row group for each batch that has any."""
     for batch, found in decoded_batches(batches, account):
@@ -97,14 +97,14 @@ def pieces(batches: Iterable[FrameBatch], size: int) -> Iterator[FrameBatch]:
 
 def decode_log(
     path: Path, plan: Plan, output: Path, is_stopped: Callable[[], bool] = lambda: False
-) -> tuple[Account, LogReader] | None:
+) -> tuple[DecodeAccount, LogReader] | None:
     """Write the signals of a log into a Parquet file in bounded memory; the file appears when it is complete.
 
     For wide rows the log is read twice.
 
     Returns
     -------
-    tuple of Account and LogReader, or None
+    tuple of DecodeAccount and LogReader, or None
         What became of every frame, and the reader, which says what the log is; None, and no file, if it was stopped.
 
     Raises
@@ -127,9 +127,9 @@ def decode_log(
     return told
 
 
-def _written(path: Path, plan: Plan, output: Path, is_stopped: Callable[[], bool]) -> tuple[Account, LogReader]:
+def _written(path: Path, plan: Plan, output: Path, is_stopped: Callable[[], bool]) -> tuple[DecodeAccount, LogReader]:
     layout = plan.layout(lambda: _until(is_stopped, _closed_at_end(path)))
-    account = Account(codec=plan.codec, names=plan.names)
+    account = DecodeAccount(codec=plan.codec, names=plan.names)
     with closing(read_log(path)) as reader, ParquetTable(output, layout.kinds, layout.metadata) as table:
         frames = _until(is_stopped, pieces(reader, plan.frames_per_group(layout)))
         for columns in row_groups(frames, layout, account):

@@ -62,7 +62,7 @@ class ValueTexts:
         return np.where(known[place] == number, self._codes[place], np.int32(NAMELESS))
 
 
-class Layout:
+class TableLayout:
     """What both layouts share: the messages of a codec, how they are called, and how values are written."""
 
     def __init__(self, tables: Sequence[MessageTable], names: TableNames, values: Values) -> None:
@@ -94,7 +94,7 @@ class Layout:
         return self._tables[slot].definitions[name].unit or ""
 
 
-class WideLayout(Layout):
+class WideLayout(TableLayout):
     """A row per frame, and a column per signal of the messages in ``slots``."""
 
     def __init__(self, tables: Sequence[MessageTable], names: TableNames, values: Values, slots: Sequence[int]) -> None:
@@ -148,7 +148,7 @@ class WideLayout(Layout):
             cells.put(place, rows, decoded.value, is_there)
 
 
-class LongLayout(Layout):
+class LongLayout(TableLayout):
     """A row per value."""
 
     @property

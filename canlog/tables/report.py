@@ -8,7 +8,7 @@ import numpy as np
 
 from canlog.decode.codec import HAS_VALUES, FrameFate
 from canlog.frames import EXTENDED_FLAG
-from canlog.tables.account import MAX_IDS, Account
+from canlog.tables.account import MAX_IDS, DecodeAccount
 from canlog.tables.names import flagged_id, identifier_text
 
 JsonObject = dict[str, object]
@@ -17,7 +17,7 @@ SCHEMA: Final = "clutchdiag/decode/v1"
 SHOWN_COUNT: Final = 8  # of a list for people; a program gets all
 
 
-def losses(account: Account) -> Iterator[str]:
+def losses(account: DecodeAccount) -> Iterator[str]:
     """Yield for people what of the log is not in the table though it should be."""
     log, fates = account.log, account.fates
     if log.truncated:
@@ -49,7 +49,7 @@ def losses(account: Account) -> Iterator[str]:
         yield f"message {old} has the identifier of {new}, by which its frames are decoded"
 
 
-def _why_nothing(account: Account) -> str:
+def _why_nothing(account: DecodeAccount) -> str:
     near = [
         f"{identifier_text(one.can_id)} of the log to {identifier_text(one.message_id)} {one.message}"
         + (f" ({one.remark})" if one.remark else "")
@@ -59,7 +59,7 @@ def _why_nothing(account: Account) -> str:
     return f"{head}; nearest: {'; '.join(near)}" if near else head
 
 
-def remarks(account: Account) -> Iterator[str]:
+def remarks(account: DecodeAccount) -> Iterator[str]:
     """Yield for people what is in the table, or is missing by right, but may be worth a look."""
     log = account.log
     yield from log.notes
@@ -91,7 +91,7 @@ def listing(counts: Mapping[str, int]) -> str:
     return ", ".join(parts + ([f"and {len(largest) - SHOWN_COUNT} more"] if len(largest) > SHOWN_COUNT else []))
 
 
-def frame_texts(account: Account) -> Iterator[str]:
+def frame_texts(account: DecodeAccount) -> Iterator[str]:
     """Yield what became of the frames, in words; only what occurred."""
     words = {
         FrameFate.DECODED: "decoded",
@@ -107,7 +107,7 @@ def frame_texts(account: Account) -> Iterator[str]:
             yield f"{count} {words[fate]}"
 
 
-def values_text(account: Account) -> str:
+def values_text(account: DecodeAccount) -> str:
     """Return how many values there are, in words."""
     values = sum(counts.values for counts in account.signals.values())
     with_values = int(np.count_nonzero(account.counts[:-1, list(HAS_VALUES)].sum(axis=1)))
@@ -119,7 +119,7 @@ def _with_reasons(head: str, counts: Mapping[str, int]) -> str:
     return f"{head} ({', '.join(named)})" if named else head
 
 
-def account_record(account: Account) -> JsonObject:
+def account_record(account: DecodeAccount) -> JsonObject:
     """Return the account; ``frames`` without ``read`` add up to ``read``."""
     log = account.log
     return {
@@ -152,7 +152,7 @@ def account_record(account: Account) -> JsonObject:
     }
 
 
-def _message(account: Account, slot: int) -> JsonObject:
+def _message(account: DecodeAccount, slot: int) -> JsonObject:
     """Return one message that came, with all of its signals that were looked for."""
     message = account.codec.tables[slot].message
     fates = account.of_message(slot)

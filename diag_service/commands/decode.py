@@ -5,7 +5,7 @@ from types import SimpleNamespace
 
 from canlog.logs import LogReader
 from canlog.parquet_file import load_pyarrow
-from canlog.tables.account import Account
+from canlog.tables.account import DecodeAccount
 from canlog.tables.decoding import Plan, TableShape, decode_log
 from canlog.tables.layouts import Values
 from canlog.tables.report import account_record, frame_texts, losses, remarks, values_text
@@ -38,7 +38,7 @@ def execute(options: SimpleNamespace, controls: Controls) -> None:
         raise IncompleteError(f"{options.log}: not all of it is in {options.output}: {lost[0]}{more}")
 
 
-def _record(options: SimpleNamespace, account: Account, reader: LogReader) -> JsonObject:
+def _record(options: SimpleNamespace, account: DecodeAccount, reader: LogReader) -> JsonObject:
     """Return everything that is to be said as one JSON object."""
     return {
         **account_record(account),
@@ -51,7 +51,7 @@ def _record(options: SimpleNamespace, account: Account, reader: LogReader) -> Js
     }
 
 
-def _show(options: SimpleNamespace, account: Account, reader: LogReader) -> None:
+def _show(options: SimpleNamespace, account: DecodeAccount, reader: LogReader) -> None:
     """Say the same to people."""
     lines = [
         f"{options.log}: {reader.format.value}, {account.log.frames} frames: {', '.join(frame_texts(account))}",

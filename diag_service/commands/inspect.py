@@ -11,7 +11,7 @@ from cantools.database.can import Message
 
 from canlog.arrays import Int64Array
 from canlog.database.addressing import NOBODY, address_book, find_slot, message_address, overwritten
-from canlog.e2e.contract import message_contract
+from canlog.e2e.message_contract import message_contract
 from canlog.e2e.protection_check import FrameReason, LinkMonitor
 from canlog.frames import ERROR_FLAG, EXTENDED_FLAG, REMOTE_FLAG
 from canlog.logs import LogReader, read_log

@@ -3,7 +3,7 @@
 import logging
 import sys
 
-from canlog.kernel_cache import tell_of_compiling
+from canlog.kernel_cache import announce_compiling
 from canlog.notice import NOTICE
 from program_io.legible import legible
 
@@ -33,5 +33,5 @@ def set_up_notices(verbosity: int) -> None:
         own.setLevel(level)
     compiling = logging.getLogger(COMPILING)
     compiling.setLevel(level)  # a level of its own: workers that leave other notices to their parent tell of this
-    tell_of_compiling(lambda line: compiling.log(NOTICE, "%s", line))
+    announce_compiling(lambda line: compiling.log(NOTICE, "%s", line))
     logging.getLogger().handlers = [handler] if verbosity > 1 else [logging.NullHandler()]

@@ -14,7 +14,7 @@ from canlog.decode.signal_table import NO_INVALID, InvalidCounts
 from canlog.e2e.e2e_state import E2eState, E2eStates
 from canlog.e2e.protection_check import FrameReason, FrameVerdicts, LinkMonitor
 from canlog.frames import MAX_GAP_NS, FrameBatch
-from canlog.live.error_frames import BusError, tells
+from canlog.live.error_frames import BusTrouble, reports
 from canlog.series import Series
 from diag_service.diagnosis.columns import ColumnBatch, Columns, GearRatios, Signal
 from diag_service.diagnosis.summary import FrameCounts
@@ -180,7 +180,7 @@ class Decoder:
             return
         before_ns = batch.t_ns[0] if self.last_ns is None else self.last_ns
         steps_ns = np.diff(batch.t_ns, prepend=before_ns)
-        breaks = (steps_ns < 0) | (steps_ns > MAX_GAP_NS) | tells(batch, BusError.BUS_OFF)
+        breaks = (steps_ns < 0) | (steps_ns > MAX_GAP_NS) | reports(batch, BusTrouble.BUS_OFF)
         breaks[0] |= self._is_interrupted
         jumps = np.flatnonzero(breaks).tolist()
         self.last_ns = int(batch.t_ns[-1])

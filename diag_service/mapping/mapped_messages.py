@@ -9,7 +9,7 @@ from cantools.database.can import Database, Message
 from cantools.database.can.signal import Signal as DatabaseSignal
 
 from canlog.arrays import BoolArray, FloatArray
-from canlog.database.addressing import Address, message_address, parameter_group
+from canlog.database.addressing import MessageAddress, message_address, parameter_group
 from canlog.database.not_available import no_value_codes
 from canlog.decode.bit_fields import PayloadWords
 from canlog.decode.signal_table import Decoded, InvalidCounts, SignalTable, compile_signal
@@ -78,7 +78,7 @@ class MessageColumns:
     """A message and the canonical signals it carries."""
 
     message: Message
-    address: Address
+    address: MessageAddress
     period_ns: int
     columns: tuple[SignalColumn, ...]
 

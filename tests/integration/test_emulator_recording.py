@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from canlog.e2e.contract import message_contracts
+from canlog.e2e.message_contract import message_contracts
 from canlog.e2e.profile1 import COUNTER_PERIOD, counter_of, crc_is_valid, data_id_remainder
 from dbc.contract import load_contract
 from ecu_emulator.errors import ConfigError

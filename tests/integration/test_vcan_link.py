@@ -9,7 +9,7 @@ import pytest
 
 from canlog.frames import ERROR_FLAG
 from canlog.live import BusOpener, BusState, LinkBreak, SupervisedSource, supervise
-from canlog.live.error_frames import BusError
+from canlog.live.error_frames import BusTrouble
 from canlog.live.interface import Seen, index_of, present_name, restart_controller
 from diag_service.mapping.decoder import Decoder
 from diag_service.mapping.profile import load_profile
@@ -118,7 +118,7 @@ async def test_error_frames_are_counted_and_bus_off_asks_for_a_restart(vcan: str
     await bus.close()
     status = bus.source.status
     assert status.errors == {
-        BusError.ARBITRATION_LOST: 1, BusError.PROTOCOL: 1, BusError.BUS_OFF: 1, BusError.RESTARTED: 1
+        BusTrouble.ARBITRATION_LOST: 1, BusTrouble.PROTOCOL: 1, BusTrouble.BUS_OFF: 1, BusTrouble.RESTARTED: 1
     }  # fmt: skip
     assert status.restart_count == 1
 

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from canlog.e2e.contract import message_contracts
+from canlog.e2e.message_contract import message_contracts
 from canlog.frames import FrameBatch
 from dbc.contract import load_contract
 from ecu_emulator.frames import EncodedFrames, FrameEncoder

@@ -5,7 +5,7 @@ import pytest
 from cantools.database.can.signal import Signal
 
 import dbc
-from canlog.e2e.contract import PROTECTION_SIGNALS, message_contract, message_contracts
+from canlog.e2e.message_contract import PROTECTION_SIGNALS, message_contract, message_contracts
 from canlog.e2e.profile1 import DATA_START_BIT
 from dbc.contract import load_contract
 

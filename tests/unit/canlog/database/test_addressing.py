@@ -9,7 +9,7 @@ import pytest
 from cantools.database.can import Database, Message
 
 from canlog.database.addressing import (
-    Address,
+    MessageAddress,
     address_book,
     find_slot,
     kernel_filters,
@@ -38,11 +38,11 @@ def eec1() -> Message:
     return database.get_message_by_name("EEC1")
 
 
-def group(can_id: int, *, sender: int = -1, name: str = "G") -> Address:
-    return Address(name=name, can_id=can_id, is_extended=True, is_group=True, sender=sender)
+def group(can_id: int, *, sender: int = -1, name: str = "G") -> MessageAddress:
+    return MessageAddress(name=name, can_id=can_id, is_extended=True, is_group=True, sender=sender)
 
 
-def slots(addresses: list[Address], *can_ids: int) -> list[int]:
+def slots(addresses: list[MessageAddress], *can_ids: int) -> list[int]:
     book = address_book(addresses)
     return [find_slot(book, can_id | EXTENDED_FLAG) for can_id in can_ids]
 
@@ -83,14 +83,14 @@ def test_priority_sender_and_destination_do_not_matter_to_a_group() -> None:
 
 
 def test_standard_and_extended_identifiers_of_one_number_are_two_messages() -> None:
-    standard = Address(name="S", can_id=0x123, is_extended=False, is_group=False)
-    extended = Address(name="E", can_id=0x123, is_extended=True, is_group=False)
+    standard = MessageAddress(name="S", can_id=0x123, is_extended=False, is_group=False)
+    extended = MessageAddress(name="E", can_id=0x123, is_extended=True, is_group=False)
     book = address_book([standard, extended])
     assert [find_slot(book, can_id) for can_id in (0x123, 0x123 | EXTENDED_FLAG, 0x124, 0x800)] == [0, 1, -1, -1]
 
 
 def test_a_whole_identifier_goes_before_a_group() -> None:
-    exact = Address(name="X", can_id=0x0CF0_0417, is_extended=True, is_group=False)
+    exact = MessageAddress(name="X", can_id=0x0CF0_0417, is_extended=True, is_group=False)
     assert slots([group(EEC1), exact], 0x0CF0_0417, 0x0CF0_0418) == [1, 0]
 
 
@@ -105,18 +105,18 @@ def test_messages_of_one_group_are_told_apart_by_sender() -> None:
     [
         [group(0x0CF0_0400), group(0x18F0_0400)],
         [group(0x0CF0_0400, sender=3), group(0x0CF0_0401, sender=3)],
-        [Address(name="A", can_id=5, is_extended=False, is_group=False)] * 2,
-        [Address(name="A", can_id=5, is_extended=True, is_group=False)] * 2,
+        [MessageAddress(name="A", can_id=5, is_extended=False, is_group=False)] * 2,
+        [MessageAddress(name="A", can_id=5, is_extended=True, is_group=False)] * 2,
     ],
 )
-def test_messages_that_cannot_be_told_apart_are_refused(addresses: list[Address]) -> None:
+def test_messages_that_cannot_be_told_apart_are_refused(addresses: list[MessageAddress]) -> None:
     with pytest.raises(DefinitionError, match="several messages have the identifier"):
         address_book(addresses)
     assert overwritten(addresses) == {0: 1}
 
 
 def test_messages_that_can_be_told_apart_overwrite_nothing() -> None:
-    exact = Address(name="A", can_id=EEC1, is_extended=True, is_group=False)
+    exact = MessageAddress(name="A", can_id=EEC1, is_extended=True, is_group=False)
     assert overwritten([group(EEC1), group(EEC1 | 0x0F), group(EEC1 | 0xFE), exact]) == {}
 
 
@@ -196,7 +196,7 @@ def test_rows_are_grouped_by_slot_in_their_order() -> None:
 def test_a_kernel_filter_lets_a_message_through_and_nothing_else(
     can_id: int, is_extended: bool, is_group: bool, passes: list[int], fails: list[int]
 ) -> None:
-    address = Address(name="message", can_id=can_id, is_extended=is_extended, is_group=is_group)
+    address = MessageAddress(name="message", can_id=can_id, is_extended=is_extended, is_group=is_group)
     ((wanted, mask),) = kernel_filters([address])
     assert [one & mask == wanted & mask for one in passes] == [True] * len(passes)
     assert [one & mask == wanted & mask for one in fails] == [False] * len(fails)

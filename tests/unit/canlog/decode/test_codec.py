@@ -137,6 +137,7 @@ def test_what_lies_behind_the_end_of_a_short_frame_is_counted() -> None:
     [
         (8, False, 0, 8, FrameFate.DECODED),
         (20, False, 0, 8, FrameFate.TRANSPORTED),  # a first frame of ISO-TP, or a packet of J1939
+        (20, False, 0, 12, FrameFate.SHORT),  # longer than any classic frame, though the log does not say that it is FD
         (20, True, 0, 8, FrameFate.SHORT),
         (20, False, FD_FLAG, 20, FrameFate.DECODED),
         (20, False, FD_FLAG, 12, FrameFate.SHORT),

@@ -4,7 +4,7 @@ import numpy as np
 
 from canlog.frames import ERROR_FLAG, FrameBatch
 from canlog.live.bus_state import TROUBLE_S, BusState, BusWatch
-from canlog.live.error_frames import BusError
+from canlog.live.error_frames import BusTrouble
 
 DATA, BUS_OFF, RESTART, ARBITRATION = 0x123, ERROR_FLAG | 0x40, ERROR_FLAG | 0x100, ERROR_FLAG | 0x2
 
@@ -32,7 +32,7 @@ def test_an_error_degrades_the_bus_for_a_while() -> None:
     watch.add_frames(heard(DATA, ARBITRATION, DATA), 0, 10.0)
     assert watch.status(10.0 + 0.9 * TROUBLE_S).state is BusState.DEGRADED
     assert watch.status(10.0 + TROUBLE_S).state is BusState.UP
-    assert watch.status(99.0).errors == {BusError.ARBITRATION_LOST: 1}
+    assert watch.status(99.0).errors == {BusTrouble.ARBITRATION_LOST: 1}
 
 
 def test_a_loss_degrades_the_bus_once() -> None:

@@ -4,25 +4,25 @@ import numpy as np
 import pytest
 
 from canlog.frames import ERROR_FLAG, FrameBatch, empty_batch
-from canlog.live.error_frames import BusError, count_errors, is_error, tells
+from canlog.live.error_frames import BusTrouble, count_errors, is_error, reports
 
 CASES = [
-    (0x001, 0x00, {BusError.TRANSMIT_TIMEOUT}),
-    (0x002, 0x00, {BusError.ARBITRATION_LOST}),
-    (0x004, 0x01, {BusError.CONTROLLER_OVERFLOW}),
-    (0x004, 0x04, {BusError.ERROR_WARNING}),
-    (0x004, 0x20, {BusError.ERROR_PASSIVE}),
-    (0x004, 0x40, {BusError.ERROR_ACTIVE}),
-    (0x008, 0x00, {BusError.PROTOCOL}),
-    (0x088, 0x00, {BusError.PROTOCOL}),
-    (0x010, 0x00, {BusError.TRANSCEIVER}),
-    (0x020, 0x00, {BusError.NO_ACKNOWLEDGE}),
-    (0x040, 0x00, {BusError.BUS_OFF}),
-    (0x100, 0x00, {BusError.RESTARTED}),
-    (0x200, 0x00, {BusError.OTHER}),
-    (0x004, 0x00, {BusError.OTHER}),
-    (0x042, 0x00, {BusError.BUS_OFF, BusError.ARBITRATION_LOST}),
-    (0x00C, 0x30, {BusError.PROTOCOL, BusError.ERROR_PASSIVE}),
+    (0x001, 0x00, {BusTrouble.TRANSMIT_TIMEOUT}),
+    (0x002, 0x00, {BusTrouble.ARBITRATION_LOST}),
+    (0x004, 0x01, {BusTrouble.CONTROLLER_OVERFLOW}),
+    (0x004, 0x04, {BusTrouble.ERROR_WARNING}),
+    (0x004, 0x20, {BusTrouble.ERROR_PASSIVE}),
+    (0x004, 0x40, {BusTrouble.ERROR_ACTIVE}),
+    (0x008, 0x00, {BusTrouble.PROTOCOL}),
+    (0x088, 0x00, {BusTrouble.PROTOCOL}),
+    (0x010, 0x00, {BusTrouble.TRANSCEIVER}),
+    (0x020, 0x00, {BusTrouble.NO_ACKNOWLEDGE}),
+    (0x040, 0x00, {BusTrouble.BUS_OFF}),
+    (0x100, 0x00, {BusTrouble.RESTARTED}),
+    (0x200, 0x00, {BusTrouble.OTHER}),
+    (0x004, 0x00, {BusTrouble.OTHER}),
+    (0x042, 0x00, {BusTrouble.BUS_OFF, BusTrouble.ARBITRATION_LOST}),
+    (0x00C, 0x30, {BusTrouble.PROTOCOL, BusTrouble.ERROR_PASSIVE}),
 ]
 
 
@@ -39,15 +39,15 @@ def error_frames(*frames: tuple[int, int]) -> FrameBatch:
 
 
 @pytest.mark.parametrize(("classes", "controller", "told"), CASES)
-def test_every_kind_has_its_bits(classes: int, controller: int, told: set[BusError]) -> None:
+def test_every_kind_has_its_bits(classes: int, controller: int, told: set[BusTrouble]) -> None:
     assert count_errors(error_frames((classes, controller))) == dict.fromkeys(told, 1)
 
 
 def test_counts_add_up_over_a_batch() -> None:
     batch = error_frames(*((classes, controller) for classes, controller, _ in CASES))
-    expected = {error: sum(error in told for _, _, told in CASES) for error in BusError}
+    expected = {error: sum(error in told for _, _, told in CASES) for error in BusTrouble}
     assert count_errors(batch) == expected
-    assert tells(batch, BusError.BUS_OFF).sum() == 2
+    assert reports(batch, BusTrouble.BUS_OFF).sum() == 2
 
 
 def test_frames_of_the_bus_are_no_errors_whatever_their_identifier() -> None:

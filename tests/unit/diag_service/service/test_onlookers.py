@@ -14,7 +14,7 @@ from rich.console import Console
 from canlog.e2e.e2e_state import E2eState
 from canlog.frames import FrameBatch
 from canlog.live import BusState, BusStatus, SourceCounts
-from canlog.live.error_frames import BusError
+from canlog.live.error_frames import BusTrouble
 from diag_service.console.progress import Stage, Stuck
 from diag_service.delivery import MemoryReporter
 from diag_service.errors import ConfigError
@@ -28,7 +28,7 @@ from tests.unit.diag_service.service.test_live import gear_frames, session_for
 
 STATUS = BusStatus(
     state=BusState.DEGRADED,
-    errors={BusError.ARBITRATION_LOST: 3},
+    errors={BusTrouble.ARBITRATION_LOST: 3},
     interruption_count=2,
     restart_count=1,
     last_problem="it went down",
