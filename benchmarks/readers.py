@@ -32,7 +32,7 @@ from canlog.logs.blf import CONTAINER_HEADER
 from canlog.logs.blf_objects import OBJECT_HEADER
 from canlog.logs.inflating import inflated_by_libdeflate, inflated_by_zlib
 from canlog.logs.log_counts import LogCounts
-from canlog.logs.mf4 import mf4_batches
+from canlog.logs.mf4_frames import mf4_batches
 
 FRAMES: Final = 2_000_000
 ROUNDS: Final = 3

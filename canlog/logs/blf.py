@@ -8,9 +8,8 @@ import os
 import struct
 import zlib
 from collections.abc import Iterator
-from dataclasses import dataclass
 from datetime import UTC, datetime
-from typing import BinaryIO
+from typing import BinaryIO, NamedTuple
 
 from canlog.errors import SourceError
 from canlog.frames import FrameBatch
@@ -57,10 +56,10 @@ def read_blf(stream: BinaryIO, counts: LogCounts) -> Iterator[FrameBatch]:
         if not is_whole:
             objects.lose_track()
         if len(objects) >= FRAMES_PER_BATCH:  # of many containers: what works on columns wants long ones
-            yield objects.take()
+            yield objects.hand_over()
     objects.finish()
     if len(objects):
-        yield objects.take()
+        yield objects.hand_over()
 
 
 def start_us(systemtime: tuple[int, ...]) -> int:
@@ -113,30 +112,23 @@ def containers(
 
 
 def next_object(stream: BinaryIO, position: int, size_bytes: int, counts: LogCounts | None) -> int:
-    """Return where the next object begins, ``size_bytes`` if there is none; counts what had to be stepped over."""
-    start = position
-    stream.seek(position)
-    nearby = stream.read(LONGEST_PADDING + len(OBJECT_MAGIC))
-    if (found := nearby.find(OBJECT_MAGIC)) >= 0:
-        return position + found
-    while position < size_bytes:
+    """Return where the next object begins, ``size_bytes`` if there is none; count what had to be stepped over."""
+    start, block_bytes = position, LONGEST_PADDING + len(OBJECT_MAGIC)  # as a rule it is near
+    while True:
         stream.seek(position)
-        block = stream.read(SEARCH_BYTES)
+        block = stream.read(block_bytes)
         found = block.find(OBJECT_MAGIC)
-        if found >= 0:
-            if counts is not None and position + found - start > LONGEST_PADDING:
-                counts.reject(LogReject.DAMAGED, f"byte {start}")
-            return position + found
-        if len(block) <= len(OBJECT_MAGIC):  # the end, perhaps earlier than it was
+        if found >= 0 or len(block) <= len(OBJECT_MAGIC):  # the end, perhaps earlier than it was
             break
         position += len(block) - len(OBJECT_MAGIC) + 1
-    if counts is not None and size_bytes - start > LONGEST_PADDING:
+        block_bytes = SEARCH_BYTES
+    position = position + found if found >= 0 else size_bytes
+    if counts is not None and position - start > LONGEST_PADDING:
         counts.reject(LogReject.DAMAGED, f"byte {start}")
-    return size_bytes
+    return position
 
 
-@dataclass(frozen=True, slots=True)
-class Contents:
+class Contents(NamedTuple):
     """What a container holds."""
 
     data: bytes | bytearray
@@ -155,19 +147,13 @@ def inflate(body: bytes, *, is_whole: bool) -> Contents:
     """
     if len(body) < CONTAINER_HEADER.size:
         return NOTHING
-    method, inflated_bytes = CONTAINER_HEADER.unpack_from(body)
-    if method == STORED:
-        stored_bytes = len(body) - CONTAINER_HEADER.size
-        stored = body[CONTAINER_HEADER.size :][:inflated_bytes]
-        is_sound = inflated_bytes <= stored_bytes <= inflated_bytes + LONGEST_PADDING
-        return Contents(stored, is_sound, CONTAINER_HEADER.size + len(stored))
-    return deflated(body, inflated_bytes, is_whole=is_whole) if method == DEFLATED else NOTHING
-
-
-def deflated(body: bytes, stated_bytes: int, *, is_whole: bool) -> Contents:
-    """Return what a container with a zlib stream holds."""
+    method, stated_bytes = CONTAINER_HEADER.unpack_from(body)
     payload = memoryview(body)[CONTAINER_HEADER.size :]
-    if is_whole and stated_bytes <= MAX_CONTAINER_BYTES:
+    if method == STORED:
+        stored = bytes(payload[:stated_bytes])
+        is_sound = stated_bytes <= len(payload) <= stated_bytes + LONGEST_PADDING
+        return Contents(stored, is_sound, CONTAINER_HEADER.size + len(stored))
+    if method == DEFLATED and is_whole and stated_bytes <= MAX_CONTAINER_BYTES:
         sound = sound_contents(payload, stated_bytes, LONGEST_PADDING)
         if sound is not None:
             return Contents(sound, is_sound=True, used_bytes=len(body))
@@ -177,7 +163,7 @@ def deflated(body: bytes, stated_bytes: int, *, is_whole: bool) -> Contents:
     except zlib.error:
         return NOTHING
     # Without its end the checksum was not compared, or there is too much of it to be a container.
-    if not inflater.eof and (is_whole or inflater.unconsumed_tail):
+    if method != DEFLATED or (not inflater.eof and (is_whole or inflater.unconsumed_tail)):
         return NOTHING
     foreign_bytes = len(inflater.unused_data)
     return Contents(data, inflater.eof and foreign_bytes <= LONGEST_PADDING, len(body) - foreign_bytes)

@@ -92,39 +92,32 @@ class ObjectStream:
         self._frames = FrameBuffer(rows)
         self._buffer = np.empty(0, np.uint8)
         self._tail = np.empty(0, np.uint8)  # the beginning of an object that the next container continues
-        self._number = 0  # objects seen, for messages
-        self._rows = 0
-        self._is_lost = False
+        self._report = np.zeros(REPORT_FIELDS, np.int64)
 
     def __len__(self) -> int:
-        return self._rows
+        return int(self._report[ROWS])
 
     def feed(self, data: bytes | bytearray) -> None:
         """Add the frames of the objects that end in this piece."""
-        raw = self._joined(data)
-        report = np.zeros(REPORT_FIELDS, np.int64)
-        report[IS_LOST], report[OBJECTS], report[ROWS] = self._is_lost, self._number, self._rows
-        self._frames.reserve(self._rows + len(raw) // STAMPED_HEADER_BYTES + 1, self._rows)
+        raw, report = self._joined(data), self._report
+        report[[POSITION, SKIPPED, DAMAGED]] = 0
+        self._frames.reserve(len(self) + len(raw) // STAMPED_HEADER_BYTES + 1, len(self))
         while True:
             parse_objects(raw, LAYOUT_TABLE, self._start_ns, self._frames.rows, report)
             if not report[IS_TOO_WIDE]:
                 break
-            self._frames.widen(int(report[ROWS]))
+            self._frames.widen(len(self))
         self._tail = raw[report[POSITION] :].copy()
         if not self._tail.any():
             self._tail = self._tail[:0]
-        self._rows = int(report[ROWS])
-        self._is_lost = bool(report[IS_LOST])
-        self._number = int(report[OBJECTS])
         self._counts.skipped += int(report[SKIPPED])
-        if report[DAMAGED]:
-            self._counts.reject(LogReject.DAMAGED, f"object {report[FIRST_DAMAGED]}", int(report[DAMAGED]))
+        self._counts.reject(LogReject.DAMAGED, f"object {report[FIRST_DAMAGED]}", int(report[DAMAGED]))
 
-    def take(self) -> FrameBatch:
+    def hand_over(self) -> FrameBatch:
         """Return the frames added since the last time."""
-        batch = self._frames.handed_over(self._rows)
-        self._counts.frames += self._rows
-        self._rows = 0
+        batch = self._frames.handed_over(len(self))
+        self._counts.frames += len(self)
+        self._report[ROWS] = 0
         return batch
 
     def _joined(self, data: bytes | bytearray) -> UInt8Array:
@@ -141,9 +134,9 @@ class ObjectStream:
     def lose_track(self) -> None:
         """Forget an object whose continuation is missing; go on with the next one that can be found."""
         self._tail = self._tail[:0]
-        self._is_lost = True
+        self._report[IS_LOST] = True
 
     def finish(self) -> None:
         """Count an object that the file does not complete."""
         if len(self._tail):
-            self._counts.cut_off(f"object {self._number + 1}")
+            self._counts.cut_off(f"object {self._report[OBJECTS] + 1}")

@@ -97,18 +97,6 @@ class Detected:
     evidence: str
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class _Candidate:
-    """How many of the lines of a text are frames of a format."""
-
-    frames: int
-    others: int  # lines that are neither frames nor comments of that format
-
-    @property
-    def is_likely(self) -> bool:
-        return self.frames > self.others
-
-
 def detect(probe: bytes) -> Detected:
     """Return the format of a file that begins so.
 
@@ -148,12 +136,12 @@ def detect_text(probe: bytes) -> Detected:
     lines = first_lines(text, is_cut=len(probe) >= PROBE_BYTES)
     hint, most = "", 0
     for log_format in TEXT_LOGS:
-        found = _candidate(log_format, lines)
-        shown = f"{found.frames} of the first {len(lines)} lines"
-        if found.is_likely:
+        frames, others = _counted(log_format, lines)
+        shown = f"{frames} of the first {len(lines)} lines"
+        if frames > others:
             return Detected(format=log_format, evidence=f"{shown} are frames in its grammar")
-        if found.frames > most:
-            hint, most = f"{shown} fit {log_format}", found.frames
+        if frames > most:
+            hint, most = f"{shown} fit {log_format}", frames
     raise SourceError(_not_known(probe, hint))
 
 
@@ -172,13 +160,13 @@ def is_utf_16(probe: bytes) -> bool:
     return any(half and not any(half) and other.isascii() and all(other) for half, other in (halves, halves[::-1]))
 
 
-def _candidate(log_format: LogFormat, lines: Sequence[bytes]) -> _Candidate:
+def _counted(log_format: LogFormat, lines: Sequence[bytes]) -> tuple[int, int]:
+    """Return how many lines are frames of a format, and how many neither that nor something else of it."""
     typical = TYPICAL.get(log_format)
     counts, fitting = LogCounts(), [line for line in lines if typical is None or typical.match(line)]
     frames = len(frames_of(TEXT_LOGS[log_format](), b"\n".join(fitting), counts)) if fitting else 0
-    # ASC skips whatever begins with a time.
-    skipped = 0 if log_format is LogFormat.ASC or not fitting else counts.skipped
-    return _Candidate(frames=frames, others=len(lines) - frames - skipped)
+    skipped = 0 if log_format is LogFormat.ASC else counts.skipped  # ASC skips whatever begins with a time
+    return frames, len(lines) - frames - skipped
 
 
 def _not_known(probe: bytes, hint: str) -> str:

@@ -1,249 +1,147 @@
-"""ASAM MDF 4 bus logs through asammdf, an optional and heavy dependency, in a child process with limits.
+"""ASAM MDF 4 bus logs, read by asammdf in a child process: nobody vouches for a file, so memory and time are limited.
 
-Times are floating-point seconds from the start in the file, rounded to whole microseconds here.
+A server process imports the library once and forks a child for each file, so a file costs milliseconds. The child sends
+batches, then its counts; what ends it early is one clear error here.
 """
 
-import logging
-import struct
-import zlib
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import suppress
-from dataclasses import dataclass
+import atexit
+import json
+import os
+import socket
+import subprocess
+import sys
+import threading
+from collections.abc import Iterator
+from contextlib import closing, suppress
 from importlib.machinery import PathFinder
+from multiprocessing.connection import Connection, Pipe
 from pathlib import Path
-from typing import Any, BinaryIO, cast
+from tempfile import TemporaryDirectory
+from typing import BinaryIO
 
-import numpy as np
-import numpy.typing as npt
-
-from canlog.arrays import UInt8Array
 from canlog.errors import SourceError
 from canlog.extras import extra_missing
-from canlog.frame_columns import clear_padding, rounded_to_us
-from canlog.frames import (
-    BRS_FLAG,
-    ERROR_FLAG,
-    ESI_FLAG,
-    EXTENDED_FLAG,
-    FD_FLAG,
-    FD_PAYLOAD_BYTES,
-    PAYLOAD_BYTES,
-    REMOTE_FLAG,
-    TX_FLAG,
-    FrameBatch,
-)
-from canlog.logs.guarded import guarded
-from canlog.logs.log_counts import LogCounts, LogReject
-from canlog.logs.merging import merged_by_time
-from canlog.logs.mf4_mending import UNFINISHED_MAGIC, Mended, mended
-from canlog.logs.text_kernels import IS_LENGTH
+from canlog.frames import FrameBatch
+from canlog.logs import mf4_child
+from canlog.logs.log_counts import LogCounts
+from canlog.logs.mf4_frames import NEEDS_ASAMMDF
+from canlog.logs.mf4_mending import UNFINISHED_MAGIC
 
-Records = npt.NDArray[np.void]  # one row per frame, fields named "CAN_DataFrame.ID" and so on
-
-IntegerArray = npt.NDArray[np.integer[Any]]
-
-FRAMES_PER_READ = 262_144
-NS_PER_S = 1e9
-MAX_STANDARD_ID, MAX_ID = 0x7FF, 0x1FFF_FFFF
-DATA, REMOTE, ERROR = "CAN_DataFrame", "CAN_RemoteFrame", "CAN_ErrorFrame"
-FLAG_OF_KIND = {DATA: 0, REMOTE: REMOTE_FLAG, ERROR: ERROR_FLAG}
-LAST_S = 9.2e9
-NEEDS_ASAMMDF = "MF4 needs the optional package asammdf"
-
-# What asammdf lets through when blocks point nowhere or hold nonsense.
-DAMAGE = (OSError, ValueError, LookupError, TypeError, AttributeError, ArithmeticError, struct.error, zlib.error,
-          NameError, RuntimeError)  # fmt: skip
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Asammdf:
-    """What is used of asammdf."""
-
-    open_mdf: Callable[..., Any]
-    errors: tuple[type[BaseException], ...]
+MEMORY_BYTES = 128 * 1024 * 1024  # beyond what the library itself takes, for a small file
+MEMORY_PER_BYTE = 4
+COPY_PER_BYTE = 32  # of copies on the disk: records that were packed are there as they are
+CPU_S = 3.0
+BYTES_PER_CPU_S = 2_000_000
+WAIT_PER_CPU_S = 20.0  # others may use the machine, too; processor time is what is limited
+GAVE_UP = "reading it takes more time or memory than any sound file of its size: it is damaged"
 
 
 def read_mf4(stream: BinaryIO, counts: LogCounts) -> Iterator[FrameBatch]:
-    """Yield the frames of all CAN groups of an MDF 4 file, merged by time.
+    """Yield the frames of an MDF 4 file, as `mf4_frames.mf4_batches` does in the child.
 
     Raises
     ------
     SourceError
-        If asammdf is not installed, or the file is damaged or not of version 4.
+        If asammdf is not installed, or the file is damaged, not of version 4, or takes more time or memory than any
+        sound file of its size does.
     """
     if PathFinder.find_spec("asammdf") is None:  # whether or not this process keeps itself from importing it
         raise extra_missing(NEEDS_ASAMMDF, "mf4")
     counts.unfinished = stream.read(len(UNFINISHED_MAGIC)) == UNFINISHED_MAGIC
-    yield from guarded(mf4_batches, Path(stream.name), counts)
+    path = Path(stream.name)
+    size_bytes = path.stat().st_size
+    content_bytes = stored_bytes(path, size_bytes)
+    cpu_s = CPU_S + content_bytes / BYTES_PER_CPU_S
+    with TemporaryDirectory(prefix="clutchdiag-") as folder:
+        receiving, sending = Pipe(duplex=False)
+        with closing(receiving):
+            with closing(sending):
+                request = {
+                    "path": str(path.resolve()),
+                    "folder": folder,
+                    "memory_bytes": MEMORY_BYTES + MEMORY_PER_BYTE * content_bytes,
+                    "file_bytes": MEMORY_BYTES + COPY_PER_BYTE * content_bytes,
+                    "cpu_s": int(cpu_s) + 1,
+                }
+                _SERVER.ask(json.dumps(request).encode(), sending.fileno())
+            while isinstance(message := _receive(receiving, WAIT_PER_CPU_S * cpu_s), FrameBatch):
+                yield message
+    if isinstance(message, LogCounts):
+        counts.add(message)
+    elif path.stat().st_size < size_bytes:  # what ends a process that looks where the file no longer is
+        counts.cut_off("where the file shrank while it was read")
+    else:
+        is_hollow = content_bytes < size_bytes / 2
+        raise SourceError(f"{message}; most of the file was never written" if is_hollow else message)
 
 
-def mf4_batches(path: Path, folder: Path, counts: LogCounts) -> Iterator[FrameBatch]:
-    """Yield the frames of an MDF 4 file; for the child.
+def stored_bytes(path: Path, size_bytes: int) -> int:
+    """Return how much of a file is there: what was never written takes no room, and holds nothing."""
+    found_bytes, position = 0, 0
+    with suppress(OSError), path.open("rb") as file:  # ENXIO: nothing more
+        while position < size_bytes and found_bytes < size_bytes:
+            start = os.lseek(file.fileno(), position, os.SEEK_DATA)
+            position = os.lseek(file.fileno(), start, os.SEEK_HOLE)
+            found_bytes += position - start
+    return found_bytes
 
-    Raises
-    ------
-    SourceError
-        If asammdf is not installed, or the file is damaged or not of version 4.
-    """
-    asammdf = load_asammdf()
-    mdf: Any = None
+
+def _receive(receiving: Connection, wait_s: float) -> FrameBatch | LogCounts | str:
+    """Return the next message of the child, or what is to be said of its end."""
     try:
-        # A file that is cut off, or that its writer left unfinished, is completed in a copy.
-        whole = mended(path, folder)
-        mdf = asammdf.open_mdf(whole.path, process_bus_logging=False, temporary_folder=folder)
-        count_missing(mdf.groups, whole, counts)
-        start_ns = measurement_start_ns(mdf.header)
-        groups = [(number, kind) for number, group in enumerate(mdf.groups) if (kind := frame_kind(group))]
-        streams = [read_group(mdf, number, kind, start_ns, whole, counts) for number, kind in groups]
-        for batch in merged_by_time(streams):
-            counts.frames += len(batch)
-            yield batch
-    except asammdf.errors as exc:
-        raise SourceError(f"the MF4 file is damaged or cut off: {' '.join(str(exc).split())}") from exc
-    finally:
-        if mdf is not None:
-            end_quietly(mdf)
+        if receiving.poll(wait_s):
+            message: FrameBatch | LogCounts | str = receiving.recv()
+            return message
+    except (EOFError, OSError):
+        pass
+    return GAVE_UP
 
 
-def load_asammdf() -> Asammdf:
-    """Import asammdf, and make it keep to raising errors.
+class _Server:
+    """The process that forks the children; started when it is first needed, ended with this one."""
 
-    Raises
-    ------
-    SourceError
-        If it is not installed.
-    """
-    try:
-        from asammdf import MDF  # noqa: PLC0415 - optional, and takes a second to import
-        from asammdf.blocks.mdf_v4 import MDF4  # noqa: PLC0415
-        from asammdf.blocks.utils import MdfException  # noqa: PLC0415
-    except ImportError as exc:
-        raise extra_missing(NEEDS_ASAMMDF, "mf4") from exc
-    errors = [MdfException, *DAMAGE]
-    with suppress(ImportError):
-        from isal.igzip_lib import IsalError  # noqa: PLC0415 - asammdf inflates with it where it is installed
+    def __init__(self) -> None:
+        self._lock = threading.Lock()
+        self._process: subprocess.Popen[bytes] | None = None
+        self._control: socket.socket | None = None
 
-        errors.append(cast("type[Exception]", IsalError))
-    # Of a damaged file asammdf logs tracebacks and leaves a half-made object whose end prints one more.
-    logging.getLogger("asammdf").setLevel(logging.CRITICAL)
-    MDF4.__del__ = end_quietly  # type: ignore[method-assign]
-    return Asammdf(open_mdf=MDF, errors=tuple(errors))
+    def ask(self, request: bytes, reply_to: int) -> None:
+        """Have a child do what the request says and write to this pipe.
 
+        Raises
+        ------
+        SourceError
+            If no process can be started.
+        """
+        with self._lock:
+            try:
+                control = self._control
+                if control is None or self._process is None or self._process.poll() is not None:
+                    control = self._start()
+                socket.send_fds(control, [request], [reply_to])
+            except OSError as exc:
+                raise SourceError(f"no process can be started to read it: {exc.strerror or exc}") from exc
 
-def end_quietly(mdf: Any) -> None:  # noqa: ANN401 - asammdf's own object
-    """Close an MDF object that may lack what its constructor did not come to."""
-    with suppress(AttributeError):
-        mdf.close()
+    def stop(self) -> None:
+        """End the process."""
+        if self._control is not None and self._process is not None:
+            self._control.close()
+            self._process.wait()
 
-
-def measurement_start_ns(header: Any) -> int:  # noqa: ANN401 - asammdf's own objects
-    """Return the start of measurement since the epoch; a local time without a zone counts as this machine's."""
-    if header.start_time.tzinfo is None:
-        return int(header.start_time.timestamp()) * int(NS_PER_S) + int(header.abs_time) % int(NS_PER_S)
-    return int(header.abs_time)
-
-
-def count_missing(groups: Sequence[Any], whole: Mended, counts: LogCounts) -> None:  # asammdf's own objects
-    """Count the frames that are missing at the end of a file."""
-    counts.truncated |= whole.is_cut
-    for number, group in enumerate(groups):
-        missing = whole.missing.get(group.channel_group.address, 0)
-        if missing and not FLAG_OF_KIND.keys().isdisjoint(channel.name for channel in group.channels):
-            found = whole.found[group.channel_group.address]
-            counts.reject(LogReject.CUT_OFF, f"record {found + 1} of group {number}", missing)
-    if whole.lost_at:
-        counts.truncated = True
-        counts.reject(LogReject.DAMAGED, whole.lost_at)
+    def _start(self) -> socket.socket:
+        ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+        with closing(theirs):
+            self._process = subprocess.Popen(  # noqa: S603 - this interpreter, a module of this package
+                [sys.executable, "-m", mf4_child.__name__, str(theirs.fileno())],
+                pass_fds=[theirs.fileno()],
+                env={**os.environ, "PYTHONPATH": os.pathsep.join(folder for folder in sys.path if folder)},
+                stdin=subprocess.DEVNULL,
+                stdout=subprocess.DEVNULL,
+                stderr=subprocess.DEVNULL,
+            )
+        self._control = ours
+        return ours
 
 
-def frame_kind(group: Any) -> str | None:  # noqa: ANN401 - asammdf's own objects
-    """Return which kind of CAN frames a group holds, None if it holds something else or nothing."""
-    names = {channel.name for channel in group.channels}
-    if not group.channel_group.cycles_nr:
-        return None
-    return next((kind for kind in FLAG_OF_KIND if kind in names), None)
-
-
-def read_group(
-    mdf: Any,  # noqa: ANN401 - asammdf's own object
-    number: int,
-    kind: str,
-    start_ns: int,
-    whole: Mended,
-    counts: LogCounts,
-) -> Iterator[FrameBatch]:
-    """Yield the frames of one group; what is missing at its end is counted."""
-    group, done = mdf.groups[number].channel_group, 0
-    stated = whole.found.get(group.address, int(group.cycles_nr))
-    while done < stated:
-        signal = mdf.get(
-            kind, group=number, raw=False, record_offset=done, record_count=min(FRAMES_PER_READ, stated - done)
-        )
-        if not len(signal.samples):
-            counts.cut_off(f"record {done + 1} of group {number}", stated - done)
-            return
-        batch, is_frame = frames_of(signal.samples, np.asarray(signal.timestamps, np.float64), kind, start_ns)
-        bad = np.flatnonzero(~is_frame)
-        if len(bad):
-            counts.reject(LogReject.MALFORMED, f"record {done + int(bad[0]) + 1} of group {number}", len(bad))
-        done += len(signal.samples)
-        yield batch[is_frame] if len(bad) else batch
-
-
-def frames_of(
-    samples: Records, elapsed_s: npt.NDArray[np.float64], kind: str, start_ns: int
-) -> tuple[FrameBatch, npt.NDArray[np.bool_]]:
-    """Return records as frames, and which of them are such."""
-    number = column(samples, kind, "ID").astype(np.uint32) & np.uint32(MAX_ID)
-    is_extended = column(samples, kind, "IDE") != 0
-    is_fd = column(samples, kind, "EDL") != 0
-    stored = column(samples, kind, "DataLength" if kind == DATA else "DLC")
-    is_time = np.isfinite(elapsed_s) & (np.abs(elapsed_s) < LAST_S - start_ns / NS_PER_S)
-    is_length = (stored >= 0) & (stored <= FD_PAYLOAD_BYTES) & IS_LENGTH[np.clip(stored, 0, FD_PAYLOAD_BYTES)]
-    is_fd |= stored > PAYLOAD_BYTES
-    is_frame = is_time & ((is_length & (is_extended | (number <= MAX_STANDARD_ID))) | (kind == ERROR))
-    length = np.where(is_length & (kind != ERROR), stored, 0).astype(np.uint8)
-    can_id = number | np.where(is_extended, np.uint32(EXTENDED_FLAG), np.uint32(0))
-    flags = np.where(is_sent(samples, kind), np.uint8(TX_FLAG), np.uint8(0))
-    if is_fd.any():
-        fast, passive = (column(samples, kind, field) != 0 for field in ("BRS", "ESI"))
-        flags |= (is_fd * (FD_FLAG | BRS_FLAG * fast | ESI_FLAG * passive)).astype(np.uint8)
-    elapsed_ns = np.rint(np.where(is_time, elapsed_s, 0.0) * NS_PER_S).astype(np.int64)
-    batch = FrameBatch(
-        t_ns=rounded_to_us(start_ns + elapsed_ns),
-        can_id=np.full(len(length), ERROR_FLAG, np.uint32) if kind == ERROR else can_id | np.uint32(FLAG_OF_KIND[kind]),
-        length=length,
-        data=payloads(samples, kind, length, FD_PAYLOAD_BYTES if is_fd.any() else PAYLOAD_BYTES),
-        flags=flags,
-        channel=np.clip(column(samples, kind, "BusChannel"), 0, 255).astype(np.uint8),
-    )
-    return batch, is_frame
-
-
-def is_sent(samples: Records, kind: str) -> npt.NDArray[np.bool_]:
-    """Return which frames the recorder sent itself: a number, or the text that a conversion makes of it."""
-    name = f"{kind}.Dir"
-    if name not in (samples.dtype.names or ()):
-        return np.zeros(len(samples), np.bool_)
-    values = np.asarray(samples[name])
-    sent: npt.NDArray[np.bool_] = (np.char.lower(values) == b"tx") if values.dtype.kind == "S" else values == 1
-    return sent
-
-
-def column(samples: Records, kind: str, field: str) -> IntegerArray:
-    """Return one field of the records as integers, zeros if the records lack it."""
-    name = f"{kind}.{field}"
-    if name not in (samples.dtype.names or ()):
-        return np.zeros(len(samples), np.uint8)
-    values = np.asarray(samples[name])
-    return values if values.dtype.kind == "u" else values.astype(np.int64)
-
-
-def payloads(samples: Records, kind: str, length: UInt8Array, width: int) -> UInt8Array:
-    """Return the payload bytes (n, width), zeros where there are none."""
-    data = np.zeros((len(samples), width), np.uint8)
-    name = f"{kind}.DataBytes"
-    if kind == DATA and name in (samples.dtype.names or ()):
-        stored = np.asarray(samples[name], np.uint8).reshape(len(samples), -1)[:, :width]
-        data[:, : stored.shape[1]] = stored
-    return data if (length == width).all() else clear_padding(data, length)
+_SERVER = _Server()
+atexit.register(_SERVER.stop)

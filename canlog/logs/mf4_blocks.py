@@ -6,6 +6,8 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import BinaryIO
 
+import numpy as np
+
 HEADER = struct.Struct("<4s4xQQ")  # kind, length with the header, links
 LINK = struct.Struct("<Q")
 GROUP = struct.Struct("<QQHH4xLL")  # of a channel group: record id, cycles, flags, separator, bytes, invalidation bytes
@@ -272,8 +274,6 @@ class Mf4File:
 
 def transposed(data: bytes, columns: int) -> bytes:
     """Return bytes in the order they had before they were stored column by column; what is left over stays."""
-    lines = len(data) // columns
-    body = bytearray(lines * columns)
-    for column in range(columns):
-        body[column::columns] = data[column * lines : (column + 1) * lines]
-    return bytes(body) + data[lines * columns :]
+    whole_bytes = len(data) // columns * columns
+    stored = np.frombuffer(data, np.uint8, whole_bytes).reshape(columns, -1)
+    return stored.T.tobytes() + data[whole_bytes:]

@@ -77,7 +77,7 @@ class RecordCounter:
         self._groups = {one.record_id: one for one in group.groups}
         self._only = group.groups[0] if group.groups and not group.id_bytes else None
         self._rest = b""
-        self._is_lost = False
+        self.is_lost = False  # whether records of an unknown kind follow
         self.found: Counter[int] = Counter({one.at: 0 for one in group.groups})
         self.stand_ins: Counter[int] = Counter()
         self.variable_bytes: Counter[int] = Counter()  # of records of variable length
@@ -89,7 +89,7 @@ class RecordCounter:
             end = self._end_of_sorted(data) if self._only else self._end_of_unsorted(data)
             yield data[:end]
             self._rest = data[end:]
-            if self._is_lost:
+            if self.is_lost:
                 break
         yield from self._stand_ins()
 
@@ -97,17 +97,12 @@ class RecordCounter:
         """Return how many records of a channel group are there with all their parts."""
         return min([self.found[group.at], *(self.found[part] for part in group.parts if part in self.found)])
 
-    @property
-    def is_lost(self) -> bool:
-        """Whether records of an unknown kind follow."""
-        return self._is_lost
-
     def missing(self, stored: Stored) -> dict[int, int]:
         """Return how many records each channel group lacks: those that it states, and one that is there in part."""
         lacking = {one.at: max(one.stated, self.found[one.at]) - self.whole(one) for one in self._groups.values()}
         is_padding = not stored.is_cut and len(self._rest) < ALIGNMENT_BYTES and not any(self._rest)
         begun = self._only or self._groups.get(int.from_bytes(self._rest[: self._id_bytes], "little"))
-        if self._rest and not is_padding and not self._is_lost and begun is not None:
+        if self._rest and not is_padding and not self.is_lost and begun is not None:
             lacking[begun.at] = max(lacking[begun.at], 1)
         return {at: count for at, count in lacking.items() if count}
 
@@ -124,7 +119,7 @@ class RecordCounter:
     def _end_of_sorted(self, data: bytes) -> int:
         group = self._only
         if group is None or not group.record_bytes or group.is_variable:
-            self._is_lost = True
+            self.is_lost = True
             return 0
         count = len(data) // group.record_bytes
         self.found[group.at] += count
@@ -135,7 +130,7 @@ class RecordCounter:
         while at + id_bytes <= len(data):
             group = groups.get(int.from_bytes(data[at : at + id_bytes], "little"))
             if group is None:
-                self._is_lost = True
+                self.is_lost = True
                 break
             end = at + id_bytes + _record_bytes(group, data, at + id_bytes)
             if end > len(data):

@@ -1,7 +1,7 @@
 """Log files of all formats, told apart by their contents, as batches of frames."""
 
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import suppress
+from contextlib import ExitStack, suppress
 from io import BufferedReader
 from pathlib import Path
 from types import MappingProxyType
@@ -75,14 +75,11 @@ class LogReader(Iterator[FrameBatch]):
             if self._counts.frames == 0:
                 raise SourceError(f"{self.path}: {self._nothing_found()}") from None
             raise
-        except OSError as exc:
+        except (OSError, SourceError) as exc:
             self._look_at_size()
             self.close()
-            raise SourceError(f"{self.path}: {exc.strerror or exc}") from exc
-        except SourceError as exc:
-            self._look_at_size()
-            self.close()
-            raise type(exc)(f"{self.path}: {exc}") from exc
+            kind = type(exc) if isinstance(exc, SourceError) else SourceError
+            raise kind(f"{self.path}: {_reason(exc)}") from exc
         if self._is_first:
             self._is_first = False
             self._look_at_load(batch[:LOAD_FRAMES])
@@ -135,21 +132,13 @@ def read_log(path: Path | str, *, is_strict: bool = False) -> LogReader:
     """
     path = Path(path)
     try:
-        stream = BufferedReader(open_plain_file(path))
-    except IsADirectoryError as exc:
-        raise SourceError(f"{path}: is a folder, not a log file") from exc
-    except FileNotFoundError as exc:
-        raise SourceError(f"{path}: no such file") from exc
-    except OSError as exc:
-        raise SourceError(f"{path}: {exc.strerror or exc}") from exc
-    try:
-        return _reader(path, stream, is_strict=is_strict)
-    except OSError as exc:
-        stream.close()
-        raise SourceError(f"{path}: {exc.strerror or exc}") from exc
-    except SourceError as exc:
-        stream.close()
-        raise SourceError(f"{path}: {exc}") from exc
+        with ExitStack() as opened:
+            stream = opened.enter_context(BufferedReader(open_plain_file(path)))
+            reader = _reader(path, stream, is_strict=is_strict)
+            opened.pop_all()  # from here on it is the reader that closes it
+            return reader
+    except (OSError, SourceError) as exc:
+        raise SourceError(f"{path}: {_reason(exc)}") from exc
 
 
 def is_log(path: Path) -> bool:
@@ -164,6 +153,15 @@ def why_no_log(path: Path) -> str:
     except SourceError as exc:
         return str(exc).removeprefix(f"{path}: ")
     return ""
+
+
+def _reason(error: Exception) -> str:
+    """Return what went wrong, for people."""
+    if isinstance(error, IsADirectoryError):
+        return "is a folder, not a log file"
+    if isinstance(error, FileNotFoundError):
+        return "no such file"
+    return str(getattr(error, "strerror", None) or error)
 
 
 def _reader(path: Path, stream: BinaryIO, *, is_strict: bool) -> LogReader:

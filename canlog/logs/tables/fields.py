@@ -10,7 +10,7 @@ from canlog.arrays import Int64Array, UInt8Array
 from canlog.frames import PAYLOAD_BYTES
 from canlog.jit import array_kernel
 from canlog.logs import text_kernels
-from canlog.logs.tables.layout import BLANKS
+from canlog.logs.tables.layout import BLANKS, packed_word
 from canlog.logs.text_kernels import BLANK, LENGTH_OF_CODE, LONGEST_NUMBER, NEWLINE, decimal, skip_blanks
 
 NO_BYTE = 256  # an empty column
@@ -19,6 +19,7 @@ MINUS, PLUS, POINT, COLON, LETTER_E = ord("-"), ord("+"), ord("."), ord(":"), or
 MOST_CODES = len(LENGTH_OF_CODE)
 SECOND_US = 1_000_000
 MOST_HOURS = 9_999
+TRUE, FALSE = packed_word("true"), packed_word("false")
 
 BASE64_VALUE: npt.NDArray[np.int8] = np.full(256, -1, np.int8)
 for _value, _character in enumerate(b"ABCDEFGHIJKLMNOPQRSTUVWXYZabcdefghijklmnopqrstuvwxyz0123456789+/"):
@@ -152,11 +153,11 @@ def word(text: UInt8Array, at: int) -> tuple[int, int]:
 
 
 @array_kernel
-def meaning_of(packed: int, vocabulary: Int64Array) -> int:
+def meaning_of(packed: int, words: Int64Array) -> int:
     """Return what a word means, -1 if it is not known."""
-    for index in range(len(vocabulary)):
-        if vocabulary[index, 0] == packed and packed != 0:
-            return int(vocabulary[index, 1])
+    for index in range(len(words)):
+        if words[index, 0] == packed and packed != 0:
+            return int(words[index, 1])
     return -1
 
 
@@ -166,13 +167,8 @@ def switch(text: UInt8Array, at: int) -> tuple[int, int]:
     if text[at] == 48 or text[at] == 49:
         return int(text[at]) - 48, at + 1
     packed, behind = word(text, at)
-    if packed == TRUE:
-        return 1, behind
-    return (0, behind) if packed == FALSE else (0, -behind)
-
-
-TRUE = (((116 << 7 | 114) << 7 | 117) << 7) | 101
-FALSE = ((((102 << 7 | 97) << 7 | 108) << 7 | 115) << 7) | 101
+    is_true, is_false = packed == TRUE, packed == FALSE
+    return int(is_true), (behind if is_true or is_false else -behind)
 
 
 @array_kernel

@@ -88,14 +88,16 @@ class Layout:
         is_comment[list(self.comment_starts)] = True
         return Program(
             columns=np.array([(column.role, column.parameter) for column in self.columns], np.int64),
-            words=np.array([(packed(word), int(one)) for word, one in self.words.items()], np.int64).reshape(-1, 2),
+            words=np.array([(packed_word(word), int(one)) for word, one in self.words.items()], np.int64).reshape(
+                -1, 2
+            ),
             is_comment=is_comment,
             separator=self.separator,
             is_padded=self.is_padded,
         )
 
 
-def packed(word: str) -> int:
+def packed_word(word: str) -> int:
     """Return a short word as one number, as the compiled reader packs it."""
     value = 0
     for character in word.encode()[:PACKED_BYTES]:

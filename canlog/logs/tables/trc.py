@@ -1,6 +1,7 @@
 """PCAN trace files, versions 1.0 to 2.1: milliseconds from a start that the file gives without a zone, read as UTC."""
 
 import re
+from collections.abc import Mapping
 from datetime import UTC, datetime
 from decimal import Decimal, InvalidOperation
 
@@ -17,15 +18,6 @@ START_DAYS = re.compile(rb";\$STARTTIME\s*=\s*([\d.]{1,40})", re.IGNORECASE)
 COLUMNS = re.compile(rb";\$COLUMNS\s*=\s*([A-Za-z,\s]+)", re.IGNORECASE)
 UNKNOWN_DATE = re.compile(rb";\s*Start time:\s*\S")
 START_DATE = re.compile(rb";\s*Start time:\s*(\d+)\.(\d+)\.(\d{4})\s+(\d+):(\d+):(\d+)(?:\.(\d{1,3}))?")
-
-_NUMBER = Column(role=Role.IGNORED)
-_TIME = Column(role=Role.TIME, parameter=MILLISECONDS)
-_BUS = Column(role=Role.CHANNEL)
-_ID = Column(role=Role.ID, parameter=STANDARD_DIGITS)
-_TYPE = Column(role=Role.WORD)
-_RESERVED = Column(role=Role.IGNORED)
-_LENGTH = Column(role=Role.LENGTH_CODE)
-_DATA = Column(role=Role.DATA)
 
 OLD_WORDS = {
     "rx": Meaning.NOTHING,
@@ -47,38 +39,34 @@ NEW_WORDS = {
     "ev": Meaning.EVENT,
     "rtr": Meaning.REMOTE,
 }
-# By the letters that ``$COLUMNS`` has for them.
-NEW_COLUMNS = {
-    "N": _NUMBER,
-    "O": _TIME,
-    "T": _TYPE,
-    "B": _BUS,
-    "I": _ID,
+# By the letters that ``$COLUMNS`` has for them; older versions have no such line, but columns of the same kinds.
+COLUMN_OF_LETTER = {
+    "N": Column(role=Role.IGNORED),
+    "O": Column(role=Role.TIME, parameter=MILLISECONDS),
+    "T": Column(role=Role.WORD),
+    "B": Column(role=Role.CHANNEL),
+    "I": Column(role=Role.ID, parameter=STANDARD_DIGITS),
     "d": Column(role=Role.DIRECTION),
-    "R": _RESERVED,
+    "R": Column(role=Role.IGNORED),  # reserved
     "l": Column(role=Role.LENGTH),
-    "L": _LENGTH,
-    "D": _DATA,
+    "L": Column(role=Role.LENGTH_CODE),
+    "D": Column(role=Role.DATA),
 }
-NEEDED_COLUMNS = {"O", "T", "I"}
+NEEDED_LETTERS, MOST_LETTERS = set("OTI"), 15
 
 
-def _old(*columns: Column) -> Layout:
-    return Layout(columns=(_NUMBER, _TIME, *columns, _LENGTH, _DATA), words=OLD_WORDS, comment_starts=b";")
-
-
-def _new(letters: str) -> Layout:
-    columns = tuple(NEW_COLUMNS[letter] for letter in letters)
-    return Layout(columns=columns, words=NEW_WORDS, comment_starts=b";")
+def layout_of(letters: str, words: Mapping[str, Meaning]) -> Layout:
+    """Return the layout of lines with these columns."""
+    return Layout(columns=tuple(COLUMN_OF_LETTER[one] for one in letters), words=words, comment_starts=b";")
 
 
 LAYOUTS = {
-    b"1.0": _old(_ID),
-    b"1.1": _old(_TYPE, _ID),
-    b"1.2": _old(_BUS, _TYPE, _ID),
-    b"1.3": _old(_BUS, _TYPE, _ID, _RESERVED),
-    b"2.0": _new("NOTIdlD"),
-    b"2.1": _new("NOTBIdRLD"),
+    b"1.0": layout_of("NOILD", OLD_WORDS),
+    b"1.1": layout_of("NOTILD", OLD_WORDS),
+    b"1.2": layout_of("NOBTILD", OLD_WORDS),
+    b"1.3": layout_of("NOBTIRLD", OLD_WORDS),
+    b"2.0": layout_of("NOTIdlD", NEW_WORDS),
+    b"2.1": layout_of("NOTBIdRLD", NEW_WORDS),
 }
 
 
@@ -95,28 +83,27 @@ class Trc(Table):
             self.layout = LAYOUTS.get(version[1], self.layout)
             return version[1] in LAYOUTS
         if columns := COLUMNS.match(line):
-            return self._take_columns(columns[1])
+            return self._set_columns(columns[1])
         if days := START_DAYS.match(line):
-            return self._take_start(_days_us(days[1]))
+            return self._set_start(_days_us(days[1]))
         if (date := START_DATE.match(line)) and not self._has_start:
-            return self._take_start(_date_us(date))
+            return self._set_start(_date_us(date))
         if UNKNOWN_DATE.match(line) and not self._has_start:
             self.notes.append("the start time of the log is not understood: times count from 1970")
         return True
 
-    def _take_columns(self, listed: bytes) -> bool:
+    def _set_columns(self, listed: bytes) -> bool:
         letters = "".join(listed.decode("ascii").replace(",", " ").split())
-        is_usable = set(letters) >= NEEDED_COLUMNS and set(letters) <= NEW_COLUMNS.keys() and len(letters) < 16
+        is_usable = NEEDED_LETTERS <= set(letters) <= COLUMN_OF_LETTER.keys() and len(letters) <= MOST_LETTERS
         if is_usable:
-            self.layout = _new(letters)
+            self.layout = layout_of(letters, NEW_WORDS)
         return is_usable
 
-    def _take_start(self, start_us: int | None) -> bool:
-        if start_us is None:
-            return False
-        self.set_clock(start_us)
-        self._has_start = True
-        return True
+    def _set_start(self, start_us: int | None) -> bool:
+        self._has_start |= start_us is not None
+        if start_us is not None:
+            self.set_clock(start_us)
+        return start_us is not None
 
 
 def _days_us(text: bytes) -> int | None:

@@ -1,4 +1,4 @@
-"""The process that forks a child with limits for each file that a library parses; see ``guarded``."""
+"""The process that forks a child with limits for each MF4 file; see ``mf4``."""
 
 import json
 import os
@@ -13,6 +13,7 @@ from pathlib import Path
 
 from canlog.errors import SourceError
 from canlog.logs.log_counts import LogCounts
+from canlog.logs.mf4_frames import mf4_batches
 
 LONGEST_REQUEST = 65_536
 PAGE_BYTES = resource.getpagesize()
@@ -38,7 +39,6 @@ def serve(control: socket.socket) -> None:
 
 def work(request: dict[str, str | int], sending: Connection) -> None:
     """Do what a request says, within its limits, and send what comes of it."""
-    task = getattr(import_module(str(request["module"])), str(request["name"]))
     pages = int(Path("/proc/self/statm").read_text(encoding="ascii").split()[0])
     resource.setrlimit(resource.RLIMIT_AS, (pages * PAGE_BYTES + int(request["memory_bytes"]),) * 2)
     resource.setrlimit(resource.RLIMIT_CPU, (int(request["cpu_s"]),) * 2)
@@ -46,7 +46,7 @@ def work(request: dict[str, str | int], sending: Connection) -> None:
     resource.setrlimit(resource.RLIMIT_FSIZE, (int(request["file_bytes"]),) * 2)  # of copies that it makes
     counts = LogCounts()
     try:
-        for batch in task(Path(str(request["path"])), Path(str(request["folder"])), counts):
+        for batch in mf4_batches(Path(str(request["path"])), Path(str(request["folder"])), counts):
             sending.send(batch)
         sending.send(counts)
     except SourceError as exc:
