@@ -18,7 +18,6 @@ from canlog.logs import asc_fields as fields
 from canlog.logs.asc_fields import DECIMAL, HEXADECIMAL, LETTER_R, NONE, SLASH
 from canlog.logs.frame_buffer import FrameRows
 from canlog.logs.text_kernels import (
-    AT_END,
     BLANK,
     FRAME,
     HEX_VALUE,
@@ -32,7 +31,6 @@ from canlog.logs.text_kernels import (
     SKIPPED,
     STOP,
     TOO_LONG,
-    WIDEN,
     count_line,
     decimal,
     decimal_parts,
@@ -63,15 +61,11 @@ IS_CONTROL: BoolArray = np.isin(np.arange(256), [*range(9), *range(14, 32), 127,
 def parse_lines(text: UInt8Array, rows: FrameRows, clock: Int64Array, progress: Int64Array) -> None:
     """Parse lines from where the progress says up to the first that does not begin with a time."""
     at, line, row = progress[POSITION], progress[LINES], progress[ROWS]
-    progress[STOP] = AT_END
     while at < len(text):
         time_us, event = _time_us(text, skip_blanks(text, at))
-        if time_us < 0:
-            progress[STOP] = OTHER
-            break
-        outcome, behind = _event(text, event, rows, row, clock[BASE])
-        if outcome == TOO_LONG:
-            progress[STOP] = WIDEN
+        outcome, behind = (OTHER, at) if time_us < 0 else _event(text, event, rows, row, clock[BASE])
+        if outcome >= TOO_LONG:
+            progress[STOP] = outcome
             break
         # What is later than the last is no time, and must stay a number.
         clock[NOW_US] = min(time_us + (clock[NOW_US] if clock[IS_RELATIVE] else 0), LAST_US + 1)

@@ -100,7 +100,7 @@ class ObjectStream:
     def feed(self, data: bytes | bytearray) -> None:
         """Add the frames of the objects that end in this piece."""
         raw, report = self._joined(data), self._report
-        report[[POSITION, SKIPPED, DAMAGED]] = 0
+        report[POSITION] = report[SKIPPED] = report[DAMAGED] = 0
         self._frames.reserve(len(self) + len(raw) // STAMPED_HEADER_BYTES + 1, len(self))
         while True:
             parse_objects(raw, LAYOUT_TABLE, self._start_ns, self._frames.rows, report)
@@ -111,7 +111,8 @@ class ObjectStream:
         if not self._tail.any():
             self._tail = self._tail[:0]
         self._counts.skipped += int(report[SKIPPED])
-        self._counts.reject(LogReject.DAMAGED, f"object {report[FIRST_DAMAGED]}", int(report[DAMAGED]))
+        if report[DAMAGED]:
+            self._counts.reject(LogReject.DAMAGED, f"object {report[FIRST_DAMAGED]}", int(report[DAMAGED]))
 
     def hand_over(self) -> FrameBatch:
         """Return the frames added since the last time."""

@@ -6,10 +6,10 @@ are counted with the number of the first one, and reading goes on.
 
 from canlog.arrays import Int64Array, UInt8Array
 from canlog.frames import FD_PAYLOAD_BYTES, PAYLOAD_BYTES, FrameBatch
-from canlog.logs.candump_kernel import NEW_CHANNEL, parse_lines
+from canlog.logs.candump_kernel import parse_lines
 from canlog.logs.channels import ChannelNames
 from canlog.logs.frame_buffer import FrameRows
-from canlog.logs.text_kernels import POSITION, STOP
+from canlog.logs.text_kernels import NEW_CHANNEL, POSITION, STOP
 from canlog.logs.text_log import MAX_LINE_BYTES, TextLog
 
 

@@ -8,7 +8,6 @@ from canlog.jit import array_kernel, inlined_kernel
 from canlog.logs.channels import NameWords
 from canlog.logs.frame_buffer import FrameRows
 from canlog.logs.text_kernels import (
-    AT_END,
     BLANK,
     DECIMAL_PAIR,
     FRAME,
@@ -16,6 +15,7 @@ from canlog.logs.text_kernels import (
     IS_LENGTH,
     LINES,
     MALFORMED,
+    NEW_CHANNEL,
     NEWLINE,
     POSITION,
     RETURN,
@@ -23,7 +23,6 @@ from canlog.logs.text_kernels import (
     SKIPPED,
     STOP,
     TOO_LONG,
-    WIDEN,
     count_line,
     decimal,
     decimal_parts,
@@ -34,8 +33,6 @@ from canlog.logs.text_kernels import (
     skip_word,
 )
 from canlog.logs.word_kernels import NO_DIGITS, decimal_digits, hex_digits, reversed_bytes, word
-
-NEW_CHANNEL = 4  # the last of the outcomes of a line, and of the reasons to stop: its channel has no number yet
 
 STANDARD_DIGITS, EXTENDED_DIGITS = 3, 8
 HIGHEST_STANDARD_DIGIT = 7
@@ -61,7 +58,6 @@ TWO_ZEROS, NOT_TWO = np.uint64(0x3030), np.uint64(0xFFFF_FFFF_FFFF_0000)
 def parse_lines(text: UInt8Array, rows: FrameRows, names: NameWords, known: int, progress: Int64Array) -> None:
     """Parse lines from where the progress says; ``known`` channels have a number."""
     at, line, row, index = progress[POSITION], progress[LINES], progress[ROWS], 0
-    progress[STOP] = AT_END
     while at < len(text):
         if at + LONGEST_USUAL_BYTES <= len(text) and known > 0:
             index, behind = _usual_line(text, at, rows, row, names, index, known)
@@ -72,7 +68,7 @@ def parse_lines(text: UInt8Array, rows: FrameRows, names: NameWords, known: int,
                 continue
         outcome, behind = _parse_line(text, at, rows, row, names, known)
         if outcome >= TOO_LONG:
-            progress[STOP] = WIDEN if outcome == TOO_LONG else NEW_CHANNEL
+            progress[STOP] = outcome
             break
         row += outcome == FRAME
         line += 1

@@ -9,13 +9,12 @@ import numpy.typing as npt
 from canlog.arrays import Int64Array, UInt8Array
 from canlog.jit import array_kernel, inlined_kernel
 
-# What one line comes to; the last: it is a frame, but too long for the rows.
-FRAME, SKIPPED, MALFORMED, TOO_LONG = range(4)
+# What one line comes to. The last three stop a kernel: the frame is too long for the rows, the line is none that the
+# kernel reads, its channel has no number yet.
+FRAME, SKIPPED, MALFORMED, TOO_LONG, OTHER, NEW_CHANNEL = range(6)
 
-# Where a kernel is in its text, and what it has found until then.
+# Where a kernel is in its text, what stopped it, and what it has found until then.
 POSITION, LINES, ROWS, STOP, SKIPPED_LINES, MALFORMED_LINES, FIRST_MALFORMED, PROGRESS_FIELDS = range(8)
-# Why it stops: the text ends, rows must become wider, a line is not its own to read.
-AT_END, WIDEN, OTHER = range(3)
 
 NEWLINE, TAB, RETURN, BLANK = 10, 9, 13, 32
 LONGEST_NUMBER = 18  # digits that 64 bits surely hold

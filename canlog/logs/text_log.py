@@ -3,7 +3,6 @@
 import codecs
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
 from typing import BinaryIO
 
 import numpy as np
@@ -14,6 +13,7 @@ from canlog.logs.frame_buffer import FrameBuffer, FrameRows
 from canlog.logs.log_counts import LogCounts, LogReject
 from canlog.logs.text_kernels import (
     FIRST_MALFORMED,
+    FRAME,
     LINES,
     MALFORMED,
     MALFORMED_LINES,
@@ -24,7 +24,7 @@ from canlog.logs.text_kernels import (
     SKIPPED,
     SKIPPED_LINES,
     STOP,
-    WIDEN,
+    TOO_LONG,
     count_line,
 )
 
@@ -47,7 +47,7 @@ class TextLog(ABC):
 
     @abstractmethod
     def parse(self, text: UInt8Array, rows: FrameRows, progress: Int64Array) -> None:
-        """Read lines from where the progress says, until one needs what the compiled reader does not know."""
+        """Read lines from where the progress says, until one stops the compiled reader; the progress then says why."""
 
     @abstractmethod
     def is_whole(self, line: bytes, frame: FrameBatch) -> bool:
@@ -75,8 +75,9 @@ class TextReader:
         """Return the frames of whole lines; count what is not a frame."""
         progress = np.zeros(PROGRESS_FIELDS, np.int64)
         while progress[POSITION] < len(text):
+            progress[STOP] = FRAME
             self._log.parse(text, self._buffer.rows, progress)
-            if progress[STOP] == WIDEN:
+            if progress[STOP] == TOO_LONG:
                 self._buffer.widen(int(progress[ROWS]))
             elif progress[STOP] == OTHER:
                 self._read_comment(text, progress)
@@ -113,10 +114,10 @@ def reader_of(new_log: Callable[[], TextLog]) -> Callable[[BinaryIO, LogCounts],
     def read(stream: BinaryIO, counts: LogCounts) -> Iterator[FrameBatch]:
         log = new_log()
         reader = TextReader(log, counts, BLOCK_BYTES + MAX_LINE_BYTES)
-        for number, lines in enumerate(lines_of(stream)):
+        for number, (text, is_terminated) in enumerate(lines_of(stream)):
             if number == 0:
-                log.look_ahead(lines.text[:LOOK_AHEAD_BYTES].tobytes())
-            batch = reader.read(lines.text) if lines.is_terminated else reader.read_last(lines.text)
+                log.look_ahead(text[:LOOK_AHEAD_BYTES].tobytes())
+            batch = reader.read(text) if is_terminated else reader.read_last(text)
             for note in log.notes:
                 counts.note(note)
             if len(batch):
@@ -132,19 +133,12 @@ def frames_of(log: TextLog, text: bytes, counts: LogCounts | None = None) -> Fra
     return reader.read(np.frombuffer(text + b"\n", np.uint8))
 
 
-@dataclass(frozen=True, slots=True)
-class Lines:
-    """Whole lines of a log, each ended by a newline; the text is valid until the next ones are asked for."""
-
-    text: UInt8Array
-    is_terminated: bool = True  # False: one last line to which the newline was added, the file may have cut it
-
-
-def lines_of(stream: BinaryIO) -> Iterator[Lines]:
+def lines_of(stream: BinaryIO) -> Iterator[tuple[UInt8Array, bool]]:
     """Yield a text in blocks of whole lines, about 2 MiB each, and last what follows the last newline.
 
-    A byte-order mark before the first one is passed over. Of a line that is too long to be one only the end is passed
-    on, behind a NUL that makes it malformed.
+    Beside each block stands whether its last newline is the file's own: one is added to a line that the file may have
+    cut. A block is valid until the next one is asked for. A byte-order mark before the first line is passed over. Of a
+    line that is too long to be one only the end is passed on, behind a NUL that makes it malformed.
     """
     buffer = bytearray(BLOCK_BYTES + MAX_LINE_BYTES)
     kept, is_first = 0, True
@@ -156,14 +150,14 @@ def lines_of(stream: BinaryIO) -> Iterator[Lines]:
         is_first = False
         end = buffer.rfind(b"\n", kept, stop) + 1
         if end:
-            yield Lines(np.frombuffer(memoryview(buffer).toreadonly(), np.uint8, end))
+            yield np.frombuffer(memoryview(buffer).toreadonly(), np.uint8, end), True
         rest = buffer[end:stop]
         if len(rest) > MAX_LINE_BYTES:
             rest = bytearray(b"\0")
         kept = len(rest)
         buffer[:kept] = rest
     if buffer[:kept].strip():
-        yield Lines(np.frombuffer(bytes(buffer[:kept]) + b"\n", np.uint8), is_terminated=False)
+        yield np.frombuffer(bytes(buffer[:kept]) + b"\n", np.uint8), False
 
 
 def end_of_line(text: UInt8Array, at: int) -> int:

@@ -25,7 +25,7 @@ class TimeWatch:
 
     def look(self, batch: FrameBatch) -> None:
         """Look at the next frames."""
-        if self._last is not None:
+        if self._last is not None and not 0 < int(batch.t_ns[0]) - int(self._last.t_ns[0]) <= MAX_GAP_NS:
             self._look_inside(join([self._last, batch[:1]]), self._seen)
         self._look_inside(batch, self._seen + 1)
         self._last = batch[-1:]

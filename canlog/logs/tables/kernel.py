@@ -9,7 +9,6 @@ from canlog.logs.frame_buffer import FrameRows
 from canlog.logs.tables import fields
 from canlog.logs.tables.layout import BLANKS, EVENT, Program, Role
 from canlog.logs.text_kernels import (
-    AT_END,
     BLANK,
     FRAME,
     HEX_VALUE,
@@ -23,7 +22,6 @@ from canlog.logs.text_kernels import (
     SKIPPED,
     STOP,
     TOO_LONG,
-    WIDEN,
     count_line,
     decimal,
     skip_blanks,
@@ -57,15 +55,12 @@ def parse_lines(
     ``line`` is room for the fields of one line, shape (FIELDS,); ``clock`` is what the times are relative to.
     """
     at, number, row = progress[POSITION], progress[LINES], progress[ROWS]
-    progress[STOP] = AT_END
     while at < len(text):
         begin = skip_blanks(text, at)
-        if program.is_comment[text[begin]]:
-            progress[STOP] = OTHER
-            break
-        outcome, end = _parse_line(text, begin, rows.data, row, program, line)
-        if outcome == TOO_LONG:
-            progress[STOP] = WIDEN
+        is_comment = program.is_comment[text[begin]]
+        outcome, end = (OTHER, begin) if is_comment else _parse_line(text, begin, rows.data, row, program, line)
+        if outcome >= TOO_LONG:
+            progress[STOP] = outcome
             break
         if outcome == FRAME:
             outcome = _store(rows, row, clock, line)
