@@ -84,16 +84,9 @@ def _table(pooled: Sequence[PooledClutch]) -> Table:
     for name in ("clutch", "mu_C", "n", "mu_S", "n", "std", "shifts"):
         table.add_column(name, justify="right", no_wrap=True)
     for clutch in pooled:
-        found = clutch.estimate
-        table.add_row(
-            str(clutch.clutch),
-            "-" if found is None else _number(found.mu_c),
-            "0" if found is None else str(found.coulomb_count),
-            "-" if found is None else _number(found.mu_s),
-            "0" if found is None else str(found.static_count),
-            "n/a",
-            str(clutch.shift_count),
-        )
+        mu_c, mu_s, mu_c_samples, mu_s_samples = _found(clutch.estimate).values()
+        cells = (_number(mu_c), mu_c_samples, _number(mu_s), mu_s_samples, "n/a", clutch.shift_count)
+        table.add_row(str(clutch.clutch), *map(str, cells))
     return table
 
 
@@ -106,7 +99,7 @@ def _shift_record(shift: PaperShift) -> JsonObject:
         "to_gear": shift.to_gear,
         "clutch": shift.clutch,
         "reason": None if shift.reason is None else shift.reason.value,
-        **_estimate_record(shift.estimate),
+        **_found(shift.estimate),
     }
 
 
@@ -118,18 +111,18 @@ def _pooled_record(clutch: PooledClutch, gaps: tuple[Gap, ...]) -> JsonObject:
         "shift_count": clutch.shift_count,
         "complete": not gaps,
         "incomplete": [gap.value for gap in gaps],
-        **_estimate_record(clutch.estimate),
+        **_found(clutch.estimate),
     }
 
 
-def _estimate_record(found: PaperEstimate | None) -> JsonObject:
-    if found is None:
+def _found(estimate: PaperEstimate | None) -> dict[str, float | None]:
+    if estimate is None:
         return {"mu_c": None, "mu_s": None, "mu_c_samples": 0, "mu_s_samples": 0}
     return {
-        "mu_c": found.mu_c,
-        "mu_s": found.mu_s,
-        "mu_c_samples": found.coulomb_count,
-        "mu_s_samples": found.static_count,
+        "mu_c": estimate.mu_c,
+        "mu_s": estimate.mu_s,
+        "mu_c_samples": estimate.coulomb_count,
+        "mu_s_samples": estimate.static_count,
     }
 
 
