@@ -159,7 +159,8 @@ def _conclude(journal: Journal, drives: Sequence[Drive], output: Path | None, li
     if output is not None:
         write_results(output, (journal.entry(drive.key) for drive in drives))
     if totals["failed"] == len(drives):
-        raise SourceError(f"none of {len(drives)} drives could be read, the first: {_first_error(journal, drives)}")
+        error = journal.entry(drives[0].key).drive["error"]
+        raise SourceError(f"none of {len(drives)} drives could be read, the first: {error}")
     if output is not None:
         _LOG.log(NOTICE, "%d shifts of %d drives in %s", totals["shifts"], len(drives), output)
     return totals
@@ -172,10 +173,6 @@ def _counts(entry: Entry) -> dict[str, int]:
     if isinstance(summary, dict):
         counts |= {"cut": int(not summary["complete"]), "idle": int(bool(summary["idle"]))}
     return counts
-
-
-def _first_error(journal: Journal, drives: Sequence[Drive]) -> str:
-    return str(journal.entry(drives[0].key).drive["error"])
 
 
 class _Lines:

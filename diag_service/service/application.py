@@ -112,7 +112,7 @@ async def _run_bus(
 
     def show() -> None:
         snapshot = taker.take(now_s())
-        board.pin(snapshot)
+        board.latest = snapshot
         onlooker(snapshot)
         _report_life(manager, snapshot)
 

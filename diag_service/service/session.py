@@ -52,7 +52,7 @@ class Session:
         self._versions = versions
         self._stream = stream
         self._utc_now = utc_now
-        self._tally = ShiftTally()
+        self.tally = ShiftTally()
         self._pending: deque[tuple[ShiftResult, VehicleState]] = deque()  # what a full disk did not take yet
         self._max_pending_count = max_pending_count
         self._is_disk_full = False
@@ -101,13 +101,8 @@ class Session:
             self.given_up_count += 1
 
     def _report(self, result: ShiftResult, *, is_new: bool) -> None:
-        self._tally.add(result, is_new=is_new)
+        self.tally.add(result, is_new=is_new)
         self.reporter.report(result)
-
-    @property
-    def recent(self) -> tuple[ShiftResult, ...]:
-        """The last shifts, oldest first."""
-        return self._tally.recent
 
     def summary(
         self,
@@ -118,7 +113,7 @@ class Session:
     ) -> Summary:
         """Return the numbers of the run as they stand."""
         capability = self.stages.capability()
-        return summarise(self.vehicle, frames, self._tally, unpublished_count, capability, gaps, contributions)
+        return summarise(self.vehicle, frames, self.tally, unpublished_count, capability, gaps, contributions)
 
     def finish(
         self,

@@ -114,7 +114,7 @@ class SnapshotTaker:
             messages=messages,
             rates_hz={name: self._meter.rates_hz.get(name, 0.0) for name in messages},
             summary=self._session.summary(frame_counts(self._source, self._session.stages), None),
-            recent=self._session.recent,
+            recent=self._session.tally.recent,
             stuck=self._session.progress.stuck,
         )
 
@@ -124,24 +124,15 @@ class Board:
 
     def __init__(self, now_s: Callable[[], float] = time.monotonic) -> None:
         self._now_s = now_s
-        self._latest: Snapshot | None = None
-
-    def pin(self, snapshot: Snapshot) -> None:
-        """Show a new snapshot."""
-        self._latest = snapshot
-
-    @property
-    def latest(self) -> Snapshot | None:
-        """The last snapshot, None before the first."""
-        return self._latest
+        self.latest: Snapshot | None = None
 
     @property
     def is_live(self) -> bool:
         """Whether the service looks up now and then, and every stage gets done what it has to do."""
-        latest = self._latest
+        latest = self.latest
         return latest is not None and latest.stuck is None and self._now_s() - latest.taken_s < STALE_S
 
     @property
     def is_ready(self) -> bool:
         """Whether it is at work and hears its bus."""
-        return self.is_live and self._latest is not None and self._latest.bus.state in READY_STATES
+        return self.is_live and self.latest is not None and self.latest.bus.state in READY_STATES

@@ -76,7 +76,7 @@ def _snapshot() -> Snapshot:
 @pytest.fixture(name="board")
 def _board(snapshot: Snapshot) -> Board:
     board = Board(lambda: 103.0)
-    board.pin(snapshot)
+    board.latest = snapshot
     return board
 
 
@@ -168,15 +168,15 @@ def test_health_follows_the_snapshot(snapshot: Snapshot) -> None:
 
         assert get(f"http://127.0.0.1:{port}/metrics") == (200, "")
         assert codes() == (503, 503)
-        board.pin(snapshot)
+        board.latest = snapshot
         now_s = snapshot.taken_s + 1.0
         assert codes() == (200, 200)
-        board.pin(replace(snapshot, bus=replace(STATUS, state=BusState.DOWN)))
+        board.latest = replace(snapshot, bus=replace(STATUS, state=BusState.DOWN))
         assert codes() == (200, 503)
-        board.pin(replace(snapshot, stuck=Stuck(stage=Stage.STORE, for_s=31.0)))
+        board.latest = replace(snapshot, stuck=Stuck(stage=Stage.STORE, for_s=31.0))
         assert codes() == (503, 503)
         assert 'clutchdiag_stage_stuck_seconds{stage="store"} 31.0' in get(f"http://127.0.0.1:{port}/metrics")[1]
-        board.pin(snapshot)
+        board.latest = snapshot
         now_s = snapshot.taken_s + STALE_S
         assert codes() == (503, 503)
         assert get(f"http://127.0.0.1:{port}/elsewhere")[0] == 404
