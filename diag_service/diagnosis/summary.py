@@ -83,7 +83,7 @@ class Capability:
 FULL = Capability()
 
 
-class ShiftTally:
+class ShiftStatistics:
     """Counts of the shifts of one run, and the last result of each clutch."""
 
     def __init__(self) -> None:
@@ -125,7 +125,7 @@ class Summary:
 def summarise(
     vehicle: str,
     frames: FrameCounts,
-    tally: ShiftTally,
+    statistics: ShiftStatistics,
     unpublished_count: int | None,
     capability: Capability = FULL,
     gaps: tuple[Gap, ...] = (),
@@ -135,13 +135,13 @@ def summarise(
     return Summary(
         vehicle=vehicle,
         frames=frames,
-        shift_counts={status.value: tally.by_status[status] for status in Status},
-        reason_counts=dict(sorted(tally.by_reason.items())),
-        stored_count=tally.stored_count,
-        known_count=tally.known_count,
+        shift_counts={status.value: statistics.by_status[status] for status in Status},
+        reason_counts=dict(sorted(statistics.by_reason.items())),
+        stored_count=statistics.stored_count,
+        known_count=statistics.known_count,
         unpublished_count=unpublished_count,
         capability=capability,
-        latest=tuple(unjudged(result, gaps) for _, result in sorted(tally.latest.items())),
+        latest=tuple(unjudged(result, gaps) for _, result in sorted(statistics.latest.items())),
         gaps=gaps,
         contributions=contributions,
     )

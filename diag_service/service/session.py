@@ -17,7 +17,7 @@ from diag_service.diagnosis.events import Event
 from diag_service.diagnosis.friction import ALGORITHM_VERSION, FilterState
 from diag_service.diagnosis.records import ShiftResult
 from diag_service.diagnosis.results import iso_utc, utc_from_bus_ns
-from diag_service.diagnosis.summary import FrameCounts, Gap, ShiftTally, Summary, frames_line, summarise
+from diag_service.diagnosis.summary import FrameCounts, Gap, ShiftStatistics, Summary, frames_line, summarise
 from diag_service.errors import StoreFullError
 from diag_service.mapping.decoder import Decoder
 from diag_service.service.stages import Stages
@@ -52,7 +52,7 @@ class Session:
         self._versions = versions
         self._stream = stream
         self._utc_now = utc_now
-        self.tally = ShiftTally()
+        self.statistics = ShiftStatistics()
         self._pending: deque[tuple[ShiftResult, VehicleState]] = deque()  # what a full disk did not take yet
         self._max_pending_count = max_pending_count
         self._is_disk_full = False
@@ -101,7 +101,7 @@ class Session:
             self.given_up_count += 1
 
     def _report(self, result: ShiftResult, *, is_new: bool) -> None:
-        self.tally.add(result, is_new=is_new)
+        self.statistics.add(result, is_new=is_new)
         self.reporter.report(result)
 
     def summary(
@@ -113,7 +113,7 @@ class Session:
     ) -> Summary:
         """Return the numbers of the run as they stand."""
         capability = self.stages.capability()
-        return summarise(self.vehicle, frames, self.tally, unpublished_count, capability, gaps, contributions)
+        return summarise(self.vehicle, frames, self.statistics, unpublished_count, capability, gaps, contributions)
 
     def finish(
         self,

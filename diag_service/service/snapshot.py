@@ -114,7 +114,7 @@ class SnapshotTaker:
             messages=messages,
             rates_hz={name: self._meter.rates_hz.get(name, 0.0) for name in messages},
             summary=self._session.summary(frame_counts(self._source, self._session.stages), None),
-            recent=self._session.tally.recent,
+            recent=self._session.statistics.recent,
             stuck=self._session.progress.stuck,
         )
 

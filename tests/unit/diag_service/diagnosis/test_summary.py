@@ -6,7 +6,7 @@ from diag_service.diagnosis.records import Tier
 from diag_service.diagnosis.summary import (
     Capability,
     FrameCounts,
-    ShiftTally,
+    ShiftStatistics,
     capability_line,
     summarise,
     summary_record,
@@ -18,7 +18,7 @@ MISSING = "friction needs clutch1_pressure_pa"
 
 
 def line(capability: Capability, *, has_shift: bool) -> str:
-    tally = ShiftTally()
+    tally = ShiftStatistics()
     if has_shift:
         tally.add(shift_result(1), is_new=True)
     return capability_line(summarise("car1", FrameCounts(), tally, None, capability))
@@ -43,7 +43,7 @@ def test_the_line_for_people(capability: Capability, has_shift: bool, said: str)
 
 def test_the_record_for_programs() -> None:
     capability = Capability(profile="vw", tier=Tier.KINEMATIC, missing=MISSING, unseen=("pedal_ratio",))
-    record = summary_record(summarise("car1", FrameCounts(), ShiftTally(), None, capability))
+    record = summary_record(summarise("car1", FrameCounts(), ShiftStatistics(), None, capability))
     assert record["capability"] == {"profile": "vw", "tier": 3, "missing": MISSING, "unseen": ["pedal_ratio"]}
 
 
@@ -55,6 +55,6 @@ def test_which_signals_lost_values_and_why() -> None:
         "pedal_ratio (1 out of range)"
     )
     assert values_line(FrameCounts()) == ""
-    record = summary_record(summarise("car1", frames, ShiftTally(), None))
+    record = summary_record(summarise("car1", frames, ShiftStatistics(), None))
     assert isinstance(record["frames"], dict)
     assert record["frames"]["invalid_signals"] == invalid
