@@ -14,13 +14,15 @@ from pathlib import Path
 from typing import Any
 
 from numba.core import config as numba_config
-from numba.core.caching import CompileResultCacheImpl, FunctionCache, NullCache
+from numba.core.caching import IndexDataCacheFile
+from numba.core.compiler import CompileResult
 
 from canlog.kernel_digest import kernel_key
 
 NumbaObject = Any  # its modules have no types
 STEP = 20  # kernels between two lines for people
 KEPT_VERSIONS = 8  # of each kernel: as many checkouts can take turns without compiling
+_PYTHON = f".py{sys.version_info[0]}{sys.version_info[1]}"
 _config: NumbaObject = numba_config  # numba sets its members at run time
 _listeners: list[Callable[[str], None]] = []
 _names: list[str] = []
@@ -76,44 +78,8 @@ def _how_often() -> str:
     return "as at every start, since no folder can be written for them (NUMBA_CACHE_DIR names one)"
 
 
-class _Locator:
-    """Tells numba where the machine code of one kernel is, as its own locators do for files."""
-
-    def __init__(self, function: NumbaObject, folder: Path) -> None:
-        self._py_file = function.__code__.co_filename  # numba reads it for its warnings
-        self._folder = folder
-        self._key = kernel_key(function)
-
-    @classmethod
-    def from_function(cls, function: NumbaObject, _file: str) -> "_Locator | None":
-        folder = cache_folder(_config.CACHE_DIR)
-        return None if folder is None else cls(function, folder)
-
-    def ensure_cache_path(self) -> None:
-        self._folder.mkdir(parents=True, exist_ok=True)
-
-    def get_cache_path(self) -> str:
-        return str(self._folder)
-
-    def get_source_stamp(self) -> str:
-        return self._key
-
-    def get_disambiguator(self) -> str:
-        return self._key
-
-
-class _Implementation(CompileResultCacheImpl):
-    def __init__(self, function: NumbaObject) -> None:
-        self._locator_classes = [_Locator]
-        super().__init__(function)  # type: ignore[no-untyped-call]
-
-
-class _KernelCache(FunctionCache):
-    _impl_class = _Implementation
-
-
 class LateCache:
-    """The cache of one kernel, which looks at it when it is first called: only then all that it uses is there.
+    """Keeps the machine code of one kernel; looks at it when it is first called: only then all that it uses is there.
 
     The methods are those that numba asks of a cache.
     """
@@ -121,47 +87,54 @@ class LateCache:
     def __init__(self, dispatcher: NumbaObject) -> None:
         self._function = dispatcher.py_func
         self._name = f"{self._function.__module__}.{self._function.__qualname__}"
+        self._stem = f"{self._name.removeprefix(self._function.__module__.rpartition('.')[0] + '.')}-"
         _names.append(self._name)
 
     @cached_property
-    def _cache(self) -> NumbaObject:
-        try:
-            return _KernelCache(self._function)  # type: ignore[no-untyped-call]
-        except RuntimeError:  # no folder: machine code lives as long as the process
-            return NullCache()
+    def cache_path(self) -> str | None:
+        """Folder of the machine code; None where that lives as long as the process."""
+        folder = cache_folder(_config.CACHE_DIR)
+        return None if folder is None else str(folder)
 
-    def __getattr__(self, name: str) -> Any:  # noqa: ANN401 - whatever else numba asks of a cache
-        return getattr(self._cache, name)
+    @cached_property
+    def _file(self) -> NumbaObject:
+        key = kernel_key(self._function)
+        return IndexDataCacheFile(self.cache_path, f"{self._stem}{key}{_PYTHON}", key)  # type: ignore[no-untyped-call]
 
     def load_overload(self, signature: NumbaObject, target_context: NumbaObject) -> NumbaObject:
         """Return the machine code for some argument types, None if it must be compiled."""
-        found = self._found(signature, target_context)
+        found = None if self.cache_path is None else self._found(signature, target_context)
         if found is None:
             for listener in _listeners:
                 listener(self._name)
         return found
 
     def _found(self, signature: NumbaObject, target_context: NumbaObject) -> NumbaObject:
+        target_context.refresh()
         try:
-            return self._cache.load_overload(signature, target_context)
+            kept = self._file.load((signature, target_context.codegen().magic_tuple()))
+            return None if kept is None else CompileResult._rebuild(target_context, *kept)  # type: ignore[no-untyped-call]  # noqa: SLF001 - as numba's own cache
         except Exception:  # noqa: BLE001 - damaged, or of an installation whose modules are no longer there
-            self._cache.flush()
+            self.flush()
             return None
 
-    def save_overload(self, signature: NumbaObject, data: NumbaObject) -> None:
+    def save_overload(self, signature: NumbaObject, compiled: NumbaObject) -> None:
         """Keep machine code; a full disk or a cache that was sealed meanwhile only costs the next start."""
+        if self.cache_path is None or compiled.library.has_dynamic_globals:
+            return
         with suppress(OSError):
-            self._cache.save_overload(signature, data)
-            if self._cache.cache_path is not None:
-                self._forget_old_versions()
+            Path(self.cache_path).mkdir(parents=True, exist_ok=True)
+            key = signature, compiled.codegen.magic_tuple()
+            self._file.save(key, compiled._reduce())  # noqa: SLF001 - as numba's own cache
+            self._forget_old_versions(Path(self.cache_path))
 
-    def _forget_old_versions(self) -> None:
+    def flush(self) -> None:
+        """Forget the machine code."""
+        self._file.flush()
+
+    def _forget_old_versions(self, folder: Path) -> None:
         """Delete the machine code of this kernel's older forms beyond those that are kept."""
-        stem = f"{self._function.__module__.rpartition('.')[2]}.{self._function.__qualname__}-"
-        python = f".py{sys.version_info[0]}{sys.version_info[1]}"
-        stem = stem.replace("<", "").replace(">", "")
-        indices = [path for path in Path(self._cache.cache_path).glob(f"{stem}*.nbi") if python in path.name]
-        indices.sort(key=lambda path: path.stat().st_mtime_ns, reverse=True)
+        indices = sorted(folder.glob(f"{self._stem}*{_PYTHON}.nbi"), key=lambda path: -path.stat().st_mtime_ns)
         for index in indices[KEPT_VERSIONS:]:
-            for path in (*index.parent.glob(f"{index.stem}.*.nbc"), index):
+            for path in (*folder.glob(f"{index.stem}.*.nbc"), index):
                 path.unlink(missing_ok=True)
