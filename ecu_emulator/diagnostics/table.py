@@ -230,6 +230,24 @@ class Addressing:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class Transport:
+    """How ISO-TP behaves where the standard leaves a choice."""
+
+    padding: int | None = None  # every frame is filled up to eight bytes with it; without it short ones are sent
+    block_size: int = 8  # frames that a client may send before it asks again; 0 all
+    separation_time: int = 0  # STmin that is asked of clients, as coded on the wire
+    own_address: int | None = None  # extended addressing: the byte before everything that is sent to this controller
+    tester_address: int = 0xF1  # likewise in responses
+    all_address: int = 0xFE  # likewise in requests to all
+
+    def __post_init__(self) -> None:
+        for name in ("padding", "block_size", "separation_time", "own_address", "tester_address", "all_address"):
+            value = getattr(self, name)
+            if value is not None and not 0 <= value <= 0xFF:
+                raise ConfigError(f"{name} must be 0..0xFF, got {value}")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Timing:
     """Times of ISO 14229-2."""
 
@@ -254,6 +272,7 @@ class DiagnosticTable:
 
     name: str
     addressing: Addressing
+    transport: Transport
     timing: Timing
     limits: Limits
     sessions: Mapping[int, Session]

@@ -24,6 +24,7 @@ from ecu_emulator.diagnostics.table import (
     ServiceAccess,
     Session,
     Timing,
+    Transport,
     Trouble,
 )
 from ecu_emulator.errors import ConfigError
@@ -32,7 +33,7 @@ RecordT = TypeVar("RecordT")
 KeyT = TypeVar("KeyT", int, str)
 
 _LISTS: Final = ("session", "security", "service", "condition", "data", "routine", "trouble", "extended")
-_TABLES: Final = ("name", "snapshot", "addressing", "timing", "limits", "access")
+_TABLES: Final = ("name", "snapshot", "addressing", "transport", "timing", "limits", "access")
 
 
 @cache
@@ -88,6 +89,7 @@ def _table(document: Mapping[str, Any]) -> DiagnosticTable:
     return DiagnosticTable(
         name=str(name),
         addressing=_record(Addressing, document["addressing"], "addressing", {}),
+        transport=_record(Transport, document["transport"], "transport", {}),
         timing=_record(Timing, document["timing"], "timing", {}),
         limits=_record(Limits, document["limits"], "limits", {}),
         sessions=_numbered(_records(Session, document, "session", {}), "session"),

@@ -6,6 +6,7 @@ It reads the table's TOML by itself and shares no code with the product. Its sta
 import tomllib
 from collections.abc import Callable, Generator, Mapping
 from dataclasses import dataclass
+from functools import cache
 from importlib.resources import files
 from typing import Any, TypeAlias
 
@@ -26,6 +27,7 @@ PER_UNIT = {
 }
 
 
+@cache
 def table() -> dict[str, Any]:
     return tomllib.loads(files("ecu_emulator").joinpath("diagnostics/tcu.toml").read_text(encoding="utf-8"))
 

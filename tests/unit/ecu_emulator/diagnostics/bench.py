@@ -10,7 +10,7 @@ from ecu_emulator.diagnostics.values import Value
 SEED = bytes(range(1, 17))
 PARKED: dict[str, Value] = {
     "vehicle_speed_m_s": 0.0, "engine_speed_rad_s": 85.0, "sump_temperature_k": 353.15, "pedal_ratio": 0.0,
-    "current_gear": 0.0, "brake_ratio": 0.3,
+    "current_gear": 0.0, "brake_pressure_pa": 1e6,
 }  # fmt: skip
 
 

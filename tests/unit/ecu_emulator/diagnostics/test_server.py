@@ -297,7 +297,7 @@ def test_a_routine_is_started_asked_and_stopped(bench: Bench) -> None:
         ("vehicle_speed_m_s", 5.0, "88"),
         ("pedal_ratio", 0.1, "8a"),
         ("current_gear", 1.0, "8c"),
-        ("brake_ratio", 0.0, "8f"),
+        ("brake_pressure_pa", 0.0, "8f"),
     ],
 )
 def test_the_routine_of_the_workshop_says_what_is_missing(bench: Bench, name: str, value: float, nrc: str) -> None:

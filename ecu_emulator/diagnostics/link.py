@@ -1,0 +1,243 @@
+"""A controller on a bus: ISO-TP (ISO 15765-2) by can-isotp, beside whatever else is sent there."""
+
+import logging
+import queue
+import threading
+import time
+from collections import deque
+from collections.abc import Callable
+from dataclasses import dataclass
+from types import TracebackType
+from typing import Final, Self
+
+import can
+import isotp
+
+from ecu_emulator.diagnostics.controller import Controller
+from ecu_emulator.diagnostics.isotp_frames import single_payload, usable
+from ecu_emulator.diagnostics.table import Addressing, Transport
+from ecu_emulator.errors import ConfigError
+
+TICK_S: Final = 0.01
+MOST_FRAMES: Final = 4096  # that wait; what comes on top is dropped and counted
+MOST_REQUESTS: Final = 8  # that wait for the response before them to go out
+LONGEST_MESSAGE: Final = 4095
+TIMEOUT_MS: Final = 1000  # N_Bs and N_Cr
+MOST_WAIT_FRAMES: Final = 10
+LARGEST_STANDARD_ID: Final = 0x7FF
+FULL_FD_BYTES: Final = 64
+KEEP_ALIVE: Final = b"\x3e\x80"
+_LOGGER: Final = "ecu_emulator.isotp"  # the library warns of every odd frame; they are counted instead
+logging.getLogger(_LOGGER).setLevel(logging.CRITICAL + 1)
+
+
+@dataclass(slots=True)
+class LinkCounts:
+    """What a link has seen."""
+
+    requests: int = 0
+    responses: int = 0
+    ignored_frames: int = 0  # not frames of ISO-TP, or not in place
+    broken_messages: int = 0  # reassembled or sent in part only
+    dropped_frames: int = 0  # came faster than they could be looked at
+    dropped_requests: int = 0
+    unsent_frames: int = 0  # the bus did not take them
+
+
+class DiagnosticLink:
+    """Answers while the ``with`` block runs, in a thread of its own, which alone uses the transport layer.
+
+    Parameters
+    ----------
+    controller
+        Who answers.
+    send
+        Puts a frame on the bus; may raise ``can.CanError``.
+    is_fd
+        Whether responses go out in CAN FD frames.
+
+    Raises
+    ------
+    ConfigError
+        If the transport cannot be as the controller's table has it.
+    """
+
+    def __init__(self, controller: Controller, send: Callable[[can.Message], None], *, is_fd: bool = False) -> None:
+        self._controller = controller
+        self._send = send
+        self._is_fd = is_fd
+        self._ids = controller.table.addressing
+        self._transport = controller.table.transport
+        self._prefix_bytes = 0 if self._transport.own_address is None else 1
+        self._frames: queue.Queue[can.Message] = queue.Queue(MOST_FRAMES)
+        self._requests: deque[tuple[bytes, bool]] = deque()
+        self._next: isotp.CanMessage | None = None
+        self._is_over = threading.Event()
+        self._thread = threading.Thread(target=self._run, name="diagnostics", daemon=True)
+        self._layer = self._made_layer()
+        self.counts = LinkCounts()
+        self._error: BaseException | None = None
+
+    def _made_layer(self) -> isotp.TransportLayerLogic:
+        transport = self._transport
+        try:
+            return isotp.TransportLayerLogic(
+                rxfn=self._taken,
+                txfn=self._sent,
+                address=_address(self._ids, transport),
+                error_handler=self._broken,
+                params={
+                    "stmin": transport.separation_time,
+                    "blocksize": transport.block_size,
+                    "tx_padding": transport.padding,
+                    "tx_data_min_length": None if transport.padding is None else 8,
+                    "tx_data_length": FULL_FD_BYTES if self._is_fd else 8,
+                    "can_fd": self._is_fd,
+                    "bitrate_switch": self._is_fd,
+                    "max_frame_size": LONGEST_MESSAGE,
+                    "rx_flowcontrol_timeout": TIMEOUT_MS,
+                    "rx_consecutive_frame_timeout": TIMEOUT_MS,
+                    "wftmax": MOST_WAIT_FRAMES,
+                    "logger_name": _LOGGER,
+                },
+            )
+        except ValueError as exc:
+            raise ConfigError(f"diagnostics: {exc}") from exc
+
+    @property
+    def can_ids(self) -> tuple[int, int]:
+        """Identifiers of the frames that ``feed`` wants."""
+        return self._ids.request_id, self._ids.functional_id
+
+    def __enter__(self) -> Self:
+        self._thread.start()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._is_over.set()
+        self._thread.join()
+        if self._error is not None and error is None:
+            raise self._error
+
+    def feed(self, message: can.Message) -> None:
+        """Take a frame from the bus, of any thread; what is not for this controller is passed over."""
+        is_data = not (message.is_error_frame or message.is_remote_frame) and message.is_rx
+        if not is_data or message.arbitration_id not in self.can_ids:
+            return
+        if message.is_extended_id != (message.arbitration_id > LARGEST_STANDARD_ID):
+            return
+        try:
+            self._frames.put_nowait(message)
+        except queue.Full:
+            self.counts.dropped_frames += 1
+
+    def _run(self) -> None:
+        try:
+            self._serve()
+        except BaseException as exc:  # noqa: BLE001 - carried to the caller's thread, which raises it
+            self._error = exc
+
+    def _serve(self) -> None:
+        next_tick_s = time.monotonic()
+        while not self._is_over.is_set():
+            self._take_one(self._patience_s())
+            self._layer.process()
+            while (received := self._layer.recv()) is not None:
+                self._hold(bytes(received), is_functional=False)
+            while self._requests and not self._layer.transmitting():
+                payload, is_functional = self._requests.popleft()
+                self._answer(payload, is_functional=is_functional)
+            now_s = time.monotonic()
+            if now_s >= next_tick_s:
+                next_tick_s = now_s + TICK_S
+                self._respond(self._controller.tick())
+            self._layer.process()
+
+    def _patience_s(self) -> float:
+        """Return how long a frame may be waited for [s]: until the next frame of a response is due, if one goes out."""
+        due_s = self._layer.next_cf_delay()
+        return TICK_S if due_s is None else min(TICK_S, due_s)
+
+    def _take_one(self, patience_s: float) -> None:
+        """Let the transport layer see the next frame, or answer it if it is a request to all."""
+        try:
+            message = self._frames.get(timeout=patience_s) if patience_s > 0.0 else self._frames.get_nowait()
+        except queue.Empty:
+            return
+        data = bytes(message.data)
+        if message.arbitration_id == self._ids.functional_id:
+            self._take_functional(data)
+            return
+        usable_data = usable(data, self._prefix_bytes, self._layer.rx_frame_length - len(self._layer.rx_buffer))
+        if usable_data is None:
+            self.counts.ignored_frames += 1
+            return
+        self._next = isotp.CanMessage(
+            arbitration_id=message.arbitration_id,
+            data=usable_data,
+            extended_id=message.is_extended_id,
+            is_fd=message.is_fd,
+        )
+
+    def _take_functional(self, data: bytes) -> None:
+        """Answer a request to all, which is a single frame: nobody can control the flow to many."""
+        payload = single_payload(data, self._prefix_bytes)
+        if payload is None or (self._prefix_bytes and data[0] != self._transport.all_address):
+            self.counts.ignored_frames += 1
+            return
+        self._hold(payload, is_functional=True)
+
+    def _hold(self, payload: bytes, *, is_functional: bool) -> None:
+        """Keep a request until the response before it is out; what only keeps the session alive does not wait."""
+        if payload == KEEP_ALIVE:
+            self._answer(payload, is_functional=is_functional)
+        elif len(self._requests) >= MOST_REQUESTS:
+            self.counts.dropped_requests += 1
+        else:
+            self._requests.append((payload, is_functional))
+
+    def _answer(self, payload: bytes, *, is_functional: bool) -> None:
+        self.counts.requests += 1
+        self._respond(self._controller.ask(payload, is_functional=is_functional))
+
+    def _respond(self, payload: bytes | None) -> None:
+        if payload is not None:
+            self.counts.responses += 1
+            self._layer.send(payload)
+
+    def _taken(self, _timeout_s: float) -> isotp.CanMessage | None:
+        message, self._next = self._next, None
+        return message
+
+    def _sent(self, frame: isotp.CanMessage) -> None:
+        message = can.Message(
+            arbitration_id=frame.arbitration_id,
+            is_extended_id=frame.is_extended_id,
+            is_fd=frame.is_fd,
+            bitrate_switch=frame.bitrate_switch,
+            data=frame.data,
+        )
+        try:
+            self._send(message)
+        except can.CanError:
+            self.counts.unsent_frames += 1
+
+    def _broken(self, _error: Exception) -> None:
+        self.counts.broken_messages += 1
+
+
+def _address(ids: Addressing, transport: Transport) -> isotp.Address:
+    is_extended_id = ids.request_id > LARGEST_STANDARD_ID
+    if transport.own_address is None:
+        mode = isotp.AddressingMode.Normal_29bits if is_extended_id else isotp.AddressingMode.Normal_11bits
+        return isotp.Address(mode, txid=ids.response_id, rxid=ids.request_id)
+    mode = isotp.AddressingMode.Extended_29bits if is_extended_id else isotp.AddressingMode.Extended_11bits
+    return isotp.Address(
+        mode,
+        txid=ids.response_id,
+        rxid=ids.request_id,
+        source_address=transport.own_address,
+        target_address=transport.tester_address,
+    )

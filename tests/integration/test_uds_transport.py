@@ -1,0 +1,255 @@
+"""Requests and responses frame by frame, as ISO 15765-2 writes them, and by another library on a bus."""
+
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+
+import can
+import isotp
+import pytest
+
+from ecu_emulator.diagnostics.link import MOST_FRAMES, MOST_REQUESTS, DiagnosticLink
+from ecu_emulator.diagnostics.table import Transport
+from ecu_emulator.errors import ConfigError
+from tests.support.patience import HANG_S
+from tests.support.uds.wire import ALL_ID, RESPONSE_ID, Wire, parked_controller
+from tests.tools.uds_streams import run
+
+VIN = b"\x62\xf1\x90WDCTEMULATED00001"
+
+
+@pytest.fixture
+def wire() -> Iterator[Wire]:
+    with Wire() as wire:
+        yield wire
+
+
+def test_a_short_request_and_its_response_are_padded(wire: Wire) -> None:
+    wire.put("02 3e 00")
+    assert wire.get() == "02 7e 00 cc cc cc cc cc"
+
+
+def test_padding_may_be_other_or_none() -> None:
+    with Wire(Transport(padding=0x00)) as wire:
+        wire.put("02 3e 00 ff ff ff ff ff")
+        assert wire.get() == "02 7e 00 00 00 00 00 00"
+    with Wire(Transport(padding=None)) as wire:
+        wire.put("02 3e 00")
+        assert wire.get() == "02 7e 00"
+
+
+def test_a_long_response_waits_for_flow_control(wire: Wire) -> None:
+    wire.put("03 22 f1 90")
+    assert wire.get() == "10 14 62 f1 90 57 44 43"
+    wire.put("30 01 00")  # one frame, then ask again
+    assert wire.get() == "21 54 45 4d 55 4c 41 54"
+    wire.put("31 00 00")  # wait
+    wire.put("30 00 00")
+    assert wire.get() == "22 45 44 30 30 30 30 31"
+
+
+def test_a_client_that_aborts_gets_no_more(wire: Wire) -> None:
+    wire.put("03 22 f1 90")
+    wire.get()
+    wire.put("32 00 00")
+    assert wire.is_quiet()
+
+
+def test_the_pause_between_frames_is_kept(wire: Wire) -> None:
+    wire.put("03 22 f1 90")
+    wire.get()
+    wire.put("30 00 14")  # 20 ms
+    wire.get()
+    began_s = time.monotonic()
+    wire.get()
+    assert time.monotonic() - began_s > 0.015  # never shorter; longer as the machine likes
+
+
+def test_a_long_request_is_put_together(wire: Wire) -> None:
+    names = "f1 86 " * 5
+    request = bytes.fromhex("22 " + names)
+    wire.put(bytes([0x10, len(request)]) + request[:6])
+    assert wire.get() == "30 08 00 cc cc cc cc cc"
+    wire.put(b"\x21" + request[6:])
+    assert wire.get() == "10 10 62 f1 86 01 f1 86"
+
+
+def test_blocks_of_a_long_request_are_asked_for(wire: Wire) -> None:
+    request = b"\x2e\xf1\x98" + bytes(200)
+    wire.put(bytes([0x10, len(request)]) + request[:6])
+    rest = [request[place : place + 7] for place in range(6, len(request), 7)]
+    for number, piece in enumerate(rest):
+        if number % 8 == 0:
+            assert wire.get().startswith("30 08 00")
+        wire.put(bytes([0x20 | (number + 1) % 16]) + piece)
+    assert wire.get().startswith("03 7f 2e 7f")
+
+
+def test_more_than_4095_bytes_are_refused(wire: Wire) -> None:
+    wire.put("10 00 00 01 00 00 22 f1")
+    assert wire.get().startswith("32")
+    assert wire.is_quiet()
+
+
+def test_a_request_to_all_is_a_single_frame(wire: Wire) -> None:
+    wire.put("02 3e 00", ALL_ID)
+    assert wire.get().startswith("02 7e 00")
+    wire.put("10 08 22 f1 90 f1 90 f1", ALL_ID)
+    wire.put("02 84 00", ALL_ID)  # not supported, and not only this controller was asked
+    assert wire.is_quiet()
+
+
+@pytest.mark.parametrize(
+    "message",
+    [
+        can.Message(arbitration_id=0x7E0, is_extended_id=False, data=b"\x02\x3e\0"),
+        can.Message(arbitration_id=0x7E1, is_extended_id=True, data=b"\x02\x3e\0"),
+        can.Message(arbitration_id=0x7E1, is_extended_id=False, is_remote_frame=True, dlc=8),
+        can.Message(arbitration_id=0x7E1, is_error_frame=True),
+        can.Message(arbitration_id=0x7E1, is_extended_id=False, data=b"\x02\x3e\0", is_rx=False),
+        can.Message(arbitration_id=0x7E1, is_extended_id=False, data=b""),
+    ],
+    ids=["other", "extended", "remote", "error", "own", "empty"],
+)
+def test_what_is_not_for_this_controller_is_passed_over(wire: Wire, message: can.Message) -> None:
+    wire.link.feed(message)
+    assert wire.is_quiet()
+
+
+def test_a_new_request_ends_the_one_that_was_not_complete(wire: Wire) -> None:
+    wire.put("10 14 2e f1 90 00 00 00")
+    assert wire.get().startswith("30")
+    wire.put("40 00")  # no frame of ISO-TP: as if it were not there
+    wire.put("02 3e 00")
+    assert wire.get().startswith("02 7e")
+    wire.put("21 00 00 00 00 00 00 00")
+    assert wire.is_quiet()
+
+
+def test_a_frame_out_of_order_ends_its_message(wire: Wire) -> None:
+    wire.put("10 14 2e f1 90 00 00 00")
+    wire.get()
+    wire.put("22 00 00 00 00 00 00 00")
+    wire.put("21 00 00 00 00 00 00 00")
+    assert wire.is_quiet()
+    assert wire.link.counts.broken_messages >= 1
+
+
+def test_an_odd_frame_between_others_does_no_harm(wire: Wire) -> None:
+    wire.put("10 0b 22 f1 86 f1 86 f1")
+    wire.get()
+    wire.put("f0 01")
+    wire.put("21 86 f1 86 f1 86 cc cc")
+    assert wire.get().startswith("10 10 62 f1 86 01")
+
+
+def test_requests_that_come_while_a_response_goes_out_wait_up_to_a_number(wire: Wire) -> None:
+    wire.put("03 22 f1 90")
+    wire.get()
+    for _ in range(MOST_REQUESTS + 3):
+        wire.put("03 22 f1 86")
+    wire.put("02 3e 80")
+    wire.put("30 00 00")
+    answers = [wire.get() for _ in range(2 + MOST_REQUESTS)]
+    assert answers[2:] == ["04 62 f1 86 01 cc cc cc"] * MOST_REQUESTS
+    assert wire.is_quiet()
+    assert wire.link.counts.dropped_requests == 3
+
+
+def test_a_flood_is_bounded_and_counted() -> None:
+    link = DiagnosticLink(parked_controller(), lambda _: None)  # nobody looks at the frames yet
+    for _ in range(MOST_FRAMES + 7):
+        link.feed(can.Message(arbitration_id=0x7E1, is_extended_id=False, data=b"\x02\x3e\0"))
+    assert link.counts.dropped_frames == 7
+
+
+def test_a_bus_that_takes_nothing_does_not_end_the_link() -> None:
+    heard = threading.Event()
+    is_down = True
+
+    def send(message: can.Message) -> None:
+        if is_down:
+            raise can.CanOperationError("full")
+        heard.set()
+
+    with DiagnosticLink(parked_controller(), send) as link:
+        request = can.Message(arbitration_id=0x7E1, is_extended_id=False, data=b"\x02\x3e\0")
+        link.feed(request)
+        deadline_s = time.monotonic() + HANG_S
+        while not link.counts.unsent_frames and time.monotonic() < deadline_s:
+            time.sleep(0.005)
+        is_down = False
+        link.feed(request)
+        assert heard.wait(HANG_S)
+
+
+@pytest.mark.parametrize("name", ["padding", "block_size", "separation_time", "own_address"])
+def test_what_the_transport_cannot_be_is_named(name: str) -> None:
+    with pytest.raises(ConfigError, match=rf"^{name} must be 0..0xFF, got 256"):
+        Transport(**{name: 256})
+
+
+def test_what_goes_wrong_in_the_thread_is_raised_where_it_was_started(monkeypatch: pytest.MonkeyPatch) -> None:
+    controller = parked_controller()
+    monkeypatch.setattr(controller, "tick", lambda: 1 / 0)
+    with pytest.raises(ZeroDivisionError), DiagnosticLink(controller, lambda _: None) as link:
+        link._thread.join(HANG_S)
+
+
+@contextmanager
+def client(
+    channel: str, *, is_fd: bool, transport: Transport, address: isotp.Address
+) -> Iterator[Callable[[bytes], bytes]]:
+    """Let the library's own threaded client ask a controller on a virtual bus, with other traffic beside it."""
+    with (
+        can.Bus(channel, "virtual", fd=is_fd) as near,
+        can.Bus(channel, "virtual", fd=is_fd) as far,
+        DiagnosticLink(parked_controller(transport), near.send, is_fd=is_fd) as link,
+        can.Notifier(near, [link.feed]),
+        can.Notifier(far, [], timeout=0.05) as notifier,
+    ):
+        params = {"tx_data_length": 64 if is_fd else 8, "can_fd": is_fd, "stmin": 0xF1, "blocksize": 3}
+        stack = isotp.NotifierBasedCanStack(far, notifier, address=address, params=params)
+        stack.start()
+
+        def ask(request: bytes) -> bytes:
+            far.send(can.Message(arbitration_id=0x0A0, is_extended_id=False, data=bytes(8)))
+            stack.send(request)
+            answer = stack.recv(block=True, timeout=HANG_S)
+            assert answer is not None
+            return bytes(answer)
+
+        yield ask
+        stack.stop()
+
+
+NORMAL = isotp.Address(isotp.AddressingMode.Normal_11bits, txid=0x7E1, rxid=RESPONSE_ID)
+EXTENDED = isotp.Address(
+    isotp.AddressingMode.Extended_11bits, txid=0x7E1, rxid=RESPONSE_ID, source_address=0xF1, target_address=0x18
+)
+
+
+@pytest.mark.parametrize(
+    ("is_fd", "transport", "address"),
+    [
+        (False, Transport(), NORMAL),
+        (False, Transport(padding=None, block_size=0, separation_time=0xF1), NORMAL),
+        (True, Transport(), NORMAL),
+        (False, Transport(own_address=0x18), EXTENDED),
+    ],
+    ids=["classic", "no padding", "fd", "extended addressing"],
+)
+def test_another_end_asks_long_and_short(is_fd: bool, transport: Transport, address: isotp.Address) -> None:
+    with client("uds transport", is_fd=is_fd, transport=transport, address=address) as ask:
+        assert ask(b"\x22\xf1\x90") == VIN
+        assert ask(b"\x3e\x00") == b"\x7e\x00"
+        assert ask(b"\x22" + b"\xf1\x90" * 16) == b"\x62" + VIN[1:] * 16
+        assert ask(b"\x2e\xf1\x98" + bytes(1000)) == b"\x7f\x2e\x7f"
+        assert len(ask(b"\x19\x0a")) == 3 + 4 * 17
+
+
+def test_hostile_streams_end_nothing() -> None:
+    figures = run(count=150, seed=5)
+    assert (figures.streams, figures.unanswered) == (150, 0)
+    assert figures.frames > 1000

@@ -1,0 +1,71 @@
+"""A controller behind ISO-TP without a bus: frames go in and come out as hexadecimal text."""
+
+import queue
+import secrets
+import time
+from dataclasses import replace
+from types import TracebackType
+from typing import Self
+
+import can
+
+from ecu_emulator.diagnostics.controller import Controller
+from ecu_emulator.diagnostics.link import DiagnosticLink
+from ecu_emulator.diagnostics.table import Transport
+from ecu_emulator.diagnostics.table_file import shipped_table
+from ecu_emulator.diagnostics.values import Value
+from tests.support.patience import HANG_S
+
+REQUEST_ID, ALL_ID, RESPONSE_ID = 0x7E1, 0x7DF, 0x7E9
+PARKED: dict[str, Value] = {
+    "vehicle_speed_m_s": 0.0, "engine_speed_rad_s": 85.0, "sump_temperature_k": 353.15, "pedal_ratio": 0.0,
+    "current_gear": 0.0, "brake_pressure_pa": 1e6,
+}  # fmt: skip
+
+
+def parked_controller(transport: Transport | None = None) -> Controller:
+    table = replace(shipped_table(), transport=transport or shipped_table().transport)
+    return Controller(table, values=lambda: PARKED, clock=time.monotonic, chance=secrets.token_bytes)
+
+
+class Wire:
+    """The frames of one link, while it is entered."""
+
+    def __init__(self, transport: Transport | None = None) -> None:
+        self._heard: queue.Queue[can.Message] = queue.Queue()
+        self.controller = parked_controller(transport)
+        self.link = DiagnosticLink(self.controller, self._heard.put)
+
+    def __enter__(self) -> Self:
+        self.link.__enter__()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.link.__exit__(kind, error, trace)
+
+    def put(self, frame: str | bytes, can_id: int = REQUEST_ID, *, is_fd: bool = False) -> None:
+        data = bytes.fromhex(frame) if isinstance(frame, str) else frame
+        self.link.feed(
+            can.Message(arbitration_id=can_id, is_extended_id=can_id > 0x7FF, data=data, is_fd=is_fd, check=False)
+        )
+
+    def get(self) -> str:
+        """Return the next frame of the controller."""
+        message = self._heard.get(timeout=HANG_S)
+        assert message.arbitration_id == self.controller.table.addressing.response_id
+        return bytes(message.data).hex(" ")
+
+    def forget(self) -> int:
+        """Throw away what was heard so far; return how many frames that was."""
+        count = 0
+        while not self._heard.empty():
+            self._heard.get_nowait()
+            count += 1
+        return count
+
+    def is_quiet(self) -> bool:
+        """Return whether nothing was heard, once a later request has been answered."""
+        self.put("02 3e 00")
+        return self.get().startswith("02 7e 00")
