@@ -75,10 +75,17 @@ _RUN: Final = Command(
     Option("--truth FILE", "write the truth about every shift to this file", FILE),
     Option("--summary FILE", "write the transmit report to this file as JSON", FILE),
     Option("--control SOCKET", "take faults at run time on this Unix socket", FILE),
+    Option(
+        "--diagnostics [TABLE]",
+        "answer UDS requests of testers (7E1, 7DF); TABLE: a controller of your own instead of the one that ships",
+        flag_value="",
+    ),
+    Option("--diagnostic-memory FILE", "keep trouble codes in this file, over restarts", FILE),
     Option("--alive FILE", "touch this file while frames go out", FILE),
     Option("--start-delay S", "wait before the first frame", _seconds, default="0"),
     examples=(
         f"{PROGRAM} run -i socketcan -c vcan0",
+        f"{PROGRAM} run -i socketcan -c vcan0 --diagnostics --diagnostic-memory tcu.json",
         f"{PROGRAM} run -i socketcan -c vcan0 --fluid case2 --cycles 3 --truth truth.jsonl --json",
     ),
 )

@@ -8,7 +8,7 @@ import threading
 import time
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
-from typing import Final
+from typing import Final, Protocol
 
 import can
 import numpy as np
@@ -50,10 +50,17 @@ class TransmitReport:
     is_complete: bool  # False if stopped before the end
 
 
+class FrameSender(Protocol):
+    """What puts frames on a bus."""
+
+    def send(self, message: can.Message) -> None:
+        """Send a frame, or raise ``can.CanError``."""
+
+
 class _Transmitter:
     """One transmission: schedule, sender and measurements."""
 
-    def __init__(self, bus: can.BusABC, stop: threading.Event) -> None:
+    def __init__(self, bus: FrameSender, stop: threading.Event) -> None:
         self._bus = bus
         self._stop = stop
         self._punctuality = Punctuality(OVERRUN_S)
@@ -180,7 +187,7 @@ class _Producer:
 
 
 def transmit(
-    bus: can.BusABC,
+    bus: FrameSender,
     chunks: Iterable[EncodedFrames],
     stop: threading.Event,
     *,
@@ -191,8 +198,8 @@ def transmit(
 
     Parameters
     ----------
-    bus : can.BusABC
-        Any open python-can bus.
+    bus : FrameSender
+        Any open python-can bus, or what stands before one.
     chunks : iterable of EncodedFrames
         Frames in the order of their times; computed ahead in a thread.
     stop : threading.Event

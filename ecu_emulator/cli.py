@@ -77,6 +77,7 @@ def _execute(options: SimpleNamespace, stop: Event) -> None:
         summary=options.summary,
         control=options.control,
         alive=options.alive,
+        diagnostics=live.diagnostics_choice(options.diagnostics, options.diagnostic_memory),
         start_delay_s=options.start_delay,
         is_json=options.json,
         stop=stop,

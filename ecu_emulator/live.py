@@ -2,18 +2,20 @@
 
 import json
 from collections.abc import Iterator
-from contextlib import nullcontext
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from queue import SimpleQueue
 from threading import Event
-from typing import Final
+from typing import TYPE_CHECKING, Final
+
+import can
 
 from canlog.e2e.message_contract import message_contracts
 from dbc.contract import load_contract
 from ecu_emulator.bus import TransmitReport, open_bus, transmit
 from ecu_emulator.control import ControlSocket
-from ecu_emulator.errors import RecordError
+from ecu_emulator.errors import ConfigError, RecordError
 from ecu_emulator.frames import EncodedFrames
 from ecu_emulator.other_senders import WORTH_SAYING, OtherSenders
 from ecu_emulator.progress import ProgressLine, people, print_json
@@ -21,6 +23,9 @@ from ecu_emulator.recording import SHORT_STRETCH_S, Drive
 from ecu_emulator.scenario import Scenario
 from ecu_emulator.sign_of_life import SignOfLife
 from ecu_emulator.truth import RevTruth, ShiftTruth, TruthWriter
+
+if TYPE_CHECKING:
+    from ecu_emulator.answering import Answering
 
 MS_PER_S: Final = 1e3
 
@@ -38,6 +43,14 @@ class BusChoice:
     def name(self) -> str:
         """What the user asked for, empty if it is left to the configuration."""
         return " ".join(part for part in (self.interface, self.channel) if part)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class DiagnosticsChoice:
+    """Which controller answers testers, and what it keeps."""
+
+    table: str  # a TOML file; empty: the one that ships
+    memory: Path | None
 
 
 class SentTruth:
@@ -99,6 +112,7 @@ def run(
     summary: Path | None,
     control: Path | None,
     alive: Path | None,
+    diagnostics: DiagnosticsChoice | None,
     start_delay_s: float,
     is_json: bool,
     stop: Event,
@@ -117,7 +131,14 @@ def run(
         TruthWriter(truth) if truth is not None else nullcontext() as writer,
         ControlSocket(control, drive.add_fault) if control is not None else nullcontext(),
         ProgressLine(console, "preparing the plant") as progress,
-        OtherSenders(bus, own_ids(), lambda can_id: console.print(_mixed_bus_text(can_id), markup=False)) as others,
+        _answering(bus, diagnostics, is_fd=choice.is_fd) as answering,
+        OtherSenders(
+            bus,
+            own_ids(),
+            lambda can_id: console.print(_mixed_bus_text(can_id), markup=False),
+            wanted_ids=answering.link.can_ids if answering is not None else (),
+            pass_on=answering.link.feed if answering is not None else lambda _: None,
+        ) as others,
     ):
         sent = SentTruth(drive, writer)
         _write_summary(summary, {})
@@ -132,7 +153,7 @@ def run(
                 life.tell(frame_count)
             progress.update(f"{sent_s:.0f} s driven, {sent.shift_count} shifts, {frame_count} frames sent", sent_s)
 
-        report = transmit(bus, sent.frames(), stop, start_delay_s=start_delay_s, on_progress=show)
+        report = transmit(answering or bus, sent.frames(), stop, start_delay_s=start_delay_s, on_progress=show)
         sent.finish(report)
     result = {
         "scenario": scenario.name,
@@ -149,6 +170,29 @@ def run(
     _write_summary(summary, result)
     if is_json:
         print_json(result)
+
+
+def _answering(
+    bus: can.BusABC, choice: DiagnosticsChoice | None, *, is_fd: bool
+) -> "AbstractContextManager[Answering | None]":
+    if choice is None:
+        return nullcontext()
+    from ecu_emulator.answering import Answering  # noqa: PLC0415 - a drive that nobody asks begins sooner
+
+    return Answering(bus, table=choice.table, memory=choice.memory, is_fd=is_fd)
+
+
+def diagnostics_choice(table: str | None, memory: Path | None) -> DiagnosticsChoice | None:
+    """Return what was chosen on the command line; None if nobody is to answer.
+
+    Raises
+    ------
+    ConfigError
+        If there is a memory and nobody who uses it.
+    """
+    if table is None and memory is not None:
+        raise ConfigError("--diagnostic-memory needs --diagnostics")
+    return None if table is None else DiagnosticsChoice(table=table, memory=memory)
 
 
 def _seeds_text(scenario: Scenario) -> str:

@@ -6,11 +6,13 @@ from types import TracebackType
 from typing import Final, Self
 
 import can
+import can.typechecking
 
 WORTH_SAYING: Final = 10  # frames; fewer may be the last ones of an emulator that has just been stopped
 POLL_S: Final = 0.1
 JOIN_S: Final = 5.0
 STANDARD_MASK: Final = 0x7FF
+EXTENDED_MASK: Final = 0x1FFFFFFF
 
 
 class OtherSenders:
@@ -24,20 +26,30 @@ class OtherSenders:
         Standard identifiers that nobody else should send.
     on_heard
         Called once, in that thread, with the identifier of a frame, as soon as it cannot be chance.
+    wanted_ids, pass_on
+        Identifiers of frames that somebody else on this end wants, and who is handed them, in that thread.
     """
 
-    def __init__(self, bus: can.BusABC, can_ids: Sequence[int], on_heard: Callable[[int], None]) -> None:
+    def __init__(
+        self,
+        bus: can.BusABC,
+        can_ids: Sequence[int],
+        on_heard: Callable[[int], None],
+        *,
+        wanted_ids: Sequence[int] = (),
+        pass_on: Callable[[can.Message], None] = lambda _: None,
+    ) -> None:
         self._bus = bus
         self._can_ids = frozenset(can_ids)
         self._on_heard = on_heard
+        self._wanted_ids = tuple(wanted_ids)
+        self._pass_on = pass_on
         self._is_over = threading.Event()
         self._thread = threading.Thread(target=self._listen, name="other senders", daemon=True)
         self.frame_count = 0
 
     def __enter__(self) -> Self:
-        self._bus.set_filters(
-            [{"can_id": can_id, "can_mask": STANDARD_MASK, "extended": False} for can_id in sorted(self._can_ids)]
-        )
+        self._bus.set_filters([_filter(can_id) for can_id in (*sorted(self._can_ids), *self._wanted_ids)])
         self._thread.start()
         return self
 
@@ -54,8 +66,12 @@ class OtherSenders:
             except (can.CanError, OSError, ValueError):
                 self._is_over.wait(POLL_S)  # whoever sends will say what is wrong with the bus
                 continue
-            if message is not None and self._is_foreign(message):
+            if message is None:
+                continue
+            if self._is_foreign(message):
                 self._note(message.arbitration_id)
+            else:
+                self._pass_on(message)
 
     def _is_foreign(self, message: can.Message) -> bool:
         is_plain = not (message.is_error_frame or message.is_extended_id)
@@ -65,3 +81,8 @@ class OtherSenders:
         self.frame_count += 1
         if self.frame_count == WORTH_SAYING:
             self._on_heard(can_id)
+
+
+def _filter(can_id: int) -> can.typechecking.CanFilter:
+    is_extended = can_id > STANDARD_MASK
+    return {"can_id": can_id, "can_mask": EXTENDED_MASK if is_extended else STANDARD_MASK, "extended": is_extended}

@@ -9,6 +9,7 @@ from ecu_emulator.diagnostics.codes import NEGATIVE, Nrc
 from ecu_emulator.diagnostics.memory import TestResult
 from ecu_emulator.diagnostics.memory_file import MemoryFile
 from ecu_emulator.diagnostics.server import advance, answer, cycled, switched_on, tested, warmed_up
+from ecu_emulator.diagnostics.services.call import under_control
 from ecu_emulator.diagnostics.services.routines import finished
 from ecu_emulator.diagnostics.state import Moment, Reply, Request, ServerState
 from ecu_emulator.diagnostics.table import DiagnosticTable
@@ -97,7 +98,9 @@ class Controller:
 
     def finish(self, routine: int) -> None:
         """Note that the vehicle has done what a routine asked for."""
-        self._change(lambda state: finished(state, self.table, routine, self._moment()))
+        self._change(
+            lambda state: finished(state, self.table, routine, under_control(self.table, state, self._moment()))
+        )
 
     def _change(self, change: Callable[[ServerState], ServerState]) -> None:
         with self._lock:

@@ -17,7 +17,7 @@ from ecu_emulator.diagnostics.codes import (
     Service,
 )
 from ecu_emulator.diagnostics.memory import TestResult, begin_cycle, empty_memory, note_warm_up, report
-from ecu_emulator.diagnostics.services.call import Call, Outcome, Result, is_unlocked
+from ecu_emulator.diagnostics.services.call import Call, Outcome, Result, is_unlocked, under_control
 from ecu_emulator.diagnostics.services.data import (
     CLEAR_DEFINITION,
     DEFINE_BY_IDENTIFIER,
@@ -98,10 +98,11 @@ def answer(table: DiagnosticTable, state: ServerState, request: Request, moment:
     """
     if moment.t_s < state.asleep_until_s or not request.payload:
         return Reply(payload=None, state=state)
+    sensed, moment = moment, under_control(table, state, moment)
     state = _settled(table, state, moment)
     if state.waiting is not None:
         return _while_waiting(state, request)
-    call = Call(table=table, state=replace(state, heard_s=moment.t_s), moment=moment, request=request)
+    call = Call(table=table, state=replace(state, heard_s=moment.t_s), moment=moment, sensed=sensed, request=request)
     result = _checked(call)
     if isinstance(result, Nrc):
         result = Outcome(response=result, state=call.state)
@@ -117,6 +118,7 @@ def answer(table: DiagnosticTable, state: ServerState, request: Request, moment:
 
 def advance(table: DiagnosticTable, state: ServerState, moment: Moment) -> Reply:
     """Return what a controller does because time has passed: a response that was awaited, or 78 once more."""
+    sensed, moment = moment, under_control(table, state, moment)
     state = _settled(table, state, moment)
     waiting = state.waiting
     if waiting is None:
@@ -128,7 +130,7 @@ def advance(table: DiagnosticTable, state: ServerState, moment: Moment) -> Reply
         again = replace(waiting, again_s=moment.t_s + AGAIN_RATIO * table.timing.p2_star_s)
         return Reply(payload=_negative(waiting.request, Nrc.RESPONSE_PENDING), state=replace(state, waiting=again))
     state = replace(state, waiting=None, heard_s=moment.t_s)
-    call = Call(table=table, state=state, moment=moment, request=waiting.request)
+    call = Call(table=table, state=state, moment=moment, sensed=sensed, request=waiting.request)
     response = answered(call, table.routines[waiting.routine], run).response
     return Reply(payload=response if isinstance(response, bytes) else None, state=state)
 
@@ -137,7 +139,7 @@ def tested(table: DiagnosticTable, state: ServerState, number: int, result: Test
     """Return the state after a monitor has spoken; nothing changes while a client has switched that off (85)."""
     if not state.are_codes_updated:
         return state
-    trouble = table.troubles[number]
+    trouble, moment = table.troubles[number], under_control(table, state, moment)
     return replace(state, memory=report(state.memory, trouble, result, capture(table, trouble, state, moment)))
 
 

@@ -78,7 +78,7 @@ def parse_table(text: str, where: str) -> DiagnosticTable:
 
 
 def _table(document: Mapping[str, Any]) -> DiagnosticTable:
-    _check_keys(document, {*_LISTS, *_TABLES}, {*_LISTS, *_TABLES}, "the table")
+    _check_keys(document, {*_LISTS, *_TABLES}, set(_TABLES), "the table")
     access = {
         name: _record(Access, entry, f"access.{name}", {})
         for name, entry in _mapping(document["access"], "access").items()
@@ -109,7 +109,7 @@ def _table(document: Mapping[str, Any]) -> DiagnosticTable:
 def _records(
     record: type[RecordT], document: Mapping[str, Any], key: str, access: Mapping[str, Access]
 ) -> tuple[RecordT, ...]:
-    entries = document[key]
+    entries = document.get(key, [])
     if not isinstance(entries, list):
         raise ConfigError(f"{key} must be an array of tables")
     return tuple(_record(record, entry, f"{key} {place}", access) for place, entry in enumerate(entries, start=1))

@@ -5,20 +5,30 @@ import re
 from collections.abc import Callable, Mapping
 from typing import Final
 
-from clutch_model.units import bar_from_pa, degc_from_k, km_h_from_m_s, rpm_from_rad_s
+from clutch_model.units import (
+    bar_from_pa,
+    degc_from_k,
+    k_from_degc,
+    km_h_from_m_s,
+    m_s_from_km_h,
+    pa_from_bar,
+    rad_s_from_rpm,
+    rpm_from_rad_s,
+)
 from ecu_emulator.diagnostics.table import Condition, Field, Kind
 
 Value = float | str | bytes
 Values = Mapping[str, Value]  # of the controller, by source; numbers in SI
 
-_FROM_SI: Final[Mapping[tuple[str, str], Callable[[float], float]]] = {
-    ("rad_s", "rpm"): rpm_from_rad_s,
-    ("pa", "bar"): bar_from_pa,
-    ("k", "degC"): degc_from_k,
-    ("m_s", "km/h"): km_h_from_m_s,
-    ("m", "km"): lambda length_m: length_m / 1e3,
-    ("ratio", "%"): lambda ratio: ratio * 1e2,
-}
+_Conversion = tuple[Callable[[float], float], Callable[[float], float]]
+_CONVERSIONS: Final[Mapping[tuple[str, str], _Conversion]] = {
+    ("rad_s", "rpm"): (rpm_from_rad_s, rad_s_from_rpm),
+    ("pa", "bar"): (bar_from_pa, pa_from_bar),
+    ("k", "degC"): (degc_from_k, k_from_degc),
+    ("m_s", "km/h"): (km_h_from_m_s, m_s_from_km_h),
+    ("m", "km"): (lambda length_m: length_m / 1e3, lambda length_km: length_km * 1e3),
+    ("ratio", "%"): (lambda ratio: ratio * 1e2, lambda percent: percent / 1e2),
+}  # from SI, to SI
 
 
 def encode(fields: tuple[Field, ...], values: Values) -> bytes:
@@ -50,16 +60,34 @@ def _number(entry: Field, value: float) -> int:
         return not_available(entry)
     bits = 8 * entry.size_bytes
     low, high = (1 - (1 << (bits - 1)), (1 << (bits - 1)) - 1) if entry.kind is Kind.SIGNED else (0, (1 << bits) - 2)
-    steps = (in_unit(entry, value) - entry.offset) / entry.resolution
+    steps = (_in_unit(entry, value) - entry.offset) / entry.resolution
     return high if steps >= high else low if steps <= low else round(steps)
 
 
-def in_unit(entry: Field, value: float) -> float:
-    """Return a value of SI in the field's unit."""
-    for (suffix, unit), convert in _FROM_SI.items():
+def _conversion(entry: Field) -> _Conversion:
+    for (suffix, unit), conversion in _CONVERSIONS.items():
         if unit == entry.unit and entry.source.endswith(f"_{suffix}"):
-            return convert(value)
-    return value
+            return conversion
+    return float, float
+
+
+def _in_unit(entry: Field, value: float) -> float:
+    return _conversion(entry)[0](value)
+
+
+def _in_si(entry: Field, value: float) -> float:
+    return _conversion(entry)[1](value)
+
+
+def decoded(fields: tuple[Field, ...], raw: bytes) -> dict[str, float]:
+    """Return the numbers in bytes by source, in SI; those that are not available are missing."""
+    found, place = dict[str, float](), 0
+    for entry in fields:
+        piece = raw[place : place + entry.size_bytes]
+        place += entry.size_bytes
+        if int.from_bytes(piece, "big", signed=entry.kind is Kind.SIGNED) != not_available(entry):
+            found[entry.source] = _in_si(entry, decode_number(entry, piece))
+    return found
 
 
 def decode_number(entry: Field, raw: bytes) -> float:

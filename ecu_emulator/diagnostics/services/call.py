@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 from ecu_emulator.diagnostics.codes import POSITIVE, SUPPRESS, Nrc
 from ecu_emulator.diagnostics.state import Moment, Request, ServerState
 from ecu_emulator.diagnostics.table import Access, DiagnosticTable
-from ecu_emulator.diagnostics.values import holds
+from ecu_emulator.diagnostics.values import decoded, holds
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -15,7 +15,8 @@ class Call:
 
     table: DiagnosticTable
     state: ServerState
-    moment: Moment
+    moment: Moment  # as the controller takes it to be
+    sensed: Moment  # as it is, whatever a client has put in its place
     request: Request
 
     @property
@@ -85,3 +86,14 @@ def locked(state: ServerState, table: DiagnosticTable) -> ServerState:
         if (control := table.data[number].control) is not None and not control.levels
     }
     return replace(state, unlocked=0, seed_level=0, seed=b"", controlled=controlled)
+
+
+def under_control(table: DiagnosticTable, state: ServerState, moment: Moment) -> Moment:
+    """Return a moment as the controller takes it to be: with the values that a client has put in place of its own."""
+    if not state.controlled:
+        return moment
+    held = {entry.source for number in state.controlled for entry in table.data[number].fields}
+    own = {source: value for source, value in moment.values.items() if source not in held}
+    for number, data in state.controlled.items():
+        own |= decoded(table.data[number].fields, data)
+    return replace(moment, values=own)

@@ -5,7 +5,15 @@ from dataclasses import replace
 from typing import Final
 
 from ecu_emulator.diagnostics.codes import Nrc
-from ecu_emulator.diagnostics.services.call import Call, Result, is_in_session, is_unlocked, unmet, unmet_by_service
+from ecu_emulator.diagnostics.services.call import (
+    Call,
+    Result,
+    is_in_session,
+    is_unlocked,
+    under_control,
+    unmet,
+    unmet_by_service,
+)
 from ecu_emulator.diagnostics.state import Moment, Piece, ServerState
 from ecu_emulator.diagnostics.table import Access, Datum
 from ecu_emulator.diagnostics.values import are_valid, encode
@@ -22,7 +30,7 @@ _PIECE_BYTES: Final = 4
 
 
 def data_of(datum: Datum, state: ServerState, moment: Moment) -> bytes:
-    """Return what a datum holds now: what a client made of it, what was written, or what the vehicle says."""
+    """Return what a datum holds now: what was written, or what the vehicle says, as far as a client let it."""
     if datum.number in state.controlled:
         return state.controlled[datum.number]
     if datum.initial is not None:
@@ -123,7 +131,8 @@ def control_data(call: Call) -> Result:
     elif action == FREEZE:
         controlled[datum.number] = data_of(datum, call.state, call.moment)
     state = replace(call.state, controlled=controlled)
-    return call.positive(call.payload[1:4] + data_of(datum, state, call.moment), state)
+    after = under_control(call.table, state, call.sensed)
+    return call.positive(call.payload[1:4] + data_of(datum, state, after), state)
 
 
 def _control_refusal(call: Call, datum: Datum) -> Nrc | None:

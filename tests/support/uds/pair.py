@@ -6,9 +6,10 @@ from random import Random
 from ecu_emulator.diagnostics.memory import TestResult
 from ecu_emulator.diagnostics.memory_file import MemoryFile
 from ecu_emulator.diagnostics.server import advance, answer, cycled, switched_on, tested, warmed_up
+from ecu_emulator.diagnostics.services.call import under_control
 from ecu_emulator.diagnostics.services.routines import finished
 from ecu_emulator.diagnostics.state import Moment, Request
-from ecu_emulator.diagnostics.table_file import shipped_table
+from tests.support.uds.full_table import full_table
 from tests.support.uds.server_by_the_book import ServerByTheBook, table
 
 PARKED = {
@@ -35,7 +36,7 @@ class Pair:
     """One emulated controller twice; ``folder`` is where its memory is between two starts."""
 
     def __init__(self, folder: Path) -> None:
-        self.table = shipped_table()
+        self.table = full_table()
         self.path = folder / "memory.json"
         self.path.unlink(missing_ok=True)
         self.t_s = 100.0
@@ -87,7 +88,12 @@ class Pair:
         self.model.is_warm = True
 
     def finish(self, routine: int) -> None:
-        self.state = finished(self.state, self.table, routine, Moment(t_s=self.t_s, values=self.values))
+        self.state = finished(
+            self.state,
+            self.table,
+            routine,
+            under_control(self.table, self.state, Moment(t_s=self.t_s, values=self.values)),
+        )
         self.model.finish(routine, self.values)
 
     def restart(self) -> None:

@@ -7,9 +7,9 @@ import tomllib
 from collections.abc import Callable, Generator, Mapping
 from dataclasses import dataclass
 from functools import cache
-from importlib.resources import files
 from typing import Any, TypeAlias
 
+from tests.support.uds.full_table import full_text
 from tests.support.uds.trouble_by_the_book import TroubleByTheBook
 
 Questions: TypeAlias = Generator[tuple[bool, int], None, bytes]
@@ -29,7 +29,7 @@ PER_UNIT = {
 
 @cache
 def table() -> dict[str, Any]:
-    return tomllib.loads(files("ecu_emulator").joinpath("diagnostics/tcu.toml").read_text(encoding="utf-8"))
+    return tomllib.loads(full_text())
 
 
 @dataclass
@@ -52,6 +52,7 @@ class ServerByTheBook:
         self.wrong: dict[int, int] = {}
         self.is_warm = False
         self.silent_until_s = 0.0
+        self.sensed: Values = {}
         self._power_up(t_s)
 
     def _power_up(self, t_s: float) -> None:
@@ -83,7 +84,7 @@ class ServerByTheBook:
         self.is_warm = False
 
     def sample(self, number: int, result: str, values: Values) -> None:
-        trouble = self.troubles[number]
+        trouble, values = self.troubles[number], self._as_held(values)
         if not self.updates_codes:
             return
         was_failed = trouble.status & 1
@@ -121,10 +122,20 @@ class ServerByTheBook:
 
     def finish(self, number: int, values: Values) -> None:
         """Let the vehicle have done what a routine asked for."""
+        values = self._as_held(values)
         if number in self.runs and self.runs[number].state == 1:
             self._end(number, values, is_by_time=False)
 
+    def _as_held(self, values: Values) -> Values:
+        """Return the values of a vehicle whose fluid temperature a tester may have taken over."""
+        held = self.held.get(0x0206)
+        others = {name: value for name, value in values.items() if name != "sump_temperature_k"}
+        if held is None:
+            return values
+        return others if held == b"\xff" else {**others, "sump_temperature_k": held[0] - 40 + 273.15}
+
     def tick(self, t_s: float, values: Values) -> bytes | None:
+        values = self._as_held(values)
         self._let_time_pass(t_s, values)
         if self.awaited is None:
             return None
@@ -142,6 +153,7 @@ class ServerByTheBook:
     def ask(self, r: bytes, t_s: float, values: Values, chance: bytes, *, is_functional: bool = False) -> bytes | None:
         if t_s < self.silent_until_s or not r:
             return None
+        self.sensed, values = values, self._as_held(values)
         self._let_time_pass(t_s, values)
         if self.awaited is not None:
             return None if r == b"\x3e\x80" else bytes([0x7F, r[0], 0x21])
@@ -409,7 +421,7 @@ class ServerByTheBook:
             self.held.pop(number, None)
         else:
             self.held[number] = wanted if action == 3 else self._data(number, values)
-        return r[1:4] + self._data(number, values)
+        return r[1:4] + self._data(number, self.sensed)
 
     # --- security, routines, the rest -----------------------------------------------------------------------------
 

@@ -12,9 +12,9 @@ import can
 from ecu_emulator.diagnostics.controller import Controller
 from ecu_emulator.diagnostics.link import DiagnosticLink
 from ecu_emulator.diagnostics.table import Transport
-from ecu_emulator.diagnostics.table_file import shipped_table
 from ecu_emulator.diagnostics.values import Value
 from tests.support.patience import HANG_S
+from tests.support.uds.full_table import full_table
 
 REQUEST_ID, ALL_ID, RESPONSE_ID = 0x7E1, 0x7DF, 0x7E9
 PARKED: dict[str, Value] = {
@@ -24,7 +24,7 @@ PARKED: dict[str, Value] = {
 
 
 def parked_controller(transport: Transport | None = None) -> Controller:
-    table = replace(shipped_table(), transport=transport or shipped_table().transport)
+    table = replace(full_table(), transport=transport or full_table().transport)
     return Controller(table, values=lambda: PARKED, clock=time.monotonic, chance=secrets.token_bytes)
 
 

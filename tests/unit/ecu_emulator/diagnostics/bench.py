@@ -2,10 +2,11 @@
 
 from ecu_emulator.diagnostics.memory import TestResult
 from ecu_emulator.diagnostics.server import advance, answer, switched_on, tested
+from ecu_emulator.diagnostics.services.call import under_control
 from ecu_emulator.diagnostics.services.routines import finished
 from ecu_emulator.diagnostics.state import Moment, Request, ServerState
-from ecu_emulator.diagnostics.table_file import shipped_table
 from ecu_emulator.diagnostics.values import Value
+from tests.support.uds.full_table import full_table
 
 SEED = bytes(range(1, 17))
 PARKED: dict[str, Value] = {
@@ -16,7 +17,7 @@ PARKED: dict[str, Value] = {
 
 class Bench:
     def __init__(self, kept: ServerState | None = None) -> None:
-        self.table = shipped_table()
+        self.table = full_table()
         self.t_s = 1000.0
         self.values = dict(PARKED)
         self.state = switched_on(self.table, kept, self.t_s)
@@ -40,7 +41,12 @@ class Bench:
         self.state = tested(self.table, self.state, self.codes[code], result, moment)
 
     def finish(self, routine: int) -> None:
-        self.state = finished(self.state, self.table, routine, Moment(t_s=self.t_s, values=self.values))
+        self.state = finished(
+            self.state,
+            self.table,
+            routine,
+            under_control(self.table, self.state, Moment(t_s=self.t_s, values=self.values)),
+        )
 
     def unlock(self, level: int = 1) -> None:
         for session in ("03", "40")[: 1 + (level == 3)]:

@@ -10,8 +10,9 @@ import pytest
 from ecu_emulator.diagnostics.controller import Controller
 from ecu_emulator.diagnostics.memory import TestResult
 from ecu_emulator.diagnostics.memory_file import MemoryFile
-from ecu_emulator.diagnostics.table_file import parse_table, shipped_table
+from ecu_emulator.diagnostics.table_file import parse_table
 from ecu_emulator.errors import RecordError
+from tests.support.uds.full_table import full_table, full_text
 from tests.unit.ecu_emulator.diagnostics.bench import PARKED, SEED
 
 HOT = 0x27874B
@@ -19,9 +20,7 @@ KEY = (int.from_bytes(SEED[:4], "big") ^ 0x5AA5C33C).to_bytes(4, "big")
 
 
 def controller(store: MemoryFile | None = None, clock: Callable[[], float] = lambda: 5.0) -> Controller:
-    return Controller(
-        shipped_table(), values=lambda: PARKED, clock=clock, chance=lambda count: SEED[:count], store=store
-    )
+    return Controller(full_table(), values=lambda: PARKED, clock=clock, chance=lambda count: SEED[:count], store=store)
 
 
 def unlock(one: Controller) -> None:
@@ -31,7 +30,7 @@ def unlock(one: Controller) -> None:
 
 def test_codes_written_data_and_wrong_keys_outlive_a_restart(tmp_path: Path) -> None:
     path = tmp_path / "memory.json"
-    with MemoryFile(path, shipped_table()) as store:
+    with MemoryFile(path, full_table()) as store:
         first = controller(store)
         first.report(HOT, TestResult.FAILED)
         unlock(first)
@@ -40,7 +39,7 @@ def test_codes_written_data_and_wrong_keys_outlive_a_restart(tmp_path: Path) -> 
         for _ in range(2):
             first.ask(b"\x27\x03")
             first.ask(b"\x27\x04" + bytes(8))
-    with MemoryFile(path, shipped_table()) as store:
+    with MemoryFile(path, full_table()) as store:
         second = controller(store)
         assert second.ask(b"\x19\x02\x08") == b"\x59\x02\xff\x27\x87\x4b\xed"  # failed until a test passes
         assert second.ask(b"\x22\x04\x00") == b"\x62\x04\x00\x26\x11\x21"
@@ -57,7 +56,7 @@ def test_without_a_file_nothing_outlives_it() -> None:
 def test_what_cannot_be_kept_is_refused_and_forgotten(tmp_path: Path) -> None:
     folder = tmp_path / "disk"
     folder.mkdir()
-    with MemoryFile(folder / "memory.json", shipped_table()) as store:
+    with MemoryFile(folder / "memory.json", full_table()) as store:
         one = controller(store)
         one.report(HOT, TestResult.FAILED)
         (folder / ".memory.json.part").mkdir()  # as a full disk, this stops the new file; for root as well
@@ -72,9 +71,9 @@ def test_what_cannot_be_kept_is_refused_and_forgotten(tmp_path: Path) -> None:
 def test_two_processes_cannot_share_a_file(tmp_path: Path) -> None:
     path = tmp_path / "memory.json"
     with (
-        MemoryFile(path, shipped_table()),
+        MemoryFile(path, full_table()),
         pytest.raises(RecordError, match=r"memory.json is used by another process"),
-        MemoryFile(path, shipped_table()),
+        MemoryFile(path, full_table()),
     ):
         pass
 
@@ -82,13 +81,13 @@ def test_two_processes_cannot_share_a_file(tmp_path: Path) -> None:
 def test_a_folder_that_is_not_there_is_named(tmp_path: Path) -> None:
     with (
         pytest.raises(RecordError, match=r"cannot lock .*No such file"),
-        MemoryFile(tmp_path / "no/file", shipped_table()),
+        MemoryFile(tmp_path / "no/file", full_table()),
     ):
         pass
 
 
 def _saved(path: Path) -> str:
-    with MemoryFile(path, shipped_table()) as store:
+    with MemoryFile(path, full_table()) as store:
         controller(store).report(HOT, TestResult.FAILED)
     return path.read_text(encoding="utf-8")
 
@@ -109,15 +108,14 @@ def test_a_damaged_file_is_not_believed(tmp_path: Path, damage: Callable[[str], 
     path = tmp_path / "memory.json"
     path.write_text(damage(_saved(path)), encoding="utf-8")
     with (
-        MemoryFile(path, shipped_table()) as store,
+        MemoryFile(path, full_table()) as store,
         pytest.raises(RecordError, match=r"memory.json is damaged .*; move it away to begin with an empty memory"),
     ):
         controller(store)
 
 
 def test_a_file_of_another_controller_is_refused(tmp_path: Path) -> None:
-    text = (Path(__file__).parents[4] / "ecu_emulator/diagnostics/tcu.toml").read_text(encoding="utf-8")
-    other = parse_table(text.replace('code = "P2787"', 'code = "P2786"'), "other.toml")
+    other = parse_table(full_text().replace('code = "P2787"', 'code = "P2786"'), "other.toml")
     path = tmp_path / "memory.json"
     _saved(path)
     with MemoryFile(path, other) as store, pytest.raises(RecordError, match="trouble code 27874B is not in the table"):

@@ -259,6 +259,16 @@ def test_a_value_under_control_is_what_the_tester_says(bench: Bench) -> None:
     assert bench.ask("2f 02 06 03") == "7f 2f 13"
 
 
+def test_a_controller_believes_the_value_that_a_tester_put_in_place_of_its_own(bench: Bench) -> None:
+    bench.unlock()
+    bench.ask("2f 02 06 03 10")  # -24 degC
+    assert bench.ask("31 01 03 01 04 04") == "7f 31 87"
+    bench.ask("2f 02 06 03 ff")  # not available
+    assert bench.ask("31 01 03 01 04 04") == "7f 31 86"
+    bench.ask("2f 02 06 00")
+    assert bench.ask("31 01 03 01 04 04") == "7f 31 78"
+
+
 def test_a_client_makes_data_of_its_own(bench: Bench) -> None:
     assert bench.ask("2c 01 f3 00 f1 86 01 01 01 03 02 01") == "6c 01 f3 00"
     bench.values["target_gear"] = 4.0

@@ -47,7 +47,7 @@ def test_a_worn_fluid_does_not_light_the_lamp() -> None:
         ('write = "maker"', 'write = "anyone"', "write must be one of actuator, extended"),
         ('read = "open"\ninitial = "0100"', 'read = "open"', "either every field has a source, or there is an initial"),
         ("maximum = 0.5\nnrc = 0x88", "maximum = 0.5\nnrc = 0x99", "nrc 0x99 is unknown"),
-        ('["standstill"]\n\n[access.rev', '["flying"]\n\n[access.rev', "condition flying is not"),
+        ('conditions = ["standstill"]', 'conditions = ["flying"]', "condition flying is not"),
         ("snapshot = [0x0100", "snapshot = [0x0999", "data 0x999 is not described"),
         ("sessions = [0x40]", "sessions = [0x41]", "session 0x41 is not described"),
         ('number = 0x03\nname = "maker"', 'number = 0x04\nname = "maker"', "its number must be odd"),

@@ -1,0 +1,95 @@
+"""The emulated transmission answers testers while it drives: what is sent tells it how the vehicle is."""
+
+import secrets
+import time
+from collections.abc import Mapping
+from contextlib import ExitStack
+from pathlib import Path
+from types import TracebackType
+from typing import Final, Self
+
+import can
+
+from dbc.contract import load_contract
+from ecu_emulator.bus import FrameSender
+from ecu_emulator.diagnostics.controller import Controller
+from ecu_emulator.diagnostics.memory_file import MemoryFile
+from ecu_emulator.diagnostics.table_file import load_table, shipped_table
+from ecu_emulator.errors import ExtraMissingError
+from ecu_emulator.sent_values import SentValues
+
+OWN_NODE: Final = "TCU"
+
+
+class Answering:
+    """A tester may ask while this is entered; frames that are to go out go through ``send``.
+
+    Parameters
+    ----------
+    bus
+        Where responses go, and the frames that ``send`` is given.
+    table
+        A TOML file that describes the controller; empty: the one that ships.
+    memory
+        The file that keeps trouble codes over restarts; without one they are forgotten.
+    is_fd
+        Whether responses are CAN FD frames.
+
+    Raises
+    ------
+    ConfigError, RecordError, ExtraMissingError
+        If the table or the memory cannot be used, or can-isotp is not installed.
+    """
+
+    def __init__(self, bus: FrameSender, *, table: str, memory: Path | None, is_fd: bool) -> None:
+        try:
+            from ecu_emulator.diagnostics.link import DiagnosticLink  # noqa: PLC0415 - an extra
+        except ImportError as exc:
+            raise ExtraMissingError("diagnostics need can-isotp: pip install 'clutchdiag[diagnostics]'") from exc
+        self._bus = bus
+        self._stack = ExitStack()
+        self._began_s = time.monotonic()
+        database = load_contract()
+        self._sent = SentValues(database)
+        self._shift_id = database.get_message_by_name("TCU_Shift").frame_id
+        self._own_ids = {message.frame_id for message in database.messages if OWN_NODE in message.senders}
+        self._gear = 0.0
+        self._shift_count = 0
+        described = load_table(Path(table)) if table else shipped_table()
+        store = None if memory is None else self._stack.enter_context(MemoryFile(memory, described))
+        try:
+            self.controller = Controller(
+                described, values=self._values, clock=time.monotonic, chance=secrets.token_bytes, store=store
+            )
+            self.link = DiagnosticLink(self.controller, bus.send, is_fd=is_fd)
+        except BaseException:
+            self._stack.close()
+            raise
+
+    def __enter__(self) -> Self:
+        self._stack.enter_context(self.link)
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._stack.__exit__(kind, error, trace)
+
+    def send(self, message: can.Message) -> None:
+        """Put a frame on the bus, unless a tester has switched this controller's messages off (service 28)."""
+        can_id = message.arbitration_id
+        if not message.is_error_frame:
+            self._sent.note(can_id, bytes(message.data))
+        if can_id == self._shift_id:
+            self._count_shift()
+        if can_id not in self._own_ids or self.controller.state.communication.sends_normal:
+            self._bus.send(message)
+
+    def _count_shift(self) -> None:
+        gear = self._sent.now({}).get("current_gear", self._gear)
+        self._shift_count += bool(gear and self._gear and gear != self._gear)
+        self._gear = gear or self._gear  # neutral between two gears is a part of their shift
+
+    def _values(self) -> Mapping[str, float]:
+        more = {"time_s": time.monotonic() - self._began_s, "shift_count": float(self._shift_count)}
+        return self._sent.now(more)

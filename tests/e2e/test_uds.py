@@ -1,0 +1,104 @@
+"""The emulator and a tester as processes on one bus: the tester asks for everything while the frames go out."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from tests.support.patience import HANG_S
+from tests.support.replay import free_bus
+
+
+@contextmanager
+def emulator(bus: Sequence[str], variables: dict[str, str], *more: str) -> Iterator["subprocess.Popen[str]"]:
+    words = [sys.executable, "-m", "ecu_emulator", "run", *bus, "--cycles", "50", "--json", "--diagnostics", *more]
+    with subprocess.Popen(
+        words, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env={**os.environ, **variables}
+    ) as program:
+        try:
+            yield program
+        finally:
+            program.kill()
+
+
+def asked(bus: Sequence[str], variables: dict[str, str]) -> dict[str, Any]:
+    told = subprocess.run(
+        [sys.executable, "-m", "tests.support.uds.udsoncan_client", *bus],
+        check=True, capture_output=True, text=True, timeout=HANG_S, env={**os.environ, **variables},
+    )  # fmt: skip
+    found: dict[str, Any] = json.loads(told.stdout)
+    return found
+
+
+@pytest.fixture(params=["udp_multicast", pytest.param("socketcan", marks=pytest.mark.vcan)])
+def bus(request: pytest.FixtureRequest) -> tuple[list[str], dict[str, str]]:
+    if request.param == "socketcan":
+        return ["-i", "socketcan", "-c", str(request.getfixturevalue("vcan"))], {}
+    place = free_bus()
+    return ["-i", "udp_multicast", "-c", place.group], place.variables
+
+
+def test_a_workshop_tester_asks_a_car_that_drives(bus: tuple[list[str], dict[str, str]], tmp_path: Path) -> None:
+    memory = tmp_path / "tcu.json"
+    with emulator(*bus, "--diagnostic-memory", str(memory)) as program:
+        told = asked(*bus)
+        program.send_signal(signal.SIGINT)
+        out, err = program.communicate(timeout=HANG_S)
+    speed, gears, engine, fluid = told.pop("live").values()
+    assert told == {
+        "vin": "WDCTEMULATED00001",
+        "supported": 17,
+        "by mask": 0,
+        "confirmed": [],
+        "snapshots": 0,
+        "extended data": 1,
+        "locked": 0x7F,
+        "session": 3,
+        "no key": 0x33,
+        "written": "CLUTCHSHOP",
+        "reset while driving": 0x88,
+        "routine": 0x31,
+        "default": 1,
+    }
+    assert speed > 100  # more than 1 km/h: the drive begins rolling
+    assert all(1 <= gear <= 6 for gear in gears)
+    assert 600 * 4 < engine < 7000 * 4
+    assert 0 < fluid < 255
+    assert program.returncode == 0, err
+    assert json.loads(out)["foreign_frames"] == 0
+    assert json.loads(memory.read_text(encoding="utf-8"))["written"]["F198"] == b"CLUTCHSHOP".hex()
+
+
+def test_a_memory_without_anybody_who_uses_it_is_refused(tmp_path: Path) -> None:
+    told = subprocess.run(
+        [sys.executable, "-m", "ecu_emulator", "run", "--diagnostic-memory", str(tmp_path / "x")],
+        check=False, capture_output=True, text=True, timeout=HANG_S,
+    )  # fmt: skip
+    assert (told.returncode, told.stderr) == (2, "ecu-emulator: error: --diagnostic-memory needs --diagnostics\n")
+
+
+@pytest.mark.parametrize(
+    ("content", "option", "status", "message"),
+    [
+        ("{", "--diagnostic-memory", 4, "is damaged (not JSON); move it away to begin with an empty memory"),
+        ('name = "x"', "--diagnostics", 2, "the table: key access is missing"),
+    ],
+)
+def test_a_file_that_cannot_be_used_ends_the_program_in_one_line(
+    tmp_path: Path, content: str, option: str, status: int, message: str
+) -> None:
+    path = tmp_path / "file"
+    path.write_text(content, encoding="utf-8")
+    words = [sys.executable, "-m", "ecu_emulator", "run", "-i", "virtual", "-c", "uds"]
+    words += ["--diagnostics", f"{option}", str(path)] if option != "--diagnostics" else [option, str(path)]
+    told = subprocess.run(words, check=False, capture_output=True, text=True, timeout=HANG_S)
+    assert (told.returncode, told.stderr.count("\n")) == (status, 1)
+    assert told.stderr.startswith("ecu-emulator: error: ")
+    assert message in told.stderr

@@ -1,0 +1,19 @@
+"""The table that ships, with routines of every kind: until the vehicle can do one, the tests ask for them."""
+
+from functools import cache
+from importlib.resources import files
+from pathlib import Path
+
+from ecu_emulator.diagnostics.table import DiagnosticTable
+from ecu_emulator.diagnostics.table_file import parse_table
+
+
+@cache
+def full_text() -> str:
+    shipped = files("ecu_emulator").joinpath("diagnostics/tcu.toml").read_text(encoding="utf-8")
+    return shipped + "\n" + Path(__file__).with_name("routines.toml").read_text(encoding="utf-8")
+
+
+@cache
+def full_table() -> DiagnosticTable:
+    return parse_table(full_text(), "tests' table")

@@ -1,0 +1,142 @@
+"""A tester that is not ours, udsoncan on can-isotp, as a process: ``-i INTERFACE -c CHANNEL``; prints JSON."""
+
+import argparse
+import json
+import logging
+import struct
+import time
+from collections.abc import Callable
+from typing import Any
+
+import can
+import isotp
+import udsoncan
+from udsoncan.client import Client
+from udsoncan.connections import PythonIsoTpConnection
+from udsoncan.exceptions import NegativeResponseException
+
+MASK = bytes.fromhex("5aa5c33c")
+SILENCE_S = 30.0  # only a hang takes so long
+
+
+class Number(udsoncan.DidCodec):
+    def __init__(self, layout: str) -> None:
+        self.layout = layout
+
+    def encode(self, *values: object) -> bytes:
+        return struct.pack(self.layout, *values)
+
+    def decode(self, payload: bytes) -> object:
+        values = struct.unpack(self.layout, payload)
+        return values[0] if len(values) == 1 else list(values)
+
+    def __len__(self) -> int:
+        return struct.calcsize(self.layout)
+
+
+def key_of(seed: bytes, **_: object) -> bytes:
+    return bytes(one ^ other for one, other in zip(seed, MASK, strict=True))
+
+
+CONFIG: Any = {
+    "data_identifiers": {
+        0xF190: udsoncan.AsciiCodec(17),
+        0xF186: Number(">B"),
+        0xF198: udsoncan.AsciiCodec(10),
+        0x0101: Number(">I"),
+        0x0102: Number(">H"),
+        0x0103: Number(">BB"),
+        0x0105: Number(">H"),
+        0x0206: Number(">B"),
+    },
+    "input_output": {0x0206: Number(">B")},
+    "security_algo": key_of,
+    "request_timeout": SILENCE_S,
+    "p2_timeout": SILENCE_S,
+    "dtc_snapshot_did_size": 2,
+    "tolerate_zero_padding": True,
+}
+
+
+def refusal(call: Callable[[], object]) -> int:
+    """Return the negative response code of a call, 0 if it was answered."""
+    try:
+        call()
+    except NegativeResponseException as exc:
+        return int(exc.response.code or 0)
+    return 0
+
+
+def wait_until_it_answers(client: Client) -> None:
+    client.config["request_timeout"] = client.config["p2_timeout"] = 1.0
+    deadline_s = time.monotonic() + 10 * SILENCE_S
+    while True:
+        try:
+            client.tester_present()
+        except udsoncan.exceptions.TimeoutException:
+            if time.monotonic() > deadline_s:
+                raise
+        else:
+            break
+    client.config["request_timeout"] = client.config["p2_timeout"] = SILENCE_S
+
+
+def dialogue(client: Client) -> dict[str, Any]:
+    """Use every service that the controller has, as a workshop would."""
+    told: dict[str, Any] = {}
+    asked: Any = client  # its answers are typed as perhaps missing
+    told["vin"] = asked.read_data_by_identifier([0xF190]).service_data.values[0xF190]
+    told["live"] = asked.read_data_by_identifier([0x0102, 0x0103, 0x0105, 0x0206]).service_data.values
+    told["supported"] = asked.get_supported_dtc().service_data.dtc_count
+    told["by mask"] = asked.get_number_of_dtc_by_status_mask(0x08).service_data.dtc_count
+    told["confirmed"] = [dtc.id for dtc in asked.get_dtc_by_status_mask(0x08).service_data.dtcs]
+    told["snapshots"] = asked.get_dtc_snapshot_identification().service_data.dtc_count
+    told["extended data"] = asked.get_dtc_extended_data_by_dtc_number(0x081107, data_size=1).service_data.dtc_count
+    told["locked"] = refusal(lambda: client.write_data_by_identifier(0xF198, "CLUTCHSHOP"))
+    client.change_session(3)
+    told["session"] = asked.read_data_by_identifier([0xF186]).service_data.values[0xF186]
+    told["no key"] = refusal(lambda: client.write_data_by_identifier(0xF198, "CLUTCHSHOP"))
+    client.unlock_security_access(1)
+    client.write_data_by_identifier(0xF198, "CLUTCHSHOP")
+    told["written"] = asked.read_data_by_identifier([0xF198]).service_data.values[0xF198]
+    client.control_dtc_setting(2)
+    client.control_dtc_setting(1)
+    client.communication_control(3, 1)
+    client.communication_control(0, 1)
+    told["reset while driving"] = refusal(lambda: client.ecu_reset(1))
+    told["routine"] = refusal(lambda: client.start_routine(0x0999))
+    client.clear_dtc(0xFFFFFF)
+    with client.suppress_positive_response(wait_nrc=False):
+        client.tester_present()
+    client.change_session(1)
+    told["default"] = asked.read_data_by_identifier([0xF186]).service_data.values[0xF186]
+    return told
+
+
+def latencies_s(client: Client, count: int) -> list[float]:
+    """Return how long so many short and long requests took [s]."""
+    found = []
+    for number in range(count):
+        began_s = time.perf_counter()
+        client.read_data_by_identifier([0xF190] if number % 2 else [0x0105])
+        found.append(time.perf_counter() - began_s)
+    return found
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("-i", "--interface", required=True)
+    parser.add_argument("-c", "--channel", required=True)
+    parser.add_argument("--request-id", type=lambda text: int(text, 0), default=0x7E1)
+    options = parser.parse_args()
+    logging.disable(logging.CRITICAL)
+    address = isotp.Address(isotp.AddressingMode.Normal_11bits, txid=options.request_id, rxid=options.request_id + 8)
+    with can.Bus(options.channel, options.interface) as bus, can.Notifier(bus, [], timeout=0.05) as notifier:
+        stack = isotp.NotifierBasedCanStack(bus, notifier, address=address, params={"tx_padding": 0})
+        with Client(PythonIsoTpConnection(stack), config=CONFIG) as client:
+            wait_until_it_answers(client)
+            print(json.dumps(dialogue(client)))
+
+
+if __name__ == "__main__":
+    main()

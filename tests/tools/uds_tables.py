@@ -1,0 +1,107 @@
+"""Writes the tables of docs/diagnostics.md, from the controller's own table: ``python -m tests.tools.uds_tables``."""
+
+import re
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+from typing import Final
+
+from ecu_emulator.diagnostics.table import Access, Datum, DiagnosticTable, Field, Kind
+from ecu_emulator.diagnostics.table_file import shipped_table
+
+DOCUMENT: Final = Path(__file__).parents[2] / "docs/diagnostics.md"
+_MARK: Final = re.compile(r"(<!-- table (\w+) -->\n).*?(<!-- end -->)", re.DOTALL)
+
+
+def written(text: str, table: DiagnosticTable) -> str:
+    """Return a document with its tables as they should be."""
+    tables = {
+        "services": _services(table),
+        "data": _data(table),
+        "conditions": _conditions(table),
+        "codes": _codes(table),
+    }
+    return _MARK.sub(lambda found: f"{found[1]}{tables[found[2]]}{found[3]}", text)
+
+
+def _rows(head: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
+    lines = [head, ["---"] * len(head), *rows]
+    return "".join(f"| {' | '.join(line)} |\n" for line in lines)
+
+
+def _services(table: DiagnosticTable) -> str:
+    return _rows(
+        ("service", "name", "sessions", "needs"),
+        (
+            (f"{entry.number:02X}", entry.name, _sessions(entry.sessions), ", ".join(entry.conditions))
+            for entry in table.services.values()
+        ),
+    )
+
+
+def _sessions(numbers: Iterable[int]) -> str:
+    return ", ".join(f"{number:02X}" for number in numbers)
+
+
+def _access(access: Access | None) -> str:
+    if access is None:
+        return ""
+    level = " or ".join(f"level {number}" for number in access.levels)
+    return "; ".join(part for part in (_sessions(access.sessions), level, ", ".join(access.conditions)) if part)
+
+
+def _data(table: DiagnosticTable) -> str:
+    return _rows(
+        ("data", "name", "bytes", "read", "write", "control"),
+        ((f"{entry.number:04X}", entry.name, _layout(entry), *map(_access, (entry.read, entry.write, entry.control)))
+         for entry in table.data.values()),
+    )  # fmt: skip
+
+
+def _layout(datum: Datum) -> str:
+    return "; ".join(map(_field, datum.fields))
+
+
+def _field(entry: Field) -> str:
+    if entry.kind in {Kind.TEXT, Kind.BYTES}:
+        return f"{entry.name}: {entry.size_bytes}, {entry.kind}"
+    scale = "" if entry.resolution == 1.0 and not entry.unit else f", {entry.resolution:g} {entry.unit}".rstrip()
+    offset = f" from {entry.offset:g}" if entry.offset else ""
+    return f"{entry.name}: {entry.size_bytes}{', signed' if entry.kind is Kind.SIGNED else ''}{scale}{offset}"
+
+
+def _conditions(table: DiagnosticTable) -> str:
+    return _rows(
+        ("condition", "value", "least", "most", "response"),
+        (
+            (
+                entry.name,
+                f"`{entry.source}`",
+                "" if entry.minimum is None else f"{entry.minimum:g}",
+                "" if entry.maximum is None else f"{entry.maximum:g}",
+                f"{entry.nrc:02X}",
+            )
+            for entry in table.conditions.values()
+        ),
+    )
+
+
+def _codes(table: DiagnosticTable) -> str:
+    return _rows(
+        ("code", "bytes", "text", "lamp", "cycles to confirm", "to heal", "to forget"),
+        (
+            (
+                entry.code, f"{entry.number:06X}", entry.text, "yes" if entry.lights_lamp else "",
+                str(entry.confirm_cycles),
+                str(entry.heal_cycles) if entry.lights_lamp else "", str(entry.age_cycles),
+            )
+            for entry in table.troubles.values()
+        ),
+    )  # fmt: skip
+
+
+def main() -> None:
+    DOCUMENT.write_text(written(DOCUMENT.read_text(encoding="utf-8"), shipped_table()), encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,111 @@
+"""What the controllers last said on the bus, as a tester gets it."""
+
+import math
+
+import can
+import numpy as np
+import pytest
+
+from canlog.frames import EXTENDED_FLAG
+from dbc.contract import load_contract
+from ecu_emulator.answering import Answering
+from ecu_emulator.frames import FrameEncoder
+from ecu_emulator.readings import Readings
+from ecu_emulator.sent_values import SentValues
+
+DATABASE = load_contract()
+
+
+def frames(message: str, **values: float) -> list[can.Message]:
+    encoder = FrameEncoder(DATABASE)
+    known = dict.fromkeys(encoder.quantities(message), math.nan) | values
+    encoded = encoder.encode(
+        Readings(message=message, t_s=np.zeros(1), values={name: np.array([value]) for name, value in known.items()})
+    )
+    return [
+        can.Message(arbitration_id=int(can_id) & ~EXTENDED_FLAG, is_extended_id=False, data=data.tobytes())
+        for can_id, data in zip(encoded.can_id, encoded.data, strict=True)
+    ]
+
+
+def noted(*messages: can.Message) -> SentValues:
+    values = SentValues(DATABASE)
+    for message in messages:
+        values.note(message.arbitration_id, bytes(message.data))
+    return values
+
+
+def test_values_are_back_in_si() -> None:
+    values = noted(
+        *frames("ECM_TorqueSpeed", engine_speed_rad_s=200.0, engine_torque_nm=-30.0, pedal_ratio=0.4),
+        *frames("TCU_Temperature", sump_temperature_k=350.0),
+        *frames("BRK_Vehicle", vehicle_speed_m_s=20.0, brake_pressure_pa=1e6),
+    ).now({"time_s": 3.5})
+    assert values["engine_speed_rad_s"] == pytest.approx(200.0, abs=0.03)
+    assert values["engine_torque_nm"] == -30.0
+    assert values["pedal_ratio"] == pytest.approx(0.4)
+    assert values["sump_temperature_k"] == pytest.approx(350.0, abs=0.5)
+    assert values["vehicle_speed_m_s"] == pytest.approx(20.0, abs=0.01)
+    assert values["brake_pressure_pa"] == pytest.approx(1e6)
+    assert values["time_s"] == 3.5
+
+
+def test_slip_is_the_hub_before_its_shaft() -> None:
+    values = noted(*frames("TCU_InputSpeeds", hub_speed_rad_s=150.0, input1_speed_rad_s=140.0)).now({})
+    assert values["clutch1_slip_rad_s"] == pytest.approx(10.0, abs=0.06)
+    assert "clutch2_slip_rad_s" not in values
+
+
+def test_what_was_not_sent_or_is_not_available_is_missing() -> None:
+    values = noted(*frames("TCU_InputSpeeds", hub_speed_rad_s=150.0)).now({"shift_count": 2.0})
+    assert set(values) == {"hub_speed_rad_s", "shift_count"}
+    assert len(values) == 2
+    assert values.get("engine_speed_rad_s") is None
+
+
+def test_a_frame_that_a_fault_cut_says_nothing() -> None:
+    values = SentValues(DATABASE)
+    values.note(frames("TCU_Temperature")[0].arbitration_id, b"\x01")
+    assert "sump_temperature_k" not in values.now({})
+
+
+def test_a_moment_does_not_change_when_more_is_sent() -> None:
+    values = noted(*frames("TCU_Temperature", sump_temperature_k=350.0))
+    before = values.now({})
+    message = frames("TCU_Temperature", sump_temperature_k=300.0)[0]
+    values.note(message.arbitration_id, bytes(message.data))
+    assert before["sump_temperature_k"] == pytest.approx(350.0, abs=0.5)
+
+
+class Sent:
+    """The end of a bus that keeps what it is given."""
+
+    def __init__(self) -> None:
+        self.messages: list[can.Message] = []
+
+    def send(self, message: can.Message) -> None:
+        self.messages.append(message)
+
+
+def test_a_tester_silences_the_controller_and_nobody_else() -> None:
+    bus = Sent()
+    answering = Answering(bus, table="", memory=None, is_fd=False)
+    tcu, ecm = frames("TCU_Temperature", sump_temperature_k=350.0)[0], frames("ECM_TorqueSpeed")[0]
+    answering.controller.ask(b"\x10\x03")
+    assert answering.controller.ask(b"\x28\x01\x01") == b"\x68\x01"
+    for message in (tcu, ecm):
+        answering.send(message)
+    assert bus.messages == [ecm]
+    assert answering.controller.ask(b"\x22\x02\x06") == b"\x62\x02\x06\x75"  # 77 degC: it still knows
+    answering.controller.ask(b"\x10\x01")
+    answering.send(tcu)
+    assert bus.messages == [ecm, tcu]
+
+
+def test_shifts_are_counted_and_error_frames_are_no_values() -> None:
+    answering = Answering(Sent(), table="", memory=None, is_fd=False)
+    for gear in (0.0, 1.0, 1.0, 2.0, 2.0, 3.0, 0.0, 2.0):
+        answering.send(frames("TCU_Shift", current_gear=gear)[0])
+    assert answering.controller.ask(b"\x22\x03\x02") == b"\x62\x03\x02\0\0\0\x03"
+    answering.send(can.Message(arbitration_id=0x0A0, is_error_frame=True, is_extended_id=False, data=bytes(8)))
+    assert answering.controller.ask(b"\x22\x01\x05") == b"\x62\x01\x05\xff\xff"
