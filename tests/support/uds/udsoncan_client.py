@@ -85,6 +85,8 @@ def dialogue(client: Client) -> dict[str, Any]:
     """Use every service that the controller has, as a workshop would."""
     told: dict[str, Any] = {}
     asked: Any = client  # its answers are typed as perhaps missing
+    while asked.read_data_by_identifier([0x0103]).service_data.values[0x0103][0] not in range(1, 7):
+        time.sleep(0.05)  # the first frames of the drive are not out yet
     told["vin"] = asked.read_data_by_identifier([0xF190]).service_data.values[0xF190]
     told["live"] = asked.read_data_by_identifier([0x0102, 0x0103, 0x0105, 0x0206]).service_data.values
     told["supported"] = asked.get_supported_dtc().service_data.dtc_count
