@@ -13,12 +13,11 @@ from typing import Any, Final, Self
 
 import tomli_w
 
-from canlog.plain_files import read_toml_file
 from clutch_model.clutch import ClutchCalibration
 from clutch_model.errors import CalibrationError
 from clutch_model.knowledge import JointUncertainty, SensorBias, SensorNoise, Uncertainty
 from clutch_model.ranged import Pair, Ranged
-from clutch_model.tables import record_from, require
+from clutch_model.tables import read_table, record_from, require
 
 CLUTCH_COUNT: Final = 2
 _TEXTS: Final = ("name", "version")  # a number will do
@@ -101,12 +100,7 @@ def read_calibration(path: Path) -> Calibration:
     CalibrationError
         If the file is missing, not TOML, or holds a value outside its range.
     """
-    try:
-        table = read_toml_file(path)
-    except OSError as exc:
-        raise CalibrationError(f"cannot read calibration {path}: {exc.strerror or exc}") from exc
-    except ValueError as exc:
-        raise CalibrationError(f"{path} is not TOML: {exc}") from exc
+    table = read_table(path, "calibration")
     try:
         return Calibration.from_mapping(table)
     except CalibrationError as exc:

@@ -3,11 +3,13 @@
 from collections.abc import Iterable, Mapping
 from dataclasses import MISSING, fields, is_dataclass
 from enum import StrEnum
+from pathlib import Path
 from types import NoneType, UnionType
 from typing import Any, Final, TypeVar, cast, get_args, get_origin, get_type_hints
 
 import msgspec
 
+from canlog.plain_files import read_toml_file
 from clutch_model.errors import CalibrationError
 
 RecordT = TypeVar("RecordT")
@@ -23,6 +25,16 @@ def require(condition: bool, message: str) -> None:  # noqa: FBT001 - reads as a
     """Raise `CalibrationError` with ``message`` unless ``condition`` holds."""
     if not condition:
         raise CalibrationError(message)
+
+
+def read_table(path: Path, what: str, error: type[Exception] = CalibrationError) -> dict[str, Any]:
+    """Return the table of a TOML file; raise ``error``, which names ``what`` it is to be, if it cannot be read."""
+    try:
+        return read_toml_file(path)
+    except OSError as exc:
+        raise error(f"cannot read {what} {path}: {exc.strerror or exc}") from exc
+    except ValueError as exc:
+        raise error(f"{what} {path} is not TOML: {exc}") from exc
 
 
 def record_from(

@@ -9,8 +9,7 @@ from types import MappingProxyType
 from typing import Final
 
 from canlog.arrays import FloatArray
-from canlog.plain_files import read_toml_file
-from clutch_model.tables import record_from
+from clutch_model.tables import read_table, record_from
 from clutch_model.units import k_from_degc, m_s_from_km_h, pa_from_bar, rad_s_from_rpm
 from diag_service.diagnosis.columns import GearRatios, Signal
 from diag_service.errors import ConfigError
@@ -164,7 +163,7 @@ def load_profile(path: Path = PROFILE_PATH) -> Profile:
     Raises ConfigError if the file is unreadable or not TOML, or with all the entries that are wrong: unknown canonical
     signals, unknown or missing keys, values of the wrong type.
     """
-    table = _read_table(path)
+    table = read_table(path, "the profile", ConfigError)
     signals = table.get("signals")
     if not isinstance(signals, dict) or table.keys() - PROFILE_KEYS:
         raise ConfigError(
@@ -211,16 +210,6 @@ def to_si(signal: Signal, source: SignalSource, database_unit: str | None) -> Co
     if convert is None:
         raise ConfigError(f"the unit {unit!r} of {source.place} is not one of {signal.value}")
     return convert.after(source.scale, source.offset)
-
-
-def _read_table(path: Path) -> dict[str, object]:
-    """Return the TOML file as a table."""
-    try:
-        return read_toml_file(path)
-    except OSError as error:
-        raise ConfigError(f"cannot read the profile {path}: {error.strerror or error}") from error
-    except ValueError as error:
-        raise ConfigError(f"the profile {path} is not TOML: {error}") from error
 
 
 def _canonical(key: str) -> Signal:

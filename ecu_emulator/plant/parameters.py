@@ -8,9 +8,8 @@ from importlib.resources import files
 from pathlib import Path
 from typing import NamedTuple, Self
 
-from canlog.plain_files import read_toml_file
 from clutch_model.errors import CalibrationError
-from clutch_model.tables import record_from, require
+from clutch_model.tables import read_table, record_from, require
 from ecu_emulator.plant.driveline import FlywheelParameters, OutputParameters, ShaftParameters, SynchroniserParameters
 from ecu_emulator.plant.engine import EngineParameters
 from ecu_emulator.plant.hydraulics import HydraulicsParameters
@@ -150,12 +149,7 @@ def read_parameters(path: Path) -> PlantParameters:
     CalibrationError
         If the file is missing, not TOML, or holds a value outside its range.
     """
-    try:
-        table = read_toml_file(path)
-    except OSError as exc:
-        raise CalibrationError(f"cannot read plant parameters {path}: {exc.strerror or exc}") from exc
-    except ValueError as exc:
-        raise CalibrationError(f"cannot read plant parameters {path}: {exc}") from exc
+    table = read_table(path, "plant parameters")
     try:
         return PlantParameters.from_mapping(table)
     except CalibrationError as exc:

@@ -44,7 +44,7 @@ class Fit(StrEnum):
     """What a shift says of the calibration that it was estimated with; stored states hold these words."""
 
     AGREES = "AGREES"
-    SURPRISES = "SURPRISES"  # it contradicts the running state: the clutch has changed, or the calibration is wrong
+    CONTRADICTS = "SURPRISES"  # it contradicts the running state: the clutch has changed, or the calibration is wrong
     MISFITS = "MISFITS"  # it contradicts the calibration
 
 
@@ -68,13 +68,13 @@ class ConditionMemory:
         elif estimate.status is not Status.VALID:
             return self
         else:
-            fit = Fit.SURPRISES if Reason.NOT_UPDATED in estimate.reasons else Fit.AGREES
+            fit = Fit.CONTRADICTS if Reason.NOT_UPDATED in estimate.reasons else Fit.AGREES
         return replace(self, fits=(*self.fits, fit)[-FIT_WINDOW:])
 
     @property
     def misfit_text(self) -> str:
         """Why no verdict rests on this calibration; empty if one may."""
-        misfits, contradictions = self.fits.count(Fit.MISFITS), self.fits.count(Fit.SURPRISES)
+        misfits, contradictions = self.fits.count(Fit.MISFITS), self.fits.count(Fit.CONTRADICTS)
         count = misfits + contradictions
         if count < MIN_MISFIT_COUNT or count < MAX_MISFIT_SHARE * len(self.fits):
             return ""

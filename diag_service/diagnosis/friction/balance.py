@@ -28,6 +28,7 @@ from diag_service.diagnosis.friction.film_track import FilmTrack, PressureDrive,
 from diag_service.diagnosis.friction.filter_state import Measurement
 from diag_service.diagnosis.friction.parameters import Considered, State, friction_rows
 from diag_service.diagnosis.friction.perturbations import AREA, COMMON, OFFSET, Perturbation
+from diag_service.diagnosis.friction.preparation import planned_drives
 from diag_service.diagnosis.friction.window import SLIP_DEGREE, SlipWindow, Weights, sines, smoothed
 
 MAX_MOMENT_COUNT = 24  # beyond it the quadrature, not the noise, limits
@@ -79,9 +80,9 @@ class Balance:
     ----------
     signals, window
         The shift and its slip window.
-    measured, planned
-        What drives the film of clutch 1 and 2, as measured (pressures corrected by the offsets of the state that is
-        passed to `measurement`) and as it would be without sensor noise.
+    measured
+        What drives the film of clutch 1 and 2, pressures corrected by the offsets of the state that is passed to
+        `measurement`.
     """
 
     def __init__(
@@ -89,12 +90,11 @@ class Balance:
         signals: AlignedSignals,
         window: SlipWindow,
         measured: tuple[PressureDrive, PressureDrive],
-        planned: tuple[PressureDrive, PressureDrive],
         calibration: Calibration,
     ) -> None:
         self._signals = signals
         self._measured = measured
-        self._planned = planned
+        self._planned = planned_drives(signals, measured, window)
         self._calibration = calibration
         self._window = window
         start_s, stop_s = signals.grid_s[window.first], signals.grid_s[window.stop - 1]
@@ -107,8 +107,8 @@ class Balance:
         self._planned_torque_nm = smoothed(signals.engine_torque.on_grid, window, SLIP_DEGREE)
         self._tracks = (integrate_film(1, measured[0], calibration), integrate_film(2, measured[1], calibration))
         self._seen = self._weigh(measured, self._tracks, calibration)
-        self._tracks_planned = self._film_tracks(planned, calibration)
-        self._nominal = self._weigh(planned, self._tracks_planned, calibration)
+        self._tracks_planned = self._film_tracks(self._planned, calibration)
+        self._nominal = self._weigh(self._planned, self._tracks_planned, calibration)
         perturbations = (OFFSET, AREA[0], *(perturbation for perturbation, _ in COMMON.values()))
         self._changed = {perturbation: self._perturbed(perturbation) for perturbation in perturbations}
 
@@ -255,11 +255,11 @@ def motoring_corrected_nm(reading_nm: FloatArray, offset_nm: float, bias: Sensor
     return reading_nm - negative_nm + corrected_nm, corrected_nm
 
 
-def contact_nm(believed: ClutchCalibration, drive: PressureDrive, track: FilmTrack) -> FloatArray:
+def contact_nm(clutch: ClutchCalibration, drive: PressureDrive, track: FilmTrack) -> FloatArray:
     """Return the contact torque per unit of mu_c and mu_s on the grid, shape (n, 2); eqs. (6) and (8)."""
     sign = direction(drive.slip_rad_s)
-    full_nm = contact_torques_nm(sign, 1.0, track.contact_pa, believed.geometry.contact_factor_m3)
-    share = stribeck_weights(drive.slip_rad_s, friction_law(believed.friction))
+    full_nm = contact_torques_nm(sign, 1.0, track.contact_pa, clutch.geometry.contact_factor_m3)
+    share = stribeck_weights(drive.slip_rad_s, friction_law(clutch.friction))
     return np.column_stack((full_nm * (1.0 - share), full_nm * share))
 
 

@@ -15,7 +15,7 @@ from diag_service.diagnosis.friction.balance import Balance
 from diag_service.diagnosis.friction.film_track import compile_film
 from diag_service.diagnosis.friction.filter_state import FilterState, Misfit
 from diag_service.diagnosis.friction.parameters import State, friction_rows
-from diag_service.diagnosis.friction.preparation import measured_drives, planned_drives, slip_window, zeroed
+from diag_service.diagnosis.friction.preparation import measured_drives, slip_window, zeroed
 from diag_service.diagnosis.friction.scale_free import scale_free
 from diag_service.diagnosis.friction.window import SlipWindow
 from diag_service.diagnosis.quality.plausibility import SlippingClutch, plausibility_faults, zero_has_jumped
@@ -72,7 +72,7 @@ class Estimator:
         )
         if faults := plausibility_faults(event, signals, slipping):
             return before, without_friction(event, Status.REJECTED, *faults)
-        balance = Balance(signals, window, drives, planned_drives(signals, drives, window), self._calibration)
+        balance = Balance(signals, window, drives, self._calibration)
         alone, misfit, gate = self._fit(balance, state.forget_friction(clutch, self._calibration))
         ratio = misfit.chi_square_ratio
         fit = min(1.0, max(0.0, (gate - ratio) / (gate - 1.0)))

@@ -31,7 +31,6 @@ from diag_service.diagnosis.friction.parameters import (
 )
 from diag_service.diagnosis.friction.preparation import (
     measured_drives,
-    planned_drives,
     slip_window,
     zeros_seen,
 )
@@ -217,7 +216,7 @@ def _seen_shifts(
         )
         if window is None:
             continue
-        balance = Balance(signals, window, drives, planned_drives(signals, drives, window), point)
+        balance = Balance(signals, window, drives, point)
         state = state.warmed(balance.final_clutch_k, event.end_ns)
         seen = balance.measurement(state.mean, state.mean)
         seen = replace(seen, overlap=balance.overlap(seen.noise, float(state.mean[State.TORQUE_OFFSET])))

@@ -86,13 +86,13 @@ def analyse(
     side = calibration.input_side
     friction_nm = clutch_torques_nm(speeds, signals.flywheel_nm, signals.shaft_nm, side, driveline.shafts)
     clutches = []
-    for m, (believed, table) in enumerate(zip(calibration.clutches, tables, strict=True)):
+    for m, (clutch, table) in enumerate(zip(calibration.clutches, tables, strict=True)):
         pressure = differentiators.pressure(signals.pressure_pa[m], signals.period_s)
         slip_rad_s = speeds.slip_rad_s(m + 1)
-        film_m = np.maximum(table.film_at(pressure.value), believed.film.min_film_m)
-        viscous_nm = viscous_torques_nm(slip_rad_s, film_m, signals.oil_k, believed, calibration.viscosity)
+        film_m = np.maximum(table.film_at(pressure.value), clutch.film.min_film_m)
+        viscous_nm = viscous_torques_nm(slip_rad_s, film_m, signals.oil_k, clutch, calibration.viscosity)
         contact_nm = friction_nm[m] - viscous_nm
-        data = friction_data(contact_nm, slip_rad_s, film_m, pressure.rate, signals.is_shifting, believed)
+        data = friction_data(contact_nm, slip_rad_s, film_m, pressure.rate, signals.is_shifting, clutch)
         clutches.append(
             ClutchAnalysis(
                 pressure=pressure, film_m=film_m, friction_nm=friction_nm[m], viscous_nm=viscous_nm, data=data

@@ -34,7 +34,7 @@ def test_a_stored_filter_state_survives_to_the_last_digit(stored: dict[str, Any]
 def test_a_stored_memory_survives_with_its_fits(stored: dict[str, Any]) -> None:
     memory = ConditionMemory.from_json(stored["condition"])
     assert memory.to_json() == stored["condition"]
-    assert memory.fits == (Fit.AGREES,) * 17 + (Fit.SURPRISES,) * 3
+    assert memory.fits == (Fit.AGREES,) * 17 + (Fit.CONTRADICTS,) * 3
     assert all(scatter is not None for scatter in memory.scatters)
 
 

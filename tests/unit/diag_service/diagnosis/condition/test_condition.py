@@ -176,7 +176,7 @@ def test_a_damaged_memory_is_refused(table: dict[str, object]) -> None:
         ConditionMemory.from_json(table)
 
 
-AGREES, SURPRISES, MISFITS = Fit.AGREES, Fit.SURPRISES, Fit.MISFITS
+AGREES, CONTRADICTS, MISFITS = Fit.AGREES, Fit.CONTRADICTS, Fit.MISFITS
 
 
 def after(*reasons: Reason | None) -> ConditionMemory:
@@ -194,11 +194,11 @@ def after(*reasons: Reason | None) -> ConditionMemory:
 
 def test_a_shift_says_whether_the_calibration_fits_unless_it_says_nothing() -> None:
     memory = after(None, Reason.MISFIT, Reason.ZERO_JUMPED, Reason.NOT_UPDATED, Reason.FRAMES_MISSING, Reason.SATURATED)
-    assert memory.fits == (AGREES, MISFITS, MISFITS, SURPRISES)
+    assert memory.fits == (AGREES, MISFITS, MISFITS, CONTRADICTS)
 
 
 def test_a_calibration_that_shifts_contradict_gives_no_verdict() -> None:
-    fits = (AGREES, MISFITS, AGREES, SURPRISES, AGREES, AGREES, MISFITS)
+    fits = (AGREES, MISFITS, AGREES, CONTRADICTS, AGREES, AGREES, MISFITS)
     memory = ConditionMemory(fits=fits)
     assert memory.misfit_text.startswith("calibration does not fit: 3 of the last 7 shifts contradict it")
     assert "diag-service calibrate" in memory.misfit_text
@@ -213,7 +213,7 @@ def test_a_calibration_that_shifts_contradict_gives_no_verdict() -> None:
         (),
         (MISFITS, MISFITS),  # too few to be a share
         (MISFITS,) * 3 + (AGREES,) * 10,  # too small a share
-        (AGREES,) * 2 + (SURPRISES,) * 4,  # new fluid: two shifts of each clutch
+        (AGREES,) * 2 + (CONTRADICTS,) * 4,  # new fluid: two shifts of each clutch
     ],
 )
 def test_what_sound_drives_may_hold_costs_no_verdict(fits: tuple[Fit, ...]) -> None:
@@ -222,8 +222,8 @@ def test_what_sound_drives_may_hold_costs_no_verdict(fits: tuple[Fit, ...]) -> N
     assert judge(memory, believed(0.140, 0.119), 1, CALIBRATION)[1].condition is Condition.GOOD
 
 
-def test_surprises_that_do_not_end_speak_against_the_calibration() -> None:
-    assert ConditionMemory(fits=(AGREES,) * 5 + (SURPRISES,) * 5).misfit_text
+def test_contradictions_that_do_not_end_speak_against_the_calibration() -> None:
+    assert ConditionMemory(fits=(AGREES,) * 5 + (CONTRADICTS,) * 5).misfit_text
 
 
 def test_what_was_long_ago_is_forgotten() -> None:

@@ -15,7 +15,7 @@ from diag_service.diagnosis.events import EndReason, Event
 from diag_service.diagnosis.friction.balance import Balance
 from diag_service.diagnosis.friction.filter_state import FilterState, Measurement
 from diag_service.diagnosis.friction.parameters import NAMES, STATE_COUNT, Considered, State, displaced, prior_mean
-from diag_service.diagnosis.friction.preparation import measured_drives, planned_drives, slip_window
+from diag_service.diagnosis.friction.preparation import measured_drives, slip_window
 from diag_service.diagnosis.friction.run_up_balance import run_up_measurement
 from diag_service.diagnosis.friction.self_calibration import SelfCalibration, self_calibrate
 from diag_service.diagnosis.friction.window import SlipWindow
@@ -162,7 +162,7 @@ def shift_residual(event: Event, calibration: Calibration, window: SlipWindow | 
     drives = measured_drives(signals, state, event, calibration)
     chosen = window or slip_window(signals, drives, clutch_of_gear(event.to_gear), calibration)
     assert chosen is not None
-    balance = Balance(signals, chosen, drives, planned_drives(signals, drives, chosen), calibration)
+    balance = Balance(signals, chosen, drives, calibration)
     return balance.measurement(state.mean, state.mean), chosen
 
 
