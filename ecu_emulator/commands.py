@@ -101,8 +101,7 @@ def record(
         writer.drive(drive.truth)
         for stretch in drive.stretches(LONG_STRETCH_S):
             log.write(stretch.frames)
-            writer.shifts(stretch.shifts)
-            writer.revs(stretch.revs)
+            writer.write(stretch.truths)
             text = f"{stretch.end_s:.0f} s driven, {drive.totals.shifts} shifts"
             progress.update(text, time.perf_counter() - began_s)
             if stop.is_set():

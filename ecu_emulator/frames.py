@@ -38,6 +38,10 @@ SIGNAL_OF: Final[Mapping[str, str]] = MappingProxyType({
     "target_gear": "TargetGear",
     "preselected_gear": "PreselectedGear",
     "shift_phase": "ShiftPhase",
+    "input1_gear": "InputShaft1Gear",
+    "input2_gear": "InputShaft2Gear",
+    "drive_state": "DriveState",
+    "engine_state": "EngineState",
     "sump_temperature_k": "SumpOilTemperature",
     "wheel_fl_speed_m_s": "WheelSpeedFL",
     "wheel_fr_speed_m_s": "WheelSpeedFR",
@@ -122,6 +126,7 @@ class FrameEncoder:
     def __init__(self, database: Database) -> None:
         self._codes = {message.name: _message_code(message) for message in database.messages}
         self._sent = dict.fromkeys(self._codes, 0)
+        self._counted_from = dict(self._sent)
         self._saturated: dict[str, int] = {}
 
     @property
@@ -133,6 +138,10 @@ class FrameEncoder:
     def sent(self) -> Mapping[str, int]:
         """How many frames were written, by message."""
         return dict(self._sent)
+
+    def restart(self) -> None:
+        """Let the alive counters begin at 0, as after the ignition was off."""
+        self._counted_from = dict(self._sent)
 
     def quantities(self, message: str) -> tuple[str, ...]:
         """Return the names of the quantities that a message carries."""
@@ -158,7 +167,7 @@ class FrameEncoder:
             odd = sorted(readings.values.keys() ^ set(self.quantities(readings.message)))
             raise ValueError(f"{readings.message} does not carry, or lacks: {', '.join(odd)}")
         count = len(readings.t_s)
-        counter = self._sent[readings.message] + np.arange(count)
+        counter = self._sent[readings.message] - self._counted_from[readings.message] + np.arange(count)
         self._sent[readings.message] += count
         return EncodedFrames(
             t_s=np.asarray(readings.t_s, np.float64),

@@ -22,7 +22,7 @@ from ecu_emulator.progress import ProgressLine, people, print_json
 from ecu_emulator.recording import SHORT_STRETCH_S, Drive
 from ecu_emulator.scenario import Scenario
 from ecu_emulator.sign_of_life import SignOfLife
-from ecu_emulator.truth import RevTruth, ShiftTruth, TruthWriter
+from ecu_emulator.truth import EventTruth, Happened, ShiftTruth, TruthWriter, known_at_s
 
 if TYPE_CHECKING:
     from ecu_emulator.answering import Answering
@@ -54,14 +54,15 @@ class DiagnosticsChoice:
 
 
 class SentTruth:
-    """Hands a drive's frames to the bus and keeps back the truth of a shift or rev until its frames have been sent."""
+    """Hands a drive's frames to the bus and keeps back the truth of what happened until its frames have been sent."""
 
     def __init__(self, drive: Drive, writer: TruthWriter | None) -> None:
         self._drive = drive
         self._writer = writer
-        self._ahead: SimpleQueue[ShiftTruth | RevTruth] = SimpleQueue()  # filled by the thread that drives
-        self._next: ShiftTruth | RevTruth | None = None
+        self._ahead: SimpleQueue[Happened] = SimpleQueue()  # filled by the thread that drives
+        self._next: Happened | None = None
         self.shift_count = 0
+        self.event_count = 0
         self.sent_s = 0.0
         if writer is not None:
             writer.drive(drive.truth)
@@ -69,30 +70,26 @@ class SentTruth:
     def frames(self) -> Iterator[EncodedFrames]:
         """Drive, and yield what is to be sent; may run in a thread of its own."""
         for stretch in self._drive.stretches(SHORT_STRETCH_S):
-            ended: list[ShiftTruth | RevTruth] = [*stretch.shifts, *stretch.revs]
-            for event in sorted(ended, key=lambda event: event.t_end_s):
-                self._ahead.put(event)
+            for truth in stretch.truths:
+                self._ahead.put(truth)
             yield stretch.frames
 
     def sent_until(self, t_s: float) -> None:
-        """Write the shifts and revs that ended by this scenario time [s]."""
+        """Write what had happened by this scenario time [s]."""
         self.sent_s = t_s
         while True:
             if self._next is None and not self._ahead.empty():
                 self._next = self._ahead.get()
-            if self._next is None or self._next.t_end_s > t_s:
+            if self._next is None or known_at_s(self._next) > t_s:
                 return
             self._write(self._next)
             self._next = None
 
-    def _write(self, ended: ShiftTruth | RevTruth) -> None:
-        if isinstance(ended, RevTruth):
-            if self._writer is not None:
-                self._writer.revs([ended])
-            return
+    def _write(self, truth: Happened) -> None:
         if self._writer is not None:
-            self._writer.shifts([ended])
-        self.shift_count += 1
+            self._writer.write([truth])
+        self.shift_count += isinstance(truth, ShiftTruth)
+        self.event_count += isinstance(truth, EventTruth)
 
     def finish(self, report: TransmitReport) -> None:
         """Write what is left, and the totals of what was sent."""
@@ -100,7 +97,13 @@ class SentTruth:
             self.sent_until(self._drive.totals.duration_s)
         if self._writer is not None:
             self._writer.totals(
-                replace(self._drive.totals, shifts=self.shift_count, duration_s=self.sent_s, frames=report.frames_sent)
+                replace(
+                    self._drive.totals,
+                    shifts=self.shift_count,
+                    events=self.event_count,
+                    duration_s=self.sent_s,
+                    frames=report.frames_sent,
+                )
             )
 
 

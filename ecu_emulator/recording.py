@@ -1,6 +1,7 @@
 """One drive from plant to frames: the only file that knows the order of the emulator's stages."""
 
 import math
+from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass
 from queue import SimpleQueue
@@ -10,6 +11,7 @@ from canlog.e2e.message_contract import message_contracts
 from dbc.contract import load_contract
 from ecu_emulator.build import BuiltVehicle, ageing_factors, build_vehicle
 from ecu_emulator.bus_faults import BusFaults
+from ecu_emulator.event_watcher import EventWatcher
 from ecu_emulator.faults import BusFault, SensorFault
 from ecu_emulator.frame_loss import FrameLoss
 from ecu_emulator.frames import EncodedFrames, FrameEncoder, merge
@@ -19,21 +21,37 @@ from ecu_emulator.plant.powertrain import Powertrain
 from ecu_emulator.readings import FloatArray, Schedule
 from ecu_emulator.scenario import FluidCondition, Scenario
 from ecu_emulator.sensors import Installation, SensorSuite
-from ecu_emulator.truth import DriveTruth, FaultTruth, RevTruth, RevWatcher, ShiftTruth, ShiftWatcher, Totals, TruthLog
+from ecu_emulator.truth import (
+    DriveTruth,
+    EventTruth,
+    FaultTruth,
+    Happened,
+    ShiftTruth,
+    Totals,
+    TruthLog,
+    known_at_s,
+    truth_log,
+)
+from ecu_emulator.truth_watchers import RevWatcher, ShiftWatcher
 
 LONG_STRETCH_S: Final = 10.0  # for files
 MS_PER_S: Final = 1000.0
+ROAD_MESSAGES: Final = frozenset({"ECM_State", "TCU_Drive"})  # the shift cycle keeps to what it always sent
 SHORT_STRETCH_S: Final = 0.25  # live: a stretch must not hold the interpreter for long
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Stretch:
-    """What a stretch of driving puts on the bus, and which shifts and revs ended in it."""
+    """What a stretch of driving puts on the bus, and what happened in it, in the order in which it is known."""
 
     frames: EncodedFrames
-    shifts: tuple[ShiftTruth, ...]
-    revs: tuple[RevTruth, ...]
+    truths: tuple[Happened, ...]
     end_s: float  # scenario time reached
+
+    @property
+    def shifts(self) -> tuple[ShiftTruth, ...]:
+        """The shifts that ended."""
+        return tuple(truth for truth in self.truths if isinstance(truth, ShiftTruth))
 
 
 class Drive:
@@ -52,8 +70,7 @@ class Drive:
         database = load_contract()
         self._encoder = FrameEncoder(database)
         self._plant = Powertrain(vehicle.calibration, vehicle.parameters, drive_settings(scenario))
-        self._watcher = ShiftWatcher()
-        self._rev_watcher = RevWatcher()
+        self._watchers = (ShiftWatcher(), RevWatcher(), EventWatcher())
         self._sensors = SensorSuite(
             schedules=[
                 Schedule(
@@ -64,6 +81,7 @@ class Drive:
                     quantities=self._encoder.quantities(contract.name),
                 )
                 for contract in message_contracts(database).values()
+                if contract.name not in ROAD_MESSAGES
             ],
             sensors=vehicle.sensors,
             installation=_installation(scenario, vehicle),
@@ -74,7 +92,7 @@ class Drive:
         self._loss = FrameLoss(scenario.effects.frame_loss_ratio, scenario.seed_of_drive)
         self._bus_faults = BusFaults(scenario.bus_faults, scenario.seed_of_drive, message_contracts(database))
         self._asked: SimpleQueue[SensorFault | BusFault] = SimpleQueue()  # filled by other threads
-        self._shift_count = 0
+        self._counts: Counter[type[Happened]] = Counter()
         self._frame_count = 0
         self._end_s = 0.0
         self.truth: Final = _drive_truth(scenario, vehicle)
@@ -83,7 +101,11 @@ class Drive:
     def totals(self) -> Totals:
         """What has been driven so far."""
         return Totals(
-            shifts=self._shift_count, duration_s=self._end_s, frames=self._frame_count, faults=self._fault_truths()
+            shifts=self._counts[ShiftTruth],
+            events=self._counts[EventTruth],
+            duration_s=self._end_s,
+            frames=self._frame_count,
+            faults=self._fault_truths(),
         )
 
     @property
@@ -138,24 +160,21 @@ class Drive:
         )
 
     def _stretch(self, rows: FloatArray) -> Stretch:
-        shifts = tuple(self._watcher.feed(rows))
+        truths = sorted((truth for watcher in self._watchers for truth in watcher.feed(rows)), key=known_at_s)
         frames = self._loss.surviving(self._encoder.encode_all(self._sensors.read(rows)))
         first_s, self._end_s = (round(float(rows[row, Col.T_S]), 3) for row in (0, -1))
         frames = self._bus_faults.feed(frames, rows, round(first_s * MS_PER_S), self._end_s, is_last=self.finished)
-        self._shift_count += len(shifts)
+        self._counts.update(map(type, truths))
         self._frame_count += len(frames)
-        return Stretch(frames=frames, shifts=shifts, revs=tuple(self._rev_watcher.feed(rows)), end_s=self._end_s)
+        return Stretch(frames=frames, truths=tuple(truths), end_s=self._end_s)
 
 
 def frames_of(scenario: Scenario) -> tuple[EncodedFrames, TruthLog]:
     """Return all frames of a drive and its truth, without files; for tests and studies of short drives."""
     drive = Drive(scenario)
     stretches = list(drive.stretches(LONG_STRETCH_S))
-    shifts = tuple(shift for stretch in stretches for shift in stretch.shifts)
-    revs = tuple(rev for stretch in stretches for rev in stretch.revs)
-    return merge([stretch.frames for stretch in stretches]), TruthLog(
-        drive=drive.truth, shifts=shifts, totals=drive.totals, revs=revs
-    )
+    truths = [truth for stretch in stretches for truth in stretch.truths]
+    return merge([stretch.frames for stretch in stretches]), truth_log(drive.truth, truths, drive.totals)
 
 
 def drive_settings(scenario: Scenario) -> DriveSettings:
@@ -182,7 +201,6 @@ def _installation(scenario: Scenario, vehicle: BuiltVehicle) -> Installation:
         output_ratio=vehicle.parameters.gearbox.final_drive_ratios[0],
         wheel_radius_m=vehicle.parameters.vehicle.wheel_radius_m,
         ambient_temperature_k=scenario.ambient.temperature_k,
-        coolant_temperature_k=scenario.ambient.coolant_temperature_k,
         odometer_m=scenario.odometer_m,
         engine_speed_is_sampled=scenario.effects.engine_speed_is_sampled,
         motoring_torque_ratio=scenario.effects.motoring_torque_ratio,

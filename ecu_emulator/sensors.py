@@ -29,13 +29,12 @@ UNSIGNED_UNITS: Final = frozenset({"rad_s", "m_s"})  # tooth wheels do not tell 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Installation:
-    """What the sensors' surroundings contribute: geometry, and temperatures that do not move during a drive."""
+    """What the sensors' surroundings contribute: geometry, and the air, whose temperature does not move."""
 
     crank_segment_rad: float  # engine speed is the mean over this crank angle
     output_ratio: float  # output shaft over differential speed
     wheel_radius_m: float
     ambient_temperature_k: float
-    coolant_temperature_k: float
     odometer_m: float  # at the start of the drive
     engine_speed_is_sampled: bool = False  # the broadcast speed is instantaneous, not a mean
     motoring_torque_ratio: float = 1.0  # on negative torque, as the engine controller's model gets it
@@ -62,7 +61,12 @@ _DIRECT: Final[Mapping[str, Col]] = {
     "target_gear": Col.TARGET_GEAR,
     "preselected_gear": Col.PRESELECTED_GEAR,
     "shift_phase": Col.SHIFT_PHASE,
+    "input1_gear": Col.SHAFT1_GEAR,
+    "input2_gear": Col.SHAFT2_GEAR,
+    "drive_state": Col.DRIVE_STATE,
+    "engine_state": Col.ENGINE_STATE,
     "sump_temperature_k": Col.SUMP_TEMPERATURE,
+    "coolant_temperature_k": Col.COOLANT_TEMPERATURE,
     "wheel_rl_speed_m_s": Col.VEHICLE_SPEED,
     "wheel_rr_speed_m_s": Col.VEHICLE_SPEED,
     "vehicle_speed_m_s": Col.VEHICLE_SPEED,
@@ -77,7 +81,6 @@ _DERIVED: Final[Mapping[str, Callable[[FloatArray, Installation], FloatArray]]] 
     "brake_light": lambda rows, _: (rows[:, Col.BRAKE] > 0.0).astype(np.float64),
     "odometer_m": lambda rows, place: place.odometer_m + rows[:, Col.DISTANCE],
     "ambient_temperature_k": lambda rows, place: np.full(len(rows), place.ambient_temperature_k),
-    "coolant_temperature_k": lambda rows, place: np.full(len(rows), place.coolant_temperature_k),
 }
 QUANTITIES: Final = frozenset({CRANK_QUANTITY, *_DIRECT, *_DERIVED})
 MEASURABLE: Final = frozenset(_DIRECT.values()) | {
@@ -102,6 +105,10 @@ class CrankSpeed:
     def __init__(self, segment_rad: float) -> None:
         self._segment_rad = segment_rad
         self._past_rad = np.empty(0)  # crank angle of the last MAX_SEGMENT_MS rows
+
+    def restart(self) -> None:
+        """Forget the past: what comes next is the beginning of a drive."""
+        self._past_rad = np.empty(0)
 
     def feed(self, angle_rad: FloatArray, speed_rad_s: FloatArray, first_ms: int) -> FloatArray:
         """Return the mean speed [rad/s] at every new row, shape (n,); before the drive the engine ran steadily."""
@@ -131,6 +138,10 @@ class Chain:
         self._lag_state = math.nan
         self._trace = np.empty(0)
         self._first_ms = 0
+
+    def restart(self) -> None:
+        """Forget the past: what comes next is the beginning of a drive."""
+        self._trace = np.empty(0)
 
     def feed(self, trace: FloatArray, first_ms: int) -> None:
         """Append the true quantity at ``first_ms, first_ms + 1, ...``; before the drive it was steady."""
@@ -166,7 +177,7 @@ class SensorSuite:
     sensors
         Errors by quantity; a quantity that is absent is read without error.
     startup_s
-        By sender: until then every value of its messages is not available.
+        By sender: until then, from the ignition on, every value of its messages is not available.
     seed
         Of the noise; every quantity has a generator of its own.
     faults
@@ -194,6 +205,7 @@ class SensorSuite:
         self._schedules = tuple(schedules)
         self._installation = installation
         self._startup_s = startup_s
+        self._switched_on_s = 0.0
         self.faults: Final = SensorFaults(faults)
         self._crank = CrankSpeed(installation.crank_segment_rad)
         self._chains = {
@@ -201,6 +213,13 @@ class SensorSuite:
             for schedule in self._schedules
             for quantity in schedule.quantities
         }
+
+    def restart(self, t_s: float) -> None:
+        """Switch the ignition on once more, at this scenario time [s]; rows go on there."""
+        self._switched_on_s = t_s
+        self._crank.restart()
+        for chain in self._chains.values():
+            chain.restart()
 
     def read(self, rows: FloatArray) -> list[Readings]:
         """Return what is sent during these rows, one entry for each message that is sent at all.
@@ -221,7 +240,7 @@ class SensorSuite:
 
     def _readings(self, schedule: Schedule, send_ms: npt.NDArray[np.int64]) -> Readings:
         t_s = send_ms / MS_PER_S
-        is_starting = t_s < self._startup_s.get(schedule.sender, 0.0)
+        is_starting = t_s < self._switched_on_s + self._startup_s.get(schedule.sender, 0.0)
         values = {
             quantity: np.where(
                 is_starting, np.nan, self.faults.applied(quantity, send_ms, self._chains[quantity].read(send_ms))

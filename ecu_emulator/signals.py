@@ -83,7 +83,10 @@ _NOISE_STD: Final = {
 NOMINAL_SENSORS: Final[Sensors] = MappingProxyType(
     {quantity: Sensor(noise_std=noise_std) for quantity, noise_std in _NOISE_STD.items()}
 )
-STATES: Final = frozenset({"current_gear", "target_gear", "preselected_gear", "shift_phase", "brake_light"})
+STATES: Final = frozenset({
+    "current_gear", "target_gear", "preselected_gear", "shift_phase", "brake_light",
+    "input1_gear", "input2_gear", "drive_state", "engine_state",
+})  # fmt: skip
 """Quantities that a controller knows without measuring: they have no sensor errors and are never interpolated."""
 
 

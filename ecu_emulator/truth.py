@@ -1,10 +1,13 @@
 """The truth beside a recording: what only the emulator knows, for tests and demos; it never goes onto the bus.
 
-One JSON object per line: the drive (scenario, seed, built vehicle), every completed shift, every rev of a workshop
-routine, and the totals.
+One JSON object per line: the drive (scenario, seed, built vehicle), every trip, every event of a drive on the road,
+every completed shift, every rev of a workshop routine, and the totals.
 """
 
 import json
+import math
+import os
+import stat
 from collections.abc import Iterable, Mapping
 from contextlib import suppress
 from dataclasses import asdict, dataclass, field
@@ -12,24 +15,13 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any, Final, Self, TextIO
 
-import numpy as np
-
 from canlog.plain_files import read_small_file
-from clutch_model.gears import clutch_of_gear
 from ecu_emulator.errors import RecordError
-from ecu_emulator.plant.columns import Col
-from ecu_emulator.readings import FloatArray
-from ecu_emulator.tcu_data import CLOSED_REVS
 
-MAX_TRUTH_BYTES: Final = 64 * 2**20  # a shift takes half a kilobyte
+MAX_TRUTH_BYTES: Final = 64 * 2**20  # a shift or an event takes half a kilobyte
+ROTATED_BYTES: Final = 32 * 2**20  # of an endless drive, some days
 _DRIVE: Final = "drive"
-_SHIFT: Final = "shift"
-_REV: Final = "rev"
 _TOTALS: Final = "totals"
-_NEUTRAL: Final = 0
-_TEMPERATURE: Final = (Col.CLUTCH1_TEMPERATURE, Col.CLUTCH2_TEMPERATURE)
-_MU_C: Final = (Col.MU_C1, Col.MU_C2)
-_MU_S: Final = (Col.MU_S1, Col.MU_S2)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -47,6 +39,22 @@ class DriveTruth:
     mu_s: tuple[float, float]
     drawn: Mapping[str, float]  # production scatter of this vehicle
     effects: Mapping[str, float] = field(default_factory=dict)  # unknown to the service's model, if switched on
+    drive: str = "cycle"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class TripTruth:
+    """One trip on the road, as it begins."""
+
+    number: int  # 1, 2, ... within the drive
+    trace: str  # name of its speed trace
+    t_start_s: float
+    parked_s: float  # before it
+    distance_m: float  # that the trace leads
+    oil_temperature_k: float
+    coolant_temperature_k: float
+    mu_c: tuple[float, float]  # per clutch
+    mu_s: tuple[float, float]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -62,6 +70,30 @@ class ShiftTruth:
     mu_c: float
     mu_s: float
     clutch_temperature_k: float  # mean over the shift
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class EventTruth:
+    """One event that has ended. Slip counts while the clutch is pressed; a drag of open plates is none."""
+
+    number: int  # 1, 2, ... within the drive
+    event: str  # name of its `EventKind`
+    t_start_s: float  # its first millisecond
+    t_end_s: float  # the first millisecond after it
+    from_gear: int
+    to_gear: int  # of a launch, a creep and an aborted change: the gear it began with
+    clutch: int  # 1 or 2, the one that did more work of friction
+    peak_slip_rad_s: float  # of that clutch, as are the next two
+    slip_energy_j: float
+    reslip_rad_s: float  # largest slip after it had ended once: stick-slip, or a load that pulls the clutch open
+    other_slip_energy_j: float
+    is_locked: bool  # the clutch of the gear reached sticks at the end
+    is_aborted: bool
+    mu_c: float
+    mu_s: float
+    clutch_temperature_k: float  # at the start
+    clutch_end_temperature_k: float
+    oil_temperature_k: float
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -91,6 +123,7 @@ class Totals:
     """What a whole drive amounted to."""
 
     shifts: int
+    events: int = 0
     duration_s: float
     frames: int
     faults: tuple[FaultTruth, ...] = ()
@@ -104,73 +137,31 @@ class TruthLog:
     shifts: tuple[ShiftTruth, ...]
     totals: Totals | None
     revs: tuple[RevTruth, ...] = ()
+    trips: tuple[TripTruth, ...] = ()
+    events: tuple[EventTruth, ...] = ()
 
 
-class ShiftWatcher:
-    """Finds the completed shifts in plant rows, however these are cut into chunks."""
-
-    def __init__(self) -> None:
-        self._open = np.empty((0, len(Col)))  # rows of the shift that has begun
-        self._count = 0
-
-    def feed(self, rows: FloatArray) -> list[ShiftTruth]:
-        """Return the shifts that end within these rows, shape (n, len(Col)), which follow those of the call before."""
-        rows = np.concatenate((self._open, rows))
-        current, target = rows[:, Col.CURRENT_GEAR], rows[:, Col.TARGET_GEAR]
-        is_shifting = (target != current) & (current != _NEUTRAL)
-        edges = np.flatnonzero(np.diff(is_shifting, prepend=False))
-        shifts = [
-            self._shift(rows[start:stop], rows[stop]) for start, stop in zip(edges[::2], edges[1::2], strict=False)
-        ]
-        self._open = rows[edges[-1] :] if edges.size % 2 else rows[:0]
-        return shifts
-
-    def _shift(self, during: FloatArray, after: FloatArray) -> ShiftTruth:
-        self._count += 1
-        to_gear = int(during[0, Col.TARGET_GEAR])
-        index = clutch_of_gear(to_gear) - 1
-        return ShiftTruth(
-            number=self._count,
-            t_start_s=round(float(during[0, Col.T_S]), 3),
-            t_end_s=round(float(after[Col.T_S]), 3),
-            from_gear=int(during[0, Col.CURRENT_GEAR]),
-            to_gear=to_gear,
-            clutch=index + 1,
-            mu_c=float(during[-1, _MU_C[index]]),
-            mu_s=float(during[-1, _MU_S[index]]),
-            clutch_temperature_k=float(np.mean(during[:, _TEMPERATURE[index]])),
-        )
+Happened = ShiftTruth | RevTruth | EventTruth | TripTruth
+_KINDS: Final[Mapping[type[Happened], str]] = {
+    ShiftTruth: "shift", RevTruth: "rev", EventTruth: "event", TripTruth: "trip"
+}  # fmt: skip
 
 
-class RevWatcher:
-    """Finds the revs of the workshop routine in plant rows, however these are cut into chunks."""
-
-    def __init__(self) -> None:
-        self._rev = 0.0  # number within its stage of the rev that has begun, 0 if none has
-        self._start_s = 0.0
-        self._is_closed = False
-        self._count = 0
-
-    def feed(self, rows: FloatArray) -> list[RevTruth]:
-        """Return the revs that end within these rows, shape (n, len(Col)), which follow those of the call before."""
-        revs = []
-        for row in rows[np.diff(rows[:, Col.REV], prepend=self._rev) != 0.0]:
-            t_s = round(float(row[Col.T_S]), 3)
-            if self._rev != 0.0:
-                self._count += 1
-                revs.append(
-                    RevTruth(
-                        number=self._count, t_start_s=self._start_s, t_end_s=t_s, are_clutches_closed=self._is_closed
-                    )
-                )
-            self._rev = float(row[Col.REV])
-            self._start_s = t_s
-            self._is_closed = bool(row[Col.ROUTINE] == CLOSED_REVS)
-        return revs
+def known_at_s(truth: Happened) -> float:
+    """Return the scenario time [s] at which something can be told: a trip as it begins, all else when it has ended."""
+    return truth.t_start_s if isinstance(truth, TripTruth) else truth.t_end_s
 
 
 class TruthWriter:
     """Writes a truth file line by line, each flushed: a reader may follow, and a crash loses nothing.
+
+    Parameters
+    ----------
+    path
+        The file.
+    most_bytes
+        From this size on a new file is begun, with the line of the drive at its head; the one before is kept with
+        ``.1`` behind its name, those before that are gone. None: one file, however long.
 
     Raises
     ------
@@ -178,12 +169,19 @@ class TruthWriter:
         On construction or writing, if the file system refuses.
     """
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, *, most_bytes: int | None = None) -> None:
         self._path = path
+        self._drive: DriveTruth | None = None
+        self._open()
+        is_file = stat.S_ISREG(os.fstat(self._file.fileno()).st_mode)  # and no pipe or device, which must stay
+        self._most_bytes = math.inf if most_bytes is None or not is_file else most_bytes
+
+    def _open(self) -> None:
+        self._byte_count = 0
         try:
-            self._file: TextIO = path.open("w", encoding="utf-8")
+            self._file: TextIO = self._path.open("w", encoding="utf-8")
         except OSError as exc:
-            raise RecordError(f"cannot write truth {path}: {exc.strerror}") from exc
+            raise RecordError(f"cannot write truth {self._path}: {exc.strerror}") from exc
 
     def __enter__(self) -> Self:
         return self
@@ -195,17 +193,15 @@ class TruthWriter:
 
     def drive(self, drive: DriveTruth) -> None:
         """Write the first line."""
+        self._drive = drive
         self._line(_DRIVE, asdict(drive))
 
-    def shifts(self, shifts: Iterable[ShiftTruth]) -> None:
-        """Write one line per shift."""
-        for shift in shifts:
-            self._line(_SHIFT, asdict(shift))
-
-    def revs(self, revs: Iterable[RevTruth]) -> None:
-        """Write one line per rev."""
-        for rev in revs:
-            self._line(_REV, asdict(rev))
+    def write(self, truths: Iterable[Happened]) -> None:
+        """Write one line for each of what has happened."""
+        for truth in truths:
+            if self._byte_count >= self._most_bytes:
+                self._begin_anew()
+            self._line(_KINDS[type(truth)], asdict(truth))
 
     def totals(self, totals: Totals) -> None:
         """Write the last line."""
@@ -215,9 +211,21 @@ class TruthWriter:
         """Close the file."""
         self._file.close()
 
-    def _line(self, kind: str, content: Mapping[str, object]) -> None:
+    def _begin_anew(self) -> None:
+        self.close()
         try:
-            self._file.write(json.dumps({"kind": kind, **content}) + "\n")
+            self._path.replace(self._path.with_name(f"{self._path.name}.1"))
+        except OSError as exc:
+            raise RecordError(f"cannot write truth {self._path}: {exc.strerror}") from exc
+        self._open()
+        if self._drive is not None:
+            self.drive(self._drive)
+
+    def _line(self, kind: str, content: Mapping[str, object]) -> None:
+        line = json.dumps({"kind": kind, **content}) + "\n"
+        self._byte_count += len(line)
+        try:
+            self._file.write(line)
             self._file.flush()
         except OSError as exc:
             with suppress(OSError):  # closing flushes once more what the disk has refused
@@ -228,6 +236,21 @@ class TruthWriter:
 def truth_path(recording: Path) -> Path:
     """Return where the truth of a recording lives: ``drive.log`` -> ``drive.log.truth.jsonl``."""
     return recording.with_name(f"{recording.name}.truth.jsonl")
+
+
+def truth_log(drive: DriveTruth, truths: Iterable[Happened], totals: Totals | None) -> TruthLog:
+    """Return the whole truth of a drive, sorted by what kind of thing happened."""
+    kept: dict[type[Happened], list[Any]] = {record: [] for record in _KINDS}
+    for truth in truths:
+        kept[type(truth)].append(truth)
+    return TruthLog(
+        drive=drive,
+        totals=totals,
+        shifts=tuple(kept[ShiftTruth]),
+        revs=tuple(kept[RevTruth]),
+        trips=tuple(kept[TripTruth]),
+        events=tuple(kept[EventTruth]),
+    )
 
 
 def read_truth(path: Path) -> TruthLog:
@@ -241,7 +264,8 @@ def read_truth(path: Path) -> TruthLog:
     try:
         lines = [json.loads(line) for line in read_small_file(path, MAX_TRUTH_BYTES).decode("utf-8").splitlines()]
         by_kind = {
-            kind: [_content(line) for line in lines if line["kind"] == kind] for kind in (_DRIVE, _SHIFT, _REV, _TOTALS)
+            kind: [_content(line) for line in lines if line["kind"] == kind]
+            for kind in (_DRIVE, *_KINDS.values(), _TOTALS)
         }
         (drive,) = by_kind[_DRIVE]
         seeds = dict.fromkeys(("vehicle_seed", "drive_seed"), drive["seed"])  # older files have one for both
@@ -249,12 +273,12 @@ def read_truth(path: Path) -> TruthLog:
             Totals(**{**line, "faults": tuple(FaultTruth(**fault) for fault in line.get("faults", ()))})
             for line in by_kind[_TOTALS]
         ]
-        return TruthLog(
-            drive=DriveTruth(**{**seeds, **drive, "mu_c": tuple(drive["mu_c"]), "mu_s": tuple(drive["mu_s"])}),
-            shifts=tuple(ShiftTruth(**line) for line in by_kind[_SHIFT]),
-            totals=totals[0] if totals else None,
-            revs=tuple(RevTruth(**line) for line in by_kind[_REV]),
-        )
+        happened = [
+            record(**(_with_pairs(line) if record is TripTruth else line))
+            for record, kind in _KINDS.items()
+            for line in by_kind[kind]
+        ]
+        return truth_log(DriveTruth(**{**seeds, **_with_pairs(drive)}), happened, totals[0] if totals else None)
     except OSError as exc:
         raise RecordError(f"cannot read truth {path}: {exc.strerror or exc}") from exc
     except (ValueError, KeyError, TypeError) as exc:
@@ -263,3 +287,8 @@ def read_truth(path: Path) -> TruthLog:
 
 def _content(line: dict[str, Any]) -> dict[str, Any]:  # JSON is untyped
     return {key: value for key, value in line.items() if key != "kind"}
+
+
+def _with_pairs(line: dict[str, Any]) -> dict[str, Any]:
+    """Return a line with its numbers per clutch as records have them."""
+    return {**line, "mu_c": tuple(line["mu_c"]), "mu_s": tuple(line["mu_s"])}

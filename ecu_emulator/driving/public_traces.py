@@ -22,7 +22,7 @@ def public_trace(name: str) -> SpeedTrace:
         If there is none of that name.
     """
     if name not in PUBLIC_TRACES:
-        raise ConfigError(f"no speed trace {name!r}: use one of {', '.join(PUBLIC_TRACES)}")
+        raise ConfigError(f"no speed trace {str(name)!r}: use one of {', '.join(PUBLIC_TRACES)}")
     with files("ecu_emulator").joinpath(f"driving/traces/{name}.csv").open(encoding="utf-8") as lines:
         t_s, speed_km_h = np.loadtxt(lines, delimiter=",", skiprows=_HEADER_LINES, unpack=True)
     return SpeedTrace(name=name, t_s=t_s, speed_m_s=m_s_from_km_h(speed_km_h), grade_ratio=np.zeros(len(t_s)))

@@ -3,12 +3,13 @@
 import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from enum import StrEnum
+from itertools import count
 from types import MappingProxyType
 from typing import Final
 
 import numpy as np
 
+from ecu_emulator.drive_names import DriveName
 from ecu_emulator.driving.public_traces import public_trace
 from ecu_emulator.driving.trace import SpeedTrace
 from ecu_emulator.driving.traffic import CITY, MIXED, MOTORWAY, Range, Traffic, traffic_trace
@@ -25,19 +26,8 @@ OIL_PARKED_TIME_CONSTANT_S: Final = 9_000.0
 COOLANT_PARKED_TIME_CONSTANT_S: Final = 10_000.0
 
 
-class DriveName(StrEnum):
-    """The drives that can be asked for by name."""
-
-    WLTC = "wltc"
-    UDDS = "udds"
-    HWFET = "hwfet"
-    US06 = "us06"
-    CITY = "city"
-    DAY = "day"
-
-
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Trip:
+class PlannedTrip:
     """One trip from rest to rest."""
 
     trace: SpeedTrace
@@ -57,26 +47,29 @@ _DAY: Final[Mapping[_DayTrip, float]] = MappingProxyType({  # and how often each
 })  # fmt: skip
 
 
-def trips(name: DriveName, seed: int, *, is_endless: bool = False) -> Iterator[Trip]:
-    """Yield the trips of a drive; the first ones are the same whether or not it is endless.
+def trips(name: DriveName, seed: int, rounds: int | None = 1) -> Iterator[PlannedTrip]:
+    """Yield the trips of a drive on the road; the first ones are the same however many there are.
 
     Parameters
     ----------
     seed : int
         Of traffic and stays; the public cycles are always the same.
-    is_endless : bool
-        A cycle is driven again and again, a day is followed by the next one.
+    rounds : int
+        How many cycles, trips through the city or days; None: without end.
+
+    Raises
+    ------
+    ConfigError
+        If the drive is none on the road.
     """
-    rounds = 0
-    while rounds == 0 or is_endless:
-        if name is DriveName.DAY:
-            yield from _day(seed, rounds)
-        elif name is DriveName.CITY:
-            rng = generator(seed, f"city {rounds}")
-            yield Trip(trace=traffic_trace(CITY, CITY_TRIP_S, rng, grade_ratio=CITY_GRADE_RATIO), parked_s=0.0)
+    for number in count() if rounds is None else range(rounds):
+        if name == DriveName.DAY:
+            yield from _day(seed, number)
+        elif name == DriveName.CITY:
+            rng = generator(seed, f"city {number}")
+            yield PlannedTrip(trace=traffic_trace(CITY, CITY_TRIP_S, rng, grade_ratio=CITY_GRADE_RATIO), parked_s=0.0)
         else:
-            yield Trip(trace=public_trace(name), parked_s=0.0)
-        rounds += 1
+            yield PlannedTrip(trace=public_trace(name), parked_s=0.0)
 
 
 def cooled_k(warm_k: float, ambient_k: float, parked_s: float, time_constant_s: float) -> float:
@@ -84,7 +77,7 @@ def cooled_k(warm_k: float, ambient_k: float, parked_s: float, time_constant_s: 
     return ambient_k + (warm_k - ambient_k) * math.exp(-parked_s / time_constant_s)
 
 
-def _day(seed: int, number: int) -> Iterator[Trip]:
+def _day(seed: int, number: int) -> Iterator[PlannedTrip]:
     """Yield the trips of one day; the first day begins with the first trip, all others with a night."""
     rng = generator(seed, f"day {number}")
     kinds, shares = list(_DAY), list(_DAY.values())
@@ -94,4 +87,4 @@ def _day(seed: int, number: int) -> Iterator[Trip]:
         trace = traffic_trace(
             kind.traffic, rng.uniform(*kind.duration_s), rng, grade_ratio=rng.uniform(*DAY_GRADE_RATIO)
         )
-        yield Trip(trace=trace, parked_s=parked_s)
+        yield PlannedTrip(trace=trace, parked_s=parked_s)

@@ -11,7 +11,7 @@ from ecu_emulator.readings import FloatArray, Readings, Schedule
 from ecu_emulator.sensors import QUANTITIES, Installation, SensorSuite
 from ecu_emulator.signals import NOMINAL_SENSORS, Sensors
 from ecu_emulator.tcu_data import CLOSED_REVS, OPEN_REVS
-from ecu_emulator.truth import RevWatcher, ShiftWatcher
+from ecu_emulator.truth_watchers import RevWatcher, ShiftWatcher
 from tests.unit.ecu_emulator.rows import made_up_rows, with_revs, with_shift
 
 COUNT = 1500
@@ -23,7 +23,6 @@ PLACE = Installation(
     output_ratio=4.0,
     wheel_radius_m=0.3,
     ambient_temperature_k=290.0,
-    coolant_temperature_k=350.0,
     odometer_m=0.0,
 )
 SCHEDULES = (

@@ -16,7 +16,7 @@ CONTRACTS = message_contracts(DATABASE)
 def readings(message: str, t_s: FloatArray, rng: np.random.Generator) -> Readings:
     """Return readings of one message at given times, in a range that every signal can carry."""
     spans = {"k": (250.0, 350.0), "pa": (1e4, 1e5), "m_s": (0.0, 60.0), "ratio": (0.0, 1.0), "rad_s": (0.0, 700.0)}
-    spans |= {"nm": (-400.0, 900.0), "odometer_m": (0.0, 4e9), "light": (0.0, 1.0)}
+    spans |= {"nm": (-400.0, 900.0), "odometer_m": (0.0, 4e9), "light": (0.0, 1.0), "state": (0.0, 3.0)}
     values = {}
     for quantity in FrameEncoder(DATABASE).quantities(message):
         low, high = next((span for kind, span in spans.items() if quantity.endswith(f"_{kind}")), (0.0, 4.0))

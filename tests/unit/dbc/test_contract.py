@@ -23,10 +23,12 @@ def test_timing_of_every_message() -> None:
     assert {name: (c.can_id, c.sender, c.cycle_ms, c.phase_ms) for name, c in CONTRACTS.items()} == {
         "ECM_TorqueSpeed": (0x0A0, "ECM", 10, 0),
         "ECM_Temperature": (0x0A8, "ECM", 100, 4),
+        "ECM_State": (0x0A9, "ECM", 100, 4),
         "TCU_InputSpeeds": (0x0B0, "TCU", 10, 1),
         "TCU_Pressures": (0x0B1, "TCU", 10, 1),
         "TCU_Output": (0x0B2, "TCU", 10, 2),
         "TCU_Shift": (0x0B3, "TCU", 10, 2),
+        "TCU_Drive": (0x0B4, "TCU", 20, 2),
         "TCU_Temperature": (0x0B8, "TCU", 100, 5),
         "BRK_WheelSpeeds": (0x0C0, "ABS", 20, 3),
         "BRK_Vehicle": (0x0C1, "ABS", 20, 3),

@@ -22,7 +22,6 @@ PLACE = Installation(
     output_ratio=4.059,
     wheel_radius_m=0.32,
     ambient_temperature_k=293.15,
-    coolant_temperature_k=353.15,
     odometer_m=1000.0,
 )
 PERFECT: Sensors = {}
@@ -138,7 +137,7 @@ def test_derived_quantities() -> None:
     rows = made_up_rows(20)
     rows[:10, Col.BRAKE] = 0.0
     names = ("output_speed_rad_s", "wheel_fl_speed_m_s", "brake_pressure_pa", "brake_light", "odometer_m",
-             "ambient_temperature_k", "coolant_temperature_k")  # fmt: skip
+             "ambient_temperature_k")  # fmt: skip
     (reading,) = read(rows, schedule(*names))
     expected = (
         4.059 * rows[::10, Col.DIFF_SPEED],
@@ -147,7 +146,6 @@ def test_derived_quantities() -> None:
         [0.0, 1.0],
         1000.0 + rows[::10, Col.DISTANCE],
         [293.15, 293.15],
-        [353.15, 353.15],
     )
     for name, values in zip(names, expected, strict=True):
         assert reading.values[name] == pytest.approx(values), name
@@ -193,8 +191,7 @@ def test_only_measurable_columns_reach_the_readings() -> None:
         Col.CLUTCH1_TEMPERATURE, Col.CLUTCH2_TEMPERATURE, Col.CLUTCH1_TORQUE, Col.CLUTCH2_TORQUE,
         Col.VISCOUS1_TORQUE, Col.VISCOUS2_TORQUE, Col.FLYWHEEL_TORQUE, Col.SHAFT1_TORQUE, Col.SHAFT2_TORQUE,
         Col.ROUTINE, Col.REV,
-        Col.SHAFT1_GEAR, Col.SHAFT2_GEAR, Col.DRIVE_STATE, Col.EVENT_KIND, Col.EVENT_NUMBER, Col.IS_ABORTED,
-        Col.ENGINE_STATE, Col.COOLANT_TEMPERATURE, Col.GRADE, Col.WANTED_SPEED,
+        Col.EVENT_KIND, Col.EVENT_NUMBER, Col.IS_ABORTED, Col.GRADE, Col.WANTED_SPEED,
     } == HIDDEN  # fmt: skip
     rows = made_up_rows(500)
     blind = rows.copy()

@@ -1,3 +1,6 @@
+import json
+import os
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -8,16 +11,18 @@ from ecu_emulator.plant.columns import Col
 from ecu_emulator.tcu_data import CLOSED_REVS, OPEN_REVS
 from ecu_emulator.truth import (
     DriveTruth,
+    EventTruth,
     FaultTruth,
     RevTruth,
-    RevWatcher,
-    ShiftWatcher,
     Totals,
+    TripTruth,
     TruthLog,
     TruthWriter,
+    known_at_s,
     read_truth,
     truth_path,
 )
+from ecu_emulator.truth_watchers import RevWatcher, ShiftWatcher
 from tests.unit.ecu_emulator.rows import made_up_rows, with_revs, with_shift
 
 DRIVE = DriveTruth(
@@ -32,8 +37,42 @@ DRIVE = DriveTruth(
     mu_s=(0.12, 0.11),
     drawn={"torque_gain_ratio": 1.01},
 )
+EVENT = EventTruth(
+    number=1,
+    event="launch",
+    t_start_s=3.0,
+    t_end_s=5.5,
+    from_gear=1,
+    to_gear=1,
+    clutch=1,
+    peak_slip_rad_s=120.0,
+    slip_energy_j=9000.0,
+    reslip_rad_s=0.8,
+    other_slip_energy_j=0.0,
+    is_locked=True,
+    is_aborted=False,
+    mu_c=0.13,
+    mu_s=0.12,
+    clutch_temperature_k=350.0,
+    clutch_end_temperature_k=362.0,
+    oil_temperature_k=350.0,
+)
 FAULT = FaultTruth(what="hub_speed_rad_s", kind="offset", size=2.0, t_start_s=0.2, t_end_s=None, count=4)
 ROWS = with_shift(with_shift(made_up_rows(1200), 100, 500, 1, 2), 700, 1000, 2, 3)
+
+
+def trip(number: int) -> TripTruth:
+    return TripTruth(
+        number=number,
+        trace="city",
+        t_start_s=1000.0 * number,
+        parked_s=300.0,
+        distance_m=5000.0,
+        oil_temperature_k=293.15,
+        coolant_temperature_k=293.15,
+        mu_c=(0.13, 0.14),
+        mu_s=(0.12, 0.11),
+    )
 
 
 def test_a_completed_shift_carries_the_truth_of_the_on_coming_clutch() -> None:
@@ -50,6 +89,19 @@ def test_a_shift_that_has_not_ended_is_not_reported() -> None:
     watcher = ShiftWatcher()
     assert watcher.feed(ROWS[:400]) == []
     assert [shift.number for shift in watcher.feed(ROWS[400:])] == [1, 2]
+
+
+def test_a_shift_that_goes_back_to_where_it_began_is_none() -> None:
+    rows = made_up_rows(600)
+    rows[100:300, Col.TARGET_GEAR] = 2.0
+    assert ShiftWatcher().feed(rows) == []
+
+
+def test_a_shift_whose_target_changes_on_the_way_leads_where_it_ends() -> None:
+    rows = with_shift(made_up_rows(600), 100, 400, 6, 4)
+    rows[100:200, Col.TARGET_GEAR] = 5.0
+    (shift,) = ShiftWatcher().feed(rows)
+    assert (shift.from_gear, shift.to_gear, shift.clutch) == (6, 4, 2)
 
 
 def test_no_shift_no_truth() -> None:
@@ -80,12 +132,70 @@ def test_a_truth_file_reads_back(tmp_path: Path) -> None:
     totals = Totals(shifts=2, duration_s=1.2, frames=77, faults=(FAULT,))
     with TruthWriter(path) as writer:
         writer.drive(DRIVE)
-        writer.shifts(shifts[:1])
+        writer.write(shifts[:1])
         assert read_truth(path) == TruthLog(drive=DRIVE, shifts=shifts[:1], totals=None)
-        writer.shifts(shifts[1:])
-        writer.revs([rev])
+        writer.write(shifts[1:])
+        writer.write([rev])
         writer.totals(totals)
     assert read_truth(path) == TruthLog(drive=DRIVE, shifts=shifts, totals=totals, revs=(rev,))
+
+
+def test_all_that_happens_reads_back(tmp_path: Path) -> None:
+    path = tmp_path / "truth.jsonl"
+    trips = (trip(1), trip(2))
+    with TruthWriter(path) as writer:
+        writer.drive(DRIVE)
+        writer.write([trips[0], EVENT, trips[1]])
+        writer.totals(Totals(shifts=0, events=1, duration_s=9.0, frames=5))
+    truth = read_truth(path)
+    assert (truth.trips, truth.events) == (trips, (EVENT,))
+    assert truth.totals is not None
+    assert truth.totals.events == 1
+
+
+def test_what_happened_is_known_when_it_has_ended_and_a_trip_when_it_begins() -> None:
+    assert known_at_s(EVENT) == EVENT.t_end_s
+    assert known_at_s(trip(1)) == trip(1).t_start_s
+
+
+def test_a_file_from_before_there_were_events_is_read(tmp_path: Path) -> None:
+    path = tmp_path / "truth.jsonl"
+    with TruthWriter(path) as writer:
+        writer.drive(DRIVE)
+        writer.totals(Totals(shifts=0, duration_s=9.0, frames=5))
+    lines = [json.loads(line) for line in path.read_text(encoding="utf-8").splitlines()]
+    del lines[0]["drive"], lines[1]["events"]
+    path.write_text("".join(json.dumps(line) + "\n" for line in lines), encoding="utf-8")
+    assert read_truth(path) == TruthLog(drive=DRIVE, shifts=(), totals=Totals(shifts=0, duration_s=9.0, frames=5))
+
+
+def test_a_truth_without_end_stays_small_and_readable(tmp_path: Path) -> None:
+    path, most_bytes, count = tmp_path / "truth.jsonl", 20_000, 500
+    with TruthWriter(path, most_bytes=most_bytes) as writer:
+        writer.drive(DRIVE)
+        for number in range(1, count + 1):
+            writer.write([replace(EVENT, number=number)])
+    older = path.with_name("truth.jsonl.1")
+    assert set(tmp_path.iterdir()) == {path, older}
+    kept = [read_truth(older), read_truth(path)]
+    assert all(one.drive == DRIVE for one in kept)
+    numbers = [event.number for one in kept for event in one.events]
+    assert numbers == list(range(numbers[0], count + 1))
+    assert older.stat().st_size < most_bytes + 2000
+    assert path.stat().st_size < most_bytes + 2000
+
+
+def test_a_truth_that_goes_into_a_pipe_is_not_begun_anew(tmp_path: Path) -> None:
+    pipe = tmp_path / "pipe"
+    os.mkfifo(pipe)
+    reader = os.open(pipe, os.O_RDONLY | os.O_NONBLOCK)
+    with TruthWriter(pipe, most_bytes=1000) as writer:
+        for _ in range(10):
+            writer.write([EVENT])
+        assert os.read(reader, 1 << 16).count(b"\n") == 10
+    os.close(reader)
+    assert list(tmp_path.iterdir()) == [pipe]
+    assert pipe.is_fifo()
 
 
 def test_a_truth_file_that_cannot_be_written(tmp_path: Path) -> None:

@@ -41,7 +41,7 @@ def refusal(path: Path, parser_time_s: int = PARSER_TIME_S) -> str:
 
 def test_own_database_loads_without_a_warning(caplog: pytest.LogCaptureFixture) -> None:
     with caplog.at_level(logging.WARNING):
-        assert len(load_contract().messages) == 10
+        assert len(load_contract().messages) == 12
     assert not caplog.records
 
 
@@ -261,7 +261,7 @@ def as_kcd() -> str:
     ("text", "name", "count"),
     [
         (as_kcd(), "Multiplexed", 11),
-        (DATABASE.as_sym_string(), "TCU_Pressures", 10),
+        (DATABASE.as_sym_string(), "TCU_Pressures", 12),
         ((DATA / "engine.arxml").read_text(), "Engine", 1),
         ((DATA / "corners.dbc").read_text(), "SignedBig", 11),
     ],

@@ -7,7 +7,8 @@ from clutch_model.calibration import nominal_calibration
 from clutch_model.errors import CalibrationError
 from ecu_emulator import tcu_data
 from ecu_emulator.plant import Col, DriveSettings, nominal_parameters
-from ecu_emulator.truth import RevTruth, RevWatcher
+from ecu_emulator.truth import RevTruth
+from ecu_emulator.truth_watchers import RevWatcher
 from tests.support.cycles import CYCLE_SHIFTS, FloatArray, drive_rows, powertrain, shifts
 
 ROUTINE = DriveSettings(open_revs=2, closed_revs=2)

@@ -1,0 +1,123 @@
+"""Trips become one stream of rows; the plant is a stand-in that rolls along and warms up."""
+
+from collections.abc import Iterator
+
+import numpy as np
+import pytest
+
+from ecu_emulator.driving.journey import Departure, Journey, Warmth
+from ecu_emulator.driving.trace import SpeedTrace
+from ecu_emulator.driving.trips import PlannedTrip
+from ecu_emulator.plant.columns import Col
+from ecu_emulator.readings import FloatArray
+
+AIR_K = 263.15
+START = Warmth(oil_k=303.15, coolant_k=313.15)
+SPEED_M_S = 10.0
+WARMER_K_S = 1.0
+
+
+def trip(duration_s: float, parked_s: float = 0.0) -> PlannedTrip:
+    trace = SpeedTrace(
+        name="made up", t_s=np.array([0.0, duration_s]), speed_m_s=np.full(2, SPEED_M_S), grade_ratio=np.zeros(2)
+    )
+    return PlannedTrip(trace=trace, parked_s=parked_s)
+
+
+class Rolling:
+    """A car without a powertrain, which gets warmer by a kelvin each second."""
+
+    def __init__(self, departure: Departure) -> None:
+        t_s = np.arange(round(departure.trip.trace.duration_s * 1000)) / 1000.0
+        self._rows = np.zeros((len(t_s), len(Col)))
+        self._rows[:, Col.T_S] = t_s
+        self._rows[:, Col.DISTANCE] = SPEED_M_S * t_s
+        self._rows[:, Col.SUMP_TEMPERATURE] = departure.warmth.oil_k + WARMER_K_S * t_s
+        self._rows[:, Col.COOLANT_TEMPERATURE] = departure.warmth.coolant_k + WARMER_K_S * t_s
+
+    @property
+    def finished(self) -> bool:
+        return not len(self._rows)
+
+    def advance(self, duration_s: float) -> FloatArray:
+        count = round(duration_s * 1000)
+        rows, self._rows = self._rows[:count], self._rows[count:]
+        return rows
+
+
+def journey(*trips: PlannedTrip, longest_stay_s: float = np.inf) -> Journey:
+    return Journey(iter(trips), Rolling, START, AIR_K, longest_stay_s)
+
+
+def driven(one: Journey, stretch_s: float) -> list[FloatArray]:
+    stretches = []
+    while not one.finished:
+        stretches.append(one.advance(stretch_s))
+    return stretches
+
+
+@pytest.mark.parametrize("stretch_s", [0.001, 0.25, 0.7, 1.0, 60.0])
+def test_the_cutting_changes_nothing(stretch_s: float) -> None:
+    trips = (trip(1.5), trip(2.1, 30.0), trip(0.4))
+    rows = np.concatenate(driven(journey(*trips), stretch_s))
+    np.testing.assert_array_equal(rows, np.concatenate(driven(journey(*trips), 0.123)))
+    assert len(rows) == 4000
+
+
+def test_clock_and_way_go_on_and_the_car_stands_in_between() -> None:
+    rows = np.concatenate(driven(journey(trip(1.5), trip(2.0, 30.0)), 10.0))
+    np.testing.assert_array_equal(rows[:1500, Col.T_S], np.arange(1500) / 1000.0)
+    np.testing.assert_array_equal(rows[1500:, Col.T_S], np.arange(31_500, 33_500) / 1000.0)
+    assert np.diff(rows[:, Col.DISTANCE]).min() >= 0.0
+    assert rows[-1, Col.DISTANCE] == pytest.approx(SPEED_M_S * 3.5, abs=0.03)
+
+
+def test_a_stretch_never_holds_two_trips() -> None:
+    one = journey(trip(1.5), trip(2.0), trip(1.0))
+    lengths, numbers, stays = [], [], []
+    while not one.finished:
+        lengths.append(len(one.advance(1.0)))
+        assert one.departure is not None
+        numbers.append(one.departure.number)
+        stays.append(one.is_parked)
+    assert lengths == [1000, 500, 1000, 1000, 1000]
+    assert numbers == [1, 1, 2, 2, 3]
+    assert stays == [False, True, False, True, True]
+
+
+def test_a_long_stay_is_left_out_but_cools_the_car_all_the_same() -> None:
+    whole, short = (journey(trip(1.0), trip(1.0, 7200.0), longest_stay_s=stay_s) for stay_s in (np.inf, 10.0))
+    departures = []
+    for one in (whole, short):
+        driven(one, 10.0)
+        assert one.departure is not None
+        departures.append(one.departure)
+    assert [departure.t_start_s for departure in departures] == [7201.0, 11.0]
+    assert departures[0].warmth == departures[1].warmth
+    assert departures[0].warmth.oil_k == pytest.approx(AIR_K + (START.oil_k + 1.0 - AIR_K) * np.exp(-0.8), abs=0.01)
+
+
+def test_conditions_are_carried_from_trip_to_trip() -> None:
+    one = journey(trip(1.0), trip(1.0), trip(1.0))
+    rows = np.concatenate(driven(one, 10.0))
+    np.testing.assert_allclose(
+        rows[1000:2000, Col.SUMP_TEMPERATURE], rows[:1000, Col.SUMP_TEMPERATURE] + 1.0, atol=2e-3
+    )
+    assert one.departure is not None
+    assert one.departure.warmth.coolant_k == pytest.approx(START.coolant_k + 2.0, abs=3e-3)
+
+
+def test_an_endless_journey_is_driven_as_it_is_asked_for() -> None:
+    def endless() -> Iterator[PlannedTrip]:
+        while True:
+            yield trip(1.0, 5.0)
+
+    one = Journey(endless(), Rolling, START, AIR_K, np.inf)
+    assert [len(one.advance(1.0)) for _ in range(50)] == [1000] * 50
+    assert not one.finished
+
+
+def test_no_trips_no_rows() -> None:
+    one = journey()
+    assert one.finished
+    assert one.advance(1.0).shape == (0, len(Col))
