@@ -143,7 +143,7 @@ def report_analysis(path: Path) -> None:
     summary = analyse(path)
     first_s = time.perf_counter() - began_s
     whole_s = best(lambda: analyse(path))
-    frames, shifts = summary.frames.on_bus, sum(summary.shift_counts.values())
+    frames, shifts = summary.frames.on_bus, sum(summary.shifts.by_status.values())
     times = read_log(path)
     first = next(times)
     last_ns = max([int(first.t_ns[-1]), *(int(batch.t_ns[-1]) for batch in times)])

@@ -4,6 +4,7 @@ from collections import Counter
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
+from typing import Self
 
 from diag_service.diagnosis.contributions import NO_LOGS, Contributions, log_record
 from diag_service.diagnosis.plain_values import to_plain
@@ -11,7 +12,6 @@ from diag_service.diagnosis.records import (
     ClutchRatio,
     ClutchVerdict,
     Condition,
-    ShiftEstimate,
     ShiftResult,
     Status,
     Tier,
@@ -83,26 +83,31 @@ class Capability:
 FULL = Capability()
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
 class ShiftStatistics:
-    """Counts of the shifts of one run, and the last result of each clutch."""
+    """Counts of the shifts of one run, and its last results; replaced, never changed: other threads read them."""
 
-    def __init__(self) -> None:
-        self.by_status: Counter[Status] = Counter()
-        self.by_reason: Counter[str] = Counter()
-        self.stored_count = 0
-        self.known_count = 0  # their key was in the store before
-        self.latest: dict[int, ShiftResult] = {}
-        self.recent: tuple[ShiftResult, ...] = ()  # replaced, never changed: other threads read it
+    by_status: Mapping[str, int] = field(default_factory=lambda: {status.value: 0 for status in Status})
+    by_reason: Mapping[str, int] = field(default_factory=dict)  # sorted
+    stored_count: int = 0
+    known_count: int = 0  # their key was in the store before
+    latest: Mapping[int, ShiftResult] = field(default_factory=dict)  # of each clutch
+    recent: tuple[ShiftResult, ...] = ()  # oldest first
 
-    def add(self, result: ShiftResult, *, is_new: bool) -> None:
-        """Count one shift."""
-        estimate: ShiftEstimate = result.estimate
-        self.by_status[estimate.status] += 1
-        self.by_reason.update(reason.value for reason in estimate.reasons)
-        self.stored_count += is_new
-        self.known_count += not is_new
-        self.latest[estimate.clutch] = result
-        self.recent = (*self.recent, result)[-RECENT_COUNT:]
+    def with_shift(self, result: ShiftResult, *, is_new: bool) -> Self:
+        """Return the statistics with another shift in them."""
+        estimate, status = result.estimate, result.estimate.status.value
+        by_reason = Counter(self.by_reason)
+        by_reason.update(reason.value for reason in estimate.reasons)
+        return replace(
+            self,
+            by_status={**self.by_status, status: self.by_status[status] + 1},
+            by_reason=dict(sorted(by_reason.items())),
+            stored_count=self.stored_count + is_new,
+            known_count=self.known_count + (not is_new),
+            latest={**self.latest, estimate.clutch: result},
+            recent=(*self.recent, result)[-RECENT_COUNT:],
+        )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -111,40 +116,16 @@ class Summary:
 
     vehicle: str
     frames: FrameCounts
-    shift_counts: Mapping[str, int]  # status -> shifts
-    reason_counts: Mapping[str, int]  # reason -> shifts
-    stored_count: int
-    known_count: int
+    shifts: ShiftStatistics
     unpublished_count: int | None  # None without a broker
-    latest: tuple[ShiftResult, ...]  # last result of each clutch, clutch 1 first
     capability: Capability = FULL
     gaps: tuple[Gap, ...] = ()  # why this is a part of the drive; none: it is the whole
     contributions: Contributions = NO_LOGS
 
-
-def summarise(
-    vehicle: str,
-    frames: FrameCounts,
-    statistics: ShiftStatistics,
-    unpublished_count: int | None,
-    capability: Capability = FULL,
-    gaps: tuple[Gap, ...] = (),
-    contributions: Contributions = NO_LOGS,
-) -> Summary:
-    """Return the numbers of a run as they stand; of a part of a drive no clutch has a verdict."""
-    return Summary(
-        vehicle=vehicle,
-        frames=frames,
-        shift_counts={status.value: statistics.by_status[status] for status in Status},
-        reason_counts=dict(sorted(statistics.by_reason.items())),
-        stored_count=statistics.stored_count,
-        known_count=statistics.known_count,
-        unpublished_count=unpublished_count,
-        capability=capability,
-        latest=tuple(unjudged(result, gaps) for _, result in sorted(statistics.latest.items())),
-        gaps=gaps,
-        contributions=contributions,
-    )
+    @property
+    def latest(self) -> tuple[ShiftResult, ...]:
+        """The last result of each clutch, clutch 1 first; of a part of a drive none has a verdict."""
+        return tuple(unjudged(result, self.gaps) for _, result in sorted(self.shifts.latest.items()))
 
 
 def unjudged(result: ShiftResult, gaps: tuple[Gap, ...]) -> ShiftResult:
@@ -172,10 +153,10 @@ def summary_record(summary: Summary) -> JsonObject:
         "incomplete": [gap.value for gap in summary.gaps],
         "frames": frames,
         "shifts": {
-            "by_status": dict(summary.shift_counts),
-            "by_reason": dict(summary.reason_counts),
-            "stored": summary.stored_count,
-            "already_stored": summary.known_count,
+            "by_status": dict(summary.shifts.by_status),
+            "by_reason": dict(summary.shifts.by_reason),
+            "stored": summary.shifts.stored_count,
+            "already_stored": summary.shifts.known_count,
             "unpublished": summary.unpublished_count,
         },
         "clutches": [clutch_record(shift_record(result)) for result in summary.latest],
@@ -207,12 +188,12 @@ def values_line(frames: FrameCounts) -> str:
 
 def shifts_line(summary: Summary) -> str:
     """Return the shift numbers as one line for people."""
-    total = sum(summary.shift_counts.values())
-    parts = [_with_reasons(f"{total} shifts", summary.shift_counts)]
-    if any(summary.reason_counts.values()):
-        parts.append(_with_reasons("reasons", summary.reason_counts))
-    if summary.known_count:
-        parts.append(f"{summary.known_count} were stored before")
+    total = sum(summary.shifts.by_status.values())
+    parts = [_with_reasons(f"{total} shifts", summary.shifts.by_status)]
+    if any(summary.shifts.by_reason.values()):
+        parts.append(_with_reasons("reasons", summary.shifts.by_reason))
+    if summary.shifts.known_count:
+        parts.append(f"{summary.shifts.known_count} were stored before")
     if summary.unpublished_count:
         parts.append(f"{summary.unpublished_count} wait for the broker")
     return ", ".join(parts)
@@ -221,7 +202,7 @@ def shifts_line(summary: Summary) -> str:
 def capability_line(summary: Summary) -> str:
     """Return one line for people: what the signals suffice for and what is missing; empty where all is there."""
     capability = summary.capability
-    has_shifts = any(summary.shift_counts.values())
+    has_shifts = any(summary.shifts.by_status.values())
     if capability.tier is Tier.FRICTION and has_shifts:
         return ""
     parts = [] if has_shifts else ["no shift was found"]

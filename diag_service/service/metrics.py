@@ -85,8 +85,8 @@ def _of_shifts(snapshot: Snapshot) -> Iterator[Metric]:
     if snapshot.stuck is not None:
         stuck[snapshot.stuck.stage.value] = snapshot.stuck.for_s
     yield _gauge("stage_stuck_seconds", "How long a stage has held work without progress.", stuck, "stage")
-    yield _counter("shifts", "Shifts by what their estimate is worth.", summary.shift_counts, "status")
-    yield _counter("shift_reasons", "Shifts that were not used, by reason.", summary.reason_counts, "reason")
+    yield _counter("shifts", "Shifts by what their estimate is worth.", summary.shifts.by_status, "status")
+    yield _counter("shift_reasons", "Shifts that were not used, by reason.", summary.shifts.by_reason, "reason")
     qualities = [result.estimate.data_quality for result in snapshot.recent if result.estimate.data_quality is not None]
     if qualities:
         yield _gauge("last_shift_trust", "Trust in the last shift, 0..1.", qualities[-1].score)

@@ -17,7 +17,7 @@ from diag_service.diagnosis.events import Event
 from diag_service.diagnosis.friction import ALGORITHM_VERSION, FilterState
 from diag_service.diagnosis.records import ShiftResult
 from diag_service.diagnosis.results import iso_utc, utc_from_bus_ns
-from diag_service.diagnosis.summary import FrameCounts, Gap, ShiftStatistics, Summary, frames_line, summarise
+from diag_service.diagnosis.summary import FrameCounts, Gap, ShiftStatistics, Summary, frames_line
 from diag_service.errors import StoreFullError
 from diag_service.mapping.decoder import Decoder
 from diag_service.service.stages import Stages
@@ -101,7 +101,7 @@ class Session:
             self.given_up_count += 1
 
     def _report(self, result: ShiftResult, *, is_new: bool) -> None:
-        self.statistics.add(result, is_new=is_new)
+        self.statistics = self.statistics.with_shift(result, is_new=is_new)
         self.reporter.report(result)
 
     def summary(
@@ -112,8 +112,15 @@ class Session:
         contributions: Contributions = NO_LOGS,
     ) -> Summary:
         """Return the numbers of the run as they stand."""
-        capability = self.stages.capability()
-        return summarise(self.vehicle, frames, self.statistics, unpublished_count, capability, gaps, contributions)
+        return Summary(
+            vehicle=self.vehicle,
+            frames=frames,
+            shifts=self.statistics,
+            unpublished_count=unpublished_count,
+            capability=self.stages.capability(),
+            gaps=gaps,
+            contributions=contributions,
+        )
 
     def finish(
         self,

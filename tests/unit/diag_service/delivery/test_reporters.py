@@ -10,7 +10,7 @@ from rich.console import Console
 from diag_service.delivery import ConsoleReporter, JsonLinesReporter, MemoryReporter, News, PipeReporter
 from diag_service.diagnosis.records import Reason, ShiftResult
 from diag_service.diagnosis.results import shift_record
-from diag_service.diagnosis.summary import FrameCounts, ShiftStatistics, Summary, frames_line, shifts_line, summarise
+from diag_service.diagnosis.summary import FrameCounts, ShiftStatistics, Summary, frames_line, shifts_line
 from tests.support.builders import rejected, shift_result
 
 FRAMES = FrameCounts(
@@ -31,10 +31,10 @@ def interrupted(seq: int) -> ShiftResult:
 
 def numbers() -> Summary:
     statistics = ShiftStatistics()
-    statistics.add(shift_result(1), is_new=True)
-    statistics.add(shift_result(2), is_new=False)
-    statistics.add(interrupted(3), is_new=True)
-    return summarise("car1", FRAMES, statistics, 2)
+    statistics = statistics.with_shift(shift_result(1), is_new=True)
+    statistics = statistics.with_shift(shift_result(2), is_new=False)
+    statistics = statistics.with_shift(interrupted(3), is_new=True)
+    return Summary(vehicle="car1", frames=FRAMES, shifts=statistics, unpublished_count=2)
 
 
 def test_frames_add_up_or_not() -> None:
@@ -102,9 +102,10 @@ def test_people_see_the_clutches_at_the_end() -> None:
 def test_people_see_the_ratio_after_the_last_shift() -> None:
     out = io.StringIO()
     statistics = ShiftStatistics()
-    statistics.add(interrupted(1), is_new=True)
-    statistics.add(shift_result(2), is_new=True)
-    ConsoleReporter(Console(file=out, width=80)).report(summarise("car1", FRAMES, statistics, None))
+    statistics = statistics.with_shift(interrupted(1), is_new=True)
+    statistics = statistics.with_shift(shift_result(2), is_new=True)
+    summary = Summary(vehicle="car1", frames=FRAMES, shifts=statistics, unpublished_count=None)
+    ConsoleReporter(Console(file=out, width=80)).report(summary)
     assert "mu_C1/mu_C2 1.004 ± 0.014, mu_S1/mu_S2 0.991 ± 0.017\n" in out.getvalue()
 
 

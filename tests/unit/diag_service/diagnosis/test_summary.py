@@ -7,8 +7,8 @@ from diag_service.diagnosis.summary import (
     Capability,
     FrameCounts,
     ShiftStatistics,
+    Summary,
     capability_line,
-    summarise,
     summary_record,
     values_line,
 )
@@ -17,11 +17,17 @@ from tests.support.builders import shift_result
 MISSING = "friction needs clutch1_pressure_pa"
 
 
+def summary_of(
+    frames: FrameCounts = FrameCounts(),  # noqa: B008 - it cannot be changed
+    capability: Capability = Capability(),  # noqa: B008 - likewise
+    shifts: ShiftStatistics = ShiftStatistics(),  # noqa: B008 - likewise
+) -> Summary:
+    return Summary(vehicle="car1", frames=frames, shifts=shifts, unpublished_count=None, capability=capability)
+
+
 def line(capability: Capability, *, has_shift: bool) -> str:
-    tally = ShiftStatistics()
-    if has_shift:
-        tally.add(shift_result(1), is_new=True)
-    return capability_line(summarise("car1", FrameCounts(), tally, None, capability))
+    shifts = ShiftStatistics().with_shift(shift_result(1), is_new=True) if has_shift else ShiftStatistics()
+    return capability_line(summary_of(capability=capability, shifts=shifts))
 
 
 @pytest.mark.parametrize(
@@ -43,7 +49,7 @@ def test_the_line_for_people(capability: Capability, has_shift: bool, said: str)
 
 def test_the_record_for_programs() -> None:
     capability = Capability(profile="vw", tier=Tier.KINEMATIC, missing=MISSING, unseen=("pedal_ratio",))
-    record = summary_record(summarise("car1", FrameCounts(), ShiftStatistics(), None, capability))
+    record = summary_record(summary_of(capability=capability))
     assert record["capability"] == {"profile": "vw", "tier": 3, "missing": MISSING, "unseen": ["pedal_ratio"]}
 
 
@@ -55,6 +61,6 @@ def test_which_signals_lost_values_and_why() -> None:
         "pedal_ratio (1 out of range)"
     )
     assert values_line(FrameCounts()) == ""
-    record = summary_record(summarise("car1", frames, ShiftStatistics(), None))
+    record = summary_record(summary_of(frames))
     assert isinstance(record["frames"], dict)
     assert record["frames"]["invalid_signals"] == invalid

@@ -128,7 +128,7 @@ async def test_shifts_are_stored_and_told_in_order_and_frames_add_up(store: Resu
     (summary,) = reporter.summaries
     assert summary.frames.is_balanced
     assert (summary.frames.on_bus, summary.frames.decoded) == (len(frames) + 12, len(frames))
-    assert summary.shift_counts == {"valid": 0, "rejected": 4, "unobserved": 0}
+    assert summary.shifts.by_status == {"valid": 0, "rejected": 4, "unobserved": 0}
 
 
 async def test_a_failing_bus_is_told_after_all_it_gave(store: ResultStore) -> None:

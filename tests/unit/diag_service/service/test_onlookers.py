@@ -102,7 +102,7 @@ def test_a_snapshot_says_how_things_stand(snapshot: Snapshot) -> None:
     assert snapshot.load_ratio == pytest.approx(0.25)
     assert (snapshot.summary.frames.on_bus, snapshot.summary.frames.kernel_dropped) == (FRAMES + 7, 7)
     assert [result.seq for result in snapshot.recent] == [1, 2]
-    assert snapshot.summary.shift_counts["rejected"] == 2
+    assert snapshot.summary.shifts.by_status["rejected"] == 2
 
 
 def test_rates_are_those_of_the_frames_heard_however_they_were_cut() -> None:
