@@ -141,11 +141,11 @@ def add_powers(
     powers[DAMPERS] += output.shaft_damping_nms_rad * (y[at.W_D] - y[at.W_W]) ** 2
     rim_m_s = vehicle.wheel_radius_m * y[at.W_W]
     powers[TYRES] = out[at.F_X] * (rim_m_s - y[at.V])
-    brake_n = brake_force_n(u[at.BRAKE], y[at.V], vehicle)
+    brake_n = brake_force_n(u[at.BRAKE], y[at.V], law.full_brake_m_s, vehicle)
     share = vehicle.driven_brake_ratio
     powers[BRAKES] = brake_n * (share * rim_m_s + (1.0 - share) * y[at.V])
-    powers[ROAD] = road_load_n(y[at.V], law.grade_ratio, vehicle) * y[at.V]
-    powers[COOLANT] = convected_w(y[at.T_OIL], law.coolant_k, law.sump_convection_w_k)
+    powers[ROAD] = road_load_n(y[at.V], u[at.GRADE], vehicle) * y[at.V]
+    powers[COOLANT] = convected_w(y[at.T_OIL], u[at.COOLANT], law.sump_convection_w_k)
     for entry in range(ACCOUNT_COUNT):
         account[entry] += weight_s * powers[entry]
 

@@ -20,6 +20,14 @@ _OPEN_TOLERANCE_M = 1.0e-12
 _JUST_BELOW = 1.0 - 1.0e-12
 
 
+class OpenDragLaw(NamedTuple):
+    """How an open pack drags, whose oil takes up air: less than the film law says, and never more than a peak."""
+
+    peak_slip_rad_s: float  # slip of the greatest drag
+    closing_film_ratio: float  # film over roughness at which the film law holds alone
+    open_film_ratio: float  # film over open gap from which the pack drags as an open one
+
+
 class ClutchLaw(NamedTuple):
     """Everything constant about one clutch."""
 
@@ -29,6 +37,18 @@ class ClutchLaw(NamedTuple):
     valve: HydraulicsParameters
     heat_capacity_j_k: float
     convection_w_k: float
+    open_drag: OpenDragLaw
+
+
+@kernel
+def openness(film_m: float, law: ClutchLaw) -> float:
+    """Return how far a pack drags like an open one: 0 where the film law holds, 1 where it is open."""
+    closing_m = law.open_drag.closing_film_ratio * law.film.roughness_m
+    if film_m <= closing_m:
+        return 0.0
+    return min(
+        math.log(film_m / closing_m) / math.log(law.open_drag.open_film_ratio * law.film.open_gap_m / closing_m), 1.0
+    )
 
 
 @kernel
@@ -48,6 +68,7 @@ def refresh_contact(y: FloatArray, clutch: int, law: ClutchLaw) -> None:
     film_m = y[at.FILM + clutch]
     y[at.P_C + clutch] = contact_pressure_pa(film_m, law.film)
     y[at.SHEAR + clutch] = shear_factor_difference(film_m / law.film.roughness_m)
+    y[at.OPENNESS + clutch] = openness(film_m, law)
 
 
 @kernel
@@ -111,10 +132,17 @@ def capacity_nm(y: FloatArray, u: FloatArray, clutch: int, law: ClutchLaw) -> fl
 
 @array_kernel
 def viscous_nm(y: FloatArray, u: FloatArray, clutch: int, law: ClutchLaw) -> float:
-    """Return the torque of the sheared film [N m]; docs/model.md eq. (5)."""
+    """Return the torque of the sheared film [N m]; docs/model.md eqs. (5), (D2)."""
     slip_rad_s = y[at.W_H] - y[at.W_L + clutch]
     film_m, viscosity, shear = y[at.FILM + clutch], u[at.VISCOSITY + clutch], y[at.SHEAR + clutch]
-    return float(sheared_torque_nm(slip_rad_s, film_m, viscosity, shear, law.film))
+    film_nm = float(sheared_torque_nm(slip_rad_s, film_m, viscosity, shear, law.film))
+    if u[at.OPEN_DRAG + clutch] == 0.0 or y[at.OPENNESS + clutch] == 0.0 or slip_rad_s == 0.0:
+        return film_nm
+    share = slip_rad_s / law.open_drag.peak_slip_rad_s
+    open_nm = 2.0 * u[at.OPEN_DRAG + clutch] * share / (1.0 + share * share)
+    if y[at.OPENNESS + clutch] == 1.0:
+        return float(open_nm)
+    return float(film_nm * (open_nm / film_nm) ** y[at.OPENNESS + clutch])
 
 
 @array_kernel

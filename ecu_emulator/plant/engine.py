@@ -4,9 +4,11 @@ import math
 from typing import NamedTuple
 
 from canlog.jit import kernel
+from ecu_emulator.plant.vehicle import tanh_exact
 
 _AIR_GAS_CONSTANT_J_KG_K = 287.0
 _CYCLE_RAD = 4.0 * math.pi  # one four-stroke cycle
+_STARTING_RAD_S = 1.0  # over which the losses change sign: they end at a standstill
 _SHARPNESS = 9.0  # of the fit to compressible throttle flow, Cho and Hedrick 1989
 
 
@@ -72,6 +74,7 @@ def indicated_torque_nm(manifold_pa: float, spark: float, crank_rad: float, air_
 
 @kernel
 def engine_losses_nm(manifold_pa: float, engine_rad_s: float, p: EngineParameters) -> float:
-    """Return friction and pumping torque [N m]."""
+    """Return friction and pumping torque [N m]; none at a standstill."""
     pumping_nm = (p.ambient_pressure_pa - manifold_pa) * p.displacement_m3 / _CYCLE_RAD
-    return p.friction_nm + p.friction_nms_rad * engine_rad_s + pumping_nm
+    losses_nm = p.friction_nm + p.friction_nms_rad * engine_rad_s + pumping_nm
+    return losses_nm * tanh_exact(engine_rad_s / _STARTING_RAD_S)

@@ -85,6 +85,8 @@ def obey(machine: Machine, law: DriveLaw) -> None:
     u[at.THROTTLE_COMMAND] = commands[tcu_data.THROTTLE]
     u[at.SPARK_COMMAND] = commands[tcu_data.SPARK]
     u[at.BRAKE] = commands[tcu_data.BRAKE]
+    u[at.GRADE] = law.plant.grade_ratio
+    u[at.COOLANT] = law.plant.coolant_k
     for k in range(2):
         clutch = law.plant.clutches.first if k == 0 else law.plant.clutches.second
         line_pa = clutch.valve.line_pressure_pa

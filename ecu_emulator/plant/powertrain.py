@@ -11,7 +11,7 @@ from clutch_model.friction import contact_torque_nm, friction_law
 from ecu_emulator import tcu_data
 from ecu_emulator.plant import state as at
 from ecu_emulator.plant.audit import ACCOUNT_COUNT, PowerBalance, power_balance
-from ecu_emulator.plant.clutch import ClutchLaw, refresh_contact
+from ecu_emulator.plant.clutch import ClutchLaw, OpenDragLaw, refresh_contact
 from ecu_emulator.plant.drive import DriveSettings, cycle_table
 from ecu_emulator.plant.driveline import ENGAGED
 from ecu_emulator.plant.engine import throttle_flow_kg_s
@@ -28,6 +28,8 @@ FloatArray = npt.NDArray[np.float64]
 
 _ROWS_PER_S = 1000
 _IDLE_MANIFOLD_RATIO = 0.35  # of ambient pressure, when the drive begins
+_FULL_BRAKE_M_S = 1.0  # of the shift cycles, which never stop
+OPEN_DRAG = OpenDragLaw(peak_slip_rad_s=120.0, closing_film_ratio=4.0, open_film_ratio=0.9)
 _IDLE_RAD_S = 94.0  # engine speed when a drive begins at rest, about 900 rpm
 
 
@@ -100,6 +102,7 @@ def _clutch_law(clutch: ClutchCalibration, parameters: PlantParameters) -> Clutc
         valve=parameters.hydraulics,
         heat_capacity_j_k=float(clutch.thermal.heat_capacity_j_k),
         convection_w_k=float(clutch.thermal.convection_w_k),
+        open_drag=OPEN_DRAG,
     )
 
 
@@ -123,6 +126,7 @@ def _plant_law(truth: Calibration, parameters: PlantParameters, drive: DriveSett
         air_k=float(drive.ambient_k),
         coolant_k=float(drive.coolant_k),
         grade_ratio=float(drive.grade_ratio),
+        full_brake_m_s=_FULL_BRAKE_M_S,
     )
 
 

@@ -72,6 +72,7 @@ class PlantLaw(NamedTuple):
     air_k: float  # intake air
     coolant_k: float
     grade_ratio: float
+    full_brake_m_s: float  # speed from which the brakes act with their full force
 
 
 @array_kernel
@@ -148,6 +149,7 @@ def input_rates(y: FloatArray, u: FloatArray, modes: IntArray, out: FloatArray, 
     """Fill ``out`` from the engine to the input shafts; docs/model.md eqs. (1)-(3)."""
     engine_nm = indicated_torque_nm(y[at.P_M], y[at.SPARK], y[at.CRANK], law.air_k, law.engine)
     engine_nm -= engine_losses_nm(y[at.P_M], y[at.W_E], law.engine)
+    engine_nm += u[at.STARTER]
     twist_rate = y[at.W_E] - y[at.W_H]
     out[at.T_E] = engine_nm
     out[at.T_FW] = twist_torque_nm(
@@ -199,18 +201,20 @@ def output_rates(y: FloatArray, u: FloatArray, modes: IntArray, out: FloatArray,
         if modes[at.LINK + k] == ENGAGED:
             out[at.W_G + k] = u[at.RATIO + k] * out[at.W_D]
     traction_n = tyre_force_n(y[at.W_W], y[at.V], vehicle)
-    brake_n = brake_force_n(u[at.BRAKE], y[at.V], vehicle)
+    brake_n = brake_force_n(u[at.BRAKE], y[at.V], law.full_brake_m_s, vehicle)
     wheel_brake_nm = vehicle.driven_brake_ratio * brake_n * vehicle.wheel_radius_m
     wheel_nm = out[at.T_OS] - traction_n * vehicle.wheel_radius_m - vehicle.wheel_damping_nms_rad * y[at.W_W]
-    road_n = (1.0 - vehicle.driven_brake_ratio) * brake_n + road_load_n(y[at.V], law.grade_ratio, vehicle)
+    road_n = (1.0 - vehicle.driven_brake_ratio) * brake_n + road_load_n(y[at.V], u[at.GRADE], vehicle)
     out[at.F_X] = traction_n
     out[at.W_W] = (wheel_nm - wheel_brake_nm) / vehicle.wheel_inertia_kg_m2
     out[at.V] = (traction_n - road_n) / vehicle.mass_kg
+    if modes[at.HELD] != 0:
+        out[at.W_W] = out[at.V] = 0.0
     out[at.DISTANCE] = y[at.V]
 
 
 @array_kernel
-def heat_rates(y: FloatArray, out: FloatArray, law: PlantLaw) -> None:
+def heat_rates(y: FloatArray, u: FloatArray, out: FloatArray, law: PlantLaw) -> None:
     """Fill ``out`` with the warming of clutches and sump."""
     to_oil_w = 0.0
     for k in range(2):
@@ -221,7 +225,7 @@ def heat_rates(y: FloatArray, out: FloatArray, law: PlantLaw) -> None:
         )
         to_oil_w += convected_w(y[at.T_C + k], y[at.T_OIL], clutch.convection_w_k)
     out[at.T_OIL] = sump_heating_rate_k_s(
-        to_oil_w, y[at.T_OIL], law.coolant_k, law.sump_heat_capacity_j_k, law.sump_convection_w_k
+        to_oil_w, y[at.T_OIL], u[at.COOLANT], law.sump_heat_capacity_j_k, law.sump_convection_w_k
     )
 
 
@@ -230,7 +234,7 @@ def evaluate(y: FloatArray, u: FloatArray, modes: IntArray, out: FloatArray, law
     """Put the rates of the state and the torques behind them into ``out``."""
     input_rates(y, u, modes, out, law)
     output_rates(y, u, modes, out, law)
-    heat_rates(y, out, law)
+    heat_rates(y, u, out, law)
 
 
 @array_kernel

@@ -28,7 +28,8 @@ FILM = 25  # and 26
 # Functions of the film, kept with it.
 P_C = 27  # and 28, contact pressure
 SHEAR = 29  # and 30, phi_f - phi_fs
-STATE_COUNT = 31
+OPENNESS = 31  # and 32, how far the pack drags like an open one: 0 film law, 1 open
+STATE_COUNT = 33
 
 # Torques behind the rates in the output of `rates.evaluate`.
 T_FW = 19
@@ -54,10 +55,15 @@ P_COMMAND = 13  # and 14
 T_COMMAND = 15  # and 16
 PEDAL = 17
 AIR_FLOW = 18
-INPUT_COUNT = 19
+GRADE = 19
+COOLANT = 20  # [K]
+STARTER = 21  # torque of the starter on the crankshaft [N m]
+OPEN_DRAG = 22  # and 23, greatest drag of the open pack [N m]; 0: the film law holds for open packs too
+INPUT_COUNT = 24
 
 # Modes.
 STICK = 0  # and 1
 LINK = 2  # and 3
 GEAR = 4  # and 5, gear on each shaft, 0 none
-MODE_COUNT = 6
+HELD = 6  # the brakes hold the car and its driven wheels at rest
+MODE_COUNT = 7

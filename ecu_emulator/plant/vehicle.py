@@ -45,9 +45,9 @@ def tyre_force_n(wheel_rad_s: float, vehicle_m_s: float, p: VehicleParameters) -
 
 
 @kernel
-def brake_force_n(deceleration_m_s2: float, vehicle_m_s: float, p: VehicleParameters) -> float:
-    """Return the total brake force F_b [N], faded out at standstill."""
-    return p.mass_kg * deceleration_m_s2 * min(max(vehicle_m_s, 0.0), 1.0)
+def brake_force_n(deceleration_m_s2: float, vehicle_m_s: float, full_brake_m_s: float, p: VehicleParameters) -> float:
+    """Return the total brake force F_b [N], faded out below a speed; what holds the car at rest is no force."""
+    return p.mass_kg * deceleration_m_s2 * min(max(vehicle_m_s / full_brake_m_s, -1.0), 1.0)
 
 
 @kernel

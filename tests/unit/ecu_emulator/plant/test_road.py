@@ -19,9 +19,10 @@ def test_a_spinning_wheel_pulls_no_more_than_its_grip() -> None:
 
 
 def test_brakes_let_go_at_standstill() -> None:
-    assert brake_force_n(0.7, 20.0, VEHICLE) == pytest.approx(0.7 * VEHICLE.mass_kg)
-    assert brake_force_n(0.7, 0.0, VEHICLE) == 0.0
-    assert brake_force_n(0.7, -1.0, VEHICLE) == 0.0
+    assert brake_force_n(0.7, 20.0, 1.0, VEHICLE) == pytest.approx(0.7 * VEHICLE.mass_kg)
+    assert brake_force_n(0.7, 0.0, 1.0, VEHICLE) == 0.0
+    assert brake_force_n(0.7, -1.0, 1.0, VEHICLE) == pytest.approx(-0.7 * VEHICLE.mass_kg)  # against the motion
+    assert brake_force_n(0.7, 0.05, 0.1, VEHICLE) == pytest.approx(0.35 * VEHICLE.mass_kg)
 
 
 def test_road_load_adds_rolling_grade_and_air() -> None:
