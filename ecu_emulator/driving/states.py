@@ -40,3 +40,4 @@ class EventKind(IntEnum):
     POWER_ON_SKIP = 8  # 6-4, 5-3, 4-2 under power, over a gear of the other shaft
     COAST_SKIP = 9  # the same while coasting, with both clutches open meanwhile
     REGEAR = 10  # another gear while both clutches are open
+    CLOSING = 11  # a clutch closes onto a car that rolls by itself

@@ -1,0 +1,103 @@
+"""The shift map over pedal and speed, and which gear the idle shaft looks for."""
+
+import math
+
+import numpy as np
+import numpy.typing as npt
+
+from canlog.jit import array_kernel
+from ecu_emulator import tcu, tcu_data
+from ecu_emulator.driving import places as at
+from ecu_emulator.driving.laws import DrivingLaw, gear_speed_rad_s, idle_rad_s, shift_shaft
+
+FloatArray = npt.NDArray[np.float64]
+
+_BRAKING_M_S2 = 0.3
+_LOWEST_SKIPPED_FROM = 4  # 6-4, 5-3, 4-2
+_LOWEST_COASTING = 2  # the car rolls out of 2nd gear with open clutches
+
+
+@array_kernel
+def low_rad_s(memory: FloatArray, sense: FloatArray, law: DrivingLaw) -> float:
+    """Return the engine speed below which a gear is too high [rad/s]: the pedal raises it, so does a cold engine."""
+    p = law.driving.choice
+    cold_rad_s = idle_rad_s(sense, law) - law.driving.engine.warm_idle_rad_s
+    soon = min(memory[at.PEDAL] + p.foresight_s * max(memory[at.PEDAL_RATE], 0.0), 1.0)
+    return float(p.low_rad_s + p.rise_rad_s * soon * math.sqrt(soon) + cold_rad_s)
+
+
+@array_kernel
+def wants_up(memory: FloatArray, sense: FloatArray, gear: int, law: DrivingLaw) -> bool:
+    """Tell whether the gear above this one would turn the engine fast enough, or this one turns it too fast."""
+    p = law.driving.choice
+    if gear >= tcu_data.GEAR_COUNT or memory[at.BRAKE] > _BRAKING_M_S2:
+        return False
+    if gear_speed_rad_s(sense, gear, law) > p.top_rad_s:
+        return True
+    return bool(gear_speed_rad_s(sense, gear + 1, law) > p.up_ratio * low_rad_s(memory, sense, law) + p.up_margin_rad_s)
+
+
+@array_kernel
+def lower_gear(memory: FloatArray, sense: FloatArray, gear: int, is_pulling: bool, law: DrivingLaw) -> int:  # noqa: FBT001 - kernels take their arguments by position
+    """Return the gear to change down to, or this one if it is low enough; two gears at once on one shaft at most."""
+    p, low = law.driving.choice, low_rad_s(memory, sense, law)
+    lowest = 1 if is_pulling and memory[at.PEDAL] > p.first_pedal_ratio else _LOWEST_COASTING
+    speed_m_s = max(sense[at.VEHICLE_SPEED], 1.0)
+    soon_ratio = max(1.0 - p.braking_ahead_s * memory[at.BRAKE] / speed_m_s, 0.0)
+    if gear <= lowest or gear_speed_rad_s(sense, gear, law) >= p.down_ratio * low - p.down_margin_rad_s:
+        return gear
+    if gear_speed_rad_s(sense, gear - 1, law) > p.down_top_rad_s:
+        return gear
+    may_skip = gear >= _LOWEST_SKIPPED_FROM and gear_speed_rad_s(sense, gear - 2, law) < p.down_top_rad_s
+    if may_skip and soon_ratio * gear_speed_rad_s(sense, gear - 1, law) < p.down_ratio * low:
+        return gear - 2
+    return gear - 1
+
+
+@array_kernel
+def wanted_gear(memory: FloatArray, sense: FloatArray, law: DrivingLaw) -> int:
+    """Return the gear the map asks for now, after the least time in the present one."""
+    p, gear = law.driving.choice, int(memory[tcu_data.CURRENT_GEAR])
+    is_pulling = memory[at.PEDAL] > law.driving.pedal.overrun_ratio
+    if memory[tcu_data.DWELL] > p.down_dwell_s:
+        lower = lower_gear(memory, sense, gear, is_pulling, law)
+        if lower != gear:
+            return lower
+    if memory[tcu_data.DWELL] > p.up_dwell_s and wants_up(memory, sense, gear, law):
+        return gear + 1
+    return gear
+
+
+@array_kernel
+def likely_gear(memory: FloatArray, sense: FloatArray, law: DrivingLaw) -> int:
+    """Return the gear that will probably come next: the nearer of both thresholds."""
+    p, gear = law.driving.choice, int(memory[tcu_data.CURRENT_GEAR])
+    if gear == 1:
+        return 2
+    if gear == tcu_data.GEAR_COUNT:
+        return gear - 1
+    low = low_rad_s(memory, sense, law)
+    ratios = law.drive.overall_ratios
+    top_rad_s = (p.up_ratio * low + p.up_margin_rad_s) * ratios[gear] / ratios[gear + 1]
+    bottom_rad_s = p.down_ratio * low - p.down_margin_rad_s
+    return gear + 1 if gear_speed_rad_s(sense, gear, law) > 0.5 * (top_rad_s + bottom_rad_s) else gear - 1
+
+
+@array_kernel
+def preselect(memory: FloatArray, sense: FloatArray, commands: FloatArray, wanted: int, law: DrivingLaw) -> bool:
+    """Move the idle shaft to the gear that is wanted, or likely to be; True if the wanted change may begin."""
+    gear = int(memory[tcu_data.CURRENT_GEAR])
+    idle = 1 - tcu.clutch_of(gear)
+    looked_for = likely_gear(memory, sense, law)
+    memory[at.LOOKED_FOR_TIME] += tcu_data.PERIOD_S
+    if looked_for == memory[at.LOOKED_FOR_GEAR]:
+        memory[at.LOOKED_FOR_TIME] = 0.0
+    if memory[at.LOOKED_FOR_GEAR] == 0.0 or tcu.clutch_of(int(memory[at.LOOKED_FOR_GEAR])) != idle:
+        has_gear = sense[tcu_data.SHAFT_GEAR + idle]  # the shafts have just changed roles
+        memory[at.LOOKED_FOR_GEAR] = has_gear if has_gear != 0.0 else looked_for
+    if wanted != gear:
+        memory[at.LOOKED_FOR_GEAR] = gear - 1 if wanted == gear - 2 else wanted
+    elif memory[at.LOOKED_FOR_TIME] > law.driving.choice.settle_s:
+        memory[at.LOOKED_FOR_GEAR] = looked_for
+    is_ready = shift_shaft(memory, sense, commands, idle, int(memory[at.LOOKED_FOR_GEAR]), law)
+    return is_ready and wanted != gear

@@ -1,0 +1,66 @@
+"""Places in the arrays that the kernels of a drive share; they follow those of the shift control in ``tcu_data``.
+
+Pairs hold clutch 1 (odd gears) first; clutch 2 follows.
+"""
+
+from ecu_emulator import tcu_data
+
+# What the controllers sense beyond `tcu_data`.
+VEHICLE_SPEED = tcu_data.SENSE_COUNT
+DIFF_SPEED = VEHICLE_SPEED + 1
+SHAFT_SPEED = DIFF_SPEED + 1  # and the next, clutch side of each input shaft
+HUB_SPEED = SHAFT_SPEED + 2
+MANIFOLD = HUB_SPEED + 1  # [Pa]
+GRADE = MANIFOLD + 1
+OIL = GRADE + 1  # [K]
+COOLANT = OIL + 1  # [K]
+SENSE_COUNT = COOLANT + 1
+
+# What they command beyond `tcu_data`.
+STARTER = tcu_data.COMMAND_COUNT  # torque of the starter [N m]
+REQUEST = STARTER + 1  # how the transmission intervenes in the engine's torque
+REQUESTED_TORQUE = REQUEST + 1  # [N m]
+HILL_BRAKE = REQUESTED_TORQUE + 1  # least deceleration the brakes hold for the driver [m/s^2]
+COMMAND_COUNT = HILL_BRAKE + 1
+
+# How the transmission intervenes.
+NO_REQUEST = 0
+AT_LEAST = 1
+EXACTLY = 2
+
+# What they remember beyond `tcu_data`.
+STATE = tcu_data.MEMORY_COUNT  # a DriveState
+STATE_TIME = STATE + 1
+EVENT_KIND = STATE_TIME + 1
+EVENT_NUMBER = EVENT_KIND + 1  # 0 between events
+EVENT_COUNT = EVENT_NUMBER + 1
+IS_ABORTED = EVENT_COUNT + 1
+ENGINE_STATE = IS_ABORTED + 1
+ENGINE_TIME = ENGINE_STATE + 1  # in this state
+IDLE_INTEGRAL = ENGINE_TIME + 1  # [N m]
+OVERRUN_TIME = IDLE_INTEGRAL + 1  # since the driver's foot asked for nothing
+DEMAND = OVERRUN_TIME + 1  # torque the driver asks of the crankshaft, filtered [N m]
+PEDAL = DEMAND + 1
+PEDAL_RATE = PEDAL + 1  # at which it goes down, smoothed [1/s]
+BRAKE = PEDAL_RATE + 1  # [m/s^2]
+SPEED_INTEGRAL = BRAKE + 1  # of the driver [m]
+LOOKED_FOR_GEAR = SPEED_INTEGRAL + 1  # gear the idle shaft shall have
+LOOKED_FOR_TIME = LOOKED_FOR_GEAR + 1  # since another one was better
+NEUTRAL_SINCE = LOOKED_FOR_TIME + 1  # and the next: time each shaft has been without a gear
+FROM_CLUTCH = NEUTRAL_SINCE + 2  # of the two between which torque is handed over
+TO_GEAR = FROM_CLUTCH + 1  # gear of the leg: the bridge, then the target
+SHARE = TO_GEAR + 1  # of the torque on the on-coming clutch
+START_SPEED = SHARE + 1  # engine speed at the beginning of the leg [rad/s]
+LAUNCH_SPEED = START_SPEED + 1  # engine speed the launch follows [rad/s]
+LAUNCH_TORQUE = LAUNCH_SPEED + 1  # [N m]
+LIFT_TIME = LAUNCH_TORQUE + 1  # since the pedal was released
+WHIM_TIME = LIFT_TIME + 1  # left of a driver's whim
+WHIM_PEDAL = WHIM_TIME + 1  # what it adds to the pedal
+MEMORY_COUNT = WHIM_PEDAL + 1
+
+# Columns of the table of whims, one row per event.
+WHIM_DELAY = 0  # after the begin of the event [s]; negative: none
+WHIM_IN_GEAR_DELAY = 1  # after the event's end, if the gear is held so long [s]; negative: none
+WHIM_LENGTH = 2  # [s]
+WHIM_SIZE = 3  # on the pedal
+WHIM_COLUMN_COUNT = 4

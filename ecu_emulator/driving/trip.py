@@ -1,0 +1,205 @@
+"""A trip: a car follows a speed trace, one row of the plant per millisecond."""
+
+from collections.abc import Iterator
+
+import numpy as np
+import numpy.typing as npt
+
+from clutch_model.errors import DomainError
+from ecu_emulator import tcu_data
+from ecu_emulator.driving import places
+from ecu_emulator.driving.conditions import Car, DriveConditions
+from ecu_emulator.driving.driver import GRID_S
+from ecu_emulator.driving.laws import DrivingLaw, idle_rad_s
+from ecu_emulator.driving.loop import Road, run
+from ecu_emulator.driving.states import DriveState
+from ecu_emulator.driving.trace import SpeedTrace
+from ecu_emulator.plant import state as at
+from ecu_emulator.plant.audit import ACCOUNT_COUNT, PowerBalance, power_balance
+from ecu_emulator.plant.clutch import refresh_contact
+from ecu_emulator.plant.drive import DriveSettings
+from ecu_emulator.plant.driveline import ENGAGED
+from ecu_emulator.plant.engine import throttle_flow_kg_s
+from ecu_emulator.plant.loop import COLUMN_COUNT, Machine
+from ecu_emulator.plant.powertrain import drive_law
+from ecu_emulator.plant.records import as_record
+from ecu_emulator.plant.stability import check_step
+
+FloatArray = npt.NDArray[np.float64]
+
+BLOCK_S = 10.0
+_ROWS_PER_S = 1000
+_IDLE_MANIFOLD_RATIO = 0.35  # of ambient pressure
+_WHIM_COUNT = 1021  # prime: no pattern of events meets the same whims again and again
+_LONGEST_WHIM_DELAY_S = 0.7
+_LONGEST_IN_GEAR_DELAY_S = 5.0
+_WHIM_LENGTH_S = (0.25, 0.6)
+_DEEPER_PEDAL = (0.15, 0.6)
+
+
+class Trip:
+    """A car on its way along a trace.
+
+    Deterministic: the same arguments and the same state of ``rng`` give the same rows to the last bit, however
+    `advance` is called.
+
+    Parameters
+    ----------
+    car : Car
+        What is driven.
+    trace : SpeedTrace
+        What the driver follows.
+    conditions : DriveConditions
+        Temperatures, load, habits.
+    rng : np.random.Generator
+        Of the driver's whims; read once.
+    is_audited : bool
+        Keep an energy account (a few percent slower); see `power_balance`.
+
+    Raises
+    ------
+    CalibrationError
+        If the step is too long for the car.
+    """
+
+    def __init__(
+        self,
+        car: Car,
+        trace: SpeedTrace,
+        conditions: DriveConditions,
+        rng: np.random.Generator,
+        *,
+        is_audited: bool = False,
+    ) -> None:
+        law = driving_law(car, conditions)
+        check_step(conditions.dt_s, law.drive.plant, law.drive.overall_ratios, starts_in_neutral=True)
+        self._law = as_record(law)
+        self._road = _road(trace, conditions, rng)
+        self._machine = _initial_machine(self._law, conditions, is_audited=is_audited)
+        self._start = self._machine.y.copy()
+
+    @property
+    def finished(self) -> bool:
+        """Whether the end of the trace is reached."""
+        return bool(self._machine.clock[0] >= self._road.end[0])
+
+    @property
+    def time_s(self) -> float:
+        """Time of the next row since the trip began [s]."""
+        return int(self._machine.clock[0]) / _ROWS_PER_S
+
+    @property
+    def power_balance(self) -> PowerBalance:
+        """Energies since the start.
+
+        Raises
+        ------
+        DomainError
+            If the trip keeps no account.
+        """
+        if self._machine.account.size == 0:
+            raise DomainError("only an audited trip has a power balance")
+        return power_balance(self._machine.account, self._start, self._machine.y, self._law.drive.plant)
+
+    def advance(self, duration_s: float) -> FloatArray:
+        """Drive on and return the next rows, shape (n, len(Col)); fewer at the end of the trace, none after it."""
+        rows = np.empty((round(duration_s * _ROWS_PER_S), COLUMN_COUNT))
+        return rows[: run(self._machine, self._road, self._law, rows)]
+
+
+def drive(car: Car, trace: SpeedTrace, conditions: DriveConditions, rng: np.random.Generator) -> Iterator[FloatArray]:
+    """Yield the rows of a whole trip in blocks of `BLOCK_S`, shape (n, len(Col)) each."""
+    trip = Trip(car, trace, conditions, rng)
+    while not trip.finished:
+        yield trip.advance(BLOCK_S)
+
+
+def driving_law(car: Car, conditions: DriveConditions) -> DrivingLaw:
+    """Return everything constant over a trip, in the form the kernels take after `as_record`."""
+    around = car.driving.surroundings
+    base = drive_law(car.truth, car.parameters, DriveSettings(dt_s=conditions.dt_s))
+    vehicle = base.plant.vehicle
+    if conditions.mass_kg is not None:
+        vehicle = vehicle._replace(mass_kg=float(conditions.mass_kg))
+    plant = base.plant._replace(
+        vehicle=vehicle,
+        synchroniser=base.plant.synchroniser._replace(lock_slip_rad_s=around.synchroniser_lock_rad_s),
+        air_k=float(conditions.ambient_k),
+        coolant_k=float(conditions.coolant_k),
+        full_brake_m_s=around.full_brake_m_s,
+    )
+    return DrivingLaw(drive=base._replace(plant=plant), driving=car.driving)
+
+
+def _road(trace: SpeedTrace, conditions: DriveConditions, rng: np.random.Generator) -> Road:
+    grid_s = np.arange(round(trace.duration_s / GRID_S) + 2) * GRID_S
+    return Road(
+        speeds=np.interp(grid_s, trace.t_s, trace.speed_m_s),
+        grades=np.interp(grid_s, trace.t_s, trace.grade_ratio),
+        whims=_whims(conditions.whim_ratio, rng),
+        end=np.array([round(trace.duration_s * _ROWS_PER_S)]),
+    )
+
+
+def _whims(ratio: float, rng: np.random.Generator) -> FloatArray:
+    """Return what the driver's foot does without need, one row per event: a lift, or a deeper pedal."""
+    table = np.empty((_WHIM_COUNT, places.WHIM_COLUMN_COUNT))
+    has_whim = rng.random(_WHIM_COUNT) < ratio
+    table[:, places.WHIM_DELAY] = np.where(has_whim, rng.uniform(0.0, _LONGEST_WHIM_DELAY_S, _WHIM_COUNT), -1.0)
+    is_later = rng.random(_WHIM_COUNT) < ratio
+    later_s = rng.uniform(0.0, _LONGEST_IN_GEAR_DELAY_S, _WHIM_COUNT)
+    table[:, places.WHIM_IN_GEAR_DELAY] = np.where(is_later, later_s, -1.0)
+    table[:, places.WHIM_LENGTH] = rng.uniform(*_WHIM_LENGTH_S, _WHIM_COUNT)
+    deeper = rng.uniform(*_DEEPER_PEDAL, _WHIM_COUNT)
+    table[:, places.WHIM_SIZE] = np.where(rng.random(_WHIM_COUNT) < 0.5, -1.0, deeper)
+    return table
+
+
+def _initial_machine(law: DrivingLaw, conditions: DriveConditions, *, is_audited: bool) -> Machine:
+    """Return a car that stands on its brakes, the engine idling, both clutches open, gears 1 and 2 engaged."""
+    factors = conditions.friction_factors
+    cycles = np.zeros((1, tcu_data.CYCLE_COLUMN_COUNT))
+    cycles[0, tcu_data.CYCLE_MU :] = (factors.mu_c1, factors.mu_s1, factors.mu_c2, factors.mu_s2)
+    machine = Machine(
+        y=np.zeros(at.STATE_COUNT),
+        u=np.zeros(at.INPUT_COUNT),
+        modes=np.zeros(at.MODE_COUNT, np.int64),
+        before=np.zeros(at.STATE_COUNT),
+        predicted=np.zeros(at.STATE_COUNT),
+        slope1=np.zeros(at.OUTPUT_COUNT),
+        slope=np.zeros(at.OUTPUT_COUNT),
+        account=np.zeros(3 * ACCOUNT_COUNT if is_audited else 0),
+        memory=np.zeros(places.MEMORY_COUNT),
+        sense=np.zeros(places.SENSE_COUNT),
+        commands=np.zeros(places.COMMAND_COUNT),
+        clock=np.zeros(1, np.int64),
+        cycles=cycles,
+    )
+    machine.u[at.COOLANT] = machine.sense[places.COOLANT] = conditions.coolant_k
+    machine.u[at.DIRECTION : at.DIRECTION + 2] = 1.0
+    machine.u[at.AIR_FLOW] = throttle_flow_kg_s(0.0, law.drive.plant.engine)
+    machine.modes[at.LINK : at.LINK + 2] = ENGAGED
+    machine.modes[at.GEAR : at.GEAR + 2] = (1, 2)
+    machine.modes[at.HELD] = 1
+    machine.u[at.RATIO : at.RATIO + 2] = law.drive.overall_ratios[1:3]
+    machine.commands[tcu_data.WANTED_GEAR : tcu_data.WANTED_GEAR + 2] = (1, 2)
+    machine.commands[tcu_data.SPARK] = 1.0
+    machine.memory[tcu_data.CURRENT_GEAR] = machine.memory[tcu_data.TARGET_GEAR] = 1
+    machine.memory[places.STATE] = DriveState.STANDSTILL
+    machine.memory[places.BRAKE] = law.driving.driver.standing_brake_m_s2
+    _fill_state(machine, law, conditions)
+    return machine
+
+
+def _fill_state(machine: Machine, law: DrivingLaw, conditions: DriveConditions) -> None:
+    y, plant = machine.y, law.drive.plant
+    y[[at.W_E, at.W_H]] = idle_rad_s(machine.sense, law)
+    y[at.P_M] = _IDLE_MANIFOLD_RATIO * plant.engine.ambient_pressure_pa
+    y[at.SPARK] = 1.0
+    y[at.T_OIL] = conditions.oil_k
+    packs_k = (conditions.clutch1_k, conditions.clutch2_k)
+    for index, clutch in enumerate((plant.clutches.first, plant.clutches.second)):
+        pack_k = packs_k[index]
+        y[at.T_C + index] = conditions.oil_k if pack_k is None else pack_k
+        y[at.FILM + index] = clutch.film.open_gap_m
+        refresh_contact(y, index, clutch)

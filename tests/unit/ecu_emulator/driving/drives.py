@@ -1,0 +1,65 @@
+"""Short drives for tests: traces from a few points, rows of a whole trip, the events in them."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ecu_emulator.driving.conditions import Car, DriveConditions
+from ecu_emulator.driving.states import EventKind
+from ecu_emulator.driving.trace import FloatArray, SpeedTrace
+from ecu_emulator.driving.trip import Trip
+from ecu_emulator.plant.columns import Col
+
+WARM_K = 363.15
+COLD_K = 263.15
+
+
+def trace(*points: tuple[float, float], grade_ratio: float = 0.0) -> SpeedTrace:
+    """Return a trace through points of time [s] and speed [m/s]."""
+    t_s, speed_m_s = (np.array(column) for column in zip(*points, strict=True))
+    return SpeedTrace(name="made up", t_s=t_s, speed_m_s=speed_m_s, grade_ratio=np.full(t_s.size, grade_ratio))
+
+
+def conditions(**changes: float) -> DriveConditions:
+    """Return warm conditions without whims, but for what is given."""
+    return DriveConditions(**{"whim_ratio": 0.0, **changes})  # type: ignore[arg-type]  # all of them are numbers
+
+
+def trip(road: SpeedTrace, *, seed: int = 1, is_audited: bool = False, **changes: float) -> Trip:
+    """Return a trip of the nominal car."""
+    return Trip(Car(), road, conditions(**changes), np.random.default_rng(seed), is_audited=is_audited)
+
+
+def driven(road: SpeedTrace, *, seed: int = 1, **changes: float) -> FloatArray:
+    """Return all rows of a trip."""
+    return Trip(Car(), road, conditions(**changes), np.random.default_rng(seed)).advance(road.duration_s)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Event:
+    """One event and its rows."""
+
+    kind: EventKind
+    rows: FloatArray
+
+    @property
+    def is_aborted(self) -> bool:
+        """Whether it went back to where it began."""
+        return bool(self.rows[:, Col.IS_ABORTED].any())
+
+    @property
+    def gears(self) -> tuple[int, int]:
+        """Gear it began in and gear it aimed at."""
+        return int(self.rows[0, Col.CURRENT_GEAR]), int(self.rows[0, Col.TARGET_GEAR])
+
+
+def events(rows: FloatArray) -> list[Event]:
+    """Return the events of a drive in order."""
+    numbers = np.unique(rows[:, Col.EVENT_NUMBER])
+    found = [rows[rows[:, Col.EVENT_NUMBER] == number] for number in numbers[numbers > 0.0]]
+    return [Event(kind=EventKind(int(during[0, Col.EVENT_KIND])), rows=during) for during in found]
+
+
+def of_kind(rows: FloatArray, kind: EventKind) -> list[Event]:
+    """Return the events of one kind."""
+    return [event for event in events(rows) if event.kind is kind]

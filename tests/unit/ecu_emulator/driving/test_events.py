@@ -1,0 +1,163 @@
+"""What the events of a drive look like: launches, creeps, every kind of change."""
+
+import numpy as np
+import pytest
+
+from ecu_emulator.driving.states import DriveState, EventKind
+from ecu_emulator.driving.trace import FloatArray
+from ecu_emulator.plant.columns import Col
+from tests.unit.ecu_emulator.driving.drives import Event, driven, events, of_kind, trace
+
+HOLD, PREFILL, TORQUE, INERTIA, LOCK_UP = range(5)
+
+
+def only(rows: FloatArray, kind: EventKind) -> Event:
+    (event,) = of_kind(rows, kind)
+    return event
+
+
+def phases(event: Event) -> list[int]:
+    phase = event.rows[:, Col.SHIFT_PHASE].astype(int)
+    return [int(one) for one in phase[np.flatnonzero(np.diff(phase, prepend=-1))]]
+
+
+def slip_rad_s(rows: FloatArray, clutch: int) -> FloatArray:
+    return rows[:, Col.HUB_SPEED] - rows[:, Col.INPUT1_SPEED + clutch - 1]
+
+
+def test_a_launch_slips_under_load_and_ends_locked(town: FloatArray) -> None:
+    launch = only(town, EventKind.LAUNCH)
+    assert launch.gears == (1, 1)
+    assert not launch.is_aborted
+    assert phases(launch) == [HOLD]
+    assert 2.0 < len(launch.rows) / 1000.0 < 5.0
+    slip, torque_nm = slip_rad_s(launch.rows, 1), launch.rows[:, Col.CLUTCH1_TORQUE]
+    assert slip.max() > 80.0
+    assert abs(slip[-1]) < 1.0
+    assert 40.0 < torque_nm[len(torque_nm) // 2] < 180.0
+    heat_j = float((slip * torque_nm).sum() * 1.0e-3)
+    assert 5.0e3 < heat_j < 2.5e4
+    after = town[town[:, Col.T_S] > launch.rows[-1, Col.T_S]][100:1000]
+    assert after[:, Col.STICK1].all()
+    assert (after[:, Col.DRIVE_STATE] == DriveState.IN_GEAR).all()
+
+
+def test_a_creep_carries_little_and_fades_as_the_car_rolls() -> None:
+    rows = driven(trace((0, 0), (1.5, 0), (2.5, 0.8), (9, 0.8), (10, 0), (12, 0)))
+    creeps = of_kind(rows, EventKind.CREEP)
+    assert creeps
+    assert all(event.gears == (1, 1) and phases(event) == [HOLD] for event in creeps)
+    carried_nm = np.concatenate([event.rows[:, Col.CLUTCH1_TORQUE] for event in creeps])
+    assert 8.0 < carried_nm.max() < 30.0
+    assert rows[:, Col.VEHICLE_SPEED].max() < 1.7
+
+
+def test_a_launch_is_aborted_when_the_driver_lifts() -> None:
+    rows = driven(trace((0, 0), (1, 0), (2.2, 2.0), (2.4, 2.0), (3.2, 0), (6, 0)))
+    assert any(event.is_aborted for event in of_kind(rows, EventKind.LAUNCH))
+    assert rows[-1, Col.VEHICLE_SPEED] == 0.0
+
+
+def test_a_launch_from_rolling_takes_the_gear_for_the_speed() -> None:
+    rows = driven(trace((0, 0), (1, 0), (9, 11), (11, 11), (16, 1.6), (17, 1.6), (23, 10), (25, 10)))
+    second = of_kind(rows, EventKind.LAUNCH)[-1]
+    assert second.rows[0, Col.VEHICLE_SPEED] > 1.0
+    assert not second.is_aborted
+
+
+def test_power_on_upshifts_have_all_phases_and_spark(town: FloatArray) -> None:
+    upshifts = of_kind(town, EventKind.POWER_ON_UPSHIFT)
+    assert [event.gears for event in upshifts][:3] == [(1, 2), (2, 3), (3, 4)]
+    assert all(phases(event) == [PREFILL, TORQUE, INERTIA, LOCK_UP] for event in upshifts)
+    assert all(abs(slip_rad_s(event.rows, 2 - event.gears[1] % 2)[-1]) < 1.0 for event in upshifts)
+
+
+def test_coast_downshifts_blip_the_throttle_and_slip_shortly(town: FloatArray) -> None:
+    for event in of_kind(town, EventKind.COAST_DOWNSHIFT):
+        clutch = 2 - event.gears[1] % 2
+        assert event.gears[1] == event.gears[0] - 1
+        assert phases(event) == [PREFILL, INERTIA, LOCK_UP]
+        assert event.rows[0, Col.ENGINE_TORQUE] < 10.0 < event.rows[:, Col.ENGINE_TORQUE].max()
+        carried_nm = np.abs(event.rows[:, Col.CLUTCH1_TORQUE + clutch - 1])
+        slipping = (np.abs(slip_rad_s(event.rows, clutch)) > 2.0) & (carried_nm > 6.0)
+        assert slipping.sum() < 400
+        assert abs(slip_rad_s(event.rows, clutch)[-1]) < 1.0
+
+
+def test_a_change_with_open_clutches_shows_its_target_first(town: FloatArray) -> None:
+    regears = of_kind(town, EventKind.REGEAR)
+    assert regears
+    for event in regears:
+        assert (event.rows[:, Col.CURRENT_GEAR] != event.rows[:, Col.TARGET_GEAR]).all()
+        assert (event.rows[:, Col.DRIVE_STATE] != DriveState.IN_GEAR).all()
+        assert event.rows[:, [Col.STICK1, Col.STICK2]].max() == 0.0
+
+
+def test_a_skip_under_power_goes_over_the_other_shaft(sport: FloatArray) -> None:
+    skip = only(sport, EventKind.POWER_ON_SKIP)
+    assert skip.gears == (5, 3)
+    rows = skip.rows
+    assert rows[:, Col.ENGINE_TORQUE].max() > 200.0
+    assert set(rows[:, Col.SHAFT1_GEAR]) == {5.0, 0.0, 3.0}  # the shaft changes its gear inside the event
+    assert set(rows[:, Col.SHAFT2_GEAR]) == {4.0}
+    bridged = rows[:, Col.SHAFT1_GEAR] == 0.0
+    assert rows[bridged, Col.CLUTCH2_TORQUE].min() > 50.0  # meanwhile the bridge carries
+    assert slip_rad_s(rows[bridged], 2).min() > 5.0
+    assert abs(slip_rad_s(rows, 1)[-1]) < 1.0
+
+
+def test_a_coasting_skip_opens_the_clutch(sport: FloatArray) -> None:
+    skip = only(sport, EventKind.COAST_SKIP)
+    assert skip.gears == (6, 4)
+    assert set(skip.rows[:, Col.SHAFT2_GEAR]) == {6.0, 0.0, 4.0}
+    changing = skip.rows[:, Col.SHAFT2_GEAR] == 0.0
+    assert np.abs(skip.rows[changing][:, [Col.CLUTCH1_TORQUE, Col.CLUTCH2_TORQUE]]).max() < 10.0
+    assert abs(slip_rad_s(skip.rows, 2)[-1]) < 1.0
+
+
+def test_in_a_kickdown_the_off_going_clutch_slips_first() -> None:
+    rows = driven(trace((0, 0), (1, 0), (11, 15), (20, 15), (25, 32), (26, 32)))
+    downshifts = of_kind(rows, EventKind.KICKDOWN) + of_kind(rows, EventKind.POWER_ON_DOWNSHIFT)
+    strong = [event for event in downshifts if event.rows[:, Col.ENGINE_TORQUE].max() > 150.0]
+    assert strong
+    for event in strong:
+        going, coming = 2 - event.gears[0] % 2, 2 - event.gears[1] % 2
+        raising = event.rows[event.rows[:, Col.SHIFT_PHASE] == INERTIA]
+        first = raising[: len(raising) // 2]
+        assert slip_rad_s(first, going)[-1] > 5.0
+        assert first[:, Col.CLUTCH1_TORQUE + going - 1].min() > 30.0
+        assert np.abs(first[:, Col.CLUTCH1_TORQUE + coming - 1]).max() < 25.0
+        assert abs(slip_rad_s(event.rows, coming)[-1]) < 1.0
+
+
+def test_a_driver_changes_the_mind_and_the_target_goes_back() -> None:
+    road = trace((0, 0), (1, 0), (30, 25), (34, 25), (44, 8), (50, 12), (60, 22))
+    rows = driven(road, seed=3, whim_ratio=1.0)
+    aborted = [event for event in events(rows) if event.is_aborted and event.kind is not EventKind.LAUNCH]
+    assert aborted
+    for event in aborted:
+        back = event.rows[:, Col.IS_ABORTED] == 1.0
+        assert (event.rows[back, Col.TARGET_GEAR] == event.rows[back, Col.CURRENT_GEAR]).all()
+        assert (event.rows[~back, Col.TARGET_GEAR] != event.rows[~back, Col.CURRENT_GEAR]).all()
+        assert event.rows[-1, Col.CURRENT_GEAR] == event.gears[0]
+
+
+def test_a_lift_in_mid_shift_leaves_no_shift_unfinished() -> None:
+    road = trace((0, 0), (1, 0), (30, 25), (34, 25), (44, 8), (50, 12), (60, 22))
+    for seed in (1, 2):
+        rows = driven(road, seed=seed, whim_ratio=1.0)
+        changes = [event for event in events(rows) if event.gears[0] != event.gears[1]]
+        assert max(len(event.rows) for event in changes) < 4_000
+        in_gear = rows[rows[:, Col.DRIVE_STATE] == DriveState.IN_GEAR]
+        gear = in_gear[:, Col.CURRENT_GEAR]
+        shaft_gear = np.where(gear % 2 == 1.0, in_gear[:, Col.SHAFT1_GEAR], in_gear[:, Col.SHAFT2_GEAR])
+        assert np.array_equal(gear, shaft_gear)
+
+
+@pytest.mark.parametrize("column", [Col.EVENT_NUMBER, Col.EVENT_KIND])
+def test_events_are_counted_from_one_and_have_a_kind(town: FloatArray, column: Col) -> None:
+    during = town[:, Col.EVENT_NUMBER] > 0.0
+    assert (town[during, column] > 0.0).all()
+    assert not town[~during, column].any()
+    numbers = town[:, Col.EVENT_NUMBER]
+    assert np.array_equal(np.unique(numbers), np.arange(numbers.max() + 1.0))
