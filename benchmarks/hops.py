@@ -19,7 +19,7 @@ from tempfile import TemporaryDirectory
 from types import CodeType, FrameType
 from typing import Any
 
-from benchmarks.service import new_stages, record
+from benchmarks.service import new_decoder, record
 from clutch_model.calibration import nominal_calibration
 from diag_service.delivery import MemoryReporter, MqttConnector, Outbox
 from diag_service.diagnosis.events import Event
@@ -27,9 +27,10 @@ from diag_service.diagnosis.records import ClutchVerdict, ShiftEstimate, ShiftRe
 from diag_service.diagnosis.results import StoredResult
 from diag_service.service.drive import DriveFrames, open_drive
 from diag_service.service.recorded import events
-from diag_service.service.session import Session, versions_for
+from diag_service.service.session import Session
 from diag_service.service.stages import Diagnosis
 from diag_service.service.stopping import Trigger
+from diag_service.settings.config import DiagnosisConfig
 from diag_service.store import ResultStore
 from fleet_contract import Outgoing
 from fleet_link import BrokerAddress
@@ -93,15 +94,8 @@ def watched(trip: Trip) -> Iterator[None]:
 
 def new_session(store: ResultStore) -> Session:
     """Return a session in memory."""
-    return Session(
-        stages=new_stages(),
-        store=store,
-        reporter=MemoryReporter(),
-        vehicle=VEHICLE,
-        versions=versions_for(nominal_calibration()),
-        stream=None,
-        utc_now=lambda: NOW,
-    )
+    config = DiagnosisConfig(vehicle=VEHICLE, calibration=nominal_calibration())
+    return Session(config, new_decoder(), store, None, MemoryReporter())
 
 
 async def delivered(outbox: Outbox, count: int) -> None:

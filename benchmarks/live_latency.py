@@ -35,9 +35,10 @@ from diag_service.diagnosis.shifts.shifts import POST_NS
 from diag_service.mapping.decoder import Decoder
 from diag_service.mapping.profile import load_profile
 from diag_service.service.live import run_live
-from diag_service.service.session import Session, versions_for
+from diag_service.service.session import Session
 from diag_service.service.stages import Stages
 from diag_service.service.stopping import Trigger
+from diag_service.settings.config import DiagnosisConfig
 from diag_service.store import ResultStore
 from ecu_emulator.recording import Drive
 from ecu_emulator.scenario_file import load_scenario
@@ -150,15 +151,8 @@ async def run(frames: FrameBatch, store: ResultStore) -> tuple[list[float], list
     calibration = nominal_calibration()
     decoder = Decoder(load_contract(), load_profile())
     reporter = TimedReporter()
-    session = TimedSession(
-        stages=Stages(decoder, calibration, FilterState.fresh(calibration), ConditionMemory.fresh()),
-        store=store,
-        reporter=reporter,
-        vehicle="benchmark",
-        versions=versions_for(calibration),
-        stream=None,
-        utc_now=lambda: "2026-01-01T00:00:00.000000Z",
-    )
+    config = DiagnosisConfig(vehicle="benchmark", calibration=calibration)
+    session = TimedSession(config, decoder, store, None, reporter)
     session.processed_s = []
     schedule = ReadSchedule()
     source = PacedSource(frames, schedule)

@@ -36,9 +36,10 @@ from diag_service.mapping.decoder import Decoder
 from diag_service.mapping.profile import load_profile
 from diag_service.service.drive import open_drive, stream_of
 from diag_service.service.recorded import run_logs
-from diag_service.service.session import Session, versions_for
+from diag_service.service.session import Session
 from diag_service.service.stages import Stages
 from diag_service.service.stopping import Trigger
+from diag_service.settings.config import DiagnosisConfig
 from diag_service.store import ResultStore
 
 TARGET_S = 2.0
@@ -75,17 +76,9 @@ def new_stages() -> Stages:
 
 def analyse(path: Path) -> Summary:
     """Analyse a log the way ``diag-service analyze`` does, with a store in memory."""
-    calibration = nominal_calibration()
+    config = DiagnosisConfig(vehicle="benchmark", calibration=nominal_calibration())
     with closing(ResultStore.in_memory()) as store:
-        session = Session(
-            stages=new_stages(),
-            store=store,
-            reporter=MemoryReporter(),
-            vehicle="benchmark",
-            versions=versions_for(calibration),
-            stream=stream_of([path]),
-            utc_now=lambda: "",
-        )
+        session = Session(config, new_decoder(), store, stream_of([path]), MemoryReporter())
         return asyncio.run(run_logs(open_drive([path]), session, stop=Trigger(), outbox=None))
 
 

@@ -74,10 +74,11 @@ class FrameBatch:
 
     def plain(self) -> "FrameBatch":
         """Return the same frames with every column in the one layout that loops are compiled for."""
-        columns: dict[str, npt.NDArray[Any]] = {name: getattr(self, name) for name in COLUMNS}
-        if all(column.flags.carray and column.dtype == _KINDS[name] for name, column in columns.items()):
-            return self
-        return FrameBatch(**{name: np.require(column, _KINDS[name], ("C", "W")) for name, column in columns.items()})
+        for name, kind in _KINDS.items():
+            column: npt.NDArray[Any] = getattr(self, name)
+            if not column.flags.carray or column.dtype != kind:
+                return FrameBatch(**{one: np.require(getattr(self, one), _KINDS[one], ("C", "W")) for one in COLUMNS})
+        return self
 
     def widened(self, width: int) -> "FrameBatch":
         """Return the same frames with payload rows of at least ``width`` bytes."""

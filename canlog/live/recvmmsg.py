@@ -119,19 +119,27 @@ class FrameReceiver:
         return self._reception(count)
 
     def _reception(self, count: int) -> Reception:
-        has_fd = bool((self._slots.size[:count] == FD_BYTES).any())
         columns = SlotColumns(
             t_ns=np.empty(count, np.int64),
             can_id=np.empty(count, np.uint32),
             length=np.empty(count, np.uint8),
             flags=np.empty(count, np.uint8),
-            data=np.zeros((count, FD_PAYLOAD_BYTES if has_fd else PAYLOAD_BYTES), np.uint8),
+            data=np.zeros((count, FD_PAYLOAD_BYTES if has_fd(self._slots.size, count) else PAYLOAD_BYTES), np.uint8),
         )
         known = read_slots(self._slots, count, columns)
         if known < 0:
             raise OSError(errno.EPROTO, "the kernel delivered a frame without its time")
         batch = FrameBatch(**columns._asdict(), channel=np.zeros(count, np.uint8))
         return Reception(batch=batch if known == count else batch[:known], read=count, unsupported=count - known)
+
+
+@array_kernel
+def has_fd(size: UInt32Array, count: int) -> bool:
+    """Return whether one of the frames is a CAN FD frame."""
+    fd_count = 0
+    for row in range(count):
+        fd_count += size[row] == FD_BYTES
+    return fd_count > 0
 
 
 @array_kernel

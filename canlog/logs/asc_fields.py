@@ -6,14 +6,25 @@ import numpy as np
 
 from canlog.arrays import BoolArray, UInt8Array
 from canlog.frames import EXTENDED_FLAG
-from canlog.jit import array_kernel, inlined_kernel
-from canlog.logs.text_kernels import BLANK, HEX_VALUE, LONGEST_NUMBER, NEWLINE, decimal, digits, skip_blanks, skip_line
+from canlog.jit import array_kernel
+from canlog.logs.text_kernels import (
+    BLANK,
+    HEX_VALUE,
+    LONGEST_NUMBER,
+    NEWLINE,
+    SLASH,
+    decimal,
+    digits,
+    skip_blanks,
+    skip_line,
+    whole_number,
+)
 
 HEXADECIMAL, DECIMAL = 16, 10
 MAX_STANDARD_ID, MAX_EXTENDED_ID = 0x7FF, 0x1FFF_FFFF
 MOST_ID_DIGITS = 12
 BYTE_DIGITS, MAX_BYTE = 3, 255
-EQUALS, SLASH = ord("="), ord("/")
+EQUALS = ord("=")
 LETTER_R, LETTER_T, LETTER_X = ord("r"), ord("t"), ord("x")
 NONE = -1  # in place of a number or a position
 
@@ -36,15 +47,6 @@ def decimal_number(text: UInt8Array, at: int) -> tuple[int, int]:
     if behind == at or text[behind] > BLANK:
         return NONE, at
     return number, skip_blanks(text, behind)
-
-
-@inlined_kernel
-def number(text: UInt8Array, at: int, base: int, most_digits: int) -> tuple[int, int]:
-    """Read a number of up to so many digits before a blank, a comment or the end; NONE, and stay, if there is none."""
-    begin = at
-    value, at = digits(text, begin, base, most_digits)
-    is_ended = text[at] <= BLANK or (text[at] == SLASH and text[at + 1] == SLASH)
-    return (value, at) if at > begin and is_ended else (NONE, begin)
 
 
 @array_kernel
@@ -79,7 +81,7 @@ def payload(text: UInt8Array, at: int, data: UInt8Array, row: int, count: int, b
         behind = at
         for index in range(count):
             begin = skip_blanks(text, behind)
-            value, behind = number(text, begin, base, BYTE_DIGITS)
+            value, behind = whole_number(text, begin, base, BYTE_DIGITS)
             if not 0 <= value <= MAX_BYTE or (is_fd and base == HEXADECIMAL and behind != begin + 2):
                 return NONE
             data[row, index] = value

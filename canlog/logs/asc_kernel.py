@@ -15,7 +15,7 @@ from canlog.frames import (
 )
 from canlog.jit import array_kernel, inlined_kernel
 from canlog.logs import asc_fields as fields
-from canlog.logs.asc_fields import DECIMAL, HEXADECIMAL, LETTER_R, NONE, SLASH
+from canlog.logs.asc_fields import DECIMAL, HEXADECIMAL, LETTER_R, NONE
 from canlog.logs.frame_buffer import FrameRows
 from canlog.logs.text_kernels import (
     BLANK,
@@ -29,6 +29,7 @@ from canlog.logs.text_kernels import (
     POSITION,
     ROWS,
     SKIPPED,
+    SLASH,
     STOP,
     TOO_LONG,
     count_line,
@@ -37,6 +38,7 @@ from canlog.logs.text_kernels import (
     skip_blanks,
     skip_line,
     skip_word,
+    whole_number,
 )
 
 # The clock of a file.
@@ -133,22 +135,22 @@ def _other(text: UInt8Array, at: int, rows: FrameRows, row: int) -> tuple[int, i
 
 @inlined_kernel
 def _frame(text: UInt8Array, at: int, rows: FrameRows, row: int, base: int) -> int:
-    """Read ``123x  Rx   d 8 11 22 ...``; return the position behind the line, or NONE."""
+    """Read ``123x  Rx   d 8 11 22 ...``, perhaps without a direction; return the position behind the line, or NONE."""
     identifier, at = fields.identifier(text, at, base)
     direction, at = fields.direction(text, at)
     kind = text[at] | 32
-    is_remote = kind == LETTER_R
-    if min(identifier, direction) < 0 or not (kind == LETTER_D or is_remote) or text[at + 1] > BLANK:
+    is_remote = kind == LETTER_R and direction >= 0  # what else begins with R may be a damaged direction
+    if identifier < 0 or not (kind == LETTER_D or is_remote) or text[at + 1] > BLANK:
         return NONE
-    code, at = fields.number(text, skip_blanks(text, at + 1), base, 2)
+    code, at = whole_number(text, skip_blanks(text, at + 1), base, 2)
     if code >= MOST_CODES or (code < 0 and not is_remote):
         return NONE
     count = min(max(code, 0), PAYLOAD_BYTES)
-    rows.length[row], rows.flags[row] = count, TX_FLAG * direction
+    rows.length[row], rows.flags[row] = count, TX_FLAG * (direction > 0)
     rows.can_id[row] = identifier | (REMOTE_FLAG if is_remote else 0)
     at = fields.payload(text, at, rows.data, row, 0 if is_remote else count, base, 0)
     while is_remote and code >= 0:  # bytes that some write, though there are none
-        value, behind = fields.number(text, skip_blanks(text, at), HEXADECIMAL, fields.BYTE_DIGITS)
+        value, behind = whole_number(text, skip_blanks(text, at), HEXADECIMAL, fields.BYTE_DIGITS)
         if value < 0:
             break
         at = behind
@@ -164,10 +166,9 @@ def _fd_frame(text: UInt8Array, at: int, rows: FrameRows, row: int, base: int) -
         at = skip_blanks(text, skip_word(text, at))
     is_fast, at = fields.decimal_number(text, at)
     is_passive, at = fields.decimal_number(text, at)
-    code, at = fields.number(text, at, base, 2)
-    count, behind = fields.number(text, skip_blanks(text, at), DECIMAL, 3)
-    is_stated = min(direction, identifier, is_fast, is_passive, code, count) >= 0
-    if not is_stated or max(is_fast, is_passive) > 1 or code >= MOST_CODES:
+    code, at = whole_number(text, at, base, 2)
+    count, behind = whole_number(text, skip_blanks(text, at), DECIMAL, 3)
+    if min(identifier, is_fast, is_passive, code, count) < 0 or max(is_fast, is_passive) > 1 or code >= MOST_CODES:
         return NONE
     if count > rows.data.shape[1]:
         return NONE if count > FD_PAYLOAD_BYTES else NONE - 1
@@ -181,7 +182,7 @@ def _fd_frame(text: UInt8Array, at: int, rows: FrameRows, row: int, base: int) -
         rows.data[row, :] = 0
     rows.length[row], rows.can_id[row] = length, identifier | (REMOTE_FLAG if is_remote else 0)
     kind = FD_FLAG | (BRS_FLAG * is_fast) | (ESI_FLAG * is_passive) if is_fd else 0
-    rows.flags[row] = kind | TX_FLAG * direction
+    rows.flags[row] = kind | TX_FLAG * (direction > 0)
     return end
 
 

@@ -61,7 +61,7 @@ def parse_objects(raw: UInt8Array, layouts: Int64Array, start_ns: int, rows: Fra
             if outcome == TOO_WIDE:
                 report[IS_TOO_WIDE] = 1
                 break
-            row += outcome == TAKEN
+            row += outcome == STORED
             if outcome == BROKEN:
                 _count_damage(report)
         objects += 1
@@ -69,7 +69,7 @@ def parse_objects(raw: UInt8Array, layouts: Int64Array, start_ns: int, rows: Fra
     report[POSITION], report[ROWS] = at, row
 
 
-TAKEN, BROKEN, TOO_WIDE = range(3)
+STORED, BROKEN, TOO_WIDE = range(3)
 
 # A data frame of CAN as all writers store it: 32 bytes of header, channel, flags, length, identifier and eight bytes.
 USUAL_BYTES, USUAL_CHANNEL, USUAL_FLAGS, USUAL_LENGTH, USUAL_ID, USUAL_DATA = 48, 32, 34, 35, 36, 40
@@ -142,7 +142,7 @@ def _next_object(raw: UInt8Array, at: int) -> int:
 
 @inlined_kernel
 def _frame(raw: UInt8Array, at: int, size: int, layout: Int64Array, rows: FrameRows, row: int, start_ns: int) -> int:
-    """Write the frame of an object into a row; return TAKEN, or why it could not be."""
+    """Write the frame of an object into a row; return STORED, or why it could not be."""
     header = half(raw, at + HEADER_SIZE_OFFSET)
     if header < STAMPED_HEADER_BYTES or header > LONGEST_HEADER_BYTES or size < header + layout[DATA]:
         return BROKEN
@@ -155,7 +155,7 @@ def _frame(raw: UInt8Array, at: int, size: int, layout: Int64Array, rows: FrameR
     if layout[IS_ERROR]:
         rows.can_id[row], rows.length[row], rows.flags[row] = ERROR_FLAG, 0, 0
         rows.data[row, :] = 0
-        return TAKEN
+        return STORED
     identifier = lower(raw, body + CAN_ID_OFFSET)
     limit = MAX_EXTENDED_ID | EXTENDED_FLAG if identifier & EXTENDED_FLAG else MAX_STANDARD_ID
     if identifier > limit:
@@ -176,7 +176,7 @@ def _frame(raw: UInt8Array, at: int, size: int, layout: Int64Array, rows: FrameR
     end = raw[body + layout[EXTENSION]] if layout[EXTENSION] >= 0 else 0
     stored = 0 if is_remote else (min(end, size) if end else size) - header - layout[DATA]
     _copy(raw, body + layout[DATA], max(min(stored, count), 0), rows, row)
-    return TAKEN
+    return STORED
 
 
 @inlined_kernel

@@ -28,14 +28,7 @@ Inflate = Callable[[memoryview, int, int], "bytes | bytearray | None"]
 def inflated_by_zlib(stream: memoryview, stated_bytes: int, longest_padding: int) -> bytes | None:
     """Return what a zlib stream inflates to, None unless it is sound and followed by no more than padding.
 
-    Parameters
-    ----------
-    stream : memoryview
-        The stream, and what follows it.
-    stated_bytes : int
-        To how much it should inflate; if it is more, the answer is None.
-    longest_padding : int
-        How many bytes may follow the stream.
+    ``stated_bytes`` is to how much it should inflate; if it is more, the answer is None.
     """
     method, flags = bytes(stream[:HEADER_BYTES]).ljust(HEADER_BYTES, b"\0")
     is_zlib = method & METHOD_MASK == METHOD_DEFLATE and not flags & PRESET_DICTIONARY

@@ -38,8 +38,8 @@ def merged_by_time(
             due[behind] = len(waiting[behind][2])
         parts = list(zip(waiting, due, strict=True))
         begun.update(number for (number, *_), count in parts if count)
-        taken = [marked(number, batch[:count]) for (number, _, batch), count in parts if count]
-        yield taken[0] if len(taken) == 1 else _sorted(join(taken))
+        leaving = [marked(number, batch[:count]) for (number, _, batch), count in parts if count]
+        yield leaving[0] if len(leaving) == 1 else _sorted(join(leaving))
         left = [(number, stream, batch[count:]) for (number, stream, batch), count in parts]
         refilled = [(number, stream, batch if len(batch) else _next(stream)) for number, stream, batch in left]
         waiting = [(number, stream, batch) for number, stream, batch in refilled if batch is not None]

@@ -226,24 +226,21 @@ class Mf4File:
     def _plain(self, block: Block) -> Iterator[bytes]:
         at, end = block.body_at, min(block.at + block.length, self.size_bytes)
         self.data_ranges.append((at, end))
-        while at < end:
-            piece = self._bytes(at, min(PIECE_BYTES, end - at))
-            yield piece
-            at += len(piece)
+        for begin in range(at, end, PIECE_BYTES):
+            yield self._bytes(begin, min(PIECE_BYTES, end - begin))
 
     def _unpacked(self, block: Block) -> bytes:
         """Return what a packed block holds, as far as it is there; transposed it must be there whole."""
-        head = self._bytes(block.body_at, PACKED.size) if block.body_at + PACKED.size <= self.size_bytes else b""
-        if not head:
-            return b""
-        _, way, columns, whole_bytes, packed_bytes = PACKED.unpack(head)
         at = block.body_at + PACKED.size
-        self.data_ranges.append((at, min(at + packed_bytes, self.size_bytes)))
+        if at > self.size_bytes:
+            return b""
+        _, way, columns, whole_bytes, packed_bytes = PACKED.unpack(self._bytes(block.body_at, PACKED.size))
+        end = min(at + packed_bytes, self.size_bytes)
+        self.data_ranges.append((at, end))
         if way not in {DEFLATED, TRANSPOSED} or whole_bytes > MOST_UNPACKED_BYTES:
             raise UnknownStructureError("records packed in another way")
-        packed = self._bytes(at, max(min(packed_bytes, self.size_bytes - at), 0))
         try:
-            data = zlib.decompressobj().decompress(packed, whole_bytes)
+            data = zlib.decompressobj().decompress(self._bytes(at, end - at), whole_bytes)
         except zlib.error:
             return b""
         if way == DEFLATED:

@@ -153,8 +153,8 @@ def _record_bytes(group: ChannelGroup, data: bytes, at: int) -> int:
 
 def _copied(stream: BinaryIO, file: Mf4File, groups: Sequence[tuple[DataGroup, Stored]], path: Path) -> Mended:
     """Write the copy; return what it holds."""
-    found, missing, changes, lost_at = Counter[int](), Counter[int](), [(0, FINISHED_MAGIC)], ""
-    changes.append((FLAGS_AT, FLAGS.pack(0, 0)))
+    found, missing, lost_at = Counter[int](), Counter[int](), ""
+    changes = {0: FINISHED_MAGIC, FLAGS_AT: FLAGS.pack(0, 0)}
     with path.open("wb") as copy:
         for group, stored in groups:
             at = max(copy.seek(0, os.SEEK_END), file.size_bytes)
@@ -165,18 +165,16 @@ def _copied(stream: BinaryIO, file: Mf4File, groups: Sequence[tuple[DataGroup, S
                 kept += copy.write(piece)
                 if kept > FREE_BYTES + MOST_RATIO * file.size_bytes:
                     raise SourceError(f"the MF4 file holds more than {MOST_RATIO} times its size: no log does")
-            changes += [(at, HEADER.pack(PLAIN, HEADER.size + kept, 0)), (group.link_at, LINK.pack(at if kept else 0))]
-            changes += [
-                (one.cycles_at, COUNT.pack(counter.found[one.at] + counter.stand_ins[one.at])) for one in group.groups
-            ]
-            changes += [
-                (one.bytes_at, COUNT.pack(counter.variable_bytes[one.at])) for one in group.groups if one.is_variable
-            ]
-            found.update({one.at: counter.whole(one) for one in group.groups})
+            changes |= {at: HEADER.pack(PLAIN, HEADER.size + kept, 0), group.link_at: LINK.pack(at if kept else 0)}
+            for one in group.groups:
+                changes[one.cycles_at] = COUNT.pack(counter.found[one.at] + counter.stand_ins[one.at])
+                if one.is_variable:
+                    changes[one.bytes_at] = COUNT.pack(counter.variable_bytes[one.at])
+                found[one.at] = counter.whole(one)
             missing.update(counter.missing(stored))
             lost_at = lost_at or (f"byte {kept + 1} of the records" if counter.is_lost else "")
         _copy_rest(stream, copy, file)
-        for at, contents in changes:
+        for at, contents in changes.items():
             copy.seek(at)
             copy.write(contents)
     is_cut = any(stored.is_cut for _, stored in groups) or bool(missing)

@@ -16,7 +16,7 @@ FRAME, SKIPPED, MALFORMED, TOO_LONG, OTHER, NEW_CHANNEL = range(6)
 # Where a kernel is in its text, what stopped it, and what it has found until then.
 POSITION, LINES, ROWS, STOP, SKIPPED_LINES, MALFORMED_LINES, FIRST_MALFORMED, PROGRESS_FIELDS = range(8)
 
-NEWLINE, TAB, RETURN, BLANK = 10, 9, 13, 32
+NEWLINE, TAB, RETURN, BLANK, SLASH = 10, 9, 13, 32, 47
 LONGEST_NUMBER = 18  # digits that 64 bits surely hold
 
 HEX_VALUE: npt.NDArray[np.int8] = np.full(256, -1, np.int8)
@@ -32,8 +32,7 @@ _IS_DECIMAL = (HEX_VALUE >= 0) & (HEX_VALUE <= 9)
 DECIMAL_PAIR: npt.NDArray[np.int64] = np.where(_IS_DECIMAL[:, None] & _IS_DECIMAL[None, :], _DECIMAL_PAIRS, -1)
 
 LENGTH_OF_CODE = np.array([0, 1, 2, 3, 4, 5, 6, 7, 8, 12, 16, 20, 24, 32, 48, 64], np.int64)
-FD_LENGTHS = (12, 16, 20, 24, 32, 48, 64)
-IS_LENGTH: npt.NDArray[np.bool_] = np.isin(np.arange(65), (*range(9), *FD_LENGTHS))
+IS_LENGTH: npt.NDArray[np.bool_] = np.isin(np.arange(65), LENGTH_OF_CODE)
 
 
 @array_kernel
@@ -95,6 +94,15 @@ def digits(text: UInt8Array, at: int, base: int, most_digits: int) -> tuple[int,
 def hexadecimal(text: UInt8Array, at: int, most_digits: int) -> tuple[int, int]:
     """Read a number of up to so many hexadecimal digits, as ``decimal``."""
     return digits(text, at, 16, most_digits)
+
+
+@inlined_kernel
+def whole_number(text: UInt8Array, at: int, base: int, most_digits: int) -> tuple[int, int]:
+    """Read a number as ``digits`` does that ends before a blank, a comment or the line's end; -1, and stay, if not."""
+    begin = at
+    value, at = digits(text, begin, base, most_digits)
+    is_ended = text[at] <= BLANK or (text[at] == SLASH and text[at + 1] == SLASH)
+    return (value, at) if at > begin and is_ended else (-1, begin)
 
 
 @array_kernel

@@ -20,7 +20,7 @@ from diag_service.diagnosis.summary import summary_record, unjudged
 from diag_service.mapping.interpretation import Interpretation
 from diag_service.service.drive import open_drive, stream_of
 from diag_service.service.recorded import run_logs
-from diag_service.service.session import new_session
+from diag_service.service.session import Session
 from diag_service.service.stopping import Trigger, ignore
 from diag_service.settings.config import DiagnosisConfig
 from diag_service.store import ResultStore
@@ -55,7 +55,7 @@ class Analyst:
         stream = stream_of([*(log.path for log in logs), *self._meaning.files])
         reporter = MemoryReporter()
         with closing(ResultStore.in_memory()) as store:
-            session = new_session(self.config, self._meaning.decoder(), store, stream, reporter)
+            session = Session(self.config, self._meaning.decoder(), store, stream, reporter)
             asyncio.run(run_logs(logs, session, stop=Trigger(), outbox=None))
         return stream, reporter
 

@@ -35,7 +35,7 @@ from diag_service.service.live import run_live
 from diag_service.service.monitor import Monitor
 from diag_service.service.recorded import run_logs
 from diag_service.service.service_manager import ADDRESS_VARIABLE, ServiceManager
-from diag_service.service.session import Session, new_session, utc_now, versions_for
+from diag_service.service.session import Session, utc_now, versions_for
 from diag_service.service.snapshot import Board, Snapshot, SnapshotTaker
 from diag_service.service.stopping import Controls, Trigger
 from diag_service.settings.config import BusConfig, DiagnosisConfig
@@ -52,7 +52,7 @@ def run_bus(config: DiagnosisConfig, bus: BusConfig, store_path: Path, controls:
     decoder = config.interpretation().decoder()
     with closing(ResultStore.open(store_path, config.budget_bytes)) as store:
         reporter = DetachedReporter(_reporter(controls.stop, as_json=as_json))
-        session = new_session(config, decoder, store, None, reporter)
+        session = Session(config, decoder, store, None, reporter)
         asyncio.run(_run_bus(config, bus, store, session, controls))
 
 
@@ -60,7 +60,7 @@ def run_monitor(config: DiagnosisConfig, bus: BusConfig, controls: Controls) -> 
     """Show a live bus until told to stop; nothing is stored or published."""
     decoder = config.interpretation().decoder()
     with closing(ResultStore.in_memory()) as store, Monitor(PeopleConsole()) as monitor:
-        session = new_session(config, decoder, store, None, monitor)
+        session = Session(config, decoder, store, None, monitor)
         asyncio.run(_run_bus(replace(config, broker=None), bus, store, session, controls, monitor.show))
 
 
@@ -79,7 +79,7 @@ def run_recorded(
     with closing(
         ResultStore.in_memory() if store_path is None else ResultStore.open(store_path, config.budget_bytes)
     ) as store:
-        session = new_session(config, decoder, store, stream, _reporter(controls.stop, as_json=as_json))
+        session = Session(config, decoder, store, stream, _reporter(controls.stop, as_json=as_json))
 
         async def run() -> Summary:
             summary = await run_logs(

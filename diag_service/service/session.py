@@ -28,28 +28,31 @@ MAX_PENDING_COUNT = 1000
 _LOG = logging.getLogger(__name__)
 
 
+def utc_now() -> str:
+    """Return the present moment as results carry it."""
+    return iso_utc(datetime.now(UTC))
+
+
 class Session:
-    """The shifts of one run: each is estimated, stored, then told, in that order."""
+    """The shifts of one run, from the state in the store on: each is estimated, stored, then told, in that order."""
 
     def __init__(
         self,
-        *,
-        stages: Stages,
+        config: DiagnosisConfig,
+        decoder: Decoder,
         store: ResultStore,
-        reporter: Reporter,
-        vehicle: str,
-        versions: Versions,
         stream: str | None,  # of a log, in which the number of a shift is its key; None: the live stream of the store
-        utc_now: Callable[[], str],  # the clock of a live stream
-        progress: Progress | None = None,
+        reporter: Reporter,
+        *,
+        utc_now: Callable[[], str] = utc_now,  # the clock of a live stream
         max_pending_count: int = MAX_PENDING_COUNT,  # results in memory while the disk is full
     ) -> None:
-        self.stages = stages
-        self.progress = progress or Progress()
+        self.vehicle, self._versions = config.vehicle, versions_for(config.calibration)
+        state, memory = resume(store, self.vehicle, self._versions, config.calibration)
+        self.stages = Stages(decoder, config.calibration, state, memory)
+        self.progress = Progress()
         self._store = store
         self.reporter = reporter
-        self.vehicle = vehicle
-        self._versions = versions
         self._stream = stream
         self._utc_now = utc_now
         self.statistics = ShiftStatistics()
@@ -171,28 +174,6 @@ class Session:
 def versions_for(calibration: Calibration) -> Versions:
     """Return the versions that results of this program and calibration carry; its fingerprint tells copies apart."""
     return Versions(algorithm=ALGORITHM_VERSION, calibration=f"{calibration.version}+{fingerprint(calibration)}")
-
-
-def new_session(
-    config: DiagnosisConfig, decoder: Decoder, store: ResultStore, stream: str | None, reporter: Reporter
-) -> Session:
-    """Return a session that goes on from the running state in the store; ``stream`` as in `Session`."""
-    versions = versions_for(config.calibration)
-    filter_state, memory = resume(store, config.vehicle, versions, config.calibration)
-    return Session(
-        stages=Stages(decoder, config.calibration, filter_state, memory),
-        store=store,
-        reporter=reporter,
-        vehicle=config.vehicle,
-        versions=versions,
-        stream=stream,
-        utc_now=utc_now,
-    )
-
-
-def utc_now() -> str:
-    """Return the present moment as results carry it."""
-    return iso_utc(datetime.now(UTC))
 
 
 def resume(

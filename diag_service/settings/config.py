@@ -22,9 +22,9 @@ class DiagnosisConfig:
     """How frames become results; the same for a bus and for logs. ``None`` means what ships with the service."""
 
     vehicle: str
-    dbc: Path | None
-    profile: Path | None
     calibration: Calibration
+    dbc: Path | None = None
+    profile: Path | None = None
     broker: BrokerAddress | None = None
     is_strict: bool = False  # of logs: stop at the first fault
     is_lenient: bool = False  # of the database: leave out what cannot be right

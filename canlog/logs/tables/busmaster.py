@@ -58,7 +58,7 @@ class Busmaster(Table):
         self._mode = DAYTIME
 
     def look_ahead(self, text: bytes) -> None:
-        """Settle the unit of the clock's counts."""
+        """Find out the unit of the clock's counts."""
         digits = max((len(count) for count in COUNT.findall(text)), default=USUAL_DIGITS)
         if digits < USUAL_DIGITS:
             self.notes.append(

@@ -69,7 +69,7 @@ class GvretCsv(Table):
         return True
 
     def look_ahead(self, text: bytes) -> None:
-        """Settle the unit of times."""
+        """Find out the unit of times."""
         self._unit, note = likely_unit(frames_of(GvretCsv(), text))
         self.layout = in_unit(self.layout, self._unit)
         self.notes += note

@@ -189,10 +189,8 @@ def byte(text: UInt8Array, at: int, separator: int) -> tuple[int, int]:
 @array_kernel
 def decimal_byte(text: UInt8Array, at: int) -> tuple[int, int]:
     """Read a byte of one to three decimal digits and the blanks behind it; -1 if it is none."""
-    begin = at
-    value, at = decimal(text, begin, 3)
-    is_one = at > begin and value <= 255 and text[at] <= BLANK
-    return (value if is_one else -1), skip_blanks(text, at)
+    value, at = text_kernels.whole_number(text, at, 10, 3)
+    return (value if value <= 255 else -1), skip_blanks(text, at)
 
 
 @array_kernel

@@ -27,6 +27,7 @@ def read(text: bytes) -> tuple[FrameBatch | None, LogCounts]:
         (b"1  A0              Rx   d 8 11 22 33 44 55 66 77 88", 0xA0, 8, "1122334455667788"),
         (b"2  18FEF100x       Tx   d 2 0A ff", 0x18FE_F100 | EXTENDED_FLAG, 2, "0aff"),
         (b"1  123             Rx   d 0", 0x123, 0, ""),
+        (b"1  123  d 2 01 02", 0x123, 2, "0102"),  # no direction: received
         (b"1  123             Rx   d 2 01 02  Length = 0 BitCount = 64 ID = 291", 0x123, 2, "0102"),
         (b"1  123             Rx   r", 0x123 | REMOTE_FLAG, 0, ""),
         (b"1  123             Rx   r 4", 0x123 | REMOTE_FLAG, 4, ""),
@@ -94,12 +95,12 @@ def test_events_of_other_kinds_and_comments_are_skipped() -> None:
     others = (
         b"// version 8.1.0\n\nBegin Triggerblock Thu Jan 01 10:00:00.500 2026\n0.000000 Start of measurement\n"
         b"1.0 1  Statistic: D 0 R 0 XD 0\n1.1 CAN 1 Status:chip status error active\n"
-        b"1.2 1  A0 TxRq d 1 11\n1.3 1  A0 Rx d 1 11\nEnd TriggerBlock\n"
+        b"1.2 1  A0 TxRq d 1 11\n1.2 1  A0 R d 1 11\n1.3 1  A0 Rx d 1 11\nEnd TriggerBlock\n"
     )
     batch, counts = read(HEADER + others)
     assert batch is not None
     assert batch.t_ns.tolist() == [START_NS + 1_300_000_000]
-    assert counts == LogCounts(frames=1, skipped=11)
+    assert counts == LogCounts(frames=1, skipped=12)
 
 
 def test_relative_times_add_up_over_every_event() -> None:

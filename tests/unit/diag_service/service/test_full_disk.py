@@ -9,19 +9,16 @@ import pytest
 from clutch_model.calibration import nominal_calibration
 from dbc.contract import load_contract
 from diag_service.delivery import MemoryReporter
-from diag_service.diagnosis.condition.condition import ConditionMemory
 from diag_service.diagnosis.events import EndReason, Event
-from diag_service.diagnosis.friction import FilterState
 from diag_service.diagnosis.records import ShiftResult
 from diag_service.diagnosis.summary import FrameCounts
 from diag_service.errors import StoreFullError
 from diag_service.mapping.decoder import Decoder
 from diag_service.mapping.profile import load_profile
 from diag_service.service.session import MAX_PENDING_COUNT, Session
-from diag_service.service.stages import Stages
-from diag_service.store import ResultStore, VehicleState, Versions
+from diag_service.settings.config import DiagnosisConfig
+from diag_service.store import ResultStore, VehicleState
 
-VERSIONS = Versions(algorithm="a", calibration="c")
 NOW = "2026-01-01T00:00:00.000000Z"
 
 
@@ -45,17 +42,10 @@ def _store() -> Iterator[FillingStore]:
 def session_on(
     store: ResultStore, stream: str | None = None, *, max_pending_count: int = MAX_PENDING_COUNT
 ) -> tuple[Session, MemoryReporter]:
-    calibration, reporter = nominal_calibration(), MemoryReporter()
+    config, reporter = DiagnosisConfig(vehicle="car1", calibration=nominal_calibration()), MemoryReporter()
     decoder = Decoder(load_contract(), load_profile())
     session = Session(
-        stages=Stages(decoder, calibration, FilterState.fresh(calibration), ConditionMemory.fresh()),
-        store=store,
-        reporter=reporter,
-        vehicle="car1",
-        versions=VERSIONS,
-        stream=stream,
-        utc_now=lambda: NOW,
-        max_pending_count=max_pending_count,
+        config, decoder, store, stream, reporter, utc_now=lambda: NOW, max_pending_count=max_pending_count
     )
     return session, reporter
 

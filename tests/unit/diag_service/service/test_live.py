@@ -24,8 +24,8 @@ from diag_service.mapping.decoder import Decoder
 from diag_service.mapping.profile import PROFILE_PATH, load_profile
 from diag_service.service.live import run_live
 from diag_service.service.session import Session, resume, versions_for
-from diag_service.service.stages import Stages
 from diag_service.service.stopping import Trigger
+from diag_service.settings.config import DiagnosisConfig
 from diag_service.store import ResultStore, VehicleState
 from ecu_emulator.frames import FrameEncoder
 from ecu_emulator.readings import Readings
@@ -91,16 +91,8 @@ def _store() -> Iterator[ResultStore]:
 
 def session_for(store: ResultStore, reporter: Reporter) -> Session:
     decoder = Decoder(load_contract(), load_profile(PROFILE_PATH))
-    filter_state, memory = resume(store, "car1", VERSIONS, CALIBRATION)
-    return Session(
-        stages=Stages(decoder, CALIBRATION, filter_state, memory),
-        store=store,
-        reporter=reporter,
-        vehicle="car1",
-        versions=VERSIONS,
-        stream=None,
-        utc_now=lambda: NOW,
-    )
+    config = DiagnosisConfig(vehicle="car1", calibration=CALIBRATION)
+    return Session(config, decoder, store, None, reporter, utc_now=lambda: NOW)
 
 
 async def run(
