@@ -67,7 +67,7 @@ class Estimator:
             return state, without_friction(event, Status.UNOBSERVED, Reason.NO_SLIP_WINDOW)
         slipping = SlippingClutch(
             number=clutch,
-            rows=slice(window.first, window.stop),
+            rows=window.rows,
             pressure_zero_pa=float(state.pressure_zeros.mean_pa[clutch - 1]),
         )
         if faults := plausibility_faults(event, signals, slipping):

@@ -226,7 +226,7 @@ def _seen_shifts(
 
 def _window_at(span: Span, grid_s: FloatArray) -> SlipWindow:
     first, last = np.searchsorted(grid_s, span).tolist()
-    return SlipWindow(first=first, stop=min(last + 1, len(grid_s)), direction=0.0)
+    return SlipWindow(first=first, stop=min(last + 1, len(grid_s)))
 
 
 def _seen_run_ups(events: Sequence[Event], state: FilterState, point: Calibration) -> Iterator[_Seen]:
@@ -235,7 +235,7 @@ def _seen_run_ups(events: Sequence[Event], state: FilterState, point: Calibratio
         if isinstance(signals, Reason):
             continue
         inside = np.flatnonzero(signals.grid_s >= 0.0)
-        window = SlipWindow(first=int(inside[0]), stop=len(signals.grid_s), direction=0.0)
+        window = SlipWindow(first=int(inside[0]), stop=len(signals.grid_s))
         seen = run_up_measurement(signals, window, state.mean, point, are_clutches_closed=event.are_clutches_closed)
         span = float(signals.grid_s[window.first]), float(signals.grid_s[-1])
         yield _Seen((seen,), 0, event.number, span, event.are_clutches_closed)

@@ -18,11 +18,15 @@ MIN_WINDOW_S = 0.08  # eight samples; anything shorter is noise
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SlipWindow:
-    """Grid rows ``first <= row < stop`` of the slip window and the sign of its slip."""
+    """Grid rows ``first <= row < stop`` of the slip window."""
 
     first: int
     stop: int
-    direction: float  # +1 hub faster, -1 hub slower
+
+    @property
+    def rows(self) -> slice:
+        """The rows, as arrays over the grid take them."""
+        return slice(self.first, self.stop)
 
 
 def find_window(
@@ -38,20 +42,16 @@ def find_window(
         Piston pressures above the touch points [Pa].
     """
     usable = (on_over_touch_pa > LOADED_PA) & (off_over_touch_pa < RELEASED_PA)
-    best: SlipWindow | None = None
+    stretches: list[list[int]] = []
     for direction in (1.0, -1.0):
         fits = np.concatenate(((False,), usable & (direction * slip_rad_s > SLIP_MIN_RAD_S), (False,)))
-        edges = np.flatnonzero(fits[1:] != fits[:-1])
-        for first, stop in edges.reshape(-1, 2):
-            if best is None or stop - first > best.stop - best.first:
-                best = SlipWindow(first=int(first), stop=int(stop), direction=direction)
-    if best is None:
+        stretches += np.flatnonzero(fits[1:] != fits[:-1]).reshape(-1, 2).tolist()
+    if not stretches:
         return None
+    first, stop = max(stretches, key=lambda stretch: stretch[1] - stretch[0])
     step_s = float(grid_s[1] - grid_s[0])
-    first = best.first + round(FADE_S / step_s)
-    if (best.stop - first) * step_s < MIN_WINDOW_S:
-        return None
-    return SlipWindow(first=first, stop=best.stop, direction=best.direction)
+    first += round(FADE_S / step_s)
+    return SlipWindow(first=first, stop=stop) if (stop - first) * step_s >= MIN_WINDOW_S else None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -66,7 +66,7 @@ def sines(grid_s: FloatArray, window: SlipWindow, count: int) -> Weights:
     """Return ``count`` sine test functions on the window; zero outside."""
     value = np.zeros((count, len(grid_s)))
     rate = np.zeros_like(value)
-    inside = slice(window.first, window.stop)
+    inside = window.rows
     start_s, length_s = grid_s[window.first], grid_s[window.stop - 1] - grid_s[window.first]
     order = np.arange(1, count + 1)[:, None]
     angle = order * np.pi * (grid_s[inside] - start_s) / length_s
@@ -82,7 +82,7 @@ def smoothed(values: FloatArray, window: SlipWindow, degree: int) -> FloatArray:
     Fitting is symmetric: weights smoothed and values as they are give the same sums as weights as they are and values
     smoothed, as long as the weights vanish outside the window.
     """
-    inside = slice(window.first, window.stop)
+    inside = window.rows
     basis = _polynomials(window.stop - window.first, degree)
     smooth = values.copy()
     smooth[..., inside] = (values[..., inside] @ basis) @ basis.T

@@ -203,7 +203,7 @@ def test_derivatives_of_a_run_up_are_those_of_its_residual(parameter: Considered
         signals = usable_signals(run_up, calibration)
         assert not isinstance(signals, Reason)
         first = int(np.searchsorted(signals.grid_s, 0.0))
-        window = SlipWindow(first=first, stop=len(signals.grid_s), direction=0.0)
+        window = SlipWindow(first=first, stop=len(signals.grid_s))
         return run_up_measurement(signals, window, prior_mean(NOMINAL), calibration, are_clutches_closed=True)
 
     step = 1e-3
@@ -219,7 +219,7 @@ def test_a_balanced_rev_leaves_nothing() -> None:
         signals = usable_signals(run_up, NOMINAL)
         assert not isinstance(signals, Reason)
         first = int(np.searchsorted(signals.grid_s, 0.0))
-        window = SlipWindow(first=first, stop=len(signals.grid_s), direction=0.0)
+        window = SlipWindow(first=first, stop=len(signals.grid_s))
         seen_rev = run_up_measurement(
             signals, window, prior_mean(NOMINAL), NOMINAL, are_clutches_closed=run_up.are_clutches_closed
         )

@@ -8,7 +8,7 @@ from diag_service.diagnosis.alignment import GRID_S
 from diag_service.diagnosis.friction.window import SlipWindow, sines, smoothed
 
 GRID = GRID_S * np.arange(-40.0, 460.0)
-WINDOW = SlipWindow(first=101, stop=352, direction=1.0)  # 0.25 s
+WINDOW = SlipWindow(first=101, stop=352)  # 0.25 s
 INSIDE = slice(WINDOW.first, WINDOW.stop)
 COUNT = 12
 

@@ -15,7 +15,6 @@ def test_it_ends_at_the_first_low_slip(direction: float) -> None:
     slip = direction * np.clip(60.0 * (0.6 - GRID_S) / 0.6, 0.0, 60.0)
     window = find_window(GRID_S, slip, LOADED, EMPTY)
     assert window is not None
-    assert window.direction == direction
     assert GRID_S[window.first] == pytest.approx(FADE_S)
     assert abs(slip[window.stop - 1]) > SLIP_MIN_RAD_S >= abs(slip[window.stop])
 
@@ -46,3 +45,8 @@ def test_locked_samples_after_a_crossing_are_never_used() -> None:
 )
 def test_no_window_where_friction_cannot_be_seen(slip: np.ndarray, on_pa: np.ndarray, off_pa: np.ndarray) -> None:
     assert find_window(GRID_S, slip, on_pa, off_pa) is None
+
+
+@pytest.mark.parametrize("count", [0, 1])
+def test_a_grid_that_is_no_grid_has_no_window(count: int) -> None:
+    assert find_window(GRID_S[:count], EMPTY[:count], EMPTY[:count], EMPTY[:count]) is None

@@ -92,7 +92,7 @@ def of_shift(event: Event) -> tuple[AlignedSignals, SlippingClutch]:
     drives = measured_drives(signals, FilterState.fresh(CALIBRATION), event, CALIBRATION)
     window = slip_window(signals, drives, 2, CALIBRATION)
     assert window is not None
-    return signals, SlippingClutch(number=2, rows=slice(window.first, window.stop), pressure_zero_pa=0.0)
+    return signals, SlippingClutch(number=2, rows=window.rows, pressure_zero_pa=0.0)
 
 
 def faults_of(event: Event, limits: QualityLimits = LIMITS) -> tuple[Reason, ...]:
