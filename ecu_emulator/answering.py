@@ -1,9 +1,11 @@
 """The emulated transmission answers testers while it drives: what is sent tells it how the vehicle is."""
 
 import secrets
+import threading
 import time
 from collections.abc import Mapping
 from contextlib import ExitStack
+from dataclasses import asdict
 from pathlib import Path
 from types import TracebackType
 from typing import Final, Self
@@ -12,13 +14,17 @@ import can
 
 from dbc.contract import load_contract
 from ecu_emulator.bus import FrameSender
+from ecu_emulator.diagnostics.codes import Status
 from ecu_emulator.diagnostics.controller import Controller
+from ecu_emulator.diagnostics.memory import TestResult
 from ecu_emulator.diagnostics.memory_file import MemoryFile
+from ecu_emulator.diagnostics.monitors import Watch, is_warm, judge
 from ecu_emulator.diagnostics.table_file import load_table, shipped_table
-from ecu_emulator.errors import ExtraMissingError
+from ecu_emulator.errors import ExtraMissingError, RecordError
 from ecu_emulator.sent_values import SentValues
 
 OWN_NODE: Final = "TCU"
+MONITOR_PERIOD_S: Final = 0.1
 
 
 class Answering:
@@ -55,6 +61,10 @@ class Answering:
         self._own_ids = {message.frame_id for message in database.messages if OWN_NODE in message.senders}
         self._gear = 0.0
         self._shift_count = 0
+        self._is_over = threading.Event()
+        self._monitor = threading.Thread(target=self._watch, name="monitors", daemon=True)
+        self._error: BaseException | None = None
+        self.problem: str | None = None
         described = load_table(Path(table)) if table else shipped_table()
         store = None if memory is None else self._stack.enter_context(MemoryFile(memory, described))
         try:
@@ -68,12 +78,17 @@ class Answering:
 
     def __enter__(self) -> Self:
         self._stack.enter_context(self.link)
+        self._monitor.start()
         return self
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
+        self._is_over.set()
+        self._monitor.join()
         self._stack.__exit__(kind, error, trace)
+        if self._error is not None and error is None:
+            raise self._error
 
     def send(self, message: can.Message) -> None:
         """Put a frame on the bus, unless a tester has switched this controller's messages off (service 28)."""
@@ -84,6 +99,35 @@ class Answering:
             self._count_shift()
         if can_id not in self._own_ids or self.controller.state.communication.sends_normal:
             self._bus.send(message)
+
+    @property
+    def outcome(self) -> dict[str, object]:
+        """What was asked, and the trouble codes that are confirmed now."""
+        records, troubles = self.controller.state.memory.records, self.controller.table.troubles
+        confirmed = [troubles[number].code for number, record in records.items() if record.status & Status.CONFIRMED]
+        return {**asdict(self.link.counts), "confirmed": confirmed}
+
+    def _watch(self) -> None:
+        """Let the monitors judge what the controllers say, from when all of them have spoken."""
+        watch = Watch()
+        numbers = {trouble.code: number for number, trouble in self.controller.table.troubles.items()}
+        try:
+            while not self._is_over.wait(MONITOR_PERIOD_S):
+                if self._sent.is_complete:
+                    values = self._values()
+                    watch, samples = judge(watch, values, time.monotonic())
+                    self._report({numbers[code]: result for code, result in samples if code in numbers}, values)
+        except BaseException as exc:  # noqa: BLE001 - carried to the caller's thread, which raises it
+            self._error = exc
+
+    def _report(self, results: Mapping[int, TestResult], values: Mapping[str, float]) -> None:
+        try:
+            for number, result in results.items():
+                self.controller.report(number, result)
+            if is_warm(values):
+                self.controller.warm_up()
+        except RecordError as exc:  # the drive goes on; what could not be kept is tried again with the next sample
+            self.problem = self.problem or str(exc)
 
     def _count_shift(self) -> None:
         gear = self._sent.now({}).get("current_gear", self._gear)

@@ -167,6 +167,9 @@ def run(
         **asdict(report),
         "foreign_frames": others.frame_count,
     }
+    if answering is not None:
+        result["diagnostics"] = answering.outcome
+        console.print(_diagnostics_text(answering), markup=False)
     console.print(_report_text(report), markup=False)
     if others.frame_count >= WORTH_SAYING:
         console.print(f"{others.frame_count} frames with the same identifiers came from another sender", markup=False)
@@ -213,6 +216,14 @@ def _mixed_bus_text(can_id: int) -> str:
         f"warning: another sender on this bus uses this emulator's identifiers ({can_id:03X} for one), "
         "probably a second emulator; nothing can be estimated from a mixture: give each a bus of its own"
     )
+
+
+def _diagnostics_text(answering: "Answering") -> str:
+    counts, told = answering.link.counts, answering.outcome["confirmed"]
+    codes = ", ".join(told) if isinstance(told, list) and told else "none"
+    problem = f"\nwarning: trouble codes could not be kept: {answering.problem}" if answering.problem else ""
+    asked = f"{counts.requests} requests, {counts.responses} responses"
+    return f"diagnostics: {asked}; confirmed trouble codes: {codes}{problem}"
 
 
 def _report_text(report: TransmitReport) -> str:

@@ -46,11 +46,17 @@ class SentValues:
         for quantity, name in SIGNAL_OF.items():
             if name in signals:
                 self._carriers[quantity] = signals[name]
+        self._can_ids = {message.frame_id for message in database.messages}
         self._payloads: dict[int, bytes] = {}
 
     def note(self, can_id: int, payload: bytes) -> None:
         """Take a frame that goes out."""
         self._payloads[can_id] = payload
+
+    @property
+    def is_complete(self) -> bool:
+        """Whether every message has been sent."""
+        return self._can_ids <= self._payloads.keys()
 
     def now(self, more: Mapping[str, float]) -> "Moment":
         """Return the values of this moment, with others that are on no bus."""

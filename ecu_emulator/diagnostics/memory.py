@@ -86,7 +86,7 @@ def begin_cycle(memory: TroubleMemory, troubles: Mapping[int, Trouble]) -> Troub
 
 def note_warm_up(memory: TroubleMemory) -> TroubleMemory:
     """Return the memory in a cycle in which the vehicle has become warm: only such cycles count for ageing."""
-    return replace(memory, is_warmed_up=True)
+    return memory if memory.is_warmed_up else replace(memory, is_warmed_up=True)
 
 
 def report(memory: TroubleMemory, trouble: Trouble, result: TestResult, capture: Capture) -> TroubleMemory:
@@ -109,6 +109,8 @@ def report(memory: TroubleMemory, trouble: Trouble, result: TestResult, capture:
     elif counter == PASSED_COUNTER:
         left = Status.TEST_FAILED | Status.NOT_TESTED_SINCE_CLEAR | Status.NOT_TESTED_THIS_CYCLE
         record = replace(record, status=record.status & ~left)
+    if record == memory.records[trouble.number]:
+        return memory
     return replace(memory, records={**memory.records, trouble.number: record})
 
 

@@ -22,17 +22,20 @@ def emulator(bus: Sequence[str], variables: dict[str, str], *more: str) -> Itera
     with subprocess.Popen(
         words, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env={**os.environ, **variables}
     ) as program:
+        assert program.stderr is not None
+        assert any("sending on" in line for line in program.stderr)  # and no error before
         try:
             yield program
         finally:
             program.kill()
 
 
-def asked(bus: Sequence[str], variables: dict[str, str]) -> dict[str, Any]:
+def asked(bus: Sequence[str], variables: dict[str, str], *more: str) -> dict[str, Any]:
     told = subprocess.run(
-        [sys.executable, "-m", "tests.support.uds.udsoncan_client", *bus],
-        check=True, capture_output=True, text=True, timeout=HANG_S, env={**os.environ, **variables},
+        [sys.executable, "-m", "tests.support.uds.udsoncan_client", *bus, *more],
+        check=False, capture_output=True, text=True, timeout=HANG_S, env={**os.environ, **variables},
     )  # fmt: skip
+    assert told.returncode == 0, told.stderr
     found: dict[str, Any] = json.loads(told.stdout)
     return found
 
@@ -74,6 +77,31 @@ def test_a_workshop_tester_asks_a_car_that_drives(bus: tuple[list[str], dict[str
     assert program.returncode == 0, err
     assert json.loads(out)["foreign_frames"] == 0
     assert json.loads(memory.read_text(encoding="utf-8"))["written"]["F198"] == b"CLUTCHSHOP".hex()
+
+
+FAULTY = """
+name = "faulty"
+[[sensor_faults]]
+quantity = "sump_temperature_k"
+kind = "not_available"
+"""
+
+
+def test_a_sensor_that_fails_in_two_drives_is_a_confirmed_code(
+    bus: tuple[list[str], dict[str, str]], tmp_path: Path
+) -> None:
+    memory, scenario = tmp_path / "tcu.json", tmp_path / "faulty.toml"
+    scenario.write_text(FAULTY, encoding="utf-8")
+    told = []
+    for _ in range(2):
+        with emulator(*bus, "--diagnostic-memory", str(memory), "--scenario", str(scenario)) as program:
+            told.append(asked(*bus, "--failed"))
+            program.send_signal(signal.SIGINT)
+            out, err = program.communicate(timeout=HANG_S)
+    assert [drive["status"] for drive in told] == [{"071164": 0x27}, {"071164": 0xAF}]  # pending, then confirmed
+    assert told[1]["snapshots"] == {"071164": [1, 2]}
+    assert json.loads(out)["diagnostics"]["confirmed"] == ["P0711"]
+    assert "confirmed trouble codes: P0711\n" in err
 
 
 def test_a_memory_without_anybody_who_uses_it_is_refused(tmp_path: Path) -> None:

@@ -115,14 +115,17 @@ def dialogue(client: Client) -> dict[str, Any]:
     return told
 
 
-def latencies_s(client: Client, count: int) -> list[float]:
-    """Return how long so many short and long requests took [s]."""
-    found = []
-    for number in range(count):
-        began_s = time.perf_counter()
-        client.read_data_by_identifier([0xF190] if number % 2 else [0x0105])
-        found.append(time.perf_counter() - began_s)
-    return found
+def failed_codes(client: Client) -> dict[str, Any]:
+    """Wait until a test has failed; return status and snapshot numbers of every such code."""
+    asked: Any = client
+    deadline_s = time.monotonic() + 10 * SILENCE_S
+    while not (found := asked.get_dtc_by_status_mask(0x02).service_data.dtcs) and time.monotonic() < deadline_s:
+        time.sleep(0.1)
+    stored = asked.get_dtc_snapshot_identification().service_data.dtcs
+    return {
+        "status": {f"{dtc.id:06X}": dtc.status.get_byte_as_int() for dtc in found},
+        "snapshots": {f"{dtc.id:06X}": list(dtc.snapshots) for dtc in stored},
+    }
 
 
 def main() -> None:
@@ -130,6 +133,7 @@ def main() -> None:
     parser.add_argument("-i", "--interface", required=True)
     parser.add_argument("-c", "--channel", required=True)
     parser.add_argument("--request-id", type=lambda text: int(text, 0), default=0x7E1)
+    parser.add_argument("--failed", action="store_true", help="wait for a code whose test fails, and tell of it")
     options = parser.parse_args()
     logging.disable(logging.CRITICAL)
     address = isotp.Address(isotp.AddressingMode.Normal_11bits, txid=options.request_id, rxid=options.request_id + 8)
@@ -137,7 +141,7 @@ def main() -> None:
         stack = isotp.NotifierBasedCanStack(bus, notifier, address=address, params={"tx_padding": 0})
         with Client(PythonIsoTpConnection(stack), config=CONFIG) as client:
             wait_until_it_answers(client)
-            print(json.dumps(dialogue(client)))
+            print(json.dumps(failed_codes(client) if options.failed else dialogue(client)))
 
 
 if __name__ == "__main__":

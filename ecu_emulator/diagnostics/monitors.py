@@ -1,0 +1,164 @@
+"""Monitors: what the controller senses becomes results of tests, one sample of each at a time.
+
+A monitor says nothing where its test cannot tell: while a gear changes, at low torque, or where a value is missing that
+is not its own matter. Whether samples make a failure is the trouble memory's business.
+"""
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from typing import Final
+
+from clutch_model.gears import clutch_of_gear
+from ecu_emulator.diagnostics.memory import TestResult
+from ecu_emulator.diagnostics.values import Values
+
+Sample = tuple[str, TestResult]  # a trouble code as scan tools show it, and the sample
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class MonitorLimits:
+    """When a sample counts as failed; a sound drive stays well within (tests hold it)."""
+
+    settled_s: float = 0.3  # since the last change of gear
+    tested_torque_nm: float = 40.0  # slip is judged above
+    most_slip_rad_s: float = 10.0  # about 100 rpm in a clutch that shall be locked; a sound one stays below 1.5
+    most_ratio_error: float = 0.03  # of input over output speed; sensors err by 0.01
+    tested_output_rad_s: float = 10.0
+    input_output_ratios: tuple[float, ...] = (3.462, 2.150, 1.464, 1.079, 0.8452, 0.7116)  # gears 1..6, docs/model.md
+    tested_pressure_pa: float = 3.0e5
+    least_pressure_ratio: float = 0.7  # of what is commanded
+    most_pressure_excess_pa: float = 1.5e5  # of the clutch that shall be open
+    pressures_pa: tuple[float, float] = (-0.5e5, 35.0e5)  # the sensor's range
+    most_fluid_k: float = 393.15  # 120 degC
+    fluid_range_k: tuple[float, float] = (233.15, 443.15)
+    most_fluid_rate_k_s: float = 3.0
+    longest_shift_s: float = 3.0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Watch:
+    """What monitors remember from sample to sample."""
+
+    t_s: float | None = None
+    gears: tuple[float, float] = (0.0, 0.0)  # current, target
+    since_s: float = 0.0  # when they became so
+    fluid_k: float | None = None
+    fluid_s: float = 0.0
+
+
+NOMINAL_LIMITS: Final = MonitorLimits()
+WARM_COOLANT_K: Final = 344.15  # 71 degC, where a warm-up cycle of OBD ends
+
+
+def judge(
+    watch: Watch, values: Values, t_s: float, limits: MonitorLimits = NOMINAL_LIMITS
+) -> tuple[Watch, tuple[Sample, ...]]:
+    """Return what the monitors remember and say at this moment, about ten times a second.
+
+    Parameters
+    ----------
+    watch
+        What they remembered.
+    values
+        What the controller senses, in SI; values that are not available are missing.
+    t_s
+        Time that never goes back [s].
+    limits
+        When a sample fails.
+    """
+    known = {name: value for name, value in values.items() if isinstance(value, int | float)}
+    gears = (known.get("current_gear", 0.0), known.get("target_gear", 0.0))
+    since_s = watch.since_s if gears == watch.gears and watch.t_s is not None else t_s
+    samples = (
+        *_fluid_samples(watch, known, t_s, limits),
+        *_pressure_sensor_samples(known, limits),
+        *_shift_samples(gears, t_s - since_s, limits),
+        *_gear_samples(gears, known, t_s - since_s, limits),
+    )
+    fluid_k = known.get("sump_temperature_k")
+    after = Watch(
+        t_s=t_s,
+        gears=gears,
+        since_s=since_s,
+        fluid_k=watch.fluid_k if fluid_k is None else fluid_k,
+        fluid_s=watch.fluid_s if fluid_k is None else t_s,
+    )
+    return after, samples
+
+
+def is_warm(values: Values) -> bool:
+    """Return whether the engine is as warm as it gets: the cycle counts for ageing."""
+    coolant_k = values.get("coolant_temperature_k")
+    return isinstance(coolant_k, int | float) and coolant_k >= WARM_COOLANT_K
+
+
+def _sample(code: str, *, is_failed: bool) -> Sample:
+    return code, TestResult.PREFAILED if is_failed else TestResult.PREPASSED
+
+
+def _fluid_samples(watch: Watch, known: Mapping[str, float], t_s: float, limits: MonitorLimits) -> Iterator[Sample]:
+    """Judge the fluid's temperature, and first its sensor: who says nonsense says nothing about heat."""
+    fluid_k = known.get("sump_temperature_k")
+    low_k, high_k = limits.fluid_range_k
+    is_odd = fluid_k is None or not low_k <= fluid_k <= high_k
+    if fluid_k is not None and watch.fluid_k is not None:
+        most_k = limits.most_fluid_rate_k_s * max(1.0, t_s - watch.fluid_s)  # one step of the sensor at least
+        is_odd = is_odd or abs(fluid_k - watch.fluid_k) > most_k
+    yield _sample("P0711", is_failed=is_odd)
+    if fluid_k is not None and not is_odd:
+        yield _sample("P0218", is_failed=fluid_k > limits.most_fluid_k)
+
+
+def _pressure_sensor_samples(known: Mapping[str, float], limits: MonitorLimits) -> Iterator[Sample]:
+    is_odd = any(_pressure_pa(known, clutch, limits) is None for clutch in (1, 2))
+    yield _sample("P0841", is_failed=is_odd)
+
+
+def _pressure_pa(known: Mapping[str, float], clutch: int, limits: MonitorLimits) -> float | None:
+    """Return a clutch pressure [Pa], None if its sensor says nothing or nonsense."""
+    pressure_pa = known.get(f"clutch{clutch}_pressure_pa")
+    low_pa, high_pa = limits.pressures_pa
+    return pressure_pa if pressure_pa is not None and low_pa <= pressure_pa <= high_pa else None
+
+
+def _shift_samples(gears: tuple[float, float], lasts_s: float, limits: MonitorLimits) -> Iterator[Sample]:
+    current, target = gears
+    if current and target and current != target and lasts_s > limits.longest_shift_s:
+        yield _sample("P0780", is_failed=True)
+    elif current and current == target:
+        yield _sample("P0780", is_failed=False)
+
+
+def _gear_samples(
+    gears: tuple[float, float], known: Mapping[str, float], lasts_s: float, limits: MonitorLimits
+) -> Iterator[Sample]:
+    """Judge clutches and ratio while a gear is held."""
+    gear = int(gears[0])
+    is_held = gears[0] == gears[1] and known.get("shift_phase") == 0.0 and lasts_s >= limits.settled_s
+    if not is_held or not 1 <= gear <= len(limits.input_output_ratios):
+        return
+    clutch = clutch_of_gear(gear)
+    slip, torque = known.get(f"clutch{clutch}_slip_rad_s"), known.get("engine_torque_nm")
+    if slip is not None and torque is not None and abs(torque) > limits.tested_torque_nm:
+        yield _sample("P0811", is_failed=abs(slip) > limits.most_slip_rad_s)
+    yield from _pressure_samples(clutch, known, limits)
+    yield from _ratio_samples(gear, clutch, known, limits)
+
+
+def _pressure_samples(clutch: int, known: Mapping[str, float], limits: MonitorLimits) -> Iterator[Sample]:
+    commanded, reached = known.get(f"clutch{clutch}_pressure_command_pa"), _pressure_pa(known, clutch, limits)
+    if commanded is not None and reached is not None and commanded > limits.tested_pressure_pa:
+        yield _sample("P0868", is_failed=reached < limits.least_pressure_ratio * commanded)
+    idle = 3 - clutch
+    wanted, present = known.get(f"clutch{idle}_pressure_command_pa"), _pressure_pa(known, idle, limits)
+    if wanted is not None and present is not None:
+        yield _sample("P0776", is_failed=present > wanted + limits.most_pressure_excess_pa)
+
+
+def _ratio_samples(gear: int, clutch: int, known: Mapping[str, float], limits: MonitorLimits) -> Iterator[Sample]:
+    shaft, output = known.get(f"input{clutch}_speed_rad_s"), known.get("output_speed_rad_s")
+    if shaft is None or output is None or output < limits.tested_output_rad_s:
+        return
+    error = shaft / output / limits.input_output_ratios[gear - 1] - 1.0
+    is_failed = abs(error) > limits.most_ratio_error
+    yield _sample(f"P073{gear}" if gear <= 5 else "P0729", is_failed=is_failed)
