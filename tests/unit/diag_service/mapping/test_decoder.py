@@ -16,9 +16,10 @@ from diag_service.diagnosis.columns import BALANCE_SIGNALS, Signal
 from diag_service.errors import ConfigError
 from diag_service.mapping.decoder import Decoder
 from diag_service.mapping.profile import Profile, SignalSource, load_profile
-from ecu_emulator.frames import FrameEncoder
+from ecu_emulator.frames import EncodedFrames, FrameEncoder
 from ecu_emulator.readings import Readings
-from tests.support.wire import CONTRACTS, DATABASE, START_NS, drive, joined, of_message, received
+from tests.support import wire
+from tests.support.wire import CONTRACTS, DATABASE, START_NS, drive, joined, of_message
 
 TCU_SHIFT: Final = CONTRACTS["TCU_Shift"].can_id
 CORNERS: Final = Path(__file__).parents[3] / "data" / "corners.dbc"
@@ -26,6 +27,13 @@ CORNERS: Final = Path(__file__).parents[3] / "data" / "corners.dbc"
 
 def decoder() -> Decoder:
     return Decoder(DATABASE, load_profile())
+
+
+def received(frames: EncodedFrames) -> FrameBatch:
+    """Return the frames of the messages that the profile follows; the emulated car sends others, too."""
+    followed = {source.message for source in load_profile().sources.values()}
+    batch = wire.received(frames)
+    return batch[np.isin(batch.can_id, [CONTRACTS[name].can_id for name in followed])]
 
 
 def test_undisturbed_drive() -> None:
