@@ -1,12 +1,13 @@
 """The words of the command line: which commands there are, and which options each takes. Imports next to nothing."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from datetime import UTC, datetime
 from types import SimpleNamespace
 from typing import Final
 
 import click
 
+from ecu_emulator.drive_names import DriveName
 from program_io.command_line import FILE, INT, Choice, Command, Option, Program, parse
 
 PROGRAM: Final = "ecu-emulator"
@@ -16,6 +17,7 @@ EXIT_TEXT: Final = (
 )
 NS_PER_S: Final = 1_000_000_000
 DEFAULT_REVS: Final = "4,4"
+MOST_PARKED_S: Final = 86_400.0
 DEFAULT_START: Final = "2026-01-01T00:00:00Z"
 
 
@@ -27,11 +29,16 @@ def _rev_counts(text: str) -> tuple[int, int]:
     return int(first), int(second or first)
 
 
-def _seconds(text: str) -> float:
-    value = float(text)
-    if not 0.0 <= value <= 3600.0:
-        raise ValueError(f"must be 0..3600 s, got {text}")
-    return value
+def _between(low: float, high: float, unit: str) -> Callable[[str], float]:
+    """Return a reader of numbers within a range."""
+
+    def read(text: str) -> float:
+        value = float(text)
+        if not low <= value <= high:
+            raise ValueError(f"must be {low:g}..{high:g} {unit}, got {text}")
+        return value
+
+    return read
 
 
 def _instant_ns(text: str) -> int:
@@ -53,7 +60,20 @@ _DRIVE: Final = (
     Option("--seed N", "override the seed of car and drive", INT),
     Option("--vehicle-seed N", "draw the car from this seed, not from --seed", INT),
     Option("--drive-seed N", "draw driver and noise from this one", INT),
-    Option("--cycles N", "override the number of shift cycles", INT),
+    Option(
+        "--drive NAME",
+        "what is driven: the shift cycle of a test bench (the default), a public cycle, city traffic by the seed, or a "
+        "day of trips with the car parked in between",
+        Choice([name.value for name in DriveName]),
+    ),
+    Option("--cycles N", "override how often it is driven: cycles, trips through the city, days", INT),
+    Option("--endless", "drive again and again until stopped"),
+    Option(
+        "--oil-degc T",
+        "temperature of the transmission oil when the drive begins; coolant and air are at most as warm",
+        _between(-15.0, 130.0, "degC"),
+    ),
+    Option("--mass-kg M", "override the mass of the car", _between(900.0, 3500.0, "kg")),
     Option(
         "--routine [OPEN[,CLOSED]]",
         "begin with the workshop routine: so many revs in neutral with open, then with closed clutches "
@@ -82,11 +102,18 @@ _RUN: Final = Command(
     ),
     Option("--diagnostic-memory FILE", "keep trouble codes in this file, over restarts", FILE),
     Option("--alive FILE", "touch this file while frames go out", FILE),
-    Option("--start-delay S", "wait before the first frame", _seconds, default="0"),
+    Option("--start-delay S", "wait before the first frame", _between(0.0, 3600.0, "s"), default="0"),
+    Option(
+        "--parked S",
+        "while the car is parked the bus is silent for at most this long; it cools down for all of its stay",
+        _between(0.0, MOST_PARKED_S, "s"),
+        default="10",
+    ),
     examples=(
         f"{PROGRAM} run -i socketcan -c vcan0",
         f"{PROGRAM} run -i socketcan -c vcan0 --diagnostics --diagnostic-memory tcu.json",
         f"{PROGRAM} run -i socketcan -c vcan0 --fluid case2 --cycles 3 --truth truth.jsonl --json",
+        f"{PROGRAM} run -i socketcan -c vcan0 --drive day --endless --oil-degc -10",
     ),
 )
 _RECORD: Final = Command(
@@ -100,9 +127,17 @@ _RECORD: Final = Command(
     Option("-c --channel CHANNEL", "channel name in the log (default: vcan0)", default="vcan0"),
     *_DRIVE,
     Option("--truth FILE", "default: FILE.truth.jsonl beside the log", FILE),
+    Option(
+        "--parked S",
+        "while the car is parked the log has a gap of at most this long (default: as long as it is parked)",
+        _between(0.0, MOST_PARKED_S, "s"),
+        default=str(MOST_PARKED_S),
+        show_default=False,
+    ),
     examples=(
         f"{PROGRAM} record drive.log",
         f"{PROGRAM} record drive.blf --scenario case1 --cycles 5 --routine",
+        f"{PROGRAM} record cold.log --drive wltc --oil-degc 0 --mass-kg 1900",
     ),
 )
 COMMAND_LINE: Final = Program(

@@ -53,7 +53,11 @@ def _execute(options: SimpleNamespace, stop: Event) -> None:
         seed=options.seed,
         vehicle_seed=options.vehicle_seed,
         drive_seed=options.drive_seed,
+        drive=options.drive,
         cycles=options.cycles,
+        is_endless=options.endless,
+        oil_degc=options.oil_degc,
+        mass_kg=options.mass_kg,
         routine=options.routine,
     )
     if options.command == "record":
@@ -64,6 +68,7 @@ def _execute(options: SimpleNamespace, stop: Event) -> None:
             start_ns=options.start_time,
             channel=options.channel,
             truth=options.truth,
+            longest_stay_s=options.parked,
             is_json=options.json,
             stop=stop,
         )
@@ -79,6 +84,7 @@ def _execute(options: SimpleNamespace, stop: Event) -> None:
         alive=options.alive,
         diagnostics=live.diagnostics_choice(options.diagnostics, options.diagnostic_memory),
         start_delay_s=options.start_delay,
+        longest_stay_s=options.parked,
         is_json=options.json,
         stop=stop,
     )

@@ -8,11 +8,13 @@ from dataclasses import replace
 from pathlib import Path
 from threading import Event
 
+from clutch_model.units import k_from_degc
+from ecu_emulator.drive_names import DriveName
 from ecu_emulator.errors import ConfigError
-from ecu_emulator.progress import ProgressLine, people, print_json
+from ecu_emulator.progress import ProgressLine, driven_text, people, print_json
 from ecu_emulator.record import LogFormat, open_log
 from ecu_emulator.recording import LONG_STRETCH_S, Drive
-from ecu_emulator.scenario import FluidCondition, Routine, Scenario
+from ecu_emulator.scenario import Ambient, FluidCondition, Routine, Scenario, Truth
 from ecu_emulator.scenario_file import load_scenario, shipped_scenarios
 from ecu_emulator.truth import TruthWriter, truth_path
 
@@ -24,10 +26,16 @@ def choose_scenario(
     seed: int | None,
     vehicle_seed: int | None = None,
     drive_seed: int | None = None,
+    drive: str | None = None,
     cycles: int | None,
+    is_endless: bool = False,
+    oil_degc: float | None = None,
+    mass_kg: float | None = None,
     routine: tuple[int, int] | None = None,
 ) -> Scenario:
     """Load a scenario and override what the command line names; ``routine`` counts open and closed revs.
+
+    Colder oil makes coolant and air as cold: the car has stood there.
 
     Raises
     ------
@@ -42,11 +50,29 @@ def choose_scenario(
         seed=scenario.seed if seed is None else seed,
         vehicle_seed=scenario.vehicle_seed if vehicle_seed is None else vehicle_seed,
         drive_seed=scenario.drive_seed if drive_seed is None else drive_seed,
+        drive=scenario.drive if drive is None else DriveName(drive),
         cycles=scenario.cycles if cycles is None else cycles,
+        endless=scenario.endless or is_endless,
+        ambient=scenario.ambient if oil_degc is None else started_at(scenario.ambient, float(k_from_degc(oil_degc))),
+        truth=scenario.truth if mass_kg is None else with_mass(scenario.truth, mass_kg),
     )
     if routine is not None:
         scenario = replace(scenario, routine=Routine(open_revs=routine[0], closed_revs=routine[1]))
     return scenario
+
+
+def started_at(ambient: Ambient, oil_k: float) -> Ambient:
+    """Return the temperatures of a car whose oil is as warm as this; nothing around it is warmer."""
+    return Ambient(
+        temperature_k=min(ambient.temperature_k, oil_k),
+        oil_temperature_k=oil_k,
+        coolant_temperature_k=min(ambient.coolant_temperature_k, oil_k),
+    )
+
+
+def with_mass(truth: Truth, mass_kg: float) -> Truth:
+    """Return what is true of the vehicle, with another mass."""
+    return replace(truth, plant={**truth.plant, "vehicle.mass_kg": mass_kg})
 
 
 def list_scenarios() -> None:
@@ -75,6 +101,7 @@ def record(
     start_ns: int,
     channel: str,
     truth: Path | None,
+    longest_stay_s: float,
     is_json: bool,
     stop: Event,
 ) -> None:
@@ -89,7 +116,7 @@ def record(
     truth_file = truth or truth_path(path)
     if truth_file.absolute() == path.absolute():
         raise ConfigError(f"log and truth cannot both be {path}")
-    drive = Drive(scenario)
+    drive = Drive(scenario, longest_stay_s)
     began_s = time.perf_counter()
     with (
         open_log(
@@ -102,17 +129,19 @@ def record(
         for stretch in drive.stretches(LONG_STRETCH_S):
             log.write(stretch.frames)
             writer.write(stretch.truths)
-            text = f"{stretch.end_s:.0f} s driven, {drive.totals.shifts} shifts"
-            progress.update(text, time.perf_counter() - began_s)
+            progress.update(
+                driven_text(drive.totals.driven_s, drive.totals.shifts, drive.totals.events),
+                time.perf_counter() - began_s,
+            )
             if stop.is_set():
                 break
         writer.totals(drive.totals)
     took_s = time.perf_counter() - began_s
     totals = drive.totals
-    speed = totals.duration_s / took_s
+    speed = totals.driven_s / took_s
     state = "" if drive.finished else "stopped early: "
     console.print(
-        f"{state}{path}: {totals.frames} frames, {totals.shifts} shifts, {totals.duration_s:.1f} s of driving "
+        f"{state}{path}: {totals.frames} frames, {totals.shifts} shifts, {totals.driven_s:.1f} s of driving "
         f"in {took_s:.1f} s ({speed:.0f} x real time); truth in {truth_file}",
         markup=False,
     )
@@ -124,6 +153,7 @@ def record(
                 "finished": drive.finished,
                 "frames": totals.frames,
                 "shifts": totals.shifts,
+                "events": totals.events,
                 "duration_s": totals.duration_s,
                 "speed_ratio": round(speed, 2),
                 "vehicle_seed": scenario.seed_of_vehicle,

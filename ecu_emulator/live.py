@@ -18,11 +18,11 @@ from ecu_emulator.control import ControlSocket
 from ecu_emulator.errors import ConfigError, RecordError
 from ecu_emulator.frames import EncodedFrames
 from ecu_emulator.other_senders import WORTH_SAYING, OtherSenders
-from ecu_emulator.progress import ProgressLine, people, print_json
+from ecu_emulator.progress import ProgressLine, driven_text, people, print_json
 from ecu_emulator.recording import SHORT_STRETCH_S, Drive
 from ecu_emulator.scenario import Scenario
 from ecu_emulator.sign_of_life import SignOfLife
-from ecu_emulator.truth import EventTruth, Happened, ShiftTruth, TruthWriter, known_at_s
+from ecu_emulator.truth import ROTATED_BYTES, EventTruth, Happened, ShiftTruth, TruthWriter, known_at_s
 
 if TYPE_CHECKING:
     from ecu_emulator.answering import Answering
@@ -117,6 +117,7 @@ def run(
     alive: Path | None,
     diagnostics: DiagnosticsChoice | None,
     start_delay_s: float,
+    longest_stay_s: float,
     is_json: bool,
     stop: Event,
 ) -> None:
@@ -128,10 +129,11 @@ def run(
         If the scenario's truth is not possible, the bus cannot be used, or a file cannot be written.
     """
     console = people()
-    drive = Drive(scenario)
+    drive = Drive(scenario, longest_stay_s)
+    most_bytes = ROTATED_BYTES if scenario.endless else None
     with (
         open_bus(choice.interface, choice.channel, choice.bitrate, fd=choice.is_fd) as bus,
-        TruthWriter(truth) if truth is not None else nullcontext() as writer,
+        TruthWriter(truth, most_bytes=most_bytes) if truth is not None else nullcontext() as writer,
         ControlSocket(control, drive.add_fault) if control is not None else nullcontext(),
         ProgressLine(console, "preparing the plant") as progress,
         _answering(bus, diagnostics, is_fd=choice.is_fd) as answering,
@@ -147,14 +149,17 @@ def run(
         _write_summary(summary, {})
         life = SignOfLife(alive) if alive is not None else None
         console.print(
-            f"{scenario.name}, {_seeds_text(scenario)}: sending on {choice.name or bus.channel_info}", markup=False
+            f"{_drive_text(scenario)}, {_seeds_text(scenario)}: sending on {choice.name or bus.channel_info}",
+            markup=False,
         )
 
         def show(sent_s: float, frame_count: int) -> None:
             sent.sent_until(sent_s)
             if life is not None:
                 life.tell(frame_count)
-            progress.update(f"{sent_s:.0f} s driven, {sent.shift_count} shifts, {frame_count} frames sent", sent_s)
+            progress.update(
+                f"{driven_text(sent_s, sent.shift_count, sent.event_count)}, {frame_count} frames sent", sent_s
+            )
 
         report = transmit(answering or bus, sent.frames(), stop, start_delay_s=start_delay_s, on_progress=show)
         sent.finish(report)
@@ -164,6 +169,7 @@ def run(
         "vehicle_seed": scenario.seed_of_vehicle,
         "drive_seed": scenario.seed_of_drive,
         "shifts": sent.shift_count,
+        "events": sent.event_count,
         **asdict(report),
         "foreign_frames": others.frame_count,
     }
@@ -199,6 +205,10 @@ def diagnostics_choice(table: str | None, memory: Path | None) -> DiagnosticsCho
     if table is None and memory is not None:
         raise ConfigError("--diagnostic-memory needs --diagnostics")
     return None if table is None else DiagnosticsChoice(table=table, memory=memory)
+
+
+def _drive_text(scenario: Scenario) -> str:
+    return f"{scenario.name}, {scenario.drive}" if scenario.is_on_the_road else scenario.name
 
 
 def _seeds_text(scenario: Scenario) -> str:

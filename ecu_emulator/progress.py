@@ -25,6 +25,11 @@ def print_json(content: Mapping[str, object]) -> None:
     sys.stdout.write(json.dumps(told) + "\n")
 
 
+def driven_text(driven_s: float, shifts: int, events: int) -> str:
+    """Return in a few words how far a drive has come; the shift cycle has no events."""
+    return f"{driven_s:.0f} s driven, {shifts} shifts{f', {events} events' if events else ''}"
+
+
 class ProgressLine:
     """Shows the latest text on a terminal; elsewhere one line every ten seconds of the time it is told."""
 

@@ -2,15 +2,19 @@
 
 import math
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from queue import SimpleQueue
 from typing import Final
 
-from canlog.e2e.message_contract import message_contracts
+from canlog.e2e.message_contract import MessageContract, message_contracts
+from clutch_model.errors import CalibrationError
 from dbc.contract import load_contract
 from ecu_emulator.build import BuiltVehicle, ageing_factors, build_vehicle
 from ecu_emulator.bus_faults import BusFaults
+from ecu_emulator.driving.journey import Departure, Journey
+from ecu_emulator.driving.trips import PlannedTrip
+from ecu_emulator.errors import ConfigError
 from ecu_emulator.event_watcher import EventWatcher
 from ecu_emulator.faults import BusFault, SensorFault
 from ecu_emulator.frame_loss import FrameLoss
@@ -19,7 +23,8 @@ from ecu_emulator.plant.columns import Col
 from ecu_emulator.plant.drive import DriveSettings, FrictionFactors
 from ecu_emulator.plant.powertrain import Powertrain
 from ecu_emulator.readings import FloatArray, Schedule
-from ecu_emulator.scenario import FluidCondition, Scenario
+from ecu_emulator.road import WHOLE_STAY_S, journey, scenario_trips, trip_truth
+from ecu_emulator.scenario import MAX_CYCLES, FluidCondition, Scenario
 from ecu_emulator.sensors import Installation, SensorSuite
 from ecu_emulator.truth import (
     DriveTruth,
@@ -28,6 +33,7 @@ from ecu_emulator.truth import (
     Happened,
     ShiftTruth,
     Totals,
+    TripTruth,
     TruthLog,
     known_at_s,
     truth_log,
@@ -36,7 +42,7 @@ from ecu_emulator.truth_watchers import RevWatcher, ShiftWatcher
 
 LONG_STRETCH_S: Final = 10.0  # for files
 MS_PER_S: Final = 1000.0
-ROAD_MESSAGES: Final = frozenset({"ECM_State", "TCU_Drive"})  # the shift cycle keeps to what it always sent
+ROAD_MESSAGES: Final = frozenset({"ECM_State", "TCU_Drive"})
 SHORT_STRETCH_S: Final = 0.25  # live: a stretch must not hold the interpreter for long
 
 
@@ -58,6 +64,14 @@ class Drive:
     """One drive of one built vehicle: plant, sensors and frame builder in step.
 
     The frames depend on the scenario only, not on the length of the stretches; memory does not grow with the drive.
+    On the road a drive is made of trips, each of which begins as the ignition is switched on.
+
+    Parameters
+    ----------
+    longest_stay_s
+        Of the time for which the car is parked between two trips at most this much [s] is shown.
+    planned
+        Trips in place of those that the scenario names.
 
     Raises
     ------
@@ -65,24 +79,21 @@ class Drive:
         If the scenario's truth is not possible.
     """
 
-    def __init__(self, scenario: Scenario) -> None:
-        vehicle = build_vehicle(scenario)
+    def __init__(
+        self,
+        scenario: Scenario,
+        longest_stay_s: float = WHOLE_STAY_S,
+        planned: Iterator[PlannedTrip] | None = None,
+    ) -> None:
+        self._scenario = scenario
+        self._vehicle = vehicle = build_vehicle(scenario)
         database = load_contract()
         self._encoder = FrameEncoder(database)
-        self._plant = Powertrain(vehicle.calibration, vehicle.parameters, drive_settings(scenario))
+        self._plant = _plant(scenario, vehicle, longest_stay_s, planned)
+        self._departure: Departure | None = None
         self._watchers = (ShiftWatcher(), RevWatcher(), EventWatcher())
         self._sensors = SensorSuite(
-            schedules=[
-                Schedule(
-                    message=contract.name,
-                    sender=contract.sender,
-                    cycle_ms=max(contract.cycle_ms, scenario.effects.least_cycle_ms),
-                    phase_ms=contract.phase_ms,
-                    quantities=self._encoder.quantities(contract.name),
-                )
-                for contract in message_contracts(database).values()
-                if contract.name not in ROAD_MESSAGES
-            ],
+            schedules=_schedules(scenario, message_contracts(database), self._encoder),
             sensors=vehicle.sensors,
             installation=_installation(scenario, vehicle),
             startup_s=scenario.startup.by_sender(),
@@ -95,6 +106,7 @@ class Drive:
         self._counts: Counter[type[Happened]] = Counter()
         self._frame_count = 0
         self._end_s = 0.0
+        self._driven_ms = 0
         self.truth: Final = _drive_truth(scenario, vehicle)
 
     @property
@@ -104,13 +116,14 @@ class Drive:
             shifts=self._counts[ShiftTruth],
             events=self._counts[EventTruth],
             duration_s=self._end_s,
+            driven_s=self._driven_ms / MS_PER_S,
             frames=self._frame_count,
             faults=self._fault_truths(),
         )
 
     @property
     def finished(self) -> bool:
-        """Whether all cycles have been driven."""
+        """Whether all that was to be driven has been."""
         return self._plant.finished
 
     def add_fault(self, fault: SensorFault | BusFault) -> None:
@@ -160,13 +173,31 @@ class Drive:
         )
 
     def _stretch(self, rows: FloatArray) -> Stretch:
-        truths = sorted((truth for watcher in self._watchers for truth in watcher.feed(rows)), key=known_at_s)
+        is_last = self.finished or (isinstance(self._plant, Journey) and self._plant.is_parked)
+        truths = sorted([*self._begun_trip(), *self._watched(rows, is_last=is_last)], key=known_at_s)
         frames = self._loss.surviving(self._encoder.encode_all(self._sensors.read(rows)))
         first_s, self._end_s = (round(float(rows[row, Col.T_S]), 3) for row in (0, -1))
-        frames = self._bus_faults.feed(frames, rows, round(first_s * MS_PER_S), self._end_s, is_last=self.finished)
+        frames = self._bus_faults.feed(frames, rows, round(first_s * MS_PER_S), self._end_s, is_last=is_last)
         self._counts.update(map(type, truths))
         self._frame_count += len(frames)
+        self._driven_ms += len(rows)
         return Stretch(frames=frames, truths=tuple(truths), end_s=self._end_s)
+
+    def _begun_trip(self) -> list[TripTruth]:
+        """Return the trip that the rows driven last begin, if they do; a car that was parked is switched on."""
+        departure = self._plant.departure if isinstance(self._plant, Journey) else None
+        if departure is None or departure is self._departure:
+            return []
+        self._departure = departure
+        self._sensors.restart()
+        if departure.trip.parked_s > 0.0:
+            self._sensors.switch_on(departure.t_start_s)
+            self._encoder.restart()
+        return [trip_truth(departure, self._scenario, self._vehicle.calibration)]
+
+    def _watched(self, rows: FloatArray, *, is_last: bool) -> list[Happened]:
+        truths: list[Happened] = [truth for watcher in self._watchers for truth in watcher.feed(rows)]
+        return [*truths, *(truth for watcher in self._watchers for truth in watcher.finish())] if is_last else truths
 
 
 def frames_of(scenario: Scenario) -> tuple[EncodedFrames, TruthLog]:
@@ -177,12 +208,38 @@ def frames_of(scenario: Scenario) -> tuple[EncodedFrames, TruthLog]:
     return merge([stretch.frames for stretch in stretches]), truth_log(drive.truth, truths, drive.totals)
 
 
+def _schedules(scenario: Scenario, contracts: Mapping[str, MessageContract], encoder: FrameEncoder) -> list[Schedule]:
+    """Return when each message is sent; the shift cycle keeps to those that it had before there was a road."""
+    return [
+        Schedule(
+            message=contract.name,
+            sender=contract.sender,
+            cycle_ms=max(contract.cycle_ms, scenario.effects.least_cycle_ms),
+            phase_ms=contract.phase_ms,
+            quantities=encoder.quantities(contract.name),
+        )
+        for contract in contracts.values()
+        if scenario.is_on_the_road or contract.name not in ROAD_MESSAGES
+    ]
+
+
+def _plant(
+    scenario: Scenario, vehicle: BuiltVehicle, longest_stay_s: float, planned: Iterator[PlannedTrip] | None
+) -> Powertrain | Journey:
+    try:
+        if scenario.is_on_the_road:
+            return journey(scenario, vehicle, longest_stay_s, planned or scenario_trips(scenario))
+        return Powertrain(vehicle.calibration, vehicle.parameters, drive_settings(scenario))
+    except CalibrationError as exc:
+        raise ConfigError(f"scenario {scenario.name}: drive {scenario.drive} is not possible: {exc}") from exc
+
+
 def drive_settings(scenario: Scenario) -> DriveSettings:
     """Return what the plant needs to know about the drive."""
     is_ageing = scenario.fluid.condition is FluidCondition.AGEING
     factors = ageing_factors(scenario.fluid.ageing_cycles) if is_ageing else ()
     return DriveSettings(
-        cycles=scenario.cycles,
+        cycles=MAX_CYCLES if scenario.endless else scenario.cycles,
         seed=scenario.seed_of_drive,
         pedal_ratio=scenario.driver.pedal_ratio,
         vary_ratio=scenario.driver.variation_ratio,
@@ -215,6 +272,7 @@ def _drive_truth(scenario: Scenario, vehicle: BuiltVehicle) -> DriveTruth:
         seed=scenario.seed,
         vehicle_seed=scenario.seed_of_vehicle,
         drive_seed=scenario.seed_of_drive,
+        drive=scenario.drive,
         cycles=scenario.cycles,
         fluid=scenario.fluid.condition,
         mu_c=(first.mu_c, second.mu_c),

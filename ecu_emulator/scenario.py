@@ -8,6 +8,7 @@ from enum import StrEnum
 from typing import Final
 
 from clutch_model.calibration import nominal_calibration
+from ecu_emulator.drive_names import DriveName
 from ecu_emulator.errors import ConfigError
 from ecu_emulator.faults import BusFault, SensorFault
 from ecu_emulator.signals import NOMINAL_SENSORS, Sensors
@@ -16,6 +17,7 @@ Overrides = Mapping[str, object]  # dotted key -> TOML value
 
 _VEHICLE_ID: Final = re.compile(r"[A-Za-z0-9_-]{1,64}")  # safe in a file name and in an MQTT topic
 _MACHINED: Final = frozenset({"input_shaft_inertia_ratio"})
+MAX_CYCLES: Final = 100_000  # fifty days of shift cycles
 MAX_REVS: Final = 20  # of the workshop routine, with open and with closed clutches each
 _SCATTER_SHARE: Final = 0.5  # of the belief's standard deviations: a careful production
 
@@ -170,7 +172,9 @@ class Scenario(_Ranged):
     seed: int = 1  # of everything that is drawn, unless one of the next two is given
     vehicle_seed: int | None = None  # of what stays with the car: production scatter
     drive_seed: int | None = None  # of what changes from drive to drive: driver, noise, losses on the bus
-    cycles: int = 1  # each is 1-2-3-4-5-6-5-4-3-2-1
+    drive: DriveName = DriveName.CYCLE
+    cycles: int = 1  # how often it is driven: shift cycles, public cycles, trips through the city, days
+    endless: bool = False  # drive again and again instead
     odometer_m: float = ranged(12_345_000.0, 0.0, 4.0e9)
     fluid: Fluid = field(default_factory=Fluid)
     driver: Driver = field(default_factory=Driver)
@@ -193,8 +197,15 @@ class Scenario(_Ranged):
             seed = getattr(self, name)
             if seed is not None and not 0 <= seed < 2**63:
                 raise ConfigError(f"{name} must be 0..2^63-1, got {seed}")
-        if not 1 <= self.cycles <= 100_000:
-            raise ConfigError(f"cycles must be 1..100000, got {self.cycles}")
+        if not 1 <= self.cycles <= MAX_CYCLES:
+            raise ConfigError(f"cycles must be 1..{MAX_CYCLES}, got {self.cycles}")
+        if self.is_on_the_road and self.routine != Routine():
+            raise ConfigError(f"the workshop routine is driven before shift cycles only, not with drive {self.drive}")
+
+    @property
+    def is_on_the_road(self) -> bool:
+        """Whether a driver follows a speed trace; otherwise the shift cycle is driven."""
+        return self.drive is not DriveName.CYCLE
 
     @property
     def seed_of_vehicle(self) -> int:

@@ -214,9 +214,12 @@ class SensorSuite:
             for quantity in schedule.quantities
         }
 
-    def restart(self, t_s: float) -> None:
-        """Switch the ignition on once more, at this scenario time [s]; rows go on there."""
+    def switch_on(self, t_s: float) -> None:
+        """Let the controllers start at this scenario time [s], as when the ignition is switched on."""
         self._switched_on_s = t_s
+
+    def restart(self) -> None:
+        """Forget the past: the next rows are the beginning of another trip."""
         self._crank.restart()
         for chain in self._chains.values():
             chain.restart()

@@ -87,7 +87,7 @@ class EventTruth:
     slip_energy_j: float
     reslip_rad_s: float  # largest slip after it had ended once: stick-slip, or a load that pulls the clutch open
     other_slip_energy_j: float
-    is_locked: bool  # the clutch of the gear reached sticks at the end
+    is_locked: bool  # the clutch of the gear reached sticks at the end, or slips by less than 1 rad/s under load
     is_aborted: bool
     mu_c: float
     mu_s: float
@@ -124,7 +124,8 @@ class Totals:
 
     shifts: int
     events: int = 0
-    duration_s: float
+    duration_s: float  # of scenario time
+    driven_s: float = 0.0  # without the time for which the car was parked
     frames: int
     faults: tuple[FaultTruth, ...] = ()
 

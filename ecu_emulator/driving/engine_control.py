@@ -24,6 +24,7 @@ _FOOT_OFF_RATIO = 0.8  # of the overrun torque: the driver asks for nothing
 _FOOT_ON_RATIO = 0.5
 _BRAKE_FELT_M_S2 = 0.5
 _IDLE_BAND_RAD_S = 40.0
+_RUNNING_RATIO = 0.92  # of the speed at which the starter gives nothing: a loaded engine does not reach all of it
 _TOP_BAND_RAD_S = 40.0  # over which the torque fades towards the top speed
 
 
@@ -106,7 +107,7 @@ def stop_and_start(memory: FloatArray, sense: FloatArray, law: DrivingLaw) -> No
         if not is_resting:
             enter_engine_state(memory, EngineState.CRANKING.value)
     elif state == EngineState.CRANKING.value:
-        if sense[tcu_data.ENGINE_SPEED] > p.starter_end_rad_s:
+        if sense[tcu_data.ENGINE_SPEED] > _RUNNING_RATIO * p.starter_end_rad_s:
             memory[at.IDLE_INTEGRAL] = 0.0
             enter_engine_state(memory, EngineState.FIRING.value)
     elif is_resting and memory[at.STATE_TIME] > p.stop_delay_s and sense[at.COOLANT] > p.stop_coolant_k:

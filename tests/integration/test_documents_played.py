@@ -34,6 +34,7 @@ ELSEWHERE = {
     "diag-service monitor": "tests/integration/test_service_onlookers.py",
     "ecu-emulator run": "tests/e2e/test_vcan_drive.py",
     "echo": "tests/integration/test_emulator_control.py",
+    "ecu-emulator record city.log": "tests/integration/test_road_drive.py",
     "ecu-emulator record first.log": "tests/integration/test_calibrate_story.py",
     "diag-service calibrate first.log": "tests/integration/test_calibrate_story.py",
     "ecu-emulator record later.log": "tests/integration/test_calibrate_story.py",

@@ -9,8 +9,11 @@ import pytest
 import canlog
 from dbc.contract import DBC_PATH, load_contract
 from ecu_emulator.driving.states import DriveState, EngineState
-from ecu_emulator.recording import ROAD_MESSAGES
+from ecu_emulator.record import open_log
+from ecu_emulator.recording import ROAD_MESSAGES, Drive
 from tests.golden.analyses import RECORDINGS
+from tests.support.road import START_AND_STOP, road_scenario
+from tests.support.service import Record, run_service
 
 BEFORE = Path(__file__).parents[1] / "data" / "dct-before-driving.dbc"
 RECORDED_BEFORE = "ideal"
@@ -21,6 +24,15 @@ NOT_AVAILABLE = 15
 def _earlier_log(tmp_path: Path) -> Path:
     path = tmp_path / "earlier.log"
     path.write_bytes(lzma.decompress((RECORDINGS / f"{RECORDED_BEFORE}.log.xz").read_bytes()))
+    return path
+
+
+@pytest.fixture(name="road_log", scope="module")
+def _road_log(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("road") / "road.log"
+    with open_log(path) as log:
+        for stretch in Drive(road_scenario(), planned=iter([START_AND_STOP])).stretches(10.0):
+            log.write(stretch.frames)
     return path
 
 
@@ -36,6 +48,10 @@ def assert_same(before: dict[str, canlog.Samples], now: dict[str, canlog.Samples
         assert samples.unit == now[name].unit
 
 
+def without_stream(shift: Record) -> Record:
+    return {key: value for key, value in shift.items() if key != "stream"}  # it stands for the database, too
+
+
 def test_what_was_there_is_where_it_was() -> None:
     before, now = canlog.load_database(BEFORE), load_contract()
     assert {message.name for message in now.messages} - {message.name for message in before.messages} == ROAD_MESSAGES
@@ -49,6 +65,40 @@ def test_a_log_from_before_decodes_as_it_did(earlier_log: Path) -> None:
     before, now = signals(earlier_log, BEFORE), signals(earlier_log, DBC_PATH)
     assert now.keys() == before.keys()
     assert_same(before, now)
+
+
+def test_a_database_from_before_reads_what_it_knows_of_a_new_log(road_log: Path) -> None:
+    before, now = signals(road_log, BEFORE), signals(road_log, DBC_PATH)
+    assert {name.partition(".")[0] for name in now.keys() - before.keys()} == ROAD_MESSAGES
+    assert_same(before, now)
+
+
+def test_the_service_estimates_the_same_with_either_database(road_log: Path, tmp_path: Path) -> None:
+    before, now = (
+        run_service(tmp_path, "analyze", road_log, "--dbc", database, "--profile", "dct", "--json")
+        for database in (BEFORE, DBC_PATH)
+    )
+    assert len(before.shifts) >= 2
+    assert [without_stream(shift) for shift in now.shifts] == [without_stream(shift) for shift in before.shifts]
+
+
+def test_the_bus_says_which_gear_each_shaft_has_and_what_the_car_does(road_log: Path) -> None:
+    said = signals(road_log, DBC_PATH)
+    gears = [said[f"TCU_Drive.InputShaft{shaft}Gear"].value for shaft in (1, 2)]
+    is_known = gears[0] != NOT_AVAILABLE
+    assert set(gears[0][is_known]) <= {0, 1, 3, 5}
+    assert set(gears[1][is_known]) <= {0, 2, 4, 6}
+    shift = said["TCU_Shift.CurrentGear"]
+    when_ns = said["TCU_Drive.DriveState"].t_ns
+    current = shift.value[np.searchsorted(shift.t_ns, when_ns, side="right") - 1][is_known]
+    state = said["TCU_Drive.DriveState"].value[is_known]
+    own = np.where(current % 2 == 1, gears[0][is_known], gears[1][is_known])
+    is_in_gear = state == DriveState.IN_GEAR
+    np.testing.assert_array_equal(own[is_in_gear], current[is_in_gear])
+    assert {DriveState.STANDSTILL, DriveState.LAUNCHING, DriveState.IN_GEAR, DriveState.CHANGING} <= set(state)
+    engine = said["ECM_State.EngineState"].value
+    assert EngineState.FIRING in engine
+    assert set(engine) <= {*EngineState, NOT_AVAILABLE}
 
 
 def test_the_shift_cycle_sends_what_it_always_sent(cycle_log: Path) -> None:

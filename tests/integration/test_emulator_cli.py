@@ -83,6 +83,8 @@ def test_the_version_is_told(capsys: pytest.CaptureFixture[str]) -> None:
         (["record", "{}/x.log", "--cycles", "0"], "cycles must be"),
         (["record", "{}/x.log", "--seed", "-4"], "seed must be"),
         (["record", "{}/x.log", "--truth", "{}/x.log"], "cannot both be"),
+        (["record", "{}/x.log", "--oil-degc", "0"], "initial_oil_k must be"),
+        (["record", "{}/x.log", "--drive", "wltc", "--routine", "2"], "before shift cycles only"),
         (["run", "-i", "virtual", "-c", "any", "--scenario", "{}/missing.toml"], "missing.toml"),
     ],
 )
@@ -103,6 +105,11 @@ def test_a_scenario_that_cannot_be_used(
         (["record", "x.log", "--fluid", "water"], "water"),
         (["record", "x.log", "--cycles", "many"], "many"),
         (["record", "x.log", "--start-time", "soon"], "soon"),
+        (["record", "x.log", "--drive", "nedc"], "invalid choice: 'nedc'"),
+        (["record", "x.log", "--oil-degc", "-40"], "--oil-degc: must be -15..130 degC, got -40"),
+        (["record", "x.log", "--oil-degc", "warm"], "--oil-degc"),
+        (["record", "x.log", "--mass-kg", "nan"], "--mass-kg: must be 900..3500 kg, got nan"),
+        (["run", "--parked", "-1"], "--parked"),
         (["record", "x.log", "--start-time", "1969-01-01"], "1970"),
         (["run", "--start-delay", "-1"], "--start-delay"),
     ],
@@ -211,6 +218,23 @@ def test_a_recording_that_is_stopped_is_whole(tmp_path: Path) -> None:
     assert not result["finished"]
     assert result["frames"] == len(path.read_text(encoding="ascii").splitlines()) > 0
     assert "stopped early" in said
+
+
+def test_a_drive_without_end_is_driven_until_it_is_stopped(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    truth_file = tmp_path / "truth.jsonl"
+    received: list[can.Message] = []
+    with can.Bus("endless", "virtual") as listener:
+        reader = threading.Thread(target=receive_then_kill, args=(listener, received, signal.SIGINT))
+        reader.start()
+        words = ["-i", "virtual", "-c", "endless", "--drive", "city", "--endless", "--json", "--truth", str(truth_file)]
+        assert main(["run", *words]) == 0
+        reader.join()
+    captured = capsys.readouterr()
+    assert not json.loads(captured.out)["is_complete"]
+    assert "ideal, city, seed 1: sending on virtual endless" in captured.err
+    truth = read_truth(truth_file)
+    assert (truth.drive.drive, [trip.trace for trip in truth.trips]) == ("city", ["city"])
+    assert {message.arbitration_id for message in received} >= {0x0A9, 0x0B4}
 
 
 def test_unexpected_errors_are_one_line_too(

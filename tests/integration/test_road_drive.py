@@ -1,0 +1,203 @@
+"""Drives on the road, from trips to frames and truth."""
+
+import tracemalloc
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from canlog.e2e.message_contract import message_contracts
+from canlog.e2e.profile1 import counter_of
+from dbc.contract import load_contract
+from ecu_emulator.drive_names import DriveName
+from ecu_emulator.driving.conditions import Car, DriveConditions
+from ecu_emulator.driving.states import EngineState
+from ecu_emulator.driving.trip import Trip
+from ecu_emulator.driving.trips import PlannedTrip, trips
+from ecu_emulator.errors import ConfigError
+from ecu_emulator.frames import EncodedFrames, merge
+from ecu_emulator.live import SentTruth
+from ecu_emulator.plant.columns import Col
+from ecu_emulator.recording import Drive, Stretch
+from ecu_emulator.scenario import Ambient, Fluid, FluidCondition, Truth
+from ecu_emulator.signals import generator
+from ecu_emulator.truth import EventTruth, ShiftTruth, TripTruth, TruthWriter, read_truth
+from tests.support.builders import drive_scenario
+from tests.support.road import road_scenario, short_trip
+
+PARKED_S = 600.0
+TRIP_S = short_trip().trace.duration_s
+CONTRACTS = message_contracts(load_contract())
+COLD = Ambient(temperature_k=273.15, oil_temperature_k=293.15, coolant_temperature_k=303.15)
+
+
+def two_trips() -> Iterator[PlannedTrip]:
+    return iter([short_trip("there"), short_trip("back", PARKED_S)])
+
+
+@pytest.fixture(name="stretches", scope="module")
+def _stretches() -> list[Stretch]:
+    drive = Drive(replace(road_scenario("ideal"), ambient=COLD), planned=two_trips())
+    return list(drive.stretches(10.0))
+
+
+@pytest.fixture(name="frames", scope="module")
+def _frames(stretches: list[Stretch]) -> EncodedFrames:
+    return merge([stretch.frames for stretch in stretches])
+
+
+def test_every_event_is_told_with_its_trip(stretches: list[Stretch]) -> None:
+    truths = [truth for stretch in stretches for truth in stretch.truths]
+    events = [truth for truth in truths if isinstance(truth, EventTruth)]
+    assert [event.number for event in events] == list(range(1, len(events) + 1))
+    launches = [event for event in events if event.event == "launch"]
+    assert len(launches) == 2
+    for launch in launches:
+        assert (launch.clutch, launch.is_locked, launch.is_aborted) == (1, True, False)
+        assert 1000.0 < launch.slip_energy_j < 50_000.0
+        assert 40.0 < launch.peak_slip_rad_s < 300.0
+        assert launch.clutch_end_temperature_k > launch.clutch_temperature_k
+    assert sum(event.event == "power_on_upshift" for event in events) >= 4
+    upshifts = [truth for truth in truths if isinstance(truth, ShiftTruth) and truth.to_gear > truth.from_gear]
+    assert len(upshifts) >= 4
+
+
+def test_a_parked_car_is_silent_and_cools_down(stretches: list[Stretch], frames: EncodedFrames) -> None:
+    there, back = (truth for stretch in stretches for truth in stretch.truths if isinstance(truth, TripTruth))
+    assert (there.number, there.trace, there.t_start_s, there.parked_s) == (1, "there", 0.0, 0.0)
+    assert (back.number, back.trace, back.parked_s) == (2, "back", PARKED_S)
+    assert back.t_start_s == pytest.approx(TRIP_S + PARKED_S, abs=0.01)
+    assert (there.oil_temperature_k, there.coolant_temperature_k) == (293.15, 303.15)
+    assert 273.15 < back.coolant_temperature_k < 306.0
+    gap = np.flatnonzero(np.diff(frames.t_s) > 1.0)
+    assert len(gap) == 1
+    assert frames.t_s[gap[0] + 1] >= back.t_start_s > frames.t_s[gap[0]] + PARKED_S - 0.1
+
+
+def test_each_trip_begins_as_controllers_do(frames: EncodedFrames) -> None:
+    """Counters from 0, values not available at first, the odometer where it was."""
+    back_s = round(TRIP_S + PARKED_S, 3)
+    for contract in CONTRACTS.values():
+        is_back = (frames.can_id == contract.can_id) & (frames.t_s >= back_s)
+        assert counter_of(frames.data[is_back])[:20].tolist() == [count % 15 for count in range(20)][: is_back.sum()]
+    odometer = CONTRACTS["IC_Odometer"].can_id
+    way_m = [
+        int.from_bytes(data.tobytes(), "little") >> 12 & 0xFFFF_FFFF for data in frames.data[frames.can_id == odometer]
+    ]
+    known_m = [value for value in way_m if value != 0xFFFF_FFFF]
+    assert known_m == sorted(known_m)
+    assert known_m[-1] - known_m[0] > 300
+    shift = CONTRACTS["TCU_Shift"]
+    first = frames.data[(frames.can_id == shift.can_id) & (frames.t_s >= back_s)][0]
+    assert first[1] >> 4 == 15
+
+
+def test_a_car_that_is_not_parked_goes_on_without_a_gap() -> None:
+    planned = iter([short_trip(), short_trip()])
+    frames = merge([stretch.frames for stretch in Drive(road_scenario("ideal"), planned=planned).stretches(10.0)])
+    for name in ("TCU_Shift", "ECM_TorqueSpeed", "BRK_Vehicle"):
+        contract = CONTRACTS[name]
+        own = frames.can_id == contract.can_id
+        np.testing.assert_allclose(np.diff(frames.t_s[own]), contract.cycle_ms / 1000.0, atol=1e-9)
+        assert counter_of(frames.data[own]).tolist() == [count % 15 for count in range(int(own.sum()))]
+    engine = frames.data[frames.can_id == CONTRACTS["ECM_TorqueSpeed"].can_id].view("<u8").ravel()
+    speed_rpm = ((engine >> np.uint64(12)) & np.uint64(0xFFFF)) / 4.0
+    assert np.abs(speed_rpm[20:]).max() < 6000.0
+
+
+def test_the_cutting_changes_nothing(frames: EncodedFrames, stretches: list[Stretch]) -> None:
+    drive = Drive(replace(road_scenario("ideal"), ambient=COLD), planned=two_trips())
+    again = list(drive.stretches(0.777))
+    other = merge([stretch.frames for stretch in again])
+    np.testing.assert_array_equal(other.t_s, frames.t_s)
+    np.testing.assert_array_equal(other.data, frames.data)
+    kinds = [[type(truth) for stretch in some for truth in stretch.truths] for some in (again, stretches)]
+    assert kinds[0] == kinds[1]
+    assert drive.totals.driven_s == pytest.approx(2.0 * TRIP_S, abs=0.01)
+    assert drive.totals.events == sum(kind is EventTruth for kind in kinds[0])
+
+
+def test_a_long_stay_can_be_cut_short_on_a_bench() -> None:
+    drive = Drive(road_scenario(), longest_stay_s=5.0, planned=two_trips())
+    (trip,) = (
+        truth
+        for stretch in drive.stretches(10.0)
+        for truth in stretch.truths
+        if isinstance(truth, TripTruth) and truth.number == 2
+    )
+    assert trip.t_start_s == pytest.approx(TRIP_S + 5.0, abs=0.01)
+    assert trip.parked_s == PARKED_S
+
+
+def test_an_ageing_fluid_ages_from_trip_to_trip() -> None:
+    scenario = replace(road_scenario(), fluid=Fluid(condition=FluidCondition.AGEING, ageing_cycles=2))
+    planned = iter([short_trip(), short_trip(), short_trip()])
+    happened = [truth for stretch in Drive(scenario, planned=planned).stretches(10.0) for truth in stretch.truths]
+    assert [truth.mu_c[0] for truth in happened if isinstance(truth, TripTruth)] == pytest.approx([0.14, 0.1295, 0.119])
+    launches = [truth.mu_c for truth in happened if isinstance(truth, EventTruth) and truth.event == "launch"]
+    assert launches == pytest.approx([0.14, 0.1295, 0.119])
+
+
+@pytest.mark.parametrize(("seed", "until_s"), [(3, 200.0), (8, 270.0), (9, 190.0)])
+def test_a_stopped_engine_always_starts_again(seed: int, until_s: float) -> None:
+    """In queues the driver calls the engine back at once, whatever the clutch is doing."""
+    (city,) = trips(DriveName.CITY, seed)
+    rows = Trip(Car(), city.trace, DriveConditions(), generator(seed, "driver 1")).advance(until_s)
+    changes = np.flatnonzero(np.diff(rows[:, Col.ENGINE_STATE] == EngineState.CRANKING, prepend=False, append=False))
+    cranked_ms = changes[1::2] - changes[::2]
+    assert len(cranked_ms) >= 3
+    assert cranked_ms.max() < 1000
+
+
+def test_memory_does_not_grow_with_a_drive_without_end() -> None:
+    drive = Drive(road_scenario(), planned=(short_trip(parked_s=60.0) for _ in range(12)))
+    held_bytes: list[int] = []
+    tracemalloc.start()
+    for stretch in drive.stretches(5.0):
+        if any(isinstance(truth, TripTruth) for truth in stretch.truths):
+            del stretch
+            held_bytes.append(tracemalloc.get_traced_memory()[0])
+    tracemalloc.stop()
+    assert len(held_bytes) == 12
+    assert max(held_bytes[6:]) < max(held_bytes[2:6]) + 200_000
+
+
+def test_a_heavier_car_does_more_work_in_its_clutch() -> None:
+    energies_j = []
+    for mass_kg in (1500.0, 2200.0):
+        scenario = replace(road_scenario(), truth=Truth(plant={"vehicle.mass_kg": mass_kg}))
+        happened = (
+            truth
+            for stretch in Drive(scenario, planned=iter([short_trip()])).stretches(10.0)
+            for truth in stretch.truths
+        )
+        energies_j.append(sum(truth.slip_energy_j for truth in happened if isinstance(truth, EventTruth)))
+    assert energies_j[1] > 1.2 * energies_j[0]
+
+
+def test_what_was_sent_is_told_in_the_order_in_which_it_became_known(tmp_path: Path) -> None:
+    path = tmp_path / "truth.jsonl"
+    with TruthWriter(path) as writer:
+        sent = SentTruth(Drive(road_scenario(), longest_stay_s=1.0, planned=two_trips()), writer)
+        for frames in sent.frames():
+            if len(frames):
+                sent.sent_until(float(frames.t_s[-1]))
+    truth = read_truth(path)
+    assert len(truth.trips) == 2
+    assert sent.event_count == len(truth.events)
+    assert len(truth.events) > 8
+
+
+@pytest.mark.parametrize(
+    ("drive", "oil_k", "named"),
+    [
+        (DriveName.CYCLE, 273.15, "drive cycle is not possible: initial_oil_k must be 313.15"),
+        (DriveName.CITY, 253.15, "oil_k must be 258.15"),
+    ],
+)
+def test_oil_too_cold_is_one_clear_complaint(drive: DriveName, oil_k: float, named: str) -> None:
+    scenario = replace(drive_scenario(), drive=drive, ambient=Ambient(oil_temperature_k=oil_k))
+    with pytest.raises(ConfigError, match=named):
+        next(Drive(scenario).stretches(1.0))
