@@ -6,6 +6,7 @@ covariance, so states that hardly any noise drives do no harm.
 
 import math
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -30,6 +31,18 @@ class Motion:
     states: FloatArray  # (n, 6)
     slip_rad_s: FloatArray  # (2, n)
     slip_std_rad_s: FloatArray  # (2, n)
+
+
+class Readings(NamedTuple):
+    """All that is known of every sample, a row each."""
+
+    value: FloatArray  # (n, 5), speeds of hub and input shafts, and the twist of the shafts
+    ratio: FloatArray  # (n, 2), of the gears that are engaged; 0: none
+    is_locked: BoolArray  # (n, 2)
+    drive: FloatArray  # (n, 6), what turns hub and differential
+    wander: FloatArray  # (n, 6), variance that a period adds
+    about: FloatArray  # (n, 6), where the tyre's law is linearised; NaN: at the filter's own state
+    variances: FloatArray  # (4,), of the speeds and of the slip of a locked clutch
 
 
 def smooth(
@@ -61,21 +74,16 @@ def smooth(
     )
     readings = np.column_stack((signals.hub_rad_s, (signals.input_rad_s - twist_rad_s).T, twist_rad_s.T))
     wander = np.where(forced.is_coupled[:, None], COUPLED_WANDER, FREE_WANDER) ** 2 * signals.period_s
-    _smooth(
-        readings,
-        np.ascontiguousarray(forced.ratio.T),
-        np.ascontiguousarray(is_locked.T),
-        drive,
-        wander,
-        np.append(signals.speed_std_rad_s, LOCK_STD_RAD_S) ** 2,
-        _start(signals, forced, law),
-        np.diag(np.square(START_STD)),
-        own,
-        signals.period_s,
-        law,
-        states,
-        slip_std,
+    seen = Readings(
+        value=readings,
+        ratio=np.ascontiguousarray(forced.ratio.T),
+        is_locked=np.ascontiguousarray(is_locked.T),
+        drive=drive,
+        wander=wander,
+        about=own,
+        variances=np.append(signals.speed_std_rad_s, LOCK_STD_RAD_S) ** 2,
     )
+    _smooth(seen, _start(signals, forced, law), np.diag(np.square(START_STD)), signals.period_s, law, states, slip_std)
     slip = states[:, State.HUB_SPEED] - forced.ratio * states[:, State.DIFF_SPEED] - twist_rad_s
     return Motion(states=states, slip_rad_s=slip, slip_std_rad_s=slip_std)
 
@@ -135,39 +143,30 @@ def rates(
 
 
 @kernel
-def _tell(
-    k: int,
-    readings: FloatArray,
-    ratio: FloatArray,
-    is_locked: BoolArray,
-    variances: FloatArray,
-    rows: FloatArray,
-    values: FloatArray,
-    noise: FloatArray,
-) -> int:
-    """Fill in what sample k tells, ``value = row @ x + noise``; return how many things."""
+def _observe(k: int, seen: Readings, rows: FloatArray, values: FloatArray, noise: FloatArray) -> int:
+    """Fill in what sample k says, ``value = row @ x + noise``; return how many things."""
     rows[:] = 0.0
     rows[0, 0] = 1.0
-    values[0] = readings[k, 0]
-    noise[0] = variances[0]
+    values[0] = seen.value[k, 0]
+    noise[0] = seen.variances[0]
     count = 1
     for m in range(2):
-        if ratio[k, m] > 0.0:
-            rows[count, 1] = ratio[k, m]
-            values[count] = readings[k, 1 + m]
-            noise[count] = variances[1 + m]
+        if seen.ratio[k, m] > 0.0:
+            rows[count, 1] = seen.ratio[k, m]
+            values[count] = seen.value[k, 1 + m]
+            noise[count] = seen.variances[1 + m]
             count += 1
-            if is_locked[k, m]:
+            if seen.is_locked[k, m]:
                 rows[count, 0] = 1.0
-                rows[count, 1] = -ratio[k, m]
-                values[count] = readings[k, 3 + m]
-                noise[count] = variances[3]
+                rows[count, 1] = -seen.ratio[k, m]
+                values[count] = seen.value[k, 3 + m]
+                noise[count] = seen.variances[3]
                 count += 1
     return count
 
 
 @kernel
-def _absorb(
+def _update(
     mean: FloatArray,
     covariance: FloatArray,
     rows: FloatArray,
@@ -175,52 +174,47 @@ def _absorb(
     noise: FloatArray,
     count: int,
     gains: FloatArray,
-    surprises: FloatArray,
+    innovations: FloatArray,
 ) -> None:
-    """Update mean and covariance in place; keep each gain and, per its variance, each surprise."""
+    """Update mean and covariance in place; keep each gain and, per its variance, each innovation."""
     for j in range(count):
         spread = covariance @ rows[j]
         variance = noise[j] + rows[j] @ spread
-        surprise = values[j] - rows[j] @ mean
+        innovation = values[j] - rows[j] @ mean
         for a in range(SIZE):
             gains[j, a] = spread[a] / variance
-        surprises[j, 0] = surprise / variance
-        surprises[j, 1] = 1.0 / variance
+        innovations[j, 0] = innovation / variance
+        innovations[j, 1] = 1.0 / variance
         for a in range(SIZE):
-            mean[a] += gains[j, a] * surprise
+            mean[a] += gains[j, a] * innovation
             for b in range(SIZE):
                 covariance[a, b] -= gains[j, a] * spread[b]
 
 
 @kernel
 def _smooth(
-    readings: FloatArray,
-    ratio: FloatArray,
-    is_locked: BoolArray,
-    drive: FloatArray,
-    wander: FloatArray,
-    variances: FloatArray,
+    seen: Readings,
     start: FloatArray,
     start_covariance: FloatArray,
-    about: FloatArray,
     period_s: float,
     law: MotionLaw,
     states: FloatArray,
     slip_std: FloatArray,
 ) -> None:
-    count = len(readings)
+    drive, ratio, about = seen.drive, seen.ratio, seen.about
+    count = len(seen.value)
     means, covariances = np.empty((count, SIZE)), np.empty((count, SIZE, SIZE))
     steps = np.empty((count, SIZE, SIZE))
     rows, values, noise = np.zeros((5, SIZE)), np.zeros(5), np.zeros(5)
-    gains, surprises = np.zeros((5, SIZE)), np.zeros((5, 2))
+    gains, innovations = np.zeros((5, SIZE)), np.zeros((5, 2))
     matrix, offset = np.zeros((SIZE, SIZE)), np.zeros(SIZE)
     unit = np.eye(SIZE)
     mean, covariance = start.copy(), start_covariance.copy()
     for k in range(count):
         means[k] = mean
         covariances[k] = covariance
-        told = _tell(k, readings, ratio, is_locked, variances, rows, values, noise)
-        _absorb(mean, covariance, rows, values, noise, told, gains, surprises)
+        seen_count = _observe(k, seen, rows, values, noise)
+        _update(mean, covariance, rows, values, noise, seen_count, gains, innovations)
         if k + 1 == count:
             break
         point = mean if math.isnan(about[k, 0]) else about[k]
@@ -230,16 +224,16 @@ def _smooth(
         mean = steps[k] @ mean + period_s * (half @ offset)
         covariance = steps[k] @ covariance @ steps[k].T
         for a in range(SIZE):
-            covariance[a, a] += wander[k, a]
+            covariance[a, a] += seen.wander[k, a]
     pull, weight = np.zeros(SIZE), np.zeros((SIZE, SIZE))
     for k in range(count - 1, -1, -1):
         if k + 1 < count:
             pull = steps[k].T @ pull
             weight = steps[k].T @ weight @ steps[k]
-        told = _tell(k, readings, ratio, is_locked, variances, rows, values, noise)
-        _absorb(means[k].copy(), covariances[k].copy(), rows, values, noise, told, gains, surprises)
-        for j in range(told - 1, -1, -1):
-            _weigh(pull, weight, rows[j], gains[j], surprises[j])
+        seen_count = _observe(k, seen, rows, values, noise)
+        _update(means[k].copy(), covariances[k].copy(), rows, values, noise, seen_count, gains, innovations)
+        for j in range(seen_count - 1, -1, -1):
+            _weigh(pull, weight, rows[j], gains[j], innovations[j])
         states[k] = means[k] - covariances[k] @ pull
         for m in range(2):
             row = np.zeros(SIZE)
@@ -250,13 +244,13 @@ def _smooth(
 
 
 @kernel
-def _weigh(pull: FloatArray, weight: FloatArray, row: FloatArray, gain: FloatArray, surprise: FloatArray) -> None:
+def _weigh(pull: FloatArray, weight: FloatArray, row: FloatArray, gain: FloatArray, innovation: FloatArray) -> None:
     """Take one reading into the adjoint variables, in place."""
     along = gain @ pull
     for a in range(SIZE):
-        pull[a] -= row[a] * (along + surprise[0])
+        pull[a] -= row[a] * (along + innovation[0])
     spread = weight @ gain
     twice = gain @ spread
     for a in range(SIZE):
         for b in range(SIZE):
-            weight[a, b] += row[a] * row[b] * (twice + surprise[1]) - row[a] * spread[b] - spread[a] * row[b]
+            weight[a, b] += row[a] * row[b] * (twice + innovation[1]) - row[a] * spread[b] - spread[a] * row[b]

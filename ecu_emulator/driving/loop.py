@@ -83,7 +83,7 @@ def hold_car(machine: Machine, law: DrivingLaw) -> None:
     y, modes, vehicle = machine.y, machine.modes, law.drive.plant.vehicle
     brake_m_s2 = machine.u[at.BRAKE]
     weight_n = vehicle.mass_kg * GRAVITY_M_S2 * machine.u[at.GRADE]
-    pull_n = machine.slope1[at.T_OS] / vehicle.wheel_radius_m - weight_n
+    pull_n = machine.work.slope1[at.T_OS] / vehicle.wheel_radius_m - weight_n
     can_hold = brake_m_s2 > _HOLDING_M_S2 and abs(pull_n) * _HELD_MARGIN < vehicle.mass_kg * brake_m_s2
     if modes[at.HELD] != 0:
         modes[at.HELD] = 1 if can_hold else 0
@@ -93,8 +93,8 @@ def hold_car(machine: Machine, law: DrivingLaw) -> None:
         before_j = stored_energy_j(y, law.drive.plant)
         y[at.V] = y[at.W_W] = 0.0
         modes[at.HELD] = 1
-        if machine.account.size != 0:
-            machine.account[BRAKES] += before_j - stored_energy_j(y, law.drive.plant)
+        if machine.work.account.size != 0:
+            machine.work.account[BRAKES] += before_j - stored_energy_j(y, law.drive.plant)
 
 
 @array_kernel
@@ -134,7 +134,7 @@ def run(machine: Machine, road: Road, law: DrivingLaw, rows: FloatArray) -> int:
         warm(machine, law)
         obey_drive(machine, law)
         hold_car(machine, law)
-        settle(machine.y, machine.u, machine.modes, machine.slope1, plant)
+        settle(machine.y, machine.u, machine.modes, machine.work.slope1, plant)
         record_bodies(machine, plant, rows[index])
         record_clutches(machine, plant, rows[index])
         record_drive(machine, road, rows[index])
@@ -142,11 +142,7 @@ def run(machine: Machine, road: Road, law: DrivingLaw, rows: FloatArray) -> int:
             machine.y,
             machine.u,
             machine.modes,
-            machine.before,
-            machine.predicted,
-            machine.slope1,
-            machine.slope,
-            machine.account,
+            machine.work,
             law.drive.steps_per_millisecond,
             plant,
         )

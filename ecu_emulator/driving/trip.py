@@ -15,11 +15,12 @@ from ecu_emulator.driving.loop import Road, run
 from ecu_emulator.driving.states import DriveState
 from ecu_emulator.driving.trace import SpeedTrace
 from ecu_emulator.plant import state as at
-from ecu_emulator.plant.audit import ACCOUNT_COUNT, PowerBalance, power_balance
+from ecu_emulator.plant.audit import PowerBalance, power_balance
 from ecu_emulator.plant.clutch import refresh_contact
 from ecu_emulator.plant.drive import DriveSettings
 from ecu_emulator.plant.driveline import ENGAGED
 from ecu_emulator.plant.engine import throttle_flow_kg_s
+from ecu_emulator.plant.integration import workspace
 from ecu_emulator.plant.loop import COLUMN_COUNT, Machine
 from ecu_emulator.plant.powertrain import drive_law
 from ecu_emulator.plant.records import as_record
@@ -97,9 +98,9 @@ class Trip:
         DomainError
             If the trip keeps no account.
         """
-        if self._machine.account.size == 0:
+        if self._machine.work.account.size == 0:
             raise DomainError("only an audited trip has a power balance")
-        return power_balance(self._machine.account, self._start, self._machine.y, self._law.drive.plant)
+        return power_balance(self._machine.work.account, self._start, self._machine.y, self._law.drive.plant)
 
     def advance(self, duration_s: float) -> FloatArray:
         """Drive on and return the next rows, shape (n, len(Col)); fewer at the end of the trace, none after it."""
@@ -164,11 +165,7 @@ def _initial_machine(law: DrivingLaw, conditions: DriveConditions, *, is_audited
         y=np.zeros(at.STATE_COUNT),
         u=np.zeros(at.INPUT_COUNT),
         modes=np.zeros(at.MODE_COUNT, np.int64),
-        before=np.zeros(at.STATE_COUNT),
-        predicted=np.zeros(at.STATE_COUNT),
-        slope1=np.zeros(at.OUTPUT_COUNT),
-        slope=np.zeros(at.OUTPUT_COUNT),
-        account=np.zeros(3 * ACCOUNT_COUNT if is_audited else 0),
+        work=workspace(is_audited=is_audited),
         memory=np.zeros(places.MEMORY_COUNT),
         sense=np.zeros(places.SENSE_COUNT),
         commands=np.zeros(places.COMMAND_COUNT),

@@ -1,13 +1,14 @@
 """Integration over a millisecond: fourth-order steps that stop where a clutch or a synchroniser may lock."""
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
 from canlog.jit import array_kernel, kernel
 from ecu_emulator.plant import state as at
-from ecu_emulator.plant.audit import SYNCHRONISERS, add_powers, note, stored_energy_j, undo
+from ecu_emulator.plant.audit import ACCOUNT_COUNT, SYNCHRONISERS, add_powers, note, stored_energy_j, undo
 from ecu_emulator.plant.clutch import advance_clutch
 from ecu_emulator.plant.driveline import ENGAGED, SYNCHRONISING
 from ecu_emulator.plant.engine import throttle_flow_kg_s
@@ -23,6 +24,27 @@ _EVENT_TRIES = 3
 # An event step aims a little inside the lock band, so that rounding cannot miss it, and takes what is this near.
 _EDGE = 0.98
 _EDGE_LOW = 0.96
+
+
+class Workspace(NamedTuple):
+    """Arrays that the integration works in."""
+
+    before: FloatArray  # (STATE_COUNT,), state at the start of a step
+    predicted: FloatArray  # (STATE_COUNT,), state inside it
+    slope1: FloatArray  # (OUTPUT_COUNT,), rates and torques at the start of a step
+    slope: FloatArray  # (OUTPUT_COUNT,), and inside it
+    account: FloatArray  # (3 * ACCOUNT_COUNT,), or empty: no audit
+
+
+def workspace(*, is_audited: bool) -> Workspace:
+    """Return empty arrays to work in."""
+    return Workspace(
+        before=np.zeros(at.STATE_COUNT),
+        predicted=np.zeros(at.STATE_COUNT),
+        slope1=np.zeros(at.OUTPUT_COUNT),
+        slope=np.zeros(at.OUTPUT_COUNT),
+        account=np.zeros(3 * ACCOUNT_COUNT if is_audited else 0),
+    )
 
 
 @array_kernel
@@ -84,18 +106,12 @@ def step(
     y: FloatArray,
     u: FloatArray,
     modes: IntArray,
-    before: FloatArray,
-    predicted: FloatArray,
-    slope1: FloatArray,
-    slope: FloatArray,
-    account: FloatArray,
+    work: Workspace,
     dt_s: float,
     law: PlantLaw,
 ) -> None:
-    """Advance ``y`` by ``dt_s`` with the modes frozen: classic Runge-Kutta, fluids in two halves.
-
-    ``before`` holds the state before the step and ``slope1`` the rates there.
-    """
+    """Advance ``y`` by ``dt_s`` with the modes frozen: classic Runge-Kutta, fluids in two halves."""
+    before, predicted, slope1, slope, account = work
     add_powers(account, dt_s / 6.0, before, u, modes, slope1, law)
     advance_fluids(y, u, 0.5 * dt_s, law)
     predict(y, before, slope1, 0.5 * dt_s, predicted)
@@ -192,31 +208,27 @@ def advance_to_event(
     y: FloatArray,
     u: FloatArray,
     modes: IntArray,
-    before: FloatArray,
-    predicted: FloatArray,
-    slope1: FloatArray,
-    slope: FloatArray,
-    account: FloatArray,
+    work: Workspace,
     longest_s: float,
     law: PlantLaw,
 ) -> float:
     """Take one step of at most ``longest_s`` that ends early where something may lock; return its length [s]."""
-    settle(y, u, modes, slope1, law)
-    copy(y, before)
-    note(account)
+    settle(y, u, modes, work.slope1, law)
+    copy(y, work.before)
+    note(work.account)
     air_flow = u[at.AIR_FLOW]
     taken_s = longest_s
-    step(y, u, modes, before, predicted, slope1, slope, account, taken_s, law)
+    step(y, u, modes, work, taken_s, law)
     for _ in range(_EVENT_TRIES):
-        fraction = event_fraction(y, u, modes, before, slope1, taken_s, law)
+        fraction = event_fraction(y, u, modes, work.before, work.slope1, taken_s, law)
         if fraction >= 1.0:
             break
         taken_s = max(fraction * taken_s, min(longest_s, _MIN_STEP_S))
-        copy(before, y)
-        undo(account)
+        copy(work.before, y)
+        undo(work.account)
         u[at.AIR_FLOW] = air_flow
-        step(y, u, modes, before, predicted, slope1, slope, account, taken_s, law)
-    close_synchronisers(y, u, modes, account, law)
+        step(y, u, modes, work, taken_s, law)
+    close_synchronisers(y, u, modes, work.account, law)
     return taken_s
 
 
@@ -225,11 +237,7 @@ def advance_millisecond(
     y: FloatArray,
     u: FloatArray,
     modes: IntArray,
-    before: FloatArray,
-    predicted: FloatArray,
-    slope1: FloatArray,
-    slope: FloatArray,
-    account: FloatArray,
+    work: Workspace,
     step_count: int,
     law: PlantLaw,
 ) -> None:
@@ -238,4 +246,4 @@ def advance_millisecond(
     for _ in range(step_count):
         left_s = step_s
         while left_s > _MIN_STEP_S:
-            left_s -= advance_to_event(y, u, modes, before, predicted, slope1, slope, account, left_s, law)
+            left_s -= advance_to_event(y, u, modes, work, left_s, law)

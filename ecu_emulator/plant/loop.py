@@ -13,7 +13,7 @@ from ecu_emulator.plant.columns import Col
 from ecu_emulator.plant.driveline import ENGAGED, NEUTRAL, SYNCHRONISING
 from ecu_emulator.plant.engine import engine_losses_nm, mean_indicated_torque_nm
 from ecu_emulator.plant.hydraulics import cavity_pressure_pa
-from ecu_emulator.plant.integration import advance_millisecond, settle
+from ecu_emulator.plant.integration import Workspace, advance_millisecond, settle
 from ecu_emulator.plant.lining import friction_ratio
 from ecu_emulator.plant.rates import PlantLaw
 from ecu_emulator.tcu_data import ClutchActuation, ControlParameters, WorkshopParameters
@@ -30,11 +30,7 @@ class Machine(NamedTuple):
     y: FloatArray  # (STATE_COUNT,)
     u: FloatArray  # (INPUT_COUNT,)
     modes: IntArray  # (MODE_COUNT,)
-    before: FloatArray  # (STATE_COUNT,), as the next three: workspace of the integration
-    predicted: FloatArray
-    slope1: FloatArray  # rates and torques at the last row
-    slope: FloatArray
-    account: FloatArray  # (3 * ACCOUNT_COUNT,), or empty: no audit
+    work: Workspace  # of the integration; its ``slope1`` holds rates and torques at the last row
     memory: FloatArray  # (tcu_data.MEMORY_COUNT,)
     sense: FloatArray  # (tcu_data.SENSE_COUNT,)
     commands: FloatArray  # (tcu_data.COMMAND_COUNT,)
@@ -107,7 +103,7 @@ def obey(machine: Machine, law: DriveLaw) -> None:
 @array_kernel
 def record_bodies(machine: Machine, law: PlantLaw, row: FloatArray) -> None:
     """Write the mechanical part of a row."""
-    y, u, out = machine.y, machine.u, machine.slope1
+    y, u, out = machine.y, machine.u, machine.work.slope1
     row[Col.T_S] = machine.clock[0] * 1.0e-3
     row[Col.ENGINE_SPEED] = y[at.W_E]
     row[Col.HUB_SPEED] = y[at.W_H]
@@ -128,7 +124,7 @@ def record_bodies(machine: Machine, law: PlantLaw, row: FloatArray) -> None:
 @array_kernel
 def record_clutches(machine: Machine, law: PlantLaw, row: FloatArray) -> None:
     """Write the part of a row that comes in pairs; clutch 2 stands right of clutch 1."""
-    y, u, out = machine.y, machine.u, machine.slope1
+    y, u, out = machine.y, machine.u, machine.work.slope1
     for k in range(2):
         clutch = law.clutches.first if k == 0 else law.clutches.second
         row[Col.INPUT1_SPEED + k] = y[at.W_L + k]
@@ -189,7 +185,7 @@ def run(machine: Machine, law: DriveLaw, rows: FloatArray) -> int:
         if machine.memory[tcu_data.IS_FINISHED] != 0.0:
             return index
         obey(machine, law)
-        settle(machine.y, machine.u, machine.modes, machine.slope1, law.plant)
+        settle(machine.y, machine.u, machine.modes, machine.work.slope1, law.plant)
         record_bodies(machine, law.plant, rows[index])
         record_clutches(machine, law.plant, rows[index])
         record_surroundings(machine, law.plant, rows[index])
@@ -198,11 +194,7 @@ def run(machine: Machine, law: DriveLaw, rows: FloatArray) -> int:
             machine.y,
             machine.u,
             machine.modes,
-            machine.before,
-            machine.predicted,
-            machine.slope1,
-            machine.slope,
-            machine.account,
+            machine.work,
             law.steps_per_millisecond,
             law.plant,
         )

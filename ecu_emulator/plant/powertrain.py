@@ -10,12 +10,13 @@ from clutch_model.film import applied_pressure_pa, equilibrium_film_m, film_law
 from clutch_model.friction import contact_torque_nm, friction_law
 from ecu_emulator import tcu_data
 from ecu_emulator.plant import state as at
-from ecu_emulator.plant.audit import ACCOUNT_COUNT, PowerBalance, power_balance
+from ecu_emulator.plant.audit import PowerBalance, power_balance
 from ecu_emulator.plant.clutch import ClutchLaw, OpenDragLaw, refresh_contact
 from ecu_emulator.plant.drive import DriveSettings, cycle_table
 from ecu_emulator.plant.driveline import ENGAGED
 from ecu_emulator.plant.engine import throttle_flow_kg_s
 from ecu_emulator.plant.hydraulics import cavity_law, closed_volume_m3
+from ecu_emulator.plant.integration import workspace
 from ecu_emulator.plant.lining import grooved
 from ecu_emulator.plant.loop import COLUMN_COUNT, DriveLaw, Machine, run
 from ecu_emulator.plant.parameters import GearboxParameters, PlantParameters
@@ -79,9 +80,9 @@ class Powertrain:
         DomainError
             If the powertrain keeps no account.
         """
-        if self._machine.account.size == 0:
+        if self._machine.work.account.size == 0:
             raise DomainError("only an audited powertrain has a power balance")
-        return power_balance(self._machine.account, self._start, self._machine.y, self._law.plant)
+        return power_balance(self._machine.work.account, self._start, self._machine.y, self._law.plant)
 
     def advance(self, duration_s: float) -> FloatArray:
         """Drive on and return the next rows, shape (n, len(Col)).
@@ -169,11 +170,7 @@ def _initial_machine(law: DriveLaw, drive: DriveSettings, control: ControlParame
         y=np.zeros(at.STATE_COUNT),
         u=np.zeros(at.INPUT_COUNT),
         modes=np.zeros(at.MODE_COUNT, np.int64),
-        before=np.zeros(at.STATE_COUNT),
-        predicted=np.zeros(at.STATE_COUNT),
-        slope1=np.zeros(at.OUTPUT_COUNT),
-        slope=np.zeros(at.OUTPUT_COUNT),
-        account=np.zeros(3 * ACCOUNT_COUNT if is_audited else 0),
+        work=workspace(is_audited=is_audited),
         memory=np.zeros(tcu_data.MEMORY_COUNT),
         sense=np.zeros(tcu_data.SENSE_COUNT),
         commands=np.zeros(tcu_data.COMMAND_COUNT),

@@ -1,0 +1,59 @@
+"""What keeps the house readable: modules that fit one's head, kernels that take records and not a dozen arrays."""
+
+import ast
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[2]
+ROOMS = [
+    "benchmarks",
+    "canlog",
+    "clutch_model",
+    "dbc",
+    "demo",
+    "diag_service",
+    "ecu_emulator",
+    "fleet_backend",
+    "fleet_contract",
+    "fleet_link",
+    "program_io",
+]
+MOST_LINES = 350
+MOST_PARAMETERS = 9  # of a kernel: beyond it a record says what belongs together
+
+
+def modules(room: str) -> Iterator[tuple[str, str]]:
+    for path in sorted((ROOT / room).rglob("*.py")):
+        yield str(path.relative_to(ROOT)), path.read_text(encoding="utf-8")
+
+
+def kernels(text: str) -> Iterator[ast.FunctionDef]:
+    for node in ast.walk(ast.parse(text)):
+        if isinstance(node, ast.FunctionDef) and any("kernel" in ast.unparse(one) for one in node.decorator_list):
+            yield node
+
+
+def parameters(function: ast.FunctionDef) -> int:
+    return len(function.args.posonlyargs + function.args.args + function.args.kwonlyargs)
+
+
+@pytest.mark.parametrize("room", ROOMS)
+def test_no_module_outgrows_its_one_subject(room: str) -> None:
+    lengths = {name: len(text.splitlines()) for name, text in modules(room)}
+    assert lengths
+    assert {name: lines for name, lines in lengths.items() if lines > MOST_LINES} == {}
+
+
+@pytest.mark.parametrize("room", ROOMS)
+def test_no_kernel_takes_ten_parameters(room: str) -> None:
+    counts = {f"{name}:{one.name}": parameters(one) for name, text in modules(room) for one in kernels(text)}
+    assert {name: count for name, count in counts.items() if count > MOST_PARAMETERS} == {}
+
+
+def test_kernels_are_found() -> None:
+    found = {one.name: parameters(one) for _, text in modules("canlog") for one in kernels(text)}
+    assert len(found) > 20
+    many = ast.parse("@kernel\ndef f(a, b, c, d, e, /, g, h, i, *, j, k): ...")
+    assert [parameters(one) for one in kernels(ast.unparse(many))] == [10]
