@@ -8,7 +8,7 @@ from typing import Final
 from ecu_emulator.diagnostics.codes import NEGATIVE, Nrc
 from ecu_emulator.diagnostics.memory import TestResult
 from ecu_emulator.diagnostics.memory_file import MemoryFile
-from ecu_emulator.diagnostics.server import advance, answer, cycled, switched_on, tested, warmed_up
+from ecu_emulator.diagnostics.server import advance, answer, cycled, held, switched_on, tested, warmed_up
 from ecu_emulator.diagnostics.services.call import under_control
 from ecu_emulator.diagnostics.services.routines import finished
 from ecu_emulator.diagnostics.state import Moment, Reply, Request, ServerState
@@ -77,6 +77,12 @@ class Controller:
             waiting = self._state.waiting
             payload = waiting.request.payload if waiting is not None else b""
             return self._kept(advance(self.table, self._state, self._moment()), payload)
+
+    def hold_session(self) -> None:
+        """Begin S3 anew: a message comes in or goes out, and that is not silence."""
+        with self._lock:
+            moment = self._moment()
+            self._state = held(self.table, self._state, moment)
 
     def report(self, number: int, result: TestResult) -> None:
         """Take the result of a monitor.

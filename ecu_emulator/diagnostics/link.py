@@ -152,6 +152,8 @@ class DiagnosticLink:
             now_s = time.monotonic()
             if now_s >= next_tick_s:
                 next_tick_s = now_s + TICK_S
+                if self._layer.transmitting() or self._layer.is_rx_active():
+                    self._controller.hold_session()
                 self._respond(self._controller.tick())
             self._layer.process()
 

@@ -135,6 +135,11 @@ def advance(table: DiagnosticTable, state: ServerState, moment: Moment) -> Reply
     return Reply(payload=response if isinstance(response, bytes) else None, state=state)
 
 
+def held(table: DiagnosticTable, state: ServerState, moment: Moment) -> ServerState:
+    """Return the state while a message is on its way: a session that has not ended by now goes on for another S3."""
+    return replace(_settled(table, state, under_control(table, state, moment)), heard_s=moment.t_s)
+
+
 def tested(table: DiagnosticTable, state: ServerState, number: int, result: TestResult, moment: Moment) -> ServerState:
     """Return the state after a monitor has spoken; nothing changes while a client has switched that off (85)."""
     if not state.are_codes_updated:

@@ -1,5 +1,6 @@
 """Requests and responses frame by frame, as ISO 15765-2 writes them, and by another library on a bus."""
 
+import queue
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -10,7 +11,7 @@ import isotp
 import pytest
 
 from ecu_emulator.diagnostics.link import MOST_FRAMES, MOST_REQUESTS, DiagnosticLink
-from ecu_emulator.diagnostics.table import Transport
+from ecu_emulator.diagnostics.table import Addressing, Transport
 from ecu_emulator.errors import ConfigError
 from tests.support.patience import HANG_S
 from tests.support.uds.wire import ALL_ID, RESPONSE_ID, Wire, parked_controller
@@ -155,6 +156,47 @@ def test_requests_that_come_while_a_response_goes_out_wait_up_to_a_number(wire: 
     assert answers[2:] == ["04 62 f1 86 01 cc cc cc"] * MOST_REQUESTS
     assert wire.is_quiet()
     assert wire.link.counts.dropped_requests == 3
+
+
+class Clock:
+    """A clock that goes when it is told to."""
+
+    def __init__(self) -> None:
+        self.t_s = 100.0
+
+    def __call__(self) -> float:
+        return self.t_s
+
+
+def test_a_session_does_not_end_while_a_response_goes_out() -> None:
+    clock = Clock()
+    with Wire(clock=clock) as wire:
+        wire.put("02 10 03")
+        wire.get()
+        wire.put("03 22 f1 90")
+        wire.get()
+        for _ in range(3):  # more than S3 in all
+            clock.t_s += 3.0
+            deadline_s = time.monotonic() + HANG_S
+            while wire.controller.state.heard_s < clock.t_s and time.monotonic() < deadline_s:
+                wire.put("31 00 00")  # wait: the transport's own time is the real one
+                time.sleep(0.1)
+        wire.put("30 00 00")
+        for _ in range(2):
+            wire.get()
+        wire.put("03 22 f1 86")
+        assert wire.get().startswith("04 62 f1 86 03")
+
+
+def test_identifiers_of_29_bits() -> None:
+    ids = Addressing(request_id=0x18DA18F1, response_id=0x18DAF118, functional_id=0x18DB33F1)
+    heard: queue.Queue[can.Message] = queue.Queue()
+    with DiagnosticLink(parked_controller(addressing=ids), heard.put) as link:
+        for can_id in (ids.request_id, ids.functional_id):
+            link.feed(can.Message(arbitration_id=can_id, is_extended_id=True, data=b"\x02\x3e\0"))
+            answer = heard.get(timeout=HANG_S)
+            assert (answer.arbitration_id, answer.is_extended_id) == (ids.response_id, True)
+            assert bytes(answer.data[:3]) == b"\x02\x7e\0"
 
 
 def test_a_flood_is_bounded_and_counted() -> None:

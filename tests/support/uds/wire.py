@@ -3,6 +3,7 @@
 import queue
 import secrets
 import time
+from collections.abc import Callable
 from dataclasses import replace
 from types import TracebackType
 from typing import Self
@@ -11,7 +12,7 @@ import can
 
 from ecu_emulator.diagnostics.controller import Controller
 from ecu_emulator.diagnostics.link import DiagnosticLink
-from ecu_emulator.diagnostics.table import Transport
+from ecu_emulator.diagnostics.table import Addressing, Transport
 from ecu_emulator.diagnostics.values import Value
 from tests.support.patience import HANG_S
 from tests.support.uds.full_table import full_table
@@ -23,17 +24,22 @@ PARKED: dict[str, Value] = {
 }  # fmt: skip
 
 
-def parked_controller(transport: Transport | None = None) -> Controller:
-    table = replace(full_table(), transport=transport or full_table().transport)
-    return Controller(table, values=lambda: PARKED, clock=time.monotonic, chance=secrets.token_bytes)
+def parked_controller(
+    transport: Transport | None = None,
+    addressing: Addressing | None = None,
+    clock: Callable[[], float] = time.monotonic,
+) -> Controller:
+    table = full_table()
+    table = replace(table, transport=transport or table.transport, addressing=addressing or table.addressing)
+    return Controller(table, values=lambda: PARKED, clock=clock, chance=secrets.token_bytes)
 
 
 class Wire:
     """The frames of one link, while it is entered."""
 
-    def __init__(self, transport: Transport | None = None) -> None:
+    def __init__(self, transport: Transport | None = None, clock: Callable[[], float] = time.monotonic) -> None:
         self._heard: queue.Queue[can.Message] = queue.Queue()
-        self.controller = parked_controller(transport)
+        self.controller = parked_controller(transport, clock=clock)
         self.link = DiagnosticLink(self.controller, self._heard.put)
 
     def __enter__(self) -> Self:
