@@ -18,7 +18,7 @@ from ecu_emulator.diagnostics.codes import Status
 from ecu_emulator.diagnostics.controller import Controller
 from ecu_emulator.diagnostics.memory import TestResult
 from ecu_emulator.diagnostics.memory_file import MemoryFile
-from ecu_emulator.diagnostics.monitors import Watch, is_warm, judge
+from ecu_emulator.diagnostics.monitors import SENSED, Watch, is_warm, judge
 from ecu_emulator.diagnostics.table_file import load_table, shipped_table
 from ecu_emulator.errors import ExtraMissingError, RecordError
 from ecu_emulator.sent_values import SentValues
@@ -108,12 +108,12 @@ class Answering:
         return {**asdict(self.link.counts), "confirmed": confirmed}
 
     def _watch(self) -> None:
-        """Let the monitors judge what the controllers say, from when all of them have spoken."""
+        """Let the monitors judge what the controllers say, from when those that they need have spoken."""
         watch = Watch()
         numbers = {trouble.code: number for number, trouble in self.controller.table.troubles.items()}
         try:
             while not self._is_over.wait(MONITOR_PERIOD_S):
-                if self._sent.is_complete:
+                if self._sent.has_all(SENSED):
                     values = self._values()
                     watch, samples = judge(watch, values, time.monotonic())
                     self._report({numbers[code]: result for code, result in samples if code in numbers}, values)

@@ -3,7 +3,7 @@
 Decoded when somebody asks, not when they are sent: noise, sensor faults and lost values are in them as on the bus.
 """
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterator, Mapping
 from types import MappingProxyType
 from typing import Final
 
@@ -46,17 +46,15 @@ class SentValues:
         for quantity, name in SIGNAL_OF.items():
             if name in signals:
                 self._carriers[quantity] = signals[name]
-        self._can_ids = {message.frame_id for message in database.messages}
         self._payloads: dict[int, bytes] = {}
 
     def note(self, can_id: int, payload: bytes) -> None:
         """Take a frame that goes out."""
         self._payloads[can_id] = payload
 
-    @property
-    def is_complete(self) -> bool:
-        """Whether every message has been sent."""
-        return self._can_ids <= self._payloads.keys()
+    def has_all(self, quantities: Collection[str]) -> bool:
+        """Return whether the messages that carry these have been sent, whatever they said of them."""
+        return all(self._carriers[quantity][0].frame_id in self._payloads for quantity in quantities)
 
     def now(self, more: Mapping[str, float]) -> "Moment":
         """Return the values of this moment, with others that are on no bus."""

@@ -123,8 +123,7 @@ class DiagnosticLink:
 
     def feed(self, message: can.Message) -> None:
         """Take a frame from the bus, of any thread; what is not for this controller is passed over."""
-        is_data = not (message.is_error_frame or message.is_remote_frame) and message.is_rx
-        if not is_data or message.arbitration_id not in self.can_ids:
+        if message.is_error_frame or message.is_remote_frame or message.arbitration_id not in self.can_ids:
             return
         if message.is_extended_id != (message.arbitration_id > LARGEST_STANDARD_ID):
             return

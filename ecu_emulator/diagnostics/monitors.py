@@ -46,6 +46,12 @@ class Watch:
     fluid_s: float = 0.0
 
 
+SENSED: Final = (
+    "current_gear", "sump_temperature_k", "clutch1_pressure_pa", "hub_speed_rad_s", "output_speed_rad_s",
+    "engine_torque_nm",
+)  # fmt: skip
+"""One quantity of every message that the monitors look at: before all have come, missing is no fault."""
+
 NOMINAL_LIMITS: Final = MonitorLimits()
 WARM_COOLANT_K: Final = 344.15  # 71 degC, where a warm-up cycle of OBD ends
 

@@ -69,6 +69,12 @@ def test_a_frame_that_a_fault_cut_says_nothing() -> None:
     assert "sump_temperature_k" not in values.now({})
 
 
+def test_it_is_known_which_messages_have_come() -> None:
+    values = noted(*frames("TCU_Temperature"), *frames("TCU_Shift"))
+    assert values.has_all(["sump_temperature_k", "current_gear"])
+    assert not values.has_all(["sump_temperature_k", "hub_speed_rad_s"])
+
+
 def test_a_moment_does_not_change_when_more_is_sent() -> None:
     values = noted(*frames("TCU_Temperature", sump_temperature_k=350.0))
     before = values.now({})
