@@ -1,6 +1,6 @@
 """Monitors: what the controller senses becomes results of tests, one sample of each at a time.
 
-A monitor says nothing where its test cannot tell: while a gear changes, at low torque, or where a value is missing that
+A monitor says nothing where its test cannot tell: while a gear changes, in a launch, at low torque, or where a value is missing that
 is not its own matter. Whether samples make a failure is the trouble memory's business.
 """
 
@@ -53,6 +53,7 @@ SENSED: Final = (
 """One quantity of every message that the monitors look at: before all have come, missing is no fault."""
 
 NOMINAL_LIMITS: Final = MonitorLimits()
+IN_GEAR: Final = 0.0  # of the drive states
 WARM_COOLANT_K: Final = 344.15  # 71 degC, where a warm-up cycle of OBD ends
 
 
@@ -140,7 +141,8 @@ def _gear_samples(
 ) -> Iterator[Sample]:
     """Judge clutches and ratio while a gear is held."""
     gear = int(gears[0])
-    is_held = gears[0] == gears[1] and known.get("shift_phase") == 0.0 and lasts_s >= limits.settled_s
+    is_driven = known.get("drive_state", IN_GEAR) == IN_GEAR  # the shift cycle does not say: it always is
+    is_held = gears[0] == gears[1] and known.get("shift_phase") == 0.0 and lasts_s >= limits.settled_s and is_driven
     if not is_held or not 1 <= gear <= len(limits.input_output_ratios):
         return
     clutch = clutch_of_gear(gear)

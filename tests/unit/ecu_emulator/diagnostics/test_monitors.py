@@ -1,7 +1,8 @@
 """What the monitors say of a sound drive, and of each fault that they are there for."""
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import replace
+from itertools import islice
 
 import pytest
 
@@ -10,9 +11,12 @@ from ecu_emulator.diagnostics.memory import TestResult
 from ecu_emulator.diagnostics.monitors import Watch, is_warm, judge
 from ecu_emulator.diagnostics.table_file import shipped_table
 from ecu_emulator.faults import SensorFault, SensorFaultKind
-from ecu_emulator.recording import frames_of
+from ecu_emulator.frames import EncodedFrames, merge
+from ecu_emulator.recording import Drive, frames_of
+from ecu_emulator.scenario import Ambient
 from ecu_emulator.scenario_file import load_scenario
 from ecu_emulator.sent_values import SentValues
+from tests.support.road import road_scenario
 
 STEP_S = 0.1
 HOLDING = {
@@ -103,6 +107,10 @@ def driven(fluid: str, *faults: SensorFault) -> Iterator[dict[str, float]]:
     """Yield what the controller senses ten times a second on a drive."""
     scenario = replace(load_scenario(fluid), cycles=1, sensor_faults=faults)
     frames, _ = frames_of(scenario)
+    yield from sensed(frames)
+
+
+def sensed(frames: EncodedFrames) -> Iterator[dict[str, float]]:
     values, next_s = SentValues(load_contract()), STEP_S
     for t_s, can_id, data in zip(frames.t_s.tolist(), frames.can_id.tolist(), frames.data, strict=True):
         if t_s >= next_s:
@@ -112,8 +120,13 @@ def driven(fluid: str, *faults: SensorFault) -> Iterator[dict[str, float]]:
 
 
 def failed_on_drive(fluid: str, *faults: SensorFault) -> dict[str, int]:
+    return failures(driven(fluid, *faults))
+
+
+def failures(moments: Iterable[dict[str, float]]) -> dict[str, int]:
+    """Return how often each code that was tested failed."""
     watch, count = Watch(), dict[str, int]()
-    for number, values in enumerate(driven(fluid, *faults)):
+    for number, values in enumerate(moments):
         watch, samples = judge(watch, values, number * STEP_S)
         if number < 5:
             continue  # not all messages have been sent
@@ -127,6 +140,16 @@ def test_a_sound_drive_fails_nothing_and_tests_every_gear(fluid: str) -> None:
     count = failed_on_drive(fluid)
     assert set(count) >= {"P0811", "P0218", "P0711", "P0841", "P0868", "P0776", "P0780", "P0731", "P0735", "P0729"}
     assert {code: failures for code, failures in count.items() if failures} == {}
+
+
+@pytest.mark.parametrize("oil_k", [273.15, 363.15])
+def test_launches_creeps_and_stops_of_a_sound_car_fail_nothing(oil_k: float) -> None:
+    ambient = Ambient(temperature_k=273.15, oil_temperature_k=oil_k, coolant_temperature_k=min(oil_k, 353.15))
+    drive = Drive(replace(road_scenario("ideal"), ambient=ambient))
+    stretches = islice(drive.stretches(10.0), 24)
+    count = failures(sensed(merge([stretch.frames for stretch in stretches])))
+    assert set(count) >= {"P0811", "P0868", "P0776", "P0780", "P0731", "P0732"}
+    assert {code: number for code, number in count.items() if number} == {}
 
 
 @pytest.mark.parametrize(
