@@ -40,7 +40,7 @@ class DriveConditions:
     clutch2_k: float | None = None
     mass_kg: float | None = None  # None: that of the type
     friction_factors: FrictionFactors = field(default_factory=FrictionFactors)
-    whim_ratio: float = 0.06  # share of the events in which the driver's foot moves without need
+    whim_ratio: float = 0.1  # share of the events in which the driver's foot moves without need
     dt_s: float = 2.5e-4  # a whole fraction of a millisecond
 
     def __post_init__(self) -> None:

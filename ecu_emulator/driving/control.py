@@ -19,7 +19,8 @@ from ecu_emulator.driving.states import DriveState, EventKind
 FloatArray = npt.NDArray[np.float64]
 
 _PULLING_NM = 8.0  # torque from which the engine drives the car
-_HOLD_RATE_NM_S = 800.0  # at which a clutch that has just locked is pressed harder
+_HOLD_RATIO = 1.15  # of the engine torque, and a margin: so much holds at once
+_HOLD_MARGIN_NM = 15.0
 _AHEAD_S = 0.15  # the clutch opens so long before the engine would get too slow
 _HIGHEST_OPENED_GEAR = 2
 
@@ -59,8 +60,9 @@ def hold(memory: FloatArray, commands: FloatArray, law: DrivingLaw) -> None:
     """Press the clutch of the current gear, harder step by step after it has locked."""
     gear = int(memory[tcu_data.CURRENT_GEAR])
     hold_nm = tcu.hold_torque_nm(memory, law.drive.control)
-    ramp_nm = memory[at.LAUNCH_TORQUE] + _HOLD_RATE_NM_S * tcu_data.PERIOD_S
-    memory[at.LAUNCH_TORQUE] = min(hold_nm, ramp_nm)
+    ramp_nm = memory[at.LAUNCH_TORQUE] + law.driving.launch.hold_rate_nm_s * tcu_data.PERIOD_S
+    least_nm = _HOLD_RATIO * abs(memory[tcu_data.INPUT_TORQUE]) + _HOLD_MARGIN_NM
+    memory[at.LAUNCH_TORQUE] = min(hold_nm, max(ramp_nm, least_nm))
     tcu.command_torque(commands, tcu.clutch_of(gear), memory[at.LAUNCH_TORQUE], law.drive.actuation)
     tcu.command_pressure(commands, 1 - tcu.clutch_of(gear), 0.0)
 

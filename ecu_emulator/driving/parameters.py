@@ -95,6 +95,11 @@ class LaunchParameters(NamedTuple):
     engine_help_nm: float
     abort_s: float
     top_nm: float
+    lock_rate_rad_s2: float
+    locked_s: float
+    stubborn_s: float
+    stubborn_nm_s: float
+    hold_rate_nm_s: float
     long_s: float
     late_rad_s2: float
     late_above_idle_rad_s: float

@@ -32,8 +32,8 @@ _HILL_RATIO = 0.015  # grade from which the brakes hold the car for the driver
 _HILL_MARGIN = 1.3
 _HILL_PULL = 1.8  # of the weight: so much must the clutch be asked to carry, which it will do a moment later
 _TARGET_SHOWN_S = 0.06  # a change with open clutches shows its target at least so long before it is done
-_LOCK_RATE_RAD_S2 = 25.0  # at which the slip is led to its end
-_LOCK_AHEAD_RAD_S = 5.0  # an engine that closes onto a faster shaft aims above it
+_LOCK_AHEAD_RAD_S = 15.0  # an engine that closes onto a faster shaft aims above it
+_LOCK_BEHIND_RAD_S = 5.0
 _ENGINE_READY_RAD_S = 20.0  # below idle: the engine may be loaded
 
 
@@ -182,6 +182,7 @@ def launch_torque_nm(memory: FloatArray, sense: FloatArray, law: DrivingLaw) -> 
     p = law.driving.launch
     excess_rad_s = sense[tcu_data.ENGINE_SPEED] - memory[at.LAUNCH_SPEED]
     wanted_nm = max(memory[at.DEMAND], 0.0) + p.clutch_gain_nms_rad * excess_rad_s
+    wanted_nm += p.stubborn_nm_s * max(memory[at.SHARE] - p.stubborn_s, 0.0)  # a clutch that will not stick
     blend = tcu_data.PERIOD_S / p.clutch_lag_s
     smooth_nm = memory[at.LAUNCH_TORQUE] + blend * (wanted_nm - memory[at.LAUNCH_TORQUE])
     return float(min(max(smooth_nm, law.drive.control.min_torque_nm), p.top_nm))
@@ -200,8 +201,8 @@ def move_engine(
     is_reached = is_near and sense[tcu_data.ENGINE_SPEED] > shaft_rad_s
     memory[at.SHARE] = memory[at.SHARE] + tcu_data.PERIOD_S if is_reached else 0.0
     if is_near:  # a little above the shaft first, then below: the slip shall end
-        ahead_rad_s = _LOCK_AHEAD_RAD_S - _LOCK_RATE_RAD_S2 * memory[at.SHARE]
-        goal_rad_s = shaft_rad_s + max(ahead_rad_s, -_LOCK_AHEAD_RAD_S)
+        ahead_rad_s = _LOCK_AHEAD_RAD_S - p.lock_rate_rad_s2 * memory[at.SHARE]
+        goal_rad_s = shaft_rad_s + max(ahead_rad_s, -_LOCK_BEHIND_RAD_S)
     step = p.engine_rate_rad_s2 * tcu_data.PERIOD_S
     memory[at.LAUNCH_SPEED] += min(max(goal_rad_s - memory[at.LAUNCH_SPEED], -step), step)
     error_rad_s = memory[at.LAUNCH_SPEED] - sense[tcu_data.ENGINE_SPEED]
@@ -217,7 +218,7 @@ def is_locked_for_good(memory: FloatArray, sense: FloatArray, clutch: int, law: 
     is_locked = abs(sense[tcu_data.SLIP + clutch]) < control.locked_slip_rad_s
     is_locked = is_locked or sense[tcu_data.IS_LOCKED + clutch] != 0.0
     memory[tcu_data.LOCKED_TIME] = memory[tcu_data.LOCKED_TIME] + tcu_data.PERIOD_S if is_locked else 0.0
-    return bool(memory[tcu_data.LOCKED_TIME] > control.locked_time_s)
+    return bool(memory[tcu_data.LOCKED_TIME] > law.driving.launch.locked_s)
 
 
 @array_kernel

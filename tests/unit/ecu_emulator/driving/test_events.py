@@ -3,9 +3,12 @@
 import numpy as np
 import pytest
 
+from ecu_emulator.driving.conditions import Car, DriveConditions
 from ecu_emulator.driving.states import DriveState, EventKind
 from ecu_emulator.driving.trace import FloatArray
+from ecu_emulator.driving.trip import Trip
 from ecu_emulator.plant.columns import Col
+from ecu_emulator.plant.drive import FrictionFactors
 from tests.unit.ecu_emulator.driving.drives import Event, driven, events, of_kind, trace
 
 HOLD, PREFILL, TORQUE, INERTIA, LOCK_UP = range(5)
@@ -161,3 +164,20 @@ def test_events_are_counted_from_one_and_have_a_kind(town: FloatArray, column: C
     assert not town[~during, column].any()
     numbers = town[:, Col.EVENT_NUMBER]
     assert np.array_equal(np.unique(numbers), np.arange(numbers.max() + 1.0))
+
+
+def re_slip_rad_s(friction: FrictionFactors) -> float:
+    """Return the greatest slip of clutch 1 after it has locked for the first time in a strong launch."""
+    road = trace((0, 0), (1, 0), (6.6, 14), (8, 14))
+    conditions = DriveConditions(whim_ratio=0.0, friction_factors=friction)
+    rows = Trip(Car(), road, conditions, np.random.default_rng(1)).advance(road.duration_s)
+    slip = np.abs(slip_rad_s(rows, 1))
+    slipping = int(np.argmax(slip > 50.0))
+    locked = slipping + int(np.argmax(slip[slipping:] < 0.3))
+    return float(slip[locked : locked + 1500].max())
+
+
+def test_aged_fluid_sticks_and_slips_at_the_end_of_a_strong_launch_and_new_fluid_does_not() -> None:
+    aged = FrictionFactors(mu_c1=0.85, mu_s1=1.15, mu_c2=0.85, mu_s2=1.15)
+    assert re_slip_rad_s(aged) > 5.0
+    assert re_slip_rad_s(FrictionFactors()) < 1.0
