@@ -1,7 +1,7 @@
 """Monitors: what the controller senses becomes results of tests, one sample of each at a time.
 
-A monitor says nothing where its test cannot tell: while a gear changes, in a launch, at low torque, or where a value is missing that
-is not its own matter. Whether samples make a failure is the trouble memory's business.
+A monitor says nothing where its test cannot tell: while a gear changes, in a launch, at low torque, or where a value is
+missing that is not its own matter. Whether samples make a failure is the trouble memory's business.
 """
 
 from collections.abc import Iterator, Mapping
