@@ -5,7 +5,7 @@ import numpy.typing as npt
 
 from canlog.jit import array_kernel
 from ecu_emulator import tcu, tcu_data
-from ecu_emulator.driving import changes, gear_choice, standing
+from ecu_emulator.driving import changes, gear_choice, standing, under_power
 from ecu_emulator.driving import places as at
 from ecu_emulator.driving.laws import (
     DrivingLaw,
@@ -51,7 +51,7 @@ def begin_change(memory: FloatArray, sense: FloatArray, wanted: int, law: Drivin
     enter_state(memory, DriveState.CHANGING.value)
     memory[tcu_data.TARGET_GEAR] = wanted
     next_gear = gear - 1 if memory[at.EVENT_KIND] == EventKind.POWER_ON_SKIP.value else wanted
-    changes.begin_leg(memory, sense, tcu.clutch_of(gear), next_gear)
+    under_power.begin_leg(memory, sense, tcu.clutch_of(gear), next_gear)
     tcu.enter_phase(memory, tcu_data.PREFILL)
 
 
@@ -110,7 +110,7 @@ def change(memory: FloatArray, sense: FloatArray, commands: FloatArray, law: Dri
     elif kind == EventKind.COAST_SKIP.value:
         changes.coast_skip(memory, sense, commands, law)
     else:
-        changes.downshift_under_power(memory, sense, commands, law)
+        under_power.downshift_under_power(memory, sense, commands, law)
     if memory[at.IS_ABORTED] == 0.0 and changes.is_turned_back(memory, sense, law):
         changes.turn_back(memory)
     if memory[tcu_data.PHASE] == tcu_data.HOLD:

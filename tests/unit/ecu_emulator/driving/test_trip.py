@@ -117,3 +117,10 @@ def test_a_warm_engine_stops_at_a_standstill_and_a_cold_one_does_not(town: Float
     assert stopped[:, Col.ENGINE_SPEED].min() < 0.5
     assert town[:, Col.ENGINE_SPEED].min() > -0.5
     assert not (cold_town[:, Col.ENGINE_STATE] >= EngineState.STOPPED).any()
+
+
+def test_the_output_shaft_rings_shortly_when_a_synchroniser_engages(town: FloatArray) -> None:
+    engaged = np.flatnonzero((town[1:, Col.SHAFT1_GEAR] == 3.0) & (town[:-1, Col.SHAFT1_GEAR] == 0.0))[0]
+    twisting_rad_s = town[:, Col.DIFF_SPEED] - town[:, Col.WHEEL_SPEED]
+    assert np.ptp(twisting_rad_s[engaged - 20 : engaged + 80]) > 0.2
+    assert np.ptp(twisting_rad_s[engaged + 250 : engaged + 350]) < 0.1
