@@ -122,5 +122,5 @@ def test_a_warm_engine_stops_at_a_standstill_and_a_cold_one_does_not(town: Float
 def test_the_output_shaft_rings_shortly_when_a_synchroniser_engages(town: FloatArray) -> None:
     engaged = np.flatnonzero((town[1:, Col.SHAFT1_GEAR] == 3.0) & (town[:-1, Col.SHAFT1_GEAR] == 0.0))[0]
     twisting_rad_s = town[:, Col.DIFF_SPEED] - town[:, Col.WHEEL_SPEED]
-    assert np.ptp(twisting_rad_s[engaged - 20 : engaged + 80]) > 0.2
-    assert np.ptp(twisting_rad_s[engaged + 250 : engaged + 350]) < 0.1
+    assert np.ptp(twisting_rad_s[engaged - 100 : engaged + 20]) > 0.15
+    assert np.ptp(twisting_rad_s[engaged + 300 : engaged + 400]) < 0.08
