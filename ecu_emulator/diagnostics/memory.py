@@ -9,7 +9,7 @@ from enum import StrEnum
 from typing import Final
 
 from ecu_emulator.diagnostics.codes import ALL_CODES, CLEARED, Status
-from ecu_emulator.diagnostics.table import Trouble
+from ecu_emulator.diagnostics.descriptions import Trouble
 
 MOST_COUNT: Final = 0xFF  # counters stay there
 FAILED_COUNTER: Final = 127

@@ -1,223 +1,21 @@
-"""What a controller can be asked: data, routines, trouble codes and who may use them; the rest follows from it."""
+"""What a controller can be asked: everything that it answers follows from this table."""
 
-import re
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field
-from enum import StrEnum
-from typing import Final
+from dataclasses import dataclass
 
-from ecu_emulator.diagnostics.codes import DEFAULT_SESSION, Nrc
+from ecu_emulator.diagnostics.codes import DEFAULT_SESSION
+from ecu_emulator.diagnostics.descriptions import (
+    Access,
+    Condition,
+    Datum,
+    ExtendedRecord,
+    Routine,
+    SecurityLevel,
+    ServiceAccess,
+    Session,
+    Trouble,
+)
 from ecu_emulator.errors import ConfigError
-
-_SYSTEMS: Final = "PCBU"  # powertrain, chassis, body, network: the two upper bits of a code
-_CODE: Final = re.compile(r"[PCBU][0-3][0-9A-F]{3}")
-
-
-class Kind(StrEnum):
-    """How a value is written into bytes, big-endian."""
-
-    UNSIGNED = "unsigned"
-    SIGNED = "signed"
-    TEXT = "text"
-    BYTES = "bytes"
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Field:
-    """One value within the bytes of a datum, a routine's options or results, or an extended record."""
-
-    name: str
-    kind: Kind
-    size_bytes: int
-    source: str = ""  # which value of the controller it shows, in SI
-    unit: str = ""  # as it is on the wire
-    resolution: float = 1.0  # of one bit, in that unit
-    offset: float = 0.0
-    minimum: float | None = None  # what may be written, in that unit
-    maximum: float | None = None
-    pattern: str = ""  # what a text may be, as a regular expression
-    meanings: Mapping[str, str] = field(default_factory=dict)  # of numbers
-
-    def __post_init__(self) -> None:
-        if not 1 <= self.size_bytes <= 255:
-            raise ConfigError(f"{self.name}: size_bytes must be 1..255, got {self.size_bytes}")
-        if self.kind in {Kind.UNSIGNED, Kind.SIGNED} and self.size_bytes > 8:
-            raise ConfigError(f"{self.name}: a number has at most 8 bytes, got {self.size_bytes}")
-        if not self.resolution > 0.0:
-            raise ConfigError(f"{self.name}: resolution must be > 0, got {self.resolution}")
-        try:
-            re.compile(self.pattern)
-        except re.error as exc:
-            raise ConfigError(f"{self.name}: pattern is no regular expression: {exc}") from exc
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Access:
-    """Who may do something, and in which condition of the vehicle."""
-
-    sessions: tuple[int, ...]
-    levels: tuple[int, ...] = ()  # one of these must be unlocked; none is needed if there is none
-    conditions: tuple[str, ...] = ()  # checked in this order
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Condition:
-    """What must hold of a value of the controller, and the response if it does not."""
-
-    name: str
-    source: str
-    nrc: int
-    minimum: float | None = None  # in SI
-    maximum: float | None = None
-
-    def __post_init__(self) -> None:
-        if self.nrc not in set(Nrc):
-            raise ConfigError(f"condition {self.name}: nrc 0x{self.nrc:02X} is unknown")
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Session:
-    """A diagnostic session, and from which others it can be entered."""
-
-    number: int
-    name: str
-    from_sessions: tuple[int, ...]
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class SecurityLevel:
-    """A lock: the number that asks for its seed; key = seed XOR mask."""
-
-    number: int
-    name: str
-    sessions: tuple[int, ...]
-    seed_bytes: int
-    key_mask: int
-    most_attempts: int
-    delay_s: float  # after so many wrong keys
-
-    def __post_init__(self) -> None:
-        if self.number % 2 == 0 or not 0x01 <= self.number <= 0x41:
-            raise ConfigError(f"security level {self.name}: its number must be odd, 1..0x41, got {self.number}")
-        if not 0 < self.key_mask < 1 << (8 * self.seed_bytes):
-            raise ConfigError(f"security level {self.name}: key_mask must fit {self.seed_bytes} bytes and not be 0")
-        if self.most_attempts < 1 or self.delay_s < 0.0:
-            raise ConfigError(f"security level {self.name}: most_attempts must be >= 1 and delay_s >= 0")
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class ServiceAccess:
-    """In which sessions a service is there, and in which condition of the vehicle it changes something."""
-
-    number: int
-    name: str
-    sessions: tuple[int, ...]
-    levels: tuple[int, ...] = ()
-    conditions: tuple[str, ...] = ()
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Datum:
-    """A data identifier: live (its fields have sources) or stored (it has an initial value)."""
-
-    number: int
-    name: str
-    fields: tuple[Field, ...]
-    read: Access
-    initial: str | None = None  # text, or hexadecimal digits of all its bytes
-    write: Access | None = None
-    control: Access | None = None  # by service 2F
-
-    def __post_init__(self) -> None:
-        are_live = [bool(entry.source) for entry in self.fields]
-        if not self.fields or any(are_live) != all(are_live) or all(are_live) != (self.initial is None):
-            raise ConfigError(f"data {self.name}: either every field has a source, or there is an initial value")
-        if self.write is not None and self.initial is None:
-            raise ConfigError(f"data {self.name}: what is live cannot be written")
-        if self.control is not None and self.initial is not None:
-            raise ConfigError(f"data {self.name}: what is stored cannot be controlled")
-
-        if self.initial is not None and len(self.initial_bytes) != self.size_bytes:
-            raise ConfigError(f"data {self.name}: initial must have {self.size_bytes} bytes, got {self.initial!r}")
-
-    @property
-    def size_bytes(self) -> int:
-        """Length of its data [byte]."""
-        return size_of(self.fields)
-
-    @property
-    def initial_bytes(self) -> bytes:
-        """What it holds before it was ever written, if it is stored."""
-        text = self.initial or ""
-        try:
-            return text.encode("ascii") if self.fields[0].kind is Kind.TEXT else bytes.fromhex(text)
-        except ValueError as exc:
-            raise ConfigError(f"data {self.name}: initial is neither ASCII text nor hexadecimal: {text!r}") from exc
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Routine:
-    """A routine: ends by itself after a time, or is ended by the vehicle, within the time at most."""
-
-    number: int
-    name: str
-    access: Access
-    duration_s: float
-    ends_by_itself: bool = True
-    is_awaited: bool = False  # the positive response to its start comes when it has ended
-    can_be_stopped: bool = True
-    options: tuple[Field, ...] = ()
-    results: tuple[Field, ...] = ()
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Trouble:
-    """A diagnostic trouble code: a code as scan tools show it and a failure type (ISO 15031-6, SAE J2012-DA)."""
-
-    code: str  # P0811
-    failure_type: int
-    text: str
-    severity: int
-    lights_lamp: bool
-    confirm_cycles: int = 1  # operation cycles with a failure, without a passed one between them
-    heal_cycles: int = 3  # passed cycles until the lamp goes out
-    age_cycles: int = 40  # passed warm-up cycles until the code is forgotten
-    failed_step: int = 127  # of the fault detection counter
-    passed_step: int = 128
-    snapshot: tuple[int, ...] | None = None  # data identifiers; those of the table if there are none
-    extended: tuple[int, ...] | None = None
-
-    def __post_init__(self) -> None:
-        if not _CODE.fullmatch(self.code):
-            raise ConfigError(f"trouble code {self.code} is none: a letter of {_SYSTEMS}, a digit 0-3, three of 0-F")
-        for name, value, most in (
-            ("failure_type", self.failure_type, 255), ("severity", self.severity, 255),
-            ("confirm_cycles", self.confirm_cycles, 255), ("heal_cycles", self.heal_cycles, 255),
-            ("age_cycles", self.age_cycles, 255), ("failed_step", self.failed_step, 127),
-            ("passed_step", self.passed_step, 128),
-        ):  # fmt: skip
-            least = 0 if name in {"failure_type", "severity"} else 1
-            if not least <= value <= most:
-                raise ConfigError(f"trouble code {self.code}: {name} must be {least}..{most}, got {value}")
-
-    @property
-    def number(self) -> int:
-        """The three bytes that stand for it on the wire."""
-        upper = _SYSTEMS.index(self.code[0]) << 14 | int(self.code[1:], 16)
-        return upper << 8 | self.failure_type
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class ExtendedRecord:
-    """A record of extended data: counters of the trouble code, or values kept at the moment of failure."""
-
-    number: int
-    name: str
-    fields: tuple[Field, ...]
-
-    def __post_init__(self) -> None:
-        if not 0x01 <= self.number <= 0xEF:
-            raise ConfigError(f"extended record {self.name}: its number must be 1..0xEF, got {self.number}")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -320,11 +118,6 @@ class DiagnosticTable:
                     yield access, f"data {datum.name}"
         for routine in self.routines.values():
             yield routine.access, f"routine {routine.name}"
-
-
-def size_of(fields: Iterable[Field]) -> int:
-    """Return the length of fields [byte]."""
-    return sum(entry.size_bytes for entry in fields)
 
 
 def _check_known(

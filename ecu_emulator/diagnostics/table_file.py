@@ -11,22 +11,18 @@ from types import NoneType, UnionType
 from typing import Any, Final, TypeVar, get_args, get_origin, get_type_hints
 
 from canlog.plain_files import read_small_file
-from ecu_emulator.diagnostics.table import (
+from ecu_emulator.diagnostics.descriptions import (
     Access,
-    Addressing,
     Condition,
     Datum,
-    DiagnosticTable,
     ExtendedRecord,
-    Limits,
     Routine,
     SecurityLevel,
     ServiceAccess,
     Session,
-    Timing,
-    Transport,
     Trouble,
 )
+from ecu_emulator.diagnostics.table import Addressing, DiagnosticTable, Limits, Timing, Transport
 from ecu_emulator.errors import ConfigError
 
 RecordT = TypeVar("RecordT")

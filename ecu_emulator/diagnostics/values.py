@@ -15,7 +15,7 @@ from clutch_model.units import (
     rad_s_from_rpm,
     rpm_from_rad_s,
 )
-from ecu_emulator.diagnostics.table import Condition, Field, Kind
+from ecu_emulator.diagnostics.descriptions import Condition, Field, Kind
 
 Value = float | str | bytes
 Values = Mapping[str, Value]  # of the controller, by source; numbers in SI

@@ -5,7 +5,8 @@ from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Final
 
-from ecu_emulator.diagnostics.table import Access, Datum, DiagnosticTable, Field, Kind
+from ecu_emulator.diagnostics.descriptions import Access, Datum, Field, Kind
+from ecu_emulator.diagnostics.table import DiagnosticTable
 from ecu_emulator.diagnostics.table_file import shipped_table
 
 DOCUMENT: Final = Path(__file__).parents[2] / "docs/diagnostics.md"

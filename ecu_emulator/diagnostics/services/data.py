@@ -5,6 +5,7 @@ from dataclasses import replace
 from typing import Final
 
 from ecu_emulator.diagnostics.codes import Nrc
+from ecu_emulator.diagnostics.descriptions import Access, Datum
 from ecu_emulator.diagnostics.services.call import (
     Call,
     Result,
@@ -15,7 +16,6 @@ from ecu_emulator.diagnostics.services.call import (
     unmet_by_service,
 )
 from ecu_emulator.diagnostics.state import Moment, Piece, ServerState
-from ecu_emulator.diagnostics.table import Access, Datum
 from ecu_emulator.diagnostics.values import are_valid, encode
 
 DEFINE_BY_IDENTIFIER: Final = 0x01

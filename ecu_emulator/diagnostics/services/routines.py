@@ -4,6 +4,7 @@ from dataclasses import replace
 from typing import Final
 
 from ecu_emulator.diagnostics.codes import Nrc
+from ecu_emulator.diagnostics.descriptions import Routine, size_of
 from ecu_emulator.diagnostics.services.call import (
     Call,
     Outcome,
@@ -14,7 +15,7 @@ from ecu_emulator.diagnostics.services.call import (
     unmet_by_service,
 )
 from ecu_emulator.diagnostics.state import Moment, RoutineRun, ServerState
-from ecu_emulator.diagnostics.table import DiagnosticTable, Routine, size_of
+from ecu_emulator.diagnostics.table import DiagnosticTable
 from ecu_emulator.diagnostics.values import are_valid, encode
 
 START: Final = 0x01

@@ -3,9 +3,9 @@
 from dataclasses import replace
 
 from ecu_emulator.diagnostics.codes import Nrc
+from ecu_emulator.diagnostics.descriptions import SecurityLevel
 from ecu_emulator.diagnostics.services.call import Call, Result
 from ecu_emulator.diagnostics.state import ServerState
-from ecu_emulator.diagnostics.table import SecurityLevel
 
 
 def security_access(call: Call) -> Result:

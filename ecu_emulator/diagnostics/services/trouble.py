@@ -5,6 +5,7 @@ from dataclasses import replace
 from typing import Final
 
 from ecu_emulator.diagnostics.codes import ALL_BITS, ALL_CODES, Nrc
+from ecu_emulator.diagnostics.descriptions import ExtendedRecord, Trouble
 from ecu_emulator.diagnostics.memory import (
     FAILED_COUNTER,
     FIRST_RECORD,
@@ -16,7 +17,7 @@ from ecu_emulator.diagnostics.memory import (
 from ecu_emulator.diagnostics.services.call import Call, Result, unmet_by_service
 from ecu_emulator.diagnostics.services.data import data_of
 from ecu_emulator.diagnostics.state import Moment, ServerState
-from ecu_emulator.diagnostics.table import DiagnosticTable, ExtendedRecord, Trouble
+from ecu_emulator.diagnostics.table import DiagnosticTable
 from ecu_emulator.diagnostics.values import encode
 
 CODE_FORMAT: Final = 0x00  # SAE J2012-DA: a code of two bytes and a failure type

@@ -3,6 +3,7 @@
 import pytest
 
 from ecu_emulator.diagnostics.codes import Status
+from ecu_emulator.diagnostics.descriptions import Trouble
 from ecu_emulator.diagnostics.memory import (
     Capture,
     TestResult,
@@ -14,7 +15,6 @@ from ecu_emulator.diagnostics.memory import (
     note_warm_up,
     report,
 )
-from ecu_emulator.diagnostics.table import Trouble
 from tests.unit.ecu_emulator.diagnostics.bench import Bench
 
 SLIP = Trouble(
