@@ -9,6 +9,7 @@ from typing import Final
 from ecu_emulator.diagnostics.codes import Nrc
 from ecu_emulator.errors import ConfigError
 
+OF_MEMORY: Final = "memory."  # begins the source of a counter of a trouble code
 _SYSTEMS: Final = "PCBU"  # powertrain, chassis, body, network: the two upper bits of a code
 _CODE: Final = re.compile(r"[PCBU][0-3][0-9A-F]{3}")
 
@@ -218,6 +219,13 @@ class ExtendedRecord:
     def __post_init__(self) -> None:
         if not 0x01 <= self.number <= 0xEF:
             raise ConfigError(f"extended record {self.name}: its number must be 1..0xEF, got {self.number}")
+        if len({entry.source.startswith(OF_MEMORY) for entry in self.fields}) != 1:
+            raise ConfigError(f"extended record {self.name}: either all its fields are counters (memory.) or none is")
+
+    @property
+    def has_counters(self) -> bool:
+        """Whether it shows counters of the trouble code, not values of the moment of failure."""
+        return self.fields[0].source.startswith(OF_MEMORY)
 
 
 def size_of(fields: Iterable[Field]) -> int:

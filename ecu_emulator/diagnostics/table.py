@@ -26,6 +26,12 @@ class Addressing:
     response_id: int
     functional_id: int
 
+    def __post_init__(self) -> None:
+        ids = (self.request_id, self.response_id, self.functional_id)
+        _check(
+            max(ids) <= 0x1FFFFFFF and len(set(ids)) == len(ids), "three identifiers, of 29 bits at most, must differ"
+        )
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Transport:
@@ -63,6 +69,10 @@ class Limits:
     most_response_bytes: int
     most_pieces: int  # of data identifiers that the client defined, in all
 
+    def __post_init__(self) -> None:
+        _check(self.most_data >= 1, "most_data must be at least 1")
+        _check(8 <= self.most_response_bytes <= 4095, "most_response_bytes must be 8..4095, what ISO-TP carries")
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class DiagnosticTable:
@@ -85,6 +95,14 @@ class DiagnosticTable:
 
     def __post_init__(self) -> None:
         _check(DEFAULT_SESSION in self.sessions, "sessions must have number 1, the default session")
+        for where, numbers, most in (
+            ("session", self.sessions, 0x7E),
+            ("service", self.services, 0xFF),
+            ("data", self.data, 0xFFFF),
+            ("routine", self.routines, 0xFFFF),
+        ):
+            highest = max(numbers, default=0)
+            _check(highest <= most, f"{where} 0x{highest:X} is above 0x{most:X}")
         for access, where in self._accesses():
             _check_known(access.sessions, self.sessions, f"{where}: session")
             _check_known(access.levels, self.levels, f"{where}: security level")

@@ -5,7 +5,7 @@ from dataclasses import replace
 from typing import Final
 
 from ecu_emulator.diagnostics.codes import ALL_BITS, ALL_CODES, Nrc
-from ecu_emulator.diagnostics.descriptions import ExtendedRecord, Trouble
+from ecu_emulator.diagnostics.descriptions import OF_MEMORY, ExtendedRecord, Trouble
 from ecu_emulator.diagnostics.memory import (
     FAILED_COUNTER,
     FIRST_RECORD,
@@ -25,7 +25,6 @@ ALL_RECORDS: Final = 0xFF
 ALL_REGULATED_RECORDS: Final = 0xFE  # those from 0x90 on
 _FIRST_REGULATED: Final = 0x90
 _CODE_BYTES: Final = 3
-_OF_MEMORY: Final = "memory."
 
 
 def capture(table: DiagnosticTable, trouble: Trouble, state: ServerState, moment: Moment) -> Capture:
@@ -34,7 +33,7 @@ def capture(table: DiagnosticTable, trouble: Trouble, state: ServerState, moment
     records = [table.extended[number] for number in table.extended_of(trouble)]
     return Capture(
         snapshot=tuple((number, data_of(table.data[number], state, moment)) for number in table.snapshot_of(trouble)),
-        extended=tuple((record.number, encode(record.fields, values)) for record in records if not _counts(record)),
+        extended=tuple((record.number, encode(record.fields, values)) for record in records if not record.has_counters),
     )
 
 
@@ -134,26 +133,22 @@ def _extended_records(call: Call, trouble: Trouble, record: TroubleRecord, wante
     captured = dict(record.latest.extended)
     least = {ALL_RECORDS: 0, ALL_REGULATED_RECORDS: _FIRST_REGULATED}
     return b"".join(
-        bytes([number]) + (_counters(described, record) if _counts(described) else captured.get(number, b""))
+        bytes([number]) + (_counters(described, record) if described.has_counters else captured.get(number, b""))
         for number in call.table.extended_of(trouble)
         if (described := call.table.extended[number])
         if number == wanted or (wanted in least and number >= least[wanted])
     )
 
 
-def _counts(record: ExtendedRecord) -> bool:
-    return all(entry.source.startswith(_OF_MEMORY) for entry in record.fields)
-
-
 def _counters(described: ExtendedRecord, record: TroubleRecord) -> bytes:
     return encode(
         described.fields,
         {
-            f"{_OF_MEMORY}occurrences": record.occurrences,
-            f"{_OF_MEMORY}failed_cycles": record.failed_cycles,
-            f"{_OF_MEMORY}passed_cycles": record.passed_cycles,
-            f"{_OF_MEMORY}aged_cycles": record.aged_cycles,
-            f"{_OF_MEMORY}detection_counter": record.detection_counter,
+            f"{OF_MEMORY}occurrences": record.occurrences,
+            f"{OF_MEMORY}failed_cycles": record.failed_cycles,
+            f"{OF_MEMORY}passed_cycles": record.passed_cycles,
+            f"{OF_MEMORY}aged_cycles": record.aged_cycles,
+            f"{OF_MEMORY}detection_counter": record.detection_counter,
         },
     )
 

@@ -54,6 +54,12 @@ def test_a_worn_fluid_does_not_light_the_lamp() -> None:
         ("key_mask = 0x5AA5C33C", "key_mask = 0", "key_mask must fit 4 bytes and not be 0"),
         ("resolution = 0.25", "resolution = 0.0", "resolution must be > 0"),
         ("[limits]", "[limits", "is not TOML"),
+        ("response_id = 0x7E9", "response_id = 0x7E1", "three identifiers, of 29 bits at most, must differ"),
+        ("most_response_bytes = 4095", "most_response_bytes = 4096", "most_response_bytes must be 8..4095"),
+        ("most_data = 16", "most_data = 0", "most_data must be at least 1"),
+        ("number = 0x0206", "number = 0x10206", "data 0x10206 is above 0xFFFF"),
+        ("number = 0x85", "number = 0x185", "service 0x185 is above 0xFF"),
+        ('source = "odometer_m", unit = "km", resolution = 0.001 },\n  {', 'source = "memory.x" },\n  {', "either all"),
     ],
 )  # fmt: skip
 def test_what_is_wrong_is_named(old: str, new: str, message: str) -> None:
