@@ -72,17 +72,24 @@ class Controller:
             return self._kept(answer(self.table, self._state, request, self._moment()), payload)
 
     def tick(self) -> bytes | None:
-        """Return a response that has become due; to be called about every 10 ms."""
-        with self._lock:
+        """Return a response that has become due; to be called about every 10 ms, never waits."""
+        if not self._lock.acquire(blocking=False):
+            return None
+        try:
             waiting = self._state.waiting
             payload = waiting.request.payload if waiting is not None else b""
             return self._kept(advance(self.table, self._state, self._moment()), payload)
+        finally:
+            self._lock.release()
 
     def hold_session(self) -> None:
-        """Begin S3 anew: a message comes in or goes out, and that is not silence."""
-        with self._lock:
-            moment = self._moment()
-            self._state = held(self.table, self._state, moment)
+        """Begin S3 anew: a message comes in or goes out, and that is not silence; to be called often, never waits."""
+        if not self._lock.acquire(blocking=False):
+            return
+        try:
+            self._state = held(self.table, self._state, self._moment())
+        finally:
+            self._lock.release()
 
     def report(self, number: int, result: TestResult) -> None:
         """Take the result of a monitor.

@@ -6,6 +6,8 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable
+from concurrent.futures import Future, ThreadPoolExecutor
+from contextlib import suppress
 from dataclasses import dataclass
 from types import TracebackType
 from typing import Final, Self
@@ -13,8 +15,10 @@ from typing import Final, Self
 import can
 import isotp
 
+from ecu_emulator.diagnostics.codes import NEGATIVE, Nrc
 from ecu_emulator.diagnostics.controller import Controller
 from ecu_emulator.diagnostics.isotp_frames import single_payload, usable
+from ecu_emulator.diagnostics.server import AGAIN_RATIO, is_suppressed
 from ecu_emulator.diagnostics.table import Addressing, Transport
 from ecu_emulator.errors import ConfigError
 
@@ -27,6 +31,7 @@ MOST_WAIT_FRAMES: Final = 10
 LARGEST_STANDARD_ID: Final = 0x7FF
 FULL_FD_BYTES: Final = 64
 KEEP_ALIVE: Final = b"\x3e\x80"
+PENDING_RATIO: Final = 0.6  # of P2, after which a client is told to wait
 _LOGGER: Final = "ecu_emulator.isotp"  # the library warns of every odd frame; they are counted instead
 logging.getLogger(_LOGGER).setLevel(logging.CRITICAL + 1)
 
@@ -69,9 +74,13 @@ class DiagnosticLink:
         self._ids = controller.table.addressing
         self._transport = controller.table.transport
         self._prefix_bytes = 0 if self._transport.own_address is None else 1
-        self._frames: queue.Queue[can.Message] = queue.Queue(MOST_FRAMES)
+        self._frames: queue.Queue[can.Message | None] = queue.Queue(MOST_FRAMES)
         self._requests: deque[tuple[bytes, bool]] = deque()
         self._next: isotp.CanMessage | None = None
+        self._pool = ThreadPoolExecutor(1, "diagnostics asks")
+        self._asking: Future[bytes | None] | None = None
+        self._asked = b""
+        self._pending_s = 0.0
         self._is_over = threading.Event()
         self._thread = threading.Thread(target=self._run, name="diagnostics", daemon=True)
         self._layer = self._made_layer()
@@ -137,6 +146,8 @@ class DiagnosticLink:
             self._serve()
         except BaseException as exc:  # noqa: BLE001 - carried to the caller's thread, which raises it
             self._error = exc
+        finally:
+            self._pool.shutdown()
 
     def _serve(self) -> None:
         next_tick_s = time.monotonic()
@@ -145,10 +156,8 @@ class DiagnosticLink:
             self._layer.process()
             while (received := self._layer.recv()) is not None:
                 self._hold(bytes(received), is_functional=False)
-            while self._requests and not self._layer.transmitting():
-                payload, is_functional = self._requests.popleft()
-                self._answer(payload, is_functional=is_functional)
             now_s = time.monotonic()
+            self._go_on_asking(now_s)
             if now_s >= next_tick_s:
                 next_tick_s = now_s + TICK_S
                 if self._layer.transmitting() or self._layer.is_rx_active():
@@ -166,6 +175,8 @@ class DiagnosticLink:
         try:
             message = self._frames.get(timeout=patience_s) if patience_s > 0.0 else self._frames.get_nowait()
         except queue.Empty:
+            return
+        if message is None:
             return
         data = bytes(message.data)
         if message.arbitration_id == self._ids.functional_id:
@@ -191,17 +202,36 @@ class DiagnosticLink:
         self._hold(payload, is_functional=True)
 
     def _hold(self, payload: bytes, *, is_functional: bool) -> None:
-        """Keep a request until the response before it is out; what only keeps the session alive does not wait."""
-        if payload == KEEP_ALIVE:
-            self._answer(payload, is_functional=is_functional)
+        """Keep a request until the response before it is out; while one goes out, the session is kept alive anyway."""
+        if payload == KEEP_ALIVE and self._layer.transmitting():
+            self.counts.requests += 1
         elif len(self._requests) >= MOST_REQUESTS:
             self.counts.dropped_requests += 1
         else:
             self._requests.append((payload, is_functional))
 
-    def _answer(self, payload: bytes, *, is_functional: bool) -> None:
-        self.counts.requests += 1
-        self._respond(self._controller.ask(payload, is_functional=is_functional))
+    def _go_on_asking(self, now_s: float) -> None:
+        """Hand the next request to the controller, its response to the client, and 78 if the disk takes its time."""
+        if self._asking is None and self._requests and not self._layer.transmitting():
+            self._asked, is_functional = self._requests.popleft()
+            self.counts.requests += 1
+            self._pending_s = now_s + PENDING_RATIO * self._controller.table.timing.p2_s
+            self._asking = self._pool.submit(self._controller.ask, self._asked, is_functional=is_functional)
+            self._asking.add_done_callback(lambda _: self._wake())
+        if self._asking is None:
+            return
+        if self._asking.done():
+            response = self._asking.result()
+            self._asking = None
+            self._respond(response)
+        elif now_s >= self._pending_s and not is_suppressed(self._asked):
+            self._pending_s = now_s + AGAIN_RATIO * self._controller.table.timing.p2_star_s
+            self._respond(bytes([NEGATIVE, self._asked[0], Nrc.RESPONSE_PENDING]))
+
+    def _wake(self) -> None:
+        """End the wait for a frame."""
+        with suppress(queue.Full):
+            self._frames.put_nowait(None)
 
     def _respond(self, payload: bytes | None) -> None:
         if payload is not None:

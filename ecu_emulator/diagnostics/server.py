@@ -219,8 +219,12 @@ def _sent(request: Request, response: bytes | Nrc) -> bytes | None:
     if isinstance(response, Nrc):
         is_silent = request.is_functional and response in SILENT_WHEN_FUNCTIONAL
         return None if is_silent else _negative(request, response)
-    is_unwanted = _has_sub_function(request.payload[0]) and bool(request.payload[1] & SUPPRESS)
-    return None if is_unwanted else response
+    return None if is_suppressed(request.payload) else response
+
+
+def is_suppressed(payload: bytes) -> bool:
+    """Return whether a request says that it wants no positive response."""
+    return _has_sub_function(payload[0]) and len(payload) > 1 and bool(payload[1] & SUPPRESS)
 
 
 def _negative(request: Request, nrc: Nrc) -> bytes:

@@ -5,15 +5,19 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from pathlib import Path
 
 import can
 import isotp
 import pytest
 
 from ecu_emulator.diagnostics.link import MOST_FRAMES, MOST_REQUESTS, DiagnosticLink
+from ecu_emulator.diagnostics.memory_file import MemoryFile
+from ecu_emulator.diagnostics.state import ServerState
 from ecu_emulator.diagnostics.table import Addressing, Transport
 from ecu_emulator.errors import ConfigError
 from tests.support.patience import HANG_S
+from tests.support.uds.full_table import full_table
 from tests.support.uds.wire import ALL_ID, RESPONSE_ID, Wire, parked_controller
 from tests.tools.uds_streams import run
 
@@ -191,6 +195,36 @@ def test_a_session_does_not_end_while_a_response_goes_out() -> None:
             wire.get()
         wire.put("03 22 f1 86")
         assert wire.get().startswith("04 62 f1 86 03")
+
+
+class SlowFile(MemoryFile):
+    """A memory on a disk that takes its time."""
+
+    def __init__(self, path: Path) -> None:
+        super().__init__(path, full_table())
+        self.may_go_on = threading.Event()
+        self.may_go_on.set()
+
+    def save(self, state: ServerState) -> None:
+        assert self.may_go_on.wait(HANG_S)
+        super().save(state)
+
+
+def test_a_client_is_told_to_wait_for_a_slow_disk(tmp_path: Path) -> None:
+    with SlowFile(tmp_path / "memory.json") as store, Wire(store=store) as wire:
+        store.may_go_on.clear()
+        wire.put("04 14 ff ff ff")
+        wire.put("03 22 f1 86")
+        assert wire.get().startswith("03 7f 14 78")
+        store.may_go_on.set()
+        assert wire.get().startswith("01 54")
+        assert wire.get().startswith("04 62 f1 86 01")
+        store.may_go_on.clear()
+        wire.put("02 11 83")  # no response is wanted: nor one that says to wait
+        time.sleep(0.1)
+        store.may_go_on.set()
+        time.sleep(full_table().timing.reset_s)
+        assert wire.is_quiet()
 
 
 def test_identifiers_of_29_bits() -> None:

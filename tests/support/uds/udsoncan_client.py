@@ -53,6 +53,8 @@ CONFIG: Any = {
     "security_algo": key_of,
     "request_timeout": SILENCE_S,
     "p2_timeout": SILENCE_S,
+    "p2_star_timeout": SILENCE_S,
+    "use_server_timing": False,  # the machine may be busy
     "dtc_snapshot_did_size": 2,
     "tolerate_zero_padding": True,
 }

@@ -12,6 +12,7 @@ import can
 
 from ecu_emulator.diagnostics.controller import Controller
 from ecu_emulator.diagnostics.link import DiagnosticLink
+from ecu_emulator.diagnostics.memory_file import MemoryFile
 from ecu_emulator.diagnostics.table import Addressing, Transport
 from ecu_emulator.diagnostics.values import Value
 from tests.support.patience import HANG_S
@@ -28,18 +29,24 @@ def parked_controller(
     transport: Transport | None = None,
     addressing: Addressing | None = None,
     clock: Callable[[], float] = time.monotonic,
+    store: MemoryFile | None = None,
 ) -> Controller:
     table = full_table()
     table = replace(table, transport=transport or table.transport, addressing=addressing or table.addressing)
-    return Controller(table, values=lambda: PARKED, clock=clock, chance=secrets.token_bytes)
+    return Controller(table, values=lambda: PARKED, clock=clock, chance=secrets.token_bytes, store=store)
 
 
 class Wire:
     """The frames of one link, while it is entered."""
 
-    def __init__(self, transport: Transport | None = None, clock: Callable[[], float] = time.monotonic) -> None:
+    def __init__(
+        self,
+        transport: Transport | None = None,
+        clock: Callable[[], float] = time.monotonic,
+        store: MemoryFile | None = None,
+    ) -> None:
         self._heard: queue.Queue[can.Message] = queue.Queue()
-        self.controller = parked_controller(transport, clock=clock)
+        self.controller = parked_controller(transport, clock=clock, store=store)
         self.link = DiagnosticLink(self.controller, self._heard.put)
 
     def __enter__(self) -> Self:
