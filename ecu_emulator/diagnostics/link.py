@@ -24,7 +24,7 @@ from ecu_emulator.errors import ConfigError
 
 TICK_S: Final = 0.01
 MOST_FRAMES: Final = 4096  # that wait; what comes on top is dropped and counted
-MOST_REQUESTS: Final = 8  # that wait for the response before them to go out
+MOST_REQUESTS: Final = 32  # that wait for the response before them to go out
 LONGEST_MESSAGE: Final = 4095
 TIMEOUT_MS: Final = 1000  # N_Bs and N_Cr
 MOST_WAIT_FRAMES: Final = 10

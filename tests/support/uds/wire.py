@@ -70,6 +70,13 @@ class Wire:
         assert message.arbitration_id == self.controller.table.addressing.response_id
         return bytes(message.data).hex(" ")
 
+    def get_within(self, duration_s: float) -> str:
+        """Return the next frame of the controller, empty if none comes for so long."""
+        try:
+            return bytes(self._heard.get(timeout=duration_s).data).hex(" ")
+        except queue.Empty:
+            return ""
+
     def forget(self) -> int:
         """Throw away what was heard so far; return how many frames that was."""
         count = 0
