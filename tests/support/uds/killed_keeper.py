@@ -20,7 +20,8 @@ from ecu_emulator.diagnostics.table_file import shipped_table
 
 OLD, NEW = 0x27874B, 0x02184B  # confirmed before, and by the drive that is killed
 FILES = (memory_file.__file__, controller_module.__file__)
-BELOW = (os.__file__, pathlib.__file__)  # whatever these do within a step
+BELOW = (os.__file__, pathlib.__file__)  # what these do to the disk within a step
+DISK = {"open", "fdopen", "write_text", "write_bytes", "replace", "rename", "unlink", "touch"}
 STEPS = {"__enter__", "__exit__", "__init__", "load", "save", "_sync_folder", "_change", "_kept", "_save"}
 
 
@@ -48,7 +49,7 @@ class Killer:
     def __call__(self, frame: FrameType, event: str, _argument: object) -> "Killer | None":
         is_step = frame.f_code.co_filename in FILES and frame.f_code.co_name in STEPS
         is_in_one = frame.f_back is not None and frame.f_back.f_trace is not None
-        if not is_step and not (is_in_one and frame.f_code.co_filename in BELOW):
+        if not is_step and not (is_in_one and frame.f_code.co_filename in BELOW and frame.f_code.co_name in DISK):
             return None
         if event == "line":
             self.lines_left -= 1
