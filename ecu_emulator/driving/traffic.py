@@ -189,8 +189,10 @@ def _stand(profile: _Profile, traffic: Traffic, rng: np.random.Generator) -> Non
     profile.hold(_log_uniform(traffic.stop_s, rng))
     if rng.uniform() >= traffic.queue_share:
         return
-    for _ in range(rng.integers(1, 6)):
-        profile.change(rng.uniform(1.0, 2.8), rng.uniform(0.4, 0.9))
+    for _ in range(rng.integers(1, 4)):
+        is_creeping = rng.uniform() < 0.25  # the driver lets the brake go and leaves the pedal alone
+        speed_m_s, rate_m_s2 = ((0.8, 1.5), (0.25, 0.35)) if is_creeping else ((2.2, 4.5), (0.5, 1.0))
+        profile.change(rng.uniform(*speed_m_s), rng.uniform(*rate_m_s2))
         profile.hold(rng.uniform(0.5, 5.0))
         profile.change(0.0, rng.uniform(0.5, 1.2))
         profile.hold(rng.uniform(1.0, 8.0))

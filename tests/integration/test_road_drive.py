@@ -140,7 +140,7 @@ def test_an_ageing_fluid_ages_from_trip_to_trip() -> None:
     assert launches == pytest.approx([0.14, 0.1295, 0.119])
 
 
-@pytest.mark.parametrize(("seed", "until_s"), [(3, 200.0), (8, 270.0), (9, 190.0)])
+@pytest.mark.parametrize(("seed", "until_s"), [(2, 140.0), (3, 200.0)])
 def test_a_stopped_engine_always_starts_again(seed: int, until_s: float) -> None:
     """In queues the driver calls the engine back at once, whatever the clutch is doing."""
     (city,) = trips(DriveName.CITY, seed)
