@@ -16,13 +16,13 @@ from diag_service.diagnosis.summary import FrameCounts
 from diag_service.mapping.decoder import Decoder
 from diag_service.mapping.profile import Profile, load_profile
 from ecu_emulator.frames import SIGNAL_OF, FrameEncoder
-from tests.support.wire import CONTRACTS, DATABASE, drive, readings, received
+from tests.support.wire import CONTRACTS, CYCLE_CONTRACTS, DATABASE, drive, readings, received
 
 DRIVE: Final = received(drive(0.7))
 ROWS: Final = len(DRIVE)
 ENDS: Final = frozenset(
     int(row)
-    for contract in CONTRACTS.values()
+    for contract in CYCLE_CONTRACTS.values()
     for row in np.flatnonzero(DRIVE.can_id == np.uint32(contract.can_id))[[0, -1]]
 )
 INNER: Final = sorted(set(range(ROWS)) - ENDS)
@@ -191,7 +191,7 @@ def half_step(quantity: str) -> float:
     return FINER.get(quantity, HALF_STEP.get(kind, 0.5))
 
 
-@pytest.mark.parametrize("name", sorted(CONTRACTS))
+@pytest.mark.parametrize("name", sorted(CYCLE_CONTRACTS))
 @given(seed=st.integers(0, 2**32))
 @settings(max_examples=20)
 def test_what_is_sent_arrives_within_half_a_step(name: str, seed: int) -> None:

@@ -7,10 +7,12 @@ from canlog.frames import FrameBatch
 from dbc.contract import load_contract
 from ecu_emulator.frames import EncodedFrames, FrameEncoder
 from ecu_emulator.readings import FloatArray, Readings
+from ecu_emulator.recording import ROAD_MESSAGES
 
 START_NS = 1_767_225_600_000_000_000  # 2026-01-01T00:00:00Z
 DATABASE = load_contract()
 CONTRACTS = message_contracts(DATABASE)
+CYCLE_CONTRACTS = {name: contract for name, contract in CONTRACTS.items() if name not in ROAD_MESSAGES}
 
 
 def readings(message: str, t_s: FloatArray, rng: np.random.Generator) -> Readings:
@@ -26,12 +28,12 @@ def readings(message: str, t_s: FloatArray, rng: np.random.Generator) -> Reading
 
 
 def drive(duration_s: float, seed: int = 0) -> EncodedFrames:
-    """Return all frames of a drive, on schedule."""
+    """Return all frames of a shift cycle, on schedule."""
     rng = np.random.default_rng(seed)
     encoder = FrameEncoder(DATABASE)
     times_s = {
         name: np.arange(contract.phase_ms, round(duration_s * 1000.0), contract.cycle_ms) / 1000.0
-        for name, contract in CONTRACTS.items()
+        for name, contract in CYCLE_CONTRACTS.items()
     }
     return encoder.encode_all([readings(name, t_s, rng) for name, t_s in times_s.items()])
 

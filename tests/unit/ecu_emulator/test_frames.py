@@ -124,7 +124,7 @@ def test_merge_sorts_by_time_and_then_by_identifier() -> None:
     frames = drive(1.0)
     order = list(zip(frames.t_s.tolist(), frames.can_id.tolist(), strict=True))
     assert order == sorted(order)
-    assert len(frames) == 5 * 100 + 3 * 50 + 3 * 10 + 1
+    assert len(frames) == 5 * 100 + 2 * 50 + 2 * 10 + 1
     assert len(frames[10:20]) == 10
 
 
