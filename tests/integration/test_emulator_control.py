@@ -55,7 +55,7 @@ def test_faults_are_taken_by_the_keys_of_a_scenario(path: Path, taken: list[Sens
         ("loss", "error: not JSON"),
         ("[" * 4000, "error: not JSON"),
         ("[]", "error: a fault must be a table"),
-        ("{}", "error: key kind is missing"),
+        ("{}", "error: kind is missing"),
         ('{"kind": "los"}', "error: kind must be one of loss"),
         ('{"kind": "loss", "share": 2}', "error: share must be"),
         ('{"kind": "loss", "share": NaN}', "error: share must be"),
