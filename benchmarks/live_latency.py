@@ -117,7 +117,8 @@ class PacedSource:
         while not self._is_over and (left_s := gathered_s + self._schedule.gather_s(seen_ns) - time.monotonic()) > 0.0:
             self._news.clear()
             with suppress(TimeoutError):
-                await asyncio.wait_for(self._news.wait(), left_s)
+                async with asyncio.timeout(left_s):
+                    await self._news.wait()
 
 
 class TimedSession(Session):

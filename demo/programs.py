@@ -45,7 +45,8 @@ class Program:
         """Ask the program to end, and make it if it does not or if we cannot wait."""
         self._send(signal.SIGINT)
         try:
-            await asyncio.wait_for(self._process.wait(), STOP_S)
+            async with asyncio.timeout(STOP_S):
+                await self._process.wait()
         except TimeoutError:
             self._send(signal.SIGKILL)
             await self._process.wait()

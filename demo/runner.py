@@ -177,14 +177,16 @@ async def _watched(listener: Listener, service: Program) -> AsyncIterator[None]:
 async def _last_shift(listener: Listener, count: int) -> None:
     """Wait for the last result; if it never comes, the outcome will say so."""
     try:
-        await asyncio.wait_for(listener.shift_count(count), LAST_RESULT_S)
+        async with asyncio.timeout(LAST_RESULT_S):
+            await listener.shift_count(count)
     except TimeoutError:
         return
 
 
 async def _within(limit_s: float, event: "asyncio._CoroutineLike[None]", complaint: str) -> None:
     try:
-        await asyncio.wait_for(event, limit_s)
+        async with asyncio.timeout(limit_s):
+            await event
     except TimeoutError as exc:
         raise DemoError(f"{complaint} within {limit_s:.0f} s") from exc
 

@@ -100,7 +100,8 @@ class Connection:
                 self._start(queue.popleft())
             self._answered.clear()
             try:
-                await asyncio.wait_for(self._answered.wait(), self._terms.timeout_s)  # the next answer, not the last
+                async with asyncio.timeout(self._terms.timeout_s):  # until the next answer, not the last
+                    await self._answered.wait()
             except TimeoutError:
                 raise LinkDownError(f"no answer in {self._terms.timeout_s:g} s") from None
             if self._refusal is not None or self._is_lost.is_set():
@@ -118,7 +119,8 @@ class Connection:
             raise LinkDownError(_LOST)
         granted = self._subscribed[packet_id] = asyncio.get_running_loop().create_future()
         try:
-            codes = await asyncio.wait_for(granted, self._terms.timeout_s)
+            async with asyncio.timeout(self._terms.timeout_s):
+                codes = await granted
         except TimeoutError:
             raise LinkDownError(f"no answer in {self._terms.timeout_s:g} s") from None
         finally:
@@ -160,13 +162,15 @@ class Connection:
         """Take leave of the broker; the socket is closed when this returns, or soon after if the broker is slow."""
         if self._client.disconnect() == MQTT_ERR_SUCCESS:
             with contextlib.suppress(TimeoutError):
-                await asyncio.wait_for(self._is_lost.wait(), self._terms.timeout_s)
+                async with asyncio.timeout(self._terms.timeout_s):
+                    await self._is_lost.wait()
         self._socket_loop.end()
 
     async def _connect(self) -> None:
         try:
             await asyncio.to_thread(connect, self._client, self._address, self._terms)  # it blocks
-            code = await asyncio.wait_for(self._accepted, self._terms.timeout_s)
+            async with asyncio.timeout(self._terms.timeout_s):
+                code = await self._accepted
         except TimeoutError:  # one of the system's is an OSError, too
             raise LinkDownError(self._complaint or "Operation timed out") from None
         except OSError as exc:

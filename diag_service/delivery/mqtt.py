@@ -139,7 +139,8 @@ class MqttConnector:
             finally:
                 if offline is not None:
                     with contextlib.suppress(PublishError, TimeoutError):
-                        await asyncio.wait_for(_announce(link, offline), _FAREWELL_S)
+                        async with asyncio.timeout(_FAREWELL_S):
+                            await _announce(link, offline)
         finally:
             await link.end()
             await connection.close()

@@ -96,7 +96,8 @@ class Outbox:
         self._closing.set()
         self.nudge()
         try:
-            await asyncio.wait_for(sender, timeout_s)
+            async with asyncio.timeout(timeout_s):
+                await sender
         except TimeoutError:
             _LOG.info("broker %s did not take everything in %g s", self._where, timeout_s)
         return await asyncio.to_thread(self._unpublished_count)
@@ -171,6 +172,7 @@ class Outbox:
         longest_s = min(self.limits.longest_pause_s, self.limits.first_pause_s * 2.0 ** min(failure_count, 10))
         pause_s = longest_s * (0.5 + 0.5 * random.random())  # noqa: S311 - spreads load, guards nothing
         try:
-            await asyncio.wait_for(self._closing.wait(), pause_s)
+            async with asyncio.timeout(pause_s):
+                await self._closing.wait()
         except TimeoutError:
             return

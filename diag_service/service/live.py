@@ -128,7 +128,8 @@ async def _keep_sending(outbox: Outbox) -> None:
 async def _close_in_time(source: LiveSource, stop: Trigger, duration_s: float | None) -> None:
     """Close the source at ``stop`` or after ``duration_s``; its iteration ends with what was received until then."""
     try:
-        await asyncio.wait_for(_next(stop), duration_s)
+        async with asyncio.timeout(duration_s):
+            await _next(stop)
     except TimeoutError:
         _LOG.info("stopping after %g s", duration_s)
     await source.aclose()
@@ -139,7 +140,8 @@ async def _log_counts(session: Session, frame_counts: Callable[[], FrameCounts],
     while True:
         level = NOTICE
         try:
-            await asyncio.wait_for(_next(wanted), COUNTS_PERIOD_S)
+            async with asyncio.timeout(COUNTS_PERIOD_S):
+                await _next(wanted)
         except TimeoutError:
             level = logging.INFO
         wanted.is_set = False
