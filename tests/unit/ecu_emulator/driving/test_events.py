@@ -11,6 +11,7 @@ from ecu_emulator.plant.columns import Col
 from ecu_emulator.plant.drive import FrictionFactors
 from tests.unit.ecu_emulator.driving.drives import Event, driven, events, of_kind, trace
 
+SEEDS_OF_WHIMS = (1, 3)
 HOLD, PREFILL, TORQUE, INERTIA, LOCK_UP = range(5)
 
 
@@ -133,10 +134,15 @@ def test_in_a_kickdown_the_off_going_clutch_slips_first() -> None:
         assert abs(slip_rad_s(event.rows, coming)[-1]) < 1.0
 
 
-def test_a_driver_changes_the_mind_and_the_target_goes_back() -> None:
+@pytest.fixture(scope="module", params=SEEDS_OF_WHIMS)
+def moody(request: pytest.FixtureRequest) -> FloatArray:
+    """Return the rows of a drive whose driver has whims all the time."""
     road = trace((0, 0), (1, 0), (30, 25), (34, 25), (44, 8), (50, 12), (60, 22))
-    rows = driven(road, seed=3, whim_ratio=1.0)
-    aborted = [event for event in events(rows) if event.is_aborted and event.kind is not EventKind.LAUNCH]
+    return driven(road, seed=request.param, whim_ratio=1.0)
+
+
+def test_a_driver_changes_the_mind_and_the_target_goes_back(moody: FloatArray) -> None:
+    aborted = [event for event in events(moody) if event.is_aborted and event.kind is not EventKind.LAUNCH]
     assert aborted
     for event in aborted:
         back = event.rows[:, Col.IS_ABORTED] == 1.0
@@ -145,16 +151,13 @@ def test_a_driver_changes_the_mind_and_the_target_goes_back() -> None:
         assert event.rows[-1, Col.CURRENT_GEAR] == event.gears[0]
 
 
-def test_a_lift_in_mid_shift_leaves_no_shift_unfinished() -> None:
-    road = trace((0, 0), (1, 0), (30, 25), (34, 25), (44, 8), (50, 12), (60, 22))
-    for seed in (1, 2):
-        rows = driven(road, seed=seed, whim_ratio=1.0)
-        changes = [event for event in events(rows) if event.gears[0] != event.gears[1]]
-        assert max(len(event.rows) for event in changes) < 4_000
-        in_gear = rows[rows[:, Col.DRIVE_STATE] == DriveState.IN_GEAR]
-        gear = in_gear[:, Col.CURRENT_GEAR]
-        shaft_gear = np.where(gear % 2 == 1.0, in_gear[:, Col.SHAFT1_GEAR], in_gear[:, Col.SHAFT2_GEAR])
-        assert np.array_equal(gear, shaft_gear)
+def test_a_lift_in_mid_shift_leaves_no_shift_unfinished(moody: FloatArray) -> None:
+    changes = [event for event in events(moody) if event.gears[0] != event.gears[1]]
+    assert max(len(event.rows) for event in changes) < 4_000
+    in_gear = moody[moody[:, Col.DRIVE_STATE] == DriveState.IN_GEAR]
+    gear = in_gear[:, Col.CURRENT_GEAR]
+    shaft_gear = np.where(gear % 2 == 1.0, in_gear[:, Col.SHAFT1_GEAR], in_gear[:, Col.SHAFT2_GEAR])
+    assert np.array_equal(gear, shaft_gear)
 
 
 @pytest.mark.parametrize("column", [Col.EVENT_NUMBER, Col.EVENT_KIND])

@@ -1,5 +1,7 @@
 """A trip follows its trace, keeps its energy, and does not depend on how it is asked for its rows."""
 
+from itertools import islice
+
 import numpy as np
 import pytest
 
@@ -8,11 +10,18 @@ from ecu_emulator.driving.conditions import Car
 from ecu_emulator.driving.states import DriveState, EngineState
 from ecu_emulator.driving.tolerance import share_within_tolerance
 from ecu_emulator.driving.trace import FloatArray, SpeedTrace
-from ecu_emulator.driving.trip import drive
+from ecu_emulator.driving.trip import Trip, drive
 from ecu_emulator.plant.columns import Col
 from tests.unit.ecu_emulator.driving.drives import COLD_K, conditions, driven, trace, trip
 
 STOP_AND_GO = trace((0, 0), (2, 0), (8, 9), (11, 9), (15, 0), (20, 0), (26, 8), (30, 8))
+
+
+@pytest.fixture(scope="module")
+def audited() -> tuple[Trip, FloatArray]:
+    """Return an audited trip at its end, and all its rows."""
+    whole = trip(STOP_AND_GO, whim_ratio=0.5, is_audited=True)
+    return whole, whole.advance(STOP_AND_GO.duration_s)
 
 
 def share(road: SpeedTrace, rows: FloatArray) -> float:
@@ -28,12 +37,12 @@ def test_the_car_keeps_to_its_trace_warm_and_cold(
 
 @pytest.mark.parametrize("grade_ratio", [-0.05, 0.05])
 def test_the_car_keeps_to_its_trace_on_a_grade_heavily_loaded(grade_ratio: float) -> None:
-    road = trace(*zip(STOP_AND_GO.t_s, STOP_AND_GO.speed_m_s, strict=True), grade_ratio=grade_ratio)
+    road = trace((0, 0), (2, 0), (8, 9), (11, 9), (15, 0), (16, 0), grade_ratio=grade_ratio)
     assert share(road, driven(road, mass_kg=2000.0)) > 0.98
 
 
-def test_rows_do_not_depend_on_the_blocks_they_are_asked_for_in() -> None:
-    whole = driven(STOP_AND_GO, whim_ratio=0.5)
+def test_rows_do_not_depend_on_the_blocks_they_are_asked_for_in(audited: tuple[Trip, FloatArray]) -> None:
+    _, whole = audited
     parts = trip(STOP_AND_GO, whim_ratio=0.5)
     cut = [parts.advance(duration_s) for duration_s in (0.001, 3.3, 7.0, 0.5, 60.0, 1.0)]
     assert np.array_equal(whole, np.concatenate(cut))
@@ -41,18 +50,17 @@ def test_rows_do_not_depend_on_the_blocks_they_are_asked_for_in() -> None:
     assert parts.time_s == STOP_AND_GO.duration_s
     assert len(cut[-1]) == 0
     rng = np.random.default_rng(1)
-    blocks = list(drive(Car(), STOP_AND_GO, conditions(whim_ratio=0.5), rng))
-    assert np.array_equal(whole, np.concatenate(blocks))
+    first, second = islice(drive(Car(), STOP_AND_GO, conditions(whim_ratio=0.5), rng), 2)
+    assert np.array_equal(whole[: 2 * len(first)], np.concatenate((first, second)))
 
 
-def test_no_energy_appears_or_gets_lost() -> None:
-    audited = trip(STOP_AND_GO, is_audited=True)
-    audited.advance(STOP_AND_GO.duration_s)
-    balance = audited.power_balance
+def test_no_energy_appears_or_gets_lost(audited: tuple[Trip, FloatArray]) -> None:
+    whole, _ = audited
+    balance = whole.power_balance
     assert abs(balance.residual_ratio) < 1.0e-6
     assert abs(balance.heat_residual_ratio) < 1.0e-6
     assert balance.clutch_j > 5.0e3
-    assert balance.brake_j > 5.0e4
+    assert balance.brake_j > 4.0e4
 
 
 def test_a_trip_without_an_account_has_no_balance() -> None:
@@ -60,15 +68,18 @@ def test_a_trip_without_an_account_has_no_balance() -> None:
         _ = trip(STOP_AND_GO).power_balance
 
 
-def test_half_the_step_gives_the_same_drive() -> None:
-    rows, finer = driven(STOP_AND_GO), driven(STOP_AND_GO, dt_s=1.25e-4)
+def test_half_the_step_gives_the_same_drive(audited: tuple[Trip, FloatArray]) -> None:
+    finer = trip(STOP_AND_GO, whim_ratio=0.5, dt_s=1.25e-4).advance(16.0)
+    _, whole = audited
+    rows = whole[: len(finer)]
     assert np.abs(rows[:, Col.VEHICLE_SPEED] - finer[:, Col.VEHICLE_SPEED]).max() < 0.02
     launching = rows[:, Col.DRIVE_STATE] == DriveState.LAUNCHING
     assert np.abs(rows[launching, Col.HUB_SPEED] - finer[launching, Col.HUB_SPEED]).max() < 1.0
 
 
-def test_every_number_of_a_row_is_one() -> None:
-    assert np.isfinite(driven(STOP_AND_GO, oil_k=COLD_K, coolant_k=COLD_K)).all()
+def test_every_number_of_a_row_is_one(town: FloatArray, cold_town: FloatArray) -> None:
+    assert np.isfinite(town).all()
+    assert np.isfinite(cold_town).all()
 
 
 def test_the_held_car_stands_still_to_the_last_digit(town: FloatArray) -> None:

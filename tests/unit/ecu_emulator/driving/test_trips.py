@@ -1,5 +1,6 @@
 """Trips, one after the other, and what becomes of a car that is parked in between."""
 
+from functools import cache
 from itertools import islice, pairwise
 
 import numpy as np
@@ -19,6 +20,11 @@ from ecu_emulator.driving.trips import (
 from ecu_emulator.errors import ConfigError
 
 CYCLES = [DriveName.WLTC, DriveName.UDDS, DriveName.HWFET, DriveName.US06]
+
+
+@cache
+def day(seed: int) -> tuple[PlannedTrip, ...]:
+    return tuple(trips(DriveName.DAY, seed))
 
 
 def same(one: PlannedTrip, other: PlannedTrip) -> bool:
@@ -51,22 +57,20 @@ def test_city_trips_differ_from_each_other_and_from_seed_to_seed() -> None:
 
 def test_a_day_has_several_trips_with_the_car_parked_in_between() -> None:
     for seed in range(8):
-        day = list(trips(DriveName.DAY, seed))
-        assert DAY_TRIPS[0] <= len(day) <= DAY_TRIPS[1]
-        assert day[0].parked_s == 0.0
-        assert all(PARKED_S[0] <= trip.parked_s <= PARKED_S[1] for trip in day[1:])
-    kinds = {trip.trace.name for seed in range(8) for trip in trips(DriveName.DAY, seed)}
+        assert DAY_TRIPS[0] <= len(day(seed)) <= DAY_TRIPS[1]
+        assert day(seed)[0].parked_s == 0.0
+        assert all(PARKED_S[0] <= trip.parked_s <= PARKED_S[1] for trip in day(seed)[1:])
+    kinds = {trip.trace.name for seed in range(8) for trip in day(seed)}
     assert kinds == {"city", "mixed", "motorway"}
 
 
 def test_the_same_seed_is_the_same_day_and_its_first_trips_those_of_an_endless_drive() -> None:
-    day = list(trips(DriveName.DAY, 7))
-    assert all(map(same, day, trips(DriveName.DAY, 7, rounds=None)))
-    assert not all(map(same, day, trips(DriveName.DAY, 8)))
+    assert all(map(same, day(7), trips(DriveName.DAY, 7, rounds=None)))
+    assert not all(map(same, day(7), day(6)))
 
 
 def test_a_night_lies_between_two_days() -> None:
-    first_day = len(list(trips(DriveName.DAY, 3)))
+    first_day = len(day(3))
     endless = list(islice(trips(DriveName.DAY, 3, rounds=None), first_day + 3))
     assert NIGHT_S[0] <= endless[first_day].parked_s <= NIGHT_S[1]
     assert not any(same(one, other) for one, other in pairwise(endless))
@@ -98,7 +102,7 @@ def test_a_drive_is_driven_as_often_as_asked_for(name: DriveName) -> None:
 def test_two_days_are_a_day_and_another_one() -> None:
     days = list(trips(DriveName.DAY, 5, rounds=2))
     assert sum(trip.parked_s >= NIGHT_S[0] for trip in days) == 1
-    assert all(map(same, trips(DriveName.DAY, 5), days))
+    assert all(map(same, day(5), days))
 
 
 def test_the_shift_cycle_is_no_drive_on_the_road() -> None:

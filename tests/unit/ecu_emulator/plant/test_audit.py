@@ -1,13 +1,12 @@
 import pytest
 
 from clutch_model.errors import DomainError
-from ecu_emulator.plant import DriveSettings
-from tests.support.cycles import powertrain
+from ecu_emulator.plant import DriveSettings, Powertrain
+from tests.support.cycles import FloatArray, powertrain
 
 
-def test_energy_is_conserved_over_a_cycle() -> None:
-    train = powertrain(DriveSettings(), is_audited=True)
-    train.advance(80.0)
+def test_energy_is_conserved_over_a_cycle(driven_cycle: tuple[Powertrain, FloatArray]) -> None:
+    train, _ = driven_cycle
     balance = train.power_balance
     assert abs(balance.residual_ratio) < 1e-3
     assert abs(balance.heat_residual_ratio) < 1e-3

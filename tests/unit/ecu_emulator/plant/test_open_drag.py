@@ -9,8 +9,9 @@ from ecu_emulator.plant import DriveSettings, nominal_parameters
 from ecu_emulator.plant import state as at
 from ecu_emulator.plant.clutch import openness, refresh_contact, viscous_nm
 from ecu_emulator.plant.powertrain import drive_law
+from ecu_emulator.plant.records import as_record
 
-LAW = drive_law(nominal_calibration(), nominal_parameters(), DriveSettings()).plant.clutches.first
+LAW = as_record(drive_law(nominal_calibration(), nominal_parameters(), DriveSettings()).plant.clutches.first)
 OPEN_M = LAW.film.open_gap_m
 COLD_PA_S = 0.51
 PEAK_NM = 8.0

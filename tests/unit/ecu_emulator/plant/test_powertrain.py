@@ -3,16 +3,17 @@
 import numpy as np
 import pytest
 
-from ecu_emulator.plant import Col, DriveSettings, FrictionFactors
-from tests.support.cycles import CYCLE_SHIFTS, FloatArray, drive_rows, powertrain, shifts, slip_rad_s
+from ecu_emulator.plant import Col, DriveSettings, FrictionFactors, Powertrain
+from tests.support.cycles import CYCLE_SHIFTS, FloatArray, powertrain, shifts, slip_rad_s
 
 NOMINAL = DriveSettings()
 SHORT_S = 4.0
 
 
 @pytest.fixture(scope="module")
-def rows() -> FloatArray:
-    return drive_rows(NOMINAL)
+def rows(driven_cycle: tuple[Powertrain, FloatArray]) -> FloatArray:
+    _, rows = driven_cycle
+    return rows
 
 
 def test_a_cycle_has_ten_shifts(rows: FloatArray) -> None:
@@ -25,11 +26,11 @@ def test_a_row_is_recorded_every_millisecond(rows: FloatArray) -> None:
     assert np.isfinite(rows).all()
 
 
-def test_a_drive_ends_and_stays_ended() -> None:
-    train = powertrain(NOMINAL)
-    assert not train.finished
-    assert train.advance(80.0).shape[0] == drive_rows(NOMINAL).shape[0]
+def test_a_drive_ends_and_stays_ended(driven_cycle: tuple[Powertrain, FloatArray]) -> None:
+    assert not powertrain(NOMINAL).finished
+    train, rows = driven_cycle
     assert train.finished
+    assert train.time_s == len(rows) / 1000.0
     assert train.advance(1.0).shape == (0, len(Col))
 
 
@@ -114,8 +115,8 @@ def test_oil_and_clutches_stay_warm_but_not_hot(rows: FloatArray) -> None:
 
 def test_friction_ages_from_cycle_to_cycle() -> None:
     aged = FrictionFactors(mu_c1=0.9, mu_s1=1.1, mu_c2=0.8, mu_s2=1.2)
-    rows = drive_rows(DriveSettings(cycles=2, friction_factors=(FrictionFactors(), aged)))
-    assert shifts(rows) == CYCLE_SHIFTS * 2
+    rows = powertrain(DriveSettings(cycles=2, friction_factors=(FrictionFactors(), aged))).advance(48.0)
+    assert shifts(rows) == [*CYCLE_SHIFTS, (1, 2), (2, 3)]
     columns = [Col.MU_C1, Col.MU_S1, Col.MU_C2, Col.MU_S2]
     assert rows[0, columns] == pytest.approx([0.140, 0.119, 0.140, 0.119])
     assert rows[-1, columns] == pytest.approx([0.126, 0.1309, 0.112, 0.1428])

@@ -6,10 +6,10 @@ import pytest
 from clutch_model.calibration import nominal_calibration
 from clutch_model.errors import CalibrationError
 from ecu_emulator import tcu_data
-from ecu_emulator.plant import Col, DriveSettings, nominal_parameters
+from ecu_emulator.plant import Col, DriveSettings, Powertrain, nominal_parameters
 from ecu_emulator.truth import RevTruth
 from ecu_emulator.truth_watchers import RevWatcher
-from tests.support.cycles import CYCLE_SHIFTS, FloatArray, drive_rows, powertrain, shifts
+from tests.support.cycles import CYCLE_SHIFTS, FloatArray, powertrain, shifts
 
 ROUTINE = DriveSettings(open_revs=2, closed_revs=2)
 LONGEST_S = 80.0
@@ -17,8 +17,15 @@ SIDE = nominal_calibration().input_side
 
 
 @pytest.fixture(scope="module")
-def rows() -> FloatArray:
-    return drive_rows(ROUTINE)
+def train() -> Powertrain:
+    return powertrain(ROUTINE, is_audited=True)
+
+
+@pytest.fixture(scope="module")
+def rows(train: Powertrain) -> FloatArray:
+    driven = train.advance(LONGEST_S)
+    driven.flags.writeable = False
+    return driven
 
 
 @pytest.fixture(scope="module")
@@ -130,9 +137,9 @@ def test_cold_and_hot_oil_do_not_hold_the_routine_up(oil_k: float) -> None:
     assert rows[-1, Col.CURRENT_GEAR] >= 1
 
 
-def test_energy_is_conserved_over_the_routine() -> None:
-    train = powertrain(ROUTINE, is_audited=True)
-    train.advance(LONGEST_S)
+@pytest.mark.usefixtures("rows")
+def test_energy_is_conserved_over_the_routine(train: Powertrain) -> None:
+    assert train.finished
     assert abs(train.power_balance.residual_ratio) < 1e-3
     assert abs(train.power_balance.heat_residual_ratio) < 1e-3
 
