@@ -28,6 +28,19 @@ class Service(IntEnum):
     CONTROL_CODE_SETTING = 0x85
 
 
+class ObdService(IntEnum):
+    """Services of SAE J1979 (ISO 15031-5)."""
+
+    CURRENT_DATA = 0x01
+    FREEZE_FRAME = 0x02
+    CONFIRMED_CODES = 0x03
+    CLEAR = 0x04
+    TEST_RESULTS = 0x06
+    PENDING_CODES = 0x07
+    VEHICLE_INFORMATION = 0x09
+    PERMANENT_CODES = 0x0A
+
+
 class Nrc(IntEnum):
     """Negative response codes, annex A; those from 0x81 on say which condition is not met."""
 

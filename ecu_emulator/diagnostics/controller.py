@@ -141,4 +141,9 @@ class Controller:
 
 def _are_same(one: ServerState, other: ServerState) -> bool:
     """Return whether two states keep the same, at a glance."""
-    return one.memory is other.memory and one.written is other.written and one.wrong_keys is other.wrong_keys
+    return (
+        one.memory is other.memory
+        and one.emissions is other.emissions
+        and one.written is other.written
+        and one.wrong_keys is other.wrong_keys
+    )

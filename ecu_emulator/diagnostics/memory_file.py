@@ -6,6 +6,7 @@ The file is replaced as a whole, after its bytes have reached the disk: at any m
 import fcntl
 import hashlib
 import json
+import math
 import os
 from collections.abc import Mapping
 from contextlib import suppress
@@ -15,6 +16,7 @@ from typing import Any, Final, Self
 
 from canlog.plain_files import read_small_file
 from ecu_emulator.diagnostics.codes import Status
+from ecu_emulator.diagnostics.emissions import Emissions, FreezeFrame
 from ecu_emulator.diagnostics.memory import MOST_COUNT, Capture, TroubleMemory, TroubleRecord, empty_memory
 from ecu_emulator.diagnostics.state import ServerState
 from ecu_emulator.diagnostics.table import DiagnosticTable
@@ -147,6 +149,19 @@ def _document(state: ServerState) -> dict[str, Any]:
         "codes": {f"{number:06X}": _record_document(record) for number, record in memory.records.items()},
         "written": {f"{number:04X}": data.hex() for number, data in state.written.items()},
         "wrong_keys": {str(level): count for level, count in state.wrong_keys.items()},
+        "obd": _emissions_document(state.emissions),
+    }
+
+
+def _emissions_document(emissions: Emissions) -> dict[str, Any]:
+    frame = emissions.frame
+    pids = None if frame is None else [[number, data.hex()] for number, data in frame.pids]
+    return {
+        "permanent": sorted(f"{number:06X}" for number in emissions.permanent),
+        "frame": None if frame is None else {"code": f"{frame.code:06X}", "pids": pids},
+        "warm_ups": emissions.warm_ups,
+        "cleared_at_m": emissions.cleared_at_m,
+        "lamp_at_m": emissions.lamp_at_m,
     }
 
 
@@ -182,7 +197,29 @@ def _state(document: Mapping[str, Any], table: DiagnosticTable) -> ServerState:
         has_begun=bool(document["has_begun"]),
         is_warmed_up=bool(document["is_warmed_up"]),
     )
-    return ServerState(memory=memory, written=written, wrong_keys=wrong_keys)
+    emissions = _emissions(document.get("obd"), table)
+    return ServerState(memory=memory, emissions=emissions, written=written, wrong_keys=wrong_keys)
+
+
+def _emissions(entry: Mapping[str, Any] | None, table: DiagnosticTable) -> Emissions:
+    """Return what was kept for OBD; nothing of a file that an earlier program wrote."""
+    if entry is None:
+        return Emissions()
+    frame = entry["frame"]
+    codes = [int(code, 16) for code in (*entry["permanent"], *([] if frame is None else [frame["code"]]))]
+    if unknown := sorted(set(codes) - table.troubles.keys()):
+        raise RecordError(f"trouble code {unknown[0]:06X} is not in the table {table.name}")
+    return Emissions(
+        permanent=frozenset(int(code, 16) for code in entry["permanent"]),
+        frame=None
+        if frame is None
+        else FreezeFrame(
+            code=int(frame["code"], 16), pids=tuple((int(pid), bytes.fromhex(data)) for pid, data in frame["pids"])
+        ),
+        warm_ups=_count(entry["warm_ups"]),
+        cleared_at_m=_distance_m(entry["cleared_at_m"]),
+        lamp_at_m=_distance_m(entry["lamp_at_m"]),
+    )
 
 
 def _record(entry: Mapping[str, Any]) -> TroubleRecord:
@@ -201,6 +238,12 @@ def _capture(entry: Mapping[str, Any] | None) -> Capture | None:
         snapshot=tuple((int(number), bytes.fromhex(data)) for number, data in entry["snapshot"]),
         extended=tuple((int(number), bytes.fromhex(data)) for number, data in entry["extended"]),
     )
+
+
+def _distance_m(value: object) -> float | None:
+    if value is not None and (not isinstance(value, int | float) or not math.isfinite(value)):
+        raise ValueError(f"not a distance: {value!r}")
+    return value
 
 
 def _count(value: object) -> int:

@@ -16,7 +16,9 @@ from ecu_emulator.diagnostics.codes import (
     Nrc,
     Service,
 )
+from ecu_emulator.diagnostics.emissions import after_cycle, after_test, after_warm_up
 from ecu_emulator.diagnostics.memory import TestResult, begin_cycle, empty_memory, note_warm_up, report
+from ecu_emulator.diagnostics.obd_descriptions import Profile
 from ecu_emulator.diagnostics.services.call import Call, Outcome, Result, is_unlocked, under_control
 from ecu_emulator.diagnostics.services.data import (
     CLEAR_DEFINITION,
@@ -26,6 +28,8 @@ from ecu_emulator.diagnostics.services.data import (
     read_data,
     write_data,
 )
+from ecu_emulator.diagnostics.services.obd import OBD_HANDLERS
+from ecu_emulator.diagnostics.services.obd_data import frozen_pids, odometer_m
 from ecu_emulator.diagnostics.services.routines import RESULTS, START, STOP, answered, routine_control, timed_out
 from ecu_emulator.diagnostics.services.security import delay_over, security_access
 from ecu_emulator.diagnostics.services.sessions import (
@@ -42,7 +46,7 @@ from ecu_emulator.diagnostics.services.sessions import (
     started,
     tester_present,
 )
-from ecu_emulator.diagnostics.services.trouble import REPORTS, capture, clear_codes, read_codes
+from ecu_emulator.diagnostics.services.trouble import EMISSION_REPORTS, REPORTS, capture, clear_codes, read_codes
 from ecu_emulator.diagnostics.state import Moment, Reply, Request, ServerState, Waiting
 from ecu_emulator.diagnostics.table import DiagnosticTable
 
@@ -145,17 +149,23 @@ def tested(table: DiagnosticTable, state: ServerState, number: int, result: Test
     if not state.are_codes_updated:
         return state
     trouble, moment = table.troubles[number], under_control(table, state, moment)
-    return replace(state, memory=report(state.memory, trouble, result, capture(table, trouble, state, moment)))
+    memory = report(state.memory, trouble, result, capture(table, trouble, state, moment))
+    emissions = after_test(
+        state.emissions, trouble, state.memory, memory, odometer_m(moment), lambda: frozen_pids(table, state, moment)
+    )
+    return replace(state, memory=memory, emissions=emissions)
 
 
 def warmed_up(state: ServerState) -> ServerState:
     """Return the state in an operation cycle that counts for ageing."""
-    return replace(state, memory=note_warm_up(state.memory))
+    memory = note_warm_up(state.memory)
+    return replace(state, memory=memory, emissions=after_warm_up(state.emissions, state.memory, memory))
 
 
 def cycled(table: DiagnosticTable, state: ServerState) -> ServerState:
     """Return the state after the ignition went off and on without the controller losing its current."""
-    return replace(state, memory=begin_cycle(state.memory, table.troubles))
+    memory = begin_cycle(state.memory, table.troubles)
+    return replace(state, memory=memory, emissions=after_cycle(state.emissions, state.memory, memory))
 
 
 def _settled(table: DiagnosticTable, state: ServerState, moment: Moment) -> ServerState:
@@ -177,6 +187,8 @@ def _while_waiting(state: ServerState, request: Request) -> Reply:
 
 
 def _checked(call: Call) -> Result:
+    if call.payload[0] in OBD_HANDLERS and call.table.has_obd(Profile.CLASSIC):
+        return OBD_HANDLERS[call.payload[0]](call)
     service = call.table.services.get(call.payload[0])
     if service is None or service.number not in _HANDLERS:
         return Nrc.SERVICE_NOT_SUPPORTED
@@ -211,7 +223,10 @@ def _sessions_of_sub_function(call: Call) -> tuple[int, ...]:
     if number == Service.SECURITY_ACCESS:
         level = table.levels.get(call.sub_function - (call.sub_function % 2 == 0))
         return level.sessions if level is not None else ()
-    return table.services[number].sessions if call.sub_function in _SUB_FUNCTIONS[number] else ()
+    known = _SUB_FUNCTIONS[number]
+    if number == Service.READ_CODES and table.has_obd(Profile.UDS):
+        known |= EMISSION_REPORTS
+    return table.services[number].sessions if call.sub_function in known else ()
 
 
 def _sent(request: Request, response: bytes | Nrc) -> bytes | None:

@@ -4,6 +4,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 from ecu_emulator.diagnostics.codes import DEFAULT_SESSION
+from ecu_emulator.diagnostics.emissions import Emissions
 from ecu_emulator.diagnostics.memory import TroubleMemory
 from ecu_emulator.diagnostics.values import Values
 
@@ -68,7 +69,8 @@ class Piece:
 class ServerState:
     """One controller between two requests."""
 
-    memory: TroubleMemory  # kept over a restart, as the next two
+    memory: TroubleMemory  # kept over a restart, as the next three
+    emissions: Emissions = field(default_factory=Emissions)
     written: Mapping[int, bytes] = field(default_factory=dict)
     wrong_keys: Mapping[int, int] = field(default_factory=dict)  # by security level
     session: int = DEFAULT_SESSION

@@ -15,6 +15,7 @@ from ecu_emulator.diagnostics.descriptions import (
     Session,
     Trouble,
 )
+from ecu_emulator.diagnostics.obd_descriptions import Obd, Profile
 from ecu_emulator.errors import ConfigError
 
 
@@ -92,6 +93,7 @@ class DiagnosticTable:
     troubles: Mapping[int, Trouble]
     extended: Mapping[int, ExtendedRecord]
     snapshot: tuple[int, ...]  # data kept with every trouble code that names none itself
+    obd: Obd | None = None
 
     def __post_init__(self) -> None:
         _check(DEFAULT_SESSION in self.sessions, "sessions must have number 1, the default session")
@@ -109,6 +111,12 @@ class DiagnosticTable:
             _check_known(access.conditions, self.conditions, f"{where}: condition")
         for level in self.levels.values():
             _check_known(level.sessions, self.sessions, f"security level {level.name}: session")
+        if self.obd is not None:
+            _check_known(self.obd.clear_conditions, self.conditions, "obd_clear_conditions: condition")
+            for info in self.obd.infos.values():
+                _check_known(
+                    () if info.data is None else (info.data,), self.data, f"vehicle information {info.name}: data"
+                )
         for trouble in self.troubles.values():
             _check_known(self.snapshot_of(trouble), self.data, f"trouble code {trouble.code}: data")
             _check_known(self.extended_of(trouble), self.extended, f"trouble code {trouble.code}: extended record")
@@ -118,6 +126,10 @@ class DiagnosticTable:
             ("s3_s", self.timing.s3_s),
         ):
             _check(0.0 < value <= 600.0, f"timing.{name} must be above 0 and at most 600 s, got {value}")
+
+    def has_obd(self, profile: Profile) -> bool:
+        """Return whether OBD is spoken in this way."""
+        return self.obd is not None and self.obd.profile is profile
 
     def snapshot_of(self, trouble: Trouble) -> tuple[int, ...]:
         """Return the data identifiers of a trouble code's snapshots."""

@@ -22,13 +22,26 @@ from ecu_emulator.diagnostics.descriptions import (
     Session,
     Trouble,
 )
+from ecu_emulator.diagnostics.obd_descriptions import Obd, Pid, Profile, VehicleInfo
 from ecu_emulator.diagnostics.table import Addressing, DiagnosticTable, Limits, Timing, Transport
 from ecu_emulator.errors import ConfigError
 
 RecordT = TypeVar("RecordT")
 KeyT = TypeVar("KeyT", int, str)
 
-_LISTS: Final = ("session", "security", "service", "condition", "data", "routine", "trouble", "extended")
+_LISTS: Final = (
+    "session",
+    "security",
+    "service",
+    "condition",
+    "data",
+    "routine",
+    "trouble",
+    "extended",
+    "pid",
+    "vehicle_info",
+)
+_OPTIONAL: Final = ("obd", "obd_clear_conditions")
 _TABLES: Final = ("name", "snapshot", "addressing", "transport", "timing", "limits", "access")
 
 
@@ -74,7 +87,7 @@ def parse_table(text: str, where: str) -> DiagnosticTable:
 
 
 def _table(document: Mapping[str, Any]) -> DiagnosticTable:
-    _check_keys(document, {*_LISTS, *_TABLES}, set(_TABLES), "the table")
+    _check_keys(document, {*_LISTS, *_OPTIONAL, *_TABLES}, set(_TABLES), "the table")
     access = {
         name: _record(Access, entry, f"access.{name}", {})
         for name, entry in _mapping(document["access"], "access").items()
@@ -99,6 +112,21 @@ def _table(document: Mapping[str, Any]) -> DiagnosticTable:
         troubles=_numbered(_records(Trouble, document, "trouble", {}), "trouble"),
         extended=_numbered(_records(ExtendedRecord, document, "extended", {}), "extended"),
         snapshot=_value(tuple[int, ...], document["snapshot"], "snapshot", {}),
+        obd=_obd(document),
+    )
+
+
+def _obd(document: Mapping[str, Any]) -> Obd | None:
+    if "obd" not in document:
+        if unused := sorted({"pid", "vehicle_info", "obd_clear_conditions"} & set(document)):
+            raise ConfigError(f"{unused[0]} is there, but key obd is missing: it says how OBD is spoken")
+        return None
+    conditions = document.get("obd_clear_conditions", [])
+    return Obd(
+        profile=_value(Profile, document["obd"], "obd", {}),
+        clear_conditions=_value(tuple[str, ...], conditions, "obd_clear_conditions", {}),
+        pids=_numbered(_records(Pid, document, "pid", {}), "pid"),
+        infos=_numbered(_records(VehicleInfo, document, "vehicle_info", {}), "vehicle_info"),
     )
 
 

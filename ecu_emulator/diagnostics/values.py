@@ -24,6 +24,7 @@ _Conversion = tuple[Callable[[float], float], Callable[[float], float]]
 _CONVERSIONS: Final[Mapping[tuple[str, str], _Conversion]] = {
     ("rad_s", "rpm"): (rpm_from_rad_s, rad_s_from_rpm),
     ("pa", "bar"): (bar_from_pa, pa_from_bar),
+    ("pa", "kPa"): (lambda pressure_pa: pressure_pa / 1e3, lambda pressure_kpa: pressure_kpa * 1e3),
     ("k", "degC"): (degc_from_k, k_from_degc),
     ("m_s", "km/h"): (km_h_from_m_s, m_s_from_km_h),
     ("m", "km"): (lambda length_m: length_m / 1e3, lambda length_km: length_km * 1e3),
@@ -31,9 +32,12 @@ _CONVERSIONS: Final[Mapping[tuple[str, str], _Conversion]] = {
 }  # from SI, to SI
 
 
-def encode(fields: tuple[Field, ...], values: Values) -> bytes:
-    """Return the bytes of fields; a value that is missing or not a number becomes the code for not available."""
-    return b"".join(_encoded(entry, values.get(entry.source)) for entry in fields)
+def encode(fields: tuple[Field, ...], values: Values, *, keeps_code: bool = True) -> bytes:
+    """Return the bytes of fields; a value that is missing or not a number becomes the code for not available.
+
+    Unless ``keeps_code``, that code also stands for the highest value, as OBD has it.
+    """
+    return b"".join(_encoded(entry, values.get(entry.source), keeps_code=keeps_code) for entry in fields)
 
 
 def not_available(entry: Field) -> int:
@@ -42,7 +46,7 @@ def not_available(entry: Field) -> int:
     return -(1 << (bits - 1)) if entry.kind is Kind.SIGNED else (1 << bits) - 1
 
 
-def _encoded(entry: Field, value: Value | None) -> bytes:
+def _encoded(entry: Field, value: Value | None, *, keeps_code: bool) -> bytes:
     if entry.kind is Kind.TEXT:
         return (
             str("" if value is None else value).encode("ascii", "replace")[: entry.size_bytes].ljust(entry.size_bytes)
@@ -50,16 +54,22 @@ def _encoded(entry: Field, value: Value | None) -> bytes:
     if entry.kind is Kind.BYTES:
         raw = value if isinstance(value, bytes) else b""
         return raw[: entry.size_bytes].ljust(entry.size_bytes, b"\0")
-    number = _number(entry, float(value)) if isinstance(value, int | float) else not_available(entry)
+    number = (
+        _number(entry, float(value), keeps_code=keeps_code) if isinstance(value, int | float) else not_available(entry)
+    )
     return number.to_bytes(entry.size_bytes, "big", signed=entry.kind is Kind.SIGNED)
 
 
-def _number(entry: Field, value: float) -> int:
+def _number(entry: Field, value: float, *, keeps_code: bool) -> int:
     """Return what stands for a value: the nearest step, or the last one before the code for not available."""
     if math.isnan(value):
         return not_available(entry)
     bits = 8 * entry.size_bytes
-    low, high = (1 - (1 << (bits - 1)), (1 << (bits - 1)) - 1) if entry.kind is Kind.SIGNED else (0, (1 << bits) - 2)
+    low, high = (
+        (1 - (1 << (bits - 1)), (1 << (bits - 1)) - 1)
+        if entry.kind is Kind.SIGNED
+        else (0, (1 << bits) - 1 - keeps_code)
+    )
     steps = (_in_unit(entry, value) - entry.offset) / entry.resolution
     return high if steps >= high else low if steps <= low else round(steps)
 

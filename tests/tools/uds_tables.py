@@ -20,6 +20,8 @@ def written(text: str, table: DiagnosticTable) -> str:
         "data": _data(table),
         "conditions": _conditions(table),
         "codes": _codes(table),
+        "parameters": _parameters(table),
+        "information": _information(table),
     }
     return _MARK.sub(lambda found: f"{found[1]}{tables[found[2]]}{found[3]}", text)
 
@@ -96,6 +98,32 @@ def _codes(table: DiagnosticTable) -> str:
                 str(entry.heal_cycles) if entry.lights_lamp else "", str(entry.age_cycles),
             )
             for entry in table.troubles.values()
+        ),
+    )  # fmt: skip
+
+
+def _parameters(table: DiagnosticTable) -> str:
+    pids = table.obd.pids.values() if table.obd is not None else ()
+    return _rows(
+        ("PID", "name", "bytes", "in the freeze frame"),
+        (
+            (f"{entry.number:02X}", entry.name, "; ".join(map(_field, entry.fields)), "yes" if entry.is_frozen else "")
+            for entry in pids
+        ),
+    )
+
+
+def _information(table: DiagnosticTable) -> str:
+    infos = table.obd.infos.values() if table.obd is not None else ()
+    return _rows(
+        ("information", "name", "bytes", "is"),
+        (
+            (
+                f"{entry.number:02X}", entry.name, str(entry.size_bytes),
+                f"data `{entry.data:04X}`" if entry.data is not None else
+                f"`{entry.digits or entry.text.replace(chr(0), ' ')}`",
+            )
+            for entry in infos
         ),
     )  # fmt: skip
 

@@ -15,6 +15,7 @@ from ecu_emulator.diagnostics.services.call import (
     unmet,
     unmet_by_service,
 )
+from ecu_emulator.diagnostics.services.obd_data import emission_data
 from ecu_emulator.diagnostics.state import Moment, Piece, ServerState
 from ecu_emulator.diagnostics.values import are_valid, encode
 
@@ -48,6 +49,9 @@ def read_data(call: Call) -> Result:
         name = names[place : place + _NAME_BYTES]
         sources = _readable(call, int.from_bytes(name, "big"))
         if not sources:
+            emission = emission_data(call.table, call.state, call.moment, int.from_bytes(name, "big"))
+            is_any |= emission is not None
+            response += b"" if emission is None else name + emission
             continue
         is_any = True
         if refusal := _refusal(call, [call.table.data[piece.source].read for piece in sources]):

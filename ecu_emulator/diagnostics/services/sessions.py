@@ -4,6 +4,7 @@ from dataclasses import replace
 from typing import Final
 
 from ecu_emulator.diagnostics.codes import DEFAULT_SESSION, Nrc
+from ecu_emulator.diagnostics.emissions import after_cycle
 from ecu_emulator.diagnostics.memory import begin_cycle
 from ecu_emulator.diagnostics.services.call import Call, Result, locked, unmet_by_service
 from ecu_emulator.diagnostics.state import Communication, RoutineRun, ServerState
@@ -66,8 +67,10 @@ def started(state: ServerState, table: DiagnosticTable, t_s: float, *, is_new_cy
         for number, level in table.levels.items()
         if state.wrong_keys.get(number, 0) >= level.most_attempts
     }
+    memory = begin_cycle(state.memory, table.troubles) if is_new_cycle else state.memory
     return ServerState(
-        memory=begin_cycle(state.memory, table.troubles) if is_new_cycle else state.memory,
+        memory=memory,
+        emissions=after_cycle(state.emissions, state.memory, memory) if is_new_cycle else state.emissions,
         written=state.written,
         wrong_keys=state.wrong_keys,
         locked_until_s=until_s,

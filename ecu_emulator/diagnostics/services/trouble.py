@@ -6,6 +6,7 @@ from typing import Final
 
 from ecu_emulator.diagnostics.codes import ALL_BITS, ALL_CODES, Nrc
 from ecu_emulator.diagnostics.descriptions import OF_MEMORY, ExtendedRecord, Trouble
+from ecu_emulator.diagnostics.emissions import ALL_EMISSION_CODES, after_clear, emission_codes
 from ecu_emulator.diagnostics.memory import (
     FAILED_COUNTER,
     FIRST_RECORD,
@@ -14,8 +15,10 @@ from ecu_emulator.diagnostics.memory import (
     TroubleRecord,
     clear,
 )
+from ecu_emulator.diagnostics.obd_descriptions import Profile
 from ecu_emulator.diagnostics.services.call import Call, Result, unmet_by_service
 from ecu_emulator.diagnostics.services.data import data_of
+from ecu_emulator.diagnostics.services.obd_data import odometer_m
 from ecu_emulator.diagnostics.state import Moment, ServerState
 from ecu_emulator.diagnostics.table import DiagnosticTable
 from ecu_emulator.diagnostics.values import encode
@@ -24,6 +27,9 @@ CODE_FORMAT: Final = 0x00  # SAE J2012-DA: a code of two bytes and a failure typ
 ALL_RECORDS: Final = 0xFF
 ALL_REGULATED_RECORDS: Final = 0xFE  # those from 0x90 on
 _FIRST_REGULATED: Final = 0x90
+EMISSION_GROUP: Final = 0x33  # functional group of SAE J1979-2
+CODE_FORMAT_J2012: Final = 0x04
+ALL_SEVERITIES: Final = 0xE0
 _CODE_BYTES: Final = 3
 
 
@@ -42,11 +48,24 @@ def clear_codes(call: Call) -> Result:
     if len(call.payload) != 1 + _CODE_BYTES:
         return Nrc.INCORRECT_LENGTH
     group = int.from_bytes(call.payload[1:], "big")
-    if group != ALL_CODES and group not in call.table.troubles:
+    has_emission_group = call.table.has_obd(Profile.UDS) and group == ALL_EMISSION_CODES
+    if group != ALL_CODES and group not in call.table.troubles and not has_emission_group:
         return Nrc.REQUEST_OUT_OF_RANGE
     if refusal := unmet_by_service(call):
         return refusal
-    return call.positive(state=replace(call.state, memory=clear(call.state.memory, group)))
+    return call.positive(state=cleared(call, group))
+
+
+def cleared(call: Call, group: int) -> ServerState:
+    """Return the state without what was known of one code, of all, or of those of OBD."""
+    memory = call.state.memory
+    if group == ALL_EMISSION_CODES:
+        for number in [number for number, trouble in call.table.troubles.items() if trouble.lights_lamp]:
+            memory = clear(memory, number)
+    else:
+        memory = clear(memory, group)
+    emissions = after_clear(call.state.emissions, memory, group, odometer_m(call.moment))
+    return replace(call.state, memory=memory, emissions=emissions)
 
 
 def read_codes(call: Call) -> Result:
@@ -170,6 +189,33 @@ def _detection_counters(call: Call) -> bytes | Nrc:
     )
 
 
+def _emission_codes_by_mask(call: Call) -> bytes | Nrc:
+    """Return severity, code and status of the codes of OBD that have a bit of each mask."""
+    if len(call.payload) != 5:
+        return Nrc.INCORRECT_LENGTH
+    group, status_mask, severity_mask = call.payload[2:5]
+    if group != EMISSION_GROUP:
+        return Nrc.REQUEST_OUT_OF_RANGE
+    troubles, memory = call.table.troubles, call.state.memory
+    found = emission_codes(troubles, memory, status_mask)
+    return bytes([EMISSION_GROUP, ALL_BITS, ALL_SEVERITIES, CODE_FORMAT_J2012]) + b"".join(
+        bytes([troubles[number].severity]) + _code(number) + bytes([memory.records[number].status])
+        for number in found
+        if troubles[number].severity & severity_mask
+    )
+
+
+def _permanent_codes(call: Call) -> bytes | Nrc:
+    if len(call.payload) != 3:
+        return Nrc.INCORRECT_LENGTH
+    if call.payload[2] != EMISSION_GROUP:
+        return Nrc.REQUEST_OUT_OF_RANGE
+    return bytes([EMISSION_GROUP, ALL_BITS, CODE_FORMAT_J2012]) + b"".join(
+        _code(number) + bytes([call.state.memory.records[number].status])
+        for number in sorted(call.state.emissions.permanent)
+    )
+
+
 def _code(number: int) -> bytes:
     return number.to_bytes(_CODE_BYTES, "big")
 
@@ -182,5 +228,8 @@ _REPORTS: Final[Mapping[int, Callable[[Call], bytes | Nrc]]] = {
     0x06: _extended_by_code,
     0x0A: _supported,
     0x14: _detection_counters,
+    0x42: _emission_codes_by_mask,
+    0x55: _permanent_codes,
 }
-REPORTS: Final = frozenset(_REPORTS)
+EMISSION_REPORTS: Final = frozenset({0x42, 0x55})  # of SAE J1979-2
+REPORTS: Final = frozenset(_REPORTS) - EMISSION_REPORTS

@@ -1,4 +1,7 @@
-"""The table that ships, with routines of every kind: until the vehicle can do one, the tests ask for them."""
+"""The table that ships, with routines of every kind: until the vehicle can do one, the tests ask for them.
+
+Without OBD, which the model of UDS beside the product knows nothing of.
+"""
 
 from functools import cache
 from importlib.resources import files
@@ -11,6 +14,8 @@ from ecu_emulator.diagnostics.table_file import parse_table
 @cache
 def full_text() -> str:
     shipped = files("ecu_emulator").joinpath("diagnostics/tcu.toml").read_text(encoding="utf-8")
+    head, rest = shipped.split("# --- OBD ---", 1)[0].split('obd = "classic"', 1)
+    shipped = head + rest.split("\n", 2)[2]
     return shipped + "\n" + Path(__file__).with_name("routines.toml").read_text(encoding="utf-8")
 
 

@@ -5,6 +5,7 @@ from ecu_emulator.diagnostics.server import advance, answer, switched_on, tested
 from ecu_emulator.diagnostics.services.call import under_control
 from ecu_emulator.diagnostics.services.routines import finished
 from ecu_emulator.diagnostics.state import Moment, Request, ServerState
+from ecu_emulator.diagnostics.table import DiagnosticTable
 from ecu_emulator.diagnostics.values import Value
 from tests.support.uds.full_table import full_table
 
@@ -16,8 +17,8 @@ PARKED: dict[str, Value] = {
 
 
 class Bench:
-    def __init__(self, kept: ServerState | None = None) -> None:
-        self.table = full_table()
+    def __init__(self, kept: ServerState | None = None, table: DiagnosticTable | None = None) -> None:
+        self.table = table or full_table()
         self.t_s = 1000.0
         self.values = dict(PARKED)
         self.state = switched_on(self.table, kept, self.t_s)

@@ -1,0 +1,135 @@
+"""OBD as SAE J1979 (ISO 15031-5) has it on CAN: services 01 to 0A.
+
+What is not there is not answered when all controllers were asked, and refused (12) when this one was.
+"""
+
+from collections.abc import Callable, Iterable, Mapping
+from typing import Final
+
+from ecu_emulator.diagnostics.codes import ALL_CODES, Nrc, ObdService, Status
+from ecu_emulator.diagnostics.emissions import emission_codes
+from ecu_emulator.diagnostics.obd_descriptions import BLOCK, Obd, supported
+from ecu_emulator.diagnostics.services.call import Call, Result, unmet
+from ecu_emulator.diagnostics.services.obd_data import info_data, pid_data
+from ecu_emulator.diagnostics.services.trouble import cleared
+
+MOST_PIDS: Final = 6  # in one request
+MOST_FROZEN_PIDS: Final = 3
+FRAME: Final = 0x00  # the only freeze frame
+CODE_OF_FRAME: Final = 0x02  # parameter of the freeze frame: the code that it belongs to
+NOT_THERE: Final = Nrc.SUB_FUNCTION_NOT_SUPPORTED
+_CODE_BYTES: Final = 2
+_MOST_CODES: Final = 0xFF
+_ONE_ITEM: Final = 0x01
+
+
+def current_data(call: Call) -> Result:
+    """Read up to six parameters, or bitmaps of those that are there."""
+    obd, numbers = _obd(call), call.payload[1:]
+    if not 1 <= len(numbers) <= MOST_PIDS:
+        return NOT_THERE
+    return _found(call, (_pid(call, obd, number) for number in numbers))
+
+
+def _pid(call: Call, obd: Obd, number: int) -> bytes:
+    """Return a parameter behind its number, nothing if it is not there."""
+    pid = obd.pids.get(number)
+    if pid is not None:
+        return bytes([number]) + pid_data(pid, call.table, call.state, call.moment)
+    bitmap = supported(obd.pids, number)
+    return b"" if bitmap is None else bytes([number]) + bitmap
+
+
+def freeze_frame(call: Call) -> Result:
+    """Read up to three parameters of the freeze frame; without one, only that it belongs to no code."""
+    pairs = call.payload[1:]
+    if not pairs or len(pairs) % 2 or len(pairs) > 2 * MOST_FROZEN_PIDS:
+        return NOT_THERE
+    wanted = ((pairs[place], pairs[place + 1]) for place in range(0, len(pairs), 2))
+    return _found(call, (_frozen_pid(call, number) for number, frame in wanted if frame == FRAME))
+
+
+def _frozen_pid(call: Call, number: int) -> bytes:
+    frame = call.state.emissions.frame
+    kept = {} if frame is None else dict(frame.pids)
+    if number % BLOCK == 0:
+        there = {number: b"" for number, pid in _obd(call).pids.items() if pid.is_frozen}
+        data = supported({CODE_OF_FRAME: b"", **there}, number)
+    elif number == CODE_OF_FRAME:
+        data = bytes(_CODE_BYTES) if frame is None else _short_code(frame.code)
+    else:
+        data = kept.get(number)
+    return b"" if data is None else bytes([number, FRAME]) + data
+
+
+def confirmed_codes(call: Call) -> Result:
+    """Read the confirmed codes of OBD."""
+    return _codes(call, emission_codes(call.table.troubles, call.state.memory, Status.CONFIRMED))
+
+
+def pending_codes(call: Call) -> Result:
+    """Read the codes of OBD that failed in this operation cycle or the last one that was completed."""
+    return _codes(call, emission_codes(call.table.troubles, call.state.memory, Status.PENDING))
+
+
+def permanent_codes(call: Call) -> Result:
+    """Read the codes of OBD that no client can clear."""
+    return _codes(call, sorted(call.state.emissions.permanent))
+
+
+def _codes(call: Call, numbers: Iterable[int]) -> Result:
+    if len(call.payload) != 1:
+        return NOT_THERE
+    codes = list(dict.fromkeys(_short_code(number) for number in numbers))[:_MOST_CODES]  # two failure types are one
+    return call.positive(bytes([len(codes)]) + b"".join(codes))
+
+
+def _short_code(number: int) -> bytes:
+    """Return a code without its failure type."""
+    return (number >> 8).to_bytes(_CODE_BYTES, "big")
+
+
+def clear_emission_codes(call: Call) -> Result:
+    """Clear all codes, as service 14 does; what is wrong with the vehicle is not told more precisely than 22."""
+    if len(call.payload) != 1:
+        return NOT_THERE
+    if unmet(call, _obd(call).clear_conditions):
+        return Nrc.CONDITIONS_NOT_CORRECT
+    return call.positive(state=cleared(call, ALL_CODES))
+
+
+def vehicle_information(call: Call) -> Result:
+    """Read one piece of vehicle information, or up to six bitmaps of those that are there."""
+    obd, numbers = _obd(call), call.payload[1:]
+    if not 1 <= len(numbers) <= MOST_PIDS:
+        return NOT_THERE
+    if all(number % BLOCK == 0 for number in numbers):
+        bitmaps = ((number, supported(obd.infos, number)) for number in numbers)
+        return _found(call, (bytes([number]) + bitmap if bitmap is not None else b"" for number, bitmap in bitmaps))
+    info = obd.infos.get(numbers[0])
+    if info is None or len(numbers) != 1:
+        return NOT_THERE
+    return call.positive(bytes([info.number, _ONE_ITEM]) + info_data(info, call.table, call.state))
+
+
+def _found(call: Call, pieces: Iterable[bytes]) -> Result:
+    """Return the pieces that are there; nothing at all is no response."""
+    data = b"".join(pieces)
+    return call.positive(data) if data else NOT_THERE
+
+
+def _obd(call: Call) -> Obd:
+    if call.table.obd is None:
+        raise ValueError("these services are not called without OBD")
+    return call.table.obd
+
+
+OBD_HANDLERS: Final[Mapping[int, Callable[[Call], Result]]] = {
+    ObdService.CURRENT_DATA: current_data,
+    ObdService.FREEZE_FRAME: freeze_frame,
+    ObdService.CONFIRMED_CODES: confirmed_codes,
+    ObdService.CLEAR: clear_emission_codes,
+    ObdService.PENDING_CODES: pending_codes,
+    ObdService.VEHICLE_INFORMATION: vehicle_information,
+    ObdService.PERMANENT_CODES: permanent_codes,
+}

@@ -1,0 +1,274 @@
+"""OBD in both of its profiles, answer by answer as SAE J1979, J1979-2 and ISO 15765-4 have them."""
+
+from collections.abc import Iterable
+from importlib.resources import files
+from itertools import chain
+from pathlib import Path
+
+import pytest
+
+from ecu_emulator.diagnostics.memory import TestResult
+from ecu_emulator.diagnostics.memory_file import MemoryFile
+from ecu_emulator.diagnostics.server import cycled, switched_on, warmed_up
+from ecu_emulator.diagnostics.table import DiagnosticTable
+from ecu_emulator.diagnostics.table_file import parse_table, shipped_table
+from ecu_emulator.errors import ConfigError
+from tests.unit.ecu_emulator.diagnostics.bench import Bench
+
+TEXT = files("ecu_emulator").joinpath("diagnostics/tcu.toml").read_text(encoding="utf-8")
+PROBED_PIDS = sorted(set(range(0x100)) - set(range(0, 0x100, 0x20)))
+DRIVEN = {
+    "engine_speed_rad_s": 209.44, "vehicle_speed_m_s": 27.78, "coolant_temperature_k": 363.15, "time_s": 70_000.0,
+    "odometer_m": 12_345_678.0, "throttle_ratio": 1.0, "pedal_ratio": 0.5, "ambient_temperature_k": 293.15,
+    "manifold_pressure_pa": 60e3, "engine_torque_nm": -25.0,
+}  # fmt: skip
+
+
+def table_of(profile: str) -> DiagnosticTable:
+    return parse_table(TEXT.replace('obd = "classic"', f'obd = "{profile}"'), "table")
+
+
+@pytest.fixture
+def bench() -> Bench:
+    bench = Bench(table=shipped_table())
+    bench.values = {**bench.values, **DRIVEN}
+    return bench
+
+
+def there(bitmaps: Iterable[bytes]) -> set[int]:
+    """Return the numbers that a chain of bitmaps names."""
+    bits = "".join(f"{int.from_bytes(bitmap, 'big'):032b}" for bitmap in bitmaps)
+    return {place for place, bit in enumerate(bits, start=1) if bit == "1"}
+
+
+@pytest.mark.parametrize(
+    ("pid", "answer"),
+    [
+        ("04", "97"),  # 60 kPa of 101.3
+        ("05", "82"),
+        ("0B", "3c"),
+        ("0C", "1f 40"),  # 2000 rpm
+        ("0D", "64"),
+        ("11", "ff"),  # full throttle is all bits, not "not available"
+        ("1C", "06"),
+        ("1F", "ff ff"),  # stays at the highest value
+        ("31", "30 3a"),
+        ("46", "3c"),
+        ("49", "80"),
+        ("62", "73"),  # -10 %
+        ("63", "00 fa"),
+        ("A6", "00 01 e2 41"),
+    ],
+)
+def test_a_parameter_is_what_the_vehicle_says(bench: Bench, pid: str, answer: str) -> None:
+    assert bench.ask(f"01 {pid}") == f"41 {pid.lower()} {answer}"
+
+
+@pytest.mark.parametrize("service", ["01", "09"])
+def test_bitmaps_name_exactly_what_is_answered(bench: Bench, service: str) -> None:
+    bitmaps, first = [], 0
+    while True:
+        answer = bytes.fromhex(bench.ask(f"{service} {first:02x}", to_all=True))
+        assert answer[:2] == bytes([int(service, 16) + 0x40, first])
+        bitmaps.append(answer[2:])
+        if not answer[-1] & 1:
+            break
+        first += 0x20
+    answered = {number for number in PROBED_PIDS if bench.ask(f"{service} {number:02x}", to_all=True)}
+    assert there(bitmaps) - set(range(0, 0x100, 0x20)) == answered
+
+
+@pytest.mark.parametrize(
+    ("request_hex", "to_this_one"),
+    [
+        ("01", "7f 01 12"),
+        ("01 02", "7f 01 12"),
+        ("01 C0", "7f 01 12"),  # nothing is there any more
+        ("01 0C 0D 05 11 46 04 01", "7f 01 12"),  # seven
+        ("02 0C", "7f 02 12"),
+        ("02 0C 00", "7f 02 12"),  # no freeze frame
+        ("02 02 01", "7f 02 12"),  # there is but one
+        ("03 00", "7f 03 12"),
+        ("04 00", "7f 04 12"),
+        ("09 02 04", "7f 09 12"),
+        ("09 03", "7f 09 12"),
+        ("05 01", "7f 05 11"),
+        ("08 01", "7f 08 11"),
+    ],
+)
+def test_what_is_not_there_is_silence_to_a_request_to_all(bench: Bench, request_hex: str, to_this_one: str) -> None:
+    assert bench.ask(request_hex, to_all=True) == ""
+    assert bench.ask(request_hex) == to_this_one
+
+
+def test_six_parameters_come_in_one_answer_without_those_that_are_not_there(bench: Bench) -> None:
+    assert bench.ask("01 0C 02 0D FE 05 1C") == "41 0c 1f 40 0d 64 05 82 1c 06"
+
+
+def test_vehicle_information(bench: Bench) -> None:
+    assert bench.ask("09 02") == "49 02 01 " + b"WDCTEMULATED00001".hex(" ")
+    assert bench.ask("09 04") == "49 04 01 " + b"DCTCAL-0100".ljust(16, b"\0").hex(" ")
+    assert bench.ask("09 0A") == "49 0a 01 " + b"TCM\0-TransmisCtrl".ljust(20, b"\0").hex(" ")
+    bench.unlock(3)
+    assert bench.ask("2E F1 90 " + b"WDCTEMULATED00002".hex()) == "6e f1 90"
+    assert bench.ask("09 02").endswith("30 32")
+
+
+def fail(bench: Bench, code: str) -> None:
+    bench.monitor(code, TestResult.FAILED)
+
+
+def good_cycle(bench: Bench, code: str) -> None:
+    bench.monitor(code, TestResult.PASSED)
+    bench.state = warmed_up(bench.state)
+    bench.state = cycled(bench.table, bench.state)
+
+
+def test_codes_that_light_no_lamp_are_none_of_obd(bench: Bench) -> None:
+    fail(bench, "P0780")
+    fail(bench, "P0810")  # confirmed at once
+    assert [bench.ask(service) for service in ("03", "07", "0A")] == ["43 00", "47 00", "4a 00"]
+    assert bench.ask("01 01") == "41 01 00 04 00 00"
+
+
+def test_a_code_is_pending_then_confirmed_with_lamp_and_permanent(bench: Bench) -> None:
+    fail(bench, "P0711")
+    said = [bench.ask(service) for service in ("03", "07", "0A", "01 01")]
+    assert said == ["43 00", "47 01 07 11", "4a 00", "41 01 00 04 00 00"]
+    bench.state = cycled(bench.table, bench.state)
+    fail(bench, "P0711")
+    said = [bench.ask(service) for service in ("03", "07", "0A", "01 01")]
+    assert said == ["43 01 07 11", "47 01 07 11", "4a 01 07 11", "41 01 81 04 00 00"]
+
+
+def test_the_freeze_frame_is_of_the_first_code_until_that_is_forgotten(bench: Bench) -> None:
+    assert bench.ask("02 02 00") == "42 02 00 00 00"
+    fail(bench, "P0711")
+    bench.values["vehicle_speed_m_s"] = 10.0
+    fail(bench, "P0218")
+    assert bench.ask("02 02 00 0D 00 0C 00") == "42 02 00 07 11 0d 00 64 0c 00 1f 40"
+    frozen = there([bytes.fromhex(bench.ask("02 00 00"))[3:]])
+    assert frozen == {0x02, 0x04, 0x05, 0x0B, 0x0C, 0x0D, 0x11, 0x1F, 0x20}
+    bench.state = cycled(bench.table, bench.state)
+    good_cycle(bench, "P0711")  # pending goes, and with it what was kept
+    assert bench.ask("02 02 00") == "42 02 00 00 00"
+    bench.values["vehicle_speed_m_s"] = 0.0
+    assert bench.ask("04") == "44"
+    assert bench.ask("02 0D 00", to_all=True) == ""
+
+
+def test_a_client_clears_codes_at_standstill_but_not_those_that_are_permanent(bench: Bench) -> None:
+    fail(bench, "P0218")  # confirmed at once
+    fail(bench, "P0780")
+    assert bench.ask("04", to_all=True) == "7f 04 22"  # the vehicle drives
+    assert bench.ask("03") == "43 01 02 18"
+    bench.values["vehicle_speed_m_s"] = 0.0
+    assert bench.ask("04", to_all=True) == "44"
+    assert [bench.ask(service) for service in ("03", "07", "0A")] == ["43 00", "47 00", "4a 01 02 18"]
+    assert bench.ask("19 02 2F") == "59 02 ff"  # as 14 FFFFFF: all codes, whatever they light
+    bench.state = cycled(bench.table, bench.state)
+    assert bench.ask("0A") == "4a 01 02 18"  # nothing was tested
+    good_cycle(bench, "P0218")
+    assert bench.ask("0A") == "4a 00"
+
+
+def test_a_permanent_code_that_nobody_clears_goes_when_it_has_healed(bench: Bench) -> None:
+    fail(bench, "P0218")
+    bench.state = cycled(bench.table, bench.state)
+    seen = []
+    for _ in range(3):
+        good_cycle(bench, "P0218")
+        seen.append(bench.ask("0A"))
+    assert seen == ["4a 01 02 18", "4a 01 02 18", "4a 00"]
+    assert bench.ask("03") == "43 01 02 18"  # confirmed until it ages
+
+
+def test_a_failure_after_a_clear_keeps_a_permanent_code(bench: Bench) -> None:
+    fail(bench, "P0218")
+    assert bench.ask("14 FF FF FF") == "54"
+    bench.monitor("P0218", TestResult.PASSED)
+    fail(bench, "P0218")
+    bench.state = cycled(bench.table, bench.state)
+    assert bench.ask("0A") == "4a 01 02 18"
+
+
+def test_distances_and_warm_ups_since_a_clear(bench: Bench) -> None:
+    assert bench.ask("01 21 30 31") == "41 21 00 00 30 00 31 30 3a"  # the lamp was never on; never cleared
+    fail(bench, "P0218")
+    bench.values["odometer_m"] = 12_350_678.0
+    bench.state = warmed_up(warmed_up(bench.state))
+    assert bench.ask("01 21 30") == "41 21 00 05 30 01"
+    assert bench.ask("14 FF FF FF") == "54"
+    bench.values["odometer_m"] = 12_352_978.0
+    assert bench.ask("01 21 30 31") == "41 21 00 00 30 00 31 00 02"
+
+
+def test_what_obd_keeps_outlives_the_current(bench: Bench, tmp_path: Path) -> None:
+    fail(bench, "P0218")
+    bench.state = warmed_up(bench.state)
+    asked = ("0A", "02 02 00 0D 00", "01 30 21", "01 31")
+    before = [bench.ask(request) for request in asked]
+    with MemoryFile(tmp_path / "memory.json", bench.table) as store:
+        store.save(bench.state)
+    with MemoryFile(tmp_path / "memory.json", bench.table) as store:
+        kept = store.load()
+    assert kept is not None
+    bench.state = switched_on(bench.table, kept, bench.t_s)
+    assert [bench.ask(request) for request in asked] == before
+
+
+def test_obd_by_the_services_of_uds(bench: Bench) -> None:
+    bench = Bench(table=table_of("uds"))
+    bench.values = {**bench.values, **DRIVEN, "vehicle_speed_m_s": 0.0}
+    assert bench.ask("01 0C") == "7f 01 11"
+    assert bench.ask("22 F4 0C F4 0D F8 0A") == "62 f4 0c 1f 40 f4 0d 00 f8 0a " + b"TCM\0-TransmisCtrl".ljust(
+        20, b"\0"
+    ).hex(" ")
+    assert bench.ask("22 F8 02", to_all=True) == "62 f8 02 " + b"WDCTEMULATED00001".hex(" ")
+    assert bench.ask("22 F4 02", to_all=True) == ""
+    assert bench.ask("22 F4 02") == "7f 22 31"
+    bitmaps = [bytes.fromhex(bench.ask(f"22 F4 {first:02x}"))[3:] for first in range(0, 0xC0, 0x20)]
+    answered = {pid for pid in PROBED_PIDS if bench.ask(f"22 F4 {pid:02x}", to_all=True)}
+    assert there(bitmaps) - set(range(0, 0x100, 0x20)) == answered
+    fail(bench, "P0218")
+    fail(bench, "P0810")
+    assert bench.ask("19 42 33 08 FF") == "59 42 33 ff e0 04 80 02 18 4b af"
+    assert bench.ask("19 42 33 08 40") == "59 42 33 ff e0 04"  # another severity
+    assert bench.ask("19 42 33 08") == "7f 19 13"
+    assert bench.ask("19 42 FF 08 FF") == "7f 19 31"
+    assert bench.ask("14 FF FF 33") == "54"
+    assert bench.ask("19 42 33 08 FF") == "59 42 33 ff e0 04"
+    assert bench.ask("19 55 33") == "59 55 33 ff 04 02 18 4b 50"
+    assert bench.ask("19 02 08") == "59 02 ff 08 10 54 2f"  # not one of OBD: not cleared
+
+
+def test_the_classic_profile_has_nothing_of_the_other(bench: Bench) -> None:
+    asked = ("22 F4 0C", "19 42 33 08 FF", "19 55 33", "14 FF FF 33")
+    assert [bench.ask(request)[-2:] for request in asked] == ["31", "12", "12", "31"]
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ('obd = "classic"', 'obd = "kwp"', "obd must be one of classic, uds, got 'kwp'"),
+        ('obd = "classic"', "", "obd_clear_conditions is there, but key obd is missing"),
+        ("number = 0x0C\n", "number = 0x20\n", r"pid 5: PID engine speed: its number must be 1..0xFF and no multiple"),
+        ("number = 0x0C\n", "number = 0x0D\n", "pid 0x0D is there twice"),
+        ('initial = "00FA"', 'initial = "FA"', "initial must have 2 bytes"),
+        ('initial = "00FA"', 'initial = "hi"', "not hexadecimal digits"),
+        ("data = 0xF190", "data = 0xF1FF", "vehicle information vehicle identification number: data 0xF1FF is not"),
+        ("size_bytes = 16\n", "size_bytes = 5\n", "it is longer than 5 bytes"),
+        ("data = 0xF190", 'data = 0xF190\ntext = "x"', "either data, a text or digits"),
+        ('clear_conditions = ["standstill"]', 'clear_conditions = ["asleep"]', "condition asleep is not described"),
+    ],
+)  # fmt: skip
+def test_a_table_is_checked_for_obd(old: str, new: str, message: str) -> None:
+    assert old in TEXT
+    with pytest.raises(ConfigError, match=message):
+        parse_table(TEXT.replace(old, new, 1), "table")
+
+
+def test_pids_never_share_a_number_with_a_bitmap() -> None:
+    obd = shipped_table().obd
+    assert obd is not None
+    assert all(number % 0x20 for number in chain(obd.pids, obd.infos))
