@@ -10,6 +10,9 @@ SCENARIO ?=
 BROKER ?=
 # Only a hang takes so long: the guest's tests take three minutes, seven beside other work.
 VCAN_LIMIT_S ?= 3600
+# Hundreds of programs start in the tests; where bytecode is not kept, each of them compiles two hundred modules first.
+PYTHONDONTWRITEBYTECODE =
+export PYTHONDONTWRITEBYTECODE
 
 PY = "$(VENV)/bin/python"
 # The ones that print figures of speed and size; studies of accuracy have targets or commands of their own.

@@ -16,6 +16,7 @@ from typing import Any
 from numba.core import config as numba_config
 from numba.core.caching import IndexDataCacheFile
 from numba.core.compiler import CompileResult
+from numba.core.runtime import nrt
 
 from canlog.kernel_digest import kernel_key
 
@@ -24,6 +25,7 @@ STEP = 20  # kernels between two lines for people
 KEPT_VERSIONS = 8  # of each kernel: as many checkouts can take turns without compiling
 _PYTHON = f".py{sys.version_info[0]}{sys.version_info[1]}"
 _config: NumbaObject = numba_config  # numba sets its members at run time
+_runtime: NumbaObject = nrt.rtsys
 _listeners: list[Callable[[str], None]] = []
 _names: list[str] = []
 
@@ -110,8 +112,8 @@ class LateCache:
         return found
 
     def _found(self, signature: NumbaObject, target_context: NumbaObject) -> NumbaObject:
-        target_context.refresh()
         try:
+            _runtime.initialize(target_context)  # a whole refresh imports the compiler, a fifth of a program's start
             kept = self._file.load((signature, target_context.codegen().magic_tuple()))
             return None if kept is None else CompileResult._rebuild(target_context, *kept)  # type: ignore[no-untyped-call]  # noqa: SLF001 - as numba's own cache
         except Exception:  # noqa: BLE001 - damaged, or of an installation whose modules are no longer there

@@ -5,7 +5,7 @@ import fcntl
 import json
 import os
 import time
-from collections.abc import AsyncIterator, Iterator
+from collections.abc import AsyncIterator, Awaitable, Iterator
 from contextlib import AsyncExitStack, asynccontextmanager, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -183,7 +183,7 @@ async def _last_shift(listener: Listener, count: int) -> None:
         return
 
 
-async def _within(limit_s: float, event: "asyncio._CoroutineLike[None]", complaint: str) -> None:
+async def _within(limit_s: float, event: Awaitable[None], complaint: str) -> None:
     try:
         async with asyncio.timeout(limit_s):
             await event
