@@ -93,6 +93,8 @@ def stay_in_gear(memory: FloatArray, sense: FloatArray, commands: FloatArray, la
     is_ready = gear_choice.preselect(memory, sense, commands, wanted, law)
     gear = int(memory[tcu_data.CURRENT_GEAR])
     is_pulling = memory[at.PEDAL] > law.driving.pedal.overrun_ratio
+    if wanted > gear and gear_choice.is_foot_coming_off(memory, law):
+        return  # in a moment the same upshift is one without power
     if is_ready or (wanted == gear - 2 and not is_pulling):
         begin_change(memory, sense, wanted, law)
 

@@ -38,6 +38,15 @@ def wants_up(memory: FloatArray, sense: FloatArray, gear: int, law: DrivingLaw) 
 
 
 @array_kernel
+def is_foot_coming_off(memory: FloatArray, law: DrivingLaw) -> bool:
+    """Tell whether the pedal will be released before an upshift that begins now is over."""
+    control, overrun_ratio = law.drive.control, law.driving.pedal.overrun_ratio
+    ahead_s = control.prefill_time_s + control.torque_phase_s + control.upshift_inertia_phase_s
+    soon = memory[at.PEDAL] + ahead_s * memory[at.PEDAL_RATE]
+    return bool(memory[at.PEDAL] > overrun_ratio >= soon)
+
+
+@array_kernel
 def lower_gear(memory: FloatArray, sense: FloatArray, gear: int, is_pulling: bool, law: DrivingLaw) -> int:  # noqa: FBT001 - kernels take their arguments by position
     """Return the gear to change down to, or this one if it is low enough; two gears at once on one shaft at most."""
     p, low = law.driving.choice, low_rad_s(memory, sense, law)

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from ecu_emulator.driving.conditions import Car, DriveConditions
+from ecu_emulator.driving.parameters import nominal_driving
 from ecu_emulator.driving.states import DriveState, EventKind
 from ecu_emulator.driving.trace import FloatArray
 from ecu_emulator.driving.trip import Trip
@@ -74,6 +75,19 @@ def test_power_on_upshifts_have_all_phases_and_spark(town: FloatArray) -> None:
     assert [event.gears for event in upshifts][:3] == [(1, 2), (2, 3), (3, 4)]
     assert all(phases(event) == [PREFILL, TORQUE, INERTIA, LOCK_UP] for event in upshifts)
     assert all(abs(slip_rad_s(event.rows, 2 - event.gears[1] % 2)[-1]) < 1.0 for event in upshifts)
+
+
+@pytest.mark.parametrize("cruise_m_s", [8.3, 8.6, 9.0])
+def test_an_upshift_waits_for_a_foot_that_is_coming_off(cruise_m_s: float) -> None:
+    t_s = 1.0 + cruise_m_s / 1.2
+    eased_m_s = cruise_m_s + 0.7
+    rows = driven(trace((0, 0), (1, 0), (t_s, cruise_m_s), (t_s + 1.5, eased_m_s), (t_s + 6, eased_m_s - 2)))
+    upshifts = [event for event in events(rows) if event.gears[1] > event.gears[0]]
+    assert [event.kind for event in upshifts] == [EventKind.POWER_ON_UPSHIFT, EventKind.POWER_OFF_UPSHIFT]
+    released_ratio = nominal_driving().pedal.overrun_ratio
+    assert all(event.rows[:, Col.PEDAL].min() > released_ratio for event in upshifts[:1])
+    assert all(event.rows[:, Col.PEDAL].max() <= released_ratio for event in upshifts[1:])
+    assert abs(slip_rad_s(upshifts[1].rows, 2 - upshifts[1].gears[1] % 2)[-1]) < 1.0
 
 
 def test_coast_downshifts_blip_the_throttle_and_slip_shortly(town: FloatArray) -> None:
