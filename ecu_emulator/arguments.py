@@ -140,12 +140,28 @@ _RECORD: Final = Command(
         f"{PROGRAM} record cold.log --drive wltc --oil-degc 0 --mass-kg 1900",
     ),
 )
+_PDX: Final = Command(
+    "pdx",
+    "describe for diagnostic tools what a tester can ask: a PDX package, ODX 2.2 (ISO 22901-1)",
+    click.Argument(
+        ["table"],
+        type=FILE,
+        metavar="[TABLE]",
+        required=False,
+        help="TOML table of a controller (default: the own one)",
+    ),
+    Option("-o --output FILE", "PDX file to write", FILE, default="tcu.pdx"),
+    Option("--json", "print the result as one JSON line on stdout"),
+    _VERBOSE,
+    examples=(f"{PROGRAM} pdx -o tcu.pdx", f"{PROGRAM} pdx my.toml -o my.pdx"),
+)
 COMMAND_LINE: Final = Program(
     PROGRAM,
     "Puts an emulated dual-clutch vehicle on a CAN bus or into a log.",
     EXIT_TEXT,
     _RUN,
     _RECORD,
+    _PDX,
     Command(
         "scenarios",
         "list the scenarios that ship with the program",

@@ -47,6 +47,9 @@ def _execute(options: SimpleNamespace, stop: Event) -> None:
     if options.command == "scenarios":
         commands.list_scenarios()
         return
+    if options.command == "pdx":
+        commands.write_pdx(options.table, options.output, is_json=options.json)
+        return
     scenario = commands.choose_scenario(
         options.scenario,
         fluid=options.fluid,

@@ -9,8 +9,10 @@ from pathlib import Path
 from threading import Event
 
 from clutch_model.units import k_from_degc
+from ecu_emulator.diagnostics.pdx.package import pdx_package
+from ecu_emulator.diagnostics.table_file import load_table, shipped_table
 from ecu_emulator.drive_names import DriveName
-from ecu_emulator.errors import ConfigError
+from ecu_emulator.errors import ConfigError, RecordError
 from ecu_emulator.progress import ProgressLine, driven_text, people, print_json
 from ecu_emulator.record import LogFormat, open_log
 from ecu_emulator.recording import LONG_STRETCH_S, Drive
@@ -80,6 +82,31 @@ def list_scenarios() -> None:
     width = shutil.get_terminal_size().columns if sys.stdout.isatty() else None
     for name in shipped_scenarios():
         sys.stdout.write(hanging(f"{name:<12} ", load_scenario(name).description, width) + "\n")
+
+
+def write_pdx(table: Path | None, path: Path, *, is_json: bool) -> None:
+    """Write what a controller can be asked for diagnostic tools; without a table, of the one that ships.
+
+    Raises
+    ------
+    ConfigError, RecordError
+        If the table cannot be used or the file cannot be written.
+    """
+    if table is not None and path.absolute() == table.absolute():
+        raise ConfigError(f"table and package cannot both be {path}")
+    described = shipped_table() if table is None else load_table(table)
+    package = pdx_package(described)
+    try:
+        path.write_bytes(package)
+    except OSError as exc:
+        raise RecordError(f"cannot write {path}: {exc.strerror or exc}") from exc
+    people().print(
+        f"{path}: {described.name}, {len(described.services)} services, {len(described.data)} data, "
+        f"{len(described.routines)} routines, {len(described.troubles)} trouble codes",
+        markup=False,
+    )
+    if is_json:
+        print_json({"file": str(path), "controller": described.name, "bytes": len(package)})
 
 
 def hanging(head: str, text: str, width: int | None) -> str:

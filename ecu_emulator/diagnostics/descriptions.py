@@ -50,6 +50,17 @@ class Field:
             re.compile(self.pattern)
         except re.error as exc:
             raise ConfigError(f"{self.name}: pattern is no regular expression: {exc}") from exc
+        bits = 8 * self.size_bytes
+        if any(not 0 <= number < 1 << bits for number in self.numbered_meanings):
+            raise ConfigError(f"{self.name}: meanings are of numbers from 0 to {(1 << bits) - 1}")
+
+    @property
+    def numbered_meanings(self) -> dict[int, str]:
+        """The texts that numbers on the wire stand for."""
+        try:
+            return {int(number, 0): text for number, text in self.meanings.items()}
+        except ValueError as exc:
+            raise ConfigError(f"{self.name}: meanings are of whole numbers, got {sorted(self.meanings)}") from exc
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -26,7 +26,7 @@ from ecu_emulator.diagnostics.values import encode
 CODE_FORMAT: Final = 0x00  # SAE J2012-DA: a code of two bytes and a failure type
 ALL_RECORDS: Final = 0xFF
 ALL_REGULATED_RECORDS: Final = 0xFE  # those from 0x90 on
-_FIRST_REGULATED: Final = 0x90
+FIRST_REGULATED: Final = 0x90
 EMISSION_GROUP: Final = 0x33  # functional group of SAE J1979-2
 CODE_FORMAT_J2012: Final = 0x04
 ALL_SEVERITIES: Final = 0xE0
@@ -114,7 +114,7 @@ def _snapshot_by_code(call: Call) -> bytes | Nrc:
 
 def _extended_by_code(call: Call) -> bytes | Nrc:
     names = {ALL_RECORDS, *call.table.extended}
-    if max(call.table.extended, default=0) >= _FIRST_REGULATED:
+    if max(call.table.extended, default=0) >= FIRST_REGULATED:
         names.add(ALL_REGULATED_RECORDS)
     return _kept_by_code(call, frozenset(names), _extended_records)
 
@@ -150,7 +150,7 @@ def _extended_records(call: Call, trouble: Trouble, record: TroubleRecord, wante
     if record.latest is None:
         return b""
     captured = dict(record.latest.extended)
-    least = {ALL_RECORDS: 0, ALL_REGULATED_RECORDS: _FIRST_REGULATED}
+    least = {ALL_RECORDS: 0, ALL_REGULATED_RECORDS: FIRST_REGULATED}
     return b"".join(
         bytes([number]) + (_counters(described, record) if described.has_counters else captured.get(number, b""))
         for number in call.table.extended_of(trouble)
