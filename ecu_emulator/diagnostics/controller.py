@@ -8,8 +8,9 @@ from typing import Final
 from ecu_emulator.diagnostics.codes import NEGATIVE, Nrc
 from ecu_emulator.diagnostics.memory import TestResult
 from ecu_emulator.diagnostics.memory_file import MemoryFile
-from ecu_emulator.diagnostics.server import advance, answer, cycled, held, switched_on, tested, warmed_up
+from ecu_emulator.diagnostics.server import advance, answer, cycled, held, left, switched_on, tested, warmed_up
 from ecu_emulator.diagnostics.services.call import under_control
+from ecu_emulator.diagnostics.services.data import data_of
 from ecu_emulator.diagnostics.services.routines import finished
 from ecu_emulator.diagnostics.state import Moment, Reply, Request, ServerState
 from ecu_emulator.diagnostics.table import DiagnosticTable
@@ -65,29 +66,46 @@ class Controller:
         """What it remembers now."""
         return self._state
 
-    def ask(self, payload: bytes, *, is_functional: bool = False) -> bytes | None:
-        """Return the response to a request, None if there is none; what it changed is on the disk by then."""
+    def ask(self, payload: bytes, *, is_functional: bool = False, client: int = 0) -> bytes | None:
+        """Return the response to a client's request, None if there is none; what it changed is on the disk by then."""
         with self._lock:
-            request = Request(payload=payload, is_functional=is_functional)
+            request = Request(payload=payload, is_functional=is_functional, client=client)
             return self._kept(answer(self.table, self._state, request, self._moment()), payload)
 
-    def tick(self) -> bytes | None:
-        """Return a response that has become due; to be called about every 10 ms, never waits."""
+    def tick(self, client: int = 0) -> bytes | None:
+        """Return a client's response that has become due; to be called about every 10 ms, never waits."""
         if not self._lock.acquire(blocking=False):
             return None
         try:
             waiting = self._state.waiting
+            if waiting is not None and waiting.request.client != client:
+                return None
             payload = waiting.request.payload if waiting is not None else b""
             return self._kept(advance(self.table, self._state, self._moment()), payload)
         finally:
             self._lock.release()
+
+    def datum(self, number: int) -> bytes:
+        """Return what a datum holds now, nothing if there is none."""
+        described = self.table.data.get(number)
+        return b"" if described is None else data_of(described, self._state, self._moment())
+
+    def awaits(self, client: int) -> bool:
+        """Return whether a response for a client comes later."""
+        waiting = self._state.waiting
+        return waiting is not None and waiting.request.client == client
+
+    def leave(self, client: int) -> None:
+        """Note that a client has gone, and with it the session that it held; raises RecordError as ``report``."""
+        self._change(lambda state: left(self.table, state, client))
 
     def hold_session(self) -> None:
         """Begin S3 anew: a message comes in or goes out, and that is not silence; to be called often, never waits."""
         if not self._lock.acquire(blocking=False):
             return
         try:
-            self._state = held(self.table, self._state, self._moment())
+            if self._state.holder == 0:  # CAN's own: other transports have no messages of many frames
+                self._state = held(self.table, self._state, self._moment())
         finally:
             self._lock.release()
 

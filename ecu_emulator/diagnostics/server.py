@@ -38,6 +38,8 @@ from ecu_emulator.diagnostics.services.sessions import (
     HARD_RESET,
     KEY_OFF_ON_RESET,
     SOFT_RESET,
+    after_guest,
+    as_guest,
     communication_control,
     control_code_setting,
     ecu_reset,
@@ -106,10 +108,7 @@ def answer(table: DiagnosticTable, state: ServerState, request: Request, moment:
     state = _settled(table, state, moment)
     if state.waiting is not None:
         return _while_waiting(state, request)
-    call = Call(table=table, state=replace(state, heard_s=moment.t_s), moment=moment, sensed=sensed, request=request)
-    result = _checked(call)
-    if isinstance(result, Nrc):
-        result = Outcome(response=result, state=call.state)
+    result = _outcome(Call(table=table, state=state, moment=moment, sensed=sensed, request=request))
     if not result.is_final:
         waiting = Waiting(
             request=request,
@@ -118,6 +117,18 @@ def answer(table: DiagnosticTable, state: ServerState, request: Request, moment:
         )
         return Reply(payload=_negative(request, Nrc.RESPONSE_PENDING), state=replace(result.state, waiting=waiting))
     return Reply(payload=_sent(request, result.response), state=result.state)
+
+
+def _outcome(call: Call) -> Outcome:
+    """Return what a service does for the client who holds the session, or for a guest of it."""
+    before = call.state
+    is_guest = before.session != DEFAULT_SESSION and call.request.client != before.holder
+    seen = as_guest(before) if is_guest else replace(before, heard_s=call.moment.t_s)
+    call = replace(call, state=seen, is_guest=is_guest)
+    result = _checked(call)
+    if isinstance(result, Nrc):
+        result = Outcome(response=result, state=call.state)
+    return replace(result, state=after_guest(before, result.state)) if is_guest else result
 
 
 def advance(table: DiagnosticTable, state: ServerState, moment: Moment) -> Reply:
@@ -142,6 +153,14 @@ def advance(table: DiagnosticTable, state: ServerState, moment: Moment) -> Reply
 def held(table: DiagnosticTable, state: ServerState, moment: Moment) -> ServerState:
     """Return the state while a message is on its way: a session that has not ended by now goes on for another S3."""
     return replace(_settled(table, state, under_control(table, state, moment)), heard_s=moment.t_s)
+
+
+def left(table: DiagnosticTable, state: ServerState, client: int) -> ServerState:
+    """Return the state once a client has gone: nobody awaits its response, and the session that it held has ended."""
+    if state.waiting is not None and state.waiting.request.client == client:
+        state = replace(state, waiting=None)
+    is_held = state.session != DEFAULT_SESSION and state.holder == client
+    return in_session(state, table, DEFAULT_SESSION) if is_held else state
 
 
 def tested(table: DiagnosticTable, state: ServerState, number: int, result: TestResult, moment: Moment) -> ServerState:

@@ -15,6 +15,7 @@ class Request:
 
     payload: bytes
     is_functional: bool = False  # to all controllers
+    client: int = 0  # who asks: 0 whoever is on the CAN bus, others as their transport numbers them
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -74,6 +75,7 @@ class ServerState:
     written: Mapping[int, bytes] = field(default_factory=dict)
     wrong_keys: Mapping[int, int] = field(default_factory=dict)  # by security level
     session: int = DEFAULT_SESSION
+    holder: int = 0  # the client who entered it, if it is not the default session
     heard_s: float = 0.0  # when S3 began
     unlocked: int = 0  # security level; 0 none
     seed_level: int = 0  # for which a seed was given and no key yet

@@ -19,6 +19,7 @@ class Call:
     moment: Moment  # as the controller takes it to be
     sensed: Moment  # as it is, whatever a client has put in its place
     request: Request
+    is_guest: bool = False  # another client holds a session; this one is answered as in the default session
 
     @property
     def payload(self) -> bytes:

@@ -29,10 +29,15 @@ def session_control(call: Call) -> Result:
         return Nrc.INCORRECT_LENGTH
     if refusal := unmet_by_service(call):
         return refusal
+    if call.is_guest and call.sub_function != DEFAULT_SESSION:
+        return Nrc.BUSY_REPEAT_REQUEST  # there is one session, and another client holds it
     timing = call.table.timing
     p2 = round(timing.p2_s * _MS_PER_S).to_bytes(2, "big")
     p2_star = round(timing.p2_star_s / _P2_STAR_STEP_S).to_bytes(2, "big")
-    return call.echoed(p2 + p2_star, in_session(call.state, call.table, call.sub_function))
+    if call.is_guest:
+        return call.echoed(p2 + p2_star)
+    state = replace(in_session(call.state, call.table, call.sub_function), holder=call.request.client)
+    return call.echoed(p2 + p2_star, state)
 
 
 def in_session(state: ServerState, table: DiagnosticTable, session: int) -> ServerState:
@@ -43,6 +48,26 @@ def in_session(state: ServerState, table: DiagnosticTable, session: int) -> Serv
     routines = {number: _stopped(run) for number, run in state.routines.items()}
     return replace(
         state, controlled={}, communication=Communication(), are_codes_updated=True, routines=routines, waiting=None
+    )
+
+
+def as_guest(state: ServerState) -> ServerState:
+    """Return the state as a client sees it while another one holds a session: the default session, all locked."""
+    return replace(state, session=DEFAULT_SESSION, unlocked=0, seed_level=0, seed=b"")
+
+
+def after_guest(before: ServerState, after: ServerState) -> ServerState:
+    """Return the state after a guest's request: the session and its security stay as they were, but for a reset."""
+    if after.asleep_until_s != before.asleep_until_s:
+        return after
+    return replace(
+        after,
+        session=before.session,
+        holder=before.holder,
+        heard_s=before.heard_s,
+        unlocked=before.unlocked,
+        seed_level=before.seed_level,
+        seed=before.seed,
     )
 
 

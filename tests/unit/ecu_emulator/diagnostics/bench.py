@@ -1,7 +1,7 @@
 """A controller on a bench: requests and responses as hexadecimal text, the time and the vehicle in the test's hands."""
 
 from ecu_emulator.diagnostics.memory import TestResult
-from ecu_emulator.diagnostics.server import advance, answer, switched_on, tested
+from ecu_emulator.diagnostics.server import advance, answer, left, switched_on, tested
 from ecu_emulator.diagnostics.services.call import under_control
 from ecu_emulator.diagnostics.services.routines import finished
 from ecu_emulator.diagnostics.state import Moment, Request, ServerState
@@ -24,10 +24,11 @@ class Bench:
         self.state = switched_on(self.table, kept, self.t_s)
         self.codes = {trouble.code: number for number, trouble in self.table.troubles.items()}
 
-    def ask(self, request: str, *, to_all: bool = False) -> str:
+    def ask(self, request: str, *, to_all: bool = False, client: int = 0) -> str:
         """Return the response, empty if there is none."""
         moment = Moment(t_s=self.t_s, values=self.values, chance=SEED)
-        reply = answer(self.table, self.state, Request(payload=bytes.fromhex(request), is_functional=to_all), moment)
+        asked = Request(payload=bytes.fromhex(request), is_functional=to_all, client=client)
+        reply = answer(self.table, self.state, asked, moment)
         self.state = reply.state
         return (reply.payload or b"").hex(" ")
 
@@ -36,6 +37,9 @@ class Bench:
         reply = advance(self.table, self.state, Moment(t_s=self.t_s, values=self.values))
         self.state = reply.state
         return (reply.payload or b"").hex(" ")
+
+    def leave(self, client: int) -> None:
+        self.state = left(self.table, self.state, client)
 
     def monitor(self, code: str, result: TestResult) -> None:
         moment = Moment(t_s=self.t_s, values=self.values)

@@ -165,3 +165,18 @@ def test_cycles_and_warm_ups_reach_the_memory() -> None:
         one.report(HOT, TestResult.PASSED)
     one.cycle()
     assert one.ask(b"\x19\x02\x08") == b"\x59\x02\xff"
+
+
+def test_a_response_that_was_awaited_goes_to_the_client_who_asked() -> None:
+    now_s = [5.0]
+    one = controller(clock=lambda: now_s[0])
+    for request in (b"\x10\x03", b"\x27\x01", b"\x27\x02" + KEY):
+        one.ask(request, client=2)
+    assert one.ask(b"\x31\x01\x03\x01\x04\x04", client=2) == b"\x7f\x31\x78"
+    assert one.awaits(2)
+    assert not one.awaits(0)
+    now_s[0] += 4.0
+    assert one.tick() is None
+    assert one.tick(2) == b"\x7f\x31\x78"
+    one.leave(2)
+    assert not one.awaits(2)

@@ -345,3 +345,60 @@ def test_codes_stay_as_they_are_while_their_setting_is_off(bench: Bench) -> None
     bench.ask("85 01")
     bench.monitor("P2787", TestResult.FAILED)
     assert "27 87 4b af" in bench.ask("19 02 ff")
+
+
+@pytest.mark.parametrize(
+    ("request_", "response"),
+    [
+        ("22 f1 86", "62 f1 86 01"),  # as in the default session
+        ("22 03 10", "7f 22 31"),
+        ("19 02 08", "59 02 ff"),
+        ("3e 00", "7e 00"),
+        ("10 01", "50 01 00 32 01 f4"),
+        ("10 03", "7f 10 21"),
+        ("10 40", "7f 10 7e"),
+        ("27 01", "7f 27 7f"),
+        ("2e f1 98 43 4c 55 54 43 48 53 48 4f 50", "7f 2e 7f"),
+        ("2f 02 06 03 70", "7f 2f 7f"),
+    ],
+)
+def test_a_session_and_its_security_belong_to_the_client_who_entered_it(
+    bench: Bench, request_: str, response: str
+) -> None:
+    bench.unlock()
+    assert bench.ask(request_, client=1) == response
+    assert bench.ask("22 f1 86") == "62 f1 86 03"
+    assert bench.ask("2e f1 98 43 4c 55 54 43 48 53 48 4f 50") == "6e f1 98"
+
+
+def test_a_guest_does_not_keep_anothers_session_alive(bench: Bench) -> None:
+    bench.ask("10 03")
+    bench.wait(3.0)
+    assert bench.ask("3e 00", client=1) == "7e 00"
+    bench.wait(2.5)
+    assert bench.ask("10 03", client=1) == "50 03 00 32 01 f4"
+    assert bench.ask("10 03") == "7f 10 21"
+
+
+def test_a_session_ends_with_the_connection_of_its_client(bench: Bench) -> None:
+    bench.ask("10 03", client=7)
+    bench.leave(8)
+    assert bench.ask("22 f1 86", client=7) == "62 f1 86 03"
+    bench.leave(7)
+    assert bench.ask("10 03") == "50 03 00 32 01 f4"
+
+
+def test_whoever_clears_codes_and_resets_does_so_for_all(bench: Bench) -> None:
+    bench.ask("10 03")
+    assert bench.ask("14 ff ff ff", client=1) == "54"
+    assert bench.ask("11 01", client=1) == "51 01"
+    bench.wait(1.0)
+    assert bench.ask("22 f1 86") == "62 f1 86 01"
+
+
+def test_nobody_waits_for_the_response_to_a_client_who_has_gone(bench: Bench) -> None:
+    bench.unlock()
+    assert bench.ask("31 01 03 01 04 04") == "7f 31 78"
+    assert bench.ask("3e 00", client=1) == "7f 3e 21"
+    bench.leave(0)
+    assert bench.ask("3e 00", client=1) == "7e 00"
