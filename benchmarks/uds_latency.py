@@ -80,7 +80,7 @@ def measured(interface: str, channel: str, seconds: float, rate_hz: float) -> Fi
     with (
         can.Bus(channel, interface) as near,
         can.Bus(channel, interface) as far,
-        Answering(near, table="", memory=None, is_fd=False) as answering,
+        Answering(near, table="", memory=None, doip=None, is_fd=False) as answering,
         OtherSenders(near, own_ids(), lambda _: None, wanted_ids=answering.link.can_ids, pass_on=answering.link.feed),
         Tester(far, rate_hz, stop) as tester,
     ):

@@ -16,6 +16,8 @@ from dbc.contract import load_contract
 from ecu_emulator.bus import FrameSender
 from ecu_emulator.diagnostics.codes import Status
 from ecu_emulator.diagnostics.controller import Controller
+from ecu_emulator.diagnostics.doip.listening import Place
+from ecu_emulator.diagnostics.doip.server import DoipServer
 from ecu_emulator.diagnostics.memory import TestResult
 from ecu_emulator.diagnostics.memory_file import MemoryFile
 from ecu_emulator.diagnostics.monitors import SENSED, Watch, is_warm, judge
@@ -38,16 +40,18 @@ class Answering:
         A TOML file that describes the controller; empty: the one that ships.
     memory
         The file that keeps trouble codes over restarts; without one they are forgotten.
+    doip
+        Where testers may ask over an IP network; None: nowhere.
     is_fd
         Whether responses are CAN FD frames.
 
     Raises
     ------
-    ConfigError, RecordError, ExtraMissingError
-        If the table or the memory cannot be used, or can-isotp is not installed.
+    ConfigError, RecordError, BusError, ExtraMissingError
+        If the table, the memory or the address cannot be used, or can-isotp is not installed.
     """
 
-    def __init__(self, bus: FrameSender, *, table: str, memory: Path | None, is_fd: bool) -> None:
+    def __init__(self, bus: FrameSender, *, table: str, memory: Path | None, doip: Place | None, is_fd: bool) -> None:
         try:
             from ecu_emulator.diagnostics.link import DiagnosticLink  # noqa: PLC0415 - an extra
         except ImportError as exc:
@@ -72,12 +76,15 @@ class Answering:
                 described, values=self._values, clock=time.monotonic, chance=secrets.token_bytes, store=store
             )
             self.link = DiagnosticLink(self.controller, bus.send, is_fd=is_fd)
+            self.doip = None if doip is None else DoipServer(self.controller, doip)
         except BaseException:
             self._stack.close()
             raise
 
     def __enter__(self) -> Self:
         self._stack.enter_context(self.link)
+        if self.doip is not None:
+            self._stack.enter_context(self.doip)
         self._monitor.start()
         return self
 
@@ -105,7 +112,8 @@ class Answering:
         """What was asked, and the trouble codes that are confirmed now."""
         records, troubles = self.controller.state.memory.records, self.controller.table.troubles
         confirmed = [troubles[number].code for number, record in records.items() if record.status & Status.CONFIRMED]
-        return {**asdict(self.link.counts), "confirmed": confirmed}
+        over_ip = {} if self.doip is None else {"doip": self.doip.counts}
+        return {**asdict(self.link.counts), **over_ip, "confirmed": confirmed}
 
     def _watch(self) -> None:
         """Let the monitors judge what the controllers say, from when those that they need have spoken."""

@@ -100,6 +100,11 @@ _RUN: Final = Command(
         "answer UDS requests of testers (7E1, 7DF); TABLE: a controller of your own instead of the one that ships",
         flag_value="",
     ),
+    Option(
+        "--doip [HOST:]PORT",
+        "answer testers on an IP network as well (ISO 13400-2; its port is 13400); only on this machine unless HOST "
+        "says otherwise",
+    ),
     Option("--diagnostic-memory FILE", "keep trouble codes in this file, over restarts", FILE),
     Option("--alive FILE", "touch this file while frames go out", FILE),
     Option("--start-delay S", "wait before the first frame", _between(0.0, 3600.0, "s"), default="0"),
@@ -112,6 +117,7 @@ _RUN: Final = Command(
     examples=(
         f"{PROGRAM} run -i socketcan -c vcan0",
         f"{PROGRAM} run -i socketcan -c vcan0 --diagnostics --diagnostic-memory tcu.json",
+        f"{PROGRAM} run -i socketcan -c vcan0 --diagnostics --doip 13400",
         f"{PROGRAM} run -i socketcan -c vcan0 --fluid case2 --cycles 3 --truth truth.jsonl --json",
         f"{PROGRAM} run -i socketcan -c vcan0 --drive day --endless --oil-degc -10",
     ),

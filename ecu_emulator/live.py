@@ -15,6 +15,7 @@ from canlog.e2e.message_contract import message_contracts
 from dbc.contract import load_contract
 from ecu_emulator.bus import TransmitReport, open_bus, transmit
 from ecu_emulator.control import ControlSocket
+from ecu_emulator.diagnostics.doip.listening import Place, parse_place
 from ecu_emulator.errors import ConfigError, RecordError
 from ecu_emulator.frames import EncodedFrames
 from ecu_emulator.other_senders import WORTH_SAYING, OtherSenders
@@ -26,6 +27,7 @@ from ecu_emulator.truth import ROTATED_BYTES, EventTruth, Happened, ShiftTruth, 
 
 if TYPE_CHECKING:
     from ecu_emulator.answering import Answering
+    from ecu_emulator.diagnostics.doip.server import DoipServer
 
 MS_PER_S: Final = 1e3
 
@@ -51,6 +53,7 @@ class DiagnosticsChoice:
 
     table: str  # a TOML file; empty: the one that ships
     memory: Path | None
+    doip: Place | None  # where it answers on an IP network
 
 
 class SentTruth:
@@ -148,6 +151,8 @@ def run(
         sent = SentTruth(drive, writer)
         _write_summary(summary, {})
         life = SignOfLife(alive) if alive is not None else None
+        if answering is not None and answering.doip is not None:
+            console.print(_doip_text(answering.doip), markup=False)
         console.print(
             f"{_drive_text(scenario)}, {_seeds_text(scenario)}: sending on {choice.name or bus.channel_info}",
             markup=False,
@@ -191,20 +196,23 @@ def _answering(
         return nullcontext()
     from ecu_emulator.answering import Answering  # noqa: PLC0415 - a drive that nobody asks begins sooner
 
-    return Answering(bus, table=choice.table, memory=choice.memory, is_fd=is_fd)
+    return Answering(bus, table=choice.table, memory=choice.memory, doip=choice.doip, is_fd=is_fd)
 
 
-def diagnostics_choice(table: str | None, memory: Path | None) -> DiagnosticsChoice | None:
+def diagnostics_choice(table: str | None, memory: Path | None, doip: str | None) -> DiagnosticsChoice | None:
     """Return what was chosen on the command line; None if nobody is to answer.
 
     Raises
     ------
     ConfigError
-        If there is a memory and nobody who uses it.
+        If there is a memory or an address and nobody who uses it, or the address is none.
     """
-    if table is None and memory is not None:
-        raise ConfigError("--diagnostic-memory needs --diagnostics")
-    return None if table is None else DiagnosticsChoice(table=table, memory=memory)
+    for option, value in (("--diagnostic-memory", memory), ("--doip", doip)):
+        if table is None and value is not None:
+            raise ConfigError(f"{option} needs --diagnostics")
+    if table is None:
+        return None
+    return DiagnosticsChoice(table=table, memory=memory, doip=None if doip is None else parse_place(doip))
 
 
 def _drive_text(scenario: Scenario) -> str:
@@ -233,7 +241,17 @@ def _diagnostics_text(answering: "Answering") -> str:
     codes = ", ".join(told) if isinstance(told, list) and told else "none"
     problem = f"\nwarning: trouble codes could not be kept: {answering.problem}" if answering.problem else ""
     asked = f"{counts.requests} requests, {counts.responses} responses"
+    if answering.doip is not None:
+        over_ip = answering.doip.counts
+        asked += f"; DoIP: {over_ip['requests']} requests, {over_ip['responses']} responses"
     return f"diagnostics: {asked}; confirmed trouble codes: {codes}{problem}"
+
+
+def _doip_text(doip: "DoipServer") -> str:
+    said = f"DoIP on {doip.place}"
+    if not doip.is_exposed:
+        return said
+    return f"{said}\nwarning: whoever reaches {doip.place} can ask this controller and change what testers can change"
 
 
 def _report_text(report: TransmitReport) -> str:

@@ -1,7 +1,7 @@
 """What a controller can be asked: everything that it answers follows from this table."""
 
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 from ecu_emulator.diagnostics.codes import DEFAULT_SESSION
 from ecu_emulator.diagnostics.descriptions import (
@@ -53,6 +53,47 @@ class Transport:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class DoipEntity:
+    """What a controller is on an IP network (ISO 13400-2); addresses and times as the standard has them."""
+
+    logical_address: int = 0x1011
+    functional_address: int = 0xE400  # of requests to all controllers
+    first_tester: int = 0x0E00  # addresses that testers may have
+    last_tester: int = 0x0FFF
+    activation_types: tuple[int, ...] = (0x00, 0x01)  # default, and that of legislated diagnosis
+    eid: int = 0x020000001011  # of the entity; a MAC address that is administered locally
+    gid: int = 0x020000001011  # of its group
+    version: int = 0x03  # said where the tester has not said which it speaks
+    most_sockets: int = 4
+    most_request_bytes: int = 4095
+    initial_inactivity_s: float = 2.0  # T_TCP_Initial_Inactivity: until routing is activated
+    general_inactivity_s: float = 300.0  # T_TCP_General_Inactivity
+    alive_check_s: float = 0.5  # T_TCP_Alive_Check
+    announce_wait_s: float = 0.5  # A_DoIP_Announce_Wait: the longest random pause before one says who one is
+    announce_interval_s: float = 0.5
+    announce_count: int = 3
+
+    def __post_init__(self) -> None:
+        numbers = (self.logical_address, self.functional_address, self.first_tester, self.last_tester)
+        _check(min(numbers) >= 1 and max(numbers) <= 0xFFFF, "addresses must be 1..0xFFFF")
+        _check(self.first_tester <= self.last_tester, "first_tester must not be above last_tester")
+        own = (self.logical_address, self.functional_address)
+        _check(
+            own[0] != own[1] and not any(self.first_tester <= number <= self.last_tester for number in own),
+            "logical_address and functional_address must differ from each other and from those of testers",
+        )
+        _check(max(self.activation_types, default=0) <= 0xFF, "activation_types must be 0..0xFF")
+        _check(max(self.eid, self.gid) < 1 << 48, "eid and gid must have six bytes")
+        _check(self.version in {0x02, 0x03}, "version must be 2 (ISO 13400-2:2012) or 3 (:2019)")
+        _check(1 <= self.most_sockets <= 0xFF, "most_sockets must be 1..255")
+        _check(8 <= self.most_request_bytes <= 4095, "most_request_bytes must be 8..4095")
+        _check(self.announce_count <= 10, "announce_count must be at most 10")
+        for name in ("initial_inactivity_s", "general_inactivity_s", "alive_check_s", "announce_interval_s"):
+            _check(0.0 < getattr(self, name) <= 3600.0, f"{name} must be above 0 and at most 3600 s")
+        _check(0.0 <= self.announce_wait_s <= 10.0, "announce_wait_s must be 0..10 s")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Timing:
     """Times of ISO 14229-2."""
 
@@ -94,6 +135,7 @@ class DiagnosticTable:
     extended: Mapping[int, ExtendedRecord]
     snapshot: tuple[int, ...]  # data kept with every trouble code that names none itself
     obd: Obd | None = None
+    doip: DoipEntity = field(default_factory=DoipEntity)
 
     def __post_init__(self) -> None:
         _check(DEFAULT_SESSION in self.sessions, "sessions must have number 1, the default session")

@@ -95,7 +95,7 @@ class Sent:
 
 def test_a_tester_silences_the_controller_and_nobody_else() -> None:
     bus = Sent()
-    answering = Answering(bus, table="", memory=None, is_fd=False)
+    answering = Answering(bus, table="", memory=None, doip=None, is_fd=False)
     tcu, ecm = frames("TCU_Temperature", sump_temperature_k=350.0)[0], frames("ECM_TorqueSpeed")[0]
     answering.controller.ask(b"\x10\x03")
     assert answering.controller.ask(b"\x28\x01\x01") == b"\x68\x01"
@@ -109,7 +109,7 @@ def test_a_tester_silences_the_controller_and_nobody_else() -> None:
 
 
 def test_shifts_are_counted_and_error_frames_are_no_values() -> None:
-    answering = Answering(Sent(), table="", memory=None, is_fd=False)
+    answering = Answering(Sent(), table="", memory=None, doip=None, is_fd=False)
     for gear in (0.0, 1.0, 1.0, 2.0, 2.0, 3.0, 0.0, 2.0):
         answering.send(frames("TCU_Shift", current_gear=gear)[0])
     assert answering.controller.ask(b"\x22\x03\x02") == b"\x62\x03\x02\0\0\0\x03"

@@ -1,0 +1,221 @@
+"""A controller on an IP network: connections and datagrams around the pure part, in a thread with an event loop."""
+
+import asyncio
+import threading
+import time
+from collections.abc import Coroutine
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import suppress
+from dataclasses import asdict, dataclass
+from functools import partial
+from types import TracebackType
+from typing import Final, Self
+
+from ecu_emulator.diagnostics.codes import NEGATIVE, Nrc
+from ecu_emulator.diagnostics.controller import Controller
+from ecu_emulator.diagnostics.doip.datagram_server import DatagramServer
+from ecu_emulator.diagnostics.doip.listening import Place, listen
+from ecu_emulator.diagnostics.doip.sockets import Ask, Close, Send, Step, most_connections
+from ecu_emulator.diagnostics.doip.streams import advanced, closed, opened, received, responded
+from ecu_emulator.diagnostics.server import AGAIN_RATIO, is_suppressed
+
+TICK_S: Final = 0.01
+READ_BYTES: Final = 4096
+LINGER_S: Final = 1.0  # in which a tester may take what was said before its connection was closed
+PENDING_RATIO: Final = 0.6  # of P2, after which a tester is told to wait
+VIN: Final = 0xF190
+
+
+@dataclass(slots=True)
+class DoipCounts:
+    """What came and went by connections."""
+
+    connections: int = 0
+    refused_connections: int = 0  # more than are accepted at all
+    requests: int = 0
+    responses: int = 0
+
+
+class DoipServer:
+    """Answers over TCP and UDP while the ``with`` block runs.
+
+    Parameters
+    ----------
+    controller
+        Who answers.
+    place
+        Where it listens.
+
+    Raises
+    ------
+    BusError
+        If it cannot listen there.
+    """
+
+    def __init__(self, controller: Controller, place: Place) -> None:
+        self._controller = controller
+        self._entity = controller.table.doip
+        self._step = Step(sockets={})
+        self._writers: dict[int, asyncio.StreamWriter] = {}
+        self._asks: dict[int, asyncio.Queue[Ask]] = {}
+        self._tasks: set[asyncio.Task[None]] = set()
+        self._pool = ThreadPoolExecutor(1, "DoIP asks")
+        self._datagrams = DatagramServer(
+            self._entity, vin=partial(controller.datum, VIN), open_sockets=lambda: len(self._step.sockets)
+        )
+        self._counts = DoipCounts()
+        self._loop: asyncio.AbstractEventLoop | None = None
+        self._is_over = asyncio.Event()
+        self._is_ready = threading.Event()
+        self._error: BaseException | None = None
+        self._thread = threading.Thread(target=self._run, name="DoIP", daemon=True)
+        self._sockets = listen(place)
+        self.place = place
+
+    @property
+    def is_exposed(self) -> bool:
+        """Whether others than this machine can reach it."""
+        return self._sockets.is_exposed
+
+    @property
+    def counts(self) -> dict[str, int]:
+        """What came and went."""
+        return asdict(self._counts) | asdict(self._datagrams.counts)
+
+    def __enter__(self) -> Self:
+        self._thread.start()
+        self._is_ready.wait()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        if self._loop is not None:
+            with suppress(RuntimeError):  # the loop has ended by itself
+                self._loop.call_soon_threadsafe(self._is_over.set)
+        self._thread.join()
+        if self._error is not None and error is None:
+            raise self._error
+
+    def _run(self) -> None:
+        try:
+            asyncio.run(self._serve())
+        except BaseException as exc:  # noqa: BLE001 - carried to the caller's thread, which raises it
+            self._error = exc
+        finally:
+            self._is_ready.set()
+            self._pool.shutdown()
+            for one in (self._sockets.tcp, *self._sockets.udp):
+                one.close()
+
+    async def _serve(self) -> None:
+        self._loop = asyncio.get_running_loop()
+        async with asyncio.TaskGroup() as group:
+            server = await asyncio.start_server(partial(self._accept, group), sock=self._sockets.tcp, limit=READ_BYTES)
+            await self._datagrams.start(self._sockets)
+            self._start(group, self._datagrams.announce(self._sockets.everybody))
+            self._start(group, self._advance())
+            self._is_ready.set()
+            try:
+                await self._is_over.wait()
+            finally:
+                server.close()
+                self._datagrams.close()
+                for writer in self._writers.values():
+                    writer.transport.abort()
+                for task in self._tasks:
+                    task.cancel()
+
+    def _start(self, group: asyncio.TaskGroup, work: Coroutine[None, None, None]) -> asyncio.Task[None]:
+        task = group.create_task(work)
+        self._tasks.add(task)
+        task.add_done_callback(self._tasks.discard)
+        return task
+
+    def _accept(self, group: asyncio.TaskGroup, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        if len(self._writers) >= most_connections(self._entity):
+            self._counts.refused_connections += 1
+            writer.transport.abort()
+            return
+        self._counts.connections += 1
+        number = self._counts.connections
+        self._writers[number], self._asks[number] = writer, asyncio.Queue()
+        self._step = opened(self._step, number, time.monotonic())
+        self._start(group, self._converse(group, number, reader))
+
+    async def _converse(self, group: asyncio.TaskGroup, number: int, reader: asyncio.StreamReader) -> None:
+        """Read from one connection until its tester closes it; what comes after it was closed here is passed over."""
+        answering = self._start(group, self._answer(number))
+        writer = self._writers[number]
+        try:
+            while data := await reader.read(READ_BYTES):
+                self._do(received(self._entity, self._step, number, data, time.monotonic()))
+                if number in self._step.sockets:
+                    await writer.drain()
+        except OSError:  # the tester has gone without saying so
+            pass
+        finally:
+            answering.cancel()
+            writer.transport.abort() if reader.exception() else writer.close()
+            del self._writers[number], self._asks[number]
+            self._do(closed(self._entity, self._step, number, time.monotonic()))
+            self._pool.submit(self._controller.leave, number)
+
+    def _do(self, step: Step) -> None:
+        """Do what a step says."""
+        self._step = step.done()
+        for action in step.actions:
+            match action:
+                case Send(number=number, data=data):
+                    self._writers[number].write(data)
+                case Ask(number=number):
+                    self._asks[number].put_nowait(action)
+                case Close(number=number):
+                    self._close(self._writers[number])
+
+    def _close(self, writer: asyncio.StreamWriter) -> None:
+        """End what is said to a tester, and the connection once it has closed its side or takes too long."""
+        with suppress(OSError):
+            writer.write_eof()
+        asyncio.get_running_loop().call_later(LINGER_S, writer.transport.abort)
+
+    async def _advance(self) -> None:
+        """Let time do what time does."""
+        while True:
+            await asyncio.sleep(TICK_S)
+            self._do(advanced(self._entity, self._step, time.monotonic()))
+
+    # --- the controller -----------------------------------------------------------------------------------------------
+
+    async def _answer(self, number: int) -> None:
+        """Hand one tester's requests to the controller, one after the other, and its responses to the tester."""
+        asks, writer = self._asks[number], self._writers[number]
+        loop = asyncio.get_running_loop()
+        try:
+            while True:
+                if not self._controller.awaits(number) or not asks.empty():
+                    await self._ask(number, await asks.get())
+                else:
+                    await asyncio.sleep(TICK_S)
+                    response = await loop.run_in_executor(self._pool, self._controller.tick, number)
+                    self._respond(number, response, is_final=False)
+                await writer.drain()
+        except OSError:  # the tester has gone; who reads from it finds out as well
+            return
+
+    async def _ask(self, number: int, ask: Ask) -> None:
+        """Answer one request, with 78 first if the disk takes its time."""
+        self._counts.requests += 1
+        timing = self._controller.table.timing
+        work = partial(self._controller.ask, ask.payload, is_functional=ask.is_functional, client=number)
+        asking = asyncio.get_running_loop().run_in_executor(self._pool, work)
+        patience_s = PENDING_RATIO * timing.p2_s
+        while not (await asyncio.wait([asking], timeout=patience_s))[0]:
+            patience_s = AGAIN_RATIO * timing.p2_star_s
+            if not is_suppressed(ask.payload):
+                self._respond(number, bytes([NEGATIVE, ask.payload[0], Nrc.RESPONSE_PENDING]), is_final=False)
+        self._respond(number, asking.result(), is_final=True)
+
+    def _respond(self, number: int, response: bytes | None, *, is_final: bool) -> None:
+        self._counts.responses += response is not None
+        self._do(responded(self._entity, self._step, number, response, time.monotonic(), is_final=is_final))

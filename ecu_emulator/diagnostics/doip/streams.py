@@ -1,0 +1,157 @@
+"""What comes over TCP and what time brings: bytes and a moment in, bytes, requests and closed connections out."""
+
+import struct
+from typing import Final
+
+from ecu_emulator.diagnostics.doip.activation import settled, wished
+from ecu_emulator.diagnostics.doip.messages import (
+    ADDRESSES_BYTES,
+    ANSWERS,
+    CLOSING_NACKS,
+    HEADER_BYTES,
+    ON_SOCKETS,
+    DiagnosticNack,
+    HeaderNack,
+    PayloadType,
+    acknowledgement,
+    diagnostic,
+    header_nack,
+    header_of,
+    message,
+    refusal_of,
+)
+from ecu_emulator.diagnostics.doip.sockets import Ask, Socket, Step
+from ecu_emulator.diagnostics.table import DoipEntity
+
+MOST_WAITING: Final = 32  # requests of one tester that wait for the controller
+
+
+def opened(step: Step, number: int, t_s: float) -> Step:
+    """Return the step with a new connection."""
+    return Step(sockets={**step.sockets, number: Socket(opened_s=t_s, used_s=t_s)}, actions=step.actions)
+
+
+def closed(entity: DoipEntity, step: Step, number: int, t_s: float) -> Step:
+    """Return the step after a tester has closed its connection; another may have waited for that."""
+    return settled(entity, step.forgetting(number), t_s)
+
+
+def received(entity: DoipEntity, step: Step, number: int, data: bytes, t_s: float) -> Step:
+    """Return what follows from bytes of one connection, however the stream was cut.
+
+    Parameters
+    ----------
+    entity, step
+        Who is asked, and its connections.
+    number, data
+        The connection, and what came.
+    t_s
+        The time, of a clock that never goes back.
+    """
+    if number not in step.sockets:
+        return step
+    step = step.changed(number, used_s=t_s, received=step.sockets[number].received + data)
+    while (socket := step.sockets.get(number)) is not None:
+        if socket.skip_bytes and socket.received:
+            count = min(socket.skip_bytes, len(socket.received))
+            step = step.changed(number, received=socket.received[count:], skip_bytes=socket.skip_bytes - count)
+            continue
+        if (after := _next_message(entity, step, number, socket, t_s)) is None:
+            break
+        step = after
+    return step
+
+
+def _next_message(entity: DoipEntity, step: Step, number: int, socket: Socket, t_s: float) -> Step | None:
+    """Return what follows from the message that the stream begins with, None if it is not all there."""
+    header = header_of(socket.received)
+    if header is None:
+        return None
+    refusal = refusal_of(header, ON_SOCKETS)
+    if refusal is not None:
+        version = entity.version if refusal is HeaderNack.INCORRECT_PATTERN else header.version
+        step = step.sending(number, header_nack(version, refusal), t_s)
+        if refusal in CLOSING_NACKS:
+            return settled(entity, step.closing(number), t_s)
+    if refusal is not None or header.payload_type in ANSWERS:
+        return step.changed(number, received=socket.received[HEADER_BYTES:], skip_bytes=header.payload_bytes)
+    end = HEADER_BYTES + header.payload_bytes
+    if len(socket.received) < end:
+        return None
+    payload = socket.received[HEADER_BYTES:end]
+    step = step.changed(number, received=socket.received[end:], version=header.version)
+    return _done(entity, step, number, PayloadType(header.payload_type), payload, t_s)
+
+
+def _done(entity: DoipEntity, step: Step, number: int, kind: PayloadType, payload: bytes, t_s: float) -> Step:
+    socket = step.sockets[number]
+    match kind:
+        case PayloadType.ACTIVATE:
+            return wished(entity, step, number, payload, socket.version, t_s)
+        case PayloadType.ALIVE:
+            is_alive = int.from_bytes(payload, "big") == socket.tester
+            return settled(entity, step.changed(number, alive_until_s=None), t_s) if is_alive else step
+        case PayloadType.ALIVE_CHECK:  # meant for testers; one that asks is told
+            alive = message(socket.version, PayloadType.ALIVE, entity.logical_address.to_bytes(2, "big"))
+            return step.sending(number, alive, t_s)
+        case _:
+            return _diagnosed(entity, step, number, payload, t_s)
+
+
+def _diagnosed(entity: DoipEntity, step: Step, number: int, payload: bytes, t_s: float) -> Step:
+    """Return what follows from a diagnostic message: an acknowledgement and, if it is positive, a request."""
+    socket = step.sockets[number]
+    source, target = struct.unpack_from(">HH", payload)
+    data = payload[ADDRESSES_BYTES:]
+    code = _nack(entity, socket, source, target, len(data))
+    step = step.sending(number, acknowledgement(socket.version, target, source, code, data), t_s)
+    if code is DiagnosticNack.INVALID_SOURCE:
+        return settled(entity, step.closing(number), t_s)
+    if code is not None:
+        return step
+    return step.asking(Ask(number=number, payload=data, is_functional=target == entity.functional_address))
+
+
+def _nack(entity: DoipEntity, socket: Socket, source: int, target: int, data_bytes: int) -> DiagnosticNack | None:
+    """Return why a diagnostic message is not taken, in the order of the standard's handler."""
+    if socket.tester is None or source != socket.tester:
+        return DiagnosticNack.INVALID_SOURCE
+    if target not in {entity.logical_address, entity.functional_address}:
+        return DiagnosticNack.UNKNOWN_TARGET
+    if data_bytes > entity.most_request_bytes:
+        return DiagnosticNack.TOO_LARGE
+    return DiagnosticNack.OUT_OF_MEMORY if socket.waiting_count >= MOST_WAITING else None
+
+
+def responded(
+    entity: DoipEntity, step: Step, number: int, response: bytes | None, t_s: float, *, is_final: bool
+) -> Step:
+    """Return what follows from the controller's response to a request of one connection, which may be none.
+
+    Parameters
+    ----------
+    response, is_final
+        What it says, and whether it is done with the request: 78 is followed by another response.
+    """
+    socket = step.sockets.get(number)
+    if socket is None:
+        return step
+    if response is not None and socket.tester is not None:
+        step = step.sending(number, diagnostic(socket.version, entity.logical_address, socket.tester, response), t_s)
+    return step.changed(number, waiting_count=socket.waiting_count - 1) if is_final else step
+
+
+def advanced(entity: DoipEntity, step: Step, t_s: float) -> Step:
+    """Return what time alone does: connections that say nothing are closed, activations that waited are decided."""
+    for number, socket in step.sockets.items():
+        if _is_over(entity, socket, t_s):
+            step = step.closing(number)
+    return settled(entity, step, t_s)
+
+
+def _is_over(entity: DoipEntity, socket: Socket, t_s: float) -> bool:
+    if socket.alive_until_s is not None and t_s >= socket.alive_until_s:
+        return True
+    if socket.tester is None and socket.wish is None:
+        return t_s - socket.opened_s >= entity.initial_inactivity_s
+    return t_s - socket.used_s >= entity.general_inactivity_s

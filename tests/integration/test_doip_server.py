@@ -1,0 +1,210 @@
+"""An entity on real sockets: several testers, each with what it asked for, and those who misbehave."""
+
+import socket
+import struct
+import threading
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from ecu_emulator.diagnostics.doip.listening import Place
+from ecu_emulator.diagnostics.doip.server import DoipServer
+from ecu_emulator.diagnostics.doip.sockets import MORE_CONNECTIONS
+from ecu_emulator.diagnostics.memory_file import MemoryFile
+from ecu_emulator.diagnostics.state import ServerState
+from ecu_emulator.errors import BusError
+from tests.support.doip.desk import activation, framed, request
+from tests.support.doip.tester import Tester, entity, free_port
+from tests.support.patience import HANG_S
+from tests.support.uds.full_table import full_table
+
+EVERYBODY = "127.255.255.255"
+
+
+@pytest.fixture(scope="module")
+def port() -> Iterator[int]:
+    with entity() as (_, server):
+        yield server.place.port
+
+
+def test_one_who_starts_says_so_three_times_to_everybody() -> None:
+    port = free_port()
+    with entity(port=port, announce_count=3, announce_interval_s=0.01) as (_, server):
+        while server.counts["datagrams"] < 3:  # it hears itself, as everybody on its port does
+            time.sleep(0.005)
+        assert server.counts["answered_datagrams"] == 0
+
+
+def test_everybody_is_asked_who_is_there(port: int) -> None:
+    with socket.socket(type=socket.SOCK_DGRAM) as one:
+        one.settimeout(HANG_S)
+        one.setsockopt(socket.SOL_SOCKET, socket.SO_BROADCAST, 1)
+        for host in ("127.0.0.1", EVERYBODY):
+            one.sendto(framed(1), (host, port))
+            data, sender = one.recvfrom(100)
+            assert data[8:27] == b"WDCTEMULATED00001\x10\x11"
+            assert sender == ("127.0.0.1", port)
+
+
+def test_an_entity_says_the_number_that_was_written() -> None:
+    with entity() as (controller, server), socket.socket(type=socket.SOCK_DGRAM) as one:
+        for request_ in ("10 03", "10 40", "27 03"):
+            seed = controller.ask(bytes.fromhex(request_)) or b""
+        controller.ask(b"\x27\x04" + (int.from_bytes(seed[2:], "big") ^ 0x0123456789ABCDEF).to_bytes(8, "big"))
+        controller.ask(b"\x2e\xf1\x90" + b"WDCTEMULATED00002")
+        one.settimeout(HANG_S)
+        one.sendto(framed(3, b"WDCTEMULATED00002"), ("127.0.0.1", server.place.port))
+        assert one.recv(100)[8:25] == b"WDCTEMULATED00002"
+
+
+def test_two_testers_are_answered_each_by_its_own(port: int) -> None:
+    with Tester(port) as one, Tester(port, 0x0E01) as other:
+        one.unlock()
+        assert one.ask("22 f1 86") == "62 f1 86 03"
+        assert other.ask("22 f1 86") == "62 f1 86 01"
+        assert other.ask("10 03") == "7f 10 21"
+        one.socket.close()
+        while other.ask("10 03") != "50 03 00 32 01 f4":  # the session ends once its connection has
+            time.sleep(0.001)
+        assert other.ask("2e f1 98 43 4c 55 54 43 48 53 48 4f 50") == "7f 2e 33"
+
+
+def test_a_tester_waits_for_its_routine_and_others_for_their_turn() -> None:
+    with entity() as (controller, server), Tester(server.place.port) as one, Tester(server.place.port, 0x0E01) as other:
+        one.unlock()
+        assert one.ask("31 01 03 01 04 04") == "7f 31 78"
+        assert other.ask("22 f1 90") == "7f 22 21"
+        assert one.ask("22 f1 90") == "7f 22 21"
+        controller.finish(0x0301)
+        assert one.response().startswith("71 01 03 01")
+        assert other.ask("22 f1 86") == "62 f1 86 01"
+
+
+def test_a_tester_that_goes_while_its_routine_runs_leaves_nobody_waiting() -> None:
+    with entity() as (_, server), Tester(server.place.port, 0x0E01) as other:
+        with Tester(server.place.port) as one:
+            one.unlock()
+            assert one.ask("31 01 03 01 04 04") == "7f 31 78"
+        while other.ask("22 f1 86") != "62 f1 86 01":
+            time.sleep(0.001)
+
+
+class SlowDisk(MemoryFile):
+    """A file whose disk takes as long as the test says."""
+
+    may_go = threading.Event()
+
+    def save(self, state: ServerState) -> None:
+        assert self.may_go.wait(HANG_S)
+        super().save(state)
+
+
+def test_a_tester_is_told_to_wait_while_the_disk_takes_its_time(tmp_path: Path) -> None:
+    with SlowDisk(tmp_path / "memory", full_table()) as store:
+        store.may_go.set()
+        with entity(store=store) as (_, server), Tester(server.place.port) as one:
+            store.may_go.clear()
+            try:
+                assert one.ask("14 ff ff ff") == "7f 14 78"
+            finally:
+                store.may_go.set()
+            assert one.response() == "54"
+
+
+@pytest.mark.parametrize(
+    ("sent", "kind", "code"),
+    [
+        (b"GET / HTTP/1.1\r\nHost: car\r\n\r\n", 0, b"\x00"),
+        (activation(0x0001), 6, b"\x00\x01\x10\x11\x00"),
+        (request("3e00"), 0x8003, b"\x10\x11\x0e\x00\x02"),
+    ],
+)
+def test_a_tester_hears_why_before_its_connection_ends(port: int, sent: bytes, kind: int, code: bytes) -> None:
+    with Tester(port, is_activated=False) as one:
+        one.send(sent + bytes(200_000))  # what follows is not read as messages, and does not cost the answer
+        told = one.message()
+        assert (told[0], told[1][: len(code)]) == (kind, code)
+        assert one.is_closed()
+
+
+def test_one_who_says_nothing_is_let_go() -> None:
+    with entity(initial_inactivity_s=0.05) as (_, server), Tester(server.place.port, is_activated=False) as one:
+        assert one.is_closed()
+
+
+def test_an_address_in_use_is_given_to_nobody_while_its_tester_is_alive(port: int) -> None:
+    with Tester(port, 0x0E10) as one, Tester(port, is_activated=False) as other:
+        answering = threading.Thread(target=lambda: one.ask("3e 00"))
+        other.send(activation(0x0E10))
+        answering.start()  # reads, and answers the alive check on the way
+        kind, told = other.message()
+        answering.join()
+        assert (kind, told[4]) == (6, 0x03)
+
+
+def test_a_tester_whose_line_was_cut_gets_its_address_back(port: int) -> None:
+    with Tester(port, 0x0E11), Tester(port, is_activated=False) as other:
+        other.send(activation(0x0E11))  # nobody answers the alive check on the other line
+        assert other.message()[1][4] == 0x10
+
+
+def is_heard(port: int) -> bool:
+    """Return whether a new connection is kept."""
+    with socket.create_connection(("127.0.0.1", port), timeout=HANG_S) as one:
+        try:
+            return one.recv(1) != b""
+        except ConnectionError:
+            return False
+
+
+def test_more_connections_than_there_may_be_are_closed() -> None:
+    with entity(initial_inactivity_s=600.0) as (_, server):
+        idle = [Tester(server.place.port, is_activated=False) for _ in range(4 + MORE_CONNECTIONS)]
+        assert not is_heard(server.place.port)
+        for tester in idle:
+            tester.socket.close()
+        assert server.counts["refused_connections"] == 1
+
+
+def test_one_who_never_reads_and_one_who_breaks_off_do_not_disturb_others(port: int) -> None:
+    with Tester(port) as deaf, Tester(port, 0x0E01) as other:
+        deaf.socket.setblocking(False)
+        flood = request("19 0a") * 100
+        sent = 0
+        while sent < 10_000_000:
+            try:
+                sent += deaf.socket.send(flood)
+            except BlockingIOError:
+                break
+        cut = Tester(port, 0x0E02)
+        cut.send(request("22 f1 90", 0x0E02) * 20)
+        cut.socket.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
+        cut.socket.close()
+        assert other.ask("22 f1 86") == "62 f1 86 01"
+
+
+def test_a_place_that_is_taken_is_named(port: int) -> None:
+    with entity() as (controller, _), pytest.raises(BusError) as caught:
+        DoipServer(controller, Place(host="127.0.0.1", port=port))
+    assert str(caught.value) == f"DoIP cannot listen on 127.0.0.1:{port}: Address already in use"
+    with pytest.raises(BusError, match=r"DoIP cannot listen on 192\.0\.2\.1:13400: Cannot assign"):
+        DoipServer(controller, Place(host="192.0.2.1", port=13400))
+
+
+def test_an_error_of_the_controller_reaches_who_started_it() -> None:
+    def broken(*_: object, **__: object) -> bytes:
+        raise ValueError("broken")
+
+    def ask_it() -> None:
+        with entity() as (controller, server):
+            setattr(controller, "ask", broken)  # noqa: B010 - a method
+            with Tester(server.place.port) as one:
+                one.send(request("3e00"))
+                one.message()
+                assert one.is_closed()
+
+    with pytest.raises(ExceptionGroup) as caught:
+        ask_it()
+    assert caught.group_contains(ValueError, match="broken")

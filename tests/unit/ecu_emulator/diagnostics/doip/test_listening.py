@@ -1,0 +1,57 @@
+"""Where to listen, as it is written on a command line and in a table."""
+
+import pytest
+
+from ecu_emulator.diagnostics.doip.listening import parse_place
+from ecu_emulator.diagnostics.table_file import parse_table
+from ecu_emulator.errors import ConfigError
+from tests.support.uds.full_table import full_text
+
+
+@pytest.mark.parametrize(
+    ("text", "place"),
+    [
+        ("13400", "127.0.0.1:13400"),
+        ("0.0.0.0:13400", "0.0.0.0:13400"),
+        ("car.local:1", "car.local:1"),
+        ("localhost:65535", "localhost:65535"),
+    ],
+)
+def test_a_port_alone_means_this_machine(text: str, place: str) -> None:
+    assert str(parse_place(text)) == place
+
+
+@pytest.mark.parametrize("text", ["", "0", "65536", "-1", "x", ":13400", "host:", "1.5", "localhost", "127.0.0.1:0x1"])
+def test_what_is_no_place_is_refused(text: str) -> None:
+    with pytest.raises(ConfigError, match=r"^--doip must be \[HOST:\]PORT with a port of 1\.\.65535, got "):
+        parse_place(text)
+
+
+@pytest.mark.parametrize(
+    ("line", "message"),
+    [
+        ("logical_address = 0x0E00", "logical_address and functional_address must differ"),
+        ("functional_address = 0x1011", "logical_address and functional_address must differ"),
+        ("logical_address = 0", "addresses must be"),
+        ("first_tester = 0xFFF0", "first_tester must not be above"),
+        ("eid = 0x1000000000000", "must have six bytes"),
+        ("version = 1", "version must be 2"),
+        ("most_sockets = 0", "most_sockets must be 1..255"),
+        ("most_request_bytes = 5000", "most_request_bytes must be"),
+        ("alive_check_s = 0", "alive_check_s must be above 0"),
+        ("announce_wait_s = 60", "announce_wait_s must be 0..10 s"),
+        ("announce_count = 11", "announce_count must be at most 10"),
+        ("activation_types = [256]", "activation_types must be"),
+        ("ecu = 1", "key ecu is unknown"),
+    ],
+)
+def test_an_entity_that_cannot_be_is_named(line: str, message: str) -> None:
+    before, _, after = full_text().partition("[doip]")
+    rest = after[after.index("[timing]") :]
+    with pytest.raises(ConfigError, match=message):
+        parse_table(f"{before}[doip]\n{line}\n{rest}", "table")
+
+
+def test_a_table_need_not_speak_of_it() -> None:
+    before, _, after = full_text().partition("[doip]")
+    assert parse_table(before + after[after.index("[timing]") :], "table").doip.logical_address == 0x1011

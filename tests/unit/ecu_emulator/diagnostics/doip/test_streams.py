@@ -1,0 +1,188 @@
+"""One connection and several, byte by byte as ISO 13400-2 has them; the time is the test's."""
+
+from dataclasses import replace
+
+import pytest
+
+from ecu_emulator.diagnostics.doip.streams import MOST_WAITING
+from tests.support.doip.desk import ENTITY, Desk, activation, framed, request
+
+ACTIVATED, NO_SOCKET, OTHER_SOURCE, IN_USE = "10", "01", "02", "03"
+ALIVE_CHECK = "03fc000700000000"
+
+
+@pytest.fixture
+def desk() -> Desk:
+    desk = Desk()
+    desk.activate(1)
+    return desk
+
+
+@pytest.mark.parametrize(
+    ("sent", "told"),
+    [
+        ("02fd 0005 00000007 0e00 00 00000000", "02fd0006000000090e0010111000000000"),
+        ("03fc 0005 00000007 0e00 00 00000000", "03fc0006000000090e0010111000000000"),
+        ("03fc 0005 0000000b 0fff 01 00000000 12345678", "03fc0006000000090fff10111000000000"),
+        ("03fc 0005 00000007 0dff 00 00000000", "03fc0006000000090dff10110000000000"),
+        ("03fc 0005 00000007 0e00 e0 00000000", "03fc0006000000090e0010110600000000"),
+        ("03fc 0005 00000007 0001 e0 00000000", "03fc000600000009000110110000000000"),  # who comes before what
+        ("03fc 0005 00000008 0e00 00 00000000 00", "03fc00000000000104"),
+        ("03fb 0005 00000007 0e00 00 00000000", "03fc00000000000100"),
+        ("04fb 0005 00000007 0e00 00 00000000", "03fc00000000000100"),
+        ("ff00 0005 00000007 0e00 00 00000000", "03fc00000000000100"),
+        ("02fd 0001 00000000", "02fd00000000000101"),  # for datagrams only
+        ("03fc 4001 00000000", "03fc00000000000101"),
+        ("03fc 8001 00010001", "03fc00000000000102"),
+        ("03fc 8001 00000004 0e00 1011", "03fc00000000000104"),
+        ("03fc 8001 00000006 0e00 1011 3e00", "03fc80030000000710110e00023e00"),  # not activated
+        ("03fc 0007 00000000", "03fc0008000000021011"),
+        ("03fc 0008 00000002 0e00", ""),
+        ("03fc 0000 00000001 00", ""),  # a refusal is not refused
+    ],
+)
+def test_a_new_connection_is_told(sent: str, told: str) -> None:
+    desk = Desk()
+    desk.open(1)
+    assert desk.put(1, bytes.fromhex(sent)) == told
+
+
+def test_a_message_may_come_in_any_pieces(desk: Desk) -> None:
+    stream = request("22f190") + request("3e00")
+    told = desk.put(1, *(stream[place : place + 1] for place in range(len(stream))))
+    assert told == "03fc80020000000810110e000022f190" + "03fc80020000000710110e00003e00"
+    assert [ask.payload.hex() for ask in desk.asked] == ["22f190", "3e00"]
+
+
+def test_requests_to_all_are_marked(desk: Desk) -> None:
+    assert desk.put(1, request("3e00", target=0xE400)) == "03fc800200000007e4000e00003e00"
+    assert desk.asked[0].is_functional
+    assert desk.respond(1, b"\x7e\x00") == "03fc80010000000610110e007e00"  # the answer has the controller's own address
+
+
+@pytest.mark.parametrize(
+    ("data", "target", "code"), [("3e00", 0x1012, "03"), ("22" * 4096, 0x1011, "04"), ("3e00", 0xE000, "03")]
+)
+def test_a_request_that_cannot_be_taken_is_refused_and_the_next_one_is_heard(
+    desk: Desk, data: str, target: int, code: str
+) -> None:
+    assert desk.put(1, request(data, target=target))[16:26] == f"{target:04x}0e00{code}"
+    assert desk.put(1, request("3e00"))[16:26] == "10110e0000"
+    assert len(desk.asked) == 1
+
+
+def test_what_is_too_long_is_passed_over_and_the_rest_is_heard(desk: Desk) -> None:
+    long = bytes.fromhex("03fc80010fffffff")
+    assert desk.put(1, long) == "03fc00000000000102"
+    left = 0x0FFFFFFF
+    for _ in range(3):
+        assert desk.put(1, bytes(60_000)) == ""
+        left -= 60_000
+    assert desk.step.sockets[1].skip_bytes == left
+    assert desk.step.sockets[1].received == b""
+
+
+def test_another_source_than_the_activated_one_ends_the_connection(desk: Desk) -> None:
+    assert desk.put(1, request("3e00", tester=0x0E01) + request("3e00")) == "03fc80030000000710110e01023e00"
+    assert desk.closed == [1]
+    assert not desk.asked
+
+
+def test_an_activation_is_repeated_but_not_for_another(desk: Desk) -> None:
+    assert desk.put(1, activation())[24:26] == ACTIVATED
+    assert desk.put(1, activation(0x0E01))[24:26] == OTHER_SOURCE
+    assert desk.closed == [1]
+
+
+def test_so_many_requests_may_wait(desk: Desk) -> None:
+    for _ in range(MOST_WAITING):
+        assert desk.put(1, request("3e00"))[24:26] == "00"
+    assert desk.put(1, request("3e00"))[24:26] == "05"
+    desk.respond(1, b"\x7f\x3e\x78", is_final=False)
+    assert desk.put(1, request("3e00"))[24:26] == "05"
+    desk.respond(1, b"\x7e\x00")
+    assert desk.put(1, request("3e00"))[24:26] == "00"
+
+
+def test_a_tester_that_is_alive_keeps_its_address(desk: Desk) -> None:
+    desk.open(2)
+    assert desk.put(2, activation()) == ""  # the other one is asked first
+    assert desk.told(1) == ALIVE_CHECK
+    desk.wait(0.4)
+    desk.put(1, framed(8, "0e00"))
+    assert desk.told(2)[24:26] == IN_USE
+    assert desk.closed == [2]
+    desk.wait(1.0)
+    assert desk.put(1, request("3e00"))[24:26] == "00"
+
+
+@pytest.mark.parametrize("answer", [b"", framed(8, "0e01"), framed(0x8001, "0e0010113e00")])
+def test_a_tester_that_does_not_say_that_it_is_alive_makes_room(desk: Desk, answer: bytes) -> None:
+    desk.open(2)
+    desk.put(2, activation())
+    desk.put(1, answer)
+    desk.wait(0.49)
+    assert desk.told(2) == ""
+    desk.wait(0.02)
+    assert desk.told(2)[24:26] == ACTIVATED
+    assert desk.closed == [1]
+
+
+def test_a_tester_that_goes_while_it_is_asked_makes_room_at_once(desk: Desk) -> None:
+    desk.open(2)
+    desk.put(2, activation())
+    desk.hang_up(1)
+    assert desk.told(2)[24:26] == ACTIVATED
+
+
+def test_all_are_asked_when_there_is_no_room(desk: Desk) -> None:
+    for number in (2, 3, 4):
+        assert desk.activate(number, 0x0E00 + number)[8:10] == ACTIVATED
+    desk.open(5)
+    assert desk.put(5, activation(0x0E05)) == ""
+    for number in (2, 3, 4):
+        desk.put(number, framed(8, f"0e0{number}"))
+    assert desk.told(5) == ""  # the first one has not answered
+    desk.put(1, framed(8, "0e00"))
+    assert desk.told(5)[24:26] == NO_SOCKET
+    desk.open(6)
+    assert desk.put(6, activation(0x0E06)) == ""
+    desk.put(1, framed(8, "0e00"))
+    desk.wait(0.5)
+    assert desk.told(6)[24:26] == ACTIVATED
+    assert sorted(desk.step.sockets) == [1, 6]
+
+
+def test_a_connection_without_activation_ends_after_two_seconds() -> None:
+    desk = Desk()
+    desk.open(1)
+    desk.wait(1.9)
+    desk.put(1, framed(7))  # something else does not help
+    desk.wait(0.2)
+    assert desk.closed == [1]
+
+
+def test_an_activated_connection_ends_after_five_minutes_of_silence(desk: Desk) -> None:
+    desk.wait(299.0)
+    desk.put(1, request("3e00"))
+    desk.wait(200.0)
+    desk.respond(1, b"\x7e\x00")  # what goes out counts as well
+    desk.wait(299.0)
+    assert not desk.closed
+    desk.wait(1.0)
+    assert desk.closed == [1]
+
+
+def test_limits_are_those_of_the_table() -> None:
+    entity = replace(ENTITY, most_sockets=1, first_tester=0x0100, last_tester=0x0100, most_request_bytes=8)
+    desk = Desk(entity)
+    desk.open(1)
+    assert desk.put(1, activation(0x0100))[24:26] == ACTIVATED
+    assert desk.put(1, request(bytes(9), tester=0x0100))[24:26] == "04"
+
+
+def test_a_response_for_a_connection_that_has_gone_is_forgotten(desk: Desk) -> None:
+    desk.put(1, request("3e00"))
+    desk.hang_up(1)
+    assert desk.respond(1, b"\x7e\x00") == ""
+    assert desk.put(1, request("3e00")) == ""
