@@ -5,6 +5,7 @@ from itertools import pairwise
 from typing import Final
 
 import numpy as np
+import numpy.typing as npt
 
 from clutch_model.gears import clutch_of_gear
 from ecu_emulator.driving.states import EventKind
@@ -13,7 +14,9 @@ from ecu_emulator.readings import FloatArray
 from ecu_emulator.truth import EventTruth
 
 PRESSED_NM: Final = 2.0  # contact torque from which a clutch counts as slipping under load
+BEGUN_SLIP_RAD_S: Final = 5.0  # beyond it slip has begun: a clutch may stick or hardly slip as its event starts
 STOPPED_SLIP_RAD_S: Final = 1.0  # below it the slip counts as ended; what comes after it is slip once more
+BoolArray = npt.NDArray[np.bool_]
 _ROW_S: Final = 1e-3
 _TORQUE: Final = (Col.CLUTCH1_TORQUE, Col.CLUTCH2_TORQUE)
 _DRAG: Final = (Col.VISCOUS1_TORQUE, Col.VISCOUS2_TORQUE)
@@ -31,6 +34,7 @@ class _Slip:
     peak_rad_s: float = 0.0
     energy_j: float = 0.0
     reslip_rad_s: float = 0.0
+    has_begun: bool = False
     has_ended: bool = False
 
     def feed(self, rows: FloatArray, clutch: int) -> None:
@@ -40,13 +44,20 @@ class _Slip:
         pressed_rad_s = np.where(is_pressed, slip_rad_s, 0.0)
         self.peak_rad_s = max(self.peak_rad_s, float(pressed_rad_s.max()))
         self.energy_j += float(np.abs(torque_nm) @ pressed_rad_s) * _ROW_S
+        self.reslip_rad_s = max(self.reslip_rad_s, float(self._slip_again(pressed_rad_s, is_pressed).max(initial=0.0)))
+
+    def _slip_again(self, pressed_rad_s: FloatArray, is_pressed: BoolArray) -> FloatArray:
+        """Return the slip from when it had begun and ended, none before that."""
+        start = 0
+        if not self.has_begun:
+            begun = pressed_rad_s > BEGUN_SLIP_RAD_S
+            self.has_begun = bool(begun.any())
+            start = int(begun.argmax()) if self.has_begun else len(begun)
         if not self.has_ended:
-            ended = np.flatnonzero(is_pressed & (slip_rad_s < STOPPED_SLIP_RAD_S))
-            if not ended.size:
-                return
-            self.has_ended = True
-            pressed_rad_s = pressed_rad_s[ended[0] :]
-        self.reslip_rad_s = max(self.reslip_rad_s, float(pressed_rad_s.max()))
+            ended = is_pressed[start:] & (pressed_rad_s[start:] < STOPPED_SLIP_RAD_S)
+            self.has_ended = bool(ended.any())
+            start += int(ended.argmax()) if self.has_ended else len(ended)
+        return pressed_rad_s[start:]
 
 
 @dataclass(slots=True)

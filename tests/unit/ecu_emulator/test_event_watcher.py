@@ -110,6 +110,17 @@ def test_slip_that_comes_back_is_told_apart() -> None:
     assert event.reslip_rad_s == pytest.approx(12.0, rel=1e-3)
 
 
+@pytest.mark.parametrize("size", [1, 100, 2000])
+def test_slip_that_has_not_begun_does_not_come_back(size: int) -> None:
+    opened = np.concatenate((np.linspace(0.0, 40.0, 300), np.linspace(40.0, 0.0, 300)))  # from a clutch that sticks
+    rows = with_event(with_slip(quiet_rows(2000), 300, opened), 200, 1100, EventKind.LAUNCH)
+    watcher = EventWatcher()
+    (event,) = (event for start in range(0, len(rows), size) for event in watcher.feed(rows[start : start + size]))
+    assert event.peak_slip_rad_s == 40.0
+    assert event.reslip_rad_s < 1.0
+    assert event.is_locked
+
+
 @pytest.mark.parametrize("size", [1, 7, 250, 499, 500, 501, 1600])
 def test_the_cutting_changes_nothing(size: int) -> None:
     watcher = EventWatcher()
