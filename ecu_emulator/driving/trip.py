@@ -5,7 +5,6 @@ from collections.abc import Iterator
 import numpy as np
 import numpy.typing as npt
 
-from clutch_model.errors import DomainError
 from ecu_emulator import tcu_data
 from ecu_emulator.driving import places
 from ecu_emulator.driving.conditions import Car, DriveConditions
@@ -15,12 +14,11 @@ from ecu_emulator.driving.loop import Road, run
 from ecu_emulator.driving.states import DriveState
 from ecu_emulator.driving.trace import SpeedTrace
 from ecu_emulator.plant import state as at
-from ecu_emulator.plant.audit import PowerBalance, power_balance
 from ecu_emulator.plant.clutch import refresh_contact
+from ecu_emulator.plant.course import ROWS_PER_S, Course, blank_machine
 from ecu_emulator.plant.drive import DriveSettings
 from ecu_emulator.plant.driveline import ENGAGED
 from ecu_emulator.plant.engine import throttle_flow_kg_s
-from ecu_emulator.plant.integration import workspace
 from ecu_emulator.plant.loop import COLUMN_COUNT, Machine
 from ecu_emulator.plant.powertrain import drive_law
 from ecu_emulator.plant.records import as_record
@@ -29,7 +27,6 @@ from ecu_emulator.plant.stability import check_step
 FloatArray = npt.NDArray[np.float64]
 
 BLOCK_S = 10.0
-_ROWS_PER_S = 1000
 _IDLE_MANIFOLD_RATIO = 0.35  # of ambient pressure
 _WHIM_COUNT = 1021  # prime: no pattern of events meets the same whims again and again
 _LONGEST_WHIM_DELAY_S = 0.7
@@ -38,7 +35,7 @@ _WHIM_LENGTH_S = (0.25, 0.6)
 _DEEPER_PEDAL = (0.15, 0.6)
 
 
-class Trip:
+class Trip(Course):
     """A car on its way along a trace.
 
     Deterministic: the same arguments and the same state of ``rng`` give the same rows to the last bit, however
@@ -76,35 +73,16 @@ class Trip:
         check_step(conditions.dt_s, law.drive.plant, law.drive.overall_ratios, starts_in_neutral=True)
         self._law = as_record(law)
         self._road = _road(trace, conditions, rng)
-        self._machine = _initial_machine(self._law, conditions, is_audited=is_audited)
-        self._start = self._machine.y.copy()
+        super().__init__(_initial_machine(self._law, conditions, is_audited=is_audited), self._law.drive.plant)
 
     @property
     def finished(self) -> bool:
         """Whether the end of the trace is reached."""
         return bool(self._machine.clock[0] >= self._road.end[0])
 
-    @property
-    def time_s(self) -> float:
-        """Time of the next row since the trip began [s]."""
-        return int(self._machine.clock[0]) / _ROWS_PER_S
-
-    @property
-    def power_balance(self) -> PowerBalance:
-        """Energies since the start.
-
-        Raises
-        ------
-        DomainError
-            If the trip keeps no account.
-        """
-        if self._machine.work.account.size == 0:
-            raise DomainError("only an audited trip has a power balance")
-        return power_balance(self._machine.work.account, self._start, self._machine.y, self._law.drive.plant)
-
     def advance(self, duration_s: float) -> FloatArray:
         """Drive on and return the next rows, shape (n, len(Col)); fewer at the end of the trace, none after it."""
-        rows = np.empty((round(duration_s * _ROWS_PER_S), COLUMN_COUNT))
+        rows = np.empty((round(duration_s * ROWS_PER_S), COLUMN_COUNT))
         return rows[: run(self._machine, self._road, self._law, rows)]
 
 
@@ -138,7 +116,7 @@ def _road(trace: SpeedTrace, conditions: DriveConditions, rng: np.random.Generat
         speeds=np.interp(grid_s, trace.t_s, trace.speed_m_s),
         grades=np.interp(grid_s, trace.t_s, trace.grade_ratio),
         whims=_whims(conditions.whim_ratio, rng),
-        end=np.array([round(trace.duration_s * _ROWS_PER_S)]),
+        end=np.array([round(trace.duration_s * ROWS_PER_S)]),
     )
 
 
@@ -161,16 +139,12 @@ def _initial_machine(law: DrivingLaw, conditions: DriveConditions, *, is_audited
     factors = conditions.friction_factors
     cycles = np.zeros((1, tcu_data.CYCLE_COLUMN_COUNT))
     cycles[0, tcu_data.CYCLE_MU :] = (factors.mu_c1, factors.mu_s1, factors.mu_c2, factors.mu_s2)
-    machine = Machine(
-        y=np.zeros(at.STATE_COUNT),
-        u=np.zeros(at.INPUT_COUNT),
-        modes=np.zeros(at.MODE_COUNT, np.int64),
-        work=workspace(is_audited=is_audited),
-        memory=np.zeros(places.MEMORY_COUNT),
-        sense=np.zeros(places.SENSE_COUNT),
-        commands=np.zeros(places.COMMAND_COUNT),
-        clock=np.zeros(1, np.int64),
-        cycles=cycles,
+    machine = blank_machine(
+        cycles,
+        memory_count=places.MEMORY_COUNT,
+        sense_count=places.SENSE_COUNT,
+        command_count=places.COMMAND_COUNT,
+        is_audited=is_audited,
     )
     machine.u[at.COOLANT] = machine.sense[places.COOLANT] = conditions.coolant_k
     machine.u[at.DIRECTION : at.DIRECTION + 2] = 1.0

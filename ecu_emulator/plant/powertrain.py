@@ -5,18 +5,16 @@ import numpy.typing as npt
 
 from clutch_model.calibration import Calibration
 from clutch_model.clutch import ClutchCalibration
-from clutch_model.errors import DomainError
 from clutch_model.film import applied_pressure_pa, equilibrium_film_m, film_law
 from clutch_model.friction import contact_torque_nm, friction_law
 from ecu_emulator import tcu_data
 from ecu_emulator.plant import state as at
-from ecu_emulator.plant.audit import PowerBalance, power_balance
 from ecu_emulator.plant.clutch import ClutchLaw, OpenDragLaw, refresh_contact
+from ecu_emulator.plant.course import ROWS_PER_S, Course, blank_machine
 from ecu_emulator.plant.drive import DriveSettings, cycle_table
 from ecu_emulator.plant.driveline import ENGAGED
 from ecu_emulator.plant.engine import throttle_flow_kg_s
 from ecu_emulator.plant.hydraulics import cavity_law, closed_volume_m3
-from ecu_emulator.plant.integration import workspace
 from ecu_emulator.plant.lining import grooved
 from ecu_emulator.plant.loop import COLUMN_COUNT, DriveLaw, Machine, run
 from ecu_emulator.plant.parameters import GearboxParameters, PlantParameters
@@ -27,14 +25,13 @@ from ecu_emulator.tcu_data import ClutchActuation, ControlParameters
 
 FloatArray = npt.NDArray[np.float64]
 
-_ROWS_PER_S = 1000
 _IDLE_MANIFOLD_RATIO = 0.35  # of ambient pressure, when the drive begins
 _FULL_BRAKE_M_S = 1.0  # of the shift cycles, which never stop
 OPEN_DRAG = OpenDragLaw(peak_slip_rad_s=120.0, closing_film_ratio=4.0, open_film_ratio=0.9)
 _IDLE_RAD_S = 94.0  # engine speed when a drive begins at rest, about 900 rpm
 
 
-class Powertrain:
+class Powertrain(Course):
     """A vehicle on its shift cycles, one row of `Col` per millisecond.
 
     Deterministic: the same arguments give the same rows to the last bit, however `advance` is called. Raises
@@ -58,38 +55,20 @@ class Powertrain:
         law = drive_law(truth, parameters, drive)
         check_step(drive.dt_s, law.plant, law.overall_ratios, starts_in_neutral=drive.has_routine)
         self._law = as_record(law)
-        self._machine = _initial_machine(self._law, drive, parameters.control, is_audited=is_audited)
-        self._start = self._machine.y.copy()
+        machine = _initial_machine(self._law, drive, parameters.control, is_audited=is_audited)
+        super().__init__(machine, self._law.plant)
 
     @property
     def finished(self) -> bool:
         """Whether all cycles have been driven."""
         return bool(self._machine.memory[tcu_data.IS_FINISHED])
 
-    @property
-    def time_s(self) -> float:
-        """Scenario time of the next row [s]."""
-        return int(self._machine.clock[0]) / _ROWS_PER_S
-
-    @property
-    def power_balance(self) -> PowerBalance:
-        """Energies since the start.
-
-        Raises
-        ------
-        DomainError
-            If the powertrain keeps no account.
-        """
-        if self._machine.work.account.size == 0:
-            raise DomainError("only an audited powertrain has a power balance")
-        return power_balance(self._machine.work.account, self._start, self._machine.y, self._law.plant)
-
     def advance(self, duration_s: float) -> FloatArray:
         """Drive on and return the next rows, shape (n, len(Col)).
 
         ``n`` is ``duration_s`` in whole milliseconds, less where the drive ends, and 0 after that.
         """
-        rows = np.empty((round(duration_s * _ROWS_PER_S), COLUMN_COUNT))
+        rows = np.empty((round(duration_s * ROWS_PER_S), COLUMN_COUNT))
         if self.finished:
             return rows[:0]
         return rows[: run(self._machine, self._law, rows)]
@@ -166,16 +145,12 @@ def drive_law(truth: Calibration, parameters: PlantParameters, drive: DriveSetti
 
 def _initial_machine(law: DriveLaw, drive: DriveSettings, control: ControlParameters, *, is_audited: bool) -> Machine:
     """Return the state in which a drive begins: rolling in 1st gear or, for the workshop routine, idling at rest."""
-    machine = Machine(
-        y=np.zeros(at.STATE_COUNT),
-        u=np.zeros(at.INPUT_COUNT),
-        modes=np.zeros(at.MODE_COUNT, np.int64),
-        work=workspace(is_audited=is_audited),
-        memory=np.zeros(tcu_data.MEMORY_COUNT),
-        sense=np.zeros(tcu_data.SENSE_COUNT),
-        commands=np.zeros(tcu_data.COMMAND_COUNT),
-        clock=np.zeros(1, np.int64),
-        cycles=cycle_table(drive, control),
+    machine = blank_machine(
+        cycle_table(drive, control),
+        memory_count=tcu_data.MEMORY_COUNT,
+        sense_count=tcu_data.SENSE_COUNT,
+        command_count=tcu_data.COMMAND_COUNT,
+        is_audited=is_audited,
     )
     _fill_engine_and_oil(machine, law, drive)
     if drive.has_routine:
