@@ -27,7 +27,6 @@ from ecu_emulator.truth import ROTATED_BYTES, EventTruth, Happened, ShiftTruth, 
 
 if TYPE_CHECKING:
     from ecu_emulator.answering import Answering
-    from ecu_emulator.diagnostics.doip.server import DoipServer
 
 MS_PER_S: Final = 1e3
 
@@ -152,7 +151,7 @@ def run(
         _write_summary(summary, {})
         life = SignOfLife(alive) if alive is not None else None
         if answering is not None and answering.doip is not None:
-            console.print(_doip_text(answering.doip), markup=False)
+            console.print(doip_text(str(answering.doip.place), is_exposed=answering.doip.is_exposed), markup=False)
         console.print(
             f"{_drive_text(scenario)}, {_seeds_text(scenario)}: sending on {choice.name or bus.channel_info}",
             markup=False,
@@ -247,11 +246,10 @@ def _diagnostics_text(answering: "Answering") -> str:
     return f"diagnostics: {asked}; confirmed trouble codes: {codes}{problem}"
 
 
-def _doip_text(doip: "DoipServer") -> str:
-    said = f"DoIP on {doip.place}"
-    if not doip.is_exposed:
-        return said
-    return f"{said}\nwarning: whoever reaches {doip.place} can ask this controller and change what testers can change"
+def doip_text(place: str, *, is_exposed: bool) -> str:
+    """Return what people are told of a server for testers, with a warning if others than this machine can reach it."""
+    warning = f"\nwarning: whoever reaches {place} can ask this controller and change what testers can change"
+    return f"DoIP on {place}{warning if is_exposed else ''}"
 
 
 def _report_text(report: TransmitReport) -> str:

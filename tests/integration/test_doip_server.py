@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from ecu_emulator.diagnostics.doip.listening import Place
+from ecu_emulator.diagnostics.doip.listening import Place, listen
 from ecu_emulator.diagnostics.doip.server import DoipServer
 from ecu_emulator.diagnostics.doip.sockets import MORE_CONNECTIONS
 from ecu_emulator.diagnostics.memory_file import MemoryFile
@@ -170,14 +170,11 @@ def test_more_connections_than_there_may_be_are_closed() -> None:
 
 def test_one_who_never_reads_and_one_who_breaks_off_do_not_disturb_others(port: int) -> None:
     with Tester(port) as deaf, Tester(port, 0x0E01) as other:
-        deaf.socket.setblocking(False)
-        flood = request("19 0a") * 100
-        sent = 0
-        while sent < 10_000_000:
-            try:
-                sent += deaf.socket.send(flood)
-            except BlockingIOError:
-                break
+        deaf.socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
+        deaf.send(request("19 0a") * 100)
+        deaf.socket.settimeout(0.05)
+        with pytest.raises(TimeoutError):  # the entity does not read what it could not answer
+            deaf.send(request("19 0a") * 1_000_000)
         cut = Tester(port, 0x0E02)
         cut.send(request("22 f1 90", 0x0E02) * 20)
         cut.socket.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
@@ -191,6 +188,19 @@ def test_a_place_that_is_taken_is_named(port: int) -> None:
     assert str(caught.value) == f"DoIP cannot listen on 127.0.0.1:{port}: Address already in use"
     with pytest.raises(BusError, match=r"DoIP cannot listen on 192\.0\.2\.1:13400: Cannot assign"):
         DoipServer(controller, Place(host="192.0.2.1", port=13400))
+
+
+EVERYWHERE = "0.0.0.0"  # noqa: S104 - bound for a moment only
+
+
+@pytest.mark.parametrize(
+    ("host", "is_exposed"), [("127.0.0.1", False), ("127.3.2.1", False), ("localhost", False), (EVERYWHERE, True)]
+)
+def test_a_server_knows_whether_others_can_reach_it(host: str, *, is_exposed: bool) -> None:
+    listening = listen(Place(host=host, port=free_port()))
+    for one in (listening.tcp, *listening.udp):
+        one.close()
+    assert listening.is_exposed is is_exposed
 
 
 def test_an_error_of_the_controller_reaches_who_started_it() -> None:

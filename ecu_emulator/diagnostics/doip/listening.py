@@ -14,6 +14,7 @@ LOCAL_BROADCAST: Final = "127.255.255.255"
 BROADCAST: Final = "255.255.255.255"
 BACKLOG: Final = 16
 LARGEST_PORT: Final = 65535
+SEND_BYTES: Final = 1 << 16  # that one tester may leave unread before nothing more is read from it
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -67,6 +68,7 @@ def listen(place: Place) -> Listening:
             tcp = stack.enter_context(socket.socket(socket.AF_INET, socket.SOCK_STREAM))
             tcp.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
             tcp.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)  # its connections inherit that: no 40 ms each
+            tcp.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, SEND_BYTES)
             tcp.bind((str(address), place.port))
             tcp.listen(BACKLOG)
             hosts = [str(address)] if address.is_unspecified else [str(address), broadcast]

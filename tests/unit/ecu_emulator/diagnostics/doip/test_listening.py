@@ -5,6 +5,7 @@ import pytest
 from ecu_emulator.diagnostics.doip.listening import parse_place
 from ecu_emulator.diagnostics.table_file import parse_table
 from ecu_emulator.errors import ConfigError
+from ecu_emulator.live import diagnostics_choice, doip_text
 from tests.support.uds.full_table import full_text
 
 
@@ -19,6 +20,19 @@ from tests.support.uds.full_table import full_text
 )
 def test_a_port_alone_means_this_machine(text: str, place: str) -> None:
     assert str(parse_place(text)) == place
+
+
+def test_whoever_can_be_reached_by_others_is_exposed() -> None:
+    assert "warning: whoever reaches 0.0.0.0:13400 can ask" in doip_text("0.0.0.0:13400", is_exposed=True)
+    assert doip_text("127.0.0.1:13400", is_exposed=False) == "DoIP on 127.0.0.1:13400"
+
+
+def test_nobody_is_there_to_answer_without_diagnostics() -> None:
+    with pytest.raises(ConfigError, match="--doip needs --diagnostics"):
+        diagnostics_choice(None, None, "13400")
+    choice = diagnostics_choice("", None, "13400")
+    assert choice is not None
+    assert str(choice.doip) == "127.0.0.1:13400"
 
 
 @pytest.mark.parametrize("text", ["", "0", "65536", "-1", "x", ":13400", "host:", "1.5", "localhost", "127.0.0.1:0x1"])
