@@ -18,6 +18,7 @@ from ecu_emulator.diagnostics.codes import Status
 from ecu_emulator.diagnostics.controller import Controller
 from ecu_emulator.diagnostics.doip.listening import Place
 from ecu_emulator.diagnostics.doip.server import DoipServer
+from ecu_emulator.diagnostics.elm327.server import ElmServer, parse_place
 from ecu_emulator.diagnostics.memory import TestResult
 from ecu_emulator.diagnostics.memory_file import MemoryFile
 from ecu_emulator.diagnostics.monitors import SENSED, Watch, is_warm, judge
@@ -44,14 +45,28 @@ class Answering:
         Where testers may ask over an IP network; None: nowhere.
     is_fd
         Whether responses are CAN FD frames.
+    elm327
+        ``[HOST:]PORT`` of an ELM327 adapter for OBD apps; without one there is none.
+    bitrate
+        Of the bus [bit/s], if it is known; the adapter names its protocol by it.
 
     Raises
     ------
     ConfigError, RecordError, BusError, ExtraMissingError
-        If the table, the memory or the address cannot be used, or can-isotp is not installed.
+        If the table, the memory or an address cannot be used, or can-isotp is not installed.
     """
 
-    def __init__(self, bus: FrameSender, *, table: str, memory: Path | None, doip: Place | None, is_fd: bool) -> None:
+    def __init__(
+        self,
+        bus: FrameSender,
+        *,
+        table: str,
+        memory: Path | None,
+        doip: Place | None,
+        is_fd: bool,
+        elm327: str | None = None,
+        bitrate: int | None = None,
+    ) -> None:
         try:
             from ecu_emulator.diagnostics.link import DiagnosticLink  # noqa: PLC0415 - an extra
         except ImportError as exc:
@@ -77,11 +92,15 @@ class Answering:
             )
             self.link = DiagnosticLink(self.controller, bus.send, is_fd=is_fd)
             self.doip = None if doip is None else DoipServer(self.controller, doip)
+            self.elm327 = None if elm327 is None else ElmServer(self.controller, parse_place(elm327), bitrate)
         except BaseException:
             self._stack.close()
             raise
 
     def __enter__(self) -> Self:
+        if self.elm327 is not None:
+            self.link.on_response = self.elm327.hear_response
+            self._stack.enter_context(self.elm327)
         self._stack.enter_context(self.link)
         if self.doip is not None:
             self._stack.enter_context(self.doip)
@@ -106,6 +125,8 @@ class Answering:
             self._count_shift()
         if can_id not in self._own_ids or self.controller.state.communication.sends_normal:
             self._bus.send(message)
+            if self.elm327 is not None:
+                self.elm327.hear_frame(message)
 
     @property
     def outcome(self) -> dict[str, object]:
@@ -113,7 +134,32 @@ class Answering:
         records, troubles = self.controller.state.memory.records, self.controller.table.troubles
         confirmed = [troubles[number].code for number, record in records.items() if record.status & Status.CONFIRMED]
         over_ip = {} if self.doip is None else {"doip": self.doip.counts}
-        return {**asdict(self.link.counts), **over_ip, "confirmed": confirmed}
+        adapter = {} if self.elm327 is None else {"elm327": asdict(self.elm327.counts)}
+        return {**asdict(self.link.counts), **over_ip, **adapter, "confirmed": confirmed}
+
+    @property
+    def places(self) -> list[str]:
+        """Where else than on the bus it can be asked, for people; each with a warning if others can reach it."""
+        said = []
+        if self.doip is not None:
+            said.append(place_text("DoIP on", str(self.doip.place), is_exposed=self.doip.is_exposed))
+        if self.elm327 is not None:
+            said.append(place_text("ELM327 adapter at", self.elm327.place, is_exposed=self.elm327.is_exposed))
+        return said
+
+    @property
+    def summary(self) -> str:
+        """What was asked and which codes are confirmed, for people."""
+        told = self.outcome["confirmed"]
+        codes = ", ".join(told) if isinstance(told, list) and told else "none"
+        problem = f"\nwarning: trouble codes could not be kept: {self.problem}" if self.problem else ""
+        asked = f"{self.link.counts.requests} requests, {self.link.counts.responses} responses"
+        if self.doip is not None:
+            over_ip = self.doip.counts
+            asked += f"; DoIP: {over_ip['requests']} requests, {over_ip['responses']} responses"
+        if self.elm327 is not None:
+            asked += f"; ELM327: {self.elm327.counts.lines} lines of {self.elm327.counts.clients} clients"
+        return f"diagnostics: {asked}; confirmed trouble codes: {codes}{problem}"
 
     def _watch(self) -> None:
         """Let the monitors judge what the controllers say, from when those that they need have spoken."""
@@ -145,3 +191,9 @@ class Answering:
     def _values(self) -> Mapping[str, float]:
         more = {"time_s": time.monotonic() - self._began_s, "shift_count": float(self._shift_count)}
         return self._sent.now(more)
+
+
+def place_text(what: str, place: str, *, is_exposed: bool) -> str:
+    """Return what people are told of a server for testers, with a warning if others than this machine can reach it."""
+    warning = f"\nwarning: whoever reaches {place} can ask this controller and change what testers can change"
+    return f"{what} {place}{warning if is_exposed else ''}"

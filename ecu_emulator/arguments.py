@@ -17,6 +17,7 @@ EXIT_TEXT: Final = (
 )
 NS_PER_S: Final = 1_000_000_000
 DEFAULT_REVS: Final = "4,4"
+DEFAULT_ELM_PORT: Final = "35000"
 MOST_PARKED_S: Final = 86_400.0
 DEFAULT_START: Final = "2026-01-01T00:00:00Z"
 
@@ -106,6 +107,11 @@ _RUN: Final = Command(
         "says otherwise",
     ),
     Option("--diagnostic-memory FILE", "keep trouble codes in this file, over restarts", FILE),
+    Option(
+        "--elm327 [[HOST:]PORT]",
+        "serve OBD apps on this TCP port as an ELM327 adapter does (127.0.0.1:35000)",
+        flag_value=DEFAULT_ELM_PORT,
+    ),
     Option("--alive FILE", "touch this file while frames go out", FILE),
     Option("--start-delay S", "wait before the first frame", _between(0.0, 3600.0, "s"), default="0"),
     Option(
@@ -118,6 +124,7 @@ _RUN: Final = Command(
         f"{PROGRAM} run -i socketcan -c vcan0",
         f"{PROGRAM} run -i socketcan -c vcan0 --diagnostics --diagnostic-memory tcu.json",
         f"{PROGRAM} run -i socketcan -c vcan0 --diagnostics --doip 13400",
+        f"{PROGRAM} run -i socketcan -c vcan0 --diagnostics --elm327",
         f"{PROGRAM} run -i socketcan -c vcan0 --fluid case2 --cycles 3 --truth truth.jsonl --json",
         f"{PROGRAM} run -i socketcan -c vcan0 --drive day --endless --oil-degc -10",
     ),

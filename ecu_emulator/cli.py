@@ -85,7 +85,9 @@ def _execute(options: SimpleNamespace, stop: Event) -> None:
         summary=options.summary,
         control=options.control,
         alive=options.alive,
-        diagnostics=live.diagnostics_choice(options.diagnostics, options.diagnostic_memory, options.doip),
+        diagnostics=live.diagnostics_choice(
+            options.diagnostics, options.diagnostic_memory, options.doip, options.elm327
+        ),
         start_delay_s=options.start_delay,
         longest_stay_s=options.parked,
         is_json=options.json,

@@ -53,6 +53,7 @@ class DiagnosticsChoice:
     table: str  # a TOML file; empty: the one that ships
     memory: Path | None
     doip: Place | None  # where it answers on an IP network
+    elm327: str | None  # [HOST:]PORT of an adapter for OBD apps
 
 
 class SentTruth:
@@ -138,7 +139,7 @@ def run(
         TruthWriter(truth, most_bytes=most_bytes) if truth is not None else nullcontext() as writer,
         ControlSocket(control, drive.add_fault) if control is not None else nullcontext(),
         ProgressLine(console, "preparing the plant") as progress,
-        _answering(bus, diagnostics, is_fd=choice.is_fd) as answering,
+        _answering(bus, diagnostics, choice) as answering,
         OtherSenders(
             bus,
             own_ids(),
@@ -150,8 +151,8 @@ def run(
         sent = SentTruth(drive, writer)
         _write_summary(summary, {})
         life = SignOfLife(alive) if alive is not None else None
-        if answering is not None and answering.doip is not None:
-            console.print(doip_text(str(answering.doip.place), is_exposed=answering.doip.is_exposed), markup=False)
+        for line in answering.places if answering is not None else ():
+            console.print(line, markup=False)
         console.print(
             f"{_drive_text(scenario)}, {_seeds_text(scenario)}: sending on {choice.name or bus.channel_info}",
             markup=False,
@@ -179,7 +180,7 @@ def run(
     }
     if answering is not None:
         result["diagnostics"] = answering.outcome
-        console.print(_diagnostics_text(answering), markup=False)
+        console.print(answering.summary, markup=False)
     console.print(_report_text(report), markup=False)
     if others.frame_count >= WORTH_SAYING:
         console.print(f"{others.frame_count} frames with the same identifiers came from another sender", markup=False)
@@ -189,16 +190,26 @@ def run(
 
 
 def _answering(
-    bus: can.BusABC, choice: DiagnosticsChoice | None, *, is_fd: bool
+    bus: can.BusABC, choice: DiagnosticsChoice | None, bus_choice: BusChoice
 ) -> "AbstractContextManager[Answering | None]":
     if choice is None:
         return nullcontext()
     from ecu_emulator.answering import Answering  # noqa: PLC0415 - a drive that nobody asks begins sooner
 
-    return Answering(bus, table=choice.table, memory=choice.memory, doip=choice.doip, is_fd=is_fd)
+    return Answering(
+        bus,
+        table=choice.table,
+        memory=choice.memory,
+        doip=choice.doip,
+        is_fd=bus_choice.is_fd,
+        elm327=choice.elm327,
+        bitrate=bus_choice.bitrate,
+    )
 
 
-def diagnostics_choice(table: str | None, memory: Path | None, doip: str | None) -> DiagnosticsChoice | None:
+def diagnostics_choice(
+    table: str | None, memory: Path | None, doip: str | None, elm327: str | None = None
+) -> DiagnosticsChoice | None:
     """Return what was chosen on the command line; None if nobody is to answer.
 
     Raises
@@ -206,12 +217,13 @@ def diagnostics_choice(table: str | None, memory: Path | None, doip: str | None)
     ConfigError
         If there is a memory or an address and nobody who uses it, or the address is none.
     """
-    for option, value in (("--diagnostic-memory", memory), ("--doip", doip)):
+    for option, value in (("--diagnostic-memory", memory), ("--doip", doip), ("--elm327", elm327)):
         if table is None and value is not None:
             raise ConfigError(f"{option} needs --diagnostics")
     if table is None:
         return None
-    return DiagnosticsChoice(table=table, memory=memory, doip=None if doip is None else parse_place(doip))
+    place = None if doip is None else parse_place(doip)
+    return DiagnosticsChoice(table=table, memory=memory, doip=place, elm327=elm327)
 
 
 def _drive_text(scenario: Scenario) -> str:
@@ -233,23 +245,6 @@ def _mixed_bus_text(can_id: int) -> str:
         f"warning: another sender on this bus uses this emulator's identifiers ({can_id:03X} for one), "
         "probably a second emulator; nothing can be estimated from a mixture: give each a bus of its own"
     )
-
-
-def _diagnostics_text(answering: "Answering") -> str:
-    counts, told = answering.link.counts, answering.outcome["confirmed"]
-    codes = ", ".join(told) if isinstance(told, list) and told else "none"
-    problem = f"\nwarning: trouble codes could not be kept: {answering.problem}" if answering.problem else ""
-    asked = f"{counts.requests} requests, {counts.responses} responses"
-    if answering.doip is not None:
-        over_ip = answering.doip.counts
-        asked += f"; DoIP: {over_ip['requests']} requests, {over_ip['responses']} responses"
-    return f"diagnostics: {asked}; confirmed trouble codes: {codes}{problem}"
-
-
-def doip_text(place: str, *, is_exposed: bool) -> str:
-    """Return what people are told of a server for testers, with a warning if others than this machine can reach it."""
-    warning = f"\nwarning: whoever reaches {place} can ask this controller and change what testers can change"
-    return f"DoIP on {place}{warning if is_exposed else ''}"
 
 
 def _report_text(report: TransmitReport) -> str:

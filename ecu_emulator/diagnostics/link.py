@@ -85,6 +85,7 @@ class DiagnosticLink:
         self._thread = threading.Thread(target=self._run, name="diagnostics", daemon=True)
         self._layer = self._made_layer()
         self.counts = LinkCounts()
+        self.on_response: Callable[[bytes], None] = lambda _: None
         self._error: BaseException | None = None
 
     def _made_layer(self) -> isotp.TransportLayerLogic:
@@ -237,6 +238,7 @@ class DiagnosticLink:
         if payload is not None:
             self.counts.responses += 1
             self._layer.send(payload)
+            self.on_response(payload)
 
     def _taken(self, _timeout_s: float) -> isotp.CanMessage | None:
         message, self._next = self._next, None

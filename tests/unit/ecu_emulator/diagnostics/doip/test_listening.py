@@ -2,10 +2,11 @@
 
 import pytest
 
+from ecu_emulator.answering import place_text
 from ecu_emulator.diagnostics.doip.listening import parse_place
 from ecu_emulator.diagnostics.table_file import parse_table
 from ecu_emulator.errors import ConfigError
-from ecu_emulator.live import diagnostics_choice, doip_text
+from ecu_emulator.live import diagnostics_choice
 from tests.support.uds.full_table import full_text
 
 
@@ -23,8 +24,8 @@ def test_a_port_alone_means_this_machine(text: str, place: str) -> None:
 
 
 def test_whoever_can_be_reached_by_others_is_exposed() -> None:
-    assert "warning: whoever reaches 0.0.0.0:13400 can ask" in doip_text("0.0.0.0:13400", is_exposed=True)
-    assert doip_text("127.0.0.1:13400", is_exposed=False) == "DoIP on 127.0.0.1:13400"
+    assert "warning: whoever reaches 0.0.0.0:13400 can ask" in place_text("DoIP on", "0.0.0.0:13400", is_exposed=True)
+    assert place_text("DoIP on", "127.0.0.1:13400", is_exposed=False) == "DoIP on 127.0.0.1:13400"
 
 
 def test_nobody_is_there_to_answer_without_diagnostics() -> None:

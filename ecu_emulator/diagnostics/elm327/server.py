@@ -1,0 +1,161 @@
+"""The adapter's TCP port: a thread for each client, all in front of the one controller.
+
+It asks the controller's core, not the bus. What it monitors (``AT MA``) are the frames that the emulator sends.
+"""
+
+import socket
+import threading
+from ipaddress import ip_address
+from types import TracebackType
+from typing import Final, Self
+
+import can
+
+from ecu_emulator.diagnostics.controller import Controller
+from ecu_emulator.diagnostics.elm327.client import POLL_S, Client, ElmCounts
+from ecu_emulator.diagnostics.elm327.interpreter import Interpreter
+from ecu_emulator.errors import BusError, ConfigError
+
+PORT: Final = 35000  # where adapters on a wireless network listen
+LOOPBACK: Final = "127.0.0.1"
+MOST_CLIENTS: Final = 8
+_LARGEST_PORT: Final = 65535
+
+
+def parse_place(text: str) -> tuple[str, int]:
+    """Return host and port of ``[HOST:]PORT``; without a host it is this machine alone.
+
+    Raises
+    ------
+    ConfigError
+        If it is no such thing.
+    """
+    host, colon, port = text.rpartition(":")
+    if not (port.isascii() and port.isdecimal() and 0 <= int(port) <= _LARGEST_PORT) or (colon and not host):
+        raise ConfigError(f"--elm327 must be [HOST:]PORT with a port of 0..{_LARGEST_PORT}, got {text}")
+    return host.strip("[]") or LOOPBACK, int(port)
+
+
+class ElmServer:
+    """Serves clients while the ``with`` block runs.
+
+    Parameters
+    ----------
+    controller
+        Who is asked.
+    place
+        Host and port; port 0: any that is free.
+    bitrate
+        Of the bus [bit/s], which decides what the protocol is called; None: the usual one.
+
+    Raises
+    ------
+    ConfigError
+        If the controller has extended addresses, which such an adapter does not know.
+    BusError
+        If it cannot listen there.
+    """
+
+    def __init__(self, controller: Controller, place: tuple[str, int], bitrate: int | None = None) -> None:
+        if controller.table.transport.own_address is not None:
+            raise ConfigError("an ELM327 does not reach a controller with extended addresses")
+        self._controller = controller
+        self._bitrate = bitrate
+        self._is_over = threading.Event()
+        self._clients: list[Client] = []
+        self._lock = threading.Lock()
+        self._listener = _listening(*place)
+        self._thread = threading.Thread(target=self._accept, name="ELM327", daemon=True)
+        self.counts = ElmCounts()
+
+    @property
+    def address(self) -> tuple[str, int]:
+        """Where it listens."""
+        host, port, *_ = self._listener.getsockname()
+        return str(host), int(port)
+
+    @property
+    def place(self) -> str:
+        """Where it listens, as people write it."""
+        host, port = self.address
+        return f"[{host}]:{port}" if ":" in host else f"{host}:{port}"
+
+    @property
+    def is_exposed(self) -> bool:
+        """Whether others than this machine can reach it."""
+        return not ip_address(self.address[0]).is_loopback
+
+    def __enter__(self) -> Self:
+        self._thread.start()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._is_over.set()
+        self._thread.join()
+        self._listener.close()
+        for client in self._present():
+            client.end()
+
+    def hear_frame(self, message: can.Message) -> None:
+        """Show a frame of the bus to clients that monitor it; never waits."""
+        for client in self._clients:
+            client.hear_frame(message)
+
+    def hear_response(self, payload: bytes) -> None:
+        """Show a response that the controller sends to clients that wait for one; never waits."""
+        for client in self._present():
+            client.hear_response(payload)
+
+    def _present(self) -> list[Client]:
+        with self._lock:
+            return list(self._clients)
+
+    def _accept(self) -> None:
+        while not self._is_over.is_set():
+            try:
+                connection, _ = self._listener.accept()
+            except TimeoutError:
+                continue
+            except OSError:  # no descriptor is left, or the caller has gone already
+                self._is_over.wait(POLL_S)
+                continue
+            self._take(connection)
+
+    def _take(self, connection: socket.socket) -> None:
+        with self._lock:
+            if len(self._clients) >= MOST_CLIENTS:
+                self.counts.refused_clients += 1
+                connection.close()
+                return
+            self.counts.clients += 1
+            table = self._controller.table
+            interpreter = Interpreter(table.addressing, table.transport, self._ask, self._bitrate)
+            client = Client(connection, interpreter, self.counts, table.timing.p2_star_s, self._leave)
+            self._clients = [*self._clients, client]
+        client.start()
+
+    def _ask(self, payload: bytes, is_functional: bool) -> bytes | None:  # noqa: FBT001 - a callable's
+        return self._controller.ask(payload, is_functional=is_functional)
+
+    def _leave(self, client: Client) -> None:
+        with self._lock:
+            self._clients = [other for other in self._clients if other is not client]
+
+
+def _listening(host: str, port: int) -> socket.socket:
+    try:
+        family, _, _, _, address = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM, flags=socket.AI_PASSIVE)[0]
+        listener = socket.socket(family, socket.SOCK_STREAM)
+    except OSError as exc:
+        raise BusError(f"ELM327 cannot listen at {host}:{port}: {exc.strerror or exc}") from exc
+    try:
+        listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        listener.bind(address)
+        listener.listen(MOST_CLIENTS)
+        listener.settimeout(POLL_S)
+    except OSError as exc:
+        listener.close()
+        raise BusError(f"ELM327 cannot listen at {host}:{port}: {exc.strerror or exc}") from exc
+    return listener

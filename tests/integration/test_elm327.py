@@ -1,0 +1,233 @@
+"""The adapter's TCP port with clients that are slow, hasty, rude, or many; no bus is needed."""
+
+import socket
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
+from dataclasses import replace
+
+import can
+import pytest
+
+from ecu_emulator.diagnostics.controller import Controller
+from ecu_emulator.diagnostics.elm327.client import MOST_LINE_BYTES
+from ecu_emulator.diagnostics.elm327.server import MOST_CLIENTS, ElmServer, parse_place
+from ecu_emulator.diagnostics.table_file import parse_table, shipped_table
+from ecu_emulator.errors import BusError, ConfigError
+from ecu_emulator.live import diagnostics_choice
+from tests.support.patience import HANG_S
+from tests.support.uds.full_table import full_text
+from tests.unit.ecu_emulator.diagnostics.bench import PARKED
+
+KEY = b"27 02 FB 04 62 9D"  # for a seed of A1 in every byte
+SUPPORTED = b"41 00 98 38 80 13 "
+
+
+@pytest.fixture(scope="module")
+def server() -> Iterator[ElmServer]:
+    """Yield one adapter for all tests."""
+    with ElmServer(controller(), ("127.0.0.1", 0)) as serving:
+        yield serving
+
+
+def controller(text: str | None = None) -> Controller:
+    table = shipped_table() if text is None else parse_table(text, "table")
+    return Controller(table, values=lambda: PARKED, clock=lambda: 100.0, chance=lambda size: b"\xa1" * size)
+
+
+@contextmanager
+def client(server: ElmServer) -> Iterator[socket.socket]:
+    with socket.create_connection(server.address, timeout=HANG_S) as connection:
+        yield connection
+
+
+def until(connection: socket.socket, end: bytes = b">") -> bytes:
+    heard = b""
+    while not heard.endswith(end):
+        piece = connection.recv(4096)
+        if not piece:
+            return heard
+        heard += piece
+    return heard
+
+
+def say(connection: socket.socket, text: bytes) -> bytes:
+    connection.sendall(text + b"\r")
+    return until(connection)
+
+
+def test_echo_line_ends_and_prompt(server: ElmServer) -> None:
+    with client(server) as one:
+        assert say(one, b"ATI") == b"ATI\rELM327 v1.5\r\r>"
+        assert say(one, b"ATE0") == b"ATE0\rOK\r\r>"
+        assert say(one, b"ATSP6") == b"OK\r\r>"
+        assert say(one, b"0100") == SUPPORTED + b"\r\r>"
+        assert say(one, b"ATL1") == b"OK\r\n\r\n>"
+        assert say(one, b"") == b"OK\r\n\r\n>"
+        assert say(one, b"\n\0ATL0") == b"OK\r\r>"  # those two mean nothing
+
+
+def test_a_line_may_come_in_pieces_and_several_at_once(server: ElmServer) -> None:
+    with client(server) as one:
+        say(one, b"ATE0")
+        for byte in b"ATSP":
+            one.sendall(bytes([byte]))
+        assert say(one, b"6") == b"OK\r\r>"
+        one.sendall(b"0100\rATI\r010C\r")
+        assert until(one, b"AF \r\r>").split(b"\r\r>") == [SUPPORTED, b"ELM327 v1.5", b"41 0C 0C AF ", b""]
+
+
+def test_a_line_without_end_is_cut_and_answered_once(server: ElmServer) -> None:
+    before = server.counts.overlong_lines
+    with client(server) as one:
+        say(one, b"ATE0")
+        one.sendall(b"01" * 100_000)
+        assert say(one, b"") == b"?\r\r>"
+        assert say(one, b"A" * MOST_LINE_BYTES) == b"?\r\r>"  # as long as it may be
+        assert say(one, b"ATI") == b"ELM327 v1.5\r\r>"
+    assert server.counts.overlong_lines == before + 1
+
+
+def test_bytes_that_are_no_text_are_no_command(server: ElmServer) -> None:
+    with client(server) as one:
+        say(one, b"ATE0")
+        assert say(one, bytes(range(0x80, 0x100))) == b"?\r\r>"
+        assert say(one, b"\x7f\x7f") == b"?\r\r>"
+
+
+def test_each_client_has_settings_of_its_own_and_too_many_are_turned_away() -> None:
+    with ElmServer(controller(), ("127.0.0.1", 0)) as server, ExitStack() as stack:
+        clients = [stack.enter_context(client(server)) for _ in range(MOST_CLIENTS)]
+        for place, one in enumerate(clients):
+            say(one, b"ATE0")
+            say(one, b"ATSP6" if place % 2 else b"ATSP3")
+        answers = [say(one, b"0100") for one in clients]
+        assert answers == [b"BUS INIT: ...ERROR\r\r>", SUPPORTED + b"\r\r>"] * (MOST_CLIENTS // 2)
+        with client(server) as one_more:
+            assert until(one_more) == b""
+        assert (server.counts.clients, server.counts.refused_clients) == (MOST_CLIENTS, 1)
+        clients[0].close()
+        say(clients[1], b"ATI")
+
+
+def frames(server: ElmServer, is_over: Callable[[], bool]) -> None:
+    while not is_over():
+        server.hear_frame(can.Message(arbitration_id=0x123, data=b"\1\2\3", is_extended_id=False))
+
+
+def test_frames_are_shown_until_the_client_says_anything(server: ElmServer) -> None:
+    is_over = threading.Event()
+    with client(server) as one:
+        for command in (b"ATE0", b"ATH1", b"ATCAF0"):
+            say(one, command)
+        one.sendall(b"ATMA\r")
+        sender = threading.Thread(target=lambda: frames(server, lambda: is_over.wait(0.001)))
+        sender.start()
+        try:
+            assert until(one, b"\r").startswith(b"123 01 02 03 \r")
+            one.sendall(b" ")
+            assert until(one).endswith(b"STOPPED\r\r>")
+        finally:
+            is_over.set()
+            sender.join()
+        assert say(one, b"ATI") == b"ELM327 v1.5\r\r>"
+
+
+def test_a_client_that_does_not_keep_up_is_told_so(server: ElmServer) -> None:
+    is_over = threading.Event()
+    with client(server) as one:
+        say(one, b"ATE0")
+        one.sendall(b"ATMA\r")
+        sender = threading.Thread(target=lambda: frames(server, is_over.is_set))
+        sender.start()
+        try:
+            assert until(one).endswith(b"BUFFER FULL\r\r>")
+        finally:
+            is_over.set()
+            sender.join()
+
+
+def pending(server: ElmServer, connection: socket.socket) -> None:
+    """Start a routine whose response comes later."""
+    for command in (b"ATE0", b"ATSP6", b"ATSH7E1", b"1003", b"2701", KEY):
+        say(connection, command)
+    connection.sendall(b"31 01 03 01 04 04\r")
+    assert until(connection, b"\r") == b"7F 31 78 \r"
+
+
+def test_a_response_that_comes_later_is_shown_when_it_comes(later: ElmServer) -> None:
+    with client(later) as one:
+        pending(later, one)
+        later.hear_response(b"\x62\xf1\x90")  # somebody else's
+        later.hear_response(b"\x7f\x31\x78")
+        later.hear_response(b"\x71\x01\x03\x01")
+        assert until(one) == b"7F 31 78 \r71 01 03 01 \r\r>"
+
+
+def test_whoever_speaks_while_it_waits_has_stopped_it(later: ElmServer) -> None:
+    with client(later) as one:
+        pending(later, one)
+        one.sendall(b"\r")
+        assert until(one) == b"STOPPED\r\r>"
+
+
+@pytest.fixture
+def later() -> Iterator[ElmServer]:
+    with ElmServer(controller(full_text()), ("127.0.0.1", 0)) as serving:
+        yield serving
+
+
+def test_a_client_may_go_away_in_the_middle(server: ElmServer) -> None:
+    for rudeness in (b"", b"ATM", b"ATMA\r", b"0100\r" * 1000):
+        with client(server) as one:
+            one.sendall(rudeness)
+    with client(server) as one:
+        assert say(one, b"ATI").endswith(b"ELM327 v1.5\r\r>")
+
+
+def test_the_end_of_the_program_hangs_up() -> None:
+    with ElmServer(controller(), ("127.0.0.1", 0)) as server:
+        one = stack_client(server)
+    assert until(one) == b""
+    one.close()
+
+
+def test_whoever_others_can_reach_says_so(server: ElmServer) -> None:
+    assert not server.is_exposed
+    with ElmServer(controller(), ("0.0.0.0", 0)) as open_to_all:  # noqa: S104
+        assert open_to_all.is_exposed
+        assert open_to_all.place == f"0.0.0.0:{open_to_all.address[1]}"
+
+
+def stack_client(server: ElmServer) -> socket.socket:
+    connection = socket.create_connection(server.address, timeout=HANG_S)
+    say(connection, b"ATI")
+    return connection
+
+
+@pytest.mark.parametrize(
+    ("text", "place"),
+    [("35000", ("127.0.0.1", 35000)), ("0.0.0.0:1", ("0.0.0.0", 1)), ("[::1]:35000", ("::1", 35000))],  # noqa: S104
+)
+def test_places(text: str, place: tuple[str, int]) -> None:
+    assert parse_place(text) == place
+
+
+@pytest.mark.parametrize("text", ["", "x", ":1", "host:", "65536", "-1", "1.5", "host:\u0661"])
+def test_what_is_no_place(text: str) -> None:
+    with pytest.raises(ConfigError, match="--elm327 must be"):
+        parse_place(text)
+
+
+def test_an_adapter_needs_a_port_and_a_controller_without_extended_addresses() -> None:
+    table = shipped_table()
+    odd = Controller(
+        replace(table, transport=replace(table.transport, own_address=0x18)),
+        values=lambda: PARKED, clock=lambda: 0.0, chance=bytes,
+    )  # fmt: skip
+    with pytest.raises(ConfigError, match="extended addresses"):
+        ElmServer(odd, ("127.0.0.1", 0))
+    with socket.create_server(("127.0.0.1", 0)) as taken, pytest.raises(BusError, match="ELM327 cannot listen at"):
+        ElmServer(controller(), taken.getsockname())
+    with pytest.raises(ConfigError, match="--elm327 needs --diagnostics"):
+        diagnostics_choice(None, None, None, "35000")

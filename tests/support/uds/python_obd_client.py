@@ -1,0 +1,52 @@
+"""A scan tool that is not ours, as a process: python-OBD asks an ELM327 adapter, and prints what it was told as JSON.
+
+``python -m tests.support.uds.python_obd_client PORT``
+"""
+
+import json
+import sys
+from collections.abc import Sequence
+from typing import Any
+
+import obd
+
+
+def told(port: str) -> dict[str, Any]:
+    """Return what the car says to a scan tool."""
+    vin, calibration = (  # its own commands strip 0, 1 and 2 from both ends
+        obd.OBDCommand(name, name, request, 0, _payload) for name, request in (("VIN_", b"0902"), ("CAL_", b"0904"))
+    )
+    with_adapter = obd.OBD(f"socket://127.0.0.1:{port}", fast=False, timeout=5)
+    try:
+        values = {
+            name: _magnitude(with_adapter.query(obd.commands[name]).value)
+            for name in ("RPM", "SPEED", "COOLANT_TEMP", "THROTTLE_POS", "RUN_TIME", "AMBIANT_AIR_TEMP")
+        }
+        status = with_adapter.query(obd.commands.STATUS).value
+        return {
+            "state": with_adapter.status(),
+            "protocol": with_adapter.protocol_name(),
+            "supported": sorted(command.name for command in with_adapter.supported_commands),
+            "values": values,
+            "lamp": status.MIL,
+            "count": status.DTC_count,
+            "confirmed": [code for code, _ in with_adapter.query(obd.commands.GET_DTC).value],
+            "pending": [code for code, _ in with_adapter.query(obd.commands.GET_CURRENT_DTC).value],
+            "vin": with_adapter.query(vin, force=True).value,
+            "calibration": with_adapter.query(calibration, force=True).value,
+            "clear": with_adapter.query(obd.commands.CLEAR_DTC, force=True).value,
+        }
+    finally:
+        with_adapter.close()
+
+
+def _payload(messages: Sequence[Any]) -> str:
+    return bytes(messages[0].data[3:]).rstrip(b"\0").decode("ascii")
+
+
+def _magnitude(value: Any) -> float | None:  # noqa: ANN401 - untyped
+    return None if value is None else float(value.magnitude)
+
+
+if __name__ == "__main__":
+    print(json.dumps(told(sys.argv[1])))
