@@ -19,6 +19,8 @@ from tests.support.doip.desk import activation, framed, request
 from tests.support.doip.tester import Tester, entity, free_port
 from tests.support.patience import HANG_S
 from tests.support.uds.full_table import full_table
+from tests.support.uds.wire import Wire
+from tests.tools.doip_streams import run_on_sockets
 
 EVERYBODY = "127.255.255.255"
 
@@ -74,19 +76,41 @@ def test_two_testers_are_answered_each_by_its_own(port: int) -> None:
 def test_a_tester_waits_for_its_routine_and_others_for_their_turn() -> None:
     with entity() as (controller, server), Tester(server.place.port) as one, Tester(server.place.port, 0x0E01) as other:
         one.unlock()
-        assert one.ask("31 01 03 01 04 04") == "7f 31 78"
+        assert one.first("31 01 03 01 04 04") == "7f 31 78"
         assert other.ask("22 f1 90") == "7f 22 21"
         assert one.ask("22 f1 90") == "7f 22 21"
         controller.finish(0x0301)
-        assert one.response().startswith("71 01 03 01")
+        assert one.final().startswith("71 01 03 01")
         assert other.ask("22 f1 86") == "62 f1 86 01"
+
+
+def test_testers_on_can_and_over_ip_share_a_controller_and_not_their_answers() -> None:
+    place = Place(host="127.0.0.1", port=free_port())
+    with Wire() as wire, DoipServer(wire.controller, place), Tester(place.port) as one:
+        wire.put("02 10 03")
+        assert wire.get().startswith("06 50 03")
+        assert one.ask("10 03") == "7f 10 21"
+        wire.put("02 10 01")
+        assert wire.get().startswith("06 50 01")
+        one.unlock()
+        assert one.first("31 01 03 01 04 04") == "7f 31 78"
+        wire.put("02 10 03")
+        assert wire.get().startswith("03 7f 10 21")
+        wire.controller.finish(0x0301)
+        assert one.final().startswith("71 01 03 01")
+        wire.put("03 22 f1 86")
+        assert wire.get().startswith("04 62 f1 86 01")  # and nothing before it
+
+
+def test_hostile_streams_do_not_disturb_a_tester() -> None:
+    assert run_on_sockets(count=30, seed=5) == 30
 
 
 def test_a_tester_that_goes_while_its_routine_runs_leaves_nobody_waiting() -> None:
     with entity() as (_, server), Tester(server.place.port, 0x0E01) as other:
         with Tester(server.place.port) as one:
             one.unlock()
-            assert one.ask("31 01 03 01 04 04") == "7f 31 78"
+            assert one.first("31 01 03 01 04 04") == "7f 31 78"
         while other.ask("22 f1 86") != "62 f1 86 01":
             time.sleep(0.001)
 
@@ -107,10 +131,10 @@ def test_a_tester_is_told_to_wait_while_the_disk_takes_its_time(tmp_path: Path) 
         with entity(store=store) as (_, server), Tester(server.place.port) as one:
             store.may_go.clear()
             try:
-                assert one.ask("14 ff ff ff") == "7f 14 78"
+                assert one.first("14 ff ff ff") == "7f 14 78"
             finally:
                 store.may_go.set()
-            assert one.response() == "54"
+            assert one.final() == "54"
 
 
 @pytest.mark.parametrize(
@@ -168,7 +192,9 @@ def test_more_connections_than_there_may_be_are_closed() -> None:
         assert server.counts["refused_connections"] == 1
 
 
-def test_one_who_never_reads_and_one_who_breaks_off_do_not_disturb_others(port: int) -> None:
+def test_one_who_never_reads_and_one_who_breaks_off_do_not_disturb_others(
+    port: int, caplog: pytest.LogCaptureFixture
+) -> None:
     with Tester(port) as deaf, Tester(port, 0x0E01) as other:
         deaf.socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
         deaf.send(request("19 0a") * 100)
@@ -180,6 +206,11 @@ def test_one_who_never_reads_and_one_who_breaks_off_do_not_disturb_others(port: 
         cut.socket.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
         cut.socket.close()
         assert other.ask("22 f1 86") == "62 f1 86 01"
+        for address in range(0x0E03, 0x0E20):
+            with Tester(port, address) as broken:
+                broken.send(request("22 f1 90", address) * 200)
+        assert other.ask("22 f1 86") == "62 f1 86 01"
+    assert caplog.text == ""
 
 
 def test_a_place_that_is_taken_is_named(port: int) -> None:
@@ -198,6 +229,7 @@ EVERYWHERE = "0.0.0.0"  # noqa: S104 - bound for a moment only
 )
 def test_a_server_knows_whether_others_can_reach_it(host: str, *, is_exposed: bool) -> None:
     listening = listen(Place(host=host, port=free_port()))
+    assert listening.tcp.getsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY)  # connections inherit it: no 40 ms each
     for one in (listening.tcp, *listening.udp):
         one.close()
     assert listening.is_exposed is is_exposed

@@ -9,6 +9,7 @@ from dataclasses import dataclass, field
 from ecu_emulator.diagnostics.doip.datagrams import datagram_reply
 from tests.support.doip.desk import ENTITY, Desk, activation, framed, messages_in, request
 from tests.support.doip.entity_by_the_book import NEVER_REFUSED, Book
+from tests.support.doip.tester import Tester, entity
 
 LONGEST_STREAM = 12
 VIN = b"WDCTEMULATED00001"
@@ -130,9 +131,25 @@ def run(*, count: int, seed: int) -> Figures:
     return figures
 
 
+def run_on_sockets(*, count: int, seed: int) -> int:
+    """Send so many streams, each on a connection of its own that breaks off; return how often a tester was answered."""
+    attacker, answered = Attacker(seed), 0
+    with entity(alive_check_s=30.0) as (_, server), Tester(server.place.port, 0x0E80) as tester:
+        for _ in range(count):
+            with Tester(server.place.port, is_activated=False) as hostile:
+                try:
+                    for piece in attacker.pieces(attacker.stream()):
+                        hostile.send(piece)
+                except ConnectionError:
+                    pass  # the entity has hung up on it
+                answered += tester.ask("22 f1 90").startswith("62 f1 90")
+    return answered
+
+
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--streams", type=int, default=100_000)
+    parser.add_argument("--sockets", type=int, default=5_000, help="streams that go over real connections")
     parser.add_argument("--seed", type=int, default=0)
     options = parser.parse_args()
     began_s = time.perf_counter()
@@ -144,7 +161,9 @@ def main() -> int:
     )
     for text in figures.disagreements[:10]:
         print(text)
-    return int(bool(figures.disagreements))
+    answered = run_on_sockets(count=options.sockets, seed=options.seed)
+    print(f"{options.sockets} streams on sockets, a tester answered after {answered} of them")
+    return int(bool(figures.disagreements) or answered != options.sockets)
 
 
 if __name__ == "__main__":

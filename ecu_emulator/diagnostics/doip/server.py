@@ -167,7 +167,8 @@ class DoipServer:
         for action in step.actions:
             match action:
                 case Send(number=number, data=data):
-                    self._writers[number].write(data)
+                    if not self._writers[number].is_closing():  # it may have gone a moment ago
+                        self._writers[number].write(data)
                 case Ask(number=number):
                     self._asks[number].put_nowait(action)
                 case Close(number=number):

@@ -47,6 +47,11 @@ def entity(
         yield controller, server
 
 
+def is_pending(response: str) -> bool:
+    """Return whether a response says that another one follows."""
+    return response.startswith("7f") and response.endswith("78") and len(response) == 8
+
+
 class Tester:
     """One connection."""
 
@@ -79,12 +84,23 @@ class Tester:
             return self.message()
         return kind, payload
 
-    def ask(self, data: str) -> str:
-        """Return the response to a request, which must have been acknowledged before."""
+    def first(self, data: str) -> str:
+        """Return the first response to a request, which must have been acknowledged before."""
         self.send(request(data, self.address))
         kind, payload = self.message()
         assert (kind, payload[4]) == (0x8002, 0)
         return self.response()
+
+    def ask(self, data: str) -> str:
+        """Return the final response to a request; a machine that is busy says 78 before."""
+        told = self.first(data)
+        return self.final() if is_pending(told) else told
+
+    def final(self) -> str:
+        """Return the next response that is not 78."""
+        while is_pending(told := self.response()):
+            pass
+        return told
 
     def response(self) -> str:
         """Return the next response of the controller."""
