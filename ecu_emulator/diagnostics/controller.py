@@ -8,7 +8,17 @@ from typing import Final
 from ecu_emulator.diagnostics.codes import NEGATIVE, Nrc
 from ecu_emulator.diagnostics.memory import TestResult
 from ecu_emulator.diagnostics.memory_file import MemoryFile
-from ecu_emulator.diagnostics.server import advance, answer, cycled, held, left, switched_on, tested, warmed_up
+from ecu_emulator.diagnostics.server import (
+    advance,
+    answer,
+    broadcast,
+    cycled,
+    held,
+    left,
+    switched_on,
+    tested,
+    warmed_up,
+)
 from ecu_emulator.diagnostics.services.call import under_control
 from ecu_emulator.diagnostics.services.data import data_of
 from ecu_emulator.diagnostics.services.routines import finished
@@ -98,6 +108,16 @@ class Controller:
     def leave(self, client: int) -> None:
         """Note that a client has gone, and with it the session that it held; raises RecordError as ``report``."""
         self._change(lambda state: left(self.table, state, client))
+
+    def broadcast(self, client: int = 0) -> tuple[bytes, ...]:
+        """Return what is to be sent now to the client who holds the session, without being asked again; as ``tick``."""
+        if not self._state.periodic or self._state.holder != client or not self._lock.acquire(blocking=False):
+            return ()
+        try:
+            messages, self._state = broadcast(self.table, self._state, self._moment())
+            return messages
+        finally:
+            self._lock.release()
 
     def hold_session(self) -> None:
         """Begin S3 anew: a message comes in or goes out, and that is not silence; to be called often, never waits."""

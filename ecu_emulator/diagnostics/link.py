@@ -42,6 +42,7 @@ class LinkCounts:
 
     requests: int = 0
     responses: int = 0
+    periodic: int = 0  # messages of service 2A
     ignored_frames: int = 0  # not frames of ISO-TP, or not in place
     broken_messages: int = 0  # reassembled or sent in part only
     dropped_frames: int = 0  # came faster than they could be looked at
@@ -164,6 +165,7 @@ class DiagnosticLink:
                 if self._layer.transmitting() or self._layer.is_rx_active():
                     self._controller.hold_session()
                 self._respond(self._controller.tick())
+                self._broadcast()
             self._layer.process()
 
     def _patience_s(self) -> float:
@@ -240,6 +242,24 @@ class DiagnosticLink:
             self._layer.send(payload)
             self.on_response(payload)
 
+    def _broadcast(self) -> None:
+        """Send what a client wants again and again: frames of their own, beside the transport layer."""
+        periodic, transport = self._controller.table.periodic, self._transport
+        if periodic is None:
+            return
+        prefix = b"" if transport.own_address is None else bytes([transport.tester_address])
+        for payload in self._controller.broadcast():
+            self.counts.periodic += 1
+            self._put(
+                can.Message(
+                    arbitration_id=periodic.response_id,
+                    is_extended_id=periodic.response_id > LARGEST_STANDARD_ID,
+                    is_fd=self._is_fd,
+                    bitrate_switch=self._is_fd,
+                    data=prefix + payload,
+                )
+            )
+
     def _taken(self, _timeout_s: float) -> isotp.CanMessage | None:
         message, self._next = self._next, None
         return message
@@ -252,6 +272,9 @@ class DiagnosticLink:
             bitrate_switch=frame.bitrate_switch,
             data=frame.data,
         )
+        self._put(message)
+
+    def _put(self, message: can.Message) -> None:
         try:
             self._send(message)
         except can.CanError:

@@ -30,6 +30,7 @@ from ecu_emulator.diagnostics.services.data import (
 )
 from ecu_emulator.diagnostics.services.obd import OBD_HANDLERS
 from ecu_emulator.diagnostics.services.obd_data import frozen_pids, odometer_m
+from ecu_emulator.diagnostics.services.periodic import due, only_allowed, read_periodically
 from ecu_emulator.diagnostics.services.routines import RESULTS, START, STOP, answered, routine_control, timed_out
 from ecu_emulator.diagnostics.services.security import delay_over, security_access
 from ecu_emulator.diagnostics.services.sessions import (
@@ -62,6 +63,7 @@ _HANDLERS: Final[Mapping[int, Callable[[Call], Result]]] = {
     Service.READ_DATA: read_data,
     Service.SECURITY_ACCESS: security_access,
     Service.COMMUNICATION_CONTROL: communication_control,
+    Service.READ_PERIODICALLY: read_periodically,
     Service.DEFINE_DATA: define_data,
     Service.WRITE_DATA: write_data,
     Service.CONTROL_DATA: control_data,
@@ -150,6 +152,12 @@ def advance(table: DiagnosticTable, state: ServerState, moment: Moment) -> Reply
     return Reply(payload=response if isinstance(response, bytes) else None, state=state)
 
 
+def broadcast(table: DiagnosticTable, state: ServerState, moment: Moment) -> tuple[tuple[bytes, ...], ServerState]:
+    """Return what is sent now because a client asked to have it again and again (2A), and the state after it."""
+    moment = under_control(table, state, moment)
+    return due(table, _settled(table, state, moment), moment)
+
+
 def held(table: DiagnosticTable, state: ServerState, moment: Moment) -> ServerState:
     """Return the state while a message is on its way: a session that has not ended by now goes on for another S3."""
     return replace(_settled(table, state, under_control(table, state, moment)), heard_s=moment.t_s)
@@ -195,7 +203,7 @@ def _settled(table: DiagnosticTable, state: ServerState, moment: Moment) -> Serv
     is_over = moment.t_s - state.heard_s >= table.timing.s3_s
     if state.session != DEFAULT_SESSION and state.waiting is None and is_over:
         return in_session(state, table, DEFAULT_SESSION)
-    return state
+    return only_allowed(state, table)
 
 
 def _while_waiting(state: ServerState, request: Request) -> Reply:

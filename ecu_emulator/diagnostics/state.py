@@ -67,6 +67,14 @@ class Piece:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class PeriodicRun:
+    """A datum that is sent again and again."""
+
+    period_s: float
+    due_s: float
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class ServerState:
     """One controller between two requests."""
 
@@ -85,6 +93,7 @@ class ServerState:
     communication: Communication = field(default_factory=Communication)
     controlled: Mapping[int, bytes] = field(default_factory=dict)
     defined: Mapping[int, tuple[Piece, ...]] = field(default_factory=dict)
+    periodic: Mapping[int, PeriodicRun] = field(default_factory=dict)  # by data identifier
     routines: Mapping[int, RoutineRun] = field(default_factory=dict)
     waiting: Waiting | None = None
     asleep_until_s: float = 0.0  # after a reset

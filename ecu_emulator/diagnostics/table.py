@@ -2,8 +2,9 @@
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
+from typing import Final
 
-from ecu_emulator.diagnostics.codes import DEFAULT_SESSION
+from ecu_emulator.diagnostics.codes import DEFAULT_SESSION, Service
 from ecu_emulator.diagnostics.descriptions import (
     Access,
     Condition,
@@ -17,6 +18,9 @@ from ecu_emulator.diagnostics.descriptions import (
 )
 from ecu_emulator.diagnostics.obd_descriptions import Obd, Profile
 from ecu_emulator.errors import ConfigError
+
+PERIODIC_PAGE: Final = 0xF2  # upper byte of data that can be sent periodically, ISO 14229-1 annex C
+_FRAME_BYTES: Final = 8
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -104,6 +108,24 @@ class Timing:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class Periodic:
+    """How data are sent again and again (service 2A): each in one frame with an identifier of its own."""
+
+    response_id: int
+    slow_s: float
+    medium_s: float
+    fast_s: float
+    most: int  # data at once
+
+    def __post_init__(self) -> None:
+        _check(0 <= self.response_id <= 0x1FFFFFFF, "periodic.response_id has 29 bits at most")
+        periods = (self.fast_s, self.medium_s, self.slow_s)
+        _check(self.fast_s >= 0.01 and periods == tuple(sorted(periods)), "0.01 <= fast_s <= medium_s <= slow_s")
+        _check(self.slow_s <= 3600.0, "periodic.slow_s must be at most 3600 s")
+        _check(1 <= self.most <= 0x100, "periodic.most must be 1..256")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Limits:
     """How much one request may ask for."""
 
@@ -136,8 +158,10 @@ class DiagnosticTable:
     snapshot: tuple[int, ...]  # data kept with every trouble code that names none itself
     obd: Obd | None = None
     doip: DoipEntity = field(default_factory=DoipEntity)
+    periodic: Periodic | None = None
 
     def __post_init__(self) -> None:
+        self._check_periodic()
         _check(DEFAULT_SESSION in self.sessions, "sessions must have number 1, the default session")
         for where, numbers, most in (
             ("session", self.sessions, 0x7E),
@@ -168,6 +192,25 @@ class DiagnosticTable:
             ("s3_s", self.timing.s3_s),
         ):
             _check(0.0 < value <= 600.0, f"timing.{name} must be above 0 and at most 600 s, got {value}")
+
+    @property
+    def most_periodic_bytes(self) -> int:
+        """Length of the data of a frame of service 2A, after the identifier's lower byte."""
+        return _FRAME_BYTES - 1 - (self.transport.own_address is not None)
+
+    def _check_periodic(self) -> None:
+        if self.periodic is None:
+            _check(Service.READ_PERIODICALLY not in self.services, "service 0x2A is there, but not [periodic]")
+            return
+        ids = self.addressing
+        others = {ids.request_id, ids.response_id, ids.functional_id}
+        _check(self.periodic.response_id not in others, "periodic.response_id must differ from the other identifiers")
+        for number, datum in self.data.items():
+            if number >> 8 == PERIODIC_PAGE:
+                _check(
+                    datum.size_bytes <= self.most_periodic_bytes,
+                    f"data {datum.name}: what is sent periodically has at most {self.most_periodic_bytes} bytes",
+                )
 
     def has_obd(self, profile: Profile) -> bool:
         """Return whether OBD is spoken in this way."""

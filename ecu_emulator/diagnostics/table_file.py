@@ -23,7 +23,7 @@ from ecu_emulator.diagnostics.descriptions import (
     Trouble,
 )
 from ecu_emulator.diagnostics.obd_descriptions import Obd, Pid, Profile, VehicleInfo
-from ecu_emulator.diagnostics.table import Addressing, DiagnosticTable, DoipEntity, Limits, Timing, Transport
+from ecu_emulator.diagnostics.table import Addressing, DiagnosticTable, DoipEntity, Limits, Periodic, Timing, Transport
 from ecu_emulator.errors import ConfigError
 
 RecordT = TypeVar("RecordT")
@@ -41,7 +41,7 @@ _LISTS: Final = (
     "pid",
     "vehicle_info",
 )
-_OPTIONAL: Final = ("doip", "obd", "obd_clear_conditions")
+_OPTIONAL: Final = ("doip", "obd", "obd_clear_conditions", "periodic")
 _TABLES: Final = ("name", "snapshot", "addressing", "transport", "timing", "limits", "access")
 
 
@@ -114,6 +114,7 @@ def _table(document: Mapping[str, Any]) -> DiagnosticTable:
         snapshot=_value(tuple[int, ...], document["snapshot"], "snapshot", {}),
         obd=_obd(document),
         doip=_record(DoipEntity, document.get("doip", {}), "doip", {}),
+        periodic=_record(Periodic, document["periodic"], "periodic", {}) if "periodic" in document else None,
     )
 
 

@@ -73,6 +73,15 @@ def test_two_testers_are_answered_each_by_its_own(port: int) -> None:
         assert other.ask("2e f1 98 43 4c 55 54 43 48 53 48 4f 50") == "7f 2e 33"
 
 
+def test_periodic_data_go_to_the_tester_who_holds_the_session() -> None:
+    with entity() as (_, server), Tester(server.place.port) as one, Tester(server.place.port, 0x0E01) as other:
+        assert one.ask("10 03").startswith("50 03")
+        assert other.ask("2a 03 00") == "7f 2a 7f"
+        assert one.ask("2a 03 00") == "6a"
+        assert [one.response()[:2] for _ in range(3)] == ["00"] * 3
+        assert other.ask("22 f1 86") == "62 f1 86 01"
+
+
 def test_a_tester_waits_for_its_routine_and_others_for_their_turn() -> None:
     with entity() as (controller, server), Tester(server.place.port) as one, Tester(server.place.port, 0x0E01) as other:
         one.unlock()

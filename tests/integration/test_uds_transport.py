@@ -71,6 +71,18 @@ def test_the_pause_between_frames_is_kept(wire: Wire) -> None:
     assert time.monotonic() - began_s > 0.015  # never shorter; longer as the machine likes
 
 
+@pytest.mark.parametrize(("own_address", "before"), [(None, ""), (0x18, "f1 ")])
+def test_periodic_data_come_in_frames_of_their_own_as_long_as_they_are(own_address: int | None, before: str) -> None:
+    with Wire(Transport(padding=None, own_address=own_address)) as wire:
+        to = "" if own_address is None else f"{own_address:02x} "
+        wire.put(f"{to}02 10 03")
+        assert wire.get().startswith(f"{before}06 50 03")
+        wire.put(f"{to}03 2a 02 00")
+        assert wire.get() == f"{before}01 6a"
+        assert [wire.get_periodic() for _ in range(2)] == [f"{before}00 0c af 00 00 00 ff"] * 2
+    assert wire.link.counts.periodic >= 2
+
+
 def test_a_long_request_is_put_together(wire: Wire) -> None:
     names = "f1 86 " * 5
     request = bytes.fromhex("22 " + names)

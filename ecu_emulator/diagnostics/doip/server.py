@@ -185,6 +185,9 @@ class DoipServer:
         while True:
             await asyncio.sleep(TICK_S)
             self._do(advanced(self._entity, self._step, time.monotonic()))
+            for number in list(self._writers):
+                for message in self._controller.broadcast(number):
+                    self._respond(number, message, is_final=False)
 
     # --- the controller -----------------------------------------------------------------------------------------------
 

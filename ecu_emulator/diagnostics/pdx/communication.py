@@ -145,7 +145,7 @@ def _value(subset: str, name: str, protocol: str, content: Element) -> Element:
 
 def _identifiers(table: DiagnosticTable, way: str) -> Element:
     ids, transport = table.addressing, table.transport
-    is_extended = transport.own_address is not None
+    is_extended, periodic = transport.own_address is not None, table.periodic
     values = (
         way,
         str(ids.request_id),
@@ -153,9 +153,9 @@ def _identifiers(table: DiagnosticTable, way: str) -> Element:
         way,
         str(ids.response_id),
         str(transport.tester_address if is_extended else 0),
-        "",
-        "0",
-        "0",
+        "" if periodic is None else f"normal unsegmented {_id_bits(periodic.response_id)}-bit receive",
+        str(0 if periodic is None else periodic.response_id),
+        str(transport.tester_address if is_extended and periodic is not None else 0),
         table.name,
     )
     return node("COMPLEX-VALUE", *(node("SIMPLE-VALUE", text) for text in values))
@@ -163,7 +163,11 @@ def _identifiers(table: DiagnosticTable, way: str) -> Element:
 
 def _format(table: DiagnosticTable, can_id: int) -> str:
     addressing = "normal" if table.transport.own_address is None else "extended"
-    return f"{addressing} segmented {29 if can_id > LARGEST_STANDARD_ID else 11}-bit transmit with FC"
+    return f"{addressing} segmented {_id_bits(can_id)}-bit transmit with FC"
+
+
+def _id_bits(can_id: int) -> int:
+    return 29 if can_id > LARGEST_STANDARD_ID else 11
 
 
 def _separation_us(coded: int) -> int:

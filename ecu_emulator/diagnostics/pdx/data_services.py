@@ -12,14 +12,15 @@ from ecu_emulator.diagnostics.pdx.service import Service, access_to, simple
 from ecu_emulator.diagnostics.services.data import (
     ADJUST,
     CLEAR_DEFINITION,
+    DEFINABLE_PAGE,
     DEFINE_BY_IDENTIFIER,
-    FIRST_DEFINABLE,
     FREEZE,
     RETURN_CONTROL,
 )
-from ecu_emulator.diagnostics.table import DiagnosticTable
+from ecu_emulator.diagnostics.services.periodic import FAST, MEDIUM, SLOW, STOP
+from ecu_emulator.diagnostics.table import PERIODIC_PAGE, DiagnosticTable
 
-_DEFINABLE: Final = FIRST_DEFINABLE >> 8  # the upper byte of all data that clients may define
+_RATES: Final = {SLOW: "Slow", MEDIUM: "Medium", FAST: "Fast", STOP: "Stop"}
 _ACTIONS: Final = {RETURN_CONTROL: "Return", FREEZE: "Freeze", ADJUST: "Adjust"}
 
 
@@ -29,6 +30,7 @@ class DataNames:
     def __init__(self, table: DiagnosticTable, dictionary: Dictionary) -> None:
         self.structures = {datum.number: dictionary.fields(datum.name, datum.fields) for datum in table.data.values()}
         self.number = dictionary.simple("number of a datum", unsigned(2, is_hexadecimal=True))
+        self.low = dictionary.simple("lower byte of a number", unsigned(1, is_hexadecimal=True))
         labels = {datum.number: f"{datum.number:04X} {datum.name}" for datum in table.data.values()}
         self.choice = dictionary.simple("data", worded(labels, 16)) if labels else self.number
 
@@ -51,16 +53,22 @@ def reading_services(table: DiagnosticTable, dictionary: Dictionary, names: Data
         )
     left = dictionary.simple("bytes of a defined datum", rest(1))
     yield _several(table, dictionary, names, left)
-    defined = constant("defined_data", _DEFINABLE, semantic="ID")
-    low = dictionary.simple("number of a defined datum", unsigned(1, is_hexadecimal=True))
-    yield Service(
-        name="Read defined data",
-        number=Number.READ_DATA,
-        semantic="CURRENTDATA",
-        request=(defined, value("number", low, 1)),
-        responses=((defined, echo("number", 2, 1), value("bytes", left)),),
-        access=access_to(table, Number.READ_DATA),
-    )
+    for page, name in _pages(table).items():
+        defined = constant("page", page, semantic="ID")
+        yield Service(
+            name=f"Read defined {name}",
+            number=Number.READ_DATA,
+            semantic="CURRENTDATA",
+            request=(defined, value("number", names.low, 1)),
+            responses=((defined, echo("number", 2, 1), value("bytes", left)),),
+            access=access_to(table, Number.READ_DATA),
+        )
+
+
+def _pages(table: DiagnosticTable) -> dict[int, str]:
+    """Return upper bytes of data that clients may define."""
+    periodic = {} if table.periodic is None else {PERIODIC_PAGE: "periodic data"}
+    return {DEFINABLE_PAGE: "data", **periodic}
 
 
 def _several(table: DiagnosticTable, dictionary: Dictionary, names: DataNames, left: str) -> Service:
@@ -78,36 +86,39 @@ def _several(table: DiagnosticTable, dictionary: Dictionary, names: DataNames, l
     )
 
 
+def periodic_services(table: DiagnosticTable, dictionary: Dictionary, names: DataNames) -> Iterator[Service]:
+    """Yield a service for each rate at which data are sent again and again, and two to stop it."""
+    datum = dictionary.structure("periodic datum", (value("number", names.low, 1),))
+    data = (value("data", dictionary.repeated("periodic data", datum, least=1)),)
+    rates: dict[str, tuple[int, tuple[Parameter, ...]]] = {
+        f"{verb} periodic data": (mode, data) for mode, verb in _RATES.items()
+    }
+    rates["Stop all periodic data"] = (STOP, ())
+    for name, (mode, asked) in rates.items():
+        yield Service(
+            name=name,
+            number=Number.READ_PERIODICALLY,
+            semantic="PERIODIC",
+            request=(constant("mode", mode), *asked),
+            access=access_to(table, Number.READ_PERIODICALLY),
+        )
+
+
 def defining_services(table: DiagnosticTable, dictionary: Dictionary, names: DataNames) -> Iterator[Service]:
     """Yield the services that make data of pieces of others, and forget them."""
     byte = dictionary.simple("number of bytes", unsigned(1))
-    low = dictionary.simple("number of a datum to define", unsigned(1, is_hexadecimal=True))
     piece = dictionary.structure(
         "piece of a datum", (value("source", names.choice, 2), value("first_byte", byte, 1), value("bytes", byte, 1))
     )
     pieces = value("pieces", dictionary.repeated("pieces of data", piece, table.limits.most_pieces, 1))
-    access = access_to(table, Number.DEFINE_DATA)
-    upper = constant("defined_data", _DEFINABLE, semantic="ID")
-    response = (upper, echo("number", 3, 1))
-    yield simple(
-        "Define data",
-        Number.DEFINE_DATA,
-        DEFINE_BY_IDENTIFIER,
-        "DYN-DEF-MESSAGE",
-        access,
-        request=(upper, value("number", low, 1), pieces),
-        response=response,
-    )
-    yield simple(
-        "Forget defined data",
-        Number.DEFINE_DATA,
-        CLEAR_DEFINITION,
-        "DYN-DEF-MESSAGE",
-        access,
-        request=(upper, value("number", low, 1)),
-        response=response,
-    )
-    yield simple("Forget all defined data", Number.DEFINE_DATA, CLEAR_DEFINITION, "DYN-DEF-MESSAGE", access)
+    access, number, kind = access_to(table, Number.DEFINE_DATA), Number.DEFINE_DATA, "DYN-DEF-MESSAGE"
+    for page, name in _pages(table).items():
+        upper = constant("page", page, semantic="ID")
+        asked, response = (upper, value("number", names.low, 1)), (upper, echo("number", 3, 1))
+        define, clear = DEFINE_BY_IDENTIFIER, CLEAR_DEFINITION
+        yield simple(f"Define {name}", number, define, kind, access, request=(*asked, pieces), response=response)
+        yield simple(f"Forget defined {name}", number, clear, kind, access, request=asked, response=response)
+    yield simple("Forget all defined data", number, CLEAR_DEFINITION, kind, access)
 
 
 def writing_services(table: DiagnosticTable, _dictionary: Dictionary, names: DataNames) -> Iterator[Service]:

@@ -13,6 +13,7 @@ from ecu_emulator.diagnostics.pdx.data_services import (
     DataNames,
     controlling_services,
     defining_services,
+    periodic_services,
     reading_services,
     writing_services,
 )
@@ -67,6 +68,7 @@ def services_of(table: DiagnosticTable, dictionary: Dictionary) -> Iterator[Serv
         Number.READ_DATA: lambda: reading_services(table, dictionary, data),
         Number.SECURITY_ACCESS: lambda: security_services(table, dictionary),
         Number.COMMUNICATION_CONTROL: lambda: communication_services(table, dictionary),
+        Number.READ_PERIODICALLY: lambda: periodic_services(table, dictionary, data),
         Number.DEFINE_DATA: lambda: defining_services(table, dictionary, data),
         Number.WRITE_DATA: lambda: writing_services(table, dictionary, data),
         Number.CONTROL_DATA: lambda: controlling_services(table, dictionary, data),

@@ -17,12 +17,12 @@ from ecu_emulator.diagnostics.services.call import (
 )
 from ecu_emulator.diagnostics.services.obd_data import emission_data
 from ecu_emulator.diagnostics.state import Moment, Piece, ServerState
+from ecu_emulator.diagnostics.table import PERIODIC_PAGE, DiagnosticTable
 from ecu_emulator.diagnostics.values import are_valid, encode
 
 DEFINE_BY_IDENTIFIER: Final = 0x01
 CLEAR_DEFINITION: Final = 0x03
-FIRST_DEFINABLE: Final = 0xF300  # annex C: what clients may define
-LAST_DEFINABLE: Final = 0xF3FF
+DEFINABLE_PAGE: Final = 0xF3  # annex C: upper byte of what clients may define, beside what is sent periodically
 RETURN_CONTROL: Final = 0x00
 FREEZE: Final = 0x02
 ADJUST: Final = 0x03
@@ -47,16 +47,16 @@ def read_data(call: Call) -> Result:
     response, is_any = b"", False
     for place in range(0, len(names), _NAME_BYTES):
         name = names[place : place + _NAME_BYTES]
-        sources = _readable(call, int.from_bytes(name, "big"))
+        sources = readable(call.table, call.state, int.from_bytes(name, "big"))
         if not sources:
             emission = emission_data(call.table, call.state, call.moment, int.from_bytes(name, "big"))
             is_any |= emission is not None
             response += b"" if emission is None else name + emission
             continue
         is_any = True
-        if refusal := _refusal(call, [call.table.data[piece.source].read for piece in sources]):
+        if refusal := read_refusal(call, sources):
             return refusal
-        response += name + b"".join(_piece(call, piece) for piece in sources)
+        response += name + data_in(call.table, call.state, call.moment, sources)
     if not is_any:
         return Nrc.REQUEST_OUT_OF_RANGE
     if 1 + len(response) > call.table.limits.most_response_bytes:
@@ -64,18 +64,19 @@ def read_data(call: Call) -> Result:
     return call.positive(response)
 
 
-def _readable(call: Call, number: int) -> tuple[Piece, ...]:
+def readable(table: DiagnosticTable, state: ServerState, number: int) -> tuple[Piece, ...]:
     """Return what a data identifier consists of; nothing if it is not there in this session."""
-    datum = call.table.data.get(number)
+    datum = table.data.get(number)
     if datum is None:
-        pieces = call.state.defined.get(number, ())
+        pieces = state.defined.get(number, ())
     else:
         pieces = (Piece(source=number, start=0, size_bytes=datum.size_bytes),)
-    return pieces if all(is_in_session(call, call.table.data[piece.source].read) for piece in pieces) else ()
+    return pieces if all(state.session in table.data[piece.source].read.sessions for piece in pieces) else ()
 
 
-def _refusal(call: Call, accesses: Iterable[Access]) -> Nrc | None:
-    for access in accesses:
+def read_refusal(call: Call, pieces: Iterable[Piece]) -> Nrc | None:
+    """Return why pieces of data cannot be read now: security, or the vehicle."""
+    for access in (call.table.data[piece.source].read for piece in pieces):
         if not is_unlocked(call.state, access.levels):
             return Nrc.SECURITY_ACCESS_DENIED
         if refusal := unmet(call, access.conditions):
@@ -83,9 +84,19 @@ def _refusal(call: Call, accesses: Iterable[Access]) -> Nrc | None:
     return None
 
 
-def _piece(call: Call, piece: Piece) -> bytes:
-    data = data_of(call.table.data[piece.source], call.state, call.moment)
-    return data[piece.start : piece.start + piece.size_bytes]
+def data_in(table: DiagnosticTable, state: ServerState, moment: Moment, pieces: Iterable[Piece]) -> bytes:
+    """Return what pieces of data hold now."""
+    return b"".join(
+        data_of(table.data[piece.source], state, moment)[piece.start : piece.start + piece.size_bytes]
+        for piece in pieces
+    )
+
+
+def is_definable(table: DiagnosticTable, number: int) -> bool:
+    """Return whether clients may define this datum."""
+    if number >> 8 == PERIODIC_PAGE:
+        return table.periodic is not None and number not in table.data
+    return number >> 8 == DEFINABLE_PAGE
 
 
 def write_data(call: Call) -> Result:
@@ -158,7 +169,7 @@ def _defined(call: Call) -> Result:
     if not described or len(described) % _PIECE_BYTES:
         return Nrc.INCORRECT_LENGTH
     number = int.from_bytes(call.payload[2:4], "big")
-    if not FIRST_DEFINABLE <= number <= LAST_DEFINABLE:
+    if not is_definable(call.table, number):
         return Nrc.REQUEST_OUT_OF_RANGE
     pieces = [
         Piece(
@@ -173,7 +184,7 @@ def _defined(call: Call) -> Result:
     used = sum(map(len, call.state.defined.values()))
     if used + len(pieces) > call.table.limits.most_pieces:
         return Nrc.REQUEST_OUT_OF_RANGE
-    if refusal := _refusal(call, [call.table.data[piece.source].read for piece in pieces]):
+    if refusal := read_refusal(call, pieces):
         return refusal
     before = call.state.defined.get(number, ())
     state = replace(call.state, defined={**call.state.defined, number: (*before, *pieces)})
@@ -194,7 +205,7 @@ def _forgotten(call: Call) -> Result:
     if not name:
         return call.echoed(state=replace(call.state, defined={}))
     number = int.from_bytes(name, "big")
-    if not FIRST_DEFINABLE <= number <= LAST_DEFINABLE:
+    if not is_definable(call.table, number):
         return Nrc.REQUEST_OUT_OF_RANGE
     left = {known: pieces for known, pieces in call.state.defined.items() if known != number}
     return call.echoed(name, replace(call.state, defined=left))

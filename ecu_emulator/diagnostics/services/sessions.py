@@ -47,7 +47,13 @@ def in_session(state: ServerState, table: DiagnosticTable, session: int) -> Serv
         return state
     routines = {number: _stopped(run) for number, run in state.routines.items()}
     return replace(
-        state, controlled={}, communication=Communication(), are_codes_updated=True, routines=routines, waiting=None
+        state,
+        controlled={},
+        communication=Communication(),
+        are_codes_updated=True,
+        periodic={},
+        routines=routines,
+        waiting=None,
     )
 
 

@@ -1,6 +1,7 @@
 """Random clients: some know the protocol, some know it badly, some know nothing."""
 
 from collections.abc import Callable, Sequence
+from functools import partial
 from random import Random
 from typing import Any
 
@@ -22,7 +23,9 @@ class RandomClient:
             entry["number"]: entry for entry in document["data"] if "write" in entry
         }
         self.codes = codes
-        self.favourites = random.choice(([], [0x27] * 8, [0x31] * 5, [0x2E, 0x2F, 0x2C, 0x22, 0x22]))
+        self.favourites = random.choice(
+            ([], [0x2A, 0x2A, 0x2A, 0x2C, 0x2C], [0x27] * 8, [0x31] * 5, [0x2E, 0x2F, 0x2C, 0x22, 0x22])
+        )
         self.seed: tuple[int, bytes] | None = None
         self.skill = random.choice((0.1, 0.6, 0.9))  # how often a key is right
         self.opening = self._opening() if random.random() < 0.7 else []
@@ -41,6 +44,10 @@ class RandomClient:
 
     def _opening(self) -> list[Callable[[], bytes]]:
         """Return how one who knows the way gets in, and what he may be after."""
+        if 0x2A in self.favourites:
+            definition = bytes.fromhex("2c 01 f2 10 01 03 01 02")
+            requests = [b"\x10\x03", definition, b"\x2a\x03\x00\x01\x10", b"\x2a\x02\x02"]
+            return [partial(bytes, request) for request in requests]
         level = self.random.choice((1, 1, 3))
         sessions = [b"\x10\x03", b"\x10\x40"] if level == 3 else [b"\x10\x03"]
         asked = [(lambda request=request: request) for request in (*sessions, bytes([0x27, level]))]
@@ -87,6 +94,7 @@ class RandomClient:
             0x22: self._names,
             0x27: self._security,
             0x28: lambda: bytes([self.random.randrange(5), self.random.choice((1, 2, 3, 0, 0xF1, 0x11))]),
+            0x2A: lambda: self.one_of(b"\1", b"\2", b"\3", b"\3", b"\4", b"\5") + bytes(self._lows()),
             0x2C: self._definition,
             0x2E: self._written,
             0x2F: lambda: self.number((0x0206, 0x0206, *self.data)) + self.one_of(b"\0", b"\1", b"\2", b"\3\x70"),
@@ -107,6 +115,11 @@ class RandomClient:
         count = self.random.choice((1, 1, 1, 2, 3, 17))
         return b"".join(self.number((*self.data, 0xF300, 0xF301, 0x1234)) for _ in range(count))
 
+    def _lows(self) -> list[int]:
+        """Return lower bytes of data that can be sent periodically, and of some that cannot."""
+        count = self.random.choice((0, 1, 1, 2, 4, 12))
+        return self.random.choices((0, 1, 2, 3, *range(0x10, 0x1A), 0x77), k=count)
+
     def _report(self) -> bytes:
         report = self.random.choice((1, 2, 3, 4, 6, 0x0A, 0x14, 5))
         if report in {1, 2}:
@@ -122,7 +135,8 @@ class RandomClient:
         return bytes([self.random.choice((1, 1, 3, 3, 5, 2, 4))])
 
     def _definition(self) -> bytes:
-        name = self.one_of(b"\xf3\x00", b"\xf3\x01", b"\xf2\x00")
+        periodic = bytes([0xF2, self.random.randrange(0x10, 0x1A)])
+        name = self.one_of(b"\xf3\x00", b"\xf3\x01", b"\xf2\x00", periodic, periodic)
         if self.random.random() < 0.3:
             return b"\3" + self.one_of(b"", name)
         places = (b"\1\1", b"\1\1", b"\1\2", b"\2\1", b"\0\1", b"\1\0", b"\1\x09")

@@ -5,7 +5,7 @@ from random import Random
 
 from ecu_emulator.diagnostics.memory import TestResult
 from ecu_emulator.diagnostics.memory_file import MemoryFile
-from ecu_emulator.diagnostics.server import advance, answer, cycled, switched_on, tested, warmed_up
+from ecu_emulator.diagnostics.server import advance, answer, broadcast, cycled, switched_on, tested, warmed_up
 from ecu_emulator.diagnostics.services.call import under_control
 from ecu_emulator.diagnostics.services.routines import finished
 from ecu_emulator.diagnostics.state import Moment, Request
@@ -44,7 +44,7 @@ class Pair:
         self.state = switched_on(self.table, None, self.t_s)
         self.model = ServerByTheBook(table(), self.t_s)
         self.sampled: set[int] = set()
-        self.answered = self.silent = 0
+        self.answered = self.silent = self.repeated = 0
         self.nrcs: dict[int, int] = {}
 
     def ask(self, payload: bytes, chance: bytes, *, is_functional: bool = False) -> bytes | None:
@@ -69,6 +69,9 @@ class Pair:
         reply = advance(self.table, self.state, Moment(t_s=self.t_s, values=self.values))
         self.state = reply.state
         self._agree("time", reply.payload, self.model.tick(self.t_s, self.values))
+        sent, self.state = broadcast(self.table, self.state, Moment(t_s=self.t_s, values=self.values))
+        self.repeated += len(sent)
+        self._agree("periodic", b"|".join(sent), b"|".join(self.model.repeat(self.t_s, self.values)))
         return reply.payload
 
     def sample(self, number: int, result: str) -> None:

@@ -29,6 +29,7 @@ from tests.support.uds.pair import MORE, PARKED
 SEED = bytes(range(1, 17))
 PENDING = 0x78
 T_S = 1000.0
+MIXED = 10  # requests whose parameters are chosen by chance, each for itself
 Dop: TypeAlias = Any  # one of many classes without a common interface
 
 
@@ -58,6 +59,7 @@ class PdxClient:
         self.layer = read_back(pdx_package(table))
         self.moment = Moment(t_s=T_S, values={**PARKED, **MORE} if values is None else values, chance=SEED)
         self.figures = Figures()
+        self.codes: dict[tuple[str, bytes, bytes | None], str | None] = {}
 
     def ask_everything(self, most_situations: int | None = None) -> Figures:
         """Ask each service in every situation, or some by chance, with every choice of its parameters."""
@@ -121,6 +123,8 @@ class PdxClient:
         for place in range(max(map(len, choices), default=1)):
             names = (parameter.short_name for parameter in free)
             yield dict(zip(names, (some[place % len(some)] for some in choices), strict=True))
+        for _ in range(MIXED if len(free) > 1 else 0):
+            yield {part.short_name: self.random.choice(some) for part, some in zip(free, choices, strict=True)}
 
     def choices(self, dop: Dop, service: DiagService) -> list[Any]:
         if isinstance(dop, DtcDop):
@@ -128,7 +132,8 @@ class PdxClient:
         if isinstance(dop, EndOfPduField):
             items = self.choices(dop.structure, service)
             most = dop.max_number_of_items or 3
-            return [[item] for item in items] + [self.random.choices(items, k=min(most, 3)), items[:1] * most]
+            together = [items[place : place + most] for place in range(0, len(items), most)]
+            return [[item] for item in items[:5]] + [*together, self.random.choices(items, k=min(most, 3))]
         if isinstance(dop, Structure):
             parts = {part.short_name: self.choices(getattr(part, "dop", None), service) for part in dop.parameters}
             count = max(map(len, parts.values()))
@@ -170,26 +175,37 @@ class PdxClient:
             self.check(service, request, advance(self.table, state, self.moment).payload)
 
     def check(self, service: DiagService, request: bytes, response: bytes | None) -> None:
+        """Decode a response, once if it comes in several situations, and count it."""
+        exchanged = (service.short_name, request, response)
+        if exchanged not in self.codes:
+            self.codes[exchanged] = self.decoded(service, request, response)
+        code = self.codes[exchanged]
+        if code is None:
+            return
+        if code:
+            self.figures.nrcs[code] += 1
+        (self.figures.negative if code else self.figures.positive)[service.short_name] += 1
+
+    def decoded(self, service: DiagService, request: bytes, response: bytes | None) -> str | None:
+        """Return the negative response code in words, empty if positive; None if something is wrong."""
         what = f"{service.short_name} ({request.hex(' ')}): {response.hex(' ') if response else 'nothing'}"
         if response is None:
             self.figures.problems.append(f"{what}: not answered")
-            return
+            return None
         try:
             message = service.decode_message(response)
             sent_again = encoded(message, request)
             in_layer = self.taken_for(service, request, response)
         except Exception as exc:  # noqa: BLE001 - whatever the library says is a finding
             self.figures.problems.append(f"{what}: {exc}")
-            return
+            return None
         if sent_again != response:
             self.figures.problems.append(f"{what}: means {sent_again.hex(' ')}")
         if service.short_name not in in_layer:
             self.figures.problems.append(f"{what}: taken for the answer to {in_layer}")
-        if response[0] == 0x7F:
-            self.figures.negative[service.short_name] += 1
-            self.figures.nrcs[str(message.param_dict["response_code"])] += 1
-        else:
-            self.figures.positive[service.short_name] += 1
+        if sent_again != response or service.short_name not in in_layer:
+            return None
+        return str(message.param_dict["response_code"]) if response[0] == 0x7F else ""
 
     def taken_for(self, service: DiagService, request: bytes, response: bytes) -> list[str]:
         """Return the services to whose requests this could be a response, among all of the controller.

@@ -63,6 +63,7 @@ class ServerByTheBook:
         self.held: dict[int, bytes] = {}
         self.made: dict[int, list[tuple[int, int, int]]] = {}
         self.runs: dict[int, Run] = {}
+        self.repeated: dict[int, list[float]] = {}  # period, next time
         self.awaited: tuple[bytes, int, float] | None = None
         self.barred = {
             number: t_s + entry["delay_s"]
@@ -111,6 +112,7 @@ class ServerByTheBook:
             self.wrong[number] = self.by_number["security"][number]["most_attempts"] - 1
         if self.session != 1 and self.awaited is None and t_s - self.s3_s >= self.book["timing"]["s3_s"]:
             self._enter(1)
+        self._give_up()
 
     def _end(self, number: int, values: Values, *, is_by_time: bool) -> None:
         run, entry = self.runs[number], self.by_number["routine"][number]
@@ -178,8 +180,8 @@ class ServerByTheBook:
     def _asked(self, r: bytes, t_s: float, values: Values, chance: bytes) -> Questions:
         services: dict[int, Callable[[bytes, float, Values, bytes], Questions]] = {
             0x10: self._10, 0x11: self._11, 0x14: self._14, 0x19: self._19, 0x22: self._22, 0x27: self._27,
-            0x28: self._28, 0x2C: self._2c, 0x2E: self._2e, 0x2F: self._2f, 0x31: self._31, 0x3E: self._3e,
-            0x85: self._85,
+            0x28: self._28, 0x2A: self._2a, 0x2C: self._2c, 0x2E: self._2e, 0x2F: self._2f, 0x31: self._31,
+            0x3E: self._3e, 0x85: self._85,
         }  # fmt: skip
         yield r[0] in services, 0x11
         service = self.by_number["service"][r[0]]
@@ -236,6 +238,7 @@ class ServerByTheBook:
         if session == 1:
             self.traffic = {"normal": (True, True), "management": (True, True)}
             self.updates_codes = True
+            self.repeated = {}
             for run in self.runs.values():
                 run.state = 2 if run.state == 1 else run.state
 
@@ -363,15 +366,64 @@ class ServerByTheBook:
         yield 1 + len(found) <= self.book["limits"]["most_response_bytes"], 0x14
         return found
 
+    def _parts(self, name: int) -> list[tuple[int, int, int]]:
+        """Return what can be read under a name in this session: source, first byte from 1, length."""
+        parts = self.made.get(name) or ([(name, 1, self._size(name))] if name in self.by_number["data"] else [])
+        return parts if all(self._is_readable_here(source) for source, _, _ in parts) else []
+
+    def _fits_a_frame(self, name: int) -> bool:
+        return 1 <= sum(size for _, _, size in self._parts(name)) <= 7
+
+    def _is_open(self, name: int) -> bool:
+        reads = [self.by_number["data"][source]["read"] for source, _, _ in self._parts(name)]
+        return all(self._is_unlocked(self._access(read)) for read in reads)
+
+    def _2a(self, r: bytes, t_s: float, values: Values, _chance: bytes) -> Questions:
+        yield len(r) >= 3 or r[1:] == b"\4", 0x13
+        yield 1 <= r[1] <= 4, 0x31
+        wanted = [0xF200 + low for low in r[2:] if self._fits_a_frame(0xF200 + low)]
+        yield bool(wanted) or len(r) == 2, 0x31
+        if r[1] == 4:
+            for name in wanted or list(self.repeated):
+                self.repeated.pop(name, None)
+            return b""
+        for name in wanted:
+            yield self._is_open(name), 0x33
+        yield len({*self.repeated, *wanted}) <= self.book["periodic"]["most"], 0x31
+        yield from self._service_conditions(0x2A, values)
+        period_s = self.book["periodic"][("slow_s", "medium_s", "fast_s")[r[1] - 1]]
+        for name in wanted:
+            self.repeated[name] = [period_s, t_s]
+        return b""
+
+    def _give_up(self) -> None:
+        """Stop what may not be read any more."""
+        for name in list(self.repeated):
+            if self.session == 1 or not self._fits_a_frame(name) or not self._is_open(name):
+                del self.repeated[name]
+
+    def repeat(self, t_s: float, values: Values) -> list[bytes]:
+        """Return what is sent now without having been asked for again."""
+        values = self._as_held(values)
+        self._let_time_pass(t_s, values)
+        sent = []
+        for name, times in self.repeated.items():
+            period_s, next_s = times
+            if t_s >= next_s:
+                parts = [self._data(source, values)[b - 1 : b - 1 + size] for source, b, size in self._parts(name)]
+                sent.append(bytes([name - 0xF200]) + b"".join(parts))
+                times[1] = next_s + period_s if next_s + period_s > t_s else t_s + period_s
+        return sent
+
     def _2c(self, r: bytes, _t_s: float, _values: Values, _chance: bytes) -> Questions:
         name = int.from_bytes(r[2:4], "big")
         if r[1] & 0x7F == 3:
             yield len(r) in {2, 4}, 0x13
-            yield len(r) == 2 or 0xF300 <= name <= 0xF3FF, 0x31
+            yield len(r) == 2 or (0xF200 <= name <= 0xF3FF and name not in self.by_number["data"]), 0x31
             self.made = {} if len(r) == 2 else {made: parts for made, parts in self.made.items() if made != name}
             return bytes([3]) + r[2:]
         yield len(r) >= 8 and len(r) % 4 == 0, 0x13
-        yield 0xF300 <= name <= 0xF3FF, 0x31
+        yield 0xF200 <= name <= 0xF3FF and name not in self.by_number["data"], 0x31
         parts = [(int.from_bytes(r[p : p + 2], "big"), r[p + 2], r[p + 3]) for p in range(4, len(r), 4)]
         for source, start, size in parts:
             yield self._is_readable_here(source), 0x31

@@ -1,7 +1,7 @@
 """A controller on a bench: requests and responses as hexadecimal text, the time and the vehicle in the test's hands."""
 
 from ecu_emulator.diagnostics.memory import TestResult
-from ecu_emulator.diagnostics.server import advance, answer, left, switched_on, tested
+from ecu_emulator.diagnostics.server import advance, answer, broadcast, left, switched_on, tested
 from ecu_emulator.diagnostics.services.call import under_control
 from ecu_emulator.diagnostics.services.routines import finished
 from ecu_emulator.diagnostics.state import Moment, Request, ServerState
@@ -40,6 +40,16 @@ class Bench:
 
     def leave(self, client: int) -> None:
         self.state = left(self.table, self.state, client)
+
+    def sent(self, duration_s: float) -> list[str]:
+        """Return what is sent unasked in the next so many seconds, looked at a hundred times a second."""
+        messages: list[str] = []
+        for _ in range(round(duration_s * 100)):
+            self.wait(0.01)
+            moment = Moment(t_s=self.t_s, values=self.values)
+            found, self.state = broadcast(self.table, self.state, moment)
+            messages += [message.hex(" ") for message in found]
+        return messages
 
     def monitor(self, code: str, result: TestResult) -> None:
         moment = Moment(t_s=self.t_s, values=self.values)
