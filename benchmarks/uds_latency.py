@@ -1,6 +1,6 @@
 """How long a tester waits for an answer beside the full stream of frames, and what its questions cost the stream.
 
-    python -m benchmarks.uds_latency [-i INTERFACE -c CHANNEL] [--seconds 20] [--rate 50]
+    python -m benchmarks.uds_latency [-i INTERFACE -c CHANNEL] [--seconds 20] [--rate 50] [--doip]
 
 Emulator, controller and tester share one process and its interpreter on the virtual bus: figures are upper bounds.
 """
@@ -9,14 +9,16 @@ import argparse
 import threading
 import time
 from dataclasses import dataclass
-from typing import Self
+from typing import Any, Self
 
 import can
+import doipclient.client
 import isotp
 import numpy as np
 
 from ecu_emulator.answering import Answering
 from ecu_emulator.bus import TransmitReport, transmit
+from ecu_emulator.diagnostics.doip.listening import Place, parse_place
 from ecu_emulator.live import own_ids
 from ecu_emulator.other_senders import OtherSenders
 from ecu_emulator.recording import SHORT_STRETCH_S, Drive
@@ -24,7 +26,9 @@ from ecu_emulator.scenario_file import load_scenario
 
 REQUEST_ID, RESPONSE_ID = 0x7E1, 0x7E9
 SHORT, LONG = b"\x22\x01\x05", b"\x22\xf1\x90"  # one frame back; three and a flow control
+LOGICAL_ADDRESS = 0x1011
 MOST_S = 0.01
+SILENCE_S = 2.0
 FULL_STREAM_S = 2.0
 MS_PER_S = 1e3
 
@@ -36,13 +40,47 @@ class Figures:
     unanswered: int
 
 
-class Tester:
-    """Asks at a steady rate, in a thread of its own, from when the stream is full until it is told to stop."""
+class OnCan:
+    """Requests over ISO-TP."""
 
-    def __init__(self, bus: can.BusABC, rate_hz: float, stop: threading.Event) -> None:
+    def __init__(self, bus: can.BusABC) -> None:
         self._notifier = can.Notifier(bus, [], timeout=0.01)
         address = isotp.Address(isotp.AddressingMode.Normal_11bits, txid=REQUEST_ID, rxid=RESPONSE_ID)
         self._stack = isotp.NotifierBasedCanStack(bus, self._notifier, address=address)
+        self._stack.start()
+
+    def is_answered(self, request: bytes) -> bool:
+        self._stack.send(request)
+        return self._stack.recv(block=True, timeout=SILENCE_S) is not None
+
+    def close(self) -> None:
+        self._stack.stop()
+        self._notifier.stop()
+
+
+class OverIp:
+    """Requests over DoIP, by a client that is not ours."""
+
+    def __init__(self, place: Place) -> None:
+        connect: Any = doipclient.client.DoIPClient  # the library says nothing of types
+        self._client = connect(place.host, LOGICAL_ADDRESS, tcp_port=place.port)
+
+    def is_answered(self, request: bytes) -> bool:
+        self._client.send_diagnostic(bytearray(request))
+        try:
+            return bool(self._client.receive_diagnostic(timeout=SILENCE_S))
+        except TimeoutError:
+            return False
+
+    def close(self) -> None:
+        self._client.close()
+
+
+class Tester:
+    """Asks at a steady rate, in a thread of its own, from when the stream is full until it is told to stop."""
+
+    def __init__(self, way: OnCan | OverIp, rate_hz: float, stop: threading.Event) -> None:
+        self._way = way
         self._rate_hz = rate_hz
         self._stop = stop
         self._thread = threading.Thread(target=self._ask)
@@ -50,15 +88,13 @@ class Tester:
         self.unanswered = 0
 
     def __enter__(self) -> Self:
-        self._stack.start()
         self._thread.start()
         return self
 
     def __exit__(self, *_: object) -> None:
         self._stop.set()
         self._thread.join()
-        self._stack.stop()
-        self._notifier.stop()
+        self._way.close()
 
     def _ask(self) -> None:
         self._stop.wait(FULL_STREAM_S)
@@ -66,23 +102,22 @@ class Tester:
         while not self._stop.wait(max(0.0, next_s - time.monotonic())) and self._rate_hz > 0.0:
             next_s += 1.0 / self._rate_hz
             began_s = time.perf_counter()
-            self._stack.send(LONG if len(self.latencies_s) % 5 == 4 else SHORT)
-            if self._stack.recv(block=True, timeout=2.0) is None:
+            if not self._way.is_answered(LONG if len(self.latencies_s) % 5 == 4 else SHORT):
                 self.unanswered += 1
             else:
                 self.latencies_s.append(time.perf_counter() - began_s)
 
 
-def measured(interface: str, channel: str, seconds: float, rate_hz: float) -> Figures:
+def measured(interface: str, channel: str, seconds: float, rate_hz: float, place: Place | None) -> Figures:
     """Drive for so long with a tester that asks at this rate."""
     drive = Drive(load_scenario("ideal"))
     stop = threading.Event()
     with (
         can.Bus(channel, interface) as near,
         can.Bus(channel, interface) as far,
-        Answering(near, table="", memory=None, doip=None, is_fd=False) as answering,
+        Answering(near, table="", memory=None, doip=place, is_fd=False) as answering,
         OtherSenders(near, own_ids(), lambda _: None, wanted_ids=answering.link.can_ids, pass_on=answering.link.feed),
-        Tester(far, rate_hz, stop) as tester,
+        Tester(OnCan(far) if place is None else OverIp(place), rate_hz, stop) as tester,
     ):
         frames = (stretch.frames for stretch in drive.stretches(SHORT_STRETCH_S))
         timer = threading.Timer(seconds + FULL_STREAM_S, stop.set)
@@ -98,9 +133,11 @@ def main() -> None:
     parser.add_argument("-c", "--channel", default="uds latency")
     parser.add_argument("--seconds", type=float, default=20.0)
     parser.add_argument("--rate", type=float, default=50.0, help="requests a second")
+    parser.add_argument("--doip", metavar="PORT", help="ask over DoIP on this port of the loopback interface")
     options = parser.parse_args()
+    place = None if options.doip is None else parse_place(options.doip)
     for rate_hz in (0.0, options.rate):
-        found = measured(options.interface, options.channel, options.seconds, rate_hz)
+        found = measured(options.interface, options.channel, options.seconds, rate_hz, place)
         report = found.report
         print(
             f"{rate_hz:3.0f} requests/s: {report.frames_sent / report.duration_s:.0f} frames/s, lateness p99 "
