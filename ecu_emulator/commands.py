@@ -9,8 +9,6 @@ from pathlib import Path
 from threading import Event
 
 from clutch_model.units import k_from_degc
-from ecu_emulator.diagnostics.pdx.package import pdx_package
-from ecu_emulator.diagnostics.table_file import load_table, shipped_table
 from ecu_emulator.drive_names import DriveName
 from ecu_emulator.errors import ConfigError, RecordError
 from ecu_emulator.progress import ProgressLine, driven_text, people, print_json
@@ -92,6 +90,9 @@ def write_pdx(table: Path | None, path: Path, *, is_json: bool) -> None:
     ConfigError, RecordError
         If the table cannot be used or the file cannot be written.
     """
+    from ecu_emulator.diagnostics.pdx.package import pdx_package  # noqa: PLC0415 - for this command alone
+    from ecu_emulator.diagnostics.table_file import load_table, shipped_table  # noqa: PLC0415 - likewise
+
     if table is not None and path.absolute() == table.absolute():
         raise ConfigError(f"table and package cannot both be {path}")
     described = shipped_table() if table is None else load_table(table)

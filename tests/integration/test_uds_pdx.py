@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 
 from ecu_emulator.cli import main
 from ecu_emulator.diagnostics.descriptions import Access, Datum, ExtendedRecord, Field, Kind, Routine, Trouble, size_of
+from ecu_emulator.diagnostics.obd_descriptions import Profile
 from ecu_emulator.diagnostics.pdx.package import pdx_package
 from ecu_emulator.diagnostics.table import DiagnosticTable
 from ecu_emulator.diagnostics.table_file import shipped_table
@@ -115,6 +116,17 @@ def test_everything_that_the_package_describes_is_answered_and_understood() -> N
     assert figures.problems == []
     assert [name for name in figures.requests if not figures.positive[name]] == []
     assert figures.negative.total() > 100
+
+
+def test_a_controller_that_speaks_obd_by_uds_offers_its_reports() -> None:
+    table = shipped_table()
+    assert table.obd is not None
+    services = {number: table.services[number] for number in (0x14, 0x19)}
+    table = replace(table, obd=replace(table.obd, profile=Profile.UDS), services=services)
+    figures = PdxClient(table, Random(1)).ask_everything(most_situations=4)  # noqa: S311 - to be repeated
+    assert figures.problems == []
+    obd = {"Read_trouble_codes_of_OBD", "Read_permanent_trouble_codes", "Clear_trouble_codes_of_OBD"}
+    assert all(figures.positive[name] for name in obd)
 
 
 @settings(max_examples=10)

@@ -6,7 +6,9 @@ from typing import Final
 from ecu_emulator.diagnostics.codes import ALL_CODES
 from ecu_emulator.diagnostics.codes import Service as Number
 from ecu_emulator.diagnostics.descriptions import Access, Field, Kind
+from ecu_emulator.diagnostics.emissions import ALL_EMISSION_CODES
 from ecu_emulator.diagnostics.memory import FIRST_RECORD, LATEST_RECORD
+from ecu_emulator.diagnostics.obd_descriptions import Profile
 from ecu_emulator.diagnostics.pdx.coded_types import described, unsigned, worded
 from ecu_emulator.diagnostics.pdx.data_services import DataNames
 from ecu_emulator.diagnostics.pdx.dictionary import Dictionary
@@ -15,7 +17,10 @@ from ecu_emulator.diagnostics.pdx.service import Service, access_to, simple
 from ecu_emulator.diagnostics.services.trouble import (
     ALL_RECORDS,
     ALL_REGULATED_RECORDS,
+    ALL_SEVERITIES,
     CODE_FORMAT,
+    CODE_FORMAT_J2012,
+    EMISSION_GROUP,
     FIRST_REGULATED,
 )
 from ecu_emulator.diagnostics.table import DiagnosticTable
@@ -53,6 +58,8 @@ def clearing_services(table: DiagnosticTable, _dictionary: Dictionary, names: Tr
     access = access_to(table, Number.CLEAR_CODES)
     everything = constant("group", ALL_CODES, 3)
     yield _clearing("Clear all trouble codes", everything, access)
+    if table.has_obd(Profile.UDS):
+        yield _clearing("Clear trouble codes of OBD", constant("group", ALL_EMISSION_CODES, 3), access)
     if table.troubles:
         yield _clearing("Clear trouble code", names.code, access)
 
@@ -91,6 +98,33 @@ def trouble_services(
     )
     found = (value("counters", counters),)
     yield simple("Read fault detection counters", number, 0x14, _SEMANTIC, access, response=found)
+    if table.has_obd(Profile.UDS):
+        yield from _emission_reports(dictionary, names, access, codes)
+
+
+def _emission_reports(
+    dictionary: Dictionary, names: TroubleNames, access: Access, codes: tuple[Parameter, ...]
+) -> Iterator[Service]:
+    """Yield the reports of SAE J1979-2: codes by masks, and those that no client can clear."""
+    number, group = Number.READ_CODES, constant("group", EMISSION_GROUP)
+    byte = dictionary.simple("mask of status and severity", unsigned(1, is_hexadecimal=True))
+    masks = value("status_mask", byte, 1), value("severity_mask", byte, 1)
+    formats = dictionary.simple("format of trouble codes of OBD", worded({CODE_FORMAT_J2012: "SAE J2012-DA"}, 8))
+    severity = value("severity", dictionary.simple("severity", unsigned(1, is_hexadecimal=True)), 1)
+    entry = dictionary.structure("trouble code with severity", (severity, names.code, names.status))
+    found = value("trouble_codes", dictionary.repeated("trouble codes with severity", entry))
+    severities = constant("severity_availability", ALL_SEVERITIES)
+    yield simple(
+        "Read trouble codes of OBD",
+        number,
+        0x42,
+        _SEMANTIC,
+        access,
+        request=(group, *masks),
+        response=(group, names.availability, severities, value("format", formats, 1), found),
+    )
+    permanent = (group, names.availability, value("format", formats, 1), *codes[1:])
+    yield simple("Read permanent trouble codes", number, 0x55, _SEMANTIC, access, request=(group,), response=permanent)
 
 
 def _snapshots(table: DiagnosticTable, dictionary: Dictionary, names: TroubleNames, data: DataNames) -> Service:
