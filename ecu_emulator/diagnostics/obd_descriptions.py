@@ -73,6 +73,17 @@ class VehicleInfo:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class MonitorTest:
+    """A monitor of service 06: its test is the fault detection counter of a trouble code."""
+
+    number: int
+    code: str  # P0811
+
+    def __post_init__(self) -> None:
+        _check_number("monitor", self.code, self.number)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Obd:
     """OBD as one controller speaks it."""
 
@@ -80,6 +91,7 @@ class Obd:
     clear_conditions: tuple[str, ...]  # of the vehicle, before codes are cleared by service 04
     pids: Mapping[int, Pid]
     infos: Mapping[int, VehicleInfo]
+    monitors: Mapping[int, MonitorTest]
 
 
 def supported(numbers: Mapping[int, object], first: int) -> bytes | None:

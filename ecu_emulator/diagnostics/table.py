@@ -179,6 +179,9 @@ class DiagnosticTable:
             _check_known(level.sessions, self.sessions, f"security level {level.name}: session")
         if self.obd is not None:
             _check_known(self.obd.clear_conditions, self.conditions, "obd_clear_conditions: condition")
+            codes = {trouble.code: trouble for trouble in self.troubles.values()}
+            for monitor in self.obd.monitors.values():
+                _check_known((monitor.code,), codes, f"monitor 0x{monitor.number:02X}: trouble code")
             for info in self.obd.infos.values():
                 _check_known(
                     () if info.data is None else (info.data,), self.data, f"vehicle information {info.name}: data"

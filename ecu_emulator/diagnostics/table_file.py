@@ -22,7 +22,7 @@ from ecu_emulator.diagnostics.descriptions import (
     Session,
     Trouble,
 )
-from ecu_emulator.diagnostics.obd_descriptions import Obd, Pid, Profile, VehicleInfo
+from ecu_emulator.diagnostics.obd_descriptions import MonitorTest, Obd, Pid, Profile, VehicleInfo
 from ecu_emulator.diagnostics.table import Addressing, DiagnosticTable, DoipEntity, Limits, Periodic, Timing, Transport
 from ecu_emulator.errors import ConfigError
 
@@ -40,6 +40,7 @@ _LISTS: Final = (
     "extended",
     "pid",
     "vehicle_info",
+    "monitor",
 )
 _OPTIONAL: Final = ("doip", "obd", "obd_clear_conditions", "periodic")
 _TABLES: Final = ("name", "snapshot", "addressing", "transport", "timing", "limits", "access")
@@ -120,7 +121,7 @@ def _table(document: Mapping[str, Any]) -> DiagnosticTable:
 
 def _obd(document: Mapping[str, Any]) -> Obd | None:
     if "obd" not in document:
-        if unused := sorted({"pid", "vehicle_info", "obd_clear_conditions"} & set(document)):
+        if unused := sorted({"pid", "vehicle_info", "monitor", "obd_clear_conditions"} & set(document)):
             raise ConfigError(f"{unused[0]} is there, but key obd is missing: it says how OBD is spoken")
         return None
     conditions = document.get("obd_clear_conditions", [])
@@ -129,6 +130,7 @@ def _obd(document: Mapping[str, Any]) -> Obd | None:
         clear_conditions=_value(tuple[str, ...], conditions, "obd_clear_conditions", {}),
         pids=_numbered(_records(Pid, document, "pid", {}), "pid"),
         infos=_numbered(_records(VehicleInfo, document, "vehicle_info", {}), "vehicle_info"),
+        monitors=_numbered(_records(MonitorTest, document, "monitor", {}), "monitor"),
     )
 
 

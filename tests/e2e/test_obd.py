@@ -73,12 +73,3 @@ def asked(port: str) -> dict[str, Any]:
     assert told.returncode == 0, told.stderr
     found: dict[str, Any] = json.loads(told.stdout)
     return found
-
-
-def test_an_adapter_that_cannot_listen_ends_the_program_in_one_line() -> None:
-    words = ["run", "-i", "virtual", "-c", "obd", "--diagnostics", "--elm327", "203.0.113.1:35000"]
-    told = subprocess.run(
-        [sys.executable, "-m", "ecu_emulator", *words], check=False, capture_output=True, text=True, timeout=HANG_S
-    )
-    assert (told.returncode, told.stderr.count("\n")) == (3, 1), told.stderr
-    assert told.stderr.startswith("ecu-emulator: error: ELM327 cannot listen at 203.0.113.1:35000: ")

@@ -22,6 +22,7 @@ def written(text: str, table: DiagnosticTable) -> str:
         "codes": _codes(table),
         "parameters": _parameters(table),
         "information": _information(table),
+        "monitors": _monitors(table),
     }
     return _MARK.sub(lambda found: f"{found[1]}{tables[found[2]]}{found[3]}", text)
 
@@ -126,6 +127,11 @@ def _information(table: DiagnosticTable) -> str:
             for entry in infos
         ),
     )  # fmt: skip
+
+
+def _monitors(table: DiagnosticTable) -> str:
+    monitors = table.obd.monitors.values() if table.obd is not None else ()
+    return _rows(("monitor", "code"), ((f"{entry.number:02X}", entry.code) for entry in monitors))
 
 
 def main() -> None:

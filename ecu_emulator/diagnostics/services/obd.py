@@ -8,6 +8,7 @@ from typing import Final
 
 from ecu_emulator.diagnostics.codes import ALL_CODES, Nrc, ObdService, Status
 from ecu_emulator.diagnostics.emissions import emission_codes
+from ecu_emulator.diagnostics.memory import FAILED_COUNTER, PASSED_COUNTER, TroubleRecord
 from ecu_emulator.diagnostics.obd_descriptions import BLOCK, Obd, supported
 from ecu_emulator.diagnostics.services.call import Call, Result, unmet
 from ecu_emulator.diagnostics.services.obd_data import info_data, pid_data
@@ -18,6 +19,8 @@ MOST_FROZEN_PIDS: Final = 3
 FRAME: Final = 0x00  # the only freeze frame
 CODE_OF_FRAME: Final = 0x02  # parameter of the freeze frame: the code that it belongs to
 NOT_THERE: Final = Nrc.SUB_FUNCTION_NOT_SUPPORTED
+COUNTER_TEST: Final = 0x80  # the first test number that a maker may define
+SIGNED_COUNT: Final = 0x81  # unit and scaling: a signed number without unit
 _CODE_BYTES: Final = 2
 _MOST_CODES: Final = 0xFF
 _ONE_ITEM: Final = 0x01
@@ -104,12 +107,45 @@ def vehicle_information(call: Call) -> Result:
     if not 1 <= len(numbers) <= MOST_PIDS:
         return NOT_THERE
     if all(number % BLOCK == 0 for number in numbers):
-        bitmaps = ((number, supported(obd.infos, number)) for number in numbers)
-        return _found(call, (bytes([number]) + bitmap if bitmap is not None else b"" for number, bitmap in bitmaps))
+        return _found(call, _bitmaps(obd.infos, numbers))
     info = obd.infos.get(numbers[0])
     if info is None or len(numbers) != 1:
         return NOT_THERE
     return call.positive(bytes([info.number, _ONE_ITEM]) + info_data(info, call.table, call.state))
+
+
+def test_results(call: Call) -> Result:
+    """Read the result of one monitor, or up to six bitmaps of those that are there.
+
+    The result is the fault detection counter of the monitor's trouble code; before its test has run, all is zero.
+    """
+    obd, numbers = _obd(call), call.payload[1:]
+    if not 1 <= len(numbers) <= MOST_PIDS:
+        return NOT_THERE
+    if all(number % BLOCK == 0 for number in numbers):
+        return _found(call, _bitmaps(obd.monitors, numbers))
+    monitor = obd.monitors.get(numbers[0])
+    if monitor is None or len(numbers) != 1:
+        return NOT_THERE
+    records = (
+        call.state.memory.records[number]
+        for number, trouble in call.table.troubles.items()
+        if trouble.code == monitor.code
+    )
+    return call.positive(b"".join(bytes([monitor.number]) + _test_result(record) for record in records))
+
+
+def _test_result(record: TroubleRecord) -> bytes:
+    """Return which test it is, the unit of its result, the result, and its least and its most."""
+    has_run = not record.status & Status.NOT_TESTED_SINCE_CLEAR
+    numbers = (record.detection_counter, PASSED_COUNTER, FAILED_COUNTER - 1) if has_run else (0, 0, 0)
+    return bytes([COUNTER_TEST, SIGNED_COUNT]) + b"".join(number.to_bytes(2, "big", signed=True) for number in numbers)
+
+
+def _bitmaps(known: Mapping[int, object], numbers: bytes) -> Iterable[bytes]:
+    for number in numbers:
+        bitmap = supported(known, number)
+        yield b"" if bitmap is None else bytes([number]) + bitmap
 
 
 def _found(call: Call, pieces: Iterable[bytes]) -> Result:
@@ -129,6 +165,7 @@ OBD_HANDLERS: Final[Mapping[int, Callable[[Call], Result]]] = {
     ObdService.FREEZE_FRAME: freeze_frame,
     ObdService.CONFIRMED_CODES: confirmed_codes,
     ObdService.CLEAR: clear_emission_codes,
+    ObdService.TEST_RESULTS: test_results,
     ObdService.PENDING_CODES: pending_codes,
     ObdService.VEHICLE_INFORMATION: vehicle_information,
     ObdService.PERMANENT_CODES: permanent_codes,

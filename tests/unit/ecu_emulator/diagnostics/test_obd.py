@@ -64,7 +64,7 @@ def test_a_parameter_is_what_the_vehicle_says(bench: Bench, pid: str, answer: st
     assert bench.ask(f"01 {pid}") == f"41 {pid.lower()} {answer}"
 
 
-@pytest.mark.parametrize("service", ["01", "09"])
+@pytest.mark.parametrize("service", ["01", "06", "09"])
 def test_bitmaps_name_exactly_what_is_answered(bench: Bench, service: str) -> None:
     bitmaps, first = [], 0
     while True:
@@ -92,6 +92,9 @@ def test_bitmaps_name_exactly_what_is_answered(bench: Bench, service: str) -> No
         ("04 00", "7f 04 12"),
         ("09 02 04", "7f 09 12"),
         ("09 03", "7f 09 12"),
+        ("06", "7f 06 12"),
+        ("06 01", "7f 06 12"),
+        ("06 E1 E2", "7f 06 12"),
         ("05 01", "7f 05 11"),
         ("08 01", "7f 08 11"),
     ],
@@ -217,6 +220,18 @@ def test_what_obd_keeps_outlives_the_current(bench: Bench, tmp_path: Path) -> No
     assert [bench.ask(request) for request in asked] == before
 
 
+def test_results_of_monitors_are_detection_counters_with_their_limits(bench: Bench) -> None:
+    assert bench.ask("06 E2") == "46 e2 80 81 00 00 00 00 00 00"  # not run since codes were cleared
+    fail(bench, "P0218")
+    assert bench.ask("06 E2", to_all=True) == "46 e2 80 81 00 7f ff 80 00 7e"  # 127, at most 126
+    bench.monitor("P0711", TestResult.PASSED)
+    assert bench.ask("06 E3") == "46 e3 80 81 ff 80 ff 80 00 7e"
+    bench.monitor("P0711", TestResult.PREFAILED)
+    assert bench.ask("06 E3") == "46 e3 80 81 00 08 ff 80 00 7e"
+    assert bench.ask("14 FF FF FF") == "54"
+    assert bench.ask("06 E3") == "46 e3 80 81 00 00 00 00 00 00"
+
+
 def test_obd_by_the_services_of_uds(bench: Bench) -> None:
     bench = Bench(table=table_of("uds"))
     bench.values = {**bench.values, **DRIVEN, "vehicle_speed_m_s": 0.0}
@@ -251,7 +266,7 @@ def test_the_classic_profile_has_nothing_of_the_other(bench: Bench) -> None:
     ("old", "new", "message"),
     [
         ('obd = "classic"', 'obd = "kwp"', "obd must be one of classic, uds, got 'kwp'"),
-        ('obd = "classic"', "", "obd_clear_conditions is there, but key obd is missing"),
+        ('obd = "classic"', "", "monitor is there, but key obd is missing"),
         ("number = 0x0C\n", "number = 0x20\n", r"pid 5: PID engine speed: its number must be 1..0xFF and no multiple"),
         ("number = 0x0C\n", "number = 0x0D\n", "pid 0x0D is there twice"),
         ('initial = "00FA"', 'initial = "FA"', "initial must have 2 bytes"),
@@ -259,6 +274,8 @@ def test_the_classic_profile_has_nothing_of_the_other(bench: Bench) -> None:
         ("data = 0xF190", "data = 0xF1FF", "vehicle information vehicle identification number: data 0xF1FF is not"),
         ("size_bytes = 16\n", "size_bytes = 5\n", "it is longer than 5 bytes"),
         ("data = 0xF190", 'data = 0xF190\ntext = "x"', "either data, a text or digits"),
+        ('number = 0xE1\ncode = "P0811"', 'number = 0xE1\ncode = "P0999"', "trouble code P0999 is not described"),
+        ("number = 0xE1\n", "number = 0xE0\n", "no multiple of 0x20"),
         ('clear_conditions = ["standstill"]', 'clear_conditions = ["asleep"]', "condition asleep is not described"),
     ],
 )  # fmt: skip
@@ -271,4 +288,4 @@ def test_a_table_is_checked_for_obd(old: str, new: str, message: str) -> None:
 def test_pids_never_share_a_number_with_a_bitmap() -> None:
     obd = shipped_table().obd
     assert obd is not None
-    assert all(number % 0x20 for number in chain(obd.pids, obd.infos))
+    assert all(number % 0x20 for number in chain(obd.pids, obd.infos, obd.monitors))
