@@ -125,7 +125,7 @@ def test_frames_are_shown_until_the_client_says_anything(server: ElmServer) -> N
         sender.start()
         try:
             assert until(one, b"\r").startswith(b"123 01 02 03 \r")
-            one.sendall(b" ")
+            one.sendall(b"X")  # it ends what is shown and means nothing else
             assert until(one).endswith(b"STOPPED\r\r>")
         finally:
             is_over.set()

@@ -168,6 +168,13 @@ def test_headers_say_who_is_asked_and_filters_who_is_heard() -> None:
         assert adapter.say("010C") == ["41 0C 0C AF "]
 
 
+def test_responses_that_are_none_of_obd_must_be_asked_for() -> None:
+    adapter = Adapter("ATSP6", ids=(0x6F1, 0x6F9, 0x7DF))
+    assert adapter.say("010C") == ["NO DATA"]
+    assert adapter.say("ATCRA 6F9") == ["OK"]
+    assert adapter.say("010C") == ["41 0C 0C AF "]
+
+
 def test_headers_of_29_bits_are_made_of_a_priority_and_six_digits() -> None:
     adapter = Adapter("ATSP7", "ATH1", ids=(0x18DA10F1, 0x18DAF110, 0x18DB33F1))
     assert adapter.say("010C") == ["18 DA F1 10 04 41 0C 0C AF "]
