@@ -74,7 +74,7 @@ def test_two_testers_are_answered_each_by_its_own(port: int) -> None:
 
 
 def test_periodic_data_go_to_the_tester_who_holds_the_session() -> None:
-    with entity() as (_, server), Tester(server.place.port) as one, Tester(server.place.port, 0x0E01) as other:
+    with entity() as (_, server), Tester(server.place.port, 0x0E01) as other, Tester(server.place.port) as one:
         assert one.ask("10 03").startswith("50 03")
         assert other.ask("2a 03 00") == "7f 2a 7f"
         assert one.ask("2a 03 00") == "6a"

@@ -12,6 +12,7 @@ from ecu_emulator.diagnostics.descriptions import Access, Datum, Field, Kind
 from ecu_emulator.diagnostics.pdx.package import pdx_package
 from ecu_emulator.diagnostics.table import DiagnosticTable
 from ecu_emulator.diagnostics.table_file import shipped_table
+from ecu_emulator.diagnostics.values import decode_number
 from ecu_emulator.errors import ConfigError
 from tests.support.uds.full_table import full_table
 from tests.support.uds.pdx_client import read_back
@@ -71,6 +72,20 @@ def test_values_are_in_their_unit(layer: Layer) -> None:
     assert list(vin.param_dict["vehicle_identification_number"].values()) == ["WVWZZZ1KZ5W000001"]
     fluid = layer.services.Read_fluid_temperature.positive_responses[0].parameters.fluid_temperature.dop
     assert fluid.parameters.temperature.dop.unit.display_name == "degC"
+
+
+def test_every_number_of_the_table_is_scaled_as_the_table_says(layer: Layer) -> None:
+    for datum in full_table().data.values():
+        raw = bytes(0x21 + place for place in range(datum.size_bytes))
+        service = next(entry for entry in layer.services if entry.long_name == f"Read {datum.name}")
+        response = service.decode_message(b"\x62" + datum.number.to_bytes(2, "big") + raw).param_dict
+        values, place = list(list(response.values())[-1].values()), 0
+        for entry, value in zip(datum.fields, values, strict=True):
+            piece, place = raw[place : place + entry.size_bytes], place + entry.size_bytes
+            if entry.kind in {Kind.UNSIGNED, Kind.SIGNED}:
+                assert value == pytest.approx(decode_number(entry, piece)), entry.name
+            else:
+                assert value in {piece, piece.decode("latin-1")}
 
 
 def test_what_is_not_available_is_marked_so(layer: Layer) -> None:
