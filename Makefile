@@ -18,7 +18,7 @@ PY = "$(VENV)/bin/python"
 # The ones that print figures of speed and size; studies of accuracy have targets or commands of their own.
 BENCHMARKS = decode estimator fleet_ingest live_bus live_latency outbox plant readers service service_memory start
 
-.PHONY: help setup setup-system demo fleet check static test warm test-host test-vcan bench accuracy reproduce operating-curve mismatch lock sbom clean
+.PHONY: help setup setup-system demo fleet check static static-and-warm test warm test-host test-vcan bench accuracy reproduce operating-curve mismatch lock sbom clean
 
 help:
 	@echo "make setup         virtual environment in $(VENV) with the locked requirements and the project"
@@ -118,8 +118,14 @@ static: setup
 	@$(PY) -c 'from dbc.contract import load_contract; load_contract()'
 	@$(PY) -m check_jsonschema --quiet --builtin-schema vendor.compose-spec docker-compose.yml
 
-test: setup-system static warm test-host test-vcan
+test: setup-system static-and-warm test-host test-vcan
 	@echo "test: all passed, none skipped"
+
+# Each keeps one core busy.
+static-and-warm: setup
+	@$(MAKE) --no-print-directory warm & compiling=$$!; \
+	$(MAKE) --no-print-directory static; checked=$$?; \
+	wait $$compiling && exit $$checked
 
 # Compiling inside User-Mode Linux is twelve times slower than here, so the cache is filled before.
 warm: setup
