@@ -143,7 +143,7 @@ test-host: setup
 
 test-vcan: setup
 	@echo "test: on a real vcan"
-	@$(PY) -m tests.uml.run --time-limit "$(VCAN_LIMIT_S)" -- $(PY) -m pytest -m vcan
+	@$(PY) -m tests.uml.run --time-limit "$(VCAN_LIMIT_S)" -- $(PY) -m pytest -m vcan tests/e2e tests/integration
 
 clean:
 	rm -rf "$${XDG_CACHE_HOME:-$$HOME/.cache}/clutchdiag" "$(VENV)" build *.egg-info .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache

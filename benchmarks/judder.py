@@ -17,7 +17,7 @@ from rich.table import Table
 
 from clutch_model.calibration import nominal_calibration
 from clutch_model.film import equilibrium_film_m
-from clutch_model.friction import friction_law, kinetic_friction
+from clutch_model.friction import contact_torque_nm, friction_law, kinetic_friction
 from clutch_model.units import k_from_degc
 from clutch_model.viscosity import viscosity_pa_s
 from ecu_emulator.plant import DriveSettings, FrictionFactors, nominal_parameters
@@ -68,7 +68,8 @@ def slipping(load_nm: float, slip_rad_s: float, fluid: FrictionFactors) -> tuple
     y[at.PHI_OS] = ratio * load_nm / plant.output.stiffness_nm_rad
     y[at.P_M] = 0.5 * plant.engine.ambient_pressure_pa
     friction = FRICTION._replace(mu_c=float(u[at.MU_C]), mu_s=float(u[at.MU_S]))
-    contact_pa = load_nm / (clutch.film.contact_factor_m3 * kinetic_friction(slip_rad_s, friction))
+    mu = kinetic_friction(slip_rad_s, friction)
+    contact_pa = load_nm / contact_torque_nm(1.0, mu, 1.0, clutch.film.contact_factor_m3)  # it is proportional to it
     y[at.FILM], y[at.FILM + 1] = equilibrium_film_m(contact_pa, clutch.film), plant.clutches.second.film.open_gap_m
     for index, one in enumerate((clutch, plant.clutches.second)):
         refresh_contact(y, index, one)

@@ -57,3 +57,13 @@ def test_kernels_are_found() -> None:
     assert len(found) > 20
     many = ast.parse("@kernel\ndef f(a, b, c, d, e, /, g, h, i, *, j, k): ...")
     assert [parameters(one) for one in kernels(ast.unparse(many))] == [10]
+
+
+def test_tests_of_a_vcan_are_where_make_test_looks_for_them() -> None:
+    mark = "pytest.mark." + "vcan"
+    users = {
+        path.relative_to(ROOT).parts[1]
+        for path in (ROOT / "tests").rglob("test_*.py")
+        if mark in path.read_text("utf-8")
+    }
+    assert users <= {"e2e", "integration"}
