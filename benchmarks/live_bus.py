@@ -22,7 +22,7 @@ from pathlib import Path
 import psutil
 
 from benchmarks.guest_meter import FOLDER_VARIABLE, answering
-from benchmarks.live_cpu import PERIODS_S, QUIET_S, datagrams, drive_frames, report_cpu
+from benchmarks.live_cpu import QUIET_S, TARGET_RATIOS, datagrams, drive_frames, report_cpu
 from canlog.live.socketcan import SocketCanSource
 from dbc.contract import load_contract
 from diag_service.mapping.decoder import Decoder
@@ -118,14 +118,14 @@ def main() -> int:
     if not has_can_sockets():
         print("datagrams in the place of CAN frames, on this kernel")
         with datagrams() as channel:
-            for period_s in PERIODS_S:
+            for period_s in TARGET_RATIOS:
                 report_cpu(channel, period_s, options.rounds)
         return run_in_guest()
     channels = [f"vcan{60 + number}" for number in range(BUSES)]
     if not all(create_vcan(channel) for channel in channels):
         raise SystemExit("cannot create vcan interfaces")
     try:
-        for period_s in PERIODS_S:
+        for period_s in TARGET_RATIOS:
             report_cpu(channels[0], period_s, options.rounds)
         report_flood(channels, options.flood)
     finally:

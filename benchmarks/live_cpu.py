@@ -39,11 +39,13 @@ from ecu_emulator.recording import Drive
 from ecu_emulator.scenario_file import load_scenario
 
 BURST = 10  # frames per wake-up
-PERIODS_S = (0.0025, 0.02)  # a full bus of 500 kbit/s, and one with less than this project's messages
+TARGET_RATIOS = {  # seconds between bursts: least ratio
+    0.0025: 6.0,  # a full bus of 500 kbit/s
+    0.02: 3.0,  # less than this project's messages: waking up costs more than what is done then, see decision 0032
+}
 SEND_S = 12.0
 MOST_FRAMES = 24_000  # one stretch of a drive
 QUIET_S = 0.7  # before the first and after the last frame
-TARGET_RATIO = 5.0
 LOST_SHARE = 0.1  # of what sending takes, which varies by as much: less cannot be told
 FRAME = struct.Struct("=IB3x8s")
 
@@ -218,9 +220,8 @@ def report_cpu(channel: str, period_s: float, rounds: int) -> None:
         print("  no ratio: what the service takes is lost beside what sending takes", flush=True)
         return
     ratio = best[1].us_per_frame / best[0].us_per_frame
-    print(
-        f"  ratio {ratio:.1f}   target >= {TARGET_RATIO:g}: {'met' if ratio >= TARGET_RATIO else 'MISSED'}", flush=True
-    )
+    target = TARGET_RATIOS[period_s]
+    print(f"  ratio {ratio:.1f}   target >= {target:g}: {'met' if ratio >= target else 'MISSED'}", flush=True)
 
 
 class DatagramSocket(socket.socket):
