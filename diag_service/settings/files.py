@@ -1,5 +1,6 @@
 """A settings file: what stands for options that neither the command line nor the environment names."""
 
+from collections.abc import Mapping
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
@@ -9,12 +10,12 @@ import click
 
 from canlog.plain_files import read_toml_file
 from diag_service.errors import ConfigError
-from diag_service.settings.options import SETTINGS
+from diag_service.settings.setting import Setting
 from fleet_link import AddressError, check_secret_mode
 
 
-def load_settings(file: Path) -> dict[str, Any]:
-    """Return what a file sets.
+def read_settings(file: Path, known: Mapping[str, Setting]) -> dict[str, Any]:
+    """Return what a file sets of the options that are known.
 
     Raises ConfigError if a key is unknown, a value unfit, or a file with a password may be read by others. The message
     does not repeat values, which may be secret.
@@ -22,7 +23,7 @@ def load_settings(file: Path) -> dict[str, Any]:
     values, problems = {}, []
     for key, value in _read(file).items():
         try:
-            values[key] = _converted(key, value)
+            values[key] = _converted(known.get(key), value)
         except ValueError as exc:
             problems.append(f"{key}: {exc}")
     if problems:
@@ -52,12 +53,11 @@ def _holds_password(url: str) -> bool:
         return "@" in url
 
 
-def _converted(key: str, value: object) -> object:
-    """Return what the value of a key stands for; a number may be written as a text, a text not as a number.
+def _converted(option: Setting | None, value: object) -> object:
+    """Return what the value of an option stands for; a number may be written as a text, a text not as a number.
 
     Raises ValueError if it does not fit.
     """
-    option = SETTINGS.get(key)
     if option is None:
         raise ValueError("Extra inputs are not permitted")
     takes_numbers = option.type.name in {"boolean", "float", "int"}

@@ -11,38 +11,10 @@ from typing import Any, Final
 import click
 
 from diag_service.errors import ConfigError
-from program_io.command_line import FILE, FLOAT, INT, Choice, Option
+from diag_service.settings.setting import Setting
+from program_io.command_line import FILE, FLOAT, INT, Choice
 
 VARIABLES: Final = "CLUTCHDIAG"  # begins the environment variables, such as CLUTCHDIAG_BROKER
-_KINDS: Final = {
-    "boolean": "true or false",
-    "float": "a number",
-    "int": "a whole number",
-    "path": "a file name",
-    "text": "a text",
-}
-
-
-class Setting(Option):
-    """An option that the environment or a settings file may set, under its name with ``_`` for ``-``."""
-
-    can_be_set = True
-
-    @property
-    def demand(self) -> str:
-        """What a value must be."""
-        if isinstance(self.type, Choice):
-            return f"must be {' or '.join(self.type.choices)}"
-        return f"must be {_KINDS[self.type.name]}"
-
-    def type_cast_value(self, ctx: click.Context, value: Any) -> Any:  # noqa: ANN401 - as click has it
-        """Return what a text stands for; of the environment's texts none is repeated, since it may be secret."""
-        try:
-            return super().type_cast_value(ctx, value)
-        except click.BadParameter:
-            if ctx.get_parameter_source(self.name) is click.ParameterSource.COMMANDLINE:
-                raise
-            raise ConfigError(f"settings: {self.name}: {self.demand}") from None
 
 
 def _read_elsewhere(ctx: click.Context, _option: click.Parameter, file: Path | None) -> Path | None:
@@ -56,10 +28,15 @@ def _read_elsewhere(ctx: click.Context, _option: click.Parameter, file: Path | N
     except VariableError as exc:
         raise ConfigError(str(exc)) from exc
     if file is not None:
-        from diag_service.settings.files import load_settings  # noqa: PLC0415 - most do without
-
         ctx.default_map = load_settings(file)
     return file
+
+
+def load_settings(file: Path) -> dict[str, Any]:
+    """Return what a settings file sets; raises ConfigError, as `read_settings` says."""
+    from diag_service.settings.files import read_settings  # noqa: PLC0415 - most do without
+
+    return read_settings(file, SETTINGS)
 
 
 MEANING: Final = (

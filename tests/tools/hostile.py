@@ -244,7 +244,7 @@ READERS: Mapping[str, str] = {
     ".lenient": "tests.tools.hostile:load_leniently",
     ".profile": "diag_service.mapping.profile:load_profile",
     ".calibration": "clutch_model.calibration:read_calibration",
-    ".config": "diag_service.settings.files:load_settings",
+    ".config": "diag_service.settings.options:load_settings",
     ".password": "fleet_link.secret_files:read_secret",
     ".plant": "ecu_emulator.plant.parameters:read_parameters",
     ".scenario": "ecu_emulator.scenario_file:load_scenario",
