@@ -51,15 +51,15 @@ def flood(channel: str, frame: bytes, duration_s: float, sent: "mp.Queue[int]") 
 
 async def listen(channels: list[str], started: Start, wait: Start) -> list[tuple[int, int]]:
     """Receive and decode several buses until ``wait`` returns; return what each received and lost."""
+    decoders = [Decoder(load_contract(), load_profile()) for _ in channels]  # as the service, before it listens
     sources = [SocketCanSource(channel) for channel in channels]
     started()
 
-    async def read(source: SocketCanSource) -> None:
-        decoder = Decoder(load_contract(), load_profile())
+    async def read(source: SocketCanSource, decoder: Decoder) -> None:
         async for batch in source:
             decoder.feed(batch)
 
-    readers = [asyncio.create_task(read(source)) for source in sources]
+    readers = [asyncio.create_task(read(*pair)) for pair in zip(sources, decoders, strict=True)]
     await asyncio.to_thread(wait)
     await asyncio.sleep(QUIET_S)
     for source in sources:
