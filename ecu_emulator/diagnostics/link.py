@@ -15,7 +15,7 @@ from typing import Final, Self
 import can
 import isotp
 
-from ecu_emulator.diagnostics.codes import NEGATIVE, Nrc
+from ecu_emulator.diagnostics.codes import NEGATIVE, Nrc, Service
 from ecu_emulator.diagnostics.controller import Controller
 from ecu_emulator.diagnostics.isotp_frames import single_payload, usable
 from ecu_emulator.diagnostics.server import AGAIN_RATIO, is_suppressed
@@ -31,6 +31,7 @@ MOST_WAIT_FRAMES: Final = 10
 LARGEST_STANDARD_ID: Final = 0x7FF
 FULL_FD_BYTES: Final = 64
 KEEP_ALIVE: Final = b"\x3e\x80"
+_PERIODIC: Final = bytes([Service.READ_PERIODICALLY])
 PENDING_RATIO: Final = 0.6  # of P2, after which a client is told to wait
 _LOGGER: Final = "ecu_emulator.isotp"  # the library warns of every odd frame; they are counted instead
 logging.getLogger(_LOGGER).setLevel(logging.CRITICAL + 1)
@@ -160,12 +161,14 @@ class DiagnosticLink:
                 self._hold(bytes(received), is_functional=False)
             now_s = time.monotonic()
             self._go_on_asking(now_s)
+            self._layer.process()  # a response is out before the periodic data that it announces
             if now_s >= next_tick_s:
                 next_tick_s = now_s + TICK_S
                 if self._layer.transmitting() or self._layer.is_rx_active():
                     self._controller.hold_session()
                 self._respond(self._controller.tick())
-                self._broadcast()
+                if self._asked[:1] != _PERIODIC or self._asking is None:
+                    self._broadcast()
             self._layer.process()
 
     def _patience_s(self) -> float:

@@ -1,6 +1,7 @@
 """A controller behind ISO-TP without a bus: frames go in and come out as hexadecimal text."""
 
 import queue
+import re
 import secrets
 import time
 from collections.abc import Callable
@@ -36,6 +37,9 @@ def parked_controller(
     return Controller(table, values=lambda: PARKED, clock=clock, chance=secrets.token_bytes, store=store)
 
 
+_IS_PENDING = re.compile("03 7f .. 78")
+
+
 class Wire:
     """The frames of one link, while it is entered."""
 
@@ -65,6 +69,12 @@ class Wire:
         )
 
     def get(self) -> str:
+        """Return the next frame of the controller, other than that an answer takes its time, as on a busy machine."""
+        while _IS_PENDING.search(frame := self.get_any()):
+            pass
+        return frame
+
+    def get_any(self) -> str:
         """Return the next frame of the controller."""
         message = self._heard.get(timeout=HANG_S)
         assert message.arbitration_id == self.controller.table.addressing.response_id
