@@ -19,14 +19,14 @@ from diag_service.commands.arguments import (
     PROGRAM,
     parse_arguments,
 )
-from diag_service.errors import ConfigError, IncompleteError, StoppedError, StoreError
+from diag_service.errors import ConfigError, ControllerError, IncompleteError, StoppedError, StoreError
 from diag_service.service.stopping import Controls, Trigger, ignore
 from program_io.complaint import complain
 from program_io.standard_output import standard_output
 
 _STATUSES: Final = (
     ((ConfigError, CalibrationError, DefinitionError, ExtraMissingError), EXIT_CONFIG),
-    (SourceError, EXIT_SOURCE),
+    ((SourceError, ControllerError), EXIT_SOURCE),
     ((StoreError, OutputError), EXIT_STORE),
     (IncompleteError, EXIT_INCOMPLETE),
 )

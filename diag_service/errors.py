@@ -31,3 +31,19 @@ class PublishError(DiagServiceError):
 
 class ResultError(DiagServiceError):
     """A result does not fit its public form (NaN, unknown key): fix the code that made it, or the file it came from."""
+
+
+class ControllerError(DiagServiceError):
+    """A controller cannot be asked, or its answer cannot be used: check bus, address and what it is to do."""
+
+
+class SilentError(ControllerError):
+    """A controller did not answer in time: check its address, or ask again later."""
+
+
+class RefusedError(ControllerError):
+    """A controller answered that it will not; ``code`` is its negative response code."""
+
+    def __init__(self, text: str, code: int) -> None:
+        super().__init__(text)
+        self.code = code

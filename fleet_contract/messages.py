@@ -104,6 +104,14 @@ def config_message(vehicle: str, produced_at: str, settings: Mapping[str, str | 
     )
 
 
+def controller_message(record: Mapping[str, object]) -> Outgoing:
+    """Return the message of what a controller says of its trouble codes."""
+    vehicle, time = str(record["vehicle"]), _time(record)
+    return _outgoing(
+        Channel.CONTROLLER, vehicle, dump(record), source=vehicle, event_id=f"controller/{time}", time=time
+    )
+
+
 def ack_messages(vehicle: str, receipts: Sequence[Receipt], *, sent_at: str, worker: str) -> Iterator[Outgoing]:
     """Yield the acknowledgements of committed results of one vehicle.
 

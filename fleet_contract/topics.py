@@ -26,6 +26,7 @@ class Channel(Enum):
     STATUS = ("status", _EVENT_BYTES, True)  # birth, farewell and last will
     METRICS = ("metrics", _EVENT_BYTES, True)
     CONFIG = ("config", _LIST_BYTES, True)  # what the service runs with; nothing configures it
+    CONTROLLER = ("controller", _LIST_BYTES, True)  # the trouble codes that a controller tells
     ACK = ("ack", _LIST_BYTES, False)  # the only one from backend to vehicle
 
     def __init__(self, label: str, max_bytes: int, is_retained: bool) -> None:  # noqa: FBT001 - Enum unpacks a tuple

@@ -12,7 +12,7 @@ SERVICE_VARIABLES: Final = frozenset(
     for name in (
         *("ACKNOWLEDGE", "BITRATE", "BROKER", "CA", "CALIBRATION", "CERT", "CHANNEL", "CONFIG", "DBC"),
         *("DURATION", "FD", "INTERFACE", "KEY", "LENIENT", "METRICS", "ONLY_MAPPED", "PASSWORD_FILE", "PROFILE"),
-        *("STORE", "STORE_BUDGET", "VEHICLE"),
+        *("STORE", "STORE_BUDGET", "VEHICLE", "ACTIVE", "DESCRIPTION", "ECU", "POLL", "REPLY"),
     )
 )
 BACKEND_VARIABLES: Final = frozenset({f"{PREFIX}BROKER", f"{PREFIX}DATABASE"})

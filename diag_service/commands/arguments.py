@@ -6,8 +6,8 @@ from typing import Final
 
 import click
 
-from diag_service.settings.options import BUS, CONFIG, DELIVERY, MEANING, VARIABLES
-from program_io.command_line import FILE, INT, VERBOSE, Choice, Command, Group, Option, Program, parse
+from diag_service.settings.options import BUS, CONFIG, DELIVERY, MEANING, POLL, VARIABLES
+from program_io.command_line import FILE, FLOAT, INT, VERBOSE, Choice, Command, Group, Option, Program, parse
 
 PROGRAM: Final = "diag-service"
 
@@ -15,8 +15,8 @@ EXIT_OK, EXIT_UNEXPECTED, EXIT_CONFIG, EXIT_SOURCE, EXIT_STORE, EXIT_INCOMPLETE 
 EXIT_SIGNALLED = 128  # and the number of the signal, as a shell tells it
 _EXIT_TEXT: Final = (
     "exit status: 0 done, 1 unexpected error, 2 usage, calibration, DBC or an extra that is not installed, "
-    "3 bus or log, 4 store, 5 a log broke off and was not judged, or --strict was asked for and a log lost something "
-    "or contributed nothing, "
+    "3 bus, log or controller, 4 store, 5 a log broke off and was not judged, or --strict was asked for and a log lost "
+    "something or contributed nothing, "
     "130 stopped early by SIGINT, 143 by SIGTERM; run and monitor usually end by a signal: 0"
 )
 _FOLDERS: Final = (
@@ -44,10 +44,11 @@ def _output(text: str, *, required: bool = False) -> Option:
 _RUN: Final = Command(
     "run",
     "diagnose a live bus",
-    *(*BUS, *MEANING, CONFIG, *DELIVERY, _JSON_LINES, VERBOSE),
+    *(*BUS, *MEANING, CONFIG, *DELIVERY, *POLL, _JSON_LINES, VERBOSE),
     variables=VARIABLES,
     examples=(
         f"{PROGRAM} run -i socketcan -c can0 --vehicle car1",
+        f"{PROGRAM} run -i socketcan -c can0 --vehicle car1 --poll 60 --active",
         f"{PROGRAM} run -i socketcan -c can0 --broker mqtts://car1@fleet.example --store car1.sqlite --metrics 9464",
         f"{PROGRAM} run --config car1.toml --json",
     ),
@@ -62,7 +63,7 @@ _MONITOR: Final = Command(
 _CHECK: Final = Command(
     "check",
     "check the settings and print what a run would use, secrets masked",
-    *(*BUS, *MEANING, CONFIG, *DELIVERY, _JSON_LINES, VERBOSE),
+    *(*BUS, *MEANING, CONFIG, *DELIVERY, *POLL, _JSON_LINES, VERBOSE),
     variables=VARIABLES,
     examples=(f"{PROGRAM} config check --config car1.toml",),
 )
@@ -144,6 +145,91 @@ _DECODE: Final = Command(
     *(_JSON, VERBOSE),
     examples=(f"{PROGRAM} decode drive.blf --dbc car.dbc -o drive.parquet",),
 )
+_ASKED_BUS: Final = tuple(option for option in BUS if option.name in {"interface", "channel", "bitrate", "fd"})
+_LISTENS: Final = (
+    "Listens before it asks, and asks only with --active: without, it says what was heard on the bus and what it would "
+    "ask. If another tester is heard, nothing is asked."
+)
+_ASKING: Final = (
+    *_ASKED_BUS,
+    Option("--doip HOST[:PORT]", "ask over IP (DoIP) instead of a bus; --ecu is the logical address then"),
+    Option("--ecu ID", "identifier of requests, hexadecimal (default: as described, or 7E1)"),
+    Option("--reply ID", "identifier of answers (default: as described, or by the rules of the standard)"),
+    Option("--address BYTE", "extended addressing: the address of the controller, hexadecimal"),
+    Option("--active", "send requests"),
+    Option("--listen S", "how long to listen before (default: 1)", FLOAT, default=1.0),
+    Option("--timeout S", "how long an answer may take to begin (default: 1)", FLOAT, default=1.0),
+)
+_DESCRIPTION: Final = Option(
+    "-d --description FILE",
+    "what the controller has: TOML, PDX or the name of a shipped one (default: the shipped one that the controller "
+    "says it is)",
+    FILE,
+)
+_SESSION_TEXT: Final = "session to ask in, hexadecimal; left in the end"
+_DTC: Final = Command(
+    "dtc",
+    "read the trouble codes of a controller",
+    *(*_ASKING, _DESCRIPTION),
+    Option("--mask BYTE", "status bits of which a code must have one, hexadecimal (default: AF)", default="AF"),
+    Option("--all", "all codes that the controller knows, also those that never failed"),
+    Option("--brief", "without snapshots and extended data"),
+    *(CONFIG, _JSON, VERBOSE),
+    variables=VARIABLES,
+    description=f"Read the trouble codes of a controller, with what it kept of the failure. {_LISTENS}",
+    examples=(
+        f"{PROGRAM} dtc -i socketcan -c can0 --active",
+        f"{PROGRAM} dtc -i socketcan -c can0 --ecu 18DA10F1 --description engine.pdx --active --json",
+        f"{PROGRAM} dtc --doip 127.0.0.1 --ecu 1011 --active --brief",
+    ),
+)
+_DID: Final = Command(
+    "did",
+    "read data of a controller by identifier",
+    click.Argument(["data"], nargs=-1, metavar="[DATA]...", help="numbers in hexadecimal, or names"),
+    *(*_ASKING, _DESCRIPTION),
+    Option("--session N", f"{_SESSION_TEXT} (default: 01)", default="01"),
+    *(CONFIG, _JSON, VERBOSE),
+    variables=VARIABLES,
+    description=f"Read data of a controller by identifier; without any, all that it is known to have. {_LISTENS}",
+    examples=(
+        f"{PROGRAM} did F190 'fluid temperature' -i socketcan -c can0 --active",
+        f"{PROGRAM} did --session 03 --description gearbox.toml -i socketcan -c can0 --active --json",
+    ),
+)
+_ROUTINE: Final = Command(
+    "routine",
+    "start or stop a routine of a controller, or read its results",
+    click.Argument(["routine"], metavar="ROUTINE", help="number in hexadecimal, or name"),
+    click.Argument(
+        ["action"], type=Choice(["start", "stop", "results"]), metavar="ACTION", help="start, stop, results"
+    ),
+    *(*_ASKING, _DESCRIPTION),
+    Option("--options BYTES", "what it is started with, hexadecimal", default=""),
+    Option("--session N", f"{_SESSION_TEXT} (default: 03)", default="03"),
+    Option("--unlock LEVEL=MASK", "unlock a security level whose key is the seed XOR this mask, hexadecimal"),
+    *(CONFIG, _JSON, VERBOSE),
+    variables=VARIABLES,
+    description=f"Start or stop a routine of a controller, or read its results. {_LISTENS}",
+    examples=(f"{PROGRAM} routine 0302 start --unlock 1=5AA5C33C -i socketcan -c can0 --active",),
+)
+_SCAN: Final = Command(
+    "scan",
+    "find controllers and what they can be asked",
+    *_ASKING,
+    Option("--first ID", "first identifier, or address with --extended, hexadecimal (default: 700, or 00)"),
+    Option("--last ID", "last identifier, or address with --extended, hexadecimal (default: 7FF, or FF)"),
+    Option("--extended", "29-bit identifiers 18DAxxF1 instead of 11-bit ones"),
+    Option("--wait S", "how long each may take to answer (default: 0.06)", FLOAT, default=0.06),
+    Option("--all-data", "try all data F100 to F1FF, not only those that the standard names"),
+    *(CONFIG, _JSON, VERBOSE),
+    variables=VARIABLES,
+    description=(
+        "Find the controllers on a bus and what each can be asked, by questions that change nothing: tester present, "
+        f"the default session, data that identify it, the number of its trouble codes. {_LISTENS}"
+    ),
+    examples=(f"{PROGRAM} scan -i socketcan -c can0 --active", f"{PROGRAM} scan -c can0 --extended --active --json"),
+)
 COMMAND_LINE: Final = Program(
     PROGRAM,
     "Diagnoses wet dual clutches from their CAN traffic, shift by shift.",
@@ -152,6 +238,7 @@ COMMAND_LINE: Final = Program(
     _MONITOR,
     Group("config", "look at the settings", _CHECK, metavar="ACTION"),
     *(_ANALYZE, _CALIBRATE, _INSPECT, _SIGNALS, _DECODE),
+    *(_DTC, _DID, _ROUTINE, _SCAN),
 )
 
 

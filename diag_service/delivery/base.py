@@ -6,9 +6,11 @@ from typing import Protocol
 
 from diag_service.diagnosis.records import ShiftResult
 from diag_service.diagnosis.summary import Summary
+from diag_service.tester.trouble_report import ControllerReport
 from fleet_contract import Outgoing, Receipt
 
-News = str | ShiftResult | Summary  # where frames are read from; then each shift; at the end the numbers
+# Where frames are read from; then each shift, and what a controller says that is new; at the end the numbers.
+News = str | ShiftResult | ControllerReport | Summary
 OnReceipts = Callable[[list[Receipt]], None]
 
 
@@ -45,4 +47,4 @@ class Reporter(Protocol):
     """Shows a run to the person or program that started it; may block, so it runs in the worker thread."""
 
     def report(self, news: News) -> None:
-        """Show where frames are read from, a shift, or the numbers of the run, which are the last of its news."""
+        """Show one of the news; the numbers of the run are the last of them."""

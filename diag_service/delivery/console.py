@@ -19,6 +19,7 @@ from diag_service.diagnosis.summary import (
     shifts_line,
     values_line,
 )
+from diag_service.tester.trouble_report import ControllerReport
 
 _CONDITION_STYLE = {
     Condition.NO_VERDICT: "dim",
@@ -41,9 +42,11 @@ class ConsoleReporter:
         self._has_head = False
 
     def report(self, news: News) -> None:
-        """Print where frames are read from, a shift, or the table of clutches and the numbers of the run."""
+        """Print one of the news; the last one, the numbers of the run, with a table of clutches."""
         if isinstance(news, str):
             self._line(Text(f"listening on {news}"))
+        elif isinstance(news, ControllerReport):
+            self._line(Text(str(news)))
         elif isinstance(news, Summary):
             self._conclude(news)
         else:

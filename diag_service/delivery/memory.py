@@ -8,6 +8,7 @@ from diag_service.diagnosis.records import ShiftResult
 from diag_service.diagnosis.results import shift_from
 from diag_service.diagnosis.summary import Summary
 from diag_service.errors import PublishError
+from diag_service.tester.trouble_report import ControllerReport
 from fleet_contract import Channel, JsonObject, Outgoing, Receipt, key_of, read_message
 
 
@@ -58,6 +59,7 @@ class MemoryReporter:
         self.places: list[str] = []
         self.results: list[ShiftResult] = []
         self.summaries: list[Summary] = []
+        self.controllers: list[ControllerReport] = []
 
     def report(self, news: News) -> None:
         """Keep what came."""
@@ -67,3 +69,5 @@ class MemoryReporter:
             self.results.append(news)
         elif isinstance(news, Summary):
             self.summaries.append(news)
+        elif isinstance(news, ControllerReport):
+            self.controllers.append(news)

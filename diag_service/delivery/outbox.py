@@ -57,6 +57,8 @@ class Outbox:
         self._metrics = metrics
         self._metrics_due_s = 0.0  # of the loop
         self._delivery: Delivery | None = None  # over the present connection
+        self._lasting: dict[str, Outgoing] = {}  # by topic: what a restarted broker may not know
+        self._unsent: dict[str, Outgoing] = {}
         self._closing = asyncio.Event()
         self._is_down = False
 
@@ -64,6 +66,11 @@ class Outbox:
         """Say that the store holds something new."""
         if self._delivery is not None:
             self._delivery.wake.set()
+
+    def tell_state(self, message: Outgoing) -> None:
+        """Send a retained message, now or with the next connection, and again with each later one."""
+        self._lasting[message.topic] = self._unsent[message.topic] = message
+        self.nudge()
 
     def release_states(self) -> None:
         """Let the states of clutches go out that were kept back."""
@@ -104,7 +111,8 @@ class Outbox:
 
     async def _serve(self, link: Link) -> None:
         delivery = self._delivery = Delivery(self._state, link)
-        await delivery.begin(self._greetings)
+        self._unsent.clear()
+        await delivery.begin([*self._greetings, *self._lasting.values()])
         if self._is_down:
             self._is_down = False
             _LOG.log(NOTICE, "broker %s takes results again", self._where)
@@ -112,6 +120,7 @@ class Outbox:
             while await delivery.step():
                 await self._send_metrics(link)
             await self._send_metrics(link)
+            await self._send_states(link)
             if self._closing.is_set() and not delivery.awaits_receipts and not delivery.wake.is_set():
                 return
             await self._wait(link, delivery)
@@ -133,6 +142,11 @@ class Outbox:
         if not loss.cancelled():
             loss.result()
             raise PublishError("connection lost")
+
+    async def _send_states(self, link: Link) -> None:
+        messages, self._unsent = list(self._unsent.values()), {}
+        if messages:
+            await link.send(messages)
 
     async def _send_metrics(self, link: Link) -> None:
         if self._metrics is None or self._now_s() < self._metrics_due_s:

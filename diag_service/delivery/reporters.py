@@ -12,6 +12,7 @@ from diag_service.delivery.base import News, Reporter
 from diag_service.diagnosis.records import ShiftResult
 from diag_service.diagnosis.results import dump, shift_record
 from diag_service.diagnosis.summary import Summary, summary_record
+from diag_service.tester.trouble_report import ControllerReport, controller_record
 
 LIMIT: Final = 1_000  # results that a slow reader may be behind
 DRAIN_S: Final = 3.0  # how long an ending service waits for a reader
@@ -19,7 +20,7 @@ _LOG = logging.getLogger(__name__)
 
 
 class JsonLinesReporter:
-    """Writes a shift record per shift and a summary record at the end, each on a line; what is for people elsewhere."""
+    """Writes a record per shift, per word of a controller and one at the end, each on a line; texts elsewhere."""
 
     def __init__(self, stream: TextIO, people: Console) -> None:
         self._stream = stream
@@ -30,7 +31,10 @@ class JsonLinesReporter:
         if isinstance(news, str):
             self._people.print(f"listening on {news}", highlight=False, markup=False, soft_wrap=True)
             return
-        record = shift_record(news) if isinstance(news, ShiftResult) else summary_record(news)
+        if isinstance(news, ControllerReport):
+            record = controller_record(news)
+        else:
+            record = shift_record(news) if isinstance(news, ShiftResult) else summary_record(news)
         self._stream.write(dump(record) + "\n")
         self._stream.flush()
 

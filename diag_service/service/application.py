@@ -6,7 +6,7 @@ import os
 import sys
 import uuid
 from collections.abc import Callable, Mapping
-from contextlib import AbstractAsyncContextManager, ExitStack, closing
+from contextlib import AbstractAsyncContextManager, AbstractContextManager, ExitStack, closing, suppress
 from dataclasses import replace
 from importlib.metadata import version
 from pathlib import Path
@@ -30,6 +30,7 @@ from diag_service.delivery import (
 from diag_service.delivery.outbox import MetricsMessage
 from diag_service.diagnosis.results import ServiceStatus
 from diag_service.diagnosis.summary import Summary, frames_line
+from diag_service.service.controller_news import tell_controller
 from diag_service.service.drive import insist, open_drive, stream_of
 from diag_service.service.live import run_live
 from diag_service.service.monitor import Monitor
@@ -38,7 +39,7 @@ from diag_service.service.service_manager import ADDRESS_VARIABLE, ServiceManage
 from diag_service.service.session import Session, utc_now, versions_for
 from diag_service.service.snapshot import Board, Snapshot, SnapshotTaker
 from diag_service.service.stopping import Controls, Trigger
-from diag_service.settings.config import BusConfig, DiagnosisConfig
+from diag_service.settings.config import BusConfig, DiagnosisConfig, PollConfig
 from diag_service.store import ResultStore
 from fleet_contract import Outgoing, config_message, metrics_message
 from program_io.legible import legible
@@ -124,16 +125,37 @@ async def _run_bus(
             port = stack.enter_context(serving(bus.metrics, board))
             _LOG.log(NOTICE, "metrics on http://%s:%d/metrics", bus.metrics.host, port)
         manager.ready()
+        outbox = _outbox(config, store, session, is_live=True)
+        if bus.poll is not None:
+            stack.enter_context(_poller(config.vehicle, bus, bus.poll, store, session, outbox))
         await run_live(
             source,
             session,
             stop=controls.stop,
             counts_wanted=controls.counts_wanted,
-            outbox=_outbox(config, store, session, is_live=True),
+            outbox=outbox,
             duration_s=bus.duration_s,
             show=show,
             schedule=schedule,
         )
+
+
+def _poller(
+    vehicle: str, bus: BusConfig, poll: PollConfig, store: ResultStore, session: Session, outbox: Outbox | None
+) -> AbstractContextManager[object]:
+    """Return what asks a controller now and then while it is entered; to be called in the loop that runs the outbox."""
+    from diag_service.service.polling import poller_for  # noqa: PLC0415 - libraries of an extra, for few runs
+
+    loop = asyncio.get_running_loop()
+
+    def publish(message: Outgoing) -> None:
+        if outbox is not None:
+            with suppress(RuntimeError):  # the run has ended meanwhile
+                loop.call_soon_threadsafe(outbox.tell_state, message)
+
+    return poller_for(
+        vehicle, bus, poll, utc_now, lambda report: tell_controller(report, store, session.reporter, publish)
+    )
 
 
 def _report_life(manager: ServiceManager, snapshot: Snapshot) -> None:

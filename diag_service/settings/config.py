@@ -14,6 +14,7 @@ from fleet_link import AddressError, BrokerAddress, TlsFiles, parse_broker
 
 UNNAMED_VEHICLE = "vehicle"  # what a vehicle is called that nobody names
 SMALLEST_BUDGET_BYTES = 1 << 20
+SHORTEST_POLL_S = 1.0
 _LOOPBACK = "127.0.0.1"
 
 
@@ -57,6 +58,20 @@ class ListenAddress:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class PollConfig:
+    """How often a controller is asked for its trouble codes, and who it is."""
+
+    period_s: float
+    ecu: str | None  # as on the command line
+    reply: str | None
+    description: Path | None
+
+    def __post_init__(self) -> None:
+        if not SHORTEST_POLL_S <= self.period_s < float("inf"):
+            raise ConfigError(f"--poll must be at least {SHORTEST_POLL_S:g} s, got {self.period_s:g}")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class BusConfig:
     """Which bus to listen to; ``None`` means what python-can's own configuration says."""
 
@@ -67,6 +82,7 @@ class BusConfig:
     duration_s: float | None
     is_filtered: bool = False  # whether the kernel discards what no mapped signal needs
     metrics: ListenAddress | None = None  # where to serve metrics and health checks
+    poll: PollConfig | None = None  # None: the service only listens
 
     def __post_init__(self) -> None:
         """Check the numbers."""
@@ -120,7 +136,20 @@ def bus_config(options: SimpleNamespace) -> BusConfig:
         duration_s=options.duration,
         is_filtered=options.only_mapped,
         metrics=parse_listen_address(options.metrics) if options.metrics else None,
+        poll=_poll(options),
     )
+
+
+def _poll(options: SimpleNamespace) -> PollConfig | None:
+    """Return whether and how a controller is asked; raises ConfigError if that was not allowed, or for nothing."""
+    period_s = getattr(options, "poll", None)  # commands that only listen have no such option
+    if period_s is None:
+        if getattr(options, "ecu", None) or getattr(options, "reply", None) or getattr(options, "description", None):
+            raise ConfigError("--ecu, --reply and --description need --poll")
+        return None
+    if not options.active:
+        raise ConfigError("--poll needs --active: the service sends nothing on a bus unless it is asked to")
+    return PollConfig(period_s=period_s, ecu=options.ecu, reply=options.reply, description=options.description)
 
 
 def vehicle_of(named: str | None, calibration: Calibration) -> str:

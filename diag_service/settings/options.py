@@ -89,7 +89,23 @@ BUS: Final = (
     Setting("--duration S", "stop after this many seconds", FLOAT),
     Setting("--metrics [HOST:]PORT", "serve /metrics, /livez and /readyz there (default: nowhere)"),
 )
+POLL: Final = (
+    Setting(
+        "--poll [S]",
+        "ask the controller for its trouble codes every S seconds (default: never; without S: 60); needs --active",
+        FLOAT,
+        flag_value=60.0,
+    ),
+    Setting("--active", "allow requests on the bus: without it the service only listens"),
+    Setting("--ecu ID", "who is asked: identifier of requests, hexadecimal (default: as described, or 7E1)"),
+    Setting("--reply ID", "identifier of answers (default: as described, or by the rules of the standard)"),
+    Setting(
+        "--description FILE",
+        "what the controller has: TOML, PDX or the name of a shipped one (default: the shipped one that it says it is)",
+        FILE,
+    ),
+)
 CONFIG: Final = Setting(
     "--config FILE", "TOML file with settings, see 'config check'", FILE, is_eager=True, callback=_read_elsewhere
 )
-SETTINGS: Final[Mapping[str, Setting]] = {option.name: option for option in (*MEANING, *DELIVERY, *BUS)}
+SETTINGS: Final[Mapping[str, Setting]] = {option.name: option for option in (*MEANING, *DELIVERY, *BUS, *POLL)}

@@ -18,7 +18,7 @@ from typing import Final, Self
 from diag_service.diagnosis.records import ShiftResult
 from diag_service.diagnosis.results import StoredResult, dump, parse_shift, shift_record
 from diag_service.errors import ResultError, StoreError
-from diag_service.store import budget
+from diag_service.store import budget, controller_reports
 from diag_service.store.budget import DroppedCounts
 from diag_service.store.file import connect, connect_in_memory, own, translated
 from diag_service.store.schema import DELIVERED, QUARANTINED, WAITING
@@ -204,6 +204,16 @@ class ResultStore:
             newest = "SELECT max(position) FROM result WHERE vehicle = ? GROUP BY clutch"
             rows = sql.execute(f"{_ROWS} WHERE position IN ({newest}) ORDER BY clutch", (vehicle,))
             return [_stored_result(row) for row in rows]
+
+    def note_controller(self, vehicle: str, controller: str, said: str, text: str) -> bool:
+        """Keep what a controller said, as `controller_reports.note` has it."""
+        with self._transaction() as sql:
+            return controller_reports.note(sql, vehicle, controller, said, text, self._budget_bytes)
+
+    def controller_reports(self, vehicle: str) -> list[str]:
+        """Return what controllers said, the oldest first, as JSON."""
+        with self._transaction() as sql:
+            return controller_reports.read(sql, vehicle)
 
     def dropped_counts(self) -> DroppedCounts:
         """Return how many results were given up for the disk budget since the store exists."""

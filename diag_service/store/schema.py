@@ -4,10 +4,19 @@ import sqlite3
 from typing import Final
 
 APPLICATION_ID: Final = 0x434C4449  # "CLDI", in the header of every store
-SCHEMA_VERSION: Final = 2
+SCHEMA_VERSION: Final = 3
 
 WAITING, DELIVERED, QUARANTINED = range(3)  # values of result.published
 
+_CONTROLLER: Final = """
+CREATE TABLE controller (
+  position INTEGER PRIMARY KEY AUTOINCREMENT,
+  vehicle TEXT NOT NULL,
+  controller TEXT NOT NULL,
+  said TEXT NOT NULL,
+  json TEXT NOT NULL
+);
+"""
 _CREATE: Final = f"""
 CREATE TABLE meta (key TEXT PRIMARY KEY, value TEXT NOT NULL);
 CREATE TABLE result (
@@ -32,6 +41,7 @@ CREATE TABLE state (
   algorithm_version TEXT NOT NULL,
   calibration_version TEXT NOT NULL
 );
+{_CONTROLLER}
 PRAGMA application_id = {APPLICATION_ID};
 PRAGMA user_version = {SCHEMA_VERSION};
 """
@@ -39,6 +49,7 @@ PRAGMA user_version = {SCHEMA_VERSION};
 # From the version that is the key to the next; a store goes through all that are behind its own.
 _STEPS: Final = {
     1: "ALTER TABLE result ADD COLUMN refusal TEXT; PRAGMA user_version = 2;",  # why a backend cannot use a result
+    2: f"{_CONTROLLER} PRAGMA user_version = 3;",  # what a controller says of its trouble codes
 }
 
 

@@ -3,6 +3,8 @@
 from pathlib import Path
 
 from diag_service.diagnosis.results import ServiceStatus, clutch_record, shift_record, status_record
+from diag_service.tester.trouble import Snapshot, TroubleCode
+from diag_service.tester.trouble_report import ControllerReport, controller_record
 from fleet_contract import (
     Outcome,
     Outgoing,
@@ -10,6 +12,7 @@ from fleet_contract import (
     ack_messages,
     clutch_message,
     config_message,
+    controller_message,
     key_of,
     metrics_message,
     shift_message,
@@ -19,6 +22,22 @@ from tests.support.builders import rejected, shift_result
 
 FOLDER = Path(__file__).parent
 NOW = "2026-01-01T00:00:06.000000Z"
+
+CONTROLLER = ControllerReport(
+    vehicle="car1",
+    read_at=NOW,
+    controller="7E1 (answers 7E9)",
+    description="TCU",
+    codes=(
+        TroubleCode(
+            number=0x089700,
+            status=0x2F,
+            text="Transmission Fluid Deteriorated",
+            snapshots=(Snapshot(number=1, data={"odometer": {"distance [km]": 12.5, "trip [km]": None}}),),
+            extended=(Snapshot(number=16, data={}, rest=b"\x01\x02"),),
+        ),
+    ),
+)
 
 
 def messages_v1() -> dict[str, Outgoing]:
@@ -38,6 +57,7 @@ def messages_v1() -> dict[str, Outgoing]:
         "status-offline": status_message(status_record(_status(is_online=False))),
         "metrics": metrics_message("car1", NOW, {"outbox_waiting_count": 3, "outbox_bytes": 81920, "load_ratio": 0.25}),
         "config": config_message("car1", NOW, {"broker.url": "mqtts://car1:***@broker", "outbox.budget_bytes": 1}),
+        "controller": controller_message(controller_record(CONTROLLER)),
         "ack": ack,
     }
 

@@ -31,6 +31,10 @@ ELSEWHERE = {
     ".venv/bin/pre-commit": ".pre-commit-config.yaml",
     "sudo modprobe": "tests/uml/vcan.py",
     "diag-service run": "tests/e2e/test_vcan_drive.py",
+    **dict.fromkeys(
+        ("diag-service dtc", "diag-service did", "diag-service routine", "diag-service scan"),
+        "tests/integration/test_tester.py",
+    ),
     "diag-service monitor": "tests/integration/test_service_onlookers.py",
     "ecu-emulator run": "tests/e2e/test_vcan_drive.py",
     "echo": "tests/integration/test_emulator_control.py",

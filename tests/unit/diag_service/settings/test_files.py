@@ -37,8 +37,16 @@ VALUES: dict[str, str | int | float | bool] = {
     "lenient": True,
     "duration": 12.5,
     "metrics": "9100",
+    "poll": 30.0,
+    "active": True,
+    "ecu": "7E0",
+    "reply": "7E8",
+    "description": "gearbox.toml",
 }
-UNSET = dict.fromkeys(VALUES) | {"lenient": False, "fd": False, "only_mapped": False, "acknowledge": "broker"}
+UNSET = dict.fromkeys(VALUES) | {
+    **dict.fromkeys(("lenient", "fd", "only_mapped", "active"), False),
+    "acknowledge": "broker",
+}
 
 
 @pytest.fixture(autouse=True)

@@ -1,0 +1,139 @@
+"""Now and then the controller's own word: its trouble codes, asked for while its bus is diagnosed."""
+
+import logging
+import threading
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from types import TracebackType
+from typing import Final, Self
+
+from canlog.errors import SourceError
+from canlog.notice import NOTICE
+from diag_service.errors import ConfigError, ControllerError, StoreError
+from diag_service.settings.config import BusConfig, PollConfig
+from diag_service.tester.addresses import CanAddress, parse_address
+from diag_service.tester.description import UNKNOWN, Description
+from diag_service.tester.description_file import find_description
+from diag_service.tester.dialogue import Manners
+from diag_service.tester.listening import check_alone, listen
+from diag_service.tester.opening import BusName, address_for, dialogue_on, opened_bus
+from diag_service.tester.reading import read_troubles
+from diag_service.tester.recognising import recognised
+from diag_service.tester.trouble_report import ControllerReport
+
+LISTEN_S: Final = 0.5
+LONGEST_BACKOFF: Final = 16.0  # times the period, between attempts that fail
+JOIN_S: Final = 3.0  # how long an ending service waits for a question that is under way
+_LOG: Final = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PollPlan:
+    """Who is asked, where and how often."""
+
+    vehicle: str
+    bus: BusName
+    period_s: float
+    address: CanAddress | None = None  # None: as described, or where the standard has the transmission
+    description: Description = UNKNOWN  # what is unknown is recognised, if it ships
+    manners: Manners = field(default_factory=Manners)
+    listen_s: float = LISTEN_S
+
+
+class Poller:
+    """Asks in a thread of its own while entered; a controller that fails to answer is asked less and less often.
+
+    Parameters
+    ----------
+    read
+        Asks once; raises SourceError or ControllerError.
+    tell
+        Takes what was said, in that thread; may raise StoreError.
+    period_s
+        From the end of one round to the beginning of the next.
+    """
+
+    def __init__(
+        self, read: Callable[[], ControllerReport], tell: Callable[[ControllerReport], None], period_s: float
+    ) -> None:
+        self._read = read
+        self._tell = tell
+        self._period_s = period_s
+        self._is_over = threading.Event()
+        self._thread = threading.Thread(target=self._run, name="poller", daemon=True)
+        self.round_count = 0
+        self.failure_count = 0
+
+    def __enter__(self) -> Self:
+        self._thread.start()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._is_over.set()
+        self._thread.join(JOIN_S)
+
+    def _run(self) -> None:
+        failed_in_a_row = 0
+        while not self._is_over.is_set():
+            problem = self._round()
+            if problem is None:
+                if failed_in_a_row:
+                    _LOG.log(NOTICE, "the controller answers again")
+                failed_in_a_row = 0
+            else:
+                if not failed_in_a_row:
+                    _LOG.warning("the controller was not asked: %s; trying again, less and less often", problem)
+                failed_in_a_row += 1
+                self.failure_count += 1
+            self._is_over.wait(pause_s(self._period_s, failed_in_a_row))
+
+    def _round(self) -> str | None:
+        """Ask once and tell; return what went wrong."""
+        self.round_count += 1
+        try:
+            report = self._read()
+            if not self._is_over.is_set():
+                self._tell(report)
+        except (ConfigError, ControllerError, SourceError, StoreError) as exc:
+            return str(exc)
+        return None
+
+
+def pause_s(period_s: float, failed_in_a_row: int) -> float:
+    """Return how long to leave a controller alone: the period, doubled with each failure in a row, up to a bound."""
+    return float(period_s * min(2.0 ** min(failed_in_a_row, 10), LONGEST_BACKOFF))
+
+
+def read_once(plan: PollPlan, now: Callable[[], str]) -> ControllerReport:
+    """Listen, ask one controller for its trouble codes, and return what it said.
+
+    Raises
+    ------
+    SourceError, ControllerError
+        If the bus cannot be used, another tester is at work, or the controller does not answer or will not.
+    """
+    address = address_for(plan.address, plan.description)
+    with opened_bus(plan.bus) as bus:
+        check_alone(listen(bus, plan.listen_s), address)
+        with dialogue_on(bus, address, plan.manners, is_fd=plan.bus.is_fd) as tester:
+            description = recognised(tester) if plan.description is UNKNOWN else plan.description
+            codes = read_troubles(tester, description)
+    return ControllerReport(
+        vehicle=plan.vehicle, read_at=now(), controller=str(address), description=description.name, codes=codes
+    )
+
+
+def poller_for(
+    vehicle: str, bus: BusConfig, poll: PollConfig, now: Callable[[], str], tell: Callable[[ControllerReport], None]
+) -> Poller:
+    """Return a poller as the settings have it; raises ConfigError, ExtraMissingError if they cannot be used."""
+    plan = PollPlan(
+        vehicle=vehicle,
+        bus=BusName(interface=bus.interface, channel=bus.channel, bitrate=bus.bitrate, is_fd=bus.is_fd),
+        period_s=poll.period_s,
+        address=parse_address(poll.ecu, poll.reply),
+        description=find_description(poll.description),
+    )
+    return Poller(lambda: read_once(plan, now), tell, poll.period_s)

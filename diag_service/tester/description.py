@@ -1,0 +1,241 @@
+"""What a tester knows of a controller: what its data, codes and routines are called and how their bytes are read."""
+
+import math
+import re
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from enum import StrEnum
+from typing import Final
+
+from diag_service.errors import ConfigError
+
+Value = float | str | None  # None: the controller says that it is not available
+Values = Mapping[str, Value]
+Reader = Callable[[bytes], Values]
+
+SYSTEMS: Final = "PCBU"  # powertrain, chassis, body, network: the two upper bits of a code
+_CODE: Final = re.compile(r"[PCBU][0-3][0-9A-F]{3}")
+_LARGEST_DATA: Final = 0xFFFF
+_DIGITS: Final = 12  # significant digits of a scaled number: no more than its steps have
+
+
+class Kind(StrEnum):
+    """How a value is written into bytes, big-endian."""
+
+    UNSIGNED = "unsigned"
+    SIGNED = "signed"
+    TEXT = "text"
+    BYTES = "bytes"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Field:
+    """One value within bytes."""
+
+    name: str
+    kind: Kind
+    size_bytes: int = 0  # 0: all that is left, for the last field
+    unit: str = ""
+    resolution: float = 1.0  # of one bit, in that unit
+    offset: float = 0.0
+    invalid: int | None = None  # the number, before it is scaled, that says that there is no value
+    meanings: Mapping[str, str] = field(default_factory=dict)  # of numbers before they are scaled
+
+    def __post_init__(self) -> None:
+        if self.size_bytes < 0 or (self.kind in {Kind.UNSIGNED, Kind.SIGNED} and not 1 <= self.size_bytes <= 8):
+            raise ConfigError(f"{self.name}: size_bytes {self.size_bytes} is not usable: a number has 1 to 8")
+        if not (math.isfinite(self.resolution) and math.isfinite(self.offset)) or not self.resolution:
+            raise ConfigError(f"{self.name}: resolution {self.resolution} and offset {self.offset} are not usable")
+        try:
+            _ = self.numbered_meanings
+        except ValueError as exc:
+            raise ConfigError(f"{self.name}: meanings are of whole numbers, got {sorted(self.meanings)}") from exc
+
+    @property
+    def label(self) -> str:
+        """Its name with its unit."""
+        return f"{self.name} [{self.unit}]" if self.unit else self.name
+
+    @property
+    def numbered_meanings(self) -> dict[int, str]:
+        """The texts that numbers stand for."""
+        return {int(number, 0): text for number, text in self.meanings.items()}
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Datum:
+    """A data identifier, or a record of extended data."""
+
+    number: int
+    name: str
+    fields: tuple[Field, ...]
+
+    def __post_init__(self) -> None:
+        if not 0 <= self.number <= _LARGEST_DATA:
+            raise ConfigError(f"{self.name}: its number must be 0..0xFFFF, got {self.number}")
+        if not self.fields or any(not one.size_bytes for one in self.fields[:-1]):
+            raise ConfigError(f"{self.name}: it needs fields, all but the last of them with size_bytes")
+
+    @property
+    def size_bytes(self) -> int | None:
+        """How many bytes it has; None if only the controller knows."""
+        return None if not self.fields[-1].size_bytes else sum(one.size_bytes for one in self.fields)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Trouble:
+    """A trouble code as scan tools show it, and what it says."""
+
+    code: str  # P0811
+    text: str
+    failure_type: int | None = None  # None: whatever it is
+
+    def __post_init__(self) -> None:
+        if not _CODE.fullmatch(self.code):
+            raise ConfigError(f"trouble code {self.code} is none: a letter of {SYSTEMS}, a digit 0-3, three of 0-F")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Routine:
+    """A routine: what it is started with, and what its results hold."""
+
+    number: int
+    name: str
+    options: tuple[Field, ...] = ()
+    results: tuple[Field, ...] = ()
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Description:
+    """A controller as a tester sees it; a reader stands in for fields where another library knows how."""
+
+    name: str
+    data: Mapping[int, Datum] = field(default_factory=dict)
+    extended: Mapping[int, Datum] = field(default_factory=dict)
+    troubles: tuple[Trouble, ...] = ()
+    routines: Mapping[int, Routine] = field(default_factory=dict)
+    request_id: int | None = None
+    response_id: int | None = None
+    readers: Mapping[int, Reader] = field(default_factory=dict)
+
+    def size_bytes(self, number: int) -> int | None:
+        """Return how many bytes a datum has; None if only the controller knows."""
+        datum = self.data.get(number)
+        return None if datum is None else datum.size_bytes
+
+    def data_name(self, number: int) -> str:
+        """Return what a datum is called, empty if it is not known."""
+        datum = self.data.get(number) or STANDARD_DATA.get(number)
+        return "" if datum is None else datum.name
+
+    def values(self, number: int, data: bytes) -> Values:
+        """Return what the bytes of a datum mean; those of one that is not known as text or in hexadecimal."""
+        if number in self.readers:
+            return self.readers[number](data)
+        datum = self.data.get(number) or STANDARD_DATA.get(number)
+        return {"": readable(data)} if datum is None else read_fields(datum.fields, data)
+
+    def find_data(self, word: str) -> int:
+        """Return the number of a datum by its name or in hexadecimal; raises ConfigError if it is neither."""
+        return _find(word, {number: datum.name for number, datum in self.data.items()}, "datum")
+
+    def find_routine(self, word: str) -> int:
+        """Return the number of a routine by its name or in hexadecimal; raises ConfigError if it is neither."""
+        return _find(word, {number: routine.name for number, routine in self.routines.items()}, "routine")
+
+    def trouble_text(self, number: int) -> str:
+        """Return what a code of three bytes says, empty if it is not known; one with its failure type goes first."""
+        code, failure_type = code_text(number), number & 0xFF
+        fitting = [one for one in self.troubles if one.code == code and one.failure_type in {None, failure_type}]
+        return max(fitting, key=lambda one: one.failure_type is not None).text if fitting else ""
+
+
+def code_text(number: int) -> str:
+    """Return the two upper of three bytes as scan tools show them: P0897."""
+    upper = number >> 8 & 0xFFFF
+    return f"{SYSTEMS[upper >> 14]}{upper & 0x3FFF:04X}"
+
+
+def read_fields(fields: tuple[Field, ...], data: bytes) -> dict[str, Value]:
+    """Return the values in bytes by name and unit; what they do not reach is left out, what is left over is in hex."""
+    found: dict[str, Value] = {}
+    place = 0
+    for entry in fields:
+        piece = data[place : place + entry.size_bytes] if entry.size_bytes else data[place:]
+        if len(piece) < entry.size_bytes:
+            break
+        place += len(piece)
+        found[entry.label] = _value(entry, piece)
+    if place < len(data):
+        found["more bytes"] = data[place:].hex(" ").upper()
+    return found
+
+
+def _value(entry: Field, piece: bytes) -> Value:
+    if entry.kind is Kind.TEXT:
+        return readable(piece)
+    if entry.kind is Kind.BYTES:
+        return piece.hex(" ").upper()
+    number = int.from_bytes(piece, "big", signed=entry.kind is Kind.SIGNED)
+    if number == entry.invalid:
+        return None
+    if (meaning := entry.numbered_meanings.get(number)) is not None:
+        return meaning
+    if entry.resolution == 1.0 and not entry.offset:
+        return number
+    return float(f"{number * entry.resolution + entry.offset:.{_DIGITS}g}")
+
+
+def readable(data: bytes) -> str:
+    """Return bytes as text without what fills it up; in hexadecimal if they are none."""
+    text = data.rstrip(b"\0 ")
+    return text.decode("ascii") if all(0x20 <= byte < 0x7F for byte in text) else data.hex(" ").upper()
+
+
+def _find(word: str, names: Mapping[int, str], what: str) -> int:
+    found = [number for number, name in names.items() if name.casefold() == word.casefold()]
+    if found:
+        return found[0]
+    if re.fullmatch(r"(?:0x)?[0-9A-F]{1,4}", word, re.IGNORECASE):
+        return int(word, 16)
+    known = "; it has " + ", ".join(sorted(names.values())) if names else ""
+    raise ConfigError(f"{word!r} is no {what}: give its number in hexadecimal or its name{known}")
+
+
+def _text(number: int, name: str, size_bytes: int = 0) -> Datum:
+    return Datum(number=number, name=name, fields=(Field(name=name, kind=Kind.TEXT, size_bytes=size_bytes),))
+
+
+# ISO 14229-1, annex C: data that controllers of all makers give. What a maker writes as bytes is shown as bytes.
+STANDARD_DATA: Final[Mapping[int, Datum]] = {
+    0xF186: Datum(
+        number=0xF186,
+        name="active diagnostic session",
+        fields=(Field(name="session", kind=Kind.UNSIGNED, size_bytes=1),),
+    ),
+    **{
+        number: _text(number, name)
+        for number, name in (
+            (0xF180, "boot software identification"),
+            (0xF181, "application software identification"),
+            (0xF182, "application data identification"),
+            (0xF187, "spare part number"),
+            (0xF188, "software number"),
+            (0xF189, "software version"),
+            (0xF18A, "system supplier"),
+            (0xF18B, "date of manufacture"),
+            (0xF18C, "serial number"),
+            (0xF190, "vehicle identification number"),
+            (0xF191, "hardware number"),
+            (0xF192, "supplier hardware number"),
+            (0xF193, "supplier hardware version"),
+            (0xF194, "supplier software number"),
+            (0xF195, "supplier software version"),
+            (0xF197, "system name"),
+            (0xF198, "repair shop code"),
+            (0xF199, "date of programming"),
+            (0xF19E, "ODX file"),
+        )
+    },
+}
+UNKNOWN: Final = Description(name="a controller without description", data=STANDARD_DATA)

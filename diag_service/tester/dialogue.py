@@ -1,0 +1,211 @@
+"""Questions to one controller: time to answer, answers that come late or for others, a controller that is busy."""
+
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass
+from typing import Any, Final, Self
+
+from diag_service.errors import ControllerError, RefusedError, SilentError
+from diag_service.tester.answers import BUSY, SECURITY, SESSION, belongs, refusal_text, request_text
+from diag_service.tester.libraries import (
+    BaseConnection,
+    Client,
+    InvalidResponseException,
+    NegativeResponseException,
+    Request,
+    TimeoutException,
+    UnexpectedResponseException,
+    default_client_config,
+)
+
+DEFAULT_SESSION: Final = 0x01
+_KEY: Final = 1  # added to the level that asked for the seed
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Manners:
+    """Times and counts of a tester (ISO 14229-2): how long it waits, how soon and how often it asks again."""
+
+    p2_s: float = 1.0  # until an answer begins; a controller has 0.05 s, what is between them the rest
+    p2_star_s: float = 6.0  # after the controller said that it takes longer (78)
+    longest_s: float = 60.0  # of one question, however often the controller asks for patience
+    gap_s: float = 0.01  # between an answer and the next question: others want to be heard as well
+    busy_pause_s: float = 0.1  # after 21; doubled each time
+    most_busy: int = 6
+    most_silent: int = 2  # times that a question is asked that is not answered
+
+
+@dataclass(slots=True)
+class DialogueCounts:
+    """What a dialogue went through."""
+
+    requests: int = 0
+    refusals: int = 0
+    busy: int = 0  # answered 21
+    silent: int = 0  # not answered in time
+    stray: int = 0  # messages that were no answer to what was asked
+
+
+class Dialogue:
+    """Asks one controller, one question at a time.
+
+    Parameters
+    ----------
+    connection
+        To the controller; opened and closed by this object, which is a context manager.
+    where
+        Who is asked, for people.
+    manners
+        How patient it is.
+    pause
+        Waits for so many seconds.
+    """
+
+    def __init__(
+        self,
+        connection: BaseConnection,
+        where: str,
+        manners: Manners | None = None,
+        *,
+        pause: Callable[[float], object] = time.sleep,
+    ) -> None:
+        self.where = where
+        self.manners = manners or Manners()
+        self.counts = DialogueCounts()
+        self._pause = pause
+        self._filter = _Matching(connection, self.counts)
+        self._client = Client(self._filter, _client_config(self.manners))
+        self._last_s = float("-inf")
+
+    def __enter__(self) -> Self:
+        self._client.open()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._client.close()
+
+    def ask(self, request: bytes) -> bytes:
+        """Return the positive response to a request, empty if it asked for none.
+
+        A controller that is busy is asked again after a growing pause, one that says nothing once more.
+
+        Raises
+        ------
+        RefusedError, SilentError
+            If it will not, or does not answer.
+        ControllerError
+            If the connection is broken.
+        """
+        busy = silent = 0
+        while True:
+            try:
+                return self._ask_once(request)
+            except RefusedError as exc:
+                busy += 1
+                if exc.code != BUSY or busy > self.manners.most_busy:
+                    raise
+                self.counts.busy += 1
+                self._pause(self.manners.busy_pause_s * 2.0 ** (busy - 1))
+            except SilentError:
+                silent += 1
+                self.counts.silent += 1
+                if silent >= self.manners.most_silent:
+                    raise
+
+    def _ask_once(self, request: bytes) -> bytes:
+        gap_s = self._last_s + self.manners.gap_s - time.monotonic()
+        if gap_s > 0.0:
+            self._pause(gap_s)
+        self.counts.requests += 1
+        self._filter.request = request
+        try:
+            response = self._client.send_request(Request.from_payload(request))
+        except NegativeResponseException as exc:
+            self.counts.refusals += 1
+            code = int(exc.response.code or 0)
+            text = f"{self.where} refuses {request_text(request)}: {refusal_text(code)}"
+            raise RefusedError(text, code) from exc
+        except TimeoutException as exc:
+            text = f"{self.where} does not answer {request_text(request)}"
+            raise SilentError(text) from exc
+        except (InvalidResponseException, UnexpectedResponseException, OSError, RuntimeError) as exc:
+            raise ControllerError(f"{self.where}: {' '.join(str(exc).split())}") from exc
+        finally:
+            self._last_s = time.monotonic()
+        return b"" if response is None else bytes(response.original_payload or b"")
+
+    def may_ask(self, request: bytes) -> bytes | RefusedError:
+        """Return the positive response, or the refusal; raises as ``ask`` otherwise."""
+        try:
+            return self.ask(request)
+        except RefusedError as exc:
+            return exc
+
+    @contextmanager
+    def session(self, number: int) -> Iterator[None]:
+        """Enter a session, and leave it in the end; the default one needs neither."""
+        if number == DEFAULT_SESSION:
+            yield
+            return
+        self.ask(bytes([SESSION, number]))
+        try:
+            yield
+        finally:
+            with suppress(ControllerError):  # it ends by itself after some seconds of silence
+                self.ask(bytes([SESSION, DEFAULT_SESSION]))
+
+    def unlock(self, level: int, mask: bytes) -> None:
+        """Unlock a security level whose key is its seed XOR a mask; one that is unlocked stays so."""
+        seed = self.ask(bytes([SECURITY, level]))[2:]
+        if not any(seed):
+            return
+        if len(seed) != len(mask):
+            raise ControllerError(f"{self.where} has a seed of {len(seed)} bytes, the mask has {len(mask)}")
+        key = bytes(one ^ other for one, other in zip(seed, mask, strict=True))
+        self.ask(bytes([SECURITY, level + _KEY]) + key)
+
+
+def _client_config(manners: Manners) -> Any:  # noqa: ANN401 - a typed dictionary of the library, of which this is a part
+    return {
+        **default_client_config,
+        "request_timeout": manners.longest_s,
+        "p2_timeout": manners.p2_s,
+        "p2_star_timeout": manners.p2_star_s,
+        "use_server_timing": False,  # a controller tells its own time, not that of the bus and of this machine
+    }
+
+
+class _Matching(BaseConnection):
+    """A connection that passes on answers to the last request only: late ones to earlier requests are counted."""
+
+    def __init__(self, inner: BaseConnection, counts: DialogueCounts) -> None:
+        super().__init__("matching")
+        self._inner = inner
+        self._counts = counts
+        self.request = b""
+
+    def open(self) -> "_Matching":
+        self._inner.open()
+        return self
+
+    def close(self) -> None:
+        self._inner.close()
+
+    def is_open(self) -> bool:
+        return self._inner.is_open()
+
+    def empty_rxqueue(self) -> None:
+        self._inner.empty_rxqueue()
+
+    def specific_send(self, payload: bytes, timeout: float | None = None) -> None:
+        del timeout
+        self._inner.send(payload)
+
+    def specific_wait_frame(self, timeout: float | None = None) -> bytes | None:
+        until_s = time.monotonic() + (timeout or 0.0)
+        while True:
+            payload = self._inner.specific_wait_frame(timeout=max(0.0, until_s - time.monotonic()))
+            if payload is None or belongs(self.request, payload):
+                return payload
+            self._counts.stray += 1

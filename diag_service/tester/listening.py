@@ -1,0 +1,69 @@
+"""What a bus says before anything is asked on it: whether it is in use, and whether another tester is at work."""
+
+import time
+from dataclasses import dataclass
+from typing import Final
+
+import can
+
+from canlog.live.pythoncan import one_line
+from diag_service.errors import ControllerError
+from diag_service.tester.addresses import CanAddress, id_text, is_request
+
+LISTEN_S: Final = 1.0
+_PATIENCE_S: Final = 0.1
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Traffic:
+    """What was heard."""
+
+    duration_s: float
+    frame_count: int
+    can_ids: frozenset[int]
+    error_count: int = 0  # frames that tell of trouble on the bus
+
+    def __str__(self) -> str:
+        """Return it for people."""
+        if not self.frame_count:
+            return f"nothing was heard in {self.duration_s:g} s"
+        rate_hz = self.frame_count / self.duration_s
+        return f"{self.frame_count} frames of {len(self.can_ids)} identifiers in {self.duration_s:g} s, {rate_hz:.0f}/s"
+
+    def other_testers(self, address: CanAddress | None = None) -> tuple[int, ...]:
+        """Return the identifiers by which somebody else asks: those of the standard, and that of an address."""
+        own = set() if address is None else {address.request_id}
+        return tuple(sorted(can_id for can_id in self.can_ids if is_request(can_id) or can_id in own))
+
+
+def listen(bus: can.BusABC, duration_s: float = LISTEN_S) -> Traffic:
+    """Return what is heard on a bus for so long.
+
+    Raises
+    ------
+    ControllerError
+        If it cannot be read.
+    """
+    until_s = time.monotonic() + duration_s
+    frame_count = error_count = 0
+    can_ids = set[int]()
+    while (left_s := until_s - time.monotonic()) > 0.0:
+        try:
+            message = bus.recv(min(_PATIENCE_S, left_s))
+        except (can.CanError, OSError, ValueError) as exc:
+            raise ControllerError(f"the bus cannot be read: {one_line(exc)}") from exc
+        if message is None:
+            continue
+        if message.is_error_frame:
+            error_count += 1
+            continue
+        frame_count += 1
+        can_ids.add(message.arbitration_id)
+    return Traffic(duration_s=duration_s, frame_count=frame_count, can_ids=frozenset(can_ids), error_count=error_count)
+
+
+def check_alone(traffic: Traffic, address: CanAddress | None = None) -> None:
+    """Raise ControllerError if another tester was heard: two on one bus take each other's answers."""
+    if others := traffic.other_testers(address):
+        named = ", ".join(map(id_text, others))
+        raise ControllerError(f"another tester is asking on this bus (requests on {named}): nothing was asked")

@@ -1,0 +1,151 @@
+"""Controllers as ODX describes them (ISO 22901-1), read by odxtools: it decodes, the tester asks."""
+
+import warnings
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any, Final
+
+from canlog.extras import load_extra
+from canlog.plain_files import check_plain_file
+from diag_service.errors import ConfigError
+from diag_service.tester.answers import POSITIVE, READ_DATA, ROUTINE
+from diag_service.tester.description import (
+    STANDARD_DATA,
+    SYSTEMS,
+    Datum,
+    Description,
+    Field,
+    Kind,
+    Reader,
+    Routine,
+    Trouble,
+    Value,
+    Values,
+)
+
+MOST_BYTES: Final = 256 * 2**20
+_START: Final = 0x01
+_HEAD_BYTES: Final = 3  # of a response to service 22: the service and the number of the datum
+
+
+def load_odx(path: Path) -> Description:
+    """Return the controller that a PDX package or an ODX file describes: its first base or controller variant.
+
+    Raises
+    ------
+    ConfigError
+        If the file cannot be read, or describes no controller.
+    ExtraMissingError
+        If odxtools is not installed.
+    """
+    odxtools = load_extra("odxtools", "PDX files need odxtools", "odx")
+    try:
+        check_plain_file(path, MOST_BYTES)
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # of what a maker's file does not keep of the standard
+            database = odxtools.load_file(str(path), use_weakrefs=False)
+    except OSError as exc:
+        raise ConfigError(f"cannot read {path}: {exc.strerror or exc}") from exc
+    except Exception as exc:
+        raise ConfigError(f"{path} is no ODX that can be used: {' '.join(str(exc).split())}") from exc
+    layers = [*database.ecu_variants, *database.base_variants]
+    if not layers:
+        raise ConfigError(f"{path} describes no controller")
+    return _description(layers[0])
+
+
+def _description(layer: Any) -> Description:  # noqa: ANN401 - of a library without a common type for layers
+    data, readers = dict[int, Datum](), dict[int, Reader]()
+    routines = dict[int, Routine]()
+    for service, request in _constant_requests(layer):
+        number = int.from_bytes(request[-2:], "big")
+        if request[0] == READ_DATA and len(request) == _HEAD_BYTES:
+            data[number], readers[number] = _datum(service, number), _reader(service, number)
+        elif request[:2] == bytes([ROUTINE, _START]) and len(request) == 1 + _HEAD_BYTES:
+            routines[number] = Routine(number=number, name=_name(service))
+    return Description(
+        name=layer.short_name,
+        data={**STANDARD_DATA, **data},
+        troubles=tuple(_troubles(layer)),
+        routines=routines,
+        request_id=_or_none(layer.get_can_receive_id),
+        response_id=_or_none(layer.get_can_send_id),
+        readers=readers,
+    )
+
+
+def _constant_requests(layer: Any) -> Iterator[tuple[Any, bytes]]:  # noqa: ANN401 - see above
+    """Yield the services of which the beginning of the request is fixed, with that."""
+    for service in layer.services:
+        if getattr(service, "request", None) is not None:
+            prefix = bytes(service.request.coded_const_prefix())
+            if len(prefix) >= _HEAD_BYTES:
+                yield service, prefix
+
+
+def _datum(service: Any, number: int) -> Datum:  # noqa: ANN401 - see above
+    """Return a datum as long as its response says, if that is always the same."""
+    bits = service.positive_responses[0].get_static_bit_length() if service.positive_responses else None
+    size_bytes = 0 if bits is None else max(0, bits // 8 - _HEAD_BYTES)
+    whole = Field(name="bytes", kind=Kind.BYTES, size_bytes=size_bytes)
+    return Datum(number=number, name=_name(service), fields=(whole,))
+
+
+def _reader(service: Any, number: int) -> Reader:  # noqa: ANN401 - see above
+    head = bytes([READ_DATA + POSITIVE]) + number.to_bytes(2, "big")
+
+    def read(data: bytes) -> Values:
+        try:
+            found = service.decode_message(head + data).param_dict
+        except Exception:  # noqa: BLE001 - whatever the library makes of bytes that do not fit the file
+            return {"": data.hex(" ").upper()}
+        fixed = {part.short_name for part in service.positive_responses[0].parameters if part.parameter_type != "VALUE"}
+        return dict(_flat({name: value for name, value in found.items() if name not in fixed}))
+
+    return read
+
+
+def _flat(value: object, name: str = "") -> Iterator[tuple[str, Value]]:
+    """Yield the values within nested ones, by the innermost name."""
+    if isinstance(value, Mapping):
+        for key, inner in value.items():
+            yield from _flat(inner, str(key))
+    elif isinstance(value, list | tuple):
+        for place, inner in enumerate(value, 1):
+            yield from _flat(inner, f"{name} {place}")
+    elif isinstance(value, bytes | bytearray):
+        yield name, value.hex(" ").upper()
+    elif isinstance(value, int | float | str):
+        yield name, value
+    else:
+        yield name, None if value is None else str(value)
+
+
+def _troubles(layer: Any) -> Iterator[Trouble]:  # noqa: ANN401 - see above
+    dictionary = layer.diag_data_dictionary_spec
+    seen = set[int]()
+    for dop in () if dictionary is None else dictionary.dtc_dops:
+        for dtc in dop.dtcs:
+            number = int(dtc.trouble_code)
+            if number in seen:
+                continue
+            seen.add(number)
+            upper = number >> 8 & 0xFFFF
+            code = f"{SYSTEMS[upper >> 14]}{upper & 0x3FFF:04X}"
+            yield Trouble(code=code, text=str(getattr(dtc.text, "text", dtc.text)), failure_type=number & 0xFF)
+
+
+def _name(service: Any) -> str:  # noqa: ANN401 - see above
+    """Return what people call a service: its long name, or the short one without what stands for blanks."""
+    name = service.long_name or service.short_name.replace("_", " ")
+    for verb in ("Read ", "Start "):
+        name = name.removeprefix(verb)
+    return str(name)
+
+
+def _or_none(find: Any) -> int | None:  # noqa: ANN401 - a method of the library
+    try:
+        found = find()
+    except Exception:  # noqa: BLE001 - a file without parameters of communication
+        return None
+    return None if found is None else int(found)

@@ -1,0 +1,125 @@
+"""From what a user names to a tester that may ask: a bus that was listened to, or a connection over IP."""
+
+import ipaddress
+import socket
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from typing import Final
+
+import can
+
+from canlog.extras import load_extra
+from canlog.live.factory import complete_settings
+from canlog.live.pythoncan import open_bus
+from diag_service.errors import ConfigError, ControllerError
+from diag_service.tester.addresses import TRANSMISSION, CanAddress, is_extended, usual_response_id
+from diag_service.tester.can_link import CanConnection
+from diag_service.tester.description import Description
+from diag_service.tester.dialogue import Dialogue, Manners
+
+EXTRA: Final = "uds"
+DOIP_PORT: Final = 13400
+CONNECT_S: Final = 5.0
+_LARGEST_PORT: Final = 0xFFFF
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class BusName:
+    """Which bus to open; None leaves the choice to python-can's configuration."""
+
+    interface: str | None
+    channel: str | None
+    bitrate: int | None
+    is_fd: bool
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class DoipPlace:
+    """Where a node listens, and its logical address."""
+
+    host: str
+    port: int = DOIP_PORT
+    logical_address: int
+
+    def __str__(self) -> str:
+        """Return it for people."""
+        return f"{self.logical_address:04X} at DoIP {self.host}:{self.port}"
+
+
+def parse_doip(text: str, logical_address: int) -> DoipPlace:
+    """Return the place that ``HOST[:PORT]`` names, an address of IPv4 or, in brackets, of IPv6.
+
+    Raises
+    ------
+    ConfigError
+        If it is none.
+    """
+    host, colon, port = text, "", ""
+    if not text.startswith("[") or "]:" in text:
+        host, colon, port = text.rpartition(":") if ":" in text else (text, "", "")
+    host = host.strip("[]")
+    try:
+        ipaddress.ip_address(host)
+    except ValueError as exc:
+        raise ConfigError(f"--doip must be an IP address with or without :PORT, got {text!r}") from exc
+    if colon and not (port.isdecimal() and 0 < int(port) <= _LARGEST_PORT):
+        raise ConfigError(f"--doip: the port must be 1..{_LARGEST_PORT}, got {port!r}")
+    return DoipPlace(host=host, port=int(port) if colon else DOIP_PORT, logical_address=logical_address)
+
+
+def address_for(named: CanAddress | None, description: Description) -> CanAddress:
+    """Return where to ask: as named, or as described, or where the standard has the transmission."""
+    if named is not None:
+        return named
+    request_id = TRANSMISSION if description.request_id is None else description.request_id
+    response_id = usual_response_id(request_id) if description.response_id is None else description.response_id
+    return CanAddress(request_id=request_id, response_id=response_id)
+
+
+@contextmanager
+def opened_bus(name: BusName) -> Iterator[can.BusABC]:
+    """Open a bus for the time of the block; raises SourceError if it is not named or cannot be opened."""
+    settings = complete_settings(name.interface, name.channel, name.bitrate, fd=name.is_fd)
+    bus = open_bus(settings.interface, settings.channel, settings.bitrate, fd=settings.fd)
+    try:
+        yield bus
+    finally:
+        bus.shutdown()
+
+
+def dialogue_on(bus: can.BusABC, address: CanAddress, manners: Manners, *, is_fd: bool = False) -> Dialogue:
+    """Return a tester for one controller; from now on the bus gives no more than that controller's frames."""
+    mask = 0x1FFF_FFFF if is_extended(address.response_id) else 0x7FF
+    bus.set_filters([{"can_id": address.response_id, "can_mask": mask, "extended": is_extended(address.response_id)}])
+    return Dialogue(CanConnection(bus, address, is_fd=is_fd), str(address), manners)
+
+
+@contextmanager
+def dialogue_over_ip(place: DoipPlace, manners: Manners) -> Iterator[Dialogue]:
+    """Connect to a node for the time of the block.
+
+    Raises
+    ------
+    ControllerError
+        If it is not there or refuses.
+    ExtraMissingError
+        If doipclient is not installed.
+    """
+    doipclient = load_extra("doipclient", "DoIP needs doipclient", EXTRA)
+    connectors = load_extra("doipclient.connectors", "DoIP needs doipclient", EXTRA)
+    try:
+        _find(place)
+        node = doipclient.DoIPClient(place.host, place.logical_address, tcp_port=place.port, udp_port=place.port)
+    except (OSError, ValueError) as exc:
+        raise ControllerError(f"{place}: {' '.join(str(exc).split())}") from exc
+    try:
+        with Dialogue(connectors.DoIPClientUDSConnector(node), str(place), manners) as tester:
+            yield tester
+    finally:
+        node.close()
+
+
+def _find(place: DoipPlace) -> None:
+    """Raise OSError if nobody listens there; the library would leave a socket open that did not connect."""
+    socket.create_connection((place.host, place.port), timeout=CONNECT_S).close()

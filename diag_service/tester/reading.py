@@ -1,0 +1,106 @@
+"""What a controller can be asked, as questions and records: trouble codes, data, routines."""
+
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
+from typing import Final
+
+from diag_service.errors import RefusedError
+from diag_service.tester.answers import READ_DATA, READ_TROUBLE, ROUTINE, refusal_text
+from diag_service.tester.description import Description, Values, read_fields
+from diag_service.tester.dialogue import Dialogue
+from diag_service.tester.trouble import TroubleCode, read_codes, read_extended, read_snapshots
+
+BY_MASK, SNAPSHOTS, EXTENDED, SUPPORTED = 0x02, 0x04, 0x06, 0x0A
+ALL_RECORDS: Final = 0xFF
+FAILED_MASK: Final = 0xAF  # all bits but those that tell of a test that did not run
+START, STOP, RESULTS = 0x01, 0x02, 0x03
+ACTIONS: Final = {"start": START, "stop": STOP, "results": RESULTS}
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class DataAnswer:
+    """What a controller says of one datum: its bytes and what they mean, or why it will not tell."""
+
+    number: int
+    name: str
+    data: bytes = b""
+    values: Values | None = None
+    refusal: int | None = None
+
+    @property
+    def refusal_text(self) -> str:
+        """Why it will not tell, empty if it does."""
+        return "" if self.refusal is None else refusal_text(self.refusal)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RoutineAnswer:
+    """What a controller says of a routine."""
+
+    number: int
+    name: str
+    action: str
+    data: bytes
+    values: Values
+
+
+def trouble_request(mask: int) -> bytes:
+    """Return the question for codes with a status bit of the mask; 0: for all that the controller knows."""
+    return bytes([READ_TROUBLE, BY_MASK, mask]) if mask else bytes([READ_TROUBLE, SUPPORTED])
+
+
+def read_troubles(
+    tester: Dialogue, description: Description, mask: int = FAILED_MASK, *, has_details: bool = True
+) -> tuple[TroubleCode, ...]:
+    """Return the trouble codes that `trouble_request` asks for.
+
+    With details each comes with its snapshots and extended data, as far as the controller has them.
+    """
+    codes = read_codes(tester.ask(trouble_request(mask)), description)
+    if not has_details:
+        return codes
+    return tuple(_with_details(tester, description, code) for code in codes)
+
+
+def _with_details(tester: Dialogue, description: Description, code: TroubleCode) -> TroubleCode:
+    """Return a code with what was kept of it; a controller that keeps nothing, or will not tell, is no error."""
+    tail = code.number.to_bytes(3, "big") + bytes([ALL_RECORDS])
+    snapshots = tester.may_ask(bytes([READ_TROUBLE, SNAPSHOTS]) + tail)
+    extended = tester.may_ask(bytes([READ_TROUBLE, EXTENDED]) + tail)
+    return replace(
+        code,
+        snapshots=() if isinstance(snapshots, RefusedError) else read_snapshots(snapshots, description),
+        extended=() if isinstance(extended, RefusedError) else read_extended(extended, description),
+    )
+
+
+def read_data(tester: Dialogue, description: Description, numbers: Iterable[int]) -> list[DataAnswer]:
+    """Return what a controller says of each datum; they are asked for one at a time, so one refusal costs one."""
+    return [_read_datum(tester, description, number) for number in numbers]
+
+
+def _read_datum(tester: Dialogue, description: Description, number: int) -> DataAnswer:
+    name = description.data_name(number)
+    answer = tester.may_ask(bytes([READ_DATA]) + number.to_bytes(2, "big"))
+    if isinstance(answer, RefusedError):
+        return DataAnswer(number=number, name=name, refusal=answer.code)
+    data = answer[3:]
+    return DataAnswer(number=number, name=name, data=data, values=description.values(number, data))
+
+
+def control_routine(
+    tester: Dialogue, description: Description, number: int, action: str, options: bytes = b""
+) -> RoutineAnswer:
+    """Start or stop a routine, or ask for its results, and return what the controller answers.
+
+    Raises
+    ------
+    RefusedError, SilentError, ControllerError
+        As a `Dialogue` does.
+    """
+    request = bytes([ROUTINE, ACTIONS[action]]) + number.to_bytes(2, "big") + options
+    data = tester.ask(request)[4:]
+    routine = description.routines.get(number)
+    fields = () if routine is None or action != "results" else routine.results
+    name = "" if routine is None else routine.name
+    return RoutineAnswer(number=number, name=name, action=action, data=data, values=read_fields(fields, data))

@@ -1,0 +1,21 @@
+"""Which of the shipped descriptions fits a controller: by what it says of itself."""
+
+from diag_service.errors import ControllerError
+from diag_service.tester.answers import READ_DATA
+from diag_service.tester.description import UNKNOWN, Description
+from diag_service.tester.description_file import shipped
+from diag_service.tester.dialogue import Dialogue
+
+
+def recognised(tester: Dialogue) -> Description:
+    """Return the shipped description that fits; without one what all controllers have. Asks for a datum or two."""
+    for described in shipped():
+        if described.identity is None:
+            continue
+        try:
+            response = tester.ask(bytes([READ_DATA]) + described.identity.number.to_bytes(2, "big"))
+        except ControllerError:  # it will not tell, or not answer: the question that follows says so
+            continue
+        if response[3:].rstrip(b"\0 ").decode("latin-1") == described.identity.text:
+            return described.description
+    return UNKNOWN

@@ -1,0 +1,204 @@
+"""Which controllers answer on a bus, and what each of them can be asked: by questions alone that change nothing."""
+
+import time
+from collections import deque
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+from typing import Final
+
+import can
+
+from canlog.live.pythoncan import one_line
+from diag_service.errors import ControllerError, RefusedError, SilentError
+from diag_service.tester.addresses import (
+    FIXED_PHYSICAL,
+    FUNCTIONAL_ID,
+    LARGEST_STANDARD_ID,
+    TESTER_ADDRESS,
+    CanAddress,
+    is_extended,
+)
+from diag_service.tester.answers import (
+    NEGATIVE,
+    NOT_SUPPORTED,
+    ONLY_ELSEWHERE,
+    POSITIVE,
+    READ_DATA,
+    READ_TROUBLE,
+    SERVICE_NAMES,
+    SESSION,
+    TESTER_PRESENT,
+    refusal_text,
+)
+from diag_service.tester.can_link import CLASSIC_BYTES, PADDING, send
+from diag_service.tester.description import STANDARD_DATA, Description
+from diag_service.tester.dialogue import Dialogue
+from diag_service.tester.reading import DataAnswer, read_data
+
+WAIT_S: Final = 0.06  # P2 of a controller, and a little for the bus
+SUSPECTS: Final = 4  # addresses whose answer may come so late that it seems to be the next one's
+MOST_SILENT: Final = 3  # questions without an answer after which a controller is left alone
+_PRESENT: Final = bytes([0x02, TESTER_PRESENT, 0x00])  # a single frame: TesterPresent
+_ANSWERS: Final = (bytes([0x02, TESTER_PRESENT + POSITIVE, 0x00]), bytes([0x03, NEGATIVE, TESTER_PRESENT]))
+
+# What services are tried with. None of them changes what a controller keeps or does: neither 11, 14, 2E, 31 nor 34-37.
+PROBES: Final = (
+    (TESTER_PRESENT, bytes([TESTER_PRESENT, 0x00])),
+    (SESSION, bytes([SESSION, 0x01])),
+    (READ_DATA, bytes([READ_DATA, 0xF1, 0x90])),
+    (READ_TROUBLE, bytes([READ_TROUBLE, 0x01, 0xFF])),
+)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ServiceAnswer:
+    """What a controller made of a service."""
+
+    number: int
+    is_there: bool
+    remark: str  # how it refused, or that it said nothing
+
+    @property
+    def name(self) -> str:
+        """What the standard calls it."""
+        return SERVICE_NAMES.get(self.number, "")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Found:
+    """A controller and what it can be asked."""
+
+    where: str
+    address: CanAddress | None  # None: over IP
+    services: tuple[ServiceAnswer, ...]
+    data: tuple[DataAnswer, ...]  # that it has
+    code_count: int | None  # trouble codes with any status; None: it does not tell
+
+
+def standard_requests(first: int = 0x700, last: int = LARGEST_STANDARD_ID) -> list[int]:
+    """Return identifiers of 11 bits to try, without the one that all controllers hear."""
+    return [can_id for can_id in range(first, last + 1) if can_id != FUNCTIONAL_ID]
+
+
+def fixed_requests(first: int = 0x00, last: int = 0xFF) -> list[int]:
+    """Return identifiers of 29 bits to try: normal fixed addressing, for each address of a controller."""
+    return [FIXED_PHYSICAL | target << 8 | TESTER_ADDRESS for target in range(first, last + 1)]
+
+
+def find_addresses(
+    bus: can.BusABC,
+    request_ids: Iterable[int],
+    busy_ids: frozenset[int],
+    *,
+    wait_s: float = WAIT_S,
+    goes_on: Callable[[], bool] = lambda: True,
+) -> list[CanAddress]:
+    """Return who answers "tester present", by the identifier of the request.
+
+    Parameters
+    ----------
+    busy_ids
+        What was heard on the bus before: nothing is sent there, and what comes from there is no answer.
+    wait_s
+        How long one may take to answer.
+    goes_on
+        Asked before each request; False ends the search.
+
+    Raises
+    ------
+    ControllerError
+        If the bus cannot be used.
+    """
+    found: dict[int, CanAddress] = {}  # by the identifier of the answers
+    recent: deque[int] = deque(maxlen=SUSPECTS)
+    for request_id in request_ids:
+        if not goes_on():
+            break
+        if request_id in busy_ids or request_id in found:
+            continue
+        recent.appendleft(request_id)
+        for response_id in _answering(bus, request_id, wait_s) - busy_ids - found.keys():
+            asked = _confirmed(bus, recent, response_id, wait_s)
+            if asked is not None:
+                found[response_id] = CanAddress(request_id=asked, response_id=response_id)
+    return sorted(found.values(), key=lambda address: address.request_id)
+
+
+def _confirmed(bus: can.BusABC, suspects: Iterable[int], response_id: int, wait_s: float) -> int | None:
+    """Return which of the last requests is answered from there: asked again, each with more time."""
+    for request_id in suspects:
+        if request_id != response_id and is_extended(request_id) == is_extended(response_id):
+            _answering(bus, None, wait_s)  # whatever is still on its way
+            if response_id in _answering(bus, request_id, SUSPECTS * wait_s, response_id):
+                return request_id
+    return None
+
+
+def _answering(bus: can.BusABC, request_id: int | None, wait_s: float, wanted: int | None = None) -> frozenset[int]:
+    """Ask once and return the identifiers of the answers that come in time; the wanted one ends the wait."""
+    if request_id is not None:
+        data = _PRESENT.ljust(CLASSIC_BYTES, bytes([PADDING]))
+        send(bus, can.Message(arbitration_id=request_id, is_extended_id=is_extended(request_id), data=data))
+    until_s = time.monotonic() + wait_s
+    found = set[int]()
+    while (left_s := until_s - time.monotonic()) > 0.0 and (wanted is None or wanted not in found):
+        try:
+            message = bus.recv(left_s)
+        except (can.CanError, OSError, ValueError) as exc:
+            raise ControllerError(f"the bus cannot be read: {one_line(exc)}") from exc
+        if message is not None and not message.is_error_frame and bytes(message.data[:3]) in _ANSWERS:
+            found.add(message.arbitration_id)
+    return frozenset(found)
+
+
+def explore(
+    tester: Dialogue, description: Description, numbers: Sequence[int] = tuple(STANDARD_DATA), *,
+    address: CanAddress | None = None,
+) -> Found:  # fmt: skip
+    """Return what one controller can be asked; its data are tried by number."""
+    services = tuple(_tried(tester, number, request) for number, request in PROBES)
+    is_readable = any(one.number == READ_DATA and one.is_there for one in services)
+    return Found(
+        where=tester.where,
+        address=address,
+        services=services,
+        data=tuple(_data_of(tester, description, numbers)) if is_readable else (),
+        code_count=_code_count(tester)
+        if any(one.number == READ_TROUBLE and one.is_there for one in services)
+        else None,
+    )
+
+
+def _tried(tester: Dialogue, number: int, request: bytes) -> ServiceAnswer:
+    try:
+        tester.ask(request)
+    except RefusedError as exc:
+        is_there = exc.code not in NOT_SUPPORTED
+        remark = refusal_text(exc.code) if exc.code in NOT_SUPPORTED | ONLY_ELSEWHERE else ""
+        return ServiceAnswer(number=number, is_there=is_there, remark=remark)
+    except SilentError:
+        return ServiceAnswer(number=number, is_there=False, remark="no answer")
+    return ServiceAnswer(number=number, is_there=True, remark="")
+
+
+def _data_of(tester: Dialogue, description: Description, numbers: Iterable[int]) -> Iterable[DataAnswer]:
+    silent = 0
+    for number in numbers:
+        try:
+            (answer,) = read_data(tester, description, [number])
+        except SilentError:
+            silent += 1
+            if silent >= MOST_SILENT:
+                return
+            continue
+        if answer.refusal is None:
+            yield answer
+
+
+def _code_count(tester: Dialogue) -> int | None:
+    """Return how many trouble codes have any status (19 01 FF)."""
+    try:
+        response = tester.ask(bytes([READ_TROUBLE, 0x01, 0xFF]))
+    except ControllerError:
+        return None
+    return int.from_bytes(response[4:6], "big") if len(response) >= 6 else None

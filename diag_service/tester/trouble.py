@@ -1,0 +1,126 @@
+"""Trouble codes out of the answers of service 19 (ISO 14229-1, annex D)."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Final
+
+from diag_service.tester.description import Description, Values, code_text, read_fields
+
+CODE_BYTES: Final = 3
+STATUS_BITS: Final = (
+    "failed",
+    "failed this cycle",
+    "pending",
+    "confirmed",
+    "not tested since clear",
+    "failed since clear",
+    "not tested this cycle",
+    "lamp on",
+)
+PENDING_BIT: Final = 0x04
+CONFIRMED_BIT: Final = 0x08
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Snapshot:
+    """What a controller kept of the moment of a failure: a snapshot, or a record of extended data."""
+
+    number: int
+    data: Mapping[str, Values]  # by the name of the datum
+    rest: bytes = b""  # what could not be taken apart: the description does not say how long it is
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class TroubleCode:
+    """A trouble code, with what was kept of it."""
+
+    number: int  # three bytes: the code and its failure type
+    status: int
+    text: str = ""
+    snapshots: tuple[Snapshot, ...] = field(default=())
+    extended: tuple[Snapshot, ...] = field(default=())
+
+    @property
+    def code(self) -> str:
+        """The code as scan tools show it."""
+        return code_text(self.number)
+
+    @property
+    def failure_type(self) -> int:
+        """The third byte."""
+        return self.number & 0xFF
+
+    @property
+    def states(self) -> tuple[str, ...]:
+        """The bits of the status that are set, in words."""
+        return tuple(word for bit, word in enumerate(STATUS_BITS) if self.status >> bit & 1)
+
+    @property
+    def is_confirmed(self) -> bool:
+        """Whether the controller is sure."""
+        return bool(self.status & CONFIRMED_BIT)
+
+    @property
+    def is_pending(self) -> bool:
+        """Whether a test failed in this operation cycle or the last, and the controller is not sure yet."""
+        return bool(self.status & PENDING_BIT) and not self.is_confirmed
+
+
+def read_codes(response: bytes, description: Description) -> tuple[TroubleCode, ...]:
+    """Return the codes in a response to 19 02 or 19 0A; zeros at the end, with which some fill up, are none."""
+    content = response[3:]
+    step = CODE_BYTES + 1
+    found = []
+    for place in range(0, len(content) - CODE_BYTES, step):
+        number = int.from_bytes(content[place : place + CODE_BYTES], "big")
+        if number:
+            status = content[place + CODE_BYTES]
+            found.append(TroubleCode(number=number, status=status, text=description.trouble_text(number)))
+    return tuple(found)
+
+
+def read_snapshots(response: bytes, description: Description) -> tuple[Snapshot, ...]:
+    """Return the snapshots in a response to 19 04: each has a number, a count and that many data with their numbers."""
+    content = response[2 + CODE_BYTES + 1 :]
+    found = []
+    while len(content) >= 2 and any(content):
+        number, count = content[0], content[1]
+        data, content = _data_of(content[2:], count, description)
+        is_complete = len(data) == count
+        found.append(Snapshot(number=number, data=data, rest=b"" if is_complete else content))
+        if not is_complete:
+            break
+    return tuple(found)
+
+
+def _data_of(content: bytes, count: int, description: Description) -> tuple[dict[str, Values], bytes]:
+    """Return so many data by name, fewer if one is of unknown length, and the bytes behind them."""
+    data: dict[str, Values] = {}
+    for _ in range(count):
+        if len(content) < 2:
+            break
+        number = int.from_bytes(content[:2], "big")
+        size = description.size_bytes(number)
+        if size is None or len(content) < 2 + size:
+            break
+        name = description.data_name(number)
+        data[f"{name} ({number:04X})" if name in data else name] = description.values(number, content[2 : 2 + size])
+        content = content[2 + size :]
+    return data, content
+
+
+def read_extended(response: bytes, description: Description) -> tuple[Snapshot, ...]:
+    """Return the records of extended data in a response to 19 06: each has a number and what belongs to it."""
+    content = response[2 + CODE_BYTES + 1 :]
+    found = []
+    while content and any(content):
+        number, content = content[0], content[1:]
+        record = description.extended.get(number)
+        size = None if record is None else record.size_bytes
+        if record is None or size is None or len(content) < size:
+            found.append(Snapshot(number=number, data={}, rest=content))
+            break
+        values = read_fields(record.fields, content[:size])
+        found.append(Snapshot(number=number, data={record.name: values}))
+        content = content[size:]
+    return tuple(found)

@@ -1,0 +1,96 @@
+"""``run --poll``: the trouble codes of the controller beside the results, in the store, as JSON, at the broker."""
+
+import json
+import os
+import signal
+import sqlite3
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import closing, contextmanager
+from pathlib import Path
+
+import pytest
+
+from diag_service.tester.addresses import CanAddress
+from diag_service.tester.listening import Traffic, check_alone
+from ecu_emulator.diagnostics.memory import TestResult as Result
+from tests.integration.test_tester import SLIPS, another_tester, vehicle
+from tests.plugins.broker import Mosquitto
+from tests.support.in_process import ended
+from tests.support.patience import HANG_S
+from tests.support.subscriber import Subscriber
+from tests.support.uds.wire import parked_controller
+
+POLL = ("--poll", "1", "--active", "--json")
+
+
+@contextmanager
+def stopping_when(condition: Callable[[], bool]) -> Iterator[None]:
+    """Ask this process to stop, as a person at the keyboard would, once a condition holds."""
+
+    def watch() -> None:
+        deadline_s = time.monotonic() + HANG_S
+        while not condition() and time.monotonic() < deadline_s:
+            time.sleep(0.01)
+        os.kill(os.getpid(), signal.SIGINT)
+
+    thread = threading.Thread(target=watch)
+    thread.start()
+    yield
+    thread.join()
+
+
+def test_codes_are_read_stored_told_and_published(tmp_path: Path, broker: Mosquitto) -> None:
+    controller = parked_controller()
+    for _ in range(20):
+        controller.report(SLIPS, Result.FAILED)
+    store = tmp_path / "car.sqlite"
+    words = ("-i", "virtual", "-c", "poll", "--vehicle", "car1", "--store", store, "--broker", broker.url)
+    with (
+        vehicle("poll", controller),
+        Subscriber(broker.port) as subscriber,
+        stopping_when(lambda: bool(subscriber.payloads("/controller"))),
+    ):
+        run = ended("run", *words, *POLL)
+        said = subscriber.payloads("/controller")[0]
+    assert run.status == 0, run.err
+    (told,) = [record for record in run.records if record["schema"] == "clutchdiag/controller/v1"]
+    assert [code["code"] for code in told["codes"]] == ["P0811"]
+    assert told["codes"][0]["snapshots"][0]["data"]["fluid temperature"] == {"temperature [degC]": 80}
+    assert said["codes"] == told["codes"]
+    with closing(sqlite3.connect(store)) as connection:
+        assert [json.loads(text) for (text,) in connection.execute("SELECT json FROM controller")] == [told]
+
+
+def test_another_tester_is_left_in_peace(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    is_refused = threading.Event()
+
+    def check(traffic: Traffic, address: CanAddress | None = None) -> None:
+        is_refused.set()
+        check_alone(traffic, address)
+
+    monkeypatch.setattr("diag_service.service.polling.check_alone", check)
+    words = ("-i", "virtual", "-c", "poll 2", "--store", tmp_path / "car.sqlite")
+    with vehicle("poll 2", parked_controller()) as car, another_tester("poll 2", 0x7E1):
+        with stopping_when(is_refused.is_set):
+            run = ended("run", *words, *POLL)
+        assert set(car.heard) == {0x7E1}
+    assert run.status == 0
+    assert "warning: the controller was not asked: another tester is asking on this bus (requests on 7E1)" in run.err
+
+
+@pytest.mark.parametrize(
+    ("words", "text"),
+    [
+        (["--poll", "60"], "--poll needs --active"),
+        (["--poll", "0.5", "--active"], "--poll must be at least 1 s, got 0.5"),
+        (["--poll", "nan", "--active"], "--poll must be at least 1 s, got nan"),
+        (["--ecu", "7E0"], "--ecu, --reply and --description need --poll"),
+        (["--poll", "--active", "--ecu", "xyz"], "--ecu must be hexadecimal"),
+        (["--poll", "--active", "--description", "nothing"], "no controller nothing"),
+    ],
+)
+def test_what_cannot_be_is_told_before_anything_is_sent(tmp_path: Path, words: list[str], text: str) -> None:
+    run = ended("run", "-i", "virtual", "-c", "poll 3", "--store", tmp_path / "car.sqlite", *words)
+    run.assert_one_line(2, text)

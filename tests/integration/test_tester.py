@@ -1,0 +1,287 @@
+"""The tester against our controller on a virtual bus: listens first, asks only if told to, decodes what it hears."""
+
+import json
+import threading
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import can
+import pytest
+
+from ecu_emulator.diagnostics.controller import Controller
+from ecu_emulator.diagnostics.link import DiagnosticLink
+from ecu_emulator.diagnostics.memory import TestResult as Result
+from ecu_emulator.diagnostics.pdx.package import pdx_package
+from ecu_emulator.diagnostics.table import Addressing, Transport
+from tests.support.doip.tester import entity
+from tests.support.in_process import ended
+from tests.support.uds.full_table import full_table
+from tests.support.uds.wire import parked_controller
+
+CHANNEL = "tester"
+PATIENT = ("--listen", "0.05", "--timeout", "20")  # only a hang takes so long
+BUS = ("-i", "virtual", "-c", CHANNEL, *PATIENT)
+WAIT = ("--wait", "0.15")  # a busy machine may answer later: then the scan finds out by asking again
+BUSY_ID = 0x7EA
+SLIPS = 0x081107
+MASK = "5AA5C33C"
+
+
+class Vehicle:
+    """A bus on which controllers talk whether they are asked or not; it keeps what else it hears."""
+
+    def __init__(self, channel: str, *links: DiagnosticLink, near: can.BusABC) -> None:
+        self.heard: list[int] = []
+        self._near = near
+        self._links = links
+        self._channel = channel
+        self._is_over = threading.Event()
+        self._talk = threading.Thread(target=self._run, daemon=True)
+        self._talk.start()
+
+    def hear(self, message: can.Message) -> None:
+        self.heard.append(message.arbitration_id)
+        for link in self._links:
+            link.feed(message)
+
+    def end(self) -> None:
+        self._is_over.set()
+        self._talk.join()
+
+    def _run(self) -> None:
+        while not self._is_over.wait(0.005):
+            self._near.send(can.Message(arbitration_id=0x0A0, is_extended_id=False, data=bytes(8)))
+            self._near.send(can.Message(arbitration_id=BUSY_ID, is_extended_id=False, data=b"\x02\x7e\x00"))
+
+
+@contextmanager
+def vehicle(channel: str, *controllers: Controller) -> Iterator[Vehicle]:
+    with can.Bus(channel, "virtual") as near:
+        links = [DiagnosticLink(controller, near.send) for controller in controllers]
+        bus = Vehicle(channel, *links, near=near)
+        for link in links:
+            link.__enter__()
+        try:
+            with can.Notifier(near, [bus.hear], timeout=0.05):
+                yield bus
+        finally:
+            bus.end()
+            for link in links:
+                link.__exit__(None, None, None)
+
+
+@pytest.fixture(scope="module")
+def controller() -> Controller:
+    controller = parked_controller()
+    for _ in range(20):
+        controller.report(SLIPS, Result.FAILED)
+    return controller
+
+
+@pytest.fixture(scope="module")
+def car(controller: Controller) -> Iterator[Vehicle]:
+    with vehicle(CHANNEL, controller) as car:
+        yield car
+
+
+def told(*words: str | Path) -> dict[str, Any]:
+    """Return the JSON of a command that went well."""
+    done = ended(*words, "--json")
+    assert done.status == 0, done
+    (record,) = done.records
+    return record
+
+
+def test_without_leave_a_bus_is_listened_to_only(car: Vehicle) -> None:
+    car.heard.clear()
+    words = (["dtc"], ["did", "F190"], ["routine", "0302", "start"], ["scan", "--first", "7E0"])
+    for command in words:
+        record = told(*command, *BUS)
+        assert record["asked"] is False
+        assert record["bus"]["frames"] > 0
+        assert record["would_ask"]
+    assert car.heard == []
+    assert told("did", "F190", *BUS, "-d", "dct")["would_ask"] == ["22 F1 90"]
+    assert told("did", "F190", *BUS)["would_ask"] == ["22: F190"]
+    shown = ended("dtc", *BUS).out
+    assert "nothing was sent; with --active this would be asked:\n  19 02 AF: the codes\n" in shown
+
+
+def test_codes_come_with_what_was_kept(car: Vehicle) -> None:
+    record = told("dtc", *BUS, "--active")
+    assert (record["controller"], record["description"]) == ("7E1 (answers 7E9)", "TCU")
+    (code,) = record["codes"]
+    assert (code["code"], code["text"], code["states"][0]) == ("P0811", "Excessive Clutch Slippage", "failed")
+    first = code["snapshots"][0]
+    assert first["data"]["fluid temperature"] == {"temperature [degC]": 80}
+    assert first["data"]["clutch temperature"] == {"clutch 1 [degC]": None, "clutch 2 [degC]": None}
+    assert (first["rest"], code["extended_data"][0]["data"]) == ("", {"occurrence counter": {"occurrences": 1}})
+    shown = ended("dtc", *BUS, "--active").out
+    assert "P0811  07    2" in shown
+    assert "fluid temperature: temperature 80 degC" in shown
+
+
+def test_a_mask_all_and_brief(car: Vehicle) -> None:
+    assert told("dtc", *BUS, "--active", "--mask", "80")["codes"] == []
+    codes = told("dtc", *BUS, "--active", "--all", "--brief")["codes"]
+    assert len(codes) == len(full_table().troubles)
+    assert all(code["snapshots"] == [] for code in codes)
+    assert ended("dtc", *BUS, "--active", "--mask", "80").out == "no trouble codes\n"
+
+
+def test_data_by_number_by_name_and_all(car: Vehicle) -> None:
+    found = told("did", "F190", "fluid temperature", "0999", *BUS, "--active")["data"]
+    assert [one["values"] for one in found] == [
+        {"VIN": "WDCTEMULATED00001"}, {"temperature [degC]": 80}, None,
+    ]  # fmt: skip
+    assert found[2]["refusal_text"] == "request out of range (31)"
+    everything = {one["number"]: one for one in told("did", *BUS, "--active")["data"]}
+    assert everything["0105"]["values"]["speed [rpm]"] == pytest.approx(811.75)
+    assert everything["F200"]["refusal"] == 0x31  # not in this session
+    (in_session,) = told("did", "F200", *BUS, "--active", "--session", "03")["data"]
+    assert in_session["values"]["current gear"] == 0
+    assert told("did", "F186", *BUS, "--active")["data"][0]["values"] == {"session": 1}  # and it was left
+
+
+def test_a_foreign_controller_shows_its_bytes(car: Vehicle, tmp_path: Path) -> None:
+    own = tmp_path / "own.toml"
+    own.write_text('name = "own"\n', encoding="utf-8")
+    (datum,) = told("did", "0206", *BUS, "--active", "--description", own)["data"]
+    assert (datum["name"], datum["bytes"], datum["values"]) == ("", "78", {"": "x"})
+
+
+def test_a_pdx_names_what_it_describes(car: Vehicle, tmp_path: Path) -> None:
+    pdx = tmp_path / "tcu.pdx"
+    pdx.write_bytes(pdx_package(full_table()))
+    record = told("did", "fluid temperature", *BUS, "--active", "--description", pdx)
+    assert record["data"][0]["values"] == {"temperature": 80.0}
+    assert "fluid_temperature" not in json.dumps(record)
+
+
+def test_a_routine_is_started_and_asked(car: Vehicle) -> None:
+    unlock = ("--unlock", f"1={MASK}")
+    refused = ended("routine", "0302", "start", *BUS, "--active")
+    refused.assert_one_line(3, "refuses 31 01 03 02: security access denied (33)")
+    started = told("routine", "0302", "start", *BUS, "--active", *unlock)["routine"]
+    assert (started["number"], started["bytes"]) == ("0302", "01")
+    wrong = ended("routine", "0301", "start", "--options", "00 01", *BUS, "--active", *unlock)
+    wrong.assert_one_line(3, "request out of range (31)")
+
+
+def test_a_scan_finds_the_controller_and_nothing_else(car: Vehicle) -> None:
+    car.heard.clear()
+    record = told("scan", *BUS, "--active", "--first", "7DE", "--last", "7EB", *WAIT)
+    (found,) = record["controllers"]
+    assert (found["request_id"], found["response_id"]) == ("7E1", "7E9")
+    assert {one["number"]: one["there"] for one in found["services"]} == dict.fromkeys(("3E", "10", "22", "19"), True)
+    assert found["trouble_codes"] == len(full_table().troubles)
+    assert {"F190", "F197", "F186"} <= {one["number"] for one in found["data"]}
+    assert set(car.heard) == set(range(0x7DE, 0x7EC)) - {BUSY_ID, 0x7DF, 0x7E9}  # neither others' nor everybody's
+    shown = ended("scan", *BUS, "--active", "--first", "7E0", "--last", "7E1", *WAIT).out
+    assert shown.startswith("1 controller answers\n7E1 (answers 7E9), 17 trouble codes with a status\n")
+    assert "  F190  vehicle identification number" in shown
+
+
+def test_the_scan_leaves_the_controller_as_it_was(car: Vehicle, controller: Controller) -> None:
+    before = controller.state
+    told("scan", *BUS, "--active", "--first", "7E1", "--last", "7E1", *WAIT)
+    after = controller.state
+    assert (after.memory, after.written, after.session) == (before.memory, before.written, 1)
+
+
+def test_29_bits_are_scanned_on_request() -> None:
+    ids = Addressing(request_id=0x18DA18F1, response_id=0x18DAF118, functional_id=0x18DB33F1)
+    with vehicle("29", parked_controller(addressing=ids)):
+        bus = ("-i", "virtual", "-c", "29", *PATIENT, "--active")
+        record = told("scan", *bus, "--extended", "--first", "16", "--last", "19", *WAIT)
+        assert [one["request_id"] for one in record["controllers"]] == ["18DA18F1"]
+        assert told("did", "F190", *bus, "--ecu", "18DA18F1")["data"][0]["values"] == {"VIN": "WDCTEMULATED00001"}
+
+
+def test_two_controllers_are_told_apart() -> None:
+    other = Addressing(request_id=0x7E0, response_id=0x7E8, functional_id=0x7DF)
+    with vehicle("two", parked_controller(), parked_controller(addressing=other)):
+        bus = ("-i", "virtual", "-c", "two", *PATIENT, "--active")
+        record = told("scan", *bus, "--first", "7E0", "--last", "7E3", *WAIT)
+        assert [(one["request_id"], one["response_id"]) for one in record["controllers"]] == [
+            ("7E0", "7E8"), ("7E1", "7E9"),
+        ]  # fmt: skip
+
+
+def test_extended_addressing() -> None:
+    with vehicle("extended", parked_controller(Transport(own_address=0x18))):
+        bus = ("-i", "virtual", "-c", "extended", *PATIENT, "--active")
+        (datum,) = told("did", "F190", *bus, "--ecu", "7E1", "--address", "18")["data"]
+        assert datum["values"] == {"VIN": "WDCTEMULATED00001"}
+
+
+@contextmanager
+def another_tester(channel: str, can_id: int) -> Iterator[None]:
+    is_over = threading.Event()
+
+    def ask() -> None:
+        with can.Bus(channel, "virtual") as bus:
+            while not is_over.wait(0.005):
+                bus.send(can.Message(arbitration_id=can_id, is_extended_id=False, data=b"\x02\x3e\x80"))
+
+    thread = threading.Thread(target=ask)
+    thread.start()
+    try:
+        yield
+    finally:
+        is_over.set()
+        thread.join()
+
+
+@pytest.mark.parametrize("can_id", [0x7E0, 0x7DF])
+def test_where_another_tester_is_at_work_nothing_is_asked(car: Vehicle, can_id: int) -> None:
+    with another_tester(CHANNEL, can_id):
+        car.heard.clear()
+        ended("dtc", *BUS, "--active").assert_one_line(
+            3, f"another tester is asking on this bus (requests on {can_id:X})"
+        )
+        assert set(car.heard) == {can_id}
+
+
+def test_silence_is_told_in_one_line(car: Vehicle) -> None:
+    silent = ended("dtc", *BUS, "--active", "--ecu", "7E5", "--timeout", "0.05")
+    silent.assert_one_line(3, "7E5 (answers 7ED) does not answer 19 02 AF")
+
+
+@pytest.mark.parametrize(
+    ("words", "status", "text"),
+    [
+        (["dtc", "--mask", "1FF"], 2, "--mask must be hexadecimal, 0 to FF"),
+        (["dtc", "--timeout", "0"], 2, "--timeout must be 0.001 to 3600 s, got 0"),
+        (["dtc", "--listen", "nan"], 2, "--listen must be 0 to 3600 s, got nan"),
+        (["did", "no such", "-d", "dct"], 2, "'no such' is no datum"),
+        (["routine", "1", "start", "--unlock", "2=00"], 2, "--unlock must be LEVEL=MASK"),
+        (["routine", "1", "start", "--options", "0"], 2, "--options must be hexadecimal bytes"),
+        (["routine", "1", "stop", "--options", "00"], 2, "--options are for the start of a routine"),
+        (["scan", "--first", "7E1", "--last", "7E0"], 2, "there is no identifier from 7E1 to 7E0"),
+        (["scan", "--wait", "0"], 2, "--wait must be 0.001"),
+        (["dtc", "--doip", "127.0.0.1"], 2, "--doip needs --ecu"),
+        (["dtc", "--doip", "nowhere", "--ecu", "1011"], 2, "--doip must be an IP address"),
+        (["dtc", "--doip", "127.0.0.1:0", "--ecu", "1011"], 2, "the port must be 1..65535"),
+        (["dtc", "--ecu", "7E1", "--description", "nothing"], 2, "no controller nothing"),
+    ],
+)
+def test_what_cannot_be_is_told_in_one_line(words: Sequence[str], status: int, text: str) -> None:
+    ended(*words, "-i", "virtual", "-c", "nobody", "--active").assert_one_line(status, text)
+
+
+def test_over_ip() -> None:
+    with entity() as (controller, server):
+        for _ in range(20):
+            controller.report(SLIPS, Result.FAILED)
+        place = ("--doip", f"127.0.0.1:{server.place.port}", "--ecu", "1011", *PATIENT)
+        assert told("dtc", *place)["asked"] is False
+        record = told("dtc", *place, "--active")
+        assert record["controller"] == f"1011 at DoIP 127.0.0.1:{server.place.port}"
+        assert [code["code"] for code in record["codes"]] == ["P0811"]
+        (found,) = told("scan", *place, "--active")["controllers"]
+        assert (found["request_id"], len(found["services"])) == (None, 4)
+        away = ended("dtc", *place[:1], "127.0.0.1:1", "--ecu", "1011", "--active")
+        away.assert_one_line(3, "1011 at DoIP 127.0.0.1:1: ")

@@ -1,0 +1,64 @@
+"""Writes what the tester knows of the emulated controller: ``python -m tests.tools.tester_description``.
+
+The two programs share no file: what a workshop's tester knows of a controller, it has from that controller's maker.
+"""
+
+from pathlib import Path
+from typing import Any, Final
+
+import tomli_w
+
+from ecu_emulator.diagnostics.descriptions import Datum, ExtendedRecord, Field, Kind
+from ecu_emulator.diagnostics.table import DiagnosticTable
+from ecu_emulator.diagnostics.table_file import shipped_table
+from ecu_emulator.diagnostics.values import not_available
+
+FILE: Final = Path(__file__).parents[2] / "diag_service/tester/controllers/dct.toml"
+_SYSTEM_NAME: Final = 0xF197
+_HEAD: Final = (
+    "# What the emulated controller can be asked; made by tests/tools/tester_description.py from its own table.\n"
+)
+
+
+def written(table: DiagnosticTable) -> str:
+    """Return the description of a controller as TOML."""
+    described: dict[str, Any] = {
+        "name": table.name,
+        "request_id": table.addressing.request_id,
+        "response_id": table.addressing.response_id,
+        "identity": {"number": _SYSTEM_NAME, "text": table.data[_SYSTEM_NAME].initial},
+        "data": [_record(datum) for datum in table.data.values()],
+        "extended": [_record(record) for record in table.extended.values()],
+        "trouble": [
+            {"code": trouble.code, "failure_type": trouble.failure_type, "text": trouble.text}
+            for trouble in table.troubles.values()
+        ],
+        "routine": [
+            {
+                "number": routine.number,
+                "name": routine.name,
+                "options": [_field(entry) for entry in routine.options],
+                "results": [_field(entry) for entry in routine.results],
+            }
+            for routine in table.routines.values()
+        ],
+    }
+    return _HEAD + tomli_w.dumps({key: value for key, value in described.items() if value != []})
+
+
+def _record(record: Datum | ExtendedRecord) -> dict[str, Any]:
+    return {"number": record.number, "name": record.name, "fields": [_field(entry) for entry in record.fields]}
+
+
+def _field(entry: Field) -> dict[str, Any]:
+    is_number = entry.kind in {Kind.UNSIGNED, Kind.SIGNED}
+    found: dict[str, Any] = {"name": entry.name, "kind": entry.kind.value, "size_bytes": entry.size_bytes}
+    found |= {"unit": entry.unit} if entry.unit else {}
+    found |= {"resolution": entry.resolution} if entry.resolution != 1.0 else {}
+    found |= {"offset": entry.offset} if entry.offset else {}
+    found |= {"invalid": not_available(entry)} if is_number and entry.source else {}
+    return found | ({"meanings": dict(entry.meanings)} if entry.meanings else {})
+
+
+if __name__ == "__main__":
+    FILE.write_text(written(shipped_table()), encoding="utf-8")
