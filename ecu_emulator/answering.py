@@ -22,8 +22,10 @@ from ecu_emulator.diagnostics.elm327.server import ElmServer, parse_place
 from ecu_emulator.diagnostics.memory import TestResult
 from ecu_emulator.diagnostics.memory_file import MemoryFile
 from ecu_emulator.diagnostics.monitors import SENSED, Watch, is_warm, judge
+from ecu_emulator.diagnostics.opinion import FLUID_CODE, Opinions, failed_codes, fluid_test, values_of
 from ecu_emulator.diagnostics.table_file import load_table, shipped_table
 from ecu_emulator.errors import ExtraMissingError, RecordError
+from ecu_emulator.on_board import FixedOpinion, OpinionSource
 from ecu_emulator.sent_values import SentValues
 
 OWN_NODE: Final = "TCU"
@@ -49,6 +51,8 @@ class Answering:
         ``[HOST:]PORT`` of an ELM327 adapter for OBD apps; without one there is none.
     bitrate
         Of the bus [bit/s], if it is known; the adapter names its protocol by it.
+    on_board
+        Whose estimate of the clutches the controller has; None: it has none.
 
     Raises
     ------
@@ -66,6 +70,7 @@ class Answering:
         is_fd: bool,
         elm327: str | None = None,
         bitrate: int | None = None,
+        on_board: OpinionSource | None = None,
     ) -> None:
         try:
             from ecu_emulator.diagnostics.link import DiagnosticLink  # noqa: PLC0415 - an extra
@@ -78,6 +83,8 @@ class Answering:
         self._sent = SentValues(database)
         self._shift_id = database.get_message_by_name("TCU_Shift").frame_id
         self._own_ids = {message.frame_id for message in database.messages if OWN_NODE in message.senders}
+        self._on_board: OpinionSource = on_board or FixedOpinion(None)
+        self._judged: Opinions = {}
         self._gear = 0.0
         self._shift_count = 0
         self._is_over = threading.Event()
@@ -99,11 +106,11 @@ class Answering:
 
     def __enter__(self) -> Self:
         if self.elm327 is not None:
-            self.link.on_response = self.elm327.hear_response
             self._stack.enter_context(self.elm327)
         self._stack.enter_context(self.link)
         if self.doip is not None:
             self._stack.enter_context(self.doip)
+        self._stack.enter_context(self._on_board)
         self._monitor.start()
         return self
 
@@ -159,6 +166,8 @@ class Answering:
             asked += f"; DoIP: {over_ip['requests']} requests, {over_ip['responses']} responses"
         if self.elm327 is not None:
             asked += f"; ELM327: {self.elm327.counts.lines} lines of {self.elm327.counts.clients} clients"
+        if self._on_board.problem is not None:
+            problem += f"\nwarning: {self._on_board.problem}"
         return f"diagnostics: {asked}; confirmed trouble codes: {codes}{problem}"
 
     def _watch(self) -> None:
@@ -171,6 +180,7 @@ class Answering:
                     values = self._values()
                     watch, samples = judge(watch, values, time.monotonic())
                     self._report({numbers[code]: result for code, result in samples if code in numbers}, values)
+                    self._judge_fluid(numbers)
         except BaseException as exc:  # noqa: BLE001 - carried to the caller's thread, which raises it
             self._error = exc
 
@@ -183,13 +193,28 @@ class Answering:
         except RecordError as exc:  # the drive goes on; what could not be kept is tried again with the next sample
             self.problem = self.problem or str(exc)
 
+    def _judge_fluid(self, numbers: Mapping[str, int]) -> None:
+        """Let each new opinion be a test of the fluid, with the controller's values of that moment."""
+        opinions = self._on_board.opinions
+        if opinions is self._judged or FLUID_CODE not in numbers:
+            return
+        self._judged = opinions
+        codes = {number: code for code, number in numbers.items()}
+        result = fluid_test(opinions, failed_codes(self.controller.state.memory.records, codes))
+        if result is not None:
+            self._report({numbers[FLUID_CODE]: result}, {})
+
     def _count_shift(self) -> None:
         gear = self._sent.now({}).get("current_gear", self._gear)
         self._shift_count += bool(gear and self._gear and gear != self._gear)
         self._gear = gear or self._gear  # neutral between two gears is a part of their shift
 
     def _values(self) -> Mapping[str, float]:
-        more = {"time_s": time.monotonic() - self._began_s, "shift_count": float(self._shift_count)}
+        more = {
+            "time_s": time.monotonic() - self._began_s,
+            "shift_count": float(self._shift_count),
+            **values_of(self._on_board.opinions),
+        }
         return self._sent.now(more)
 
 

@@ -112,6 +112,10 @@ _RUN: Final = Command(
         "serve OBD apps on this TCP port as an ELM327 adapter does (127.0.0.1:35000)",
         flag_value=DEFAULT_ELM_PORT,
     ),
+    Option(
+        "--on-board",
+        "start a diag-service beside the controller: testers are told what it finds (P0897, friction)",
+    ),
     Option("--alive FILE", "touch this file while frames go out", FILE),
     Option("--start-delay S", "wait before the first frame", _between(0.0, 3600.0, "s"), default="0"),
     Option(
@@ -125,6 +129,7 @@ _RUN: Final = Command(
         f"{PROGRAM} run -i socketcan -c vcan0 --diagnostics --diagnostic-memory tcu.json",
         f"{PROGRAM} run -i socketcan -c vcan0 --diagnostics --doip 13400",
         f"{PROGRAM} run -i socketcan -c vcan0 --diagnostics --elm327",
+        f"{PROGRAM} run -i socketcan -c vcan0 --fluid case2 --cycles 3 --diagnostics --on-board",
         f"{PROGRAM} run -i socketcan -c vcan0 --fluid case2 --cycles 3 --truth truth.jsonl --json",
         f"{PROGRAM} run -i socketcan -c vcan0 --drive day --endless --oil-degc -10",
     ),

@@ -86,7 +86,11 @@ def _execute(options: SimpleNamespace, stop: Event) -> None:
         control=options.control,
         alive=options.alive,
         diagnostics=live.diagnostics_choice(
-            options.diagnostics, options.diagnostic_memory, options.doip, options.elm327
+            options.diagnostics,
+            options.diagnostic_memory,
+            options.doip,
+            options.elm327,
+            has_service=options.on_board,
         ),
         start_delay_s=options.start_delay,
         longest_stay_s=options.parked,

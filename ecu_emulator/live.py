@@ -21,13 +21,15 @@ from ecu_emulator.frames import EncodedFrames
 from ecu_emulator.other_senders import WORTH_SAYING, OtherSenders
 from ecu_emulator.progress import ProgressLine, driven_text, people, print_json
 from ecu_emulator.recording import SHORT_STRETCH_S, Drive
-from ecu_emulator.scenario import Scenario
+from ecu_emulator.scenario import OpinionFrom, Scenario
 from ecu_emulator.sign_of_life import SignOfLife
 from ecu_emulator.truth import ROTATED_BYTES, EventTruth, Happened, ShiftTruth, TruthWriter, known_at_s
 
 if TYPE_CHECKING:
     from ecu_emulator.answering import Answering
+    from ecu_emulator.on_board import OpinionSource
 
+PRIVATE_INTERFACE: Final = "virtual"  # of python-can, within one process
 MS_PER_S: Final = 1e3
 
 
@@ -45,6 +47,12 @@ class BusChoice:
         """What the user asked for, empty if it is left to the configuration."""
         return " ".join(part for part in (self.interface, self.channel) if part)
 
+    @property
+    def words(self) -> list[str]:
+        """The same as words of a command line."""
+        named = {"-i": self.interface, "-c": self.channel, "-b": None if self.bitrate is None else str(self.bitrate)}
+        return [word for name, value in named.items() if value for word in (name, value)] + ["--fd"] * self.is_fd
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class DiagnosticsChoice:
@@ -54,6 +62,7 @@ class DiagnosticsChoice:
     memory: Path | None
     doip: Place | None  # where it answers on an IP network
     elm327: str | None  # [HOST:]PORT of an adapter for OBD apps
+    has_service: bool = False  # whether a diag-service beside it tells it of its clutches
 
 
 class SentTruth:
@@ -139,7 +148,7 @@ def run(
         TruthWriter(truth, most_bytes=most_bytes) if truth is not None else nullcontext() as writer,
         ControlSocket(control, drive.add_fault) if control is not None else nullcontext(),
         ProgressLine(console, "preparing the plant") as progress,
-        _answering(bus, diagnostics, choice) as answering,
+        _answering(bus, diagnostics, choice, scenario) as answering,
         OtherSenders(
             bus,
             own_ids(),
@@ -190,7 +199,7 @@ def run(
 
 
 def _answering(
-    bus: can.BusABC, choice: DiagnosticsChoice | None, bus_choice: BusChoice
+    bus: can.BusABC, choice: DiagnosticsChoice | None, bus_choice: BusChoice, scenario: Scenario
 ) -> "AbstractContextManager[Answering | None]":
     if choice is None:
         return nullcontext()
@@ -204,11 +213,27 @@ def _answering(
         is_fd=bus_choice.is_fd,
         elm327=choice.elm327,
         bitrate=bus_choice.bitrate,
+        on_board=_opinion_source(choice, bus_choice, scenario),
     )
 
 
+def _opinion_source(choice: DiagnosticsChoice, bus: BusChoice, scenario: Scenario) -> "OpinionSource | None":
+    """Return whose opinion of its clutches the controller tells, None if it has none."""
+    from ecu_emulator.diagnostics.opinion import own_opinion  # noqa: PLC0415 - see above
+    from ecu_emulator.on_board import FixedOpinion, OnBoardService  # noqa: PLC0415 - see above
+
+    if scenario.on_board.estimate is OpinionFrom.OWN:
+        return FixedOpinion(own_opinion(scenario.on_board))
+    if not choice.has_service or scenario.on_board.estimate is OpinionFrom.NONE:
+        return None
+    if bus.interface == PRIVATE_INTERFACE:
+        raise ConfigError(f"--on-board needs a bus that another process can hear, not {PRIVATE_INTERFACE}")
+    store = None if choice.memory is None else choice.memory.with_name(choice.memory.name + ".on-board.sqlite")
+    return OnBoardService(bus.words, store)
+
+
 def diagnostics_choice(
-    table: str | None, memory: Path | None, doip: str | None, elm327: str | None = None
+    table: str | None, memory: Path | None, doip: str | None, elm327: str | None = None, *, has_service: bool = False
 ) -> DiagnosticsChoice | None:
     """Return what was chosen on the command line; None if nobody is to answer.
 
@@ -217,13 +242,14 @@ def diagnostics_choice(
     ConfigError
         If there is a memory or an address and nobody who uses it, or the address is none.
     """
-    for option, value in (("--diagnostic-memory", memory), ("--doip", doip), ("--elm327", elm327)):
+    options = {"--diagnostic-memory": memory, "--doip": doip, "--elm327": elm327, "--on-board": has_service or None}
+    for option, value in options.items():
         if table is None and value is not None:
             raise ConfigError(f"{option} needs --diagnostics")
     if table is None:
         return None
     place = None if doip is None else parse_place(doip)
-    return DiagnosticsChoice(table=table, memory=memory, doip=place, elm327=elm327)
+    return DiagnosticsChoice(table=table, memory=memory, doip=place, elm327=elm327, has_service=has_service)
 
 
 def _drive_text(scenario: Scenario) -> str:

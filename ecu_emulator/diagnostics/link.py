@@ -87,7 +87,6 @@ class DiagnosticLink:
         self._thread = threading.Thread(target=self._run, name="diagnostics", daemon=True)
         self._layer = self._made_layer()
         self.counts = LinkCounts()
-        self.on_response: Callable[[bytes], None] = lambda _: None
         self._error: BaseException | None = None
 
     def _made_layer(self) -> isotp.TransportLayerLogic:
@@ -243,7 +242,6 @@ class DiagnosticLink:
         if payload is not None:
             self.counts.responses += 1
             self._layer.send(payload)
-            self.on_response(payload)
 
     def _broadcast(self) -> None:
         """Send what a client wants again and again: frames of their own, beside the transport layer."""

@@ -2,6 +2,7 @@
 
 import socket
 import threading
+import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import replace
@@ -155,26 +156,59 @@ def pending(server: ElmServer, connection: socket.socket) -> None:
     assert until(connection, b"\r") == b"7F 31 78 \r"
 
 
-def test_a_response_that_comes_later_is_shown_when_it_comes(later: ElmServer) -> None:
-    with client(later) as one:
-        pending(later, one)
-        later.hear_response(b"\x62\xf1\x90")  # somebody else's
-        later.hear_response(b"\x7f\x31\x78")
-        later.hear_response(b"\x71\x01\x03\x01")
-        assert until(one) == b"7F 31 78 \r71 01 03 01 \r\r>"
+def test_a_response_that_comes_later_is_shown_when_it_comes(later: tuple[ElmServer, Controller]) -> None:
+    server, controller = later
+    with client(server) as one:
+        pending(server, one)
+        assert controller.tick() is None  # it is not for the bus
+        controller.finish(0x0301)
+        assert controller.tick() is None
+        assert b"71 01 03 01 00 " in until(one)
 
 
-def test_whoever_speaks_while_it_waits_has_stopped_it(later: ElmServer) -> None:
-    with client(later) as one:
-        pending(later, one)
+def test_a_session_and_its_lock_are_of_the_client_who_entered_it(later: tuple[ElmServer, Controller]) -> None:
+    server, controller = later
+    with client(server) as other:
+        with client(server) as one:
+            pending(server, one)
+            controller.finish(0x0301)
+            until(one)
+            for command in (b"ATE0", b"ATSP6", b"ATSH7E1"):
+                say(other, command)
+            assert say(one, b"22F186") == b"62 F1 86 03 \r\r>"
+            assert say(other, b"22F186") == b"62 F1 86 01 \r\r>"
+            assert controller.ask(b"\x22\xf1\x86") == b"\x62\xf1\x86\x01"
+            assert say(other, b"1003") == b"7F 10 21 \r\r>"
+        while say(other, b"1003") == b"7F 10 21 \r\r>":  # the session ends once its connection has
+            pass
+        assert say(other, b"22F186") == b"62 F1 86 03 \r\r>"
+
+
+def test_whoever_stopped_waiting_does_not_hold_up_the_others(later: tuple[ElmServer, Controller]) -> None:
+    server, controller = later
+    with client(server) as one:
+        pending(server, one)
+        one.sendall(b"\r")
+        until(one)
+        assert controller.ask(b"\x22\xf1\x86") == b"\x7f\x22\x21"
+        controller.finish(0x0301)
+        while controller.ask(b"\x22\xf1\x86") == b"\x7f\x22\x21":
+            time.sleep(0.005)
+        assert controller.ask(b"\x22\xf1\x86") == b"\x62\xf1\x86\x01"
+
+
+def test_whoever_speaks_while_it_waits_has_stopped_it(later: tuple[ElmServer, Controller]) -> None:
+    with client(later[0]) as one:
+        pending(later[0], one)
         one.sendall(b"\r")
         assert until(one) == b"STOPPED\r\r>"
 
 
 @pytest.fixture
-def later() -> Iterator[ElmServer]:
-    with ElmServer(controller(full_text()), ("127.0.0.1", 0)) as serving:
-        yield serving
+def later() -> Iterator[tuple[ElmServer, Controller]]:
+    asked = controller(full_text())
+    with ElmServer(asked, ("127.0.0.1", 0)) as serving:
+        yield serving, asked
 
 
 def test_a_client_may_go_away_in_the_middle(server: ElmServer) -> None:

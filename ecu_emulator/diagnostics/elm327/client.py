@@ -41,12 +41,14 @@ class Client:
 
     def __init__(
         self,
+        number: int,
         connection: socket.socket,
         interpreter: Interpreter,
         counts: ElmCounts,
         patience_s: float,
         leave: Callable[["Client"], None],
     ) -> None:
+        self.number = number  # by which the controller knows it
         self._connection = connection
         self._interpreter = interpreter
         self._counts = counts

@@ -5,6 +5,8 @@ It asks the controller's core, not the bus. What it monitors (``AT MA``) are the
 
 import socket
 import threading
+from contextlib import suppress
+from functools import partial
 from ipaddress import ip_address
 from types import TracebackType
 from typing import Final, Self
@@ -13,12 +15,14 @@ import can
 
 from ecu_emulator.diagnostics.controller import Controller
 from ecu_emulator.diagnostics.elm327.client import POLL_S, Client, ElmCounts
+from ecu_emulator.diagnostics.elm327.frames import LARGEST_STANDARD_ID
 from ecu_emulator.diagnostics.elm327.interpreter import Interpreter
-from ecu_emulator.errors import BusError, ConfigError
+from ecu_emulator.errors import BusError, ConfigError, RecordError
 
 PORT: Final = 35000  # where adapters on a wireless network listen
 LOOPBACK: Final = "127.0.0.1"
 MOST_CLIENTS: Final = 8
+TICK_S: Final = 0.01
 _LARGEST_PORT: Final = 65535
 
 
@@ -66,6 +70,7 @@ class ElmServer:
         self._lock = threading.Lock()
         self._listener = _listening(*place)
         self._thread = threading.Thread(target=self._accept, name="ELM327", daemon=True)
+        self._ticker = threading.Thread(target=self._tick, name="ELM327 ticks", daemon=True)
         self.counts = ElmCounts()
 
     @property
@@ -87,6 +92,7 @@ class ElmServer:
 
     def __enter__(self) -> Self:
         self._thread.start()
+        self._ticker.start()
         return self
 
     def __exit__(
@@ -97,16 +103,29 @@ class ElmServer:
         self._listener.close()
         for client in self._present():
             client.end()
+        self._ticker.join()
 
     def hear_frame(self, message: can.Message) -> None:
         """Show a frame of the bus to clients that monitor it; never waits."""
         for client in self._clients:
             client.hear_frame(message)
 
-    def hear_response(self, payload: bytes) -> None:
-        """Show a response that the controller sends to clients that wait for one; never waits."""
-        for client in self._present():
-            client.hear_response(payload)
+    def _tick(self) -> None:
+        """Hand clients what the controller has for them without being asked again, until the end."""
+        while not self._is_over.wait(TICK_S):
+            for client in self._present():
+                if self._controller.awaits(client.number):
+                    response = self._controller.tick(client.number)
+                    if response is not None:
+                        client.hear_response(response)
+                for payload in self._controller.broadcast(client.number):
+                    client.hear_frame(self._periodic(payload))
+
+    def _periodic(self, payload: bytes) -> can.Message:
+        """Return data of service 2A as the frame that it would be on the bus."""
+        periodic = self._controller.table.periodic
+        can_id = 0 if periodic is None else periodic.response_id
+        return can.Message(arbitration_id=can_id, is_extended_id=can_id > LARGEST_STANDARD_ID, data=payload)
 
     def _present(self) -> list[Client]:
         with self._lock:
@@ -130,18 +149,21 @@ class ElmServer:
                 connection.close()
                 return
             self.counts.clients += 1
-            table = self._controller.table
-            interpreter = Interpreter(table.addressing, table.transport, self._ask, self._bitrate)
-            client = Client(connection, interpreter, self.counts, table.timing.p2_star_s, self._leave)
+            table, number = self._controller.table, -self.counts.clients  # testers over IP have positive numbers
+            ask = partial(self._ask, number)
+            interpreter = Interpreter(table.addressing, table.transport, ask, self._bitrate)
+            client = Client(number, connection, interpreter, self.counts, table.timing.p2_star_s, self._leave)
             self._clients = [*self._clients, client]
         client.start()
 
-    def _ask(self, payload: bytes, is_functional: bool) -> bytes | None:  # noqa: FBT001 - a callable's
-        return self._controller.ask(payload, is_functional=is_functional)
+    def _ask(self, number: int, payload: bytes, is_functional: bool) -> bytes | None:  # noqa: FBT001 - a callable's
+        return self._controller.ask(payload, is_functional=is_functional, client=number)
 
     def _leave(self, client: Client) -> None:
         with self._lock:
             self._clients = [other for other in self._clients if other is not client]
+        with suppress(RecordError):  # what is kept is not about sessions
+            self._controller.leave(client.number)
 
 
 def _listening(host: str, port: int) -> socket.socket:

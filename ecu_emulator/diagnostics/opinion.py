@@ -1,0 +1,81 @@
+"""What the controller thinks of its clutches: friction with its deviation, and whether the fluid is worn out."""
+
+import json
+import math
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from typing import Final
+
+from ecu_emulator.diagnostics.codes import Status
+from ecu_emulator.diagnostics.memory import TestResult, TroubleRecord
+from ecu_emulator.scenario import FluidVerdict, OnBoard
+
+FLUID_CODE: Final = "P0897"
+SUPPRESSING: Final = ("P0711", "P0841", "P0868", "P0776")  # while one has failed, friction is not judged
+SHIFT_SCHEMA: Final = "clutchdiag/shift/v1"
+_QUANTITIES: Final = {"mu_c": "mu_c", "std_mu_c": "mu_c_std", "mu_s": "mu_s", "std_mu_s": "mu_s_std"}
+_CLUTCHES: Final = (1, 2)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ClutchOpinion:
+    """What is thought of one clutch; friction that is not known is NaN."""
+
+    fluid: FluidVerdict = FluidVerdict.NO_VERDICT
+    mu_c: float = math.nan
+    std_mu_c: float = math.nan
+    mu_s: float = math.nan
+    std_mu_s: float = math.nan
+
+
+Opinions = Mapping[int, ClutchOpinion]  # by clutch, 1 and 2
+
+
+def own_opinion(told: OnBoard) -> ClutchOpinion:
+    """Return the opinion that a scenario gives the controller."""
+    known = {name: getattr(told, name) for name in _QUANTITIES}
+    return ClutchOpinion(fluid=told.fluid, **{name: value for name, value in known.items() if value is not None})
+
+
+def values_of(opinions: Opinions) -> dict[str, float]:
+    """Return what is known, as values of the controller by source."""
+    found = {
+        f"clutch{clutch}_{source}": float(getattr(opinion, name))
+        for clutch, opinion in opinions.items()
+        for name, source in _QUANTITIES.items()
+    }
+    return {source: value for source, value in found.items() if math.isfinite(value)}
+
+
+def fluid_test(opinions: Opinions, failed: Iterable[str]) -> TestResult | None:
+    """Return the result of the test of the fluid; None if nothing is known, or sensors cannot be believed.
+
+    Parameters
+    ----------
+    failed
+        The trouble codes whose test has failed.
+    """
+    words = {opinion.fluid for opinion in opinions.values()} - {FluidVerdict.NO_VERDICT}
+    if not words or not set(SUPPRESSING).isdisjoint(failed):
+        return None
+    return TestResult.FAILED if FluidVerdict.CHANGE_FLUID in words else TestResult.PASSED
+
+
+def failed_codes(records: Mapping[int, TroubleRecord], codes: Mapping[int, str]) -> set[str]:
+    """Return the trouble codes whose test has failed, as scan tools show them."""
+    return {codes[number] for number, record in records.items() if record.status & Status.TEST_FAILED}
+
+
+def read_line(line: bytes) -> tuple[int, ClutchOpinion] | None:
+    """Return what a line of the service's JSON says of a clutch; None if it says nothing of one, or is none."""
+    try:
+        record = json.loads(line)
+        if record.get("schema") != SHIFT_SCHEMA:
+            return None
+        verdict = record["verdict"]
+        clutch, fluid = int(verdict["clutch"]), FluidVerdict(verdict["condition"])
+        friction = verdict["friction"] or {}
+        known = {name: float(friction.get(name, math.nan)) for name in _QUANTITIES}
+    except (ValueError, TypeError, KeyError, AttributeError, RecursionError):
+        return None
+    return (clutch, ClutchOpinion(fluid=fluid, **known)) if clutch in _CLUTCHES else None

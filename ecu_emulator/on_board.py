@@ -1,0 +1,189 @@
+"""An estimate on board: a diag-service beside the controller, as a process of its own on the same bus.
+
+The two meet on the bus and in a pipe of JSON lines, not in Python.
+"""
+
+import os
+import shutil
+import subprocess
+import sys
+import tempfile
+import threading
+import time
+from collections.abc import Mapping, Sequence
+from contextlib import suppress
+from pathlib import Path
+from types import TracebackType
+from typing import Final, Protocol, Self
+
+from ecu_emulator.diagnostics.opinion import ClutchOpinion, Opinions, read_line
+
+LONGEST_LINE: Final = 1 << 20
+MOST_STARTS: Final = 6  # in a row that did not last
+LASTED_S: Final = 60.0
+FIRST_PAUSE_S: Final = 1.0  # doubled with each start in a row
+END_S: Final = 5.0  # how long the service may take to end
+_OWN_VARIABLES: Final = "CLUTCHDIAG_"  # of a user's service: its broker, store and vehicle are not this one's
+# The kernel ends the service with this process, however that ends; if it has ended already, nobody is the parent.
+_LAUNCH: Final = """
+import ctypes, os, runpy, signal, sys
+ctypes.CDLL(None).prctl(1, signal.SIGTERM)
+if os.getppid() != int(sys.argv[1]):
+    sys.exit(0)
+sys.argv[:2] = ["diag-service"]
+runpy.run_module("diag_service", run_name="__main__")
+"""
+
+
+class OpinionSource(Protocol):
+    """Where the controller's opinion of its clutches comes from, while it is entered."""
+
+    @property
+    def opinions(self) -> Opinions:
+        """What is thought now."""
+
+    @property
+    def problem(self) -> str | None:
+        """Why nothing is thought any more, for people."""
+
+    def __enter__(self) -> Self: ...
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None: ...
+
+
+class FixedOpinion:
+    """The same opinion all the time, of both clutches; without one, none."""
+
+    problem = None
+
+    def __init__(self, opinion: ClutchOpinion | None) -> None:
+        self.opinions: Opinions = {} if opinion is None else {1: opinion, 2: opinion}
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None: ...
+
+
+class OnBoardService:
+    """A diag-service on the same bus, started again if it ends, a few times; ends with this object and this process.
+
+    Parameters
+    ----------
+    bus
+        The words that name the bus on a command line.
+    store
+        Where it keeps what it has learned; None: it forgets.
+    program
+        What is started, for tests: the interpreter's arguments up to those of the service.
+    first_pause_s
+        Before the second start.
+    """
+
+    def __init__(
+        self,
+        bus: Sequence[str],
+        store: Path | None,
+        *,
+        program: Sequence[str] | None = None,
+        first_pause_s: float = FIRST_PAUSE_S,
+    ) -> None:
+        self._bus = bus
+        self._store = store
+        self._program = program or (sys.executable, "-c", _LAUNCH, str(os.getpid()))
+        self._first_pause_s = first_pause_s
+        self._folder = Path()
+        self._is_over = threading.Event()
+        self._guard = threading.Lock()
+        self._child: subprocess.Popen[bytes] | None = None
+        # A thread that lasts: the kernel's word to end with the parent is about the thread that started a child.
+        self._thread = threading.Thread(target=self._run, name="on board", daemon=True)
+        self._opinions: dict[int, ClutchOpinion] = {}
+        self.problem: str | None = None
+        self.start_count = 0
+
+    @property
+    def opinions(self) -> Opinions:
+        """What the service found of each clutch, by its latest result."""
+        return self._opinions
+
+    def __enter__(self) -> Self:
+        self._folder = Path(tempfile.mkdtemp(prefix="on-board-"))
+        self._thread.start()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        with self._guard:
+            self._is_over.set()
+            if self._child is not None:
+                self._child.terminate()
+        self._thread.join(END_S)
+        if self._thread.is_alive() and self._child is not None:
+            self._child.kill()
+            self._thread.join(END_S)
+        shutil.rmtree(self._folder, ignore_errors=True)
+
+    def _run(self) -> None:
+        in_a_row = 0
+        while not self._is_over.is_set():
+            began_s = time.monotonic()
+            ending = self._serve()
+            in_a_row = 1 if time.monotonic() - began_s >= LASTED_S else in_a_row + 1
+            if self._is_over.is_set():
+                return
+            if in_a_row >= MOST_STARTS:
+                self.problem = f"the service on board ended {in_a_row} times in a row: {ending}"
+                self._opinions = {}
+                return
+            self._is_over.wait(self._first_pause_s * 2.0 ** (in_a_row - 1))
+
+    def _serve(self) -> str:
+        """Start the service, take what it says until it ends, and return how that was."""
+        complaints = self._folder / "stderr"
+        try:
+            with complaints.open("wb") as errors:
+                child = self._started(errors.fileno())
+        except OSError as exc:
+            return str(exc)
+        if child is None or child.stdout is None:
+            return "it was not started"
+        with child:
+            while line := child.stdout.readline(LONGEST_LINE):
+                found = read_line(line)
+                if found is not None:
+                    self._opinions = {**self._opinions, found[0]: found[1]}
+        return last_line(complaints) or f"status {child.returncode}"
+
+    def _started(self, errors: int) -> "subprocess.Popen[bytes] | None":
+        with self._guard:
+            if self._is_over.is_set():
+                return None
+            store = self._store or self._folder / "on-board.sqlite"
+            self.start_count += 1
+            self._child = subprocess.Popen(  # noqa: S603 - our own program, with words that this program checked
+                [*self._program, "run", *self._bus, "--store", str(store), "--json"],
+                stdin=subprocess.DEVNULL,
+                stdout=subprocess.PIPE,
+                stderr=errors,
+                env=without_settings(os.environ),
+            )
+            return self._child
+
+
+def without_settings(variables: Mapping[str, str]) -> dict[str, str]:
+    """Return an environment in which nothing tells the service more than its command line."""
+    return {name: value for name, value in variables.items() if not name.startswith(_OWN_VARIABLES)}
+
+
+def last_line(path: Path) -> str:
+    """Return the last line of a file, empty if there is none."""
+    with suppress(OSError):
+        lines = path.read_text(encoding="utf-8", errors="replace").split("\n")
+        return next((line for line in reversed(lines) if line.strip()), "")
+    return ""

@@ -1,0 +1,146 @@
+"""The estimate on board: a service beside the controller that starts, ends, dies; its findings as trouble codes."""
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import can
+import pytest
+
+from dbc.contract import load_contract
+from diag_service.diagnosis.results import dump, shift_record
+from ecu_emulator.answering import Answering
+from ecu_emulator.diagnostics.codes import Status
+from ecu_emulator.diagnostics.opinion import ClutchOpinion
+from ecu_emulator.errors import ConfigError
+from ecu_emulator.live import BusChoice, diagnostics_choice
+from ecu_emulator.on_board import MOST_STARTS, FixedOpinion, OnBoardService, OpinionSource, without_settings
+from ecu_emulator.scenario import FluidVerdict
+from tests.support.builders import shift_result
+from tests.support.patience import HANG_S
+
+FLUID = 0x089700
+WORN = ClutchOpinion(fluid=FluidVerdict.CHANGE_FLUID, mu_c=0.118, std_mu_c=0.002, mu_s=0.125, std_mu_s=0.003)
+
+
+def wait_for(condition: Callable[[], object]) -> None:
+    deadline_s = time.monotonic() + HANG_S
+    while not condition():
+        assert time.monotonic() < deadline_s
+        time.sleep(0.002)
+
+
+def service(script: str, *words: str) -> OnBoardService:
+    """Return the supervision of a program that is no service."""
+    return OnBoardService(words, None, program=(sys.executable, "-S", "-c", script), first_pause_s=0.001)
+
+
+def test_lines_become_opinions_and_the_rest_is_passed_over() -> None:
+    line = dump(shift_record(shift_result()))
+    script = f"import sys, time; print('no JSON'); print('x' * 3_000_000); print({line!r}, flush=True); time.sleep(1e6)"
+    with service(script) as on_board:
+        wait_for(lambda: on_board.opinions)
+        clutch = shift_result().verdict.clutch
+        assert on_board.opinions[clutch].fluid is FluidVerdict.GOOD
+        assert on_board.problem is None
+
+
+def test_it_is_started_again_a_few_times_and_then_given_up() -> None:
+    with service("import sys; sys.exit('no bus')") as on_board:
+        wait_for(lambda: on_board.problem)
+        assert on_board.start_count == MOST_STARTS
+        assert on_board.problem == f"the service on board ended {MOST_STARTS} times in a row: no bus"
+        assert on_board.opinions == {}
+
+
+def test_a_service_that_does_not_heed_is_killed(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("ecu_emulator.on_board.END_S", 0.3)
+    script = "import signal, time; signal.signal(15, signal.SIG_IGN); print('up', flush=True); time.sleep(1e6)"
+    with service(script) as on_board:
+        wait_for(lambda: on_board._child)
+        child = on_board._child
+        assert child is not None
+        wait_for(lambda: int(status_of(child.pid, "SigIgn"), 16) >> 14 & 1)
+    assert child.poll() == -signal.SIGKILL
+
+
+def status_of(pid: int, key: str) -> str:
+    lines = Path(f"/proc/{pid}/status").read_text(encoding="ascii").splitlines()
+    return next(line.split()[1] for line in lines if line.startswith(f"{key}:"))
+
+
+PARENT = """
+import time
+from ecu_emulator.on_board import OnBoardService
+with OnBoardService(["-i", "virtual", "-c", "x"], None) as on_board:
+    while on_board._child is None:
+        time.sleep(0.01)
+    print(on_board._child.pid, flush=True)
+    time.sleep(1e6)
+"""
+
+
+def is_gone(pid: int) -> bool:
+    try:
+        return status_of(pid, "State") == "Z"
+    except OSError:
+        return True
+
+
+def test_it_dies_with_its_parent_however_that_dies() -> None:
+    with subprocess.Popen([sys.executable, "-c", PARENT], stdout=subprocess.PIPE, text=True) as parent:
+        assert parent.stdout is not None
+        pid = int(parent.stdout.readline())
+        os.kill(parent.pid, signal.SIGKILL)
+    wait_for(lambda: is_gone(pid))
+
+
+def drive(memory: Path, source: OpinionSource) -> Status:
+    """Let a controller have an opinion for one operation cycle; return the status of the code of the fluid."""
+    heard: list[can.Message] = []
+
+    class Bus:
+        def send(self, message: can.Message) -> None:
+            heard.append(message)
+
+    with Answering(Bus(), table="", memory=memory, doip=None, is_fd=False, on_board=source) as answering:
+        for message in load_contract().messages:
+            data = bytes(message.length)
+            answering.send(can.Message(arbitration_id=message.frame_id, data=data, is_extended_id=False))
+        records = answering.controller.state.memory.records
+        if source.opinions:
+            wait_for(lambda: not answering.controller.state.memory.records[FLUID].status & Status.NOT_TESTED_THIS_CYCLE)
+            friction = answering.controller.ask(bytes.fromhex("22 03 00")) or b""
+            assert friction[3:5] == round(source.opinions[1].mu_c * 1e5).to_bytes(2, "big")
+            records = answering.controller.state.memory.records
+            snapshot = answering.controller.ask(bytes.fromhex("19 04 08 97 00 02")) or b""
+            assert (friction[3:11] in snapshot) is bool(records[FLUID].status & Status.TEST_FAILED)
+        return Status(records[FLUID].status)
+
+
+def test_worn_fluid_is_pending_then_confirmed_and_heals(tmp_path: Path) -> None:
+    memory = tmp_path / "tcu.json"
+    assert not drive(memory, FixedOpinion(None)) & Status.PENDING
+    first = drive(memory, FixedOpinion(WORN))
+    assert first & Status.PENDING
+    assert not first & Status.CONFIRMED
+    assert drive(memory, FixedOpinion(WORN)) & Status.CONFIRMED
+    healed = drive(memory, FixedOpinion(ClutchOpinion(fluid=FluidVerdict.GOOD, mu_c=0.14)))
+    assert not healed & Status.TEST_FAILED
+    assert healed & Status.CONFIRMED  # until it has aged out
+
+
+def test_the_bus_is_named_to_the_service_as_it_was_to_the_emulator() -> None:
+    choice = BusChoice(interface="socketcan", channel="can0", bitrate=500_000, is_fd=True)
+    assert choice.words == ["-i", "socketcan", "-c", "can0", "-b", "500000", "--fd"]
+    assert BusChoice(interface=None, channel=None, bitrate=None, is_fd=False).words == []
+    assert without_settings({"CLUTCHDIAG_BROKER": "x", "CAN_CHANNEL": "y"}) == {"CAN_CHANNEL": "y"}
+
+
+def test_where_it_cannot_be_is_told() -> None:
+    with pytest.raises(ConfigError, match="--on-board needs --diagnostics"):
+        diagnostics_choice(None, None, None, has_service=True)
