@@ -3,7 +3,10 @@
 from importlib.util import find_spec
 from typing import Final
 
-EXTRA_OF: Final = {"amqtt": "demo", "matplotlib": "demo", "alembic": "fleet", "psycopg": "fleet", "sqlalchemy": "fleet"}
+EXTRA_OF: Final = {
+    **dict.fromkeys(("amqtt", "matplotlib", "doipclient", "isotp", "udsoncan"), "demo"),
+    **dict.fromkeys(("alembic", "psycopg", "sqlalchemy"), "fleet"),
+}
 
 
 class DemoError(Exception):

@@ -19,6 +19,7 @@ from demo.medium import Medium, open_medium
 from demo.outcome import SHIFTS_PER_CYCLE, Outcome, complaints, frame_account
 from demo.picture import draw
 from demo.programs import EMULATOR, SERVICE, Program, output_files, program, run
+from demo.scan_tool import ScanTool
 from demo.table import live_line, print_outcome, verdict_line
 from demo.traces import recorded_shift
 from diag_service.diagnosis.records import ShiftResult
@@ -93,7 +94,8 @@ async def run_demo(options: DemoOptions, console: Console) -> int:
         files.clear()
         console.print(f"bus:    {medium.explanation}", soft_wrap=True)
         await _warm_up(options, files, console)
-        outcome = await _drive(options, medium, files, console)
+        scan_tool = ScanTool()
+        outcome = await _drive(options, medium, files, console, scan_tool)
         print_outcome(console, outcome)
         event = await asyncio.to_thread(recorded_shift, files.recording, SHOWN_SHIFT)
         await asyncio.to_thread(draw, files.picture, event, outcome)
@@ -104,6 +106,7 @@ async def run_demo(options: DemoOptions, console: Console) -> int:
     for clutch in CLUTCHES:
         if clutch in outcome.clutches:
             console.print(verdict_line(outcome.clutches[clutch]), soft_wrap=True)
+    console.print(scan_tool.line, soft_wrap=True)
     return 1 if found else 0
 
 
@@ -116,7 +119,7 @@ async def _warm_up(options: DemoOptions, files: _Files, console: Console) -> Non
     console.print(f"{time.monotonic() - began_s:.0f} s")
 
 
-async def _drive(options: DemoOptions, medium: Medium, files: _Files, console: Console) -> Outcome:
+async def _drive(options: DemoOptions, medium: Medium, files: _Files, console: Console, scan_tool: ScanTool) -> Outcome:
     """Let both programs run on one bus in real time, and gather what is left of it."""
 
     def show(result: ShiftResult) -> None:
@@ -135,13 +138,18 @@ async def _drive(options: DemoOptions, medium: Medium, files: _Files, console: C
             program(SERVICE, *_service_arguments(options, medium, files), folder=files.folder, environment=environment)
         )
         emulator = program(
-            EMULATOR, *_emulator_arguments(options, medium, files), folder=files.folder, environment=medium.environment
+            EMULATOR,
+            *_emulator_arguments(options, medium, files),
+            *scan_tool.emulator_arguments,
+            folder=files.folder,
+            environment=medium.environment,
         )
         async with _watched(listener, service):
             await _within(READY_S, listener.service_online(), "the service did not announce itself")
             console.print(f"driving {options.cycles * CYCLE_S:.0f} s in real time; each line as MQTT delivers it")
             async with emulator as driver:
-                await driver.wait()
+                with scan_tool:
+                    await driver.wait()
             await _last_shift(listener, SHIFTS_PER_CYCLE * options.cycles)
         await service.stop()
         await service.wait()

@@ -1,0 +1,67 @@
+"""A scan tool at the emulated controller: it asks over IP, so that the bus carries the drive alone, until its end."""
+
+import socket
+import threading
+from types import TracebackType
+from typing import Final, Self
+
+from diag_service.errors import ControllerError
+from diag_service.tester.dialogue import Manners
+from diag_service.tester.opening import DoipPlace, dialogue_over_ip
+from diag_service.tester.reading import read_troubles
+from diag_service.tester.recognising import recognised
+from diag_service.tester.trouble_report import code_words
+
+LOGICAL_ADDRESS: Final = 0x1011  # of the emulated controller
+PERIOD_S: Final = 1.0
+HOST: Final = "127.0.0.1"
+
+
+class ScanTool:
+    """Reads the trouble codes every second while entered, once somebody answers; keeps the last answer."""
+
+    def __init__(self) -> None:
+        self._place = DoipPlace(host=HOST, port=_free_port(), logical_address=LOGICAL_ADDRESS)
+        self._is_over = threading.Event()
+        self._thread = threading.Thread(target=self._run, name="scan tool", daemon=True)
+        self._told = "no answer"
+
+    @property
+    def emulator_arguments(self) -> tuple[str, ...]:
+        """The options with which the emulator answers it."""
+        return "--diagnostics", "--on-board", "--doip", f"{self._place.host}:{self._place.port}"
+
+    @property
+    def line(self) -> str:
+        """What it was told last."""
+        return f"scan tool: {self._told}"
+
+    def __enter__(self) -> Self:
+        self._thread.start()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._is_over.set()
+        self._thread.join()
+
+    def _run(self) -> None:
+        while not self._is_over.wait(PERIOD_S):
+            try:
+                self._ask()
+            except ControllerError:  # it is not there yet, or not any more
+                continue
+
+    def _ask(self) -> None:
+        with dialogue_over_ip(self._place, Manners()) as dialogue:
+            description = recognised(dialogue)
+            while not self._is_over.wait(PERIOD_S):
+                codes = read_troubles(dialogue, description, has_details=False)
+                self._told = ", ".join(map(code_words, codes)) or "no trouble codes"
+
+
+def _free_port() -> int:
+    with socket.create_server((HOST, 0)) as probe:
+        port: int = probe.getsockname()[1]
+    return port
