@@ -19,6 +19,7 @@ import time
 import uuid
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from enum import Enum, auto
 from pathlib import Path
 
 from tests.uml.vcan import native_vcan
@@ -30,20 +31,33 @@ UNAVAILABLE = 69  # EX_UNAVAILABLE of sysexits.h
 TIMED_OUT = 124  # as timeout(1)
 
 
+class Ending(Enum):
+    """What ended a guest."""
+
+    DONE = auto()  # its job
+    OUT_OF_TIME = auto()
+    BROKEN = auto()  # it did not come up, or broke down
+
+
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command of the command line; return its exit status."""
     parser = argparse.ArgumentParser(prog="python -m tests.uml.run", description="Run a command next to a vcan0.")
-    parser.add_argument("--time-limit", type=float, default=3600.0, metavar="SECONDS", help="default: 3600")
+    parser.add_argument(
+        "--time-limit",
+        type=float,
+        default=3600.0,
+        metavar="SECONDS",
+        help="of the command, once it can begin (default: 3600)",
+    )
     parser.add_argument("--memory", type=memory_size, default="2G", help="of the guest, as 512M (default: 2G)")
     parser.add_argument("--force-uml", action="store_true", help="use User-Mode Linux even if this kernel has vcan")
     parser.add_argument("command", nargs="+", metavar="COMMAND")
     options = parser.parse_args(arguments)
-    deadline_s = time.monotonic() + options.time_limit
     if not options.force_uml:
         with native_vcan() as is_ready:
             if is_ready:
                 say(f"vcan: kernel {os.uname().release}, native")
-                return run_native(options.command, deadline_s)
+                return run_native(options.command, options.time_limit)
     kernel = shutil.which("linux.uml") or install_kernel()
     if kernel is None:
         say(
@@ -51,7 +65,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             f" and linux.uml is missing (apt-get install {PACKAGE})"
         )
         return UNAVAILABLE
-    return run_guest(kernel, options.command, options.memory, deadline_s)
+    return run_guest(kernel, options.command, options.memory, options.time_limit)
 
 
 def memory_size(text: str) -> str:
@@ -77,11 +91,11 @@ def install_kernel() -> str | None:
     return shutil.which("linux.uml")
 
 
-def run_native(command: Sequence[str], deadline_s: float) -> int:
+def run_native(command: Sequence[str], limit_s: float) -> int:
     """Run the command here and now, in a process group of its own that does not outlive this call."""
     process = subprocess.Popen(command, start_new_session=True)
     try:
-        return process.wait(timeout=max(0.0, deadline_s - time.monotonic()))
+        return process.wait(timeout=limit_s)
     except subprocess.TimeoutExpired:
         say("vcan: time limit reached, command ended")
         return TIMED_OUT
@@ -89,7 +103,7 @@ def run_native(command: Sequence[str], deadline_s: float) -> int:
         end_group(process)
 
 
-def run_guest(kernel: str, command: Sequence[str], memory: str, deadline_s: float) -> int:
+def run_guest(kernel: str, command: Sequence[str], memory: str, limit_s: float) -> int:
     """Boot the guest, run the command in it, halt it; return the command's status."""
     with tempfile.TemporaryDirectory(prefix="uml-") as name:
         folder = Path(name)
@@ -99,7 +113,6 @@ def run_guest(kernel: str, command: Sequence[str], memory: str, deadline_s: floa
             kernel, f"mem={memory}", "root=/dev/root", "rootfstype=hostfs", "rootflags=/", "rw", f"init={folder}/init",
             f"uml_dir={folder}/", "con=null", "con0=fd:0,fd:1", "quiet",
         ]  # fmt: skip
-        started_s = time.monotonic()
         with on_one_core():
             process = subprocess.Popen(
                 boot,
@@ -110,13 +123,13 @@ def run_guest(kernel: str, command: Sequence[str], memory: str, deadline_s: floa
                 start_new_session=True,
             )
         try:
-            has_booted = stream_output(process, marker, started_s, deadline_s)
+            ending = stream_output(process, marker, limit_s)
         finally:
             end_group(process)
         status = folder / "status"
-        if status.exists() and has_booted:
+        if status.exists() and ending is Ending.DONE:
             return int(status.read_text())
-        if has_booted and time.monotonic() >= deadline_s:
+        if ending is Ending.OUT_OF_TIME:
             say("vcan: time limit reached, guest ended")
             return TIMED_OUT
         say("vcan: the User-Mode Linux guest did not come up or broke down")
@@ -157,22 +170,25 @@ def write_job(folder: Path, command: Sequence[str], marker: str) -> None:
     (folder / "init").chmod(0o700)
 
 
-def stream_output(process: subprocess.Popen[bytes], marker: str, started_s: float, deadline_s: float) -> bool:
-    """Copy what the job prints until it ends; keep the kernel's own messages back unless the boot fails.
+def stream_output(process: subprocess.Popen[bytes], marker: str, limit_s: float) -> Ending:
+    """Copy what the job prints until it ends or has had its time; keep the kernel's messages back unless the boot fails.
 
     Returns
     -------
-    bool
-        Whether the guest came up.
+    Ending
+        Whether the guest came up, and what ended it.
     """
     if process.stdout is None:
         raise RuntimeError("the guest was started without a pipe")
     os.set_blocking(process.stdout.fileno(), False)
     begin, end = f"{marker} begin ".encode(), f"{marker} end".encode()
     pending, has_begun = b"", False
-    while time.monotonic() < (deadline_s if has_begun else min(deadline_s, started_s + BOOT_LIMIT_S)):
+    started_s = time.monotonic()
+    deadline_s = started_s + BOOT_LIMIT_S
+    while time.monotonic() < deadline_s:
         data = process.stdout.read()
         if data == b"":
+            has_begun = False  # it cannot go on
             break
         if data is None:
             time.sleep(0.02)
@@ -183,6 +199,7 @@ def stream_output(process: subprocess.Popen[bytes], marker: str, started_s: floa
             boot_s = time.monotonic() - started_s
             say(f"vcan: kernel {release.decode().strip()}, User-Mode Linux (booted in {boot_s:.1f} s)")
             has_begun = True
+            deadline_s = time.monotonic() + limit_s
         if has_begun:
             job, mark, _ = pending.partition(end)
             # The start of an end marker may be cut by the read: hold that much back.
@@ -193,10 +210,10 @@ def stream_output(process: subprocess.Popen[bytes], marker: str, started_s: floa
             if mark:
                 process.stdout.read()
                 process.wait(timeout=BOOT_LIMIT_S)
-                return True
+                return Ending.DONE
     sys.stdout.buffer.write(pending)
     sys.stdout.buffer.flush()
-    return has_begun
+    return Ending.OUT_OF_TIME if has_begun else Ending.BROKEN
 
 
 def end_group(process: subprocess.Popen[bytes]) -> None:
