@@ -171,7 +171,7 @@ def write_job(folder: Path, command: Sequence[str], marker: str) -> None:
 
 
 def stream_output(process: subprocess.Popen[bytes], marker: str, limit_s: float) -> Ending:
-    """Copy what the job prints until it ends or has had its time; keep the kernel's messages back unless the boot fails.
+    """Copy what the job prints until it ends or has had its time; the kernel's own messages only if the boot fails.
 
     Returns
     -------
