@@ -6,7 +6,6 @@ Every figure is the best of some rounds after a first one that compiles; the res
 """
 
 import argparse
-import asyncio
 import cProfile
 import pstats
 import subprocess
@@ -79,7 +78,7 @@ def analyse(path: Path) -> Summary:
     config = DiagnosisConfig(vehicle="benchmark", calibration=nominal_calibration())
     with closing(ResultStore.in_memory()) as store:
         session = Session(config, new_decoder(), store, stream_of([path]), MemoryReporter())
-        return asyncio.run(run_logs(open_drive([path]), session, stop=Trigger(), outbox=None))
+        return run_logs(open_drive([path]), session, stop=Trigger())
 
 
 def stages_of(path: Path) -> list[Stage]:

@@ -6,8 +6,9 @@
 What is named here is imported when it is first used: ``import canlog`` itself takes no time and compiles nothing.
 """
 
-import importlib
 import typing
+
+from canlog.on_demand import on_demand as _on_demand
 
 if typing.TYPE_CHECKING:
     from canlog.database.loading import load_database
@@ -41,16 +42,4 @@ _HOMES = {
     "canlog.logs": ("LogCounts", "LogFormat", "LogReader", "read_log"),
     "canlog.whole_log": ("Log", "Samples", "read", "write_parquet"),
 }
-_HOME_OF = {name: home for home, names in _HOMES.items() for name in names}
-
-
-def __getattr__(name: str) -> object:
-    if name not in _HOME_OF:
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    value = getattr(importlib.import_module(_HOME_OF[name]), name)
-    globals()[name] = value
-    return value
-
-
-def __dir__() -> list[str]:
-    return sorted({*globals(), *__all__})
+__getattr__, __dir__ = _on_demand(__name__, _HOMES)

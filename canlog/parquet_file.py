@@ -36,6 +36,11 @@ def arrow_schema(columns: Mapping[str, str], metadata: Mapping[str, Mapping[str,
     )
 
 
+def row_table(rows: Sequence[Mapping[str, object]], schema: Any) -> Any:  # noqa: ANN401 - an untyped library
+    """Return rows as a table of pyarrow with a schema of ``arrow_schema``; keys that are missing are null."""
+    return load_pyarrow().Table.from_pylist(list(rows), schema=schema)
+
+
 class ParquetTable:
     """A Parquet file that grows by row groups.
 
@@ -90,7 +95,7 @@ class ParquetTable:
     def write_rows(self, rows: Sequence[Mapping[str, object]]) -> None:
         """Write rows as one group; keys that are missing are null."""
         if rows:
-            table = self._arrow.Table.from_pylist(list(rows), schema=self.schema)
+            table = row_table(rows, self.schema)
             self._translated(lambda: self._writer.write_table(table))
 
     def write_columns(self, columns: Mapping[str, object]) -> None:

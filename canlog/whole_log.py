@@ -1,7 +1,7 @@
 """A whole log in memory, and its signals as arrays and tables."""
 
-from collections.abc import Iterator
-from contextlib import closing
+from collections.abc import Iterator, Sequence
+from contextlib import ExitStack, closing
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -12,10 +12,11 @@ from cantools.database.can import Database
 
 from canlog.arrays import FloatArray, Int64Array
 from canlog.database.loading import load_database
+from canlog.errors import SourceError
 from canlog.extras import load_extra
 from canlog.frame_columns import join
 from canlog.frames import FrameBatch
-from canlog.logs import LogCounts, LogFormat, read_log
+from canlog.logs import LogCounts, LogFormat, merged_by_time, read_log
 from canlog.parquet_file import arrow_schema, load_pyarrow
 from canlog.tables.account import DecodeAccount
 from canlog.tables.decoding import (
@@ -45,33 +46,37 @@ class Samples:
 
 
 class Log:
-    """The frames of a log, and what they say; made by ``canlog.read``.
+    """The frames of a log, or of several together, and what they say; made by ``canlog.read``.
 
     Attributes
     ----------
-    path : Path
-        The file.
+    paths : tuple of Path
+        The files; ``path`` is the first.
     format : LogFormat
         What it was taken for, by its contents.
     frames : FrameBatch
-        All of its frames as arrays, in the order of the file.
+        All of its frames as arrays, in the order of the file; of several files in the order of time.
     counts : LogCounts
-        What the file held besides: lines that are no frames, jumps of time, a missing end.
+        What the files held besides: lines that are no frames, jumps of time, a missing end.
     """
 
-    def __init__(self, path: Path, database: Database, *, is_strict: bool = False, max_cells: int = MAX_CELLS) -> None:
-        with closing(read_log(path, is_strict=is_strict)) as reader:
-            self.frames: FrameBatch = join(list(reader))
-            self.counts: LogCounts = reader.counts
-        self.path = path
-        self.format: LogFormat = reader.format
+    def __init__(
+        self, paths: Sequence[Path], database: Database, *, is_strict: bool = False, max_cells: int = MAX_CELLS
+    ) -> None:
+        with ExitStack() as stack:
+            readers = [stack.enter_context(closing(read_log(path, is_strict=is_strict))) for path in paths]
+            self.frames: FrameBatch = join(list(merged_by_time(readers)))
+            self.counts: LogCounts = added([reader.counts for reader in readers])
+        self.paths = tuple(paths)
+        self.path = self.paths[0]
+        self.format: LogFormat = readers[0].format
         self._plan = replace(Plan.of(database.messages), max_cells=max_cells)
 
     def __len__(self) -> int:
         return len(self.frames)
 
     def __repr__(self) -> str:
-        return f"<canlog.Log {self.path}: {self.format}, {len(self)} frames>"
+        return f"<canlog.Log {', '.join(map(str, self.paths))}: {self.format}, {len(self)} frames>"
 
     @cached_property
     def account(self) -> DecodeAccount:
@@ -157,7 +162,11 @@ class Log:
 
 
 def read(
-    path: Path | str, database: Database | Path | str, *, is_strict: bool = False, is_lenient: bool = False
+    path: Path | str | Sequence[Path | str],
+    database: Database | Path | str,
+    *,
+    is_strict: bool = False,
+    is_lenient: bool = False,
 ) -> Log:
     """Read a log whole, for its signals as arrays or tables.
 
@@ -166,7 +175,8 @@ def read(
     Parameters
     ----------
     path
-        A log of any format that ``canlog.LogFormat`` lists, perhaps compressed; its contents say which.
+        A log of any format that ``canlog.LogFormat`` lists, perhaps compressed; its contents say which. Or several:
+        their frames are put in the order of time.
     database
         A DBC, KCD, ARXML or SYM file, ``FILE#BUS`` for one bus of several, or what ``load_database`` made of one.
     is_strict
@@ -181,7 +191,10 @@ def read(
     DefinitionError
         If the database cannot be used.
     """
-    return Log(Path(path), _database(database, is_lenient=is_lenient), is_strict=is_strict)
+    paths = [Path(path)] if isinstance(path, str | Path) else [Path(one) for one in path]
+    if not paths:
+        raise SourceError("no log is named")
+    return Log(paths, _database(database, is_lenient=is_lenient), is_strict=is_strict)
 
 
 def write_parquet(
@@ -207,6 +220,18 @@ def write_parquet(
     plan = Plan.of(_database(database, is_lenient=is_lenient).messages, TableShape(shape), Values(values))
     decoded = decode_log(Path(path), plan, Path(output))
     return list(losses(decoded[0])) if decoded else []
+
+
+def added(counts: Sequence[LogCounts]) -> LogCounts:
+    """Return what several logs held together."""
+    total = LogCounts()
+    for one in counts:
+        total.add(one)
+        total.jumps_back += one.jumps_back
+        total.jumps_ahead += one.jumps_ahead
+        total.repeated += one.repeated
+        total.first_jump = total.first_jump or one.first_jump
+    return total
 
 
 def _database(database: Database | Path | str, *, is_lenient: bool) -> Database:

@@ -12,10 +12,10 @@ from pathlib import Path
 
 from rich.console import Console
 
+from canlog.live.medium import Medium, open_medium
 from demo.broker import embedded_broker
 from demo.errors import DemoError
 from demo.listener import Listener, listening, read_clutch_states
-from demo.medium import Medium, open_medium
 from demo.outcome import SHIFTS_PER_CYCLE, Outcome, complaints, frame_account
 from demo.picture import draw
 from demo.programs import EMULATOR, SERVICE, Program, output_files, program, run

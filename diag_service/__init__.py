@@ -1,6 +1,113 @@
-"""The diagnostic service: reads frames, finds shifts, estimates friction, judges the fluid, stores and publishes."""
+"""The diagnostic service: reads frames, finds shifts, estimates friction, judges the fluid, stores and publishes.
 
-from canlog.errors import SourceError
-from diag_service.errors import ConfigError, DiagServiceError, PublishError, ResultError, StoreError
+    analysis = diag_service.analyze("drive.log")
+    print(analysis.verdicts[1].condition.name, analysis.verdicts[1].reason)
 
-__all__ = ["ConfigError", "DiagServiceError", "PublishError", "ResultError", "SourceError", "StoreError"]
+What is named here is imported when it is first used, and prints nothing (docs/python.md).
+"""
+
+import typing
+
+from canlog.on_demand import on_demand as _on_demand
+
+if typing.TYPE_CHECKING:
+    from canlog.errors import CanlogError, DefinitionError, ExtraMissingError, OutputError, SourceError
+    from clutch_model.errors import CalibrationError
+    from diag_service.api.analysis import Analysis, analyze
+    from diag_service.api.background import BackgroundDiagnosis
+    from diag_service.api.choices import Delivery
+    from diag_service.api.expectations import (
+        expect_frames,
+        expect_same_frames,
+        expect_shifts,
+        expect_verdict,
+    )
+    from diag_service.api.folders import FolderAnalysis, analyze_folders
+    from diag_service.api.live import LiveDiagnosis, diagnose
+    from diag_service.api.tables import ResultTable
+    from diag_service.api.workshop import (
+        PaperAnalysis,
+        analyze_by_paper,
+        calibrate,
+        inspect,
+        propose_profile,
+        read,
+    )
+    from diag_service.diagnosis.records import ClutchVerdict, Condition, ShiftEstimate, ShiftResult, Status
+    from diag_service.errors import (
+        ConfigError,
+        DiagServiceError,
+        IncompleteError,
+        PublishError,
+        ResultError,
+        StoreError,
+    )
+
+__all__ = [
+    "Analysis",
+    "BackgroundDiagnosis",
+    "CalibrationError",
+    "CanlogError",
+    "ClutchVerdict",
+    "Condition",
+    "ConfigError",
+    "DefinitionError",
+    "Delivery",
+    "DiagServiceError",
+    "ExtraMissingError",
+    "FolderAnalysis",
+    "IncompleteError",
+    "LiveDiagnosis",
+    "OutputError",
+    "PaperAnalysis",
+    "PublishError",
+    "ResultError",
+    "ResultTable",
+    "ShiftEstimate",
+    "ShiftResult",
+    "SourceError",
+    "Status",
+    "StoreError",
+    "analyze",
+    "analyze_by_paper",
+    "analyze_folders",
+    "calibrate",
+    "diagnose",
+    "expect_frames",
+    "expect_same_frames",
+    "expect_shifts",
+    "expect_verdict",
+    "inspect",
+    "propose_profile",
+    "read",
+]
+
+_HOMES = {
+    "canlog.errors": ("CanlogError", "DefinitionError", "ExtraMissingError", "OutputError", "SourceError"),
+    "clutch_model.errors": ("CalibrationError",),
+    "diag_service.api.analysis": ("Analysis", "analyze"),
+    "diag_service.api.background": ("BackgroundDiagnosis",),
+    "diag_service.api.choices": ("Delivery",),
+    "diag_service.api.expectations": ("expect_frames", "expect_same_frames", "expect_shifts", "expect_verdict"),
+    "diag_service.api.folders": ("FolderAnalysis", "analyze_folders"),
+    "diag_service.api.live": ("LiveDiagnosis", "diagnose"),
+    "diag_service.api.tables": ("ResultTable",),
+    "diag_service.api.workshop": (
+        "PaperAnalysis",
+        "analyze_by_paper",
+        "calibrate",
+        "inspect",
+        "propose_profile",
+        "read",
+    ),
+    "diag_service.diagnosis.records": ("ClutchVerdict", "Condition", "ShiftEstimate", "ShiftResult", "Status"),
+    "diag_service.errors": (
+        "ConfigError",
+        "DiagServiceError",
+        "IncompleteError",
+        "PublishError",
+        "ResultError",
+        "StoreError",
+    ),
+}
+__getattr__, __dir__ = _on_demand(__name__, _HOMES)

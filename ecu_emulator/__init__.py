@@ -1,8 +1,54 @@
 """The emulated vehicle: plant, sensors and controllers of a wet dual-clutch transmission on a CAN bus.
 
-Its modules load what they need and no more: the command line answers before the plant's compiler is loaded.
+    ecu_emulator.Emulator("case2", seed=7).record("drive.log")
+
+What is named here is imported when it is first used, and prints nothing (docs/python.md). The modules load what they
+need and no more: the command line answers before the plant's compiler is loaded.
 """
 
-__all__ = ["__version__"]
+import typing
+
+from canlog.on_demand import on_demand as _on_demand
+
+if typing.TYPE_CHECKING:
+    from ecu_emulator.api.choices import Answers
+    from ecu_emulator.api.emulator import Emulator
+    from ecu_emulator.commands import Recording
+    from ecu_emulator.errors import BusError, ConfigError, EmulatorError, ExtraMissingError, RecordError
+    from ecu_emulator.faults import BusFault, SensorFault
+    from ecu_emulator.scenario import Scenario
+    from ecu_emulator.scenario_file import load_scenario, shipped_scenarios
+    from ecu_emulator.truth import TruthLog, read_truth
+
+__all__ = [
+    "Answers",
+    "BusError",
+    "BusFault",
+    "ConfigError",
+    "Emulator",
+    "EmulatorError",
+    "ExtraMissingError",
+    "RecordError",
+    "Recording",
+    "Scenario",
+    "SensorFault",
+    "TruthLog",
+    "__version__",
+    "load_scenario",
+    "read_truth",
+    "shipped_scenarios",
+]
 
 __version__ = "0.1.0"
+
+_HOMES = {
+    "ecu_emulator.api.choices": ("Answers",),
+    "ecu_emulator.api.emulator": ("Emulator",),
+    "ecu_emulator.commands": ("Recording",),
+    "ecu_emulator.errors": ("BusError", "ConfigError", "EmulatorError", "ExtraMissingError", "RecordError"),
+    "ecu_emulator.faults": ("BusFault", "SensorFault"),
+    "ecu_emulator.scenario": ("Scenario",),
+    "ecu_emulator.scenario_file": ("load_scenario", "shipped_scenarios"),
+    "ecu_emulator.truth": ("TruthLog", "read_truth"),
+}
+__getattr__, __dir__ = _on_demand(__name__, _HOMES)

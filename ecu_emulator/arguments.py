@@ -18,7 +18,12 @@ EXIT_TEXT: Final = (
 NS_PER_S: Final = 1_000_000_000
 DEFAULT_REVS: Final = "4,4"
 DEFAULT_ELM_PORT: Final = "35000"
+OIL_RANGE_DEGC: Final = (-15.0, 130.0)
+MASS_RANGE_KG: Final = (900.0, 3500.0)
+DELAY_RANGE_S: Final = (0.0, 3600.0)
 MOST_PARKED_S: Final = 86_400.0
+PARKED_RANGE_S: Final = (0.0, MOST_PARKED_S)
+LIVE_PARKED_S: Final = 10.0
 DEFAULT_START: Final = "2026-01-01T00:00:00Z"
 
 
@@ -72,9 +77,9 @@ _DRIVE: Final = (
     Option(
         "--oil-degc T",
         "temperature of the transmission oil when the drive begins; coolant and air are at most as warm",
-        _between(-15.0, 130.0, "degC"),
+        _between(*OIL_RANGE_DEGC, "degC"),
     ),
-    Option("--mass-kg M", "override the mass of the car", _between(900.0, 3500.0, "kg")),
+    Option("--mass-kg M", "override the mass of the car", _between(*MASS_RANGE_KG, "kg")),
     Option(
         "--routine [OPEN[,CLOSED]]",
         "begin with the workshop routine: so many revs in neutral with open, then with closed clutches "
@@ -117,12 +122,12 @@ _RUN: Final = Command(
         "start a diag-service beside the controller: testers are told what it finds (P0897, friction)",
     ),
     Option("--alive FILE", "touch this file while frames go out", FILE),
-    Option("--start-delay S", "wait before the first frame", _between(0.0, 3600.0, "s"), default="0"),
+    Option("--start-delay S", "wait before the first frame", _between(*DELAY_RANGE_S, "s"), default="0"),
     Option(
         "--parked S",
         "while the car is parked the bus is silent for at most this long; it cools down for all of its stay",
-        _between(0.0, MOST_PARKED_S, "s"),
-        default="10",
+        _between(*PARKED_RANGE_S, "s"),
+        default=f"{LIVE_PARKED_S:g}",
     ),
     examples=(
         f"{PROGRAM} run -i socketcan -c vcan0",
@@ -148,7 +153,7 @@ _RECORD: Final = Command(
     Option(
         "--parked S",
         "while the car is parked the log has a gap of at most this long (default: as long as it is parked)",
-        _between(0.0, MOST_PARKED_S, "s"),
+        _between(*PARKED_RANGE_S, "s"),
         default=str(MOST_PARKED_S),
         show_default=False,
     ),

@@ -6,9 +6,10 @@ import queue
 import socket
 import threading
 import time
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
-from typing import Final, Protocol
+from itertools import pairwise
+from typing import Any, Final, Protocol
 
 import can
 import numpy as np
@@ -72,8 +73,8 @@ class _Transmitter:
 
     def send_chunk(self, chunk: EncodedFrames, start_s: float) -> None:
         """Send frames when they are due; those due at the same instant go out together."""
-        firsts = np.flatnonzero(np.diff(chunk.t_s, prepend=-np.inf)).tolist()
-        for first, end in zip(firsts, [*firsts[1:], len(chunk)], strict=True):
+        bounds = [*np.flatnonzero(np.diff(chunk.t_s, prepend=-np.inf)).tolist(), len(chunk)]
+        for first, end in pairwise(bounds):  # none where a fault has taken every frame
             messages = to_messages(chunk[first:end])
             due_s = float(chunk.t_s[first])
             deadline_s = start_s + due_s
@@ -247,11 +248,17 @@ def to_messages(frames: EncodedFrames) -> list[can.Message]:
 
 
 def open_bus(
-    interface: str | None = None, channel: str | None = None, bitrate: int | None = None, *, fd: bool = False
+    interface: str | None = None,
+    channel: str | None = None,
+    bitrate: int | None = None,
+    *,
+    fd: bool = False,
+    options: Mapping[str, Any] = opening.NOTHING,
 ) -> can.BusABC:
     """Open a bus; what is not given comes from CAN_INTERFACE, CAN_CHANNEL and can.conf, as with python-can's tools.
 
-    ``udp_multicast`` keeps to this machine unless ``hop_limit`` is configured.
+    ``udp_multicast`` keeps to this machine unless ``hop_limit`` is configured; ``options`` are more arguments of the
+    driver, such as its port.
 
     Raises
     ------
@@ -262,7 +269,7 @@ def open_bus(
     try:
         if interface == "socketcan" and channel:
             probe_socketcan(channel)
-        return opening.open_bus(interface, channel, bitrate, fd=fd)
+        return opening.open_bus(interface, channel, bitrate, fd=fd, options=options)
     except can.CanInterfaceNotImplementedError as exc:
         if interface is None:
             raise BusError("no CAN interface given: use -i and -c, CAN_INTERFACE and CAN_CHANNEL, or can.conf") from exc

@@ -4,7 +4,8 @@ import shutil
 import sys
 import textwrap
 import time
-from dataclasses import replace
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 from pathlib import Path
 from threading import Event
 
@@ -16,11 +17,11 @@ from ecu_emulator.record import LogFormat, open_log
 from ecu_emulator.recording import LONG_STRETCH_S, Drive
 from ecu_emulator.scenario import Ambient, FluidCondition, Routine, Scenario, Truth
 from ecu_emulator.scenario_file import load_scenario, shipped_scenarios
-from ecu_emulator.truth import TruthWriter, truth_path
+from ecu_emulator.truth import Totals, TruthWriter, truth_path
 
 
 def choose_scenario(
-    name_or_file: str,
+    name_or_file: str | Scenario,
     *,
     fluid: str | None,
     seed: int | None,
@@ -33,7 +34,7 @@ def choose_scenario(
     mass_kg: float | None = None,
     routine: tuple[int, int] | None = None,
 ) -> Scenario:
-    """Load a scenario and override what the command line names; ``routine`` counts open and closed revs.
+    """Load a scenario, unless it is one, and override what is named besides; ``routine`` counts open and closed revs.
 
     Colder oil makes coolant and air as cold: the car has stood there.
 
@@ -42,7 +43,7 @@ def choose_scenario(
     ConfigError
         If the scenario or an override cannot be used.
     """
-    scenario = load_scenario(name_or_file)
+    scenario = name_or_file if isinstance(name_or_file, Scenario) else load_scenario(name_or_file)
     if fluid is not None:
         scenario = replace(scenario, fluid=replace(scenario.fluid, condition=FluidCondition(fluid)))
     scenario = replace(
@@ -121,6 +122,104 @@ def hanging(head: str, text: str, width: int | None) -> str:
     return "\n".join(lines)
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Recording:
+    """A drive in a log.
+
+    Attributes
+    ----------
+    path, truth : Path
+        The log, and the file with the truth about it.
+    is_finished : bool
+        Whether it was driven to its end.
+    totals : Totals
+        Frames, shifts, events, and how long it took on the road [s].
+    took_s : float
+        How long it took to make [s].
+    vehicle_seed, drive_seed : int
+        With them the same drive can be recorded again.
+    """
+
+    path: Path
+    truth: Path
+    is_finished: bool
+    totals: Totals
+    took_s: float
+    vehicle_seed: int
+    drive_seed: int
+
+    @property
+    def speed_ratio(self) -> float:
+        """Time of driving over the time it took to make."""
+        return self.totals.driven_s / self.took_s
+
+    def to_record(self) -> dict[str, object]:
+        """Return what ``--json`` prints."""
+        return {
+            "file": str(self.path),
+            "truth": str(self.truth),
+            "finished": self.is_finished,
+            "frames": self.totals.frames,
+            "shifts": self.totals.shifts,
+            "events": self.totals.events,
+            "duration_s": self.totals.duration_s,
+            "speed_ratio": round(self.speed_ratio, 2),
+            "vehicle_seed": self.vehicle_seed,
+            "drive_seed": self.drive_seed,
+        }
+
+
+def write_log(
+    scenario: Scenario,
+    *,
+    path: Path,
+    log_format: str | None,
+    start_ns: int,
+    channel: str,
+    truth: Path | None,
+    longest_stay_s: float,
+    stop: Event,
+    show: Callable[[Totals, float], None] = lambda _totals, _took_s: None,
+) -> Recording:
+    """Write a drive to a log and the truth beside it; a request to stop ends both in order.
+
+    ``show`` is called now and then with what has been driven, and how long that took [s].
+
+    Raises
+    ------
+    ConfigError, RecordError
+        If the scenario's truth is not possible, or a file cannot be written.
+    """
+    truth_file = truth or truth_path(path)
+    if truth_file.absolute() == path.absolute():
+        raise ConfigError(f"log and truth cannot both be {path}")
+    drive = Drive(scenario, longest_stay_s)
+    began_s = time.perf_counter()
+    with (
+        open_log(
+            path, log_format=LogFormat(log_format) if log_format else None, start_ns=start_ns, channel=channel
+        ) as log,
+        TruthWriter(truth_file) as writer,
+    ):
+        writer.drive(drive.truth)
+        for stretch in drive.stretches(LONG_STRETCH_S):
+            log.write(stretch.frames)
+            writer.write(stretch.truths)
+            show(drive.totals, time.perf_counter() - began_s)
+            if stop.is_set():
+                break
+        writer.totals(drive.totals)
+    return Recording(
+        path=path,
+        truth=truth_file,
+        is_finished=drive.finished,
+        totals=drive.totals,
+        took_s=time.perf_counter() - began_s,
+        vehicle_seed=scenario.seed_of_vehicle,
+        drive_seed=scenario.seed_of_drive,
+    )
+
+
 def record(
     scenario: Scenario,
     *,
@@ -133,58 +232,23 @@ def record(
     is_json: bool,
     stop: Event,
 ) -> None:
-    """Write a drive to a log and the truth beside it; a request to stop ends both in order.
-
-    Raises
-    ------
-    ConfigError, RecordError
-        If the scenario's truth is not possible, or a file cannot be written.
-    """
+    """Write a drive to a log and say what it holds; raises what ``write_log`` raises."""
     console = people()
-    truth_file = truth or truth_path(path)
-    if truth_file.absolute() == path.absolute():
-        raise ConfigError(f"log and truth cannot both be {path}")
-    drive = Drive(scenario, longest_stay_s)
-    began_s = time.perf_counter()
-    with (
-        open_log(
-            path, log_format=LogFormat(log_format) if log_format else None, start_ns=start_ns, channel=channel
-        ) as log,
-        TruthWriter(truth_file) as writer,
-        ProgressLine(console, "preparing the plant") as progress,
-    ):
-        writer.drive(drive.truth)
-        for stretch in drive.stretches(LONG_STRETCH_S):
-            log.write(stretch.frames)
-            writer.write(stretch.truths)
-            progress.update(
-                driven_text(drive.totals.driven_s, drive.totals.shifts, drive.totals.events),
-                time.perf_counter() - began_s,
-            )
-            if stop.is_set():
-                break
-        writer.totals(drive.totals)
-    took_s = time.perf_counter() - began_s
-    totals = drive.totals
-    speed = totals.driven_s / took_s
-    state = "" if drive.finished else "stopped early: "
+    with ProgressLine(console, "preparing the plant") as progress:
+
+        def show(totals: Totals, took_s: float) -> None:
+            progress.update(driven_text(totals.driven_s, totals.shifts, totals.events), took_s)
+
+        made = write_log(
+            scenario, path=path, log_format=log_format, start_ns=start_ns, channel=channel, truth=truth,
+            longest_stay_s=longest_stay_s, stop=stop, show=show,
+        )  # fmt: skip
+    totals = made.totals
+    state = "" if made.is_finished else "stopped early: "
     console.print(
         f"{state}{path}: {totals.frames} frames, {totals.shifts} shifts, {totals.driven_s:.1f} s of driving "
-        f"in {took_s:.1f} s ({speed:.0f} x real time); truth in {truth_file}",
+        f"in {made.took_s:.1f} s ({made.speed_ratio:.0f} x real time); truth in {made.truth}",
         markup=False,
     )
     if is_json:
-        print_json(
-            {
-                "file": str(path),
-                "truth": str(truth_file),
-                "finished": drive.finished,
-                "frames": totals.frames,
-                "shifts": totals.shifts,
-                "events": totals.events,
-                "duration_s": totals.duration_s,
-                "speed_ratio": round(speed, 2),
-                "vehicle_seed": scenario.seed_of_vehicle,
-                "drive_seed": scenario.seed_of_drive,
-            }
-        )
+        print_json(made.to_record())

@@ -1,11 +1,11 @@
 """A drive onto a bus in real time, with the truth of every shift once its frames are on the bus."""
 
 import json
-from collections.abc import Iterator
+import logging
+from collections.abc import Callable
 from contextlib import AbstractContextManager, nullcontext
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass
 from pathlib import Path
-from queue import SimpleQueue
 from threading import Event
 from typing import TYPE_CHECKING, Final
 
@@ -17,13 +17,13 @@ from ecu_emulator.bus import TransmitReport, open_bus, transmit
 from ecu_emulator.control import ControlSocket
 from ecu_emulator.diagnostics.doip.listening import Place, parse_place
 from ecu_emulator.errors import ConfigError, RecordError
-from ecu_emulator.frames import EncodedFrames
 from ecu_emulator.other_senders import WORTH_SAYING, OtherSenders
 from ecu_emulator.progress import ProgressLine, driven_text, people, print_json
-from ecu_emulator.recording import SHORT_STRETCH_S, Drive
+from ecu_emulator.recording import Drive
 from ecu_emulator.scenario import OpinionFrom, Scenario
+from ecu_emulator.sent_truth import SentTruth
 from ecu_emulator.sign_of_life import SignOfLife
-from ecu_emulator.truth import ROTATED_BYTES, EventTruth, Happened, ShiftTruth, TruthWriter, known_at_s
+from ecu_emulator.truth import ROTATED_BYTES, TruthWriter
 
 if TYPE_CHECKING:
     from ecu_emulator.answering import Answering
@@ -65,60 +65,6 @@ class DiagnosticsChoice:
     has_service: bool = False  # whether a diag-service beside it tells it of its clutches
 
 
-class SentTruth:
-    """Hands a drive's frames to the bus and keeps back the truth of what happened until its frames have been sent."""
-
-    def __init__(self, drive: Drive, writer: TruthWriter | None) -> None:
-        self._drive = drive
-        self._writer = writer
-        self._ahead: SimpleQueue[Happened] = SimpleQueue()  # filled by the thread that drives
-        self._next: Happened | None = None
-        self.shift_count = 0
-        self.event_count = 0
-        self.sent_s = 0.0
-        if writer is not None:
-            writer.drive(drive.truth)
-
-    def frames(self) -> Iterator[EncodedFrames]:
-        """Drive, and yield what is to be sent; may run in a thread of its own."""
-        for stretch in self._drive.stretches(SHORT_STRETCH_S):
-            for truth in stretch.truths:
-                self._ahead.put(truth)
-            yield stretch.frames
-
-    def sent_until(self, t_s: float) -> None:
-        """Write what had happened by this scenario time [s]."""
-        self.sent_s = t_s
-        while True:
-            if self._next is None and not self._ahead.empty():
-                self._next = self._ahead.get()
-            if self._next is None or known_at_s(self._next) > t_s:
-                return
-            self._write(self._next)
-            self._next = None
-
-    def _write(self, truth: Happened) -> None:
-        if self._writer is not None:
-            self._writer.write([truth])
-        self.shift_count += isinstance(truth, ShiftTruth)
-        self.event_count += isinstance(truth, EventTruth)
-
-    def finish(self, report: TransmitReport) -> None:
-        """Write what is left, and the totals of what was sent."""
-        if report.is_complete:
-            self.sent_until(self._drive.totals.duration_s)
-        if self._writer is not None:
-            self._writer.totals(
-                replace(
-                    self._drive.totals,
-                    shifts=self.shift_count,
-                    events=self.event_count,
-                    duration_s=self.sent_s,
-                    frames=report.frames_sent,
-                )
-            )
-
-
 def run(
     scenario: Scenario,
     *,
@@ -140,6 +86,7 @@ def run(
     ConfigError, BusError, RecordError
         If the scenario's truth is not possible, the bus cannot be used, or a file cannot be written.
     """
+    logging.getLogger("can").setLevel(logging.CRITICAL)  # python-can logs what it raises, and more when a bus goes
     console = people()
     drive = Drive(scenario, longest_stay_s)
     most_bytes = ROTATED_BYTES if scenario.endless else None
@@ -148,34 +95,67 @@ def run(
         TruthWriter(truth, most_bytes=most_bytes) if truth is not None else nullcontext() as writer,
         ControlSocket(control, drive.add_fault) if control is not None else nullcontext(),
         ProgressLine(console, "preparing the plant") as progress,
-        _answering(bus, diagnostics, choice, scenario) as answering,
-        OtherSenders(
-            bus,
-            own_ids(),
-            lambda can_id: console.print(_mixed_bus_text(can_id), markup=False),
-            wanted_ids=answering.link.can_ids if answering is not None else (),
-            pass_on=answering.link.feed if answering is not None else lambda _: None,
-        ) as others,
     ):
         sent = SentTruth(drive, writer)
         _write_summary(summary, {})
         life = SignOfLife(alive) if alive is not None else None
-        for line in answering.places if answering is not None else ():
-            console.print(line, markup=False)
-        console.print(
-            f"{_drive_text(scenario)}, {_seeds_text(scenario)}: sending on {choice.name or bus.channel_info}",
-            markup=False,
-        )
 
         def show(sent_s: float, frame_count: int) -> None:
-            sent.sent_until(sent_s)
             if life is not None:
                 life.tell(frame_count)
             progress.update(
                 f"{driven_text(sent_s, sent.shift_count, sent.event_count)}, {frame_count} frames sent", sent_s
             )
 
-        report = transmit(answering or bus, sent.frames(), stop, start_delay_s=start_delay_s, on_progress=show)
+        result = send(
+            scenario, sent, bus, choice=choice, diagnostics=diagnostics, start_delay_s=start_delay_s, stop=stop,
+            say=lambda line: console.print(line, markup=False), show=show,
+        )  # fmt: skip
+    _write_summary(summary, result)
+    if is_json:
+        print_json(result)
+
+
+def send(
+    scenario: Scenario,
+    sent: SentTruth,
+    bus: can.BusABC,
+    *,
+    choice: BusChoice,
+    diagnostics: DiagnosticsChoice | None,
+    start_delay_s: float,
+    stop: Event,
+    say: Callable[[str], None],
+    show: Callable[[float, int], None],
+) -> dict[str, object]:
+    """Send a drive in real time and return how that went, as ``--json`` prints it.
+
+    ``say`` gets lines for people, ``show`` five times a second the scenario time [s] and the frames sent.
+
+    Raises
+    ------
+    ConfigError, BusError, RecordError
+        If the controller that answers testers cannot be used, the bus goes away, or a file cannot be written.
+    """
+    with (
+        _answering(bus, diagnostics, choice, scenario) as answering,
+        OtherSenders(
+            bus,
+            own_ids(),
+            lambda can_id: say(_mixed_bus_text(can_id)),
+            wanted_ids=answering.link.can_ids if answering is not None else (),
+            pass_on=answering.link.feed if answering is not None else lambda _: None,
+        ) as others,
+    ):
+        for line in answering.places if answering is not None else ():
+            say(line)
+        say(f"{_drive_text(scenario)}, {_seeds_text(scenario)}: sending on {choice.name or bus.channel_info}")
+
+        def progress(sent_s: float, frame_count: int) -> None:
+            sent.sent_until(sent_s)
+            show(sent_s, frame_count)
+
+        report = transmit(answering or bus, sent.frames(), stop, start_delay_s=start_delay_s, on_progress=progress)
         sent.finish(report)
     result = {
         "scenario": scenario.name,
@@ -189,13 +169,11 @@ def run(
     }
     if answering is not None:
         result["diagnostics"] = answering.outcome
-        console.print(answering.summary, markup=False)
-    console.print(_report_text(report), markup=False)
+        say(answering.summary)
+    say(_report_text(report))
     if others.frame_count >= WORTH_SAYING:
-        console.print(f"{others.frame_count} frames with the same identifiers came from another sender", markup=False)
-    _write_summary(summary, result)
-    if is_json:
-        print_json(result)
+        say(f"{others.frame_count} frames with the same identifiers came from another sender")
+    return result
 
 
 def _answering(

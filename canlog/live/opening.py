@@ -6,6 +6,7 @@ import struct
 import time
 from collections.abc import Mapping
 from functools import lru_cache
+from types import MappingProxyType
 from typing import Any, Final
 
 import can
@@ -24,12 +25,22 @@ TIMESPEC: Final = struct.Struct("@ll")
 ANCILLARY_BYTES: Final = socket.CMSG_SPACE(TIMESPEC.size)
 NS_PER_S: Final = 1e9
 _HANDLED: Final = frozenset({"interface", "channel"})
+NOTHING: Final[Mapping[str, Any]] = MappingProxyType({})
 
 SocketAddress = tuple[Any, ...]  # host and port, and two numbers more with IPv6
 
 
-def open_bus(interface: str | None, channel: str | None, bitrate: int | None, *, fd: bool = False) -> can.BusABC:
+def open_bus(
+    interface: str | None,
+    channel: str | None,
+    bitrate: int | None,
+    *,
+    fd: bool = False,
+    options: Mapping[str, Any] = NOTHING,
+) -> can.BusABC:
     """Open a bus; what is not given comes from CAN_INTERFACE, CAN_CHANNEL, CAN_CONFIG and can.conf.
+
+    ``options`` are further arguments of the driver, such as the port of a multicast bus.
 
     The interface ``udp_multicast`` keeps to this machine unless the configuration names a ``hop_limit``. No bus hears
     itself, whatever is configured.
@@ -39,17 +50,18 @@ def open_bus(interface: str | None, channel: str | None, bitrate: int | None, *,
     can.CanError, OSError, ValueError, TypeError, ImportError, RuntimeError
         If no bus is named, or it cannot be opened.
     """
-    can.set_logging_level("critical")  # python-can logs what it raises, and more when a half-made bus goes
-    options: dict[str, Any] = {"fd": True} if fd else {}  # what is not asked for is left to the driver
+    wanted: dict[str, Any] = dict(options)
+    if fd:  # what is not asked for is left to the driver
+        wanted["fd"] = True
     if bitrate is not None:
-        options["bitrate"] = bitrate
+        wanted["bitrate"] = bitrate
     named = {"interface": interface, "channel": channel}
-    found = can.util.load_config(config={**{key: name for key, name in named.items() if name}, **options})
+    found = can.util.load_config(config={**{key: name for key, name in named.items() if name}, **wanted})
     if found["interface"] == UDP_MULTICAST:
         return _multicast(found)
     if found.get("receive_own_messages"):
-        options["receive_own_messages"] = False
-    return can.Bus(channel, interface, **options)
+        wanted["receive_own_messages"] = False
+    return can.Bus(channel, interface, **wanted)
 
 
 def _multicast(found: Mapping[str, Any]) -> "MulticastBus":

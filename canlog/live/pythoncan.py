@@ -2,7 +2,8 @@
 
 import asyncio
 import threading
-from collections.abc import AsyncIterator, Sequence
+from collections.abc import AsyncIterator, Mapping, Sequence
+from typing import Any
 
 import can
 import numpy as np
@@ -32,14 +33,17 @@ US_PER_S = 1e6
 
 
 class PythonCanSource:
-    """Frames of an open python-can bus, which this object owns from now on.
+    """Frames of an open python-can bus, which this object owns from now on unless it is not ``is_owner``.
 
     python-can keeps times as floating-point seconds; they are rounded to whole microseconds. What an interface loses
     before python-can hands it over is not known, so ``kernel_dropped`` stays 0.
     """
 
-    def __init__(self, bus: can.BusABC, description: str, *, queue: FrameQueue | None = None) -> None:
+    def __init__(
+        self, bus: can.BusABC, description: str, *, queue: FrameQueue | None = None, is_owner: bool = True
+    ) -> None:
         self._bus = bus
+        self._is_owner = is_owner
         self.description = description
         self._queue = queue or FrameQueue()
         self._received = 0
@@ -75,7 +79,8 @@ class PythonCanSource:
         except (can.CanError, OSError, ValueError) as exc:
             error = SourceError(f"{self.description} cannot be read: {one_line(exc)}")
         finally:
-            self._bus.shutdown()
+            if self._is_owner:
+                self._bus.shutdown()
             self._queue.close(error)
 
     def _receive(self, timeout_s: float) -> list[can.Message]:
@@ -127,7 +132,14 @@ def frame_flags(message: can.Message) -> int:
     return FD_FLAG | (BRS_FLAG if message.bitrate_switch else 0) | (ESI_FLAG if message.error_state_indicator else 0)
 
 
-def open_bus(interface: str, channel: str | None, bitrate: int | None, *, fd: bool) -> can.BusABC:
+def open_bus(
+    interface: str,
+    channel: str | None,
+    bitrate: int | None,
+    *,
+    fd: bool,
+    options: Mapping[str, Any] = opening.NOTHING,
+) -> can.BusABC:
     """Open a python-can bus; ``udp_multicast`` keeps to this machine unless ``hop_limit`` is configured.
 
     Raises
@@ -136,7 +148,7 @@ def open_bus(interface: str, channel: str | None, bitrate: int | None, *, fd: bo
         If the interface is unknown, its driver is missing, or the channel cannot be opened.
     """
     try:
-        return opening.open_bus(interface, channel, bitrate, fd=fd)
+        return opening.open_bus(interface, channel, bitrate, fd=fd, options=options)
     except (can.CanError, OSError, ValueError, TypeError, ImportError, RuntimeError) as exc:
         raise SourceError(f"CAN interface {interface} {channel or ''} cannot be opened: {one_line(exc)}") from exc
 

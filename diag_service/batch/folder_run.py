@@ -3,16 +3,15 @@
 import hashlib
 import logging
 import os
-import sys
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import ExitStack
 from multiprocessing import get_context
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import TextIO
+from typing import Protocol, TextIO
 
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn, TransferSpeedColumn
@@ -35,8 +34,21 @@ from diag_service.settings.config import DiagnosisConfig
 POLL_S = 0.2  # how soon a request to stop is heard
 WAITING_PER_JOB = 2  # drives handed out ahead: a worker never waits, a stop never takes long
 LEFT_OUT_SCHEMA = "clutchdiag/left-out/v1"
-ACCOUNT_VERSION = "3"  # of what a journal keeps of a drive; entries of an older one are made anew
+ACCOUNT_VERSION = "4"  # of what a journal keeps of a drive; entries of an older one are made anew
 _LOG = logging.getLogger(__name__)
+
+
+class FolderListener(Protocol):
+    """Who hears of a run over folders."""
+
+    def leave_out(self, files: Sequence[LeftOut]) -> None:
+        """Hear which files are no drives, before the first one is analysed."""
+
+    def add(self, drive: Drive, entry: Entry) -> None:
+        """Hear what one drive said, as soon as it is done; those that were done before are not told again."""
+
+    def end(self, totals: Mapping[str, int], entries: Iterable[Entry]) -> None:
+        """Hear what became of all drives that are done, in the order in which they were found."""
 
 
 def analyse_folders(
@@ -45,10 +57,13 @@ def analyse_folders(
     *,
     output: Path | None,
     jobs: int | None,
-    as_json: bool,
+    listener: FolderListener,
     stop: Trigger,
+    is_shown: bool = False,
 ) -> None:
     """Analyse every drive that the paths stand for.
+
+    What workers warn of, and a bar of progress, go to standard error if ``is_shown``.
 
     With an output the run has a journal beside it, which survives a kill: started again, it goes on where it ended.
     Besides what reading and writing raise, there is StoppedError if it was stopped before every drive was done, and of
@@ -69,12 +84,11 @@ def analyse_folders(
         to_do = [drive for drive in drives if drive.key not in journal.done]
         if len(to_do) < len(drives):
             _LOG.log(NOTICE, "%d of %d drives were done before", len(drives) - len(to_do), len(drives))
-        lines = _Lines(sys.stdout, as_json=as_json)
-        lines.leave_out(found.left_out)
-        for drive, entry in _analysed(config, to_do, jobs, stop):
+        listener.leave_out(found.left_out)
+        for drive, entry in _analysed(config, to_do, jobs, stop, is_shown=is_shown):
             journal.add(entry)
-            lines.add(drive, entry)
-        totals = _conclude(journal, drives, output, lines)
+            listener.add(drive, entry)
+        totals = _conclude(journal, drives, output, listener)
     if config.is_strict and (idle := totals["idle"]):
         raise IncompleteError(f"{idle} of {len(drives)} drives have a log or a channel that contributed nothing")
 
@@ -94,7 +108,7 @@ def _journal_path(output: Path | None, stack: ExitStack) -> Path:
 
 
 def _analysed(
-    config: DiagnosisConfig, drives: Sequence[Drive], jobs: int, stop: Trigger
+    config: DiagnosisConfig, drives: Sequence[Drive], jobs: int, stop: Trigger, *, is_shown: bool
 ) -> Iterator[tuple[Drive, Entry]]:
     """Yield drives as they are done, in no order; when told to stop, those that were begun."""
     if not drives:
@@ -103,8 +117,8 @@ def _analysed(
     running: dict[Future[Entry], Drive] = {}
     context = get_context("spawn")  # threads and compiled code do not survive a fork
     with (
-        _progress(drives) as progress,
-        ProcessPoolExecutor(min(jobs, len(drives)), context, start_worker, (config,)) as pool,
+        _progress(drives, is_shown=is_shown) as progress,
+        ProcessPoolExecutor(min(jobs, len(drives)), context, start_worker, (config, is_shown)) as pool,
     ):
         task = progress.add_task("analysing", total=sum(drive.size_bytes for drive in drives), done=0, of=len(drives))
         done_count = 0
@@ -131,7 +145,7 @@ def _outcome(future: Future[Entry], drive: Drive) -> Entry:
         raise SourceError(f"a process died while it analysed {drive.name} or a drive beside it") from exc
 
 
-def _progress(drives: Sequence[Drive]) -> Progress:
+def _progress(drives: Sequence[Drive], *, is_shown: bool) -> Progress:
     """Return a bar on standard error: drives, bytes per second, time left; nothing where nobody watches."""
     console = Console(stderr=True)
     return Progress(
@@ -142,17 +156,17 @@ def _progress(drives: Sequence[Drive]) -> Progress:
         TimeRemainingColumn(),
         console=console,
         transient=True,
-        disable=not console.is_terminal or not drives,
+        disable=not is_shown or not console.is_terminal or not drives,
     )
 
 
-def _conclude(journal: Journal, drives: Sequence[Drive], output: Path | None, lines: "_Lines") -> Counter[str]:
+def _conclude(journal: Journal, drives: Sequence[Drive], output: Path | None, listener: FolderListener) -> Counter[str]:
     """Write the output, or say how to go on; return what became of the drives."""
     done = [drive for drive in drives if drive.key in journal.done]
     totals: Counter[str] = Counter()
     for drive in done:
         totals.update(_counts(journal.entry(drive.key)))
-    lines.end(totals)
+    listener.end(totals, (journal.entry(drive.key) for drive in done))
     if len(done) < len(drives):
         hint = "; the same command goes on" if output is not None else ""
         raise StoppedError(f"stopped early: {len(done)} of {len(drives)} drives are done{hint}")
@@ -175,7 +189,7 @@ def _counts(entry: Entry) -> dict[str, int]:
     return counts
 
 
-class _Lines:
+class FolderLines:
     """A line per drive on standard output: for people, or a JSON record per shift and drive."""
 
     def __init__(self, stream: TextIO, *, as_json: bool) -> None:
@@ -199,7 +213,7 @@ class _Lines:
             if self._as_json:
                 self._write(dump({"schema": LEFT_OUT_SCHEMA, "path": str(one.path), "reason": one.reason}))
 
-    def end(self, totals: Mapping[str, int]) -> None:
+    def end(self, totals: Mapping[str, int], entries: Iterable[Entry]) -> None:  # noqa: ARG002 - all were told before
         """Tell of all of them."""
         if not self._as_json:
             left_out = f", {self._left_out} files left out" if self._left_out else ""

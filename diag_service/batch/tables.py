@@ -51,8 +51,22 @@ def write_results(path: Path, entries: Iterable[Entry]) -> None:
 
 def columns() -> dict[str, str]:
     """Return the columns of the table and their types, from the schema of a shift result: nested keys by dots."""
-    description = schema(Channel.SHIFT.label)
-    return {"path": "string", "complete": BOOL_TYPE, **dict(_leaves(description, description))}
+    return {"path": "string", "complete": BOOL_TYPE, **record_columns(Channel.SHIFT)}
+
+
+def record_columns(channel: Channel) -> dict[str, str]:
+    """Return the columns that the records of a channel have as rows, and their types, from its schema."""
+    description = schema(channel.label)
+    return dict(_leaves(description, description))
+
+
+def drive_rows(
+    paths: Iterable[object], shifts: Iterable[JsonObject], *, is_complete: bool
+) -> Iterator[dict[str, object]]:
+    """Yield the rows of one drive, a shift each, with the ``columns`` of the table."""
+    path = legible(";".join(map(str, paths)))
+    for shift in shifts:
+        yield {"path": path, "complete": is_complete, **flattened(shift)}
 
 
 def flattened(record: Mapping[str, object], prefix: str = "") -> dict[str, object]:
@@ -92,11 +106,9 @@ def _leaves(table: Mapping[str, object], root: Mapping[str, object], prefix: str
 def _rows(entries: Iterable[Entry]) -> Iterator[dict[str, object]]:
     for entry in entries:
         paths = entry.drive["paths"]
-        path = ";".join(map(str, paths)) if isinstance(paths, list) else paths
         summary = entry.drive.get("summary")
-        is_complete = isinstance(summary, dict) and summary["complete"]
-        for shift in entry.shifts:
-            yield {"path": legible(str(path)), "complete": is_complete, **flattened(shift)}
+        is_complete = isinstance(summary, dict) and bool(summary["complete"])
+        yield from drive_rows(paths if isinstance(paths, list) else [paths], entry.shifts, is_complete=is_complete)
 
 
 def _write_json_lines(part: Path, entries: Iterable[Entry]) -> None:

@@ -1,6 +1,5 @@
 """One drive of many, in a process of its own: a fresh state, no store, no broker; records go back."""
 
-import asyncio
 import logging
 import os
 import signal
@@ -13,6 +12,7 @@ from multiprocessing import parent_process
 from canlog.errors import SourceError
 from diag_service.batch.drives import Drive
 from diag_service.batch.journal import Entry
+from diag_service.console.collecting import collected_notices
 from diag_service.console.notices import set_up_notices
 from diag_service.delivery import MemoryReporter
 from diag_service.diagnosis.results import shift_record
@@ -42,11 +42,22 @@ class Analyst:
         """Return the account of a drive and its shifts; a log that cannot be read gives the reason instead."""
         head: dict[str, object] = {"schema": DRIVE_SCHEMA, "paths": [str(path) for path in drive.paths]}
         try:
-            stream, reporter = self._run(drive)
+            with collected_notices() as notices:
+                stream, reporter = self._run(drive)
         except SourceError as exc:
-            return Entry(key=drive.key, drive={**head, "stream": None, "error": str(exc), "summary": None}, shifts=())
+            return Entry(
+                key=drive.key,
+                drive={**head, "stream": None, "error": str(exc), "summary": None, "notices": []},
+                shifts=(),
+            )
         (summary,) = reporter.summaries
-        account: dict[str, object] = {**head, "stream": stream, "error": None, "summary": summary_record(summary)}
+        account: dict[str, object] = {
+            **head,
+            "stream": stream,
+            "error": None,
+            "summary": summary_record(summary),
+            "notices": notices,
+        }
         results = (unjudged(one, summary.gaps) for one in reporter.results)  # the last one is taken for the drive's
         return Entry(key=drive.key, drive=account, shifts=tuple(map(shift_record, results)))
 
@@ -56,18 +67,19 @@ class Analyst:
         reporter = MemoryReporter()
         with closing(ResultStore.in_memory()) as store:
             session = Session(self.config, self._meaning.decoder(), store, stream, reporter)
-            asyncio.run(run_logs(logs, session, stop=Trigger(), outbox=None))
+            run_logs(logs, session, stop=Trigger())
         return stream, reporter
 
 
 _ANALYSTS: list[Analyst] = []  # of this process: one, made when it starts
 
 
-def start_worker(config: DiagnosisConfig) -> None:
-    """Prepare a process for drives: it leaves Ctrl-C to its parent and does not outlive it."""
+def start_worker(config: DiagnosisConfig, is_shown: bool) -> None:  # noqa: FBT001 - a pool hands arguments over by place
+    """Prepare a process for drives: it leaves Ctrl-C to its parent and does not outlive it; says what it warns of."""
     ignore(signal.SIGINT)
     threading.Thread(target=_end_with_parent, name="parent watch", daemon=True).start()
-    set_up_notices(0)
+    if is_shown:
+        set_up_notices(0)
     logging.getLogger("diag_service").setLevel(logging.WARNING)  # what is only notable the parent has said
     _ANALYSTS.append(Analyst(config))
 

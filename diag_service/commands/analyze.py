@@ -1,9 +1,11 @@
 """``diag-service analyze``: diagnose the logs of one drive, or folders of drives."""
 
+import sys
 from types import SimpleNamespace
 
 from diag_service.errors import ConfigError
 from diag_service.service import application, paper_run
+from diag_service.service.drive import insist
 from diag_service.service.stopping import Controls
 from diag_service.settings.config import diagnosis_config
 
@@ -21,8 +23,15 @@ def execute(options: SimpleNamespace, controls: Controls) -> None:
             )
         from diag_service.batch import folder_run  # noqa: PLC0415 - one drive needs none of it
 
+        lines = folder_run.FolderLines(sys.stdout, as_json=options.json)
         folder_run.analyse_folders(
-            diagnosis, options.logs, output=options.output, jobs=options.jobs, as_json=options.json, stop=controls.stop
+            diagnosis,
+            options.logs,
+            output=options.output,
+            jobs=options.jobs,
+            listener=lines,
+            stop=controls.stop,
+            is_shown=True,
         )
         return
     if options.jobs is not None:
@@ -32,6 +41,8 @@ def execute(options: SimpleNamespace, controls: Controls) -> None:
             raise ConfigError(
                 "the paper's method states no uncertainty: its results are shown, not stored or published"
             )
-        paper_run.run_paper(diagnosis, options.logs, controls, as_json=options.json)
+        paper_run.show_paper(diagnosis, options.logs, controls, as_json=options.json)
         return
-    application.run_recorded(diagnosis, options.logs, options.store, controls, as_json=options.json)
+    reporter = application.reporter_of(controls.stop, as_json=options.json)
+    summary = application.run_recorded(diagnosis, options.logs, options.store, reporter, controls.stop)
+    insist(summary.gaps, summary.contributions, is_strict=diagnosis.is_strict)

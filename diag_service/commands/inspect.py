@@ -48,17 +48,19 @@ class Inspection:
     links: dict[str, LinkErrors]  # of protected messages that were seen
     is_whole: bool
 
+    def to_json(self) -> str:
+        """Return what ``--json`` prints: one JSON object, on one line."""
+        return dump(inspection_record(self))
+
 
 def execute(options: SimpleNamespace, controls: Controls) -> None:
     """Inspect one log after the other; raises StoppedError if that was stopped."""
-    if options.bitrate <= 0:
-        raise ConfigError(f"the bit rate must be > 0, got {options.bitrate}")
     messages = open_database(options.dbc, is_lenient=options.lenient).messages
     console = PeopleConsole()
     for path in options.logs:
         inspection = inspect_log(path, messages, options.bitrate, controls.stop)
         if options.json:
-            sys.stdout.write(dump(inspection_record(inspection)) + "\n")
+            sys.stdout.write(inspection.to_json() + "\n")
         else:
             _show(inspection, options.bitrate, console)
         if not inspection.is_whole:
@@ -66,7 +68,12 @@ def execute(options: SimpleNamespace, controls: Controls) -> None:
 
 
 def inspect_log(path: Path, messages: Sequence[Message], bitrate: int, stop: Trigger) -> Inspection:
-    """Read a log once and return what it holds; raises SourceError if it cannot be read."""
+    """Read a log once and return what it holds.
+
+    Raises SourceError if it cannot be read, ConfigError if the bit rate is not above zero.
+    """
+    if bitrate <= 0:
+        raise ConfigError(f"the bit rate must be > 0, got {bitrate}")
     reader = read_log(path)
     meter = TrafficMeter(bitrate)
     protected = [message for message in messages if message_contract(message).data_id is not None]

@@ -72,16 +72,16 @@ class Survey:
                 yield f"  {one.signal}: {span}{''.join(f', {count} values {reason}' for reason, count in lost.items())}"
 
 
-def execute(options: SimpleNamespace, controls: Controls) -> None:
-    """Survey a log and write a profile whose comments say what there is."""
-    database = options.dbc or DBC_PATH
-    survey = Survey(Codec(open_database(options.dbc, is_lenient=options.lenient).messages, check_codes=True))
-    survey.add(options.log, controls.stop)
+def proposed_profile(log: Path, dbc: Path | None, stop: Trigger, *, is_lenient: bool) -> str:
+    """Return a profile, as the text of a TOML file, whose comments say what signals the log holds."""
+    database = dbc or DBC_PATH
+    survey = Survey(Codec(open_database(dbc, is_lenient=is_lenient).messages, check_codes=True))
+    survey.add(log, stop)
     best = candidates(survey.statistics())
     tier = tier_of(best.keys())
     reach = f"tier {tier:d} ({PURPOSE[tier]})" if tier else "no tier"
     remarks = [
-        f"Proposed for {options.log.name} and {database.name} by names, units and values: check every line.",
+        f"Proposed for {log.name} and {database.name} by names, units and values: check every line.",
         f"As it stands it reaches {reach}. {missing_for_next(best.keys())}",
         "",
         *(["The log ends before its own end."] if survey.is_cut else []),
@@ -89,4 +89,9 @@ def execute(options: SimpleNamespace, controls: Controls) -> None:
         *survey.listing(),
         "",
     ]
-    sys.stdout.write(profile_text(legible(options.log.stem), best, [legible(remark) for remark in remarks]))
+    return profile_text(legible(log.stem), best, [legible(remark) for remark in remarks])
+
+
+def execute(options: SimpleNamespace, controls: Controls) -> None:
+    """Survey a log and write a profile whose comments say what there is."""
+    sys.stdout.write(proposed_profile(options.log, options.dbc, controls.stop, is_lenient=options.lenient))

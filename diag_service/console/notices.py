@@ -34,4 +34,5 @@ def set_up_notices(verbosity: int) -> None:
     compiling = logging.getLogger(COMPILING)
     compiling.setLevel(level)  # a level of its own: workers that leave other notices to their parent tell of this
     announce_compiling(lambda line: compiling.log(NOTICE, "%s", line))
+    logging.getLogger("can").setLevel(logging.CRITICAL)  # python-can logs what it raises, and more
     logging.getLogger().handlers = [handler] if verbosity > 1 else [logging.NullHandler()]

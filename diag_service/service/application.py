@@ -5,7 +5,7 @@ import logging
 import os
 import sys
 import uuid
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import AbstractAsyncContextManager, AbstractContextManager, ExitStack, closing, suppress
 from dataclasses import replace
 from importlib.metadata import version
@@ -13,7 +13,7 @@ from pathlib import Path
 
 from rich.console import Console
 
-from canlog.live import BusOpener, ReadSchedule, supervise
+from canlog.live import BusOpener, ReadSchedule, SupervisedSource, supervise
 from canlog.notice import NOTICE
 from diag_service.console.terminal import PeopleConsole
 from diag_service.delivery import (
@@ -31,14 +31,15 @@ from diag_service.delivery.outbox import MetricsMessage
 from diag_service.diagnosis.results import ServiceStatus
 from diag_service.diagnosis.summary import Summary, frames_line
 from diag_service.service.controller_news import tell_controller
-from diag_service.service.drive import insist, open_drive, stream_of
+from diag_service.service.drive import open_drive, stream_of
 from diag_service.service.live import run_live
 from diag_service.service.monitor import Monitor
-from diag_service.service.recorded import run_logs
+from diag_service.service.recorded import run_logs, run_logs_and_send
 from diag_service.service.service_manager import ADDRESS_VARIABLE, ServiceManager
 from diag_service.service.session import Session, utc_now, versions_for
 from diag_service.service.snapshot import Board, Snapshot, SnapshotTaker
 from diag_service.service.stopping import Controls, Trigger
+from diag_service.service.tasks import run_to_end
 from diag_service.settings.config import BusConfig, DiagnosisConfig, PollConfig
 from diag_service.store import ResultStore
 from fleet_contract import Outgoing, config_message, metrics_message
@@ -52,7 +53,7 @@ def run_bus(config: DiagnosisConfig, bus: BusConfig, store_path: Path, controls:
     """Diagnose a live bus until it is told to stop."""
     decoder = config.interpretation().decoder()
     with closing(ResultStore.open(store_path, config.budget_bytes)) as store:
-        reporter = DetachedReporter(_reporter(controls.stop, as_json=as_json))
+        reporter = DetachedReporter(reporter_of(controls.stop, as_json=as_json))
         session = Session(config, decoder, store, None, reporter)
         asyncio.run(_run_bus(config, bus, store, session, controls))
 
@@ -66,13 +67,9 @@ def run_monitor(config: DiagnosisConfig, bus: BusConfig, controls: Controls) -> 
 
 
 def run_recorded(
-    config: DiagnosisConfig, paths: list[Path], store_path: Path | None, controls: Controls, *, as_json: bool
-) -> None:
-    """Diagnose the logs of a drive.
-
-    Raises StoppedError or IncompleteError if it was a part of the drive only, or of a strict run if a log or a channel
-    gave nothing, after that was told.
-    """
+    config: DiagnosisConfig, paths: Sequence[Path], store_path: Path | None, reporter: Reporter, stop: Trigger
+) -> Summary:
+    """Diagnose the logs of a drive; the summary says whether it was all of it."""
     meaning = config.interpretation()
     decoder = meaning.decoder()
     logs = open_drive(paths, is_strict=config.is_strict)
@@ -80,18 +77,27 @@ def run_recorded(
     with closing(
         ResultStore.in_memory() if store_path is None else ResultStore.open(store_path, config.budget_bytes)
     ) as store:
-        session = Session(config, decoder, store, stream, _reporter(controls.stop, as_json=as_json))
+        session = Session(config, decoder, store, stream, reporter)
+        outbox = outbox_of(config, store, session, is_live=False)
+        if outbox is None:
+            return run_logs(logs, session, stop=stop)
+        summary = run_to_end(run_logs_and_send(logs, session, stop=stop, outbox=outbox))
+        if summary.unpublished_count and store_path is None:
+            _LOG.warning("%d results were not delivered and are not kept; --store would", summary.unpublished_count)
+        return summary
 
-        async def run() -> Summary:
-            summary = await run_logs(
-                logs, session, stop=controls.stop, outbox=_outbox(config, store, session, is_live=False)
-            )
-            if summary.unpublished_count and store_path is None:
-                _LOG.warning("%d results were not delivered and are not kept; --store would", summary.unpublished_count)
-            return summary
 
-        summary = asyncio.run(run())
-    insist(summary.gaps, summary.contributions, is_strict=config.is_strict)
+async def open_live(config: BusConfig, session: Session) -> tuple[SupervisedSource, ReadSchedule]:
+    """Open a bus that is opened again whenever it was away; return it with the schedule that ``run_live`` is to fill.
+
+    Raises SourceError if it cannot be opened now.
+    """
+    filters = session.stages.decoder.kernel_filters if config.is_filtered else ()
+    schedule = ReadSchedule()
+    opener = BusOpener(
+        config.interface, config.channel, config.bitrate, fd=config.is_fd, filters=filters, schedule=schedule
+    )
+    return await supervise(opener), schedule
 
 
 async def _run_bus(
@@ -102,10 +108,7 @@ async def _run_bus(
     controls: Controls,
     onlooker: Callable[[Snapshot], None] = lambda _: None,
 ) -> None:
-    filters = session.stages.decoder.kernel_filters if bus.is_filtered else ()
-    schedule = ReadSchedule()
-    opener = BusOpener(bus.interface, bus.channel, bus.bitrate, fd=bus.is_fd, filters=filters, schedule=schedule)
-    source = await supervise(opener)
+    source, schedule = await open_live(bus, session)
     session.reporter.report(f"{source.description} for {config.vehicle}, results in {store.where}")
     now_s = asyncio.get_running_loop().time
     taker = SnapshotTaker(source, session, now_s(), bus.bitrate)
@@ -125,7 +128,7 @@ async def _run_bus(
             port = stack.enter_context(serving(bus.metrics, board))
             _LOG.log(NOTICE, "metrics on http://%s:%d/metrics", bus.metrics.host, port)
         manager.ready()
-        outbox = _outbox(config, store, session, is_live=True)
+        outbox = outbox_of(config, store, session, is_live=True)
         if bus.poll is not None:
             stack.enter_context(_poller(config.vehicle, bus, bus.poll, store, session, outbox))
         await run_live(
@@ -167,7 +170,9 @@ def _report_life(manager: ServiceManager, snapshot: Snapshot) -> None:
     manager.struggling(str(snapshot.stuck))
 
 
-def _reporter(stop: Trigger, *, as_json: bool) -> Reporter:
+def reporter_of(stop: Trigger, *, as_json: bool) -> Reporter:
+    """Return who shows a run on standard output; a reader who hangs up sets ``stop``."""
+
     def hang_up() -> None:
         discard()
         stop.set()
@@ -177,7 +182,8 @@ def _reporter(stop: Trigger, *, as_json: bool) -> Reporter:
     return PipeReporter(ConsoleReporter(PeopleConsole()), hang_up)
 
 
-def _outbox(config: DiagnosisConfig, store: ResultStore, session: Session, *, is_live: bool) -> Outbox | None:
+def outbox_of(config: DiagnosisConfig, store: ResultStore, session: Session, *, is_live: bool) -> Outbox | None:
+    """Return what sends the results of a session to the configured broker; None without one."""
     if config.broker is None:
         return None
     if danger := config.broker.exposure:

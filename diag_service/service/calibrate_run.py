@@ -107,11 +107,20 @@ def _go_on(stop: Trigger) -> None:
         raise StoppedError("stopped early: nothing was calibrated, no file was written")
 
 
-def run_calibrate(config: DiagnosisConfig, logs: Sequence[Path], path: Path, stop: Trigger, *, as_json: bool) -> None:
-    """Calibrate a vehicle from its logs, write its own calibration file and show what was found.
+@dataclass(frozen=True, slots=True, kw_only=True)
+class FoundCalibration:
+    """What the drives of a vehicle told about it, and from what they started."""
 
-    Raises ConfigError if the drives do not suffice, or the file cannot be written. Raises StoppedError if it was
-    stopped before the file was written.
+    found: SelfCalibration
+    start: Calibration
+    vehicle: str
+    gaps: tuple[Gap, ...]  # why the drives are not all there
+
+
+def calibrated(config: DiagnosisConfig, logs: Sequence[Path], stop: Trigger) -> FoundCalibration:
+    """Return what the logs of a vehicle say about it.
+
+    Raises ConfigError if the drives do not suffice, StoppedError if it was stopped.
     """
     start = config.calibration
     events = find_events(open_drive(logs), config.interpretation().decoder(), start, stop)
@@ -122,15 +131,26 @@ def run_calibrate(config: DiagnosisConfig, logs: Sequence[Path], path: Path, sto
     owner = None if config.vehicle == UNNAMED_VEHICLE else config.vehicle
     calibration = replace(found.calibration, made_on=events.last_day, vehicle=owner)
     _go_on(stop)
-    _write(path, calibration)
-    found = replace(found, calibration=calibration)
+    return FoundCalibration(
+        found=replace(found, calibration=calibration), start=start, vehicle=config.vehicle, gaps=events.gaps
+    )
+
+
+def run_calibrate(config: DiagnosisConfig, logs: Sequence[Path], path: Path, stop: Trigger, *, as_json: bool) -> None:
+    """Calibrate a vehicle from its logs, write its own calibration file and show what was found.
+
+    Raises ConfigError if the drives do not suffice, or the file cannot be written. Raises StoppedError if it was
+    stopped before the file was written.
+    """
+    told = calibrated(config, logs, stop)
+    write_calibration(path, told.found.calibration)
     if as_json:
-        sys.stdout.write(dump(record(found, start, config.vehicle, events.gaps)) + "\n")
+        sys.stdout.write(dump(record(told.found, told.start, told.vehicle, told.gaps)) + "\n")
     else:
-        show(found, start, path, PeopleConsole(), events.gaps)
+        show(told.found, told.start, path, PeopleConsole(), told.gaps)
 
 
-def _write(path: Path, calibration: Calibration) -> None:
+def write_calibration(path: Path, calibration: Calibration) -> None:
     """Write a calibration file whole or not at all."""
     partial = path.with_name(f".{path.name}.{os.getpid()}.partial")
     try:

@@ -1,7 +1,8 @@
 """Recorded drives by the paper's method: a line per shift, a table of both clutches, no uncertainty and no verdict."""
 
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TextIO
 
@@ -21,9 +22,9 @@ from diag_service.diagnosis.friction.paper import (
 from diag_service.diagnosis.results import dump
 from diag_service.diagnosis.summary import Gap, frames_line, gaps_line
 from diag_service.service.drive import insist, open_drive
-from diag_service.service.recorded import replay
+from diag_service.service.recorded import Account, replay
 from diag_service.service.stages import Stages
-from diag_service.service.stopping import Controls
+from diag_service.service.stopping import Controls, Trigger
 from diag_service.settings.config import DiagnosisConfig
 from fleet_contract import JsonObject
 
@@ -31,20 +32,45 @@ PAPER_SCHEMA = "clutchdiag/paper/v1"
 _HEAD = f"{'shift':>5}  {'gears':<5} {'clutch':>6}  {'mu_C':>8} {'n':>4} {'mu_S':>8} {'n':>4}"
 
 
-def run_paper(config: DiagnosisConfig, paths: Sequence[Path], controls: Controls, *, as_json: bool) -> None:
-    """Analyse the shifts of a drive, tables for people or JSON lines; nothing is stored, judged or published.
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PaperRun:
+    """What a drive says by the paper's method."""
 
-    Raises StoppedError or IncompleteError as ``insist`` does, after all was told.
-    """
+    clutches: tuple[PooledClutch, ...]  # 1 and 2
+    account: Account
+
+
+def run_paper(
+    config: DiagnosisConfig,
+    paths: Sequence[Path],
+    stop: Trigger,
+    use: Callable[[PaperShift], None],
+    begin: Callable[[], None] = lambda: None,  # called when the logs are open
+) -> PaperRun:
+    """Call ``use`` with each shift of a drive; return what they say together and what became of the frames."""
     decoder = config.interpretation().decoder()
     stages = Stages(decoder, config.calibration, FilterState.fresh(config.calibration), ConditionMemory.fresh())
     collection = PaperCollection(config.calibration, nominal_driveline())
     logs = open_drive(paths, is_strict=config.is_strict)
+    begin()
+    account = replay(logs, stages, stop, lambda event: use(collection.add(event)))
+    return PaperRun(clutches=collection.pooled(), account=account)
+
+
+def show_paper(config: DiagnosisConfig, paths: Sequence[Path], controls: Controls, *, as_json: bool) -> None:
+    """Analyse the shifts of a drive, tables for people or JSON lines; nothing is stored, judged or published.
+
+    Raises StoppedError or IncompleteError as ``insist`` does, after all was told.
+    """
     output = sys.stdout if as_json else PeopleConsole()
-    if isinstance(output, PeopleConsole):
-        output.print(_HEAD, style="bold")
-    account = replay(logs, stages, controls.stop, lambda event: _show(collection.add(event), output))
-    _conclude(collection.pooled(), account.gaps, frames_line(account.frames), output)
+
+    def begin() -> None:
+        if isinstance(output, PeopleConsole):
+            output.print(_HEAD, style="bold")
+
+    run = run_paper(config, paths, controls.stop, lambda shift: _show(shift, output), begin)
+    account = run.account
+    _conclude(run.clutches, account.gaps, frames_line(account.frames), output)
     insist(account.gaps, account.contributions, is_strict=config.is_strict)
 
 

@@ -32,30 +32,37 @@ class Account:
     contributions: Contributions
 
 
-async def run_logs(logs: Sequence[OpenLog], session: Session, *, stop: Trigger, outbox: Outbox | None) -> Summary:
+def run_logs(logs: Sequence[OpenLog], session: Session, *, stop: Trigger) -> Summary:
     """Diagnose the logs of a drive, as ``open_drive`` put them; return the numbers.
 
     ``stop`` ends the analysis between two shifts; the shift that was open is not reported, so that a later analysis
-    of the same logs takes it up. What is said of a part of a drive has no verdict, and the broker hears no state.
+    of the same logs takes it up. What is said of a part of a drive has no verdict.
     """
+    return _finish(replay(logs, session.stages, stop, session.process), session, None)
+
+
+async def run_logs_and_send(logs: Sequence[OpenLog], session: Session, *, stop: Trigger, outbox: Outbox) -> Summary:
+    """Do as ``run_logs``, and send the results meanwhile; of a part of a drive the broker hears no state."""
     loop = asyncio.get_running_loop()
     unpublished_count: int | None = None
 
     def process(event: Event) -> None:
         session.process(event)
-        if outbox is not None:
-            loop.call_soon_threadsafe(outbox.nudge)
+        loop.call_soon_threadsafe(outbox.nudge)
 
     try:
         async with asyncio.TaskGroup() as tasks:
-            sender = None if outbox is None else tasks.create_task(outbox.run(), name="outbox")
+            sender = tasks.create_task(outbox.run(), name="outbox")
             account = await asyncio.to_thread(replay, logs, session.stages, stop, process)
-            if outbox is not None and sender is not None:
-                if not account.gaps:
-                    outbox.release_states()
-                unpublished_count = await outbox.close(sender)
+            if not account.gaps:
+                outbox.release_states()
+            unpublished_count = await outbox.close(sender)
     except BaseExceptionGroup as group:
         raise first_error(group) from group
+    return _finish(account, session, unpublished_count)
+
+
+def _finish(account: Account, session: Session, unpublished_count: int | None) -> Summary:
     warn_of_slow_messages(session.stages)
     SenderWatch().warn(account.frames)
     return session.finish(account.frames, unpublished_count, account.gaps, account.contributions)

@@ -120,7 +120,7 @@ def diagnosis_config(options: SimpleNamespace) -> DiagnosisConfig:
         return config
     return replace(
         config,
-        broker=_broker(options),
+        broker=broker_of(options),
         acknowledge=Acknowledge(options.acknowledge),
         budget_bytes=None if options.store_budget is None else options.store_budget << 20,
     )
@@ -162,7 +162,7 @@ def vehicle_of(named: str | None, calibration: Calibration) -> str:
         raise ConfigError(f"the calibration's vehicle: {exc}") from exc
 
 
-def _broker(options: SimpleNamespace) -> BrokerAddress | None:
+def broker_of(options: SimpleNamespace) -> BrokerAddress | None:
     """Return where results are sent, with the certificates and the password for it."""
     try:
         tls = TlsFiles(authority=options.ca, certificate=options.cert, key=options.key)

@@ -8,7 +8,7 @@ from dataclasses import asdict
 
 import pytest
 
-from demo import medium
+from canlog.live import medium
 from tests.support.reach import FRAME_COUNT, Case, Reach
 
 IPV4, IPV6 = "239.74.163.2", "ff15:7079:7468:6f6e:6465:6d6f:6d63:6173"

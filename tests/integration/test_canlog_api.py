@@ -100,7 +100,7 @@ def test_a_table_is_pieced_together(drive: Path) -> None:
     )
     drive.write_text(lines, encoding="ascii")
     database = canlog.load_database(drive.with_name("car.dbc"))
-    log = canlog.Log(drive, database, max_cells=70)
+    log = canlog.Log([drive], database, max_cells=70)
     table = log.to_arrow(values="texts")
     assert table.num_rows == 900
     assert table["message"].num_chunks > 10

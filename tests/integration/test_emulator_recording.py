@@ -12,9 +12,9 @@ from canlog.e2e.profile1 import COUNTER_PERIOD, counter_of, crc_is_valid, data_i
 from dbc.contract import load_contract
 from ecu_emulator.errors import ConfigError
 from ecu_emulator.frames import EncodedFrames, merge
-from ecu_emulator.live import SentTruth
 from ecu_emulator.recording import ROAD_MESSAGES, Drive, frames_of
 from ecu_emulator.scenario import Fluid, FluidCondition, Routine, Truth
+from ecu_emulator.sent_truth import SentTruth
 from ecu_emulator.truth import TruthLog, TruthWriter, read_truth
 from tests.support.builders import drive_scenario
 

@@ -18,10 +18,10 @@ from ecu_emulator.driving.trip import Trip
 from ecu_emulator.driving.trips import PlannedTrip, trips
 from ecu_emulator.errors import ConfigError
 from ecu_emulator.frames import EncodedFrames, merge
-from ecu_emulator.live import SentTruth
 from ecu_emulator.plant.columns import Col
 from ecu_emulator.recording import Drive, Stretch
 from ecu_emulator.scenario import Ambient, Fluid, FluidCondition, Truth
+from ecu_emulator.sent_truth import SentTruth
 from ecu_emulator.signals import generator
 from ecu_emulator.truth import EventTruth, ShiftTruth, TripTruth, TruthWriter, read_truth
 from tests.support.builders import drive_scenario

@@ -2,10 +2,13 @@
 
 import contextlib
 import io
+import logging
 import signal
+from collections.abc import Iterator
 from pathlib import Path
 
 from diag_service.cli import main
+from diag_service.console.notices import OWN
 from tests.support.service import Ended
 
 
@@ -20,3 +23,19 @@ def ended(*words: str | Path) -> Ended:
         for number, handler in before.items():
             signal.signal(number, handler)
     return Ended(status=status, out=out.getvalue(), err=err.getvalue())
+
+
+@contextlib.contextmanager
+def never_a_program() -> Iterator[None]:
+    """Let our loggers be as in a process in which no command line has run."""
+    loggers = [logging.getLogger(name) for name in ("", "can", *OWN, *(f"{name}.compiling" for name in OWN))]
+    before = [(logger.handlers, logger.level, logger.propagate) for logger in loggers]
+    for logger in loggers[1:]:
+        logger.handlers, logger.propagate = [], True
+        logger.setLevel(logging.NOTSET)
+    try:
+        yield
+    finally:
+        for logger, (handlers, level, propagate) in zip(loggers, before, strict=True):
+            logger.handlers, logger.propagate = handlers, propagate
+            logger.setLevel(level)

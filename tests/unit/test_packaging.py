@@ -84,7 +84,14 @@ def test_both_programs_are_installed() -> None:
     installed = {entry.name: entry.value for entry in entry_points(group="console_scripts") if entry.dist is not None}
     wanted = project()["project"]["scripts"]
     assert {name: installed.get(name) for name in wanted} == wanted
-    assert all(callable(entry.load()) for entry in distribution("clutchdiag").entry_points)
+    scripts = [entry for entry in distribution("clutchdiag").entry_points if entry.group == "console_scripts"]
+    assert all(callable(entry.load()) for entry in scripts)
+
+
+def test_the_plugins_of_pytest_are_modules_with_fixtures() -> None:
+    plugins = project()["project"]["entry-points"]["pytest11"]
+    fixtures = {name for module in plugins.values() for name in vars(importlib.import_module(module))}
+    assert {"vcan_bus", "emulated_vehicle", "diagnosis"} <= fixtures
 
 
 def test_the_lock_names_no_machine() -> None:

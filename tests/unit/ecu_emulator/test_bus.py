@@ -134,6 +134,13 @@ def test_no_frames_at_all(stop: threading.Event) -> None:
     assert (report.frames_sent, report.is_complete) == (0, True)
 
 
+def test_a_stretch_of_which_every_frame_was_lost_ends_nothing(stop: threading.Event) -> None:
+    frames = quick_frames(10)
+    with AnsweringBus() as bus:
+        report = transmit(bus, [frames[:5], frames[5:5], frames[5:]], stop)
+    assert (report.frames_sent, report.is_complete) == (10, True)
+
+
 def test_messages_hold_what_the_columns_hold() -> None:
     frames = random_frames(200)
     messages = to_messages(frames)

@@ -2,10 +2,13 @@
 
 import json
 
+import can
 import pytest
 
-from demo import medium
-from demo.medium import open_medium
+from canlog.errors import SourceError
+from canlog.live import medium
+from canlog.live.medium import open_medium
+from tests.support.patience import HANG_S
 
 
 @pytest.fixture
@@ -73,3 +76,28 @@ def test_a_vcan_of_our_own_goes_with_us(monkeypatch: pytest.MonkeyPatch) -> None
         assert len(chosen.channel) <= 15  # the kernel's limit
         assert ("ip", "link", "set", chosen.channel, "up") in asked
     assert asked[-1] == ("ip", "link", "delete", chosen.channel)
+
+
+def test_another_program_opens_it_in_this_machine(monkeypatch: pytest.MonkeyPatch, commands: list[str]) -> None:
+    use(monkeypatch, has_can=False)
+    with open_medium() as chosen:
+        port = chosen.options["port"]
+        assert chosen.can_options == {
+            "interface": "udp_multicast", "channel": medium.MULTICAST_GROUP, "port": port, "hop_limit": 0,
+        }  # fmt: skip
+        assert not chosen.is_shared
+
+
+def test_a_vcan_that_was_asked_for_is_not_replaced(monkeypatch: pytest.MonkeyPatch, commands: list[str]) -> None:
+    use(monkeypatch, has_can=False)
+    with pytest.raises(SourceError, match=r"there is no vcan interface: .* no CAN"), medium.open_vcan():
+        pass
+
+
+def test_virtual_buses_are_apart() -> None:
+    first, second = medium.virtual("of a test"), medium.virtual("of a test")
+    with first.open() as near, first.open() as far, second.open() as other:
+        near.send(can.Message(arbitration_id=1))
+        assert far.recv(timeout=HANG_S) is not None
+        assert other.recv(timeout=0.0) is None
+        assert near.recv(timeout=0.0) is None

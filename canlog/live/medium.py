@@ -1,0 +1,172 @@
+"""A bus for programs and tests that need one: a vcan interface if the kernel offers one, else UDP in this machine."""
+
+import json
+import os
+import shutil
+import socket
+import subprocess
+import uuid
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from types import MappingProxyType
+from typing import TYPE_CHECKING, Any
+
+from canlog.errors import SourceError
+
+if TYPE_CHECKING:
+    import can
+
+MULTICAST_GROUP = "239.74.163.2"  # administratively scoped, python-can's own choice
+MULTICAST, SOCKETCAN, VIRTUAL = "udp_multicast", "socketcan", "virtual"
+_PATIENCE_S = 10.0
+_SYSTEM_FOLDERS = ("/usr/local/sbin", "/usr/sbin", "/sbin")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Medium:
+    """A bus that several programs can open, and why it is this one.
+
+    Attributes
+    ----------
+    interface, channel : str
+        As python-can and the programs of this project name the bus.
+    explanation : str
+        Which bus it is and why no better one, for people.
+    options : Mapping of str to Any
+        What ``can.Bus`` must be given besides, such as a port.
+    is_shared : bool
+        Whether it was there before, so that others may use it too.
+    """
+
+    interface: str
+    channel: str
+    explanation: str
+    options: Mapping[str, Any] = field(default_factory=lambda: MappingProxyType({}))
+    is_shared: bool = False
+
+    @property
+    def arguments(self) -> tuple[str, ...]:
+        """The options of a command line that name it."""
+        return "-i", self.interface, "-c", self.channel
+
+    @property
+    def environment(self) -> Mapping[str, str]:
+        """The environment in which a program that is given ``arguments`` finds it."""
+        return {"CAN_CONFIG": json.dumps(dict(self.options))} if self.options else {}
+
+    @property
+    def can_options(self) -> dict[str, Any]:
+        """The arguments of ``can.Bus`` that open it, in any program: ``can.Bus(**medium.can_options)``."""
+        reach = {"hop_limit": 0} if self.interface == MULTICAST else {}  # in this machine, whoever opens it
+        return {"interface": self.interface, "channel": self.channel, **self.options, **reach}
+
+    def open(self) -> "can.BusABC":
+        """Return an end of the bus; it does not hear itself.
+
+        Raises
+        ------
+        SourceError
+            If it cannot be opened.
+        """
+        from canlog.live import pythoncan  # noqa: PLC0415 - python-can, which whoever only asks for a name does not need
+
+        return pythoncan.open_bus(self.interface, self.channel, None, fd=False, options=self.options)
+
+
+@contextmanager
+def open_medium() -> Iterator[Medium]:
+    """Return the best bus that this machine offers to several programs; one that was made for it goes with it."""
+    for module in ("can-raw", "vcan") if os.geteuid() == 0 else ():
+        _run("modprobe", "-q", module)
+    if not _has_can_sockets():
+        yield multicast("this kernel has no CAN")
+        return
+    own = f"vc{uuid.uuid4().hex[:8]}"  # names of interfaces end at 15 characters
+    if _run("ip", "link", "add", own, "type", "vcan") is not None:
+        try:
+            _run("ip", "link", "set", own, "up")
+            yield _vcan(own, "made for this run", is_shared=False)
+        finally:
+            _run("ip", "link", "delete", own)
+        return
+    found = _existing_vcan()
+    if found is None:
+        yield multicast("no vcan interface is up, and making one takes root")
+    else:
+        yield _vcan(found, "which is up already; making one of our own takes root", is_shared=True)
+
+
+@contextmanager
+def open_vcan() -> Iterator[Medium]:
+    """Return a vcan interface, made for this run or found.
+
+    Raises
+    ------
+    SourceError
+        If this kernel has no CAN, or there is no vcan interface and none may be made.
+    """
+    with open_medium() as medium:
+        if medium.interface != SOCKETCAN:
+            raise SourceError(f"there is no vcan interface: {medium.explanation}")
+        yield medium
+
+
+def multicast(why: str) -> Medium:
+    """Return multicast UDP inside this machine, on a port of its own: by it the kernel tells buses apart."""
+    port = _free_udp_port()
+    return Medium(
+        interface=MULTICAST,
+        channel=MULTICAST_GROUP,
+        explanation=f"multicast UDP {MULTICAST_GROUP}:{port} inside this machine, since {why}",
+        options={"port": port},  # no hop limit is named, so the frames stay in this machine
+    )
+
+
+def virtual(why: str) -> Medium:
+    """Return a bus of python-can within this process, with a name of its own."""
+    return Medium(interface=VIRTUAL, channel=f"bus-{uuid.uuid4().hex[:8]}", explanation=f"virtual, since {why}")
+
+
+def _vcan(name: str, why: str, *, is_shared: bool) -> Medium:
+    return Medium(interface=SOCKETCAN, channel=name, explanation=f"vcan interface {name}, {why}", is_shared=is_shared)
+
+
+def _has_can_sockets() -> bool:
+    try:
+        socket.socket(socket.AF_CAN, socket.SOCK_RAW, socket.CAN_RAW).close()
+    except OSError:
+        return False
+    return True
+
+
+def _existing_vcan() -> str | None:
+    """Return a vcan interface that is up; never one of real hardware, on which a car may hang."""
+    answer = _run("ip", "-json", "link", "show", "up", "type", "vcan")
+    names = [link["ifname"] for link in json.loads(answer or "[]") if "ifname" in link]
+    return str(names[0]) if names else None
+
+
+def _free_udp_port() -> int:
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+        probe.bind(("", 0))
+        return int(probe.getsockname()[1])
+
+
+def _run(program: str, *arguments: str) -> str | None:
+    """Return what a program of the system says, or None if it is missing or fails."""
+    path = shutil.which(program, path=os.pathsep.join((os.environ.get("PATH", os.defpath), *_SYSTEM_FOLDERS)))
+    if path is None:
+        return None
+    try:
+        answer = subprocess.run(  # noqa: S603 - constant programs, no shell
+            [path, *arguments],
+            stdin=subprocess.DEVNULL,
+            capture_output=True,
+            text=True,
+            check=True,
+            timeout=_PATIENCE_S,
+        )
+    except (OSError, subprocess.SubprocessError):
+        return None
+    return answer.stdout

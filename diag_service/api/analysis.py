@@ -1,0 +1,212 @@
+"""Recorded drives from Python: ``analyze`` and what it returns."""
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from html import escape
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Self
+
+from clutch_model.calibration import Calibration
+from diag_service.api.choices import AnyPath, AnyPaths, Delivery, configuration, optional_path, path_list
+from diag_service.api.tables import ResultTable
+from diag_service.batch.tables import columns, drive_rows, flattened, record_columns
+from diag_service.console.collecting import collected_notices
+from diag_service.delivery import MemoryReporter
+from diag_service.diagnosis.records import ClutchVerdict, ShiftResult
+from diag_service.diagnosis.results import dump, shift_record, verdict_from
+from diag_service.diagnosis.summary import Gap, Summary, summary_record, unjudged
+from diag_service.errors import ConfigError
+from diag_service.service import application
+from diag_service.service.drive import insist
+from diag_service.service.stopping import Trigger
+from fleet_contract import Channel
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Analysis:
+    """What the shifts of one drive say: everything that ``diag-service analyze`` shows.
+
+    Attributes
+    ----------
+    paths : tuple of Path
+        The logs, as they were named; none of a live bus.
+    results : tuple of ShiftResult
+        One for each shift, in their order, as they were found: the estimate of the shift alone, and the verdict on its
+        clutch after it. SI units; times are bus times in nanoseconds since the epoch.
+    summary : Mapping
+        The numbers of the run as the last line of ``--json`` has them: ``summary["frames"]["decoded"]``.
+    notices : tuple of str
+        What the program warns of on standard error, as far as the level of the loggers ``diag_service`` and ``canlog``
+        lets it through: faults of logs, slow messages, logs that contributed nothing.
+    """
+
+    paths: tuple[Path, ...]
+    results: tuple[ShiftResult, ...]
+    summary: Mapping[str, Any]
+    notices: tuple[str, ...] = ()
+
+    @classmethod
+    def of(
+        cls, paths: Sequence[Path], results: Sequence[ShiftResult], summary: Summary, notices: Sequence[str]
+    ) -> Self:
+        """Return the analysis that a run came to."""
+        return cls(paths=tuple(paths), results=tuple(results), summary=summary_record(summary), notices=tuple(notices))
+
+    @property
+    def vehicle(self) -> str:
+        """The id of the vehicle."""
+        return str(self.summary["vehicle"])
+
+    @property
+    def is_complete(self) -> bool:
+        """Whether the whole drive was seen; a part of one gets no verdict."""
+        return bool(self.summary["complete"])
+
+    @property
+    def frames(self) -> Mapping[str, Any]:
+        """What became of the frames: ``on_bus``, ``decoded``, ``ignored``, ``rejected`` by reason, ``missing``, ..."""
+        frames: Mapping[str, Any] = self.summary["frames"]
+        return frames
+
+    @property
+    def verdicts(self) -> dict[int, ClutchVerdict]:
+        """The verdict on each clutch, 1 and 2, after its last shift; a clutch without a shift is not there."""
+        return {int(record["clutch"]): verdict_from(record) for record in self.summary["clutches"]}
+
+    @property
+    def shifts(self) -> ResultTable:
+        """A row for each shift; the table that ``analyze -o`` writes."""
+        gaps = tuple(Gap(gap) for gap in self.summary["incomplete"])
+        records = (shift_record(unjudged(result, gaps)) for result in self.results)
+        return ResultTable(columns(), list(drive_rows(self.paths, records, is_complete=self.is_complete)))
+
+    @property
+    def clutches(self) -> ResultTable:
+        """A row for each clutch: its state after the drive."""
+        return ResultTable(record_columns(Channel.CLUTCH), [flattened(record) for record in self.summary["clutches"]])
+
+    def to_json(self) -> str:
+        """Return what ``--json`` prints: a line of JSON for each shift, then one with the summary."""
+        return "".join(f"{line}\n" for line in self._lines())
+
+    def plot(self, path: AnyPath | None = None) -> "Figure":
+        """Draw the friction of both clutches over the shifts, with its uncertainty and the verdicts.
+
+        Parameters
+        ----------
+        path
+            Where to write it as well: PNG, SVG or PDF, by the suffix.
+
+        Returns
+        -------
+        matplotlib.figure.Figure
+            A figure that no window or global state of matplotlib knows.
+
+        Raises
+        ------
+        ExtraMissingError
+            If matplotlib is not installed.
+        OutputError
+            If the file cannot be written.
+        """
+        from diag_service.api.picture import draw, save  # noqa: PLC0415 - matplotlib, an extra
+
+        figure = draw(self)
+        if path is not None:
+            save(figure, Path(path))
+        return figure
+
+    def __repr__(self) -> str:
+        return f"<diag_service.Analysis of {self._name}: {self._said}>"
+
+    def _repr_html_(self) -> str:
+        """Return what a notebook shows."""
+        warnings = "".join(f"<li>{escape(text)}</li>" for text in self.notices)
+        reasons = "".join(
+            f"<p>clutch {clutch}: {escape(verdict.reason)}</p>" for clutch, verdict in self.verdicts.items()
+        )
+        return f"<p><b>{escape(self._name)}</b>: {escape(self._said)}</p>{reasons}<ul>{warnings}</ul>"
+
+    def _lines(self) -> Iterator[str]:
+        yield from (dump(shift_record(result)) for result in self.results)
+        yield dump(dict(self.summary))
+
+    @property
+    def _name(self) -> str:
+        return ", ".join(map(str, self.paths)) or self.vehicle
+
+    @property
+    def _said(self) -> str:
+        words = [f"{len(self.results)} shifts"]
+        words += [
+            f"clutch {clutch} {verdict.condition.name.lower().replace('_', ' ')}"
+            for clutch, verdict in self.verdicts.items()
+        ]
+        return ", ".join(words if self.is_complete else [*words, "a part of the drive"])
+
+
+def analyze(
+    paths: AnyPaths,
+    *,
+    vehicle: str | None = None,
+    dbc: AnyPath | None = None,
+    profile: AnyPath | None = None,
+    calibration: Calibration | AnyPath | None = None,
+    store: AnyPath | None = None,
+    store_budget_mib: int | None = None,
+    delivery: Delivery | None = None,
+    is_strict: bool = False,
+    is_lenient: bool = False,
+) -> Analysis:
+    """Diagnose the logs of one drive, as ``diag-service analyze LOG...`` does.
+
+    Parameters
+    ----------
+    paths
+        One log, or several of the same drive in any order; their contents say which format each has.
+    vehicle
+        Its id; without one the calibration's, or ``vehicle``.
+    dbc
+        Message database, DBC, KCD, ARXML or SYM, ``FILE#BUS`` for one bus of several; without one the shipped one.
+    profile
+        Which signals are which: a TOML file or the name of a shipped profile; without one the shipped one that fits.
+    calibration
+        Of the vehicle or its type: a TOML file, or the value that ``calibrate`` returns; without one the nominal one.
+    store, store_budget_mib
+        SQLite file that keeps results and running state, and how large it may grow [MiB]; without one the drive is
+        judged for itself.
+    delivery
+        The broker that gets the results besides.
+    is_strict
+        Whether the first fault of a log is an error; else it is counted.
+    is_lenient
+        Whether items of a DBC file that cannot be right are left out, with a notice of each.
+
+    Raises
+    ------
+    ConfigError, DefinitionError, CalibrationError
+        If an argument, a database, a profile or a calibration cannot be used.
+    SourceError
+        If a log cannot be read or holds no frame; if ``is_strict``, also at its first fault.
+    IncompleteError
+        If ``is_strict`` and a log or a channel contributed nothing, or a log was cut. Otherwise a log that was cut
+        gives an analysis whose ``is_complete`` is false.
+    StoreError
+        If the store cannot be opened or written.
+    """
+    named = path_list(paths)
+    if folder := next((path for path in named if path.is_dir()), None):
+        raise ConfigError(f"{folder} is a folder, in which every log is a drive: analyze_folders")
+    with collected_notices() as notices:
+        config = configuration(
+            vehicle=vehicle, dbc=dbc, profile=profile, calibration=calibration, is_lenient=is_lenient,
+            is_strict=is_strict, delivery=delivery, store_budget_mib=store_budget_mib,
+        )  # fmt: skip
+        reporter = MemoryReporter()
+        summary = application.run_recorded(config, named, optional_path(store), reporter, Trigger())
+    if is_strict:
+        insist(summary.gaps, summary.contributions, is_strict=True)
+    return Analysis.of(named, reporter.results, summary, notices)

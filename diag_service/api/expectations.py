@@ -1,0 +1,190 @@
+"""What tests expect of an analysis and of frames; a failure says what there was instead."""
+
+from collections import defaultdict
+from collections.abc import Iterable, Mapping, Sequence
+from itertools import zip_longest
+from typing import TYPE_CHECKING, Protocol
+
+from diag_service.api.analysis import Analysis
+from diag_service.diagnosis.records import Condition, ShiftResult, Status
+
+if TYPE_CHECKING:
+    import can
+
+SHOWN_BYTES = 64
+
+
+class HasAnalysis(Protocol):
+    """A diagnosis that goes on."""
+
+    @property
+    def analysis(self) -> Analysis:
+        """What was found until now."""
+
+
+def expect_verdict(found: Analysis | HasAnalysis, clutch: int, *conditions: Condition | str) -> None:
+    """Fail unless the verdict on a clutch is one of these conditions, such as ``"good"``.
+
+    Raises
+    ------
+    AssertionError
+        With the verdict that there is and its reason, or that there is none on this clutch.
+    ValueError
+        If a condition is none.
+    """
+    wanted = [_condition(one) for one in conditions]
+    verdicts = _analysis(found).verdicts
+    names = " or ".join(_word(one) for one in wanted)
+    if clutch not in verdicts:
+        raise AssertionError(f"clutch {clutch} should be {names}, but no shift engaged it")
+    verdict = verdicts[clutch]
+    if verdict.condition not in wanted:
+        raise AssertionError(
+            f"clutch {clutch} should be {names}, but it is {_word(verdict.condition)}: {verdict.reason}"
+        )
+
+
+def expect_shifts(
+    found: Analysis | HasAnalysis, *, least: int, status: Status | str | None = Status.VALID
+) -> tuple[ShiftResult, ...]:
+    """Fail unless there are at least so many shifts of this status, by default valid ones; return them.
+
+    Raises
+    ------
+    AssertionError
+        With the shifts that there are, each with its status and reasons.
+    """
+    results = _analysis(found).results
+    kept = tuple(one for one in results if status is None or one.estimate.status == Status(status))
+    if len(kept) < least:
+        what = "" if status is None else f"{Status(status).value} "
+        raise AssertionError(f"there should be {least} {what}shifts or more, but there are: {_shift_words(results)}")
+    return kept
+
+
+def expect_frames(
+    found: Analysis | HasAnalysis, *, least: int = 1, rejected: int = 0, missing: int = 0, dropped: int = 0
+) -> None:
+    """Fail unless enough frames were decoded, and at most so many were bad.
+
+    Parameters
+    ----------
+    least
+        Frames of the known messages.
+    rejected
+        Frames that are not to be believed: a wrong CRC, a counter that stands or jumps, a wrong length, ...
+    missing
+        Frames that were sent and did not come, as the alive counters tell.
+    dropped
+        Frames that this machine was too slow for.
+
+    Raises
+    ------
+    AssertionError
+        With all of these numbers.
+    """
+    frames = _analysis(found).frames
+    counts = {
+        "rejected": (sum(frames["rejected"].values()), rejected),
+        "missing": (frames["missing"], missing),
+        "dropped": (frames["kernel_dropped"] + frames["queue_dropped"], dropped),
+    }
+    bad = [f"{count} {name} ({most} allowed)" for name, (count, most) in counts.items() if count > most]
+    if frames["decoded"] < least:
+        bad.insert(0, f"{frames['decoded']} decoded ({least} needed)")
+    if bad:
+        reasons = {reason: count for reason, count in frames["rejected"].items() if count}
+        raise AssertionError(f"of {frames['on_bus']} frames: {', '.join(bad)}; reasons: {reasons or 'none'}")
+
+
+def expect_same_frames(
+    sent: Iterable["can.Message"],
+    received: Iterable["can.Message"],
+    *,
+    can_ids: Iterable[int] | None = None,
+    unseen_at_end: int = 0,
+) -> None:
+    """Fail unless every frame that was sent was received with the same bytes, each identifier in its own order.
+
+    Parameters
+    ----------
+    can_ids
+        The identifiers that matter; without them all that were sent, and no others may have come.
+    unseen_at_end
+        How many of the last frames of an identifier may still be on their way.
+
+    Raises
+    ------
+    AssertionError
+        Naming the first frame of each identifier that was lost, altered or added, up to a few.
+    """
+    wanted = None if can_ids is None else frozenset(can_ids)
+    left, right = _payloads(sent, wanted), _payloads(received, wanted)
+    if not left:
+        raise AssertionError("no frame was sent that could be compared")
+    problems = [
+        text
+        for can_id in sorted(left.keys() | right.keys())
+        if (text := _difference(can_id, left.get(can_id, ()), right.get(can_id, ()), unseen_at_end))
+    ]
+    if problems:
+        raise AssertionError(f"{len(problems)} of {len(left)} identifiers differ: {'; '.join(problems[:4])}")
+
+
+def _payloads(messages: Iterable["can.Message"], wanted: frozenset[int] | None) -> Mapping[int, Sequence[bytes]]:
+    found: dict[int, list[bytes]] = defaultdict(list)
+    for message in messages:
+        if wanted is None or message.arbitration_id in wanted:
+            found[message.arbitration_id].append(bytes(message.data))
+    return found
+
+
+def _difference(can_id: int, sent: Sequence[bytes], received: Sequence[bytes], unseen_at_end: int) -> str:
+    """Return what happened to the first frame that is not as it was sent; empty if all are."""
+    if len(received) < len(sent) <= len(received) + unseen_at_end:
+        sent = sent[: len(received)]
+    pairs = enumerate(zip_longest(sent, received))
+    number = next((number for number, (left, right) in pairs if left != right), None)
+    if number is None:
+        return ""
+    left, after_left = [*sent[number : number + 2], None, None][:2]
+    right, after_right = [*received[number : number + 2], None, None][:2]
+    if left is not None and (left, right) == (after_right, after_left):
+        what = f"{_hex(left)} and {_hex(right)} came in the wrong order"
+    elif right is None or (right == after_left and right != after_right):
+        what = f"{_hex(left)} did not come"
+    elif left is None or left == after_right:
+        what = f"{_hex(right)} came and was not sent"
+    else:
+        what = f"{_hex(left)} came as {_hex(right)}"
+    return f"{can_id:X} ({len(sent)} sent, {len(received)} received), frame {number + 1}: {what}"
+
+
+def _hex(data: bytes | None) -> str:
+    return "-" if data is None else data[:SHOWN_BYTES].hex(" ").upper()
+
+
+def _analysis(found: Analysis | HasAnalysis) -> Analysis:
+    return found if isinstance(found, Analysis) else found.analysis
+
+
+def _condition(one: Condition | str) -> Condition:
+    if isinstance(one, Condition):
+        return one
+    try:
+        return Condition[one.upper().replace(" ", "_")]
+    except KeyError:
+        raise ValueError(f"{one!r} is no condition: {', '.join(_word(each) for each in Condition)}") from None
+
+
+def _word(condition: Condition) -> str:
+    return condition.name.lower().replace("_", " ")
+
+
+def _shift_words(results: Sequence[ShiftResult]) -> str:
+    words = [
+        f"{one.estimate.from_gear}-{one.estimate.to_gear} {one.estimate.status.value}"
+        + (f" ({', '.join(reason.value for reason in one.estimate.reasons)})" if one.estimate.reasons else "")
+        for one in results
+    ]
+    return ", ".join(words) or "none"

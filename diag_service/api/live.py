@@ -1,0 +1,281 @@
+"""A live bus from Python: ``async for result in diagnose(bus)``, or in the background of a program without a loop."""
+
+import asyncio
+from collections.abc import AsyncIterator, Callable
+from contextlib import closing, suppress
+from dataclasses import replace
+from types import TracebackType
+from typing import TYPE_CHECKING, Self
+
+from canlog.live import LiveSource, ReadSchedule
+from clutch_model.calibration import Calibration
+from diag_service.api.analysis import Analysis
+from diag_service.api.choices import AnyPath, Delivery, configuration, optional_path
+from diag_service.console.collecting import collected_notices
+from diag_service.delivery import News
+from diag_service.diagnosis.records import ShiftResult
+from diag_service.diagnosis.summary import FrameCounts, Summary
+from diag_service.errors import ConfigError
+from diag_service.service import application
+from diag_service.service.live import run_live
+from diag_service.service.session import Session
+from diag_service.service.snapshot import frame_counts
+from diag_service.service.stopping import Trigger
+from diag_service.settings.config import BusConfig, DiagnosisConfig
+from diag_service.store import ResultStore
+
+if TYPE_CHECKING:
+    import can
+
+    from diag_service.api.background import BackgroundDiagnosis
+
+MAX_WAITING = 1000  # results that whoever iterates may be behind
+
+
+class LiveDiagnosis:
+    """A bus that is being diagnosed; made by ``diagnose``.
+
+    Iterate over it with ``async for``, once; iteration ends after ``stop`` or ``duration_s``. Inside ``async with`` the
+    bus is listened to from the beginning of the block on, and no longer at its end. Nothing happens before either.
+
+    Attributes
+    ----------
+    results : list of ShiftResult
+        What was found until now.
+    left_out_count : int
+        Results that were not handed over, since whoever iterates was too far behind; they are in ``results``.
+    """
+
+    def __init__(
+        self,
+        config: DiagnosisConfig,
+        named: BusConfig,
+        *,
+        bus: "can.BusABC | None" = None,  # in place of the one that is named
+        store: AnyPath | None = None,
+    ) -> None:
+        self._config = config
+        self._named = named
+        self._bus = bus
+        self._store_path = optional_path(store)
+        self._stop = Trigger()
+        self._loop: asyncio.AbstractEventLoop | None = None
+        self._task: asyncio.Task[None] | None = None
+        self._waiting: asyncio.Queue[ShiftResult | None] = asyncio.Queue()
+        self._source: LiveSource | None = None
+        self._session: Session | None = None
+        self._is_listening = asyncio.Event()
+        self._is_iterated = False
+        self._is_told = False
+        self._summary: Summary | None = None
+        self._notices: list[str] = []
+        self.results: list[ShiftResult] = []
+        self.left_out_count = 0
+
+    @property
+    def description(self) -> str:
+        """Interface and channel, for people; empty before it listens."""
+        return "" if self._source is None else self._source.description
+
+    @property
+    def frames(self) -> FrameCounts:
+        """What became of the frames until now."""
+        if self._source is None or self._session is None:
+            return FrameCounts()
+        return frame_counts(self._source, self._session.stages)
+
+    @property
+    def analysis(self) -> Analysis:
+        """All results and numbers; of a diagnosis that goes on, those until now."""
+        summary = self._summary
+        if summary is None and self._session is not None:
+            summary = self._session.summary(self.frames, None)
+        if summary is None:
+            raise ConfigError("the bus is not listened to yet: there is nothing to tell")
+        return Analysis.of((), self.results, summary, self._notices)
+
+    def stop(self) -> None:
+        """End the diagnosis with what was received until now; any thread may call, a second call does nothing."""
+        self._stop.set()
+
+    def in_background(self) -> "BackgroundDiagnosis":
+        """Return the same for a program without an event loop: ``with diagnose(bus).in_background() as heard:``."""
+        from diag_service.api.background import BackgroundDiagnosis  # noqa: PLC0415 - it knows this class
+
+        return BackgroundDiagnosis(self)
+
+    async def __aenter__(self) -> Self:
+        await self._start()
+        return self
+
+    async def __aexit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        await self._end(is_failing=error is not None)
+
+    async def __aiter__(self) -> AsyncIterator[ShiftResult]:
+        """Iterate over the shifts as they are found; raises what ``diagnose`` names."""
+        if self._is_iterated:
+            raise ConfigError("a live diagnosis is iterated over once; its results are in `results`")
+        self._is_iterated = True
+        await self._start()
+        is_over = False
+        try:
+            while (result := await self._waiting.get()) is not None:
+                yield result
+            is_over = True
+        finally:
+            await self._end(is_failing=not is_over)
+
+    async def _start(self) -> None:
+        """Begin, unless that was done, and return when the bus is listened to; raises what prevents it."""
+        if self._task is not None:
+            return
+        self._loop = asyncio.get_running_loop()
+        self._task = asyncio.create_task(self._run(), name="live diagnosis")
+        listening = asyncio.create_task(self._is_listening.wait(), name="listening")
+        try:
+            await asyncio.wait({self._task, listening}, return_when=asyncio.FIRST_COMPLETED)
+        except asyncio.CancelledError:
+            await self._end(is_failing=True)  # nobody else will
+            raise
+        finally:
+            listening.cancel()
+        if self._task.done():
+            self._task.result()
+
+    async def _end(self, *, is_failing: bool) -> None:
+        """Stop and wait until all is stored; what went wrong is raised unless something else is on its way."""
+        self._stop.set()
+        if self._task is not None:
+            await asyncio.wait({self._task})
+            if not (is_failing or self._is_told):
+                self._is_told = True  # once, wherever it is waited for first
+                self._task.result()
+
+    async def _run(self) -> None:
+        try:
+            with collected_notices() as self._notices, closing(await asyncio.to_thread(self._open_store)) as store:
+                await self._diagnose(store)
+        finally:
+            self._waiting.put_nowait(None)
+
+    def _open_store(self) -> ResultStore:
+        if self._store_path is None:
+            return ResultStore.in_memory()
+        return ResultStore.open(self._store_path, self._config.budget_bytes)
+
+    async def _diagnose(self, store: ResultStore) -> None:
+        self._session = session = await asyncio.to_thread(self._new_session, store)
+        source, schedule = await self._open_bus(session)
+        self._source = source
+        self._is_listening.set()
+        self._summary = await run_live(
+            source,
+            session,
+            stop=self._stop,
+            counts_wanted=Trigger(),
+            outbox=application.outbox_of(self._config, store, session, is_live=True),
+            duration_s=self._named.duration_s,
+            schedule=schedule,
+        )
+
+    def _new_session(self, store: ResultStore) -> Session:
+        return Session(self._config, self._config.interpretation().decoder(), store, None, _Handing(self._hand_over))
+
+    async def _open_bus(self, session: Session) -> tuple[LiveSource, ReadSchedule]:
+        if self._bus is None:
+            return await application.open_live(self._named, session)
+        from canlog.live.pythoncan import PythonCanSource  # noqa: PLC0415 - SocketCAN does without python-can
+
+        return PythonCanSource(self._bus, str(self._bus.channel_info), is_owner=False), ReadSchedule()
+
+    def _hand_over(self, result: ShiftResult) -> None:
+        """Take a result in the thread that found it."""
+        self.results.append(result)
+        if self._loop is not None:
+            with suppress(RuntimeError):  # the loop is gone: nobody iterates any more
+                self._loop.call_soon_threadsafe(self._offer, result)
+
+    def _offer(self, result: ShiftResult) -> None:
+        if self._waiting.qsize() < MAX_WAITING:
+            self._waiting.put_nowait(result)
+        else:
+            self.left_out_count += 1
+
+
+class _Handing:
+    """Hands results over, as the reporter of a run."""
+
+    def __init__(self, use: Callable[[ShiftResult], None]) -> None:
+        self._use = use
+
+    def report(self, news: News) -> None:
+        """Hand over a result; all else can be asked for."""
+        if isinstance(news, ShiftResult):
+            self._use(news)
+
+
+def diagnose(
+    bus: "can.BusABC | None" = None,
+    *,
+    interface: str | None = None,
+    channel: str | None = None,
+    bitrate: int | None = None,
+    is_fd: bool = False,
+    is_only_mapped: bool = False,
+    duration_s: float | None = None,
+    vehicle: str | None = None,
+    dbc: AnyPath | None = None,
+    profile: AnyPath | None = None,
+    calibration: Calibration | AnyPath | None = None,
+    store: AnyPath | None = None,
+    store_budget_mib: int | None = None,
+    delivery: Delivery | None = None,
+    is_lenient: bool = False,
+) -> LiveDiagnosis:
+    """Diagnose a live bus, as ``diag-service run`` does.
+
+    Parameters
+    ----------
+    bus
+        An open bus of python-can, which is read from now on and not closed; or name one by the next arguments.
+    interface, channel, bitrate, is_fd
+        As python-can names them; what is not given comes from its environment variables and ``can.conf``. A bus that
+        was named is opened again whenever it was away.
+    is_only_mapped
+        Whether the kernel discards, uncounted, all messages that are not needed.
+    duration_s
+        When to stop [s].
+    store
+        SQLite file for results and running state; without one they are kept in memory.
+    vehicle, dbc, profile, calibration, store_budget_mib, delivery, is_lenient
+        As of ``analyze``.
+
+    Returns
+    -------
+    LiveDiagnosis
+        To be iterated over with ``async for``; or ``.in_background()``.
+
+    Raises
+    ------
+    ConfigError, CalibrationError
+        If an argument cannot be used.
+    SourceError, DefinitionError, StoreError
+        While iterating: if the bus cannot be opened or, when it was handed over open, fails; a database or the store
+        cannot be used.
+    """
+    named = BusConfig(
+        interface=interface, channel=channel, bitrate=bitrate, is_fd=is_fd, duration_s=duration_s,
+        is_filtered=is_only_mapped,
+    )  # fmt: skip
+    if bus is not None and replace(named, duration_s=None) != _UNNAMED:
+        raise ConfigError("a bus is either handed over open or named by interface and channel, not both")
+    config = configuration(
+        vehicle=vehicle, dbc=dbc, profile=profile, calibration=calibration, is_lenient=is_lenient, delivery=delivery,
+        store_budget_mib=store_budget_mib,
+    )  # fmt: skip
+    return LiveDiagnosis(config, named, bus=bus, store=store)
+
+
+_UNNAMED = BusConfig(interface=None, channel=None, bitrate=None, is_fd=False, duration_s=None)

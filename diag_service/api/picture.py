@@ -1,0 +1,86 @@
+"""The picture of an analysis: friction of each clutch over its shifts."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Final
+
+from canlog.errors import OutputError
+from canlog.extras import load_extra
+from diag_service.diagnosis.records import Condition, ShiftResult, Status
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+    from diag_service.api.analysis import Analysis
+
+SIZE_INCH: Final = (9.0, 6.0)
+BAND_STD: Final = 2.0
+STRIP: Final = (0.0, 0.04)  # of the height: where the verdicts stand
+MU_C_COLOUR: Final = "#c2410c"
+MU_S_COLOUR: Final = "#0f6cbd"
+CONDITION_COLOUR: Final = {
+    Condition.NO_VERDICT: "#9ca3af",
+    Condition.GOOD: "#15803d",
+    Condition.WATCH: "#d97706",
+    Condition.CHANGE_FLUID: "#b91c1c",
+}
+
+
+def draw(analysis: "Analysis") -> "Figure":
+    """Return the figure; ExtraMissingError if matplotlib is not installed."""
+    load_extra("matplotlib", "plot() needs matplotlib")
+    from matplotlib.figure import Figure  # noqa: PLC0415 - an extra
+    from matplotlib.patches import Patch  # noqa: PLC0415 - likewise
+
+    figure = Figure(figsize=SIZE_INCH, layout="constrained")
+    panels = figure.subplots(2, 1, sharex=True, sharey=True)
+    for clutch, axes in enumerate(panels, start=1):
+        _draw_clutch(axes, [one for one in analysis.results if one.estimate.clutch == clutch])
+        axes.set_title(f"clutch {clutch}", loc="left")
+        axes.set_ylabel("friction coefficient")
+    panels[-1].set_xlabel("shift; dots: single shifts, lines: all shifts combined, bands: 2 standard deviations")
+    handles = [Patch(color=colour, label=_words(condition)) for condition, colour in CONDITION_COLOUR.items()]
+    handles += [Patch(color=MU_C_COLOUR, label="mu_C"), Patch(color=MU_S_COLOUR, label="mu_S")]
+    figure.legend(handles=handles, loc="outside upper center", ncols=len(handles), frameon=False)
+    figure.suptitle(", ".join(path.name for path in analysis.paths) or analysis.vehicle)
+    return figure
+
+
+def save(figure: "Figure", path: Path) -> None:
+    """Write a figure; raises OutputError if the file cannot be written, or its suffix is of no picture."""
+    try:
+        figure.savefig(path)
+    except (OSError, ValueError) as exc:
+        reason = exc.strerror if isinstance(exc, OSError) else None
+        raise OutputError(f"cannot write {path}: {reason or exc}") from exc
+
+
+def _draw_clutch(axes: "Axes", results: list[ShiftResult]) -> None:
+    for colour, name in ((MU_C_COLOUR, "mu_c"), (MU_S_COLOUR, "mu_s")):
+        single = [
+            (one.estimate.number, getattr(one.estimate.friction, name), getattr(one.estimate.friction, f"std_{name}"))
+            for one in results
+            if one.estimate.status is Status.VALID and one.estimate.friction is not None
+        ]
+        if single:
+            numbers, values, stds = zip(*single, strict=True)
+            axes.errorbar(numbers, values, yerr=stds, fmt="o", ms=3.0, lw=0.8, color=colour, alpha=0.6)
+        running = [
+            (one.estimate.number, getattr(one.verdict.friction, name), getattr(one.verdict.friction, f"std_{name}"))
+            for one in results
+            if one.verdict.friction is not None
+        ]
+        if running:
+            numbers, values, stds = zip(*running, strict=True)
+            low, high = (
+                [value + sign * BAND_STD * std for value, std in zip(values, stds, strict=True)] for sign in (-1, 1)
+            )
+            axes.plot(numbers, values, color=colour, lw=1.6)
+            axes.fill_between(numbers, low, high, color=colour, alpha=0.15, lw=0.0)
+    for one in results:
+        colour = CONDITION_COLOUR[one.verdict.condition]
+        axes.axvspan(one.estimate.number - 0.5, one.estimate.number + 0.5, *STRIP, color=colour, lw=0.0)
+
+
+def _words(condition: Condition) -> str:
+    return condition.name.lower().replace("_", " ")

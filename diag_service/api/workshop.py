@@ -1,0 +1,156 @@
+"""What the other commands do, from Python: signals of logs, what a log holds, a vehicle's own calibration."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import canlog
+from canlog.whole_log import Log
+from clutch_model.calibration import Calibration
+from diag_service.api.choices import AnyPath, AnyPaths, configuration, optional_path, path_list
+from diag_service.commands.arguments import DEFAULT_BITRATE
+from diag_service.commands.inspect import Inspection, inspect_log
+from diag_service.commands.signals import proposed_profile
+from diag_service.console.collecting import collected_notices
+from diag_service.diagnosis.friction.paper import PaperShift, PooledClutch
+from diag_service.diagnosis.friction.self_calibration import SelfCalibration
+from diag_service.mapping.databases import open_database
+from diag_service.service.calibrate_run import calibrated, write_calibration
+from diag_service.service.drive import insist
+from diag_service.service.paper_run import run_paper
+from diag_service.service.stopping import Trigger
+
+
+def read(paths: AnyPaths, dbc: AnyPath | None = None, *, is_strict: bool = False, is_lenient: bool = False) -> Log:
+    """Return the frames of logs and their signals as arrays or tables, as ``diag-service decode`` writes them.
+
+    Parameters
+    ----------
+    paths
+        One log, or several, whose frames are put in the order of time.
+    dbc
+        Message database; without one the shipped one.
+    is_strict, is_lenient
+        As of ``analyze``.
+
+    Returns
+    -------
+    canlog.Log
+        ``.signals()`` for arrays by ``Message.Signal``, ``.to_pandas()``, ``.to_polars()``, ``.to_arrow()``;
+        ``.losses`` says what of the log is not in them. Values are in the units of the database.
+
+    Raises
+    ------
+    SourceError, DefinitionError
+        If a log or the database cannot be read.
+    """
+    with collected_notices():
+        database = open_database(optional_path(dbc), is_lenient=is_lenient)
+        return canlog.read(path_list(paths), database, is_strict=is_strict)
+
+
+def inspect(
+    path: AnyPath, dbc: AnyPath | None = None, *, bitrate: int = DEFAULT_BITRATE, is_lenient: bool = False
+) -> Inspection:
+    """Return what traffic a log holds, as ``diag-service inspect`` shows it.
+
+    Parameters
+    ----------
+    bitrate
+        That the bus load is told for [bit/s].
+    path, dbc, is_lenient
+        As of ``analyze``.
+
+    Raises
+    ------
+    SourceError, DefinitionError, ConfigError
+        If the log or the database cannot be read, or the bit rate is not above zero.
+    """
+    with collected_notices():
+        messages = open_database(optional_path(dbc), is_lenient=is_lenient).messages
+        return inspect_log(Path(path), messages, bitrate, Trigger())
+
+
+def propose_profile(path: AnyPath, dbc: AnyPath, *, is_lenient: bool = False) -> str:
+    """Return a profile for a vehicle as TOML text, proposed from a log and its database: ``diag-service signals``.
+
+    Raises
+    ------
+    SourceError, DefinitionError
+        If the log or the database cannot be read.
+    """
+    with collected_notices():
+        return proposed_profile(Path(path), Path(dbc), Trigger(), is_lenient=is_lenient)
+
+
+def calibrate(
+    paths: AnyPaths,
+    *,
+    output: AnyPath | None = None,
+    vehicle: str | None = None,
+    dbc: AnyPath | None = None,
+    profile: AnyPath | None = None,
+    calibration: Calibration | AnyPath | None = None,
+    is_lenient: bool = False,
+) -> SelfCalibration:
+    """Find one vehicle's sensor errors and inertia from its logs, as ``diag-service calibrate`` does.
+
+    Parameters
+    ----------
+    output
+        TOML file to write.
+    paths, vehicle, dbc, profile, calibration, is_lenient
+        As of ``analyze``; the logs may be of several drives of the one vehicle.
+
+    Returns
+    -------
+    SelfCalibration
+        ``.calibration`` is what ``analyze(calibration=...)`` takes; ``.std(name)`` is how sure each parameter is.
+
+    Raises
+    ------
+    ConfigError, DefinitionError, CalibrationError
+        If an argument cannot be used, the drives do not suffice, or the file cannot be written.
+    SourceError
+        If a log cannot be read, or there is no shift in them.
+    """
+    with collected_notices():
+        config = configuration(
+            vehicle=vehicle, dbc=dbc, profile=profile, calibration=calibration, is_lenient=is_lenient
+        )
+        found = calibrated(config, path_list(paths), Trigger()).found
+        if output is not None:
+            write_calibration(Path(output), found.calibration)
+        return found
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PaperAnalysis:
+    """What a drive says by the method of SAE 2015-01-1146, which states no uncertainty and gives no verdict."""
+
+    shifts: tuple[PaperShift, ...]
+    clutches: tuple[PooledClutch, ...]  # 1 and 2, all shifts together
+    is_complete: bool  # whether the whole drive was seen
+    notices: tuple[str, ...]
+
+
+def analyze_by_paper(
+    paths: AnyPaths,
+    *,
+    dbc: AnyPath | None = None,
+    profile: AnyPath | None = None,
+    calibration: Calibration | AnyPath | None = None,
+    is_strict: bool = False,
+    is_lenient: bool = False,
+) -> PaperAnalysis:
+    """Analyse the logs of one drive as ``diag-service analyze --estimator paper`` does; arguments as of ``analyze``."""
+    shifts: list[PaperShift] = []
+    with collected_notices() as notices:
+        config = configuration(
+            dbc=dbc, profile=profile, calibration=calibration, is_strict=is_strict, is_lenient=is_lenient
+        )
+        run = run_paper(config, path_list(paths), Trigger(), shifts.append)
+    if is_strict:
+        insist(run.account.gaps, run.account.contributions, is_strict=True)
+    return PaperAnalysis(
+        shifts=tuple(shifts), clutches=run.clutches, is_complete=not run.account.gaps, notices=tuple(notices)
+    )

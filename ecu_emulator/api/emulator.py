@@ -1,0 +1,313 @@
+"""The emulated vehicle from Python: ``Emulator`` drives on a bus or into a log, and prints nothing."""
+
+import os
+import time
+import uuid
+from collections.abc import Iterable, Mapping
+from contextlib import nullcontext
+from datetime import datetime
+from pathlib import Path
+from threading import Event, Thread
+from types import TracebackType
+from typing import Any, Final, Self
+
+import can
+
+from ecu_emulator.api.choices import (
+    Answers,
+    AnyFault,
+    AnyPath,
+    check_range,
+    check_word,
+    diagnostics_of,
+    fault_of,
+    ns_of,
+    with_faults,
+)
+from ecu_emulator.api.truth_memory import SharedTruth, TruthMemory
+from ecu_emulator.arguments import (
+    DELAY_RANGE_S,
+    LIVE_PARKED_S,
+    MASS_RANGE_KG,
+    MOST_PARKED_S,
+    OIL_RANGE_DEGC,
+    PARKED_RANGE_S,
+)
+from ecu_emulator.bus import open_bus
+from ecu_emulator.commands import Recording, choose_scenario, write_log
+from ecu_emulator.drive_names import DriveName
+from ecu_emulator.errors import ConfigError
+from ecu_emulator.live import BusChoice, send
+from ecu_emulator.record import DEFAULT_START_NS, LogFormat
+from ecu_emulator.recording import Drive
+from ecu_emulator.scenario import FluidCondition, Scenario
+from ecu_emulator.sent_truth import SentTruth
+from ecu_emulator.truth import ROTATED_BYTES, TruthLog, TruthWriter
+
+VIRTUAL: Final = "virtual"
+POLL_S: Final = 0.01
+
+
+class Emulator:
+    """An emulated vehicle with a wet dual clutch; what is not named is as the scenario has it.
+
+    ``with Emulator("case2", seed=7) as car:`` drives in real time on a bus, in threads of its own, from the beginning
+    of the block to its end; ``Emulator("case2").record("drive.log")`` writes a log faster than real time. The same
+    arguments give the same frames.
+
+    Parameters
+    ----------
+    scenario : str, path or Scenario
+        The name of one that ships (``ecu-emulator scenarios`` lists them), a TOML file, or the value itself.
+    interface, channel, bitrate, is_fd
+        The bus, as python-can names it. By default a ``virtual`` one in this process, with a name of its own.
+    options : Mapping, optional
+        More arguments of python-can's driver, such as ``{"port": 43113}``.
+    fluid : {"ideal", "case1", "case2", "ageing"}, optional
+        How far the fluid has gone.
+    seed, vehicle_seed, drive_seed : int, optional
+        From which car and drive are drawn; of both, or of one.
+    drive : {"cycle", "wltc", "udds", "hwfet", "us06", "city", "day"}, optional
+        What is driven.
+    cycles : int, optional
+        How often.
+    is_endless : bool
+        Whether it is driven again and again.
+    oil_degc, mass_kg : float, optional
+        Oil temperature when the drive begins, -15..130 degC; mass of the car, 900..3500 kg.
+    routine : tuple of int, optional
+        Revs in neutral before the drive, with open and with closed clutches.
+    faults : iterable of SensorFault, BusFault or Mapping
+        What goes wrong, besides what the scenario scripts; a mapping has the keys of a scenario's table, such as
+        ``{"kind": "loss", "share": 0.2, "start_s": 5}``.
+    truth : path, optional
+        File for the truth about every shift; ``.truth`` has it in any case. Of a log: by default beside it.
+    answers : Answers, optional
+        Whether the controller answers testers.
+    start_delay_s : float
+        Before the first frame on a bus.
+    parked_s : float, optional
+        For how long at most a parked car is shown [s]; by default 10 on a bus, all of it in a log.
+
+    Raises
+    ------
+    ConfigError
+        If an argument or the scenario cannot be used.
+    """
+
+    def __init__(
+        self,
+        scenario: str | AnyPath | Scenario = "ideal",
+        *,
+        interface: str = VIRTUAL,
+        channel: str | None = None,
+        bitrate: int | None = None,
+        is_fd: bool = False,
+        options: Mapping[str, Any] | None = None,
+        fluid: str | None = None,
+        seed: int | None = None,
+        vehicle_seed: int | None = None,
+        drive_seed: int | None = None,
+        drive: str | None = None,
+        cycles: int | None = None,
+        is_endless: bool = False,
+        oil_degc: float | None = None,
+        mass_kg: float | None = None,
+        routine: tuple[int, int] | None = None,
+        faults: Iterable[AnyFault] = (),
+        truth: AnyPath | None = None,
+        answers: Answers | None = None,
+        start_delay_s: float = 0.0,
+        parked_s: float | None = None,
+    ) -> None:
+        check_range("oil_degc", oil_degc, OIL_RANGE_DEGC)
+        check_range("mass_kg", mass_kg, MASS_RANGE_KG)
+        check_range("start_delay_s", start_delay_s, DELAY_RANGE_S)
+        check_range("parked_s", parked_s, PARKED_RANGE_S)
+        check_word("fluid", fluid, [one.value for one in FluidCondition])
+        check_word("drive", drive, [one.value for one in DriveName])
+        chosen = choose_scenario(
+            scenario if isinstance(scenario, Scenario) else os.fspath(scenario),
+            fluid=fluid, seed=seed, vehicle_seed=vehicle_seed, drive_seed=drive_seed, drive=drive, cycles=cycles,
+            is_endless=is_endless, oil_degc=oil_degc, mass_kg=mass_kg, routine=routine,
+        )  # fmt: skip
+        self.scenario: Final = with_faults(chosen, faults)
+        is_unnamed = interface == VIRTUAL and channel is None
+        self._choice = BusChoice(
+            interface=interface,
+            channel=f"vehicle-{uuid.uuid4().hex[:8]}" if is_unnamed else channel,
+            bitrate=bitrate,
+            is_fd=is_fd,
+        )
+        self._options = dict(options or {})
+        self._truth_path = None if truth is None else Path(truth)
+        self._diagnostics = diagnostics_of(answers)
+        self._start_delay_s = start_delay_s
+        self._parked_s = parked_s
+        self._stop = Event()
+        self._thread: Thread | None = None
+        self._drive: Drive | None = None
+        self._sent: SentTruth | None = None
+        self._memory = TruthMemory()
+        self._file: TruthWriter | None = None
+        self._result: Mapping[str, Any] | None = None
+        self._error: BaseException | None = None
+
+    def record(
+        self,
+        path: AnyPath,
+        *,
+        log_format: str | None = None,
+        start_time: datetime | None = None,
+        channel: str = "vcan0",
+    ) -> Recording:
+        """Write the drive to a log, faster than real time, and the truth beside it, as ``ecu-emulator record`` does.
+
+        Parameters
+        ----------
+        path
+            The log.
+        log_format : {"candump", "blf", "asc", "mf4", "trc", "csv", "gvret"}, optional
+            By default what the suffix says.
+        start_time
+            Of the first frame, UTC unless it says otherwise; by default the beginning of 2026.
+        channel
+            Name in the log, for formats that have one.
+
+        Raises
+        ------
+        ConfigError, RecordError
+            If an argument or the scenario's truth cannot be used, or a file cannot be written. ExtraMissingError, a
+            RecordError, if asammdf is not installed for MF4.
+        """
+        check_word("log_format", log_format, [one.value for one in LogFormat])
+        return write_log(
+            self.scenario,
+            path=Path(path),
+            log_format=log_format,
+            start_ns=DEFAULT_START_NS if start_time is None else ns_of(start_time),
+            channel=channel,
+            truth=self._truth_path,
+            longest_stay_s=MOST_PARKED_S if self._parked_s is None else self._parked_s,
+            stop=self._stop,
+        )
+
+    def __enter__(self) -> Self:
+        if self._thread is not None:
+            raise ConfigError("an emulator drives once; make another one")
+        self._drive = Drive(self.scenario, LIVE_PARKED_S if self._parked_s is None else self._parked_s)
+        bus = open_bus(
+            self._choice.interface, self._choice.channel, self._choice.bitrate, fd=self._choice.is_fd,
+            options=self._options,
+        )  # fmt: skip
+        try:
+            self._sent = SentTruth(self._drive, SharedTruth([self._memory, *self._open_file()]))
+        except BaseException:
+            bus.shutdown()
+            raise
+        self._thread = Thread(target=self._work, args=(bus, self._sent), name="emulator", daemon=True)
+        self._thread.start()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._stop.set()
+        self._running().join()
+        if error is None:
+            self._raise()
+
+    @property
+    def bus_arguments(self) -> dict[str, Any]:
+        """What ``can.Bus`` is to be given for another end of the bus: ``can.Bus(**car.bus_arguments)``."""
+        return {"interface": self._choice.interface, "channel": self._choice.channel, **self._options}
+
+    def open_bus(self) -> can.BusABC:
+        """Return another end of the bus, for the caller to close; raises BusError if it cannot be opened."""
+        return open_bus(
+            self._choice.interface, self._choice.channel, self._choice.bitrate, fd=self._choice.is_fd,
+            options=self._options,
+        )  # fmt: skip
+
+    @property
+    def truth(self) -> TruthLog:
+        """What was true of the shifts whose frames have been sent until now."""
+        return self._memory.log()
+
+    @property
+    def sent_s(self) -> float:
+        """How far the drive has come on the bus [s], as of a fifth of a second ago."""
+        return 0.0 if self._sent is None else self._sent.sent_s
+
+    @property
+    def is_driving(self) -> bool:
+        """Whether frames are still going out."""
+        return self._thread is not None and self._thread.is_alive()
+
+    @property
+    def result(self) -> Mapping[str, Any]:
+        """How the drive went, as ``ecu-emulator run --json`` prints it; raises ConfigError while it goes on."""
+        if self._result is None:
+            raise ConfigError("the drive is not over: stop() or wait() first")
+        return self._result
+
+    def add_fault(self, fault: AnyFault) -> None:
+        """Have something go wrong from now on; ``start_s`` counts from now.
+
+        Frames are made two seconds ahead: so long it may take until it is on the bus. Raises ConfigError if it cannot
+        happen.
+        """
+        if self._drive is None:
+            raise ConfigError("the car is not driving yet: name the fault among `faults`")
+        self._drive.add_fault(fault_of(fault))
+
+    def wait_until(self, t_s: float, timeout_s: float) -> None:
+        """Return when the frames up to a time of the drive [s] are sent; raises TimeoutError, or what ended it."""
+        deadline_s = time.monotonic() + timeout_s
+        while self.sent_s < t_s:
+            if not self.is_driving:
+                self._raise()
+                raise TimeoutError(f"the drive has ended after {self.sent_s:g} s")
+            if time.monotonic() > deadline_s:
+                raise TimeoutError(f"after {timeout_s:g} s the drive is at {self.sent_s:g} s")
+            time.sleep(POLL_S)
+
+    def wait(self, timeout_s: float | None = None) -> Mapping[str, Any]:
+        """Return ``result`` when all has been driven; raises TimeoutError if it has not by then, or what ended it."""
+        thread = self._running()
+        thread.join(timeout_s)
+        if thread.is_alive():
+            raise TimeoutError(f"after {timeout_s:g} s the drive is at {self.sent_s:g} s")
+        self._raise()
+        return self.result
+
+    def stop(self) -> Mapping[str, Any]:
+        """End the drive now and return ``result``; raises what ended it before."""
+        self._stop.set()
+        return self.wait()
+
+    def _open_file(self) -> tuple[TruthWriter, ...]:
+        """Return the file for the truth, if there is to be one; raises RecordError if it cannot be written."""
+        if self._truth_path is None:
+            return ()
+        self._file = TruthWriter(self._truth_path, most_bytes=ROTATED_BYTES if self.scenario.endless else None)
+        return (self._file,)
+
+    def _work(self, bus: can.BusABC, sent: SentTruth) -> None:
+        try:
+            with bus, self._file or nullcontext():
+                self._result = send(
+                    self.scenario, sent, bus, choice=self._choice, diagnostics=self._diagnostics,
+                    start_delay_s=self._start_delay_s, stop=self._stop, say=lambda _: None, show=lambda *_: None,
+                )  # fmt: skip
+        except BaseException as exc:  # noqa: BLE001 - carried to the thread that waits
+            self._error = exc
+
+    def _running(self) -> Thread:
+        if self._thread is None:
+            raise ConfigError("the car is not driving: use it in a with block")
+        return self._thread
+
+    def _raise(self) -> None:
+        if self._error is not None:
+            raise self._error

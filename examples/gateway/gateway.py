@@ -1,0 +1,64 @@
+"""A small CAN gateway: every frame of one bus goes out on another. It stands for a program of somebody else.
+
+    python gateway.py '{"interface": "socketcan", "channel": "can0"}' '{"interface": "socketcan", "channel": "can1"}'
+
+For the demonstration it can be made to have a fault: ``--fault drop`` forgets every fiftieth frame of an identifier,
+``--fault alter`` changes a bit in it, ``--fault swap`` sends it behind its successor.
+"""
+
+import argparse
+import json
+import signal
+import sys
+from collections import Counter
+
+import can
+
+FAULTS = ("none", "drop", "alter", "swap")
+EVERY = 50
+POLL_S = 0.1
+
+
+class Gateway:
+    """Forwards frames, and does with every fiftieth of an identifier what its fault says."""
+
+    def __init__(self, target: can.BusABC, fault: str) -> None:
+        self._target = target
+        self._fault = fault
+        self._counts: Counter[int] = Counter()
+        self._held: dict[int, can.Message] = {}
+
+    def forward(self, message: can.Message) -> None:
+        self._counts[message.arbitration_id] += 1
+        is_struck = self._counts[message.arbitration_id] % EVERY == 0
+        if is_struck and self._fault == "drop":
+            return
+        if is_struck and self._fault == "swap":
+            self._held[message.arbitration_id] = message
+            return
+        if is_struck and self._fault == "alter":
+            message.data[3] ^= 0x10
+        self._target.send(message)
+        if held := self._held.pop(message.arbitration_id, None):
+            self._target.send(held)
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description="Forwards every frame of one CAN bus to another.")
+    parser.add_argument("source", type=json.loads, help="arguments of can.Bus, as JSON")
+    parser.add_argument("target", type=json.loads, help="likewise")
+    parser.add_argument("--fault", choices=FAULTS, default="none")
+    options = parser.parse_args()
+    stopped = []
+    signal.signal(signal.SIGTERM, lambda *_: stopped.append(True))
+    with can.Bus(**options.source) as source, can.Bus(**options.target) as target:
+        gateway = Gateway(target, options.fault)
+        print("forwarding", flush=True)
+        while not stopped:
+            if (message := source.recv(timeout=POLL_S)) is not None:
+                gateway.forward(message)
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

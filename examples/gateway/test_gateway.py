@@ -1,0 +1,20 @@
+"""Does the gateway hand on what the transmission sends, so that its clutches can still be diagnosed behind it?"""
+
+from diag_service import expect_frames, expect_same_frames, expect_shifts, expect_verdict
+
+PATIENCE_S = 300  # a hang; the first gear change comes after three seconds
+
+
+def test_a_gear_change_can_be_diagnosed_behind_the_gateway(gateway, emulated_vehicle, diagnosis, recorded_frames):
+    sent, received = recorded_frames(gateway.near), recorded_frames(gateway.far)
+    behind = diagnosis(gateway.far)
+    car = emulated_vehicle("ideal", bus=gateway.near)
+    behind.wait_for(shift_count=1, timeout_s=PATIENCE_S)
+    car.stop()
+    received.wait_until_quiet(0.5, timeout_s=PATIENCE_S)
+    analysis = behind.stop()
+
+    expect_same_frames(sent.messages, received.messages)
+    expect_frames(analysis, least=1000)
+    expect_shifts(analysis, least=1)
+    expect_verdict(analysis, 2, "no verdict", "good")  # one shift is not much

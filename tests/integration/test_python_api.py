@@ -1,0 +1,346 @@
+"""``diag_service`` and ``ecu_emulator`` from Python: the same numbers as the programs, and no side effects."""
+
+import asyncio
+import logging
+import signal
+import subprocess
+import sys
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import can
+import polars as pl
+import pytest
+
+import diag_service
+import ecu_emulator
+from diag_service.api.live import LiveDiagnosis
+from tests.plugins.drives import SHIFT_COUNT, send_time_s
+from tests.support.in_process import ended, never_a_program
+from tests.support.patience import HANG_S
+
+_CHANNELS = iter(range(1_000_000))
+
+
+@contextmanager
+def virtual_bus() -> Iterator[tuple[can.BusABC, can.BusABC]]:
+    """Yield two ends of a bus; frames keep the times that they are sent with."""
+    channel = f"api-{next(_CHANNELS)}"
+    with (
+        can.Bus(channel, interface="virtual", preserve_timestamps=True) as near,
+        can.Bus(channel, interface="virtual") as far,
+    ):
+        yield near, far
+
+
+def messages(log: Path) -> list[can.Message]:
+    lines = log.read_bytes().splitlines()
+    found = []
+    for line in lines:
+        identifier, payload = line.split()[2].decode("ascii").split("#")
+        found.append(
+            can.Message(
+                timestamp=send_time_s(line), arbitration_id=int(identifier, 16), data=bytes.fromhex(payload),
+                is_extended_id=False,
+            )
+        )  # fmt: skip
+    return found
+
+
+@pytest.fixture(autouse=True)
+def _as_a_library() -> Iterator[None]:
+    with never_a_program():
+        yield
+
+
+def process_state() -> dict[str, object]:
+    """Return what a library must leave alone."""
+    loggers = [logging.getLogger(name) for name in ("", "can", "asyncio")]
+    return {
+        "signals": [signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM, signal.SIGUSR1)],
+        "loggers": [(logger.level, logger.handlers[:], logger.propagate) for logger in loggers],
+        "levels": [logging.getLogger(name).level for name in ("diag_service", "canlog", "ecu_emulator")],
+        "asammdf": sys.modules.get("asammdf", "not loaded"),
+        "threads": {thread.name for thread in threading.enumerate() if "live" in thread.name},
+    }
+
+
+def test_it_is_what_json_prints_and_disturbs_nothing(drive_log: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    before = process_state()
+    capsys.readouterr()
+    analysis = diag_service.analyze(drive_log, vehicle="car7")
+    assert capsys.readouterr() == ("", "")
+    assert process_state() == before
+    assert analysis.to_json() == ended("analyze", drive_log, "--vehicle", "car7", "--json").out
+    assert len(analysis.results) == SHIFT_COUNT
+    assert analysis.is_complete
+    assert analysis.vehicle == "car7"
+    assert sorted(analysis.verdicts) == [1, 2]
+    assert analysis.verdicts[2] == analysis.results[-1].verdict
+    assert analysis.frames["decoded"] == analysis.summary["frames"]["decoded"] > 0
+    assert repr(analysis).startswith(f"<diag_service.Analysis of {drive_log}: {SHIFT_COUNT} shifts, clutch 1 ")
+    assert str(drive_log) in analysis._repr_html_()
+    by_clutch = {row["clutch"]: row for row in analysis.clutches}
+    assert [by_clutch[clutch]["shift_count"] for clutch in (1, 2)] == [
+        analysis.verdicts[clutch].shift_count for clutch in (1, 2)
+    ]
+
+
+def test_the_table_is_the_one_that_is_written(drive_log: Path, tmp_path: Path) -> None:
+    folder, output = tmp_path / "logs", tmp_path / "results.parquet"
+    folder.mkdir()
+    (folder / "a.log").write_bytes(drive_log.read_bytes())
+    (folder / "b.log").write_bytes(drive_log.read_bytes()[:200_000])
+    (folder / "notes.txt").write_text("no log", encoding="utf-8")
+    folders = diag_service.analyze_folders(folder, output=output, jobs=1)
+    assert [len(drive.results) for drive in folders.drives] == [SHIFT_COUNT, len(folders.drives[1].results)]
+    assert folders.shifts.to_polars().to_dicts() == pl.read_parquet(output).to_dicts()
+    alone = diag_service.analyze(folder / "a.log")
+    assert list(alone.shifts) == list(folders.drives[0].shifts)
+    assert alone.to_json() == folders.drives[0].to_json()
+    assert list(folders.left_out) == [str(folder / "notes.txt")]
+    assert folders.unread == {}
+    assert "2 drives" in repr(folders)
+
+
+def test_a_part_of_a_drive_is_told_as_such(drive_log: Path, tmp_path: Path) -> None:
+    cut = tmp_path / "cut.log"
+    cut.write_bytes(drive_log.read_bytes()[:-9])
+    analysis = diag_service.analyze(cut)
+    assert not analysis.is_complete
+    assert {verdict.condition.name for verdict in analysis.verdicts.values()} == {"NO_VERDICT"}
+    assert set(analysis.shifts.column("verdict.condition")) == {"no_verdict"}
+    assert any("ends before its own end" in notice for notice in analysis.notices)
+    with pytest.raises(diag_service.SourceError, match=r"cut\.log"):
+        diag_service.analyze(cut, is_strict=True)
+
+
+def test_it_works_where_a_loop_runs(drive_log: Path) -> None:
+    async def cell() -> diag_service.Analysis:
+        return diag_service.analyze([drive_log])
+
+    assert len(asyncio.run(cell()).results) == SHIFT_COUNT
+
+
+def test_a_store_goes_on_where_it_ended(drive_log: Path, tmp_path: Path) -> None:
+    store = tmp_path / "car.sqlite"
+    first = diag_service.analyze(drive_log, store=store)
+    again = diag_service.analyze(drive_log, store=store)
+    assert first.summary["shifts"]["stored"] == again.summary["shifts"]["already_stored"] == SHIFT_COUNT
+    assert first.results == again.results
+
+
+def test_what_cannot_be_done_is_an_exception_with_the_words_of_the_program(drive_log: Path, tmp_path: Path) -> None:
+    missing = tmp_path / "missing.log"
+    with pytest.raises(diag_service.SourceError) as failure:
+        diag_service.analyze(missing)
+    with pytest.raises(diag_service.ConfigError, match="is a folder"):
+        diag_service.analyze(tmp_path)
+    with pytest.raises(diag_service.ConfigError, match="no log is named"):
+        diag_service.analyze([])
+    with pytest.raises(diag_service.ConfigError, match="no vehicle id"):
+        diag_service.analyze(drive_log, vehicle="../car")
+    with pytest.raises(diag_service.DefinitionError):
+        diag_service.analyze(drive_log, dbc=missing)
+    with pytest.raises(diag_service.CalibrationError):
+        diag_service.analyze(drive_log, calibration=missing)
+    with pytest.raises(diag_service.ConfigError, match="at least"):
+        diag_service.analyze(drive_log, store=tmp_path / "s.sqlite", store_budget_mib=0)
+    with pytest.raises(diag_service.ConfigError, match="acknowledge must be broker or backend"):
+        diag_service.analyze(
+            drive_log,
+            delivery=diag_service.Delivery(broker="mqtt://localhost", acknowledge="nobody"),  # type: ignore[arg-type]  # as a user may type it
+        )
+    with pytest.raises(diag_service.OutputError, match=r"cannot write .*picture\.xyz"):
+        diag_service.analyze(drive_log).plot(tmp_path / "picture.xyz")
+    ended("analyze", missing).assert_one_line(3, str(failure.value))
+
+
+def test_importing_it_loads_no_library() -> None:
+    program = (
+        "import sys, diag_service, ecu_emulator, ecu_emulator.pytest_plugin, diag_service.pytest_plugin\n"
+        "print([name for name in ('numpy', 'numba', 'cantools', 'can', 'click', 'asyncio') if name in sys.modules])\n"
+        "print(sorted(diag_service.__all__) == sorted(set(dir(diag_service)) & set(diag_service.__all__)))"
+    )
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
+    assert done.stdout.splitlines()[-1] == "True"
+    loaded = set(done.stdout.splitlines()[0].strip("[]").replace("'", "").split(", ")) - {"", "asyncio"}
+    assert loaded == set()
+
+
+def test_several_logs_are_read_in_the_order_of_time(drive_log: Path, tmp_path: Path) -> None:
+    lines = drive_log.read_bytes().splitlines(keepends=True)
+    halves = [tmp_path / "later.log", tmp_path / "earlier.log"]
+    halves[0].write_bytes(b"".join(lines[len(lines) // 2 :]) + b"no frame\n")
+    halves[1].write_bytes(b"".join(lines[: len(lines) // 2]))
+    whole, together = diag_service.read(drive_log), diag_service.read(halves)
+    assert together.frames.t_ns.tolist() == whole.frames.t_ns.tolist()
+    assert together.to_arrow() == whole.to_arrow()
+    assert together.counts.frames == len(lines)
+    assert len(together.losses) == 1
+    with pytest.raises(diag_service.ConfigError, match="no log is named"):
+        diag_service.read([])
+
+
+def test_the_other_commands(drive_log: Path) -> None:
+    assert diag_service.inspect(drive_log).to_json() + "\n" == ended("inspect", drive_log, "--json").out
+    dbc = Path(diag_service.__file__).parents[1] / "dbc" / "dct.dbc"
+    proposed = diag_service.propose_profile(drive_log, dbc)
+    assert proposed == ended("signals", drive_log, "--dbc", dbc).out
+    by_paper = diag_service.analyze_by_paper(drive_log)
+    assert len(by_paper.shifts) == SHIFT_COUNT
+    assert [clutch.clutch for clutch in by_paper.clutches] == [1, 2]
+    assert by_paper.is_complete
+    with pytest.raises(diag_service.ConfigError, match="bit rate must be > 0"):
+        diag_service.inspect(drive_log, bitrate=0)
+    with pytest.raises(diag_service.ConfigError, match="no self-calibration: "):
+        diag_service.calibrate(drive_log)
+
+
+async def until(live: LiveDiagnosis, count: int) -> list[diag_service.ShiftResult]:
+    """Return the first results."""
+    found: list[diag_service.ShiftResult] = []
+    async for result in live:
+        found.append(result)
+        if len(found) == count:
+            live.stop()
+    return found
+
+
+async def test_a_bus_says_what_its_recording_says(drive_log: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    recorded = diag_service.analyze(drive_log)
+    before = process_state()
+    with virtual_bus() as (near, far):
+        async with diag_service.diagnose(far, vehicle="car1") as live:
+            for message in messages(drive_log):
+                near.send(message)
+            async with asyncio.timeout(HANG_S):
+                results = await until(live, SHIFT_COUNT)
+        near.send(can.Message(arbitration_id=1))
+        assert far.recv(timeout=HANG_S) is not None  # it is still open
+    assert [result.estimate for result in results] == [result.estimate for result in recorded.results]
+    analysis = live.analysis
+    assert [row["status"] for row in analysis.shifts] == [row["status"] for row in recorded.shifts]
+    assert analysis.frames["on_bus"] == len(messages(drive_log))
+    assert analysis.frames["decoded"] == recorded.frames["decoded"]
+    assert live.left_out_count == 0
+    assert process_state() == before
+    assert capsys.readouterr() == ("", "")
+
+
+async def test_leaving_the_loop_or_being_cancelled_ends_it(drive_log: Path) -> None:
+    with virtual_bus() as (near, far):
+        for message in messages(drive_log):
+            near.send(message)
+        async with asyncio.timeout(HANG_S), diag_service.diagnose(far) as live:
+            async for _ in live:
+                break
+        assert live.analysis.summary["shifts"]["stored"] >= 1
+        with pytest.raises(diag_service.ConfigError, match="iterated over once"):
+            await until(live, 1)
+        for is_begun in (False, True):
+            quiet = diag_service.diagnose(far)
+            waiting = asyncio.create_task(until(quiet, 1))
+            await asyncio.sleep(0)
+            while is_begun and not quiet.description:  # noqa: ASYNC110 - it offers no event
+                await asyncio.sleep(0.01)
+            waiting.cancel()
+            with pytest.raises(asyncio.CancelledError):
+                await waiting
+    assert [task for task in asyncio.all_tasks() if task.get_name() == "live diagnosis"] == []
+
+
+async def test_what_ends_a_live_diagnosis_is_raised(tmp_path: Path) -> None:
+    with pytest.raises(diag_service.SourceError, match="carrier_pigeon"):
+        await until(diag_service.diagnose(interface="carrier_pigeon", channel="0"), 1)
+    with virtual_bus() as (_, far):
+        with pytest.raises(diag_service.ConfigError, match="handed over open or named"):
+            diag_service.diagnose(far, interface="virtual")
+        with pytest.raises(diag_service.ConfigError, match="not listened to yet"):
+            _ = diag_service.diagnose(far).analysis
+        with pytest.raises(diag_service.StoreError):
+            await until(diag_service.diagnose(far, store=tmp_path), 1)
+        async with diag_service.diagnose(far) as live:
+            far.shutdown()
+            with pytest.raises(diag_service.SourceError, match="cannot be read"):
+                await until(live, 1)
+
+
+def test_a_program_without_a_loop_listens_in_the_background(drive_log: Path, tmp_path: Path) -> None:
+    with virtual_bus() as (near, far):
+        live = diag_service.diagnose(far, store=tmp_path / "car.sqlite", duration_s=HANG_S)
+        with live.in_background() as heard:
+            for message in messages(drive_log):
+                near.send(message)
+            assert len(heard.wait_for(2, HANG_S)) >= 2
+            with pytest.raises(TimeoutError, match=f"{SHIFT_COUNT + 5} were waited for"):
+                heard.wait_for(SHIFT_COUNT + 5, 0.05)
+        analysis = heard.stop()
+        with pytest.raises(TimeoutError, match="the diagnosis has ended with"):
+            heard.wait_for(SHIFT_COUNT + 5, HANG_S)
+        with pytest.raises(diag_service.StoreError), diag_service.diagnose(far, store=tmp_path).in_background():
+            pass
+    assert len(analysis.results) >= 2
+    assert (tmp_path / "car.sqlite").exists()
+
+
+def test_an_emulator_records_what_the_program_records(cycle_log: Path, tmp_path: Path) -> None:
+    made = ecu_emulator.Emulator().record(tmp_path / "cycle.log")
+    assert made.path.read_bytes() == cycle_log.read_bytes()
+    assert made.truth.read_bytes() == cycle_log.with_name("cycle.log.truth.jsonl").read_bytes()
+    assert (made.totals.shifts, made.is_finished) == (10, True)
+
+
+def test_an_emulator_drives_on_a_bus_of_its_own(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    before = process_state()
+    fault = {"kind": "silence", "message": "TCU_Shift"}
+    car = ecu_emulator.Emulator("noise_only", seed=3, faults=[fault], truth=tmp_path / "truth.jsonl")
+    with pytest.raises(ecu_emulator.ConfigError, match="not driving yet"):
+        car.add_fault(fault)
+    with car, car.open_bus() as bus, can.Bus(**car.bus_arguments) as other:
+        first = bus.recv(timeout=HANG_S)
+        assert first is not None
+        car.wait_until(0.1, HANG_S)
+        with pytest.raises(ecu_emulator.ConfigError, match="not over"):
+            _ = car.result
+        with pytest.raises(ecu_emulator.ConfigError, match="quantity"):
+            car.add_fault({"quantity": "colour", "kind": "frozen"})
+        car.add_fault({"kind": "loss", "share": 0.9})
+        car.wait_until(2.6, HANG_S)  # frames are made two seconds ahead
+        result = car.stop()
+        heard = [first, *iter(lambda: bus.recv(timeout=0.0), None)]
+        assert other.recv(timeout=0.0) is not None
+    assert result["frames_sent"] == len(heard)
+    assert not result["is_complete"]
+    assert 179 not in {message.arbitration_id for message in heard}  # TCU_Shift
+    truth = ecu_emulator.read_truth(tmp_path / "truth.jsonl")
+    assert truth == car.truth
+    assert truth.totals is not None
+    assert [one.kind for one in truth.totals.faults] == ["silence", "loss"]
+    assert process_state() == before
+    assert capsys.readouterr() == ("", "")
+    with pytest.raises(ecu_emulator.ConfigError, match="drives once"), car:
+        pass
+
+
+def test_an_emulator_says_what_it_cannot_do(tmp_path: Path) -> None:
+    wrong: list[dict[str, object]] = [
+        {"scenario": "none such"}, {"oil_degc": 200.0}, {"mass_kg": float("nan")}, {"fluid": "old"}, {"drive": "moon"},
+        {"cycles": 0}, {"seed": -1}, {"parked_s": -1.0}, {"faults": [{"kind": "magic"}]}, {"faults": ["loss"]},
+    ]  # fmt: skip
+    for options in wrong:
+        with pytest.raises(ecu_emulator.ConfigError):
+            ecu_emulator.Emulator(**options)  # type: ignore[arg-type]  # as a user may type it
+    with pytest.raises(ecu_emulator.BusError), ecu_emulator.Emulator(interface="carrier_pigeon", channel="0"):
+        pass
+    with pytest.raises(ecu_emulator.ConfigError, match="log_format"):
+        ecu_emulator.Emulator().record(tmp_path / "a.log", log_format="paper")
+    with pytest.raises(ecu_emulator.RecordError, match="no log format"):
+        ecu_emulator.Emulator().record(tmp_path / "a.xyz")
+    unwritable = ecu_emulator.Emulator(truth=tmp_path / "none" / "t.jsonl")
+    with pytest.raises(ecu_emulator.RecordError, match="cannot write truth"), unwritable:
+        pass
+    with pytest.raises(ecu_emulator.ConfigError, match="not driving"):
+        ecu_emulator.Emulator().wait()

@@ -1,0 +1,49 @@
+"""The Python of docs/python.md runs as it stands, block after block, and shows what there is."""
+
+import re
+import shutil
+from pathlib import Path
+
+import pytest
+
+import diag_service
+import ecu_emulator
+from tests.support.documents import ROOT, page_text
+from tests.support.in_process import never_a_program
+
+PAGE = "docs/python.md"
+BLOCK = re.compile(r"^```python\n(.*?)^```", re.MULTILINE | re.DOTALL)
+
+
+def test_the_blocks_of_the_page_run_in_their_order(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    shutil.copy(ROOT / "dbc" / "dct.dbc", tmp_path / "car.dbc")
+    monkeypatch.chdir(tmp_path)
+    names: dict[str, object] = {"__name__": "__main__"}
+    blocks = BLOCK.findall(page_text(PAGE))
+    assert len(blocks) >= 8
+    with never_a_program():
+        for number, block in enumerate(blocks, start=1):
+            exec(compile(block, f"{PAGE}, block {number}", "exec"), names)  # noqa: S102 - what the page is for
+    out, err = capsys.readouterr()
+    assert err == ""
+    assert out.startswith("10 shifts, ")
+    assert "no such file.log" in out
+    for made in ("drive.svg", "results.jsonl", "car1.toml", "recordings/drive.log"):
+        assert (tmp_path / made).is_file(), made
+    assert (tmp_path / "drive.svg").read_text(encoding="utf-8").startswith("<?xml")
+
+
+@pytest.mark.parametrize("package", [diag_service, ecu_emulator])
+def test_every_public_name_is_documented(package: object) -> None:
+    names: list[str] = vars(package)["__all__"]
+    undocumented = [
+        name for name in names if name != "__version__" and len((getattr(package, name).__doc__ or "").split()) < 4
+    ]
+    assert undocumented == []
+    pages = page_text(PAGE) + page_text("docs/testing.md") + page_text("docs/usage.md")
+    records = {"ShiftEstimate", "Status", "Condition", "Scenario", "TruthLog", "read_truth", "CanlogError",
+               "DiagServiceError", "EmulatorError", "PublishError", "ResultError", "ResultTable", "FolderAnalysis",
+               "PaperAnalysis", "LiveDiagnosis", "Recording"}  # fmt: skip
+    assert [name for name in names if name not in records and f"{name}" not in pages and name != "__version__"] == []
