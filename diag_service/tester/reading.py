@@ -10,7 +10,7 @@ from diag_service.tester.description import Description, Values, read_fields
 from diag_service.tester.dialogue import Dialogue
 from diag_service.tester.trouble import TroubleCode, read_codes, read_extended, read_snapshots
 
-BY_MASK, SNAPSHOTS, EXTENDED, SUPPORTED = 0x02, 0x04, 0x06, 0x0A
+COUNT_BY_MASK, BY_MASK, SNAPSHOTS, EXTENDED, SUPPORTED = 0x01, 0x02, 0x04, 0x06, 0x0A
 ALL_RECORDS: Final = 0xFF
 FAILED_MASK: Final = 0xAF  # all bits but those that tell of a test that did not run
 START, STOP, RESULTS = 0x01, 0x02, 0x03

@@ -87,7 +87,7 @@ def found_lines(controllers: Sequence[Found]) -> Iterator[str]:
     """Yield what was found."""
     yield f"{len(controllers)} controllers answer" if len(controllers) != 1 else "1 controller answers"
     for found in controllers:
-        codes = "" if found.code_count is None else f", {found.code_count} trouble codes with a status"
+        codes = "" if found.code_count is None else f", trouble codes: {found.code_count}"
         yield f"{found.where}{codes}"
         rows = [
             (

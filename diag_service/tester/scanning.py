@@ -33,7 +33,7 @@ from diag_service.tester.answers import (
 from diag_service.tester.can_link import CLASSIC_BYTES, PADDING, send
 from diag_service.tester.description import STANDARD_DATA, Description
 from diag_service.tester.dialogue import Dialogue
-from diag_service.tester.reading import DataAnswer, read_data
+from diag_service.tester.reading import COUNT_BY_MASK, FAILED_MASK, DataAnswer, read_data
 
 WAIT_S: Final = 0.06  # P2 of a controller, and a little for the bus
 SUSPECTS: Final = 4  # addresses whose answer may come so late that it seems to be the next one's
@@ -46,7 +46,7 @@ PROBES: Final = (
     (TESTER_PRESENT, bytes([TESTER_PRESENT, 0x00])),
     (SESSION, bytes([SESSION, 0x01])),
     (READ_DATA, bytes([READ_DATA, 0xF1, 0x90])),
-    (READ_TROUBLE, bytes([READ_TROUBLE, 0x01, 0xFF])),
+    (READ_TROUBLE, bytes([READ_TROUBLE, COUNT_BY_MASK, FAILED_MASK])),
 )
 
 
@@ -72,7 +72,7 @@ class Found:
     address: CanAddress | None  # None: over IP
     services: tuple[ServiceAnswer, ...]
     data: tuple[DataAnswer, ...]  # that it has
-    code_count: int | None  # trouble codes with any status; None: it does not tell
+    code_count: int | None  # trouble codes that have failed; None: it does not tell
 
 
 def standard_requests(first: int = 0x700, last: int = LARGEST_STANDARD_ID) -> list[int]:
@@ -196,9 +196,9 @@ def _data_of(tester: Dialogue, description: Description, numbers: Iterable[int])
 
 
 def _code_count(tester: Dialogue) -> int | None:
-    """Return how many trouble codes have any status (19 01 FF)."""
+    """Return how many trouble codes have failed."""
     try:
-        response = tester.ask(bytes([READ_TROUBLE, 0x01, 0xFF]))
+        response = tester.ask(bytes([READ_TROUBLE, COUNT_BY_MASK, FAILED_MASK]))
     except ControllerError:
         return None
     return int.from_bytes(response[4:6], "big") if len(response) >= 6 else None

@@ -90,15 +90,16 @@ def _kept_lines(what: str, kept: Iterable[Snapshot]) -> Iterator[str]:
 
 
 def values_text(values: Values) -> str:
-    """Return values for people: name, number, unit."""
-    return ", ".join(_value_text(name, value) for name, value in values.items())
+    """Return values for people: name, number, unit; the name of one that is alone says nothing new."""
+    is_alone = len(values) == 1
+    return ", ".join(_value_text("" if is_alone else name, name, value) for name, value in values.items())
 
 
-def _value_text(name: str, value: Value) -> str:
+def _value_text(shown_name: str, name: str, value: Value) -> str:
     shown = NOTHING if value is None else f"{value:.10g}" if isinstance(value, float) else str(value)
-    plain, bracket, unit = name.partition(" [")
+    _, bracket, unit = name.partition(" [")
     unit = f" {unit.removesuffix(']')}" if bracket and value is not None else ""
-    return f"{plain} {shown}{unit}".strip()
+    return f"{shown_name.partition(' [')[0]} {shown}{unit}".strip()
 
 
 def columns(head: Sequence[str], rows: Sequence[Sequence[str]]) -> list[str]:
