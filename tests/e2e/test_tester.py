@@ -1,5 +1,6 @@
-"""The tester against a controller that shares no code with ours: scapy's, as a process on the same bus."""
+"""The tester against controllers that share no code with ours, as processes on the same bus: scapy's, gallia's."""
 
+import json
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -58,3 +59,36 @@ def test_its_codes_are_told_and_what_is_not_described_stays_bytes(foreign: tuple
 def test_what_it_refuses_is_told(foreign: tuple[str, ...]) -> None:
     refused = ended("routine", "0201", "results", *foreign, *PATIENT, *ANSWERS, "--session", "01")
     refused.assert_one_line(3, "742 (answers 75A) refuses 31 03 02 01: general reject (10)")
+
+
+SEEDS = (1, 2, 6, 8)  # of controllers that have a service, have it in another session, have it not at all
+PROBED = {"3E", "10", "22", "19"}
+
+
+def test_controllers_drawn_by_chance_have_what_the_scan_says() -> None:
+    place = free_bus()
+    bus = ("-i", "udp_multicast", "-c", place.group)
+    words = [sys.executable, "-m", "tests.support.uds.gallia_ecu", *bus, *map(str, SEEDS)]
+    with pytest.MonkeyPatch.context() as patch:
+        for name, value in place.variables.items():
+            patch.setenv(name, value)
+        with subprocess.Popen(words, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True) as program:
+            assert program.stdout is not None
+            try:
+                has = json.loads(program.stdout.readline())
+                last = f"{0x710 + len(SEEDS):X}"
+                (record,) = ended(
+                    "scan", *bus, *PATIENT, "--first", "70F", "--last", last, "--wait", "0.3", "--json"
+                ).records
+                assert program.poll() is None
+            finally:
+                program.kill()
+                program.wait(HANG_S)
+    found = record["controllers"]
+    assert [one["request_id"] for one in found] == [f"{0x710 + place:X}" for place in range(len(SEEDS))]
+    for one, sessions in zip(found, has, strict=True):
+        everywhere = {f"{service:02X}" for services in sessions.values() for service in services}
+        here = {f"{service:02X}" for service in sessions["1"]}
+        assert {service["number"] for service in one["services"] if service["there"]} == everywhere & PROBED
+        elsewhere = {service["number"] for service in one["services"] if service["remark"].endswith("(7F)")}
+        assert elsewhere == (everywhere - here) & PROBED
