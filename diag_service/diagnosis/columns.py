@@ -6,7 +6,7 @@ whatever a log counts from: below zero they are as good as above.
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from enum import StrEnum
+from enum import IntEnum, StrEnum
 
 import numpy as np
 
@@ -38,6 +38,10 @@ class Signal(StrEnum):
     TARGET_GEAR = "target_gear"
     PRESELECTED_GEAR = "preselected_gear"
     SHIFT_PHASE = "shift_phase"
+    INPUT1_GEAR = "input1_gear"  # that input shaft 1 has engaged, 0 for none
+    INPUT2_GEAR = "input2_gear"
+    DRIVE_STATE = "drive_state"  # a number of `DriveState`
+    ENGINE_STATE = "engine_state"  # a number of `EngineState`
     SUMP_TEMPERATURE = "sump_temperature_k"
     WHEEL_FL_SPEED = "wheel_fl_speed_m_s"
     WHEEL_FR_SPEED = "wheel_fr_speed_m_s"
@@ -59,6 +63,26 @@ BALANCE_SIGNALS = (
     Signal.CLUTCH2_PRESSURE,
 )
 """What the torque balance of the input side needs, sample by sample."""
+
+
+class DriveState(IntEnum):
+    """What the transmission does with the engine's torque, as it says itself."""
+
+    IN_GEAR = 0
+    CHANGING = 1
+    STANDSTILL = 2
+    CREEPING = 3
+    LAUNCHING = 4
+    COASTING_OPEN = 5
+
+
+class EngineState(IntEnum):
+    """What the engine does, as its controller says."""
+
+    FIRING = 0
+    FUEL_CUT = 1  # turned by the car
+    STOPPED = 2
+    CRANKING = 3
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -1,4 +1,4 @@
-"""Shifts and free engine run-ups with the signals around them: what shift finding cuts out of the columns.
+"""Gear changes, launches and free engine run-ups with the signals around them: what is cut out of the columns.
 
 SI units, radians, kelvin and pascal throughout. Times are bus times in integer nanoseconds since the epoch.
 """
@@ -12,18 +12,30 @@ from diag_service.diagnosis.columns import Columns
 
 
 class EndReason(StrEnum):
-    """How a shift or a run-up ended."""
+    """How an event ended."""
 
     COMPLETE = "complete"
     INTERRUPTED = "interrupted"  # the stream began or ended amid it, or bus time jumped
     TOO_LONG = "too_long"
-    ABANDONED = "abandoned"  # the target gear changed or went back before it was reached; in a run-up one was chosen
+    ABANDONED = "abandoned"  # another event took over: a new target, a shift in a launch; or the clutch was let go
 
 
 class EventKind(StrEnum):
-    """What happened."""
+    """What happened. A gear change lasts until the gears agree and no clutch slips under load."""
 
-    SHIFT = "shift"  # from the first sample with target != current gear to the first at which they agree again
+    SHIFT = "shift"  # a gear change of which neither torque nor pedal tells more
+    POWER_ON_UPSHIFT = "power_on_upshift"
+    POWER_OFF_UPSHIFT = "power_off_upshift"
+    COAST_DOWNSHIFT = "coast_downshift"
+    POWER_ON_DOWNSHIFT = "power_on_downshift"
+    KICKDOWN = "kickdown"  # a power-on downshift with the pedal far down
+    POWER_ON_SKIP = "power_on_skip"  # two gears down or more, with the foot on the pedal
+    COAST_SKIP = "coast_skip"  # the same while coasting
+    REGEAR = "regear"  # another gear while both clutches are open
+    LAUNCH = "launch"  # a clutch slips under load until the car is as fast as the engine
+    CREEP = "creep"  # the same without a foot on the pedal, as a rule without an end in lock
+    CLOSING = "closing"  # a clutch closes onto a car that rolls by itself
+    SLIP = "slip"  # a clutch that was locked slips in gear
     RUN_UP_OPEN = "run_up_open"  # in neutral the engine ran from low speed to high and back, both clutches empty
     RUN_UP_CLOSED = "run_up_closed"  # the same, both clutches closed
 
@@ -33,9 +45,9 @@ class Event:
     """Something that happened on a drive, with its signals cut a little wider than itself."""
 
     kind: EventKind = EventKind.SHIFT
-    number: int  # 1, 2, ... within the stream, shifts and run-ups by themselves
+    number: int  # 1, 2, ... within the stream, run-ups by themselves
     from_gear: int  # 0: neutral
-    to_gear: int
+    to_gear: int  # without a change of gears the same again
     start_ns: int
     end_ns: int
     end_reason: EndReason

@@ -7,6 +7,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import IntEnum, StrEnum
 
+from diag_service.diagnosis.events import EndReason, EventKind
+
 
 class Tier(IntEnum):
     """What the signals of a vehicle suffice for; a smaller number is more."""
@@ -174,6 +176,8 @@ class ShiftEstimate:
     scale_free: ScaleFreeFriction | None = None  # None where there is no friction, and in results of older versions
     tier: Tier = Tier.FRICTION  # what the vehicle's signals suffice for
     indices: ShiftIndices | None = None
+    kind: EventKind = EventKind.SHIFT  # what happened; the default in results of older versions
+    end_reason: EndReason | None = None  # how it ended; None in results of older versions
 
 
 class Condition(IntEnum):

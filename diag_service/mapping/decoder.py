@@ -84,6 +84,11 @@ class Decoder:
         return frozenset(self._seen)
 
     @property
+    def optional_signals(self) -> frozenset[Signal]:
+        """Those of them that a drive may lack without lacking anything."""
+        return frozenset(column.signal for mapped in self._messages for column in mapped.columns if column.is_optional)
+
+    @property
     def mandatory_messages(self) -> frozenset[str]:
         """The messages without which there is no estimate."""
         return frozenset(

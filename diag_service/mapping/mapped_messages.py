@@ -70,6 +70,7 @@ class SignalColumn:
     signal: Signal
     table: SourceTable
     to_si: Conversion
+    is_optional: bool
     limits: tuple[float, float] | None  # ends of the scale in SI, None if the database does not say
 
 
@@ -106,6 +107,8 @@ def fitting(database: Database, profile: Profile) -> tuple[tuple[MessageColumns,
             message = find_message(database.messages, source)
             column = _column(message, signal, source, is_j1939=profile.is_j1939)
         except (ConfigError, DefinitionError) as error:
+            if source.optional:
+                continue
             problems.append(f"{error} (for {signal.value})")
             continue
         messages[message.name] = message
@@ -139,6 +142,7 @@ def _column(message: Message, signal: Signal, source: SignalSource, *, is_j1939:
         signal=signal,
         table=compile_source(message, source, is_j1939=is_j1939),
         to_si=convert,
+        is_optional=source.optional,
         limits=_limits(found, convert) if is_plain else None,
     )
 

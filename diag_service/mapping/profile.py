@@ -98,6 +98,7 @@ class SignalSource:
     invalid: tuple[float, ...] = ()  # decoded values that are codes
     less: str | None = None  # signal of the same message that is subtracted
     times: str | None = None  # signal of the same message that multiplies, such as a reference torque
+    optional: bool = False  # a database without it serves as well
     source_address: int | None = None  # of a J1939 message; None: the first sender that is heard
 
     def __post_init__(self) -> None:

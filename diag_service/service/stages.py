@@ -12,8 +12,7 @@ from diag_service.diagnosis.friction import Estimator, FilterState
 from diag_service.diagnosis.friction.estimator import without_friction
 from diag_service.diagnosis.quality.data_quality import QualityBasis, data_quality, reasons_against
 from diag_service.diagnosis.records import ClutchVerdict, Reason, ShiftEstimate, ShiftIndices, Status, Tier
-from diag_service.diagnosis.shifts.gear_tracking import tracker_for
-from diag_service.diagnosis.shifts.shifts import ShiftFinder
+from diag_service.diagnosis.shifts.shifts import DriveFinder
 from diag_service.diagnosis.summary import Capability
 from diag_service.mapping.decoder import Decoder
 from diag_service.mapping.tiers import missing_for_next, tier_of
@@ -34,7 +33,7 @@ class Stages:
 
     def __init__(self, decoder: Decoder, calibration: Calibration, state: FilterState, memory: ConditionMemory) -> None:
         self.decoder = decoder
-        self._finder = ShiftFinder(tracker_for(decoder.signals, decoder.gears))
+        self._finder = DriveFinder(decoder.signals, calibration, decoder.gears)
         self.tier = tier_of(decoder.signals, knows_gears=knows_gears(decoder))
         self._estimator = Estimator(calibration)
         if self.tier is Tier.FRICTION:
@@ -88,7 +87,14 @@ class Stages:
             state = self._state  # data that are not believed leave no trace in the running state
         else:
             indices = measure(event, self._calibration)
-        estimate = replace(estimate, data_quality=quality, tier=self.tier or Tier.KINEMATIC, indices=indices)
+        estimate = replace(
+            estimate,
+            data_quality=quality,
+            tier=self.tier or Tier.KINEMATIC,
+            indices=indices,
+            kind=event.kind,
+            end_reason=event.end_reason,
+        )
         if self.tier is Tier.FRICTION:
             memory = self._memory.with_fit(estimate).with_shift(estimate, self._state)
             self._memory, verdict = judge(memory, state, estimate.clutch, self._calibration)
@@ -101,11 +107,12 @@ class Stages:
         """Return what the signals that came suffice for."""
         seen = self.decoder.seen
         has_gears = knows_gears(self.decoder)
+        expected = self.decoder.signals - self.decoder.optional_signals
         return Capability(
             profile=self.decoder.profile_name,
             tier=tier_of(seen, knows_gears=has_gears),
             missing=missing_for_next(seen, knows_gears=has_gears),
-            unseen=tuple(signal.value for signal in Signal if signal in self.decoder.signals - seen),
+            unseen=tuple(signal.value for signal in Signal if signal in expected - seen),
         )
 
 

@@ -1,9 +1,15 @@
-"""Shift detection: canonical columns in, shift events out."""
+"""Detection of gear changes and of what slips without one: canonical columns in, events out."""
 
-from diag_service.diagnosis.shifts.gear_tracking import GearPairTracker
+from collections.abc import Set as AbstractSet
+
+from clutch_model.calibration import Calibration
+from diag_service.diagnosis.columns import GearRatios, Signal
+from diag_service.diagnosis.shifts.event_tracking import EventTracker
+from diag_service.diagnosis.shifts.gear_tracking import GearPairTracker, tracker_for
+from diag_service.diagnosis.shifts.slip_tracking import SlipTracker, slip_signals
 from diag_service.diagnosis.shifts.tracking import NS_PER_S, EventFinder, Tracker
 
-PRE_NS = NS_PER_S // 2  # history before the shift: the on-coming clutch empty, the off-going one locked
+PRE_NS = NS_PER_S // 2  # history before the event: the on-coming clutch empty, the off-going one locked
 POST_NS = NS_PER_S // 10  # after it: what sensor latencies and the crank segment reach back from
 
 
@@ -12,3 +18,22 @@ class ShiftFinder(EventFinder):
 
     def __init__(self, tracker: Tracker | None = None) -> None:
         super().__init__(tracker or GearPairTracker(), PRE_NS, POST_NS)
+
+
+class DriveFinder(EventFinder):
+    """Finds all events of a drive that the signals of a bus can tell, each with its kind.
+
+    Parameters
+    ----------
+    signals, gears
+        What the bus can deliver; where it tells neither slip nor load, gear changes alone are found.
+    calibration
+        Touch points of the clutches.
+    """
+
+    def __init__(
+        self, signals: AbstractSet[Signal], calibration: Calibration, gears: GearRatios | None = None
+    ) -> None:
+        slip = slip_signals(signals, calibration)
+        changes = tracker_for(signals, gears)
+        super().__init__(EventTracker(changes, None if slip is None else SlipTracker(slip)), PRE_NS, POST_NS)

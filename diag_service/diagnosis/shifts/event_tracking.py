@@ -1,0 +1,231 @@
+"""Events of a drive from gears, slip and load together: gear changes to the end of their slip, and slip without one.
+
+A tracker of gears says between which gears and when; the slip says how long a clutch worked. A change of gears ends
+when the slip under load that reaches beyond it ends; slip that began shortly before is part of it too. Slip that does
+not end is more likely a speed sensor's: then the gears alone say when the change ended. What slips without a change of
+gears is a launch, a creep, a clutch that closes onto a rolling car, or one that lets go in gear.
+"""
+
+from bisect import bisect_left
+from dataclasses import dataclass, replace
+from typing import Final
+
+from diag_service.diagnosis.events import EndReason, EventKind
+from diag_service.diagnosis.shifts.history import History
+from diag_service.diagnosis.shifts.kinds import kind_of_change
+from diag_service.diagnosis.shifts.slip_tracking import Grip, GripChange, SlipTracker
+from diag_service.diagnosis.shifts.tracking import NS_PER_S, Bounds, Tracker
+
+SETTLE_NS: Final = NS_PER_S // 20  # after a change of gears: slip that begins so soon belongs to it
+PRELUDE_NS: Final = 3 * NS_PER_S // 10  # the off-going clutch slips so long before a change is shown, no launch does
+LEAST_PRELUDE_NS: Final = 3 * NS_PER_S // 100  # three samples; what is shorter may be the same moment in two messages
+DWELL_NS: Final = 3 * NS_PER_S // 20  # longer than a swing of the driveline: a clutch that sticks so long is locked
+LIFTED_NS: Final = NS_PER_S // 2  # a clutch may carry nothing so long while the foot stays on the pedal
+LEAST_SLIP_NS: Final = NS_PER_S // 5  # without a change of gears: a clutch that opens slips for a moment
+MAX_SLIP_NS: Final = 15 * NS_PER_S  # a launch takes three seconds, on a hill with a trailer ten
+MAX_TAIL_NS: Final = 2 * NS_PER_S  # a clutch that works so long after its gear is engaged does not lock
+_UNKNOWN: Final = GripChange(t_ns=0, grip=Grip.OPEN, gear=0, is_asked=None, clutch=0, is_rolling=False)
+
+
+@dataclass(frozen=True, slots=True)
+class _Slip:
+    """A clutch has begun to slip without a change of gears."""
+
+    start_ns: int
+    kind: EventKind
+    gear: int
+    end_ns: int | None = None  # since when it does not slip; None: it does
+
+
+@dataclass(frozen=True, slots=True)
+class _Change:
+    """A change of gears whose gears agree again."""
+
+    bounds: Bounds
+    is_slipping: bool  # beyond its end
+    closed_ns: int | None = None  # since when it does not, if it did
+
+
+class EventTracker:
+    """Joins the events of a tracker of gears with the slip; reports them in order, however the stream is cut."""
+
+    def __init__(self, gears: Tracker, slip: SlipTracker | None) -> None:
+        self._gears = gears
+        self._slip_tracker = slip
+        self._forget()
+
+    def _forget(self) -> None:
+        if self._slip_tracker is not None:
+            self._slip_tracker.forget()
+        self._changes: list[Bounds] = []  # of gears, not yet begun in the walk
+        self._grips: list[GripChange] = []
+        self._grip = _UNKNOWN
+        self._inside: Bounds | None = None  # the change of gears in which the walk is
+        self._was_open = False  # no clutch was loaded as it began, nor has one slipped under load in it
+        self._tail: _Change | None = None
+        self._slip: _Slip | None = None
+        self._is_overdue = False  # the slip was reported as too long; wait until it ends
+
+    @property
+    def open_ns(self) -> int | None:
+        """When the oldest event began that was not reported, if there is one."""
+        starts = [bounds.start_ns for bounds in self._changes]
+        starts += [grip.t_ns for grip in self._grips[:1]]
+        starts += [one.start_ns for one in (self._inside, self._slip) if one is not None]
+        if self._tail is not None:
+            starts.append(self._tail.bounds.start_ns)
+        if self._gears.open_ns is not None:
+            starts.append(self._gears.open_ns)
+        return min(starts, default=None)
+
+    def track(self, history: History, until_ns: int) -> list[Bounds]:
+        """Walk the samples with ``t < until_ns``."""
+        self._changes += self._gears.track(history, until_ns)
+        if self._slip_tracker is not None:
+            self._grips += self._slip_tracker.track(history, until_ns)
+        open_ns = self._gears.open_ns
+        return self._walk(history, until_ns if open_ns is None else min(until_ns, open_ns))
+
+    def interrupt(self, history: History, now_ns: int) -> list[Bounds]:
+        """Return what is open as interrupted."""
+        self._changes += self._gears.interrupt(history, now_ns)
+        found = self._walk(history, now_ns + 1)
+        found += self._end_tail(history)
+        if self._inside is not None:
+            found.append(self._named(history, self._inside))
+        found += self._end_slip(now_ns, EndReason.INTERRUPTED)
+        self._forget()
+        return found
+
+    def _walk(self, history: History, until_ns: int) -> list[Bounds]:
+        """Go through beginnings and ends of changes and of slip in the order of time, up to what is known."""
+        found: list[Bounds] = []
+        while True:
+            begin_ns = self._changes[0].start_ns if self._changes else None
+            end_ns = None if self._inside is None else self._inside.end_ns
+            grip_ns = self._grips[0].t_ns if self._grips else None
+            next_ns = min((one for one in (begin_ns, end_ns, grip_ns) if one is not None), default=None)
+            if next_ns is None or next_ns >= until_ns:
+                break
+            found += self._due(history, next_ns)
+            if end_ns == next_ns:
+                self._leave()
+            elif begin_ns == next_ns:
+                found += self._enter(history, self._changes.pop(0))
+            else:
+                found += self._step(self._grips.pop(0))
+        return [*found, *self._due(history, until_ns)]
+
+    def _step(self, change: GripChange) -> list[Bounds]:
+        """Take the next change of what the clutches do."""
+        before, self._grip = self._grip, change
+        is_slipping = change.grip is Grip.SLIPPING
+        if self._inside is not None:
+            self._was_open &= not is_slipping
+            return []
+        if self._tail is not None and (is_slipping or self._tail.is_slipping):
+            closed_ns = None if is_slipping else self._tail.closed_ns or change.t_ns
+            self._tail = replace(self._tail, is_slipping=True, closed_ns=closed_ns)
+            return []
+        if self._is_overdue:
+            return []
+        return self._slip_step(before, change)
+
+    def _slip_step(self, before: GripChange, change: GripChange) -> list[Bounds]:
+        """Take a change outside of all changes of gears."""
+        is_slipping = change.grip is Grip.SLIPPING and change.gear >= 1
+        if self._slip is None:
+            if is_slipping:
+                self._slip = _Slip(change.t_ns, _kind_of_slip(before, change), change.gear)
+            return []
+        if self._slip.kind is EventKind.CREEP and change.is_asked and is_slipping:
+            found = self._end_slip(change.t_ns, EndReason.ABANDONED)
+            self._slip = _Slip(change.t_ns, EventKind.LAUNCH, change.gear)
+            return found
+        closed_ns = None if is_slipping else self._slip.end_ns or change.t_ns
+        self._slip = replace(self._slip, end_ns=closed_ns)
+        return []
+
+    def _enter(self, history: History, bounds: Bounds) -> list[Bounds]:
+        """Begin a change of gears; what was open before ends here."""
+        found = self._yield_to(history, bounds.start_ns)
+        if self._slip is not None and bounds.start_ns - self._slip.start_ns >= LEAST_PRELUDE_NS:
+            bounds = replace(bounds, start_ns=self._slip.start_ns)
+        self._slip = None
+        self._inside, self._is_overdue = bounds, False
+        self._was_open = self._grip is not _UNKNOWN and self._grip.grip is Grip.OPEN
+        return found
+
+    def _yield_to(self, history: History, start_ns: int) -> list[Bounds]:
+        """End what a change of gears interrupts that begins now."""
+        found = self._end_tail(history)
+        if self._slip is not None and start_ns - self._slip.start_ns >= PRELUDE_NS:
+            found += self._end_slip(start_ns, EndReason.ABANDONED)
+        return found
+
+    def _leave(self) -> None:
+        """The gears of a change agree again."""
+        if self._inside is not None:
+            kind = EventKind.REGEAR if self._was_open else self._inside.kind
+            is_slipping = self._grip.grip is Grip.SLIPPING and self._grip.gear >= 1
+            self._tail = _Change(replace(self._inside, kind=kind), is_slipping)
+            self._inside = None
+
+    def _due(self, history: History, now_ns: int) -> list[Bounds]:
+        """Return what has ended for good by now."""
+        tail, slip = self._tail, self._slip
+        if tail is not None:
+            end_ns = tail.bounds.end_ns
+            if not tail.is_slipping or tail.closed_ns is not None:
+                quiet_ns = end_ns if tail.closed_ns is None else tail.closed_ns
+                return self._end_tail(history) if now_ns > quiet_ns + SETTLE_NS else []
+            if now_ns > end_ns + MAX_TAIL_NS:
+                self._is_overdue = True
+                return self._end_tail(history)
+        if self._is_overdue and self._grip.grip is not Grip.SLIPPING and now_ns > self._grip.t_ns + DWELL_NS:
+            self._is_overdue = False
+        if slip is not None and slip.end_ns is not None:
+            is_between = self._grip.grip is Grip.OPEN and self._grip.is_asked
+            is_over = now_ns > slip.end_ns + (LIFTED_NS if is_between else DWELL_NS)
+            return self._end_slip(slip.end_ns, self._how_ended(slip.kind)) if is_over else []
+        if slip is not None and now_ns > slip.start_ns + MAX_SLIP_NS:
+            self._is_overdue = True
+            return self._end_slip(slip.start_ns + MAX_SLIP_NS, EndReason.TOO_LONG)
+        return []
+
+    def _how_ended(self, kind: EventKind) -> EndReason:
+        """Return how slip ended that is over: a creep ends as it will, all else when the clutch is locked."""
+        is_over = kind is EventKind.CREEP or self._grip.grip is Grip.LOCKED
+        return EndReason.COMPLETE if is_over else EndReason.ABANDONED
+
+    def _end_slip(self, end_ns: int, reason: EndReason) -> list[Bounds]:
+        slip, self._slip = self._slip, None
+        if slip is None:
+            return []
+        end_ns = end_ns if slip.end_ns is None else min(end_ns, slip.end_ns)
+        if end_ns - slip.start_ns < LEAST_SLIP_NS:
+            return []
+        return [Bounds(slip.gear, slip.gear, slip.start_ns, end_ns, reason, slip.kind)]
+
+    def _end_tail(self, history: History) -> list[Bounds]:
+        """Return the change of gears that is over, to the end of its slip if that has ended."""
+        tail, self._tail = self._tail, None
+        if tail is None:
+            return []
+        end_ns = tail.bounds.end_ns if tail.closed_ns is None else tail.closed_ns
+        return [self._named(history, replace(tail.bounds, end_ns=end_ns))]
+
+    def _named(self, history: History, bounds: Bounds) -> Bounds:
+        """Return a change of gears with its kind."""
+        if bounds.kind is EventKind.REGEAR:
+            return bounds
+        return replace(bounds, kind=kind_of_change(history, bounds))
+
+
+def _kind_of_slip(before: GripChange, change: GripChange) -> EventKind:
+    """Return what begins as a clutch begins to slip under load."""
+    if before.grip is Grip.LOCKED and before.gear == change.gear:
+        return EventKind.SLIP
+    if change.is_asked or (change.is_asked is None and not change.is_rolling):
+        return EventKind.LAUNCH
+    return EventKind.CLOSING if change.is_rolling else EventKind.CREEP
