@@ -74,6 +74,7 @@ def shift_row(data: Mapping[str, object]) -> Row:
     row["level_ratio"] = verdict["level_ratio"]
     row.update(_friction(verdict["friction"], RUNNING))
     row["running_shift_count"] = verdict["shift_count"]
+    row["kind"], row["end_reason"] = data.get("kind"), data.get("end_reason")  # of newer programs only
     row["content_digest"] = content_digest(row)
     return row
 

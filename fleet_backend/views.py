@@ -43,7 +43,7 @@ TREND: Final = _view(
     *("probability_negative_slope", "quality", "clutch_temperature_k"),
     *("running_mu_c", "running_std_mu_c", "running_mu_s", "running_std_mu_s"),
     *("running_slope_s_rad", "running_std_slope_s_rad", "running_probability_negative_slope"),
-    *("condition", "level_ratio", "fluid", "stream", "seq", "algorithm_version", "calibration_version"),
+    *("condition", "level_ratio", "fluid", "stream", "seq", "algorithm_version", "calibration_version", "kind"),
 )
 
 CLUTCH_ALARM: Final = _view(

@@ -7,7 +7,7 @@ from rich.text import Text
 
 from clutch_model.units import degc_from_k
 from diag_service.delivery.base import News
-from diag_service.diagnosis.records import Condition, FrictionEstimate, ShiftResult, Status
+from diag_service.diagnosis.records import Condition, FrictionEstimate, ShiftEstimate, ShiftResult, Status
 from diag_service.diagnosis.summary import (
     Summary,
     capability_line,
@@ -29,8 +29,8 @@ _CONDITION_STYLE = {
 }
 _STATUS_STYLE = {Status.VALID: "green", Status.REJECTED: "red", Status.UNOBSERVED: "yellow"}
 _HEAD = (
-    f"{'shift':>5}  {'gears':<5} {'clutch':>6}  {'status':<10} {'mu_C':>8} {'std':>7} {'mu_S':>8} {'std':>7} "
-    f"{'P(slope<0)':>10} {'trust':>5} {'oil':>6}  clutch is"
+    f"{'shift':>5}  {'gears':<5} {'event':<18} {'clutch':>6}  {'status':<10} {'mu_C':>8} {'std':>7} "
+    f"{'mu_S':>8} {'std':>7} {'P(slope<0)':>10} {'trust':>5} {'oil':>6}  clutch is"
 )
 
 
@@ -86,7 +86,7 @@ def shift_head() -> Text:
 def shift_line(result: ShiftResult) -> Text:
     """Return one shift as a line; columns as in the head."""
     estimate, verdict = result.estimate, result.verdict
-    line = Text(f"{estimate.number:>5}  {f'{estimate.from_gear}-{estimate.to_gear}':<5} {estimate.clutch:>6}  ")
+    line = Text(f"{estimate.number:>5}  {_gears(estimate):<5} {_event(estimate):<18} {estimate.clutch:>6}  ")
     line.append(f"{estimate.status.value:<10} ", _STATUS_STYLE[estimate.status])
     line.append(_friction_columns(estimate.friction))
     line.append(f" {'-' if estimate.data_quality is None else f'{estimate.data_quality.score:.2f}':>5}")
@@ -96,6 +96,17 @@ def shift_line(result: ShiftResult) -> Text:
     if estimate.reasons:
         line.append(f" [{', '.join(reason.value.replace('_', ' ') for reason in estimate.reasons)}]")
     return line
+
+
+def _gears(estimate: ShiftEstimate) -> str:
+    """Return from which gear to which, or the gear of an event without a change."""
+    is_change = estimate.from_gear != estimate.to_gear
+    return f"{estimate.from_gear}-{estimate.to_gear}" if is_change else str(estimate.to_gear)
+
+
+def _event(estimate: ShiftEstimate) -> str:
+    """Return the kind of an event in words."""
+    return estimate.kind.value.replace("_", " ")
 
 
 def _friction_columns(friction: FrictionEstimate | None) -> str:

@@ -6,7 +6,6 @@ not end is more likely a speed sensor's: then the gears alone say when the chang
 gears is a launch, a creep, a clutch that closes onto a rolling car, or one that lets go in gear.
 """
 
-from bisect import bisect_left
 from dataclasses import dataclass, replace
 from typing import Final
 
@@ -21,10 +20,13 @@ PRELUDE_NS: Final = 3 * NS_PER_S // 10  # the off-going clutch slips so long bef
 LEAST_PRELUDE_NS: Final = 3 * NS_PER_S // 100  # three samples; what is shorter may be the same moment in two messages
 DWELL_NS: Final = 3 * NS_PER_S // 20  # longer than a swing of the driveline: a clutch that sticks so long is locked
 LIFTED_NS: Final = NS_PER_S // 2  # a clutch may carry nothing so long while the foot stays on the pedal
+LOCKED_NS: Final = NS_PER_S // 2  # a clutch that begins to carry may stick for a moment; in gear it does for longer
 LEAST_SLIP_NS: Final = NS_PER_S // 5  # without a change of gears: a clutch that opens slips for a moment
+LOW_RAD_S: Final = 130.0  # of the engine: near idle a clutch is let slip on purpose, above it a locked one must hold
+ROLLING_RATIO: Final = 0.5  # of the engine's speed: a shaft that turns as fast is not set in motion by its clutch
 MAX_SLIP_NS: Final = 15 * NS_PER_S  # a launch takes three seconds, on a hill with a trailer ten
 MAX_TAIL_NS: Final = 2 * NS_PER_S  # a clutch that works so long after its gear is engaged does not lock
-_UNKNOWN: Final = GripChange(t_ns=0, grip=Grip.OPEN, gear=0, is_asked=None, clutch=0, is_rolling=False)
+_UNKNOWN: Final = GripChange(t_ns=0, grip=Grip.OPEN, gear=0, is_asked=None, clutch=0, engine_rad_s=0.0, shaft_rad_s=0.0)
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,6 +62,7 @@ class EventTracker:
         self._changes: list[Bounds] = []  # of gears, not yet begun in the walk
         self._grips: list[GripChange] = []
         self._grip = _UNKNOWN
+        self._grip_ns = 0  # since when the clutches do what they do
         self._inside: Bounds | None = None  # the change of gears in which the walk is
         self._was_open = False  # no clutch was loaded as it began, nor has one slipped under load in it
         self._tail: _Change | None = None
@@ -119,6 +122,9 @@ class EventTracker:
     def _step(self, change: GripChange) -> list[Bounds]:
         """Take the next change of what the clutches do."""
         before, self._grip = self._grip, change
+        was_locked = before.grip is Grip.LOCKED and change.t_ns - self._grip_ns >= LOCKED_NS
+        was_locked &= change.engine_rad_s > LOW_RAD_S
+        self._grip_ns = self._grip_ns if change.grip is before.grip else change.t_ns
         is_slipping = change.grip is Grip.SLIPPING
         if self._inside is not None:
             self._was_open &= not is_slipping
@@ -129,14 +135,15 @@ class EventTracker:
             return []
         if self._is_overdue:
             return []
-        return self._slip_step(before, change)
+        return self._slip_step(change, was_locked=was_locked)
 
-    def _slip_step(self, before: GripChange, change: GripChange) -> list[Bounds]:
+    def _slip_step(self, change: GripChange, *, was_locked: bool) -> list[Bounds]:
         """Take a change outside of all changes of gears."""
         is_slipping = change.grip is Grip.SLIPPING and change.gear >= 1
         if self._slip is None:
             if is_slipping:
-                self._slip = _Slip(change.t_ns, _kind_of_slip(before, change), change.gear)
+                kind = EventKind.SLIP if was_locked else _kind_of_slip(change)
+                self._slip = _Slip(change.t_ns, kind, change.gear)
             return []
         if self._slip.kind is EventKind.CREEP and change.is_asked and is_slipping:
             found = self._end_slip(change.t_ns, EndReason.ABANDONED)
@@ -164,7 +171,7 @@ class EventTracker:
         return found
 
     def _leave(self) -> None:
-        """The gears of a change agree again."""
+        """End a change as its gears agree again."""
         if self._inside is not None:
             kind = EventKind.REGEAR if self._was_open else self._inside.kind
             is_slipping = self._grip.grip is Grip.SLIPPING and self._grip.gear >= 1
@@ -222,10 +229,9 @@ class EventTracker:
         return replace(bounds, kind=kind_of_change(history, bounds))
 
 
-def _kind_of_slip(before: GripChange, change: GripChange) -> EventKind:
-    """Return what begins as a clutch begins to slip under load."""
-    if before.grip is Grip.LOCKED and before.gear == change.gear:
-        return EventKind.SLIP
-    if change.is_asked or (change.is_asked is None and not change.is_rolling):
+def _kind_of_slip(change: GripChange) -> EventKind:
+    """Return what begins as a clutch that was open begins to slip under load."""
+    is_rolling = change.shaft_rad_s > ROLLING_RATIO * change.engine_rad_s
+    if change.is_asked or (change.is_asked is None and not is_rolling):
         return EventKind.LAUNCH
-    return EventKind.CLOSING if change.is_rolling else EventKind.CREEP
+    return EventKind.CLOSING if is_rolling else EventKind.CREEP

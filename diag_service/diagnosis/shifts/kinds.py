@@ -22,7 +22,7 @@ def kind_of_change(history: History, bounds: Bounds) -> EventKind:
     torque_nm = _torque_nm(history, bounds.start_ns)
     if pedal_ratio is None and torque_nm is None:
         return EventKind.SHIFT
-    is_asked = torque_nm is not None and torque_nm > PULLING_NM if pedal_ratio is None else pedal_ratio > PEDAL_RATIO
+    is_asked = _is_asked(pedal_ratio, torque_nm)
     if bounds.to_gear > bounds.from_gear:
         is_pulling = is_asked and (torque_nm is None or torque_nm > PULLING_NM)
         return EventKind.POWER_ON_UPSHIFT if is_pulling else EventKind.POWER_OFF_UPSHIFT
@@ -32,6 +32,13 @@ def kind_of_change(history: History, bounds: Bounds) -> EventKind:
         return EventKind.COAST_DOWNSHIFT
     is_floored = pedal_ratio is not None and pedal_ratio > KICKDOWN_RATIO
     return EventKind.KICKDOWN if is_floored else EventKind.POWER_ON_DOWNSHIFT
+
+
+def _is_asked(pedal_ratio: float | None, torque_nm: float | None) -> bool:
+    """Return whether the driver wants the engine to drive the car, as far as pedal and torque are known."""
+    if pedal_ratio is not None:
+        return pedal_ratio > PEDAL_RATIO  # torque follows later
+    return torque_nm is not None and torque_nm > PULLING_NM
 
 
 def _torque_nm(history: History, start_ns: int) -> float | None:

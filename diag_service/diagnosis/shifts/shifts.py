@@ -31,9 +31,7 @@ class DriveFinder(EventFinder):
         Touch points of the clutches.
     """
 
-    def __init__(
-        self, signals: AbstractSet[Signal], calibration: Calibration, gears: GearRatios | None = None
-    ) -> None:
+    def __init__(self, signals: AbstractSet[Signal], calibration: Calibration, gears: GearRatios | None = None) -> None:
         slip = slip_signals(signals, calibration)
         changes = tracker_for(signals, gears)
         super().__init__(EventTracker(changes, None if slip is None else SlipTracker(slip)), PRE_NS, POST_NS)

@@ -22,7 +22,7 @@ from diag_service.diagnosis.shifts.tracking import held_values
 SLIP_RAD_S: Final = 5.0  # 50 rpm: beyond it a clutch slips, whatever two controllers' speeds differ by
 LOADED_PA: Final = 0.15e5  # above the touch point: three times what touch point and zero are known to
 LOADED_NM: Final = 5.0  # asked for: what is less does not move a car
-PEDAL_RATIO: Final = 0.05  # beyond it a foot is on the pedal
+PEDAL_RATIO: Final = 0.06  # beyond it a foot asks for force; below it the engine brakes
 
 _PRESSURES: Final = (Signal.CLUTCH1_PRESSURE, Signal.CLUTCH2_PRESSURE)
 _TORQUES: Final = (Signal.CLUTCH1_TORQUE_COMMAND, Signal.CLUTCH2_TORQUE_COMMAND)
@@ -48,7 +48,8 @@ class GripChange:
     gear: int  # 0 where no gear is known
     is_asked: bool | None  # whether the car shall be set in motion; None: unknown
     clutch: int  # that slips, 0 for none
-    is_rolling: bool  # the shaft of the gear turns at least half as fast as the engine
+    engine_rad_s: float
+    shaft_rad_s: float  # of the gear
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -114,7 +115,7 @@ class SlipTracker:
         grip = np.where(clutch > 0, Grip.SLIPPING, np.where(is_loaded, Grip.LOCKED, Grip.OPEN))
         asked = _asked(values)
         first, second = (values[shaft] for shaft in self._signals.shafts)
-        is_rolling = np.where(clutch_of_gear(gear) == 1, first, second) > 0.5 * engine_rad_s
+        shaft_rad_s = np.where(clutch_of_gear(gear) == 1, first, second)
         state = np.column_stack((grip, gear, asked))
         before = np.vstack((self._before or (-1, -1, -2), state[:-1]))
         rows = np.flatnonzero((state != before).any(axis=1)).tolist()
@@ -126,7 +127,8 @@ class SlipTracker:
                 gear=int(gear[row]),
                 is_asked=None if asked[row] < 0 else bool(asked[row]),
                 clutch=int(clutch[row]),
-                is_rolling=bool(is_rolling[row]),
+                engine_rad_s=float(engine_rad_s[row]),
+                shaft_rad_s=float(shaft_rad_s[row]),
             )
             for row in rows
         ]

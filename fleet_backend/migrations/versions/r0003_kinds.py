@@ -1,0 +1,27 @@
+"""What kind of event a result is of, and how it ended; the views that show it."""
+
+from collections.abc import Sequence
+from typing import Final
+
+import sqlalchemy as sa
+from alembic import op
+
+from fleet_backend.migrations.versions.r0002_views import VIEWS
+
+revision: str = "r0003"
+down_revision: str | None = "r0002"
+branch_labels: Sequence[str] | None = None
+depends_on: Sequence[str] | None = None
+
+_TREND_END: Final = "h.condition, h.level_ratio, h.stream, h.seq, h.algorithm_version, h.calibration_version,"
+_COLUMNS: Final = ("kind", "end_reason")
+
+
+def upgrade() -> None:
+    """Create what is new; a view has the columns that its table had when it was made, so all are made again."""
+    for view in reversed(VIEWS):
+        op.execute(f"DROP VIEW {view.split()[2]}")
+    for column in _COLUMNS:
+        op.add_column("shift_result", sa.Column(column, sa.Text))
+    for view in VIEWS:
+        op.execute(view.replace(_TREND_END, f"{_TREND_END} h.kind, h.end_reason,"))
