@@ -48,7 +48,7 @@ def data_quality(event: Event, basis: QualityBasis, limits: QualityLimits = LIMI
         QualityPart.PROTECTION: _protection(event, basis.mandatory_messages, limits),
         QualityPart.TIME: _time(event.columns, limits),
         QualityPart.SATURATION: _saturation(event.columns, basis.scale_ends, limits),
-        QualityPart.PLAUSIBILITY: agreement(event.columns, limits),
+        QualityPart.PLAUSIBILITY: agreement(event, limits),
         QualityPart.CALIBRATION: _calibration(event.end_ns, basis.calibration_date, limits),
     }
     parts = {part: value for part, value in judged.items() if value is not None}

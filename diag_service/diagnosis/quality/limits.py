@@ -45,8 +45,10 @@ class QualityLimits:
 
     # Plausibility: two to three times what sound signals reach.
     speeds_rad_s: float = 2.0  # between shafts that turn together; sound: 0.76, torsion of flywheel and shafts
+    launch_speeds_rad_s: float = 8.0  # engine and hub in a launch, whose clutch may judder; sound: 3.7
     speeds_mean_s: float = 0.05  # five samples: noise falls by half, a fault shorter than that weighs little
     locked_s: float = 0.10  # before the shift one clutch is locked, at its end the other one
+    ringing_s: float = 0.05  # so long does a shaft swing after its synchroniser has engaged a gear
     in_gear_s: float = 0.10  # before its slip window the on-coming shaft stands in gear
     pressure_moment_pa: float = 0.20e5  # pressure of the slipping clutch less the expected one; sound: 0.10e5
     pressure_mean_s: float = 0.06  # the span of that moment

@@ -12,17 +12,19 @@ from typing import Final
 
 import numpy as np
 
-from canlog.arrays import FloatArray
+from canlog.arrays import BoolArray, FloatArray, Int64Array
 from canlog.series import Series
+from clutch_model.gears import clutch_of_gear
 from diag_service.diagnosis.alignment import COMMAND_LAG_S, GRID_S, NS_TO_S, AlignedSignals
 from diag_service.diagnosis.columns import BALANCE_SIGNALS, Columns, Signal
-from diag_service.diagnosis.events import Event
+from diag_service.diagnosis.events import Event, EventKind
 from diag_service.diagnosis.quality.limits import LIMITS, QualityLimits
 from diag_service.diagnosis.records import Reason
 
 _LAG_NS: Final = round(COMMAND_LAG_S / NS_TO_S)
 _CLIPPED_PA: Final = 0.0  # a sensor that cannot show less than nothing repeats zero with reason
 _ROUNDING: Final = 1e-6  # of a variance: far above what doubles lose, far below what a measurement tells
+_SHAFT_GEARS: Final = (Signal.INPUT1_GEAR, Signal.INPUT2_GEAR)
 _WHEELS: Final = (Signal.WHEEL_FL_SPEED, Signal.WHEEL_FR_SPEED, Signal.WHEEL_RL_SPEED, Signal.WHEEL_RR_SPEED)
 _PRESSURES: Final = (
     (Signal.CLUTCH1_PRESSURE, Signal.CLUTCH1_PRESSURE_COMMAND),
@@ -47,9 +49,12 @@ class SlippingClutch:
     pressure_zero_pa: float  # what its pressure sensor reads without pressure
 
 
-def agreement(columns: Columns, limits: QualityLimits = LIMITS) -> float | None:
+def agreement(event: Event, limits: QualityLimits = LIMITS) -> float | None:
     """Return how well sensors agree that must, 0 to 1; the worst pair counts, None if there is no pair."""
-    judged = (_wheels(columns, limits), _hub(columns, limits), _pressures(columns, limits))
+    columns = event.columns
+    # With both clutches open nothing is asked of them, and a piston that returns holds the pressure of its spring.
+    pressures = None if event.kind is EventKind.REGEAR else _pressures(columns, limits)
+    judged = (_wheels(event, limits), _hub(columns, limits), pressures)
     return min((value for value in judged if value is not None), default=None)
 
 
@@ -59,7 +64,8 @@ def plausibility_faults(
     """Return why the signals of a shift, once put on one clock, cannot all be true; empty if they can."""
     found = {
         Reason.SENSOR_FROZEN: any(is_frozen(event.columns[one], one, limits) for one in BALANCE_SIGNALS),
-        Reason.SPEEDS_DISAGREE: speed_gap_rad_s(event, signals, clutch, limits) > limits.speeds_rad_s,
+        Reason.SPEEDS_DISAGREE: speed_gap_rad_s(event, signals, clutch, limits) > limits.speeds_rad_s
+        or hub_gap_rad_s(signals, limits) > hub_limit_rad_s(event, limits),
         Reason.PRESSURE_OFF_COMMAND: _misses_command(signals, clutch, limits),
     }
     return tuple(reason for reason, is_found in found.items() if is_found)
@@ -99,22 +105,62 @@ def speed_gap_rad_s(
 ) -> float:
     """Return the largest mean difference [rad/s] between speeds that must agree.
 
-    Engine and hub at all times; hub and input shaft of the clutch that is locked before the shift and of the one that
-    is locked at its end; both input shafts, whose gears are engaged, up to their ratio.
+    Hub and input shaft of the clutch that is locked before a change of gears, and of the one that is locked at the end;
+    both input shafts up to their ratio, as long as each keeps its gear.
     """
     end_s = (event.end_ns - event.start_ns) * NS_TO_S
     grid_s = signals.grid_s
-    before = signals.slip_rad_s(3 - clutch.number)[grid_s < grid_s[0] + limits.locked_s]
-    after = signals.slip_rad_s(clutch.number)[grid_s >= end_s - limits.locked_s]
-    geared = slice(max(0, clutch.rows.start - round(limits.in_gear_s / GRID_S)), len(grid_s))
-    first, second = (speed.on_grid[geared] for speed in signals.input_speed)
+    gaps = [shaft_gap_rad_s(signals, rows, limits) for rows in geared_stretches(event, grid_s, clutch, limits)]
+    if event.from_gear != event.to_gear:
+        locked = signals.slip_rad_s(clutch_of_gear(event.from_gear))
+        gaps.append(abs(float(np.mean(locked[grid_s < grid_s[0] + limits.locked_s]))))
+    gaps.append(abs(float(np.mean(signals.slip_rad_s(clutch.number)[grid_s >= end_s - limits.locked_s]))))
+    return max(gaps)
+
+
+def hub_gap_rad_s(signals: AlignedSignals, limits: QualityLimits = LIMITS) -> float:
+    """Return the largest mean difference [rad/s] between engine and hub, which a torsion damper ties together."""
+    return _largest_mean(signals.engine_speed.on_grid - signals.hub_speed.on_grid, limits.speeds_mean_s)
+
+
+def hub_limit_rad_s(event: Event, limits: QualityLimits = LIMITS) -> float:
+    """Return how far engine and hub may be apart [rad/s] in an event."""
+    return limits.speeds_rad_s if event.from_gear != event.to_gear else limits.launch_speeds_rad_s
+
+
+def geared_stretches(
+    event: Event, grid_s: FloatArray, clutch: SlippingClutch, limits: QualityLimits = LIMITS
+) -> list[slice]:
+    """Return the stretches of the grid in which each input shaft keeps its gear.
+
+    Where the shafts say their gears, what is near a new one is left out: the shaft rings, and its message may be late.
+    Where they do not, they stand in gear from a moment before the slip window on.
+    """
+    gears = [event.columns.get(signal) for signal in _SHAFT_GEARS]
+    first, second = gears
+    if first is None or second is None:
+        return [slice(max(0, clutch.rows.start - round(limits.in_gear_s / GRID_S)), len(grid_s))]
+    origin_ns = event.start_ns
+    held = np.column_stack([_held(series, grid_s, origin_ns) for series in (first, second)])
+    edges = np.flatnonzero((held[1:] != held[:-1]).any(axis=1)) + 1
+    ringing = round(limits.ringing_s / GRID_S)
+    starts = [0, *(edges + ringing).tolist()]
+    stretches = zip(starts, [*(edges - ringing).tolist(), len(grid_s)], strict=True)
+    least = round(limits.speeds_mean_s / GRID_S)
+    return [slice(start, stop) for start, stop in stretches if stop - start >= least and (held[start] > 0.0).all()]
+
+
+def _held(series: Series, grid_s: FloatArray, origin_ns: int) -> FloatArray:
+    """Return the value in force at each point of the grid; the first one before its time."""
+    times_s = (series.t_ns - origin_ns) * NS_TO_S
+    return series.value[np.maximum(np.searchsorted(times_s, grid_s, side="right") - 1, 0)]
+
+
+def shaft_gap_rad_s(signals: AlignedSignals, rows: slice, limits: QualityLimits = LIMITS) -> float:
+    """Return how far both input shafts are apart [rad/s], up to the ratio of their gears."""
+    first, second = (speed.on_grid[rows] for speed in signals.input_speed)
     apart = first - float(np.median(first / np.maximum(second, 1.0))) * second
-    return max(
-        _largest_mean(signals.engine_speed.on_grid - signals.hub_speed.on_grid, limits.speeds_mean_s),
-        _largest_mean(apart, limits.speeds_mean_s),
-        abs(float(np.mean(before))),
-        abs(float(np.mean(after))),
-    )
+    return _largest_mean(apart, limits.speeds_mean_s)
 
 
 def _misses_command(signals: AlignedSignals, clutch: SlippingClutch, limits: QualityLimits) -> bool:
@@ -136,21 +182,34 @@ def _largest_mean(values: FloatArray, span_s: float) -> float:
     return float(np.max(np.abs(total[count:] - total[:-count])) / count)
 
 
-def _wheels(columns: Columns, limits: QualityLimits) -> float | None:
-    """Compare wheel speeds with the speed of the transmission output: their ratio is one number."""
+def _wheels(event: Event, limits: QualityLimits) -> float | None:
+    """Compare wheel speeds with the speed of the transmission output: their ratio is one number.
+
+    While a shaft rings in its new gear, so does the output: that tells nothing of the sensors.
+    """
+    columns = event.columns
     output = columns.get(Signal.OUTPUT_SPEED)
     if output is None or not len(output.t_ns):
         return None
     ratios = []
     for wheel in (columns[signal] for signal in _WHEELS if signal in columns):
         turning = _at(output, wheel)
-        is_fast = (wheel.value > limits.least_wheel_m_s) & (turning > 0.0)
+        is_fast = (wheel.value > limits.least_wheel_m_s) & (turning > 0.0) & ~_is_ringing(event, wheel.t_ns, limits)
         if is_fast.any():
             ratios.append(wheel.value[is_fast] / turning[is_fast])
     if not ratios:
         return None
     middle = float(np.median(np.concatenate(ratios)))
     return limits.wheel_ratio.score(max(float(np.sqrt(np.mean((ratio / middle - 1.0) ** 2))) for ratio in ratios))
+
+
+def _is_ringing(event: Event, t_ns: Int64Array, limits: QualityLimits) -> BoolArray:
+    """Return at which times a shaft swings that has a new gear, as far as it says so."""
+    is_ringing = np.zeros(len(t_ns), np.bool_)
+    for gear in (event.columns[signal] for signal in _SHAFT_GEARS if signal in event.columns):
+        for change_ns in gear.t_ns[1:][np.diff(gear.value) != 0.0].tolist():
+            is_ringing |= np.abs(t_ns - change_ns) * NS_TO_S <= limits.ringing_s
+    return is_ringing
 
 
 def _hub(columns: Columns, limits: QualityLimits) -> float | None:

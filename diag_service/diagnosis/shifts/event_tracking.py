@@ -18,7 +18,8 @@ from diag_service.diagnosis.shifts.tracking import NS_PER_S, Bounds, Tracker
 SETTLE_NS: Final = NS_PER_S // 20  # after a change of gears: slip that begins so soon belongs to it
 PRELUDE_NS: Final = 3 * NS_PER_S // 10  # the off-going clutch slips so long before a change is shown, no launch does
 LEAST_PRELUDE_NS: Final = 3 * NS_PER_S // 100  # three samples; what is shorter may be the same moment in two messages
-DWELL_NS: Final = 3 * NS_PER_S // 20  # longer than a swing of the driveline: a clutch that sticks so long is locked
+LOCK_NS: Final = NS_PER_S // 2  # the last of the slip fades, swings of the driveline may open a clutch again
+DWELL_NS: Final = 3 * NS_PER_S // 20  # a clutch that carries nothing for so long was let go
 LIFTED_NS: Final = NS_PER_S // 2  # a clutch may carry nothing so long while the foot stays on the pedal
 LOCKED_NS: Final = NS_PER_S // 2  # a clutch that begins to carry may stick for a moment; in gear it does for longer
 LEAST_SLIP_NS: Final = NS_PER_S // 5  # without a change of gears: a clutch that opens slips for a moment
@@ -167,7 +168,7 @@ class EventTracker:
         """End what a change of gears interrupts that begins now."""
         found = self._end_tail(history)
         if self._slip is not None and start_ns - self._slip.start_ns >= PRELUDE_NS:
-            found += self._end_slip(start_ns, EndReason.ABANDONED)
+            found += self._end_slip(start_ns, self._how_ended(self._slip))
         return found
 
     def _leave(self) -> None:
@@ -192,25 +193,34 @@ class EventTracker:
         if self._is_overdue and self._grip.grip is not Grip.SLIPPING and now_ns > self._grip.t_ns + DWELL_NS:
             self._is_overdue = False
         if slip is not None and slip.end_ns is not None:
-            is_between = self._grip.grip is Grip.OPEN and self._grip.is_asked
-            is_over = now_ns > slip.end_ns + (LIFTED_NS if is_between else DWELL_NS)
-            return self._end_slip(slip.end_ns, self._how_ended(slip.kind)) if is_over else []
+            dwell_ns = self._dwell_ns()
+            return (
+                self._end_slip(slip.end_ns + LOCK_NS, self._how_ended(slip)) if now_ns > slip.end_ns + dwell_ns else []
+            )
         if slip is not None and now_ns > slip.start_ns + MAX_SLIP_NS:
             self._is_overdue = True
             return self._end_slip(slip.start_ns + MAX_SLIP_NS, EndReason.TOO_LONG)
         return []
 
-    def _how_ended(self, kind: EventKind) -> EndReason:
-        """Return how slip ended that is over: a creep ends as it will, all else when the clutch is locked."""
-        is_over = kind is EventKind.CREEP or self._grip.grip is Grip.LOCKED
+    def _dwell_ns(self) -> int:
+        """Return how long a clutch must not slip until that is the end of its slip."""
+        if self._grip.grip is Grip.LOCKED:
+            return LOCK_NS
+        return LIFTED_NS if self._grip.is_asked else DWELL_NS
+
+    def _how_ended(self, slip: _Slip) -> EndReason:
+        """Return how slip ends now: a creep is over when it is, all else when the clutch is locked."""
+        is_over = slip.end_ns is not None and (slip.kind is EventKind.CREEP or self._grip.grip is Grip.LOCKED)
         return EndReason.COMPLETE if is_over else EndReason.ABANDONED
 
     def _end_slip(self, end_ns: int, reason: EndReason) -> list[Bounds]:
+        """End the slip, if there is any; what sticks at its end belongs to it, what is open does not."""
         slip, self._slip = self._slip, None
         if slip is None:
             return []
-        end_ns = end_ns if slip.end_ns is None else min(end_ns, slip.end_ns)
-        if end_ns - slip.start_ns < LEAST_SLIP_NS:
+        if slip.end_ns is not None and self._grip.grip is not Grip.LOCKED:
+            end_ns = slip.end_ns
+        if (end_ns if slip.end_ns is None else slip.end_ns) - slip.start_ns < LEAST_SLIP_NS:
             return []
         return [Bounds(slip.gear, slip.gear, slip.start_ns, end_ns, reason, slip.kind)]
 

@@ -82,7 +82,7 @@ def test_people_see_a_line_per_shift_whatever_the_width() -> None:
     lines = out.getvalue().splitlines()
     assert lines[0] == "listening on vcan0"
     assert " ".join(lines[2].split()) == "1 1-2 shift 2 valid 0.1361 0.0012 0.1200 0.0016 0.000 0.85 80 °C good"
-    assert " ".join(lines[3].split()) == "2 2-3 1 rejected - - - - - 0.85 - no verdict [interrupted]"
+    assert " ".join(lines[3].split()) == "2 2-3 shift 1 rejected - - - - - 0.85 - no verdict [interrupted]"
     assert len(lines) == 4
 
 

@@ -219,7 +219,7 @@ def test_the_screen_shows_everything(snapshot: Snapshot) -> None:
     rows = {line.split()[0]: line.split() for line in text.splitlines() if line.strip()}
     assert rows["TCU_Shift"][1:] == ["600.0", "100.0", "valid", str(FRAMES), "0", "0", "0"]
     assert rows["IC_Odometer"][1:5] == ["0.0", "1.0", "no", "data"]
-    assert rows["2"][:4] == ["2", "2-1", "1", "rejected"]
+    assert rows["2"][:5] == ["2", "2-1", "shift", "1", "rejected"]
     assert "signal missing" in text
 
 

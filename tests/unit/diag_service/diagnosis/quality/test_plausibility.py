@@ -11,7 +11,7 @@ from canlog.series import Series
 from clutch_model.calibration import nominal_calibration
 from diag_service.diagnosis.alignment import COMMAND_LAG_S, AlignedSignals
 from diag_service.diagnosis.columns import Signal
-from diag_service.diagnosis.events import Event
+from diag_service.diagnosis.events import Event, EventKind
 from diag_service.diagnosis.friction import FilterState
 from diag_service.diagnosis.friction.preparation import measured_drives, slip_window
 from diag_service.diagnosis.quality.limits import LIMITS, QualityLimits
@@ -19,8 +19,10 @@ from diag_service.diagnosis.quality.plausibility import (
     PressureZeros,
     SlippingClutch,
     agreement,
+    geared_stretches,
     is_frozen,
     plausibility_faults,
+    shaft_gap_rad_s,
     zero_has_jumped,
 )
 from diag_service.diagnosis.quality.usability import usable_signals
@@ -151,8 +153,51 @@ def test_both_looks_at_a_pressure_know_the_one_lag_behind_its_command() -> None:
         command = Series(t_ns=t_ns, sequence=rows, value=commanded_pa)
         late_ns = t_ns - round(lag_s * 1e9)
         pressure = replace(command, value=np.interp(late_ns, t_ns, commanded_pa))
-        return agreement({Signal.CLUTCH1_PRESSURE: pressure, Signal.CLUTCH1_PRESSURE_COMMAND: command})
+        columns = {Signal.CLUTCH1_PRESSURE: pressure, Signal.CLUTCH1_PRESSURE_COMMAND: command}
+        return agreement(replace(first_shifts()[0], columns=columns))
 
     assert agreement_at(COMMAND_LAG_S) == 1.0
     for wrong_s in (0.0, 2.0 * COMMAND_LAG_S):
         assert (agreement_at(wrong_s) or 0.0) < 0.1
+
+
+def with_shaft_gears(event: Event, *, second_from_ns: int) -> Event:
+    """Return an event in which shaft 2 has 2nd gear from a time on, 4th before; shaft 1 stays in 1st."""
+    t_ns = np.arange(event.start_ns - 500_000_000, event.end_ns, 20_000_000)
+    rows = np.arange(len(t_ns))
+    second = np.where(t_ns < second_from_ns, 4.0, 2.0)
+    gears = {
+        Signal.INPUT1_GEAR: Series(t_ns=t_ns, sequence=rows, value=np.ones(len(t_ns))),
+        Signal.INPUT2_GEAR: Series(t_ns=t_ns, sequence=rows, value=second),
+    }
+    return replace(event, columns={**event.columns, **gears})
+
+
+def with_second_shaft_slower(event: Event, until_ns: int, ratio: float) -> Event:
+    """Return an event whose second input shaft turns slower up to a time, as in a higher gear."""
+    speed = event.columns[Signal.INPUT2_SPEED]
+    value = np.where(speed.t_ns < until_ns, ratio * speed.value, speed.value)
+    return replace(event, columns={**event.columns, Signal.INPUT2_SPEED: replace(speed, value=value)})
+
+
+def test_a_shaft_may_change_its_gear_inside_an_event() -> None:
+    """Held against the other shaft up to the ratio of the gear that it has: a new gear is no fault, a jump is one."""
+    event = first_shifts()[0]
+    half_ns = (event.start_ns + event.end_ns) // 2
+    regeared = with_second_shaft_slower(event, half_ns, 0.6)
+    grid_s = np.arange(0.0, (event.end_ns - event.start_ns) * 1e-9, 1e-3)
+    clutch = SlippingClutch(number=2, rows=slice(0, len(grid_s)), pressure_zero_pa=0.0)
+    gaps = []
+    for told in (with_shaft_gears(regeared, second_from_ns=half_ns), with_shaft_gears(regeared, second_from_ns=0)):
+        signals = usable_signals(told, CALIBRATION)
+        assert isinstance(signals, AlignedSignals)
+        gaps.append([shaft_gap_rad_s(signals, rows) for rows in geared_stretches(told, signals.grid_s, clutch)])
+    assert [len(one) for one in gaps] == [2, 1]
+    assert max(gaps[0]) < LIMITS.speeds_rad_s < max(gaps[1])
+
+
+def test_an_emptying_piston_is_held_against_no_command() -> None:
+    event = first_shifts()[0]
+    off = changed(event, Signal.CLUTCH1_PRESSURE, lambda _, value: value + 2e5)
+    assert agreement(off) == 0.0
+    assert (agreement(replace(off, kind=EventKind.REGEAR)) or 0.0) > 0.9

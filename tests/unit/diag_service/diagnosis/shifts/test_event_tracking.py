@@ -1,0 +1,279 @@
+"""Events from gears, slip and load together, on hand-made signals."""
+
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from canlog.series import Series
+from clutch_model.calibration import nominal_calibration
+from diag_service.diagnosis.columns import ColumnBatch, Signal
+from diag_service.diagnosis.events import EndReason, Event, EventKind
+from diag_service.diagnosis.shifts.event_tracking import LOCK_NS, MAX_SLIP_NS
+from diag_service.diagnosis.shifts.shifts import DriveFinder
+
+STEP_NS = 10_000_000
+LOCK = LOCK_NS // STEP_NS
+IDLE = 85.0
+FAST = 200.0
+PULL_PA = 3e5
+CALIBRATION = nominal_calibration()
+PRESSED = frozenset({
+    Signal.CURRENT_GEAR, Signal.TARGET_GEAR, Signal.HUB_SPEED, Signal.INPUT1_SPEED, Signal.INPUT2_SPEED,
+    Signal.CLUTCH1_PRESSURE, Signal.CLUTCH2_PRESSURE, Signal.PEDAL, Signal.ENGINE_TORQUE,
+})  # fmt: skip
+ASKED = frozenset({
+    Signal.TARGET_GEAR, Signal.CURRENT_GEAR, Signal.ENGINE_SPEED, Signal.INPUT_SPEED, Signal.CLUTCH_TORQUE,
+})  # fmt: skip
+Piece = dict[str, float]
+Found = tuple[str, int, int, int, int, str]
+
+
+def piece(
+    count: int,
+    *,
+    gear: int = 1,
+    target: int | None = None,
+    slip: float = 0.0,
+    load: float = 0.0,
+    pedal: float = 0.0,
+    engine: float = FAST,
+    torque: float = 0.0,
+    off_slip: float | None = None,
+) -> Piece:
+    """Return some samples: the slip of the clutch of the gear, which carries ``load``; the other one is empty."""
+    target = gear if target is None else target
+    shafts = (engine - slip, engine - (60.0 if off_slip is None else off_slip))
+    loads = (load, 0.0)
+    first, second = (shafts, loads) if gear % 2 else (shafts[::-1], loads[::-1])
+    return {
+        "count": count, "current_gear": gear, "target_gear": target, "hub_speed_rad_s": engine,
+        "engine_speed_rad_s": engine, "input1_speed_rad_s": first[0], "input2_speed_rad_s": first[1],
+        "input_speed_rad_s": engine - slip, "clutch1_pressure_pa": second[0], "clutch2_pressure_pa": second[1],
+        "clutch_torque_nm": 80.0 if load else 0.0, "pedal_ratio": pedal, "engine_torque_nm": torque,
+    }  # fmt: skip
+
+
+def standing(count: int = 100) -> Piece:
+    return piece(count, slip=IDLE, engine=IDLE)
+
+
+def launching(count: int, slip: float = 80.0) -> Piece:
+    return piece(count, slip=slip, load=PULL_PA, pedal=0.3, engine=150.0, torque=90.0)
+
+
+def driving(count: int = 100, gear: int = 1, pedal: float = 0.3) -> Piece:
+    return piece(count, gear=gear, load=PULL_PA, pedal=pedal, torque=90.0)
+
+
+def columns_of(pieces: tuple[Piece, ...], signals: frozenset[Signal] = PRESSED) -> ColumnBatch:
+    counts = [int(one["count"]) for one in pieces]
+    rows = np.arange(sum(counts), dtype=np.int64)
+    columns = {
+        signal: Series(
+            t_ns=rows * STEP_NS,
+            sequence=rows,
+            value=np.repeat([float(one[signal.value]) for one in pieces], counts),
+        )
+        for signal in signals
+    }
+    return ColumnBatch(columns=columns, watermark_ns=int(rows[-1]) * STEP_NS)
+
+
+def summary(events: list[Event]) -> list[Found]:
+    return [
+        (one.kind.value, one.from_gear, one.to_gear, one.start_ns // STEP_NS, one.end_ns // STEP_NS, one.end_reason)
+        for one in events
+    ]
+
+
+def found(*pieces: Piece, signals: frozenset[Signal] = PRESSED) -> list[Found]:
+    finder = DriveFinder(signals, CALIBRATION)
+    return summary(finder.feed(columns_of(pieces, signals)) + finder.flush())
+
+
+@pytest.mark.parametrize("signals", [PRESSED, ASKED], ids=["pressures", "torque of both clutches"])
+def test_a_launch_lasts_from_the_first_slip_under_load_until_the_clutch_is_locked(signals: frozenset[Signal]) -> None:
+    assert found(standing(), launching(150), driving(), signals=signals) == [
+        ("launch", 1, 1, 100, 250 + LOCK, EndReason.COMPLETE)
+    ]
+
+
+def test_a_judder_is_part_of_its_launch() -> None:
+    swings = [launching(4, slip) for slip in (0.0, 12.0) * 5]
+    assert found(standing(), launching(150), *swings, driving()) == [
+        ("launch", 1, 1, 100, 290 + LOCK, EndReason.COMPLETE)
+    ]
+
+
+def test_a_foot_that_lifts_aborts_a_launch() -> None:
+    assert found(standing(), launching(60), standing()) == [("launch", 1, 1, 100, 160, EndReason.ABANDONED)]
+
+
+def test_a_clutch_may_carry_nothing_for_a_moment_while_the_foot_stays() -> None:
+    nothing = piece(40, slip=60.0, pedal=0.3, engine=150.0)
+    assert found(standing(), launching(60), nothing, launching(90), driving()) == [
+        ("launch", 1, 1, 100, 290 + LOCK, EndReason.COMPLETE)
+    ]
+
+
+def test_a_shift_interrupts_a_launch_and_takes_over_its_slip() -> None:
+    shifting = piece(50, target=2, slip=40.0, load=PULL_PA, pedal=0.3, torque=90.0)
+    assert found(standing(), launching(80), shifting, driving(gear=2)) == [
+        ("launch", 1, 1, 100, 180, EndReason.ABANDONED),
+        ("power_on_upshift", 1, 2, 180, 230, EndReason.COMPLETE),
+    ]
+
+
+def test_a_shift_right_after_a_launch_leaves_it_complete() -> None:
+    shifting = piece(50, target=2, load=PULL_PA, pedal=0.3, torque=90.0)
+    assert [one[-1] for one in found(standing(), launching(80), driving(20), shifting, driving(gear=2))] == [
+        EndReason.COMPLETE,
+        EndReason.COMPLETE,
+    ]
+
+
+def test_a_launch_that_never_ends_is_bounded() -> None:
+    ((kind, _, _, start, end, reason),) = found(standing(), launching(2000), driving())
+    assert (kind, start, end, reason) == ("launch", 100, 100 + MAX_SLIP_NS // STEP_NS, EndReason.TOO_LONG)
+
+
+def test_the_end_of_the_stream_interrupts_a_launch() -> None:
+    assert found(standing(), launching(80)) == [("launch", 1, 1, 100, 179, EndReason.INTERRUPTED)]
+
+
+def test_a_pedal_makes_a_launch_of_a_creep() -> None:
+    creeping = piece(60, slip=70.0, load=1.5e5, engine=IDLE)
+    assert found(standing(), creeping, launching(100), driving()) == [
+        ("creep", 1, 1, 100, 160, EndReason.ABANDONED),
+        ("launch", 1, 1, 160, 260 + LOCK, EndReason.COMPLETE),
+    ]
+
+
+def test_a_creep_ends_without_lock() -> None:
+    assert found(standing(), piece(60, slip=70.0, load=1.5e5, engine=IDLE), standing()) == [
+        ("creep", 1, 1, 100, 160, EndReason.COMPLETE)
+    ]
+
+
+def test_a_clutch_that_closes_onto_a_rolling_car_is_no_launch() -> None:
+    rolling = piece(100, gear=2, slip=20.0)
+    closing = piece(40, gear=2, slip=20.0, load=2e5)
+    assert [one[0] for one in found(rolling, closing, driving(gear=2, pedal=0.0))] == ["closing"]
+
+
+def test_a_locked_clutch_that_lets_go_in_gear_is_told() -> None:
+    assert found(driving(), piece(60, slip=30.0, load=PULL_PA, pedal=0.8), driving()) == [
+        ("slip", 1, 1, 100, 160 + LOCK, EndReason.COMPLETE)
+    ]
+
+
+def test_neutral_and_open_clutches_are_no_events() -> None:
+    assert found(standing(), piece(200, gear=0, slip=40.0, load=PULL_PA), standing()) == []
+
+
+def test_a_change_lasts_until_its_slip_has_ended() -> None:
+    handing_over = piece(20, target=2, load=PULL_PA, pedal=0.3, torque=90.0)
+    inertia = piece(50, gear=2, slip=50.0, load=PULL_PA, pedal=0.3, torque=90.0)  # the gears agree already
+    assert found(driving(), handing_over, inertia, driving(gear=2)) == [
+        ("power_on_upshift", 1, 2, 100, 170, EndReason.COMPLETE)
+    ]
+
+
+def test_a_change_begins_with_the_slip_of_the_clutch_that_gives_away() -> None:
+    slipping = piece(20, gear=2, slip=-30.0, load=PULL_PA, pedal=0.8)
+    shifting = piece(50, gear=2, target=1, slip=-30.0, load=PULL_PA, pedal=0.8)
+    assert found(driving(gear=2), slipping, shifting, driving()) == [("kickdown", 2, 1, 100, 170, EndReason.COMPLETE)]
+
+
+def test_slip_that_never_ends_says_nothing_of_when_a_change_ended() -> None:
+    shifting = piece(50, target=2, load=PULL_PA, pedal=0.3, torque=90.0)
+    lying = piece(600, gear=2, slip=30.0, load=PULL_PA, pedal=0.3)
+    assert found(driving(), shifting, lying)[0] == ("power_on_upshift", 1, 2, 100, 150, EndReason.COMPLETE)
+
+
+def test_an_aborted_change_lasts_until_the_old_clutch_is_closed_again() -> None:
+    shifting = piece(30, target=2, load=PULL_PA, pedal=0.3, torque=90.0)
+    returning = piece(20, slip=20.0, load=PULL_PA, pedal=0.3)
+    assert found(driving(), shifting, returning, driving()) == [
+        ("power_on_upshift", 1, 2, 100, 150, EndReason.ABANDONED)
+    ]
+
+
+@pytest.mark.parametrize(
+    ("from_gear", "to_gear", "pedal", "torque", "kind"),
+    [
+        (3, 4, 0.3, 90.0, EventKind.POWER_ON_UPSHIFT),
+        (3, 4, 0.0, -20.0, EventKind.POWER_OFF_UPSHIFT),
+        (4, 3, 0.0, -20.0, EventKind.COAST_DOWNSHIFT),
+        (4, 3, 0.3, 60.0, EventKind.POWER_ON_DOWNSHIFT),
+        (4, 3, 0.9, 60.0, EventKind.KICKDOWN),
+        (6, 4, 0.3, 60.0, EventKind.POWER_ON_SKIP),
+        (5, 3, 0.0, -20.0, EventKind.COAST_SKIP),
+    ],
+)
+def test_changes_are_told_by_gears_pedal_and_torque(
+    from_gear: int, to_gear: int, pedal: float, torque: float, kind: EventKind
+) -> None:
+    before = piece(100, gear=from_gear, load=PULL_PA, pedal=pedal, torque=torque)
+    during = piece(40, gear=from_gear, target=to_gear, load=PULL_PA, pedal=pedal, torque=torque)
+    assert [one[0] for one in found(before, during, driving(gear=to_gear, pedal=pedal))] == [kind]
+
+
+def test_a_change_with_open_clutches_is_a_regear() -> None:
+    assert [one[0] for one in found(piece(90, gear=2, slip=30.0), piece(6, gear=2, target=1), standing())] == ["regear"]
+
+
+def test_without_pedal_and_torque_a_change_is_a_shift() -> None:
+    gears = frozenset({Signal.CURRENT_GEAR, Signal.TARGET_GEAR})
+    assert found(driving(), piece(50, target=2), driving(gear=2), signals=gears) == [
+        ("shift", 1, 2, 100, 150, EndReason.COMPLETE)
+    ]
+
+
+pieces = st.builds(
+    piece,
+    st.integers(1, 120),
+    gear=st.integers(0, 3),
+    target=st.none() | st.integers(1, 3),
+    slip=st.sampled_from((0.0, 3.0, 20.0, 80.0)),
+    load=st.sampled_from((0.0, PULL_PA)),
+    pedal=st.sampled_from((0.0, 0.3)),
+    engine=st.sampled_from((IDLE, FAST)),
+)
+
+
+@settings(max_examples=60, deadline=None)
+@given(
+    drive=st.lists(pieces, min_size=1, max_size=14),
+    cuts=st.lists(st.integers(1, 1500), max_size=12),
+    signals=st.sampled_from((PRESSED, ASKED)),
+)
+def test_cutting_the_stream_anywhere_changes_no_event(
+    drive: list[Piece], cuts: list[int], signals: frozenset[Signal]
+) -> None:
+    whole = columns_of(tuple(drive), signals)
+    last = whole.watermark_ns // STEP_NS + 1
+
+    def walked(rows: list[int]) -> list[Found]:
+        finder = DriveFinder(signals, CALIBRATION)
+        events: list[Event] = []
+        for start, stop in pairwise(rows):
+            cut = {name: one.between(start * STEP_NS, stop * STEP_NS) for name, one in whole.columns.items()}
+            events += finder.feed(ColumnBatch(columns=cut, watermark_ns=(stop - 1) * STEP_NS))
+        return summary(events + finder.flush())
+
+    assert walked(sorted({0, last, *(cut for cut in cuts if cut < last)})) == walked([0, last])
+
+
+def test_memory_is_bounded_by_the_longest_event() -> None:
+    finder = DriveFinder(PRESSED, CALIBRATION)
+    whole = columns_of((standing(), launching(20_000)))
+    most = 0
+    for start in range(0, 20_100, 100):
+        cut = {name: one.between(start * STEP_NS, (start + 100) * STEP_NS) for name, one in whole.columns.items()}
+        finder.feed(ColumnBatch(columns=cut, watermark_ns=(start + 99) * STEP_NS))
+        most = max(most, finder.buffered_sample_count)
+    assert most < 2 * len(PRESSED) * (MAX_SLIP_NS // STEP_NS)
