@@ -115,6 +115,12 @@ def test_a_trend_has_three_axes_and_knows_the_fluid(engine: Engine) -> None:
     assert queries.trend(engine, "car1", 1, Axis.SHIFT) == []
 
 
+def test_a_trend_says_of_which_kind_each_event_was(engine: Engine) -> None:
+    rows = [row_of(fleet_result(seq)) | {"kind": kind} for seq, kind in ((1, "launch"), (2, None), (3, "kickdown"))]
+    Writer(engine).store(Batch(shifts=rows))
+    assert [record["kind"] for record in queries.trend(engine, "car1", 2, Axis.SHIFT)] == ["launch", None, "kickdown"]
+
+
 def test_a_fill_needs_a_known_vehicle_and_is_noted_once(engine: Engine) -> None:
     with pytest.raises(UnknownVehicleError, match="of vehicle ghost there are no results"):
         queries.note_fill(engine, "ghost", "oil", at=NOW, odometer_m=None, note=None)

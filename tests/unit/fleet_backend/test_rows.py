@@ -38,3 +38,14 @@ def test_the_digest_of_the_content_tells_results_apart_and_nothing_else() -> Non
     one, same, other = row_of(fleet_result(1)), row_of(fleet_result(1)), row_of(fleet_result(2))
     assert one["content_digest"] == same["content_digest"] != other["content_digest"]
     assert -(2**63) <= int(str(one["content_digest"])) < 2**63
+
+
+def test_the_kind_of_an_event_is_kept_beside_what_the_digest_is_made_of() -> None:
+    row = row_of(fleet_result())
+    record = json.loads((GOLDEN / "v1" / "shift.json").read_bytes())["data"]
+    launch = shift_row({**record, "kind": "launch", "end_reason": "complete"})
+    earlier = shift_row({key: value for key, value in record.items() if key not in {"kind", "end_reason"}})
+    assert (launch["kind"], launch["end_reason"]) == ("launch", "complete")
+    assert (earlier["kind"], earlier["end_reason"]) == (None, None)
+    assert launch["content_digest"] == earlier["content_digest"]
+    assert row["kind"] == "shift"

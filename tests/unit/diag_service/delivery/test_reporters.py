@@ -8,6 +8,7 @@ import pytest
 from rich.console import Console
 
 from diag_service.delivery import ConsoleReporter, JsonLinesReporter, MemoryReporter, News, PipeReporter
+from diag_service.diagnosis.events import EventKind
 from diag_service.diagnosis.records import Reason, ShiftResult
 from diag_service.diagnosis.results import shift_record
 from diag_service.diagnosis.summary import FrameCounts, ShiftStatistics, Summary, frames_line, shifts_line
@@ -135,3 +136,12 @@ def test_other_errors_pass_a_pipe() -> None:
 
     with pytest.raises(OSError, match="no space left"):
         PipeReporter(Failing(), lambda: None).report(shift_result(1))
+
+
+def test_an_event_without_a_change_of_gears_has_one_gear() -> None:
+    out = io.StringIO()
+    reporter = ConsoleReporter(Console(file=out, width=40))
+    result = shift_result(1, to_gear=1)
+    launch = replace(result.estimate, from_gear=1, kind=EventKind.LAUNCH)
+    reporter.report(replace(result, estimate=launch))
+    assert out.getvalue().splitlines()[1].split()[:4] == ["1", "1", "launch", "1"]

@@ -7,6 +7,7 @@ from dataclasses import replace
 import pytest
 from jsonschema import Draft202012Validator
 
+from diag_service.diagnosis.events import EndReason, EventKind
 from diag_service.diagnosis.records import Condition, Reason, Status
 from diag_service.diagnosis.results import (
     ServiceStatus,
@@ -156,3 +157,24 @@ def test_the_complaint_about_a_record_names_the_key() -> None:
     del record["window_s"]
     with pytest.raises(ResultError, match=r"incomplete clutchdiag/shift/v1 record: .*window_s"):
         parse_shift(dump(record))
+
+
+@pytest.mark.parametrize("kind", EventKind)
+@pytest.mark.parametrize("end_reason", EndReason)
+def test_the_kind_of_an_event_and_its_end_survive(kind: EventKind, end_reason: EndReason) -> None:
+    result = shift_result()
+    result = replace(result, estimate=replace(result.estimate, kind=kind, end_reason=end_reason))
+    record = shift_record(result)
+    assert Draft202012Validator(schema("shift")).is_valid(record)
+    assert (record["kind"], record["end_reason"]) == (kind.value, end_reason.value)
+    assert parse_shift(dump(record)) == result
+
+
+def test_a_result_without_a_kind_is_of_a_shift_and_one_of_a_later_kind_is_no_poison() -> None:
+    record = shift_record(shift_result())
+    later = {**record, "kind": "reverse_launch", "end_reason": "parked"}
+    assert Draft202012Validator(schema("shift")).is_valid(later)
+    del record["kind"], record["end_reason"]
+    assert Draft202012Validator(schema("shift")).is_valid(record)
+    estimate = parse_shift(dump(record)).estimate
+    assert (estimate.kind, estimate.end_reason) == (EventKind.SHIFT, None)

@@ -18,6 +18,7 @@ from diag_service.mapping.decoder import Decoder
 from diag_service.mapping.profile import Profile, SignalSource, load_profile
 from ecu_emulator.frames import EncodedFrames, FrameEncoder
 from ecu_emulator.readings import Readings
+from ecu_emulator.recording import ROAD_MESSAGES
 from tests.support import wire
 from tests.support.wire import CONTRACTS, DATABASE, START_NS, drive, joined, of_message
 
@@ -188,6 +189,17 @@ def test_what_a_lenient_profile_names_in_vain_is_left_out() -> None:
     odd = profile(current_gear=SignalSource(message="TCU_Gears", signal="CurrentGear"))
     stage = Decoder(DATABASE, replace(odd, is_lenient=True))
     assert stage.signals == odd.sources.keys() - {Signal.CURRENT_GEAR}
+
+
+def test_a_database_from_before_the_road_serves_as_well() -> None:
+    """What a profile calls optional may be missing, even where everything else must be there."""
+    messages = [message for message in DATABASE.messages if message.name not in ROAD_MESSAGES]
+    earlier = Database(messages=messages)
+    stage = Decoder(earlier, load_profile())
+    assert decoder().signals - stage.signals == decoder().optional_signals != frozenset()
+    sources = {signal: replace(source, optional=False) for signal, source in load_profile().sources.items()}
+    with pytest.raises(ConfigError, match="TCU_Drive"):
+        Decoder(earlier, replace(load_profile(), sources=sources))
 
 
 def test_signals_may_be_left_out() -> None:
