@@ -33,7 +33,7 @@ class EventKind(StrEnum):
     COAST_SKIP = "coast_skip"  # the same while coasting
     REGEAR = "regear"  # another gear while both clutches are open
     LAUNCH = "launch"  # a clutch slips under load until the car is as fast as the engine
-    CREEP = "creep"  # the same without a foot on the pedal, as a rule without an end in lock
+    CREEP = "creep"  # the same without a foot on the pedal and without an end in lock
     CLOSING = "closing"  # a clutch closes onto a car that rolls by itself
     SLIP = "slip"  # a clutch that was locked slips in gear
     RUN_UP_OPEN = "run_up_open"  # in neutral the engine ran from low speed to high and back, both clutches empty

@@ -25,6 +25,7 @@ _LAG_NS: Final = round(COMMAND_LAG_S / NS_TO_S)
 _CLIPPED_PA: Final = 0.0  # a sensor that cannot show less than nothing repeats zero with reason
 _ROUNDING: Final = 1e-6  # of a variance: far above what doubles lose, far below what a measurement tells
 _SHAFT_GEARS: Final = (Signal.INPUT1_GEAR, Signal.INPUT2_GEAR)
+_WITHOUT_LOCK: Final = frozenset({EventKind.CREEP, EventKind.REGEAR})  # a car may stop first; both clutches are open
 _WHEELS: Final = (Signal.WHEEL_FL_SPEED, Signal.WHEEL_FR_SPEED, Signal.WHEEL_RL_SPEED, Signal.WHEEL_RR_SPEED)
 _PRESSURES: Final = (
     (Signal.CLUTCH1_PRESSURE, Signal.CLUTCH1_PRESSURE_COMMAND),
@@ -111,11 +112,12 @@ def speed_gap_rad_s(
     end_s = (event.end_ns - event.start_ns) * NS_TO_S
     grid_s = signals.grid_s
     gaps = [shaft_gap_rad_s(signals, rows, limits) for rows in geared_stretches(event, grid_s, clutch, limits)]
-    if event.from_gear != event.to_gear:
+    if event.from_gear != event.to_gear and event.kind is not EventKind.REGEAR:
         locked = signals.slip_rad_s(clutch_of_gear(event.from_gear))
         gaps.append(abs(float(np.mean(locked[grid_s < grid_s[0] + limits.locked_s]))))
-    gaps.append(abs(float(np.mean(signals.slip_rad_s(clutch.number)[grid_s >= end_s - limits.locked_s]))))
-    return max(gaps)
+    if event.kind not in _WITHOUT_LOCK:
+        gaps.append(abs(float(np.mean(signals.slip_rad_s(clutch.number)[grid_s >= end_s - limits.locked_s]))))
+    return max(gaps, default=0.0)
 
 
 def hub_gap_rad_s(signals: AlignedSignals, limits: QualityLimits = LIMITS) -> float:

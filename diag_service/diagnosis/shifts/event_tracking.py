@@ -27,7 +27,9 @@ LOW_RAD_S: Final = 130.0  # of the engine: near idle a clutch is let slip on pur
 ROLLING_RATIO: Final = 0.5  # of the engine's speed: a shaft that turns as fast is not set in motion by its clutch
 MAX_SLIP_NS: Final = 15 * NS_PER_S  # a launch takes three seconds, on a hill with a trailer ten
 MAX_TAIL_NS: Final = 2 * NS_PER_S  # a clutch that works so long after its gear is engaged does not lock
-_UNKNOWN: Final = GripChange(t_ns=0, grip=Grip.OPEN, gear=0, is_asked=None, clutch=0, engine_rad_s=0.0, shaft_rad_s=0.0)
+_UNKNOWN: Final = GripChange(
+    t_ns=0, grip=Grip.OPEN, gear_grip=Grip.OPEN, gear=0, is_asked=None, engine_rad_s=0.0, shaft_rad_s=0.0
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,7 +65,7 @@ class EventTracker:
         self._changes: list[Bounds] = []  # of gears, not yet begun in the walk
         self._grips: list[GripChange] = []
         self._grip = _UNKNOWN
-        self._grip_ns = 0  # since when the clutches do what they do
+        self._gear_grip_ns = 0  # since when the clutch of the gear does what it does
         self._inside: Bounds | None = None  # the change of gears in which the walk is
         self._was_open = False  # no clutch was loaded as it began, nor has one slipped under load in it
         self._tail: _Change | None = None
@@ -123,9 +125,9 @@ class EventTracker:
     def _step(self, change: GripChange) -> list[Bounds]:
         """Take the next change of what the clutches do."""
         before, self._grip = self._grip, change
-        was_locked = before.grip is Grip.LOCKED and change.t_ns - self._grip_ns >= LOCKED_NS
+        was_locked = before.gear_grip is Grip.LOCKED and change.t_ns - self._gear_grip_ns >= LOCKED_NS
         was_locked &= change.engine_rad_s > LOW_RAD_S
-        self._grip_ns = self._grip_ns if change.grip is before.grip else change.t_ns
+        self._gear_grip_ns = self._gear_grip_ns if change.gear_grip is before.gear_grip else change.t_ns
         is_slipping = change.grip is Grip.SLIPPING
         if self._inside is not None:
             self._was_open &= not is_slipping
@@ -140,7 +142,7 @@ class EventTracker:
 
     def _slip_step(self, change: GripChange, *, was_locked: bool) -> list[Bounds]:
         """Take a change outside of all changes of gears."""
-        is_slipping = change.grip is Grip.SLIPPING and change.gear >= 1
+        is_slipping = change.gear_grip is Grip.SLIPPING
         if self._slip is None:
             if is_slipping:
                 kind = EventKind.SLIP if was_locked else _kind_of_slip(change)
@@ -204,13 +206,13 @@ class EventTracker:
 
     def _dwell_ns(self) -> int:
         """Return how long a clutch must not slip until that is the end of its slip."""
-        if self._grip.grip is Grip.LOCKED:
+        if self._grip.gear_grip is Grip.LOCKED:
             return LOCK_NS
         return LIFTED_NS if self._grip.is_asked else DWELL_NS
 
     def _how_ended(self, slip: _Slip) -> EndReason:
         """Return how slip ends now: a creep is over when it is, all else when the clutch is locked."""
-        is_over = slip.end_ns is not None and (slip.kind is EventKind.CREEP or self._grip.grip is Grip.LOCKED)
+        is_over = slip.end_ns is not None and (slip.kind is EventKind.CREEP or self._grip.gear_grip is Grip.LOCKED)
         return EndReason.COMPLETE if is_over else EndReason.ABANDONED
 
     def _end_slip(self, end_ns: int, reason: EndReason) -> list[Bounds]:
@@ -218,11 +220,13 @@ class EventTracker:
         slip, self._slip = self._slip, None
         if slip is None:
             return []
-        if slip.end_ns is not None and self._grip.grip is not Grip.LOCKED:
+        if slip.end_ns is not None and self._grip.gear_grip is not Grip.LOCKED:
             end_ns = slip.end_ns
         if (end_ns if slip.end_ns is None else slip.end_ns) - slip.start_ns < LEAST_SLIP_NS:
             return []
-        return [Bounds(slip.gear, slip.gear, slip.start_ns, end_ns, reason, slip.kind)]
+        is_locked = reason is EndReason.COMPLETE and self._grip.gear_grip is Grip.LOCKED
+        kind = EventKind.LAUNCH if is_locked and slip.kind is EventKind.CREEP else slip.kind
+        return [Bounds(slip.gear, slip.gear, slip.start_ns, end_ns, reason, kind)]
 
     def _end_tail(self, history: History) -> list[Bounds]:
         """Return the change of gears that is over, to the end of its slip if that has ended."""

@@ -11,6 +11,7 @@ from diag_service.diagnosis.shifts.slip_tracking import PEDAL_RATIO
 from diag_service.diagnosis.shifts.tracking import NS_PER_S, Bounds
 
 PULLING_NM: Final = 8.0  # engine torque from which it drives the car: what friction and auxiliaries may hide
+DRIVING_RATIO: Final = 0.06  # of the pedal: beyond it a foot asks for force, below it the engine may brake
 KICKDOWN_RATIO: Final = 0.5  # of the pedal
 RECENT_NS: Final = NS_PER_S // 10  # torque is its mean over so long before the change
 _SKIPPED: Final = 2  # gears down at once
@@ -36,9 +37,12 @@ def kind_of_change(history: History, bounds: Bounds) -> EventKind:
 
 def _is_asked(pedal_ratio: float | None, torque_nm: float | None) -> bool:
     """Return whether the driver wants the engine to drive the car, as far as pedal and torque are known."""
-    if pedal_ratio is not None:
-        return pedal_ratio > PEDAL_RATIO  # torque follows later
-    return torque_nm is not None and torque_nm > PULLING_NM
+    is_pulling = torque_nm is not None and torque_nm > PULLING_NM
+    if pedal_ratio is None:
+        return is_pulling
+    if pedal_ratio > DRIVING_RATIO:
+        return True  # torque follows later
+    return is_pulling and pedal_ratio > PEDAL_RATIO  # torque that outlasts the foot is on its way down
 
 
 def _torque_nm(history: History, start_ns: int) -> float | None:

@@ -8,13 +8,13 @@ from collections.abc import Mapping
 from collections.abc import Set as AbstractSet
 from dataclasses import dataclass
 from enum import IntEnum
-from typing import Final
+from typing import Final, TypeVar
 
 import numpy as np
 
 from canlog.arrays import BoolArray, FloatArray, Int64Array
 from clutch_model.calibration import Calibration
-from clutch_model.gears import clutch_of_gear
+from clutch_model.gears import both_clutches, clutch_of_gear
 from diag_service.diagnosis.columns import DriveState, Signal
 from diag_service.diagnosis.shifts.history import History
 from diag_service.diagnosis.shifts.tracking import held_values
@@ -22,8 +22,9 @@ from diag_service.diagnosis.shifts.tracking import held_values
 SLIP_RAD_S: Final = 5.0  # 50 rpm: beyond it a clutch slips, whatever two controllers' speeds differ by
 LOADED_PA: Final = 0.15e5  # above the touch point: three times what touch point and zero are known to
 LOADED_NM: Final = 5.0  # asked for: what is less does not move a car
-PEDAL_RATIO: Final = 0.06  # beyond it a foot asks for force; below it the engine brakes
+PEDAL_RATIO: Final = 0.02  # beyond it a foot is on the pedal, below it may be the zero of its sensor
 
+Values = TypeVar("Values", BoolArray, FloatArray)
 _PRESSURES: Final = (Signal.CLUTCH1_PRESSURE, Signal.CLUTCH2_PRESSURE)
 _TORQUES: Final = (Signal.CLUTCH1_TORQUE_COMMAND, Signal.CLUTCH2_TORQUE_COMMAND)
 _TORQUE: Final = (Signal.CLUTCH_TORQUE, Signal.CLUTCH_TORQUE)
@@ -44,10 +45,10 @@ class GripChange:
     """From when on the clutches do something else, or the driver asks for something else."""
 
     t_ns: int
-    grip: Grip
+    grip: Grip  # of both clutches: one may be filled for the next gear while the other one carries
+    gear_grip: Grip  # of the clutch of the gear alone
     gear: int  # 0 where no gear is known
     is_asked: bool | None  # whether the car shall be set in motion; None: unknown
-    clutch: int  # that slips, 0 for none
     engine_rad_s: float
     shaft_rad_s: float  # of the gear
 
@@ -91,7 +92,7 @@ class SlipTracker:
     def forget(self) -> None:
         """Forget all values: another segment begins."""
         self._last = dict.fromkeys(self._signals.others, np.nan)
-        self._before: tuple[int, int, int, bool] | None = None
+        self._before: tuple[int, ...] | None = None
 
     def track(self, history: History, until_ns: int) -> list[GripChange]:
         """Walk the samples with ``t < until_ns``."""
@@ -110,14 +111,14 @@ class SlipTracker:
         self, t_ns: Int64Array, engine_rad_s: FloatArray, values: Mapping[Signal, FloatArray]
     ) -> list[GripChange]:
         gear = np.nan_to_num(values[self._signals.gear]).astype(np.int64)
-        slips, is_loaded = self._slips(engine_rad_s, values, gear)
-        clutch = np.where(slips[0], 1, np.where(slips[1], 2, 0))
-        grip = np.where(clutch > 0, Grip.SLIPPING, np.where(is_loaded, Grip.LOCKED, Grip.OPEN))
+        slips, loads = self._slips(engine_rad_s, values, gear)
+        grip = _grip(slips[0] | slips[1], loads[0] | loads[1])
+        gear_grip = np.where(gear >= 1, _grip(_of_gear(gear, slips), _of_gear(gear, loads)), Grip.OPEN)
         asked = _asked(values)
-        first, second = (values[shaft] for shaft in self._signals.shafts)
-        shaft_rad_s = np.where(clutch_of_gear(gear) == 1, first, second)
-        state = np.column_stack((grip, gear, asked))
-        before = np.vstack((self._before or (-1, -1, -2), state[:-1]))
+        shafts = both_clutches(values[shaft] for shaft in self._signals.shafts)
+        shaft_rad_s = _of_gear(gear, shafts)
+        state = np.column_stack((grip, gear_grip, gear, asked))
+        before = np.vstack((self._before or (-1, -1, -1, -2), state[:-1]))
         rows = np.flatnonzero((state != before).any(axis=1)).tolist()
         self._before = tuple(state[-1].tolist())
         return [
@@ -126,7 +127,7 @@ class SlipTracker:
                 grip=Grip(int(grip[row])),
                 gear=int(gear[row]),
                 is_asked=None if asked[row] < 0 else bool(asked[row]),
-                clutch=int(clutch[row]),
+                gear_grip=Grip(int(gear_grip[row])),
                 engine_rad_s=float(engine_rad_s[row]),
                 shaft_rad_s=float(shaft_rad_s[row]),
             )
@@ -135,15 +136,17 @@ class SlipTracker:
 
     def _slips(
         self, engine_rad_s: FloatArray, values: Mapping[Signal, FloatArray], gear: Int64Array
-    ) -> tuple[tuple[BoolArray, BoolArray], BoolArray]:
-        """Return which clutch slips under load, and whether any is loaded; an unknown value tells of neither."""
+    ) -> tuple[tuple[BoolArray, BoolArray], tuple[BoolArray, BoolArray]]:
+        """Return which clutches slip under load, and which are loaded; an unknown value tells of neither."""
         signals = self._signals
-        loads = [values[load] > above for load, above in zip(signals.loads, signals.loaded_above, strict=True)]
-        slips = [np.abs(engine_rad_s - values[shaft]) > SLIP_RAD_S for shaft in signals.shafts]
+        loads = both_clutches(
+            values[load] > above for load, above in zip(signals.loads, signals.loaded_above, strict=True)
+        )
+        slips = both_clutches(np.abs(engine_rad_s - values[shaft]) > SLIP_RAD_S for shaft in signals.shafts)
         if signals.loads[0] is signals.loads[1] or signals.shafts[0] is signals.shafts[1]:
             is_first = clutch_of_gear(gear) == 1  # one signal for both clutches speaks of that of the gear
-            loads = [loads[0] & is_first, loads[1] & ~is_first]
-        return (loads[0] & slips[0], loads[1] & slips[1]), loads[0] | loads[1]
+            loads = loads[0] & is_first, loads[1] & ~is_first
+        return (loads[0] & slips[0], loads[1] & slips[1]), loads
 
 
 def _asked(values: Mapping[Signal, FloatArray]) -> Int64Array:
@@ -151,3 +154,13 @@ def _asked(values: Mapping[Signal, FloatArray]) -> Int64Array:
     pedal, state = values[Signal.PEDAL], values[Signal.DRIVE_STATE]
     by_pedal = np.where(np.isnan(pedal), -1, pedal > PEDAL_RATIO)
     return np.where(state == DriveState.CREEPING, 0, by_pedal).astype(np.int64)
+
+
+def _grip(slips: BoolArray, is_loaded: BoolArray) -> Int64Array:
+    """Return the numbers of the grips, shape (n,)."""
+    return np.where(slips, Grip.SLIPPING, np.where(is_loaded, Grip.LOCKED, Grip.OPEN))
+
+
+def _of_gear(gear: Int64Array, both: tuple[Values, Values]) -> Values:
+    """Return what the clutch of the gear has, sample by sample, of what both have."""
+    return np.where(clutch_of_gear(gear) == 1, *both)

@@ -23,6 +23,7 @@ from diag_service.diagnosis.quality.plausibility import (
     is_frozen,
     plausibility_faults,
     shaft_gap_rad_s,
+    speed_gap_rad_s,
     zero_has_jumped,
 )
 from diag_service.diagnosis.quality.usability import usable_signals
@@ -201,3 +202,18 @@ def test_an_emptying_piston_is_held_against_no_command() -> None:
     off = changed(event, Signal.CLUTCH1_PRESSURE, lambda _, value: value + 2e5)
     assert agreement(off) == 0.0
     assert (agreement(replace(off, kind=EventKind.REGEAR)) or 0.0) > 0.9
+
+
+@pytest.mark.parametrize("kind", [EventKind.LAUNCH, EventKind.CREEP, EventKind.REGEAR])
+def test_only_what_ends_in_lock_is_held_against_its_end(kind: EventKind) -> None:
+    """A creep may end at rest again: that its clutch slips to the last is no fault of a sensor."""
+    event = first_shifts()[0]
+    signals, clutch = of_shift(event)
+    middle_s = float(signals.grid_s[(clutch.rows.start + clutch.rows.stop) // 2])
+    gears = (1, 2) if kind is EventKind.REGEAR else (2, 2)
+    amid = replace(
+        event, kind=kind, from_gear=gears[0], to_gear=gears[1], end_ns=event.start_ns + round(middle_s * 1e9)
+    )
+    signals = usable_signals(amid, CALIBRATION)
+    assert isinstance(signals, AlignedSignals)
+    assert (speed_gap_rad_s(amid, signals, clutch) > LIMITS.speeds_rad_s) is (kind is EventKind.LAUNCH)

@@ -41,12 +41,13 @@ def piece(
     pedal: float = 0.0,
     engine: float = FAST,
     torque: float = 0.0,
-    off_slip: float | None = None,
+    off_slip: float = 60.0,
+    off_load: float = 0.0,
 ) -> Piece:
-    """Return some samples: the slip of the clutch of the gear, which carries ``load``; the other one is empty."""
+    """Return some samples: slip and load of the clutch of the gear, and of the other one, which is empty as a rule."""
     target = gear if target is None else target
-    shafts = (engine - slip, engine - (60.0 if off_slip is None else off_slip))
-    loads = (load, 0.0)
+    shafts = (engine - slip, engine - off_slip)
+    loads = (load, off_load)
     first, second = (shafts, loads) if gear % 2 else (shafts[::-1], loads[::-1])
     return {
         "count": count, "current_gear": gear, "target_gear": target, "hub_speed_rad_s": engine,
@@ -158,6 +159,19 @@ def test_a_creep_ends_without_lock() -> None:
     ]
 
 
+def test_a_creep_that_ends_in_lock_was_a_launch() -> None:
+    creeping = piece(150, slip=70.0, load=1.5e5, engine=IDLE)
+    assert found(standing(), creeping, driving(pedal=0.0)) == [
+        ("launch", 1, 1, 100, 250 + LOCK, EndReason.COMPLETE)
+    ]
+
+
+@pytest.mark.parametrize(("pedal", "kind"), [(0.01, "creep"), (0.03, "launch")])
+def test_any_foot_on_the_pedal_makes_a_launch(pedal: float, kind: str) -> None:
+    slipping = piece(60, slip=70.0, load=1.5e5, pedal=pedal, engine=IDLE)
+    assert [one[0] for one in found(standing(), slipping, standing())] == [kind]
+
+
 def test_a_clutch_that_closes_onto_a_rolling_car_is_no_launch() -> None:
     rolling = piece(100, gear=2, slip=20.0)
     closing = piece(40, gear=2, slip=20.0, load=2e5)
@@ -173,6 +187,27 @@ def test_a_locked_clutch_that_lets_go_in_gear_is_told() -> None:
 def test_neutral_and_open_clutches_are_no_events() -> None:
     assert found(standing(), piece(200, gear=0, slip=40.0, load=PULL_PA), standing()) == []
 
+
+
+@pytest.mark.parametrize("engine", [100.0, FAST])
+def test_a_clutch_that_is_filled_for_the_next_gear_is_no_event(engine: float) -> None:
+    filled = piece(60, load=PULL_PA, off_load=PULL_PA, pedal=0.3, engine=engine)
+    assert found(driving(), filled, driving()) == []
+
+
+def test_a_launch_ends_while_the_clutch_of_the_next_gear_is_filled() -> None:
+    filled = piece(60, load=PULL_PA, off_load=PULL_PA, pedal=0.3, torque=90.0)
+    assert found(standing(), launching(100), filled, driving()) == [
+        ("launch", 1, 1, 100, 200 + LOCK, EndReason.COMPLETE)
+    ]
+
+
+def test_an_aborted_change_lasts_until_the_clutch_that_was_filled_is_empty() -> None:
+    shifting = piece(30, target=2, load=PULL_PA, pedal=0.3, torque=90.0)
+    emptying = piece(20, load=PULL_PA, off_load=PULL_PA, pedal=0.3)
+    assert found(driving(), shifting, emptying, driving()) == [
+        ("power_on_upshift", 1, 2, 100, 150, EndReason.ABANDONED)
+    ]
 
 def test_a_change_lasts_until_its_slip_has_ended() -> None:
     handing_over = piece(20, target=2, load=PULL_PA, pedal=0.3, torque=90.0)
@@ -207,6 +242,10 @@ def test_an_aborted_change_lasts_until_the_old_clutch_is_closed_again() -> None:
     [
         (3, 4, 0.3, 90.0, EventKind.POWER_ON_UPSHIFT),
         (3, 4, 0.0, -20.0, EventKind.POWER_OFF_UPSHIFT),
+        (3, 4, 0.04, 60.0, EventKind.POWER_ON_UPSHIFT),  # hardly pressed, but the engine drives
+        (3, 4, 0.0, 60.0, EventKind.POWER_OFF_UPSHIFT),  # a foot that has just come off
+        (4, 3, 0.04, 60.0, EventKind.POWER_ON_DOWNSHIFT),
+        (4, 3, 0.04, -20.0, EventKind.COAST_DOWNSHIFT),
         (4, 3, 0.0, -20.0, EventKind.COAST_DOWNSHIFT),
         (4, 3, 0.3, 60.0, EventKind.POWER_ON_DOWNSHIFT),
         (4, 3, 0.9, 60.0, EventKind.KICKDOWN),
@@ -240,6 +279,7 @@ pieces = st.builds(
     target=st.none() | st.integers(1, 3),
     slip=st.sampled_from((0.0, 3.0, 20.0, 80.0)),
     load=st.sampled_from((0.0, PULL_PA)),
+    off_load=st.sampled_from((0.0, PULL_PA)),
     pedal=st.sampled_from((0.0, 0.3)),
     engine=st.sampled_from((IDLE, FAST)),
 )
