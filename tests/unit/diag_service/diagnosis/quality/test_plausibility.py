@@ -214,6 +214,6 @@ def test_only_what_ends_in_lock_is_held_against_its_end(kind: EventKind) -> None
     amid = replace(
         event, kind=kind, from_gear=gears[0], to_gear=gears[1], end_ns=event.start_ns + round(middle_s * 1e9)
     )
-    signals = usable_signals(amid, CALIBRATION)
-    assert isinstance(signals, AlignedSignals)
-    assert (speed_gap_rad_s(amid, signals, clutch) > LIMITS.speeds_rad_s) is (kind is EventKind.LAUNCH)
+    seen = usable_signals(amid, CALIBRATION)
+    assert isinstance(seen, AlignedSignals)
+    assert (speed_gap_rad_s(amid, seen, clutch) > LIMITS.speeds_rad_s) is (kind is EventKind.LAUNCH)

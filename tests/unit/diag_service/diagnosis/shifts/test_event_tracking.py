@@ -161,9 +161,7 @@ def test_a_creep_ends_without_lock() -> None:
 
 def test_a_creep_that_ends_in_lock_was_a_launch() -> None:
     creeping = piece(150, slip=70.0, load=1.5e5, engine=IDLE)
-    assert found(standing(), creeping, driving(pedal=0.0)) == [
-        ("launch", 1, 1, 100, 250 + LOCK, EndReason.COMPLETE)
-    ]
+    assert found(standing(), creeping, driving(pedal=0.0)) == [("launch", 1, 1, 100, 250 + LOCK, EndReason.COMPLETE)]
 
 
 @pytest.mark.parametrize(("pedal", "kind"), [(0.01, "creep"), (0.03, "launch")])
@@ -188,7 +186,6 @@ def test_neutral_and_open_clutches_are_no_events() -> None:
     assert found(standing(), piece(200, gear=0, slip=40.0, load=PULL_PA), standing()) == []
 
 
-
 @pytest.mark.parametrize("engine", [100.0, FAST])
 def test_a_clutch_that_is_filled_for_the_next_gear_is_no_event(engine: float) -> None:
     filled = piece(60, load=PULL_PA, off_load=PULL_PA, pedal=0.3, engine=engine)
@@ -208,6 +205,7 @@ def test_an_aborted_change_lasts_until_the_clutch_that_was_filled_is_empty() -> 
     assert found(driving(), shifting, emptying, driving()) == [
         ("power_on_upshift", 1, 2, 100, 150, EndReason.ABANDONED)
     ]
+
 
 def test_a_change_lasts_until_its_slip_has_ended() -> None:
     handing_over = piece(20, target=2, load=PULL_PA, pedal=0.3, torque=90.0)
