@@ -13,7 +13,7 @@ from diag_service.diagnosis.shifts.tracking import NS_PER_S, Bounds
 PULLING_NM: Final = 8.0  # engine torque from which it drives the car: what friction and auxiliaries may hide
 DRIVING_RATIO: Final = 0.06  # of the pedal: beyond it a foot asks for force, below it the engine may brake
 KICKDOWN_RATIO: Final = 0.5  # of the pedal
-RECENT_NS: Final = NS_PER_S // 10  # torque is its mean over so long before the change
+RECENT_NS: Final = NS_PER_S // 10  # before the change: torque is its mean, pedal its movement over so long
 _SKIPPED: Final = 2  # gears down at once
 
 
@@ -23,7 +23,7 @@ def kind_of_change(history: History, bounds: Bounds) -> EventKind:
     torque_nm = _torque_nm(history, bounds.start_ns)
     if pedal_ratio is None and torque_nm is None:
         return EventKind.SHIFT
-    is_asked = _is_asked(pedal_ratio, torque_nm)
+    is_asked = _is_asked(pedal_ratio, torque_nm, is_lifting=_is_lifting(history, bounds.start_ns))
     if bounds.to_gear > bounds.from_gear:
         is_pulling = is_asked and (torque_nm is None or torque_nm > PULLING_NM)
         return EventKind.POWER_ON_UPSHIFT if is_pulling else EventKind.POWER_OFF_UPSHIFT
@@ -35,14 +35,20 @@ def kind_of_change(history: History, bounds: Bounds) -> EventKind:
     return EventKind.KICKDOWN if is_floored else EventKind.POWER_ON_DOWNSHIFT
 
 
-def _is_asked(pedal_ratio: float | None, torque_nm: float | None) -> bool:
+def _is_asked(pedal_ratio: float | None, torque_nm: float | None, *, is_lifting: bool) -> bool:
     """Return whether the driver wants the engine to drive the car, as far as pedal and torque are known."""
     is_pulling = torque_nm is not None and torque_nm > PULLING_NM
     if pedal_ratio is None:
         return is_pulling
     if pedal_ratio > DRIVING_RATIO:
         return True  # torque follows later
-    return is_pulling and pedal_ratio > PEDAL_RATIO  # torque that outlasts the foot is on its way down
+    return is_pulling and pedal_ratio > PEDAL_RATIO and not is_lifting  # torque outlasts the foot for a moment
+
+
+def _is_lifting(history: History, start_ns: int) -> bool:
+    """Return whether the foot is coming off the pedal as a change begins."""
+    recent = history.samples(Signal.PEDAL, start_ns - RECENT_NS, start_ns + 1).value
+    return len(recent) > 0 and bool(recent[-1] < recent[0] - PEDAL_RATIO)
 
 
 def _torque_nm(history: History, start_ns: int) -> float | None:

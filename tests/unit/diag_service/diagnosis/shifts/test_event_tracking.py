@@ -259,6 +259,13 @@ def test_changes_are_told_by_gears_pedal_and_torque(
     assert [one[0] for one in found(before, during, driving(gear=to_gear, pedal=pedal))] == [kind]
 
 
+def test_a_foot_that_is_coming_off_drives_no_upshift() -> None:
+    """Torque outlasts the foot for a moment."""
+    coming_off = [piece(2, gear=3, load=PULL_PA, pedal=pedal, torque=60.0) for pedal in (0.15, 0.12, 0.09, 0.06, 0.04)]
+    during = piece(40, gear=3, target=4, load=PULL_PA, pedal=0.0)
+    assert [one[0] for one in found(driving(gear=3), *coming_off, during, driving(gear=4))] == ["power_off_upshift"]
+
+
 def test_a_change_with_open_clutches_is_a_regear() -> None:
     assert [one[0] for one in found(piece(90, gear=2, slip=30.0), piece(6, gear=2, target=1), standing())] == ["regear"]
 
