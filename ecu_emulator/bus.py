@@ -70,12 +70,13 @@ class _Transmitter:
         self.given_up = 0
         self.retries = 0
         self.underruns = 0
+        self._wall_s = time.time() - time.monotonic()  # once: its steps are not those of the drive
 
     def send_chunk(self, chunk: EncodedFrames, start_s: float) -> None:
         """Send frames when they are due; those due at the same instant go out together."""
         bounds = [*np.flatnonzero(np.diff(chunk.t_s, prepend=-np.inf)).tolist(), len(chunk)]
         for first, end in pairwise(bounds):  # none where a fault has taken every frame
-            messages = to_messages(chunk[first:end])
+            messages = to_messages(chunk[first:end], start_s + self._wall_s)
             due_s = float(chunk.t_s[first])
             deadline_s = start_s + due_s
             self._sleep_until(deadline_s)
@@ -234,16 +235,22 @@ def transmit(
     return transmitter.report(max(0.0, time.monotonic() - started_s), is_complete=not stop.is_set())
 
 
-def to_messages(frames: EncodedFrames) -> list[can.Message]:
-    """Return frames as python-can takes them."""
+def to_messages(frames: EncodedFrames, epoch_s: float = 0.0) -> list[can.Message]:
+    """Return frames as python-can takes them, with the times at which they are due; scenario time 0 is ``epoch_s``.
+
+    A virtual bus may keep these times, so that what is heard there does not depend on how busy the machine is.
+    """
     return [
         can.Message(
+            timestamp=epoch_s + t_s,
             arbitration_id=can_id & ~(EXTENDED_FLAG | ERROR_FLAG),
             is_error_frame=bool(can_id & ERROR_FLAG),
             is_extended_id=bool(can_id & EXTENDED_FLAG),
             data=payload[:length].tobytes(),
         )
-        for can_id, length, payload in zip(frames.can_id.tolist(), frames.length.tolist(), frames.data, strict=True)
+        for t_s, can_id, length, payload in zip(
+            frames.t_s.tolist(), frames.can_id.tolist(), frames.length.tolist(), frames.data, strict=True
+        )
     ]
 
 

@@ -124,8 +124,13 @@ def multicast(why: str) -> Medium:
 
 
 def virtual(why: str) -> Medium:
-    """Return a bus of python-can within this process, with a name of its own."""
-    return Medium(interface=VIRTUAL, channel=f"bus-{uuid.uuid4().hex[:8]}", explanation=f"virtual, since {why}")
+    """Return a bus within this process, with a name of its own; frames keep the times that their senders gave."""
+    return Medium(
+        interface=VIRTUAL,
+        channel=f"bus-{uuid.uuid4().hex[:8]}",
+        explanation=f"virtual, since {why}",
+        options={"preserve_timestamps": True},
+    )
 
 
 def _vcan(name: str, why: str, *, is_shared: bool) -> Medium:

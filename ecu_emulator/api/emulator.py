@@ -139,7 +139,9 @@ class Emulator:
             bitrate=bitrate,
             is_fd=is_fd,
         )
-        self._options = dict(options or {})
+        # On a virtual bus frames have the times of the car, however busy the machine is.
+        own = {"preserve_timestamps": True} if interface == VIRTUAL else {}
+        self._options = {**own, **(options or {})}
         self._truth_path = None if truth is None else Path(truth)
         self._diagnostics = diagnostics_of(answers)
         self._start_delay_s = start_delay_s

@@ -2,7 +2,7 @@
 
     python gateway.py '{"interface": "socketcan", "channel": "can0"}' '{"interface": "socketcan", "channel": "can1"}'
 
-For the demonstration it can be made to have a fault: ``--fault drop`` forgets every fiftieth frame of an identifier,
+For the demonstration it can be made to have a fault: ``--fault drop`` forgets every twentieth frame of an identifier,
 ``--fault alter`` changes a bit in it, ``--fault swap`` sends it behind its successor.
 """
 
@@ -11,16 +11,18 @@ import json
 import signal
 import sys
 from collections import Counter
+from collections.abc import Callable
+from threading import Event
 
 import can
 
 FAULTS = ("none", "drop", "alter", "swap")
-EVERY = 50
+EVERY = 20
 POLL_S = 0.1
 
 
 class Gateway:
-    """Forwards frames, and does with every fiftieth of an identifier what its fault says."""
+    """Forwards frames, and does with every twentieth of an identifier what its fault says."""
 
     def __init__(self, target: can.BusABC, fault: str) -> None:
         self._target = target
@@ -43,20 +45,25 @@ class Gateway:
             self._target.send(held)
 
 
+def run(source: dict, target: dict, fault: str, stop: Event, on_ready: Callable[[], None]) -> None:
+    """Forward frames until told to stop; buses are named as ``can.Bus`` takes them."""
+    with can.Bus(**source) as near, can.Bus(**target) as far:
+        gateway = Gateway(far, fault)
+        on_ready()
+        while not stop.is_set():
+            if (message := near.recv(timeout=POLL_S)) is not None:
+                gateway.forward(message)
+
+
 def main() -> int:
     parser = argparse.ArgumentParser(description="Forwards every frame of one CAN bus to another.")
     parser.add_argument("source", type=json.loads, help="arguments of can.Bus, as JSON")
     parser.add_argument("target", type=json.loads, help="likewise")
     parser.add_argument("--fault", choices=FAULTS, default="none")
     options = parser.parse_args()
-    stopped = []
-    signal.signal(signal.SIGTERM, lambda *_: stopped.append(True))
-    with can.Bus(**options.source) as source, can.Bus(**options.target) as target:
-        gateway = Gateway(target, options.fault)
-        print("forwarding", flush=True)
-        while not stopped:
-            if (message := source.recv(timeout=POLL_S)) is not None:
-                gateway.forward(message)
+    stop = Event()
+    signal.signal(signal.SIGTERM, lambda *_: stop.set())
+    run(options.source, options.target, options.fault, stop, on_ready=lambda: print("forwarding", flush=True))
     return 0
 
 

@@ -1,8 +1,22 @@
 """Does the gateway hand on what the transmission sends, so that its clutches can still be diagnosed behind it?"""
 
+import can
+
 from diag_service import expect_frames, expect_same_frames, expect_shifts, expect_verdict
 
 PATIENCE_S = 300  # a hang; the first gear change comes after three seconds
+FRAMES = 50  # of each of two identifiers
+
+
+def test_every_frame_comes_out_as_it_went_in(gateway, recorded_frames):
+    received = recorded_frames(gateway.far)
+    sent = [can.Message(arbitration_id=0xA0 + number % 2, data=[number % 256] * 8, is_extended_id=False)
+            for number in range(2 * FRAMES)]  # fmt: skip
+    with gateway.near.open() as bus:
+        for message in sent:
+            bus.send(message)
+        received.wait_until_quiet(0.5, timeout_s=PATIENCE_S)
+    expect_same_frames(sent, received.messages)
 
 
 def test_a_gear_change_can_be_diagnosed_behind_the_gateway(gateway, emulated_vehicle, diagnosis, recorded_frames):

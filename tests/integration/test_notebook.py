@@ -46,7 +46,7 @@ def test_its_cells_run_in_their_order(
             exec("\n".join(body if is_value else [*body, last]), names)  # noqa: S102 - what a notebook is for
             if is_value:
                 shown.append(eval(last, names))  # noqa: S307 - likewise
-    assert len(names["analysis"].results) == 20
+    assert len(names["analysis"].results) == 10
     assert [type(one) for one in shown if isinstance(one, Analysis | Figure)] == [Analysis, Figure]
     said = capsys.readouterr().out.splitlines()
     assert len(said) == 2

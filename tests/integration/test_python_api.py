@@ -16,7 +16,11 @@ import pytest
 
 import diag_service
 import ecu_emulator
+from diag_service.api.choices import configuration
 from diag_service.api.live import LiveDiagnosis
+from diag_service.batch.drives import drive_of
+from diag_service.batch.tables import write_results
+from diag_service.batch.worker import Analyst
 from tests.plugins.drives import SHIFT_COUNT, send_time_s
 from tests.support.in_process import ended, never_a_program
 from tests.support.patience import HANG_S
@@ -89,20 +93,10 @@ def test_it_is_what_json_prints_and_disturbs_nothing(drive_log: Path, capsys: py
 
 
 def test_the_table_is_the_one_that_is_written(drive_log: Path, tmp_path: Path) -> None:
-    folder, output = tmp_path / "logs", tmp_path / "results.parquet"
-    folder.mkdir()
-    (folder / "a.log").write_bytes(drive_log.read_bytes())
-    (folder / "b.log").write_bytes(drive_log.read_bytes()[:200_000])
-    (folder / "notes.txt").write_text("no log", encoding="utf-8")
-    folders = diag_service.analyze_folders(folder, output=output, jobs=1)
-    assert [len(drive.results) for drive in folders.drives] == [SHIFT_COUNT, len(folders.drives[1].results)]
-    assert folders.shifts.to_polars().to_dicts() == pl.read_parquet(output).to_dicts()
-    alone = diag_service.analyze(folder / "a.log")
-    assert list(alone.shifts) == list(folders.drives[0].shifts)
-    assert alone.to_json() == folders.drives[0].to_json()
-    assert list(folders.left_out) == [str(folder / "notes.txt")]
-    assert folders.unread == {}
-    assert "2 drives" in repr(folders)
+    output = tmp_path / "results.parquet"
+    config = configuration()
+    write_results(output, [Analyst(config).analyse(drive_of([drive_log]))])  # as a process of a folder run does
+    assert diag_service.analyze(drive_log).shifts.to_polars().to_dicts() == pl.read_parquet(output).to_dicts()
 
 
 def test_a_part_of_a_drive_is_told_as_such(drive_log: Path, tmp_path: Path) -> None:
@@ -184,11 +178,13 @@ def test_several_logs_are_read_in_the_order_of_time(drive_log: Path, tmp_path: P
         diag_service.read([])
 
 
-def test_the_other_commands(drive_log: Path) -> None:
-    assert diag_service.inspect(drive_log).to_json() + "\n" == ended("inspect", drive_log, "--json").out
+def test_the_other_commands(drive_log: Path, tmp_path: Path) -> None:
+    short = tmp_path / "short.log"
+    short.write_bytes(b"".join(drive_log.read_bytes().splitlines(keepends=True)[:600]))
+    assert diag_service.inspect(short).to_json() + "\n" == ended("inspect", short, "--json").out
     dbc = Path(diag_service.__file__).parents[1] / "dbc" / "dct.dbc"
-    proposed = diag_service.propose_profile(drive_log, dbc)
-    assert proposed == ended("signals", drive_log, "--dbc", dbc).out
+    proposed = diag_service.propose_profile(short, dbc)
+    assert proposed == ended("signals", short, "--dbc", dbc).out
     by_paper = diag_service.analyze_by_paper(drive_log)
     assert len(by_paper.shifts) == SHIFT_COUNT
     assert [clutch.clutch for clutch in by_paper.clutches] == [1, 2]

@@ -30,6 +30,14 @@ def test_the_blocks_of_the_page_run_in_their_order(
     assert err == ""
     assert out.startswith("10 shifts, ")
     assert "no such file.log" in out
+    folders = names["folders"]
+    assert isinstance(folders, diag_service.FolderAnalysis)
+    assert list(folders.left_out) == ["recordings/notes.txt"]
+    assert folders.unread == {}
+    assert [list(drive.shifts) for drive in folders.drives] == [list(folders.shifts)]
+    analysis = names["alone"]
+    assert isinstance(analysis, diag_service.Analysis)
+    assert analysis.to_json() == folders.drives[0].to_json()
     for made in ("drive.svg", "results.jsonl", "car1.toml", "recordings/drive.log"):
         assert (tmp_path / made).is_file(), made
     assert (tmp_path / "drive.svg").read_text(encoding="utf-8").startswith("<?xml")
