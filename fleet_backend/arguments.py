@@ -140,6 +140,12 @@ COMMAND_LINE: Final = Program(
     ),
     *(_TABLE, _TREND, _ALARMS, _QUARANTINE),
     Command("seen", "show when each vehicle was heard of", *_QUESTION, examples=(f"{PROGRAM} seen --json",)),
+    Command(
+        "codes",
+        "show the trouble codes that controllers tell",
+        *_QUESTION,
+        examples=(f"{PROGRAM} codes", f"{PROGRAM} codes --json"),
+    ),
     _FILL,
     Command(
         "hash",

@@ -102,6 +102,11 @@ def _seen(options: SimpleNamespace, engine: Engine) -> None:
     _tell(options, records, lambda: report.seen_table(records))
 
 
+def _codes(options: SimpleNamespace, engine: Engine) -> None:
+    records = queries.trouble_codes(engine)
+    _tell(options, records, lambda: report.codes_table(records))
+
+
 def _fill(options: SimpleNamespace, engine: Engine) -> None:
     queries.check_vehicle(engine, options.vehicle)
     at = datetime.now(UTC) if options.at is None else parse_moment(options.at)
@@ -135,5 +140,6 @@ def _tell(options: SimpleNamespace, records: Sequence[report.Record], sheet: Cal
 _COMMANDS: Final[Mapping[str, Command]] = MappingProxyType({
     "ingest": _ingest, "migrate": _migrate, "table": _checked(_table), "trend": _checked(_trend),
     "alarms": _checked(_alarms), "quarantine": _checked(_quarantine), "seen": _checked(_seen),
+    "codes": _checked(_codes),
     "fill": _checked(_fill), "hash": _checked(_hash),
 })  # fmt: skip

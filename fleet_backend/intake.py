@@ -6,7 +6,7 @@ from datetime import datetime
 from enum import Enum, auto
 from typing import Final
 
-from fleet_backend.rows import Poison, Row, metrics_row, quarantine_row, shift_row, status_row
+from fleet_backend.rows import Poison, Row, controller_row, metrics_row, quarantine_row, shift_row, status_row
 from fleet_backend.writer import Batch
 from fleet_contract import (
     Address,
@@ -25,7 +25,7 @@ from fleet_contract import (
 )
 from fleet_link import Message
 
-INGESTED: Final = (Channel.SHIFT, Channel.STATUS, Channel.METRICS)
+INGESTED: Final = (Channel.SHIFT, Channel.STATUS, Channel.METRICS, Channel.CONTROLLER)
 IDENTITY_REASON: Final = "identity"  # of the view identity_alarm too
 _LONGEST_KEY_PART: Final = 128  # what an acknowledgement can carry
 
@@ -36,6 +36,7 @@ class Kind(Enum):
     SHIFT = auto()
     STATUS = auto()
     METRICS = auto()
+    CONTROLLER = auto()
     POISON = auto()
 
 
@@ -59,6 +60,8 @@ def take(message: Message, received_at: datetime) -> Taken:
         return Taken(message=message, kind=Kind.STATUS, row=status_row(incoming.data))
     if incoming.address.channel is Channel.METRICS:
         return Taken(message=message, kind=Kind.METRICS, row=metrics_row(incoming.data))
+    if incoming.address.channel is Channel.CONTROLLER:
+        return Taken(message=message, kind=Kind.CONTROLLER, row=controller_row(incoming.data))
     if incoming.address.channel is not Channel.SHIFT:
         return refuse(message, "topic", "nothing that the backend keeps", received_at)
     receipt = Receipt(key=key_of(incoming.data))
@@ -89,6 +92,7 @@ def batch_of(taken: Iterable[Taken]) -> Batch:
         shifts=rows[Kind.SHIFT],
         statuses=rows[Kind.STATUS],
         metrics=rows[Kind.METRICS],
+        controllers=rows[Kind.CONTROLLER],
         quarantined=rows[Kind.POISON],
     )
 

@@ -1,7 +1,7 @@
 """What users ask: who is worst, how it came, what is alarming, what was kept aside; and the hash of it all."""
 
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import datetime
 from difflib import get_close_matches
@@ -26,6 +26,7 @@ from fleet_backend.schema import (
 
 Record = Mapping[str, object]
 _ROWS_PER_READ: Final = 2000
+_CODE: Final = ("code", "failure_type", "text", "status", "states", "snapshots")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -120,6 +121,20 @@ def last_seen(engine: Engine) -> Sequence[Record]:
     """Return when each vehicle was heard of, the longest silence first."""
     table = views.LAST_SEEN
     return _records(engine, select(table).order_by(table.c.last_result_at, table.c.vehicle))
+
+
+def trouble_codes(engine: Engine) -> Sequence[Record]:
+    """Return the trouble codes that controllers tell, a record each; a vehicle without any has one record as well."""
+    columns = (VEHICLE.c.vehicle, VEHICLE.c.controller, VEHICLE.c.controller_at)
+    told = _records(engine, select(*columns).where(VEHICLE.c.controller.is_not(None)).order_by(VEHICLE.c.vehicle))
+    return [code for record in told for code in _codes_of(record)]
+
+
+def _codes_of(record: Record) -> Iterator[Record]:
+    said = json.loads(str(record["controller"]))
+    head = {"vehicle": record["vehicle"], "read_at": record["controller_at"], "controller": said["controller"]}
+    for code in said["codes"] or [dict.fromkeys(_CODE)]:
+        yield {**head, **{name: code[name] for name in _CODE}}
 
 
 def note_fill(

@@ -119,6 +119,28 @@ def seen_table(records: Sequence[Record]) -> Sheet:
     )
 
 
+def codes_table(records: Sequence[Record]) -> Sheet:
+    """Return the trouble codes that controllers tell."""
+    count = sum(record["code"] is not None for record in records)
+    return _sheet(
+        f"Trouble codes: {count} of {len({record['vehicle'] for record in records})} vehicles",
+        records,
+        {
+            "vehicle": _plain("vehicle"),
+            "code": _plain("code"),
+            "state": lambda record: _NONE if record["states"] is None else ", ".join(_texts(record["states"])),
+            "text": _plain("text"),
+            "read (UTC)": _moment("read_at"),
+            "controller": _plain("controller"),
+        },
+        dispensable=("controller", "read (UTC)", "text"),
+    )
+
+
+def _texts(value: object) -> list[str]:
+    return [str(one) for one in value] if isinstance(value, list) else []
+
+
 def show(sheet: Sheet, out: TextIO, width: int | None = None) -> None:
     """Print a sheet: to a terminal as wide as that is, elsewhere as wide as it is, unless a width is asked for."""
     console = _Console(file=out, highlight=False)

@@ -110,6 +110,16 @@ def metrics_row(data: Mapping[str, object]) -> Row:
     }
 
 
+def controller_row(data: Mapping[str, object]) -> Row:
+    """Return the row of what a controller said of its trouble codes, that kept the contract."""
+    said = {key: data[key] for key in ("controller", "description", "codes")}
+    return {
+        "vehicle": data["vehicle"],
+        "controller": json.dumps(said, sort_keys=True),
+        "controller_at": moment(data["produced_at"]),
+    }
+
+
 def quarantine_row(poison: Poison, received_at: datetime) -> Row:
     """Return the row that keeps a poison message aside: enough to find its cause, never all of a large one."""
     digest = sha256(poison.topic.encode("utf-8", "replace") + b"\0" + poison.payload).hexdigest()

@@ -74,6 +74,8 @@ VEHICLE: Final = Table(
     Column("calibration_version", Text),
     Column("metrics", Text),  # JSON object of the last numbers of its service
     Column("metrics_at", UtcDateTime),
+    Column("controller", Text),  # JSON object: what a controller last said of its trouble codes
+    Column("controller_at", UtcDateTime),
 )
 
 CLUTCH: Final = Table(

@@ -26,6 +26,7 @@ class Batch:
     shifts: Sequence[Row] = ()
     statuses: Sequence[Row] = ()
     metrics: Sequence[Row] = ()
+    controllers: Sequence[Row] = ()
     quarantined: Sequence[Row] = ()
 
 
@@ -38,7 +39,8 @@ class Writer:
         make = postgresql.insert if engine.dialect.name == "postgresql" else sqlite.insert
         self._shift = _newer_content_wins(make(SHIFT_RESULT))
         self._status = _later_status_wins(make(VEHICLE))
-        self._metrics = _later_metrics_win(make(VEHICLE))
+        self._metrics = _later_wins(make(VEHICLE), "metrics")
+        self._controller = _later_wins(make(VEHICLE), "controller")
         self._first_comes = {
             table.name: make(table).on_conflict_do_nothing() for table in (VEHICLE, CLUTCH, QUARANTINE)
         }
@@ -69,6 +71,7 @@ class Writer:
             self._put(connection, CLUTCH, [{"vehicle": v, "clutch": c} for v, c in sorted(clutches, key=str)])
             _execute(connection, self._status, _sorted(batch.statuses, "vehicle"))
             _execute(connection, self._metrics, _sorted(batch.metrics, "vehicle"))
+            _execute(connection, self._controller, _sorted(batch.controllers, "vehicle"))
             _execute(connection, self._shift, _sorted(batch.shifts, *KEY_COLUMNS))
             self._put(connection, QUARANTINE, _sorted(batch.quarantined, "digest"))
         if len(self._known) > _MAX_KNOWN:
@@ -110,10 +113,12 @@ def _later_status_wins(insert: "postgresql.Insert | sqlite.Insert") -> Insert:
     )
 
 
-def _later_metrics_win(insert: "postgresql.Insert | sqlite.Insert") -> Insert:
+def _later_wins(insert: "postgresql.Insert | sqlite.Insert", name: str) -> Insert:
+    """Keep what was said last of what a vehicle says now and then; a column beside it tells when that was."""
     said, known = insert.excluded, VEHICLE.c
+    at = f"{name}_at"
     return insert.on_conflict_do_update(
         index_elements=["vehicle"],
-        set_={"metrics": said.metrics, "metrics_at": said.metrics_at},
-        where=or_(known.metrics_at.is_(None), said.metrics_at > known.metrics_at),
+        set_={name: said[name], at: said[at]},
+        where=or_(known[at].is_(None), said[at] > known[at]),
     )

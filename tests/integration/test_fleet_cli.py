@@ -9,10 +9,12 @@ import pytest
 from sqlalchemy import Engine
 
 from diag_service.diagnosis.records import Condition
+from diag_service.tester.trouble_report import controller_record
 from fleet_backend.cli import main
 from fleet_backend.database import open_database
-from fleet_backend.rows import Poison, quarantine_row
+from fleet_backend.rows import Poison, controller_row, quarantine_row
 from fleet_backend.writer import Batch, Writer
+from tests.golden import CONTROLLER
 from tests.plugins.broker import free_port
 from tests.support.fleet import fleet_result, row_of
 
@@ -87,6 +89,18 @@ def test_a_fill_shows_up_in_the_table(capsys: pytest.CaptureFixture[str], filled
 def test_vehicles_are_listed_with_their_last_result(capsys: pytest.CaptureFixture[str], filled: Engine) -> None:
     assert "2026-01-01 00:00:12" in told(capsys, filled, "seen")
     assert {record["vehicle"] for record in told_json(capsys, filled, "seen")} == {"good", "worn"}
+
+
+def test_trouble_codes_are_listed(capsys: pytest.CaptureFixture[str], filled: Engine) -> None:
+    row = controller_row(controller_record(CONTROLLER))
+    Writer(filled).store(Batch(controllers=[{**row, "vehicle": "worn"}]))
+    shown = told(capsys, filled, "codes")
+    assert "Trouble codes: 1 of 1 vehicles" in shown
+    assert "worn" in shown
+    assert "P0897" in shown
+    (code,) = told_json(capsys, filled, "codes")
+    assert (code["code"], code["read_at"]) == ("P0897", "2026-01-01T00:00:06+00:00")
+    assert isinstance(code["snapshots"], list)
 
 
 def test_the_hash_is_one_line(capsys: pytest.CaptureFixture[str], filled: Engine) -> None:

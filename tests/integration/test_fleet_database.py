@@ -7,12 +7,14 @@ import pytest
 from sqlalchemy import Engine
 
 from diag_service.diagnosis.records import Condition
+from diag_service.tester.trouble import TroubleCode
+from diag_service.tester.trouble_report import ControllerReport, controller_record
 from fleet_backend import queries
 from fleet_backend.choices import Axis
 from fleet_backend.database import open_database, transaction
 from fleet_backend.errors import ConfigError, RowRefusedError, UnknownVehicleError
 from fleet_backend.migrate import migrate
-from fleet_backend.rows import Poison, Row, quarantine_row, status_row
+from fleet_backend.rows import Poison, Row, controller_row, quarantine_row, status_row
 from fleet_backend.schema import CLUTCH, SHIFT_RESULT, VEHICLE
 from fleet_backend.writer import Batch, Writer
 from tests.support.fleet import NOW, START, fleet_result, row_of
@@ -197,6 +199,32 @@ def test_the_latest_metrics_stay(engine: Engine) -> None:
     with engine.begin() as connection:
         (vehicle,) = connection.execute(VEHICLE.select()).all()
     assert vehicle.metrics == '{"day": 2}'
+
+
+def controller(read_at: str, *codes: TroubleCode, vehicle: str = "car1") -> Row:
+    report = ControllerReport(
+        vehicle=vehicle, read_at=read_at, controller="7E1 (answers 7E9)", description="TCU", codes=codes
+    )
+    return controller_row(controller_record(report))
+
+
+def test_the_latest_word_of_a_controller_stays_and_is_told_code_by_code(engine: Engine) -> None:
+    pending, confirmed = (TroubleCode(number=0x089700, status=status, text="worn") for status in (0x04, 0x08))
+    other = TroubleCode(number=0x021800, status=0x08, text="hot")
+    rows = [
+        controller("2026-01-02T00:00:00.000000Z", confirmed, other),
+        controller("2026-01-01T00:00:00.000000Z", pending),
+        controller("2026-01-01T00:00:00.000000Z", vehicle="car2"),
+    ]
+    for row in rows:
+        Writer(engine).store(Batch(controllers=[row]))
+    told = queries.trouble_codes(engine)
+    assert [(one["vehicle"], one["code"], one["states"]) for one in told] == [
+        ("car1", "P0897", ["confirmed"]),
+        ("car1", "P0218", ["confirmed"]),
+        ("car2", None, None),
+    ]
+    assert told[0]["read_at"] == START + timedelta(days=1)
 
 
 def test_when_a_vehicle_was_last_heard_of_is_its_latest_result(engine: Engine) -> None:

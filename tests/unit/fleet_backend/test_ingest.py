@@ -137,6 +137,7 @@ def test_results_are_shared_among_workers_and_states_go_to_each() -> None:
         "$share/ingest/clutchdiag/v1/+/shift",
         "clutchdiag/v1/+/status",
         "clutchdiag/v1/+/metrics",
+        "clutchdiag/v1/+/controller",
     )
 
 

@@ -6,9 +6,18 @@ from dataclasses import replace
 import pytest
 
 from diag_service.diagnosis.results import clutch_record, shift_record
+from diag_service.tester.trouble_report import controller_record
 from fleet_backend.intake import Kind, Taken, batch_of, receipts_of, refuse, take
-from fleet_contract import Outcome, clutch_message, metrics_message, shift_message, status_message
+from fleet_contract import (
+    Outcome,
+    clutch_message,
+    controller_message,
+    metrics_message,
+    shift_message,
+    status_message,
+)
 from fleet_link import Message
+from tests.golden import CONTROLLER
 from tests.support.fleet import NOW, delivered, fleet_result, message_of
 
 GOOD = message_of(fleet_result(7))
@@ -111,6 +120,9 @@ def test_status_and_metrics_become_rows_of_their_vehicle() -> None:
     assert (online.kind, online.row["is_online"]) == (Kind.STATUS, True)
     metrics = take(delivered(metrics_message("car1", "2026-01-01T00:00:00.000000Z", {"outbox_count": 3})), NOW)
     assert (metrics.kind, metrics.row["metrics"]) == (Kind.METRICS, '{"outbox_count": 3}')
+    codes = take(delivered(controller_message(controller_record(CONTROLLER))), NOW)
+    assert (codes.kind, codes.receipt) == (Kind.CONTROLLER, None)
+    assert batch_of([codes]).controllers == [codes.row]
 
 
 def test_rows_and_receipts_are_sorted_by_table_and_vehicle() -> None:
