@@ -6,6 +6,7 @@
 PYTHON ?= python3
 VENV ?= .venv
 SEEDS ?=
+RUNTIME ?=
 SCENARIO ?=
 BROKER ?=
 # Only a hang takes so long: the guest's tests take three minutes, seven beside other work.
@@ -33,7 +34,7 @@ help:
 	@echo "make operating-curve  how often each verdict is given, against true slope and level; writes into docs"
 	@echo "make mismatch      bias, RMS and coverage where the vehicle differs from the belief; writes into docs"
 	@echo "make setup-system  the Debian packages that 'make test' needs (mosquitto, can-utils, ...)"
-	@echo "make sbom          the bill of materials of requirements.lock, as CycloneDX JSON"
+	@echo "make sbom          the bill of materials of requirements.lock, as CycloneDX JSON; RUNTIME=1 of what runs, with licences"
 	@echo "make lock          resolve requirements.lock again; UPGRADE=1 for newer versions"
 	@echo "Variables: PYTHON=$(PYTHON) (3.11 or newer), VENV=$(VENV)"
 
@@ -68,9 +69,9 @@ $(VENV)/.project-installed: pyproject.toml $(VENV)/.requirements-installed
 setup-system:
 	@sh .ci/system-packages
 
-# What requirements.lock brings in, as CycloneDX JSON.
+# What requirements.lock brings in, as CycloneDX JSON; RUNTIME=1: what an installation without extras needs, with licences.
 sbom:
-	@"$(PYTHON)" .ci/sbom.py
+	@$(if $(RUNTIME),$(MAKE) --no-print-directory setup >&2 && $(PY) .ci/sbom.py --run-time,"$(PYTHON)" .ci/sbom.py)
 
 lock: setup
 	@$(PY) -m uv pip compile pyproject.toml --all-extras --generate-hashes --no-emit-index-url --universal \
@@ -114,9 +115,10 @@ static: setup
 	@$(PY) -m mypy --no-error-summary
 	@$(PY) -c 'import sys; from importlinter.cli import lint_imports_command; sys.exit(lint_imports_command())' --no-logo
 	@$(PY) -m codespell_lib
-	@echo "check: the DBC loads strict, docker-compose.yml fits the compose schema"
+	@echo "check: the DBC loads strict, docker-compose.yml and the workflow fit their schemas"
 	@$(PY) -c 'from dbc.contract import load_contract; load_contract()'
 	@$(PY) -m check_jsonschema --quiet --builtin-schema vendor.compose-spec docker-compose.yml
+	@$(PY) -m check_jsonschema --quiet --builtin-schema vendor.github-workflows .github/workflows/ci.yml
 
 test: setup-system static-and-warm test-host test-vcan
 	@echo "test: all passed, none skipped"

@@ -136,7 +136,7 @@ def run_service(source: LoopedDrive) -> dict[str, object]:
         Path("out.jsonl").open("w", encoding="utf-8") as out,
         redirect_stdout(out),
         redirect_stderr(out),
-        patch("diag_service.service.application.BusOpener", partial(DriveOpener, source)),
+        patch("diag_service.service.bus_run.BusOpener", partial(DriveOpener, source)),
     ):
         status = cli.main(["run", "--store", "results.sqlite", "--json"])
     if status != arguments.EXIT_OK:

@@ -36,7 +36,16 @@ def main() -> None:
         folder = Path(name)
         log = folder / "drive.log"
         commands = {
-            "ecu-emulator record": ["ecu_emulator", "record", str(log), "--scenario", "noise_only", "--cycles", "1"],
+            "ecu-emulator record": [
+                "ecu_emulator",
+                "record",
+                str(log),
+                "--scenario",
+                "noise_only",
+                "--cycles",
+                "1",
+                "--force",
+            ],
             "diag-service analyze": ["diag_service", "analyze", str(log), "--json"],
         }
         print(f"{'one cycle of ten shifts':24}  cold s  warm s (median of {options.warm_runs})")

@@ -17,5 +17,9 @@ class ExtraMissingError(SourceError):
     """A library that only an extra brings is not installed: install it."""
 
 
+class InputLeftError(SourceError):
+    """A stream was left before its end because somebody asked to stop: say so."""
+
+
 class OutputError(CanlogError):
     """A file cannot be written: check the disk and the folder."""

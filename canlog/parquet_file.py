@@ -1,10 +1,12 @@
 """Parquet files through pyarrow, an optional dependency; written row group by row group."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import ExitStack, contextmanager
+from datetime import datetime
 from importlib import import_module
 from pathlib import Path
 from types import TracebackType
-from typing import Any, Self
+from typing import Any, BinaryIO, Self
 
 from canlog.errors import OutputError
 from canlog.extras import load_extra
@@ -37,8 +39,18 @@ def arrow_schema(columns: Mapping[str, str], metadata: Mapping[str, Mapping[str,
 
 
 def row_table(rows: Sequence[Mapping[str, object]], schema: Any) -> Any:  # noqa: ANN401 - an untyped library
-    """Return rows as a table of pyarrow with a schema of ``arrow_schema``; keys that are missing are null."""
-    return load_pyarrow().Table.from_pylist(list(rows), schema=schema)
+    """Return rows as a table of pyarrow with a schema of ``arrow_schema``; keys that are missing are null.
+
+    Times may be texts of ISO 8601.
+    """
+    arrow = load_pyarrow()
+    moments = [field.name for field in schema if arrow.types.is_timestamp(field.type)]
+    typed = [{**row, **{name: _moment(row.get(name)) for name in moments}} for row in rows]
+    return arrow.Table.from_pylist(typed, schema=schema)
+
+
+def _moment(value: object) -> object:
+    return datetime.fromisoformat(value) if isinstance(value, str) else value
 
 
 class ParquetTable:
@@ -46,8 +58,8 @@ class ParquetTable:
 
     Parameters
     ----------
-    path : Path
-        The file.
+    output : Path or binary stream
+        The file, or a stream, which stays open and whose errors are its own.
     columns : Mapping of str to str
         Names and types: ``int32``, ``int64``, ``float64``, ``string``, ``BOOL_TYPE``, ``TIME_TYPE`` or ``NAME_TYPE``.
     metadata : Mapping of str to Mapping of str to str
@@ -62,15 +74,20 @@ class ParquetTable:
     """
 
     def __init__(
-        self, path: Path, columns: Mapping[str, str], metadata: Mapping[str, Mapping[str, str]] | None = None
+        self,
+        output: Path | BinaryIO,
+        columns: Mapping[str, str],
+        metadata: Mapping[str, Mapping[str, str]] | None = None,
     ) -> None:
         self._arrow = load_pyarrow()
-        self._path = path
         self.schema: Any = arrow_schema(columns, metadata)
-        try:
-            self._file = path.open("wb")  # pyarrow itself takes no name that is not UTF-8
+        self._path = output if isinstance(output, Path) else None
+        self._file = ExitStack()
+        with self._translated():
+            # pyarrow itself takes no name that is not UTF-8
+            stream = self._file.enter_context(output.open("wb")) if isinstance(output, Path) else output
             self._writer = self._arrow.parquet.ParquetWriter(
-                self._file,
+                stream,
                 self.schema,
                 compression="zstd",
                 # Times hardly repeat, so differences are smaller; nobody looks for the least of some names.
@@ -78,8 +95,6 @@ class ParquetTable:
                 write_statistics=[name for name, kind in columns.items() if kind not in {NAME_TYPE, BOOL_TYPE}],
                 column_encoding={name: TIME_ENCODING for name, kind in columns.items() if kind == TIME_TYPE},
             )
-        except OSError as exc:
-            raise OutputError(f"cannot write {path}: {exc.strerror or exc}") from exc
 
     def __enter__(self) -> Self:
         return self
@@ -87,24 +102,39 @@ class ParquetTable:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Write the end of the file."""
         try:
-            self._translated(self._writer.close)
+            with self._translated():
+                self._writer.close()
         finally:
-            self._translated(self._file.close)
+            with self._translated():
+                self._file.close()
+
+    def discard(self) -> None:
+        """Close it: pyarrow would else do so when nothing may be written any more."""
+        self.close()
 
     def write_rows(self, rows: Sequence[Mapping[str, object]]) -> None:
         """Write rows as one group; keys that are missing are null."""
         if rows:
             table = row_table(rows, self.schema)
-            self._translated(lambda: self._writer.write_table(table))
+            with self._translated():
+                self._writer.write_table(table)
 
     def write_columns(self, columns: Mapping[str, object]) -> None:
         """Write arrays of one length, one per column in their order, as one group."""
         batch = self._arrow.record_batch(list(columns.values()), schema=self.schema)
-        self._translated(lambda: self._writer.write_batch(batch))
+        with self._translated():
+            self._writer.write_batch(batch)
 
-    def _translated(self, write: Any) -> None:  # noqa: ANN401 - a call into an untyped library
+    @contextmanager
+    def _translated(self) -> Iterator[None]:
         try:
-            write()
+            yield
         except OSError as exc:
+            if self._path is None:
+                raise
             raise OutputError(f"cannot write {self._path}: {exc.strerror or exc}") from exc

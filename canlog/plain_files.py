@@ -7,12 +7,13 @@ import errno
 import os
 import stat
 import tomllib
+from functools import cache
 from io import BufferedReader, FileIO
 from pathlib import Path
 from typing import Any, Final
 
+_AT_ONCE: Final = getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_NOCTTY", 0)  # names of POSIX
 MAX_TABLE_BYTES: Final = 4 * 2**20  # far above any settings file, calibration, profile or scenario
-_NULL_DEVICE: Final = os.makedev(1, 3)  # an empty file, by custom
 
 
 def read_small_file(path: Path, most_bytes: int = MAX_TABLE_BYTES) -> bytes:
@@ -62,18 +63,27 @@ def read_toml_file(path: Path) -> dict[str, Any]:
 
 def _open_at_once(name: str, flags: int) -> int:
     """Open a file without waiting for whoever may write into it."""
-    return os.open(name, flags | os.O_NONBLOCK | os.O_NOCTTY)
+    return os.open(name, flags | _AT_ONCE)
 
 
 def _check_kind(path: Path, status: os.stat_result) -> None:
     mode = status.st_mode
     if stat.S_ISDIR(mode):
         raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR), str(path))
-    is_null = stat.S_ISCHR(mode) and status.st_rdev == _NULL_DEVICE
+    is_null = stat.S_ISCHR(mode) and status.st_rdev == _null_device()  # an empty file, by custom
     if stat.S_ISREG(mode) or is_null:
         return
     kind = "a pipe" if stat.S_ISFIFO(mode) else "a socket" if stat.S_ISSOCK(mode) else "a device"
     raise OSError(errno.EINVAL, f"it is {kind}, not a plain file", str(path))
+
+
+@cache
+def _null_device() -> int:
+    """Return the number of the null device, which systems choose for themselves."""
+    try:
+        return Path(os.devnull).stat().st_rdev
+    except OSError:
+        return -1
 
 
 def _too_large(path: Path, most_bytes: int) -> OSError:

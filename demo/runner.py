@@ -114,7 +114,7 @@ async def _warm_up(options: DemoOptions, files: _Files, console: Console) -> Non
     """Record and analyse the same drive once: compiles the kernels of both programs, and the picture needs it."""
     console.print("compiling the kernels of both programs, unless cached ... ", end="")
     began_s = time.monotonic()
-    await run(EMULATOR, "record", files.recording, *_scenario(options), folder=files.folder, environment={})
+    await run(EMULATOR, "record", files.recording, "--force", *_scenario(options), folder=files.folder, environment={})
     await run(SERVICE, "analyze", files.recording, "--json", folder=files.folder, environment={})
     console.print(f"{time.monotonic() - began_s:.0f} s")
 
@@ -205,7 +205,7 @@ def _service_arguments(options: DemoOptions, medium: Medium, files: _Files) -> t
 
 
 def _emulator_arguments(options: DemoOptions, medium: Medium, files: _Files) -> tuple[str | Path, ...]:
-    outputs = ("--truth", files.truth, "--summary", files.transmitted)
+    outputs = ("--truth", files.truth, "--summary", files.transmitted, "--force")
     return ("run", *medium.arguments, *_scenario(options), *outputs)
 
 

@@ -3,11 +3,12 @@
 import signal
 import sys
 from collections.abc import Sequence
+from dataclasses import replace
 from importlib import import_module
 from types import SimpleNamespace
 from typing import Final
 
-from canlog.errors import DefinitionError, ExtraMissingError, OutputError, SourceError
+from canlog.errors import DefinitionError, ExtraMissingError, InputLeftError, OutputError, SourceError
 from clutch_model.errors import CalibrationError
 from diag_service.commands.arguments import (
     EXIT_CONFIG,
@@ -20,10 +21,12 @@ from diag_service.commands.arguments import (
     parse_arguments,
 )
 from diag_service.errors import ConfigError, ControllerError, IncompleteError, StoppedError, StoreError
-from diag_service.service.stopping import Controls, Trigger, ignore
+from diag_service.service.stopping import Controls, PatientTrigger, Trigger, ignore
+from program_io.command_line import STANDARD_STREAM
 from program_io.complaint import complain
 from program_io.standard_output import standard_output
 
+COUNTS_WANTED: Final = tuple(number for number in signal.Signals if number.name == "SIGUSR1")  # POSIX alone has it
 _STATUSES: Final = (
     ((ConfigError, CalibrationError, DefinitionError, ExtraMissingError), EXIT_CONFIG),
     ((SourceError, ControllerError), EXIT_SOURCE),
@@ -36,7 +39,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Run the service and return its exit status."""
     controls = Controls()
     controls.stop.listen_to(signal.SIGINT, signal.SIGTERM)
-    controls.counts_wanted.listen_to(signal.SIGUSR1)
+    controls.counts_wanted.listen_to(*COUNTS_WANTED)
     try:
         is_verbose = False
         try:
@@ -44,14 +47,14 @@ def main(arguments: Sequence[str] | None = None) -> int:
             is_verbose = options.verbose > 0
             with standard_output():
                 _run(options, controls)
-        except StoppedError as exc:
+        except (StoppedError, InputLeftError) as exc:
             return _end_early(exc, controls.stop)
         except Exception as exc:  # noqa: BLE001 - the one place where nothing may pass
             return complain(PROGRAM, exc, _STATUSES, is_verbose=is_verbose, hint=" (-v shows where)")
         return EXIT_OK
     finally:
         if arguments is None:  # a signal while the interpreter winds down must not change the exit status
-            ignore(signal.SIGINT, signal.SIGTERM, signal.SIGUSR1)
+            ignore(signal.SIGINT, signal.SIGTERM, *COUNTS_WANTED)
 
 
 def _run(options: SimpleNamespace, controls: Controls) -> None:
@@ -63,10 +66,19 @@ def _run(options: SimpleNamespace, controls: Controls) -> None:
 
     set_up_notices(options.verbose)
     commands = import_module(f"diag_service.commands.{options.command}")
-    commands.execute(options, controls)
+    commands.execute(options, _patient(controls) if _reads_standard_input(options) else controls)
 
 
-def _end_early(exc: StoppedError, stop: Trigger) -> int:
+def _reads_standard_input(options: SimpleNamespace) -> bool:
+    return STANDARD_STREAM in (getattr(options, "log", None), *getattr(options, "logs", ()))
+
+
+def _patient(controls: Controls) -> Controls:
+    """Return controls for who reads a pipe: whoever writes into it may get the same signal, and end it."""
+    return replace(controls, stop=PatientTrigger(controls.stop))
+
+
+def _end_early(exc: Exception, stop: Trigger) -> int:
     """Say that a run was stopped and return the exit status; a reader that hung up wants to hear no more."""
     if stop.signal is None:
         return EXIT_OK

@@ -9,6 +9,7 @@ import click
 
 from ecu_emulator.drive_names import DriveName
 from program_io.command_line import FILE, INT, Choice, Command, Option, Program, parse
+from program_io.overwriting import FORCE
 
 PROGRAM: Final = "ecu-emulator"
 EXIT_TEXT: Final = (
@@ -100,6 +101,7 @@ _RUN: Final = Command(
     *_DRIVE,
     Option("--truth FILE", "write the truth about every shift to this file", FILE),
     Option("--summary FILE", "write the transmit report to this file as JSON", FILE),
+    FORCE,
     Option("--control SOCKET", "take faults at run time on this Unix socket", FILE),
     Option(
         "--diagnostics [TABLE]",
@@ -142,14 +144,17 @@ _RUN: Final = Command(
 _RECORD: Final = Command(
     "record",
     "write a drive to a log file, faster than real time",
-    click.Argument(["file"], type=FILE, metavar="FILE", help="log to write"),
+    click.Argument(["file"], type=FILE, metavar="FILE", help="log to write; - is standard output"),
+    FORCE,
     Option(
-        "--format", "default: by the file's suffix", Choice(["candump", "blf", "asc", "mf4", "trc", "csv", "gvret"])
+        "--format",
+        "default: by the file's suffix; candump on standard output",
+        Choice(["candump", "blf", "asc", "mf4", "trc", "csv", "gvret"]),
     ),
     Option("--start-time ISO", f"default: {DEFAULT_START}", _instant_ns, default=DEFAULT_START),
     Option("-c --channel CHANNEL", "channel name in the log (default: vcan0)", default="vcan0"),
     *_DRIVE,
-    Option("--truth FILE", "default: FILE.truth.jsonl beside the log", FILE),
+    Option("--truth FILE", "default: FILE.truth.jsonl beside the log; none beside standard output", FILE),
     Option(
         "--parked S",
         "while the car is parked the log has a gap of at most this long (default: as long as it is parked)",
@@ -160,6 +165,7 @@ _RECORD: Final = Command(
     examples=(
         f"{PROGRAM} record drive.log",
         f"{PROGRAM} record drive.blf --scenario case1 --cycles 5 --routine",
+        f"{PROGRAM} record - --scenario case2 | diag-service analyze -",
         f"{PROGRAM} record cold.log --drive wltc --oil-degc 0 --mass-kg 1900",
     ),
 )
@@ -174,6 +180,7 @@ _PDX: Final = Command(
         help="TOML table of a controller (default: the own one)",
     ),
     Option("-o --output FILE", "PDX file to write", FILE, default="tcu.pdx"),
+    FORCE,
     Option("--json", "print the result as one JSON line on stdout"),
     _VERBOSE,
     examples=(f"{PROGRAM} pdx -o tcu.pdx", f"{PROGRAM} pdx my.toml -o my.pdx"),

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Final
 from ecu_emulator.arguments import PROGRAM, parse_arguments
 from ecu_emulator.errors import BusError, ConfigError, ExtraMissingError, RecordError
 from program_io.complaint import complain
+from program_io.overwriting import refusal
 from program_io.standard_output import standard_output
 
 if TYPE_CHECKING:
@@ -48,7 +49,7 @@ def _execute(options: SimpleNamespace, stop: Event) -> None:
         commands.list_scenarios()
         return
     if options.command == "pdx":
-        commands.write_pdx(options.table, options.output, is_json=options.json)
+        commands.write_pdx(options.table, options.output, is_json=options.json, is_forced=options.force)
         return
     scenario = commands.choose_scenario(
         options.scenario,
@@ -73,9 +74,12 @@ def _execute(options: SimpleNamespace, stop: Event) -> None:
             truth=options.truth,
             longest_stay_s=options.parked,
             is_json=options.json,
+            is_forced=options.force,
             stop=stop,
         )
         return
+    if text := refusal(options.truth, options.summary, is_forced=options.force):
+        raise ConfigError(text)
     live.run(
         scenario,
         choice=live.BusChoice(

@@ -1,5 +1,6 @@
 """What the emulator's commands do, once arguments are read and signals are in hand; live sending is in ``live``."""
 
+import os
 import shutil
 import sys
 import textwrap
@@ -13,11 +14,13 @@ from clutch_model.units import k_from_degc
 from ecu_emulator.drive_names import DriveName
 from ecu_emulator.errors import ConfigError, RecordError
 from ecu_emulator.progress import ProgressLine, driven_text, people, print_json
-from ecu_emulator.record import LogFormat, open_log
+from ecu_emulator.record import LogFile, LogFormat, LogStream, open_log, open_log_stream
 from ecu_emulator.recording import LONG_STRETCH_S, Drive
 from ecu_emulator.scenario import Ambient, FluidCondition, Routine, Scenario, Truth
 from ecu_emulator.scenario_file import load_scenario, shipped_scenarios
 from ecu_emulator.truth import Totals, TruthWriter, truth_path
+from program_io.command_line import STANDARD_STREAM
+from program_io.overwriting import refusal
 
 
 def choose_scenario(
@@ -83,19 +86,21 @@ def list_scenarios() -> None:
         sys.stdout.write(hanging(f"{name:<12} ", load_scenario(name).description, width) + "\n")
 
 
-def write_pdx(table: Path | None, path: Path, *, is_json: bool) -> None:
+def write_pdx(table: Path | None, path: Path, *, is_json: bool, is_forced: bool = False) -> None:
     """Write what a controller can be asked for diagnostic tools; without a table, of the one that ships.
 
     Raises
     ------
     ConfigError, RecordError
-        If the table cannot be used or the file cannot be written.
+        If the table cannot be used, or the file is there already or cannot be written.
     """
     from ecu_emulator.diagnostics.pdx.package import pdx_package  # noqa: PLC0415 - for this command alone
     from ecu_emulator.diagnostics.table_file import load_table, shipped_table  # noqa: PLC0415 - likewise
 
     if table is not None and path.absolute() == table.absolute():
         raise ConfigError(f"table and package cannot both be {path}")
+    if text := refusal(path, is_forced=is_forced):
+        raise ConfigError(text)
     described = shipped_table() if table is None else load_table(table)
     package = pdx_package(described)
     try:
@@ -141,7 +146,7 @@ class Recording:
     """
 
     path: Path
-    truth: Path
+    truth: Path  # the null device if there is none
     is_finished: bool
     totals: Totals
     took_s: float
@@ -181,7 +186,9 @@ def write_log(
     stop: Event,
     show: Callable[[Totals, float], None] = lambda _totals, _took_s: None,
 ) -> Recording:
-    """Write a drive to a log and the truth beside it; a request to stop ends both in order.
+    """Write a drive to a log, or to standard output, and the truth beside it; a request to stop ends both in order.
+
+    Standard output has no truth beside it unless ``truth`` names a file.
 
     ``show`` is called now and then with what has been driven, and how long that took [s].
 
@@ -190,15 +197,13 @@ def write_log(
     ConfigError, RecordError
         If the scenario's truth is not possible, or a file cannot be written.
     """
-    truth_file = truth or truth_path(path)
+    truth_file = truth or (Path(os.devnull) if path == STANDARD_STREAM else truth_path(path))
     if truth_file.absolute() == path.absolute():
         raise ConfigError(f"log and truth cannot both be {path}")
     drive = Drive(scenario, longest_stay_s)
     began_s = time.perf_counter()
     with (
-        open_log(
-            path, log_format=LogFormat(log_format) if log_format else None, start_ns=start_ns, channel=channel
-        ) as log,
+        _open(path, log_format, start_ns, channel) as log,
         TruthWriter(truth_file) as writer,
     ):
         writer.drive(drive.truth)
@@ -220,6 +225,13 @@ def write_log(
     )
 
 
+def _open(path: Path, log_format: str | None, start_ns: int, channel: str) -> LogFile | LogStream:
+    chosen = LogFormat(log_format) if log_format else None
+    if path == STANDARD_STREAM:
+        return open_log_stream(sys.stdout.buffer, log_format=chosen, start_ns=start_ns, channel=channel)
+    return open_log(path, log_format=chosen, start_ns=start_ns, channel=channel)
+
+
 def record(
     scenario: Scenario,
     *,
@@ -230,9 +242,19 @@ def record(
     truth: Path | None,
     longest_stay_s: float,
     is_json: bool,
+    is_forced: bool = False,
     stop: Event,
 ) -> None:
-    """Write a drive to a log and say what it holds; raises what ``write_log`` raises."""
+    """Write a drive to a log and say what it holds; raises what ``write_log`` raises.
+
+    Raises ConfigError, too, if a file is there already, or results would get among the frames on standard output.
+    """
+    is_piped = path == STANDARD_STREAM
+    if is_piped and is_json:
+        raise ConfigError("the log goes to standard output: there is no room for --json")
+    outputs = (truth,) if is_piped else (path, truth or truth_path(path))
+    if text := refusal(*outputs, is_forced=is_forced):
+        raise ConfigError(text)
     console = people()
     with ProgressLine(console, "preparing the plant") as progress:
 
@@ -245,9 +267,10 @@ def record(
         )  # fmt: skip
     totals = made.totals
     state = "" if made.is_finished else "stopped early: "
+    name, beside = ("standard output", truth) if is_piped else (path, made.truth)
     console.print(
-        f"{state}{path}: {totals.frames} frames, {totals.shifts} shifts, {totals.driven_s:.1f} s of driving "
-        f"in {made.took_s:.1f} s ({made.speed_ratio:.0f} x real time); truth in {made.truth}",
+        f"{state}{name}: {totals.frames} frames, {totals.shifts} shifts, {totals.driven_s:.1f} s of driving "
+        f"in {made.took_s:.1f} s ({made.speed_ratio:.0f} x real time){f'; truth in {beside}' if beside else ''}",
         markup=False,
     )
     if is_json:

@@ -4,6 +4,7 @@ A program parses first and works afterwards: ``parse`` returns a namespace and c
 statuses and the loading of libraries stay with the program.
 """
 
+import os
 import re
 import sys
 from collections.abc import Callable, Iterable, Sequence
@@ -16,10 +17,21 @@ import click
 
 DISTRIBUTION: Final = "clutchdiag"
 EXIT_USAGE: Final = 2
-FILE: Final = click.Path(readable=False, path_type=Path)  # whether it can be read is found out by reading it
+STANDARD_STREAM: Final = Path("-")  # standard input or output
 _LOOKS_LIKE_OPTION: Final = re.compile(r"-(?!\d*\.?\d+$)\S+$")  # neither a negative number does nor a sentence
 _CONTEXT: Final = {"help_option_names": ["-h", "--help"], "max_content_width": 120}
 
+
+class FileName(click.Path[Path]):
+    """The name of a file; ``-`` alone stands for standard input or output, ``./-`` for a file of that name."""
+
+    def convert(self, value: str | os.PathLike[str], param: click.Parameter | None, ctx: click.Context | None) -> Path:
+        """Return what a text stands for."""
+        path = super().convert(value, param, ctx)
+        return path.absolute() if path == STANDARD_STREAM and os.fspath(value) != str(path) else path
+
+
+FILE: Final = FileName(readable=False, path_type=Path)  # whether it can be read is found out by reading it
 _Word = TypeVar("_Word", int, str)
 
 

@@ -8,6 +8,8 @@ from pathlib import Path
 from typing import Final
 
 PRIVATE_MODE: Final = 0o600
+# What a system does not know it does without: Windows has no O_CLOEXEC, POSIX no O_BINARY.
+OPEN_FLAGS: Final = os.O_RDWR | os.O_CREAT | getattr(os, "O_CLOEXEC", 0) | getattr(os, "O_BINARY", 0)
 _OTHERS: Final = 0o077  # permission bits of group and world
 _COMPANIONS: Final = ("", "-wal", "-shm", "-journal")  # what SQLite puts beside a database
 _LOG: Final = logging.getLogger(__name__)
@@ -16,7 +18,7 @@ _LOG: Final = logging.getLogger(__name__)
 def create_private(path: Path) -> None:
     """Make an empty file for its owner only, unless there is one; SQLite gives its mode to what it puts beside it."""
     with suppress(FileExistsError):
-        os.close(os.open(path, os.O_RDWR | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, PRIVATE_MODE))
+        os.close(os.open(path, OPEN_FLAGS | os.O_EXCL, PRIVATE_MODE))
 
 
 def keep_private(path: Path) -> None:
@@ -24,6 +26,8 @@ def keep_private(path: Path) -> None:
 
     A file that its owner made read-only is left as it is: nobody keeps results in it.
     """
+    if os.name == "nt":  # there the mode of a file says nothing of others
+        return
     told: list[str] = []
     for file in (path.with_name(path.name + suffix) for suffix in _COMPANIONS):
         try:

@@ -7,8 +7,8 @@ standard error.
 
 import gc
 import pickle
-import resource
 import sys
+from contextlib import suppress
 from typing import Final
 
 UNREADABLE: Final = 3
@@ -19,14 +19,29 @@ STRICT: Final = "strict"
 
 def main(database_format: str, memory_bytes: int, time_s: int, mode: str) -> int:
     """Parse standard input within the limits, time being that of computing; return the exit status."""
-    resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
-    resource.setrlimit(resource.RLIMIT_CPU, (time_s, time_s + 1))
-    resource.setrlimit(resource.RLIMIT_AS, (memory_bytes, memory_bytes))
+    _limit(memory_bytes, time_s)
     gc.disable()  # what is parsed stays until the end
     try:
         return parse(sys.stdin.buffer.read().decode(), database_format, is_lenient=mode == LENIENT)
     except MemoryError:
         return OUT_OF_MEMORY
+
+
+def _limit(memory_bytes: int, time_s: int) -> None:
+    """Limit this process where the system can; elsewhere its parent waits for so long and no longer."""
+    try:
+        import resource  # noqa: PLC0415 - of POSIX
+    except ImportError:
+        return
+    limits = {
+        resource.RLIMIT_CORE: (0, 0),
+        resource.RLIMIT_CPU: (time_s, time_s + 1),
+        resource.RLIMIT_AS: (memory_bytes, memory_bytes),
+    }
+    unknown = () if sys.platform == "linux" else (OSError, ValueError)  # other systems refuse some of them
+    for kind, limit in limits.items():
+        with suppress(*unknown):
+            resource.setrlimit(kind, limit)
 
 
 def parse(text: str, database_format: str, *, is_lenient: bool) -> int:

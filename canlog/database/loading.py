@@ -34,6 +34,7 @@ PARSER_BYTES: Final = 368 * 2**20  # six megabytes of DBC take 360
 PARSER_TIME_S: Final = 8  # and seven seconds of computing; with all that surrounds it, ten at most
 MAX_WAIT_S: Final = 60.0  # for the parsing process on a busy machine; its computing time is limited by itself
 MAX_WARNINGS: Final = 20
+OUT_OF_TIME: Final = frozenset(-number for number in signal.Signals if number.name in {"SIGXCPU", "SIGKILL"})
 HEAD_CHARACTERS: Final = 65_536  # a file says what it is in its beginning
 
 _LOG: Final = logging.getLogger(__name__)
@@ -202,7 +203,7 @@ def _parse(text: str, database_format: DatabaseFormat, path: Path, *, is_lenient
         raise DefinitionError(f"cannot start the process that parses {path}: {error.strerror or error}") from error
     if done.returncode == database_child.OUT_OF_MEMORY or b"MemoryError" in done.stderr:
         raise DefinitionError(f"{path} takes more than {PARSER_BYTES // 2**20} MiB of memory to parse")
-    if done.returncode in {-signal.SIGXCPU, -signal.SIGKILL}:
+    if done.returncode in OUT_OF_TIME:
         raise DefinitionError(f"{path} takes more than {parser_time_s} s to parse")
     if done.returncode != 0:
         lines = done.stderr.decode(errors="replace").strip().splitlines() or ["the parser ended without a word"]

@@ -14,13 +14,14 @@ REJECTS_PER_PIECE = 20
 class BoundedStream:
     """A file that ends where no log would go on, which is counted as damage.
 
-    As long as frames or other sound pieces come, it goes on: what is found pays for what is read.
+    As long as frames or other sound pieces come, it goes on: what is found pays for what is read. ``read_bytes`` is how
+    much that is until now.
     """
 
     def __init__(self, stream: BinaryIO, counts: LogCounts) -> None:
         self._stream = stream
         self._counts = counts
-        self._read_bytes = 0
+        self.read_bytes = 0
         self._has_ended = False
 
     @property
@@ -28,16 +29,21 @@ class BoundedStream:
         """The name of the file."""
         return str(self._stream.name)
 
+    @property
+    def is_live(self) -> bool:
+        """Whether a reading that is short shall be used at once, as of a pipe."""
+        return bool(getattr(self._stream, "is_live", False))
+
     def read(self, size: int) -> bytes:
         """Return the next bytes; none once it has ended."""
         content = b"" if self._is_at_end() else self._stream.read(size)
-        self._read_bytes += len(content)
+        self.read_bytes += len(content)
         return content
 
     def readinto(self, buffer: "memoryview | bytearray") -> int:
         """Fill the buffer as far as the file goes; 0 once it has ended."""
         got = 0 if self._is_at_end() else int(self._stream.readinto(buffer))  # type: ignore[attr-defined]  # of every one
-        self._read_bytes += got
+        self.read_bytes += got
         return got
 
     def seek(self, position: int, whence: int = os.SEEK_SET) -> int:
@@ -48,10 +54,10 @@ class BoundedStream:
         counts = self._counts
         pieces = counts.frames + counts.skipped
         is_hopeless = (
-            self._read_bytes > FREE_BYTES + BYTES_PER_PIECE * pieces
+            self.read_bytes > FREE_BYTES + BYTES_PER_PIECE * pieces
             or sum(counts.rejected.values()) > FREE_REJECTS + REJECTS_PER_PIECE * pieces
         )
         if is_hopeless and not self._has_ended:
             self._has_ended = counts.truncated = True
-            counts.reject(LogReject.GIVEN_UP, f"byte {self._read_bytes} or so")
+            counts.reject(LogReject.GIVEN_UP, f"byte {self.read_bytes} or so")
         return self._has_ended

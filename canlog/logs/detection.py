@@ -24,6 +24,7 @@ COMMENTS = (b"#", b"//")
 UTF_16_BYTES = 64
 MDF_MAGICS = (b"MDF     ", b"UnFinMF ")
 MDF_VERSION = slice(8, 9)
+CANDUMP_FOR_PEOPLE = re.compile(rb"\s*(?:\([-\d.: ]+\)\s+)?[\w.-]+\s+[0-9A-F]{3,8}\s+\[\d{1,2}\](?:\s|$)")
 
 
 class LogFormat(StrEnum):
@@ -142,6 +143,8 @@ def detect_text(probe: bytes) -> Detected:
             return Detected(format=log_format, evidence=f"{shown} are frames in its grammar")
         if frames > most:
             hint, most = f"{shown} fit {log_format}", frames
+    if lines and all(CANDUMP_FOR_PEOPLE.match(line) for line in lines[:-1] or lines):
+        raise SourceError("what candump prints for people, without times that can be told: call it with -L")
     raise SourceError(_not_known(probe, hint))
 
 

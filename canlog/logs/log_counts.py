@@ -54,11 +54,15 @@ class LogCounts:
         self.reject(LogReject.CUT_OFF, place, count)
 
     def add(self, other: "LogCounts") -> None:
-        """Add what another reader of the same log counted."""
+        """Add what another reader of the same log, or the reader of another one, counted."""
         self.frames += other.frames
         self.skipped += other.skipped
         self.truncated |= other.truncated
         self.unfinished |= other.unfinished
+        self.jumps_back += other.jumps_back
+        self.jumps_ahead += other.jumps_ahead
+        self.first_jump = self.first_jump or other.first_jump
+        self.repeated += other.repeated
         self.first_rejected = self.first_rejected or other.first_rejected
         for reason, count in other.rejected.items():
             self.reject(reason, "", count)

@@ -22,9 +22,8 @@ from typing import BinaryIO
 from canlog.errors import SourceError
 from canlog.extras import extra_missing
 from canlog.frames import FrameBatch
-from canlog.logs import mf4_child
 from canlog.logs.log_counts import LogCounts
-from canlog.logs.mf4_frames import NEEDS_ASAMMDF
+from canlog.logs.mf4_frames import NEEDS_ASAMMDF, mf4_batches
 from canlog.logs.mf4_mending import UNFINISHED_MAGIC
 
 MEMORY_BYTES = 128 * 1024 * 1024  # beyond what the library itself takes, for a small file
@@ -33,6 +32,8 @@ COPY_PER_BYTE = 32  # of copies on the disk: records that were packed are there 
 CPU_S = 3.0
 BYTES_PER_CPU_S = 2_000_000
 WAIT_PER_CPU_S = 20.0  # others may use the machine, too; processor time is what is limited
+CHILD = "canlog.logs.mf4_child"
+IS_LIMITED = sys.platform == "linux" and hasattr(os, "fork")  # elsewhere files are read in this process
 GAVE_UP = "reading it takes more time or memory than any sound file of its size: it is damaged"
 
 
@@ -52,6 +53,9 @@ def read_mf4(stream: BinaryIO, counts: LogCounts) -> Iterator[FrameBatch]:
     size_bytes = path.stat().st_size
     content_bytes = stored_bytes(path, size_bytes)
     cpu_s = CPU_S + content_bytes / BYTES_PER_CPU_S
+    if not IS_LIMITED:
+        yield from _read_here(path, counts)
+        return
     with TemporaryDirectory(prefix="clutchdiag-") as folder:
         receiving, sending = Pipe(duplex=False)
         with closing(receiving):
@@ -75,8 +79,18 @@ def read_mf4(stream: BinaryIO, counts: LogCounts) -> Iterator[FrameBatch]:
         raise SourceError(f"{message}; most of the file was never written" if is_hollow else message)
 
 
+def _read_here(path: Path, counts: LogCounts) -> Iterator[FrameBatch]:
+    """Read a file in this process, where the system cannot limit another one."""
+    if sys.modules.get("asammdf", ...) is None:  # a program keeps itself from loading it before it is needed
+        del sys.modules["asammdf"]
+    with TemporaryDirectory(prefix="clutchdiag-") as folder:
+        yield from mf4_batches(path, Path(folder), counts)
+
+
 def stored_bytes(path: Path, size_bytes: int) -> int:
     """Return how much of a file is there: what was never written takes no room, and holds nothing."""
+    if not hasattr(os, "SEEK_DATA"):
+        return size_bytes
     found_bytes, position = 0, 0
     with suppress(OSError), path.open("rb") as file:  # ENXIO: nothing more
         while position < size_bytes and found_bytes < size_bytes:
@@ -132,7 +146,7 @@ class _Server:
         ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
         with closing(theirs):
             self._process = subprocess.Popen(  # noqa: S603 - this interpreter, a module of this package
-                [sys.executable, "-m", mf4_child.__name__, str(theirs.fileno())],
+                [sys.executable, "-m", CHILD, str(theirs.fileno())],
                 pass_fds=[theirs.fileno()],
                 env={**os.environ, "PYTHONPATH": os.pathsep.join(folder for folder in sys.path if folder)},
                 stdin=subprocess.DEVNULL,

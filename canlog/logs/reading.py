@@ -15,6 +15,7 @@ from canlog.logs.compressed import InflatedStream, compression_of
 from canlog.logs.detection import PROBE_BYTES, TEXT_LOGS, Detected, LogFormat, detect, detect_text
 from canlog.logs.log_counts import LogCounts, LogReject
 from canlog.logs.mf4 import read_mf4
+from canlog.logs.piped import STANDARD_INPUT, PipeStream, kept, never, open_standard_input, shown_name
 from canlog.logs.sqlite import read_sqlite
 from canlog.logs.tables.time_unit import bus_load_ratio, is_plausible
 from canlog.logs.text_log import reader_of
@@ -32,37 +33,67 @@ READERS: Mapping[LogFormat, Callable[[BinaryIO, LogCounts], Iterator[FrameBatch]
 )
 
 
+def _unseen(_reader: object) -> None:
+    pass
+
+
 class LogReader(Iterator[FrameBatch]):
-    """The frames of one log file, once, oldest first as far as the file is in order.
+    """The frames of one log, once, oldest first as far as it is in order.
 
     A strict one stops with an error at the first line, object or record that is no frame and not meant to be anything
     else, at the first jump of time, and where the file ends before its own end.
     """
 
     def __init__(
-        self, path: Path, stream: BinaryIO, detected: Detected, counts: LogCounts, *, is_strict: bool = False
+        self,
+        path: Path,
+        stream: BinaryIO,
+        detected: Detected,
+        counts: LogCounts,
+        *,
+        is_strict: bool = False,
     ) -> None:
         self.path = path
+        self.name = shown_name(path)  # for people
         self.format = detected.format
         self.evidence = detected.evidence  # why it was taken for that
         self._counts = counts
         self._stream = stream
-        self._opened = path.stat()
-        self._batches = READERS[detected.format](cast("BinaryIO", BoundedStream(stream, counts)), counts)
+        self._opened = None if path == STANDARD_INPUT else path.stat()
+        self._bounded = BoundedStream(stream, counts)
+        self._batches = READERS[detected.format](cast("BinaryIO", self._bounded), counts)
         self._watch = TimeWatch(counts)
         self._is_strict = is_strict
         self._is_first = True
+        self.watch: Callable[[LogReader], None] = _unseen  # called after each batch, and at the end
+        self.has_ended = False
 
     @property
     def counts(self) -> LogCounts:
         """What has been found until now."""
         return self._counts.snapshot()
 
+    @property
+    def read_bytes(self) -> int:
+        """How much of the contents has been read until now."""
+        return self._bounded.read_bytes
+
+    @property
+    def size_bytes(self) -> int | None:
+        """How much there is to be read; None if that cannot be known before."""
+        is_as_it_is = not isinstance(self._stream, InflatedStream) and self.format not in {
+            LogFormat.MF4,
+            LogFormat.SQLITE,
+        }
+        return self._opened.st_size if self._opened is not None and is_as_it_is else None
+
     def __next__(self) -> FrameBatch:
         """Return the next batch.
 
         Raises
         ------
+        InputLeftError
+            If the log came through a pipe that was left before its end.
         SourceError
             If the file cannot be read on, its end is reached without a single frame, or a strict reader meets a fault.
         """
@@ -71,25 +102,31 @@ class LogReader(Iterator[FrameBatch]):
         except StopIteration:
             self._look_at_size()
             self.close()
+            if isinstance(self._stream, PipeStream):
+                self._stream.check_not_left()
             self._be_strict()
             if self._counts.frames == 0:
-                raise SourceError(f"{self.path}: {self._nothing_found()}") from None
+                raise SourceError(f"{self.name}: {self._nothing_found()}") from None
             raise
         except (OSError, SourceError) as exc:
             self._look_at_size()
             self.close()
             kind = type(exc) if isinstance(exc, SourceError) else SourceError
-            raise kind(f"{self.path}: {_reason(exc)}") from exc
+            raise kind(f"{self.name}: {_reason(exc)}") from exc
         if self._is_first:
             self._is_first = False
             self._look_at_load(batch[:LOAD_FRAMES])
         self._watch.look(batch)
         self._be_strict()
+        self.watch(self)
         return batch
 
     def close(self) -> None:
         """Close the file; reading to the end does it, too."""
         self._stream.close()
+        if not self.has_ended:
+            self.has_ended = True
+            self.watch(self)
 
     def _look_at_load(self, batch: FrameBatch) -> None:
         """Say so if the first frames come faster than any bus carries them."""
@@ -104,6 +141,8 @@ class LogReader(Iterator[FrameBatch]):
 
     def _look_at_size(self) -> None:
         """Count it as cut if the file has become shorter since it was opened."""
+        if self._opened is None:
+            return
         with suppress(OSError):
             now, opened = self.path.stat(), self._opened
             if now.st_ino == opened.st_ino and now.st_size < opened.st_size:
@@ -112,7 +151,7 @@ class LogReader(Iterator[FrameBatch]):
     def _be_strict(self) -> None:
         if self._is_strict and (fault := self.counts.first_fault):
             self.close()
-            raise SourceError(f"{self.path}: {fault}")
+            raise SourceError(f"{self.name}: {fault}")
 
     def _nothing_found(self) -> str:
         counts = self.counts
@@ -122,23 +161,54 @@ class LogReader(Iterator[FrameBatch]):
         return f"no CAN frame in this {self.format} log{first}"
 
 
-def read_log(path: Path | str, *, is_strict: bool = False) -> LogReader:
-    """Open a log file, perhaps compressed, and return its reader.
+Watch = Callable[[LogReader], None]
+
+
+def read_log(
+    path: Path | str,
+    *,
+    is_strict: bool = False,
+    is_stopped: Callable[[], bool] = never,
+    watch: Watch | None = None,
+    name: str = "",
+) -> LogReader:
+    """Open a log file, perhaps compressed, and return its reader; ``-`` stands for standard input.
+
+    Parameters
+    ----------
+    path
+        The file.
+    is_strict
+        Whether the first fault is an error.
+    is_stopped
+        Of standard input: whether to wait no longer for what has not come.
+    name
+        What it is called for people, if not by its path.
+    watch
+        Called after each batch, and at the end, with the reader.
 
     Raises
     ------
+    InputLeftError
+        If it was standard input, and left before its format was known.
     SourceError
         If the file is missing, unreadable, empty or not a log of a known format.
     """
     path = Path(path)
     try:
         with ExitStack() as opened:
-            stream = opened.enter_context(BufferedReader(open_plain_file(path)))
-            reader = _reader(path, stream, is_strict=is_strict)
+            if path == STANDARD_INPUT:
+                reader = _piped_reader(is_stopped, is_strict=is_strict)
+            else:
+                stream = opened.enter_context(BufferedReader(open_plain_file(path)))
+                reader = _reader(path, stream, is_strict=is_strict)
+            reader.name = name or reader.name
+            reader.watch = watch or reader.watch
             opened.pop_all()  # from here on it is the reader that closes it
             return reader
     except (OSError, SourceError) as exc:
-        raise SourceError(f"{path}: {_reason(exc)}") from exc
+        kind = type(exc) if isinstance(exc, SourceError) else SourceError
+        raise kind(f"{name or shown_name(path)}: {_reason(exc)}") from exc
 
 
 def is_log(path: Path) -> bool:
@@ -175,6 +245,34 @@ def _reader(path: Path, stream: BinaryIO, *, is_strict: bool) -> LogReader:
     detected = detect_text(_beginning(inflated))
     inflated.restart(counts)
     return LogReader(path, cast("BinaryIO", inflated), detected, counts, is_strict=is_strict)
+
+
+def _piped_reader(is_stopped: Callable[[], bool], *, is_strict: bool) -> LogReader:
+    """Return the reader of standard input: of a text as it comes, of anything else when all of it is there."""
+    stream = open_standard_input(is_stopped)
+    probe = b""
+    while len(probe) < PROBE_BYTES and (piece := stream.read(PROBE_BYTES - len(probe))):
+        probe += piece
+        if compression_of(probe) or _detected(probe) is not None:
+            break
+    stream.check_not_left()
+    detected = None if compression_of(probe) else detect(probe)
+    stream.give_back(probe)
+    if detected is not None and detected.format in TEXT_LOGS:
+        return LogReader(STANDARD_INPUT, cast("BinaryIO", stream), detected, LogCounts(), is_strict=is_strict)
+    with ExitStack() as opened:
+        file = opened.enter_context(kept(stream, is_stopped))
+        reader = _reader(STANDARD_INPUT, file, is_strict=is_strict)
+        opened.pop_all()
+        return reader
+
+
+def _detected(probe: bytes) -> Detected | None:
+    """Return what a beginning speaks of, None if it does not suffice."""
+    try:
+        return detect(probe)
+    except SourceError:
+        return None
 
 
 def _beginning(inflated: InflatedStream) -> bytes:

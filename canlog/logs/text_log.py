@@ -114,7 +114,9 @@ def reader_of(new_log: Callable[[], TextLog]) -> Callable[[BinaryIO, LogCounts],
     def read(stream: BinaryIO, counts: LogCounts) -> Iterator[FrameBatch]:
         log = new_log()
         reader = TextReader(log, counts, BLOCK_BYTES + MAX_LINE_BYTES)
-        for number, (text, is_terminated) in enumerate(lines_of(stream)):
+        looks_ahead = type(log).look_ahead is not TextLog.look_ahead
+        least_bytes = LOOK_AHEAD_BYTES + MAX_LINE_BYTES if looks_ahead else len(BYTE_ORDER_MARK)
+        for number, (text, is_terminated) in enumerate(lines_of(stream, least_bytes)):
             if number == 0:
                 log.look_ahead(text[:LOOK_AHEAD_BYTES].tobytes())
             batch = reader.read(text) if is_terminated else reader.read_last(text)
@@ -133,16 +135,17 @@ def frames_of(log: TextLog, text: bytes, counts: LogCounts | None = None) -> Fra
     return reader.read(np.frombuffer(text + b"\n", np.uint8))
 
 
-def lines_of(stream: BinaryIO) -> Iterator[tuple[UInt8Array, bool]]:
+def lines_of(stream: BinaryIO, least_bytes: int = len(BYTE_ORDER_MARK)) -> Iterator[tuple[UInt8Array, bool]]:
     """Yield a text in blocks of whole lines, about 2 MiB each, and last what follows the last newline.
 
     Beside each block stands whether its last newline is the file's own: one is added to a line that the file may have
     cut. A block is valid until the next one is asked for. A byte-order mark before the first line is passed over. Of a
-    line that is too long to be one only the end is passed on, behind a NUL that makes it malformed.
+    line that is too long to be one only the end is passed on, behind a NUL that makes it malformed. A live stream has
+    smaller blocks, as they come; the first reading of it takes ``least_bytes``.
     """
     buffer = bytearray(BLOCK_BYTES + MAX_LINE_BYTES)
     kept, is_first = 0, True
-    while got := _fill(stream, memoryview(buffer)[kept:]):
+    while got := _fill(stream, memoryview(buffer)[kept:], least_bytes if is_first else 1):
         stop = kept + got
         if is_first and buffer.startswith(BYTE_ORDER_MARK):
             stop -= len(BYTE_ORDER_MARK)
@@ -168,9 +171,13 @@ def end_of_line(text: UInt8Array, at: int) -> int:
     return at + found + 1
 
 
-def _fill(stream: BinaryIO, view: memoryview) -> int:
-    """Read until the view is full or the stream at its end, and return how much: a stream may come in small pieces."""
+def _fill(stream: BinaryIO, view: memoryview, least_bytes: int) -> int:
+    """Read until the view is full, or of a live stream as much as there is; return how much, 0 at the end.
+
+    A stream may come in small pieces.
+    """
+    enough_bytes = least_bytes if getattr(stream, "is_live", False) else len(view)
     count = 0
-    while count < len(view) and (got := stream.readinto(view[count:])):  # type: ignore[attr-defined]  # of every one
+    while count < enough_bytes and (got := stream.readinto(view[count:])):  # type: ignore[attr-defined]  # of every one
         count += got
     return count

@@ -1,23 +1,24 @@
 """Logs to tables: one pass from frames to columns and the account of what is not in them, for files and for memory."""
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import closing
 from dataclasses import dataclass
 from enum import StrEnum
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, BinaryIO, Final, Protocol
 
 import numpy as np
 from cantools.database.can import Message
 
 from canlog.decode.codec import HAS_VALUES, Codec, MessageValues
-from canlog.errors import OutputError
 from canlog.frames import FrameBatch
-from canlog.logs import LogReader, read_log
-from canlog.parquet_file import ParquetTable
+from canlog.logs import LogReader
+from canlog.logs.piped import never
+from canlog.logs.reading import Watch
 from canlog.tables.account import DecodeAccount
+from canlog.tables.inputs import LogSet, Origins
 from canlog.tables.layouts import LongLayout, Values, WideLayout
 from canlog.tables.names import TableNames, table_names
+from canlog.tables.outputs import TableFormat, open_columns, replacing
 
 MAX_CELLS: Final = 4_000_000  # of a row group: 32 MB of numbers
 CELLS_PER_FRAME: Final = 64  # of the long table, at most as a rule
@@ -48,15 +49,17 @@ class Plan:
         codec = Codec(messages)
         return cls(codec=codec, names=table_names(codec.tables), shape=shape, values=values)
 
-    def layout(self, batches: Callable[[], Iterable[FrameBatch]]) -> WideLayout | LongLayout:
+    def layout(
+        self, batches: Callable[[], Iterable[FrameBatch]], origins: Origins | None = None
+    ) -> WideLayout | LongLayout:
         """Return the columns; for wide rows all frames are looked at, for the messages that occur are the columns."""
         if self.shape is TableShape.LONG:
-            return LongLayout(self.codec.tables, self.names, self.values)
+            return LongLayout(self.codec.tables, self.names, self.values, origins)
         seen: set[int] = set()
         for batch in batches():
             counts = self.codec.match(batch).counts[:-1, list(HAS_VALUES)]
             seen.update(np.flatnonzero(counts.sum(axis=1)).tolist())
-        return WideLayout(self.codec.tables, self.names, self.values, sorted(seen))
+        return WideLayout(self.codec.tables, self.names, self.values, sorted(seen), origins)
 
     def frames_per_group(self, layout: WideLayout | LongLayout) -> int:
         """Return how many frames a row group may hold."""
@@ -95,52 +98,118 @@ def pieces(batches: Iterable[FrameBatch], size: int) -> Iterator[FrameBatch]:
             yield batch[start : start + size]
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Decoded:
+    """What became of some logs."""
+
+    account: DecodeAccount
+    readers: tuple[LogReader, ...]  # in the order in which the logs were named; closed
+    is_whole: bool  # False: it was stopped
+
+
+class TableSink(Protocol):
+    """What takes decoded frames."""
+
+    def write(self, batch: FrameBatch, found: Sequence[MessageValues]) -> int:
+        """Take a batch and what its signals say; return how many rows that made."""
+
+    def close(self) -> None:
+        """Write what the format needs at its end."""
+
+    def discard(self) -> None:
+        """Leave what there is: it is not complete."""
+
+
+class _Rows:
+    """Rows of columns into any file of columns."""
+
+    def __init__(self, output: BinaryIO, table_format: TableFormat, layout: WideLayout | LongLayout) -> None:
+        self._layout = layout
+        self._columns = open_columns(output, table_format, layout.kinds, layout.metadata)
+
+    def write(self, batch: FrameBatch, found: Sequence[MessageValues]) -> int:
+        count, columns = self._layout.columns(batch, found) if found else (0, {})
+        if count:
+            self._columns.write_columns(columns)
+        return count
+
+    def close(self) -> None:
+        self._columns.close()
+
+    def discard(self) -> None:
+        self._columns.discard()
+
+
 def decode_log(
-    path: Path, plan: Plan, output: Path, is_stopped: Callable[[], bool] = lambda: False
+    path: Path, plan: Plan, output: Path, is_stopped: Callable[[], bool] = never
 ) -> tuple[DecodeAccount, LogReader] | None:
-    """Write the signals of a log into a Parquet file in bounded memory; the file appears when it is complete.
+    """Write the signals of a log into a Parquet file; what ``decode_logs`` does for one log, None if it was stopped."""
+    decoded = decode_logs([path], plan, output, TableFormat.PARQUET, is_stopped)
+    return (decoded.account, decoded.readers[0]) if decoded.is_whole else None
 
-    For wide rows the log is read twice.
 
-    Returns
-    -------
-    tuple of DecodeAccount and LogReader, or None
-        What became of every frame, and the reader, which says what the log is; None, and no file, if it was stopped.
+def decode_logs(
+    paths: Sequence[Path],
+    plan: Plan,
+    output: Path | BinaryIO,
+    table_format: TableFormat,
+    is_stopped: Callable[[], bool] = never,
+    watch: Watch | None = None,
+) -> Decoded:
+    """Write the signals of logs, merged by time, in bounded memory; a file appears when it is complete.
+
+    For wide rows the logs are read twice, so standard input is kept in a file first.
 
     Raises
     ------
     SourceError
-        If the log cannot be read.
+        If a log cannot be read.
     OutputError
         If the file cannot be written.
+    ExtraMissingError
+        If the library that writes the format is not installed.
     """
-    part = output.with_name(f".{output.name}.part")
-    try:
-        told = _written(path, plan, part, is_stopped)
-        if is_stopped():
-            return None
-        part.replace(output)
-    except OSError as exc:
-        raise OutputError(f"cannot write {output}: {exc.strerror or exc}") from exc
-    finally:
-        part.unlink(missing_ok=True)
-    return told
+
+    def written(stream: BinaryIO) -> Decoded:
+        with LogSet(paths, is_stopped, is_read_twice=_is_read_twice(plan, table_format), watch=watch) as logs:
+            return _written(logs, plan, stream, table_format, is_stopped)
+
+    if isinstance(output, Path):
+        with replacing(output) as part:
+            with part.open("wb+") as stream:
+                decoded = written(stream)
+            if decoded.is_whole:
+                part.replace(output)
+        return decoded
+    return written(output)
 
 
-def _written(path: Path, plan: Plan, output: Path, is_stopped: Callable[[], bool]) -> tuple[DecodeAccount, LogReader]:
-    layout = plan.layout(lambda: _until(is_stopped, _closed_at_end(path)))
+def _is_read_twice(plan: Plan, table_format: TableFormat) -> bool:
+    """Return whether the columns depend on all of the frames."""
+    return table_format is not TableFormat.MF4 and plan.shape is TableShape.WIDE
+
+
+def _written(
+    logs: LogSet, plan: Plan, output: BinaryIO, table_format: TableFormat, is_stopped: Callable[[], bool]
+) -> Decoded:
     account = DecodeAccount(codec=plan.codec, names=plan.names)
-    with closing(read_log(path)) as reader, ParquetTable(output, layout.kinds, layout.metadata) as table:
-        frames = _until(is_stopped, pieces(reader, plan.frames_per_group(layout)))
-        for columns in row_groups(frames, layout, account):
-            table.write_columns(columns)
-        account.log = reader.counts
-    return account, reader
+    if table_format is TableFormat.MF4:
+        from canlog.tables.mf4_table import Mf4Table  # noqa: PLC0415 - for this format alone
 
-
-def _closed_at_end(path: Path) -> Iterator[FrameBatch]:
-    with closing(read_log(path)) as reader:
-        yield from reader
+        sink: TableSink = Mf4Table(output, plan.codec, plan.names, logs.origins)
+        size = plan.max_cells // CELLS_PER_FRAME
+    else:
+        layout = plan.layout(lambda: _until(is_stopped, logs.frames()), logs.origins)
+        sink, size = _Rows(output, table_format, layout), plan.frames_per_group(layout)
+    is_whole = False
+    try:
+        for batch, found in decoded_batches(_until(is_stopped, pieces(logs.frames(), size)), account):
+            account.row_count += sink.write(batch, found)
+        is_whole = not is_stopped()
+    finally:
+        (sink.close if is_whole else sink.discard)()
+    account.log = logs.counts
+    return Decoded(account=account, readers=tuple(logs.readers), is_whole=is_whole)
 
 
 def _until(is_stopped: Callable[[], bool], batches: Iterable[FrameBatch]) -> Iterator[FrameBatch]:

@@ -20,9 +20,10 @@ from canlog.decode.signal_table import SignalTable
 from canlog.decode.value_codes import FloatCode
 from canlog.frames import EXTENDED_FLAG, FrameBatch
 from canlog.parquet_file import BOOL_TYPE, NAME_TYPE, TIME_TYPE, load_pyarrow
+from canlog.tables.inputs import Origins
 from canlog.tables.names import TEXT_SUFFIX, Place, TableNames
 
-TIME, CHANNEL, ID, IS_EXTENDED = "time", "channel", "id", "is_extended"
+LOG, TIME, CHANNEL, ID, IS_EXTENDED = "log", "time", "channel", "id", "is_extended"
 MESSAGE, SIGNAL, VALUE, TEXT, UNIT = "message", "signal", "value", "text", "unit"
 FRAME_KINDS: Final = {TIME: TIME_TYPE, CHANNEL: "int64", ID: "int32", IS_EXTENDED: BOOL_TYPE, MESSAGE: NAME_TYPE}
 NAMELESS: Final = -1
@@ -65,10 +66,14 @@ class ValueTexts:
 class TableLayout:
     """What both layouts share: the messages of a codec, how they are called, and how values are written."""
 
-    def __init__(self, tables: Sequence[MessageTable], names: TableNames, values: Values) -> None:
+    def __init__(
+        self, tables: Sequence[MessageTable], names: TableNames, values: Values, origins: Origins | None = None
+    ) -> None:
         self._tables = tables
         self._names = names
         self._values = values
+        self._origins = origins
+        self._frame_kinds = FRAME_KINDS if origins is None else {LOG: NAME_TYPE, **FRAME_KINDS}
         self._texts: dict[Place, ValueTexts] = {}
         if values is not Values.NUMBERS:
             self._texts = {
@@ -82,9 +87,15 @@ class TableLayout:
         """Return what is known of frames besides their signals."""
         arrow = load_pyarrow()
         can_id: UInt32Array = batch.can_id[rows]
+        channel = batch.channel[rows].astype(np.int64)
+        log: dict[str, Column] = {}
+        if self._origins is not None:
+            log = {LOG: _name_column(self._origins.names, self._origins.log[channel].astype(np.int32))}
+            channel = self._origins.channel[channel]
         return {
+            **log,
             TIME: arrow.array(batch.t_ns[rows], type=arrow.timestamp("ns", "UTC")),
-            CHANNEL: batch.channel[rows].astype(np.int64),
+            CHANNEL: channel,
             ID: (can_id & _BARE_ID).astype(np.int32),
             IS_EXTENDED: (can_id & np.uint32(EXTENDED_FLAG)) != 0,
         }
@@ -97,14 +108,21 @@ class TableLayout:
 class WideLayout(TableLayout):
     """A row per frame, and a column per signal of the messages in ``slots``."""
 
-    def __init__(self, tables: Sequence[MessageTable], names: TableNames, values: Values, slots: Sequence[int]) -> None:
-        super().__init__(tables, names, values)
+    def __init__(
+        self,
+        tables: Sequence[MessageTable],
+        names: TableNames,
+        values: Values,
+        slots: Sequence[int],
+        origins: Origins | None = None,
+    ) -> None:
+        super().__init__(tables, names, values, origins)
         self._places = [(slot, name) for slot in slots for name in tables[slot].signals]
 
     @property
     def kinds(self) -> dict[str, str]:
         """Names and types of the columns."""
-        kinds = dict(FRAME_KINDS)
+        kinds = dict(self._frame_kinds)
         for place in self._places:
             kinds[self._names.columns[place]] = "float64"
             if place in self._texts:
@@ -155,7 +173,7 @@ class LongLayout(TableLayout):
     def kinds(self) -> dict[str, str]:
         """Names and types of the columns."""
         text = {} if self._values is Values.NUMBERS else {TEXT: NAME_TYPE}
-        return {**FRAME_KINDS, SIGNAL: NAME_TYPE, VALUE: "float64", **text, UNIT: NAME_TYPE}
+        return {**self._frame_kinds, SIGNAL: NAME_TYPE, VALUE: "float64", **text, UNIT: NAME_TYPE}
 
     @property
     def metadata(self) -> dict[str, dict[str, str]]:

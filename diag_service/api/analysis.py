@@ -16,8 +16,8 @@ from diag_service.diagnosis.records import ClutchVerdict, ShiftResult
 from diag_service.diagnosis.results import dump, shift_record, verdict_from
 from diag_service.diagnosis.summary import Gap, Summary, summary_record, unjudged
 from diag_service.errors import ConfigError
-from diag_service.service import application
 from diag_service.service.drive import insist
+from diag_service.service.drive_run import run_recorded
 from diag_service.service.stopping import Trigger
 from fleet_contract import Channel
 
@@ -206,7 +206,7 @@ def analyze(
             is_strict=is_strict, delivery=delivery, store_budget_mib=store_budget_mib,
         )  # fmt: skip
         reporter = MemoryReporter()
-        summary = application.run_recorded(config, named, optional_path(store), reporter, Trigger())
+        summary = run_recorded(config, named, optional_path(store), reporter, Trigger())
     if is_strict:
         insist(summary.gaps, summary.contributions, is_strict=True)
     return Analysis.of(named, reporter.results, summary, notices)

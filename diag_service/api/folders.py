@@ -97,7 +97,13 @@ def analyze_folders(
             is_lenient=is_lenient,
         )  # fmt: skip
         analyse_folders(
-            config, path_list(paths), output=optional_path(output), jobs=jobs, listener=listener, stop=Trigger()
+            config,
+            path_list(paths),
+            output=optional_path(output),
+            jobs=jobs,
+            listener=listener,
+            stop=Trigger(),
+            is_forced=True,
         )
     return FolderAnalysis(
         drives=tuple(_analysis(entry) for entry in listener.entries if entry.drive["summary"] is not None),

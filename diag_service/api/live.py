@@ -16,7 +16,8 @@ from diag_service.delivery import News
 from diag_service.diagnosis.records import ShiftResult
 from diag_service.diagnosis.summary import FrameCounts, Summary
 from diag_service.errors import ConfigError
-from diag_service.service import application
+from diag_service.service.application import outbox_of
+from diag_service.service.bus_run import open_live
 from diag_service.service.live import run_live
 from diag_service.service.session import Session
 from diag_service.service.snapshot import frame_counts
@@ -175,7 +176,7 @@ class LiveDiagnosis:
             session,
             stop=self._stop,
             counts_wanted=Trigger(),
-            outbox=application.outbox_of(self._config, store, session, is_live=True),
+            outbox=outbox_of(self._config, store, session, is_live=True),
             duration_s=self._named.duration_s,
             schedule=schedule,
         )
@@ -185,7 +186,7 @@ class LiveDiagnosis:
 
     async def _open_bus(self, session: Session) -> tuple[LiveSource, ReadSchedule]:
         if self._bus is None:
-            return await application.open_live(self._named, session)
+            return await open_live(self._named, session)
         from canlog.live.pythoncan import PythonCanSource  # noqa: PLC0415 - SocketCAN does without python-can
 
         return PythonCanSource(self._bus, str(self._bus.channel_info), is_owner=False), ReadSchedule()

@@ -8,6 +8,7 @@ from pathlib import Path
 from canlog.errors import SourceError
 from canlog.logs import why_no_log
 from diag_service.errors import ConfigError
+from diag_service.settings.config import check_vehicle
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -17,6 +18,7 @@ class Drive:
     paths: tuple[Path, ...]
     size_bytes: int
     modified_ns: int
+    vehicle: str | None = None  # None: that of the run
 
     @property
     def name(self) -> str:
@@ -27,7 +29,9 @@ class Drive:
     @property
     def key(self) -> str:
         """What tells this drive from any other, and from an earlier state of its files."""
-        parts = (*(str(path.resolve()) for path in self.paths), str(self.size_bytes), str(self.modified_ns))
+        files = (str(path.resolve()) for path in self.paths)
+        own = () if self.vehicle is None else (self.vehicle,)
+        parts = (*files, str(self.size_bytes), str(self.modified_ns), *own)
         return hashlib.sha256("\0".join(parts).encode(errors="surrogateescape")).hexdigest()
 
 
@@ -47,11 +51,14 @@ class Found:
     left_out: tuple[LeftOut, ...]
 
 
-def find_drives(paths: Sequence[Path]) -> Found:
+def find_drives(paths: Sequence[Path], *, has_vehicles: bool = False) -> Found:
     """Return the drives that files and folders stand for: the files together one, every log in a folder one.
 
-    Raises ConfigError if a folder holds no log, or a log is named twice. Raises SourceError if a path is not there or
-    cannot be read.
+    With ``has_vehicles`` a log is of the vehicle by which the folder below the named one is called; a log that lies in
+    the named one itself is of the vehicle of that name.
+
+    Raises ConfigError if a folder holds no log or bears no name of a vehicle, or a log is named twice.
+    Raises SourceError if a path is not there or cannot be read.
     """
     named = [path for path in paths if not path.is_dir()]
     drives, left_out = [drive_of(named)] if named else [], list[LeftOut]()
@@ -62,14 +69,14 @@ def find_drives(paths: Sequence[Path]) -> Found:
                 first = f", for one {others[0].path.name}: {others[0].reason}" if others else ""
                 raise ConfigError(f"{folder} holds no log that can be read{first}")
             left_out += others
-            drives += [drive_of([log]) for log in logs]
+            drives += [drive_of([log], _vehicle_of(log, folder) if has_vehicles else None) for log in logs]
     files = [path.resolve() for drive in drives for path in drive.paths]
     if twice := {str(path) for path in files if files.count(path) > 1}:
         raise ConfigError(f"named twice: {', '.join(sorted(twice))}")
     return Found(drives=tuple(drives), left_out=tuple(left_out))
 
 
-def drive_of(paths: Iterable[Path]) -> Drive:
+def drive_of(paths: Iterable[Path], vehicle: str | None = None) -> Drive:
     """Return the drive that some files are; raises SourceError if one is not there."""
     files = tuple(paths)
     try:
@@ -80,7 +87,17 @@ def drive_of(paths: Iterable[Path]) -> Drive:
         paths=files,
         size_bytes=sum(stat.st_size for stat in stats),
         modified_ns=max(stat.st_mtime_ns for stat in stats),
+        vehicle=vehicle,
     )
+
+
+def _vehicle_of(log: Path, folder: Path) -> str:
+    """Return the vehicle that the folders of a log speak of; raises ConfigError if that is no name for one."""
+    below = log.relative_to(folder).parts[:-1]
+    try:
+        return check_vehicle(below[0] if below else folder.resolve().name)
+    except ConfigError as exc:
+        raise ConfigError(f"{log}: {exc}") from exc
 
 
 def _sorted_out(folder: Path) -> tuple[list[Path], list[LeftOut]]:

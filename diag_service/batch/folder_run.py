@@ -8,6 +8,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import ExitStack
+from dataclasses import replace
 from multiprocessing import get_context
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -18,10 +19,9 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn, 
 
 from canlog.errors import SourceError
 from canlog.notice import NOTICE
-from canlog.parquet_file import load_pyarrow
 from diag_service.batch.drives import Drive, LeftOut, find_drives
 from diag_service.batch.journal import Entry, Journal
-from diag_service.batch.tables import TableFormat, format_of, write_results
+from diag_service.batch.tables import check_output, write_results
 from diag_service.batch.worker import analyse_drive, start_worker
 from diag_service.diagnosis.results import dump
 from diag_service.diagnosis.summary import GAP_TEXT, Gap
@@ -30,6 +30,7 @@ from diag_service.service.drive import stream_of
 from diag_service.service.session import versions_for
 from diag_service.service.stopping import Trigger
 from diag_service.settings.config import DiagnosisConfig
+from program_io.overwriting import replacement_refusal
 
 POLL_S = 0.2  # how soon a request to stop is heard
 WAITING_PER_JOB = 2  # drives handed out ahead: a worker never waits, a stop never takes long
@@ -60,25 +61,35 @@ def analyse_folders(
     listener: FolderListener,
     stop: Trigger,
     is_shown: bool = False,
+    is_forced: bool = False,
+    has_vehicles: bool = False,
 ) -> None:
     """Analyse every drive that the paths stand for.
 
     What workers warn of, and a bar of progress, go to standard error if ``is_shown``.
 
     With an output the run has a journal beside it, which survives a kill: started again, it goes on where it ended.
+    An output that is there without its journal is another's, and stays unless ``is_forced``. With ``has_vehicles`` the
+    folders say which vehicle a log is of.
+
     Besides what reading and writing raise, there is StoppedError if it was stopped before every drive was done, and of
     a strict run, after all was written, IncompleteError if a log or a channel gave nothing.
     """
     if jobs is not None and jobs < 1:
         raise ConfigError(f"--jobs must be at least 1, got {jobs}")
     jobs = jobs or os.cpu_count() or 1
-    if output is not None and format_of(output) is TableFormat.PARQUET:
-        load_pyarrow()  # now, not after hours
+    if output is not None:
+        check_output(output)  # now, not after hours
+        is_ours = is_forced or _journal_of(output).exists()
+        if text := replacement_refusal(output, is_forced=is_ours):
+            raise ConfigError(text)
     if config.broker is not None:
         _LOG.warning("results of folders are not published")
     settings = settings_digest(config)
-    found = find_drives(paths)
+    found = find_drives(paths, has_vehicles=has_vehicles)
     drives = found.drives
+    for vehicle in {drive.vehicle for drive in drives if drive.vehicle is not None}:
+        replace(config, vehicle=vehicle)  # complains of a calibration of another one
     with ExitStack() as stack:
         journal = stack.enter_context(Journal(_journal_path(output, stack), settings))
         to_do = [drive for drive in drives if drive.key not in journal.done]
@@ -103,8 +114,12 @@ def settings_digest(config: DiagnosisConfig) -> str:
 
 def _journal_path(output: Path | None, stack: ExitStack) -> Path:
     if output is not None:
-        return output.with_name(f"{output.name}.journal")
+        return _journal_of(output)
     return Path(stack.enter_context(TemporaryDirectory(prefix="clutchdiag-"))) / "journal"
+
+
+def _journal_of(output: Path) -> Path:
+    return output.with_name(f"{output.name}.journal")
 
 
 def _analysed(

@@ -3,7 +3,6 @@
 Whoever starts again finds in it what is done; a line that was cut off by a kill is dropped.
 """
 
-import fcntl
 import json
 import os
 from collections.abc import Iterator
@@ -15,7 +14,8 @@ from typing import Self
 from diag_service.diagnosis.results import dump
 from diag_service.errors import StoreError
 from fleet_contract import JsonObject
-from program_io.private_file import PRIVATE_MODE, keep_private
+from program_io.file_lock import lock
+from program_io.private_file import OPEN_FLAGS, PRIVATE_MODE, keep_private
 
 JOURNAL_SCHEMA = "clutchdiag/journal/v1"
 
@@ -40,9 +40,9 @@ class Journal:
         self.path = path
         self._settings = settings
         with self._translated("use"):
-            self._descriptor = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, PRIVATE_MODE)
+            self._descriptor = os.open(path, OPEN_FLAGS, PRIVATE_MODE)
             try:
-                fcntl.flock(self._descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+                lock(self._descriptor)
                 self.done = self._recover()
                 keep_private(path)
             except BaseException:

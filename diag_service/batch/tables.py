@@ -1,12 +1,14 @@
 """Results of many drives as one file: JSON lines, CSV or Parquet; it appears whole or not at all."""
 
 import csv
+import errno
+import os
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from enum import StrEnum
 from pathlib import Path
 
-from canlog.parquet_file import BOOL_TYPE, ParquetTable
+from canlog.parquet_file import BOOL_TYPE, TIME_TYPE, ParquetTable, load_pyarrow
 from diag_service.batch.journal import Entry
 from diag_service.diagnosis.results import dump
 from diag_service.errors import ConfigError, StoreError
@@ -14,7 +16,8 @@ from fleet_contract import Channel, JsonObject, schema
 from program_io.legible import legible
 
 BATCH_ROWS = 4096
-TYPES = {"integer": "int64", "number": "float64"}
+MOMENT = "moment"
+TYPES = {"integer": "int64", "number": "float64", MOMENT: TIME_TYPE}
 
 
 class TableFormat(StrEnum):
@@ -31,6 +34,18 @@ def format_of(path: Path) -> TableFormat:
         return TableFormat(path.suffix.lower())
     except ValueError as exc:
         raise ConfigError(f"{path}: results are written as {', '.join(TableFormat)}") from exc
+
+
+def check_output(path: Path) -> None:
+    """Find out before hours of work whether results can be written as this file.
+
+    Raises ConfigError if the name asks for no format, ExtraMissingError if pyarrow is missing for it, StoreError if
+    there is no such folder.
+    """
+    if format_of(path) is TableFormat.PARQUET:
+        load_pyarrow()
+    if not path.parent.is_dir():
+        raise StoreError(f"cannot write {path}: {os.strerror(errno.ENOENT)}")
 
 
 def write_results(path: Path, entries: Iterable[Entry]) -> None:
@@ -98,6 +113,8 @@ def _leaves(table: Mapping[str, object], root: Mapping[str, object], prefix: str
             continue
         kinds = description.get("type")
         kind = kinds[0] if isinstance(kinds, list) else kinds
+        if description.get("format") == "date-time":
+            kind = MOMENT
         if kind is None and all(isinstance(choice, int) for choice in description.get("enum", [""])):
             kind = "integer"
         yield f"{prefix}{key}", TYPES.get(str(kind), "string")

@@ -5,7 +5,7 @@ import os
 import signal
 import threading
 from contextlib import closing
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from multiprocessing import parent_process
 
@@ -62,11 +62,12 @@ class Analyst:
         return Entry(key=drive.key, drive=account, shifts=tuple(map(shift_record, results)))
 
     def _run(self, drive: Drive) -> tuple[str, MemoryReporter]:
+        config = replace(self.config, vehicle=drive.vehicle or self.config.vehicle)
         logs = open_drive(drive.paths, is_strict=self.config.is_strict)
         stream = stream_of([*(log.path for log in logs), *self._meaning.files])
         reporter = MemoryReporter()
         with closing(ResultStore.in_memory()) as store:
-            session = Session(self.config, self._meaning.decoder(), store, stream, reporter)
+            session = Session(config, self._meaning.decoder(), store, stream, reporter)
             run_logs(logs, session, stop=Trigger())
         return stream, reporter
 

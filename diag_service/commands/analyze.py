@@ -1,48 +1,125 @@
 """``diag-service analyze``: diagnose the logs of one drive, or folders of drives."""
 
+import logging
 import sys
 from types import SimpleNamespace
 
+from canlog.extras import load_extra
+from canlog.logs import STANDARD_INPUT
+from canlog.notice import NOTICE
+from diag_service.console.reading import ReadingLine
+from diag_service.delivery import AllReporters, MemoryReporter
+from diag_service.diagnosis.results import shift_record
+from diag_service.diagnosis.summary import Gap, Summary, summary_record, unjudged
 from diag_service.errors import ConfigError
-from diag_service.service import application, paper_run
+from diag_service.service import paper_run
+from diag_service.service.application import reporter_of
 from diag_service.service.drive import insist
+from diag_service.service.drive_run import run_recorded
 from diag_service.service.stopping import Controls
-from diag_service.settings.config import diagnosis_config
+from diag_service.settings.config import DiagnosisConfig, diagnosis_config
+from program_io.overwriting import replacement_refusal
+
+_LOG = logging.getLogger(__name__)
 
 
 def execute(options: SimpleNamespace, controls: Controls) -> None:
     """Diagnose what was named."""
-    is_stored = "store" in options.given  # on the command line: settings of other runs do not matter to folders
+    if any(path.is_dir() for path in options.logs if path != STANDARD_INPUT):
+        _analyse_folders(options, controls)
+        return
     diagnosis = diagnosis_config(options)
-    is_paper = options.estimator == "paper"
-    if options.output is not None or any(path.is_dir() for path in options.logs):
-        if is_paper or is_stored:
-            raise ConfigError(
-                "folders and --output take neither --store nor --estimator paper: every drive in them is judged for "
-                "itself, and a store keeps the state of one vehicle"
-            )
-        from diag_service.batch import folder_run  # noqa: PLC0415 - one drive needs none of it
+    _check_words_for_a_drive(options)
+    if options.estimator == "paper":
+        _analyse_by_paper(options, diagnosis, controls)
+    elif options.output is None:
+        _analyse_drive(options, diagnosis, controls)
+    else:
+        _analyse_drive_into_file(options, diagnosis, controls)
 
-        lines = folder_run.FolderLines(sys.stdout, as_json=options.json)
-        folder_run.analyse_folders(
-            diagnosis,
-            options.logs,
-            output=options.output,
-            jobs=options.jobs,
-            listener=lines,
-            stop=controls.stop,
-            is_shown=True,
-        )
-        return
-    if options.jobs is not None:
+
+def _check_words_for_a_drive(options: SimpleNamespace) -> None:
+    if options.vehicle_from is not None:
+        raise ConfigError("--vehicle-from is for folders: the logs that were named are one drive of one vehicle")
+    if options.jobs is not None and options.output is None:
         raise ConfigError("--jobs is for folders: the logs that were named are one drive")
-    if is_paper:
-        if options.store is not None or diagnosis.broker is not None:
-            raise ConfigError(
-                "the paper's method states no uncertainty: its results are shown, not stored or published"
-            )
-        paper_run.show_paper(diagnosis, options.logs, controls, as_json=options.json)
-        return
-    reporter = application.reporter_of(controls.stop, as_json=options.json)
-    summary = application.run_recorded(diagnosis, options.logs, options.store, reporter, controls.stop)
+    if options.jobs is not None and options.jobs < 1:
+        raise ConfigError(f"--jobs must be at least 1, got {options.jobs}")
+
+
+def _analyse_by_paper(options: SimpleNamespace, diagnosis: DiagnosisConfig, controls: Controls) -> None:
+    if options.store is not None or diagnosis.broker is not None or options.output is not None:
+        raise ConfigError("the paper's method states no uncertainty: its results are shown, not stored or published")
+    load_extra("scipy", "the paper's method needs SciPy", "paper")
+    paper_run.show_paper(diagnosis, options.logs, controls, as_json=options.json)
+
+
+def _analyse_drive(options: SimpleNamespace, diagnosis: DiagnosisConfig, controls: Controls) -> None:
+    with ReadingLine() as line:
+        reporter = AllReporters(line, reporter_of(controls.stop, as_json=options.json))
+        summary = run_recorded(diagnosis, options.logs, options.store, reporter, controls.stop, watch=line.watch)
     insist(summary.gaps, summary.contributions, is_strict=diagnosis.is_strict)
+
+
+def _analyse_drive_into_file(options: SimpleNamespace, diagnosis: DiagnosisConfig, controls: Controls) -> None:
+    """Show the results of a drive and write them into a file, which is checked before hours of work."""
+    from diag_service.batch.tables import check_output  # noqa: PLC0415 - for an output alone
+    from diag_service.console.collecting import collected_notices  # noqa: PLC0415 - likewise
+
+    if text := replacement_refusal(options.output, is_forced=options.force):
+        raise ConfigError(text)
+    check_output(options.output)
+    heard, streams = MemoryReporter(), list[str]()
+    with ReadingLine() as line, collected_notices() as notices:
+        reporter = AllReporters(line, reporter_of(controls.stop, as_json=options.json), heard)
+        summary = run_recorded(
+            diagnosis, options.logs, options.store, reporter, controls.stop,
+            watch=line.watch, name_stream=streams.append,
+        )  # fmt: skip
+    if Gap.STOPPED not in summary.gaps:
+        _write(options, streams[0], heard, summary, notices)
+    insist(summary.gaps, summary.contributions, is_strict=diagnosis.is_strict)
+
+
+def _write(options: SimpleNamespace, stream: str, heard: MemoryReporter, summary: Summary, notices: list[str]) -> None:
+    from diag_service.batch.journal import Entry  # noqa: PLC0415 - for an output alone
+    from diag_service.batch.tables import write_results  # noqa: PLC0415 - likewise
+    from diag_service.batch.worker import DRIVE_SCHEMA  # noqa: PLC0415 - likewise
+
+    account: dict[str, object] = {
+        "schema": DRIVE_SCHEMA,
+        "paths": [str(log) for log in options.logs],
+        "stream": stream,
+        "error": None,
+        "summary": summary_record(summary),
+        "notices": notices,
+    }
+    shifts = tuple(shift_record(unjudged(one, summary.gaps)) for one in heard.results)
+    write_results(options.output, [Entry(key="", drive=account, shifts=shifts)])
+    _LOG.log(NOTICE, "%d shifts of 1 drives in %s", len(shifts), options.output)
+
+
+def _analyse_folders(options: SimpleNamespace, controls: Controls) -> None:
+    # What is on the command line: settings of other runs do not matter to folders.
+    if "store" in options.given or options.estimator == "paper":
+        raise ConfigError(
+            "folders take neither --store nor --estimator paper: every drive in them is judged for itself, and a store "
+            "keeps the state of one vehicle"
+        )
+    if STANDARD_INPUT in options.logs:
+        raise ConfigError("folders are read by several processes: standard input does not go with them")
+    if options.vehicle_from is not None and "vehicle" in options.given:
+        raise ConfigError("--vehicle-from takes the vehicles from the folders, --vehicle names one: choose")
+    from diag_service.batch import folder_run  # noqa: PLC0415 - one drive needs none of it
+
+    folder_run.analyse_folders(
+        diagnosis_config(options),
+        options.logs,
+        output=options.output,
+        jobs=options.jobs,
+        listener=folder_run.FolderLines(sys.stdout, as_json=options.json),
+        stop=controls.stop,
+        is_shown=True,
+        is_forced=options.force,
+        has_vehicles=options.vehicle_from is not None,
+    )

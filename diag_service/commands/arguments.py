@@ -8,6 +8,7 @@ import click
 
 from diag_service.settings.options import BUS, CONFIG, DELIVERY, MEANING, POLL, VARIABLES
 from program_io.command_line import FILE, FLOAT, INT, VERBOSE, Choice, Command, Group, Option, Program, parse
+from program_io.overwriting import FORCE
 
 PROGRAM: Final = "diag-service"
 
@@ -30,7 +31,7 @@ DEFAULT_BITRATE: Final = 500_000
 _JSON_LINES: Final = Option("--json", "JSON lines on standard output, text on standard error")
 _JSON: Final = Option("--json", "one JSON object on standard output")
 _DATABASE: Final = tuple(option for option in MEANING if option.name in {"dbc", "lenient"})
-_LOG: Final = click.Argument(["log"], type=FILE, metavar="LOG", help="log file")
+_LOG: Final = click.Argument(["log"], type=FILE, metavar="LOG", help="log file; - is standard input")
 
 
 def _logs(text: str) -> click.Argument:
@@ -70,7 +71,7 @@ _CHECK: Final = Command(
 _ANALYZE: Final = Command(
     "analyze",
     "diagnose recorded logs, or folders of them",
-    _logs("log file, or folder of log files"),
+    _logs("log file, or folder of log files; - is standard input"),
     Option(
         "--estimator",
         "impulse: the service's own; paper: the method of SAE 2015-01-1146, without uncertainty and verdict",
@@ -82,22 +83,30 @@ _ANALYZE: Final = Command(
         "stop at the first line or object that is no frame, jump of time or cut, and say where; end with status 5 "
         "if a log or a channel contributed nothing",
     ),
-    _output("write the results to a .jsonl, .csv or .parquet file"),
+    _output("write the results to a .jsonl, .csv or .parquet file, too"),
+    FORCE,
     Option("--jobs N", "drives of folders at a time (default: one per core)", INT),
+    Option(
+        "--vehicle-from",
+        "path: in a folder, a log is of the vehicle by which the folder below is called (FOLDER/VEHICLE/...)",
+        Choice(["path"]),
+    ),
     *(*MEANING, CONFIG, *DELIVERY, _JSON_LINES, VERBOSE),
     variables=VARIABLES,
     description=_FOLDERS,
     examples=(
         f"{PROGRAM} analyze drive.log",
         f"{PROGRAM} analyze monday.blf tuesday.blf --dbc car.dbc --calibration car1.toml --store car1.sqlite",
-        f"{PROGRAM} analyze recordings -o results.parquet --jobs 4",
+        f"{PROGRAM} analyze recordings -o results.parquet --jobs 4 --vehicle-from path",
+        f"candump -L can0 | {PROGRAM} analyze -",
     ),
 )
 _CALIBRATE: Final = Command(
     "calibrate",
     "find one vehicle's sensor errors and inertia from its logs",
-    _logs("logs of one vehicle, a drive or more"),
+    _logs("logs of one vehicle, a drive or more; - is standard input"),
     _output("calibration file to write (TOML)", required=True),
+    FORCE,
     *(*MEANING, CONFIG),
     Option("--json", "JSON on standard output"),
     VERBOSE,
@@ -107,7 +116,7 @@ _CALIBRATE: Final = Command(
 _INSPECT: Final = Command(
     "inspect",
     "show what traffic a log holds",
-    _logs("log file"),
+    _logs("log file; - is standard input"),
     *_DATABASE,
     Option(
         "-b --bitrate BITRATE",
@@ -117,7 +126,7 @@ _INSPECT: Final = Command(
     ),
     *(_JSON, VERBOSE),
     description="Show what traffic a log holds. A database names the messages; the shipped one also checks them.",
-    examples=(f"{PROGRAM} inspect drive.blf --dbc car.dbc",),
+    examples=(f"{PROGRAM} inspect drive.blf --dbc car.dbc", f"candump -L -T 5000 can0 | {PROGRAM} inspect -"),
 )
 _SIGNALS: Final = Command(
     "signals",
@@ -127,8 +136,16 @@ _SIGNALS: Final = Command(
 )
 _DECODE: Final = Command(
     "decode",
-    "write the signals of a log as Parquet",
-    *(_LOG, _output("Parquet file to write", required=True), *_DATABASE),
+    "write the signals of logs as a table: Parquet, CSV, JSON lines, Arrow or MF4",
+    _logs("log file; of several the frames are put in order of time; - is standard input"),
+    _output("table to write: .parquet, .csv, .jsonl, .arrows or .mf4; - is standard output", required=True),
+    FORCE,
+    Option(
+        "--format",
+        "whatever the name of the output says (default of standard output: csv)",
+        Choice(["parquet", "csv", "jsonl", "arrow", "mf4"]),
+    ),
+    *_DATABASE,
     Option(
         "--layout",
         "wide: a row per frame, a column per signal; long: a row per value (default: wide)",
@@ -143,7 +160,11 @@ _DECODE: Final = Command(
     ),
     Option("--strict", "end with status 5 if anything of the log is not in the file, and say what"),
     *(_JSON, VERBOSE),
-    examples=(f"{PROGRAM} decode drive.blf --dbc car.dbc -o drive.parquet",),
+    examples=(
+        f"{PROGRAM} decode drive.blf --dbc car.dbc -o drive.parquet",
+        f"{PROGRAM} decode front.blf rear.blf --dbc car.dbc -o both.mf4",
+        f"candump -L can0 | {PROGRAM} decode - --dbc car.dbc -o - --layout long --format jsonl",
+    ),
 )
 _ASKED_BUS: Final = tuple(option for option in BUS if option.name in {"interface", "channel", "bitrate", "fd"})
 _LISTENS: Final = (

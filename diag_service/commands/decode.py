@@ -1,65 +1,120 @@
-"""``diag-service decode``: the signals of a log as Parquet, in bounded memory, and what is not among them."""
+"""``diag-service decode``: the signals of logs as a table, in bounded memory, and what is not among them."""
 
 import sys
+from pathlib import Path
 from types import SimpleNamespace
+from typing import BinaryIO, Final
 
-from canlog.logs import LogReader
+from canlog.logs import shown_name
 from canlog.parquet_file import load_pyarrow
-from canlog.tables.account import DecodeAccount
-from canlog.tables.decoding import Plan, TableShape, decode_log
+from canlog.tables.decoding import Decoded, Plan, TableShape, decode_logs
 from canlog.tables.layouts import Values
+from canlog.tables.outputs import FORMAT_OF_SUFFIX, STREAMED, TableFormat
 from canlog.tables.report import account_record, frame_texts, losses, remarks, values_text
+from diag_service.console.reading import ReadingLine
 from diag_service.console.terminal import PeopleConsole
 from diag_service.diagnosis.results import dump
 from diag_service.errors import ConfigError, IncompleteError, StoppedError
 from diag_service.mapping.databases import open_database
 from diag_service.service.stopping import Controls
 from fleet_contract import JsonObject
+from program_io.command_line import STANDARD_STREAM
+from program_io.overwriting import replacement_refusal
+
+NOTHING_KNOWN: Final = "is it the right database? Try diag-service signals LOG --dbc FILE, which lists what it finds"
 
 
 def execute(options: SimpleNamespace, controls: Controls) -> None:
-    """Decode a log; the file appears when it is complete. Raises StoppedError if that was stopped."""
-    if options.output.suffix.lower() != ".parquet":
-        raise ConfigError(f"{options.output}: the signals are written as .parquet")
-    load_pyarrow()
+    """Decode logs; a file appears when it is complete. Raises StoppedError if that was stopped."""
+    table_format = table_format_of(options.output, options.format)
+    _check(options, table_format)
     messages = open_database(options.dbc, is_lenient=options.lenient).messages
     plan = Plan.of(messages, TableShape(options.layout), Values(options.values))
-    decoded = decode_log(options.log, plan, options.output, lambda: controls.stop.is_set)
-    if decoded is None:
-        raise StoppedError("stopped early: no file was written")
-    account, reader = decoded
+    is_piped = options.output == STANDARD_STREAM
+    output: Path | BinaryIO = sys.stdout.buffer if is_piped else options.output
+    with ReadingLine() as line:
+        decoded = decode_logs(options.logs, plan, output, table_format, lambda: controls.stop.is_set, line.watch)
+    if not decoded.is_whole:
+        raise StoppedError(f"stopped early: {'a part was written' if is_piped else 'no file was written'}")
     if options.json:
-        sys.stdout.write(dump(_record(options, account, reader)) + "\n")
+        sys.stdout.write(dump(_record(options, decoded)) + "\n")
     else:
-        _show(options, account, reader)
-    lost = list(losses(account))
+        _show(options, decoded, PeopleConsole(stderr=is_piped))
+    lost = list(losses(decoded.account))
     if options.strict and lost:
         more = f"; and {len(lost) - 1} more" if len(lost) > 1 else ""
-        raise IncompleteError(f"{options.log}: not all of it is in {options.output}: {lost[0]}{more}")
+        names = ", ".join(map(shown_name, options.logs))
+        raise IncompleteError(f"{names}: not all of it is in {_place(options)}: {lost[0]}{more}")
 
 
-def _record(options: SimpleNamespace, account: DecodeAccount, reader: LogReader) -> JsonObject:
+def table_format_of(output: Path, named: str | None) -> TableFormat:
+    """Return the format that was asked for, by name or by suffix; raises ConfigError."""
+    if named is not None:
+        return TableFormat(named)
+    if output == STANDARD_STREAM:
+        return TableFormat.CSV
+    try:
+        return FORMAT_OF_SUFFIX[output.suffix.lower()]
+    except KeyError:
+        known = ", ".join(FORMAT_OF_SUFFIX)
+        raise ConfigError(f"{output}: the signals are written as {known}, or as --format says") from None
+
+
+def _check(options: SimpleNamespace, table_format: TableFormat) -> None:
+    """Raise ConfigError if the words contradict each other, ExtraMissingError if the format needs what is missing."""
+    is_piped = options.output == STANDARD_STREAM
+    if is_piped and table_format not in STREAMED:
+        raise ConfigError(f"{table_format} does not go to standard output; csv, jsonl and arrow do")
+    if is_piped and options.json:
+        raise ConfigError("the table goes to standard output: there is no room for --json")
+    if len(set(options.logs)) < len(options.logs):
+        raise ConfigError("a log is named twice")
+    if table_format is TableFormat.MF4 and (options.layout, options.values) != ("wide", "numbers"):
+        raise ConfigError("an MF4 file has a group per message and numbers: neither --layout nor --values applies")
+    if not is_piped and (text := replacement_refusal(options.output, is_forced=options.force)):
+        raise ConfigError(text)
+    if table_format is not TableFormat.MF4:
+        load_pyarrow()
+
+
+def _place(options: SimpleNamespace) -> str:
+    return "standard output" if options.output == STANDARD_STREAM else str(options.output)
+
+
+def _record(options: SimpleNamespace, decoded: Decoded) -> JsonObject:
     """Return everything that is to be said as one JSON object."""
+    logs: list[JsonObject] = [
+        {
+            "path": str(path),
+            "format": reader.format.value,
+            "evidence": reader.evidence,
+            "frames": reader.counts.frames,
+            "truncated": reader.counts.truncated,
+        }
+        for path, reader in zip(options.logs, decoded.readers, strict=True)
+    ]
+    first = {key: logs[0][key] for key in ("path", "format", "evidence")} if len(logs) == 1 else {}
     return {
-        **account_record(account),
-        "path": str(options.log),
-        "format": reader.format.value,
-        "evidence": reader.evidence,
+        **account_record(decoded.account),
+        **first,
+        "logs": logs,
         "output": str(options.output),
         "layout": options.layout,
         "values": options.values,
     }
 
 
-def _show(options: SimpleNamespace, account: DecodeAccount, reader: LogReader) -> None:
+def _show(options: SimpleNamespace, decoded: Decoded, console: PeopleConsole) -> None:
     """Say the same to people."""
-    lines = [
-        f"{options.log}: {reader.format.value}, {account.log.frames} frames: {', '.join(frame_texts(account))}",
-        f"taken for {reader.format.value}: {reader.evidence}",
-        f"{account.row_count} rows in {options.output}: {values_text(account)}",
-        *losses(account),
-        *remarks(account),
-    ]
-    console = PeopleConsole()
-    for line in lines:
+    account = decoded.account
+    fates = ", ".join(frame_texts(account))
+    lines = list[str]()
+    for reader in decoded.readers:
+        own = f": {fates}" if len(decoded.readers) == 1 else ""
+        lines.append(f"{reader.name}: {reader.format.value}, {reader.counts.frames} frames{own}")
+        lines.append(f"taken for {reader.format.value}: {reader.evidence}")
+    lines += [f"{account.log.frames} frames: {fates}"] if len(decoded.readers) > 1 else []
+    lines += [f"{account.row_count} rows in {_place(options)}: {values_text(account)}"]
+    hint = [NOTHING_KNOWN] if account.frames_of_id and not account.known_count else []
+    for line in (*lines, *losses(account), *remarks(account), *hint):
         console.print(line)

@@ -13,9 +13,12 @@ from canlog.arrays import Int64Array
 from canlog.database.addressing import NOBODY, address_book, find_slot, message_address, overwritten
 from canlog.e2e.message_contract import message_contract
 from canlog.e2e.protection_check import FrameReason, LinkMonitor
+from canlog.errors import InputLeftError
 from canlog.frames import ERROR_FLAG, EXTENDED_FLAG, REMOTE_FLAG
 from canlog.logs import LogReader, read_log
+from canlog.logs.reading import Watch
 from canlog.traffic import NS_PER_S, IdTraffic, TrafficMeter, TrafficReport
+from diag_service.console.reading import ReadingLine
 from diag_service.console.terminal import PeopleConsole
 from diag_service.diagnosis.results import dump, utc_from_bus_ns
 from diag_service.errors import ConfigError, StoppedError
@@ -58,7 +61,8 @@ def execute(options: SimpleNamespace, controls: Controls) -> None:
     messages = open_database(options.dbc, is_lenient=options.lenient).messages
     console = PeopleConsole()
     for path in options.logs:
-        inspection = inspect_log(path, messages, options.bitrate, controls.stop)
+        with ReadingLine() as line:
+            inspection = inspect_log(path, messages, options.bitrate, controls.stop, line.watch)
         if options.json:
             sys.stdout.write(inspection.to_json() + "\n")
         else:
@@ -67,28 +71,33 @@ def execute(options: SimpleNamespace, controls: Controls) -> None:
             raise StoppedError("stopped early: what was shown last is of a part of the log")
 
 
-def inspect_log(path: Path, messages: Sequence[Message], bitrate: int, stop: Trigger) -> Inspection:
+def inspect_log(
+    path: Path, messages: Sequence[Message], bitrate: int, stop: Trigger, watch: Watch | None = None
+) -> Inspection:
     """Read a log once and return what it holds.
 
     Raises SourceError if it cannot be read, ConfigError if the bit rate is not above zero.
     """
     if bitrate <= 0:
         raise ConfigError(f"the bit rate must be > 0, got {bitrate}")
-    reader = read_log(path)
+    reader = read_log(path, is_stopped=lambda: stop.is_set, watch=watch)
     meter = TrafficMeter(bitrate)
     protected = [message for message in messages if message_contract(message).data_id is not None]
     monitor = LinkMonitor(protected)
     last_ns: int | None = None
     is_whole = True
-    for batch in reader:
-        if stop.is_set:
-            is_whole = False
-            break
-        meter.add(batch)
-        if last_ns is not None and not 0 <= int(batch.t_ns[0]) - last_ns <= NS_PER_S:
-            monitor.reset()
-        monitor.check(batch)
-        last_ns = int(batch.t_ns[-1]) if len(batch) else last_ns
+    try:
+        for batch in reader:
+            if stop.is_set:
+                is_whole = False
+                break
+            meter.add(batch)
+            if last_ns is not None and not 0 <= int(batch.t_ns[0]) - last_ns <= NS_PER_S:
+                monitor.reset()
+            monitor.check(batch)
+            last_ns = int(batch.t_ns[-1]) if len(batch) else last_ns
+    except InputLeftError:
+        is_whole = False
     traffic = meter.report()
     counts, missing = monitor.counts, monitor.missing
     return Inspection(
@@ -165,7 +174,7 @@ def _head(inspection: Inspection, bitrate: int) -> list[str]:
     kinds += f"; {traffic.sent_frames} sent by the recorder" if traffic.sent_frames else ""
     part = "" if inspection.is_whole else " (stopped early: a part of the log)"
     since = f"from {utc_from_bus_ns(traffic.first_ns)}{part}"
-    lines = [f"{inspection.reader.path}: {what} {since}", f"bus load at {rate}: {load}; {kinds}"]
+    lines = [f"{inspection.reader.name}: {what} {since}", f"bus load at {rate}: {load}; {kinds}"]
     lines.append(f"taken for {inspection.reader.format.value}: {inspection.reader.evidence}")
     lines += counts.notes
     if counts.first_rejected:

@@ -2,7 +2,7 @@
 
 from types import SimpleNamespace
 
-from diag_service.service import application
+from diag_service.service import bus_run
 from diag_service.service.stopping import Controls
 from diag_service.settings.config import bus_config, default_store, diagnosis_config
 
@@ -12,4 +12,4 @@ def execute(options: SimpleNamespace, controls: Controls) -> None:
     diagnosis = diagnosis_config(options)
     bus = bus_config(options)
     store = options.store or default_store(diagnosis.vehicle)
-    application.run_bus(diagnosis, bus, store, controls, as_json=options.json)
+    bus_run.run_bus(diagnosis, bus, store, controls, as_json=options.json)

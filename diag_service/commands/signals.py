@@ -7,9 +7,11 @@ from pathlib import Path
 from types import SimpleNamespace
 
 from canlog.decode.codec import Codec
-from canlog.logs import read_log
+from canlog.logs import STANDARD_INPUT, read_log, shown_name
+from canlog.logs.reading import Watch
 from canlog.traffic import NS_PER_S
 from dbc.contract import DBC_PATH
+from diag_service.console.reading import ReadingLine
 from diag_service.errors import StoppedError
 from diag_service.mapping.databases import open_database
 from diag_service.mapping.proposal import SignalStatistics, candidates, profile_text
@@ -34,9 +36,9 @@ class Survey:
         """Frames of no message of the database."""
         return self.frames - self._counts.total()
 
-    def add(self, path: Path, stop: Trigger) -> None:
+    def add(self, path: Path, stop: Trigger, watch: Watch | None = None) -> None:
         """Count all frames of a log; raises StoppedError."""
-        reader = read_log(path)
+        reader = read_log(path, is_stopped=lambda: stop.is_set, watch=watch)
         for batch in reader:
             if stop.is_set:
                 raise StoppedError("stopped early: no profile is proposed from a part of a log")
@@ -72,16 +74,19 @@ class Survey:
                 yield f"  {one.signal}: {span}{''.join(f', {count} values {reason}' for reason, count in lost.items())}"
 
 
-def proposed_profile(log: Path, dbc: Path | None, stop: Trigger, *, is_lenient: bool) -> str:
+def proposed_profile(
+    log: Path, dbc: Path | None, stop: Trigger, *, is_lenient: bool, watch: Watch | None = None
+) -> str:
     """Return a profile, as the text of a TOML file, whose comments say what signals the log holds."""
     database = dbc or DBC_PATH
     survey = Survey(Codec(open_database(dbc, is_lenient=is_lenient).messages, check_codes=True))
-    survey.add(log, stop)
+    survey.add(log, stop, watch)
+    name, stem = (shown_name(log), "piped") if log == STANDARD_INPUT else (log.name, log.stem)
     best = candidates(survey.statistics())
     tier = tier_of(best.keys())
     reach = f"tier {tier:d} ({PURPOSE[tier]})" if tier else "no tier"
     remarks = [
-        f"Proposed for {log.name} and {database.name} by names, units and values: check every line.",
+        f"Proposed for {name} and {database.name} by names, units and values: check every line.",
         f"As it stands it reaches {reach}. {missing_for_next(best.keys())}",
         "",
         *(["The log ends before its own end."] if survey.is_cut else []),
@@ -89,9 +94,11 @@ def proposed_profile(log: Path, dbc: Path | None, stop: Trigger, *, is_lenient: 
         *survey.listing(),
         "",
     ]
-    return profile_text(legible(log.stem), best, [legible(remark) for remark in remarks])
+    return profile_text(legible(stem), best, [legible(remark) for remark in remarks])
 
 
 def execute(options: SimpleNamespace, controls: Controls) -> None:
     """Survey a log and write a profile whose comments say what there is."""
-    sys.stdout.write(proposed_profile(options.log, options.dbc, controls.stop, is_lenient=options.lenient))
+    with ReadingLine() as line:
+        text = proposed_profile(options.log, options.dbc, controls.stop, is_lenient=options.lenient, watch=line.watch)
+    sys.stdout.write(text)

@@ -6,10 +6,11 @@ from diag_service.delivery.delivery import Acknowledge
 from diag_service.delivery.memory import MemoryLink, MemoryReporter
 from diag_service.delivery.mqtt import MqttConnector
 from diag_service.delivery.outbox import Outbox
-from diag_service.delivery.reporters import DetachedReporter, JsonLinesReporter, PipeReporter
+from diag_service.delivery.reporters import AllReporters, DetachedReporter, JsonLinesReporter, PipeReporter
 
 __all__ = [
     "Acknowledge",
+    "AllReporters",
     "ConsoleReporter",
     "DeliveryLimits",
     "DetachedReporter",

@@ -34,6 +34,11 @@ _HEAD = (
 )
 
 
+_SHORT_HEAD = (
+    f"{'shift':>5}  {'gears':<5} {'event':<18} {'clutch':>6}  {'status':<10} {'mu_C':>8} {'trust':>5}  clutch is"
+)
+
+
 class ConsoleReporter:
     """Prints results as they come; rich decides about colours."""
 
@@ -107,6 +112,23 @@ def _gears(estimate: ShiftEstimate) -> str:
 def _event(estimate: ShiftEstimate) -> str:
     """Return the kind of an event in words."""
     return estimate.kind.value.replace("_", " ")
+
+
+def short_shift_head() -> Text:
+    """Return the head over short lines of shifts, which fit 80 columns."""
+    return Text(_SHORT_HEAD, style="bold")
+
+
+def short_shift_line(result: ShiftResult) -> Text:
+    """Return one shift as a line without deviations, slope and reasons; columns as in the head."""
+    estimate, verdict = result.estimate, result.verdict
+    friction, quality = estimate.friction, estimate.data_quality
+    line = Text(f"{estimate.number:>5}  {_gears(estimate):<5} {_event(estimate):<18} {estimate.clutch:>6}  ")
+    line.append(f"{estimate.status.value:<10} ", _STATUS_STYLE[estimate.status])
+    line.append(f"{'-' if friction is None else f'{friction.mu_c:.4f}':>8} ")
+    line.append(f"{'-' if quality is None else f'{quality.score:.2f}':>5}  ")
+    line.append(_words(verdict.condition), _CONDITION_STYLE[verdict.condition])
+    return line
 
 
 def _friction_columns(friction: FrictionEstimate | None) -> str:

@@ -96,3 +96,15 @@ class DetachedReporter:
             except Exception as exc:  # noqa: BLE001 - whatever goes wrong there must go no further
                 self.failed += 1
                 _LOG.warning("a result was stored, but could not be told: %s", " ".join(str(exc).split()))
+
+
+class AllReporters:
+    """Passes everything on to several reporters, in their order."""
+
+    def __init__(self, *reporters: Reporter) -> None:
+        self._reporters = reporters
+
+    def report(self, news: News) -> None:
+        """Pass on one piece of news."""
+        for reporter in self._reporters:
+            reporter.report(news)

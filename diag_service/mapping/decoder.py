@@ -13,8 +13,8 @@ from canlog.decode.bit_fields import PayloadWords
 from canlog.decode.signal_table import NO_INVALID, InvalidCounts
 from canlog.e2e.e2e_state import E2eState, E2eStates
 from canlog.e2e.protection_check import FrameReason, FrameVerdicts, LinkMonitor
+from canlog.error_frames import BusTrouble, reports
 from canlog.frames import MAX_GAP_NS, FrameBatch
-from canlog.live.error_frames import BusTrouble, reports
 from canlog.series import Series
 from diag_service.diagnosis.columns import ColumnBatch, Columns, GearRatios, Signal
 from diag_service.diagnosis.summary import FrameCounts

@@ -1,6 +1,7 @@
 """Self-calibration of one vehicle from recorded drives: what was found, and a calibration file of its own."""
 
 import contextlib
+import io
 import os
 import sys
 from collections.abc import Iterator, Sequence
@@ -14,6 +15,7 @@ from rich.table import Table
 from canlog.errors import SourceError
 from clutch_model.calibration import Calibration, calibration_toml
 from clutch_model.units import bar_from_pa
+from diag_service.console.reading import ReadingLine
 from diag_service.console.terminal import PeopleConsole
 from diag_service.diagnosis.events import Event
 from diag_service.diagnosis.friction.parameters import NUISANCE_NAMES, STATE_COUNT, Considered, State, prior_covariance
@@ -117,15 +119,20 @@ class FoundCalibration:
     gaps: tuple[Gap, ...]  # why the drives are not all there
 
 
-def calibrated(config: DiagnosisConfig, logs: Sequence[Path], stop: Trigger) -> FoundCalibration:
-    """Return what the logs of a vehicle say about it.
+def calibrated(
+    config: DiagnosisConfig, logs: Sequence[Path], stop: Trigger, line: ReadingLine | None = None
+) -> FoundCalibration:
+    """Return what the logs of a vehicle say about it; the line tells how far that is, where there is one.
 
     Raises ConfigError if the drives do not suffice, StoppedError if it was stopped.
     """
     start = config.calibration
-    events = find_events(open_drive(logs), config.interpretation().decoder(), start, stop)
-    version = f"{start.version}-{config.vehicle}-{events.last_day.isoformat()}"
-    found = self_calibrate(events.shifts, events.run_ups, start, version)
+    with line or ReadingLine(io.StringIO()) as shown:
+        drive = open_drive(logs, is_stopped=lambda: stop.is_set, watch=shown.watch)
+        events = find_events(drive, config.interpretation().decoder(), start, stop)
+        shown.show(f"calibrating from {len(events.shifts)} shifts and {len(events.run_ups)} revs in neutral")
+        version = f"{start.version}-{config.vehicle}-{events.last_day.isoformat()}"
+        found = self_calibrate(events.shifts, events.run_ups, start, version)
     if isinstance(found, str):
         raise ConfigError(f"no self-calibration: {found}")
     owner = None if config.vehicle == UNNAMED_VEHICLE else config.vehicle
@@ -142,7 +149,7 @@ def run_calibrate(config: DiagnosisConfig, logs: Sequence[Path], path: Path, sto
     Raises ConfigError if the drives do not suffice, or the file cannot be written. Raises StoppedError if it was
     stopped before the file was written.
     """
-    told = calibrated(config, logs, stop)
+    told = calibrated(config, logs, stop, ReadingLine())
     write_calibration(path, told.found.calibration)
     if as_json:
         sys.stdout.write(dump(record(told.found, told.start, told.vehicle, told.gaps)) + "\n")

@@ -2,25 +2,25 @@
 
 import hashlib
 import logging
-from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+import uuid
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from itertools import chain
 from pathlib import Path
 from typing import Final
 
-import numpy as np
-
 from canlog.e2e.protection_check import FrameReason, LinkMonitor
 from canlog.errors import SourceError
 from canlog.frames import FrameBatch
-from canlog.logs import LogReader, merged_by_time, read_log
+from canlog.logs import STANDARD_INPUT, LogReader, merged_by_time, read_log
+from canlog.logs.piped import never
+from canlog.logs.reading import Watch
+from canlog.logs.source_marks import SourceMarks
 from canlog.plain_files import open_plain_file
 from diag_service.diagnosis.contributions import ChannelShare, Contributions, LogShare, idle_lines
 from diag_service.diagnosis.summary import Gap, gaps_line
 from diag_service.errors import ConfigError, IncompleteError, StoppedError
 
-MOST_SOURCES: Final = 256
-_UNKNOWN: Final = -1  # the mark of a channel of which no frame came yet
 _BLOCK_BYTES: Final = 1 << 20
 _LOG = logging.getLogger(__name__)
 
@@ -34,8 +34,14 @@ class OpenLog:
     first: FrameBatch
 
 
-def open_drive(paths: Iterable[Path], *, is_strict: bool = False) -> list[OpenLog]:
-    """Open the logs of a drive; the one with the earliest first frame comes first.
+def open_drive(
+    paths: Iterable[Path],
+    *,
+    is_strict: bool = False,
+    is_stopped: Callable[[], bool] = never,
+    watch: Watch | None = None,
+) -> list[OpenLog]:
+    """Open the logs of a drive; the one with the earliest first frame comes first. ``-`` is standard input.
 
     Raises ConfigError if a log is named twice, or two hold the same. Raises SourceError if a log cannot be read or
     holds no frame; of a strict one also if anything is wrong with it.
@@ -44,17 +50,19 @@ def open_drive(paths: Iterable[Path], *, is_strict: bool = False) -> list[OpenLo
     _check_distinct(paths)
     logs: list[OpenLog] = []
     for path in paths:
-        reader = read_log(path, is_strict=is_strict)
+        reader = read_log(path, is_strict=is_strict, is_stopped=is_stopped, watch=watch)
         first = next(reader, None)
         if first is None or not len(first):
-            raise SourceError(f"{path} holds no frame that can be read")
+            raise SourceError(f"{reader.name} holds no frame that can be read")
         logs.append(OpenLog(path=path, reader=reader, first=first))
     return sorted(logs, key=lambda log: int(log.first.t_ns[0]))
 
 
 def _check_distinct(paths: Sequence[Path]) -> None:
     """Raise ``ConfigError`` where a recording is there twice; what is no file, its reader complains of."""
-    files = [path for path in paths if path.is_file()]
+    if paths.count(STANDARD_INPUT) > 1:
+        raise ConfigError("standard input is given twice")
+    files = [path for path in paths if path != STANDARD_INPUT and path.is_file()]
     for number, path in enumerate(files):
         for other in files[:number]:
             if path.samefile(other):
@@ -74,6 +82,15 @@ def stream_of(paths: Iterable[Path]) -> str:
         except OSError as exc:
             raise SourceError(f"cannot read {path}: {exc.strerror or exc}") from exc
     return digest.hexdigest()
+
+
+def stream_of_drive(logs: Iterable[Path], files: Iterable[Path]) -> str:
+    """Return the name of the stream that some logs are, read in the light of some files.
+
+    A pipe has no name by which it would be known again: each gets a new one.
+    """
+    logs = list(logs)
+    return str(uuid.uuid4()) if STANDARD_INPUT in logs else stream_of([*logs, *files])
 
 
 def gaps_in(logs: Sequence[OpenLog], *, was_stopped: bool) -> tuple[Gap, ...]:
@@ -105,23 +122,23 @@ def insist(gaps: Sequence[Gap], contributions: Contributions, *, is_strict: bool
 def warn_of_faults(logs: Sequence[OpenLog], contributions: Contributions) -> None:
     """Warn of logs with holes, and of logs and channels that gave nothing."""
     for log in logs:
-        counts = log.reader.counts
-        _LOG.info("%s: taken for %s: %s", log.path, log.reader.format, log.reader.evidence)
+        counts, name = log.reader.counts, log.reader.name
+        _LOG.info("%s: taken for %s: %s", name, log.reader.format, log.reader.evidence)
         for note in counts.notes:
-            _LOG.warning("%s: %s", log.path, note)
+            _LOG.warning("%s: %s", name, note)
         if counts.first_rejected:
             total = sum(counts.rejected.values())
-            _LOG.warning("%s: %d pieces are no frames, the first: %s", log.path, total, counts.first_rejected)
+            _LOG.warning("%s: %d pieces are no frames, the first: %s", name, total, counts.first_rejected)
         if counts.first_jump:
             jumps = counts.jumps_back + counts.jumps_ahead
-            _LOG.warning("%s: %d jumps of time, %d of them back, the first: %s", log.path, jumps, counts.jumps_back,
+            _LOG.warning("%s: %d jumps of time, %d of them back, the first: %s", name, jumps, counts.jumps_back,
                          counts.first_jump)  # fmt: skip
         if counts.repeated:
-            _LOG.warning("%s: %d frames are there twice", log.path, counts.repeated)
+            _LOG.warning("%s: %d frames are there twice", name, counts.repeated)
         if counts.truncated:
-            _LOG.warning("%s ends before its own end", log.path)
+            _LOG.warning("%s ends before its own end", name)
         elif counts.unfinished:
-            _LOG.warning("%s was not closed by its writer; what is missing at its end cannot be told", log.path)
+            _LOG.warning("%s was not closed by its writer; what is missing at its end cannot be told", name)
     for text in contributions.idle:
         _LOG.warning("%s", text)
 
@@ -129,20 +146,18 @@ def warn_of_faults(logs: Sequence[OpenLog], contributions: Contributions) -> Non
 class DriveFrames:
     """The frames of the logs of a drive, once, merged by time; ``channel`` of a frame is the mark of its source.
 
-    A source is a channel of one of the logs. Every format numbers channels in its own way, so a number says something
-    within its log only: two logs of one time may be two buses with one number, or one bus with two. The monitor
-    follows each message from one source, and counts what became of the frames of each.
+    A source is a channel of one of the logs: two logs of one time may be two buses with one number, or one bus with
+    two. The monitor follows each message from one source, and counts what became of the frames of each.
     """
 
     def __init__(self, logs: Sequence[OpenLog], monitor: LinkMonitor) -> None:
         self.logs = tuple(logs)
         self._monitor = monitor
-        self._marks = [np.full(MOST_SOURCES, _UNKNOWN, np.int64) for _ in logs]  # by channel
-        self._free = set(range(MOST_SOURCES))
+        self._marks = SourceMarks([log.reader.name for log in logs], self._begin)
         self._ended: dict[int, LogShare] = {}
 
     def __iter__(self) -> Iterator[FrameBatch]:
-        return merged_by_time([self._frames(number) for number in range(len(self.logs))], self._marked)
+        return merged_by_time([self._frames(number) for number in range(len(self.logs))], self._marks.marked)
 
     def contributions(self, named_channel: int | None, *, is_whole: bool = True) -> Contributions:
         """Return what each log gave until now; of a part of a drive it cannot be told what gives nothing."""
@@ -155,40 +170,19 @@ class DriveFrames:
         yield from chain((log.first,), log.reader)
         self._end(number)  # all of its frames were taken: the merger asks for more only then
 
-    def _marked(self, number: int, batch: FrameBatch) -> FrameBatch:
-        """Return frames of a log with the marks of their sources."""
-        marks = self._marks[number]
-        present = np.flatnonzero(np.bincount(batch.channel, minlength=MOST_SOURCES))
-        for channel in present[marks[present] == _UNKNOWN].tolist():
-            marks[channel] = self._begin(number, channel)
-        if np.array_equal(marks[present], present):
-            return batch
-        return replace(batch, channel=marks[batch.channel].astype(np.uint8))
-
-    def _begin(self, number: int, channel: int) -> int:
-        """Give a channel of a log a mark: its own number, or what is free if that is taken."""
-        if not self._free:
-            raise SourceError(f"{self.logs[number].path}: more than {MOST_SOURCES} channels of logs at the same time")
-        source = channel if channel in self._free else min(self._free)
-        self._free.remove(source)
+    def _begin(self, _number: int, channel: int, source: int) -> None:
         self._monitor.begin_source(source, channel)
-        return source
 
     def _end(self, number: int) -> None:
         self._ended[number] = self._share(number)
-        for source in self._sources(number).values():
+        for source in self._marks.of_log(number).values():
             self._monitor.end_source(source)
-            self._free.add(source)
-
-    def _sources(self, number: int) -> dict[int, int]:
-        """Return the marks of the channels of a log."""
-        marks = self._marks[number]
-        return {channel: int(marks[channel]) for channel in np.flatnonzero(marks != _UNKNOWN).tolist()}
+        self._marks.release(number)
 
     def _share(self, number: int) -> LogShare:
         channels = tuple(
             _channel_share(channel, self._monitor.source_counts(source))
-            for channel, source in self._sources(number).items()
+            for channel, source in self._marks.of_log(number).items()
         )
         return LogShare.of(str(self.logs[number].path), channels)
 

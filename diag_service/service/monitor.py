@@ -1,5 +1,6 @@
 """A live run for people: one screen that is drawn anew, with everything that a listener can know of its bus."""
 
+import sys
 from typing import Self
 
 from rich.console import Console, Group, RenderableType
@@ -10,11 +11,13 @@ from rich.text import Text
 from canlog.e2e.e2e_state import E2eState
 from canlog.live import BusState
 from diag_service.delivery import News
-from diag_service.delivery.console import shift_head, shift_line
+from diag_service.delivery.console import shift_head, shift_line, short_shift_head, short_shift_line
 from diag_service.diagnosis.records import ShiftResult
 from diag_service.diagnosis.summary import frames_line, shifts_line
 from diag_service.service.snapshot import Snapshot
 
+WHOLE_WIDTH = 140  # columns that everything takes, reasons included
+OTHER_LINES = 9  # beside messages and shifts: heads, and lines that may be folded
 SLOW_RATIO = 0.9  # a message below this share of its nominal rate is marked
 _STATE_STYLE = {
     BusState.UP: "green",
@@ -29,7 +32,9 @@ _E2E_STYLE = {E2eState.NO_DATA: "dim", E2eState.INIT: "yellow", E2eState.VALID: 
 class Monitor:
     """Draws snapshots while it is entered; a stream that is no terminal gets the last one only."""
 
-    def __init__(self, console: Console) -> None:
+    def __init__(self, console: Console, hint: str = "") -> None:
+        self._console = console
+        self._hint = hint
         self._live = Live(console=console, auto_refresh=False, transient=False)
 
     def __enter__(self) -> Self:
@@ -44,17 +49,21 @@ class Monitor:
 
     def show(self, snapshot: Snapshot) -> None:
         """Draw the present state."""
-        self._live.update(screen(snapshot), refresh=True)
+        size = (self._console.width, self._console.height) if self._console.is_terminal else None
+        self._live.update(screen(snapshot, size, self._hint), refresh=True)
 
 
-def screen(snapshot: Snapshot) -> RenderableType:
-    """Return everything as one picture."""
+def screen(snapshot: Snapshot, size: tuple[int, int] | None = None, hint: str = "") -> RenderableType:
+    """Return everything as one picture, within the columns and lines of ``size``; None: as large as it is."""
+    width, height = size or (WHOLE_WIDTH, sys.maxsize)
+    shown_count = max(1, height - len(snapshot.messages) - OTHER_LINES)
     return Group(
         _head(snapshot),
         _message_table(snapshot),
         Text(frames_line(snapshot.summary.frames)),
         Text(shifts_line(snapshot.summary)),
-        *_shift_lines(snapshot.recent),
+        *_shift_lines(snapshot.recent[-shown_count:], is_short=width < WHOLE_WIDTH),
+        *([Text(hint, "dim")] if hint else []),
     )
 
 
@@ -75,7 +84,7 @@ def _head(snapshot: Snapshot) -> Text:
 
 def _message_table(snapshot: Snapshot) -> Table:
     table = Table(box=None, pad_edge=False, padding=(0, 2, 0, 0))
-    table.add_column("message", no_wrap=True)
+    table.add_column("message", overflow="ellipsis")  # the one that gives way
     for name in ("1/s", "nominal", "E2E", "decoded", "rejected", "missing", "lapses"):
         table.add_column(name, justify="left" if name == "E2E" else "right", no_wrap=True)
     for name, counts in snapshot.messages.items():
@@ -94,8 +103,9 @@ def _message_table(snapshot: Snapshot) -> Table:
     return table
 
 
-def _shift_lines(recent: tuple[ShiftResult, ...]) -> list[Text]:
-    return [shift_head(), *(shift_line(result) for result in reversed(recent))] if recent else []
+def _shift_lines(recent: tuple[ShiftResult, ...], *, is_short: bool) -> list[Text]:
+    head, line = (short_shift_head, short_shift_line) if is_short else (shift_head, shift_line)
+    return [head(), *(line(result) for result in reversed(recent))] if recent else []
 
 
 def _words(name: str) -> str:

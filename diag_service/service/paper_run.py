@@ -9,6 +9,8 @@ from typing import TextIO
 from rich import box
 from rich.table import Table
 
+from canlog.logs.reading import Watch
+from diag_service.console.reading import ReadingLine
 from diag_service.console.terminal import PeopleConsole
 from diag_service.diagnosis.condition.condition import ConditionMemory
 from diag_service.diagnosis.friction import FilterState
@@ -46,12 +48,13 @@ def run_paper(
     stop: Trigger,
     use: Callable[[PaperShift], None],
     begin: Callable[[], None] = lambda: None,  # called when the logs are open
+    watch: Watch | None = None,  # of how far the reading is
 ) -> PaperRun:
     """Call ``use`` with each shift of a drive; return what they say together and what became of the frames."""
     decoder = config.interpretation().decoder()
     stages = Stages(decoder, config.calibration, FilterState.fresh(config.calibration), ConditionMemory.fresh())
     collection = PaperCollection(config.calibration, nominal_driveline())
-    logs = open_drive(paths, is_strict=config.is_strict)
+    logs = open_drive(paths, is_strict=config.is_strict, is_stopped=lambda: stop.is_set, watch=watch)
     begin()
     account = replay(logs, stages, stop, lambda event: use(collection.add(event)))
     return PaperRun(clutches=collection.pooled(), account=account)
@@ -68,7 +71,13 @@ def show_paper(config: DiagnosisConfig, paths: Sequence[Path], controls: Control
         if isinstance(output, PeopleConsole):
             output.print(_HEAD, style="bold")
 
-    run = run_paper(config, paths, controls.stop, lambda shift: _show(shift, output), begin)
+    with ReadingLine() as line:
+
+        def use(shift: PaperShift) -> None:
+            line.clear()
+            _show(shift, output)
+
+        run = run_paper(config, paths, controls.stop, use, begin, line.watch)
     account = run.account
     _conclude(run.clutches, account.gaps, frames_line(account.frames), output)
     insist(account.gaps, account.contributions, is_strict=config.is_strict)

@@ -6,6 +6,7 @@ from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
+from canlog.errors import InputLeftError
 from diag_service.delivery import Outbox
 from diag_service.diagnosis.contributions import Contributions
 from diag_service.diagnosis.events import Event
@@ -75,7 +76,7 @@ def replay(logs: Sequence[OpenLog], stages: Stages, stop: Trigger, use: Callable
     try:
         for event in events(drive, stages, stop):
             use(event)
-    except StoppedError:
+    except (StoppedError, InputLeftError):
         is_whole = False
     contributions = drive.contributions(stages.decoder.named_channel, is_whole=is_whole)
     warn_of_faults(logs, contributions)

@@ -25,6 +25,10 @@ from diag_service.settings.config import DiagnosisConfig
 from diag_service.store import ResultStore, VehicleState, Versions
 
 MAX_PENDING_COUNT = 1000
+NOTHING_KNOWN = (
+    "no message came that the profile knows; try 'diag-service signals LOG --dbc FILE': it lists what a log holds and "
+    "proposes a profile"
+)
 _LOG = logging.getLogger(__name__)
 
 
@@ -141,6 +145,8 @@ class Session:
             _LOG.error("frame counts do not add up: %s", frames_line(frames))
         summary = self.summary(frames, unpublished_count, gaps, contributions)
         self.reporter.report(summary)
+        if frames.on_bus and not frames.decoded and not frames.rejected_count:
+            _LOG.log(NOTICE, "%s", NOTHING_KNOWN)
         return summary
 
     def _known(self, event: Event) -> ShiftResult | None:

@@ -1,9 +1,13 @@
 """Signals of the operating system, caught from the first moment on; imports next to nothing."""
 
 import signal
+import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from types import FrameType
+from typing import Final
+
+WRITER_ENDS_S: Final = 1.0
 
 
 class Trigger:
@@ -39,6 +43,41 @@ class Trigger:
 
         for number in numbers:
             signal.signal(number, handle)
+
+
+class PatientTrigger(Trigger):
+    """A trigger that a signal sets only after a while: Ctrl-C ends the writer of a pipe, too, and then all has come.
+
+    Parameters
+    ----------
+    first :
+        The trigger that signals set.
+    patience_s :
+        How long the writer has time to end the stream.
+    """
+
+    def __init__(
+        self, first: Trigger, *, patience_s: float = WRITER_ENDS_S, now_s: Callable[[], float] = time.monotonic
+    ) -> None:
+        self._is_set = False
+        super().__init__()
+        self._deadline_s: float | None = None
+        self._patience_s = patience_s
+        self._now_s = now_s
+        first.subscribe(self._begin)
+
+    @property
+    def is_set(self) -> bool:
+        """Whether it is set, or the time is over."""
+        return self._is_set or (self._deadline_s is not None and self._now_s() >= self._deadline_s)
+
+    @is_set.setter
+    def is_set(self, value: bool) -> None:
+        self._is_set = value
+
+    def _begin(self) -> None:
+        if self._deadline_s is None:  # one Ctrl-C may come twice: from the terminal, and from a wrapper
+            self._deadline_s = self._now_s() + self._patience_s
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

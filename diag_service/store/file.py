@@ -1,16 +1,16 @@
 """The file of a store: whose it is, who uses it, and that a commit is on the disk."""
 
-import fcntl
 import os
 import sqlite3
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Final
 
 from diag_service.errors import StoreError, StoreFullError
 from diag_service.store.schema import APPLICATION_ID, SCHEMA_VERSION, create_tables, migrate
-from program_io.private_file import PRIVATE_MODE, create_private
+from program_io.file_lock import lock
+from program_io.private_file import OPEN_FLAGS, PRIVATE_MODE, create_private
 
 _BUSY_TIMEOUT_S: Final = 5.0  # for a person who reads the store with another program
 _NO_ROOM: Final = frozenset({sqlite3.SQLITE_FULL, sqlite3.SQLITE_IOERR_WRITE, sqlite3.SQLITE_IOERR_FSYNC})
@@ -21,15 +21,16 @@ def own(path: Path) -> int:
     lock_path = path.with_name(path.name + ".lock")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        descriptor = os.open(lock_path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, PRIVATE_MODE)
+        descriptor = os.open(lock_path, OPEN_FLAGS, PRIVATE_MODE)
     except OSError as exc:
         raise StoreError(f"cannot use store {path}: {exc.strerror} ({exc.filename})") from exc
     try:
-        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        lock(descriptor)
         os.ftruncate(descriptor, 0)
         os.write(descriptor, f"{os.getpid()}\n".encode())
     except BlockingIOError as exc:
-        owner = os.pread(descriptor, 32, 0).decode("ascii", "replace").strip()
+        os.lseek(descriptor, 0, os.SEEK_SET)
+        owner = os.read(descriptor, 32).decode("ascii", "replace").strip()
         os.close(descriptor)
         raise StoreError(f"store {path} is in use by another diag-service (process {owner or 'unknown'})") from exc
     except OSError as exc:
@@ -89,3 +90,10 @@ def _prepare(connection: sqlite3.Connection, path: Path) -> None:
         create_tables(connection)
     elif version < SCHEMA_VERSION:
         migrate(connection, version)
+
+
+def remove_store(path: Path) -> None:
+    """Remove a store, its lock and what SQLite put beside it; what cannot be removed stays."""
+    for suffix in ("", "-wal", "-shm", "-journal", ".lock"):
+        with suppress(OSError):
+            path.with_name(path.name + suffix).unlink()

@@ -101,6 +101,15 @@ class ResultStore:
                 os.close(self._lock_descriptor)
                 self._lock_descriptor = None
 
+    @property
+    def holds_results(self) -> bool:
+        """Whether there is any result in it; a store that cannot tell is taken for one that holds some."""
+        try:
+            with self._transaction() as sql:
+                return bool(sql.execute("SELECT EXISTS (SELECT 1 FROM result)").fetchone()[0])
+        except StoreError:
+            return True
+
     def next_seq(self) -> int:
         """Return the sequence number that the next result of the live stream gets; none is ever used again."""
         with self._transaction() as sql:

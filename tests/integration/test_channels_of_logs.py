@@ -208,7 +208,7 @@ def _analyzed(
     folder = tmp_path_factory.mktemp("analyzed")
     written(folder / "monday.log", lines)
     written(folder / "tuesday.log", on(1, lines[100:-100]))
-    more = {"": (), "folder": ("-o", folder / "out.jsonl", "--jobs", "1"), "paper": ("--estimator", "paper")}
+    more = {"": (), "folder": ("-o", folder / "out.jsonl", "--force"), "paper": ("--estimator", "paper")}
 
     def analyze(*options: str) -> Ended:
         logs = (folder / "monday.log", folder / "tuesday.log")

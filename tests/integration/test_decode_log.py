@@ -75,7 +75,7 @@ def decoded(tmp_path: Path, database: str, log: str, *words: str) -> list[Row]:
     """Return the rows of a decoded log."""
     (tmp_path / "car.dbc").write_text(database, encoding="utf-8")
     (tmp_path / "drive.log").write_text(log, encoding="ascii")
-    execute(tmp_path / "drive.log", "--dbc", tmp_path / "car.dbc", "-o", tmp_path / "out.parquet", *words)
+    execute(tmp_path / "drive.log", "--dbc", tmp_path / "car.dbc", "-o", tmp_path / "out.parquet", "--force", *words)
     return list(pq.read_table(tmp_path / "out.parquet").to_pylist())
 
 
@@ -278,7 +278,7 @@ def test_strict_as_a_process_has_its_own_status(tmp_path: Path) -> None:
     strict = run_service(tmp_path / "strict", *words, "--strict", "--json")
     assert (strict.status, len(strict.out.splitlines())) == (5, 1)
     assert "not all of it is in" in strict.err.splitlines()[-1]
-    assert run_service(tmp_path / "plain", *words).status == 0
+    assert run_service(tmp_path / "plain", *words, "--force").status == 0
 
 
 def test_a_database_that_matches_nothing_is_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

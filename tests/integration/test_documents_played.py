@@ -38,6 +38,8 @@ ELSEWHERE = {
     "diag-service monitor": "tests/integration/test_service_onlookers.py",
     "ecu-emulator run": "tests/e2e/test_vcan_drive.py",
     "echo": "tests/integration/test_emulator_control.py",
+    "candump": "tests/integration/test_piped_logs.py",
+    "ecu-emulator record -": "tests/integration/test_piped_logs.py",
     "ecu-emulator record city.log": "tests/integration/test_road_drive.py",
     "ecu-emulator record first.log": "tests/integration/test_calibrate_story.py",
     "diag-service calibrate first.log": "tests/integration/test_calibrate_story.py",
@@ -47,6 +49,7 @@ ELSEWHERE = {
     "fleet-backend ingest": "tests/e2e/test_fleet_chaos.py",
     "fleet-backend migrate": "tests/integration/test_fleet_cli.py",
     "pip install": "tests/integration/test_canlog_alone.py",
+    "pip-audit": "CONTRIBUTING.md",
     "python -m": "tests/integration/test_documents.py",
 }
 """What needs a bus, a broker, root or minutes, by the beginning of its line, and where it is run or checked instead."""

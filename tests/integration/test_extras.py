@@ -1,11 +1,12 @@
 """Every command of every program without extras: help and version as ever, else one line that says what to install."""
 
 import re
+from importlib.metadata import distribution
 from pathlib import Path
 
 import pytest
 
-from tests.support.plain_install import PlainInstall, extra_modules, plain_install
+from tests.support.plain_install import PlainInstall, core_distributions, extra_modules, plain_install
 
 PROGRAMS = {
     "ecu-emulator": "ecu_emulator.cli",
@@ -88,13 +89,18 @@ def test_parquet_and_mf4_say_what_to_install(plain: PlainInstall, tmp_path: Path
     log.write_text(CANDUMP, encoding="utf-8")
     mdf.write_bytes(MDF)
     runs = {
-        "parquet": [["decode", log, "-o", "d.parquet"], ["analyze", log, "-o", "a.parquet"]],
+        "parquet": [
+            ["decode", log, "-o", "d.parquet"],
+            ["decode", log, "-o", "-"],
+            ["analyze", log, "-o", "a.parquet"],
+        ],
+        "paper": [["analyze", "--estimator", "paper", log]],
         "mf4": [
             ["inspect", mdf],
             ["signals", mdf],
             ["analyze", mdf],
-            ["analyze", "--estimator", "paper", mdf],
             ["calibrate", mdf, "-o", "c.toml"],
+            ["decode", log, "-o", "d.mf4"],
         ],
     }
     for extra, words in runs.items():
@@ -137,3 +143,14 @@ def test_the_demonstrations_say_what_to_install(plain: PlainInstall, tmp_path: P
     assert told.status == 2
     one_line(program, "[a-z,]+", told.err)
     assert list(tmp_path.iterdir()) == []
+
+
+def test_a_plain_install_is_no_larger_than_it_was_said_to_be() -> None:
+    """Count what pip has put on the disk for the requirements without extras."""
+    sizes = {
+        name: sum(
+            one.stat().st_size for path in distribution(name).files or () if (one := Path(str(path.locate()))).is_file()
+        )
+        for name in core_distributions()
+    }
+    assert sum(sizes.values()) < 350e6, sizes

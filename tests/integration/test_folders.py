@@ -88,10 +88,13 @@ def test_files_that_are_left_out_are_listed_with_their_reasons(drive_log: Path, 
         (("{log}", "-o", "{tmp}/out.xlsx"), ConfigError, "results are written as .jsonl, .csv, .parquet"),
         (("{log}", "-o", "{tmp}/none/out.csv"), StoreError, "No such file"),
         (("{log}", "-o", "{tmp}/out.csv", "--jobs", "0"), ConfigError, "at least 1"),
+        (("{log}", "--vehicle-from", "path"), ConfigError, "--vehicle-from is for folders"),
+        (("{tmp}", "--vehicle-from", "path", "--vehicle", "car"), ConfigError, "choose"),
+        (("{tmp}", "-"), ConfigError, "standard input does not go with them"),
         (("{log}", "--jobs", "2"), ConfigError, "--jobs is for folders"),
         (("{tmp}", "--store", "{tmp}/s.sqlite"), ConfigError, "neither --store"),
         (("{tmp}", "--estimator", "paper"), ConfigError, "nor --estimator paper"),
-        (("{tmp}/empty.log", "-o", "{tmp}/out.csv"), SourceError, "none of 1 drives could be read, the first: "),
+        (("{tmp}/empty.log", "-o", "{tmp}/out.csv"), SourceError, "empty.log: the file is empty"),
     ],
 )
 def test_what_cannot_be_done_is_told(
@@ -102,3 +105,27 @@ def test_what_cannot_be_done_is_told(
     words = ["analyze", *(argument.format(log=drive_log, tmp=tmp_path) for argument in arguments)]
     with pytest.raises(error, match=re.escape(text)):
         analyze.execute(parse_arguments(words), Controls())
+
+
+def test_a_folder_below_names_the_vehicle(drive_log: Path, tmp_path: Path) -> None:
+    for name in ("car1/monday", "car2"):
+        fill_folder(tmp_path / "fleet" / name, drive_log, 1)
+    words: list[str | Path] = ["analyze", tmp_path / "fleet", "--jobs", "2", "--vehicle-from", "path"]
+    ended = run_service(tmp_path / "run", *words, "-o", tmp_path / "out.parquet")
+    assert ended.status == 0, ended.err
+    table = pq.read_table(tmp_path / "out.parquet")
+    rows = table.to_pylist()
+    assert {(Path(row["path"]).relative_to(tmp_path / "fleet").parts[0], row["vehicle"]) for row in rows} == {
+        ("car1", "car1"), ("car2", "car2"),
+    }  # fmt: skip
+    assert {str(table.schema.field(name).type) for name in ("start_utc", "end_utc", "produced_at")} == {
+        "timestamp[ns, tz=UTC]"
+    }
+    for row in rows:
+        assert int(row["start_utc"].timestamp() * 1e6) == row["start_bus_ns"] // 1000
+
+
+def test_folders_that_are_no_vehicles_are_told(drive_log: Path, tmp_path: Path) -> None:
+    fill_folder(tmp_path / "fleet" / "my car", drive_log, 1)
+    with pytest.raises(ConfigError, match=r"drive.*: 'my car' is no vehicle id"):
+        analyze.execute(parse_arguments(["analyze", str(tmp_path / "fleet"), "--vehicle-from", "path"]), Controls())

@@ -143,7 +143,7 @@ def test_row_groups_are_small_whatever_the_log(layout: str, short_log: Path, tmp
 @pytest.mark.parametrize(
     ("arguments", "error", "text"),
     [
-        (("decode", "{log}", "-o", "{tmp}/out.csv"), ConfigError, "are written as .parquet"),
+        (("decode", "{log}", "-o", "{tmp}/out.xlsx"), ConfigError, "are written as .parquet"),
         (("decode", "{log}", "-o", "{tmp}/none/out.parquet"), OutputError, "cannot write"),
         (("decode", "{tmp}/none.log", "-o", "{tmp}/out.parquet"), SourceError, "none.log"),
         (("inspect", "{log}", "-b", "0"), ConfigError, "bit rate must be > 0"),

@@ -7,9 +7,9 @@ from pathlib import Path
 
 import pytest
 
+from canlog.error_frames import BusTrouble
 from canlog.frames import ERROR_FLAG
 from canlog.live import BusOpener, BusState, LinkBreak, SupervisedSource, supervise
-from canlog.live.error_frames import BusTrouble
 from canlog.live.interface import Seen, index_of, present_name, restart_controller
 from diag_service.mapping.decoder import Decoder
 from diag_service.mapping.profile import load_profile

@@ -72,7 +72,5 @@ class FastBusOpener:
 
 
 if __name__ == "__main__":
-    with patch(
-        "diag_service.service.application.BusOpener", partial(FastBusOpener, Path(sys.argv[1]), int(sys.argv[2]))
-    ):
+    with patch("diag_service.service.bus_run.BusOpener", partial(FastBusOpener, Path(sys.argv[1]), int(sys.argv[2]))):
         sys.exit(cli.main(sys.argv[3:]))

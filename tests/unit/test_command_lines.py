@@ -38,7 +38,9 @@ def _in_an_empty_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None
 
 @pytest.mark.parametrize("example", EXAMPLES)
 def test_an_example_is_understood(example: str) -> None:
-    program, *words = shlex.split(example.partition(">")[0])
+    (program, *words), *_ = (
+        stage for one in example.split("|") if (stage := shlex.split(one.partition(">")[0]))[0] in PROGRAMS
+    )
     assert parse(PROGRAMS[program], words).command == words[0]
 
 
@@ -56,3 +58,16 @@ def test_the_exit_status_of_every_program_is_in_its_help(program: Program, capsy
         parse(program, ["--help"])
     assert ended.value.code == 0
     assert "exit status: 0 " in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("shell", ["bash", "zsh", "fish"])
+@pytest.mark.parametrize("name", PROGRAMS)
+def test_every_program_completes_in_every_shell(
+    name: str, shell: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    variable = f"_{name.upper().replace('-', '_')}_COMPLETE"
+    monkeypatch.setenv(variable, f"{shell}_source")
+    with pytest.raises(SystemExit) as ended:
+        parse(PROGRAMS[name], [])
+    assert ended.value.code == 0
+    assert f"{variable}={shell}_complete" in capsys.readouterr().out

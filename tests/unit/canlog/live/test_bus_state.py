@@ -2,9 +2,9 @@
 
 import numpy as np
 
+from canlog.error_frames import BusTrouble
 from canlog.frames import ERROR_FLAG, FrameBatch
 from canlog.live.bus_state import TROUBLE_S, BusState, BusWatch
-from canlog.live.error_frames import BusTrouble
 
 DATA, BUS_OFF, RESTART, ARBITRATION = 0x123, ERROR_FLAG | 0x40, ERROR_FLAG | 0x100, ERROR_FLAG | 0x2
 

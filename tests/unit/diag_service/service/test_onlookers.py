@@ -1,6 +1,7 @@
 """Who looks on: snapshots of a live run, metrics and health checks over HTTP, the screen of the monitor."""
 
 import io
+import re
 import socket
 import urllib.error
 import urllib.request
@@ -12,14 +13,14 @@ from prometheus_client.parser import text_string_to_metric_families
 from rich.console import Console
 
 from canlog.e2e.e2e_state import E2eState
+from canlog.error_frames import BusTrouble
 from canlog.frames import FrameBatch
 from canlog.live import BusState, BusStatus, SourceCounts
-from canlog.live.error_frames import BusTrouble
 from diag_service.console.progress import Stage, Stuck
 from diag_service.delivery import MemoryReporter
 from diag_service.errors import ConfigError
 from diag_service.service.metrics import serving
-from diag_service.service.monitor import Monitor
+from diag_service.service.monitor import Monitor, screen
 from diag_service.service.snapshot import SILENT_S, STALE_S, Board, RateMeter, Snapshot, SnapshotTaker
 from diag_service.settings.config import ListenAddress, parse_listen_address
 from diag_service.store import ResultStore
@@ -229,3 +230,23 @@ def test_news_between_two_pictures_show_nothing(snapshot: Snapshot, capsys: pyte
     for news in ("vcan0", snapshot.recent[0], snapshot.summary):
         monitor.report(news)
     assert (out.getvalue(), *capsys.readouterr()) == ("", "", "")
+
+
+def test_the_screen_fits_eighty_columns_whatever_messages_are_called(snapshot: Snapshot) -> None:
+    name, counts = next(iter(snapshot.messages.items()))
+    long_name = "A_message_that_somebody_gave_a_name_of_more_than_forty_letters"
+    busy = replace(counts, decoded=123_456_789, missing=1_234_567)
+    wide = replace(
+        snapshot,
+        messages={**snapshot.messages, long_name: busy},
+        rates_hz={**snapshot.rates_hz, long_name: 1_000.0, name: 100.0},
+    )
+    console = Console(file=io.StringIO(), width=80, force_terminal=False)
+    console.print(screen(wide, (80, 24), "q ends this"))
+    assert isinstance(console.file, io.StringIO)
+    lines = console.file.getvalue().splitlines()
+    assert max(map(len, lines)) <= 80
+    assert any("123456789" in line and "1234567" in line for line in lines)
+    assert lines[-1].strip() == "q ends this"
+    shifts = [line for line in lines if re.match(r" +\d+  \d-\d +[a-z]", line)]
+    assert len(shifts) == 2

@@ -2,7 +2,7 @@
 
 import signal
 
-from diag_service.service.stopping import Trigger
+from diag_service.service.stopping import PatientTrigger, Trigger
 
 
 def test_who_comes_late_hears_of_it_at_once() -> None:
@@ -36,3 +36,22 @@ def test_a_signal_sets_the_trigger_instead_of_ending_the_process() -> None:
     finally:
         signal.signal(signal.SIGUSR2, before)
     assert trigger.is_set
+
+
+def test_a_patient_trigger_waits_for_the_writer_of_a_pipe() -> None:
+    now_s = [10.0]
+    first = Trigger()
+    patient = PatientTrigger(first, patience_s=1.0, now_s=lambda: now_s[0])
+    assert not patient.is_set
+    first.set()
+    first.set()  # the same Ctrl-C, from the terminal and from a wrapper
+    now_s[0] = 10.9
+    assert not patient.is_set
+    now_s[0] = 11.0
+    assert patient.is_set
+
+
+def test_a_patient_trigger_that_is_set_itself_does_not_wait() -> None:
+    patient = PatientTrigger(Trigger())
+    patient.set()
+    assert patient.is_set

@@ -1,0 +1,123 @@
+"""Decoded signals as MDF 4: a group for each message and channel, its signals as channels that share their times."""
+
+import sys
+from collections.abc import Mapping, Sequence
+from datetime import UTC, datetime
+from typing import Any, BinaryIO, Final
+
+import numpy as np
+
+from canlog.arrays import BoolArray, FloatArray, Int64Array
+from canlog.decode.codec import Codec, MessageValues
+from canlog.extras import load_extra
+from canlog.frames import FrameBatch
+from canlog.tables.inputs import Origins
+from canlog.tables.names import TableNames
+
+VERSION: Final = "4.10"
+TRANSPOSED_AND_DEFLATED: Final = 2
+NS_PER_S: Final = 1_000_000_000
+
+
+class Mf4Table:
+    """An MDF file of signals, by asammdf, which keeps them in a temporary file until they are saved.
+
+    Values that a frame does not carry are marked as invalid. Times count from the second in which the first frame came.
+
+    Raises
+    ------
+    ExtraMissingError
+        If asammdf is not installed.
+    """
+
+    def __init__(self, output: BinaryIO, codec: Codec, names: TableNames, origins: Origins | None) -> None:
+        if sys.modules.get("asammdf", ...) is None:  # a program keeps itself from loading it before it is needed
+            del sys.modules["asammdf"]
+        self._library: Any = load_extra("asammdf", "MF4 needs asammdf", "mf4")
+        self._output = output
+        self._codec = codec
+        self._names = names
+        self._origins = origins
+        self._file: Any = self._library.MDF(version=VERSION)
+        self._groups: dict[tuple[int, str], int] = {}
+        self._start_ns: int | None = None
+
+    def write(self, batch: FrameBatch, found: Sequence[MessageValues]) -> int:
+        """Take a batch and what its signals say; return how many frames have values."""
+        if self._start_ns is None and len(batch):
+            start_s = int(batch.t_ns.min()) // NS_PER_S
+            self._start_ns = start_s * NS_PER_S
+            self._file.header.start_time = datetime.fromtimestamp(start_s, UTC)
+        by_slot: dict[int, list[MessageValues]] = {}
+        for one in found:
+            by_slot.setdefault(one.slot, []).append(one)
+        for slot, parts in by_slot.items():
+            self._write_message(slot, parts, batch)
+        return sum(len(one.rows) for one in found)
+
+    def close(self) -> None:
+        """Write the file."""
+        try:
+            self._file.save(self._output, compression=TRANSPOSED_AND_DEFLATED)
+        finally:
+            self._file.close()
+
+    def discard(self) -> None:
+        """Write nothing."""
+        self._file.close()
+
+    def _write_message(self, slot: int, parts: Sequence[MessageValues], batch: FrameBatch) -> None:
+        """Write the frames of one message, apart by channel; short frames come apart and are put back in order."""
+        rows = np.concatenate([part.rows for part in parts])
+        order = np.argsort(rows, kind="stable")
+        columns = {name: _column(name, parts, order) for name in self._codec.tables[slot].signals}
+        channels = batch.channel[rows[order]]
+        for channel in np.unique(channels).tolist():
+            own = channels == channel
+            of_channel = {name: (value[own], missing[own]) for name, (value, missing) in columns.items()}
+            self._append(slot, self._place(channel), batch.t_ns[rows[order]][own], of_channel)
+
+    def _append(
+        self, slot: int, place: str, t_ns: Int64Array, columns: Mapping[str, tuple[FloatArray, BoolArray]]
+    ) -> None:
+        elapsed_s = (t_ns - (self._start_ns or 0)) / NS_PER_S
+        group = self._groups.get((slot, place))
+        if group is not None:
+            self._file.extend(group, [(elapsed_s, None), *columns.values()])
+            return
+        definitions = self._codec.tables[slot].definitions
+        signals = [
+            self._library.Signal(
+                samples=value,
+                timestamps=elapsed_s,
+                name=self._names.columns[slot, name],
+                unit=definitions[name].unit or "",
+                invalidation_bits=is_missing,
+            )
+            for name, (value, is_missing) in columns.items()
+        ]
+        name = f"{self._names.messages[slot]}, {place}"
+        self._groups[slot, place] = self._file.append(signals, acq_name=name, comment=name, common_timebase=True)
+
+    def _place(self, channel: int) -> str:
+        """Return where frames come from, for people."""
+        if self._origins is None:
+            return f"channel {channel}"
+        log = self._origins.names[int(self._origins.log[channel])]
+        return f"channel {int(self._origins.channel[channel])} of {log}"
+
+
+def _column(name: str, parts: Sequence[MessageValues], order: Int64Array) -> tuple[FloatArray, BoolArray]:
+    """Return the values of a signal in the order of its frames, and which of them are not there."""
+    values, missing = list[FloatArray](), list[BoolArray]()
+    for part in parts:
+        decoded = part.signals.get(name)
+        count = len(part.rows)
+        if decoded is None:
+            values.append(np.zeros(count))
+            missing.append(np.ones(count, np.bool_))
+        else:
+            values.append(np.asarray(decoded.value, np.float64))
+            present = decoded.is_present
+            missing.append(np.zeros(count, np.bool_) if present is None else ~present)
+    return np.concatenate(values)[order], np.concatenate(missing)[order]

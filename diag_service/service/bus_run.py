@@ -1,0 +1,134 @@
+"""A live bus from its interface to everyone who hears of results, and to those who look on."""
+
+import asyncio
+import logging
+import os
+from collections.abc import Callable
+from contextlib import AbstractContextManager, ExitStack, closing, suppress
+from dataclasses import replace
+from pathlib import Path
+
+from canlog.live import BusOpener, ReadSchedule, SupervisedSource, supervise
+from canlog.notice import NOTICE
+from diag_service.console.keys import ending_key
+from diag_service.console.terminal import PeopleConsole
+from diag_service.delivery import DetachedReporter, Outbox
+from diag_service.diagnosis.summary import frames_line
+from diag_service.service.application import opened_store, outbox_of, reporter_of
+from diag_service.service.controller_news import tell_controller
+from diag_service.service.live import run_live
+from diag_service.service.monitor import Monitor
+from diag_service.service.service_manager import ADDRESS_VARIABLE, ServiceManager
+from diag_service.service.session import Session, utc_now
+from diag_service.service.snapshot import Board, Snapshot, SnapshotTaker
+from diag_service.service.stopping import Controls
+from diag_service.settings.config import BusConfig, DiagnosisConfig, PollConfig
+from diag_service.store import ResultStore
+from fleet_contract import Outgoing
+
+QUIT_KEY = "q"
+_LOG = logging.getLogger(__name__)
+
+
+def run_bus(config: DiagnosisConfig, bus: BusConfig, store_path: Path, controls: Controls, *, as_json: bool) -> None:
+    """Diagnose a live bus until it is told to stop."""
+    decoder = config.interpretation().decoder()
+    with opened_store(config, store_path, keeps_results=True) as store:
+        reporter = DetachedReporter(reporter_of(controls.stop, as_json=as_json))
+        session = Session(config, decoder, store, None, reporter)
+        asyncio.run(_run_bus(config, bus, store, session, controls))
+
+
+def run_monitor(config: DiagnosisConfig, bus: BusConfig, controls: Controls) -> None:
+    """Show a live bus until told to stop; nothing is stored or published."""
+    decoder = config.interpretation().decoder()
+    with (
+        closing(ResultStore.in_memory()) as store,
+        ending_key(QUIT_KEY, controls.stop.set) as has_keyboard,
+        Monitor(PeopleConsole(), f"{QUIT_KEY} ends this" if has_keyboard else "") as monitor,
+    ):
+        session = Session(config, decoder, store, None, monitor)
+        asyncio.run(_run_bus(replace(config, broker=None), bus, store, session, controls, monitor.show))
+
+
+async def open_live(config: BusConfig, session: Session) -> tuple[SupervisedSource, ReadSchedule]:
+    """Open a bus that is opened again whenever it was away; return it with the schedule that ``run_live`` is to fill.
+
+    Raises SourceError if it cannot be opened now.
+    """
+    filters = session.stages.decoder.kernel_filters if config.is_filtered else ()
+    schedule = ReadSchedule()
+    opener = BusOpener(
+        config.interface, config.channel, config.bitrate, fd=config.is_fd, filters=filters, schedule=schedule
+    )
+    return await supervise(opener), schedule
+
+
+async def _run_bus(
+    config: DiagnosisConfig,
+    bus: BusConfig,
+    store: ResultStore,
+    session: Session,
+    controls: Controls,
+    onlooker: Callable[[Snapshot], None] = lambda _: None,
+) -> None:
+    source, schedule = await open_live(bus, session)
+    session.reporter.report(f"{source.description} for {config.vehicle}, results in {store.where}")
+    now_s = asyncio.get_running_loop().time
+    taker = SnapshotTaker(source, session, now_s(), bus.bitrate)
+    manager, board = ServiceManager(os.environ.get(ADDRESS_VARIABLE)), Board()
+
+    def show() -> None:
+        snapshot = taker.take(now_s())
+        board.latest = snapshot
+        onlooker(snapshot)
+        _report_life(manager, snapshot)
+
+    with ExitStack() as stack:
+        stack.callback(manager.stopping)
+        if bus.metrics is not None:
+            from diag_service.service.metrics import serving  # noqa: PLC0415 - a web server and its library, for few runs
+
+            port = stack.enter_context(serving(bus.metrics, board))
+            _LOG.log(NOTICE, "metrics on http://%s:%d/metrics", bus.metrics.host, port)
+        manager.ready()
+        outbox = outbox_of(config, store, session, is_live=True)
+        if bus.poll is not None:
+            stack.enter_context(_poller(config.vehicle, bus, bus.poll, store, session, outbox))
+        await run_live(
+            source,
+            session,
+            stop=controls.stop,
+            counts_wanted=controls.counts_wanted,
+            outbox=outbox,
+            duration_s=bus.duration_s,
+            show=show,
+            schedule=schedule,
+        )
+
+
+def _poller(
+    vehicle: str, bus: BusConfig, poll: PollConfig, store: ResultStore, session: Session, outbox: Outbox | None
+) -> AbstractContextManager[object]:
+    """Return what asks a controller now and then while it is entered; to be called in the loop that runs the outbox."""
+    from diag_service.service.polling import poller_for  # noqa: PLC0415 - libraries of an extra, for few runs
+
+    loop = asyncio.get_running_loop()
+
+    def publish(message: Outgoing) -> None:
+        if outbox is not None:
+            with suppress(RuntimeError):  # the run has ended meanwhile
+                loop.call_soon_threadsafe(outbox.tell_state, message)
+
+    return poller_for(
+        vehicle, bus, poll, utc_now, lambda report: tell_controller(report, store, session.reporter, publish)
+    )
+
+
+def _report_life(manager: ServiceManager, snapshot: Snapshot) -> None:
+    """Tell the manager that the service lives, unless one of its stages hangs."""
+    if snapshot.stuck is None:
+        manager.alive(f"bus {snapshot.bus.state.value}, {frames_line(snapshot.summary.frames)}")
+        return
+    _LOG.error("%s", snapshot.stuck)
+    manager.struggling(str(snapshot.stuck))

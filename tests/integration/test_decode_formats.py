@@ -1,0 +1,166 @@
+"""``decode`` of several logs, and into every format: the numbers are those of the Parquet table."""
+
+import csv
+import json
+import math
+from pathlib import Path
+from typing import Any
+
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+
+from diag_service.cli import main
+from tests.support.in_process import ended
+from tests.support.pipes import piped
+from tests.support.terminal import before_head
+
+DATABASE = """VERSION ""
+BU_: A
+BO_ 256 Brake: 4 A
+ SG_ Page M : 0|2@1+ (1,0) [0|3] "" A
+ SG_ Speed m0 : 8|16@1+ (0.5,-10) [0|100] "km/h" A
+ SG_ Lamp m1 : 8|1@1+ (1,0) [0|1] "" A
+BO_ 512 Engine: 8 A
+ SG_ Load : 0|32@1- (1,0) [0|0] "%" A
+ SG_ State : 32|8@1+ (1,0) [0|3] "" A
+SIG_VALTYPE_ 512 Load : 1;
+VAL_ 512 State 1 "on, running" ;
+"""
+LINES = [
+    "(1767225600.000001) can0 100#00C80000",
+    "(1767225600.001002) can1 200#0000803F01000000",
+    "(1767225600.002000) can0 100#01010000",
+    "(1767225600.003000) can1 200#0000C07F02000000",  # not a number
+    "(1767225600.004000) can0 200#00000040",  # short: no State
+]
+Row = dict[str, Any]
+
+
+@pytest.fixture(name="folder")
+def _folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """Return a folder with a database and a log, and go there."""
+    (tmp_path / "car.dbc").write_text(DATABASE, encoding="utf-8")
+    (tmp_path / "drive.log").write_text("".join(f"{line}\n" for line in LINES), encoding="ascii")
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+def decoded(*words: str) -> list[Row]:
+    """Return the rows of a Parquet table."""
+    told = ended("decode", *words, "--dbc", "car.dbc", "-o", "out.parquet", "--force")
+    assert told.status == 0, told.err
+    return list(pq.read_table("out.parquet").to_pylist())
+
+
+def as_text(value: object) -> str:
+    """Return how a CSV shows a value of the Parquet table."""
+    if value is None:
+        return ""
+    return str(value).lower() if isinstance(value, bool) else str(value)
+
+
+def same(one: object, other: object) -> bool:
+    both_nan = isinstance(one, float) and isinstance(other, float) and math.isnan(one) and math.isnan(other)
+    return both_nan or one == other
+
+
+@pytest.mark.parametrize("layout", ["wide", "long"])
+def test_csv_json_lines_and_arrow_hold_what_parquet_holds(folder: Path, layout: str) -> None:
+    more = ["--layout", layout, "--values", "both"]
+    rows = decoded("drive.log", *more)
+    for suffix in ("csv", "jsonl", "arrows"):
+        assert main(["decode", "drive.log", "--dbc", "car.dbc", "-o", f"out.{suffix}", *more]) == 0
+    arrow = pa.ipc.open_stream(folder / "out.arrows").read_all()
+    assert arrow.schema.equals(pq.read_table("out.parquet").schema, check_metadata=False) or len(arrow) == len(rows)
+    for one, other in zip(arrow.to_pylist(), rows, strict=True):
+        assert one.keys() == other.keys()
+        assert all(same(one[name], other[name]) for name in other)
+    lines = [json.loads(line) for line in (folder / "out.jsonl").read_text(encoding="utf-8").splitlines()]
+    with (folder / "out.csv").open(encoding="utf-8", newline="") as file:
+        cells = list(csv.DictReader(file))
+    for row, line, cell in zip(rows, lines, cells, strict=True):
+        time = row.pop("time").isoformat().removesuffix("+00:00")
+        time = f"{time}000Z" if "." in time else f"{time}.000000000Z"
+        assert line.pop("time") == cell.pop("time") == time
+        assert line == {
+            name: None if isinstance(value, float) and math.isnan(value) else value
+            for name, value in row.items()
+            if value is not None
+        }
+        for name, value in row.items():
+            assert cell[name] == as_text(value) or same(float(cell[name]), float(value)), name
+
+
+def test_mf4_has_a_group_per_message_and_channel(folder: Path) -> None:
+
+    assert main(["decode", "drive.log", "--dbc", "car.dbc", "-o", "out.mf4"]) == 0
+    from asammdf import MDF  # noqa: PLC0415 - the program hides it until it needs it
+
+    with MDF(folder / "out.mf4") as mdf:
+        names = {getattr(group.channel_group, "acq_name", "") for group in mdf.groups}
+        assert names == {"Brake, channel 0", "Engine, channel 0", "Engine, channel 1"}
+        assert mdf.header.start_time.timestamp() == 1_767_225_600
+        speed, lamp = mdf.get("Brake.Speed"), mdf.get("Brake.Lamp")
+        assert (speed.samples.tolist(), speed.timestamps.tolist(), speed.unit) == ([90.0], [1e-6], "km/h")
+        assert (lamp.samples.tolist(), lamp.timestamps.tolist()) == ([1.0], [0.002])
+        loads = {len(mdf.get("Engine.Load", group=group)) for group, _ in mdf.channels_db["Engine.Load"]}
+        states = [mdf.get("Engine.State", group=group).samples.tolist() for group, _ in mdf.channels_db["Engine.State"]]
+    assert (loads, sorted(states)) == ({1, 2}, [[], [1.0, 2.0]])
+
+
+def test_several_logs_are_one_table_in_order_of_time(folder: Path) -> None:
+    (folder / "front.log").write_text("".join(f"{line}\n" for line in LINES[::2]), encoding="ascii")
+    (folder / "rear.log").write_text("".join(f"{line}\n" for line in LINES[1::2]), encoding="ascii")
+    whole, both = decoded("drive.log"), decoded("rear.log", "front.log")
+    assert [row.pop("log") for row in both] == ["front.log", "rear.log", "front.log", "rear.log", "front.log"]
+    for one, other in zip(both, whole, strict=True):
+        assert all(same(one[name], other[name]) for name in other)
+    told = json.loads(
+        ended("decode", "front.log", "rear.log", "--dbc", "car.dbc", "-o", "b.csv", "--json").out
+    )  # fmt: skip
+    assert [(log["path"], log["frames"]) for log in told["logs"]] == [("front.log", 3), ("rear.log", 2)]
+    assert told["frames"]["read"] == 5
+    assert told["rows"] == 5
+    assert "a log is named twice" in ended("decode", "front.log", "./front.log", "-o", "c.csv").err
+
+
+@pytest.mark.parametrize("layout", ["wide", "long"])
+def test_a_pipe_becomes_a_stream(
+    folder: Path, layout: str, monkeypatch: pytest.MonkeyPatch, capfdbinary: pytest.CaptureFixture[bytes]
+) -> None:
+    more = ["--dbc", "car.dbc", "--layout", layout]
+    assert main(["decode", "drive.log", "-o", "out.csv", *more]) == 0
+    capfdbinary.readouterr()
+    with piped(monkeypatch, [(folder / "drive.log").read_bytes()]):
+        assert main(["decode", "-", "-o", "-", *more]) == 0
+    out, err = capfdbinary.readouterr()
+    assert out == (folder / "out.csv").read_bytes()
+    assert b"rows in standard output" in err
+    assert main(["decode", "drive.log", "-o", "-", "--format", "arrow", *more]) == 0
+    out, _ = capfdbinary.readouterr()
+    assert pa.ipc.open_stream(out).read_all().num_rows == (5 if layout == "wide" else 9)
+
+
+def test_head_of_a_stream_is_no_error(folder: Path) -> None:
+    (folder / "long.log").write_text(f"{LINES[0]}\n" * 20_000, encoding="ascii")
+    told = before_head("diag_service", "decode", "long.log", "--dbc", "car.dbc", "-o", "-", "--layout", "long")
+    assert (told.status, told.out.count(b"\n")) == (0, 1)
+    assert b"rror" not in told.err
+
+
+@pytest.mark.parametrize(
+    ("words", "status", "text"),
+    [
+        (("-o", "out.xlsx"), 2, "written as .parquet, .csv, .jsonl, .arrows, .mf4, or as --format says"),
+        (("-o", "-", "--format", "parquet"), 2, "parquet does not go to standard output"),
+        (("-o", "-", "--json"), 2, "no room for --json"),
+        (("-o", "out.mf4", "--layout", "long"), 2, "neither --layout nor --values applies"),
+        (("-o", "car.dbc", "--format", "csv"), 2, "car.dbc is there already; --force writes over it"),
+        (("-o", "none/out.csv"), 4, "cannot write none/out.csv: No such file"),
+    ],
+)
+def test_what_cannot_be_written_is_told(folder: Path, words: tuple[str, ...], status: int, text: str) -> None:
+    told = ended("decode", "drive.log", "--dbc", "car.dbc", *words)
+    assert (told.status, text in told.err, told.err.count("\n")) == (status, True, 1), told.err
+    assert {path.name for path in folder.iterdir()} == {"car.dbc", "drive.log"}

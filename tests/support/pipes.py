@@ -1,0 +1,42 @@
+"""Standard input as a pipe into which a thread writes: pieces of any size, with pauses where a test wants them."""
+
+import os
+import threading
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
+
+import pytest
+
+from tests.support.patience import HANG_S
+
+Step = bytes | Callable[[], object]  # what is written, or what is done or waited for in between
+
+
+@contextmanager
+def piped(monkeypatch: pytest.MonkeyPatch, steps: Iterable[Step]) -> Iterator[None]:
+    """Let standard input be a pipe that gives these pieces one after the other, then its end."""
+    reading, writing = os.pipe()
+
+    def write() -> None:
+        with os.fdopen(writing, "wb", buffering=0) as pipe:
+            for step in steps:
+                if callable(step):
+                    step()
+                else:
+                    pipe.write(step)
+
+    writer = threading.Thread(target=write, daemon=True)
+    with os.fdopen(reading) as stream, monkeypatch.context() as patch:
+        patch.setattr("sys.stdin", stream)
+        writer.start()
+        yield
+        writer.join(HANG_S)
+
+
+def pieces_of(content: bytes, sizes: Iterable[int]) -> Iterator[bytes]:
+    """Yield some bytes in pieces of these sizes, the last with all that is left."""
+    start = 0
+    for size in sizes:
+        yield content[start : start + size]
+        start += size
+    yield content[start:]
