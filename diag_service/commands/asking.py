@@ -10,6 +10,7 @@ from typing import Final
 from diag_service.console.terminal import PeopleConsole
 from diag_service.diagnosis.results import dump
 from diag_service.errors import ConfigError
+from diag_service.service.stopping import Trigger
 from diag_service.tester.addresses import CanAddress, hexadecimal, parse_address
 from diag_service.tester.description import UNKNOWN, Description
 from diag_service.tester.description_file import find_description
@@ -43,7 +44,10 @@ class Wish:
 
 
 def ask_one(
-    options: SimpleNamespace, wish: Callable[[Description], Wish], use: Callable[[Dialogue, Description], Answer]
+    options: SimpleNamespace,
+    wish: Callable[[Description], Wish],
+    use: Callable[[Dialogue, Description], Answer],
+    stop: Trigger,
 ) -> None:
     """Listen, then let a command ask one controller; without ``--active`` say what it would ask.
 
@@ -53,21 +57,29 @@ def ask_one(
         What the command would ask, by what is known of the controller.
     use
         Asks, and returns what was found.
+    stop
+        Ends it early.
 
     Raises
     ------
     ConfigError, ExtraMissingError, SourceError, ControllerError
         If something cannot be used, or the controller does not answer or will not.
+    StoppedError
+        If it was stopped.
     """
+
+    def goes_on() -> bool:
+        return not stop.is_set
+
     manners = manners_of(options)
     description = find_description(options.description)
     wanted = wish(description)
     place = doip_place(options)
     with ExitStack() as stack:
         if place is None:
-            traffic, opened = _on_bus(options, description, manners, stack)
+            traffic, opened = _on_bus(options, description, manners, stack, goes_on)
         else:
-            traffic, opened = None, dialogue_over_ip(place, manners)
+            traffic, opened = None, dialogue_over_ip(place, manners, goes_on=goes_on)
         if not options.active:
             tell_wish(wanted, traffic, is_json=options.json)
             return
@@ -80,14 +92,14 @@ def ask_one(
 
 
 def _on_bus(
-    options: SimpleNamespace, description: Description, manners: Manners, stack: ExitStack
+    options: SimpleNamespace, description: Description, manners: Manners, stack: ExitStack, goes_on: Callable[[], bool]
 ) -> tuple[Traffic, AbstractContextManager[Dialogue]]:
     address = address_for(_address_of(options), description)
     bus = stack.enter_context(opened_bus(bus_name(options)))
     traffic = listen(bus, options.listen)
     if options.active:
         check_alone(traffic, address)
-    return traffic, dialogue_on(bus, address, manners, is_fd=options.fd)
+    return traffic, dialogue_on(bus, address, manners, is_fd=options.fd, goes_on=goes_on)
 
 
 def tell_wish(wanted: Wish, traffic: Traffic | None, *, is_json: bool) -> None:

@@ -14,7 +14,6 @@ from diag_service.tester.report import data_lines, data_record
 
 def execute(options: SimpleNamespace, controls: Controls) -> None:
     """Read data and show them; without names, all that the description has."""
-    del controls
     session = hexadecimal(options.session, "--session", 0x7F)
 
     def numbers(description: Description) -> list[int]:
@@ -32,4 +31,4 @@ def execute(options: SimpleNamespace, controls: Controls) -> None:
             answers = read_data(tester, description, numbers(description))
         return {"data": [data_record(answer) for answer in answers]}, data_lines(answers)
 
-    ask_one(options, wish, use)
+    ask_one(options, wish, use, controls.stop)

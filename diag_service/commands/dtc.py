@@ -14,7 +14,6 @@ from diag_service.tester.trouble_report import trouble_lines, trouble_record
 
 def execute(options: SimpleNamespace, controls: Controls) -> None:
     """Read trouble codes and show them."""
-    del controls
     mask = 0 if options.all else hexadecimal(options.mask, "--mask", 0xFF)
 
     def wish(_: Description) -> Wish:
@@ -25,4 +24,4 @@ def execute(options: SimpleNamespace, controls: Controls) -> None:
         codes = read_troubles(tester, description, mask, has_details=not options.brief)
         return {"codes": [trouble_record(code) for code in codes]}, trouble_lines(codes)
 
-    ask_one(options, wish, use)
+    ask_one(options, wish, use, controls.stop)

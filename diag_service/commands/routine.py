@@ -15,7 +15,6 @@ from diag_service.tester.report import routine_lines, routine_record
 
 def execute(options: SimpleNamespace, controls: Controls) -> None:
     """Do what was asked, in a session of its own and unlocked if need be."""
-    del controls
     session = hexadecimal(options.session, "--session", 0x7F)
     lock = None if options.unlock is None else _lock(options.unlock)
     given = hex_bytes(options.options, "--options")
@@ -41,7 +40,7 @@ def execute(options: SimpleNamespace, controls: Controls) -> None:
             answer = control_routine(tester, description, number, options.action, given)
         return {"routine": routine_record(answer)}, routine_lines(answer)
 
-    ask_one(options, wish, use)
+    ask_one(options, wish, use, controls.stop)
 
 
 def _lock(text: str) -> tuple[int, bytes]:

@@ -32,18 +32,18 @@ def execute(options: SimpleNamespace, controls: Controls) -> None:
         raise ConfigError(f"--wait must be 0.001 to {LONGEST_S:g} s, got {options.wait:g}")
     place = doip_place(options)
     if place is not None:
-        _scan_ip(place, options, manners)
+        _scan_ip(place, options, manners, controls.stop)
     else:
         _scan_bus(options, manners, controls.stop)
     if controls.stop.is_set:
         raise StoppedError("stopped early: what was shown is a part of what is there")
 
 
-def _scan_ip(place: DoipPlace, options: SimpleNamespace, manners: Manners) -> None:
+def _scan_ip(place: DoipPlace, options: SimpleNamespace, manners: Manners, stop: Trigger) -> None:
     if not options.active:
         tell_wish(Wish(schema="scan", requests=_questions(options)), None, is_json=options.json)
         return
-    with dialogue_over_ip(place, manners) as tester:
+    with dialogue_over_ip(place, manners, goes_on=lambda: not stop.is_set) as tester:
         _tell([_explored(tester, options, None)], None, is_json=options.json)
 
 
@@ -71,8 +71,11 @@ def _controllers(
     for address in addresses:
         if stop.is_set:
             break
-        with dialogue_on(bus, address, manners, is_fd=options.fd) as tester:
-            found.append(_explored(tester, options, address))
+        with dialogue_on(bus, address, manners, is_fd=options.fd, goes_on=lambda: not stop.is_set) as tester:
+            try:
+                found.append(_explored(tester, options, address))
+            except StoppedError:  # what was found before is shown
+                break
     return found
 
 

@@ -9,7 +9,7 @@ from typing import Final, Self
 
 from canlog.errors import SourceError
 from canlog.notice import NOTICE
-from diag_service.errors import ConfigError, ControllerError, StoreError
+from diag_service.errors import ConfigError, ControllerError, StoppedError, StoreError
 from diag_service.settings.config import BusConfig, PollConfig
 from diag_service.tester.addresses import CanAddress, parse_address
 from diag_service.tester.description import UNKNOWN, Description
@@ -64,6 +64,11 @@ class Poller:
         self.round_count = 0
         self.failure_count = 0
 
+    @property
+    def goes_on(self) -> bool:
+        """Whether it was not told to end."""
+        return not self._is_over.is_set()
+
     def __enter__(self) -> Self:
         self._thread.start()
         return self
@@ -78,6 +83,8 @@ class Poller:
         failed_in_a_row = 0
         while not self._is_over.is_set():
             problem = self._round()
+            if self._is_over.is_set():
+                return
             if problem is None:
                 if failed_in_a_row:
                     _LOG.log(NOTICE, "the controller answers again")
@@ -96,7 +103,7 @@ class Poller:
             report = self._read()
             if not self._is_over.is_set():
                 self._tell(report)
-        except (ConfigError, ControllerError, SourceError, StoreError) as exc:
+        except (ConfigError, ControllerError, SourceError, StoppedError, StoreError) as exc:
             return str(exc)
         return None
 
@@ -106,18 +113,20 @@ def pause_s(period_s: float, failed_in_a_row: int) -> float:
     return float(period_s * min(2.0 ** min(failed_in_a_row, 10), LONGEST_BACKOFF))
 
 
-def read_once(plan: PollPlan, now: Callable[[], str]) -> ControllerReport:
+def read_once(plan: PollPlan, now: Callable[[], str], goes_on: Callable[[], bool] = lambda: True) -> ControllerReport:
     """Listen, ask one controller for its trouble codes, and return what it said.
 
     Raises
     ------
     SourceError, ControllerError
         If the bus cannot be used, another tester is at work, or the controller does not answer or will not.
+    StoppedError
+        If it shall not go on.
     """
     address = address_for(plan.address, plan.description)
     with opened_bus(plan.bus) as bus:
         check_alone(listen(bus, plan.listen_s), address)
-        with dialogue_on(bus, address, plan.manners, is_fd=plan.bus.is_fd) as tester:
+        with dialogue_on(bus, address, plan.manners, is_fd=plan.bus.is_fd, goes_on=goes_on) as tester:
             description = recognised(tester) if plan.description is UNKNOWN else plan.description
             codes = read_troubles(tester, description)
     return ControllerReport(
@@ -136,4 +145,5 @@ def poller_for(
         address=parse_address(poll.ecu, poll.reply),
         description=find_description(poll.description),
     )
-    return Poller(lambda: read_once(plan, now), tell, poll.period_s)
+    poller = Poller(lambda: read_once(plan, now, lambda: poller.goes_on), tell, poll.period_s)
+    return poller

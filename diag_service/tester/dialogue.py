@@ -6,7 +6,7 @@ from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from typing import Any, Final, Self
 
-from diag_service.errors import ControllerError, RefusedError, SilentError
+from diag_service.errors import ControllerError, RefusedError, SilentError, StoppedError
 from diag_service.tester.answers import BUSY, SECURITY, SESSION, belongs, refusal_text, request_text
 from diag_service.tester.libraries import (
     BaseConnection,
@@ -20,6 +20,7 @@ from diag_service.tester.libraries import (
 )
 
 DEFAULT_SESSION: Final = 0x01
+LOOK_S: Final = 0.1  # how soon it notices that it shall stop
 _KEY: Final = 1  # added to the level that asked for the seed
 
 
@@ -60,6 +61,8 @@ class Dialogue:
         How patient it is.
     pause
         Waits for so many seconds.
+    goes_on
+        Asked while an answer is waited for; False ends that with StoppedError.
     """
 
     def __init__(
@@ -69,12 +72,13 @@ class Dialogue:
         manners: Manners | None = None,
         *,
         pause: Callable[[float], object] = time.sleep,
+        goes_on: Callable[[], bool] = lambda: True,
     ) -> None:
         self.where = where
         self.manners = manners or Manners()
         self.counts = DialogueCounts()
         self._pause = pause
-        self._filter = _Matching(connection, self.counts)
+        self._filter = _Matching(connection, self.counts, goes_on)
         self._client = Client(self._filter, _client_config(self.manners))
         self._last_s = float("-inf")
 
@@ -179,10 +183,11 @@ def _client_config(manners: Manners) -> Any:  # noqa: ANN401 - a typed dictionar
 class _Matching(BaseConnection):
     """A connection that passes on answers to the last request only: late ones to earlier requests are counted."""
 
-    def __init__(self, inner: BaseConnection, counts: DialogueCounts) -> None:
+    def __init__(self, inner: BaseConnection, counts: DialogueCounts, goes_on: Callable[[], bool]) -> None:
         super().__init__("matching")
         self._inner = inner
         self._counts = counts
+        self._goes_on = goes_on
         self.request = b""
 
     def open(self) -> "_Matching":
@@ -205,7 +210,15 @@ class _Matching(BaseConnection):
     def specific_wait_frame(self, timeout: float | None = None) -> bytes | None:
         until_s = time.monotonic() + (timeout or 0.0)
         while True:
-            payload = self._inner.specific_wait_frame(timeout=max(0.0, until_s - time.monotonic()))
+            left_s = max(0.0, until_s - time.monotonic())
+            try:
+                payload = self._inner.specific_wait_frame(timeout=min(LOOK_S, left_s))
+            except TimeoutException:
+                if left_s <= LOOK_S:
+                    raise
+                payload = b""
+            if not self._goes_on():
+                raise StoppedError("stopped early: not everything was asked")
             if payload is None or belongs(self.request, payload):
                 return payload
-            self._counts.stray += 1
+            self._counts.stray += bool(payload)

@@ -2,7 +2,7 @@
 
 import ipaddress
 import socket
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Final
@@ -88,15 +88,24 @@ def opened_bus(name: BusName) -> Iterator[can.BusABC]:
         bus.shutdown()
 
 
-def dialogue_on(bus: can.BusABC, address: CanAddress, manners: Manners, *, is_fd: bool = False) -> Dialogue:
+def dialogue_on(
+    bus: can.BusABC,
+    address: CanAddress,
+    manners: Manners,
+    *,
+    is_fd: bool = False,
+    goes_on: Callable[[], bool] = lambda: True,
+) -> Dialogue:
     """Return a tester for one controller; from now on the bus gives no more than that controller's frames."""
     mask = 0x1FFF_FFFF if is_extended(address.response_id) else 0x7FF
     bus.set_filters([{"can_id": address.response_id, "can_mask": mask, "extended": is_extended(address.response_id)}])
-    return Dialogue(CanConnection(bus, address, is_fd=is_fd), str(address), manners)
+    return Dialogue(CanConnection(bus, address, is_fd=is_fd), str(address), manners, goes_on=goes_on)
 
 
 @contextmanager
-def dialogue_over_ip(place: DoipPlace, manners: Manners) -> Iterator[Dialogue]:
+def dialogue_over_ip(
+    place: DoipPlace, manners: Manners, *, goes_on: Callable[[], bool] = lambda: True
+) -> Iterator[Dialogue]:
     """Connect to a node for the time of the block.
 
     Raises
@@ -114,7 +123,7 @@ def dialogue_over_ip(place: DoipPlace, manners: Manners) -> Iterator[Dialogue]:
     except (OSError, ValueError) as exc:
         raise ControllerError(f"{place}: {' '.join(str(exc).split())}") from exc
     try:
-        with Dialogue(connectors.DoIPClientUDSConnector(node), str(place), manners) as tester:
+        with Dialogue(connectors.DoIPClientUDSConnector(node), str(place), manners, goes_on=goes_on) as tester:
             yield tester
     finally:
         node.close()

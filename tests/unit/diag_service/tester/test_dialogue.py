@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import pytest
 
-from diag_service.errors import ControllerError, RefusedError, SilentError
+from diag_service.errors import ControllerError, RefusedError, SilentError, StoppedError
 from diag_service.tester.dialogue import Dialogue, Manners
 from diag_service.tester.libraries import BaseConnection, TimeoutException
 
@@ -157,3 +157,10 @@ def test_a_mask_of_another_length_is_named() -> None:
     tester, _, _ = dialogue_of(["67 01 12 34"])
     with pytest.raises(ControllerError, match="a seed of 2 bytes, the mask has 4"):
         tester.unlock(1, bytes(4))
+
+
+def test_who_shall_stop_waits_no_longer() -> None:
+    looks = iter([True, True, False])
+    tester = Dialogue(Scripted(), "7E1", Manners(p2_s=60.0), goes_on=lambda: next(looks))
+    with pytest.raises(StoppedError, match="not everything was asked"):
+        tester.ask(VIN)
