@@ -42,7 +42,7 @@ def draw(analysis: "Analysis") -> "Figure":
     handles = [Patch(color=colour, label=_words(condition)) for condition, colour in CONDITION_COLOUR.items()]
     handles += [Patch(color=MU_C_COLOUR, label="mu_C"), Patch(color=MU_S_COLOUR, label="mu_S")]
     figure.legend(handles=handles, loc="outside upper center", ncols=len(handles), frameon=False)
-    figure.suptitle(", ".join(path.name for path in analysis.paths) or analysis.vehicle)
+    panels[0].set_title(", ".join(path.name for path in analysis.paths) or analysis.vehicle, loc="right")
     return figure
 
 

@@ -18,6 +18,7 @@ PLUGINS = ("ecu_emulator.pytest_plugin", "diag_service.pytest_plugin")
 # One interpreter for all runs, which saves most of their cost; the gateway itself is a process each time.
 RUNS = """
 import contextlib, io, json, os, sys
+sys.modules.setdefault("asammdf", None)  # python-can loads it where it is installed, and that pandas
 import pytest
 quick = "test_gateway.py::test_every_frame_comes_out_as_it_went_in"
 virtual = ["--vcan-bus", "virtual"]  # frames have the times of the car there, whatever else the machine does
