@@ -55,6 +55,7 @@ def analyze_folders(
     *,
     output: AnyPath | None = None,
     jobs: int | None = None,
+    has_vehicles: bool = False,
     vehicle: str | None = None,
     dbc: AnyPath | None = None,
     profile: AnyPath | None = None,
@@ -72,10 +73,12 @@ def analyze_folders(
     paths
         Folders, with what is below them; single logs among them are one drive together.
     output
-        A ``.jsonl``, ``.csv`` or ``.parquet`` file for the results. With it a run that was ended half-way, killed
+        A ``.jsonl``, ``.csv`` or ``.parquet`` file for the results; one that is there is replaced. With it a run that was ended half-way, killed
         even, is taken up where it ended.
     jobs
         Drives at a time; by default one per core.
+    has_vehicles
+        Whether the folders below those that are named are called after vehicles, whose logs they hold.
     vehicle, dbc, profile, calibration, is_strict, is_lenient
         As of ``analyze``.
 
@@ -104,6 +107,7 @@ def analyze_folders(
             listener=listener,
             stop=Trigger(),
             is_forced=True,
+            has_vehicles=has_vehicles,
         )
     return FolderAnalysis(
         drives=tuple(_analysis(entry) for entry in listener.entries if entry.drive["summary"] is not None),
