@@ -73,7 +73,8 @@ def analyze_folders(
     paths
         Folders, with what is below them; single logs among them are one drive together.
     output
-        A ``.jsonl``, ``.csv`` or ``.parquet`` file for the results; one that is there is replaced. With it a run that was ended half-way, killed
+        A ``.jsonl``, ``.csv`` or ``.parquet`` file for the results; one that is there is replaced. With it a run
+        that was ended half-way, killed
         even, is taken up where it ended.
     jobs
         Drives at a time; by default one per core.
