@@ -1,7 +1,7 @@
 """The picture of a demonstration: one shift in its signals, and the friction curves that the shifts revealed."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from types import MappingProxyType
 from typing import Literal
@@ -11,16 +11,15 @@ from matplotlib import style
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from canlog.arrays import FloatArray
 from clutch_model.calibration import nominal_calibration
 from clutch_model.clutch import FrictionCurve
-from clutch_model.friction import friction_law, stribeck_weights
 from clutch_model.units import bar_from_pa, rpm_from_rad_s
 from demo.listener import ClutchState
 from demo.outcome import Outcome
 from diag_service.diagnosis.columns import Signal
+from diag_service.diagnosis.condition.thresholds import CHANGE_LEVEL_RATIO, WATCH_LEVEL_RATIO
 from diag_service.diagnosis.events import Event
-from diag_service.diagnosis.records import FrictionEstimate
+from diag_service.diagnosis.friction.curve import curve_band, new_curve
 
 NS_PER_S = 1e9
 LegendPlace = Literal["center left", "upper center"]  # where the signals of a shift leave room
@@ -86,23 +85,6 @@ def draw(path: Path, event: Event, outcome: Outcome) -> None:
         figure.savefig(path)
 
 
-def curve_band(
-    slip_rad_s: FloatArray, friction: FrictionEstimate, reference: FrictionCurve
-) -> tuple[FloatArray, FloatArray]:
-    """Return the estimated friction coefficient over slip and its standard deviation, shape (n,) each.
-
-    The coefficient is linear in both estimates, docs/model.md eq. (8), so their covariance carries over exactly.
-    """
-    weight_s = stribeck_weights(slip_rad_s, friction_law(reference))
-    weight_c = 1.0 - weight_s
-    variance = (
-        (weight_c * friction.std_mu_c) ** 2
-        + (weight_s * friction.std_mu_s) ** 2
-        + 2.0 * friction.correlation * weight_c * friction.std_mu_c * weight_s * friction.std_mu_s
-    )
-    return weight_c * friction.mu_c + weight_s * friction.mu_s, np.sqrt(np.maximum(variance, 0.0))
-
-
 def _draw_shift(panels: Sequence[Axes], event: Event) -> None:
     gears = f"{event.from_gear}-{event.to_gear}"
     contents: tuple[tuple[tuple[Line, ...], str, LegendPlace], ...] = (
@@ -141,7 +123,6 @@ def _draw_curves(panels: Sequence[Axes], outcome: Outcome) -> None:
     slip_rad_s = np.linspace(0.0, SLIP_MAX_RAD_S, SLIP_POINTS)
     for clutch, axes in enumerate(panels, start=1):
         reference = nominal_calibration().clutches[clutch - 1].friction
-        weights = stribeck_weights(slip_rad_s, friction_law(reference))
         state = outcome.clutches.get(clutch)
         for result in outcome.shifts:
             if result.estimate.clutch == clutch and result.estimate.friction is not None:
@@ -160,14 +141,33 @@ def _draw_curves(panels: Sequence[Axes], outcome: Outcome) -> None:
             )
             axes.plot(slip_rad_s, mean, color=CLUTCH_COLOUR[clutch], lw=2.4, label="estimate, all shifts")
         true_c, true_s = outcome.true_friction(clutch)
-        axes.plot(slip_rad_s, true_c + (true_s - true_c) * weights, color=INK, lw=1.6, ls="--", label="truth")
-        new = reference.mu_c + (reference.mu_s - reference.mu_c) * weights
+        true = new_curve(slip_rad_s, replace(reference, mu_c=true_c, mu_s=true_s))
+        axes.plot(slip_rad_s, true, color=INK, lw=1.6, ls="--", label="truth")
+        new = new_curve(slip_rad_s, reference)
         axes.plot(slip_rad_s, new, color=MUTED, lw=1.4, ls=":", label="new fluid")
+        _draw_thresholds(axes, reference)
         _title_curve(axes, clutch, state)
         axes.set_ylabel("friction coefficient")
     panels[0].plot([], [], color=MUTED, lw=0.8, alpha=0.6, label="single shifts")
     panels[0].legend(loc="lower left", bbox_to_anchor=(0.0, -0.22), ncols=5, columnspacing=1.2, handlelength=1.8)
     panels[-1].set_xlabel("slip speed [rad/s]")
+
+
+def _draw_thresholds(axes: Axes, reference: FrictionCurve) -> None:
+    """Draw below which level of mu_C, the friction at high slip, the verdict is another one."""
+    for ratio, condition in ((WATCH_LEVEL_RATIO, "watch"), (CHANGE_LEVEL_RATIO, "change fluid")):
+        level = ratio * reference.mu_c
+        axes.axhline(level, color=CONDITION_COLOUR[condition], lw=1.0, ls=(0, (6.0, 3.0)))
+        axes.annotate(
+            f"mu_C below {ratio:.0%} of new: {condition}",
+            (SLIP_MAX_RAD_S, level),
+            xytext=(0.0, -2.0),
+            textcoords="offset points",
+            ha="right",
+            va="top",
+            fontsize=8.0,
+            color=CONDITION_COLOUR[condition],
+        )
 
 
 def _title_curve(axes: Axes, clutch: int, state: ClutchState | None) -> None:

@@ -15,9 +15,19 @@ from typing import Final, Protocol
 
 from fleet_backend.choices import Pace
 from fleet_backend.errors import BrokerError, DatabaseAwayError, RowRefusedError
-from fleet_backend.intake import IDENTITY_REASON, INGESTED, Kind, Taken, batch_of, receipts_of, refuse, take
+from fleet_backend.intake import (
+    IDENTITY_REASON,
+    INGESTED,
+    Kind,
+    Taken,
+    batch_of,
+    receipts_of,
+    refuse,
+    take,
+    vehicles_online,
+)
 from fleet_backend.writer import Batch
-from fleet_contract import Outgoing, ack_messages, filter_of
+from fleet_contract import JsonObject, Outgoing, ack_messages, filter_of, fluid_message
 from fleet_link import Message
 
 GROUP: Final = "ingest"  # of the shared subscription
@@ -47,6 +57,9 @@ class Store(Protocol):
 
     def store(self, batch: Batch) -> None:
         """Store all of a batch, or raise DatabaseAwayError (ask again) or RowRefusedError (one row never fits)."""
+
+    def fills(self, vehicles: Sequence[str]) -> dict[str, list[JsonObject]]:
+        """Return the fluid fills of those vehicles that have any, or raise DatabaseAwayError (ask again)."""
 
 
 class Worker:
@@ -106,9 +119,24 @@ class Worker:
         sent_at = self._now().strftime("%Y-%m-%dT%H:%M:%S.%fZ")
         for vehicle, receipts in receipts_of(taken).items():
             inbox.send(list(ack_messages(vehicle, receipts, sent_at=sent_at, worker=self._name)))
+        await self._tell_fills(inbox, vehicles_online(taken), sent_at)
         inbox.settle(messages)
         self.counts.update(item.kind for item in taken)
         _warn_of_strangers(taken)
+
+    async def _tell_fills(self, inbox: Inbox, vehicles: Sequence[str], sent_at: str) -> None:
+        """Tell vehicles that are there now which fluid fills the fleet knows; whoever has none hears nothing."""
+        if not vehicles:
+            return
+        pauses = Pauses()
+        while True:
+            try:
+                found = await asyncio.to_thread(self._store.fills, vehicles)
+            except DatabaseAwayError as exc:
+                await pauses.wait(exc)
+            else:
+                break
+        inbox.send([fluid_message(vehicle, sent_at, fills, is_to_vehicle=True) for vehicle, fills in found.items()])
 
     async def _commit(self, taken: list[Taken]) -> list[Taken]:
         """Store messages, together if the database takes them all; return what became of each."""

@@ -1,12 +1,22 @@
 """Messages as they came become rows and receipts; what cannot be used becomes poison with a reason."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import datetime
 from enum import Enum, auto
+from types import MappingProxyType
 from typing import Final
 
-from fleet_backend.rows import Poison, Row, controller_row, metrics_row, quarantine_row, shift_row, status_row
+from fleet_backend.rows import (
+    Poison,
+    Row,
+    controller_row,
+    fill_rows,
+    metrics_row,
+    quarantine_row,
+    shift_row,
+    status_row,
+)
 from fleet_backend.writer import Batch
 from fleet_contract import (
     Address,
@@ -25,7 +35,7 @@ from fleet_contract import (
 )
 from fleet_link import Message
 
-INGESTED: Final = (Channel.SHIFT, Channel.STATUS, Channel.METRICS, Channel.CONTROLLER)
+INGESTED: Final = (Channel.SHIFT, Channel.STATUS, Channel.METRICS, Channel.CONTROLLER, Channel.FLUID)
 IDENTITY_REASON: Final = "identity"  # of the view identity_alarm too
 _LONGEST_KEY_PART: Final = 128  # what an acknowledgement can carry
 
@@ -37,17 +47,28 @@ class Kind(Enum):
     STATUS = auto()
     METRICS = auto()
     CONTROLLER = auto()
+    FILLS = auto()
     POISON = auto()
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Taken:
-    """A message that was looked at: the row it becomes and the receipt its sender gets after the commit."""
+    """A message that was looked at: the rows it becomes and the receipt its sender gets after the commit."""
 
     message: Message
     kind: Kind
-    row: Row
+    row: Row  # of several: what is common to them
+    fills: Sequence[Row] = ()
     receipt: Receipt | None = None
+
+
+_STATES: Final[Mapping[Channel, tuple[Kind, Callable[[Mapping[str, object]], Row]]]] = MappingProxyType(
+    {
+        Channel.STATUS: (Kind.STATUS, status_row),
+        Channel.METRICS: (Kind.METRICS, metrics_row),
+        Channel.CONTROLLER: (Kind.CONTROLLER, controller_row),
+    }
+)
 
 
 def take(message: Message, received_at: datetime) -> Taken:
@@ -56,16 +77,16 @@ def take(message: Message, received_at: datetime) -> Taken:
         incoming = read_message(message.topic, message.payload)
     except ContractError as exc:
         return refuse(message, _reason_of(exc), str(exc), received_at)
-    if incoming.address.channel is Channel.STATUS:
-        return Taken(message=message, kind=Kind.STATUS, row=status_row(incoming.data))
-    if incoming.address.channel is Channel.METRICS:
-        return Taken(message=message, kind=Kind.METRICS, row=metrics_row(incoming.data))
-    if incoming.address.channel is Channel.CONTROLLER:
-        return Taken(message=message, kind=Kind.CONTROLLER, row=controller_row(incoming.data))
-    if incoming.address.channel is not Channel.SHIFT:
+    channel, data = incoming.address.channel, incoming.data
+    if channel in _STATES:
+        kind, row_of = _STATES[channel]
+        return Taken(message=message, kind=kind, row=row_of(data))
+    if channel is Channel.FLUID:
+        return Taken(message=message, kind=Kind.FILLS, row={"vehicle": data["vehicle"]}, fills=fill_rows(data))
+    if channel is not Channel.SHIFT:
         return refuse(message, "topic", "nothing that the backend keeps", received_at)
-    receipt = Receipt(key=key_of(incoming.data))
-    return Taken(message=message, kind=Kind.SHIFT, row=shift_row(incoming.data), receipt=receipt)
+    receipt = Receipt(key=key_of(data))
+    return Taken(message=message, kind=Kind.SHIFT, row=shift_row(data), receipt=receipt)
 
 
 def refuse(message: Message, reason: str, detail: str, received_at: datetime) -> Taken:
@@ -83,7 +104,7 @@ def refuse(message: Message, reason: str, detail: str, received_at: datetime) ->
     return Taken(message=message, kind=Kind.POISON, row=quarantine_row(poison, received_at), receipt=receipt)
 
 
-def batch_of(taken: Iterable[Taken]) -> Batch:
+def batch_of(taken: Sequence[Taken]) -> Batch:
     """Return the rows of messages, sorted into their tables."""
     rows: dict[Kind, list[Row]] = {kind: [] for kind in Kind}
     for item in taken:
@@ -93,6 +114,7 @@ def batch_of(taken: Iterable[Taken]) -> Batch:
         statuses=rows[Kind.STATUS],
         metrics=rows[Kind.METRICS],
         controllers=rows[Kind.CONTROLLER],
+        fills=[row for item in taken for row in item.fills],
         quarantined=rows[Kind.POISON],
     )
 
@@ -104,6 +126,12 @@ def receipts_of(taken: Sequence[Taken]) -> dict[str, list[Receipt]]:
         if item.receipt is not None:
             receipts.setdefault(item.receipt.key.vehicle, []).append(item.receipt)
     return receipts
+
+
+def vehicles_online(taken: Iterable[Taken]) -> list[str]:
+    """Return the vehicles that say that they are there now, sorted."""
+    online = (item.row["vehicle"] for item in taken if item.kind is Kind.STATUS and item.row["is_online"])
+    return sorted(set(map(str, online)))
 
 
 def _reason_of(exc: ContractError) -> str:

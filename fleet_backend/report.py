@@ -215,7 +215,8 @@ def _condition(record: Record) -> str:
 
 
 def _remark(record: Record) -> str:
-    return "" if record["condition"] == "good" else str(record["condition_reason"])
+    """Return what to do about a clutch; of older programs, which gave no advice, why."""
+    return "" if record["condition"] == "good" else str(record.get("advice") or record["condition_reason"])
 
 
 def _truth(value: object) -> bool | None:

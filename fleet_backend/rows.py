@@ -43,8 +43,10 @@ _CONTENT: Final = (
     *(RUNNING + name for name in FRICTION_COLUMNS),
     "running_shift_count",
 )
+UNNAMED_FLUID: Final = "not named"  # a fill without the name of its fluid
 _HEAD_LENGTH: Final = 2048
 _DETAIL_LENGTH: Final = 500
+_LONGEST_TEXT: Final = 200  # of a fill in a message
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -74,7 +76,8 @@ def shift_row(data: Mapping[str, object]) -> Row:
     row["level_ratio"] = verdict["level_ratio"]
     row.update(_friction(verdict["friction"], RUNNING))
     row["running_shift_count"] = verdict["shift_count"]
-    row["kind"], row["end_reason"] = data.get("kind"), data.get("end_reason")  # of newer programs only
+    row["kind"], row["end_reason"] = data.get("kind"), data.get("end_reason")  # this and the next: of newer programs
+    row["advice"] = verdict.get("advice")
     row["content_digest"] = content_digest(row)
     return row
 
@@ -98,6 +101,36 @@ def status_row(data: Mapping[str, object]) -> Row:
         "service_version": data["service_version"],
         "algorithm_version": data["algorithm_version"],
         "calibration_version": data["calibration_version"],
+    }
+
+
+def fill_rows(data: Mapping[str, object]) -> list[Row]:
+    """Return the rows of the fluid fills that a vehicle knows."""
+    fills = data["fills"]
+    if not isinstance(fills, list):
+        raise TypeError("a list was promised")
+    return [
+        {
+            "vehicle": data["vehicle"],
+            "filled_at": moment(fill["filled_at"]),
+            "odometer_m": fill["odometer_m"],
+            "product": fill["product"] or UNNAMED_FLUID,
+            "note": fill["note"],
+        }
+        for fill in map(_table, fills)
+    ]
+
+
+def told_fill(row: Mapping[str, object]) -> dict[str, object]:
+    """Return a fluid fill of the database as a message carries it; a long text loses its end."""
+    filled_at, product, note = row["filled_at"], str(row["product"]), row["note"]
+    if not isinstance(filled_at, datetime):
+        raise TypeError("a fill without its moment")
+    return {
+        "filled_at": filled_at.astimezone(UTC).strftime("%Y-%m-%dT%H:%M:%S.%fZ"),
+        "odometer_m": row["odometer_m"],
+        "product": None if product == UNNAMED_FLUID else product[:_LONGEST_TEXT] or None,
+        "note": str(note)[:_LONGEST_TEXT] if note else None,
     }
 
 

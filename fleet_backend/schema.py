@@ -124,6 +124,7 @@ SHIFT_RESULT: Final = Table(
     Column("stored_at", UtcDateTime, nullable=False, server_default=text("CURRENT_TIMESTAMP")),
     Column("kind", Text),  # of the event, and how it ended; null in results of older programs
     Column("end_reason", Text),
+    Column("advice", Text),  # of the verdict; null in results of older programs
     ForeignKeyConstraint(["vehicle", "clutch"], ["clutch.vehicle", "clutch.clutch"]),
     Index("shift_by_time", "vehicle", "clutch", "produced_at", "stream"),
     Index(
@@ -174,4 +175,4 @@ ALARM_ACKNOWLEDGEMENT: Final = Table(
 
 KEY_COLUMNS: Final = tuple(column.name for column in SHIFT_RESULT.primary_key)
 # What two contents of one result may differ in: it is not in the digest, which must stay what it was.
-UNHASHED_COLUMNS: Final = frozenset({"stored_at", "content_digest", "version_rank", "kind", "end_reason"})
+UNHASHED_COLUMNS: Final = frozenset({"stored_at", "content_digest", "version_rank", "kind", "end_reason", "advice"})

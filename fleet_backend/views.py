@@ -28,7 +28,8 @@ def _view(name: str, *columns: str) -> TableClause:
 
 FLEET: Final = _view(
     "fleet_worst_first",
-    *("place", "vehicle", "clutch", "severity", "condition", "condition_reason", "level_ratio", "shift_count"),
+    *("place", "vehicle", "clutch", "severity", "condition", "condition_reason", "advice"),
+    *("level_ratio", "shift_count"),
     *_FRICTION,
     *("mu_c_low", "mu_c_high", "mu_s_low", "mu_s_high", "slope_s_rad", "slope_low_s_rad", "slope_high_s_rad"),
     *("probability_negative_slope", "odometer_m", "end_at", "fluid", "stream", "seq"),

@@ -8,13 +8,14 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Final
 
-from sqlalchemy import Connection, Engine, Insert, Table, and_, false, or_, true
+from sqlalchemy import Connection, Engine, Insert, Table, and_, false, or_, select, true
 from sqlalchemy.dialects import postgresql, sqlite
 
 from fleet_backend.database import transaction
 from fleet_backend.errors import RowRefusedError
-from fleet_backend.rows import Row
-from fleet_backend.schema import CLUTCH, KEY_COLUMNS, QUARANTINE, SHIFT_RESULT, VEHICLE
+from fleet_backend.rows import Row, told_fill
+from fleet_backend.schema import CLUTCH, FLUID_FILL, KEY_COLUMNS, QUARANTINE, SHIFT_RESULT, VEHICLE
+from fleet_contract import JsonObject
 
 _MAX_KNOWN: Final = 100_000  # clutches that a worker remembers to have stored
 
@@ -27,6 +28,7 @@ class Batch:
     statuses: Sequence[Row] = ()
     metrics: Sequence[Row] = ()
     controllers: Sequence[Row] = ()
+    fills: Sequence[Row] = ()
     quarantined: Sequence[Row] = ()
 
 
@@ -42,7 +44,7 @@ class Writer:
         self._metrics = _later_wins(make(VEHICLE), "metrics")
         self._controller = _later_wins(make(VEHICLE), "controller")
         self._first_comes = {
-            table.name: make(table).on_conflict_do_nothing() for table in (VEHICLE, CLUTCH, QUARANTINE)
+            table.name: make(table).on_conflict_do_nothing() for table in (VEHICLE, CLUTCH, FLUID_FILL, QUARANTINE)
         }
 
     def store(self, batch: Batch) -> None:
@@ -63,9 +65,24 @@ class Writer:
             self._known.clear()  # another database under the old address may not know our clutches
             self._store(batch)
 
+    def fills(self, vehicles: Sequence[str]) -> dict[str, list[JsonObject]]:
+        """Return the fluid fills of those vehicles that have any, the earliest first, as messages carry them.
+
+        Raises
+        ------
+        DatabaseAwayError
+            If the database does not answer now.
+        """
+        statement = select(FLUID_FILL).where(FLUID_FILL.c.vehicle.in_(vehicles)).order_by(FLUID_FILL.c.filled_at)
+        found: dict[str, list[JsonObject]] = {}
+        with transaction(self._engine) as connection:
+            for row in connection.execute(statement).mappings():
+                found.setdefault(str(row["vehicle"]), []).append(told_fill(dict(row)))
+        return found
+
     def _store(self, batch: Batch) -> None:
         clutches = {(row["vehicle"], row["clutch"]) for row in batch.shifts} - self._known
-        vehicles = {vehicle for vehicle, _ in clutches}
+        vehicles = {vehicle for vehicle, _ in clutches} | {row["vehicle"] for row in batch.fills}
         with transaction(self._engine) as connection:
             self._put(connection, VEHICLE, [{"vehicle": vehicle} for vehicle in sorted(map(str, vehicles))])
             self._put(connection, CLUTCH, [{"vehicle": v, "clutch": c} for v, c in sorted(clutches, key=str)])
@@ -73,6 +90,7 @@ class Writer:
             _execute(connection, self._metrics, _sorted(batch.metrics, "vehicle"))
             _execute(connection, self._controller, _sorted(batch.controllers, "vehicle"))
             _execute(connection, self._shift, _sorted(batch.shifts, *KEY_COLUMNS))
+            self._put(connection, FLUID_FILL, _sorted(batch.fills, "vehicle", "filled_at"))
             self._put(connection, QUARANTINE, _sorted(batch.quarantined, "digest"))
         if len(self._known) > _MAX_KNOWN:
             self._known.clear()

@@ -11,6 +11,7 @@ from fleet_contract.strict_json import JsonObject, dump, parse_object, shown
 from fleet_contract.topics import Address, Channel, parse_topic, topic_of
 
 SPEC_VERSION: Final = "1.0"
+MAX_FILLS: Final = 256  # in one message; the life of a car has fewer
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -110,6 +111,18 @@ def controller_message(record: Mapping[str, object]) -> Outgoing:
     return _outgoing(
         Channel.CONTROLLER, vehicle, dump(record), source=vehicle, event_id=f"controller/{time}", time=time
     )
+
+
+def fluid_message(vehicle: str, produced_at: str, fills: Sequence[JsonObject], *, is_to_vehicle: bool) -> Outgoing:
+    """Return the message of all fluid fills that its sender knows, of many the newest.
+
+    The vehicle tells the fleet, and the fleet the vehicle. A fill has ``filled_at``, ``odometer_m``, ``product`` and
+    ``note``; the earliest comes first.
+    """
+    channel = Channel.FILLS if is_to_vehicle else Channel.FLUID
+    record = _head(channel, vehicle, produced_at) | {"fills": list(fills[-MAX_FILLS:])}
+    event_id = f"{channel.label}/{produced_at}"
+    return _outgoing(channel, vehicle, dump(record), source=vehicle, event_id=event_id, time=produced_at)
 
 
 def ack_messages(vehicle: str, receipts: Sequence[Receipt], *, sent_at: str, worker: str) -> Iterator[Outgoing]:

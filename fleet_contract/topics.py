@@ -27,7 +27,9 @@ class Channel(Enum):
     METRICS = ("metrics", _EVENT_BYTES, True)
     CONFIG = ("config", _LIST_BYTES, True)  # what the service runs with; nothing configures it
     CONTROLLER = ("controller", _LIST_BYTES, True)  # the trouble codes that a controller tells
-    ACK = ("ack", _LIST_BYTES, False)  # the only one from backend to vehicle
+    FLUID = ("fluid", _LIST_BYTES, True)  # the fluid fills that the vehicle knows
+    ACK = ("ack", _LIST_BYTES, False)  # this and the next: from backend to vehicle
+    FILLS = ("fills", _LIST_BYTES, True)  # the fluid fills that the fleet knows
 
     def __init__(self, label: str, max_bytes: int, is_retained: bool) -> None:  # noqa: FBT001 - Enum unpacks a tuple
         self.label = label
@@ -37,7 +39,7 @@ class Channel(Enum):
     @property
     def is_to_vehicle(self) -> bool:
         """Whether the backend speaks here and the vehicle listens."""
-        return self is Channel.ACK
+        return self in {Channel.ACK, Channel.FILLS}
 
     @property
     def schema_name(self) -> str:

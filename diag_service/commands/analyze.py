@@ -56,7 +56,7 @@ def _analyse_by_paper(options: SimpleNamespace, diagnosis: DiagnosisConfig, cont
 
 def _analyse_drive(options: SimpleNamespace, diagnosis: DiagnosisConfig, controls: Controls) -> None:
     with ReadingLine() as line:
-        reporter = AllReporters(line, reporter_of(controls.stop, as_json=options.json))
+        reporter = AllReporters(line, reporter_of(controls.stop, as_json=options.json, is_detailed=options.verbose > 0))
         summary = run_recorded(diagnosis, options.logs, options.store, reporter, controls.stop, watch=line.watch)
     insist(summary.gaps, summary.contributions, is_strict=diagnosis.is_strict)
 
@@ -71,7 +71,7 @@ def _analyse_drive_into_file(options: SimpleNamespace, diagnosis: DiagnosisConfi
     check_output(options.output)
     heard, streams = MemoryReporter(), list[str]()
     with ReadingLine() as line, collected_notices() as notices:
-        reporter = AllReporters(line, reporter_of(controls.stop, as_json=options.json), heard)
+        reporter = AllReporters(line, reporter_of(controls.stop, as_json=options.json, is_detailed=options.verbose > 0), heard)
         summary = run_recorded(
             diagnosis, options.logs, options.store, reporter, controls.stop,
             watch=line.watch, name_stream=streams.append,

@@ -12,4 +12,4 @@ def execute(options: SimpleNamespace, controls: Controls) -> None:
     diagnosis = diagnosis_config(options)
     bus = bus_config(options)
     store = options.store or default_store(diagnosis.vehicle)
-    bus_run.run_bus(diagnosis, bus, store, controls, as_json=options.json)
+    bus_run.run_bus(diagnosis, bus, store, controls, as_json=options.json, is_detailed=options.verbose > 0)

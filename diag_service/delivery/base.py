@@ -4,7 +4,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
-from diag_service.diagnosis.records import ShiftResult
+from diag_service.diagnosis.records import FluidFill, ShiftResult
 from diag_service.diagnosis.summary import Summary
 from diag_service.tester.trouble_report import ControllerReport
 from fleet_contract import Outgoing, Receipt
@@ -12,6 +12,7 @@ from fleet_contract import Outgoing, Receipt
 # Where frames are read from; then each shift, and what a controller says that is new; at the end the numbers.
 News = str | ShiftResult | ControllerReport | Summary
 OnReceipts = Callable[[list[Receipt]], None]
+OnFills = Callable[[list[FluidFill]], None]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -38,6 +39,9 @@ class Link(Protocol):
 
     async def listen(self, vehicle: str, on_receipts: OnReceipts) -> None:
         """Call ``on_receipts`` with the receipts of a backend from now on; raises PublishError if that is refused."""
+
+    async def hear_fills(self, vehicle: str, on_fills: OnFills) -> None:
+        """Call ``on_fills`` with the fluid fills that the fleet knows from now on, as far as the broker lets us."""
 
     async def lost(self) -> None:
         """Return when the connection is lost, or when a better one could be had."""

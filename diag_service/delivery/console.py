@@ -7,7 +7,7 @@ from rich.text import Text
 
 from clutch_model.units import degc_from_k
 from diag_service.delivery.base import News
-from diag_service.diagnosis.records import Condition, FrictionEstimate, ShiftEstimate, ShiftResult, Status
+from diag_service.diagnosis.records import Condition, ShiftEstimate, ShiftResult, Status
 from diag_service.diagnosis.summary import (
     Summary,
     capability_line,
@@ -28,10 +28,9 @@ _CONDITION_STYLE = {
     Condition.CHANGE_FLUID: "bold red",
 }
 _STATUS_STYLE = {Status.VALID: "green", Status.REJECTED: "red", Status.UNOBSERVED: "yellow"}
-_HEAD = (
-    f"{'shift':>5}  {'gears':<5} {'event':<18} {'clutch':>6}  {'status':<10} {'mu_C':>8} {'std':>7} "
-    f"{'mu_S':>8} {'std':>7} {'P(slope<0)':>10} {'trust':>5} {'oil':>6}  clutch is"
-)
+_HEAD = f"{'shift':>5}  {'gears':<5} {'event':<18} {'clutch':>6}  {'status':<10} {'mu_C':>8} {'std':>7} "
+_DETAIL_HEAD = f"{'mu_S':>8} {'std':>7} {'P(slope<0)':>10} {'trust':>5} {'oil':>6} "
+_HEAD_END = " clutch is"
 
 
 _SHORT_HEAD = (
@@ -40,10 +39,11 @@ _SHORT_HEAD = (
 
 
 class ConsoleReporter:
-    """Prints results as they come; rich decides about colours."""
+    """Prints results as they come, to specialists more of them; rich decides about colours."""
 
-    def __init__(self, console: Console) -> None:
+    def __init__(self, console: Console, *, is_detailed: bool = False) -> None:
         self._console = console
+        self._is_detailed = is_detailed
         self._has_head = False
 
     def report(self, news: News) -> None:
@@ -56,21 +56,20 @@ class ConsoleReporter:
             self._conclude(news)
         else:
             if not self._has_head:
-                self._line(shift_head())
+                self._line(shift_head(is_detailed=self._is_detailed))
                 self._has_head = True
-            self._line(shift_line(news))
+            self._line(shift_line(news, is_detailed=self._is_detailed))
 
     def _conclude(self, summary: Summary) -> None:
         if summary.gaps:
             self._line(Text(gaps_line(summary.gaps), style="bold red"))
-        if summary.latest:
-            self._console.print(_clutch_table(summary))
         for result in summary.latest:
-            self._line(Text(f"clutch {result.verdict.clutch}: {result.verdict.reason}"))
-            for line in scale_free_lines(result.verdict):
-                self._line(Text(f"  {line}"))
-        if ratio := latest_ratio(summary):
-            self._line(Text(ratio_line(ratio)))
+            if result.verdict.advice is not None:  # results of older programs have none
+                self._line(Text(result.verdict.advice, style=_CONDITION_STYLE[result.verdict.condition]))
+        if summary.latest:
+            self._console.print(_clutch_table(summary, is_detailed=self._is_detailed))
+        if self._is_detailed:
+            self._tell_specialists(summary)
         self._line(Text(shifts_line(summary)))
         self._line(Text(frames_line(summary.frames)))
         if line := values_line(summary.frames):
@@ -78,25 +77,32 @@ class ConsoleReporter:
         if line := capability_line(summary):
             self._line(Text(line))
 
+    def _tell_specialists(self, summary: Summary) -> None:
+        for result in summary.latest:
+            self._line(Text(f"clutch {result.verdict.clutch}: {result.verdict.reason}"))
+            for line in scale_free_lines(result.verdict):
+                self._line(Text(f"  {line}"))
+        if ratio := latest_ratio(summary):
+            self._line(Text(ratio_line(ratio)))
+
     def _line(self, text: Text) -> None:
         self._console.print(text, soft_wrap=True)
         self._console.file.flush()
 
 
-def shift_head() -> Text:
+def shift_head(*, is_detailed: bool = True) -> Text:
     """Return the head over lines of shifts."""
-    return Text(_HEAD, style="bold")
+    return Text(f"{_HEAD}{_DETAIL_HEAD if is_detailed else ''}{_HEAD_END}", style="bold")
 
 
-def shift_line(result: ShiftResult) -> Text:
+def shift_line(result: ShiftResult, *, is_detailed: bool = True) -> Text:
     """Return one shift as a line; columns as in the head."""
     estimate, verdict = result.estimate, result.verdict
     line = Text(f"{estimate.number:>5}  {_gears(estimate):<5} {_event(estimate):<18} {estimate.clutch:>6}  ")
     line.append(f"{estimate.status.value:<10} ", _STATUS_STYLE[estimate.status])
-    line.append(_friction_columns(estimate.friction))
-    line.append(f" {'-' if estimate.data_quality is None else f'{estimate.data_quality.score:.2f}':>5}")
-    oil_k = estimate.sump_temperature_k
-    line.append(f" {'-' if oil_k is None else f'{degc_from_k(oil_k):.0f} °C':>6}  ")
+    friction = estimate.friction
+    line.append(f"{'-':>8} {'-':>7}" if friction is None else f"{friction.mu_c:>8.4f} {friction.std_mu_c:>7.4f}")
+    line.append(f" {_details(estimate)}  " if is_detailed else "  ")
     line.append(_words(verdict.condition), _CONDITION_STYLE[verdict.condition])
     if estimate.reasons:
         line.append(f" [{', '.join(reason.value.replace('_', ' ') for reason in estimate.reasons)}]")
@@ -131,30 +137,35 @@ def short_shift_line(result: ShiftResult) -> Text:
     return line
 
 
-def _friction_columns(friction: FrictionEstimate | None) -> str:
-    if friction is None:
-        return f"{'-':>8} {'-':>7} {'-':>8} {'-':>7} {'-':>10}"
-    return (
-        f"{friction.mu_c:>8.4f} {friction.std_mu_c:>7.4f} {friction.mu_s:>8.4f} {friction.std_mu_s:>7.4f} "
-        f"{friction.probability_negative_slope:>10.3f}"
-    )
+def _details(estimate: ShiftEstimate) -> str:
+    """Return what specialists read: static friction, slope, how far the data can be believed, the oil."""
+    friction, quality, oil_k = estimate.friction, estimate.data_quality, estimate.sump_temperature_k
+    static = f"{'-':>8} {'-':>7} {'-':>10}"
+    if friction is not None:
+        static = f"{friction.mu_s:>8.4f} {friction.std_mu_s:>7.4f} {friction.probability_negative_slope:>10.3f}"
+    trust = "-" if quality is None else f"{quality.score:.2f}"
+    oil = "-" if oil_k is None else f"{degc_from_k(oil_k):.0f} °C"
+    return f"{static} {trust:>5} {oil:>6}"
 
 
-def _clutch_table(summary: Summary) -> Table:
+def _clutch_table(summary: Summary, *, is_detailed: bool) -> Table:
     table = Table(box=box.SIMPLE_HEAD, pad_edge=False, padding=(0, 1, 0, 0))
-    for name in ("clutch", "condition", "mu_C", "mu_S", "P(slope<0)", "level", "n"):
+    names = ("clutch", "condition", "mu_C", "level", "shifts", *(("mu_S", "P(slope<0)") if is_detailed else ()))
+    for name in names:
         table.add_column(name, justify="left" if name == "condition" else "right", no_wrap=True)
     for result in summary.latest:
         verdict, friction = result.verdict, result.verdict.friction
-        table.add_row(
+        cells: list[str | Text] = [
             str(verdict.clutch),
             Text(_words(verdict.condition), _CONDITION_STYLE[verdict.condition]),
             "-" if friction is None else f"{friction.mu_c:.4f} ± {friction.std_mu_c:.4f}",
-            "-" if friction is None else f"{friction.mu_s:.4f} ± {friction.std_mu_s:.4f}",
-            "-" if friction is None else f"{friction.probability_negative_slope:.3f}",
             "-" if verdict.level_ratio is None else f"{100.0 * verdict.level_ratio:.1f} %",
             str(verdict.shift_count),
-        )
+        ]
+        if is_detailed:
+            cells.append("-" if friction is None else f"{friction.mu_s:.4f} ± {friction.std_mu_s:.4f}")
+            cells.append("-" if friction is None else f"{friction.probability_negative_slope:.3f}")
+        table.add_row(*cells)
     return table
 
 

@@ -11,6 +11,7 @@ from typing import Final
 
 from canlog.notice import NOTICE
 from diag_service.delivery.base import DeliveryLimits, Link
+from diag_service.delivery.fluid import FluidExchange
 from diag_service.delivery.in_flight import InFlight
 from diag_service.diagnosis.results import StoredResult, clutch_record, parse_record
 from diag_service.store import ResultStore
@@ -94,6 +95,7 @@ class OutboxState:
     acknowledge: Acknowledge
     limits: DeliveryLimits
     holds_states: bool  # whether the states of clutches must not be sent yet
+    shares_fluid: bool = False  # whether fluid fills go to the fleet and come from it
     counts: Counts = field(default_factory=Counts)
     repeat: dict[int, None] = field(default_factory=dict)  # positions that a connection may have lost, in order
     published: deque[tuple[float, int]] = field(default_factory=lambda: deque(maxlen=_MAX_PUBLISHED))  # when, position
@@ -130,11 +132,14 @@ class Delivery:
         self._asked_s = 0.0  # when a silent backend was last asked [s of the loop]
         self._state_position: dict[int, int] = {}  # clutch -> position of the newest result whose state was sent
         self.wake = asyncio.Event()  # set when there is something new to do
+        self._fluid = FluidExchange(state.store, state.vehicle, link, self.wake) if state.shares_fluid else None
 
     async def begin(self, greetings: Sequence[Outgoing]) -> None:
         """Tell the lasting states, which a restarted broker may not know, and begin to hear the backend."""
         if self._state.acknowledge is Acknowledge.BACKEND:
             await self._link.listen(self._state.vehicle, self._add_receipts)
+        if self._fluid is not None:
+            await self._fluid.listen()
         latest = await asyncio.to_thread(self._state.store.latest, self._state.vehicle)
         messages = [*greetings, *self._states(latest)]
         if messages:
@@ -145,8 +150,12 @@ class Delivery:
         self.wake.clear()
         await self._note_receipts()
         await self._send_held_states()
+        if self._fluid is not None:
+            await self._fluid.note()
         batch = await asyncio.to_thread(self._next_batch, self._now_s())
         if not batch:
+            if self._fluid is not None:
+                await self._fluid.tell()
             return False
         messages = [raw_shift_message(row.key, row.produced_at, row.text) for row in batch]
         await self._link.send(messages + self._states(batch))

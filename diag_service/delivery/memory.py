@@ -3,8 +3,8 @@
 import asyncio
 from collections.abc import Sequence
 
-from diag_service.delivery.base import News, OnReceipts
-from diag_service.diagnosis.records import ShiftResult
+from diag_service.delivery.base import News, OnFills, OnReceipts
+from diag_service.diagnosis.records import FluidFill, ShiftResult
 from diag_service.diagnosis.results import shift_from
 from diag_service.diagnosis.summary import Summary
 from diag_service.errors import PublishError
@@ -19,6 +19,7 @@ class MemoryLink:
         self.results: list[ShiftResult] = []
         self.states: list[JsonObject] = []  # of clutches
         self.others: list[Outgoing] = []
+        self.fleet_fills: list[FluidFill] = []  # that a fleet would tell
         self.is_refusing = False
         self.is_acknowledging = is_acknowledging
         self.cut = asyncio.Event()
@@ -35,6 +36,11 @@ class MemoryLink:
     async def listen(self, vehicle: str, on_receipts: OnReceipts) -> None:  # noqa: ARG002 - there is one vehicle here
         """Acknowledge to this listener."""
         self.on_receipts = on_receipts
+
+    async def hear_fills(self, vehicle: str, on_fills: OnFills) -> None:  # noqa: ARG002 - there is one vehicle here
+        """Tell this listener what the fleet knows."""
+        if self.fleet_fills:
+            on_fills(self.fleet_fills)
 
     async def lost(self) -> None:
         """Return when the test cuts the connection."""

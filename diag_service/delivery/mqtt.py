@@ -6,9 +6,10 @@ import logging
 from collections.abc import AsyncIterator, Iterator, Sequence
 from contextlib import asynccontextmanager, contextmanager
 from dataclasses import replace
+from typing import TYPE_CHECKING
 
-from diag_service.delivery.base import OnReceipts
-from diag_service.diagnosis.results import ServiceStatus, status_record
+from diag_service.delivery.base import OnFills, OnReceipts
+from diag_service.diagnosis.results import ServiceStatus, fills_from, status_record
 from diag_service.errors import PublishError
 from fleet_contract import (
     Channel,
@@ -31,6 +32,9 @@ from fleet_link import (
     VersionRefusedError,
 )
 
+if TYPE_CHECKING:
+    from diag_service.diagnosis.records import FluidFill
+
 RENEWAL_PERIOD_S = 5.0  # how often a look is taken whether a certificate was renewed
 _MAX_IN_FLIGHT = 100
 _BATCH = 100  # messages to us that are read in one go
@@ -49,6 +53,8 @@ class MqttLink:
         self._renewal_period_s = renewal_period_s
         self._on_receipts: OnReceipts | None = None
         self._early: list[Receipt] = []  # heard before anyone listened: a persistent session brings them at once
+        self._on_fills: OnFills | None = None
+        self._early_fills: list[FluidFill] = []
         self._reader = asyncio.create_task(self._read(), name="mqtt-reader")
 
     async def send(self, messages: Sequence[Outgoing]) -> None:
@@ -66,6 +72,16 @@ class MqttLink:
             on_receipts(self._early)
         with _translated():
             await self._connection.subscribe([topic_of(vehicle, Channel.ACK)])
+
+    async def hear_fills(self, vehicle: str, on_fills: OnFills) -> None:
+        """Subscribe to the fluid fills that the fleet knows; a broker that refuses costs these and nothing else."""
+        self._on_fills = on_fills
+        if self._early_fills:
+            on_fills(self._early_fills)
+        try:
+            await self._connection.subscribe([topic_of(vehicle, Channel.FILLS)])
+        except LinkDownError as exc:  # of a connection that is lost the next message tells
+            _LOG.warning("fluid fills that the fleet notes are not heard: %s", exc)
 
     async def lost(self) -> None:
         """Return when the connection is lost, or when a certificate was renewed."""
@@ -93,6 +109,8 @@ class MqttLink:
             incoming = read_message(message.topic, message.payload)
             if incoming.address.channel is Channel.ACK:
                 (self._on_receipts or self._early.extend)(receipts_of(incoming.data))
+            elif incoming.address.channel is Channel.FILLS:
+                (self._on_fills or self._early_fills.extend)(fills_from(incoming.data))
         except ContractError as exc:
             _LOG.warning("a message to us is ignored: %s", exc)
 

@@ -41,6 +41,7 @@ class Outbox:
         greetings: Sequence[Outgoing] = (),  # open every connection
         metrics: MetricsMessage | None = None,  # makes a message of the outbox's numbers, now and then
         holds_states: bool = False,  # until ``release_states``: the states that a part of a drive leaves are none
+        shares_fluid: bool = False,  # with the fleet, both ways
         limits: DeliveryLimits | None = None,
     ) -> None:
         self._state = OutboxState(
@@ -49,6 +50,7 @@ class Outbox:
             acknowledge=acknowledge,
             limits=limits or DeliveryLimits(),
             holds_states=holds_states,
+            shares_fluid=shares_fluid,
         )
         self.counts, self.limits = self._state.counts, self._state.limits
         self._connect = connect

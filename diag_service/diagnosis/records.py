@@ -110,6 +110,17 @@ class FrictionTrend:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class LiningChange:
+    """Running friction of one clutch against that of its first fluid: what new fluid did not bring back."""
+
+    change_mu_c_ratio: float  # -0.01 is one percent less than with the first fluid
+    change_mu_s_ratio: float
+    std_change_mu_c_ratio: float
+    std_change_mu_s_ratio: float
+    baseline_shift_count: int  # shifts in the baseline of the first fluid
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class ClutchRatio:
     """Friction of clutch 1 over that of clutch 2; the torque gain cancels, the piston areas do not."""
 
@@ -191,7 +202,7 @@ class Condition(IntEnum):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ClutchVerdict:
-    """Condition of one clutch after a shift, with the sentence that justifies it."""
+    """Condition of one clutch after a shift: what justifies it, and what to do about it."""
 
     clutch: int
     condition: Condition
@@ -204,6 +215,8 @@ class ClutchVerdict:
     shift_scatter: ShiftScatter | None = None
     trend: FrictionTrend | None = None  # against the vehicle's own baseline
     clutch_ratio: ClutchRatio | None = None
+    lining: LiningChange | None = None  # once there is another fluid than the first
+    advice: str | None = None  # what to do, by when, how sure: one sentence for a workshop
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -218,3 +231,14 @@ class ShiftResult:
     algorithm_version: str
     calibration_version: str
     produced_at: str  # ISO 8601 UTC, from the caller's clock; for a log the end of the shift
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class FluidFill:
+    """New fluid in a vehicle: its friction before and after have nothing to do with each other."""
+
+    vehicle: str
+    filled_at: str  # ISO 8601 UTC with microseconds and ``Z``, so that texts sort as moments do
+    odometer_m: float | None = None
+    product: str | None = None  # name of the fluid
+    note: str | None = None

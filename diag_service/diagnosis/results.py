@@ -12,7 +12,7 @@ from functools import cache
 from typing import Final
 
 from diag_service.diagnosis.plain_values import from_plain, to_plain
-from diag_service.diagnosis.records import ClutchVerdict, Condition, ShiftResult
+from diag_service.diagnosis.records import ClutchVerdict, Condition, FluidFill, ShiftResult
 from diag_service.errors import ResultError
 from fleet_contract import Channel, JsonObject, ResultKey, schema
 from program_io.legible import legible_record
@@ -134,6 +134,22 @@ def verdict_from(table: object) -> ClutchVerdict:
         return from_plain(_condition_as_number(table), ClutchVerdict)
     except ValueError as exc:
         raise ResultError(f"incomplete {Channel.CLUTCH.schema_name} record: {exc}") from exc
+
+
+def fill_record(fill: FluidFill) -> JsonObject:
+    """Return a fluid fill as it stands in a message; of which vehicle the message says."""
+    return {key: value for key, value in to_plain(fill).items() if key != "vehicle"}
+
+
+def fills_from(table: Mapping[str, object]) -> list[FluidFill]:
+    """Return the fluid fills in a message; raises ResultError if they are none of this version."""
+    fills = table.get("fills")
+    if not isinstance(fills, list):
+        raise ResultError("fluid fills are a list")
+    try:
+        return [from_plain({**fill, "vehicle": table.get("vehicle")}, FluidFill) for fill in fills]
+    except (TypeError, ValueError) as exc:
+        raise ResultError(f"incomplete fluid fills: {exc}") from exc
 
 
 def _verdict_record(verdict: ClutchVerdict) -> JsonObject:

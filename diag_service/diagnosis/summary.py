@@ -6,6 +6,7 @@ from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from typing import Self
 
+from diag_service.diagnosis.condition.advice import Silence, advice
 from diag_service.diagnosis.contributions import NO_LOGS, Contributions, log_record
 from diag_service.diagnosis.plain_values import to_plain
 from diag_service.diagnosis.records import (
@@ -132,7 +133,12 @@ def unjudged(result: ShiftResult, gaps: tuple[Gap, ...]) -> ShiftResult:
     """Return a result without its verdict if there are gaps: a part of a drive may say the opposite of the whole."""
     if not gaps:
         return result
-    verdict = replace(result.verdict, condition=Condition.NO_VERDICT, reason=gaps_line(gaps))
+    verdict = replace(
+        result.verdict,
+        condition=Condition.NO_VERDICT,
+        reason=gaps_line(gaps),
+        advice=advice(result.verdict.clutch, Condition.NO_VERDICT, Silence.PART_OF_DRIVE),
+    )
     return replace(result, verdict=verdict)
 
 

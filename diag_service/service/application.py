@@ -53,7 +53,7 @@ def opened_store(config: DiagnosisConfig, path: Path | None, *, keeps_results: b
             raise
 
 
-def reporter_of(stop: Trigger, *, as_json: bool) -> Reporter:
+def reporter_of(stop: Trigger, *, as_json: bool, is_detailed: bool = False) -> Reporter:
     """Return who tells a run: lines for people or JSON; a reader who hangs up stops the run."""
 
     def hang_up() -> None:
@@ -62,7 +62,7 @@ def reporter_of(stop: Trigger, *, as_json: bool) -> Reporter:
 
     if as_json:
         return PipeReporter(JsonLinesReporter(sys.stdout, Console(stderr=True)), hang_up)
-    return PipeReporter(ConsoleReporter(PeopleConsole()), hang_up)
+    return PipeReporter(ConsoleReporter(PeopleConsole(), is_detailed=is_detailed), hang_up)
 
 
 def outbox_of(config: DiagnosisConfig, store: ResultStore, session: Session, *, is_live: bool) -> Outbox | None:
@@ -95,6 +95,7 @@ def outbox_of(config: DiagnosisConfig, store: ResultStore, session: Session, *, 
         acknowledge=config.acknowledge,
         greetings=[_greeting(config, status)] if is_live else (),
         holds_states=not is_live,
+        shares_fluid=is_live,
         metrics=_metrics_of(store, session) if is_live else None,
     )
 

@@ -30,11 +30,19 @@ QUIT_KEY = "q"
 _LOG = logging.getLogger(__name__)
 
 
-def run_bus(config: DiagnosisConfig, bus: BusConfig, store_path: Path, controls: Controls, *, as_json: bool) -> None:
+def run_bus(
+    config: DiagnosisConfig,
+    bus: BusConfig,
+    store_path: Path,
+    controls: Controls,
+    *,
+    as_json: bool,
+    is_detailed: bool = False,  # text for specialists
+) -> None:
     """Diagnose a live bus until it is told to stop."""
     decoder = config.interpretation().decoder()
     with opened_store(config, store_path, keeps_results=True) as store:
-        reporter = DetachedReporter(reporter_of(controls.stop, as_json=as_json))
+        reporter = DetachedReporter(reporter_of(controls.stop, as_json=as_json, is_detailed=is_detailed))
         session = Session(config, decoder, store, None, reporter)
         asyncio.run(_run_bus(config, bus, store, session, controls))
 

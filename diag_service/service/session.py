@@ -157,7 +157,14 @@ class Session:
     def _next_seq(self) -> int:
         return self._pending[-1][0].seq + 1 if self._pending else self._store.next_seq()
 
+    def _note_fluid(self, event: Event) -> None:
+        """Let the stages know which fluid the vehicle had at a shift; anybody may have noted a fill meanwhile."""
+        fill = self._store.fluid_at(self.vehicle, utc_from_bus_ns(event.start_ns))
+        if fill is not None and self.stages.note_fluid(fill.filled_at):
+            _LOG.log(NOTICE, "new fluid since %s: a new baseline begins", fill.filled_at)
+
     def _diagnose(self, event: Event) -> tuple[ShiftResult, VehicleState]:
+        self._note_fluid(event)
         with self.progress.working(Stage.ESTIMATE):
             diagnosis = self.stages.conclude(event)
         is_live = self._stream is None

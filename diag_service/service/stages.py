@@ -103,6 +103,19 @@ class Stages:
         self._state = state
         return Diagnosis(estimate=estimate, verdict=verdict, state=self._state, memory=self._memory)
 
+    def note_fluid(self, filled_at: str) -> bool:
+        """Take note of the fluid that the vehicle has, by the moment of its fill; return whether it is new.
+
+        New fluid begins a new running friction with a new baseline. A fill before that of the fluid last judged says
+        nothing any more.
+        """
+        known = self._memory.fluid_since
+        if known is not None and filled_at <= known:
+            return False
+        self._memory = self._memory.with_new_fluid(filled_at, self._state)
+        self._state = self._state.with_new_fluid(self._calibration)
+        return True
+
     def capability(self) -> Capability:
         """Return what the signals that came suffice for."""
         seen = self.decoder.seen

@@ -1,7 +1,20 @@
 """The result store: an SQLite file that holds every result, the running state and what has not been delivered yet."""
 
 from diag_service.store.file import remove_store
+from diag_service.store.fills import note_fill
+from diag_service.store.reading import Row, StoreReader, is_store
 from diag_service.store.result_store import ResultStore, VehicleState, Versions
 from diag_service.store.schema import APPLICATION_ID, SCHEMA_VERSION
 
-__all__ = ["APPLICATION_ID", "SCHEMA_VERSION", "ResultStore", "VehicleState", "Versions", "remove_store"]
+__all__ = [
+    "APPLICATION_ID",
+    "SCHEMA_VERSION",
+    "ResultStore",
+    "Row",
+    "StoreReader",
+    "VehicleState",
+    "Versions",
+    "is_store",
+    "note_fill",
+    "remove_store",
+]

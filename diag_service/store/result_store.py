@@ -15,12 +15,13 @@ from dataclasses import astuple, dataclass
 from pathlib import Path
 from typing import Final, Self
 
-from diag_service.diagnosis.records import ShiftResult
+from diag_service.diagnosis.records import FluidFill, ShiftResult
 from diag_service.diagnosis.results import StoredResult, dump, parse_shift, shift_record
 from diag_service.errors import ResultError, StoreError
 from diag_service.store import budget, controller_reports
 from diag_service.store.budget import DroppedCounts
 from diag_service.store.file import connect, connect_in_memory, own, translated
+from diag_service.store.fills import add_fills, latest_fill, read_fills
 from diag_service.store.schema import DELIVERED, QUARANTINED, WAITING
 from fleet_contract import JsonObject, Outcome, Receipt, ResultKey
 from program_io.private_file import keep_private
@@ -239,6 +240,21 @@ class ResultStore:
         with self._transaction() as sql:
             rows = sql.execute("SELECT json FROM result WHERE vehicle = ? ORDER BY position", (vehicle,)).fetchall()
         return (self._parse(text) for (text,) in rows)
+
+    def add_fills(self, fills: Iterable[FluidFill]) -> int:
+        """Note fluid fills; return how many were not known before."""
+        with self._transaction() as sql:
+            return add_fills(sql, fills)
+
+    def fills(self, vehicle: str) -> list[FluidFill]:
+        """Return the fluid fills of a vehicle, the earliest first."""
+        with self._transaction() as sql:
+            return read_fills(sql, vehicle)
+
+    def fluid_at(self, vehicle: str, moment: str) -> FluidFill | None:
+        """Return the fill of the fluid that a vehicle had at a moment (ISO 8601 UTC), if it is known."""
+        with self._transaction() as sql:
+            return latest_fill(sql, vehicle, moment)
 
     def _read_stream(self) -> str:
         row = self._connection.execute("SELECT value FROM meta WHERE key = 'stream'").fetchone()

@@ -4,7 +4,7 @@ import sqlite3
 from typing import Final
 
 APPLICATION_ID: Final = 0x434C4449  # "CLDI", in the header of every store
-SCHEMA_VERSION: Final = 3
+SCHEMA_VERSION: Final = 4
 
 WAITING, DELIVERED, QUARANTINED = range(3)  # values of result.published
 
@@ -15,6 +15,16 @@ CREATE TABLE controller (
   controller TEXT NOT NULL,
   said TEXT NOT NULL,
   json TEXT NOT NULL
+);
+"""
+_CREATE_FILL: Final = """
+CREATE TABLE fill (
+  vehicle TEXT NOT NULL,
+  filled_at TEXT NOT NULL,
+  odometer_m REAL,
+  product TEXT,
+  note TEXT,
+  PRIMARY KEY (vehicle, filled_at)
 );
 """
 _CREATE: Final = f"""
@@ -42,6 +52,7 @@ CREATE TABLE state (
   calibration_version TEXT NOT NULL
 );
 {_CONTROLLER}
+{_CREATE_FILL}
 PRAGMA application_id = {APPLICATION_ID};
 PRAGMA user_version = {SCHEMA_VERSION};
 """
@@ -50,6 +61,7 @@ PRAGMA user_version = {SCHEMA_VERSION};
 _STEPS: Final = {
     1: "ALTER TABLE result ADD COLUMN refusal TEXT; PRAGMA user_version = 2;",  # why a backend cannot use a result
     2: f"{_CONTROLLER} PRAGMA user_version = 3;",  # what a controller says of its trouble codes
+    3: f"{_CREATE_FILL} PRAGMA user_version = 4;",  # which fluid since when
 }
 
 

@@ -6,6 +6,7 @@ from diag_service.diagnosis.results import ServiceStatus, clutch_record, shift_r
 from diag_service.tester.trouble import Snapshot, TroubleCode
 from diag_service.tester.trouble_report import ControllerReport, controller_record
 from fleet_contract import (
+    JsonObject,
     Outcome,
     Outgoing,
     Receipt,
@@ -13,6 +14,7 @@ from fleet_contract import (
     clutch_message,
     config_message,
     controller_message,
+    fluid_message,
     key_of,
     metrics_message,
     shift_message,
@@ -47,6 +49,10 @@ def messages_v1() -> dict[str, Outgoing]:
         Receipt(key=key_of(shift)),
         Receipt(key=key_of(refused), outcome=Outcome.QUARANTINED, reason="sump_temperature_k: must be number"),
     ]
+    fills: list[JsonObject] = [
+        {"filled_at": "2026-01-01T00:00:03.000000Z", "odometer_m": 1200.5, "product": "DCTF-II", "note": "workshop"},
+        {"filled_at": "2026-01-01T00:00:05.000000Z", "odometer_m": None, "product": None, "note": None},
+    ]
     (ack,) = ack_messages("car1", receipts, sent_at=NOW, worker="ingest-1")
     return {
         "shift": shift_message(shift),
@@ -59,6 +65,8 @@ def messages_v1() -> dict[str, Outgoing]:
         "config": config_message("car1", NOW, {"broker.url": "mqtts://car1:***@broker", "outbox.budget_bytes": 1}),
         "controller": controller_message(controller_record(CONTROLLER)),
         "ack": ack,
+        "fluid": fluid_message("car1", NOW, fills, is_to_vehicle=False),
+        "fills": fluid_message("car1", NOW, fills, is_to_vehicle=True),
     }
 
 

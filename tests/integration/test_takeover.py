@@ -21,7 +21,7 @@ from fleet_backend.schema import SHIFT_RESULT
 from tests.golden import analyses, earlier
 from tests.integration.test_golden_analyses import is_exact
 
-LATER_KEYS = {"kind", "end_reason"}
+LATER_KEYS = {"kind", "end_reason", "lining", "advice"}
 FLEET_HASH = "fbdbd0a37cfbe9c19f8e1258cb6e6405e3ffd5b2fa672e43197c429b84061864"
 
 
@@ -40,7 +40,17 @@ def analyze(recording: str, store: Path) -> tuple[str, str]:
 
 def without_later_keys(line: str) -> str:
     """Return a line of today's output as the earlier program would have written it."""
-    return dump({key: value for key, value in json.loads(line).items() if key not in LATER_KEYS}) + "\n"
+
+    def earlier_form(value: object) -> object:
+        if isinstance(value, list):
+            return [earlier_form(item) for item in value]
+        if isinstance(value, dict):
+            return {key: earlier_form(item) for key, item in value.items() if key not in LATER_KEYS}
+        return value
+
+    record = earlier_form(json.loads(line))
+    assert isinstance(record, dict)
+    return dump(record) + "\n"
 
 
 def counts(path: Path) -> tuple[int, int]:

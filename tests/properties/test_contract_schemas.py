@@ -9,11 +9,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from jsonschema import Draft202012Validator, FormatChecker
 
-from fleet_contract import SchemaError, parse_topic, schema
+from fleet_contract import Channel, SchemaError, parse_topic, schema
 from fleet_contract.schema_check import compile_schema
 from tests.golden import messages_v1
 
-NAMES = ("event", "shift", "clutch", "status", "metrics", "config", "ack")
+NAMES = ("event", *(channel.label for channel in Channel))
 CHECKS = {name: compile_schema(schema(name)) for name in NAMES}
 
 

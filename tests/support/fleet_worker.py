@@ -26,7 +26,7 @@ from fleet_backend.config import parse_broker
 from fleet_backend.database import open_database
 from fleet_backend.ingest import FILTERS, Inbox, Worker
 from fleet_backend.writer import Batch, Writer
-from fleet_contract import Outgoing
+from fleet_contract import JsonObject, Outgoing
 from fleet_link import Message
 
 START_S: Final = 120.0
@@ -70,6 +70,10 @@ class DoomedStore:
         self._doom.at(Step.BEFORE_INSERT)
         self._writer.store(batch)
         self._doom.at(Step.AFTER_COMMIT)
+
+    def fills(self, vehicles: Sequence[str]) -> dict[str, list[JsonObject]]:
+        """Return fluid fills."""
+        return self._writer.fills(vehicles)
 
     def _before_commit(self, _connection: Connection) -> None:
         self._doom.at(Step.BEFORE_COMMIT)

@@ -1,4 +1,4 @@
-"""The verdict on a clutch and its fluid; every threshold is named here and justified in docs/verdict.md."""
+"""The verdict on a clutch and its fluid; docs/verdict.md justifies its rules."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
@@ -8,8 +8,24 @@ from typing import Self
 
 from clutch_model.calibration import Calibration
 from clutch_model.clutch import FrictionCurve
-from clutch_model.gears import with_clutch
+from clutch_model.gears import both_clutches, with_clutch
+from diag_service.diagnosis.condition.advice import Cause, Silence, advice
+from diag_service.diagnosis.condition.lining import LiningBaseline
 from diag_service.diagnosis.condition.scatter import Scatter
+from diag_service.diagnosis.condition.thresholds import (
+    CHANGE_LEVEL_RATIO,
+    CHANGE_PROBABILITY,
+    FIT_WINDOW,
+    LEAVE_PROBABILITY,
+    MAX_MARGIN_STD_RATIO,
+    MAX_MISFIT_SHARE,
+    MIN_MISFIT_COUNT,
+    MIN_SHIFT_COUNT,
+    NEW_FLUID_CONTRADICTIONS,
+    WATCH_LEVEL_RATIO,
+    WATCH_MARGIN_RATIO,
+    WATCH_PROBABILITY,
+)
 from diag_service.diagnosis.friction.filter_state import FilterState
 from diag_service.diagnosis.friction.scale_free import clutch_ratio, common_scale_std_ratio, scale_free, trend
 from diag_service.diagnosis.plain_values import from_plain, to_plain
@@ -24,18 +40,6 @@ from diag_service.diagnosis.records import (
 )
 from fleet_contract import JsonObject
 
-MIN_SHIFT_COUNT = 2  # one shift may be an outlier
-MAX_MARGIN_STD_RATIO = 0.5  # of the reference margin: beyond it the slope is anyone's guess
-CHANGE_LEVEL_RATIO = 0.80  # torque reserve of the hold pressure (1.5) is half used up; of new, and of the own baseline
-WATCH_LEVEL_RATIO = 0.90
-WATCH_MARGIN_RATIO = 0.50  # half of the new fluid's margin against shudder is gone
-CHANGE_PROBABILITY = 0.95  # a workshop visit costs: be sure
-WATCH_PROBABILITY = 0.80
-LEAVE_PROBABILITY = 0.20  # to call off a verdict once given, its cause must have become unlikely
-FIT_WINDOW = 20  # shifts of both clutches: two cycles
-MAX_MISFIT_SHARE = 0.25  # none of the shifts of sound drives misfit; of another vehicle's calibration half do
-MIN_MISFIT_COUNT = 3  # one or two shifts are no share
-NEW_FLUID_CONTRADICTIONS = 4  # it contradicts the running state of each clutch twice, then that starts afresh
 MEMORY_FORMAT = 2
 _MISFITS = frozenset({Reason.MISFIT, Reason.ZERO_JUMPED})
 
@@ -55,11 +59,23 @@ class ConditionMemory:
     conditions: tuple[Condition, Condition] = (Condition.NO_VERDICT, Condition.NO_VERDICT)
     scatters: tuple[Scatter | None, Scatter | None] = (None, None)
     fits: tuple[Fit, ...] = ()  # of the last shifts, the oldest first
+    fluid_since: str | None = None  # fill of the fluid that was last judged, ISO 8601 UTC; None: not known
+    linings: tuple[LiningBaseline | None, LiningBaseline | None] = (None, None)  # of the first fluid, over all others
 
     @classmethod
     def fresh(cls) -> Self:
         """Return the memory of a vehicle not judged before."""
         return cls()
+
+    def with_new_fluid(self, filled_at: str, old: FilterState) -> Self:
+        """Return the memory after a fluid fill: no verdict yet, and what contradicted the old fluid is forgotten.
+
+        Of the first fluid that had a baseline the friction is kept: the lining's, whatever the fluid.
+        """
+        fits = tuple(fit for fit in self.fits if fit is not Fit.CONTRADICTS)
+        linings = both_clutches(kept or _lining(old, clutch) for clutch, kept in enumerate(self.linings, start=1))
+        conditions = (Condition.NO_VERDICT, Condition.NO_VERDICT)
+        return replace(self, conditions=conditions, fits=fits, fluid_since=filled_at, linings=linings)
 
     def with_fit(self, estimate: ShiftEstimate) -> Self:
         """Return the memory after a shift that may have been held against the calibration."""
@@ -102,7 +118,10 @@ class ConditionMemory:
     def to_json(self) -> JsonObject:
         """Return the memory as JSON-ready values; floats survive the round trip bit by bit."""
         names = {"conditions": [one.name for one in self.conditions]}
-        return {"format": MEMORY_FORMAT} | to_plain(self) | names
+        plain = to_plain(self)
+        if self.fluid_since is None:  # a vehicle without a fill is kept as by programs that know none
+            del plain["fluid_since"], plain["linings"]
+        return {"format": MEMORY_FORMAT} | plain | names
 
     @classmethod
     def from_json(cls, table: Mapping[str, object]) -> Self:
@@ -121,6 +140,9 @@ class ConditionMemory:
             memory = from_plain({**table, "conditions": conditions, "scatters": scatters}, cls)
         except (KeyError, TypeError, ValueError) as exc:
             raise ValueError(f"not a condition memory: {exc}") from exc
+        for lining in memory.linings:
+            if lining is not None and not lining.is_possible:
+                raise ValueError(f"impossible lining {lining!r}")
         for scatter in memory.scatters:
             if scatter is not None and not scatter.is_possible:
                 raise ValueError(f"impossible scatter {scatter!r}")
@@ -140,24 +162,32 @@ def judge(
     shift_count = state.shift_counts[index]
     known = bool(shift_count)
     friction, since = state.friction(clutch), trend(state, clutch) if known else None
-    condition, reason = _decide(friction, since, reference, shift_count, memory.conditions[index])
+    finding = _decide(friction, since, reference, shift_count, memory.conditions[index])
     if memory.misfit_text:
-        condition, reason = Condition.NO_VERDICT, memory.misfit_text
-    scatter = memory.scatters[index]
+        finding = _nothing(Silence.CALIBRATION_MISFIT, memory.misfit_text)
+    scatter, lining = memory.scatters[index], memory.linings[index]
+    free = scale_free(state, clutch) if known else None
     verdict = ClutchVerdict(
         clutch=clutch,
-        condition=condition,
-        reason=reason,
+        condition=finding.condition,
+        reason=finding.reason,
         level_ratio=friction.mu_c / reference.mu_c if known else None,
         friction=friction if known else None,
         shift_count=shift_count,
-        scale_free=scale_free(state, clutch) if known else None,
+        scale_free=free,
         common_scale_std_ratio=common_scale_std_ratio(state, clutch) if known else None,
         shift_scatter=None if scatter is None else scatter.reported,
         trend=since,
         clutch_ratio=clutch_ratio(state),
+        lining=None if lining is None or free is None else lining.change(free),
+        advice=advice(clutch, finding.condition, finding.ground, finding.probability),
     )
-    return replace(memory, conditions=with_clutch(memory.conditions, clutch, condition)), verdict
+    return replace(memory, conditions=with_clutch(memory.conditions, clutch, finding.condition)), verdict
+
+
+def _lining(state: FilterState, clutch: int) -> LiningBaseline | None:
+    since = trend(state, clutch)
+    return None if since is None else LiningBaseline.of(scale_free(state, clutch), since)
 
 
 def no_verdict(clutch: int, missing: str) -> ClutchVerdict:
@@ -169,7 +199,27 @@ def no_verdict(clutch: int, missing: str) -> ClutchVerdict:
         level_ratio=None,
         friction=None,
         shift_count=0,
+        advice=advice(clutch, Condition.NO_VERDICT, Silence.SIGNALS_MISSING),
     )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Finding:
+    """A verdict and what it rests on; the probability is that of the cause, of a good fluid that there is none."""
+
+    condition: Condition
+    reason: str
+    ground: Cause | Silence | None
+    probability: float = 0.0
+
+
+def _nothing(silence: Silence, reason: str) -> _Finding:
+    return _Finding(condition=Condition.NO_VERDICT, reason=reason, ground=silence)
+
+
+def _because(condition: Condition, cause: Cause, probability: float, facts: str) -> _Finding:
+    reason = f"{cause} ({probability:.2f}): {facts}"
+    return _Finding(condition=condition, reason=reason, ground=cause, probability=probability)
 
 
 def _decide(
@@ -178,30 +228,32 @@ def _decide(
     reference: FrictionCurve,
     shift_count: int,
     previous: Condition,
-) -> tuple[Condition, str]:
+) -> _Finding:
     if shift_count < MIN_SHIFT_COUNT:
-        return Condition.NO_VERDICT, f"{shift_count} usable shift(s), {MIN_SHIFT_COUNT} needed"
+        return _nothing(Silence.FEW_SHIFTS, f"{shift_count} usable shift(s), {MIN_SHIFT_COUNT} needed")
     reference_margin = reference.mu_c - reference.mu_s
     margin = NormalDist(friction.mu_c - friction.mu_s, friction.std_slope_s_rad * reference.stribeck_speed_rad_s)
     level = NormalDist(friction.mu_c / reference.mu_c, friction.std_mu_c / reference.mu_c)
     facts = _facts(friction, level, since, shift_count)
     change = {
-        "shudder": friction.probability_negative_slope,
-        "friction too low": level.cdf(CHANGE_LEVEL_RATIO),
-        "too much friction lost since the baseline": _lost(since, CHANGE_LEVEL_RATIO),
+        Cause.SHUDDER: friction.probability_negative_slope,
+        Cause.LEVEL_LOW: level.cdf(CHANGE_LEVEL_RATIO),
+        Cause.LOSS_LARGE: _lost(since, CHANGE_LEVEL_RATIO),
     }
-    if cause := _cause(change, LEAVE_PROBABILITY if previous is Condition.CHANGE_FLUID else CHANGE_PROBABILITY):
-        return Condition.CHANGE_FLUID, f"{cause}: {facts}"
+    cause, probability = _likeliest(change)
+    if probability >= (LEAVE_PROBABILITY if previous is Condition.CHANGE_FLUID else CHANGE_PROBABILITY):
+        return _because(Condition.CHANGE_FLUID, cause, probability, facts)
     if margin.stdev > MAX_MARGIN_STD_RATIO * reference_margin:
-        return Condition.NO_VERDICT, f"mu_C - mu_S known to {margin.stdev:.4f} only: {facts}"
+        return _nothing(Silence.MARGIN_UNSURE, f"mu_C - mu_S known to {margin.stdev:.4f} only: {facts}")
     watch = {
-        "margin against shudder halved": margin.cdf(WATCH_MARGIN_RATIO * reference_margin),
-        "friction falling": level.cdf(WATCH_LEVEL_RATIO),
-        "friction lost since the baseline": _lost(since, WATCH_LEVEL_RATIO),
+        Cause.MARGIN_THIN: margin.cdf(WATCH_MARGIN_RATIO * reference_margin),
+        Cause.LEVEL_FALLING: level.cdf(WATCH_LEVEL_RATIO),
+        Cause.LOSS_BEGUN: _lost(since, WATCH_LEVEL_RATIO),
     }
-    if cause := _cause(watch, LEAVE_PROBABILITY if previous is Condition.WATCH else WATCH_PROBABILITY):
-        return Condition.WATCH, f"{cause}: {facts}"
-    return Condition.GOOD, facts
+    cause, probability = _likeliest(watch)
+    if probability >= (LEAVE_PROBABILITY if previous is Condition.WATCH else WATCH_PROBABILITY):
+        return _because(Condition.WATCH, cause, probability, facts)
+    return _Finding(condition=Condition.GOOD, reason=facts, ground=None, probability=1.0 - probability)
 
 
 def _facts(friction: FrictionEstimate, level: NormalDist, since: FrictionTrend | None, shift_count: int) -> str:
@@ -222,7 +274,5 @@ def _lost(since: FrictionTrend | None, level_ratio: float) -> float:
     return NormalDist(1.0 + since.change_mu_c_ratio, max(since.std_change_mu_c_ratio, 1e-9)).cdf(level_ratio)
 
 
-def _cause(causes: Mapping[str, float], threshold: float) -> str | None:
-    """Return the likeliest cause and its probability, if that reaches a threshold."""
-    cause, probability = max(causes.items(), key=lambda item: item[1])
-    return f"{cause} ({probability:.2f})" if probability >= threshold else None
+def _likeliest(causes: Mapping[Cause, float]) -> tuple[Cause, float]:
+    return max(causes.items(), key=lambda item: item[1])

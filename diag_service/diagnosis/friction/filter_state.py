@@ -138,6 +138,11 @@ class FilterState:
         baselines = both_clutches(one and one.without(rows) for one in self.baselines)
         return replace(self, mean=mean, covariance=covariance, sensitivity=sensitivity, baselines=baselines)
 
+    def with_new_fluid(self, calibration: Calibration) -> Self:
+        """Return the state after a fluid fill: friction is unknown again, and its baseline with it; the rest stays."""
+        blank = replace(self, baselines=(None, None), shift_counts=(0, 0), refused_counts=(0, 0))
+        return blank.forget_friction(1, calibration).forget_friction(2, calibration)
+
     def counted(self, clutch: int, end_ns: int) -> Self:
         """Return the state after the baseline of a clutch took note of a shift that the friction now contains.
 

@@ -1,4 +1,4 @@
-"""What kind of event a result is of, and how it ended; the views that show it."""
+"""What kind of event a result is of and how it ended, and the advice of its verdict; the views that show them."""
 
 from collections.abc import Sequence
 from typing import Final
@@ -14,7 +14,8 @@ branch_labels: Sequence[str] | None = None
 depends_on: Sequence[str] | None = None
 
 _TREND_END: Final = "h.condition, h.level_ratio, h.stream, h.seq, h.algorithm_version, h.calibration_version,"
-_COLUMNS: Final = ("kind", "end_reason")
+_CONDITION_HEAD: Final = "s.vehicle, s.clutch, s.condition, s.condition_reason, s.level_ratio,"
+_COLUMNS: Final = ("kind", "end_reason", "advice")
 
 
 def upgrade() -> None:
@@ -24,4 +25,5 @@ def upgrade() -> None:
     for column in _COLUMNS:
         op.add_column("shift_result", sa.Column(column, sa.Text))
     for view in VIEWS:
-        op.execute(view.replace(_TREND_END, f"{_TREND_END} h.kind, h.end_reason,"))
+        changed = view.replace(_TREND_END, f"{_TREND_END} h.kind, h.end_reason,")
+        op.execute(changed.replace(_CONDITION_HEAD, f"{_CONDITION_HEAD} s.advice,"))

@@ -1,38 +1,16 @@
-"""The band of the friction curve, against the laws at both ends and against random draws between them."""
+"""The picture of a demonstration."""
 
 from pathlib import Path
 
 import numpy as np
-import pytest
 
 from canlog.series import Series
-from clutch_model.calibration import nominal_calibration
-from clutch_model.friction import friction_law, stribeck_weights
-from demo.picture import curve_band, draw
+from demo.picture import draw
 from diag_service.diagnosis.columns import Signal
 from diag_service.diagnosis.events import EndReason, Event
-from tests.unit.demo.outcomes import FRICTION, good_outcome
+from tests.unit.demo.outcomes import good_outcome
 
-REFERENCE = nominal_calibration().clutches[0].friction
 PNG_MAGIC = b"\x89PNG\r\n\x1a\n"
-
-
-def test_the_band_is_that_of_mu_s_at_lock_and_of_mu_c_far_from_it() -> None:
-    mean, std = curve_band(np.array([0.0, 1e3]), FRICTION, REFERENCE)
-    assert mean == pytest.approx([FRICTION.mu_s, FRICTION.mu_c])
-    assert std == pytest.approx([FRICTION.std_mu_s, FRICTION.std_mu_c])
-
-
-def test_the_band_agrees_with_random_draws() -> None:
-    slip_rad_s = np.array([2.0, 6.0, 15.0])
-    off_diagonal = FRICTION.correlation * FRICTION.std_mu_c * FRICTION.std_mu_s
-    covariance = [[FRICTION.std_mu_c**2, off_diagonal], [off_diagonal, FRICTION.std_mu_s**2]]
-    drawn = np.random.default_rng(1).multivariate_normal([FRICTION.mu_c, FRICTION.mu_s], covariance, 200_000)
-    weight = stribeck_weights(slip_rad_s, friction_law(REFERENCE))
-    curves = drawn @ np.vstack((1.0 - weight, weight))
-    mean, std = curve_band(slip_rad_s, FRICTION, REFERENCE)
-    assert mean == pytest.approx(curves.mean(axis=0), rel=1e-3)
-    assert std == pytest.approx(curves.std(axis=0), rel=1e-2)
 
 
 def test_a_picture_is_drawn(tmp_path: Path) -> None:

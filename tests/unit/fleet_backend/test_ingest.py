@@ -12,9 +12,10 @@ from fleet_backend.errors import BrokerError, DatabaseAwayError, RowRefusedError
 from fleet_backend.ingest import FILTERS, Worker
 from fleet_backend.intake import Kind
 from fleet_backend.writer import Batch
-from fleet_contract import Outgoing
+from fleet_contract import JsonObject, Outgoing, fluid_message, read_message
 from fleet_link import Message
-from tests.support.fleet import NOW, fleet_result, message_of
+from tests.golden import messages_v1
+from tests.support.fleet import NOW, delivered, fleet_result, message_of
 from tests.support.patience import HANG_S
 
 
@@ -26,6 +27,7 @@ class Records:
         self.stored: list[Batch] = []
         self.sent: list[Outgoing] = []
         self.settled: list[Message] = []
+        self.known_fills: dict[str, list[JsonObject]] = {}
         self.refuse: Callable[[Batch], None] = lambda _batch: None
         self._batches = list(batches)
 
@@ -43,6 +45,10 @@ class Records:
     def settle(self, messages: Sequence[Message]) -> None:
         self.steps.append("settle")
         self.settled.extend(messages)
+
+    def fills(self, vehicles: Sequence[str]) -> dict[str, list[JsonObject]]:
+        self.steps.append("fills")
+        return {vehicle: self.known_fills[vehicle] for vehicle in vehicles if vehicle in self.known_fills}
 
     def store(self, batch: Batch) -> None:
         self.steps.append("store")
@@ -138,8 +144,46 @@ def test_results_are_shared_among_workers_and_states_go_to_each() -> None:
         "clutchdiag/v1/+/status",
         "clutchdiag/v1/+/metrics",
         "clutchdiag/v1/+/controller",
+        "clutchdiag/v1/+/fluid",
     )
 
 
 def test_the_broker_may_send_two_batches_at_most() -> None:
     assert Pace(batch_size=70).max_unsettled == 140
+
+
+NOW_TEXT = "2026-03-01T12:00:00.000000Z"
+FILL: JsonObject = {
+    "filled_at": "2026-01-01T00:00:00.000000Z",
+    "odometer_m": 61_200_000.0,
+    "product": "DCTF-II",
+    "note": None,
+}
+
+
+async def test_a_vehicle_that_comes_hears_which_fills_the_fleet_knows() -> None:
+    records = Records()
+    records.known_fills = {"car1": [FILL], "car2": [FILL]}
+    await worker_of(records).settle(records, [delivered(messages_v1()["status-online"])])
+    assert records.steps == ["store", "fills", "send", "settle"]
+    (told,) = records.sent
+    assert (told.topic, told.is_retained) == ("clutchdiag/v1/car1/fills", True)
+    assert read_message(told.topic, told.payload).data["fills"] == [FILL]
+
+
+async def test_a_vehicle_that_goes_or_has_no_fills_hears_nothing() -> None:
+    records = Records()
+    await worker_of(records).settle(records, [delivered(messages_v1()["status-offline"])])
+    assert records.steps == ["store", "settle"]
+    await worker_of(records).settle(records, [delivered(messages_v1()["status-online"])])
+    assert records.sent == []
+
+
+async def test_the_fills_that_a_vehicle_knows_are_stored() -> None:
+    records = Records()
+    worker = worker_of(records)
+    unnamed = FILL | {"product": None}
+    await worker.settle(records, [delivered(fluid_message("car1", NOW_TEXT, [FILL, unnamed], is_to_vehicle=False))])
+    (batch,) = records.stored
+    assert [row["product"] for row in batch.fills] == ["DCTF-II", "not named"]
+    assert worker.counts == {Kind.FILLS: 1}

@@ -8,10 +8,11 @@ from dataclasses import replace
 import pytest
 
 from diag_service.delivery import Acknowledge, DeliveryLimits, MemoryLink, Outbox
+from diag_service.diagnosis.records import FluidFill
 from diag_service.diagnosis.results import shift_record
 from diag_service.errors import PublishError, StoreFullError
 from diag_service.store import ResultStore, VehicleState, Versions
-from fleet_contract import Outcome, Outgoing, Receipt, key_of, metrics_message, read_message
+from fleet_contract import Channel, Outcome, Outgoing, Receipt, key_of, metrics_message, read_message
 from tests.support.builders import shift_result
 from tests.support.patience import HANG_S
 
@@ -338,3 +339,44 @@ async def test_a_disk_without_room_for_a_receipt_is_tried_again(
     await until(lambda: store.unpublished_count("car1") == 0)
     assert (seqs(first), seqs(second)) == ([1], [1])
     assert await outbox.close(sender) == 0
+
+
+FILL = FluidFill(vehicle="car1", filled_at="2026-01-01T00:00:00.000000Z", product="DCTF-II")
+FLEET_FILL = FluidFill(vehicle="car1", filled_at="2026-02-01T00:00:00.000000Z")
+
+
+def told_fills(link: MemoryLink) -> list[list[str]]:
+    messages = [read_message(message.topic, message.payload) for message in link.others]
+    return [
+        [str(fill["filled_at"]) for fill in fills]
+        for message in messages
+        if message.address.channel is Channel.FLUID and isinstance(fills := message.data["fills"], list)
+    ]
+
+
+async def test_fluid_fills_are_told_once_per_connection_and_those_of_the_fleet_are_noted(store: ResultStore) -> None:
+    store.add_fills([FILL])
+    link = MemoryLink()
+    link.fleet_fills = [FLEET_FILL, FILL]
+    outbox = Outbox(store, "car1", Broker(link).connect, "memory", limits=QUICK, shares_fluid=True)
+    sender = asyncio.create_task(outbox.run())
+    await until(lambda: len(told_fills(link)) >= 1)
+    put(store, 1)
+    outbox.nudge()
+    await until(lambda: seqs(link) == [1])
+    assert await outbox.close(sender) == 0
+    assert store.fills("car1") == [FILL, FLEET_FILL]
+    assert told_fills(link) == [[FILL.filled_at, FLEET_FILL.filled_at]]
+
+
+async def test_a_run_that_only_delivers_shares_no_fluid_fills(store: ResultStore) -> None:
+    store.add_fills([FILL])
+    put(store, 1)
+    link = MemoryLink()
+    link.fleet_fills = [FLEET_FILL]
+    outbox = Outbox(store, "car1", Broker(link).connect, "memory", limits=QUICK)
+    sender = asyncio.create_task(outbox.run())
+    await until(lambda: seqs(link) == [1])
+    assert await outbox.close(sender) == 0
+    assert told_fills(link) == []
+    assert store.fills("car1") == [FILL]

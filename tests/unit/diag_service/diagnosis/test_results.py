@@ -88,7 +88,7 @@ def test_a_reader_ignores_keys_of_later_releases() -> None:
 
 def test_results_of_before_the_sharp_numbers_are_read() -> None:
     record = json.loads(dump(shift_record(shift_result())))
-    added = ("scale_free", "common_scale_std_ratio", "shift_scatter", "trend", "clutch_ratio")
+    added = ("scale_free", "common_scale_std_ratio", "shift_scatter", "trend", "clutch_ratio", "lining", "advice")
     del record["scale_free"]
     for key in added:
         del record["verdict"][key]

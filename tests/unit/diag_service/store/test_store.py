@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import pytest
 
+from diag_service.diagnosis.records import FluidFill
 from diag_service.diagnosis.results import StoredResult, dump, shift_record
 from diag_service.errors import ResultError
 from diag_service.store import ResultStore, VehicleState, Versions
@@ -151,3 +152,23 @@ def test_threads_take_turns(store: ResultStore) -> None:
 def test_closing_twice_does_no_harm(store: ResultStore) -> None:
     store.close()
     store.close()
+
+
+def fill(day: int, vehicle: str = "car1") -> FluidFill:
+    return FluidFill(vehicle=vehicle, filled_at=f"2026-01-{day:02d}T00:00:00.000000Z", product=f"fluid {day}")
+
+
+def test_the_fluid_of_a_moment_is_that_of_the_last_fill_before_it(store: ResultStore) -> None:
+    assert store.fluid_at("car1", fill(9).filled_at) is None
+    assert store.add_fills([fill(9), fill(3), fill(5, "car2")]) == 3
+    assert store.fills("car1") == [fill(3), fill(9)]
+    assert store.fluid_at("car1", fill(2).filled_at) is None
+    assert store.fluid_at("car1", fill(3).filled_at) == fill(3)
+    assert store.fluid_at("car1", fill(8).filled_at) == fill(3)
+    assert store.fluid_at("car1", fill(20).filled_at) == fill(9)
+
+
+def test_a_fill_that_is_known_stays_as_it_was(store: ResultStore) -> None:
+    store.add_fills([fill(3)])
+    assert store.add_fills([replace(fill(3), product="another"), fill(4)]) == 1
+    assert store.fills("car1") == [fill(3), fill(4)]

@@ -235,3 +235,46 @@ def test_a_memory_of_an_earlier_version_knows_of_no_fit() -> None:
     table = ConditionMemory.fresh().to_json()
     del table["fits"]
     assert ConditionMemory.from_json(table).fits == ()
+
+
+FILLED_AT = "2026-01-01T00:00:00.000000Z"
+
+
+def test_new_fluid_has_no_verdict_yet_and_does_not_inherit_what_the_old_one_contradicted() -> None:
+    fits = (Fit.MISFITS, Fit.CONTRADICTS, Fit.AGREES)
+    worn = ConditionMemory(conditions=(Condition.CHANGE_FLUID, Condition.WATCH), fits=fits)
+    new = worn.with_new_fluid(FILLED_AT, believed(0.119, 0.137))
+    assert new.conditions == (Condition.NO_VERDICT, Condition.NO_VERDICT)
+    assert (new.fits, new.fluid_since) == ((Fit.MISFITS, Fit.AGREES), FILLED_AT)
+    borderline = believed(0.1295, 0.1285)
+    assert judge(worn, borderline, 1, CALIBRATION)[1].condition is Condition.CHANGE_FLUID
+    assert judge(new, borderline, 1, CALIBRATION)[1].condition is Condition.WATCH
+
+
+def test_what_new_fluid_does_not_bring_back_is_the_linings() -> None:
+    worn = aged(0.85)  # fluid and lining together have lost 15 %
+    memory = ConditionMemory.fresh().with_new_fluid(FILLED_AT, worn)
+    assert ConditionMemory.from_json(memory.to_json()) == memory
+    _, before = judge(memory, believed(0.14, 0.119, shift_count=0), 1, CALIBRATION)
+    assert before.lining is None  # no shift with the new fluid yet
+    _, verdict = judge(memory, believed(0.14 * 0.96, 0.119 * 0.97), 1, CALIBRATION)
+    assert verdict.lining is not None
+    assert verdict.lining.change_mu_c_ratio == pytest.approx(-0.04)
+    assert verdict.lining.change_mu_s_ratio == pytest.approx(-0.03)
+    assert 0.0 < verdict.lining.std_change_mu_c_ratio < 0.1
+    assert verdict.lining.baseline_shift_count == BASELINE_SHIFT_COUNT
+
+
+def test_the_lining_is_compared_with_the_first_fluid_whatever_came_between() -> None:
+    first = ConditionMemory.fresh().with_new_fluid(FILLED_AT, aged(0.85))
+    second = first.with_new_fluid("2026-02-01T00:00:00.000000Z", aged(0.7))
+    assert second.linings == first.linings
+    assert ConditionMemory.fresh().with_new_fluid(FILLED_AT, believed(0.14, 0.119)).linings == (None, None)
+
+
+def test_a_memory_with_an_impossible_lining_is_refused() -> None:
+    table = ConditionMemory.fresh().with_new_fluid(FILLED_AT, aged(0.85)).to_json()
+    linings = table["linings"]
+    assert isinstance(linings, list)
+    with pytest.raises(ValueError, match="impossible lining"):
+        ConditionMemory.from_json(table | {"linings": [linings[0] | {"mu_c": 0.0}, None]})

@@ -188,6 +188,16 @@ def test_a_baseline_is_frozen_once_and_outlives_forgotten_friction() -> None:
     assert np.any(baseline.cross[2:])
 
 
+def test_new_fluid_makes_friction_unknown_and_keeps_what_is_known_of_sensors() -> None:
+    state, _ = FilterState.fresh(CALIBRATION).updated(random_measurement(np.random.default_rng(12), 9))
+    state = replace(state, shift_counts=(BASELINE_SHIFT_COUNT, 3), refused_counts=(2, 1)).counted(1, 5)
+    new, fresh = state.with_new_fluid(CALIBRATION), FilterState.fresh(CALIBRATION)
+    assert (new.friction(1), new.friction(2)) == (fresh.friction(1), fresh.friction(2))
+    assert np.array_equal(new.mean[4:], state.mean[4:])
+    assert np.array_equal(new.covariance[4:, 4:], state.covariance[4:, 4:])
+    assert (new.baselines, new.shift_counts, new.refused_counts) == ((None, None), (0, 0), (0, 0))
+
+
 @pytest.mark.parametrize(
     "damage",
     [

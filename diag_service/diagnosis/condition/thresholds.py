@@ -1,0 +1,14 @@
+"""Every threshold of the verdict; docs/verdict.md says why each has its value."""
+
+MIN_SHIFT_COUNT = 2  # one shift may be an outlier
+MAX_MARGIN_STD_RATIO = 0.5  # of the reference margin: beyond it the slope is anyone's guess
+CHANGE_LEVEL_RATIO = 0.80  # torque reserve of the hold pressure (1.5) is half used up; of new, and of the own baseline
+WATCH_LEVEL_RATIO = 0.90
+WATCH_MARGIN_RATIO = 0.50  # half of the new fluid's margin against shudder is gone
+CHANGE_PROBABILITY = 0.95  # a workshop visit costs: be sure
+WATCH_PROBABILITY = 0.80
+LEAVE_PROBABILITY = 0.20  # to call off a verdict once given, its cause must have become unlikely
+FIT_WINDOW = 20  # shifts of both clutches: two cycles
+MAX_MISFIT_SHARE = 0.25  # none of the shifts of sound drives misfit; of another vehicle's calibration half do
+MIN_MISFIT_COUNT = 3  # one or two shifts are no share
+NEW_FLUID_CONTRADICTIONS = 4  # it contradicts the running state of each clutch twice, then that starts afresh

@@ -1,0 +1,102 @@
+"""Fluid fills between vehicle and fleet, over a real broker, also after a restart of everything."""
+
+import asyncio
+from collections.abc import AsyncIterator, Iterator
+from contextlib import AsyncExitStack, asynccontextmanager, closing
+from datetime import UTC, datetime, timedelta
+from pathlib import Path
+
+import pytest
+from sqlalchemy import Engine, select
+
+from diag_service.delivery import DeliveryLimits, MqttConnector, Outbox
+from diag_service.diagnosis.records import FluidFill
+from diag_service.store import ResultStore
+from fleet_backend import queries
+from fleet_backend.broker import connected
+from fleet_backend.choices import Pace
+from fleet_backend.database import open_database, transaction
+from fleet_backend.ingest import FILTERS, Worker
+from fleet_backend.schema import FLUID_FILL
+from fleet_backend.writer import Writer
+from fleet_link import BrokerAddress
+from tests.plugins.broker import Mosquitto
+from tests.support.outboxes import STATUS, put, sending, until
+
+pytestmark = pytest.mark.broker
+
+QUICK = DeliveryLimits(first_pause_s=0.05, longest_pause_s=0.1)
+OWN = FluidFill(vehicle="car1", filled_at="2026-01-01T00:00:00.000000Z", odometer_m=61_200_000.0, product="DCTF-II")
+OF_THE_FLEET = datetime(2026, 2, 1, 12, tzinfo=UTC)
+
+
+@pytest.fixture(name="engine")
+def _engine(sqlite_url: str) -> Iterator[Engine]:
+    engine = open_database(sqlite_url)
+    yield engine
+    engine.dispose()
+
+
+def utc_now() -> datetime:
+    return datetime.now(UTC)
+
+
+@asynccontextmanager
+async def world(broker: Mosquitto, engine: Engine, path: Path) -> AsyncIterator[ResultStore]:
+    """Run a backend and a vehicle until the block ends; yield the vehicle's store."""
+    address = BrokerAddress(host="127.0.0.1", port=broker.port)
+    pace = Pace()
+    worker = Worker(
+        lambda: connected(address, FILTERS, max_unsettled=pace.max_unsettled),
+        Writer(engine),
+        name="w",
+        now=utc_now,
+        pace=pace,
+    )
+    async with AsyncExitStack() as stack:
+        store = stack.enter_context(closing(ResultStore.open(path)))
+        connector = MqttConnector(address, "clutchdiag-car1", STATUS)
+        outbox = Outbox(
+            store,
+            "car1",
+            lambda: connector.connect(utc_now().strftime("%Y-%m-%dT%H:%M:%S.%fZ")),
+            str(address),
+            limits=QUICK,
+            shares_fluid=True,
+        )
+        ingest = asyncio.create_task(worker.run())
+        await until(lambda: worker.is_listening)
+        async with sending(outbox):
+            yield store
+        ingest.cancel()
+        await asyncio.gather(ingest, return_exceptions=True)
+
+
+def known_to_the_fleet(engine: Engine) -> list[tuple[datetime, str, float | None]]:
+    columns = (FLUID_FILL.c.filled_at, FLUID_FILL.c.product, FLUID_FILL.c.odometer_m)
+    with transaction(engine) as connection:
+        return [tuple(row) for row in connection.execute(select(*columns).order_by(FLUID_FILL.c.filled_at))]
+
+
+async def test_fills_travel_both_ways_and_survive_a_restart_of_everything(
+    broker: Mosquitto, engine: Engine, tmp_path: Path
+) -> None:
+    path = tmp_path / "car1.sqlite"
+    async with world(broker, engine, path) as store:
+        put(store, range(1, 4))
+        store.add_fills([OWN])
+        await until(lambda: len(known_to_the_fleet(engine)) == 1)
+    assert known_to_the_fleet(engine) == [(datetime(2026, 1, 1, tzinfo=UTC), "DCTF-II", 61_200_000.0)]
+    queries.note_fill(engine, "car1", "DCTF 75W", at=OF_THE_FLEET, odometer_m=None, note="workshop")
+    broker.stop()
+    broker.start()
+    async with world(broker, engine, path) as store:
+        await until(lambda: len(store.fills("car1")) == 2)
+        fills = store.fills("car1")
+        later = (OF_THE_FLEET + timedelta(days=1)).strftime("%Y-%m-%dT%H:%M:%S.%fZ")
+        assert store.fluid_at("car1", later) == fills[1]
+    assert fills == [
+        OWN,
+        FluidFill(vehicle="car1", filled_at="2026-02-01T12:00:00.000000Z", product="DCTF 75W", note="workshop"),
+    ]
+    assert len(known_to_the_fleet(engine)) == 2

@@ -1,0 +1,122 @@
+"""The sentence for a workshop: what to do, by when, how sure; nothing that today's numbers do not carry."""
+
+import re
+from dataclasses import replace
+
+import pytest
+
+from clutch_model.calibration import nominal_calibration
+from diag_service.diagnosis.condition.advice import Cause, Silence, advice
+from diag_service.diagnosis.condition.condition import ConditionMemory, Fit, judge, no_verdict
+from diag_service.diagnosis.records import ClutchVerdict, Condition
+from diag_service.diagnosis.results import clutch_record, dump, parse_shift, shift_record
+from diag_service.diagnosis.summary import Gap, unjudged
+from tests.support.builders import shift_result
+from tests.unit.diag_service.diagnosis.condition.test_condition import aged, believed
+
+CALIBRATION = nominal_calibration()
+
+
+def verdict_on(
+    mu_c: float, mu_s: float, *, previous: Condition = Condition.NO_VERDICT, **known: float
+) -> ClutchVerdict:
+    state = believed(mu_c, mu_s, std=known.get("std", 0.001), shift_count=int(known.get("shift_count", 5)))
+    return judge(ConditionMemory(conditions=(previous, previous)), state, 2, CALIBRATION)[1]
+
+
+@pytest.mark.parametrize(
+    ("mu_c", "mu_s", "sentence"),
+    [
+        (0.140, 0.119, "Clutch 2: nothing to do until the next service: its fluid is sound (over 99 % sure)."),
+        (
+            0.133,
+            0.125,
+            (
+                "Clutch 2: have the fluid changed at the next service: 50 % of its margin against shudder are gone "
+                "(96 % sure)."
+            ),
+        ),
+        (0.119, 0.137, "Clutch 2: change the fluid now: its fluid lets it shudder (over 99 % sure)."),
+        (0.105, 0.085, "Clutch 2: change the fluid now: its friction is below 80 % of new (98 % sure)."),
+    ],
+)
+def test_a_verdict_says_what_to_do_by_when_and_how_sure_it_is(mu_c: float, mu_s: float, sentence: str) -> None:
+    assert verdict_on(mu_c, mu_s).advice == sentence
+
+
+def test_a_fluid_of_which_nobody_is_sure_is_not_called_sound_without_saying_so() -> None:
+    verdict = verdict_on(0.1315, 0.1205)  # half of the margin left, more or less
+    assert verdict.condition is Condition.GOOD
+    assert verdict.advice is not None
+    assert verdict.advice.startswith("Clutch 2: nothing to do now, but measure again after more drives")
+    (percent,) = re.findall(r"\((\d+) % sure\)", verdict.advice)
+    assert 20 < int(percent) < 80
+
+
+def test_a_verdict_that_merely_stands_says_what_calls_it_off() -> None:
+    verdict = verdict_on(0.1295, 0.1285, previous=Condition.CHANGE_FLUID)
+    assert verdict.condition is Condition.CHANGE_FLUID
+    assert verdict.advice is not None
+    assert verdict.advice.endswith("(24 % sure, after at least 95 %; called off below 20 %).")
+
+
+def test_what_was_lost_of_the_own_friction_is_told_as_that() -> None:
+    state = replace(aged(0.88), considered=aged(0.88).considered * 0.0)
+    considered = state.considered.copy()
+    considered[0, 0] = 0.17**2  # the level says little
+    verdict = judge(ConditionMemory.fresh(), replace(state, considered=considered), 1, CALIBRATION)[1]
+    assert verdict.advice is not None
+    assert "it has lost more than 10 % of its own friction" in verdict.advice
+
+
+@pytest.mark.parametrize(
+    ("verdict", "sentence"),
+    [
+        (verdict_on(0.14, 0.119, shift_count=1), "fewer than 2 of its shifts could be used"),
+        (verdict_on(0.14, 0.119, std=0.02), "its friction is not known well enough yet"),
+        (no_verdict(2, "clutch pressures"), "the signals of this vehicle do not tell its friction"),
+        (unjudged(shift_result(), (Gap.LOG_CUT,)).verdict, "no verdict on a part of a drive"),
+    ],
+)
+def test_where_there_is_no_verdict_the_sentence_says_what_would_help(verdict: ClutchVerdict, sentence: str) -> None:
+    assert verdict.condition is Condition.NO_VERDICT
+    assert verdict.advice is not None
+    assert verdict.advice.startswith("Clutch 2: ")
+    assert sentence in verdict.advice
+
+
+def test_a_calibration_that_does_not_fit_is_no_matter_of_the_fluid() -> None:
+    memory = ConditionMemory(fits=(Fit.MISFITS,) * 5)
+    verdict = judge(memory, believed(0.119, 0.137), 1, CALIBRATION)[1]
+    assert verdict.advice is not None
+    assert "let diag-service calibrate make its own" in verdict.advice
+    assert "% sure" not in verdict.advice
+
+
+@pytest.mark.parametrize("ground", [*Cause, *Silence, None])
+@pytest.mark.parametrize("probability", [0.0, 0.2, 0.5, 0.949, 0.9949, 1.0])
+def test_it_is_one_line_that_promises_no_certainty(ground: Cause | Silence | None, probability: float) -> None:
+    for condition in (Condition.GOOD, Condition.WATCH, Condition.CHANGE_FLUID):
+        sentence = advice(1, condition, ground, probability)
+        assert sentence.startswith("Clutch 1: ")
+        assert sentence.endswith(".")
+        assert "\n" not in sentence
+        assert "100 %" not in sentence
+        assert len(sentence) <= 200
+
+
+def test_the_same_sentence_is_in_the_result_and_in_the_state_of_the_clutch() -> None:
+    result = shift_result()
+    worn = replace(result, verdict=replace(verdict_on(0.119, 0.137), clutch=result.verdict.clutch))
+    record = shift_record(worn)
+    assert isinstance(record["verdict"], dict)
+    assert record["verdict"]["advice"] == clutch_record(record)["advice"] == worn.verdict.advice
+    assert parse_shift(dump(record)).verdict.advice == worn.verdict.advice
+
+
+def test_results_of_before_have_no_sentence() -> None:
+    record = shift_record(shift_result())
+    assert isinstance(record["verdict"], dict)
+    del record["verdict"]["advice"]
+    assert parse_shift(dump(record)).verdict.advice is None
+    assert clutch_record(record)["advice"] is None
