@@ -65,7 +65,7 @@ def _run(options: SimpleNamespace, controls: Controls) -> None:
     from diag_service.console.notices import set_up_notices  # noqa: PLC0415 - see above
 
     set_up_notices(options.verbose)
-    commands = import_module(f"diag_service.commands.{options.command}")
+    commands = import_module(f"diag_service.commands.{options.command.replace('-', '_')}")
     commands.execute(options, _patient(controls) if _reads_standard_input(options) else controls)
 
 

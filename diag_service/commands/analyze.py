@@ -71,7 +71,9 @@ def _analyse_drive_into_file(options: SimpleNamespace, diagnosis: DiagnosisConfi
     check_output(options.output)
     heard, streams = MemoryReporter(), list[str]()
     with ReadingLine() as line, collected_notices() as notices:
-        reporter = AllReporters(line, reporter_of(controls.stop, as_json=options.json, is_detailed=options.verbose > 0), heard)
+        reporter = AllReporters(
+            line, reporter_of(controls.stop, as_json=options.json, is_detailed=options.verbose > 0), heard
+        )
         summary = run_recorded(
             diagnosis, options.logs, options.store, reporter, controls.stop,
             watch=line.watch, name_stream=streams.append,

@@ -251,6 +251,64 @@ _SCAN: Final = Command(
     ),
     examples=(f"{PROGRAM} scan -i socketcan -c can0 --active", f"{PROGRAM} scan -c can0 --extended --active --json"),
 )
+_STORE: Final = click.Argument(
+    ["store"], type=FILE, metavar="STORE", help="store of results, as run and analyze make it"
+)
+_VEHICLE: Final = Option("--vehicle ID", "whose results (default: the only vehicle in the store)")
+_REPORT: Final = Command(
+    "report",
+    "write the findings of logs or a store as one HTML page",
+    click.Argument(
+        ["logs"],
+        nargs=-1,
+        required=True,
+        type=FILE,
+        metavar="LOG...|STORE",
+        help="logs of a drive, - is standard input; or a store",
+    ),
+    _output("HTML file to write", required=True),
+    FORCE,
+    *(*MEANING, CONFIG, VERBOSE),
+    variables=VARIABLES,
+    description="Write what was found as one HTML page that needs no network: what to do, friction over slip, trend, "
+    "single shifts (of logs), quality of the data, what was not seen and why.",
+    examples=(
+        f"{PROGRAM} report drive.log -o report.html",
+        f"{PROGRAM} report car1.sqlite -o car1.html --calibration car1.toml",
+    ),
+)
+_HISTORY: Final = Command(
+    "history",
+    "show how the friction of each clutch went",
+    _STORE,
+    _VEHICLE,
+    Option("--clutch", "of this clutch only", Choice([1, 2])),
+    Option("--rows N", "events per clutch in the table, evenly spread (default: 20)", INT, default=20),
+    Option("--json", "JSON lines on standard output: every event, then the fluid fills"),
+    VERBOSE,
+    examples=(f"{PROGRAM} history car1.sqlite", f"{PROGRAM} history car1.sqlite --clutch 2 --json"),
+)
+_SHOW: Final = Command(
+    "show",
+    "show all that a store holds of one shift",
+    _STORE,
+    click.Argument(["shift"], type=INT, metavar="SHIFT", help="its number in the table of history"),
+    *(_JSON, VERBOSE),
+    examples=(f"{PROGRAM} show car1.sqlite 17",),
+)
+_FLUID_CHANGED: Final = Command(
+    "fluid-changed",
+    "note that the vehicle got new fluid",
+    *(_STORE, _VEHICLE),
+    Option("--at DATE", "when, ISO 8601, UTC without a zone (default: now)"),
+    Option("--odometer KM", "reading of the odometer [km]", FLOAT),
+    Option("--product NAME", "name of the fluid"),
+    Option("--note TEXT", "what is to be remembered of it"),
+    VERBOSE,
+    description="Note that the vehicle got new fluid. The shifts after that begin a new baseline; what is known of "
+    "sensors and lining stays. A service that is running takes it up before its next shift.",
+    examples=(f"{PROGRAM} fluid-changed car1.sqlite --at 2026-01-31 --odometer 61200 --product DCTF-II",),
+)
 COMMAND_LINE: Final = Program(
     PROGRAM,
     "Diagnoses wet dual clutches from their CAN traffic, shift by shift.",
@@ -258,7 +316,8 @@ COMMAND_LINE: Final = Program(
     _RUN,
     _MONITOR,
     Group("config", "look at the settings", _CHECK, metavar="ACTION"),
-    *(_ANALYZE, _CALIBRATE, _INSPECT, _SIGNALS, _DECODE),
+    *(_ANALYZE, _REPORT, _HISTORY, _SHOW, _FLUID_CHANGED),
+    *(_CALIBRATE, _INSPECT, _SIGNALS, _DECODE),
     *(_DTC, _DID, _ROUTINE, _SCAN),
 )
 

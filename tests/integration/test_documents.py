@@ -34,7 +34,7 @@ def help_text(*words: str) -> str:
 @cache
 def subcommands(module: str) -> frozenset[str]:
     """Return the commands that a program's help lists."""
-    return frozenset(re.findall(r"^ {2,4}([a-z]+)(?= {2,}|$)", help_text(module), re.MULTILINE))
+    return frozenset(re.findall(r"^ {2,4}([a-z][a-z-]*)(?= {2,}|$)", help_text(module), re.MULTILINE))
 
 
 @pytest.mark.parametrize("shown", PROGRAM_COMMANDS, ids=lambda shown: shown.line)

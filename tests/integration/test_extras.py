@@ -14,7 +14,7 @@ PROGRAMS = {
     "fleet-backend": "fleet_backend.cli",
     "fleet-certificates": "fleet_backend.certificates.cli",
 }
-COMMAND = re.compile(r"^    ([a-z]+)(?:  +\S|$)", re.MULTILINE)
+COMMAND = re.compile(r"^    ([a-z][a-z-]*)(?:  +\S|$)", re.MULTILINE)
 CANDUMP = "(1767225600.000000) vcan0 123#0011223344556677\n" * 4
 MDF = b"MDF     4.10    asammdf ".ljust(512, b"\0")
 

@@ -1,0 +1,158 @@
+"""What a report is about: results of one vehicle, from logs or a store, and the signals of a few of its shifts."""
+
+from collections.abc import Iterable, Sequence
+from contextlib import ExitStack, closing
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from canlog.logs.reading import Watch
+from clutch_model.calibration import Calibration
+from diag_service.delivery import MemoryReporter
+from diag_service.diagnosis.events import Event
+from diag_service.diagnosis.records import FluidFill, ShiftResult, Status
+from diag_service.diagnosis.summary import Gap, Summary
+from diag_service.errors import StoppedError
+from diag_service.service.drive import open_drive, stream_of_drive
+from diag_service.service.recorded import STOPPED_TEXT, replay, warn_of_slow_messages
+from diag_service.service.session import Session, versions_for
+from diag_service.service.stopping import Trigger
+from diag_service.settings.config import DiagnosisConfig
+from diag_service.store import ResultStore, Row, StoreReader, Versions
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Example:
+    """A shift with its signals."""
+
+    event: Event
+    result: ShiftResult
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Findings:
+    """Results of one vehicle in their order, all of the same versions, and where they are from."""
+
+    vehicle: str
+    sources: tuple[str, ...]
+    rows: tuple[Row, ...]  # of logs numbered from 1
+    latest: tuple[ShiftResult, ...]  # of each clutch, clutch 1 first; of a part of a drive without a verdict
+    versions: Versions
+    calibration: Calibration | None  # with which the results were made; None: another one than is at hand
+    summary: Summary | None = None  # of the frames; a store keeps none
+    fills: tuple[FluidFill, ...] = ()  # the earliest first
+    examples: tuple[Example, ...] = ()  # one that was used and one that was not, if there were
+    left_out_count: int = 0  # results of other versions
+
+    @property
+    def results(self) -> tuple[ShiftResult, ...]:
+        """All results."""
+        return tuple(row.result for row in self.rows)
+
+
+class Album:
+    """Keeps the shifts that are shown as pictures: the best that was used, and the worst that was rejected."""
+
+    def __init__(self) -> None:
+        self._used: Example | None = None
+        self._rejected: Example | None = None
+
+    def offer(self, event: Event, result: ShiftResult) -> None:
+        """Look at a shift; of those that are alike the first is kept."""
+        status = result.estimate.status
+        if status is Status.VALID and _is_better(self._used, result.estimate.quality):
+            self._used = Example(event=_own(event), result=result)
+        elif status is Status.REJECTED and _is_better(self._rejected, -_believed(result)):
+            self._rejected = Example(event=_own(event), result=result)
+
+    @property
+    def examples(self) -> tuple[Example, ...]:
+        """What was kept."""
+        return tuple(one for one in (self._used, self._rejected) if one is not None)
+
+
+def findings_of_logs(
+    config: DiagnosisConfig, paths: Sequence[Path], stop: Trigger, *, watch: Watch | None = None
+) -> Findings:
+    """Analyse the logs of a drive; ``watch`` hears how far the reading is.
+
+    Raises what `analyze` raises, and StoppedError if it was stopped.
+    """
+    meaning, reporter, album = config.interpretation(), MemoryReporter(), Album()
+    with ExitStack() as opened:
+        logs = open_drive(paths, is_stopped=lambda: stop.is_set, watch=watch)
+        for log in logs:
+            opened.callback(log.reader.close)
+        stream = stream_of_drive((log.path for log in logs), meaning.files)
+        store = opened.enter_context(closing(ResultStore.in_memory()))
+        session = Session(config, meaning.decoder(), store, stream, reporter)
+
+        def process(event: Event) -> None:
+            session.process(event)
+            album.offer(event, reporter.results[-1])
+
+        account = replay(logs, session.stages, stop, process)
+        if Gap.STOPPED in account.gaps:
+            raise StoppedError(f"{STOPPED_TEXT}: no report was written")
+        warn_of_slow_messages(session.stages)
+        summary = session.finish(account.frames, None, account.gaps, account.contributions)
+        sources = tuple(Path(log.reader.name).name for log in logs)
+    return Findings(
+        vehicle=config.vehicle,
+        sources=sources,
+        rows=tuple(Row(position=number, result=one) for number, one in enumerate(reporter.results, 1)),
+        latest=summary.latest,
+        versions=versions_for(config.calibration),
+        calibration=config.calibration,
+        summary=summary,
+        examples=album.examples,
+    )
+
+
+def findings_of_store(path: Path, named: str | None, calibration: Calibration) -> Findings:
+    """Return what a store holds of a vehicle, by the versions of its newest result.
+
+    Raises StoreError if it is none, has no results of the vehicle that was named, or several vehicles and none was.
+    """
+    with StoreReader.open(path) as store:
+        vehicle = store.vehicle(named)
+        rows = list(store.rows(vehicle))
+        fills = tuple(store.fills(vehicle))
+    versions = _versions(rows[-1].result)
+    same = tuple(row for row in rows if _versions(row.result) == versions)
+    return Findings(
+        vehicle=vehicle,
+        sources=(path.name,),
+        rows=same,
+        latest=latest_of(row.result for row in same),
+        versions=versions,
+        calibration=calibration if versions_for(calibration).calibration == versions.calibration else None,
+        fills=fills,
+        left_out_count=len(rows) - len(same),
+    )
+
+
+def latest_of(results: Iterable[ShiftResult]) -> tuple[ShiftResult, ...]:
+    """Return the last result of each clutch, clutch 1 first."""
+    newest = {result.estimate.clutch: result for result in results}
+    return tuple(result for _, result in sorted(newest.items()))
+
+
+def _versions(result: ShiftResult) -> Versions:
+    return Versions(algorithm=result.algorithm_version, calibration=result.calibration_version)
+
+
+def _is_better(kept: Example | None, value: float) -> bool:
+    if kept is None:
+        return True
+    estimate = kept.result.estimate
+    return value > (estimate.quality if estimate.status is Status.VALID else -_believed(kept.result))
+
+
+def _believed(result: ShiftResult) -> float:
+    quality = result.estimate.data_quality
+    return 1.0 if quality is None else quality.score
+
+
+def _own(event: Event) -> Event:
+    """Return an event with samples of its own: those of the stream are written over."""
+    return replace(event, columns={signal: series.copy() for signal, series in event.columns.items()})

@@ -1,0 +1,204 @@
+"""What a store tells of the past: the friction of each clutch, fluid by fluid, and all of one shift."""
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Final
+
+from rich import box
+from rich.table import Table
+from rich.text import Text
+
+from diag_service.diagnosis.records import ClutchVerdict, FluidFill, FrictionEstimate, FrictionTrend, LiningChange
+from diag_service.diagnosis.results import fill_record, utc_from_bus_ns
+from diag_service.report.content import spread
+from diag_service.report.findings import Findings
+from diag_service.report.sections import condition_word
+from diag_service.store import Row
+from fleet_contract import JsonObject
+
+HISTORY_SCHEMA: Final = "clutchdiag/history/v1"
+UNKNOWN_FLUID: Final = "fluid of unknown age"
+_NONE: Final = "-"
+_MINUTE: Final = 16  # characters of an ISO moment up to its minutes
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class FluidPeriod:
+    """The results of one clutch with one fluid."""
+
+    fill: FluidFill | None  # None: the fluid was there before anything was known
+    rows: tuple[Row, ...]
+
+    @property
+    def name(self) -> str:
+        """The fluid and since when, for people."""
+        if self.fill is None:
+            return UNKNOWN_FLUID
+        return f"{self.fill.product or 'fluid'} since {_minute(self.fill.filled_at)}"
+
+    @property
+    def last_verdict(self) -> ClutchVerdict | None:
+        """What was last said of the clutch with this fluid."""
+        return self.rows[-1].result.verdict if self.rows else None
+
+    @property
+    def known_shift_count(self) -> int:
+        """Shifts in the running estimate at the end."""
+        return 0 if self.last_verdict is None else self.last_verdict.shift_count
+
+
+def periods_of(found: Findings, clutch: int) -> list[FluidPeriod]:
+    """Return the results of a clutch, fluid by fluid; a fluid without any is one of them too."""
+    rows = [row for row in found.rows if row.result.estimate.clutch == clutch]
+    starts = [utc_from_bus_ns(row.result.estimate.start_ns) for row in rows]
+    fills: list[FluidFill | None] = [None, *found.fills]
+    periods = []
+    for fill, following in zip(fills, [*fills[1:], None], strict=True):
+        since, until = "" if fill is None else fill.filled_at, None if following is None else following.filled_at
+        own = [
+            row for row, start in zip(rows, starts, strict=True) if since <= start and (until is None or start < until)
+        ]
+        if own or fill is not None:
+            periods.append(FluidPeriod(fill=fill, rows=tuple(own)))
+    return periods
+
+
+def history_records(found: Findings, clutches: Sequence[int]) -> Iterator[JsonObject]:
+    """Yield a record per event of the clutches, in order, and a last one with the fills."""
+    for clutch in clutches:
+        number = 0
+        for period in periods_of(found, clutch):
+            for row in period.rows:
+                number += 1
+                yield _event_record(row, clutch, number, period.fill)
+    yield {
+        "schema": HISTORY_SCHEMA,
+        "record": "fills",
+        "vehicle": found.vehicle,
+        "fills": [fill_record(fill) for fill in found.fills],
+        "left_out_count": found.left_out_count,
+        "algorithm_version": found.versions.algorithm,
+        "calibration_version": found.versions.calibration,
+    }
+
+
+def history_lines(found: Findings, clutches: Sequence[int], *, most_rows: int) -> Iterator[Text | Table]:
+    """Yield for people: the sentence on each clutch, its fluids, and at most ``most_rows`` of its events."""
+    left_out = f"; {found.left_out_count} of other versions are left out" if found.left_out_count else ""
+    yield Text(f"{found.vehicle}: {len(found.rows)} events{left_out}")
+    for result in found.latest:
+        if result.estimate.clutch in clutches and result.verdict.advice is not None:
+            yield Text(result.verdict.advice)
+    for clutch in clutches:
+        periods = periods_of(found, clutch)
+        rows = [row for period in periods for row in period.rows]
+        if not rows:
+            yield Text(f"Clutch {clutch}: no event engaged it.")
+            continue
+        yield _fluid_table(clutch, periods)
+        yield _event_table(clutch, rows, most_rows)
+
+
+def shift_lines(record: JsonObject) -> Iterator[Text]:
+    """Yield everything that is stored of a shift, a line per value; groups of values are indented."""
+    verdict = record.get("verdict")
+    if isinstance(verdict, Mapping) and verdict.get("advice"):
+        yield Text(str(verdict["advice"]))
+    yield from _value_lines(record, "")
+
+
+def _value_lines(table: Mapping[str, object], indent: str) -> Iterator[Text]:
+    for name, value in table.items():
+        if isinstance(value, Mapping):
+            yield Text(f"{indent}{name}")
+            yield from _value_lines(value, f"{indent}  ")
+        elif isinstance(value, list):
+            yield Text(f"{indent}{name}  {', '.join(map(str, value)) or _NONE}")
+        else:
+            yield Text(f"{indent}{name}  {_NONE if value is None else value}")
+
+
+def _event_record(row: Row, clutch: int, number: int, fill: FluidFill | None) -> JsonObject:
+    result, running = row.result, row.result.verdict.friction
+    own = result.estimate.friction
+    return {
+        "schema": HISTORY_SCHEMA,
+        "record": "event",
+        "vehicle": result.vehicle,
+        "clutch": clutch,
+        "number": number,
+        "shift": row.position,
+        "end_utc": utc_from_bus_ns(result.estimate.end_ns),
+        "odometer_m": result.estimate.odometer_m,
+        "kind": result.estimate.kind.value,
+        "status": result.estimate.status.value,
+        "mu_c": None if own is None else own.mu_c,
+        "std_mu_c": None if own is None else own.std_mu_c,
+        "running_mu_c": None if running is None else running.mu_c,
+        "running_std_mu_c": None if running is None else running.std_mu_c,
+        "running_mu_s": None if running is None else running.mu_s,
+        "running_std_mu_s": None if running is None else running.std_mu_s,
+        "probability_negative_slope": None if running is None else running.probability_negative_slope,
+        "level_ratio": result.verdict.level_ratio,
+        "condition": result.verdict.condition.name.lower(),
+        "advice": result.verdict.advice,
+        "fluid_since": None if fill is None else fill.filled_at,
+        "stream": result.stream,
+        "seq": result.seq,
+    }
+
+
+def _fluid_table(clutch: int, periods: Sequence[FluidPeriod]) -> Table:
+    table = _table(f"Clutch {clutch}, fluid by fluid")
+    for name in ("fluid", "shifts", "mu_C at the end", "since its baseline", "against the first fluid", "verdict"):
+        table.add_column(name, justify="left" if name in {"fluid", "verdict"} else "right", no_wrap=True)
+    for period in periods:
+        verdict = period.last_verdict
+        table.add_row(
+            period.name,
+            str(period.known_shift_count),
+            _NONE if verdict is None else _friction(verdict.friction),
+            _NONE if verdict is None else _change(verdict.trend),
+            _NONE if verdict is None else _change(verdict.lining),
+            _NONE if verdict is None else condition_word(verdict),
+        )
+    return table
+
+
+def _event_table(clutch: int, rows: Sequence[Row], most_rows: int) -> Table:
+    places = spread(range(len(rows)), most_rows)
+    table = _table(f"Clutch {clutch}: {len(places)} of {len(rows)} events; shift is the number that 'show' takes")
+    for name in ("shift", "end (UTC)", "km", "data", "mu_C", "running mu_C", "verdict"):
+        table.add_column(name, justify="left" if name in {"data", "verdict"} else "right", no_wrap=True)
+    for place in places:
+        estimate, verdict = rows[place].result.estimate, rows[place].result.verdict
+        table.add_row(
+            str(rows[place].position),
+            _minute(utc_from_bus_ns(estimate.end_ns)),
+            _NONE if estimate.odometer_m is None else f"{estimate.odometer_m / 1000.0:.0f}",
+            estimate.status.value,
+            _friction(estimate.friction),
+            _friction(verdict.friction),
+            condition_word(verdict),
+        )
+    return table
+
+
+def _table(title: str) -> Table:
+    return Table(
+        title=title, title_justify="left", title_style="bold", box=box.SIMPLE_HEAD, pad_edge=False, padding=(0, 1, 0, 0)
+    )
+
+
+def _friction(friction: FrictionEstimate | None) -> str:
+    return _NONE if friction is None else f"{friction.mu_c:.4f} ± {friction.std_mu_c:.4f}"
+
+
+def _change(since: FrictionTrend | LiningChange | None) -> str:
+    if since is None:
+        return _NONE
+    return f"{100.0 * since.change_mu_c_ratio:+.1f} ± {100.0 * since.std_change_mu_c_ratio:.1f} %"
+
+
+def _minute(moment: str) -> str:
+    return moment[:_MINUTE].replace("T", " ")

@@ -1,0 +1,210 @@
+"""The pictures of a report: friction over slip, its trend, the signals of a shift."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from markupsafe import Markup
+
+from canlog.arrays import FloatArray
+from clutch_model.clutch import FrictionCurve
+from clutch_model.units import bar_from_pa, rpm_from_rad_s
+from diag_service.diagnosis.columns import Signal
+from diag_service.diagnosis.condition.thresholds import CHANGE_LEVEL_RATIO, WATCH_LEVEL_RATIO
+from diag_service.diagnosis.events import Event
+from diag_service.diagnosis.friction.curve import curve_band, new_curve
+from diag_service.diagnosis.records import ClutchVerdict, FrictionEstimate, ShiftResult
+from diag_service.diagnosis.results import utc_from_bus_ns
+from diag_service.report.plot import Axis, Plot, thinned
+
+BAND_STD: Final = 2.0
+MOST_POINTS: Final = 600  # of a trend; a screen shows no more
+MOST_SAMPLES: Final = 400  # of one signal of a shift
+MOST_MOMENTS: Final = 8  # names of moments do not overlap too much
+NS_PER_S: Final = 1e9
+_SLIP_RAD_S: Final = np.linspace(0.0, 40.0, 121)
+_THRESHOLDS: Final = ((1.0, "new"), (WATCH_LEVEL_RATIO, "watch"), (CHANGE_LEVEL_RATIO, "change"))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Trend:
+    """How the friction of one clutch went, an item per event that engaged it; NaN where nothing is known."""
+
+    clutch: int
+    single_mu_c: FloatArray  # (n,) of the event alone
+    mu_c: FloatArray  # (n,) of all events until then
+    std_mu_c: FloatArray  # (n,)
+    new_mu_c: float | None  # of the calibration
+    moments: tuple[tuple[int, str, str], ...]  # number of the event, kind, text
+
+    @property
+    def number(self) -> FloatArray:
+        """The numbers of the events, from 1 on, shape (n,)."""
+        return np.arange(1.0, len(self.mu_c) + 1.0)
+
+    @classmethod
+    def of(cls, clutch: int, results: Sequence[ShiftResult], fills: Sequence[str]) -> "Trend":
+        """Return the trend of the results of one clutch; ``fills`` are the moments of new fluid, ISO 8601 UTC."""
+        running = [result.verdict.friction for result in results]
+        levels = [result.verdict for result in results if result.verdict.level_ratio and result.verdict.friction]
+        return cls(
+            clutch=clutch,
+            single_mu_c=np.array([_mu_c(result.estimate.friction) for result in results]),
+            mu_c=np.array([_mu_c(one) for one in running]),
+            std_mu_c=np.array([np.nan if one is None else one.std_mu_c for one in running]),
+            new_mu_c=_new_mu_c(levels[-1]) if levels else None,
+            moments=tuple(_moments(results, fills)),
+        )
+
+
+def curve_picture(clutch: int, friction: FrictionEstimate, reference: FrictionCurve) -> Markup:
+    """Return the friction of one clutch over slip, beside that of new fluid and the thresholds of the verdict."""
+    new = new_curve(_SLIP_RAD_S, reference)
+    mean, std = curve_band(_SLIP_RAD_S, friction, reference)
+    low, high = mean - BAND_STD * std, mean + BAND_STD * std
+    levels = [ratio * reference.mu_c for ratio, _ in _THRESHOLDS]
+    x = Axis(low=0.0, high=float(_SLIP_RAD_S[-1]), label="slip speed [rad/s]")
+    label = f"Clutch {clutch}: friction coefficient over slip speed, estimate with band, new fluid, thresholds"
+    plot = Plot(label, x, Axis.around("friction coefficient", new, low, high, levels))
+    _draw_thresholds(plot, reference.mu_c)
+    plot.line(_SLIP_RAD_S, new, "line new dashed")
+    plot.band(_SLIP_RAD_S, low, high, f"band clutch{clutch}")
+    plot.line(_SLIP_RAD_S, mean, f"line strong clutch{clutch}")
+    return plot.markup()
+
+
+def trend_picture(trend: Trend) -> Markup:
+    """Return how the friction of one clutch went, thinned to what a screen can show."""
+    number, std = trend.number, BAND_STD * trend.std_mu_c
+    levels = [] if trend.new_mu_c is None else [ratio * trend.new_mu_c for ratio, _ in _THRESHOLDS]
+    y = Axis.around("mu_C", trend.single_mu_c, trend.mu_c - std, trend.mu_c + std, np.array(levels))
+    x = Axis(low=0.0, high=len(number) + 1.0, label=f"event of clutch {trend.clutch}")
+    plot = Plot(f"Clutch {trend.clutch}: trend of mu_C, single events and running estimate with band", x, y)
+    if trend.new_mu_c is not None:
+        _draw_thresholds(plot, trend.new_mu_c)
+    single, running = thinned(trend.single_mu_c, MOST_POINTS), thinned(trend.mu_c, MOST_POINTS)
+    low, high = (trend.mu_c - std)[running], (trend.mu_c + std)[running]
+    plot.band(number[running], low, high, f"band clutch{trend.clutch}")
+    plot.dots(number[single], trend.single_mu_c[single], f"clutch{trend.clutch}")
+    plot.line(number[running], trend.mu_c[running], f"line strong clutch{trend.clutch}")
+    for place, style, text in trend.moments[-MOST_MOMENTS:]:
+        plot.moment(float(place), style, text)
+    return plot.markup()
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Curve:
+    """One signal of a shift as it is drawn."""
+
+    signal: Signal
+    label: str
+    style: str
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Panel:
+    """Signals of one unit, drawn together."""
+
+    title: str
+    unit: str
+    factor: float  # from SI
+    curves: tuple[Curve, ...]
+
+
+def _curve(signal: Signal, label: str, style: str) -> Curve:
+    return Curve(signal=signal, label=label, style=style)
+
+
+PANELS: Final = (
+    Panel(
+        title="Speeds",
+        unit="rpm",
+        factor=rpm_from_rad_s(1.0),
+        curves=(
+            _curve(Signal.ENGINE_SPEED, "engine", "ink"),
+            _curve(Signal.HUB_SPEED, "clutch hub", "new"),
+            _curve(Signal.INPUT1_SPEED, "input shaft 1", "clutch1"),
+            _curve(Signal.INPUT2_SPEED, "input shaft 2", "clutch2"),
+            _curve(Signal.INPUT_SPEED, "input shaft", "clutch1"),
+        ),
+    ),
+    Panel(
+        title="Pressures",
+        unit="bar",
+        factor=bar_from_pa(1.0),
+        curves=(
+            _curve(Signal.CLUTCH1_PRESSURE, "clutch 1", "clutch1"),
+            _curve(Signal.CLUTCH1_PRESSURE_COMMAND, "clutch 1, commanded", "clutch1 dashed"),
+            _curve(Signal.CLUTCH2_PRESSURE, "clutch 2", "clutch2"),
+            _curve(Signal.CLUTCH2_PRESSURE_COMMAND, "clutch 2, commanded", "clutch2 dashed"),
+        ),
+    ),
+    Panel(
+        title="Torques",
+        unit="Nm",
+        factor=1.0,
+        curves=(
+            _curve(Signal.ENGINE_TORQUE, "engine", "ink"),
+            _curve(Signal.CLUTCH_TORQUE, "clutches", "new"),
+            _curve(Signal.CLUTCH1_TORQUE_COMMAND, "clutch 1, commanded", "clutch1 dashed"),
+            _curve(Signal.CLUTCH2_TORQUE_COMMAND, "clutch 2, commanded", "clutch2 dashed"),
+        ),
+    ),
+)
+
+
+def present_curves(panel: Panel, event: Event) -> tuple[Curve, ...]:
+    """Return what of a panel an event has signals for."""
+    return tuple(one for one in panel.curves if one.signal in event.columns and len(event.columns[one.signal].t_ns))
+
+
+def shift_picture(panel: Panel, event: Event) -> Markup:
+    """Return the signals of one unit over the time of a shift; only for panels of which some are present."""
+    curves = present_curves(panel, event)
+    times = [(event.columns[one.signal].t_ns - event.start_ns) / NS_PER_S for one in curves]
+    values = [event.columns[one.signal].value * panel.factor for one in curves]
+    duration_s = (event.end_ns - event.start_ns) / NS_PER_S
+    x = Axis.around("time since the shift began [s]; shaded: the shift", *times, margin_ratio=0.0)
+    names = ", ".join(one.label for one in curves)
+    plot = Plot(f"{panel.title} during the shift [{panel.unit}]: {names}", x, Axis.around(panel.unit, *values))
+    plot.span(max(0.0, x.low), min(duration_s, x.high), "shade")
+    for one, t_s, value in zip(curves, times, values, strict=True):
+        kept = thinned(value, MOST_SAMPLES)
+        plot.line(t_s[kept], value[kept], f"line {one.style}")
+    return plot.markup()
+
+
+def _draw_thresholds(plot: Plot, new_mu_c: float) -> None:
+    for ratio, style in _THRESHOLDS:
+        plot.level(ratio * new_mu_c, style, f"{style}: {100.0 * ratio:.0f} %")
+
+
+def _moments(results: Sequence[ShiftResult], fills: Sequence[str]) -> list[tuple[int, str, str]]:
+    """Return where fluid was filled, the baseline was frozen and the verdict changed, by number of the event."""
+    moments: list[tuple[int, str, str]] = []
+    starts = [utc_from_bus_ns(result.estimate.start_ns) for result in results]
+    for filled_at in fills:
+        place = next((number for number, start in enumerate(starts, 1) if start >= filled_at), None)
+        if place is not None:
+            moments.append((place, "fill", "new fluid"))
+    known: ClutchVerdict | None = None
+    for number, result in enumerate(results, 1):
+        verdict = result.verdict
+        if known is not None and verdict.trend is not None and known.trend is None:
+            moments.append((number, "base", "baseline"))
+        if known is not None and verdict.condition is not known.condition:
+            word = verdict.condition.name.lower()
+            moments.append((number, word, word.replace("_", " ")))
+        known = verdict
+    return sorted(moments)
+
+
+def _mu_c(friction: FrictionEstimate | None) -> float:
+    return np.nan if friction is None else friction.mu_c
+
+
+def _new_mu_c(verdict: ClutchVerdict) -> float | None:
+    if verdict.friction is None or not verdict.level_ratio:
+        return None
+    return verdict.friction.mu_c / verdict.level_ratio

@@ -1,0 +1,101 @@
+"""What a store tells of the past: fluid by fluid, event by event, and what it leaves out."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+from rich.table import Table
+from rich.text import Text
+
+from clutch_model.calibration import nominal_calibration
+from diag_service.diagnosis.records import FluidFill
+from diag_service.diagnosis.results import shift_record, utc_from_bus_ns
+from diag_service.errors import StoreError
+from diag_service.report.findings import findings_of_store
+from diag_service.report.history import history_lines, history_records, periods_of, shift_lines
+from diag_service.store import Versions
+from tests.support.histories import VERSIONS, fill_store, findings, history, of_version
+
+CALIBRATION = nominal_calibration()
+
+
+def fill_at(seq: int) -> FluidFill:
+    start_ns = history(40)[seq - 1].estimate.start_ns
+    return FluidFill(vehicle="car1", filled_at=utc_from_bus_ns(start_ns), product="DCTF-II")
+
+
+def test_results_belong_to_the_fluid_of_their_moment() -> None:
+    found = replace(findings(40), fills=(fill_at(21),))
+    old, new = periods_of(found, 1)
+    assert [row.position for row in old.rows] == list(range(1, 21, 2))
+    assert [row.position for row in new.rows] == list(range(21, 41, 2))
+    assert (old.name, new.name.startswith("DCTF-II since 2026-01-01")) == ("fluid of unknown age", True)
+
+
+def test_a_fluid_without_a_shift_yet_is_in_the_list() -> None:
+    later = FluidFill(vehicle="car1", filled_at="2027-01-01T00:00:00.000000Z")
+    old, new = periods_of(replace(findings(10), fills=(later,)), 2)
+    assert len(old.rows) == 5
+    assert new.rows == ()
+
+
+def test_every_event_is_a_record_and_the_last_one_has_the_fills() -> None:
+    found = replace(findings(40), fills=(fill_at(21),))
+    *events, fills = history_records(found, (1, 2))
+    assert len(events) == 40
+    assert {record["clutch"] for record in events} == {1, 2}
+    first = events[0]
+    verdict = found.rows[0].result.verdict
+    assert verdict.friction is not None
+    assert (first["shift"], first["running_mu_c"], first["advice"]) == (1, verdict.friction.mu_c, verdict.advice)
+    assert [record["fluid_since"] for record in events[:20]] == [None] * 10 + [fill_at(21).filled_at] * 10
+    assert fills["fills"] == [
+        {"filled_at": fill_at(21).filled_at, "odometer_m": None, "product": "DCTF-II", "note": None}
+    ]
+
+
+def test_people_see_the_sentences_first_and_no_more_rows_than_asked_for() -> None:
+    head, first, second, *tables = history_lines(findings(40), (1, 2), most_rows=5)
+    assert isinstance(head, Text)
+    assert head.plain == "car1: 40 events"
+    assert str(first).startswith("Clutch 1: ")
+    assert str(second).startswith("Clutch 2: ")
+    assert [table.row_count for table in tables if isinstance(table, Table)] == [1, 5, 1, 5]
+
+
+def test_a_clutch_that_never_engaged_is_told() -> None:
+    found = findings(9)
+    one = tuple(row for row in found.rows if row.result.estimate.clutch == 2)
+    lines = list(history_lines(replace(found, rows=one), (1,), most_rows=5))
+    assert str(lines[-1]) == "Clutch 1: no event engaged it."
+
+
+def test_all_of_a_shift_is_told() -> None:
+    record = shift_record(history(3)[0])
+    lines = [line.plain for line in shift_lines(record)]
+    assert lines[0].startswith("Clutch ")
+    assert "number  1" in lines
+    assert any(line.startswith("  mu_c  0.1") for line in lines)
+    assert "odometer_m  1000.0" in lines
+    assert len(lines) > len(record)
+
+
+def test_a_store_gives_the_results_of_its_newest_versions(tmp_path: Path) -> None:
+    old = Versions(algorithm="impulse-0", calibration=VERSIONS.calibration)
+    fill_store(tmp_path / "car1.sqlite", [of_version(one, old) for one in history(3)] + history(8), [fill_at(5)])
+    found = findings_of_store(tmp_path / "car1.sqlite", None, CALIBRATION)
+    assert (len(found.rows), found.left_out_count, found.versions) == (8, 3, VERSIONS)
+    assert found.calibration == CALIBRATION
+    assert found.fills == (fill_at(5),)
+    other = replace(CALIBRATION, version="another")
+    assert findings_of_store(tmp_path / "car1.sqlite", "car1", other).calibration is None
+
+
+def test_a_store_with_several_vehicles_wants_a_name(tmp_path: Path) -> None:
+    path = tmp_path / "two.sqlite"
+    fill_store(path, history(2) + history(2, vehicle="car2"))
+    with pytest.raises(StoreError, match="several vehicles: name one by --vehicle, of car1, car2"):
+        findings_of_store(path, None, CALIBRATION)
+    with pytest.raises(StoreError, match="no results of ghost; it has car1, car2"):
+        findings_of_store(path, "ghost", CALIBRATION)
+    assert findings_of_store(path, "car2", CALIBRATION).vehicle == "car2"
