@@ -74,8 +74,7 @@ def analyze_folders(
         Folders, with what is below them; single logs among them are one drive together.
     output
         A ``.jsonl``, ``.csv`` or ``.parquet`` file for the results; one that is there is replaced. With it a run
-        that was ended half-way, killed
-        even, is taken up where it ended.
+        that was ended half-way, killed even, is taken up where it ended.
     jobs
         Drives at a time; by default one per core.
     has_vehicles
