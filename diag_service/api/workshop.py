@@ -142,7 +142,10 @@ def analyze_by_paper(
     is_strict: bool = False,
     is_lenient: bool = False,
 ) -> PaperAnalysis:
-    """Analyse the logs of one drive as ``diag-service analyze --estimator paper`` does; arguments as of ``analyze``."""
+    """Analyse the logs of one drive as ``diag-service analyze --estimator paper`` does; arguments as of ``analyze``.
+
+    Raises what ``analyze`` raises, and ExtraMissingError if SciPy is not installed.
+    """
     shifts: list[PaperShift] = []
     with collected_notices() as notices:
         config = configuration(

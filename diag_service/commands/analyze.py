@@ -4,7 +4,6 @@ import logging
 import sys
 from types import SimpleNamespace
 
-from canlog.extras import load_extra
 from canlog.logs import STANDARD_INPUT
 from canlog.notice import NOTICE
 from diag_service.console.reading import ReadingLine
@@ -50,7 +49,6 @@ def _check_words_for_a_drive(options: SimpleNamespace) -> None:
 def _analyse_by_paper(options: SimpleNamespace, diagnosis: DiagnosisConfig, controls: Controls) -> None:
     if options.store is not None or diagnosis.broker is not None or options.output is not None:
         raise ConfigError("the paper's method states no uncertainty: its results are shown, not stored or published")
-    load_extra("scipy", "the paper's method needs SciPy", "paper")
     paper_run.show_paper(diagnosis, options.logs, controls, as_json=options.json)
 
 

@@ -154,3 +154,27 @@ def test_a_plain_install_is_no_larger_than_it_was_said_to_be() -> None:
         for name in core_distributions()
     }
     assert sum(sizes.values()) < 350e6, sizes
+
+
+def test_python_says_what_to_install(plain: PlainInstall, tmp_path: Path) -> None:
+    (tmp_path / "drive.log").write_text(CANDUMP, encoding="utf-8")
+    program = """
+import diag_service, ecu_emulator
+for package in (diag_service, ecu_emulator):
+    for name in package.__all__:
+        getattr(package, name)
+analysis, log = diag_service.analyze("drive.log"), diag_service.read("drive.log")
+for wanted in (
+    analysis.shifts.to_arrow, analysis.shifts.to_pandas, analysis.clutches.to_polars, analysis.plot, log.to_arrow,
+    lambda: diag_service.analyze_by_paper("drive.log"), lambda: ecu_emulator.Emulator().record("drive.mf4"),
+):
+    try:
+        wanted()
+    except (diag_service.ExtraMissingError, ecu_emulator.ExtraMissingError) as error:
+        print(str(error).rpartition("pip install ")[2])
+"""
+    told = plain.run("-c", program, cwd=tmp_path)
+    extras = ["parquet", None, None, None, "parquet", "paper", "mf4"]
+    names = ["", "pandas", "polars", "matplotlib", "", "", ""]
+    wanted = [f"'clutchdiag[{extra}]'" if extra else name for extra, name in zip(extras, names, strict=True)]
+    assert told.out.splitlines() == wanted, told.err

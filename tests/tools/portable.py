@@ -61,9 +61,11 @@ def use_recordings(log: Path, folder: Path) -> None:
     ):
         if status := main([str(word) for word in words]):
             raise SystemExit(f"{words} ended with status {status}")
-    import canlog  # noqa: PLC0415 - likewise
+    import diag_service  # noqa: PLC0415 - likewise
 
-    count = len(canlog.read(log, DBC).signals())
+    diag_service.inspect(log, DBC)
+    diag_service.analyze(log, store=folder / "other.sqlite")
+    count = len(diag_service.read(log).signals())
     print(f"{count} signals of {log.name} on {sys.platform}, Python {sys.version.split()[0]}")
 
 
