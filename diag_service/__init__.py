@@ -24,6 +24,7 @@ if typing.TYPE_CHECKING:
     )
     from diag_service.api.folders import FolderAnalysis, analyze_folders
     from diag_service.api.live import LiveDiagnosis, diagnose
+    from diag_service.api.stores import history, note_fluid, stored_shift, write_report
     from diag_service.api.tables import ResultTable
     from diag_service.api.workshop import (
         PaperAnalysis,
@@ -77,9 +78,13 @@ __all__ = [
     "expect_same_frames",
     "expect_shifts",
     "expect_verdict",
+    "history",
     "inspect",
+    "note_fluid",
     "propose_profile",
     "read",
+    "stored_shift",
+    "write_report",
 ]
 
 _HOMES = {
@@ -91,6 +96,7 @@ _HOMES = {
     "diag_service.api.expectations": ("expect_frames", "expect_same_frames", "expect_shifts", "expect_verdict"),
     "diag_service.api.folders": ("FolderAnalysis", "analyze_folders"),
     "diag_service.api.live": ("LiveDiagnosis", "diagnose"),
+    "diag_service.api.stores": ("history", "note_fluid", "stored_shift", "write_report"),
     "diag_service.api.tables": ("ResultTable",),
     "diag_service.api.workshop": (
         "PaperAnalysis",

@@ -126,7 +126,8 @@ class Analysis:
         """Return what a notebook shows."""
         warnings = "".join(f"<li>{escape(text)}</li>" for text in self.notices)
         reasons = "".join(
-            f"<p>clutch {clutch}: {escape(verdict.reason)}</p>" for clutch, verdict in self.verdicts.items()
+            f"<p>clutch {clutch}: {escape(verdict.advice or verdict.reason)}</p>"
+            for clutch, verdict in self.verdicts.items()
         )
         return f"<p><b>{escape(self._name)}</b>: {escape(self._said)}</p>{reasons}<ul>{warnings}</ul>"
 

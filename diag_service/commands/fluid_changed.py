@@ -3,6 +3,7 @@
 import math
 import sys
 from datetime import UTC, datetime, timedelta
+from pathlib import Path
 from types import SimpleNamespace
 from typing import Final
 
@@ -19,20 +20,41 @@ _CLOCK_ERROR: Final = timedelta(minutes=5)  # by which the clocks of people and 
 def execute(options: SimpleNamespace, controls: Controls) -> None:
     """Note the fill in the store; a service that is running takes it up before its next shift."""
     del controls
-    with StoreReader.open(options.store) as store:
-        vehicle = store.vehicle(options.vehicle)
-    fill = FluidFill(
-        vehicle=vehicle,
-        filled_at=moment_of(options.at, datetime.now(UTC)),
-        odometer_m=_metres(options.odometer),
-        product=_text("--product", options.product),
-        note=_text("--note", options.note),
+    fill = noted_fill(
+        options.store,
+        options.vehicle,
+        at=options.at,
+        odometer_km=options.odometer,
+        product=options.product,
+        note=options.note,
     )
-    note_fill(options.store, fill)
     sys.stdout.write(
-        f"{vehicle}: {fill.product or 'new fluid'} since {fill.filled_at}; "
+        f"{fill.vehicle}: {fill.product or 'new fluid'} since {fill.filled_at}; "
         "the next shift after that begins a new baseline, what is known of sensors and lining stays\n"
     )
+
+
+def noted_fill(
+    path: Path,
+    vehicle: str | None,
+    *,
+    at: str | None,
+    odometer_km: float | None,
+    product: str | None,
+    note: str | None,
+) -> FluidFill:
+    """Note a fill in a store and return it; raises ConfigError or StoreError."""
+    with StoreReader.open(path) as store:
+        vehicle = store.vehicle(vehicle)
+    fill = FluidFill(
+        vehicle=vehicle,
+        filled_at=moment_of(at, datetime.now(UTC)),
+        odometer_m=_metres(odometer_km),
+        product=_text("--product", product),
+        note=_text("--note", note),
+    )
+    note_fill(path, fill)
+    return fill
 
 
 def moment_of(text: str | None, now: datetime) -> str:

@@ -1,16 +1,19 @@
 """``diag-service report``: the logs of a drive, or a store, as one HTML page."""
 
 import sys
+from collections.abc import Sequence
+from pathlib import Path
 from types import SimpleNamespace
 
+from canlog.logs.reading import Watch
 from diag_service.console.reading import ReadingLine
 from diag_service.errors import ConfigError
 from diag_service.report.findings import Findings, findings_of_logs, findings_of_store
 from diag_service.report.page import page_of, write_page
 from diag_service.service.drive import insist
 from diag_service.service.session import utc_now
-from diag_service.service.stopping import Controls
-from diag_service.settings.config import diagnosis_config
+from diag_service.service.stopping import Controls, Trigger
+from diag_service.settings.config import DiagnosisConfig, diagnosis_config
 from diag_service.store import is_store
 from program_io.legible import legible
 from program_io.overwriting import replacement_refusal
@@ -18,8 +21,7 @@ from program_io.overwriting import replacement_refusal
 
 def execute(options: SimpleNamespace, controls: Controls) -> None:
     """Write the report, and say where and how large it is."""
-    if options.output.suffix.lower() not in {".html", ".htm"}:
-        raise ConfigError(f"{options.output}: a report is written as .html")
+    check_name(options.output)
     if text := replacement_refusal(options.output, is_forced=options.force):
         raise ConfigError(text)
     found = _findings(options, controls)
@@ -32,10 +34,23 @@ def execute(options: SimpleNamespace, controls: Controls) -> None:
 def _findings(options: SimpleNamespace, controls: Controls) -> Findings:
     named = options.vehicle
     config = diagnosis_config(options)
-    stores = [path for path in options.logs if is_store(path)]
+    with ReadingLine() as line:
+        return findings_of(config, options.logs, named, controls.stop, watch=line.watch)
+
+
+def findings_of(
+    config: DiagnosisConfig, paths: Sequence[Path], vehicle: str | None, stop: Trigger, *, watch: Watch | None = None
+) -> Findings:
+    """Return what a report is made of: the logs of a drive, or a store and which vehicle of it is meant."""
+    stores = [path for path in paths if is_store(path)]
     if not stores:
-        with ReadingLine() as line:
-            return findings_of_logs(config, options.logs, controls.stop, watch=line.watch)
-    if len(options.logs) > 1:
+        return findings_of_logs(config, paths, stop, watch=watch)
+    if len(paths) > 1:
         raise ConfigError(f"{stores[0]} is a store: a report is of one store, or of the logs of one drive")
-    return findings_of_store(stores[0], named or config.calibration.vehicle, config.calibration)
+    return findings_of_store(stores[0], vehicle or config.calibration.vehicle, config.calibration)
+
+
+def check_name(path: Path) -> None:
+    """Raise ConfigError unless a file is called as a page is."""
+    if path.suffix.lower() not in {".html", ".htm"}:
+        raise ConfigError(f"{path}: a report is written as .html")

@@ -1,0 +1,106 @@
+"""What stores tell, and the report, from Python."""
+
+from collections.abc import Sequence
+from datetime import datetime
+from pathlib import Path
+from typing import Any
+
+from clutch_model.calibration import Calibration, nominal_calibration
+from diag_service.api.choices import AnyPath, AnyPaths, configuration, path_list
+from diag_service.commands.fluid_changed import noted_fill
+from diag_service.commands.report import check_name, findings_of
+from diag_service.console.collecting import collected_notices
+from diag_service.diagnosis.records import FluidFill, ShiftResult
+from diag_service.diagnosis.results import shift_from
+from diag_service.report.findings import findings_of_store
+from diag_service.report.history import history_records
+from diag_service.report.page import page_of, write_page
+from diag_service.service.session import utc_now
+from diag_service.service.stopping import Trigger
+from diag_service.store import StoreReader
+
+
+def write_report(
+    paths: AnyPaths,
+    output: AnyPath,
+    *,
+    vehicle: str | None = None,
+    dbc: AnyPath | None = None,
+    profile: AnyPath | None = None,
+    calibration: Calibration | AnyPath | None = None,
+    is_lenient: bool = False,
+) -> int:
+    """Write what the logs of a drive, or a store, say as one HTML page: ``diag-service report``.
+
+    Parameters
+    ----------
+    paths
+        The logs of one drive, or one store.
+    output
+        The page, ``.html``; one that is there is replaced.
+    vehicle, dbc, profile, calibration, is_lenient
+        As of ``analyze``; ``vehicle`` also says which one of a store is meant.
+
+    Returns
+    -------
+    int
+        The size of the page [bytes].
+
+    Raises
+    ------
+    ConfigError, SourceError, StoreError
+        If an argument, a log or the store cannot be used, or the page cannot be written.
+    """
+    check_name(Path(output))
+    with collected_notices():
+        config = configuration(
+            vehicle=vehicle, dbc=dbc, profile=profile, calibration=calibration, is_lenient=is_lenient
+        )
+        return write_page(Path(output), page_of(findings_of(config, path_list(paths), vehicle, Trigger()), utc_now()))
+
+
+def history(store: AnyPath, *, vehicle: str | None = None, clutches: Sequence[int] = (1, 2)) -> list[dict[str, Any]]:
+    """Return how the friction of each clutch went: the records of ``diag-service history --json``.
+
+    Raises
+    ------
+    ConfigError, StoreError
+        If the store cannot be read, or holds several vehicles and none is named.
+    """
+    found = findings_of_store(Path(store), vehicle, nominal_calibration())
+    return [dict(record) for record in history_records(found, tuple(clutches))]
+
+
+def stored_shift(store: AnyPath, shift: int) -> ShiftResult:
+    """Return a shift of a store by the number that ``history`` has for it; raises ConfigError or StoreError."""
+    with StoreReader.open(Path(store)) as reader:
+        return shift_from(reader.record(shift))
+
+
+def note_fluid(
+    store: AnyPath,
+    *,
+    vehicle: str | None = None,
+    at: datetime | None = None,
+    odometer_km: float | None = None,
+    product: str | None = None,
+    note: str | None = None,
+) -> FluidFill:
+    """Note new fluid, as ``diag-service fluid-changed`` does: the next shift after it begins a new baseline.
+
+    Parameters
+    ----------
+    at
+        When it was filled, UTC unless it has a zone; by default now.
+    odometer_km, product, note
+        What is known of it.
+    store, vehicle
+        The store, and which vehicle of it.
+
+    Raises
+    ------
+    ConfigError, StoreError
+        If an argument or the store cannot be used.
+    """
+    moment = None if at is None else at.isoformat()
+    return noted_fill(Path(store), vehicle, at=moment, odometer_km=odometer_km, product=product, note=note)
