@@ -8,7 +8,7 @@ import sys
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
-from datetime import datetime
+from datetime import UTC, datetime
 from pathlib import Path
 
 import can
@@ -348,13 +348,13 @@ def test_a_store_tells_what_the_programs_tell(drive_log: Path, tmp_path: Path) -
     results = diag_service.analyze(drive_log, store=store).results
     told = diag_service.history(store)
     assert told == ended("history", store, "--json").records
-    assert diag_service.stored_shift(store, "1") == results[0]
+    assert diag_service.stored_shift(store, 1) == results[0]
     assert diag_service.write_report(store, page) == page.stat().st_size
     assert page.read_text(encoding="utf-8").startswith("<!DOCTYPE html>")
-    fill = diag_service.note_fluid(store, at=datetime(2026, 1, 2), odometer_km=12.5, product="fresh")
+    fill = diag_service.note_fluid(store, at=datetime(2026, 1, 2, tzinfo=UTC), odometer_km=12.5, product="fresh")
     assert (fill.filled_at, fill.odometer_m, fill.product) == ("2026-01-02T00:00:00.000000Z", 12_500.0, "fresh")
     with pytest.raises(diag_service.ConfigError, match="still to come"):
-        diag_service.note_fluid(store, at=datetime(2999, 1, 1))
+        diag_service.note_fluid(store, at=datetime(2999, 1, 1, tzinfo=UTC))
     with pytest.raises(diag_service.ConfigError, match=r"written as \.html"):
         diag_service.write_report(store, tmp_path / "report.txt")
     with pytest.raises(diag_service.StoreError):
