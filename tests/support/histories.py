@@ -57,7 +57,7 @@ def of_version(result: ShiftResult, versions: Versions) -> ShiftResult:
 
 def _result(seq: int, age: float, noise: float, vehicle: str, stream: str) -> ShiftResult:
     result = of_version(shift_result(seq, vehicle=vehicle, stream=stream, to_gear=2 + seq % 2), VERSIONS)
-    mu_c = _REFERENCE.mu_c * (1.0 - 0.15 * age)
+    mu_c = _REFERENCE.mu_c * (1.0 - 0.1531 * age)  # as many digits as real ones have
     running = replace(friction_estimate(), mu_c=mu_c, mu_s=_REFERENCE.mu_s)
     condition = Condition.WATCH if age > 0.7 else Condition.GOOD
     cause = Cause.LEVEL_FALLING if condition is Condition.WATCH else None

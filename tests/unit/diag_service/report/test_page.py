@@ -78,10 +78,12 @@ def test_a_page_begins_with_the_sentences() -> None:
 
 def test_the_numbers_are_those_of_the_results_to_the_last_digit() -> None:
     found = findings(30)
-    reader = read(html(found))
+    text = html(found)
+    reader = read(text)
     for result in found.latest:
         friction = result.verdict.friction
         assert friction is not None
+        assert f'mu_C, at high slip</th><td><data value="{friction.mu_c!r}">{friction.mu_c:.4f}</data>' in text
         assert {friction.mu_c, friction.std_mu_c, friction.mu_s, result.verdict.level_ratio} <= set(reader.values)
     record = json.loads(reader.record)
     assert (
