@@ -22,20 +22,23 @@ COMMANDS: Final = {
 
 
 def seconds_of(words: tuple[str, ...], log: Path, *, is_piped: bool) -> float:
-    """Return how long a command takes from its start to its end."""
+    """Return how long a command takes from its start to its end [s]."""
     program = [sys.executable, "-m", "diag_service", *words]
     began_s = time.perf_counter()
     if is_piped:
         with subprocess.Popen(["cat", str(log)], stdout=subprocess.PIPE) as writer:
-            subprocess.run([*program, "-"], stdin=writer.stdout, stdout=subprocess.DEVNULL, check=True)
+            subprocess.run(
+                [*program, "-"], stdin=writer.stdout, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, check=True
+            )
     else:
-        subprocess.run([*program, str(log)], stdout=subprocess.DEVNULL, check=True)
+        subprocess.run([*program, str(log)], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, check=True)
     return time.perf_counter() - began_s
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--frames", type=int, default=1_000_000, metavar="N", help="default: %(default)s")
+    parser.add_argument("--command", choices=[*COMMANDS, "all"], default="all", help="default: %(default)s")
     parser.add_argument("--runs", type=int, default=3, metavar="N", help="of each, in turns (default: %(default)s)")
     options = parser.parse_args()
     with TemporaryDirectory() as name:
@@ -49,6 +52,8 @@ def main() -> None:
         print(f"{len(lines)} frames, {long.stat().st_size / 1e6:.0f} MB of candump; medians of {options.runs} runs")
         print(f"{'command':8} {'file s':>7} {'pipe s':>7} {'start s':>8} {'file M/s':>9} {'pipe M/s':>9} {'ratio':>6}")
         for command, words in COMMANDS.items():
+            if options.command not in {command, "all"}:
+                continue
             for log in (short, long):  # compiled and in memory before anything is timed
                 seconds_of(words, log, is_piped=False)
             turns = [

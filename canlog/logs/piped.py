@@ -6,6 +6,7 @@ import select
 import sys
 import time
 from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Final
@@ -16,7 +17,7 @@ STANDARD_INPUT: Final = Path("-")
 INPUT_NAME: Final = "standard input"
 HAND_OVER_S: Final = 0.5  # so long at most a frame waits for more to come
 LOOK_S: Final = 0.1  # how soon a request to stop is heard
-PIECE_BYTES: Final = 64 * 1024  # what a pipe holds
+PIECE_BYTES: Final = 1024 * 1024  # what a pipe holds that was widened; as a rule a system lets it grow so far
 
 
 def never() -> bool:
@@ -112,7 +113,17 @@ def open_standard_input(is_stopped: Callable[[], bool] = never) -> PipeStream:
         raise SourceError("it is closed")
     if sys.stdin.isatty():
         raise SourceError("it is a terminal; pipe a log into it, as in: candump -L can0 | ...")
-    return PipeStream(sys.stdin.fileno(), is_stopped)
+    descriptor = sys.stdin.fileno()
+    _widen(descriptor)
+    return PipeStream(descriptor, is_stopped)
+
+
+def _widen(descriptor: int) -> None:
+    """Let a pipe hold more, so that its two ends hand over less often; Linux knows how."""
+    with suppress(ImportError, AttributeError, OSError):
+        import fcntl  # noqa: PLC0415 - of POSIX
+
+        fcntl.fcntl(descriptor, fcntl.F_SETPIPE_SZ, PIECE_BYTES)
 
 
 class KeptFile(io.BufferedReader):
