@@ -24,7 +24,7 @@ quick = "test_gateway.py::test_every_frame_comes_out_as_it_went_in"
 virtual = ["--vcan-bus", "virtual"]  # frames have the times of the car there, whatever else the machine does
 runs = {
     "none": ["test_gateway.py", "test_page.py", *virtual],
-    "alter": ["test_gateway.py", *virtual],
+    "alter": [quick, *virtual],
     "swap": [quick, *virtual],
     "process": [quick, "--vcan-bus", "udp_multicast"],
     "drop": [quick, *virtual],
@@ -83,15 +83,15 @@ def test_a_sound_gateway_passes_and_the_bus_is_said(told: dict[str, Any]) -> Non
 
 
 @pytest.mark.parametrize(
-    ("fault", "count", "words"),
-    [("drop", 1, "did not come"), ("alter", 2, " came as "), ("swap", 1, "in the wrong order")],
+    ("fault", "words"),
+    [("drop", "did not come"), ("alter", " came as "), ("swap", "in the wrong order")],
 )
-def test_a_fault_in_the_gateway_fails_its_tests(told: dict[str, Any], fault: str, count: int, words: str) -> None:
+def test_a_fault_in_the_gateway_fails_its_tests(told: dict[str, Any], fault: str, words: str) -> None:
     status, out = told[fault]
     assert status == 1, out
-    assert f"{count} failed" in out
+    assert "1 failed" in out
     assert " passed" not in out
-    assert out.count(words) >= count
+    assert words in out
 
 
 def test_the_page_shows_the_test_of_the_example() -> None:
