@@ -5,7 +5,7 @@ import numpy.typing as npt
 
 from canlog.jit import array_kernel
 from ecu_emulator import tcu, tcu_data
-from ecu_emulator.driving import changes, gear_choice, standing, under_power
+from ecu_emulator.driving import changes, gear_choice, launching, standing, under_power
 from ecu_emulator.driving import places as at
 from ecu_emulator.driving.laws import (
     DrivingLaw,
@@ -153,7 +153,7 @@ def control(memory: FloatArray, sense: FloatArray, commands: FloatArray, law: Dr
     elif state == DriveState.CREEPING.value:
         standing.creep(memory, sense, commands, law)
     elif state == DriveState.LAUNCHING.value:
-        standing.launch(memory, sense, commands, law)
+        launching.launch(memory, sense, commands, law)
     else:
         standing.coast_open(memory, sense, commands, law)
     commands[tcu_data.BRAKE] = max(memory[at.BRAKE], commands[at.HILL_BRAKE])

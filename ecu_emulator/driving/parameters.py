@@ -95,6 +95,9 @@ class LaunchParameters(NamedTuple):
     engine_help_nm: float
     abort_s: float
     top_nm: float
+    lock_gain_nms_rad: float
+    lock_lag_s: float
+    lock_fade_s: float
     lock_rate_rad_s2: float
     locked_s: float
     stubborn_s: float

@@ -56,7 +56,9 @@ LAUNCH_TORQUE = LAUNCH_SPEED + 1  # [N m]
 LIFT_TIME = LAUNCH_TORQUE + 1  # since the pedal was released
 WHIM_TIME = LIFT_TIME + 1  # left of a driver's whim
 WHIM_PEDAL = WHIM_TIME + 1  # what it adds to the pedal
-MEMORY_COUNT = WHIM_PEDAL + 1
+SHAFT_AHEAD = WHIM_PEDAL + 1  # what the launched shaft turns faster than the rolling car turns it, smoothed [rad/s]
+LAUNCH_RATE = SHAFT_AHEAD + 1  # at which the engine is to become faster in a launch, smoothed [rad/s^2]
+MEMORY_COUNT = LAUNCH_RATE + 1
 
 # Columns of the table of whims, one row per event.
 WHIM_DELAY = 0  # after the begin of the event [s]; negative: none

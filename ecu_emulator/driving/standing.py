@@ -1,4 +1,4 @@
-"""From standstill to a locked clutch and back: creep, launch, roll-out, other gears while both clutches are open."""
+"""From standstill on and back: creep, roll-out, other gears while both clutches are open; launches are next door."""
 
 import numpy as np
 import numpy.typing as npt
@@ -26,14 +26,12 @@ _RESTING_FOOT_S = 0.15
 _FREE_S = 0.5  # a clutch that has just been locked is given this time to slip
 _SOON_S = 0.5  # with open clutches the gear is chosen for the speed that braking will have left
 _STANDING_M_S = 0.05
-_BRAKING_M_S2 = 0.1
+BRAKING_M_S2 = 0.1
 _FIRST_ONLY_M_S = 1.5  # below it the car starts in 1st gear
 _HILL_RATIO = 0.015  # grade from which the brakes hold the car for the driver
 _HILL_MARGIN = 1.3
 _HILL_PULL = 1.8  # of the weight: so much must the clutch be asked to carry, which it will do a moment later
 _TARGET_SHOWN_S = 0.06  # a change with open clutches shows its target at least so long before it is done
-_LOCK_AHEAD_RAD_S = 15.0  # an engine that closes onto a faster shaft aims above it
-_LOCK_BEHIND_RAD_S = 5.0
 _ENGINE_READY_RAD_S = 20.0  # below idle: the engine may be loaded
 
 
@@ -116,7 +114,7 @@ def begin_launch(memory: FloatArray, sense: FloatArray, kind: int, law: DrivingL
     memory[at.LAUNCH_SPEED] = max(sense[tcu_data.ENGINE_SPEED], idle_rad_s(sense, law))
     memory[tcu_data.LOCKED_TIME] = -_FREE_S
     memory[at.LIFT_TIME] = 0.0
-    memory[at.SHARE] = 0.0
+    memory[at.SHARE] = memory[at.SHAFT_AHEAD] = memory[at.LAUNCH_RATE] = 0.0
 
 
 @array_kernel
@@ -139,7 +137,7 @@ def stand(memory: FloatArray, sense: FloatArray, commands: FloatArray, law: Driv
     is_firing = is_firing and sense[tcu_data.ENGINE_SPEED] > idle_rad_s(sense, law) - _ENGINE_READY_RAD_S
     if abs(sense[at.VEHICLE_SPEED]) > _FIRST_ONLY_M_S:
         enter_state(memory, DriveState.COASTING_OPEN.value)
-    elif is_ready and is_firing and memory[at.BRAKE] < _BRAKING_M_S2:
+    elif is_ready and is_firing and memory[at.BRAKE] < BRAKING_M_S2:
         memory[at.LIFT_TIME] += tcu_data.PERIOD_S  # the foot is on its way to the pedal, or it rests
         if memory[at.LIFT_TIME] > _RESTING_FOOT_S or has_foot_on_pedal(memory, law):
             begin_creep_or_launch(memory, sense, law)
@@ -170,79 +168,10 @@ def creep(memory: FloatArray, sense: FloatArray, commands: FloatArray, law: Driv
     hold_on_hill(memory, sense, commands, law)
     if has_foot_on_pedal(memory, law):
         begin_launch(memory, sense, EventKind.LAUNCH.value, law)
-    elif memory[at.BRAKE] > _BRAKING_M_S2 or fading == 0.0:
+    elif memory[at.BRAKE] > BRAKING_M_S2 or fading == 0.0:
         end_event(memory)
         is_rolling = sense[at.VEHICLE_SPEED] > _STANDING_M_S
         enter_state(memory, DriveState.COASTING_OPEN.value if is_rolling else DriveState.STANDSTILL.value)
-
-
-@array_kernel
-def launch_torque_nm(memory: FloatArray, sense: FloatArray, law: DrivingLaw) -> float:
-    """Return what the slipping clutch shall carry [N m]: the driver's wish, and what holds the engine at its speed."""
-    p = law.driving.launch
-    excess_rad_s = sense[tcu_data.ENGINE_SPEED] - memory[at.LAUNCH_SPEED]
-    wanted_nm = max(memory[at.DEMAND], 0.0) + p.clutch_gain_nms_rad * excess_rad_s
-    wanted_nm += p.stubborn_nm_s * max(memory[at.SHARE] - p.stubborn_s, 0.0)  # a clutch that will not stick
-    blend = tcu_data.PERIOD_S / p.clutch_lag_s
-    smooth_nm = memory[at.LAUNCH_TORQUE] + blend * (wanted_nm - memory[at.LAUNCH_TORQUE])
-    return float(min(max(smooth_nm, law.drive.control.min_torque_nm), p.top_nm))
-
-
-@array_kernel
-def move_engine(
-    memory: FloatArray, sense: FloatArray, commands: FloatArray, shaft_rad_s: float, law: DrivingLaw
-) -> None:
-    """Bring the engine to its launch speed over the pedal, or a little above a shaft that turns faster."""
-    p = law.driving.launch
-    goal_rad_s = idle_rad_s(sense, law) + p.engine_above_idle_rad_s + p.engine_per_pedal_rad_s * memory[at.PEDAL]
-    late_s = max(memory[at.STATE_TIME] - p.long_s, 0.0)  # a launch that goes on and on shall not burn the clutch
-    goal_rad_s = max(goal_rad_s - p.late_rad_s2 * late_s, idle_rad_s(sense, law) + p.late_above_idle_rad_s)
-    is_near = goal_rad_s < shaft_rad_s + _LOCK_AHEAD_RAD_S
-    is_reached = is_near and sense[tcu_data.ENGINE_SPEED] > shaft_rad_s
-    memory[at.SHARE] = memory[at.SHARE] + tcu_data.PERIOD_S if is_reached else 0.0
-    if is_near:  # a little above the shaft first, then below: the slip shall end
-        ahead_rad_s = _LOCK_AHEAD_RAD_S - p.lock_rate_rad_s2 * memory[at.SHARE]
-        goal_rad_s = shaft_rad_s + max(ahead_rad_s, -_LOCK_BEHIND_RAD_S)
-    step = p.engine_rate_rad_s2 * tcu_data.PERIOD_S
-    memory[at.LAUNCH_SPEED] += min(max(goal_rad_s - memory[at.LAUNCH_SPEED], -step), step)
-    error_rad_s = memory[at.LAUNCH_SPEED] - sense[tcu_data.ENGINE_SPEED]
-    help_nm = min(max(p.engine_gain_nms_rad * error_rad_s, 0.0), p.engine_help_nm)
-    commands[at.REQUEST] = at.AT_LEAST
-    commands[at.REQUESTED_TORQUE] = max(memory[at.DEMAND], 0.0) + help_nm
-
-
-@array_kernel
-def is_locked_for_good(memory: FloatArray, sense: FloatArray, clutch: int, law: DrivingLaw) -> bool:
-    """Tell whether a clutch has stopped slipping long enough."""
-    control = law.drive.control
-    is_locked = abs(sense[tcu_data.SLIP + clutch]) < control.locked_slip_rad_s
-    is_locked = is_locked or sense[tcu_data.IS_LOCKED + clutch] != 0.0
-    memory[tcu_data.LOCKED_TIME] = memory[tcu_data.LOCKED_TIME] + tcu_data.PERIOD_S if is_locked else 0.0
-    return bool(memory[tcu_data.LOCKED_TIME] > law.driving.launch.locked_s)
-
-
-@array_kernel
-def launch(memory: FloatArray, sense: FloatArray, commands: FloatArray, law: DrivingLaw) -> None:
-    """Let the clutch of the current gear slip until the car is as fast as the engine."""
-    clutch = tcu.clutch_of(int(memory[tcu_data.CURRENT_GEAR]))
-    shaft_rad_s = sense[at.SHAFT_SPEED + clutch]
-    move_engine(memory, sense, commands, shaft_rad_s, law)
-    slip_rad_s = sense[tcu_data.SLIP + clutch]
-    torque_nm = launch_torque_nm(memory, sense, law) if slip_rad_s > -law.drive.control.locked_slip_rad_s else 0.0
-    slip_clutch(memory, sense, commands, torque_nm, law)
-    hold_on_hill(memory, sense, commands, law)
-    is_wanted = has_foot_on_pedal(memory, law) or memory[at.EVENT_KIND] == EventKind.CLOSING.value
-    is_wanted = is_wanted and (memory[at.BRAKE] < _BRAKING_M_S2 or shaft_rad_s > idle_rad_s(sense, law))
-    memory[at.LIFT_TIME] = 0.0 if is_wanted else memory[at.LIFT_TIME] + tcu_data.PERIOD_S
-    if memory[tcu_data.IS_FILLED] != 0.0 and is_locked_for_good(memory, sense, clutch, law):
-        memory[tcu_data.DWELL] = 0.0
-        end_event(memory)
-        enter_state(memory, DriveState.IN_GEAR.value)
-    elif memory[at.IS_ABORTED] != 0.0:
-        end_event(memory)
-        enter_state(memory, DriveState.COASTING_OPEN.value)
-    elif memory[at.LIFT_TIME] > law.driving.launch.abort_s:
-        memory[at.IS_ABORTED] = 1.0
 
 
 @array_kernel
@@ -252,7 +181,7 @@ def coast_open(memory: FloatArray, sense: FloatArray, commands: FloatArray, law:
     is_ready = gear_while_open(memory, sense, commands, law)
     gear = int(memory[tcu_data.CURRENT_GEAR])
     shaft_rad_s = gear_speed_rad_s(sense, gear, law)
-    is_braking = memory[at.BRAKE] > _BRAKING_M_S2
+    is_braking = memory[at.BRAKE] > BRAKING_M_S2
     idle = idle_rad_s(sense, law)
     if not is_ready:
         return

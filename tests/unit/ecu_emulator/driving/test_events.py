@@ -183,18 +183,28 @@ def test_events_are_counted_from_one_and_have_a_kind(town: FloatArray, column: C
     assert np.array_equal(np.unique(numbers), np.arange(numbers.max() + 1.0))
 
 
-def re_slip_rad_s(friction: FrictionFactors) -> float:
-    """Return the greatest slip of clutch 1 after it has locked for the first time in a strong launch."""
-    road = trace((0, 0), (1, 0), (6.6, 14), (8, 14))
+def re_slip_rad_s(friction: FrictionFactors, launched_s: float) -> float:
+    """Return the greatest slip of clutch 1 after it has locked for the first time in a launch to 14 m/s."""
+    road = trace((0, 0), (1, 0), (1 + launched_s, 14), (2 + launched_s, 14))
     conditions = DriveConditions(whim_ratio=0.0, friction_factors=friction)
-    rows = Trip(Car(), road, conditions, np.random.default_rng(1)).advance(road.duration_s)
+    rows = Trip(Car(), road, conditions, np.random.default_rng(1)).advance(6.5)
     slip = np.abs(slip_rad_s(rows, 1))
     slipping = int(np.argmax(slip > 50.0))
     locked = slipping + int(np.argmax(slip[slipping:] < 0.3))
-    return float(slip[locked : locked + 1500].max())
+    assert slip[locked] < 0.3
+    return float(slip[locked : locked + 1200].max())
 
 
-def test_aged_fluid_sticks_and_slips_at_the_end_of_a_strong_launch_and_new_fluid_does_not() -> None:
-    aged = FrictionFactors(mu_c1=0.85, mu_s1=1.15, mu_c2=0.85, mu_s2=1.15)
-    assert re_slip_rad_s(aged) > 5.0
-    assert re_slip_rad_s(FrictionFactors()) < 1.0
+AGED = FrictionFactors(mu_c1=0.85, mu_s1=1.15, mu_c2=0.85, mu_s2=1.15)
+LEVEL = FrictionFactors(mu_c1=0.925, mu_s1=1.088)  # as much friction without slip as with it
+
+
+def test_aged_fluid_sticks_and_slips_at_the_end_of_a_launch_the_more_the_greater_its_load() -> None:
+    gentle, brisk, strong = (re_slip_rad_s(AGED, launched_s) for launched_s in (15.0, 9.0, 5.6))
+    assert gentle < 5.0 < brisk < strong < 25.0
+
+
+@pytest.mark.parametrize("friction", [FrictionFactors(), LEVEL], ids=["new fluid", "friction that does not fall"])
+@pytest.mark.parametrize("launched_s", [9.0, 5.6])
+def test_other_fluids_lock_once(friction: FrictionFactors, launched_s: float) -> None:
+    assert re_slip_rad_s(friction, launched_s) < 1.0
