@@ -18,7 +18,7 @@ from diag_service.diagnosis.shifts.tracking import NS_PER_S, Bounds, Tracker
 SETTLE_NS: Final = NS_PER_S // 20  # after a change of gears: slip that begins so soon belongs to it
 PRELUDE_NS: Final = 3 * NS_PER_S // 10  # the off-going clutch slips so long before a change is shown, no launch does
 LEAST_PRELUDE_NS: Final = 3 * NS_PER_S // 100  # three samples; what is shorter may be the same moment in two messages
-LOCK_NS: Final = NS_PER_S // 2  # the last of the slip fades, swings of the driveline may open a clutch again
+LOCK_NS: Final = NS_PER_S  # the last of the slip is led down softly, swings of the driveline may open a clutch again
 DWELL_NS: Final = 3 * NS_PER_S // 20  # a clutch that carries nothing for so long was let go
 LIFTED_NS: Final = NS_PER_S // 2  # a clutch may carry nothing so long while the foot stays on the pedal
 LOCKED_NS: Final = NS_PER_S // 2  # a clutch that begins to carry may stick for a moment; in gear it does for longer
