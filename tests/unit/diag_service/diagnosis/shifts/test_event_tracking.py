@@ -69,6 +69,11 @@ def driving(count: int = 100, gear: int = 1, pedal: float = 0.3) -> Piece:
     return piece(count, gear=gear, load=PULL_PA, pedal=pedal, torque=90.0)
 
 
+def locked(pedal: float = 0.3) -> Piece:
+    """Return samples for longer than a clutch must stick until its slip is over."""
+    return driving(LOCK + 10, pedal=pedal)
+
+
 def columns_of(pieces: tuple[Piece, ...], signals: frozenset[Signal] = PRESSED) -> ColumnBatch:
     counts = [int(one["count"]) for one in pieces]
     rows = np.arange(sum(counts), dtype=np.int64)
@@ -97,14 +102,14 @@ def found(*pieces: Piece, signals: frozenset[Signal] = PRESSED) -> list[Found]:
 
 @pytest.mark.parametrize("signals", [PRESSED, ASKED], ids=["pressures", "torque of both clutches"])
 def test_a_launch_lasts_from_the_first_slip_under_load_until_the_clutch_is_locked(signals: frozenset[Signal]) -> None:
-    assert found(standing(), launching(150), driving(), signals=signals) == [
+    assert found(standing(), launching(150), locked(), signals=signals) == [
         ("launch", 1, 1, 100, 250 + LOCK, EndReason.COMPLETE)
     ]
 
 
 def test_a_judder_is_part_of_its_launch() -> None:
     swings = [launching(4, slip) for slip in (0.0, 12.0) * 5]
-    assert found(standing(), launching(150), *swings, driving()) == [
+    assert found(standing(), launching(150), *swings, locked()) == [
         ("launch", 1, 1, 100, 290 + LOCK, EndReason.COMPLETE)
     ]
 
@@ -115,7 +120,7 @@ def test_a_foot_that_lifts_aborts_a_launch() -> None:
 
 def test_a_clutch_may_carry_nothing_for_a_moment_while_the_foot_stays() -> None:
     nothing = piece(40, slip=60.0, pedal=0.3, engine=150.0)
-    assert found(standing(), launching(60), nothing, launching(90), driving()) == [
+    assert found(standing(), launching(60), nothing, launching(90), locked()) == [
         ("launch", 1, 1, 100, 290 + LOCK, EndReason.COMPLETE)
     ]
 
@@ -147,7 +152,7 @@ def test_the_end_of_the_stream_interrupts_a_launch() -> None:
 
 def test_a_pedal_makes_a_launch_of_a_creep() -> None:
     creeping = piece(60, slip=70.0, load=1.5e5, engine=IDLE)
-    assert found(standing(), creeping, launching(100), driving()) == [
+    assert found(standing(), creeping, launching(100), locked()) == [
         ("creep", 1, 1, 100, 160, EndReason.ABANDONED),
         ("launch", 1, 1, 160, 260 + LOCK, EndReason.COMPLETE),
     ]
@@ -161,7 +166,7 @@ def test_a_creep_ends_without_lock() -> None:
 
 def test_a_creep_that_ends_in_lock_was_a_launch() -> None:
     creeping = piece(150, slip=70.0, load=1.5e5, engine=IDLE)
-    assert found(standing(), creeping, driving(pedal=0.0)) == [("launch", 1, 1, 100, 250 + LOCK, EndReason.COMPLETE)]
+    assert found(standing(), creeping, locked(pedal=0.0)) == [("launch", 1, 1, 100, 250 + LOCK, EndReason.COMPLETE)]
 
 
 @pytest.mark.parametrize(("pedal", "kind"), [(0.01, "creep"), (0.03, "launch")])
@@ -177,7 +182,7 @@ def test_a_clutch_that_closes_onto_a_rolling_car_is_no_launch() -> None:
 
 
 def test_a_locked_clutch_that_lets_go_in_gear_is_told() -> None:
-    assert found(driving(), piece(60, slip=30.0, load=PULL_PA, pedal=0.8), driving()) == [
+    assert found(driving(), piece(60, slip=30.0, load=PULL_PA, pedal=0.8), locked()) == [
         ("slip", 1, 1, 100, 160 + LOCK, EndReason.COMPLETE)
     ]
 
