@@ -6,6 +6,7 @@ import math
 from pathlib import Path
 from typing import Any
 
+import cantools
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
@@ -27,6 +28,7 @@ BO_ 512 Engine: 8 A
 SIG_VALTYPE_ 512 Load : 1;
 VAL_ 512 State 1 "on, running" ;
 """
+MESSAGES = cantools.database.load_string(DATABASE, "dbc")
 LINES = [
     "(1767225600.000001) can0 100#00C80000",
     "(1767225600.001002) can1 200#0000803F01000000",
@@ -43,6 +45,8 @@ def _folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     (tmp_path / "car.dbc").write_text(DATABASE, encoding="utf-8")
     (tmp_path / "drive.log").write_text("".join(f"{line}\n" for line in LINES), encoding="ascii")
     monkeypatch.chdir(tmp_path)
+    # Read once: reading a foreign database takes a process of its own.
+    monkeypatch.setattr("diag_service.commands.decode.open_database", lambda *_, **__: MESSAGES)
     return tmp_path
 
 
