@@ -14,6 +14,7 @@ FloatArray = npt.NDArray[np.float64]
 
 _KEEPS_RATIO = 0.85  # of the map's threshold: so far must the pedal have changed for the old gear to be right again
 _LATEST_SHARE = 0.7  # of the torque phase: later no change of mind
+_SHOWN_S = 0.05  # a target that was chosen stands so long: others have seen it
 SYNC_BAND_RAD_S = 2.0
 NOBODY = -1  # no clutch gives its torque away
 
@@ -24,6 +25,8 @@ def is_turned_back(memory: FloatArray, sense: FloatArray, law: DrivingLaw) -> bo
     phase = int(memory[tcu_data.PHASE])
     early_s = _LATEST_SHARE * law.drive.control.torque_phase_s
     if phase != tcu_data.PREFILL and not (phase == tcu_data.TORQUE and memory[tcu_data.PHASE_TIME] < early_s):
+        return False
+    if phase == tcu_data.PREFILL and memory[tcu_data.PHASE_TIME] < _SHOWN_S:
         return False
     low, kind = low_rad_s(memory, sense, law), int(memory[at.EVENT_KIND])
     if kind in (EventKind.POWER_ON_UPSHIFT.value, EventKind.POWER_OFF_UPSHIFT.value):

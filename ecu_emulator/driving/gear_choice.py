@@ -13,6 +13,7 @@ from ecu_emulator.driving.laws import DrivingLaw, gear_speed_rad_s, idle_rad_s, 
 FloatArray = npt.NDArray[np.float64]
 
 _BRAKING_M_S2 = 0.3
+_FORESEEN_RATIO = 1.5  # of the time of an upshift: a foot that is off by then shall not meet its end
 _LOWEST_SKIPPED_FROM = 4  # 6-4, 5-3, 4-2
 _LOWEST_COASTING = 2  # the car rolls out of 2nd gear with open clutches
 
@@ -39,10 +40,10 @@ def wants_up(memory: FloatArray, sense: FloatArray, gear: int, law: DrivingLaw) 
 
 @array_kernel
 def is_foot_coming_off(memory: FloatArray, law: DrivingLaw) -> bool:
-    """Tell whether the pedal will be released before an upshift that begins now is over."""
+    """Tell whether the pedal will be released before an upshift that begins now has settled."""
     control, overrun_ratio = law.drive.control, law.driving.pedal.overrun_ratio
-    ahead_s = control.prefill_time_s + control.torque_phase_s + control.upshift_inertia_phase_s
-    soon = memory[at.PEDAL] + ahead_s * memory[at.PEDAL_RATE]
+    upshift_s = control.prefill_time_s + control.torque_phase_s + control.upshift_inertia_phase_s
+    soon = memory[at.PEDAL] + _FORESEEN_RATIO * upshift_s * memory[at.PEDAL_RATE]
     return bool(memory[at.PEDAL] > overrun_ratio >= soon)
 
 

@@ -163,6 +163,7 @@ def test_a_driver_changes_the_mind_and_the_target_goes_back(moody: FloatArray) -
         assert (event.rows[back, Col.TARGET_GEAR] == event.rows[back, Col.CURRENT_GEAR]).all()
         assert (event.rows[~back, Col.TARGET_GEAR] != event.rows[~back, Col.CURRENT_GEAR]).all()
         assert event.rows[-1, Col.CURRENT_GEAR] == event.gears[0]
+        assert np.count_nonzero(~back) >= 50  # milliseconds: no message on the bus misses the target
 
 
 def test_a_lift_in_mid_shift_leaves_no_shift_unfinished(moody: FloatArray) -> None:
