@@ -16,7 +16,7 @@ from tests.support.service import run_service
 
 pytestmark = pytest.mark.vcan
 
-STORE_BYTES = 120_000  # a store with the results of two shifts or so, its write-ahead log included
+STORE_BYTES = 172_000  # a store with the results of two shifts or so, its write-ahead log included
 LOG_BYTES = 300_000  # the first seconds of a drive
 
 
