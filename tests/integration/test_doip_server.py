@@ -82,6 +82,22 @@ def test_periodic_data_go_to_the_tester_who_holds_the_session() -> None:
         assert other.ask("22 f1 86") == "62 f1 86 01"
 
 
+def test_periodic_data_begin_after_the_response_that_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The controller sends as soon as it is asked; the response comes first, however long its thread waits."""
+    with entity() as (controller, server), Tester(server.place.port) as one:
+        assert one.ask("10 03").startswith("50 03")
+        ask = controller.ask
+
+        def ask_late(request: bytes, *, is_functional: bool, client: int) -> bytes | None:
+            response = ask(request, is_functional=is_functional, client=client)
+            time.sleep(0.1)  # a held-up thread: ten ticks
+            return response
+
+        monkeypatch.setattr(controller, "ask", ask_late)
+        assert one.ask("2a 03 00") == "6a"
+        assert one.response()[:2] == "00"
+
+
 def test_a_tester_waits_for_its_routine_and_others_for_their_turn() -> None:
     with entity() as (controller, server), Tester(server.place.port) as one, Tester(server.place.port, 0x0E01) as other:
         one.unlock()

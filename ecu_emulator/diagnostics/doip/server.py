@@ -11,7 +11,7 @@ from functools import partial
 from types import TracebackType
 from typing import Final, Self
 
-from ecu_emulator.diagnostics.codes import NEGATIVE, Nrc
+from ecu_emulator.diagnostics.codes import NEGATIVE, Nrc, Service
 from ecu_emulator.diagnostics.controller import Controller
 from ecu_emulator.diagnostics.doip.datagram_server import DatagramServer
 from ecu_emulator.diagnostics.doip.listening import Place, listen
@@ -24,6 +24,7 @@ READ_BYTES: Final = 4096
 LINGER_S: Final = 1.0  # in which a tester may take what was said before its connection was closed
 PENDING_RATIO: Final = 0.6  # of P2, after which a tester is told to wait
 VIN: Final = 0xF190
+_PERIODIC: Final = bytes([Service.READ_PERIODICALLY])
 
 
 @dataclass(slots=True)
@@ -58,6 +59,7 @@ class DoipServer:
         self._step = Step(sockets={})
         self._writers: dict[int, asyncio.StreamWriter] = {}
         self._asks: dict[int, asyncio.Queue[Ask]] = {}
+        self._silent: set[int] = set()  # connections whose periodic data wait for the response that announces them
         self._tasks: set[asyncio.Task[None]] = set()
         self._pool = ThreadPoolExecutor(1, "DoIP asks")
         self._datagrams = DatagramServer(
@@ -158,6 +160,7 @@ class DoipServer:
             answering.cancel()
             writer.transport.abort() if reader.exception() else writer.close()
             del self._writers[number], self._asks[number]
+            self._silent.discard(number)
             self._do(closed(self._entity, self._step, number, time.monotonic()))
             self._pool.submit(self._controller.leave, number)
 
@@ -185,7 +188,7 @@ class DoipServer:
         while True:
             await asyncio.sleep(TICK_S)
             self._do(advanced(self._entity, self._step, time.monotonic()))
-            for number in list(self._writers):
+            for number in self._writers.keys() - self._silent:
                 for message in self._controller.broadcast(number):
                     self._respond(number, message, is_final=False)
 
@@ -212,6 +215,8 @@ class DoipServer:
         self._counts.requests += 1
         timing = self._controller.table.timing
         work = partial(self._controller.ask, ask.payload, is_functional=ask.is_functional, client=number)
+        if ask.payload[:1] == _PERIODIC:
+            self._silent.add(number)
         asking = asyncio.get_running_loop().run_in_executor(self._pool, work)
         patience_s = PENDING_RATIO * timing.p2_s
         while not (await asyncio.wait([asking], timeout=patience_s))[0]:
@@ -219,6 +224,7 @@ class DoipServer:
             if not is_suppressed(ask.payload):
                 self._respond(number, bytes([NEGATIVE, ask.payload[0], Nrc.RESPONSE_PENDING]), is_final=False)
         self._respond(number, asking.result(), is_final=True)
+        self._silent.discard(number)
 
     def _respond(self, number: int, response: bytes | None, *, is_final: bool) -> None:
         self._counts.responses += response is not None
