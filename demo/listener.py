@@ -27,6 +27,7 @@ class ClutchState:
     reason: str
     friction: FrictionEstimate | None  # running estimate, all shifts combined
     shift_count: int
+    advice: str | None = None  # what to do, by when, how sure; None of older programs
 
 
 class Listener:
@@ -150,6 +151,7 @@ def _clutch_state(message: aiomqtt.Message) -> ClutchState:
         reason=verdict.reason,
         friction=verdict.friction,
         shift_count=verdict.shift_count,
+        advice=verdict.advice,
     )
 
 

@@ -94,6 +94,13 @@ def verdict_line(state: ClutchState) -> Text:
     return line
 
 
+def verdict_lines(state: ClutchState) -> Iterator[Text]:
+    """Yield the verdict on one clutch for a script, and below it the sentence for people."""
+    yield verdict_line(state)
+    if state.advice is not None:
+        yield Text(f"         {state.advice}")
+
+
 def _table(title: str) -> Table:
     return Table(
         title=title, title_justify="left", title_style="bold", box=box.SIMPLE_HEAD, pad_edge=False, padding=(0, 1, 0, 0)

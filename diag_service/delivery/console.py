@@ -1,5 +1,7 @@
 """A line per shift and a closing table, for people."""
 
+from collections.abc import Iterable
+
 from rich import box
 from rich.console import Console
 from rich.table import Table
@@ -63,9 +65,8 @@ class ConsoleReporter:
     def _conclude(self, summary: Summary) -> None:
         if summary.gaps:
             self._line(Text(gaps_line(summary.gaps), style="bold red"))
-        for result in summary.latest:
-            if result.verdict.advice is not None:  # results of older programs have none
-                self._line(Text(result.verdict.advice, style=_CONDITION_STYLE[result.verdict.condition]))
+        for sentence in advice_lines(summary.latest):
+            self._line(sentence)
         if summary.latest:
             self._console.print(_clutch_table(summary, is_detailed=self._is_detailed))
         if self._is_detailed:
@@ -88,6 +89,12 @@ class ConsoleReporter:
     def _line(self, text: Text) -> None:
         self._console.print(text, soft_wrap=True)
         self._console.file.flush()
+
+
+def advice_lines(results: Iterable[ShiftResult]) -> list[Text]:
+    """Return the sentence on the clutch of each result; results of older programs have none."""
+    verdicts = (result.verdict for result in results)
+    return [Text(one.advice, style=_CONDITION_STYLE[one.condition]) for one in verdicts if one.advice is not None]
 
 
 def shift_head(*, is_detailed: bool = True) -> Text:

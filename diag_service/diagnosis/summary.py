@@ -90,6 +90,7 @@ class ShiftStatistics:
 
     by_status: Mapping[str, int] = field(default_factory=lambda: {status.value: 0 for status in Status})
     by_reason: Mapping[str, int] = field(default_factory=dict)  # sorted
+    by_clutch: Mapping[tuple[int, str], int] = field(default_factory=dict)  # clutch, status -> shifts
     stored_count: int = 0
     known_count: int = 0  # their key was in the store before
     latest: Mapping[int, ShiftResult] = field(default_factory=dict)  # of each clutch
@@ -100,10 +101,12 @@ class ShiftStatistics:
         estimate, status = result.estimate, result.estimate.status.value
         by_reason = Counter(self.by_reason)
         by_reason.update(reason.value for reason in estimate.reasons)
+        key = estimate.clutch, status
         return replace(
             self,
             by_status={**self.by_status, status: self.by_status[status] + 1},
             by_reason=dict(sorted(by_reason.items())),
+            by_clutch={**self.by_clutch, key: self.by_clutch.get(key, 0) + 1},
             stored_count=self.stored_count + is_new,
             known_count=self.known_count + (not is_new),
             latest={**self.latest, estimate.clutch: result},
@@ -138,6 +141,21 @@ def unjudged(result: ShiftResult, gaps: tuple[Gap, ...]) -> ShiftResult:
         condition=Condition.NO_VERDICT,
         reason=gaps_line(gaps),
         advice=advice(result.verdict.clutch, Condition.NO_VERDICT, Silence.PART_OF_DRIVE),
+    )
+    return replace(result, verdict=verdict)
+
+
+def with_new_fluid(result: ShiftResult) -> ShiftResult:
+    """Return the last result of a clutch whose fluid was changed since: of the new one nothing is known yet."""
+    clutch = result.verdict.clutch
+    verdict = ClutchVerdict(
+        clutch=clutch,
+        condition=Condition.NO_VERDICT,
+        reason="new fluid, of which no shift is known yet",
+        level_ratio=None,
+        friction=None,
+        shift_count=0,
+        advice=advice(clutch, Condition.NO_VERDICT, Silence.FEW_SHIFTS),
     )
     return replace(result, verdict=verdict)
 

@@ -1,6 +1,8 @@
 """A live run for people: one screen that is drawn anew, with everything that a listener can know of its bus."""
 
 import sys
+import textwrap
+from collections.abc import Iterable
 from typing import Self
 
 from rich.console import Console, Group, RenderableType
@@ -11,13 +13,14 @@ from rich.text import Text
 from canlog.e2e.e2e_state import E2eState
 from canlog.live import BusState
 from diag_service.delivery import News
-from diag_service.delivery.console import shift_head, shift_line, short_shift_head, short_shift_line
-from diag_service.diagnosis.records import ShiftResult
+from diag_service.delivery.console import advice_lines, shift_head, shift_line, short_shift_head, short_shift_line
+from diag_service.diagnosis.records import Condition, ShiftResult
 from diag_service.diagnosis.summary import frames_line, shifts_line
 from diag_service.service.snapshot import Snapshot
 
 WHOLE_WIDTH = 140  # columns that everything takes, reasons included
-OTHER_LINES = 9  # beside messages and shifts: heads, and lines that may be folded
+TABLE_HEADS = 2  # over messages and shifts
+FEW_SHIFTS = 2
 SLOW_RATIO = 0.9  # a message below this share of its nominal rate is marked
 _STATE_STYLE = {
     BusState.UP: "green",
@@ -54,17 +57,32 @@ class Monitor:
 
 
 def screen(snapshot: Snapshot, size: tuple[int, int] | None = None, hint: str = "") -> RenderableType:
-    """Return everything as one picture, within the columns and lines of ``size``; None: as large as it is."""
+    """Return everything as one picture, within the columns and lines of ``size``; None: as large as it is.
+
+    Where lines are short, sentences that say that nothing is known give way first, then the shifts.
+    """
     width, height = size or (WHOLE_WIDTH, sys.maxsize)
-    shown_count = max(1, height - len(snapshot.messages) - OTHER_LINES)
+    head = _head(snapshot)
+    below = [Text(frames_line(snapshot.summary.frames)), Text(shifts_line(snapshot.summary))]
+    free = height - _folded_count([head, *below, Text(hint)], width) - len(snapshot.messages) - TABLE_HEADS
+    sentences = advice_lines(snapshot.clutches)
+    if free - _folded_count(sentences, width) < FEW_SHIFTS:
+        sentences = advice_lines(one for one in snapshot.clutches if one.verdict.condition is not Condition.NO_VERDICT)
+    shown_count = min(max(0, free - _folded_count(sentences, width)), len(snapshot.recent))
+    recent = snapshot.recent[len(snapshot.recent) - shown_count :]
     return Group(
-        _head(snapshot),
+        head,
+        *sentences,
         _message_table(snapshot),
-        Text(frames_line(snapshot.summary.frames)),
-        Text(shifts_line(snapshot.summary)),
-        *_shift_lines(snapshot.recent[-shown_count:], is_short=width < WHOLE_WIDTH),
+        *below,
+        *_shift_lines(recent, is_short=width < WHOLE_WIDTH),
         *([Text(hint, "dim")] if hint else []),
     )
+
+
+def _folded_count(texts: Iterable[Text], width: int) -> int:
+    """Return how many lines the texts take within so many columns."""
+    return sum(len(textwrap.wrap(text.plain, width)) for text in texts)
 
 
 def _head(snapshot: Snapshot) -> Text:

@@ -16,9 +16,9 @@ from diag_service.diagnosis.contributions import NO_LOGS, Contributions
 from diag_service.diagnosis.events import Event
 from diag_service.diagnosis.friction import ALGORITHM_VERSION, FilterState
 from diag_service.diagnosis.records import ShiftResult
-from diag_service.diagnosis.results import iso_utc, utc_from_bus_ns
-from diag_service.diagnosis.summary import FrameCounts, Gap, ShiftStatistics, Summary, frames_line
-from diag_service.errors import StoreFullError
+from diag_service.diagnosis.results import iso_utc, parse_shift, utc_from_bus_ns
+from diag_service.diagnosis.summary import FrameCounts, Gap, ShiftStatistics, Summary, frames_line, with_new_fluid
+from diag_service.errors import ResultError, StoreFullError
 from diag_service.mapping.decoder import Decoder
 from diag_service.service.stages import Stages
 from diag_service.settings.config import DiagnosisConfig
@@ -60,10 +60,18 @@ class Session:
         self._stream = stream
         self._utc_now = utc_now
         self.statistics = ShiftStatistics()
+        self.fluid = store.fluid_at(self.vehicle, utc_now()) if stream is None else None  # as far as its fill is known
+        self._earlier = last_results(store, self.vehicle, self._versions) if stream is None else {}
         self._pending: deque[tuple[ShiftResult, VehicleState]] = deque()  # what a full disk did not take yet
         self._max_pending_count = max_pending_count
         self._is_disk_full = False
         self.given_up_count = 0  # results that never found room on the disk
+
+    @property
+    def latest(self) -> tuple[ShiftResult, ...]:
+        """The last result of each clutch, clutch 1 first, of earlier runs too; no verdict where the fluid is newer."""
+        known = {**self._earlier, **self.statistics.latest}
+        return tuple(self._of_present_fluid(result) for _, result in sorted(known.items()))
 
     def process(self, event: Event) -> None:
         """Estimate, store and tell one shift; one that is stored already is told again, and changes nothing.
@@ -160,8 +168,17 @@ class Session:
     def _note_fluid(self, event: Event) -> None:
         """Let the stages know which fluid the vehicle had at a shift; anybody may have noted a fill meanwhile."""
         fill = self._store.fluid_at(self.vehicle, utc_from_bus_ns(event.start_ns))
-        if fill is not None and self.stages.note_fluid(fill.filled_at):
+        if fill is None:
+            return
+        self.fluid = fill
+        if self.stages.note_fluid(fill.filled_at):
             _LOG.log(NOTICE, "new fluid since %s: a new baseline begins", fill.filled_at)
+
+    def _of_present_fluid(self, result: ShiftResult) -> ShiftResult:
+        fluid = self.fluid
+        if fluid is None or utc_from_bus_ns(result.estimate.start_ns) >= fluid.filled_at:
+            return result
+        return with_new_fluid(result)
 
     def _diagnose(self, event: Event) -> tuple[ShiftResult, VehicleState]:
         self._note_fluid(event)
@@ -205,3 +222,16 @@ def resume(
         made_by = f"cannot be used ({exc})"
     _LOG.warning("the running state of %s %s; starting afresh with a new baseline, results stay", vehicle, made_by)
     return fresh
+
+
+def last_results(store: ResultStore, vehicle: str, versions: Versions) -> dict[int, ShiftResult]:
+    """Return the newest stored result of each clutch, by clutch, if it was made as results are made now."""
+    found: dict[int, ShiftResult] = {}
+    for row in store.latest(vehicle):
+        if (row.key.algorithm_version, row.key.calibration_version) != (versions.algorithm, versions.calibration):
+            continue
+        try:
+            found[row.clutch] = parse_shift(row.text)
+        except ResultError as exc:
+            _LOG.warning("the last result of clutch %d of %s is left out: %s", row.clutch, vehicle, exc)
+    return found

@@ -7,7 +7,7 @@ from typing import Protocol
 
 from canlog.live import BusState, BusStatus, LiveSource
 from diag_service.console.progress import Stuck
-from diag_service.diagnosis.records import ShiftResult
+from diag_service.diagnosis.records import FluidFill, ShiftResult
 from diag_service.diagnosis.summary import FrameCounts, Summary
 from diag_service.mapping.decoder import MessageCounts
 from diag_service.service.session import Session
@@ -46,6 +46,8 @@ class Snapshot:
     summary: Summary
     recent: tuple[ShiftResult, ...]  # oldest first
     stuck: Stuck | None  # a stage that makes no progress
+    clutches: tuple[ShiftResult, ...]  # the last result of each clutch, clutch 1 first; earlier runs count
+    fluid: FluidFill | None  # the present one, if its fill is known
 
 
 def frame_counts(source: LiveSource, stages: Stages) -> FrameCounts:
@@ -116,6 +118,8 @@ class SnapshotTaker:
             summary=self._session.summary(frame_counts(self._source, self._session.stages), None),
             recent=self._session.statistics.recent,
             stuck=self._session.progress.stuck,
+            clutches=self._session.latest,
+            fluid=self._session.fluid,
         )
 
 

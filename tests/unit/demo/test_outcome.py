@@ -5,7 +5,7 @@ from dataclasses import replace
 import pytest
 
 from demo.outcome import MAX_ERROR_STD, FrameAccount, Outcome, complaints, frame_account
-from demo.table import clutch_table, frame_lines, shift_table, verdict_line
+from demo.table import clutch_table, frame_lines, shift_table, verdict_line, verdict_lines
 from diag_service.diagnosis.records import FrictionEstimate, Reason, Status
 from tests.unit.demo.outcomes import FRICTION, good_frames, good_outcome
 
@@ -136,3 +136,12 @@ def test_the_verdict_can_be_found_by_a_script() -> None:
     assert verdict_line(replace(good_outcome().clutches[1], condition="change fluid")).plain == (
         "verdict: clutch 1 change fluid"
     )
+
+
+def test_below_the_verdict_stands_what_to_do() -> None:
+    state = replace(good_outcome().clutches[1], condition="change fluid", advice="Clutch 1: change the fluid now.")
+    assert [line.plain for line in verdict_lines(state)] == [
+        "verdict: clutch 1 change fluid",
+        "         Clutch 1: change the fluid now.",
+    ]
+    assert len(list(verdict_lines(replace(state, advice=None)))) == 1

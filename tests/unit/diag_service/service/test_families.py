@@ -1,0 +1,163 @@
+"""What the metrics say of vehicle and clutches: every number of a verdict, the usual names, bounded labels."""
+
+import re
+from collections.abc import Iterator
+from dataclasses import replace
+
+import pytest
+from prometheus_client import CollectorRegistry, generate_latest
+from prometheus_client.core import Metric, Sample
+from prometheus_client.parser import text_string_to_metric_families
+
+from canlog.live import BusState, BusStatus
+from diag_service.diagnosis.records import Condition, FluidFill, ShiftResult
+from diag_service.diagnosis.summary import FrameCounts, ShiftStatistics, Summary, with_new_fluid
+from diag_service.service.metrics import SnapshotCollector
+from diag_service.service.snapshot import Board, Snapshot
+from tests.support.builders import rejected, shift_result
+from tests.support.histories import history
+
+BUS = BusStatus(state=BusState.UP, errors={}, interruption_count=0, restart_count=0, last_problem=None)
+FILL = FluidFill(vehicle="car1", filled_at="2026-01-01T00:00:00.000000Z")
+MADE_S = 1_767_225_605.0  # 2026-01-01T00:00:05Z, as the builders have it
+LABELS = {"vehicle", "clutch", "verdict", "status", "advice", "coefficient"}
+
+
+def snapshot(*results: ShiftResult, fluid: FluidFill | None = None) -> Snapshot:
+    """Return what a run has to show after these results."""
+    statistics = ShiftStatistics()
+    for result in results:
+        statistics = statistics.with_shift(result, is_new=True)
+    return Snapshot(
+        taken_s=0.0,
+        bus=BUS,
+        clock_steps=0,
+        load_ratio=0.25,
+        messages={},
+        rates_hz={},
+        summary=Summary(vehicle="car1", frames=FrameCounts(), shifts=statistics, unpublished_count=None),
+        recent=statistics.recent,
+        stuck=None,
+        clutches=tuple(result for _, result in sorted(statistics.latest.items())),
+        fluid=fluid,
+    )
+
+
+def exposition(shown: Snapshot) -> str:
+    """Return the metrics as they are served."""
+    board, registry = Board(), CollectorRegistry()
+    board.latest = shown
+    registry.register(SnapshotCollector(board))
+    return generate_latest(registry).decode()
+
+
+def families(shown: Snapshot) -> list[Metric]:
+    """Return the metrics as Prometheus reads them."""
+    return list(text_string_to_metric_families(exposition(shown)))
+
+
+def samples(shown: Snapshot) -> Iterator[Sample]:
+    return (sample for family in families(shown) for sample in family.samples)
+
+
+def of_clutch(shown: Snapshot, clutch: int) -> dict[str, float]:
+    """Return the numbers of a clutch by name, with their third label if they have one."""
+    found = {}
+    for sample in samples(shown):
+        labels = dict(sample.labels)
+        if labels.pop("clutch", None) == str(clutch):
+            assert labels.pop("vehicle") == "car1"
+            name = sample.name.removeprefix("clutchdiag_clutch_")
+            found[" ".join((name, *labels.values()))] = sample.value
+    return found
+
+
+def test_every_number_of_a_verdict_is_there() -> None:
+    result = shift_result(1)
+    verdict, friction, trend = result.verdict, result.verdict.friction, result.verdict.trend
+    assert friction is not None
+    assert trend is not None
+    assert of_clutch(snapshot(result), 2) == {
+        "verdict no_verdict": 0.0,
+        "verdict good": 1.0,
+        "verdict watch": 0.0,
+        "verdict change_fluid": 0.0,
+        f"advice_info {verdict.advice}": 1.0,
+        "shifts_total valid": 1.0,
+        "shifts_total rejected": 0.0,
+        "shifts_total unobserved": 0.0,
+        "last_result_timestamp_seconds": MADE_S,
+        "level_ratio": verdict.level_ratio,
+        "estimate_shifts": 1.0,
+        "mu mu_c": friction.mu_c,
+        "mu mu_s": friction.mu_s,
+        "mu_std mu_c": friction.std_mu_c,
+        "mu_std mu_s": friction.std_mu_s,
+        "negative_slope_probability_ratio": friction.probability_negative_slope,
+        "mu_change_ratio mu_c": trend.change_mu_c_ratio,
+        "mu_change_ratio mu_s": trend.change_mu_s_ratio,
+        "mu_change_std_ratio mu_c": trend.std_change_mu_c_ratio,
+        "mu_change_std_ratio mu_s": trend.std_change_mu_s_ratio,
+    }
+
+
+def test_of_a_clutch_that_never_engaged_it_is_said_that_nothing_is_known() -> None:
+    known = of_clutch(snapshot(shift_result(1)), 1)
+    assert known["verdict no_verdict"] == 1.0
+    assert sum(value for name, value in known.items() if name.startswith("verdict")) == 1.0
+    assert known["shifts_total valid"] == 0.0
+    assert not [name for name in known if "mu_" in name or "timestamp" in name]
+
+
+@pytest.mark.parametrize("condition", Condition)
+def test_one_verdict_is_true_at_a_time(condition: Condition) -> None:
+    result = shift_result(1)
+    result = replace(result, verdict=replace(result.verdict, condition=condition))
+    said = {name: value for name, value in of_clutch(snapshot(result), 2).items() if name.startswith("verdict")}
+    assert {name for name, value in said.items() if value} == {f"verdict {condition.name.lower()}"}
+    assert len(said) == len(Condition)
+
+
+def test_a_result_without_friction_has_its_verdict_and_its_outcome() -> None:
+    known = of_clutch(snapshot(rejected(shift_result(1))), 2)
+    assert (known["verdict no_verdict"], known["shifts_total rejected"], known["estimate_shifts"]) == (1.0, 1.0, 0.0)
+    assert not [name for name in known if "mu_" in name or "advice" in name]
+
+
+def test_new_fluid_takes_verdict_and_friction_away_but_not_when_the_last_result_was() -> None:
+    shown = snapshot(shift_result(1), fluid=FILL)
+    old = replace(shown, clutches=tuple(with_new_fluid(result) for result in shown.clutches))
+    known = of_clutch(old, 2)
+    assert (known["verdict no_verdict"], known["last_result_timestamp_seconds"]) == (1.0, MADE_S)
+    assert not [name for name in known if "mu_" in name]
+    assert any(name.startswith("advice_info Clutch 2: drive on and measure again") for name in known)
+    (filled,) = [sample for sample in samples(old) if sample.name == "clutchdiag_fluid_fill_timestamp_seconds"]
+    assert (filled.labels, filled.value) == ({"vehicle": "car1"}, MADE_S - 5.0)
+
+
+def test_names_and_types_are_those_that_prometheus_expects() -> None:
+    found = families(snapshot(*history(40), fluid=FILL))
+    assert len(found) == len({family.name for family in found}) > 20
+    for family in found:
+        assert re.fullmatch(r"clutchdiag_[a-z0-9_]+", family.name)
+        assert family.documentation.endswith(".")
+        assert family.type in {"gauge", "counter"}
+        assert not re.search(r"_(ms|milliseconds|percent|celsius|count|total)$", family.name)
+        for sample in family.samples:
+            assert sample.name.endswith("_total") is (family.type == "counter")
+
+
+def test_labels_do_not_grow_with_the_run() -> None:
+    early, late = (
+        {
+            (sample.name, *sorted(sample.labels.items()))
+            for sample in samples(snapshot(*history(count), fluid=FILL))
+            if not sample.name.endswith("advice_info")
+        }
+        for count in (60, 600)
+    )
+    assert early == late
+    of_vehicle = re.compile(r"clutchdiag_(clutch|fluid)_")
+    shown = [sample for sample in samples(snapshot(*history(600), fluid=FILL)) if of_vehicle.match(sample.name)]
+    assert {label for sample in shown for label in sample.labels} == LABELS
+    assert len([sample for sample in shown if sample.name.endswith("advice_info")]) == 2
