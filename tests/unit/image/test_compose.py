@@ -18,7 +18,7 @@ COMPOSE = read_compose(ROOT / "docker-compose.yml")
 SERVICES: dict[str, Service] = COMPOSE["services"]
 OURS = {name: service for name, service in SERVICES.items() if "build" in service}
 LAST = read_stages(ROOT / "Dockerfile")[-1]
-EXACT = re.compile(r"[a-z0-9./-]+:\d+\.\d+(\.\d+)?(-[a-z0-9-]+)?")
+EXACT = re.compile(r"[a-z0-9./-]+:v?\d+\.\d+(\.\d+)?(-[a-z0-9-]+)?")
 MIB = {"M": 1, "G": 1024}
 
 

@@ -1,0 +1,136 @@
+"""The shipped dashboards, data sources and alert rules fit each other, docker-compose.yml, metrics and their page."""
+
+import re
+from datetime import UTC, datetime
+from itertools import combinations
+from pathlib import Path
+
+import pytest
+
+from tests.support import grafana
+from tests.support.grafana import DASHBOARDS, FOLDER, ROOT, Query, Table
+from tests.support.histories import history
+from tests.support.image.compose import read_compose
+from tests.support.prometheus import RULES, Samples, recorded
+from tests.unit.diag_service.service.test_families import FILL, families, snapshot
+
+SOURCES = {one["uid"]: one for one in grafana.yaml(FOLDER / "provisioning/datasources/clutchdiag.yml")["datasources"]}
+PROVIDER = grafana.yaml(FOLDER / "provisioning/dashboards/clutchdiag.yml")["providers"][0]
+COMPOSE = read_compose(ROOT / "docker-compose.yml")["services"]
+KINDS = {"postgres": "grafana-postgresql-datasource", "prometheus": "prometheus"}
+QUERIES = list(grafana.queries())
+METRIC = re.compile(r"\bclutchdiag_\w+")
+SINCE, UNTIL = datetime(2026, 1, 1, tzinfo=UTC), datetime(2026, 1, 2, tzinfo=UTC)
+WIDTH = 24  # columns of Grafana's grid
+OFTEN_NONE = {"clutchdiag_bus_errors_total", "clutchdiag_shift_reasons_total"}  # where nothing went wrong
+
+
+@pytest.fixture(name="last", scope="module")
+def _last() -> Samples:
+    """Return the last scrape of the recording."""
+    return recorded()[-1]
+
+
+def mounts(service: str) -> dict[str, Path]:
+    """Return the files of ours that a service of docker-compose.yml sees, by where it sees them."""
+    volumes = [volume.split(":") for volume in COMPOSE[service]["volumes"]]
+    return {target: ROOT / source for source, target, *_ in volumes if source.startswith("./")}
+
+
+@pytest.mark.parametrize("path", DASHBOARDS, ids=lambda path: path.stem)
+def test_a_dashboard_is_whole(path: Path) -> None:
+    board = grafana.dashboard(path)
+    assert re.fullmatch(r"clutchdiag-[a-z]+", board["uid"])
+    assert board["title"]
+    assert len({panel["id"] for panel in board["panels"]}) == len(board["panels"]) >= 8
+    for panel in board["panels"]:
+        letters = [target["refId"] for target in panel["targets"]]
+        assert letters == list("ABCDEF"[: len(letters)])
+        assert panel["title"]
+        assert panel["description"].endswith(".")
+        assert panel["fieldConfig"]["defaults"]["unit"]
+
+
+@pytest.mark.parametrize("path", DASHBOARDS, ids=lambda path: path.stem)
+def test_no_panel_covers_another(path: Path) -> None:
+    places = [panel["gridPos"] for panel in grafana.dashboard(path)["panels"]]
+    assert all(place["x"] + place["w"] <= WIDTH for place in places)
+    assert [pair for pair in combinations(places, 2) if overlap(*pair)] == []
+
+
+def overlap(one: Table, other: Table) -> bool:
+    pairs = (("x", "w"), ("y", "h"))
+    return all(one[at] < other[at] + other[by] and other[at] < one[at] + one[by] for at, by in pairs)
+
+
+def test_dashboards_have_names_of_their_own_and_there_is_one_for_each_source() -> None:
+    boards = [grafana.dashboard(path) for path in DASHBOARDS]
+    assert len({board["uid"] for board in boards}) == len({board["title"] for board in boards}) == len(boards)
+    assert {query.source["uid"] for query in QUERIES} == set(SOURCES) == {"fleet", "prometheus"}
+
+
+@pytest.mark.parametrize("query", QUERIES, ids=str)
+def test_a_query_goes_to_a_source_that_is_provisioned(query: Query) -> None:
+    assert KINDS[SOURCES[query.source["uid"]]["type"]] == query.source["type"]
+    if query.panel is not None:
+        assert query.panel["datasource"] == query.source
+
+
+def test_docker_compose_mounts_what_is_provisioned() -> None:
+    assert mounts("grafana")[PROVIDER["options"]["path"]] == FOLDER / "dashboards"
+    assert mounts("grafana")["/etc/grafana/provisioning"] == FOLDER / "provisioning"
+    home = Path(COMPOSE["grafana"]["environment"]["GF_DASHBOARDS_DEFAULT_HOME_DASHBOARD_PATH"])
+    assert (mounts("grafana")[str(home.parent)] / home.name).is_file()
+    assert mounts("prometheus")["/etc/prometheus"] == RULES.parent
+    assert mounts("database")["/docker-entrypoint-initdb.d/reader.sql"] == FOLDER / "reader.sql"
+
+
+def test_the_sources_are_the_services_of_docker_compose() -> None:
+    fleet, prometheus = SOURCES["fleet"], SOURCES["prometheus"]
+    environment = COMPOSE["ingest"]["environment"]["CLUTCHDIAG_DATABASE"]
+    assert environment.endswith(f"@{fleet['url']}/{fleet['jsonData']['database']}")
+    assert f"--web.listen-address={prometheus['url'].removeprefix('http://')}" in COMPOSE["prometheus"]["command"]
+    config = grafana.yaml(RULES.parent / "prometheus.yml")
+    command = COMPOSE["service"]["command"]
+    (job,) = config["scrape_configs"]
+    assert job["static_configs"][0]["targets"] == [command[command.index("--metrics") + 1]]
+    assert config["rule_files"] == [RULES.name]
+    for name in ("prometheus", "grafana"):
+        assert COMPOSE[name]["profiles"] == ["dashboards"]
+
+
+def test_every_metric_that_is_asked_for_is_served(last: Samples) -> None:
+    served = {name for name, _ in last}
+    text = "\n".join((RULES.read_text(encoding="utf-8"), *(query.text for query in QUERIES)))
+    asked = set(METRIC.findall(text))
+    assert len(asked) > 10
+    assert asked - served == set()
+
+
+def test_the_recording_is_of_todays_metrics(last: Samples) -> None:
+    served = {
+        (sample.name, *sorted(sample.labels))
+        for family in families(snapshot(*history(60), fluid=FILL))
+        for sample in family.samples
+    }
+    known = {(name, *sorted(label for label, _ in labels)) for name, labels in last}
+    assert known - served <= {one for one in known if one[0].startswith("clutchdiag_message_")}
+    assert {one[0] for one in served} - {one[0] for one in known} <= OFTEN_NONE
+
+
+def test_the_page_lists_every_metric(last: Samples) -> None:
+    page = (ROOT / "docs" / "monitoring.md").read_text(encoding="utf-8")
+    listed = set(re.findall(r"^\| `(clutchdiag_\w+)`", page, re.MULTILINE))
+    assert listed == {name for name, _ in last} | OFTEN_NONE
+
+
+def test_macros_and_variables_are_filled_in_as_grafana_does() -> None:
+    text = "SELECT 1 FROM t WHERE $__timeFilter(end_at) AND vehicle IN ($vehicle)"
+    assert grafana.sql(text, ["a", "o'b"], SINCE, UNTIL) == (
+        "SELECT 1 FROM t WHERE end_at BETWEEN '2026-01-01T00:00:00Z' AND '2026-01-02T00:00:00Z'"
+        " AND vehicle IN ('a','o''b')"
+    )
+    assert grafana.promql('m{vehicle=~"$vehicle"}[$__range]', ["a", "b"], "2h") == 'm{vehicle=~"(a|b)"}[2h]'
+    for wrong in ("$__timeGroup(end_at, 1d)", "$other"):
+        with pytest.raises(ValueError, match="unknown"):
+            grafana.sql(wrong, ["a"], SINCE, UNTIL)
