@@ -66,7 +66,9 @@ class Log:
         with ExitStack() as stack:
             readers = [stack.enter_context(closing(read_log(path, is_strict=is_strict))) for path in paths]
             self.frames: FrameBatch = join(list(merged_by_time(readers)))
-            self.counts: LogCounts = added([reader.counts for reader in readers])
+            self.counts = LogCounts()
+            for reader in readers:
+                self.counts.add(reader.counts)
         self.paths = tuple(paths)
         self.path = self.paths[0]
         self.format: LogFormat = readers[0].format
@@ -220,18 +222,6 @@ def write_parquet(
     plan = Plan.of(_database(database, is_lenient=is_lenient).messages, TableShape(shape), Values(values))
     decoded = decode_log(Path(path), plan, Path(output))
     return list(losses(decoded[0])) if decoded else []
-
-
-def added(counts: Sequence[LogCounts]) -> LogCounts:
-    """Return what several logs held together."""
-    total = LogCounts()
-    for one in counts:
-        total.add(one)
-        total.jumps_back += one.jumps_back
-        total.jumps_ahead += one.jumps_ahead
-        total.repeated += one.repeated
-        total.first_jump = total.first_jump or one.first_jump
-    return total
 
 
 def _database(database: Database | Path | str, *, is_lenient: bool) -> Database:

@@ -69,6 +69,15 @@ def test_every_frame_and_line_is_accounted_for(log: canlog.Log) -> None:
     ]
 
 
+def test_jumps_and_repetitions_are_counted_once(drive: Path) -> None:
+    drive.write_text("".join(f"({t_s:.6f}) can0 100#00\n" for t_s in (1.0, 1.0, 9.0, 2.0)), encoding="ascii")
+    other = drive.with_name("other.log")
+    other.write_text("".join(f"({t_s:.6f}) can0 100#00\n" for t_s in (3.0, 2.5)), encoding="ascii")
+    database = drive.with_name("car.dbc")
+    counts = [canlog.read(paths, database).counts for paths in (drive, [drive, other])]
+    assert [(one.jumps_back, one.jumps_ahead, one.repeated) for one in counts] == [(1, 1, 1), (2, 1, 1)]
+
+
 def test_signals_are_arrays_in_the_order_of_the_frames(log: canlog.Log) -> None:
     signals = log.signals()
     assert list(signals) == ["Engine.Speed", "Engine.State", "Gear.Page", "Gear.Current", "Gear.Target"]
