@@ -1,14 +1,11 @@
 """Parquet files through pyarrow, an optional dependency; written row group by row group."""
 
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import ExitStack, contextmanager
+from collections.abc import Mapping, Sequence
 from datetime import datetime
 from importlib import import_module
-from pathlib import Path
 from types import TracebackType
 from typing import Any, BinaryIO, Self
 
-from canlog.errors import OutputError
 from canlog.extras import load_extra
 
 TIME_TYPE = "timestamp[ns, UTC]"
@@ -58,8 +55,8 @@ class ParquetTable:
 
     Parameters
     ----------
-    output : Path or binary stream
-        The file, or a stream, which stays open and whose errors are its own.
+    output : binary stream
+        It stays open, and its errors are its own.
     columns : Mapping of str to str
         Names and types: ``int32``, ``int64``, ``float64``, ``string``, ``BOOL_TYPE``, ``TIME_TYPE`` or ``NAME_TYPE``.
     metadata : Mapping of str to Mapping of str to str
@@ -69,32 +66,22 @@ class ParquetTable:
     ------
     ExtraMissingError
         If pyarrow is not installed.
-    OutputError
-        If the file cannot be written.
     """
 
     def __init__(
-        self,
-        output: Path | BinaryIO,
-        columns: Mapping[str, str],
-        metadata: Mapping[str, Mapping[str, str]] | None = None,
+        self, output: BinaryIO, columns: Mapping[str, str], metadata: Mapping[str, Mapping[str, str]] | None = None
     ) -> None:
         self._arrow = load_pyarrow()
         self.schema: Any = arrow_schema(columns, metadata)
-        self._path = output if isinstance(output, Path) else None
-        self._file = ExitStack()
-        with self._translated():
-            # pyarrow itself takes no name that is not UTF-8
-            stream = self._file.enter_context(output.open("wb")) if isinstance(output, Path) else output
-            self._writer = self._arrow.parquet.ParquetWriter(
-                stream,
-                self.schema,
-                compression="zstd",
-                # Times hardly repeat, so differences are smaller; nobody looks for the least of some names.
-                use_dictionary=[name for name, kind in columns.items() if kind != TIME_TYPE],
-                write_statistics=[name for name, kind in columns.items() if kind not in {NAME_TYPE, BOOL_TYPE}],
-                column_encoding={name: TIME_ENCODING for name, kind in columns.items() if kind == TIME_TYPE},
-            )
+        self._writer = self._arrow.parquet.ParquetWriter(
+            output,
+            self.schema,
+            compression="zstd",
+            # Times hardly repeat, so differences are smaller; nobody looks for the least of some names.
+            use_dictionary=[name for name, kind in columns.items() if kind != TIME_TYPE],
+            write_statistics=[name for name, kind in columns.items() if kind not in {NAME_TYPE, BOOL_TYPE}],
+            column_encoding={name: TIME_ENCODING for name, kind in columns.items() if kind == TIME_TYPE},
+        )
 
     def __enter__(self) -> Self:
         return self
@@ -106,12 +93,7 @@ class ParquetTable:
 
     def close(self) -> None:
         """Write the end of the file."""
-        try:
-            with self._translated():
-                self._writer.close()
-        finally:
-            with self._translated():
-                self._file.close()
+        self._writer.close()
 
     def discard(self) -> None:
         """Close it: pyarrow would else do so when nothing may be written any more."""
@@ -120,21 +102,8 @@ class ParquetTable:
     def write_rows(self, rows: Sequence[Mapping[str, object]]) -> None:
         """Write rows as one group; keys that are missing are null."""
         if rows:
-            table = row_table(rows, self.schema)
-            with self._translated():
-                self._writer.write_table(table)
+            self._writer.write_table(row_table(rows, self.schema))
 
     def write_columns(self, columns: Mapping[str, object]) -> None:
         """Write arrays of one length, one per column in their order, as one group."""
-        batch = self._arrow.record_batch(list(columns.values()), schema=self.schema)
-        with self._translated():
-            self._writer.write_batch(batch)
-
-    @contextmanager
-    def _translated(self) -> Iterator[None]:
-        try:
-            yield
-        except OSError as exc:
-            if self._path is None:
-                raise
-            raise OutputError(f"cannot write {self._path}: {exc.strerror or exc}") from exc
+        self._writer.write_batch(self._arrow.record_batch(list(columns.values()), schema=self.schema))

@@ -24,12 +24,13 @@ from canlog.tables.decoding import (
     MAX_CELLS,
     Plan,
     TableShape,
-    decode_log,
+    decode_logs,
     decoded_batches,
     pieces,
     row_groups,
 )
 from canlog.tables.layouts import Values
+from canlog.tables.outputs import TableFormat
 from canlog.tables.report import losses
 
 ShapeName = Literal["wide", "long"]
@@ -220,8 +221,8 @@ def write_parquet(
         If the file cannot be written.
     """
     plan = Plan.of(_database(database, is_lenient=is_lenient).messages, TableShape(shape), Values(values))
-    decoded = decode_log(Path(path), plan, Path(output))
-    return list(losses(decoded[0])) if decoded else []
+    decoded = decode_logs([Path(path)], plan, Path(output), TableFormat.PARQUET)
+    return list(losses(decoded.account))
 
 
 def _database(database: Database | Path | str, *, is_lenient: bool) -> Database:

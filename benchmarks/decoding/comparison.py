@@ -16,9 +16,10 @@ from benchmarks.decoding.random_log import CLASSIC_BYTES, FD_BYTES, SentFrame, r
 from canlog.database.loading import load_database
 from canlog.decode.codec import Codec, MessageTable
 from canlog.tables.account import DecodeAccount
-from canlog.tables.decoding import Plan, TableShape, decode_log
+from canlog.tables.decoding import Plan, TableShape, decode_logs
 from canlog.tables.layouts import Values
 from canlog.tables.names import table_names
+from canlog.tables.outputs import TableFormat
 from tests.support.cantools_oracle import Readings, readings
 
 FloatArray = npt.NDArray[np.float64]
@@ -94,11 +95,10 @@ def _compare(codec: Codec, slots: Sequence[int], frames: Sequence[SentFrame], fo
     log, wide, long = (Path(folder) / name for name in ("random.log", "wide.parquet", "long.parquet"))
     write_candump(log, [codec.tables[slot].message for slot in slots], frames)
     names = table_names(codec.tables)
-    decoded = decode_log(log, Plan(codec=codec, names=names, shape=TableShape.WIDE, values=Values.BOTH), wide)
-    if decoded is None:
-        raise RuntimeError("nobody stops it")
-    account, _ = decoded
-    decode_log(log, Plan(codec=codec, names=names, shape=TableShape.LONG, values=Values.TEXTS), long)
+    wide_plan = Plan(codec=codec, names=names, shape=TableShape.WIDE, values=Values.BOTH)
+    account = decode_logs([log], wide_plan, wide, TableFormat.PARQUET).account
+    long_plan = Plan(codec=codec, names=names, shape=TableShape.LONG, values=Values.TEXTS)
+    decode_logs([log], long_plan, long, TableFormat.PARQUET)
     wide_table, long_cells = _WideFile(wide, len(frames)), dict(_long_cells(long, len(frames)))
     tally = Tally()
     for place, slot in enumerate(slots):

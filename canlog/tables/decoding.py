@@ -10,6 +10,7 @@ import numpy as np
 from cantools.database.can import Message
 
 from canlog.decode.codec import HAS_VALUES, Codec, MessageValues
+from canlog.errors import OutputError
 from canlog.frames import FrameBatch
 from canlog.logs import LogReader
 from canlog.logs.piped import never
@@ -18,7 +19,8 @@ from canlog.tables.account import DecodeAccount
 from canlog.tables.inputs import LogSet, Origins
 from canlog.tables.layouts import LongLayout, Values, WideLayout
 from canlog.tables.names import TableNames, table_names
-from canlog.tables.outputs import TableFormat, open_columns, replacing
+from canlog.tables.outputs import TableFormat, open_columns
+from canlog.whole_file import replacing
 
 MAX_CELLS: Final = 4_000_000  # of a row group: 32 MB of numbers
 CELLS_PER_FRAME: Final = 64  # of the long table, at most as a rule
@@ -140,14 +142,6 @@ class _Rows:
         self._columns.discard()
 
 
-def decode_log(
-    path: Path, plan: Plan, output: Path, is_stopped: Callable[[], bool] = never
-) -> tuple[DecodeAccount, LogReader] | None:
-    """Write the signals of a log into a Parquet file; what ``decode_logs`` does for one log, None if it was stopped."""
-    decoded = decode_logs([path], plan, output, TableFormat.PARQUET, is_stopped)
-    return (decoded.account, decoded.readers[0]) if decoded.is_whole else None
-
-
 def decode_logs(
     paths: Sequence[Path],
     plan: Plan,
@@ -175,7 +169,7 @@ def decode_logs(
             return _written(logs, plan, stream, table_format, is_stopped)
 
     if isinstance(output, Path):
-        with replacing(output) as part:
+        with replacing(output, OutputError) as part:
             with part.open("wb+") as stream:
                 decoded = written(stream)
             if decoded.is_whole:

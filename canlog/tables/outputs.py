@@ -2,14 +2,11 @@
 
 import json
 import math
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Mapping
 from enum import StrEnum
-from pathlib import Path
 from types import MappingProxyType
 from typing import Any, BinaryIO, Final, Protocol
 
-from canlog.errors import OutputError
 from canlog.parquet_file import NAME_TYPE, TIME_TYPE, ParquetTable, arrow_schema, load_pyarrow
 
 
@@ -65,21 +62,6 @@ def open_columns(
             return _ArrowStream(output, kinds, metadata)
         case _:
             return ParquetTable(output, kinds, metadata)
-
-
-@contextmanager
-def replacing(path: Path) -> Iterator[Path]:
-    """Give the name under which a file is written until it is complete; nothing of that name is left.
-
-    Raises OutputError in place of an OSError.
-    """
-    part = path.with_name(f".{path.name}.part")
-    try:
-        yield part
-    except OSError as exc:
-        raise OutputError(f"cannot write {path}: {exc.strerror or exc}") from exc
-    finally:
-        part.unlink(missing_ok=True)
 
 
 class _ArrowStream:

@@ -90,7 +90,7 @@ def analyze_folders(
         If none of the logs can be read.
     IncompleteError
         If ``is_strict`` and a log or a channel contributed nothing.
-    StoreError, OutputError
+    StoreError
         If a file cannot be written.
     """
     listener = _Listener()

@@ -4,11 +4,11 @@ import csv
 import errno
 import os
 from collections.abc import Iterable, Iterator, Mapping
-from contextlib import contextmanager
 from enum import StrEnum
 from pathlib import Path
 
 from canlog.parquet_file import BOOL_TYPE, TIME_TYPE, ParquetTable, load_pyarrow
+from canlog.whole_file import replacing
 from diag_service.batch.journal import Entry
 from diag_service.diagnosis.results import dump
 from diag_service.errors import ConfigError, StoreError
@@ -51,10 +51,9 @@ def check_output(path: Path) -> None:
 def write_results(path: Path, entries: Iterable[Entry]) -> None:
     """Write the shifts of all drives, and in JSON lines their accounts; replaces the file when it is complete.
 
-    Raises StoreError or OutputError if the file cannot be written. Raises ExtraMissingError if Parquet is asked for and
-    pyarrow is missing.
+    Raises StoreError if the file cannot be written, ExtraMissingError if Parquet is asked for and pyarrow is missing.
     """
-    with _replacing(path) as part:
+    with replacing(path, StoreError) as part:
         match format_of(path):
             case TableFormat.JSON_LINES:
                 _write_json_lines(part, entries)
@@ -62,6 +61,7 @@ def write_results(path: Path, entries: Iterable[Entry]) -> None:
                 _write_csv(part, entries)
             case TableFormat.PARQUET:
                 _write_parquet(part, entries)
+        part.replace(path)
 
 
 def columns() -> dict[str, str]:
@@ -143,7 +143,7 @@ def _write_csv(part: Path, entries: Iterable[Entry]) -> None:
 
 
 def _write_parquet(part: Path, entries: Iterable[Entry]) -> None:
-    with ParquetTable(part, columns()) as table:
+    with part.open("wb") as stream, ParquetTable(stream, columns()) as table:
         rows: list[dict[str, object]] = []
         for row in _rows(entries):
             rows.append(row)
@@ -151,15 +151,3 @@ def _write_parquet(part: Path, entries: Iterable[Entry]) -> None:
                 table.write_rows(rows)
                 rows.clear()
         table.write_rows(rows)
-
-
-@contextmanager
-def _replacing(path: Path) -> Iterator[Path]:
-    part = path.with_name(f".{path.name}.part")
-    try:
-        yield part
-        part.replace(path)
-    except OSError as exc:
-        raise StoreError(f"cannot write {path}: {exc.strerror or exc}") from exc
-    finally:
-        part.unlink(missing_ok=True)

@@ -1,13 +1,12 @@
 """A report as one HTML file: written whole or not at all, it loads nothing and runs nothing."""
 
-import os
-from contextlib import suppress
 from importlib.metadata import version
 from pathlib import Path
 from typing import Final
 
 from jinja2 import Environment, PackageLoader, StrictUndefined
 
+from canlog.whole_file import replacing
 from diag_service.diagnosis.records import Condition, ShiftResult
 from diag_service.diagnosis.results import SHIFT_SCHEMA, clutch_record, shift_record, utc_from_bus_ns
 from diag_service.diagnosis.summary import capability_line, frames_line, gaps_line, summary_record, values_line
@@ -70,14 +69,9 @@ def html_of(page: Page) -> str:
 def write_page(path: Path, page: Page) -> int:
     """Write a page and return its size in bytes; raises StoreError if the disk does not take it."""
     content = html_of(page).encode("utf-8", "backslashreplace")
-    part = path.with_name(f".{path.name}.{os.getpid()}.part")
-    try:
+    with replacing(path, StoreError) as part:
         part.write_bytes(content)
         part.replace(path)
-    except OSError as exc:
-        with suppress(OSError):
-            part.unlink(missing_ok=True)
-        raise StoreError(f"cannot write {path}: {exc.strerror or exc}") from exc
     return len(content)
 
 

@@ -1,8 +1,6 @@
 """Self-calibration of one vehicle from recorded drives: what was found, and a calibration file of its own."""
 
-import contextlib
 import io
-import os
 import sys
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
@@ -13,6 +11,7 @@ from rich import box
 from rich.table import Table
 
 from canlog.errors import SourceError
+from canlog.whole_file import replacing
 from clutch_model.calibration import Calibration, calibration_toml
 from clutch_model.units import bar_from_pa
 from diag_service.console.reading import ReadingLine
@@ -158,15 +157,10 @@ def run_calibrate(config: DiagnosisConfig, logs: Sequence[Path], path: Path, sto
 
 
 def write_calibration(path: Path, calibration: Calibration) -> None:
-    """Write a calibration file whole or not at all."""
-    partial = path.with_name(f".{path.name}.{os.getpid()}.partial")
-    try:
-        partial.write_text(calibration_toml(calibration), encoding="utf-8")
-        partial.replace(path)
-    except OSError as exc:
-        with contextlib.suppress(OSError):
-            partial.unlink(missing_ok=True)
-        raise ConfigError(f"cannot write {path}: {exc.strerror or exc}") from exc
+    """Write a calibration file whole or not at all; raises ConfigError if the disk does not take it."""
+    with replacing(path, ConfigError) as part:
+        part.write_text(calibration_toml(calibration), encoding="utf-8")
+        part.replace(path)
 
 
 def show(found: SelfCalibration, start: Calibration, path: Path, console: PeopleConsole, gaps: Sequence[Gap]) -> None:

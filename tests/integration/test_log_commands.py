@@ -14,7 +14,8 @@ import pytest
 from cantools.database.can import Database
 
 from canlog.errors import DefinitionError, OutputError, SourceError
-from canlog.tables.decoding import Plan, TableShape, decode_log
+from canlog.tables.decoding import Plan, TableShape, decode_logs
+from canlog.tables.outputs import TableFormat
 from dbc.contract import DBC_PATH, load_contract
 from diag_service.commands.arguments import parse_arguments
 from diag_service.diagnosis.columns import Signal
@@ -134,7 +135,7 @@ def test_decode_long_holds_the_same(short_log: Path, tmp_path: Path) -> None:
 @pytest.mark.parametrize("layout", ["wide", "long"])
 def test_row_groups_are_small_whatever_the_log(layout: str, short_log: Path, tmp_path: Path) -> None:
     plan = replace(Plan.of(load_contract().messages, TableShape(layout)), max_cells=6400)
-    assert decode_log(short_log, plan, tmp_path / "out.parquet")
+    decode_logs([short_log], plan, tmp_path / "out.parquet", TableFormat.PARQUET)
     file = pq.ParquetFile(tmp_path / "out.parquet")
     assert file.metadata.num_row_groups > 5
     assert np.all(np.diff(file.read().column("time").to_numpy().astype(np.int64)) >= 0)

@@ -120,6 +120,13 @@ def test_tables_are_written_under_such_names(odd: Path) -> None:
         assert [record["paths"] for record in records if "paths" in record] == [[f"{odd_text(odd)}.log"]]
 
 
+@pytest.mark.parametrize("command", ["analyze", "decode"])
+def test_the_longest_names_will_do(command: str, odd: Path) -> None:
+    output = odd / ("n" * 251 + ".csv")
+    told = run("diag_service", command, odd / odd_name(".log"), "-o", output, cwd=odd)
+    assert (told.status, output.is_file()) == (0, True)
+
+
 @pytest.mark.parametrize("suffix", [".jsonl", ".csv", ".parquet"])
 def test_every_kind_of_table_takes_such_names(odd: Path, suffix: str) -> None:
     output = odd / odd_name(suffix)
