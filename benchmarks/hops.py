@@ -112,9 +112,8 @@ async def trip_of_a_shift(log: Path, port: int) -> Trip:
         session = new_session(store)
         connector = MqttConnector(BrokerAddress(host="127.0.0.1", port=port), "clutchdiag-hops")
         outbox = Outbox(store, VEHICLE, lambda: connector.connect(NOW), "broker")
-        first, second, *_ = events(
-            DriveFrames(open_drive([log]), session.stages.decoder.sources), session.stages, Trigger()
-        )
+        with open_drive([log]) as logs:
+            first, second, *_ = events(DriveFrames(logs, session.stages.decoder.sources), session.stages, Trigger())
         sender = asyncio.create_task(outbox.run())
         session.process(first)
         await delivered(outbox, 1)

@@ -78,7 +78,8 @@ def analyse(path: Path) -> Summary:
     config = DiagnosisConfig(vehicle="benchmark", calibration=nominal_calibration())
     with closing(ResultStore.in_memory()) as store:
         session = Session(config, new_decoder(), store, stream_of([path]), MemoryReporter())
-        return run_logs(open_drive([path]), session, stop=Trigger())
+        with open_drive([path]) as logs:
+            return run_logs(logs, session, stop=Trigger())
 
 
 def stages_of(path: Path) -> list[Stage]:

@@ -207,7 +207,7 @@ def analyze(
             is_strict=is_strict, delivery=delivery, store_budget_mib=store_budget_mib,
         )  # fmt: skip
         reporter = MemoryReporter()
-        summary = run_recorded(config, named, optional_path(store), reporter, Trigger())
+        summary = run_recorded(config, named, optional_path(store), reporter, Trigger()).summary
     if is_strict:
         insist(summary.gaps, summary.contributions, is_strict=True)
     return Analysis.of(named, reporter.results, summary, notices)

@@ -23,6 +23,7 @@ from diag_service.batch.drives import Drive, LeftOut, find_drives
 from diag_service.batch.journal import Entry, Journal
 from diag_service.batch.tables import check_output, write_results
 from diag_service.batch.worker import analyse_drive, start_worker
+from diag_service.delivery import Acknowledge
 from diag_service.diagnosis.results import dump
 from diag_service.diagnosis.summary import GAP_TEXT, Gap
 from diag_service.errors import ConfigError, IncompleteError, StoppedError
@@ -85,6 +86,7 @@ def analyse_folders(
             raise ConfigError(text)
     if config.broker is not None:
         _LOG.warning("results of folders are not published")
+        config = replace(config, broker=None, acknowledge=Acknowledge.BROKER)
     settings = settings_digest(config)
     found = find_drives(paths, has_vehicles=has_vehicles)
     drives = found.drives

@@ -4,10 +4,11 @@ import logging
 import os
 import signal
 import threading
-from contextlib import closing
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from multiprocessing import parent_process
+from pathlib import Path
 
 from canlog.errors import SourceError
 from diag_service.batch.drives import Drive
@@ -15,15 +16,13 @@ from diag_service.batch.journal import Entry
 from diag_service.console.collecting import collected_notices
 from diag_service.console.notices import set_up_notices
 from diag_service.delivery import MemoryReporter
+from diag_service.diagnosis.records import ShiftResult
 from diag_service.diagnosis.results import shift_record
 from diag_service.diagnosis.summary import summary_record, unjudged
 from diag_service.mapping.interpretation import Interpretation
-from diag_service.service.drive import open_drive, stream_of
-from diag_service.service.recorded import run_logs
-from diag_service.service.session import Session
+from diag_service.service.drive_run import RecordedRun, run_recorded
 from diag_service.service.stopping import Trigger, ignore
 from diag_service.settings.config import DiagnosisConfig
-from diag_service.store import ResultStore
 
 DRIVE_SCHEMA = "clutchdiag/drive/v1"
 
@@ -40,36 +39,29 @@ class Analyst:
 
     def analyse(self, drive: Drive) -> Entry:
         """Return the account of a drive and its shifts; a log that cannot be read gives the reason instead."""
-        head: dict[str, object] = {"schema": DRIVE_SCHEMA, "paths": [str(path) for path in drive.paths]}
+        config = replace(self.config, vehicle=drive.vehicle or self.config.vehicle)
+        reporter = MemoryReporter()
         try:
             with collected_notices() as notices:
-                stream, reporter = self._run(drive)
+                run = run_recorded(config, drive.paths, None, reporter, Trigger(), meaning=self._meaning)
         except SourceError as exc:
-            return Entry(
-                key=drive.key,
-                drive={**head, "stream": None, "error": str(exc), "summary": None, "notices": []},
-                shifts=(),
-            )
-        (summary,) = reporter.summaries
-        account: dict[str, object] = {
-            **head,
-            "stream": stream,
-            "error": None,
-            "summary": summary_record(summary),
-            "notices": notices,
-        }
-        results = (unjudged(one, summary.gaps) for one in reporter.results)  # the last one is taken for the drive's
-        return Entry(key=drive.key, drive=account, shifts=tuple(map(shift_record, results)))
+            return Entry(key=drive.key, drive={**_account(drive.paths), "error": str(exc)}, shifts=())
+        return drive_entry(drive.key, drive.paths, run, reporter.results, notices)
 
-    def _run(self, drive: Drive) -> tuple[str, MemoryReporter]:
-        config = replace(self.config, vehicle=drive.vehicle or self.config.vehicle)
-        logs = open_drive(drive.paths, is_strict=self.config.is_strict)
-        stream = stream_of([*(log.path for log in logs), *self._meaning.files])
-        reporter = MemoryReporter()
-        with closing(ResultStore.in_memory()) as store:
-            session = Session(config, self._meaning.decoder(), store, stream, reporter)
-            run_logs(logs, session, stop=Trigger())
-        return stream, reporter
+
+def drive_entry(
+    key: str, paths: Iterable[Path], run: RecordedRun, results: Iterable[ShiftResult], notices: Sequence[str]
+) -> Entry:
+    """Return what a drive said, as journals and files of results keep it."""
+    account = {"stream": run.stream, "summary": summary_record(run.summary), "notices": list(notices)}
+    judged = (unjudged(one, run.summary.gaps) for one in results)  # the last one is taken for the drive's
+    return Entry(key=key, drive={**_account(paths), **account}, shifts=tuple(map(shift_record, judged)))
+
+
+def _account(paths: Iterable[Path]) -> dict[str, object]:
+    """Return the record of a drive of which nothing is known yet."""
+    names = [str(path) for path in paths]
+    return {"schema": DRIVE_SCHEMA, "paths": names, "stream": None, "error": None, "summary": None, "notices": []}
 
 
 _ANALYSTS: list[Analyst] = []  # of this process: one, made when it starts

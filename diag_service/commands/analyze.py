@@ -8,8 +8,7 @@ from canlog.logs import STANDARD_INPUT
 from canlog.notice import NOTICE
 from diag_service.console.reading import ReadingLine
 from diag_service.delivery import AllReporters, MemoryReporter
-from diag_service.diagnosis.results import shift_record
-from diag_service.diagnosis.summary import Gap, Summary, summary_record, unjudged
+from diag_service.diagnosis.summary import Gap
 from diag_service.errors import ConfigError
 from diag_service.service import paper_run
 from diag_service.service.application import reporter_of
@@ -55,48 +54,29 @@ def _analyse_by_paper(options: SimpleNamespace, diagnosis: DiagnosisConfig, cont
 def _analyse_drive(options: SimpleNamespace, diagnosis: DiagnosisConfig, controls: Controls) -> None:
     with ReadingLine() as line:
         reporter = AllReporters(line, reporter_of(controls.stop, as_json=options.json, is_detailed=options.verbose > 0))
-        summary = run_recorded(diagnosis, options.logs, options.store, reporter, controls.stop, watch=line.watch)
-    insist(summary.gaps, summary.contributions, is_strict=diagnosis.is_strict)
+        run = run_recorded(diagnosis, options.logs, options.store, reporter, controls.stop, watch=line.watch)
+    insist(run.summary.gaps, run.summary.contributions, is_strict=diagnosis.is_strict)
 
 
 def _analyse_drive_into_file(options: SimpleNamespace, diagnosis: DiagnosisConfig, controls: Controls) -> None:
     """Show the results of a drive and write them into a file, which is checked before hours of work."""
-    from diag_service.batch.tables import check_output  # noqa: PLC0415 - for an output alone
+    from diag_service.batch.tables import check_output, write_results  # noqa: PLC0415 - for an output alone
+    from diag_service.batch.worker import drive_entry  # noqa: PLC0415 - likewise
     from diag_service.console.collecting import collected_notices  # noqa: PLC0415 - likewise
 
     if text := replacement_refusal(options.output, is_forced=options.force):
         raise ConfigError(text)
     check_output(options.output)
-    heard, streams = MemoryReporter(), list[str]()
+    heard = MemoryReporter()
     with ReadingLine() as line, collected_notices() as notices:
         reporter = AllReporters(
             line, reporter_of(controls.stop, as_json=options.json, is_detailed=options.verbose > 0), heard
         )
-        summary = run_recorded(
-            diagnosis, options.logs, options.store, reporter, controls.stop,
-            watch=line.watch, name_stream=streams.append,
-        )  # fmt: skip
-    if Gap.STOPPED not in summary.gaps:
-        _write(options, streams[0], heard, summary, notices)
-    insist(summary.gaps, summary.contributions, is_strict=diagnosis.is_strict)
-
-
-def _write(options: SimpleNamespace, stream: str, heard: MemoryReporter, summary: Summary, notices: list[str]) -> None:
-    from diag_service.batch.journal import Entry  # noqa: PLC0415 - for an output alone
-    from diag_service.batch.tables import write_results  # noqa: PLC0415 - likewise
-    from diag_service.batch.worker import DRIVE_SCHEMA  # noqa: PLC0415 - likewise
-
-    account: dict[str, object] = {
-        "schema": DRIVE_SCHEMA,
-        "paths": [str(log) for log in options.logs],
-        "stream": stream,
-        "error": None,
-        "summary": summary_record(summary),
-        "notices": notices,
-    }
-    shifts = tuple(shift_record(unjudged(one, summary.gaps)) for one in heard.results)
-    write_results(options.output, [Entry(key="", drive=account, shifts=shifts)])
-    _LOG.log(NOTICE, "%d shifts of 1 drives in %s", len(shifts), options.output)
+        run = run_recorded(diagnosis, options.logs, options.store, reporter, controls.stop, watch=line.watch)
+    if Gap.STOPPED not in run.summary.gaps:
+        write_results(options.output, [drive_entry("", options.logs, run, heard.results, notices)])
+        _LOG.log(NOTICE, "%d shifts of 1 drives in %s", len(heard.results), options.output)
+    insist(run.summary.gaps, run.summary.contributions, is_strict=diagnosis.is_strict)
 
 
 def _analyse_folders(options: SimpleNamespace, controls: Controls) -> None:

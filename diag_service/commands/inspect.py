@@ -95,9 +95,11 @@ def inspect_log(
             if last_ns is not None and not 0 <= int(batch.t_ns[0]) - last_ns <= NS_PER_S:
                 monitor.reset()
             monitor.check(batch)
-            last_ns = int(batch.t_ns[-1]) if len(batch) else last_ns
+            last_ns = int(batch.t_ns[-1])
     except InputLeftError:
         is_whole = False
+    finally:
+        reader.close()
     traffic = meter.report()
     counts, missing = monitor.counts, monitor.missing
     return Inspection(

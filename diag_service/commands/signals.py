@@ -3,6 +3,7 @@
 import sys
 from collections import Counter
 from collections.abc import Iterator
+from contextlib import closing
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -38,22 +39,20 @@ class Survey:
 
     def add(self, path: Path, stop: Trigger, watch: Watch | None = None) -> None:
         """Count all frames of a log; raises StoppedError."""
-        reader = read_log(path, is_stopped=lambda: stop.is_set, watch=watch)
-        for batch in reader:
-            if stop.is_set:
-                raise StoppedError("stopped early: no profile is proposed from a part of a log")
-            if not len(batch):
-                continue
-            ends_ns = [*self._ends_ns, int(batch.t_ns.min()), int(batch.t_ns.max())]
-            self._ends_ns = [min(ends_ns), max(ends_ns)]
-            self.frames += len(batch)
-            for found in self._codec.decode(batch):
-                self._counts[found.slot] += len(found.rows)
-                table, seen = self._codec.tables[found.slot], self._signals.setdefault(found.slot, {})
-                for name, decoded in found.signals.items():
-                    unit = table.definitions[name].unit or ""
-                    fresh = SignalStatistics(message=table.message.name, signal=name, unit=unit)
-                    seen.setdefault(name, fresh).add(decoded)
+        with closing(read_log(path, is_stopped=lambda: stop.is_set, watch=watch)) as reader:
+            for batch in reader:
+                if stop.is_set:
+                    raise StoppedError("stopped early: no profile is proposed from a part of a log")
+                ends_ns = [*self._ends_ns, int(batch.t_ns.min()), int(batch.t_ns.max())]
+                self._ends_ns = [min(ends_ns), max(ends_ns)]
+                self.frames += len(batch)
+                for found in self._codec.decode(batch):
+                    self._counts[found.slot] += len(found.rows)
+                    table, seen = self._codec.tables[found.slot], self._signals.setdefault(found.slot, {})
+                    for name, decoded in found.signals.items():
+                        unit = table.definitions[name].unit or ""
+                        fresh = SignalStatistics(message=table.message.name, signal=name, unit=unit)
+                        seen.setdefault(name, fresh).add(decoded)
         self.is_cut = reader.counts.truncated
 
     def statistics(self) -> list[SignalStatistics]:

@@ -1,7 +1,7 @@
 """What a report is about: results of one vehicle, from logs or a store, and the signals of a few of its shifts."""
 
 from collections.abc import Iterable, Sequence
-from contextlib import ExitStack, closing
+from contextlib import closing
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -78,12 +78,11 @@ def findings_of_logs(
     Raises what `analyze` raises, and StoppedError if it was stopped.
     """
     meaning, reporter, album = config.interpretation(), MemoryReporter(), Album()
-    with ExitStack() as opened:
-        logs = open_drive(paths, is_stopped=lambda: stop.is_set, watch=watch)
-        for log in logs:
-            opened.callback(log.reader.close)
+    with (
+        open_drive(paths, is_stopped=lambda: stop.is_set, watch=watch) as logs,
+        closing(ResultStore.in_memory()) as store,
+    ):
         stream = stream_of_drive((log.path for log in logs), meaning.files)
-        store = opened.enter_context(closing(ResultStore.in_memory()))
         session = Session(config, meaning.decoder(), store, stream, reporter)
 
         def process(event: Event) -> None:

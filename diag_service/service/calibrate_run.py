@@ -126,8 +126,10 @@ def calibrated(
     Raises ConfigError if the drives do not suffice, StoppedError if it was stopped.
     """
     start = config.calibration
-    with line or ReadingLine(io.StringIO()) as shown:
-        drive = open_drive(logs, is_stopped=lambda: stop.is_set, watch=shown.watch)
+    with (
+        line or ReadingLine(io.StringIO()) as shown,
+        open_drive(logs, is_stopped=lambda: stop.is_set, watch=shown.watch) as drive,
+    ):
         events = find_events(drive, config.interpretation().decoder(), start, stop)
         shown.show(f"calibrating from {len(events.shifts)} shifts and {len(events.run_ups)} revs in neutral")
         version = f"{start.version}-{config.vehicle}-{events.last_day.isoformat()}"

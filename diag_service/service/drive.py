@@ -4,6 +4,7 @@ import hashlib
 import logging
 import uuid
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from itertools import chain
 from pathlib import Path
@@ -34,28 +35,28 @@ class OpenLog:
     first: FrameBatch
 
 
+@contextmanager
 def open_drive(
     paths: Iterable[Path],
     *,
     is_strict: bool = False,
     is_stopped: Callable[[], bool] = never,
     watch: Watch | None = None,
-) -> list[OpenLog]:
-    """Open the logs of a drive; the one with the earliest first frame comes first. ``-`` is standard input.
+) -> Iterator[list[OpenLog]]:
+    """Open the logs of a drive while entered, ``-`` being standard input; the one with the earliest frame comes first.
 
     Raises ConfigError if a log is named twice, or two hold the same. Raises SourceError if a log cannot be read or
     holds no frame; of a strict one also if anything is wrong with it.
     """
     paths = list(paths)
     _check_distinct(paths)
-    logs: list[OpenLog] = []
-    for path in paths:
-        reader = read_log(path, is_strict=is_strict, is_stopped=is_stopped, watch=watch)
-        first = next(reader, None)
-        if first is None or not len(first):
-            raise SourceError(f"{reader.name} holds no frame that can be read")
-        logs.append(OpenLog(path=path, reader=reader, first=first))
-    return sorted(logs, key=lambda log: int(log.first.t_ns[0]))
+    with ExitStack() as opened:
+        logs: list[OpenLog] = []
+        for path in paths:
+            reader = read_log(path, is_strict=is_strict, is_stopped=is_stopped, watch=watch)
+            opened.callback(reader.close)
+            logs.append(OpenLog(path=path, reader=reader, first=next(reader)))  # a log without frames is an error
+        yield sorted(logs, key=lambda log: int(log.first.t_ns[0]))
 
 
 def _check_distinct(paths: Sequence[Path]) -> None:

@@ -1,13 +1,14 @@
 """The logs of one drive from their files to everyone who hears of results."""
 
 import logging
-from collections.abc import Callable, Sequence
-from contextlib import ExitStack
+from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 from canlog.logs.reading import Watch
 from diag_service.delivery import Reporter
 from diag_service.diagnosis.summary import Summary
+from diag_service.mapping.interpretation import Interpretation
 from diag_service.service.application import opened_store, outbox_of
 from diag_service.service.drive import open_drive, stream_of_drive
 from diag_service.service.recorded import run_logs, run_logs_and_send
@@ -19,8 +20,12 @@ from diag_service.settings.config import DiagnosisConfig
 _LOG = logging.getLogger(__name__)
 
 
-def _nobody(_stream: str) -> None:
-    pass
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RecordedRun:
+    """A drive that was diagnosed; the summary says whether it was all of it."""
+
+    stream: str  # by which its results are known
+    summary: Summary
 
 
 def run_recorded(
@@ -30,27 +35,23 @@ def run_recorded(
     reporter: Reporter,
     stop: Trigger,
     *,
-    watch: Watch | None = None,
-    name_stream: Callable[[str], None] = _nobody,
-) -> Summary:
-    """Diagnose the logs of a drive; the summary says whether it was all of it.
+    watch: Watch | None = None,  # of how far the reading is
+    meaning: Interpretation | None = None,  # of the frames, where it is at hand: that of the configuration
+) -> RecordedRun:
+    """Diagnose the logs of a drive.
 
-    ``watch`` hears how far the reading is, ``name_stream`` what the stream of the drive is called.
+    Raises what ``open_drive`` and ``opened_store`` raise, ConfigError if the frames cannot be interpreted.
     """
-    meaning = config.interpretation()
+    meaning = meaning or config.interpretation()
     decoder = meaning.decoder()
-    with ExitStack() as opened:
-        logs = open_drive(paths, is_strict=config.is_strict, is_stopped=lambda: stop.is_set, watch=watch)
-        for log in logs:
-            opened.callback(log.reader.close)
+    with open_drive(paths, is_strict=config.is_strict, is_stopped=lambda: stop.is_set, watch=watch) as logs:
         stream = stream_of_drive((log.path for log in logs), meaning.files)
-        name_stream(stream)
-        store = opened.enter_context(opened_store(config, store_path, keeps_results=False))
-        session = Session(config, decoder, store, stream, reporter)
-        outbox = outbox_of(config, store, session, is_live=False)
-        if outbox is None:
-            return run_logs(logs, session, stop=stop)
-        summary = run_to_end(run_logs_and_send(logs, session, stop=stop, outbox=outbox))
-        if summary.unpublished_count and store_path is None:
-            _LOG.warning("%d results were not delivered and are not kept; --store would", summary.unpublished_count)
-        return summary
+        with opened_store(config, store_path, keeps_results=False) as store:
+            session = Session(config, decoder, store, stream, reporter)
+            outbox = outbox_of(config, store, session, is_live=False)
+            if outbox is None:
+                return RecordedRun(stream=stream, summary=run_logs(logs, session, stop=stop))
+            summary = run_to_end(run_logs_and_send(logs, session, stop=stop, outbox=outbox))
+    if summary.unpublished_count and store_path is None:
+        _LOG.warning("%d results were not delivered and are not kept; --store would", summary.unpublished_count)
+    return RecordedRun(stream=stream, summary=summary)

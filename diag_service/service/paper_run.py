@@ -59,9 +59,9 @@ def run_paper(
     decoder = config.interpretation().decoder()
     stages = Stages(decoder, config.calibration, FilterState.fresh(config.calibration), ConditionMemory.fresh())
     collection = PaperCollection(config.calibration, nominal_driveline())
-    logs = open_drive(paths, is_strict=config.is_strict, is_stopped=lambda: stop.is_set, watch=watch)
-    begin()
-    account = replay(logs, stages, stop, lambda event: use(collection.add(event)))
+    with open_drive(paths, is_strict=config.is_strict, is_stopped=lambda: stop.is_set, watch=watch) as logs:
+        begin()
+        account = replay(logs, stages, stop, lambda event: use(collection.add(event)))
     return PaperRun(clutches=collection.pooled(), account=account)
 
 

@@ -43,8 +43,9 @@ def followed(paths: Sequence[Path], channel: int | None = None) -> Followed:
     decoder = Decoder(DATABASE, replace(load_profile(), channel=channel))
     calibration = nominal_calibration()
     stages = Stages(decoder, calibration, FilterState.fresh(calibration), ConditionMemory.fresh())
-    frames = DriveFrames(open_drive(paths), stages.decoder.sources)
-    shifts = list(events(frames, stages, Trigger()))
+    with open_drive(paths) as logs:
+        frames = DriveFrames(logs, stages.decoder.sources)
+        shifts = list(events(frames, stages, Trigger()))
     return Followed(
         shifts=shifts,
         counts=decoder.counts,
@@ -233,7 +234,8 @@ def test_a_calibration_says_which_log_gave_nothing(
     lines: list[bytes], tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
     logs = [written(tmp_path / "drive.log", lines), written(tmp_path / "copy.log", on(1, lines[50:-50]))]
-    found = find_events(open_drive(logs), Decoder(DATABASE, load_profile()), nominal_calibration(), Trigger())
+    with open_drive(logs) as drive:
+        found = find_events(drive, Decoder(DATABASE, load_profile()), nominal_calibration(), Trigger())
     assert len(found.shifts) == 3
     assert f"{logs[1]} contributed nothing: " in caplog.text
 

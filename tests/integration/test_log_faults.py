@@ -9,7 +9,7 @@ import pytest
 
 from canlog.errors import SourceError
 from canlog.frame_columns import join
-from canlog.logs import LogReject, merged_by_time, read_log
+from canlog.logs import LogReader, LogReject, merged_by_time, read_log
 from canlog.logs.bounded_stream import FREE_BYTES
 from canlog.logs.log_counts import LogCounts
 from diag_service.errors import ConfigError
@@ -109,10 +109,18 @@ def test_a_merge_ends_where_time_jumps_back_in_every_log(tmp_path: Path) -> None
 
 def test_the_same_recording_twice_is_an_error(tmp_path: Path) -> None:
     first, second = (write(tmp_path / name, line(1.0), line(1.1)) for name in ("a.log", "b.log"))
-    with pytest.raises(ConfigError, match="same recording"):
-        open_drive([first, second])
-    with pytest.raises(ConfigError, match="twice"):
-        open_drive([first, first])
+    with pytest.raises(ConfigError, match="same recording"), open_drive([first, second]):
+        pass
+    with pytest.raises(ConfigError, match="twice"), open_drive([first, first]):
+        pass
+
+
+def test_logs_are_closed_where_the_next_one_cannot_be_opened(tmp_path: Path) -> None:
+    first, seen = write(tmp_path / "a.log", line(1.0), line(1.1)), list[LogReader]()
+    paths = [first, tmp_path / "none.log"]
+    with pytest.raises(SourceError, match="no such file"), open_drive(paths, watch=seen.append):
+        pass
+    assert {(reader.path, reader.has_ended) for reader in seen} == {(first, True)}
 
 
 @pytest.mark.parametrize("suffix", [".gz", ".xz"])

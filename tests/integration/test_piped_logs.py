@@ -157,8 +157,11 @@ def test_a_terminal_or_nothing_is_no_log(monkeypatch: pytest.MonkeyPatch) -> Non
     monkeypatch.setattr("sys.stdin", None)
     with pytest.raises(SourceError, match="standard input: it is closed"):
         read_log("-")
-    with pytest.raises(ConfigError, match="standard input is given twice"):
-        open_drive([STANDARD_INPUT, STANDARD_INPUT])
+    with (
+        pytest.raises(ConfigError, match="standard input is given twice"),
+        open_drive([STANDARD_INPUT, STANDARD_INPUT]),
+    ):
+        pass
 
 
 def test_a_file_may_be_called_so(drive_log: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
