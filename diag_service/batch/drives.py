@@ -1,6 +1,7 @@
 """Which drives are meant by files and folders."""
 
 import hashlib
+from collections import Counter
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -70,9 +71,9 @@ def find_drives(paths: Sequence[Path], *, has_vehicles: bool = False) -> Found:
                 raise ConfigError(f"{folder} holds no log that can be read{first}")
             left_out += others
             drives += [drive_of([log], _vehicle_of(log, folder) if has_vehicles else None) for log in logs]
-    files = [path.resolve() for drive in drives for path in drive.paths]
-    if twice := {str(path) for path in files if files.count(path) > 1}:
-        raise ConfigError(f"named twice: {', '.join(sorted(twice))}")
+    counts = Counter(path.resolve() for drive in drives for path in drive.paths)
+    if twice := sorted(str(path) for path, count in counts.items() if count > 1):
+        raise ConfigError(f"named twice: {', '.join(twice)}")
     return Found(drives=tuple(drives), left_out=tuple(left_out))
 
 
