@@ -5,6 +5,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from types import SimpleNamespace
 
+from canlog.logs import STANDARD_INPUT
 from canlog.logs.reading import Watch
 from diag_service.console.reading import ReadingLine
 from diag_service.errors import ConfigError
@@ -42,7 +43,7 @@ def findings_of(
     config: DiagnosisConfig, paths: Sequence[Path], vehicle: str | None, stop: Trigger, *, watch: Watch | None = None
 ) -> Findings:
     """Return what a report is made of: the logs of a drive, or a store and which vehicle of it is meant."""
-    stores = [path for path in paths if is_store(path)]
+    stores = [path for path in paths if path != STANDARD_INPUT and is_store(path)]
     if not stores:
         return findings_of_logs(config, paths, stop, watch=watch)
     if len(paths) > 1:

@@ -1,6 +1,7 @@
 """A store that is only read: of results only, without owning it, also while its service runs."""
 
 import json
+import os
 import sqlite3
 from collections.abc import Iterator
 from contextlib import closing, contextmanager, suppress
@@ -9,6 +10,7 @@ from pathlib import Path
 from typing import Final, Self
 from urllib.parse import quote
 
+from canlog.plain_files import open_plain_file
 from diag_service.diagnosis.records import FluidFill, ShiftResult
 from diag_service.diagnosis.results import parse_shift
 from diag_service.errors import ResultError, StoreError
@@ -20,6 +22,7 @@ from fleet_contract import JsonObject
 _MODES: Final = ("mode=rw", "mode=ro", "mode=ro&immutable=1")  # the last where nothing may be written beside it
 _MAGIC: Final = b"SQLite format 3\0"
 _APPLICATION_ID: Final = slice(68, 72)  # of the header, big-endian
+_POSITIONS: Final = 2**63  # SQLite counts no further
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -32,7 +35,7 @@ class Row:
 
 def is_store(path: Path) -> bool:
     """Return whether a file is a store of results, by its first bytes."""
-    with suppress(OSError), path.open("rb") as file:
+    with suppress(OSError), open_plain_file(path) as file:
         head = file.read(_APPLICATION_ID.stop)
         return head.startswith(_MAGIC) and head[_APPLICATION_ID] == APPLICATION_ID.to_bytes(4, "big")
     return False
@@ -90,7 +93,9 @@ class StoreReader:
 
     def record(self, position: int) -> JsonObject:
         """Return the record of the result at a position, as it was stored; raises StoreError if there is none."""
-        row = self._connection.execute("SELECT json FROM result WHERE position = ?", (position,)).fetchone()
+        row = None
+        if abs(position) < _POSITIONS:
+            row = self._connection.execute("SELECT json FROM result WHERE position = ?", (position,)).fetchone()
         if row is None:
             (last,) = self._connection.execute("SELECT coalesce(max(position), 0) FROM result").fetchone()
             raise StoreError(f"store {self.where} has no shift {position}; the newest is {last}")
@@ -111,11 +116,11 @@ class StoreReader:
 
 def _connect(path: Path) -> sqlite3.Connection:
     """Open a database for questions alone: so that nothing is left beside it, or as far as the disk lets us."""
-    address = f"file:{quote(str(path.absolute()))}"
-    for mode in _MODES[:-1]:
-        with suppress(sqlite3.OperationalError):
-            return _opened(f"{address}?{mode}")
+    address = f"file:{quote(os.fsencode(path.absolute()))}"
     with translated(str(path)):
+        for mode in _MODES[:-1]:
+            with suppress(sqlite3.OperationalError):
+                return _opened(f"{address}?{mode}")
         return _opened(f"{address}?{_MODES[-1]}")
 
 

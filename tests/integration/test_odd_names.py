@@ -145,6 +145,8 @@ def test_a_store_and_a_calibration_have_such_names(odd: Path) -> None:
     log, store, calibration = odd / odd_name(".log"), odd / odd_name(".sqlite"), odd / odd_name(".toml")
     told = run("diag_service", "analyze", log, "--store", store, cwd=odd)
     assert (told.status, store.exists()) == (0, True)
+    told = run("diag_service", "history", store, cwd=odd)
+    assert (told.status, SHOWN in told.err) == (4, True)  # it is read, and holds no results
     told = run("diag_service", "calibrate", log, "-o", calibration, cwd=odd)
     assert told.status in {2, 3}  # four frames tell nothing of a vehicle
     assert told.err.splitlines()[-1].startswith("diag-service: error: ")

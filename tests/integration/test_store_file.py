@@ -14,7 +14,15 @@ import pytest
 
 from diag_service.diagnosis.results import StoredResult
 from diag_service.errors import StoreError
-from diag_service.store import APPLICATION_ID, SCHEMA_VERSION, ResultStore, VehicleState, Versions
+from diag_service.store import (
+    APPLICATION_ID,
+    SCHEMA_VERSION,
+    ResultStore,
+    StoreReader,
+    VehicleState,
+    Versions,
+    is_store,
+)
 from fleet_contract import Receipt, raw_shift_message, read_message
 from tests.golden import FOLDER as GOLDEN
 from tests.support.builders import shift_result
@@ -147,6 +155,28 @@ def test_damaged_pages_are_told(path: Path) -> None:
     path.write_bytes(content)
     with pytest.raises(StoreError, match="malformed"):
         ResultStore.open(path)
+
+
+def test_a_damaged_store_is_told_to_its_readers(path: Path) -> None:
+    fill(path, 50)
+    content = bytearray(path.read_bytes())
+    content[100:4096] = b"\xa5" * 3996  # the tables, behind the header
+    path.write_bytes(content)
+    with pytest.raises(StoreError, match=r"cannot use store .*malformed"), StoreReader.open(path):
+        pass
+
+
+@pytest.mark.parametrize("position", [0, -1, 4, 2**63, -(2**70)])
+def test_a_shift_that_is_not_there_is_told(path: Path, position: int) -> None:
+    fill(path, 3)
+    with StoreReader.open(path) as store, pytest.raises(StoreError, match=f"no shift {position}; the newest is 3"):
+        store.record(position)
+
+
+def test_who_asks_whether_a_pipe_is_a_store_does_not_wait(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "pipe")
+    assert not is_store(tmp_path / "pipe")
+    assert not is_store(tmp_path)
 
 
 @pytest.mark.parametrize(
