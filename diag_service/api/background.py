@@ -69,14 +69,16 @@ class BackgroundDiagnosis:
             What ended the diagnosis.
         """
         deadline_s = time.monotonic() + timeout_s
-        while len(self._diagnosis.results) < shift_count:
-            if not self._thread.is_alive():
+        while True:
+            has_ended = not self._thread.is_alive()  # asked first: what comes after that is seen by the next look
+            if len(self._diagnosis.results) >= shift_count:
+                return self.results
+            if has_ended:
                 self._raise()
                 raise TimeoutError(f"the diagnosis has ended with {self._said}")
             if time.monotonic() > deadline_s:
                 raise TimeoutError(f"after {timeout_s:g} s {self._said}, {shift_count} were waited for")
             time.sleep(POLL_S)
-        return self.results
 
     def stop(self) -> Analysis:
         """End the diagnosis with what was received until now, and return all of it."""

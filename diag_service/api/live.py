@@ -159,7 +159,8 @@ class LiveDiagnosis:
             with collected_notices() as self._notices, closing(await asyncio.to_thread(self._open_store)) as store:
                 await self._diagnose(store)
         finally:
-            self._waiting.put_nowait(None)
+            # Behind the results that were handed over and are on their way.
+            asyncio.get_running_loop().call_soon(self._waiting.put_nowait, None)
 
     def _open_store(self) -> ResultStore:
         if self._store_path is None:

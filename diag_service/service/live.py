@@ -3,6 +3,7 @@
 import asyncio
 import logging
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 
 from canlog.errors import SourceError
 from canlog.live import LinkBreak, LiveSource, ReadSchedule
@@ -161,7 +162,8 @@ async def _next(trigger: Trigger) -> None:
     is_set = asyncio.Event()
 
     def wake() -> None:
-        loop.call_soon_threadsafe(is_set.set)
+        with suppress(RuntimeError):  # whoever sets it may be too late: the loop has ended
+            loop.call_soon_threadsafe(is_set.set)
 
     trigger.subscribe(wake)
     try:

@@ -191,7 +191,7 @@ class Emulator:
             channel=channel,
             truth=self._truth_path,
             longest_stay_s=MOST_PARKED_S if self._parked_s is None else self._parked_s,
-            stop=self._stop,
+            stop=Event(),  # that of the bus is set when the drive there is over
         )
 
     def __enter__(self) -> Self:
@@ -266,8 +266,11 @@ class Emulator:
     def wait_until(self, t_s: float, timeout_s: float) -> None:
         """Return when the frames up to a time of the drive [s] are sent; raises TimeoutError, or what ended it."""
         deadline_s = time.monotonic() + timeout_s
-        while self.sent_s < t_s:
-            if not self.is_driving:
+        while True:
+            is_driving = self.is_driving  # asked first: what is sent after that is seen by the next look
+            if self.sent_s >= t_s:
+                return
+            if not is_driving:
                 self._raise()
                 raise TimeoutError(f"the drive has ended after {self.sent_s:g} s")
             if time.monotonic() > deadline_s:

@@ -22,6 +22,8 @@ from diag_service.api.live import LiveDiagnosis
 from diag_service.batch.drives import drive_of
 from diag_service.batch.tables import write_results
 from diag_service.batch.worker import Analyst
+from diag_service.errors import StoreFullError
+from diag_service.store import ResultStore, VehicleState
 from tests.plugins.drives import SHIFT_COUNT, send_time_s
 from tests.support.in_process import ended, never_a_program
 from tests.support.patience import HANG_S
@@ -265,6 +267,30 @@ async def test_what_ends_a_live_diagnosis_is_raised(tmp_path: Path) -> None:
                 await until(live, 1)
 
 
+async def test_what_is_stored_in_the_end_is_handed_over_too(
+    drive_log: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    add = ResultStore.add
+
+    def add_in_the_end(store: ResultStore, result: diag_service.ShiftResult, state: VehicleState) -> bool:
+        if threading.current_thread() is not threading.main_thread():  # where a run ends
+            raise StoreFullError("the disk is full")
+        return add(store, result, state)
+
+    monkeypatch.setattr(ResultStore, "add", add_in_the_end)
+    sent = messages(drive_log)
+    with virtual_bus() as (near, far):
+        async with asyncio.timeout(HANG_S), diag_service.diagnose(far, store=tmp_path / "car.sqlite") as live:
+            for message in sent:
+                near.send(message)
+            while live.frames.on_bus < len(sent):  # noqa: ASYNC110 - it offers no event
+                await asyncio.sleep(0.01)
+            live.stop()
+            results = [result async for result in live]
+    assert results == live.results
+    assert len(results) == SHIFT_COUNT
+
+
 def test_a_program_without_a_loop_listens_in_the_background(drive_log: Path, tmp_path: Path) -> None:
     with virtual_bus() as (near, far):
         live = diag_service.diagnose(far, store=tmp_path / "car.sqlite", duration_s=HANG_S)
@@ -284,7 +310,10 @@ def test_a_program_without_a_loop_listens_in_the_background(drive_log: Path, tmp
 
 
 def test_an_emulator_records_what_the_program_records(cycle_log: Path, tmp_path: Path) -> None:
-    made = ecu_emulator.Emulator().record(tmp_path / "cycle.log")
+    car = ecu_emulator.Emulator()
+    with car:
+        pass  # what it drove on a bus does not matter to a log
+    made = car.record(tmp_path / "cycle.log")
     assert made.path.read_bytes() == cycle_log.read_bytes()
     assert made.truth.read_bytes() == cycle_log.with_name("cycle.log.truth.jsonl").read_bytes()
     assert (made.totals.shifts, made.is_finished) == (10, True)

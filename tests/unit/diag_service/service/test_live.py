@@ -2,7 +2,7 @@
 
 import asyncio
 import logging
-from collections.abc import AsyncIterator, Iterator
+from collections.abc import AsyncIterator, Callable, Iterator
 from contextlib import asynccontextmanager, closing
 from dataclasses import replace
 
@@ -137,6 +137,19 @@ async def test_a_stop_that_came_first_ends_the_run(store: ResultStore) -> None:
     stop.set()
     await run(ListSource([]), session_for(store, reporter), stop=stop)
     assert len(reporter.summaries) == 1
+
+
+class LateTrigger(Trigger):
+    """Somebody sets it while those who listened leave."""
+
+    def unsubscribe(self, listener: Callable[[], None]) -> None:
+        del listener
+
+
+def test_a_stop_that_comes_after_the_end_does_no_harm(store: ResultStore) -> None:
+    stop, session = LateTrigger(), session_for(store, MemoryReporter())
+    asyncio.run(run_live(ListSource([]), session, stop=stop, counts_wanted=Trigger(), outbox=None, duration_s=0.01))
+    stop.set()
 
 
 async def test_a_store_that_fails_ends_the_run_before_anything_is_told(
