@@ -7,9 +7,9 @@ from dataclasses import dataclass, field
 from types import TracebackType
 from typing import Final, Self
 
-from canlog.errors import SourceError
+from canlog.errors import CanlogError
 from canlog.notice import NOTICE
-from diag_service.errors import ConfigError, ControllerError, StoppedError, StoreError
+from diag_service.errors import DiagServiceError
 from diag_service.settings.config import BusConfig, PollConfig
 from diag_service.tester.addresses import CanAddress, parse_address
 from diag_service.tester.description import UNKNOWN, Description
@@ -103,7 +103,7 @@ class Poller:
             report = self._read()
             if not self._is_over.is_set():
                 self._tell(report)
-        except (ConfigError, ControllerError, SourceError, StoppedError, StoreError) as exc:
+        except (CanlogError, DiagServiceError) as exc:  # nothing of what is expected may end the thread
             return str(exc)
         return None
 

@@ -131,7 +131,7 @@ class Description:
     def values(self, number: int, data: bytes) -> Values:
         """Return what the bytes of a datum mean; those of one that is not known as text or in hexadecimal."""
         if number in self.readers:
-            return self.readers[number](data)
+            return {name: _finite(value) for name, value in self.readers[number](data).items()}
         datum = self.data.get(number) or STANDARD_DATA.get(number)
         return {"": readable(data)} if datum is None else read_fields(datum.fields, data)
 
@@ -165,7 +165,7 @@ def read_fields(fields: tuple[Field, ...], data: bytes) -> dict[str, Value]:
         if len(piece) < entry.size_bytes:
             break
         place += len(piece)
-        found[entry.label] = _value(entry, piece)
+        found[entry.label] = _finite(_value(entry, piece))
     if place < len(data):
         found["more bytes"] = data[place:].hex(" ").upper()
     return found
@@ -184,6 +184,11 @@ def _value(entry: Field, piece: bytes) -> Value:
     if entry.resolution == 1.0 and not entry.offset:
         return number
     return float(f"{number * entry.resolution + entry.offset:.{_DIGITS}g}")
+
+
+def _finite(value: Value) -> Value:
+    """Return a value; a number that is none, or larger than all numbers, is not available."""
+    return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
 def readable(data: bytes) -> str:

@@ -6,8 +6,9 @@ from contextlib import closing
 
 import pytest
 
+from canlog.errors import DefinitionError
 from diag_service.delivery import MemoryReporter
-from diag_service.errors import SilentError
+from diag_service.errors import ResultError, SilentError, StoreError
 from diag_service.service.controller_news import message_of, tell_controller
 from diag_service.service.polling import Poller, pause_s
 from diag_service.store import ResultStore
@@ -56,6 +57,20 @@ def test_it_asks_again_after_a_failure_and_says_so_once(caplog: pytest.LogCaptur
         "the controller was not asked: silent; trying again, less and less often",
         "the controller answers again",
     ]
+
+
+def test_whatever_goes_wrong_it_asks_again() -> None:
+    is_told = threading.Event()
+    failures = [ResultError("a result holds a number that is not finite"), DefinitionError("no"), StoreError("full")]
+
+    def tell(_: ControllerReport) -> None:
+        if failures:
+            raise failures.pop()
+        is_told.set()
+
+    with Poller(report, tell, 0.001) as poller:
+        assert is_told.wait(HANG_S)
+    assert poller.failure_count == 3
 
 
 def test_what_is_new_is_stored_and_told_and_all_is_published() -> None:

@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 from diag_service.errors import ConfigError
-from diag_service.tester.description import UNKNOWN, Field, Kind, read_fields
+from diag_service.tester.description import UNKNOWN, Description, Field, Kind, read_fields
 from diag_service.tester.description_file import find_description, shipped
 from ecu_emulator.diagnostics.pdx.package import pdx_package
 from ecu_emulator.diagnostics.table_file import shipped_table
@@ -32,6 +32,13 @@ def test_the_shipped_description_is_what_the_emulated_controller_has() -> None:
     assert FILE.read_text(encoding="utf-8") == written(shipped_table())
     (described,) = shipped()
     assert set(shipped_table().data) <= set(described.description.data)
+
+
+def test_a_number_that_is_none_is_not_available() -> None:
+    found = Description(name="a", readers={1: lambda _: {"x": float("nan"), "y": float("-inf"), "z": 1.5, "t": "inf"}})
+    assert found.values(1, b"") == {"x": None, "y": None, "z": 1.5, "t": "inf"}
+    large = Field(name="x", kind=Kind.UNSIGNED, size_bytes=8, resolution=1e300)
+    assert read_fields((large,), b"\xff" * 8) == {"x": None}
 
 
 def test_a_file_of_ones_own_says_what_bytes_mean(tmp_path: Path) -> None:
