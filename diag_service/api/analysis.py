@@ -12,6 +12,7 @@ from diag_service.api.tables import ResultTable
 from diag_service.batch.tables import columns, drive_rows, flattened, record_columns
 from diag_service.console.collecting import collected_notices
 from diag_service.delivery import MemoryReporter
+from diag_service.delivery.words import condition_words
 from diag_service.diagnosis.records import ClutchVerdict, ShiftResult
 from diag_service.diagnosis.results import dump, shift_record, verdict_from
 from diag_service.diagnosis.summary import Gap, Summary, summary_record, unjudged
@@ -142,10 +143,7 @@ class Analysis:
     @property
     def _said(self) -> str:
         words = [f"{len(self.results)} shifts"]
-        words += [
-            f"clutch {clutch} {verdict.condition.name.lower().replace('_', ' ')}"
-            for clutch, verdict in self.verdicts.items()
-        ]
+        words += [f"clutch {clutch} {condition_words(verdict.condition)}" for clutch, verdict in self.verdicts.items()]
         return ", ".join(words if self.is_complete else [*words, "a part of the drive"])
 
 

@@ -6,6 +6,7 @@ from itertools import zip_longest
 from typing import TYPE_CHECKING, Protocol
 
 from diag_service.api.analysis import Analysis
+from diag_service.delivery.words import condition_words
 from diag_service.diagnosis.records import Condition, ShiftResult, Status
 
 if TYPE_CHECKING:
@@ -34,13 +35,13 @@ def expect_verdict(found: Analysis | HasAnalysis, clutch: int, *conditions: Cond
     """
     wanted = [_condition(one) for one in conditions]
     verdicts = _analysis(found).verdicts
-    names = " or ".join(_word(one) for one in wanted)
+    names = " or ".join(condition_words(one) for one in wanted)
     if clutch not in verdicts:
         raise AssertionError(f"clutch {clutch} should be {names}, but no shift engaged it")
     verdict = verdicts[clutch]
     if verdict.condition not in wanted:
         raise AssertionError(
-            f"clutch {clutch} should be {names}, but it is {_word(verdict.condition)}: {verdict.reason}"
+            f"clutch {clutch} should be {names}, but it is {condition_words(verdict.condition)}: {verdict.reason}"
         )
 
 
@@ -174,11 +175,7 @@ def _condition(one: Condition | str) -> Condition:
     try:
         return Condition[one.upper().replace(" ", "_")]
     except KeyError:
-        raise ValueError(f"{one!r} is no condition: {', '.join(_word(each) for each in Condition)}") from None
-
-
-def _word(condition: Condition) -> str:
-    return condition.name.lower().replace("_", " ")
+        raise ValueError(f"{one!r} is no condition: {', '.join(condition_words(each) for each in Condition)}") from None
 
 
 def _shift_words(results: Sequence[ShiftResult]) -> str:

@@ -5,6 +5,7 @@ from typing import TYPE_CHECKING, Final
 
 from canlog.errors import OutputError
 from canlog.extras import load_extra
+from diag_service.delivery.words import condition_words
 from diag_service.diagnosis.records import Condition, ShiftResult, Status
 
 if TYPE_CHECKING:
@@ -39,7 +40,7 @@ def draw(analysis: "Analysis") -> "Figure":
         axes.set_title(f"clutch {clutch}", loc="left")
         axes.set_ylabel("friction coefficient")
     panels[-1].set_xlabel("shift; dots: single shifts, lines: all shifts combined, bands: 2 standard deviations")
-    handles = [Patch(color=colour, label=_words(condition)) for condition, colour in CONDITION_COLOUR.items()]
+    handles = [Patch(color=colour, label=condition_words(condition)) for condition, colour in CONDITION_COLOUR.items()]
     handles += [Patch(color=MU_C_COLOUR, label="mu_C"), Patch(color=MU_S_COLOUR, label="mu_S")]
     figure.legend(handles=handles, loc="outside upper center", ncols=len(handles), frameon=False)
     panels[0].set_title(", ".join(path.name for path in analysis.paths) or analysis.vehicle, loc="right")
@@ -80,7 +81,3 @@ def _draw_clutch(axes: "Axes", results: list[ShiftResult]) -> None:
     for one in results:
         colour = CONDITION_COLOUR[one.verdict.condition]
         axes.axvspan(one.estimate.number - 0.5, one.estimate.number + 0.5, *STRIP, color=colour, lw=0.0)
-
-
-def _words(condition: Condition) -> str:
-    return condition.name.lower().replace("_", " ")

@@ -9,6 +9,7 @@ from rich.text import Text
 
 from clutch_model.units import degc_from_k
 from diag_service.delivery.base import News
+from diag_service.delivery.words import condition_words, gear_words, kind_words, reason_words
 from diag_service.diagnosis.records import Condition, ShiftEstimate, ShiftResult, Status
 from diag_service.diagnosis.summary import (
     Summary,
@@ -105,26 +106,15 @@ def shift_head(*, is_detailed: bool = True) -> Text:
 def shift_line(result: ShiftResult, *, is_detailed: bool = True) -> Text:
     """Return one shift as a line; columns as in the head."""
     estimate, verdict = result.estimate, result.verdict
-    line = Text(f"{estimate.number:>5}  {_gears(estimate):<5} {_event(estimate):<18} {estimate.clutch:>6}  ")
+    line = Text(f"{estimate.number:>5}  {gear_words(estimate):<5} {kind_words(estimate):<18} {estimate.clutch:>6}  ")
     line.append(f"{estimate.status.value:<10} ", _STATUS_STYLE[estimate.status])
     friction = estimate.friction
     line.append(f"{'-':>8} {'-':>7}" if friction is None else f"{friction.mu_c:>8.4f} {friction.std_mu_c:>7.4f}")
     line.append(f" {_details(estimate)}  " if is_detailed else "  ")
-    line.append(_words(verdict.condition), _CONDITION_STYLE[verdict.condition])
+    line.append(condition_words(verdict.condition), _CONDITION_STYLE[verdict.condition])
     if estimate.reasons:
-        line.append(f" [{', '.join(reason.value.replace('_', ' ') for reason in estimate.reasons)}]")
+        line.append(f" [{reason_words(estimate)}]")
     return line
-
-
-def _gears(estimate: ShiftEstimate) -> str:
-    """Return from which gear to which, or the gear of an event without a change."""
-    is_change = estimate.from_gear != estimate.to_gear
-    return f"{estimate.from_gear}-{estimate.to_gear}" if is_change else str(estimate.to_gear)
-
-
-def _event(estimate: ShiftEstimate) -> str:
-    """Return the kind of an event in words."""
-    return estimate.kind.value.replace("_", " ")
 
 
 def short_shift_head() -> Text:
@@ -136,11 +126,11 @@ def short_shift_line(result: ShiftResult) -> Text:
     """Return one shift as a line without deviations, slope and reasons; columns as in the head."""
     estimate, verdict = result.estimate, result.verdict
     friction, quality = estimate.friction, estimate.data_quality
-    line = Text(f"{estimate.number:>5}  {_gears(estimate):<5} {_event(estimate):<18} {estimate.clutch:>6}  ")
+    line = Text(f"{estimate.number:>5}  {gear_words(estimate):<5} {kind_words(estimate):<18} {estimate.clutch:>6}  ")
     line.append(f"{estimate.status.value:<10} ", _STATUS_STYLE[estimate.status])
     line.append(f"{'-' if friction is None else f'{friction.mu_c:.4f}':>8} ")
     line.append(f"{'-' if quality is None else f'{quality.score:.2f}':>5}  ")
-    line.append(_words(verdict.condition), _CONDITION_STYLE[verdict.condition])
+    line.append(condition_words(verdict.condition), _CONDITION_STYLE[verdict.condition])
     return line
 
 
@@ -164,7 +154,7 @@ def _clutch_table(summary: Summary, *, is_detailed: bool) -> Table:
         verdict, friction = result.verdict, result.verdict.friction
         cells: list[str | Text] = [
             str(verdict.clutch),
-            Text(_words(verdict.condition), _CONDITION_STYLE[verdict.condition]),
+            Text(condition_words(verdict.condition), _CONDITION_STYLE[verdict.condition]),
             "-" if friction is None else f"{friction.mu_c:.4f} ± {friction.std_mu_c:.4f}",
             "-" if verdict.level_ratio is None else f"{100.0 * verdict.level_ratio:.1f} %",
             str(verdict.shift_count),
@@ -174,7 +164,3 @@ def _clutch_table(summary: Summary, *, is_detailed: bool) -> Table:
             cells.append("-" if friction is None else f"{friction.probability_negative_slope:.3f}")
         table.add_row(*cells)
     return table
-
-
-def _words(condition: Condition) -> str:
-    return condition.name.lower().replace("_", " ")

@@ -8,11 +8,11 @@ from rich import box
 from rich.table import Table
 from rich.text import Text
 
+from diag_service.delivery.words import condition_words
 from diag_service.diagnosis.records import ClutchVerdict, FluidFill, FrictionEstimate, FrictionTrend, LiningChange
 from diag_service.diagnosis.results import fill_record, utc_from_bus_ns
 from diag_service.report.content import spread
 from diag_service.report.findings import Findings
-from diag_service.report.sections import condition_word
 from diag_service.store import Row
 from fleet_contract import JsonObject
 
@@ -160,7 +160,7 @@ def _fluid_table(clutch: int, periods: Sequence[FluidPeriod]) -> Table:
             _NONE if verdict is None else _friction(verdict.friction),
             _NONE if verdict is None else _change(verdict.trend),
             _NONE if verdict is None else _change(verdict.lining),
-            _NONE if verdict is None else condition_word(verdict),
+            _NONE if verdict is None else condition_words(verdict.condition),
         )
     return table
 
@@ -179,7 +179,7 @@ def _event_table(clutch: int, rows: Sequence[Row], most_rows: int) -> Table:
             estimate.status.value,
             _friction(estimate.friction),
             _friction(verdict.friction),
-            condition_word(verdict),
+            condition_words(verdict.condition),
         )
     return table
 

@@ -7,6 +7,7 @@ from typing import Final
 from jinja2 import Environment, PackageLoader, StrictUndefined
 
 from canlog.whole_file import replacing
+from diag_service.delivery.words import condition_words
 from diag_service.diagnosis.records import Condition, ShiftResult
 from diag_service.diagnosis.results import SHIFT_SCHEMA, clutch_record, shift_record, utc_from_bus_ns
 from diag_service.diagnosis.summary import capability_line, frames_line, gaps_line, summary_record, values_line
@@ -14,7 +15,6 @@ from diag_service.errors import StoreError
 from diag_service.report.content import Advice, Page, Section, Table
 from diag_service.report.findings import Findings
 from diag_service.report.sections import (
-    condition_word,
     events_section,
     friction_section,
     quality_section,
@@ -77,8 +77,8 @@ def write_page(path: Path, page: Page) -> int:
 
 def _advice(result: ShiftResult) -> Advice:
     verdict = result.verdict
-    text = verdict.advice or f"Clutch {verdict.clutch}: {condition_word(verdict)}: {verdict.reason}."
-    return Advice(condition=_style(verdict.condition), word=condition_word(verdict), text=text)
+    text = verdict.advice or f"Clutch {verdict.clutch}: {condition_words(verdict.condition)}: {verdict.reason}."
+    return Advice(condition=_style(verdict.condition), word=condition_words(verdict.condition), text=text)
 
 
 def _style(condition: Condition) -> str:

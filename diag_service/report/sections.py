@@ -7,6 +7,7 @@ from typing import Final
 import numpy as np
 
 from clutch_model.clutch import FrictionCurve
+from diag_service.delivery.words import condition_words, gear_words, kind_words, reason_words
 from diag_service.diagnosis.condition.thresholds import CHANGE_LEVEL_RATIO, WATCH_LEVEL_RATIO
 from diag_service.diagnosis.friction.curve import curve_band, new_curve
 from diag_service.diagnosis.records import ClutchVerdict, FrictionEstimate, QualityPart, ShiftResult, Status
@@ -206,15 +207,15 @@ def _trend_cells(place: int, result: ShiftResult) -> tuple[Cell, ...]:
         number(None if odometer_m is None else odometer_m / 1000.0, "{:.0f}"),
         number(None if friction is None else friction.mu_c),
         number(None if friction is None else BAND_STD * friction.std_mu_c),
-        condition_word(result.verdict),
+        condition_words(result.verdict.condition),
     )
 
 
 def _shift_figures(example: Example) -> Iterator[Figure]:
     estimate = example.result.estimate
-    reasons = ", ".join(reason.value.replace("_", " ") for reason in estimate.reasons)
+    reasons = reason_words(estimate)
     what = f"{estimate.status.value}{f' ({reasons})' if reasons else ''}"
-    name = f"Event {estimate.number}, {_kind(example.result)} {_gears(example.result)}, {what}"
+    name = f"Event {estimate.number}, {kind_words(estimate)} {gear_words(estimate)}, {what}"
     for panel in PANELS:
         curves = present_curves(panel, example.event)
         if curves:
@@ -249,14 +250,14 @@ def _event_cells(row: Row) -> tuple[Cell, ...]:
     return (
         str(row.position),
         _minute(estimate.start_ns),
-        _kind(result),
-        _gears(result),
+        kind_words(estimate),
+        gear_words(estimate),
         str(estimate.clutch),
         estimate.status.value,
         number(None if friction is None else friction.mu_c),
         number(None if friction is None else friction.std_mu_c),
-        condition_word(result.verdict),
-        ", ".join(reason.value.replace("_", " ") for reason in estimate.reasons) or NONE,
+        condition_words(result.verdict.condition),
+        reason_words(estimate) or NONE,
     )
 
 
@@ -274,21 +275,6 @@ def _quality_rows(results: tuple[ShiftResult, ...]) -> Iterator[tuple[Cell, ...]
     for name, scores in values.items():
         if scores:
             yield name, number(float(np.mean(scores)), "{:.2f}"), number(min(scores), "{:.2f}"), str(len(scores))
-
-
-def condition_word(verdict: ClutchVerdict) -> str:
-    """Return the word of a verdict for people."""
-    return verdict.condition.name.lower().replace("_", " ")
-
-
-def _kind(result: ShiftResult) -> str:
-    return result.estimate.kind.value.replace("_", " ")
-
-
-def _gears(result: ShiftResult) -> str:
-    estimate = result.estimate
-    is_change = estimate.from_gear != estimate.to_gear
-    return f"{estimate.from_gear}-{estimate.to_gear}" if is_change else str(estimate.to_gear)
 
 
 def _minute(t_ns: int) -> str:
