@@ -13,6 +13,7 @@ if TYPE_CHECKING:
     import can
 
 SHOWN_BYTES = 64
+_Kind = tuple[bool, int]  # whether an identifier has 29 bits, and which it is
 
 
 class HasAnalysis(Protocol):
@@ -123,20 +124,19 @@ def expect_same_frames(
     left, right = _payloads(sent, wanted), _payloads(received, wanted)
     if not left:
         raise AssertionError("no frame was sent that could be compared")
+    kinds = sorted(left.keys() | right.keys())
     problems = [
-        text
-        for can_id in sorted(left.keys() | right.keys())
-        if (text := _difference(can_id, left.get(can_id, ()), right.get(can_id, ()), unseen_at_end))
+        text for kind in kinds if (text := _difference(kind[1], left.get(kind, ()), right.get(kind, ()), unseen_at_end))
     ]
     if problems:
-        raise AssertionError(f"{len(problems)} of {len(left)} identifiers differ: {'; '.join(problems[:4])}")
+        raise AssertionError(f"{len(problems)} of {len(kinds)} identifiers differ: {'; '.join(problems[:4])}")
 
 
-def _payloads(messages: Iterable["can.Message"], wanted: frozenset[int] | None) -> Mapping[int, Sequence[bytes]]:
-    found: dict[int, list[bytes]] = defaultdict(list)
+def _payloads(messages: Iterable["can.Message"], wanted: frozenset[int] | None) -> Mapping[_Kind, Sequence[bytes]]:
+    found: dict[_Kind, list[bytes]] = defaultdict(list)
     for message in messages:
         if wanted is None or message.arbitration_id in wanted:
-            found[message.arbitration_id].append(bytes(message.data))
+            found[message.is_extended_id, message.arbitration_id].append(bytes(message.data))
     return found
 
 
