@@ -8,6 +8,7 @@ import numpy as np
 
 from canlog.decode.codec import HAS_VALUES, FrameFate
 from canlog.frames import EXTENDED_FLAG
+from canlog.logs.fault_texts import assumed_texts, lost_texts, odd_texts
 from canlog.tables.account import MAX_IDS, DecodeAccount
 from canlog.tables.names import flagged_id, identifier_text
 
@@ -19,13 +20,8 @@ SHOWN_COUNT: Final = 8  # of a list for people; a program gets all
 
 def losses(account: DecodeAccount) -> Iterator[str]:
     """Yield for people what of the log is not in the table though it should be."""
-    log, fates = account.log, account.fates
-    if log.truncated:
-        yield "the log ends before its own end"
-    if log.first_rejected:
-        rejected = {reason.value: count for reason, count in log.rejected.items()}
-        head = _with_reasons(f"{sum(rejected.values())} pieces of the log are no frames", rejected)
-        yield f"{head}, the first: {log.first_rejected}"
+    fates = account.fates
+    yield from lost_texts(account.log)
     if account.frames_of_id and not account.known_count:
         yield _why_nothing(account)
     if cut_off := sum(counts.cut_off for counts in account.signals.values()):
@@ -61,14 +57,8 @@ def _why_nothing(account: DecodeAccount) -> str:
 
 def remarks(account: DecodeAccount) -> Iterator[str]:
     """Yield for people what is in the table, or is missing by right, but may be worth a look."""
-    log = account.log
-    yield from log.notes
-    if log.unfinished:
-        yield "the log was never closed by its writer: what is missing at its end cannot be told"
-    if jumps := log.jumps_back + log.jumps_ahead:
-        yield f"{jumps} jumps of time, {log.jumps_back} of them back, the first: {log.first_jump}"
-    if log.repeated:
-        yield f"{log.repeated} frames equal the one before, time and all"
+    yield from assumed_texts(account.log)
+    yield from odd_texts(account.log)
     short_count, unknown = account.fates[FrameFate.SHORT], account.unknown_ids
     if short_count and not any(counts.cut_off for counts in account.signals.values()):
         yield f"{short_count} frames are shorter than their message, but hold all its signals"
@@ -112,11 +102,6 @@ def values_text(account: DecodeAccount) -> str:
     values = sum(counts.values for counts in account.signals.values())
     with_values = int(np.count_nonzero(account.counts[:-1, list(HAS_VALUES)].sum(axis=1)))
     return f"{values} values of {len(account.signals)} signals in {with_values} messages"
-
-
-def _with_reasons(head: str, counts: Mapping[str, int]) -> str:
-    named = [f"{count} {name.replace('_', ' ')}" for name, count in counts.items() if count]
-    return f"{head} ({', '.join(named)})" if named else head
 
 
 def account_record(account: DecodeAccount) -> JsonObject:

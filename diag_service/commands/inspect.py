@@ -16,6 +16,7 @@ from canlog.e2e.protection_check import FrameReason, LinkMonitor
 from canlog.errors import InputLeftError
 from canlog.frames import ERROR_FLAG, EXTENDED_FLAG, REMOTE_FLAG
 from canlog.logs import LogReader, read_log
+from canlog.logs.fault_texts import assumed_texts, lost_texts
 from canlog.logs.reading import Watch
 from canlog.traffic import NS_PER_S, IdTraffic, TrafficMeter, TrafficReport
 from diag_service.console.reading import ReadingLine
@@ -178,14 +179,7 @@ def _head(inspection: Inspection, bitrate: int) -> list[str]:
     since = f"from {utc_from_bus_ns(traffic.first_ns)}{part}"
     lines = [f"{inspection.reader.name}: {what} {since}", f"bus load at {rate}: {load}; {kinds}"]
     lines.append(f"taken for {inspection.reader.format.value}: {inspection.reader.evidence}")
-    lines += counts.notes
-    if counts.first_rejected:
-        total = sum(counts.rejected.values())
-        lines.append(f"{total} pieces are no frames, the first: {counts.first_rejected}")
-    if counts.truncated:
-        lines.append("the log ends before its own end")
-    elif counts.unfinished:
-        lines.append("the log was not closed by its writer; what is missing at its end cannot be told")
+    lines += [*assumed_texts(counts), *lost_texts(counts)]
     lines.append(f"{traffic.jump_count} jumps of time" if traffic.jump_count else "no jump of time")
     lines += [f"  at {utc_from_bus_ns(jump.at_ns)} by {jump.by_ns / NS_PER_S:+.6f} s" for jump in traffic.jumps]
     return lines

@@ -14,6 +14,7 @@ from canlog.e2e.protection_check import FrameReason, LinkMonitor
 from canlog.errors import SourceError
 from canlog.frames import FrameBatch
 from canlog.logs import STANDARD_INPUT, LogReader, merged_by_time, read_log
+from canlog.logs.fault_texts import assumed_texts, lost_texts, odd_texts
 from canlog.logs.piped import never
 from canlog.logs.reading import Watch
 from canlog.logs.source_marks import SourceMarks
@@ -125,21 +126,8 @@ def warn_of_faults(logs: Sequence[OpenLog], contributions: Contributions) -> Non
     for log in logs:
         counts, name = log.reader.counts, log.reader.name
         _LOG.info("%s: taken for %s: %s", name, log.reader.format, log.reader.evidence)
-        for note in counts.notes:
-            _LOG.warning("%s: %s", name, note)
-        if counts.first_rejected:
-            total = sum(counts.rejected.values())
-            _LOG.warning("%s: %d pieces are no frames, the first: %s", name, total, counts.first_rejected)
-        if counts.first_jump:
-            jumps = counts.jumps_back + counts.jumps_ahead
-            _LOG.warning("%s: %d jumps of time, %d of them back, the first: %s", name, jumps, counts.jumps_back,
-                         counts.first_jump)  # fmt: skip
-        if counts.repeated:
-            _LOG.warning("%s: %d frames are there twice", name, counts.repeated)
-        if counts.truncated:
-            _LOG.warning("%s ends before its own end", name)
-        elif counts.unfinished:
-            _LOG.warning("%s was not closed by its writer; what is missing at its end cannot be told", name)
+        for text in (*assumed_texts(counts), *lost_texts(counts), *odd_texts(counts)):
+            _LOG.warning("%s: %s", name, text)
     for text in contributions.idle:
         _LOG.warning("%s", text)
 

@@ -117,7 +117,7 @@ def test_a_log_that_broke_off_carries_no_verdict(cycle_log: Path, cut_log: Path,
         log.write_bytes(packed[: len(packed) * 9 // 10])
     ended = run_service(tmp_path / "json", "analyze", log, "--json")
     assert ended.status == 5
-    assert f"{log} ends before its own end" in ended.err
+    assert f"{log}: the log ends before its own end" in ended.err
     assert (ended.summary["complete"], ended.summary["incomplete"]) == (False, ["log_cut"])
     assert [clutch["condition"] for clutch in ended.summary["clutches"]] == ["no_verdict"] * 2
     assert any(shift["friction"] for shift in ended.shifts)
