@@ -16,6 +16,7 @@ from diag_service.console.terminal import PeopleConsole
 from diag_service.diagnosis.results import dump
 from diag_service.errors import ConfigError, IncompleteError, StoppedError
 from diag_service.mapping.databases import open_database
+from diag_service.service.drive import check_distinct
 from diag_service.service.stopping import Controls
 from fleet_contract import JsonObject
 from program_io.command_line import STANDARD_STREAM
@@ -67,8 +68,7 @@ def _check(options: SimpleNamespace, table_format: TableFormat) -> None:
         raise ConfigError(f"{table_format} does not go to standard output; csv, jsonl and arrow do")
     if is_piped and options.json:
         raise ConfigError("the table goes to standard output: there is no room for --json")
-    if len(set(options.logs)) < len(options.logs):
-        raise ConfigError("a log is named twice")
+    check_distinct(options.logs)
     if table_format is TableFormat.MF4 and (options.layout, options.values) != ("wide", "numbers"):
         raise ConfigError("an MF4 file has a group per message and numbers: neither --layout nor --values applies")
     if not is_piped and (text := replacement_refusal(options.output, is_forced=options.force)):

@@ -50,7 +50,7 @@ def open_drive(
     holds no frame; of a strict one also if anything is wrong with it.
     """
     paths = list(paths)
-    _check_distinct(paths)
+    check_distinct(paths)
     with ExitStack() as opened:
         logs: list[OpenLog] = []
         for path in paths:
@@ -60,7 +60,7 @@ def open_drive(
         yield sorted(logs, key=lambda log: int(log.first.t_ns[0]))
 
 
-def _check_distinct(paths: Sequence[Path]) -> None:
+def check_distinct(paths: Sequence[Path]) -> None:
     """Raise ``ConfigError`` where a recording is there twice; what is no file, its reader complains of."""
     if paths.count(STANDARD_INPUT) > 1:
         raise ConfigError("standard input is given twice")
