@@ -2,7 +2,7 @@
 
 import asyncio
 import logging
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Coroutine, Mapping, Sequence
 from contextlib import suppress
 
 from canlog.errors import SourceError
@@ -46,30 +46,16 @@ async def run_live(
     def counts() -> FrameCounts:
         return frame_counts(source, session.stages)
 
-    failure: SourceError | None = None
-    unpublished_count: int | None = None
-    senders = SenderWatch()
-    turn = asyncio.Lock()  # one thread at a time is at work in a session
+    work, senders = _Work(session, outbox), SenderWatch()
+    beside = {
+        "closer": _close_in_time(source, stop, duration_s),
+        "counts": _log_counts(session, counts, counts_wanted),
+        "onlookers": _repeat(SHOW_PERIOD_S, show),
+        "two senders": _repeat(SENDERS_PERIOD_S, lambda: senders.warn(counts())),
+        "full disk": work.retry(),
+    }
     try:
-        async with asyncio.TaskGroup() as tasks:
-            sender = None if outbox is None else tasks.create_task(_keep_sending(outbox), name="outbox")
-            helpers = (
-                tasks.create_task(_close_in_time(source, stop, duration_s), name="closer"),
-                tasks.create_task(_log_counts(session, counts, counts_wanted), name="counts"),
-                tasks.create_task(_repeat(SHOW_PERIOD_S, show), name="onlookers"),
-                tasks.create_task(_repeat(SENDERS_PERIOD_S, lambda: senders.warn(counts())), name="two senders"),
-                tasks.create_task(_retry(session, outbox, turn), name="full disk"),
-            )
-            try:
-                await _read(source, session, outbox, turn, schedule or ReadSchedule())
-            except SourceError as exc:
-                failure = exc
-            await _process_all(session, session.stages.flush(), outbox, turn)
-            async with turn:  # a thread that stores would outlive its task
-                for helper in helpers:
-                    helper.cancel()
-            if outbox is not None and sender is not None:
-                unpublished_count = await outbox.close(sender)
+        failure, unpublished_count = await work.run(source, schedule or ReadSchedule(), beside)
     except BaseExceptionGroup as group:
         raise first_error(group) from group
     finally:
@@ -81,32 +67,57 @@ async def run_live(
     return summary
 
 
-async def _read(
-    source: LiveSource, session: Session, outbox: Outbox | None, turn: asyncio.Lock, schedule: ReadSchedule
-) -> None:
-    stages = session.stages
-    async for part in source:
-        events = stages.flush() if isinstance(part, LinkBreak) else stages.segment(part)
-        schedule.wait_for(is_expecting=stages.is_expecting, due_ns=stages.due_ns)
-        await _process_all(session, events, outbox, turn)
+class _Work:
+    """What is done with the frames of a bus: one thread at a time is at work in the session, the loop goes on."""
 
+    def __init__(self, session: Session, outbox: Outbox | None) -> None:
+        self._session = session
+        self._outbox = outbox
+        self._turn = asyncio.Lock()
 
-async def _process_all(session: Session, events: Sequence[Event], outbox: Outbox | None, turn: asyncio.Lock) -> None:
-    for event in events:
-        async with turn:
-            await asyncio.to_thread(session.process, event)
-        if outbox is not None:
-            outbox.nudge()
+    async def run(
+        self, source: LiveSource, schedule: ReadSchedule, beside: Mapping[str, Coroutine[None, None, None]]
+    ) -> tuple[SourceError | None, int | None]:
+        """Read a bus to its end while other tasks run; return what ended it, and how many results are not sent."""
+        failure: SourceError | None = None
+        unpublished_count: int | None = None
+        async with asyncio.TaskGroup() as tasks:
+            sender = None if self._outbox is None else tasks.create_task(_keep_sending(self._outbox), name="outbox")
+            helpers = [tasks.create_task(task, name=name) for name, task in beside.items()]
+            try:
+                await self._read(source, schedule)
+            except SourceError as exc:
+                failure = exc
+            await self._process(self._session.stages.flush())
+            async with self._turn:  # a thread that stores would outlive its task
+                for helper in helpers:
+                    helper.cancel()
+            if self._outbox is not None and sender is not None:
+                unpublished_count = await self._outbox.close(sender)
+        return failure, unpublished_count
 
+    async def retry(self) -> None:
+        """Try again and again to store what a full disk did not take; the next shift may be hours away."""
+        while True:
+            await asyncio.sleep(RETRY_PERIOD_S)
+            async with self._turn:
+                is_stored = await asyncio.to_thread(self._session.retry)
+            if is_stored and self._outbox is not None:
+                self._outbox.nudge()
 
-async def _retry(session: Session, outbox: Outbox | None, turn: asyncio.Lock) -> None:
-    """Try again and again to store what a full disk did not take; the next shift may be hours away."""
-    while True:
-        await asyncio.sleep(RETRY_PERIOD_S)
-        async with turn:
-            is_stored = await asyncio.to_thread(session.retry)
-        if is_stored and outbox is not None:
-            outbox.nudge()
+    async def _read(self, source: LiveSource, schedule: ReadSchedule) -> None:
+        stages = self._session.stages
+        async for part in source:
+            events = stages.flush() if isinstance(part, LinkBreak) else stages.segment(part)
+            schedule.wait_for(is_expecting=stages.is_expecting, due_ns=stages.due_ns)
+            await self._process(events)
+
+    async def _process(self, events: Sequence[Event]) -> None:
+        for event in events:
+            async with self._turn:
+                await asyncio.to_thread(self._session.process, event)
+            if self._outbox is not None:
+                self._outbox.nudge()
 
 
 async def _keep_sending(outbox: Outbox) -> None:
