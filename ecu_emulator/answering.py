@@ -4,7 +4,7 @@ import secrets
 import threading
 import time
 from collections.abc import Mapping
-from contextlib import ExitStack
+from contextlib import AbstractContextManager, ExitStack, closing
 from dataclasses import asdict
 from pathlib import Path
 from types import TracebackType
@@ -98,19 +98,22 @@ class Answering:
                 described, values=self._values, clock=time.monotonic, chance=secrets.token_bytes, store=store
             )
             self.link = DiagnosticLink(self.controller, bus.send, is_fd=is_fd)
-            self.doip = None if doip is None else DoipServer(self.controller, doip)
-            self.elm327 = None if elm327 is None else ElmServer(self.controller, parse_place(elm327), bitrate)
+            self.doip = None if doip is None else self._stack.enter_context(closing(DoipServer(self.controller, doip)))
+            adapter = None if elm327 is None else ElmServer(self.controller, parse_place(elm327), bitrate)
+            self.elm327 = None if adapter is None else self._stack.enter_context(closing(adapter))
         except BaseException:
             self._stack.close()
             raise
 
     def __enter__(self) -> Self:
-        if self.elm327 is not None:
-            self._stack.enter_context(self.elm327)
-        self._stack.enter_context(self.link)
-        if self.doip is not None:
-            self._stack.enter_context(self.doip)
-        self._stack.enter_context(self._on_board)
+        parts: tuple[AbstractContextManager[object] | None, ...] = (self.elm327, self.link, self.doip, self._on_board)
+        try:
+            for part in parts:
+                if part is not None:
+                    self._stack.enter_context(part)
+        except BaseException:
+            self._stack.close()
+            raise
         self._monitor.start()
         return self
 

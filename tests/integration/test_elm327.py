@@ -10,7 +10,9 @@ from dataclasses import replace
 import can
 import pytest
 
+from ecu_emulator.answering import Answering
 from ecu_emulator.diagnostics.controller import Controller
+from ecu_emulator.diagnostics.doip.listening import Place
 from ecu_emulator.diagnostics.elm327.client import MOST_LINE_BYTES
 from ecu_emulator.diagnostics.elm327.server import MOST_CLIENTS, ElmServer, parse_place
 from ecu_emulator.diagnostics.table_file import parse_table, shipped_table
@@ -265,3 +267,21 @@ def test_an_adapter_needs_a_port_and_a_controller_without_extended_addresses() -
         ElmServer(controller(), taken.getsockname())
     with pytest.raises(ConfigError, match="--elm327 needs --diagnostics"):
         diagnostics_choice(None, None, None, "35000")
+
+
+class Bus:
+    """An end of a bus on which nobody listens."""
+
+    def send(self, message: can.Message) -> None:
+        """Take a frame."""
+
+
+def test_where_one_server_cannot_listen_no_other_goes_on_listening() -> None:
+    with socket.create_server(("127.0.0.1", 0)) as probe:
+        free = Place(host="127.0.0.1", port=probe.getsockname()[1])
+    with socket.create_server(("127.0.0.1", 0)) as taken:
+        port = str(taken.getsockname()[1])
+        with pytest.raises(BusError, match="ELM327 cannot listen") as failure:
+            Answering(Bus(), table="", memory=None, doip=free, is_fd=False, elm327=port)
+        socket.create_server((free.host, free.port)).close()
+    assert failure.traceback  # kept until here, and with it all that was made

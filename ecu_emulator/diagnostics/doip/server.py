@@ -99,6 +99,11 @@ class DoipServer:
         if self._error is not None and error is None:
             raise self._error
 
+    def close(self) -> None:
+        """Listen no more, as it does after its block; one that is never entered needs it."""
+        for one in (self._sockets.tcp, *self._sockets.udp):
+            one.close()
+
     def _run(self) -> None:
         try:
             asyncio.run(self._serve())
@@ -107,8 +112,7 @@ class DoipServer:
         finally:
             self._is_ready.set()
             self._pool.shutdown()
-            for one in (self._sockets.tcp, *self._sockets.udp):
-                one.close()
+            self.close()
 
     async def _serve(self) -> None:
         self._loop = asyncio.get_running_loop()

@@ -105,6 +105,10 @@ class ElmServer:
             client.end()
         self._ticker.join()
 
+    def close(self) -> None:
+        """Listen no more, as it does after its block; one that is never entered needs it."""
+        self._listener.close()
+
     def hear_frame(self, message: can.Message) -> None:
         """Show a frame of the bus to clients that monitor it; never waits."""
         for client in self._clients:
