@@ -29,7 +29,7 @@ _COLLECTOR: Final = _Collector()
 
 @contextmanager
 def collected_notices() -> Iterator[list[str]]:
-    """Yield a list that gets what is logged in this context, and in the threads and tasks that it starts."""
+    """Yield a list that gets what is logged in this context, and in the tasks that it starts with their threads."""
     for name in OWN:
         logging.getLogger(name).addHandler(_COLLECTOR)  # once, however often it is asked for
     found: list[str] = []

@@ -77,7 +77,7 @@ class DetachedReporter:
         if self._thread.ident is None:
             self._thread.start()
         try:
-            self._news.put_nowait(news)
+            self._news.put(news, timeout=self._drain_s if isinstance(news, Summary) else 0.0)
         except queue.Full:
             self.dropped += 1
             if self.dropped == 1:

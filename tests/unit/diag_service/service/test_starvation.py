@@ -182,6 +182,17 @@ def test_a_detached_reporter_keeps_the_order_and_tells_the_end() -> None:
     assert len(memory.summaries) == 1
 
 
+def test_the_end_is_told_to_a_reader_who_was_behind() -> None:
+    slow = BlockingReporter()
+    reporter = DetachedReporter(slow, limit=1, drain_s=HANG_S)
+    for seq in range(1, 5):
+        reporter.report(shift_result(seq))
+    threading.Timer(0.05, slow.let_go.set).start()
+    reporter.report(_summary())
+    assert reporter.dropped > 0
+    assert len(slow.summaries) == 1
+
+
 def _summary() -> Summary:
     store = ResultStore.in_memory()
     try:
