@@ -5,7 +5,7 @@ import threading
 import time
 from collections.abc import Mapping
 from contextlib import AbstractContextManager, ExitStack, closing
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 from types import TracebackType
 from typing import Final, Self
@@ -26,10 +26,13 @@ from ecu_emulator.diagnostics.opinion import FLUID_CODE, Opinions, failed_codes,
 from ecu_emulator.diagnostics.table_file import load_table, shipped_table
 from ecu_emulator.errors import ExtraMissingError, RecordError
 from ecu_emulator.on_board import FixedOpinion, OpinionSource
+from ecu_emulator.requested_routine import Driven, Performer, RequestedRoutine
 from ecu_emulator.sent_values import SentValues
 
 OWN_NODE: Final = "TCU"
 MONITOR_PERIOD_S: Final = 0.1
+RUNNING_RAD_S: Final = 30.0  # engine speed that no starter reaches
+_NS_PER_S: Final = 1e9
 
 
 class Answering:
@@ -53,6 +56,8 @@ class Answering:
         Of the bus [bit/s], if it is known; the adapter names its protocol by it.
     on_board
         Whose estimate of the clutches the controller has; None: it has none.
+    performer
+        The car that performs the workshop routine when a tester starts it; None: it cannot.
 
     Raises
     ------
@@ -71,6 +76,7 @@ class Answering:
         elm327: str | None = None,
         bitrate: int | None = None,
         on_board: OpinionSource | None = None,
+        performer: Performer | None = None,
     ) -> None:
         try:
             from ecu_emulator.diagnostics.link import DiagnosticLink  # noqa: PLC0415 - an extra
@@ -85,8 +91,8 @@ class Answering:
         self._own_ids = {message.frame_id for message in database.messages if OWN_NODE in message.senders}
         self._on_board: OpinionSource = on_board or FixedOpinion(None)
         self._judged: Opinions = {}
-        self._gear = 0.0
-        self._shift_count = 0
+        self._driven = Driven()
+        self._engine_on_s: float | None = None  # since when the engine runs
         self._is_over = threading.Event()
         self._monitor = threading.Thread(target=self._watch, name="monitors", daemon=True)
         self._error: BaseException | None = None
@@ -97,6 +103,7 @@ class Answering:
             self.controller = Controller(
                 described, values=self._values, clock=time.monotonic, chance=secrets.token_bytes, store=store
             )
+            self._routine = None if performer is None else RequestedRoutine(performer, self.controller)
             self.link = DiagnosticLink(self.controller, bus.send, is_fd=is_fd)
             self.doip = None if doip is None else self._stack.enter_context(closing(DoipServer(self.controller, doip)))
             adapter = None if elm327 is None else ElmServer(self.controller, parse_place(elm327), bitrate)
@@ -132,7 +139,7 @@ class Answering:
         if not message.is_error_frame:
             self._sent.note(can_id, bytes(message.data))
         if can_id == self._shift_id:
-            self._count_shift()
+            self._count_shift(message.timestamp)
         if can_id not in self._own_ids or self.controller.state.communication.sends_normal:
             self._bus.send(message)
             if self.elm327 is not None:
@@ -181,11 +188,24 @@ class Answering:
             while not self._is_over.wait(MONITOR_PERIOD_S):
                 if self._sent.has_all(SENSED):
                     values = self._values()
+                    self._note_engine(values)
                     watch, samples = judge(watch, values, time.monotonic())
                     self._report({numbers[code]: result for code, result in samples if code in numbers}, values)
                     self._judge_fluid(numbers)
+                if self._routine is not None:
+                    is_live = self._on_board.is_live
+                    self._routine.step(self._driven, self._on_board.opinions, time.monotonic(), is_live=is_live)
         except BaseException as exc:  # noqa: BLE001 - carried to the caller's thread, which raises it
             self._error = exc
+
+    def _note_engine(self, values: Mapping[str, float]) -> None:
+        speed_rad_s = values.get("engine_speed_rad_s")
+        if speed_rad_s is None:
+            return
+        if speed_rad_s < RUNNING_RAD_S:
+            self._engine_on_s = None
+        elif self._engine_on_s is None:
+            self._engine_on_s = time.monotonic()
 
     def _report(self, results: Mapping[int, TestResult], values: Mapping[str, float]) -> None:
         try:
@@ -207,15 +227,19 @@ class Answering:
         if result is not None:
             self._report({numbers[FLUID_CODE]: result}, {})
 
-    def _count_shift(self) -> None:
-        gear = self._sent.now({}).get("current_gear", self._gear)
-        self._shift_count += bool(gear and self._gear and gear != self._gear)
-        self._gear = gear or self._gear  # neutral between two gears is a part of their shift
+    def _count_shift(self, due_s: float) -> None:
+        driven = self._driven
+        gear = self._sent.now({}).get("current_gear", driven.gear)
+        if gear and driven.gear and gear != driven.gear:
+            driven = replace(driven, shift_count=driven.shift_count + 1, last_shift_ns=round(due_s * _NS_PER_S))
+        self._driven = replace(driven, gear=gear or driven.gear)  # neutral between two gears is a part of their shift
 
     def _values(self) -> Mapping[str, float]:
         more = {
             "time_s": time.monotonic() - self._began_s,
-            "shift_count": float(self._shift_count),
+            "shift_count": float(self._driven.shift_count),
+            "engine_run_time_s": 0.0 if self._engine_on_s is None else time.monotonic() - self._engine_on_s,
+            "revs_possible": float(self._routine is not None and self._routine.is_possible),
             **values_of(self._on_board.opinions),
         }
         return self._sent.now(more)

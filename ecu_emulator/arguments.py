@@ -99,6 +99,10 @@ _RUN: Final = Command(
     Option("-b --bitrate BITRATE", "bit rate of a real interface [bit/s]", INT),
     Option("--fd", "open the interface in CAN FD mode"),
     *_DRIVE,
+    Option(
+        "--workshop",
+        "stand in neutral until a tester starts the workshop routine (routine 0301); needs --diagnostics",
+    ),
     Option("--truth FILE", "write the truth about every shift to this file", FILE),
     Option("--summary FILE", "write the transmit report to this file as JSON", FILE),
     FORCE,
@@ -137,6 +141,7 @@ _RUN: Final = Command(
         f"{PROGRAM} run -i socketcan -c vcan0 --diagnostics --doip 13400",
         f"{PROGRAM} run -i socketcan -c vcan0 --diagnostics --elm327",
         f"{PROGRAM} run -i socketcan -c vcan0 --fluid case2 --cycles 3 --diagnostics --on-board",
+        f"{PROGRAM} run -i socketcan -c vcan0 --diagnostics --on-board --workshop",
         f"{PROGRAM} run -i socketcan -c vcan0 --fluid case2 --cycles 3 --truth truth.jsonl --json",
         f"{PROGRAM} run -i socketcan -c vcan0 --drive day --endless --oil-degc -10",
     ),

@@ -63,6 +63,7 @@ def _execute(options: SimpleNamespace, stop: Event) -> None:
         oil_degc=options.oil_degc,
         mass_kg=options.mass_kg,
         routine=options.routine,
+        is_in_workshop=options.command == "run" and options.workshop,
     )
     if options.command == "record":
         commands.record(

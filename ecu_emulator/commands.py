@@ -36,8 +36,11 @@ def choose_scenario(
     oil_degc: float | None = None,
     mass_kg: float | None = None,
     routine: tuple[int, int] | None = None,
+    is_in_workshop: bool = False,
 ) -> Scenario:
     """Load a scenario, unless it is one, and override what is named besides; ``routine`` counts open and closed revs.
+
+    In a workshop the car waits for a tester to start the routine.
 
     Colder oil makes coolant and air as cold: the car has stood there.
 
@@ -62,6 +65,8 @@ def choose_scenario(
     )
     if routine is not None:
         scenario = replace(scenario, routine=Routine(open_revs=routine[0], closed_revs=routine[1]))
+    if is_in_workshop:
+        scenario = replace(scenario, routine=replace(scenario.routine, on_request=True))
     return scenario
 
 
@@ -195,8 +200,10 @@ def write_log(
     Raises
     ------
     ConfigError, RecordError
-        If the scenario's truth is not possible, or a file cannot be written.
+        If the scenario waits for a tester or its truth is not possible, or a file cannot be written.
     """
+    if scenario.routine.on_request:
+        raise ConfigError("a log has no tester who would start the routine: give the number of revs instead")
     truth_file = truth or (Path(os.devnull) if path == STANDARD_STREAM else truth_path(path))
     if truth_file.absolute() == path.absolute():
         raise ConfigError(f"log and truth cannot both be {path}")

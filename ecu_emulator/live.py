@@ -138,7 +138,7 @@ def send(
         If the controller that answers testers cannot be used, the bus goes away, or a file cannot be written.
     """
     with (
-        _answering(bus, diagnostics, choice, scenario) as answering,
+        _answering(bus, diagnostics, choice, scenario, sent.drive) as answering,
         OtherSenders(
             bus,
             own_ids(),
@@ -177,8 +177,14 @@ def send(
 
 
 def _answering(
-    bus: can.BusABC, choice: DiagnosticsChoice | None, bus_choice: BusChoice, scenario: Scenario
+    bus: can.BusABC,
+    choice: DiagnosticsChoice | None,
+    bus_choice: BusChoice,
+    scenario: Scenario,
+    drive: Drive,
 ) -> "AbstractContextManager[Answering | None]":
+    if choice is None and scenario.routine.on_request:
+        raise ConfigError("the workshop routine waits for a tester: --diagnostics is needed, so that one is answered")
     if choice is None:
         return nullcontext()
     from ecu_emulator.answering import Answering  # noqa: PLC0415 - a drive that nobody asks begins sooner
@@ -192,6 +198,7 @@ def _answering(
         elm327=choice.elm327,
         bitrate=bus_choice.bitrate,
         on_board=_opinion_source(choice, bus_choice, scenario),
+        performer=drive,
     )
 
 

@@ -43,6 +43,10 @@ class OpinionSource(Protocol):
         """What is thought now."""
 
     @property
+    def is_live(self) -> bool:
+        """Whether it follows what is driven."""
+
+    @property
     def problem(self) -> str | None:
         """Why nothing is thought any more, for people."""
 
@@ -57,6 +61,7 @@ class FixedOpinion:
     """The same opinion all the time, of both clutches; without one, none."""
 
     problem = None
+    is_live = False
 
     def __init__(self, opinion: ClutchOpinion | None) -> None:
         self.opinions: Opinions = {} if opinion is None else {1: opinion, 2: opinion}
@@ -83,6 +88,8 @@ class OnBoardService:
     first_pause_s
         Before the second start.
     """
+
+    is_live = True
 
     def __init__(
         self,

@@ -24,7 +24,7 @@ from ecu_emulator.plant.drive import DriveSettings, FrictionFactors
 from ecu_emulator.plant.powertrain import Powertrain
 from ecu_emulator.readings import FloatArray, Schedule
 from ecu_emulator.road import WHOLE_STAY_S, journey, scenario_trips, trip_truth
-from ecu_emulator.scenario import MAX_CYCLES, FluidCondition, Scenario
+from ecu_emulator.scenario import MAX_CYCLES, FluidCondition, Routine, Scenario
 from ecu_emulator.sensors import Installation, SensorSuite
 from ecu_emulator.truth import (
     DriveTruth,
@@ -102,7 +102,7 @@ class Drive:
         )
         self._loss = FrameLoss(scenario.effects.frame_loss_ratio, scenario.seed_of_drive)
         self._bus_faults = BusFaults(scenario.bus_faults, scenario.seed_of_drive, message_contracts(database))
-        self._asked: SimpleQueue[SensorFault | BusFault] = SimpleQueue()  # filled by other threads
+        self._asked: SimpleQueue[SensorFault | BusFault | Routine] = SimpleQueue()  # filled by other threads
         self._counts: Counter[type[Happened]] = Counter()
         self._frame_count = 0
         self._end_s = 0.0
@@ -138,6 +138,15 @@ class Drive:
             self._bus_faults.check(fault)
         self._asked.put(fault)
 
+    @property
+    def is_waiting(self) -> bool:
+        """Whether the car waits for somebody to ask for the workshop routine."""
+        return isinstance(self._plant, Powertrain) and self._plant.is_waiting
+
+    def begin_routine(self, request: Routine) -> None:
+        """Have the workshop routine begin with the next stretch, if the car waits for it. Any thread may call."""
+        self._asked.put(request)
+
     def stretches(self, duration_s: float) -> Iterator[Stretch]:
         """Yield the rest of the drive in stretches of this length [s]."""
         while not self.finished:
@@ -148,11 +157,14 @@ class Drive:
 
     def _begin_asked(self) -> None:
         while not self._asked.empty():
-            fault = self._asked.get()
-            if isinstance(fault, BusFault):
-                self._bus_faults.add(fault, self._end_s)
+            asked = self._asked.get()
+            if isinstance(asked, Routine):
+                if isinstance(self._plant, Powertrain):
+                    self._plant.begin_routine(asked.open_revs, asked.closed_revs)
+            elif isinstance(asked, BusFault):
+                self._bus_faults.add(asked, self._end_s)
             else:
-                self._sensors.faults.add(fault, self._end_s)
+                self._sensors.faults.add(asked, self._end_s)
 
     def _fault_truths(self) -> tuple[FaultTruth, ...]:
         sensors, bus = self._sensors.faults, self._bus_faults
@@ -239,7 +251,8 @@ def drive_settings(scenario: Scenario) -> DriveSettings:
     is_ageing = scenario.fluid.condition is FluidCondition.AGEING
     factors = ageing_factors(scenario.fluid.ageing_cycles) if is_ageing else ()
     return DriveSettings(
-        cycles=MAX_CYCLES if scenario.endless else scenario.cycles,
+        # The cycle that belongs to a routine on request comes before those of the scenario.
+        cycles=(MAX_CYCLES if scenario.endless else scenario.cycles) + scenario.routine.on_request,
         seed=scenario.seed_of_drive,
         pedal_ratio=scenario.driver.pedal_ratio,
         vary_ratio=scenario.driver.variation_ratio,
@@ -248,6 +261,7 @@ def drive_settings(scenario: Scenario) -> DriveSettings:
         ambient_k=scenario.ambient.temperature_k,
         open_revs=scenario.routine.open_revs,
         closed_revs=scenario.routine.closed_revs,
+        waits=scenario.routine.on_request,
         friction_factors=tuple(FrictionFactors(mu_c1=c, mu_s1=s, mu_c2=c, mu_s2=s) for c, s in factors),
     )
 

@@ -69,10 +69,20 @@ class Driver(_Ranged):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Routine(_Ranged):
-    """Workshop routine before the cycles: revs in neutral, the car at rest; none of either kind: no routine."""
+    """Workshop routine before the cycles: revs in neutral, the car at rest.
+
+    It is there if there are revs of either kind, or a tester asks for it: then that one says how many.
+    """
 
     open_revs: int = field(default=0, metadata={"low": 0, "high": MAX_REVS})  # both clutches open
     closed_revs: int = field(default=0, metadata={"low": 0, "high": MAX_REVS})  # then both closed
+    on_request: bool = False  # the car waits in neutral until a tester starts the routine (service 31)
+
+    def __post_init__(self) -> None:
+        """Check ranges, and that nobody else than the tester says how many revs there are."""
+        _Ranged.__post_init__(self)
+        if self.on_request and self.open_revs + self.closed_revs > 0:
+            raise ConfigError("on request the tester says how many revs: leave out open_revs and closed_revs")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

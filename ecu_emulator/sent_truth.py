@@ -3,7 +3,7 @@
 from collections.abc import Iterable, Iterator
 from dataclasses import replace
 from queue import SimpleQueue
-from typing import Protocol
+from typing import Final, Protocol
 
 from ecu_emulator.bus import TransmitReport
 from ecu_emulator.frames import EncodedFrames
@@ -28,7 +28,7 @@ class SentTruth:
     """Hands a drive's frames to the bus and keeps back the truth of what happened until its frames have been sent."""
 
     def __init__(self, drive: Drive, writer: TruthSink | None) -> None:
-        self._drive = drive
+        self.drive: Final = drive
         self._writer = writer
         self._ahead: SimpleQueue[Happened] = SimpleQueue()  # filled by the thread that drives
         self._next: Happened | None = None
@@ -40,7 +40,7 @@ class SentTruth:
 
     def frames(self) -> Iterator[EncodedFrames]:
         """Drive, and yield what is to be sent; may run in a thread of its own."""
-        for stretch in self._drive.stretches(SHORT_STRETCH_S):
+        for stretch in self.drive.stretches(SHORT_STRETCH_S):
             for truth in stretch.truths:
                 self._ahead.put(truth)
             yield stretch.frames
@@ -65,11 +65,11 @@ class SentTruth:
     def finish(self, report: TransmitReport) -> None:
         """Write what is left, and the totals of what was sent."""
         if report.is_complete:
-            self.sent_until(self._drive.totals.duration_s)
+            self.sent_until(self.drive.totals.duration_s)
         if self._writer is not None:
             self._writer.totals(
                 replace(
-                    self._drive.totals,
+                    self.drive.totals,
                     shifts=self.shift_count,
                     events=self.event_count,
                     duration_s=self.sent_s,

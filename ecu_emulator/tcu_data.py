@@ -23,6 +23,7 @@ ENGAGING = 3
 FILLING = 4
 LAUNCHING = 5
 LOCKING = 6
+WAITING = 7  # idling with the brake held until somebody asks for the routine
 
 # Places in the array of what the control senses: SLIP, FILL, GEAR and IS_ENGAGED hold a pair, clutch 1 first.
 ENGINE_SPEED = 0

@@ -1,5 +1,7 @@
 """The workshop routine: revs in neutral with both clutches open, then closed, and a start from rest into 1st gear.
 
+It begins with the drive, or when a tester asks for it; until then the car waits.
+
 What the revs are for: with the clutches open the engine accelerates itself and the hub, with both closed the input
 shafts as well, whose inertia is known from the drawing; docs/model.md section "Workshop routine".
 """
@@ -13,6 +15,8 @@ from ecu_emulator import tcu_data as at
 from ecu_emulator.tcu_data import ClutchActuation, ControlParameters, WorkshopParameters
 
 FloatArray = npt.NDArray[np.float64]
+
+STANDING_BRAKE_M_S2 = 0.5  # [C] about 5 bar, what holds a car on level ground
 
 
 @array_kernel
@@ -45,6 +49,15 @@ def rev(memory: FloatArray, sense: FloatArray, count: int, is_settled: bool, p: 
     memory[at.REV_TIME] = 0.0
     memory[at.IS_REVVING] = 1.0
     return False
+
+
+@array_kernel
+def wait(commands: FloatArray) -> None:
+    """Idle with both clutches empty and the brake held; whoever asks for the routine moves on to its first stage."""
+    tcu.command_pressure(commands, 0, 0.0)
+    tcu.command_pressure(commands, 1, 0.0)
+    commands[at.THROTTLE] = 0.0
+    commands[at.BRAKE] = STANDING_BRAKE_M_S2
 
 
 @array_kernel
@@ -83,9 +96,10 @@ def closed_revs(
 def engage(
     memory: FloatArray, sense: FloatArray, commands: FloatArray, control: ControlParameters, p: WorkshopParameters
 ) -> None:
-    """Empty both clutches, preselect 2nd gear, engage 1st."""
+    """Release the brake, empty both clutches, preselect 2nd gear, engage 1st."""
     tcu.command_pressure(commands, 0, 0.0)
     tcu.command_pressure(commands, 1, 0.0)
+    commands[at.BRAKE] = 0.0
     memory[at.REV_TIME] += at.PERIOD_S
     is_empty = max(sense[at.FILL], sense[at.FILL + 1]) < control.preselect_fill_ratio
     if memory[at.REV_TIME] >= p.settle_time_s and is_empty:
@@ -150,7 +164,9 @@ def perform(
     """Take one step of 1 ms of the routine."""
     tcu.tick(memory, sense, control)
     stage = int(memory[at.ROUTINE])
-    if stage == at.OPEN_REVS:
+    if stage == at.WAITING:
+        wait(commands)
+    elif stage == at.OPEN_REVS:
         open_revs(memory, sense, commands, p)
     elif stage == at.CLOSED_REVS:
         closed_revs(memory, sense, commands, actuation, control, p)

@@ -227,12 +227,18 @@ _ROUTINE: Final = Command(
     ),
     *(*_ASKING, _DESCRIPTION),
     Option("--options BYTES", "what it is started with, hexadecimal", default=""),
+    Option(
+        "--patience S",
+        "how long a controller is given that says it takes longer, response pending (default: 600)",
+        FLOAT,
+        default=600.0,
+    ),
     Option("--session N", f"{_SESSION_TEXT} (default: 03)", default="03"),
     Option("--unlock LEVEL=MASK", "unlock a security level whose key is the seed XOR this mask, hexadecimal"),
     *(CONFIG, _JSON, VERBOSE),
     variables=VARIABLES,
     description=f"Start or stop a routine of a controller, or read its results. {_LISTENS}",
-    examples=(f"{PROGRAM} routine 0302 start --unlock 1=5AA5C33C -i socketcan -c can0 --active",),
+    examples=(f"{PROGRAM} routine 0301 start --options '02 02' --unlock 1=5AA5C33C -i socketcan -c can0 --active",),
 )
 _SCAN: Final = Command(
     "scan",

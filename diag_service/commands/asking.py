@@ -3,7 +3,7 @@
 import sys
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import AbstractContextManager, ExitStack
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from types import SimpleNamespace
 from typing import Final
 
@@ -121,11 +121,13 @@ def write(record: Mapping[str, object], lines: Iterable[str], *, is_json: bool) 
 
 def manners_of(options: SimpleNamespace) -> Manners:
     """Return how patient the tester is to be; raises ConfigError if a time cannot be."""
-    for name, least in (("listen", 0.0), ("timeout", 0.001)):
+    patience = {"patience": 0.001} if hasattr(options, "patience") else {}
+    for name, least in {"listen": 0.0, "timeout": 0.001, **patience}.items():
         value = getattr(options, name)
         if not least <= value <= LONGEST_S:
             raise ConfigError(f"--{name} must be {least:g} to {LONGEST_S:g} s, got {value:g}")
-    return Manners(p2_s=options.timeout)
+    patient = Manners(p2_s=options.timeout)
+    return replace(patient, longest_s=options.patience) if patience else patient
 
 
 def bus_name(options: SimpleNamespace) -> BusName:

@@ -2,6 +2,7 @@
 
 import math
 import re
+import struct
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from enum import StrEnum
@@ -16,6 +17,7 @@ Reader = Callable[[bytes], Values]
 SYSTEMS: Final = "PCBU"  # powertrain, chassis, body, network: the two upper bits of a code
 _CODE: Final = re.compile(r"[PCBU][0-3][0-9A-F]{3}")
 _LARGEST_DATA: Final = 0xFFFF
+_FLOATS: Final = {4: ">f", 8: ">d"}
 _DIGITS: Final = 12  # significant digits of a scaled number: no more than its steps have
 
 
@@ -24,6 +26,7 @@ class Kind(StrEnum):
 
     UNSIGNED = "unsigned"
     SIGNED = "signed"
+    FLOAT = "float"  # IEEE 754; not a number: not available
     TEXT = "text"
     BYTES = "bytes"
 
@@ -44,6 +47,8 @@ class Field:
     def __post_init__(self) -> None:
         if self.size_bytes < 0 or (self.kind in {Kind.UNSIGNED, Kind.SIGNED} and not 1 <= self.size_bytes <= 8):
             raise ConfigError(f"{self.name}: size_bytes {self.size_bytes} is not usable: a number has 1 to 8")
+        if self.kind is Kind.FLOAT and self.size_bytes not in _FLOATS:
+            raise ConfigError(f"{self.name}: size_bytes {self.size_bytes} is not usable: a float has 4 or 8")
         if not (math.isfinite(self.resolution) and math.isfinite(self.offset)) or not self.resolution:
             raise ConfigError(f"{self.name}: resolution {self.resolution} and offset {self.offset} are not usable")
         try:
@@ -172,10 +177,18 @@ def read_fields(fields: tuple[Field, ...], data: bytes) -> dict[str, Value]:
 
 
 def _value(entry: Field, piece: bytes) -> Value:
-    if entry.kind is Kind.TEXT:
-        return readable(piece)
-    if entry.kind is Kind.BYTES:
-        return piece.hex(" ").upper()
+    match entry.kind:
+        case Kind.TEXT:
+            return readable(piece)
+        case Kind.BYTES:
+            return piece.hex(" ").upper()
+        case Kind.FLOAT:
+            return _float(entry, piece)
+        case _:
+            return _whole_number(entry, piece)
+
+
+def _whole_number(entry: Field, piece: bytes) -> Value:
     number = int.from_bytes(piece, "big", signed=entry.kind is Kind.SIGNED)
     if number == entry.invalid:
         return None
@@ -189,6 +202,14 @@ def _value(entry: Field, piece: bytes) -> Value:
 def _finite(value: Value) -> Value:
     """Return a value; a number that is none, or larger than all numbers, is not available."""
     return None if isinstance(value, float) and not math.isfinite(value) else value
+
+
+def _float(entry: Field, piece: bytes) -> Value:
+    """Return a number to the last bit, unless it is scaled; what is none is not available."""
+    number = float(struct.unpack(_FLOATS[entry.size_bytes], piece)[0])
+    if not math.isfinite(number):
+        return None
+    return number * entry.resolution + entry.offset
 
 
 def readable(data: bytes) -> str:

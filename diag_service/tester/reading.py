@@ -101,6 +101,6 @@ def control_routine(
     request = bytes([ROUTINE, ACTIONS[action]]) + number.to_bytes(2, "big") + options
     data = tester.ask(request)[4:]
     routine = description.routines.get(number)
-    fields = () if routine is None or action != "results" else routine.results
+    fields = () if routine is None else routine.results  # an answer to a start may be the last one, too
     name = "" if routine is None else routine.name
     return RoutineAnswer(number=number, name=name, action=action, data=data, values=read_fields(fields, data))

@@ -77,6 +77,8 @@ class Emulator:
         Oil temperature when the drive begins, -15..130 degC; mass of the car, 900..3500 kg.
     routine : tuple of int, optional
         Revs in neutral before the drive, with open and with closed clutches.
+    is_in_workshop : bool
+        Whether the car stands in neutral until a tester starts that routine; needs ``answers``.
     faults : iterable of SensorFault, BusFault or Mapping
         What goes wrong, besides what the scenario scripts; a mapping has the keys of a scenario's table, such as
         ``{"kind": "loss", "share": 0.2, "start_s": 5}``.
@@ -114,6 +116,7 @@ class Emulator:
         oil_degc: float | None = None,
         mass_kg: float | None = None,
         routine: tuple[int, int] | None = None,
+        is_in_workshop: bool = False,
         faults: Iterable[AnyFault] = (),
         truth: AnyPath | None = None,
         answers: Answers | None = None,
@@ -130,6 +133,7 @@ class Emulator:
             scenario if isinstance(scenario, Scenario) else os.fspath(scenario),
             fluid=fluid, seed=seed, vehicle_seed=vehicle_seed, drive_seed=drive_seed, drive=drive, cycles=cycles,
             is_endless=is_endless, oil_degc=oil_degc, mass_kg=mass_kg, routine=routine,
+            is_in_workshop=is_in_workshop,
         )  # fmt: skip
         self.scenario: Final = with_faults(chosen, faults)
         is_unnamed = interface == VIRTUAL and channel is None

@@ -10,6 +10,7 @@ from ecu_emulator.diagnostics.codes import Nrc
 from ecu_emulator.errors import ConfigError
 
 OF_MEMORY: Final = "memory."  # begins the source of a counter of a trouble code
+FLOAT_BYTES: Final = frozenset({4, 8})
 _SYSTEMS: Final = "PCBU"  # powertrain, chassis, body, network: the two upper bits of a code
 _CODE: Final = re.compile(r"[PCBU][0-3][0-9A-F]{3}")
 
@@ -19,8 +20,16 @@ class Kind(StrEnum):
 
     UNSIGNED = "unsigned"
     SIGNED = "signed"
+    FLOAT = "float"  # IEEE 754, of 4 or 8 bytes; not a number: not available
     TEXT = "text"
     BYTES = "bytes"
+
+
+class Task(StrEnum):
+    """What the vehicle does while a routine runs."""
+
+    NOTHING = "nothing"  # but let time pass
+    REVS = "revs"  # the workshop routine: as many revs with open, then closed clutches as the two options say; a drive
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -44,6 +53,9 @@ class Field:
             raise ConfigError(f"{self.name}: size_bytes must be 1..255, got {self.size_bytes}")
         if self.kind in {Kind.UNSIGNED, Kind.SIGNED} and self.size_bytes > 8:
             raise ConfigError(f"{self.name}: a number has at most 8 bytes, got {self.size_bytes}")
+        is_scaled = self.resolution != 1.0 or self.offset != 0.0
+        if self.kind is Kind.FLOAT and (self.size_bytes not in FLOAT_BYTES or is_scaled):
+            raise ConfigError(f"{self.name}: a float has 4 or 8 bytes and is not scaled")
         if not self.resolution > 0.0:
             raise ConfigError(f"{self.name}: resolution must be > 0, got {self.resolution}")
         try:
@@ -178,8 +190,15 @@ class Routine:
     ends_by_itself: bool = True
     is_awaited: bool = False  # the positive response to its start comes when it has ended
     can_be_stopped: bool = True
+    task: Task = Task.NOTHING
     options: tuple[Field, ...] = ()
     results: tuple[Field, ...] = ()
+
+    def __post_init__(self) -> None:
+        if self.task is Task.REVS and (self.ends_by_itself or [entry.size_bytes for entry in self.options] != [1, 1]):
+            raise ConfigError(
+                f"routine {self.name}: task revs has two options of one byte, and the vehicle ends it, not the time"
+            )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -15,6 +15,7 @@ SUPPRESSING: Final = ("P0711", "P0841", "P0868", "P0776")  # while one has faile
 SHIFT_SCHEMA: Final = "clutchdiag/shift/v1"
 _QUANTITIES: Final = {"mu_c": "mu_c", "std_mu_c": "mu_c_std", "mu_s": "mu_s", "std_mu_s": "mu_s_std"}
 _CLUTCHES: Final = (1, 2)
+_FLUID_NUMBERS: Final = {verdict: number for number, verdict in enumerate(FluidVerdict)}  # as routines tell it
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -26,6 +27,7 @@ class ClutchOpinion:
     std_mu_c: float = math.nan
     mu_s: float = math.nan
     std_mu_s: float = math.nan
+    end_ns: int = 0  # bus time of the end of the event that it comes from; 0: it comes from none
 
 
 Opinions = Mapping[int, ClutchOpinion]  # by clutch, 1 and 2
@@ -38,13 +40,18 @@ def own_opinion(told: OnBoard) -> ClutchOpinion:
 
 
 def values_of(opinions: Opinions) -> dict[str, float]:
-    """Return what is known, as values of the controller by source."""
+    """Return what is known, as values of the controller by source; a verdict is the number of its word."""
     found = {
         f"clutch{clutch}_{source}": float(getattr(opinion, name))
         for clutch, opinion in opinions.items()
         for name, source in _QUANTITIES.items()
     }
-    return {source: value for source, value in found.items() if math.isfinite(value)}
+    verdicts = {
+        f"clutch{clutch}_fluid": float(_FLUID_NUMBERS[opinion.fluid])
+        for clutch, opinion in opinions.items()
+        if opinion.fluid is not FluidVerdict.NO_VERDICT
+    }
+    return verdicts | {source: value for source, value in found.items() if math.isfinite(value)}
 
 
 def fluid_test(opinions: Opinions, failed: Iterable[str]) -> TestResult | None:
@@ -75,7 +82,8 @@ def read_line(line: bytes) -> tuple[int, ClutchOpinion] | None:
         verdict = record["verdict"]
         clutch, fluid = int(verdict["clutch"]), FluidVerdict(verdict["condition"])
         friction = verdict["friction"] or {}
+        end_ns = int(record.get("end_bus_ns") or 0)
         known = {name: float(friction.get(name, math.nan)) for name in _QUANTITIES}
     except (ValueError, TypeError, KeyError, AttributeError, RecursionError):
         return None
-    return (clutch, ClutchOpinion(fluid=fluid, **known)) if clutch in _CLUTCHES else None
+    return (clutch, ClutchOpinion(fluid=fluid, end_ns=end_ns, **known)) if clutch in _CLUTCHES else None

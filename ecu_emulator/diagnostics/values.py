@@ -2,6 +2,7 @@
 
 import math
 import re
+import struct
 from collections.abc import Callable, Mapping
 from typing import Final
 
@@ -19,6 +20,8 @@ from ecu_emulator.diagnostics.descriptions import Condition, Field, Kind
 
 Value = float | str | bytes
 Values = Mapping[str, Value]  # of the controller, by source; numbers in SI
+
+_FORMATS: Final = {4: ">f", 8: ">d"}  # of IEEE 754, by bytes
 
 _Conversion = tuple[Callable[[float], float], Callable[[float], float]]
 _CONVERSIONS: Final[Mapping[tuple[str, str], _Conversion]] = {
@@ -41,7 +44,10 @@ def encode(fields: tuple[Field, ...], values: Values, *, keeps_code: bool = True
 
 
 def not_available(entry: Field) -> int:
-    """Return the number that says that a value is not known: all bits set, the most negative one if signed."""
+    """Return the number that says that a value is not known: all bits set, the most negative one if signed.
+
+    A float has no such number: it is not a number then.
+    """
     bits = 8 * entry.size_bytes
     return -(1 << (bits - 1)) if entry.kind is Kind.SIGNED else (1 << bits) - 1
 
@@ -54,10 +60,21 @@ def _encoded(entry: Field, value: Value | None, *, keeps_code: bool) -> bytes:
     if entry.kind is Kind.BYTES:
         raw = value if isinstance(value, bytes) else b""
         return raw[: entry.size_bytes].ljust(entry.size_bytes, b"\0")
+    if entry.kind is Kind.FLOAT:
+        return _float_bytes(entry, float(value) if isinstance(value, int | float) else math.nan)
     number = (
         _number(entry, float(value), keeps_code=keeps_code) if isinstance(value, int | float) else not_available(entry)
     )
     return number.to_bytes(entry.size_bytes, "big", signed=entry.kind is Kind.SIGNED)
+
+
+def _float_bytes(entry: Field, value: float) -> bytes:
+    """Return a number as IEEE 754 has it; one that is too large for four bytes is infinite."""
+    number = _in_unit(entry, value)
+    try:
+        return struct.pack(_FORMATS[entry.size_bytes], number)
+    except OverflowError:
+        return struct.pack(_FORMATS[entry.size_bytes], math.copysign(math.inf, number))
 
 
 def _number(entry: Field, value: float, *, keeps_code: bool) -> int:
@@ -95,13 +112,21 @@ def decoded(fields: tuple[Field, ...], raw: bytes) -> dict[str, float]:
     for entry in fields:
         piece = raw[place : place + entry.size_bytes]
         place += entry.size_bytes
-        if int.from_bytes(piece, "big", signed=entry.kind is Kind.SIGNED) != not_available(entry):
+        if _is_available(entry, piece):
             found[entry.source] = _in_si(entry, decode_number(entry, piece))
     return found
 
 
+def _is_available(entry: Field, raw: bytes) -> bool:
+    if entry.kind is Kind.FLOAT:
+        return not math.isnan(decode_number(entry, raw))
+    return int.from_bytes(raw, "big", signed=entry.kind is Kind.SIGNED) != not_available(entry)
+
+
 def decode_number(entry: Field, raw: bytes) -> float:
     """Return a number in the field's unit."""
+    if entry.kind is Kind.FLOAT:
+        return float(struct.unpack(_FORMATS[entry.size_bytes], raw)[0])
     steps = int.from_bytes(raw, "big", signed=entry.kind is Kind.SIGNED)
     return steps * entry.resolution + entry.offset
 

@@ -52,6 +52,7 @@ class DriveSettings:
     initial_engine_rad_s: float = 150.0  # rolling in 1st gear
     open_revs: int = 0  # of the workshop routine before the cycles: in neutral, at rest, both clutches open
     closed_revs: int = 0  # then both closed
+    waits: bool = False  # the routine waits until somebody asks for it, and says how many revs
     dt_s: float = 2.5e-4  # a whole fraction of a millisecond
     friction_factors: tuple[FrictionFactors, ...] = ()  # per cycle, the last one goes on; none: 1
 
@@ -82,8 +83,8 @@ class DriveSettings:
 
     @property
     def has_routine(self) -> bool:
-        """Whether the drive begins at rest with the workshop routine."""
-        return self.open_revs + self.closed_revs > 0
+        """Whether the drive begins at rest with the workshop routine, at once or when it is asked for."""
+        return self.waits or self.open_revs + self.closed_revs > 0
 
     @property
     def steps_per_millisecond(self) -> int:

@@ -63,6 +63,20 @@ class Powertrain(Course):
         """Whether all cycles have been driven."""
         return bool(self._machine.memory[tcu_data.IS_FINISHED])
 
+    @property
+    def is_waiting(self) -> bool:
+        """Whether the car waits at rest for somebody to ask for the workshop routine."""
+        return bool(self._machine.memory[tcu_data.ROUTINE] == tcu_data.WAITING)
+
+    def begin_routine(self, open_revs: int, closed_revs: int) -> None:
+        """Begin the workshop routine with the next row; a car that does not wait for it drives on."""
+        if not self.is_waiting:
+            return
+        memory = self._machine.memory
+        memory[tcu_data.OPEN_REV_COUNT] = open_revs
+        memory[tcu_data.CLOSED_REV_COUNT] = closed_revs
+        memory[tcu_data.ROUTINE] = tcu_data.OPEN_REVS
+
     def advance(self, duration_s: float) -> FloatArray:
         """Drive on and return the next rows, shape (n, len(Col)).
 
@@ -180,7 +194,7 @@ def _idle_at_rest(machine: Machine, law: DriveLaw, drive: DriveSettings) -> None
         refresh_contact(y, index, clutch)
     machine.memory[tcu_data.OPEN_REV_COUNT] = drive.open_revs
     machine.memory[tcu_data.CLOSED_REV_COUNT] = drive.closed_revs
-    machine.memory[tcu_data.ROUTINE] = tcu_data.OPEN_REVS
+    machine.memory[tcu_data.ROUTINE] = tcu_data.WAITING if drive.waits else tcu_data.OPEN_REVS
 
 
 def _roll(machine: Machine, law: DriveLaw, drive: DriveSettings) -> None:

@@ -9,12 +9,20 @@ from typing import Any, Final
 import tomli_w
 
 from ecu_emulator.diagnostics.descriptions import Datum, ExtendedRecord, Field, Kind
+from ecu_emulator.diagnostics.services.routines import COMPLETED, RUNNING, STOPPED
 from ecu_emulator.diagnostics.table import DiagnosticTable
 from ecu_emulator.diagnostics.table_file import shipped_table
 from ecu_emulator.diagnostics.values import not_available
 
 FILE: Final = Path(__file__).parents[2] / "diag_service/tester/controllers/dct.toml"
 _SYSTEM_NAME: Final = 0xF197
+# Before the results ours tells how far it is: what ISO 14229-1 leaves to the maker (routineInfo).
+_STATUS: Final = {
+    "name": "status",
+    "kind": "unsigned",
+    "size_bytes": 1,
+    "meanings": {str(COMPLETED): "completed", str(RUNNING): "running", str(STOPPED): "stopped"},
+}
 _HEAD: Final = (
     "# What the emulated controller can be asked; made by tests/tools/tester_description.py from its own table.\n"
 )
@@ -38,7 +46,7 @@ def written(table: DiagnosticTable) -> str:
                 "number": routine.number,
                 "name": routine.name,
                 "options": [_field(entry) for entry in routine.options],
-                "results": [_field(entry) for entry in routine.results],
+                "results": [_STATUS, *map(_field, routine.results)],
             }
             for routine in table.routines.values()
         ],

@@ -18,6 +18,7 @@ def written(text: str, table: DiagnosticTable) -> str:
     tables = {
         "services": _services(table),
         "data": _data(table),
+        "routines": _routines(table),
         "conditions": _conditions(table),
         "codes": _codes(table),
         "parameters": _parameters(table),
@@ -66,11 +67,27 @@ def _layout(datum: Datum) -> str:
 
 
 def _field(entry: Field) -> str:
-    if entry.kind in {Kind.TEXT, Kind.BYTES}:
+    if entry.kind in {Kind.TEXT, Kind.BYTES, Kind.FLOAT}:
         return f"{entry.name}: {entry.size_bytes}, {entry.kind}"
     scale = "" if entry.resolution == 1.0 and not entry.unit else f", {entry.resolution:g} {entry.unit}".rstrip()
     offset = f" from {entry.offset:g}" if entry.offset else ""
     return f"{entry.name}: {entry.size_bytes}{', signed' if entry.kind is Kind.SIGNED else ''}{scale}{offset}"
+
+
+def _routines(table: DiagnosticTable) -> str:
+    return _rows(
+        ("routine", "name", "needs", "options", "results"),
+        (
+            (
+                f"{entry.number:04X}",
+                entry.name,
+                _access(entry.access),
+                "; ".join(map(_field, entry.options)),
+                "; ".join(map(_field, entry.results)),
+            )
+            for entry in table.routines.values()
+        ),
+    )
 
 
 def _conditions(table: DiagnosticTable) -> str:

@@ -85,6 +85,8 @@ def described(entry: Field) -> Coding:
     if entry.kind is Kind.TEXT:
         coded_type = standard_type("A_ASCIISTRING", bits, "ISO-8859-1")
         return Coding(method=_identical(), coded_type=coded_type, physical_type=_text_type())
+    if entry.kind is Kind.FLOAT:
+        return _floating(entry)
     if entry.kind is Kind.BYTES or entry.size_bytes > LONGEST_NUMBER_BYTES:
         return raw(entry.size_bytes)
     if entry.meanings:
@@ -106,11 +108,24 @@ def remark(entry: Field) -> str:
     """Return what ODX cannot say of a field in its own words."""
     if entry.pattern:
         return f"As a regular expression: {entry.pattern}"
+    if entry.kind is Kind.FLOAT:
+        return "IEEE 754, high byte first; what is not a number is not available."
     if entry.kind in {Kind.TEXT, Kind.BYTES} or entry.size_bytes <= LONGEST_NUMBER_BYTES:
         return ""
     return (
         f"A number ({entry.kind}, high byte first): {entry.resolution!r} {entry.unit} a step, beginning at "
         f"{entry.offset!r}; ODX has no number of {entry.size_bytes} bytes."
+    )
+
+
+def _floating(entry: Field) -> Coding:
+    data_type = f"A_FLOAT{8 * entry.size_bytes}"
+    return Coding(
+        method=_identical(),
+        coded_type=standard_type(data_type, 8 * entry.size_bytes),
+        physical_type=node("PHYSICAL-TYPE", {"BASE-DATA-TYPE": data_type}),
+        unit=entry.unit,
+        physical_constraint=_between(entry, is_whole=False),
     )
 
 

@@ -172,7 +172,7 @@ def step(pair: Pair, client: RandomClient) -> None:
         client.heard(request, response)
         pair.check_session()
     elif kind < 0.80:
-        pair.wait(random.choice((0.0, 0.1, 0.1, 0.1, 0.6, 0.6, 2.0, 3.6, 4.99, 5.0, 11.0, 31.0, 130.0)))
+        pair.wait(random.choice((0.0, 0.1, 0.1, 0.1, 0.6, 0.6, 2.0, 3.6, 4.99, 5.0, 11.0, 31.0, 310.0)))
     elif kind < 0.90:
         pair.sample(random.choice(client.codes[:4]), random.choice(RESULTS))
     elif kind < 0.94:

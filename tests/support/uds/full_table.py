@@ -1,4 +1,4 @@
-"""The table that ships, with routines of every kind: until the vehicle can do one, the tests ask for them.
+"""The table that ships, with routines of every kind, also of those that the vehicle cannot do.
 
 Without OBD, which the model of UDS beside the product knows nothing of.
 """

@@ -1,6 +1,7 @@
 """A client that knows a controller by its PDX alone, read by odxtools: asks everything, decodes every answer."""
 
 import io
+import struct
 from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
@@ -156,6 +157,8 @@ class PdxClient:
         match dop.diag_coded_type.base_data_type.value:
             case "A_ASCIISTRING":
                 return data.decode("latin-1")
+            case "A_FLOAT32" | "A_FLOAT64":
+                return struct.unpack(">f" if len(data) == 4 else ">d", data)[0]
             case "A_BYTEFIELD":
                 return data
             case data_type:

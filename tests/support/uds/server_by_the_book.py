@@ -3,6 +3,7 @@
 It reads the table's TOML by itself and shares no code with the product. Its state is changed in place.
 """
 
+import struct
 import tomllib
 from collections.abc import Callable, Generator, Mapping
 from dataclasses import dataclass
@@ -333,6 +334,9 @@ class ServerByTheBook:
         for entry in fields:
             is_signed, bits = entry["kind"] == "signed", 8 * entry["size_bytes"]
             value = float(self.session) if entry["source"] == "active_session" else values.get(entry["source"])
+            if entry["kind"] == "float":
+                written += struct.pack(">d", float("nan") if value is None else value)
+                continue
             highest = 2 ** (bits - 1) - 1 if is_signed else 2**bits - 2
             if value is None:
                 number = -(2 ** (bits - 1)) if is_signed else 2**bits - 1

@@ -123,6 +123,7 @@ def test_every_key_reaches_its_place() -> None:
         (MINIMAL + "driver = {pedal = 0.5}", r"driver\.pedal is unknown"),
         (MINIMAL + "ambient = {oil_temperature_k = 90.0}", r"ambient\.oil_temperature_k must be"),
         (MINIMAL + "routine = {open_revs = 21}", r"routine\.open_revs must be"),
+        (MINIMAL + "routine = {open_revs = 2, on_request = true}", "on request the tester says how many revs"),
         (MINIMAL + "routine = {closed_revs = 0.5}", r"routine\.closed_revs must be a whole number"),
         (MINIMAL + "startup = {ecm_s = -1.0}", r"startup\.ecm_s must be"),
         (MINIMAL + 'scatter = "some"', "scatter must be"),

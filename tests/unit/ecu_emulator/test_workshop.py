@@ -107,3 +107,14 @@ def test_the_launching_clutch_takes_more_from_a_faster_engine() -> None:
     assert (routine.stage, routine.memory[tcu_data.PHASE]) == (tcu_data.LOCKING, tcu_data.LOCK_UP)
     routine.run(251)
     assert (routine.stage, routine.memory[tcu_data.CURRENT_GEAR]) == (tcu_data.NO_ROUTINE, 1.0)
+
+
+def test_a_car_that_waits_idles_with_the_brake_held_until_it_starts() -> None:
+    routine = Routine()
+    routine.memory[tcu_data.ROUTINE] = tcu_data.WAITING
+    routine.run(20 * SETTLE_MS)
+    assert (routine.stage, routine.pedal_ratio) == (tcu_data.WAITING, 0.0)
+    assert routine.commands[tcu_data.BRAKE] == workshop.STANDING_BRAKE_M_S2
+    routine.memory[tcu_data.ROUTINE] = tcu_data.ENGAGING
+    routine.run()
+    assert routine.commands[tcu_data.BRAKE] == 0.0

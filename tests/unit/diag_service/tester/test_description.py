@@ -1,5 +1,7 @@
 """What a tester knows of a controller: shipped, from a TOML file, from a PDX."""
 
+import math
+import struct
 from pathlib import Path
 
 import pytest
@@ -64,7 +66,7 @@ def test_a_file_of_ones_own_says_what_bytes_mean(tmp_path: Path) -> None:
         ('name = "a"\n[[data]]\nnumber = 1\nname = "b"\nfields = []', "it needs fields"),
         ('name = "a"\n[[data]]\nnumber = 65536\nname = "b"\nfields = [{name = "c", kind = "text"}]', "0xFFFF"),
         (
-            'name = "a"\n[[data]]\nnumber = 1\nname = "b"\nfields = [{name = "c", kind = "float"}]',
+            'name = "a"\n[[data]]\nnumber = 1\nname = "b"\nfields = [{name = "c", kind = "complex"}]',
             "kind must be one of",
         ),
         ('name = "a"\n[[data]]\nnumber = 1\nname = "b"\nfields = [{name = "c", kind = "signed"}]', "size_bytes 0"),
@@ -109,6 +111,15 @@ def test_what_is_left_of_bytes_is_shown() -> None:
     entry = Field(name="a", kind=Kind.UNSIGNED, size_bytes=1)
     assert read_fields((entry,), b"\1\2") == {"a": 1, "more bytes": "02"}
     assert read_fields((entry, entry), b"") == {}
+
+
+def test_a_float_keeps_every_bit_and_what_is_none_is_not_available() -> None:
+    wide, narrow = (Field(name=name, kind=Kind.FLOAT, size_bytes=size) for name, size in (("a", 8), ("b", 4)))
+    data = struct.pack(">df", 0.1 + 0.2, 0.5)
+    assert read_fields((wide, narrow), data) == {"a": 0.1 + 0.2, "b": 0.5}
+    assert read_fields((wide, narrow), struct.pack(">df", math.nan, math.inf)) == {"a": None, "b": None}
+    with pytest.raises(ConfigError, match="size_bytes 2 is not usable: a float has 4 or 8"):
+        Field(name="c", kind=Kind.FLOAT, size_bytes=2)
 
 
 def test_a_pdx_says_the_same_as_the_table_it_was_made_of(tmp_path: Path) -> None:

@@ -1,5 +1,7 @@
 """Dialogues as ISO 14229-1 has them: every service, the order of its checks, sessions, security, silence."""
 
+import struct
+
 import pytest
 
 from ecu_emulator.diagnostics.memory import TestResult
@@ -307,7 +309,9 @@ def test_a_routine_is_started_asked_and_stopped(bench: Bench) -> None:
         ("vehicle_speed_m_s", 5.0, "88"),
         ("pedal_ratio", 0.1, "8a"),
         ("current_gear", 1.0, "8c"),
+        ("engine_run_time_s", 1.0, "85"),
         ("brake_pressure_pa", 0.0, "8f"),
+        ("revs_possible", 0.0, "22"),
     ],
 )
 def test_the_routine_of_the_workshop_says_what_is_missing(bench: Bench, name: str, value: float, nrc: str) -> None:
@@ -324,16 +328,18 @@ def test_a_routine_that_is_awaited_is_answered_when_it_has_ended(bench: Bench) -
     assert bench.wait(3.4) == ""
     assert bench.wait(0.1) == "7f 31 78"  # before P2* is over
     assert bench.wait(1.0) == ""
-    bench.values["clutch1_mu_c"] = 0.12
+    bench.values |= {"clutch1_mu_c": 0.12, "clutch2_fluid": 3.0}
     bench.finish(0x0301)
-    assert bench.wait(0.01) == "71 01 03 01 00 2e e0 ff ff ff ff ff ff"  # although it was not wanted: 78 was sent
+    unknown = "7f f8" + " 00" * 6
+    results = [struct.pack(">d", 0.12).hex(" "), *[unknown] * 3, "ff", *[unknown] * 4, "03"]
+    assert bench.wait(0.01) == f"71 01 03 01 00 {' '.join(results)}"  # although it was not wanted: 78 was sent
     assert bench.ask("22 f1 86") == "62 f1 86 03"  # S3 stood still
 
 
 def test_a_routine_that_the_vehicle_never_ends_is_stopped(bench: Bench) -> None:
     bench.unlock()
     bench.ask("31 01 03 01 04 04")
-    assert bench.wait(120.0) == "71 01 03 01 02"
+    assert bench.wait(300.0) == "71 01 03 01 02"
 
 
 def test_codes_stay_as_they_are_while_their_setting_is_off(bench: Bench) -> None:

@@ -1,0 +1,210 @@
+"""The workshop routine that a tester starts answers what an analysis of the same bus says, to the bit."""
+
+import time
+from collections.abc import Callable
+from dataclasses import replace
+from importlib.resources import files
+from pathlib import Path
+from types import TracebackType
+from typing import Self
+
+import can
+import pytest
+
+from clutch_model.calibration import nominal_calibration
+from dbc.contract import load_contract
+from diag_service.diagnosis.condition.condition import ConditionMemory
+from diag_service.diagnosis.friction import FilterState
+from diag_service.diagnosis.results import dump, shift_record
+from diag_service.mapping.decoder import Decoder
+from diag_service.mapping.profile import load_profile
+from diag_service.service.stages import Stages
+from diag_service.tester.description import read_fields
+from diag_service.tester.description_file import find_description
+from ecu_emulator.answering import Answering
+from ecu_emulator.bus import to_messages
+from ecu_emulator.commands import write_log
+from ecu_emulator.diagnostics.opinion import ClutchOpinion, read_line
+from ecu_emulator.errors import ConfigError
+from ecu_emulator.frames import EncodedFrames, merge
+from ecu_emulator.live import BusChoice, send
+from ecu_emulator.record import open_log
+from ecu_emulator.recording import SHORT_STRETCH_S, Drive
+from ecu_emulator.scenario import Routine, Scenario
+from ecu_emulator.sent_truth import SentTruth
+from ecu_emulator.truth import Happened, RevTruth, ShiftTruth
+from tests.support.builders import drive_scenario, shift_result
+from tests.support.in_process import ended
+from tests.support.patience import HANG_S
+from tests.support.traffic import START_NS, as_received
+
+MASK = bytes.fromhex("5aa5c33c")
+TESTER = 7
+SHIFTS = 10  # of a cycle
+REVS = 0x0301
+
+
+class OnBoard:
+    """What a service on the same bus would say, by its own stages and its own lines."""
+
+    is_live = True
+    problem = None
+
+    def __init__(self) -> None:
+        calibration = nominal_calibration()
+        decoder = Decoder(load_contract(), load_profile())
+        self._stages = Stages(decoder, calibration, FilterState.fresh(calibration), ConditionMemory.fresh())
+        self.opinions: dict[int, ClutchOpinion] = {}
+
+    def hear(self, frames: EncodedFrames) -> None:
+        for found in self._stages.feed(as_received(frames)):
+            result = replace(shift_result(), estimate=found.estimate, verdict=found.verdict)
+            told = read_line(dump(shift_record(result)).encode())
+            assert told is not None
+            self.opinions = {**self.opinions, told[0]: told[1]}
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None: ...
+
+
+class Bus:
+    def send(self, message: can.Message) -> None:
+        """Take a frame."""
+
+
+class Bench:
+    """A car in a workshop, faster than a real one: its frames reach controller and service as fast as they are made."""
+
+    def __init__(self, scenario: Scenario, table: Path) -> None:
+        self.drive = Drive(scenario)
+        self.service = OnBoard()
+        self.answering = Answering(
+            Bus(), table=str(table), memory=None, doip=None, is_fd=False, on_board=self.service, performer=self.drive
+        )
+        self.frames: list[EncodedFrames] = []
+        self.happened: list[Happened] = []
+        self.t_s = 0.0
+        self._stretches = self.drive.stretches(SHORT_STRETCH_S)
+
+    def go_on(self) -> None:
+        stretch = next(self._stretches)
+        self.frames.append(stretch.frames)
+        self.happened += stretch.truths
+        self.t_s = stretch.end_s
+        for message in to_messages(stretch.frames, START_NS * 1e-9):
+            self.answering.send(message)
+        self.service.hear(stretch.frames)
+
+    def count(self, kind: type[Happened]) -> int:
+        return sum(isinstance(one, kind) for one in self.happened)
+
+    def ask(self, request: str) -> bytes:
+        return self.answering.controller.ask(bytes.fromhex(request), client=TESTER) or b""
+
+    def unlock(self) -> None:
+        assert self.ask("10 03")[0] == 0x50
+        seed = self.ask("27 01")[2:]
+        key = bytes(one ^ other for one, other in zip(seed, MASK, strict=True))
+        assert self.ask(f"27 02 {key.hex()}")[0] == 0x67
+
+    def final(self) -> bytes:
+        """Return the response that 78 has promised."""
+        found = [b""]
+
+        def has_come() -> bool:
+            found[0] = self.answering.controller.tick(TESTER) or found[0]
+            return found[0][:1] == b"\x71"
+
+        wait_for(has_come)
+        return found[0]
+
+
+def wait_for(condition: Callable[[], bool]) -> None:
+    deadline_s = time.monotonic() + HANG_S
+    while not condition():
+        assert time.monotonic() < deadline_s
+        time.sleep(0.01)
+
+
+def in_workshop(fluid: str = "case2") -> Scenario:
+    return replace(drive_scenario("noise_only", fluid=fluid, seed=3), routine=Routine(on_request=True))
+
+
+@pytest.fixture(name="table")
+def _table(tmp_path: Path) -> Path:
+    """Return the shipped table, without the seconds for which the engine must have run: of real time."""
+    text = files("ecu_emulator").joinpath("diagnostics/tcu.toml").read_text(encoding="utf-8")
+    before, after = text.split("minimum = 5.0\nnrc = 0x85", 1)
+    path = tmp_path / "table.toml"
+    path.write_text(f"{before}minimum = 0.0\nnrc = 0x85{after}", encoding="utf-8")
+    return path
+
+
+def test_what_the_routine_finds_is_what_an_analysis_of_the_bus_finds(table: Path, tmp_path: Path) -> None:
+    bench = Bench(in_workshop(), table)
+    with bench.answering:
+        while bench.t_s < 1.0:
+            bench.go_on()
+        bench.unlock()
+        assert bench.ask("31 01 03 01 01 02") == b"\x7f\x31\x78"
+        while bench.drive.is_waiting:
+            bench.go_on()
+            time.sleep(0.02)  # the controller looks after its routines ten times a second
+        while bench.count(ShiftTruth) < SHIFTS:
+            bench.go_on()
+        end_s = bench.t_s + 1.0  # by then the service has said what it thinks of the last shift
+        while bench.t_s < end_s:
+            bench.go_on()
+        started, again = bench.final(), bench.ask("31 03 03 01")
+    assert [one.are_clutches_closed for one in bench.happened if isinstance(one, RevTruth)] == [False, True, True]
+    assert (started[:5], again[:4], again[4:]) == (b"\x71\x01\x03\x01\x00", b"\x71\x03\x03\x01", started[4:])
+
+    log = tmp_path / "bus.log"
+    with open_log(log, start_ns=START_NS) as file:
+        file.write(merge(bench.frames))
+    analysed = {record["verdict"]["clutch"]: record["verdict"] for record in ended("analyze", log, "--json").shifts}
+    told = read_fields(find_description(Path("dct")).routines[REVS].results, started[4:])
+    for clutch in (1, 2):
+        friction = analysed[clutch]["friction"]
+        expected = {
+            f"mu_C of clutch {clutch}": friction["mu_c"],
+            f"standard deviation of mu_C of clutch {clutch}": friction["std_mu_c"],
+            f"mu_S of clutch {clutch}": friction["mu_s"],
+            f"standard deviation of mu_S of clutch {clutch}": friction["std_mu_s"],
+            f"fluid by clutch {clutch}": {"no_verdict": None}.get(
+                analysed[clutch]["condition"], analysed[clutch]["condition"]
+            ),
+        }
+        assert {name: told[name] for name in expected} == expected  # every bit of it
+
+
+def test_a_car_that_drives_does_not_take_up_the_routine(table: Path) -> None:
+    bench = Bench(drive_scenario("noise_only"), table)
+    with bench.answering:
+        while bench.t_s < 1.0:
+            bench.go_on()
+        bench.unlock()
+        assert bench.ask("31 01 03 01 01 02")[:2] == b"\x7f\x31"
+        bench.drive.begin_routine(Routine(open_revs=1))  # nor if somebody insists
+        while not bench.count(ShiftTruth):
+            bench.go_on()
+    assert not bench.count(RevTruth)
+
+
+def test_a_car_that_nobody_can_ask_does_not_wait(tmp_path: Path) -> None:
+    scenario, drive = in_workshop(), Drive(in_workshop())
+    choice = BusChoice(interface="virtual", channel="nobody", bitrate=None, is_fd=False)
+    with can.Bus("nobody", interface="virtual") as bus, pytest.raises(ConfigError, match="--diagnostics is needed"):
+        send(
+            scenario, SentTruth(drive, None), bus, choice=choice, diagnostics=None, start_delay_s=0.0,
+            stop=None, say=lambda _: None, show=lambda *_: None,  # type: ignore[arg-type]  # it does not come so far
+        )  # fmt: skip
+    with pytest.raises(ConfigError, match="a log has no tester"):
+        write_log(
+            scenario, path=tmp_path / "x.log", log_format=None, start_ns=0, channel="vcan0", truth=None,
+            longest_stay_s=0.0, stop=None,  # type: ignore[arg-type]  # likewise
+        )  # fmt: skip
