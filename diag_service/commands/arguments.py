@@ -190,18 +190,26 @@ _DESCRIPTION: Final = Option(
 _SESSION_TEXT: Final = "session to ask in, hexadecimal; left in the end"
 _DTC: Final = Command(
     "dtc",
-    "read the trouble codes of a controller",
+    "read the trouble codes of a controller, or clear them",
     *(*_ASKING, _DESCRIPTION),
     Option("--mask BYTE", "status bits of which a code must have one, hexadecimal (default: AF)", default="AF"),
     Option("--all", "all codes that the controller knows, also those that never failed"),
     Option("--brief", "without snapshots and extended data"),
+    Option(
+        "--clear [GROUP]",
+        "clear trouble codes and read what is left; a person before the terminal is asked first; GROUP: all (default), "
+        "obd, a code such as P0811 or P0811-07, or three bytes in hexadecimal",
+        flag_value="all",
+    ),
+    Option("--session N", "session to clear in, hexadecimal; left in the end (default: 01)", default="01"),
     *(CONFIG, _JSON, VERBOSE),
     variables=VARIABLES,
-    description=f"Read the trouble codes of a controller, with what it kept of the failure. {_LISTENS}",
+    description=f"Read the trouble codes of a controller, with what it kept of the failure, or clear them. {_LISTENS}",
     examples=(
         f"{PROGRAM} dtc -i socketcan -c can0 --active",
         f"{PROGRAM} dtc -i socketcan -c can0 --ecu 18DA10F1 --description engine.pdx --active --json",
         f"{PROGRAM} dtc --doip 127.0.0.1 --ecu 1011 --active --brief",
+        f"{PROGRAM} dtc -i socketcan -c can0 --active --clear",
     ),
 )
 _DID: Final = Command(

@@ -12,10 +12,11 @@ PENDING: Final = 0x78
 NOT_SUPPORTED: Final = frozenset({0x11})
 ONLY_ELSEWHERE: Final = frozenset({0x7E, 0x7F})  # sub-function or service is there in another session
 
-SESSION, READ_TROUBLE, READ_DATA, SECURITY, ROUTINE, TESTER_PRESENT = 0x10, 0x19, 0x22, 0x27, 0x31, 0x3E
+SESSION, CLEAR, READ_TROUBLE, READ_DATA, SECURITY, ROUTINE, TESTER_PRESENT = 0x10, 0x14, 0x19, 0x22, 0x27, 0x31, 0x3E
 
 SERVICE_NAMES: Final[Mapping[int, str]] = {
     SESSION: "DiagnosticSessionControl",
+    CLEAR: "ClearDiagnosticInformation",
     READ_TROUBLE: "ReadDTCInformation",
     READ_DATA: "ReadDataByIdentifier",
     SECURITY: "SecurityAccess",

@@ -4,11 +4,12 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict
 
 from diag_service.tester.addresses import CanAddress, id_text
+from diag_service.tester.clearing import Clearing
 from diag_service.tester.dialogue import DialogueCounts
 from diag_service.tester.listening import Traffic
 from diag_service.tester.reading import DataAnswer, RoutineAnswer
 from diag_service.tester.scanning import Found
-from diag_service.tester.trouble_report import Record, columns, values_text
+from diag_service.tester.trouble_report import Record, code_words, columns, trouble_lines, values_text
 
 
 def traffic_record(traffic: Traffic) -> Record:
@@ -43,6 +44,27 @@ def routine_record(answer: RoutineAnswer) -> Record:
         "bytes": answer.data.hex(" ").upper(),
         "values": dict(answer.values),
     }
+
+
+def cleared_record(cleared: Clearing) -> Record:
+    """Return what was cleared, as JSON; nothing was if no group is there."""
+    return {
+        "groups": [f"{number:06X}" for number in cleared.groups],
+        "before": [f"{code.number:06X}" for code in cleared.before],
+        "gone": [f"{code.number:06X}" for code in cleared.gone],
+        "left": [f"{code.number:06X}" for code in cleared.after],
+    }
+
+
+def cleared_lines(cleared: Clearing) -> Iterator[str]:
+    """Yield what was cleared, and what is left."""
+    if not cleared.groups:
+        yield "nothing was cleared"
+        return
+    gone = ", ".join(map(code_words, cleared.gone)) or "no code that was told before"
+    yield f"cleared {', '.join(f'{number:06X}' for number in cleared.groups)}: {gone}"
+    yield "what is left:"
+    yield from trouble_lines(cleared.after)
 
 
 def found_record(found: Found) -> Record:

@@ -26,6 +26,8 @@ LONG = ("--listen", "0.6")  # in which even a busy machine lets others speak
 WAIT = ("--wait", "0.15")  # a busy machine may answer later: then the scan finds out by asking again
 BUSY_ID = 0x7EA
 SLIPS = 0x081107
+SUMP = 0x02184B
+CLEARED = 0x50  # not tested since the clear, nor in this cycle
 MASK = "5AA5C33C"
 
 
@@ -107,6 +109,40 @@ def test_without_leave_a_bus_is_listened_to_only(car: Vehicle) -> None:
     assert told("did", "F190", *BUS)["would_ask"] == ["22: F190"]
     shown = ended("dtc", *BUS).out
     assert "nothing was sent; with --active this would be asked:\n  19 02 AF: the codes\n" in shown
+
+
+@contextmanager
+def failing_car(channel: str) -> Iterator[tuple[Controller, tuple[str, ...]]]:
+    """Return a controller of which two tests have failed, and the words that name its bus."""
+    controller = parked_controller()
+    for number in (SLIPS, SUMP):
+        for _ in range(20):
+            controller.report(number, Result.FAILED)
+    with vehicle(channel, controller):
+        yield controller, ("-i", "virtual", "-c", channel, *PATIENT)
+
+
+def test_codes_are_cleared_one_by_one_and_all_together(monkeypatch: pytest.MonkeyPatch) -> None:
+    with failing_car("clearing") as (controller, bus):
+        would = told("dtc", "--clear", *bus)["would_ask"]
+        assert would == ["19 02 AF: the codes", "14 FF FF FF: clear", "19 02 AF: what is left"]
+        monkeypatch.setattr("diag_service.commands.dtc.is_confirmed", lambda question, _: "P0811" not in question)
+        refused = told("dtc", "--clear", *bus, "--active")
+        assert (refused["cleared"]["groups"], len(refused["codes"])) == ([], 2)
+        monkeypatch.undo()  # nobody sits there: the command line has the word
+        one = told("dtc", "--clear", "p0811", *bus, "--active")
+        assert one["cleared"] == {
+            "groups": ["081107"], "before": ["081107", "02184B"], "gone": ["081107"], "left": ["02184B"],
+        }  # fmt: skip
+        assert controller.state.memory.records[SLIPS].status == CLEARED
+        shown = ended("dtc", "--clear", "all", "--session", "03", *bus, "--active").out
+        assert shown.startswith("cleared FFFFFF: P0218 Transmission Fluid Over Temperature Condition (")
+        assert shown.endswith("what is left:\nno trouble codes\n")
+        assert (controller.state.memory.records[SUMP].status, controller.state.session) == (CLEARED, 1)
+        away = ended("dtc", "--clear", "P2787", *bus, "--active")
+        away.assert_one_line(2, "P2787 is not among the trouble codes that the controller tells: none")
+        unknown = ended("dtc", "--clear", "123456", *bus, "--active")
+        unknown.assert_one_line(3, "refuses 14 12 34 56: request out of range (31)")
 
 
 def test_codes_come_with_what_was_kept(car: Vehicle) -> None:
@@ -282,6 +318,7 @@ def test_silence_is_told_in_one_line(car: Vehicle) -> None:
         (["routine", "1", "start", "--unlock", "2=00"], 2, "--unlock must be LEVEL=MASK"),
         (["routine", "1", "start", "--options", "0"], 2, "--options must be hexadecimal bytes"),
         (["routine", "1", "stop", "--options", "00"], 2, "--options are for the start of a routine"),
+        (["dtc", "--clear", "oil"], 2, "--clear must be all, obd, a code such as P0811 or P0811-07, or three bytes"),
         (["scan", "--first", "7E1", "--last", "7E0"], 2, "there is no identifier from 7E1 to 7E0"),
         (["scan", "--wait", "0"], 2, "--wait must be 0.001"),
         (["dtc", "--doip", "127.0.0.1"], 2, "--doip needs --ecu"),
