@@ -14,11 +14,13 @@ from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
 from types import TracebackType
-from typing import Final, Protocol, Self
+from typing import IO, Final, Protocol, Self
 
 from ecu_emulator.diagnostics.opinion import ClutchOpinion, Opinions, read_line
 
 LONGEST_LINE: Final = 1 << 20
+LONGEST_COMPLAINT: Final = 1 << 16
+LONGEST_TOLD: Final = 500
 MOST_STARTS: Final = 6  # in a row that did not last
 LASTED_S: Final = 60.0
 FIRST_PAUSE_S: Final = 1.0  # doubled with each start in a row
@@ -72,6 +74,33 @@ class FixedOpinion:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None: ...
+
+
+class Complaints:
+    """What a program says on standard error, of which the end is kept: a program may complain for weeks.
+
+    Parameters
+    ----------
+    stream
+        The reading end; it is read to its end.
+    """
+
+    def __init__(self, stream: IO[bytes]) -> None:
+        self._stream = stream
+        self._end = b""
+        self._thread = threading.Thread(target=self._read, name="on board, complaints", daemon=True)
+        self._thread.start()
+
+    def last_line(self, wait_s: float) -> str:
+        """Return the last line that says something, empty if there is none; waits so long for the end [s]."""
+        self._thread.join(wait_s)
+        lines = self._end.decode("utf-8", errors="replace").split("\n")
+        return next((line for line in reversed(lines) if line.strip()), "")[:LONGEST_TOLD]
+
+    def _read(self) -> None:
+        with suppress(OSError, ValueError):  # closed by who no longer waits for it; a buffer would make that one wait
+            while piece := os.read(self._stream.fileno(), LONGEST_COMPLAINT):
+                self._end = (self._end + piece)[-LONGEST_COMPLAINT:]
 
 
 class OnBoardService:
@@ -152,22 +181,22 @@ class OnBoardService:
 
     def _serve(self) -> str:
         """Start the service, take what it says until it ends, and return how that was."""
-        complaints = self._folder / "stderr"
         try:
-            with complaints.open("wb") as errors:
-                child = self._started(errors.fileno())
+            child = self._started()
         except OSError as exc:
             return str(exc)
-        if child is None or child.stdout is None:
+        if child is None or child.stdout is None or child.stderr is None:
             return "it was not started"
         with child:
+            complaints = Complaints(child.stderr)
             while line := child.stdout.readline(LONGEST_LINE):
                 found = read_line(line)
                 if found is not None:
                     self._opinions = {**self._opinions, found[0]: found[1]}
-        return last_line(complaints) or f"status {child.returncode}"
+            child.wait()
+            return complaints.last_line(END_S) or f"status {child.returncode}"
 
-    def _started(self, errors: int) -> "subprocess.Popen[bytes] | None":
+    def _started(self) -> "subprocess.Popen[bytes] | None":
         with self._guard:
             if self._is_over.is_set():
                 return None
@@ -177,7 +206,7 @@ class OnBoardService:
                 [*self._program, "run", *self._bus, "--store", str(store), "--json"],
                 stdin=subprocess.DEVNULL,
                 stdout=subprocess.PIPE,
-                stderr=errors,
+                stderr=subprocess.PIPE,
                 env=without_settings(os.environ),
             )
             return self._child
@@ -186,11 +215,3 @@ class OnBoardService:
 def without_settings(variables: Mapping[str, str]) -> dict[str, str]:
     """Return an environment in which nothing tells the service more than its command line."""
     return {name: value for name, value in variables.items() if not name.startswith(_OWN_VARIABLES)}
-
-
-def last_line(path: Path) -> str:
-    """Return the last line of a file, empty if there is none."""
-    with suppress(OSError):
-        lines = path.read_text(encoding="utf-8", errors="replace").split("\n")
-        return next((line for line in reversed(lines) if line.strip()), "")
-    return ""

@@ -18,7 +18,15 @@ from ecu_emulator.diagnostics.codes import Status
 from ecu_emulator.diagnostics.opinion import ClutchOpinion
 from ecu_emulator.errors import ConfigError
 from ecu_emulator.live import BusChoice, diagnostics_choice
-from ecu_emulator.on_board import MOST_STARTS, FixedOpinion, OnBoardService, OpinionSource, without_settings
+from ecu_emulator.on_board import (
+    LONGEST_COMPLAINT,
+    MOST_STARTS,
+    Complaints,
+    FixedOpinion,
+    OnBoardService,
+    OpinionSource,
+    without_settings,
+)
 from ecu_emulator.scenario import FluidVerdict
 from tests.support.builders import shift_result
 from tests.support.patience import HANG_S
@@ -55,6 +63,22 @@ def test_it_is_started_again_a_few_times_and_then_given_up() -> None:
         assert on_board.start_count == MOST_STARTS
         assert on_board.problem == f"the service on board ended {MOST_STARTS} times in a row: no bus"
         assert on_board.opinions == {}
+
+
+def test_complaints_without_end_take_no_room() -> None:
+    chatter = "import sys\nfor _ in range(40): sys.stderr.write('x' * 65_535 + '\\n')\nsys.exit('no bus')"
+    with service(chatter) as on_board:
+        wait_for(lambda: on_board.problem)
+        assert on_board.problem == f"the service on board ended {MOST_STARTS} times in a row: no bus"
+        assert sum(path.stat().st_size for path in on_board._folder.iterdir()) == 0
+
+
+def test_of_complaints_the_end_is_kept(tmp_path: Path) -> None:
+    (tmp_path / "said").write_bytes(b"x" * 3 * LONGEST_COMPLAINT + "\nfür immer\n\n".encode())
+    with (tmp_path / "said").open("rb") as said:
+        complaints = Complaints(said)
+        assert complaints.last_line(HANG_S) == "für immer"
+        assert len(complaints._end) <= LONGEST_COMPLAINT
 
 
 def test_a_service_that_does_not_heed_is_killed(monkeypatch: pytest.MonkeyPatch) -> None:
