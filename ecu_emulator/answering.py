@@ -159,7 +159,10 @@ class Answering:
         """Where else than on the bus it can be asked, for people; each with a warning if others can reach it."""
         said = []
         if self.doip is not None:
-            said.append(place_text("DoIP on", str(self.doip.place), is_exposed=self.doip.is_exposed))
+            place = self.doip.place
+            said.append(place_text("DoIP on", str(place), is_exposed=self.doip.is_exposed))
+            if place.tls is not None:
+                said.append(f"DoIP by TLS on port {place.tls.port}")
         if self.elm327 is not None:
             said.append(place_text("ELM327 adapter at", self.elm327.place, is_exposed=self.elm327.is_exposed))
         return said

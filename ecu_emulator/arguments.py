@@ -19,6 +19,7 @@ EXIT_TEXT: Final = (
 NS_PER_S: Final = 1_000_000_000
 DEFAULT_REVS: Final = "4,4"
 DEFAULT_ELM_PORT: Final = "35000"
+DOIP_TLS_PORT: Final = 3496  # registered for DoIP by TLS, as 13400 is without
 OIL_RANGE_DEGC: Final = (-15.0, 130.0)
 MASS_RANGE_KG: Final = (900.0, 3500.0)
 DELAY_RANGE_S: Final = (0.0, 3600.0)
@@ -117,6 +118,9 @@ _RUN: Final = Command(
         "answer testers on an IP network as well (ISO 13400-2; its port is 13400); only on this machine unless HOST "
         "says otherwise",
     ),
+    Option("--doip-certificate FILE", "answer over IP by TLS as well, with this certificate (PEM)", FILE),
+    Option("--doip-key FILE", "its key, unless that is in the same file", FILE),
+    Option("--doip-tls-port PORT", f"where TLS is spoken (default: {DOIP_TLS_PORT})", INT, default=DOIP_TLS_PORT),
     Option("--diagnostic-memory FILE", "keep trouble codes in this file, over restarts", FILE),
     Option(
         "--elm327 [[HOST:]PORT]",

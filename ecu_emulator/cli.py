@@ -43,6 +43,7 @@ def _execute(options: SimpleNamespace, stop: Event) -> None:
     with _without("asammdf"):  # python-can loads it where it is installed, and that pandas: 0.3 s for nothing
         from canlog.kernel_cache import announce_compiling  # noqa: PLC0415 - heavy; signals are in hand before
         from ecu_emulator import commands, live  # noqa: PLC0415 - likewise
+        from ecu_emulator.diagnostics.doip.tls import tls_node  # noqa: PLC0415 - likewise
 
     announce_compiling(lambda line: sys.stderr.write(f"{PROGRAM}: {line}\n"))
     if options.command == "scenarios":
@@ -96,6 +97,7 @@ def _execute(options: SimpleNamespace, stop: Event) -> None:
             options.doip,
             options.elm327,
             has_service=options.on_board,
+            tls=tls_node(options.doip_certificate, options.doip_key, options.doip_tls_port),
         ),
         start_delay_s=options.start_delay,
         longest_stay_s=options.parked,

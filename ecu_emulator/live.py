@@ -4,7 +4,7 @@ import json
 import logging
 from collections.abc import Callable
 from contextlib import AbstractContextManager, nullcontext
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from threading import Event
 from typing import TYPE_CHECKING, Final
@@ -16,6 +16,7 @@ from dbc.contract import load_contract
 from ecu_emulator.bus import TransmitReport, open_bus, transmit
 from ecu_emulator.control import ControlSocket
 from ecu_emulator.diagnostics.doip.listening import Place, parse_place
+from ecu_emulator.diagnostics.doip.tls import TlsNode
 from ecu_emulator.errors import ConfigError, RecordError
 from ecu_emulator.other_senders import WORTH_SAYING, OtherSenders
 from ecu_emulator.progress import ProgressLine, driven_text, people, print_json
@@ -218,7 +219,13 @@ def _opinion_source(choice: DiagnosticsChoice, bus: BusChoice, scenario: Scenari
 
 
 def diagnostics_choice(
-    table: str | None, memory: Path | None, doip: str | None, elm327: str | None = None, *, has_service: bool = False
+    table: str | None,
+    memory: Path | None,
+    doip: str | None,
+    elm327: str | None = None,
+    *,
+    has_service: bool = False,
+    tls: TlsNode | None = None,
 ) -> DiagnosticsChoice | None:
     """Return what was chosen on the command line; None if nobody is to answer.
 
@@ -227,13 +234,18 @@ def diagnostics_choice(
     ConfigError
         If there is a memory or an address and nobody who uses it, or the address is none.
     """
-    options = {"--diagnostic-memory": memory, "--doip": doip, "--elm327": elm327, "--on-board": has_service or None}
+    options = {
+        "--diagnostic-memory": memory, "--doip": doip, "--elm327": elm327, "--on-board": has_service or None,
+        "--doip-certificate": tls,
+    }  # fmt: skip
     for option, value in options.items():
         if table is None and value is not None:
             raise ConfigError(f"{option} needs --diagnostics")
     if table is None:
         return None
-    place = None if doip is None else parse_place(doip)
+    if doip is None and tls is not None:
+        raise ConfigError("--doip-certificate needs --doip")
+    place = None if doip is None else replace(parse_place(doip), tls=tls)
     return DiagnosticsChoice(table=table, memory=memory, doip=place, elm327=elm327, has_service=has_service)
 
 

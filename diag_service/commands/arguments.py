@@ -174,6 +174,11 @@ _LISTENS: Final = (
 _ASKING: Final = (
     *_ASKED_BUS,
     Option("--doip HOST[:PORT]", "ask over IP (DoIP) instead of a bus; --ecu is the logical address then"),
+    Option(
+        "--doip-authority FILE",
+        "over IP by TLS (port 3496 unless --doip names one), with a node whose certificate this authority (PEM) signed",
+        FILE,
+    ),
     Option("--ecu ID", "identifier of requests, hexadecimal (default: as described, or 7E1)"),
     Option("--reply ID", "identifier of answers (default: as described, or by the rules of the standard)"),
     Option("--address BYTE", "extended addressing: the address of the controller, hexadecimal"),

@@ -140,12 +140,15 @@ def bus_name(options: SimpleNamespace) -> BusName:
 def doip_place(options: SimpleNamespace) -> DoipPlace | None:
     """Return where to ask over IP, None for a bus; raises ConfigError."""
     if options.doip is None:
+        if options.doip_authority is not None:
+            raise ConfigError("--doip-authority needs --doip")
         return None
     if options.ecu is None:
         raise ConfigError("--doip needs --ecu: the logical address of the controller, such as 1011")
     if options.reply is not None or options.address is not None:
         raise ConfigError("--reply and --address are of a bus, not of --doip")
-    return parse_doip(options.doip, hexadecimal(options.ecu, "--ecu", _LARGEST_LOGICAL))
+    logical_address = hexadecimal(options.ecu, "--ecu", _LARGEST_LOGICAL)
+    return parse_doip(options.doip, logical_address, options.doip_authority)
 
 
 def _address_of(options: SimpleNamespace) -> CanAddress | None:

@@ -2,9 +2,11 @@
 
 import ipaddress
 import socket
+import ssl
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Final
 
 import can
@@ -12,6 +14,7 @@ import can
 from canlog.extras import load_extra
 from canlog.live.factory import complete_settings
 from canlog.live.pythoncan import open_bus
+from canlog.plain_files import check_plain_file
 from diag_service.errors import ConfigError, ControllerError
 from diag_service.tester.addresses import TRANSMISSION, CanAddress, is_extended, usual_response_id
 from diag_service.tester.can_link import CanConnection
@@ -20,6 +23,7 @@ from diag_service.tester.dialogue import Dialogue, Manners
 
 EXTRA: Final = "uds"
 DOIP_PORT: Final = 13400
+DOIP_TLS_PORT: Final = 3496
 CONNECT_S: Final = 5.0
 _LARGEST_PORT: Final = 0xFFFF
 
@@ -40,15 +44,19 @@ class DoipPlace:
 
     host: str
     port: int = DOIP_PORT
+    authority: Path | None = None  # TLS, with nodes whose certificate it has signed
     logical_address: int
 
     def __str__(self) -> str:
         """Return it for people."""
-        return f"{self.logical_address:04X} at DoIP {self.host}:{self.port}"
+        host = f"[{self.host}]" if ":" in self.host else self.host
+        return f"{self.logical_address:04X} at DoIP {host}:{self.port}"
 
 
-def parse_doip(text: str, logical_address: int) -> DoipPlace:
+def parse_doip(text: str, logical_address: int, authority: Path | None = None) -> DoipPlace:
     """Return the place that ``HOST[:PORT]`` names, an address of IPv4 or, in brackets, of IPv6.
+
+    With an authority it is asked by TLS.
 
     Raises
     ------
@@ -65,7 +73,10 @@ def parse_doip(text: str, logical_address: int) -> DoipPlace:
         raise ConfigError(f"--doip must be an IP address with or without :PORT, got {text!r}") from exc
     if colon and not (port.isdecimal() and 0 < int(port) <= _LARGEST_PORT):
         raise ConfigError(f"--doip: the port must be 1..{_LARGEST_PORT}, got {port!r}")
-    return DoipPlace(host=host, port=int(port) if colon else DOIP_PORT, logical_address=logical_address)
+    usual = DOIP_PORT if authority is None else DOIP_TLS_PORT
+    return DoipPlace(
+        host=host, port=int(port) if colon else usual, logical_address=logical_address, authority=authority
+    )
 
 
 def address_for(named: CanAddress | None, description: Description) -> CanAddress:
@@ -110,16 +121,19 @@ def dialogue_over_ip(
 
     Raises
     ------
-    ControllerError
-        If it is not there or refuses.
+    ConfigError, ControllerError
+        If the authority cannot be used; if it is not there, is another or refuses.
     ExtraMissingError
         If doipclient is not installed.
     """
     doipclient = load_extra("doipclient", "DoIP needs doipclient", EXTRA)
     connectors = load_extra("doipclient.connectors", "DoIP needs doipclient", EXTRA)
     try:
-        _find(place)
-        node = doipclient.DoIPClient(place.host, place.logical_address, tcp_port=place.port, udp_port=place.port)
+        context = None if place.authority is None else _tls_context(place.authority)
+        _find(place, context)
+        node = doipclient.DoIPClient(
+            place.host, place.logical_address, tcp_port=place.port, udp_port=place.port, use_secure=context or False
+        )
     except (OSError, ValueError) as exc:
         raise ControllerError(f"{place}: {' '.join(str(exc).split())}") from exc
     try:
@@ -129,6 +143,23 @@ def dialogue_over_ip(
         node.close()
 
 
-def _find(place: DoipPlace) -> None:
-    """Raise OSError if nobody listens there; the library would leave a socket open that did not connect."""
-    socket.create_connection((place.host, place.port), timeout=CONNECT_S).close()
+def _tls_context(authority: Path) -> ssl.SSLContext:
+    """Return what a connection is made with; names are not compared: nodes have addresses, not names."""
+    context = ssl.SSLContext(ssl.PROTOCOL_TLS_CLIENT)
+    context.check_hostname = False
+    context.minimum_version = ssl.TLSVersion.TLSv1_2
+    try:
+        check_plain_file(authority)
+        context.load_verify_locations(authority)
+    except ssl.SSLError as exc:
+        raise ConfigError(f"authority {authority} is no certificate: {exc.reason or exc}") from exc
+    except OSError as exc:
+        raise ConfigError(f"cannot read authority {authority}: {exc.strerror or exc}") from exc
+    return context
+
+
+def _find(place: DoipPlace, context: ssl.SSLContext | None) -> None:
+    """Raise OSError if nobody listens there, or is another; the library would leave sockets open."""
+    with socket.create_connection((place.host, place.port), timeout=CONNECT_S) as connection:
+        if context is not None:
+            context.wrap_socket(connection).close()

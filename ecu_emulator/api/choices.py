@@ -7,7 +7,8 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Final
 
-from ecu_emulator.arguments import NS_PER_S
+from ecu_emulator.arguments import DOIP_TLS_PORT, NS_PER_S
+from ecu_emulator.diagnostics.doip.tls import tls_node
 from ecu_emulator.errors import ConfigError
 from ecu_emulator.faults import BusFault, SensorFault
 from ecu_emulator.live import DiagnosticsChoice, diagnostics_choice
@@ -31,6 +32,10 @@ class Answers:
         A file that keeps trouble codes over restarts.
     doip, elm327 : str, optional
         ``[HOST:]PORT`` at which it answers over IP, and as an ELM327 adapter.
+    doip_certificate, doip_key : path, optional
+        With a certificate it answers over IP by TLS as well; the key may be in the same file.
+    doip_tls_port : int
+        Where it does.
     on_board : bool
         Whether a diag-service that is started beside it tells it of its clutches; not on a virtual bus.
     """
@@ -39,6 +44,9 @@ class Answers:
     memory: AnyPath | None = None
     doip: str | None = None
     elm327: str | None = None
+    doip_certificate: AnyPath | None = None
+    doip_key: AnyPath | None = None
+    doip_tls_port: int = DOIP_TLS_PORT
     on_board: bool = False
 
 
@@ -63,7 +71,9 @@ def diagnostics_of(answers: Answers | None) -> DiagnosticsChoice | None:
         return None
     table = "" if answers.table is None else os.fspath(answers.table)
     memory = None if answers.memory is None else Path(answers.memory)
-    return diagnostics_choice(table, memory, answers.doip, answers.elm327, has_service=answers.on_board)
+    certificate, key = (None if one is None else Path(one) for one in (answers.doip_certificate, answers.doip_key))
+    tls = tls_node(certificate, key, answers.doip_tls_port)
+    return diagnostics_choice(table, memory, answers.doip, answers.elm327, has_service=answers.on_board, tls=tls)
 
 
 def ns_of(moment: datetime) -> int:

@@ -1,20 +1,23 @@
-"""The sockets of an entity: one for connections, those for datagrams, and where announcements go."""
+"""The sockets of an entity: those for connections and for datagrams, and where announcements go."""
 
 import socket
 from contextlib import ExitStack
 from dataclasses import dataclass
-from ipaddress import IPv4Address
+from ipaddress import IPv4Address, IPv6Address
 from typing import Final
 
+from ecu_emulator.diagnostics.doip.tls import LARGEST_PORT, TlsNode
 from ecu_emulator.errors import BusError, ConfigError
 
 PORT: Final = 13400  # registered for DoIP, both TCP and UDP
 LOOPBACK: Final = "127.0.0.1"
 LOCAL_BROADCAST: Final = "127.255.255.255"
 BROADCAST: Final = "255.255.255.255"
+ALL_NODES: Final = "ff02::1"  # on one link; what IPv6 has in place of a broadcast
 BACKLOG: Final = 16
-LARGEST_PORT: Final = 65535
 SEND_BYTES: Final = 1 << 16  # that one tester may leave unread before nothing more is read from it
+
+Address = IPv4Address | IPv6Address
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -23,10 +26,11 @@ class Place:
 
     host: str
     port: int
+    tls: TlsNode | None = None  # likewise by TLS, on a port of its own
 
     def __str__(self) -> str:
         """Return it as on the command line."""
-        return f"{self.host}:{self.port}"
+        return f"{f'[{self.host}]' if ':' in self.host else self.host}:{self.port}"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -34,13 +38,19 @@ class Listening:
     """Open sockets of one address."""
 
     tcp: socket.socket
+    tls: socket.socket | None
     udp: tuple[socket.socket, ...]  # the first one also says what is said
     everybody: tuple[str, int]  # who hears announcements
     is_exposed: bool  # whether others than this machine can reach it
 
+    def close(self) -> None:
+        """Close them all."""
+        for one in (self.tcp, *([] if self.tls is None else [self.tls]), *self.udp):
+            one.close()
+
 
 def parse_place(text: str) -> Place:
-    """Return what ``[HOST:]PORT`` says; without a host this machine alone is meant.
+    """Return what ``[HOST:]PORT`` says; without a host this machine alone is meant. IPv6 stands in brackets.
 
     Raises
     ------
@@ -48,44 +58,73 @@ def parse_place(text: str) -> Place:
         If it says no such thing.
     """
     host, _, port = text.rpartition(":")
-    if not (port.isascii() and port.isdecimal() and 1 <= int(port) <= LARGEST_PORT) or text.startswith(":"):
+    is_bracketed = host.startswith("[") and host.endswith("]")
+    is_port = port.isascii() and port.isdecimal() and 1 <= int(port) <= LARGEST_PORT
+    if not is_port or text.startswith(":") or (":" in host and not is_bracketed):
         raise ConfigError(f"--doip must be [HOST:]PORT with a port of 1..{LARGEST_PORT}, got {text}")
-    return Place(host=host or LOOPBACK, port=int(port))
+    return Place(host=(host[1:-1] if is_bracketed else host) or LOOPBACK, port=int(port))
 
 
 def listen(place: Place) -> Listening:
     """Return the sockets of a place; requests to everybody on its network come in as well.
 
+    By IPv6 they come in only where all addresses are listened on (``::``).
+
     Raises
     ------
     BusError
-        If it is no IPv4 address of this machine, or somebody else listens there.
+        If it is no address of this machine, or somebody else listens there.
     """
     with ExitStack() as stack:
         try:
             address = _address(place.host)
-            broadcast = LOCAL_BROADCAST if address.is_loopback else BROADCAST
-            tcp = stack.enter_context(socket.socket(socket.AF_INET, socket.SOCK_STREAM))
-            tcp.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-            tcp.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)  # its connections inherit that: no 40 ms each
-            tcp.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, SEND_BYTES)
-            tcp.bind((str(address), place.port))
-            tcp.listen(BACKLOG)
-            hosts = [str(address)] if address.is_unspecified else [str(address), broadcast]
-            udp = tuple(stack.enter_context(_datagrams(host, place.port)) for host in hosts)
+            everybody = _everybody(address)
+            tcp = stack.enter_context(_connections(address, place.port))
+            tls = None if place.tls is None else stack.enter_context(_connections(address, place.tls.port))
+            is_broadcast = isinstance(address, IPv4Address) and not address.is_unspecified
+            hosts = [str(address), everybody] if is_broadcast else [str(address)]
+            udp = tuple(stack.enter_context(_datagrams(_family(address), host, place.port)) for host in hosts)
         except OSError as exc:
             raise BusError(f"DoIP cannot listen on {place}: {exc.strerror or exc}") from exc
         stack.pop_all()
-    return Listening(tcp=tcp, udp=udp, everybody=(broadcast, place.port), is_exposed=not address.is_loopback)
+    return Listening(tcp=tcp, tls=tls, udp=udp, everybody=(everybody, place.port), is_exposed=not address.is_loopback)
 
 
-def _address(host: str) -> IPv4Address:
-    found = socket.getaddrinfo(host, None, socket.AF_INET, socket.SOCK_STREAM)
-    return IPv4Address(found[0][4][0])
+def _address(host: str) -> Address:
+    """Return the address of a host, that of IPv4 if it has both."""
+    try:
+        return IPv4Address(socket.getaddrinfo(host, None, socket.AF_INET, socket.SOCK_STREAM)[0][4][0])
+    except socket.gaierror:
+        return IPv6Address(socket.getaddrinfo(host, None, socket.AF_INET6, socket.SOCK_STREAM)[0][4][0])
 
 
-def _datagrams(host: str, port: int) -> socket.socket:
-    one = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+def _family(address: Address) -> socket.AddressFamily:
+    return socket.AF_INET if isinstance(address, IPv4Address) else socket.AF_INET6
+
+
+def _everybody(address: Address) -> str:
+    """Return who is reached by what is said to everybody; this machine alone if nobody else can reach the address."""
+    if isinstance(address, IPv4Address):
+        return LOCAL_BROADCAST if address.is_loopback else BROADCAST
+    return str(address) if address.is_loopback else ALL_NODES
+
+
+def _connections(address: Address, port: int) -> socket.socket:
+    one = socket.socket(_family(address), socket.SOCK_STREAM)
+    try:
+        one.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        one.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)  # its connections inherit that: no 40 ms each
+        one.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, SEND_BYTES)
+        one.bind((str(address), port))
+        one.listen(BACKLOG)
+    except OSError:
+        one.close()
+        raise
+    return one
+
+
+def _datagrams(family: socket.AddressFamily, host: str, port: int) -> socket.socket:
+    one = socket.socket(family, socket.SOCK_DGRAM)
     try:
         one.setsockopt(socket.SOL_SOCKET, socket.SO_BROADCAST, 1)
         one.setblocking(False)

@@ -3,7 +3,7 @@
 import asyncio
 import threading
 import time
-from collections.abc import Coroutine
+from collections.abc import Callable, Coroutine
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from dataclasses import asdict, dataclass
@@ -49,8 +49,8 @@ class DoipServer:
 
     Raises
     ------
-    BusError
-        If it cannot listen there.
+    BusError, ConfigError
+        If it cannot listen there, or its certificate cannot be used.
     """
 
     def __init__(self, controller: Controller, place: Place) -> None:
@@ -71,6 +71,7 @@ class DoipServer:
         self._is_ready = threading.Event()
         self._error: BaseException | None = None
         self._thread = threading.Thread(target=self._run, name="DoIP", daemon=True)
+        self._tls = None if place.tls is None else place.tls.context()
         self._sockets = listen(place)
         self.place = place
 
@@ -101,8 +102,7 @@ class DoipServer:
 
     def close(self) -> None:
         """Listen no more, as it does after its block; one that is never entered needs it."""
-        for one in (self._sockets.tcp, *self._sockets.udp):
-            one.close()
+        self._sockets.close()
 
     def _run(self) -> None:
         try:
@@ -117,7 +117,7 @@ class DoipServer:
     async def _serve(self) -> None:
         self._loop = asyncio.get_running_loop()
         async with asyncio.TaskGroup() as group:
-            server = await asyncio.start_server(partial(self._accept, group), sock=self._sockets.tcp, limit=READ_BYTES)
+            servers = await self._listen(partial(self._accept, group))
             await self._datagrams.start(self._sockets)
             self._start(group, self._datagrams.announce(self._sockets.everybody))
             self._start(group, self._advance())
@@ -125,12 +125,31 @@ class DoipServer:
             try:
                 await self._is_over.wait()
             finally:
-                server.close()
+                for server in servers:
+                    server.close()
                 self._datagrams.close()
                 for writer in self._writers.values():
                     writer.transport.abort()
                 for task in self._tasks:
                     task.cancel()
+
+    async def _listen(
+        self, accept: Callable[[asyncio.StreamReader, asyncio.StreamWriter], None]
+    ) -> list[asyncio.Server]:
+        servers = [await asyncio.start_server(accept, sock=self._sockets.tcp, limit=READ_BYTES)]
+        if self._sockets.tls is not None:
+            patience_s = self._entity.initial_inactivity_s
+            servers.append(
+                await asyncio.start_server(
+                    accept,
+                    sock=self._sockets.tls,
+                    limit=READ_BYTES,
+                    ssl=self._tls,
+                    ssl_handshake_timeout=patience_s,
+                    ssl_shutdown_timeout=LINGER_S,
+                )
+            )
+        return servers
 
     def _start(self, group: asyncio.TaskGroup, work: Coroutine[None, None, None]) -> asyncio.Task[None]:
         task = group.create_task(work)
@@ -183,6 +202,9 @@ class DoipServer:
 
     def _close(self, writer: asyncio.StreamWriter) -> None:
         """End what is said to a tester, and the connection once it has closed its side or takes too long."""
+        if not writer.can_write_eof():  # TLS ends both ways at once
+            writer.close()
+            return
         with suppress(OSError):
             writer.write_eof()
         asyncio.get_running_loop().call_later(LINGER_S, writer.transport.abort)

@@ -12,6 +12,7 @@ from typing import Any, Self
 from ecu_emulator.diagnostics.controller import Controller
 from ecu_emulator.diagnostics.doip.listening import Place
 from ecu_emulator.diagnostics.doip.server import DoipServer
+from ecu_emulator.diagnostics.doip.tls import TlsNode
 from ecu_emulator.diagnostics.memory_file import MemoryFile
 from tests.support.doip.desk import activation, framed, request
 from tests.support.patience import HANG_S
@@ -36,14 +37,19 @@ def free_port() -> int:
 
 @contextmanager
 def entity(
-    *, store: MemoryFile | None = None, port: int = 0, **settings: float
+    *,
+    store: MemoryFile | None = None,
+    port: int = 0,
+    host: str = "127.0.0.1",
+    tls: TlsNode | None = None,
+    **settings: float,
 ) -> Iterator[tuple[Controller, DoipServer]]:
     """Run an entity of a parked car; settings are those of the table."""
     table = full_table()
     quick: dict[str, Any] = {"announce_wait_s": 0.0, "announce_count": 0, **settings}
     table = replace(table, doip=replace(table.doip, **quick))
     controller = Controller(table, values=lambda: PARKED, clock=time.monotonic, chance=secrets.token_bytes, store=store)
-    with DoipServer(controller, Place(host="127.0.0.1", port=port or free_port())) as server:
+    with DoipServer(controller, Place(host=host, port=port or free_port(), tls=tls)) as server:
         yield controller, server
 
 

@@ -17,6 +17,8 @@ from tests.support.uds.full_table import full_text
         ("0.0.0.0:13400", "0.0.0.0:13400"),
         ("car.local:1", "car.local:1"),
         ("localhost:65535", "localhost:65535"),
+        ("[::1]:13400", "[::1]:13400"),
+        ("[::]:1", "[::]:1"),
     ],
 )
 def test_a_port_alone_means_this_machine(text: str, place: str) -> None:
@@ -36,7 +38,9 @@ def test_nobody_is_there_to_answer_without_diagnostics() -> None:
     assert str(choice.doip) == "127.0.0.1:13400"
 
 
-@pytest.mark.parametrize("text", ["", "0", "65536", "-1", "x", ":13400", "host:", "1.5", "localhost", "127.0.0.1:0x1"])
+@pytest.mark.parametrize(
+    "text", ["", "0", "65536", "-1", "x", ":13400", "host:", "1.5", "localhost", "127.0.0.1:0x1", "::1:13400"]
+)
 def test_what_is_no_place_is_refused(text: str) -> None:
     with pytest.raises(ConfigError, match=r"^--doip must be \[HOST:\]PORT with a port of 1\.\.65535, got "):
         parse_place(text)

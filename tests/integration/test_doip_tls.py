@@ -1,0 +1,130 @@
+"""DoIP by TLS and by IPv6: our tester against our entity, with certificates made for it, and those who get it wrong."""
+
+import socket
+import ssl
+from collections.abc import Iterator
+from contextlib import suppress
+from datetime import UTC, datetime
+from pathlib import Path
+
+import pytest
+
+from ecu_emulator.diagnostics.doip.server import DoipServer
+from ecu_emulator.diagnostics.doip.tls import TlsNode, tls_node
+from ecu_emulator.diagnostics.memory import TestResult as Result
+from ecu_emulator.errors import ConfigError
+from ecu_emulator.live import diagnostics_choice
+from fleet_backend.certificates.authority import Authority, Lifetime
+from tests.support.doip.desk import activation, framed
+from tests.support.doip.tester import entity, free_port
+from tests.support.in_process import ended
+from tests.support.patience import HANG_S
+
+SLIPS = 0x081107
+PATIENT = ("--ecu", "1011", "--active", "--listen", "0", "--timeout", "20")
+
+
+@pytest.fixture(name="folder", scope="module")
+def _folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return a folder with the certificate of a node, one in a single file with its key, and two authorities."""
+    folder, other = tmp_path_factory.mktemp("tls"), tmp_path_factory.mktemp("other")
+    lifetime = Lifetime.of_days(1, datetime.now(UTC))
+    Authority.make(folder, lifetime).issue_server("node", ["127.0.0.1"], lifetime)
+    Authority.make(other, lifetime)
+    (folder / "both.pem").write_bytes((folder / "node.crt").read_bytes() + (folder / "node.key").read_bytes())
+    (folder / "other.crt").write_bytes((other / "ca.crt").read_bytes())
+    return folder
+
+
+@pytest.fixture(name="node", scope="module")
+def _node(folder: Path) -> Iterator[DoipServer]:
+    tls = TlsNode(certificate=folder / "both.pem", key=None, port=free_port())
+    with entity(tls=tls) as (controller, server):
+        for _ in range(20):
+            controller.report(SLIPS, Result.FAILED)
+        yield server
+
+
+def tls_port(node: DoipServer) -> int:
+    assert node.place.tls is not None
+    return node.place.tls.port
+
+
+def codes_at(place: str, *more: str) -> list[str]:
+    done = ended("dtc", "--doip", place, *PATIENT, "--brief", "--json", *more)
+    assert done.status == 0, done.err
+    return [code["code"] for code in done.records[0]["codes"]]
+
+
+def test_the_same_codes_come_by_tls_and_without(node: DoipServer, folder: Path) -> None:
+    by_tls = codes_at(f"127.0.0.1:{tls_port(node)}", "--doip-authority", str(folder / "ca.crt"))
+    assert by_tls == codes_at(str(node.place)) == ["P0811"]
+
+
+def test_a_node_that_another_authority_knows_is_not_asked(node: DoipServer, folder: Path) -> None:
+    words = ("dtc", "--doip", f"127.0.0.1:{tls_port(node)}", *PATIENT, "--doip-authority")
+    ended(*words, folder / "other.crt").assert_one_line(3, "certificate verify failed")
+    ended(*words, folder / "ca.key").assert_one_line(2, "is no certificate")
+    ended(*words, folder / "missing").assert_one_line(2, "cannot read authority")
+
+
+def test_a_tester_that_is_refused_hears_it_by_tls_and_the_entity_ends_the_connection(node: DoipServer) -> None:
+    context = ssl.SSLContext(ssl.PROTOCOL_TLS_CLIENT)
+    context.check_hostname, context.verify_mode = False, ssl.CERT_NONE
+    with (
+        socket.create_connection(("127.0.0.1", tls_port(node)), timeout=HANG_S) as plain,
+        context.wrap_socket(plain) as tester,
+    ):
+        tester.sendall(activation(0x0D00))  # no tester's address
+        heard = b""
+        while piece := tester.recv(100):
+            heard += piece
+    assert heard[2:4] == b"\x00\x06"
+    assert heard[12] == 0x00  # unknown address
+
+
+def test_who_speaks_no_tls_there_is_hung_up_on_and_others_are_served(node: DoipServer, folder: Path) -> None:
+    with socket.create_connection(("127.0.0.1", tls_port(node)), timeout=HANG_S) as plain:
+        plain.sendall(activation(0x0E00))
+        with suppress(ConnectionResetError):
+            while plain.recv(100):  # perhaps an alert
+                pass
+    assert codes_at(f"127.0.0.1:{tls_port(node)}", "--doip-authority", str(folder / "ca.crt")) == ["P0811"]
+
+
+def test_ipv6_on_this_machine() -> None:
+    with (
+        entity(host="::1", announce_count=1) as (controller, server),
+        socket.socket(socket.AF_INET6, socket.SOCK_DGRAM) as one,
+    ):
+        assert (str(server.place), server.is_exposed) == (f"[::1]:{server.place.port}", False)
+        for _ in range(20):
+            controller.report(SLIPS, Result.FAILED)
+        assert codes_at(str(server.place)) == ["P0811"]
+        one.settimeout(HANG_S)
+        one.sendto(framed(1), ("::1", server.place.port))
+        assert one.recv(100)[8:27] == b"WDCTEMULATED00001\x10\x11"
+
+
+def test_what_cannot_be_a_certificate_is_told_in_one_line(folder: Path) -> None:
+    for certificate, key, message in (
+        ("missing.crt", None, "cannot be read: No such file"),
+        ("node.crt", None, "certificate or key cannot be used"),
+        ("node.crt", "ca.key", "certificate or key cannot be used"),
+    ):
+        node = TlsNode(certificate=folder / certificate, key=None if key is None else folder / key, port=1)
+        with pytest.raises(ConfigError, match=message) as refused:
+            node.context()
+        assert "\n" not in str(refused.value)
+
+
+def test_tls_needs_what_it_needs() -> None:
+    with pytest.raises(ConfigError, match="--doip-key needs --doip-certificate"):
+        tls_node(None, Path("key"), 3496)
+    with pytest.raises(ConfigError, match=r"--doip-tls-port must be 1\.\.65535, got 0"):
+        tls_node(Path("certificate"), None, 0)
+    with pytest.raises(ConfigError, match="--doip-certificate needs --doip"):
+        diagnostics_choice("", None, None, tls=tls_node(Path("certificate"), None, 3496))
+    with pytest.raises(ConfigError, match="--doip-certificate needs --diagnostics"):
+        diagnostics_choice(None, None, None, tls=tls_node(Path("certificate"), None, 3496))
+    ended("dtc", "--doip-authority", "ca.crt", "--active").assert_one_line(2, "--doip-authority needs --doip")
