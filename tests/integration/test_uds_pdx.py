@@ -121,12 +121,32 @@ def test_everything_that_the_package_describes_is_answered_and_understood() -> N
 def test_a_controller_that_speaks_obd_by_uds_offers_its_reports() -> None:
     table = shipped_table()
     assert table.obd is not None
-    services = {number: table.services[number] for number in (0x14, 0x19)}
-    table = replace(table, obd=replace(table.obd, profile=Profile.UDS), services=services)
+    services = {number: table.services[number] for number in (0x14, 0x19, 0x22)}
+    table = replace(
+        table,
+        obd=replace(table.obd, profile=Profile.UDS),
+        services=services,
+        data={0xF190: table.data[0xF190]},
+        snapshot=(),
+    )
     figures = PdxClient(table, Random(1)).ask_everything(most_situations=4)  # noqa: S311 - to be repeated
     assert figures.problems == []
     obd = {"Read_trouble_codes_of_OBD", "Read_permanent_trouble_codes", "Clear_trouble_codes_of_OBD"}
+    obd |= {"Read_OBD_engine_speed", "Read_OBD_vehicle_identification_number", "Read_OBD_supported_F400"}
     assert all(figures.positive[name] for name in obd)
+
+
+def test_obd_is_a_layer_of_its_own_of_which_everything_is_answered_and_understood() -> None:
+    client = PdxClient(shipped_table(), Random(1), container=1)  # noqa: S311 - to be repeated
+    figures = client.ask_everything(most_situations=6)
+    assert figures.problems == []
+    assert [name for name in figures.requests if not figures.positive[name]] == []
+    assert {name.partition("_")[0] for name in figures.requests} == {"Read", "Clear"}
+    speed = client.layer.services.Read_engine_speed
+    assert bytes(speed.encode_request()) == b"\x01\x0c"
+    assert speed.decode_message(b"\x41\x0c\x10\x00").param_dict["engine_speed"] == {"speed": 1024.0}
+    codes: Any = client.layer.services.Read_confirmed_trouble_codes.decode_message(b"\x43\x01\x08\x11").param_dict
+    assert [code["trouble_code"].display_trouble_code for code in codes["trouble_codes"]] == ["P0811"]
 
 
 @settings(max_examples=10)

@@ -100,15 +100,23 @@ class Dictionary:
         return short
 
     def codes(self, name: str, troubles: tuple[Trouble, ...]) -> str:
-        """Describe trouble codes."""
-        short, names = self._names.new(name), Names()
+        """Describe trouble codes of three bytes, the last of which is the failure type."""
+        names = Names()
+        return self._trouble_codes(name, 24, [_code(entry, names) for entry in troubles])
+
+    def short_codes(self, name: str, troubles: tuple[Trouble, ...]) -> str:
+        """Describe trouble codes of two bytes, as OBD has them; each once."""
+        return self._trouble_codes(name, 16, [_short_code(entry) for entry in troubles])
+
+    def _trouble_codes(self, name: str, bits: int, codes: list[Element]) -> str:
+        short = self._names.new(name)
         made = named("DTC-DOP", "DOP", short)
         made.extend(
             (
-                standard_type("A_UINT32", 24),
+                standard_type("A_UINT32", bits),
                 node("PHYSICAL-TYPE", {"BASE-DATA-TYPE": "A_UINT32", "DISPLAY-RADIX": "HEX"}),
                 node("COMPU-METHOD", node("CATEGORY", "IDENTICAL")),
-                node("DTCS", *(_code(entry, names) for entry in troubles)),
+                node("DTCS", *codes),
             )
         )
         self._codes.append(made)
@@ -152,4 +160,15 @@ def _code(trouble: Trouble, names: Names) -> Element:
         node("DISPLAY-TROUBLE-CODE", f"{trouble.code}-{trouble.failure_type:02X}"),
         node("TEXT", trouble.text),
         node("LEVEL", str(trouble.severity)),
+    )
+
+
+def _short_code(trouble: Trouble) -> Element:
+    return node(
+        "DTC",
+        {"ID": f"DTC.{trouble.code}"},
+        node("SHORT-NAME", trouble.code),
+        node("TROUBLE-CODE", str(trouble.number >> 8)),
+        node("DISPLAY-TROUBLE-CODE", trouble.code),
+        node("TEXT", trouble.text),
     )

@@ -6,7 +6,12 @@ from typing import Final
 
 from ecu_emulator.diagnostics.pdx.communication import SPECIFICATION, specification, subsets
 from ecu_emulator.diagnostics.pdx.elements import document, node, written
-from ecu_emulator.diagnostics.pdx.layer import container_name, layer_container
+from ecu_emulator.diagnostics.pdx.layer import (
+    container_name,
+    layer_container,
+    obd_container,
+    obd_container_name,
+)
 from ecu_emulator.diagnostics.table import DiagnosticTable
 
 DATE: Final = "2026-01-01T00:00:00"  # of every file: a package says what the table says, not when it was asked
@@ -17,8 +22,10 @@ _KINDS: Final = {".odx-d": "diagnostic layers", ".odx-c": "protocol", ".odx-cs":
 
 def pdx_package(table: DiagnosticTable) -> bytes:
     """Return the bytes of a PDX file that describes what a table describes."""
+    obd = obd_container(table)
     files = {
         f"{container_name(table)}.odx-d": document(layer_container(table)),
+        **({} if obd is None else {f"{obd_container_name(table)}.odx-d": document(obd)}),
         f"{SPECIFICATION}.odx-c": document(specification()),
         **{f"{name}.odx-cs": document(subset) for name, subset in subsets().items()},
     }

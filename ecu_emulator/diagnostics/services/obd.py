@@ -23,7 +23,7 @@ COUNTER_TEST: Final = 0x80  # the first test number that a maker may define
 SIGNED_COUNT: Final = 0x81  # unit and scaling: a signed number without unit
 _CODE_BYTES: Final = 2
 _MOST_CODES: Final = 0xFF
-_ONE_ITEM: Final = 0x01
+ONE_ITEM: Final = 0x01
 
 
 def current_data(call: Call) -> Result:
@@ -111,7 +111,7 @@ def vehicle_information(call: Call) -> Result:
     info = obd.infos.get(numbers[0])
     if info is None or len(numbers) != 1:
         return NOT_THERE
-    return call.positive(bytes([info.number, _ONE_ITEM]) + info_data(info, call.table, call.state))
+    return call.positive(bytes([info.number, ONE_ITEM]) + info_data(info, call.table, call.state))
 
 
 def test_results(call: Call) -> Result:

@@ -13,8 +13,8 @@ from ecu_emulator.diagnostics.values import Value, Values, encode
 _LAMP: Final = 0x80
 _MOST_CODES: Final = 0x7F
 _COMPONENTS: Final = 0x04  # monitored all the time, and therefore always ready
-_PID_DATA: Final = 0xF400  # data identifiers of SAE J1979-2
-_INFO_DATA: Final = 0xF800
+PID_DATA: Final = 0xF400  # data identifiers of SAE J1979-2
+INFO_DATA: Final = 0xF800
 
 
 def odometer_m(moment: Moment) -> float | None:
@@ -52,12 +52,12 @@ def emission_data(table: DiagnosticTable, state: ServerState, moment: Moment, nu
     if table.obd is None or table.obd.profile is not Profile.UDS:
         return None
     place = number & 0xFF
-    if number & 0xFF00 == _PID_DATA:
+    if number & 0xFF00 == PID_DATA:
         if place % BLOCK == 0:
             return supported(table.obd.pids, place)
         pid = table.obd.pids.get(place)
         return None if pid is None else pid_data(pid, table, state, moment)
-    if number & 0xFF00 == _INFO_DATA:
+    if number & 0xFF00 == INFO_DATA:
         if place % BLOCK == 0:
             return supported(table.obd.infos, place)
         info = table.obd.infos.get(place)

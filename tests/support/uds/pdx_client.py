@@ -43,21 +43,23 @@ class Figures:
     problems: list[str] = field(default_factory=list)
 
 
-def read_back(package: bytes) -> DiagLayer:
-    """Return the controller that odxtools finds in a PDX."""
+def read_back(package: bytes, container: int = 0) -> DiagLayer:
+    """Return the controller that odxtools finds in a PDX: first what UDS reaches, then OBD."""
     database = Database(use_weakrefs=False)
     database.add_pdx_file(io.BytesIO(package))
     database.refresh()
-    return database.diag_layer_containers[0].base_variants[0]
+    return database.diag_layer_containers[container].base_variants[0]
 
 
 class PdxClient:
     """One controller, its PDX, and a client between them."""
 
-    def __init__(self, table: DiagnosticTable, random: Random, values: Values | None = None) -> None:
+    def __init__(
+        self, table: DiagnosticTable, random: Random, values: Values | None = None, *, container: int = 0
+    ) -> None:
         self.table = table
         self.random = random
-        self.layer = read_back(pdx_package(table))
+        self.layer = read_back(pdx_package(table), container)
         self.moment = Moment(t_s=T_S, values={**PARKED, **MORE} if values is None else values, chance=SEED)
         self.figures = Figures()
         self.codes: dict[tuple[str, bytes, bytes | None], str | None] = {}
@@ -215,7 +217,7 @@ class PdxClient:
 
         odxtools looks at how a request begins, and so takes one of several data for that of its first alone.
         """
-        if service.short_name == "Read_several_data":
+        if service.short_name.startswith("Read_several"):
             return [service.short_name]
         return [found.service.short_name for found in self.layer.decode_response(response, request)]
 
