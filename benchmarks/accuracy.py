@@ -21,10 +21,11 @@ import numpy as np
 
 from canlog.frames import FrameBatch
 from clutch_model.calibration import Calibration, nominal_calibration
-from clutch_model.knowledge import Uncertainty
+from clutch_model.knowledge import SensorBias, Uncertainty
 from dbc.contract import load_contract
 from diag_service.diagnosis.condition.condition import ConditionMemory
-from diag_service.diagnosis.friction import FilterState
+from diag_service.diagnosis.friction import Posterior
+from diag_service.diagnosis.friction.friction_values import friction as friction_of
 from diag_service.diagnosis.records import FrictionEstimate, Status
 from diag_service.mapping.decoder import Decoder
 from diag_service.mapping.profile import load_profile
@@ -83,10 +84,10 @@ def to_batch(frames: EncodedFrames) -> FrameBatch:
 
 
 def exactly_known() -> Calibration:
-    """Return the nominal calibration of a vehicle of which everything but friction is known."""
+    """Return the calibration of an emulated vehicle of which everything but friction is known: nothing is late."""
     nominal = nominal_calibration()
     certain = Uncertainty(**{member.name: 0.0 for member in fields(Uncertainty)})
-    return replace(nominal, uncertainty=certain)
+    return replace(nominal, uncertainty=certain, bias=SensorBias())
 
 
 def analyse(case: Case) -> list[Row]:
@@ -98,7 +99,7 @@ def analyse(case: Case) -> list[Row]:
     frames, truth = frames_of(scenario)
     calibration = exactly_known() if case.are_nuisances_known else nominal_calibration()
     decoder = Decoder(load_contract(), load_profile())
-    stages = Stages(decoder, calibration, FilterState.fresh(calibration), ConditionMemory.fresh())
+    stages = Stages(decoder, calibration, Posterior.fresh(calibration), ConditionMemory.fresh())
     diagnoses = stages.feed(to_batch(frames))
     true = {1: (truth.drive.mu_c[0], truth.drive.mu_s[0]), 2: (truth.drive.mu_c[1], truth.drive.mu_s[1])}
 
@@ -134,7 +135,7 @@ def analyse(case: Case) -> list[Row]:
                 file=sys.stderr,
             )
     state = diagnoses[-1].state
-    rows += [row("running", clutch, state.friction(clutch), 0.0, is_upshift=False) for clutch in (1, 2)]
+    rows += [row("running", clutch, friction_of(state, clutch), 0.0, is_upshift=False) for clutch in (1, 2)]
     return rows
 
 

@@ -20,7 +20,7 @@ from benchmarks.accuracy import to_batch
 from clutch_model.calibration import nominal_calibration
 from dbc.contract import load_contract
 from diag_service.diagnosis.condition.condition import ConditionMemory
-from diag_service.diagnosis.friction import FilterState
+from diag_service.diagnosis.friction import Posterior
 from diag_service.diagnosis.records import Status
 from diag_service.mapping.decoder import Decoder
 from diag_service.mapping.profile import load_profile
@@ -52,7 +52,7 @@ def lossy_drive(share: float, seed: int) -> Outcome:
     frames, truth = frames_of(replace(load_scenario("noise_only"), seed=seed, bus_faults=faults))
     calibration = nominal_calibration()
     decoder = Decoder(load_contract(), load_profile())
-    stages = Stages(decoder, calibration, FilterState.fresh(calibration), ConditionMemory.fresh())
+    stages = Stages(decoder, calibration, Posterior.fresh(calibration), ConditionMemory.fresh())
     diagnoses = stages.feed(to_batch(frames))
     errors: list[float] = []
     for diagnosis, shift in zip(diagnoses, truth.shifts, strict=True):

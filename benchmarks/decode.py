@@ -27,7 +27,7 @@ from clutch_model.calibration import nominal_calibration
 from dbc.contract import load_contract
 from diag_service.diagnosis.condition.condition import ConditionMemory
 from diag_service.diagnosis.events import Event
-from diag_service.diagnosis.friction import FilterState
+from diag_service.diagnosis.friction import Posterior
 from diag_service.diagnosis.shifts.shifts import ShiftFinder
 from diag_service.mapping.decoder import Decoder
 from diag_service.mapping.profile import load_profile
@@ -105,7 +105,7 @@ def results_of(path: Path) -> list[Diagnosis]:
     """Return what is said of the shifts in a log, from the file to results."""
     calibration = nominal_calibration()
     decoder = Decoder(load_contract(), load_profile())
-    stages = Stages(decoder, calibration, FilterState.fresh(calibration), ConditionMemory.fresh())
+    stages = Stages(decoder, calibration, Posterior.fresh(calibration), ConditionMemory.fresh())
     diagnoses = [diagnosis for batch in read_log(path) for diagnosis in stages.feed(batch)]
     return [*diagnoses, *(stages.conclude(event) for event in stages.flush())]
 

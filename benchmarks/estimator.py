@@ -25,7 +25,7 @@ from dbc.contract import load_contract
 from diag_service.diagnosis.columns import BALANCE_SIGNALS
 from diag_service.diagnosis.condition.condition import ConditionMemory
 from diag_service.diagnosis.events import Event
-from diag_service.diagnosis.friction import FilterState
+from diag_service.diagnosis.friction import Posterior
 from diag_service.mapping.decoder import Decoder
 from diag_service.mapping.profile import load_profile
 from diag_service.service.stages import Stages
@@ -49,7 +49,7 @@ def new_stages() -> Stages:
     """Return all stages, before their first frame."""
     calibration = nominal_calibration()
     decoder = Decoder(load_contract(), load_profile())
-    return Stages(decoder, calibration, FilterState.fresh(calibration), ConditionMemory.fresh())
+    return Stages(decoder, calibration, Posterior.fresh(calibration), ConditionMemory.fresh())
 
 
 def update_live(stages: Stages, events: Sequence[Event]) -> None:

@@ -22,7 +22,8 @@ from clutch_model.calibration import Calibration, nominal_calibration
 from dbc.contract import load_contract
 from diag_service.diagnosis.condition.condition import ConditionMemory
 from diag_service.diagnosis.events import Event
-from diag_service.diagnosis.friction import FilterState
+from diag_service.diagnosis.friction import Posterior
+from diag_service.diagnosis.friction.friction_values import friction as friction_of
 from diag_service.diagnosis.friction.self_calibration import self_calibrate
 from diag_service.mapping.decoder import Decoder
 from diag_service.mapping.profile import load_profile
@@ -133,15 +134,15 @@ def row_of(vehicle: str, whose: str, seed: int, drive: Drive, calibration: Calib
 
 
 def _stages(decoder: Decoder, calibration: Calibration) -> Stages:
-    return Stages(decoder, calibration, FilterState.fresh(calibration), ConditionMemory.fresh())
+    return Stages(decoder, calibration, Posterior.fresh(calibration), ConditionMemory.fresh())
 
 
 def _off_std(last: Diagnosis, truth: TruthLog) -> float:
     errors = []
     for m in range(2):
-        friction = last.state.friction(m + 1)
-        errors.append(abs(friction.mu_c - truth.drive.mu_c[m]) / friction.std_mu_c)
-        errors.append(abs(friction.mu_s - truth.drive.mu_s[m]) / friction.std_mu_s)
+        found = friction_of(last.state, m + 1)
+        errors.append(abs(found.mu_c - truth.drive.mu_c[m]) / found.std_mu_c)
+        errors.append(abs(found.mu_s - truth.drive.mu_s[m]) / found.std_mu_s)
     return max(errors)
 
 

@@ -29,7 +29,7 @@ from dbc.contract import load_contract
 from diag_service.delivery import MemoryReporter, News
 from diag_service.diagnosis.condition.condition import ConditionMemory
 from diag_service.diagnosis.events import Event
-from diag_service.diagnosis.friction import FilterState
+from diag_service.diagnosis.friction import Posterior
 from diag_service.diagnosis.records import ShiftResult
 from diag_service.diagnosis.shifts.shifts import POST_NS
 from diag_service.mapping.decoder import Decoder
@@ -169,7 +169,7 @@ def warm_up() -> None:
     """Have everything compiled by a short drive, as it is in a service that ran before."""
     calibration = nominal_calibration()
     decoder = Decoder(load_contract(), load_profile())
-    Stages(decoder, calibration, FilterState.fresh(calibration), ConditionMemory.fresh()).feed(full_bus(WARM_UP_S))
+    Stages(decoder, calibration, Posterior.fresh(calibration), ConditionMemory.fresh()).feed(full_bus(WARM_UP_S))
 
 
 def main() -> int:

@@ -18,6 +18,7 @@ import numpy as np
 
 from benchmarks.mismatch_rows import BY_NAME, ROWS, Mismatch
 from benchmarks.study import diagnose, over_drives, percent, root_mean_square
+from diag_service.diagnosis.friction.friction_values import friction as friction_of
 from diag_service.diagnosis.records import FrictionEstimate, Status
 from diag_service.service.stages import Diagnosis
 from ecu_emulator.scenario import FluidCondition, Scenario
@@ -88,7 +89,7 @@ def outcomes(case: Case) -> list[Outcome]:
         )
 
     state = diagnoses[-1].state
-    return [outcome(name, clutch, state.friction(clutch)) for name in PARAMETERS for clutch in (1, 2)]
+    return [outcome(name, clutch, friction_of(state, clutch)) for name in PARAMETERS for clutch in (1, 2)]
 
 
 def cases_of(rows: Sequence[Mismatch], seeds: int, first_seed: int) -> list[Case]:

@@ -33,9 +33,10 @@ from clutch_model.calibration import Calibration, nominal_calibration
 from dbc.contract import load_contract
 from diag_service.diagnosis.condition.condition import ConditionMemory
 from diag_service.diagnosis.events import Event
-from diag_service.diagnosis.friction import FilterState
+from diag_service.diagnosis.friction import Posterior
+from diag_service.diagnosis.friction.friction_values import friction as friction_of
+from diag_service.diagnosis.friction.friction_values import scale_free
 from diag_service.diagnosis.friction.parameters import FRICTION_COUNT
-from diag_service.diagnosis.friction.scale_free import scale_free
 from diag_service.diagnosis.friction.self_calibration import SelfCalibration, self_calibrate
 from diag_service.diagnosis.shifts.run_ups import RunUpFinder
 from diag_service.diagnosis.shifts.shifts import ShiftFinder
@@ -105,7 +106,7 @@ def study(vehicle: Vehicle, start: Calibration) -> list[Row]:
         found = self_calibrate(shifts, used, start, "study")
         rows.append(Row(kind=kind, problem=found) if isinstance(found, str) else judged(kind, vehicle, found, true))
     if not isinstance(found, str):
-        drives = [friction_of(vehicle.scenario(drive, Routine()), found.calibration) for drive in (1, 2)]
+        drives = [driven_friction(vehicle.scenario(drive, Routine()), found.calibration) for drive in (1, 2)]
         rows.append(Row(kind="trend", trend=tuple((100.0 * (drives[1] - drives[0]) / true).tolist())))
     return rows
 
@@ -120,17 +121,19 @@ def events_of(frames: EncodedFrames) -> tuple[list[Event], list[Event]]:
     return shifts + shift_finder.flush(), run_ups + run_up_finder.flush()
 
 
-def friction_of(scenario: Scenario, calibration: Calibration) -> FloatArray:
+def driven_friction(scenario: Scenario, calibration: Calibration) -> FloatArray:
     """Return mu_C and mu_S of both clutches as a drive leaves them, estimated from nothing but the calibration."""
-    stages = Stages(_decoder(), calibration, FilterState.fresh(calibration), ConditionMemory.fresh())
+    stages = Stages(_decoder(), calibration, Posterior.fresh(calibration), ConditionMemory.fresh())
     frames, _ = frames_of(scenario)
     state = stages.feed(to_batch(frames))[-1].state
-    return np.array([value for one in map(state.friction, (1, 2)) for value in (one.mu_c, one.mu_s)])
+    return np.array(
+        [value for clutch in (1, 2) for one in [friction_of(state, clutch)] for value in (one.mu_c, one.mu_s)]
+    )
 
 
 def judged(kind: str, vehicle: Vehicle, found: SelfCalibration, true: FloatArray) -> Row:
     """Return what a calibration found against the truth."""
-    friction = [found.state.friction(clutch) for clutch in (1, 2)]
+    friction = [friction_of(found.state, clutch) for clutch in (1, 2)]
     mu = np.array([value for one in friction for value in (one.mu_c, one.mu_s)])
     std = np.array([value for one in friction for value in (one.std_mu_c, one.std_mu_s)])
     scaled = found.mean[:FRICTION_COUNT]

@@ -28,7 +28,7 @@ from clutch_model.calibration import nominal_calibration
 from dbc.contract import load_contract
 from diag_service.delivery import MemoryReporter
 from diag_service.diagnosis.condition.condition import ConditionMemory
-from diag_service.diagnosis.friction import FilterState
+from diag_service.diagnosis.friction import Posterior
 from diag_service.diagnosis.shifts.shifts import ShiftFinder
 from diag_service.diagnosis.summary import Summary
 from diag_service.mapping.decoder import Decoder
@@ -70,7 +70,7 @@ def new_decoder() -> Decoder:
 def new_stages() -> Stages:
     """Return all stages, before their first frame."""
     calibration = nominal_calibration()
-    return Stages(new_decoder(), calibration, FilterState.fresh(calibration), ConditionMemory.fresh())
+    return Stages(new_decoder(), calibration, Posterior.fresh(calibration), ConditionMemory.fresh())
 
 
 def analyse(path: Path) -> Summary:

@@ -23,7 +23,7 @@ from clutch_model.calibration import nominal_calibration
 from dbc.contract import load_contract
 from diag_service.diagnosis.condition.condition import ConditionMemory
 from diag_service.diagnosis.events import Event
-from diag_service.diagnosis.friction import FilterState
+from diag_service.diagnosis.friction import Posterior
 from diag_service.diagnosis.records import FrictionEstimate, Reason, ShiftEstimate, Status
 from diag_service.mapping.decoder import Decoder
 from diag_service.mapping.profile import load_profile
@@ -89,7 +89,7 @@ class Outcome:
         return self.is_accepted and off > FAR_STD
 
 
-def stages_from(state: FilterState) -> Stages:
+def stages_from(state: Posterior) -> Stages:
     """Return the stages of the service with a running state."""
     return Stages(Decoder(DATABASE, PROFILE), CALIBRATION, state, ConditionMemory.fresh())
 
@@ -97,7 +97,7 @@ def stages_from(state: FilterState) -> Stages:
 def shifts_of(scenario: Scenario) -> tuple[list[Event], TruthLog]:
     """Drive a scenario in memory and return its shifts as the service finds them."""
     frames, truth = frames_of(scenario)
-    return stages_from(FilterState.fresh(CALIBRATION)).segment(to_batch(frames)), truth
+    return stages_from(Posterior.fresh(CALIBRATION)).segment(to_batch(frames)), truth
 
 
 def scenario_of(case: Case) -> Scenario:
@@ -158,12 +158,12 @@ def outcomes(case: Case) -> list[Outcome]:
     """Make one drive, and one with faults if the case asks for it, and return what became of its shifts."""
     scenario = scenario_of(case)
     events, truth = shifts_of(scenario)
-    stages = stages_from(FilterState.fresh(CALIBRATION))
+    stages = stages_from(Posterior.fresh(CALIBRATION))
     diagnoses = [stages.conclude(event) for event in events]
     if not case.is_faulty:
         pairs = zip(diagnoses, truth.shifts, strict=True)
         return [outcome(case, diagnosis.estimate, shift, None) for diagnosis, shift in pairs]
-    states = [FilterState.fresh(CALIBRATION), *(diagnosis.state for diagnosis in diagnoses)]
+    states = [Posterior.fresh(CALIBRATION), *(diagnosis.state for diagnosis in diagnoses)]
     rng = np.random.default_rng(case.seed)
     faults = {row: drawn_fault(truth.shifts[row], rng) for row in range(case.seed % FAULT_EVERY, len(events), 3)}
     faulty, _ = shifts_of(replace(scenario, sensor_faults=tuple(faults.values())))

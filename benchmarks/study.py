@@ -12,7 +12,7 @@ from benchmarks.accuracy import to_batch
 from clutch_model.calibration import nominal_calibration
 from dbc.contract import load_contract
 from diag_service.diagnosis.condition.condition import ConditionMemory
-from diag_service.diagnosis.friction import FilterState
+from diag_service.diagnosis.friction import Posterior
 from diag_service.mapping.decoder import Decoder
 from diag_service.mapping.profile import load_profile
 from diag_service.service.stages import Diagnosis, Stages
@@ -31,7 +31,7 @@ def diagnose(scenario: Scenario) -> tuple[list[Diagnosis], TruthLog]:
     frames, truth = frames_of(scenario)
     calibration = nominal_calibration()
     decoder = Decoder(load_contract(), load_profile())
-    stages = Stages(decoder, calibration, FilterState.fresh(calibration), ConditionMemory.fresh())
+    stages = Stages(decoder, calibration, Posterior.fresh(calibration), ConditionMemory.fresh())
     return stages.feed(to_batch(frames)), truth
 
 

@@ -97,11 +97,13 @@ class FilmSurface(Ranged):
     separation_time_s: float  # tau_sep
     separation_pressure_pa: float  # p_sep
     min_film_m: float  # h_min
+    mobility_ratio: float = 1.0  # of the film's rate to what the rest says
 
     def __post_init__(self) -> None:
         """Check that the film law has no zero denominator."""
         Ranged.__post_init__(self)
-        for name in ("roughness_m", "contact_stiffness_pa", "permeability_m2", "open_gap_m", "separation_time_s"):
+        lengths = ("roughness_m", "contact_stiffness_pa", "permeability_m2", "open_gap_m", "separation_time_s")
+        for name in (*lengths, "mobility_ratio"):
             require(getattr(self, name) > 0.0, f"{name} must be > 0")
 
 

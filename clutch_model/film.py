@@ -29,7 +29,7 @@ class FilmLaw(NamedTuple):
     separation_time_s: float  # tau_sep
     separation_pressure_pa: float  # p_sep
     min_film_m: float  # h_min
-    squeeze_factor_m2: float  # Q
+    squeeze_factor_m2: float  # Q over the mobility ratio
     contact_factor_m3: float  # C
     viscous_factor_m4: float  # Vg
     piston_area_m2: float  # A_K
@@ -50,7 +50,7 @@ def film_law(clutch: ClutchCalibration) -> FilmLaw:
         separation_time_s=float(film.separation_time_s),
         separation_pressure_pa=float(film.separation_pressure_pa),
         min_film_m=float(film.min_film_m),
-        squeeze_factor_m2=float(geometry.squeeze_factor_m2),
+        squeeze_factor_m2=float(geometry.squeeze_factor_m2 / film.mobility_ratio),
         contact_factor_m3=float(geometry.contact_factor_m3),
         viscous_factor_m4=float(geometry.viscous_factor_m4),
         piston_area_m2=float(geometry.piston_area_m2),

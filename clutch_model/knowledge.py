@@ -11,7 +11,7 @@ MAX_LATENCY_S = 0.2  # a reading that is later still is no measurement of a shif
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Uncertainty(Ranged):
-    """Standard deviations of what driving cannot reveal: considered by the estimator, never estimated."""
+    """Standard deviations of the vehicles of one type, before any of them was driven."""
 
     torque_gain_ratio: float
     engine_inertia_ratio: float
@@ -20,12 +20,16 @@ class Uncertainty(Ranged):
     viscosity_ratio: float
     torque_latency_s: float
     pressure_latency_s: float
-    torque_offset_nm: float  # prior of an estimated state
-    touch_pressure_pa: float  # prior of an estimated state
-    pressure_zero_pa: float  # prior of an estimated state
+    torque_offset_nm: float
+    touch_pressure_pa: float
+    pressure_zero_pa: float
     motoring_gain_ratio: float = 0.0  # of negative engine torque, on top of the gain of all torque
     stribeck_speed_ratio: float = 0.0  # of both clutches
     contact_stiffness_ratio: float = 0.0  # of both clutches
+    film_mobility_log: float = 0.5  # natural logarithm of how much faster the films of both clutches are
+    stribeck_exponent_log: float = 0.2  # natural logarithm, both clutches
+    friction_temperature_1_k: float = 0.0005  # by how much friction changes per kelvin of the pack, both clutches
+    open_drag_log: float = 0.7  # natural logarithm of what open packs drag, both clutches
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -7,10 +7,11 @@ from typing import Self
 
 import numpy as np
 
-from canlog.arrays import FloatArray, Int64Array
+from canlog.arrays import BoolArray, FloatArray, Int64Array
 from canlog.jit import kernel
 from canlog.series import Series
 from clutch_model.calibration import Calibration
+from clutch_model.gears import both_clutches
 from diag_service.diagnosis.columns import BALANCE_SIGNALS, Signal
 from diag_service.diagnosis.events import Event
 
@@ -45,10 +46,10 @@ class Resampled:
         on_grid = (1.0 - share) * value[left] + share * value[left + 1]
         return cls(times_s=times_s, value=value, left=left, share=share, on_grid=on_grid)
 
-    def to_samples(self, weights: FloatArray) -> FloatArray:
-        """Return the weight of each sample, shape (k, n), in k weighted sums over the grid, shape (k, len(grid))."""
+    def to_samples(self, weights: FloatArray, rows: slice) -> FloatArray:
+        """Return the weight of each sample, shape (k, n), in k weighted sums over rows of the grid, (k, len(rows))."""
         spread = np.zeros((len(weights), len(self.times_s)))
-        _spread(weights, self.left, self.share, spread)
+        _spread(weights, self.left[rows], self.share[rows], spread)
         return spread
 
 
@@ -64,6 +65,7 @@ class AlignedSignals:
     pressure: tuple[Resampled, Resampled]
     expected_pa: tuple[FloatArray | None, FloatArray | None]  # on the grid, from the command: free of sensor noise
     oil_k: float
+    is_seen: BoolArray  # (len(grid),) whether every signal was sampled near by
 
     def slip_rad_s(self, clutch: int) -> FloatArray:
         """Return the slip of clutch 1 or 2 on the grid: hub minus input shaft."""
@@ -124,7 +126,7 @@ def measured_times(sampled: SampleTimes, event: Event, calibration: Calibration)
     }
 
 
-def align(times: SampleTimes, event: Event, oil_k: float) -> AlignedSignals:
+def align(times: SampleTimes, event: Event, oil_k: float, gaps_s: FloatArray) -> AlignedSignals:
     """Return the signals of an event on the even grid that all of them reach.
 
     Parameters
@@ -135,12 +137,15 @@ def align(times: SampleTimes, event: Event, oil_k: float) -> AlignedSignals:
         Its columns hold every signal of the balance.
     oil_k
         Temperature of the oil [K].
+    gaps_s : (n, 2) array
+        Between which instants [s] samples are missing, on the clock of ``times``.
     """
     history_s = max(one[0] for one in times.values())
     duration_s = (event.end_ns - event.start_ns) * NS_TO_S
     # Whole steps after the shift's start: a latency that is found more exactly must not move the points.
     grid_s = GRID_S * np.arange(math.ceil(history_s / GRID_S), math.ceil(duration_s / GRID_S), dtype=np.float64)
     on_grid = {signal: Resampled.of(one, event.columns[signal].value, grid_s) for signal, one in times.items()}
+    commands = (Signal.CLUTCH1_PRESSURE_COMMAND, Signal.CLUTCH2_PRESSURE_COMMAND)
     return AlignedSignals(
         grid_s=grid_s,
         engine_speed=on_grid[Signal.ENGINE_SPEED],
@@ -148,18 +153,16 @@ def align(times: SampleTimes, event: Event, oil_k: float) -> AlignedSignals:
         hub_speed=on_grid[Signal.HUB_SPEED],
         input_speed=(on_grid[Signal.INPUT1_SPEED], on_grid[Signal.INPUT2_SPEED]),
         pressure=(on_grid[Signal.CLUTCH1_PRESSURE], on_grid[Signal.CLUTCH2_PRESSURE]),
-        expected_pa=(
-            _expected_pa(event, Signal.CLUTCH1_PRESSURE_COMMAND, grid_s),
-            _expected_pa(event, Signal.CLUTCH2_PRESSURE_COMMAND, grid_s),
-        ),
+        expected_pa=both_clutches(_expected_pa(event, command, grid_s) for command in commands),
         oil_k=oil_k,
+        is_seen=~np.any((grid_s > gaps_s[:, :1]) & (grid_s < gaps_s[:, 1:]), axis=0),
     )
 
 
 def compile_alignment() -> None:
     """Have everything compiled before the first shift comes: it must not wait for it."""
     ends, one = np.array([0.0, 1.0]), np.zeros((1, 2))
-    Resampled.of(ends, ends, ends).to_samples(one)
+    Resampled.of(ends, ends, ends).to_samples(one, slice(None))
     _lag_behind(ends, 1.0, np.empty(2))
 
 

@@ -17,6 +17,7 @@ from clutch_model.units import bar_from_pa
 from diag_service.console.reading import ReadingLine
 from diag_service.console.terminal import PeopleConsole
 from diag_service.diagnosis.events import Event
+from diag_service.diagnosis.friction.friction_values import friction as friction_of
 from diag_service.diagnosis.friction.parameters import NUISANCE_NAMES, STATE_COUNT, Considered, State, prior_covariance
 from diag_service.diagnosis.friction.self_calibration import SelfCalibration, self_calibrate
 from diag_service.diagnosis.results import dump
@@ -75,6 +76,10 @@ _UNITS = {
     "motoring_gain": _Unit("gain of motoring torque, error", "%", _PER_CENT),
     "stribeck_speed": _Unit("Stribeck speed, error", "%", _PER_CENT),
     "contact_stiffness": _Unit("contact stiffness, error", "%", _PER_CENT),
+    "film_mobility": _Unit("film mobility, logarithm of its error", "", 1.0),
+    "stribeck_exponent": _Unit("Stribeck exponent, logarithm of its error", "", 1.0),
+    "friction_temperature": _Unit("friction per temperature", "%/K", _PER_CENT),
+    "open_drag": _Unit("drag of open clutches, logarithm of its error", "", 1.0),
     "shaft_inertia": _Unit("inertia of the input shafts, error", "%", _PER_CENT),
 }
 
@@ -185,7 +190,7 @@ def show(found: SelfCalibration, start: Calibration, path: Path, console: People
 
 def _lines(found: SelfCalibration, path: Path) -> Iterator[str]:
     for clutch in (1, 2):
-        friction = found.state.friction(clutch)
+        friction = friction_of(found.state, clutch)
         yield (
             f"clutch {clutch}: mu_C {friction.mu_c:.4f} ± {friction.std_mu_c:.4f}"
             f"  mu_S {friction.mu_s:.4f} ± {friction.std_mu_s:.4f}  (total std)"
@@ -208,7 +213,7 @@ def _lines(found: SelfCalibration, path: Path) -> Iterator[str]:
 
 def record(found: SelfCalibration, start: Calibration, vehicle: str, gaps: Sequence[Gap]) -> JsonObject:
     """Return what was found, for machines; SI units."""
-    frictions = {clutch: found.state.friction(clutch) for clutch in (1, 2)}
+    frictions = {clutch: friction_of(found.state, clutch) for clutch in (1, 2)}
     return {
         "schema": CALIBRATION_SCHEMA,
         "vehicle": vehicle,

@@ -14,7 +14,7 @@ from canlog.logs.reading import Watch
 from diag_service.console.reading import ReadingLine
 from diag_service.console.terminal import PeopleConsole
 from diag_service.diagnosis.condition.condition import ConditionMemory
-from diag_service.diagnosis.friction import FilterState
+from diag_service.diagnosis.friction import Posterior
 from diag_service.diagnosis.friction.paper import (
     PaperCollection,
     PaperEstimate,
@@ -57,7 +57,7 @@ def run_paper(
     """
     load_extra("scipy", "the paper's method needs SciPy", "paper")
     decoder = config.interpretation().decoder()
-    stages = Stages(decoder, config.calibration, FilterState.fresh(config.calibration), ConditionMemory.fresh())
+    stages = Stages(decoder, config.calibration, Posterior.fresh(config.calibration), ConditionMemory.fresh())
     collection = PaperCollection(config.calibration, nominal_driveline())
     with open_drive(paths, is_strict=config.is_strict, is_stopped=lambda: stop.is_set, watch=watch) as logs:
         begin()

@@ -14,7 +14,7 @@ from diag_service.delivery import Reporter
 from diag_service.diagnosis.condition.condition import ConditionMemory
 from diag_service.diagnosis.contributions import NO_LOGS, Contributions
 from diag_service.diagnosis.events import Event
-from diag_service.diagnosis.friction import ALGORITHM_VERSION, FilterState
+from diag_service.diagnosis.friction import ALGORITHM_VERSION, Posterior
 from diag_service.diagnosis.records import ShiftResult
 from diag_service.diagnosis.results import iso_utc, parse_shift, utc_from_bus_ns
 from diag_service.diagnosis.summary import FrameCounts, Gap, ShiftStatistics, Summary, frames_line, with_new_fluid
@@ -208,15 +208,15 @@ def versions_for(calibration: Calibration) -> Versions:
 
 def resume(
     store: ResultStore, vehicle: str, versions: Versions, calibration: Calibration
-) -> tuple[FilterState, ConditionMemory]:
+) -> tuple[Posterior, ConditionMemory]:
     """Return the running state of a vehicle, or a fresh one if what is stored was made in another way."""
-    fresh = FilterState.fresh(calibration), ConditionMemory.fresh()
+    fresh = Posterior.fresh(calibration), ConditionMemory.fresh()
     state = store.state(vehicle)
     if state is None:
         return fresh
     try:
         if state.versions == versions:
-            return FilterState.from_json(state.filter_state, calibration), ConditionMemory.from_json(state.condition)
+            return Posterior.from_json(state.filter_state, calibration), ConditionMemory.from_json(state.condition)
         made_by = f"was made by algorithm {state.versions.algorithm} with calibration {state.versions.calibration}"
     except ValueError as exc:
         made_by = f"cannot be used ({exc})"

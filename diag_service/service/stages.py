@@ -8,7 +8,7 @@ from diag_service.diagnosis.columns import Signal
 from diag_service.diagnosis.condition.condition import ConditionMemory, judge, no_verdict
 from diag_service.diagnosis.condition.indices import measure
 from diag_service.diagnosis.events import Event
-from diag_service.diagnosis.friction import Estimator, FilterState
+from diag_service.diagnosis.friction import Estimator, Posterior
 from diag_service.diagnosis.friction.estimator import without_friction
 from diag_service.diagnosis.quality.data_quality import QualityBasis, data_quality, reasons_against
 from diag_service.diagnosis.records import ClutchVerdict, Reason, ShiftEstimate, ShiftIndices, Status, Tier
@@ -24,14 +24,14 @@ class Diagnosis:
 
     estimate: ShiftEstimate
     verdict: ClutchVerdict
-    state: FilterState
+    state: Posterior
     memory: ConditionMemory
 
 
 class Stages:
     """Frames in, diagnoses out: no clock, no socket, no file; the same results for any cutting of the stream."""
 
-    def __init__(self, decoder: Decoder, calibration: Calibration, state: FilterState, memory: ConditionMemory) -> None:
+    def __init__(self, decoder: Decoder, calibration: Calibration, state: Posterior, memory: ConditionMemory) -> None:
         self.decoder = decoder
         self._finder = DriveFinder(decoder.signals, calibration, decoder.gears)
         self.tier = tier_of(decoder.signals, knows_gears=knows_gears(decoder))
@@ -113,7 +113,7 @@ class Stages:
         if known is not None and filled_at <= known:
             return False
         self._memory = self._memory.with_new_fluid(filled_at, self._state)
-        self._state = self._state.with_new_fluid(self._calibration)
+        self._state = self._state.with_new_fluid()
         return True
 
     def capability(self) -> Capability:

@@ -13,7 +13,9 @@ from clutch_model.calibration import nominal_calibration
 from dbc.contract import load_contract
 from diag_service.diagnosis.columns import BALANCE_SIGNALS, Signal
 from diag_service.diagnosis.events import EndReason, Event
-from diag_service.diagnosis.friction import Estimator, FilterState
+from diag_service.diagnosis.friction import Estimator, Posterior
+from diag_service.diagnosis.friction.friction_values import friction as friction_of
+from diag_service.diagnosis.friction.friction_values import scale_free
 from diag_service.diagnosis.records import Reason, ShiftEstimate, Status
 from diag_service.diagnosis.shifts.shifts import ShiftFinder
 from diag_service.mapping.decoder import Decoder
@@ -34,8 +36,8 @@ def shifts(fluid: str = "ideal", seed: int = 77, cycles: int = 1) -> tuple[Event
     return tuple(event for columns in decoder.feed(received(frames)) for event in finder.feed(columns))
 
 
-def followed(events: tuple[Event, ...]) -> Iterator[tuple[FilterState, ShiftEstimate]]:
-    state, estimator = FilterState.fresh(CALIBRATION), Estimator(CALIBRATION)
+def followed(events: tuple[Event, ...]) -> Iterator[tuple[Posterior, ShiftEstimate]]:
+    state, estimator = Posterior.fresh(CALIBRATION), Estimator(CALIBRATION)
     for event in events:
         state, estimate = estimator.estimate(event, state)
         yield state, estimate
@@ -59,22 +61,22 @@ def test_friction_is_found_within_its_interval(fluid: str) -> None:
     outcomes = list(followed(shifts(fluid)))
     assert [estimate.status for _, estimate in outcomes] == [Status.VALID] * 10
     for _, estimate in outcomes:
-        friction, reference = estimate.friction, CALIBRATION.clutches[estimate.clutch - 1].friction
-        assert friction is not None
-        assert abs(friction.mu_c - factor_c * reference.mu_c) < 4 * friction.random_std_mu_c
-        assert abs(friction.mu_s - factor_s * reference.mu_s) < 4 * friction.random_std_mu_s
+        free, reference = estimate.scale_free, CALIBRATION.clutches[estimate.clutch - 1].friction
+        assert free is not None  # the vehicle has the gain and the areas of its type
+        assert abs(free.mu_c - factor_c * reference.mu_c) < 4 * free.std_mu_c
+        assert abs(free.mu_s - factor_s * reference.mu_s) < 4 * free.std_mu_s
     state = outcomes[-1][0]
     for clutch in (1, 2):
-        friction = state.friction(clutch)
+        friction = friction_of(state, clutch)
         reference = CALIBRATION.clutches[clutch - 1].friction
-        assert friction.mu_c == pytest.approx(factor_c * reference.mu_c, rel=0.03)
+        assert friction.mu_c == pytest.approx(factor_c * reference.mu_c, rel=0.04)
         assert friction.mu_s == pytest.approx(factor_s * reference.mu_s, rel=0.06)
         assert (friction.slope_s_rad > 0.0) == (fluid != "case2")
 
 
 def test_the_common_scale_is_stated_apart() -> None:
     *_, (state, _) = followed(shifts())
-    friction = state.friction(1)
+    friction = friction_of(state, 1)
     assert friction.std_mu_c > 0.02 * friction.mu_c  # torque gain and inertia, 3 % each, partly cancelling
     assert friction.random_std_mu_c < 0.5 * friction.std_mu_c
 
@@ -101,8 +103,8 @@ def test_a_foreign_bus_without_commands_is_still_estimated() -> None:
     bare = {signal: series for signal, series in event.columns.items() if signal not in commands}
     ((_, estimate),) = followed((replace(event, columns=bare),))
     assert estimate.status is Status.VALID
-    assert estimate.friction is not None
-    assert estimate.friction.mu_c == pytest.approx(0.140, abs=4 * estimate.friction.random_std_mu_c)
+    assert estimate.scale_free is not None
+    assert estimate.scale_free.mu_c == pytest.approx(0.140, abs=4 * estimate.scale_free.std_mu_c)
 
 
 @pytest.mark.parametrize(
@@ -128,8 +130,9 @@ def test_a_lying_sensor_is_found_out(
     assert estimate.friction is None
 
 
-@pytest.mark.parametrize(("missing_frames", "status"), [(1, Status.VALID), (2, Status.REJECTED)])
-def test_one_missing_frame_is_bridged_two_in_a_row_are_not(missing_frames: int, status: Status) -> None:
+@pytest.mark.parametrize(("missing_frames", "status"), [(1, Status.VALID), (4, Status.VALID), (8, Status.REJECTED)])
+def test_missing_frames_cost_what_they_would_have_told(missing_frames: int, status: Status) -> None:
+    """One is bridged, a few are left out; so many in a row may hide anything."""
     event = shifts()[0]
     first_ns = event.start_ns + 700_000_000
     gap = {
@@ -139,11 +142,14 @@ def test_one_missing_frame_is_bridged_two_in_a_row_are_not(missing_frames: int, 
     ((_, estimate),) = followed((replace(event, columns=gap),))
     assert estimate.status is status
     assert estimate.reasons == (() if status is Status.VALID else (Reason.FRAMES_MISSING,))
+    if missing_frames == 4:
+        ((_, whole),) = followed((event,))
+        assert 0.05 < whole.window_s - estimate.window_s < 0.08  # the gap, and the fade after it
 
 
 @pytest.mark.parametrize("signal", BALANCE_SIGNALS)
 @pytest.mark.parametrize(
-    ("from_s", "until_s"), [(-0.25, 0.1), (-0.25, 1.0), (-1.0, 0.05), (0.3, 0.5), (1.0, 9.0)], ids=str
+    ("from_s", "until_s"), [(-0.25, 0.1), (-0.25, 1.0), (-1.0, 0.1), (0.3, 0.5), (1.0, 9.0)], ids=str
 )
 def test_a_signal_that_is_not_there_for_a_while_is_missed_wherever_it_is(
     signal: Signal, from_s: float, until_s: float
@@ -158,12 +164,12 @@ def test_a_signal_that_is_not_there_for_a_while_is_missed_wherever_it_is(
 
 @pytest.mark.parametrize(("catches_up", "reasons"), [(True, ()), (False, (Reason.FRAMES_MISSING,))])
 def test_frames_that_are_late_together_are_not_missing(catches_up: bool, reasons: tuple[Reason, ...]) -> None:
-    """A stalled gateway hands over 60 ms of frames at once; a sender that hung did not measure in that time."""
+    """A stalled gateway hands over 100 ms of frames at once; a sender that hung did not measure in that time."""
     event = shifts()[0]
     stall_ns = event.start_ns + 700_000_000
 
     def stalled(series: Series) -> Series:
-        late_ns = np.maximum(series.t_ns, stall_ns + 60_000_000) if catches_up else series.t_ns + 60_000_000
+        late_ns = np.maximum(series.t_ns, stall_ns + 100_000_000) if catches_up else series.t_ns + 100_000_000
         return replace(series, t_ns=np.where(series.t_ns > stall_ns, late_ns, series.t_ns))
 
     late = {signal: stalled(series) for signal, series in event.columns.items()}
@@ -177,7 +183,7 @@ def test_frames_that_are_late_together_are_not_missing(catches_up: bool, reasons
     ("event", "reason"),
     [
         (lambda event: replace(event, end_reason=EndReason.INTERRUPTED), Reason.INTERRUPTED),
-        (lambda event: replace(event, end_reason=EndReason.ABANDONED), Reason.INTERRUPTED),
+        (lambda event: replace(event, end_reason=EndReason.TOO_LONG), Reason.INTERRUPTED),
         (
             lambda event: replace(
                 event, columns={key: one for key, one in event.columns.items() if key != Signal.HUB_SPEED}
@@ -189,12 +195,12 @@ def test_frames_that_are_late_together_are_not_missing(catches_up: bool, reasons
             Reason.OUT_OF_RANGE,
         ),
     ],
-    ids=["interrupted", "abandoned", "signal missing", "oil too cold"],
+    ids=["interrupted", "too long", "signal missing", "oil too cold"],
 )
 def test_an_unusable_shift_says_why(event: Callable[[Event], Event], reason: Reason) -> None:
     ((state, estimate),) = followed((event(shifts()[0]),))
     assert (estimate.status, estimate.reasons, estimate.friction) == (Status.REJECTED, (reason,), None)
-    assert np.array_equal(state.mean, FilterState.fresh(CALIBRATION).mean)
+    assert np.array_equal(state.known.mean, Posterior.fresh(CALIBRATION).known.mean)
 
 
 def test_a_clutch_that_never_slips_is_unobserved() -> None:
@@ -212,6 +218,6 @@ def test_new_fluid_is_believed_after_three_shifts_that_agree() -> None:
         refused = [Reason.NOT_UPDATED in estimate.reasons for _, estimate in own]
         assert sum(refused) == 2
         state = own[-1][0]
-        friction = state.friction(clutch)
-        assert friction.mu_c == pytest.approx(0.140, abs=4 * friction.random_std_mu_c)
-        assert state.shift_counts[clutch - 1] == 3
+        free = scale_free(state, clutch)
+        assert free.mu_c == pytest.approx(0.140, abs=4 * free.std_mu_c)
+        assert state.shift_counts[clutch - 1] == 5  # the two that were left out at first are of the new fluid too

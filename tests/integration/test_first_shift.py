@@ -18,7 +18,7 @@ from dbc.contract import DBC_PATH, load_contract
 from diag_service.mapping.decoder import Decoder
 from canlog.database.loading import load_database
 from diag_service.mapping.profile import load_profile
-from diag_service.diagnosis.friction import FilterState
+from diag_service.diagnosis.friction import Posterior
 from diag_service.diagnosis.condition.condition import ConditionMemory
 from diag_service.service.stages import Stages
 from canlog.logs import read_log
@@ -38,7 +38,7 @@ def compiled():
 batches = list(read_log(Path(sys.argv[1])))
 calibration = nominal_calibration()
 decoder = Decoder(load_contract(), load_profile())
-stages = Stages(decoder, calibration, FilterState.fresh(calibration), ConditionMemory.fresh())
+stages = Stages(decoder, calibration, Posterior.fresh(calibration), ConditionMemory.fresh())
 before = compiled()
 statuses = [
     found.estimate.status.value

@@ -14,7 +14,7 @@ from benchmarks.accuracy import to_batch
 from clutch_model.calibration import nominal_calibration, read_calibration
 from dbc.contract import load_contract
 from diag_service.diagnosis.condition.condition import ConditionMemory
-from diag_service.diagnosis.friction import FilterState
+from diag_service.diagnosis.friction import Posterior
 from diag_service.diagnosis.records import Condition
 from diag_service.mapping.decoder import Decoder
 from diag_service.mapping.profile import load_profile
@@ -142,7 +142,7 @@ def fluid(condition: FluidCondition, drive_seed: int) -> Scenario:
 def test_new_fluid_after_the_first_cycle_costs_no_verdict() -> None:
     calibration = nominal_calibration()
     decoder = Decoder(load_contract(), load_profile())
-    state, memory = FilterState.fresh(calibration), ConditionMemory.fresh()
+    state, memory = Posterior.fresh(calibration), ConditionMemory.fresh()
     reasons = []
     for scenario in (fluid(FluidCondition.CASE_2, 1), fluid(FluidCondition.IDEAL, 2)):
         frames, _ = frames_of(scenario)

@@ -18,6 +18,7 @@ from benchmarks.reproduce.film_check import known_film_errors
 from benchmarks.reproduce.study import Setup, matched_differentiators, noiseless_errors, noisy_errors
 from clutch_model.calibration import nominal_calibration
 from clutch_model.film import film_law
+from clutch_model.knowledge import SensorBias
 from diag_service.diagnosis.columns import Signal
 from diag_service.diagnosis.friction.paper import PaperCollection, nominal_driveline
 from diag_service.diagnosis.friction.paper.fit import NOISY_GATES
@@ -36,6 +37,7 @@ if TYPE_CHECKING:
     from canlog.series import Series
 
 CALIBRATION, DRIVELINE = nominal_calibration(), nominal_driveline()
+PUNCTUAL = replace(CALIBRATION, bias=SensorBias())  # as the emulated vehicle: no reading is late
 
 
 @cache
@@ -87,7 +89,7 @@ def test_the_vehicle_route_finds_the_torques() -> None:
     rows = drive_rows(drive_settings(drive_scenario(seed=77)))
     misses_nm = []
     for event in shifts():
-        signals, gathered = paper_signals(event, CALIBRATION, DRIVELINE), usable_signals(event, CALIBRATION)
+        signals, gathered = paper_signals(event, PUNCTUAL, DRIVELINE), usable_signals(event, PUNCTUAL)
         assert not isinstance(signals, Reason)
         assert not isinstance(gathered, Reason)
         grid_s = gathered.grid_s[::GRID_STRIDE] + (event.start_ns - START_NS) * 1e-9

@@ -17,6 +17,7 @@ LABEL = r"[A-Z]?\d+[a-z]?"
 CLUTCHES = nominal_calibration().clutches
 PLANT = nominal_parameters()
 UNCERTAINTY = nominal_calibration().uncertainty
+BIAS = nominal_calibration().bias
 
 
 def both(part: str, name: str) -> tuple[float, ...]:
@@ -67,6 +68,12 @@ ROWS: dict[str, Sequence[float]] = {
         1e3 * UNCERTAINTY.torque_latency_s,
         1e3 * UNCERTAINTY.pressure_latency_s,
     ),
+    "the same, in the middle": (1e3 * BIAS.torque_latency_s, 1e3 * BIAS.pressure_latency_s),
+    "film mobility, Stribeck exponent, of both clutches": (
+        UNCERTAINTY.film_mobility_log,
+        UNCERTAINTY.stribeck_exponent_log,
+    ),
+    "change of friction with the temperature of the pack": (UNCERTAINTY.friction_temperature_1_k,),
     "torque offset": (UNCERTAINTY.torque_offset_nm,),
 }
 

@@ -10,7 +10,7 @@ from canlog.logs import read_log
 from clutch_model.calibration import nominal_calibration
 from dbc.contract import load_contract
 from diag_service.diagnosis.condition.condition import ConditionMemory
-from diag_service.diagnosis.friction import FilterState
+from diag_service.diagnosis.friction import Posterior
 from diag_service.diagnosis.records import ClutchVerdict, ShiftEstimate
 from diag_service.diagnosis.summary import FrameCounts
 from diag_service.mapping.decoder import Decoder
@@ -46,7 +46,7 @@ def diagnosed(batches: Iterable[FrameBatch]) -> Outcome:
     """Run fresh stages over batches to the end of the stream."""
     calibration = nominal_calibration()
     decoder = Decoder(load_contract(), load_profile())
-    stages = Stages(decoder, calibration, FilterState.fresh(calibration), ConditionMemory.fresh())
+    stages = Stages(decoder, calibration, Posterior.fresh(calibration), ConditionMemory.fresh())
     found = [diagnosis for batch in batches for diagnosis in stages.feed(batch)]
     found += [stages.conclude(event) for event in stages.flush()]
     return Outcome(diagnoses=tuple(found), counts=stages.decoder.counts)

@@ -26,8 +26,14 @@ from diag_service.diagnosis.condition.thresholds import (
     WATCH_MARGIN_RATIO,
     WATCH_PROBABILITY,
 )
-from diag_service.diagnosis.friction.filter_state import FilterState
-from diag_service.diagnosis.friction.scale_free import clutch_ratio, common_scale_std_ratio, scale_free, trend
+from diag_service.diagnosis.friction.friction_values import (
+    clutch_ratio,
+    common_scale_std_ratio,
+    friction,
+    scale_free,
+    trend,
+)
+from diag_service.diagnosis.friction.posterior import Posterior
 from diag_service.diagnosis.plain_values import from_plain, to_plain
 from diag_service.diagnosis.records import (
     ClutchVerdict,
@@ -67,7 +73,7 @@ class ConditionMemory:
         """Return the memory of a vehicle not judged before."""
         return cls()
 
-    def with_new_fluid(self, filled_at: str, old: FilterState) -> Self:
+    def with_new_fluid(self, filled_at: str, old: Posterior) -> Self:
         """Return the memory after a fluid fill: no verdict yet, and what contradicted the old fluid is forgotten.
 
         Of the first fluid that had a baseline the friction is kept: the lining's, whatever the fluid.
@@ -101,7 +107,7 @@ class ConditionMemory:
             "diag-service calibrate makes this vehicle's own"
         )
 
-    def with_shift(self, estimate: ShiftEstimate, before: FilterState) -> Self:
+    def with_shift(self, estimate: ShiftEstimate, before: Posterior) -> Self:
         """Return the memory after a shift, of which the running state stood at ``before``.
 
         Only a shift that entered the running state counts, and only if there was one before it.
@@ -112,7 +118,7 @@ class ConditionMemory:
         if not before.shift_counts[index]:
             return self
         known = self.scatters[index] or Scatter.begun(alone)
-        scatter = known.with_shift(alone, before.friction(estimate.clutch))
+        scatter = known.with_shift(alone, friction(before, estimate.clutch))
         return replace(self, scatters=with_clutch(self.scatters, estimate.clutch, scatter))
 
     def to_json(self) -> JsonObject:
@@ -150,7 +156,7 @@ class ConditionMemory:
 
 
 def judge(
-    memory: ConditionMemory, state: FilterState, clutch: int, calibration: Calibration
+    memory: ConditionMemory, state: Posterior, clutch: int, calibration: Calibration
 ) -> tuple[ConditionMemory, ClutchVerdict]:
     """Return the verdict on clutch 1 or 2 from its running state, and the memory with it.
 
@@ -161,8 +167,8 @@ def judge(
     reference = calibration.clutches[index].friction
     shift_count = state.shift_counts[index]
     known = bool(shift_count)
-    friction, since = state.friction(clutch), trend(state, clutch) if known else None
-    finding = _decide(friction, since, reference, shift_count, memory.conditions[index])
+    now, since = friction(state, clutch), trend(state, clutch) if known else None
+    finding = _decide(now, since, reference, shift_count, memory.conditions[index])
     if memory.misfit_text:
         finding = _nothing(Silence.CALIBRATION_MISFIT, memory.misfit_text)
     scatter, lining = memory.scatters[index], memory.linings[index]
@@ -171,8 +177,8 @@ def judge(
         clutch=clutch,
         condition=finding.condition,
         reason=finding.reason,
-        level_ratio=friction.mu_c / reference.mu_c if known else None,
-        friction=friction if known else None,
+        level_ratio=now.mu_c / reference.mu_c if known else None,
+        friction=now if known else None,
         shift_count=shift_count,
         scale_free=free,
         common_scale_std_ratio=common_scale_std_ratio(state, clutch) if known else None,
@@ -185,7 +191,7 @@ def judge(
     return replace(memory, conditions=with_clutch(memory.conditions, clutch, finding.condition)), verdict
 
 
-def _lining(state: FilterState, clutch: int) -> LiningBaseline | None:
+def _lining(state: Posterior, clutch: int) -> LiningBaseline | None:
     since = trend(state, clutch)
     return None if since is None else LiningBaseline.of(scale_free(state, clutch), since)
 

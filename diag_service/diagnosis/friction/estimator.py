@@ -1,36 +1,64 @@
 """One shift in, one friction estimate and a new running state out."""
 
-import math
-from dataclasses import replace
-from typing import TYPE_CHECKING
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
+from canlog.arrays import FloatArray
 from clutch_model.calibration import Calibration
-from clutch_model.gears import clutch_of_gear, with_clutch
+from clutch_model.errors import CalibrationError
+from clutch_model.gears import clutch_of_gear
 from diag_service.diagnosis.alignment import NS_TO_S, AlignedSignals, compile_alignment
 from diag_service.diagnosis.columns import Signal
 from diag_service.diagnosis.events import Event
 from diag_service.diagnosis.friction.balance import Balance
-from diag_service.diagnosis.friction.film_track import compile_film
-from diag_service.diagnosis.friction.filter_state import FilterState, Misfit
-from diag_service.diagnosis.friction.parameters import State, friction_rows
-from diag_service.diagnosis.friction.preparation import measured_drives, slip_window, zeroed
-from diag_service.diagnosis.friction.scale_free import scale_free
-from diag_service.diagnosis.friction.window import SlipWindow
-from diag_service.diagnosis.quality.plausibility import SlippingClutch, plausibility_faults, zero_has_jumped
+from diag_service.diagnosis.friction.evidence import Evidence, Fusion, Knowledge, Measurement, fuse
+from diag_service.diagnosis.friction.film_track import PressureDrive, compile_film
+from diag_service.diagnosis.friction.friction_values import friction, scale_free
+from diag_service.diagnosis.friction.judgement import JudgedEvent
+from diag_service.diagnosis.friction.parameters import (
+    FRICTION_COUNT,
+    FRICTION_PRIOR_STD,
+    State,
+    displaced,
+    friction_rows,
+)
+from diag_service.diagnosis.friction.posterior import Posterior
+from diag_service.diagnosis.friction.preparation import PackTemperatures, measured_drives, slip_window, zeros_seen
+from diag_service.diagnosis.friction.sensitivity import measured
+from diag_service.diagnosis.friction.window import SlipWindow, on_other_grid, spans_of
+from diag_service.diagnosis.quality.plausibility import (
+    PressureZeros,
+    SlippingClutch,
+    plausibility_faults,
+    zero_has_jumped,
+)
 from diag_service.diagnosis.quality.usability import usable_signals
 from diag_service.diagnosis.records import Reason, ShiftEstimate, Status
 
-if TYPE_CHECKING:
-    from canlog.arrays import FloatArray
-
-ALGORITHM_VERSION = "torque-impulse-4"
-PASS_COUNT = 3  # each takes away what planned and measured pressures differ by, a few percent
-INNOVATION_GATE = 25.0  # squared distance of a shift from the running state, two degrees of freedom: 4e-6 by chance
-REFUSALS_TO_YIELD = 3  # in a row: then the clutch has changed, and the running state starts afresh
-SCORE_GATE = 4.5  # by chance one clean shift in 13,000; a latency or width that the type does not have
+ALGORITHM_VERSION = "torque-impulse-5"
+MAX_PASS_COUNT = 4  # of linearisation: the first events of a vehicle move latencies by more than a line follows
+CONVERGED = 0.2  # of a standard deviation
+NEAR_STEP = 0.5  # standard deviations of the type: up to there derivatives are the same
+LONGEST_STEP = 2.0  # standard deviations of the type: farther off, the balance is not linear
+MAX_MISFIT = 4.0  # chi-square per degree of freedom; a clean shift stays below 2.5
+MAX_EXCESS = 48.0  # of chi-square over its expectation: an error adds as much to few numbers as to many
+SCORE_GATE = 4.5  # standard deviations that one parameter is displaced: by chance one clean shift in 13,000
 FULL_WINDOW_S = 0.25  # the shortest slip window that every regular shift offers
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Seen:
+    """One event, linearised."""
+
+    clutch: int  # 1 or 2: the one that carries most while it slips
+    before: Knowledge  # of everything, the friction of that clutch unknown
+    balance: Balance
+    measurements: tuple[Measurement, ...]
+    evidence: Evidence
+    zeros_pa: FloatArray  # (2,) of the pressure sensors, as the empty clutches show them
+    alone: Fusion  # with what was known before, the friction of its own clutch apart
 
 
 class Estimator:
@@ -38,6 +66,7 @@ class Estimator:
 
     def __init__(self, calibration: Calibration) -> None:
         self._calibration = calibration
+        self._type = Posterior.fresh(calibration).base
 
     def prepare(self) -> None:
         """Have everything compiled before the first shift comes: it must not wait for it."""
@@ -45,109 +74,185 @@ class Estimator:
         compile_film(self._calibration)
 
     def estimate(
-        self, event: Event, state: FilterState, *, is_described_only: bool = False
-    ) -> tuple[FilterState, ShiftEstimate]:
-        """Return the running state after a shift, and what the shift alone says about the on-coming clutch.
+        self, event: Event, state: Posterior, *, is_described_only: bool = False
+    ) -> tuple[Posterior, ShiftEstimate]:
+        """Return what is known after a shift, and what the shift alone says about the on-coming clutch.
 
-        The shift's own estimate uses what is known of offsets, but not the running friction. A shift whose signals
-        contradict each other, or that does not fit the model, is rejected; one that fits, but contradicts the running
-        state, is shown and kept out of it, until three in a row agree that the clutch has changed. One that is
-        described only, because its data are not believed, is not even held against the running state.
+        The shift's own estimate uses what is known of everything but the friction of its clutch. A shift whose signals
+        contradict each other, or that does not fit the model, is rejected; one that fits, but contradicts the others,
+        is shown and left out, until three of the clutch agree that it has changed. One that is described only, because
+        its data are not believed, is not even held against the others.
         """
-        signals = usable_signals(event, self._calibration)
-        if isinstance(signals, Reason):
-            return state, without_friction(event, Status.REJECTED, signals)
-        clutch = clutch_of_gear(event.to_gear)
-        before, state = state, zeroed(signals, state, self._calibration)
-        if zero_has_jumped(before.pressure_zeros, state.pressure_zeros):
-            return before, without_friction(event, Status.REJECTED, Reason.ZERO_JUMPED)
-        drives = measured_drives(signals, state, event, self._calibration)
-        window = slip_window(signals, drives, clutch, self._calibration)
-        if window is None:
-            return state, without_friction(event, Status.UNOBSERVED, Reason.NO_SLIP_WINDOW)
-        slipping = SlippingClutch(
-            number=clutch,
-            rows=window.rows,
-            pressure_zero_pa=float(state.pressure_zeros.mean_pa[clutch - 1]),
-        )
-        if faults := plausibility_faults(event, signals, slipping):
-            return before, without_friction(event, Status.REJECTED, *faults)
-        balance = Balance(signals, window, drives, self._calibration)
-        alone, misfit, gate = self._fit(balance, state.forget_friction(clutch, self._calibration))
-        ratio = misfit.chi_square_ratio
-        fit = min(1.0, max(0.0, (gate - ratio) / (gate - 1.0)))
-        estimate = replace(self._describe(event, signals, window, balance, alone, fit), chi_square_ratio=ratio)
-        warmed = state.warmed(balance.final_clutch_k, event.end_ns)
-        is_misfit = ratio > gate or misfit.worst_score > SCORE_GATE
-        if is_misfit:
-            estimate = replace(
-                estimate, status=Status.REJECTED, reasons=(Reason.MISFIT,), friction=None, scale_free=None
+        first = self._linearised(event, state, state.known.mean, None)
+        if not isinstance(first, _Seen):
+            return state, without_friction(
+                event, Status.UNOBSERVED if first is Reason.NO_SLIP_WINDOW else Status.REJECTED, first
             )
-        if is_misfit or is_described_only:
-            return warmed, estimate
-        return self._combined(warmed, balance, clutch, alone, estimate)
-
-    def _fit(self, balance: Balance, prior: FilterState) -> tuple[FilterState, Misfit, float]:
-        """Return the posterior, how well it fits, and the largest chi-square per degree of freedom that is believed."""
-        posterior, misfit, gate = prior, Misfit(chi_square_ratio=math.inf, worst_score=math.inf), 0.0
-        at = prior.mean
-        for _ in range(PASS_COUNT):
-            seen = balance.measurement(at, prior.mean)
-            gate = seen.misfit_gate
-            posterior, misfit = prior.updated(seen)
-            at = np.concatenate((posterior.mean[: State.TORQUE_OFFSET], prior.mean[State.TORQUE_OFFSET :]))
-        return posterior, misfit, gate
-
-    def _combined(
-        self, state: FilterState, balance: Balance, clutch: int, alone: FilterState, estimate: ShiftEstimate
-    ) -> tuple[FilterState, ShiftEstimate]:
-        """Fold the shift into the running state, unless it contradicts it."""
-        count, refused = state.shift_counts[clutch - 1], state.refused_counts[clutch - 1]
-        if count and _normalised_innovation(state, alone, clutch) > INNOVATION_GATE:
-            if refused + 1 < REFUSALS_TO_YIELD:
-                kept = replace(state, refused_counts=with_clutch(state.refused_counts, clutch, refused + 1))
-                return kept, replace(estimate, reasons=(Reason.NOT_UPDATED,))
-            state = state.forget_friction(clutch, self._calibration)
-            count = 0
-        posterior, _, _ = self._fit(balance, state.drifted())
-        counted = replace(
-            posterior,
-            shift_counts=with_clutch(state.shift_counts, clutch, count + 1),
-            refused_counts=with_clutch(state.refused_counts, clutch, 0),
+        slipping = SlippingClutch(
+            number=first.clutch,
+            rows=first.balance.window.slip_rows,
+            pressure_zero_pa=float(first.zeros_pa[first.clutch - 1]),
         )
-        return counted.counted(clutch, estimate.end_ns), estimate
+        if faults := plausibility_faults(event, first.balance.signals, slipping):
+            return state, without_friction(event, Status.REJECTED, *faults)
+        seen = self._settled(event, state, first)
+        state = state.warmed(PackTemperatures(clutch_k=seen.balance.final_clutch_k, at_ns=event.end_ns))
+        is_misfit = _is_misfit(self._type, fuse(self._type, seen.evidence), seen.evidence.count)
+        if is_misfit or is_described_only:
+            estimate = self._described(event, seen, state, seen.alone)
+            return state, _rejected(estimate, Reason.MISFIT) if is_misfit else estimate
+        return self._judged(event, seen, state.with_event(_judged_event(event, seen)))
 
-    def _describe(
-        self,
-        event: Event,
-        signals: AlignedSignals,
-        window: SlipWindow,
-        balance: Balance,
-        alone: FilterState,
-        fit: float,
-    ) -> ShiftEstimate:
-        """Describe what a shift says alone; ``fit`` is 1 for no misfit, 0 at its gate."""
-        clutch = clutch_of_gear(event.to_gear)
-        window_s = float(signals.grid_s[window.stop - 1] - signals.grid_s[window.first])
-        mu: FloatArray = alone.mean[friction_rows(clutch)]
+    def _judged(self, event: Event, seen: _Seen, state: Posterior) -> tuple[Posterior, ShiftEstimate]:
+        """Return what is known after an event, and its estimate: used or left out, and why."""
+        before = self._unknown_friction(state.others, seen.clutch)
+        alone = fuse(before, seen.evidence)
+        estimate = self._described(event, seen, state, alone)
+        if state.is_used[-1]:
+            return state, estimate
+        if zero_has_jumped(_zeros(before), _zeros(alone.knowledge)):
+            return state, _rejected(estimate, Reason.ZERO_JUMPED)
+        if _is_misfit(before, alone, seen.evidence.count):
+            return state, _rejected(estimate, Reason.MISFIT)
+        return state, replace(estimate, reasons=(Reason.NOT_UPDATED,))
+
+    def _unknown_friction(self, known: Knowledge, clutch: int) -> Knowledge:
+        """Return what is known with the friction of one clutch unknown again, everything else kept."""
+        rows = friction_rows(clutch)
+        mean, covariance = known.mean.copy(), known.covariance.copy()
+        mean[rows] = self._type.mean[rows]
+        covariance[rows, :] = 0.0
+        covariance[:, rows] = 0.0
+        covariance[rows, rows] = np.eye(2) * FRICTION_PRIOR_STD**2
+        return Knowledge(mean=mean, covariance=covariance)
+
+    def _settled(self, event: Event, state: Posterior, seen: _Seen) -> _Seen:
+        """Return the event linearised where it and all that is believed meet.
+
+        One that does not belong is linearised where it alone would have it: it meets nothing.
+        """
+        at = state.known.mean
+        for _ in range(MAX_PASS_COUNT - 1):
+            judged = state.with_event(_judged_event(event, seen))
+            after = judged.known if judged.is_used[-1] else seen.alone.knowledge
+            step = after.mean - at
+            if np.max(np.abs(step) / after.std().clip(min=1e-30)) < CONVERGED:
+                break
+            longest = self._longest(step)
+            at = at + step / max(1.0, longest / LONGEST_STEP)
+            attempt = self._linearised(event, state, at, seen, is_near=longest < NEAR_STEP)
+            if not isinstance(attempt, _Seen):
+                break
+            seen = attempt
+        return seen
+
+    def _zeros_of(self, empty: Sequence[Measurement], at: FloatArray, known: Knowledge) -> FloatArray:
+        """Return the zeros of both pressure sensors [Pa] as an event shows them, otherwise as they are known."""
+        shown = _zeros(fuse(self._type, Evidence.of(empty, at)).knowledge)
+        is_shown = shown.variance_pa2 < 0.5 * _zeros(self._type).variance_pa2
+        return np.where(is_shown, shown.mean_pa, _zeros(known).mean_pa)
+
+    def _longest(self, step: FloatArray) -> float:
+        """Return the largest part of a step in standard deviations of the type, friction aside."""
+        std = self._type.std()
+        known = std > 0.0
+        known[:FRICTION_COUNT] = False
+        return float(np.max(np.abs(step[known]) / std[known], initial=0.0))
+
+    def _linearised(
+        self, event: Event, state: Posterior, at: FloatArray, earlier: _Seen | None, *, is_near: bool = False
+    ) -> _Seen | Reason:
+        """Linearise an event about ``at`` with what an earlier pass found: its clutch; near by all but the residual."""
+        try:
+            point = displaced(self._calibration, at)
+        except CalibrationError:  # no vehicle is like that
+            return Reason.MISFIT
+        signals = usable_signals(event, point)
+        if isinstance(signals, Reason):
+            return signals
+        empty = zeros_seen(signals, at, point)
+        near = earlier if is_near else None
+        zeros = near.zeros_pa if near else self._zeros_of(empty, at, state.known)
+        drives = measured_drives(signals, at, state.packs, event, point)
+        found = _window(signals, drives, point, near)
+        if found is None:
+            return Reason.NO_SLIP_WINDOW
+        window, clutch = found
+        before = earlier.before if earlier else self._unknown_friction(state.known, clutch)
+        balance = Balance(signals, window, drives, point, at)
+        seen = measured(balance, near.measurements if near else ())
+        evidence = Evidence.of((*seen, *empty), at)
+        alone = fuse(before, evidence)
+        return _Seen(
+            clutch=earlier.clutch if earlier else clutch,
+            before=before,
+            balance=balance,
+            measurements=seen,
+            evidence=evidence,
+            zeros_pa=zeros,
+            alone=alone,
+        )
+
+    def _described(self, event: Event, seen: _Seen, state: Posterior, alone: Fusion) -> ShiftEstimate:
+        """Describe what an event says alone, with what is known of all but the friction of its clutch."""
+        clutch, balance = seen.clutch, seen.balance
+        window_s = sum(end_s - start_s for start_s, end_s in spans_of(balance.window.slipping, balance.signals.grid_s))
+        ratio = alone.chi_square / seen.evidence.count
+        gate = misfit_gate(seen.evidence.count)
+        fit = min(1.0, max(0.0, (gate - ratio) / (gate - 1.0)))
+        told = replace(state, fusion=alone)
         return replace(
             without_friction(event, Status.VALID),
-            friction=alone.friction(clutch),
-            scale_free=scale_free(alone, clutch),
+            clutch=clutch,
+            friction=friction(told, clutch),
+            scale_free=scale_free(told, clutch),
             sample_count=balance.sample_count,
             window_s=window_s,
+            chi_square_ratio=ratio,
             quality=fit * min(1.0, window_s / FULL_WINDOW_S) / (1.0 + event.bad_frame_count / balance.sample_count),
             clutch_temperature_k=balance.final_clutch_k[clutch - 1],
-            slip_energy_j=balance.slip_energy_j(clutch, mu),
+            slip_energy_j=balance.slip_energy_j(clutch, alone.knowledge.mean[friction_rows(clutch)]),
         )
 
 
-def _normalised_innovation(state: FilterState, alone: FilterState, clutch: int) -> float:
-    """Return the squared distance between a shift's own friction and the running one, common scale left out."""
-    rows = friction_rows(clutch)
-    spread = state.covariance[rows, rows] + alone.covariance[rows, rows]
-    step = alone.mean[rows] - state.mean[rows]
-    return float(step @ np.linalg.solve(spread, step))
+def _is_misfit(before: Knowledge, alone: Fusion, count: int) -> bool:
+    """Return whether an event of ``count`` residuals is not explained, or only by a parameter that nobody has."""
+    if alone.chi_square / count > misfit_gate(count):
+        return True
+    after = alone.knowledge
+    variance = np.diag(before.covariance)
+    learnt = np.sqrt(np.maximum(variance - np.diag(after.covariance), 1e-12 * variance))
+    score = np.abs(after.mean - before.mean) / np.where(learnt > 0.0, learnt, np.inf)
+    return bool(np.max(score[FRICTION_COUNT:]) > SCORE_GATE)
+
+
+def _rejected(estimate: ShiftEstimate, reason: Reason) -> ShiftEstimate:
+    """Return an estimate that is not believed."""
+    return replace(estimate, status=Status.REJECTED, reasons=(reason,), friction=None, scale_free=None)
+
+
+def _judged_event(event: Event, seen: _Seen) -> JudgedEvent:
+    return JudgedEvent(number=event.number, clutch=seen.clutch, end_ns=event.end_ns, evidence=seen.evidence)
+
+
+def _window(
+    signals: AlignedSignals, drives: tuple[PressureDrive, PressureDrive], point: Calibration, near: _Seen | None
+) -> tuple[SlipWindow, int] | None:
+    """Return the window of an event and its clutch, those that were found near by if there are some."""
+    if near is None:
+        return slip_window(signals, drives, point)
+    return on_other_grid(near.balance.window, near.balance.signals.grid_s, signals.grid_s), near.clutch
+
+
+def misfit_gate(count: int) -> float:
+    """Return the chi-square per degree of freedom beyond which the model does not explain a residual."""
+    return min(MAX_MISFIT, 1.0 + MAX_EXCESS / count)
+
+
+def _zeros(known: Knowledge) -> PressureZeros:
+    """Return what is known of the zeros of both pressure sensors."""
+    rows = slice(State.ZERO1, State.ZERO2 + 1)
+    return PressureZeros(mean_pa=known.mean[rows], variance_pa2=np.diag(known.covariance)[rows])
 
 
 def without_friction(event: Event, status: Status, *reasons: Reason) -> ShiftEstimate:

@@ -1,4 +1,4 @@
-"""The oil film of a clutch followed forward through a shift from measured pressure and slip."""
+"""The oil film of a clutch followed forward through an event from measured pressure and slip."""
 
 import math
 from dataclasses import dataclass
@@ -16,7 +16,8 @@ from clutch_model.film import (
     equilibrium_film_m,
     film_law,
     measured_film_rate_m_s,
-    viscous_torque_nm,
+    shear_factor_difference,
+    sheared_torque_nm,
 )
 from clutch_model.friction import FrictionLaw, contact_torque_nm, friction_law, kinetic_friction
 from clutch_model.thermal import clutch_heating_rate_k_s
@@ -24,7 +25,8 @@ from clutch_model.viscosity import viscosity_pa_s
 from diag_service.diagnosis.alignment import GRID_S
 
 _ANY_K = 350.0
-SUBSTEP_COUNT = 5  # film steps per grid step: 0.2 ms against time constants of 5 ms and more
+DRAG_LIMIT_NM = 8.0  # of an open pack: its oil is full of air, so the law of a full film ends there
+_CONTACT_END = 4.0  # film over roughness from which no asperities touch: a pack begins to be open
 
 
 class HeatLaw(NamedTuple):
@@ -46,6 +48,7 @@ class PressureDrive:
     slip_rad_s: FloatArray  # (n,)
     oil_k: float
     clutch_k: float  # at the first point
+    open_drag_ratio: float = 1.0  # of the drag of an open pack to what is believed
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -54,6 +57,8 @@ class FilmTrack:
 
     contact_pa: FloatArray  # (n,) P_C
     viscous_nm: FloatArray  # (n,) T_V, sign of the slip
+    open_nm: FloatArray  # (n,) the part of it that an open pack drags
+    clutch_k: FloatArray  # (n,) temperature of the pack
     final_clutch_k: float
 
 
@@ -77,17 +82,24 @@ def integrate_film(clutch: int, drive: PressureDrive, calibration: Calibration, 
     )
     contact_pa = np.zeros_like(drive.piston_pa)
     viscous_nm = np.zeros_like(drive.piston_pa)
+    open_nm = np.zeros_like(drive.piston_pa)
+    clutch_k = np.zeros_like(drive.piston_pa)
     final_k = _integrate(
         drive.piston_pa[:stop],
         drive.slip_rad_s[:stop],
         drive.clutch_k,
+        drive.open_drag_ratio,
         law,
         friction_law(nominal.friction),
         heat,
         contact_pa,
         viscous_nm,
+        open_nm,
+        clutch_k,
     )
-    return FilmTrack(contact_pa=contact_pa, viscous_nm=viscous_nm, final_clutch_k=final_k)
+    return FilmTrack(
+        contact_pa=contact_pa, viscous_nm=viscous_nm, open_nm=open_nm, clutch_k=clutch_k, final_clutch_k=final_k
+    )
 
 
 def compile_film(calibration: Calibration) -> None:
@@ -100,20 +112,28 @@ def compile_film(calibration: Calibration) -> None:
 def _integrate(
     piston_pa: FloatArray,
     slip_rad_s: FloatArray,
-    clutch_k: float,
+    start_k: float,
+    open_drag_ratio: float,
     law: FilmLaw,
     friction: FrictionLaw,
     heat: HeatLaw,
     contact_pa: FloatArray,
     viscous_nm: FloatArray,
+    open_nm: FloatArray,
+    pack_k: FloatArray,
 ) -> float:
     film_m = equilibrium_film_m(applied_pressure_pa(piston_pa[0], law), law)
-    step_s = GRID_S / SUBSTEP_COUNT
+    shear = shear_factor_difference(film_m / law.roughness_m)
+    clutch_k = start_k
     for k in range(len(piston_pa)):
+        pack_k[k] = clutch_k
         viscosity = viscosity_pa_s(clutch_k, heat.a_pa_s, heat.b_k, heat.pole_k)
         slip = slip_rad_s[k]
         contact_pa[k] = contact_pressure_pa(film_m, law)
-        viscous_nm[k] = viscous_torque_nm(slip, film_m, viscosity, law)
+        full_nm = sheared_torque_nm(slip, film_m, viscosity, shear, law)
+        openness = _openness(film_m, law)
+        open_nm[k] = openness * open_drag_ratio * full_nm / math.sqrt(1.0 + (full_nm / DRAG_LIMIT_NM) ** 2)
+        viscous_nm[k] = (1.0 - openness) * full_nm + open_nm[k]
         mu = kinetic_friction(slip, friction)
         contact_nm = contact_torque_nm(1.0, mu, contact_pa[k], law.contact_factor_m3)
         power_w = (contact_nm + abs(viscous_nm[k])) * abs(slip)
@@ -123,19 +143,26 @@ def _integrate(
             power_w, clutch_k, heat.oil_k, heat.heat_capacity_j_k, heat.convection_w_k
         )
         if k + 1 < len(piston_pa):
-            for j in range(SUBSTEP_COUNT):
-                share = (j + 0.5) / SUBSTEP_COUNT
-                pressure = piston_pa[k] + share * (piston_pa[k + 1] - piston_pa[k])
-                film_m = _film_step(film_m, pressure, viscosity, step_s, law)
+            driving_pa = 0.5 * (piston_pa[k] + piston_pa[k + 1])
+            if film_m < law.open_gap_m or applied_pressure_pa(driving_pa, law) > 0.0:  # else an open pack stays open
+                film_m = _film_step(film_m, driving_pa, viscosity, law)
+                shear = shear_factor_difference(film_m / law.roughness_m)
     return clutch_k
 
 
 @kernel
-def _film_step(film_m: float, piston_pa: float, viscosity: float, step_s: float, law: FilmLaw) -> float:
-    """Return the film one step later by the exponential Rosenbrock-Euler rule, exact for a linear rate."""
+def _openness(film_m: float, law: FilmLaw) -> float:
+    """Return how far a pack is open: 0 as long as asperities touch, 1 at its open gap."""
+    touching_m = _CONTACT_END * law.roughness_m
+    return max(0.0, film_m - touching_m) / (law.open_gap_m - touching_m)
+
+
+@kernel
+def _film_step(film_m: float, piston_pa: float, viscosity: float, law: FilmLaw) -> float:
+    """Return the film one grid step later by the exponential Rosenbrock-Euler rule, exact for a linear rate."""
     rate = measured_film_rate_m_s(film_m, piston_pa, viscosity, law)
     step_m = 1e-4 * film_m
     slope = (measured_film_rate_m_s(film_m + step_m, piston_pa, viscosity, law) - rate) / step_m
-    reach = slope * step_s
-    stretch = step_s if abs(reach) < 1e-6 else step_s * (math.exp(min(reach, 50.0)) - 1.0) / reach
+    reach = slope * GRID_S
+    stretch = GRID_S if abs(reach) < 1e-6 else GRID_S * (math.exp(min(reach, 50.0)) - 1.0) / reach
     return min(max(film_m + rate * stretch, law.min_film_m), law.open_gap_m)

@@ -1,5 +1,6 @@
 """What a shift depends on: the parameters that the estimator estimates and those that it only considers."""
 
+import math
 from collections.abc import Mapping
 from dataclasses import replace
 from enum import IntEnum
@@ -43,18 +44,30 @@ class Considered(IntEnum):
     STRIBECK_SPEED = 8  # ratio, both clutches
     CONTACT_STIFFNESS = 9  # ratio, both clutches
     SHAFT_INERTIA = 10  # ratio, both input shafts in neutral
+    FILM_MOBILITY = 11  # natural logarithm of a ratio, both clutches
+    STRIBECK_EXPONENT = 12  # natural logarithm of a ratio, both clutches
+    FRICTION_TEMPERATURE = 13  # ratio per kelvin, both clutches
+    OPEN_DRAG = 14  # natural logarithm of a ratio, both clutches
 
 
 STATE_COUNT = len(State)
+PARAMETER_COUNT = STATE_COUNT + len(Considered)
 FRICTION_COUNT = 4
+REFERENCE_K = 363.15  # of a pack at work, for which friction is stated
 NAMES = tuple(one.name.lower() for one in (*State, *Considered))
 """Names of all parameters, states first: the order of every joint vector."""
 NUISANCE_NAMES = NAMES[FRICTION_COUNT:]
+LEAST_JOINT_COUNT = 16  # names of the joint uncertainty in calibration files of the first versions
 
 
 def friction_rows(clutch: int) -> slice:
     """Return the state rows (mu_C, mu_S) of clutch 1 or 2."""
     return slice(2 * clutch - 2, 2 * clutch)
+
+
+def open_drag_ratio(at: FloatArray) -> float:
+    """Return the drag of an open pack over what is believed; ``at`` are all parameters, shape (len(NAMES),)."""
+    return math.exp(at[STATE_COUNT + Considered.OPEN_DRAG])
 
 
 def prior_mean(calibration: Calibration) -> FloatArray:
@@ -87,10 +100,11 @@ def _nuisance_covariance(calibration: Calibration) -> FloatArray:
     joint = calibration.joint
     if joint is None:
         return np.diag(np.square(_single_std(calibration)))
-    if joint.names != NUISANCE_NAMES:
+    if joint.names != NUISANCE_NAMES[: len(joint.names)] or len(joint.names) < LEAST_JOINT_COUNT:
         raise CalibrationError(f"joint.names must be {', '.join(NUISANCE_NAMES)}")
-    std = np.array(joint.std)
-    covariance: FloatArray = std[:, None] * np.array(joint.correlation) * std
+    count, std = len(joint.names), np.array(joint.std)
+    covariance = np.diag(np.square(_single_std(calibration)))  # of what earlier programs did not calibrate
+    covariance[:count, :count] = std[:, None] * np.array(joint.correlation) * std
     if np.linalg.eigvalsh(np.array(joint.correlation))[0] < -1e-9:
         raise CalibrationError("joint.correlation is not positive")
     return covariance
@@ -115,6 +129,10 @@ def _single_std(calibration: Calibration) -> list[float]:
         scatter.stribeck_speed_ratio,
         scatter.contact_stiffness_ratio,
         scatter.input_shaft_inertia_ratio,
+        scatter.film_mobility_log,
+        scatter.stribeck_exponent_log,
+        scatter.friction_temperature_1_k,
+        scatter.open_drag_log,
     ]
 
 
@@ -168,10 +186,12 @@ def _moved_clutch(clutch: ClutchCalibration, area_ratio: float, by: Mapping[Cons
     """Return a clutch with another piston and lining; its springs stay, so its touch pressure moves with the area."""
     curve, film, geometry = clutch.friction, clutch.film, clutch.geometry
     width_rad_s = curve.stribeck_speed_rad_s * (1.0 + by[Considered.STRIBECK_SPEED])
+    exponent = curve.stribeck_exponent * math.exp(by[Considered.STRIBECK_EXPONENT])
     stiffness_pa = film.contact_stiffness_pa * (1.0 + by[Considered.CONTACT_STIFFNESS])
+    mobility_ratio = film.mobility_ratio * math.exp(by[Considered.FILM_MOBILITY])
     return replace(
         clutch,
         geometry=replace(geometry, piston_area_m2=geometry.piston_area_m2 * (1.0 + area_ratio)),
-        friction=replace(curve, stribeck_speed_rad_s=width_rad_s),
-        film=replace(film, contact_stiffness_pa=stiffness_pa),
+        friction=replace(curve, stribeck_speed_rad_s=width_rad_s, stribeck_exponent=exponent),
+        film=replace(film, contact_stiffness_pa=stiffness_pa, mobility_ratio=mobility_ratio),
     )

@@ -1,75 +1,84 @@
 """From the signals of a shift to what its balance needs: sensor zeros, drives of the films, the slip window."""
 
 import math
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
+from canlog.arrays import FloatArray
 from clutch_model.calibration import Calibration
 from clutch_model.gears import both_clutches
 from diag_service.diagnosis.alignment import NS_TO_S, AlignedSignals
 from diag_service.diagnosis.events import Event
+from diag_service.diagnosis.friction.evidence import Measurement
 from diag_service.diagnosis.friction.film_track import PressureDrive
-from diag_service.diagnosis.friction.filter_state import FilterState, Measurement
-from diag_service.diagnosis.friction.parameters import Considered, State
-from diag_service.diagnosis.friction.window import SLIP_DEGREE, SlipWindow, find_window, smoothed
+from diag_service.diagnosis.friction.parameters import PARAMETER_COUNT, State, open_drag_ratio
+from diag_service.diagnosis.friction.window import SLIP_DEGREE, SlipWindow, find_window, loaded_clutch, smoothed
 
 EMPTY_PA = 0.30e5  # an idle clutch reads less than this: it is empty, and the reading is the sensor's zero
 EMPTY_S = 0.1
+OVERLAP_NS = 1e9  # the cut of an event may begin in the event before; what is further back is another stretch of time
 PRESSURE_DEGREE = 3
+TURNING_RAD_S = 58.0  # 554 rpm: below any idle; there a starter may turn the engine, which no torque reading tells
 
 
-def zeros_seen(signals: AlignedSignals, state: FilterState, calibration: Calibration) -> list[Measurement]:
-    """Return what a clutch that is empty before the shift says about the zero of its pressure sensor."""
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PackTemperatures:
+    """How warm both packs were at an instant of bus time."""
+
+    clutch_k: tuple[float, float]
+    at_ns: int
+
+    def later(self, m: int, oil_k: float, now_ns: float, calibration: Calibration) -> float:
+        """Return the temperature of pack ``m`` [K], cooled towards the oil since."""
+        thermal = calibration.clutches[m].thermal
+        elapsed_s = max(0.0, (now_ns - self.at_ns) * NS_TO_S)
+        kept = math.exp(-elapsed_s * thermal.convection_w_k / thermal.heat_capacity_j_k)
+        return oil_k + (self.clutch_k[m] - oil_k) * kept
+
+
+def zeros_seen(signals: AlignedSignals, at: FloatArray, calibration: Calibration) -> list[Measurement]:
+    """Return what a clutch that is empty before the shift says about the zero of its pressure sensor.
+
+    ``at`` are the parameters that it is held against, shape (PARAMETER_COUNT,).
+    """
     std_pa = calibration.noise.pressure_pa
     seen = []
     for m, pressure in enumerate(signals.pressure):
         early = pressure.value[pressure.times_s < signals.grid_s[0] + EMPTY_S]
         if len(early) < 3 or np.max(early) > EMPTY_PA:
             continue
-        row = np.zeros((1, len(State)))
-        row[0, State.ZERO1 + m] = 1.0
+        slope = np.zeros((1, PARAMETER_COUNT))
+        slope[0, State.ZERO1 + m] = 1.0
         seen.append(
             Measurement(
-                residual=np.array([np.mean(early) - state.mean[State.ZERO1 + m]]),
-                by_state=row,
-                by_considered=np.zeros((1, len(Considered))),
+                residual=np.array([np.mean(early) - at[State.ZERO1 + m]]),
+                slope=slope,
                 noise=np.array([[std_pa**2 / len(early)]]),
             )
         )
     return seen
 
 
-def zeroed(signals: AlignedSignals, state: FilterState, calibration: Calibration) -> FilterState:
-    """Return the state with the pressure sensors' zeros measured on the clutch that is empty before the shift."""
-    for seen in zeros_seen(signals, state, calibration):
-        state, _ = state.updated(seen)
-    return state
-
-
 def measured_drives(
-    signals: AlignedSignals, state: FilterState, event: Event, calibration: Calibration
+    signals: AlignedSignals, at: FloatArray, packs: PackTemperatures | None, event: Event, calibration: Calibration
 ) -> tuple[PressureDrive, PressureDrive]:
-    """Return what drives the films as measured, freed of the offsets that are believed."""
+    """Return what drives the films as measured, freed of the offsets in the parameters ``at``.
+
+    ``packs`` is None where nothing is known of the packs: then they are as warm as the oil.
+    """
+    start_ns = event.start_ns + signals.grid_s[0] / NS_TO_S
+    is_known = packs is not None and start_ns >= packs.at_ns - OVERLAP_NS
     return both_clutches(
         PressureDrive(
-            piston_pa=signals.pressure[m].on_grid - state.mean[State.TOUCH1 + m] - state.mean[State.ZERO1 + m],
+            piston_pa=signals.pressure[m].on_grid - at[State.TOUCH1 + m] - at[State.ZERO1 + m],
             slip_rad_s=signals.slip_rad_s(m + 1),
             oil_k=signals.oil_k,
-            clutch_k=_clutch_k(m, signals.oil_k, state, event.start_ns + signals.grid_s[0] / NS_TO_S, calibration),
+            clutch_k=packs.later(m, signals.oil_k, start_ns, calibration) if packs and is_known else signals.oil_k,
+            open_drag_ratio=open_drag_ratio(at),
         )
         for m in range(2)
     )
-
-
-def _clutch_k(m: int, oil_k: float, state: FilterState, now_ns: float, calibration: Calibration) -> float:
-    """Return the temperature of a pack: what it had, cooled towards the oil since."""
-    if state.clutch_temperature_k is None or now_ns < state.temperature_ns:
-        return oil_k
-    thermal = calibration.clutches[m].thermal
-    elapsed_s = (now_ns - state.temperature_ns) * NS_TO_S
-    kept = math.exp(-elapsed_s * thermal.convection_w_k / thermal.heat_capacity_j_k)
-    return oil_k + (state.clutch_temperature_k[m] - oil_k) * kept
 
 
 def planned_drives(
@@ -90,9 +99,12 @@ def planned_drives(
 
 
 def slip_window(
-    signals: AlignedSignals, drives: tuple[PressureDrive, PressureDrive], clutch: int, calibration: Calibration
-) -> SlipWindow | None:
-    """Return the slip window of the on-coming clutch, or None."""
-    over_pa = [drive.piston_pa - one.touch_pressure_pa for drive, one in zip(drives, calibration.clutches, strict=True)]
-    on, off = clutch - 1, 2 - clutch
-    return find_window(signals.grid_s, drives[on].slip_rad_s, over_pa[on], over_pa[off])
+    signals: AlignedSignals, drives: tuple[PressureDrive, PressureDrive], calibration: Calibration
+) -> tuple[SlipWindow, int] | None:
+    """Return where clutches slip under load, and the one that carries most of it; or None."""
+    pairs = zip(drives, calibration.clutches, strict=True)
+    over_pa = np.array([drive.piston_pa - one.touch_pressure_pa for drive, one in pairs])
+    slip_rad_s = np.array([drive.slip_rad_s for drive in drives])
+    is_turning = signals.engine_speed.on_grid > TURNING_RAD_S
+    window = find_window(signals.grid_s, slip_rad_s, over_pa, signals.is_seen & is_turning)
+    return None if window is None else (window, loaded_clutch(window, slip_rad_s, over_pa))

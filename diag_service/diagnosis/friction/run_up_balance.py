@@ -12,9 +12,9 @@ from canlog.arrays import BoolArray, FloatArray
 from clutch_model.calibration import Calibration
 from diag_service.diagnosis.alignment import AlignedSignals
 from diag_service.diagnosis.friction.balance import motoring_corrected_nm
+from diag_service.diagnosis.friction.evidence import Measurement
 from diag_service.diagnosis.friction.film_track import PressureDrive, integrate_film
-from diag_service.diagnosis.friction.filter_state import Measurement
-from diag_service.diagnosis.friction.parameters import Considered, State
+from diag_service.diagnosis.friction.parameters import PARAMETER_COUNT, STATE_COUNT, Considered, State, open_drag_ratio
 from diag_service.diagnosis.friction.window import SlipWindow, Weights, sines
 
 MOMENT_COUNT = 24  # the torque of a run-up has steps; more moments see little but their interpolation
@@ -28,20 +28,25 @@ class _Loads:
     shaft_nms: FloatArray  # (k,) inertia of the input shafts alone
     hub: FloatArray  # (k, n) noise of the hub speed's samples, in standard deviations
     shafts: tuple[FloatArray, ...]  # (k, n) of the input speeds' samples
+    opened_nms: FloatArray | float = 0.0  # (k,) drag of the open clutches
 
 
 def run_up_measurement(
     signals: AlignedSignals, window: SlipWindow, at: FloatArray, calibration: Calibration, *, are_clutches_closed: bool
 ) -> Measurement:
-    """Linearise the balance of a run-up about a state, shape (len(State),); docs/model.md eqs. (32) and (33)."""
+    """Linearise the balance of a run-up about ``at``, shape (PARAMETER_COUNT,); docs/model.md eqs. (32) and (33)."""
     side, bias = calibration.input_side, calibration.bias
-    weights = sines(signals.grid_s, window, MOMENT_COUNT)
+    weights = sines(signals.grid_s, window, (MOMENT_COUNT,))
     offset_nm = at[State.TORQUE_OFFSET]
-    reading_nm = signals.engine_torque.on_grid
+    reading_nm = signals.engine_torque.on_grid[weights.rows]
     torque_nm, motoring_nm = motoring_corrected_nm(reading_nm, offset_nm, bias)
-    length_s = weights.value.sum(axis=1)
-    engine_nms = side.engine_inertia_kg_m2 * weights.rate @ signals.engine_speed.on_grid
-    loads = (_closed_loads if are_clutches_closed else _open_loads)(signals, weights, calibration)
+    length_s = weights.value.sums()
+    engine_nms = side.engine_inertia_kg_m2 * (weights.rate @ signals.engine_speed.on_grid[weights.rows])
+    loads = (
+        _closed_loads(signals, weights, calibration)
+        if are_clutches_closed
+        else _open_loads(signals, weights, at, calibration)
+    )
 
     by_state = np.zeros((MOMENT_COUNT, len(State)))
     by_state[:, State.TORQUE_OFFSET] = length_s
@@ -51,11 +56,11 @@ def run_up_measurement(
     by_considered[:, Considered.SHAFT_INERTIA] = -bias.torque_gain * loads.shaft_nms
     by_considered[:, Considered.TORQUE_LATENCY] = weights.rate @ reading_nm
     by_considered[:, Considered.MOTORING_GAIN] = weights.value @ motoring_nm
+    by_considered[:, Considered.OPEN_DRAG] = bias.torque_gain * loads.opened_nms
     noise, overlap = _noise_and_overlap(signals, weights, loads, reading_nm < offset_nm, calibration)
     return Measurement(
         residual=weights.value @ torque_nm - length_s * offset_nm + bias.torque_gain * (engine_nms + loads.known_nms),
-        by_state=by_state,
-        by_considered=by_considered,
+        slope=np.hstack((by_state, by_considered)),
         noise=noise,
         overlap=overlap,
     )
@@ -64,23 +69,27 @@ def run_up_measurement(
 def _hub(signals: AlignedSignals, weights: Weights, calibration: Calibration) -> tuple[FloatArray, FloatArray]:
     """Return the impulse of the hub and the noise in it."""
     side = calibration.input_side
-    weight = side.hub_inertia_kg_m2 * weights.rate - side.hub_damping_nms_rad * weights.value
-    noise = calibration.noise.hub_speed_rad_s * signals.hub_speed.to_samples(weight)
-    return weight @ signals.hub_speed.on_grid, noise
+    weight = weights.rate * side.hub_inertia_kg_m2 + weights.value * -side.hub_damping_nms_rad
+    noise = calibration.noise.hub_speed_rad_s * weight.on_samples(signals.hub_speed)
+    return weight @ signals.hub_speed.on_grid[weights.rows], noise
 
 
-def _open_loads(signals: AlignedSignals, weights: Weights, calibration: Calibration) -> _Loads:
+def _open_loads(signals: AlignedSignals, weights: Weights, at: FloatArray, calibration: Calibration) -> _Loads:
     """Return hub and drag of the open clutches."""
     known_nms, hub = _hub(signals, weights, calibration)
+    opened_nms = np.zeros_like(known_nms)
     for clutch in (1, 2):
         drive = PressureDrive(
             piston_pa=np.zeros_like(signals.grid_s),
             slip_rad_s=signals.slip_rad_s(clutch),
             oil_k=signals.oil_k,
             clutch_k=signals.oil_k,
+            open_drag_ratio=open_drag_ratio(at),
         )
-        known_nms = known_nms - weights.value @ integrate_film(clutch, drive, calibration).viscous_nm
-    return _Loads(known_nms=known_nms, shaft_nms=np.zeros_like(known_nms), hub=hub, shafts=())
+        track = integrate_film(clutch, drive, calibration)
+        known_nms = known_nms - weights.value @ track.viscous_nm[weights.rows]
+        opened_nms += weights.value @ track.open_nm[weights.rows]
+    return _Loads(known_nms=known_nms, shaft_nms=np.zeros_like(known_nms), hub=hub, shafts=(), opened_nms=opened_nms)
 
 
 def _closed_loads(signals: AlignedSignals, weights: Weights, calibration: Calibration) -> _Loads:
@@ -90,11 +99,12 @@ def _closed_loads(signals: AlignedSignals, weights: Weights, calibration: Calibr
     shaft_nms = np.zeros_like(known_nms)
     shafts = []
     for m, speed in enumerate(signals.input_speed):
-        inertia = side.input_shaft_inertias_kg_m2[m] * weights.rate
-        weight = inertia - side.input_shaft_dampings_nms_rad[m] * weights.value
-        known_nms = known_nms + weight @ speed.on_grid
-        shaft_nms = shaft_nms + inertia @ speed.on_grid
-        shafts.append(calibration.noise.input_speed_rad_s * speed.to_samples(weight))
+        inertia = weights.rate * side.input_shaft_inertias_kg_m2[m]
+        weight = inertia + weights.value * -side.input_shaft_dampings_nms_rad[m]
+        speed_rad_s = speed.on_grid[weights.rows]
+        known_nms = known_nms + weight @ speed_rad_s
+        shaft_nms = shaft_nms + inertia @ speed_rad_s
+        shafts.append(calibration.noise.input_speed_rad_s * weight.on_samples(speed))
     return _Loads(known_nms=known_nms, shaft_nms=shaft_nms, hub=hub, shafts=tuple(shafts))
 
 
@@ -103,10 +113,10 @@ def _noise_and_overlap(
 ) -> tuple[FloatArray, FloatArray]:
     """Return the covariance of the residual, shape (k, k), and what the derivatives share with it; eq. (31)."""
     bias, side, sensors = calibration.bias, calibration.input_side, calibration.noise
-    by_torque = signals.engine_torque.to_samples
-    torque = sensors.engine_torque_nm * by_torque(weights.value)
-    motoring = sensors.engine_torque_nm * by_torque(weights.value * is_motoring / bias.motoring_gain)
-    engine = signals.engine_speed.to_samples(weights.rate)
+    torque = sensors.engine_torque_nm * weights.value.on_samples(signals.engine_torque)
+    motoring_weights = weights.value * (is_motoring / bias.motoring_gain)
+    motoring = sensors.engine_torque_nm * motoring_weights.on_samples(signals.engine_torque)
+    engine = weights.rate.on_samples(signals.engine_speed)
     engine = side.engine_inertia_kg_m2 * sensors.engine_speed_rad_s * engine
     turning = np.zeros((MOMENT_COUNT, MOMENT_COUNT))
     for shaft in loads.shafts:
@@ -120,7 +130,7 @@ def _noise_and_overlap(
         Considered.SHAFT_INERTIA: -(gain**2) * turning,
         Considered.MOTORING_GAIN: motoring @ torque.T,
     }
-    overlap = np.zeros(len(Considered))
+    overlap = np.zeros(PARAMETER_COUNT)
     for parameter, covariance in shared.items():
-        overlap[parameter] = np.trace(np.linalg.solve(noise, covariance))
+        overlap[STATE_COUNT + parameter] = np.trace(np.linalg.solve(noise, covariance))
     return noise, overlap

@@ -13,29 +13,34 @@ import numpy as np
 from canlog.arrays import FloatArray
 from clutch_model.calibration import Calibration
 from clutch_model.errors import CalibrationError
-from clutch_model.gears import both_clutches, clutch_of_gear
+from clutch_model.gears import both_clutches
 from clutch_model.knowledge import JointUncertainty
+from diag_service.diagnosis.alignment import AlignedSignals
 from diag_service.diagnosis.events import Event
 from diag_service.diagnosis.friction.balance import Balance
-from diag_service.diagnosis.friction.filter_state import FilterState, Measurement
+from diag_service.diagnosis.friction.estimator import misfit_gate
+from diag_service.diagnosis.friction.evidence import Knowledge, Measurement
+from diag_service.diagnosis.friction.film_track import PressureDrive
 from diag_service.diagnosis.friction.parameters import (
     FRICTION_COUNT,
     NAMES,
     NUISANCE_NAMES,
     STATE_COUNT,
     Considered,
-    State,
     displaced,
     prior_covariance,
     prior_mean,
 )
+from diag_service.diagnosis.friction.posterior import Posterior
 from diag_service.diagnosis.friction.preparation import (
+    PackTemperatures,
     measured_drives,
     slip_window,
     zeros_seen,
 )
 from diag_service.diagnosis.friction.run_up_balance import run_up_measurement
-from diag_service.diagnosis.friction.window import SlipWindow
+from diag_service.diagnosis.friction.sensitivity import measured
+from diag_service.diagnosis.friction.window import SlipWindow, on_other_grid
 from diag_service.diagnosis.quality.usability import usable_signals
 from diag_service.diagnosis.records import Reason
 
@@ -63,7 +68,7 @@ class SelfCalibration:
     """What the drives of one vehicle told about it."""
 
     calibration: Calibration  # moved to the values found, with their joint uncertainty
-    state: FilterState  # friction as these drives left it
+    state: Posterior  # friction as these drives left it
     mean: FloatArray  # (len(NAMES),) states, and displacements of the considered parameters from the start
     covariance: FloatArray  # (len(NAMES), len(NAMES))
     shift_counts: tuple[int, int]  # used, of clutch 1 and 2
@@ -77,30 +82,32 @@ class SelfCalibration:
         return float(np.sqrt(self.covariance[row, row]))
 
 
-Span = tuple[float, float]
-"""First and last instant of a slip window [s] after the start of its shift."""
-
-
 @dataclass(frozen=True, slots=True)
 class _Seen:
     """The balance of one event at the present point."""
 
-    measurements: tuple[Measurement, ...]  # the balance itself first
+    balance: tuple[Measurement, ...]
+    zeros: tuple[Measurement, ...]
     clutch: int  # 0: a run-up
     number: int
-    span: Span
+    window: SlipWindow
+    grid_s: FloatArray
     is_closed_run_up: bool = False
+
+    @property
+    def count(self) -> int:
+        """Impulses of the balance."""
+        return sum(len(one.residual) for one in self.balance)
 
     @property
     def misfit(self) -> float:
         """Chi-square of the balance per degree of freedom."""
-        seen = self.measurements[0]
-        return float(seen.residual @ np.linalg.solve(seen.noise, seen.residual)) / len(seen.residual)
+        return sum(float(one.residual @ np.linalg.solve(one.noise, one.residual)) for one in self.balance) / self.count
 
     @property
     def fits(self) -> bool:
         """Whether the model explains the balance."""
-        return self.misfit <= self.measurements[0].misfit_gate
+        return self.misfit <= misfit_gate(self.count)
 
 
 def self_calibrate(
@@ -124,13 +131,12 @@ def self_calibrate(
     spread = _loosened(prior_covariance(start))
     weight = np.linalg.inv(spread)
     mean, point = prior, start
-    windows: dict[int, Span] = {}  # chosen anew in every pass while empty
+    windows: dict[int, _Seen] = {}  # chosen anew in every pass while empty
     used: list[_Seen] = []
     fine_count = 0
     rest = np.inf
     for number in range(MAX_PASS_COUNT):
-        state = replace(FilterState.fresh(point), mean=mean[:STATE_COUNT])
-        seen = [*_seen_shifts(shifts, state, point, windows), *_seen_run_ups(run_ups, state, point)]
+        seen = [*_seen_shifts(shifts, mean, point, windows), *_seen_run_ups(run_ups, mean, point)]
         used = [one for one in seen if not fine_count or one.fits]
         if problem := _shortage(seen, used):
             return problem
@@ -149,7 +155,7 @@ def self_calibrate(
         if fine_count or (share == 1.0 and number + 1 >= ROUGH_PASS_COUNT):
             fine_count += 1
             # From here on the same data pass after pass, or it would not converge.
-            windows = windows or {one.number: one.span for one in used if one.clutch}
+            windows = windows or {one.number: one for one in used if one.clutch}
     if rest > NEARLY_CONVERGED:
         return f"the self-calibration did not converge: still {rest:.1f} standard deviations a pass"
     if problem := _departure(mean - prior, spread):
@@ -160,13 +166,12 @@ def self_calibrate(
 def _gathered(used: Sequence[_Seen]) -> tuple[FloatArray, FloatArray]:
     """Return what all balances say: the information matrix and the gradient; docs/model.md eqs. (30) and (31)."""
     information, gradient = np.zeros((len(NAMES), len(NAMES))), np.zeros(len(NAMES))
-    for measurement in (one for event in used for one in event.measurements):
-        slope = np.hstack((measurement.by_state, measurement.by_considered))
-        scaled = np.linalg.solve(measurement.noise, slope)
-        information += slope.T @ scaled
+    for measurement in (one for event in used for one in (*event.balance, *event.zeros)):
+        scaled = np.linalg.solve(measurement.noise, measurement.slope)
+        information += measurement.slope.T @ scaled
         gradient += scaled.T @ measurement.residual
         if measurement.overlap is not None:
-            gradient[STATE_COUNT:] -= measurement.overlap
+            gradient -= measurement.overlap
     return information, gradient
 
 
@@ -198,47 +203,46 @@ def _loosened(covariance: FloatArray) -> FloatArray:
 
 
 def _seen_shifts(
-    events: Sequence[Event], state: FilterState, point: Calibration, windows: Mapping[int, Span]
+    events: Sequence[Event], at: FloatArray, point: Calibration, windows: Mapping[int, _Seen]
 ) -> Iterator[_Seen]:
     """Yield the balances of the shifts, in the windows that are given or else in those that their signals show."""
+    packs = None
     for event in events:
         if windows and event.number not in windows:
             continue
         signals = usable_signals(event, point)
         if isinstance(signals, Reason):
             continue
-        clutch = clutch_of_gear(event.to_gear)
-        drives = measured_drives(signals, state, event, point)
-        window = (
-            _window_at(windows[event.number], signals.grid_s)
-            if windows
-            else slip_window(signals, drives, clutch, point)
-        )
-        if window is None:
+        drives = measured_drives(signals, at, packs, event, point)
+        found = _window(signals, drives, point, windows.get(event.number))
+        if found is None:
             continue
-        balance = Balance(signals, window, drives, point)
-        state = state.warmed(balance.final_clutch_k, event.end_ns)
-        seen = balance.measurement(state.mean, state.mean)
-        seen = replace(seen, overlap=balance.overlap(seen.noise, float(state.mean[State.TORQUE_OFFSET])))
-        span = float(signals.grid_s[window.first]), float(signals.grid_s[window.stop - 1])
-        yield _Seen((seen, *zeros_seen(signals, state, point)), clutch, event.number, span)
+        window, clutch = found
+        balance = Balance(signals, window, drives, point, at)
+        packs = PackTemperatures(clutch_k=balance.final_clutch_k, at_ns=event.end_ns)
+        yield _Seen(
+            measured(balance), tuple(zeros_seen(signals, at, point)), clutch, event.number, window, signals.grid_s
+        )
 
 
-def _window_at(span: Span, grid_s: FloatArray) -> SlipWindow:
-    first, last = np.searchsorted(grid_s, span).tolist()
-    return SlipWindow(first=first, stop=min(last + 1, len(grid_s)))
+def _window(
+    signals: AlignedSignals, drives: tuple[PressureDrive, PressureDrive], point: Calibration, before: _Seen | None
+) -> tuple[SlipWindow, int] | None:
+    """Return a window and its clutch, those of an earlier pass if there was one."""
+    if before is None:
+        return slip_window(signals, drives, point)
+    return on_other_grid(before.window, before.grid_s, signals.grid_s), before.clutch
 
 
-def _seen_run_ups(events: Sequence[Event], state: FilterState, point: Calibration) -> Iterator[_Seen]:
+def _seen_run_ups(events: Sequence[Event], at: FloatArray, point: Calibration) -> Iterator[_Seen]:
     for event in events:
         signals = usable_signals(event, point)
         if isinstance(signals, Reason):
             continue
         inside = np.flatnonzero(signals.grid_s >= 0.0)
-        window = SlipWindow(first=int(inside[0]), stop=len(signals.grid_s))
-        seen = run_up_measurement(signals, window, state.mean, point, are_clutches_closed=event.are_clutches_closed)
-        span = float(signals.grid_s[window.first]), float(signals.grid_s[-1])
-        yield _Seen((seen,), 0, event.number, span, event.are_clutches_closed)
+        window = SlipWindow.between(int(inside[0]), len(signals.grid_s))
+        seen = run_up_measurement(signals, window, at, point, are_clutches_closed=event.are_clutches_closed)
+        yield _Seen((seen,), (), 0, event.number, window, signals.grid_s, event.are_clutches_closed)
 
 
 def _shortage(seen: Sequence[_Seen], used: Sequence[_Seen]) -> str:
@@ -278,7 +282,7 @@ def _concluded(
     closed_count = sum(one.is_closed_run_up for one in used)
     return SelfCalibration(
         calibration=calibration,
-        state=replace(FilterState.joint(mean[:STATE_COUNT], covariance, calibration), shift_counts=counts),
+        state=_as_driven(mean, covariance, calibration, counts),
         mean=mean,
         covariance=covariance,
         shift_counts=counts,
@@ -286,3 +290,13 @@ def _concluded(
         run_up_counts=(len(used) - sum(counts) - closed_count, closed_count),
         mean_misfit=misfit,
     )
+
+
+def _as_driven(
+    mean: FloatArray, covariance: FloatArray, calibration: Calibration, counts: tuple[int, int]
+) -> Posterior:
+    """Return what the drives left of the vehicle, about the calibration that they led to."""
+    at = np.concatenate((mean[:STATE_COUNT], np.zeros(len(Considered))))
+    held_by_none = [STATE_COUNT + one for one in (Considered.FRICTION_TEMPERATURE, Considered.OPEN_DRAG)]  # by no file
+    at[held_by_none] = mean[held_by_none]
+    return replace(Posterior.of(Knowledge(mean=at, covariance=covariance), calibration), folded_counts=counts)

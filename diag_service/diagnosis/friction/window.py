@@ -1,27 +1,33 @@
-"""The part of a shift that speaks of friction, and the test functions and polynomials on it."""
+"""The parts of an event that speak of friction, and the test functions and polynomials on them."""
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from functools import lru_cache
+from itertools import pairwise
 
 import numpy as np
 
-from canlog.arrays import FloatArray
-from diag_service.diagnosis.alignment import GRID_S
+from canlog.arrays import BoolArray, FloatArray
+from diag_service.diagnosis.alignment import GRID_S, Resampled
 
-SLIP_DEGREE = 5  # a shift controller's slip profile: smooth start, smooth end
-LOADED_PA = 0.25e5  # on-coming clutch: above its touch point by this much
-RELEASED_PA = 0.10e5  # off-going clutch: not above its touch point by more than this, twice the sensor noise
+SLIP_DEGREE = 5  # a controller's slip profile over one piece: smooth start, smooth end
+LOADED_PA = 0.25e5  # above its touch point by this much a clutch carries torque
+RELEASED_PA = 0.10e5  # not above its touch point by more than this, twice the sensor noise, it carries none
 SLIP_MIN_RAD_S = 0.8  # nearly three times the noise of the slip: slower may be locked; what is slow tells mu_S
-FADE_S = 0.02  # after the release: contact of the off-going clutch fades within a few film time constants
-MIN_WINDOW_S = 0.08  # eight samples; anything shorter is noise
+FADE_S = 0.02  # after a release: contact fades within a few film time constants
+MIN_PIECE_S = 0.08  # eight samples; anything shorter is noise
+MAX_PIECE_S = 0.7  # the longest slip of a gear change, which one polynomial follows; a launch is cut into such pieces
+RESTING_PA = -0.5e5  # below its touch point by this much a pack is open
+MIN_REST_S = 1.0  # of the engine with both packs open: what is shorter tells the torque's zero to no better than 0.3 Nm
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class SlipWindow:
-    """Grid rows ``first <= row < stop`` of the slip window."""
+class Piece:
+    """Grid rows ``first <= row < stop``."""
 
     first: int
     stop: int
+    is_rest: bool = False  # both clutches are open: engine and hub turn by themselves
 
     @property
     def rows(self) -> slice:
@@ -29,64 +35,227 @@ class SlipWindow:
         return slice(self.first, self.stop)
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SlipWindow:
+    """Pieces of an event in which every clutch that carries torque slips, and of a rest before it, in order of time."""
+
+    pieces: tuple[Piece, ...]
+
+    @classmethod
+    def between(cls, first: int, stop: int) -> "SlipWindow":
+        """Return a window of one piece."""
+        return cls(pieces=(Piece(first=first, stop=stop),))
+
+    @property
+    def stop(self) -> int:
+        """The row after its last one."""
+        return self.pieces[-1].stop
+
+    @property
+    def rows(self) -> slice:
+        """The rows from its first to its last one, with what lies between the pieces."""
+        return slice(self.pieces[0].first, self.stop)
+
+    @property
+    def slipping(self) -> tuple[Piece, ...]:
+        """The pieces without the rest."""
+        return tuple(piece for piece in self.pieces if not piece.is_rest)
+
+    @property
+    def slip_rows(self) -> slice:
+        """The rows from the first to the last one in which a clutch slips under load."""
+        return slice(self.slipping[0].first, self.slipping[-1].stop)
+
+
 def find_window(
-    grid_s: FloatArray, slip_rad_s: FloatArray, on_over_touch_pa: FloatArray, off_over_touch_pa: FloatArray
+    grid_s: FloatArray, slip_rad_s: FloatArray, over_touch_pa: FloatArray, is_seen: BoolArray
 ) -> SlipWindow | None:
-    """Return the longest stretch in which only the on-coming clutch is loaded and slips one way, or None.
+    """Return the stretches in which a clutch is loaded, and each one slips one way or carries nothing; None if none.
+
+    What slips before the event belongs to another one; but if both clutches were open then, that stretch tells what the
+    torque reads where there is none.
 
     Parameters
     ----------
-    grid_s, slip_rad_s : (n,) array
-        Even grid [s] and slip of the on-coming clutch [rad/s].
-    on_over_touch_pa, off_over_touch_pa : (n,) array
-        Piston pressures above the touch points [Pa].
+    grid_s : (n,) array
+        Even grid [s] after the start of the event.
+    slip_rad_s, over_touch_pa : (2, n) array
+        Slip of clutch 1 and 2 [rad/s], and their piston pressures above the touch points [Pa].
+    is_seen : (n,) array
+        Where no frames are missing and the engine runs.
     """
-    usable = (on_over_touch_pa > LOADED_PA) & (off_over_touch_pa < RELEASED_PA)
-    stretches: list[list[int]] = []
-    for direction in (1.0, -1.0):
-        fits = np.concatenate(((False,), usable & (direction * slip_rad_s > SLIP_MIN_RAD_S), (False,)))
-        stretches += np.flatnonzero(fits[1:] != fits[:-1]).reshape(-1, 2).tolist()
-    if not stretches:
+    if len(grid_s) < 2:
         return None
-    first, stop = max(stretches, key=lambda stretch: stretch[1] - stretch[0])
+    is_empty = over_touch_pa < RELEASED_PA
+    does_slip = np.abs(slip_rad_s) > SLIP_MIN_RAD_S
+    is_told = (is_empty | does_slip).all(axis=0) & (over_touch_pa > LOADED_PA).any(axis=0) & is_seen
+    for way, counts in zip(np.sign(slip_rad_s), ~is_empty & does_slip, strict=True):
+        is_told[_turns(way, counts)] = False
     step_s = float(grid_s[1] - grid_s[0])
-    first += round(FADE_S / step_s)
-    return SlipWindow(first=first, stop=stop) if (stop - first) * step_s >= MIN_WINDOW_S else None
+    fade, least = round(FADE_S / step_s), round(MIN_PIECE_S / step_s)
+    is_told &= grid_s >= 0.0
+    stretches = [(first + fade, stop) for first, stop in _stretches(is_told) if stop - first >= fade + least]
+    pieces = [piece for first, stop in stretches for piece in _pieces(first, stop, round(MAX_PIECE_S / step_s))]
+    is_rest = (over_touch_pa < RESTING_PA).all(axis=0) & is_seen & (grid_s < 0.0)
+    rests = [rest for rest in _stretches(is_rest) if rest[1] - rest[0] >= round(MIN_REST_S / step_s)]
+    rest = [Piece(first=first, stop=stop, is_rest=True) for first, stop in rests[-1:]]
+    return SlipWindow(pieces=(*rest, *pieces)) if pieces else None
+
+
+def _turns(way: FloatArray, counts: BoolArray) -> Sequence[int]:
+    """Return the rows at which a sign is another than it was in the last row that counts."""
+    rows = np.flatnonzero(counts)
+    return [int(row) for row in rows[1:][np.diff(way[rows]) != 0.0]]
+
+
+def _stretches(is_told: BoolArray) -> list[list[int]]:
+    """Return first row and the row after the last one of each run of true values."""
+    edged = np.concatenate(((False,), is_told, (False,)))
+    found: list[list[int]] = np.flatnonzero(edged[1:] != edged[:-1]).reshape(-1, 2).tolist()
+    return found
+
+
+def _pieces(first: int, stop: int, longest: int) -> list[Piece]:
+    """Return a stretch in equal parts, none longer than ``longest`` rows."""
+    count = -(-(stop - first) // longest)
+    edges = np.linspace(first, stop, count + 1).round().astype(int).tolist()
+    return [Piece(first=begin, stop=end) for begin, end in pairwise(edges)]
+
+
+def loaded_clutch(window: SlipWindow, slip_rad_s: FloatArray, over_touch_pa: FloatArray) -> int:
+    """Return the clutch that carries most while it slips in a window, 1 or 2; arrays as for `find_window`."""
+    carried = np.where(np.abs(slip_rad_s) > SLIP_MIN_RAD_S, np.maximum(over_touch_pa, 0.0), 0.0)
+    return 1 + int(np.argmax(sum(carried[:, piece.rows].sum(axis=1) for piece in window.slipping)))
+
+
+Span = tuple[float, float]
+"""First and last instant of a piece [s] after the start of its event."""
+
+
+def spans_of(pieces: Sequence[Piece], grid_s: FloatArray) -> tuple[Span, ...]:
+    """Return when pieces begin and end."""
+    return tuple((float(grid_s[piece.first]), float(grid_s[piece.stop - 1])) for piece in pieces)
+
+
+def on_other_grid(window: SlipWindow, grid_s: FloatArray, other_s: FloatArray) -> SlipWindow:
+    """Return a window found on one grid on another one, as far as that reaches."""
+    edges = np.searchsorted(other_s, spans_of(window.pieces, grid_s)).tolist()
+    pairs = zip(window.pieces, edges, strict=True)
+    return SlipWindow(
+        pieces=tuple(
+            Piece(first=first, stop=min(last + 1, len(other_s)), is_rest=piece.is_rest)
+            for piece, (first, last) in pairs
+        )
+    )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Functions:
+    """Functions of time, each on one piece of a window and zero elsewhere: as a matrix (k, len(rows)) mostly zeros."""
+
+    rows: slice  # of the grid: from the first to the last of the window
+    places: tuple[slice, ...]  # of the pieces among these rows
+    blocks: tuple[FloatArray, ...]  # (functions, rows) of each piece
+
+    @property
+    def bands(self) -> tuple[slice, ...]:
+        """The functions of each piece among all of them."""
+        ends = np.cumsum([len(block) for block in self.blocks]).tolist()
+        return tuple(slice(first, end) for first, end in zip([0, *ends[:-1]], ends, strict=True))
+
+    def __matmul__(self, values: FloatArray) -> FloatArray:
+        """Return the sums of values weighted with each function; ``values`` has shape (len(rows), ...)."""
+        return np.concatenate([block @ values[place] for block, place in zip(self.blocks, self.places, strict=True)])
+
+    def __mul__(self, factor: FloatArray | float) -> "Functions":
+        """Return each function times a number, or times one of each row, shape (len(rows),)."""
+        of_rows = np.broadcast_to(factor, (self.rows.stop - self.rows.start,))
+        blocks = (block * of_rows[place] for block, place in zip(self.blocks, self.places, strict=True))
+        return replace(self, blocks=tuple(blocks))
+
+    def __add__(self, other: "Functions") -> "Functions":
+        """Return the sums of two functions on the same pieces."""
+        return replace(self, blocks=tuple(one + two for one, two in zip(self.blocks, other.blocks, strict=True)))
+
+    def sums(self) -> FloatArray:
+        """Return the sum of each function, shape (k,)."""
+        return np.concatenate([block.sum(axis=1) for block in self.blocks])
+
+    def fitted(self, degree: int) -> "Functions":
+        """Return polynomial fits to the functions."""
+        return replace(self, blocks=tuple(fitted(block, degree) for block in self.blocks))
+
+    def on_samples(self, signal: Resampled) -> FloatArray:
+        """Return the weight of each sample of a signal in the weighted sums over the grid, shape (k, samples)."""
+        first = self.rows.start
+        return np.concatenate(
+            [
+                signal.to_samples(block, slice(first + place.start, first + place.stop))
+                for block, place in zip(self.blocks, self.places, strict=True)
+            ]
+        )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Weights:
-    """Sines that vanish at both ends of the window, and their derivatives, times the grid step."""
+    """Sines that vanish at both ends of a piece and beyond, and their derivatives, times the grid step."""
 
-    value: FloatArray  # (k, len(grid))
-    rate: FloatArray  # (k, len(grid))
+    value: Functions
+    rate: Functions
+    rests: tuple[slice, ...]  # of the rows: pieces in which both clutches are open
+
+    @property
+    def rows(self) -> slice:
+        """Rows of the grid from the first to the last of the window."""
+        return self.value.rows
+
+    def fitted(self, values: FloatArray, degree: int) -> FloatArray:
+        """Return polynomial fits to values, shape (len(rows),), one on each piece; nothing in between."""
+        found = np.zeros_like(values)
+        for place in self.value.places:
+            found[place] = fitted(values[place], degree)
+        return found
 
 
-def sines(grid_s: FloatArray, window: SlipWindow, count: int) -> Weights:
-    """Return ``count`` sine test functions on the window; zero outside."""
-    value = np.zeros((count, len(grid_s)))
-    rate = np.zeros_like(value)
-    inside = window.rows
-    start_s, length_s = grid_s[window.first], grid_s[window.stop - 1] - grid_s[window.first]
+def sines(grid_s: FloatArray, window: SlipWindow, counts: Sequence[int]) -> Weights:
+    """Return as many sine test functions as ``counts`` says for each piece of the window."""
+    hull = window.rows
+    places = tuple(slice(piece.first - hull.start, piece.stop - hull.start) for piece in window.pieces)
+    pairs = [_sines(grid_s[piece.rows], count) for piece, count in zip(window.pieces, counts, strict=True)]
+    rests = tuple(place for piece, place in zip(window.pieces, places, strict=True) if piece.is_rest)
+    return Weights(
+        value=Functions(rows=hull, places=places, blocks=tuple(value for value, _ in pairs)),
+        rate=Functions(rows=hull, places=places, blocks=tuple(rate for _, rate in pairs)),
+        rests=rests,
+    )
+
+
+def _sines(times_s: FloatArray, count: int) -> tuple[FloatArray, FloatArray]:
+    """Return sines and their derivatives on one piece, each (count, len(times_s))."""
     order = np.arange(1, count + 1)[:, None]
-    angle = order * np.pi * (grid_s[inside] - start_s) / length_s
-    value[:, inside] = np.sin(angle) * GRID_S
-    rate[:, inside] = np.cos(angle) * order * np.pi / length_s * GRID_S
-    rate[:, [window.first, window.stop - 1]] *= 0.5  # trapezoid
-    return Weights(value=value, rate=rate)
+    length_s = times_s[-1] - times_s[0]
+    angle = order * np.pi * (times_s - times_s[0]) / length_s
+    rate = np.cos(angle) * (order * np.pi / length_s * GRID_S)
+    rate[:, [0, -1]] *= 0.5  # trapezoid
+    return np.sin(angle) * GRID_S, rate
 
 
 def smoothed(values: FloatArray, window: SlipWindow, degree: int) -> FloatArray:
-    """Return the values, shape (..., len(grid)), with a polynomial fit in place of those inside the window.
-
-    Fitting is symmetric: weights smoothed and values as they are give the same sums as weights as they are and values
-    smoothed, as long as the weights vanish outside the window.
-    """
-    inside = window.rows
-    basis = _polynomials(window.stop - window.first, degree)
+    """Return the values, shape (len(grid),), with a polynomial fit in place of those inside each piece of a window."""
     smooth = values.copy()
-    smooth[..., inside] = (values[..., inside] @ basis) @ basis.T
+    for piece in window.pieces:
+        smooth[piece.rows] = fitted(values[piece.rows], degree)
     return smooth
+
+
+def fitted(values: FloatArray, degree: int) -> FloatArray:
+    """Return the polynomial fit to values on an even grid, shape (..., n).
+
+    Fitting is symmetric: weights fitted and values as they are give the same sums as weights as they are and values
+    fitted.
+    """
+    basis = _polynomials(values.shape[-1], degree)
+    return np.asarray((values @ basis) @ basis.T)
 
 
 @lru_cache(maxsize=256)

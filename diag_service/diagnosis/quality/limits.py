@@ -27,13 +27,14 @@ class QualityLimits:
     """Every limit on the data of a shift; each name ends in its unit."""
 
     # Usable: without this the signals cannot be put on one clock.
-    gap_periods: float = 2.5  # one missing frame is bridged by interpolation, two are not
+    gap_periods: float = 2.5  # one missing frame is bridged by interpolation; in a longer gap no friction is looked for
+    lost_periods: float = 8.5  # a longer gap may hide anything: the event is not used
     nominal_period_s: float = 0.01  # of signals whose message states no cycle time
     oil_range_k: tuple[float, float] = (233.15, 443.15)  # -40..170 degC: where the fluid's viscosity law holds
 
     # Data quality: each part from 0 to 1, and the least product of all parts.
     least_score_ratio: float = 0.5
-    lost_ratio: Band = Band(start=0.0, end=0.08)  # of frames: half of it rejects a shift
+    lost_ratio: Band = Band(start=0.0, end=0.4)  # of frames: half of it rejects an event; gaps are left out besides
     optional_message_ratio: float = 0.9  # factor for each message that failed, though no estimate needs it
     late_periods: float = 3.0  # a sample this much later than its sender's schedule says little about time
     saturated_ratio: Band = Band(start=0.0, end=0.1)  # of samples at the end of the scale
@@ -48,12 +49,16 @@ class QualityLimits:
     launch_speeds_rad_s: float = 8.0  # engine and hub in a launch, whose clutch may judder; sound: 3.7
     speeds_mean_s: float = 0.05  # five samples: noise falls by half, a fault shorter than that weighs little
     locked_s: float = 0.10  # before the shift one clutch is locked, at its end the other one
+    turning_rad_s: float = 10.0  # slower, a shaft's speed sensor resolves too little for a ratio
     ringing_s: float = 0.05  # so long does a shaft swing after its synchroniser has engaged a gear
     in_gear_s: float = 0.10  # before its slip window the on-coming shaft stands in gear
     pressure_moment_pa: float = 0.20e5  # pressure of the slipping clutch less the expected one; sound: 0.10e5
     pressure_mean_s: float = 0.06  # the span of that moment
+    command_clock_s: float = 0.01  # a command may be so far ahead of the speeds, to whose clock the pressures are moved
+    following_ratio: float = 0.5  # of what a command is ahead of its pressure: no valve follows a jump to the letter
     pressure_window_pa: float = 0.10e5  # the same over the whole slip window; sound: 0.05e5
     zero_gate: float = 25.0  # squared distance of a measured zero from the known one, in variances: 6e-7 by chance
+    least_noise_steps: float = 0.75  # of the resolution; a ramp without noise seems to have up to 0.6
     repeats_chance: float = 1e-6  # that a sound signal repeats a value as often as one that is called frozen
 
 

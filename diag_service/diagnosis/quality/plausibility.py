@@ -17,12 +17,13 @@ from canlog.series import Series
 from clutch_model.gears import clutch_of_gear
 from diag_service.diagnosis.alignment import COMMAND_LAG_S, GRID_S, NS_TO_S, AlignedSignals
 from diag_service.diagnosis.columns import BALANCE_SIGNALS, Columns, Signal
-from diag_service.diagnosis.events import Event, EventKind
+from diag_service.diagnosis.events import EndReason, Event, EventKind
 from diag_service.diagnosis.quality.limits import LIMITS, QualityLimits
 from diag_service.diagnosis.records import Reason
 
 _LAG_NS: Final = round(COMMAND_LAG_S / NS_TO_S)
-_CLIPPED_PA: Final = 0.0  # a sensor that cannot show less than nothing repeats zero with reason
+_LEAST: Final = 0.0  # what a sensor of pressure or speed cannot show less of: it repeats that with reason
+_STD_OF_SECOND_DIFFERENCE: Final = 1.4826 / math.sqrt(6.0)  # of white noise, over the median of their sizes
 _ROUNDING: Final = 1e-6  # of a variance: far above what doubles lose, far below what a measurement tells
 _SHAFT_GEARS: Final = (Signal.INPUT1_GEAR, Signal.INPUT2_GEAR)
 _WITHOUT_LOCK: Final = frozenset({EventKind.CREEP, EventKind.REGEAR})  # a car may stop first; both clutches are open
@@ -87,18 +88,30 @@ def zero_has_jumped(known: PressureZeros, measured: PressureZeros, limits: Quali
 def is_frozen(series: Series, signal: Signal, limits: QualityLimits = LIMITS) -> bool:
     """Return whether a signal repeats one value longer than its own noise and resolution explain.
 
-    How often neighbours are equal elsewhere in the signal says how likely a repetition is.
+    How often neighbours are equal elsewhere in the signal says how likely a repetition is. Of a signal without noise it
+    says nothing: it may well rest.
     """
     value = series.value
     edges = np.flatnonzero(np.diff(value, prepend=np.nan, append=np.nan) != 0.0)
     lengths = np.diff(edges)
     longest = int(np.argmax(lengths))
-    if "pressure" in signal and value[edges[longest]] <= _CLIPPED_PA:
+    if signal is not Signal.ENGINE_TORQUE and value[edges[longest]] <= _LEAST:
         return False
-    others = len(value) - int(lengths[longest])
+    rest = np.delete(value, slice(edges[longest], edges[longest + 1]))
+    if _noise_in_steps(rest) < limits.least_noise_steps:
+        return False
+    others = len(rest)
     repeats = others - (len(lengths) - 1)
     share = (repeats + 1.0) / (others + 2.0)
     return bool(lengths[longest] > 1.0 + math.log(limits.repeats_chance / len(value)) / math.log(share))
+
+
+def _noise_in_steps(value: FloatArray) -> float:
+    """Return the noise of a signal in steps of its resolution, by its second differences; inf if too few."""
+    steps = np.abs(np.diff(value))
+    if len(steps) < 3 or not steps.any():
+        return math.inf
+    return float(np.median(np.abs(np.diff(value, 2)))) * _STD_OF_SECOND_DIFFERENCE / float(steps[steps > 0.0].min())
 
 
 def speed_gap_rad_s(
@@ -115,14 +128,16 @@ def speed_gap_rad_s(
     if event.from_gear != event.to_gear and event.kind is not EventKind.REGEAR:
         locked = signals.slip_rad_s(clutch_of_gear(event.from_gear))
         gaps.append(abs(float(np.mean(locked[grid_s < grid_s[0] + limits.locked_s]))))
-    if event.kind not in _WITHOUT_LOCK:
-        gaps.append(abs(float(np.mean(signals.slip_rad_s(clutch.number)[grid_s >= end_s - limits.locked_s]))))
+    if event.kind not in _WITHOUT_LOCK and event.end_reason is EndReason.COMPLETE:
+        closed = signals.slip_rad_s(clutch_of_gear(event.to_gear))
+        gaps.append(abs(float(np.mean(closed[grid_s >= end_s - limits.locked_s]))))
     return max(gaps, default=0.0)
 
 
 def hub_gap_rad_s(signals: AlignedSignals, limits: QualityLimits = LIMITS) -> float:
     """Return the largest mean difference [rad/s] between engine and hub, which a torsion damper ties together."""
-    return _largest_mean(signals.engine_speed.on_grid - signals.hub_speed.on_grid, limits.speeds_mean_s)
+    during = signals.grid_s >= 0.0  # before a launch the engine may be started
+    return _largest_mean((signals.engine_speed.on_grid - signals.hub_speed.on_grid)[during], limits.speeds_mean_s)
 
 
 def hub_limit_rad_s(event: Event, limits: QualityLimits = LIMITS) -> float:
@@ -161,8 +176,11 @@ def _held(series: Series, grid_s: FloatArray, origin_ns: int) -> FloatArray:
 def shaft_gap_rad_s(signals: AlignedSignals, rows: slice, limits: QualityLimits = LIMITS) -> float:
     """Return how far both input shafts are apart [rad/s], up to the ratio of their gears."""
     first, second = (speed.on_grid[rows] for speed in signals.input_speed)
-    apart = first - float(np.median(first / np.maximum(second, 1.0))) * second
-    return _largest_mean(apart, limits.speeds_mean_s)
+    is_turning = second > limits.turning_rad_s  # at a standstill there is no ratio
+    if not is_turning.any():
+        return 0.0
+    ratio = float(np.median(first[is_turning] / second[is_turning]))
+    return _largest_mean(first - ratio * second, limits.speeds_mean_s)
 
 
 def _misses_command(signals: AlignedSignals, clutch: SlippingClutch, limits: QualityLimits) -> bool:
@@ -170,10 +188,14 @@ def _misses_command(signals: AlignedSignals, clutch: SlippingClutch, limits: Qua
     expected_pa = signals.expected_pa[clutch.number - 1]
     if expected_pa is None:
         return False
-    error_pa = (signals.pressure[clutch.number - 1].on_grid - clutch.pressure_zero_pa - expected_pa)[clutch.rows]
+    error_pa = signals.pressure[clutch.number - 1].on_grid - clutch.pressure_zero_pa - expected_pa
+    following_pa = np.abs(np.gradient(expected_pa, GRID_S)) * COMMAND_LAG_S  # what the command is still ahead
+    beyond_pa = np.sign(error_pa) * np.maximum(np.abs(error_pa) - limits.following_ratio * following_pa, 0.0)
+    rate_pa_s = (expected_pa[clutch.rows][-1] - expected_pa[clutch.rows][0]) / (len(error_pa[clutch.rows]) * GRID_S)
+    by_clock_pa = limits.command_clock_s * abs(float(rate_pa_s))
     return bool(
-        abs(float(np.mean(error_pa))) > limits.pressure_window_pa
-        or _largest_mean(error_pa, limits.pressure_mean_s) > limits.pressure_moment_pa
+        abs(float(np.mean(error_pa[clutch.rows]))) > limits.pressure_window_pa + by_clock_pa
+        or _largest_mean(beyond_pa[clutch.rows], limits.pressure_mean_s) > limits.pressure_moment_pa
     )
 
 

@@ -10,6 +10,7 @@ from diag_service.diagnosis.shifts.slip_tracking import SlipTracker, slip_signal
 from diag_service.diagnosis.shifts.tracking import NS_PER_S, EventFinder, Tracker
 
 PRE_NS = NS_PER_S // 2  # history before the event: the on-coming clutch empty, the off-going one locked
+REST_NS = 11 * NS_PER_S // 5  # before a launch: two seconds of the engine at idle, both clutches open
 POST_NS = NS_PER_S // 10  # after it: what sensor latencies and the crank segment reach back from
 
 
@@ -34,4 +35,4 @@ class DriveFinder(EventFinder):
     def __init__(self, signals: AbstractSet[Signal], calibration: Calibration, gears: GearRatios | None = None) -> None:
         slip = slip_signals(signals, calibration)
         changes = tracker_for(signals, gears)
-        super().__init__(EventTracker(changes, None if slip is None else SlipTracker(slip)), PRE_NS, POST_NS)
+        super().__init__(EventTracker(changes, None if slip is None else SlipTracker(slip)), PRE_NS, POST_NS, REST_NS)

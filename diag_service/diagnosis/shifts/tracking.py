@@ -7,12 +7,14 @@ from typing import Protocol
 import numpy as np
 
 from canlog.arrays import FloatArray, Int64Array
+from canlog.frames import BEFORE_ALL_NS
 from canlog.series import Series
 from diag_service.diagnosis.columns import ColumnBatch, Signal
 from diag_service.diagnosis.events import EndReason, Event, EventKind
 from diag_service.diagnosis.shifts.history import History
 
 NS_PER_S = 1_000_000_000
+_AFTER_A_REST = frozenset({EventKind.LAUNCH, EventKind.CREEP})
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,12 +47,15 @@ class EventFinder:
     """Finds events in a stream of column batches with bounded memory, the same ones for any cutting of the stream.
 
     Where an event begins and ends its tracker says. It is reported once bus time has passed ``after_ns`` beyond its
-    end, cut from ``before_ns`` before it.
+    end, cut from ``before_ns`` before it; a launch or creep from ``rest_ns`` before it, but no further than to the end
+    of the event before: so long the car may have rested, with both clutches open.
     """
 
-    def __init__(self, tracker: Tracker, before_ns: int, after_ns: int) -> None:
+    def __init__(self, tracker: Tracker, before_ns: int, after_ns: int, rest_ns: int = 0) -> None:
         self._tracker = tracker
         self._before_ns = before_ns
+        self._rest_ns = max(rest_ns, before_ns)
+        self._end_ns = BEFORE_ALL_NS  # of the event before
         self._after_ns = after_ns
         self._history = History()
         self._closed: list[Bounds] = []
@@ -66,7 +71,7 @@ class EventFinder:
         starts = [bounds.start_ns for bounds in self._closed]
         if self._tracker.open_ns is not None:
             starts.append(self._tracker.open_ns)
-        self._history.drop_before(min([*starts, self._history.watermark_ns]) - self._before_ns)
+        self._history.drop_before(min([*starts, self._history.watermark_ns]) - self._rest_ns)
         return events
 
     def flush(self) -> list[Event]:
@@ -76,6 +81,7 @@ class EventFinder:
         events = [self._cut(bounds) for bounds in self._closed]
         self._history.clear()
         self._closed.clear()
+        self._end_ns = BEFORE_ALL_NS
         return events
 
     @property
@@ -100,6 +106,9 @@ class EventFinder:
 
     def _cut(self, bounds: Bounds) -> Event:
         first_ns, stop_ns = bounds.start_ns - self._before_ns, bounds.end_ns + self._after_ns
+        if bounds.kind in _AFTER_A_REST:
+            first_ns = min(first_ns, max(bounds.start_ns - self._rest_ns, self._end_ns))
+        self._end_ns = bounds.end_ns
         self._event_count += 1
         return Event(
             kind=bounds.kind,

@@ -3,8 +3,8 @@
 ``edge.sql`` is the store of two vehicles. Car 1 has thirty shifts of a noise-only drive, three of a live service, and
 the ten of ``recordings/noise_only``: baselines of both clutches, five results delivered, one quarantined, the rest
 waiting. Car 2 has the ten of ``recordings/routine``, judged by ``calibration.toml``, which ``calibrate`` made of the
-same recording. ``continued.jsonl`` is what the program of that time said of ``recordings/ideal`` next, of car 1, with
-that store. ``fleet.sql`` is a fleet database with the first results of both, a status and a message it could not use.
+same recording. ``fleet.sql`` is a fleet database with the first results of both, a status and a message it could not
+use.
 """
 
 import lzma

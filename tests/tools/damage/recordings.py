@@ -20,7 +20,7 @@ from canlog.logs import LogCounts, read_log
 from clutch_model.calibration import nominal_calibration
 from dbc.contract import load_contract
 from diag_service.diagnosis.condition.condition import ConditionMemory
-from diag_service.diagnosis.friction import FilterState
+from diag_service.diagnosis.friction import Posterior
 from diag_service.diagnosis.records import ShiftEstimate
 from diag_service.mapping.decoder import Decoder
 from diag_service.mapping.profile import load_profile
@@ -166,7 +166,7 @@ def analyse(path: Path) -> Outcome:
     stages = Stages(
         Decoder(load_contract(), load_profile()),
         calibration,
-        FilterState.fresh(calibration),
+        Posterior.fresh(calibration),
         ConditionMemory.fresh(),
     )
     estimates: list[ShiftEstimate] = []

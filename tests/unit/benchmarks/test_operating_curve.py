@@ -28,7 +28,7 @@ from benchmarks.operating_curve import (
 )
 from clutch_model.calibration import nominal_calibration
 from diag_service.diagnosis.condition.condition import ConditionMemory
-from diag_service.diagnosis.friction import FilterState
+from diag_service.diagnosis.friction import Posterior
 from diag_service.diagnosis.records import Condition
 from diag_service.service.stages import Diagnosis
 from ecu_emulator.build import build_vehicle
@@ -40,7 +40,7 @@ def diagnosis(number: int, clutch: int, condition: Condition) -> Diagnosis:
     return Diagnosis(
         estimate=shift_estimate(number),
         verdict=replace(shift_result().verdict, clutch=clutch, condition=condition),
-        state=FilterState.fresh(calibration),
+        state=Posterior.fresh(calibration),
         memory=ConditionMemory.fresh(),
     )
 

@@ -95,4 +95,4 @@ def test_sample_weights_are_the_transpose_of_interpolation() -> None:
     times_s, grid_s = np.sort(rng.uniform(0.0, 1.0, 20)), np.linspace(0.0, 1.0, 300)
     weights, value = rng.normal(size=(4, 300)), rng.normal(size=20)
     resampled = Resampled.of(times_s, value, grid_s)
-    assert np.allclose(resampled.to_samples(weights) @ value, weights @ resampled.on_grid)
+    assert np.allclose(resampled.to_samples(weights, slice(None)) @ value, weights @ resampled.on_grid)

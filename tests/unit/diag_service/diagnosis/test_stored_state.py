@@ -1,7 +1,8 @@
 """A running state that an earlier program stored is taken up as it is: names in the code may change, stored ones not.
 
-``vehicle-state-v3.json`` was written by commit a65d50d: fifteen shifts onto each clutch with new fluid, a baseline of
-both, and then three shifts with worn fluid that contradict the state.
+``vehicle-state-v4.json`` holds the first state of the joint posterior: thirty shifts onto each clutch with new fluid, a
+baseline of both, and then two shifts with worn fluid that contradict them. ``vehicle-state-v3.json`` was written by
+commit a65d50d, in a format that cannot be taken over.
 """
 
 import json
@@ -12,39 +13,49 @@ import pytest
 
 from clutch_model.calibration import nominal_calibration
 from diag_service.diagnosis.condition.condition import ConditionMemory, Fit, judge
-from diag_service.diagnosis.friction import FilterState
+from diag_service.diagnosis.friction import Posterior
 
 CALIBRATION = nominal_calibration()
-STORED_PATH = Path(__file__).parents[3] / "golden" / "vehicle-state-v3.json"
+GOLDEN = Path(__file__).parents[3] / "golden"
+
+
+def kept(version: int) -> dict[str, Any]:
+    table: dict[str, Any] = json.loads((GOLDEN / f"vehicle-state-v{version}.json").read_text(encoding="utf-8"))
+    return table
 
 
 @pytest.fixture
 def stored() -> dict[str, Any]:
-    table: dict[str, Any] = json.loads(STORED_PATH.read_text(encoding="utf-8"))
-    return table
+    return kept(4)
 
 
-def test_a_stored_filter_state_survives_to_the_last_digit(stored: dict[str, Any]) -> None:
-    state = FilterState.from_json(stored["belief"], CALIBRATION)
-    assert state.to_json() == stored["belief"]
-    assert (state.shift_counts, state.refused_counts) == ((15, 15), (1, 2))
+def test_a_stored_posterior_survives_to_the_last_digit(stored: dict[str, Any]) -> None:
+    state = Posterior.from_json(stored["posterior"], CALIBRATION)
+    assert json.loads(json.dumps(state.to_json())) == stored["posterior"]
+    assert state.shift_counts == (30, 30)
+    assert state.is_used == (True,) * 10 + (False,) * 2
     assert [one is not None and one.shift_count for one in state.baselines] == [15, 15]
 
 
 def test_a_stored_memory_survives_with_its_fits(stored: dict[str, Any]) -> None:
     memory = ConditionMemory.from_json(stored["condition"])
     assert memory.to_json() == stored["condition"]
-    assert memory.fits == (Fit.AGREES,) * 17 + (Fit.CONTRADICTS,) * 3
+    assert memory.fits == (Fit.AGREES,) * 18 + (Fit.CONTRADICTS,) * 2
     assert all(scatter is not None for scatter in memory.scatters)
 
 
 def test_the_verdict_on_a_stored_state_is_what_it_was(stored: dict[str, Any]) -> None:
-    state = FilterState.from_json(stored["belief"], CALIBRATION)
+    state = Posterior.from_json(stored["posterior"], CALIBRATION)
     _, verdict = judge(ConditionMemory.from_json(stored["condition"]), state, stored["clutch"], CALIBRATION)
     assert verdict.friction is not None
-    assert {
-        "condition": verdict.condition.name,
-        "reason": verdict.reason,
-        "mu_c": verdict.friction.mu_c,
-        "mu_s": verdict.friction.mu_s,
-    } == stored["verdict"]
+    before = stored["verdict"]
+    assert (verdict.condition.name, verdict.reason) == (before["condition"], before["reason"])
+    assert verdict.friction.mu_c == pytest.approx(before["mu_c"], rel=1e-9)
+    assert verdict.friction.mu_s == pytest.approx(before["mu_s"], rel=1e-9)
+
+
+def test_a_state_of_the_format_before_is_refused_and_its_memory_is_read() -> None:
+    before = kept(3)
+    with pytest.raises(ValueError, match="running state of format 3, expected 4"):
+        Posterior.from_json(before["belief"], CALIBRATION)
+    assert ConditionMemory.from_json(before["condition"]).to_json() == before["condition"]

@@ -17,7 +17,7 @@ from clutch_model.calibration import nominal_calibration
 from dbc.contract import load_contract
 from diag_service.delivery import MemoryLink, MemoryReporter, Outbox, Reporter
 from diag_service.diagnosis.condition.condition import ConditionMemory
-from diag_service.diagnosis.friction import FilterState
+from diag_service.diagnosis.friction import Posterior
 from diag_service.diagnosis.records import Reason, ShiftResult, Status
 from diag_service.errors import StoreError
 from diag_service.mapping.decoder import Decoder
@@ -219,7 +219,7 @@ def test_a_state_of_other_versions_is_not_used(store: ResultStore, caplog: pytes
     for other in (replace(VERSIONS, algorithm="older"), replace(VERSIONS, calibration="older")):
         caplog.clear()
         filter_state, memory = resume(store, "car1", other, CALIBRATION)
-        assert filter_state.to_json() == FilterState.fresh(CALIBRATION).to_json()
+        assert filter_state.to_json() == Posterior.fresh(CALIBRATION).to_json()
         assert memory == ConditionMemory.fresh()
         assert [record.levelno for record in caplog.records] == [logging.WARNING]
         assert "results stay" in caplog.text
@@ -232,7 +232,7 @@ def test_a_state_that_cannot_be_read_is_told_and_replaced(store: ResultStore, ca
     (result,) = store.results("car1")
     store.add(replace(result, seq=2), VehicleState(filter_state={"odd": 1}, condition={}, versions=VERSIONS))
     filter_state, _ = resume(store, "car1", VERSIONS, CALIBRATION)
-    assert filter_state.to_json() == FilterState.fresh(CALIBRATION).to_json()
+    assert filter_state.to_json() == Posterior.fresh(CALIBRATION).to_json()
     assert "cannot be used" in caplog.text
 
 

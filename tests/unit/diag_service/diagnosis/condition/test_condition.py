@@ -8,26 +8,27 @@ import pytest
 from clutch_model.calibration import nominal_calibration
 from diag_service.diagnosis.condition.condition import ConditionMemory, Fit, judge
 from diag_service.diagnosis.condition.scatter import LEAST_SHIFT_COUNT
-from diag_service.diagnosis.friction.baseline import BASELINE_SHIFT_COUNT
-from diag_service.diagnosis.friction.filter_state import FilterState
-from diag_service.diagnosis.friction.parameters import State
+from diag_service.diagnosis.friction.baseline import BASELINE_SHIFT_COUNT, Baseline
+from diag_service.diagnosis.friction.evidence import Knowledge
+from diag_service.diagnosis.friction.parameters import FRICTION_COUNT, STATE_COUNT, Considered
+from diag_service.diagnosis.friction.posterior import Posterior
 from diag_service.diagnosis.records import Condition, Reason, Status
 from tests.support.builders import rejected, shift_estimate, shift_result
 
 CALIBRATION = nominal_calibration()
 
 
-def believed(mu_c: float, mu_s: float, *, std: float = 0.001, shift_count: int = 5) -> FilterState:
+def believed(mu_c: float, mu_s: float, *, std: float = 0.001, shift_count: int = 5) -> Posterior:
     """Return a running state with the friction of both clutches known to ``std``."""
-    state = FilterState.fresh(CALIBRATION)
-    mean = state.mean.copy()
-    mean[: State.MU_S2 + 1] = [mu_c, mu_s, mu_c, mu_s]
-    covariance = state.covariance.copy()
-    covariance[:4, :4] = np.eye(4) * std**2
-    return replace(state, mean=mean, covariance=covariance, shift_counts=(shift_count, shift_count))
+    known = Posterior.fresh(CALIBRATION).known
+    mean, covariance = known.mean.copy(), known.covariance.copy()
+    mean[:FRICTION_COUNT] = [mu_c, mu_s, mu_c, mu_s]
+    covariance[:FRICTION_COUNT, :FRICTION_COUNT] = np.eye(FRICTION_COUNT) * std**2
+    state = Posterior.of(Knowledge(mean=mean, covariance=covariance), CALIBRATION)
+    return replace(state, folded_counts=(shift_count, shift_count))
 
 
-def condition_of(state: FilterState, previous: Condition = Condition.NO_VERDICT) -> Condition:
+def condition_of(state: Posterior, previous: Condition = Condition.NO_VERDICT) -> Condition:
     _, verdict = judge(ConditionMemory(conditions=(previous, previous)), state, 1, CALIBRATION)
     return verdict.condition
 
@@ -80,20 +81,23 @@ def test_each_clutch_has_its_own_memory() -> None:
     assert ConditionMemory.from_json(memory.to_json()) == memory
 
 
-def aged(ratio: float, *, later_count: int = 10) -> FilterState:
+def aged(ratio: float, *, later_count: int = 10) -> Posterior:
     """Return a state whose friction was at first as in the calibration and is now a share of it, slope healthy."""
-    first = believed(0.140, 0.119, shift_count=BASELINE_SHIFT_COUNT).counted(1, 1).counted(2, 1)
-    now = replace(first, mean=first.mean * np.array([ratio] * 4 + [1.0] * 5))
-    for _ in range(later_count):
-        now = now.counted(1, 2)
-    return now
+    first = believed(0.140, 0.119, shift_count=BASELINE_SHIFT_COUNT).known
+    one, other = (
+        replace(Baseline.of(clutch, first, end_ns=1, count=BASELINE_SHIFT_COUNT), later_count=later_count)
+        for clutch in (1, 2)
+    )
+    now = believed(0.140 * ratio, 0.119 * ratio, shift_count=BASELINE_SHIFT_COUNT + later_count)
+    return replace(now, baselines=(one, other))
 
 
-def uncertain_scale(state: FilterState) -> FilterState:
+def uncertain_scale(state: Posterior) -> Posterior:
     """Return a state whose level says little: the gain of the torque reading may be wrong by a sixth."""
-    considered = state.considered.copy()
-    considered[0, 0] = 0.17**2
-    return replace(state, considered=considered)
+    covariance, gain = state.known.covariance.copy(), STATE_COUNT + Considered.TORQUE_GAIN
+    covariance[gain, gain] = 0.17**2
+    uncertain = Posterior.of(Knowledge(mean=state.known.mean, covariance=covariance), CALIBRATION)
+    return replace(uncertain, folded_counts=state.folded_counts, baselines=state.baselines)
 
 
 @pytest.mark.parametrize(
@@ -213,7 +217,7 @@ def test_a_calibration_that_shifts_contradict_gives_no_verdict() -> None:
         (),
         (MISFITS, MISFITS),  # too few to be a share
         (MISFITS,) * 3 + (AGREES,) * 10,  # too small a share
-        (AGREES,) * 2 + (CONTRADICTS,) * 4,  # new fluid: two shifts of each clutch
+        (AGREES,) * 2 + (CONTRADICTS,) * 6,  # new fluid: three shifts of each clutch
     ],
 )
 def test_what_sound_drives_may_hold_costs_no_verdict(fits: tuple[Fit, ...]) -> None:
@@ -223,7 +227,7 @@ def test_what_sound_drives_may_hold_costs_no_verdict(fits: tuple[Fit, ...]) -> N
 
 
 def test_contradictions_that_do_not_end_speak_against_the_calibration() -> None:
-    assert ConditionMemory(fits=(AGREES,) * 5 + (CONTRADICTS,) * 5).misfit_text
+    assert ConditionMemory(fits=(AGREES,) * 5 + (CONTRADICTS,) * 7).misfit_text
 
 
 def test_what_was_long_ago_is_forgotten() -> None:

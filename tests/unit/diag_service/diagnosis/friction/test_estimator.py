@@ -9,30 +9,43 @@ import pytest
 from clutch_model.calibration import nominal_calibration
 from diag_service.diagnosis.columns import Signal
 from diag_service.diagnosis.events import EndReason, Event
-from diag_service.diagnosis.friction import Estimator, FilterState
-from diag_service.diagnosis.friction.estimator import FULL_WINDOW_S, REFUSALS_TO_YIELD, without_friction
+from diag_service.diagnosis.friction import Estimator, Posterior
+from diag_service.diagnosis.friction.estimator import FULL_WINDOW_S, without_friction
+from diag_service.diagnosis.friction.evidence import Knowledge
+from diag_service.diagnosis.friction.friction_values import friction
+from diag_service.diagnosis.friction.judgement import STEP_COUNT
 from diag_service.diagnosis.friction.parameters import State, friction_rows
 from diag_service.diagnosis.records import Reason, ShiftEstimate, Status
 from tests.unit.diag_service.diagnosis.shifts_of_a_drive import changed, first_shifts, thinned
 
 CALIBRATION = nominal_calibration()
 ESTIMATOR = Estimator(CALIBRATION)
-FRESH = FilterState.fresh(CALIBRATION)
+FRESH = Posterior.fresh(CALIBRATION)
 CLUTCH = 2  # the first shift goes to second gear
+TOUCH_PA = CALIBRATION.clutches[CLUTCH - 1].touch_pressure_pa
 ROWS = friction_rows(CLUTCH)
 
 
-def estimated(event: Event, state: FilterState = FRESH) -> tuple[FilterState, ShiftEstimate]:
+def estimated(event: Event, state: Posterior = FRESH) -> tuple[Posterior, ShiftEstimate]:
     return ESTIMATOR.estimate(event, state)
 
 
-def known(mu_c: float, mu_s: float, std: float = 1e-3) -> FilterState:
+def known(mu_c: float, mu_s: float, std: float = 1e-3) -> Posterior:
     """Return a state that has known the friction of the clutch for some shifts."""
-    mean, covariance, sensitivity = FRESH.mean.copy(), FRESH.covariance.copy(), FRESH.sensitivity.copy()
+    mean, covariance = FRESH.known.mean.copy(), FRESH.known.covariance.copy()
     mean[ROWS] = mu_c, mu_s
-    covariance[ROWS, :] = covariance[:, ROWS] = sensitivity[ROWS, :] = 0.0
+    covariance[ROWS, :] = covariance[:, ROWS] = 0.0
     covariance[ROWS, ROWS] = np.eye(2) * std**2
-    return replace(FRESH, mean=mean, covariance=covariance, sensitivity=sensitivity, shift_counts=(0, 7))
+    return replace(Posterior.of(Knowledge(mean=mean, covariance=covariance), CALIBRATION), folded_counts=(0, 7))
+
+
+def contradicting(event: Event) -> Event:
+    """Return a shift of a clutch with half as much friction again: its pressures are lower for the same torque."""
+    for signal in (Signal.CLUTCH2_PRESSURE, Signal.CLUTCH2_PRESSURE_COMMAND):
+        event = changed(
+            event, signal, lambda _, value: np.where(value > TOUCH_PA, TOUCH_PA + (value - TOUCH_PA) / 1.5, value)
+        )
+    return event
 
 
 def test_a_sound_shift_is_valid_and_enters_the_state() -> None:
@@ -42,12 +55,13 @@ def test_a_sound_shift_is_valid_and_enters_the_state() -> None:
     assert estimate.friction is not None
     assert estimate.scale_free is not None
     assert state.shift_counts == (0, 1)
-    assert state.temperature_ns == event.end_ns
-    assert state.clutch_temperature_k is not None
-    assert estimate.clutch_temperature_k == state.clutch_temperature_k[CLUTCH - 1]
-    own, running = estimate.friction, state.friction(CLUTCH)
-    assert running.mu_c == pytest.approx(own.mu_c, abs=1e-3)  # after one shift there is nothing else
-    assert np.array_equal(state.mean[friction_rows(1)], FRESH.mean[friction_rows(1)])  # the other clutch was let go
+    assert state.packs is not None
+    assert state.packs.at_ns == event.end_ns
+    assert estimate.clutch_temperature_k == state.packs.clutch_k[CLUTCH - 1]
+    assert friction(state, CLUTCH) == estimate.friction  # after one shift there is nothing else
+    other = friction_rows(1)  # the other clutch was let go
+    assert state.known.mean[other] == pytest.approx(FRESH.known.mean[other], abs=1e-3)
+    assert state.known.std()[other] == pytest.approx(FRESH.known.std()[other], rel=0.02)
     assert 0.0 < estimate.quality <= 1.0
     assert estimate.window_s > FULL_WINDOW_S
 
@@ -56,8 +70,12 @@ def test_the_own_estimate_of_a_shift_knows_nothing_of_the_running_friction() -> 
     event = first_shifts()[0]
     _, plain = estimated(event, known(0.14, 0.12))
     _, other = estimated(event, known(0.09, 0.11))
-    assert plain.friction == other.friction
-    assert plain.scale_free == other.scale_free
+    assert plain.friction is not None
+    assert other.friction is not None
+    near = 0.2 * plain.friction.std_mu_c  # one is linearised elsewhere than the other
+    assert other.friction.mu_c == pytest.approx(plain.friction.mu_c, abs=near)
+    assert other.friction.mu_s == pytest.approx(plain.friction.mu_s, abs=near)
+    assert other.friction.std_mu_c == pytest.approx(plain.friction.std_mu_c, rel=0.05)
 
 
 def test_a_shift_described_only_says_the_same_and_changes_no_friction() -> None:
@@ -65,9 +83,10 @@ def test_a_shift_described_only_says_the_same_and_changes_no_friction() -> None:
     _, plain = estimated(event, before)
     state, estimate = ESTIMATOR.estimate(event, before, is_described_only=True)
     assert estimate == plain
-    assert np.array_equal(state.mean[ROWS], before.mean[ROWS])
-    assert (state.shift_counts, state.refused_counts) == (before.shift_counts, before.refused_counts)
-    assert state.temperature_ns == event.end_ns  # its heat is real, whatever its friction
+    assert state.known is before.known
+    assert (state.shift_counts, state.recent) == (before.shift_counts, ())
+    assert state.packs is not None
+    assert state.packs.at_ns == event.end_ns  # its heat is real, whatever its friction
 
 
 def test_a_shift_described_only_is_not_held_against_the_state() -> None:
@@ -79,27 +98,43 @@ def test_a_shift_described_only_is_not_held_against_the_state() -> None:
 def test_three_contradictions_in_a_row_start_the_friction_afresh() -> None:
     event = first_shifts()[0]
     state = before = known(0.20, 0.18)
-    for refused in range(1, REFUSALS_TO_YIELD):
-        state, estimate = estimated(event, state)
+    for number in range(1, STEP_COUNT):
+        state, estimate = estimated(replace(event, number=number), state)
         assert (estimate.status, estimate.reasons) == (Status.VALID, (Reason.NOT_UPDATED,))
         assert estimate.friction is not None
-        assert np.array_equal(state.mean[ROWS], before.mean[ROWS])
-        assert (state.shift_counts, state.refused_counts) == ((0, 7), (0, refused))
-    state, estimate = estimated(event, state)
+        assert np.array_equal(state.known.mean, before.known.mean)
+        assert (state.shift_counts, state.is_used) == ((0, 7), (False,) * number)
+    state, estimate = estimated(replace(event, number=STEP_COUNT), state)
     assert (estimate.status, estimate.reasons) == (Status.VALID, ())
-    assert (state.shift_counts, state.refused_counts) == ((0, 1), (0, 0))
+    assert (state.shift_counts, state.is_used) == ((0, STEP_COUNT), (True,) * STEP_COUNT)
     assert estimate.friction is not None
-    assert state.friction(CLUTCH).mu_c == pytest.approx(estimate.friction.mu_c, abs=1e-3)
+    assert friction(state, CLUTCH).mu_c == pytest.approx(0.140, abs=4.0 * friction(state, CLUTCH).std_mu_c)
 
 
 def test_an_agreement_ends_the_row_of_contradictions() -> None:
     event = first_shifts()[0]
-    own = estimated(event)[1].scale_free
-    assert own is not None
-    state = replace(known(own.mu_c, own.mu_s), refused_counts=(1, REFUSALS_TO_YIELD - 1))
+    own = friction(estimated(event)[0], CLUTCH)
+    state = known(own.mu_c, own.mu_s)
+    for number in range(STEP_COUNT - 1):
+        state, estimate = estimated(replace(contradicting(event), number=number), state)
+        assert estimate.reasons == (Reason.NOT_UPDATED,)
+    state, estimate = estimated(replace(event, number=STEP_COUNT), state)
+    assert estimate.reasons == ()
+    assert state.shift_counts == (0, 8)
+    state, estimate = estimated(replace(contradicting(event), number=STEP_COUNT + 1), state)
+    assert estimate.reasons == (Reason.NOT_UPDATED,)
+    assert state.shift_counts == (0, 8)
+
+
+def test_the_numbers_of_an_earlier_stream_are_not_those_of_this_one() -> None:
+    """The state of a service that was stopped holds shifts of the same numbers."""
+    event = first_shifts()[0]
+    own = friction(estimated(event)[0], CLUTCH)
+    state, estimate = estimated(contradicting(event), known(own.mu_c, own.mu_s))
+    assert estimate.reasons == (Reason.NOT_UPDATED,)
     state, estimate = estimated(event, state)
     assert estimate.reasons == ()
-    assert (state.shift_counts, state.refused_counts) == ((0, 8), (1, 0))
+    assert state.is_used == (False, True)
 
 
 @pytest.mark.parametrize(
@@ -107,8 +142,8 @@ def test_an_agreement_ends_the_row_of_contradictions() -> None:
     [
         (lambda event: replace(event, end_reason=EndReason.INTERRUPTED), Reason.INTERRUPTED),
         (lambda event: replace(event, columns={}), Reason.SIGNAL_MISSING),
-        (lambda event: thinned(event, Signal.HUB_SPEED, slice(60, 64)), Reason.FRAMES_MISSING),
-        (lambda event: changed(event, Signal.HUB_SPEED, lambda _, value: value + 3.0), Reason.SPEEDS_DISAGREE),
+        (lambda event: thinned(event, Signal.HUB_SPEED, slice(60, 68)), Reason.FRAMES_MISSING),
+        (lambda event: changed(event, Signal.INPUT1_SPEED, lambda _, value: value + 3.0), Reason.SPEEDS_DISAGREE),
     ],
 )
 def test_a_rejected_shift_leaves_the_state_as_it_was(spoil: Callable[[Event], Event], reason: Reason) -> None:
@@ -116,17 +151,20 @@ def test_a_rejected_shift_leaves_the_state_as_it_was(spoil: Callable[[Event], Ev
     event = spoil(first_shifts()[0])
     state, estimate = estimated(event, before)
     assert state is before
-    assert estimate == without_friction(event, Status.REJECTED, reason)
+    assert reason in estimate.reasons
+    assert estimate == without_friction(event, Status.REJECTED, *estimate.reasons)
 
 
 def test_a_zero_that_jumped_rejects_the_shift() -> None:
-    zero_known = FRESH.covariance.copy()
+    zero_known = FRESH.known.covariance.copy()
     zero_known[State.ZERO2, State.ZERO2] = 100.0**2
-    before = replace(FRESH, covariance=zero_known)
+    before = Posterior.of(Knowledge(mean=FRESH.known.mean, covariance=zero_known), CALIBRATION)
     event = changed(first_shifts()[0], Signal.CLUTCH2_PRESSURE, lambda _, value: value + 0.15e5)
     state, estimate = estimated(event, before)
-    assert state is before
-    assert estimate.reasons == (Reason.ZERO_JUMPED,)
+    assert state.known is not before.known
+    assert state.known.mean == pytest.approx(before.known.mean)
+    assert (estimate.status, estimate.reasons) == (Status.REJECTED, (Reason.ZERO_JUMPED,))
+    assert state.is_used == (False,)  # judged again with those that come
 
 
 def test_a_shift_that_does_not_fit_warms_its_clutch_and_changes_no_friction() -> None:
@@ -138,8 +176,10 @@ def test_a_shift_that_does_not_fit_warms_its_clutch_and_changes_no_friction() ->
     assert (estimate.status, estimate.reasons) == (Status.REJECTED, (Reason.MISFIT,))
     assert (estimate.friction, estimate.scale_free, estimate.quality) == (None, None, 0.0)
     assert estimate.chi_square_ratio > 1.0
-    assert np.array_equal(state.mean[ROWS], before.mean[ROWS])
-    assert (state.shift_counts, state.temperature_ns) == (before.shift_counts, event.end_ns)
+    assert state.known is before.known
+    assert (state.shift_counts, state.recent) == (before.shift_counts, ())
+    assert state.packs is not None
+    assert state.packs.at_ns == event.end_ns
 
 
 def test_a_clutch_that_never_carries_alone_says_nothing() -> None:

@@ -53,7 +53,7 @@ def test_contact_pressure_follows_the_film_law(clutch: int) -> None:
     expected = reference_contact_pa(clutch, piston_pa, viscosity_pa_s(OIL_K, oil.a_pa_s, oil.b_k, oil.pole_k))
     assert np.max(expected) > 1e5
     error = np.abs(track.contact_pa - expected) / np.max(expected)
-    assert np.max(error) < 0.02  # at the release, where the rate jumps inside a step
+    assert np.max(error) < 0.03  # at the release, where the rate jumps inside a step
     assert np.mean(error) < 1e-4
 
 

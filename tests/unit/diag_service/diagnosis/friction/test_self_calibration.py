@@ -8,16 +8,19 @@ import numpy as np
 import pytest
 
 from benchmarks.accuracy import to_batch
-from clutch_model.calibration import Calibration, nominal_calibration
-from clutch_model.gears import clutch_of_gear
+from canlog.arrays import FloatArray
+from clutch_model.calibration import nominal_calibration
 from dbc.contract import load_contract
 from diag_service.diagnosis.events import EndReason, Event
 from diag_service.diagnosis.friction.balance import Balance
-from diag_service.diagnosis.friction.filter_state import FilterState, Measurement
-from diag_service.diagnosis.friction.parameters import NAMES, STATE_COUNT, Considered, State, displaced, prior_mean
+from diag_service.diagnosis.friction.evidence import Measurement
+from diag_service.diagnosis.friction.friction_values import friction as friction_of
+from diag_service.diagnosis.friction.parameters import NAMES, STATE_COUNT, Considered, State, displaced
+from diag_service.diagnosis.friction.posterior import Posterior
 from diag_service.diagnosis.friction.preparation import measured_drives, slip_window
 from diag_service.diagnosis.friction.run_up_balance import run_up_measurement
 from diag_service.diagnosis.friction.self_calibration import SelfCalibration, self_calibrate
+from diag_service.diagnosis.friction.sensitivity import measured
 from diag_service.diagnosis.friction.window import SlipWindow
 from diag_service.diagnosis.quality.usability import usable_signals
 from diag_service.diagnosis.records import Reason
@@ -33,6 +36,11 @@ NOMINAL = nominal_calibration()
 TORQUE_LATENCY_S, PRESSURE_LATENCY_S, SPEED_LATENCY_S = 0.023, 0.011, 0.004
 GAIN, OFFSET_NM, INERTIA = 1.03, -6.0, 0.96
 SPEEDS = ("engine_speed_rad_s", "hub_speed_rad_s", "input1_speed_rad_s", "input2_speed_rad_s")
+
+AS_DRIVEN = Posterior.fresh(NOMINAL).known.mean.copy()
+"""Parameters of the emulated vehicle, whose readings are not late."""
+AS_DRIVEN[STATE_COUNT + Considered.TORQUE_LATENCY] = -NOMINAL.bias.torque_latency_s
+AS_DRIVEN[STATE_COUNT + Considered.PRESSURE_LATENCY] = -NOMINAL.bias.pressure_latency_s
 
 
 def seen(scenario: Scenario) -> tuple[tuple[Event, ...], tuple[Event, ...]]:
@@ -99,18 +107,17 @@ def test_revs_with_open_and_closed_clutches_tell_the_gain() -> None:
     assert result.std("torque_gain") < 0.015
     assert result.calibration.bias.torque_gain == pytest.approx(GAIN, abs=4.0 * result.std("torque_gain"))
     for clutch in (1, 2):
-        friction = result.state.friction(clutch)
+        friction = friction_of(result.state, clutch)
         assert friction.mu_c == pytest.approx(0.140, abs=4.0 * friction.std_mu_c)
         assert friction.mu_s == pytest.approx(0.119, abs=4.0 * friction.std_mu_s)
 
 
 def test_the_found_calibration_holds_its_own_uncertainty_and_starts_a_state_with_it() -> None:
     result = found(*unlike_its_type())
-    fresh = FilterState.fresh(result.calibration)
+    fresh = Posterior.fresh(result.calibration).known
     for name, state in (("torque_offset", State.TORQUE_OFFSET), ("touch1", State.TOUCH1)):
-        total = fresh.total_covariance(slice(state, state + 1))[0, 0]
-        assert np.sqrt(total) == pytest.approx(result.std(name), rel=1e-6)
-    assert np.allclose(fresh.mean[State.TORQUE_OFFSET :], result.mean[State.TORQUE_OFFSET : STATE_COUNT])
+        assert fresh.std()[state] == pytest.approx(result.std(name), rel=1e-6)
+    assert np.allclose(fresh.mean[State.TORQUE_OFFSET : STATE_COUNT], result.mean[State.TORQUE_OFFSET : STATE_COUNT])
 
 
 def test_a_vehicle_is_calibrated_from_its_type_only() -> None:
@@ -152,34 +159,39 @@ STEPS = {
     Considered.PRESSURE_LATENCY: 0.001,
     Considered.STRIBECK_SPEED: 0.02,
     Considered.CONTACT_STIFFNESS: 0.02,
+    Considered.FILM_MOBILITY: 0.02,
+    Considered.STRIBECK_EXPONENT: 0.02,
+    Considered.FRICTION_TEMPERATURE: 1e-4,
+    Considered.OPEN_DRAG: 0.1,
 }
 
 
-def shift_residual(event: Event, calibration: Calibration, window: SlipWindow | None) -> tuple[Measurement, SlipWindow]:
+def shift_residual(event: Event, at: FloatArray, window: SlipWindow | None) -> tuple[Measurement, SlipWindow]:
+    calibration = displaced(NOMINAL, at)
     signals = usable_signals(event, calibration)
     assert not isinstance(signals, Reason)
-    state = FilterState.fresh(NOMINAL)
-    drives = measured_drives(signals, state, event, calibration)
-    chosen = window or slip_window(signals, drives, clutch_of_gear(event.to_gear), calibration)
-    assert chosen is not None
-    balance = Balance(signals, chosen, drives, calibration)
-    return balance.measurement(state.mean, state.mean), chosen
+    drives = measured_drives(signals, at, None, event, calibration)
+    found = slip_window(signals, drives, calibration)
+    assert found is not None
+    chosen = window or found[0]
+    (seen,) = measured(Balance(signals, chosen, drives, calibration, at))
+    return seen, chosen
 
 
-def moved(parameter: Considered, step: float) -> Calibration:
-    mean = np.concatenate((prior_mean(NOMINAL), np.zeros(len(Considered))))
-    mean[STATE_COUNT + parameter] = step
-    return displaced(NOMINAL, mean)
+def moved(parameter: Considered, step: float) -> FloatArray:
+    mean = AS_DRIVEN.copy()
+    mean[STATE_COUNT + parameter] += step
+    return mean
 
 
 @pytest.mark.parametrize("parameter", STEPS)
 def test_derivatives_of_a_shift_are_those_of_its_residual(parameter: Considered) -> None:
     """Without noise the planned drives are nearly the measured ones, so finite differences are the reference."""
     event = without_noise()[0][0]
-    plain, window = shift_residual(event, NOMINAL, None)
+    plain, window = shift_residual(event, AS_DRIVEN, None)
     step = STEPS[parameter]
     changed, _ = shift_residual(event, moved(parameter, step), window)
-    slope = plain.by_considered[:, parameter]
+    slope = plain.slope[:, STATE_COUNT + parameter]
     difference = -(changed.residual - plain.residual) / step
     assert np.linalg.norm(difference - slope) < 0.25 * np.linalg.norm(slope)
     assert difference @ slope > 0.97 * np.linalg.norm(difference) * np.linalg.norm(slope)
@@ -199,31 +211,33 @@ def test_derivatives_of_a_run_up_are_those_of_its_residual(parameter: Considered
     run_up = without_noise()[1][-1]
     assert run_up.are_clutches_closed
 
-    def measured(calibration: Calibration) -> Measurement:
+    def seen_rev(at: FloatArray) -> Measurement:
+        calibration = displaced(NOMINAL, at)
         signals = usable_signals(run_up, calibration)
         assert not isinstance(signals, Reason)
         first = int(np.searchsorted(signals.grid_s, 0.0))
-        window = SlipWindow(first=first, stop=len(signals.grid_s))
-        return run_up_measurement(signals, window, prior_mean(NOMINAL), calibration, are_clutches_closed=True)
+        window = SlipWindow.between(first, len(signals.grid_s))
+        return run_up_measurement(signals, window, at, calibration, are_clutches_closed=True)
 
     step = 1e-3
-    plain, changed = measured(NOMINAL), measured(moved(parameter, step))
-    slope = plain.by_considered[:, parameter]
+    plain, changed = seen_rev(AS_DRIVEN), seen_rev(moved(parameter, step))
+    slope = plain.slope[:, STATE_COUNT + parameter]
     difference = -(changed.residual - plain.residual) / step
     assert np.linalg.norm(difference - slope) < 0.05 * np.linalg.norm(slope)
 
 
 def test_a_balanced_rev_leaves_nothing() -> None:
     """The residual of a noise-free run-up is small against what one percent of inertia would make of it."""
+    calibration = displaced(NOMINAL, AS_DRIVEN)
     for run_up in without_noise()[1]:
-        signals = usable_signals(run_up, NOMINAL)
+        signals = usable_signals(run_up, calibration)
         assert not isinstance(signals, Reason)
         first = int(np.searchsorted(signals.grid_s, 0.0))
-        window = SlipWindow(first=first, stop=len(signals.grid_s))
+        window = SlipWindow.between(first, len(signals.grid_s))
         seen_rev = run_up_measurement(
-            signals, window, prior_mean(NOMINAL), NOMINAL, are_clutches_closed=run_up.are_clutches_closed
+            signals, window, AS_DRIVEN, calibration, are_clutches_closed=run_up.are_clutches_closed
         )
-        one_percent = 0.01 * np.linalg.norm(seen_rev.by_considered[:, Considered.ENGINE_INERTIA])
+        one_percent = 0.01 * np.linalg.norm(seen_rev.slope[:, STATE_COUNT + Considered.ENGINE_INERTIA])
         assert np.linalg.norm(seen_rev.residual) < one_percent
 
 

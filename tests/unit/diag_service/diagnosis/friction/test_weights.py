@@ -4,38 +4,39 @@ import numpy as np
 import pytest
 
 from canlog.arrays import FloatArray
-from diag_service.diagnosis.alignment import GRID_S
-from diag_service.diagnosis.friction.window import SlipWindow, sines, smoothed
+from diag_service.diagnosis.alignment import GRID_S, Resampled
+from diag_service.diagnosis.friction.window import Piece, SlipWindow, fitted, sines, smoothed
 
 GRID = GRID_S * np.arange(-40.0, 460.0)
-WINDOW = SlipWindow(first=101, stop=352)  # 0.25 s
-INSIDE = slice(WINDOW.first, WINDOW.stop)
+WINDOW = SlipWindow.between(101, 352)  # 0.25 s
+INSIDE = WINDOW.rows
 COUNT = 12
 
 
 def outside(values: FloatArray) -> FloatArray:
     """Return what lies before and after the window."""
-    return np.concatenate((values[..., : WINDOW.first], values[..., WINDOW.stop :]), axis=-1)
+    return np.concatenate((values[..., : INSIDE.start], values[..., INSIDE.stop :]), axis=-1)
 
 
-def test_weights_vanish_at_the_ends_and_outside() -> None:
-    weights = sines(GRID, WINDOW, COUNT)
-    assert weights.value.shape == weights.rate.shape == (COUNT, len(GRID))
-    assert not outside(weights.value).any()
-    assert not outside(weights.rate).any()
-    assert np.abs(weights.value[:, [WINDOW.first, WINDOW.stop - 1]]).max() < 1e-12 * GRID_S
+def test_weights_vanish_at_the_ends() -> None:
+    weights = sines(GRID, WINDOW, (COUNT,))
+    assert weights.rows == INSIDE
+    (value,), (rate,) = weights.value.blocks, weights.rate.blocks
+    assert value.shape == rate.shape == (COUNT, INSIDE.stop - INSIDE.start)
+    assert np.abs(value[:, [0, -1]]).max() < 1e-12 * GRID_S
 
 
 def test_weighting_with_the_rate_replaces_differentiation() -> None:
     """By parts, int psi f' = -int psi' f, but for the error of the trapezoid: no speed is ever differentiated."""
-    weights = sines(GRID, WINDOW, COUNT)
-    speed, acceleration = np.exp(3.0 * GRID), 3.0 * np.exp(3.0 * GRID)
+    weights = sines(GRID, WINDOW, (COUNT,))
+    speed = np.exp(3.0 * GRID[INSIDE])
+    acceleration = 3.0 * speed
     assert weights.value @ acceleration == pytest.approx(-(weights.rate @ speed), abs=5e-4)
 
 
 def test_weights_are_orthogonal() -> None:
-    value = sines(GRID, WINDOW, COUNT).value / GRID_S
-    length = WINDOW.stop - 1 - WINDOW.first
+    value = sines(GRID, WINDOW, (COUNT,)).value.blocks[0] / GRID_S
+    length = INSIDE.stop - 1 - INSIDE.start
     assert value @ value.T == pytest.approx(0.5 * length * np.eye(COUNT), abs=1e-9 * length)
 
 
@@ -46,13 +47,52 @@ def test_a_polynomial_is_its_own_fit(degree: int) -> None:
 
 
 def test_smoothing_changes_nothing_outside_and_does_it_once() -> None:
-    values = np.random.default_rng(1).normal(size=(3, len(GRID)))
+    values = np.random.default_rng(1).normal(size=len(GRID))
     smooth = smoothed(values, WINDOW, 5)
     assert np.array_equal(outside(smooth), outside(values))
     assert smoothed(smooth, WINDOW, 5) == pytest.approx(smooth, abs=1e-12)
-    assert smooth[:, INSIDE].std() < 0.3 * values[:, INSIDE].std()  # six numbers are left of 251
+    assert smooth[INSIDE].std() < 0.3 * values[INSIDE].std()  # six numbers are left of 251
 
 
-def test_weights_may_be_smoothed_in_place_of_values() -> None:
-    values, weights = np.random.default_rng(2).normal(size=len(GRID)), sines(GRID, WINDOW, COUNT).value
-    assert smoothed(weights, WINDOW, 5) @ values == pytest.approx(weights @ smoothed(values, WINDOW, 5), abs=1e-14)
+def test_weights_may_be_fitted_in_place_of_values() -> None:
+    weights = sines(GRID, WINDOW, (COUNT,)).value.blocks[0]
+    values = np.random.default_rng(2).normal(size=(weights.shape[1],))
+    assert fitted(weights, 5) @ values == pytest.approx(weights @ fitted(values, 5), abs=1e-14)
+
+
+PIECES = SlipWindow(pieces=(Piece(first=101, stop=201), Piece(first=240, stop=352)))
+
+
+def test_each_piece_has_functions_of_its_own() -> None:
+    weights = sines(GRID, PIECES, (5, 7))
+    assert weights.rows == INSIDE
+    assert weights.value.places == (slice(0, 100), slice(139, 251))
+    first, second = (
+        sines(GRID, SlipWindow(pieces=(one,)), (count,)) for one, count in zip(PIECES.pieces, (5, 7), strict=True)
+    )
+    values = np.exp(GRID[INSIDE])
+    apart = np.concatenate((first.rate.blocks[0] @ values[:100], second.rate.blocks[0] @ values[139:]))
+    assert np.array_equal(weights.rate @ values, apart)
+
+
+def test_functions_are_a_matrix_of_which_most_is_zero() -> None:
+    functions = sines(GRID, PIECES, (5, 7)).value
+    matrix = np.zeros((12, 251))
+    matrix[:5, :100], matrix[5:, 139:] = functions.blocks
+    factor = np.linspace(-1.0, 2.0, 251)
+    both = functions * factor + functions * 3.0
+    signal = Resampled.of(np.arange(-0.05, 0.5, 0.01), np.arange(55.0), GRID)
+    assert both @ np.column_stack((factor, factor**2)) == pytest.approx(
+        (matrix * (factor + 3.0)) @ np.column_stack((factor, factor**2))
+    )
+    assert functions.sums() == pytest.approx(matrix.sum(axis=1))
+    assert functions.on_samples(signal) == pytest.approx(signal.to_samples(matrix, INSIDE))
+    assert functions.fitted(2).blocks[1] == pytest.approx(fitted(functions.blocks[1], 2))
+
+
+def test_each_piece_has_a_polynomial_of_its_own() -> None:
+    values = np.abs(GRID - GRID[220]) ** 2
+    assert smoothed(values, PIECES, 2) == pytest.approx(values, rel=1e-9, abs=1e-12)
+    fits = sines(GRID, PIECES, (5, 7)).fitted(values[INSIDE], 2)
+    assert fits[:100] == pytest.approx(values[101:201], rel=1e-9)
+    assert not fits[100:139].any()

@@ -1,52 +1,159 @@
-"""The slip window: one clutch loaded, one way of slipping."""
+"""The slip window: every clutch that carries torque slips one way."""
 
 import numpy as np
 import pytest
 
-from diag_service.diagnosis.friction.window import FADE_S, LOADED_PA, MIN_WINDOW_S, SLIP_MIN_RAD_S, find_window
+from canlog.arrays import BoolArray, FloatArray
+from diag_service.diagnosis.friction.window import (
+    FADE_S,
+    LOADED_PA,
+    MAX_PIECE_S,
+    MIN_PIECE_S,
+    RELEASED_PA,
+    SLIP_MIN_RAD_S,
+    Piece,
+    SlipWindow,
+    find_window,
+    loaded_clutch,
+    on_other_grid,
+)
 
-GRID_S = np.arange(0.0, 1.0, 1e-3)
+GRID_S = 1e-3 * np.arange(1000.0)
 LOADED = np.full(len(GRID_S), 4 * LOADED_PA)
 EMPTY = np.full(len(GRID_S), -1e5)
+STILL = np.zeros(len(GRID_S))
+FAST = np.full(len(GRID_S), 40.0)
+SEEN = np.ones(len(GRID_S), np.bool_)
+FADE = round(FADE_S / 1e-3)
+
+
+def found(
+    first: tuple[FloatArray, FloatArray], second: tuple[FloatArray, FloatArray], is_seen: BoolArray = SEEN
+) -> SlipWindow | None:
+    """Return the window of two clutches, each given by its slip and its pressure above the touch point."""
+    return find_window(GRID_S, np.array([first[0], second[0]]), np.array([first[1], second[1]]), is_seen)
+
+
+def pieces_of(window: SlipWindow | None) -> list[tuple[int, int]]:
+    assert window is not None
+    return [(piece.first, piece.stop) for piece in window.pieces]
 
 
 @pytest.mark.parametrize("direction", [1.0, -1.0])
 def test_it_ends_at_the_first_low_slip(direction: float) -> None:
     slip = direction * np.clip(60.0 * (0.6 - GRID_S) / 0.6, 0.0, 60.0)
-    window = find_window(GRID_S, slip, LOADED, EMPTY)
-    assert window is not None
-    assert GRID_S[window.first] == pytest.approx(FADE_S)
-    assert abs(slip[window.stop - 1]) > SLIP_MIN_RAD_S >= abs(slip[window.stop])
+    for window in (found((slip, LOADED), (FAST, EMPTY)), found((STILL, EMPTY), (slip, LOADED))):
+        ((first, stop),) = pieces_of(window)
+        assert first == FADE
+        assert abs(slip[stop - 1]) > SLIP_MIN_RAD_S >= abs(slip[stop])
 
 
-def test_it_waits_for_the_release_of_the_off_going_clutch() -> None:
+def test_it_waits_until_a_locked_clutch_is_released() -> None:
     released = np.where(GRID_S < 0.3, 2e5, -0.5e5)
-    window = find_window(GRID_S, np.full(len(GRID_S), 40.0), LOADED, released)
-    assert window is not None
-    assert GRID_S[window.first] == pytest.approx(0.3 + FADE_S)
+    assert pieces_of(found((FAST, LOADED), (STILL, released))) == [(300 + FADE, 1000)]
 
 
-def test_locked_samples_after_a_crossing_are_never_used() -> None:
-    slip = np.where(GRID_S < 0.4, 30.0, 0.0)
-    slip[700:720] = 2.0  # noise on a locked clutch
-    window = find_window(GRID_S, slip, LOADED, EMPTY)
-    assert window is not None
-    assert window.stop == 400
+def test_both_clutches_may_carry_as_long_as_both_slip() -> None:
+    off_slip = np.where(GRID_S < 0.5, -20.0, 0.0)
+    assert pieces_of(found((FAST, LOADED), (off_slip, LOADED))) == [(FADE, 500)]
+
+
+def test_the_off_going_clutch_speaks_while_the_on_coming_one_fills() -> None:
+    """A kickdown: the engine runs up against the clutch that lets go; what comes on is empty until then."""
+    filling = np.where(GRID_S < 0.6, -0.5e5, 2e5)
+    assert pieces_of(found((FAST, LOADED), (STILL, filling))) == [(FADE, 600)]
+
+
+def test_locked_samples_between_two_stretches_are_never_used() -> None:
+    slip = np.where((GRID_S < 0.4) | (GRID_S >= 0.6), 30.0, 0.0)
+    slip[450:470] = 2.0  # noise on a locked clutch
+    assert pieces_of(found((slip, LOADED), (FAST, EMPTY))) == [(FADE, 400), (600 + FADE, 1000)]
+
+
+def test_a_sign_that_jumps_ends_a_stretch() -> None:
+    slip = np.where(GRID_S < 0.5, 30.0, -30.0)
+    assert pieces_of(found((slip, LOADED), (FAST, EMPTY))) == [(FADE, 500), (501 + FADE, 1000)]
+
+
+def test_an_empty_clutch_may_turn_as_it_likes() -> None:
+    swinging = 30.0 * np.sin(40.0 * GRID_S)
+    assert pieces_of(found((FAST, LOADED), (swinging, EMPTY)))[0][0] == FADE
+    assert pieces_of(found((FAST, LOADED), (swinging, EMPTY)))[-1][1] == 1000
+
+
+def test_a_long_slip_is_cut_in_equal_pieces() -> None:
+    pieces = pieces_of(found((FAST, LOADED), (STILL, EMPTY)))
+    assert [first for first, _ in pieces[1:]] == [stop for _, stop in pieces[:-1]]
+    lengths = [stop - first for first, stop in pieces]
+    assert max(lengths) - min(lengths) <= 1
+    assert max(lengths) * 1e-3 <= MAX_PIECE_S
+    assert sum(lengths) == 1000 - FADE
+
+
+def test_what_was_not_seen_is_left_out() -> None:
+    is_seen = (GRID_S < 0.4) | (GRID_S > 0.4295)
+    assert pieces_of(found((FAST, LOADED), (STILL, EMPTY), is_seen)) == [(FADE, 400), (430 + FADE, 1000)]
+
+
+BETWEEN = np.full(len(GRID_S), 0.5 * (RELEASED_PA + LOADED_PA))
 
 
 @pytest.mark.parametrize(
-    ("slip", "on_pa", "off_pa"),
+    ("first", "second"),
     [
-        (np.zeros(len(GRID_S)), LOADED, EMPTY),
-        (np.full(len(GRID_S), 40.0), EMPTY, EMPTY),
-        (np.full(len(GRID_S), 40.0), LOADED, LOADED),
-        (np.where(GRID_S < MIN_WINDOW_S, 40.0, 0.0), LOADED, EMPTY),
+        ((STILL, LOADED), (FAST, EMPTY)),
+        ((FAST, EMPTY), (FAST, EMPTY)),
+        ((FAST, BETWEEN), (STILL, EMPTY)),
+        ((FAST, LOADED), (STILL, BETWEEN)),
+        ((FAST, LOADED), (STILL, LOADED)),
+        ((np.where(GRID_S < MIN_PIECE_S, 40.0, 0.0), LOADED), (STILL, EMPTY)),
     ],
 )
-def test_no_window_where_friction_cannot_be_seen(slip: np.ndarray, on_pa: np.ndarray, off_pa: np.ndarray) -> None:
-    assert find_window(GRID_S, slip, on_pa, off_pa) is None
+def test_no_window_where_friction_cannot_be_seen(
+    first: tuple[FloatArray, FloatArray], second: tuple[FloatArray, FloatArray]
+) -> None:
+    assert found(first, second) is None
 
 
 @pytest.mark.parametrize("count", [0, 1])
 def test_a_grid_that_is_no_grid_has_no_window(count: int) -> None:
-    assert find_window(GRID_S[:count], EMPTY[:count], EMPTY[:count], EMPTY[:count]) is None
+    nothing = np.zeros((2, count))
+    assert find_window(GRID_S[:count], nothing, nothing, SEEN[:count]) is None
+
+
+def test_the_clutch_is_the_one_that_carries_while_it_slips() -> None:
+    window = SlipWindow(pieces=(Piece(first=100, stop=300), Piece(first=500, stop=900)))
+    over_pa = np.array([2.0 * LOADED, LOADED])
+    assert loaded_clutch(window, np.array([FAST, FAST]), over_pa) == 1
+    assert loaded_clutch(window, np.array([STILL, FAST]), over_pa) == 2
+    outside = np.where(GRID_S < 0.1, 40.0, 0.0)
+    assert loaded_clutch(window, np.array([outside, FAST]), over_pa) == 2
+
+
+def test_a_window_is_found_again_on_another_grid() -> None:
+    window = SlipWindow(pieces=(Piece(first=100, stop=300, is_rest=True), Piece(first=500, stop=900)))
+    again = on_other_grid(window, GRID_S, GRID_S[40:])
+    assert pieces_of(again) == [(60, 260), (460, 860)]
+    assert [piece.is_rest for piece in again.pieces] == [True, False]
+
+
+def test_a_rest_before_the_event_is_a_piece_of_its_own() -> None:
+    """At a stop both clutches are open; then one launches the car."""
+    grid_s = 1e-3 * np.arange(-1800.0, 1200.0)
+    slip = np.full((2, len(grid_s)), 80.0)
+    launching = np.where(grid_s < 0.1, -1e5, 2e5)
+    window = find_window(
+        grid_s, slip, np.array([launching, np.full(len(grid_s), -1e5)]), np.ones(len(grid_s), np.bool_)
+    )
+    assert window is not None
+    rest, *others = window.pieces
+    assert (rest.is_rest, rest.first, rest.stop) == (True, 0, 1800)
+    assert not any(piece.is_rest for piece in others)
+    assert window.slipping == tuple(others)
+    assert window.slip_rows == slice(1900 + FADE, 3000)
+    assert loaded_clutch(window, slip, np.array([launching, np.full(len(grid_s), -1e5)])) == 1
+
+
+def test_what_slips_before_the_event_belongs_to_another() -> None:
+    window = find_window(GRID_S - 0.5, np.array([FAST, STILL]), np.array([LOADED, EMPTY]), SEEN)
+    assert pieces_of(window) == [(500 + FADE, 1000)]

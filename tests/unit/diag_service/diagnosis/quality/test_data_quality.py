@@ -16,7 +16,7 @@ from dbc.contract import load_contract
 from diag_service.diagnosis.columns import BALANCE_SIGNALS, Signal
 from diag_service.diagnosis.condition.condition import ConditionMemory
 from diag_service.diagnosis.events import EndReason, Event
-from diag_service.diagnosis.friction import FilterState
+from diag_service.diagnosis.friction import Posterior
 from diag_service.diagnosis.quality.data_quality import QualityBasis, data_quality, reasons_against
 from diag_service.diagnosis.quality.limits import LIMITS
 from diag_service.diagnosis.records import DataQuality, QualityPart, Reason, Status
@@ -47,7 +47,7 @@ def decoder() -> Decoder:
 
 def stages() -> Stages:
     fresh = Decoder(load_contract(), load_profile())
-    return Stages(fresh, CALIBRATION, FilterState.fresh(CALIBRATION), ConditionMemory.fresh())
+    return Stages(fresh, CALIBRATION, Posterior.fresh(CALIBRATION), ConditionMemory.fresh())
 
 
 @cache
@@ -98,7 +98,7 @@ def test_nothing_to_judge_by_is_no_reason() -> None:
     assert data_quality(BARE, QualityBasis()) == DataQuality(score=1.0, parts={})
 
 
-@pytest.mark.parametrize(("share", "expected"), [(0.01, 0.875), (0.04, 0.5), (0.2, 0.0)])
+@pytest.mark.parametrize(("share", "expected"), [(0.05, 0.875), (0.2, 0.5), (0.5, 0.0)])
 def test_lost_frames(share: float, expected: float) -> None:
     def keep(one: Series) -> Int64Array:
         count = len(one.t_ns)

@@ -12,7 +12,8 @@ from clutch_model.calibration import nominal_calibration
 from diag_service.diagnosis.alignment import COMMAND_LAG_S, AlignedSignals
 from diag_service.diagnosis.columns import Signal
 from diag_service.diagnosis.events import Event, EventKind
-from diag_service.diagnosis.friction import FilterState
+from diag_service.diagnosis.friction import Posterior
+from diag_service.diagnosis.friction.parameters import State
 from diag_service.diagnosis.friction.preparation import measured_drives, slip_window
 from diag_service.diagnosis.quality.limits import LIMITS, QualityLimits
 from diag_service.diagnosis.quality.plausibility import (
@@ -71,6 +72,12 @@ def test_a_coarse_signal_may_repeat_itself() -> None:
     assert not is_frozen(series(np.repeat(np.arange(30.0), 6)), Signal.ENGINE_TORQUE)
 
 
+def test_a_signal_without_noise_may_rest() -> None:
+    """An idle torque, then a smooth rise: on a sound sensor without noise a rest says nothing."""
+    rising = np.rint(np.linspace(0.0, 70.0, COUNT - 60) ** 1.2)
+    assert not is_frozen(series(np.concatenate((np.full(60, 17.0), 17.0 + rising))), Signal.ENGINE_TORQUE)
+
+
 def test_a_pressure_sensor_that_cannot_show_less_than_nothing_repeats_zero() -> None:
     value = np.maximum(noisy(0.05, 0.01), 0.0)
     value[:50] = 0.0
@@ -80,7 +87,9 @@ def test_a_pressure_sensor_that_cannot_show_less_than_nothing_repeats_zero() -> 
 
 @pytest.mark.parametrize(("moved_std", "has_jumped"), [(4.9, False), (5.1, True), (-5.1, True)])
 def test_a_zero_jumps_when_it_moves_further_than_both_knowledges_allow(moved_std: float, has_jumped: bool) -> None:
-    known = FilterState.fresh(CALIBRATION).pressure_zeros
+    fresh = Posterior.fresh(CALIBRATION).known
+    zeros = slice(State.ZERO1, State.ZERO2 + 1)
+    known = PressureZeros(mean_pa=fresh.mean[zeros], variance_pa2=np.diag(fresh.covariance)[zeros])
     moved_pa = np.array([0.0, moved_std * np.sqrt(0.81 * known.variance_pa2[1])])
     left = known.variance_pa2 * [1.0, 0.19]
     measured = PressureZeros(mean_pa=known.mean_pa + moved_pa, variance_pa2=left)
@@ -92,10 +101,11 @@ def of_shift(event: Event) -> tuple[AlignedSignals, SlippingClutch]:
     """Return the aligned signals of the shift to second gear and what is known of its clutch."""
     signals = usable_signals(event, CALIBRATION)
     assert not isinstance(signals, Reason)
-    drives = measured_drives(signals, FilterState.fresh(CALIBRATION), event, CALIBRATION)
-    window = slip_window(signals, drives, 2, CALIBRATION)
-    assert window is not None
-    return signals, SlippingClutch(number=2, rows=window.rows, pressure_zero_pa=0.0)
+    drives = measured_drives(signals, Posterior.fresh(CALIBRATION).known.mean, None, event, CALIBRATION)
+    found = slip_window(signals, drives, CALIBRATION)
+    assert found is not None
+    window, clutch = found
+    return signals, SlippingClutch(number=clutch, rows=window.slip_rows, pressure_zero_pa=0.0)
 
 
 def faults_of(event: Event, limits: QualityLimits = LIMITS) -> tuple[Reason, ...]:
@@ -114,7 +124,7 @@ def faults_of(event: Event, limits: QualityLimits = LIMITS) -> tuple[Reason, ...
         (Signal.INPUT1_SPEED, lambda _, value: value + 3.0, (Reason.SPEEDS_DISAGREE,)),
         (Signal.INPUT2_SPEED, lambda _, value: value + 3.0, (Reason.SPEEDS_DISAGREE,)),
         (Signal.CLUTCH2_PRESSURE, lambda _, value: value + 0.15e5, (Reason.PRESSURE_OFF_COMMAND,)),
-        (Signal.CLUTCH2_PRESSURE_COMMAND, lambda _, value: value + 0.15e5, (Reason.PRESSURE_OFF_COMMAND,)),
+        (Signal.CLUTCH2_PRESSURE_COMMAND, lambda _, value: value + 0.2e5, (Reason.PRESSURE_OFF_COMMAND,)),
         (Signal.CLUTCH1_PRESSURE, lambda _, value: value + 0.15e5, ()),  # of the clutch that lets go
         (Signal.ENGINE_TORQUE, lambda t_s, value: np.where(t_s > 0.3, value[0], value), (Reason.SENSOR_FROZEN,)),
     ],
@@ -130,6 +140,33 @@ def test_a_known_zero_is_no_fault_and_an_unknown_one_is() -> None:
     signals, clutch = of_shift(event)
     assert plausibility_faults(event, signals, clutch) == (Reason.PRESSURE_OFF_COMMAND,)
     assert plausibility_faults(event, signals, replace(clutch, pressure_zero_pa=0.15e5)) == ()
+
+
+@pytest.mark.parametrize("late_s", [-0.02, 0.02])
+def test_the_command_has_a_clock_of_its_own(late_s: float) -> None:
+    """Speeds that come later than commands are not held against the pressures."""
+    event = first_shifts()[0]
+    command = event.columns[Signal.CLUTCH2_PRESSURE_COMMAND]
+    other = event.columns[Signal.CLUTCH1_PRESSURE_COMMAND]
+    moved = {
+        Signal.CLUTCH2_PRESSURE_COMMAND: replace(command, t_ns=command.t_ns + round(late_s * 1e9)),
+        Signal.CLUTCH1_PRESSURE_COMMAND: replace(other, t_ns=other.t_ns + round(late_s * 1e9)),
+    }
+    assert faults_of(replace(event, columns={**event.columns, **moved})) == ()
+
+
+def test_a_pressure_need_not_follow_a_jump_of_its_command_to_the_letter() -> None:
+    """A lift in the middle of a shift: the command drops at once, the pressure a little faster than a valve should."""
+    drop_s, size_pa = 0.8, 2.5e5
+
+    def dropped(t_s: FloatArray, value: FloatArray, lag_s: float) -> FloatArray:
+        after_s = np.maximum(t_s - drop_s, 0.0)
+        return value - size_pa * (1.0 - np.exp(-after_s / lag_s))
+
+    event = changed(first_shifts()[0], Signal.CLUTCH2_PRESSURE_COMMAND, lambda t, v: dropped(t, v, 1e-6))
+    event = changed(event, Signal.CLUTCH2_PRESSURE, lambda t, v: dropped(t, v, 0.7 * COMMAND_LAG_S))
+    assert faults_of(event) == ()
+    assert faults_of(event, replace(LIMITS, following_ratio=0.0)) == (Reason.PRESSURE_OFF_COMMAND,)
 
 
 def test_without_a_command_pressure_is_not_judged() -> None:

@@ -1,6 +1,6 @@
 """Whether the signals of a shift can be put on one clock: a reason for each way in which they cannot."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -11,7 +11,7 @@ from diag_service.diagnosis.alignment import GRID_S, AlignedSignals
 from diag_service.diagnosis.columns import BALANCE_SIGNALS, Signal
 from diag_service.diagnosis.events import EndReason, Event
 from diag_service.diagnosis.quality.limits import QualityLimits
-from diag_service.diagnosis.quality.usability import has_gap, usable_signals
+from diag_service.diagnosis.quality.usability import gaps_s, is_lost, usable_signals
 from diag_service.diagnosis.records import Reason
 from tests.unit.diag_service.diagnosis.shifts_of_a_drive import changed, first_shifts, thinned, without
 
@@ -58,10 +58,10 @@ def test_a_signal_that_is_missing(signal: Signal) -> None:
     ("spoil", "reason"),
     [
         (lambda event: replace(event, end_reason=EndReason.TOO_LONG), Reason.INTERRUPTED),
-        (lambda event: replace(event, end_reason=EndReason.ABANDONED), Reason.INTERRUPTED),
+        (lambda event: replace(event, end_reason=EndReason.INTERRUPTED), Reason.INTERRUPTED),
         (lambda event: without_samples(event, Signal.SUMP_TEMPERATURE), Reason.SIGNAL_MISSING),
         (lambda event: without_samples(event, Signal.HUB_SPEED), Reason.FRAMES_MISSING),
-        (lambda event: thinned(event, Signal.CLUTCH2_PRESSURE, slice(80, 82)), Reason.FRAMES_MISSING),
+        (lambda event: thinned(event, Signal.CLUTCH2_PRESSURE, slice(80, 88)), Reason.FRAMES_MISSING),
         (lambda event: with_oil(event, 232.0), Reason.OUT_OF_RANGE),
         (lambda event: with_oil(event, 444.0), Reason.OUT_OF_RANGE),
         (with_times_that_jump_back, Reason.OUT_OF_RANGE),
@@ -81,18 +81,29 @@ def test_one_lost_frame_is_bridged_and_its_command_is_not_needed() -> None:
 
 @pytest.mark.parametrize(
     ("lost", "is_missing"),
-    [((), False), ((50,), False), ((50, 51), True), ((0, 1), False), ((19, 20, 21), True), ((118, 119), True)],
-)
-def test_a_gap_counts_from_the_start_of_a_shift_to_its_end(lost: tuple[int, ...], is_missing: bool) -> None:
-    """120 samples from 0.2 s before the shift; two in a row, and those two inside or at an edge, are a gap."""
+    [((), False), (range(50, 57), False), (range(50, 58), True), (range(10), False), (range(19, 28), True),
+     (range(112, 120), True)],
+)  # fmt: skip
+def test_too_many_in_a_row_count_from_the_start_of_an_event_to_its_end(lost: Sequence[int], is_missing: bool) -> None:
+    """120 samples from 0.2 s before the event; eight in a row inside or at an edge may hide anything."""
     times_s = np.delete(np.arange(-20, 100) * 0.01, lost)
-    assert has_gap(times_s, PERIOD_NS, 0.999) is is_missing
+    assert is_lost(times_s, PERIOD_NS, 0.999) is is_missing
+
+
+def test_a_gap_in_any_signal_is_told_on_the_grid() -> None:
+    event = thinned(first_shifts()[0], Signal.CLUTCH2_PRESSURE, slice(80, 82))
+    signals = usable_signals(event, CALIBRATION)
+    assert isinstance(signals, AlignedSignals)
+    (gap_s,) = gaps_s({Signal.CLUTCH2_PRESSURE: signals.pressure[1].times_s}, event)
+    assert gap_s[1] - gap_s[0] == pytest.approx(0.03)
+    inside = (signals.grid_s > gap_s[0]) & (signals.grid_s < gap_s[1])
+    assert np.array_equal(signals.is_seen, ~inside)
 
 
 def test_limits_are_an_argument() -> None:
     event = thinned(first_shifts()[0], Signal.CLUTCH2_PRESSURE, slice(80, 82))
-    assert isinstance(usable_signals(event, CALIBRATION, QualityLimits(gap_periods=3.5)), AlignedSignals)
+    assert usable_signals(event, CALIBRATION, QualityLimits(lost_periods=2.5)) is Reason.FRAMES_MISSING
     sound = first_shifts()[0]
     assert usable_signals(sound, CALIBRATION, QualityLimits(oil_range_k=(0.0, 1.0))) is Reason.OUT_OF_RANGE
-    assert has_gap(np.arange(0.0, 1.0, 0.02), 0, 0.98) is False
-    assert has_gap(np.arange(0.0, 1.0, 0.02), 0, 0.98, QualityLimits(nominal_period_s=0.005)) is True
+    assert is_lost(np.arange(0.0, 1.0, 0.02), 0, 0.98) is False
+    assert is_lost(np.arange(0.0, 1.0, 0.02), 0, 0.98, QualityLimits(nominal_period_s=0.002)) is True

@@ -1,0 +1,120 @@
+"""What events say of all parameters at once, and what that and earlier knowledge say together.
+
+Evidence is chi-square as a function of the parameters, a paraboloid: linearised once, then kept as numbers instead of
+samples. Knowledge is a mean with its covariance; docs/model.md, section "Estimator".
+"""
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import Self
+
+import numpy as np
+
+from canlog.arrays import FloatArray
+from diag_service.diagnosis.friction.parameters import PARAMETER_COUNT
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Measurement:
+    """A linearised residual: ``residual = slope @ dx + noise`` for a displacement ``dx`` of the parameters.
+
+    ``overlap`` is the expectation of ``slope.T @ inv(covariance) @ noise``: what the sensor noise that a slope shares
+    with the residual adds to the gradient.
+    """
+
+    residual: FloatArray  # (m,)
+    slope: FloatArray  # (m, PARAMETER_COUNT)
+    noise: FloatArray  # (m, m) covariance
+    overlap: FloatArray | None = None  # (PARAMETER_COUNT,); None: nothing is shared
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Evidence:
+    """Chi-square of residuals: ``constant - 2 * vector @ x + x @ matrix @ x``."""
+
+    matrix: FloatArray  # (PARAMETER_COUNT, PARAMETER_COUNT), of information
+    vector: FloatArray  # (PARAMETER_COUNT,)
+    constant: float
+    count: int  # residuals
+
+    @classmethod
+    def none(cls) -> Self:
+        """Return what no event says."""
+        empty = np.zeros((PARAMETER_COUNT, PARAMETER_COUNT))
+        return cls(matrix=empty, vector=np.zeros(PARAMETER_COUNT), constant=0.0, count=0)
+
+    @classmethod
+    def of(cls, measurements: Iterable[Measurement], at: FloatArray) -> Self:
+        """Return what measurements say that were linearised about ``at``, shape (PARAMETER_COUNT,)."""
+        matrix, gradient = np.zeros((PARAMETER_COUNT, PARAMETER_COUNT)), np.zeros(PARAMETER_COUNT)
+        chi_square, count = 0.0, 0
+        for seen in measurements:
+            scaled = np.linalg.solve(seen.noise, np.column_stack((seen.residual, seen.slope)))
+            matrix += seen.slope.T @ scaled[:, 1:]
+            gradient += seen.slope.T @ scaled[:, 0]
+            if seen.overlap is not None:
+                gradient -= seen.overlap
+            chi_square += float(seen.residual @ scaled[:, 0])
+            count += len(seen.residual)
+        matrix = (matrix + matrix.T) / 2.0
+        return cls(
+            matrix=matrix,
+            vector=matrix @ at + gradient,
+            constant=chi_square + float((2.0 * gradient + matrix @ at) @ at),
+            count=count,
+        )
+
+    def plus(self, other: Self, sign: float = 1.0) -> Self:
+        """Return what both say; with a ``sign`` of -1 what is left without the other."""
+        return type(self)(
+            matrix=self.matrix + sign * other.matrix,
+            vector=self.vector + sign * other.vector,
+            constant=self.constant + sign * other.constant,
+            count=self.count + round(sign) * other.count,
+        )
+
+    def chi_square(self, at: FloatArray) -> float:
+        """Return chi-square of the residuals at some parameters."""
+        return self.constant + float((self.matrix @ at - 2.0 * self.vector) @ at)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Knowledge:
+    """What is known of all parameters."""
+
+    mean: FloatArray  # (PARAMETER_COUNT,)
+    covariance: FloatArray  # (PARAMETER_COUNT, PARAMETER_COUNT)
+
+    def less_sure(self, added: FloatArray) -> Self:
+        """Return the same, each parameter less certain by a variance; ``added`` has shape (PARAMETER_COUNT,)."""
+        return type(self)(mean=self.mean, covariance=self.covariance + np.diag(added))
+
+    def std(self) -> FloatArray:
+        """Return the standard deviations, shape (PARAMETER_COUNT,)."""
+        return np.asarray(np.sqrt(np.diag(self.covariance)))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Fusion:
+    """Earlier knowledge and evidence, put together."""
+
+    knowledge: Knowledge
+    chi_square: float  # least of all: of the residuals, and of the distance from what was known before
+    kept: FloatArray  # (PARAMETER_COUNT, PARAMETER_COUNT) what is left of an error of the earlier mean
+
+
+def fuse(earlier: Knowledge, evidence: Evidence) -> Fusion:
+    """Return what earlier knowledge and evidence say together; what was certain stays as it is."""
+    std = earlier.std()
+    scale = np.where(std > 0.0, std, 1.0)
+    units = np.outer(scale, scale)
+    gradient = (evidence.vector - evidence.matrix @ earlier.mean) * scale
+    left = np.linalg.inv(np.eye(len(scale)) + earlier.covariance / units @ (evidence.matrix * units))
+    covariance = left @ (earlier.covariance / units)
+    step = covariance @ gradient
+    covariance *= np.outer(std, std)  # rounding makes nothing uncertain that was certain
+    return Fusion(
+        knowledge=Knowledge(mean=earlier.mean + step * std, covariance=(covariance + covariance.T) / 2.0),
+        chi_square=evidence.chi_square(earlier.mean) - float(gradient @ step),
+        kept=left * np.outer(scale, 1.0 / scale),
+    )

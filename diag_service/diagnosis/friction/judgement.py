@@ -1,0 +1,101 @@
+"""The last events judged together: which of them do not belong, and whether a clutch has changed meanwhile.
+
+One event is held against all others, those after it included, so a bad first shift is found out by the good ones that
+follow. Leaving an event out costs as much as explaining it badly; so does a step of a clutch's friction. What costs
+least is believed.
+"""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from typing import Final
+
+import numpy as np
+
+from canlog.arrays import FloatArray
+from diag_service.diagnosis.friction.evidence import Evidence, Fusion, Knowledge, fuse
+from diag_service.diagnosis.friction.parameters import FRICTION_PRIOR_STD, PARAMETER_COUNT, friction_rows
+from diag_service.diagnosis.friction.selection import Selection, selected
+
+STEP_COST: Final = 55.0  # more than two events that are left out, less than three
+STEP_COUNT: Final = 3  # of the newest events of a clutch, which agree that it has changed
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class JudgedEvent:
+    """What one event of a clutch says."""
+
+    number: int  # of the event in its stream
+    clutch: int  # 1 or 2, the one that slipped
+    end_ns: int
+    evidence: Evidence
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Judgement:
+    """What is believed of some events."""
+
+    fusion: Fusion
+    is_used: tuple[bool, ...]
+    cost: float  # chi-square, and what leaving out costs
+    first_changed: int | None = None  # from that event on its clutch has another friction
+
+
+def judge(base: Knowledge, events: Sequence[JudgedEvent]) -> Judgement:
+    """Return what is believed of events, the oldest first, given what was known before them."""
+    best = selected(base, [event.evidence for event in events])
+    judged = _believed(base, events, best)
+    for first in _where_changed(events, best.is_used):
+        judged = min(judged, _with_change(base, events, first), key=lambda one: one.cost)
+    return judged
+
+
+def _believed(base: Knowledge, events: Sequence[JudgedEvent], selection: Selection) -> Judgement:
+    """Return what a selection of the events and what was known before say together."""
+    fusion = fuse(base, _together(events, selection.is_used))
+    return Judgement(fusion=fusion, is_used=selection.is_used, cost=selection.cost)
+
+
+def _with_change(base: Knowledge, events: Sequence[JudgedEvent], first: int) -> Judgement:
+    """Return what is believed if the clutch of an event changed right before it."""
+    older, newer = events[:first], events[first:]
+    until = selected(base, [event.evidence for event in older])
+    before = fuse(base, _together(older, until.is_used)).knowledge
+    known = after_change(before, newer[0].clutch)
+    since = selected(known, [event.evidence for event in newer])
+    return replace(
+        _believed(known, newer, since),
+        is_used=(*until.is_used, *since.is_used),
+        cost=until.cost + since.cost + STEP_COST,
+        first_changed=first,
+    )
+
+
+def _together(events: Sequence[JudgedEvent], is_used: Sequence[bool]) -> Evidence:
+    """Return what the events say that are used."""
+    total = Evidence.none()
+    for event, used in zip(events, is_used, strict=False):
+        total = total.plus(event.evidence) if used else total
+    return total
+
+
+def after_change(known: Knowledge, clutch: int) -> Knowledge:
+    """Return what is known once the friction of a clutch has changed by nobody knows how much."""
+    return known.less_sure(friction_variance(clutch, FRICTION_PRIOR_STD**2))
+
+
+def friction_variance(clutch: int, variance: float) -> FloatArray:
+    """Return a variance for the friction of one clutch, none for all else, shape (PARAMETER_COUNT,)."""
+    added = np.zeros(PARAMETER_COUNT)
+    added[friction_rows(clutch)] = variance
+    return added
+
+
+def _where_changed(events: Sequence[JudgedEvent], is_used: Sequence[bool]) -> Iterator[int]:
+    """Yield events before which their clutch may have changed: its newest are all left out, or all before them are."""
+    for clutch in (1, 2):
+        rows = [row for row, event in enumerate(events) if event.clutch == clutch]
+        used = [is_used[row] for row in rows]
+        if not any(used[-STEP_COUNT:]) and len(rows) >= STEP_COUNT:
+            yield rows[max((place + 1 for place, is_in in enumerate(used) if is_in), default=0)]
+        if not any(used[:STEP_COUNT]) and all(used[-STEP_COUNT:]) and len(rows) >= 2 * STEP_COUNT:
+            yield rows[used.index(True)]

@@ -1,0 +1,94 @@
+"""Evidence and earlier knowledge put together, against least squares done in one go."""
+
+import numpy as np
+import pytest
+
+from canlog.arrays import FloatArray
+from diag_service.diagnosis.friction.evidence import Evidence, Knowledge, Measurement, fuse
+from diag_service.diagnosis.friction.parameters import PARAMETER_COUNT
+
+SCALES = 10.0 ** np.random.default_rng(0).uniform(-4.0, 4.0, PARAMETER_COUNT)  # coefficients, pascals, seconds
+
+
+def knowledge(rng: np.random.Generator) -> Knowledge:
+    root = rng.normal(size=(PARAMETER_COUNT, PARAMETER_COUNT)) / np.sqrt(PARAMETER_COUNT)
+    spread = (root @ root.T + np.eye(PARAMETER_COUNT)) * np.outer(SCALES, SCALES)
+    return Knowledge(mean=rng.normal(size=PARAMETER_COUNT) * SCALES, covariance=spread)
+
+
+def measurement(rng: np.random.Generator, truth: FloatArray, at: FloatArray, count: int = 24) -> Measurement:
+    slope = rng.normal(size=(count, PARAMETER_COUNT)) / SCALES
+    root = 0.2 * rng.normal(size=(count, count)) / np.sqrt(count)
+    noise = root @ root.T + 0.01 * np.eye(count)
+    drawn = np.linalg.cholesky(noise) @ rng.normal(size=count)
+    return Measurement(residual=slope @ (truth - at) + drawn, slope=slope, noise=noise)
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_fusing_is_least_squares(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    known = knowledge(rng)
+    truth = known.mean + np.linalg.cholesky(known.covariance) @ rng.normal(size=PARAMETER_COUNT)
+    at = [known.mean, truth, known.mean + SCALES]
+    seen = [measurement(rng, truth, one) for one in at]
+    total = Evidence.none()
+    for one, where in zip(seen, at, strict=True):
+        total = total.plus(Evidence.of([one], where))
+    fused = fuse(known, total)
+
+    rows = [np.linalg.cholesky(np.linalg.inv(known.covariance / np.outer(SCALES, SCALES))).T / SCALES]
+    sides = [rows[0] @ known.mean]
+    for one, where in zip(seen, at, strict=True):
+        white = np.linalg.inv(np.linalg.cholesky(one.noise))
+        rows.append(white @ one.slope)
+        sides.append(white @ (one.residual + one.slope @ where))
+    design, side = np.vstack(rows) * SCALES, np.concatenate(sides)
+    solved, rest, *_ = np.linalg.lstsq(design, side)
+    covariance = np.linalg.inv(design.T @ design) * np.outer(SCALES, SCALES)
+    assert fused.knowledge.mean / SCALES == pytest.approx(solved, abs=1e-6)
+    assert fused.knowledge.covariance / np.outer(SCALES, SCALES) == pytest.approx(
+        covariance / np.outer(SCALES, SCALES), abs=1e-8
+    )
+    assert fused.chi_square == pytest.approx(float(rest[0]), rel=1e-6)
+
+
+def test_what_is_taken_out_again_leaves_what_was() -> None:
+    rng = np.random.default_rng(1)
+    known = knowledge(rng)
+    first, second = (Evidence.of([measurement(rng, known.mean, known.mean)], known.mean) for _ in range(2))
+    alone, again = fuse(known, first), fuse(known, first.plus(second).plus(second, -1.0))
+    assert again.knowledge.mean / SCALES == pytest.approx(alone.knowledge.mean / SCALES, abs=1e-9)
+    assert again.chi_square == pytest.approx(alone.chi_square, rel=1e-9)
+    assert first.plus(second).plus(second, -1.0).count == first.count
+
+
+def test_what_is_certain_stays() -> None:
+    rng = np.random.default_rng(2)
+    known = knowledge(rng)
+    known.covariance[3, :] = known.covariance[:, 3] = 0.0
+    fused = fuse(known, Evidence.of([measurement(rng, known.mean + SCALES, known.mean)], known.mean))
+    assert fused.knowledge.mean[3] == known.mean[3]
+    assert not fused.knowledge.covariance[3].any()
+
+
+def test_what_is_kept_of_an_error_is_what_two_estimates_share() -> None:
+    """An error of the earlier mean moves the later one by ``kept``."""
+    rng = np.random.default_rng(3)
+    known = knowledge(rng)
+    evidence = Evidence.of([measurement(rng, known.mean, known.mean)], known.mean)
+    error = rng.normal(size=PARAMETER_COUNT) * SCALES
+    moved = fuse(Knowledge(mean=known.mean + error, covariance=known.covariance), evidence)
+    plain = fuse(known, evidence)
+    assert (moved.knowledge.mean - plain.knowledge.mean) / SCALES == pytest.approx(
+        plain.kept @ error / SCALES, abs=1e-8
+    )
+
+
+def test_an_overlap_is_taken_from_the_gradient() -> None:
+    rng = np.random.default_rng(4)
+    known = knowledge(rng)
+    plain = measurement(rng, known.mean, known.mean)
+    overlap = rng.normal(size=PARAMETER_COUNT) / SCALES
+    shared = Measurement(residual=plain.residual, slope=plain.slope, noise=plain.noise, overlap=overlap)
+    difference = Evidence.of([plain], known.mean).vector - Evidence.of([shared], known.mean).vector
+    assert difference * SCALES == pytest.approx(overlap * SCALES)

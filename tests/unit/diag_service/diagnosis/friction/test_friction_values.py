@@ -1,0 +1,223 @@
+"""What is known without the common scale: the stated deviations are those of the errors that are made."""
+
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from canlog.arrays import FloatArray
+from clutch_model.calibration import nominal_calibration
+from diag_service.diagnosis.friction.baseline import BASELINE_SHIFT_COUNT, Baseline
+from diag_service.diagnosis.friction.evidence import Evidence, Knowledge, fuse
+from diag_service.diagnosis.friction.friction_values import (
+    clutch_ratio,
+    common_scale_std_ratio,
+    friction,
+    scale_free,
+    trend,
+)
+from diag_service.diagnosis.friction.parameters import (
+    FRICTION_COUNT,
+    PARAMETER_COUNT,
+    STATE_COUNT,
+    Considered,
+    friction_rows,
+    prior_covariance,
+)
+from diag_service.diagnosis.friction.posterior import Posterior
+
+CALIBRATION = nominal_calibration()
+FRESH = Posterior.fresh(CALIBRATION)
+GAIN = STATE_COUNT + Considered.TORQUE_GAIN
+AREAS = (STATE_COUNT + Considered.PISTON_AREA1, STATE_COUNT + Considered.PISTON_AREA2)
+STATE_SCALE = np.array([0.002] * FRICTION_COUNT + [5.0] + [8e3] * 4)
+NUMBERS_OF_A_SHIFT = 10
+CHANGE_STD = 0.0005  # of friction, after the baseline
+DRAWS = 1000
+LATER_COUNT = 25
+COVERAGE = (0.915, 0.985)  # of two deviations; 1000 draws know 95 % to 0.7 %
+
+
+def base() -> Knowledge:
+    """Return what is known before: friction roughly, everything else as of the vehicle type."""
+    covariance = prior_covariance(CALIBRATION)
+    covariance[:STATE_COUNT, :STATE_COUNT] = np.diag(np.square(STATE_SCALE))
+    return Knowledge(mean=FRESH.known.mean, covariance=covariance)
+
+
+@cache
+def slopes() -> tuple[FloatArray, FloatArray]:
+    """Return what two kinds of shift see: every parameter, with gain and inertia alike."""
+    rng = np.random.default_rng(11)
+    std = base().std()
+    scale = np.concatenate((STATE_SCALE, 2.0 * std[STATE_COUNT:]))
+    first, second = (rng.normal(size=(NUMBERS_OF_A_SHIFT, PARAMETER_COUNT)) / scale for _ in range(2))
+    return first, second
+
+
+def shifts(count: int, truth: FloatArray, rng: np.random.Generator) -> Evidence:
+    """Return what ``count`` shifts of each kind say, with noise of deviation one."""
+    total = Evidence.none()
+    for slope in slopes():
+        matrix = count * slope.T @ slope
+        noise = np.sqrt(count) * slope.T @ rng.normal(size=NUMBERS_OF_A_SHIFT)
+        total = total.plus(
+            Evidence(matrix=matrix, vector=matrix @ truth + noise, constant=0.0, count=count * NUMBERS_OF_A_SHIFT)
+        )
+    return total
+
+
+def of(known: Knowledge, counts: tuple[int, int] = (1, 1)) -> Posterior:
+    return replace(Posterior.of(known, CALIBRATION), folded_counts=counts)
+
+
+def drive(rng: np.random.Generator) -> tuple[Posterior, FloatArray, FloatArray]:
+    """Return the state after many shifts, and the true parameters at the baseline and now."""
+    known = base()
+    then = known.mean + np.linalg.cholesky(known.covariance) @ rng.normal(size=PARAMETER_COUNT)
+    known = fuse(known, shifts(BASELINE_SHIFT_COUNT, then, rng)).knowledge
+    baselines = [
+        Baseline.of(clutch, known, end_ns=BASELINE_SHIFT_COUNT, count=BASELINE_SHIFT_COUNT) for clutch in (1, 2)
+    ]
+    change_std = np.zeros(PARAMETER_COUNT)
+    change_std[:FRICTION_COUNT] = CHANGE_STD
+    now = then + change_std * rng.normal(size=PARAMETER_COUNT)
+    news = fuse(known.less_sure(np.square(change_std)), shifts(LATER_COUNT, now, rng))
+    first, second = (replace(one.after(news.kept), later_count=LATER_COUNT) for one in baselines)
+    return replace(of(news.knowledge), baselines=(first, second)), then, now
+
+
+@cache
+def errors() -> dict[str, FloatArray]:
+    """Return errors over stated deviations of many drives, by what they are of."""
+    rng = np.random.default_rng(12)
+    found: dict[str, list[float]] = {}
+    for _ in range(DRAWS):
+        state, then, now = drive(rng)
+        gain, area = 1.0 + now[GAIN], 1.0 + now[AREAS[0]]
+        since, ratio = trend(state, 2), clutch_ratio(state)
+        assert since is not None
+        assert ratio is not None
+        free, absolute, change = scale_free(state, 1), friction(state, 1), (now - then) / gain
+        pairs = {
+            "mu_C": (absolute.mu_c - now[0] / gain, absolute.std_mu_c),
+            "mu_S": (absolute.mu_s - now[1] / gain, absolute.std_mu_s),
+            "scale-free mu_C": (free.mu_c - now[0] * area, free.std_mu_c),
+            "scale-free mu_S": (free.mu_s - now[1] * area, free.std_mu_s),
+            "change of mu_C": (since.change_mu_c - change[2], since.std_change_mu_c),
+            "change of mu_S": (since.change_mu_s - change[3], since.std_change_mu_s),
+            "relative mu_C": (since.change_mu_c_ratio - (now[2] / then[2] - 1.0), since.std_change_mu_c_ratio),
+            "relative mu_S": (since.change_mu_s_ratio - (now[3] / then[3] - 1.0), since.std_change_mu_s_ratio),
+            "mu_C1/mu_C2": (ratio.mu_c_ratio - now[0] / now[2], ratio.std_mu_c_ratio),
+            "mu_S1/mu_S2": (ratio.mu_s_ratio - now[1] / now[3], ratio.std_mu_s_ratio),
+        }
+        for name, (error, std) in pairs.items():
+            found.setdefault(name, []).append(error / std)
+    return {name: np.array(values) for name, values in found.items()}
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        *("mu_C", "mu_S", "scale-free mu_C", "scale-free mu_S", "change of mu_C", "change of mu_S"),
+        *("relative mu_C", "relative mu_S", "mu_C1/mu_C2", "mu_S1/mu_S2"),
+    ],
+)
+def test_the_stated_deviation_is_that_of_the_errors(name: str) -> None:
+    ratios = errors()[name]
+    assert np.std(ratios) == pytest.approx(1.0, abs=0.1)
+    assert COVERAGE[0] <= np.mean(np.abs(ratios) < 2.0) <= COVERAGE[1]
+
+
+def test_a_trend_is_sharper_than_its_two_ends() -> None:
+    state, *_ = drive(np.random.default_rng(13))
+    since, now = trend(state, 1), friction(state, 1)
+    assert since is not None
+    assert since.std_change_mu_c_ratio < 0.2 * now.std_mu_c / now.mu_c
+    assert since.later_shift_count == LATER_COUNT
+    assert since.baseline_end_bus_ns == BASELINE_SHIFT_COUNT
+
+
+@cache
+def some_state() -> Posterior:
+    return drive(np.random.default_rng(14))[0]
+
+
+@settings(deadline=None)  # the first call makes the state
+@given(gain=st.floats(0.5, 2.0))
+def test_what_is_free_of_scale_does_not_know_the_gain(gain: float) -> None:
+    state = some_state()
+    moved = float(state.known.mean[GAIN])
+    scaled = replace(state, torque_gain=gain)
+    for clutch in (1, 2):
+        assert scale_free(scaled, clutch) == scale_free(state, clutch)
+        expected = friction(state, clutch).mu_c * (1.0 + moved) / (gain + moved)
+        assert friction(scaled, clutch).mu_c == pytest.approx(expected)
+        here, there = trend(scaled, clutch), trend(state, clutch)
+        assert here is not None
+        assert there is not None
+        assert here.change_mu_c_ratio == there.change_mu_c_ratio
+        assert here.std_change_mu_s_ratio == there.std_change_mu_s_ratio
+    assert clutch_ratio(scaled) == clutch_ratio(state)
+
+
+def driven_by(slope: FloatArray, noise: float = 0.0) -> Posterior:
+    """Return a state whose friction is off by ``slope`` times what is wrong with the other parameters."""
+    known, covariance = FRESH.known, prior_covariance(CALIBRATION)
+    considered = covariance[STATE_COUNT:, STATE_COUNT:]
+    covariance[:FRICTION_COUNT, :] = covariance[:, :FRICTION_COUNT] = 0.0
+    covariance[:FRICTION_COUNT, :FRICTION_COUNT] = slope @ considered @ slope.T + noise**2 * np.eye(FRICTION_COUNT)
+    covariance[:FRICTION_COUNT, STATE_COUNT:] = slope @ considered
+    covariance[STATE_COUNT:, :FRICTION_COUNT] = considered @ slope.T
+    return of(Knowledge(mean=known.mean, covariance=covariance))
+
+
+def test_gain_alone_leaves_the_ratio_certain_and_the_areas_do_not() -> None:
+    mu = FRESH.known.mean[:FRICTION_COUNT]
+    slope = np.zeros((FRICTION_COUNT, len(Considered)))
+    slope[:, Considered.ENGINE_INERTIA] = 0.5 * mu  # alike in all four
+    ratio = clutch_ratio(driven_by(slope))
+    assert ratio is not None
+    assert ratio.std_mu_c_ratio == pytest.approx(0.0, abs=1e-8)
+    slope[:2, Considered.PISTON_AREA1] = mu[:2]
+    slope[2:4, Considered.PISTON_AREA2] = mu[2:4]
+    ratio = clutch_ratio(driven_by(slope))
+    assert ratio is not None
+    assert ratio.std_mu_c_ratio == pytest.approx(np.sqrt(2.0) * CALIBRATION.uncertainty.piston_area_ratio)
+
+
+@pytest.mark.parametrize("clutch", [1, 2])
+def test_the_common_scale_is_that_of_gain_and_piston_area(clutch: int) -> None:
+    scatter = CALIBRATION.uncertainty
+    gain, area = scatter.torque_gain_ratio, scatter.piston_area_ratio
+    assert common_scale_std_ratio(FRESH, clutch) == pytest.approx(np.hypot(gain, area))
+    assert common_scale_std_ratio(replace(FRESH, torque_gain=1.5), clutch) == pytest.approx(np.hypot(gain / 1.5, area))
+    covariance, row = prior_covariance(CALIBRATION), AREAS[clutch - 1]
+    covariance[GAIN, row] = covariance[row, GAIN] = -0.5 * gain * area
+    opposed = of(Knowledge(mean=FRESH.known.mean, covariance=covariance))
+    assert common_scale_std_ratio(opposed, clutch) == pytest.approx(np.sqrt(gain**2 + area**2 - gain * area))
+
+
+@pytest.mark.parametrize("clutch", [1, 2])
+def test_a_piston_area_that_is_the_lever_of_friction_only_leaves_the_scale_free_value_certain(clutch: int) -> None:
+    """More area than believed looks like more friction: their product is what the torque shows."""
+    rows = friction_rows(clutch)
+    slope = np.zeros((FRICTION_COUNT, len(Considered)))
+    slope[rows, AREAS[clutch - 1] - STATE_COUNT] = -FRESH.known.mean[rows]
+    state = driven_by(slope, noise=1e-3)
+    free = scale_free(state, clutch)
+    assert free.std_mu_c == pytest.approx(1e-3)
+    assert free.std_mu_s == pytest.approx(1e-3)
+    assert friction(state, clutch).std_mu_c > 0.01 * free.mu_c
+
+
+def test_nothing_is_compared_before_there_is_something_to_compare_with() -> None:
+    known = FRESH.known
+    assert clutch_ratio(of(known, (0, 3))) is None
+    baseline = Baseline.of(2, known, end_ns=1, count=BASELINE_SHIFT_COUNT)
+    frozen = replace(of(known, (0, BASELINE_SHIFT_COUNT)), baselines=(None, baseline))
+    assert trend(frozen, 1) is None
+    assert trend(frozen, 2) is None  # the baseline is all that is known

@@ -1,0 +1,117 @@
+"""Which of the last events are believed, and from where on a clutch is another one; events are simple on purpose."""
+
+from collections.abc import Sequence
+
+import numpy as np
+import pytest
+
+from canlog.arrays import FloatArray
+from clutch_model.calibration import nominal_calibration
+from diag_service.diagnosis.friction.evidence import Evidence, Knowledge, Measurement
+from diag_service.diagnosis.friction.judgement import JudgedEvent, judge
+from diag_service.diagnosis.friction.parameters import (
+    PARAMETER_COUNT,
+    STATE_COUNT,
+    Considered,
+    State,
+    friction_rows,
+    prior_covariance,
+    prior_mean,
+)
+
+STD = 0.001  # of friction seen in one event
+MU = np.array([0.140, 0.120])
+
+
+def base() -> Knowledge:
+    calibration = nominal_calibration()
+    mean = np.concatenate((prior_mean(calibration), np.zeros(PARAMETER_COUNT - len(State))))
+    return Knowledge(mean=mean, covariance=prior_covariance(calibration))
+
+
+def event(number: int, clutch: int, mu: FloatArray, rng: np.random.Generator) -> JudgedEvent:
+    """Return an event that saw friction ten times over and nothing else."""
+    slope = np.zeros((20, PARAMETER_COUNT))
+    slope[:, friction_rows(clutch)] = np.tile(np.eye(2), (10, 1))
+    noise = np.eye(20) * (10.0 * STD**2)
+    at = base().mean
+    seen = np.tile(mu, 10) + rng.normal(size=20) * np.sqrt(10.0) * STD
+    residual = seen - slope @ at
+    measured = Measurement(residual=residual, slope=slope, noise=noise)
+    return JudgedEvent(number=number, clutch=clutch, end_ns=number, evidence=Evidence.of([measured], at))
+
+
+def events(levels: Sequence[float], seed: int = 0, clutch: int = 1) -> list[JudgedEvent]:
+    rng = np.random.default_rng(seed)
+    return [event(number, clutch, level * MU, rng) for number, level in enumerate(levels, start=1)]
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_events_that_agree_are_all_believed(seed: int) -> None:
+    judged = judge(base(), events([1.0] * 12, seed))
+    assert all(judged.is_used)
+    assert judged.first_changed is None
+    error = (judged.fusion.knowledge.mean[:2] - MU) / judged.fusion.knowledge.std()[:2]
+    assert np.max(np.abs(error)) < 4.5
+
+
+@pytest.mark.parametrize("where", [0, 1, 5, 11])
+@pytest.mark.parametrize("level", [0.9, 1.15])
+def test_one_that_disagrees_is_left_out_wherever_it_comes(where: int, level: float) -> None:
+    levels = [1.0] * 12
+    levels[where] = level
+    judged = judge(base(), events(levels))
+    assert [row for row, used in enumerate(judged.is_used) if not used] == [where]
+
+
+def test_two_bad_first_ones_are_found_out_by_those_after_them() -> None:
+    found = [judge(base(), events([0.9, 0.9, *[1.0] * count])).is_used for count in (1, 4)]
+    assert found[0][:2] == (True, True)  # two against one
+    assert found[1] == (False, False, True, True, True, True)
+
+
+@pytest.mark.parametrize("level", [0.94, 1.06, 0.7])
+def test_three_that_agree_are_a_change(level: float) -> None:
+    levels = [1.0] * 8 + [level] * 3
+    assert judge(base(), events(levels[:9])).is_used[8:] == (False,)
+    two = judge(base(), events(levels[:10]))
+    assert two.is_used[8:] == (False, False)
+    assert two.first_changed is None
+    three = judge(base(), events(levels))
+    assert three.first_changed == 8
+    assert three.is_used[8:] == (True, True, True)
+    assert three.fusion.knowledge.mean[:2] == pytest.approx(level * MU, abs=5.0 * STD)
+
+
+def test_three_that_agree_with_nobody_are_no_change() -> None:
+    judged = judge(base(), events([*[1.0] * 8, 0.8, 1.2, 0.6]))
+    assert judged.first_changed is None
+    assert judged.is_used[8:] == (False, False, False)
+
+
+def test_a_change_of_one_clutch_leaves_the_other_alone() -> None:
+    rng = np.random.default_rng(3)
+    both = [
+        event(number, 1 + number % 2, MU * (0.9 if number > 6 and number % 2 else 1.0), rng) for number in range(12)
+    ]
+    judged = judge(base(), both)
+    assert judged.first_changed == 7
+    assert all(used for used, one in zip(judged.is_used, both, strict=True) if one.clutch == 1)
+    assert judged.fusion.knowledge.mean[:4] == pytest.approx(np.concatenate((MU, 0.9 * MU)), abs=5.0 * STD)
+
+
+@pytest.mark.parametrize("count", [2, 4])
+def test_bad_ones_that_agree_do_not_hide_behind_each_other(count: int) -> None:
+    """Two shifts, or two of each clutch, that one wrong area would explain; each alone is hardly missed."""
+    known = base()
+    known.covariance[:4, :4] = np.eye(4) * STD**2
+    slope = np.zeros((20, PARAMETER_COUNT))
+    slope[:, STATE_COUNT + Considered.PISTON_AREA1] = 1.0 / 0.01
+    noise = np.eye(20)
+    far = Measurement(residual=np.full(20, 12.0), slope=slope, noise=noise)
+    alike = [
+        JudgedEvent(number=number, clutch=1 + number % 2, end_ns=number, evidence=Evidence.of([far], known.mean))
+        for number in range(count)
+    ]
+    judged = judge(known, alike)
+    assert judged.is_used == ((False,) * 2 if count == 2 else (True,) * 4)

@@ -1,0 +1,155 @@
+"""What is known of a vehicle from event to event, kept, restored and refused."""
+
+import json
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+
+from clutch_model.calibration import nominal_calibration
+from diag_service.diagnosis.friction.baseline import BASELINE_SHIFT_COUNT
+from diag_service.diagnosis.friction.evidence import Evidence, Measurement, fuse
+from diag_service.diagnosis.friction.friction_values import friction, trend
+from diag_service.diagnosis.friction.judgement import JudgedEvent
+from diag_service.diagnosis.friction.parameters import PARAMETER_COUNT, STATE_COUNT, Considered, friction_rows
+from diag_service.diagnosis.friction.posterior import RECENT_COUNT, Posterior
+from diag_service.diagnosis.friction.preparation import PackTemperatures
+from fleet_contract import JsonObject
+
+CALIBRATION = nominal_calibration()
+MU = np.array([0.140, 0.120])
+STD = 0.001
+
+
+def event(number: int, clutch: int, mu: np.ndarray, rng: np.random.Generator) -> JudgedEvent:
+    """Return an event that sees friction and, less sharply, something of everything else."""
+    at, std = Posterior.fresh(CALIBRATION).known.mean, Posterior.fresh(CALIBRATION).known.std()
+    slope = 0.05 * rng.normal(size=(24, PARAMETER_COUNT)) / std
+    slope[:, friction_rows(1)] = slope[:, friction_rows(2)] = 0.0
+    slope[:, friction_rows(clutch)] = np.tile(np.eye(2), (12, 1)) / STD / np.sqrt(12.0)
+    truth = at.copy()
+    truth[friction_rows(clutch)] = mu
+    residual = slope @ (truth - at) + rng.normal(size=24)
+    measured = Measurement(residual=residual, slope=slope, noise=np.eye(24))
+    return JudgedEvent(number=number, clutch=clutch, end_ns=number, evidence=Evidence.of([measured], at))
+
+
+def driven(count: int, seed: int = 0, mu: Callable[[int], np.ndarray] = lambda _: MU) -> Posterior:
+    """Return what is known after some events of both clutches in turn."""
+    rng, state = np.random.default_rng(seed), Posterior.fresh(CALIBRATION)
+    for number in range(count):
+        state = state.with_event(event(number, 1 + number % 2, mu(number), rng))
+    return state
+
+
+def test_nothing_is_lost_when_events_become_part_of_the_base() -> None:
+    """But for the drift of a few events, the whole is what all events say at once."""
+    rng = np.random.default_rng(0)
+    total = Evidence.none()
+    for number in range(30):
+        total = total.plus(event(number, 1 + number % 2, MU, rng).evidence)
+    at_once, state = fuse(Posterior.fresh(CALIBRATION).base, total).knowledge, driven(30)
+    assert len(state.recent) == RECENT_COUNT
+    assert state.shift_counts == (15, 15)
+    std = at_once.std()
+    assert (state.known.mean - at_once.mean) / std == pytest.approx(np.zeros(PARAMETER_COUNT), abs=0.1)
+    assert state.known.std() / std == pytest.approx(np.ones(PARAMETER_COUNT), rel=0.05)
+
+
+def test_an_event_that_does_not_belong_leaves_no_trace() -> None:
+    state = driven(20, mu=lambda number: MU * (1.3 if number == 3 else 1.0))
+    assert state.shift_counts == (10, 9)
+    assert friction(state, 2).mu_c == pytest.approx(0.140, abs=5.0 * friction(state, 2).std_mu_c)
+    assert abs(state.known.mean[2] - 0.140) < 5.0 * STD
+
+
+def test_a_change_begins_the_count_anew_and_keeps_the_rest() -> None:
+    before = driven(20)
+    state = driven(26, mu=lambda number: MU * (0.8 if number >= 20 and number % 2 else 1.0))
+    assert state.shift_counts == (13, 3)
+    assert state.known.mean[friction_rows(2)] == pytest.approx(0.8 * MU, abs=5.0 * STD)
+    latency = STATE_COUNT + Considered.TORQUE_LATENCY
+    assert state.known.std()[latency] <= before.known.std()[latency]
+
+
+def test_a_change_shows_against_the_baseline() -> None:
+    count = 2 * (BASELINE_SHIFT_COUNT + RECENT_COUNT)
+    sound, worn = driven(count), driven(count + 8, mu=lambda number: MU * (0.9 if number >= count else 1.0))
+    same, since = trend(sound, 1), trend(worn, 1)
+    assert same is not None
+    assert abs(same.change_mu_c_ratio) < 4.0 * same.std_change_mu_c_ratio
+    assert same.baseline_shift_count == BASELINE_SHIFT_COUNT
+    assert since is not None
+    assert since.change_mu_c_ratio == pytest.approx(-0.1, abs=5.0 * since.std_change_mu_c_ratio)
+    assert since.std_change_mu_c_ratio < 0.01
+
+
+def test_the_stated_deviation_of_a_trend_is_that_of_its_errors() -> None:
+    count = 2 * (BASELINE_SHIFT_COUNT + RECENT_COUNT)
+    found = [trend(driven(count, seed), 1) for seed in range(40)]
+    scores = [one.change_mu_c_ratio / one.std_change_mu_c_ratio for one in found if one is not None]
+    assert len(scores) == 40
+    assert 0.7 < float(np.std(scores)) < 1.4
+
+
+def test_what_the_type_does_not_tell_is_never_averaged_away() -> None:
+    """A gain of 3 % and an area of 1 % stay in the total standard deviation however many shifts agree."""
+    rng, state = np.random.default_rng(1), Posterior.fresh(CALIBRATION)
+    at = state.known.mean
+    slope = np.zeros((1, PARAMETER_COUNT))
+    slope[0, 0] = 100.0
+    slope[0, STATE_COUNT + Considered.PISTON_AREA1] = 14.0  # mu_c * 100: the area scales the torque, as the gain does
+    for number in range(200):
+        seen = Measurement(residual=0.1 * rng.normal(size=1), slope=slope, noise=np.array([[0.01]]))
+        news = JudgedEvent(number=number, clutch=1, end_ns=number, evidence=Evidence.of([seen], at))
+        state = state.with_event(news)
+    found = friction(state, 1)
+    assert found.std_mu_c == pytest.approx(np.hypot(0.03, 0.01) * 0.14, rel=0.03)
+    assert found.random_std_mu_c < 0.1 * found.std_mu_c
+
+
+def test_a_saved_state_goes_on_bit_by_bit() -> None:
+    rng = np.random.default_rng(9)
+    state = driven(2 * BASELINE_SHIFT_COUNT + RECENT_COUNT + 3, mu=lambda number: MU * (1.2 if number == 38 else 1.0))
+    state = state.warmed(PackTemperatures(clutch_k=(360.0, 351.5), at_ns=12))
+    back = Posterior.from_json(json.loads(json.dumps(state.to_json())), CALIBRATION)
+    assert back.to_json() == state.to_json()
+    news = event(99, 1, MU, rng)
+    one, other = state.with_event(news), back.with_event(news)
+    assert one.known.mean.tobytes() == other.known.mean.tobytes()
+    assert one.known.covariance.tobytes() == other.known.covariance.tobytes()
+    assert (one.is_used, one.shift_counts) == (other.is_used, other.shift_counts)
+    assert one.baselines[0] is not None
+    assert one.packs == other.packs
+
+
+SAVED = json.dumps(driven(2 * BASELINE_SHIFT_COUNT + RECENT_COUNT).to_json())
+
+
+def damaged(change: Callable[[Any], object]) -> JsonObject:
+    table: JsonObject = json.loads(SAVED)
+    change(table)
+    return table
+
+
+@pytest.mark.parametrize(
+    "table",
+    [
+        damaged(lambda table: table.update(format=3)),
+        damaged(lambda table: table.pop("base")),
+        damaged(lambda table: table["base"].update(mean=[0.1])),
+        damaged(lambda table: table["base"]["covariance"][3].__setitem__(3, float("nan"))),
+        damaged(lambda table: table.update(baselines=[None])),
+        damaged(lambda table: table["baselines"][0].update(cross=[[0.0, 0.0]])),
+        damaged(lambda table: table.update(recent="none")),
+        damaged(lambda table: table["recent"].extend(table["recent"])),
+        damaged(lambda table: table["recent"][0].update(lower=[1.0])),
+        damaged(lambda table: table["recent"][0].update(clutch=3)),
+        damaged(lambda table: table["recent"][0].update(constant=float("inf"))),
+        damaged(lambda table: table.update(folded_counts=None)),
+    ],
+)
+def test_a_damaged_state_is_refused(table: JsonObject) -> None:
+    with pytest.raises(ValueError, match="running state"):
+        Posterior.from_json(table, CALIBRATION)
