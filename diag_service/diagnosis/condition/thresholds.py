@@ -11,4 +11,4 @@ LEAVE_PROBABILITY = 0.20  # to call off a verdict once given, its cause must hav
 FIT_WINDOW = 20  # shifts of both clutches: two cycles
 MAX_MISFIT_SHARE = 0.25  # none of the shifts of sound drives misfit; of another vehicle's calibration half do
 MIN_MISFIT_COUNT = 3  # one or two shifts are no share
-NEW_FLUID_CONTRADICTIONS = 4  # it contradicts the running state of each clutch twice, then that starts afresh
+NEW_FLUID_CONTRADICTIONS = 6  # it contradicts what is known of each clutch up to three times, then that starts afresh

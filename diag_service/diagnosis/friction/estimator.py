@@ -13,6 +13,7 @@ from diag_service.diagnosis.alignment import NS_TO_S, AlignedSignals, compile_al
 from diag_service.diagnosis.columns import Signal
 from diag_service.diagnosis.events import Event
 from diag_service.diagnosis.friction.balance import Balance
+from diag_service.diagnosis.friction.cold_oil import MOST_FILM_SHARE, film_share, own_variance
 from diag_service.diagnosis.friction.evidence import Evidence, Fusion, Knowledge, Measurement, fuse
 from diag_service.diagnosis.friction.film_track import PressureDrive, compile_film
 from diag_service.diagnosis.friction.friction_values import friction, scale_free
@@ -180,8 +181,10 @@ class Estimator:
         window, clutch = found
         before = earlier.before if earlier else self._unknown_friction(state.known, clutch)
         balance = Balance(signals, window, drives, point, at)
+        if film_share(balance, clutch) > MOST_FILM_SHARE:
+            return Reason.NO_SLIP_WINDOW
         seen = measured(balance, near.measurements if near else ())
-        evidence = Evidence.of((*seen, *empty), at)
+        evidence = Evidence.of((*seen, *empty), at).loosened(own_variance(balance, clutch))
         alone = fuse(before, evidence)
         return _Seen(
             clutch=earlier.clutch if earlier else clutch,

@@ -73,6 +73,20 @@ class Evidence:
             count=self.count + round(sign) * other.count,
         )
 
+    def loosened(self, variance: FloatArray) -> Self:
+        """Return what is left if each parameter of this event differs by a variance, shape (PARAMETER_COUNT,)."""
+        root = np.sqrt(variance)
+        inner = np.eye(len(root)) + root[:, None] * self.matrix * root
+        spread = root[:, None] * np.linalg.inv(inner) * root
+        lost = spread @ self.vector
+        matrix = self.matrix - self.matrix @ spread @ self.matrix
+        return type(self)(
+            matrix=(matrix + matrix.T) / 2.0,
+            vector=self.vector - self.matrix @ lost,
+            constant=self.constant - float(self.vector @ lost),
+            count=self.count,
+        )
+
     def chi_square(self, at: FloatArray) -> float:
         """Return chi-square of the residuals at some parameters."""
         return self.constant + float((self.matrix @ at - 2.0 * self.vector) @ at)

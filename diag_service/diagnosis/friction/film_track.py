@@ -27,6 +27,11 @@ from diag_service.diagnosis.alignment import GRID_S
 _ANY_K = 350.0
 DRAG_LIMIT_NM = 8.0  # of an open pack: its oil is full of air, so the law of a full film ends there
 _CONTACT_END = 4.0  # film over roughness from which no asperities touch: a pack begins to be open
+_TIMING_S = 0.015  # by how much earlier or later than its pressure says a film may close or open
+_HOVER_PA = (
+    0.12e5  # so near its touch point a piston may press or not: nobody knows the film of a pack that is not closed
+)
+_DOUBT_RISE = 10.0  # by openness: how oil drags that fills with air, or gives it off
 
 
 class HeatLaw(NamedTuple):
@@ -58,6 +63,7 @@ class FilmTrack:
     contact_pa: FloatArray  # (n,) P_C
     viscous_nm: FloatArray  # (n,) T_V, sign of the slip
     open_nm: FloatArray  # (n,) the part of it that an open pack drags
+    doubt_nm: FloatArray  # (n,) standard deviation of the rest of it: how far the film of a closing pack is not known
     clutch_k: FloatArray  # (n,) temperature of the pack
     final_clutch_k: float
 
@@ -83,6 +89,7 @@ def integrate_film(clutch: int, drive: PressureDrive, calibration: Calibration, 
     contact_pa = np.zeros_like(drive.piston_pa)
     viscous_nm = np.zeros_like(drive.piston_pa)
     open_nm = np.zeros_like(drive.piston_pa)
+    doubt_nm = np.zeros_like(drive.piston_pa)
     clutch_k = np.zeros_like(drive.piston_pa)
     final_k = _integrate(
         drive.piston_pa[:stop],
@@ -95,10 +102,16 @@ def integrate_film(clutch: int, drive: PressureDrive, calibration: Calibration, 
         contact_pa,
         viscous_nm,
         open_nm,
+        doubt_nm,
         clutch_k,
     )
     return FilmTrack(
-        contact_pa=contact_pa, viscous_nm=viscous_nm, open_nm=open_nm, clutch_k=clutch_k, final_clutch_k=final_k
+        contact_pa=contact_pa,
+        viscous_nm=viscous_nm,
+        open_nm=open_nm,
+        doubt_nm=doubt_nm,
+        clutch_k=clutch_k,
+        final_clutch_k=final_k,
     )
 
 
@@ -120,11 +133,13 @@ def _integrate(
     contact_pa: FloatArray,
     viscous_nm: FloatArray,
     open_nm: FloatArray,
+    doubt_nm: FloatArray,
     pack_k: FloatArray,
 ) -> float:
     film_m = equilibrium_film_m(applied_pressure_pa(piston_pa[0], law), law)
     shear = shear_factor_difference(film_m / law.roughness_m)
-    clutch_k = start_k
+    touch_pa = law.closed_spring_force_n / law.piston_area_m2
+    clutch_k, film_rate_1_s = start_k, 0.0
     for k in range(len(piston_pa)):
         pack_k[k] = clutch_k
         viscosity = viscosity_pa_s(clutch_k, heat.a_pa_s, heat.b_k, heat.pole_k)
@@ -134,6 +149,9 @@ def _integrate(
         openness = _openness(film_m, law)
         open_nm[k] = openness * open_drag_ratio * full_nm / math.sqrt(1.0 + (full_nm / DRAG_LIMIT_NM) ** 2)
         viscous_nm[k] = (1.0 - openness) * full_nm + open_nm[k]
+        is_hovering = openness > 0.0 and abs(piston_pa[k] - touch_pa) < _HOVER_PA
+        doubt = 1.0 if is_hovering else min(_DOUBT_RISE * openness + _TIMING_S * film_rate_1_s, 1.0)
+        doubt_nm[k] = doubt * (1.0 - openness) * abs(full_nm)
         mu = kinetic_friction(slip, friction)
         contact_nm = contact_torque_nm(1.0, mu, contact_pa[k], law.contact_factor_m3)
         power_w = (contact_nm + abs(viscous_nm[k])) * abs(slip)
@@ -145,7 +163,9 @@ def _integrate(
         if k + 1 < len(piston_pa):
             driving_pa = 0.5 * (piston_pa[k] + piston_pa[k + 1])
             if film_m < law.open_gap_m or applied_pressure_pa(driving_pa, law) > 0.0:  # else an open pack stays open
+                before_m = film_m
                 film_m = _film_step(film_m, driving_pa, viscosity, law)
+                film_rate_1_s = abs(film_m / before_m - 1.0) / GRID_S
                 shear = shear_factor_difference(film_m / law.roughness_m)
     return clutch_k
 

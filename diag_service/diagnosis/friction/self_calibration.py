@@ -18,8 +18,9 @@ from clutch_model.knowledge import JointUncertainty
 from diag_service.diagnosis.alignment import AlignedSignals
 from diag_service.diagnosis.events import Event
 from diag_service.diagnosis.friction.balance import Balance
+from diag_service.diagnosis.friction.cold_oil import MOST_FILM_SHARE, film_share, own_variance
 from diag_service.diagnosis.friction.estimator import misfit_gate
-from diag_service.diagnosis.friction.evidence import Knowledge, Measurement
+from diag_service.diagnosis.friction.evidence import Evidence, Knowledge
 from diag_service.diagnosis.friction.film_track import PressureDrive
 from diag_service.diagnosis.friction.parameters import (
     FRICTION_COUNT,
@@ -82,12 +83,13 @@ class SelfCalibration:
         return float(np.sqrt(self.covariance[row, row]))
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class _Seen:
     """The balance of one event at the present point."""
 
-    balance: tuple[Measurement, ...]
-    zeros: tuple[Measurement, ...]
+    balance: Evidence
+    zeros: Evidence
+    misfit: float  # chi-square of the balance per degree of freedom
     clutch: int  # 0: a run-up
     number: int
     window: SlipWindow
@@ -95,19 +97,9 @@ class _Seen:
     is_closed_run_up: bool = False
 
     @property
-    def count(self) -> int:
-        """Impulses of the balance."""
-        return sum(len(one.residual) for one in self.balance)
-
-    @property
-    def misfit(self) -> float:
-        """Chi-square of the balance per degree of freedom."""
-        return sum(float(one.residual @ np.linalg.solve(one.noise, one.residual)) for one in self.balance) / self.count
-
-    @property
     def fits(self) -> bool:
         """Whether the model explains the balance."""
-        return self.misfit <= misfit_gate(self.count)
+        return self.misfit <= misfit_gate(self.balance.count)
 
 
 def self_calibrate(
@@ -140,7 +132,7 @@ def self_calibrate(
         used = [one for one in seen if not fine_count or one.fits]
         if problem := _shortage(seen, used):
             return problem
-        information, gradient = _gathered(used)
+        information, gradient = _gathered(used, mean)
         covariance = np.asarray(np.linalg.inv(weight + information), np.float64)
         step: FloatArray = covariance @ (weight @ (prior - mean) + gradient)
         share = _share(step, spread)
@@ -163,16 +155,12 @@ def self_calibrate(
     return _concluded(point, mean, covariance, used, len(shifts), version)
 
 
-def _gathered(used: Sequence[_Seen]) -> tuple[FloatArray, FloatArray]:
+def _gathered(used: Sequence[_Seen], at: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return what all balances say: the information matrix and the gradient; docs/model.md eqs. (30) and (31)."""
-    information, gradient = np.zeros((len(NAMES), len(NAMES))), np.zeros(len(NAMES))
-    for measurement in (one for event in used for one in (*event.balance, *event.zeros)):
-        scaled = np.linalg.solve(measurement.noise, measurement.slope)
-        information += measurement.slope.T @ scaled
-        gradient += scaled.T @ measurement.residual
-        if measurement.overlap is not None:
-            gradient -= measurement.overlap
-    return information, gradient
+    total = Evidence.none()
+    for one in used:
+        total = total.plus(one.balance).plus(one.zeros)
+    return total.matrix, total.vector - total.matrix @ at
 
 
 def _share(step: FloatArray, spread: FloatArray) -> float:
@@ -220,9 +208,17 @@ def _seen_shifts(
         window, clutch = found
         balance = Balance(signals, window, drives, point, at)
         packs = PackTemperatures(clutch_k=balance.final_clutch_k, at_ns=event.end_ns)
-        yield _Seen(
-            measured(balance), tuple(zeros_seen(signals, at, point)), clutch, event.number, window, signals.grid_s
-        )
+        if film_share(balance, clutch) <= MOST_FILM_SHARE:
+            seen = Evidence.of(measured(balance), at).loosened(own_variance(balance, clutch))
+            yield _Seen(
+                balance=seen,
+                zeros=Evidence.of(zeros_seen(signals, at, point), at),
+                misfit=seen.chi_square(at) / seen.count,
+                clutch=clutch,
+                number=event.number,
+                window=window,
+                grid_s=signals.grid_s,
+            )
 
 
 def _window(
@@ -242,7 +238,17 @@ def _seen_run_ups(events: Sequence[Event], at: FloatArray, point: Calibration) -
         inside = np.flatnonzero(signals.grid_s >= 0.0)
         window = SlipWindow.between(int(inside[0]), len(signals.grid_s))
         seen = run_up_measurement(signals, window, at, point, are_clutches_closed=event.are_clutches_closed)
-        yield _Seen((seen,), (), 0, event.number, window, signals.grid_s, event.are_clutches_closed)
+        balance = Evidence.of([seen], at)
+        yield _Seen(
+            balance=balance,
+            zeros=Evidence.none(),
+            misfit=balance.chi_square(at) / balance.count,
+            clutch=0,
+            number=event.number,
+            window=window,
+            grid_s=signals.grid_s,
+            is_closed_run_up=event.are_clutches_closed,
+        )
 
 
 def _shortage(seen: Sequence[_Seen], used: Sequence[_Seen]) -> str:

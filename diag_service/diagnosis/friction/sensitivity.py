@@ -5,6 +5,7 @@ that share noise with the residual would pull friction down by several percent. 
 measured ones (`balance`).
 """
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Self
@@ -15,7 +16,7 @@ from canlog.arrays import FloatArray
 from clutch_model.calibration import Calibration, InputSide
 from clutch_model.clutch import FrictionCurve
 from clutch_model.gears import both_clutches
-from diag_service.diagnosis.alignment import AlignedSignals
+from diag_service.diagnosis.alignment import GRID_S, AlignedSignals
 from diag_service.diagnosis.friction.balance import (
     Balance,
     ClutchMoments,
@@ -41,6 +42,7 @@ from diag_service.diagnosis.friction.preparation import planned_drives
 from diag_service.diagnosis.friction.window import SLIP_DEGREE, Weights
 
 MIN_EXCESS = 0.05  # keeps exponents below one finite at zero slip
+DOUBT_TIME_S = 0.1  # for which a film that is not known is wrong one way
 IDLE_RATIO = 0.1  # of the noise: a clutch that weighs less than this in the balance has no say in any derivative
 
 
@@ -183,7 +185,10 @@ class Sensitivity:
         return overlaps
 
     def _noises(self) -> list[FloatArray]:
-        """Return the covariance of the residual of each piece from sensor noise, every sample independent."""
+        """Return the covariance of the residual of each piece from sensor noise, every sample independent.
+
+        A film that is not known is noise of another kind, wrong one way for a while.
+        """
         balance, calibration = self._balance, self._balance.calibration
         signals, side, sensors = balance.signals, calibration.input_side, calibration.noise
         value, rows, gain = balance.weights.value, balance.weights.rows, calibration.bias.torque_gain
@@ -204,7 +209,14 @@ class Sensitivity:
             factors.append(sensors.pressure_pa * (value * by_pressure).on_samples(signals.pressure[m]))
         by_hub = gain * self._spread.hub(side) - (value * all_by_slip).on_samples(signals.hub_speed)
         factors.append(sensors.hub_speed_rad_s * by_hub)
-        return [np.asarray(sum(factor[band] @ factor[band].T for factor in factors)) for band in self._bands]
+        doubts = [value * (gain * math.sqrt(DOUBT_TIME_S / GRID_S) * track.doubt_nm[rows]) for track in balance.tracks]
+        return [
+            np.asarray(
+                sum(factor[band] @ factor[band].T for factor in factors)
+                + sum(doubt.blocks[place] @ doubt.blocks[place].T for doubt in doubts)
+            )
+            for place, band in enumerate(self._bands)
+        ]
 
 
 def measured(balance: Balance, near: Sequence[Measurement] = ()) -> tuple[Measurement, ...]:

@@ -49,13 +49,14 @@ class QualityLimits:
     launch_speeds_rad_s: float = 8.0  # engine and hub in a launch, whose clutch may judder; sound: 3.7
     speeds_mean_s: float = 0.05  # five samples: noise falls by half, a fault shorter than that weighs little
     locked_s: float = 0.10  # before the shift one clutch is locked, at its end the other one
+    settling_rad_s: float = 0.5  # in half of that time: so fast changes the slip of a clutch that is not locked yet
     turning_rad_s: float = 10.0  # slower, a shaft's speed sensor resolves too little for a ratio
     ringing_s: float = 0.05  # so long does a shaft swing after its synchroniser has engaged a gear
     in_gear_s: float = 0.10  # before its slip window the on-coming shaft stands in gear
     pressure_moment_pa: float = 0.20e5  # pressure of the slipping clutch less the expected one; sound: 0.10e5
     pressure_mean_s: float = 0.06  # the span of that moment
     command_clock_s: float = 0.01  # a command may be so far ahead of the speeds, to whose clock the pressures are moved
-    following_ratio: float = 0.5  # of what a command is ahead of its pressure: no valve follows a jump to the letter
+    following_ratio: float = 1.0  # of what a command is ahead of its pressure: no valve follows a jump to the letter
     pressure_window_pa: float = 0.10e5  # the same over the whole slip window; sound: 0.05e5
     zero_gate: float = 25.0  # squared distance of a measured zero from the known one, in variances: 6e-7 by chance
     least_noise_steps: float = 0.75  # of the resolution; a ramp without noise seems to have up to 0.6

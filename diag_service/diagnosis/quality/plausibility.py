@@ -129,9 +129,16 @@ def speed_gap_rad_s(
         locked = signals.slip_rad_s(clutch_of_gear(event.from_gear))
         gaps.append(abs(float(np.mean(locked[grid_s < grid_s[0] + limits.locked_s]))))
     if event.kind not in _WITHOUT_LOCK and event.end_reason is EndReason.COMPLETE:
-        closed = signals.slip_rad_s(clutch_of_gear(event.to_gear))
-        gaps.append(abs(float(np.mean(closed[grid_s >= end_s - limits.locked_s]))))
+        closed = signals.slip_rad_s(clutch_of_gear(event.to_gear))[grid_s >= end_s - limits.locked_s]
+        gaps.append(0.0 if _is_settling(closed, limits) else abs(float(np.mean(closed))))
     return max(gaps, default=0.0)
+
+
+def _is_settling(slip_rad_s: FloatArray, limits: QualityLimits) -> bool:
+    """Return whether a clutch still slips, as in a coast change; what a sensor reads too much changes less fast."""
+    middle = len(slip_rad_s) // 2
+    change_rad_s = float(np.mean(slip_rad_s[middle:]) - np.mean(slip_rad_s[:middle]))
+    return abs(change_rad_s) > limits.settling_rad_s
 
 
 def hub_gap_rad_s(signals: AlignedSignals, limits: QualityLimits = LIMITS) -> float:

@@ -12,7 +12,7 @@ from diag_service.diagnosis.records import ClutchVerdict, Condition
 from diag_service.diagnosis.results import clutch_record, dump, parse_shift, shift_record
 from diag_service.diagnosis.summary import Gap, unjudged
 from tests.support.builders import shift_result
-from tests.unit.diag_service.diagnosis.condition.test_condition import aged, believed
+from tests.unit.diag_service.diagnosis.condition.test_condition import aged, believed, uncertain_scale
 
 CALIBRATION = nominal_calibration()
 
@@ -61,10 +61,7 @@ def test_a_verdict_that_merely_stands_says_what_calls_it_off() -> None:
 
 
 def test_what_was_lost_of_the_own_friction_is_told_as_that() -> None:
-    state = replace(aged(0.88), considered=aged(0.88).considered * 0.0)
-    considered = state.considered.copy()
-    considered[0, 0] = 0.17**2  # the level says little
-    verdict = judge(ConditionMemory.fresh(), replace(state, considered=considered), 1, CALIBRATION)[1]
+    verdict = judge(ConditionMemory.fresh(), uncertain_scale(aged(0.88)), 1, CALIBRATION)[1]
     assert verdict.advice is not None
     assert "it has lost more than 10 % of its own friction" in verdict.advice
 

@@ -92,3 +92,30 @@ def test_an_overlap_is_taken_from_the_gradient() -> None:
     shared = Measurement(residual=plain.residual, slope=plain.slope, noise=plain.noise, overlap=overlap)
     difference = Evidence.of([plain], known.mean).vector - Evidence.of([shared], known.mean).vector
     assert difference * SCALES == pytest.approx(overlap * SCALES)
+
+
+def test_an_event_with_parameters_of_its_own_is_least_squares_with_twice_as_many() -> None:
+    """Chi-square, least over what the event may differ by, at any parameters."""
+    rng = np.random.default_rng(5)
+    known = knowledge(rng)
+    evidence = Evidence.of([measurement(rng, known.mean, known.mean)], known.mean)
+    variance = np.where(np.arange(PARAMETER_COUNT) % 3 == 0, (0.3 * SCALES) ** 2, 0.0)
+    free = variance > 0.0
+    loosened = evidence.loosened(variance)
+    for at in (known.mean, known.mean + SCALES):
+        pull = (evidence.vector - evidence.matrix @ at)[free]
+        own = np.linalg.solve(evidence.matrix[np.ix_(free, free)] + np.diag(1.0 / variance[free]), pull)
+        moved = at.copy()
+        moved[free] += own
+        least = evidence.chi_square(moved) + float(np.sum(own**2 / variance[free]))
+        assert loosened.chi_square(at) == pytest.approx(least, rel=1e-9)
+    assert loosened.count == evidence.count
+
+
+def test_an_event_without_parameters_of_its_own_says_what_it_says() -> None:
+    rng = np.random.default_rng(6)
+    known = knowledge(rng)
+    evidence = Evidence.of([measurement(rng, known.mean, known.mean)], known.mean)
+    same = evidence.loosened(np.zeros(PARAMETER_COUNT))
+    assert np.array_equal(same.vector, evidence.vector)
+    assert same.matrix == pytest.approx(evidence.matrix, rel=1e-12)

@@ -245,12 +245,23 @@ def test_an_emptying_piston_is_held_against_no_command() -> None:
 def test_only_what_ends_in_lock_is_held_against_its_end(kind: EventKind) -> None:
     """A creep may end at rest again: that its clutch slips to the last is no fault of a sensor."""
     event = first_shifts()[0]
+    _, clutch = of_shift(event)
+    off = changed(event, Signal.INPUT2_SPEED, lambda _, value: value + 3.0)
+    gears = (1, 2) if kind is EventKind.REGEAR else (2, 2)
+    off = replace(off, kind=kind, from_gear=gears[0], to_gear=gears[1])
+    seen = usable_signals(off, CALIBRATION)
+    assert isinstance(seen, AlignedSignals)
+    assert (speed_gap_rad_s(off, seen, clutch) > LIMITS.speeds_rad_s) is (kind is EventKind.LAUNCH)
+
+
+def test_a_clutch_may_slip_on_when_its_gear_is_announced() -> None:
+    """In a coast change the new gear is the current one before its clutch has caught up."""
+    event = first_shifts()[0]
     signals, clutch = of_shift(event)
     middle_s = float(signals.grid_s[(clutch.rows.start + clutch.rows.stop) // 2])
-    gears = (1, 2) if kind is EventKind.REGEAR else (2, 2)
-    amid = replace(
-        event, kind=kind, from_gear=gears[0], to_gear=gears[1], end_ns=event.start_ns + round(middle_s * 1e9)
-    )
+    amid = replace(event, end_ns=event.start_ns + round(middle_s * 1e9))
     seen = usable_signals(amid, CALIBRATION)
     assert isinstance(seen, AlignedSignals)
-    assert (speed_gap_rad_s(amid, seen, clutch) > LIMITS.speeds_rad_s) is (kind is EventKind.LAUNCH)
+    end = (seen.grid_s >= middle_s - LIMITS.locked_s) & (seen.grid_s <= middle_s)
+    assert np.abs(seen.slip_rad_s(2)[end]).min() > LIMITS.speeds_rad_s
+    assert speed_gap_rad_s(amid, seen, clutch) < LIMITS.speeds_rad_s

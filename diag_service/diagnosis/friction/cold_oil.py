@@ -1,0 +1,51 @@
+"""How much less an event tells in cold oil, where the film, not the lining, carries the torque.
+
+Viscosity, film and drag are believed as at work; the colder a pack, the farther off they may be, each event in its own
+way: how oil and air fill a closing pack, how a filled one opens, how warm its oil is between the linings.
+"""
+
+from typing import Final
+
+import numpy as np
+
+from canlog.arrays import FloatArray
+from diag_service.diagnosis.friction.balance import Balance, contact_nm
+from diag_service.diagnosis.friction.parameters import (
+    PARAMETER_COUNT,
+    STATE_COUNT,
+    Considered,
+    State,
+    friction_rows,
+)
+
+WORKING_K: Final = 353.15  # of a pack: from there on the film is as believed
+COLD_SPAN_K: Final = 60.0  # below that temperature, where the deviations are as large as these:
+TOUCH_PRESSURE_PA: Final = 20e3
+VISCOSITY_RATIO: Final = 0.2
+PRESSURE_LATENCY_S: Final = 0.02  # a film that closes or opens earlier or later
+CONTACT_STIFFNESS_RATIO: Final = 0.2
+FILM_MOBILITY_LOG: Final = 1.0
+OPEN_DRAG_LOG: Final = 1.0
+MOST_FILM_SHARE: Final = 0.4  # of the torque in the slip window: beyond it nothing is said of friction
+
+
+def own_variance(balance: Balance, clutch: int) -> FloatArray:
+    """Return how far the parameters of one event may be from those of the vehicle, shape (PARAMETER_COUNT,)."""
+    pack_k = float(np.mean(balance.tracks[clutch - 1].clutch_k[balance.window.slip_rows]))
+    variance = np.zeros(PARAMETER_COUNT)
+    variance[[State.TOUCH1, State.TOUCH2]] = TOUCH_PRESSURE_PA**2
+    variance[STATE_COUNT + Considered.VISCOSITY] = VISCOSITY_RATIO**2
+    variance[STATE_COUNT + Considered.PRESSURE_LATENCY] = PRESSURE_LATENCY_S**2
+    variance[STATE_COUNT + Considered.CONTACT_STIFFNESS] = CONTACT_STIFFNESS_RATIO**2
+    variance[STATE_COUNT + Considered.FILM_MOBILITY] = FILM_MOBILITY_LOG**2
+    variance[STATE_COUNT + Considered.OPEN_DRAG] = OPEN_DRAG_LOG**2
+    return np.asarray(variance * max(0.0, (WORKING_K - pack_k) / COLD_SPAN_K) ** 2)
+
+
+def film_share(balance: Balance, clutch: int) -> float:
+    """Return which part of a clutch's torque its sheared film carries in the slip window, 0 to 1."""
+    rows, track = balance.window.slip_rows, balance.tracks[clutch - 1]
+    by_friction_nm = contact_nm(balance.calibration.clutches[clutch - 1], balance.measured[clutch - 1], track, rows)
+    contact = float(np.sum(np.abs(by_friction_nm @ balance.at[friction_rows(clutch)])))
+    film = float(np.sum(np.abs(track.viscous_nm[rows])))
+    return film / max(film + contact, 1e-9)
