@@ -1,0 +1,80 @@
+"""What a clutch in cold oil still says of its friction."""
+
+from dataclasses import replace
+from types import SimpleNamespace
+from typing import Any, cast
+
+import numpy as np
+import pytest
+
+from clutch_model.calibration import nominal_calibration
+from clutch_model.units import k_from_degc
+from diag_service.diagnosis.alignment import GRID_S
+from diag_service.diagnosis.columns import Signal
+from diag_service.diagnosis.events import Event
+from diag_service.diagnosis.friction import Estimator, Posterior
+from diag_service.diagnosis.friction.cold_oil import COLD_SPAN_K, VISCOSITY_RATIO, WORKING_K, own_variance
+from diag_service.diagnosis.friction.film_track import FilmTrack, PressureDrive, integrate_film
+from diag_service.diagnosis.friction.parameters import STATE_COUNT, Considered
+from diag_service.diagnosis.records import Reason, Status
+from tests.unit.diag_service.diagnosis.shifts_of_a_drive import first_shifts
+
+CALIBRATION = nominal_calibration()
+GRID = np.arange(0.0, 1.0, GRID_S)
+SLIP_RAD_S = 100.0
+
+
+def track_of(piston_pa: list[float], oil_degc: float) -> FilmTrack:
+    """Return the film of clutch 1 that slips while its pressure goes from one value to the next [Pa]."""
+    pressure = np.interp(GRID, np.linspace(0.0, 1.0, len(piston_pa)), piston_pa)
+    oil_k = k_from_degc(oil_degc)
+    drive = PressureDrive(piston_pa=pressure, slip_rad_s=np.full(len(GRID), SLIP_RAD_S), oil_k=oil_k, clutch_k=oil_k)
+    return integrate_film(1, drive, CALIBRATION)
+
+
+def in_oil(event: Event, degc: float) -> Event:
+    """Return an event with another oil temperature."""
+    oil = event.columns[Signal.SUMP_TEMPERATURE]
+    cold = replace(oil, value=np.full(len(oil.value), k_from_degc(degc)))
+    return replace(event, columns={**event.columns, Signal.SUMP_TEMPERATURE: cold})
+
+
+def test_a_film_that_closes_is_doubted_and_a_closed_one_hardly() -> None:
+    cold = track_of([0.0, 3e5, 3e5, 3e5, 3e5], 0.0)
+    doubt = cold.doubt_nm / np.maximum(cold.viscous_nm - cold.open_nm, 1.0)
+    closing = np.argmax(cold.viscous_nm - cold.open_nm > 30.0)
+    assert doubt[closing] > 0.9
+    assert cold.contact_pa[-1] > 0.0
+    assert doubt[-1] < 0.1
+
+
+def test_warm_films_are_doubted_by_little() -> None:
+    assert track_of([0.0, 3e5, 3e5, 3e5, 3e5], 90.0).doubt_nm.max() < 0.1 * track_of(
+        [0.0, 3e5, 3e5, 3e5, 3e5], 0.0
+    ).doubt_nm.max()
+
+
+def test_a_piston_at_its_touch_point_may_press_or_not() -> None:
+    touch_pa = CALIBRATION.clutches[0].touch_pressure_pa
+    hovering = track_of([0.0, touch_pa + 0.1e5, touch_pa + 0.1e5], 0.0)
+    assert hovering.contact_pa[-1] == 0.0
+    assert hovering.doubt_nm[-1] == pytest.approx(hovering.viscous_nm[-1] - hovering.open_nm[-1], rel=1e-6)
+
+
+@pytest.mark.parametrize(("below_k", "share"), [(-5.0, 0.0), (0.0, 0.0), (30.0, 0.5), (60.0, 1.0)])
+def test_each_event_has_a_film_of_its_own_the_colder_its_pack(below_k: float, share: float) -> None:
+    track = SimpleNamespace(clutch_k=np.full(10, WORKING_K - below_k * COLD_SPAN_K / 60.0))
+    balance = cast("Any", SimpleNamespace(tracks=(track, track), window=SimpleNamespace(slip_rows=slice(0, 10))))
+    variance = own_variance(balance, 1)
+    assert variance[STATE_COUNT + Considered.VISCOSITY] == pytest.approx((share * VISCOSITY_RATIO) ** 2)
+    assert variance[STATE_COUNT + Considered.TORQUE_GAIN] == 0.0
+
+
+def test_where_the_film_carries_the_torque_nothing_is_said_of_friction() -> None:
+    """A shift as it is, but in oil said to be cold: most of its torque would be the film's."""
+    state, estimator = Posterior.fresh(CALIBRATION), Estimator(CALIBRATION)
+    warm = first_shifts()[0]
+    after, estimate = estimator.estimate(in_oil(warm, -10.0), state)
+    assert (estimate.status, estimate.reasons) == (Status.UNOBSERVED, (Reason.NO_SLIP_WINDOW,))
+    assert after.shift_counts == (0, 0)
+    assert estimator.estimate(warm, state)[1].status is Status.VALID
