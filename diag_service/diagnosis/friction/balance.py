@@ -77,7 +77,7 @@ class Balance:
             one for one, piece in zip(sample_counts, window.pieces, strict=True) if not piece.is_rest
         )
         counts = [max(3, min(MAX_MOMENT_COUNT, one // SAMPLES_PER_MOMENT)) for one in sample_counts]
-        self.weights = sines(signals.grid_s, window, counts)
+        self.weights = sines(window, counts)
         self.tracks = integrate_films(measured, calibration)
         self._moments = weigh(self.weights, measured, self.tracks, calibration)
 

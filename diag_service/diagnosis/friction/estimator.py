@@ -93,6 +93,7 @@ class Estimator:
             number=first.clutch,
             rows=first.balance.window.slip_rows,
             pressure_zero_pa=float(first.zeros_pa[first.clutch - 1]),
+            touch_pressure_pa=self._calibration.clutches[first.clutch - 1].touch_pressure_pa,
         )
         if faults := plausibility_faults(event, first.balance.signals, slipping):
             return state, without_friction(event, Status.REJECTED, *faults)

@@ -36,7 +36,7 @@ def run_up_measurement(
 ) -> Measurement:
     """Linearise the balance of a run-up about ``at``, shape (PARAMETER_COUNT,); docs/model.md eqs. (32) and (33)."""
     side, bias = calibration.input_side, calibration.bias
-    weights = sines(signals.grid_s, window, (MOMENT_COUNT,))
+    weights = sines(window, (MOMENT_COUNT,))
     offset_nm = at[State.TORQUE_OFFSET]
     reading_nm = signals.engine_torque.on_grid[weights.rows]
     torque_nm, motoring_nm = motoring_corrected_nm(reading_nm, offset_nm, bias)

@@ -217,11 +217,11 @@ class Weights:
         return found
 
 
-def sines(grid_s: FloatArray, window: SlipWindow, counts: Sequence[int]) -> Weights:
+def sines(window: SlipWindow, counts: Sequence[int]) -> Weights:
     """Return as many sine test functions as ``counts`` says for each piece of the window."""
     hull = window.rows
     places = tuple(slice(piece.first - hull.start, piece.stop - hull.start) for piece in window.pieces)
-    pairs = [_sines(grid_s[piece.rows], count) for piece, count in zip(window.pieces, counts, strict=True)]
+    pairs = [_sines(piece.stop - piece.first, count) for piece, count in zip(window.pieces, counts, strict=True)]
     rests = tuple(place for piece, place in zip(window.pieces, places, strict=True) if piece.is_rest)
     return Weights(
         value=Functions(rows=hull, places=places, blocks=tuple(value for value, _ in pairs)),
@@ -230,12 +230,12 @@ def sines(grid_s: FloatArray, window: SlipWindow, counts: Sequence[int]) -> Weig
     )
 
 
-def _sines(times_s: FloatArray, count: int) -> tuple[FloatArray, FloatArray]:
-    """Return sines and their derivatives on one piece, each (count, len(times_s))."""
+@lru_cache(maxsize=32)
+def _sines(row_count: int, count: int) -> tuple[FloatArray, FloatArray]:
+    """Return sines and their derivatives on one piece, each (count, row_count)."""
     order = np.arange(1, count + 1)[:, None]
-    length_s = times_s[-1] - times_s[0]
-    angle = order * np.pi * (times_s - times_s[0]) / length_s
-    rate = np.cos(angle) * (order * np.pi / length_s * GRID_S)
+    angle = order * np.linspace(0.0, np.pi, row_count)
+    rate = np.cos(angle) * (order * np.pi / (row_count - 1))
     rate[:, [0, -1]] *= 0.5  # trapezoid
     return np.sin(angle) * GRID_S, rate
 

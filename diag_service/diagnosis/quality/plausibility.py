@@ -49,6 +49,7 @@ class SlippingClutch:
     number: int  # 1 or 2
     rows: slice  # of the grid, in which it alone is loaded and slips
     pressure_zero_pa: float  # what its pressure sensor reads without pressure
+    touch_pressure_pa: float  # below it the return springs hold the pressure, whatever is commanded
 
 
 def agreement(event: Event, limits: QualityLimits = LIMITS) -> float | None:
@@ -195,7 +196,8 @@ def _misses_command(signals: AlignedSignals, clutch: SlippingClutch, limits: Qua
     expected_pa = signals.expected_pa[clutch.number - 1]
     if expected_pa is None:
         return False
-    error_pa = signals.pressure[clutch.number - 1].on_grid - clutch.pressure_zero_pa - expected_pa
+    read_pa = signals.pressure[clutch.number - 1].on_grid - clutch.pressure_zero_pa
+    error_pa = np.maximum(read_pa, clutch.touch_pressure_pa) - np.maximum(expected_pa, clutch.touch_pressure_pa)
     following_pa = np.abs(np.gradient(expected_pa, GRID_S)) * COMMAND_LAG_S  # what the command is still ahead
     beyond_pa = np.sign(error_pa) * np.maximum(np.abs(error_pa) - limits.following_ratio * following_pa, 0.0)
     rate_pa_s = (expected_pa[clutch.rows][-1] - expected_pa[clutch.rows][0]) / (len(error_pa[clutch.rows]) * GRID_S)

@@ -49,9 +49,10 @@ def test_a_film_that_closes_is_doubted_and_a_closed_one_hardly() -> None:
 
 
 def test_warm_films_are_doubted_by_little() -> None:
-    assert track_of([0.0, 3e5, 3e5, 3e5, 3e5], 90.0).doubt_nm.max() < 0.1 * track_of(
-        [0.0, 3e5, 3e5, 3e5, 3e5], 0.0
-    ).doubt_nm.max()
+    assert (
+        track_of([0.0, 3e5, 3e5, 3e5, 3e5], 90.0).doubt_nm.max()
+        < 0.1 * track_of([0.0, 3e5, 3e5, 3e5, 3e5], 0.0).doubt_nm.max()
+    )
 
 
 def test_a_piston_at_its_touch_point_may_press_or_not() -> None:

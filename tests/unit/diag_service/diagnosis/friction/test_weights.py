@@ -19,7 +19,7 @@ def outside(values: FloatArray) -> FloatArray:
 
 
 def test_weights_vanish_at_the_ends() -> None:
-    weights = sines(GRID, WINDOW, (COUNT,))
+    weights = sines(WINDOW, (COUNT,))
     assert weights.rows == INSIDE
     (value,), (rate,) = weights.value.blocks, weights.rate.blocks
     assert value.shape == rate.shape == (COUNT, INSIDE.stop - INSIDE.start)
@@ -28,14 +28,14 @@ def test_weights_vanish_at_the_ends() -> None:
 
 def test_weighting_with_the_rate_replaces_differentiation() -> None:
     """By parts, int psi f' = -int psi' f, but for the error of the trapezoid: no speed is ever differentiated."""
-    weights = sines(GRID, WINDOW, (COUNT,))
+    weights = sines(WINDOW, (COUNT,))
     speed = np.exp(3.0 * GRID[INSIDE])
     acceleration = 3.0 * speed
     assert weights.value @ acceleration == pytest.approx(-(weights.rate @ speed), abs=5e-4)
 
 
 def test_weights_are_orthogonal() -> None:
-    value = sines(GRID, WINDOW, (COUNT,)).value.blocks[0] / GRID_S
+    value = sines(WINDOW, (COUNT,)).value.blocks[0] / GRID_S
     length = INSIDE.stop - 1 - INSIDE.start
     assert value @ value.T == pytest.approx(0.5 * length * np.eye(COUNT), abs=1e-9 * length)
 
@@ -55,7 +55,7 @@ def test_smoothing_changes_nothing_outside_and_does_it_once() -> None:
 
 
 def test_weights_may_be_fitted_in_place_of_values() -> None:
-    weights = sines(GRID, WINDOW, (COUNT,)).value.blocks[0]
+    weights = sines(WINDOW, (COUNT,)).value.blocks[0]
     values = np.random.default_rng(2).normal(size=(weights.shape[1],))
     assert fitted(weights, 5) @ values == pytest.approx(weights @ fitted(values, 5), abs=1e-14)
 
@@ -64,11 +64,11 @@ PIECES = SlipWindow(pieces=(Piece(first=101, stop=201), Piece(first=240, stop=35
 
 
 def test_each_piece_has_functions_of_its_own() -> None:
-    weights = sines(GRID, PIECES, (5, 7))
+    weights = sines(PIECES, (5, 7))
     assert weights.rows == INSIDE
     assert weights.value.places == (slice(0, 100), slice(139, 251))
     first, second = (
-        sines(GRID, SlipWindow(pieces=(one,)), (count,)) for one, count in zip(PIECES.pieces, (5, 7), strict=True)
+        sines(SlipWindow(pieces=(one,)), (count,)) for one, count in zip(PIECES.pieces, (5, 7), strict=True)
     )
     values = np.exp(GRID[INSIDE])
     apart = np.concatenate((first.rate.blocks[0] @ values[:100], second.rate.blocks[0] @ values[139:]))
@@ -76,7 +76,7 @@ def test_each_piece_has_functions_of_its_own() -> None:
 
 
 def test_functions_are_a_matrix_of_which_most_is_zero() -> None:
-    functions = sines(GRID, PIECES, (5, 7)).value
+    functions = sines(PIECES, (5, 7)).value
     matrix = np.zeros((12, 251))
     matrix[:5, :100], matrix[5:, 139:] = functions.blocks
     factor = np.linspace(-1.0, 2.0, 251)
@@ -93,6 +93,6 @@ def test_functions_are_a_matrix_of_which_most_is_zero() -> None:
 def test_each_piece_has_a_polynomial_of_its_own() -> None:
     values = np.abs(GRID - GRID[220]) ** 2
     assert smoothed(values, PIECES, 2) == pytest.approx(values, rel=1e-9, abs=1e-12)
-    fits = sines(GRID, PIECES, (5, 7)).fitted(values[INSIDE], 2)
+    fits = sines(PIECES, (5, 7)).fitted(values[INSIDE], 2)
     assert fits[:100] == pytest.approx(values[101:201], rel=1e-9)
     assert not fits[100:139].any()

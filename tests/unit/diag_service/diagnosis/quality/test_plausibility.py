@@ -105,7 +105,10 @@ def of_shift(event: Event) -> tuple[AlignedSignals, SlippingClutch]:
     found = slip_window(signals, drives, CALIBRATION)
     assert found is not None
     window, clutch = found
-    return signals, SlippingClutch(number=clutch, rows=window.slip_rows, pressure_zero_pa=0.0)
+    touch_pa = CALIBRATION.clutches[clutch - 1].touch_pressure_pa
+    return signals, SlippingClutch(
+        number=clutch, rows=window.slip_rows, pressure_zero_pa=0.0, touch_pressure_pa=touch_pa
+    )
 
 
 def faults_of(event: Event, limits: QualityLimits = LIMITS) -> tuple[Reason, ...]:
@@ -224,7 +227,7 @@ def test_a_shaft_may_change_its_gear_inside_an_event() -> None:
     half_ns = (event.start_ns + event.end_ns) // 2
     regeared = with_second_shaft_slower(event, half_ns, 0.6)
     grid_s = np.arange(0.0, (event.end_ns - event.start_ns) * 1e-9, 1e-3)
-    clutch = SlippingClutch(number=2, rows=slice(0, len(grid_s)), pressure_zero_pa=0.0)
+    clutch = SlippingClutch(number=2, rows=slice(0, len(grid_s)), pressure_zero_pa=0.0, touch_pressure_pa=0.0)
     gaps = []
     for told in (with_shaft_gears(regeared, second_from_ns=half_ns), with_shaft_gears(regeared, second_from_ns=0)):
         signals = usable_signals(told, CALIBRATION)
