@@ -123,7 +123,6 @@ UNUSABLE = (
     fault("bad_crc"),
     fault("stuck_counter"),
     fault("short"),
-    fault("loss", duration_s=0.02),
     fault("bad_crc", duration_s=0.02),
 )
 
@@ -137,6 +136,13 @@ def test_no_estimate_is_made_of_a_window_that_cannot_be_trusted(broken: BusFault
     assert [diagnosis.estimate.status for diagnosis in diagnoses] == [Status.VALID] * 9
 
 
+def test_two_frames_lost_in_a_row_cost_their_stretch_of_the_window() -> None:
+    diagnoses, counts, truth = analysed(fault("loss", duration_s=0.02))
+    assert counts.missing == 2
+    assert [diagnosis.estimate.status for diagnosis in diagnoses] == [Status.VALID] * 10
+    assert list(far(diagnoses, truth)) == []
+
+
 @pytest.mark.parametrize(
     ("message", "start_s"), [(MESSAGE, 0.10), (MESSAGE, 0.13), ("ECM_TorqueSpeed", 0.16), ("TCU_InputSpeeds", 0.10)]
 )
@@ -147,13 +153,10 @@ def test_a_second_sender_bends_no_estimate(message: str, start_s: float) -> None
     assert list(far(diagnoses, truth)) == []
 
 
-@pytest.mark.parametrize(("share", "least_rejected", "most_rejected"), [(0.01, 0, 4), (0.05, 3, 10)])
-def test_random_loss_rejects_shifts_rather_than_bending_them(
-    share: float, least_rejected: int, most_rejected: int
-) -> None:
+@pytest.mark.parametrize(("share", "most_rejected"), [(0.01, 0), (0.05, 3)])
+def test_random_loss_costs_few_shifts_and_bends_none(share: float, most_rejected: int) -> None:
     lossy = fault("loss", message="", shift=0, start_s=0.0, duration_s=1e6, share=share)
     diagnoses, counts, truth = analysed(lossy, seed=51)
     assert counts.missing == pytest.approx(injected(truth), abs=3)  # a message's last frames leave no trace
     assert list(far(diagnoses, truth)) == []
-    rejected = sum(diagnosis.estimate.status is Status.REJECTED for diagnosis in diagnoses)
-    assert least_rejected <= rejected <= most_rejected
+    assert sum(diagnosis.estimate.status is Status.REJECTED for diagnosis in diagnoses) <= most_rejected

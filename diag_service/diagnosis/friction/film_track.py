@@ -16,6 +16,7 @@ from clutch_model.film import (
     equilibrium_film_m,
     film_law,
     measured_film_rate_m_s,
+    piston_pressure_pa,
     shear_factor_difference,
     sheared_torque_nm,
 )
@@ -138,7 +139,7 @@ def _integrate(
 ) -> float:
     film_m = equilibrium_film_m(applied_pressure_pa(piston_pa[0], law), law)
     shear = shear_factor_difference(film_m / law.roughness_m)
-    touch_pa = law.closed_spring_force_n / law.piston_area_m2
+    touch_pa = piston_pressure_pa(0.0, law)
     clutch_k, film_rate_1_s = start_k, 0.0
     for k in range(len(piston_pa)):
         pack_k[k] = clutch_k
