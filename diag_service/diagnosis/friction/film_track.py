@@ -29,9 +29,7 @@ _ANY_K = 350.0
 DRAG_LIMIT_NM = 8.0  # of an open pack: its oil is full of air, so the law of a full film ends there
 _CONTACT_END = 4.0  # film over roughness from which no asperities touch: a pack begins to be open
 _TIMING_S = 0.015  # by how much earlier or later than its pressure says a film may close or open
-_HOVER_PA = (
-    0.12e5  # so near its touch point a piston may press or not: nobody knows the film of a pack that is not closed
-)
+_HOVER_PA = 0.12e5  # so near its touch point a piston may press or not: nobody knows the film of an open pack
 _DOUBT_RISE = 10.0  # by openness: how oil drags that fills with air, or gives it off
 
 
@@ -69,6 +67,25 @@ class FilmTrack:
     final_clutch_k: float
 
 
+class _Driven(NamedTuple):
+    """A `PressureDrive` in the form the kernel takes."""
+
+    piston_pa: FloatArray
+    slip_rad_s: FloatArray
+    start_k: float
+    open_drag_ratio: float
+
+
+class _Rows(NamedTuple):
+    """What the kernel fills of a `FilmTrack`."""
+
+    contact_pa: FloatArray
+    viscous_nm: FloatArray
+    open_nm: FloatArray
+    doubt_nm: FloatArray
+    clutch_k: FloatArray
+
+
 def integrate_film(clutch: int, drive: PressureDrive, calibration: Calibration, stop: int | None = None) -> FilmTrack:
     """Integrate film and pack temperature of clutch 1 or 2; docs/model.md eq. (7) and section "Thermal".
 
@@ -87,33 +104,15 @@ def integrate_film(clutch: int, drive: PressureDrive, calibration: Calibration, 
         convection_w_k=float(nominal.thermal.convection_w_k),
         oil_k=drive.oil_k,
     )
-    contact_pa = np.zeros_like(drive.piston_pa)
-    viscous_nm = np.zeros_like(drive.piston_pa)
-    open_nm = np.zeros_like(drive.piston_pa)
-    doubt_nm = np.zeros_like(drive.piston_pa)
-    clutch_k = np.zeros_like(drive.piston_pa)
-    final_k = _integrate(
-        drive.piston_pa[:stop],
-        drive.slip_rad_s[:stop],
-        drive.clutch_k,
-        drive.open_drag_ratio,
-        law,
-        friction_law(nominal.friction),
-        heat,
-        contact_pa,
-        viscous_nm,
-        open_nm,
-        doubt_nm,
-        clutch_k,
+    rows = _Rows(*(np.zeros_like(drive.piston_pa) for _ in _Rows._fields))
+    driven = _Driven(
+        piston_pa=drive.piston_pa[:stop],
+        slip_rad_s=drive.slip_rad_s[:stop],
+        start_k=drive.clutch_k,
+        open_drag_ratio=drive.open_drag_ratio,
     )
-    return FilmTrack(
-        contact_pa=contact_pa,
-        viscous_nm=viscous_nm,
-        open_nm=open_nm,
-        doubt_nm=doubt_nm,
-        clutch_k=clutch_k,
-        final_clutch_k=final_k,
-    )
+    final_k = _integrate(driven, law, friction_law(nominal.friction), heat, rows)
+    return FilmTrack(**rows._asdict(), final_clutch_k=final_k)
 
 
 def compile_film(calibration: Calibration) -> None:
@@ -123,39 +122,24 @@ def compile_film(calibration: Calibration) -> None:
 
 
 @kernel
-def _integrate(
-    piston_pa: FloatArray,
-    slip_rad_s: FloatArray,
-    start_k: float,
-    open_drag_ratio: float,
-    law: FilmLaw,
-    friction: FrictionLaw,
-    heat: HeatLaw,
-    contact_pa: FloatArray,
-    viscous_nm: FloatArray,
-    open_nm: FloatArray,
-    doubt_nm: FloatArray,
-    pack_k: FloatArray,
-) -> float:
+def _integrate(driven: _Driven, law: FilmLaw, friction: FrictionLaw, heat: HeatLaw, rows: _Rows) -> float:
+    piston_pa, slip_rad_s = driven.piston_pa, driven.slip_rad_s
     film_m = equilibrium_film_m(applied_pressure_pa(piston_pa[0], law), law)
     shear = shear_factor_difference(film_m / law.roughness_m)
-    touch_pa = piston_pressure_pa(0.0, law)
-    clutch_k, film_rate_1_s = start_k, 0.0
+    clutch_k, film_rate_1_s = driven.start_k, 0.0
     for k in range(len(piston_pa)):
-        pack_k[k] = clutch_k
+        rows.clutch_k[k] = clutch_k
         viscosity = viscosity_pa_s(clutch_k, heat.a_pa_s, heat.b_k, heat.pole_k)
         slip = slip_rad_s[k]
-        contact_pa[k] = contact_pressure_pa(film_m, law)
+        contact_pa = contact_pressure_pa(film_m, law)
         full_nm = sheared_torque_nm(slip, film_m, viscosity, shear, law)
         openness = _openness(film_m, law)
-        open_nm[k] = openness * open_drag_ratio * full_nm / math.sqrt(1.0 + (full_nm / DRAG_LIMIT_NM) ** 2)
-        viscous_nm[k] = (1.0 - openness) * full_nm + open_nm[k]
-        is_hovering = openness > 0.0 and abs(piston_pa[k] - touch_pa) < _HOVER_PA
-        doubt = 1.0 if is_hovering else min(_DOUBT_RISE * openness + _TIMING_S * film_rate_1_s, 1.0)
-        doubt_nm[k] = doubt * (1.0 - openness) * abs(full_nm)
-        mu = kinetic_friction(slip, friction)
-        contact_nm = contact_torque_nm(1.0, mu, contact_pa[k], law.contact_factor_m3)
-        power_w = (contact_nm + abs(viscous_nm[k])) * abs(slip)
+        open_nm = openness * driven.open_drag_ratio * full_nm / math.sqrt(1.0 + (full_nm / DRAG_LIMIT_NM) ** 2)
+        viscous_nm = (1.0 - openness) * full_nm + open_nm
+        rows.contact_pa[k], rows.viscous_nm[k], rows.open_nm[k] = contact_pa, viscous_nm, open_nm
+        rows.doubt_nm[k] = _doubt(openness, film_rate_1_s, piston_pa[k], law) * (1.0 - openness) * abs(full_nm)
+        contact_nm = contact_torque_nm(1.0, kinetic_friction(slip, friction), contact_pa, law.contact_factor_m3)
+        power_w = (contact_nm + abs(viscous_nm)) * abs(slip)
         if abs(slip) < 1.0:
             power_w = 0.0  # locked, or as good as; the noise of the slip would heat it
         clutch_k += GRID_S * clutch_heating_rate_k_s(
@@ -169,6 +153,14 @@ def _integrate(
                 film_rate_1_s = abs(film_m / before_m - 1.0) / GRID_S
                 shear = shear_factor_difference(film_m / law.roughness_m)
     return clutch_k
+
+
+@kernel
+def _doubt(openness: float, film_rate_1_s: float, piston_pa: float, law: FilmLaw) -> float:
+    """Return the standard deviation of what a film shears, as a ratio to that torque; docs/model.md "Cold oil"."""
+    if openness > 0.0 and abs(piston_pa - piston_pressure_pa(0.0, law)) < _HOVER_PA:
+        return 1.0
+    return min(_DOUBT_RISE * openness + _TIMING_S * film_rate_1_s, 1.0)
 
 
 @kernel
