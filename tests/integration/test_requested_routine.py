@@ -14,7 +14,7 @@ import pytest
 from clutch_model.calibration import nominal_calibration
 from dbc.contract import load_contract
 from diag_service.diagnosis.condition.condition import ConditionMemory
-from diag_service.diagnosis.friction import FilterState
+from diag_service.diagnosis.friction import Posterior
 from diag_service.diagnosis.results import dump, shift_record
 from diag_service.mapping.decoder import Decoder
 from diag_service.mapping.profile import load_profile
@@ -53,7 +53,7 @@ class OnBoard:
     def __init__(self) -> None:
         calibration = nominal_calibration()
         decoder = Decoder(load_contract(), load_profile())
-        self._stages = Stages(decoder, calibration, FilterState.fresh(calibration), ConditionMemory.fresh())
+        self._stages = Stages(decoder, calibration, Posterior.fresh(calibration), ConditionMemory.fresh())
         self.opinions: dict[int, ClutchOpinion] = {}
 
     def hear(self, frames: EncodedFrames) -> None:
