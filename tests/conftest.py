@@ -10,6 +10,7 @@ pytest_plugins = [
     "tests.plugins.broker",
     "tests.plugins.disk",
     "tests.plugins.drives",
+    "tests.plugins.image",
     "tests.plugins.postgres",
     "tests.plugins.run_report",
     "tests.plugins.vcan",

@@ -8,10 +8,8 @@ import tomllib
 from collections.abc import Iterator
 from pathlib import Path
 
-import numba.core.config
 import pytest
 
-from canlog.kernel_cache import cache_folder
 from tests.support.image.plain import PlainImage
 
 ROOT = Path(__file__).parents[2]
@@ -19,13 +17,6 @@ PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
 PROGRAMS = sorted(PROJECT["project"]["scripts"])
 NOT_OF_PROGRAMS = {"matplotlib", "pytest"}  # pictures and fixtures, for notebooks and test benches
 PACKAGES = sorted(name.removesuffix("*") for name in PROJECT["tool"]["setuptools"]["packages"]["find"]["include"])
-
-
-@pytest.fixture(scope="module")
-def image(tmp_path_factory: pytest.TempPathFactory) -> PlainImage:
-    kernels = cache_folder(numba.core.config.CACHE_DIR)  # type: ignore[attr-defined]  # set at run time
-    assert kernels is not None
-    return PlainImage(ROOT, tmp_path_factory.mktemp("image") / "root", kernels.parent)
 
 
 @pytest.mark.parametrize("program", PROGRAMS)

@@ -81,7 +81,12 @@ def plain_install(folder: Path) -> PlainInstall:
 def linked_environment(folder: Path, names: Iterable[str]) -> Path:
     """Make an environment in a folder with links to these distributions; return its site-packages."""
     venv.EnvBuilder(symlinks=True, with_pip=False).create(folder)
-    site = next((folder / "lib").glob("python*")) / "site-packages"
+    return linked(next((folder / "lib").glob("python*")) / "site-packages", names)
+
+
+def linked(site: Path, names: Iterable[str]) -> Path:
+    """Link to these distributions in a folder that modules are looked for in, and return it."""
+    site.mkdir(exist_ok=True)
     for name in names:
         for entry in _top_entries(distribution(name)):
             (site / entry.name).symlink_to(entry)

@@ -66,9 +66,10 @@ class PlainImage:
         for stage in self.stages:
             self._carry_out(stage)
 
-    def run(self, *words: str) -> "subprocess.CompletedProcess[str]":
-        """Run a program of the image in its environment, in a folder that holds no sources."""
-        return self._run(shutil.which(words[0], path=self.environment["PATH"]) or words[0], *words[1:])
+    def run(self, *words: str, folder: Path | None = None, **more: str) -> "subprocess.CompletedProcess[str]":
+        """Run a program of the image in its environment, with more variables perhaps, in a folder without sources."""
+        program = shutil.which(words[0], path=self.environment["PATH"]) or words[0]
+        return self._run(program, *words[1:], folder=folder, **more)
 
     def path(self, inside: str) -> Path:
         """Return where a path of the image is here."""
@@ -78,10 +79,11 @@ class PlainImage:
         """Return a text with the image's paths as they are here."""
         return ABSOLUTE.sub(f"{self.root}/", text)
 
-    def _run(self, *words: str) -> "subprocess.CompletedProcess[str]":
+    def _run(self, *words: str, folder: Path | None = None, **more: str) -> "subprocess.CompletedProcess[str]":
         return subprocess.run(
-            words, cwd=self._folder, env=self.environment, capture_output=True, text=True, check=False, timeout=LIMIT_S
-        )
+            words, cwd=folder or self._folder, env={**self.environment, **more}, capture_output=True, text=True,
+            check=False, timeout=LIMIT_S,
+        )  # fmt: skip
 
     def _carry_out(self, stage: Stage) -> None:
         self._folder = self.root / "work"

@@ -1,20 +1,22 @@
-"""The worked example: its test passes with a sound gateway and fails, saying why, with each of its faults."""
+"""The worked example, outside the checkout with the wheel alone and what its users have: pytest.
+
+Its test passes with a sound gateway and fails, saying why, with each of its faults. The environment is that of the
+image (tests/plugins/image.py), to which pytest is added.
+"""
 
 import json
-import os
 import shutil
-import subprocess
-import sys
+from pathlib import Path
 from typing import Any
 
 import pytest
 
 from tests.integration.test_python_page import BLOCK
 from tests.support.documents import ROOT, page_text
-from tests.support.patience import HANG_S
+from tests.support.image.plain import PlainImage
+from tests.support.plain_install import distributions_of, linked
 
 EXAMPLE = ROOT / "examples" / "gateway"
-PLUGINS = ("ecu_emulator.pytest_plugin", "diag_service.pytest_plugin")
 # One interpreter for all runs, which saves most of their cost; the gateway itself is a process each time.
 RUNS = """
 import contextlib, io, json, os, sys
@@ -39,6 +41,8 @@ for name, words in {**runs, **kinds}.items():
     with contextlib.redirect_stdout(out):
         status = pytest.main([*sys.argv[1:], "--tb=line", *words])
     told[name] = [int(status), out.getvalue()]
+import canlog, diag_service, ecu_emulator
+told["homes"] = [one.__file__ for one in (canlog, diag_service, ecu_emulator)]
 print(json.dumps(told))
 """
 ANY_BUS = """
@@ -54,21 +58,25 @@ def test_bus(vcan_bus, make_vcan_bus, recorded_frames):
 
 
 @pytest.fixture(name="told", scope="module")
-def _told(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
+def _told(image: PlainImage, tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
     folder = tmp_path_factory.mktemp("gateway") / "gateway"
     shutil.copytree(EXAMPLE, folder, ignore=shutil.ignore_patterns("__pycache__", ".*"))
     _, lossy = BLOCK.findall(page_text("docs/testing.md"))
     (folder / "test_page.py").write_text(lossy, encoding="utf-8")
     (folder / "test_bus.py").write_text(ANY_BUS, encoding="utf-8")
-    plugins = [word for plugin in PLUGINS for word in ("-p", plugin)]
-    done = subprocess.run(
-        [sys.executable, "-W", "error", "-c", RUNS, "-p", "no:cacheprovider", *plugins],
-        cwd=folder, capture_output=True, text=True, timeout=HANG_S, check=False,
-        env={**os.environ, "PYTEST_DISABLE_PLUGIN_AUTOLOAD": "1", "PYTHONPATH": str(ROOT), "PYTEST_ADDOPTS": ""},
+    tools = linked(folder.with_name("tools"), distributions_of(["pytest"]))
+    done = image.run(
+        "python", "-W", "error", "-c", RUNS, "-p", "no:cacheprovider",
+        folder=folder, PYTHONPATH=str(tools), PYTEST_ADDOPTS="",
     )  # fmt: skip
     assert done.returncode == 0, done.stdout + done.stderr
     told: dict[str, Any] = json.loads(done.stdout.splitlines()[-1])
     return told
+
+
+def test_it_runs_with_what_the_wheel_brings(told: dict[str, Any], image: PlainImage) -> None:
+    homes = told["homes"]
+    assert [home for home in homes if not Path(home).is_relative_to(image.root)] == []
 
 
 def test_a_sound_gateway_passes_and_the_bus_is_said(told: dict[str, Any]) -> None:
