@@ -43,6 +43,7 @@ def test_a_scan_tool_asks_a_car_that_drives(tmp_path: Path) -> None:
             program.kill()
     values = told.pop("values")
     supported = told.pop("supported")
+    assert 600 < told.pop("page_rpm") < 7000
     assert {"RPM", "SPEED", "STATUS", "PIDS_A", "PIDS_B", "PIDS_C", "DISTANCE_SINCE_DTC_CLEAR"} <= set(supported)
     assert told == {
         "state": "Car Connected",

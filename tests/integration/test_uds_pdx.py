@@ -1,6 +1,8 @@
 """A tool that knows a controller by its PDX alone: what it asks is answered, what is answered it understands."""
 
 import json
+import re
+from ast import literal_eval
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -17,6 +19,7 @@ from ecu_emulator.diagnostics.obd_descriptions import Profile
 from ecu_emulator.diagnostics.pdx.package import pdx_package
 from ecu_emulator.diagnostics.table import DiagnosticTable
 from ecu_emulator.diagnostics.table_file import shipped_table
+from tests.support.documents import page_text
 from tests.support.uds.full_table import full_table
 from tests.support.uds.pair import MORE, PARKED
 from tests.support.uds.pdx_client import PdxClient, read_back
@@ -165,6 +168,19 @@ def test_the_command_writes_the_package(tmp_path: Path, capsys: pytest.CaptureFi
     assert "17 trouble codes" in said.err.replace("\n", " ")
     assert path.read_bytes() == pdx_package(shipped_table())
     assert read_back(path.read_bytes()).short_name == "TCU"
+
+
+def test_the_page_reads_the_package(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (block,) = re.findall(
+        r"^```python\n(import odxtools .*?)^```", page_text("docs/diagnostics.md"), re.MULTILINE | re.DOTALL
+    )
+    *body, last = block.splitlines()
+    monkeypatch.chdir(tmp_path)
+    assert main(["pdx"]) == 0
+    names: dict[str, Any] = {}
+    exec("\n".join(body), names)  # noqa: S102 - what the page is for
+    code, _, shown = last.partition("  # ")
+    assert eval(code, names) == literal_eval(shown)  # noqa: S307 - likewise
 
 
 @pytest.mark.parametrize(

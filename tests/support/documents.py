@@ -20,7 +20,7 @@ MODULES = {
 }
 """Programs by the name that users type, and the module that is run for each."""
 
-_BLOCK = re.compile(r"^```sh\n(.*?)^```", re.MULTILINE | re.DOTALL)
+_BLOCK = re.compile(r"^( *)```sh\n(.*?)^\1```", re.MULTILINE | re.DOTALL)
 _COMMENT = re.compile(r"\s+#.*$")
 _SPAN = re.compile(r"`([^`\n]+)`")
 _INLINE = ("python -m ", *(f"{program} " for program in MODULES))
@@ -41,13 +41,15 @@ def page_text(page: str) -> str:
 
 def block_lines(page: str) -> list[Shown]:
     """Return the lines of a page's shell blocks in their order, comments cut off."""
-    lines = (_COMMENT.sub("", line).strip() for block in _BLOCK.findall(page_text(page)) for line in block.splitlines())
+    lines = (
+        _COMMENT.sub("", line).strip() for _, block in _BLOCK.findall(page_text(page)) for line in block.splitlines()
+    )
     return [Shown(page, line) for line in lines if line and not line.startswith("#")]
 
 
 def inline_commands(page: str) -> list[Shown]:
     """Return the commands that stand within a page's sentences and tables."""
-    prose = re.sub(r"^```.*?^```", "", page_text(page), flags=re.MULTILINE | re.DOTALL)
+    prose = re.sub(r"^ *```.*?^ *```", "", page_text(page), flags=re.MULTILINE | re.DOTALL)
     return [Shown(page, span) for span in _SPAN.findall(prose) if span.startswith(_INLINE)]
 
 

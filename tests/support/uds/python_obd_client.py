@@ -4,11 +4,28 @@
 """
 
 import json
+import re
 import sys
 from collections.abc import Sequence
 from typing import Any
 
 import obd
+
+from tests.support.documents import page_text
+
+
+def page_rpm(port: str) -> float | None:
+    """Return what the block of docs/diagnostics.md is told."""
+    (block,) = re.findall(
+        r"^```python\n(import obd .*?)^```", page_text("docs/diagnostics.md"), re.MULTILINE | re.DOTALL
+    )
+    *body, last = block.replace("35000", port).splitlines()
+    names: dict[str, Any] = {}
+    exec("\n".join(body), names)  # noqa: S102 - what the page is for
+    try:
+        return _magnitude(eval(last, names))  # noqa: S307 - likewise
+    finally:
+        names["car"].close()
 
 
 def told(port: str) -> dict[str, Any]:
@@ -35,6 +52,7 @@ def told(port: str) -> dict[str, Any]:
             "vin": with_adapter.query(vin, force=True).value,
             "calibration": with_adapter.query(calibration, force=True).value,
             "clear": with_adapter.query(obd.commands.CLEAR_DTC, force=True).value,
+            "page_rpm": page_rpm(port),
         }
     finally:
         with_adapter.close()

@@ -1,0 +1,81 @@
+"""The Python and the tables that docs/diagnostics.md shows do what the page says.
+
+Its blocks for odxtools and python-OBD are run where those libraries are: tests/integration/test_uds_pdx.py,
+tests/e2e/test_obd.py.
+"""
+
+import re
+from collections.abc import Mapping
+from pathlib import Path
+
+import pytest
+from udsoncan.configs import default_client_config
+
+from diag_service.tester.description_file import load_file
+from ecu_emulator.diagnostics.memory import TestResult as Result
+from ecu_emulator.scenario import OpinionFrom
+from ecu_emulator.scenario_file import parse_scenario
+from tests.integration.test_tester import vehicle
+from tests.support.documents import ROOT, page_text
+from tests.support.doip.tester import entity
+from tests.support.patience import HANG_S
+from tests.support.uds.wire import parked_controller
+
+PAGE = "docs/diagnostics.md"
+TOO_HOT = 0x27874B  # P2787, confirmed in one cycle
+
+
+def block(language: str, word: str) -> str:
+    """Return the block of the page that holds a word."""
+    blocks = re.findall(rf"^```{language}\n(.*?)^```", page_text(PAGE), re.MULTILINE | re.DOTALL)
+    (found,) = (text for text in blocks if word in text)
+    return str(found)
+
+
+def run(text: str, replaced: Mapping[str, str]) -> None:
+    """Run a block, with other places than those of the page."""
+    for old, new in replaced.items():
+        assert old in text
+        text = text.replace(old, new)
+    exec(compile(text, PAGE, "exec"), {"__name__": "page"})  # noqa: S102 - what the page is for
+
+
+@pytest.fixture(autouse=True)
+def _patient(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Let the library wait for a busy machine."""
+    for name, value in {"request_timeout": HANG_S, "p2_timeout": HANG_S, "use_server_timing": False}.items():
+        monkeypatch.setitem(default_client_config, name, value)  # type: ignore[misc]  # a typed dictionary
+
+
+def test_a_tester_on_the_bus(capsys: pytest.CaptureFixture[str]) -> None:
+    controller = parked_controller()
+    for _ in range(20):
+        controller.report(TOO_HOT, Result.FAILED)
+    with vehicle("page", controller):
+        run(block("python", "PythonIsoTpConnection"), {"vcan0": "page", "socketcan": "virtual"})
+    said = capsys.readouterr().out
+    assert "WDCTEMULATED00001" in said
+    assert f"0x{TOO_HOT:06x}" in said.lower()
+
+
+def test_a_tester_over_ip() -> None:
+    with entity() as (_, server):
+        ports = f"tcp_port={server.place.port}, udp_port={server.place.port}"
+        run(block("python", "doipclient"), {"0x1011)": f"0x1011, {ports})"})
+        assert server.counts["requests"] == 1
+
+
+def test_an_opinion_of_the_controllers_own() -> None:
+    ideal = (ROOT / "ecu_emulator" / "scenarios" / "ideal.toml").read_text(encoding="utf-8")
+    opinion = parse_scenario(f"{ideal}\n{block('toml', '[on_board]')}", PAGE).on_board
+    assert (opinion.estimate, opinion.mu_c) == (OpinionFrom.OWN, 0.118)
+
+
+def test_a_description_of_ones_own(tmp_path: Path) -> None:
+    path = tmp_path / "gearbox.toml"
+    path.write_text(block("toml", 'name = "gearbox"'), encoding="utf-8")
+    described = load_file(path).description
+    assert (described.name, described.request_id, described.response_id) == ("gearbox", 0x7E1, 0x7E9)
+    values = described.values(described.find_data("oil"), bytes.fromhex("04 B0 01") + b"A7")
+    assert values == {"temperature [degC]": 80.0, "state": "warm", "batch": "A7"}
+    assert described.trouble_text(0x02184B) == "Transmission Fluid Over Temperature Condition"
