@@ -67,6 +67,7 @@ def _told(image: PlainImage, tmp_path_factory: pytest.TempPathFactory) -> dict[s
     tools = linked(folder.with_name("tools"), distributions_of(["pytest"]))
     done = image.run(
         "python", "-W", "error", "-c", RUNS, "-p", "no:cacheprovider",
+        "--assert=plain",  # rewriting our packages, as pytest does with plugins, takes seconds
         folder=folder, PYTHONPATH=str(tools), PYTEST_ADDOPTS="",
     )  # fmt: skip
     assert done.returncode == 0, done.stdout + done.stderr
