@@ -125,7 +125,7 @@ BLOCKS = {
     ("docs/testing.md", "python"): "tests/integration/test_image_example.py",
     ("examples/gateway/README.md", "console"): "tests/integration/test_image_example.py",
 }
-"""Where the blocks of a page that are not of a shell are run."""
+"""Where the blocks of a page that are no shell's are run; one of no language is a drawing, or what was printed."""
 
 
 def test_every_block_of_every_page_is_run_somewhere() -> None:
@@ -135,8 +135,5 @@ def test_every_block_of_every_page_is_run_somewhere() -> None:
     }
     assert {one for one in shown if one[1] != "sh"} == set(BLOCKS)
     assert {page for page, language in shown if language == "sh"} <= set(PAGES)
-    for page, _ in BLOCKS:
-        fences = [line for line in page_text(page).splitlines() if line.strip().startswith("```")]
-        assert all(line.strip() != "```" for line in fences[::2]), f"{page} has a block of no language"
     for place in BLOCKS.values():
         assert (ROOT / place).exists(), place
