@@ -44,7 +44,7 @@ def run(text: str, replaced: Mapping[str, str]) -> None:
 def _patient(monkeypatch: pytest.MonkeyPatch) -> None:
     """Let the library wait for a busy machine."""
     for name, value in {"request_timeout": HANG_S, "p2_timeout": HANG_S, "use_server_timing": False}.items():
-        monkeypatch.setitem(default_client_config, name, value)  # type: ignore[misc]  # a typed dictionary
+        monkeypatch.setitem(default_client_config, name, value)
 
 
 def test_a_tester_on_the_bus(capsys: pytest.CaptureFixture[str]) -> None:
