@@ -34,8 +34,7 @@ def friction(state: Posterior, clutch: int) -> FrictionEstimate:
     slope[:, rows] = np.eye(2) / gain
     slope[:, _GAIN] = -mu / gain
     total = slope @ known.covariance @ slope.T
-    random = _without_nuisances(known.covariance, rows) / gain**2
-    std, random_std = np.sqrt(np.diag(total)), np.sqrt(np.diag(random))
+    std, free = np.sqrt(np.diag(total)), scale_free(state, clutch)
     width = state.stribeck_speed_rad_s[clutch - 1] * (1.0 + float(known.mean[_WIDTH]))
     std_difference = float(np.sqrt(total[0, 0] + total[1, 1] - 2.0 * total[0, 1]))
     mu_c, mu_s = mu.tolist()
@@ -45,23 +44,12 @@ def friction(state: Posterior, clutch: int) -> FrictionEstimate:
         std_mu_c=float(std[0]),
         std_mu_s=float(std[1]),
         correlation=float(total[0, 1] / (std[0] * std[1])),
-        random_std_mu_c=float(random_std[0]),
-        random_std_mu_s=float(random_std[1]),
+        random_std_mu_c=mu_c * free.std_mu_c / free.mu_c,
+        random_std_mu_s=mu_s * free.std_mu_s / free.mu_s,
         slope_s_rad=(mu_c - mu_s) / width,
         std_slope_s_rad=std_difference / width,
         probability_negative_slope=NormalDist(mu_c - mu_s, std_difference).cdf(0.0),
     )
-
-
-def _without_nuisances(covariance: FloatArray, rows: slice) -> FloatArray:
-    """Return the covariance of two frictions if everything but friction and offsets were known, shape (2, 2)."""
-    nuisances = slice(STATE_COUNT, None)
-    spread = covariance[nuisances, nuisances]
-    scale = np.sqrt(np.diag(spread))
-    scale[scale == 0.0] = 1.0  # certain; explains nothing
-    shared = covariance[rows, nuisances] / scale
-    explained = shared @ np.linalg.pinv(spread / np.outer(scale, scale), hermitian=True) @ shared.T
-    return np.asarray(covariance[rows, rows] - explained)
 
 
 def scale_free(state: Posterior, clutch: int) -> ScaleFreeFriction:
