@@ -22,6 +22,7 @@ from diag_service.diagnosis.condition.thresholds import (
     MIN_MISFIT_COUNT,
     MIN_SHIFT_COUNT,
     NEW_FLUID_CONTRADICTIONS,
+    SURE_MARGIN_STD_RATIO,
     WATCH_LEVEL_RATIO,
     WATCH_MARGIN_RATIO,
     WATCH_PROBABILITY,
@@ -259,6 +260,9 @@ def _decide(
     cause, probability = _likeliest(watch)
     if probability >= (LEAVE_PROBABILITY if previous is Condition.WATCH else WATCH_PROBABILITY):
         return _because(Condition.WATCH, cause, probability, facts)
+    thin = watch[Cause.MARGIN_THIN]
+    if thin > LEAVE_PROBABILITY and margin.stdev > SURE_MARGIN_STD_RATIO * reference_margin:
+        return _nothing(Silence.MARGIN_UNSURE, f"too early to say, {Cause.MARGIN_THIN} ({thin:.2f}): {facts}")
     return _Finding(condition=Condition.GOOD, reason=facts, ground=None, probability=1.0 - probability)
 
 

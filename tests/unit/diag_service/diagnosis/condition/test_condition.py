@@ -75,6 +75,13 @@ def test_the_reason_names_cause_and_certainty() -> None:
     assert verdict.level_ratio == pytest.approx(0.85)
 
 
+def test_what_more_shifts_will_tell_is_not_called_good() -> None:
+    """A margin of which a third is left: known well it is watched, known badly nothing is said yet."""
+    assert condition_of(believed(0.133, 0.126, std=0.0005)) is Condition.WATCH
+    assert condition_of(believed(0.133, 0.126, std=0.004)) is Condition.NO_VERDICT
+    assert condition_of(believed(0.140, 0.119, std=0.004)) is Condition.GOOD
+
+
 def test_each_clutch_has_its_own_memory() -> None:
     memory, _ = judge(ConditionMemory.fresh(), believed(0.119, 0.137), 2, CALIBRATION)
     assert memory.conditions == (Condition.NO_VERDICT, Condition.CHANGE_FLUID)
