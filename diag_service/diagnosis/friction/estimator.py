@@ -236,7 +236,7 @@ def _rejected(estimate: ShiftEstimate, reason: Reason) -> ShiftEstimate:
 
 
 def _judged_event(event: Event, seen: _Seen) -> JudgedEvent:
-    return JudgedEvent(number=event.number, clutch=seen.clutch, end_ns=event.end_ns, evidence=seen.evidence)
+    return JudgedEvent(clutch=seen.clutch, end_ns=event.end_ns, evidence=seen.evidence)
 
 
 def _window(

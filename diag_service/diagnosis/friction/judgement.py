@@ -24,7 +24,6 @@ STEP_COUNT: Final = 3  # of the newest events of a clutch, which agree that it h
 class JudgedEvent:
     """What one event of a clutch says."""
 
-    number: int  # of the event in its stream
     clutch: int  # 1 or 2, the one that slipped
     end_ns: int
     evidence: Evidence

@@ -219,7 +219,6 @@ class _Stored:
 class _StoredEvent:
     """An event in a store: of the information matrix, which is symmetric, one half."""
 
-    number: int
     clutch: int
     end_ns: int
     lower: FloatArray
@@ -232,7 +231,6 @@ def _stored(event: JudgedEvent) -> JsonObject:
     evidence = event.evidence
     return to_plain(
         _StoredEvent(
-            number=event.number,
             clutch=event.clutch,
             end_ns=event.end_ns,
             lower=evidence.matrix[_LOWER],
@@ -263,7 +261,6 @@ def _restored(table: object) -> JudgedEvent:
     matrix = np.zeros((PARAMETER_COUNT, PARAMETER_COUNT))
     matrix[_LOWER] = stored.lower
     return JudgedEvent(
-        number=stored.number,
         clutch=stored.clutch,
         end_ns=stored.end_ns,
         evidence=Evidence(

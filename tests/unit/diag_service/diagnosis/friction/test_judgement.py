@@ -38,7 +38,7 @@ def event(number: int, clutch: int, mu: FloatArray, rng: np.random.Generator) ->
     seen = np.tile(mu, 10) + rng.normal(size=20) * np.sqrt(10.0) * STD
     residual = seen - slope @ at
     measured = Measurement(residual=residual, slope=slope, noise=noise)
-    return JudgedEvent(number=number, clutch=clutch, end_ns=number, evidence=Evidence.of([measured], at))
+    return JudgedEvent(clutch=clutch, end_ns=number, evidence=Evidence.of([measured], at))
 
 
 def events(levels: Sequence[float], seed: int = 0, clutch: int = 1) -> list[JudgedEvent]:
@@ -110,7 +110,7 @@ def test_bad_ones_that_agree_do_not_hide_behind_each_other(count: int) -> None:
     noise = np.eye(20)
     far = Measurement(residual=np.full(20, 12.0), slope=slope, noise=noise)
     alike = [
-        JudgedEvent(number=number, clutch=1 + number % 2, end_ns=number, evidence=Evidence.of([far], known.mean))
+        JudgedEvent(clutch=1 + number % 2, end_ns=number, evidence=Evidence.of([far], known.mean))
         for number in range(count)
     ]
     judged = judge(known, alike)

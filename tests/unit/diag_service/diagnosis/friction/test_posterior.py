@@ -32,7 +32,7 @@ def event(number: int, clutch: int, mu: np.ndarray, rng: np.random.Generator) ->
     truth[friction_rows(clutch)] = mu
     residual = slope @ (truth - at) + rng.normal(size=24)
     measured = Measurement(residual=residual, slope=slope, noise=np.eye(24))
-    return JudgedEvent(number=number, clutch=clutch, end_ns=number, evidence=Evidence.of([measured], at))
+    return JudgedEvent(clutch=clutch, end_ns=number, evidence=Evidence.of([measured], at))
 
 
 def driven(count: int, seed: int = 0, mu: Callable[[int], np.ndarray] = lambda _: MU) -> Posterior:
@@ -102,7 +102,7 @@ def test_what_the_type_does_not_tell_is_never_averaged_away() -> None:
     slope[0, STATE_COUNT + Considered.PISTON_AREA1] = 14.0  # mu_c * 100: the area scales the torque, as the gain does
     for number in range(200):
         seen = Measurement(residual=0.1 * rng.normal(size=1), slope=slope, noise=np.array([[0.01]]))
-        news = JudgedEvent(number=number, clutch=1, end_ns=number, evidence=Evidence.of([seen], at))
+        news = JudgedEvent(clutch=1, end_ns=number, evidence=Evidence.of([seen], at))
         state = state.with_event(news)
     found = friction(state, 1)
     assert found.std_mu_c == pytest.approx(np.hypot(0.03, 0.01) * 0.14, rel=0.03)
