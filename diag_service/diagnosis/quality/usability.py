@@ -20,18 +20,16 @@ from diag_service.diagnosis.records import Reason
 
 def usable_signals(event: Event, calibration: Calibration, limits: QualityLimits = LIMITS) -> AlignedSignals | Reason:
     """Return the signals of a shift or engine run-up on one clock, or why they cannot be used."""
-    if event.end_reason not in {
-        EndReason.COMPLETE,
-        EndReason.ABANDONED,
-    }:  # what another event cut short is seen in full
+    if event.end_reason not in {EndReason.COMPLETE, EndReason.ABANDONED}:
         return Reason.INTERRUPTED
+    is_whole = event.end_reason is EndReason.COMPLETE  # what another event cut short may be seen in full, or not
     oil = event.columns.get(Signal.SUMP_TEMPERATURE)
     sampled = sampling_times(event)
     if oil is None or not len(oil.t_ns) or len(sampled) < len(BALANCE_SIGNALS):
-        return Reason.SIGNAL_MISSING
+        return Reason.SIGNAL_MISSING if is_whole else Reason.INTERRUPTED
     duration_s = (event.end_ns - event.start_ns) * NS_TO_S
     if any(is_lost(times_s, event.columns[one].period_ns, duration_s, limits) for one, times_s in sampled.items()):
-        return Reason.FRAMES_MISSING
+        return Reason.FRAMES_MISSING if is_whole else Reason.INTERRUPTED
     oil_k = float(np.mean(oil.value))
     if not limits.oil_range_k[0] <= oil_k <= limits.oil_range_k[1]:
         return Reason.OUT_OF_RANGE
