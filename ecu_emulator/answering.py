@@ -1,5 +1,6 @@
 """The emulated transmission answers testers while it drives: what is sent tells it how the vehicle is."""
 
+import math
 import secrets
 import threading
 import time
@@ -92,6 +93,7 @@ class Answering:
         self._on_board: OpinionSource = on_board or FixedOpinion(None)
         self._judged: Opinions = {}
         self._driven = Driven()
+        self._driven_s = -math.inf  # when the newest frame was due: the drive's time, also where sending lags behind
         self._engine_on_s: float | None = None  # since when the engine runs
         self._is_over = threading.Event()
         self._monitor = threading.Thread(target=self._watch, name="monitors", daemon=True)
@@ -138,6 +140,7 @@ class Answering:
         can_id = message.arbitration_id
         if not message.is_error_frame:
             self._sent.note(can_id, bytes(message.data))
+            self._driven_s = max(self._driven_s, message.timestamp)
         if can_id == self._shift_id:
             self._count_shift(message.timestamp)
         if can_id not in self._own_ids or self.controller.state.communication.sends_normal:
@@ -183,6 +186,17 @@ class Answering:
             problem += f"\nwarning: {self._on_board.problem}"
         return f"diagnostics: {asked}; confirmed trouble codes: {codes}{problem}"
 
+    def _look(self, watch: Watch, numbers: Mapping[str, int]) -> Watch:
+        """Judge the newest frames once: a sender that the machine keeps waiting makes no shift longer."""
+        driven_s = self._driven_s
+        if driven_s == watch.t_s:
+            return watch
+        values = self._values()
+        self._note_engine(values)
+        watch, samples = judge(watch, values, driven_s)
+        self._report({numbers[code]: result for code, result in samples if code in numbers}, values)
+        return watch
+
     def _watch(self) -> None:
         """Let the monitors judge what the controllers say, from when those that they need have spoken."""
         watch = Watch()
@@ -190,10 +204,7 @@ class Answering:
         try:
             while not self._is_over.wait(MONITOR_PERIOD_S):
                 if self._sent.has_all(SENSED):
-                    values = self._values()
-                    self._note_engine(values)
-                    watch, samples = judge(watch, values, time.monotonic())
-                    self._report({numbers[code]: result for code, result in samples if code in numbers}, values)
+                    watch = self._look(watch, numbers)
                     self._judge_fluid(numbers)
                 if self._routine is not None:
                     is_live = self._on_board.is_live

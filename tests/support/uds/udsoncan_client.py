@@ -13,10 +13,17 @@ import isotp
 import udsoncan
 from udsoncan.client import Client
 from udsoncan.connections import PythonIsoTpConnection
-from udsoncan.exceptions import NegativeResponseException
+from udsoncan.exceptions import NegativeResponseException, TimeoutException
+from udsoncan.Request import Request
+from udsoncan.Response import Response
+
+from tests.support.starvation import TRIES, StarvationWatch
 
 MASK = bytes.fromhex("5aa5c33c")
 SILENCE_S = 30.0  # only a hang takes so long
+BROKEN_OFF_S = 0.5  # ISO-TP ends a transfer whose next frame is a second late: a machine so busy may be the cause
+TESTER_PRESENT = bytes.fromhex("3e00")
+ACTIVE_SESSION = bytes.fromhex("22f186")
 
 
 class Number(udsoncan.DidCodec):
@@ -59,6 +66,12 @@ CONFIG: Any = {
     "tolerate_zero_padding": True,
 }
 
+ISO_TP: Any = {
+    "tx_padding": 0,
+    "rx_flowcontrol_timeout": int(SILENCE_S * 1000),
+    "rx_consecutive_frame_timeout": int(SILENCE_S * 1000),
+}
+
 
 def refusal(call: Callable[[], object]) -> int:
     """Return the negative response code of a call, 0 if it was answered."""
@@ -69,18 +82,33 @@ def refusal(call: Callable[[], object]) -> int:
     return 0
 
 
+class PatientClient(Client):
+    """Asks once more if nothing came and the machine was too busy for the time limits of ISO-TP."""
+
+    def send_request(self, request: Request, timeout: int = -1) -> Response | None:
+        for _ in range(TRIES - 1):
+            with StarvationWatch() as watch:
+                try:
+                    return super().send_request(request, timeout)
+                except TimeoutException:
+                    if watch.worst_s < BROKEN_OFF_S:
+                        raise
+        return super().send_request(request, timeout)
+
+
 def wait_until_it_answers(client: Client) -> None:
-    client.config["request_timeout"] = client.config["p2_timeout"] = 1.0
+    """Ask until an answer comes, then take the answers to all that was asked: none may pass for a later one."""
     deadline_s = time.monotonic() + 10 * SILENCE_S
-    while True:
-        try:
-            client.tester_present()
-        except udsoncan.exceptions.TimeoutException:
-            if time.monotonic() > deadline_s:
-                raise
-        else:
-            break
-    client.config["request_timeout"] = client.config["p2_timeout"] = SILENCE_S
+    client.conn.send(TESTER_PRESENT)
+    while client.conn.wait_frame(timeout=1.0) is None:
+        if time.monotonic() > deadline_s:
+            raise SystemExit("nobody answers")
+        client.conn.send(TESTER_PRESENT)
+    client.conn.send(ACTIVE_SESSION)
+    while answer := client.conn.wait_frame(timeout=SILENCE_S):
+        if answer.startswith(b"\x62" + ACTIVE_SESSION[1:]):
+            return
+    raise SystemExit("it no longer answers")
 
 
 def dialogue(client: Client) -> dict[str, Any]:
@@ -140,8 +168,8 @@ def main() -> None:
     logging.disable(logging.CRITICAL)
     address = isotp.Address(isotp.AddressingMode.Normal_11bits, txid=options.request_id, rxid=options.request_id + 8)
     with can.Bus(options.channel, options.interface) as bus, can.Notifier(bus, [], timeout=0.05) as notifier:
-        stack = isotp.NotifierBasedCanStack(bus, notifier, address=address, params={"tx_padding": 0})
-        with Client(PythonIsoTpConnection(stack), config=CONFIG) as client:
+        stack = isotp.NotifierBasedCanStack(bus, notifier, address=address, params=ISO_TP)
+        with PatientClient(PythonIsoTpConnection(stack), config=CONFIG) as client:
             wait_until_it_answers(client)
             print(json.dumps(failed_codes(client) if options.failed else dialogue(client)))
 

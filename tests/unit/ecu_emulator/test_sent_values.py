@@ -1,6 +1,8 @@
 """What the controllers last said on the bus, as a tester gets it."""
 
 import math
+import time
+from types import SimpleNamespace
 
 import can
 import numpy as np
@@ -9,11 +11,17 @@ import pytest
 from canlog.frames import EXTENDED_FLAG
 from dbc.contract import load_contract
 from ecu_emulator.answering import Answering
+from ecu_emulator.diagnostics.codes import Status
 from ecu_emulator.frames import FrameEncoder
 from ecu_emulator.readings import Readings
 from ecu_emulator.sent_values import SentValues
+from tests.support.patience import HANG_S
 
 DATABASE = load_contract()
+
+MESSAGES = (
+    "TCU_Shift", "TCU_Temperature", "TCU_Pressures", "TCU_InputSpeeds", "TCU_Output", "ECM_TorqueSpeed",
+)  # fmt: skip
 
 
 def frames(message: str, **values: float) -> list[can.Message]:
@@ -115,3 +123,28 @@ def test_shifts_are_counted_and_error_frames_are_no_values() -> None:
     assert answering.controller.ask(b"\x22\x03\x02") == b"\x62\x03\x02\0\0\0\x03"
     answering.send(can.Message(arbitration_id=0x0A0, is_error_frame=True, is_extended_id=False, data=bytes(8)))
     assert answering.controller.ask(b"\x22\x01\x05") == b"\x62\x01\x05\xff\xff"
+
+
+def test_a_shift_takes_no_longer_because_its_sender_has_to_wait(monkeypatch: pytest.MonkeyPatch) -> None:
+    deadline_s = time.monotonic() + HANG_S
+    hurried = SimpleNamespace(monotonic=lambda clock=time.monotonic: 1000.0 * clock())  # 4 s of a shift last 4 ms
+    monkeypatch.setattr("ecu_emulator.answering.time", hurried)
+    answering = Answering(Sent(), table="", memory=None, doip=None, is_fd=False)
+    shift = {"current_gear": 2.0, "target_gear": 3.0}
+    sent = [message for name in MESSAGES for message in frames(name, **shift if name == "TCU_Shift" else {})]
+    numbers = {trouble.code: number for number, trouble in answering.controller.table.troubles.items()}
+
+    def status(code: str) -> int:
+        record = answering.controller.state.memory.records.get(numbers[code])
+        return 0 if record is None else record.status
+
+    t_s = 0.0
+    with answering:
+        while not status("P0711") & Status.TEST_FAILED:  # the fluid's temperature is not available
+            assert time.monotonic() < deadline_s
+            for message in sent:
+                message.timestamp = t_s
+                answering.send(message)
+            time.sleep(0.01)
+            t_s += 0.01
+    assert not status("P0780") & Status.FAILED_THIS_CYCLE
