@@ -78,6 +78,10 @@ class Controller:
 
     def ask(self, payload: bytes, *, is_functional: bool = False, client: int = 0) -> bytes | None:
         """Return the response to a client's request, None if there is none; what it changed is on the disk by then."""
+        return self.consider(payload, is_functional=is_functional, client=client).payload
+
+    def consider(self, payload: bytes, *, is_functional: bool = False, client: int = 0) -> Reply:
+        """Return the same as ``ask`` with what was kept back, for a transport that has told the client to wait."""
         with self._lock:
             request = Request(payload=payload, is_functional=is_functional, client=client)
             return self._kept(answer(self.table, self._state, request, self._moment()), payload)
@@ -91,7 +95,7 @@ class Controller:
             if waiting is not None and waiting.request.client != client:
                 return None
             payload = waiting.request.payload if waiting is not None else b""
-            return self._kept(advance(self.table, self._state, self._moment()), payload)
+            return self._kept(advance(self.table, self._state, self._moment()), payload).payload
         finally:
             self._lock.release()
 
@@ -159,15 +163,16 @@ class Controller:
             self._save(state)
             self._state = state
 
-    def _kept(self, reply: Reply, payload: bytes) -> bytes | None:
-        """Return a reply's response once its state is on the disk; what cannot be kept is refused and forgotten."""
+    def _kept(self, reply: Reply, payload: bytes) -> Reply:
+        """Return a reply once its state is on the disk; what cannot be kept is refused and forgotten."""
         try:
             self._save(reply.state)
         except RecordError:
             self._state = replace(self._state, waiting=None)
-            return bytes([NEGATIVE, payload[0], Nrc.PROGRAMMING_FAILURE]) if payload else None
+            refusal = bytes([NEGATIVE, payload[0], Nrc.PROGRAMMING_FAILURE]) if payload else None
+            return Reply(payload=refusal, state=self._state)
         self._state = reply.state
-        return reply.payload
+        return reply
 
     def _save(self, state: ServerState) -> None:
         if self._store is not None and not _are_same(state, self._state):

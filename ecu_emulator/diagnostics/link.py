@@ -10,7 +10,7 @@ from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import suppress
 from dataclasses import dataclass
 from types import TracebackType
-from typing import Final, Self
+from typing import TYPE_CHECKING, Final, Self
 
 import can
 import isotp
@@ -21,6 +21,9 @@ from ecu_emulator.diagnostics.isotp_frames import single_payload, usable
 from ecu_emulator.diagnostics.server import AGAIN_RATIO, is_suppressed
 from ecu_emulator.diagnostics.table import Addressing, Transport
 from ecu_emulator.errors import ConfigError
+
+if TYPE_CHECKING:
+    from ecu_emulator.diagnostics.state import Reply
 
 TICK_S: Final = 0.01
 MOST_FRAMES: Final = 4096  # that wait; what comes on top is dropped and counted
@@ -80,9 +83,8 @@ class DiagnosticLink:
         self._requests: deque[tuple[bytes, bool]] = deque()
         self._next: isotp.CanMessage | None = None
         self._pool = ThreadPoolExecutor(1, "diagnostics asks")
-        self._asking: Future[bytes | None] | None = None
-        self._asked = b""
-        self._pending_s = 0.0
+        self._asking: Future[Reply] | None = None
+        self._asked, self._pending_s, self._has_promised = b"", 0.0, False
         self._is_over = threading.Event()
         self._thread = threading.Thread(target=self._run, name="diagnostics", daemon=True)
         self._layer = self._made_layer()
@@ -220,17 +222,16 @@ class DiagnosticLink:
         if self._asking is None and self._requests and not self._layer.transmitting():
             self._asked, is_functional = self._requests.popleft()
             self.counts.requests += 1
-            self._pending_s = now_s + PENDING_RATIO * self._controller.table.timing.p2_s
-            self._asking = self._pool.submit(self._controller.ask, self._asked, is_functional=is_functional)
+            self._pending_s, self._has_promised = now_s + PENDING_RATIO * self._controller.table.timing.p2_s, False
+            self._asking = self._pool.submit(self._controller.consider, self._asked, is_functional=is_functional)
             self._asking.add_done_callback(lambda _: self._wake())
         if self._asking is None:
             return
         if self._asking.done():
-            response = self._asking.result()
-            self._asking = None
-            self._respond(response)
+            reply, self._asking = self._asking.result(), None
+            self._respond(reply.response(was_promised=self._has_promised))
         elif now_s >= self._pending_s and not is_suppressed(self._asked):
-            self._pending_s = now_s + AGAIN_RATIO * self._controller.table.timing.p2_star_s
+            self._pending_s, self._has_promised = now_s + AGAIN_RATIO * self._controller.table.timing.p2_star_s, True
             self._respond(bytes([NEGATIVE, self._asked[0], Nrc.RESPONSE_PENDING]))
 
     def _wake(self) -> None:
@@ -251,10 +252,10 @@ class DiagnosticLink:
         prefix = b"" if transport.own_address is None else bytes([transport.tester_address])
         for payload in self._controller.broadcast():
             self.counts.periodic += 1
-            self._put(
-                can.Message(
+            self._sent(
+                isotp.CanMessage(
                     arbitration_id=periodic.response_id,
-                    is_extended_id=periodic.response_id > LARGEST_STANDARD_ID,
+                    extended_id=periodic.response_id > LARGEST_STANDARD_ID,
                     is_fd=self._is_fd,
                     bitrate_switch=self._is_fd,
                     data=prefix + payload,
@@ -273,9 +274,6 @@ class DiagnosticLink:
             bitrate_switch=frame.bitrate_switch,
             data=frame.data,
         )
-        self._put(message)
-
-    def _put(self, message: can.Message) -> None:
         try:
             self._send(message)
         except can.CanError:

@@ -118,7 +118,8 @@ def answer(table: DiagnosticTable, state: ServerState, request: Request, moment:
             again_s=moment.t_s + AGAIN_RATIO * table.timing.p2_star_s,
         )
         return Reply(payload=_negative(request, Nrc.RESPONSE_PENDING), state=replace(result.state, waiting=waiting))
-    return Reply(payload=_sent(request, result.response), state=result.state)
+    said, is_kept_back = _said(request, result.response), _is_kept_back(request, result.response)
+    return Reply(payload=None if is_kept_back else said, state=result.state, withheld=said if is_kept_back else None)
 
 
 def _outcome(call: Call) -> Outcome:
@@ -256,12 +257,15 @@ def _sessions_of_sub_function(call: Call) -> tuple[int, ...]:
     return table.services[number].sessions if call.sub_function in known else ()
 
 
-def _sent(request: Request, response: bytes | Nrc) -> bytes | None:
-    """Return what goes onto the bus: not what the client did not want, nor that others were meant."""
+def _said(request: Request, response: bytes | Nrc) -> bytes:
+    return _negative(request, response) if isinstance(response, Nrc) else response
+
+
+def _is_kept_back(request: Request, response: bytes | Nrc) -> bool:
+    """Return whether a response stays off the bus: its client did not want it, or others were meant."""
     if isinstance(response, Nrc):
-        is_silent = request.is_functional and response in SILENT_WHEN_FUNCTIONAL
-        return None if is_silent else _negative(request, response)
-    return None if is_suppressed(request.payload) else response
+        return request.is_functional and response in SILENT_WHEN_FUNCTIONAL
+    return is_suppressed(request.payload)
 
 
 def is_suppressed(payload: bytes) -> bool:

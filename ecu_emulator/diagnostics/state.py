@@ -105,3 +105,8 @@ class Reply:
 
     payload: bytes | None
     state: ServerState
+    withheld: bytes | None = None  # kept back; who was told to wait (78) by the transport hears it all the same
+
+    def response(self, *, was_promised: bool) -> bytes | None:
+        """Return what is sent, if the transport has said or not that a response comes later (78)."""
+        return self.withheld if was_promised and self.payload is None else self.payload

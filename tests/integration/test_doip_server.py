@@ -13,7 +13,7 @@ from ecu_emulator.diagnostics.doip.listening import Place, listen
 from ecu_emulator.diagnostics.doip.server import DoipServer
 from ecu_emulator.diagnostics.doip.sockets import MORE_CONNECTIONS
 from ecu_emulator.diagnostics.memory_file import MemoryFile
-from ecu_emulator.diagnostics.state import ServerState
+from ecu_emulator.diagnostics.state import Reply, ServerState
 from ecu_emulator.errors import BusError
 from tests.support.doip.desk import activation, framed, request
 from tests.support.doip.tester import Tester, entity, free_port
@@ -86,14 +86,14 @@ def test_periodic_data_begin_after_the_response_that_says_so(monkeypatch: pytest
     """The controller sends as soon as it is asked; the response comes first, however long its thread waits."""
     with entity() as (controller, server), Tester(server.place.port) as one:
         assert one.ask("10 03").startswith("50 03")
-        ask = controller.ask
+        consider = controller.consider
 
-        def ask_late(request: bytes, *, is_functional: bool, client: int) -> bytes | None:
-            response = ask(request, is_functional=is_functional, client=client)
+        def consider_late(request: bytes, *, is_functional: bool, client: int) -> Reply:
+            reply = consider(request, is_functional=is_functional, client=client)
             time.sleep(0.1)  # a held-up thread: ten ticks
-            return response
+            return reply
 
-        monkeypatch.setattr(controller, "ask", ask_late)
+        monkeypatch.setattr(controller, "consider", consider_late)
         assert one.ask("2a 03 00") == "6a"
         assert one.response()[:2] == "00"
 
@@ -153,13 +153,21 @@ class SlowDisk(MemoryFile):
 def test_a_tester_is_told_to_wait_while_the_disk_takes_its_time(tmp_path: Path) -> None:
     with SlowDisk(tmp_path / "memory", full_table()) as store:
         store.may_go.set()
-        with entity(store=store) as (_, server), Tester(server.place.port) as one:
+        with (
+            entity(store=store) as (_, server),
+            Tester(server.place.port) as one,
+            Tester(server.place.port, 0x0E01) as other,
+        ):
             store.may_go.clear()
             try:
                 assert one.first("14 ff ff ff") == "7f 14 78"
+                other.send(request("22 12 34", other.address, 0xE400))
+                assert other.message()[0] == 0x8002
+                assert other.response() == "7f 22 78"
             finally:
                 store.may_go.set()
             assert one.final() == "54"
+            assert other.final() == "7f 22 31"  # to all, and yet: 78 has promised it
 
 
 @pytest.mark.parametrize(

@@ -12,8 +12,9 @@ import isotp
 import pytest
 
 from ecu_emulator.diagnostics.link import MOST_FRAMES, MOST_REQUESTS, DiagnosticLink
+from ecu_emulator.diagnostics.memory import TestResult as Result
 from ecu_emulator.diagnostics.memory_file import MemoryFile
-from ecu_emulator.diagnostics.state import ServerState
+from ecu_emulator.diagnostics.state import Reply, ServerState
 from ecu_emulator.diagnostics.table import Addressing, Transport
 from ecu_emulator.errors import ConfigError
 from tests.support.patience import HANG_S
@@ -88,14 +89,14 @@ def test_periodic_data_begin_after_the_response_that_says_so(monkeypatch: pytest
     with Wire(Transport(padding=None)) as wire:
         wire.put("02 10 03")
         wire.get()
-        ask = wire.controller.ask
+        consider = wire.controller.consider
 
-        def ask_late(request: bytes, *, is_functional: bool) -> bytes | None:
-            response = ask(request, is_functional=is_functional)
+        def consider_late(request: bytes, *, is_functional: bool) -> Reply:
+            reply = consider(request, is_functional=is_functional)
             time.sleep(0.1)  # a held-up thread: ten ticks
-            return response
+            return reply
 
-        monkeypatch.setattr(wire.controller, "ask", ask_late)
+        monkeypatch.setattr(wire.controller, "consider", consider_late)
         wire.put("03 2a 02 00")
         assert wire.get() == "01 6a"
         assert wire.get_periodic() == "00 0c af 00 00 00 ff"
@@ -234,8 +235,10 @@ class SlowFile(MemoryFile):
         super().__init__(path, full_table())
         self.may_go_on = threading.Event()
         self.may_go_on.set()
+        self.is_waited_for = threading.Event()
 
     def save(self, state: ServerState) -> None:
+        self.is_waited_for.set()
         assert self.may_go_on.wait(HANG_S)
         super().save(state)
 
@@ -255,6 +258,23 @@ def test_a_client_is_told_to_wait_for_a_slow_disk(tmp_path: Path) -> None:
         store.may_go_on.set()
         time.sleep(full_table().timing.reset_s)
         assert wire.is_quiet()
+
+
+def test_whom_78_has_promised_a_response_gets_one_that_others_would_not(tmp_path: Path) -> None:
+    """ISO 14229-1: after 78 the final response comes in any case, also one that stays unsaid on a request to all."""
+    with SlowFile(tmp_path / "memory.json") as store, Wire(store=store) as wire:
+        store.may_go_on.clear()
+        store.is_waited_for.clear()
+        monitor = threading.Thread(target=wire.controller.report, args=(0x081107, Result.FAILED))
+        monitor.start()
+        try:
+            assert store.is_waited_for.wait(HANG_S)
+            wire.put("03 22 12 34", ALL_ID)
+            assert wire.get_any().startswith("03 7f 22 78")
+        finally:
+            store.may_go_on.set()
+        assert wire.get().startswith("03 7f 22 31")
+        monitor.join()
 
 
 def test_identifiers_of_29_bits() -> None:

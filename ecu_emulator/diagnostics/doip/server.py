@@ -240,16 +240,17 @@ class DoipServer:
         """Answer one request, with 78 first if the disk takes its time."""
         self._counts.requests += 1
         timing = self._controller.table.timing
-        work = partial(self._controller.ask, ask.payload, is_functional=ask.is_functional, client=number)
+        work = partial(self._controller.consider, ask.payload, is_functional=ask.is_functional, client=number)
         if ask.payload[:1] == _PERIODIC:
             self._silent.add(number)
         asking = asyncio.get_running_loop().run_in_executor(self._pool, work)
-        patience_s = PENDING_RATIO * timing.p2_s
+        patience_s, was_promised = PENDING_RATIO * timing.p2_s, False
         while not (await asyncio.wait([asking], timeout=patience_s))[0]:
             patience_s = AGAIN_RATIO * timing.p2_star_s
             if not is_suppressed(ask.payload):
+                was_promised = True
                 self._respond(number, bytes([NEGATIVE, ask.payload[0], Nrc.RESPONSE_PENDING]), is_final=False)
-        self._respond(number, asking.result(), is_final=True)
+        self._respond(number, asking.result().response(was_promised=was_promised), is_final=True)
         self._silent.discard(number)
 
     def _respond(self, number: int, response: bytes | None, *, is_final: bool) -> None:

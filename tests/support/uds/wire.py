@@ -23,6 +23,7 @@ REQUEST_ID, ALL_ID, RESPONSE_ID = 0x7E1, 0x7DF, 0x7E9
 PARKED: dict[str, Value] = {
     "vehicle_speed_m_s": 0.0, "engine_speed_rad_s": 85.0, "sump_temperature_k": 353.15, "pedal_ratio": 0.0,
     "current_gear": 0.0, "brake_pressure_pa": 1e6, "engine_run_time_s": 60.0, "revs_possible": 1.0,
+    "clearing_possible": 1.0,
 }  # fmt: skip
 
 
@@ -37,7 +38,7 @@ def parked_controller(
     return Controller(table, values=lambda: PARKED, clock=clock, chance=secrets.token_bytes, store=store)
 
 
-_IS_PENDING = re.compile("03 7f .. 78")
+_IS_PENDING = re.compile("03 7f (..) 78")
 
 
 class Wire:
@@ -50,6 +51,7 @@ class Wire:
         store: MemoryFile | None = None,
     ) -> None:
         self._heard: queue.Queue[can.Message] = queue.Queue()
+        self._promised = "none"  # the service of which 78 was heard last
         self.controller = parked_controller(transport, clock=clock, store=store)
         self.link = DiagnosticLink(self.controller, self._heard.put)
 
@@ -70,8 +72,8 @@ class Wire:
 
     def get(self) -> str:
         """Return the next frame of the controller, other than that an answer takes its time, as on a busy machine."""
-        while _IS_PENDING.search(frame := self.get_any()):
-            pass
+        while (found := _IS_PENDING.search(frame := self.get_any())) is not None:
+            self._promised = found[1]
         return frame
 
     def get_any(self) -> str:
@@ -104,6 +106,8 @@ class Wire:
         return count
 
     def is_quiet(self) -> bool:
-        """Return whether nothing was heard, once a later request has been answered."""
+        """Return whether nothing but what 78 had promised was heard, once a later request has been answered."""
         self.put("02 3e 00")
-        return self.get().startswith("02 7e 00")
+        while (frame := self.get()).startswith(f"03 7f {self._promised} "):
+            pass
+        return frame.startswith("02 7e 00")
