@@ -3,10 +3,9 @@
 from collections.abc import Sequence
 from typing import Final
 
-from ecu_emulator.diagnostics.elm327.settings import Settings
+from ecu_emulator.diagnostics.elm327.settings import LARGEST_STANDARD_ID, Settings
 
 MOST_SINGLE_BYTES: Final = 7
-LARGEST_STANDARD_ID: Final = 0x7FF
 _FIRST_BYTES: Final = 6
 _FRAME_BYTES: Final = 8
 _FIRST: Final = 0x1000

@@ -6,13 +6,14 @@ from dataclasses import dataclass, replace
 from typing import Final
 
 from ecu_emulator.diagnostics.codes import NEGATIVE, Nrc
-from ecu_emulator.diagnostics.elm327.frames import LARGEST_STANDARD_ID, MOST_SINGLE_BYTES, framed, shown
+from ecu_emulator.diagnostics.elm327.frames import MOST_SINGLE_BYTES, framed, shown
 from ecu_emulator.diagnostics.elm327.settings import (
     AUTOMATIC,
     CAN_11_250,
     CAN_11_500,
     CAN_29_250,
     CAN_29_500,
+    LARGEST_STANDARD_ID,
     MONITOR,
     UNKNOWN,
     Settings,
@@ -68,8 +69,8 @@ class Interpreter:
         self._ids = addressing
         self._transport = transport
         self._ask = ask
-        is_standard = addressing.response_id <= LARGEST_STANDARD_ID
-        slow, fast = (CAN_11_250, CAN_11_500) if is_standard else (CAN_29_250, CAN_29_500)
+        self._is_standard = addressing.response_id <= LARGEST_STANDARD_ID
+        slow, fast = (CAN_11_250, CAN_11_500) if self._is_standard else (CAN_29_250, CAN_29_500)
         self._protocol = slow if bitrate == HALF_BITRATE else fast
         self._last = ""
         self._parts: _Parts | None = None
@@ -150,14 +151,18 @@ class Interpreter:
         return self._asked(parts.data[: parts.length])
 
     def _header(self) -> int:
-        return self._ids.functional_id if self.settings.header is None else self.settings.header
+        own = self.settings.request_id(is_standard=self._is_standard)
+        return self._ids.functional_id if own is None else own
 
     def _asked(self, payload: bytes) -> Shown:
         self._held = []
         header = self._header()
-        if not payload or header not in {self._ids.functional_id, self._ids.request_id}:
+        is_heard = self.settings.extended_address is None and header in {self._ids.functional_id, self._ids.request_id}
+        if not payload or not is_heard:
             return Shown(lines=(NO_DATA,))
         response = self._ask(payload, header == self._ids.functional_id)
+        if not self.settings.shows_responses:
+            return Shown()
         if response is None:
             return Shown(lines=(NO_DATA,))
         is_pending = len(response) == 3 and response[0] == NEGATIVE and response[2] == Nrc.RESPONSE_PENDING
@@ -180,6 +185,6 @@ class Interpreter:
         settings = self.settings
         if not settings.controls_flow:
             return False
-        if settings.flow_mode == 1 and settings.flow_header != self._ids.request_id:
+        if settings.flow_mode == 1 and settings.flow_id(is_standard=self._is_standard) != self._ids.request_id:
             return False
         return settings.flow_mode == 0 or (settings.flow_data[0] == 0x30 and len(settings.flow_data) >= 3)

@@ -33,7 +33,10 @@ PROTOCOLS: Final[Mapping[int, str]] = MappingProxyType({
     0xC: "USER2 (CAN 11/50)",
 })  # fmt: skip
 ALL_ID_BITS: Final = 0x1FFFFFFF
+LARGEST_STANDARD_ID: Final = 0x7FF
 _DEFAULT_PRIORITY: Final = 0x18
+_PRIORITY_BITS: Final = 0x1F
+_HEADER_BITS: Final = 0xFFFFFF  # of three bytes, behind the priority
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -46,12 +49,14 @@ class Settings:
     shows_headers: bool = False
     shows_length: bool = False
     is_formatted: bool = True  # it makes and reads the first bytes of ISO-TP itself
+    shows_responses: bool = True
     controls_flow: bool = True
     flow_mode: int = 0  # 0 as usual; 1 header and data below; 2 data below
     flow_header: int | None = None
     flow_data: bytes = b""
-    header: int | None = None  # of requests; none: to all controllers
+    header: int | None = None  # of requests, three bytes; none: to all controllers
     priority: int = _DEFAULT_PRIORITY  # the first byte of a header of 29 bits
+    extended_address: int | None = None  # the byte before those of ISO-TP
     receive_id: int | None = None  # none: responses of OBD
     receive_mask: int = ALL_ID_BITS
     protocol: int = AUTOMATIC
@@ -62,6 +67,20 @@ class Settings:
         if self.receive_id is not None:
             return can_id & self.receive_mask == self.receive_id & self.receive_mask
         return 0x7E8 <= can_id <= 0x7EF or can_id & 0x1FFFFF00 == 0x18DAF100
+
+    def request_id(self, *, is_standard: bool) -> int | None:
+        """Return the identifier of requests on a bus of 11 or of 29 bits; None: that of requests to all."""
+        return None if self.header is None else self._wire_id(self.header, is_standard=is_standard)
+
+    def flow_id(self, *, is_standard: bool) -> int | None:
+        """Return the identifier of flow control that a client makes itself, if it has said which."""
+        return None if self.flow_header is None else self._wire_id(self.flow_header, is_standard=is_standard)
+
+    def _wire_id(self, header: int, *, is_standard: bool) -> int:
+        """Return what becomes of a header: which protocol it is for is known when it is used, not when it is set."""
+        if is_standard:
+            return header & LARGEST_STANDARD_ID
+        return header if header > _HEADER_BITS else self.priority << 24 | header
 
     @property
     def protocol_name(self) -> str:
@@ -89,16 +108,20 @@ _SWITCHES: Final[Mapping[str, str]] = {
     "S": "has_spaces",
     "H": "shows_headers",
     "D": "shows_length",
+    "R": "shows_responses",
     "CAF": "is_formatted",
     "CFC": "controls_flow",
 }
-_NO_MATTER: Final = re.compile(r"AL|NL|AT[012]|ST[0-9A-F]{2}|M[01]|V[01]|CSM[01]|R1|LP|SS|BI|FE|CEA|STPX")
-"""Commands that are taken and change nothing here: answers are there at once, and of any length."""
+_NO_MATTER: Final = re.compile(
+    r"AL|NL|AT[012]|ST[0-9A-F]{2}|CTM[15]|M[01]|V[01]|CSM[01]|LP|SS|BI|FE|STPX|JE|JS|JHF[01]|JTM[15]"
+    r"|IB(10|12|15|48|96)|IIA[0-9A-F]{2}|KW[01]|SW[0-9A-F]{2}|WM([0-9A-F]{2}){1,6}|(TA|RA|SR)[0-9A-F]{2}"
+)
+"""Commands that are taken and change nothing here: answers are there at once; other buses than CAN are not there."""
 
 
 def told(settings: Settings, command: str) -> Told:
     """Return what a command does; it comes in capitals, without blanks and without its ``AT``."""
-    if switch := re.fullmatch(r"(E|L|S|H|D|CAF|CFC)([01])", command):
+    if switch := re.fullmatch(r"(E|L|S|H|D|R|CAF|CFC)([01])", command):
         is_on = switch[2] == "1"
         return Told(settings=replace(settings, **{_SWITCHES[switch[1]]: is_on}))  # type: ignore[arg-type]  # all are bool
     if _NO_MATTER.fullmatch(command):
@@ -138,16 +161,19 @@ def _closed(settings: Settings, _found: re.Match[str]) -> Told:
 
 
 def _header(settings: Settings, found: re.Match[str]) -> Told:
-    """Set the identifier of requests: three digits, or six behind the priority, or all eight."""
-    digits = found[1]
-    number = int(digits, 16)
-    if len(digits) == 6:
-        number = number & 0x7FF if settings.protocol in {CAN_11_500, CAN_11_250} else settings.priority << 24 | number
-    return Told(settings=replace(settings, header=number & ALL_ID_BITS))
+    """Set the header of requests: three digits, or six; of eight the first two are the priority."""
+    number = int(found[1], 16)
+    priority = number >> 24 & _PRIORITY_BITS if len(found[1]) == 8 else settings.priority
+    return Told(settings=replace(settings, header=number & _HEADER_BITS, priority=priority))
 
 
 def _priority(settings: Settings, found: re.Match[str]) -> Told:
-    return Told(settings=replace(settings, priority=int(found[1], 16) & 0x1F))
+    return Told(settings=replace(settings, priority=int(found[1], 16) & _PRIORITY_BITS))
+
+
+def _extended_address(settings: Settings, found: re.Match[str]) -> Told:
+    """Put an address before every message, or none any more."""
+    return Told(settings=replace(settings, extended_address=int(found[1], 16) if found[1] else None))
 
 
 def _receive_address(settings: Settings, found: re.Match[str]) -> Told:
@@ -196,14 +222,15 @@ _COMMANDS: Final[tuple[tuple[re.Pattern[str], Callable[[Settings, re.Match[str]]
         (r"DP", _shown(lambda settings: settings.protocol_name)),
         (r"DPN", _shown(lambda settings: settings.protocol_number)),
         (r"MA", _shown(lambda _: MONITOR)),
-        (r"[ST]P(A?)([0-9A-C]?)", _protocol),
+        (r"[ST]P(A?)(00|[0-9A-C]|)", _protocol),
         (r"PC", _closed),
         (r"SH([0-9A-F]{3}|[0-9A-F]{6}|[0-9A-F]{8})", _header),
         (r"CP([0-9A-F]{2})", _priority),
+        (r"CEA([0-9A-F]{2}|)", _extended_address),
         (r"(?:CRA|AR)([0-9A-FX]{3}|[0-9A-FX]{8}|)", _receive_address),
         (r"C([FM])([0-9A-F]{3}|[0-9A-F]{8})", _filter),
         (r"FCSM([012])", _flow_mode),
-        (r"FCSH([0-9A-F]{3}|[0-9A-F]{8})", _flow_header),
+        (r"FCSH([0-9A-F]{3}|[0-9A-F]{6}|[0-9A-F]{8})", _flow_header),
         (r"FCSD((?:[0-9A-F]{2}){1,5})", _flow_data),
     )
 )

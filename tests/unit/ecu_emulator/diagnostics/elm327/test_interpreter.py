@@ -46,6 +46,15 @@ class Adapter:
         ("ATST", "?"),
         ("ATSP", "?"),
         ("ATSPD", "?"),
+        ("at sp 00", "OK"),
+        ("ATSP01", "?"),
+        ("ATIB10", "OK"),
+        ("ATSW00", "OK"),
+        ("ATWM 81 13 F1 3E", "OK"),
+        ("ATKW0", "OK"),
+        ("ATCTM5", "OK"),
+        ("ATCEA 12", "OK"),
+        ("ATBRD 23", "?"),  # there is no speed to change
         ("ATSH 7E1", "OK"),
         ("ATSH 7E", "?"),
         ("ATSH XYZ", "?"),
@@ -182,9 +191,40 @@ def test_headers_of_29_bits_are_made_of_a_priority_and_six_digits() -> None:
         (("ATSH DA10F1",), True),
         (("ATCP 10", "ATSH DA10F1"), False),
         (("ATSH18DB33F1",), True),
+        (("ATCP 10",), False),  # also after the header
+        (("ATCP 18",), True),
     ):
         assert [adapter.say(command) for command in commands] == [["OK"]] * len(commands)
         assert (adapter.say("010C") != ["NO DATA"]) is is_heard
+
+
+@pytest.mark.parametrize(
+    ("header", "ids"),
+    [
+        ("00 07 E1", None),
+        ("07 E1 00", "nobody"),
+        ("000007E1", None),
+        ("DA 10 F1", (0x18DA10F1, 0x18DAF110, 0x18DB33F1)),
+    ],
+)
+def test_a_header_may_be_set_before_the_protocol_is_known(header: str, ids: tuple[int, int, int] | str | None) -> None:
+    adapter = Adapter("ATSP0", f"ATSH {header}", ids=ids if isinstance(ids, tuple) else None)
+    assert (adapter.say("22F18C")[1:] == ["NO DATA"]) is (ids == "nobody")
+    assert adapter.say("ATDPN") == ["A7" if isinstance(ids, tuple) else "A6"]
+
+
+def test_responses_can_be_switched_off_and_the_request_goes_out_all_the_same() -> None:
+    adapter = Adapter("ATSP6", "ATSH7E1", "ATR0")
+    assert adapter.say("10 03") == []
+    assert adapter.say("ATR1") == ["OK"]
+    assert adapter.say("22F186") == ["62 F1 86 03 "]
+
+
+def test_a_controller_without_extended_addresses_does_not_hear_one_who_uses_them() -> None:
+    adapter = Adapter("ATSP6", "ATSH7E1", "ATCEA 12")
+    assert adapter.say("010C") == ["NO DATA"]
+    assert adapter.say("ATCEA") == ["OK"]
+    assert adapter.say("010C") == ["41 0C 0C AF "]
 
 
 @pytest.mark.parametrize(
@@ -196,6 +236,7 @@ def test_headers_of_29_bits_are_made_of_a_priority_and_six_digits() -> None:
         (("ATFCSD 32 00 00", "ATFCSM2"), False),
         (("ATFCSH 7E1", "ATFCSD 300000", "ATFCSM1"), True),
         (("ATFCSH 7E2", "ATFCSD 300000", "ATFCSM1"), False),
+        (("ATFCSH 00 07 E1", "ATFCSD 300000", "ATFCSM1"), True),
     ],
 )
 def test_flow_control_decides_whether_the_rest_comes(commands: tuple[str, ...], is_whole: bool) -> None:
