@@ -20,18 +20,18 @@ from ecu_emulator.diagnostics.controller import Controller
 from ecu_emulator.diagnostics.doip.listening import Place
 from ecu_emulator.diagnostics.doip.server import DoipServer
 from ecu_emulator.diagnostics.elm327.server import ElmServer, parse_place
-from ecu_emulator.diagnostics.memory import TestResult
 from ecu_emulator.diagnostics.memory_file import MemoryFile
-from ecu_emulator.diagnostics.monitors import SENSED, Watch, is_warm, judge
-from ecu_emulator.diagnostics.opinion import FLUID_CODE, Opinions, failed_codes, fluid_test, values_of
+from ecu_emulator.diagnostics.monitors import SENSED
+from ecu_emulator.diagnostics.opinion import values_of
 from ecu_emulator.diagnostics.table_file import load_table, shipped_table
-from ecu_emulator.errors import ExtraMissingError, RecordError
+from ecu_emulator.errors import ExtraMissingError
+from ecu_emulator.monitoring import MONITOR_PERIOD_S, Monitoring
 from ecu_emulator.on_board import FixedOpinion, OpinionSource
+from ecu_emulator.requested_clearing import RequestedClearing
 from ecu_emulator.requested_routine import Driven, Performer, RequestedRoutine
 from ecu_emulator.sent_values import SentValues
 
 OWN_NODE: Final = "TCU"
-MONITOR_PERIOD_S: Final = 0.1
 RUNNING_RAD_S: Final = 30.0  # engine speed that no starter reaches
 _NS_PER_S: Final = 1e9
 
@@ -91,21 +91,22 @@ class Answering:
         self._shift_id = database.get_message_by_name("TCU_Shift").frame_id
         self._own_ids = {message.frame_id for message in database.messages if OWN_NODE in message.senders}
         self._on_board: OpinionSource = on_board or FixedOpinion(None)
-        self._judged: Opinions = {}
         self._driven = Driven()
         self._driven_s = -math.inf  # when the newest frame was due: the drive's time, also where sending lags behind
+        self._looked_s = -math.inf  # at which moment of that the monitors looked last
         self._engine_on_s: float | None = None  # since when the engine runs
         self._is_over = threading.Event()
-        self._monitor = threading.Thread(target=self._watch, name="monitors", daemon=True)
+        self._watcher = threading.Thread(target=self._watch, name="monitors", daemon=True)
         self._error: BaseException | None = None
-        self.problem: str | None = None
         described = load_table(Path(table)) if table else shipped_table()
         store = None if memory is None else self._stack.enter_context(MemoryFile(memory, described))
         try:
             self.controller = Controller(
                 described, values=self._values, clock=time.monotonic, chance=secrets.token_bytes, store=store
             )
+            self._monitoring = Monitoring(self.controller)
             self._routine = None if performer is None else RequestedRoutine(performer, self.controller)
+            self._clearing = RequestedClearing(self._on_board, self.controller, self._monitoring)
             self.link = DiagnosticLink(self.controller, bus.send, is_fd=is_fd)
             self.doip = None if doip is None else self._stack.enter_context(closing(DoipServer(self.controller, doip)))
             adapter = None if elm327 is None else ElmServer(self.controller, parse_place(elm327), bitrate)
@@ -116,6 +117,7 @@ class Answering:
 
     def __enter__(self) -> Self:
         parts: tuple[AbstractContextManager[object] | None, ...] = (self.elm327, self.link, self.doip, self._on_board)
+        self._stack.callback(self._clearing.close)
         try:
             for part in parts:
                 if part is not None:
@@ -123,14 +125,14 @@ class Answering:
         except BaseException:
             self._stack.close()
             raise
-        self._monitor.start()
+        self._watcher.start()
         return self
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         self._is_over.set()
-        self._monitor.join()
+        self._watcher.join()
         self._stack.__exit__(kind, error, trace)
         if self._error is not None and error is None:
             raise self._error
@@ -175,7 +177,8 @@ class Answering:
         """What was asked and which codes are confirmed, for people."""
         told = self.outcome["confirmed"]
         codes = ", ".join(told) if isinstance(told, list) and told else "none"
-        problem = f"\nwarning: trouble codes could not be kept: {self.problem}" if self.problem else ""
+        unkept = self._monitoring.problem
+        problem = f"\nwarning: trouble codes could not be kept: {unkept}" if unkept else ""
         asked = f"{self.link.counts.requests} requests, {self.link.counts.responses} responses"
         if self.doip is not None:
             over_ip = self.doip.counts
@@ -186,29 +189,26 @@ class Answering:
             problem += f"\nwarning: {self._on_board.problem}"
         return f"diagnostics: {asked}; confirmed trouble codes: {codes}{problem}"
 
-    def _look(self, watch: Watch, numbers: Mapping[str, int]) -> Watch:
+    def _look(self) -> None:
         """Judge the newest frames once: a sender that the machine keeps waiting makes no shift longer."""
         driven_s = self._driven_s
-        if driven_s == watch.t_s:
-            return watch
-        values = self._values()
-        self._note_engine(values)
-        watch, samples = judge(watch, values, driven_s)
-        self._report({numbers[code]: result for code, result in samples if code in numbers}, values)
-        return watch
+        if driven_s != self._looked_s:
+            self._looked_s = driven_s
+            values = self._values()
+            self._note_engine(values)
+            self._monitoring.look(values, driven_s)
 
     def _watch(self) -> None:
         """Let the monitors judge what the controllers say, from when those that they need have spoken."""
-        watch = Watch()
-        numbers = {trouble.code: number for number, trouble in self.controller.table.troubles.items()}
         try:
             while not self._is_over.wait(MONITOR_PERIOD_S):
                 if self._sent.has_all(SENSED):
-                    watch = self._look(watch, numbers)
-                    self._judge_fluid(numbers)
+                    self._look()
+                    self._monitoring.judge_clutches(self._on_board.opinions)
                 if self._routine is not None:
                     is_live = self._on_board.is_live
                     self._routine.step(self._driven, self._on_board.opinions, time.monotonic(), is_live=is_live)
+                self._clearing.step()
         except BaseException as exc:  # noqa: BLE001 - carried to the caller's thread, which raises it
             self._error = exc
 
@@ -220,26 +220,6 @@ class Answering:
             self._engine_on_s = None
         elif self._engine_on_s is None:
             self._engine_on_s = time.monotonic()
-
-    def _report(self, results: Mapping[int, TestResult], values: Mapping[str, float]) -> None:
-        try:
-            for number, result in results.items():
-                self.controller.report(number, result)
-            if is_warm(values):
-                self.controller.warm_up()
-        except RecordError as exc:  # the drive goes on; what could not be kept is tried again with the next sample
-            self.problem = self.problem or str(exc)
-
-    def _judge_fluid(self, numbers: Mapping[str, int]) -> None:
-        """Let each new opinion be a test of the fluid, with the controller's values of that moment."""
-        opinions = self._on_board.opinions
-        if opinions is self._judged or FLUID_CODE not in numbers:
-            return
-        self._judged = opinions
-        codes = {number: code for code, number in numbers.items()}
-        result = fluid_test(opinions, failed_codes(self.controller.state.memory.records, codes))
-        if result is not None:
-            self._report({numbers[FLUID_CODE]: result}, {})
 
     def _count_shift(self, due_s: float) -> None:
         driven = self._driven
@@ -254,6 +234,7 @@ class Answering:
             "shift_count": float(self._driven.shift_count),
             "engine_run_time_s": 0.0 if self._engine_on_s is None else time.monotonic() - self._engine_on_s,
             "revs_possible": float(self._routine is not None and self._routine.is_possible),
+            "clearing_possible": float(self._clearing.is_possible),
             **values_of(self._on_board.opinions),
         }
         return self._sent.now(more)

@@ -25,6 +25,9 @@ MOST_STARTS: Final = 6  # in a row that did not last
 LASTED_S: Final = 60.0
 FIRST_PAUSE_S: Final = 1.0  # doubled with each start in a row
 END_S: Final = 5.0  # how long the service may take to end
+NOTE_S: Final = 45.0  # how long it may take to note new fluid
+NEW_FLUID_NOTE: Final = "adaptation cleared by a tester"
+NOTHING_LEARNED: Final = "holds no results"  # what the service says of a store that no event has reached yet
 _OWN_VARIABLES: Final = "CLUTCHDIAG_"  # of a user's service: its broker, store and vehicle are not this one's
 # The kernel ends the service with this process, however that ends; if it has ended already, nobody is the parent.
 _LAUNCH: Final = """
@@ -52,6 +55,9 @@ class OpinionSource(Protocol):
     def problem(self) -> str | None:
         """Why nothing is thought any more, for people."""
 
+    def begin_anew(self) -> bool:
+        """Forget what was learned of the old fluid; return whether that is done. May take seconds."""
+
     def __enter__(self) -> Self: ...
 
     def __exit__(
@@ -67,6 +73,10 @@ class FixedOpinion:
 
     def __init__(self, opinion: ClutchOpinion | None) -> None:
         self.opinions: Opinions = {} if opinion is None else {1: opinion, 2: opinion}
+
+    def begin_anew(self) -> bool:
+        """Return that nothing was learned that could be forgotten."""
+        return False
 
     def __enter__(self) -> Self:
         return self
@@ -139,6 +149,7 @@ class OnBoardService:
         # A thread that lasts: the kernel's word to end with the parent is about the thread that started a child.
         self._thread = threading.Thread(target=self._run, name="on board", daemon=True)
         self._opinions: dict[int, ClutchOpinion] = {}
+        self._anew_ns = 0  # when new fluid was noted: what ended before that is of the old one
         self.problem: str | None = None
         self.start_count = 0
 
@@ -146,6 +157,28 @@ class OnBoardService:
     def opinions(self) -> Opinions:
         """What the service found of each clutch, by its latest result."""
         return self._opinions
+
+    def begin_anew(self) -> bool:
+        """Have the service note new fluid: its friction is learned afresh, what is known of sensors stays."""
+        words = ["fluid-changed", str(self._kept_in), "--note", NEW_FLUID_NOTE]
+        try:
+            noted = subprocess.run(  # noqa: S603 - our own program, with words of our own
+                [*self._program, *words],
+                check=False, stdin=subprocess.DEVNULL, capture_output=True, timeout=NOTE_S,
+                env=without_settings(os.environ),
+            )  # fmt: skip
+        except (OSError, subprocess.TimeoutExpired):
+            return False
+        if noted.returncode and NOTHING_LEARNED.encode() not in noted.stderr:
+            return False
+        self._anew_ns = time.time_ns()
+        self._opinions = {}
+        return True
+
+    @property
+    def _kept_in(self) -> Path:
+        """Where the service keeps what it has learned."""
+        return self._store or self._folder / "on-board.sqlite"
 
     def __enter__(self) -> Self:
         self._folder = Path(tempfile.mkdtemp(prefix="on-board-"))
@@ -191,7 +224,7 @@ class OnBoardService:
             complaints = Complaints(child.stderr)
             while line := child.stdout.readline(LONGEST_LINE):
                 found = read_line(line)
-                if found is not None:
+                if found is not None and (not found[1].end_ns or found[1].end_ns >= self._anew_ns):
                     self._opinions = {**self._opinions, found[0]: found[1]}
             child.wait()
             return complaints.last_line(END_S) or f"status {child.returncode}"
@@ -200,10 +233,9 @@ class OnBoardService:
         with self._guard:
             if self._is_over.is_set():
                 return None
-            store = self._store or self._folder / "on-board.sqlite"
             self.start_count += 1
             self._child = subprocess.Popen(  # noqa: S603 - our own program, with words that this program checked
-                [*self._program, "run", *self._bus, "--store", str(store), "--json"],
+                [*self._program, "run", *self._bus, "--store", str(self._kept_in), "--json"],
                 stdin=subprocess.DEVNULL,
                 stdout=subprocess.PIPE,
                 stderr=subprocess.PIPE,

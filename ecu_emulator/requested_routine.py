@@ -82,7 +82,7 @@ class RequestedRoutine:
         is_live
             Whether opinions follow what is driven.
         """
-        found = self._running()
+        found = running_routine(self._controller, Task.REVS)
         if found is None:
             self._performance = None
             return
@@ -94,12 +94,13 @@ class RequestedRoutine:
         if now.over_s is not None and (not is_live or has_judged(opinions, driven) or t_s >= now.over_s + ESTIMATE_S):
             self._controller.finish(number)
 
-    def _running(self) -> tuple[int, RoutineRun] | None:
-        routines = self._controller.table.routines
-        for number, run in self._controller.state.routines.items():
-            if run.is_running and routines[number].task is Task.REVS:
-                return number, run
-        return None
+
+def running_routine(controller: Controller, task: Task) -> tuple[int, RoutineRun] | None:
+    """Return a routine that runs and is of this kind, with its number, if there is one."""
+    for number, run in controller.state.routines.items():
+        if run.is_running and controller.table.routines[number].task is task:
+            return number, run
+    return None
 
 
 def _after(performance: _Performance, driven: Driven, t_s: float) -> _Performance:

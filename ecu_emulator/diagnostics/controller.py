@@ -21,7 +21,7 @@ from ecu_emulator.diagnostics.server import (
 )
 from ecu_emulator.diagnostics.services.call import under_control
 from ecu_emulator.diagnostics.services.data import data_of
-from ecu_emulator.diagnostics.services.routines import finished
+from ecu_emulator.diagnostics.services.routines import failed, finished
 from ecu_emulator.diagnostics.state import Moment, Reply, Request, ServerState
 from ecu_emulator.diagnostics.table import DiagnosticTable
 from ecu_emulator.diagnostics.values import Values
@@ -156,6 +156,10 @@ class Controller:
         self._change(
             lambda state: finished(state, self.table, routine, under_control(self.table, state, self._moment()))
         )
+
+    def fail(self, routine: int) -> None:
+        """Note that the vehicle could not do what a routine asked for; who awaits it hears 72."""
+        self._change(lambda state: failed(state, routine))
 
     def _change(self, change: Callable[[ServerState], ServerState]) -> None:
         with self._lock:

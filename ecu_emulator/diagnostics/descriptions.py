@@ -30,6 +30,7 @@ class Task(StrEnum):
 
     NOTHING = "nothing"  # but let time pass
     REVS = "revs"  # the workshop routine: as many revs with open, then closed clutches as the two options say; a drive
+    NEW_FLUID = "new_fluid"  # the estimate on board begins anew
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -199,6 +200,8 @@ class Routine:
             raise ConfigError(
                 f"routine {self.name}: task revs has two options of one byte, and the vehicle ends it, not the time"
             )
+        if self.task is Task.NEW_FLUID and self.ends_by_itself:
+            raise ConfigError(f"routine {self.name}: the vehicle ends task new_fluid, not the time")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

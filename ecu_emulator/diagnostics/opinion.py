@@ -11,6 +11,7 @@ from ecu_emulator.diagnostics.memory import TestResult, TroubleRecord
 from ecu_emulator.scenario import FluidVerdict, OnBoard
 
 FLUID_CODE: Final = "P0897"
+ADAPTATION_CODE: Final = "P0810"
 SUPPRESSING: Final = ("P0711", "P0841", "P0868", "P0776")  # while one has failed, friction is not judged
 SHIFT_SCHEMA: Final = "clutchdiag/shift/v1"
 _QUANTITIES: Final = {"mu_c": "mu_c", "std_mu_c": "mu_c_std", "mu_s": "mu_s", "std_mu_s": "mu_s_std"}
@@ -66,6 +67,15 @@ def fluid_test(opinions: Opinions, failed: Iterable[str]) -> TestResult | None:
     if not words or not set(SUPPRESSING).isdisjoint(failed):
         return None
     return TestResult.FAILED if FluidVerdict.CHANGE_FLUID in words else TestResult.PASSED
+
+
+def adaptation_test(opinions: Opinions) -> TestResult | None:
+    """Return the result of the test whether both clutches are known, None while they are not.
+
+    That fails only when what was known is cleared: a controller that never knew its clutches has lost nothing.
+    """
+    are_known = all(opinions.get(clutch, ClutchOpinion()).fluid is not FluidVerdict.NO_VERDICT for clutch in _CLUTCHES)
+    return TestResult.PASSED if are_known else None
 
 
 def failed_codes(records: Mapping[int, TroubleRecord], codes: Mapping[int, str]) -> set[str]:

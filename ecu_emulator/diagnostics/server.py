@@ -148,6 +148,8 @@ def advance(table: DiagnosticTable, state: ServerState, moment: Moment) -> Reply
         again = replace(waiting, again_s=moment.t_s + AGAIN_RATIO * table.timing.p2_star_s)
         return Reply(payload=_negative(waiting.request, Nrc.RESPONSE_PENDING), state=replace(state, waiting=again))
     state = replace(state, waiting=None, heard_s=moment.t_s)
+    if run.has_failed:
+        return Reply(payload=_negative(waiting.request, Nrc.PROGRAMMING_FAILURE), state=state)
     call = Call(table=table, state=state, moment=moment, sensed=sensed, request=waiting.request)
     response = answered(call, table.routines[waiting.routine], run).response
     return Reply(payload=response if isinstance(response, bytes) else None, state=state)

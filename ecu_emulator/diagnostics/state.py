@@ -44,6 +44,7 @@ class RoutineRun:
     ends_s: float  # at the latest
     is_running: bool = True
     was_stopped: bool = False
+    has_failed: bool = False  # the vehicle could not do it
     options: bytes = b""
     results: bytes = b""
 

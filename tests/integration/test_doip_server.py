@@ -274,7 +274,7 @@ def test_an_error_of_the_controller_reaches_who_started_it() -> None:
 
     def ask_it() -> None:
         with entity() as (controller, server):
-            setattr(controller, "ask", broken)  # noqa: B010 - a method
+            setattr(controller, "consider", broken)  # noqa: B010 - a method
             with Tester(server.place.port) as one:
                 one.send(request("3e00"))
                 one.message()

@@ -1,5 +1,6 @@
 """The estimate on board: a service beside the controller that starts, ends, dies; its findings as trouble codes."""
 
+import json
 import os
 import signal
 import subprocess
@@ -13,6 +14,7 @@ import pytest
 
 from dbc.contract import load_contract
 from diag_service.diagnosis.results import dump, shift_record
+from diag_service.store import ResultStore, StoreReader
 from ecu_emulator.answering import Answering
 from ecu_emulator.diagnostics.codes import Status
 from ecu_emulator.diagnostics.opinion import ClutchOpinion
@@ -21,6 +23,8 @@ from ecu_emulator.live import BusChoice, diagnostics_choice
 from ecu_emulator.on_board import (
     LONGEST_COMPLAINT,
     MOST_STARTS,
+    NEW_FLUID_NOTE,
+    NOTHING_LEARNED,
     Complaints,
     FixedOpinion,
     OnBoardService,
@@ -29,6 +33,8 @@ from ecu_emulator.on_board import (
 )
 from ecu_emulator.scenario import FluidVerdict
 from tests.support.builders import shift_result
+from tests.support.histories import fill_store, history
+from tests.support.in_process import ended
 from tests.support.patience import HANG_S
 
 FLUID = 0x089700
@@ -156,6 +162,48 @@ def test_worn_fluid_is_pending_then_confirmed_and_heals(tmp_path: Path) -> None:
     healed = drive(memory, FixedOpinion(ClutchOpinion(fluid=FluidVerdict.GOOD, mu_c=0.14)))
     assert not healed & Status.TEST_FAILED
     assert healed & Status.CONFIRMED  # until it has aged out
+
+
+SPEAKING = """
+import os, runpy, sys, time
+if sys.argv[1] == "fluid-changed":
+    runpy.run_module("diag_service", run_name="__main__")
+first, late, new, go = {lines!r}
+print(first, flush=True)
+while not os.path.exists(go):
+    time.sleep(0.01)
+print(late)
+print(new, flush=True)
+time.sleep(1e6)
+"""
+
+
+def test_new_fluid_is_noted_and_the_last_word_on_the_old_one_is_not_heard(tmp_path: Path) -> None:
+    store, go = tmp_path / "store.sqlite", tmp_path / "go"
+    fill_store(store, history(1))
+    record = {**shift_record(shift_result()), "end_bus_ns": 1_000_000_000}
+    new_ns = time.time_ns() + 10**15
+    lines = (json.dumps(record), json.dumps(record), json.dumps({**record, "end_bus_ns": new_ns}), str(go))
+    program = (sys.executable, "-c", SPEAKING.format(lines=lines))
+    with OnBoardService([], store, program=program, first_pause_s=0.001) as on_board:
+        wait_for(lambda: on_board.opinions)
+        assert on_board.begin_anew()
+        assert on_board.opinions == {}
+        go.touch()
+        wait_for(lambda: on_board.opinions)
+        assert [opinion.end_ns for opinion in on_board.opinions.values()] == [new_ns]
+    with StoreReader.open(store) as reader:
+        (fill,) = reader.fills("car1")
+    assert fill.note == NEW_FLUID_NOTE
+
+
+def test_who_has_learned_nothing_has_nothing_to_forget(tmp_path: Path) -> None:
+    ResultStore.open(tmp_path / "empty.sqlite").close()
+    told = ended("fluid-changed", tmp_path / "empty.sqlite")
+    assert NOTHING_LEARNED in told.err  # what the emulator knows it by
+    assert service(f"import sys; sys.exit('store x {NOTHING_LEARNED}')").begin_anew()
+    assert not service("import sys; sys.exit('no disk')").begin_anew()
+    assert not OnBoardService([], None, program=("/nowhere/python",)).begin_anew()
 
 
 def test_the_bus_is_named_to_the_service_as_it_was_to_the_emulator() -> None:

@@ -63,6 +63,10 @@ class OnBoard:
             assert told is not None
             self.opinions = {**self.opinions, told[0]: told[1]}
 
+    def begin_anew(self) -> bool:
+        """Return that it does not."""
+        return False
+
     def __enter__(self) -> Self:
         return self
 

@@ -15,8 +15,8 @@ import can
 
 from ecu_emulator.diagnostics.controller import Controller
 from ecu_emulator.diagnostics.elm327.client import POLL_S, Client, ElmCounts
-from ecu_emulator.diagnostics.elm327.frames import LARGEST_STANDARD_ID
 from ecu_emulator.diagnostics.elm327.interpreter import Interpreter
+from ecu_emulator.diagnostics.elm327.settings import LARGEST_STANDARD_ID
 from ecu_emulator.errors import BusError, ConfigError, RecordError
 
 PORT: Final = 35000  # where adapters on a wireless network listen

@@ -86,6 +86,14 @@ def finished(state: ServerState, table: DiagnosticTable, number: int, moment: Mo
     return _with(state, number, replace(run, is_running=False, results=results))
 
 
+def failed(state: ServerState, number: int) -> ServerState:
+    """Return the state after the vehicle could not do what a routine asked for."""
+    run = state.routines.get(number)
+    if run is None or not run.is_running:
+        return state
+    return _with(state, number, replace(run, is_running=False, was_stopped=True, has_failed=True))
+
+
 def timed_out(state: ServerState, table: DiagnosticTable, moment: Moment) -> ServerState:
     """Return the state after time has passed: a routine ends by itself, or is stopped if the vehicle did not end it."""
     for number, run in state.routines.items():

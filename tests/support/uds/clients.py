@@ -175,10 +175,10 @@ def step(pair: Pair, client: RandomClient) -> None:
         pair.wait(random.choice((0.0, 0.1, 0.1, 0.1, 0.6, 0.6, 2.0, 3.6, 4.99, 5.0, 11.0, 31.0, 310.0)))
     elif kind < 0.90:
         pair.sample(random.choice(client.codes[:4]), random.choice(RESULTS))
-    elif kind < 0.94:
+    elif kind < 0.93:
         pair.drive(random)
     elif kind < 0.96:
-        pair.finish(0x0301)
+        pair.finish(random.choice((0x0301, 0x0303, 0x0303)))
     elif kind < 0.97:
         pair.warm_up()
     elif kind < 0.99:

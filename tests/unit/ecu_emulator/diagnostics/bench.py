@@ -3,7 +3,7 @@
 from ecu_emulator.diagnostics.memory import TestResult
 from ecu_emulator.diagnostics.server import advance, answer, broadcast, left, switched_on, tested
 from ecu_emulator.diagnostics.services.call import under_control
-from ecu_emulator.diagnostics.services.routines import finished
+from ecu_emulator.diagnostics.services.routines import failed, finished
 from ecu_emulator.diagnostics.state import Moment, Request, ServerState
 from ecu_emulator.diagnostics.table import DiagnosticTable
 from ecu_emulator.diagnostics.values import Value
@@ -13,6 +13,7 @@ SEED = bytes(range(1, 17))
 PARKED: dict[str, Value] = {
     "vehicle_speed_m_s": 0.0, "engine_speed_rad_s": 85.0, "sump_temperature_k": 353.15, "pedal_ratio": 0.0,
     "current_gear": 0.0, "brake_pressure_pa": 1e6, "engine_run_time_s": 60.0, "revs_possible": 1.0,
+    "clearing_possible": 1.0,
 }  # fmt: skip
 
 
@@ -62,6 +63,9 @@ class Bench:
             routine,
             under_control(self.table, self.state, Moment(t_s=self.t_s, values=self.values)),
         )
+
+    def fail(self, routine: int) -> None:
+        self.state = failed(self.state, routine)
 
     def unlock(self, level: int = 1) -> None:
         for session in ("03", "40")[: 1 + (level == 3)]:

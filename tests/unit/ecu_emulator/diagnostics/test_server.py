@@ -292,10 +292,10 @@ def test_a_routine_is_started_asked_and_stopped(bench: Bench) -> None:
     assert bench.ask("31 03 03 02") == "71 03 03 02 01"
     assert bench.ask("31 02 03 02") == "71 02 03 02 02"
     assert bench.ask("31 02 03 02") == "7f 31 24"
-    assert bench.ask("31 01 03 03") == "71 01 03 03 01"
-    assert bench.ask("31 02 03 03") == "7f 31 12"
+    assert bench.ask("31 01 03 04") == "71 01 03 04 01"
+    assert bench.ask("31 02 03 04") == "7f 31 12"
     bench.wait(0.5)
-    assert bench.ask("31 03 03 03") == "71 03 03 03 00"
+    assert bench.ask("31 03 03 04") == "71 03 03 04 00"
 
 
 @pytest.mark.parametrize(
@@ -340,6 +340,34 @@ def test_a_routine_that_the_vehicle_never_ends_is_stopped(bench: Bench) -> None:
     bench.unlock()
     bench.ask("31 01 03 01 04 04")
     assert bench.wait(300.0) == "71 01 03 01 02"
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "nrc"),
+    [("vehicle_speed_m_s", 5.0, "88"), ("current_gear", 1.0, "8c"), ("clearing_possible", 0.0, "22")],
+)
+def test_what_was_learned_is_cleared_by_a_car_at_rest_alone(bench: Bench, name: str, value: float, nrc: str) -> None:
+    bench.ask("10 03")
+    assert bench.ask("31 01 03 03") == "7f 31 33"
+    bench.unlock()
+    bench.values[name] = value
+    assert bench.ask("31 01 03 03") == f"7f 31 {nrc}"
+    del bench.values[name]
+    assert bench.ask("31 01 03 03") == f"7f 31 {nrc}"
+
+
+def test_a_routine_that_the_vehicle_cannot_do_ends_with_a_refusal(bench: Bench) -> None:
+    bench.unlock()
+    assert bench.ask("31 01 03 03") == "7f 31 78"
+    bench.fail(0x0303)
+    assert bench.wait(0.1) == "7f 31 72"
+    assert bench.ask("31 03 03 03") == "71 03 03 03 02"
+    assert bench.ask("31 02 03 03") == "7f 31 12"
+    assert bench.ask("31 01 03 03") == "7f 31 78"
+    bench.finish(0x0303)
+    assert bench.wait(0.1) == "71 01 03 03 00"
+    bench.fail(0x0303)  # too late
+    assert bench.ask("31 03 03 03") == "71 03 03 03 00"
 
 
 def test_codes_stay_as_they_are_while_their_setting_is_off(bench: Bench) -> None:
