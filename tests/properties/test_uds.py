@@ -93,7 +93,7 @@ def test_whatever_is_asked_is_answered(
 
 def test_the_command_counts_and_finds_no_disagreement(tmp_path: Path) -> None:
     figures = run(codes_step, tmp_path, seed=77, is_enough=lambda figures: figures.sequences >= 10)
-    assert (figures.sequences, figures.disagreements) == (10, [])
+    assert (figures.sequences, figures.disagreements, figures.crashes) == (10, [], [])
     figures = run(step, tmp_path, seed=77, is_enough=lambda figures: figures.answered + figures.silent >= 2000)
-    assert figures.disagreements == []
+    assert (figures.disagreements, figures.crashes) == ([], [])
     assert set(figures.nrcs) >= {0x11, 0x12, 0x13, 0x24, 0x31, 0x33, 0x35, 0x7E, 0x7F}

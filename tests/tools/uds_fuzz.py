@@ -24,6 +24,7 @@ class Figures:
     silent: int = 0
     nrcs: dict[int, int] = field(default_factory=dict)
     disagreements: list[str] = field(default_factory=list)
+    crashes: list[str] = field(default_factory=list)
 
     def add(self, pair: Pair) -> None:
         self.sequences += 1
@@ -52,6 +53,8 @@ def run(
                 figures.steps += 1
         except DisagreementError as told:
             figures.disagreements.append(f"sequence {number}: {told}")
+        except Exception as exc:  # noqa: BLE001 - whatever it is, it is what is looked for
+            figures.crashes.append(f"sequence {number}: {exc!r}")
         figures.add(pair)
     return figures
 
@@ -71,14 +74,17 @@ def main() -> int:
             began_s = time.perf_counter()
             figures = run(what, Path(name), seed=options.seed, is_enough=is_enough)
             nrcs = ", ".join(f"{nrc:02X}: {count}" for nrc, count in sorted(figures.nrcs.items()))
+            unanswered = sum("the product says nothing" in told for told in figures.disagreements)
             print(
                 f"{title}: {figures.sequences} sequences, {figures.steps} steps, "
                 f"{figures.answered + figures.silent} requests, {figures.silent} of them rightly unanswered, "
-                f"{len(figures.disagreements)} disagreements, {time.perf_counter() - began_s:.0f} s\n"
-                f"  negative responses: {nrcs}"
+                f"{len(figures.crashes)} crashes, {len(figures.disagreements)} disagreements with the model, "
+                f"{unanswered} of them left unanswered, {time.perf_counter() - began_s:.0f} s\n"
+                f"  negative responses: {nrcs}",
+                flush=True,
             )
-            print("".join(f"  {told}\n" for told in figures.disagreements[:10]), end="")
-            failed |= bool(figures.disagreements)
+            print("".join(f"  {told}\n" for told in [*figures.crashes, *figures.disagreements][:10]), end="")
+            failed |= bool(figures.crashes or figures.disagreements)
     return int(failed)
 
 
