@@ -27,7 +27,8 @@ from ecu_emulator.scenario_file import load_scenario
 REQUEST_ID, RESPONSE_ID = 0x7E1, 0x7E9
 SHORT, LONG = b"\x22\x01\x05", b"\x22\xf1\x90"  # one frame back; three and a flow control
 LOGICAL_ADDRESS = 0x1011
-MOST_S = 0.01
+MOST_S = 0.01  # p99 wanted on a virtual bus
+MOST_ON_BUS_S = 0.025  # and in the guest, on a real one
 SILENCE_S = 2.0
 FULL_STREAM_S = 2.0
 MS_PER_S = 1e3
@@ -136,6 +137,7 @@ def main() -> None:
     parser.add_argument("--doip", metavar="PORT", help="ask over DoIP on this port of the loopback interface")
     options = parser.parse_args()
     place = None if options.doip is None else parse_place(options.doip)
+    most_s = MOST_S if options.interface == "virtual" else MOST_ON_BUS_S
     for rate_hz in (0.0, options.rate):
         found = measured(options.interface, options.channel, options.seconds, rate_hz, place)
         report = found.report
@@ -147,7 +149,7 @@ def main() -> None:
             p50_s, p99_s = np.quantile(found.latencies_s, (0.5, 0.99))
             print(
                 f"    {len(found.latencies_s)} answers, p50 {p50_s * MS_PER_S:.2f} ms, p99 {p99_s * MS_PER_S:.2f} ms "
-                f"(target {MOST_S * MS_PER_S:.0f}), max {max(found.latencies_s) * MS_PER_S:.2f} ms, "
+                f"(target {most_s * MS_PER_S:.0f}), max {max(found.latencies_s) * MS_PER_S:.2f} ms, "
                 f"{found.unanswered} unanswered"
             )
 

@@ -137,7 +137,8 @@ class Started:
 def snapshot_of(controller: Controller) -> dict[int, bytes]:
     """Return the data of the first snapshot of P0897, as a tester reads them."""
     response = controller.ask(b"\x19\x04" + WORN.to_bytes(3, "big") + b"\x01") or b""
-    found, rest = {}, response[8:]
+    found: dict[int, bytes] = {}
+    rest = response[8:]
     while rest:
         number = int.from_bytes(rest[:2], "big")
         size = controller.table.data[number].size_bytes
@@ -162,7 +163,10 @@ def shown(what: str, steps: Steps, life: Life) -> None:
 
 def is_near(life: Life, steps: Steps) -> bool:
     """Print the friction in the snapshot beside the truth when the test failed; return whether it fits."""
-    failed = next(step for step in steps if step["worn"] & Status.TEST_FAILED)
+    failed = next((step for step in steps if step["worn"] & Status.TEST_FAILED), None)
+    if failed is None:
+        print("    the test of the fluid has not failed")
+        return False
     with life.started(life.home) as controller:
         rows = list(deviations(snapshot_of(controller), failed["truth"]))
     for name, value, std, truth in rows:

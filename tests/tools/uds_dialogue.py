@@ -25,6 +25,9 @@ MOST_BYTES: Final = 16  # shown of a message
 _MARK: Final = re.compile(r"(<!-- dialogue -->\n).*?(<!-- end -->)", re.DOTALL)
 _FRAME_KINDS: Final = ("SF", "FF", "CF", "FC")
 _VCAN: Final = "vcan0"
+_NEGATIVE: Final = 0x7F
+_NO_RESPONSE_BIT: Final = 0xBF  # a service's number in request and response, as tshark shows it
+_SHOWN: Final = ("uds.sid", "uds.err.sid", "uds.err.code")
 
 
 def read_by_scapy(log: Path) -> list[dict[str, Any]]:
@@ -75,20 +78,31 @@ def kinds_read(text: str) -> Counter[str]:
     return Counter(kind for kind in re.findall(r"\[(\w\w)\]", text) if kind in _FRAME_KINDS)
 
 
-def read_by_tshark(log: Path) -> str:
+def read_by_tshark(log: Path, *more: str) -> str:
     """Return the lines that tshark prints of a log."""
-    words = [
-        "tshark",
-        "-r",
-        str(log),
-        "-d",
-        "can.subdissector,iso15765",
-        "-d",
-        "iso15765.subdissector,uds",
-        "-Y",
-        "uds",
-    ]
+    decoders = ["-d", "can.subdissector,iso15765", "-d", "iso15765.subdissector,uds"]
+    words = ["tshark", "-r", str(log), *decoders, "-Y", "uds", *more]
     return subprocess.run(words, check=True, capture_output=True, text=True, timeout=HANG_S).stdout
+
+
+def services_read(text: str) -> list[tuple[int, ...]]:
+    """Return the service of each message that tshark has found; of a refusal also whose and why."""
+    rows = [[column for column in line.split("\t") if column] for line in text.splitlines()]
+    return [tuple(int(column, 0) for column in row) for row in rows]
+
+
+def services_of(dialogue: Dialogue) -> list[tuple[int, ...]]:
+    """Return the same of the messages that were exchanged."""
+    return [(data[0] & _NO_RESPONSE_BIT, *(data[1:3] if data[0] == _NEGATIVE else ())) for _, data in dialogue.messages]
+
+
+def show_tshark(dialogue: Dialogue, log: Path) -> None:
+    """Print what tshark makes of the dialogue."""
+    fields = [word for name in _SHOWN for word in ("-e", name)]
+    read, said = services_read(read_by_tshark(log, "-T", "fields", *fields)), services_of(dialogue)
+    same = sum(one == other for one, other in zip(read, said, strict=False))
+    print(f"tshark: {len(read)} messages, service and refusal of {same} of {len(said)} the same")
+    print(read_by_tshark(log))
 
 
 def show_readers(dialogue: Dialogue, log: Path) -> None:
@@ -103,7 +117,10 @@ def show_readers(dialogue: Dialogue, log: Path) -> None:
         print(f"isotpdump: {dict(kinds_read(text))} frames of {dict(kinds_of(dialogue))}\n{text}")
     else:
         print(f"isotpdump: needs {_VCAN}")
-    print(f"tshark:\n{read_by_tshark(log)}" if shutil.which("tshark") else "tshark: not installed")
+    if shutil.which("tshark"):
+        show_tshark(dialogue, log)
+    else:
+        print("tshark: not installed")
 
 
 def main() -> None:

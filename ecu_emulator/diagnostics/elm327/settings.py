@@ -113,10 +113,10 @@ _SWITCHES: Final[Mapping[str, str]] = {
     "CFC": "controls_flow",
 }
 _NO_MATTER: Final = re.compile(
-    r"AL|NL|AT[012]|ST[0-9A-F]{2}|CTM[15]|M[01]|V[01]|CSM[01]|LP|SS|BI|FE|STPX|JE|JS|JHF[01]|JTM[15]"
+    r"AL|NL|AT[012]|ST[0-9A-F]{2}|CTM[15]|M[01]|V[01]|CSM[01]|LP|SS|BI|FE|STPX|JE|JS|JHF[01]|JTM[15]|PP[0-9A-F]{2}OFF"
     r"|IB(10|12|15|48|96)|IIA[0-9A-F]{2}|KW[01]|SW[0-9A-F]{2}|WM([0-9A-F]{2}){1,6}|(TA|RA|SR)[0-9A-F]{2}"
 )
-"""Commands that are taken and change nothing here: answers are there at once; other buses than CAN are not there."""
+"""Commands that are taken and change nothing: answers are there at once, other buses not; no parameter is ever on."""
 
 
 def told(settings: Settings, command: str) -> Told:

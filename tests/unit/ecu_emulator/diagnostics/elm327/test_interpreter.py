@@ -55,6 +55,9 @@ class Adapter:
         ("ATCTM5", "OK"),
         ("ATCEA 12", "OK"),
         ("ATBRD 23", "?"),  # there is no speed to change
+        ("ATPP FF OFF", "OK"),
+        ("ATPP 2D SV 0F", "?"),
+        ("AT TP A0", "OK"),
         ("ATSH 7E1", "OK"),
         ("ATSH 7E", "?"),
         ("ATSH XYZ", "?"),
