@@ -15,7 +15,7 @@ if typing.TYPE_CHECKING:
     from canlog.errors import CanlogError, DefinitionError, ExtraMissingError, OutputError, SourceError
     from canlog.frames import FrameBatch
     from canlog.logs import LogCounts, LogFormat, LogReader, read_log
-    from canlog.whole_log import Log, Samples, read, write_parquet
+    from canlog.whole_log import Log, Samples, read, write_parquet, write_table
 
 __all__ = [
     "CanlogError",
@@ -33,6 +33,7 @@ __all__ = [
     "read",
     "read_log",
     "write_parquet",
+    "write_table",
 ]
 
 _HOMES = {
@@ -40,6 +41,6 @@ _HOMES = {
     "canlog.errors": ("CanlogError", "DefinitionError", "ExtraMissingError", "OutputError", "SourceError"),
     "canlog.frames": ("FrameBatch",),
     "canlog.logs": ("LogCounts", "LogFormat", "LogReader", "read_log"),
-    "canlog.whole_log": ("Log", "Samples", "read", "write_parquet"),
+    "canlog.whole_log": ("Log", "Samples", "read", "write_parquet", "write_table"),
 }
 __getattr__, __dir__ = _on_demand(__name__, _HOMES)

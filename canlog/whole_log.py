@@ -12,7 +12,7 @@ from cantools.database.can import Database
 
 from canlog.arrays import FloatArray, Int64Array
 from canlog.database.loading import load_database
-from canlog.errors import SourceError
+from canlog.errors import OutputError, SourceError
 from canlog.extras import load_extra
 from canlog.frame_columns import join
 from canlog.frames import FrameBatch
@@ -30,11 +30,12 @@ from canlog.tables.decoding import (
     row_groups,
 )
 from canlog.tables.layouts import Values
-from canlog.tables.outputs import TableFormat
+from canlog.tables.outputs import FORMAT_OF_SUFFIX, TableFormat
 from canlog.tables.report import losses
 
 ShapeName = Literal["wide", "long"]
 ValuesName = Literal["numbers", "texts", "both"]
+FormatName = Literal["parquet", "csv", "jsonl", "arrow", "mf4"]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -173,7 +174,7 @@ def read(
 ) -> Log:
     """Read a log whole, for its signals as arrays or tables.
 
-    A log that is too large for the memory goes through ``write_parquet``, or batch by batch through ``read_log``.
+    A log that is too large for the memory goes through ``write_table``, or batch by batch through ``read_log``.
 
     Parameters
     ----------
@@ -194,14 +195,48 @@ def read(
     DefinitionError
         If the database cannot be used.
     """
-    paths = [Path(path)] if isinstance(path, str | Path) else [Path(one) for one in path]
-    if not paths:
-        raise SourceError("no log is named")
-    return Log(paths, _database(database, is_lenient=is_lenient), is_strict=is_strict)
+    return Log(_paths(path), _database(database, is_lenient=is_lenient), is_strict=is_strict)
+
+
+def write_table(
+    path: Path | str | Sequence[Path | str],
+    database: Database | Path | str,
+    output: Path | str,
+    *,
+    table_format: FormatName | None = None,
+    shape: ShapeName = "wide",
+    values: ValuesName = "numbers",
+    is_lenient: bool = False,
+) -> list[str]:
+    """Write the signals of logs into a table, in bounded memory; return what is missing there, in words.
+
+    Parameters
+    ----------
+    path, database, is_lenient
+        As of ``read``.
+    output
+        The table, which appears when it is complete; one that is there is replaced.
+    table_format : {"parquet", "csv", "jsonl", "arrow", "mf4"}, optional
+        By default what the suffix says: ``.parquet``, ``.csv``, ``.jsonl``, ``.arrows``, ``.mf4``.
+    shape, values
+        As of ``Log.to_arrow``; an MF4 file has a group for each message, and numbers.
+
+    Raises
+    ------
+    SourceError, DefinitionError, ExtraMissingError
+        As ``read`` and ``Log.to_arrow`` do.
+    OutputError
+        If there is no such format, or the file cannot be written.
+    """
+    plan = Plan.of(_database(database, is_lenient=is_lenient).messages, TableShape(shape), Values(values))
+    chosen = _format(Path(output), table_format)
+    if chosen is TableFormat.MF4 and (shape, values) != ("wide", "numbers"):
+        raise OutputError("an MF4 file has a group for each message, and numbers: neither shape nor values applies")
+    return list(losses(decode_logs(_paths(path), plan, Path(output), chosen).account))
 
 
 def write_parquet(
-    path: Path | str,
+    path: Path | str | Sequence[Path | str],
     database: Database | Path | str,
     output: Path | str,
     *,
@@ -209,21 +244,26 @@ def write_parquet(
     values: ValuesName = "numbers",
     is_lenient: bool = False,
 ) -> list[str]:
-    """Write the signals of a log into a Parquet file, in bounded memory; return what is missing there, in words.
-
-    Parameters are those of ``read`` and ``Log.to_arrow``; the file appears when it is complete.
-
-    Raises
-    ------
-    SourceError, DefinitionError, ExtraMissingError
-        As ``read`` and ``Log.to_arrow`` do.
-    OutputError
-        If the file cannot be written.
-    """
-    plan = Plan.of(_database(database, is_lenient=is_lenient).messages, TableShape(shape), Values(values))
-    decoded = decode_logs([Path(path)], plan, Path(output), TableFormat.PARQUET)
-    return list(losses(decoded.account))
+    """Write the signals of logs into a Parquet file, whatever it is called: what ``write_table`` does."""
+    return write_table(
+        path, database, output, table_format="parquet", shape=shape, values=values, is_lenient=is_lenient
+    )
 
 
 def _database(database: Database | Path | str, *, is_lenient: bool) -> Database:
     return database if isinstance(database, Database) else load_database(Path(database), is_lenient=is_lenient)
+
+
+def _paths(path: Path | str | Sequence[Path | str]) -> list[Path]:
+    paths = [Path(path)] if isinstance(path, str | Path) else [Path(one) for one in path]
+    if not paths:
+        raise SourceError("no log is named")
+    return paths
+
+
+def _format(output: Path, named: str | None) -> TableFormat:
+    try:
+        return FORMAT_OF_SUFFIX[output.suffix.lower()] if named is None else TableFormat(named)
+    except (KeyError, ValueError):
+        known = f"{', '.join(FORMAT_OF_SUFFIX)}, or as table_format says: {', '.join(TableFormat)}"
+        raise OutputError(f"{output}: signals are written as {known}") from None

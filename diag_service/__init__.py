@@ -15,7 +15,7 @@ if typing.TYPE_CHECKING:
     from clutch_model.errors import CalibrationError
     from diag_service.api.analysis import Analysis, analyze
     from diag_service.api.background import BackgroundDiagnosis
-    from diag_service.api.choices import Delivery
+    from diag_service.api.choices import Delivery, Poll
     from diag_service.api.expectations import (
         expect_frames,
         expect_same_frames,
@@ -24,12 +24,15 @@ if typing.TYPE_CHECKING:
     )
     from diag_service.api.folders import FolderAnalysis, analyze_folders
     from diag_service.api.live import LiveDiagnosis, diagnose
+    from diag_service.api.scan import scan_controllers
     from diag_service.api.stores import history, note_fluid, stored_shift, write_report
     from diag_service.api.tables import ResultTable
+    from diag_service.api.tester import UdsTester
     from diag_service.api.workshop import (
         PaperAnalysis,
         analyze_by_paper,
         calibrate,
+        decode,
         inspect,
         propose_profile,
         read,
@@ -37,10 +40,13 @@ if typing.TYPE_CHECKING:
     from diag_service.diagnosis.records import ClutchVerdict, Condition, ShiftEstimate, ShiftResult, Status
     from diag_service.errors import (
         ConfigError,
+        ControllerError,
         DiagServiceError,
         IncompleteError,
         PublishError,
+        RefusedError,
         ResultError,
+        SilentError,
         StoreError,
     )
 
@@ -52,6 +58,7 @@ __all__ = [
     "ClutchVerdict",
     "Condition",
     "ConfigError",
+    "ControllerError",
     "DefinitionError",
     "Delivery",
     "DiagServiceError",
@@ -61,18 +68,23 @@ __all__ = [
     "LiveDiagnosis",
     "OutputError",
     "PaperAnalysis",
+    "Poll",
     "PublishError",
+    "RefusedError",
     "ResultError",
     "ResultTable",
     "ShiftEstimate",
     "ShiftResult",
+    "SilentError",
     "SourceError",
     "Status",
     "StoreError",
+    "UdsTester",
     "analyze",
     "analyze_by_paper",
     "analyze_folders",
     "calibrate",
+    "decode",
     "diagnose",
     "expect_frames",
     "expect_same_frames",
@@ -83,6 +95,7 @@ __all__ = [
     "note_fluid",
     "propose_profile",
     "read",
+    "scan_controllers",
     "stored_shift",
     "write_report",
 ]
@@ -92,16 +105,19 @@ _HOMES = {
     "clutch_model.errors": ("CalibrationError",),
     "diag_service.api.analysis": ("Analysis", "analyze"),
     "diag_service.api.background": ("BackgroundDiagnosis",),
-    "diag_service.api.choices": ("Delivery",),
+    "diag_service.api.choices": ("Delivery", "Poll"),
     "diag_service.api.expectations": ("expect_frames", "expect_same_frames", "expect_shifts", "expect_verdict"),
     "diag_service.api.folders": ("FolderAnalysis", "analyze_folders"),
     "diag_service.api.live": ("LiveDiagnosis", "diagnose"),
+    "diag_service.api.scan": ("scan_controllers",),
     "diag_service.api.stores": ("history", "note_fluid", "stored_shift", "write_report"),
     "diag_service.api.tables": ("ResultTable",),
+    "diag_service.api.tester": ("UdsTester",),
     "diag_service.api.workshop": (
         "PaperAnalysis",
         "analyze_by_paper",
         "calibrate",
+        "decode",
         "inspect",
         "propose_profile",
         "read",
@@ -109,10 +125,13 @@ _HOMES = {
     "diag_service.diagnosis.records": ("ClutchVerdict", "Condition", "ShiftEstimate", "ShiftResult", "Status"),
     "diag_service.errors": (
         "ConfigError",
+        "ControllerError",
         "DiagServiceError",
         "IncompleteError",
         "PublishError",
+        "RefusedError",
         "ResultError",
+        "SilentError",
         "StoreError",
     ),
 }

@@ -13,6 +13,7 @@ from canlog.on_demand import on_demand as _on_demand
 if typing.TYPE_CHECKING:
     from ecu_emulator.api.choices import Answers
     from ecu_emulator.api.emulator import Emulator
+    from ecu_emulator.api.pdx import write_pdx
     from ecu_emulator.commands import Recording
     from ecu_emulator.errors import BusError, ConfigError, EmulatorError, ExtraMissingError, RecordError
     from ecu_emulator.faults import BusFault, SensorFault
@@ -37,6 +38,7 @@ __all__ = [
     "load_scenario",
     "read_truth",
     "shipped_scenarios",
+    "write_pdx",
 ]
 
 __version__ = "0.1.0"
@@ -44,6 +46,7 @@ __version__ = "0.1.0"
 _HOMES = {
     "ecu_emulator.api.choices": ("Answers",),
     "ecu_emulator.api.emulator": ("Emulator",),
+    "ecu_emulator.api.pdx": ("write_pdx",),
     "ecu_emulator.commands": ("Recording",),
     "ecu_emulator.errors": ("BusError", "ConfigError", "EmulatorError", "ExtraMissingError", "RecordError"),
     "ecu_emulator.faults": ("BusFault", "SensorFault"),

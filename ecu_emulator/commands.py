@@ -9,6 +9,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 from threading import Event
+from typing import TYPE_CHECKING
 
 from clutch_model.units import k_from_degc
 from ecu_emulator.drive_names import DriveName
@@ -21,6 +22,9 @@ from ecu_emulator.scenario_file import load_scenario, shipped_scenarios
 from ecu_emulator.truth import Totals, TruthWriter, truth_path
 from program_io.command_line import STANDARD_STREAM
 from program_io.overwriting import refusal
+
+if TYPE_CHECKING:
+    from ecu_emulator.diagnostics.table import DiagnosticTable
 
 
 def choose_scenario(
@@ -92,7 +96,19 @@ def list_scenarios() -> None:
 
 
 def write_pdx(table: Path | None, path: Path, *, is_json: bool, is_forced: bool = False) -> None:
-    """Write what a controller can be asked for diagnostic tools; without a table, of the one that ships.
+    """Write what a controller can be asked for diagnostic tools, and say so; raises what ``save_pdx`` raises."""
+    described, size_bytes = save_pdx(table, path, is_forced=is_forced)
+    people().print(
+        f"{path}: {described.name}, {len(described.services)} services, {len(described.data)} data, "
+        f"{len(described.routines)} routines, {len(described.troubles)} trouble codes",
+        markup=False,
+    )
+    if is_json:
+        print_json({"file": str(path), "controller": described.name, "bytes": size_bytes})
+
+
+def save_pdx(table: Path | None, path: Path, *, is_forced: bool) -> tuple["DiagnosticTable", int]:
+    """Write a PDX package of a table, or of the one that ships; return what it describes, and its size [bytes].
 
     Raises
     ------
@@ -112,13 +128,7 @@ def write_pdx(table: Path | None, path: Path, *, is_json: bool, is_forced: bool 
         path.write_bytes(package)
     except OSError as exc:
         raise RecordError(f"cannot write {path}: {exc.strerror or exc}") from exc
-    people().print(
-        f"{path}: {described.name}, {len(described.services)} services, {len(described.data)} data, "
-        f"{len(described.routines)} routines, {len(described.troubles)} trouble codes",
-        markup=False,
-    )
-    if is_json:
-        print_json({"file": str(path), "controller": described.name, "bytes": len(package)})
+    return described, len(package)
 
 
 def hanging(head: str, text: str, width: int | None) -> str:

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Self
 from diag_service.api.analysis import Analysis
 from diag_service.diagnosis.records import ShiftResult
 from diag_service.diagnosis.summary import FrameCounts
+from diag_service.tester.trouble_report import ControllerReport
 
 if TYPE_CHECKING:
     from diag_service.api.live import LiveDiagnosis
@@ -47,6 +48,11 @@ class BackgroundDiagnosis:
     def results(self) -> tuple[ShiftResult, ...]:
         """The shifts that were found until now."""
         return tuple(self._diagnosis.results)
+
+    @property
+    def controller_reports(self) -> tuple[ControllerReport, ...]:
+        """What the controller said of its trouble codes until now, as ``LiveDiagnosis`` has it."""
+        return tuple(self._diagnosis.controller_reports)
 
     @property
     def frames(self) -> FrameCounts:

@@ -5,12 +5,15 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 from types import SimpleNamespace
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 from clutch_model.calibration import Calibration, nominal_calibration, read_calibration
 from diag_service.delivery import Acknowledge
 from diag_service.errors import ConfigError
-from diag_service.settings.config import DiagnosisConfig, broker_of, vehicle_of
+from diag_service.settings.config import DiagnosisConfig, PollConfig, broker_of, vehicle_of
+
+if TYPE_CHECKING:
+    import can
 
 AnyPath = str | os.PathLike[str]
 AnyPaths = AnyPath | Iterable[AnyPath]
@@ -37,6 +40,31 @@ class Delivery:
     key: AnyPath | None = None
     password_file: AnyPath | None = None
     acknowledge: Literal["broker", "backend"] = "broker"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Poll:
+    """That a controller is asked for its trouble codes while its bus is diagnosed; each member is an option of ``run``.
+
+    To make one is the leave to send requests, as ``--active`` is.
+
+    Attributes
+    ----------
+    period_s : float
+        From one answer to the next question, 1 s or more.
+    ecu, reply : int, optional
+        Identifier of requests, and of answers; by default as described, or 7E1 and what the standard has for it.
+    description : path, optional
+        What the controller has: TOML, PDX, or the name of a shipped one; by default what it says it is.
+    bus : can.BusABC, optional
+        An open end of the bus for the questions alone. A bus that is diagnosed by its name is opened once more instead.
+    """
+
+    period_s: float = 60.0
+    ecu: int | None = None
+    reply: int | None = None
+    description: AnyPath | None = None
+    bus: "can.BusABC | None" = None
 
 
 def configuration(
@@ -76,6 +104,25 @@ def path_list(paths: AnyPaths) -> list[Path]:
 def optional_path(path: AnyPath | None) -> Path | None:
     """Return a path that may be missing."""
     return None if path is None else Path(path)
+
+
+def poll_config(poll: Poll | None) -> PollConfig | None:
+    """Return how a controller is asked; raises ConfigError."""
+    if poll is None:
+        return None
+    return PollConfig(
+        period_s=poll.period_s,
+        ecu=None if poll.ecu is None else f"{poll.ecu:X}",
+        reply=None if poll.reply is None else f"{poll.reply:X}",
+        description=optional_path(poll.description),
+        bus=poll.bus,
+    )
+
+
+def check_one_bus(bus: "can.BusABC | None", *names: object) -> None:
+    """Raise ConfigError if a bus was handed over open and named besides."""
+    if bus is not None and any(name is not None and name is not False for name in names):
+        raise ConfigError("a bus is either handed over open or named by interface and channel, not both")
 
 
 def _calibration(choice: Calibration | AnyPath | None) -> Calibration:

@@ -3,27 +3,27 @@
 import asyncio
 from collections.abc import AsyncIterator, Callable
 from contextlib import closing, suppress
-from dataclasses import replace
 from types import TracebackType
 from typing import TYPE_CHECKING, Self
 
 from canlog.live import LiveSource, ReadSchedule
 from clutch_model.calibration import Calibration
 from diag_service.api.analysis import Analysis
-from diag_service.api.choices import AnyPath, Delivery, configuration, optional_path
+from diag_service.api.choices import AnyPath, Delivery, Poll, check_one_bus, configuration, optional_path, poll_config
 from diag_service.console.collecting import collected_notices
 from diag_service.delivery import News
 from diag_service.diagnosis.records import ShiftResult
 from diag_service.diagnosis.summary import FrameCounts, Summary
 from diag_service.errors import ConfigError
 from diag_service.service.application import outbox_of
-from diag_service.service.bus_run import open_live
+from diag_service.service.bus_run import open_live, polling
 from diag_service.service.live import run_live
 from diag_service.service.session import Session
 from diag_service.service.snapshot import frame_counts
 from diag_service.service.stopping import Trigger
 from diag_service.settings.config import BusConfig, DiagnosisConfig
 from diag_service.store import ResultStore
+from diag_service.tester.trouble_report import ControllerReport
 
 if TYPE_CHECKING:
     import can
@@ -43,6 +43,8 @@ class LiveDiagnosis:
     ----------
     results : list of ShiftResult
         What was found until now.
+    controller_reports : list of ControllerReport
+        What the controller said of its trouble codes, each time that it was something new; empty without ``poll``.
     left_out_count : int
         Results that were not handed over, since whoever iterates was too far behind; they are in ``results``.
     """
@@ -71,6 +73,7 @@ class LiveDiagnosis:
         self._summary: Summary | None = None
         self._notices: list[str] = []
         self.results: list[ShiftResult] = []
+        self.controller_reports: list[ControllerReport] = []
         self.left_out_count = 0
 
     @property
@@ -169,21 +172,24 @@ class LiveDiagnosis:
 
     async def _diagnose(self, store: ResultStore) -> None:
         self._session = session = await asyncio.to_thread(self._new_session, store)
-        source, schedule = await self._open_bus(session)
-        self._source = source
-        self._is_listening.set()
-        self._summary = await run_live(
-            source,
-            session,
-            stop=self._stop,
-            counts_wanted=Trigger(),
-            outbox=outbox_of(self._config, store, session, is_live=True),
-            duration_s=self._named.duration_s,
-            schedule=schedule,
-        )
+        outbox = outbox_of(self._config, store, session, is_live=True)
+        async with polling(self._config.vehicle, self._named, store, session, outbox):
+            source, schedule = await self._open_bus(session)
+            self._source = source
+            self._is_listening.set()
+            self._summary = await run_live(
+                source,
+                session,
+                stop=self._stop,
+                counts_wanted=Trigger(),
+                outbox=outbox,
+                duration_s=self._named.duration_s,
+                schedule=schedule,
+            )
 
     def _new_session(self, store: ResultStore) -> Session:
-        return Session(self._config, self._config.interpretation().decoder(), store, None, _Handing(self._hand_over))
+        reporter = _Handing(self._hand_over, self.controller_reports.append)
+        return Session(self._config, self._config.interpretation().decoder(), store, None, reporter)
 
     async def _open_bus(self, session: Session) -> tuple[LiveSource, ReadSchedule]:
         if self._bus is None:
@@ -207,15 +213,18 @@ class LiveDiagnosis:
 
 
 class _Handing:
-    """Hands results over, as the reporter of a run."""
+    """Hands over what a run reports."""
 
-    def __init__(self, use: Callable[[ShiftResult], None]) -> None:
+    def __init__(self, use: Callable[[ShiftResult], None], note: Callable[[ControllerReport], None]) -> None:
         self._use = use
+        self._note = note
 
     def report(self, news: News) -> None:
-        """Hand over a result; all else can be asked for."""
+        """Hand over a result or what a controller says; all else can be asked for."""
         if isinstance(news, ShiftResult):
             self._use(news)
+        elif isinstance(news, ControllerReport):
+            self._note(news)
 
 
 def diagnose(
@@ -235,6 +244,7 @@ def diagnose(
     store_budget_mib: int | None = None,
     delivery: Delivery | None = None,
     is_lenient: bool = False,
+    poll: Poll | None = None,
 ) -> LiveDiagnosis:
     """Diagnose a live bus, as ``diag-service run`` does.
 
@@ -253,6 +263,8 @@ def diagnose(
         SQLite file for results and running state; without one they are kept in memory.
     vehicle, dbc, profile, calibration, store_budget_mib, delivery, is_lenient
         As of ``analyze``.
+    poll
+        Whether the controller is asked for its trouble codes, and how often; without it nothing is sent.
 
     Returns
     -------
@@ -267,17 +279,15 @@ def diagnose(
         While iterating: if the bus cannot be opened or, when it was handed over open, fails; a database or the store
         cannot be used.
     """
+    check_one_bus(bus, interface, channel, bitrate, is_fd, is_only_mapped)
+    if bus is not None and poll is not None and poll.bus is None:
+        raise ConfigError("a bus that was handed over has one reader: give Poll(bus=...) another end of it")
     named = BusConfig(
         interface=interface, channel=channel, bitrate=bitrate, is_fd=is_fd, duration_s=duration_s,
-        is_filtered=is_only_mapped,
+        is_filtered=is_only_mapped, poll=poll_config(poll),
     )  # fmt: skip
-    if bus is not None and replace(named, duration_s=None) != _UNNAMED:
-        raise ConfigError("a bus is either handed over open or named by interface and channel, not both")
     config = configuration(
         vehicle=vehicle, dbc=dbc, profile=profile, calibration=calibration, is_lenient=is_lenient, delivery=delivery,
         store_budget_mib=store_budget_mib,
     )  # fmt: skip
     return LiveDiagnosis(config, named, bus=bus, store=store)
-
-
-_UNNAMED = BusConfig(interface=None, channel=None, bitrate=None, is_fd=False, duration_s=None)

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import canlog
-from canlog.whole_log import Log
+from canlog.whole_log import FormatName, Log, ShapeName, ValuesName
 from clutch_model.calibration import Calibration
 from diag_service.api.choices import AnyPath, AnyPaths, configuration, optional_path, path_list
 from diag_service.commands.arguments import DEFAULT_BITRATE
@@ -48,6 +48,48 @@ def read(paths: AnyPaths, dbc: AnyPath | None = None, *, is_strict: bool = False
         return canlog.read(path_list(paths), database, is_strict=is_strict)
 
 
+def decode(
+    paths: AnyPaths,
+    output: AnyPath,
+    dbc: AnyPath | None = None,
+    *,
+    table_format: FormatName | None = None,
+    layout: ShapeName = "wide",
+    values: ValuesName = "numbers",
+    is_lenient: bool = False,
+) -> list[str]:
+    """Write the signals of logs as a table of any size, as ``diag-service decode`` does.
+
+    Parameters
+    ----------
+    output
+        The table, which appears when it is complete; one that is there is replaced.
+    table_format : {"parquet", "csv", "jsonl", "arrow", "mf4"}, optional
+        By default what the suffix says: ``.parquet``, ``.csv``, ``.jsonl``, ``.arrows``, ``.mf4``.
+    layout : {"wide", "long"}
+        A row per frame with a column per signal, or a row per value.
+    values : {"numbers", "texts", "both"}
+        What stands for a value that the database names.
+    paths, dbc, is_lenient
+        As of ``read``.
+
+    Returns
+    -------
+    list of str
+        What of the logs is not in the table though it should be, in words.
+
+    Raises
+    ------
+    SourceError, DefinitionError, OutputError, ExtraMissingError
+        If a log or the database cannot be read, the table cannot be written, or a library for it is missing.
+    """
+    with collected_notices():
+        database = open_database(optional_path(dbc), is_lenient=is_lenient)
+        return canlog.write_table(
+            path_list(paths), database, Path(output), table_format=table_format, shape=layout, values=values
+        )
+
+
 def inspect(
     path: AnyPath, dbc: AnyPath | None = None, *, bitrate: int = DEFAULT_BITRATE, is_lenient: bool = False
 ) -> Inspection:
@@ -70,7 +112,7 @@ def inspect(
         return inspect_log(Path(path), messages, bitrate, Trigger())
 
 
-def propose_profile(path: AnyPath, dbc: AnyPath, *, is_lenient: bool = False) -> str:
+def propose_profile(path: AnyPath, dbc: AnyPath | None = None, *, is_lenient: bool = False) -> str:
     """Return a profile for a vehicle as TOML text, proposed from a log and its database: ``diag-service signals``.
 
     Raises
@@ -79,7 +121,7 @@ def propose_profile(path: AnyPath, dbc: AnyPath, *, is_lenient: bool = False) ->
         If the log or the database cannot be read.
     """
     with collected_notices():
-        return proposed_profile(Path(path), Path(dbc), Trigger(), is_lenient=is_lenient)
+        return proposed_profile(Path(path), optional_path(dbc), Trigger(), is_lenient=is_lenient)
 
 
 def calibrate(

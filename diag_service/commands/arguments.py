@@ -256,7 +256,7 @@ _ROUTINE: Final = Command(
 _SCAN: Final = Command(
     "scan",
     "find controllers and what they can be asked",
-    *_ASKING,
+    *(option for option in _ASKING if option.name not in {"reply", "address"}),  # it finds both
     Option("--first ID", "first identifier, or address with --extended, hexadecimal (default: 700, or 00)"),
     Option("--last ID", "last identifier, or address with --extended, hexadecimal (default: 7FF, or FF)"),
     Option("--extended", "29-bit identifiers 18DAxxF1 instead of 11-bit ones"),

@@ -3,8 +3,8 @@
 import asyncio
 import logging
 import os
-from collections.abc import Callable
-from contextlib import AbstractContextManager, ExitStack, closing, suppress
+from collections.abc import AsyncIterator, Callable
+from contextlib import ExitStack, asynccontextmanager, closing, suppress
 from dataclasses import replace
 from pathlib import Path
 
@@ -22,7 +22,7 @@ from diag_service.service.service_manager import ADDRESS_VARIABLE, ServiceManage
 from diag_service.service.session import Session, utc_now
 from diag_service.service.snapshot import Board, Snapshot, SnapshotTaker
 from diag_service.service.stopping import Controls
-from diag_service.settings.config import BusConfig, DiagnosisConfig, PollConfig
+from diag_service.settings.config import BusConfig, DiagnosisConfig
 from diag_service.store import ResultStore
 from fleet_contract import Outgoing
 
@@ -101,24 +101,27 @@ async def _run_bus(
             _LOG.log(NOTICE, "metrics on http://%s:%d/metrics", bus.metrics.host, port)
         manager.ready()
         outbox = outbox_of(config, store, session, is_live=True)
-        if bus.poll is not None:
-            stack.enter_context(_poller(config.vehicle, bus, bus.poll, store, session, outbox))
-        await run_live(
-            source,
-            session,
-            stop=controls.stop,
-            counts_wanted=controls.counts_wanted,
-            outbox=outbox,
-            duration_s=bus.duration_s,
-            show=show,
-            schedule=schedule,
-        )
+        async with polling(config.vehicle, bus, store, session, outbox):
+            await run_live(
+                source,
+                session,
+                stop=controls.stop,
+                counts_wanted=controls.counts_wanted,
+                outbox=outbox,
+                duration_s=bus.duration_s,
+                show=show,
+                schedule=schedule,
+            )
 
 
-def _poller(
-    vehicle: str, bus: BusConfig, poll: PollConfig, store: ResultStore, session: Session, outbox: Outbox | None
-) -> AbstractContextManager[object]:
-    """Return what asks a controller now and then while it is entered; to be called in the loop that runs the outbox."""
+@asynccontextmanager
+async def polling(
+    vehicle: str, bus: BusConfig, store: ResultStore, session: Session, outbox: Outbox | None
+) -> AsyncIterator[None]:
+    """Ask a controller now and then until the block ends, if that is wanted; in the loop that runs the outbox."""
+    if bus.poll is None:
+        yield
+        return
     from diag_service.service.polling import poller_for  # noqa: PLC0415 - libraries of an extra, for few runs
 
     loop = asyncio.get_running_loop()
@@ -128,9 +131,14 @@ def _poller(
             with suppress(RuntimeError):  # the run has ended meanwhile
                 loop.call_soon_threadsafe(outbox.tell_state, message)
 
-    return poller_for(
-        vehicle, bus, poll, utc_now, lambda report: tell_controller(report, store, session.reporter, publish)
+    poller = poller_for(
+        vehicle, bus, bus.poll, utc_now, lambda report: tell_controller(report, store, session.reporter, publish)
     )
+    with poller:
+        try:
+            yield
+        finally:
+            await asyncio.to_thread(poller.end)  # a question that is under way keeps nobody else waiting
 
 
 def _report_life(manager: ServiceManager, snapshot: Snapshot) -> None:

@@ -1,9 +1,9 @@
 """Now and then the controller's own word: its trouble codes, asked for while its bus is diagnosed."""
 
+import contextvars
 import logging
 import threading
 from collections.abc import Callable
-from dataclasses import dataclass, field
 from types import TracebackType
 from typing import Final, Self
 
@@ -11,12 +11,12 @@ from canlog.errors import CanlogError
 from canlog.notice import NOTICE
 from diag_service.errors import DiagServiceError
 from diag_service.settings.config import BusConfig, PollConfig
-from diag_service.tester.addresses import CanAddress, parse_address
-from diag_service.tester.description import UNKNOWN, Description
+from diag_service.tester.addresses import parse_address
+from diag_service.tester.asking import BusTarget, asking
+from diag_service.tester.description import Description
 from diag_service.tester.description_file import find_description
 from diag_service.tester.dialogue import Manners
-from diag_service.tester.listening import check_alone, listen
-from diag_service.tester.opening import BusName, address_for, dialogue_on, opened_bus
+from diag_service.tester.opening import BusName, address_for
 from diag_service.tester.reading import read_troubles
 from diag_service.tester.recognising import recognised
 from diag_service.tester.trouble_report import ControllerReport
@@ -25,19 +25,6 @@ LISTEN_S: Final = 0.5
 LONGEST_BACKOFF: Final = 16.0  # times the period, between attempts that fail
 JOIN_S: Final = 3.0  # how long an ending service waits for a question that is under way
 _LOG: Final = logging.getLogger(__name__)
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class PollPlan:
-    """Who is asked, where and how often."""
-
-    vehicle: str
-    bus: BusName
-    period_s: float
-    address: CanAddress | None = None  # None: as described, or where the standard has the transmission
-    description: Description = UNKNOWN  # what is unknown is recognised, if it ships
-    manners: Manners = field(default_factory=Manners)
-    listen_s: float = LISTEN_S
 
 
 class Poller:
@@ -60,7 +47,8 @@ class Poller:
         self._tell = tell
         self._period_s = period_s
         self._is_over = threading.Event()
-        self._thread = threading.Thread(target=self._run, name="poller", daemon=True)
+        context = contextvars.copy_context()  # what is said belongs to whoever makes this
+        self._thread = threading.Thread(target=context.run, args=(self._run,), name="poller", daemon=True)
         self.round_count = 0
         self.failure_count = 0
 
@@ -76,6 +64,10 @@ class Poller:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
+        self.end()
+
+    def end(self) -> None:
+        """Ask no more; wait a little for a question that is under way."""
         self._is_over.set()
         self._thread.join(JOIN_S)
 
@@ -113,7 +105,13 @@ def pause_s(period_s: float, failed_in_a_row: int) -> float:
     return float(period_s * min(2.0 ** min(failed_in_a_row, 10), LONGEST_BACKOFF))
 
 
-def read_once(plan: PollPlan, now: Callable[[], str], goes_on: Callable[[], bool] = lambda: True) -> ControllerReport:
+def read_once(
+    vehicle: str,
+    target: BusTarget,
+    description: Description,
+    now: Callable[[], str],
+    goes_on: Callable[[], bool] = lambda: True,
+) -> ControllerReport:
     """Listen, ask one controller for its trouble codes, and return what it said.
 
     Raises
@@ -123,14 +121,11 @@ def read_once(plan: PollPlan, now: Callable[[], str], goes_on: Callable[[], bool
     StoppedError
         If it shall not go on.
     """
-    address = address_for(plan.address, plan.description)
-    with opened_bus(plan.bus) as bus:
-        check_alone(listen(bus, plan.listen_s), address)
-        with dialogue_on(bus, address, plan.manners, is_fd=plan.bus.is_fd, goes_on=goes_on) as tester:
-            description = recognised(tester) if plan.description is UNKNOWN else plan.description
-            codes = read_troubles(tester, description)
+    with asking(target, Manners(), goes_on=goes_on) as (tester, _):
+        known = recognised(tester, description)
+        codes = read_troubles(tester, known)
     return ControllerReport(
-        vehicle=plan.vehicle, read_at=now(), controller=str(address), description=description.name, codes=codes
+        vehicle=vehicle, read_at=now(), controller=tester.where, description=known.name, codes=codes
     )
 
 
@@ -138,12 +133,13 @@ def poller_for(
     vehicle: str, bus: BusConfig, poll: PollConfig, now: Callable[[], str], tell: Callable[[ControllerReport], None]
 ) -> Poller:
     """Return a poller as the settings have it; raises ConfigError, ExtraMissingError if they cannot be used."""
-    plan = PollPlan(
-        vehicle=vehicle,
-        bus=BusName(interface=bus.interface, channel=bus.channel, bitrate=bus.bitrate, is_fd=bus.is_fd),
-        period_s=poll.period_s,
-        address=parse_address(poll.ecu, poll.reply),
-        description=find_description(poll.description),
+    description = find_description(poll.description)
+    named = BusName(interface=bus.interface, channel=bus.channel, bitrate=bus.bitrate, is_fd=bus.is_fd)
+    target = BusTarget(
+        bus=poll.bus or named,
+        address=address_for(parse_address(poll.ecu, poll.reply), description),
+        is_fd=bus.is_fd,
+        listen_s=LISTEN_S,
     )
-    poller = Poller(lambda: read_once(plan, now, lambda: poller.goes_on), tell, poll.period_s)
+    poller = Poller(lambda: read_once(vehicle, target, description, now, lambda: poller.goes_on), tell, poll.period_s)
     return poller

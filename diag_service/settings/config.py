@@ -4,6 +4,7 @@ import os
 from dataclasses import dataclass, replace
 from pathlib import Path
 from types import SimpleNamespace
+from typing import TYPE_CHECKING
 
 from clutch_model.calibration import Calibration, nominal_calibration, read_calibration
 from diag_service.delivery import Acknowledge
@@ -11,6 +12,9 @@ from diag_service.errors import ConfigError
 from diag_service.mapping.interpretation import Interpretation, interpret
 from fleet_contract import is_vehicle
 from fleet_link import AddressError, BrokerAddress, TlsFiles, parse_broker
+
+if TYPE_CHECKING:
+    import can
 
 UNNAMED_VEHICLE = "vehicle"  # what a vehicle is called that nobody names
 SMALLEST_BUDGET_BYTES = 1 << 20
@@ -65,6 +69,7 @@ class PollConfig:
     ecu: str | None  # as on the command line
     reply: str | None
     description: Path | None
+    bus: "can.BusABC | None" = None  # open, an end of its own; None: the diagnosed bus is opened once more
 
     def __post_init__(self) -> None:
         if not SHORTEST_POLL_S <= self.period_s < float("inf"):

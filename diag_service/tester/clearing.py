@@ -57,14 +57,14 @@ class Clearing:
         return tuple(code for code in self.before if code.number not in left)
 
 
-def parse_group(text: str) -> Group:
+def parse_group(text: str, name: str = "--clear") -> Group:
     """Return what ``all``, ``obd``, ``P0811``, ``P0811-07`` or ``081107`` means; raises ConfigError."""
     if (number := GROUPS.get(text.casefold())) is not None:
         return Group(word=text.casefold(), number=number)
     if found := _NUMBER.fullmatch(text):
         return Group(word=found[1].upper(), number=int(found[1], 16))
     if not (found := _CODE.fullmatch(text)):
-        raise ConfigError(f"--clear must be all, obd, a code such as P0811 or P0811-07, or three bytes, got {text!r}")
+        raise ConfigError(f"{name} must be all, obd, a code such as P0811 or P0811-07, or three bytes, got {text!r}")
     system, digits, failure_type = found[1].upper(), found[2].upper(), found[3]
     if failure_type is None:
         return Group(word=system + digits, number=None)

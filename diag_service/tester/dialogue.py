@@ -1,5 +1,6 @@
 """Questions to one controller: time to answer, answers that come late or for others, a controller that is busy."""
 
+import logging
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
@@ -22,6 +23,8 @@ from diag_service.tester.libraries import (
 DEFAULT_SESSION: Final = 0x01
 LOOK_S: Final = 0.1  # how soon it notices that it shall stop
 _KEY: Final = 1  # added to the level that asked for the seed
+_LOGGER: Final = "diag_service"  # the library adds its own name, and warns there of every refusal
+logging.getLogger(f"UdsClient[{_LOGGER}]").addHandler(logging.NullHandler())
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -159,6 +162,15 @@ class Dialogue:
             with suppress(ControllerError):  # it ends by itself after some seconds of silence
                 self.ask(bytes([SESSION, DEFAULT_SESSION]))
 
+    @contextmanager
+    def patience(self, longest_s: float) -> Iterator[None]:
+        """Give each question so much time, however often the controller says that it takes longer."""
+        self._client.set_config("request_timeout", longest_s)
+        try:
+            yield
+        finally:
+            self._client.set_config("request_timeout", self.manners.longest_s)
+
     def unlock(self, level: int, mask: bytes) -> None:
         """Unlock a security level whose key is its seed XOR a mask; one that is unlocked stays so."""
         seed = self.ask(bytes([SECURITY, level]))[2:]
@@ -176,6 +188,7 @@ def _client_config(manners: Manners) -> Any:  # noqa: ANN401 - a typed dictionar
         "request_timeout": manners.longest_s,
         "p2_timeout": manners.p2_s,
         "p2_star_timeout": manners.p2_star_s,
+        "logger_name": _LOGGER,
         "use_server_timing": False,  # a controller tells its own time, not that of the bus and of this machine
     }
 

@@ -13,7 +13,7 @@ import can
 
 from canlog.extras import load_extra
 from canlog.live.factory import complete_settings
-from canlog.live.pythoncan import open_bus
+from canlog.live.pythoncan import one_line, open_bus
 from canlog.plain_files import check_plain_file
 from diag_service.errors import ConfigError, ControllerError
 from diag_service.tester.addresses import TRANSMISSION, CanAddress, is_extended, usual_response_id
@@ -25,6 +25,8 @@ EXTRA: Final = "uds"
 DOIP_PORT: Final = 13400
 DOIP_TLS_PORT: Final = 3496
 CONNECT_S: Final = 5.0
+LARGEST_LOGICAL: Final = 0xFFFF
+MOST_WAITING: Final = 100_000  # frames on a bus that was handed over, from before anybody listened
 _LARGEST_PORT: Final = 0xFFFF
 
 
@@ -89,14 +91,40 @@ def address_for(named: CanAddress | None, description: Description) -> CanAddres
 
 
 @contextmanager
-def opened_bus(name: BusName) -> Iterator[can.BusABC]:
-    """Open a bus for the time of the block; raises SourceError if it is not named or cannot be opened."""
-    settings = complete_settings(name.interface, name.channel, name.bitrate, fd=name.is_fd)
+def opened_bus(place: BusName | can.BusABC) -> Iterator[can.BusABC]:
+    """Open a bus for the time of the block; one that is open is lent, and stays open with the filters that it had.
+
+    Raises
+    ------
+    SourceError
+        If it is not named or cannot be opened.
+    ControllerError
+        If one that is open cannot be read.
+    """
+    if not isinstance(place, BusName):
+        filters = place.filters
+        _forget_waiting(place)
+        try:
+            yield place
+        finally:
+            place.set_filters(filters)
+        return
+    settings = complete_settings(place.interface, place.channel, place.bitrate, fd=place.is_fd)
     bus = open_bus(settings.interface, settings.channel, settings.bitrate, fd=settings.fd)
     try:
         yield bus
     finally:
         bus.shutdown()
+
+
+def _forget_waiting(bus: can.BusABC) -> None:
+    """Read what came before anybody listened: a tester that was here long ago disturbs nobody."""
+    try:
+        for _ in range(MOST_WAITING):
+            if bus.recv(0.0) is None:
+                return
+    except (can.CanError, OSError, ValueError) as exc:
+        raise ControllerError(f"the bus cannot be read: {one_line(exc)}") from exc
 
 
 def dialogue_on(

@@ -7,8 +7,13 @@ from diag_service.tester.description_file import shipped
 from diag_service.tester.dialogue import Dialogue
 
 
-def recognised(tester: Dialogue) -> Description:
-    """Return the shipped description that fits; without one what all controllers have. Asks for a datum or two."""
+def recognised(tester: Dialogue, description: Description = UNKNOWN) -> Description:
+    """Return a description; without one the shipped one that fits, or else what all controllers have.
+
+    Without one it asks for a datum or two.
+    """
+    if description is not UNKNOWN:
+        return description
     for described in shipped():
         if described.identity is None:
             continue

@@ -3,7 +3,7 @@
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict
 
-from diag_service.tester.addresses import CanAddress, id_text
+from diag_service.tester.addresses import id_text
 from diag_service.tester.clearing import Clearing
 from diag_service.tester.dialogue import DialogueCounts
 from diag_service.tester.listening import Traffic
@@ -131,11 +131,6 @@ def would_lines(traffic: Traffic | None, wishes: Sequence[str]) -> Iterator[str]
             yield f"another tester is at work: requests on {', '.join(map(id_text, others))}"
     yield "nothing was sent; with --active this would be asked:"
     yield from (f"  {wish}" for wish in wishes)
-
-
-def wish(where: CanAddress | str, request: bytes, more: str = "") -> str:
-    """Return a request that would be sent."""
-    return f"{where}: {request.hex(' ').upper()}{more}"
 
 
 def outcome(schema: str, *, is_asked: bool, **more: object) -> Mapping[str, object]:

@@ -158,6 +158,7 @@ class Emulator:
         self._file: TruthWriter | None = None
         self._result: Mapping[str, Any] | None = None
         self._error: BaseException | None = None
+        self._said: list[str] = []
 
     def record(
         self,
@@ -251,6 +252,11 @@ class Emulator:
         return self._thread is not None and self._thread.is_alive()
 
     @property
+    def notices(self) -> tuple[str, ...]:
+        """What the program says while it drives: where testers may ask, who else is on the bus, how punctual it was."""
+        return tuple(self._said)
+
+    @property
     def result(self) -> Mapping[str, Any]:
         """How the drive went, as ``ecu-emulator run --json`` prints it; raises ConfigError while it goes on."""
         if self._result is None:
@@ -307,7 +313,7 @@ class Emulator:
             with bus, self._file or nullcontext():
                 self._result = send(
                     self.scenario, sent, bus, choice=self._choice, diagnostics=self._diagnostics,
-                    start_delay_s=self._start_delay_s, stop=self._stop, say=lambda _: None, show=lambda *_: None,
+                    start_delay_s=self._start_delay_s, stop=self._stop, say=self._said.append, show=lambda *_: None,
                 )  # fmt: skip
         except BaseException as exc:  # noqa: BLE001 - carried to the thread that waits
             self._error = exc

@@ -70,7 +70,7 @@ def test_another_tester_is_left_in_peace(tmp_path: Path, monkeypatch: pytest.Mon
         is_refused.set()
         check_alone(traffic, address)
 
-    monkeypatch.setattr("diag_service.service.polling.check_alone", check)
+    monkeypatch.setattr("diag_service.tester.asking.check_alone", check)
     words = ("-i", "virtual", "-c", "poll 2", "--store", tmp_path / "car.sqlite")
     with vehicle("poll 2", parked_controller()) as car, another_tester("poll 2", 0x7E1):
         with stopping_when(is_refused.is_set):

@@ -66,6 +66,13 @@ def test_patience_ends() -> None:
         tester.ask(VIN)
 
 
+def test_patience_that_was_asked_for_ends_as_well() -> None:
+    manners = Manners(p2_s=0.01, p2_star_s=0.01, longest_s=3600.0, most_silent=1)
+    tester = Dialogue(Endless("7f 22 78"), "7E1", manners)
+    with tester.patience(0.05), pytest.raises(SilentError):
+        tester.ask(VIN)
+
+
 class Endless(Scripted):
     """A controller that says the same for ever."""
 

@@ -1,0 +1,240 @@
+"""One controller from Python: ``UdsTester`` listens first, then asks it."""
+
+from contextlib import ExitStack
+from types import TracebackType
+from typing import TYPE_CHECKING, Self, TypeVar
+
+from diag_service.api.choices import AnyPath, optional_path
+from diag_service.api.places import ANSWER_S, address_of, manners_of, place_of
+from diag_service.errors import ConfigError
+from diag_service.tester.asking import SHORTEST_ANSWER_S, BusTarget, asking, check_time, heard
+from diag_service.tester.clearing import ALL as ALL_CODES
+from diag_service.tester.clearing import Clearing, parse_group
+from diag_service.tester.description_file import find_description
+from diag_service.tester.dialogue import DEFAULT_SESSION, Dialogue, DialogueCounts
+from diag_service.tester.listening import LISTEN_S, Traffic
+from diag_service.tester.opening import DoipPlace, address_for
+from diag_service.tester.questions import (
+    EXTENDED_SESSION,
+    PATIENCE_S,
+    ClearQuestion,
+    DataQuestion,
+    Lock,
+    Question,
+    RoutineQuestion,
+    TroubleQuestion,
+)
+from diag_service.tester.reading import FAILED_MASK, DataAnswer, RoutineAnswer
+from diag_service.tester.recognising import recognised
+from diag_service.tester.trouble import TroubleCode
+
+if TYPE_CHECKING:
+    import can
+
+_AnswerT = TypeVar("_AnswerT")
+
+
+class UdsTester:
+    """A diagnostic tester for one controller (ISO 14229), as ``diag-service dtc``, ``did`` and ``routine`` are.
+
+    ``with UdsTester(bus, is_active=True) as tester:`` listens first, and asks nothing where another tester is heard.
+    Without ``is_active`` it sends nothing: its questions raise ConfigError, which says what they would send.
+
+    Parameters
+    ----------
+    bus
+        An open bus of python-can, which is nobody else's to read meanwhile and is not closed. Or name one by the next.
+    interface, channel, bitrate
+        As python-can names them; what is not given comes from its environment variables and ``can.conf``.
+    is_fd
+        Whether requests go out in CAN FD frames.
+    doip
+        ``HOST[:PORT]`` of a node that is asked over IP in place of a bus; ``ecu`` is its logical address then.
+    doip_authority
+        A certificate (PEM): the node is asked by TLS, and must have one that this authority signed.
+    ecu, reply
+        Identifier of requests, and of answers; by default as described, or 7E1 and what the standard has for it.
+    address
+        The controller's address, for extended addressing.
+    description
+        What the controller has: TOML, PDX, or the name of a shipped one; by default the shipped one that it says it is.
+    is_active
+        Whether requests are sent.
+    listen_s, timeout_s
+        How long it listens before, and how long an answer may take to begin [s].
+
+    Raises
+    ------
+    ConfigError
+        If an argument cannot be used.
+    SourceError, ControllerError
+        At the beginning of the block: if the bus cannot be used, another tester is at work, or a node is not there.
+    RefusedError, SilentError
+        Of a question: if the controller will not, or does not answer. Both are a ControllerError.
+    """
+
+    def __init__(
+        self,
+        bus: "can.BusABC | None" = None,
+        *,
+        interface: str | None = None,
+        channel: str | None = None,
+        bitrate: int | None = None,
+        is_fd: bool = False,
+        doip: str | None = None,
+        doip_authority: AnyPath | None = None,
+        ecu: int | None = None,
+        reply: int | None = None,
+        address: int | None = None,
+        description: AnyPath | None = None,
+        is_active: bool = False,
+        listen_s: float = LISTEN_S,
+        timeout_s: float = ANSWER_S,
+    ) -> None:
+        self._manners = manners_of(listen_s, timeout_s)
+        self._described = find_description(optional_path(description))
+        self._listen_s = listen_s
+        self._place = place_of(bus, interface, channel, bitrate, doip, ecu, is_fd=is_fd, doip_authority=doip_authority)
+        self._target: BusTarget | DoipPlace
+        if isinstance(self._place, DoipPlace):
+            if reply is not None or address is not None:
+                raise ConfigError("reply and address are of a bus, not of doip")
+            self._target = self._place
+        else:
+            where = address_for(address_of(ecu, reply, address), self._described)
+            self._target = BusTarget(bus=self._place, address=where, is_fd=is_fd, listen_s=listen_s)
+        self._is_active = is_active
+        self._stack = ExitStack()
+        self._dialogue: Dialogue | None = None
+        self._known = self._described
+        self._is_recognised = False
+        self._is_at_work = False
+        self.traffic: Traffic | None = None
+
+    @property
+    def controller(self) -> str:
+        """Who is asked, for people."""
+        return str(self._target if isinstance(self._target, DoipPlace) else self._target.address)
+
+    @property
+    def description(self) -> str:
+        """What the controller is taken for; known after the first question."""
+        return self._known.name
+
+    @property
+    def counts(self) -> DialogueCounts:
+        """What the questions went through until now: requests, refusals, answers that were late or others'."""
+        return DialogueCounts() if self._dialogue is None else self._dialogue.counts
+
+    def __enter__(self) -> Self:
+        if self._is_active:
+            self._dialogue, self.traffic = self._stack.enter_context(asking(self._target, self._manners))
+            self._is_at_work = True
+        else:
+            self.traffic = heard(self._place, self._listen_s)
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._is_at_work = False
+        self._stack.close()
+
+    def trouble_codes(
+        self, mask: int = FAILED_MASK, *, is_all: bool = False, has_details: bool = True
+    ) -> tuple[TroubleCode, ...]:
+        """Return the trouble codes: ``diag-service dtc``.
+
+        Parameters
+        ----------
+        mask
+            Status bits of which a code must have one; by default all but those of a test that has not run.
+        is_all
+            Whether to return all that the controller knows instead, also those that never failed.
+        has_details
+            Whether to ask for snapshots and extended data of each.
+        """
+        return self._ask(TroubleQuestion(mask=0 if is_all else mask, has_details=has_details))
+
+    def clear_trouble_codes(
+        self,
+        group: int | str = ALL_CODES,
+        *,
+        mask: int = FAILED_MASK,
+        is_all: bool = False,
+        session: int = DEFAULT_SESSION,
+    ) -> Clearing:
+        """Clear trouble codes and return what was told before and after: ``diag-service dtc --clear``. Asks nobody.
+
+        Parameters
+        ----------
+        group
+            ``all``, ``obd``, a code such as ``P0811`` or ``P0811-07``, or a group's three bytes, also in hexadecimal.
+        mask, is_all
+            Which codes are read before and after, as of ``trouble_codes``.
+        session
+            In which to clear; it is left in the end.
+        """
+        word = group if isinstance(group, str) else f"{group:06X}"
+        wanted = parse_group(word, "group")
+        return self._ask(ClearQuestion(group=wanted, mask=0 if is_all else mask, session=session))
+
+    def data(self, *data: int | str, session: int = DEFAULT_SESSION) -> tuple[DataAnswer, ...]:
+        """Return data by number, as an int or in hexadecimal, or by name: ``diag-service did``.
+
+        Parameters
+        ----------
+        data
+            Which; without any, all that the controller is known to have.
+        session
+            In which to ask; it is left in the end.
+        """
+        words = tuple(one if isinstance(one, str) else f"{one:04X}" for one in data)
+        return self._ask(DataQuestion(words=words, session=session))
+
+    def routine(
+        self,
+        routine: int | str,
+        action: str,
+        *,
+        options: bytes = b"",
+        session: int = EXTENDED_SESSION,
+        unlock: tuple[int, bytes] | None = None,
+        patience_s: float = PATIENCE_S,
+    ) -> RoutineAnswer:
+        """Start or stop a routine, or ask for its results: ``diag-service routine``.
+
+        Parameters
+        ----------
+        routine
+            Its number, as an int or in hexadecimal, or its name.
+        action : {"start", "stop", "results"}
+            What is wanted.
+        options
+            What it is started with.
+        session
+            In which to ask; it is left in the end.
+        unlock
+            A security level to unlock before, and the mask: the key is the seed XOR the mask.
+        patience_s
+            How long it is given if it says that it takes longer [s].
+        """
+        word = routine if isinstance(routine, str) else f"{routine:04X}"
+        lock = None if unlock is None else Lock(level=unlock[0], mask=unlock[1])
+        check_time("patience_s", patience_s, least_s=SHORTEST_ANSWER_S)
+        return self._ask(
+            RoutineQuestion(
+                routine=word, action=action, options=options, session=session, lock=lock, patience_s=patience_s
+            )
+        )
+
+    def _ask(self, question: Question[_AnswerT]) -> _AnswerT:
+        if not self._is_active:
+            wanted = "; ".join(question.requests(self._described))
+            raise ConfigError(f"nothing was sent; with is_active=True this would be asked: {wanted}")
+        if self._dialogue is None or not self._is_at_work:
+            raise ConfigError("the tester is not at work: use it in a with block")
+        if not self._is_recognised:
+            self._known = recognised(self._dialogue, self._described)
+            self._is_recognised = True
+        return question.ask(self._dialogue, self._known)

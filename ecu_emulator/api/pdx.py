@@ -1,0 +1,30 @@
+"""What the emulated controller can be asked, for diagnostic tools, from Python."""
+
+from pathlib import Path
+
+from ecu_emulator.api.choices import AnyPath
+from ecu_emulator.commands import save_pdx
+
+
+def write_pdx(output: AnyPath, table: AnyPath | None = None) -> int:
+    """Write a PDX package (ODX 2.2) of what a tester can ask, as ``ecu-emulator pdx`` does.
+
+    Parameters
+    ----------
+    output
+        The package; one that is there is replaced.
+    table
+        A TOML file that describes a controller of your own; by default the one that ships.
+
+    Returns
+    -------
+    int
+        Its size [bytes].
+
+    Raises
+    ------
+    ConfigError, RecordError
+        If the table cannot be used, or the package cannot be written.
+    """
+    _, size_bytes = save_pdx(None if table is None else Path(table), Path(output), is_forced=True)
+    return size_bytes
