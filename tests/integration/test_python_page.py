@@ -1,4 +1,4 @@
-"""The Python of docs/python.md runs as it stands, block after block, and shows what there is."""
+"""The Python of docs/python.md runs as it stands, block after block, and shows what there is; README.md's as well."""
 
 import re
 import shutil
@@ -26,6 +26,9 @@ def test_the_blocks_of_the_page_run_in_their_order(
     with never_a_program():
         for number, block in enumerate(blocks, start=1):
             exec(compile(block, f"{PAGE}, block {number}", "exec"), names)  # noqa: S102 - what the page is for
+        shutil.copy("recordings/drive.log", "drive.log")
+        (of_the_readme,) = BLOCK.findall(page_text("README.md"))
+        exec(compile(of_the_readme, "README.md", "exec"), {"__name__": "readme"})  # noqa: S102 - likewise
     out, err = capsys.readouterr()
     assert err == ""
     assert out.startswith("10 shifts, ")
