@@ -3,12 +3,14 @@
 import signal
 import sys
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import replace
 from importlib import import_module
 from types import SimpleNamespace
 from typing import Final
 
 from canlog.errors import DefinitionError, ExtraMissingError, InputLeftError, OutputError, SourceError
+from canlog.pipe_size import widen
 from clutch_model.errors import CalibrationError
 from diag_service.commands.arguments import (
     EXIT_CONFIG,
@@ -61,6 +63,8 @@ def _run(options: SimpleNamespace, controls: Controls) -> None:
     # python-can loads asammdf where it is installed, and that pandas: 0.3 s, 45 MB. MF4 logs are read in a process of
     # their own.
     sys.modules.setdefault("asammdf", None)  # type: ignore[arg-type]  # Python's own way to say "not here"
+    if _reads_standard_input(options):
+        _widen_standard_input()  # whoever writes goes on meanwhile: candump loses frames once the pipe is full
     # Imported here: compiled libraries take a second, in which a signal must already find its handler.
     from diag_service.console.notices import set_up_notices  # noqa: PLC0415 - see above
 
@@ -71,6 +75,11 @@ def _run(options: SimpleNamespace, controls: Controls) -> None:
 
 def _reads_standard_input(options: SimpleNamespace) -> bool:
     return STANDARD_STREAM in (getattr(options, "log", None), *getattr(options, "logs", ()))
+
+
+def _widen_standard_input() -> None:
+    with suppress(AttributeError, OSError, ValueError):  # none, or none of the system: reading it says so
+        widen(sys.stdin.fileno())
 
 
 def _patient(controls: Controls) -> Controls:

@@ -6,18 +6,17 @@ import select
 import sys
 import time
 from collections.abc import Callable
-from contextlib import suppress
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Final
 
 from canlog.errors import InputLeftError, SourceError
+from canlog.pipe_size import WIDE_BYTES, widen
 
 STANDARD_INPUT: Final = Path("-")
 INPUT_NAME: Final = "standard input"
 HAND_OVER_S: Final = 0.5  # so long at most a frame waits for more to come
 LOOK_S: Final = 0.1  # how soon a request to stop is heard
-PIECE_BYTES: Final = 1024 * 1024  # what a pipe holds that was widened; as a rule a system lets it grow so far
 
 
 def never() -> bool:
@@ -73,7 +72,7 @@ class PipeStream(io.RawIOBase):
         self._returned = self._returned[count:]
         deadline_s = 0.0 if count else float("inf")  # what was given back has waited before
         while count < len(view) and self._has_more(deadline_s):
-            piece = os.read(self._descriptor, min(len(view) - count, PIECE_BYTES))
+            piece = os.read(self._descriptor, min(len(view) - count, WIDE_BYTES))
             if not piece:
                 self._has_ended = True
             elif not count:
@@ -114,16 +113,8 @@ def open_standard_input(is_stopped: Callable[[], bool] = never) -> PipeStream:
     if sys.stdin.isatty():
         raise SourceError("it is a terminal; pipe a log into it, as in: candump -L can0 | ...")
     descriptor = sys.stdin.fileno()
-    _widen(descriptor)
+    widen(descriptor)
     return PipeStream(descriptor, is_stopped)
-
-
-def _widen(descriptor: int) -> None:
-    """Let a pipe hold more, so that its two ends hand over less often; Linux knows how."""
-    with suppress(ImportError, AttributeError, OSError):
-        import fcntl  # noqa: PLC0415 - of POSIX
-
-        fcntl.fcntl(descriptor, fcntl.F_SETPIPE_SZ, PIECE_BYTES)
 
 
 class KeptFile(io.BufferedReader):
@@ -153,7 +144,7 @@ def kept(stream: PipeStream, is_stopped: Callable[[], bool] = never) -> KeptFile
     try:
         path = Path(folder.name) / "log"
         with path.open("wb") as file:
-            while piece := stream.read(PIECE_BYTES):
+            while piece := stream.read(WIDE_BYTES):
                 file.write(piece)
                 stream.was_left |= is_stopped()
                 stream.check_not_left()

@@ -6,6 +6,7 @@ import os
 import pty
 import signal
 import subprocess
+import sys
 import threading
 from pathlib import Path
 from typing import Any
@@ -16,6 +17,7 @@ from canlog.errors import InputLeftError, SourceError
 from canlog.frame_columns import join
 from canlog.frames import FrameBatch
 from canlog.logs import STANDARD_INPUT, read_log
+from canlog.pipe_size import WIDE_BYTES
 from diag_service.errors import ConfigError
 from diag_service.service.drive import open_drive
 from diag_service.service.stopping import Trigger
@@ -47,6 +49,27 @@ def test_a_pipe_gives_the_results_of_the_file_to_the_bit(drive_log: Path, monkey
     streams = [json.loads(text)["clutches"] for text in summaries]
     assert without(streams[0], "stream") == without(streams[1], "stream")
     assert without([json.loads(summaries[0])], "clutches") == without([json.loads(summaries[1])], "clutches")
+
+
+WATCH = """
+import fcntl, sys
+
+class Watch:
+    def find_spec(self, name, path=None, target=None):
+        if name == "numpy":
+            sys.exit(str(fcntl.fcntl(0, fcntl.F_GETPIPE_SZ)))
+
+sys.meta_path.insert(0, Watch())
+from diag_service.cli import main
+
+main(["analyze", "-"])
+"""
+
+
+def test_a_pipe_is_wide_before_libraries_are_loaded() -> None:
+    """Loading them takes seconds on a small machine, in which candump must find room or lose frames."""
+    done = subprocess.run([sys.executable, "-c", WATCH], input=b"", capture_output=True, check=False, timeout=HANG_S)
+    assert done.stderr.decode() == f"{WIDE_BYTES}\n"
 
 
 def test_every_run_over_a_pipe_is_a_stream_of_its_own(drive_log: Path, monkeypatch: pytest.MonkeyPatch) -> None:
