@@ -15,7 +15,9 @@ from matplotlib.figure import Figure
 
 from benchmarks.drawing import as_svg, drawing_style
 from benchmarks.study import diagnose
+from clutch_model.calibration import nominal_calibration
 from demo.picture import CONDITION_COLOUR, INK
+from diag_service.diagnosis.condition.thresholds import CHANGE_LEVEL_RATIO, WATCH_LEVEL_RATIO
 from diag_service.diagnosis.records import Condition, FrictionEstimate
 from ecu_emulator.scenario_file import load_scenario
 from ecu_emulator.truth import ShiftTruth
@@ -76,10 +78,23 @@ def _draw_friction(axes: Axes, shown: Sequence[Point]) -> None:
         axes.fill_between(numbers, low, high, color=colour, alpha=0.18, lw=0.0)
         axes.plot(numbers, mean, color=colour, lw=2.0, label=label)
         axes.plot(numbers, [getattr(point.truth, name) for point in shown], color=INK, lw=1.2, ls="--")
+    _draw_thresholds(axes)
     axes.plot([], [], color=INK, lw=1.2, ls="--", label="truth")
     axes.fill_between([], [], [], color=UNKNOWN_COLOUR, alpha=0.4, lw=0.0, label="± 2 stated std")
     axes.set_title(f"A fluid that ages: clutch {CLUTCH}, shift by shift")
     axes.legend(loc="lower left", ncols=2)
+
+
+def _draw_thresholds(axes: Axes) -> None:
+    """Draw below which mu_C the verdict is another one, whatever else it goes by."""
+    new_mu_c = nominal_calibration().clutches[CLUTCH - 1].friction.mu_c
+    for ratio, condition in ((WATCH_LEVEL_RATIO, "watch"), (CHANGE_LEVEL_RATIO, "change fluid")):
+        colour, text = CONDITION_COLOUR[condition], f"mu_C below {100.0 * ratio:.0f} % of new: {condition} "
+        axes.axhline(ratio * new_mu_c, color=colour, lw=1.0, ls=(0, (6.0, 3.0)))
+        axes.text(
+            1.0, ratio * new_mu_c, text, color=colour, fontsize=8,
+            ha="right", va="top", transform=axes.get_yaxis_transform(),
+        )  # fmt: skip
 
 
 def _draw_verdicts(axes: Axes, shown: Sequence[Point]) -> None:

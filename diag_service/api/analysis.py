@@ -94,7 +94,7 @@ class Analysis:
         return "".join(f"{line}\n" for line in self._lines())
 
     def plot(self, path: AnyPath | None = None) -> "Figure":
-        """Draw the friction of both clutches over the shifts, with its uncertainty and the verdicts.
+        """Draw the friction of both clutches over the shifts: its uncertainty, the verdicts and their thresholds.
 
         Parameters
         ----------

@@ -1,4 +1,4 @@
-"""The picture of an analysis: friction of each clutch over its shifts."""
+"""The picture of an analysis: friction of each clutch over its shifts, beside the thresholds of the verdict."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
@@ -6,7 +6,9 @@ from typing import TYPE_CHECKING, Final
 from canlog.errors import OutputError
 from canlog.extras import load_extra
 from diag_service.delivery.words import condition_words
+from diag_service.diagnosis.condition.thresholds import CHANGE_LEVEL_RATIO, WATCH_LEVEL_RATIO
 from diag_service.diagnosis.records import Condition, ShiftResult, Status
+from diag_service.report.pictures import new_mu_c_of
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -27,6 +29,9 @@ CONDITION_COLOUR: Final = {
 }
 
 
+THRESHOLDS: Final = ((WATCH_LEVEL_RATIO, Condition.WATCH), (CHANGE_LEVEL_RATIO, Condition.CHANGE_FLUID))
+
+
 def draw(analysis: "Analysis") -> "Figure":
     """Return the figure; ExtraMissingError if matplotlib is not installed."""
     load_extra("matplotlib", "plot() needs matplotlib")
@@ -36,7 +41,9 @@ def draw(analysis: "Analysis") -> "Figure":
     figure = Figure(figsize=SIZE_INCH, layout="constrained")
     panels = figure.subplots(2, 1, sharex=True, sharey=True)
     for clutch, axes in enumerate(panels, start=1):
-        _draw_clutch(axes, [one for one in analysis.results if one.estimate.clutch == clutch])
+        results = [one for one in analysis.results if one.estimate.clutch == clutch]
+        _draw_clutch(axes, results)
+        _draw_thresholds(axes, results)
         axes.set_title(f"clutch {clutch}", loc="left")
         axes.set_ylabel("friction coefficient")
     panels[-1].set_xlabel("shift; dots: single shifts, lines: all shifts combined, bands: 2 standard deviations")
@@ -81,3 +88,17 @@ def _draw_clutch(axes: "Axes", results: list[ShiftResult]) -> None:
     for one in results:
         colour = CONDITION_COLOUR[one.verdict.condition]
         axes.axvspan(one.estimate.number - 0.5, one.estimate.number + 0.5, *STRIP, color=colour, lw=0.0)
+
+
+def _draw_thresholds(axes: "Axes", results: list[ShiftResult]) -> None:
+    """Draw below which mu_C the verdict is another one, once a level is known."""
+    known = [level for one in results if (level := new_mu_c_of(one.verdict)) is not None]
+    if not known:
+        return
+    for ratio, condition in THRESHOLDS:
+        level, colour = ratio * known[-1], CONDITION_COLOUR[condition]
+        text = f"mu_C below {100.0 * ratio:.0f} % of new: {condition_words(condition)} "
+        axes.axhline(level, color=colour, lw=1.0, ls="--")
+        axes.text(
+            1.0, level, text, color=colour, fontsize=8.0, ha="right", va="top", transform=axes.get_yaxis_transform(),
+        )  # fmt: skip

@@ -53,7 +53,7 @@ class Trend:
             single_mu_c=np.array([_mu_c(result.estimate.friction) for result in results]),
             mu_c=np.array([_mu_c(one) for one in running]),
             std_mu_c=np.array([np.nan if one is None else one.std_mu_c for one in running]),
-            new_mu_c=_new_mu_c(levels[-1]) if levels else None,
+            new_mu_c=new_mu_c_of(levels[-1]) if levels else None,
             moments=tuple(_moments(results, fills)),
         )
 
@@ -204,7 +204,8 @@ def _mu_c(friction: FrictionEstimate | None) -> float:
     return np.nan if friction is None else friction.mu_c
 
 
-def _new_mu_c(verdict: ClutchVerdict) -> float | None:
+def new_mu_c_of(verdict: ClutchVerdict) -> float | None:
+    """Return mu_C of new fluid by the calibration that a verdict went by, None while that has no level."""
     if verdict.friction is None or not verdict.level_ratio:
         return None
     return verdict.friction.mu_c / verdict.level_ratio
