@@ -17,6 +17,7 @@ PROGRAMS = {
 COMMAND = re.compile(r"^    ([a-z][a-z-]*)(?:  +\S|$)", re.MULTILINE)
 CANDUMP = "(1767225600.000000) vcan0 123#0011223344556677\n" * 4
 MDF = b"MDF     4.10    asammdf ".ljust(512, b"\0")
+MOST_MB = 350.0
 
 
 @pytest.fixture(name="plain", scope="module")
@@ -48,6 +49,13 @@ def test_help_and_version_need_no_extra(plain: PlainInstall, program: str) -> No
         assert told.status == 0, command
         assert told.out.startswith(f"usage: {program} {command} "), command
         assert told.err == "", command
+
+
+def test_an_installation_without_extras_is_small() -> None:
+    """What pip noted of each package, the bytecode that it made included."""
+    files = [found for name in core_distributions() for found in distribution(name).files or []]
+    size_mb = sum(path.stat().st_size for one in files if (path := Path(str(one.locate()))).exists()) / 1e6
+    assert 100.0 < size_mb < MOST_MB
 
 
 @pytest.mark.parametrize("program", PROGRAMS)

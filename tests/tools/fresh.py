@@ -1,7 +1,8 @@
 """What a stranger does with the wheel, in a fresh environment outside the checkout: ``python -m tests.tools.fresh``.
 
-Builds the wheel, installs it with its extras in the versions of requirements.lock, and runs there the Python page, the
-notebook, the worked example with and without its faults, analyze, report and history. ``--python`` names another one.
+Builds the wheel, installs it in the versions of requirements.lock and prints what it takes; adds its extras, and runs
+the Python page, the notebook, the worked example with and without its faults, analyze, report and history. Another
+Python is named by ``--python``.
 """
 
 import argparse
@@ -26,6 +27,7 @@ EXTRAS: Final = "diagnostics,parquet,paper,test,uds"
 BESIDE: Final = ("matplotlib", "pandas", "polars")  # which the page and the notebook use
 SOURCES: Final = ("pyproject.toml", "README.md", "LICENSE", *PACKAGES)
 FAULTS: Final = ("none", "drop", "alter", "swap")
+MOST_MB: Final = 350.0  # of an installation without extras
 _BLOCK: Final = re.compile(r"^```python\n(.*?)^```", re.MULTILINE | re.DOTALL)
 # One block after the other; the processes that a block starts import this file and find nothing to do.
 _PAGE: Final = """if __name__ == "__main__":
@@ -70,6 +72,11 @@ def pip(*words: str | Path) -> None:
         raise SystemExit(done.stdout + done.stderr)
 
 
+def megabytes(folder: Path) -> float:
+    """Return how much a folder holds [MB]."""
+    return sum(path.lstat().st_size for path in folder.rglob("*")) / 1e6
+
+
 def wheel(folder: Path) -> Path:
     """Build the wheel from a copy, for building leaves files beside the sources."""
     sources = folder / "sources"
@@ -95,7 +102,14 @@ def fresh_environment(python: str) -> Iterator[Fresh]:
         versions = folder / "constraints.txt"
         versions.write_text(constraints(), encoding="utf-8")
         programs = folder / "env" / "bin"
-        pip("--python", programs / "python", "install", "-q", "-c", versions, f"{built}[{EXTRAS}]", *BESIDE)
+        before_mb = megabytes(folder / "env")
+        install = ("--python", programs / "python", "install", "-q", "-c", versions)
+        pip(*install, built)
+        size_mb = megabytes(folder / "env") - before_mb
+        print(f"without extras it takes {size_mb:.0f} MB; at most {MOST_MB:.0f} are promised", flush=True)
+        if size_mb > MOST_MB:
+            raise SystemExit("it takes too much")
+        pip(*install, f"{built}[{EXTRAS}]", *BESIDE)
         work = folder / "work"
         work.mkdir()
         yield Fresh(programs=programs, folder=work)

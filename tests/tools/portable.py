@@ -49,12 +49,13 @@ def forget_posix() -> None:
 
 
 def use_recordings(log: Path, folder: Path) -> None:
-    """Analyse, decode, inspect and survey a log by the program and by the library; raises SystemExit if that fails."""
+    """Report, analyse, decode, inspect and survey a log by program and library; raises SystemExit if that fails."""
     from diag_service.cli import main  # noqa: PLC0415 - after what is taken away
 
     for words in (
-        ["analyze", log],
+        ["report", log, "-o", folder / "report.html"],
         ["analyze", log, "--store", folder / "car.sqlite", "-o", folder / "out.jsonl"],
+        ["history", folder / "car.sqlite"],
         ["decode", log, "--dbc", DBC, "-o", folder / "out.csv"],
         ["inspect", log, "--json"],
         ["signals", log, "--dbc", DBC],
