@@ -1,10 +1,12 @@
 """What the commands that ask controllers have in common: their options, and how what was found is shown."""
 
 import sys
+import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from types import SimpleNamespace
 from typing import TypeVar
 
+from diag_service.console.reading import ReadingLine
 from diag_service.console.terminal import PeopleConsole
 from diag_service.diagnosis.results import dump
 from diag_service.errors import ConfigError
@@ -54,12 +56,27 @@ def ask_one(
         place = target if isinstance(target, DoipPlace) else target.bus
         tell_wish(options.command, wanted, heard(place, options.listen), is_json=options.json)
         return
-    with asking(target, manners, goes_on=lambda: not stop.is_set) as (tester, _):
+    with (
+        ReadingLine() as line,
+        asking(target, manners, goes_on=waiting(line, "waiting for the controller", stop)) as (tester, _),
+    ):
         known = recognised(tester, description)
         record, lines = show(question.ask(tester, known))
+        line.clear()
         head: Record = {"controller": tester.where, "description": known.name}
         more: Record = {"dialogue": dialogue_record(tester.counts)}
         write(outcome(options.command, is_asked=True, **head, **record, **more), lines, is_json=options.json)
+
+
+def waiting(line: ReadingLine, what: str, stop: Trigger) -> Callable[[], bool]:
+    """Return what is called while answers are waited for: it tells whoever watches, and returns whether to go on."""
+    began_s = time.monotonic()
+
+    def goes_on() -> bool:
+        line.tell(f"{what}, {time.monotonic() - began_s:.0f} s")
+        return not stop.is_set
+
+    return goes_on
 
 
 def _target(options: SimpleNamespace, description: Description) -> BusTarget | DoipPlace:

@@ -25,18 +25,14 @@ def execute(options: SimpleNamespace, controls: Controls) -> None:
     check_name(options.output)
     if text := replacement_refusal(options.output, is_forced=options.force):
         raise ConfigError(text)
-    found = _findings(options, controls)
-    size_bytes = write_page(options.output, page_of(found, utc_now()))
+    named, config = options.vehicle, diagnosis_config(options)  # which gives a vehicle without a name one
+    with ReadingLine() as line:
+        found = findings_of(config, options.logs, named, controls.stop, watch=line.watch)
+        line.show("making the page")
+        size_bytes = write_page(options.output, page_of(found, utc_now()))
     sys.stdout.write(f"{legible(str(options.output))}: {size_bytes / 1000.0:.0f} kB\n")
     if found.summary is not None:
         insist(found.summary.gaps, found.summary.contributions, is_strict=False)
-
-
-def _findings(options: SimpleNamespace, controls: Controls) -> Findings:
-    named = options.vehicle
-    config = diagnosis_config(options)
-    with ReadingLine() as line:
-        return findings_of(config, options.logs, named, controls.stop, watch=line.watch)
 
 
 def findings_of(

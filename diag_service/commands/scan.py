@@ -2,7 +2,8 @@
 
 from types import SimpleNamespace
 
-from diag_service.commands.asking import bus_name, doip_place, manners_of, tell_wish, write
+from diag_service.commands.asking import bus_name, doip_place, manners_of, tell_wish, waiting, write
+from diag_service.console.reading import ReadingLine
 from diag_service.errors import StoppedError
 from diag_service.service.stopping import Controls
 from diag_service.tester.addresses import hexadecimal
@@ -26,7 +27,8 @@ def execute(options: SimpleNamespace, controls: Controls) -> None:
     if not options.active:
         tell_wish("scan", plan.requests, heard(plan.place, plan.listen_s), is_json=options.json)
     else:
-        found = scan(plan, goes_on=lambda: not stop.is_set)
+        with ReadingLine() as line:
+            found = scan(plan, goes_on=waiting(line, _what(plan), stop))
         traffic = {} if found.traffic is None else {"bus": traffic_record(found.traffic)}
         record = outcome("scan", is_asked=True, **traffic, controllers=[found_record(one) for one in found.controllers])
         write(record, found_lines(found.controllers), is_json=options.json)
@@ -52,3 +54,8 @@ def _plan(options: SimpleNamespace) -> ScanPlan:
         listen_s=options.listen,
         wait_s=options.wait,
     )
+
+
+def _what(plan: ScanPlan) -> str:
+    count = len(plan.request_ids)
+    return f"asking {count} identifiers, which takes {count * plan.wait_s:.0f} s or more" if count else "asking"

@@ -5,6 +5,8 @@ import sys
 from collections.abc import Callable
 from typing import Final
 
+from diag_service.console.terminal import CLEAR
+
 LOOK_S: Final = 0.2
 YES: Final = frozenset({"y", "yes"})
 
@@ -26,7 +28,7 @@ def is_confirmed(question: str, goes_on: Callable[[], bool]) -> bool:
     """
     if not is_person_there():
         return True
-    sys.stderr.write(f"{question} [y/N] ")
+    sys.stderr.write(f"{CLEAR}{question} [y/N] ")  # in place of a line that tells how far a program is
     sys.stderr.flush()
     while goes_on():
         if select.select([sys.stdin], [], [], LOOK_S)[0]:

@@ -6,11 +6,11 @@ from collections.abc import Callable
 from typing import Final, Self, TextIO
 
 from canlog.logs import LogReader
+from diag_service.console.terminal import CLEAR
 from program_io.legible import legible
 
 PATIENCE_S: Final = 2.0  # so long nobody asks
 PERIOD_S: Final = 0.2
-_CLEAR: Final = "\r\x1b[K"
 _LONGEST_NAME: Final = 40
 
 
@@ -42,8 +42,13 @@ class ReadingLine:
         """Tell how far a log has been read; called after each of its batches, and at its end."""
         if reader.has_ended:
             self.clear()
-        elif self._is_watched and self._now_s() >= self._due_s:
+        elif self._is_due():
             self.show(reading_text(reader))
+
+    def tell(self, text: str) -> None:
+        """Show a text if somebody may ask by now, and not more often than can be read."""
+        if self._is_due():
+            self.show(text)
 
     def report(self, news: object) -> None:
         """Make room for what is told otherwise: a reporter of the run."""
@@ -53,7 +58,7 @@ class ReadingLine:
     def show(self, text: str) -> None:
         """Show a text in place of the one before."""
         if self._is_watched:
-            self._stream.write(f"{_CLEAR}{text}")
+            self._stream.write(f"{CLEAR}{text}")
             self._stream.flush()
             self._is_shown = True
             self._due_s = self._now_s() + PERIOD_S
@@ -61,9 +66,12 @@ class ReadingLine:
     def clear(self) -> None:
         """Take the line away."""
         if self._is_shown:
-            self._stream.write(_CLEAR)
+            self._stream.write(CLEAR)
             self._stream.flush()
             self._is_shown = False
+
+    def _is_due(self) -> bool:
+        return self._is_watched and self._now_s() >= self._due_s
 
 
 def reading_text(reader: LogReader) -> str:

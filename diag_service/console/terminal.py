@@ -14,6 +14,7 @@ from rich.text import Text
 from program_io.legible import legible
 
 INDENT: Final = "    "  # of what goes on in the next line
+CLEAR: Final = "\r\x1b[K"  # takes away what stands on the last line
 _WORD: Final = re.compile(r"\S+")
 
 

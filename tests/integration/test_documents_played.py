@@ -40,7 +40,7 @@ ELSEWHERE = {
     "ecu-emulator run": "tests/e2e/test_vcan_drive.py",
     "echo": "tests/integration/test_emulator_control.py",
     "docker compose": "tests/unit/test_dashboards.py",
-    "candump": "tests/integration/test_piped_logs.py",
+    "candump": "tests/integration/test_candump_pipe.py",
     "ecu-emulator record -": "tests/integration/test_piped_logs.py",
     "ecu-emulator record city.log": "tests/integration/test_road_drive.py",
     "ecu-emulator record first.log": "tests/integration/test_calibrate_story.py",

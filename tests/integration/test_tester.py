@@ -1,5 +1,6 @@
 """The tester against our controller on a virtual bus: listens first, asks only if told to, decodes what it hears."""
 
+import io
 import threading
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
@@ -9,6 +10,9 @@ from typing import Any
 import can
 import pytest
 
+from diag_service.commands.asking import waiting
+from diag_service.console.reading import ReadingLine
+from diag_service.service.stopping import Trigger
 from diag_service.tester.scanning import find_addresses, standard_requests
 from ecu_emulator.diagnostics.controller import Controller
 from ecu_emulator.diagnostics.link import DiagnosticLink
@@ -94,6 +98,19 @@ def told(*words: str | Path) -> dict[str, Any]:
     assert done.status == 0, done
     (record,) = done.records
     return record
+
+
+def test_whoever_waits_sees_that_something_is_done() -> None:
+    terminal, now_s, stop = io.StringIO(), [0.0], Trigger()
+    terminal.isatty = lambda: True  # type: ignore[method-assign]  # one is watched
+    goes_on = waiting(ReadingLine(terminal, now_s=lambda: now_s[0]), "asking 256 identifiers", stop)
+    assert goes_on()
+    assert terminal.getvalue() == ""
+    now_s[0] = 3.0
+    assert goes_on()
+    assert "asking 256 identifiers, 0 s" in terminal.getvalue()
+    stop.set()
+    assert not goes_on()
 
 
 def test_without_leave_a_bus_is_listened_to_only(car: Vehicle) -> None:

@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 
+import numpy as np
 import pytest
 
 from diag_service import Analysis, ShiftResult
@@ -13,7 +14,11 @@ def levels_and_words(results: list[ShiftResult]) -> list[tuple[list[float], str]
     figure = Analysis(paths=(), results=tuple(results), summary={"vehicle": "car1"}).plot()
     return [
         (
-            [float(line.get_ydata()[0]) for line in axes.lines if list(line.get_xdata()) == [0, 1]],
+            [
+                float(np.asarray(line.get_ydata())[0])
+                for line in axes.lines
+                if np.asarray(line.get_xdata()).tolist() == [0, 1]
+            ],
             " ".join(text.get_text() for text in axes.texts),
         )
         for axes in figure.axes
