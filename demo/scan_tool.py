@@ -6,7 +6,7 @@ from types import TracebackType
 from typing import Final, Self
 
 from diag_service.errors import ControllerError
-from diag_service.tester.dialogue import Manners
+from diag_service.tester.manners import Manners
 from diag_service.tester.opening import DoipPlace, dialogue_over_ip
 from diag_service.tester.reading import read_troubles
 from diag_service.tester.recognising import recognised

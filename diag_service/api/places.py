@@ -6,7 +6,7 @@ from diag_service.api.choices import AnyPath, check_one_bus, optional_path
 from diag_service.errors import ConfigError
 from diag_service.tester.addresses import CanAddress, usual_response_id
 from diag_service.tester.asking import SHORTEST_ANSWER_S, check_time
-from diag_service.tester.dialogue import Manners
+from diag_service.tester.manners import Manners
 from diag_service.tester.opening import LARGEST_LOGICAL, BusName, DoipPlace, parse_doip
 from diag_service.tester.questions import check_number
 

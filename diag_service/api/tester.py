@@ -11,8 +11,8 @@ from diag_service.tester.asking import SHORTEST_ANSWER_S, BusTarget, asking, che
 from diag_service.tester.clearing import ALL as ALL_CODES
 from diag_service.tester.clearing import Clearing, parse_group
 from diag_service.tester.description_file import find_description
-from diag_service.tester.dialogue import DEFAULT_SESSION, Dialogue, DialogueCounts
 from diag_service.tester.listening import LISTEN_S, Traffic
+from diag_service.tester.manners import DEFAULT_SESSION, DialogueCounts
 from diag_service.tester.opening import DoipPlace, address_for
 from diag_service.tester.questions import (
     EXTENDED_SESSION,
@@ -30,6 +30,8 @@ from diag_service.tester.trouble import TroubleCode
 
 if TYPE_CHECKING:
     import can
+
+    from diag_service.tester.dialogue import Dialogue
 
 _AnswerT = TypeVar("_AnswerT")
 

@@ -15,8 +15,8 @@ from diag_service.tester.addresses import hexadecimal, parse_address
 from diag_service.tester.asking import SHORTEST_ANSWER_S, BusTarget, asking, check_time, heard
 from diag_service.tester.description import Description
 from diag_service.tester.description_file import find_description
-from diag_service.tester.dialogue import Manners
 from diag_service.tester.listening import Traffic
+from diag_service.tester.manners import Manners
 from diag_service.tester.opening import LARGEST_LOGICAL, BusName, DoipPlace, address_for, parse_doip
 from diag_service.tester.questions import Question
 from diag_service.tester.recognising import recognised

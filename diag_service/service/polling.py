@@ -15,8 +15,8 @@ from diag_service.tester.addresses import parse_address
 from diag_service.tester.asking import BusTarget, asking
 from diag_service.tester.description import Description
 from diag_service.tester.description_file import find_description
-from diag_service.tester.dialogue import Manners
-from diag_service.tester.opening import BusName, address_for
+from diag_service.tester.manners import Manners
+from diag_service.tester.opening import BusName, address_for, check_libraries
 from diag_service.tester.reading import read_troubles
 from diag_service.tester.recognising import recognised
 from diag_service.tester.trouble_report import ControllerReport
@@ -133,6 +133,7 @@ def poller_for(
     vehicle: str, bus: BusConfig, poll: PollConfig, now: Callable[[], str], tell: Callable[[ControllerReport], None]
 ) -> Poller:
     """Return a poller as the settings have it; raises ConfigError, ExtraMissingError if they cannot be used."""
+    check_libraries()
     description = find_description(poll.description)
     named = BusName(interface=bus.interface, channel=bus.channel, bitrate=bus.bitrate, is_fd=bus.is_fd)
     target = BusTarget(

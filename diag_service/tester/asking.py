@@ -3,15 +3,18 @@
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 import can
 
 from diag_service.errors import ConfigError
 from diag_service.tester.addresses import CanAddress
-from diag_service.tester.dialogue import Dialogue, Manners
 from diag_service.tester.listening import LISTEN_S, Traffic, check_alone, listen
+from diag_service.tester.manners import Manners
 from diag_service.tester.opening import BusName, DoipPlace, dialogue_on, dialogue_over_ip, opened_bus
+
+if TYPE_CHECKING:
+    from diag_service.tester.dialogue import Dialogue
 
 LONGEST_S: Final = 3600.0
 SHORTEST_ANSWER_S: Final = 0.001
@@ -30,7 +33,7 @@ class BusTarget:
 @contextmanager
 def asking(
     target: BusTarget | DoipPlace, manners: Manners, *, goes_on: Callable[[], bool] = lambda: True
-) -> Iterator[tuple[Dialogue, Traffic | None]]:
+) -> "Iterator[tuple[Dialogue, Traffic | None]]":
     """Listen, then be ready to ask for the time of the block; yield the tester, and what it heard on a bus before.
 
     Parameters

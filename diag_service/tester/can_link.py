@@ -9,13 +9,13 @@ import can
 from canlog.live.pythoncan import one_line
 from diag_service.errors import ControllerError
 from diag_service.tester.addresses import CanAddress, is_extended
+from diag_service.tester.frames import CLASSIC_BYTES, PADDING, send
 from diag_service.tester.libraries import BaseConnection, TimeoutException, isotp
 
 LONGEST_MESSAGE: Final = 65_535
 TIMEOUT_MS: Final = 1000  # N_Bs and N_Cr
 MOST_WAIT_FRAMES: Final = 100  # of a controller that is busy receiving
-PADDING: Final = 0xCC  # ISO 15765-2: the bits stuffed least
-CLASSIC_BYTES, FD_BYTES = 8, 64
+FD_BYTES: Final = 64
 MOST_OLD_FRAMES: Final = 10_000  # thrown away before a request
 LONGEST_RECEPTION_S: Final = 60.0  # of one message, whose frames come within their own timeout
 PATIENCE_S: Final = 0.05
@@ -160,20 +160,6 @@ class CanConnection(BaseConnection):
 
     def _note(self, _error: Exception) -> None:
         self._is_broken = True
-
-
-def send(bus: can.BusABC, message: can.Message) -> None:
-    """Put a frame on a bus.
-
-    Raises
-    ------
-    ControllerError
-        If the bus does not take it.
-    """
-    try:
-        bus.send(message, timeout=1.0)
-    except (can.CanError, OSError, ValueError) as exc:
-        raise ControllerError(f"the bus does not take a request: {one_line(exc)}") from exc
 
 
 def _isotp_address(address: CanAddress) -> isotp.Address:

@@ -3,14 +3,16 @@
 import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 from diag_service.errors import ConfigError
 from diag_service.tester.answers import CLEAR
 from diag_service.tester.description import SYSTEMS, Description
-from diag_service.tester.dialogue import Dialogue
 from diag_service.tester.reading import read_troubles
 from diag_service.tester.trouble import CODE_BYTES, TroubleCode
+
+if TYPE_CHECKING:
+    from diag_service.tester.dialogue import Dialogue
 
 ALL: Final = "all"
 GROUPS: Final = {ALL: 0xFFFFFF, "obd": 0xFFFF33}  # ISO 14229-1, annex D.1
@@ -78,7 +80,7 @@ def clear_request(number: int) -> bytes:
 
 
 def clear_troubles(
-    tester: Dialogue,
+    tester: "Dialogue",
     description: Description,
     group: Group,
     *,

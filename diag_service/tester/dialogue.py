@@ -4,7 +4,6 @@ import logging
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass
 from typing import Any, Final, Self
 
 from diag_service.errors import ControllerError, RefusedError, SilentError, StoppedError
@@ -19,36 +18,12 @@ from diag_service.tester.libraries import (
     UnexpectedResponseException,
     default_client_config,
 )
+from diag_service.tester.manners import DEFAULT_SESSION, DialogueCounts, Manners
 
-DEFAULT_SESSION: Final = 0x01
 LOOK_S: Final = 0.1  # how soon it notices that it shall stop
 _KEY: Final = 1  # added to the level that asked for the seed
 _LOGGER: Final = "diag_service"  # the library adds its own name, and warns there of every refusal
 logging.getLogger(f"UdsClient[{_LOGGER}]").addHandler(logging.NullHandler())
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Manners:
-    """Times and counts of a tester (ISO 14229-2): how long it waits, how soon and how often it asks again."""
-
-    p2_s: float = 1.0  # until an answer begins; a controller has 0.05 s, what is between them the rest
-    p2_star_s: float = 6.0  # after the controller said that it takes longer (78)
-    longest_s: float = 60.0  # of one question, however often the controller asks for patience
-    gap_s: float = 0.01  # between an answer and the next question: others want to be heard as well
-    busy_pause_s: float = 0.1  # after 21; doubled each time
-    most_busy: int = 6
-    most_silent: int = 2  # times that a question is asked that is not answered
-
-
-@dataclass(slots=True)
-class DialogueCounts:
-    """What a dialogue went through."""
-
-    requests: int = 0
-    refusals: int = 0
-    busy: int = 0  # answered 21
-    silent: int = 0  # not answered in time
-    stray: int = 0  # messages that were no answer to what was asked
 
 
 class Dialogue:

@@ -6,8 +6,9 @@ import ssl
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
+from importlib import import_module
 from pathlib import Path
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 import can
 
@@ -17,9 +18,11 @@ from canlog.live.pythoncan import one_line, open_bus
 from canlog.plain_files import check_plain_file
 from diag_service.errors import ConfigError, ControllerError
 from diag_service.tester.addresses import TRANSMISSION, CanAddress, is_extended, usual_response_id
-from diag_service.tester.can_link import CanConnection
 from diag_service.tester.description import Description
-from diag_service.tester.dialogue import Dialogue, Manners
+from diag_service.tester.manners import Manners
+
+if TYPE_CHECKING:
+    from diag_service.tester.dialogue import Dialogue
 
 EXTRA: Final = "uds"
 DOIP_PORT: Final = 13400
@@ -90,17 +93,25 @@ def address_for(named: CanAddress | None, description: Description) -> CanAddres
     return CanAddress(request_id=request_id, response_id=response_id)
 
 
+def check_libraries() -> None:
+    """Raise ExtraMissingError if a library that asks is missing; what imports this can be imported without."""
+    import_module("diag_service.tester.libraries")
+
+
 @contextmanager
 def opened_bus(place: BusName | can.BusABC) -> Iterator[can.BusABC]:
     """Open a bus for the time of the block; one that is open is lent, and stays open with the filters that it had.
 
     Raises
     ------
+    ExtraMissingError
+        If a library that asks is missing.
     SourceError
         If it is not named or cannot be opened.
     ControllerError
         If one that is open cannot be read.
     """
+    check_libraries()
     if not isinstance(place, BusName):
         filters = place.filters
         _forget_waiting(place)
@@ -134,8 +145,11 @@ def dialogue_on(
     *,
     is_fd: bool = False,
     goes_on: Callable[[], bool] = lambda: True,
-) -> Dialogue:
+) -> "Dialogue":
     """Return a tester for one controller; from now on the bus gives no more than that controller's frames."""
+    from diag_service.tester.can_link import CanConnection  # noqa: PLC0415 - libraries of an extra
+    from diag_service.tester.dialogue import Dialogue  # noqa: PLC0415 - likewise
+
     mask = 0x1FFF_FFFF if is_extended(address.response_id) else 0x7FF
     bus.set_filters([{"can_id": address.response_id, "can_mask": mask, "extended": is_extended(address.response_id)}])
     return Dialogue(CanConnection(bus, address, is_fd=is_fd), str(address), manners, goes_on=goes_on)
@@ -144,7 +158,7 @@ def dialogue_on(
 @contextmanager
 def dialogue_over_ip(
     place: DoipPlace, manners: Manners, *, goes_on: Callable[[], bool] = lambda: True
-) -> Iterator[Dialogue]:
+) -> Iterator["Dialogue"]:
     """Connect to a node for the time of the block.
 
     Raises
@@ -154,6 +168,8 @@ def dialogue_over_ip(
     ExtraMissingError
         If doipclient is not installed.
     """
+    from diag_service.tester.dialogue import Dialogue  # noqa: PLC0415 - libraries of an extra
+
     doipclient = load_extra("doipclient", "DoIP needs doipclient", EXTRA)
     connectors = load_extra("doipclient.connectors", "DoIP needs doipclient", EXTRA)
     try:

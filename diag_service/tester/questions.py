@@ -2,13 +2,13 @@
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
-from typing import Final, Protocol, TypeVar
+from typing import TYPE_CHECKING, Final, Protocol, TypeVar
 
 from diag_service.errors import ConfigError
 from diag_service.tester.answers import CLEAR, READ_DATA, ROUTINE, SECURITY, SESSION, request_text
 from diag_service.tester.clearing import Clearing, Group, clear_request, clear_troubles
 from diag_service.tester.description import UNKNOWN, Description
-from diag_service.tester.dialogue import DEFAULT_SESSION, Dialogue
+from diag_service.tester.manners import DEFAULT_SESSION
 from diag_service.tester.reading import (
     ACTIONS,
     FAILED_MASK,
@@ -20,6 +20,9 @@ from diag_service.tester.reading import (
     trouble_request,
 )
 from diag_service.tester.trouble import TroubleCode
+
+if TYPE_CHECKING:
+    from diag_service.tester.dialogue import Dialogue
 
 EXTENDED_SESSION: Final = 0x03
 LARGEST_SESSION: Final = 0x7F
@@ -34,7 +37,7 @@ class Question(Protocol[AnswerT_co]):
     def requests(self, description: Description) -> list[str]:
         """Return what would be sent, for people, by what is known of the controller; raises ConfigError."""
 
-    def ask(self, tester: Dialogue, description: Description) -> AnswerT_co:
+    def ask(self, tester: "Dialogue", description: Description) -> AnswerT_co:
         """Ask and return the answer; raises ConfigError, and what a `Dialogue` raises."""
 
 
@@ -54,7 +57,7 @@ class TroubleQuestion:
         details = ["19 04 and 19 06: what was kept of each code"] if self.has_details else []
         return [f"{request_text(trouble_request(self.mask))}: the codes", *details]
 
-    def ask(self, tester: Dialogue, description: Description) -> tuple[TroubleCode, ...]:
+    def ask(self, tester: "Dialogue", description: Description) -> tuple[TroubleCode, ...]:
         """Ask."""
         return read_troubles(tester, description, self.mask, has_details=self.has_details)
 
@@ -85,7 +88,7 @@ class ClearQuestion:
         clearing = f"{CLEAR:02X}: {group.word}" if group.number is None else request_text(clear_request(group.number))
         return [f"{reading}: the codes", *_entering(self.session), f"{clearing}: clear", f"{reading}: what is left"]
 
-    def ask(self, tester: Dialogue, description: Description) -> Clearing:
+    def ask(self, tester: "Dialogue", description: Description) -> Clearing:
         """Clear them, unless that is not agreed to."""
         return clear_troubles(
             tester, description, self.group, mask=self.mask, session=self.session,
@@ -110,7 +113,7 @@ class DataQuestion:
         questions = (bytes([READ_DATA]) + number.to_bytes(2, "big") for number in self._numbers(description))
         return [*_entering(self.session), *map(request_text, questions)]
 
-    def ask(self, tester: Dialogue, description: Description) -> tuple[DataAnswer, ...]:
+    def ask(self, tester: "Dialogue", description: Description) -> tuple[DataAnswer, ...]:
         """Ask, in the session that is wanted."""
         with tester.session(self.session):
             return tuple(read_data(tester, description, self._numbers(description)))
@@ -160,7 +163,7 @@ class RoutineQuestion:
             question = request_text(asked + number + self.options)
         return [*_entering(self.session), *unlocking, question]
 
-    def ask(self, tester: Dialogue, description: Description) -> RoutineAnswer:
+    def ask(self, tester: "Dialogue", description: Description) -> RoutineAnswer:
         """Ask, in the session that is wanted, and unlocked if need be."""
         number = description.find_routine(self.routine)
         with tester.patience(self.patience_s), tester.session(self.session):

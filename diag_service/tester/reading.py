@@ -2,13 +2,15 @@
 
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 from diag_service.errors import RefusedError
 from diag_service.tester.answers import READ_DATA, READ_TROUBLE, ROUTINE, refusal_text
 from diag_service.tester.description import Description, Values, read_fields
-from diag_service.tester.dialogue import Dialogue
 from diag_service.tester.trouble import TroubleCode, read_codes, read_extended, read_snapshots
+
+if TYPE_CHECKING:
+    from diag_service.tester.dialogue import Dialogue
 
 COUNT_BY_MASK, BY_MASK, SNAPSHOTS, EXTENDED, SUPPORTED = 0x01, 0x02, 0x04, 0x06, 0x0A
 ALL_RECORDS: Final = 0xFF
@@ -50,7 +52,7 @@ def trouble_request(mask: int) -> bytes:
 
 
 def read_troubles(
-    tester: Dialogue, description: Description, mask: int = FAILED_MASK, *, has_details: bool = True
+    tester: "Dialogue", description: Description, mask: int = FAILED_MASK, *, has_details: bool = True
 ) -> tuple[TroubleCode, ...]:
     """Return the trouble codes that `trouble_request` asks for.
 
@@ -62,7 +64,7 @@ def read_troubles(
     return tuple(_with_details(tester, description, code) for code in codes)
 
 
-def _with_details(tester: Dialogue, description: Description, code: TroubleCode) -> TroubleCode:
+def _with_details(tester: "Dialogue", description: Description, code: TroubleCode) -> TroubleCode:
     """Return a code with what was kept of it; a controller that keeps nothing, or will not tell, is no error."""
     tail = code.number.to_bytes(3, "big") + bytes([ALL_RECORDS])
     snapshots = tester.may_ask(bytes([READ_TROUBLE, SNAPSHOTS]) + tail)
@@ -74,12 +76,12 @@ def _with_details(tester: Dialogue, description: Description, code: TroubleCode)
     )
 
 
-def read_data(tester: Dialogue, description: Description, numbers: Iterable[int]) -> list[DataAnswer]:
+def read_data(tester: "Dialogue", description: Description, numbers: Iterable[int]) -> list[DataAnswer]:
     """Return what a controller says of each datum; they are asked for one at a time, so one refusal costs one."""
     return [_read_datum(tester, description, number) for number in numbers]
 
 
-def _read_datum(tester: Dialogue, description: Description, number: int) -> DataAnswer:
+def _read_datum(tester: "Dialogue", description: Description, number: int) -> DataAnswer:
     name = description.data_name(number)
     answer = tester.may_ask(bytes([READ_DATA]) + number.to_bytes(2, "big"))
     if isinstance(answer, RefusedError):
@@ -89,7 +91,7 @@ def _read_datum(tester: Dialogue, description: Description, number: int) -> Data
 
 
 def control_routine(
-    tester: Dialogue, description: Description, number: int, action: str, options: bytes = b""
+    tester: "Dialogue", description: Description, number: int, action: str, options: bytes = b""
 ) -> RoutineAnswer:
     """Start or stop a routine, or ask for its results, and return what the controller answers.
 

@@ -1,13 +1,17 @@
 """Which of the shipped descriptions fits a controller: by what it says of itself."""
 
+from typing import TYPE_CHECKING
+
 from diag_service.errors import ControllerError
 from diag_service.tester.answers import READ_DATA
 from diag_service.tester.description import UNKNOWN, Description
 from diag_service.tester.description_file import shipped
-from diag_service.tester.dialogue import Dialogue
+
+if TYPE_CHECKING:
+    from diag_service.tester.dialogue import Dialogue
 
 
-def recognised(tester: Dialogue, description: Description = UNKNOWN) -> Description:
+def recognised(tester: "Dialogue", description: Description = UNKNOWN) -> Description:
     """Return a description; without one the shipped one that fits, or else what all controllers have.
 
     Without one it asks for a datum or two.

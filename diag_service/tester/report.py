@@ -5,8 +5,8 @@ from dataclasses import asdict
 
 from diag_service.tester.addresses import id_text
 from diag_service.tester.clearing import Clearing
-from diag_service.tester.dialogue import DialogueCounts
 from diag_service.tester.listening import Traffic
+from diag_service.tester.manners import DialogueCounts
 from diag_service.tester.reading import DataAnswer, RoutineAnswer
 from diag_service.tester.scanning import Found
 from diag_service.tester.trouble_report import Record, code_words, columns, trouble_lines, values_text

@@ -3,7 +3,7 @@
 import logging
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 import can
 
@@ -12,8 +12,8 @@ from diag_service.errors import ConfigError, StoppedError
 from diag_service.tester.addresses import LARGEST_STANDARD_ID, CanAddress, id_text
 from diag_service.tester.answers import TESTER_PRESENT, request_text
 from diag_service.tester.description import STANDARD_DATA
-from diag_service.tester.dialogue import Dialogue, Manners
 from diag_service.tester.listening import LISTEN_S, Traffic, check_alone, listen
+from diag_service.tester.manners import Manners
 from diag_service.tester.opening import BusName, DoipPlace, dialogue_on, dialogue_over_ip, opened_bus
 from diag_service.tester.recognising import recognised
 from diag_service.tester.scanning import (
@@ -25,6 +25,9 @@ from diag_service.tester.scanning import (
     fixed_requests,
     standard_requests,
 )
+
+if TYPE_CHECKING:
+    from diag_service.tester.dialogue import Dialogue
 
 SHORTEST_WAIT_S: Final = 0.001
 FIRST_STANDARD_ID: Final = 0x700
@@ -123,5 +126,5 @@ def _controllers(
         yield found
 
 
-def _explored(tester: Dialogue, plan: ScanPlan, address: CanAddress | None) -> Found:
+def _explored(tester: "Dialogue", plan: ScanPlan, address: CanAddress | None) -> Found:
     return explore(tester, recognised(tester), plan.data, address=address)

@@ -4,7 +4,7 @@ import time
 from collections import deque
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 import can
 
@@ -30,10 +30,12 @@ from diag_service.tester.answers import (
     TESTER_PRESENT,
     refusal_text,
 )
-from diag_service.tester.can_link import CLASSIC_BYTES, PADDING, send
 from diag_service.tester.description import STANDARD_DATA, Description
-from diag_service.tester.dialogue import Dialogue
+from diag_service.tester.frames import CLASSIC_BYTES, PADDING, send
 from diag_service.tester.reading import COUNT_BY_MASK, FAILED_MASK, DataAnswer, read_data
+
+if TYPE_CHECKING:
+    from diag_service.tester.dialogue import Dialogue
 
 WAIT_S: Final = 0.06  # P2 of a controller, and a little for the bus
 SUSPECTS: Final = 4  # addresses whose answer may come so late that it seems to be the next one's
@@ -152,7 +154,7 @@ def _answering(bus: can.BusABC, request_id: int | None, wait_s: float, wanted: i
 
 
 def explore(
-    tester: Dialogue, description: Description, numbers: Sequence[int] = tuple(STANDARD_DATA), *,
+    tester: "Dialogue", description: Description, numbers: Sequence[int] = tuple(STANDARD_DATA), *,
     address: CanAddress | None = None,
 ) -> Found:  # fmt: skip
     """Return what one controller can be asked; its data are tried by number."""
@@ -169,7 +171,7 @@ def explore(
     )
 
 
-def _tried(tester: Dialogue, number: int, request: bytes) -> ServiceAnswer:
+def _tried(tester: "Dialogue", number: int, request: bytes) -> ServiceAnswer:
     try:
         tester.ask(request)
     except RefusedError as exc:
@@ -181,7 +183,7 @@ def _tried(tester: Dialogue, number: int, request: bytes) -> ServiceAnswer:
     return ServiceAnswer(number=number, is_there=True, remark="")
 
 
-def _data_of(tester: Dialogue, description: Description, numbers: Iterable[int]) -> Iterable[DataAnswer]:
+def _data_of(tester: "Dialogue", description: Description, numbers: Iterable[int]) -> Iterable[DataAnswer]:
     silent = 0
     for number in numbers:
         try:
@@ -195,7 +197,7 @@ def _data_of(tester: Dialogue, description: Description, numbers: Iterable[int])
             yield answer
 
 
-def _code_count(tester: Dialogue) -> int | None:
+def _code_count(tester: "Dialogue") -> int | None:
     """Return how many trouble codes have failed."""
     try:
         response = tester.ask(bytes([READ_TROUBLE, COUNT_BY_MASK, FAILED_MASK]))

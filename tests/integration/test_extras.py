@@ -17,7 +17,6 @@ PROGRAMS = {
 COMMAND = re.compile(r"^    ([a-z][a-z-]*)(?:  +\S|$)", re.MULTILINE)
 CANDUMP = "(1767225600.000000) vcan0 123#0011223344556677\n" * 4
 MDF = b"MDF     4.10    asammdf ".ljust(512, b"\0")
-MOST_MB = 350.0
 
 
 @pytest.fixture(name="plain", scope="module")
@@ -49,13 +48,6 @@ def test_help_and_version_need_no_extra(plain: PlainInstall, program: str) -> No
         assert told.status == 0, command
         assert told.out.startswith(f"usage: {program} {command} "), command
         assert told.err == "", command
-
-
-def test_an_installation_without_extras_is_small() -> None:
-    """What pip noted of each package, the bytecode that it made included."""
-    files = [found for name in core_distributions() for found in distribution(name).files or []]
-    size_mb = sum(path.stat().st_size for one in files if (path := Path(str(one.locate()))).exists()) / 1e6
-    assert 100.0 < size_mb < MOST_MB
 
 
 @pytest.mark.parametrize("program", PROGRAMS)
@@ -175,6 +167,8 @@ analysis, log = diag_service.analyze("drive.log"), diag_service.read("drive.log"
 for wanted in (
     analysis.shifts.to_arrow, analysis.shifts.to_pandas, analysis.clutches.to_polars, analysis.plot, log.to_arrow,
     lambda: diag_service.analyze_by_paper("drive.log"), lambda: ecu_emulator.Emulator().record("drive.mf4"),
+    diag_service.UdsTester(interface="virtual", channel="1", is_active=True).__enter__,
+    lambda: diag_service.scan_controllers(interface="virtual", channel="1", is_active=True),
 ):
     try:
         wanted()
@@ -182,7 +176,7 @@ for wanted in (
         print(str(error).rpartition("pip install ")[2])
 """
     told = plain.run("-c", program, cwd=tmp_path)
-    extras = ["parquet", None, None, None, "parquet", "paper", "mf4"]
-    names = ["", "pandas", "polars", "matplotlib", "", "", ""]
+    extras = ["parquet", None, None, None, "parquet", "paper", "mf4", "uds", "uds"]
+    names = ["", "pandas", "polars", "matplotlib", "", "", "", "", ""]
     wanted = [f"'clutchdiag[{extra}]'" if extra else name for extra, name in zip(extras, names, strict=True)]
     assert told.out.splitlines() == wanted, told.err
