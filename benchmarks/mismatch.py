@@ -16,6 +16,8 @@ from pathlib import Path
 
 import numpy as np
 
+from benchmarks.drive_accuracy import WRONG
+from benchmarks.mismatch_road import road_section
 from benchmarks.mismatch_rows import BY_NAME, ROWS, Mismatch
 from benchmarks.study import diagnose, over_drives, percent, root_mean_square
 from diag_service.diagnosis.friction.friction_values import friction as friction_of
@@ -56,6 +58,7 @@ class Outcome:
     random_std_ratio: float
     std_ratio: float
     used_shifts: float  # share of the drive's shifts that entered the estimate, both clutches
+    is_wrong: bool  # the verdict on the clutch at the end
 
 
 def scenario_of(case: Case) -> Scenario:
@@ -76,6 +79,8 @@ def outcomes(case: Case) -> list[Outcome]:
     used = sum(map(is_used, diagnoses)) / (CYCLES * SHIFTS_PER_CYCLE)
     true = {"mu_c": truth.drive.mu_c, "mu_s": truth.drive.mu_s}
 
+    final = {one.verdict.clutch: one.verdict.condition for one in diagnoses}
+
     def outcome(parameter: str, clutch: int, friction: FrictionEstimate) -> Outcome:
         mu = true[parameter][clutch - 1]
         return Outcome(
@@ -86,6 +91,7 @@ def outcomes(case: Case) -> list[Outcome]:
             random_std_ratio=getattr(friction, f"random_std_{parameter}") / mu,
             std_ratio=getattr(friction, f"std_{parameter}") / mu,
             used_shifts=used,
+            is_wrong=final[clutch] in WRONG[case.fluid],
         )
 
     state = diagnoses[-1].state
@@ -113,6 +119,7 @@ class Line:
     scattered_rms_percent: tuple[float, float]
     total_coverage: tuple[float, float]  # mu_c, mu_s, with scatter
     unused_shifts: float  # all drives
+    wrong_verdicts: int  # on a clutch, at the end of a drive
 
     @property
     def holds(self) -> bool:
@@ -142,6 +149,7 @@ def line_of(name: str, results: Sequence[Outcome]) -> Line:
         scattered_rms_percent=(100.0 * root_mean_square(scattered[0]), 100.0 * root_mean_square(scattered[1])),
         total_coverage=(total_coverage("mu_c"), total_coverage("mu_s")),
         unused_shifts=float(np.mean([1.0 - one.used_shifts for one in own])),
+        wrong_verdicts=sum(one.is_wrong for one in own if one.parameter == PARAMETERS[0]),
     )
 
 
@@ -149,9 +157,9 @@ def table(lines: Sequence[Line]) -> Iterator[str]:
     """Yield the Markdown table; a row whose interval does not hold is set in bold."""
     yield (
         "| effect | bias mu_C, mu_S % | RMS mu_C, mu_S % | in 2 random std % | with scatter: RMS mu_C, mu_S % "
-        "| in 2 total std, mu_C, mu_S % | shifts not used % |"
+        "| in 2 total std, mu_C, mu_S % | shifts not used % | wrong verdicts |"
     )
-    yield "|---|---|---|---|---|---|---|"
+    yield "|---|---|---|---|---|---|---|---|"
     for line in lines:
         name = line.name if line.holds else f"**{line.name}** (below 90 %)"
         yield (
@@ -159,7 +167,7 @@ def table(lines: Sequence[Line]) -> Iterator[str]:
             f"| {line.rms_percent[0]:.2f}, {line.rms_percent[1]:.2f} | {percent(line.random_coverage)} "
             f"| {line.scattered_rms_percent[0]:.2f}, {line.scattered_rms_percent[1]:.2f} "
             f"| {percent(line.total_coverage[0])}, {percent(line.total_coverage[1])} "
-            f"| {100.0 * line.unused_shifts:.1f} |"
+            f"| {100.0 * line.unused_shifts:.1f} | {line.wrong_verdicts} |"
         )
 
 
@@ -174,8 +182,8 @@ def failures(lines: Sequence[Line]) -> Iterator[str]:
         yield f"- **{line.name}**: {percent(worst)} % instead of 90 %. The way it acts: {BY_NAME[line.name].way}."
 
 
-def document(lines: Sequence[Line], seeds: int, first_seed: int) -> str:
-    """Return the whole page."""
+def document(lines: Sequence[Line], seeds: int, first_seed: int, road: Sequence[str] = ()) -> str:
+    """Return the whole page; ``road`` are lines about drives on the road."""
     source = (
         "Made by `make mismatch`; do not edit. The effects are defined in "
         "[model.md](model.md#effects-the-estimator-does-not-model)."
@@ -204,6 +212,7 @@ def document(lines: Sequence[Line], seeds: int, first_seed: int) -> str:
             "",
             *failures(lines),
             "",
+            *road,
             "## How each effect acts",
             "",
             *(f"- {row.name}: {row.way}." for row in ROWS[1:]),
@@ -217,6 +226,7 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--seeds", type=int, default=18)
     parser.add_argument("--first-seed", type=int, default=FIRST_SEED)
+    parser.add_argument("--road", type=int, default=12, help="vehicles for each kind of drive on the road; 0: none")
     parser.add_argument("--jobs", type=int, default=2)
     parser.add_argument("--output", type=Path, default=PAGE)
     parser.add_argument("--row", action="append", choices=sorted(BY_NAME), help="print this row only, write nothing")
@@ -227,7 +237,8 @@ def main() -> int:
     if arguments.row:
         print("\n".join(table(lines)))
         return 0
-    page = document(lines, arguments.seeds, arguments.first_seed)
+    road = list(road_section(arguments.road, arguments.jobs)) if arguments.road else []
+    page = document(lines, arguments.seeds, arguments.first_seed, road)
     arguments.output.write_text(page, encoding="utf-8")
     print(page)
     return 0

@@ -18,13 +18,20 @@ class Mismatch:
     way: str  # how it reaches the estimate
     effects: Effects = field(default_factory=Effects)
     lag_s: Mapping[str, float] = field(default_factory=dict)  # of the sensors, by quantity
+    truth: Mapping[str, object] = field(default_factory=dict)  # what is true of the vehicle, by dotted key
 
     def applied(self, scenario: Scenario) -> Scenario:
         """Return the scenario with this effect and no other."""
         sensors = dict(scenario.sensors)
         for quantity, lag_s in self.lag_s.items():
             sensors[quantity] = replace(sensors[quantity], lag_s=lag_s)
-        return replace(scenario, effects=self.effects, sensors=sensors)
+        truth = replace(scenario.truth, calibration={**scenario.truth.calibration, **self.truth})
+        return replace(scenario, effects=self.effects, sensors=sensors, truth=truth)
+
+
+def exponent_of(exponent: float) -> dict[str, object]:
+    """Return the truth about a vehicle whose friction follows another exponent over the slip, both clutches."""
+    return {f"clutch{clutch}.friction.stribeck_exponent": exponent for clutch in (1, 2)}
 
 
 MATCHED = Mismatch(name="none", way="the belief is right")
@@ -32,6 +39,8 @@ _STRIBECK = (
     "the curve is fitted with a wrong width, so that mu_S, which lies at its end, is extrapolated; the error has the "
     "sign of the slope and nearly cancels in the bias over the fluids"
 )
+_EXPONENT = "the curve has another shape between mu_S and mu_C"
+_TIGHT = "the real film follows the pressure more slowly than the believed one: fine grooves, a tight lining"
 _VISCOSITY = "the film follows the pressure with another delay, and the drag torque scales"
 _CONTACT = "the film settles elsewhere: other transients, the same equilibrium load"
 _GROOVES = "the real film follows the pressure faster than the believed one"
@@ -40,7 +49,7 @@ _RIPPLE = "the speed moves within a segment, and its mean over the segment does 
 _DAMPING = "other vibrations; the balance of the input side does not contain them"
 _MOTORING = "a gain error on negative torque only; it acts in downshifts"
 _FRAMES = "fewer samples"
-_LOSS = "a single lost frame is bridged, two in a row of one message make the shift unusable: fewer shifts, no bias"
+_LOSS = "gaps are bridged, and cost their stretch of the window: less is known, no bias"
 
 ROWS: tuple[Mismatch, ...] = (
     MATCHED,
@@ -49,6 +58,13 @@ ROWS: tuple[Mismatch, ...] = (
         way="the packs run at about 90 degC: friction is truly lower than at the reference it is compared with",
         effects=Effects(friction_fade_per_k=0.001),
     ),
+    Mismatch(
+        name="friction falls 0.2 % per K above 80 degC",
+        way="the same, twice as much",
+        effects=Effects(friction_fade_per_k=0.002),
+    ),
+    Mismatch(name="Stribeck exponent 1.5", way=_EXPONENT, truth=exponent_of(1.5)),
+    Mismatch(name="Stribeck exponent 2", way=_EXPONENT, truth=exponent_of(2.0)),
     Mismatch(name="w_S x 1.5", way=_STRIBECK, effects=Effects(stribeck_speed_ratio=1.5)),
     Mismatch(name="w_S x 0.67", way=_STRIBECK, effects=Effects(stribeck_speed_ratio=0.67)),
     Mismatch(name="viscosity x 1.25", way=_VISCOSITY, effects=Effects(viscosity_ratio=1.25)),
@@ -57,6 +73,7 @@ ROWS: tuple[Mismatch, ...] = (
     Mismatch(name="K_c x 0.67", way=_CONTACT, effects=Effects(contact_stiffness_ratio=0.67)),
     Mismatch(name="grooves, film mobility x 2", way=_GROOVES, effects=Effects(film_mobility_ratio=2.0)),
     Mismatch(name="grooves, film mobility x 4", way=_GROOVES, effects=Effects(film_mobility_ratio=4.0)),
+    Mismatch(name="film mobility x 0.25", way=_TIGHT, effects=Effects(film_mobility_ratio=0.25)),
     Mismatch(
         name="A_K x 1.01",
         way="the real piston pushes harder than believed, which is taken for friction",

@@ -17,6 +17,7 @@ from diag_service.diagnosis.events import Event
 
 NS_TO_S = 1e-9
 GRID_S = 1e-3  # ten points per CAN sample: quadrature error far below sensor noise
+TURNING_RAD_S = 58.0  # 554 rpm: below any idle; there a starter may turn the engine, which no torque reading tells
 END_COUNT = 30  # samples, of which one is nearly on time; an event is cut that much wider than its slip window
 COMMAND_LAG_S = 0.025  # from commanded to piston pressure: solenoid and feed orifice; docs/model.md, hydraulics
 
@@ -94,8 +95,11 @@ def sample_times_s(series: Series, origin_ns: int) -> FloatArray:
 
 
 def segment_centres_s(times_s: FloatArray, speed_rad_s: FloatArray, segment_rad: float) -> FloatArray:
-    """Return the instants to which mean speeds over the last crank segment belong: half a segment earlier."""
-    centres_s: FloatArray = times_s - 0.5 * segment_rad / np.maximum(speed_rad_s, 1.0)
+    """Return the instants to which mean speeds over the last crank segment belong: half a segment earlier.
+
+    An engine that stands or is being started has no segments: its speed is taken as one of `TURNING_RAD_S`.
+    """
+    centres_s: FloatArray = times_s - 0.5 * segment_rad / np.maximum(speed_rad_s, TURNING_RAD_S)
     return centres_s
 
 

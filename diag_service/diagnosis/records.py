@@ -121,6 +121,14 @@ class LiningChange:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class StickSlip:
+    """Launches of one clutch to lock, of the last twenty, and how many of them slipped again after they had stuck."""
+
+    launch_count: int
+    judder_count: int
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class ClutchRatio:
     """Friction of clutch 1 over that of clutch 2; the torque gain cancels, the piston areas do not."""
 
@@ -159,6 +167,7 @@ class ShiftIndices:
     slip_angle_rad: float | None  # slip integrated over time
     torque_capacity_ratio: float | None  # clutch torque transmitted at slip over the one asked for
     std_torque_capacity_ratio: float | None
+    reslip_rad_s: float | None = None  # largest slip under load after it had ended once; 0: none
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -216,6 +225,8 @@ class ClutchVerdict:
     trend: FrictionTrend | None = None  # against the vehicle's own baseline
     clutch_ratio: ClutchRatio | None = None
     lining: LiningChange | None = None  # once there is another fluid than the first
+    stick_slip: StickSlip | None = None
+    calibration_ratio: float | None = None  # how much of what driving tells of the vehicle is known, 0 to 1
     advice: str | None = None  # what to do, by when, how sure: one sentence for a workshop
 
 

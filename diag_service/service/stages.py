@@ -96,7 +96,7 @@ class Stages:
             end_reason=event.end_reason,
         )
         if self.tier is Tier.FRICTION:
-            memory = self._memory.with_fit(estimate).with_shift(estimate, self._state)
+            memory = self._memory.with_fit(estimate).with_shift(estimate, self._state).with_launch(estimate)
             self._memory, verdict = judge(memory, state, estimate.clutch, self._calibration)
         else:
             verdict = no_verdict(estimate.clutch, missing_for_next(self.decoder.signals))

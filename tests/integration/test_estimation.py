@@ -78,7 +78,7 @@ def test_the_common_scale_is_stated_apart() -> None:
     *_, (state, _) = followed(shifts())
     friction = friction_of(state, 1)
     assert friction.std_mu_c > 0.02 * friction.mu_c  # torque gain and inertia, 3 % each, partly cancelling
-    assert friction.random_std_mu_c < 0.5 * friction.std_mu_c
+    assert friction.random_std_mu_c < 0.7 * friction.std_mu_c
 
 
 def test_a_jittering_bus_changes_little() -> None:

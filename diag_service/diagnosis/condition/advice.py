@@ -37,6 +37,9 @@ class Silence(StrEnum):
 
     FEW_SHIFTS = f"drive on and measure again: fewer than {MIN_SHIFT_COUNT} of its shifts could be used"
     MARGIN_UNSURE = "drive on and measure again: its friction is not known well enough yet"
+    LAUNCHES_JUDDER = (
+        "have its launches looked at: the clutch slips again after it has stuck, its friction says not why"
+    )
     CALIBRATION_MISFIT = (
         "no verdict: the calibration does not fit this vehicle; let diag-service calibrate make its own, then measure "
         "again"

@@ -3,30 +3,23 @@
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from enum import StrEnum
-from statistics import NormalDist
 from typing import Self
 
 from clutch_model.calibration import Calibration
-from clutch_model.clutch import FrictionCurve
 from clutch_model.gears import both_clutches, with_clutch
-from diag_service.diagnosis.condition.advice import Cause, Silence, advice
+from diag_service.diagnosis.condition.advice import Silence, advice
+from diag_service.diagnosis.condition.decision import decide, nothing
 from diag_service.diagnosis.condition.lining import LiningBaseline
 from diag_service.diagnosis.condition.scatter import Scatter
+from diag_service.diagnosis.condition.stick_slip import Launches
 from diag_service.diagnosis.condition.thresholds import (
-    CHANGE_LEVEL_RATIO,
-    CHANGE_PROBABILITY,
+    CALIBRATED_RATIO,
     FIT_WINDOW,
-    LEAVE_PROBABILITY,
-    MAX_MARGIN_STD_RATIO,
     MAX_MISFIT_SHARE,
     MIN_MISFIT_COUNT,
-    MIN_SHIFT_COUNT,
     NEW_FLUID_CONTRADICTIONS,
-    SURE_MARGIN_STD_RATIO,
-    WATCH_LEVEL_RATIO,
-    WATCH_MARGIN_RATIO,
-    WATCH_PROBABILITY,
 )
+from diag_service.diagnosis.friction.calibration_progress import calibration_ratio
 from diag_service.diagnosis.friction.friction_values import (
     clutch_ratio,
     common_scale_std_ratio,
@@ -39,8 +32,6 @@ from diag_service.diagnosis.plain_values import from_plain, to_plain
 from diag_service.diagnosis.records import (
     ClutchVerdict,
     Condition,
-    FrictionEstimate,
-    FrictionTrend,
     Reason,
     ShiftEstimate,
     Status,
@@ -68,6 +59,7 @@ class ConditionMemory:
     fits: tuple[Fit, ...] = ()  # of the last shifts, the oldest first
     fluid_since: str | None = None  # fill of the fluid that was last judged, ISO 8601 UTC; None: not known
     linings: tuple[LiningBaseline | None, LiningBaseline | None] = (None, None)  # of the first fluid, over all others
+    launches: tuple[Launches, Launches] = (Launches(), Launches())  # with this fluid
 
     @classmethod
     def fresh(cls) -> Self:
@@ -82,7 +74,10 @@ class ConditionMemory:
         fits = tuple(fit for fit in self.fits if fit is not Fit.CONTRADICTS)
         linings = both_clutches(kept or _lining(old, clutch) for clutch, kept in enumerate(self.linings, start=1))
         conditions = (Condition.NO_VERDICT, Condition.NO_VERDICT)
-        return replace(self, conditions=conditions, fits=fits, fluid_since=filled_at, linings=linings)
+        launches = (Launches(), Launches())
+        return replace(
+            self, conditions=conditions, fits=fits, fluid_since=filled_at, linings=linings, launches=launches
+        )
 
     def with_fit(self, estimate: ShiftEstimate) -> Self:
         """Return the memory after a shift that may have been held against the calibration."""
@@ -93,6 +88,11 @@ class ConditionMemory:
         else:
             fit = Fit.CONTRADICTS if Reason.NOT_UPDATED in estimate.reasons else Fit.AGREES
         return replace(self, fits=(*self.fits, fit)[-FIT_WINDOW:])
+
+    def with_launch(self, estimate: ShiftEstimate) -> Self:
+        """Return the memory after an event, which is of interest if it was a launch."""
+        launches = self.launches[estimate.clutch - 1].with_event(estimate)
+        return replace(self, launches=with_clutch(self.launches, estimate.clutch, launches))
 
     @property
     def misfit_text(self) -> str:
@@ -128,6 +128,8 @@ class ConditionMemory:
         plain = to_plain(self)
         if self.fluid_since is None:  # a vehicle without a fill is kept as by programs that know none
             del plain["fluid_since"], plain["linings"]
+        if self.launches == (Launches(), Launches()):
+            del plain["launches"]
         return {"format": MEMORY_FORMAT} | plain | names
 
     @classmethod
@@ -169,9 +171,13 @@ def judge(
     shift_count = state.shift_counts[index]
     known = bool(shift_count)
     now, since = friction(state, clutch), trend(state, clutch) if known else None
-    finding = _decide(now, since, reference, shift_count, memory.conditions[index])
+    launches = memory.launches[index]
+    finding = decide(now, since, reference, shift_count, memory.conditions[index], launches)
+    progress = calibration_ratio(state, calibration)
     if memory.misfit_text:
-        finding = _nothing(Silence.CALIBRATION_MISFIT, memory.misfit_text)
+        finding = nothing(Silence.CALIBRATION_MISFIT, memory.misfit_text)
+    elif known and progress < CALIBRATED_RATIO:
+        finding = replace(finding, reason=f"{finding.reason}, calibrating: {100.0 * progress:.0f} %")
     scatter, lining = memory.scatters[index], memory.linings[index]
     free = scale_free(state, clutch) if known else None
     verdict = ClutchVerdict(
@@ -187,6 +193,8 @@ def judge(
         trend=since,
         clutch_ratio=clutch_ratio(state),
         lining=None if lining is None or free is None else lining.change(free),
+        stick_slip=launches.reported,
+        calibration_ratio=progress,
         advice=advice(clutch, finding.condition, finding.ground, finding.probability),
     )
     return replace(memory, conditions=with_clutch(memory.conditions, clutch, finding.condition)), verdict
@@ -208,81 +216,3 @@ def no_verdict(clutch: int, missing: str) -> ClutchVerdict:
         shift_count=0,
         advice=advice(clutch, Condition.NO_VERDICT, Silence.SIGNALS_MISSING),
     )
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class _Finding:
-    """A verdict and what it rests on; the probability is that of the cause, of a good fluid that there is none."""
-
-    condition: Condition
-    reason: str
-    ground: Cause | Silence | None
-    probability: float = 0.0
-
-
-def _nothing(silence: Silence, reason: str) -> _Finding:
-    return _Finding(condition=Condition.NO_VERDICT, reason=reason, ground=silence)
-
-
-def _because(condition: Condition, cause: Cause, probability: float, facts: str) -> _Finding:
-    reason = f"{cause} ({probability:.2f}): {facts}"
-    return _Finding(condition=condition, reason=reason, ground=cause, probability=probability)
-
-
-def _decide(
-    friction: FrictionEstimate,
-    since: FrictionTrend | None,
-    reference: FrictionCurve,
-    shift_count: int,
-    previous: Condition,
-) -> _Finding:
-    if shift_count < MIN_SHIFT_COUNT:
-        return _nothing(Silence.FEW_SHIFTS, f"{shift_count} usable shift(s), {MIN_SHIFT_COUNT} needed")
-    reference_margin = reference.mu_c - reference.mu_s
-    margin = NormalDist(friction.mu_c - friction.mu_s, friction.std_slope_s_rad * reference.stribeck_speed_rad_s)
-    level = NormalDist(friction.mu_c / reference.mu_c, friction.std_mu_c / reference.mu_c)
-    facts = _facts(friction, level, since, shift_count)
-    change = {
-        Cause.SHUDDER: friction.probability_negative_slope,
-        Cause.LEVEL_LOW: level.cdf(CHANGE_LEVEL_RATIO),
-        Cause.LOSS_LARGE: _lost(since, CHANGE_LEVEL_RATIO),
-    }
-    cause, probability = _likeliest(change)
-    if probability >= (LEAVE_PROBABILITY if previous is Condition.CHANGE_FLUID else CHANGE_PROBABILITY):
-        return _because(Condition.CHANGE_FLUID, cause, probability, facts)
-    if margin.stdev > MAX_MARGIN_STD_RATIO * reference_margin:
-        return _nothing(Silence.MARGIN_UNSURE, f"mu_C - mu_S known to {margin.stdev:.4f} only: {facts}")
-    watch = {
-        Cause.MARGIN_THIN: margin.cdf(WATCH_MARGIN_RATIO * reference_margin),
-        Cause.LEVEL_FALLING: level.cdf(WATCH_LEVEL_RATIO),
-        Cause.LOSS_BEGUN: _lost(since, WATCH_LEVEL_RATIO),
-    }
-    cause, probability = _likeliest(watch)
-    if probability >= (LEAVE_PROBABILITY if previous is Condition.WATCH else WATCH_PROBABILITY):
-        return _because(Condition.WATCH, cause, probability, facts)
-    thin = watch[Cause.MARGIN_THIN]
-    if thin > LEAVE_PROBABILITY and margin.stdev > SURE_MARGIN_STD_RATIO * reference_margin:
-        return _nothing(Silence.MARGIN_UNSURE, f"too early to say, {Cause.MARGIN_THIN} ({thin:.2f}): {facts}")
-    return _Finding(condition=Condition.GOOD, reason=facts, ground=None, probability=1.0 - probability)
-
-
-def _facts(friction: FrictionEstimate, level: NormalDist, since: FrictionTrend | None, shift_count: int) -> str:
-    facts = (
-        f"mu-v slope negative with probability {friction.probability_negative_slope:.3f}, "
-        f"mu_C {100.0 * level.mean:.0f} +- {100.0 * level.stdev:.0f} % of new"
-    )
-    if since is not None:
-        change, std = 100.0 * since.change_mu_c_ratio, 100.0 * since.std_change_mu_c_ratio
-        facts += f", {change:+.1f} +- {std:.1f} % since the baseline"
-    return f"{facts}, {shift_count} shifts"
-
-
-def _lost(since: FrictionTrend | None, level_ratio: float) -> float:
-    """Return the probability that mu_C has fallen below a share of the vehicle's own baseline."""
-    if since is None:
-        return 0.0
-    return NormalDist(1.0 + since.change_mu_c_ratio, max(since.std_change_mu_c_ratio, 1e-9)).cdf(level_ratio)
-
-
-def _likeliest(causes: Mapping[Cause, float]) -> tuple[Cause, float]:
-    return max(causes.items(), key=lambda item: item[1])

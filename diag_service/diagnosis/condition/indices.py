@@ -20,6 +20,9 @@ from diag_service.diagnosis.records import ShiftIndices
 GRID_S = 0.005
 NS_PER_S = 1e9
 SLIP_RAD_S = 5.0  # beyond it the clutch slips, whatever the speeds of two controllers differ by
+STUCK_RAD_S = 1.0  # below it slip has ended: the speeds of a clutch that sticks differ by their noise
+PRESSED_PA = 0.15e5  # above the touch point: three times what touch point and zero are known to
+PRESSED_NM = 5.0  # asked for: what is less does not move a car
 RELEASED_RATIO = 0.1  # an off-going clutch that is asked for less than this share has let go
 MIN_TORQUE_NM = 10.0  # below it a ratio of torques says nothing
 MIN_WINDOW_S = 0.1
@@ -67,7 +70,29 @@ def measure(event: Event, calibration: Calibration) -> ShiftIndices:
         slip_angle_rad=float(size.sum() * GRID_S),
         torque_capacity_ratio=ratio,
         std_torque_capacity_ratio=std,
+        reslip_rad_s=_reslip(np.where(_pressed(grid, calibration), size, 0.0)),
     )
+
+
+def _reslip(pressed_rad_s: FloatArray) -> float:
+    """Return the largest slip under load after it had begun and ended once [rad/s]: stick-slip, if there is much."""
+    begun = np.flatnonzero(pressed_rad_s > SLIP_RAD_S)
+    if not len(begun):
+        return 0.0
+    since = pressed_rad_s[begun[0] :]
+    ended = np.flatnonzero((since > 0.0) & (since < STUCK_RAD_S))
+    return float(since[ended[0] :].max()) if len(ended) else 0.0
+
+
+def _pressed(grid: _Grid, calibration: Calibration) -> npt.NDArray[np.bool_]:
+    """Return where the clutch of the gear carries load, shape (n,); everywhere if nothing tells."""
+    clutch = clutch_of_gear(grid.event.to_gear)
+    is_first = clutch == 1
+    pressure_pa = grid.value(Signal.CLUTCH1_PRESSURE if is_first else Signal.CLUTCH2_PRESSURE)
+    if pressure_pa is not None:
+        return pressure_pa > calibration.clutches[clutch - 1].touch_pressure_pa + PRESSED_PA
+    asked_nm = grid.value(Signal.CLUTCH1_TORQUE_COMMAND if is_first else Signal.CLUTCH2_TORQUE_COMMAND)
+    return np.ones(len(grid.t_s), np.bool_) if asked_nm is None else asked_nm > PRESSED_NM
 
 
 def _slip(grid: _Grid) -> FloatArray | None:

@@ -127,10 +127,10 @@ def friction_pairs(at: FloatArray) -> FloatArray:
 
 
 def integrate_films(
-    drives: tuple[PressureDrive, PressureDrive], calibration: Calibration, stop: int | None = None
+    drives: tuple[PressureDrive, PressureDrive], calibration: Calibration, stop: int | None = None, step: int = 1
 ) -> tuple[FilmTrack, FilmTrack]:
-    """Integrate both films, up to a row of the grid."""
-    return integrate_film(1, drives[0], calibration, stop), integrate_film(2, drives[1], calibration, stop)
+    """Integrate both films, up to a row of the grid, in steps of some rows."""
+    return both_clutches(integrate_film(m + 1, drives[m], calibration, stop, step) for m in range(2))
 
 
 def weigh(

@@ -1,7 +1,8 @@
-"""How much less an event tells in cold oil, where the film, not the lining, carries the torque.
+"""How far one event may be from the vehicle, above all in cold oil, where the film, not the lining, carries the torque.
 
 Viscosity, film and drag are believed as at work; the colder a pack, the farther off they may be, each event in its own
-way: how oil and air fill a closing pack, how a filled one opens, how warm its oil is between the linings.
+way: how oil and air fill a closing pack, how a filled one opens, how warm its oil is between the linings. Friction
+differs a little from event to event at any temperature.
 """
 
 from typing import Final
@@ -11,6 +12,7 @@ import numpy as np
 from canlog.arrays import FloatArray
 from diag_service.diagnosis.friction.balance import Balance, contact_nm
 from diag_service.diagnosis.friction.parameters import (
+    FRICTION_COUNT,
     PARAMETER_COUNT,
     STATE_COUNT,
     Considered,
@@ -26,6 +28,7 @@ PRESSURE_LATENCY_S: Final = 0.02  # a film that closes or opens earlier or later
 CONTACT_STIFFNESS_RATIO: Final = 0.2
 FILM_MOBILITY_LOG: Final = 1.0
 OPEN_DRAG_LOG: Final = 1.0
+FRICTION_RATIO: Final = 0.01  # of mu, also at work: heat, oil and load are spread over the linings anew each time
 MOST_FILM_SHARE: Final = 0.4  # of the torque in the slip window: beyond it nothing is said of friction
 
 
@@ -39,7 +42,9 @@ def own_variance(balance: Balance, clutch: int) -> FloatArray:
     variance[STATE_COUNT + Considered.CONTACT_STIFFNESS] = CONTACT_STIFFNESS_RATIO**2
     variance[STATE_COUNT + Considered.FILM_MOBILITY] = FILM_MOBILITY_LOG**2
     variance[STATE_COUNT + Considered.OPEN_DRAG] = OPEN_DRAG_LOG**2
-    return np.asarray(variance * max(0.0, (WORKING_K - pack_k) / COLD_SPAN_K) ** 2)
+    variance *= max(0.0, (WORKING_K - pack_k) / COLD_SPAN_K) ** 2
+    variance[:FRICTION_COUNT] = (FRICTION_RATIO * balance.at[:FRICTION_COUNT]) ** 2
+    return variance
 
 
 def film_share(balance: Balance, clutch: int) -> float:

@@ -45,7 +45,7 @@ NEAR_STEP = 0.5  # standard deviations of the type: up to there derivatives are 
 LONGEST_STEP = 2.0  # standard deviations of the type: farther off, the balance is not linear
 MAX_MISFIT = 4.0  # chi-square per degree of freedom; a clean shift stays below 2.5
 MAX_EXCESS = 48.0  # of chi-square over its expectation: an error adds as much to few numbers as to many
-SCORE_GATE = 4.5  # standard deviations that one parameter is displaced: by chance one clean shift in 13,000
+SCORE_GATE = 5.5  # standard deviations that one parameter is displaced: of sound drives one event in 340 reaches 4.7
 FULL_WINDOW_S = 0.25  # the shortest slip window that every regular shift offers
 
 

@@ -25,6 +25,7 @@ from clutch_model.thermal import clutch_heating_rate_k_s
 from clutch_model.viscosity import viscosity_pa_s
 from diag_service.diagnosis.alignment import GRID_S
 
+COARSE = 3  # points of the grid: steps in which a film may be followed whose derivatives alone are wanted
 _ANY_K = 350.0
 DRAG_LIMIT_NM = 8.0  # of an open pack: its oil is full of air, so the law of a full film ends there
 _CONTACT_END = 4.0  # film over roughness from which no asperities touch: a pack begins to be open
@@ -74,6 +75,7 @@ class _Driven(NamedTuple):
     slip_rad_s: FloatArray
     start_k: float
     open_drag_ratio: float
+    step_s: float
 
 
 class _Rows(NamedTuple):
@@ -86,12 +88,15 @@ class _Rows(NamedTuple):
     clutch_k: FloatArray
 
 
-def integrate_film(clutch: int, drive: PressureDrive, calibration: Calibration, stop: int | None = None) -> FilmTrack:
+def integrate_film(
+    clutch: int, drive: PressureDrive, calibration: Calibration, stop: int | None = None, step: int = 1
+) -> FilmTrack:
     """Integrate film and pack temperature of clutch 1 or 2; docs/model.md eq. (7) and section "Thermal".
 
     The clutch starts in equilibrium: open, or pressed and at rest. Its heat uses the calibration's friction, which is
     near enough: 15 % of friction changes the pack by about one kelvin. ``stop`` is the number of grid points to
-    integrate, by default all; the track is zero beyond them.
+    integrate, by default all; the track is zero beyond them. ``step`` is the number of grid points from one step to the
+    next; points between have what the one before them has.
     """
     nominal = calibration.clutches[clutch - 1]
     law = film_law(nominal)
@@ -104,15 +109,27 @@ def integrate_film(clutch: int, drive: PressureDrive, calibration: Calibration, 
         convection_w_k=float(nominal.thermal.convection_w_k),
         oil_k=drive.oil_k,
     )
-    rows = _Rows(*(np.zeros_like(drive.piston_pa) for _ in _Rows._fields))
     driven = _Driven(
-        piston_pa=drive.piston_pa[:stop],
-        slip_rad_s=drive.slip_rad_s[:stop],
+        piston_pa=np.ascontiguousarray(drive.piston_pa[:stop:step]),
+        slip_rad_s=np.ascontiguousarray(drive.slip_rad_s[:stop:step]),
         start_k=drive.clutch_k,
         open_drag_ratio=drive.open_drag_ratio,
+        step_s=step * GRID_S,
     )
+    rows = _Rows(*(np.zeros(len(driven.piston_pa)) for _ in _Rows._fields))
     final_k = _integrate(driven, law, friction_law(nominal.friction), heat, rows)
-    return FilmTrack(**rows._asdict(), final_clutch_k=final_k)
+    count = len(drive.piston_pa[:stop])
+    tracks = {name: _filled(row, step, count, len(drive.piston_pa)) for name, row in rows._asdict().items()}
+    return FilmTrack(**tracks, final_clutch_k=final_k)
+
+
+def _filled(row: FloatArray, step: int, count: int, length: int) -> FloatArray:
+    """Return a row of a coarse grid on the even grid, zero beyond ``count`` points."""
+    if step == 1 and count == length:
+        return row
+    filled = np.zeros(length)
+    filled[:count] = np.repeat(row, step)[:count]
+    return filled
 
 
 def compile_film(calibration: Calibration) -> None:
@@ -142,15 +159,15 @@ def _integrate(driven: _Driven, law: FilmLaw, friction: FrictionLaw, heat: HeatL
         power_w = (contact_nm + abs(viscous_nm)) * abs(slip)
         if abs(slip) < 1.0:
             power_w = 0.0  # locked, or as good as; the noise of the slip would heat it
-        clutch_k += GRID_S * clutch_heating_rate_k_s(
+        clutch_k += driven.step_s * clutch_heating_rate_k_s(
             power_w, clutch_k, heat.oil_k, heat.heat_capacity_j_k, heat.convection_w_k
         )
         if k + 1 < len(piston_pa):
             driving_pa = 0.5 * (piston_pa[k] + piston_pa[k + 1])
             if film_m < law.open_gap_m or applied_pressure_pa(driving_pa, law) > 0.0:  # else an open pack stays open
                 before_m = film_m
-                film_m = _film_step(film_m, driving_pa, viscosity, law)
-                film_rate_1_s = abs(film_m / before_m - 1.0) / GRID_S
+                film_m = _film_step(film_m, driving_pa, viscosity, law, driven.step_s)
+                film_rate_1_s = abs(film_m / before_m - 1.0) / driven.step_s
                 shear = shear_factor_difference(film_m / law.roughness_m)
     return clutch_k
 
@@ -171,11 +188,11 @@ def _openness(film_m: float, law: FilmLaw) -> float:
 
 
 @kernel
-def _film_step(film_m: float, piston_pa: float, viscosity: float, law: FilmLaw) -> float:
-    """Return the film one grid step later by the exponential Rosenbrock-Euler rule, exact for a linear rate."""
+def _film_step(film_m: float, piston_pa: float, viscosity: float, law: FilmLaw, step_s: float) -> float:
+    """Return the film one step later by the exponential Rosenbrock-Euler rule, exact for a linear rate."""
     rate = measured_film_rate_m_s(film_m, piston_pa, viscosity, law)
     step_m = 1e-4 * film_m
     slope = (measured_film_rate_m_s(film_m + step_m, piston_pa, viscosity, law) - rate) / step_m
-    reach = slope * GRID_S
-    stretch = GRID_S if abs(reach) < 1e-6 else GRID_S * (math.exp(min(reach, 50.0)) - 1.0) / reach
+    reach = slope * step_s
+    stretch = step_s if abs(reach) < 1e-6 else step_s * (math.exp(min(reach, 50.0)) - 1.0) / reach
     return min(max(film_m + rate * stretch, law.min_film_m), law.open_gap_m)

@@ -20,6 +20,7 @@ from diag_service.diagnosis.friction.parameters import (
 from diag_service.diagnosis.friction.posterior import Posterior
 from diag_service.diagnosis.records import ClutchRatio, FrictionEstimate, FrictionTrend, ScaleFreeFriction
 
+MODEL_STD_RATIO = 0.004  # by which a real clutch differs from the law alike in all events: they do not average it out
 _GAIN = STATE_COUNT + Considered.TORQUE_GAIN
 _WIDTH = STATE_COUNT + Considered.STRIBECK_SPEED
 _AREAS = (STATE_COUNT + Considered.PISTON_AREA1, STATE_COUNT + Considered.PISTON_AREA2)
@@ -33,7 +34,7 @@ def friction(state: Posterior, clutch: int) -> FrictionEstimate:
     slope = np.zeros((2, PARAMETER_COUNT))
     slope[:, rows] = np.eye(2) / gain
     slope[:, _GAIN] = -mu / gain
-    total = slope @ known.covariance @ slope.T
+    total = slope @ known.covariance @ slope.T + np.diag((MODEL_STD_RATIO * mu) ** 2)
     std, free = np.sqrt(np.diag(total)), scale_free(state, clutch)
     width = state.stribeck_speed_rad_s[clutch - 1] * (1.0 + float(known.mean[_WIDTH]))
     std_difference = float(np.sqrt(total[0, 0] + total[1, 1] - 2.0 * total[0, 1]))
@@ -63,7 +64,7 @@ def scale_free(state: Posterior, clutch: int) -> ScaleFreeFriction:
     slope = np.zeros((2, PARAMETER_COUNT))
     slope[:, rows] = np.eye(2) * area_ratio
     slope[:, area] = known.mean[rows]
-    covariance = slope @ known.covariance @ slope.T
+    covariance = slope @ known.covariance @ slope.T + np.diag((MODEL_STD_RATIO * mu) ** 2)
     std = np.sqrt(np.diag(covariance))
     return ScaleFreeFriction(
         mu_c=float(mu[0]),
@@ -127,7 +128,8 @@ def clutch_ratio(state: Posterior) -> ClutchRatio | None:
     first, second = known.mean[friction_rows(1)], known.mean[friction_rows(2)]
     by_state = np.hstack((np.diag(1.0 / second), np.diag(-first / second**2)))
     covariance = by_state @ known.covariance[:FRICTION_COUNT, :FRICTION_COUNT] @ by_state.T
-    ratio, std = first / second, np.sqrt(np.maximum(np.diag(covariance), 0.0))
+    ratio = first / second
+    std = np.sqrt(np.maximum(np.diag(covariance), 0.0) + 2.0 * (MODEL_STD_RATIO * ratio) ** 2)
     return ClutchRatio(
         mu_c_ratio=float(ratio[0]),
         mu_s_ratio=float(ratio[1]),

@@ -99,18 +99,19 @@ def prior_covariance(calibration: Calibration) -> FloatArray:
 def _nuisance_covariance(calibration: Calibration) -> FloatArray:
     joint = calibration.joint
     if joint is None:
-        return np.diag(np.square(_single_std(calibration)))
+        return np.diag(np.square(type_std(calibration)))
     if joint.names != NUISANCE_NAMES[: len(joint.names)] or len(joint.names) < LEAST_JOINT_COUNT:
         raise CalibrationError(f"joint.names must be {', '.join(NUISANCE_NAMES)}")
     count, std = len(joint.names), np.array(joint.std)
-    covariance = np.diag(np.square(_single_std(calibration)))  # of what earlier programs did not calibrate
+    covariance = np.diag(np.square(type_std(calibration)))  # of what earlier programs did not calibrate
     covariance[:count, :count] = std[:, None] * np.array(joint.correlation) * std
     if np.linalg.eigvalsh(np.array(joint.correlation))[0] < -1e-9:
         raise CalibrationError("joint.correlation is not positive")
     return covariance
 
 
-def _single_std(calibration: Calibration) -> list[float]:
+def type_std(calibration: Calibration) -> list[float]:
+    """Return by how much vehicles of the type differ in each of ``NUISANCE_NAMES``."""
     scatter = calibration.uncertainty
     return [
         scatter.torque_offset_nm,

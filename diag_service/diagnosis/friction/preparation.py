@@ -8,7 +8,7 @@ import numpy as np
 from canlog.arrays import FloatArray
 from clutch_model.calibration import Calibration
 from clutch_model.gears import both_clutches
-from diag_service.diagnosis.alignment import NS_TO_S, AlignedSignals
+from diag_service.diagnosis.alignment import NS_TO_S, TURNING_RAD_S, AlignedSignals
 from diag_service.diagnosis.events import Event
 from diag_service.diagnosis.friction.evidence import Measurement
 from diag_service.diagnosis.friction.film_track import PressureDrive
@@ -19,7 +19,6 @@ EMPTY_PA = 0.30e5  # an idle clutch reads less than this: it is empty, and the r
 EMPTY_S = 0.1
 OVERLAP_NS = 1e9  # the cut of an event may begin in the event before; what is further back is another stretch of time
 PRESSURE_DEGREE = 3
-TURNING_RAD_S = 58.0  # 554 rpm: below any idle; there a starter may turn the engine, which no torque reading tells
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -29,7 +29,7 @@ from diag_service.diagnosis.friction.balance import (
     weigh,
 )
 from diag_service.diagnosis.friction.evidence import Measurement
-from diag_service.diagnosis.friction.film_track import integrate_film
+from diag_service.diagnosis.friction.film_track import COARSE, integrate_film
 from diag_service.diagnosis.friction.parameters import (
     PARAMETER_COUNT,
     STATE_COUNT,
@@ -42,7 +42,8 @@ from diag_service.diagnosis.friction.preparation import planned_drives
 from diag_service.diagnosis.friction.window import SLIP_DEGREE, Weights
 
 MIN_EXCESS = 0.05  # keeps exponents below one finite at zero slip
-DOUBT_TIME_S = 0.1  # for which a film that is not known is wrong one way
+DOUBT_RATIO = 0.01  # of a clutch's torque: so far no law of friction and film holds moment by moment
+DOUBT_TIME_S = 0.1  # for which what is not known is wrong one way
 IDLE_RATIO = 0.1  # of the noise: a clutch that weighs less than this in the balance has no say in any derivative
 
 
@@ -91,7 +92,7 @@ class Sensitivity:
         self._torque_nm = balance.weights.fitted(
             balance.signals.engine_torque.on_grid[balance.weights.rows], SLIP_DEGREE
         )
-        planned = integrate_films(self._planned, balance.calibration, balance.window.stop)
+        planned = integrate_films(self._planned, balance.calibration, balance.window.stop, COARSE)
         self._tracks = both_clutches(  # a command shows how a clutch is filled less well than how it heats up
             replace(track, clutch_k=seen.clutch_k) for track, seen in zip(planned, balance.tracks, strict=True)
         )
@@ -151,7 +152,7 @@ class Sensitivity:
         drive, track = self._planned[m], self._tracks[m]
         if perturbation.moves_film:
             drive = perturbation.of_drive(drive, balance.signals.grid_s)
-            track = integrate_film(m + 1, drive, calibration, balance.window.stop)
+            track = integrate_film(m + 1, drive, calibration, balance.window.stop, COARSE)
         return moments_of(balance.weights, m, drive, track, calibration)
 
     def _changed_calibration(self, perturbation: Perturbation) -> Calibration:
@@ -187,12 +188,13 @@ class Sensitivity:
     def _noises(self) -> list[FloatArray]:
         """Return the covariance of the residual of each piece from sensor noise, every sample independent.
 
-        A film that is not known is noise of another kind, wrong one way for a while.
+        Films and friction that are not known are noise of another kind, wrong one way for a while.
         """
         balance, calibration = self._balance, self._balance.calibration
         signals, side, sensors = balance.signals, calibration.input_side, calibration.noise
         value, rows, gain = balance.weights.value, balance.weights.rows, calibration.bias.torque_gain
         all_by_slip = np.zeros(rows.stop - rows.start)
+        doubts = []
         factors = [
             sensors.engine_torque_nm * self._spread.torque_value,
             sensors.engine_speed_rad_s * gain * side.engine_inertia_kg_m2 * self._spread.engine_rate,
@@ -203,13 +205,14 @@ class Sensitivity:
             torques_nm = contact_nm(clutch, drive, track, rows)
             by_slip = torques_nm[:, 1] * (mu[0] - mu[1]) * steepness(drive.slip_rad_s[rows], clutch.friction)
             all_by_slip += by_slip
+            doubt_nm = np.hypot(balance.tracks[m].doubt_nm[rows], DOUBT_RATIO * (torques_nm @ mu))
+            doubts.append(value * (gain * math.sqrt(DOUBT_TIME_S / GRID_S) * doubt_nm))
             factors.append(sensors.input_speed_rad_s * (value * by_slip).on_samples(signals.input_speed[m]))
             area_ratio = clutch.geometry.piston_area_m2 / clutch.geometry.lining_area_m2
             by_pressure = area_ratio * mu[0] * torques_nm.sum(axis=1) / np.maximum(track.contact_pa[rows], 1.0)
             factors.append(sensors.pressure_pa * (value * by_pressure).on_samples(signals.pressure[m]))
         by_hub = gain * self._spread.hub(side) - (value * all_by_slip).on_samples(signals.hub_speed)
         factors.append(sensors.hub_speed_rad_s * by_hub)
-        doubts = [value * (gain * math.sqrt(DOUBT_TIME_S / GRID_S) * track.doubt_nm[rows]) for track in balance.tracks]
         return [
             np.asarray(
                 sum(factor[band] @ factor[band].T for factor in factors)

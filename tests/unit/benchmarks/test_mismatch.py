@@ -33,6 +33,7 @@ def outcome(scenario: str, parameter: str, error: float, *, std: float = 0.02) -
         random_std_ratio=0.005,
         std_ratio=std,
         used_shifts=0.9,
+        is_wrong=error > 0.005 and parameter == "mu_c",
     )
 
 
@@ -61,7 +62,7 @@ def test_a_row_changes_effects_or_sensors_and_makes_a_vehicle(row: Mismatch) -> 
     changed = {
         member.name for member in fields(Scenario) if getattr(applied, member.name) != getattr(plain, member.name)
     }
-    assert changed in ({"effects"}, {"sensors"})
+    assert changed in ({"effects"}, {"sensors"}, {"truth"})
     build_vehicle(applied)
 
 
@@ -93,6 +94,7 @@ def test_figures_of_a_row() -> None:
     assert line.random_coverage == 0.5
     assert line.total_coverage == (1.0, 0.5)
     assert line.unused_shifts == pytest.approx(0.1)
+    assert line.wrong_verdicts == 1
     assert not line.holds
 
 

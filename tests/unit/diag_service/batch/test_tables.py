@@ -23,7 +23,7 @@ ENTRIES = tuple(
 
 def test_a_row_has_columns_of_the_schema_only() -> None:
     row = {"path": "a.log", **flattened(shift_record(shift_result()))}
-    assert row.keys() - {"indices", "verdict.lining"} <= columns().keys()  # null as a whole
+    assert row.keys() - {"indices", "verdict.lining", "verdict.stick_slip"} <= columns().keys()  # null as a whole
     assert columns()["friction.mu_c"] == "float64"
     assert columns()["clutch"] == columns()["tier"] == columns()["seq"] == "int64"
     assert columns()["reasons"] == columns()["status"] == "string"

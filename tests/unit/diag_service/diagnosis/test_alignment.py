@@ -78,6 +78,15 @@ def test_a_mean_over_a_crank_segment_belongs_to_its_centre() -> None:
     assert np.allclose(means, 300.0 + acceleration * centres_s, atol=0.01)
 
 
+def test_an_engine_that_stands_or_is_started_has_no_segments() -> None:
+    times_s = np.linspace(0.0, 1.99, 200)
+    noise = np.random.default_rng(4).uniform(0.0, 2.0, 200)
+    started = np.clip(400.0 * (times_s - 0.5), 0.0, 120.0) * (times_s < 1.5)  # and stopped dead
+    centres_s = segment_centres_s(times_s, started + noise, 2.0943951023931953)
+    assert np.all(np.diff(centres_s) > 0.0)
+    assert np.all(times_s - centres_s < 0.02)
+
+
 @pytest.mark.parametrize("degree", [0, 1])
 def test_interpolation_is_exact_for_straight_lines(degree: int) -> None:
     times_s = np.array([0.0, 0.01, 0.03, 0.04])

@@ -33,7 +33,7 @@ def verdict_on(
             0.125,
             (
                 "Clutch 2: have the fluid changed at the next service: 50 % of its margin against shudder are gone "
-                "(96 % sure)."
+                "(94 % sure)."
             ),
         ),
         (0.119, 0.137, "Clutch 2: change the fluid now: its fluid lets it shudder (over 99 % sure)."),
@@ -57,7 +57,7 @@ def test_a_verdict_that_merely_stands_says_what_calls_it_off() -> None:
     verdict = verdict_on(0.1295, 0.1285, previous=Condition.CHANGE_FLUID)
     assert verdict.condition is Condition.CHANGE_FLUID
     assert verdict.advice is not None
-    assert verdict.advice.endswith("(24 % sure, after at least 95 %; called off below 20 %).")
+    assert verdict.advice.endswith("(26 % sure, after at least 95 %; called off below 20 %).")
 
 
 def test_what_was_lost_of_the_own_friction_is_told_as_that() -> None:

@@ -289,3 +289,20 @@ def test_a_memory_with_an_impossible_lining_is_refused() -> None:
     assert isinstance(linings, list)
     with pytest.raises(ValueError, match="impossible lining"):
         ConditionMemory.from_json(table | {"linings": [linings[0] | {"mu_c": 0.0}, None]})
+
+
+def test_it_says_while_it_learns_the_vehicle() -> None:
+    new = believed(0.14, 0.119)
+    _, verdict = judge(ConditionMemory.fresh(), new, 1, CALIBRATION)
+    assert verdict.calibration_ratio == 0.0
+    assert verdict.reason.endswith(", calibrating: 0 %")
+    half, known = new.known.covariance.copy(), new.known.covariance.copy()
+    half[FRICTION_COUNT:, FRICTION_COUNT:] *= 0.6**2
+    known[FRICTION_COUNT:, FRICTION_COUNT:] *= 0.1**2
+    for covariance, ratio, text in ((half, 0.4, "calibrating: 40 %"), (known, 0.9, "")):
+        state = replace(Posterior.of(Knowledge(mean=new.known.mean, covariance=covariance), CALIBRATION),
+                        folded_counts=(5, 5))  # fmt: skip
+        _, verdict = judge(ConditionMemory.fresh(), state, 1, CALIBRATION)
+        assert verdict.calibration_ratio == pytest.approx(ratio)
+        assert verdict.reason.endswith(text)
+        assert ("calibrating" in verdict.reason) is bool(text)

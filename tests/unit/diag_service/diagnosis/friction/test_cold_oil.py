@@ -13,9 +13,15 @@ from diag_service.diagnosis.alignment import GRID_S
 from diag_service.diagnosis.columns import Signal
 from diag_service.diagnosis.events import Event
 from diag_service.diagnosis.friction import Estimator, Posterior
-from diag_service.diagnosis.friction.cold_oil import COLD_SPAN_K, VISCOSITY_RATIO, WORKING_K, own_variance
+from diag_service.diagnosis.friction.cold_oil import (
+    COLD_SPAN_K,
+    FRICTION_RATIO,
+    VISCOSITY_RATIO,
+    WORKING_K,
+    own_variance,
+)
 from diag_service.diagnosis.friction.film_track import FilmTrack, PressureDrive, integrate_film
-from diag_service.diagnosis.friction.parameters import STATE_COUNT, Considered
+from diag_service.diagnosis.friction.parameters import FRICTION_COUNT, STATE_COUNT, Considered
 from diag_service.diagnosis.records import Reason, Status
 from tests.unit.diag_service.diagnosis.shifts_of_a_drive import first_shifts
 
@@ -65,10 +71,12 @@ def test_a_piston_at_its_touch_point_may_press_or_not() -> None:
 @pytest.mark.parametrize(("below_k", "share"), [(-5.0, 0.0), (0.0, 0.0), (30.0, 0.5), (60.0, 1.0)])
 def test_each_event_has_a_film_of_its_own_the_colder_its_pack(below_k: float, share: float) -> None:
     track = SimpleNamespace(clutch_k=np.full(10, WORKING_K - below_k * COLD_SPAN_K / 60.0))
-    balance = cast("Any", SimpleNamespace(tracks=(track, track), window=SimpleNamespace(slip_rows=slice(0, 10))))
+    window, at = SimpleNamespace(slip_rows=slice(0, 10)), Posterior.fresh(CALIBRATION).known.mean
+    balance = cast("Any", SimpleNamespace(tracks=(track, track), window=window, at=at))
     variance = own_variance(balance, 1)
     assert variance[STATE_COUNT + Considered.VISCOSITY] == pytest.approx((share * VISCOSITY_RATIO) ** 2)
     assert variance[STATE_COUNT + Considered.TORQUE_GAIN] == 0.0
+    assert variance[:FRICTION_COUNT] == pytest.approx((FRICTION_RATIO * at[:FRICTION_COUNT]) ** 2)
 
 
 def test_where_the_film_carries_the_torque_nothing_is_said_of_friction() -> None:

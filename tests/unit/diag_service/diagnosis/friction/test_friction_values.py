@@ -13,6 +13,7 @@ from clutch_model.calibration import nominal_calibration
 from diag_service.diagnosis.friction.baseline import BASELINE_SHIFT_COUNT, Baseline
 from diag_service.diagnosis.friction.evidence import Evidence, Knowledge, fuse
 from diag_service.diagnosis.friction.friction_values import (
+    MODEL_STD_RATIO,
     clutch_ratio,
     common_scale_std_ratio,
     friction,
@@ -101,6 +102,9 @@ def errors() -> dict[str, FloatArray]:
         since, ratio = trend(state, 2), clutch_ratio(state)
         assert since is not None
         assert ratio is not None
+        model = 1.0 + MODEL_STD_RATIO * rng.normal(size=FRICTION_COUNT)  # what all events of a clutch show alike
+        now[:FRICTION_COUNT] *= model
+        then[:FRICTION_COUNT] *= model
         free, absolute, change = scale_free(state, 1), friction(state, 1), (now - then) / gain
         pairs = {
             "mu_C": (absolute.mu_c - now[0] / gain, absolute.std_mu_c),
@@ -181,12 +185,13 @@ def test_gain_alone_leaves_the_ratio_certain_and_the_areas_do_not() -> None:
     slope[:, Considered.ENGINE_INERTIA] = 0.5 * mu  # alike in all four
     ratio = clutch_ratio(driven_by(slope))
     assert ratio is not None
-    assert ratio.std_mu_c_ratio == pytest.approx(0.0, abs=1e-8)
+    assert ratio.std_mu_c_ratio == pytest.approx(np.sqrt(2.0) * MODEL_STD_RATIO)
     slope[:2, Considered.PISTON_AREA1] = mu[:2]
     slope[2:4, Considered.PISTON_AREA2] = mu[2:4]
     ratio = clutch_ratio(driven_by(slope))
     assert ratio is not None
-    assert ratio.std_mu_c_ratio == pytest.approx(np.sqrt(2.0) * CALIBRATION.uncertainty.piston_area_ratio)
+    one = np.hypot(CALIBRATION.uncertainty.piston_area_ratio, MODEL_STD_RATIO)
+    assert ratio.std_mu_c_ratio == pytest.approx(np.sqrt(2.0) * one)
 
 
 @pytest.mark.parametrize("clutch", [1, 2])
@@ -209,8 +214,8 @@ def test_a_piston_area_that_is_the_lever_of_friction_only_leaves_the_scale_free_
     slope[rows, AREAS[clutch - 1] - STATE_COUNT] = -FRESH.known.mean[rows]
     state = driven_by(slope, noise=1e-3)
     free = scale_free(state, clutch)
-    assert free.std_mu_c == pytest.approx(1e-3)
-    assert free.std_mu_s == pytest.approx(1e-3)
+    assert free.std_mu_c == pytest.approx(np.hypot(1e-3, MODEL_STD_RATIO * free.mu_c))
+    assert free.std_mu_s == pytest.approx(np.hypot(1e-3, MODEL_STD_RATIO * free.mu_s))
     assert friction(state, clutch).std_mu_c > 0.01 * free.mu_c
 
 

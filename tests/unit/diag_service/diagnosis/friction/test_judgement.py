@@ -1,6 +1,7 @@
 """Which of the last events are believed, and from where on a clutch is another one; events are simple on purpose."""
 
 from collections.abc import Sequence
+from typing import cast
 
 import numpy as np
 import pytest
@@ -21,6 +22,13 @@ from diag_service.diagnosis.friction.parameters import (
 
 STD = 0.001  # of friction seen in one event
 MU = np.array([0.140, 0.120])
+
+
+class Quiet:
+    """Noise that is none."""
+
+    def normal(self, size: int) -> FloatArray:
+        return np.zeros(size)
 
 
 def base() -> Knowledge:
@@ -81,6 +89,19 @@ def test_three_that_agree_are_a_change(level: float) -> None:
     assert three.first_changed == 8
     assert three.is_used[8:] == (True, True, True)
     assert three.fusion.knowledge.mean[:2] == pytest.approx(level * MU, abs=5.0 * STD)
+
+
+@pytest.mark.parametrize("level", [0.98, 1.02])
+def test_a_change_too_small_for_any_event_to_be_left_out_is_followed_as_well(level: float) -> None:
+    quiet = cast("np.random.Generator", Quiet())
+    seen = [event(number, 1, (level if number > 8 else 1.0) * MU, quiet) for number in range(1, 13)]
+    for count in (9, 10):
+        some = judge(base(), seen[:count])
+        assert all(some.is_used)
+        assert some.first_changed is None
+    changed = judge(base(), seen[:11])
+    assert changed.first_changed == 8
+    assert changed.fusion.knowledge.mean[:2] == pytest.approx(level * MU, abs=4.0 * STD)
 
 
 def test_three_that_agree_with_nobody_are_no_change() -> None:

@@ -106,7 +106,7 @@ def test_what_the_type_does_not_tell_is_never_averaged_away() -> None:
         state = state.with_event(news)
     found = friction(state, 1)
     assert found.std_mu_c == pytest.approx(np.hypot(0.03, 0.01) * 0.14, rel=0.03)
-    assert found.random_std_mu_c < 0.1 * found.std_mu_c
+    assert found.random_std_mu_c < 0.15 * found.std_mu_c
 
 
 def test_a_saved_state_goes_on_bit_by_bit() -> None:

@@ -1,0 +1,128 @@
+"""Launches that judder: what counts, what is remembered, and what that says of the slope."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from canlog.arrays import FloatArray
+from canlog.series import Series
+from clutch_model.calibration import nominal_calibration
+from diag_service.diagnosis.columns import Columns, Signal
+from diag_service.diagnosis.condition.condition import ConditionMemory, judge
+from diag_service.diagnosis.condition.indices import measure
+from diag_service.diagnosis.condition.stick_slip import LAUNCH_WINDOW, Launches
+from diag_service.diagnosis.events import EndReason, Event, EventKind
+from diag_service.diagnosis.records import Condition, ShiftEstimate, StickSlip
+from tests.support.builders import shift_estimate
+from tests.unit.diag_service.diagnosis.condition.test_condition import FILLED_AT, believed
+
+CALIBRATION = nominal_calibration()
+STEP_NS = 10_000_000
+T_S = np.arange(0.0, 3.5, 0.01)
+SWING_HZ = 12.0
+NOISE_RAD_S = 0.3
+LOADED_PA, EMPTY_PA = 6e5, 0.0
+
+
+def launch(swing_rad_s: float, *, pressure_pa: FloatArray | float = LOADED_PA, sign: float = 1.0) -> Event:
+    """Return a launch whose clutch sticks after 2 s and then swings open for half a second."""
+    closing_rad_s = np.clip(60.0 * (1.0 - T_S / 2.0), 0.0, None)
+    swing = swing_rad_s * np.abs(np.sin(2.0 * np.pi * SWING_HZ * T_S)) * ((T_S > 2.1) & (T_S < 2.6))
+    noise = np.random.default_rng(1).normal(0.0, NOISE_RAD_S, len(T_S))
+    columns = {
+        Signal.HUB_SPEED: series(200.0 + sign * (closing_rad_s + swing) + noise),
+        Signal.INPUT1_SPEED: series(200.0),
+        Signal.CLUTCH1_PRESSURE: series(pressure_pa),
+    }
+    return Event(
+        kind=EventKind.LAUNCH, number=1, from_gear=1, to_gear=1, start_ns=0, end_ns=3_000_000_000,
+        end_reason=EndReason.COMPLETE, columns=columns, bad_frame_count=0,
+    )  # fmt: skip
+
+
+def series(value: FloatArray | float) -> Series:
+    rows = np.arange(len(T_S), dtype=np.int64)
+    return Series(t_ns=rows * STEP_NS, sequence=rows, value=np.broadcast_to(np.asarray(value, float), T_S.shape).copy())
+
+
+def launched(*reslips_rad_s: float | None) -> ConditionMemory:
+    memory = ConditionMemory.fresh()
+    for reslip_rad_s in reslips_rad_s:
+        memory = memory.with_launch(told(reslip_rad_s))
+    return memory
+
+
+def told(reslip_rad_s: float | None) -> ShiftEstimate:
+    indices = replace(measure(launch(0.0), CALIBRATION), reslip_rad_s=reslip_rad_s)
+    return replace(shift_estimate(), clutch=1, kind=EventKind.LAUNCH, end_reason=EndReason.COMPLETE, indices=indices)
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+@pytest.mark.parametrize("swing_rad_s", [6.0, 12.0])
+def test_slip_that_comes_back_is_measured(swing_rad_s: float, sign: float) -> None:
+    found = measure(launch(swing_rad_s, sign=sign), CALIBRATION).reslip_rad_s
+    assert found == pytest.approx(swing_rad_s, abs=0.1 * swing_rad_s + 2.0 * NOISE_RAD_S)
+
+
+def test_noise_and_a_clutch_that_was_let_go_are_none() -> None:
+    still = measure(launch(0.0), CALIBRATION).reslip_rad_s
+    assert still is not None
+    assert still < 4.0 * NOISE_RAD_S
+    opened = launch(12.0, pressure_pa=np.where(T_S < 2.05, LOADED_PA, EMPTY_PA))
+    assert measure(opened, CALIBRATION).reslip_rad_s == pytest.approx(still, abs=NOISE_RAD_S)
+
+
+def test_without_a_pressure_what_is_asked_of_the_clutch_tells_its_load() -> None:
+    event = launch(12.0)
+    bare: Columns = {signal: one for signal, one in event.columns.items() if signal is not Signal.CLUTCH1_PRESSURE}
+    for asked_nm, expected_rad_s in ((80.0, 12.0), (0.0, 0.0)):
+        columns: Columns = {**bare, Signal.CLUTCH1_TORQUE_COMMAND: series(asked_nm)}
+        found = measure(replace(event, columns=columns), CALIBRATION).reslip_rad_s
+        assert found == pytest.approx(expected_rad_s, abs=2.0)
+    assert measure(replace(event, columns=bare), CALIBRATION).reslip_rad_s == pytest.approx(12.0, abs=2.0)
+
+
+def test_launches_to_lock_are_counted_and_nothing_else() -> None:
+    memory = launched(0.4, 8.0, None)
+    for other in (
+        replace(told(9.0), kind=EventKind.POWER_ON_UPSHIFT),
+        replace(told(9.0), end_reason=EndReason.ABANDONED),
+        replace(told(9.0), indices=None),
+    ):
+        memory = memory.with_launch(other)
+    assert memory.launches[0].reported == StickSlip(launch_count=2, judder_count=1)
+    assert memory.launches[1].reported is None
+    assert ConditionMemory.from_json(memory.to_json()) == memory
+    table = memory.to_json()
+    del table["launches"]
+    assert ConditionMemory.from_json(table).launches == (Launches(), Launches())  # of an earlier version
+
+
+def test_the_last_launches_with_this_fluid_are_remembered() -> None:
+    memory = launched(*[8.0] * 5, *[0.1] * LAUNCH_WINDOW)
+    assert memory.launches[0].reported == StickSlip(launch_count=LAUNCH_WINDOW, judder_count=0)
+    assert launched(8.0).with_new_fluid(FILLED_AT, believed(0.14, 0.119)).launches == (Launches(), Launches())
+
+
+def test_judder_adds_to_what_friction_says_of_the_slope() -> None:
+    unsure = believed(0.1290, 0.1305, std=0.001)  # slope negative with probability 0.85
+    assert judge(launched(0.2, 8.0), unsure, 1, CALIBRATION)[1].condition is Condition.WATCH
+    _, verdict = judge(launched(0.2, 8.0, 9.0), unsure, 1, CALIBRATION)
+    assert verdict.condition is Condition.CHANGE_FLUID
+    assert "2 of 3 launches juddered" in verdict.reason
+    assert verdict.stick_slip == StickSlip(launch_count=3, judder_count=2)
+
+
+def test_judder_alone_is_no_verdict_but_it_holds_back_a_good_one() -> None:
+    new = believed(0.14, 0.119)
+    assert judge(launched(0.2, 8.0), new, 1, CALIBRATION)[1].condition is Condition.GOOD
+    _, verdict = judge(launched(*[12.0] * LAUNCH_WINDOW), new, 1, CALIBRATION)
+    assert verdict.condition is Condition.NO_VERDICT
+    assert verdict.advice is not None
+    assert "have its launches looked at" in verdict.advice
+
+
+def test_launches_without_judder_take_nothing_away() -> None:
+    worn = believed(0.119, 0.137)
+    assert judge(launched(*[0.2] * LAUNCH_WINDOW), worn, 1, CALIBRATION)[1].condition is Condition.CHANGE_FLUID
