@@ -27,7 +27,7 @@ def test_a_day_with_worn_fluid_is_told_step_by_step_and_kept(
     lines = tmp_path / "lines"
     lines.write_text(line("good", 4) + line("change_fluid", 12), encoding="ascii")
     plan = Plan(
-        folder=str(tmp_path), fluid="case2", drive_seed=1, cycles=1, start_ns=START_NS, lines=str(lines)
+        folder=str(tmp_path), fluid="case2", vehicle_seed=1, drive_seed=1, cycles=1, start_ns=START_NS, lines=str(lines)
     )  # fmt: skip
     with MemoryFile(plan.memory, shipped_table()) as store:
         Car(plan, store).live()

@@ -50,12 +50,14 @@ class Plan:
 
     folder: str  # where controller and estimate keep what they know
     fluid: str
+    vehicle_seed: int
     drive_seed: int
     cycles: int
     start_ns: int  # bus time of the beginning
     lines: str = ""  # file of what the estimate says
     new_fluid_at: str = ""  # when a tester clears the adaptation of a car that stands; empty: the car drives
     kill_after: int = 0  # steps; 0: it lives
+    ageing_cycles: int = 20  # in which ageing fluid becomes as bad as it gets
 
     @property
     def memory(self) -> Path:
@@ -72,9 +74,10 @@ class Plan:
         before = load_scenario("ageing")
         return replace(
             before,
+            vehicle_seed=self.vehicle_seed,
             drive_seed=self.drive_seed,
             cycles=self.cycles,
-            fluid=Fluid(condition=fluid, ageing_cycles=before.fluid.ageing_cycles),
+            fluid=Fluid(condition=fluid, ageing_cycles=self.ageing_cycles),
             routine=Routine(on_request=bool(self.new_fluid_at)),
         )
 
