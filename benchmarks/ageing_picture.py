@@ -89,11 +89,11 @@ def _draw_thresholds(axes: Axes) -> None:
     """Draw below which mu_C the verdict is another one, whatever else it goes by."""
     new_mu_c = nominal_calibration().clutches[CLUTCH - 1].friction.mu_c
     for ratio, condition in ((WATCH_LEVEL_RATIO, "watch"), (CHANGE_LEVEL_RATIO, "change fluid")):
-        colour, text = CONDITION_COLOUR[condition], f"mu_C below {100.0 * ratio:.0f} % of new: {condition} "
+        colour, text = CONDITION_COLOUR[condition], f"mu_C below {100.0 * ratio:.0f} % of new: {condition}"
         axes.axhline(ratio * new_mu_c, color=colour, lw=1.0, ls=(0, (6.0, 3.0)))
-        axes.text(
-            1.0, ratio * new_mu_c, text, color=colour, fontsize=8,
-            ha="right", va="top", transform=axes.get_yaxis_transform(),
+        axes.annotate(
+            text, (1.0, ratio * new_mu_c), (-4.0, -3.0), axes.get_yaxis_transform(), "offset points",
+            color=colour, fontsize=8, ha="right", va="top",
         )  # fmt: skip
 
 

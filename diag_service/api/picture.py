@@ -97,8 +97,9 @@ def _draw_thresholds(axes: "Axes", results: list[ShiftResult]) -> None:
         return
     for ratio, condition in THRESHOLDS:
         level, colour = ratio * known[-1], CONDITION_COLOUR[condition]
-        text = f"mu_C below {100.0 * ratio:.0f} % of new: {condition_words(condition)} "
+        text = f"mu_C below {100.0 * ratio:.0f} % of new: {condition_words(condition)}"
         axes.axhline(level, color=colour, lw=1.0, ls="--")
-        axes.text(
-            1.0, level, text, color=colour, fontsize=8.0, ha="right", va="top", transform=axes.get_yaxis_transform(),
+        axes.annotate(
+            text, (1.0, level), (-4.0, -3.0), axes.get_yaxis_transform(), "offset points",
+            color=colour, fontsize=8.0, ha="right", va="top",
         )  # fmt: skip
