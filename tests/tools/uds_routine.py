@@ -60,6 +60,7 @@ def verdicts_of(log: Path) -> dict[int, dict[str, Any]]:
     """Return the last verdict on each clutch in a log."""
     done = run(["diag_service", "analyze", str(log), "--json"], {})
     records = [json.loads(line) for line in done.stdout.splitlines()]
+    print(f"{records[-1]['frames']['missing']} frames are missing in the log")  # then the two have not heard the same
     return {one["verdict"]["clutch"]: one["verdict"] for one in records if one["schema"] == "clutchdiag/shift/v1"}
 
 
