@@ -10,7 +10,7 @@ from ecu_emulator.diagnostics.opinion import SHIFT_SCHEMA
 from ecu_emulator.diagnostics.table_file import shipped_table
 from tests.support.traffic import START_NS
 from tests.support.uds.ageing_car import Car, Plan
-from tests.tools.uds_ageing import Started, deviations, snapshot_of
+from tests.tools.uds_ageing import Started, deviations, is_possible, snapshot_of
 
 FRICTION = {"mu_c": 0.118, "std_mu_c": 0.002, "mu_s": 0.125, "std_mu_s": 0.003}
 
@@ -38,3 +38,19 @@ def test_a_day_with_worn_fluid_is_told_step_by_step_and_kept(
         rows = list(deviations(snapshot_of(controller), {"1": [0.117, 0.128], "2": [0.14, 0.15]}))
     assert [row[1:] for row in rows[:2]] == [pytest.approx((0.118, 0.002, 0.117)), pytest.approx((0.125, 0.003, 0.128))]
     assert all(value != value for _, value, _, _ in rows[2:])  # noqa: PLR0124 - not a number: not known
+
+
+@pytest.mark.parametrize(
+    ("found", "before", "after", "expected"),
+    [
+        (["P0897"], [], ["P0897"], True),
+        ([], [], ["P0897"], True),
+        (["P0810"], ["P0897", "P0810"], [], True),  # the cycle was good for one, and not yet for the other
+        ([], ["P0897"], ["P0897"], False),  # lost
+        (["P0218"], ["P0897"], [], False),  # invented
+    ],
+)
+def test_a_kill_leaves_each_code_as_before_or_as_after(
+    found: list[str], before: list[str], after: list[str], expected: bool
+) -> None:
+    assert is_possible(found, before, after) is expected
