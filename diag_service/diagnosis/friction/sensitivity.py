@@ -106,21 +106,16 @@ class Sensitivity:
     def _slope(self) -> FloatArray:
         balance, at = self._balance, self._balance.at
         weights, bias = balance.weights, balance.calibration.bias
-        torque_nm, _ = motoring_corrected_nm(
-            balance.signals.engine_torque.on_grid[weights.rows], at[State.TORQUE_OFFSET], bias
-        )
-        _, motoring_nm = motoring_corrected_nm(self._torque_nm, at[State.TORQUE_OFFSET], bias)
+        torque_nm, motoring_nm = motoring_corrected_nm(self._torque_nm, at[State.TORQUE_OFFSET], bias)
         speed_rad_s = weights.fitted(balance.signals.engine_speed.on_grid[weights.rows], SLIP_DEGREE)
         engine_nms = balance.calibration.input_side.engine_inertia_kg_m2 * (weights.rate @ speed_rad_s)
-        for rest in weights.rests:  # noise alone; taken for a torque that moves, it would hold the latency where it is
-            torque_nm[rest] = self._torque_nm[rest]
         slope = np.zeros((self._bands[-1].stop, PARAMETER_COUNT))
         considered = slope[:, STATE_COUNT:]
         slope[:, State.TORQUE_OFFSET] = weights.value.sums()
         considered[:, Considered.TORQUE_GAIN] = -(engine_nms + balance.known_nms)
         considered[:, Considered.ENGINE_INERTIA] = -bias.torque_gain * engine_nms
         considered[:, Considered.MOTORING_GAIN] = weights.value @ motoring_nm
-        considered[:, Considered.TORQUE_LATENCY] = weights.rate @ torque_nm
+        considered[:, Considered.TORQUE_LATENCY] = weights.rate @ torque_nm  # smooth: noise would hold it where it is
         std_nms = np.sqrt(np.concatenate([np.diag(noise) for noise in self.noises]))
         for m, mu in enumerate(friction_pairs(at)):
             plain = self._nominal[m]

@@ -202,7 +202,6 @@ class Weights:
 
     value: Functions
     rate: Functions
-    rests: tuple[slice, ...]  # of the rows: pieces in which both clutches are open
 
     @property
     def rows(self) -> slice:
@@ -222,11 +221,9 @@ def sines(window: SlipWindow, counts: Sequence[int]) -> Weights:
     hull = window.rows
     places = tuple(slice(piece.first - hull.start, piece.stop - hull.start) for piece in window.pieces)
     pairs = [_sines(piece.stop - piece.first, count) for piece, count in zip(window.pieces, counts, strict=True)]
-    rests = tuple(place for piece, place in zip(window.pieces, places, strict=True) if piece.is_rest)
     return Weights(
         value=Functions(rows=hull, places=places, blocks=tuple(value for value, _ in pairs)),
         rate=Functions(rows=hull, places=places, blocks=tuple(rate for _, rate in pairs)),
-        rests=rests,
     )
 
 

@@ -193,8 +193,9 @@ def test_derivatives_of_a_shift_are_those_of_its_residual(parameter: Considered)
     changed, _ = shift_residual(event, moved(parameter, step), window)
     slope = plain.slope[:, STATE_COUNT + parameter]
     difference = -(changed.residual - plain.residual) / step
-    assert np.linalg.norm(difference - slope) < 0.25 * np.linalg.norm(slope)
-    assert difference @ slope > 0.97 * np.linalg.norm(difference) * np.linalg.norm(slope)
+    is_smoothed = parameter is Considered.TORQUE_LATENCY  # of a polynomial's rate, not of the torque's
+    assert np.linalg.norm(difference - slope) < (0.4 if is_smoothed else 0.25) * np.linalg.norm(slope)
+    assert difference @ slope > (0.9 if is_smoothed else 0.97) * np.linalg.norm(difference) * np.linalg.norm(slope)
 
 
 REV_STEPS = (
