@@ -9,6 +9,8 @@ from rich.table import Table
 from rich.text import Text
 
 from diag_service.delivery.words import condition_words
+from diag_service.diagnosis.prognosis import history_of, prognose
+from diag_service.diagnosis.prognosis.sentence import outlook_line
 from diag_service.diagnosis.records import ClutchVerdict, FluidFill, FrictionEstimate, FrictionTrend, LiningChange
 from diag_service.diagnosis.results import fill_record, utc_from_bus_ns
 from diag_service.report.content import spread
@@ -83,12 +85,13 @@ def history_records(found: Findings, clutches: Sequence[int]) -> Iterator[JsonOb
 
 
 def history_lines(found: Findings, clutches: Sequence[int], *, most_rows: int) -> Iterator[Text | Table]:
-    """Yield for people: the sentence on each clutch, its fluids, and at most ``most_rows`` of its events."""
+    """Yield for people: a sentence on each clutch, its future, its fluids, and at most ``most_rows`` of its events."""
     left_out = f"; {found.left_out_count} of other versions are left out" if found.left_out_count else ""
     yield Text(f"{found.vehicle}: {len(found.rows)} events{left_out}")
     for result in found.latest:
         if result.estimate.clutch in clutches and result.verdict.advice is not None:
             yield Text(result.verdict.advice)
+    yield from _outlooks(found, clutches)
     for clutch in clutches:
         periods = periods_of(found, clutch)
         rows = [row for period in periods for row in period.rows]
@@ -97,6 +100,16 @@ def history_lines(found: Findings, clutches: Sequence[int], *, most_rows: int) -
             continue
         yield _fluid_table(clutch, periods)
         yield _event_table(clutch, rows, most_rows)
+
+
+def _outlooks(found: Findings, clutches: Sequence[int]) -> Iterator[Text]:
+    """Yield how far the fluid of each clutch that has engaged will go; new fluid is that of the calibration."""
+    if found.calibration is None:
+        yield Text("No prognosis: the calibration of these results is not the shipped one.")
+        return
+    for clutch in sorted({result.estimate.clutch for result in found.results} & set(clutches)):
+        past = history_of(found.results, found.fills, clutch)
+        yield Text(outlook_line(prognose(clutch, past, found.calibration.clutches[clutch - 1].friction)))
 
 
 def shift_lines(record: JsonObject) -> Iterator[Text]:

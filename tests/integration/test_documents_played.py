@@ -122,6 +122,7 @@ BLOCKS = {
     ("docs/diagnostics.md", "python"): "tests/integration/test_diagnostics_page.py",
     ("docs/diagnostics.md", "toml"): "tests/integration/test_diagnostics_page.py",
     ("docs/howto.md", "python"): "tests/integration/test_howto.py",
+    ("docs/prognosis.md", "python"): "tests/integration/test_prognosis_page.py",
     ("docs/python.md", "python"): "tests/integration/test_python_page.py",
     ("docs/testing.md", "python"): "tests/integration/test_image_example.py",
     ("examples/gateway/README.md", "console"): "tests/integration/test_image_example.py",

@@ -99,3 +99,13 @@ def test_a_store_with_several_vehicles_wants_a_name(tmp_path: Path) -> None:
     with pytest.raises(StoreError, match="no results of ghost; it has car1, car2"):
         findings_of_store(path, "ghost", CALIBRATION)
     assert findings_of_store(path, "car2", CALIBRATION).vehicle == "car2"
+
+
+def test_the_future_of_each_clutch_is_a_sentence() -> None:
+    lines = [str(line) for line in history_lines(findings(60), (1, 2), most_rows=5) if isinstance(line, Text)]
+    assert [line[:9] for line in lines[1:]] == ["Clutch 1:", "Clutch 2:"] * 2
+    assert all("km" in line for line in lines[3:])
+    other = [str(line) for line in history_lines(replace(findings(60), calibration=None), (1, 2), most_rows=5)]
+    assert "No prognosis: the calibration of these results is not the shipped one." in other
+    few = [str(line) for line in history_lines(findings(8), (2,), most_rows=5)]
+    assert "Clutch 2: no prognosis yet: it takes 8 usable results with this fluid, there are 4." in few

@@ -1,0 +1,62 @@
+"""Everything that a prognosis assumes beyond the results, as numbers; docs/prognosis.md says where each is from.
+
+Margin is ``mu_C - mu_S`` over that of new fluid: 1 when new, 0 where the slope turns. Level: ``mu_C`` over that of new.
+"""
+
+from dataclasses import dataclass
+from typing import Final
+
+REFERENCE_K: Final = 353.15  # oil temperature to which friction is reduced: 80 degC
+LEAST_ROWS: Final = 8  # with fewer results of this fluid nothing is said
+SURE_OF_AGEING: Final = 0.9  # below this probability that friction falls there is no trend yet
+HORIZON_M: Final = 3.0e8  # 300,000 km: no prognosis looks farther
+NEW_WITHIN_M: Final = 5.0e6  # a fluid first seen within 5,000 km of its fill counts as new
+SERVICE_DISTANCE_M: Final = 1.5e7  # to the next service, where nobody says another
+
+KNEE_PROBABILITY: Final = 0.5  # that the rate has changed once while this fluid was in
+FUTURE_KNEE_PER_M: Final = 5.0e-9  # one in 200,000 km
+FUTURE_KNEE_FACTORS: Final = (1.75, 3.0)  # of the rate, equally likely
+LOAD_LOG_STD: Final = 0.12  # future against recent load, natural logarithm
+NEXT_FLUID_LOG_STD: Final = 0.35  # ageing rate of one vehicle from fluid to fluid
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ChannelPrior:
+    """What is believed of margin or level before its first result, one standard deviation each."""
+
+    start: float  # of the fluid when it was first seen
+    start_std: float
+    rate_std_per_m: float  # a weak belief that knows no sign: it alone says whether there is a trend
+    typical_rate_per_m: float  # median loss; prognoses know that fluid ages
+    typical_log_std: float  # of the natural logarithm of the loss
+    knee_std_per_m: float  # change of the rate where it changes
+    wander: float  # rate^2 per metre: how the rate wanders all the time [1/m^3]
+    temperature_std_per_k: float
+    floor_std: float  # of a mean of any number of results: what does not average out
+
+
+MARGIN_OF_NEW: Final = ChannelPrior(
+    start=1.0,
+    start_std=0.15,
+    rate_std_per_m=2.0e-8,
+    typical_rate_per_m=1.0e-8,  # 100,000 km for the whole margin
+    typical_log_std=0.6,
+    knee_std_per_m=1.5e-8,
+    wander=(0.3e-8) ** 2 / 5.0e7,  # 0.3 of the margin per 100,000 km, gathered over 50,000 km
+    temperature_std_per_k=2.0e-3,
+    floor_std=0.02,
+)
+LEVEL_OF_NEW: Final = ChannelPrior(
+    start=1.0,
+    start_std=0.03,
+    rate_std_per_m=2.0e-9,
+    typical_rate_per_m=1.0e-9,  # 10 % in 100,000 km
+    typical_log_std=0.8,
+    knee_std_per_m=1.5e-9,
+    wander=(0.3e-9) ** 2 / 5.0e7,
+    temperature_std_per_k=5.0e-4,  # the same as in the calibration
+    floor_std=0.003,
+)
+UNKNOWN_MARGIN: Final = (0.6, 0.5)  # start and deviation of a fluid of unknown age
+UNKNOWN_LEVEL: Final = (0.95, 0.06)
+START_SCATTER: Final = {"margin": 0.08, "level": 0.015}  # of one lining with one fluid and the next, both new

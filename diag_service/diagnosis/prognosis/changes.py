@@ -1,0 +1,163 @@
+"""Fluid changes that nobody noted: a step of friction towards new fluid, held against trend and temperature.
+
+A test for a change alone would take slow ageing for one. Here a straight line over the distance, a temperature
+coefficient and a step explain the last results; the step is believed where it explains them so much better that chance
+hardly does so in the life of a vehicle.
+"""
+
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import Final
+
+import numpy as np
+
+from canlog.arrays import BoolArray, FloatArray, Int64Array
+from diag_service.diagnosis.prognosis.assumptions import REFERENCE_K
+from diag_service.diagnosis.prognosis.history import History
+from diag_service.diagnosis.prognosis.normal import robust_noise_ratio
+
+BEFORE_COUNT: Final = 120  # rows that say where friction was
+LEAST_BEFORE: Final = 20
+AFTER_COUNTS: Final = (4, 6, 8, 11, 15)  # rows that say where it is now
+STEP_CHI_SQUARE: Final = 30.0  # of two coefficients; set on simulated lives, docs/prognosis.md
+CLIP_STD: Final = 3.5  # a row farther from its neighbours counts as if it were so far
+SLOPE_STD_PER_M: Final = 1.0e-8  # of mu_C and mu_S over their means: 10 % in 10,000 km, ten times what is usual
+WARMTH_STD_PER_K: Final = 5.0e-4
+_UNIT_M: Final = 1.0e7  # keeps the normal equations well scaled
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class FluidStart:
+    """Where another fluid begins in a history."""
+
+    row: int
+    odometer_m: float
+    is_noted: bool  # by a fill; else found in the friction
+    noticed_row: int  # with this one it was known
+
+
+def fluid_starts(history: History) -> tuple[FluidStart, ...]:
+    """Return where each fluid begins, the first one included, whether its fill was noted or not."""
+    starts: list[FluidStart] = []
+    noted = [0, *(np.flatnonzero(np.diff(history.fluid_number)) + 1).tolist(), len(history)]
+    for first, stop in pairwise(noted):
+        starts.append(_start(history, first, first, is_noted=True))
+        found = _next_change(history, first, stop)
+        while found is not None:
+            starts.append(_start(history, *found, is_noted=False))
+            found = _next_change(history, found[0], stop)
+    return tuple(starts)
+
+
+def _start(history: History, row: int, noticed_row: int, *, is_noted: bool) -> FluidStart:
+    return FluidStart(row=row, odometer_m=float(history.odometer_m[row]), is_noted=is_noted, noticed_row=noticed_row)
+
+
+def _next_change(history: History, first: int, stop: int) -> tuple[int, int] | None:
+    """Return the first row of a new fluid that nobody noted between two rows, and the row with which it shows."""
+    if stop - first < LEAST_BEFORE + AFTER_COUNTS[0]:
+        return None
+    relative, std = _clean(history, first, stop)
+    sums = _Sums.of(history, first, stop, std)
+    correlation = float(np.median(history.random_correlation[first:stop]))
+    best, place = _scan(sums, relative, correlation, stop - first)
+    rows = np.flatnonzero(best > STEP_CHI_SQUARE)
+    if not len(rows):
+        return None
+    last = int(rows[0])
+    return first + int(place[last]), first + last
+
+
+def _clean(history: History, first: int, stop: int) -> tuple[FloatArray, FloatArray]:
+    """Return both coefficients over their means and their deviations, shape (2, n), outliers pulled in."""
+    values, stds = [], []
+    for mu, std in ((history.mu_c, history.random_std_mu_c), (history.mu_s, history.random_std_mu_s)):
+        mean = float(np.mean(mu[first:stop]))
+        value, wide = mu[first:stop] / mean, std[first:stop] / mean
+        wide = wide * robust_noise_ratio(value, wide)
+        middle = _neighbourhood(value)
+        values.append(middle + np.clip(value - middle, -CLIP_STD * wide, CLIP_STD * wide))
+        stds.append(wide)
+    return np.array(values), np.array(stds)
+
+
+def _neighbourhood(value: FloatArray) -> FloatArray:
+    """Return the median of each row, the two before and the two after it; at the ends what is there counts twice."""
+    padded = np.pad(value, 2, mode="reflect")
+    return np.asarray(np.median(np.lib.stride_tricks.sliding_window_view(padded, 5), axis=1))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Sums:
+    """Running sums of the normal equations of a straight line with temperature, shape (2, n + 1, ...)."""
+
+    weight: FloatArray  # (2, n)
+    regressors: FloatArray  # (n, 3): one, distance, temperature
+    outer: FloatArray  # (2, n + 1, 3, 3)
+
+    @classmethod
+    def of(cls, history: History, first: int, stop: int, std: FloatArray) -> "_Sums":
+        """Sum over some rows of a history."""
+        odometer_m, warmth_k = history.odometer_m[first:stop], history.sump_temperature_k[first:stop] - REFERENCE_K
+        distance = (odometer_m - odometer_m[0]) / _UNIT_M
+        regressors = np.column_stack((np.ones(stop - first), distance, warmth_k))
+        weight = std**-2
+        products = weight[:, :, None, None] * regressors[:, :, None] * regressors[:, None, :]
+        return cls(weight=weight, regressors=regressors, outer=_running(products))
+
+    def moments(self, relative: FloatArray) -> FloatArray:
+        """Return running sums of regressors times values, shape (2, n + 1, 3)."""
+        return _running((self.weight * (relative - 1.0))[:, :, None] * self.regressors)
+
+
+def _running(values: FloatArray) -> FloatArray:
+    """Return the sums of everything before each row, along the second axis, which becomes one longer."""
+    begun = np.zeros((values.shape[0], 1, *values.shape[2:]))
+    return np.concatenate((begun, np.cumsum(values, axis=1)), axis=1)
+
+
+def _scan(sums: _Sums, relative: FloatArray, correlation: float, count: int) -> tuple[FloatArray, Int64Array]:
+    """Return for each row by how much a step right before the last few rows explains them better, and where it is."""
+    moments = sums.moments(relative)
+    best, place = np.zeros(count), np.zeros(count, np.int64)
+    for after in AFTER_COUNTS:
+        ends = np.arange(LEAST_BEFORE + after, count + 1)
+        if not len(ends):
+            break
+        changes = ends - after
+        befores = np.maximum(changes - BEFORE_COUNT, 0)
+        steps, stds = _steps(sums.outer, moments, befores, changes, ends)
+        chi_square = _chi_square(steps / stds, correlation)
+        is_better = _is_towards_new(steps) & (chi_square > best[ends - 1])
+        rows = ends[is_better] - 1
+        best[rows], place[rows] = chi_square[is_better], changes[is_better]
+    return best, place
+
+
+def _steps(
+    outer: FloatArray, moments: FloatArray, befores: Int64Array, changes: Int64Array, ends: Int64Array
+) -> tuple[FloatArray, FloatArray]:
+    """Return the least-squares steps of both coefficients and their deviations, shape (2, number of stretches)."""
+    normal = np.zeros((2, len(ends), 4, 4))
+    right = np.zeros((2, len(ends), 4))
+    normal[..., :3, :3] = outer[:, ends] - outer[:, befores]
+    normal[..., 1, 1] += (SLOPE_STD_PER_M * _UNIT_M) ** -2
+    normal[..., 2, 2] += WARMTH_STD_PER_K**-2
+    after = (outer[:, ends] - outer[:, changes])[..., 0, :]
+    normal[..., 3, :3] = normal[..., :3, 3] = after
+    normal[..., 3, 3] = after[..., 0]
+    right[..., :3] = moments[:, ends] - moments[:, befores]
+    right[..., 3] = (moments[:, ends] - moments[:, changes])[..., 0]
+    covariance = np.linalg.inv(normal)
+    return np.asarray(np.einsum("cni,cni->cn", covariance[..., 3, :], right)), np.sqrt(covariance[..., 3, 3])
+
+
+def _chi_square(z: FloatArray, correlation: float) -> FloatArray:
+    """Return the chi-square of two steps in their deviations, which are correlated."""
+    both = z[0] ** 2 + z[1] ** 2 - 2.0 * correlation * z[0] * z[1]
+    return np.asarray(both / (1.0 - correlation**2))
+
+
+def _is_towards_new(steps: FloatArray) -> BoolArray:
+    """Return where mu_C rises against mu_S: new fluid; a step the other way is something else."""
+    return np.asarray(steps[0] > steps[1])

@@ -1,0 +1,111 @@
+"""When a clutch passes a limit: probability over the distance still to drive, and what is read from it."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Final, Self
+
+import numpy as np
+
+from canlog.arrays import FloatArray
+from diag_service.diagnosis.prognosis.assumptions import (
+    FUTURE_KNEE_FACTORS,
+    FUTURE_KNEE_PER_M,
+    HORIZON_M,
+    LOAD_LOG_STD,
+)
+from diag_service.diagnosis.prognosis.normal import normal_cdf
+from diag_service.diagnosis.prognosis.trend import Mixture
+
+# Denser near today, where it matters: 0, 12, 47, 105 km, ..., at last 3,700 km apart.
+DISTANCE_M: Final = HORIZON_M * np.linspace(0.0, 1.0, 161) ** 2
+_KNEE_EDGES_M: Final = np.array([0.0, 5.0, 12.0, 25.0, 45.0, 80.0, 150.0]) * 1.0e6  # between them a bend may come
+_LOADS: Final = (-1.5, -0.5, 0.5, 1.5)  # standard deviations of the load
+_LOAD_WEIGHTS: Final = (0.159, 0.341, 0.341, 0.159)  # of the normal distribution beyond one, and below
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Passage:
+    """Probability to have passed a limit after each distance from today; it never falls."""
+
+    distance_m: FloatArray  # (d,) from 0 to the horizon
+    probability: FloatArray  # (d,)
+
+    def within(self, distance_m: float) -> float:
+        """Return the probability to pass the limit within a distance."""
+        return float(np.interp(distance_m, self.distance_m, self.probability))
+
+    def quantile_m(self, probability: float) -> float | None:
+        """Return the distance within which the limit is passed with this probability; None: beyond the horizon."""
+        if probability > self.probability[-1]:
+            return None
+        return float(self.quantiles_m(np.array([probability]))[0])
+
+    def quantiles_m(self, probabilities: FloatArray) -> FloatArray:
+        """Return the same for several probabilities; what lies beyond the horizon counts as on it."""
+        rising = self.probability + np.arange(len(self.probability)) * 1e-12  # a plateau has one end
+        return np.asarray(np.interp(probabilities, rising, self.distance_m, left=0.0, right=HORIZON_M))
+
+    def or_(self, other: Self) -> "Passage":
+        """Return when the first of two limits is passed, as if they had nothing to do with each other.
+
+        They have: what lowers one lowers the other. So the probability is rather too large than too small.
+        """
+        neither = (1.0 - self.probability) * (1.0 - other.probability)
+        return Passage(distance_m=self.distance_m, probability=1.0 - neither)
+
+
+def passage(mixtures: Sequence[Mixture], limits: Sequence[tuple[float, float]]) -> Passage:
+    """Return when a channel passes the first of some limits.
+
+    Parameters
+    ----------
+    mixtures :
+        The channel today by each clock; all weights together sum to one.
+    limits :
+        Pairs: a number, and the share of the channel's own start that is added to it.
+    """
+    steady = np.max([np.sum([_steady(one, *limit) for one in mixtures], axis=0) for limit in limits], axis=0)
+    return Passage(distance_m=DISTANCE_M, probability=_with_future(np.maximum.accumulate(steady)))
+
+
+def _steady(mixture: Mixture, limit: float, start_share: float) -> FloatArray:
+    """Return the probability to be below a limit after each distance, if rates only wander, shape (d,)."""
+    now = mixture.now - start_share * mixture.start
+    variance = (
+        mixture.now_variance
+        - 2.0 * start_share * mixture.now_start_covariance
+        + start_share**2 * mixture.start_variance
+    )
+    mean = now[:, None] + mixture.rate_per_m[:, None] * DISTANCE_M
+    spread = np.maximum(variance, 1e-12)[:, None] + mixture.wander * DISTANCE_M**3 / 3.0
+    return np.asarray(mixture.weight @ normal_cdf((limit - mean) / np.sqrt(spread)))
+
+
+def _with_future(steady: FloatArray) -> FloatArray:
+    """Return probabilities that allow for another load, and for a bend that is still to come.
+
+    Either makes the clock of ageing run faster or slower: as if more or less were driven.
+    """
+    total = np.zeros_like(steady)
+    for load, load_weight in zip(_LOADS, _LOAD_WEIGHTS, strict=True):
+        distance_m = DISTANCE_M * np.exp(load * LOAD_LOG_STD)
+        for bend_m, factor, weight in _BENDS:
+            aged_m = distance_m + (factor - 1.0) * np.maximum(distance_m - bend_m, 0.0)
+            total += load_weight * weight * np.interp(aged_m, DISTANCE_M, steady)
+    return np.minimum(total, 1.0)
+
+
+def _bends() -> tuple[tuple[float, float, float], ...]:
+    """Return where the rate may change, by which factor, and how likely that is; the first: it does not."""
+    none_before = np.exp(-FUTURE_KNEE_PER_M * _KNEE_EDGES_M)
+    middles_m = 0.5 * (_KNEE_EDGES_M[1:] + _KNEE_EDGES_M[:-1])
+    share = 1.0 / len(FUTURE_KNEE_FACTORS)
+    later = [
+        (float(bend_m), factor, float(chance) * share)
+        for bend_m, chance in zip(middles_m, -np.diff(none_before), strict=True)
+        for factor in FUTURE_KNEE_FACTORS
+    ]
+    return (0.0, 1.0, float(none_before[-1])), *later
+
+
+_BENDS: Final = _bends()

@@ -1,0 +1,283 @@
+"""How far the fluid of one clutch will go: what its past results say, never as a single number."""
+
+from dataclasses import dataclass, replace
+from enum import StrEnum
+
+import numpy as np
+
+from clutch_model.clutch import FrictionCurve
+from diag_service.diagnosis.condition.thresholds import (
+    CHANGE_LEVEL_RATIO,
+    WATCH_LEVEL_RATIO,
+    WATCH_MARGIN_RATIO,
+)
+from diag_service.diagnosis.prognosis.assumptions import (
+    LEAST_ROWS,
+    LEVEL_OF_NEW,
+    MARGIN_OF_NEW,
+    NEW_WITHIN_M,
+    NEXT_FLUID_LOG_STD,
+    SERVICE_DISTANCE_M,
+    START_SCATTER,
+    SURE_OF_AGEING,
+    UNKNOWN_LEVEL,
+    UNKNOWN_MARGIN,
+    ChannelPrior,
+)
+from diag_service.diagnosis.prognosis.changes import FluidStart, fluid_starts
+from diag_service.diagnosis.prognosis.channels import Channel, ChannelName, Clock, channels_of, clocks_of
+from diag_service.diagnosis.prognosis.history import History
+from diag_service.diagnosis.prognosis.passage import Passage, passage
+from diag_service.diagnosis.prognosis.trend import Fit, Mixture, Part, aged, fit, probability_falling, summary
+from diag_service.diagnosis.prognosis.words import assumptions_of
+
+CHANGE_MARGIN_RATIO = 0.0  # the slope turns: what the verdict calls a negative slope
+_OF_NEW = {ChannelName.MARGIN: MARGIN_OF_NEW, ChannelName.LEVEL: LEVEL_OF_NEW}
+_UNKNOWN = {ChannelName.MARGIN: UNKNOWN_MARGIN, ChannelName.LEVEL: UNKNOWN_LEVEL}
+
+
+class Outlook(StrEnum):
+    """What can be said of the future of a clutch."""
+
+    TOO_FEW = "too few results"
+    NO_TREND = "no trend yet"
+    AGEING = "ageing"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Value:
+    """A number and its standard deviation."""
+
+    mean: float
+    std: float
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Reach:
+    """Distance and events until a limit is passed: at most that far with 10, 50 and 90 % probability.
+
+    None is farther than the horizon.
+    """
+
+    p10_m: float | None
+    p50_m: float | None
+    p90_m: float | None
+    p10_events: float | None
+    p50_events: float | None
+    p90_events: float | None
+    probability_before_service: float
+    passage: Passage
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ChannelState:
+    """Margin or level of a clutch today, and how it got there; rates are negative while it falls."""
+
+    now: Value  # over that of new fluid, at the reference temperature; common errors are in the deviation
+    rate_per_m: Value
+    rate_per_j: Value | None  # of slip energy
+    temperature_per_k: Value
+    probability_falling: float
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Prognosis:
+    """What is to be expected of one clutch; everything is None where the outlook is TOO_FEW."""
+
+    clutch: int
+    outlook: Outlook
+    row_count: int  # results with this fluid
+    odometer_m: float | None  # of the last result
+    service_distance_m: float
+    fluid_starts: tuple[FluidStart, ...]
+    assumptions: tuple[str, ...]
+    margin: ChannelState | None = None
+    level: ChannelState | None = None
+    lining: Value | None = None  # change of the level of new fluid against that of the first one
+    watch: Reach | None = None
+    change_fluid: Reach | None = None
+
+
+def prognose(
+    clutch: int, history: History, reference: FrictionCurve, *, service_distance_m: float = SERVICE_DISTANCE_M
+) -> Prognosis:
+    """Return what is to be expected of clutch 1 or 2 from its history; the reference is its friction with new fluid."""
+    starts = fluid_starts(history) if len(history) else ()
+    row_count = len(history) - starts[-1].row if starts else 0
+    blank = Prognosis(
+        clutch=clutch,
+        outlook=Outlook.TOO_FEW,
+        row_count=row_count,
+        odometer_m=float(history.odometer_m[-1]) if len(history) else None,
+        service_distance_m=service_distance_m,
+        fluid_starts=starts,
+        assumptions=assumptions_of(history, starts, service_distance_m),
+    )
+    if row_count < LEAST_ROWS:
+        return blank
+    lives = _lives(history, starts, reference)
+    today = lives[-1]
+    sure = max(probability_falling(one.fits[0]) for one in today.channels.values())
+    events_per_m = _events_per_m(history)
+    energy_per_m = None if history.slip_energy_j is None else _recent_energy_j(history) * events_per_m
+    watch = _either(today, WATCH_MARGIN_RATIO, WATCH_LEVEL_RATIO)
+    change = _either(today, CHANGE_MARGIN_RATIO, CHANGE_LEVEL_RATIO)
+    return replace(
+        blank,
+        outlook=Outlook.AGEING if sure >= SURE_OF_AGEING else Outlook.NO_TREND,
+        margin=_state(today.channels[ChannelName.MARGIN], energy_per_m),
+        level=_state(today.channels[ChannelName.LEVEL], energy_per_m),
+        lining=_lining(lives),
+        watch=_reach(watch, events_per_m, service_distance_m),
+        change_fluid=_reach(change, events_per_m, service_distance_m),
+    )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _AgedChannel:
+    """One channel with one fluid: what each clock makes of it."""
+
+    prior: ChannelPrior
+    fits: tuple[Fit, ...]  # by each clock
+    mixtures: tuple[Mixture, ...]  # likewise; all weights together sum to one
+
+    @property
+    def rate_per_m(self) -> Value:
+        """How fast it falls, as fluids do."""
+        weight = np.concatenate([one.weight for one in self.mixtures])
+        rate = np.concatenate([one.rate_per_m for one in self.mixtures])
+        mean = float(weight @ rate)
+        return Value(mean=mean, std=float(np.sqrt(weight @ (rate - mean) ** 2)))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Life:
+    """The life of one fluid so far."""
+
+    is_new: bool  # was, when first seen
+    channels: dict[ChannelName, _AgedChannel]
+
+
+def _lives(history: History, starts: tuple[FluidStart, ...], reference: FrictionCurve) -> list[_Life]:
+    """Return the life of each fluid with enough results; one says what to expect of the next."""
+    lives: list[_Life] = []
+    stops = [*(start.row for start in starts[1:]), len(history)]
+    for start, stop in zip(starts, stops, strict=True):
+        if stop - start.row < LEAST_ROWS:
+            continue
+        clocks = clocks_of(history, start.row, stop)
+        is_new = _is_new(history, start)
+        before = next((life for life in reversed(lives) if life.is_new), None)
+        channels = {
+            one.name: _aged_channel(one, clocks, _prior(one.name, before, is_new=is_new))
+            for one in channels_of(history, start.row, stop, reference, clocks)
+        }
+        lives.append(_Life(is_new=is_new, channels=channels))
+    return lives
+
+
+def _is_new(history: History, start: FluidStart) -> bool:
+    """Return whether a fluid was new when first seen."""
+    if start.is_noted:
+        return int(history.fluid_number[start.row]) in history.new_fluids
+    return start.odometer_m - float(history.odometer_m[start.row - 1]) <= NEW_WITHIN_M
+
+
+def _prior(name: ChannelName, before: _Life | None, *, is_new: bool) -> ChannelPrior:
+    """Return what is believed of a channel with another fluid: that of the vehicle's last one, if there was one."""
+    prior = _OF_NEW[name]
+    if before is not None:
+        last = before.channels[name]
+        start, std = summary(last.fits[0], Part.START)
+        rate = -last.rate_per_m.mean
+        prior = replace(
+            prior,
+            start=start,
+            start_std=float(np.hypot(std, START_SCATTER[name])),
+            typical_rate_per_m=rate,
+            typical_log_std=float(min(np.hypot(NEXT_FLUID_LOG_STD, last.rate_per_m.std / rate), prior.typical_log_std)),
+        )
+    if is_new:
+        return prior
+    start, start_std = _UNKNOWN[name]
+    return replace(prior, start=start, start_std=start_std)
+
+
+def _aged_channel(channel: Channel, clocks: tuple[Clock, ...], prior: ChannelPrior) -> _AgedChannel:
+    fits, mixtures, evidence = [], [], []
+    for number, clock in enumerate(clocks):
+        one = fit(channel.bins, number, prior, channel.common_std, float(clock.age_m[-1]))
+        mixture, log_evidence = aged(one, prior, clock.recent_ratio)
+        fits.append(one)
+        mixtures.append(mixture)
+        evidence.append(log_evidence)
+    share = np.exp(np.array(evidence) - max(evidence))
+    share /= share.sum()
+    weighted = tuple(one.of(float(part)) for one, part in zip(mixtures, share, strict=True))
+    return _AgedChannel(prior=prior, fits=tuple(fits), mixtures=weighted)
+
+
+def _either(life: _Life, margin_limit: float, level_limit: float) -> Passage:
+    """Return when the margin or the level passes its limit; the level that of new fluid or that of its own start."""
+    margin = passage(life.channels[ChannelName.MARGIN].mixtures, [(margin_limit, 0.0)])
+    level = passage(life.channels[ChannelName.LEVEL].mixtures, [(level_limit, 0.0), (0.0, level_limit)])
+    return margin.or_(level)
+
+
+def _reach(when: Passage, events_per_m: float, service_distance_m: float) -> Reach:
+    p10_m, p50_m, p90_m = (when.quantile_m(one) for one in (0.1, 0.5, 0.9))
+    return Reach(
+        p10_m=p10_m,
+        p50_m=p50_m,
+        p90_m=p90_m,
+        p10_events=None if p10_m is None else p10_m * events_per_m,
+        p50_events=None if p50_m is None else p50_m * events_per_m,
+        p90_events=None if p90_m is None else p90_m * events_per_m,
+        probability_before_service=when.within(service_distance_m),
+        passage=when,
+    )
+
+
+def _state(channel: _AgedChannel, energy_j_per_m: float | None) -> ChannelState:
+    rate, one = channel.rate_per_m, channel.fits[0]
+    per_j = None
+    if energy_j_per_m is not None:
+        per_j = Value(mean=rate.mean / energy_j_per_m, std=rate.std / energy_j_per_m)
+    return ChannelState(
+        now=_value(one, Part.NOW),
+        rate_per_m=rate,
+        rate_per_j=per_j,
+        temperature_per_k=_value(one, Part.WARMTH),
+        probability_falling=probability_falling(one),
+    )
+
+
+def _value(one: Fit, part: Part) -> Value:
+    mean, std = summary(one, part)
+    return Value(mean=mean, std=std)
+
+
+def _lining(lives: list[_Life]) -> Value | None:
+    """Return how much of the first new fluid's level the newest did not bring back; what they share is not in it."""
+    new = [life.channels[ChannelName.LEVEL].fits[0] for life in lives if life.is_new]
+    if len(new) < 2 or not lives[-1].is_new:
+        return None
+    first, last = _value(new[0], Part.SEEN_START), _value(new[-1], Part.SEEN_START)
+    ratio = last.mean / first.mean
+    return Value(mean=ratio - 1.0, std=float(np.hypot(last.std, ratio * first.std)) / first.mean)
+
+
+def _events_per_m(history: History) -> float:
+    """Return how many events of the clutch there are per metre, stretches without any left out."""
+    if len(history) < 2:
+        return 0.0
+    steps_m = np.diff(history.odometer_m)
+    usual_m = float(np.quantile(steps_m, 0.9))
+    is_usual = steps_m <= 10.0 * max(usual_m, 1.0)
+    driven_m = float(steps_m[is_usual].sum())
+    return float(history.event_count[1:][is_usual].sum()) / max(driven_m, 1.0)
+
+
+def _recent_energy_j(history: History) -> float:
+    energy_j = history.slip_energy_j
+    return 0.0 if energy_j is None else float(np.mean(energy_j[-120:]))

@@ -1,0 +1,241 @@
+"""How one channel has aged: a line that wanders, may have bent once, and has a temperature and a scale in it.
+
+All of it is linear and normal, so each assumed bend has an exact answer; bends are weighted by how well each one
+explains the results. Rates are then held against what is known of fluids: they age. Equations: docs/prognosis.md.
+"""
+
+from dataclasses import dataclass
+from enum import IntEnum
+from typing import Final
+
+import numpy as np
+
+from canlog.arrays import FloatArray
+from diag_service.diagnosis.prognosis.assumptions import KNEE_PROBABILITY, ChannelPrior
+from diag_service.diagnosis.prognosis.channels import Bins
+from diag_service.diagnosis.prognosis.normal import normal_cdf
+
+KNEE_SHARES: Final = (0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9)  # of the age, where a bend is looked for
+LEAST_KNEE_BINS: Final = 8
+RATE_STEPS: Final = np.linspace(-4.0, 4.0, 65)  # standard deviations about each bend's rate
+LEAST_WEIGHT: Final = 2e-3  # of the largest: what is left out of a mixture
+
+
+class Part(IntEnum):
+    """What is asked of a fit: places in its vectors."""
+
+    NOW = 0  # the channel today, without common errors
+    RATE = 1  # per metre of the clock
+    START = 2  # the channel when the fluid was first seen
+    WARMTH = 3  # per kelvin
+    SEEN_START = 4  # the start with its common errors: what two fluids of one vehicle share
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Fit:
+    """What each assumed bend makes of a channel: (m, 5) means, (m, 5, 5) covariances, (m,) logarithms of evidence."""
+
+    mean: FloatArray
+    covariance: FloatArray
+    log_evidence: FloatArray
+    prior_rate_variance: FloatArray  # (m,) of the belief without sign
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Mixture:
+    """A channel today as a mixture of normal distributions, each at a fixed rate of ageing; shape (k,)."""
+
+    weight: FloatArray  # sums to one
+    rate_per_m: FloatArray  # of the odometer, negative
+    now: FloatArray
+    now_variance: FloatArray
+    start: FloatArray
+    start_variance: FloatArray
+    now_start_covariance: FloatArray
+    wander: float  # of the rate, per metre of the odometer
+
+    def of(self, share: float) -> "Mixture":
+        """Return the same with a weight that sums to a share of one."""
+        return Mixture(
+            weight=self.weight * share,
+            rate_per_m=self.rate_per_m,
+            now=self.now,
+            now_variance=self.now_variance,
+            start=self.start,
+            start_variance=self.start_variance,
+            now_start_covariance=self.now_start_covariance,
+            wander=self.wander,
+        )
+
+
+def fit(bins: Bins, clock: int, prior: ChannelPrior, common_std: float, now_m: float) -> Fit:
+    """Return what a channel's bins say by one clock, which stands at ``now_m``."""
+    age_m = bins.ages_m[clock]
+    knees_m = _knees(age_m, now_m)
+    reach_m = np.maximum(age_m - knees_m[:, None], 0.0)
+    now_reach_m = np.maximum(now_m - knees_m, 0.0)
+    knee = prior.knee_std_per_m**2
+    warmth, warmth_variance = _warmth(bins, prior)
+    seen = _shared(bins, age_m, prior, common_std, warmth_variance) + knee * reach_m[:, :, None] * reach_m[:, None, :]
+    cross = _cross(bins, age_m, prior, common_std, now_m, warmth_variance)[None, :, :].repeat(len(knees_m), axis=0)
+    cross[:, Part.NOW] += knee * now_reach_m[:, None] * reach_m
+    cross[:, Part.RATE] += knee * reach_m
+    before = _before(prior, common_std, now_m, warmth_variance)[None, :, :].repeat(len(knees_m), axis=0)
+    before[:, Part.NOW, Part.NOW] += knee * now_reach_m**2
+    before[:, Part.NOW, Part.RATE] += knee * now_reach_m
+    before[:, Part.RATE, Part.NOW] += knee * now_reach_m
+    before[:, Part.RATE, Part.RATE] += knee * (now_reach_m > 0.0)
+    expected = np.array([prior.start, 0.0, prior.start, warmth, prior.start])
+    surprise = bins.value - prior.start - warmth * bins.warmth_k
+    residual = np.broadcast_to(surprise[:, None], (len(knees_m), len(age_m), 1))
+    solved = np.linalg.solve(seen, np.concatenate((residual, cross.swapaxes(1, 2)), axis=2))
+    _, log_determinant = np.linalg.slogdet(seen)
+    explained = np.einsum("n,mn->m", surprise, solved[:, :, 0])
+    return Fit(
+        mean=expected + np.einsum("mpn,mn->mp", cross, solved[:, :, 0]),
+        covariance=before - cross @ solved[:, :, 1:],
+        log_evidence=_log_knee_prior(len(knees_m)) - 0.5 * (explained + log_determinant),
+        prior_rate_variance=before[:, Part.RATE, Part.RATE],
+    )
+
+
+def _knees(age_m: FloatArray, now_m: float) -> FloatArray:
+    """Return the ages at which a bend is assumed, the first of them never."""
+    shares = KNEE_SHARES if len(age_m) >= LEAST_KNEE_BINS else ()
+    return np.array([np.inf, *(share * now_m for share in shares)])
+
+
+def _log_knee_prior(count: int) -> FloatArray:
+    if count == 1:
+        return np.zeros(1)
+    return np.log(np.array([1.0 - KNEE_PROBABILITY, *[KNEE_PROBABILITY / (count - 1)] * (count - 1)]))
+
+
+def _warmth(bins: Bins, prior: ChannelPrior) -> tuple[float, float]:
+    """Return temperature coefficient and its variance, from what results that are close in age say of it."""
+    before = prior.temperature_std_per_k**2
+    share = before / (before + bins.warmth_variance)
+    return share * bins.warmth_per_k, share * bins.warmth_variance
+
+
+def _shared(
+    bins: Bins, age_m: FloatArray, prior: ChannelPrior, common_std: float, warmth_variance: float
+) -> FloatArray:
+    """Return the covariance of the bins, bends apart, shape (b, b)."""
+    constant = prior.start_std**2 + common_std**2
+    line = prior.rate_std_per_m**2 * np.outer(age_m, age_m)
+    warmth = warmth_variance * np.outer(bins.warmth_k, bins.warmth_k)
+    later, earlier = np.maximum.outer(age_m, age_m), np.minimum.outer(age_m, age_m)
+    wander = prior.wander * earlier**2 * (3.0 * later - earlier) / 6.0
+    return np.asarray(constant + line + warmth + wander + np.diag(bins.variance + prior.floor_std**2))
+
+
+def _cross(
+    bins: Bins, age_m: FloatArray, prior: ChannelPrior, common_std: float, now_m: float, warmth_variance: float
+) -> FloatArray:
+    """Return the covariance of each part with the bins, bends apart, shape (5, b)."""
+    start, rate = prior.start_std**2, prior.rate_std_per_m**2
+    wander = prior.wander * age_m**2
+    return np.array(
+        [
+            start + rate * now_m * age_m + wander * (3.0 * now_m - age_m) / 6.0,
+            rate * age_m + wander / 2.0,
+            np.full_like(age_m, start),
+            warmth_variance * bins.warmth_k,
+            np.full_like(age_m, start + common_std**2),
+        ]
+    )
+
+
+def _before(prior: ChannelPrior, common_std: float, now_m: float, warmth_variance: float) -> FloatArray:
+    """Return the covariance of the parts before any result, bends apart, shape (5, 5)."""
+    start, rate = prior.start_std**2, prior.rate_std_per_m**2
+    covariance = np.zeros((len(Part), len(Part)))
+    covariance[np.ix_([Part.NOW, Part.START, Part.SEEN_START], [Part.NOW, Part.START, Part.SEEN_START])] = start
+    covariance[Part.NOW, Part.NOW] += rate * now_m**2 + prior.wander * now_m**3 / 3.0
+    covariance[Part.NOW, Part.RATE] = covariance[Part.RATE, Part.NOW] = rate * now_m + prior.wander * now_m**2 / 2.0
+    covariance[Part.RATE, Part.RATE] = rate + prior.wander * now_m
+    covariance[Part.WARMTH, Part.WARMTH] = warmth_variance
+    covariance[Part.SEEN_START, Part.SEEN_START] += common_std**2
+    return covariance
+
+
+def weights(one: Fit) -> FloatArray:
+    """Return the probability of each bend, without what is known of fluids, shape (m,)."""
+    raw = np.exp(one.log_evidence - one.log_evidence.max())
+    return np.asarray(raw / raw.sum())
+
+
+def probability_falling(one: Fit) -> float:
+    """Return the probability that the channel falls, by the results alone."""
+    z = -one.mean[:, Part.RATE] / np.sqrt(one.covariance[:, Part.RATE, Part.RATE])
+    return float(weights(one) @ normal_cdf(z))
+
+
+def summary(one: Fit, part: Part) -> tuple[float, float]:
+    """Return mean and deviation of a part over all bends."""
+    weight, mean = weights(one), one.mean[:, part]
+    centre = float(weight @ mean)
+    return centre, float(np.sqrt(weight @ (one.covariance[:, part, part] + (mean - centre) ** 2)))
+
+
+def aged(one: Fit, prior: ChannelPrior, recent_ratio: float) -> tuple[Mixture, float]:
+    """Return the channel at all rates at which a fluid may age, and the logarithm of the evidence for this clock.
+
+    The belief without sign is taken out of each rate's probability and the one on ageing fluids put in.
+    """
+    mean, covariance = one.mean, one.covariance
+    std = np.sqrt(covariance[:, Part.RATE, Part.RATE])
+    rate = mean[:, Part.RATE, None] + std[:, None] * RATE_STEPS
+    log_weight = one.log_evidence[:, None] - 0.5 * RATE_STEPS**2
+    log_weight = log_weight + _log_ageing(rate, prior) - _log_normal_density(rate, one.prior_rate_variance[:, None])
+    top = float(log_weight.max())
+    if not np.isfinite(top):
+        return _barely_ageing(one, prior, recent_ratio), float(one.log_evidence.max()) - 0.5 * RATE_STEPS[-1] ** 2
+    weight = np.exp(log_weight - top)
+    log_evidence = top + float(np.log(weight.sum()))
+    bend, step = np.nonzero(weight > LEAST_WEIGHT * weight.max())
+    chosen = weight[bend, step]
+    gain = covariance[:, :, Part.RATE] / covariance[:, Part.RATE, Part.RATE, None]
+    left = covariance - gain[:, :, None] * covariance[:, None, Part.RATE, :]
+    moved = mean[bend] + gain[bend] * (rate[bend, step] - mean[bend, Part.RATE])[:, None]
+    return _mixture(chosen / chosen.sum(), rate[bend, step], moved, left[bend], prior, recent_ratio), log_evidence
+
+
+def _barely_ageing(one: Fit, prior: ChannelPrior, recent_ratio: float) -> Mixture:
+    """Return the mixture where results say that friction rises: as slow an ageing as is known."""
+    slowest = -prior.typical_rate_per_m * np.exp(-2.5 * prior.typical_log_std)
+    rate = np.full(len(one.mean), slowest)
+    return _mixture(weights(one), rate, one.mean, one.covariance, prior, recent_ratio)
+
+
+def _mixture(
+    weight: FloatArray,
+    rate: FloatArray,
+    mean: FloatArray,
+    covariance: FloatArray,
+    prior: ChannelPrior,
+    recent_ratio: float,
+) -> Mixture:
+    return Mixture(
+        weight=weight,
+        rate_per_m=rate * recent_ratio,
+        now=mean[:, Part.NOW],
+        now_variance=np.maximum(covariance[:, Part.NOW, Part.NOW], 0.0),
+        start=mean[:, Part.START],
+        start_variance=np.maximum(covariance[:, Part.START, Part.START], 0.0),
+        now_start_covariance=covariance[:, Part.NOW, Part.START],
+        wander=prior.wander * recent_ratio**3,
+    )
+
+
+def _log_ageing(rate: FloatArray, prior: ChannelPrior) -> FloatArray:
+    """Return the logarithm of the density of rates of fluids, up to a constant: losses are log-normal."""
+    loss = np.where(rate < 0.0, -rate, 1.0)
+    distance = (np.log(loss) - np.log(prior.typical_rate_per_m)) / prior.typical_log_std
+    density = -0.5 * distance**2 - np.log(loss) - np.log(prior.typical_log_std)
+    return np.asarray(np.where(rate < 0.0, density, -np.inf))
+
+
+def _log_normal_density(value: FloatArray, variance: FloatArray) -> FloatArray:
+    return np.asarray(-0.5 * (value**2 / variance + np.log(variance)))

@@ -1,0 +1,49 @@
+"""What a prognosis rests on, in words and numbers."""
+
+from collections.abc import Iterator
+
+from clutch_model.units import degc_from_k
+from diag_service.diagnosis.condition.thresholds import (
+    CHANGE_LEVEL_RATIO,
+    WATCH_LEVEL_RATIO,
+    WATCH_MARGIN_RATIO,
+)
+from diag_service.diagnosis.prognosis.assumptions import (
+    FUTURE_KNEE_FACTORS,
+    FUTURE_KNEE_PER_M,
+    HORIZON_M,
+    LOAD_LOG_STD,
+    REFERENCE_K,
+)
+from diag_service.diagnosis.prognosis.changes import FluidStart
+from diag_service.diagnosis.prognosis.history import History
+
+M_PER_KM = 1000.0
+_PERCENT = 100.0
+
+
+def assumptions_of(history: History, starts: tuple[FluidStart, ...], service_distance_m: float) -> tuple[str, ...]:
+    """Return the assumptions of a prognosis, one sentence each."""
+    return tuple(_assumptions(history, starts, service_distance_m))
+
+
+def _assumptions(history: History, starts: tuple[FluidStart, ...], service_distance_m: float) -> Iterator[str]:
+    yield (
+        f"watch: margin below {_PERCENT * WATCH_MARGIN_RATIO:.0f} % of that of new fluid, or mu_C below "
+        f"{_PERCENT * WATCH_LEVEL_RATIO:.0f} % of new or of its own start"
+    )
+    yield f"change_fluid: margin gone, or mu_C below {_PERCENT * CHANGE_LEVEL_RATIO:.0f} % of new or of its own start"
+    yield f"friction as at {degc_from_k(REFERENCE_K):.0f} degC of the oil"
+    yield f"the load stays as it was lately, within {_PERCENT * LOAD_LOG_STD:.0f} % (one deviation)"
+    factors = " or ".join(f"{factor:g}" for factor in FUTURE_KNEE_FACTORS)
+    yield f"once in {1.0 / FUTURE_KNEE_PER_M / M_PER_KM:,.0f} km ageing may become {factors} times as fast"
+    horizon = f"{HORIZON_M / M_PER_KM:,.0f} km"
+    yield f"the next service is {service_distance_m / M_PER_KM:,.0f} km ahead; nothing is said beyond {horizon}"
+    yield "torque gain, piston area and sensors drift no more than fluid ages: results cannot tell the two apart"
+    for start in starts:
+        if not start.is_noted:
+            yield f"new fluid at about {start.odometer_m / M_PER_KM:,.0f} km, which nobody noted: friction says so"
+    if history.slip_energy_j is None:
+        yield "ageing goes by distance: slip energy is not known"
+    if history.left_out_count:
+        yield f"{history.left_out_count} results are left out: without odometer or oil temperature, or back in odometer"

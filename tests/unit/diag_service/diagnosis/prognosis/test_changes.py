@@ -1,0 +1,69 @@
+"""Fluid changes that nobody noted: found where friction jumps to new, not where it ages, warms up or scatters."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from diag_service.diagnosis.prognosis.changes import fluid_starts
+from diag_service.diagnosis.prognosis.history import History
+from tests.support.pasts import REFERENCE, ageing, past
+
+COUNT = 300
+WARMTH_K = 25.0 * np.sin(np.arange(COUNT) / 20.0)
+
+
+def with_step(row: int, *, noise_ratio: float = 0.02, seed: int = 1) -> History:
+    """Return a fluid that ages until a row, and new fluid from there on."""
+    margin = np.concatenate((ageing(row, until=0.35), ageing(COUNT - row, until=0.6)))
+    level = np.concatenate((np.linspace(1.0, 0.95, row), np.linspace(1.0, 0.97, COUNT - row)))
+    return past(margin, level=level, noise_ratio=noise_ratio, seed=seed)
+
+
+@pytest.mark.parametrize("row", [40, 150, 250])
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_a_forgotten_fill_is_found_within_fifteen_results(row: int, seed: int) -> None:
+    first, second = fluid_starts(with_step(row, seed=seed).first(row + 15))
+    assert (first.row, first.is_noted, second.is_noted) == (0, True, False)
+    assert abs(second.row - row) <= 4
+    assert second.noticed_row < row + 15
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_ageing_warmth_and_noise_are_no_fill(seed: int) -> None:
+    aged = past(ageing(COUNT, until=0.0), noise_ratio=0.03, warmth_k=WARMTH_K, seed=seed)
+    warm = replace(aged, mu_c=aged.mu_c * (1.0 - 3.0e-4 * WARMTH_K), mu_s=aged.mu_s * (1.0 + 3.0e-4 * WARMTH_K))
+    assert len(fluid_starts(warm)) == 1
+
+
+def test_noise_that_is_larger_than_stated_is_no_fill() -> None:
+    loud = past(ageing(COUNT), noise_ratio=0.03)
+    humble = replace(loud, random_std_mu_c=0.3 * loud.random_std_mu_c, random_std_mu_s=0.3 * loud.random_std_mu_s)
+    assert len(fluid_starts(humble)) == 1
+
+
+def test_a_few_wild_results_are_no_fill() -> None:
+    calm = past(ageing(COUNT))
+    wild = calm.mu_c.copy()
+    wild[[60, 61, 150, 220]] = 1.4 * REFERENCE.mu_c
+    assert len(fluid_starts(replace(calm, mu_c=wild))) == 1
+
+
+def test_a_fall_is_no_new_fluid() -> None:
+    margin = np.concatenate((np.ones(150), np.full(150, 0.3)))
+    assert len(fluid_starts(past(margin))) == 1
+
+
+def test_a_noted_fill_is_not_found_again() -> None:
+    noted = replace(with_step(150), fluid_number=(np.arange(COUNT) >= 150).astype(np.int64), new_fluids=(0, 1))
+    assert [(start.row, start.is_noted) for start in fluid_starts(noted)] == [(0, True), (150, True)]
+
+
+def test_two_forgotten_fills_are_two() -> None:
+    one = np.concatenate((ageing(100, until=0.3), ageing(100, until=0.3), ageing(100, until=0.3)))
+    assert [start.is_noted for start in fluid_starts(past(one))] == [True, False, False]
+
+
+def test_few_results_are_one_fluid() -> None:
+    for count in range(1, 24):
+        assert len(fluid_starts(past(np.ones(count)))) == 1

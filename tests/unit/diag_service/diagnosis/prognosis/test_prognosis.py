@@ -1,0 +1,142 @@
+"""What is foretold of a clutch from its past: outlooks, distances with their doubt, fluids, assumptions."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from clutch_model.gears import both_clutches
+from diag_service.diagnosis.condition.thresholds import CHANGE_LEVEL_RATIO, WATCH_LEVEL_RATIO
+from diag_service.diagnosis.prognosis import History, Outlook, Prognosis, history_of, prognose
+from diag_service.diagnosis.prognosis.prognosis import Reach
+from tests.support.histories import history as stored
+from tests.support.pasts import REFERENCE, ageing, past
+
+STEP_M = 1.0e5
+COUNT = 400  # 40,000 km
+
+
+def reach(found: Prognosis) -> Reach:
+    assert found.change_fluid is not None
+    return found.change_fluid
+
+
+def distance_m(value: float | None) -> float:
+    assert value is not None
+    return value
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_an_even_fall_reaches_its_limit_inside_the_interval(seed: int) -> None:
+    found = prognose(1, past(ageing(COUNT, until=0.4), step_m=STEP_M, seed=seed), REFERENCE)
+    assert found.outlook is Outlook.AGEING
+    change, watch = reach(found), found.watch
+    assert watch is not None
+    truth_m = 0.4 / 0.6 * STEP_M * COUNT
+    assert distance_m(change.p10_m) < truth_m < distance_m(change.p90_m)
+    assert distance_m(change.p10_m) < distance_m(change.p50_m) < distance_m(change.p90_m)
+    assert distance_m(watch.p90_m) < 5.0e6  # half of the margin was gone 6,000 km ago
+    assert distance_m(change.p50_events) == pytest.approx(distance_m(change.p50_m) * 2.0 / STEP_M)
+
+
+def test_more_results_make_the_interval_narrower() -> None:
+    def width(until: float, count: int) -> float:
+        change = reach(prognose(1, past(ageing(count, until=until), step_m=STEP_M), REFERENCE))
+        return distance_m(change.p90_m) - distance_m(change.p10_m)
+
+    assert width(0.15, 566) < 0.6 * width(0.7, 200)
+
+
+def test_few_results_say_nothing() -> None:
+    for count in (0, 1, 7):
+        found = prognose(2, past(np.ones(50)).first(count), REFERENCE)
+        assert (found.outlook, found.row_count) == (Outlook.TOO_FEW, count)
+        assert (found.watch, found.change_fluid, found.margin) == (None, None, None)
+        assert found.assumptions
+
+
+def test_a_new_vehicle_has_no_trend_and_is_far_from_everything() -> None:
+    found = prognose(1, past(np.ones(60), step_m=1.0e4), REFERENCE)
+    assert found.outlook is Outlook.NO_TREND
+    change = reach(found)
+    assert distance_m(change.p10_m) > 2.0e7
+    assert change.probability_before_service < 0.1
+
+
+def test_the_limits_are_those_of_the_verdict() -> None:
+    falling = np.linspace(1.0, CHANGE_LEVEL_RATIO - 0.02, COUNT)
+    found = prognose(1, past(np.ones(COUNT), level=falling, step_m=STEP_M), REFERENCE)
+    assert found.level is not None
+    assert reach(found).passage.within(0.0) > 0.7
+    watch = np.linspace(1.0, WATCH_LEVEL_RATIO - 0.03, COUNT)
+    found = prognose(1, past(np.ones(COUNT), level=watch, step_m=STEP_M), REFERENCE)
+    assert found.watch is not None
+    assert found.watch.passage.within(0.0) > 0.7
+    assert reach(found).passage.within(0.0) < 0.1
+
+
+def test_a_farther_service_is_likelier_to_come_too_late() -> None:
+    aged = past(ageing(COUNT, until=0.3), step_m=STEP_M)
+    near, far = (reach(prognose(1, aged, REFERENCE, service_distance_m=one)) for one in (1.0e6, 3.0e7))
+    assert near.probability_before_service < 0.2 < far.probability_before_service
+
+
+@pytest.mark.parametrize("is_noted", [True, False])
+def test_after_new_fluid_the_future_is_long_again_and_the_lining_is_told(is_noted: bool) -> None:
+    margin = np.concatenate((ageing(300, until=0.3), np.linspace(1.0, 0.9, 60)))
+    level = np.concatenate((np.linspace(1.0, 0.92, 300), np.linspace(0.97, 0.96, 60)))
+    filled = past(margin, level=level, step_m=STEP_M, fills=(300,) if is_noted else ())
+    before, after = prognose(1, filled.first(300), REFERENCE), prognose(1, filled, REFERENCE)
+    assert distance_m(reach(before).p50_m) < 2.5e7 < distance_m(reach(after).p50_m)
+    assert [start.is_noted for start in after.fluid_starts] == [True, is_noted]
+    assert after.lining is not None
+    assert abs(after.lining.mean + 0.03) < 3.0 * after.lining.std < 0.03
+    told = [line for line in after.assumptions if "nobody noted" in line]
+    assert len(told) == (0 if is_noted else 1)
+
+
+def test_a_fluid_of_unknown_age_is_not_taken_for_new() -> None:
+    worn = replace(past(np.full(40, 0.4), step_m=1.0e4), new_fluids=())
+    new = past(np.ones(40), step_m=1.0e4)
+    found = prognose(1, worn, REFERENCE)
+    assert found.margin is not None
+    assert found.margin.now.mean == pytest.approx(0.4, abs=0.1)
+    assert distance_m(reach(found).p10_m) < distance_m(reach(prognose(1, new, REFERENCE)).p10_m)
+
+
+def test_pasts_without_energy_go_by_distance() -> None:
+    found = prognose(1, replace(past(ageing(COUNT)), slip_energy_j=None), REFERENCE)
+    assert found.margin is not None
+    assert found.margin.rate_per_j is None
+    assert any("slip energy is not known" in line for line in found.assumptions)
+
+
+def test_rates_are_per_distance_and_per_energy() -> None:
+    found = prognose(1, past(ageing(COUNT, until=0.4), step_m=STEP_M), REFERENCE)
+    margin = found.margin
+    assert margin is not None
+    assert margin.rate_per_j is not None
+    assert margin.rate_per_m.mean == pytest.approx(-0.6 / (STEP_M * COUNT), rel=0.2)
+    joules_per_m = 8.0e3 * 2.0 / STEP_M
+    assert margin.rate_per_j.mean == pytest.approx(margin.rate_per_m.mean / joules_per_m)
+
+
+@pytest.mark.parametrize("name", ["odometer at rest", "one outlier", "a gap", "no noise at all"])
+def test_odd_pasts_have_a_future_too(name: str) -> None:
+    whole = past(ageing(COUNT), step_m=STEP_M)
+    odd: History = {
+        "odometer at rest": replace(whole, odometer_m=np.zeros(COUNT)),
+        "one outlier": replace(whole, mu_s=np.where(np.arange(COUNT) == 200, 9.0, whole.mu_s)),
+        "a gap": replace(whole, odometer_m=whole.odometer_m + np.where(np.arange(COUNT) > 100, 5.0e7, 0.0)),
+        "no noise at all": past(ageing(COUNT), noise_ratio=1e-6),
+    }[name]
+    found = prognose(1, odd, REFERENCE)
+    assert np.all(np.isfinite(reach(found).passage.probability))
+    assert 0.0 <= reach(found).probability_before_service <= 1.0
+
+
+def test_stored_results_are_enough() -> None:
+    results = stored(200)
+    clutches = both_clutches(prognose(clutch, history_of(results, (), clutch), REFERENCE) for clutch in (1, 2))
+    assert [one.clutch for one in clutches] == [1, 2]
+    assert all(one.outlook is not Outlook.TOO_FEW for one in clutches)
