@@ -1,4 +1,4 @@
-"""How good prognoses are on simulated lives of clutches, beside three simpler ways to foretell.
+"""How good prognoses are on simulated lives of clutches, beside four simpler ways to foretell.
 
     python -m benchmarks.prognosis --lives 200 --seed 50000
 

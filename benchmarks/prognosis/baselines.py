@@ -1,4 +1,4 @@
-"""What a prognosis must beat: a fixed interval, the lives of a fleet, a straight line through the results."""
+"""What a prognosis must beat: a fixed interval, the last slope, a logistic index, the lives of a fleet."""
 
 from typing import Final
 
@@ -11,7 +11,10 @@ from diag_service.diagnosis.prognosis import History
 
 INTERVAL_KM: Final = 60_000.0  # what makers of wet dual-clutch transmissions commonly ask for
 FARTHEST_KM: Final = 300_000.0
-LINE_DRAWS: Final = 400
+LAST_ROWS: Final = 150  # some 15,000 km
+INDEX_KM: Final = 5_000.0
+INDEX_MIDDLE: Final = 0.5  # of the margin
+INDEX_WIDTH: Final = 0.25
 
 
 def fixed_interval(age_km: float) -> FloatArray:
@@ -22,21 +25,56 @@ def fixed_interval(age_km: float) -> FloatArray:
 def fleet(age_km: float, lives_km: FloatArray) -> FloatArray:
     """Return what remained to those of a fleet whose fluid lasted longer than this one already has [km]."""
     left_km = lives_km[lives_km > age_km] - age_km
-    return np.quantile(left_km, PROBABILITIES) if len(left_km) else np.zeros(len(PROBABILITIES))
+    if not len(left_km):
+        return np.zeros(len(PROBABILITIES))
+    return np.asarray(np.quantile(left_km, PROBABILITIES), np.float64)
 
 
-def straight_line(history: History, rng: np.random.Generator) -> FloatArray:
-    """Return where least squares through the margins of the noted fluid reach zero, errors of the line drawn [km]."""
+def last_slope(history: History) -> FloatArray:
+    """Return where the slope of the last results of the noted fluid leads, a number without doubt [km]."""
+    distance_km, margin = (column[-LAST_ROWS:] for column in _margins(history))
+    now, rate_per_km = _line(distance_km, margin)
+    return _left(now, rate_per_km)
+
+
+def logistic_index(history: History) -> FloatArray:
+    """Return where the mean slope of a logistic index leads, later slopes weighing more [km].
+
+    The index flattens a margin near new and near zero. Its means over some distance give slopes; the n-th weighs n.
+    """
+    distance_km, margin = _margins(history)
+    place = ((distance_km - distance_km[0]) / INDEX_KM).astype(np.int64)
+    index = np.asarray(_logistic(margin), np.float64)
+    bins = [place == one for one in np.unique(place)]
+    at_km = np.array([distance_km[own].mean() for own in bins])
+    means = np.array([index[own].mean() for own in bins])
+    if len(means) < 2:
+        return _left(1.0, 0.0)
+    slopes = np.diff(means) / np.maximum(np.diff(at_km), 1.0)
+    rate_per_km = float(np.average(slopes, weights=np.arange(1, len(slopes) + 1)))
+    return _left(float(means[-1]) - rate_per_km * float(at_km[-1]) - float(_logistic(np.zeros(1))[0]), rate_per_km)
+
+
+def _margins(history: History) -> tuple[FloatArray, FloatArray]:
+    """Return distances from today [km], negative, and margins with the noted fluid."""
     own = history.fluid_number == history.fluid_number[-1]
     distance_km = (history.odometer_m[own] - history.odometer_m[-1]) / 1000.0
-    margin = (history.mu_c[own] - history.mu_s[own]) / (REFERENCE.mu_c - REFERENCE.mu_s)
-    if len(margin) < 4:
-        return np.full(len(PROBABILITIES), FARTHEST_KM)
-    design = np.column_stack((np.ones_like(distance_km), distance_km / 1.0e4))
-    normal = design.T @ design
-    line = np.linalg.solve(normal, design.T @ margin)
-    variance = float(np.mean((margin - design @ line) ** 2)) * len(margin) / (len(margin) - 2)
-    now, rate = rng.multivariate_normal(line, variance * np.linalg.inv(normal), LINE_DRAWS).T
-    falls = rate < 0.0
-    left_km = np.where(falls, 1.0e4 * now / np.where(falls, -rate, 1.0), FARTHEST_KM)
-    return np.quantile(np.clip(left_km, 0.0, FARTHEST_KM), PROBABILITIES)
+    return distance_km, (history.mu_c[own] - history.mu_s[own]) / (REFERENCE.mu_c - REFERENCE.mu_s)
+
+
+def _line(distance_km: FloatArray, margin: FloatArray) -> tuple[float, float]:
+    """Return value today and slope per kilometre by least squares."""
+    if len(margin) < 3:
+        return 1.0, 0.0
+    slope, now = np.polyfit(distance_km, margin, 1)
+    return float(now), float(slope)
+
+
+def _logistic(margin: FloatArray) -> FloatArray:
+    return np.asarray(1.0 / (1.0 + np.exp(-(margin - INDEX_MIDDLE) / INDEX_WIDTH)), np.float64)
+
+
+def _left(now: float, rate_per_km: float) -> FloatArray:
+    """Return how far a line is from zero, as quantiles that are all alike."""
+    left_km = -now / rate_per_km if rate_per_km < 0.0 else FARTHEST_KM
+    return np.full(len(PROBABILITIES), min(max(left_km, 0.0), FARTHEST_KM))

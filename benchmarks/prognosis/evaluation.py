@@ -5,7 +5,7 @@ from typing import Final
 
 import numpy as np
 
-from benchmarks.prognosis.baselines import FARTHEST_KM, fixed_interval, fleet, straight_line
+from benchmarks.prognosis.baselines import FARTHEST_KM, fixed_interval, fleet, last_slope, logistic_index
 from benchmarks.prognosis.lives import DRIVEN_KM, KM_PER_YEAR, REFERENCE, Life, Stratum
 from benchmarks.prognosis.scores import PROBABILITIES
 from canlog.arrays import FloatArray
@@ -38,7 +38,7 @@ class Forecast:
         return float(np.median(self.methods[0]))
 
 
-METHODS: Final = ("prognosis", "straight line", "lives of the fleet", "fixed interval")
+METHODS: Final = ("prognosis", "fixed interval", "last slope", "logistic index", "fleet")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -87,7 +87,6 @@ def _is_due(life: Life, odometer_km: float) -> bool:
 
 
 def _forecasts(life: Life, lives_km: FloatArray) -> list[Forecast]:
-    rng = np.random.default_rng([life.seed, 560])
     forecasts = []
     for mark in (*MARKS, *LATE_MARKS):
         odometer_km = life.begin_km + mark * life.life_km
@@ -106,9 +105,10 @@ def _forecasts(life: Life, lives_km: FloatArray) -> list[Forecast]:
                 passed=when.within(left_km * M_PER_KM),
                 methods=(
                     when.quantiles_m(PROBABILITIES) / M_PER_KM,
-                    straight_line(history, rng),
-                    fleet(age_km, lives_km),
                     fixed_interval(age_km),
+                    last_slope(history),
+                    logistic_index(history),
+                    fleet(age_km, lives_km),
                 ),
             )
         )

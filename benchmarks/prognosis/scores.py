@@ -9,7 +9,9 @@ import numpy as np
 
 from canlog.arrays import FloatArray
 
-PROBABILITIES: Final = (np.arange(99) + 0.5) / 99.0  # of the quantiles that a forecast stands as
+PROBABILITIES: Final[FloatArray] = np.asarray(
+    (np.arange(99) + 0.5) / 99.0, np.float64
+)  # of the quantiles that a forecast stands as
 COVERED: Final = 0.90
 ALPHA: Final = 0.20
 

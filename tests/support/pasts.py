@@ -32,8 +32,8 @@ def past(
     mu_s = mu_c - NEW_MARGIN * margin
     noise = noise_ratio * rng.standard_normal((2, count))
     return History(
-        end_s=np.arange(count) * 3600.0,
-        odometer_m=step_m * np.arange(count),
+        end_s=np.arange(count, dtype=np.float64) * 3600.0,
+        odometer_m=step_m * np.arange(count, dtype=np.float64),
         mu_c=mu_c * (1.0 + noise[0]),
         mu_s=mu_s * (1.0 + noise[1]),
         random_std_mu_c=noise_ratio * mu_c,

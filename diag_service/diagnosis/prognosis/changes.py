@@ -16,7 +16,7 @@ from diag_service.diagnosis.prognosis.assumptions import REFERENCE_K
 from diag_service.diagnosis.prognosis.history import History
 from diag_service.diagnosis.prognosis.normal import robust_noise_ratio
 
-BEFORE_COUNT: Final = 120  # rows that say where friction was
+BEFORE_COUNTS: Final = {120: 1.0, 30: 0.5}  # rows that say where friction was: share of chi-square that each reaches
 LEAST_BEFORE: Final = 20
 AFTER_COUNTS: Final = (4, 6, 8, 11, 15)  # rows that say where it is now
 STEP_CHI_SQUARE: Final = 30.0  # of two coefficients; set on simulated lives, docs/prognosis.md
@@ -125,10 +125,12 @@ def _scan(sums: _Sums, relative: FloatArray, correlation: float, count: int) -> 
         if not len(ends):
             break
         changes = ends - after
-        befores = np.maximum(changes - BEFORE_COUNT, 0)
-        steps, stds = _steps(sums.outer, moments, befores, changes, ends)
-        chi_square = _chi_square(steps / stds, correlation)
-        is_better = _is_towards_new(steps) & (chi_square > best[ends - 1])
+        chi_square = np.full(len(ends), np.inf)
+        for before, share in BEFORE_COUNTS.items():
+            steps, stds = _steps(sums.outer, moments, np.maximum(changes - before, 0), changes, ends)
+            better = np.where(_is_towards_new(steps), _chi_square(steps / stds, correlation), 0.0)
+            chi_square = np.minimum(chi_square, better / share)
+        is_better = chi_square > best[ends - 1]
         rows = ends[is_better] - 1
         best[rows], place[rows] = chi_square[is_better], changes[is_better]
     return best, place

@@ -58,8 +58,9 @@ class History:
 
     def first(self, count: int) -> Self:
         """Return the history as it was after so many rows."""
-        columns = {name: getattr(self, name) for name in _COLUMNS}
-        return replace(self, **{name: one if one is None else one[:count] for name, one in columns.items()})
+        columns: dict[str, Any] = {name: getattr(self, name) for name in _COLUMNS}
+        shorter: dict[str, Any] = {name: one if one is None else one[:count] for name, one in columns.items()}
+        return replace(self, **shorter)
 
 
 _COLUMNS: Final = tuple(one.name for one in fields(History) if one.name not in {"new_fluids", "left_out_count"})

@@ -108,7 +108,8 @@ def _knees(age_m: FloatArray, now_m: float) -> FloatArray:
 def _log_knee_prior(count: int) -> FloatArray:
     if count == 1:
         return np.zeros(1)
-    return np.log(np.array([1.0 - KNEE_PROBABILITY, *[KNEE_PROBABILITY / (count - 1)] * (count - 1)]))
+    chances = np.array([1.0 - KNEE_PROBABILITY, *[KNEE_PROBABILITY / (count - 1)] * (count - 1)])
+    return np.asarray(np.log(chances), np.float64)
 
 
 def _warmth(bins: Bins, prior: ChannelPrior) -> tuple[float, float]:

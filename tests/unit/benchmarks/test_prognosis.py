@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from benchmarks.prognosis.__main__ import main
-from benchmarks.prognosis.baselines import fixed_interval, fleet, straight_line
+from benchmarks.prognosis.baselines import fixed_interval, fleet, last_slope, logistic_index
 from benchmarks.prognosis.lives import DRIVEN_KM, Life, Stratum, life_of
 from benchmarks.prognosis.scores import PROBABILITIES, crps, is_covered, is_near
 
@@ -71,9 +71,10 @@ def test_baselines_say_what_their_names_say(lives: dict[Stratum, Life]) -> None:
     assert fleet(500_000.0, np.array([40_000.0])).max() == 0.0
     life = lives[Stratum.STEADY]
     half_km = 0.5 * life.life_km
-    quantiles = straight_line(life.history.first(life.rows_until(half_km)), np.random.default_rng(1))
-    assert np.all(np.diff(quantiles) >= 0.0)
-    assert 0.3 * half_km < np.median(quantiles) < 3.0 * half_km
+    past = life.history.first(life.rows_until(half_km))
+    for quantiles in (last_slope(past), logistic_index(past)):
+        assert np.ptp(quantiles) == 0.0
+        assert 0.2 * half_km < quantiles[0] < 5.0 * half_km
 
 
 def test_the_command_prints_its_three_tables(capsys: pytest.CaptureFixture[str]) -> None:

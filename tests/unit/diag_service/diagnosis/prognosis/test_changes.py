@@ -49,9 +49,11 @@ def test_a_few_wild_results_are_no_fill() -> None:
     assert len(fluid_starts(replace(calm, mu_c=wild))) == 1
 
 
-def test_a_fall_is_no_new_fluid() -> None:
-    margin = np.concatenate((np.ones(150), np.full(150, 0.3)))
-    assert len(fluid_starts(past(margin))) == 1
+@pytest.mark.parametrize("rows", [25, 60, 120])
+@pytest.mark.parametrize("seed", range(3))
+def test_a_fall_that_ends_is_no_new_fluid(rows: int, seed: int) -> None:
+    margin = np.concatenate((np.ones(150), np.linspace(1.0, 0.5, rows), np.full(150 - rows, 0.5)))
+    assert len(fluid_starts(past(margin, noise_ratio=0.02, seed=seed))) == 1
 
 
 def test_a_noted_fill_is_not_found_again() -> None:
