@@ -15,7 +15,7 @@ from rich.console import Console
 from rich.table import Table
 
 from benchmarks.prognosis.evaluation import LATE_MARKS, MARKS, METHODS, Account, Forecast, account_of
-from benchmarks.prognosis.lives import Stratum, life_of
+from benchmarks.prognosis.lives import Stratum, life_km_of, life_of
 from benchmarks.prognosis.scores import crps, is_covered, is_near
 from canlog.arrays import FloatArray
 
@@ -120,7 +120,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser.add_argument("--seed", type=int, default=FIRST_SEED, help="of the first life")
     arguments = parser.parse_args(argv)
     began_s = time.process_time()
-    lives_km = np.array([life_of(seed).life_km for seed in FLEET_SEEDS])
+    lives_km = np.array([life_km_of(seed) for seed in FLEET_SEEDS])
     accounts = [account_of(life_of(arguments.seed + number), lives_km) for number in range(arguments.lives)]
     forecasts = [one for account in accounts for one in account.forecasts]
     console = Console(markup=False, width=WIDTH)

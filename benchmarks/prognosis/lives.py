@@ -1,7 +1,7 @@
 """Simulated lives of clutches: what truly becomes of margin and level, and the results that a service would have had.
 
 Nothing here is from the prognosis: fluids age by a power of the work done, faster in heat, with bends; results have the
-errors that docs/accuracy.md states of single shifts, and some that nobody states. Of a hundred events one is drawn.
+errors that docs/accuracy.md states of single shifts, and some that nobody states. Of forty events one is drawn.
 """
 
 from dataclasses import dataclass, replace
@@ -20,7 +20,7 @@ STEP_KM: Final = 100.0  # of the true life
 TRUTH_KM: Final = 450_000.0  # as far as truth is known
 DRIVEN_KM: Final = 150_000.0  # as far as results go
 KM_PER_YEAR: Final = 15_000.0
-ROW_KM: Final = 100.0
+ROW_KM: Final = 40.0
 CASE_2: Final = 0.15  # by which aged fluid lowers mu_C and raises mu_S, docs/model.md
 GONE: Final = 1.0 / (CASE_2 * (REFERENCE.mu_c + REFERENCE.mu_s) / (REFERENCE.mu_c - REFERENCE.mu_s))  # of case 2
 STATED_C: Final = 0.017  # of mu_C, one shift alone, random part
@@ -83,8 +83,57 @@ class _Plan:
     run_in: tuple[float, float]  # size in mu_C, and distance [km]
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Lived:
+    """What truly became of a clutch."""
+
+    rng: np.random.Generator  # as the truth left it
+    stratum: Stratum
+    plan: _Plan
+    road_km: FloatArray
+    load: FloatArray
+    mu_c: FloatArray
+    mu_s: FloatArray
+
+    @property
+    def begin_km(self) -> float:
+        """Odometer at the last fill."""
+        return self.plan.fill_km if np.isfinite(self.plan.fill_km) else 0.0
+
+    def first_below_km(self, margin_ratio: float, level_ratio: float) -> float:
+        """Return the odometer from which on the last fluid is below a limit, or the end of what is known."""
+        margin = (self.mu_c - self.mu_s) / (REFERENCE.mu_c - REFERENCE.mu_s)
+        level = self.mu_c / REFERENCE.mu_c
+        own = level / level[np.searchsorted(self.road_km, self.begin_km)]
+        is_below = (margin < margin_ratio) | (np.minimum(level, own) < level_ratio)
+        rows = np.flatnonzero(is_below & (self.road_km >= self.begin_km))
+        return float(self.road_km[rows[0]]) if len(rows) else TRUTH_KM
+
+
 def life_of(seed: int) -> Life:
     """Return the life of a seed; strata come in turn."""
+    lived = _lived(seed)
+    is_noted = lived.stratum is not Stratum.FORGOTTEN_FILL
+    truth = (lived.road_km, lived.mu_c, lived.mu_s)
+    history = _measured(lived.rng, lived.plan, lived.stratum, truth, lived.load)
+    return Life(
+        seed=seed,
+        stratum=lived.stratum,
+        history=_with_fill(history, lived.begin_km) if is_noted and lived.begin_km else history,
+        begin_km=lived.begin_km,
+        watch_km=lived.first_below_km(WATCH_MARGIN_RATIO, WATCH_LEVEL_RATIO),
+        change_km=lived.first_below_km(0.0, CHANGE_LEVEL_RATIO),
+        forgotten_km=None if is_noted else lived.begin_km,
+    )
+
+
+def life_km_of(seed: int) -> float:
+    """Return how long the last fluid of a life truly lasts; no results are drawn."""
+    lived = _lived(seed)
+    return lived.first_below_km(0.0, CHANGE_LEVEL_RATIO) - lived.begin_km
+
+
+def _lived(seed: int) -> _Lived:
     strata = tuple(Stratum)
     stratum = strata[seed % len(strata)]
     rng = np.random.default_rng([seed, 56])
@@ -92,23 +141,7 @@ def life_of(seed: int) -> Life:
     road_km = np.arange(0.0, TRUTH_KM, STEP_KM)
     load = np.where(road_km < plan.load[0], 1.0, plan.load[1])
     mu_c, mu_s = _truth(rng, plan, road_km, load, stratum)
-    begin_km = plan.fill_km if np.isfinite(plan.fill_km) else 0.0
-    margin = (mu_c - mu_s) / (REFERENCE.mu_c - REFERENCE.mu_s)
-    level = mu_c / REFERENCE.mu_c
-    own = level / level[np.searchsorted(road_km, begin_km)]
-    watch = (margin < WATCH_MARGIN_RATIO) | (np.minimum(level, own) < WATCH_LEVEL_RATIO)
-    change = (margin < 0.0) | (np.minimum(level, own) < CHANGE_LEVEL_RATIO)
-    is_noted = stratum is not Stratum.FORGOTTEN_FILL
-    history = _measured(rng, plan, stratum, (road_km, mu_c, mu_s), load)
-    return Life(
-        seed=seed,
-        stratum=stratum,
-        history=history if not is_noted or not begin_km else _with_fill(history, begin_km),
-        begin_km=begin_km,
-        watch_km=_first(road_km, watch, begin_km),
-        change_km=_first(road_km, change, begin_km),
-        forgotten_km=None if is_noted else begin_km,
-    )
+    return _Lived(rng=rng, stratum=stratum, plan=plan, road_km=road_km, load=load, mu_c=mu_c, mu_s=mu_s)
 
 
 def _planned(rng: np.random.Generator, stratum: Stratum) -> _Plan:
@@ -120,7 +153,7 @@ def _planned(rng: np.random.Generator, stratum: Stratum) -> _Plan:
         life_km=(life_km, life_km * float(rng.lognormal(0.0, 0.15))),
         shape=float(rng.uniform(0.85, 1.2)),
         fill_km=float(np.clip(rng.uniform(0.5, 0.85) * life_km, 20_000.0, 70_000.0)) if has_fill else np.inf,
-        knee=(float(rng.uniform(0.3, 0.8)), float(rng.uniform(1.8, 4.0))) if has_knee else (1.0, 1.0),
+        knee=(float(rng.uniform(0.2, 0.6)), float(rng.uniform(1.5, 3.0))) if has_knee else (1.0, 1.0),
         load=(float(load_km), float(rng.choice([rng.uniform(0.5, 0.75), rng.uniform(1.4, 2.2)]))),
         season_k=float(rng.uniform(14.0, 20.0) if stratum is Stratum.SEASON else rng.uniform(4.0, 9.0)),
         winter=float(rng.uniform()),
@@ -227,9 +260,3 @@ def _is_kept(rng: np.random.Generator, odometer_km: FloatArray) -> BoolArray:
 def _with_fill(history: History, fill_km: float) -> History:
     number = (history.odometer_m >= fill_km * 1000.0).astype(np.int64)
     return replace(history, fluid_number=number, new_fluids=(0, 1))
-
-
-def _first(road_km: FloatArray, is_passed: BoolArray, begin_km: float) -> float:
-    """Return the odometer from which on a limit is passed, or the end of what is known."""
-    rows = np.flatnonzero(is_passed & (road_km >= begin_km))
-    return float(road_km[rows[0]]) if len(rows) else TRUTH_KM

@@ -137,18 +137,18 @@ def _scan(sums: _Sums, relative: FloatArray, correlation: float, count: int) -> 
 
 
 def _steps(
-    outer: FloatArray, moments: FloatArray, befores: Int64Array, changes: Int64Array, ends: Int64Array
+    outer: FloatArray, moments: FloatArray, firsts: Int64Array, changes: Int64Array, ends: Int64Array
 ) -> tuple[FloatArray, FloatArray]:
     """Return the least-squares steps of both coefficients and their deviations, shape (2, number of stretches)."""
     normal = np.zeros((2, len(ends), 4, 4))
     right = np.zeros((2, len(ends), 4))
-    normal[..., :3, :3] = outer[:, ends] - outer[:, befores]
+    normal[..., :3, :3] = outer[:, ends] - outer[:, firsts]
     normal[..., 1, 1] += (SLOPE_STD_PER_M * _UNIT_M) ** -2
     normal[..., 2, 2] += WARMTH_STD_PER_K**-2
     after = (outer[:, ends] - outer[:, changes])[..., 0, :]
     normal[..., 3, :3] = normal[..., :3, 3] = after
     normal[..., 3, 3] = after[..., 0]
-    right[..., :3] = moments[:, ends] - moments[:, befores]
+    right[..., :3] = moments[:, ends] - moments[:, firsts]
     right[..., 3] = (moments[:, ends] - moments[:, changes])[..., 0]
     covariance = np.linalg.inv(normal)
     return np.asarray(np.einsum("cni,cni->cn", covariance[..., 3, :], right)), np.sqrt(covariance[..., 3, 3])
