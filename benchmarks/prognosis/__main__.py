@@ -7,13 +7,15 @@ Numbers of the prognosis were chosen on seeds below 1000; docs/prognosis.md has 
 
 import argparse
 import sys
-import time
 from collections.abc import Sequence
+from concurrent.futures import ProcessPoolExecutor
+from functools import partial
 
 import numpy as np
 from rich.console import Console
 from rich.table import Table
 
+from benchmarks.measuring import processor_s
 from benchmarks.prognosis.evaluation import LATE_MARKS, MARKS, METHODS, Account, Forecast, account_of
 from benchmarks.prognosis.lives import Stratum, life_km_of, life_of
 from benchmarks.prognosis.scores import crps, is_covered, is_near
@@ -113,21 +115,32 @@ def _half_width(forecasts: Sequence[Forecast]) -> float:
     return 0.5 * float(np.median(widths)) if widths else float("nan")
 
 
+def account_of_seed(seed: int, lives_km: FloatArray) -> Account:
+    """Return what a life adds to the counts."""
+    return account_of(life_of(seed), lives_km)
+
+
 def main(argv: Sequence[str] | None = None) -> int:
     """Simulate lives, foretell, print."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--lives", type=int, default=LIVES)
     parser.add_argument("--seed", type=int, default=FIRST_SEED, help="of the first life")
+    parser.add_argument("--jobs", type=int, default=1, help="processes")
     arguments = parser.parse_args(argv)
-    began_s = time.process_time()
+    began_s = processor_s()
     lives_km = np.array([life_km_of(seed) for seed in FLEET_SEEDS])
-    accounts = [account_of(life_of(arguments.seed + number), lives_km) for number in range(arguments.lives)]
+    seeds = range(arguments.seed, arguments.seed + arguments.lives)
+    if arguments.jobs > 1:
+        with ProcessPoolExecutor(arguments.jobs) as pool:
+            accounts = list(pool.map(partial(account_of_seed, lives_km=lives_km), seeds))
+    else:
+        accounts = [account_of_seed(seed, lives_km) for seed in seeds]
     forecasts = [one for account in accounts for one in account.forecasts]
     console = Console(markup=False, width=WIDTH)
     console.print(f"{arguments.lives} lives, seeds from {arguments.seed}; {len(Stratum)} kinds")
     for table in (marks_table(forecasts), strata_table(forecasts), counts_table(accounts)):
         console.print(table)
-    console.print(f"{time.process_time() - began_s:.0f} s of processor time")
+    console.print(f"{processor_s() - began_s:.0f} s of processor time")
     return 0
 
 

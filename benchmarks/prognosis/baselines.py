@@ -11,7 +11,7 @@ from diag_service.diagnosis.prognosis import History
 
 INTERVAL_KM: Final = 60_000.0  # what makers of wet dual-clutch transmissions commonly ask for
 FARTHEST_KM: Final = 300_000.0
-LAST_ROWS: Final = 150  # some 15,000 km
+LAST_ROWS: Final = 375  # some 15,000 km
 INDEX_KM: Final = 5_000.0
 INDEX_MIDDLE: Final = 0.5  # of the margin
 INDEX_WIDTH: Final = 0.25

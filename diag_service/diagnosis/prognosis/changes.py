@@ -18,8 +18,8 @@ from diag_service.diagnosis.prognosis.normal import robust_noise_ratio
 
 BEFORE_COUNTS: Final = {120: 1.0, 30: 0.5}  # rows that say where friction was: share of chi-square that each reaches
 LEAST_BEFORE: Final = 20
-AFTER_COUNTS: Final = (4, 6, 8, 11, 15)  # rows that say where it is now
-STEP_CHI_SQUARE: Final = 30.0  # of two coefficients; set on simulated lives, docs/prognosis.md
+AFTER_COUNTS: Final = (6, 8, 11, 15)  # rows that say where it is now
+STEP_CHI_SQUARE: Final = 36.0  # of two coefficients; set on simulated lives, docs/prognosis.md
 CLIP_STD: Final = 3.5  # a row farther from its neighbours counts as if it were so far
 SLOPE_STD_PER_M: Final = 1.0e-8  # of mu_C and mu_S over their means: 10 % in 10,000 km, ten times what is usual
 WARMTH_STD_PER_K: Final = 5.0e-4
@@ -65,7 +65,8 @@ def _next_change(history: History, first: int, stop: int) -> tuple[int, int] | N
     if not len(rows):
         return None
     last = int(rows[0])
-    return first + int(place[last]), first + last
+    settled = last + int(np.argmax(best[last : last + AFTER_COUNTS[0] + 1]))  # the next rows say more exactly where
+    return first + int(place[settled]), first + last
 
 
 def _clean(history: History, first: int, stop: int) -> tuple[FloatArray, FloatArray]:
