@@ -36,6 +36,7 @@ from ecu_emulator.truth import EventTruth
 
 FIRST_SEED: Final = 92_000
 TRACES: Final = ("udds", "us06", "wltc")
+TRUE_RAD_S: Final = 5.0
 LEAST_SEEN: Final = 0.90  # of the launches that juddered
 MOST_MADE_UP: Final = 0.01  # of those that did not
 
@@ -75,8 +76,8 @@ def launches(case: Case) -> list[Launch]:
 
 def counts(some: Sequence[Launch]) -> tuple[int, int, int, int]:
     """Return how many launches truly juddered, how many of these were seen, how many did not, how many were made up."""
-    juddered = [one for one in some if one.true_rad_s > JUDDER_RAD_S]
-    others = [one for one in some if one.true_rad_s <= JUDDER_RAD_S]
+    juddered = [one for one in some if one.true_rad_s > TRUE_RAD_S]
+    others = [one for one in some if one.true_rad_s <= TRUE_RAD_S]
     seen, made_up = (sum((one.found_rad_s or 0.0) > JUDDER_RAD_S for one in part) for part in (juddered, others))
     return len(juddered), seen, len(others), made_up
 
@@ -105,7 +106,7 @@ def main() -> int:
         launches, [case(trace=trace, seed=seed) for trace in options.traces for seed in seeds], options.workers
     )
     table = Table("fluid", "launches to lock", "not found", "juddered, seen", "did not, made up",
-                  title=f"Slip above {JUDDER_RAD_S:g} rad/s after it had ended once")  # fmt: skip
+                  title=f"Slip above {TRUE_RAD_S:g} rad/s after it had ended once")  # fmt: skip
     for row in rows(found):
         table.add_row(*row)
     console = Console(markup=False, width=110)

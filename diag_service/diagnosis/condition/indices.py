@@ -21,6 +21,7 @@ GRID_S = 0.005
 NS_PER_S = 1e9
 SLIP_RAD_S = 5.0  # beyond it the clutch slips, whatever the speeds of two controllers differ by
 STUCK_RAD_S = 1.0  # below it slip has ended: the speeds of a clutch that sticks differ by their noise
+LET_GO_ROWS = 10  # of the grid, 0.05 s: a clutch without load for so long was let go
 PRESSED_PA = 0.15e5  # above the touch point: three times what touch point and zero are known to
 PRESSED_NM = 5.0  # asked for: what is less does not move a car
 RELEASED_RATIO = 0.1  # an off-going clutch that is asked for less than this share has let go
@@ -70,18 +71,28 @@ def measure(event: Event, calibration: Calibration) -> ShiftIndices:
         slip_angle_rad=float(size.sum() * GRID_S),
         torque_capacity_ratio=ratio,
         std_torque_capacity_ratio=std,
-        reslip_rad_s=_reslip(np.where(_pressed(grid, calibration), size, 0.0)),
+        reslip_rad_s=_reslip(size, _pressed(grid, calibration)),
     )
 
 
-def _reslip(pressed_rad_s: FloatArray) -> float:
-    """Return the largest slip under load after it had begun and ended once [rad/s]: stick-slip, if there is much."""
-    begun = np.flatnonzero(pressed_rad_s > SLIP_RAD_S)
+def _reslip(slip_rad_s: FloatArray, is_pressed: npt.NDArray[np.bool_]) -> float:
+    """Return the largest slip under load after it had begun and ended once [rad/s]: stick-slip, if there is much.
+
+    Slip has begun when it is as large as three quarters of the largest: as a clutch bites, its shaft swings. A clutch
+    that was let go in between begins anew.
+    """
+    pressed_rad_s = np.where(is_pressed, slip_rad_s, 0.0)
+    begun = np.flatnonzero(pressed_rad_s > max(SLIP_RAD_S, 0.75 * float(pressed_rad_s.max())))
     if not len(begun):
         return 0.0
-    since = pressed_rad_s[begun[0] :]
-    ended = np.flatnonzero((since > 0.0) & (since < STUCK_RAD_S))
-    return float(since[ended[0] :].max()) if len(ended) else 0.0
+    since, is_held = pressed_rad_s[begun[0] :], is_pressed[begun[0] :]
+    ended = np.flatnonzero(is_held & (since < STUCK_RAD_S))
+    if not len(ended):
+        return 0.0
+    after, is_held = since[ended[0] :], is_held[ended[0] :]
+    open_rows = np.convolve(~is_held, np.ones(LET_GO_ROWS), "valid")
+    let_go = np.flatnonzero(open_rows > LET_GO_ROWS - 0.5)
+    return float(after[: let_go[0] if len(let_go) else None].max(initial=0.0))
 
 
 def _pressed(grid: _Grid, calibration: Calibration) -> npt.NDArray[np.bool_]:

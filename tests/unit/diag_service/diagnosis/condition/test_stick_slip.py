@@ -73,6 +73,21 @@ def test_noise_and_a_clutch_that_was_let_go_are_none() -> None:
     assert measure(opened, CALIBRATION).reslip_rad_s == pytest.approx(still, abs=NOISE_RAD_S)
 
 
+def test_a_swing_as_the_clutch_bites_and_a_second_launch_are_none() -> None:
+    event = launch(0.0)
+    late = T_S > 2.2
+    again = np.where(late, 40.0, 0.0)  # let go, and closed once more onto another speed
+    hub = event.columns[Signal.HUB_SPEED]
+    pressure = series(np.where((T_S > 2.05) & (T_S < 2.2), EMPTY_PA, LOADED_PA))
+    second = {**event.columns, Signal.HUB_SPEED: series(hub.value + again), Signal.CLUTCH1_PRESSURE: pressure}
+    biting = np.select([T_S < 0.04, T_S < 0.08], [207.0, 200.2], hub.value)
+    bite = {**event.columns, Signal.HUB_SPEED: series(biting)}
+    for columns in (second, bite):
+        found = measure(replace(event, columns=columns), CALIBRATION).reslip_rad_s
+        assert found is not None
+        assert found < 4.0 * NOISE_RAD_S
+
+
 def test_without_a_pressure_what_is_asked_of_the_clutch_tells_its_load() -> None:
     event = launch(12.0)
     bare: Columns = {signal: one for signal, one in event.columns.items() if signal is not Signal.CLUTCH1_PRESSURE}
