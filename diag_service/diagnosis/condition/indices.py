@@ -16,14 +16,12 @@ from clutch_model.gears import clutch_of_gear
 from diag_service.diagnosis.columns import Signal
 from diag_service.diagnosis.events import EndReason, Event
 from diag_service.diagnosis.records import ShiftIndices
+from diag_service.diagnosis.shifts.slip_tracking import LOADED_NM, LOADED_PA, SLIP_RAD_S
 
 GRID_S = 0.005
 NS_PER_S = 1e9
-SLIP_RAD_S = 5.0  # beyond it the clutch slips, whatever the speeds of two controllers differ by
 STUCK_RAD_S = 1.0  # below it slip has ended: the speeds of a clutch that sticks differ by their noise
 LET_GO_ROWS = 10  # of the grid, 0.05 s: a clutch without load for so long was let go
-PRESSED_PA = 0.15e5  # above the touch point: three times what touch point and zero are known to
-PRESSED_NM = 5.0  # asked for: what is less does not move a car
 RELEASED_RATIO = 0.1  # an off-going clutch that is asked for less than this share has let go
 MIN_TORQUE_NM = 10.0  # below it a ratio of torques says nothing
 MIN_WINDOW_S = 0.1
@@ -101,9 +99,9 @@ def _pressed(grid: _Grid, calibration: Calibration) -> npt.NDArray[np.bool_]:
     is_first = clutch == 1
     pressure_pa = grid.value(Signal.CLUTCH1_PRESSURE if is_first else Signal.CLUTCH2_PRESSURE)
     if pressure_pa is not None:
-        return pressure_pa > calibration.clutches[clutch - 1].touch_pressure_pa + PRESSED_PA
+        return pressure_pa > calibration.clutches[clutch - 1].touch_pressure_pa + LOADED_PA
     asked_nm = grid.value(Signal.CLUTCH1_TORQUE_COMMAND if is_first else Signal.CLUTCH2_TORQUE_COMMAND)
-    return np.ones(len(grid.t_s), np.bool_) if asked_nm is None else asked_nm > PRESSED_NM
+    return np.ones(len(grid.t_s), np.bool_) if asked_nm is None else asked_nm > LOADED_NM
 
 
 def _slip(grid: _Grid) -> FloatArray | None:
