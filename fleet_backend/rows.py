@@ -8,7 +8,7 @@ from hashlib import blake2b, sha256
 from typing import Final
 
 from fleet_backend.ranking import version_rank
-from fleet_backend.schema import FRICTION_COLUMNS, RUNNING
+from fleet_backend.schema import FRICTION_COLUMNS, RUNNING, SCALE_FREE, SCALE_FREE_COLUMNS
 
 Row = dict[str, object]
 
@@ -78,6 +78,8 @@ def shift_row(data: Mapping[str, object]) -> Row:
     row["running_shift_count"] = verdict["shift_count"]
     row["kind"], row["end_reason"] = data.get("kind"), data.get("end_reason")  # this and the next: of newer programs
     row["advice"] = verdict.get("advice")
+    row.update(_scale_free(data.get("scale_free")))
+    row.update(_trust(data.get("trust")))
     row["content_digest"] = content_digest(row)
     return row
 
@@ -178,6 +180,19 @@ def _friction(friction: object, prefix: str) -> Row:
         return dict.fromkeys((prefix + name for name in FRICTION_COLUMNS), None)
     table = _table(friction)
     return {prefix + name: table[name] for name in FRICTION_COLUMNS}
+
+
+def _scale_free(values: object) -> Row:
+    """Return what driving alone tells of the friction; nothing in results of older programs."""
+    table: Mapping[str, object] = {} if values is None else _table(values)
+    return {SCALE_FREE + name: table.get(name) for name in SCALE_FREE_COLUMNS}
+
+
+def _trust(values: object) -> Row:
+    if values is None:
+        return {"trust": None, "trust_parts": None}
+    table = _table(values)
+    return {"trust": table["score"], "trust_parts": json.dumps(table["parts"], sort_keys=True)}
 
 
 def _table(value: object) -> Mapping[str, object]:

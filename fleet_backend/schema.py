@@ -38,6 +38,8 @@ FRICTION_COLUMNS: Final = (
     "probability_negative_slope",
 )
 RUNNING: Final = "running_"  # prefix of what is said of the running estimate after the shift
+SCALE_FREE_COLUMNS: Final = ("mu_c", "mu_s", "std_mu_c", "std_mu_s", "correlation")
+SCALE_FREE: Final = "scale_free_"  # prefix of what driving alone tells, gain and area left out
 
 _SORTED_BY_BYTES: Final = Text().with_variant(Text(collation="C"), "postgresql")  # as SQLite sorts everywhere
 
@@ -125,8 +127,12 @@ SHIFT_RESULT: Final = Table(
     Column("kind", Text),  # of the event, and how it ended; null in results of older programs
     Column("end_reason", Text),
     Column("advice", Text),  # of the verdict; null in results of older programs
+    *(Column(SCALE_FREE + name, Double) for name in SCALE_FREE_COLUMNS),  # these and the next: null in older rows
+    Column("trust", Double),  # how far the data can be believed, whatever the estimate
+    Column("trust_parts", Text),  # JSON object of what that is made of
     ForeignKeyConstraint(["vehicle", "clutch"], ["clutch.vehicle", "clutch.clutch"]),
     Index("shift_by_time", "vehicle", "clutch", "produced_at", "stream"),
+    Index("shift_by_arrival", "stored_at"),
     Index(
         "shift_alarming",
         "vehicle",
@@ -175,4 +181,7 @@ ALARM_ACKNOWLEDGEMENT: Final = Table(
 
 KEY_COLUMNS: Final = tuple(column.name for column in SHIFT_RESULT.primary_key)
 # What two contents of one result may differ in: it is not in the digest, which must stay what it was.
-UNHASHED_COLUMNS: Final = frozenset({"stored_at", "content_digest", "version_rank", "kind", "end_reason", "advice"})
+UNHASHED_COLUMNS: Final = frozenset({
+    *("stored_at", "content_digest", "version_rank", "kind", "end_reason", "advice", "trust", "trust_parts"),
+    *(SCALE_FREE + name for name in SCALE_FREE_COLUMNS),
+})  # fmt: skip

@@ -13,10 +13,10 @@ from diag_service.diagnosis.prognosis import history_of, prognose
 from diag_service.diagnosis.prognosis.sentence import outlook_line
 from diag_service.diagnosis.records import ClutchVerdict, FluidFill, FrictionEstimate, FrictionTrend, LiningChange
 from diag_service.diagnosis.results import fill_record, utc_from_bus_ns
-from diag_service.report.content import spread
 from diag_service.report.findings import Findings
 from diag_service.store import Row
 from fleet_contract import JsonObject
+from program_io.pages.content import spread
 
 HISTORY_SCHEMA: Final = "clutchdiag/history/v1"
 UNKNOWN_FLUID: Final = "fluid of unknown age"

@@ -1,10 +1,9 @@
 """A report as one HTML file: written whole or not at all, it loads nothing and runs nothing."""
 
+from dataclasses import dataclass
 from importlib.metadata import version
 from pathlib import Path
 from typing import Final
-
-from jinja2 import Environment, PackageLoader, StrictUndefined
 
 from canlog.whole_file import replacing
 from diag_service.delivery.words import condition_words
@@ -12,7 +11,6 @@ from diag_service.diagnosis.records import Condition, ShiftResult
 from diag_service.diagnosis.results import SHIFT_SCHEMA, clutch_record, shift_record, utc_from_bus_ns
 from diag_service.diagnosis.summary import capability_line, frames_line, gaps_line, summary_record, values_line
 from diag_service.errors import StoreError
-from diag_service.report.content import Advice, Page, Section, Table
 from diag_service.report.findings import Findings
 from diag_service.report.sections import (
     events_section,
@@ -23,9 +21,22 @@ from diag_service.report.sections import (
 )
 from fleet_contract import CLUTCHES, JsonObject
 from program_io.legible import legible, legible_record
+from program_io.pages.content import Advice, Section, Table
+from program_io.pages.environment import templates_of
 
 REPORT_SCHEMA: Final = "clutchdiag/report/v1"
 _PACKAGE: Final = "diag_service.report"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Page:
+    """A whole report."""
+
+    title: str
+    subtitle: str
+    advice: tuple[Advice, ...]
+    sections: tuple[Section, ...]
+    record: object  # the same for programs, as JSON has it
 
 
 def page_of(found: Findings, made_at: str) -> Page:
@@ -60,10 +71,7 @@ def record_of(found: Findings) -> JsonObject:
 
 def html_of(page: Page) -> str:
     """Return a page as HTML."""
-    environment = Environment(
-        loader=PackageLoader(_PACKAGE), autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True
-    )
-    return environment.get_template("report.html").render(page=page)
+    return templates_of(_PACKAGE).get_template("report.html").render(page=page)
 
 
 def write_page(path: Path, page: Page) -> int:

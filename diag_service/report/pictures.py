@@ -16,7 +16,7 @@ from diag_service.diagnosis.events import Event
 from diag_service.diagnosis.friction.curve import curve_band, new_curve
 from diag_service.diagnosis.records import ClutchVerdict, FrictionEstimate, ShiftResult
 from diag_service.diagnosis.results import utc_from_bus_ns
-from diag_service.report.plot import Axis, Plot, thinned
+from program_io.pages.plot import Axis, Plot, thinned
 
 BAND_STD: Final = 2.0
 MOST_POINTS: Final = 600  # of a trend; a screen shows no more

@@ -12,7 +12,6 @@ from diag_service.diagnosis.condition.thresholds import CHANGE_LEVEL_RATIO, WATC
 from diag_service.diagnosis.friction.curve import curve_band, new_curve
 from diag_service.diagnosis.records import ClutchVerdict, FrictionEstimate, QualityPart, ShiftResult, Status
 from diag_service.diagnosis.results import utc_from_bus_ns
-from diag_service.report.content import NONE, Cell, Figure, Key, Section, Table, number, spread
 from diag_service.report.findings import Example, Findings
 from diag_service.report.pictures import (
     BAND_STD,
@@ -29,6 +28,7 @@ from diag_service.report.pictures import (
 )
 from diag_service.store import Row
 from fleet_contract import CLUTCHES
+from program_io.pages.content import NONE, Cell, Figure, Key, Section, Table, number, spread
 
 WHAT_CURVES_SAY: Final = (
     "New fluid rubs more the faster the clutch slips. Old fluid rubs less at high slip and more at low slip. Where the "

@@ -51,9 +51,7 @@ def test_unknown_keys_are_ignored() -> None:
 def test_a_result_is_the_same_row_with_and_without_the_numbers_that_are_not_stored() -> None:
     data = json.loads(GOOD.payload)["data"]
     added = ("scale_free", "common_scale_std_ratio", "shift_scatter", "trend", "clutch_ratio")
-    older = changed(
-        GOOD, scale_free=None, verdict={key: data["verdict"][key] for key in data["verdict"] if key not in added}
-    )
+    older = changed(GOOD, verdict={key: data["verdict"][key] for key in data["verdict"] if key not in added})
     assert data["verdict"]["trend"]["change_mu_c_ratio"] < 0.0
     assert take(older, NOW).row == take(GOOD, NOW).row
     poison(changed(GOOD, verdict=data["verdict"] | {"trend": {"change_mu_c_ratio": 0.1}}), "schema")

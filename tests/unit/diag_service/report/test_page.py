@@ -15,10 +15,10 @@ from diag_service.diagnosis.events import EndReason, Event
 from diag_service.diagnosis.records import FluidFill, Reason, Status
 from diag_service.diagnosis.results import clutch_record, dump, shift_record, utc_from_bus_ns
 from diag_service.errors import StoreError
-from diag_service.report.content import spread
 from diag_service.report.findings import Album, Findings
 from diag_service.report.page import html_of, page_of, record_of, write_page
 from diag_service.report.pictures import Trend
+from program_io.pages.content import spread
 from tests.support.builders import shift_result
 from tests.support.histories import findings, history
 

@@ -1,7 +1,8 @@
-"""What stands on the page of a report: sections of texts, tables and figures; how it looks is the template's matter."""
+"""What pages are made of: texts, tables, figures and sections; how they look is up to templates and style sheet."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from datetime import UTC, datetime
 from typing import Final
 
 import numpy as np
@@ -20,7 +21,31 @@ class Number:
     text: str
 
 
-Cell = str | Number
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Link:
+    """A text that leads to another page."""
+
+    text: str
+    href: str
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Badge:
+    """The word of a verdict or state; its style adds a sign and a colour."""
+
+    style: str
+    text: str
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Moment:
+    """A moment as people read it, and all of it for programs."""
+
+    iso: str
+    text: str
+
+
+Cell = str | Number | Link | Badge | Moment
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -70,25 +95,22 @@ class Advice:
     text: str
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Page:
-    """A whole report."""
-
-    title: str
-    subtitle: str
-    advice: tuple[Advice, ...]
-    sections: tuple[Section, ...]
-    record: object  # the same for programs, as JSON has it
-
-
-def number(value: float | None, form: str = "{:.4f}") -> Cell:
-    """Return a number for people and programs; a dash where there is none."""
+def number(value: float | None, form: str = "{:.4f}", *, scale: float = 1.0) -> Cell:
+    """Return a number for people and programs, a dash where there is none; people read it times ``scale``."""
     if value is None or not np.isfinite(value):
         return NONE
-    return Number(value=float(value), text=form.format(value).replace("%", " %"))
+    return Number(value=float(value), text=form.format(value * scale).replace("%", " %"))
 
 
-def spread(values: FloatArray | Sequence[float], most: int) -> list[int]:
+def moment(value: datetime | None, form: str = "%Y-%m-%d %H:%M") -> Cell:
+    """Return an aware moment for people and programs, in UTC; a dash where there is none."""
+    if value is None:
+        return NONE
+    utc = value.astimezone(UTC)
+    return Moment(iso=utc.isoformat(), text=utc.strftime(form))
+
+
+def spread(values: FloatArray | Sequence[object], most: int) -> list[int]:
     """Return at most ``most`` places of a sequence, evenly spread, the first and the last among them."""
     count = len(values)
     return sorted(set(np.linspace(0, count - 1, min(count, most)).round().astype(int).tolist())) if count else []

@@ -1,0 +1,1 @@
+"""Pages for browsers: what they are made of, pictures as SVG, templates and one style sheet for all."""

@@ -1,0 +1,18 @@
+"""Templates become text: everything in them is escaped, and a name that is not there is an error."""
+
+from typing import Final
+
+from jinja2 import ChoiceLoader, Environment, PackageLoader, StrictUndefined
+
+_OWN: Final = "program_io.pages"  # brings style.css and parts.html
+
+
+def templates_of(package: str) -> Environment:
+    """Return the templates of a package's folder ``templates``, and behind them those that all pages share."""
+    return Environment(
+        loader=ChoiceLoader([PackageLoader(package), PackageLoader(_OWN)]),
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
