@@ -19,6 +19,7 @@ _EXIT_TEXT: Final = (
     "3 broker, 4 database, 5 unknown vehicle"
 )
 _QUARANTINE_LIMIT: Final = 50
+DEFAULT_LISTEN: Final = "127.0.0.1:8090"
 _PACE: Final = Pace()
 
 
@@ -127,6 +128,17 @@ _FILL: Final = Command(
     Option("--note TEXT", "what is to be remembered of it"),
     examples=(f"{PROGRAM} fill car1 DCTF-II --at 2026-01-31 --odometer-km 61200",),
 )
+_SERVE: Final = Command(
+    "serve",
+    "show the fleet to browsers and programs, until stopped",
+    *_COMMON,
+    Option(
+        "--listen ADDRESS",
+        f"where: HOST:PORT of this machine's loopback; port 0 is any free one (default: {DEFAULT_LISTEN})",
+        default=DEFAULT_LISTEN,
+    ),
+    examples=(f"{PROGRAM} serve", f"{PROGRAM} serve --listen 127.0.0.1:8090"),
+)
 COMMAND_LINE: Final = Program(
     PROGRAM,
     "Keeps the results of a fleet and answers questions about it.",
@@ -146,7 +158,7 @@ COMMAND_LINE: Final = Program(
         *_QUESTION,
         examples=(f"{PROGRAM} codes", f"{PROGRAM} codes --json"),
     ),
-    _FILL,
+    *(_FILL, _SERVE),
     Command(
         "hash",
         "show a hash of all results: equal results, equal hash, in any database",

@@ -65,8 +65,10 @@ def _load_commands() -> ModuleType:
 def _set_up_log(verbosity: int) -> None:
     handler = logging.StreamHandler(sys.stderr)
     handler.setFormatter(logging.Formatter(f"%(asctime)s {PROGRAM}: %(levelname)s: %(message)s"))
-    for name in ("fleet_backend", "fleet_link", "program_io"):
+    for name in ("fleet_backend", "fleet_link", "program_io", "uvicorn"):
         own = logging.getLogger(name)
         own.handlers, own.propagate = [handler], False
         own.setLevel(logging.DEBUG if verbosity else logging.INFO)
+    if not verbosity:
+        logging.getLogger("uvicorn").setLevel(logging.WARNING)  # that it starts is said already
     logging.getLogger().handlers = [handler] if verbosity > 1 else [logging.NullHandler()]

@@ -4,6 +4,7 @@ import getpass
 import sys
 from collections.abc import Callable, Mapping, Sequence
 from datetime import UTC, datetime, timedelta
+from importlib import import_module
 from types import MappingProxyType, SimpleNamespace
 from typing import Final
 
@@ -13,9 +14,9 @@ from fleet_backend import queries, report
 from fleet_backend.application import run_ingest
 from fleet_backend.arguments import BROKER_VARIABLE
 from fleet_backend.choices import Axis
-from fleet_backend.config import parse_broker, parse_moment, parse_pace
+from fleet_backend.config import parse_broker, parse_listen, parse_moment, parse_pace
 from fleet_backend.database import default_database, open_database, place_of
-from fleet_backend.errors import ConfigError
+from fleet_backend.errors import ConfigError, ExtraMissingError
 from fleet_backend.layout import Sheet
 from fleet_backend.migrate import make_ready, migrate, newest_revision
 
@@ -115,6 +116,21 @@ def _fill(options: SimpleNamespace, engine: Engine) -> None:
     sys.stdout.write(f"{options.vehicle}: {options.product} since {at.isoformat()}\n")
 
 
+def _serve(options: SimpleNamespace, _engine: Engine) -> None:
+    place = parse_listen(options.listen)
+    try:
+        server = import_module("fleet_backend.page.server")
+    except ModuleNotFoundError as exc:
+        if exc.name is None or exc.name.startswith("fleet_backend"):
+            raise
+        raise ExtraMissingError(exc.name, extra="page") from exc
+    readers = open_database(options.database or default_database(), must_exist=True, is_read_only=True)
+    try:
+        server.run_server(readers, place.host, place.port)
+    finally:
+        readers.dispose()
+
+
 def _hash(_options: SimpleNamespace, engine: Engine) -> None:
     found = queries.table_hash(engine)
     sys.stdout.write(f"{found.sha256}  {found.row_count} results\n")
@@ -141,5 +157,5 @@ _COMMANDS: Final[Mapping[str, Command]] = MappingProxyType({
     "ingest": _ingest, "migrate": _migrate, "table": _checked(_table), "trend": _checked(_trend),
     "alarms": _checked(_alarms), "quarantine": _checked(_quarantine), "seen": _checked(_seen),
     "codes": _checked(_codes),
-    "fill": _checked(_fill), "hash": _checked(_hash),
+    "fill": _checked(_fill), "hash": _checked(_hash), "serve": _checked(_serve),
 })  # fmt: skip

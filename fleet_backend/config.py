@@ -1,6 +1,9 @@
 """What a run is to do, checked once: the command line's words become values, or a ConfigError."""
 
+import re
+from dataclasses import dataclass
 from datetime import UTC, datetime
+from ipaddress import ip_address
 from pathlib import Path
 from typing import Final
 
@@ -10,6 +13,7 @@ from fleet_backend.errors import ConfigError
 from fleet_link import AddressError, BrokerAddress, TlsFiles
 
 _MAX_BATCH: Final = 30_000  # twice as many are in flight; MQTT counts to 65,535
+_MAX_PORT: Final = 65_535
 
 
 def parse_broker(
@@ -41,6 +45,35 @@ def parse_pace(batch_size: int, patience_ms: float) -> Pace:
     if not 0.0 <= patience_ms <= 10_000.0:
         raise ConfigError(f"the patience must be 0 to 10000 ms, got {patience_ms:g}")
     return Pace(batch_size=batch_size, patience_s=patience_ms / 1000.0)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Place:
+    """Where a server listens; port 0 is any free one."""
+
+    host: str
+    port: int
+
+
+def parse_listen(text: str) -> Place:
+    """Return the place in ``HOST:PORT`` or ``[HOST]:PORT``, which is one of this machine's loopback.
+
+    Raises
+    ------
+    ConfigError
+        If the text is none, or others could reach it: nobody has to log in.
+    """
+    found = re.fullmatch(r"\[?([0-9A-Za-z.:-]+?)\]?:([0-9]{1,5})", text)
+    if found is None or int(found[2]) > _MAX_PORT:
+        raise ConfigError(f"--listen must be HOST:PORT, such as 127.0.0.1:8090, got {text!r}")
+    host = "127.0.0.1" if found[1] == "localhost" else found[1]
+    try:
+        is_loopback = ip_address(host).is_loopback
+    except ValueError as exc:
+        raise ConfigError(f"--listen must be an address in numbers or localhost, got {host!r}") from exc
+    if not is_loopback:
+        raise ConfigError(f"--listen {text}: others could read the fleet there without a login; use 127.0.0.1 or [::1]")
+    return Place(host=host, port=int(found[2]))
 
 
 def parse_moment(text: str) -> datetime:

@@ -34,10 +34,11 @@ def default_database() -> str:
     return f"sqlite:///{state / 'clutchdiag' / 'fleet.sqlite'}"
 
 
-def open_database(address: str, *, must_exist: bool = False) -> Engine:
+def open_database(address: str, *, must_exist: bool = False, is_read_only: bool = False) -> Engine:
     """Return an engine for ``sqlite:///FILE`` or ``postgresql://[user[:password]@]host[:port]/NAME``.
 
-    Nothing is connected yet, but an SQLite file is made, with its folder, unless it ``must_exist``.
+    Nothing is connected yet, but an SQLite file is made, with its folder, unless it ``must_exist``. Who reads only
+    keeps no writer waiting, and the database refuses what would write.
 
     Raises
     ------
@@ -52,9 +53,9 @@ def open_database(address: str, *, must_exist: bool = False) -> Engine:
     except exc.ArgumentError as error:
         raise ConfigError("the database must be sqlite:///FILE or postgresql://host/NAME") from error
     if backend == "sqlite":
-        return _open_sqlite(url, must_exist=must_exist)
+        return _open_sqlite(url, must_exist=must_exist, is_read_only=is_read_only)
     if backend == "postgresql":
-        return _open_postgres(url)
+        return _open_postgres(url, is_read_only=is_read_only)
     raise ConfigError(f"the database must be SQLite or PostgreSQL, not {backend}")
 
 
@@ -104,14 +105,15 @@ def translated(engine: Engine) -> Iterator[None]:
         raise RowRefusedError(f"database {place_of(engine)}: {_first_line(error)}") from error
 
 
-def _open_postgres(url: URL) -> Engine:
+def _open_postgres(url: URL, *, is_read_only: bool) -> Engine:
     try:
-        return create_engine(url.set(drivername="postgresql+psycopg"), connect_args=_POSTGRES_OPTIONS)
+        engine = create_engine(url.set(drivername="postgresql+psycopg"), connect_args=_POSTGRES_OPTIONS)
     except ImportError as error:  # also of the system's libpq, which psycopg without its extra needs
         raise ExtraMissingError("psycopg") from error
+    return engine.execution_options(postgresql_readonly=True) if is_read_only else engine
 
 
-def _open_sqlite(url: URL, *, must_exist: bool) -> Engine:
+def _open_sqlite(url: URL, *, must_exist: bool, is_read_only: bool) -> Engine:
     path = None if url.database in _IN_MEMORY else Path(str(url.database)).absolute()
     if url.host or url.query or (path is None and must_exist):
         raise ConfigError("an SQLite database must be sqlite:///FILE, with three slashes, or four before a full path")
@@ -119,7 +121,10 @@ def _open_sqlite(url: URL, *, must_exist: bool) -> Engine:
         (_find_file if must_exist else _make_file)(path)
     engine = create_engine(url, connect_args={"timeout": _BUSY_TIMEOUT_S})
     event.listen(engine, "connect", _prepare_sqlite)
-    event.listen(engine, "begin", _begin_immediate)
+    if is_read_only:
+        event.listen(engine, "connect", _write_nothing)
+    else:
+        event.listen(engine, "begin", _begin_immediate)
     return engine
 
 
@@ -149,6 +154,10 @@ def _prepare_sqlite(connection: SqliteConnection, _record: object) -> None:
     connection.isolation_level = None
     for pragma in ("journal_mode = WAL", "synchronous = FULL", "foreign_keys = ON"):
         connection.execute(f"PRAGMA {pragma}")
+
+
+def _write_nothing(connection: SqliteConnection, _record: object) -> None:
+    connection.execute("PRAGMA query_only = ON")
 
 
 def _begin_immediate(connection: Connection) -> None:

@@ -12,8 +12,8 @@ class ConfigError(FleetBackendError):
 class ExtraMissingError(ConfigError):
     """A library that only an extra brings is not installed: install it."""
 
-    def __init__(self, module: str) -> None:
-        super().__init__(f"the module {module} is not installed: pip install 'clutchdiag[fleet]'")
+    def __init__(self, module: str, extra: str = "fleet") -> None:
+        super().__init__(f"the module {module} is not installed: pip install 'clutchdiag[{extra}]'")
 
 
 class UnknownVehicleError(FleetBackendError):

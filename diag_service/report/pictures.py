@@ -16,6 +16,7 @@ from diag_service.diagnosis.events import Event
 from diag_service.diagnosis.friction.curve import curve_band, new_curve
 from diag_service.diagnosis.records import ClutchVerdict, FrictionEstimate, ShiftResult
 from diag_service.diagnosis.results import utc_from_bus_ns
+from program_io.pages.content import Figure, Key, Table, number
 from program_io.pages.plot import Axis, Plot, thinned
 
 BAND_STD: Final = 2.0
@@ -24,6 +25,12 @@ MOST_SAMPLES: Final = 400  # of one signal of a shift
 MOST_MOMENTS: Final = 8  # names of moments do not overlap too much
 NS_PER_S: Final = 1e9
 _SLIP_RAD_S: Final = np.linspace(0.0, 40.0, 121)
+TABLE_SLIPS_RAD_S: Final = np.array([0.0, 2.0, 5.0, 10.0, 20.0, 40.0])
+BAND_WORDS: Final = f"± {BAND_STD:.0f} standard deviations"
+THRESHOLD_KEYS: Final = (
+    Key(style="watch", text=f"watch below {100.0 * WATCH_LEVEL_RATIO:.0f} % of new"),
+    Key(style="change", text=f"change below {100.0 * CHANGE_LEVEL_RATIO:.0f} % of new"),
+)
 _THRESHOLDS: Final = ((1.0, "new"), (WATCH_LEVEL_RATIO, "watch"), (CHANGE_LEVEL_RATIO, "change"))
 
 
@@ -72,6 +79,28 @@ def curve_picture(clutch: int, friction: FrictionEstimate, reference: FrictionCu
     plot.band(_SLIP_RAD_S, low, high, f"band clutch{clutch}")
     plot.line(_SLIP_RAD_S, mean, f"line strong clutch{clutch}")
     return plot.markup()
+
+
+def curve_figure(clutch: int, friction: FrictionEstimate, reference: FrictionCurve, what: str | None = None) -> Figure:
+    """Return the friction of one clutch over slip with its numbers; ``what`` says of which events, if not of all."""
+    new = new_curve(TABLE_SLIPS_RAD_S, reference)
+    mean, std = curve_band(TABLE_SLIPS_RAD_S, friction, reference)
+    rows = tuple(
+        (number(slip, "{:g}"), number(value), number(BAND_STD * one), number(fresh))
+        for slip, value, one, fresh in zip(TABLE_SLIPS_RAD_S, mean, std, new, strict=True)
+    )
+    caption = f"Clutch {clutch}: friction over slip{f', {what}' if what else ''}"
+    return Figure(
+        picture=curve_picture(clutch, friction, reference),
+        caption=caption,
+        keys=(
+            Key(style=f"clutch{clutch}", text=what or "estimate, all shifts"),
+            Key(style=f"band clutch{clutch}", text=BAND_WORDS),
+            Key(style="new dashed", text="new fluid"),
+            *THRESHOLD_KEYS,
+        ),
+        table=Table(caption=caption, head=("slip [rad/s]", "estimate", BAND_WORDS, "new fluid"), rows=rows),
+    )
 
 
 def trend_picture(trend: Trend) -> Markup:
@@ -189,13 +218,13 @@ def _moments(results: Sequence[ShiftResult], fills: Sequence[str]) -> list[tuple
         if place is not None:
             moments.append((place, "fill", "new fluid"))
     known: ClutchVerdict | None = None
-    for number, result in enumerate(results, 1):
+    for place, result in enumerate(results, 1):
         verdict = result.verdict
         if known is not None and verdict.trend is not None and known.trend is None:
-            moments.append((number, "base", "baseline"))
+            moments.append((place, "base", "baseline"))
         if known is not None and verdict.condition is not known.condition:
             word = verdict.condition.name.lower()
-            moments.append((number, word, word.replace("_", " ")))
+            moments.append((place, word, word.replace("_", " ")))
         known = verdict
     return sorted(moments)
 

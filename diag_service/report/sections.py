@@ -6,22 +6,21 @@ from typing import Final
 
 import numpy as np
 
-from clutch_model.clutch import FrictionCurve
 from diag_service.delivery.words import condition_words, gear_words, kind_words, reason_words
-from diag_service.diagnosis.condition.thresholds import CHANGE_LEVEL_RATIO, WATCH_LEVEL_RATIO
-from diag_service.diagnosis.friction.curve import curve_band, new_curve
-from diag_service.diagnosis.records import ClutchVerdict, FrictionEstimate, QualityPart, ShiftResult, Status
+from diag_service.diagnosis.records import ClutchVerdict, QualityPart, ShiftResult, Status
 from diag_service.diagnosis.results import utc_from_bus_ns
 from diag_service.report.findings import Example, Findings
 from diag_service.report.pictures import (
     BAND_STD,
+    BAND_WORDS,
     MOST_MOMENTS,
     MOST_POINTS,
     NS_PER_S,
     PANELS,
+    THRESHOLD_KEYS,
     Panel,
     Trend,
-    curve_picture,
+    curve_figure,
     present_curves,
     shift_picture,
     trend_picture,
@@ -37,12 +36,6 @@ WHAT_CURVES_SAY: Final = (
 MOST_ROWS: Final = 100  # of the table of events
 TREND_ROWS: Final = 12
 SAMPLE_ROWS: Final = 9
-TABLE_SLIPS_RAD_S: Final = np.array([0.0, 2.0, 5.0, 10.0, 20.0, 40.0])
-_BAND: Final = f"± {BAND_STD:.0f} standard deviations"
-_THRESHOLD_KEYS: Final = (
-    Key(style="watch", text=f"watch below {100.0 * WATCH_LEVEL_RATIO:.0f} % of new"),
-    Key(style="change", text=f"change below {100.0 * CHANGE_LEVEL_RATIO:.0f} % of new"),
-)
 
 
 def friction_section(found: Findings) -> Section:
@@ -57,7 +50,7 @@ def friction_section(found: Findings) -> Section:
     for result in found.latest:
         clutch, verdict = result.estimate.clutch, result.verdict
         if calibration is not None and verdict.friction is not None:
-            figures.append(_curve_figure(clutch, verdict.friction, calibration.clutches[clutch - 1].friction))
+            figures.append(curve_figure(clutch, verdict.friction, calibration.clutches[clutch - 1].friction))
     tables = [_numbers_table(result.verdict) for result in found.latest]
     return Section(name="friction", title="Friction", texts=tuple(texts), tables=tuple(tables), figures=tuple(figures))
 
@@ -126,30 +119,6 @@ def quality_section(found: Findings) -> Section:
     return Section(name="quality", title="Data quality", tables=tuple(tables))
 
 
-def _curve_figure(clutch: int, friction: FrictionEstimate, reference: FrictionCurve) -> Figure:
-    new = new_curve(TABLE_SLIPS_RAD_S, reference)
-    mean, std = curve_band(TABLE_SLIPS_RAD_S, friction, reference)
-    rows = tuple(
-        (number(slip, "{:g}"), number(value), number(BAND_STD * one), number(fresh))
-        for slip, value, one, fresh in zip(TABLE_SLIPS_RAD_S, mean, std, new, strict=True)
-    )
-    return Figure(
-        picture=curve_picture(clutch, friction, reference),
-        caption=f"Clutch {clutch}: friction over slip",
-        keys=(
-            Key(style=f"clutch{clutch}", text="estimate, all shifts"),
-            Key(style=f"band clutch{clutch}", text=_BAND),
-            Key(style="new dashed", text="new fluid"),
-            *_THRESHOLD_KEYS,
-        ),
-        table=Table(
-            caption=f"Clutch {clutch}: friction over slip",
-            head=("slip [rad/s]", "estimate", _BAND, "new fluid"),
-            rows=rows,
-        ),
-    )
-
-
 def _numbers_table(verdict: ClutchVerdict) -> Table:
     return Table(
         caption=f"Clutch {verdict.clutch}: running estimate from {verdict.shift_count} shifts",
@@ -188,12 +157,12 @@ def _trend_figure(trend: Trend, results: list[ShiftResult]) -> Figure:
         keys=(
             Key(style=f"dots clutch{clutch}", text="single events"),
             Key(style=f"clutch{clutch}", text="estimate, all until then"),
-            Key(style=f"band clutch{clutch}", text=_BAND),
-            *_THRESHOLD_KEYS,
+            Key(style=f"band clutch{clutch}", text=BAND_WORDS),
+            *THRESHOLD_KEYS,
         ),
         table=Table(
             caption=f"Clutch {clutch}: {len(rows)} of {len(results)} events, evenly spread",
-            head=("event", "end (UTC)", "km", "mu_C", _BAND, "verdict"),
+            head=("event", "end (UTC)", "km", "mu_C", BAND_WORDS, "verdict"),
             rows=rows,
         ),
     )

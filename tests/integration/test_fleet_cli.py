@@ -1,9 +1,13 @@
 """The backend's command line: what it shows, what it refuses, its exit status."""
 
 import json
+import signal
+import subprocess
+import sys
 from collections.abc import Iterator
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
+from urllib.request import urlopen
 
 import pytest
 from sqlalchemy import Engine
@@ -17,6 +21,7 @@ from fleet_backend.writer import Batch, Writer
 from tests.golden import CONTROLLER
 from tests.plugins.broker import free_port
 from tests.support.fleet import fleet_result, row_of
+from tests.support.patience import HANG_S
 
 
 @pytest.fixture(autouse=True)
@@ -163,3 +168,24 @@ def test_a_variable_that_nothing_reads_is_told(
     err = capsys.readouterr().err
     assert "CLUTCHDIAG_DATABASE" in err
     assert "secret" not in err
+
+
+def test_the_page_says_where_it_is_and_ends_in_order(filled: Engine) -> None:
+    command = [sys.executable, "-m", "fleet_backend", "serve", "--database", str(filled.url), "--listen", "127.0.0.1:0"]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
+        assert process.stdout is not None
+        said = process.stdout.readline()
+        address, *_, place, _, _, _ = said.split()
+        with urlopen(address, timeout=HANG_S) as answer:  # noqa: S310 - our own
+            assert b"worn" in answer.read()
+        process.send_signal(signal.SIGTERM)
+        _, complaints = process.communicate(timeout=HANG_S)
+    assert (process.returncode, "Traceback" in complaints) == (0, False)
+    assert "2 vehicles of sqlite:///" in said
+    assert place.startswith("sqlite:///")
+
+
+def test_a_page_for_everybody_is_refused(capsys: pytest.CaptureFixture[str], filled: Engine) -> None:
+    assert main(["serve", "--database", str(filled.url), "--listen", "0.0.0.0:8090"]) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert "others could read the fleet there without a login" in line

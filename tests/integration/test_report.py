@@ -1,22 +1,14 @@
 """Reports as users make them: the same numbers as JSON and store, and pages that a real browser shows to everybody."""
 
 import json
-import os
 import re
-import shutil
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
-from axe_playwright_python.sync_playwright import Axe
-from playwright.sync_api import Browser, Page, sync_playwright
 
+from tests.support.browsing import chromium, complaints_of
 from tests.support.histories import fill_store, history
 from tests.support.in_process import ended
-
-CHROMIUM = shutil.which("chromium")
-FOLD_PX = 4  # a pixel or two of rounding
 
 
 def record_in(page: Path) -> dict[str, object]:
@@ -120,43 +112,13 @@ def test_a_store_is_read_where_nothing_may_be_written(tmp_path: Path) -> None:
     assert before.items() <= {path.name: path.stat().st_mtime_ns for path in tmp_path.iterdir()}.items()
 
 
-@contextmanager
-def _browser() -> Iterator[Browser]:
-    if CHROMIUM is None:
-        raise RuntimeError("chromium is missing: `make setup-system` installs it")
-    arguments = ["--no-sandbox"] if os.geteuid() == 0 else []
-    with sync_playwright() as playwright:
-        browser = playwright.chromium.launch(executable_path=CHROMIUM, args=arguments)
-        yield browser
-        browser.close()
-
-
-def _complaints_of(page: Page, path: Path, scheme: str) -> list[str]:
-    """Return what is wrong with a page: what axe finds, what it loads from elsewhere, errors, what sticks out."""
-    asked: list[str] = []
-    said: list[str] = []
-    page.on("request", lambda request: asked.append(request.url))
-    page.on("console", lambda message: said.append(message.text))
-    page.on("pageerror", lambda error: said.append(str(error)))
-    page.emulate_media(color_scheme="dark" if scheme == "dark" else "light")
-    page.goto(path.as_uri())
-    overhang = page.evaluate("document.documentElement.scrollWidth - document.documentElement.clientWidth")
-    if overhang > FOLD_PX:
-        said.append(f"{overhang} px stick out")
-    said += [url for url in asked if url != path.as_uri()]
-    if not page.locator("svg[role=img]").count():
-        said.append("no picture")
-    found = Axe().run(page).response["violations"]
-    return said + [f"{one['id']}: {one['nodes'][0]['html']}" for one in found]
-
-
 def test_a_real_browser_shows_the_pages_to_everybody(log_report: Path, store_report: Path) -> None:
     """One start of the browser: light and dark, wide and narrow, and printed."""
-    with _browser() as browser:
+    with chromium() as browser:
         complaints = {}
         for path, scheme, width in ((log_report, "light", 1280), (store_report, "dark", 400)):
             page = browser.new_page(viewport={"width": width, "height": 900}, bypass_csp=True)
-            complaints[f"{path.name}, {scheme}, {width} px"] = _complaints_of(page, path, scheme)
+            complaints[f"{path.name}, {scheme}, {width} px"] = complaints_of(page, path.as_uri(), scheme)
             if scheme == "light":
                 assert page.pdf().startswith(b"%PDF")
             page.close()

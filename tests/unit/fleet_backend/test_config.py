@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from fleet_backend.certificates.authority import Authority, Lifetime
-from fleet_backend.config import parse_broker, parse_moment, parse_pace
+from fleet_backend.config import parse_broker, parse_listen, parse_moment, parse_pace
 from fleet_backend.database import default_database, open_database, place_of
 from fleet_backend.errors import ConfigError
 from fleet_link import TlsFiles
@@ -89,3 +89,25 @@ def test_the_default_database_is_in_the_state_folder(monkeypatch: pytest.MonkeyP
     assert default_database() == f"sqlite:///{tmp_path}/clutchdiag/fleet.sqlite"
     monkeypatch.setenv("XDG_STATE_HOME", "relative")
     assert default_database().endswith("/.local/state/clutchdiag/fleet.sqlite")
+
+
+@pytest.mark.parametrize(
+    ("text", "host", "port"),
+    [
+        ("127.0.0.1:8090", "127.0.0.1", 8090),
+        ("localhost:0", "127.0.0.1", 0),
+        ("[::1]:80", "::1", 80),
+        ("127.9.9.9:1", "127.9.9.9", 1),
+    ],
+)
+def test_a_page_listens_on_the_loopback(text: str, host: str, port: int) -> None:
+    assert (parse_listen(text).host, parse_listen(text).port) == (host, port)
+
+
+@pytest.mark.parametrize(
+    "text",
+    ["0.0.0.0:8090", "[::]:80", "192.168.1.2:80", "fleet.example:80", "127.0.0.1", ":80", "1:1:1", "127.0.0.1:65536"],
+)
+def test_a_page_without_login_listens_nowhere_else(text: str) -> None:
+    with pytest.raises(ConfigError, match=r"^--listen "):
+        parse_listen(text)

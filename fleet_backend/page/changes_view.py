@@ -1,0 +1,75 @@
+"""What became different in the fleet since a moment, and why."""
+
+from datetime import timedelta
+from typing import Final
+
+from fleet_backend.page import wording
+from fleet_backend.page.asking import AFTER, LIMIT, Ask, Kind, Parameter
+from fleet_backend.page.changes import changes_of
+from fleet_backend.page.fleet_view import next_of
+from fleet_backend.page.listing import part_of
+from fleet_backend.page.records import Change, ChangesAnswer
+from fleet_backend.page.running import vehicles_with_news
+from fleet_backend.page.view import Choice, Shown, Sources, View
+from program_io.pages.content import Cell, Section, Table
+
+USUAL: Final = timedelta(days=7)
+
+
+def find(sources: Sources, ask: Ask) -> ChangesAnswer:
+    """Return a part of what became different."""
+    since = ask.moment("since", ask.now - USUAL)
+    names = set(vehicles_with_news(sources.engine, since))
+    touched = [now for now in sources.keeper.snapshot.clutches if now.vehicle in names]
+    part = part_of(touched, ask.text("after"), ask.count("limit"))
+    found = changes_of(sources.engine, part.clutches, since)
+    changes = tuple(one for one in found if one.why)
+    return ChangesAnswer(since=since, changes=changes, clutch_count=part.matching_count, next=part.next)
+
+
+def show(answer: ChangesAnswer, ask: Ask, _sources: Sources) -> Shown:
+    """Return the page of changes."""
+    head = ("vehicle", "clutch", "verdict before", "verdict now", "mu_C before", "std", "mu_C now", "std", "why")
+    table = Table(caption="What became different, the worst first", head=head, rows=tuple(map(_cells, answer.changes)))
+    texts = () if answer.changes else ("Nothing became different.",)
+    return Shown(
+        title="Changes",
+        subtitle=f"since {answer.since:%Y-%m-%d %H:%M} UTC, {answer.clutch_count} clutches of vehicles with news",
+        sections=(
+            Section(name="changes", title="What and why", texts=texts, tables=(table,) if answer.changes else ()),
+        ),
+        choices=(Choice(name="since", label="Since", value=f"{answer.since:%Y-%m-%dT%H:%M}"),),
+        next=next_of("/changes", ask, answer.next),
+    )
+
+
+def _cells(one: Change) -> tuple[Cell, ...]:
+    return (
+        wording.vehicle_link(one.vehicle),
+        str(one.clutch),
+        wording.plain(None) if one.condition_before is None else wording.badge(one.condition_before),
+        wording.badge(one.condition),
+        wording.friction(one.mu_c_before),
+        wording.friction(one.std_mu_c_before),
+        wording.friction(one.mu_c),
+        wording.friction(one.std_mu_c),
+        "; ".join(one.why),
+    )
+
+
+VIEW: Final = View(
+    name="changes",
+    page_path="/changes",
+    api_path="/api/v1/changes",
+    text="What became different since a moment, and why: new data, another algorithm or calibration, new fluid.",
+    parameters=(
+        Parameter(name="since", text="since when (default: a week ago)", kind=Kind.MOMENT, longest=40),
+        AFTER,
+        LIMIT,
+    ),
+    answer=ChangesAnswer,
+    row=Change,
+    find=find,
+    show=show,
+    rows=lambda answer: answer.changes,
+)

@@ -1,0 +1,85 @@
+"""The description of the interface for programs (OpenAPI 3.1), made from the table of views."""
+
+from collections.abc import Iterable, Sequence
+from importlib.metadata import version
+from typing import Any, Final
+
+import msgspec
+
+from fleet_backend.page.asking import Kind, Parameter
+from fleet_backend.page.files import MEDIA_TYPES, Format
+from fleet_backend.page.view import View
+
+FORMAT: Final = Parameter(name="format", text="how the answer is written", choices=tuple(one.value for one in Format))
+_REF: Final = "#/components/schemas/{name}"
+
+
+class Problem(msgspec.Struct, frozen=True, kw_only=True):
+    """What went wrong (RFC 9457)."""
+
+    title: str
+    status: int
+    detail: str
+
+
+def openapi(views: Sequence[tuple[View, Sequence[Parameter]]]) -> dict[str, Any]:
+    """Return the description of the views with their parameters."""
+    records = [view.answer for view, _ in views]
+    schemas, components = msgspec.json.schema_components([*records, Problem], ref_template=_REF)
+    problem = schemas[-1]
+    paths = {
+        view.api_path: {"get": _operation(view, parameters, schema, problem)}
+        for (view, parameters), schema in zip(views, schemas, strict=False)
+    }
+    return {
+        "openapi": "3.1.0",
+        "info": {
+            "title": "clutchdiag fleet",
+            "version": version("clutchdiag"),
+            "description": "What the fleet's database knows. SI units, UTC. Within v1 keys are only ever added.",
+        },
+        "paths": paths,
+        "components": {"schemas": components},
+    }
+
+
+def _operation(view: View, parameters: Iterable[Parameter], schema: object, problem: object) -> dict[str, Any]:
+    content = {MEDIA_TYPES[Format.JSON]: {"schema": schema}}
+    content |= {MEDIA_TYPES[one].partition(";")[0]: {} for one in (Format.CSV, Format.PARQUET)}
+    wrong = {"content": {"application/problem+json": {"schema": problem}}}
+    answers = {
+        "200": {"description": view.text, "content": content},
+        "400": {"description": "the question cannot be understood", **wrong},
+        "404": {"description": "there is no such thing", **wrong},
+        "503": {"description": "the database does not answer", **wrong},
+    }
+    return {
+        "operationId": view.name,
+        "summary": view.text,
+        "parameters": [_parameter(one) for one in parameters],
+        "responses": answers,
+    }
+
+
+def _parameter(one: Parameter) -> dict[str, Any]:
+    return {
+        "name": one.name,
+        "in": "path" if one.in_path else "query",
+        "required": one.is_required,
+        "description": one.text,
+        "schema": _schema(one),
+    }
+
+
+def _schema(one: Parameter) -> dict[str, Any]:
+    if one.kind is Kind.COUNT:
+        limits: dict[str, Any] = {"type": "integer", "minimum": one.least, "maximum": one.most}
+        return limits if one.default is None else {**limits, "default": one.default}
+    schema: dict[str, Any] = {"type": "string", "maxLength": one.longest}
+    if one.kind is Kind.MOMENT:
+        schema["format"] = "date-time"
+    if one.choices:
+        schema["enum"] = list(one.choices)
+    if one.pattern is not None:
+        schema["pattern"] = f"^{one.pattern}$"
+    return schema

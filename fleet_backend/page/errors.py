@@ -1,0 +1,26 @@
+"""What the page answers where it cannot answer; each is one line for the reader and one status for programs."""
+
+from typing import ClassVar
+
+from fleet_backend.errors import FleetBackendError
+
+
+class PageError(FleetBackendError):
+    """Root of what a reader is told instead of an answer."""
+
+    status: ClassVar[int] = 500
+    title: ClassVar[str] = "This did not work"
+
+
+class AskError(PageError):
+    """The question cannot be understood: correct its address."""
+
+    status = 400
+    title = "This question cannot be understood"
+
+
+class NotFoundError(PageError):
+    """There is no such thing: look at another one."""
+
+    status = 404
+    title = "There is no such page"

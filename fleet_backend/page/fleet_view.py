@@ -1,0 +1,119 @@
+"""The fleet, worst first."""
+
+from typing import Final
+from urllib.parse import urlencode
+
+from fleet_backend.page import wording
+from fleet_backend.page.asking import AFTER, LIMIT, Ask, Parameter
+from fleet_backend.page.listing import Wanted, choices_of, matching, part_of
+from fleet_backend.page.records import ClutchNow, FleetAnswer, Severity
+from fleet_backend.page.view import Choice, Shown, Sources, View
+from program_io.pages.content import Cell, Section, Table
+
+_WANTED: Final = {"q": "name_part", "condition": "condition", "fluid": "fluid", "calibration": "calibration"}
+_PARAMETERS: Final = (
+    Parameter(name="q", text="a part of the vehicle's name", longest=64),
+    Parameter(name="condition", text="verdict", choices=tuple(one.value for one in Severity)),
+    Parameter(name="fluid", text="fluid that is in, as it was noted"),
+    Parameter(name="calibration", text="calibration of the results, which stands for the type of vehicle"),
+    AFTER,
+    LIMIT,
+)
+
+
+def find(sources: Sources, ask: Ask) -> FleetAnswer:
+    """Return the clutches that are asked for."""
+    snapshot = sources.keeper.snapshot
+    wanted = Wanted(**{field: ask.text(name) for name, field in _WANTED.items()})
+    part = part_of(matching(snapshot.clutches, wanted), ask.text("after"), ask.count("limit"))
+    return FleetAnswer(
+        clutches=part.clutches,
+        matching_count=part.matching_count,
+        clutch_count=len(snapshot.clutches),
+        next=part.next,
+        read_at=snapshot.read_at,
+    )
+
+
+def show(answer: FleetAnswer, ask: Ask, sources: Sources) -> Shown:
+    """Return the page of the fleet."""
+    counted = f"{answer.matching_count} of {answer.clutch_count} clutches"
+    table = Table(caption=f"Clutches, worst first: {counted}", head=_HEAD, rows=tuple(map(_cells, answer.clutches)))
+    texts = () if answer.clutches else ("Nothing in the fleet is like that." if answer.clutch_count else _EMPTY,)
+    return Shown(
+        title="Fleet",
+        subtitle=f"{len(sources.keeper.snapshot.vehicles)} vehicles, read at {_time(answer)} UTC",
+        sections=(
+            Section(name="clutches", title="Worst first", texts=texts, tables=(table,) if answer.clutches else ()),
+        ),
+        choices=_choices(ask, sources),
+        next=next_of("/", ask, answer.next),
+        follows_vehicle="",
+    )
+
+
+def next_of(path: str, ask: Ask, after: str | None) -> str | None:
+    """Return the address of the next part of a list."""
+    if after is None:
+        return None
+    said = {name: value for name, value in ask.values.items() if name != "after"}
+    return f"{path}?{urlencode({**said, 'after': after})}"
+
+
+_EMPTY: Final = "Nothing was heard of any vehicle yet. fleet-backend ingest brings results into this database."
+_HEAD: Final = (
+    *("vehicle", "clutch", "verdict", "what to do", "mu_C", "std", "of new", "P(falling slope)", "shifts", "km"),
+    *("fluid", "last event (UTC)"),
+)
+
+
+def _cells(now: ClutchNow) -> tuple[Cell, ...]:
+    return (
+        wording.vehicle_link(now.vehicle),
+        str(now.clutch),
+        wording.badge(now.condition),
+        wording.remark(now),
+        wording.friction(now.mu_c),
+        wording.friction(now.std_mu_c),
+        wording.share(now.level_ratio),
+        wording.probability(now.probability_negative_slope),
+        str(now.shift_count),
+        wording.km(now.odometer_m),
+        wording.plain(now.fluid),
+        wording.minute(now.end_at),
+    )
+
+
+def _choices(ask: Ask, sources: Sources) -> tuple[Choice, ...]:
+    fluids, calibrations = choices_of(sources.keeper.snapshot.clutches)
+    conditions = [(one.value, wording.condition_word(one.value)) for one in Severity]
+    lists = (
+        ("condition", "Verdict", conditions),
+        ("fluid", "Fluid", [(one, one) for one in fluids]),
+        ("calibration", "Type", [(one, one) for one in calibrations]),
+    )
+    return (
+        Choice(name="q", label="Vehicle", value=ask.text("q") or ""),
+        *(
+            Choice(name=name, label=label, value=ask.text(name) or "", options=(("", "any"), *options))
+            for name, label, options in lists
+        ),
+    )
+
+
+def _time(answer: FleetAnswer) -> str:
+    return answer.read_at.strftime("%H:%M:%S")
+
+
+VIEW: Final = View(
+    name="fleet",
+    page_path="/",
+    api_path="/api/v1/clutches",
+    text="The running condition of every clutch, the worst first.",
+    parameters=_PARAMETERS,
+    answer=FleetAnswer,
+    row=ClutchNow,
+    find=find,
+    show=show,
+    rows=lambda answer: answer.clutches,
+)

@@ -1,0 +1,56 @@
+"""Pages as HTML: templates of this package, parts and style sheet of all pages; everything is escaped."""
+
+from functools import cache
+from typing import Final
+
+from jinja2 import Environment
+
+from fleet_backend.page.files import Format
+from fleet_backend.page.view import Shown, View
+from program_io.pages.content import Link
+from program_io.pages.environment import templates_of
+
+NAVIGATION: Final = (
+    Link(text="Fleet", href="/"),
+    Link(text="Changes", href="/changes"),
+    Link(text="Quarantine", href="/quarantine"),
+)
+
+
+def html_of(view: View, shown: Shown, *, api_href: str, complaint: str | None) -> str:
+    """Return the page of an answer.
+
+    Parameters
+    ----------
+    api_href :
+        Address of the same answer for programs.
+    complaint :
+        Why what is shown is older than it should be, if it is.
+    """
+    return (
+        _templates()
+        .get_template("view.html")
+        .render(
+            page=shown,
+            navigation=NAVIGATION,
+            here=view.page_path,
+            formats=_formats(api_href),
+            complaint=complaint,
+        )
+    )
+
+
+def problem_page(title: str, detail: str) -> str:
+    """Return the page of something that went wrong."""
+    return _templates().get_template("problem.html").render(title=title, detail=detail, navigation=NAVIGATION, here="")
+
+
+@cache
+def _templates() -> Environment:
+    return templates_of("fleet_backend.page")
+
+
+def _formats(api_href: str) -> tuple[Link, ...]:
+    """Return the same answer as files."""
+    joint = "&" if "?" in api_href else "?"
+    return tuple(Link(text=one.value.upper(), href=f"{api_href}{joint}format={one}") for one in Format)

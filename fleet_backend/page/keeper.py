@@ -1,0 +1,168 @@
+"""The fleet as it was read last, kept in memory; what is new is read every two seconds, readers ask no database."""
+
+import asyncio
+import logging
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from datetime import UTC, datetime, timedelta
+from types import MappingProxyType
+from typing import Final, Protocol
+
+from sqlalchemy import Engine
+
+from fleet_backend.errors import DatabaseError
+from fleet_backend.page import running
+from fleet_backend.page.listing import worst_first
+from fleet_backend.page.records import ClutchNow
+from fleet_backend.page.running import FillsSeen
+
+PERIOD_S: Final = 2.0
+OVERLAP: Final = timedelta(seconds=10)  # a transaction that began before one looked may have ended after
+WHOLE_AFTER: Final = timedelta(minutes=15)  # what nobody foresaw is put right by then
+_NEVER: Final = datetime.min.replace(tzinfo=UTC)
+_LOG: Final = logging.getLogger(__name__)
+
+
+class Source(Protocol):
+    """Where the fleet is read."""
+
+    def now(self) -> datetime:
+        """Return what time it is where results are stored."""
+
+    def fills_seen(self) -> FillsSeen:
+        """Return what tells whether fills were noted."""
+
+    def all_clutches(self) -> Sequence[ClutchNow]:
+        """Return every clutch."""
+
+    def clutches_of(self, vehicles: Sequence[str]) -> Sequence[ClutchNow]:
+        """Return the clutches of some vehicles."""
+
+    def vehicles_with_news(self, since: datetime) -> Sequence[str]:
+        """Return the vehicles of which results were stored since then."""
+
+
+class DatabaseSource:
+    """Reads a database."""
+
+    def __init__(self, engine: Engine) -> None:
+        self._engine = engine
+
+    def now(self) -> datetime:
+        """Return what time it is in the database."""
+        return running.database_time(self._engine)
+
+    def fills_seen(self) -> FillsSeen:
+        """Return what tells whether fills were noted."""
+        return running.fills_seen(self._engine)
+
+    def all_clutches(self) -> Sequence[ClutchNow]:
+        """Return every clutch."""
+        return running.all_clutches(self._engine)
+
+    def clutches_of(self, vehicles: Sequence[str]) -> Sequence[ClutchNow]:
+        """Return the clutches of some vehicles."""
+        return running.clutches_of(self._engine, vehicles)
+
+    def vehicles_with_news(self, since: datetime) -> Sequence[str]:
+        """Return the vehicles of which results were stored since then."""
+        return running.vehicles_with_news(self._engine, since)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Snapshot:
+    """The fleet at one moment."""
+
+    clutches: tuple[ClutchNow, ...] = ()  # the worst first
+    read_at: datetime = _NEVER
+    number: int = 0  # grows whenever something became different
+    changed: frozenset[str] = frozenset()  # vehicles that did with this number
+    vehicles: Mapping[str, tuple[ClutchNow, ...]] = field(default_factory=lambda: MappingProxyType({}))
+
+
+class Keeper:
+    """Keeps the last snapshot; read from any thread, refreshed by one task."""
+
+    def __init__(self, source: Source) -> None:
+        self._source = source
+        self._snapshot = Snapshot()
+        self._fills: FillsSeen | None = None
+        self._whole_at = self._snapshot.read_at
+        self._listeners: set[Callable[[Snapshot], None]] = set()
+        self.complaint: str | None = None  # why the snapshot is older than it should be
+
+    @property
+    def snapshot(self) -> Snapshot:
+        """The fleet as it was read last."""
+        return self._snapshot
+
+    def refresh(self) -> bool:
+        """Read what is new; return whether something is.
+
+        Raises
+        ------
+        DatabaseError
+            If the database does not answer or cannot be used; the last snapshot stays.
+        """
+        now, fills = self._source.now(), self._source.fills_seen()
+        last = self._snapshot
+        if fills != self._fills or now - self._whole_at >= WHOLE_AFTER:
+            clutches: Sequence[ClutchNow] = self._source.all_clutches()
+            self._fills, self._whole_at = fills, now
+        else:
+            names = self._source.vehicles_with_news(last.read_at - OVERLAP)
+            fresh = self._source.clutches_of(names) if names else ()
+            if all(one in last.vehicles.get(one.vehicle, ()) for one in fresh):
+                self._snapshot = replace(last, read_at=now)
+                return False
+            renewed = {one.vehicle for one in fresh}
+            clutches = [*(one for one in last.clutches if one.vehicle not in renewed), *fresh]
+        return self._take(worst_first(clutches), now)
+
+    def _take(self, clutches: tuple[ClutchNow, ...], now: datetime) -> bool:
+        last, vehicles = self._snapshot, _by_vehicle(clutches)
+        changed = {
+            name for name in vehicles.keys() | last.vehicles.keys() if vehicles.get(name) != last.vehicles.get(name)
+        }
+        number = last.number + (1 if changed else 0)
+        self._snapshot = Snapshot(
+            clutches=clutches,
+            read_at=now,
+            number=number,
+            changed=frozenset(changed) if changed else last.changed,
+            vehicles=vehicles,
+        )
+        return bool(changed)
+
+    def listen(self, listener: Callable[[Snapshot], None]) -> Callable[[], None]:
+        """Call a listener, in the event loop, with each new snapshot; return what ends that."""
+        self._listeners.add(listener)
+        return lambda: self._listeners.discard(listener)
+
+    async def run(self, period_s: float = PERIOD_S) -> None:
+        """Refresh for ever."""
+        while True:
+            await asyncio.sleep(period_s)
+            await self.look()
+
+    async def look(self) -> None:
+        """Refresh once, in a thread, and tell who listens if something is new; what goes wrong is kept to be shown."""
+        try:
+            is_new = await asyncio.to_thread(self.refresh)
+        except DatabaseError as exc:
+            if self.complaint is None:
+                _LOG.warning("%s; trying again", exc)
+            self.complaint = str(exc)
+            return
+        self.complaint = None
+        for listener in tuple(self._listeners) if is_new else ():
+            listener(self._snapshot)
+
+
+def _by_vehicle(clutches: Sequence[ClutchNow]) -> Mapping[str, tuple[ClutchNow, ...]]:
+    found: dict[str, list[ClutchNow]] = {}
+    for one in clutches:
+        found.setdefault(one.vehicle, []).append(one)
+    return MappingProxyType({
+        name: tuple(sorted(some, key=lambda one: one.clutch)) for name, some in found.items()
+    })  # fmt: skip

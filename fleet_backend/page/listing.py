@@ -1,0 +1,122 @@
+"""Which clutches of the fleet a reader asks for, the worst first, part by part: pure, from the fleet as it was read."""
+
+import base64
+import binascii
+import json
+from bisect import bisect_right
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+from typing import Final
+
+from fleet_backend.page.errors import AskError
+from fleet_backend.page.records import ClutchNow, Severity
+
+Place = tuple[int, float, float, str, int]  # sorts as the view fleet_worst_first does
+_SEVERITY: Final = {Severity.CHANGE_FLUID: 0, Severity.WATCH: 1, Severity.GOOD: 2, Severity.NO_VERDICT: 3}
+_NO_LEVEL: Final = 9.0  # of the view
+_MOST: Final = 2**53  # beyond it a float is not exact
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Wanted:
+    """What a reader looks for; what is None may be anything."""
+
+    name_part: str | None = None
+    condition: str | None = None
+    fluid: str | None = None
+    calibration: str | None = None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Part:
+    """Some of the clutches that were asked for."""
+
+    clutches: tuple[ClutchNow, ...]
+    matching_count: int
+    next: str | None
+
+
+def place_of(now: ClutchNow) -> Place:
+    """Return where a clutch stands in the fleet: the smaller the worse."""
+    severity = _SEVERITY.get(Severity(now.condition), len(_SEVERITY))
+    falling = now.probability_negative_slope or 0.0
+    return severity, -falling, now.level_ratio or _NO_LEVEL, now.vehicle, now.clutch
+
+
+def worst_first(clutches: Iterable[ClutchNow]) -> tuple[ClutchNow, ...]:
+    """Return clutches as the fleet's page shows them."""
+    return tuple(sorted(clutches, key=place_of))
+
+
+def matching(clutches: Sequence[ClutchNow], wanted: Wanted) -> list[ClutchNow]:
+    """Return the clutches that are looked for, in the order in which they come."""
+    tests: list[Callable[[ClutchNow], bool]] = []
+    if wanted.name_part:
+        part = wanted.name_part.casefold()
+        tests.append(lambda now: part in now.vehicle.casefold())
+    for name, value in (
+        ("condition", wanted.condition),
+        ("fluid", wanted.fluid),
+        ("calibration_version", wanted.calibration),
+    ):
+        if value is not None:
+            tests.append(lambda now, name=name, value=value: getattr(now, name) == value)  # type: ignore[misc]
+    return [now for now in clutches if all(test(now) for test in tests)] if tests else list(clutches)
+
+
+def part_of(found: Sequence[ClutchNow], after: str | None, limit: int) -> Part:
+    """Return the next clutches behind the one that ``after`` names, which need not be there any more.
+
+    Raises
+    ------
+    AskError
+        If ``after`` is nothing that an earlier part named.
+    """
+    first = 0 if after is None else bisect_right(found, read_cursor(after), key=place_of)
+    some = tuple(found[first : first + limit])
+    is_last = first + limit >= len(found)
+    return Part(
+        clutches=some, matching_count=len(found), next=None if is_last or not some else cursor(place_of(some[-1]))
+    )
+
+
+def cursor(place: Sequence[object]) -> str:
+    """Return a place as a word of an address."""
+    return base64.urlsafe_b64encode(json.dumps(place).encode()).decode().rstrip("=")
+
+
+def read_cursor(word: str) -> Place:
+    """Return the place in a word of an address; raises AskError if there is none."""
+    severity, falling, level, vehicle, clutch = read_words(word, (int, float, float, str, int))
+    return severity, falling, level, vehicle, clutch  # type: ignore[return-value]  # their kinds were checked
+
+
+def read_words(word: str, kinds: Sequence[type]) -> list[object]:
+    """Return the values in a word that ``cursor`` made; raises AskError if they are not of these kinds."""
+    values = _decoded(word)
+    if isinstance(values, list) and len(values) == len(kinds):
+        # JSON has one kind of number: a float without fraction may come back as a whole number.
+        made = [
+            float(one) if kind is float and type(one) is int and abs(one) < _MOST else one
+            for kind, one in zip(kinds, values, strict=True)
+        ]
+        if all(type(one) is kind for kind, one in zip(kinds, made, strict=True)):
+            return made
+    raise AskError("after: no place in a list; take it from the list before")
+
+
+def _decoded(word: str) -> object:
+    try:
+        return json.loads(base64.urlsafe_b64decode(word + "=" * (-len(word) % 4)))
+    except (binascii.Error, ValueError, RecursionError):
+        return None
+
+
+def choices_of(clutches: Iterable[ClutchNow]) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    """Return the fluids and the calibrations that there are."""
+    fluids, calibrations = set(), set()
+    for now in clutches:
+        calibrations.add(now.calibration_version)
+        if now.fluid is not None:
+            fluids.add(now.fluid)
+    return tuple(sorted(fluids)), tuple(sorted(calibrations))

@@ -1,0 +1,164 @@
+"""Where the fleet meets the pure diagnosis: rows of the database become results again, and those a prognosis."""
+
+from collections.abc import Iterator, Mapping, Sequence
+from functools import cache
+from typing import Any, Final
+
+from clutch_model.calibration import nominal_calibration
+from clutch_model.clutch import FrictionCurve
+from clutch_model.fingerprint import fingerprint
+from diag_service.diagnosis.events import EndReason, EventKind
+from diag_service.diagnosis.prognosis import Prognosis, history_of, prognose
+from diag_service.diagnosis.prognosis.sentence import outlook_line
+from diag_service.diagnosis.records import (
+    ClutchVerdict,
+    Condition,
+    FluidFill,
+    FrictionEstimate,
+    Reason,
+    ScaleFreeFriction,
+    ShiftEstimate,
+    ShiftResult,
+    Status,
+)
+from diag_service.diagnosis.results import iso_utc
+from fleet_backend.page.past import friction_in, words_in
+from fleet_backend.page.records import Fill, OutlookAnswer, ReachAnswer
+from fleet_backend.schema import RUNNING, SCALE_FREE, SCALE_FREE_COLUMNS
+
+Row = Mapping[str, Any]
+_OTHER_CALIBRATION: Final = "No prognosis: the calibration of these results is not the shipped one."
+
+
+@cache
+def shipped_calibration() -> str:
+    """Return the version of results that were made with the shipped calibration."""
+    calibration = nominal_calibration()
+    return f"{calibration.version}+{fingerprint(calibration)}"
+
+
+def reference_of(calibration_version: str, clutch: int) -> FrictionCurve | None:
+    """Return the friction of a clutch with new fluid; None for a calibration that is not at hand."""
+    if calibration_version != shipped_calibration():
+        return None
+    return nominal_calibration().clutches[clutch - 1].friction
+
+
+def friction_of(values: Mapping[str, float] | None) -> FrictionEstimate | None:
+    """Return a friction estimate from its numbers."""
+    return None if values is None else FrictionEstimate(**values)
+
+
+def result_of(row: Row) -> ShiftResult:
+    """Return the result that a row was made from; what the database does not keep is unknown in it."""
+    estimate = ShiftEstimate(
+        number=row["number"],
+        from_gear=row["from_gear"],
+        to_gear=row["to_gear"],
+        clutch=row["clutch"],
+        start_ns=row["start_bus_ns"],
+        end_ns=row["end_bus_ns"],
+        status=Status(row["status"]),
+        reasons=tuple(Reason(word) for word in words_in(row)),
+        friction=friction_of(friction_in(row, "")),
+        sample_count=row["sample_count"],
+        window_s=row["window_s"],
+        chi_square_ratio=row["chi_square_ratio"],
+        quality=row["quality"],
+        sump_temperature_k=row["sump_temperature_k"],
+        clutch_temperature_k=row["clutch_temperature_k"],
+        slip_energy_j=row["slip_energy_j"],
+        duration_s=row["duration_s"],
+        odometer_m=row["odometer_m"],
+        scale_free=_scale_free(row),
+        kind=EventKind.SHIFT if row["kind"] is None else EventKind(row["kind"]),
+        end_reason=None if row["end_reason"] is None else EndReason(row["end_reason"]),
+    )
+    return ShiftResult(
+        vehicle=row["vehicle"],
+        stream=row["stream"],
+        seq=row["seq"],
+        estimate=estimate,
+        verdict=_verdict(row),
+        algorithm_version=row["algorithm_version"],
+        calibration_version=row["calibration_version"],
+        produced_at=iso_utc(row["produced_at"]),
+    )
+
+
+def outlook_of(
+    clutch: int, rows: Sequence[Row], fills: Sequence[Fill], service_distance_m: float
+) -> tuple[OutlookAnswer | None, str | None]:
+    """Return how far the fluid of a clutch will go by its results, the oldest first, or why that cannot be said."""
+    calibration = rows[-1]["calibration_version"]
+    reference = reference_of(calibration, clutch)
+    if reference is None:
+        return None, _OTHER_CALIBRATION
+    same = [result_of(row) for row in rows if row["calibration_version"] == calibration]
+    past = history_of(same, [_fill(rows[-1]["vehicle"], one) for one in fills], clutch)
+    found = prognose(clutch, past, reference, service_distance_m=service_distance_m)
+    return _answer(found, _left_out(rows, len(same))), None
+
+
+def _answer(found: Prognosis, more: Iterator[str]) -> OutlookAnswer:
+    return OutlookAnswer(
+        outlook=found.outlook.value,
+        sentence=outlook_line(found),
+        row_count=found.row_count,
+        service_distance_m=found.service_distance_m,
+        watch=_reach(found.watch),
+        change_fluid=_reach(found.change_fluid),
+        assumptions=(*found.assumptions, *more),
+    )
+
+
+def _reach(when: Any) -> ReachAnswer | None:  # noqa: ANN401 - a Reach, which the package of prognoses does not name
+    if when is None:
+        return None
+    names = ("p10_m", "p50_m", "p90_m", "probability_before_service")
+    return ReachAnswer(**{name: getattr(when, name) for name in names})
+
+
+def _left_out(rows: Sequence[Row], same_count: int) -> Iterator[str]:
+    if same_count < len(rows):
+        yield f"{len(rows) - same_count} results of other calibrations are left out"
+    assumed = sum(row["mu_c"] is not None and row[f"{SCALE_FREE}correlation"] is None for row in rows)
+    if assumed:
+        yield f"in {assumed} results of older programs random errors of mu_C and mu_S correlate as the whole ones do"
+
+
+def _scale_free(row: Row) -> ScaleFreeFriction | None:
+    """Return what driving alone tells of the friction; of rows that do not know it, their random part stands for it."""
+    if row["mu_c"] is None:
+        return None
+    if row[f"{SCALE_FREE}correlation"] is not None:
+        return ScaleFreeFriction(**{name: row[SCALE_FREE + name] for name in SCALE_FREE_COLUMNS})
+    return ScaleFreeFriction(
+        mu_c=row["mu_c"],
+        mu_s=row["mu_s"],
+        std_mu_c=row["random_std_mu_c"],
+        std_mu_s=row["random_std_mu_s"],
+        correlation=row["correlation"],
+    )
+
+
+def _verdict(row: Row) -> ClutchVerdict:
+    return ClutchVerdict(
+        clutch=row["clutch"],
+        condition=Condition[str(row["condition"]).upper()],
+        reason=row["condition_reason"],
+        level_ratio=row["level_ratio"],
+        friction=friction_of(friction_in(row, RUNNING)),
+        shift_count=row["running_shift_count"],
+        advice=row["advice"],
+    )
+
+
+def _fill(vehicle: str, fill: Fill) -> FluidFill:
+    return FluidFill(
+        vehicle=vehicle,
+        filled_at=iso_utc(fill.filled_at),
+        odometer_m=fill.odometer_m,
+        product=fill.product,
+        note=fill.note,
+    )

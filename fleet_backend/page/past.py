@@ -1,0 +1,156 @@
+"""The past of one vehicle, one of its events, and what was kept aside: read from the database by its indexes."""
+
+import json
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, fields
+from datetime import datetime
+from typing import Any, Final
+
+from sqlalchemy import Engine, Select, and_, func, or_, select
+
+from fleet_backend import views
+from fleet_backend.database import transaction
+from fleet_backend.page.records import ClutchAlarm, Fill, Quarantined, ShiftAnswer
+from fleet_backend.schema import FLUID_FILL, FRICTION_COLUMNS, QUARANTINE, RUNNING, SHIFT_RESULT, VEHICLE
+
+MOST_RESULTS: Final = 4000  # of one clutch, the newest; two years of a taxi
+_NEWER: Final = SHIFT_RESULT.alias("newer")
+_SHIFT_NAMES: Final = tuple(field.name for field in fields(ShiftAnswer))
+Row = Mapping[str, Any]  # of any table: what a column holds is the schema's matter
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Presence:
+    """What the service of a vehicle said of itself."""
+
+    is_online: bool | None
+    connected_at: datetime | None
+    service_version: str | None
+    last_result_at: datetime | None
+
+
+def presence(engine: Engine, vehicle: str) -> Presence | None:
+    """Return what is known of a vehicle's service; None if nothing was ever heard of the vehicle."""
+    columns = (VEHICLE.c.is_online, VEHICLE.c.connected_at, VEHICLE.c.service_version)
+    with transaction(engine) as connection:
+        row = connection.execute(select(*columns).where(VEHICLE.c.vehicle == vehicle)).first()
+        if row is None:
+            return None
+        last = connection.execute(
+            select(func.max(SHIFT_RESULT.c.produced_at)).where(SHIFT_RESULT.c.vehicle == vehicle)
+        ).scalar_one()
+    is_online = None if row.is_online is None else bool(row.is_online)
+    return Presence(
+        is_online=is_online, connected_at=row.connected_at, service_version=row.service_version, last_result_at=last
+    )
+
+
+def current_results(vehicle: str, clutch: int, most: int = MOST_RESULTS) -> Select[Any]:
+    """Return the statement for the newest results of a clutch, of each event the newest version."""
+    table = SHIFT_RESULT
+    is_superseded = (
+        select(_NEWER.c.seq)
+        .where(
+            _NEWER.c.vehicle == table.c.vehicle,
+            _NEWER.c.stream == table.c.stream,
+            _NEWER.c.seq == table.c.seq,
+            _NEWER.c.version_rank > table.c.version_rank,
+        )
+        .exists()
+    )
+    order = (table.c.vehicle, table.c.clutch, table.c.produced_at, table.c.stream)
+    return (
+        select(table)
+        .where(table.c.vehicle == vehicle, table.c.clutch == clutch, ~is_superseded)
+        .order_by(*(column.desc() for column in order))
+        .limit(most)
+    )
+
+
+def results_of(engine: Engine, vehicle: str, clutch: int) -> list[Row]:
+    """Return the newest results of a clutch, the oldest first; inside a stream only ``seq`` tells the order."""
+    with transaction(engine) as connection:
+        rows: list[Row] = [dict(row) for row in connection.execute(current_results(vehicle, clutch)).mappings()]
+    last: dict[str, datetime] = {}
+    for row in rows:
+        last[row["stream"]] = max(row["produced_at"], last.get(row["stream"], row["produced_at"]))
+    return sorted(rows, key=lambda row: (last[row["stream"]], row["stream"], row["seq"]))
+
+
+def result_count(engine: Engine, vehicle: str, clutch: int) -> int:
+    """Return how many results of a clutch there are, all versions counted."""
+    own = and_(SHIFT_RESULT.c.vehicle == vehicle, SHIFT_RESULT.c.clutch == clutch)
+    with transaction(engine) as connection:
+        return int(connection.execute(select(func.count()).select_from(SHIFT_RESULT).where(own)).scalar_one())
+
+
+def fills_of(engine: Engine, vehicle: str) -> tuple[Fill, ...]:
+    """Return the fluid fills of a vehicle, the earliest first."""
+    table = FLUID_FILL
+    statement = select(table.c.filled_at, table.c.odometer_m, table.c.product, table.c.note)
+    with transaction(engine) as connection:
+        rows = connection.execute(statement.where(table.c.vehicle == vehicle).order_by(table.c.filled_at)).mappings()
+        return tuple(Fill(**row) for row in rows)
+
+
+def alarms_of(engine: Engine, vehicle: str) -> tuple[ClutchAlarm, ...]:
+    """Return the alarms of a vehicle's clutches, the latest first."""
+    table = views.CLUTCH_ALARM
+    names = [field.name for field in fields(ClutchAlarm)]
+    statement = select(*(table.c[name] for name in names)).where(table.c.vehicle == vehicle)
+    with transaction(engine) as connection:
+        rows = connection.execute(statement.order_by(table.c.raised_at.desc())).mappings()
+        return tuple(ClutchAlarm(**row) for row in rows)
+
+
+def shift_of(engine: Engine, vehicle: str, stream: str, seq: int) -> ShiftAnswer | None:
+    """Return one event by its newest version; None if there is none."""
+    table = SHIFT_RESULT
+    own = and_(table.c.vehicle == vehicle, table.c.stream == stream, table.c.seq == seq)
+    with transaction(engine) as connection:
+        statement = select(table).where(own).order_by(table.c.version_rank.desc())
+        rows: list[Row] = [dict(row) for row in connection.execute(statement).mappings()]
+    if not rows:
+        return None
+    return _shift(rows[0], rows[1:])
+
+
+def quarantined(engine: Engine, after: tuple[datetime, str] | None, limit: int) -> tuple[Quarantined, ...]:
+    """Return what was kept aside, the latest first, behind the message that ``after`` names."""
+    table = QUARANTINE
+    statement = select(table).order_by(table.c.received_at.desc(), table.c.digest).limit(limit)
+    if after is not None:
+        at, digest = after
+        is_behind = or_(table.c.received_at < at, table.c.digest > digest)
+        statement = statement.where(table.c.received_at <= at, is_behind)
+    with transaction(engine) as connection:
+        return tuple(Quarantined(**row) for row in connection.execute(statement).mappings())
+
+
+def friction_in(row: Row, prefix: str) -> dict[str, float] | None:
+    """Return the friction in a row: that of the event, or with a prefix the running one."""
+    if row[prefix + "mu_c"] is None:
+        return None
+    return {name: row[prefix + name] for name in FRICTION_COLUMNS}
+
+
+def words_in(row: Row) -> tuple[str, ...]:
+    """Return the reasons in a row."""
+    return tuple(str(row["reasons"]).split(",")) if row["reasons"] else ()
+
+
+def _shift(row: Row, older: Sequence[Row]) -> ShiftAnswer:
+    parts = None if row["trust_parts"] is None else json.loads(row["trust_parts"])
+    made: dict[str, Any] = {
+        "reasons": words_in(row),
+        "friction": friction_in(row, ""),
+        "running": friction_in(row, RUNNING),
+        "trust_parts": parts,
+        "older_versions": tuple(_versions(older)),
+    }
+    made |= {name: row[name] for name in _SHIFT_NAMES if name not in made}
+    return ShiftAnswer(**made)
+
+
+def _versions(rows: Iterable[Row]) -> Iterable[str]:
+    return (f"{row['algorithm_version']}, {row['calibration_version']}" for row in rows)

@@ -1,0 +1,76 @@
+"""Messages that could not be used, and why."""
+
+from datetime import UTC, datetime
+from typing import Final
+
+from fleet_backend.page import past, wording
+from fleet_backend.page.asking import AFTER, LIMIT, Ask
+from fleet_backend.page.errors import AskError
+from fleet_backend.page.fleet_view import next_of
+from fleet_backend.page.listing import cursor, read_words
+from fleet_backend.page.records import QuarantineAnswer, Quarantined
+from fleet_backend.page.view import Shown, Sources, View
+from program_io.pages.content import Cell, Section, Table
+
+
+def find(sources: Sources, ask: Ask) -> QuarantineAnswer:
+    """Return a part of what was kept aside."""
+    after, limit = ask.text("after"), ask.count("limit")
+    found = past.quarantined(sources.engine, None if after is None else _place(after), limit + 1)
+    some = found[:limit]
+    is_last = len(found) <= limit
+    following = None if is_last else cursor((some[-1].received_at.isoformat(), some[-1].digest))
+    return QuarantineAnswer(messages=some, next=following)
+
+
+def show(answer: QuarantineAnswer, ask: Ask, _sources: Sources) -> Shown:
+    """Return the page of the quarantine."""
+    head = ("received (UTC)", "vehicle", "reason", "detail", "bytes", "begins with", "acknowledged")
+    table = Table(
+        caption=f"{len(answer.messages)} messages, the latest first",
+        head=head,
+        rows=tuple(map(_cells, answer.messages)),
+    )
+    texts = () if answer.messages else ("Every message could be used.",)
+    return Shown(
+        title="Quarantine",
+        subtitle="messages that could not be used; their senders were told so",
+        sections=(Section(name="messages", title="Messages", texts=texts, tables=(table,) if answer.messages else ()),),
+        next=next_of("/quarantine", ask, answer.next),
+    )
+
+
+def _cells(one: Quarantined) -> tuple[Cell, ...]:
+    head = one.head if len(one.head) <= 120 else f"{one.head[:120]}…"
+    acknowledged = "" if one.acknowledged_at is None else f"{one.acknowledged_at:%Y-%m-%d} by {one.acknowledged_by}"
+    return (
+        wording.minute(one.received_at),
+        wording.plain(one.vehicle),
+        one.reason,
+        one.detail,
+        str(one.size_bytes),
+        wording.plain(head),
+        wording.plain(acknowledged),
+    )
+
+
+def _place(after: str) -> tuple[datetime, str]:
+    at, digest = read_words(after, (str, str))
+    try:
+        return datetime.fromisoformat(str(at)).astimezone(UTC), str(digest)
+    except (ValueError, OverflowError) as exc:
+        raise AskError("after: no place in a list; take it from the list before") from exc
+
+
+VIEW: Final = View(
+    name="quarantine",
+    page_path="/quarantine",
+    api_path="/api/v1/quarantine",
+    text="Messages that could not be used, the latest first.",
+    parameters=(AFTER, LIMIT),
+    answer=QuarantineAnswer,
+    row=Quarantined,
+    find=find,
+    show=show,
+    rows=lambda answer: answer.messages,
+)

@@ -1,0 +1,244 @@
+"""What the page shows, as records: the same for people, for programs and in files. SI units, UTC, all digits."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from datetime import datetime
+from enum import StrEnum
+
+
+class Severity(StrEnum):
+    """Verdicts as the database writes them."""
+
+    CHANGE_FLUID = "change_fluid"
+    WATCH = "watch"
+    GOOD = "good"
+    NO_VERDICT = "no_verdict"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ClutchNow:
+    """The running condition of a clutch after its last event."""
+
+    vehicle: str
+    clutch: int
+    condition: str
+    condition_reason: str
+    advice: str | None
+    level_ratio: float | None
+    shift_count: int
+    mu_c: float | None
+    mu_s: float | None
+    std_mu_c: float | None
+    std_mu_s: float | None
+    correlation: float | None
+    slope_s_rad: float | None
+    std_slope_s_rad: float | None
+    probability_negative_slope: float | None
+    odometer_m: float | None
+    end_at: datetime
+    fluid: str | None
+    stream: str
+    seq: int
+    algorithm_version: str
+    calibration_version: str
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class FleetAnswer:
+    """A part of the fleet, worst first; ``next`` continues it."""
+
+    clutches: tuple[ClutchNow, ...]
+    matching_count: int
+    clutch_count: int
+    next: str | None
+    read_at: datetime
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Fill:
+    """New fluid."""
+
+    filled_at: datetime
+    odometer_m: float | None
+    product: str
+    note: str | None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ClutchAlarm:
+    """A run of verdicts to change the fluid."""
+
+    clutch: int
+    raised_at: datetime
+    cleared_at: datetime | None
+    reason: str | None
+    acknowledged_at: datetime | None
+    acknowledged_by: str | None
+    note: str | None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class TrendPoint:
+    """What one event said, and what was known of the clutch after it."""
+
+    vehicle: str
+    clutch: int
+    end_at: datetime
+    odometer_m: float | None
+    kind: str | None
+    status: str
+    reasons: tuple[str, ...]
+    mu_c: float | None
+    std_mu_c: float | None
+    random_std_mu_c: float | None
+    mu_s: float | None
+    std_mu_s: float | None
+    running_mu_c: float | None
+    running_std_mu_c: float | None
+    running_mu_s: float | None
+    running_std_mu_s: float | None
+    level_ratio: float | None
+    condition: str
+    stream: str
+    seq: int
+    algorithm_version: str
+    calibration_version: str
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ReachAnswer:
+    """Distance until a limit is passed, with 10, 50 and 90 % probability at most that far; null: beyond the horizon."""
+
+    p10_m: float | None
+    p50_m: float | None
+    p90_m: float | None
+    probability_before_service: float
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class OutlookAnswer:
+    """How far the fluid of a clutch will go."""
+
+    outlook: str
+    sentence: str
+    row_count: int
+    service_distance_m: float
+    watch: ReachAnswer | None
+    change_fluid: ReachAnswer | None
+    assumptions: tuple[str, ...]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ClutchHistory:
+    """One clutch of a vehicle: now, its future and its past, the oldest event first."""
+
+    now: ClutchNow
+    outlook: OutlookAnswer | None
+    why_no_outlook: str | None
+    trend: tuple[TrendPoint, ...]
+    result_count: int  # those that are not in the trend counted too
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class VehicleAnswer:
+    """A vehicle."""
+
+    vehicle: str
+    is_online: bool | None
+    connected_at: datetime | None
+    last_result_at: datetime | None
+    service_version: str | None
+    fills: tuple[Fill, ...]
+    alarms: tuple[ClutchAlarm, ...]
+    clutches: tuple[ClutchHistory, ...]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ShiftAnswer:
+    """One event: its own estimate, the running one after it, and what its data were worth."""
+
+    vehicle: str
+    stream: str
+    seq: int
+    clutch: int
+    number: int
+    kind: str | None
+    end_reason: str | None
+    from_gear: int
+    to_gear: int
+    start_at: datetime
+    end_at: datetime
+    duration_s: float
+    status: str
+    reasons: tuple[str, ...]
+    trust: float | None
+    trust_parts: Mapping[str, float] | None
+    quality: float
+    sample_count: int
+    window_s: float
+    chi_square_ratio: float
+    friction: Mapping[str, float] | None
+    running: Mapping[str, float] | None
+    running_shift_count: int
+    condition: str
+    condition_reason: str
+    advice: str | None
+    level_ratio: float | None
+    sump_temperature_k: float | None
+    clutch_temperature_k: float | None
+    slip_energy_j: float | None
+    odometer_m: float | None
+    algorithm_version: str
+    calibration_version: str
+    stored_at: datetime
+    older_versions: tuple[str, ...]  # algorithm and calibration of results that this one supersedes
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Quarantined:
+    """A message that could not be used."""
+
+    digest: str
+    received_at: datetime
+    topic: str
+    vehicle: str | None
+    reason: str
+    detail: str
+    size_bytes: int
+    head: str
+    acknowledged_at: datetime | None
+    acknowledged_by: str | None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class QuarantineAnswer:
+    """A part of the quarantine, the latest first; ``next`` continues it."""
+
+    messages: tuple[Quarantined, ...]
+    next: str | None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Change:
+    """What became different of a clutch, and why."""
+
+    vehicle: str
+    clutch: int
+    condition_before: str | None  # null: nothing was known of the clutch
+    condition: str
+    mu_c_before: float | None
+    std_mu_c_before: float | None
+    mu_c: float | None
+    std_mu_c: float | None
+    new_result_count: int
+    why: tuple[str, ...]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ChangesAnswer:
+    """A part of what became different since a moment, the worst first; ``next`` continues it."""
+
+    since: datetime
+    changes: tuple[Change, ...]
+    clutch_count: int  # of which something arrived since then
+    next: str | None

@@ -1,0 +1,108 @@
+"""The running condition of clutches, read for the whole fleet or for some vehicles: an index look-up per clutch."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
+from datetime import datetime
+from typing import Final
+
+from sqlalchemy import Engine, TextClause, bindparam, func, select, text
+
+from fleet_backend.database import transaction
+from fleet_backend.page.records import ClutchNow
+from fleet_backend.schema import FLUID_FILL, SHIFT_RESULT, UtcDateTime
+
+_MOST_NAMES: Final = 500  # of vehicles in one statement
+# The view running_condition for some vehicles alone: a database does not carry a list of names into a view by itself.
+_RUNNING: Final = """
+SELECT
+  s.vehicle, s.clutch, s.condition, s.condition_reason, s.advice, s.level_ratio,
+  s.running_shift_count AS shift_count, s.running_mu_c AS mu_c, s.running_mu_s AS mu_s,
+  s.running_std_mu_c AS std_mu_c, s.running_std_mu_s AS std_mu_s, s.running_correlation AS correlation,
+  s.running_slope_s_rad AS slope_s_rad, s.running_std_slope_s_rad AS std_slope_s_rad,
+  s.running_probability_negative_slope AS probability_negative_slope,
+  s.odometer_m, s.end_at, s.stream, s.seq, s.algorithm_version, s.calibration_version,
+  (
+    SELECT f.product FROM fluid_fill AS f
+    WHERE f.vehicle = s.vehicle AND f.filled_at <= s.end_at
+    ORDER BY f.filled_at DESC LIMIT 1
+  ) AS fluid
+FROM (
+  SELECT q.vehicle, q.clutch, q.stream, (
+    SELECT n.seq FROM shift_result AS n
+    WHERE n.vehicle = q.vehicle AND n.stream = q.stream AND n.clutch = q.clutch
+    ORDER BY n.vehicle DESC, n.stream DESC, n.seq DESC LIMIT 1
+  ) AS seq
+  FROM (
+    SELECT k.vehicle, k.clutch, (
+      SELECT l.stream FROM shift_result AS l
+      WHERE l.vehicle = k.vehicle AND l.clutch = k.clutch
+      ORDER BY l.vehicle DESC, l.clutch DESC, l.produced_at DESC, l.stream DESC LIMIT 1
+    ) AS stream
+    FROM clutch AS k {where}
+  ) AS q
+) AS p
+CROSS JOIN current_shift AS s
+WHERE s.vehicle = p.vehicle AND s.stream = p.stream AND s.seq = p.seq
+"""
+_NAMES: Final = tuple(field.name for field in fields(ClutchNow))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class FillsSeen:
+    """What tells whether fluid fills were noted since one looked last."""
+
+    count: int
+    latest: datetime | None
+
+
+def _statement(where: str) -> TextClause:
+    return text(_RUNNING.format(where=where))
+
+
+ALL_CLUTCHES: Final = _statement("").columns(end_at=UtcDateTime())
+SOME_CLUTCHES: Final = (
+    _statement("WHERE k.vehicle IN :vehicles")
+    .bindparams(bindparam("vehicles", expanding=True))
+    .columns(end_at=UtcDateTime())
+)
+
+
+def all_clutches(engine: Engine) -> list[ClutchNow]:
+    """Return the running condition of every clutch of the fleet."""
+    with transaction(engine) as connection:
+        return [_clutch(row) for row in connection.execute(ALL_CLUTCHES).mappings()]
+
+
+def clutches_of(engine: Engine, vehicles: Sequence[str]) -> list[ClutchNow]:
+    """Return the running condition of the clutches of some vehicles."""
+    found: list[ClutchNow] = []
+    with transaction(engine) as connection:
+        for first in range(0, len(vehicles), _MOST_NAMES):
+            names = list(vehicles[first : first + _MOST_NAMES])
+            found += [_clutch(row) for row in connection.execute(SOME_CLUTCHES, {"vehicles": names}).mappings()]
+    return found
+
+
+def vehicles_with_news(engine: Engine, since: datetime) -> list[str]:
+    """Return the vehicles of which results were stored at or after a moment."""
+    statement = select(SHIFT_RESULT.c.vehicle).where(SHIFT_RESULT.c.stored_at >= since).distinct()
+    with transaction(engine) as connection:
+        return [str(name) for name in connection.execute(statement).scalars()]
+
+
+def database_time(engine: Engine) -> datetime:
+    """Return what time it is where results are stored."""
+    with transaction(engine) as connection:
+        return connection.execute(select(func.current_timestamp(type_=UtcDateTime()))).scalar_one()
+
+
+def fills_seen(engine: Engine) -> FillsSeen:
+    """Return how many fluid fills are noted, and the latest."""
+    with transaction(engine) as connection:
+        count, latest = connection.execute(select(func.count(), func.max(FLUID_FILL.c.filled_at))).one()
+    return FillsSeen(count=count, latest=latest)
+
+
+def _clutch(row: object) -> ClutchNow:
+    values = dict(row)  # type: ignore[call-overload]  # a row of SQLAlchemy
+    return ClutchNow(**{name: values[name] for name in _NAMES})

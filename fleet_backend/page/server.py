@@ -1,0 +1,120 @@
+"""The server: a socket, the site behind it, and the task that keeps its view of the fleet fresh."""
+
+import asyncio
+import contextlib
+import logging
+import signal
+import socket
+import sys
+from collections.abc import AsyncIterator, Callable, Collection, Iterator
+from contextlib import asynccontextmanager, contextmanager
+from datetime import UTC, datetime
+from typing import Final
+
+import uvicorn
+from sqlalchemy import Engine
+from starlette.applications import Starlette
+
+from fleet_backend.database import place_of
+from fleet_backend.errors import ConfigError
+from fleet_backend.page.keeper import DatabaseSource, Keeper
+from fleet_backend.page.site import site
+from fleet_backend.page.view import Sources
+
+LOOPBACK: Final = ("127.0.0.1", "localhost", "[::1]")
+_BACKLOG: Final = 128
+_GRACE_S: Final = 3  # for readers who are being answered when the server is told to stop
+_LOG: Final = logging.getLogger(__name__)
+
+
+def run_server(engine: Engine, host: str, port: int) -> None:
+    """Serve the page until SIGINT or SIGTERM; say on standard output where it is.
+
+    Raises
+    ------
+    ConfigError
+        If nothing can listen there.
+    DatabaseError
+        If the database cannot be read.
+    """
+    keeper = Keeper(DatabaseSource(engine))
+    keeper.refresh()
+    with closing_socket(host, port) as listener:
+        where = address_of(listener)
+        sys.stdout.write(f"{where}  {len(keeper.snapshot.vehicles)} vehicles of {place_of(engine)}; ends with Ctrl-C\n")
+        sys.stdout.flush()
+        asyncio.run(_serve_until_told(Sources(engine=engine, keeper=keeper), listener))
+
+
+@contextmanager
+def closing_socket(host: str, port: int) -> Iterator[socket.socket]:
+    """Yield a socket that listens; raises ConfigError if it cannot."""
+    family = socket.AF_INET6 if ":" in host else socket.AF_INET
+    with socket.socket(family, socket.SOCK_STREAM) as listener:
+        listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        try:
+            listener.bind((host, port))
+            listener.listen(_BACKLOG)
+        except OSError as exc:
+            raise ConfigError(f"cannot listen at {host}:{port}: {exc.strerror}") from exc
+        yield listener
+
+
+def address_of(listener: socket.socket) -> str:
+    """Return where a browser finds a server that listens."""
+    host, port = listener.getsockname()[:2]
+    return f"http://{f'[{host}]' if ':' in host else host}:{port}/"
+
+
+async def serve(
+    sources: Sources,
+    listener: socket.socket,
+    *,
+    on_start: Callable[[uvicorn.Server], None],
+    host_names: Collection[str] = LOOPBACK,
+    now: Callable[[], datetime] = lambda: datetime.now(UTC),
+) -> None:
+    """Serve until ``should_exit`` of the server, which ``on_start`` is given, is set."""
+
+    @asynccontextmanager
+    async def lifespan(_: Starlette) -> AsyncIterator[None]:
+        task = asyncio.create_task(sources.keeper.run(), name="keeper")
+        try:
+            yield
+        finally:
+            task.cancel()
+            with contextlib.suppress(asyncio.CancelledError):
+                await task
+
+    config = uvicorn.Config(
+        site(sources, host_names=host_names, lifespan=lifespan, now=now),
+        log_config=None,
+        access_log=False,
+        server_header=False,
+        proxy_headers=False,
+        timeout_graceful_shutdown=_GRACE_S,
+    )
+    server = _Server(config)
+    on_start(server)
+    await server.serve(sockets=[listener])
+
+
+class _Server(uvicorn.Server):
+    """A server that leaves signals to us: our programs end with status 0 when they are told to stop."""
+
+    @contextmanager
+    def capture_signals(self) -> Iterator[None]:
+        """Capture none."""
+        yield
+
+
+async def _serve_until_told(sources: Sources, listener: socket.socket) -> None:
+    def on_start(server: uvicorn.Server) -> None:
+        def stop() -> None:
+            server.should_exit = True
+
+        for number in (signal.SIGINT, signal.SIGTERM):
+            asyncio.get_running_loop().add_signal_handler(number, stop)
+
+    await serve(sources, listener, on_start=on_start)
+    _LOG.info("ended")

@@ -1,0 +1,227 @@
+"""One vehicle: what to do, how far its fluid will go, and how each clutch went."""
+
+from collections.abc import Iterator, Sequence
+from typing import Any, Final
+
+from fleet_backend.page import past, wording
+from fleet_backend.page.asking import VEHICLE, Ask, Kind, Parameter
+from fleet_backend.page.errors import NotFoundError
+from fleet_backend.page.outlook import outlook_of
+from fleet_backend.page.pictures import (
+    STD_OF_50_PERCENT,
+    STD_OF_90_PERCENT,
+    Course,
+    course_keys,
+    course_picture,
+)
+from fleet_backend.page.records import ClutchAlarm, ClutchHistory, ClutchNow, TrendPoint, VehicleAnswer
+from fleet_backend.page.view import Shown, Sources, View
+from fleet_backend.schema import RUNNING
+from program_io.pages.content import NONE, Cell, Figure, Link, Section, Table, spread
+
+SERVICE_KM: Final = 15_000
+_MOST_SERVICE_KM: Final = 300_000
+_TREND_ROWS: Final = 12
+_EVENT_ROWS: Final = 25
+_PARAMETERS: Final = (
+    VEHICLE,
+    Parameter(
+        name="service_km",
+        text="distance to the next service [km]",
+        kind=Kind.COUNT,
+        most=_MOST_SERVICE_KM,
+        default=SERVICE_KM,
+    ),
+)
+_POINT_NAMES: Final = (
+    *("vehicle", "clutch", "end_at", "odometer_m", "kind", "status", "mu_c", "std_mu_c", "random_std_mu_c", "mu_s"),
+    *("std_mu_s", "level_ratio", "condition", "stream", "seq", "algorithm_version", "calibration_version"),
+)
+_RUNNING_NAMES: Final = ("mu_c", "std_mu_c", "mu_s", "std_mu_s")
+
+
+def find(sources: Sources, ask: Ask) -> VehicleAnswer:
+    """Return what is known of a vehicle; raises NotFoundError if nothing is."""
+    vehicle, engine = ask.said("vehicle"), sources.engine
+    service = past.presence(engine, vehicle)
+    if service is None:
+        raise NotFoundError(f"nothing was ever heard of a vehicle {vehicle}")
+    fills = past.fills_of(engine, vehicle)
+    clutches = tuple(
+        _clutch(sources, now, fills, ask.count("service_km") * wording.M_PER_KM)
+        for now in sources.keeper.snapshot.vehicles.get(vehicle, ())
+    )
+    return VehicleAnswer(
+        vehicle=vehicle,
+        is_online=service.is_online,
+        connected_at=service.connected_at,
+        last_result_at=service.last_result_at,
+        service_version=service.service_version,
+        fills=fills,
+        alarms=past.alarms_of(engine, vehicle),
+        clutches=clutches,
+    )
+
+
+def show(answer: VehicleAnswer, ask: Ask, _sources: Sources) -> Shown:
+    """Return the page of a vehicle."""
+    sections = [_outlook_section(answer)]
+    sections += [_clutch_section(answer, one) for one in answer.clutches]
+    sections.append(_events_section(answer))
+    return Shown(
+        title=f"Vehicle {answer.vehicle}",
+        subtitle=_subtitle(answer),
+        sections=tuple(sections),
+        advice=tuple(wording.advice(one.now) for one in answer.clutches),
+        trail=(Link(text="Fleet", href="/"),),
+        follows_vehicle=ask.said("vehicle"),
+    )
+
+
+def point_of(row: past.Row) -> TrendPoint:
+    """Return one event of a trend."""
+    made: dict[str, Any] = {name: row[name] for name in _POINT_NAMES}
+    made |= {f"running_{name}": row[RUNNING + name] for name in _RUNNING_NAMES}
+    return TrendPoint(reasons=past.words_in(row), **made)
+
+
+def _clutch(sources: Sources, now: ClutchNow, fills: Sequence[Any], service_distance_m: float) -> ClutchHistory:
+    rows = past.results_of(sources.engine, now.vehicle, now.clutch)
+    outlook, why_not = outlook_of(now.clutch, rows, fills, service_distance_m) if rows else (None, "No result yet.")
+    return ClutchHistory(
+        now=now,
+        outlook=outlook,
+        why_no_outlook=why_not,
+        trend=tuple(map(point_of, rows)),
+        result_count=past.result_count(sources.engine, now.vehicle, now.clutch),
+    )
+
+
+def _subtitle(answer: VehicleAnswer) -> str:
+    state = {None: "its service never said that it is there", True: "online", False: "offline"}[answer.is_online]
+    since = f" since {answer.connected_at:%Y-%m-%d %H:%M} UTC" if answer.connected_at and answer.is_online else ""
+    last = f", last result {answer.last_result_at:%Y-%m-%d %H:%M} UTC" if answer.last_result_at else ", no result yet"
+    return f"{state}{since}{last}"
+
+
+def _outlook_section(answer: VehicleAnswer) -> Section:
+    texts = [one.outlook.sentence if one.outlook else str(one.why_no_outlook) for one in answer.clutches]
+    tables = [_reach_table(one) for one in answer.clutches if one.outlook and one.outlook.change_fluid]
+    tables += [_assumptions_table(answer)] if tables else []
+    return Section(name="outlook", title="How far the fluid will go", texts=tuple(texts), tables=tuple(tables))
+
+
+def _reach_table(clutch: ClutchHistory) -> Table:
+    found = clutch.outlook
+    rows: list[tuple[Cell, ...]] = []
+    for name, reach in () if found is None else (("watch", found.watch), ("change fluid", found.change_fluid)):
+        if reach is not None:
+            distances = (reach.p10_m, reach.p50_m, reach.p90_m)
+            shown = ("beyond 300,000" if one is None else wording.km(one) for one in distances)
+            rows.append((name, *shown, wording.probability(reach.probability_before_service)))
+    head = ("limit", "10 % [km]", "50 % [km]", "90 % [km]", "probability before the next service")
+    return Table(
+        caption=f"Clutch {clutch.now.clutch}: distance within which a limit is passed, by probability",
+        head=head,
+        rows=tuple(rows),
+    )
+
+
+def _assumptions_table(answer: VehicleAnswer) -> Table:
+    told = dict.fromkeys(text for one in answer.clutches if one.outlook for text in one.outlook.assumptions)
+    rows = tuple((str(number), text) for number, text in enumerate(told, 1))
+    return Table(caption="What this assumes", head=("", "assumption"), rows=rows)
+
+
+def _clutch_section(answer: VehicleAnswer, clutch: ClutchHistory) -> Section:
+    number = clutch.now.clutch
+    texts = []
+    if clutch.result_count > len(clutch.trend):
+        texts.append(f"The newest {len(clutch.trend)} of {clutch.result_count} stored results, older versions counted.")
+    figures = []
+    if clutch.trend:
+        course = Course.of(number, clutch.trend, answer.fills, answer.alarms)
+        places = spread(clutch.trend, _TREND_ROWS)
+        table = Table(
+            caption=f"Clutch {number}: {len(places)} of {len(clutch.trend)} events, evenly spread",
+            head=("end (UTC)", "km", "mu_C", "± 50 %", "± 90 %", "verdict"),
+            rows=tuple(_trend_cells(clutch.trend[place]) for place in places),
+        )
+        caption = f"Clutch {number}: trend of mu_C"
+        figures.append(Figure(picture=course_picture(course), caption=caption, keys=course_keys(number), table=table))
+    newest = clutch.trend[::-1][:_EVENT_ROWS]
+    events = Table(
+        caption=f"Clutch {number}: the newest {len(newest)} events",
+        head=("end (UTC)", "km", "kind", "data", "mu_C", "std", "running mu_C", "std", "verdict", "reasons"),
+        rows=tuple(map(_event_cells, newest)),
+    )
+    return Section(
+        name=f"clutch-{number}", title=f"Clutch {number}", texts=tuple(texts), figures=tuple(figures), tables=(events,)
+    )
+
+
+def _trend_cells(point: TrendPoint) -> tuple[Cell, ...]:
+    std = point.running_std_mu_c
+    return (
+        wording.shift_link(f"{point.end_at:%Y-%m-%d %H:%M}", point.vehicle, point.stream, point.seq),
+        wording.km(point.odometer_m),
+        wording.friction(point.running_mu_c),
+        wording.friction(None if std is None else STD_OF_50_PERCENT * std),
+        wording.friction(None if std is None else STD_OF_90_PERCENT * std),
+        wording.badge(point.condition),
+    )
+
+
+def _event_cells(point: TrendPoint) -> tuple[Cell, ...]:
+    return (
+        wording.shift_link(f"{point.end_at:%Y-%m-%d %H:%M:%S}", point.vehicle, point.stream, point.seq),
+        wording.km(point.odometer_m),
+        wording.plain(point.kind and point.kind.replace("_", " ")),
+        point.status,
+        wording.friction(point.mu_c),
+        wording.friction(point.std_mu_c),
+        wording.friction(point.running_mu_c),
+        wording.friction(point.running_std_mu_c),
+        wording.badge(point.condition),
+        wording.words(point.reasons),
+    )
+
+
+def _events_section(answer: VehicleAnswer) -> Section:
+    happened = [
+        *(
+            (fill.filled_at, f"new fluid: {fill.product}", wording.km(fill.odometer_m), fill.note)
+            for fill in answer.fills
+        ),
+        *(entry for alarm in answer.alarms for entry in _alarm_entries(alarm)),
+    ]
+    rows = tuple(
+        (wording.minute(at), what, km, wording.plain(note))
+        for at, what, km, note in sorted(happened, key=lambda one: one[0], reverse=True)
+    )
+    table = Table(caption="Fluid changes and alarms", head=("at (UTC)", "what", "km", "note"), rows=rows)
+    texts = () if rows else ("No new fluid was noted, and there was no alarm.",)
+    return Section(name="events", title="What happened", texts=texts, tables=(table,) if rows else ())
+
+
+def _alarm_entries(alarm: ClutchAlarm) -> Iterator[tuple[Any, str, Cell, str | None]]:
+    yield alarm.raised_at, f"alarm of clutch {alarm.clutch}: {alarm.reason}", NONE, None
+    if alarm.acknowledged_at is not None:
+        who = f"alarm of clutch {alarm.clutch} acknowledged by {alarm.acknowledged_by}"
+        yield alarm.acknowledged_at, who, NONE, alarm.note
+    if alarm.cleared_at is not None:
+        yield alarm.cleared_at, f"alarm of clutch {alarm.clutch} over", NONE, None
+
+
+VIEW: Final = View(
+    name="vehicle",
+    page_path="/vehicles/{vehicle}",
+    api_path="/api/v1/vehicles/{vehicle}",
+    text="One vehicle: its clutches now, how far their fluid will go, and their past.",
+    parameters=_PARAMETERS,
+    answer=VehicleAnswer,
+    row=TrendPoint,
+    find=find,
+    show=show,
+    rows=lambda answer: [point for clutch in answer.clutches for point in clutch.trend],
+)

@@ -1,0 +1,67 @@
+"""What a view is: one question, answered for people as a page and for programs as JSON, CSV or Parquet."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from sqlalchemy import Engine
+
+from fleet_backend.page.asking import Ask, Parameter
+from fleet_backend.page.keeper import Keeper
+from program_io.pages.content import Advice, Link, Section
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Sources:
+    """Where answers come from."""
+
+    engine: Engine
+    keeper: Keeper
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Choice:
+    """A field of a form that filters: a text to type, or one of some values."""
+
+    name: str
+    label: str
+    value: str
+    options: tuple[tuple[str, str], ...] = ()  # value and words; empty: to type
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Shown:
+    """An answer as a page shows it."""
+
+    title: str
+    subtitle: str
+    sections: tuple[Section, ...]
+    advice: tuple[Advice, ...] = ()
+    trail: tuple[Link, ...] = ()  # pages above this one
+    choices: tuple[Choice, ...] = ()
+    next: str | None = None  # of a list
+    follows_vehicle: str | None = None  # is renewed when something of it is new; empty: of any vehicle
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class View:
+    """A question that can be asked.
+
+    Parameters
+    ----------
+    find, show, rows :
+        What answers it; how the answer looks; its rows in a table of a file.
+    answer, row :
+        The records that ``find`` and ``rows`` return.
+    """
+
+    name: str
+    page_path: str
+    api_path: str
+    text: str
+    parameters: tuple[Parameter, ...]
+    answer: type
+    row: type
+    find: Callable[[Sources, Ask], Any]
+    show: Callable[[Any, Ask, Sources], Shown]
+    rows: Callable[[Any], Sequence[Any]]

@@ -1,0 +1,88 @@
+"""How numbers, moments and verdicts of the fleet read: the one place, for all pages."""
+
+from datetime import datetime
+from typing import Final
+from urllib.parse import quote, urlencode
+
+from fleet_backend.page.records import ClutchNow
+from program_io.pages.content import NONE, Advice, Badge, Cell, Link, moment, number
+
+BAND_STD: Final = 2.0
+M_PER_KM: Final = 1000.0
+ABSOLUTE_ZERO_DEGC: Final = -273.15
+
+
+def friction(value: float | None) -> Cell:
+    """Return a friction coefficient or its deviation."""
+    return number(value)
+
+
+def share(value: float | None) -> Cell:
+    """Return a ratio as percent."""
+    return number(value, "{:.1%}")
+
+
+def probability(value: float | None) -> Cell:
+    """Return a probability."""
+    return number(value, "{:.3f}")
+
+
+def km(distance_m: float | None) -> Cell:
+    """Return a distance; programs read metres."""
+    return number(distance_m, "{:,.0f}", scale=1.0 / M_PER_KM)
+
+
+def quality(value: float | None) -> Cell:
+    """Return a quality from 0 to 1."""
+    return number(value, "{:.2f}")
+
+
+def minute(value: datetime | None) -> Cell:
+    """Return a moment to the minute."""
+    return moment(value)
+
+
+def condition_word(condition: str) -> str:
+    """Return the word of a verdict."""
+    return condition.replace("_", " ")
+
+
+def style(condition: str) -> str:
+    """Return the style of a verdict's badge."""
+    return condition.replace("_", "-")
+
+
+def badge(condition: str) -> Badge:
+    """Return the badge of a verdict."""
+    return Badge(style=style(condition), text=condition_word(condition))
+
+
+def plain(text: str | None) -> str:
+    """Return a text, or a dash where there is none."""
+    return text or NONE
+
+
+def words(reasons: tuple[str, ...]) -> str:
+    """Return reasons as people read them."""
+    return ", ".join(reason.replace("_", " ") for reason in reasons) or NONE
+
+
+def remark(now: ClutchNow) -> str:
+    """Return what to do about a clutch; of older programs, which gave no advice, why."""
+    return now.advice or f"{condition_word(now.condition)}: {now.condition_reason}"
+
+
+def advice(now: ClutchNow) -> Advice:
+    """Return the sentence on a clutch with its verdict."""
+    return Advice(condition=style(now.condition), word=condition_word(now.condition), text=remark(now))
+
+
+def vehicle_link(vehicle: str) -> Link:
+    """Return the link to a vehicle."""
+    return Link(text=vehicle, href=f"/vehicles/{quote(vehicle, safe='')}")
+
+
+def shift_link(text: str, vehicle: str, stream: str, seq: int) -> Link:
+    """Return the link to an event."""
+    words_of_it = urlencode({"stream": stream, "seq": seq})
+    return Link(text=text, href=f"/vehicles/{quote(vehicle, safe='')}/shift?{words_of_it}")

@@ -1,0 +1,225 @@
+"""The fleet's page as readers see it: a real browser, the same numbers everywhere, no markup from outside."""
+
+import csv
+import io
+import json
+import re
+from collections.abc import Iterator
+from html import unescape
+from pathlib import Path
+from typing import Any
+
+import httpx
+import pytest
+from jsonschema import Draft202012Validator
+
+from fleet_backend import queries
+from fleet_backend.database import open_database
+from fleet_backend.intake import batch_of, take
+from fleet_backend.page.headers import HEADERS
+from fleet_backend.page.site import OPENAPI_PATH, VIEWS
+from fleet_backend.schema import SHIFT_RESULT
+from fleet_backend.writer import Writer
+from tests.support.browsing import chromium, complaints_of
+from tests.support.fleet import NOW, message_of
+from tests.support.fleet_page import MARKUP, fill_database, served
+from tests.support.histories import fill_store, history
+from tests.support.in_process import ended
+from tests.support.patience import HANG_S
+
+SHIFT = "/vehicles/car1/shift?stream=stream-1&seq=59"
+PAGES = ("/", "/vehicles/car1", "/vehicles/worn", SHIFT, "/changes?since=2020-01-01", "/quarantine", "/vehicles/nobody")
+TABLES_ONLY = {"/", "/changes?since=2020-01-01", "/quarantine", "/vehicles/nobody"}
+FRICTION = ("mu_c", "std_mu_c", "mu_s", "std_mu_s")
+
+
+@pytest.fixture(name="address", scope="module")
+def _address(sqlite_template: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
+    """Return the address of a server that all tests share."""
+    path = tmp_path_factory.mktemp("page") / "fleet.sqlite"
+    path.write_bytes(sqlite_template.read_bytes())
+    engine = open_database(f"sqlite:///{path}")
+    fill_database(engine)
+    engine.dispose()
+    with served(f"sqlite:///{path}") as address:
+        yield address
+
+
+@pytest.fixture(name="reader", scope="module")
+def _reader(address: str) -> Iterator[httpx.Client]:
+    with httpx.Client(base_url=address, timeout=HANG_S, trust_env=False) as client:
+        yield client
+
+
+def told(reader: httpx.Client, path: str) -> dict[str, Any]:
+    answer = reader.get(path)
+    assert answer.status_code == 200, answer.text
+    found: dict[str, Any] = answer.json()
+    return found
+
+
+def values_in(page: str) -> set[float]:
+    """Return the numbers of a page, all digits."""
+    return {float(word) for word in re.findall(r'<data value="([^"]*)">', page)}
+
+
+def test_a_real_browser_shows_every_page_to_everybody(address: str) -> None:
+    """One start of the browser: each page light and wide, dark and on a telephone; one printed; all by keyboard."""
+    complaints = {}
+    with chromium() as browser:
+        for scheme, width, paths in (("light", 1280, PAGES), ("dark", 360, (PAGES[0], PAGES[1]))):
+            page = browser.new_page(viewport={"width": width, "height": 900}, bypass_csp=True)  # axe is a script
+            for path in paths:
+                found = complaints_of(page, address + path, scheme, has_picture=path not in TABLES_ONLY)
+                complaints[f"{path}, {scheme}, {width} px"] = [one for one in found if "404" not in one]
+            page.close()
+        page = browser.new_page(viewport={"width": 1280, "height": 900})
+        refused: list[str] = []
+        page.on("console", lambda message: refused.append(message.text))
+        page.goto(address)
+        page.keyboard.press("Tab")
+        assert page.evaluate("document.activeElement.textContent") == "Skip to the content"
+        page.keyboard.press("Enter")
+        for name in ("Vehicle", "Verdict", "Fluid", "Type"):
+            page.keyboard.press("Tab")
+            assert page.evaluate("document.activeElement.labels[0].textContent") == name
+        for _ in range(3):  # the button, the table that scrolls, the first vehicle
+            page.keyboard.press("Tab")
+        page.keyboard.press("Enter")
+        page.wait_for_url("**/vehicles/worn")
+        assert page.locator("h1").text_content() == "Vehicle worn"
+        assert page.pdf().startswith(b"%PDF")
+        assert refused == []  # by the policy for contents
+    assert complaints == {key: [] for key in complaints}
+
+
+def test_the_same_numbers_are_in_message_database_interface_file_page_and_report(
+    reader: httpx.Client, sqlite_url: str, tmp_path: Path
+) -> None:
+    results = history(60)
+    messages = [message_of(one) for one in results]
+    engine = open_database(sqlite_url)
+    Writer(engine).store(batch_of([take(message, NOW) for message in messages]))
+    with engine.connect() as connection:
+        rows = {row["seq"]: row for row in connection.execute(SHIFT_RESULT.select()).mappings()}
+    engine.dispose()
+    said = json.loads(messages[58].payload)["data"]
+    row, one = rows[59], told(reader, f"/api/v1{SHIFT}")
+    page = reader.get(SHIFT).text
+    fill_store(tmp_path / "car1.sqlite", results)
+    assert ended("report", tmp_path / "car1.sqlite", "-o", tmp_path / "car1.html").status == 0
+    report = values_in((tmp_path / "car1.html").read_text(encoding="utf-8"))
+    (record,) = ended("show", tmp_path / "car1.sqlite", "59", "--json").records
+    for name in FRICTION:
+        own, running = said["friction"][name], said["verdict"]["friction"][name]
+        assert row[name] == one["friction"][name] == record["friction"][name] == own
+        assert row[f"running_{name}"] == one["running"][name] == record["verdict"]["friction"][name] == running
+        assert {own, running} <= values_in(page)
+        assert running in report
+    (now,) = [each for each in told(reader, "/api/v1/clutches?q=car1")["clutches"] if each["clutch"] == 1]
+    assert now["mu_c"] in report
+    assert {now[name] for name in ("mu_c", "std_mu_c", "level_ratio")} <= values_in(reader.get("/?q=car1").text)
+
+
+def test_files_have_the_numbers_of_the_interface(reader: httpx.Client) -> None:
+    for view in VIEWS:
+        path = view.api_path.replace("{vehicle}", "car1") + ("?stream=stream-1&seq=59" if view.name == "shift" else "")
+        path += "?since=2020-01-01" if view.name == "changes" else ""
+        answer = reader.get(path, params={**httpx.URL(path).params, "format": "csv"})
+        assert answer.headers["content-disposition"] == f'attachment; filename="{view.name}.csv"'
+        found = list(csv.DictReader(io.StringIO(answer.text, newline="")))
+        assert found, view.name
+        text = json.dumps(told(reader, path))
+        for row in found:
+            numbers = {row[name] for name in ("mu_c", "std_mu_c", "running_mu_c") if row.get(name)}
+            assert {one for one in numbers if one not in text} == set()
+
+
+def test_the_fleet_is_in_the_order_of_the_view(reader: httpx.Client, address: str) -> None:
+    first = told(reader, "/api/v1/clutches?limit=2")
+    second = told(reader, f"/api/v1/clutches?limit=2&after={first['next']}")
+    found = [(one["vehicle"], one["clutch"], one["mu_c"]) for one in first["clutches"] + second["clutches"]]
+    assert (first["clutch_count"], second["next"]) == (4, None)
+    assert found[0][:2] == ("worn", 2)
+    more = re.search(r'<a href="([^"]*)" rel="next">', reader.get("/?limit=2&condition=").text)
+    assert more is not None
+    following = reader.get(unescape(more[1]))
+    assert "good.1" in following.text
+    assert "/vehicles/worn" not in following.text
+
+
+def test_no_markup_comes_from_outside(reader: httpx.Client) -> None:
+    for path in PAGES:
+        text = reader.get(path).text
+        assert "<img" not in text
+        assert "<b>" not in text
+    assert MARKUP in unescape(reader.get("/quarantine").text)
+    assert MARKUP in unescape(reader.get("/vehicles/car1").text)
+
+
+@pytest.mark.parametrize(
+    ("path", "status", "detail"),
+    [
+        ("/vehicles/nobody", 404, "nothing was ever heard of a vehicle nobody"),
+        ("/vehicles/car1/shift?stream=stream-1&seq=999", 404, "car1 has no event 999 in this stream"),
+        ("/vehicles/car1/shift?stream=stream-1", 400, "seq: is missing"),
+        ("/vehicles/..%2f..%2fetc", 404, ""),
+        ("/?limit=0", 400, "limit: must be a whole number from 1 to"),
+        ("/?after=x", 400, "after: no place in a list"),
+        ("/?q=%00", 400, "q: holds characters that are no text"),
+        ("/?colour=red", 400, "'colour': no word of this address"),
+        ("/static/..%2fsite.py", 404, ""),
+        ("/static/page.html", 404, ""),
+        ("/nowhere", 404, ""),
+    ],
+)
+def test_what_cannot_be_answered_is_said_to_people_and_programs(
+    reader: httpx.Client, path: str, status: int, detail: str
+) -> None:
+    page = reader.get(path)
+    assert (page.status_code, page.headers["content-type"]) == (status, "text/html; charset=utf-8")
+    assert detail in unescape(page.text)
+    asked = path.replace("/?", "/clutches?")
+    problem = reader.get(f"/api/v1{asked}")
+    assert (problem.status_code, problem.headers["content-type"]) == (status, "application/problem+json")
+    assert detail in problem.json()["detail"]
+
+
+def test_every_answer_says_what_a_browser_may_do(reader: httpx.Client) -> None:
+    for path in (*PAGES, "/static/page.css", OPENAPI_PATH, "/api/v1/clutches", "/?limit=x"):
+        headers = reader.get(path).headers
+        assert {name: headers.get(name) for name, _ in HEADERS} == dict(HEADERS), path
+        assert "unsafe" not in headers["content-security-policy"]
+        assert headers["cache-control"] == ("max-age=3600" if "static" in path else "no-store")
+        assert "server" not in headers
+    assert reader.post("/").status_code == 405
+    for host in ("evil.example", "127.0.0.1.evil.example", "evil.example:80", ""):
+        assert reader.get("/", headers={"host": host}).status_code in {400, 421}, host
+    assert reader.get("/", headers={"host": "localhost:8090"}).status_code == 200
+
+
+def test_the_description_fits_what_is_answered(reader: httpx.Client) -> None:
+    description = told(reader, OPENAPI_PATH)
+    assert set(description["paths"]) == {view.api_path for view in VIEWS}
+    for view in VIEWS:
+        path = view.api_path.replace("{vehicle}", "car1") + ("?stream=stream-1&seq=59" if view.name == "shift" else "")
+        answers = description["paths"][view.api_path]["get"]["responses"]
+        schema = answers["200"]["content"]["application/json"]["schema"]
+        checked = Draft202012Validator({**schema, "components": description["components"]})
+        assert [error.message for error in checked.iter_errors(told(reader, path))] == []
+
+
+def test_a_page_links_to_the_same_for_programs(reader: httpx.Client) -> None:
+    for path in PAGES[:-1]:
+        links = re.findall(r'<li><a href="(/api/[^"]*)">', reader.get(path).text)
+        assert len(links) == 3
+        assert [reader.get(unescape(link)).status_code for link in links] == [200] * 3
+
+
+def test_the_table_of_the_command_line_has_the_same_clutches(reader: httpx.Client, sqlite_url: str) -> None:
+    engine = open_database(sqlite_url)
+    fill_database(engine)
+    worst = [(one["vehicle"], one["clutch"], one["mu_c"]) for one in queries.worst_first(engine)]
+    engine.dispose()
+    found = told(reader, "/api/v1/clutches")["clutches"]
+    assert [(one["vehicle"], one["clutch"], one["mu_c"]) for one in found] == worst

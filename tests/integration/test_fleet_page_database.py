@@ -1,0 +1,212 @@
+"""What the page reads from each database: what changed and why, lists in parts, plans that read no whole table."""
+
+import json
+import re
+from collections.abc import Iterator
+from datetime import UTC, datetime, timedelta
+from typing import Any
+
+import pytest
+from sqlalchemy import Connection, Engine, event, text
+
+from diag_service.diagnosis.prognosis import history_of, prognose
+from diag_service.diagnosis.prognosis.sentence import outlook_line
+from diag_service.diagnosis.records import Condition
+from fleet_backend import queries
+from fleet_backend.database import open_database, transaction
+from fleet_backend.errors import DatabaseError
+from fleet_backend.page import changes_view, fleet_view, quarantine_view, shift_view, vehicle_view
+from fleet_backend.page.asking import Ask, read_words
+from fleet_backend.page.keeper import DatabaseSource, Keeper
+from fleet_backend.page.view import Sources, View
+from fleet_backend.rows import Poison, moment, quarantine_row
+from fleet_backend.writer import Batch, Writer
+from tests.support.fleet import NOW, fleet_result, row_of
+from tests.support.histories import CALIBRATION, history
+
+BEFORE, AFTER = datetime(2026, 2, 1, tzinfo=UTC), datetime(2026, 3, 1, tzinfo=UTC)
+SHIFT = {"stream": "stream-1", "seq": "9"}
+
+
+def ask(view: View, vehicle: str | None = None, **query: str) -> Ask:
+    path = {} if vehicle is None else {"vehicle": vehicle}
+    return read_words(view.parameters, path, query.items(), NOW)
+
+
+def sources_of(engine: Engine) -> Sources:
+    keeper = Keeper(DatabaseSource(engine))
+    keeper.refresh()
+    return Sources(engine=engine, keeper=keeper)
+
+
+def store(engine: Engine, rows: list[Any], at: datetime) -> None:
+    """Store results as if it were then."""
+    Writer(engine).store(Batch(shifts=rows))
+    with transaction(engine) as connection:
+        new = "UPDATE shift_result SET stored_at = :at WHERE stored_at > '2026-06-01'"
+        moment = at.strftime("%Y-%m-%d %H:%M:%S.%f") if engine.dialect.name == "sqlite" else at
+        connection.execute(text(new), {"at": moment})
+
+
+def test_what_became_different_is_told_with_its_reasons(engine: Engine) -> None:
+    first = [
+        row_of(fleet_result(seq, vehicle=name)) for name in ("aged", "again", "quiet", "refilled") for seq in (1, 2)
+    ]
+    store(engine, first, BEFORE)
+    second = [row_of(fleet_result(seq, vehicle="aged", condition=Condition.WATCH)) for seq in (3, 4)]
+    second += [row_of(fleet_result(2, vehicle="again", algorithm="algorithm-2"))]
+    second += [row_of(fleet_result(3, vehicle="refilled")), row_of(fleet_result(1, vehicle="new"))]
+    store(engine, second, AFTER)
+    filled_at = moment(second[3]["end_at"]) - timedelta(microseconds=1)
+    queries.note_fill(engine, "refilled", "DCTF", at=filled_at, odometer_m=None, note=None)
+    found = changes_view.find(sources_of(engine), ask(changes_view.VIEW, since="2026-02-15"))
+    changes = {one.vehicle: one for one in found.changes}
+    assert {name: one.why for name, one in changes.items()} == {
+        "aged": ("new data: 2 results",),
+        "again": ("new algorithm: algorithm-1 before, algorithm-2 now", "new data: 1 result"),
+        "refilled": ("new fluid: DCTF", "new data: 1 result"),
+        "new": ("first results of this clutch",),
+    }
+    assert (changes["aged"].condition_before, changes["aged"].condition) == ("good", "watch")
+    assert changes["new"].condition_before is None
+    assert found.changes[0].vehicle == "aged"  # the worst first
+    parts: list[Any] = []
+    after: dict[str, str] = {}
+    while not parts or after:
+        question = ask(changes_view.VIEW, since="2026-02-15", limit="3", **after)
+        parts.append(changes_view.find(sources_of(engine), question))
+        after = {"after": parts[-1].next} if parts[-1].next else {}
+    assert [one for part in parts for one in part.changes] == list(found.changes)
+
+
+def test_the_quarantine_comes_in_parts(engine: Engine) -> None:
+    kept = [
+        quarantine_row(Poison(topic="t", vehicle=None, payload=bytes([number]), reason="schema", detail="d"), at)
+        for number, at in enumerate([NOW, NOW, NOW, NOW - timedelta(days=1), NOW + timedelta(days=1)])
+    ]
+    Writer(engine).store(Batch(quarantined=kept))
+    sources, found, after = sources_of(engine), list[str](), dict[str, str]()
+    for _ in kept:
+        part = quarantine_view.find(sources, ask(quarantine_view.VIEW, limit="2", **after))
+        found += [one.digest for one in part.messages]
+        if part.next is None:
+            break
+        after = {"after": part.next}
+    assert found == [one["digest"] for one in queries.quarantined(sources.engine, 99)]
+
+
+def test_news_are_seen_and_a_reader_writes_nothing(database: str) -> None:
+    writing, reading = open_database(database), open_database(database, must_exist=True, is_read_only=True)
+    Writer(writing).store(Batch(shifts=[row_of(fleet_result(1))]))
+    keeper = Keeper(DatabaseSource(reading))
+    assert keeper.refresh()
+    assert not keeper.refresh()
+    Writer(writing).store(Batch(shifts=[row_of(fleet_result(2, condition=Condition.WATCH))]))
+    assert keeper.refresh()
+    assert [one.condition for one in keeper.snapshot.clutches] == ["watch"]
+    queries.note_fill(writing, "car1", "DCTF", at=datetime(2026, 1, 1, tzinfo=UTC), odometer_m=None, note=None)
+    assert keeper.refresh()
+    assert keeper.snapshot.clutches[0].fluid == "DCTF"
+    with pytest.raises(DatabaseError, match=r"read-?only"):
+        Writer(reading).store(Batch(shifts=[row_of(fleet_result(3))]))
+    for engine in (writing, reading):
+        engine.dispose()
+
+
+def test_the_trend_is_in_the_order_of_the_view(engine: Engine) -> None:
+    rows = [row_of(one) for one in (*history(30, stream="b"), *history(60, stream="a"))]
+    Writer(engine).store(Batch(shifts=rows))
+    answer = vehicle_view.find(sources_of(engine), ask(vehicle_view.VIEW, "car1"))
+    with transaction(engine) as connection:
+        statement = "SELECT stream, seq FROM shift_history WHERE vehicle = 'car1' AND clutch = 2 ORDER BY shift_number"
+        wanted = [tuple(row) for row in connection.execute(text(statement))]
+    assert [(one.stream, one.seq) for one in answer.clutches[1].trend] == wanted
+
+
+def test_the_prognosis_is_that_of_the_service(engine: Engine) -> None:
+    results = history(200)
+    Writer(engine).store(Batch(shifts=[row_of(one) for one in results]))
+    answer = vehicle_view.find(sources_of(engine), ask(vehicle_view.VIEW, "car1", service_km="20000"))
+    for one in answer.clutches:
+        clutch = one.now.clutch
+        past = history_of(results, (), clutch)
+        found = prognose(clutch, past, CALIBRATION.clutches[clutch - 1].friction, service_distance_m=2.0e7)
+        assert one.outlook is not None
+        assert one.outlook.sentence == outlook_line(found)
+        for shown, meant in ((one.outlook.watch, found.watch), (one.outlook.change_fluid, found.change_fluid)):
+            assert shown is not None
+            assert meant is not None
+            assert (shown.p10_m, shown.p50_m, shown.p90_m) == (meant.p10_m, meant.p50_m, meant.p90_m)
+            assert shown.probability_before_service == meant.probability_before_service
+    other = [row | {"calibration_version": "another"} for row in map(row_of, history(9, vehicle="car2"))]
+    Writer(engine).store(Batch(shifts=other))
+    answer = vehicle_view.find(sources_of(engine), ask(vehicle_view.VIEW, "car2"))
+    assert {one.outlook for one in answer.clutches} == {None}
+    assert "is not the shipped one" in str(answer.clutches[0].why_no_outlook)
+
+
+class Watch:
+    """Collects the statements of a connection with their values."""
+
+    def __init__(self, engine: Engine) -> None:
+        self.asked: list[tuple[str, Any]] = []
+        event.listen(engine, "before_cursor_execute", self._hear)
+
+    def _hear(self, _connection: Connection, _cursor: object, statement: str, values: Any, *_: object) -> None:  # noqa: ANN401
+        self.asked.append((statement, values))
+
+
+@pytest.fixture(name="large")
+def _large(postgres_url: str) -> Iterator[Engine]:
+    """Return a database of 300 vehicles with 60,000 results, made of one."""
+    engine = open_database(postgres_url)
+    Writer(engine).store(Batch(shifts=[row_of(one) for one in history(2)]))
+    with transaction(engine) as connection:
+        names = [name for (name,) in connection.execute(text(_COLUMNS_OF_RESULTS)) if name not in {"vehicle", "seq"}]
+        connection.execute(text("INSERT INTO vehicle (vehicle) SELECT 'v' || n FROM generate_series(1, 300) AS n"))
+        connection.execute(
+            text("INSERT INTO clutch SELECT 'v' || n, c FROM generate_series(1, 300) AS n, generate_series(1, 2) AS c")
+        )
+        columns = ", ".join(names)
+        connection.execute(text(
+            f"INSERT INTO shift_result (vehicle, seq, {columns}) SELECT 'v' || n, s.seq + 2 * m, "  # noqa: S608
+            + ", ".join(f"s.{name}" if name != "stored_at" else "s.stored_at - interval '1 hour' * m" for name in names)
+            + " FROM shift_result AS s, generate_series(1, 300) AS n, generate_series(0, 99) AS m"
+            " WHERE s.vehicle = 'car1'"
+        ))  # fmt: skip
+        connection.execute(text("ANALYZE"))
+    yield engine
+    engine.dispose()
+
+
+_COLUMNS_OF_RESULTS = "SELECT column_name FROM information_schema.columns WHERE table_name = 'shift_result'"
+
+
+def test_no_question_reads_all_results(large: Engine) -> None:
+    keeper = Keeper(DatabaseSource(large))
+    watch = Watch(large)
+    keeper.refresh()
+    assert len(keeper.snapshot.clutches) == 602
+    sources = Sources(engine=large, keeper=keeper)
+    since = (datetime.now(UTC) - timedelta(minutes=90)).isoformat()
+    with transaction(large) as connection:
+        connection.execute(text("UPDATE shift_result SET stored_at = now() WHERE vehicle = 'v9' AND seq = 9"))
+    keeper.refresh()
+    questions = (
+        (fleet_view.VIEW, ask(fleet_view.VIEW)),
+        (vehicle_view.VIEW, ask(vehicle_view.VIEW, "v7")),
+        (shift_view.VIEW, ask(shift_view.VIEW, "v7", **SHIFT)),
+        (changes_view.VIEW, ask(changes_view.VIEW, since=since)),
+        (quarantine_view.VIEW, ask(quarantine_view.VIEW)),
+    )
+    for view, question in questions:
+        view.show(view.find(sources, question), question, sources)
+    plans = {}
+    with large.connect() as connection:
+        for statement, values in watch.asked:
+            if statement.lstrip().startswith("SELECT"):
+                found = connection.exec_driver_sql(f"EXPLAIN (FORMAT JSON) {statement}", values).scalar_one()
+                plans[statement] = json.dumps(found)
+    assert len(plans) > 10
+    whole = re.compile(r'"Node Type": "Seq Scan"[^{}]*"Relation Name": "shift_result"')
+    assert [statement for statement, plan in plans.items() if whole.search(plan)] == []

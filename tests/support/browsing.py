@@ -1,0 +1,44 @@
+"""A real browser, and what it finds wrong with a page."""
+
+import os
+import shutil
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+from axe_playwright_python.sync_playwright import Axe
+from playwright.sync_api import Browser, Page, sync_playwright
+
+FOLD_PX = 4  # a pixel or two of rounding
+
+
+@contextmanager
+def chromium() -> Iterator[Browser]:
+    """Run a Chromium for as long as the block lasts."""
+    program = shutil.which("chromium")
+    if program is None:
+        raise RuntimeError("chromium is missing: `make setup-system` installs it")
+    arguments = ["--no-sandbox"] if os.geteuid() == 0 else []
+    with sync_playwright() as playwright:
+        browser = playwright.chromium.launch(executable_path=program, args=arguments)
+        yield browser
+        browser.close()
+
+
+def complaints_of(page: Page, url: str, scheme: str, *, has_picture: bool = True) -> list[str]:
+    """Return what is wrong with a page: what axe finds, what it loads from elsewhere, errors, what sticks out."""
+    asked: list[str] = []
+    said: list[str] = []
+    page.on("request", lambda request: asked.append(request.url))
+    page.on("console", lambda message: said.append(message.text))
+    page.on("pageerror", lambda error: said.append(str(error)))
+    page.emulate_media(color_scheme="dark" if scheme == "dark" else "light")
+    page.goto(url)
+    overhang = page.evaluate("document.documentElement.scrollWidth - document.documentElement.clientWidth")
+    if overhang > FOLD_PX:
+        said.append(f"{overhang} px stick out")
+    own = url if url.startswith("file:") else "/".join(url.split("/")[:3])
+    said += [one for one in asked if not one.startswith(own)]
+    if has_picture and not page.locator("svg[role=img]").count():
+        said.append("no picture")
+    found = Axe().run(page).response["violations"]
+    return said + [f"{one['id']}: {one['nodes'][0]['html']}" for one in found]

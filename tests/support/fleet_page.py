@@ -1,0 +1,87 @@
+"""The fleet's page for tests: clutches made up, a database with something of everything, a server in a thread."""
+
+import asyncio
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import replace
+from datetime import UTC, datetime
+from typing import Any
+
+from sqlalchemy import Engine
+
+from diag_service.diagnosis.records import Condition
+from fleet_backend import queries
+from fleet_backend.database import open_database
+from fleet_backend.page.keeper import DatabaseSource, Keeper
+from fleet_backend.page.records import ClutchNow
+from fleet_backend.page.server import address_of, closing_socket, serve
+from fleet_backend.page.view import Sources
+from fleet_backend.rows import Poison, quarantine_row
+from fleet_backend.writer import Batch, Writer
+from tests.support.fleet import NOW, fleet_result, row_of
+from tests.support.histories import history
+from tests.support.patience import HANG_S
+
+MARKUP = "<img src=x onerror=alert(1)>"
+FLUID = "DCTF <b>75W</b>"
+
+
+def clutch_now(vehicle: str = "car1", clutch: int = 1, **others: object) -> ClutchNow:
+    """Return the running condition of a clutch."""
+    usual = ClutchNow(
+        vehicle=vehicle,
+        clutch=clutch,
+        condition="good",
+        condition_reason="sound",
+        advice=None,
+        level_ratio=0.99,
+        shift_count=12,
+        mu_c=0.136,
+        mu_s=0.12,
+        std_mu_c=0.001,
+        std_mu_s=0.002,
+        correlation=0.3,
+        slope_s_rad=0.002,
+        std_slope_s_rad=0.0004,
+        probability_negative_slope=0.01,
+        odometer_m=1.0e6,
+        end_at=NOW,
+        fluid=None,
+        stream="stream-1",
+        seq=1,
+        algorithm_version="algorithm-1",
+        calibration_version="nominal-1",
+    )
+    return replace(usual, **others)  # type: ignore[arg-type]  # names of fields, as the caller spells them
+
+
+def fill_database(engine: Engine) -> None:
+    """Store a vehicle that ages, one with an alarm, one that is good, new fluid, and poison with markup."""
+    worn = [fleet_result(seq, vehicle="worn", condition=Condition.CHANGE_FLUID) for seq in range(1, 5)]
+    rows = [row_of(one) for one in (*history(60), *worn, fleet_result(1, vehicle="good.1"))]
+    poison = Poison(
+        topic="clutchdiag/v1/worn/shift", vehicle="worn", payload=MARKUP.encode(), reason="schema", detail=MARKUP
+    )
+    Writer(engine).store(Batch(shifts=rows, quarantined=[quarantine_row(poison, NOW)]))
+    queries.note_fill(engine, "car1", FLUID, at=datetime(2026, 1, 1, 0, 1, tzinfo=UTC), odometer_m=1.5e4, note=MARKUP)
+
+
+@contextmanager
+def served(database: str) -> Iterator[str]:
+    """Serve the page of a database in a thread of its own, and yield its address without the last slash."""
+    engine = open_database(database, must_exist=True, is_read_only=True)
+    keeper = Keeper(DatabaseSource(engine))
+    keeper.refresh()
+    with closing_socket("127.0.0.1", 0) as listener:
+        started = list[Any]()  # servers
+        work = serve(Sources(engine=engine, keeper=keeper), listener, on_start=started.append)
+        thread = threading.Thread(target=asyncio.run, args=(work,), name="fleet page")
+        thread.start()
+        try:
+            yield address_of(listener).removesuffix("/")
+        finally:
+            for server in started:
+                server.should_exit = True
+            thread.join(HANG_S)
+            engine.dispose()

@@ -1,0 +1,58 @@
+"""Words of an address: each is checked once, and what is wrong is said in one line."""
+
+from datetime import UTC, datetime
+
+import pytest
+
+from fleet_backend.page.asking import AFTER, LIMIT, VEHICLE, Ask, Kind, Parameter, read_words
+from fleet_backend.page.errors import AskError
+from tests.support.fleet import NOW
+
+SINCE = Parameter(name="since", text="since when", kind=Kind.MOMENT, longest=40)
+COLOUR = Parameter(name="colour", text="of it", choices=("red", "blue"))
+ALL = (VEHICLE, LIMIT, AFTER, SINCE, COLOUR)
+
+
+def ask(*query: tuple[str, str], vehicle: str = "car1") -> Ask:
+    return read_words(ALL, {"vehicle": vehicle}, query, NOW)
+
+
+def test_words_become_values() -> None:
+    found = ask(("limit", "7"), ("since", "2026-01-31"), ("colour", "red"), ("after", ""))
+    assert (found.said("vehicle"), found.count("limit"), found.text("colour")) == ("car1", 7, "red")
+    assert found.moment("since", NOW) == datetime(2026, 1, 31, tzinfo=UTC)
+    assert found.text("after") is None
+    assert ask().count("limit") == 50
+    assert ask().moment("since", NOW) == NOW
+    assert ask(("since", "2026-01-31T12:00:00+02:00")).moment("since", NOW).hour == 10
+
+
+@pytest.mark.parametrize(
+    ("query", "complaint"),
+    [
+        ([("limit", "0")], "limit: must be a whole number from 1 to 1000"),
+        ([("limit", "1001")], "limit: must be a whole number"),
+        ([("limit", "-1")], "limit: must be a whole number"),
+        ([("limit", "١٢")], "limit: must be a whole number"),
+        ([("limit", "1e3")], "limit: must be a whole number"),
+        ([("since", "yesterday")], "since: no date, such as 2026-01-31"),
+        ([("since", "0001-01-01T00:00+23:00")], "since: no date"),
+        ([("colour", "green")], "colour: must be one of red, blue"),
+        ([("colour", "red"), ("colour", "blue")], "'colour': said twice"),
+        ([("vehicle", "car2")], "'vehicle': said twice"),
+        ([("color", "red")], "'color': no word of this address; it takes after, colour, limit, since, vehicle"),
+        ([("after", "x" * 401)], "after: longer than 400 characters"),
+        ([("after", "a\x00")], "after: holds characters that are no text"),
+        ([("after", "\ud800")], "after: holds characters that are no text"),
+    ],
+)
+def test_what_is_wrong_is_said(query: list[tuple[str, str]], complaint: str) -> None:
+    with pytest.raises(AskError) as caught:
+        ask(*query)
+    assert str(caught.value).startswith(complaint)
+
+
+@pytest.mark.parametrize("vehicle", ["..", ".x", "a/b", "a b", "x" * 65, "ä"])
+def test_a_vehicle_has_a_name_that_the_contract_knows(vehicle: str) -> None:
+    with pytest.raises(AskError, match=r"^vehicle: "):
+        ask(vehicle=vehicle)

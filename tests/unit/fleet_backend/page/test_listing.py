@@ -1,0 +1,80 @@
+"""The fleet in parts: the worst first, nothing left out and nothing twice, whatever a reader puts into an address."""
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from fleet_backend.page.errors import AskError
+from fleet_backend.page.listing import Wanted, choices_of, cursor, matching, part_of, place_of, read_cursor, worst_first
+from fleet_backend.page.records import ClutchNow
+from tests.support.fleet_page import clutch_now
+
+CONDITIONS = ("change_fluid", "watch", "good", "no_verdict")
+CLUTCHES = st.builds(
+    clutch_now,
+    st.sampled_from(["car1", "car2", "Taxi.7", "_9"]),
+    st.sampled_from([1, 2]),
+    condition=st.sampled_from(CONDITIONS),
+    probability_negative_slope=st.none() | st.floats(0.0, 1.0),
+    level_ratio=st.none() | st.floats(0.1, 1.5),
+)
+FLEETS = st.lists(CLUTCHES, max_size=30, unique_by=lambda one: (one.vehicle, one.clutch))
+
+
+@given(FLEETS, st.integers(1, 7))
+def test_parts_are_the_whole(fleet: list[ClutchNow], limit: int) -> None:
+    whole = worst_first(fleet)
+    after, found = None, list[ClutchNow]()
+    for _ in range(len(whole) + 1):
+        part = part_of(whole, after, limit)
+        assert part.matching_count == len(whole)
+        found += part.clutches
+        after = part.next
+        if after is None:
+            break
+    assert tuple(found) == whole
+
+
+def test_the_worst_comes_first() -> None:
+    good, falling = clutch_now("a"), clutch_now("b", condition="watch", probability_negative_slope=0.9)
+    weak = clutch_now("c", condition="watch", level_ratio=0.8)
+    bad, unknown = clutch_now("d", condition="change_fluid"), clutch_now("e", condition="no_verdict", mu_c=None)
+    assert worst_first([good, unknown, weak, falling, bad]) == (bad, falling, weak, good, unknown)
+
+
+def test_a_list_goes_on_where_the_last_clutch_has_gone() -> None:
+    fleet = worst_first([clutch_now(name) for name in ("a", "b", "c")])
+    part = part_of(fleet, None, 2)
+    (rest,) = part_of(fleet[:1] + fleet[2:], part.next, 2).clutches
+    assert rest.vehicle == "c"
+
+
+@given(CLUTCHES)
+def test_a_place_survives_an_address(one: ClutchNow) -> None:
+    assert read_cursor(cursor(place_of(one))) == place_of(one)
+
+
+STRANGE = (
+    cursor([1]),
+    cursor(["a"] * 5),
+    cursor([1, 2, 3, "a", True]),
+    cursor([1, 2.0, 10**400, "a", 1]),
+    "W10",
+    "ICAg",
+)
+
+
+@given(st.text(max_size=80) | st.sampled_from(STRANGE))
+def test_nothing_else_is_taken_for_a_place(word: str) -> None:
+    with pytest.raises(AskError, match="no place in a list"):
+        read_cursor(word)
+
+
+def test_clutches_are_found_by_what_is_known_of_them() -> None:
+    fleet = [clutch_now("Taxi-7", fluid="A"), clutch_now("car1", condition="watch"), clutch_now("car2", fluid="A")]
+    assert [one.vehicle for one in matching(fleet, Wanted(name_part="AXI"))] == ["Taxi-7"]
+    assert [one.vehicle for one in matching(fleet, Wanted(fluid="A", name_part="c"))] == ["car2"]
+    assert [one.vehicle for one in matching(fleet, Wanted(condition="watch"))] == ["car1"]
+    assert matching(fleet, Wanted(calibration="other")) == []
+    assert matching(fleet, Wanted()) == fleet
+    assert choices_of(fleet) == (("A",), ("nominal-1",))
