@@ -9,7 +9,7 @@ from contextlib import AbstractContextManager, ExitStack, closing
 from dataclasses import asdict, replace
 from pathlib import Path
 from types import TracebackType
-from typing import Final, Self
+from typing import Final, Protocol, Self
 
 import can
 
@@ -27,6 +27,7 @@ from ecu_emulator.diagnostics.table_file import load_table, shipped_table
 from ecu_emulator.errors import ExtraMissingError
 from ecu_emulator.monitoring import MONITOR_PERIOD_S, Monitoring
 from ecu_emulator.on_board import FixedOpinion, OpinionSource
+from ecu_emulator.requested_adaptation import AdaptedCar, RequestedAdaptation
 from ecu_emulator.requested_clearing import RequestedClearing
 from ecu_emulator.requested_routine import Driven, Performer, RequestedRoutine
 from ecu_emulator.sent_values import SentValues
@@ -34,6 +35,10 @@ from ecu_emulator.sent_values import SentValues
 OWN_NODE: Final = "TCU"
 RUNNING_RAD_S: Final = 30.0  # engine speed that no starter reaches
 _NS_PER_S: Final = 1e9
+
+
+class Car(Performer, AdaptedCar, Protocol):
+    """The car, as far as testers can have it do something."""
 
 
 class Answering:
@@ -58,7 +63,7 @@ class Answering:
     on_board
         Whose estimate of the clutches the controller has; None: it has none.
     performer
-        The car that performs the workshop routine when a tester starts it; None: it cannot.
+        The car that performs the routines of the workshop when a tester starts them; None: it cannot.
 
     Raises
     ------
@@ -77,7 +82,7 @@ class Answering:
         elm327: str | None = None,
         bitrate: int | None = None,
         on_board: OpinionSource | None = None,
-        performer: Performer | None = None,
+        performer: Car | None = None,
     ) -> None:
         try:
             from ecu_emulator.diagnostics.link import DiagnosticLink  # noqa: PLC0415 - an extra
@@ -89,6 +94,7 @@ class Answering:
         database = load_contract()
         self._sent = SentValues(database)
         self._shift_id = database.get_message_by_name("TCU_Shift").frame_id
+        self._pressure_id = database.get_message_by_name("TCU_Pressures").frame_id
         self._own_ids = {message.frame_id for message in database.messages if OWN_NODE in message.senders}
         self._on_board: OpinionSource = on_board or FixedOpinion(None)
         self._driven = Driven()
@@ -104,9 +110,14 @@ class Answering:
             self.controller = Controller(
                 described, values=self._values, clock=time.monotonic, chance=secrets.token_bytes, store=store
             )
-            self._monitoring = Monitoring(self.controller)
+            self._monitoring = Monitoring(
+                self.controller,
+                was_adapted=performer is None or performer.is_adapted,
+                is_live=self._on_board.is_live,
+            )
             self._routine = None if performer is None else RequestedRoutine(performer, self.controller)
-            self._clearing = RequestedClearing(self._on_board, self.controller, self._monitoring)
+            self._adaptation = None if performer is None else RequestedAdaptation(performer, self.controller)
+            self._clearing = RequestedClearing(self._on_board, self.controller, self._monitoring, self._adaptation)
             self.link = DiagnosticLink(self.controller, bus.send, is_fd=is_fd)
             self.doip = None if doip is None else self._stack.enter_context(closing(DoipServer(self.controller, doip)))
             adapter = None if elm327 is None else ElmServer(self.controller, parse_place(elm327), bitrate)
@@ -143,6 +154,8 @@ class Answering:
         if not message.is_error_frame:
             self._sent.note(can_id, bytes(message.data))
             self._driven_s = max(self._driven_s, message.timestamp)
+        if can_id == self._pressure_id and self._adaptation is not None and self._adaptation.is_listening:
+            self._adaptation.hear(message.timestamp, self._sent.now({}))
         if can_id == self._shift_id:
             self._count_shift(message.timestamp)
         if can_id not in self._own_ids or self.controller.state.communication.sends_normal:
@@ -177,7 +190,7 @@ class Answering:
         """What was asked and which codes are confirmed, for people."""
         told = self.outcome["confirmed"]
         codes = ", ".join(told) if isinstance(told, list) and told else "none"
-        unkept = self._monitoring.problem
+        unkept = self._monitoring.problem or (self._adaptation.problem if self._adaptation is not None else None)
         problem = f"\nwarning: trouble codes could not be kept: {unkept}" if unkept else ""
         asked = f"{self.link.counts.requests} requests, {self.link.counts.responses} responses"
         if self.doip is not None:
@@ -208,6 +221,8 @@ class Answering:
                 if self._routine is not None:
                     is_live = self._on_board.is_live
                     self._routine.step(self._driven, self._on_board.opinions, time.monotonic(), is_live=is_live)
+                if self._adaptation is not None:
+                    self._adaptation.step(self._values())
                 self._clearing.step()
         except BaseException as exc:  # noqa: BLE001 - carried to the caller's thread, which raises it
             self._error = exc
@@ -235,6 +250,9 @@ class Answering:
             "engine_run_time_s": 0.0 if self._engine_on_s is None else time.monotonic() - self._engine_on_s,
             "revs_possible": float(self._routine is not None and self._routine.is_possible),
             "clearing_possible": float(self._clearing.is_possible),
+            "adaptation_possible": float(self._adaptation is not None and self._adaptation.is_possible),
+            **(self._adaptation.values if self._adaptation is not None else {}),
+            **self._monitoring.temperatures,
             **values_of(self._on_board.opinions),
         }
         return self._sent.now(more)

@@ -3,16 +3,19 @@
 from collections.abc import Mapping
 from typing import Final
 
+from ecu_emulator.diagnostics.codes import Status
 from ecu_emulator.diagnostics.controller import Controller
 from ecu_emulator.diagnostics.memory import TestResult
-from ecu_emulator.diagnostics.monitors import Watch, is_warm, judge
+from ecu_emulator.diagnostics.monitors import MonitorLimits, Watch, is_warm, judge
 from ecu_emulator.diagnostics.opinion import (
     ADAPTATION_CODE,
     FLUID_CODE,
+    LIMIT_CODE,
     Opinions,
     adaptation_test,
     failed_codes,
     fluid_test,
+    limit_test,
 )
 from ecu_emulator.diagnostics.values import Values
 from ecu_emulator.errors import RecordError
@@ -27,33 +30,64 @@ class Monitoring:
     ----------
     controller
         Who keeps the results; codes that its table does not have are not tested.
+    was_adapted
+        Whether it knew its clutches' touch points at its start.
+    is_live
+        Whether opinions of the clutches follow what is driven.
     """
 
-    def __init__(self, controller: Controller) -> None:
+    def __init__(self, controller: Controller, *, was_adapted: bool = True, is_live: bool = True) -> None:
         self._controller = controller
+        self._was_adapted = was_adapted
+        self._is_live = is_live
         self._numbers = {trouble.code: number for number, trouble in controller.table.troubles.items()}
         self._codes = {number: code for code, number in self._numbers.items()}
         self._watch = Watch()
+        self._limits = MonitorLimits(most_clutch_k=controller.table.clutches.most_temperature_k)
         self._judged: Opinions | None = None
+        self._adaptation = controller.state.adaptation
         self.problem: str | None = None  # why something could not be kept, for people
+
+    @property
+    def temperatures(self) -> dict[str, float]:
+        """How warm the clutches are as the controller computes it, by source [K]."""
+        found_k = self._watch.clutches_k
+        return {} if found_k is None else {"clutch1_temperature_k": found_k[0], "clutch2_temperature_k": found_k[1]}
 
     def look(self, values: Values, t_s: float) -> None:
         """Let the monitors judge what the controllers say at this moment of the drive, about ten times a second."""
-        self._watch, samples = judge(self._watch, values, t_s)
+        self._watch, samples = judge(self._watch, values, t_s, self._limits)
         self._report(dict(samples), has_warmed_up=is_warm(values))
 
     def judge_clutches(self, opinions: Opinions) -> None:
-        """Let each new opinion of the clutches be a test, with the controller's values of that moment."""
-        if opinions is self._judged:
-            return
-        self._judged = opinions
-        failed = failed_codes(self._controller.state.memory.records, self._codes)
-        results = {FLUID_CODE: fluid_test(opinions, failed), ADAPTATION_CODE: adaptation_test(opinions)}
+        """Let each new opinion of the clutches be a test, with the controller's values of that moment.
+
+        What is adapted is tested with it, when it changes, and once in every operation cycle.
+        """
+        adaptation = self._controller.state.adaptation
+        is_new = opinions is not self._judged
+        is_changed = is_new or adaptation is not self._adaptation
+        self._judged, self._adaptation = opinions, adaptation
+        results: dict[str, TestResult | None] = {}
+        if is_new:
+            failed = failed_codes(self._controller.state.memory.records, self._codes)
+            results[FLUID_CODE] = fluid_test(opinions, failed)
+        if is_changed or self._is_untested(ADAPTATION_CODE):
+            results[ADAPTATION_CODE] = adaptation_test(
+                adaptation, opinions, was_adapted=self._was_adapted, is_live=self._is_live
+            )
+        if is_changed or self._is_untested(LIMIT_CODE):
+            results[LIMIT_CODE] = limit_test(adaptation)
         self._report({code: result for code, result in results.items() if result is not None})
 
     def note_cleared(self) -> None:
         """Note that what was learned of the clutches is cleared: that fails a test until they are known again."""
         self._report({ADAPTATION_CODE: TestResult.FAILED})
+
+    def _is_untested(self, code: str) -> bool:
+        """Return whether a test has not run in this operation cycle."""
+        records, number = self._controller.state.memory.records, self._numbers.get(code)
+        return number is not None and bool(records[number].status & Status.NOT_TESTED_THIS_CYCLE)
 
     def _report(self, results: Mapping[str, TestResult], *, has_warmed_up: bool = False) -> None:
         """Hand results on; what the disk does not take is tried again with the next sample, and the drive goes on."""

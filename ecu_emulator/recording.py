@@ -2,16 +2,17 @@
 
 import math
 from collections import Counter
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from queue import SimpleQueue
 from typing import Final
 
-from canlog.e2e.message_contract import MessageContract, message_contracts
+from canlog.e2e.message_contract import message_contracts
 from clutch_model.errors import CalibrationError
 from dbc.contract import load_contract
-from ecu_emulator.build import BuiltVehicle, ageing_factors, build_vehicle
+from ecu_emulator.build import build_vehicle
 from ecu_emulator.bus_faults import BusFaults
+from ecu_emulator.drive_setup import drive_settings, drive_truth, installation, schedules
 from ecu_emulator.driving.journey import Departure, Journey
 from ecu_emulator.driving.trips import PlannedTrip
 from ecu_emulator.errors import ConfigError
@@ -20,14 +21,13 @@ from ecu_emulator.faults import BusFault, SensorFault
 from ecu_emulator.frame_loss import FrameLoss
 from ecu_emulator.frames import EncodedFrames, FrameEncoder, merge
 from ecu_emulator.plant.columns import Col
-from ecu_emulator.plant.drive import DriveSettings, FrictionFactors
 from ecu_emulator.plant.powertrain import Powertrain
-from ecu_emulator.readings import FloatArray, Schedule
+from ecu_emulator.readings import FloatArray
 from ecu_emulator.road import WHOLE_STAY_S, journey, scenario_trips, trip_truth
-from ecu_emulator.scenario import MAX_CYCLES, FluidCondition, Routine, Scenario
-from ecu_emulator.sensors import Installation, SensorSuite
+from ecu_emulator.scenario import Routine, Scenario
+from ecu_emulator.sensors import SensorSuite
+from ecu_emulator.touch_points import PressureSteps, nominal_touch_pressures_pa
 from ecu_emulator.truth import (
-    DriveTruth,
     EventTruth,
     FaultTruth,
     Happened,
@@ -42,7 +42,6 @@ from ecu_emulator.truth_watchers import RevWatcher, ShiftWatcher
 
 LONG_STRETCH_S: Final = 10.0  # for files
 MS_PER_S: Final = 1000.0
-ROAD_MESSAGES: Final = frozenset({"ECM_State", "TCU_Drive"})
 SHORT_STRETCH_S: Final = 0.25  # live: a stretch must not hold the interpreter for long
 
 
@@ -89,25 +88,26 @@ class Drive:
         self._vehicle = vehicle = build_vehicle(scenario)
         database = load_contract()
         self._encoder = FrameEncoder(database)
-        self._plant = _plant(scenario, vehicle, longest_stay_s, planned)
+        self._touch_pa = None if scenario.adapted else nominal_touch_pressures_pa()
+        self._plant = self._made_plant(longest_stay_s, planned)
         self._departure: Departure | None = None
         self._watchers = (ShiftWatcher(), RevWatcher(), EventWatcher())
         self._sensors = SensorSuite(
-            schedules=_schedules(scenario, message_contracts(database), self._encoder),
+            schedules=schedules(scenario, message_contracts(database), self._encoder),
             sensors=vehicle.sensors,
-            installation=_installation(scenario, vehicle),
+            installation=installation(scenario, vehicle),
             startup_s=scenario.startup.by_sender(),
             seed=scenario.seed_of_drive,
             faults=scenario.sensor_faults,
         )
         self._loss = FrameLoss(scenario.effects.frame_loss_ratio, scenario.seed_of_drive)
         self._bus_faults = BusFaults(scenario.bus_faults, scenario.seed_of_drive, message_contracts(database))
-        self._asked: SimpleQueue[SensorFault | BusFault | Routine] = SimpleQueue()  # filled by other threads
+        self._asked: SimpleQueue[Callable[[], None]] = SimpleQueue()  # filled by other threads
         self._counts: Counter[type[Happened]] = Counter()
         self._frame_count = 0
         self._end_s = 0.0
         self._driven_ms = 0
-        self.truth: Final = _drive_truth(scenario, vehicle)
+        self.truth: Final = drive_truth(scenario, vehicle)
 
     @property
     def totals(self) -> Totals:
@@ -136,7 +136,9 @@ class Drive:
         """
         if isinstance(fault, BusFault):
             self._bus_faults.check(fault)
-        self._asked.put(fault)
+            self._asked.put(lambda: self._bus_faults.add(fault, self._end_s))
+        else:
+            self._asked.put(lambda: self._sensors.faults.add(fault, self._end_s))
 
     @property
     def is_waiting(self) -> bool:
@@ -145,7 +147,34 @@ class Drive:
 
     def begin_routine(self, request: Routine) -> None:
         """Have the workshop routine begin with the next stretch, if the car waits for it. Any thread may call."""
-        self._asked.put(request)
+        if isinstance(plant := self._plant, Powertrain):
+            self._asked.put(lambda: plant.begin_routine(request.open_revs, request.closed_revs))
+
+    def begin_steps(self, steps: PressureSteps) -> None:
+        """Have pressure steps begin with the next stretch, if the car waits. Any thread may call."""
+        if isinstance(plant := self._plant, Powertrain):
+            self._asked.put(lambda: plant.begin_steps(steps))
+
+    def stop_steps(self) -> None:
+        """Have pressure steps broken off with the next stretch. Any thread may call."""
+        if isinstance(plant := self._plant, Powertrain):
+            self._asked.put(plant.stop_steps)
+
+    @property
+    def is_adapted(self) -> bool:
+        """Whether the control knew its clutches' touch points as the drive began."""
+        return self._scenario.adapted
+
+    @property
+    def touch_pressures_pa(self) -> tuple[float, float]:
+        """Touch points that the control works with [Pa]."""
+        first, second = self._vehicle.calibration.clutches
+        return self._touch_pa or (first.touch_pressure_pa, second.touch_pressure_pa)
+
+    def believe(self, touch_pressures_pa: tuple[float, float]) -> None:
+        """Let the control take these for its clutches' touch points from the next stretch on. Any thread may call."""
+        self._touch_pa = touch_pressures_pa
+        self._asked.put(lambda: self._plant.believe(touch_pressures_pa))
 
     def stretches(self, duration_s: float) -> Iterator[Stretch]:
         """Yield the rest of the drive in stretches of this length [s]."""
@@ -155,16 +184,21 @@ class Drive:
             if len(rows):
                 yield self._stretch(rows)
 
+    def _made_plant(self, longest_stay_s: float, planned: Iterator[PlannedTrip] | None) -> Powertrain | Journey:
+        scenario, vehicle = self._scenario, self._vehicle
+        try:
+            if scenario.is_on_the_road:
+                trips = planned or scenario_trips(scenario)
+                return journey(scenario, vehicle, longest_stay_s, trips, lambda: self._touch_pa)
+            settings = drive_settings(scenario)
+            touch_pa = self._touch_pa
+            return Powertrain(vehicle.calibration, vehicle.parameters, settings, touch_pressures_pa=touch_pa)
+        except CalibrationError as exc:
+            raise ConfigError(f"scenario {scenario.name}: drive {scenario.drive} is not possible: {exc}") from exc
+
     def _begin_asked(self) -> None:
         while not self._asked.empty():
-            asked = self._asked.get()
-            if isinstance(asked, Routine):
-                if isinstance(self._plant, Powertrain):
-                    self._plant.begin_routine(asked.open_revs, asked.closed_revs)
-            elif isinstance(asked, BusFault):
-                self._bus_faults.add(asked, self._end_s)
-            else:
-                self._sensors.faults.add(asked, self._end_s)
+            self._asked.get()()
 
     def _fault_truths(self) -> tuple[FaultTruth, ...]:
         sensors, bus = self._sensors.faults, self._bus_faults
@@ -218,79 +252,3 @@ def frames_of(scenario: Scenario) -> tuple[EncodedFrames, TruthLog]:
     stretches = list(drive.stretches(LONG_STRETCH_S))
     truths = [truth for stretch in stretches for truth in stretch.truths]
     return merge([stretch.frames for stretch in stretches]), truth_log(drive.truth, truths, drive.totals)
-
-
-def _schedules(scenario: Scenario, contracts: Mapping[str, MessageContract], encoder: FrameEncoder) -> list[Schedule]:
-    """Return when each message is sent; the shift cycle keeps to those that it had before there was a road."""
-    return [
-        Schedule(
-            message=contract.name,
-            sender=contract.sender,
-            cycle_ms=max(contract.cycle_ms, scenario.effects.least_cycle_ms),
-            phase_ms=contract.phase_ms,
-            quantities=encoder.quantities(contract.name),
-        )
-        for contract in contracts.values()
-        if scenario.is_on_the_road or contract.name not in ROAD_MESSAGES
-    ]
-
-
-def _plant(
-    scenario: Scenario, vehicle: BuiltVehicle, longest_stay_s: float, planned: Iterator[PlannedTrip] | None
-) -> Powertrain | Journey:
-    try:
-        if scenario.is_on_the_road:
-            return journey(scenario, vehicle, longest_stay_s, planned or scenario_trips(scenario))
-        return Powertrain(vehicle.calibration, vehicle.parameters, drive_settings(scenario))
-    except CalibrationError as exc:
-        raise ConfigError(f"scenario {scenario.name}: drive {scenario.drive} is not possible: {exc}") from exc
-
-
-def drive_settings(scenario: Scenario) -> DriveSettings:
-    """Return what the plant needs to know about the drive."""
-    is_ageing = scenario.fluid.condition is FluidCondition.AGEING
-    factors = ageing_factors(scenario.fluid.ageing_cycles) if is_ageing else ()
-    return DriveSettings(
-        # The cycle that belongs to a routine on request comes before those of the scenario.
-        cycles=(MAX_CYCLES if scenario.endless else scenario.cycles) + scenario.routine.on_request,
-        seed=scenario.seed_of_drive,
-        pedal_ratio=scenario.driver.pedal_ratio,
-        vary_ratio=scenario.driver.variation_ratio,
-        initial_oil_k=scenario.ambient.oil_temperature_k,
-        coolant_k=scenario.ambient.coolant_temperature_k,
-        ambient_k=scenario.ambient.temperature_k,
-        open_revs=scenario.routine.open_revs,
-        closed_revs=scenario.routine.closed_revs,
-        waits=scenario.routine.on_request,
-        friction_factors=tuple(FrictionFactors(mu_c1=c, mu_s1=s, mu_c2=c, mu_s2=s) for c, s in factors),
-    )
-
-
-def _installation(scenario: Scenario, vehicle: BuiltVehicle) -> Installation:
-    return Installation(
-        crank_segment_rad=vehicle.calibration.input_side.crank_segment_rad,
-        output_ratio=vehicle.parameters.gearbox.final_drive_ratios[0],
-        wheel_radius_m=vehicle.parameters.vehicle.wheel_radius_m,
-        ambient_temperature_k=scenario.ambient.temperature_k,
-        odometer_m=scenario.odometer_m,
-        engine_speed_is_sampled=scenario.effects.engine_speed_is_sampled,
-        motoring_torque_ratio=scenario.effects.motoring_torque_ratio,
-    )
-
-
-def _drive_truth(scenario: Scenario, vehicle: BuiltVehicle) -> DriveTruth:
-    first, second = (clutch.friction for clutch in vehicle.calibration.clutches)
-    return DriveTruth(
-        scenario=scenario.name,
-        vehicle=scenario.vehicle,
-        seed=scenario.seed,
-        vehicle_seed=scenario.seed_of_vehicle,
-        drive_seed=scenario.seed_of_drive,
-        drive=scenario.drive,
-        cycles=scenario.cycles,
-        fluid=scenario.fluid.condition,
-        mu_c=(first.mu_c, second.mu_c),
-        mu_s=(first.mu_s, second.mu_s),
-        drawn=vehicle.drawn,
-        effects=scenario.effects.switched_on(),
-    )

@@ -1,7 +1,7 @@
 """A scenario's drive on the road: which trips there are, and which car drives them under which conditions."""
 
 import math
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from typing import Final
 
 from clutch_model.calibration import Calibration
@@ -24,22 +24,27 @@ def scenario_trips(scenario: Scenario) -> Iterator[PlannedTrip]:
 
 
 def journey(
-    scenario: Scenario, vehicle: BuiltVehicle, longest_stay_s: float, planned: Iterator[PlannedTrip]
+    scenario: Scenario,
+    vehicle: BuiltVehicle,
+    longest_stay_s: float,
+    planned: Iterator[PlannedTrip],
+    believed: Callable[[], tuple[float, float] | None] = lambda: None,
 ) -> Journey:
     """Return a drive on the road; a parked car is silent for at most ``longest_stay_s`` [s].
+
+    ``believed`` is asked, as each trip begins, for the touch points that the control believes in.
 
     Raises
     ------
     ConfigError
         If the car cannot be driven under the scenario's conditions.
     """
-    car = Car(truth=vehicle.calibration, parameters=vehicle.parameters)
     ambient = scenario.ambient
     warmth = Warmth(oil_k=ambient.oil_temperature_k, coolant_k=ambient.coolant_temperature_k)
 
     def depart(departure: Departure) -> MovingCar:
         return Trip(
-            car,
+            Car(truth=vehicle.calibration, parameters=vehicle.parameters, touch_pressures_pa=believed()),
             departure.trip.trace,
             DriveConditions(
                 oil_k=departure.warmth.oil_k,

@@ -228,6 +228,7 @@ class Scenario(_Ranged):
     fluid: Fluid = field(default_factory=Fluid)
     driver: Driver = field(default_factory=Driver)
     routine: Routine = field(default_factory=Routine)
+    adapted: bool = True  # the controller knows its clutches' touch points as it starts; otherwise those of the type
     ambient: Ambient = field(default_factory=Ambient)
     startup: Startup = field(default_factory=Startup)
     scatter: Scatter = field(default_factory=production_scatter)

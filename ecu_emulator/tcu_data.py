@@ -25,6 +25,13 @@ LAUNCHING = 5
 LOCKING = 6
 WAITING = 7  # idling with the brake held until somebody asks for the routine
 
+# Stages of the pressure steps that a touch point is looked for with; they too begin and end with WAITING.
+STEPS_ENGAGING = 8  # a gear against the brake
+STEPS_OPEN = 9  # clutch empty
+STEPS_FILLING = 10
+STEPPING = 11
+STEPS_RELEASING = 12
+
 # Places in the array of what the control senses: SLIP, FILL, GEAR and IS_ENGAGED hold a pair, clutch 1 first.
 ENGINE_SPEED = 0
 ENGINE_TORQUE = 1
@@ -67,7 +74,12 @@ REV_TIME = 18  # since the rev or the wait before it began
 IS_REVVING = 19  # the pedal is down
 OPEN_REV_COUNT = 20  # revs asked for
 CLOSED_REV_COUNT = 21
-MEMORY_COUNT = 22
+STEP_CLUTCH = 22  # whose pressure is stepped
+STEP_TOP = 23  # pressure of the first step [Pa]
+STEP_DOWN = 24  # by which each step is lower than the one before [Pa]
+STEP_COUNT = 25
+STEP = 26  # steps that are over
+MEMORY_COUNT = 27
 
 # Columns of the table of cycles.
 CYCLE_PEDAL = 0
@@ -136,7 +148,10 @@ class WorkshopParameters(NamedTuple):
 
 
 class ClutchActuation(NamedTuple):
-    """What the control believes about each clutch: pressure for no torque, pressure per torque."""
+    """What the control believes about each clutch: pressure for no torque, pressure per torque.
+
+    The touch points are those of the clutches if they are adapted, and change when they are adapted anew.
+    """
 
     touch_pressure_pa: tuple[float, float]
     pressure_per_torque_pa_nm: tuple[float, float]

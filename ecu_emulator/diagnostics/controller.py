@@ -5,6 +5,7 @@ from collections.abc import Callable
 from dataclasses import replace
 from typing import Final
 
+from ecu_emulator.diagnostics.adaptation import Adaptation
 from ecu_emulator.diagnostics.codes import NEGATIVE, Nrc
 from ecu_emulator.diagnostics.memory import TestResult
 from ecu_emulator.diagnostics.memory_file import MemoryFile
@@ -157,9 +158,13 @@ class Controller:
             lambda state: finished(state, self.table, routine, under_control(self.table, state, self._moment()))
         )
 
-    def fail(self, routine: int) -> None:
-        """Note that the vehicle could not do what a routine asked for; who awaits it hears 72."""
-        self._change(lambda state: failed(state, routine))
+    def fail(self, routine: int, nrc: int = Nrc.PROGRAMMING_FAILURE) -> None:
+        """Note that the vehicle could not do what a routine asked for, and why, for who awaits it."""
+        self._change(lambda state: failed(state, routine, nrc))
+
+    def adapt(self, adaptation: Adaptation) -> None:
+        """Keep what was adapted, or cleared; raises RecordError as ``report``."""
+        self._change(lambda state: replace(state, adaptation=adaptation))
 
     def _change(self, change: Callable[[ServerState], ServerState]) -> None:
         with self._lock:
@@ -193,4 +198,5 @@ def _are_same(one: ServerState, other: ServerState) -> bool:
         and one.emissions is other.emissions
         and one.written is other.written
         and one.wrong_keys is other.wrong_keys
+        and one.adaptation is other.adaptation
     )

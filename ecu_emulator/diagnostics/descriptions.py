@@ -30,7 +30,8 @@ class Task(StrEnum):
 
     NOTHING = "nothing"  # but let time pass
     REVS = "revs"  # the workshop routine: as many revs with open, then closed clutches as the two options say; a drive
-    NEW_FLUID = "new_fluid"  # the estimate on board begins anew
+    NEW_FLUID = "new_fluid"  # the estimate on board begins anew, and touch points are those of the type
+    TOUCH_POINTS = "touch_points"  # both clutches are adapted
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -192,6 +193,7 @@ class Routine:
     is_awaited: bool = False  # the positive response to its start comes when it has ended
     can_be_stopped: bool = True
     task: Task = Task.NOTHING
+    held_conditions: tuple[str, ...] = ()  # that must hold until it ends; the vehicle is watched while it adapts
     options: tuple[Field, ...] = ()
     results: tuple[Field, ...] = ()
 
@@ -200,8 +202,10 @@ class Routine:
             raise ConfigError(
                 f"routine {self.name}: task revs has two options of one byte, and the vehicle ends it, not the time"
             )
-        if self.task is Task.NEW_FLUID and self.ends_by_itself:
-            raise ConfigError(f"routine {self.name}: the vehicle ends task new_fluid, not the time")
+        if self.task in {Task.NEW_FLUID, Task.TOUCH_POINTS} and self.ends_by_itself:
+            raise ConfigError(f"routine {self.name}: the vehicle ends task {self.task}, not the time")
+        if self.held_conditions and self.task is not Task.TOUCH_POINTS:
+            raise ConfigError(f"routine {self.name}: held_conditions belong to task touch_points")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -89,6 +89,13 @@ def note_warm_up(memory: TroubleMemory) -> TroubleMemory:
     return memory if memory.is_warmed_up else replace(memory, is_warmed_up=True)
 
 
+def needs_capture(memory: TroubleMemory, trouble: Trouble, result: TestResult) -> bool:
+    """Return whether a result makes a failure of which the vehicle's values are kept; ``report`` asks for them then."""
+    record = memory.records[trouble.number]
+    is_failure = _counted(record.detection_counter, trouble, result) == FAILED_COUNTER
+    return is_failure and (not record.status & Status.TEST_FAILED or None in (record.first, record.latest))
+
+
 def report(memory: TroubleMemory, trouble: Trouble, result: TestResult, capture: Capture) -> TroubleMemory:
     """Return the memory after a monitor has spoken.
 

@@ -15,15 +15,18 @@ from types import TracebackType
 from typing import Any, Final, Self
 
 from canlog.plain_files import read_small_file
+from ecu_emulator.diagnostics.adaptation import CLUTCHES, Adaptation
 from ecu_emulator.diagnostics.codes import Status
 from ecu_emulator.diagnostics.emissions import Emissions, FreezeFrame
 from ecu_emulator.diagnostics.memory import MOST_COUNT, Capture, TroubleMemory, TroubleRecord, empty_memory
 from ecu_emulator.diagnostics.state import ServerState
 from ecu_emulator.diagnostics.table import DiagnosticTable
 from ecu_emulator.errors import RecordError
+from ecu_emulator.touch_points import TouchPoint
 
 FORMAT: Final = 1
 OWNER_ONLY: Final = 0o600
+MOST_PRESSURE_PA: Final = 1e7  # what a file may say of a touch point
 _COUNTERS: Final = ("occurrences", "failed_cycles", "passed_cycles", "aged_cycles")
 
 
@@ -150,6 +153,18 @@ def _document(state: ServerState) -> dict[str, Any]:
         "written": {f"{number:04X}": data.hex() for number, data in state.written.items()},
         "wrong_keys": {str(level): count for level, count in state.wrong_keys.items()},
         "obd": _emissions_document(state.emissions),
+        "touch_points": None if state.adaptation is None else _touch_documents(state.adaptation),
+    }
+
+
+def _touch_documents(adaptation: Adaptation) -> dict[str, Any]:
+    return {
+        str(clutch): {
+            "pressure_pa": point.pressure_pa,
+            "std_pa": point.std_pa if math.isfinite(point.std_pa) else None,
+            "is_at_limit": point.is_at_limit,
+        }
+        for clutch, point in adaptation.touch_points.items()
     }
 
 
@@ -198,7 +213,37 @@ def _state(document: Mapping[str, Any], table: DiagnosticTable) -> ServerState:
         is_warmed_up=bool(document["is_warmed_up"]),
     )
     emissions = _emissions(document.get("obd"), table)
-    return ServerState(memory=memory, emissions=emissions, written=written, wrong_keys=wrong_keys)
+    return ServerState(
+        memory=memory,
+        emissions=emissions,
+        written=written,
+        wrong_keys=wrong_keys,
+        adaptation=_adaptation(document.get("touch_points")),
+    )
+
+
+def _adaptation(entry: Mapping[str, Any] | None) -> Adaptation | None:
+    """Return what was adapted; nothing of a file that an earlier program wrote."""
+    if entry is None:
+        return None
+    if not set(entry) <= set(map(str, CLUTCHES)):
+        raise ValueError(f"not clutches: {', '.join(entry)}")
+    return Adaptation(touch_points={int(clutch): _touch_point(told) for clutch, told in entry.items()})
+
+
+def _touch_point(entry: Mapping[str, Any]) -> TouchPoint:
+    std_pa = entry["std_pa"]
+    return TouchPoint(
+        pressure_pa=_pressure_pa(entry["pressure_pa"]),
+        std_pa=math.nan if std_pa is None else _pressure_pa(std_pa),
+        is_at_limit=bool(_count(entry["is_at_limit"])),
+    )
+
+
+def _pressure_pa(value: object) -> float:
+    if not isinstance(value, int | float) or not 0.0 <= value <= MOST_PRESSURE_PA:
+        raise ValueError(f"not a pressure: {value!r}")
+    return float(value)
 
 
 def _emissions(entry: Mapping[str, Any] | None, table: DiagnosticTable) -> Emissions:

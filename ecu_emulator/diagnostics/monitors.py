@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from typing import Final
 
 from clutch_model.gears import clutch_of_gear
+from ecu_emulator.diagnostics.clutch_heat import heated_k
 from ecu_emulator.diagnostics.memory import TestResult
 from ecu_emulator.diagnostics.values import Values
 
@@ -33,6 +34,7 @@ class MonitorLimits:
     fluid_range_k: tuple[float, float] = (233.15, 443.15)
     most_fluid_rate_k_s: float = 3.0
     longest_shift_s: float = 3.0
+    most_clutch_k: float = 423.15  # 150 degC, of a pack as the controller computes it
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -44,6 +46,7 @@ class Watch:
     since_s: float = 0.0  # when they became so
     fluid_k: float | None = None
     fluid_s: float = 0.0
+    clutches_k: tuple[float, float] | None = None  # as the controller computes them
 
 
 SENSED: Final = (
@@ -83,14 +86,18 @@ def judge(
         *_gear_samples(gears, known, t_s - since_s, limits),
     )
     fluid_k = known.get("sump_temperature_k")
+    is_oil_believed = ("P0711", TestResult.PREPASSED) in samples
+    since_look_s = 0.0 if watch.t_s is None else max(0.0, t_s - watch.t_s)
+    clutches_k = heated_k(watch.clutches_k, known, since_look_s) if is_oil_believed else watch.clutches_k
     after = Watch(
         t_s=t_s,
         gears=gears,
         since_s=since_s,
         fluid_k=watch.fluid_k if fluid_k is None else fluid_k,
         fluid_s=watch.fluid_s if fluid_k is None else t_s,
+        clutches_k=clutches_k,
     )
-    return after, samples
+    return after, (*samples, *(_heat_samples(clutches_k, known, limits) if is_oil_believed else ()))
 
 
 def is_warm(values: Values) -> bool:
@@ -126,6 +133,14 @@ def _pressure_pa(known: Mapping[str, float], clutch: int, limits: MonitorLimits)
     pressure_pa = known.get(f"clutch{clutch}_pressure_pa")
     low_pa, high_pa = limits.pressures_pa
     return pressure_pa if pressure_pa is not None and low_pa <= pressure_pa <= high_pa else None
+
+
+def _heat_samples(
+    clutches_k: tuple[float, float] | None, known: Mapping[str, float], limits: MonitorLimits
+) -> Iterator[Sample]:
+    """Judge the clutches' temperature while pressures can be believed."""
+    if clutches_k is not None and all(_pressure_pa(known, clutch, limits) is not None for clutch in (1, 2)):
+        yield _sample("P2787", is_failed=max(clutches_k) > limits.most_clutch_k)
 
 
 def _shift_samples(gears: tuple[float, float], lasts_s: float, limits: MonitorLimits) -> Iterator[Sample]:

@@ -6,16 +6,17 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import Final
 
+from ecu_emulator.diagnostics.adaptation import CLUTCHES, Adaptation
 from ecu_emulator.diagnostics.codes import Status
 from ecu_emulator.diagnostics.memory import TestResult, TroubleRecord
 from ecu_emulator.scenario import FluidVerdict, OnBoard
 
 FLUID_CODE: Final = "P0897"
 ADAPTATION_CODE: Final = "P0810"
+LIMIT_CODE: Final = "P2788"
 SUPPRESSING: Final = ("P0711", "P0841", "P0868", "P0776")  # while one has failed, friction is not judged
 SHIFT_SCHEMA: Final = "clutchdiag/shift/v1"
 _QUANTITIES: Final = {"mu_c": "mu_c", "std_mu_c": "mu_c_std", "mu_s": "mu_s", "std_mu_s": "mu_s_std"}
-_CLUTCHES: Final = (1, 2)
 _FLUID_NUMBERS: Final = {verdict: number for number, verdict in enumerate(FluidVerdict)}  # as routines tell it
 
 
@@ -69,13 +70,37 @@ def fluid_test(opinions: Opinions, failed: Iterable[str]) -> TestResult | None:
     return TestResult.FAILED if FluidVerdict.CHANGE_FLUID in words else TestResult.PASSED
 
 
-def adaptation_test(opinions: Opinions) -> TestResult | None:
-    """Return the result of the test whether both clutches are known, None while they are not.
+def limit_test(adaptation: Adaptation | None) -> TestResult | None:
+    """Return the result of the test whether what is adapted is within its limits; None if nothing is."""
+    if adaptation is None or not adaptation.touch_points:
+        return None
+    is_at_limit = any(point.is_at_limit for point in adaptation.touch_points.values())
+    return TestResult.FAILED if is_at_limit else TestResult.PASSED
 
-    That fails only when what was known is cleared: a controller that never knew its clutches has lost nothing.
+
+def adaptation_test(
+    adaptation: Adaptation | None, opinions: Opinions, *, was_adapted: bool, is_live: bool
+) -> TestResult | None:
+    """Return the result of the test whether the clutches are known, None while that cannot be told.
+
+    Parameters
+    ----------
+    adaptation
+        What the controller has adapted or cleared itself; None: nothing, it works as at its start.
+    opinions
+        What is thought of the clutches.
+    was_adapted
+        Whether it knew the touch points at its start.
+    is_live
+        Whether opinions come from an estimate that follows what is driven.
     """
-    are_known = all(opinions.get(clutch, ClutchOpinion()).fluid is not FluidVerdict.NO_VERDICT for clutch in _CLUTCHES)
-    return TestResult.PASSED if are_known else None
+    is_adapted = was_adapted if adaptation is None else adaptation.is_done
+    if not is_adapted:
+        return TestResult.FAILED
+    known = (opinions.get(clutch, ClutchOpinion()).fluid for clutch in CLUTCHES)
+    if FluidVerdict.NO_VERDICT not in known:
+        return TestResult.PASSED
+    return None if is_live or adaptation is None else TestResult.PASSED
 
 
 def failed_codes(records: Mapping[int, TroubleRecord], codes: Mapping[int, str]) -> set[str]:
@@ -96,4 +121,4 @@ def read_line(line: bytes) -> tuple[int, ClutchOpinion] | None:
         known = {name: float(friction.get(name, math.nan)) for name in _QUANTITIES}
     except (ValueError, TypeError, KeyError, AttributeError, RecursionError):
         return None
-    return (clutch, ClutchOpinion(fluid=fluid, end_ns=end_ns, **known)) if clutch in _CLUTCHES else None
+    return (clutch, ClutchOpinion(fluid=fluid, end_ns=end_ns, **known)) if clutch in CLUTCHES else None

@@ -17,7 +17,15 @@ from ecu_emulator.diagnostics.codes import (
     Service,
 )
 from ecu_emulator.diagnostics.emissions import after_cycle, after_test, after_warm_up
-from ecu_emulator.diagnostics.memory import TestResult, begin_cycle, empty_memory, note_warm_up, report
+from ecu_emulator.diagnostics.memory import (
+    NOTHING_CAPTURED,
+    TestResult,
+    begin_cycle,
+    empty_memory,
+    needs_capture,
+    note_warm_up,
+    report,
+)
 from ecu_emulator.diagnostics.obd_descriptions import Profile
 from ecu_emulator.diagnostics.services.call import Call, Outcome, Result, is_unlocked, under_control
 from ecu_emulator.diagnostics.services.data import (
@@ -148,8 +156,8 @@ def advance(table: DiagnosticTable, state: ServerState, moment: Moment) -> Reply
         again = replace(waiting, again_s=moment.t_s + AGAIN_RATIO * table.timing.p2_star_s)
         return Reply(payload=_negative(waiting.request, Nrc.RESPONSE_PENDING), state=replace(state, waiting=again))
     state = replace(state, waiting=None, heard_s=moment.t_s)
-    if run.has_failed:
-        return Reply(payload=_negative(waiting.request, Nrc.PROGRAMMING_FAILURE), state=state)
+    if run.failed_nrc:
+        return Reply(payload=_negative(waiting.request, Nrc(run.failed_nrc)), state=state)
     call = Call(table=table, state=state, moment=moment, sensed=sensed, request=waiting.request)
     response = answered(call, table.routines[waiting.routine], run).response
     return Reply(payload=response if isinstance(response, bytes) else None, state=state)
@@ -179,7 +187,9 @@ def tested(table: DiagnosticTable, state: ServerState, number: int, result: Test
     if not state.are_codes_updated:
         return state
     trouble, moment = table.troubles[number], under_control(table, state, moment)
-    memory = report(state.memory, trouble, result, capture(table, trouble, state, moment))
+    is_new = needs_capture(state.memory, trouble, result)
+    captured = capture(table, trouble, state, moment) if is_new else NOTHING_CAPTURED
+    memory = report(state.memory, trouble, result, captured)
     emissions = after_test(
         state.emissions, trouble, state.memory, memory, odometer_m(moment), lambda: frozen_pids(table, state, moment)
     )

@@ -3,6 +3,7 @@
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
+from ecu_emulator.diagnostics.adaptation import Adaptation
 from ecu_emulator.diagnostics.codes import DEFAULT_SESSION
 from ecu_emulator.diagnostics.emissions import Emissions
 from ecu_emulator.diagnostics.memory import TroubleMemory
@@ -44,7 +45,7 @@ class RoutineRun:
     ends_s: float  # at the latest
     is_running: bool = True
     was_stopped: bool = False
-    has_failed: bool = False  # the vehicle could not do it
+    failed_nrc: int = 0  # why the vehicle could not do it; 0: it could, or still may
     options: bytes = b""
     results: bytes = b""
 
@@ -79,10 +80,11 @@ class PeriodicRun:
 class ServerState:
     """One controller between two requests."""
 
-    memory: TroubleMemory  # kept over a restart, as the next three
+    memory: TroubleMemory  # kept over a restart, as the next four
     emissions: Emissions = field(default_factory=Emissions)
     written: Mapping[int, bytes] = field(default_factory=dict)
     wrong_keys: Mapping[int, int] = field(default_factory=dict)  # by security level
+    adaptation: Adaptation | None = None  # None: nothing was ever adapted or cleared
     session: int = DEFAULT_SESSION
     holder: int = 0  # the client who entered it, if it is not the default session
     heard_s: float = 0.0  # when S3 began

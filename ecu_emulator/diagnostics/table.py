@@ -139,6 +139,18 @@ class Limits:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class ClutchLimits:
+    """What the controller's own monitors and its adaptation allow of a clutch; all [C]."""
+
+    most_temperature_k: float = 423.15  # 150 degC, of the pack as the controller computes it
+    most_touch_change_pa: float = 0.25e5  # of an adapted touch point from that of the type: five standard deviations
+
+    def __post_init__(self) -> None:
+        _check(273.15 <= self.most_temperature_k <= 1273.15, "clutches.most_temperature_k must be 273.15..1273.15 K")
+        _check(0.0 < self.most_touch_change_pa <= 0.3e5, "clutches.most_touch_change_pa must be above 0, at most 0.3e5")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class DiagnosticTable:
     """Everything a controller can be asked, by number."""
 
@@ -159,6 +171,7 @@ class DiagnosticTable:
     obd: Obd | None = None
     doip: DoipEntity = field(default_factory=DoipEntity)
     periodic: Periodic | None = None
+    clutches: ClutchLimits = field(default_factory=ClutchLimits)
 
     def __post_init__(self) -> None:
         self._check_periodic()
@@ -175,6 +188,8 @@ class DiagnosticTable:
             _check_known(access.sessions, self.sessions, f"{where}: session")
             _check_known(access.levels, self.levels, f"{where}: security level")
             _check_known(access.conditions, self.conditions, f"{where}: condition")
+        for routine in self.routines.values():
+            _check_known(routine.held_conditions, self.conditions, f"routine {routine.name}: condition")
         for level in self.levels.values():
             _check_known(level.sessions, self.sessions, f"security level {level.name}: session")
         if self.obd is not None:

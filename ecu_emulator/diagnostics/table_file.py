@@ -23,7 +23,16 @@ from ecu_emulator.diagnostics.descriptions import (
     Trouble,
 )
 from ecu_emulator.diagnostics.obd_descriptions import MonitorTest, Obd, Pid, Profile, VehicleInfo
-from ecu_emulator.diagnostics.table import Addressing, DiagnosticTable, DoipEntity, Limits, Periodic, Timing, Transport
+from ecu_emulator.diagnostics.table import (
+    Addressing,
+    ClutchLimits,
+    DiagnosticTable,
+    DoipEntity,
+    Limits,
+    Periodic,
+    Timing,
+    Transport,
+)
 from ecu_emulator.errors import ConfigError
 
 RecordT = TypeVar("RecordT")
@@ -42,7 +51,7 @@ _LISTS: Final = (
     "vehicle_info",
     "monitor",
 )
-_OPTIONAL: Final = ("doip", "obd", "obd_clear_conditions", "periodic")
+_OPTIONAL: Final = ("clutches", "doip", "obd", "obd_clear_conditions", "periodic")
 _TABLES: Final = ("name", "snapshot", "addressing", "transport", "timing", "limits", "access")
 
 
@@ -116,6 +125,7 @@ def _table(document: Mapping[str, Any]) -> DiagnosticTable:
         obd=_obd(document),
         doip=_record(DoipEntity, document.get("doip", {}), "doip", {}),
         periodic=_record(Periodic, document["periodic"], "periodic", {}) if "periodic" in document else None,
+        clutches=_record(ClutchLimits, document.get("clutches", {}), "clutches", {}),
     )
 
 

@@ -61,3 +61,4 @@ class Car:
     truth: Calibration = field(default_factory=nominal_calibration)
     parameters: PlantParameters = field(default_factory=nominal_parameters)
     driving: DrivingParameters = field(default_factory=nominal_driving)
+    touch_pressures_pa: tuple[float, float] | None = None  # that the control believes in; None: the true ones

@@ -39,6 +39,9 @@ class Departure:
 class MovingCar(Protocol):
     """A car on one trip; its rows count time and way from the beginning of the trip."""
 
+    def believe(self, touch_pressures_pa: tuple[float, float]) -> None:
+        """Let the control take these for its clutches' touch points."""
+
     @property
     def finished(self) -> bool:
         """Whether the trip is over."""
@@ -92,6 +95,11 @@ class Journey:
     def finished(self) -> bool:
         """Whether the last trip is over."""
         return self.is_parked and self._next_trip is None
+
+    def believe(self, touch_pressures_pa: tuple[float, float]) -> None:
+        """Let the control of a car that drives take these for its clutches' touch points."""
+        if self._car is not None:
+            self._car.believe(touch_pressures_pa)
 
     def advance(self, duration_s: float) -> FloatArray:
         """Drive on and return the next rows, shape (n, len(Col)); fewer than asked for where a trip ends.

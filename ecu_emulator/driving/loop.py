@@ -15,17 +15,12 @@ from ecu_emulator.driving.engine_control import control_engine
 from ecu_emulator.driving.laws import DrivingLaw
 from ecu_emulator.driving.states import EngineState
 from ecu_emulator.plant import state as at
-from ecu_emulator.plant.audit import BRAKES, stored_energy_j
 from ecu_emulator.plant.columns import Col
 from ecu_emulator.plant.driveline import ENGAGED
 from ecu_emulator.plant.integration import advance_millisecond, settle
-from ecu_emulator.plant.loop import Machine, obey, record_bodies, record_clutches, sense_plant
-from ecu_emulator.plant.vehicle import GRAVITY_M_S2
+from ecu_emulator.plant.loop import Machine, hold_car, obey, record_bodies, record_clutches, sense_plant
 
 FloatArray = npt.NDArray[np.float64]
-
-_HOLDING_M_S2 = 0.05  # brakes that are pressed less hold nothing
-_HELD_MARGIN = 1.05
 
 
 class Road(NamedTuple):
@@ -78,26 +73,6 @@ def obey_drive(machine: Machine, law: DrivingLaw) -> None:
 
 
 @array_kernel
-def hold_car(machine: Machine, law: DrivingLaw) -> None:
-    """Let the brakes hold the car and its wheels at rest, or let go when they can no longer."""
-    y, modes, vehicle = machine.y, machine.modes, law.drive.plant.vehicle
-    brake_m_s2 = machine.u[at.BRAKE]
-    weight_n = vehicle.mass_kg * GRAVITY_M_S2 * machine.u[at.GRADE]
-    pull_n = machine.work.slope1[at.T_OS] / vehicle.wheel_radius_m - weight_n
-    can_hold = brake_m_s2 > _HOLDING_M_S2 and abs(pull_n) * _HELD_MARGIN < vehicle.mass_kg * brake_m_s2
-    if modes[at.HELD] != 0:
-        modes[at.HELD] = 1 if can_hold else 0
-        return
-    rim_m_s = vehicle.wheel_radius_m * y[at.W_W]
-    if can_hold and max(abs(y[at.V]), abs(rim_m_s)) < law.driving.surroundings.hold_m_s:
-        before_j = stored_energy_j(y, law.drive.plant)
-        y[at.V] = y[at.W_W] = 0.0
-        modes[at.HELD] = 1
-        if machine.work.account.size != 0:
-            machine.work.account[BRAKES] += before_j - stored_energy_j(y, law.drive.plant)
-
-
-@array_kernel
 def record_drive(machine: Machine, road: Road, row: FloatArray) -> None:
     """Write what driver and controllers show of themselves."""
     memory, modes, u = machine.memory, machine.modes, machine.u
@@ -133,7 +108,7 @@ def run(machine: Machine, road: Road, law: DrivingLaw, rows: FloatArray) -> int:
         control_engine(machine.memory, machine.sense, machine.commands, law)
         warm(machine, law)
         obey_drive(machine, law)
-        hold_car(machine, law)
+        hold_car(machine, plant, law.driving.surroundings.hold_m_s)
         settle(machine.y, machine.u, machine.modes, machine.work.slope1, plant)
         record_bodies(machine, plant, rows[index])
         record_clutches(machine, plant, rows[index])

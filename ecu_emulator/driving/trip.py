@@ -20,7 +20,7 @@ from ecu_emulator.plant.drive import DriveSettings
 from ecu_emulator.plant.driveline import ENGAGED
 from ecu_emulator.plant.engine import throttle_flow_kg_s
 from ecu_emulator.plant.loop import COLUMN_COUNT, Machine
-from ecu_emulator.plant.powertrain import drive_law
+from ecu_emulator.plant.powertrain import believe, drive_law
 from ecu_emulator.plant.records import as_record
 from ecu_emulator.plant.stability import check_step
 
@@ -72,6 +72,8 @@ class Trip(Course):
         law = driving_law(car, conditions)
         check_step(conditions.dt_s, law.drive.plant, law.drive.overall_ratios, starts_in_neutral=True)
         self._law = as_record(law)
+        if car.touch_pressures_pa is not None:
+            believe(self._law.drive.actuation, car.touch_pressures_pa)
         self._road = _road(trace, conditions, rng)
         super().__init__(_initial_machine(self._law, conditions, is_audited=is_audited), self._law.drive.plant)
 
@@ -79,6 +81,10 @@ class Trip(Course):
     def finished(self) -> bool:
         """Whether the end of the trace is reached."""
         return bool(self._machine.clock[0] >= self._road.end[0])
+
+    def believe(self, touch_pressures_pa: tuple[float, float]) -> None:
+        """Let the control take these for its clutches' touch points from the next row on."""
+        believe(self._law.drive.actuation, touch_pressures_pa)
 
     def advance(self, duration_s: float) -> FloatArray:
         """Drive on and return the next rows, shape (n, len(Col)); fewer at the end of the trace, none after it."""

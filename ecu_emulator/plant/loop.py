@@ -7,8 +7,9 @@ import numpy.typing as npt
 
 from canlog.jit import array_kernel
 from clutch_model.viscosity import viscosity_pa_s
-from ecu_emulator import tcu, tcu_data, workshop
+from ecu_emulator import pressure_steps, tcu, tcu_data, workshop
 from ecu_emulator.plant import state as at
+from ecu_emulator.plant.audit import BRAKES, stored_energy_j
 from ecu_emulator.plant.columns import Col
 from ecu_emulator.plant.driveline import ENGAGED, NEUTRAL, SYNCHRONISING
 from ecu_emulator.plant.engine import engine_losses_nm, mean_indicated_torque_nm
@@ -16,12 +17,16 @@ from ecu_emulator.plant.hydraulics import cavity_pressure_pa
 from ecu_emulator.plant.integration import Workspace, advance_millisecond, settle
 from ecu_emulator.plant.lining import friction_ratio
 from ecu_emulator.plant.rates import PlantLaw
+from ecu_emulator.plant.vehicle import GRAVITY_M_S2
 from ecu_emulator.tcu_data import ClutchActuation, ControlParameters, WorkshopParameters
 
 FloatArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.int64]
 
 COLUMN_COUNT = len(Col)
+WORKSHOP_HOLD_M_S = 0.03  # below which the brakes hold the car, as on the road
+_HOLDING_M_S2 = 0.05  # brakes that are pressed less hold nothing
+_HELD_MARGIN = 1.05
 
 
 class Machine(NamedTuple):
@@ -167,9 +172,32 @@ def record_control(machine: Machine, row: FloatArray) -> None:
 
 
 @array_kernel
+def hold_car(machine: Machine, law: PlantLaw, hold_m_s: float) -> None:
+    """Let the brakes hold the car and its wheels at rest, or let go when they can no longer."""
+    y, modes, vehicle = machine.y, machine.modes, law.vehicle
+    brake_m_s2 = machine.u[at.BRAKE]
+    weight_n = vehicle.mass_kg * GRAVITY_M_S2 * machine.u[at.GRADE]
+    pull_n = machine.work.slope1[at.T_OS] / vehicle.wheel_radius_m - weight_n
+    can_hold = brake_m_s2 > _HOLDING_M_S2 and abs(pull_n) * _HELD_MARGIN < vehicle.mass_kg * brake_m_s2
+    if modes[at.HELD] != 0:
+        modes[at.HELD] = 1 if can_hold else 0
+        return
+    rim_m_s = vehicle.wheel_radius_m * y[at.W_W]
+    if can_hold and max(abs(y[at.V]), abs(rim_m_s)) < hold_m_s:
+        before_j = stored_energy_j(y, law)
+        y[at.V] = y[at.W_W] = 0.0
+        modes[at.HELD] = 1
+        if machine.work.account.size != 0:
+            machine.work.account[BRAKES] += before_j - stored_energy_j(y, law)
+
+
+@array_kernel
 def act(machine: Machine, law: DriveLaw) -> None:
     """Let the control take its step: the workshop routine first, if one was asked for, then the cycles."""
     memory, sense, commands = machine.memory, machine.sense, machine.commands
+    if memory[tcu_data.ROUTINE] >= tcu_data.STEPS_ENGAGING:
+        pressure_steps.perform(memory, sense, commands, law.control)
+        return
     if memory[tcu_data.ROUTINE] != tcu_data.NO_ROUTINE:
         workshop.perform(memory, sense, commands, law.actuation, law.control, law.workshop)
         return
@@ -185,6 +213,10 @@ def run(machine: Machine, law: DriveLaw, rows: FloatArray) -> int:
         if machine.memory[tcu_data.IS_FINISHED] != 0.0:
             return index
         obey(machine, law)
+        if machine.memory[tcu_data.ROUTINE] >= tcu_data.STEPS_ENGAGING:
+            hold_car(machine, law.plant, WORKSHOP_HOLD_M_S)
+        else:
+            machine.modes[at.HELD] = 0
         settle(machine.y, machine.u, machine.modes, machine.work.slope1, law.plant)
         record_bodies(machine, law.plant, rows[index])
         record_clutches(machine, law.plant, rows[index])

@@ -7,7 +7,7 @@ from clutch_model.calibration import Calibration
 from clutch_model.clutch import ClutchCalibration
 from clutch_model.film import applied_pressure_pa, equilibrium_film_m, film_law
 from clutch_model.friction import contact_torque_nm, friction_law
-from ecu_emulator import tcu_data
+from ecu_emulator import tcu_data, workshop
 from ecu_emulator.plant import state as at
 from ecu_emulator.plant.clutch import ClutchLaw, OpenDragLaw, refresh_contact
 from ecu_emulator.plant.course import ROWS_PER_S, Course, blank_machine
@@ -22,6 +22,7 @@ from ecu_emulator.plant.rates import ClutchPair, FluidLaw, PlantLaw, ShaftPair
 from ecu_emulator.plant.records import as_record
 from ecu_emulator.plant.stability import check_step
 from ecu_emulator.tcu_data import ClutchActuation, ControlParameters
+from ecu_emulator.touch_points import PressureSteps
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -45,16 +46,26 @@ class Powertrain(Course):
         The vehicle around them.
     drive : DriveSettings
         Cycles, driver, temperatures, step.
+    touch_pressures_pa : tuple of two, or None
+        Touch points that the control believes in; None: those of the clutches.
     is_audited : bool
         Keep an energy account (a few percent slower); see `power_balance`.
     """
 
     def __init__(
-        self, truth: Calibration, parameters: PlantParameters, drive: DriveSettings, *, is_audited: bool = False
+        self,
+        truth: Calibration,
+        parameters: PlantParameters,
+        drive: DriveSettings,
+        *,
+        touch_pressures_pa: tuple[float, float] | None = None,
+        is_audited: bool = False,
     ) -> None:
         law = drive_law(truth, parameters, drive)
         check_step(drive.dt_s, law.plant, law.overall_ratios, starts_in_neutral=drive.has_routine)
         self._law = as_record(law)
+        if touch_pressures_pa is not None:
+            believe(self._law.actuation, touch_pressures_pa)
         machine = _initial_machine(self._law, drive, parameters.control, is_audited=is_audited)
         super().__init__(machine, self._law.plant)
 
@@ -76,6 +87,26 @@ class Powertrain(Course):
         memory[tcu_data.OPEN_REV_COUNT] = open_revs
         memory[tcu_data.CLOSED_REV_COUNT] = closed_revs
         memory[tcu_data.ROUTINE] = tcu_data.OPEN_REVS
+
+    def begin_steps(self, steps: PressureSteps) -> None:
+        """Begin pressure steps with the next row, if the car waits."""
+        if not self.is_waiting:
+            return
+        memory = self._machine.memory
+        memory[tcu_data.STEP_CLUTCH] = steps.clutch - 1
+        memory[tcu_data.STEP_TOP] = steps.top_pa
+        memory[tcu_data.STEP_DOWN] = steps.down_pa
+        memory[tcu_data.STEP_COUNT] = steps.count
+        workshop.enter_stage(memory, tcu_data.STEPS_ENGAGING)
+
+    def stop_steps(self) -> None:
+        """Break pressure steps off: the car empties its clutches and waits."""
+        if self._machine.memory[tcu_data.ROUTINE] >= tcu_data.STEPS_ENGAGING:
+            workshop.enter_stage(self._machine.memory, tcu_data.STEPS_RELEASING)
+
+    def believe(self, touch_pressures_pa: tuple[float, float]) -> None:
+        """Let the control take these for its clutches' touch points from the next row on."""
+        believe(self._law.actuation, touch_pressures_pa)
 
     def advance(self, duration_s: float) -> FloatArray:
         """Drive on and return the next rows, shape (n, len(Col)).
@@ -136,6 +167,11 @@ def _actuation(plant: PlantLaw, friction_coefficient: float) -> ClutchActuation:
         pressure_per_torque_pa_nm=(slope(first), slope(second)),
         inertia_kg_m2=plant.engine_inertia_kg_m2 + plant.hub_inertia_kg_m2,
     )
+
+
+def believe(actuation: ClutchActuation, touch_pressures_pa: tuple[float, float]) -> None:
+    """Change, in a record that kernels take, which touch points the control believes in."""
+    np.asarray(actuation.touch_pressure_pa)[:] = touch_pressures_pa
 
 
 def overall_ratios(gearbox: GearboxParameters) -> tuple[float, ...]:

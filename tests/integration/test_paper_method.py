@@ -25,8 +25,8 @@ from diag_service.diagnosis.friction.paper.fit import NOISY_GATES
 from diag_service.diagnosis.friction.paper.vehicle_route import GRID_STRIDE, paper_signals
 from diag_service.diagnosis.quality.usability import usable_signals
 from diag_service.diagnosis.records import Reason
+from ecu_emulator.drive_setup import drive_settings
 from ecu_emulator.plant import Col
-from ecu_emulator.recording import drive_settings
 from tests.integration.test_estimation import shifts
 from tests.support.builders import drive_scenario
 from tests.support.cycles import drive_rows

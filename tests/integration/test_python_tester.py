@@ -66,8 +66,8 @@ def test_answers_are_those_of_the_commands(bus: can.BusABC, capfd: pytest.Captur
         data = tester.data(0xF190, *asked[1:])
         (in_session,) = tester.data("F200", session=0x03)
         with pytest.raises(diag_service.RefusedError, match="security access denied") as refused:
-            tester.routine(0x0302, "start")
-        started = tester.routine("0302", "start", unlock=(1, bytes.fromhex(MASK)))
+            tester.routine(0x0305, "start")
+        started = tester.routine("0305", "start", unlock=(1, bytes.fromhex(MASK)))
         assert (tester.controller, tester.description) == ("7E1 (answers 7E9)", "TCU")
         assert (tester.counts.refusals, tester.counts.silent) == (2, 0)
     assert tester.traffic is not None
@@ -76,7 +76,7 @@ def test_answers_are_those_of_the_commands(bus: can.BusABC, capfd: pytest.Captur
     assert capfd.readouterr() == ("", "")
     assert [trouble_record(code) for code in codes] == told("dtc", *BUS)["codes"]
     assert [data_record(one) for one in data] == told("did", *asked, *BUS)["data"]
-    assert routine_record(started) == told("routine", "0302", "start", "--unlock", f"1={MASK}", *BUS)["routine"]
+    assert routine_record(started) == told("routine", "0305", "start", "--unlock", f"1={MASK}", *BUS)["routine"]
 
 
 def test_all_brief_and_masked_codes(bus: can.BusABC, controller: Controller) -> None:

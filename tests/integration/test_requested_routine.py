@@ -140,10 +140,14 @@ def in_workshop(fluid: str = "case2") -> Scenario:
 
 @pytest.fixture(name="table")
 def _table(tmp_path: Path) -> Path:
+    return hasty_table(tmp_path)
+
+
+def hasty_table(folder: Path) -> Path:
     """Return the shipped table, without the seconds for which the engine must have run: of real time."""
     text = files("ecu_emulator").joinpath("diagnostics/tcu.toml").read_text(encoding="utf-8")
     before, after = text.split("minimum = 5.0\nnrc = 0x85", 1)
-    path = tmp_path / "table.toml"
+    path = folder / "table.toml"
     path.write_text(f"{before}minimum = 0.0\nnrc = 0x85{after}", encoding="utf-8")
     return path
 

@@ -207,10 +207,10 @@ def test_a_foreign_controller_shows_its_bytes(car: Vehicle, tmp_path: Path) -> N
 
 def test_a_routine_is_started_and_asked(car: Vehicle) -> None:
     unlock = ("--unlock", f"1={MASK}")
-    refused = ended("routine", "0302", "start", *BUS, "--active")
-    refused.assert_one_line(3, "refuses 31 01 03 02: security access denied (33)")
-    started = told("routine", "0302", "start", *BUS, "--active", *unlock)["routine"]
-    assert (started["number"], started["bytes"]) == ("0302", "01")
+    refused = ended("routine", "0305", "start", *BUS, "--active")
+    refused.assert_one_line(3, "refuses 31 01 03 05: security access denied (33)")
+    started = told("routine", "0305", "start", *BUS, "--active", *unlock)["routine"]
+    assert (started["number"], started["bytes"]) == ("0305", "01")
     wrong = ended("routine", "0301", "start", "--options", "00 01", *BUS, "--active", *unlock)
     wrong.assert_one_line(3, "request out of range (31)")
 

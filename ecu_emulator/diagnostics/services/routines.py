@@ -86,12 +86,12 @@ def finished(state: ServerState, table: DiagnosticTable, number: int, moment: Mo
     return _with(state, number, replace(run, is_running=False, results=results))
 
 
-def failed(state: ServerState, number: int) -> ServerState:
-    """Return the state after the vehicle could not do what a routine asked for."""
+def failed(state: ServerState, number: int, nrc: int = Nrc.PROGRAMMING_FAILURE) -> ServerState:
+    """Return the state after the vehicle could not do what a routine asked for, and why."""
     run = state.routines.get(number)
     if run is None or not run.is_running:
         return state
-    return _with(state, number, replace(run, is_running=False, was_stopped=True, has_failed=True))
+    return _with(state, number, replace(run, is_running=False, was_stopped=True, failed_nrc=nrc))
 
 
 def timed_out(state: ServerState, table: DiagnosticTable, moment: Moment) -> ServerState:

@@ -104,6 +104,7 @@ def started(state: ServerState, table: DiagnosticTable, t_s: float, *, is_new_cy
         emissions=after_cycle(state.emissions, state.memory, memory) if is_new_cycle else state.emissions,
         written=state.written,
         wrong_keys=state.wrong_keys,
+        adaptation=state.adaptation,
         locked_until_s=until_s,
         heard_s=t_s,
     )

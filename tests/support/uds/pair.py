@@ -15,12 +15,12 @@ from tests.support.uds.server_by_the_book import ServerByTheBook, table
 PARKED = {
     "vehicle_speed_m_s": 0.0, "engine_speed_rad_s": 85.0, "sump_temperature_k": 353.0, "pedal_ratio": 0.0,
     "current_gear": 0.0, "brake_pressure_pa": 1e6, "engine_run_time_s": 60.0, "revs_possible": 1.0,
-    "clearing_possible": 1.0,
+    "clearing_possible": 1.0, "adaptation_possible": 1.0,
 }  # fmt: skip
 SPOILED = {
     "vehicle_speed_m_s": 9.0, "engine_speed_rad_s": 0.0, "sump_temperature_k": 290.0, "pedal_ratio": 0.2,
     "current_gear": 2.0, "brake_pressure_pa": 0.0, "engine_run_time_s": 0.0, "revs_possible": 0.0,
-    "clearing_possible": 0.0,
+    "clearing_possible": 0.0, "adaptation_possible": 0.0,
 }  # fmt: skip
 MORE = {
     "time_s": 12.34, "odometer_m": 45_678_901.0, "target_gear": 3.0, "engine_torque_nm": -12.3, "shift_count": 77.0,

@@ -13,7 +13,7 @@ SEED = bytes(range(1, 17))
 PARKED: dict[str, Value] = {
     "vehicle_speed_m_s": 0.0, "engine_speed_rad_s": 85.0, "sump_temperature_k": 353.15, "pedal_ratio": 0.0,
     "current_gear": 0.0, "brake_pressure_pa": 1e6, "engine_run_time_s": 60.0, "revs_possible": 1.0,
-    "clearing_possible": 1.0,
+    "clearing_possible": 1.0, "adaptation_possible": 1.0,
 }  # fmt: skip
 
 

@@ -5,7 +5,7 @@ import struct
 import pytest
 
 from ecu_emulator.diagnostics.memory import TestResult
-from tests.unit.ecu_emulator.diagnostics.bench import Bench
+from tests.unit.ecu_emulator.diagnostics.bench import PARKED, Bench
 
 
 @pytest.fixture
@@ -150,12 +150,12 @@ def test_the_default_session_ends_what_belonged_to_the_other(bench: Bench) -> No
     bench.ask("28 03 03")
     bench.ask("85 02")
     bench.ask("2f 02 06 03 70")
-    bench.ask("31 01 03 02")
+    bench.ask("31 01 03 05")
     bench.wait(5.0)
     state = bench.state
     assert (state.session, state.unlocked, state.are_codes_updated, dict(state.controlled)) == (1, 0, True, {})
     assert state.communication.sends_normal
-    assert not state.routines[0x0302].is_running
+    assert not state.routines[0x0305].is_running
 
 
 def test_another_session_locks_and_keeps_the_rest(bench: Bench) -> None:
@@ -286,12 +286,12 @@ def test_a_client_makes_data_of_its_own(bench: Bench) -> None:
 
 def test_a_routine_is_started_asked_and_stopped(bench: Bench) -> None:
     bench.unlock()
-    assert bench.ask("31 03 03 02") == "7f 31 24"
-    assert bench.ask("31 01 03 02") == "71 01 03 02 01"
-    assert bench.ask("31 01 03 02") == "7f 31 24"
-    assert bench.ask("31 03 03 02") == "71 03 03 02 01"
-    assert bench.ask("31 02 03 02") == "71 02 03 02 02"
-    assert bench.ask("31 02 03 02") == "7f 31 24"
+    assert bench.ask("31 03 03 05") == "7f 31 24"
+    assert bench.ask("31 01 03 05") == "71 01 03 05 01"
+    assert bench.ask("31 01 03 05") == "7f 31 24"
+    assert bench.ask("31 03 03 05") == "71 03 03 05 01"
+    assert bench.ask("31 02 03 05") == "71 02 03 05 02"
+    assert bench.ask("31 02 03 05") == "7f 31 24"
     assert bench.ask("31 01 03 04") == "71 01 03 04 01"
     assert bench.ask("31 02 03 04") == "7f 31 12"
     bench.wait(0.5)
@@ -318,6 +318,32 @@ def test_the_routine_of_the_workshop_says_what_is_missing(bench: Bench, name: st
     bench.unlock()
     bench.values[name] = value
     assert bench.ask("31 01 03 01 04 04") == f"7f 31 {nrc}"
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "nrc"),
+    [
+        ("engine_speed_rad_s", 0.0, "84"),
+        ("engine_speed_rad_s", 50.0, "82"),
+        ("engine_speed_rad_s", 200.0, "81"),
+        ("sump_temperature_k", 313.15, "87"),
+        ("sump_temperature_k", 390.0, "86"),
+        ("vehicle_speed_m_s", 5.0, "88"),
+        ("pedal_ratio", 0.1, "8a"),
+        ("current_gear", 1.0, "8c"),
+        ("engine_run_time_s", 1.0, "85"),
+        ("brake_pressure_pa", 0.0, "8f"),
+        ("adaptation_possible", 0.0, "22"),
+    ],
+)
+def test_the_adaptation_of_the_clutches_says_what_is_missing(bench: Bench, name: str, value: float, nrc: str) -> None:
+    bench.ask("10 03")
+    assert bench.ask("31 01 03 02") == "7f 31 33"
+    bench.unlock()
+    bench.values[name] = value
+    assert bench.ask("31 01 03 02") == f"7f 31 {nrc}"
+    bench.values |= PARKED
+    assert bench.ask("31 01 03 02") == "7f 31 78"
 
 
 def test_a_routine_that_is_awaited_is_answered_when_it_has_ended(bench: Bench) -> None:

@@ -39,6 +39,9 @@ class Rolling:
     def finished(self) -> bool:
         return not len(self._rows)
 
+    def believe(self, touch_pressures_pa: tuple[float, float]) -> None:
+        """Let the control take these for its clutches' touch points."""
+
     def advance(self, duration_s: float) -> FloatArray:
         count = round(duration_s * 1000)
         rows, self._rows = self._rows[:count], self._rows[count:]

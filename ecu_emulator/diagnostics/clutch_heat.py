@@ -1,0 +1,85 @@
+"""How warm the clutches are, as a controller computes it that has no sensor there: slip power in, cooling by oil out.
+
+The torque comes from the measured pressure above the touch point and the friction that shift control assumes.
+docs/model.md, eq. (T1), with the numbers of the type.
+"""
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cache
+from typing import Final
+
+from clutch_model.calibration import nominal_calibration
+from clutch_model.film import film_law
+from clutch_model.friction import contact_torque_nm
+from ecu_emulator.diagnostics.adaptation import CLUTCHES
+
+ASSUMED_FRICTION: Final = 0.13  # docs/model.md (S1)
+LEAST_SLIP_RAD_S: Final = 1.5  # below it a clutch may be locked, and carries less than it could
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Pack:
+    """One clutch of the type."""
+
+    touch_pressure_pa: float
+    torque_per_pressure_nm_pa: float
+    heat_capacity_j_k: float
+    convection_w_k: float
+
+
+@cache
+def _packs() -> tuple[_Pack, ...]:
+    packs = []
+    for clutch in nominal_calibration().clutches:
+        film = film_law(clutch)
+        lining_nm_pa = float(contact_torque_nm(1.0, ASSUMED_FRICTION, 1.0, film.contact_factor_m3))
+        packs.append(
+            _Pack(
+                touch_pressure_pa=clutch.touch_pressure_pa,
+                torque_per_pressure_nm_pa=lining_nm_pa * film.piston_area_m2 / film.lining_area_m2,
+                heat_capacity_j_k=clutch.thermal.heat_capacity_j_k,
+                convection_w_k=clutch.thermal.convection_w_k,
+            )
+        )
+    return tuple(packs)
+
+
+def heated_k(
+    before_k: tuple[float, float] | None, known: Mapping[str, float], duration_s: float
+) -> tuple[float, float] | None:
+    """Return the temperatures of both clutches [K], None while the oil's is not known.
+
+    Parameters
+    ----------
+    before_k
+        So warm they were; None: as warm as the oil.
+    known
+        What the controller senses now, in SI.
+    duration_s
+        Since ``before_k`` [s], any: the balance is solved exactly for constant power.
+    """
+    oil_k = known.get("sump_temperature_k")
+    if oil_k is None:
+        return before_k
+    first, second = (
+        _after_k(was_k, oil_k, slip_power_w(known, clutch), duration_s, pack)
+        for clutch, was_k, pack in zip(CLUTCHES, before_k or (oil_k, oil_k), _packs(), strict=True)
+    )
+    return first, second
+
+
+def slip_power_w(known: Mapping[str, float], clutch: int) -> float:
+    """Return what a slipping clutch turns into heat [W]; a sensor that says nothing makes no heat."""
+    slip_rad_s, pressure_pa = known.get(f"clutch{clutch}_slip_rad_s"), known.get(f"clutch{clutch}_pressure_pa")
+    if slip_rad_s is None or pressure_pa is None or abs(slip_rad_s) < LEAST_SLIP_RAD_S:
+        return 0.0
+    pack = _packs()[clutch - 1]
+    touch_pa = known.get(f"clutch{clutch}_touch_pressure_pa", pack.touch_pressure_pa)
+    return abs(slip_rad_s) * max(pressure_pa - touch_pa, 0.0) * pack.torque_per_pressure_nm_pa
+
+
+def _after_k(before_k: float, oil_k: float, power_w: float, duration_s: float, pack: _Pack) -> float:
+    end_k = oil_k + power_w / pack.convection_w_k
+    return end_k + (before_k - end_k) * math.exp(-duration_s * pack.convection_w_k / pack.heat_capacity_j_k)

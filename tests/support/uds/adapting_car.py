@@ -1,0 +1,122 @@
+"""A car in a workshop whose clutches a tester has adapted: faster than time, but all parts of it are the real ones."""
+
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+from dbc.contract import load_contract
+from ecu_emulator.build import build_vehicle
+from ecu_emulator.diagnostics.codes import Status
+from ecu_emulator.diagnostics.controller import Controller
+from ecu_emulator.diagnostics.memory_file import MemoryFile
+from ecu_emulator.diagnostics.table_file import shipped_table
+from ecu_emulator.monitoring import Monitoring
+from ecu_emulator.on_board import FixedOpinion
+from ecu_emulator.recording import SHORT_STRETCH_S, Drive
+from ecu_emulator.requested_adaptation import RequestedAdaptation
+from ecu_emulator.requested_clearing import RequestedClearing
+from ecu_emulator.scenario import Routine, Scenario, Truth
+from ecu_emulator.scenario_file import load_scenario
+from ecu_emulator.sent_values import Moment, SentValues
+from tests.support.patience import HANG_S
+
+ADAPT = "31 01 03 02"
+CLEAR = "31 01 03 03"
+SEED = 3  # one clutch of it is as the type has it, the other begins 0.018 bar below
+_MASK = 0x5AA5C33C
+_READY_S = 5.5  # an engine that has run long enough
+_MOST_S = 200.0
+
+
+def in_workshop(*, adapted: bool = False, **truth: float) -> Scenario:
+    """Return a drawn vehicle in a workshop, with springs of its own (force [N] by clutch) if they are named."""
+    overrides = {f"{clutch}.piston.spring_preload_n": force_n for clutch, force_n in truth.items()}
+    scenario = replace(load_scenario("ideal"), routine=Routine(on_request=True), adapted=adapted)
+    return replace(scenario, seed=SEED, truth=Truth(calibration=overrides))
+
+
+class AdaptingCar:
+    """The car and its controller, from the start of an operation cycle on."""
+
+    def __init__(self, scenario: Scenario, memory: MemoryFile | None = None) -> None:
+        database = load_contract()
+        self.drive = Drive(scenario)
+        self.truth = build_vehicle(scenario).calibration
+        self._sent = SentValues(database)
+        self._pressures = database.get_message_by_name("TCU_Pressures").frame_id
+        self.t_s = 0.0
+        self.controller = Controller(
+            shipped_table(), values=self._values, clock=lambda: self.t_s, chance=bytes, store=memory
+        )
+        self.monitoring = Monitoring(self.controller, was_adapted=scenario.adapted, is_live=False)
+        self.adaptation = RequestedAdaptation(self.drive, self.controller)
+        self.clearing = RequestedClearing(FixedOpinion(None), self.controller, self.monitoring, self.adaptation)
+        self._stretches = self.drive.stretches(SHORT_STRETCH_S)
+        while self.t_s < _READY_S:
+            self.go_on()
+
+    @property
+    def touch_pa(self) -> tuple[float, float]:
+        """The true touch points."""
+        first, second = self.truth.clutches
+        return first.touch_pressure_pa, second.touch_pressure_pa
+
+    def _values(self) -> Moment:
+        more = {
+            "engine_run_time_s": self.t_s,
+            "adaptation_possible": float(self.adaptation.is_possible),
+            "clearing_possible": float(self.clearing.is_possible),
+            **self.adaptation.values,
+            **self.monitoring.temperatures,
+        }
+        return self._sent.now(more)
+
+    def go_on(self) -> None:
+        """Let a quarter of a second go by."""
+        stretch = next(self._stretches)
+        frames = stretch.frames
+        for t_s, can_id, data in zip(frames.t_s.tolist(), frames.can_id.tolist(), frames.data, strict=True):
+            self._sent.note(can_id, data.tobytes())
+            if can_id == self._pressures and self.adaptation.is_listening:
+                self.adaptation.hear(t_s, self._sent.now({}))
+        self.t_s = stretch.end_s
+        self.monitoring.look(self._values(), self.t_s)
+        self.monitoring.judge_clutches({})
+        self.adaptation.step(self._values())
+        self.clearing.step()
+
+    def ask(self, request: str) -> str:
+        """Return the response, empty if there is none."""
+        return (self.controller.ask(bytes.fromhex(request)) or b"").hex(" ")
+
+    def unlock(self) -> None:
+        self.ask("10 03")
+        seed = bytes.fromhex(self.ask("27 01"))[2:]
+        self.ask(f"27 02 {int.from_bytes(seed, 'big') ^ _MASK:08x}")
+
+    def perform(self, request: str, meanwhile: Callable[[], None] = lambda: None) -> str:
+        """Start a routine and return its last word."""
+        self.unlock()
+        assert self.ask(request) == "7f 31 78"
+        until_s = self.t_s + _MOST_S
+        while self.t_s < until_s:
+            meanwhile()
+            self.go_on()
+            if self.clearing._work is not None:
+                self.clearing._work.result(HANG_S)
+            response = self.controller.tick()
+            if response is not None and response[-1:] != b"\x78":
+                return response.hex(" ")
+        raise AssertionError(f"{request}: no last word")
+
+    def status(self, code: str) -> Status:
+        numbers = {trouble.code: number for number, trouble in self.controller.table.troubles.items()}
+        return self.controller.state.memory.records[numbers[code]].status
+
+    def close(self) -> None:
+        self.clearing.close()
+
+
+def memory_in(folder: Path) -> MemoryFile:
+    """Return the file of a controller's memory."""
+    return MemoryFile(folder / "tcu.json", shipped_table())
