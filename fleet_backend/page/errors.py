@@ -24,3 +24,10 @@ class NotFoundError(PageError):
 
     status = 404
     title = "There is no such page"
+
+
+class BusyError(PageError):
+    """There are too many readers at once: come back later."""
+
+    status = 503
+    title = "Too many readers"

@@ -48,7 +48,7 @@ def show(answer: FleetAnswer, ask: Ask, sources: Sources) -> Shown:
         ),
         choices=_choices(ask, sources),
         next=next_of("/", ask, answer.next),
-        follows_vehicle="",
+        follows="",
     )
 
 

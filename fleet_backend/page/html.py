@@ -17,13 +17,15 @@ NAVIGATION: Final = (
 )
 
 
-def html_of(view: View, shown: Shown, *, api_href: str, complaint: str | None) -> str:
+def html_of(view: View, shown: Shown, *, api_href: str, number: int, complaint: str | None) -> str:
     """Return the page of an answer.
 
     Parameters
     ----------
     api_href :
         Address of the same answer for programs.
+    number :
+        Of the snapshot that it is from.
     complaint :
         Why what is shown is older than it should be, if it is.
     """
@@ -36,6 +38,7 @@ def html_of(view: View, shown: Shown, *, api_href: str, complaint: str | None) -
             here=view.page_path,
             formats=_formats(api_href),
             complaint=complaint,
+            number=number,
         )
     )
 

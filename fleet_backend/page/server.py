@@ -18,6 +18,7 @@ from starlette.applications import Starlette
 from fleet_backend.database import place_of
 from fleet_backend.errors import ConfigError
 from fleet_backend.page.keeper import DatabaseSource, Keeper
+from fleet_backend.page.news import News
 from fleet_backend.page.site import site
 from fleet_backend.page.view import Sources
 
@@ -43,7 +44,8 @@ def run_server(engine: Engine, host: str, port: int) -> None:
         where = address_of(listener)
         sys.stdout.write(f"{where}  {len(keeper.snapshot.vehicles)} vehicles of {place_of(engine)}; ends with Ctrl-C\n")
         sys.stdout.flush()
-        asyncio.run(_serve_until_told(Sources(engine=engine, keeper=keeper), listener))
+        sources = Sources(engine=engine, keeper=keeper, news=News(keeper))
+        asyncio.run(_serve_until_told(sources, listener))
 
 
 @contextmanager
@@ -94,13 +96,22 @@ async def serve(
         proxy_headers=False,
         timeout_graceful_shutdown=_GRACE_S,
     )
-    server = _Server(config)
+    server = _Server(config, sources.news)
     on_start(server)
     await server.serve(sockets=[listener])
 
 
 class _Server(uvicorn.Server):
     """A server that leaves signals to us: our programs end with status 0 when they are told to stop."""
+
+    def __init__(self, config: uvicorn.Config, news: News) -> None:
+        super().__init__(config)
+        self._news = news
+
+    async def shutdown(self, sockets: list[socket.socket] | None = None) -> None:
+        """End the streams, which would last as long as their readers want, then the rest."""
+        self._news.end()
+        await super().shutdown(sockets)
 
     @contextmanager
     def capture_signals(self) -> Iterator[None]:

@@ -1,7 +1,7 @@
 """The site: views become routes for people and for programs; whatever goes wrong becomes one line and a status."""
 
 import logging
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Coroutine, Mapping, Sequence
 from contextlib import AbstractAsyncContextManager
 from dataclasses import replace
 from datetime import datetime
@@ -13,13 +13,13 @@ from urllib.parse import quote, urlencode
 from starlette.applications import Starlette
 from starlette.exceptions import HTTPException
 from starlette.requests import Request
-from starlette.responses import Response
+from starlette.responses import Response, StreamingResponse
 from starlette.routing import Route
 from starlette.types import ASGIApp
 
 from fleet_backend.errors import DatabaseError, FleetBackendError
 from fleet_backend.page import changes_view, fleet_view, quarantine_view, shift_view, vehicle_view
-from fleet_backend.page.asking import LIMIT, Parameter, read_words
+from fleet_backend.page.asking import LIMIT, VEHICLE, Kind, Parameter, read_words
 from fleet_backend.page.description import FORMAT, Problem, openapi
 from fleet_backend.page.errors import PageError
 from fleet_backend.page.files import MEDIA_TYPES, Format, file_of, json_of
@@ -28,11 +28,16 @@ from fleet_backend.page.html import NAVIGATION, html_of, problem_page
 from fleet_backend.page.view import Sources, View
 
 VIEWS: Final = (fleet_view.VIEW, vehicle_view.VIEW, shift_view.VIEW, changes_view.VIEW, quarantine_view.VIEW)
+EVENTS_PATH: Final = "/events"
 OPENAPI_PATH: Final = "/api/v1/openapi.json"
 _API: Final = "/api/"
 _MOST_IN_A_FILE: Final = 50_000
 _STATIC_TYPES: Final[Mapping[str, str]] = MappingProxyType(
     {"css": "text/css", "js": "text/javascript", "svg": "image/svg+xml"}
+)
+_EVENT_WORDS: Final = (
+    replace(VEHICLE, in_path=False, is_required=False),
+    Parameter(name="number", text="of the snapshot that the reader knows", kind=Kind.COUNT, least=0),
 )
 _LOG: Final = logging.getLogger(__name__)
 
@@ -47,6 +52,7 @@ def site(
     description = json_of(openapi([(view, _api_parameters(view)) for view in VIEWS]))
     routes += [
         Route(OPENAPI_PATH, lambda _: Response(description, media_type="application/json"), name="openapi"),
+        Route(EVENTS_PATH, _events_endpoint(sources, now), name="events"),
         Route("/static/{name}", _static_endpoint(), name="static"),
     ]
     handlers = dict.fromkeys((FleetBackendError, HTTPException, Exception), _tell)
@@ -57,9 +63,11 @@ def site(
 def _page_route(view: View, sources: Sources, now: Callable[[], datetime]) -> Route:
     def answer(request: Request) -> Response:
         ask = read_words(view.parameters, request.path_params, request.query_params.multi_items(), now())
+        number = sources.keeper.snapshot.number
         found = view.find(sources, ask)
         shown = view.show(found, ask, sources)
-        text = html_of(view, shown, api_href=_api_href(view, request), complaint=sources.keeper.complaint)
+        complaint = sources.keeper.complaint
+        text = html_of(view, shown, api_href=_api_href(view, request), number=number, complaint=complaint)
         return Response(text, media_type="text/html")
 
     return Route(view.page_path, answer, name=view.name)
@@ -79,6 +87,22 @@ def _api_route(view: View, sources: Sources, now: Callable[[], datetime]) -> Rou
         return Response(body, media_type=MEDIA_TYPES[form], headers={"content-disposition": name})
 
     return Route(view.api_path, answer, name=f"api {view.name}")
+
+
+def _events_endpoint(
+    sources: Sources, now: Callable[[], datetime]
+) -> Callable[[Request], Coroutine[object, object, Response]]:
+    """Return what tells a page that something is new; a browser that comes back says what it heard last."""
+
+    async def answer(request: Request) -> Response:
+        words = [pair for pair in request.query_params.multi_items() if pair[0] != "number"]
+        heard = request.headers.get("last-event-id") or request.query_params.get("number", "")
+        ask = read_words(_EVENT_WORDS, {}, [*words, ("number", heard)], now())
+        number = ask.count("number") if ask.text("number") else None
+        stream = sources.news.stream(number, ask.text("vehicle"))
+        return StreamingResponse(stream, media_type="text/event-stream", headers={"x-accel-buffering": "no"})
+
+    return answer
 
 
 def _api_href(view: View, request: Request) -> str:

@@ -74,7 +74,7 @@ def show(answer: VehicleAnswer, ask: Ask, _sources: Sources) -> Shown:
         sections=tuple(sections),
         advice=tuple(wording.advice(one.now) for one in answer.clutches),
         trail=(Link(text="Fleet", href="/"),),
-        follows_vehicle=ask.said("vehicle"),
+        follows=ask.said("vehicle"),
     )
 
 

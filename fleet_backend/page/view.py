@@ -8,6 +8,7 @@ from sqlalchemy import Engine
 
 from fleet_backend.page.asking import Ask, Parameter
 from fleet_backend.page.keeper import Keeper
+from fleet_backend.page.news import News
 from program_io.pages.content import Advice, Link, Section
 
 
@@ -17,6 +18,7 @@ class Sources:
 
     engine: Engine
     keeper: Keeper
+    news: News
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -40,7 +42,7 @@ class Shown:
     trail: tuple[Link, ...] = ()  # pages above this one
     choices: tuple[Choice, ...] = ()
     next: str | None = None  # of a list
-    follows_vehicle: str | None = None  # is renewed when something of it is new; empty: of any vehicle
+    follows: str | None = None  # is renewed when something of it is new; empty: of any
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -13,15 +13,16 @@ import httpx
 import pytest
 from jsonschema import Draft202012Validator
 
+from diag_service.diagnosis.records import Condition
 from fleet_backend import queries
 from fleet_backend.database import open_database
 from fleet_backend.intake import batch_of, take
 from fleet_backend.page.headers import HEADERS
 from fleet_backend.page.site import OPENAPI_PATH, VIEWS
 from fleet_backend.schema import SHIFT_RESULT
-from fleet_backend.writer import Writer
+from fleet_backend.writer import Batch, Writer
 from tests.support.browsing import chromium, complaints_of
-from tests.support.fleet import NOW, message_of
+from tests.support.fleet import NOW, fleet_result, message_of, row_of
 from tests.support.fleet_page import MARKUP, fill_database, served
 from tests.support.histories import fill_store, history
 from tests.support.in_process import ended
@@ -33,15 +34,20 @@ TABLES_ONLY = {"/", "/changes?since=2020-01-01", "/quarantine", "/vehicles/nobod
 FRICTION = ("mu_c", "std_mu_c", "mu_s", "std_mu_s")
 
 
-@pytest.fixture(name="address", scope="module")
-def _address(sqlite_template: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
-    """Return the address of a server that all tests share."""
+@pytest.fixture(name="database", scope="module")
+def _database(sqlite_template: Path, tmp_path_factory: pytest.TempPathFactory) -> str:
     path = tmp_path_factory.mktemp("page") / "fleet.sqlite"
     path.write_bytes(sqlite_template.read_bytes())
     engine = open_database(f"sqlite:///{path}")
     fill_database(engine)
     engine.dispose()
-    with served(f"sqlite:///{path}") as address:
+    return f"sqlite:///{path}"
+
+
+@pytest.fixture(name="address", scope="module")
+def _address(database: str) -> Iterator[str]:
+    """Return the address of a server that all tests share."""
+    with served(database) as address:
         yield address
 
 
@@ -63,8 +69,8 @@ def values_in(page: str) -> set[float]:
     return {float(word) for word in re.findall(r'<data value="([^"]*)">', page)}
 
 
-def test_a_real_browser_shows_every_page_to_everybody(address: str) -> None:
-    """One start of the browser: each page light and wide, dark and on a telephone; one printed; all by keyboard."""
+def test_a_real_browser_shows_every_page_to_everybody(address: str, database: str) -> None:
+    """One start: each page light and wide, two dark and on a telephone; one by keyboard, printed and renewed."""
     complaints = {}
     with chromium() as browser:
         for scheme, width, paths in (("light", 1280, PAGES), ("dark", 360, (PAGES[0], PAGES[1]))):
@@ -89,6 +95,11 @@ def test_a_real_browser_shows_every_page_to_everybody(address: str) -> None:
         page.wait_for_url("**/vehicles/worn")
         assert page.locator("h1").text_content() == "Vehicle worn"
         assert page.pdf().startswith(b"%PDF")
+        page.get_by_text("Renews itself.").wait_for()
+        writer = open_database(database)
+        Writer(writer).store(Batch(shifts=[row_of(fleet_result(5, vehicle="worn", condition=Condition.CHANGE_FLUID))]))
+        writer.dispose()
+        page.get_by_text("the newest 5 events").wait_for(timeout=1000.0 * HANG_S)
         assert refused == []  # by the policy for contents
     assert complaints == {key: [] for key in complaints}
 

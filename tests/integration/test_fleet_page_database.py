@@ -18,6 +18,7 @@ from fleet_backend.errors import DatabaseError
 from fleet_backend.page import changes_view, fleet_view, quarantine_view, shift_view, vehicle_view
 from fleet_backend.page.asking import Ask, read_words
 from fleet_backend.page.keeper import DatabaseSource, Keeper
+from fleet_backend.page.news import News
 from fleet_backend.page.view import Sources, View
 from fleet_backend.rows import Poison, moment, quarantine_row
 from fleet_backend.writer import Batch, Writer
@@ -36,7 +37,7 @@ def ask(view: View, vehicle: str | None = None, **query: str) -> Ask:
 def sources_of(engine: Engine) -> Sources:
     keeper = Keeper(DatabaseSource(engine))
     keeper.refresh()
-    return Sources(engine=engine, keeper=keeper)
+    return Sources(engine=engine, keeper=keeper, news=News(keeper))
 
 
 def store(engine: Engine, rows: list[Any], at: datetime) -> None:
@@ -187,7 +188,7 @@ def test_no_question_reads_all_results(large: Engine) -> None:
     watch = Watch(large)
     keeper.refresh()
     assert len(keeper.snapshot.clutches) == 602
-    sources = Sources(engine=large, keeper=keeper)
+    sources = Sources(engine=large, keeper=keeper, news=News(keeper))
     since = (datetime.now(UTC) - timedelta(minutes=90)).isoformat()
     with transaction(large) as connection:
         connection.execute(text("UPDATE shift_result SET stored_at = now() WHERE vehicle = 'v9' AND seq = 9"))

@@ -14,6 +14,7 @@ from diag_service.diagnosis.records import Condition
 from fleet_backend import queries
 from fleet_backend.database import open_database
 from fleet_backend.page.keeper import DatabaseSource, Keeper
+from fleet_backend.page.news import News
 from fleet_backend.page.records import ClutchNow
 from fleet_backend.page.server import address_of, closing_socket, serve
 from fleet_backend.page.view import Sources
@@ -75,7 +76,7 @@ def served(database: str) -> Iterator[str]:
     keeper.refresh()
     with closing_socket("127.0.0.1", 0) as listener:
         started = list[Any]()  # servers
-        work = serve(Sources(engine=engine, keeper=keeper), listener, on_start=started.append)
+        work = serve(Sources(engine=engine, keeper=keeper, news=News(keeper)), listener, on_start=started.append)
         thread = threading.Thread(target=asyncio.run, args=(work,), name="fleet page")
         thread.start()
         try:

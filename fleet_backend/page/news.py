@@ -1,0 +1,75 @@
+"""Pages that are looked at hear that something is new (server-sent events), and ask for themselves again."""
+
+import asyncio
+from collections.abc import AsyncIterator
+from typing import Final
+
+from fleet_backend.page.errors import BusyError
+from fleet_backend.page.keeper import Keeper, Snapshot
+
+HEARTBEAT_S: Final = 15.0  # a line that says nothing finds readers who have gone
+MOST_READERS: Final = 500
+
+
+class _Reader:
+    """One page that is looked at: whether there is something that it has not heard of."""
+
+    def __init__(self, vehicle: str | None) -> None:
+        self._vehicle = vehicle
+        self.wakes = asyncio.Event()
+
+    def hear(self, snapshot: Snapshot) -> None:
+        """Take note of a snapshot, if it is of interest."""
+        if self._vehicle is None or self._vehicle in snapshot.changed:
+            self.wakes.set()
+
+
+class News:
+    """Tells any number of readers; one that is slow hears of several changes as one."""
+
+    def __init__(self, keeper: Keeper, heartbeat_s: float = HEARTBEAT_S) -> None:
+        self._keeper = keeper
+        self._heartbeat_s = heartbeat_s
+        self._readers: set[_Reader] = set()
+        self._has_ended = False
+
+    def end(self) -> None:
+        """Let all readers go; from within the event loop."""
+        self._has_ended = True
+        for reader in self._readers:
+            reader.wakes.set()
+
+    def stream(self, number: int | None, vehicle: str | None) -> AsyncIterator[str]:
+        """Return a message whenever something is new that a reader of the snapshot ``number`` does not know.
+
+        Raises
+        ------
+        BusyError
+            If there are too many readers.
+        """
+        if len(self._readers) >= MOST_READERS:
+            raise BusyError(f"{MOST_READERS} readers follow this page already")
+        reader = _Reader(vehicle)
+        if number is not None and number != self._keeper.snapshot.number:
+            reader.wakes.set()  # it changed between the page and this question
+        return self._messages(reader)
+
+    async def _messages(self, reader: _Reader) -> AsyncIterator[str]:
+        self._readers.add(reader)
+        leave = self._keeper.listen(reader.hear)
+        try:
+            yield "retry: 3000\n\n"
+            while not self._has_ended:
+                try:
+                    async with asyncio.timeout(self._heartbeat_s):
+                        await reader.wakes.wait()
+                except TimeoutError:
+                    yield ": still here\n\n"
+                    continue
+                reader.wakes.clear()
+                if not self._has_ended:
+                    number = self._keeper.snapshot.number
+                    yield f"id: {number}\nevent: news\ndata: {number}\n\n"
+        finally:
+            leave()
+            self._readers.discard(reader)
