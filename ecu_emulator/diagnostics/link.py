@@ -18,7 +18,7 @@ import isotp
 from ecu_emulator.diagnostics.codes import NEGATIVE, Nrc, Service
 from ecu_emulator.diagnostics.controller import Controller
 from ecu_emulator.diagnostics.isotp_frames import single_payload, usable
-from ecu_emulator.diagnostics.server import AGAIN_RATIO, is_suppressed
+from ecu_emulator.diagnostics.server import AGAIN_RATIO, KEEP_ALIVE
 from ecu_emulator.diagnostics.table import Addressing, Transport
 from ecu_emulator.errors import ConfigError
 
@@ -33,7 +33,6 @@ TIMEOUT_MS: Final = 1000  # N_Bs and N_Cr
 MOST_WAIT_FRAMES: Final = 10
 LARGEST_STANDARD_ID: Final = 0x7FF
 FULL_FD_BYTES: Final = 64
-KEEP_ALIVE: Final = b"\x3e\x80"
 _PERIODIC: Final = bytes([Service.READ_PERIODICALLY])
 PENDING_RATIO: Final = 0.6  # of P2, after which a client is told to wait
 _LOGGER: Final = "ecu_emulator.isotp"  # the library warns of every odd frame; they are counted instead
@@ -230,7 +229,7 @@ class DiagnosticLink:
         if self._asking.done():
             reply, self._asking = self._asking.result(), None
             self._respond(reply.response(was_promised=self._has_promised))
-        elif now_s >= self._pending_s and not is_suppressed(self._asked):
+        elif now_s >= self._pending_s and self._asked != KEEP_ALIVE:
             self._pending_s, self._has_promised = now_s + AGAIN_RATIO * self._controller.table.timing.p2_star_s, True
             self._respond(bytes([NEGATIVE, self._asked[0], Nrc.RESPONSE_PENDING]))
 

@@ -62,6 +62,7 @@ from ecu_emulator.diagnostics.state import Moment, Reply, Request, ServerState, 
 from ecu_emulator.diagnostics.table import DiagnosticTable
 
 AGAIN_RATIO: Final = 0.7  # of P2*, after which 78 is sent again
+KEEP_ALIVE: Final = bytes([Service.TESTER_PRESENT, SUPPRESS])  # wants no answer, not even 78: nothing is done
 
 _HANDLERS: Final[Mapping[int, Callable[[Call], Result]]] = {
     Service.SESSION_CONTROL: session_control,
@@ -221,7 +222,7 @@ def _settled(table: DiagnosticTable, state: ServerState, moment: Moment) -> Serv
 
 def _while_waiting(state: ServerState, request: Request) -> Reply:
     """Refuse what comes while a response is awaited, but not what only keeps the session alive."""
-    if request.payload == bytes([Service.TESTER_PRESENT, SUPPRESS]):
+    if request.payload == KEEP_ALIVE:
         return Reply(payload=None, state=state)
     return Reply(payload=_negative(request, Nrc.BUSY_REPEAT_REQUEST), state=state)
 
@@ -277,10 +278,10 @@ def _is_kept_back(request: Request, response: bytes | Nrc) -> bool:
     """Return whether a response stays off the bus: its client did not want it, or others were meant."""
     if isinstance(response, Nrc):
         return request.is_functional and response in SILENT_WHEN_FUNCTIONAL
-    return is_suppressed(request.payload)
+    return _is_suppressed(request.payload)
 
 
-def is_suppressed(payload: bytes) -> bool:
+def _is_suppressed(payload: bytes) -> bool:
     """Return whether a request says that it wants no positive response."""
     return _has_sub_function(payload[0]) and len(payload) > 1 and bool(payload[1] & SUPPRESS)
 

@@ -168,6 +168,12 @@ def test_a_tester_is_told_to_wait_while_the_disk_takes_its_time(tmp_path: Path) 
                 store.may_go.set()
             assert one.final() == "54"
             assert other.final() == "7f 22 31"  # to all, and yet: 78 has promised it
+            store.may_go.clear()
+            try:
+                assert one.first("11 81") == "7f 11 78"  # no response is wanted, but it is not ready either
+            finally:
+                store.may_go.set()
+            assert one.final() == "51 01"
 
 
 @pytest.mark.parametrize(

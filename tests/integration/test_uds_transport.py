@@ -253,11 +253,27 @@ def test_a_client_is_told_to_wait_for_a_slow_disk(tmp_path: Path) -> None:
         assert wire.get().startswith("01 54")
         assert wire.get().startswith("04 62 f1 86 01")
         store.may_go_on.clear()
-        wire.put("02 11 83")  # no response is wanted: nor one that says to wait
-        time.sleep(0.1)
+        wire.put("02 11 81")  # no response is wanted, but who hears none within P2 takes this controller for ready
+        assert wire.get_any().startswith("03 7f 11 78")
         store.may_go_on.set()
-        time.sleep(full_table().timing.reset_s)
-        assert wire.is_quiet()
+        assert wire.get().startswith("02 51 01")  # once 78 was sent, ISO 14229-1 wants the last word too
+
+
+def test_what_only_keeps_the_session_alive_is_not_answered_because_the_disk_is_slow(tmp_path: Path) -> None:
+    with SlowFile(tmp_path / "memory.json") as store, Wire(store=store) as wire:
+        store.may_go_on.clear()
+        store.is_waited_for.clear()
+        monitor = threading.Thread(target=wire.controller.report, args=(0x081107, Result.FAILED))
+        monitor.start()
+        try:
+            assert store.is_waited_for.wait(HANG_S)
+            wire.put("02 3e 80")
+            time.sleep(3.0 * full_table().timing.p2_s)
+        finally:
+            store.may_go_on.set()
+        wire.put("03 22 f1 86")
+        assert wire.get_any().startswith("04 62 f1 86 01")
+        monitor.join()
 
 
 def test_whom_78_has_promised_a_response_gets_one_that_others_would_not(tmp_path: Path) -> None:

@@ -17,7 +17,7 @@ from ecu_emulator.diagnostics.doip.datagram_server import DatagramServer
 from ecu_emulator.diagnostics.doip.listening import Place, listen
 from ecu_emulator.diagnostics.doip.sockets import Ask, Close, Send, Step, most_connections
 from ecu_emulator.diagnostics.doip.streams import advanced, closed, opened, received, responded
-from ecu_emulator.diagnostics.server import AGAIN_RATIO, is_suppressed
+from ecu_emulator.diagnostics.server import AGAIN_RATIO, KEEP_ALIVE
 
 TICK_S: Final = 0.01
 READ_BYTES: Final = 4096
@@ -247,7 +247,7 @@ class DoipServer:
         patience_s, was_promised = PENDING_RATIO * timing.p2_s, False
         while not (await asyncio.wait([asking], timeout=patience_s))[0]:
             patience_s = AGAIN_RATIO * timing.p2_star_s
-            if not is_suppressed(ask.payload):
+            if ask.payload != KEEP_ALIVE:
                 was_promised = True
                 self._respond(number, bytes([NEGATIVE, ask.payload[0], Nrc.RESPONSE_PENDING]), is_final=False)
         self._respond(number, asking.result().response(was_promised=was_promised), is_final=True)
