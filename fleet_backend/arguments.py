@@ -11,6 +11,7 @@ from program_io.command_line import FILE, FLOAT, INT, VERBOSE, Choice, Command, 
 
 PROGRAM: Final = "fleet-backend"
 BROKER_VARIABLE: Final = "CLUTCHDIAG_BROKER"  # these keep passwords out of the process list
+MAIL_VARIABLE: Final = "CLUTCHDIAG_MAIL"
 DATABASE_VARIABLE: Final = "CLUTCHDIAG_DATABASE"
 
 EXIT_OK, EXIT_UNEXPECTED, EXIT_CONFIG, EXIT_BROKER, EXIT_DATABASE, EXIT_UNKNOWN = range(6)
@@ -19,6 +20,8 @@ _EXIT_TEXT: Final = (
     "3 broker, 4 database, 5 unknown vehicle"
 )
 _QUARANTINE_LIMIT: Final = 50
+DEFAULT_SERVICE_KM: Final = 15_000
+DEFAULT_SILENCE_DAYS: Final = 14
 DEFAULT_LISTEN: Final = "127.0.0.1:8090"
 _PACE: Final = Pace()
 
@@ -139,6 +142,37 @@ _SERVE: Final = Command(
     ),
     examples=(f"{PROGRAM} serve", f"{PROGRAM} serve --listen 127.0.0.1:8090"),
 )
+_WATCH: Final = Command(
+    "watch",
+    "raise alarms by rules and deliver them, until stopped",
+    *_COMMON,
+    Option("--webhook URL", "post each alarm there, signed with the secret"),
+    Option("--secret FILE", "secret that the receiver of the webhook knows, as Standard Webhooks has it", FILE),
+    Option(
+        "--mail URL",
+        f"smtp[s]://[user[:password]@]host[:port] that sends e-mail (default: the environment's {MAIL_VARIABLE})",
+        envvar=MAIL_VARIABLE,
+    ),
+    Option("--from ADDRESS", "sender of e-mail"),
+    Option("--to ADDRESS", "who gets e-mail; may be given several times", multiple=True),
+    Option(
+        "--service-km KM",
+        f"distance to the next service (default: {DEFAULT_SERVICE_KM})",
+        FLOAT,
+        default=float(DEFAULT_SERVICE_KM),
+    ),
+    Option(
+        "--silence-days D",
+        f"days without a result that are too many (default: {DEFAULT_SILENCE_DAYS})",
+        FLOAT,
+        default=float(DEFAULT_SILENCE_DAYS),
+    ),
+    Option("--once", "look at everything once, deliver, and end"),
+    examples=(
+        f"{PROGRAM} watch --webhook https://hooks.example/fleet --secret webhook.secret",
+        f"{PROGRAM} watch --mail smtp://mail.example --from fleet@example.org --to workshop@example.org --once",
+    ),
+)
 COMMAND_LINE: Final = Program(
     PROGRAM,
     "Keeps the results of a fleet and answers questions about it.",
@@ -158,7 +192,7 @@ COMMAND_LINE: Final = Program(
         *_QUESTION,
         examples=(f"{PROGRAM} codes", f"{PROGRAM} codes --json"),
     ),
-    *(_FILL, _SERVE),
+    *(_FILL, _SERVE, _WATCH),
     Command(
         "hash",
         "show a hash of all results: equal results, equal hash, in any database",

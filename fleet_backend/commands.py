@@ -5,12 +5,15 @@ import sys
 from collections.abc import Callable, Mapping, Sequence
 from datetime import UTC, datetime, timedelta
 from importlib import import_module
-from types import MappingProxyType, SimpleNamespace
+from types import MappingProxyType, ModuleType, SimpleNamespace
 from typing import Final
 
 from sqlalchemy import Engine
 
 from fleet_backend import queries, report
+from fleet_backend.alarm_words import parse_mail, parse_secret, parse_service_km, parse_silence, parse_webhook
+from fleet_backend.alarms.carriers import Carrier, Mail, Webhook
+from fleet_backend.alarms.rules import Limits
 from fleet_backend.application import run_ingest
 from fleet_backend.arguments import BROKER_VARIABLE
 from fleet_backend.choices import Axis
@@ -118,17 +121,36 @@ def _fill(options: SimpleNamespace, engine: Engine) -> None:
 
 def _serve(options: SimpleNamespace, _engine: Engine) -> None:
     place = parse_listen(options.listen)
-    try:
-        server = import_module("fleet_backend.page.server")
-    except ModuleNotFoundError as exc:
-        if exc.name is None or exc.name.startswith("fleet_backend"):
-            raise
-        raise ExtraMissingError(exc.name, extra="page") from exc
+    server = _page_part("fleet_backend.page.server")
     readers = open_database(options.database or default_database(), must_exist=True, is_read_only=True)
     try:
         server.run_server(readers, place.host, place.port)
     finally:
         readers.dispose()
+
+
+def _watch(options: SimpleNamespace, engine: Engine) -> None:
+    limits = Limits(silence_from=parse_silence(options.silence_days))
+    distance_m = parse_service_km(options.service_km)
+    carriers: list[Carrier] = []
+    if options.webhook is not None:
+        carriers.append(Webhook(url=parse_webhook(options.webhook), secret=parse_secret(options.secret)))
+    if options.mail:
+        server, sender, recipients = parse_mail(options.mail, getattr(options, "from"), options.to)
+        carriers.append(Mail(server=server, sender=sender, recipients=recipients))
+    watching = _page_part("fleet_backend.watching")
+    orders = watching.Orders(carriers=carriers, limits=limits, service_distance_m=distance_m)
+    watching.run_watch(engine, orders, is_once=options.once)
+
+
+def _page_part(name: str) -> ModuleType:
+    """Return a module of the page, which needs another extra; raises ExtraMissingError."""
+    try:
+        return import_module(name)
+    except ModuleNotFoundError as exc:
+        if exc.name is None or exc.name.startswith("fleet_backend"):
+            raise
+        raise ExtraMissingError(exc.name, extra="page") from exc
 
 
 def _hash(_options: SimpleNamespace, engine: Engine) -> None:
@@ -158,4 +180,5 @@ _COMMANDS: Final[Mapping[str, Command]] = MappingProxyType({
     "alarms": _checked(_alarms), "quarantine": _checked(_quarantine), "seen": _checked(_seen),
     "codes": _checked(_codes),
     "fill": _checked(_fill), "hash": _checked(_hash), "serve": _checked(_serve),
+    "watch": _checked(_watch),
 })  # fmt: skip

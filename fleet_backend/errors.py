@@ -24,6 +24,10 @@ class BrokerError(FleetBackendError):
     """The broker is absent, silent or refuses us: connect again later."""
 
 
+class CarrierError(FleetBackendError):
+    """A message of an alarm could not be delivered now: try again later."""
+
+
 class DatabaseError(FleetBackendError):
     """The database cannot be used as it is (wrong schema, no rights): a person has to look at it."""
 

@@ -9,7 +9,6 @@ from fleet_backend.page.changes import changes_of
 from fleet_backend.page.fleet_view import next_of
 from fleet_backend.page.listing import part_of
 from fleet_backend.page.records import Change, ChangesAnswer
-from fleet_backend.page.running import vehicles_with_news
 from fleet_backend.page.view import Choice, Shown, Sources, View
 from program_io.pages.content import Cell, Section, Table
 
@@ -19,8 +18,7 @@ USUAL: Final = timedelta(days=7)
 def find(sources: Sources, ask: Ask) -> ChangesAnswer:
     """Return a part of what became different."""
     since = ask.moment("since", ask.now - USUAL)
-    names = set(vehicles_with_news(sources.engine, since))
-    touched = [now for now in sources.keeper.snapshot.clutches if now.vehicle in names]
+    touched = [now for now in sources.keeper.snapshot.clutches if now.stored_at >= since]
     part = part_of(touched, ask.text("after"), ask.count("limit"))
     found = changes_of(sources.engine, part.clutches, since)
     changes = tuple(one for one in found if one.why)
@@ -34,7 +32,7 @@ def show(answer: ChangesAnswer, ask: Ask, _sources: Sources) -> Shown:
     texts = () if answer.changes else ("Nothing became different.",)
     return Shown(
         title="Changes",
-        subtitle=f"since {answer.since:%Y-%m-%d %H:%M} UTC, {answer.clutch_count} clutches of vehicles with news",
+        subtitle=f"since {answer.since:%Y-%m-%d %H:%M} UTC, {answer.clutch_count} clutches with new results",
         sections=(
             Section(name="changes", title="What and why", texts=texts, tables=(table,) if answer.changes else ()),
         ),

@@ -12,6 +12,7 @@ from program_io.pages.environment import templates_of
 
 NAVIGATION: Final = (
     Link(text="Fleet", href="/"),
+    Link(text="Alarms", href="/alarms"),
     Link(text="Changes", href="/changes"),
     Link(text="Quarantine", href="/quarantine"),
 )

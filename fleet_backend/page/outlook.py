@@ -4,7 +4,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from functools import cache
 from typing import Any, Final
 
-from clutch_model.calibration import nominal_calibration
+from clutch_model.calibration import Calibration, nominal_calibration
 from clutch_model.clutch import FrictionCurve
 from clutch_model.fingerprint import fingerprint
 from diag_service.diagnosis.events import EndReason, EventKind
@@ -31,9 +31,14 @@ _OTHER_CALIBRATION: Final = "No prognosis: the calibration of these results is n
 
 
 @cache
+def _shipped() -> Calibration:
+    return nominal_calibration()
+
+
+@cache
 def shipped_calibration() -> str:
     """Return the version of results that were made with the shipped calibration."""
-    calibration = nominal_calibration()
+    calibration = _shipped()
     return f"{calibration.version}+{fingerprint(calibration)}"
 
 
@@ -41,7 +46,7 @@ def reference_of(calibration_version: str, clutch: int) -> FrictionCurve | None:
     """Return the friction of a clutch with new fluid; None for a calibration that is not at hand."""
     if calibration_version != shipped_calibration():
         return None
-    return nominal_calibration().clutches[clutch - 1].friction
+    return _shipped().clutches[clutch - 1].friction
 
 
 def friction_of(values: Mapping[str, float] | None) -> FrictionEstimate | None:

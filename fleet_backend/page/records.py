@@ -36,6 +36,7 @@ class ClutchNow:
     probability_negative_slope: float | None
     odometer_m: float | None
     end_at: datetime
+    stored_at: datetime
     fluid: str | None
     stream: str
     seq: int
@@ -240,5 +241,29 @@ class ChangesAnswer:
 
     since: datetime
     changes: tuple[Change, ...]
-    clutch_count: int  # of which something arrived since then
+    clutch_count: int  # with results that arrived since then
+    next: str | None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Alarm:
+    """An alarm that a rule raised."""
+
+    vehicle: str
+    clutch: int | None  # null: of the vehicle as a whole
+    rule: str
+    number: int  # from 1 on, of each vehicle, clutch and rule
+    raised_at: datetime
+    cleared_at: datetime | None
+    reason: str
+    acknowledged_at: datetime | None
+    acknowledged_by: str | None
+    note: str | None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class AlarmsAnswer:
+    """A part of the alarms, the latest first; ``next`` continues it."""
+
+    alarms: tuple[Alarm, ...]
     next: str | None

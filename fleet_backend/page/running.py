@@ -20,7 +20,7 @@ SELECT
   s.running_std_mu_c AS std_mu_c, s.running_std_mu_s AS std_mu_s, s.running_correlation AS correlation,
   s.running_slope_s_rad AS slope_s_rad, s.running_std_slope_s_rad AS std_slope_s_rad,
   s.running_probability_negative_slope AS probability_negative_slope,
-  s.odometer_m, s.end_at, s.stream, s.seq, s.algorithm_version, s.calibration_version,
+  s.odometer_m, s.end_at, s.stored_at, s.stream, s.seq, s.algorithm_version, s.calibration_version,
   (
     SELECT f.product FROM fluid_fill AS f
     WHERE f.vehicle = s.vehicle AND f.filled_at <= s.end_at
@@ -59,11 +59,11 @@ def _statement(where: str) -> TextClause:
     return text(_RUNNING.format(where=where))
 
 
-ALL_CLUTCHES: Final = _statement("").columns(end_at=UtcDateTime())
+ALL_CLUTCHES: Final = _statement("").columns(end_at=UtcDateTime(), stored_at=UtcDateTime())
 SOME_CLUTCHES: Final = (
     _statement("WHERE k.vehicle IN :vehicles")
     .bindparams(bindparam("vehicles", expanding=True))
-    .columns(end_at=UtcDateTime())
+    .columns(end_at=UtcDateTime(), stored_at=UtcDateTime())
 )
 
 

@@ -18,7 +18,7 @@ from starlette.routing import Route
 from starlette.types import ASGIApp
 
 from fleet_backend.errors import DatabaseError, FleetBackendError
-from fleet_backend.page import changes_view, fleet_view, quarantine_view, shift_view, vehicle_view
+from fleet_backend.page import alarms_view, changes_view, fleet_view, quarantine_view, shift_view, vehicle_view
 from fleet_backend.page.asking import LIMIT, VEHICLE, Kind, Parameter, read_words
 from fleet_backend.page.description import FORMAT, Problem, openapi
 from fleet_backend.page.errors import PageError
@@ -27,7 +27,10 @@ from fleet_backend.page.headers import KnownHosts, SafeHeaders
 from fleet_backend.page.html import NAVIGATION, html_of, problem_page
 from fleet_backend.page.view import Sources, View
 
-VIEWS: Final = (fleet_view.VIEW, vehicle_view.VIEW, shift_view.VIEW, changes_view.VIEW, quarantine_view.VIEW)
+VIEWS: Final = (
+    *(fleet_view.VIEW, vehicle_view.VIEW, shift_view.VIEW),
+    *(alarms_view.VIEW, changes_view.VIEW, quarantine_view.VIEW),
+)
 EVENTS_PATH: Final = "/events"
 OPENAPI_PATH: Final = "/api/v1/openapi.json"
 _API: Final = "/api/"

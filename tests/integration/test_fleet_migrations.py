@@ -10,12 +10,13 @@ from alembic.runtime.migration import MigrationContext
 from sqlalchemy import Connection, Engine, column, inspect, table
 
 from fleet_backend import queries
+from fleet_backend.alarm_tables import METADATA
 from fleet_backend.choices import Axis
 from fleet_backend.database import open_database, transaction
 from fleet_backend.errors import DatabaseAwayError, DatabaseError
 from fleet_backend.migrate import check_schema, migrate, newest_revision, revisions
 from fleet_backend.rows import moment
-from fleet_backend.schema import METADATA, UtcDateTime
+from fleet_backend.schema import UtcDateTime
 from fleet_backend.views import CLUTCH_ALARM, CURRENT_SHIFT, FLEET, IDENTITY_ALARM, LAST_SEEN, TREND
 from fleet_backend.writer import Batch, Writer
 from tests.plugins.broker import free_port
@@ -80,7 +81,7 @@ def test_results_go_on_where_an_earlier_schema_ended(empty: Engine, revision: st
 
 
 def test_there_is_an_earlier_schema_to_come_from() -> None:
-    assert EARLIER == ["r0001", "r0002", "r0003", "r0004"]
+    assert EARLIER == ["r0001", "r0002", "r0003", "r0004", "r0005"]
 
 
 def test_the_migrations_make_what_the_program_uses(empty: Engine) -> None:
@@ -132,4 +133,4 @@ def test_a_database_that_does_not_answer_is_said_to_be_away() -> None:
     with pytest.raises(DatabaseAwayError) as caught:
         check_schema(engine)
     assert "secret" not in str(caught.value)
-    assert newest_revision() == "r0005"
+    assert newest_revision() == "r0006"

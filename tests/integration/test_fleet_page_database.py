@@ -23,6 +23,7 @@ from fleet_backend.page.view import Sources, View
 from fleet_backend.rows import Poison, moment, quarantine_row
 from fleet_backend.writer import Batch, Writer
 from tests.support.fleet import NOW, fleet_result, row_of
+from tests.support.fleet_page import sources_of
 from tests.support.histories import CALIBRATION, history
 
 BEFORE, AFTER = datetime(2026, 2, 1, tzinfo=UTC), datetime(2026, 3, 1, tzinfo=UTC)
@@ -32,12 +33,6 @@ SHIFT = {"stream": "stream-1", "seq": "9"}
 def ask(view: View, vehicle: str | None = None, **query: str) -> Ask:
     path = {} if vehicle is None else {"vehicle": vehicle}
     return read_words(view.parameters, path, query.items(), NOW)
-
-
-def sources_of(engine: Engine) -> Sources:
-    keeper = Keeper(DatabaseSource(engine))
-    keeper.refresh()
-    return Sources(engine=engine, keeper=keeper, news=News(keeper))
 
 
 def store(engine: Engine, rows: list[Any], at: datetime) -> None:

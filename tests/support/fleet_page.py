@@ -19,6 +19,7 @@ from fleet_backend.page.records import ClutchNow
 from fleet_backend.page.server import address_of, closing_socket, serve
 from fleet_backend.page.view import Sources
 from fleet_backend.rows import Poison, quarantine_row
+from fleet_backend.watching import Orders, Watch
 from fleet_backend.writer import Batch, Writer
 from tests.support.fleet import NOW, fleet_result, row_of
 from tests.support.histories import history
@@ -48,6 +49,7 @@ def clutch_now(vehicle: str = "car1", clutch: int = 1, **others: object) -> Clut
         probability_negative_slope=0.01,
         odometer_m=1.0e6,
         end_at=NOW,
+        stored_at=NOW,
         fluid=None,
         stream="stream-1",
         seq=1,
@@ -66,6 +68,18 @@ def fill_database(engine: Engine) -> None:
     )
     Writer(engine).store(Batch(shifts=rows, quarantined=[quarantine_row(poison, NOW)]))
     queries.note_fill(engine, "car1", FLUID, at=datetime(2026, 1, 1, 0, 1, tzinfo=UTC), odometer_m=1.5e4, note=MARKUP)
+
+
+def sources_of(engine: Engine) -> Sources:
+    """Return what answers questions about a database, which was just read."""
+    keeper = Keeper(DatabaseSource(engine))
+    keeper.refresh()
+    return Sources(engine=engine, keeper=keeper, news=News(keeper))
+
+
+def raise_alarms(engine: Engine) -> None:
+    """Hold what is stored against the rules, two months later."""
+    Watch(engine, Orders(), lambda: NOW).round(judging_s=HANG_S)
 
 
 @contextmanager

@@ -1,0 +1,232 @@
+"""The fleet's page before a large fleet: how long pages take, alone, for fifty readers at once, and beside the ingest.
+
+Vehicles and results are made inside PostgreSQL from one result, with other numbers; nothing of them is measured.
+
+    python -m benchmarks.fleet_page --vehicles 10000 --results 5000000
+"""
+
+import argparse
+import asyncio
+import itertools
+import random
+import statistics
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import closing, contextmanager
+
+import httpx
+import psutil
+from sqlalchemy import Engine, text
+
+from demo.fleet.postgres import PostgresServer
+from fleet_backend.database import open_database, transaction
+from fleet_backend.migrate import migrate
+from fleet_backend.writer import Batch, Writer
+from tests.support.fleet import row_of
+from tests.support.histories import history
+
+ASKED = 100  # pages of each kind
+READERS = 50
+THINKING_S = 5.0  # of a reader between two pages
+READING_S = 30.0
+INGEST_S = 15.0
+BATCH = 500
+TARGET_MS = 300.0
+
+_COLUMNS = (
+    "SELECT column_name FROM information_schema.columns WHERE table_name = 'shift_result' ORDER BY ordinal_position"
+)
+_OTHERWISE = {
+    "vehicle": "'v' || n",
+    "seq": "s.seq + 2 * m",
+    "odometer_m": "40000.0 * m",
+    "produced_at": "now() - interval '1 hour' * ({count} - m)",
+    "start_at": "now() - interval '1 hour' * ({count} - m)",
+    "end_at": "now() - interval '1 hour' * ({count} - m)",
+    "start_bus_ns": "1750000000000000000 + 3600000000000 * m::bigint",
+    "end_bus_ns": "1750000001000000000 + 3600000000000 * m::bigint",
+    "stored_at": "now() - interval '1 hour' * ({count} - m)",
+    "mu_c": "s.mu_c * (1.0 - 0.0004 * m) + 0.002 * (random() - 0.5)",
+    "running_mu_c": "s.running_mu_c * (1.0 - 0.0004 * m)",
+    "level_ratio": "1.0 - 0.0004 * m",
+    "running_probability_negative_slope": "random()",
+    "condition": "CASE WHEN n % 20 = 0 AND m > {count} - 9 THEN 'change_fluid'"
+    " WHEN n % 7 = 0 THEN 'watch' ELSE 'good' END",
+}
+
+
+def fill(engine: Engine, vehicle_count: int, result_count: int) -> None:
+    """Make a fleet."""
+    per_clutch = result_count // vehicle_count // 2
+    Writer(engine).store(Batch(shifts=[row_of(one) for one in history(2)]))
+    with transaction(engine) as connection:
+        names = [name for (name,) in connection.execute(text(_COLUMNS))]
+        values = [_OTHERWISE.get(name, f"s.{name}").format(count=per_clutch) for name in names]
+        made = {"vehicles": vehicle_count, "last": per_clutch - 1}
+        connection.execute(
+            text("INSERT INTO vehicle (vehicle) SELECT 'v' || n FROM generate_series(1, :vehicles) AS n"), made
+        )
+        connection.execute(
+            text(
+                "INSERT INTO clutch SELECT 'v' || n, c FROM generate_series(1, :vehicles) AS n, generate_series(1, 2) c"
+            ),
+            made,
+        )
+        connection.execute(
+            text(
+                f"INSERT INTO shift_result ({', '.join(names)}) SELECT {', '.join(values)} "  # noqa: S608 - our own names
+                "FROM generate_series(1, :vehicles) AS n, generate_series(0, :last) AS m, shift_result AS s "
+                "WHERE s.vehicle = 'car1'"
+            ),
+            made,
+        )
+    with engine.connect().execution_options(isolation_level="AUTOCOMMIT") as connection:
+        connection.exec_driver_sql("VACUUM ANALYZE")
+
+
+@contextmanager
+def page_of(database: str) -> Iterator[tuple[str, psutil.Process]]:
+    """Run the server for as long as the block lasts; yield its address and its process."""
+    command = [sys.executable, "-m", "fleet_backend", "serve", "--database", database, "--listen", "127.0.0.1:0"]
+    began_s = time.monotonic()
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
+        line = process.stdout.readline() if process.stdout else ""
+        print(f"start of the server, the whole fleet read: {time.monotonic() - began_s:.1f} s")
+        try:
+            yield line.split()[0].rstrip("/"), psutil.Process(process.pid)
+        finally:
+            process.terminate()
+
+
+def questions(vehicle_count: int, seed: int) -> dict[str, Callable[[], str]]:
+    """Return what makes addresses of each kind."""
+    rng = random.Random(seed)  # noqa: S311 - no secret
+
+    def vehicle() -> str:
+        return f"v{rng.randint(1, vehicle_count)}"
+
+    return {
+        "fleet": lambda: rng.choice(
+            ("/", "/?condition=watch", f"/?q={vehicle()}", "/?condition=change_fluid&limit=200")
+        ),
+        "vehicle": lambda: f"/vehicles/{vehicle()}",
+        "event": lambda: f"/vehicles/{vehicle()}/shift?stream=stream-1&seq={rng.randint(1, 100)}",
+        "changes, one day": lambda: f"/changes?since={time.strftime('%Y-%m-%d', time.gmtime(time.time() - 86400))}",
+        "quarantine": lambda: "/quarantine",
+    }
+
+
+def p95_ms(times_s: Sequence[float]) -> float:
+    return 1000.0 * statistics.quantiles(times_s, n=20)[-1]
+
+
+def figures(times_s: Sequence[float]) -> str:
+    return f"median {1000.0 * statistics.median(times_s):.0f} ms, p95 {p95_ms(times_s):.0f} ms"
+
+
+def alone(address: str, vehicle_count: int) -> bool:
+    """Print how long pages take for one reader; return whether all keep the target."""
+    is_kept = True
+    with httpx.Client(base_url=address, timeout=60.0, trust_env=False) as client:
+        for name, ask in questions(vehicle_count, 1).items():
+            times_s = []
+            for _ in range(ASKED):
+                began_s = time.perf_counter()
+                client.get(ask()).raise_for_status()
+                times_s.append(time.perf_counter() - began_s)
+            is_kept = is_kept and p95_ms(times_s) <= TARGET_MS
+            print(
+                f"one reader, {name}: median {1000.0 * statistics.median(times_s):.0f} ms, p95 {p95_ms(times_s):.0f} ms"
+            )
+    return is_kept
+
+
+async def together(address: str, vehicle_count: int, reading_s: float) -> dict[str, list[float]]:
+    """Return how long the pages of fifty readers took, who think between two of them."""
+    times_s: dict[str, list[float]] = {"fleet": [], "vehicle": []}
+
+    async def read(number: int, client: httpx.AsyncClient) -> None:
+        asks, rng = questions(vehicle_count, number), random.Random(number)  # noqa: S311
+        end_s = time.monotonic() + reading_s
+        await asyncio.sleep(rng.uniform(0.0, THINKING_S))
+        for name in itertools.cycle(times_s):
+            if time.monotonic() > end_s:
+                return
+            began_s = time.perf_counter()
+            (await client.get(asks[name]())).raise_for_status()
+            times_s[name].append(time.perf_counter() - began_s)
+            await asyncio.sleep(rng.uniform(0.0, 2.0 * THINKING_S))
+
+    limits = httpx.Limits(max_connections=READERS)
+    async with httpx.AsyncClient(base_url=address, timeout=60.0, trust_env=False, limits=limits) as client:
+        await asyncio.gather(*(read(number, client) for number in range(READERS)))
+    return times_s
+
+
+def ingest_per_s(engine: Engine, vehicle_count: int, first_seq: int) -> tuple[float, int]:
+    """Return how many results a second one writer stores, and the next position in the streams."""
+    writer, made = Writer(engine), [row_of(one) for one in history(2)]
+    rng, count, began_s = random.Random(first_seq), 0, time.monotonic()  # noqa: S311
+    while time.monotonic() - began_s < INGEST_S:
+        rows = [
+            made[number % 2] | {"vehicle": f"v{rng.randint(1, vehicle_count)}", "seq": first_seq + count + number}
+            for number in range(BATCH)
+        ]
+        writer.store(Batch(shifts=rows))
+        count += BATCH
+    return count / (time.monotonic() - began_s), first_seq + count
+
+
+async def beside(engine: Engine, address: str, vehicle_count: int) -> None:
+    """Print the pace of a writer alone and beside fifty readers."""
+    seq, paces = 10_000_000, {"alone": list[float](), "beside 50 readers": list[float]()}
+    for _ in range(2):
+        pace, seq = await asyncio.to_thread(ingest_per_s, engine, vehicle_count, seq)
+        paces["alone"].append(pace)
+        reading = asyncio.create_task(together(address, vehicle_count, INGEST_S))
+        pace, seq = await asyncio.to_thread(ingest_per_s, engine, vehicle_count, seq)
+        paces["beside 50 readers"].append(pace)
+        await reading
+    for name, found in paces.items():
+        print(f"one writer {name}: {', '.join(f'{pace:,.0f}' for pace in found)} results/s")
+
+
+def measure(database: str, vehicle_count: int) -> bool:
+    """Print the figures of a fleet; return whether pages alone keep the target."""
+    engine = open_database(database)
+    with page_of(database) as (address, process):
+        is_kept = alone(address, vehicle_count)
+        for name, times_s in asyncio.run(together(address, vehicle_count, READING_S)).items():
+            print(f"{READERS} readers, {name}: {figures(times_s)}, {len(times_s)} pages")
+        asyncio.run(beside(engine, address, vehicle_count))
+        print(f"memory of the server: {process.memory_info().rss / 2**20:.0f} MiB")
+    engine.dispose()
+    return is_kept
+
+
+def main() -> int:
+    """Print the figures; return 0 if pages alone keep the target."""
+    parser = argparse.ArgumentParser(description="The fleet's page before a large fleet.")
+    parser.add_argument("--vehicles", type=int, default=10_000)
+    parser.add_argument("--results", type=int, default=5_000_000)
+    parser.add_argument("--database", help="a fleet that an earlier run made, instead of a new one")
+    options = parser.parse_args()
+    sys.stdout.reconfigure(line_buffering=True)  # type: ignore[union-attr]  # a text stream
+    if options.database:
+        return 0 if measure(options.database, options.vehicles) else 1
+    server = PostgresServer(("shared_buffers=512MB", "max_wal_size=8GB"))
+    with closing(server):
+        server.start()
+        engine = open_database(server.create("fleet"))
+        migrate(engine)
+        began_s = time.monotonic()
+        fill(engine, options.vehicles, options.results)
+        engine.dispose()
+        print(f"{options.vehicles} vehicles, {options.results} results, made in {time.monotonic() - began_s:.0f} s")
+        return 0 if measure(server.url("fleet"), options.vehicles) else 1
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,156 @@
+"""The book of alarms: what is raised, cleared and acknowledged, each with the messages that tell of it."""
+
+import json
+import uuid
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from datetime import UTC, datetime, timedelta
+from typing import Any, Final
+
+from sqlalchemy import Connection, Engine, RowMapping, func, insert, or_, select, update
+
+from fleet_backend.alarm_tables import ALARM, ALARM_MESSAGE, AUDIT
+from fleet_backend.alarms.rules import Event, Rule, Subject, Transition
+from fleet_backend.database import transaction
+from fleet_backend.errors import RowRefusedError
+
+CLAIM: Final = timedelta(seconds=60)  # whoever takes a message has so long to deliver it
+_FIRST_PAUSE_S: Final = 2.0
+_LONGEST_PAUSE_S: Final = 3600.0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Note:
+    """Who acknowledges an alarm, and what is to be remembered."""
+
+    by: str
+    role: str
+    at: datetime
+    text: str | None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Letter:
+    """A message that waits for a carrier; whoever gets one key twice keeps it once."""
+
+    key: str
+    carrier: str
+    payload: Mapping[str, Any]
+    attempt_count: int
+
+
+def open_alarms(engine: Engine) -> dict[Subject, bool]:
+    """Return the subjects whose alarm is open."""
+    columns = (ALARM.c.vehicle, ALARM.c.clutch, ALARM.c.rule)
+    with transaction(engine) as connection:
+        rows = connection.execute(select(*columns).where(ALARM.c.cleared_at.is_(None)))
+        return {Subject(vehicle=row.vehicle, clutch=row.clutch, rule=Rule(row.rule)): True for row in rows}
+
+
+def write(engine: Engine, steps: Iterable[Transition], carriers: Sequence[str]) -> list[Transition]:
+    """Write transitions with a message for each carrier; return those that another process had not written already."""
+    return [step for step in steps if _write(engine, step, carriers)]
+
+
+def acknowledge(engine: Engine, subject: Subject, number: int, note: Note) -> bool:
+    """Acknowledge an alarm and note in the audit who did; return whether there was one to acknowledge."""
+    own = (*_is_of(subject), ALARM.c.number == number, ALARM.c.acknowledged_at.is_(None))
+    values: dict[str, Any] = {"acknowledged_at": note.at, "acknowledged_by": note.by, "note": note.text}
+    with transaction(engine) as connection:
+        count = connection.execute(update(ALARM).where(*own).values(**values)).rowcount
+        if count:
+            _audit(connection, note, "acknowledge alarm", f"{_key(subject, number)}: {note.text or ''}")
+    return count > 0
+
+
+def take(engine: Engine, carrier: str, now: datetime) -> Letter | None:
+    """Take the message that has waited longest for a carrier, for a minute; None if none does."""
+    table = ALARM_MESSAGE
+    is_free = or_(table.c.claimed_until.is_(None), table.c.claimed_until < now)
+    waiting = (table.c.carrier == carrier, table.c.delivered_at.is_(None), table.c.next_try_at <= now, is_free)
+    with transaction(engine) as connection:
+        order = (table.c.next_try_at, table.c.key)
+        row = connection.execute(select(table).where(*waiting).order_by(*order).limit(1)).mappings().first()
+        if row is None:
+            return None
+        mine = update(table).where(table.c.key == row["key"], *waiting).values(claimed_until=now + CLAIM)
+        return _letter(row) if connection.execute(mine).rowcount else None
+
+
+def settle(engine: Engine, letter: Letter, now: datetime, complaint: str | None) -> None:
+    """Note that a message is delivered, or why not: then it is tried again, later each time, for ever."""
+    pause = timedelta(seconds=min(_FIRST_PAUSE_S * 2.0 ** min(letter.attempt_count, 16), _LONGEST_PAUSE_S))
+    values: dict[str, Any] = {"attempt_count": letter.attempt_count + 1, "claimed_until": None, "complaint": complaint}
+    values |= {"delivered_at": now} if complaint is None else {"next_try_at": now + pause}
+    own = (ALARM_MESSAGE.c.key == letter.key, ALARM_MESSAGE.c.carrier == letter.carrier)
+    with transaction(engine) as connection:
+        connection.execute(update(ALARM_MESSAGE).where(*own).values(**values))
+
+
+def _write(engine: Engine, step: Transition, carriers: Sequence[str]) -> bool:
+    try:
+        with transaction(engine) as connection:
+            number = _raise(connection, step) if step.event is Event.RAISED else _clear(connection, step)
+            if number is None:
+                return False
+            payload = json.dumps(_payload(step, number), sort_keys=True)
+            key = f"{_key(step.subject, number)}/{step.event}"
+            rows = [
+                {"key": key, "carrier": one, "payload": payload, "made_at": step.at, "next_try_at": step.at}
+                for one in carriers
+            ]
+            if rows:
+                connection.execute(insert(ALARM_MESSAGE).values(attempt_count=0), rows)
+    except RowRefusedError:  # another process raised it between our look and our word
+        return False
+    return True
+
+
+def _raise(connection: Connection, step: Transition) -> int | None:
+    """Return the number of a new alarm, or None if one is open."""
+    own = _is_of(step.subject)
+    if connection.execute(select(ALARM.c.number).where(*own, ALARM.c.cleared_at.is_(None))).first():
+        return None
+    last = connection.execute(select(func.max(ALARM.c.number)).where(*own)).scalar_one() or 0
+    subject = step.subject
+    values = {"vehicle": subject.vehicle, "clutch": subject.clutch, "rule": subject.rule.value, "number": last + 1}
+    connection.execute(insert(ALARM).values(**values, raised_at=step.at, reason=step.reason))
+    return int(last) + 1
+
+
+def _clear(connection: Connection, step: Transition) -> int | None:
+    own = (*_is_of(step.subject), ALARM.c.cleared_at.is_(None))
+    number = connection.execute(select(ALARM.c.number).where(*own)).scalar()
+    cleared = connection.execute(update(ALARM).where(*own).values(cleared_at=step.at)).rowcount
+    return int(number) if number is not None and cleared else None
+
+
+def _is_of(subject: Subject) -> tuple[Any, ...]:
+    return ALARM.c.vehicle == subject.vehicle, ALARM.c.clutch == subject.clutch, ALARM.c.rule == subject.rule.value
+
+
+def _key(subject: Subject, number: int) -> str:
+    return f"{subject.vehicle}/{subject.clutch}/{subject.rule}/{number}"
+
+
+def _payload(step: Transition, number: int) -> dict[str, Any]:
+    subject = step.subject
+    return {
+        "alarm": _key(subject, number),
+        "event": step.event.value,
+        "vehicle": subject.vehicle,
+        "clutch": subject.clutch or None,
+        "rule": subject.rule.value,
+        "at": step.at.astimezone(UTC).isoformat().replace("+00:00", "Z"),
+        "reason": step.reason,
+    }
+
+
+def _letter(row: RowMapping) -> Letter:
+    payload = json.loads(row["payload"])
+    return Letter(key=row["key"], carrier=row["carrier"], payload=payload, attempt_count=row["attempt_count"])
+
+
+def _audit(connection: Connection, note: Note, action: str, subject: str) -> None:
+    values: dict[str, Any] = {"audit_id": str(uuid.uuid4()), "at": note.at, "who": note.by, "role": note.role}
+    connection.execute(insert(AUDIT).values(**values, action=action, subject=subject))

@@ -1,0 +1,143 @@
+"""What brings alarms to people: a webhook, signed as Standard Webhooks has it, and e-mail; each tells the key."""
+
+import base64
+import hashlib
+import hmac
+import json
+import smtplib
+import ssl
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from datetime import datetime
+from email.message import EmailMessage
+from http import HTTPStatus
+from typing import Final, Protocol
+from urllib.error import URLError
+from urllib.parse import SplitResult, unquote
+from urllib.request import HTTPRedirectHandler, ProxyHandler, Request, build_opener
+
+from fleet_backend.alarms.book import Letter
+from fleet_backend.errors import CarrierError
+
+LONGEST_WAIT_S: Final = 15.0
+_SMTP_PORTS: Final = {"smtp": 25, "smtps": 465}
+
+
+class Carrier(Protocol):
+    """Brings one message where it belongs."""
+
+    @property
+    def name(self) -> str:
+        """What it is called in the book."""
+
+    def deliver(self, letter: Letter, now: datetime) -> None:
+        """Deliver a message; raises CarrierError if that did not work now."""
+
+
+class _NoRedirects(HTTPRedirectHandler):
+    """An alarm goes where it was sent, nowhere else."""
+
+    def redirect_request(self, *_: object) -> None:
+        """Follow none."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Webhook:
+    """Posts to a server that can tell by the signature that it is us."""
+
+    url: str
+    secret: bytes = field(repr=False)
+    name: str = "webhook"
+
+    def deliver(self, letter: Letter, now: datetime) -> None:
+        """Post a message; raises CarrierError unless the answer is a status from 200 to 299."""
+        body = json.dumps({"type": f"clutchdiag.alarm.{letter.payload['event']}", "data": letter.payload}).encode()
+        moment = str(int(now.timestamp()))
+        headers = {
+            "content-type": "application/json",
+            "webhook-id": letter.key,
+            "webhook-timestamp": moment,
+            "webhook-signature": signature(self.secret, letter.key, moment, body),
+        }
+        opener = build_opener(_NoRedirects, ProxyHandler({}))
+        try:
+            with opener.open(Request(self.url, body, headers), timeout=LONGEST_WAIT_S) as answer:  # noqa: S310 - checked
+                status = int(answer.status)
+        except (URLError, OSError, ValueError) as exc:
+            raise CarrierError(f"webhook: {exc}") from exc
+        if not HTTPStatus.OK <= status < HTTPStatus.MULTIPLE_CHOICES:
+            raise CarrierError(f"webhook: status {status}")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Mail:
+    """Sends e-mail by a server for outgoing mail."""
+
+    server: SplitResult = field(repr=False)  # smtp[s]://[user[:password]@]host[:port]
+    sender: str
+    recipients: tuple[str, ...]
+    name: str = "mail"
+
+    def deliver(self, letter: Letter, now: datetime) -> None:
+        """Send a message; raises CarrierError if the server does not take it for all recipients."""
+        try:
+            with self._connect() as server:
+                refused = server.send_message(self._message(letter, now))
+        except (smtplib.SMTPException, OSError) as exc:
+            raise CarrierError(f"mail: {exc}") from exc
+        if refused:
+            raise CarrierError(f"mail: refused for {', '.join(refused)}")
+
+    def _connect(self) -> smtplib.SMTP:
+        host, port = self.server.hostname or "", self.server.port or _SMTP_PORTS[self.server.scheme]
+        if self.server.scheme == "smtps":
+            made: smtplib.SMTP = smtplib.SMTP_SSL(
+                host, port, timeout=LONGEST_WAIT_S, context=ssl.create_default_context()
+            )
+        else:
+            made = smtplib.SMTP(host, port, timeout=LONGEST_WAIT_S)
+            made.ehlo()
+            if made.has_extn("starttls"):
+                made.starttls(context=ssl.create_default_context())
+        if self.server.username:
+            made.login(unquote(self.server.username), unquote(self.server.password or ""))
+        return made
+
+    def _message(self, letter: Letter, now: datetime) -> EmailMessage:
+        told = letter.payload
+        message = EmailMessage()
+        whose = told["vehicle"] + (f", clutch {told['clutch']}" if told["clutch"] else "")
+        state = "Alarm" if told["event"] == "raised" else "Alarm over"
+        message["Subject"] = f"{state}: {whose}: {told['rule']}"
+        message["From"], message["To"] = self.sender, ", ".join(self.recipients)
+        message["Date"] = now
+        digest = hashlib.sha256(letter.key.encode()).hexdigest()[:32]
+        message["Message-ID"] = f"<{digest}@{self.sender.rpartition('@')[2]}>"  # the same at every attempt
+        message.set_content(f"{whose}\n{told['reason']}\n\nsince {told['at']}\nalarm {told['alarm']}\n")
+        return message
+
+
+def signature(secret: bytes, key: str, moment: str, body: bytes) -> str:
+    """Return the signature of a webhook's message, as Standard Webhooks has it."""
+    signed = hmac.new(secret, f"{key}.{moment}.".encode() + body, hashlib.sha256).digest()
+    return f"v1,{base64.b64encode(signed).decode()}"
+
+
+def deliver_all(
+    take: Callable[[str], Letter | None], settle: Callable[[Letter, str | None], None], carrier: Carrier, now: datetime
+) -> int:
+    """Deliver what waits for a carrier until nothing does; return how many messages arrived.
+
+    A message that was delivered and not settled, because the process died between both, is delivered again under the
+    same key.
+    """
+    count = 0
+    while (letter := take(carrier.name)) is not None:
+        try:
+            carrier.deliver(letter, now)
+        except CarrierError as exc:
+            settle(letter, str(exc))
+        else:
+            settle(letter, None)
+            count += 1
+    return count

@@ -1,0 +1,115 @@
+"""When an alarm is raised and when it is over: pure, each with a gap between both so that none flutters."""
+
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass
+from datetime import datetime, timedelta
+from enum import StrEnum
+
+WHOLE_VEHICLE = 0  # in place of the number of a clutch
+
+
+class Rule(StrEnum):
+    """What an alarm is about."""
+
+    VERDICT = "verdict"  # the fluid of a clutch is to be changed
+    DUE = "due"  # it probably has to be before the next service
+    QUALITY = "quality"  # most events of a clutch cannot be used
+    SILENCE = "silence"  # nothing was heard of a vehicle
+
+
+class Event(StrEnum):
+    """What happened to an alarm."""
+
+    RAISED = "raised"
+    CLEARED = "cleared"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Limits:
+    """Where alarms begin and where they end."""
+
+    due_from: float = 0.5  # probability that the change is due before the next service
+    due_until: float = 0.3
+    unused_from: float = 0.5  # share of the last events that could not be used
+    unused_until: float = 0.25
+    unused_events: int = 50
+    least_events: int = 20
+    silence_from: timedelta = timedelta(days=14)
+    silence_until: timedelta = timedelta(days=1)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, order=True)
+class Subject:
+    """What an alarm is of; at most one of each is open at a time."""
+
+    vehicle: str
+    clutch: int
+    rule: Rule
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Finding:
+    """What a rule says now; ``is_wrong`` is None between where alarms begin and where they end: it stays as it was."""
+
+    subject: Subject
+    is_wrong: bool | None
+    reason: str
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Transition:
+    """An alarm that is raised or cleared."""
+
+    subject: Subject
+    event: Event
+    reason: str
+    at: datetime
+
+
+def verdict_finding(vehicle: str, clutch: int, condition: str, advice: str) -> Finding:
+    """Return what the verdict says; one that is none changes nothing."""
+    is_wrong = None if condition == "no_verdict" else condition == "change_fluid"
+    return Finding(subject=_subject(vehicle, clutch, Rule.VERDICT), is_wrong=is_wrong, reason=advice)
+
+
+def due_finding(vehicle: str, clutch: int, probability: float | None, sentence: str, limits: Limits) -> Finding:
+    """Return what the prognosis says; None: there is no trend, which is not wrong."""
+    is_wrong = False if probability is None else _beyond(probability, limits.due_from, limits.due_until)
+    return Finding(subject=_subject(vehicle, clutch, Rule.DUE), is_wrong=is_wrong, reason=sentence)
+
+
+def quality_finding(vehicle: str, clutch: int, unused_count: int, event_count: int, limits: Limits) -> Finding:
+    """Return what the last events say of the data; a few say nothing."""
+    share = unused_count / max(event_count, 1)
+    is_wrong = None if event_count < limits.least_events else _beyond(share, limits.unused_from, limits.unused_until)
+    reason = f"{unused_count} of the last {event_count} events of clutch {clutch} could not be used"
+    return Finding(subject=_subject(vehicle, clutch, Rule.QUALITY), is_wrong=is_wrong, reason=reason)
+
+
+def silence_finding(vehicle: str, last_heard_at: datetime, now: datetime, limits: Limits) -> Finding:
+    """Return whether too long nothing was heard of a vehicle."""
+    is_wrong = _beyond(
+        (now - last_heard_at).total_seconds(), limits.silence_from.total_seconds(), limits.silence_until.total_seconds()
+    )
+    reason = f"nothing was heard of it since {last_heard_at:%Y-%m-%d %H:%M} UTC"
+    return Finding(subject=_subject(vehicle, WHOLE_VEHICLE, Rule.SILENCE), is_wrong=is_wrong, reason=reason)
+
+
+def transitions(findings: Iterable[Finding], is_open: Mapping[Subject, bool], now: datetime) -> Iterator[Transition]:
+    """Yield what becomes of alarms; ``is_open`` knows those that are."""
+    for one in findings:
+        was_open = is_open.get(one.subject, False)
+        if one.is_wrong is None or one.is_wrong == was_open:
+            continue
+        event = Event.RAISED if one.is_wrong else Event.CLEARED
+        yield Transition(subject=one.subject, event=event, reason=one.reason, at=now)
+
+
+def _subject(vehicle: str, clutch: int, rule: Rule) -> Subject:
+    return Subject(vehicle=vehicle, clutch=clutch, rule=rule)
+
+
+def _beyond(value: float, begin: float, end: float) -> bool | None:
+    if value >= begin:
+        return True
+    return False if value <= end else None

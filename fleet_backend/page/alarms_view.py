@@ -1,0 +1,127 @@
+"""Alarms that rules raised, open ones first asked for; the watch delivers them."""
+
+from dataclasses import fields
+from datetime import UTC, datetime
+from typing import Any, Final
+
+from sqlalchemy import Engine, RowMapping, and_, or_, select
+
+from fleet_backend.alarm_tables import ALARM
+from fleet_backend.alarms.rules import Rule
+from fleet_backend.database import transaction
+from fleet_backend.page import wording
+from fleet_backend.page.asking import AFTER, LIMIT, Ask, Parameter
+from fleet_backend.page.errors import AskError
+from fleet_backend.page.fleet_view import next_of
+from fleet_backend.page.listing import cursor, read_words
+from fleet_backend.page.records import Alarm, AlarmsAnswer
+from fleet_backend.page.view import Choice, Shown, Sources, View
+from program_io.pages.content import Cell, Section, Table
+
+_KEY: Final = ("vehicle", "clutch", "rule", "number")
+_STATES: Final = ("open", "waiting", "all")
+_STATE_WORDS: Final = (("", "open"), ("waiting", "open, not acknowledged"), ("all", "all"))
+_NAMES: Final = tuple(field.name for field in fields(Alarm))
+
+
+def find(sources: Sources, ask: Ask) -> AlarmsAnswer:
+    """Return a part of the alarms."""
+    limit = ask.count("limit")
+    found = _read(sources.engine, ask, limit + 1)
+    some = found[:limit]
+    if len(found) <= limit:
+        return AlarmsAnswer(alarms=some, next=None)
+    last = some[-1]
+    place = (last.raised_at.isoformat(), last.vehicle, last.clutch or 0, last.rule, last.number)
+    return AlarmsAnswer(alarms=some, next=cursor(place))
+
+
+def show(answer: AlarmsAnswer, ask: Ask, _sources: Sources) -> Shown:
+    """Return the page of alarms."""
+    head = ("vehicle", "clutch", "rule", "raised (UTC)", "over (UTC)", "reason", "acknowledged", "note")
+    table = Table(
+        caption=f"{len(answer.alarms)} alarms, the latest first", head=head, rows=tuple(map(_cells, answer.alarms))
+    )
+    texts = () if answer.alarms else ("There is none. fleet-backend watch raises alarms while it runs.",)
+    rules = (("", "any"), *((one.value, one.value) for one in Rule))
+    return Shown(
+        title="Alarms",
+        subtitle="raised by rules; those of one vehicle and rule follow each other, one is open at a time",
+        sections=(Section(name="alarms", title="Alarms", texts=texts, tables=(table,) if answer.alarms else ()),),
+        choices=(
+            Choice(name="state", label="State", value=ask.text("state") or "", options=_STATE_WORDS),
+            Choice(name="rule", label="Rule", value=ask.text("rule") or "", options=rules),
+        ),
+        next=next_of("/alarms", ask, answer.next),
+    )
+
+
+def _read(engine: Engine, ask: Ask, limit: int) -> tuple[Alarm, ...]:
+    statement = select(ALARM).order_by(ALARM.c.raised_at.desc(), *(ALARM.c[name] for name in _KEY)).limit(limit)
+    state, rule, after = ask.text("state"), ask.text("rule"), ask.text("after")
+    if state != "all":
+        statement = statement.where(ALARM.c.cleared_at.is_(None))
+    if state == "waiting":
+        statement = statement.where(ALARM.c.acknowledged_at.is_(None))
+    if rule is not None:
+        statement = statement.where(ALARM.c.rule == rule)
+    if after is not None:
+        at, *key = _place(after)
+        statement = statement.where(ALARM.c.raised_at <= at, or_(ALARM.c.raised_at < at, _is_behind(key)))
+    with transaction(engine) as connection:
+        return tuple(map(_alarm, connection.execute(statement).mappings()))
+
+
+def _is_behind(key: list[Any]) -> Any:  # noqa: ANN401 - a condition of SQLAlchemy
+    """Return whether a row comes behind a key: the first column that differs tells."""
+    ways = []
+    for place, name in enumerate(_KEY):
+        equal = [ALARM.c[before] == value for before, value in zip(_KEY[:place], key[:place], strict=True)]
+        ways.append(and_(*equal, ALARM.c[name] > key[place]))
+    return or_(*ways)
+
+
+def _place(after: str) -> tuple[Any, ...]:
+    at, *key = read_words(after, (str, str, int, str, int))
+    try:
+        return datetime.fromisoformat(str(at)).astimezone(UTC), *key
+    except (ValueError, OverflowError) as exc:
+        raise AskError("after: no place in a list; take it from the list before") from exc
+
+
+def _alarm(row: RowMapping) -> Alarm:
+    values = {name: row[name] for name in _NAMES}
+    return Alarm(**{**values, "clutch": row["clutch"] or None})
+
+
+def _cells(one: Alarm) -> tuple[Cell, ...]:
+    at = one.acknowledged_at
+    return (
+        wording.vehicle_link(one.vehicle),
+        wording.plain(None if one.clutch is None else str(one.clutch)),
+        one.rule,
+        wording.minute(one.raised_at),
+        wording.minute(one.cleared_at),
+        one.reason,
+        wording.plain(None if at is None else f"{at:%Y-%m-%d %H:%M} by {one.acknowledged_by}"),
+        wording.plain(one.note),
+    )
+
+
+VIEW: Final = View(
+    name="alarms",
+    page_path="/alarms",
+    api_path="/api/v1/alarms",
+    text="Alarms that rules raised, the latest first.",
+    parameters=(
+        Parameter(name="state", text="which ones (default: open)", choices=_STATES),
+        Parameter(name="rule", text="what they are about", choices=tuple(one.value for one in Rule)),
+        AFTER,
+        LIMIT,
+    ),
+    answer=AlarmsAnswer,
+    row=Alarm,
+    find=find,
+    show=show,
+    rows=lambda answer: answer.alarms,
+)

@@ -1,0 +1,65 @@
+"""When alarms begin and end: a value that swings a little raises one alarm, not many."""
+
+from datetime import timedelta
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from fleet_backend.alarms.rules import (
+    Event,
+    Finding,
+    Limits,
+    Subject,
+    due_finding,
+    quality_finding,
+    silence_finding,
+    transitions,
+    verdict_finding,
+)
+from tests.support.fleet import NOW
+
+LIMITS = Limits()
+
+
+def happened(findings: list[Finding]) -> list[Event]:
+    """Return what becomes of one alarm while findings come one after the other."""
+    is_open: dict[Subject, bool] = {}
+    events = []
+    for one in findings:
+        for step in transitions([one], is_open, NOW):
+            is_open[step.subject] = step.event is Event.RAISED
+            events.append(step.event)
+    return events
+
+
+def test_a_probability_that_swings_about_a_limit_raises_one_alarm() -> None:
+    swing = [0.1, 0.49, 0.51, 0.49, 0.51, 0.31, 0.29, 0.31, 0.49]
+    assert happened([due_finding("a", 1, one, "soon", LIMITS) for one in swing]) == [Event.RAISED, Event.CLEARED]
+    lost = [due_finding("a", 1, 0.9, "soon", LIMITS), due_finding("a", 1, None, "no trend yet", LIMITS)]
+    assert happened(lost) == [Event.RAISED, Event.CLEARED]
+
+
+@given(st.lists(st.floats(0.0, 1.0), max_size=30))
+def test_an_alarm_is_raised_and_cleared_in_turn(chances: list[float]) -> None:
+    events = happened([due_finding("a", 1, one, "soon", LIMITS) for one in chances])
+    assert events == [Event.RAISED, Event.CLEARED] * (len(events) // 2) + [Event.RAISED] * (len(events) % 2)
+
+
+def test_no_verdict_neither_raises_nor_clears() -> None:
+    words = ["no_verdict", "good", "change_fluid", "no_verdict", "change_fluid", "watch"]
+    assert happened([verdict_finding("a", 1, one, "why") for one in words]) == [Event.RAISED, Event.CLEARED]
+
+
+@pytest.mark.parametrize(
+    ("unused", "events", "is_wrong"), [(19, 19, None), (25, 50, True), (20, 50, None), (12, 50, False), (0, 0, None)]
+)
+def test_a_few_events_say_nothing_of_the_data(unused: int, events: int, is_wrong: bool | None) -> None:
+    found = quality_finding("a", 2, unused, events, LIMITS)
+    assert found.is_wrong is is_wrong
+    assert f"{unused} of the last {events} events of clutch 2" in found.reason
+
+
+@pytest.mark.parametrize(("days", "is_wrong"), [(15.0, True), (14.0, True), (13.0, None), (1.0, False), (-1.0, False)])
+def test_silence_lasts_two_weeks(days: float, is_wrong: bool | None) -> None:
+    assert silence_finding("a", NOW - timedelta(days=days), NOW, LIMITS).is_wrong is is_wrong
