@@ -1,5 +1,7 @@
 """Lumped heat balance of a clutch pack and of the sump, docs/model.md section "Thermal"."""
 
+import math
+
 from canlog.jit import kernel
 
 
@@ -23,3 +25,16 @@ def sump_heating_rate_k_s(
 ) -> float:
     """Return the temperature rate of the sump oil [K/s], cooled by the engine's coolant."""
     return (heat_from_clutches_w - convected_w(oil_k, coolant_k, convection_w_k)) / heat_capacity_j_k
+
+
+def clutch_later_k(
+    clutch_k: float,
+    oil_k: float,
+    friction_power_w: float,
+    elapsed_s: float,
+    heat_capacity_j_k: float,
+    convection_w_k: float,
+) -> float:
+    """Return the temperature of a pack after a while of constant power [K]: `clutch_heating_rate_k_s` solved."""
+    end_k = oil_k + friction_power_w / convection_w_k
+    return end_k + (clutch_k - end_k) * math.exp(-elapsed_s * convection_w_k / heat_capacity_j_k)

@@ -20,14 +20,7 @@ from diag_service.service.paper_run import run_paper
 from diag_service.service.stopping import Trigger
 
 
-def read(
-    paths: AnyPaths,
-    dbc: AnyPath | None = None,
-    *,
-    is_strict: bool = False,
-    is_lenient: bool = False,
-    columns: str = "",
-) -> Log:
+def read(paths: AnyPaths, dbc: AnyPath | None = None, *, is_strict: bool = False, is_lenient: bool = False) -> Log:
     """Return the frames of logs and their signals as arrays or tables, as ``diag-service decode`` writes them.
 
     Parameters
@@ -36,7 +29,7 @@ def read(
         One log, or several, whose frames are put in the order of time.
     dbc
         Message database; without one the shipped one.
-    is_strict, is_lenient, columns
+    is_strict, is_lenient
         As of ``analyze``.
 
     Returns
@@ -52,7 +45,7 @@ def read(
     """
     with collected_notices():
         database = open_database(optional_path(dbc), is_lenient=is_lenient)
-        return canlog.read(path_list(paths), database, is_strict=is_strict, columns=columns)
+        return canlog.read(path_list(paths), database, is_strict=is_strict)
 
 
 def decode(
@@ -64,7 +57,6 @@ def decode(
     layout: ShapeName = "wide",
     values: ValuesName = "numbers",
     is_lenient: bool = False,
-    columns: str = "",
 ) -> list[str]:
     """Write the signals of logs as a table of any size, as ``diag-service decode`` does.
 
@@ -78,7 +70,7 @@ def decode(
         A row per frame with a column per signal, or a row per value.
     values : {"numbers", "texts", "both"}
         What stands for a value that the database names.
-    paths, dbc, is_lenient, columns
+    paths, dbc, is_lenient
         As of ``read``.
 
     Returns
@@ -94,23 +86,12 @@ def decode(
     with collected_notices():
         database = open_database(optional_path(dbc), is_lenient=is_lenient)
         return canlog.write_table(
-            path_list(paths),
-            database,
-            Path(output),
-            table_format=table_format,
-            shape=layout,
-            values=values,
-            columns=columns,
+            path_list(paths), database, Path(output), table_format=table_format, shape=layout, values=values
         )
 
 
 def inspect(
-    path: AnyPath,
-    dbc: AnyPath | None = None,
-    *,
-    bitrate: int = DEFAULT_BITRATE,
-    is_lenient: bool = False,
-    columns: str = "",
+    path: AnyPath, dbc: AnyPath | None = None, *, bitrate: int = DEFAULT_BITRATE, is_lenient: bool = False
 ) -> Inspection:
     """Return what traffic a log holds, as ``diag-service inspect`` shows it.
 
@@ -118,7 +99,7 @@ def inspect(
     ----------
     bitrate
         That the bus load is told for [bit/s].
-    path, dbc, is_lenient, columns
+    path, dbc, is_lenient
         As of ``analyze``.
 
     Raises
@@ -128,10 +109,10 @@ def inspect(
     """
     with collected_notices():
         messages = open_database(optional_path(dbc), is_lenient=is_lenient).messages
-        return inspect_log(Path(path), messages, bitrate, Trigger(), columns=columns)
+        return inspect_log(Path(path), messages, bitrate, Trigger())
 
 
-def propose_profile(path: AnyPath, dbc: AnyPath | None = None, *, is_lenient: bool = False, columns: str = "") -> str:
+def propose_profile(path: AnyPath, dbc: AnyPath | None = None, *, is_lenient: bool = False) -> str:
     """Return a profile for a vehicle as TOML text, proposed from a log and its database: ``diag-service signals``.
 
     Raises
@@ -140,7 +121,7 @@ def propose_profile(path: AnyPath, dbc: AnyPath | None = None, *, is_lenient: bo
         If the log or the database cannot be read.
     """
     with collected_notices():
-        return proposed_profile(Path(path), optional_path(dbc), Trigger(), is_lenient=is_lenient, columns=columns)
+        return proposed_profile(Path(path), optional_path(dbc), Trigger(), is_lenient=is_lenient)
 
 
 def calibrate(
@@ -152,7 +133,6 @@ def calibrate(
     profile: AnyPath | None = None,
     calibration: Calibration | AnyPath | None = None,
     is_lenient: bool = False,
-    columns: str = "",
 ) -> SelfCalibration:
     """Find one vehicle's sensor errors and inertia from its logs, as ``diag-service calibrate`` does.
 
@@ -160,7 +140,7 @@ def calibrate(
     ----------
     output
         TOML file to write.
-    paths, vehicle, dbc, profile, calibration, is_lenient, columns
+    paths, vehicle, dbc, profile, calibration, is_lenient
         As of ``analyze``; the logs may be of several drives of the one vehicle.
 
     Returns
@@ -177,7 +157,7 @@ def calibrate(
     """
     with collected_notices():
         config = configuration(
-            vehicle=vehicle, dbc=dbc, profile=profile, calibration=calibration, is_lenient=is_lenient, columns=columns
+            vehicle=vehicle, dbc=dbc, profile=profile, calibration=calibration, is_lenient=is_lenient
         )
         found = calibrated(config, path_list(paths), Trigger()).found
         if output is not None:
@@ -203,7 +183,6 @@ def analyze_by_paper(
     calibration: Calibration | AnyPath | None = None,
     is_strict: bool = False,
     is_lenient: bool = False,
-    columns: str = "",
 ) -> PaperAnalysis:
     """Analyse the logs of one drive as ``diag-service analyze --estimator paper`` does; arguments as of ``analyze``.
 
@@ -212,12 +191,7 @@ def analyze_by_paper(
     shifts: list[PaperShift] = []
     with collected_notices() as notices:
         config = configuration(
-            dbc=dbc,
-            profile=profile,
-            calibration=calibration,
-            is_strict=is_strict,
-            is_lenient=is_lenient,
-            columns=columns,
+            dbc=dbc, profile=profile, calibration=calibration, is_strict=is_strict, is_lenient=is_lenient
         )
         run = run_paper(config, path_list(paths), Trigger(), shifts.append)
     if is_strict:

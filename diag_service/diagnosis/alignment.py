@@ -21,6 +21,8 @@ TURNING_RAD_S = 58.0  # 554 rpm: below any idle; there a starter may turn the en
 END_COUNT = 30  # samples, of which one is nearly on time; an event is cut that much wider than its slip window
 COMMAND_LAG_S = 0.025  # from commanded to piston pressure: solenoid and feed orifice; docs/model.md, hydraulics
 
+_NO_WEIGHT = 1e-9  # of grid points: a sample at the very end of some rows says nothing there
+
 SampleTimes = Mapping[Signal, FloatArray]
 """When each signal of the balance was sampled [s] after the start of its event."""
 
@@ -48,10 +50,19 @@ class Resampled:
         return cls(times_s=times_s, value=value, left=left, share=share, on_grid=on_grid)
 
     def to_samples(self, weights: FloatArray, rows: slice) -> FloatArray:
-        """Return the weight of each sample, shape (k, n), in k weighted sums over rows of the grid, (k, len(rows))."""
-        spread = np.zeros((len(weights), len(self.times_s)))
-        _spread(weights, self.left[rows], self.share[rows], spread)
+        """Return the weight of each sample, shape (k, n), in k weighted sums over rows of the grid, (k, len(rows)).
+
+        The samples are those that the rows lie between.
+        """
+        left = self.left[rows]
+        spread = np.zeros((len(weights), left[-1] + 2 - left[0]))
+        _spread(weights, left - left[0], self.share[rows], spread)
         return spread
+
+    def around_samples(self, values: FloatArray, rows: slice) -> FloatArray:
+        """Return values on rows of the grid as means around the samples of `to_samples`, shape (n,)."""
+        total, weight = self.to_samples(np.stack((values, np.ones_like(values))), rows)
+        return np.asarray(total / np.maximum(weight, _NO_WEIGHT))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -4,7 +4,6 @@ The torque comes from the measured pressure above the touch point and the fricti
 docs/model.md, eq. (T1), with the numbers of the type.
 """
 
-import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cache
@@ -13,6 +12,7 @@ from typing import Final
 from clutch_model.calibration import nominal_calibration
 from clutch_model.film import film_law
 from clutch_model.friction import contact_torque_nm
+from clutch_model.thermal import clutch_later_k
 from ecu_emulator.diagnostics.adaptation import CLUTCHES
 
 ASSUMED_FRICTION: Final = 0.13  # docs/model.md (S1)
@@ -64,7 +64,9 @@ def heated_k(
     if oil_k is None:
         return before_k
     first, second = (
-        _after_k(was_k, oil_k, slip_power_w(known, clutch), duration_s, pack)
+        clutch_later_k(
+            was_k, oil_k, slip_power_w(known, clutch), duration_s, pack.heat_capacity_j_k, pack.convection_w_k
+        )
         for clutch, was_k, pack in zip(CLUTCHES, before_k or (oil_k, oil_k), _packs(), strict=True)
     )
     return first, second
@@ -78,8 +80,3 @@ def slip_power_w(known: Mapping[str, float], clutch: int) -> float:
     pack = _packs()[clutch - 1]
     touch_pa = known.get(f"clutch{clutch}_touch_pressure_pa", pack.touch_pressure_pa)
     return abs(slip_rad_s) * max(pressure_pa - touch_pa, 0.0) * pack.torque_per_pressure_nm_pa
-
-
-def _after_k(before_k: float, oil_k: float, power_w: float, duration_s: float, pack: _Pack) -> float:
-    end_k = oil_k + power_w / pack.convection_w_k
-    return end_k + (before_k - end_k) * math.exp(-duration_s * pack.convection_w_k / pack.heat_capacity_j_k)

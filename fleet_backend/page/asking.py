@@ -7,7 +7,6 @@ from datetime import UTC, datetime
 from enum import Enum
 from typing import Final
 
-from fleet_backend.page.access import NOBODY, Viewer
 from fleet_backend.page.errors import AskError
 
 MOST_IN_A_PART: Final = 1000
@@ -65,7 +64,6 @@ class Ask:
 
     values: Mapping[str, str | int | datetime]
     now: datetime
-    viewer: Viewer = NOBODY
 
     def text(self, name: str) -> str | None:
         """Return a text, or None where nothing was said."""
@@ -99,11 +97,7 @@ LIMIT: Final = Parameter(
 
 
 def read_words(
-    parameters: Sequence[Parameter],
-    path: Mapping[str, str],
-    query: Iterable[tuple[str, str]],
-    now: datetime,
-    viewer: Viewer = NOBODY,
+    parameters: Sequence[Parameter], path: Mapping[str, str], query: Iterable[tuple[str, str]], now: datetime
 ) -> Ask:
     """Return the question in an address; an empty word of a form was not said.
 
@@ -130,7 +124,7 @@ def read_words(
             raise AskError(f"{one.name}: is missing")
         elif one.default is not None:
             values[one.name] = one.default
-    return Ask(values=values, now=now, viewer=viewer)
+    return Ask(values=values, now=now)
 
 
 def _moment(name: str, word: str) -> datetime:

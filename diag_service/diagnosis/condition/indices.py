@@ -21,6 +21,8 @@ from diag_service.diagnosis.shifts.slip_tracking import LOADED_NM, LOADED_PA, SL
 GRID_S = 0.005
 NS_PER_S = 1e9
 STUCK_RAD_S = 1.0  # below it slip has ended: the speeds of a clutch that sticks differ by their noise
+STUCK_ROWS = 2  # of the grid, 0.01 s: for so long it does, before slip has ended
+SWING_ROWS = 200  # of the grid, 1 s: a driveline swings at 8 Hz, for a while; what slips for longer was let slip
 LET_GO_ROWS = 10  # of the grid, 0.05 s: a clutch without load for so long was let go
 RELEASED_RATIO = 0.1  # an off-going clutch that is asked for less than this share has let go
 MIN_TORQUE_NM = 10.0  # below it a ratio of torques says nothing
@@ -76,21 +78,35 @@ def measure(event: Event, calibration: Calibration) -> ShiftIndices:
 def _reslip(slip_rad_s: FloatArray, is_pressed: npt.NDArray[np.bool_]) -> float:
     """Return the largest slip under load after it had begun and ended once [rad/s]: stick-slip, if there is much.
 
-    Slip has begun when it is as large as three quarters of the largest: as a clutch bites, its shaft swings. A clutch
-    that was let go in between begins anew.
+    Slip has begun when it is as large as three quarters of the largest: as a clutch bites, its shaft swings. It has
+    ended when the clutch sticks, not as it passes zero. A clutch that was let go in between begins anew, and so does
+    one that is let slip for long.
     """
     pressed_rad_s = np.where(is_pressed, slip_rad_s, 0.0)
     begun = np.flatnonzero(pressed_rad_s > max(SLIP_RAD_S, 0.75 * float(pressed_rad_s.max())))
     if not len(begun):
         return 0.0
-    since, is_held = pressed_rad_s[begun[0] :], is_pressed[begun[0] :]
-    ended = np.flatnonzero(is_held & (since < STUCK_RAD_S))
-    if not len(ended):
+    stuck = _runs(is_pressed[begun[0] :] & (slip_rad_s[begun[0] :] < STUCK_RAD_S), STUCK_ROWS)
+    if not len(stuck):
         return 0.0
-    after, is_held = since[ended[0] :], is_held[ended[0] :]
-    open_rows = np.convolve(~is_held, np.ones(LET_GO_ROWS), "valid")
-    let_go = np.flatnonzero(open_rows > LET_GO_ROWS - 0.5)
-    return float(after[: let_go[0] if len(let_go) else None].max(initial=0.0))
+    first = begun[0] + stuck[0]
+    let_go = _runs(~is_pressed[first:], LET_GO_ROWS)
+    rows = slice(first, first + let_go[0] if len(let_go) else None)
+    return _largest_swing(slip_rad_s[rows], pressed_rad_s[rows])
+
+
+def _runs(is_so: npt.NDArray[np.bool_], count: int) -> npt.NDArray[np.intp]:
+    """Return the rows at which something begins to be so for ``count`` rows at least."""
+    return np.flatnonzero(np.convolve(is_so, np.ones(count), "valid") > count - 0.5)
+
+
+def _largest_swing(slip_rad_s: FloatArray, pressed_rad_s: FloatArray) -> float:
+    """Return the largest slip under load [rad/s] of stretches of slip that end as soon as a driveline swings back."""
+    edged = np.concatenate(((False,), slip_rad_s >= STUCK_RAD_S, (False,)))
+    stretches = np.flatnonzero(edged[1:] != edged[:-1]).reshape(-1, 2).tolist()
+    swings = [float(pressed_rad_s[first:stop].max()) for first, stop in stretches
+              if stop - first <= SWING_ROWS and stop < len(slip_rad_s)]  # fmt: skip
+    return max(swings, default=float(slip_rad_s.min(initial=STUCK_RAD_S)))
 
 
 def _pressed(grid: _Grid, calibration: Calibration) -> npt.NDArray[np.bool_]:

@@ -10,7 +10,7 @@ from typing import Final, Self
 from diag_service.diagnosis.events import EndReason, EventKind
 from diag_service.diagnosis.records import ShiftEstimate, StickSlip
 
-JUDDER_RAD_S: Final = 5.5  # slip after the clutch had stuck: 5, and what the noise of its speeds adds
+JUDDER_RAD_S: Final = 5.2  # slip after the clutch had stuck: 5, and a little of what the noise of its speeds adds
 LAUNCH_WINDOW: Final = 20  # launches of a clutch that are remembered
 LEAST_COUNT: Final = 2  # a single one may be a load that pulled the clutch open
 EVIDENCE_RATIO: Final = 10.0  # for each beyond the first: half of the launches of aged fluid, none of 102 of others

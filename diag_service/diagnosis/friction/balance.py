@@ -166,10 +166,16 @@ def motoring_corrected_nm(reading_nm: FloatArray, offset_nm: float, bias: Sensor
 
 def contact_nm(clutch: ClutchCalibration, drive: PressureDrive, track: FilmTrack, rows: slice) -> FloatArray:
     """Return the contact torque per unit of mu_c and mu_s on rows of the grid, shape (n, 2); eqs. (6) and (8)."""
-    slip_rad_s, contact_pa = drive.slip_rad_s[rows], track.contact_pa[rows]
-    full_nm = contact_torques_nm(direction(slip_rad_s), 1.0, contact_pa, clutch.geometry.contact_factor_m3)
+    return contact_lever_m3(clutch, drive.slip_rad_s[rows]) * track.contact_pa[rows, None]
+
+
+def contact_lever_m3(clutch: ClutchCalibration, slip_rad_s: FloatArray) -> FloatArray:
+    """Return the contact torque per unit of contact pressure, and of mu_c and mu_s, shape (n, 2)."""
+    full_m3 = contact_torques_nm(
+        direction(slip_rad_s), 1.0, np.ones_like(slip_rad_s), clutch.geometry.contact_factor_m3
+    )
     share = stribeck_weights(slip_rad_s, friction_law(clutch.friction))
-    return np.column_stack((full_nm * (1.0 - share), full_nm * share))
+    return np.column_stack((full_m3 * (1.0 - share), full_m3 * share))
 
 
 def direction(slip_rad_s: FloatArray) -> FloatArray:

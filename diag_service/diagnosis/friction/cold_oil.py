@@ -28,6 +28,7 @@ PRESSURE_LATENCY_S: Final = 0.02  # a film that closes or opens earlier or later
 CONTACT_STIFFNESS_RATIO: Final = 0.2
 FILM_MOBILITY_LOG: Final = 1.0
 OPEN_DRAG_LOG: Final = 1.0
+OPEN_DRAG_SPEED_LOG: Final = 0.7  # also at work: twice or half; how drag goes with the slip is another in every pack
 FRICTION_RATIO: Final = 0.01  # of mu, also at work: heat, oil and load are spread over the linings anew each time
 MOST_FILM_SHARE: Final = 0.4  # of the torque in the slip window: beyond it nothing is said of friction
 
@@ -43,6 +44,7 @@ def own_variance(balance: Balance, clutch: int) -> FloatArray:
     variance[STATE_COUNT + Considered.FILM_MOBILITY] = FILM_MOBILITY_LOG**2
     variance[STATE_COUNT + Considered.OPEN_DRAG] = OPEN_DRAG_LOG**2
     variance *= max(0.0, (WORKING_K - pack_k) / COLD_SPAN_K) ** 2
+    variance[STATE_COUNT + Considered.OPEN_DRAG] += OPEN_DRAG_SPEED_LOG**2
     variance[:FRICTION_COUNT] = (FRICTION_RATIO * balance.at[:FRICTION_COUNT]) ** 2
     return variance
 

@@ -15,6 +15,7 @@ from diag_service.diagnosis.events import Event
 from diag_service.diagnosis.friction.balance import Balance
 from diag_service.diagnosis.friction.cold_oil import MOST_FILM_SHARE, film_share, own_variance
 from diag_service.diagnosis.friction.evidence import Evidence, Fusion, Knowledge, Measurement, fuse
+from diag_service.diagnosis.friction.film_tangents import compile_tangents
 from diag_service.diagnosis.friction.film_track import PressureDrive, compile_film
 from diag_service.diagnosis.friction.friction_values import friction, scale_free
 from diag_service.diagnosis.friction.judgement import JudgedEvent
@@ -38,7 +39,7 @@ from diag_service.diagnosis.quality.plausibility import (
 from diag_service.diagnosis.quality.usability import usable_signals
 from diag_service.diagnosis.records import Reason, ShiftEstimate, Status
 
-ALGORITHM_VERSION = "torque-impulse-5"
+ALGORITHM_VERSION = "torque-impulse-6"
 MAX_PASS_COUNT = 4  # of linearisation: the first events of a vehicle move latencies by more than a line follows
 CONVERGED = 0.2  # of a standard deviation
 NEAR_STEP = 0.5  # standard deviations of the type: up to there derivatives are the same
@@ -46,6 +47,7 @@ LONGEST_STEP = 2.0  # standard deviations of the type: farther off, the balance 
 MAX_MISFIT = 4.0  # chi-square per degree of freedom; a clean shift stays below 2.5
 MAX_EXCESS = 48.0  # of chi-square over its expectation: an error adds as much to few numbers as to many
 SCORE_GATE = 5.5  # standard deviations that one parameter is displaced: of sound drives one event in 340 reaches 4.7
+LEAST_LEARNT = 0.03  # of a standard deviation: what an event tells less of, it cannot contradict
 FULL_WINDOW_S = 0.25  # the shortest slip window that every regular shift offers
 
 
@@ -73,6 +75,7 @@ class Estimator:
         """Have everything compiled before the first shift comes: it must not wait for it."""
         compile_alignment()
         compile_film(self._calibration)
+        compile_tangents(self._calibration)
 
     def estimate(
         self, event: Event, state: Posterior, *, is_described_only: bool = False
@@ -97,13 +100,14 @@ class Estimator:
         )
         if faults := plausibility_faults(event, first.balance.signals, slipping):
             return state, without_friction(event, Status.REJECTED, *faults)
-        seen = self._settled(event, state, first)
-        state = state.warmed(PackTemperatures(clutch_k=seen.balance.final_clutch_k, at_ns=event.end_ns))
+        seen, judged = self._settled(event, state, first)
+        packs = PackTemperatures(clutch_k=seen.balance.final_clutch_k, at_ns=event.end_ns)
+        state = state.warmed(packs)
         is_misfit = _is_misfit(self._type, fuse(self._type, seen.evidence), seen.evidence.count)
         if is_misfit or is_described_only:
             estimate = self._described(event, seen, state, seen.alone)
             return state, _rejected(estimate, Reason.MISFIT) if is_misfit else estimate
-        return self._judged(event, seen, state.with_event(_judged_event(event, seen)))
+        return self._judged(event, seen, judged.warmed(packs))
 
     def _judged(self, event: Event, seen: _Seen, state: Posterior) -> tuple[Posterior, ShiftEstimate]:
         """Return what is known after an event, and its estimate: used or left out, and why."""
@@ -128,14 +132,13 @@ class Estimator:
         covariance[rows, rows] = np.eye(2) * FRICTION_PRIOR_STD**2
         return Knowledge(mean=mean, covariance=covariance)
 
-    def _settled(self, event: Event, state: Posterior, seen: _Seen) -> _Seen:
-        """Return the event linearised where it and all that is believed meet.
+    def _settled(self, event: Event, state: Posterior, seen: _Seen) -> tuple[_Seen, Posterior]:
+        """Return the event linearised where it and all that is believed meet, and what is known with it.
 
         One that does not belong is linearised where it alone would have it: it meets nothing.
         """
-        at = state.known.mean
+        at, judged = state.known.mean, state.with_event(_judged_event(event, seen))
         for _ in range(MAX_PASS_COUNT - 1):
-            judged = state.with_event(_judged_event(event, seen))
             after = judged.known if judged.is_used[-1] else seen.alone.knowledge
             step = after.mean - at
             if np.max(np.abs(step) / after.std().clip(min=1e-30)) < CONVERGED:
@@ -145,8 +148,8 @@ class Estimator:
             attempt = self._linearised(event, state, at, seen, is_near=longest < NEAR_STEP)
             if not isinstance(attempt, _Seen):
                 break
-            seen = attempt
-        return seen
+            seen, judged = attempt, state.with_event(_judged_event(event, attempt))
+        return seen, judged
 
     def _zeros_of(self, empty: Sequence[Measurement], at: FloatArray, known: Knowledge) -> FloatArray:
         """Return the zeros of both pressure sensors [Pa] as an event shows them, otherwise as they are known."""
@@ -225,7 +228,7 @@ def _is_misfit(before: Knowledge, alone: Fusion, count: int) -> bool:
         return True
     after = alone.knowledge
     variance = np.diag(before.covariance)
-    learnt = np.sqrt(np.maximum(variance - np.diag(after.covariance), 1e-12 * variance))
+    learnt = np.sqrt(np.maximum(variance - np.diag(after.covariance), LEAST_LEARNT**2 * variance))
     score = np.abs(after.mean - before.mean) / np.where(learnt > 0.0, learnt, np.inf)
     return bool(np.max(score[FRICTION_COUNT:]) > SCORE_GATE)
 

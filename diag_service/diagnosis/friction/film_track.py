@@ -119,17 +119,17 @@ def integrate_film(
     rows = _Rows(*(np.zeros(len(driven.piston_pa)) for _ in _Rows._fields))
     final_k = _integrate(driven, law, friction_law(nominal.friction), heat, rows)
     count = len(drive.piston_pa[:stop])
-    tracks = {name: _filled(row, step, count, len(drive.piston_pa)) for name, row in rows._asdict().items()}
+    tracks = {name: filled(row, step, count, len(drive.piston_pa)) for name, row in rows._asdict().items()}
     return FilmTrack(**tracks, final_clutch_k=final_k)
 
 
-def _filled(row: FloatArray, step: int, count: int, length: int) -> FloatArray:
-    """Return a row of a coarse grid on the even grid, zero beyond ``count`` points."""
+def filled(row: FloatArray, step: int, count: int, length: int) -> FloatArray:
+    """Return a row (or columns) of a coarse grid on the even grid, zero beyond ``count`` points."""
     if step == 1 and count == length:
         return row
-    filled = np.zeros(length)
-    filled[:count] = np.repeat(row, step)[:count]
-    return filled
+    whole = np.zeros((length, *row.shape[1:]))
+    whole[:count] = np.repeat(row, step, axis=0)[:count]
+    return whole
 
 
 def compile_film(calibration: Calibration) -> None:
@@ -149,12 +149,9 @@ def _integrate(driven: _Driven, law: FilmLaw, friction: FrictionLaw, heat: HeatL
         viscosity = viscosity_pa_s(clutch_k, heat.a_pa_s, heat.b_k, heat.pole_k)
         slip = slip_rad_s[k]
         contact_pa = contact_pressure_pa(film_m, law)
-        full_nm = sheared_torque_nm(slip, film_m, viscosity, shear, law)
-        openness = _openness(film_m, law)
-        open_nm = openness * driven.open_drag_ratio * full_nm / math.sqrt(1.0 + (full_nm / DRAG_LIMIT_NM) ** 2)
-        viscous_nm = (1.0 - openness) * full_nm + open_nm
+        open_nm, viscous_nm = open_and_whole_nm(slip, film_m, viscosity, shear, driven.open_drag_ratio, law)
         rows.contact_pa[k], rows.viscous_nm[k], rows.open_nm[k] = contact_pa, viscous_nm, open_nm
-        rows.doubt_nm[k] = _doubt(openness, film_rate_1_s, piston_pa[k], law) * (1.0 - openness) * abs(full_nm)
+        rows.doubt_nm[k] = _doubt(_openness(film_m, law), film_rate_1_s, piston_pa[k], law) * abs(viscous_nm - open_nm)
         contact_nm = contact_torque_nm(1.0, kinetic_friction(slip, friction), contact_pa, law.contact_factor_m3)
         power_w = (contact_nm + abs(viscous_nm)) * abs(slip)
         if abs(slip) < 1.0:
@@ -170,6 +167,17 @@ def _integrate(driven: _Driven, law: FilmLaw, friction: FrictionLaw, heat: HeatL
                 film_rate_1_s = abs(film_m / before_m - 1.0) / driven.step_s
                 shear = shear_factor_difference(film_m / law.roughness_m)
     return clutch_k
+
+
+@kernel
+def open_and_whole_nm(
+    slip_rad_s: float, film_m: float, viscosity: float, shear: float, open_drag_ratio: float, law: FilmLaw
+) -> tuple[float, float]:
+    """Return what an open pack drags [N m], and that with what the film of a closing one shears; "Cold oil"."""
+    full_nm = sheared_torque_nm(slip_rad_s, film_m, viscosity, shear, law)
+    openness = _openness(film_m, law)
+    open_nm = openness * open_drag_ratio * full_nm / math.sqrt(1.0 + (full_nm / DRAG_LIMIT_NM) ** 2)
+    return open_nm, (1.0 - openness) * full_nm + open_nm
 
 
 @kernel

@@ -1,6 +1,5 @@
 """From the signals of a shift to what its balance needs: sensor zeros, drives of the films, the slip window."""
 
-import math
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -8,6 +7,7 @@ import numpy as np
 from canlog.arrays import FloatArray
 from clutch_model.calibration import Calibration
 from clutch_model.gears import both_clutches
+from clutch_model.thermal import clutch_later_k
 from diag_service.diagnosis.alignment import NS_TO_S, TURNING_RAD_S, AlignedSignals
 from diag_service.diagnosis.events import Event
 from diag_service.diagnosis.friction.evidence import Measurement
@@ -32,8 +32,9 @@ class PackTemperatures:
         """Return the temperature of pack ``m`` [K], cooled towards the oil since."""
         thermal = calibration.clutches[m].thermal
         elapsed_s = max(0.0, (now_ns - self.at_ns) * NS_TO_S)
-        kept = math.exp(-elapsed_s * thermal.convection_w_k / thermal.heat_capacity_j_k)
-        return oil_k + (self.clutch_k[m] - oil_k) * kept
+        return clutch_later_k(
+            self.clutch_k[m], oil_k, 0.0, elapsed_s, thermal.heat_capacity_j_k, thermal.convection_w_k
+        )
 
 
 def zeros_seen(signals: AlignedSignals, at: FloatArray, calibration: Calibration) -> list[Measurement]:

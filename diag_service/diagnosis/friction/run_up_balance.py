@@ -70,8 +70,8 @@ def _hub(signals: AlignedSignals, weights: Weights, calibration: Calibration) ->
     """Return the impulse of the hub and the noise in it."""
     side = calibration.input_side
     weight = weights.rate * side.hub_inertia_kg_m2 + weights.value * -side.hub_damping_nms_rad
-    noise = calibration.noise.hub_speed_rad_s * weight.on_samples(signals.hub_speed)
-    return weight @ signals.hub_speed.on_grid[weights.rows], noise
+    (on_samples,) = weight.on_samples(signals.hub_speed)
+    return weight @ signals.hub_speed.on_grid[weights.rows], calibration.noise.hub_speed_rad_s * on_samples
 
 
 def _open_loads(signals: AlignedSignals, weights: Weights, at: FloatArray, calibration: Calibration) -> _Loads:
@@ -104,7 +104,8 @@ def _closed_loads(signals: AlignedSignals, weights: Weights, calibration: Calibr
         speed_rad_s = speed.on_grid[weights.rows]
         known_nms = known_nms + weight @ speed_rad_s
         shaft_nms = shaft_nms + inertia @ speed_rad_s
-        shafts.append(calibration.noise.input_speed_rad_s * weight.on_samples(speed))
+        (on_samples,) = weight.on_samples(speed)
+        shafts.append(calibration.noise.input_speed_rad_s * on_samples)
     return _Loads(known_nms=known_nms, shaft_nms=shaft_nms, hub=hub, shafts=tuple(shafts))
 
 
@@ -113,10 +114,11 @@ def _noise_and_overlap(
 ) -> tuple[FloatArray, FloatArray]:
     """Return the covariance of the residual, shape (k, k), and what the derivatives share with it; eq. (31)."""
     bias, side, sensors = calibration.bias, calibration.input_side, calibration.noise
-    torque = sensors.engine_torque_nm * weights.value.on_samples(signals.engine_torque)
     motoring_weights = weights.value * (is_motoring / bias.motoring_gain)
-    motoring = sensors.engine_torque_nm * motoring_weights.on_samples(signals.engine_torque)
-    engine = weights.rate.on_samples(signals.engine_speed)
+    (torque,) = weights.value.on_samples(signals.engine_torque)
+    (motoring,) = motoring_weights.on_samples(signals.engine_torque)
+    (engine,) = weights.rate.on_samples(signals.engine_speed)
+    torque, motoring = sensors.engine_torque_nm * torque, sensors.engine_torque_nm * motoring
     engine = side.engine_inertia_kg_m2 * sensors.engine_speed_rad_s * engine
     turning = np.zeros((MOMENT_COUNT, MOMENT_COUNT))
     for shaft in loads.shafts:

@@ -13,23 +13,23 @@ from typing import Self
 import numpy as np
 
 from canlog.arrays import FloatArray
-from clutch_model.calibration import Calibration, InputSide
+from clutch_model.calibration import InputSide
 from clutch_model.clutch import FrictionCurve
 from clutch_model.gears import both_clutches
 from diag_service.diagnosis.alignment import GRID_S, AlignedSignals
 from diag_service.diagnosis.friction.balance import (
     Balance,
-    ClutchMoments,
+    contact_lever_m3,
     contact_nm,
     direction,
     friction_pairs,
     integrate_films,
-    moments_of,
     motoring_corrected_nm,
     weigh,
 )
 from diag_service.diagnosis.friction.evidence import Measurement
-from diag_service.diagnosis.friction.film_track import COARSE, integrate_film
+from diag_service.diagnosis.friction.film_tangents import FilmCause, film_tangents
+from diag_service.diagnosis.friction.film_track import COARSE
 from diag_service.diagnosis.friction.parameters import (
     PARAMETER_COUNT,
     STATE_COUNT,
@@ -37,24 +37,36 @@ from diag_service.diagnosis.friction.parameters import (
     State,
     friction_rows,
 )
-from diag_service.diagnosis.friction.perturbations import AREA, COMMON, OFFSET, Perturbation
 from diag_service.diagnosis.friction.preparation import planned_drives
 from diag_service.diagnosis.friction.window import SLIP_DEGREE, Weights
 
 MIN_EXCESS = 0.05  # keeps exponents below one finite at zero slip
 DOUBT_RATIO = 0.01  # of a clutch's torque: so far no law of friction and film holds moment by moment
 DOUBT_TIME_S = 0.1  # for which what is not known is wrong one way
+DOUBT_STEP = 5  # points of the grid: no test function turns in less than ten times that
 IDLE_RATIO = 0.1  # of the noise: a clutch that weighs less than this in the balance has no say in any derivative
+
+
+Blocks = tuple[FloatArray, ...]
+"""One array of each piece of a window."""
+
+
+COMMON_CAUSES = {  # what both clutches share
+    Considered.VISCOSITY: FilmCause.VISCOSITY,
+    Considered.PRESSURE_LATENCY: FilmCause.PRESSURE_LATENCY,
+    Considered.CONTACT_STIFFNESS: FilmCause.CONTACT_STIFFNESS,
+    Considered.FILM_MOBILITY: FilmCause.FILM_MOBILITY,
+}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Spread:
-    """The weights of single samples in the weighted sums over the grid that no friction changes; each (k, samples)."""
+    """The weights of single samples in the weighted sums over the grid that no friction changes; (k, samples) each."""
 
-    torque_value: FloatArray
-    engine_rate: FloatArray
-    hub_value: FloatArray
-    hub_rate: FloatArray
+    torque_value: Blocks
+    engine_rate: Blocks
+    hub_value: Blocks
+    hub_rate: Blocks
 
     @classmethod
     def of(cls, signals: AlignedSignals, weights: Weights) -> Self:
@@ -66,9 +78,12 @@ class _Spread:
             hub_rate=weights.rate.on_samples(signals.hub_speed),
         )
 
-    def hub(self, side: InputSide) -> FloatArray:
+    def hub(self, side: InputSide) -> Blocks:
         """Return the weights of the hub's speed by its inertia and damping."""
-        return side.hub_inertia_kg_m2 * self.hub_rate - side.hub_damping_nms_rad * self.hub_value
+        inertia, damping = side.hub_inertia_kg_m2, side.hub_damping_nms_rad
+        return tuple(
+            inertia * rate - damping * value for rate, value in zip(self.hub_rate, self.hub_value, strict=True)
+        )
 
 
 class Sensitivity:
@@ -97,8 +112,6 @@ class Sensitivity:
             replace(track, clutch_k=seen.clutch_k) for track, seen in zip(planned, balance.tracks, strict=True)
         )
         self._nominal = weigh(balance.weights, self._planned, self._tracks, balance.calibration)
-        self._calibrations: dict[Perturbation, Calibration] = {}
-        self._bands = balance.weights.value.bands
         self.noises = self._noises()
         self.slope = self._slope()
         self.overlaps = self._overlaps()
@@ -109,7 +122,7 @@ class Sensitivity:
         torque_nm, motoring_nm = motoring_corrected_nm(self._torque_nm, at[State.TORQUE_OFFSET], bias)
         speed_rad_s = weights.fitted(balance.signals.engine_speed.on_grid[weights.rows], SLIP_DEGREE)
         engine_nms = balance.calibration.input_side.engine_inertia_kg_m2 * (weights.rate @ speed_rad_s)
-        slope = np.zeros((self._bands[-1].stop, PARAMETER_COUNT))
+        slope = np.zeros((weights.value.bands[-1].stop, PARAMETER_COUNT))
         considered = slope[:, STATE_COUNT:]
         slope[:, State.TORQUE_OFFSET] = weights.value.sums()
         considered[:, Considered.TORQUE_GAIN] = -(engine_nms + balance.known_nms)
@@ -123,62 +136,70 @@ class Sensitivity:
             considered[:, Considered.FRICTION_TEMPERATURE] += plain.by_warm_friction @ mu
             considered[:, Considered.OPEN_DRAG] += bias.torque_gain * plain.opened
             if np.max(np.abs(plain.impulse(mu)) / std_nms) > IDLE_RATIO:
-                self._add_films(slope, m, mu)
+                self._add_film(slope, m, mu)
+                self._add_curve(considered, m, mu)
         return slope
 
-    def _add_films(self, slope: FloatArray, m: int, mu: FloatArray) -> None:
+    def _add_film(self, slope: FloatArray, m: int, mu: FloatArray) -> None:
         """Add what the film of clutch ``m + 1`` answers to everything that moves or forms it."""
-        considered, plain_nms = slope[:, STATE_COUNT:], self._nominal[m].impulse(mu)
+        balance, drive = self._balance, self._planned[m]
+        rows, considered = balance.weights.rows, slope[:, STATE_COUNT:]
+        clutch_k, stop = balance.tracks[m].clutch_k, balance.window.stop
+        tangents = film_tangents(m + 1, drive, clutch_k, balance.calibration, stop)
+        lever_m3 = contact_lever_m3(balance.calibration.clutches[m], drive.slip_rad_s[rows]) @ mu
+        torques_nm = lever_m3[:, None] * tangents.contact_pa[rows] + tangents.viscous_nm[rows]
+        answers = balance.weights.value @ torques_nm
+        slope[:, State.TOUCH1 + m] = -answers[:, FilmCause.PRESSURE]
+        slope[:, State.ZERO1 + m] = -answers[:, FilmCause.PRESSURE]
+        considered[:, Considered.PISTON_AREA1 + m] = answers[:, FilmCause.PISTON_AREA]
+        for parameter, cause in COMMON_CAUSES.items():
+            considered[:, parameter] += answers[:, cause]
 
-        def change(perturbation: Perturbation, size: float) -> FloatArray:
-            return (self._perturbed(m, perturbation).impulse(mu) - plain_nms) / size
-
-        by_pressure = change(OFFSET, -OFFSET.pressure_pa)
-        slope[:, State.TOUCH1 + m] = by_pressure
-        slope[:, State.ZERO1 + m] = by_pressure
-        considered[:, Considered.PISTON_AREA1 + m] = change(*AREA)
-        for column, (perturbation, size) in COMMON.items():
-            considered[:, column] += change(perturbation, size)
-
-    def _perturbed(self, m: int, perturbation: Perturbation) -> ClutchMoments:
-        """Return the weighted torques of a clutch from its planned drive, changed a little."""
-        balance = self._balance
-        calibration = self._changed_calibration(perturbation)
-        drive, track = self._planned[m], self._tracks[m]
-        if perturbation.moves_film:
-            drive = perturbation.of_drive(drive, balance.signals.grid_s)
-            track = integrate_film(m + 1, drive, calibration, balance.window.stop, COARSE)
-        return moments_of(balance.weights, m, drive, track, calibration)
-
-    def _changed_calibration(self, perturbation: Perturbation) -> Calibration:
-        """Return the changed calibration, made once for both clutches."""
-        if perturbation not in self._calibrations:
-            self._calibrations[perturbation] = perturbation.of_calibration(self._balance.calibration)
-        return self._calibrations[perturbation]
+    def _add_curve(self, considered: FloatArray, m: int, mu: FloatArray) -> None:
+        """Add what the friction of clutch ``m + 1`` answers to the shape of its curve, eq. (8)."""
+        balance, drive, rows = self._balance, self._planned[m], self._balance.weights.rows
+        clutch = balance.calibration.clutches[m]
+        torques_nm = contact_nm(clutch, drive, self._tracks[m], rows)
+        exponent = clutch.friction.stribeck_exponent
+        excess = np.maximum(np.abs(drive.slip_rad_s[rows]) / clutch.friction.stribeck_speed_rad_s, MIN_EXCESS)
+        by_log_nm = torques_nm[:, 1] * (mu[1] - mu[0]) * exponent * excess**exponent
+        considered[:, Considered.STRIBECK_SPEED] += balance.weights.value @ by_log_nm
+        considered[:, Considered.STRIBECK_EXPONENT] -= balance.weights.value @ (by_log_nm * np.log(excess))
 
     def _overlaps(self) -> list[FloatArray]:
         balance, signals = self._balance, self._balance.signals
         sensors, bias, weights = balance.calibration.noise, balance.calibration.bias, balance.weights
         speed_std = sensors.engine_speed_rad_s * balance.calibration.input_side.engine_inertia_kg_m2
-        speed_residual = speed_std * self._spread.engine_rate
-        speed_slope = speed_std * weights.rate.fitted(SLIP_DEGREE).on_samples(signals.engine_speed)
-        hub = sensors.hub_speed_rad_s * self._spread.hub(balance.calibration.input_side)
-        torque = sensors.engine_torque_nm * self._spread.torque_value
-        is_motoring = self._torque_nm < balance.at[State.TORQUE_OFFSET]
-        motoring_value = (weights.value * (is_motoring / bias.motoring_gain)).fitted(SLIP_DEGREE)
-        motoring = sensors.engine_torque_nm * motoring_value.on_samples(signals.engine_torque)
+        speed_slopes = weights.rate.fitted(SLIP_DEGREE).on_samples(signals.engine_speed)
+        hubs = self._spread.hub(balance.calibration.input_side)
+        motoring = self._motoring_shares()
         overlaps = []
-        for band, noise in zip(self._bands, self.noises, strict=True):
-            shared = speed_slope[band] @ speed_residual[band].T
+        for place, noise in enumerate(self.noises):
+            speed = speed_std**2 * speed_slopes[place] @ self._spread.engine_rate[place].T
+            hub = sensors.hub_speed_rad_s**2 * hubs[place] @ hubs[place].T
             overlap = np.zeros(PARAMETER_COUNT)
-            for parameter, covariance in {
-                Considered.TORQUE_GAIN: -bias.torque_gain * (shared + hub[band] @ hub[band].T),
-                Considered.ENGINE_INERTIA: -(bias.torque_gain**2) * shared,
-                Considered.MOTORING_GAIN: motoring[band] @ torque[band].T,
-            }.items():
+            shared = {
+                Considered.TORQUE_GAIN: -bias.torque_gain * (speed + hub),
+                Considered.ENGINE_INERTIA: -(bias.torque_gain**2) * speed,
+            }
+            if motoring is not None:
+                shared[Considered.MOTORING_GAIN] = sensors.engine_torque_nm**2 * motoring[place]
+            for parameter, covariance in shared.items():
                 overlap[STATE_COUNT + parameter] = np.trace(np.linalg.solve(noise, covariance))
             overlaps.append(overlap)
         return overlaps
+
+    def _motoring_shares(self) -> Blocks | None:
+        """Return what the derivative by the gain of negative torque shares with the torque; None without such."""
+        balance = self._balance
+        is_motoring = self._torque_nm < balance.at[State.TORQUE_OFFSET]
+        if not is_motoring.any():
+            return None
+        value = balance.weights.value * (is_motoring / balance.calibration.bias.motoring_gain)
+        pairs = zip(
+            value.fitted(SLIP_DEGREE).on_samples(balance.signals.engine_torque), self._spread.torque_value, strict=True
+        )
+        return tuple(one @ other.T for one, other in pairs)
 
     def _noises(self) -> list[FloatArray]:
         """Return the covariance of the residual of each piece from sensor noise, every sample independent.
@@ -186,35 +207,46 @@ class Sensitivity:
         Films and friction that are not known are noise of another kind, wrong one way for a while.
         """
         balance, calibration = self._balance, self._balance.calibration
-        signals, side, sensors = balance.signals, calibration.input_side, calibration.noise
-        value, rows, gain = balance.weights.value, balance.weights.rows, calibration.bias.torque_gain
-        all_by_slip = np.zeros(rows.stop - rows.start)
-        doubts = []
-        factors = [
-            sensors.engine_torque_nm * self._spread.torque_value,
-            sensors.engine_speed_rad_s * gain * side.engine_inertia_kg_m2 * self._spread.engine_rate,
+        sensors, side, gain = calibration.noise, calibration.input_side, calibration.bias.torque_gain
+        signals, weights = balance.signals, balance.weights
+        noises = [
+            sensors.engine_torque_nm**2 * torque @ torque.T
+            + (sensors.engine_speed_rad_s * gain * side.engine_inertia_kg_m2) ** 2 * engine @ engine.T
+            for torque, engine in zip(self._spread.torque_value, self._spread.engine_rate, strict=True)
         ]
+        by_hub_nms = np.zeros(weights.rows.stop - weights.rows.start)
         for m, mu in enumerate(friction_pairs(balance.at)):
-            clutch = calibration.clutches[m]
-            drive, track = self._planned[m], self._tracks[m]
-            torques_nm = contact_nm(clutch, drive, track, rows)
-            by_slip = torques_nm[:, 1] * (mu[0] - mu[1]) * steepness(drive.slip_rad_s[rows], clutch.friction)
-            all_by_slip += by_slip
-            doubt_nm = np.hypot(balance.tracks[m].doubt_nm[rows], DOUBT_RATIO * (torques_nm @ mu))
-            doubts.append(value * (gain * math.sqrt(DOUBT_TIME_S / GRID_S) * doubt_nm))
-            factors.append(sensors.input_speed_rad_s * (value * by_slip).on_samples(signals.input_speed[m]))
-            area_ratio = clutch.geometry.piston_area_m2 / clutch.geometry.lining_area_m2
-            by_pressure = area_ratio * mu[0] * torques_nm.sum(axis=1) / np.maximum(track.contact_pa[rows], 1.0)
-            factors.append(sensors.pressure_pa * (value * by_pressure).on_samples(signals.pressure[m]))
-        by_hub = gain * self._spread.hub(side) - (value * all_by_slip).on_samples(signals.hub_speed)
-        factors.append(sensors.hub_speed_rad_s * by_hub)
-        return [
-            np.asarray(
-                sum(factor[band] @ factor[band].T for factor in factors)
-                + sum(doubt.blocks[place] @ doubt.blocks[place].T for doubt in doubts)
-            )
-            for place, band in enumerate(self._bands)
-        ]
+            by_hub_nms += self._add_clutch_noise(noises, m, mu)
+        around = weights.value.around_samples(by_hub_nms, signals.hub_speed)
+        for place, hub in enumerate(self._spread.hub(side)):
+            by_hub = gain * hub - self._spread.hub_value[place] * around[place]
+            noises[place] += sensors.hub_speed_rad_s**2 * by_hub @ by_hub.T
+        return noises
+
+    def _add_clutch_noise(self, noises: list[FloatArray], m: int, mu: FloatArray) -> FloatArray:
+        """Add the noise that comes with the torque of clutch ``m + 1``; return what its torque answers to its slip."""
+        balance, calibration = self._balance, self._balance.calibration
+        clutch, drive, track = calibration.clutches[m], self._planned[m], self._tracks[m]
+        value, rows = balance.weights.value, balance.weights.rows
+        torques_nm = contact_nm(clutch, drive, track, rows)
+        by_slip_nms = torques_nm[:, 1] * (mu[0] - mu[1]) * steepness(drive.slip_rad_s[rows], clutch.friction)
+        area_ratio = clutch.geometry.piston_area_m2 / clutch.geometry.lining_area_m2
+        by_pressure_m3 = area_ratio * mu[0] * torques_nm.sum(axis=1) / np.maximum(track.contact_pa[rows], 1.0)
+        speed, pressure = balance.signals.input_speed[m], balance.signals.pressure[m]
+        for std, by, signal in (
+            (calibration.noise.input_speed_rad_s, by_slip_nms, speed),
+            (calibration.noise.pressure_pa, by_pressure_m3, pressure),
+        ):
+            if by.any():
+                means = value.around_samples(by, signal)
+                for place, weight in enumerate(value.on_samples(signal)):
+                    noises[place] += std**2 * (weight * means[place]) @ (weight * means[place]).T
+        doubt_nm = np.hypot(balance.tracks[m].doubt_nm[rows], DOUBT_RATIO * (torques_nm @ mu))
+        doubt_nm *= calibration.bias.torque_gain * math.sqrt(DOUBT_TIME_S * DOUBT_STEP / GRID_S)
+        for place, (block, rows_of_piece) in enumerate(zip(value.blocks, value.places, strict=True)):
+            doubt = block[:, ::DOUBT_STEP] * doubt_nm[rows_of_piece][::DOUBT_STEP]
+            noises[place] += doubt @ doubt.T
+        return np.asarray(by_slip_nms)
 
 
 def measured(balance: Balance, near: Sequence[Measurement] = ()) -> tuple[Measurement, ...]:

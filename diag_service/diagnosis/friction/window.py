@@ -185,15 +185,20 @@ class Functions:
         """Return polynomial fits to the functions."""
         return replace(self, blocks=tuple(fitted(block, degree) for block in self.blocks))
 
-    def on_samples(self, signal: Resampled) -> FloatArray:
-        """Return the weight of each sample of a signal in the weighted sums over the grid, shape (k, samples)."""
+    def on_samples(self, signal: Resampled) -> tuple[FloatArray, ...]:
+        """Return the weights of the samples of a signal in the sums over the grid, (functions, samples) each piece."""
+        pairs = zip(self.blocks, self._grid_rows, strict=True)
+        return tuple(signal.to_samples(block, rows) for block, rows in pairs)
+
+    def around_samples(self, values: FloatArray, signal: Resampled) -> tuple[FloatArray, ...]:
+        """Return values of the rows, shape (len(rows),), as means around those samples, (samples,) each piece."""
+        pairs = zip(self.places, self._grid_rows, strict=True)
+        return tuple(signal.around_samples(values[place], rows) for place, rows in pairs)
+
+    @property
+    def _grid_rows(self) -> tuple[slice, ...]:
         first = self.rows.start
-        return np.concatenate(
-            [
-                signal.to_samples(block, slice(first + place.start, first + place.stop))
-                for block, place in zip(self.blocks, self.places, strict=True)
-            ]
-        )
+        return tuple(slice(first + place.start, first + place.stop) for place in self.places)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

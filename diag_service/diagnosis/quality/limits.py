@@ -57,6 +57,8 @@ class QualityLimits:
     pressure_mean_s: float = 0.06  # the span of that moment
     command_clock_s: float = 0.01  # a command may be so far ahead of the speeds, to whose clock the pressures are moved
     following_ratio: float = 0.5  # of what a command is ahead of its pressure: no valve follows a jump to the letter
+    travel_pa: float = 0.30e5  # so near its touch pressure a piston may still be on its way
+    catching_up_s: float = 0.15  # until the pressure behind a piston that has arrived is the commanded one; sound: 0.10
     pressure_window_pa: float = 0.10e5  # the same over the whole slip window; sound: 0.05e5
     zero_gate: float = 25.0  # squared distance of a measured zero from the known one, in variances: 6e-7 by chance
     least_noise_steps: float = 0.75  # of the resolution; a ramp without noise seems to have up to 0.6

@@ -192,20 +192,38 @@ def shaft_gap_rad_s(signals: AlignedSignals, rows: slice, limits: QualityLimits 
 
 
 def _misses_command(signals: AlignedSignals, clutch: SlippingClutch, limits: QualityLimits) -> bool:
-    """Return whether the on-coming clutch's pressure is not the commanded one while it slips; False without command."""
+    """Return whether the slipping clutch's pressure is not the commanded one; False without a command.
+
+    A piston on its way is held against nothing: its spring sets the pressure, whatever is commanded.
+    """
     expected_pa = signals.expected_pa[clutch.number - 1]
     if expected_pa is None:
         return False
     read_pa = signals.pressure[clutch.number - 1].on_grid - clutch.pressure_zero_pa
+    has_arrived = _has_arrived(read_pa[clutch.rows], expected_pa[clutch.rows], clutch.touch_pressure_pa, limits)
+    if np.count_nonzero(has_arrived) * GRID_S < limits.pressure_mean_s:
+        return False
     error_pa = np.maximum(read_pa, clutch.touch_pressure_pa) - np.maximum(expected_pa, clutch.touch_pressure_pa)
     following_pa = np.abs(np.gradient(expected_pa, GRID_S)) * COMMAND_LAG_S  # what the command is still ahead
     beyond_pa = np.sign(error_pa) * np.maximum(np.abs(error_pa) - limits.following_ratio * following_pa, 0.0)
-    rate_pa_s = (expected_pa[clutch.rows][-1] - expected_pa[clutch.rows][0]) / (len(error_pa[clutch.rows]) * GRID_S)
-    by_clock_pa = limits.command_clock_s * abs(float(rate_pa_s))
+    error_pa, beyond_pa, judged_pa = (one[clutch.rows] for one in (error_pa, beyond_pa, expected_pa))
+    by_clock_pa = limits.command_clock_s * abs(float(judged_pa[-1] - judged_pa[0])) / (len(judged_pa) * GRID_S)
     return bool(
-        abs(float(np.mean(error_pa[clutch.rows]))) > limits.pressure_window_pa + by_clock_pa
-        or _largest_mean(beyond_pa[clutch.rows], limits.pressure_mean_s) > limits.pressure_moment_pa
+        abs(float(np.mean(error_pa[has_arrived]))) > limits.pressure_window_pa + by_clock_pa
+        or _largest_mean(np.where(has_arrived, beyond_pa, 0.0), limits.pressure_mean_s) > limits.pressure_moment_pa
     )
+
+
+def _has_arrived(read_pa: FloatArray, expected_pa: FloatArray, touch_pa: float, limits: QualityLimits) -> BoolArray:
+    """Return where a piston presses: not on its way, nor its pressure still rising to the command behind it."""
+    has_arrived: BoolArray = read_pa > touch_pa + limits.travel_pa
+    starts = np.flatnonzero(np.diff(has_arrived.astype(np.int8), prepend=1) > 0)
+    longest = round(limits.catching_up_s / GRID_S)
+    for start in starts.tolist():
+        is_behind = expected_pa[start : start + longest] - read_pa[start : start + longest] > limits.pressure_window_pa
+        caught_up = np.flatnonzero(~is_behind)
+        has_arrived[start : start + (int(caught_up[0]) if len(caught_up) else longest)] = False
+    return has_arrived
 
 
 def _largest_mean(values: FloatArray, span_s: float) -> float:

@@ -41,7 +41,6 @@ OF_LAWS = {
 }
 ALLOWED = {
     ("ecu_emulator/plant/lining.py", "squeeze_factor_m2"),  # (X2): grooves are another number for the same law
-    ("diag_service/diagnosis/friction/preparation.py", "convection_w_k"),  # (T1) solved for a clutch left alone
 }
 CLUTCH = nominal_calibration().clutches[0]
 LAW, FRICTION, OIL = film_law(CLUTCH), friction_law(CLUTCH.friction), nominal_calibration().viscosity

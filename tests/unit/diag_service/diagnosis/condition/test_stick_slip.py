@@ -88,6 +88,15 @@ def test_a_swing_as_the_clutch_bites_and_a_second_launch_are_none() -> None:
         assert found < 4.0 * NOISE_RAD_S
 
 
+def test_a_second_launch_right_after_the_first_is_none_but_its_judder_is() -> None:
+    for swing_rad_s in (0.0, 9.0):
+        event = launch(swing_rad_s)
+        slip_rad_s = np.interp(T_S, [0.0, 0.3, 0.5, 0.9, 2.0, 3.5], [50.0, 0.0, 0.0, 30.0, 0.0, 0.0])
+        swing = event.columns[Signal.HUB_SPEED].value - launch(0.0).columns[Signal.HUB_SPEED].value
+        columns: Columns = {**event.columns, Signal.HUB_SPEED: series(200.0 + slip_rad_s + swing)}
+        assert measure(replace(event, columns=columns), CALIBRATION).reslip_rad_s == pytest.approx(swing_rad_s, abs=1.0)
+
+
 def test_without_a_pressure_what_is_asked_of_the_clutch_tells_its_load() -> None:
     event = launch(12.0)
     bare: Columns = {signal: one for signal, one in event.columns.items() if signal is not Signal.CLUTCH1_PRESSURE}

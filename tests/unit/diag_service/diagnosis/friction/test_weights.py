@@ -86,7 +86,17 @@ def test_functions_are_a_matrix_of_which_most_is_zero() -> None:
         (matrix * (factor + 3.0)) @ np.column_stack((factor, factor**2))
     )
     assert functions.sums() == pytest.approx(matrix.sum(axis=1))
-    assert functions.on_samples(signal) == pytest.approx(signal.to_samples(matrix, INSIDE))
+    first = np.searchsorted(signal.times_s, GRID[INSIDE][0], side="right") - 1
+    whole = signal.to_samples(matrix, INSIDE)
+    for rows, piece, block in zip(
+        (slice(0, 5), slice(5, 12)), PIECES.pieces, functions.on_samples(signal), strict=True
+    ):
+        begin = signal.left[piece.first] - first
+        assert block == pytest.approx(whole[rows, begin : begin + block.shape[1]])
+        assert np.abs(block).sum() == pytest.approx(np.abs(whole[rows]).sum())
+    for piece, means in zip(PIECES.pieces, functions.around_samples(GRID[INSIDE], signal), strict=True):
+        times_s = signal.times_s[signal.left[piece.first] :][: len(means)]
+        assert means[1:-2] == pytest.approx(times_s[1:-2], abs=4e-3)  # the ends of a piece cut one short
     assert functions.fitted(2).blocks[1] == pytest.approx(fitted(functions.blocks[1], 2))
 
 
