@@ -137,9 +137,11 @@ _SERVE: Final = Command(
     *_COMMON,
     Option(
         "--listen ADDRESS",
-        f"where: HOST:PORT of this machine's loopback; port 0 is any free one (default: {DEFAULT_LISTEN})",
+        f"where: HOST:PORT, without --access of this machine's loopback; port 0 is any free one"
+        f" (default: {DEFAULT_LISTEN})",
         default=DEFAULT_LISTEN,
     ),
+    Option("--access FILE", "who may read and change what, behind a proxy that logs people in (docs/page.md)", FILE),
     examples=(f"{PROGRAM} serve", f"{PROGRAM} serve --listen 127.0.0.1:8090"),
 )
 _WATCH: Final = Command(

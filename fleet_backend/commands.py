@@ -22,6 +22,8 @@ from fleet_backend.database import default_database, open_database, place_of
 from fleet_backend.errors import ConfigError, ExtraMissingError
 from fleet_backend.layout import Sheet
 from fleet_backend.migrate import make_ready, migrate, newest_revision
+from fleet_backend.page.access import Access
+from fleet_backend.page.access_file import read_access
 
 Command = Callable[[SimpleNamespace, Engine], None]
 
@@ -119,12 +121,13 @@ def _fill(options: SimpleNamespace, engine: Engine) -> None:
     sys.stdout.write(f"{options.vehicle}: {options.product} since {at.isoformat()}\n")
 
 
-def _serve(options: SimpleNamespace, _engine: Engine) -> None:
-    place = parse_listen(options.listen)
+def _serve(options: SimpleNamespace, engine: Engine) -> None:
+    place = parse_listen(options.listen, has_login=options.access is not None)
     server = _page_part("fleet_backend.page.server")
+    access = read_access(options.access) if options.access is not None else Access()
     readers = open_database(options.database or default_database(), must_exist=True, is_read_only=True)
     try:
-        server.run_server(readers, place.host, place.port)
+        server.run_server(readers, engine, place.host, place.port, access)
     finally:
         readers.dispose()
 

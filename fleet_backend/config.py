@@ -55,8 +55,8 @@ class Place:
     port: int
 
 
-def parse_listen(text: str) -> Place:
-    """Return the place in ``HOST:PORT`` or ``[HOST]:PORT``, which is one of this machine's loopback.
+def parse_listen(text: str, *, has_login: bool = False) -> Place:
+    """Return the place in ``HOST:PORT`` or ``[HOST]:PORT``, without a login one of this machine's loopback.
 
     Raises
     ------
@@ -71,8 +71,8 @@ def parse_listen(text: str) -> Place:
         is_loopback = ip_address(host).is_loopback
     except ValueError as exc:
         raise ConfigError(f"--listen must be an address in numbers or localhost, got {host!r}") from exc
-    if not is_loopback:
-        raise ConfigError(f"--listen {text}: others could read the fleet there without a login; use 127.0.0.1 or [::1]")
+    if not is_loopback and not has_login:
+        raise ConfigError(f"--listen {text}: others could read the fleet there without a login; give --access")
     return Place(host=host, port=int(found[2]))
 
 

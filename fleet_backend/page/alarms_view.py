@@ -16,7 +16,7 @@ from fleet_backend.page.fleet_view import next_of
 from fleet_backend.page.listing import cursor, read_words
 from fleet_backend.page.records import Alarm, AlarmsAnswer
 from fleet_backend.page.view import Choice, Shown, Sources, View
-from program_io.pages.content import Cell, Section, Table
+from program_io.pages.content import Cell, Link, Section, Table
 
 _KEY: Final = ("vehicle", "clutch", "rule", "number")
 _STATES: Final = ("open", "waiting", "all")
@@ -99,7 +99,7 @@ def _cells(one: Alarm) -> tuple[Cell, ...]:
     return (
         wording.vehicle_link(one.vehicle),
         wording.plain(None if one.clutch is None else str(one.clutch)),
-        one.rule,
+        Link(text=one.rule, href=wording.alarm_href(one.vehicle, one.clutch or 0, one.rule, one.number)),
         wording.minute(one.raised_at),
         wording.minute(one.cleared_at),
         one.reason,

@@ -7,6 +7,7 @@ from datetime import UTC, datetime
 from enum import Enum
 from typing import Final
 
+from fleet_backend.page.access import NOBODY, Viewer
 from fleet_backend.page.errors import AskError
 
 MOST_IN_A_PART: Final = 1000
@@ -64,6 +65,7 @@ class Ask:
 
     values: Mapping[str, str | int | datetime]
     now: datetime
+    viewer: Viewer = NOBODY
 
     def text(self, name: str) -> str | None:
         """Return a text, or None where nothing was said."""
@@ -97,7 +99,11 @@ LIMIT: Final = Parameter(
 
 
 def read_words(
-    parameters: Sequence[Parameter], path: Mapping[str, str], query: Iterable[tuple[str, str]], now: datetime
+    parameters: Sequence[Parameter],
+    path: Mapping[str, str],
+    query: Iterable[tuple[str, str]],
+    now: datetime,
+    viewer: Viewer = NOBODY,
 ) -> Ask:
     """Return the question in an address; an empty word of a form was not said.
 
@@ -124,7 +130,7 @@ def read_words(
             raise AskError(f"{one.name}: is missing")
         elif one.default is not None:
             values[one.name] = one.default
-    return Ask(values=values, now=now)
+    return Ask(values=values, now=now, viewer=viewer)
 
 
 def _moment(name: str, word: str) -> datetime:

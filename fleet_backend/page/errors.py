@@ -31,3 +31,17 @@ class BusyError(PageError):
 
     status = 503
     title = "Too many readers"
+
+
+class LoginError(PageError):
+    """Nobody knows who asks: log in."""
+
+    status = 401
+    title = "Nobody is logged in"
+
+
+class ForbiddenError(PageError):
+    """Whoever asks may not do this."""
+
+    status = 403
+    title = "This is not for everybody"

@@ -5,11 +5,13 @@ from typing import Final
 
 from jinja2 import Environment
 
+from fleet_backend.page.access import NOBODY, Role, Viewer
 from fleet_backend.page.files import Format
 from fleet_backend.page.view import Shown, View
 from program_io.pages.content import Link
 from program_io.pages.environment import templates_of
 
+_ADMIN_PAGES: Final = (Link(text="Audit", href="/audit"),)
 NAVIGATION: Final = (
     Link(text="Fleet", href="/"),
     Link(text="Alarms", href="/alarms"),
@@ -18,13 +20,15 @@ NAVIGATION: Final = (
 )
 
 
-def html_of(view: View, shown: Shown, *, api_href: str, number: int, complaint: str | None) -> str:
+def html_of(view: View, shown: Shown, *, viewer: Viewer, api_href: str, number: int, complaint: str | None) -> str:
     """Return the page of an answer.
 
     Parameters
     ----------
     api_href :
         Address of the same answer for programs.
+    viewer :
+        Who reads it.
     number :
         Of the snapshot that it is from.
     complaint :
@@ -35,7 +39,8 @@ def html_of(view: View, shown: Shown, *, api_href: str, number: int, complaint: 
         .get_template("view.html")
         .render(
             page=shown,
-            navigation=NAVIGATION,
+            navigation=(*NAVIGATION, *(_ADMIN_PAGES if viewer.role >= Role.ADMIN else ())),
+            viewer=viewer,
             here=view.page_path,
             formats=_formats(api_href),
             complaint=complaint,
@@ -46,7 +51,8 @@ def html_of(view: View, shown: Shown, *, api_href: str, number: int, complaint: 
 
 def problem_page(title: str, detail: str) -> str:
     """Return the page of something that went wrong."""
-    return _templates().get_template("problem.html").render(title=title, detail=detail, navigation=NAVIGATION, here="")
+    template = _templates().get_template("problem.html")
+    return template.render(title=title, detail=detail, navigation=NAVIGATION, here="", viewer=NOBODY)
 
 
 @cache

@@ -6,7 +6,7 @@ import logging
 import signal
 import socket
 import sys
-from collections.abc import AsyncIterator, Callable, Collection, Iterator
+from collections.abc import AsyncIterator, Callable, Iterator
 from contextlib import asynccontextmanager, contextmanager
 from datetime import UTC, datetime
 from typing import Final
@@ -17,18 +17,18 @@ from starlette.applications import Starlette
 
 from fleet_backend.database import place_of
 from fleet_backend.errors import ConfigError
+from fleet_backend.page.access import Access
 from fleet_backend.page.keeper import DatabaseSource, Keeper
 from fleet_backend.page.news import News
 from fleet_backend.page.site import site
 from fleet_backend.page.view import Sources
 
-LOOPBACK: Final = ("127.0.0.1", "localhost", "[::1]")
 _BACKLOG: Final = 128
 _GRACE_S: Final = 3  # for readers who are being answered when the server is told to stop
 _LOG: Final = logging.getLogger(__name__)
 
 
-def run_server(engine: Engine, host: str, port: int) -> None:
+def run_server(engine: Engine, writer: Engine, host: str, port: int, access: Access) -> None:
     """Serve the page until SIGINT or SIGTERM; say on standard output where it is.
 
     Raises
@@ -44,8 +44,8 @@ def run_server(engine: Engine, host: str, port: int) -> None:
         where = address_of(listener)
         sys.stdout.write(f"{where}  {len(keeper.snapshot.vehicles)} vehicles of {place_of(engine)}; ends with Ctrl-C\n")
         sys.stdout.flush()
-        sources = Sources(engine=engine, keeper=keeper, news=News(keeper))
-        asyncio.run(_serve_until_told(sources, listener))
+        sources = Sources(engine=engine, keeper=keeper, news=News(keeper), writer=writer if access.proxy else None)
+        asyncio.run(_serve_until_told(sources, listener, access))
 
 
 @contextmanager
@@ -74,7 +74,7 @@ async def serve(
     listener: socket.socket,
     *,
     on_start: Callable[[uvicorn.Server], None],
-    host_names: Collection[str] = LOOPBACK,
+    access: Access,
     now: Callable[[], datetime] = lambda: datetime.now(UTC),
 ) -> None:
     """Serve until ``should_exit`` of the server, which ``on_start`` is given, is set."""
@@ -90,7 +90,7 @@ async def serve(
                 await task
 
     config = uvicorn.Config(
-        site(sources, host_names=host_names, lifespan=lifespan, now=now),
+        site(sources, access, lifespan=lifespan, now=now),
         log_config=None,
         access_log=False,
         server_header=False,
@@ -120,7 +120,7 @@ class _Server(uvicorn.Server):
         yield
 
 
-async def _serve_until_told(sources: Sources, listener: socket.socket) -> None:
+async def _serve_until_told(sources: Sources, listener: socket.socket, access: Access) -> None:
     def on_start(server: uvicorn.Server) -> None:
         def stop() -> None:
             server.should_exit = True
@@ -128,5 +128,5 @@ async def _serve_until_told(sources: Sources, listener: socket.socket) -> None:
         for number in (signal.SIGINT, signal.SIGTERM):
             asyncio.get_running_loop().add_signal_handler(number, stop)
 
-    await serve(sources, listener, on_start=on_start)
+    await serve(sources, listener, access=access, on_start=on_start)
     _LOG.info("ended")

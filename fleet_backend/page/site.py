@@ -1,122 +1,77 @@
 """The site: views become routes for people and for programs; whatever goes wrong becomes one line and a status."""
 
 import logging
-from collections.abc import Callable, Collection, Coroutine, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping
 from contextlib import AbstractAsyncContextManager
-from dataclasses import replace
 from datetime import datetime
 from importlib import resources
+from importlib.resources.abc import Traversable
 from types import MappingProxyType
 from typing import Final
-from urllib.parse import quote, urlencode
 
 from starlette.applications import Starlette
 from starlette.exceptions import HTTPException
 from starlette.requests import Request
-from starlette.responses import Response, StreamingResponse
+from starlette.responses import Response
 from starlette.routing import Route
 from starlette.types import ASGIApp
 
 from fleet_backend.errors import DatabaseError, FleetBackendError
-from fleet_backend.page import alarms_view, changes_view, fleet_view, quarantine_view, shift_view, vehicle_view
-from fleet_backend.page.asking import LIMIT, VEHICLE, Kind, Parameter, read_words
-from fleet_backend.page.description import FORMAT, Problem, openapi
+from fleet_backend.page import (
+    alarm_view,
+    alarms_view,
+    audit_view,
+    changes_view,
+    fleet_view,
+    quarantine_view,
+    shift_view,
+    vehicle_view,
+)
+from fleet_backend.page.access import Access
+from fleet_backend.page.description import Problem, openapi
 from fleet_backend.page.errors import PageError
-from fleet_backend.page.files import MEDIA_TYPES, Format, file_of, json_of
+from fleet_backend.page.files import json_of
 from fleet_backend.page.headers import KnownHosts, SafeHeaders
-from fleet_backend.page.html import NAVIGATION, html_of, problem_page
-from fleet_backend.page.view import Sources, View
+from fleet_backend.page.html import NAVIGATION, problem_page
+from fleet_backend.page.routes import Endpoints, api_parameters
+from fleet_backend.page.view import Sources
 
 VIEWS: Final = (
     *(fleet_view.VIEW, vehicle_view.VIEW, shift_view.VIEW),
-    *(alarms_view.VIEW, changes_view.VIEW, quarantine_view.VIEW),
+    *(alarms_view.VIEW, alarm_view.VIEW, changes_view.VIEW, quarantine_view.VIEW, audit_view.VIEW),
 )
-EVENTS_PATH: Final = "/events"
+ACTIONS: Final = (alarm_view.ACTION,)
 OPENAPI_PATH: Final = "/api/v1/openapi.json"
+LOOPBACK: Final = ("127.0.0.1", "localhost", "[::1]")
 _API: Final = "/api/"
-_MOST_IN_A_FILE: Final = 50_000
-_STATIC_TYPES: Final[Mapping[str, str]] = MappingProxyType(
-    {"css": "text/css", "js": "text/javascript", "svg": "image/svg+xml"}
-)
-_EVENT_WORDS: Final = (
-    replace(VEHICLE, in_path=False, is_required=False),
-    Parameter(name="number", text="of the snapshot that the reader knows", kind=Kind.COUNT, least=0),
-)
+_STATIC_TYPES: Final[Mapping[str, str]] = MappingProxyType({
+    "css": "text/css", "js": "text/javascript", "svg": "image/svg+xml",
+})  # fmt: skip
 _LOG: Final = logging.getLogger(__name__)
 
 Lifespan = Callable[[Starlette], AbstractAsyncContextManager[None]]
 
 
-def site(
-    sources: Sources, *, host_names: Collection[str], lifespan: Lifespan | None = None, now: Callable[[], datetime]
-) -> ASGIApp:
-    """Return the application that answers; ``host_names`` are those by which readers may call it."""
-    routes = [route for view in VIEWS for route in (_page_route(view, sources, now), _api_route(view, sources, now))]
-    description = json_of(openapi([(view, _api_parameters(view)) for view in VIEWS]))
-    routes += [
-        Route(OPENAPI_PATH, lambda _: Response(description, media_type="application/json"), name="openapi"),
-        Route(EVENTS_PATH, _events_endpoint(sources, now), name="events"),
+def site(sources: Sources, access: Access, *, lifespan: Lifespan | None = None, now: Callable[[], datetime]) -> ASGIApp:
+    """Return the application that answers."""
+    make = Endpoints(sources=sources, access=access, now=now)
+    description = json_of(openapi([(view, api_parameters(view)) for view in VIEWS]))
+    routes = [
+        *(make.page(view) for view in VIEWS),
+        *(make.interface(view) for view in VIEWS),
+        *(make.action(action) for action in ACTIONS),
+        make.document(OPENAPI_PATH, description, "application/json"),
+        make.events(),
         Route("/static/{name}", _static_endpoint(), name="static"),
     ]
     handlers = dict.fromkeys((FleetBackendError, HTTPException, Exception), _tell)
     inside = Starlette(routes=routes, exception_handlers=handlers, lifespan=lifespan)
-    return SafeHeaders(KnownHosts(inside, host_names))  # around everything, what goes wrong included
+    return SafeHeaders(KnownHosts(inside, host_names(access)))  # around everything, what goes wrong included
 
 
-def _page_route(view: View, sources: Sources, now: Callable[[], datetime]) -> Route:
-    def answer(request: Request) -> Response:
-        ask = read_words(view.parameters, request.path_params, request.query_params.multi_items(), now())
-        number = sources.keeper.snapshot.number
-        found = view.find(sources, ask)
-        shown = view.show(found, ask, sources)
-        complaint = sources.keeper.complaint
-        text = html_of(view, shown, api_href=_api_href(view, request), number=number, complaint=complaint)
-        return Response(text, media_type="text/html")
-
-    return Route(view.page_path, answer, name=view.name)
-
-
-def _api_route(view: View, sources: Sources, now: Callable[[], datetime]) -> Route:
-    parameters = _api_parameters(view)
-
-    def answer(request: Request) -> Response:
-        ask = read_words(parameters, request.path_params, request.query_params.multi_items(), now())
-        form = Format(ask.text(FORMAT.name) or Format.JSON)
-        found = view.find(sources, ask)
-        if form is Format.JSON:
-            return Response(json_of(found), media_type=MEDIA_TYPES[form])
-        name = f'attachment; filename="{view.name}.{form}"'
-        body = file_of(form, view.rows(found), view.row)
-        return Response(body, media_type=MEDIA_TYPES[form], headers={"content-disposition": name})
-
-    return Route(view.api_path, answer, name=f"api {view.name}")
-
-
-def _events_endpoint(
-    sources: Sources, now: Callable[[], datetime]
-) -> Callable[[Request], Coroutine[object, object, Response]]:
-    """Return what tells a page that something is new; a browser that comes back says what it heard last."""
-
-    async def answer(request: Request) -> Response:
-        words = [pair for pair in request.query_params.multi_items() if pair[0] != "number"]
-        heard = request.headers.get("last-event-id") or request.query_params.get("number", "")
-        ask = read_words(_EVENT_WORDS, {}, [*words, ("number", heard)], now())
-        number = ask.count("number") if ask.text("number") else None
-        stream = sources.news.stream(number, ask.text("vehicle"))
-        return StreamingResponse(stream, media_type="text/event-stream", headers={"x-accel-buffering": "no"})
-
-    return answer
-
-
-def _api_href(view: View, request: Request) -> str:
-    path = view.api_path.format(**{name: quote(str(word), safe="") for name, word in request.path_params.items()})
-    query = urlencode([pair for pair in request.query_params.multi_items() if pair[1]])
-    return f"{path}?{query}" if query else path
-
-
-def _api_parameters(view: View) -> Sequence[Parameter]:
-    """Return what a program may say: longer parts, and how the answer is written."""
-    return [*(replace(one, most=_MOST_IN_A_FILE) if one is LIMIT else one for one in view.parameters), FORMAT]
+def host_names(access: Access) -> Collection[str]:
+    """Return the names by which readers may call the page: the loopback's, or those that are given instead."""
+    return access.host_names or LOOPBACK
 
 
 def _static_endpoint() -> Callable[[Request], Response]:
@@ -132,7 +87,7 @@ def _static_endpoint() -> Callable[[Request], Response]:
     return answer
 
 
-def _static_entries() -> list[resources.abc.Traversable]:
+def _static_entries() -> list[Traversable]:
     own = [one for one in resources.files("fleet_backend.page").joinpath("static").iterdir() if one.is_file()]
     return [*own, resources.files("program_io.pages").joinpath("templates").joinpath("style.css")]
 

@@ -6,6 +6,7 @@ from typing import Any
 
 from sqlalchemy import Engine
 
+from fleet_backend.page.access import Role
 from fleet_backend.page.asking import Ask, Parameter
 from fleet_backend.page.keeper import Keeper
 from fleet_backend.page.news import News
@@ -19,6 +20,7 @@ class Sources:
     engine: Engine
     keeper: Keeper
     news: News
+    writer: Engine | None = None  # where somebody may change something
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -32,6 +34,25 @@ class Choice:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class Field:
+    """A text that somebody types."""
+
+    name: str
+    label: str
+    longest: int
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Form:
+    """What somebody may change here."""
+
+    action: str
+    hidden: tuple[tuple[str, str], ...]
+    fields: tuple[Field, ...]
+    button: str
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Shown:
     """An answer as a page shows it."""
 
@@ -42,6 +63,7 @@ class Shown:
     trail: tuple[Link, ...] = ()  # pages above this one
     choices: tuple[Choice, ...] = ()
     next: str | None = None  # of a list
+    form: Form | None = None
     follows: str | None = None  # is renewed when something of it is new; empty: of any
 
 
@@ -67,3 +89,22 @@ class View:
     find: Callable[[Sources, Ask], Any]
     show: Callable[[Any, Ask, Sources], Shown]
     rows: Callable[[Any], Sequence[Any]]
+    role: Role = Role.VIEWER  # the least that may ask
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Action:
+    """Something that can be changed, by a form of one of our pages.
+
+    Parameters
+    ----------
+    do :
+        Changes it, and returns the address of what is to be seen then.
+    """
+
+    name: str
+    path: str
+    text: str
+    role: Role
+    parameters: tuple[Parameter, ...]
+    do: Callable[[Sources, Ask], str]

@@ -82,6 +82,12 @@ def vehicle_link(vehicle: str) -> Link:
     return Link(text=vehicle, href=f"/vehicles/{quote(vehicle, safe='')}")
 
 
+def alarm_href(vehicle: str, clutch: int, rule: str, number_of_it: int) -> str:
+    """Return the address of an alarm; clutch 0 is the vehicle as a whole."""
+    words_of_it = urlencode({"vehicle": vehicle, "clutch": clutch, "rule": rule, "number": number_of_it})
+    return f"/alarm?{words_of_it}"
+
+
 def shift_link(text: str, vehicle: str, stream: str, seq: int) -> Link:
     """Return the link to an event."""
     words_of_it = urlencode({"stream": stream, "seq": seq})

@@ -13,6 +13,7 @@ from sqlalchemy import Engine
 from diag_service.diagnosis.records import Condition
 from fleet_backend import queries
 from fleet_backend.database import open_database
+from fleet_backend.page.access import Access, Proxy, Role
 from fleet_backend.page.keeper import DatabaseSource, Keeper
 from fleet_backend.page.news import News
 from fleet_backend.page.records import ClutchNow
@@ -27,6 +28,17 @@ from tests.support.patience import HANG_S
 
 MARKUP = "<img src=x onerror=alert(1)>"
 FLUID = "DCTF <b>75W</b>"
+SECRET = "0123456789abcdef0123456789abcdef"  # noqa: S105
+ACCESS = Access(
+    host_names=("127.0.0.1",),
+    proxy=Proxy(user_header="X-Forwarded-User", secret_header="X-Fleet-Proxy", secret=SECRET),  # noqa: S106
+    roles={"ann": Role.WORKSHOP, "bob": Role.WORKSHOP, "eve": Role.VIEWER, "root": Role.ADMIN},
+)
+
+
+def headers_of(name: str) -> dict[str, str]:
+    """Return what a proxy adds to the requests of somebody."""
+    return {"X-Forwarded-User": name, "X-Fleet-Proxy": SECRET}
 
 
 def clutch_now(vehicle: str = "car1", clutch: int = 1, **others: object) -> ClutchNow:
@@ -83,14 +95,16 @@ def raise_alarms(engine: Engine) -> None:
 
 
 @contextmanager
-def served(database: str) -> Iterator[str]:
+def served(database: str, access: Access | None = None) -> Iterator[str]:
     """Serve the page of a database in a thread of its own, and yield its address without the last slash."""
     engine = open_database(database, must_exist=True, is_read_only=True)
+    writer = open_database(database, must_exist=True)
     keeper = Keeper(DatabaseSource(engine))
     keeper.refresh()
     with closing_socket("127.0.0.1", 0) as listener:
         started = list[Any]()  # servers
-        work = serve(Sources(engine=engine, keeper=keeper, news=News(keeper)), listener, on_start=started.append)
+        sources = Sources(engine=engine, keeper=keeper, news=News(keeper), writer=writer if access else None)
+        work = serve(sources, listener, access=access or Access(), on_start=started.append)
         thread = threading.Thread(target=asyncio.run, args=(work,), name="fleet page")
         thread.start()
         try:
@@ -99,4 +113,5 @@ def served(database: str) -> Iterator[str]:
             for server in started:
                 server.should_exit = True
             thread.join(HANG_S)
-            engine.dispose()
+            for one in (engine, writer):
+                one.dispose()

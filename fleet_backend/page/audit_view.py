@@ -1,0 +1,68 @@
+"""Who changed what."""
+
+from datetime import UTC, datetime
+from typing import Final
+
+from sqlalchemy import or_, select
+
+from fleet_backend.alarm_tables import AUDIT
+from fleet_backend.database import transaction
+from fleet_backend.page import wording
+from fleet_backend.page.access import Role
+from fleet_backend.page.asking import AFTER, LIMIT, Ask
+from fleet_backend.page.errors import AskError
+from fleet_backend.page.fleet_view import next_of
+from fleet_backend.page.listing import cursor, read_words
+from fleet_backend.page.records import AuditAnswer, AuditEntry
+from fleet_backend.page.view import Shown, Sources, View
+from program_io.pages.content import Section, Table
+
+
+def find(sources: Sources, ask: Ask) -> AuditAnswer:
+    """Return a part of the audit, the latest first."""
+    limit, after = ask.count("limit"), ask.text("after")
+    statement = select(AUDIT).order_by(AUDIT.c.at.desc(), AUDIT.c.audit_id).limit(limit + 1)
+    if after is not None:
+        at, audit_id = _place(after)
+        statement = statement.where(AUDIT.c.at <= at, or_(AUDIT.c.at < at, AUDIT.c.audit_id > audit_id))
+    with transaction(sources.engine) as connection:
+        found = tuple(AuditEntry(**row) for row in connection.execute(statement).mappings())
+    some = found[:limit]
+    is_last = len(found) <= limit
+    return AuditAnswer(entries=some, next=None if is_last else cursor((some[-1].at.isoformat(), some[-1].audit_id)))
+
+
+def show(answer: AuditAnswer, ask: Ask, _sources: Sources) -> Shown:
+    """Return the page of the audit."""
+    rows = tuple((wording.minute(one.at), one.who, one.role, one.action, one.subject) for one in answer.entries)
+    table = Table(caption="Changes, the latest first", head=("at (UTC)", "who", "role", "did", "what"), rows=rows)
+    texts = () if rows else ("Nobody changed anything.",)
+    return Shown(
+        title="Audit",
+        subtitle="who changed what",
+        sections=(Section(name="audit", title="Changes by people", texts=texts, tables=(table,) if rows else ()),),
+        next=next_of("/audit", ask, answer.next),
+    )
+
+
+def _place(after: str) -> tuple[datetime, str]:
+    at, audit_id = read_words(after, (str, str))
+    try:
+        return datetime.fromisoformat(str(at)).astimezone(UTC), str(audit_id)
+    except (ValueError, OverflowError) as exc:
+        raise AskError("after: no place in a list; take it from the list before") from exc
+
+
+VIEW: Final = View(
+    name="audit",
+    page_path="/audit",
+    api_path="/api/v1/audit",
+    text="Who changed what, the latest first.",
+    parameters=(AFTER, LIMIT),
+    answer=AuditAnswer,
+    row=AuditEntry,
+    find=find,
+    show=show,
+    rows=lambda answer: answer.entries,
+    role=Role.ADMIN,
+)

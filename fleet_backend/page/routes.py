@@ -1,0 +1,158 @@
+"""Views and actions as routes: who asks, what for, and what comes back; the role is checked before all else."""
+
+from collections.abc import AsyncIterator, Callable, Sequence
+from dataclasses import dataclass, replace
+from datetime import datetime
+from typing import Final
+from urllib.parse import parse_qsl, quote, urlencode, urlsplit
+
+from starlette.concurrency import run_in_threadpool
+from starlette.requests import Request
+from starlette.responses import RedirectResponse, Response, StreamingResponse
+from starlette.routing import Route
+
+from fleet_backend.page.access import Access, Role, Viewer, check_role, check_token
+from fleet_backend.page.asking import LIMIT, VEHICLE, Ask, Kind, Parameter, read_words
+from fleet_backend.page.description import FORMAT
+from fleet_backend.page.errors import AskError, ForbiddenError
+from fleet_backend.page.files import MEDIA_TYPES, Format, file_of, json_of
+from fleet_backend.page.html import html_of
+from fleet_backend.page.view import Action, Sources, View
+
+EVENTS_PATH: Final = "/events"
+_FORM: Final = "application/x-www-form-urlencoded"
+_MOST_IN_A_FILE: Final = 50_000
+_LONGEST_FORM: Final = 16_384  # bytes
+_TOKEN: Final = "token"  # noqa: S105 - the name of a field
+_EVENT_WORDS: Final = (
+    replace(VEHICLE, in_path=False, is_required=False),
+    Parameter(name="number", text="of the snapshot that the reader knows", kind=Kind.COUNT, least=0),
+)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Endpoints:
+    """Makes routes that share where answers come from and who may ask."""
+
+    sources: Sources
+    access: Access
+    now: Callable[[], datetime]
+
+    def page(self, view: View) -> Route:
+        """Return the route of a view for people."""
+
+        def answer(request: Request) -> Response:
+            ask = self._ask(request, view.role, view.parameters)
+            number = self.sources.keeper.snapshot.number
+            shown = view.show(view.find(self.sources, ask), ask, self.sources)
+            text = html_of(
+                view,
+                shown,
+                viewer=ask.viewer,
+                api_href=_api_href(view, request),
+                number=number,
+                complaint=self.sources.keeper.complaint,
+            )
+            return Response(text, media_type="text/html")
+
+        return Route(view.page_path, answer, name=view.name)
+
+    def interface(self, view: View) -> Route:
+        """Return the route of a view for programs."""
+        parameters = api_parameters(view)
+
+        def answer(request: Request) -> Response:
+            ask = self._ask(request, view.role, parameters)
+            form = Format(ask.text(FORMAT.name) or Format.JSON)
+            found = view.find(self.sources, ask)
+            if form is Format.JSON:
+                return Response(json_of(found), media_type=MEDIA_TYPES[form])
+            name = f'attachment; filename="{view.name}.{form}"'
+            body = file_of(form, view.rows(found), view.row)
+            return Response(body, media_type=MEDIA_TYPES[form], headers={"content-disposition": name})
+
+        return Route(view.api_path, answer, name=f"api {view.name}")
+
+    def action(self, action: Action) -> Route:
+        """Return the route of a change; only a form of one of our own pages gets through."""
+
+        async def answer(request: Request) -> Response:
+            viewer = self._viewer(request, action.role)
+            _check_origin(request, self.access.host_names)
+            words = dict(await _form_words(request))
+            check_token(viewer, words.pop(_TOKEN, ""))
+            ask = read_words(action.parameters, {}, words.items(), self.now(), viewer)
+            where = await run_in_threadpool(action.do, self.sources, ask)
+            return RedirectResponse(where, status_code=303)
+
+        return Route(action.path, answer, name=action.name, methods=["POST"])
+
+    def events(self) -> Route:
+        """Return the route that tells a page that something is new; who comes back says what was heard last."""
+
+        async def answer(request: Request) -> Response:
+            viewer = self._viewer(request, Role.VIEWER)
+            words = [pair for pair in request.query_params.multi_items() if pair[0] != "number"]
+            heard = request.headers.get("last-event-id") or request.query_params.get("number", "")
+            ask = read_words(_EVENT_WORDS, {}, [*words, ("number", heard)], self.now(), viewer)
+            number = ask.count("number") if ask.text("number") else None
+            stream = self.sources.news.stream(number, ask.text("vehicle"))
+            return StreamingResponse(stream, media_type="text/event-stream", headers={"x-accel-buffering": "no"})
+
+        return Route(EVENTS_PATH, answer, name="events")
+
+    def document(self, path: str, content: bytes, media_type: str) -> Route:
+        """Return the route of a text that does not change."""
+
+        def answer(request: Request) -> Response:
+            self._viewer(request, Role.VIEWER)
+            return Response(content, media_type=media_type)
+
+        return Route(path, answer, name=path)
+
+    def _viewer(self, request: Request, role: Role) -> Viewer:
+        viewer = self.access.viewer_of(request.headers)
+        check_role(viewer, role)
+        return viewer
+
+    def _ask(self, request: Request, role: Role, parameters: Sequence[Parameter]) -> Ask:
+        viewer = self._viewer(request, role)
+        return read_words(parameters, request.path_params, request.query_params.multi_items(), self.now(), viewer)
+
+
+def api_parameters(view: View) -> Sequence[Parameter]:
+    """Return what a program may say: longer parts, and how the answer is written."""
+    return [*(replace(one, most=_MOST_IN_A_FILE) if one is LIMIT else one for one in view.parameters), FORMAT]
+
+
+def _api_href(view: View, request: Request) -> str:
+    path = view.api_path.format(**{name: quote(str(word), safe="") for name, word in request.path_params.items()})
+    query = urlencode([pair for pair in request.query_params.multi_items() if pair[1]])
+    return f"{path}?{query}" if query else path
+
+
+def _check_origin(request: Request, host_names: Sequence[str]) -> None:
+    """Raise ForbiddenError if a browser says that a page of another site asks."""
+    fetched_by = request.headers.get("sec-fetch-site", "same-origin")
+    origin = request.headers.get("origin")
+    if fetched_by != "same-origin" or (origin is not None and urlsplit(origin).hostname not in host_names):
+        raise ForbiddenError("a page of another site asked for this")
+
+
+async def _form_words(request: Request) -> list[tuple[str, str]]:
+    """Return the words of a form, none of them twice."""
+    if request.headers.get("content-type", "").partition(";")[0].strip() != _FORM:
+        raise AskError(f"a form is sent as {_FORM}")
+    content = b""
+    chunks: AsyncIterator[bytes] = request.stream()
+    async for chunk in chunks:
+        content += chunk
+        if len(content) > _LONGEST_FORM:
+            raise AskError(f"a form has {_LONGEST_FORM} bytes at most")
+    try:
+        words = parse_qsl(content.decode("ascii"), keep_blank_values=True, errors="strict", max_num_fields=20)
+    except ValueError as exc:
+        raise AskError("this is no form") from exc
+    if len({name for name, _ in words}) != len(words):
+        raise AskError("a word of the form is said twice")
+    return words

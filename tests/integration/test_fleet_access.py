@@ -1,0 +1,198 @@
+"""Who may read and change what behind a proxy that logs people in: every route by role, no change from elsewhere."""
+
+import re
+from collections.abc import Iterator
+from pathlib import Path
+
+import httpx
+import pytest
+from sqlalchemy import select
+
+from fleet_backend.alarm_tables import ALARM, AUDIT
+from fleet_backend.cli import main
+from fleet_backend.database import open_database, transaction
+from fleet_backend.errors import ConfigError
+from fleet_backend.page.access import Role
+from fleet_backend.page.access_file import read_access
+from fleet_backend.page.routes import EVENTS_PATH
+from fleet_backend.page.site import ACTIONS, OPENAPI_PATH, VIEWS
+from tests.support.fleet_page import ACCESS, MARKUP, SECRET, fill_database, headers_of, raise_alarms, served
+from tests.support.patience import HANG_S
+
+ALARM_WORDS = {"vehicle": "worn", "clutch": "2", "rule": "verdict", "number": "1"}
+WORDS = {"shift": {"stream": "stream-1", "seq": "59"}, "alarm": ALARM_WORDS}
+NOBODY, STRANGER, VIEWER, WORKSHOP, ADMIN = "", "mallory", "eve", "ann", "root"
+ROUTES = {  # what each may do: nobody logged in, somebody without a role, viewer, workshop, admin
+    **dict.fromkeys(
+        ("fleet", "vehicle", "shift", "alarms", "alarm", "changes", "quarantine"), (401, 403, 200, 200, 200)
+    ),
+    "audit": (401, 403, 403, 403, 200),
+    "openapi": (401, 403, 200, 200, 200),
+    "events": (401, 403, 200, 200, 200),
+    "acknowledge": (401, 403, 403, 403, 403),  # 403 for want of the token; who has it: see below
+}
+PEOPLE = (NOBODY, STRANGER, VIEWER, WORKSHOP, ADMIN)
+
+
+@pytest.fixture(name="database", scope="module")
+def _database(sqlite_template: Path, tmp_path_factory: pytest.TempPathFactory) -> str:
+    path = tmp_path_factory.mktemp("access") / "fleet.sqlite"
+    path.write_bytes(sqlite_template.read_bytes())
+    engine = open_database(f"sqlite:///{path}")
+    fill_database(engine)
+    raise_alarms(engine)
+    engine.dispose()
+    return f"sqlite:///{path}"
+
+
+@pytest.fixture(name="site", scope="module")
+def _site(database: str) -> Iterator[httpx.Client]:
+    with served(database, ACCESS) as address, httpx.Client(base_url=address, timeout=HANG_S, trust_env=False) as client:
+        yield client
+
+
+def status(site: httpx.Client, method: str, path: str, headers: dict[str, str], **words: str) -> int:
+    with site.stream(method, path, params=words, headers=headers) as answer:
+        return answer.status_code
+
+
+def test_every_route_is_for_its_roles_alone(site: httpx.Client) -> None:
+    found: dict[str, tuple[int, ...]] = {}
+    people = [headers_of(name) if name else {} for name in PEOPLE]
+    for view in VIEWS:
+        statuses = {
+            tuple(
+                status(site, "GET", path.replace("{vehicle}", "car1"), one, **WORDS.get(view.name, {}))
+                for one in people
+            )
+            for path in (view.page_path, view.api_path)
+        }
+        (found[view.name],) = statuses
+    for name, path in (("openapi", OPENAPI_PATH), ("events", EVENTS_PATH)):
+        found[name] = tuple(status(site, "GET", path, one) for one in people)
+    for action in ACTIONS:
+        form = {"content-type": "application/x-www-form-urlencoded"}
+        found[action.name] = tuple(status(site, "POST", action.path, {**one, **form}) for one in people)
+        assert status(site, "GET", action.path, people[-1]) == 405
+    assert found == ROUTES
+
+
+@pytest.mark.parametrize(
+    "headers",
+    [
+        {"X-Forwarded-User": "root"},
+        {"X-Forwarded-User": "root", "X-Fleet-Proxy": "wrong"},
+        {"X-Forwarded-User": "root", "X-Fleet-Proxy": f"{SECRET} "[:-2]},
+        {"X-Fleet-Proxy": SECRET},
+        {"X-Forwarded-User": "a" * 201, "X-Fleet-Proxy": SECRET},
+    ],
+)
+def test_who_comes_past_the_proxy_is_nobody(site: httpx.Client, headers: dict[str, str]) -> None:
+    assert site.get("/", headers=headers).status_code == 401
+
+
+def token_of(site: httpx.Client, name: str) -> str:
+    found = re.search(
+        r'name="token" value="([0-9a-f]{64})"', site.get("/alarm", params=ALARM_WORDS, headers=headers_of(name)).text
+    )
+    assert found is not None
+    return found[1]
+
+
+def test_a_change_comes_from_a_form_of_our_own_and_is_audited(site: httpx.Client, database: str) -> None:
+    ann, action = headers_of("ann"), ACTIONS[0].path
+    token = token_of(site, "ann")
+    words = {**ALARM_WORDS, "token": token, "note": MARKUP}
+    assert 'name="token"' not in site.get("/alarm", params=ALARM_WORDS, headers=headers_of("eve")).text
+    forged = (
+        (headers_of("bob"), words),  # the token of another
+        (ann, {**words, "token": token[::-1]}),
+        (ann, {name: word for name, word in words.items() if name != "token"}),
+        ({**ann, "sec-fetch-site": "cross-site"}, words),
+        ({**ann, "origin": "https://evil.example"}, words),
+        ({**ann, "origin": "null"}, words),
+        (headers_of("eve"), words),
+    )
+    assert [site.post(action, headers=headers, data=sent).status_code for headers, sent in forged] == [403] * len(
+        forged
+    )
+    wrong = (
+        {**words, "number": "7"},
+        {**words, "note": "x" * 501},
+        {**words, "colour": "red"},
+        {**words, "note": "y" * 20_000},
+    )
+    assert [site.post(action, headers=ann, data=sent).status_code for sent in wrong] == [404, 400, 400, 400]
+    assert site.post(action, headers=ann, json=words).status_code == 400
+    done = site.post(action, headers={**ann, "origin": "http://127.0.0.1"}, data=words)
+    assert (done.status_code, done.headers["location"]) == (303, "/alarm?vehicle=worn&clutch=2&rule=verdict&number=1")
+    assert site.post(action, headers=ann, data=words).status_code == 400  # it was acknowledged before
+    engine = open_database(database)
+    with transaction(engine) as connection:
+        (alarm,) = connection.execute(select(ALARM).where(ALARM.c.acknowledged_at.is_not(None))).all()
+        (entry,) = connection.execute(select(AUDIT)).all()
+    engine.dispose()
+    assert (alarm.acknowledged_by, alarm.note, entry.who, entry.role) == ("ann", MARKUP, "ann", "workshop")
+    for path in ("/audit", done.headers["location"], "/alarms?state=all"):
+        text = site.get(path, headers=headers_of("root")).text
+        assert "ann" in text
+        assert "<img" not in text
+
+
+GOOD = """
+host_names = ["fleet.example.org"]
+[proxy]
+user_header = "X-Forwarded-User"
+secret_header = "X-Fleet-Proxy"
+secret_file = "proxy.secret"
+[roles]
+admin = ["Ann@example.org"]
+viewer = ["*", "ann@example.org"]
+"""
+
+
+def write(folder: Path, text: str, secret: str = SECRET) -> Path:
+    (folder / "proxy.secret").write_text(secret, encoding="utf-8")
+    (folder / "proxy.secret").chmod(0o600)
+    (folder / "access.toml").write_text(text, encoding="utf-8")
+    return folder / "access.toml"
+
+
+def test_the_highest_role_of_somebody_counts(tmp_path: Path) -> None:
+    access = read_access(write(tmp_path, GOOD))
+    assert access.host_names == ("fleet.example.org",)
+    headers = {"X-Fleet-Proxy": SECRET}
+    assert access.viewer_of({**headers, "X-Forwarded-User": "ann@EXAMPLE.org"}).role is Role.ADMIN
+    assert access.viewer_of({**headers, "X-Forwarded-User": "who@ever.org"}).role is Role.VIEWER
+    assert SECRET not in repr(access)
+
+
+@pytest.mark.parametrize(
+    ("before", "after", "complaint"),
+    [
+        ("host_names", "hosts", "needs host_names"),
+        ('["fleet.example.org"]', "[]", "needs host_names, which is not empty"),
+        ("[roles]", "[rules]", "needs roles"),
+        ("admin", "chief", "'chief' is unknown; known are viewer, workshop, admin"),
+        ('["Ann@example.org"]', '"Ann"', "roles.admin must be a list of texts"),
+        ("user_header", "header", "'header' is unknown"),
+        ('"X-Fleet-Proxy"', '"X-Forwarded-User"', "must be names of two headers"),
+        ('"X-Fleet-Proxy"', '"X Fleet"', "must be names of two headers"),
+        ("proxy.secret", "nowhere", "nowhere"),
+        ("[proxy]", "[proxy", "cannot be read"),
+    ],
+)
+def test_a_file_of_access_that_is_wrong_is_one_clear_line(
+    tmp_path: Path, before: str, after: str, complaint: str
+) -> None:
+    path = write(tmp_path, GOOD.replace(before, after, 1))
+    with pytest.raises(ConfigError, match=re.escape(complaint)):
+        read_access(path)
+
+
+def test_a_server_with_a_short_secret_does_not_start(
+    tmp_path: Path, sqlite_url: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = write(tmp_path, GOOD, "short")
+    assert main(["serve", "--database", sqlite_url, "--listen", "0.0.0.0:0", "--access", str(path)]) == 2
+    assert "a secret must have 24 bytes or more" in capsys.readouterr().err
