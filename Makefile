@@ -25,7 +25,7 @@ help:
 	@echo "make setup         virtual environment in $(VENV) with the locked requirements and the project"
 	@echo "make demo          emulator and service on one bus, a live line per shift, a table and a picture"
 	@echo "                   SCENARIO=case2 for another drive, BROKER=mqtt://host for a broker of your own"
-	@echo "make fleet         broker, database, two ingest workers, three vehicles with different fluids; the fleet, worst first"
+	@echo "make fleet         broker, database, two ingest workers, three vehicles with different fluids; the fleet, worst first, and its page"
 	@echo "make check         format, lint, types, import contracts, DBC, unit and property tests (under 2 minutes)"
 	@echo "make test          everything CI runs, the tests on a real vcan included"
 	@echo "make bench         speed and size figures"

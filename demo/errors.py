@@ -6,6 +6,7 @@ from typing import Final
 EXTRA_OF: Final = {
     **dict.fromkeys(("amqtt", "matplotlib", "doipclient", "isotp", "udsoncan"), "demo"),
     **dict.fromkeys(("alembic", "psycopg", "sqlalchemy"), "fleet"),
+    **dict.fromkeys(("starlette", "uvicorn"), "page"),
 }
 
 

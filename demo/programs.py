@@ -28,6 +28,17 @@ class Program:
         """Standard output until now."""
         return self._out.read_text(encoding="utf-8")
 
+    @property
+    def has_ended(self) -> bool:
+        """Whether it runs no more."""
+        return self._process.returncode is not None
+
+    @property
+    def last_words(self) -> str:
+        """The last line of standard error."""
+        words = self._log.read_text(encoding="utf-8", errors="replace").strip().splitlines()
+        return words[-1] if words else "it said nothing"
+
     async def wait(self) -> None:
         """Return when the program has ended well.
 
@@ -38,8 +49,7 @@ class Program:
         """
         status = await self._process.wait()
         if status != 0:
-            words = self._log.read_text(encoding="utf-8", errors="replace").strip().splitlines()
-            raise DemoError(f"{self.name} ended with status {status}: {words[-1] if words else 'it said nothing'}")
+            raise DemoError(f"{self.name} ended with status {status}: {self.last_words}")
 
     async def stop(self) -> None:
         """Ask the program to end, and make it if it does not or if we cannot wait."""

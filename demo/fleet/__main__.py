@@ -23,8 +23,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     options = _parser().parse_args(arguments)
     try:
         check_extra("fleet")
+        check_extra("page")
         options.output.mkdir(parents=True, exist_ok=True)
-        asyncio.run(_interruptible(options.output, options.cycles, Console(highlight=False)))
+        asyncio.run(_interruptible(options.output, options.cycles, Console(highlight=False), stays=sys.stdin.isatty()))
     except asyncio.CancelledError:
         sys.stderr.write(f"{PROGRAM}: interrupted\n")
         return INTERRUPTED
@@ -34,9 +35,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     return DONE
 
 
-async def _interruptible(folder: Path, cycles: int, console: Console) -> None:
+async def _interruptible(folder: Path, cycles: int, console: Console, *, stays: bool) -> None:
     """Run the demonstration so that a signal ends it in order, servers and children included."""
-    work = asyncio.ensure_future(run_fleet(folder, cycles, console))
+    work = asyncio.ensure_future(run_fleet(folder, cycles, console, stays=stays))
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         asyncio.get_running_loop().add_signal_handler(number, work.cancel)
     await work
@@ -45,7 +46,7 @@ async def _interruptible(folder: Path, cycles: int, console: Console) -> None:
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog="python -m demo.fleet",
-        description="Broker, database, two ingest workers and three emulated vehicles; then the fleet, worst first.",
+        description="Broker, database, ingest workers, three emulated vehicles; then the fleet, worst first; its page.",
         epilog="exit status: 0 done, 1 failed, 2 usage or an extra that is not installed, 130 interrupted",
     )
     parser.add_argument(

@@ -13,11 +13,13 @@ from rich.console import Console
 
 from demo.errors import DemoError
 from demo.fleet.mosquitto import mosquitto
+from demo.fleet.page import show_page
 from demo.fleet.postgres import PostgresServer, program_folder
 from demo.programs import EMULATOR, SERVICE, output_files, program, run
 
 BACKEND: Final = "fleet_backend"
 WORKERS: Final = 2
+OLD_DRIVES_DAYS: Final = 3650  # the emulated drives have dates of their own
 ARRIVAL_S: Final = 60.0  # from the last shift to the last row
 BROKER_LINES: Final = ("max_inflight_messages 0", "max_queued_messages 0")  # docs/fleet.md, limits
 
@@ -38,8 +40,10 @@ VEHICLES: Final = (
 )
 
 
-async def run_fleet(folder: Path, cycles: int, console: Console) -> None:
+async def run_fleet(folder: Path, cycles: int, console: Console, *, stays: bool) -> None:
     """Drive the vehicles, bring their results into the database, and show the fleet; all files go to ``folder``.
+
+    At the end its page is there, and ``stays`` until somebody presses Ctrl-C.
 
     Raises
     ------
@@ -71,6 +75,8 @@ async def run_fleet(folder: Path, cycles: int, console: Console) -> None:
         )
         for question in ("table", "alarms"):
             console.print(await _backend(folder, question, database, width=console.width), markup=False, soft_wrap=True)
+        await _backend(folder, "watch", database, "--once", "--silence-days", str(OLD_DRIVES_DAYS))
+        await show_page(_subfolder(folder, "page"), database, VEHICLES[-1].name, console, stays=stays)
 
 
 @contextmanager

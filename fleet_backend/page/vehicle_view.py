@@ -67,11 +67,11 @@ def show(answer: VehicleAnswer, ask: Ask, _sources: Sources) -> Shown:
     """Return the page of a vehicle."""
     sections = [_outlook_section(answer)]
     sections += [_clutch_section(answer, one) for one in answer.clutches]
-    sections.append(_events_section(answer))
+    sections += [_events_section(answer), _assumptions_section(answer)]
     return Shown(
         title=f"Vehicle {answer.vehicle}",
         subtitle=_subtitle(answer),
-        sections=tuple(sections),
+        sections=tuple(one for one in sections if one.texts or one.figures or one.tables),
         advice=tuple(wording.advice(one.now) for one in answer.clutches),
         trail=(Link(text="Fleet", href="/"),),
         follows=ask.said("vehicle"),
@@ -107,7 +107,6 @@ def _subtitle(answer: VehicleAnswer) -> str:
 def _outlook_section(answer: VehicleAnswer) -> Section:
     texts = [one.outlook.sentence if one.outlook else str(one.why_no_outlook) for one in answer.clutches]
     tables = [_reach_table(one) for one in answer.clutches if one.outlook and one.outlook.change_fluid]
-    tables += [_assumptions_table(answer)] if tables else []
     return Section(name="outlook", title="How far the fluid will go", texts=tuple(texts), tables=tuple(tables))
 
 
@@ -121,16 +120,17 @@ def _reach_table(clutch: ClutchHistory) -> Table:
             rows.append((name, *shown, wording.probability(reach.probability_before_service)))
     head = ("limit", "10 % [km]", "50 % [km]", "90 % [km]", "probability before the next service")
     return Table(
-        caption=f"Clutch {clutch.now.clutch}: distance within which a limit is passed, by probability",
+        caption=f"Clutch {clutch.now.clutch}: distance until a limit is passed",
         head=head,
         rows=tuple(rows),
     )
 
 
-def _assumptions_table(answer: VehicleAnswer) -> Table:
+def _assumptions_section(answer: VehicleAnswer) -> Section:
     told = dict.fromkeys(text for one in answer.clutches if one.outlook for text in one.outlook.assumptions)
     rows = tuple((str(number), text) for number, text in enumerate(told, 1))
-    return Table(caption="What this assumes", head=("", "assumption"), rows=rows)
+    table = Table(caption="Assumptions", head=("", "assumption"), rows=rows)
+    return Section(name="assumptions", title="What the outlook rests on", tables=(table,) if rows else ())
 
 
 def _clutch_section(answer: VehicleAnswer, clutch: ClutchHistory) -> Section:

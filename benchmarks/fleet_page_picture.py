@@ -1,0 +1,114 @@
+"""Makes the picture of the fleet's page in the README: a made-up fleet that ages at different rates, one vehicle of it.
+
+python -m benchmarks.fleet_page_picture docs/page.png
+"""
+
+import argparse
+import sys
+from dataclasses import replace
+from datetime import UTC, datetime, timedelta
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+import numpy as np
+from PIL import Image
+
+from diag_service.diagnosis.condition.advice import Cause, advice
+from diag_service.diagnosis.condition.thresholds import CHANGE_LEVEL_RATIO, WATCH_LEVEL_RATIO
+from diag_service.diagnosis.records import Condition, ShiftResult
+from fleet_backend import queries
+from fleet_backend.database import open_database
+from fleet_backend.migrate import migrate
+from fleet_backend.rows import Row
+from fleet_backend.writer import Batch, Writer
+from tests.support.browsing import chromium
+from tests.support.builders import friction_estimate
+from tests.support.fleet import row_of
+from tests.support.fleet_page import served
+from tests.support.histories import CALIBRATION, history
+
+START = datetime(2026, 3, 1, 7, tzinfo=UTC)
+RESULTS = 240
+SHOWN = "taxi-117"
+FLEET = {
+    "taxi-104": 0.235,
+    SHOWN: 0.16,
+    "taxi-121": 0.11,
+    "van-03": 0.05,
+    "bus-2": 0.075,
+    "van-11": 0.13,
+}  # loss of mu_C
+DISTANCE_M = 2.6e5  # between two results
+DAYS = 0.72
+WIDTH, HEIGHT, COLOURS = 1200, 1240, 160
+_NEW = CALIBRATION.clutches[0].friction
+
+
+def aged(result: ShiftResult, loss: float, number: int, rng: np.random.Generator) -> Row:
+    """Return a result as it is after so much of a life."""
+    estimate, clutch = result.estimate, result.estimate.clutch
+    level = 1.0 - loss * (1.0 if clutch == 1 else 0.8) * result.seq / RESULTS
+    running = replace(friction_estimate(), mu_c=_NEW.mu_c * level, mu_s=_NEW.mu_s, std_mu_c=0.0028, std_mu_s=0.003)
+    own = replace(
+        running,
+        mu_c=running.mu_c * (1.0 + 0.012 * rng.standard_normal()),
+        mu_s=running.mu_s * (1.0 + 0.02 * rng.standard_normal()),
+        std_mu_c=0.0033,
+        std_mu_s=0.0042,
+        random_std_mu_c=0.0016,
+        random_std_mu_s=0.0025,
+    )
+    worst = Condition.CHANGE_FLUID if level < CHANGE_LEVEL_RATIO else Condition.WATCH
+    condition = Condition.GOOD if level >= WATCH_LEVEL_RATIO else worst
+    cause = None if condition is Condition.GOOD else Cause.LEVEL_FALLING
+    verdict = replace(
+        result.verdict,
+        condition=condition,
+        friction=running,
+        level_ratio=level,
+        advice=advice(clutch, condition, cause, 0.97),
+    )
+    end = START + timedelta(days=DAYS * result.seq + 0.1 * number)
+    end_ns = int(end.timestamp() * 1e9)
+    estimate = replace(
+        estimate,
+        start_ns=end_ns - 2_000_000_000,
+        end_ns=end_ns,
+        odometer_m=3.1e7 + 7e6 * number + DISTANCE_M * result.seq,
+        friction=None if estimate.friction is None else own,
+    )
+    produced_at = end.strftime("%Y-%m-%dT%H:%M:%S.%fZ")
+    return row_of(replace(result, estimate=estimate, verdict=verdict, produced_at=produced_at))
+
+
+def fill(database: str) -> None:
+    """Make the fleet."""
+    engine, rng = open_database(database), np.random.default_rng(5)
+    migrate(engine)
+    for number, (vehicle, loss) in enumerate(FLEET.items()):
+        results = history(RESULTS, vehicle=vehicle, stream=f"stream-{number}")
+        Writer(engine).store(Batch(shifts=[aged(one, loss, number, rng) for one in results]))
+        queries.note_fill(engine, vehicle, "DCTF 75W", at=START, odometer_m=3.1e7 + 7e6 * number, note=None)
+    engine.dispose()
+
+
+def main() -> int:
+    """Write the picture and say how large it is."""
+    parser = argparse.ArgumentParser(description="The picture of the fleet's page in the README.")
+    parser.add_argument("picture", type=Path)
+    path = parser.parse_args().picture
+    with TemporaryDirectory() as folder:
+        database = f"sqlite:///{folder}/fleet.sqlite"
+        fill(database)
+        with served(database) as address, chromium() as browser:
+            page = browser.new_page(viewport={"width": WIDTH, "height": HEIGHT})
+            page.goto(f"{address}/vehicles/{SHOWN}")
+            page.get_by_text("Renews itself.").wait_for()
+            page.screenshot(path=path)
+    Image.open(path).convert("RGB").quantize(COLOURS, dither=Image.Dither.NONE).save(path, optimize=True)
+    print(f"{path}: {path.stat().st_size / 1000:.0f} kB")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
