@@ -63,10 +63,17 @@ class Log:
     """
 
     def __init__(
-        self, paths: Sequence[Path], database: Database, *, is_strict: bool = False, max_cells: int = MAX_CELLS
+        self,
+        paths: Sequence[Path],
+        database: Database,
+        *,
+        is_strict: bool = False,
+        max_cells: int = MAX_CELLS,
+        columns: str = "",
     ) -> None:
         with ExitStack() as stack:
-            readers = [stack.enter_context(closing(read_log(path, is_strict=is_strict))) for path in paths]
+            opened = (read_log(path, is_strict=is_strict, columns=columns) for path in paths)
+            readers = [stack.enter_context(closing(reader)) for reader in opened]
             self.frames: FrameBatch = join(list(merged_by_time(readers)))
             self.counts = LogCounts()
             for reader in readers:
@@ -171,6 +178,7 @@ def read(
     *,
     is_strict: bool = False,
     is_lenient: bool = False,
+    columns: str = "",
 ) -> Log:
     """Read a log whole, for its signals as arrays or tables.
 
@@ -187,6 +195,8 @@ def read(
         Whether the first line or object that is no frame is an error; else it is counted.
     is_lenient
         Whether items of a DBC file that cannot be right are left out, with a warning of each.
+    columns
+        Which column of a text is which, ``time=Time,id=ID,data=D1-D8``; by default its header says.
 
     Raises
     ------
@@ -195,7 +205,7 @@ def read(
     DefinitionError
         If the database cannot be used.
     """
-    return Log(_paths(path), _database(database, is_lenient=is_lenient), is_strict=is_strict)
+    return Log(_paths(path), _database(database, is_lenient=is_lenient), is_strict=is_strict, columns=columns)
 
 
 def write_table(
@@ -207,12 +217,13 @@ def write_table(
     shape: ShapeName = "wide",
     values: ValuesName = "numbers",
     is_lenient: bool = False,
+    columns: str = "",
 ) -> list[str]:
     """Write the signals of logs into a table, in bounded memory; return what is missing there, in words.
 
     Parameters
     ----------
-    path, database, is_lenient
+    path, database, is_lenient, columns
         As of ``read``.
     output
         The table, which appears when it is complete; one that is there is replaced.
@@ -232,7 +243,7 @@ def write_table(
     chosen = _format(Path(output), table_format)
     if chosen is TableFormat.MF4 and (shape, values) != ("wide", "numbers"):
         raise OutputError("an MF4 file has a group for each message, and numbers: neither shape nor values applies")
-    return list(losses(decode_logs(_paths(path), plan, Path(output), chosen).account))
+    return list(losses(decode_logs(_paths(path), plan, Path(output), chosen, columns=columns).account))
 
 
 def write_parquet(
@@ -243,10 +254,18 @@ def write_parquet(
     shape: ShapeName = "wide",
     values: ValuesName = "numbers",
     is_lenient: bool = False,
+    columns: str = "",
 ) -> list[str]:
     """Write the signals of logs into a Parquet file, whatever it is called: what ``write_table`` does."""
     return write_table(
-        path, database, output, table_format="parquet", shape=shape, values=values, is_lenient=is_lenient
+        path,
+        database,
+        output,
+        table_format="parquet",
+        shape=shape,
+        values=values,
+        is_lenient=is_lenient,
+        columns=columns,
     )
 
 

@@ -1,10 +1,12 @@
 """Logs of every format, read whatever is damaged and counted."""
 
+from canlog.logs.archives import split_member
 from canlog.logs.detection import LogFormat
 from canlog.logs.log_counts import LogCounts, LogReject
+from canlog.logs.looking import Looked, is_log, looked_at, why_no_log
 from canlog.logs.merging import merged_by_time
 from canlog.logs.piped import STANDARD_INPUT, shown_name
-from canlog.logs.reading import LogReader, is_log, read_log, why_no_log
+from canlog.logs.reading import LogReader, read_log
 
 __all__ = [
     "STANDARD_INPUT",
@@ -12,9 +14,12 @@ __all__ = [
     "LogFormat",
     "LogReader",
     "LogReject",
+    "Looked",
     "is_log",
+    "looked_at",
     "merged_by_time",
     "read_log",
     "shown_name",
+    "split_member",
     "why_no_log",
 ]

@@ -1,61 +1,29 @@
-"""Logs inside gzip or xz, inflated piece by piece; what would grow beyond reason is refused."""
+"""Logs inside gzip, xz, bzip2 or zstd, inflated piece by piece; what would grow beyond reason is refused."""
 
 import io
-import lzma
-import zlib
-from collections.abc import Mapping
-from enum import StrEnum
-from types import MappingProxyType
 from typing import BinaryIO
 
 from canlog.errors import SourceError
+from canlog.logs.inflaters import (
+    LONGEST_MAGIC,
+    Compression,
+    DamagedStreamError,
+    Inflater,
+    compression_of,
+    inflated,
+    new_inflater,
+)
 from canlog.logs.log_counts import LogCounts, LogReject
 
-
-class Compression(StrEnum):
-    """What a file may be wrapped in."""
-
-    GZIP = "gzip"
-    XZ = "xz"
-
-
-MAGICS: Mapping[bytes, Compression] = MappingProxyType(
-    {b"\x1f\x8b\x08": Compression.GZIP, b"\xfd7zXZ\0": Compression.XZ}
-)
-LONGEST_MAGIC = max(len(magic) for magic in MAGICS)
 PIECE_BYTES = 64 * 1024
 MOST_RATIO = 256  # logs shrink by a factor of 5 to 50
 FREE_BYTES = 64 * 1024 * 1024  # may come of any piece, however small
-XZ_MEMORY_BYTES = 192 * 1024 * 1024  # the highest preset asks for 65 MiB
-GZIP_WINDOW = 31  # zlib's number for its largest window and a gzip header
 
 
-class _Gzip:
-    """As `lzma.LZMADecompressor`: keeps what it was given and did not come to."""
-
-    def __init__(self) -> None:
-        self._inner = zlib.decompressobj(GZIP_WINDOW)
-
-    @property
-    def eof(self) -> bool:
-        return self._inner.eof
-
-    @property
-    def unused_data(self) -> bytes:
-        return self._inner.unused_data
-
-    def decompress(self, piece: bytes, max_length: int) -> bytes:
-        return self._inner.decompress(self._inner.unconsumed_tail + piece, max_length)
-
-
-def new_inflater(kind: Compression) -> "_Gzip | lzma.LZMADecompressor":
-    """Return what inflates one compressed stream."""
-    return _Gzip() if kind is Compression.GZIP else lzma.LZMADecompressor(lzma.FORMAT_XZ, memlimit=XZ_MEMORY_BYTES)
-
-
-def compression_of(probe: bytes) -> Compression | None:
-    """Return what the first bytes of a file say it is wrapped in."""
-    return next((kind for magic, kind in MAGICS.items() if probe.startswith(magic)), None)
+def check_growth(what: str, taken_bytes: int, given_bytes: int) -> None:
+    """Raise SourceError if contents are so much larger than what they were packed in that they can be no log."""
+    if given_bytes > FREE_BYTES + MOST_RATIO * taken_bytes:
+        raise SourceError(f"{what} holds more than {MOST_RATIO} times its size: no log does")
 
 
 class InflatedStream(io.RawIOBase):
@@ -74,11 +42,16 @@ class InflatedStream(io.RawIOBase):
         self._kind = compression
         self.restart(LogCounts())
 
+    @property
+    def name(self) -> str:
+        """What it is, for people."""
+        return f"the {self._kind} file"
+
     def restart(self, counts: LogCounts) -> None:
         """Begin again, and count damage here from now on."""
         self._stream.seek(0)
         self._counts = counts
-        self._inflater: _Gzip | lzma.LZMADecompressor | None = new_inflater(self._kind)
+        self._inflater: Inflater | None = new_inflater(self._kind)
         self._taken_bytes = 0
         self._given_bytes = 0
 
@@ -107,17 +80,16 @@ class InflatedStream(io.RawIOBase):
         if inflater is None:
             return b""
         try:
-            contents = inflater.decompress(b"", most_bytes)
+            contents = inflated(inflater, b"", most_bytes)
             if not contents and not inflater.eof:
-                contents = inflater.decompress(self._piece(), most_bytes)
-        except (zlib.error, lzma.LZMAError, EOFError) as exc:
+                contents = inflated(inflater, self._piece(), most_bytes)
+        except (DamagedStreamError, EOFError) as exc:
             self._end(LogReject.CUT_OFF if isinstance(exc, EOFError) else LogReject.DAMAGED)
             return b""
         if inflater.eof:
             self._follow(inflater.unused_data)
         self._given_bytes += len(contents)
-        if self._given_bytes > FREE_BYTES + MOST_RATIO * self._taken_bytes:
-            raise SourceError(f"the {self._kind} file holds more than {MOST_RATIO} times its size: no log does")
+        check_growth(self.name, self._taken_bytes, self._given_bytes)
         return contents
 
     def _piece(self) -> bytes:
@@ -143,4 +115,4 @@ class InflatedStream(io.RawIOBase):
     def _end(self, reason: LogReject) -> None:
         self._inflater = None
         self._counts.truncated = True
-        self._counts.reject(reason, f"byte {self._stream.tell()} of the {self._kind} file")
+        self._counts.reject(reason, f"byte {self._stream.tell()} of {self.name}")

@@ -12,6 +12,11 @@ from canlog.logs import sqlite
 from canlog.logs.asc import AscLog, is_asc_header
 from canlog.logs.blf import MAGIC as BLF_MAGIC
 from canlog.logs.candump import CandumpLog
+from canlog.logs.columns import NO_HEADER, ColumnsLog, columns_seen, proposed
+from canlog.logs.columns.canhacker import CanHacker, is_canhacker_header
+from canlog.logs.columns.carbus import Carbus, is_carbus_header
+from canlog.logs.columns.microchip import Microchip, is_microchip_header
+from canlog.logs.console import ConsoleLog
 from canlog.logs.log_counts import LogCounts
 from canlog.logs.tables import Busmaster, Crtd, GvretCsv, PythonCanCsv, Table, Trc
 from canlog.logs.tables.csv_tables import is_gvret_header, is_python_can_header
@@ -24,13 +29,13 @@ COMMENTS = (b"#", b"//")
 UTF_16_BYTES = 64
 MDF_MAGICS = (b"MDF     ", b"UnFinMF ")
 MDF_VERSION = slice(8, 9)
-CANDUMP_FOR_PEOPLE = re.compile(rb"\s*(?:\([-\d.: ]+\)\s+)?[\w.-]+\s+[0-9A-F]{3,8}\s+\[\d{1,2}\](?:\s|$)")
 
 
 class LogFormat(StrEnum):
     """The log formats that can be read."""
 
     CANDUMP = "candump"
+    CONSOLE = "candump-console"
     BLF = "blf"
     ASC = "asc"
     MF4 = "mf4"
@@ -40,6 +45,10 @@ class LogFormat(StrEnum):
     GVRET = "gvret"
     BUSMASTER = "busmaster"
     CRTD = "crtd"
+    CARBUS = "carbus"
+    CANHACKER = "canhacker"
+    MICROCHIP = "microchip"
+    COLUMNS = "columns"
 
 
 TABLES: Mapping[LogFormat, Callable[[], Table]] = MappingProxyType(
@@ -52,8 +61,19 @@ TABLES: Mapping[LogFormat, Callable[[], Table]] = MappingProxyType(
     }
 )
 TEXT_LOGS: Mapping[LogFormat, Callable[[], TextLog]] = MappingProxyType(
-    {LogFormat.CANDUMP: CandumpLog, **TABLES, LogFormat.ASC: AscLog}  # in this order a text without a header is tried
+    # In this order a text without a header is tried.
+    {
+        LogFormat.CANDUMP: CandumpLog,
+        LogFormat.CONSOLE: ConsoleLog,
+        **TABLES,
+        LogFormat.CARBUS: Carbus,
+        LogFormat.CANHACKER: CanHacker,
+        LogFormat.MICROCHIP: Microchip,
+        LogFormat.ASC: AscLog,
+        LogFormat.COLUMNS: ColumnsLog,  # by the names in its header, never by its lines
+    }
 )
+UNNAMED = tuple(log_format for log_format in TEXT_LOGS if log_format is not LogFormat.COLUMNS)
 HEADERS: Mapping[LogFormat, Callable[[bytes], bool]] = MappingProxyType(
     {
         LogFormat.ASC: is_asc_header,
@@ -61,6 +81,9 @@ HEADERS: Mapping[LogFormat, Callable[[bytes], bool]] = MappingProxyType(
         LogFormat.CSV: is_python_can_header,
         LogFormat.GVRET: is_gvret_header,
         LogFormat.BUSMASTER: lambda line: line.startswith(b"***BUSMASTER"),
+        LogFormat.CARBUS: is_carbus_header,
+        LogFormat.CANHACKER: is_canhacker_header,
+        LogFormat.MICROCHIP: is_microchip_header,
     }
 )
 
@@ -68,19 +91,32 @@ HEADERS: Mapping[LogFormat, Callable[[bytes], bool]] = MappingProxyType(
 # What lines of tables without a header must look like besides: a column of anything proves nothing.
 TYPICAL: Mapping[LogFormat, re.Pattern[bytes]] = MappingProxyType(
     {
+        LogFormat.CONSOLE: re.compile(
+            rb"(?:\x1b\[[\d;]*m|\s)*(?:\([-\d.: ]+\)\s+)?(?:\x1b\[[\d;]*m)*\s*"  # colours, a time
+            rb"[\w.-]+[^\n\[{]{0,40}[0-9A-F]{3}\s+[\[{]|DROPCOUNT:"
+        ),
         LogFormat.TRC: re.compile(rb"\s*(?:\d+\)\s+-?[\d.]+\s|;)"),
         LogFormat.CSV: re.compile(rb"[\d.eE+-]+,\s*0x[0-9a-fA-F]+,[01],"),
         LogFormat.GVRET: re.compile(rb"[\d.eE+-]+,[0-9a-fA-F]+,(?:true|false),", re.IGNORECASE),
         LogFormat.BUSMASTER: re.compile(rb"\s*(?:\d+:\d+:\d+:\d+\s+[RT]x\s|\*\*\*)"),
+        LogFormat.CARBUS: re.compile(rb"\d\d,\d{3,6}\t\d+\t[0-9A-F]{4,8}\t[0-9A-F]+\t\d+\t"),
+        LogFormat.CANHACKER: re.compile(rb"\d\d\.\d{3}\s+[0-9A-F]{3,8}\s+\d\s"),
+        LogFormat.MICROCHIP: re.compile(rb"\d+;[RT]X;0x[0-9A-Fa-f]+;\d+;"),
         LogFormat.CRTD: re.compile(rb"\d+(?:\.\d+)?\s+\d?(?:[RT](?:11|29)|C[A-Z]{2})\s"),
     }
 )
 OTHER_FORMATS: Mapping[bytes, str] = MappingProxyType(
     {
-        b"PK\x03\x04": "a zip archive",
-        b"BZh": "a file compressed by bzip2",
-        b"\x28\xb5\x2f\xfd": "a file compressed by zstd",
         b"7z\xbc\xaf": "a 7z archive",
+        b"Rar!\x1a\x07": "a RAR archive",
+        b"\x04\x22\x4d\x18": "a file compressed by lz4",
+        b"\x1f\x9d": "a file compressed by compress",
+        b"\x89PNG": "a picture (PNG)",
+        b"\xff\xd8\xff": "a picture (JPEG)",
+        b"GIF8": "a picture (GIF)",
+        b"%PDF-": "a PDF document",
+        b"\x7fELF": "a program",
+        b"\xd0\xcf\x11\xe0": "a document of Microsoft Office",
         b"\xd4\xc3\xb2\xa1": "a pcap capture",
         b"\xa1\xb2\xc3\xd4": "a pcap capture",
         b"\x0a\x0d\x0d\x0a": "a pcapng capture",
@@ -119,6 +155,30 @@ def detect(probe: bytes) -> Detected:
     return detect_text(probe)
 
 
+def detect_as_columns(probe: bytes, choice: str) -> Detected:
+    """Return the format of a file of which somebody says what its columns are.
+
+    A table if that fits; else whatever it is taken for without.
+
+    Raises
+    ------
+    SourceError
+        If it is neither; then the complaint is about the columns.
+    """
+    text, complaint = probe.removeprefix(BYTE_ORDER_MARK), SourceError("--columns: no line of it is a frame by that")
+    try:
+        log = ColumnsLog(choice)
+        log.look_ahead(text)
+        if _has_frames(log, text):
+            return Detected(format=LogFormat.COLUMNS, evidence=f"its columns are {log.taken_for}")
+    except SourceError as exc:
+        complaint = exc
+    try:
+        return detect(probe)
+    except SourceError as exc:
+        raise (exc if str(complaint) == NO_HEADER else complaint) from None
+
+
 def detect_text(probe: bytes) -> Detected:
     """Return the format of a text: the one that a first line names, else the one that most of its first lines are in.
 
@@ -136,16 +196,33 @@ def detect_text(probe: bytes) -> Detected:
                 return Detected(format=log_format, evidence=f"line {number} is its header")
     lines = first_lines(text, is_cut=len(probe) >= PROBE_BYTES)
     hint, most = "", 0
-    for log_format in TEXT_LOGS:
+    for log_format in UNNAMED:
         frames, others = _counted(log_format, lines)
         shown = f"{frames} of the first {len(lines)} lines"
         if frames > others:
             return Detected(format=log_format, evidence=f"{shown} are frames in its grammar")
         if frames > most:
             hint, most = f"{shown} fit {log_format}", frames
-    if lines and all(CANDUMP_FOR_PEOPLE.match(line) for line in lines[:-1] or lines):
-        raise SourceError("what candump prints for people, without times that can be told: call it with -L")
+    if named := _by_named_columns(text):
+        return named
     raise SourceError(_not_known(probe, hint))
+
+
+def _by_named_columns(text: bytes) -> Detected | None:
+    """Return that a text is a table, if a header names its columns and most lines behind it are frames."""
+    log = proposed(text)
+    if log is None:
+        return None
+    if not _has_frames(log, text):
+        return None
+    number = log.layout.header_lines
+    return Detected(format=LogFormat.COLUMNS, evidence=f"line {number} names its columns: {log.taken_for}")
+
+
+def _has_frames(log: ColumnsLog, text: bytes) -> bool:
+    """Return whether most of the first lines behind a header are frames."""
+    counts, lines = LogCounts(), text.splitlines()[: log.layout.header_lines + LINES_LOOKED_AT]
+    return len(frames_of(log, b"\n".join(lines), counts)) > sum(counts.rejected.values())
 
 
 def first_lines(text: bytes, *, is_cut: bool) -> list[bytes]:
@@ -175,4 +252,7 @@ def _counted(log_format: LogFormat, lines: Sequence[bytes]) -> tuple[int, int]:
 def _not_known(probe: bytes, hint: str) -> str:
     other = next((name for magic, name in OTHER_FORMATS.items() if probe.startswith(magic)), "")
     known = f"not a log of a known format ({', '.join(LogFormat)})"
+    seen = ", ".join(columns_seen(probe))
+    if seen and not other:
+        return f"{known}: a table with the columns {seen}; --columns time=...,id=...,data=... says which are which"
     return f"{known}: {other or f'only {hint}'}" if other or hint else known

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack, suppress
+from functools import partial
 from io import BufferedReader
 from pathlib import Path
 from types import MappingProxyType
@@ -9,10 +10,12 @@ from typing import BinaryIO, cast
 
 from canlog.errors import SourceError
 from canlog.frames import FrameBatch
+from canlog.logs.archives import is_archive, split_member
 from canlog.logs.blf import read_blf
 from canlog.logs.bounded_stream import BoundedStream
-from canlog.logs.compressed import InflatedStream, compression_of
-from canlog.logs.detection import PROBE_BYTES, TEXT_LOGS, Detected, LogFormat, detect, detect_text
+from canlog.logs.columns import ColumnsLog
+from canlog.logs.detection import PROBE_BYTES, TEXT_LOGS, Detected, LogFormat, detect, detect_as_columns
+from canlog.logs.inflaters import compression_of
 from canlog.logs.log_counts import LogCounts, LogReject
 from canlog.logs.mf4 import read_mf4
 from canlog.logs.piped import STANDARD_INPUT, PipeStream, kept, never, open_standard_input, shown_name
@@ -20,6 +23,7 @@ from canlog.logs.sqlite import read_sqlite
 from canlog.logs.tables.time_unit import bus_load_ratio, is_plausible
 from canlog.logs.text_log import reader_of
 from canlog.logs.time_watch import TimeWatch
+from canlog.logs.unpacking import Contents, contents_of
 from canlog.plain_files import open_plain_file
 
 LOAD_FRAMES = 2_000  # the first ones, from which a load is told
@@ -33,6 +37,12 @@ READERS: Mapping[LogFormat, Callable[[BinaryIO, LogCounts], Iterator[FrameBatch]
 )
 
 
+def _reader_of(contents: Contents) -> Callable[[BinaryIO, LogCounts], Iterator[FrameBatch]]:
+    if contents.columns and contents.detected.format is LogFormat.COLUMNS:
+        return reader_of(partial(ColumnsLog, contents.columns))
+    return READERS[contents.detected.format]
+
+
 def _unseen(_reader: object) -> None:
     pass
 
@@ -44,25 +54,19 @@ class LogReader(Iterator[FrameBatch]):
     else, at the first jump of time, and where the file ends before its own end.
     """
 
-    def __init__(
-        self,
-        path: Path,
-        stream: BinaryIO,
-        detected: Detected,
-        counts: LogCounts,
-        *,
-        is_strict: bool = False,
-    ) -> None:
+    def __init__(self, path: Path, contents: Contents, *, is_strict: bool = False) -> None:
         self.path = path
         self.name = shown_name(path)  # for people
-        self.format = detected.format
-        self.evidence = detected.evidence  # why it was taken for that
-        self._counts = counts
-        self._stream = stream
-        self._opened = None if path == STANDARD_INPUT else path.stat()
-        self._bounded = BoundedStream(stream, counts)
-        self._batches = READERS[detected.format](cast("BinaryIO", self._bounded), counts)
-        self._watch = TimeWatch(counts)
+        self.format = contents.detected.format
+        self.evidence = contents.detected.evidence  # why it was taken for that
+        self._counts = contents.counts
+        self._stream = contents.stream
+        self._is_packed = contents.is_packed
+        self._file = split_member(path)[0]
+        self._opened = None if path == STANDARD_INPUT else self._file.stat()
+        self._bounded = BoundedStream(self._stream, self._counts)
+        self._batches = _reader_of(contents)(cast("BinaryIO", self._bounded), self._counts)
+        self._watch = TimeWatch(self._counts)
         self._is_strict = is_strict
         self._is_first = True
         self.watch: Callable[[LogReader], None] = _unseen  # called after each batch, and at the end
@@ -81,10 +85,7 @@ class LogReader(Iterator[FrameBatch]):
     @property
     def size_bytes(self) -> int | None:
         """How much there is to be read; None if that cannot be known before."""
-        is_as_it_is = not isinstance(self._stream, InflatedStream) and self.format not in {
-            LogFormat.MF4,
-            LogFormat.SQLITE,
-        }
+        is_as_it_is = not self._is_packed and self.format not in {LogFormat.MF4, LogFormat.SQLITE}
         return self._opened.st_size if self._opened is not None and is_as_it_is else None
 
     def __next__(self) -> FrameBatch:
@@ -144,7 +145,7 @@ class LogReader(Iterator[FrameBatch]):
         if self._opened is None:
             return
         with suppress(OSError):
-            now, opened = self.path.stat(), self._opened
+            now, opened = self._file.stat(), self._opened
             if now.st_ino == opened.st_ino and now.st_size < opened.st_size:
                 self._counts.cut_off(f"byte {now.st_size}, where the file shrank while it was read")
 
@@ -171,13 +172,14 @@ def read_log(
     is_stopped: Callable[[], bool] = never,
     watch: Watch | None = None,
     name: str = "",
+    columns: str = "",
 ) -> LogReader:
-    """Open a log file, perhaps compressed, and return its reader; ``-`` stands for standard input.
+    """Open a log file, perhaps packed, and return its reader; ``-`` stands for standard input.
 
     Parameters
     ----------
     path
-        The file.
+        The file; ``drives.zip/monday.log`` for one in a zip archive that holds several.
     is_strict
         Whether the first fault is an error.
     is_stopped
@@ -186,6 +188,8 @@ def read_log(
         What it is called for people, if not by its path.
     watch
         Called after each batch, and at the end, with the reader.
+    columns
+        What the columns of a text are, ``time=Time,id=ID,data=D1-D8``; empty if its contents shall say.
 
     Raises
     ------
@@ -198,10 +202,11 @@ def read_log(
     try:
         with ExitStack() as opened:
             if path == STANDARD_INPUT:
-                reader = _piped_reader(is_stopped, is_strict=is_strict)
+                reader = _piped_reader(is_stopped, columns, is_strict=is_strict)
             else:
-                stream = opened.enter_context(BufferedReader(open_plain_file(path)))
-                reader = _reader(path, stream, is_strict=is_strict)
+                file, member = split_member(path)
+                stream = opened.enter_context(BufferedReader(open_plain_file(file)))
+                reader = LogReader(path, contents_of(stream, member, columns), is_strict=is_strict)
             reader.name = name or reader.name
             reader.watch = watch or reader.watch
             opened.pop_all()  # from here on it is the reader that closes it
@@ -209,20 +214,6 @@ def read_log(
     except (OSError, SourceError) as exc:
         kind = type(exc) if isinstance(exc, SourceError) else SourceError
         raise kind(f"{name or shown_name(path)}: {_reason(exc)}") from exc
-
-
-def is_log(path: Path) -> bool:
-    """Return whether a file is a log of a known format, by its first bytes; False if it cannot be read."""
-    return not why_no_log(path)
-
-
-def why_no_log(path: Path) -> str:
-    """Return why a file is no log of a known format, by its first bytes; empty if it is one."""
-    try:
-        read_log(path).close()
-    except SourceError as exc:
-        return str(exc).removeprefix(f"{path}: ")
-    return ""
 
 
 def _reason(error: Exception) -> str:
@@ -234,37 +225,30 @@ def _reason(error: Exception) -> str:
     return str(getattr(error, "strerror", None) or error)
 
 
-def _reader(path: Path, stream: BinaryIO, *, is_strict: bool) -> LogReader:
-    """Return the reader of an open file, after a look at its beginning."""
-    probe = stream.read(PROBE_BYTES)
-    stream.seek(0)
-    compression = compression_of(probe)
-    if compression is None:
-        return LogReader(path, stream, detect(probe), LogCounts(), is_strict=is_strict)
-    inflated, counts = InflatedStream(stream, compression), LogCounts()
-    detected = detect_text(_beginning(inflated))
-    inflated.restart(counts)
-    return LogReader(path, cast("BinaryIO", inflated), detected, counts, is_strict=is_strict)
-
-
-def _piped_reader(is_stopped: Callable[[], bool], *, is_strict: bool) -> LogReader:
+def _piped_reader(is_stopped: Callable[[], bool], columns: str, *, is_strict: bool) -> LogReader:
     """Return the reader of standard input: of a text as it comes, of anything else when all of it is there."""
     stream = open_standard_input(is_stopped)
     probe = b""
     while len(probe) < PROBE_BYTES and (piece := stream.read(PROBE_BYTES - len(probe))):
         probe += piece
-        if compression_of(probe) or _detected(probe) is not None:
+        if _is_packed(probe) or _detected(probe) is not None:
             break
     stream.check_not_left()
-    detected = None if compression_of(probe) else detect(probe)
+    detected = None if _is_packed(probe) else detect_as_columns(probe, columns) if columns else detect(probe)
     stream.give_back(probe)
     if detected is not None and detected.format in TEXT_LOGS:
-        return LogReader(STANDARD_INPUT, cast("BinaryIO", stream), detected, LogCounts(), is_strict=is_strict)
+        pipe = cast("BinaryIO", stream)
+        live = Contents(stream=pipe, detected=detected, counts=LogCounts(), is_packed=False, columns=columns)
+        return LogReader(STANDARD_INPUT, live, is_strict=is_strict)
     with ExitStack() as opened:
         file = opened.enter_context(kept(stream, is_stopped))
-        reader = _reader(STANDARD_INPUT, file, is_strict=is_strict)
+        reader = LogReader(STANDARD_INPUT, contents_of(file, columns=columns), is_strict=is_strict)
         opened.pop_all()
         return reader
+
+
+def _is_packed(probe: bytes) -> bool:
+    return compression_of(probe) is not None or is_archive(probe)
 
 
 def _detected(probe: bytes) -> Detected | None:
@@ -273,14 +257,3 @@ def _detected(probe: bytes) -> Detected | None:
         return detect(probe)
     except SourceError:
         return None
-
-
-def _beginning(inflated: InflatedStream) -> bytes:
-    """Return the first bytes that a compressed file holds."""
-    pieces, missing_bytes = list[bytes](), PROBE_BYTES
-    while missing_bytes and (piece := inflated.read(missing_bytes)):
-        pieces.append(piece)
-        missing_bytes -= len(piece)
-    if not pieces:
-        raise SourceError("the compressed file holds nothing")
-    return b"".join(pieces)

@@ -141,15 +141,19 @@ def lines_of(stream: BinaryIO, least_bytes: int = len(BYTE_ORDER_MARK)) -> Itera
     Beside each block stands whether its last newline is the file's own: one is added to a line that the file may have
     cut. A block is valid until the next one is asked for. A byte-order mark before the first line is passed over. Of a
     line that is too long to be one only the end is passed on, behind a NUL that makes it malformed. A live stream has
-    smaller blocks, as they come; the first reading of it takes ``least_bytes``.
+    smaller blocks, as they come; the first reading of it takes ``least_bytes``. Lines that end with a carriage return
+    alone are lines, too, if those at the beginning do.
     """
     buffer = bytearray(BLOCK_BYTES + MAX_LINE_BYTES)
-    kept, is_first = 0, True
+    kept, is_first, has_returns = 0, True, False
     while got := _fill(stream, memoryview(buffer)[kept:], least_bytes if is_first else 1):
         stop = kept + got
         if is_first and buffer.startswith(BYTE_ORDER_MARK):
             stop -= len(BYTE_ORDER_MARK)
             buffer[:stop] = buffer[len(BYTE_ORDER_MARK) : stop + len(BYTE_ORDER_MARK)]
+        has_returns = ends_by_returns(buffer[: min(stop, LOOK_AHEAD_BYTES)]) if is_first else has_returns
+        if has_returns:
+            buffer[kept:stop] = buffer[kept:stop].replace(b"\r", b"\n")
         is_first = False
         end = buffer.rfind(b"\n", kept, stop) + 1
         if end:
@@ -161,6 +165,11 @@ def lines_of(stream: BinaryIO, least_bytes: int = len(BYTE_ORDER_MARK)) -> Itera
         buffer[:kept] = rest
     if buffer[:kept].strip():
         yield np.frombuffer(bytes(buffer[:kept]) + b"\n", np.uint8), False
+
+
+def ends_by_returns(beginning: bytes | bytearray) -> bool:
+    """Return whether most lines of a text end with a carriage return that no newline follows."""
+    return beginning.count(b"\r") - beginning.count(b"\r\n") > beginning.count(b"\n")
 
 
 def end_of_line(text: UInt8Array, at: int) -> int:

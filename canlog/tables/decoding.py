@@ -149,10 +149,12 @@ def decode_logs(
     table_format: TableFormat,
     is_stopped: Callable[[], bool] = never,
     watch: Watch | None = None,
+    columns: str = "",
 ) -> Decoded:
     """Write the signals of logs, merged by time, in bounded memory; a file appears when it is complete.
 
-    For wide rows the logs are read twice, so standard input is kept in a file first.
+    For wide rows the logs are read twice, so standard input is kept in a file first. ``columns`` says which column of a
+    text is which, as ``read_log`` takes it.
 
     Raises
     ------
@@ -165,7 +167,8 @@ def decode_logs(
     """
 
     def written(stream: BinaryIO) -> Decoded:
-        with LogSet(paths, is_stopped, is_read_twice=_is_read_twice(plan, table_format), watch=watch) as logs:
+        is_read_twice = _is_read_twice(plan, table_format)
+        with LogSet(paths, is_stopped, is_read_twice=is_read_twice, watch=watch, columns=columns) as logs:
             return _written(logs, plan, stream, table_format, is_stopped)
 
     if isinstance(output, Path):

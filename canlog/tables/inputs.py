@@ -45,6 +45,8 @@ class LogSet:
         Called after each batch of a log, and at its end, with its reader.
     is_read_twice :
         Whether the frames are asked for more than once.
+    columns :
+        Which column of a text is which, as ``read_log`` takes it.
 
     Raises
     ------
@@ -59,12 +61,14 @@ class LogSet:
         *,
         is_read_twice: bool = False,
         watch: Watch | None = None,
+        columns: str = "",
     ) -> None:
         self.paths = tuple(paths)
         self.readers: list[LogReader] = []  # of the last reading
         self.origins = Origins(names=tuple(map(_as_text, paths))) if len(paths) > 1 else None
         self._is_stopped = is_stopped
         self._watch = watch
+        self._columns = columns
         self._is_kept = is_read_twice and STANDARD_INPUT in paths
         self._kept_path = STANDARD_INPUT
         self._opened = ExitStack()
@@ -108,8 +112,9 @@ class LogSet:
 
     def _open(self, path: Path) -> LogReader:
         if path != STANDARD_INPUT:
-            return read_log(path, watch=self._watch)
-        return read_log(self._kept_path, is_stopped=self._is_stopped, watch=self._watch, name=shown_name(path))
+            return read_log(path, watch=self._watch, columns=self._columns)
+        name, columns = shown_name(path), self._columns
+        return read_log(self._kept_path, is_stopped=self._is_stopped, watch=self._watch, name=name, columns=columns)
 
     def _of(self, number: int, marks: SourceMarks) -> Iterator[FrameBatch]:
         yield from self.readers[number]

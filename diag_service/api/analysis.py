@@ -159,6 +159,7 @@ def analyze(
     delivery: Delivery | None = None,
     is_strict: bool = False,
     is_lenient: bool = False,
+    columns: str = "",
 ) -> Analysis:
     """Diagnose the logs of one drive, as ``diag-service analyze LOG...`` does.
 
@@ -183,6 +184,8 @@ def analyze(
         Whether the first fault of a log is an error; else it is counted.
     is_lenient
         Whether items of a DBC file that cannot be right are left out, with a notice of each.
+    columns
+        Which column of a log that is a table is which, ``time=Time,id=ID,data=D1-D8``; by default its header says.
 
     Raises
     ------
@@ -201,7 +204,7 @@ def analyze(
         raise ConfigError(f"{folder} is a folder, in which every log is a drive: analyze_folders")
     with collected_notices() as notices:
         config = configuration(
-            vehicle=vehicle, dbc=dbc, profile=profile, calibration=calibration, is_lenient=is_lenient,
+            vehicle=vehicle, dbc=dbc, profile=profile, calibration=calibration, is_lenient=is_lenient, columns=columns,
             is_strict=is_strict, delivery=delivery, store_budget_mib=store_budget_mib,
         )  # fmt: skip
         reporter = MemoryReporter()

@@ -75,6 +75,7 @@ def configuration(
     calibration: Calibration | AnyPath | None = None,
     is_lenient: bool = False,
     is_strict: bool = False,
+    columns: str = "",
     delivery: Delivery | None = None,
     store_budget_mib: int | None = None,
 ) -> DiagnosisConfig:
@@ -87,6 +88,7 @@ def configuration(
         profile=optional_path(profile),
         is_lenient=is_lenient,
         is_strict=is_strict,
+        columns=columns,
         broker=None if delivery is None else broker_of(_options(delivery)),
         acknowledge=Acknowledge.BROKER if delivery is None else _acknowledge(delivery.acknowledge),
         budget_bytes=None if store_budget_mib is None else store_budget_mib * BYTES_PER_MIB,

@@ -62,6 +62,7 @@ def analyze_folders(
     calibration: Calibration | AnyPath | None = None,
     is_strict: bool = False,
     is_lenient: bool = False,
+    columns: str = "",
 ) -> FolderAnalysis:
     """Diagnose every log in some folders as a drive of its own, as ``diag-service analyze FOLDER...`` does.
 
@@ -79,7 +80,7 @@ def analyze_folders(
         Drives at a time; by default one per core.
     has_vehicles
         Whether the folders below those that are named are called after vehicles, whose logs they hold.
-    vehicle, dbc, profile, calibration, is_strict, is_lenient
+    vehicle, dbc, profile, calibration, is_strict, is_lenient, columns
         As of ``analyze``.
 
     Raises
@@ -97,7 +98,7 @@ def analyze_folders(
     with collected_notices() as notices:
         config = configuration(
             vehicle=vehicle, dbc=dbc, profile=profile, calibration=calibration, is_strict=is_strict,
-            is_lenient=is_lenient,
+            is_lenient=is_lenient, columns=columns,
         )  # fmt: skip
         analyse_folders(
             config,

@@ -29,6 +29,7 @@ def write_report(
     profile: AnyPath | None = None,
     calibration: Calibration | AnyPath | None = None,
     is_lenient: bool = False,
+    columns: str = "",
 ) -> int:
     """Write what the logs of a drive, or a store, say as one HTML page: ``diag-service report``.
 
@@ -38,7 +39,7 @@ def write_report(
         The logs of one drive, or one store.
     output
         The page, ``.html``; one that is there is replaced.
-    vehicle, dbc, profile, calibration, is_lenient
+    vehicle, dbc, profile, calibration, is_lenient, columns
         As of ``analyze``; ``vehicle`` also says which one of a store is meant.
 
     Returns
@@ -54,7 +55,7 @@ def write_report(
     check_name(Path(output))
     with collected_notices():
         config = configuration(
-            vehicle=vehicle, dbc=dbc, profile=profile, calibration=calibration, is_lenient=is_lenient
+            vehicle=vehicle, dbc=dbc, profile=profile, calibration=calibration, is_lenient=is_lenient, columns=columns
         )
         return write_page(Path(output), page_of(findings_of(config, path_list(paths), vehicle, Trigger()), utc_now()))
 

@@ -20,7 +20,14 @@ from diag_service.service.paper_run import run_paper
 from diag_service.service.stopping import Trigger
 
 
-def read(paths: AnyPaths, dbc: AnyPath | None = None, *, is_strict: bool = False, is_lenient: bool = False) -> Log:
+def read(
+    paths: AnyPaths,
+    dbc: AnyPath | None = None,
+    *,
+    is_strict: bool = False,
+    is_lenient: bool = False,
+    columns: str = "",
+) -> Log:
     """Return the frames of logs and their signals as arrays or tables, as ``diag-service decode`` writes them.
 
     Parameters
@@ -29,7 +36,7 @@ def read(paths: AnyPaths, dbc: AnyPath | None = None, *, is_strict: bool = False
         One log, or several, whose frames are put in the order of time.
     dbc
         Message database; without one the shipped one.
-    is_strict, is_lenient
+    is_strict, is_lenient, columns
         As of ``analyze``.
 
     Returns
@@ -45,7 +52,7 @@ def read(paths: AnyPaths, dbc: AnyPath | None = None, *, is_strict: bool = False
     """
     with collected_notices():
         database = open_database(optional_path(dbc), is_lenient=is_lenient)
-        return canlog.read(path_list(paths), database, is_strict=is_strict)
+        return canlog.read(path_list(paths), database, is_strict=is_strict, columns=columns)
 
 
 def decode(
@@ -57,6 +64,7 @@ def decode(
     layout: ShapeName = "wide",
     values: ValuesName = "numbers",
     is_lenient: bool = False,
+    columns: str = "",
 ) -> list[str]:
     """Write the signals of logs as a table of any size, as ``diag-service decode`` does.
 
@@ -70,7 +78,7 @@ def decode(
         A row per frame with a column per signal, or a row per value.
     values : {"numbers", "texts", "both"}
         What stands for a value that the database names.
-    paths, dbc, is_lenient
+    paths, dbc, is_lenient, columns
         As of ``read``.
 
     Returns
@@ -86,12 +94,23 @@ def decode(
     with collected_notices():
         database = open_database(optional_path(dbc), is_lenient=is_lenient)
         return canlog.write_table(
-            path_list(paths), database, Path(output), table_format=table_format, shape=layout, values=values
+            path_list(paths),
+            database,
+            Path(output),
+            table_format=table_format,
+            shape=layout,
+            values=values,
+            columns=columns,
         )
 
 
 def inspect(
-    path: AnyPath, dbc: AnyPath | None = None, *, bitrate: int = DEFAULT_BITRATE, is_lenient: bool = False
+    path: AnyPath,
+    dbc: AnyPath | None = None,
+    *,
+    bitrate: int = DEFAULT_BITRATE,
+    is_lenient: bool = False,
+    columns: str = "",
 ) -> Inspection:
     """Return what traffic a log holds, as ``diag-service inspect`` shows it.
 
@@ -99,7 +118,7 @@ def inspect(
     ----------
     bitrate
         That the bus load is told for [bit/s].
-    path, dbc, is_lenient
+    path, dbc, is_lenient, columns
         As of ``analyze``.
 
     Raises
@@ -109,10 +128,10 @@ def inspect(
     """
     with collected_notices():
         messages = open_database(optional_path(dbc), is_lenient=is_lenient).messages
-        return inspect_log(Path(path), messages, bitrate, Trigger())
+        return inspect_log(Path(path), messages, bitrate, Trigger(), columns=columns)
 
 
-def propose_profile(path: AnyPath, dbc: AnyPath | None = None, *, is_lenient: bool = False) -> str:
+def propose_profile(path: AnyPath, dbc: AnyPath | None = None, *, is_lenient: bool = False, columns: str = "") -> str:
     """Return a profile for a vehicle as TOML text, proposed from a log and its database: ``diag-service signals``.
 
     Raises
@@ -121,7 +140,7 @@ def propose_profile(path: AnyPath, dbc: AnyPath | None = None, *, is_lenient: bo
         If the log or the database cannot be read.
     """
     with collected_notices():
-        return proposed_profile(Path(path), optional_path(dbc), Trigger(), is_lenient=is_lenient)
+        return proposed_profile(Path(path), optional_path(dbc), Trigger(), is_lenient=is_lenient, columns=columns)
 
 
 def calibrate(
@@ -133,6 +152,7 @@ def calibrate(
     profile: AnyPath | None = None,
     calibration: Calibration | AnyPath | None = None,
     is_lenient: bool = False,
+    columns: str = "",
 ) -> SelfCalibration:
     """Find one vehicle's sensor errors and inertia from its logs, as ``diag-service calibrate`` does.
 
@@ -140,7 +160,7 @@ def calibrate(
     ----------
     output
         TOML file to write.
-    paths, vehicle, dbc, profile, calibration, is_lenient
+    paths, vehicle, dbc, profile, calibration, is_lenient, columns
         As of ``analyze``; the logs may be of several drives of the one vehicle.
 
     Returns
@@ -157,7 +177,7 @@ def calibrate(
     """
     with collected_notices():
         config = configuration(
-            vehicle=vehicle, dbc=dbc, profile=profile, calibration=calibration, is_lenient=is_lenient
+            vehicle=vehicle, dbc=dbc, profile=profile, calibration=calibration, is_lenient=is_lenient, columns=columns
         )
         found = calibrated(config, path_list(paths), Trigger()).found
         if output is not None:
@@ -183,6 +203,7 @@ def analyze_by_paper(
     calibration: Calibration | AnyPath | None = None,
     is_strict: bool = False,
     is_lenient: bool = False,
+    columns: str = "",
 ) -> PaperAnalysis:
     """Analyse the logs of one drive as ``diag-service analyze --estimator paper`` does; arguments as of ``analyze``.
 
@@ -191,7 +212,12 @@ def analyze_by_paper(
     shifts: list[PaperShift] = []
     with collected_notices() as notices:
         config = configuration(
-            dbc=dbc, profile=profile, calibration=calibration, is_strict=is_strict, is_lenient=is_lenient
+            dbc=dbc,
+            profile=profile,
+            calibration=calibration,
+            is_strict=is_strict,
+            is_lenient=is_lenient,
+            columns=columns,
         )
         run = run_paper(config, path_list(paths), Trigger(), shifts.append)
     if is_strict:

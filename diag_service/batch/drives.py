@@ -7,9 +7,10 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from canlog.errors import SourceError
-from canlog.logs import why_no_log
+from canlog.logs import looked_at, split_member
 from diag_service.errors import ConfigError
 from diag_service.settings.config import check_vehicle
+from fleet_contract import JsonObject
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -44,16 +45,36 @@ class LeftOut:
     reason: str
 
 
+LEFT_OUT_SCHEMA = "clutchdiag/left-out/v1"
+
+
+def left_out_record(left: LeftOut) -> JsonObject:
+    """Return what is told to programs of a file that is no drive."""
+    return {"schema": LEFT_OUT_SCHEMA, "path": str(left.path), "reason": left.reason}
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class TakenFor:
+    """A log in a folder, and why it was taken for one."""
+
+    path: Path
+    format: str
+    evidence: str
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Found:
     """What files and folders hold."""
 
     drives: tuple[Drive, ...]
     left_out: tuple[LeftOut, ...]
+    taken: tuple[TakenFor, ...] = ()  # of the logs in folders
 
 
-def find_drives(paths: Sequence[Path], *, has_vehicles: bool = False) -> Found:
+def find_drives(paths: Sequence[Path], *, has_vehicles: bool = False, columns: str = "") -> Found:
     """Return the drives that files and folders stand for: the files together one, every log in a folder one.
+
+    A zip archive in a folder is a folder, too.
 
     With ``has_vehicles`` a log is of the vehicle by which the folder below the named one is called; a log that lies in
     the named one itself is of the vehicle of that name.
@@ -62,26 +83,28 @@ def find_drives(paths: Sequence[Path], *, has_vehicles: bool = False) -> Found:
     Raises SourceError if a path is not there or cannot be read.
     """
     named = [path for path in paths if not path.is_dir()]
-    drives, left_out = [drive_of(named)] if named else [], list[LeftOut]()
+    drives, left_out, taken = [drive_of(named)] if named else [], list[LeftOut](), list[TakenFor]()
     for folder in paths:
         if folder.is_dir():
-            logs, others = _sorted_out(folder)
+            found, others = sorted_out(folder, columns)
+            logs = [one.path for one in found]
             if not logs:
                 first = f", for one {others[0].path.name}: {others[0].reason}" if others else ""
                 raise ConfigError(f"{folder} holds no log that can be read{first}")
             left_out += others
+            taken += found
             drives += [drive_of([log], _vehicle_of(log, folder) if has_vehicles else None) for log in logs]
     counts = Counter(path.resolve() for drive in drives for path in drive.paths)
     if twice := sorted(str(path) for path, count in counts.items() if count > 1):
         raise ConfigError(f"named twice: {', '.join(twice)}")
-    return Found(drives=tuple(drives), left_out=tuple(left_out))
+    return Found(drives=tuple(drives), left_out=tuple(left_out), taken=tuple(taken))
 
 
 def drive_of(paths: Iterable[Path], vehicle: str | None = None) -> Drive:
     """Return the drive that some files are; raises SourceError if one is not there."""
     files = tuple(paths)
     try:
-        stats = [path.stat() for path in files]
+        stats = [split_member(path)[0].stat() for path in files]
     except OSError as exc:
         raise SourceError(f"{exc.filename}: {exc.strerror}") from exc
     return Drive(
@@ -101,15 +124,18 @@ def _vehicle_of(log: Path, folder: Path) -> str:
         raise ConfigError(f"{log}: {exc}") from exc
 
 
-def _sorted_out(folder: Path) -> tuple[list[Path], list[LeftOut]]:
-    """Return the logs in a folder and below, by name, and what else is there, each with why it is no log."""
-    logs, others = list[Path](), list[LeftOut]()
+def sorted_out(folder: Path, columns: str = "") -> tuple[list[TakenFor], list[LeftOut]]:
+    """Return the logs in a folder and below, by name, and what else is there, each with why it is that."""
+    logs, others = list[TakenFor](), list[LeftOut]()
     for path in sorted(folder.rglob("*")):
         if path.is_dir():
             continue
-        reason = why_no_log(path) if path.is_file() else "not a regular file"
-        if reason:
-            others.append(LeftOut(path=path, reason=reason))
-        else:
-            logs.append(path)
+        if not path.is_file():
+            others.append(LeftOut(path=path, reason="not a regular file"))
+            continue
+        for one in looked_at(path, columns):
+            if one.format is None:
+                others.append(LeftOut(path=one.path, reason=one.reason))
+            else:
+                logs.append(TakenFor(path=one.path, format=one.format.value, evidence=one.evidence))
     return logs, others

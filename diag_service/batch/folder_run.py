@@ -19,7 +19,7 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn, 
 
 from canlog.errors import SourceError
 from canlog.notice import NOTICE
-from diag_service.batch.drives import Drive, LeftOut, find_drives
+from diag_service.batch.drives import Drive, LeftOut, find_drives, left_out_record
 from diag_service.batch.journal import Entry, Journal
 from diag_service.batch.tables import check_output, write_results
 from diag_service.batch.worker import analyse_drive, start_worker
@@ -35,7 +35,6 @@ from program_io.overwriting import replacement_refusal
 
 POLL_S = 0.2  # how soon a request to stop is heard
 WAITING_PER_JOB = 2  # drives handed out ahead: a worker never waits, a stop never takes long
-LEFT_OUT_SCHEMA = "clutchdiag/left-out/v1"
 ACCOUNT_VERSION = "4"  # of what a journal keeps of a drive; entries of an older one are made anew
 _LOG = logging.getLogger(__name__)
 
@@ -88,7 +87,7 @@ def analyse_folders(
         _LOG.warning("results of folders are not published")
         config = replace(config, broker=None, acknowledge=Acknowledge.BROKER)
     settings = settings_digest(config)
-    found = find_drives(paths, has_vehicles=has_vehicles)
+    found = find_drives(paths, has_vehicles=has_vehicles, columns=config.columns)
     drives = found.drives
     for vehicle in {drive.vehicle for drive in drives if drive.vehicle is not None}:
         replace(config, vehicle=vehicle)  # complains of a calibration of another one
@@ -110,7 +109,8 @@ def settings_digest(config: DiagnosisConfig) -> str:
     """Return a digest of all that decides about results besides the logs: their files and the versions."""
     versions = versions_for(config.calibration)
     files = stream_of(config.interpretation().files)
-    parts = (config.vehicle, versions.algorithm, versions.calibration, files, str(config.is_strict), ACCOUNT_VERSION)
+    parts = [config.vehicle, versions.algorithm, versions.calibration, files, str(config.is_strict), ACCOUNT_VERSION]
+    parts += [config.columns] if config.columns else []
     return hashlib.sha256("\0".join(parts).encode()).hexdigest()
 
 
@@ -228,7 +228,7 @@ class FolderLines:
         for one in files:
             _LOG.log(NOTICE, "left out: %s: %s", one.path, one.reason)
             if self._as_json:
-                self._write(dump({"schema": LEFT_OUT_SCHEMA, "path": str(one.path), "reason": one.reason}))
+                self._write(dump(left_out_record(one)))
 
     def end(self, totals: Mapping[str, int], entries: Iterable[Entry]) -> None:  # noqa: ARG002 - all were told before
         """Tell of all of them."""

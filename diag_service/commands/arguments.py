@@ -31,6 +31,12 @@ DEFAULT_BITRATE: Final = 500_000
 _JSON_LINES: Final = Option("--json", "JSON lines on standard output, text on standard error")
 _JSON: Final = Option("--json", "one JSON object on standard output")
 _DATABASE: Final = tuple(option for option in MEANING if option.name in {"dbc", "lenient"})
+_COLUMNS: Final = Option(
+    "--columns ROLES",
+    "of a log that is a table: which column is which, time=Time,id=ID,data=D1-D8 by name or number, a unit or base "
+    "behind a colon (time=3:ms, id=2:dec); besides length, channel, extended, remote, error, fd, brs, esi, direction "
+    "(default: its header says)",
+)
 _LOG: Final = click.Argument(["log"], type=FILE, metavar="LOG", help="log file; - is standard input")
 
 
@@ -91,7 +97,7 @@ _ANALYZE: Final = Command(
         "path: in a folder, a log is of the vehicle by which the folder below is called (FOLDER/VEHICLE/...)",
         Choice(["path"]),
     ),
-    *(*MEANING, CONFIG, *DELIVERY, _JSON_LINES, VERBOSE),
+    *(*MEANING, CONFIG, *DELIVERY, _COLUMNS, _JSON_LINES, VERBOSE),
     variables=VARIABLES,
     description=_FOLDERS,
     examples=(
@@ -109,15 +115,16 @@ _CALIBRATE: Final = Command(
     FORCE,
     *(*MEANING, CONFIG),
     Option("--json", "JSON on standard output"),
-    VERBOSE,
+    *(_COLUMNS, VERBOSE),
     variables=VARIABLES,
     examples=(f"{PROGRAM} calibrate monday.log tuesday.log --vehicle car1 -o car1.toml",),
 )
 _INSPECT: Final = Command(
     "inspect",
     "show what traffic a log holds",
-    _logs("log file; - is standard input"),
+    _logs("log file, or folder of files; - is standard input"),
     *_DATABASE,
+    _COLUMNS,
     Option(
         "-b --bitrate BITRATE",
         f"bit rate that the bus load is told for [bit/s] (default: {DEFAULT_BITRATE})",
@@ -131,7 +138,7 @@ _INSPECT: Final = Command(
 _SIGNALS: Final = Command(
     "signals",
     "list the signals in a log and propose a profile",
-    *(_LOG, *_DATABASE, VERBOSE),
+    *(_LOG, *_DATABASE, _COLUMNS, VERBOSE),
     examples=(f"{PROGRAM} signals drive.blf --dbc car.dbc >car-profile.toml",),
 )
 _DECODE: Final = Command(
@@ -146,6 +153,7 @@ _DECODE: Final = Command(
         Choice(["parquet", "csv", "jsonl", "arrow", "mf4"]),
     ),
     *_DATABASE,
+    _COLUMNS,
     Option(
         "--layout",
         "wide: a row per frame, a column per signal; long: a row per value (default: wide)",
@@ -287,7 +295,7 @@ _REPORT: Final = Command(
     ),
     _output("HTML file to write", required=True),
     FORCE,
-    *(*MEANING, CONFIG, VERBOSE),
+    *(*MEANING, CONFIG, _COLUMNS, VERBOSE),
     variables=VARIABLES,
     description="Write what was found as one HTML page that needs no network: what to do, friction over slip, trend, "
     "single shifts (of logs), quality of the data, what was not seen and why.",

@@ -34,7 +34,9 @@ def execute(options: SimpleNamespace, controls: Controls) -> None:
     is_piped = options.output == STANDARD_STREAM
     output: Path | BinaryIO = sys.stdout.buffer if is_piped else options.output
     with ReadingLine() as line:
-        decoded = decode_logs(options.logs, plan, output, table_format, lambda: controls.stop.is_set, line.watch)
+        decoded = decode_logs(
+            options.logs, plan, output, table_format, lambda: controls.stop.is_set, line.watch, options.columns or ""
+        )
     if not decoded.is_whole:
         raise StoppedError(f"stopped early: {'a part was written' if is_piped else 'no file was written'}")
     if options.json:

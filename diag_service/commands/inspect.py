@@ -1,7 +1,7 @@
 """``diag-service inspect``: what traffic a log holds, in seconds, whatever the frames mean."""
 
 import sys
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from collections.abc import Set as AbstractSet
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -15,10 +15,11 @@ from canlog.e2e.message_contract import message_contract
 from canlog.e2e.protection_check import FrameReason, LinkMonitor
 from canlog.errors import InputLeftError
 from canlog.frames import ERROR_FLAG, EXTENDED_FLAG, REMOTE_FLAG
-from canlog.logs import LogReader, read_log
+from canlog.logs import STANDARD_INPUT, LogReader, read_log
 from canlog.logs.fault_texts import assumed_texts, lost_texts
 from canlog.logs.reading import Watch
 from canlog.traffic import NS_PER_S, IdTraffic, TrafficMeter, TrafficReport
+from diag_service.batch.drives import LeftOut, TakenFor, left_out_record, sorted_out
 from diag_service.console.reading import ReadingLine
 from diag_service.console.terminal import PeopleConsole
 from diag_service.diagnosis.results import dump, utc_from_bus_ns
@@ -61,9 +62,10 @@ def execute(options: SimpleNamespace, controls: Controls) -> None:
     """Inspect one log after the other; raises StoppedError if that was stopped."""
     messages = open_database(options.dbc, is_lenient=options.lenient).messages
     console = PeopleConsole()
-    for path in options.logs:
+    columns = options.columns or ""
+    for path in _files(options, columns, console):
         with ReadingLine() as line:
-            inspection = inspect_log(path, messages, options.bitrate, controls.stop, line.watch)
+            inspection = inspect_log(path, messages, options.bitrate, controls.stop, line.watch, columns)
         if options.json:
             sys.stdout.write(inspection.to_json() + "\n")
         else:
@@ -73,7 +75,12 @@ def execute(options: SimpleNamespace, controls: Controls) -> None:
 
 
 def inspect_log(
-    path: Path, messages: Sequence[Message], bitrate: int, stop: Trigger, watch: Watch | None = None
+    path: Path,
+    messages: Sequence[Message],
+    bitrate: int,
+    stop: Trigger,
+    watch: Watch | None = None,
+    columns: str = "",
 ) -> Inspection:
     """Read a log once and return what it holds.
 
@@ -81,7 +88,7 @@ def inspect_log(
     """
     if bitrate <= 0:
         raise ConfigError(f"the bit rate must be > 0, got {bitrate}")
-    reader = read_log(path, is_stopped=lambda: stop.is_set, watch=watch)
+    reader = read_log(path, is_stopped=lambda: stop.is_set, watch=watch, columns=columns)
     meter = TrafficMeter(bitrate)
     protected = [message for message in messages if message_contract(message).data_id is not None]
     monitor = LinkMonitor(protected)
@@ -136,6 +143,28 @@ def inspection_record(inspection: Inspection) -> JsonObject:
         **table,
         "protection": {name: asdict(link) for name, link in inspection.links.items()},
     }
+
+
+def _files(options: SimpleNamespace, columns: str, console: PeopleConsole) -> Iterator[Path]:
+    """Yield the logs that are named, and those in folders; what each file of a folder was taken for is told before."""
+    for path in options.logs:
+        if path == STANDARD_INPUT or not path.is_dir():
+            yield path
+            continue
+        found, others = sorted_out(path, columns)
+        if options.json:
+            for left in others:
+                sys.stdout.write(dump(left_out_record(left)) + "\n")
+        else:
+            console.print(f"{path}: {len(found)} logs, {len(others)} other files")
+            for line in sorted(_listing(found, others)):
+                console.print(f"  {line}")
+        yield from (one.path for one in found)
+
+
+def _listing(found: Sequence[TakenFor], others: Sequence[LeftOut]) -> Iterator[str]:
+    yield from (f"{one.path}: taken for {one.format}: {one.evidence}" for one in found)
+    yield from (f"{one.path}: no log: {one.reason}" for one in others)
 
 
 def _names(messages: Sequence[Message], can_ids: AbstractSet[int]) -> dict[int, str]:

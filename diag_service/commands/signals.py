@@ -37,9 +37,9 @@ class Survey:
         """Frames of no message of the database."""
         return self.frames - self._counts.total()
 
-    def add(self, path: Path, stop: Trigger, watch: Watch | None = None) -> None:
+    def add(self, path: Path, stop: Trigger, watch: Watch | None = None, columns: str = "") -> None:
         """Count all frames of a log; raises StoppedError."""
-        with closing(read_log(path, is_stopped=lambda: stop.is_set, watch=watch)) as reader:
+        with closing(read_log(path, is_stopped=lambda: stop.is_set, watch=watch, columns=columns)) as reader:
             for batch in reader:
                 if stop.is_set:
                     raise StoppedError("stopped early: no profile is proposed from a part of a log")
@@ -74,12 +74,18 @@ class Survey:
 
 
 def proposed_profile(
-    log: Path, dbc: Path | None, stop: Trigger, *, is_lenient: bool, watch: Watch | None = None
+    log: Path,
+    dbc: Path | None,
+    stop: Trigger,
+    *,
+    is_lenient: bool,
+    watch: Watch | None = None,
+    columns: str = "",
 ) -> str:
     """Return a profile, as the text of a TOML file, whose comments say what signals the log holds."""
     database = dbc or DBC_PATH
     survey = Survey(Codec(open_database(dbc, is_lenient=is_lenient).messages, check_codes=True))
-    survey.add(log, stop, watch)
+    survey.add(log, stop, watch, columns)
     name, stem = (shown_name(log), "piped") if log == STANDARD_INPUT else (log.name, log.stem)
     best = candidates(survey.statistics())
     tier = tier_of(best.keys())
@@ -99,5 +105,12 @@ def proposed_profile(
 def execute(options: SimpleNamespace, controls: Controls) -> None:
     """Survey a log and write a profile whose comments say what there is."""
     with ReadingLine() as line:
-        text = proposed_profile(options.log, options.dbc, controls.stop, is_lenient=options.lenient, watch=line.watch)
+        text = proposed_profile(
+            options.log,
+            options.dbc,
+            controls.stop,
+            is_lenient=options.lenient,
+            watch=line.watch,
+            columns=options.columns or "",
+        )
     sys.stdout.write(text)

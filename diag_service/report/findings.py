@@ -79,7 +79,7 @@ def findings_of_logs(
     """
     meaning, reporter, album = config.interpretation(), MemoryReporter(), Album()
     with (
-        open_drive(paths, is_stopped=lambda: stop.is_set, watch=watch) as logs,
+        open_drive(paths, is_stopped=lambda: stop.is_set, watch=watch, columns=config.columns) as logs,
         closing(ResultStore.in_memory()) as store,
     ):
         stream = stream_of_drive((log.path for log in logs), meaning.files)

@@ -133,7 +133,7 @@ def calibrated(
     start = config.calibration
     with (
         line or ReadingLine(io.StringIO()) as shown,
-        open_drive(logs, is_stopped=lambda: stop.is_set, watch=shown.watch) as drive,
+        open_drive(logs, is_stopped=lambda: stop.is_set, watch=shown.watch, columns=config.columns) as drive,
     ):
         events = find_events(drive, config.interpretation().decoder(), start, stop)
         shown.show(f"calibrating from {len(events.shifts)} shifts and {len(events.run_ups)} revs in neutral")

@@ -13,7 +13,7 @@ from typing import Final
 from canlog.e2e.protection_check import FrameReason, LinkMonitor
 from canlog.errors import SourceError
 from canlog.frames import FrameBatch
-from canlog.logs import STANDARD_INPUT, LogReader, merged_by_time, read_log
+from canlog.logs import STANDARD_INPUT, LogReader, merged_by_time, read_log, split_member
 from canlog.logs.fault_texts import assumed_texts, lost_texts, odd_texts
 from canlog.logs.piped import never
 from canlog.logs.reading import Watch
@@ -43,6 +43,7 @@ def open_drive(
     is_strict: bool = False,
     is_stopped: Callable[[], bool] = never,
     watch: Watch | None = None,
+    columns: str = "",
 ) -> Iterator[list[OpenLog]]:
     """Open the logs of a drive while entered, ``-`` being standard input; the one with the earliest frame comes first.
 
@@ -54,7 +55,7 @@ def open_drive(
     with ExitStack() as opened:
         logs: list[OpenLog] = []
         for path in paths:
-            reader = read_log(path, is_strict=is_strict, is_stopped=is_stopped, watch=watch)
+            reader = read_log(path, is_strict=is_strict, is_stopped=is_stopped, watch=watch, columns=columns)
             opened.callback(reader.close)
             logs.append(OpenLog(path=path, reader=reader, first=next(reader)))  # a log without frames is an error
         yield sorted(logs, key=lambda log: int(log.first.t_ns[0]))
@@ -74,13 +75,18 @@ def check_distinct(paths: Sequence[Path]) -> None:
 
 
 def stream_of(paths: Iterable[Path]) -> str:
-    """Return the name of a recorded stream: the sha256 of its files, one after the other."""
+    """Return the name of a recorded stream: the sha256 of its files, one after the other.
+
+    Of a log in an archive it is that of the archive and its name in there.
+    """
     digest = hashlib.sha256()
     for path in paths:
         try:
-            with open_plain_file(path) as file:
+            file_path, member = split_member(path)
+            with open_plain_file(file_path) as file:
                 while block := file.read(_BLOCK_BYTES):
                     digest.update(block)
+            digest.update(member.encode(errors="surrogateescape"))
         except OSError as exc:
             raise SourceError(f"cannot read {path}: {exc.strerror or exc}") from exc
     return digest.hexdigest()

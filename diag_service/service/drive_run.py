@@ -44,7 +44,9 @@ def run_recorded(
     """
     meaning = meaning or config.interpretation()
     decoder = meaning.decoder()
-    with open_drive(paths, is_strict=config.is_strict, is_stopped=lambda: stop.is_set, watch=watch) as logs:
+    with open_drive(
+        paths, is_strict=config.is_strict, is_stopped=lambda: stop.is_set, watch=watch, columns=config.columns
+    ) as logs:
         stream = stream_of_drive((log.path for log in logs), meaning.files)
         with opened_store(config, store_path, keeps_results=False) as store:
             session = Session(config, decoder, store, stream, reporter)

@@ -59,7 +59,9 @@ def run_paper(
     decoder = config.interpretation().decoder()
     stages = Stages(decoder, config.calibration, Posterior.fresh(config.calibration), ConditionMemory.fresh())
     collection = PaperCollection(config.calibration, nominal_driveline())
-    with open_drive(paths, is_strict=config.is_strict, is_stopped=lambda: stop.is_set, watch=watch) as logs:
+    with open_drive(
+        paths, is_strict=config.is_strict, is_stopped=lambda: stop.is_set, watch=watch, columns=config.columns
+    ) as logs:
         begin()
         account = replay(logs, stages, stop, lambda event: use(collection.add(event)))
     return PaperRun(clutches=collection.pooled(), account=account)

@@ -33,6 +33,7 @@ class DiagnosisConfig:
     broker: BrokerAddress | None = None
     is_strict: bool = False  # of logs: stop at the first fault
     is_lenient: bool = False  # of the database: leave out what cannot be right
+    columns: str = ""  # of logs that are tables: which is which; empty: their header says
     acknowledge: Acknowledge = Acknowledge.BROKER
     budget_bytes: int | None = None  # of the store; None: no limit
 
@@ -120,6 +121,7 @@ def diagnosis_config(options: SimpleNamespace) -> DiagnosisConfig:
         profile=options.profile,
         calibration=calibration,
         is_strict=getattr(options, "strict", False),
+        columns=getattr(options, "columns", None) or "",
     )
     if not hasattr(options, "broker"):  # of a command that neither delivers nor stores
         return config

@@ -152,7 +152,7 @@ def test_damage_inside_a_file_is_counted_or_one_clear_error(
     [
         (b"", "empty"),
         (b"\n \n", "empty"),
-        (b"Time,Id,Data\n166064000,0000021A,FE\n", "not a log of a known format"),
+        (b"Time,Id,Data\n166064000,clutch,on\n", "a table with the columns Time, Id, Data; --columns"),
         (bytes(range(256)) * 400, "not a log of a known format"),
         (b"MDF     3.30    TGT 15.0", "before 4"),
         (b"MDF     4.10    ", "damaged"),

@@ -163,7 +163,7 @@ def test_ctrl_c_without_an_end_of_the_stream_ends_early(drive_log: Path) -> None
     [
         (b"", "standard input: the file is empty"),
         (b"nothing of a log\n" * 20, "standard input: not a log of a known format"),
-        (b"  can0  0A0   [8]  11 22 33 44 55 66 77 88\n" * 20, "call it with -L"),
+        (b"Day,Tyre,Bar\n1,left,2.2\n" * 20, "standard input: .* the columns Day, Tyre, Bar; --columns"),
     ],
 )
 def test_what_is_no_log_is_told(content: bytes, text: str, monkeypatch: pytest.MonkeyPatch) -> None:

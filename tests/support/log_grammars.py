@@ -1,8 +1,11 @@
 """Logs of any frames in every format that is read, written by python-can, asammdf or by hand: by nothing of ours."""
 
 import base64
+import bz2
 import gzip
+import io
 import lzma
+import zipfile
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime, timedelta
@@ -10,6 +13,7 @@ from pathlib import Path
 from types import MappingProxyType
 
 import can
+import zstandard
 from can.io.generic import MessageWriter
 
 CODE_OF_LENGTH = {length: code for code, length in enumerate([*range(9), 12, 16, 20, 24, 32, 48, 64])}
@@ -43,6 +47,7 @@ class Grammar:
     write: Callable[[Path, Sequence[Frame]], None]
     start_us: int = START_S * 1_000_000
     unit_us: int = 1
+    step_us: int = 1  # of its times, if they are coarser
     has_fd: bool = False
     has_fd_flags: bool = True
     has_remote: bool = True
@@ -52,6 +57,10 @@ class Grammar:
     has_direction_of_errors: bool = False
     first_channel: int = 0
     channels: int = 1
+    tells_extended: bool = True  # else an identifier that eleven bits hold is a standard one
+    is_always_extended: bool = False
+    leaves_open: bool = False  # what its times count from, for one, which is said
+    has_passive: bool = True  # of CAN FD: says whether the sender was passive
     is_text: bool = True
     starts_with_a_frame: bool = False  # keeps its start to the millisecond only
 
@@ -61,16 +70,18 @@ class Grammar:
         is_error = frame.is_error and self.has_error and not is_remote
         is_fd = frame.is_fd and self.has_fd and not is_remote and not is_error
         length = frame.length if is_fd or not frame.is_fd else min(frame.length, 8)
+        is_extended = (frame.is_extended and (self.tells_extended or frame.can_id > 0x7FF)) or self.is_always_extended
         return replace(
             frame,
-            t_us=frame.t_us * self.unit_us,
+            is_extended=is_extended,
+            t_us=frame.t_us * self.unit_us // self.step_us * self.step_us,
             length=0 if is_error else length,
             data=b"" if is_remote or is_error else frame.data[:length],
             is_remote=is_remote,
             is_error=is_error,
             is_fd=is_fd and (self.has_fd_flags or length > 8),
             is_fast=is_fd and frame.is_fast and self.has_fd_flags and self.has_rates,
-            is_passive=is_fd and frame.is_passive and self.has_fd_flags and self.has_rates,
+            is_passive=is_fd and frame.is_passive and self.has_fd_flags and self.has_rates and self.has_passive,
             is_sent=frame.is_sent and self.has_direction and (self.has_direction_of_errors or not is_error),
             channel=frame.channel % self.channels,
         )
@@ -102,7 +113,7 @@ def _by_python_can(writer: Callable[[Path], MessageWriter]) -> Callable[[Path, S
     return write
 
 
-def _by_hand(
+def by_hand(
     line: Callable[[int, Frame], str], header: Sequence[str] = (), end: str = "\n"
 ) -> Callable[[Path, Sequence[Frame]], None]:
     def write(path: Path, frames: Sequence[Frame]) -> None:
@@ -112,11 +123,11 @@ def _by_hand(
     return write
 
 
-def _hex(frame: Frame, separator: str = " ") -> str:
+def hex_text(frame: Frame, separator: str = " ") -> str:
     return frame.data.hex(separator).upper() if separator else frame.data.hex().upper()
 
 
-def _id(frame: Frame, digits: int) -> str:
+def id_text(frame: Frame, digits: int) -> str:
     return f"{frame.can_id:08X}" if frame.is_extended else f"{frame.can_id:0{digits}X}"
 
 
@@ -126,21 +137,21 @@ def _candump(_: int, frame: Frame) -> str:
     if frame.is_error:
         return f"{time} 20000000#{direction}"
     if frame.is_remote:
-        return f"{time} {_id(frame, 3)}#R{frame.length}{direction}"
+        return f"{time} {id_text(frame, 3)}#R{frame.length}{direction}"
     kind = f"##{frame.is_fast | frame.is_passive << 1:X}" if frame.is_fd else "#"
-    return f"{time} {_id(frame, 3)}{kind}{_hex(frame, '')}{direction}"
+    return f"{time} {id_text(frame, 3)}{kind}{hex_text(frame, '')}{direction}"
 
 
 def _trc_1(version: int) -> Callable[[int, Frame], str]:
     def line(number: int, frame: Frame) -> str:
         kind = "Error" if frame.is_error else "Tx" if frame.is_sent else "Rx"
         columns = {
-            0: (_id(frame, 4), frame.length),
-            1: (kind, _id(frame, 4), frame.length),
-            2: (frame.channel + 1, kind, _id(frame, 4), frame.length),
-            3: (frame.channel + 1, kind, _id(frame, 4), "-", frame.length),
+            0: (id_text(frame, 4), frame.length),
+            1: (kind, id_text(frame, 4), frame.length),
+            2: (frame.channel + 1, kind, id_text(frame, 4), frame.length),
+            3: (frame.channel + 1, kind, id_text(frame, 4), "-", frame.length),
         }[version]
-        data = "RTR" if frame.is_remote else _hex(frame)
+        data = "RTR" if frame.is_remote else hex_text(frame)
         return f"{number:6d}) {frame.t_us / 1000:11.1f}  {'  '.join(map(str, columns))}  {data} "
 
     return line
@@ -151,12 +162,12 @@ def _trc_2(*, has_bus: bool) -> Callable[[int, Frame], str]:
         kind = "ER" if frame.is_error else "RR" if frame.is_remote else "DT"
         if frame.is_fd:
             kind = {(0, 0): "FD", (1, 0): "FB", (1, 1): "FE", (0, 1): "BI"}[frame.is_fast, frame.is_passive]
-        direction, identifier = "Tx" if frame.is_sent else "Rx", "-" if frame.is_error else _id(frame, 4)
+        direction, identifier = "Tx" if frame.is_sent else "Rx", "-" if frame.is_error else id_text(frame, 4)
         head = f"{number:7d} {frame.t_us / 1000:13.3f} {kind}"
         if has_bus:
             length = CODE_OF_LENGTH[frame.length]
-            return f"{head} {frame.channel + 1} {identifier:>8} {direction} - {length:<4} {_hex(frame)} "
-        return f"{head} {identifier:>8} {direction} {frame.length:<2} {_hex(frame)} "
+            return f"{head} {frame.channel + 1} {identifier:>8} {direction} - {length:<4} {hex_text(frame)} "
+        return f"{head} {identifier:>8} {direction} {frame.length:<2} {hex_text(frame)} "
 
     return line
 
@@ -182,35 +193,41 @@ def _csv(_: int, frame: Frame) -> str:
     return f"{time},0x{frame.can_id:x},{switches},{frame.length},{base64.b64encode(frame.data).decode()}"
 
 
-def _busmaster(*, is_decimal: bool) -> Callable[[int, Frame], str]:
+def busmaster(*, is_decimal: bool) -> Callable[[int, Frame], str]:
     def line(_: int, frame: Frame) -> str:
         minutes, rest_us = divmod(frame.t_us, 60_000_000)
         time = f"{minutes // 60:02d}:{minutes % 60:02d}:{rest_us // 1_000_000:02d}:{rest_us % 1_000_000 // 100:04d}"
         kind = ("x" if frame.is_extended else "s") + ("r" if frame.is_remote else "-fd" if frame.is_fd else "")
         identifier = f"{frame.can_id}" if is_decimal else f"0x{frame.can_id:03X}"
-        data = " ".join(f"{byte:03d}" for byte in frame.data) if is_decimal else _hex(frame)
+        data = " ".join(f"{byte:03d}" for byte in frame.data) if is_decimal else hex_text(frame)
         direction = "Tx" if frame.is_sent else "Rx"
         return f"{time} {direction} {frame.channel + 1} {identifier} {kind} {frame.length} {data} "
 
     return line
 
 
-def _busmaster_header(base: str) -> list[str]:
+def busmaster_header(base: str, protocol: str = "CAN") -> list[str]:
     start = datetime(1970, 1, 1, tzinfo=UTC) + timedelta(seconds=START_S)
     local = start.astimezone()
     date = f"{local.day}:{local.month}:{local.year} {local.hour}:{local.minute}:{local.second}:0"
-    return ["***BUSMASTER Ver 3.2.2***", "***PROTOCOL CAN***", f"***START DATE AND TIME {date}***", f"***{base}***",
-            "***ABSOLUTE MODE***", "***<Time><Tx/Rx><Channel><CAN ID><Type><DLC><DataBytes>***"]  # fmt: skip
+    return [
+        "***BUSMASTER Ver 3.2.2***",
+        f"***PROTOCOL {protocol}***",
+        f"***START DATE AND TIME {date}***",
+        f"***{base}***",
+        "***ABSOLUTE MODE***",
+        "***<Time><Tx/Rx><Channel><CAN ID><Type><DLC><DataBytes>***",
+    ]
 
 
 def _crtd(_: int, frame: Frame) -> str:
     time = f"{START_S + frame.t_us // 1_000_000}.{frame.t_us % 1_000_000:06d}"
     kind = f"{frame.channel or ''}{'T' if frame.is_sent else 'R'}{29 if frame.is_extended else 11}"
-    return f"{time} {kind} {_id(frame, 3)} {_hex(frame)}"
+    return f"{time} {kind} {id_text(frame, 3)} {hex_text(frame)}"
 
 
 GRAMMARS: Mapping[str, Grammar] = MappingProxyType({
-    "candump": Grammar(write=_by_hand(_candump), has_fd=True, channels=10, has_direction_of_errors=True),
+    "candump": Grammar(write=by_hand(_candump), has_fd=True, channels=10, has_direction_of_errors=True),
     "candump of python-can": Grammar(
         write=_by_python_can(can.CanutilsLogWriter), has_fd=True, channels=10, has_error=False, has_remote=False
     ),
@@ -224,20 +241,20 @@ GRAMMARS: Mapping[str, Grammar] = MappingProxyType({
         write=_by_python_can(can.MF4Writer), has_fd=True, channels=20, is_text=False, has_direction_of_errors=True
     ),
     "trc 1.0": Grammar(
-        write=_by_hand(_trc_1(0), _trc_header("1.0")), unit_us=100, has_error=False, has_direction=False
+        write=by_hand(_trc_1(0), _trc_header("1.0")), unit_us=100, has_error=False, has_direction=False
     ),
-    "trc 1.1": Grammar(write=_by_hand(_trc_1(1), _trc_header("1.1"), "\r\n"), unit_us=100),
-    "trc 1.2": Grammar(write=_by_hand(_trc_1(2), _trc_header("1.2")), unit_us=100, channels=9, first_channel=1),
-    "trc 1.3": Grammar(write=_by_hand(_trc_1(3), _trc_header("1.3")), unit_us=100, channels=9, first_channel=1),
+    "trc 1.1": Grammar(write=by_hand(_trc_1(1), _trc_header("1.1"), "\r\n"), unit_us=100),
+    "trc 1.2": Grammar(write=by_hand(_trc_1(2), _trc_header("1.2")), unit_us=100, channels=9, first_channel=1),
+    "trc 1.3": Grammar(write=by_hand(_trc_1(3), _trc_header("1.3")), unit_us=100, channels=9, first_channel=1),
     "trc 2.0": Grammar(
-        write=_by_hand(_trc_2(has_bus=False), _trc_header("2.0", "N,O,T,I,d,l,D")),
+        write=by_hand(_trc_2(has_bus=False), _trc_header("2.0", "N,O,T,I,d,l,D")),
         has_fd=True, has_direction_of_errors=True,
     ),
     "trc 2.1": Grammar(
-        write=_by_hand(_trc_2(has_bus=True), _trc_header("2.1", "N,O,T,B,I,d,R,L,D"), "\r\n"),
+        write=by_hand(_trc_2(has_bus=True), _trc_header("2.1", "N,O,T,B,I,d,R,L,D"), "\r\n"),
         has_fd=True, has_direction_of_errors=True, channels=9, first_channel=1,
     ),
-    "csv": Grammar(write=_by_hand(_csv), has_fd=True, has_fd_flags=False, has_direction=False),
+    "csv": Grammar(write=by_hand(_csv), has_fd=True, has_fd_flags=False, has_direction=False),
     "csv of python-can": Grammar(
         write=_by_python_can(can.CSVWriter), has_fd=True, has_fd_flags=False, has_direction=False
     ),
@@ -245,29 +262,46 @@ GRAMMARS: Mapping[str, Grammar] = MappingProxyType({
         write=_by_python_can(can.SqliteWriter), has_fd=True, has_fd_flags=False, has_direction=False, is_text=False
     ),
     "gvret": Grammar(
-        write=_by_hand(_gvret(0, "d"), GVRET_HEADER),
+        write=by_hand(_gvret(0, "d"), GVRET_HEADER),
         start_us=0, has_fd=True, has_fd_flags=False, has_remote=False, has_error=False, channels=10,
     ),
     "gvret below zero": Grammar(
-        write=_by_hand(_gvret(-50_000, "d"), GVRET_HEADER),
+        write=by_hand(_gvret(-50_000, "d"), GVRET_HEADER),
         start_us=-50_000, has_fd=True, has_fd_flags=False, has_remote=False, has_error=False, channels=10,
     ),
     "gvret with exponents": Grammar(
-        write=_by_hand(_gvret(-50_000, ".9E"), GVRET_HEADER),
+        write=by_hand(_gvret(-50_000, ".9E"), GVRET_HEADER),
         start_us=-50_000, has_fd=True, has_fd_flags=False, has_remote=False, has_error=False, channels=10,
     ),
     "busmaster": Grammar(
-        write=_by_hand(_busmaster(is_decimal=False), _busmaster_header("HEX")),
+        write=by_hand(busmaster(is_decimal=False), busmaster_header("HEX")),
         unit_us=100, has_fd=True, has_rates=False, has_error=False, channels=9, first_channel=1,
     ),
     "busmaster in decimal": Grammar(
-        write=_by_hand(_busmaster(is_decimal=True), _busmaster_header("DEC")),
+        write=by_hand(busmaster(is_decimal=True), busmaster_header("DEC")),
         unit_us=100, has_fd=True, has_rates=False, has_error=False, channels=9, first_channel=1,
     ),
     "crtd": Grammar(
-        write=_by_hand(_crtd), has_remote=False, has_error=False, channels=10,
+        write=by_hand(_crtd), has_remote=False, has_error=False, channels=10,
     ),
 })  # fmt: skip
+
+
+def _zipped(contents: bytes) -> bytes:
+    stream = io.BytesIO()
+    with zipfile.ZipFile(stream, "w", zipfile.ZIP_DEFLATED) as archive:
+        archive.writestr("read me.txt", "What was recorded on the second day.")
+        archive.writestr("day 2/drive", contents)
+    return stream.getvalue()
+
+
 PACKERS: Mapping[str, Callable[[bytes], bytes]] = MappingProxyType(
-    {"plain": bytes, "gzip": gzip.compress, "xz": lzma.compress}
+    {
+        "plain": bytes,
+        "gzip": gzip.compress,
+        "xz": lzma.compress,
+        "bzip2": bz2.compress,
+        "zstd": zstandard.compress,
+        "zip": _zipped,
+    }
 )

@@ -25,10 +25,10 @@ from canlog.frames import ERROR_FLAG, EXTENDED_FLAG, FD_FLAG, FrameBatch
 from canlog.logs.asc import AscLog
 from canlog.logs.blf import read_blf
 from canlog.logs.candump import CandumpLog
-from canlog.logs.detection import TABLES, LogFormat
+from canlog.logs.detection import TABLES, TEXT_LOGS, LogFormat
 from canlog.logs.log_counts import LogCounts
 from canlog.logs.text_kernels import IS_LENGTH
-from canlog.logs.text_log import reader_of
+from canlog.logs.text_log import LOOK_AHEAD_BYTES, ends_by_returns, reader_of
 from ecu_emulator.log_formats import (
     AscWriter,
     BlfWriter,
@@ -61,7 +61,35 @@ def written(writer: type[FrameWriter]) -> bytes:
 BUSMASTER = (
     b"***BUSMASTER Ver 3.2.2***\n***START DATE AND TIME 1:2:2026 23:59:37:325***\n***SYSTEM MODE***\n"
     b"23:59:37:3329 Rx 1 0x144 s 1 5E\n00:00:07:3347 Tx 2 0x18FEF100 x 8 5F 00 11 22 33 44 55 66\n"
-    b"0:0:9:3 Rx 1 0x7 sr 3\n"
+    b"0:0:9:3 Rx 1 0x7 sr 3\n***PROTOCOL J1939***\n"
+    b"14:24:01:3995 1 1ceaff00 0x00EA00 RQST_ACL 00  FF  007 Tx 3 00 EE 00 \n"
+    b"***DEC***\n14:24:01:3996 2 485162752 0x00EA00 RQST_ACL 00  FF  007 Rx 2 000 238 \n"
+)
+CONSOLE = (
+    b"  (000.000000)  can0  TX B -  0A0   [8]  11 22 33 44 55 66 77 88   '.\"3DUfw.'\n"
+    b' (000.010000)  can1  18FEF100   [3]  11`22`33   `3".`\n (001.0)  can0  123   [2]  remote request\n'
+    b" (2026-01-31 23:59:59.000001)  can0  RX - E  123  [12]  01 02 03 04 05 06 07 08 09 0A 0B 0C\n"
+    b"  can0  20000004   [8]  00 08 00 00 00 00 00 00   ERRORFRAME\n\tcontroller-problem{}\n"
+    b"  \x1b[1m\x1b[34mcan0  123   [2]  00000001 10000000\x1b[0m\nDROPCOUNT: dropped 3 CAN frames on 'can0' socket\n"
+)
+CARBUS = (
+    b"@ TEXT @ 3 @ 64 @ 0 @ 4 @ 62000 @ 00:01:02.000 @\n# $LocalTime=16:39:55.817\n"
+    b"59,473394\t1\t00000005\t18FEF100\t8\t00 00 40 00 00 00 00 01\t00000000\t  @     \t\n"
+    b"00,001000\t2\t00000030\t319\t12\t00 00 40 00 00 00 00 00 01 02 03 04\t00000000\t  @         \t\n"
+)
+CANHACKER = (
+    b"Time   ID     DLC Data                    Comment\n59.990 00004000 8 36 47 19 43 01 00 00 80 a comment\n"
+    b"00.010 00000280 2 01 FF\n"
+)
+MICROCHIP = (
+    b"//---\nMicrochip Technology Inc.\nCAN BUS Analyzer\nLogging Started: 31/1/2026 1:2:3\n//---\n"
+    b"1247;RX;0xC2;8;0x5C;0x87;0x00;0x00;0x01;0x00;0x00;0x1C\n1250;TX;0x18FEF100;1;0xFF;\n"
+)
+COLUMNS = (
+    b"Line,Abs Time(Sec),Rel Time (Sec),Status,Er,Tx,Description,Network,Node,Arb ID,Remote,Xtd,"
+    b"B1,B2,B3,B4,B5,B6,B7,B8\n1,2550.36,0.003,67371008,F,F,HS CAN $119,HS CAN2,,119,F,F,00,00,00,00,00,00,0D,8B\n"
+    b'2,2550.37,0.003,67371008,F,T,"a, b",HS CAN,,18FEF100,F,T,01,02,,,,,,\n3,1e3,0,0,T,F,,HS CAN,,,F,F,,,,,,,,\n'
+    b"4,2026-01-31T23:59:59.5+01:00,0,0,F,F,,HS CAN,,7FFh,T,F,,,,,,,,\n5,23:59:59.999,,,,,,,,0x98FEF100,,,ff\n"
 )
 CRTD = b"1320745424.000 CXX log\n1320745424.002 1R11 402 FA 01 C3 A0 96 00 07 01\n1320745424.1 2T29 18FEF100 07 64\n"
 SOUND_BLF = written(BlfWriter)
@@ -82,6 +110,11 @@ READERS: dict[str, tuple[Reader, bytes]] = {
     "gvret": (reader_of(TABLES[LogFormat.GVRET]), written(GvretWriter)),
     "busmaster": (reader_of(TABLES[LogFormat.BUSMASTER]), BUSMASTER),
     "crtd": (reader_of(TABLES[LogFormat.CRTD]), CRTD),
+    "console": (reader_of(TEXT_LOGS[LogFormat.CONSOLE]), CONSOLE),
+    "carbus": (reader_of(TEXT_LOGS[LogFormat.CARBUS]), CARBUS),
+    "canhacker": (reader_of(TEXT_LOGS[LogFormat.CANHACKER]), CANHACKER),
+    "microchip": (reader_of(TEXT_LOGS[LogFormat.MICROCHIP]), MICROCHIP),
+    "columns": (reader_of(TEXT_LOGS[LogFormat.COLUMNS]), COLUMNS),
 }
 ALPHABET = st.sampled_from(b"0123456789ABCDEFabcdefx#()., \t\r\n;*:-_=TRrd$\0\xff").map(lambda value: bytes([value]))
 
@@ -135,7 +168,7 @@ def check(reader: Reader, text: bytes, *, has_lines: bool) -> None:
         return
     assert frames == counts.frames
     if has_lines:
-        whole = text.count(b"\n")
+        whole = (text.replace(b"\r", b"\n") if ends_by_returns(text[:LOOK_AHEAD_BYTES]) else text).count(b"\n")
         accounted = counts.frames + counts.skipped + sum(counts.rejected.values())
         assert whole <= accounted <= whole + 1
 

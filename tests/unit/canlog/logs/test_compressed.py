@@ -1,18 +1,27 @@
 """Compressed contents: all of them, cut ones, damaged ones, and those that are a trap."""
 
+import bz2
 import gzip
 import io
 import lzma
+import tracemalloc
 import zlib
 
 import pytest
+import zstandard
 
 from canlog.errors import SourceError
-from canlog.logs.compressed import Compression, InflatedStream, compression_of
+from canlog.logs.compressed import InflatedStream
+from canlog.logs.inflaters import Compression, compression_of
 from canlog.logs.log_counts import LogCounts, LogReject
 
 TEXT = b"".join(b"(%d.%06d) can0 %03X#%016X\n" % (k, k, k % 0x800, k * 2_654_435_761) for k in range(20_000))
-WRAPPED = {Compression.GZIP: gzip.compress(TEXT), Compression.XZ: lzma.compress(TEXT)}
+WRAPPED = {
+    Compression.GZIP: gzip.compress(TEXT),
+    Compression.XZ: lzma.compress(TEXT),
+    Compression.BZIP2: bz2.compress(TEXT),
+    Compression.ZSTD: zstandard.ZstdCompressor(write_checksum=True).compress(TEXT),
+}
 
 
 def contents(wrapped: bytes, kind: Compression) -> tuple[bytes, LogCounts]:
@@ -66,6 +75,20 @@ def test_a_bomb_is_refused() -> None:
     wrapped = b"".join(bomb.compress(bytes(1 << 20)) for _ in range(256)) + bomb.flush()
     with pytest.raises(SourceError, match="256 times its size"):
         contents(wrapped, Compression.GZIP)
+
+
+def test_a_bomb_of_zstd_is_refused_in_little_memory() -> None:
+    wrapped = zstandard.ZstdCompressor().compress(bytes(300 << 20))
+    tracemalloc.start()
+    with pytest.raises(SourceError, match="256 times its size"):
+        contents(wrapped, Compression.ZSTD)
+    assert tracemalloc.get_traced_memory()[1] < 100 << 20
+    tracemalloc.stop()
+
+
+def test_frames_of_zstd_that_are_to_be_skipped_are_skipped() -> None:
+    skipped = b"\x5e\x2a\x4d\x18" + (4).to_bytes(4, "little") + b"seek"
+    assert contents(skipped + WRAPPED[Compression.ZSTD] + skipped, Compression.ZSTD) == (TEXT, LogCounts())
 
 
 def test_a_dictionary_of_gigabytes_is_refused() -> None:

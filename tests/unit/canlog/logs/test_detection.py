@@ -15,6 +15,10 @@ LINES = {
     LogFormat.GVRET: b"166064000,0000021A,false,1,2,FE,36",
     LogFormat.BUSMASTER: b"16:49:37:3329 Rx 1 0x144 s 1 5E",
     LogFormat.CRTD: b"12.6 1R11 402 00",
+    LogFormat.CONSOLE: b"  can0  0A0   [8]  11 22 33 44 55 66 77 88",
+    LogFormat.CARBUS: b"46,016\t1\t0004\t45A\t8\t5A 04 00 00 00 00 00 00\t00000000\tZ       \t",
+    LogFormat.CANHACKER: b"00.000 00004000 8 36 47 19 43 01 00 00 80",
+    LogFormat.MICROCHIP: b"1247;RX;0xC2;2;0x5C;0x87",
 }
 HEADERS = {
     LogFormat.ASC: b"base hex  timestamps absolute",
@@ -22,6 +26,9 @@ HEADERS = {
     LogFormat.CSV: b"timestamp,arbitration_id,extended,remote,error,dlc,data",
     LogFormat.GVRET: b"Time Stamp,ID,Extended,Dir,Bus,LEN,D1,D2",
     LogFormat.BUSMASTER: b"***BUSMASTER Ver 3.2.2***",
+    LogFormat.CARBUS: b"@ TEXT @ 3 @ 64 @ 0 @ 13958 @ 16478 @ 00:00:16.478 @",
+    LogFormat.CANHACKER: b"Time   ID     DLC Data                    Comment",
+    LogFormat.MICROCHIP: b"Microchip Technology Inc.",
 }
 PROSE = b"What was measured on the second day, with the same car:"
 
@@ -97,7 +104,7 @@ def test_a_text_in_utf_16_is_said_to_be_one(encoding: str) -> None:
 
 @pytest.mark.parametrize(
     ("probe", "name"),
-    [(b"PK\x03\x04rest", "a zip archive"), (b"\xd4\xc3\xb2\xa1rest", "a pcap capture"), (b"BZh91", "bzip2")],
+    [(b"7z\xbc\xafrest", "a 7z archive"), (b"\xd4\xc3\xb2\xa1rest", "a pcap capture"), (b"\x89PNG\r\n", "a picture")],
 )
 def test_other_formats_are_named(probe: bytes, name: str) -> None:
     with pytest.raises(SourceError, match=name):

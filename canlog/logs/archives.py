@@ -1,0 +1,175 @@
+"""Zip archives as folders of logs: ``drives.zip/monday.log`` is the path of what lies inside.
+
+Nothing is written to the disk under a name that an archive gives, and no size that it states is trusted: the directory
+of the archive and every member are read up to a limit.
+"""
+
+import io
+import struct
+import zipfile
+import zlib
+from dataclasses import dataclass
+from pathlib import Path, PurePosixPath
+from typing import IO, BinaryIO, Final
+
+from canlog.errors import SourceError
+from canlog.logs.compressed import check_growth
+from canlog.logs.log_counts import LogCounts, LogReject
+
+ZIP_MAGICS: Final = (b"PK\x03\x04", b"PK\x05\x06")  # a first member, or an archive of nothing
+MOST_MEMBERS: Final = 1_000
+MOST_DIRECTORY_BYTES: Final = 4 * 1024 * 1024  # of names and sizes, before any of them is looked at
+END_RECORD: Final = struct.Struct("<4s4H2LH")
+END_MAGIC: Final = b"PK\x05\x06"
+LONGEST_COMMENT: Final = 65_535
+LARGE_LOCATOR: Final = struct.Struct("<4sLQL")
+LARGE_RECORD: Final = struct.Struct("<4sQ2H2L4Q")
+LARGE_DIRECTORY_FIELD: Final = 8
+LARGE: Final = 0xFFFF_FFFF
+PIECE_BYTES: Final = 16 * 1024  # what comes before damage is lost with the piece in which it is found
+ENCRYPTED_FLAG: Final = 0x1
+KNOWN_METHODS: Final = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Member:
+    """A file in an archive."""
+
+    name: str
+    packed_bytes: int
+    refusal: str  # why it cannot be read; empty if it can
+    info: zipfile.ZipInfo
+
+
+def is_archive(probe: bytes) -> bool:
+    """Return whether the first bytes of a file are those of a zip archive."""
+    return probe.startswith(ZIP_MAGICS)
+
+
+def split_member(path: Path) -> tuple[Path, str]:
+    """Return the file that a path leads to and, if that lies inside an archive, its name in there."""
+    if path.exists():
+        return path, ""
+    archive = next((parent for parent in path.parents if parent.is_file()), None)
+    return (path, "") if archive is None else (archive, path.relative_to(archive).as_posix())
+
+
+def members_of(stream: BinaryIO) -> tuple[Member, ...]:
+    """Return the files in an archive.
+
+    Raises SourceError if it is damaged, encrypted as a whole, or has more of them than any collection of logs.
+    """
+    try:
+        _check_directory(stream)
+        with zipfile.ZipFile(stream) as archive:
+            infos = [info for info in archive.infolist() if not info.is_dir()]
+    except (zipfile.BadZipFile, NotImplementedError, ValueError, struct.error, EOFError, OverflowError) as exc:
+        raise SourceError(f"the zip archive is damaged: {exc}") from exc
+    if len(infos) > MOST_MEMBERS:
+        raise SourceError(f"the zip archive holds {len(infos)} files; more than {MOST_MEMBERS} are not looked at")
+    return tuple(
+        Member(name=_plain(info.filename), packed_bytes=info.compress_size, refusal=_refusal(info), info=info)
+        for info in infos
+    )
+
+
+def find_member(members: tuple[Member, ...], name: str) -> Member:
+    """Return the member of a name; raises SourceError if there is none."""
+    found = [member for member in members if member.name == _plain(name)]
+    if not found:
+        raise SourceError(f"the zip archive holds no {name}")
+    return found[-1]  # of two that are called alike the last one counts, as unpacking leaves it
+
+
+def _plain(name: str) -> str:
+    """Return a name in an archive as the part of a path that it is."""
+    return PurePosixPath(name.replace("\\", "/").lstrip("/")).as_posix()
+
+
+def _refusal(info: zipfile.ZipInfo) -> str:
+    if info.flag_bits & ENCRYPTED_FLAG:
+        return "it is encrypted: unpack it first"
+    if info.compress_type not in KNOWN_METHODS:
+        return f"it is packed by method {info.compress_type}, not by deflate: unpack it first"
+    return ""
+
+
+def _check_directory(stream: BinaryIO) -> None:
+    """Raise SourceError if the directory of an archive is too large to be read whole, as zipfile does."""
+    size_bytes = stream.seek(0, io.SEEK_END)
+    start = max(0, size_bytes - LONGEST_COMMENT - END_RECORD.size)
+    stream.seek(start)
+    tail = stream.read(size_bytes - start)
+    at = tail.rfind(END_MAGIC)
+    if at < 0 or at + END_RECORD.size > len(tail):
+        raise SourceError("the zip archive is cut off: its directory is missing")
+    directory_bytes = END_RECORD.unpack_from(tail, at)[5]
+    if directory_bytes == LARGE and at >= LARGE_LOCATOR.size:
+        stream.seek(min(LARGE_LOCATOR.unpack_from(tail, at - LARGE_LOCATOR.size)[2], size_bytes))
+        record = stream.read(LARGE_RECORD.size)
+        directory_bytes = LARGE_RECORD.unpack(record)[LARGE_DIRECTORY_FIELD] if len(record) == LARGE_RECORD.size else 0
+    stream.seek(0)
+    if directory_bytes > MOST_DIRECTORY_BYTES:
+        raise SourceError(f"the zip archive lists {directory_bytes} bytes of names: more than any collection of logs")
+
+
+class MemberStream(io.RawIOBase):
+    """The contents of one member; what is damaged ends them and is counted, with what came before it.
+
+    With ``is_a_look`` the archive stays open when this is closed.
+    """
+
+    def __init__(self, stream: BinaryIO, member: Member, *, is_a_look: bool = False) -> None:
+        self._is_a_look = is_a_look
+        if member.refusal:
+            raise SourceError(member.refusal)
+        self._file = stream
+        self._member = member
+        self._file_bytes = stream.seek(0, io.SEEK_END)
+        self._contents: IO[bytes] | None = None
+        self.restart(LogCounts())
+
+    @property
+    def name(self) -> str:
+        """What it is, for people."""
+        return f"{self._member.name} in the zip archive"
+
+    def restart(self, counts: LogCounts) -> None:
+        """Begin again, and count damage here from now on."""
+        self._counts = counts
+        self._given_bytes = 0
+        try:
+            with zipfile.ZipFile(self._file) as archive:
+                self._contents = archive.open(self._member.info)
+        except (zipfile.BadZipFile, NotImplementedError, RuntimeError, ValueError, struct.error, EOFError) as exc:
+            raise SourceError(f"{self.name} is damaged: {exc}") from exc
+
+    def readable(self) -> bool:
+        """Return True."""
+        return True
+
+    def readinto(self, buffer: "memoryview | bytearray") -> int:  # type: ignore[override]  # any buffer will do
+        """Fill the buffer as far as the next piece goes; 0 at the end."""
+        view, contents = memoryview(buffer), self._contents
+        try:
+            piece = contents.read1(min(len(view), PIECE_BYTES)) if contents is not None else b""  # type: ignore[attr-defined]  # a ZipExtFile
+        except EOFError:
+            piece = self._end(LogReject.CUT_OFF)
+        except (zipfile.BadZipFile, zlib.error):
+            piece = self._end(LogReject.DAMAGED)
+        view[: len(piece)] = piece
+        self._given_bytes += len(piece)
+        check_growth(self.name, min(self._member.packed_bytes, self._file_bytes), self._given_bytes)
+        return len(piece)
+
+    def close(self) -> None:
+        """Close the archive."""
+        if not self._is_a_look:
+            self._file.close()
+        super().close()
+
+    def _end(self, reason: LogReject) -> bytes:
+        self._contents = None
+        self._counts.truncated = True
+        self._counts.reject(reason, f"byte {self._given_bytes} of {self.name}")
+        return b""

@@ -1,0 +1,297 @@
+"""Single fields of a table, compiled: each is read between two positions and takes no more and no less than that."""
+
+import numpy as np
+import numpy.typing as npt
+
+from canlog.arrays import Int64Array, UInt8Array
+from canlog.frames import EXTENDED_FLAG, FD_PAYLOAD_BYTES
+from canlog.jit import array_kernel
+from canlog.logs.columns.roles import BLANKS, HEXADECIMAL, Role
+from canlog.logs.tables.fields import NO_TIME, decimal_us
+from canlog.logs.text_kernels import BLANK, HEX_VALUE, NEWLINE, RETURN, TAB
+
+QUOTE, COMMA, POINT, COLON, MINUS, PLUS, ZERO = ord('"'), ord(","), ord("."), ord(":"), ord("-"), ord("+"), ord("0")
+LETTER_H, LETTER_T, LETTER_X, LETTER_Z = ord("h"), ord("t"), ord("x"), ord("z")
+SQUARE, SQUARE_END, SLASH = ord("["), ord("]"), ord("/")
+REST = -1  # in place of a parameter: what stands behind the last column is passed over
+MOST_ID_DIGITS = 10
+LARGEST_ID = 0x1FFF_FFFF
+MOST_CHANNEL, MOST_LENGTH = 255, 255
+SECOND_US, DAY_S = 1_000_000, 86_400
+DAYS_OF_400_YEARS, DAYS_TO_EPOCH = 146_097, 719_468  # of the Gregorian calendar, counted from March
+MOST_FRACTION_DIGITS = 9
+YEAR_DIGITS = 4
+IS_BETWEEN: npt.NDArray[np.bool_] = np.arange(256) <= BLANK
+IS_BETWEEN[list(b",:-._[]")] = True  # what else may stand between two bytes
+# First letters of fields that say yes, by the role of their column: true, yes, x, and what names it, such as Ext or Tx.
+SAYS_YES: npt.NDArray[np.bool_] = np.zeros((len(Role), 256), np.bool_)
+for _role, _letters in {
+    Role.EXTENDED: "tyxe",
+    Role.REMOTE: "tyxr",
+    Role.ERROR: "tyxe",
+    Role.FD: "tyxf",
+    Role.BIT_RATE_SWITCH: "tyxb",
+    Role.ERROR_STATE: "tyxe",
+    Role.DIRECTION: "tyos",  # out, sent
+}.items():
+    SAYS_YES[_role, list((_letters + _letters.upper()).encode())] = True
+
+
+@array_kernel
+def skip_margin(text: UInt8Array, at: int, separator: int) -> int:
+    """Return the position of the next character that is neither blank nor, of blank-separated columns, a tabulator."""
+    while text[at] == BLANK or text[at] == RETURN or (text[at] == TAB and separator != TAB):
+        at += 1
+    return at
+
+
+@array_kernel
+def field(text: UInt8Array, at: int, separator: int) -> tuple[int, int, int]:
+    """Return where a field begins and stops, without quotes and blanks around it, and where its separator stands."""
+    begin = skip_margin(text, at, separator)
+    if text[begin] == QUOTE and separator != BLANKS:
+        at = begin + 1
+        while text[at] != QUOTE and text[at] != NEWLINE:
+            at += 1
+        begin, stop = begin + 1, at
+        at = skip_margin(text, at + (text[at] == QUOTE), separator)
+        if text[at] == separator or text[at] == NEWLINE:
+            return begin, stop, at
+    else:
+        at = begin
+    while text[at] != separator and text[at] != NEWLINE:
+        if separator == BLANKS and (text[at] == TAB or text[at] == RETURN):
+            break
+        at += 1
+    stop = at
+    while stop > begin and text[stop - 1] <= BLANK:
+        stop -= 1
+    return begin, stop, (skip_margin(text, at, separator) if separator == BLANKS else at)
+
+
+@array_kernel
+def hexadecimal_field(text: UInt8Array, begin: int, stop: int) -> int:
+    """Return a hexadecimal number of up to eight digits, -1 if a field is none."""
+    value = 0
+    if not 0 < stop - begin <= 8:
+        return -1
+    for at in range(begin, stop):
+        if HEX_VALUE[text[at]] < 0:
+            return -1
+        value = value * 16 + HEX_VALUE[text[at]]
+    return value
+
+
+@array_kernel
+def small_number(text: UInt8Array, begin: int, stop: int) -> int:
+    """Return a decimal number, perhaps in brackets, -1 if a field is none or it is larger than any length."""
+    value = 0
+    if stop - begin > 2 and text[begin] == SQUARE and text[stop - 1] == SQUARE_END:
+        begin, stop = begin + 1, stop - 1
+    if not 0 < stop - begin <= 3:
+        return -1
+    for at in range(begin, stop):
+        if not 48 <= text[at] <= 57:
+            return -1
+        value = value * 10 + text[at] - 48
+    return value if value <= MOST_LENGTH else -1
+
+
+@array_kernel
+def channel(text: UInt8Array, begin: int, stop: int) -> int:
+    """Return the number at the end of a name of a bus, 0 if there is none."""
+    value, factor, at = 0, 1, stop
+    while at > begin and 48 <= text[at - 1] <= 57 and factor <= 100:
+        at -= 1
+        value += factor * (text[at] - 48)
+        factor *= 10
+    return value if value <= MOST_CHANNEL else 0
+
+
+@array_kernel
+def identifier(
+    text: UInt8Array,
+    begin: int,
+    stop: int,
+    base: int,
+    line: Int64Array,
+    meaning: int,
+    tells_by_digits: bool,  # noqa: FBT001 - of a kernel
+) -> int:
+    """Return an identifier, -1 if a field is none; ``x`` behind it makes it an extended one, as Vector writes it."""
+    if stop - begin > 2 and text[begin] == ZERO and (text[begin + 1] | 32) == LETTER_X:
+        begin, base = begin + 2, HEXADECIMAL
+    last = text[stop - 1] | 32 if stop > begin else 0
+    if last == LETTER_X or last == LETTER_H:  # noqa: PLR1714, SIM109 - no tuple in a kernel
+        line[meaning] |= EXTENDED_FLAG if last == LETTER_X else 0
+        stop, base = stop - 1, (HEXADECIMAL if last == LETTER_H else base)
+    if not 0 < stop - begin <= MOST_ID_DIGITS:
+        return -1
+    value = 0
+    for at in range(begin, stop):
+        if not 0 <= HEX_VALUE[text[at]] < base:
+            return -1
+        value = value * base + HEX_VALUE[text[at]]
+    if value > LARGEST_ID and value & EXTENDED_FLAG and value & ~EXTENDED_FLAG <= LARGEST_ID:
+        value &= ~EXTENDED_FLAG  # as Linux numbers them
+        line[meaning] |= EXTENDED_FLAG
+    if tells_by_digits and base == HEXADECIMAL and stop - begin == 8:
+        line[meaning] |= EXTENDED_FLAG
+    return value if value <= LARGEST_ID else -1
+
+
+@array_kernel
+def data_bytes(
+    text: UInt8Array,
+    begin: int,
+    stop: int,
+    base: int,
+    data: UInt8Array,
+    row: int,
+    count: int,
+    is_one: bool,  # noqa: FBT001 - of a kernel
+) -> int:
+    """Add the bytes of a field to those of a row; return how many there are then, -1 if something is no byte.
+
+    Hexadecimal ones may stand without anything between them. Bytes that do not fit into the row are counted, too.
+    """
+    at, before = begin, count
+    while at < stop:
+        while at < stop and IS_BETWEEN[text[at]]:
+            at += 1
+        if at == stop:
+            break
+        own_base = base
+        if stop - at > 2 and text[at] == ZERO and (text[at + 1] | 32) == LETTER_X:
+            at, own_base = at + 2, HEXADECIMAL
+        value, digits = 0, 0
+        most_digits = 2 if own_base == HEXADECIMAL else 3
+        while at < stop and digits < most_digits and 0 <= HEX_VALUE[text[at]] < own_base:
+            value = value * own_base + HEX_VALUE[text[at]]
+            at, digits = at + 1, digits + 1
+        is_ended = at == stop or IS_BETWEEN[text[at]]
+        if digits == 0 or value > 255 or (not is_ended and (own_base != HEXADECIMAL or digits < 2)):
+            return -1
+        if count < data.shape[1]:
+            data[row, count] = value
+        count += 1
+        if count > FD_PAYLOAD_BYTES:
+            return -1
+    return -1 if is_one and count - before > 1 else count
+
+
+@array_kernel
+def is_on(text: UInt8Array, begin: int, stop: int, role: int) -> bool:
+    """Return whether a field says yes: 1, true, yes, x, or by the name of what it stands for, such as Tx or Ext."""
+    if stop == begin:
+        return False
+    if 48 <= text[begin] <= 57:
+        value = small_number(text, begin, stop)
+        return bool(value == 29 or (value > 0 and value != 11))
+    return bool(SAYS_YES[role, text[begin]])
+
+
+@array_kernel
+def time_us(text: UInt8Array, begin: int, stop: int, power: int, has_decimal_comma: bool) -> int:  # noqa: FBT001
+    """Return a time in microseconds: a number of a unit, a time of day, or a date; NO_TIME if a field is none of them.
+
+    A date is taken as if it were UTC unless an offset stands behind it.
+    """
+    digits = begin
+    while digits < stop and 48 <= text[digits] <= 57:
+        digits += 1
+    if digits == stop:
+        return decimal_us_of(text, begin, stop, power)
+    if text[digits] == COLON:
+        value_us, at = clock_us(text, begin, stop)
+        return value_us if at == stop else NO_TIME
+    if digits - begin == YEAR_DIGITS and (text[digits] == MINUS or text[digits] == SLASH):
+        return date_us(text, begin, stop)
+    if text[digits] == COMMA and has_decimal_comma and digits > begin:
+        whole_us = decimal_us_of(text, begin, digits, power)
+        part_us = decimal_us_of(text, digits + 1, stop, power - (stop - digits - 1))
+        return NO_TIME if min(whole_us, part_us) == NO_TIME else whole_us + part_us
+    return decimal_us_of(text, begin, stop, power)
+
+
+@array_kernel
+def decimal_us_of(text: UInt8Array, begin: int, stop: int, power: int) -> int:
+    """Return a decimal number as microseconds, NO_TIME unless it takes the whole field."""
+    if begin == stop:
+        return NO_TIME
+    value_us, at = decimal_us(text, begin, power)
+    return value_us if at == stop else NO_TIME
+
+
+@array_kernel
+def clock_us(text: UInt8Array, begin: int, stop: int) -> tuple[int, int]:
+    """Read ``hours:minutes:seconds.fraction``; return the time and the position behind it, or NO_TIME."""
+    total_s, at = 0, begin
+    for part in range(3):
+        value, start = 0, at
+        while at < stop and 48 <= text[at] <= 57 and at - start < 4:
+            value = value * 10 + text[at] - 48
+            at += 1
+        if at == start or (part > 0 and value > 59):
+            return NO_TIME, at
+        total_s = total_s * 60 + value
+        if part < 2:
+            if at == stop or text[at] != COLON:
+                return NO_TIME, at
+            at += 1
+    fraction_us = 0
+    if at < stop and (text[at] == POINT or text[at] == COMMA or text[at] == COLON):
+        at, factor_us, start = at + 1, SECOND_US, at + 1
+        while at < stop and 48 <= text[at] <= 57 and at - start < MOST_FRACTION_DIGITS:
+            factor_us //= 10
+            fraction_us += factor_us * (text[at] - 48)
+            at += 1
+        if at == start:
+            return NO_TIME, at
+    return total_s * SECOND_US + fraction_us, at
+
+
+@array_kernel
+def date_us(text: UInt8Array, begin: int, stop: int) -> int:
+    """Return ``2026-01-31T23:59:59.5+01:00``, or with a blank and without an offset, in microseconds."""
+    if stop - begin < 12:
+        return NO_TIME
+    year = _number(text, begin, 4)
+    month, day = _number(text, begin + 5, 2), _number(text, begin + 8, 2)
+    is_date = text[begin + 7] == text[begin + 4] and 1 <= month <= 12 and 1 <= day <= 31 and year >= 0
+    if not is_date or ((text[begin + 10] | 32) != LETTER_T and text[begin + 10] != BLANK):
+        return NO_TIME
+    day_us, at = clock_us(text, begin + 11, stop)
+    if day_us == NO_TIME:
+        return NO_TIME
+    shifted = year - (month <= 2)
+    day_of_year = (153 * (month + (-3 if month > 2 else 9)) + 2) // 5 + day - 1
+    days = shifted // 400 * DAYS_OF_400_YEARS + shifted % 400 * 365 + shifted % 400 // 4 - shifted % 400 // 100
+    value_us = ((days + day_of_year - DAYS_TO_EPOCH) * DAY_S) * SECOND_US + day_us
+    offset_s = _offset_s(text, at, stop)
+    return NO_TIME if offset_s == NO_TIME else value_us - offset_s * SECOND_US
+
+
+@array_kernel
+def _number(text: UInt8Array, at: int, digits: int) -> int:
+    """Return a number of so many digits, -1 if it is none."""
+    value = 0
+    for place in range(at, at + digits):
+        if not 48 <= text[place] <= 57:
+            return -1
+        value = value * 10 + text[place] - 48
+    return value
+
+
+@array_kernel
+def _offset_s(text: UInt8Array, at: int, stop: int) -> int:
+    """Return ``+01:00`` or ``Z`` in seconds, 0 where nothing stands, NO_TIME if it is anything else."""
+    if at == stop or (stop - at == 1 and (text[at] | 32) == LETTER_Z):
+        return 0
+    if stop - at < 5 or (text[at] != PLUS and text[at] != MINUS):
+        return NO_TIME
+    hours, minutes = _number(text, at + 1, 2), _number(text, stop - 2, 2)
+    if hours < 0 or minutes < 0 or stop - at > 6:
+        return NO_TIME
+    total_s = hours * 3600 + minutes * 60
+    return -total_s if text[at] == MINUS else total_s

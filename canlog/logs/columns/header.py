@@ -1,0 +1,275 @@
+"""What the names in the header of a table say of its columns, and what somebody says of them."""
+
+import csv
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from types import MappingProxyType
+from typing import Final
+
+from canlog.errors import SourceError
+from canlog.logs.columns.roles import DECIMAL, HEXADECIMAL, Column, Role
+
+SEPARATORS: Final = b",;\t|"
+MOST_COLUMNS: Final = 200
+SECONDS, MILLISECONDS, MICROSECONDS, NANOSECONDS = 6, 3, 0, -3
+UNITS: Final[Mapping[str, int]] = MappingProxyType(
+    {
+        **dict.fromkeys(("s", "sec", "secs", "second", "seconds"), SECONDS),
+        **dict.fromkeys(("ms", "msec", "millis", "milliseconds"), MILLISECONDS),
+        **dict.fromkeys(("us", "µs", "usec", "micros", "microseconds"), MICROSECONDS),
+        **dict.fromkeys(("ns", "nsec", "nanos", "nanoseconds"), NANOSECONDS),
+    }
+)
+BASES: Final[Mapping[str, int]] = MappingProxyType({"hex": HEXADECIMAL, "dec": DECIMAL, "decimal": DECIMAL})
+ROLE_OF_NAME: Final[Mapping[str, Role]] = MappingProxyType(
+    {
+        "time": Role.TIME,
+        "id": Role.ID,
+        "data": Role.DATA,
+        "length": Role.LENGTH,
+        "channel": Role.CHANNEL,
+        "extended": Role.EXTENDED,
+        "remote": Role.REMOTE,
+        "error": Role.ERROR,
+        "fd": Role.FD,
+        "brs": Role.BIT_RATE_SWITCH,
+        "esi": Role.ERROR_STATE,
+        "direction": Role.DIRECTION,
+    }
+)
+"""What columns are called on the command line."""
+
+# What columns are called in the wild, without blanks, marks and units, the best name first.
+SYNONYMS: Final[Mapping[Role, tuple[str, ...]]] = MappingProxyType(
+    {
+        Role.TIME: (
+            "timestamp", "abstime", "absolutetime", "timeabs", "time", "datetime", "epoch", "timestampepoch",
+            "timeoffset", "systemtime", "t", "zeit", "zeitstempel", "temps", "offset", "reltime", "relativetime",
+        ),
+        Role.ID: (
+            "id", "canid", "arbitrationid", "arbid", "identifier", "messageid", "msgid", "frameid", "canidentifier",
+            "arbitrationidentifier", "addr", "address", "canaddress", "idhex", "iddec",
+        ),
+        Role.DATA: (
+            "data", "databytes", "payload", "datafield", "candata", "bytes", "datahex", "datadec", "hexdata",
+            "rawdata", "databyte", "daten", "message",
+        ),
+        Role.LENGTH: (
+            "dlc", "len", "length", "datalength", "datalen", "datalengthcode", "size", "nbytes", "bytecount", "lng",
+        ),
+        Role.CHANNEL: (
+            "bus", "channel", "chn", "chan", "ch", "can", "interface", "network", "port", "busid", "canbus",
+            "canchannel", "kanal",
+        ),
+        Role.EXTENDED: (
+            "extended", "ext", "xtd", "ide", "isextended", "isextendedid", "extendedid", "eff", "frameformat",
+            "idtype", "format",
+        ),
+        Role.REMOTE: ("remote", "rtr", "isremote", "isremoteframe", "remoteframe"),
+        Role.ERROR: ("error", "er", "err", "iserror", "iserrorframe", "errorframe"),
+        Role.FD: ("fd", "isfd", "canfd", "fdf", "edl"),
+        Role.BIT_RATE_SWITCH: ("brs", "bitrateswitch"),
+        Role.ERROR_STATE: ("esi", "errorstateindicator"),
+        Role.DIRECTION: ("dir", "direction", "rxtx", "txrx", "tx", "transmit", "richtung"),
+    }
+)  # fmt: skip
+BYTE_NAME: Final = re.compile(r"(?:d|b|db|data|byte|databyte|datab)(\d{1,2})")
+UNIT_IN_BRACKETS: Final = re.compile(r"[\[(](?P<unit>[^)\]]*)[)\]]")
+MARKS: Final = re.compile(r"[\W_]+")
+CHOICE: Final = re.compile(r"(?P<name>.+?)(?::(?P<option>[a-zµ]+))?")
+RANGE: Final = re.compile(r"(?P<first>.+?)(?:\.\.|-)(?P<last>.+)")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Proposal:
+    """What columns are taken for, in their order; ``has_unit`` is whether the header says in what times are."""
+
+    columns: tuple[Column, ...]
+    names: tuple[str, ...]
+    has_unit: bool
+
+    def has(self, role: Role) -> bool:
+        """Return whether a column is taken for this."""
+        return any(column.role is role for column in self.columns)
+
+    def in_words(self) -> str:
+        """Return what the columns are taken for, as ``--columns`` takes it."""
+        spelled = {role: name for name, role in ROLE_OF_NAME.items()}
+        parts = [
+            f"{spelled[column.role]}={name}"
+            for column, name in zip(self.columns, self.names, strict=True)
+            if column.role in spelled
+        ]
+        bytes_ = [name for column, name in zip(self.columns, self.names, strict=True) if column.role is Role.BYTE]
+        return ",".join([*parts, *([f"data={bytes_[0]}-{bytes_[-1]}"] if bytes_ else [])])
+
+
+def separator_of(line: bytes) -> int:
+    """Return the character that separates the columns of a header: the one that occurs most."""
+    return max(SEPARATORS, key=line.count)
+
+
+def names_in(line: bytes, separator: int) -> tuple[str, ...]:
+    """Return the names of the columns in a header line."""
+    text = line.decode("utf-8", "replace").strip("\r\n")
+    try:
+        fields = next(csv.reader([text], delimiter=chr(separator), skipinitialspace=True), [])
+    except csv.Error:
+        return ()
+    while fields and not fields[-1].strip():
+        fields.pop()
+    return tuple(field.strip() for field in fields[:MOST_COLUMNS])
+
+
+def proposal(names: Sequence[str]) -> Proposal | None:
+    """Return what a header's names say of its columns; None unless there are an identifier and bytes among them."""
+    plain = [_plain(name) for name in names]
+    columns = [Column()] * len(names)
+    for role, synonyms in SYNONYMS.items():
+        place = next((plain.index(synonym) for synonym in synonyms if synonym in plain), None)
+        if place is not None and columns[place].role is Role.IGNORED:
+            columns[place] = Column(role=role, parameter=_parameter(role, names[place]))
+    if not any(column.role is Role.DATA for column in columns):
+        for place in _byte_places(plain):
+            columns[place] = Column(role=Role.BYTE, parameter=_parameter(Role.BYTE, names[place]))
+    has_bytes = any(column.role in {Role.DATA, Role.BYTE} for column in columns)
+    if not has_bytes or not any(column.role is Role.ID for column in columns):
+        return None
+    time_names = [name for column, name in zip(columns, names, strict=True) if column.role is Role.TIME]
+    has_unit = any(_unit_in(name) is not None for name in time_names)
+    return Proposal(columns=tuple(columns), names=tuple(names), has_unit=has_unit)
+
+
+def chosen(choice: str, names: Sequence[str]) -> Proposal:
+    """Return what ``time=Time,id=ID,data=D1-D8`` says of columns with these names, or of numbered ones.
+
+    Raises SourceError if a role or a column is not known, or the identifier or the bytes are missing.
+    """
+    columns, has_unit = [Column()] * max(len(names), _most_number(choice)), False
+    for part in filter(None, map(str.strip, choice.split(","))):
+        word, _, rest = part.partition("=")
+        role = ROLE_OF_NAME.get(word.strip().lower())
+        if role is None or not rest.strip():
+            raise SourceError(f"--columns {part!r}: say what is what as {'|'.join(ROLE_OF_NAME)}=COLUMN")
+        name, option = _with_option(rest.strip(), names)
+        places = _places(name, names)
+        own = Role.BYTE if role is Role.DATA and len(places) > 1 else role
+        if role is not Role.DATA and len(places) > 1:
+            raise SourceError(f"--columns {part!r}: only data may be several columns")
+        for place in places:
+            columns[place] = Column(role=own, parameter=_chosen_parameter(own, option, _name_at(names, place), part))
+        has_unit |= role is Role.TIME and (bool(option) or _unit_in(_name_at(names, places[0])) is not None)
+    roles = {column.role for column in columns}
+    if Role.ID not in roles or roles.isdisjoint({Role.DATA, Role.BYTE}):
+        raise SourceError(f"--columns {choice!r} names no {'id' if Role.ID not in roles else 'data'}; {_seen(names)}")
+    shown = tuple(_name_at(names, place) or str(place + 1) for place in range(len(columns)))
+    return Proposal(columns=tuple(columns), names=shown, has_unit=has_unit)
+
+
+def are_numbers(choice: str) -> bool:
+    """Return whether columns are named by nothing but their numbers."""
+    named = [part.partition("=")[2].partition(":")[0].strip() for part in choice.split(",") if part.strip()]
+    return bool(named) and all(re.fullmatch(r"\d+(?:(?:-|\.\.)\d+)?", one) for one in named)
+
+
+def in_unit(columns: Sequence[Column], unit: int) -> tuple[Column, ...]:
+    """Return columns with their times in another unit."""
+    return tuple(replace(column, parameter=unit) if column.role is Role.TIME else column for column in columns)
+
+
+def _plain(name: str) -> str:
+    bare = MARKS.sub("", UNIT_IN_BRACKETS.sub("", name).casefold())
+    unit = _unit_behind(name)
+    return bare.removesuffix(unit) if unit else bare or MARKS.sub("", name.casefold())
+
+
+def _unit_behind(name: str) -> str:
+    """Return the unit that stands behind a mark at the end of a name, such as ``time_ms``."""
+    last = re.split(r"[\s_.-]", name.strip().casefold())[-1]
+    return last if last in UNITS and last != MARKS.sub("", name.casefold()) else ""
+
+
+def _unit_in(name: str) -> int | None:
+    """Return the unit that a name speaks of, as a power of ten in microseconds."""
+    bracketed = UNIT_IN_BRACKETS.search(name)
+    word = bracketed["unit"].strip().casefold() if bracketed else _unit_behind(name)
+    return UNITS.get(word)
+
+
+def _base_in(name: str) -> int:
+    words = MARKS.split(name.casefold())
+    return next((base for word, base in BASES.items() if word in words or _ends_with(words, word)), HEXADECIMAL)
+
+
+def _ends_with(words: Sequence[str], word: str) -> bool:
+    return any(one in {f"id{word}", f"data{word}"} for one in words)
+
+
+def _parameter(role: Role, name: str) -> int:
+    if role is Role.TIME:
+        unit = _unit_in(name)
+        return SECONDS if unit is None else unit
+    return _base_in(name) if role in {Role.ID, Role.DATA, Role.BYTE} else 0
+
+
+def _chosen_parameter(role: Role, option: str, name: str, part: str) -> int:
+    if not option:
+        return _parameter(role, name)
+    known = UNITS if role is Role.TIME else BASES if role in {Role.ID, Role.DATA, Role.BYTE} else {}
+    if option not in known:
+        wanted = "s, ms, us, ns" if role is Role.TIME else "hex, dec" if known else "nothing"
+        raise SourceError(f"--columns {part!r}: behind the colon can stand {wanted}")
+    return known[option]
+
+
+def _byte_places(plain: Sequence[str]) -> list[int]:
+    """Return where the columns of single bytes stand: as many as there are in a row, from number 0 or 1."""
+    found = {int(match[1]): place for place, name in enumerate(plain) if (match := BYTE_NAME.fullmatch(name))}
+    number = min(found, default=2)
+    places = list[int]()
+    while number <= 1 + len(places) and number in found:
+        places.append(found[number])
+        number += 1
+    return places if places == sorted(places) else []
+
+
+def _with_option(text: str, names: Sequence[str]) -> tuple[str, str]:
+    """Return the name of a column and what stands behind its colon, unless that is a part of the name."""
+    name, mark, option = text.rpartition(":")
+    is_whole_name = text.casefold() in {one.casefold() for one in names}
+    return (text, "") if is_whole_name or not mark else (name, option.strip().lower())
+
+
+def _places(text: str, names: Sequence[str]) -> list[int]:
+    """Return the places of a column, or of all from one to another; raises SourceError if it is not there."""
+    place = _place(text, names)
+    if place is not None:
+        return [place]
+    for found in re.finditer(r"\.\.|-", text):
+        first, last = _place(text[: found.start()], names), _place(text[found.end() :], names)
+        if first is not None and last is not None and first <= last:
+            return list(range(first, last + 1))
+    raise SourceError(f"--columns: there is no column {text!r}; {_seen(names)}")
+
+
+def _place(text: str, names: Sequence[str]) -> int | None:
+    wanted = text.strip().casefold()
+    folded = [name.casefold() for name in names]
+    if wanted in folded:
+        return folded.index(wanted)
+    is_number = wanted.isascii() and wanted.isdigit() and 0 < int(wanted) <= MOST_COLUMNS
+    return int(wanted) - 1 if is_number and (not names or int(wanted) <= len(names)) else None
+
+
+def _most_number(choice: str) -> int:
+    """Return the highest number that may be meant as that of a column, of a table without a header."""
+    return max((int(word) for word in re.findall(r"\d+", choice) if int(word) <= MOST_COLUMNS), default=0)
+
+
+def _name_at(names: Sequence[str], place: int) -> str:
+    return names[place] if place < len(names) else ""
+
+
+def _seen(names: Sequence[str]) -> str:
+    return f"its columns are {', '.join(map(repr, names))}" if names else "it has no header: name columns by number"

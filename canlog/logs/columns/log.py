@@ -1,0 +1,235 @@
+"""Tables whose columns a header names, or somebody: what they are taken for is said."""
+
+import re
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from canlog.arrays import Int64Array, UInt8Array
+from canlog.errors import SourceError
+from canlog.frames import FrameBatch
+from canlog.logs.asc_dates import date_us
+from canlog.logs.columns.header import (
+    MICROSECONDS,
+    SECONDS,
+    Proposal,
+    are_numbers,
+    chosen,
+    in_unit,
+    names_in,
+    proposal,
+    separator_of,
+)
+from canlog.logs.columns.kernel import (
+    BASE_US,
+    CLOCK_FIELDS,
+    FIELDS,
+    HEADER_LINES,
+    LAPS_US,
+    NOW_US,
+    WRAP_US,
+    parse_lines,
+)
+from canlog.logs.columns.roles import DAY_US, DECIMAL, HEXADECIMAL, Column, Layout, Role
+from canlog.logs.frame_buffer import FrameRows
+from canlog.logs.tables.time_unit import bus_load_ratio, is_plausible
+from canlog.logs.text_log import TextLog, frames_of
+
+HEADER_LINES_LOOKED_AT = 20
+SAMPLE_LINES = 200
+LEAST_COLUMNS = 2
+COMMENTS = b"#"
+ENOUGH_BYTES = 8  # of a table without lengths: a frame with so many is whole
+WHOLE_BYTE_AT_END = re.compile(rb"[0-9A-Fa-f]{2}[\"\s]*$")
+LARGEST_ID = 0x1FFF_FFFF
+CLOCK = re.compile(r"\d{1,2}:\d\d:\d\d")
+DATE = re.compile(r"\d{4}[-/]\d\d[-/]\d\d[ T]\d{1,2}:\d\d:\d\d(?:[.,]\d+)?(?P<offset>\S*)$")
+NO_HEADER = "no line names its columns"
+NO_TIMES = "the log has no times: every frame is of 1970-01-01 00:00:00"
+
+
+class TableLog(TextLog):
+    """A table of a known layout; ``set_layout`` says which, before the first line or by what one says."""
+
+    shortest_line_bytes = 3  # "1,2"
+
+    def __init__(self) -> None:
+        super().__init__()
+        self._clock = np.zeros(CLOCK_FIELDS, np.int64)
+        self._line = np.zeros(FIELDS, np.int64)
+        self.set_layout(Layout(columns=(Column(),), separator=ord(",")))
+
+    def set_layout(self, layout: Layout) -> None:
+        """Read the lines that follow by a layout."""
+        self.layout, self._program = layout, layout.program()
+        self._clock[WRAP_US], self._clock[HEADER_LINES] = layout.wrap_us, layout.header_lines
+
+    def set_base(self, base_us: int) -> None:
+        """Count times from here; a clock that begins again begins anew."""
+        self._clock[[BASE_US, NOW_US, LAPS_US]] = base_us, 0, 0
+
+    def parse(self, text: UInt8Array, rows: FrameRows, progress: Int64Array) -> None:
+        """Read lines; no line stops the reader."""
+        parse_lines(text, rows, self._program, self._clock, self._line, progress)
+
+    def is_whole(self, line: bytes, frame: FrameBatch) -> bool:
+        """Return whether no byte can be missing, and no digit of the last one."""
+        layout = self.layout
+        if frame.length[0] < (1 if layout.has(Role.LENGTH) else ENOUGH_BYTES):
+            return False
+        places = [place for place, column in enumerate(layout.columns) if column.role in {Role.DATA, Role.BYTE}]
+        is_followed = len(names_in(line, layout.separator)) > places[-1] + 1 if places else False
+        return is_followed or WHOLE_BYTE_AT_END.search(line) is not None
+
+
+class ColumnsLog(TableLog):
+    """A table of separated columns, whose header names them, or ``choice``: ``time=Time,id=ID,data=D1-D8``."""
+
+    def __init__(self, choice: str = "") -> None:
+        super().__init__()
+        self._choice = choice
+        self.taken_for = ""
+
+    def look_ahead(self, text: bytes) -> None:
+        """Find the header, and out of the first lines what it leaves open; raises SourceError if it cannot be used."""
+        lines = text.splitlines()
+        number, separator, found = _header_of(lines, self._choice)
+        body = lines[number : number + SAMPLE_LINES]
+        rows = [names_in(line, separator) for line in body if line.strip() and not line.startswith(COMMENTS)]
+        self.taken_for = found.in_words()
+        columns = tuple(self._based(column, place, rows) for place, column in enumerate(found.columns))
+        self.set_layout(
+            Layout(
+                columns=columns,
+                separator=separator,
+                comment_starts=COMMENTS,
+                header_lines=number,
+                tells_by_digits=_tells_by_digits(_values(columns, Role.ID, rows)),
+                has_decimal_comma=separator != ord(","),
+                names=found.names,
+            )
+        )
+        self._settle_times(found, rows, b"\n".join(body))
+
+    def _based(self, column: Column, place: int, rows: Sequence[tuple[str, ...]]) -> Column:
+        """Return a column with its numbers in the base that they must have."""
+        if column.role is not Role.ID or column.parameter != HEXADECIMAL:
+            return column
+        values = [row[place] for row in rows if place < len(row) and row[place]]
+        is_bare = all(value.isdigit() and value.isascii() for value in values)
+        if values and is_bare and any(int(value, 16) > LARGEST_ID for value in values if len(value) <= 16):
+            self.notes.append("identifiers are taken as decimal: as hexadecimal they would be too large")
+            return replace(column, parameter=DECIMAL)
+        return column
+
+    def _settle_times(self, found: Proposal, rows: Sequence[tuple[str, ...]], body: bytes) -> None:
+        """Find out what the times count, and from when."""
+        layout = self.layout
+        times = _values(layout.columns, Role.TIME, rows)
+        if not layout.has(Role.TIME):
+            self.notes.append(NO_TIMES)
+        elif times and (date := DATE.match(times[0])):
+            if not date["offset"]:
+                self._take_dates_as_local(times[0])
+        elif times and CLOCK.match(times[0]):
+            self.set_layout(replace(layout, wrap_us=DAY_US))
+            self.notes.append("times are times of day, taken as those of 1970-01-01")
+        elif times and not found.has_unit:
+            self._take_unit(_likely_unit(layout, times, body))
+
+    def _take_unit(self, unit: int) -> None:
+        name = {6: "seconds", 3: "milliseconds", 0: "microseconds", -3: "nanoseconds"}[unit]
+        self.notes.append(f"times are taken as {name}: the header does not say")
+        self.set_layout(replace(self.layout, columns=in_unit(self.layout.columns, unit)))
+
+    def _take_dates_as_local(self, date: str) -> None:
+        """Take dates without an offset as local time, all with the offset of the first."""
+        local_us = date_us(date.replace("T", " ").replace("/", "-").encode())
+        layout = Layout(columns=(Column(role=Role.TIME), Column(role=Role.ID, parameter=16)), separator=ord(";"))
+        reader = TableLog()
+        reader.set_layout(layout)
+        as_utc = frames_of(reader, date.encode() + b";1")
+        if local_us is not None and len(as_utc):
+            self.set_base(local_us - int(as_utc.t_ns[0]) // 1_000)
+            self.notes.append("dates are taken as local time: no offset stands behind them")
+
+
+def proposed(text: bytes) -> ColumnsLog | None:
+    """Return the reader of a text whose header names its columns; None if no line among the first does."""
+    log = ColumnsLog()
+    try:
+        log.look_ahead(text)
+    except SourceError:
+        return None
+    return log
+
+
+def columns_seen(text: bytes) -> tuple[str, ...]:
+    """Return the names of the columns of what looks like a table; none if it does not."""
+    for line in text.splitlines()[:HEADER_LINES_LOOKED_AT]:
+        separator = separator_of(line)
+        names = names_in(line, separator)
+        if len(names) > LEAST_COLUMNS and all(name and not _is_number(name) for name in names) and line.isascii():
+            return names
+    return ()
+
+
+def _header_of(lines: Sequence[bytes], choice: str) -> tuple[int, int, Proposal]:
+    """Return how many lines there are up to the header, the separator, and what the columns are taken for."""
+    if choice and are_numbers(choice):
+        return _numbered(lines, choice)
+    complaint: SourceError | None = None
+    for number, line in enumerate(lines[:HEADER_LINES_LOOKED_AT], 1):
+        separator = separator_of(line)
+        names = names_in(line, separator)
+        if len(names) < LEAST_COLUMNS or all(_is_number(name) for name in names):
+            continue
+        if not choice:
+            if found := proposal(names):
+                return number, separator, found
+            continue
+        try:
+            return number, separator, chosen(choice, names)
+        except SourceError as exc:
+            complaint = complaint or exc
+    raise complaint or SourceError(NO_HEADER)
+
+
+def _numbered(lines: Sequence[bytes], choice: str) -> tuple[int, int, Proposal]:
+    """Return the same of columns that are named by their numbers: the header ends where the first frame is."""
+    separator = separator_of(next((line for line in lines if line.strip() and not line.startswith(COMMENTS)), b""))
+    found, reader = chosen(choice, ()), TableLog()
+    reader.set_layout(Layout(columns=found.columns, separator=separator, has_decimal_comma=separator != ord(",")))
+    numbers = range(min(len(lines), HEADER_LINES_LOOKED_AT))
+    first = next((number for number in numbers if len(frames_of(reader, lines[number]))), 0)
+    return first, separator, found
+
+
+def _is_number(text: str) -> bool:
+    try:
+        float(text.replace(",", ".").removeprefix("0x"))
+    except ValueError:
+        return False
+    return True
+
+
+def _values(columns: Sequence[Column], role: Role, rows: Sequence[tuple[str, ...]]) -> list[str]:
+    place = next((place for place, column in enumerate(columns) if column.role is role), None)
+    return [] if place is None else [row[place] for row in rows if place < len(row) and row[place]]
+
+
+def _tells_by_digits(values: Sequence[str]) -> bool:
+    """Return whether eight digits mean an extended identifier: where others have three, or four."""
+    digits = {len(value.lower().removeprefix("0x")) for value in values}
+    return 8 in digits and bool(digits & {3, 4})
+
+
+def _likely_unit(layout: Layout, times: Sequence[str], body: bytes) -> int:
+    """Return the unit of times that no header tells: seconds where they have fractions, else what a bus can carry."""
+    if any("." in time or "," in time for time in times):
+        return SECONDS
+    reader = TableLog()
+    reader.set_layout(replace(layout, columns=in_unit(layout.columns, MICROSECONDS), header_lines=0))
+    load_ratio = bus_load_ratio(frames_of(reader, body))
+    return next((unit for unit in (MICROSECONDS, 3, SECONDS) if is_plausible(load_ratio / 10**unit)), MICROSECONDS)

@@ -1,0 +1,86 @@
+"""What the columns of a table can hold, and how a table is laid out."""
+
+from dataclasses import dataclass, field
+from enum import IntEnum
+from typing import NamedTuple
+
+import numpy as np
+
+from canlog.arrays import BoolArray, Int64Array
+
+
+class Role(IntEnum):
+    """What a column holds; in brackets what its parameter is."""
+
+    IGNORED = 0
+    TIME = 1  # a number [power of ten of its unit, in microseconds], a time of day or a date
+    ID = 2  # hexadecimal or decimal [base]
+    DATA = 3  # all bytes [base]
+    BYTE = 4  # one byte [base]
+    LENGTH = 5  # bytes, or the code that CAN FD has for so many
+    CHANNEL = 6  # a number, or a name with one at its end
+    EXTENDED = 7
+    REMOTE = 8
+    ERROR = 9
+    FD = 10
+    BIT_RATE_SWITCH = 11
+    ERROR_STATE = 12
+    DIRECTION = 13  # Tx or anything else
+    FLAGS = 14  # hexadecimal bits, as CARBUS Analyzer has them
+
+
+HEXADECIMAL, DECIMAL = 16, 10
+BLANKS = ord(" ")
+MINUTE_US, DAY_US = 60_000_000, 86_400_000_000
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Column:
+    """One column."""
+
+    role: Role = Role.IGNORED
+    parameter: int = 0
+
+
+class Program(NamedTuple):
+    """A layout, as the compiled reader follows it."""
+
+    columns: Int64Array  # (n, 2): role, parameter
+    is_comment: BoolArray  # (256,): whether a line that begins with this character is one
+    separator: int
+    tells_by_digits: bool
+    has_decimal_comma: bool
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Layout:
+    """How the lines of a table are laid out.
+
+    ``tells_by_digits`` makes an identifier of eight digits an extended one. The lines up to ``header_lines`` hold no
+    frames. ``wrap_us`` is after how long the clock begins again; 0: never.
+    """
+
+    columns: tuple[Column, ...]
+    separator: int
+    comment_starts: bytes = b"#"
+    header_lines: int = 0
+    tells_by_digits: bool = False
+    has_decimal_comma: bool = False
+    wrap_us: int = 0
+    names: tuple[str, ...] = field(default=())  # of the columns, as the header has them
+
+    def has(self, role: Role) -> bool:
+        """Return whether there is a column of this role."""
+        return any(column.role is role for column in self.columns)
+
+    def program(self) -> Program:
+        """Return the layout as numbers."""
+        is_comment = np.zeros(256, np.bool_)
+        is_comment[list(self.comment_starts)] = True
+        return Program(
+            columns=np.array([(column.role, column.parameter) for column in self.columns], np.int64).reshape(-1, 2),
+            is_comment=is_comment,
+            separator=self.separator,
+            tells_by_digits=self.tells_by_digits,
+            has_decimal_comma=self.has_decimal_comma,
+        )

@@ -1,0 +1,144 @@
+"""Tables by the names of their columns: what is proposed, what one says oneself, and what is left open."""
+
+import pytest
+
+from canlog.errors import SourceError
+from canlog.frames import EXTENDED_FLAG, REMOTE_FLAG, TX_FLAG, FrameBatch
+from canlog.logs.columns import ColumnsLog, columns_seen
+from canlog.logs.columns.canhacker import CanHacker
+from canlog.logs.columns.carbus import Carbus
+from canlog.logs.columns.microchip import Microchip
+from canlog.logs.detection import LogFormat, detect
+from canlog.logs.log_counts import LogCounts
+from canlog.logs.text_log import TextLog, frames_of
+
+
+def read(log: TextLog, text: str) -> tuple[FrameBatch, LogCounts]:
+    counts = LogCounts()
+    log.look_ahead(text.encode())
+    return frames_of(log, text.rstrip("\n").encode(), counts), counts
+
+
+def rows(batch: FrameBatch) -> list[tuple[int, int, str]]:
+    return [
+        (int(t_ns) // 1_000, int(can_id), bytes(data[:length]).hex())
+        for t_ns, can_id, data, length in zip(batch.t_ns, batch.can_id, batch.data, batch.length, strict=True)
+    ]
+
+
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [
+        ("ID,Data Bytes\n0000021A,FE 36 12 \n0000048C,00 \n18FEF100,\n",
+         [(0, 0x21A, "fe3612"), (0, 0x48C, "00"), (0, 0x18FEF100 | EXTENDED_FLAG, "")]),
+        ("Time (ms),CAN ID,DLC,D0,D1,D2\n1.5,0x123,2,11,22,\n2,7FFh,1,AB,,\n",
+         [(1_500, 0x123, "1122"), (2_000, 0x7FF, "ab")]),
+        ("time,addr,bus,data\n0.25,1A0,0,0xFE3612\n0.5,00000123,1,fe:36\n",
+         [(250_000, 0x1A0, "fe3612"), (500_000, 0x123 | EXTENDED_FLAG, "fe36")]),
+        ("Timestamp;Id (dec);Data (dec)\n0,5;291;254 54 18\n", [(500_000, 0x123, "fe3612")]),
+        ('"Time","ID","Length","Data"\n"1.0","123x","2","FE,36"\n', [(1_000_000, 0x123 | EXTENDED_FLAG, "fe36")]),
+        ("timestamp_us\tMessage ID\tRTR\tLEN\tB1\n7\t98FEF100\t0\t1\tFF\n8\t123\tRemote\t8\t\n",
+         [(7, 0x18FEF100 | EXTENDED_FLAG, "ff"), (8, 0x123 | REMOTE_FLAG, "00" * 8)]),
+        ("Time,ID,Data\n12:30:00.5,123,01,02,03\n", [(45_000_500_000, 0x123, "010203")]),
+        ("Timestamp,ID,Data\n2026-01-31T00:00:00.5+01:00,123,01\n", [(1_769_814_000_500_000, 0x123, "01")]),
+        (("title\nLine,Abs Time(Sec),Rel Time (Sec),Status,Er,Tx,Description,Network,Node,Arb ID,Remote,Xtd,B1,B2,B3\n"
+         "2,2550.368293675,0.0038,67371008,F,F,HS CAN $119,HS CAN,,119,F,F,00,0D,8B,,,\n"),
+         [(2_550_368_294, 0x119, "000d8b")]),
+        ("Time,Channel,Flags,ID,DLC,Data,ParserFlags\n1,1,0,123,1,01,0\n", [(1, 0x123, "01")]),
+    ],
+)  # fmt: skip
+def test_a_header_says_what_its_columns_are(text: str, expected: list[tuple[int, int, str]]) -> None:
+    assert detect(text.encode()).format is LogFormat.COLUMNS
+    batch, counts = read(ColumnsLog(), text)
+    assert rows(batch) == expected
+    assert counts.rejected == {}
+
+
+@pytest.mark.parametrize(
+    ("choice", "text"),
+    [
+        ("time=When,id=Who,data=What", "Who,Mood,When,What\n123,good,0.5,FE36\n"),
+        ("time=when:s,id=WHO:hex,data=What:hex", "Who,Mood,When,What\n123,good,0.5,FE36\n"),
+        ("time=T:ms,id=A,data=P0-P1", "A;P0;P1;T\n123;FE;36;500\n"),
+        ("time=1:us,id=2,data=4-5", "500000 ; 123 ; x ; FE ; 36\n"),
+        ("id=3,time=1:ms,data=4:dec", "500|x|0x123|254 54\n"),
+    ],
+)
+def test_one_may_say_what_the_columns_are(choice: str, text: str) -> None:
+    batch, counts = read(ColumnsLog(choice), text)
+    assert rows(batch) == [(500_000, 0x123, "fe36")]
+    assert counts.rejected == {}
+
+
+@pytest.mark.parametrize(
+    ("choice", "complaint"),
+    [
+        ("time=Then,id=Who,data=What", r"no column 'Then'; its columns are 'When', 'Who', 'What'"),
+        ("clock=When", r"say what is what as time\|id\|data"),
+        ("id=", r"say what is what as time\|id\|data"),
+        ("time=When,id=Who", r"names no data; its columns are 'When', 'Who', 'What'"),
+        ("time=When:days,id=Who,data=What", r"behind the colon can stand s, ms, us, ns"),
+        ("id=When-Who,data=What", r"only data may be several columns"),
+        ("id=9,data=What", r"no column '9'; its columns are"),
+    ],
+)
+def test_what_cannot_be_followed_is_told_with_the_columns_seen(choice: str, complaint: str) -> None:
+    with pytest.raises(SourceError, match=complaint):
+        ColumnsLog(choice).look_ahead(b"When,Who,What\n0.5,123,FE\n")
+
+
+def test_what_is_left_open_is_said() -> None:
+    log = ColumnsLog()
+    batch, _ = read(log, "Time,ID,Data\n" + "".join(f"{k * 10},536870911,01\n" for k in range(20)))
+    assert batch.can_id[0] == 0x1FFF_FFFF | EXTENDED_FLAG
+    assert batch.t_ns[1] == 10_000_000
+    assert [note.split(":")[0] for note in log.notes] == [
+        "identifiers are taken as decimal", "times are taken as milliseconds",
+    ]  # fmt: skip
+    log = ColumnsLog()
+    read(log, "ID,Data\n123,01\n")
+    assert "no times" in log.notes[0]
+
+
+@pytest.mark.parametrize(
+    "line",
+    ["1.0,123,2,01", "1.0,123,9,01", "x,123,1,01", "1.0,GHI,1,01", "1.0,123,1,1234x", "1.0,123", "1.0,FFFFFFFFF,0,"],
+)
+def test_damaged_lines_are_counted(line: str) -> None:
+    text = f"Time [s],ID,DLC,Data\n0.5,123,1,01\n{line}\n"
+    batch, counts = read(ColumnsLog(), text)
+    is_short = line == "1.0,123"  # a frame without bytes, as far as one can tell
+    assert (len(batch), sum(counts.rejected.values())) == ((2, 0) if is_short else (1, 1))
+
+
+def test_tables_of_other_things_are_none() -> None:
+    for text in (
+        "id,name,data\n1,car,fast\n2,bus,slow\n",
+        "Day;Tyre;Bar\n1;left;2.2\n",
+        "What, as was said, is a log?\n",
+    ):
+        with pytest.raises(SourceError, match="not a log of a known format"):
+            detect(text.encode() * 3)
+    assert columns_seen(b"Day;Tyre;Bar\n1;left;2.2\n") == ("Day", "Tyre", "Bar")
+
+
+def test_the_minutes_of_carbus_and_canhacker_go_on() -> None:
+    carbus = "@ TEXT @ 2 @ 64 @ 0 @ 55 @ 10078 @ 00:00:10.078 @\n" + "".join(
+        f"{second},{ms:03d}\t1\t0004\t45A\t1\t5A\t00000000\tZ\t\n"
+        for second, ms in (("59", 990), ("00", 10), ("59", 999), ("30", 0))
+    )
+    assert [t_us for t_us, _, _ in rows(read(Carbus(), carbus)[0])] == [59_990_000, 60_010_000, 59_999_000, 90_000_000]
+    hacker = "Time   ID     DLC Data    Comment\n59.990 00000280 1 01 so it was\n00.010 00004000 2 01 FF\n"
+    assert rows(read(CanHacker(), hacker)[0]) == [
+        (59_990_000, 0x280, "01"), (60_010_000, 0x4000 | EXTENDED_FLAG, "01ff"),
+    ]  # fmt: skip
+
+
+def test_the_day_of_a_log_of_microchip_may_be_unclear() -> None:
+    head = "//---\nMicrochip Technology Inc.\nLogging Started: {}/2/2026 1:2:3\n//---\n1247;TX;0xC2;2;0x5C;0x87;0x00\n"
+    clear, unclear = Microchip(), Microchip()
+    batch, counts = read(clear, head.format(13))
+    assert rows(batch)[0][1:] == (0xC2, "5c87")
+    assert (batch.flags.tolist(), counts.skipped, counts.rejected, clear.notes) == ([TX_FLAG], 4, {}, [])
+    assert rows(read(unclear, head.format(3))[0]) == [(1_247_000, 0xC2, "5c87")]
+    assert "may be two days" in unclear.notes[0]

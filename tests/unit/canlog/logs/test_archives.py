@@ -1,0 +1,119 @@
+"""Zip archives: which of their files is meant, what is refused, and what damage does."""
+
+import gzip
+import io
+import struct
+import tarfile
+import zipfile
+from pathlib import Path
+
+import pytest
+
+from canlog.errors import SourceError
+from canlog.logs import LogReject, read_log
+from canlog.logs.archives import END_MAGIC, MOST_MEMBERS
+from canlog.logs.log_counts import LogCounts
+
+LOG = b"".join(
+    b"(%d.%03d000) can0 %03X#%016X\n" % (k // 1_000, k % 1_000, k % 0x800, k * 2_654_435_761) for k in range(3_000)
+)
+
+
+def zipped(members: dict[str, bytes], method: int = zipfile.ZIP_DEFLATED) -> bytes:
+    stream = io.BytesIO()
+    with zipfile.ZipFile(stream, "w", method) as archive:
+        for name, contents in members.items():
+            archive.writestr(name, contents)
+    return stream.getvalue()
+
+
+def frames(path: Path) -> tuple[int, LogCounts]:
+    reader = read_log(path)
+    return sum(len(batch) for batch in reader), reader.counts
+
+
+@pytest.mark.parametrize("method", [zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED])
+def test_the_only_log_of_an_archive_is_meant(method: int, tmp_path: Path) -> None:
+    path = tmp_path / "drive.zip"
+    path.write_bytes(
+        zipped({"read me.txt": b"On the second day.", "day 2/drive.log": LOG, "picture": b"\x89PNG"}, method)
+    )
+    assert frames(path) == (3_000, LogCounts(frames=3_000))
+    assert frames(path / "day 2/drive.log")[0] == 3_000
+
+
+def test_one_of_several_is_meant_by_its_path(tmp_path: Path) -> None:
+    path = tmp_path / "drives.zip"
+    path.write_bytes(zipped({"a.log": LOG, "/b.log": LOG[: LOG.index(b"(1.500000)")], "c\\d.log": LOG}))
+    with pytest.raises(
+        SourceError, match=r"drives\.zip: the zip archive holds 3 logs \(a\.log, b\.log, c/d\.log\): name one"
+    ):
+        read_log(path)
+    assert frames(path / "b.log")[0] == 1_500
+    assert frames(path / "c" / "d.log")[0] == 3_000
+    with pytest.raises(SourceError, match=r"holds no e\.log"):
+        read_log(path / "e.log")
+    (tmp_path / "plain.log").write_bytes(LOG)
+    with pytest.raises(SourceError, match="it is a file and no archive"):
+        read_log(tmp_path / "plain.log" / "a.log")
+
+
+def encrypted() -> bytes:
+    contents = bytearray(zipped({"drive.log": LOG}))
+    contents[6] |= 1
+    place = contents.rfind(b"PK\x01\x02")
+    contents[place + 8] |= 1
+    return bytes(contents)
+
+
+def tar() -> bytes:
+    stream = io.BytesIO()
+    with tarfile.open(fileobj=stream, mode="w:gz") as archive:
+        info = tarfile.TarInfo("drive.log")
+        info.size = len(LOG)
+        archive.addfile(info, io.BytesIO(LOG))
+    return stream.getvalue()
+
+
+def vast_directory() -> bytes:
+    contents = bytearray(zipped({"drive.log": LOG}))
+    struct.pack_into("<L", contents, contents.rfind(END_MAGIC) + 12, 1 << 30)
+    return bytes(contents)
+
+
+@pytest.mark.parametrize(
+    ("contents", "reason"),
+    [
+        (zipped({}), "holds no log"),
+        (zipped({"a.txt": b"What was measured on the second day"}), "holds no log: a.txt: not a log of a known format"),
+        (encrypted(), "it is encrypted: unpack it first"),
+        (zipped({"drive.log": LOG}, zipfile.ZIP_LZMA), "packed by method 14, not by deflate"),
+        (zipped({"inner.zip": zipped({"drive.log": LOG})}), "packed twice: zip inside inner.zip in the zip archive"),
+        (zipped({"drive.log.gz": gzip.compress(LOG)}), "packed twice: gzip inside drive.log.gz"),
+        (gzip.compress(zipped({"drive.log": LOG})), "packed twice: zip inside the gzip file"),
+        (gzip.compress(gzip.compress(LOG)), "packed twice: gzip inside the gzip file"),
+        (tar(), "a tar archive inside the gzip file: unpack it first"),
+        (zipped({f"{k}": b"" for k in range(MOST_MEMBERS + 1)}), "holds 1001 files; more than 1000"),
+        (vast_directory(), "lists 1073741824 bytes of names"),
+        (zipped({"drive.log": LOG})[:-30], "cut off: its directory is missing"),
+        (zipped({"bomb.log": LOG + bytes(100 << 20)}), "more than 256 times its size"),
+    ],
+)  # fmt: skip
+def test_what_is_refused_has_a_reason(contents: bytes, reason: str, tmp_path: Path) -> None:
+    path = tmp_path / "drive.zip"
+    path.write_bytes(contents)
+    with pytest.raises(SourceError, match=reason) as refusal:
+        list(read_log(path))
+    assert "\n" not in str(refusal.value)
+
+
+def test_a_damaged_member_gives_what_comes_before(tmp_path: Path) -> None:
+    path = tmp_path / "drive.zip"
+    contents = bytearray(zipped({"drive.log": LOG * 10}))
+    contents[len(contents) // 2] ^= 0xFF
+    path.write_bytes(contents)
+    count, counts = frames(path)
+    assert 0 < count < 30_000
+    assert counts.truncated
+    assert counts.rejected[LogReject.DAMAGED] == 1
+    assert "drive.log in the zip archive" in counts.first_rejected

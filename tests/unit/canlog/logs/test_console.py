@@ -1,0 +1,134 @@
+"""What candump prints for people: every kind of time and option, beside cantools' reader where that knows them."""
+
+import cantools
+import numpy as np
+import pytest
+
+from canlog.frames import BRS_FLAG, ERROR_FLAG, ESI_FLAG, EXTENDED_FLAG, FD_FLAG, REMOTE_FLAG, TX_FLAG, FrameBatch
+from canlog.logs.console import ConsoleLog
+from canlog.logs.log_counts import LogCounts
+from canlog.logs.text_log import frames_of
+
+BYTES = "11 22 33 44 55 66 77 88"
+
+
+def read(text: str, counts: LogCounts | None = None) -> tuple[FrameBatch, list[str]]:
+    log = ConsoleLog()
+    log.look_ahead(text.encode())
+    return frames_of(log, text.rstrip("\n").encode(), counts), log.notes
+
+
+@pytest.mark.parametrize(
+    ("line", "can_id", "data", "flags"),
+    [
+        (f"  can0  0A0   [8]  {BYTES}", 0x0A0, BYTES, 0),
+        (f"  can0  0A0   [8]  {BYTES}   '.\"3DUfw.'", 0x0A0, BYTES, 0),
+        (
+            "  can0  TX - -  18FEF100   [2]  01 02                     '..'",
+            0x18FEF100 | EXTENDED_FLAG,
+            "01 02",
+            TX_FLAG,
+        ),
+        ("  can0       0A0   [2]  41 42                     'AB'", 0x0A0, "41 42", 0),
+        ("  can0  RX B E  123  [12]  " + "5A " * 12, 0x123, "5A " * 12, FD_FLAG | BRS_FLAG | ESI_FLAG),
+        ("  can0  123  [00] ", 0x123, "", FD_FLAG),
+        ("  can0  123   [3]  03`02`01", 0x123, "01 02 03", 0),
+        ("  can0  123   [2]  43`42                     `CB`", 0x123, "42 43", 0),
+        ("  can0  123   [2]  00000001 10000000", 0x123, "01 80", 0),
+        ("  can0  123   [2]  10000000`00000001", 0x123, "01 80", 0),
+        (f"  can0  123  {{F}}  {BYTES}", 0x123, BYTES, 0),
+        ("  can0  123   [0]  remote request", 0x123 | REMOTE_FLAG, "", 0),
+        ("  can0  20000004   [8]  00 08 00 00 00 00 00 00   ERRORFRAME", ERROR_FLAG | 4, "00 08" + " 00" * 6, 0),
+        (" \x1b[1m\x1b[34m can0  0A0   [1]  07\x1b[0m", 0x0A0, "07", 0),
+    ],
+)
+def test_every_kind_of_line_is_read(line: str, can_id: int, data: str, flags: int) -> None:
+    batch, _ = read(line + "\n")
+    assert batch.can_id.tolist() == [can_id]
+    assert bytes(batch.data[0, : batch.length[0]]) == bytes.fromhex(data)
+    assert batch.flags.tolist() == [flags]
+
+
+@pytest.mark.parametrize(
+    "line",
+    [
+        "  can0  0A0   [8]  11 22 33",
+        "  can0  0A0   [2]  11 22 33",
+        "  can0  0A0   [9]  11 22 33 44 55 66 77 88 99",
+        "  can0  123  [10]  " + "5A " * 10,
+        "  can0  8FF   [1]  11",
+        "  can0  0A0   [2]  41 42                     'AC'",
+        "  can0  0A0   [2]  41 42 something",
+        "  can0  0A0   [3]  41 42`43",
+        "  (12:00) can0  0A0   [1]  41",
+        "  (2026-13-01 00:00:00.000000)  can0  0A0   [1]  41",
+        "  can0  0A0",
+        "  can0",
+    ],
+)
+def test_what_is_damaged_is_counted(line: str) -> None:
+    counts = LogCounts()
+    batch, _ = read(line + "\n", counts)
+    assert (len(batch), sum(counts.rejected.values())) == (0, 1)
+
+
+def test_explanations_of_errors_and_counts_of_drops_are_no_damage() -> None:
+    counts = LogCounts()
+    text = (
+        "DROPCOUNT: dropped 3 CAN frames on 'can0' socket (total drops 3)\n\n\tcontroller-problem{tx-error-warning}\n"
+    )
+    batch, notes = read(text, counts)
+    assert (len(batch), counts.skipped, counts.rejected) == (0, 3, {})
+    assert any("lost frames before it could print them" in note for note in notes)
+
+
+def times(*stamps: str) -> tuple[list[int], list[str]]:
+    batch, notes = read("".join(f" {stamp}  can0  0A0   [1]  {k:02X}\n" for k, stamp in enumerate(stamps)))
+    return (batch.t_ns // 1_000).tolist(), notes
+
+
+def test_times_since_the_epoch_are_taken_as_they_are() -> None:
+    assert times("(1767225600.000001)", "(1767225600.5)") == ([1_767_225_600_000_001, 1_767_225_600_500_000], [])
+
+
+def test_times_since_the_start_and_those_since_the_frame_before_are_told_apart() -> None:
+    found, notes = times("(000.000000)", "(000.010000)", "(000.030000)", "(001.000000)")
+    assert found == [0, 10_000, 30_000, 1_000_000]
+    assert "since the start (candump -t z)" in notes[0]
+    found, notes = times("(000.000000)", "(000.020000)", "(000.010000)", "(000.030000)", "(000.010000)")
+    assert found == [0, 20_000, 30_000, 60_000, 70_000]
+    assert "since the frame before (candump -t d)" in notes[0]
+    assert times("(000.000000)", "(000.010000)", "(000.010000)")[0] == [0, 10_000, 20_000]  # a single period
+
+
+def test_dates_are_local_times() -> None:
+    found, _ = times("(2026-01-31 23:59:59.999999)", "(2026-02-01 00:00:00.000001)", "(2028-03-01 00:00:00.0)")
+    local = [np.datetime64("2026-01-31T23:59:59.999999"), np.datetime64("2026-02-01T00:00:00.000001")]
+    assert np.diff(found[:2]) == (local[1] - local[0]).astype(int)
+    assert found[2] - found[1] == 759 * 86_400_000_000 - 1
+
+
+def test_frames_without_times_are_of_one_moment_and_that_is_said() -> None:
+    batch, notes = read("  can0  0A0   [1]  01\n  can1  0A0   [1]  02\n")
+    assert batch.t_ns.tolist() == [0, 0]
+    assert batch.channel.tolist() == [0, 1]
+    assert "no times" in notes[0]
+
+
+def test_cantools_reads_the_same() -> None:
+    rng = np.random.default_rng(5)
+    lines = []
+    for number in range(300):
+        length = int(rng.integers(1, 9))
+        data = rng.bytes(length)
+        time = f"(1767225{number:03d}.{number:06d}) " if number % 2 else ""
+        identifier = f"{rng.integers(0, 0x800):03X}" if number % 3 else f"{rng.integers(0x800, 0x2000_0000):08X}"
+        lines.append(f" {time} vcan{number % 4}  {identifier}   [{length}]  {data.hex(' ').upper()}")
+    batch, _ = read("\n".join(lines) + "\n")
+    for line, can_id, length, row, channel in zip(
+        lines, batch.can_id, batch.length, batch.data, batch.channel, strict=True
+    ):
+        theirs = cantools.logreader.Parser().parse(line.strip())
+        assert theirs is not None
+        assert (theirs.frame_id, theirs.data) == (int(can_id) & 0x1FFF_FFFF, bytes(row[:length])), line
+        assert theirs.channel == f"vcan{channel}"
