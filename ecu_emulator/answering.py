@@ -113,7 +113,6 @@ class Answering:
             self._monitoring = Monitoring(
                 self.controller,
                 was_adapted=performer is None or performer.is_adapted,
-                is_live=self._on_board.is_live,
             )
             self._routine = None if performer is None else RequestedRoutine(performer, self.controller)
             self._adaptation = None if performer is None else RequestedAdaptation(performer, self.controller)

@@ -32,14 +32,11 @@ class Monitoring:
         Who keeps the results; codes that its table does not have are not tested.
     was_adapted
         Whether it knew its clutches' touch points at its start.
-    is_live
-        Whether opinions of the clutches follow what is driven.
     """
 
-    def __init__(self, controller: Controller, *, was_adapted: bool = True, is_live: bool = True) -> None:
+    def __init__(self, controller: Controller, *, was_adapted: bool = True) -> None:
         self._controller = controller
         self._was_adapted = was_adapted
-        self._is_live = is_live
         self._numbers = {trouble.code: number for number, trouble in controller.table.troubles.items()}
         self._codes = {number: code for code, number in self._numbers.items()}
         self._watch = Watch()
@@ -73,9 +70,7 @@ class Monitoring:
             failed = failed_codes(self._controller.state.memory.records, self._codes)
             results[FLUID_CODE] = fluid_test(opinions, failed)
         if is_changed or self._is_untested(ADAPTATION_CODE):
-            results[ADAPTATION_CODE] = adaptation_test(
-                adaptation, opinions, was_adapted=self._was_adapted, is_live=self._is_live
-            )
+            results[ADAPTATION_CODE] = adaptation_test(adaptation, opinions, was_adapted=self._was_adapted)
         if is_changed or self._is_untested(LIMIT_CODE):
             results[LIMIT_CODE] = limit_test(adaptation)
         self._report({code: result for code, result in results.items() if result is not None})

@@ -142,9 +142,12 @@ class RequestedAdaptation:
         if are_over(work.samples):
             self._go_on(work, number)
 
-    def forget(self) -> bool:
-        """Work by the touch points of the type again; return whether that could be kept."""
-        return self._keep(Adaptation())
+    def forget(self, *, awaits_estimate: bool) -> bool:
+        """Work by the touch points of the type again; return whether that could be kept.
+
+        ``awaits_estimate`` says whether an estimate on board begins anew with it.
+        """
+        return self._keep(Adaptation(awaits_estimate=awaits_estimate))
 
     def _break_off(self) -> None:
         if self._work is not None:

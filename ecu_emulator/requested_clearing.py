@@ -68,7 +68,7 @@ class RequestedClearing:
     def _clear(self) -> bool:
         """Clear what there is, the estimate first: it may not be able to."""
         is_begun = not self._source.is_live or self._source.begin_anew()
-        return is_begun and (self._adaptation is None or self._adaptation.forget())
+        return is_begun and (self._adaptation is None or self._adaptation.forget(awaits_estimate=self._source.is_live))
 
     def close(self) -> None:
         """Wait until nothing is under way any more."""

@@ -15,6 +15,7 @@ class Adaptation:
     """The touch points that were found, by clutch; without one a clutch is worked by that of its type."""
 
     touch_points: Mapping[int, TouchPoint] = field(default_factory=dict)
+    awaits_estimate: bool = False  # what the estimate on board had learned was cleared with the touch points
 
     @property
     def is_done(self) -> bool:

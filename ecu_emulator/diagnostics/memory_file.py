@@ -153,12 +153,12 @@ def _document(state: ServerState) -> dict[str, Any]:
         "written": {f"{number:04X}": data.hex() for number, data in state.written.items()},
         "wrong_keys": {str(level): count for level, count in state.wrong_keys.items()},
         "obd": _emissions_document(state.emissions),
-        "touch_points": None if state.adaptation is None else _touch_documents(state.adaptation),
+        "adaptation": None if state.adaptation is None else _adaptation_document(state.adaptation),
     }
 
 
-def _touch_documents(adaptation: Adaptation) -> dict[str, Any]:
-    return {
+def _adaptation_document(adaptation: Adaptation) -> dict[str, Any]:
+    points = {
         str(clutch): {
             "pressure_pa": point.pressure_pa,
             "std_pa": point.std_pa if math.isfinite(point.std_pa) else None,
@@ -166,6 +166,7 @@ def _touch_documents(adaptation: Adaptation) -> dict[str, Any]:
         }
         for clutch, point in adaptation.touch_points.items()
     }
+    return {"touch_points": points, "awaits_estimate": adaptation.awaits_estimate}
 
 
 def _emissions_document(emissions: Emissions) -> dict[str, Any]:
@@ -218,7 +219,7 @@ def _state(document: Mapping[str, Any], table: DiagnosticTable) -> ServerState:
         emissions=emissions,
         written=written,
         wrong_keys=wrong_keys,
-        adaptation=_adaptation(document.get("touch_points")),
+        adaptation=_adaptation(document.get("adaptation")),
     )
 
 
@@ -226,9 +227,10 @@ def _adaptation(entry: Mapping[str, Any] | None) -> Adaptation | None:
     """Return what was adapted; nothing of a file that an earlier program wrote."""
     if entry is None:
         return None
-    if not set(entry) <= set(map(str, CLUTCHES)):
-        raise ValueError(f"not clutches: {', '.join(entry)}")
-    return Adaptation(touch_points={int(clutch): _touch_point(told) for clutch, told in entry.items()})
+    points = {int(clutch): _touch_point(told) for clutch, told in entry["touch_points"].items()}
+    if not set(points) <= set(CLUTCHES):
+        raise ValueError(f"not clutches: {sorted(points)}")
+    return Adaptation(touch_points=points, awaits_estimate=bool(_count(entry["awaits_estimate"])))
 
 
 def _touch_point(entry: Mapping[str, Any]) -> TouchPoint:

@@ -78,9 +78,7 @@ def limit_test(adaptation: Adaptation | None) -> TestResult | None:
     return TestResult.FAILED if is_at_limit else TestResult.PASSED
 
 
-def adaptation_test(
-    adaptation: Adaptation | None, opinions: Opinions, *, was_adapted: bool, is_live: bool
-) -> TestResult | None:
+def adaptation_test(adaptation: Adaptation | None, opinions: Opinions, *, was_adapted: bool) -> TestResult | None:
     """Return the result of the test whether the clutches are known, None while that cannot be told.
 
     Parameters
@@ -91,8 +89,6 @@ def adaptation_test(
         What is thought of the clutches.
     was_adapted
         Whether it knew the touch points at its start.
-    is_live
-        Whether opinions come from an estimate that follows what is driven.
     """
     is_adapted = was_adapted if adaptation is None else adaptation.is_done
     if not is_adapted:
@@ -100,7 +96,7 @@ def adaptation_test(
     known = (opinions.get(clutch, ClutchOpinion()).fluid for clutch in CLUTCHES)
     if FluidVerdict.NO_VERDICT not in known:
         return TestResult.PASSED
-    return None if is_live or adaptation is None else TestResult.PASSED
+    return None if adaptation is None or adaptation.awaits_estimate else TestResult.PASSED
 
 
 def failed_codes(records: Mapping[int, TroubleRecord], codes: Mapping[int, str]) -> set[str]:

@@ -48,7 +48,7 @@ class AdaptingCar:
         self.controller = Controller(
             shipped_table(), values=self._values, clock=lambda: self.t_s, chance=bytes, store=memory
         )
-        self.monitoring = Monitoring(self.controller, was_adapted=scenario.adapted, is_live=False)
+        self.monitoring = Monitoring(self.controller, was_adapted=scenario.adapted)
         self.adaptation = RequestedAdaptation(self.drive, self.controller)
         self.clearing = RequestedClearing(FixedOpinion(None), self.controller, self.monitoring, self.adaptation)
         self._stretches = self.drive.stretches(SHORT_STRETCH_S)

@@ -5,6 +5,7 @@ from contextlib import contextmanager
 
 import pytest
 
+from ecu_emulator.diagnostics.adaptation import Adaptation
 from ecu_emulator.diagnostics.codes import Status
 from ecu_emulator.diagnostics.controller import Controller
 from ecu_emulator.diagnostics.opinion import ClutchOpinion
@@ -13,6 +14,7 @@ from ecu_emulator.monitoring import Monitoring
 from ecu_emulator.on_board import FixedOpinion
 from ecu_emulator.requested_clearing import RequestedClearing
 from ecu_emulator.scenario import FluidVerdict
+from ecu_emulator.touch_points import TouchPoint
 from tests.support.patience import HANG_S
 from tests.unit.ecu_emulator.diagnostics.bench import PARKED
 
@@ -103,6 +105,25 @@ def test_a_tester_that_goes_meanwhile_does_not_undo_it() -> None:
         assert shop.start() == "7f 31 78"
         assert shop.do_it() == "71 01 03 03 00"
         assert estimate.begun == 2
+
+
+def test_touch_points_that_are_adapted_are_enough_unless_an_estimate_was_cleared() -> None:
+    with workshop(Estimate(can_begin=True)) as shop:
+        points = {clutch: TouchPoint(pressure_pa=1.4e5, std_pa=900.0) for clutch in (1, 2)}
+        shop.controller.adapt(Adaptation())
+        shop.monitoring.judge_clutches({})
+        assert shop.status & Status.TEST_FAILED
+        shop.controller.adapt(Adaptation(touch_points=points))
+        shop.monitoring.judge_clutches({})  # the estimate on board has seen nothing yet
+        assert not shop.status & Status.TEST_FAILED
+        shop.controller.adapt(Adaptation(awaits_estimate=True))
+        shop.monitoring.judge_clutches({})
+        assert shop.status & Status.TEST_FAILED
+        shop.controller.adapt(Adaptation(touch_points=points, awaits_estimate=True))
+        shop.monitoring.judge_clutches({1: GOOD})
+        assert shop.status & Status.TEST_FAILED
+        shop.monitoring.judge_clutches({1: GOOD, 2: GOOD})
+        assert not shop.status & Status.TEST_FAILED
 
 
 def test_clutches_that_were_never_known_are_no_fault() -> None:
