@@ -1,28 +1,38 @@
 """How good prognoses are on simulated lives of clutches, beside four simpler ways to foretell.
 
-    python -m benchmarks.prognosis --lives 200 --seed 50000
+    python -m benchmarks.prognosis --lives 200 --jobs 2
+    python -m benchmarks.prognosis --decompose                  # what limits the median, trouble by trouble
+    python -m benchmarks.prognosis --population                 # what a fleet teaches, and whether it finds a bad batch
+    python -m benchmarks.prognosis --error-model --lives 8      # the errors of the lives beside whole simulated drives
 
-Numbers of the prognosis were chosen on seeds below 1000; docs/prognosis.md has what seeds from 50000 say.
+Numbers of the prognosis were chosen on seeds below 1000; docs/prognosis.md has what seeds from 60000 say.
 """
 
 import argparse
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from functools import partial
+from typing import TypeVar
 
 import numpy as np
 from rich.console import Console
 from rich.table import Table
 
 from benchmarks.measuring import processor_s
+from benchmarks.prognosis.decomposition import decomposition_table
+from benchmarks.prognosis.error_model import errors_table, rows_of
 from benchmarks.prognosis.evaluation import LATE_MARKS, MARKS, METHODS, Account, Forecast, account_of
-from benchmarks.prognosis.lives import Stratum, life_km_of, life_of
+from benchmarks.prognosis.fleets import TYPES, population_tables
+from benchmarks.prognosis.lives import life_km_of, life_of
 from benchmarks.prognosis.scores import crps, is_covered, is_near
+from benchmarks.prognosis.truth import Stratum
 from canlog.arrays import FloatArray
 
+CaseT = TypeVar("CaseT")
+ResultT = TypeVar("ResultT")
 LIVES = 200
-FIRST_SEED = 50_000  # no number was chosen by seeds from here on
+FIRST_SEED = 60_000  # no number was chosen by seeds from here on
 FLEET_SEEDS = range(500, 700)  # whose lives the fleet's baseline knows
 WIDTH = 120
 
@@ -84,6 +94,34 @@ def strata_table(forecasts: Sequence[Forecast]) -> Table:
     return table
 
 
+def limits_table(forecasts: Sequence[Forecast]) -> Table:
+    """Return how near the median could be: by the prognosis, by an oracle, and by who misses nothing but bends."""
+    table = Table(
+        "lives", "forecasts", "prognosis", "oracle", "all but bends to come", "half width, oracle's",
+        title="Median within 20 % of what remains; the oracle knows how lives are drawn, not what is to come",
+    )  # fmt: skip
+    for mark in MARKS:
+        _add_limits(table, f"all, at {100.0 * mark:.0f} %", of_marks(forecasts, mark))
+    for stratum in Stratum:
+        own = [one for one in of_marks(forecasts, 0.5) if one.stratum is stratum]
+        _add_limits(table, f"{stratum.value}, at 50 %", own)
+    return table
+
+
+def _add_limits(table: Table, name: str, chosen: Sequence[Forecast]) -> None:
+    if not chosen:
+        return
+    left = _left(chosen)
+    medians = (
+        [one.median_km for one in chosen],
+        [float(np.median(one.oracle)) for one in chosen],
+        [one.without_bends_km for one in chosen],
+    )
+    near = [f"{100.0 * float(np.mean(is_near(np.array(median), left))):.0f} %" for median in medians]
+    widths = [float(np.diff(np.quantile(one.oracle, (0.05, 0.95)))[0]) / one.life_km for one in chosen]
+    table.add_row(name, str(len(chosen)), *near, f"{0.5 * float(np.median(widths)):.2f} of life")
+
+
 def counts_table(accounts: Sequence[Account]) -> Table:
     """Return what was said too early or too late, and which fills were found."""
     late = of_marks([one for account in accounts for one in account.forecasts], MARKS[-1], *LATE_MARKS)
@@ -120,26 +158,55 @@ def account_of_seed(seed: int, lives_km: FloatArray) -> Account:
     return account_of(life_of(seed), lives_km)
 
 
-def main(argv: Sequence[str] | None = None) -> int:
-    """Simulate lives, foretell, print."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+def each(work: Callable[[CaseT], ResultT], cases: Iterable[CaseT], jobs: int) -> list[ResultT]:
+    """Return the results of all cases, worked on by some processes."""
+    if jobs <= 1:
+        return [work(case) for case in cases]
+    with ProcessPoolExecutor(jobs) as pool:
+        return list(pool.map(work, cases))
+
+
+def _study(console: Console, seeds: range, jobs: int) -> None:
+    lives_km = np.array([life_km_of(seed) for seed in FLEET_SEEDS])
+    accounts = each(partial(account_of_seed, lives_km=lives_km), seeds, jobs)
+    forecasts = [one for account in accounts for one in account.forecasts]
+    console.print(f"{len(seeds)} lives, seeds from {seeds[0]}; {len(Stratum)} kinds")
+    for table in (
+        marks_table(forecasts), strata_table(forecasts), limits_table(forecasts), counts_table(accounts)
+    ):  # fmt: skip
+        console.print(table)
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--lives", type=int, default=LIVES)
     parser.add_argument("--seed", type=int, default=FIRST_SEED, help="of the first life")
     parser.add_argument("--jobs", type=int, default=1, help="processes")
-    arguments = parser.parse_args(argv)
+    other = parser.add_mutually_exclusive_group()
+    other.add_argument("--decompose", action="store_true", help="what limits the median, trouble by trouble")
+    other.add_argument(
+        "--error-model", action="store_true", help="errors of the lives beside those of whole simulated drives"
+    )
+    other.add_argument("--population", action="store_true", help="what a fleet teaches; whether it finds a bad batch")
+    return parser
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Simulate lives, foretell, print."""
+    arguments = _parser().parse_args(argv)
     began_s = processor_s()
-    lives_km = np.array([life_km_of(seed) for seed in FLEET_SEEDS])
-    seeds = range(arguments.seed, arguments.seed + arguments.lives)
-    if arguments.jobs > 1:
-        with ProcessPoolExecutor(arguments.jobs) as pool:
-            accounts = list(pool.map(partial(account_of_seed, lives_km=lives_km), seeds))
-    else:
-        accounts = [account_of_seed(seed, lives_km) for seed in seeds]
-    forecasts = [one for account in accounts for one in account.forecasts]
     console = Console(markup=False, width=WIDTH)
-    console.print(f"{arguments.lives} lives, seeds from {arguments.seed}; {len(Stratum)} kinds")
-    for table in (marks_table(forecasts), strata_table(forecasts), counts_table(accounts)):
-        console.print(table)
+    seeds = range(arguments.seed, arguments.seed + arguments.lives)
+    if arguments.decompose:
+        console.print(decomposition_table(seeds, partial(each, jobs=arguments.jobs)))
+    elif arguments.error_model:
+        vehicles = each(rows_of, seeds, arguments.jobs)
+        console.print(errors_table([row for rows in vehicles for row in rows]))
+    elif arguments.population:
+        for table in population_tables(seeds[0], len(seeds) // (2 * len(TYPES)), partial(each, jobs=arguments.jobs)):
+            console.print(table)
+    else:
+        _study(console, seeds, arguments.jobs)
     console.print(f"{processor_s() - began_s:.0f} s of processor time")
     return 0
 

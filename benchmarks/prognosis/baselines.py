@@ -4,14 +4,14 @@ from typing import Final
 
 import numpy as np
 
-from benchmarks.prognosis.lives import REFERENCE
 from benchmarks.prognosis.scores import PROBABILITIES
+from benchmarks.prognosis.truth import REFERENCE
 from canlog.arrays import FloatArray
 from diag_service.diagnosis.prognosis import History
 
 INTERVAL_KM: Final = 60_000.0  # what makers of wet dual-clutch transmissions commonly ask for
 FARTHEST_KM: Final = 300_000.0
-LAST_ROWS: Final = 375  # some 15,000 km
+LAST_KM: Final = 15_000.0
 INDEX_KM: Final = 5_000.0
 INDEX_MIDDLE: Final = 0.5  # of the margin
 INDEX_WIDTH: Final = 0.25
@@ -32,7 +32,9 @@ def fleet(age_km: float, lives_km: FloatArray) -> FloatArray:
 
 def last_slope(history: History) -> FloatArray:
     """Return where the slope of the last results of the noted fluid leads, a number without doubt [km]."""
-    distance_km, margin = (column[-LAST_ROWS:] for column in _margins(history))
+    distance_km, margin = _margins(history)
+    is_late = distance_km > -LAST_KM
+    distance_km, margin = distance_km[is_late], margin[is_late]
     now, rate_per_km = _line(distance_km, margin)
     return _left(now, rate_per_km)
 

@@ -6,8 +6,10 @@ from typing import Final
 import numpy as np
 
 from benchmarks.prognosis.baselines import FARTHEST_KM, fixed_interval, fleet, last_slope, logistic_index
-from benchmarks.prognosis.lives import DRIVEN_KM, KM_PER_YEAR, REFERENCE, Life, Stratum
+from benchmarks.prognosis.lives import DRIVEN_KM, Life
+from benchmarks.prognosis.oracle import oracle, without_bends_km
 from benchmarks.prognosis.scores import PROBABILITIES
+from benchmarks.prognosis.truth import KM_PER_YEAR, REFERENCE, Stratum
 from canlog.arrays import FloatArray
 from diag_service.diagnosis.condition.thresholds import CHANGE_PROBABILITY
 from diag_service.diagnosis.prognosis import Passage, prognose
@@ -31,6 +33,8 @@ class Forecast:
     left_km: float
     passed: float  # probability that was given to the truth's side
     methods: tuple[FloatArray, ...]  # quantiles: ours, then the baselines in the order of `METHODS`
+    oracle: FloatArray  # quantiles of who knows how lives are drawn, but not the bends to come
+    without_bends_km: float  # what would truly be left if nothing bent any more
 
     @property
     def median_km(self) -> float:
@@ -88,6 +92,7 @@ def _is_due(life: Life, odometer_km: float) -> bool:
 
 def _forecasts(life: Life, lives_km: FloatArray) -> list[Forecast]:
     forecasts = []
+    nobody = np.full_like(PROBABILITIES, np.nan)
     for mark in (*MARKS, *LATE_MARKS):
         odometer_km = life.begin_km + mark * life.life_km
         when = _passage(life, odometer_km) if odometer_km < DRIVEN_KM else None
@@ -110,6 +115,8 @@ def _forecasts(life: Life, lives_km: FloatArray) -> list[Forecast]:
                     logistic_index(history),
                     fleet(age_km, lives_km),
                 ),
+                oracle=oracle(life, odometer_km).quantiles_m(PROBABILITIES) / M_PER_KM if mark in MARKS else nobody,
+                without_bends_km=without_bends_km(life, odometer_km),
             )
         )
     return forecasts

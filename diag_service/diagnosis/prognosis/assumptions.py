@@ -13,10 +13,9 @@ HORIZON_M: Final = 3.0e8  # 300,000 km: no prognosis looks farther
 NEW_WITHIN_M: Final = 5.0e6  # a fluid first seen within 5,000 km of its fill counts as new
 SERVICE_DISTANCE_M: Final = 1.5e7  # to the next service, where nobody says another
 
-KNEE_PROBABILITY: Final = 0.5  # that the rate has changed once while this fluid was in
-FUTURE_KNEE_PER_M: Final = 1.25e-8  # one in 80,000 km
-FUTURE_KNEE_FACTORS: Final = (1.75, 3.0)  # of the rate, equally likely
-LOAD_LOG_STD: Final = 0.10  # future against recent load, natural logarithm
+KNEE_PROBABILITY: Final = 0.35  # that the rate has changed once while this fluid was in
+FUTURE_BENDS: Final = {1.5: 0.22, 4.0: 0.27}  # factor of the rate: chance that it comes before the end
+LOAD_LOG_STD: Final = 0.05  # future against recent load, natural logarithm
 NEXT_FLUID_LOG_STD: Final = 0.35  # ageing rate of one vehicle from fluid to fluid
 
 
@@ -38,13 +37,13 @@ class ChannelPrior:
 MARGIN_OF_NEW: Final = ChannelPrior(
     start=1.0,
     start_std=0.10,
-    rate_std_per_m=2.0e-8,
-    typical_rate_per_m=1.0e-8,  # 100,000 km for the whole margin
-    typical_log_std=0.7,
-    knee_std_per_m=2.5e-8,
-    wander=(0.2e-8) ** 2 / 5.0e7,  # 0.2 of the margin per 100,000 km, gathered over 50,000 km
+    rate_std_per_m=2.5e-8,
+    typical_rate_per_m=1.05e-8,  # 95,000 km for the whole margin
+    typical_log_std=0.6,
+    knee_std_per_m=1.5e-8,
+    wander=(0.05e-8) ** 2 / 5.0e7,  # 0.05 of the margin per 100,000 km, gathered over 50,000 km
     temperature_std_per_k=2.0e-3,
-    floor_std=0.02,
+    floor_std=0.01,
 )
 LEVEL_OF_NEW: Final = ChannelPrior(
     start=1.0,

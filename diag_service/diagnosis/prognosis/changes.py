@@ -18,7 +18,8 @@ from diag_service.diagnosis.prognosis.normal import robust_noise_ratio
 
 BEFORE_COUNTS: Final = {120: 1.0, 30: 0.5}  # rows that say where friction was: share of chi-square that each reaches
 LEAST_BEFORE: Final = 20
-AFTER_COUNTS: Final = (6, 8, 11, 15)  # rows that say where it is now
+AFTER_COUNTS: Final = {6: 1.5, 8: 1.3, 11: 1.1, 15: 1.0}  # rows that say where it is now: share likewise
+LEAST_AFTER: Final = min(AFTER_COUNTS)
 STEP_CHI_SQUARE: Final = 36.0  # of two coefficients; set on simulated lives, docs/prognosis.md
 CLIP_STD: Final = 3.5  # a row farther from its neighbours counts as if it were so far
 SLOPE_STD_PER_M: Final = 1.0e-8  # of mu_C and mu_S over their means: 10 % in 10,000 km, ten times what is usual
@@ -55,7 +56,7 @@ def _start(history: History, row: int, noticed_row: int, *, is_noted: bool) -> F
 
 def _next_change(history: History, first: int, stop: int) -> tuple[int, int] | None:
     """Return the first row of a new fluid that nobody noted between two rows, and the row with which it shows."""
-    if stop - first < LEAST_BEFORE + AFTER_COUNTS[0]:
+    if stop - first < LEAST_BEFORE + LEAST_AFTER:
         return None
     relative, std = _clean(history, first, stop)
     sums = _Sums.of(history, first, stop, std)
@@ -65,7 +66,7 @@ def _next_change(history: History, first: int, stop: int) -> tuple[int, int] | N
     if not len(rows):
         return None
     last = int(rows[0])
-    settled = last + int(np.argmax(best[last : last + AFTER_COUNTS[0] + 1]))  # the next rows say more exactly where
+    settled = last + int(np.argmax(best[last : last + LEAST_AFTER + 1]))  # the next rows say more exactly where
     return first + int(place[settled]), first + last
 
 
@@ -121,7 +122,7 @@ def _scan(sums: _Sums, relative: FloatArray, correlation: float, count: int) -> 
     """Return for each row by how much a step right before the last few rows explains them better, and where it is."""
     moments = sums.moments(relative)
     best, place = np.zeros(count), np.zeros(count, np.int64)
-    for after in AFTER_COUNTS:
+    for after, after_share in AFTER_COUNTS.items():
         ends = np.arange(LEAST_BEFORE + after, count + 1)
         if not len(ends):
             break
@@ -130,7 +131,7 @@ def _scan(sums: _Sums, relative: FloatArray, correlation: float, count: int) -> 
         for before, share in BEFORE_COUNTS.items():
             steps, stds = _steps(sums.outer, moments, np.maximum(changes - before, 0), changes, ends)
             better = np.where(_is_towards_new(steps), _chi_square(steps / stds, correlation), 0.0)
-            chi_square = np.minimum(chi_square, better / share)
+            chi_square = np.minimum(chi_square, better / (share * after_share))
         is_better = chi_square > best[ends - 1]
         rows = ends[is_better] - 1
         best[rows], place[rows] = chi_square[is_better], changes[is_better]

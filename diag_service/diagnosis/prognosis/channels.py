@@ -92,8 +92,11 @@ def _column(history: History, name: ChannelName, reference: FrictionCurve) -> tu
         return history.mu_c / new, history.random_std_mu_c / new, history.common_std_mu_c / new
     new = reference.mu_c - reference.mu_s
     random = _std_of_difference(history.random_std_mu_c, history.random_std_mu_s, history.random_correlation)
-    common = _std_of_difference(history.common_std_mu_c, history.common_std_mu_s, history.common_correlation)
-    return (history.mu_c - history.mu_s) / new, random / new, common / new
+    # A scale that both share does not move the margin's end, where they are equal.
+    apart = _std_of_difference(
+        history.common_std_mu_c / history.mu_c, history.common_std_mu_s / history.mu_s, history.common_correlation
+    )
+    return (history.mu_c - history.mu_s) / new, random / new, apart * history.mu_c / new
 
 
 def _std_of_difference(one: FloatArray, other: FloatArray, correlation: FloatArray) -> FloatArray:

@@ -58,9 +58,16 @@ class History:
 
     def first(self, count: int) -> Self:
         """Return the history as it was after so many rows."""
+        return self._rows(slice(None, count))
+
+    def since(self, row: int) -> Self:
+        """Return the history from a row on."""
+        return self._rows(slice(row, None))
+
+    def _rows(self, which: slice) -> Self:
         columns: dict[str, Any] = {name: getattr(self, name) for name in _COLUMNS}
-        shorter: dict[str, Any] = {name: one if one is None else one[:count] for name, one in columns.items()}
-        return replace(self, **shorter)
+        chosen: dict[str, Any] = {name: one if one is None else one[which] for name, one in columns.items()}
+        return replace(self, **chosen)
 
 
 _COLUMNS: Final = tuple(one.name for one in fields(History) if one.name not in {"new_fluids", "left_out_count"})

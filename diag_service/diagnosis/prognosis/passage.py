@@ -8,8 +8,7 @@ import numpy as np
 
 from canlog.arrays import FloatArray
 from diag_service.diagnosis.prognosis.assumptions import (
-    FUTURE_KNEE_FACTORS,
-    FUTURE_KNEE_PER_M,
+    FUTURE_BENDS,
     HORIZON_M,
     LOAD_LOG_STD,
 )
@@ -18,7 +17,7 @@ from diag_service.diagnosis.prognosis.trend import Mixture
 
 # Denser near today, where it matters: 0, 12, 47, 105 km, ..., at last 3,700 km apart.
 DISTANCE_M: Final = HORIZON_M * np.linspace(0.0, 1.0, 161) ** 2
-_KNEE_EDGES_M: Final = np.array([0.0, 5.0, 12.0, 25.0, 45.0, 80.0, 150.0]) * 1.0e6  # between them a bend may come
+_BEND_EDGES: Final = np.array([0.0, 0.08, 0.2, 0.4, 0.65, 1.0])  # parts of what is left
 _LOADS: Final = (-1.5, -0.5, 0.5, 1.5)  # standard deviations of the load
 _LOAD_WEIGHTS: Final = (0.159, 0.341, 0.341, 0.159)  # of the normal distribution beyond one, and below
 
@@ -84,28 +83,28 @@ def _steady(mixture: Mixture, limit: float, start_share: float) -> FloatArray:
 def _with_future(steady: FloatArray) -> FloatArray:
     """Return probabilities that allow for another load, and for a bend that is still to come.
 
-    Either makes the clock of ageing run faster or slower: as if more or less were driven.
+    Either makes the clock of ageing run faster or slower: as if more or less were driven. Where a bend comes is counted
+    in what is left, so that a fluid near its end is as likely to bend before it as a newer one.
     """
+    left_m = float(np.interp(0.5, steady + np.arange(len(steady)) * 1e-12, DISTANCE_M))
     total = np.zeros_like(steady)
     for load, load_weight in zip(_LOADS, _LOAD_WEIGHTS, strict=True):
         distance_m = DISTANCE_M * np.exp(load * LOAD_LOG_STD)
-        for bend_m, factor, weight in _BENDS:
-            aged_m = distance_m + (factor - 1.0) * np.maximum(distance_m - bend_m, 0.0)
+        for share, factor, weight in _BENDS:
+            aged_m = distance_m + (factor - 1.0) * np.maximum(distance_m - share * left_m, 0.0)
             total += load_weight * weight * np.interp(aged_m, DISTANCE_M, steady)
     return np.minimum(total, 1.0)
 
 
 def _bends() -> tuple[tuple[float, float, float], ...]:
-    """Return where the rate may change, by which factor, and how likely that is; the first: it does not."""
-    none_before = np.exp(-FUTURE_KNEE_PER_M * _KNEE_EDGES_M)
-    middles_m = 0.5 * (_KNEE_EDGES_M[1:] + _KNEE_EDGES_M[:-1])
-    share = 1.0 / len(FUTURE_KNEE_FACTORS)
+    """Return at which part of what is left the rate may change, by which factor, and how likely that is."""
+    middles, widths = 0.5 * (_BEND_EDGES[1:] + _BEND_EDGES[:-1]), np.diff(_BEND_EDGES)
     later = [
-        (float(bend_m), factor, float(chance) * share)
-        for bend_m, chance in zip(middles_m, -np.diff(none_before), strict=True)
-        for factor in FUTURE_KNEE_FACTORS
+        (float(share), factor, chance * float(width))
+        for share, width in zip(middles, widths, strict=True)
+        for factor, chance in FUTURE_BENDS.items()
     ]
-    return (0.0, 1.0, float(none_before[-1])), *later
+    return (0.0, 1.0, 1.0 - sum(FUTURE_BENDS.values())), *later
 
 
 _BENDS: Final = _bends()

@@ -13,27 +13,19 @@ from diag_service.diagnosis.condition.thresholds import (
 )
 from diag_service.diagnosis.prognosis.assumptions import (
     LEAST_ROWS,
-    LEVEL_OF_NEW,
-    MARGIN_OF_NEW,
-    NEW_WITHIN_M,
-    NEXT_FLUID_LOG_STD,
     SERVICE_DISTANCE_M,
-    START_SCATTER,
     SURE_OF_AGEING,
-    UNKNOWN_LEVEL,
-    UNKNOWN_MARGIN,
-    ChannelPrior,
 )
 from diag_service.diagnosis.prognosis.changes import FluidStart, fluid_starts
-from diag_service.diagnosis.prognosis.channels import Channel, ChannelName, Clock, channels_of, clocks_of
+from diag_service.diagnosis.prognosis.channels import ChannelName
+from diag_service.diagnosis.prognosis.fluid_lives import AgedChannel, FluidLife, Value, fluid_lives
 from diag_service.diagnosis.prognosis.history import History
 from diag_service.diagnosis.prognosis.passage import Passage, passage
-from diag_service.diagnosis.prognosis.trend import Fit, Mixture, Part, aged, fit, probability_falling, summary
+from diag_service.diagnosis.prognosis.population import Peers
+from diag_service.diagnosis.prognosis.trend import Fit, Part, probability_falling, summary
 from diag_service.diagnosis.prognosis.words import assumptions_of
 
 CHANGE_MARGIN_RATIO = 0.0  # the slope turns: what the verdict calls a negative slope
-_OF_NEW = {ChannelName.MARGIN: MARGIN_OF_NEW, ChannelName.LEVEL: LEVEL_OF_NEW}
-_UNKNOWN = {ChannelName.MARGIN: UNKNOWN_MARGIN, ChannelName.LEVEL: UNKNOWN_LEVEL}
 
 
 class Outlook(StrEnum):
@@ -42,14 +34,6 @@ class Outlook(StrEnum):
     TOO_FEW = "too few results"
     NO_TREND = "no trend yet"
     AGEING = "ageing"
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Value:
-    """A number and its standard deviation."""
-
-    mean: float
-    std: float
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -99,9 +83,17 @@ class Prognosis:
 
 
 def prognose(
-    clutch: int, history: History, reference: FrictionCurve, *, service_distance_m: float = SERVICE_DISTANCE_M
+    clutch: int,
+    history: History,
+    reference: FrictionCurve,
+    *,
+    service_distance_m: float = SERVICE_DISTANCE_M,
+    peers: Peers | None = None,
 ) -> Prognosis:
-    """Return what is to be expected of clutch 1 or 2 from its history; the reference is its friction with new fluid."""
+    """Return what is to be expected of clutch 1 or 2 from its history; the reference is its friction with new fluid.
+
+    Peers say what is usual for its kind; without them little is assumed.
+    """
     starts = fluid_starts(history) if len(history) else ()
     row_count = len(history) - starts[-1].row if starts else 0
     blank = Prognosis(
@@ -111,11 +103,11 @@ def prognose(
         odometer_m=float(history.odometer_m[-1]) if len(history) else None,
         service_distance_m=service_distance_m,
         fluid_starts=starts,
-        assumptions=assumptions_of(history, starts, service_distance_m),
+        assumptions=assumptions_of(history, starts, service_distance_m, peers),
     )
     if row_count < LEAST_ROWS:
         return blank
-    lives = _lives(history, starts, reference)
+    lives = fluid_lives(history, starts, reference, peers)
     today = lives[-1]
     sure = max(probability_falling(one.fits[0]) for one in today.channels.values())
     events_per_m = _events_per_m(history)
@@ -133,91 +125,7 @@ def prognose(
     )
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class _AgedChannel:
-    """One channel with one fluid: what each clock makes of it."""
-
-    prior: ChannelPrior
-    fits: tuple[Fit, ...]  # by each clock
-    mixtures: tuple[Mixture, ...]  # likewise; all weights together sum to one
-
-    @property
-    def rate_per_m(self) -> Value:
-        """How fast it falls, as fluids do."""
-        weight = np.concatenate([one.weight for one in self.mixtures])
-        rate = np.concatenate([one.rate_per_m for one in self.mixtures])
-        mean = float(weight @ rate)
-        return Value(mean=mean, std=float(np.sqrt(weight @ (rate - mean) ** 2)))
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class _Life:
-    """The life of one fluid so far."""
-
-    is_new: bool  # was, when first seen
-    channels: dict[ChannelName, _AgedChannel]
-
-
-def _lives(history: History, starts: tuple[FluidStart, ...], reference: FrictionCurve) -> list[_Life]:
-    """Return the life of each fluid with enough results; one says what to expect of the next."""
-    lives: list[_Life] = []
-    stops = [*(start.row for start in starts[1:]), len(history)]
-    for start, stop in zip(starts, stops, strict=True):
-        if stop - start.row < LEAST_ROWS:
-            continue
-        clocks = clocks_of(history, start.row, stop)
-        is_new = _is_new(history, start)
-        before = next((life for life in reversed(lives) if life.is_new), None)
-        channels = {
-            one.name: _aged_channel(one, clocks, _prior(one.name, before, is_new=is_new))
-            for one in channels_of(history, start.row, stop, reference, clocks)
-        }
-        lives.append(_Life(is_new=is_new, channels=channels))
-    return lives
-
-
-def _is_new(history: History, start: FluidStart) -> bool:
-    """Return whether a fluid was new when first seen."""
-    if start.is_noted:
-        return int(history.fluid_number[start.row]) in history.new_fluids
-    return start.odometer_m - float(history.odometer_m[start.row - 1]) <= NEW_WITHIN_M
-
-
-def _prior(name: ChannelName, before: _Life | None, *, is_new: bool) -> ChannelPrior:
-    """Return what is believed of a channel with another fluid: that of the vehicle's last one, if there was one."""
-    prior = _OF_NEW[name]
-    if before is not None:
-        last = before.channels[name]
-        start, std = summary(last.fits[0], Part.START)
-        rate = -last.rate_per_m.mean
-        prior = replace(
-            prior,
-            start=start,
-            start_std=float(np.hypot(std, START_SCATTER[name])),
-            typical_rate_per_m=rate,
-            typical_log_std=float(min(np.hypot(NEXT_FLUID_LOG_STD, last.rate_per_m.std / rate), prior.typical_log_std)),
-        )
-    if is_new:
-        return prior
-    start, start_std = _UNKNOWN[name]
-    return replace(prior, start=start, start_std=start_std)
-
-
-def _aged_channel(channel: Channel, clocks: tuple[Clock, ...], prior: ChannelPrior) -> _AgedChannel:
-    fits, mixtures, evidence = [], [], []
-    for number, clock in enumerate(clocks):
-        one = fit(channel.bins, number, prior, channel.common_std, float(clock.age_m[-1]))
-        mixture, log_evidence = aged(one, prior, clock.recent_ratio)
-        fits.append(one)
-        mixtures.append(mixture)
-        evidence.append(log_evidence)
-    share = np.exp(np.array(evidence) - max(evidence))
-    share /= share.sum()
-    weighted = tuple(one.of(float(part)) for one, part in zip(mixtures, share, strict=True))
-    return _AgedChannel(prior=prior, fits=tuple(fits), mixtures=weighted)
-
-
-def _either(life: _Life, margin_limit: float, level_limit: float) -> Passage:
+def _either(life: FluidLife, margin_limit: float, level_limit: float) -> Passage:
     """Return when the margin or the level passes its limit; the level that of new fluid or that of its own start."""
     margin = passage(life.channels[ChannelName.MARGIN].mixtures, [(margin_limit, 0.0)])
     level = passage(life.channels[ChannelName.LEVEL].mixtures, [(level_limit, 0.0), (0.0, level_limit)])
@@ -238,7 +146,7 @@ def _reach(when: Passage, events_per_m: float, service_distance_m: float) -> Rea
     )
 
 
-def _state(channel: _AgedChannel, energy_j_per_m: float | None) -> ChannelState:
+def _state(channel: AgedChannel, energy_j_per_m: float | None) -> ChannelState:
     rate, one = channel.rate_per_m, channel.fits[0]
     per_j = None
     if energy_j_per_m is not None:
@@ -257,7 +165,7 @@ def _value(one: Fit, part: Part) -> Value:
     return Value(mean=mean, std=std)
 
 
-def _lining(lives: list[_Life]) -> Value | None:
+def _lining(lives: list[FluidLife]) -> Value | None:
     """Return how much of the first new fluid's level the newest did not bring back; what they share is not in it."""
     new = [life.channels[ChannelName.LEVEL].fits[0] for life in lives if life.is_new]
     if len(new) < 2 or not lives[-1].is_new:

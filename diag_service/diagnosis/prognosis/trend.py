@@ -15,7 +15,7 @@ from diag_service.diagnosis.prognosis.assumptions import KNEE_PROBABILITY, Chann
 from diag_service.diagnosis.prognosis.channels import Bins
 from diag_service.diagnosis.prognosis.normal import normal_cdf
 
-KNEE_SHARES: Final = (0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9)  # of the age, where a bend is looked for
+KNEE_SHARES: Final = (0.1, 0.3, 0.5, 0.65, 0.75, 0.85, 0.9, 0.95)  # of the age, where a bend is looked for
 LEAST_KNEE_BINS: Final = 8
 RATE_STEPS: Final = np.linspace(-4.0, 4.0, 65)  # standard deviations about each bend's rate
 LEAST_WEIGHT: Final = 2e-3  # of the largest: what is left out of a mixture
@@ -108,8 +108,9 @@ def _knees(age_m: FloatArray, now_m: float) -> FloatArray:
 def _log_knee_prior(count: int) -> FloatArray:
     if count == 1:
         return np.zeros(1)
-    chances = np.array([1.0 - KNEE_PROBABILITY, *[KNEE_PROBABILITY / (count - 1)] * (count - 1)])
-    return np.asarray(np.log(chances), np.float64)
+    shares = np.array(KNEE_SHARES)
+    edges = np.concatenate(([0.0], 0.5 * (shares[1:] + shares[:-1]), [1.0]))  # a bend may come at any distance
+    return np.asarray(np.log([1.0 - KNEE_PROBABILITY, *KNEE_PROBABILITY * np.diff(edges)]), np.float64)
 
 
 def _warmth(bins: Bins, prior: ChannelPrior) -> tuple[float, float]:
@@ -178,6 +179,15 @@ def summary(one: Fit, part: Part) -> tuple[float, float]:
     weight, mean = weights(one), one.mean[:, part]
     centre = float(weight @ mean)
     return centre, float(np.sqrt(weight @ (one.covariance[:, part, part] + (mean - centre) ** 2)))
+
+
+def fallen(one: Fit) -> tuple[float, float]:
+    """Return mean and deviation of what the channel has lost since its start, over all bends."""
+    weight, mean = weights(one), one.mean[:, Part.START] - one.mean[:, Part.NOW]
+    covariance = one.covariance[:, [Part.START, Part.NOW]][:, :, [Part.START, Part.NOW]]
+    variance = covariance[:, 0, 0] + covariance[:, 1, 1] - 2.0 * covariance[:, 0, 1]
+    centre = float(weight @ mean)
+    return centre, float(np.sqrt(weight @ (np.maximum(variance, 0.0) + (mean - centre) ** 2)))
 
 
 def aged(one: Fit, prior: ChannelPrior, recent_ratio: float) -> tuple[Mixture, float]:

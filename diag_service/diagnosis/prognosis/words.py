@@ -9,22 +9,30 @@ from diag_service.diagnosis.condition.thresholds import (
     WATCH_MARGIN_RATIO,
 )
 from diag_service.diagnosis.prognosis.assumptions import (
-    FUTURE_KNEE_FACTORS,
-    FUTURE_KNEE_PER_M,
+    FUTURE_BENDS,
     HORIZON_M,
     LOAD_LOG_STD,
     REFERENCE_K,
 )
 from diag_service.diagnosis.prognosis.changes import FluidStart
 from diag_service.diagnosis.prognosis.history import History
+from diag_service.diagnosis.prognosis.population import Peers
 
 M_PER_KM = 1000.0
 _PERCENT = 100.0
 
 
-def assumptions_of(history: History, starts: tuple[FluidStart, ...], service_distance_m: float) -> tuple[str, ...]:
+def assumptions_of(
+    history: History, starts: tuple[FluidStart, ...], service_distance_m: float, peers: Peers | None
+) -> tuple[str, ...]:
     """Return the assumptions of a prognosis, one sentence each."""
-    return tuple(_assumptions(history, starts, service_distance_m))
+    return (*_assumptions(history, starts, service_distance_m), *_of_peers(peers))
+
+
+def _of_peers(peers: Peers | None) -> Iterator[str]:
+    if peers is not None:
+        fluid = "any fluid" if peers.kind.fluid is None else peers.kind.fluid
+        yield f"before its own results, new fluid ages as in {peers.life_count} lives of this type with {fluid}"
 
 
 def _assumptions(history: History, starts: tuple[FluidStart, ...], service_distance_m: float) -> Iterator[str]:
@@ -35,8 +43,9 @@ def _assumptions(history: History, starts: tuple[FluidStart, ...], service_dista
     yield f"change_fluid: margin gone, or mu_C below {_PERCENT * CHANGE_LEVEL_RATIO:.0f} % of new or of its own start"
     yield f"friction as at {degc_from_k(REFERENCE_K):.0f} degC of the oil"
     yield f"the load stays as it was lately, within {_PERCENT * LOAD_LOG_STD:.0f} % (one deviation)"
-    factors = " or ".join(f"{factor:g}" for factor in FUTURE_KNEE_FACTORS)
-    yield f"once in {1.0 / FUTURE_KNEE_PER_M / M_PER_KM:,.0f} km ageing may become {factors} times as fast"
+    factors = " or ".join(f"{factor:g}" for factor in FUTURE_BENDS)
+    chance = sum(FUTURE_BENDS.values())
+    yield f"ageing may become {factors} times as fast before the limit is passed, {_PERCENT * chance:.0f} % in all"
     horizon = f"{HORIZON_M / M_PER_KM:,.0f} km"
     yield f"the next service is {service_distance_m / M_PER_KM:,.0f} km ahead; nothing is said beyond {horizon}"
     yield "torque gain, piston area and sensors drift no more than fluid ages: results cannot tell the two apart"

@@ -7,8 +7,9 @@ import pytest
 
 from benchmarks.prognosis.__main__ import main
 from benchmarks.prognosis.baselines import fixed_interval, fleet, last_slope, logistic_index
-from benchmarks.prognosis.lives import DRIVEN_KM, Life, Stratum, life_of
+from benchmarks.prognosis.lives import DRIVEN_KM, Life, life_of
 from benchmarks.prognosis.scores import PROBABILITIES, crps, is_covered, is_near
+from benchmarks.prognosis.truth import Stratum
 
 SEEDS = range(900, 900 + len(Stratum))
 

@@ -1,0 +1,216 @@
+"""What a fleet teaches: types whose fluids last differently, learned from some vehicles, tried on others.
+
+Vehicles of a type have all troubles of the single lives. New ones are foretold with and without what was learned. In
+another fleet a batch of a twentieth has fluid that ages twice as fast, and is to be found.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+from itertools import chain
+from typing import Final, Protocol, TypeVar
+
+import numpy as np
+from rich.table import Table
+
+from benchmarks.prognosis.lives import DRIVEN_KM, ERRORS, Life, life_of
+from benchmarks.prognosis.scores import PROBABILITIES, crps, is_covered
+from benchmarks.prognosis.truth import REFERENCE, Fleet
+from canlog.arrays import FloatArray
+from diag_service.diagnosis.prognosis import Ageing, Kind, Peers, Population, ageings, learn, prognose, standings
+
+ResultT = TypeVar("ResultT")
+TYPES: Final = {  # median life of fluid [km]; vehicles of one type scatter less than all vehicles do
+    "short": 50_000.0,
+    "usual": 80_000.0,
+    "long": 120_000.0,
+}
+TYPE_LOG_STD: Final = 0.2
+MARKS: Final = (0.1, 0.25, 0.5, 0.75)
+BATCH: Final = 20  # every twentieth vehicle is of the bad batch
+BATCH_FACTOR: Final = 0.5  # of the life
+BATCH_FLEET: Final = Fleet(life_log_std=TYPE_LOG_STD, stream=62)
+BATCH_SIZE: Final = 200  # vehicles
+LOOKS_KM: Final = (5_000.0, 7_500.0, 10_000.0, 12_500.0, 15_000.0, 17_500.0, 20_000.0, 25_000.0, 30_000.0)
+M_PER_KM: Final = 1000.0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Told:
+    """One prognosis with and without the fleet's knowledge; first without, then with."""
+
+    mark: float
+    life_km: float
+    left_km: float
+    passed: tuple[float, float]
+    quantiles_km: tuple[FloatArray, FloatArray]
+
+
+def fleet_of(name: str) -> Fleet:
+    """Return the vehicles of a type."""
+    return Fleet(usual_km=TYPES[name], life_log_std=TYPE_LOG_STD, stream=59 + list(TYPES).index(name))
+
+
+def ageings_of_seed(seed: int, name: str, fleet: Fleet, until_km: float) -> list[Ageing]:
+    """Return what a vehicle's fluids say of their kind by what was driven until an odometer."""
+    life = life_of(seed, ERRORS, fleet)
+    history = life.history.first(life.rows_until(until_km))
+    kind = Kind(vehicle_type=name, fluid="usual")
+    return ageings(f"{name} {seed}", 1, history, REFERENCE, [kind, kind])
+
+
+def told_of_seed(seed: int, fleet: Fleet, peers: Peers | None) -> list[Told]:
+    """Return what is told of a vehicle at some shares of its fluid's life."""
+    life = life_of(seed, ERRORS, fleet)
+    told = []
+    for mark in MARKS:
+        odometer_km = life.begin_km + mark * life.life_km
+        if odometer_km >= DRIVEN_KM:
+            continue
+        past = life.history.first(life.rows_until(odometer_km))
+        left_km = life.change_km - odometer_km
+        both = [prognose(1, past, REFERENCE, peers=one).change_fluid for one in (None, peers)]
+        passages = [one.passage for one in both if one is not None]
+        if len(passages) < len(both):
+            continue
+        told.append(
+            Told(
+                mark=mark,
+                life_km=life.life_km,
+                left_km=left_km,
+                passed=(passages[0].within(left_km * M_PER_KM), passages[1].within(left_km * M_PER_KM)),
+                quantiles_km=(
+                    passages[0].quantiles_m(PROBABILITIES) / M_PER_KM,
+                    passages[1].quantiles_m(PROBABILITIES) / M_PER_KM,
+                ),
+            )
+        )
+    return told
+
+
+def told_table(told: Sequence[Told]) -> Table:
+    """Return how much narrower intervals are with what the fleet teaches, at equal coverage."""
+    table = Table(
+        "age", "prognoses", "inside 90 %, without", "with", "half width, without", "with", "narrower",
+        "CRPS, km, without", "with",
+        title="New vehicles with and without what their fleet taught; widths where 90 % are inside",
+    )  # fmt: skip
+    for mark in MARKS:
+        chosen = [one for one in told if one.mark == mark]
+        cells, widths, scores = [], [], []
+        for which in range(2):
+            passed = np.array([one.passed[which] for one in chosen])
+            quantiles = np.array([one.quantiles_km[which] for one in chosen])
+            tail = float(np.quantile(np.minimum(passed, 1.0 - passed), 0.1))
+            ends = np.quantile(quantiles, (tail, 1.0 - tail), axis=1)
+            cells.append(f"{100.0 * float(np.mean(is_covered(passed))):.1f} %")
+            widths.append(0.5 * float(np.median((ends[1] - ends[0]) / [one.life_km for one in chosen])))
+            scores.append(float(np.mean(crps(quantiles, np.array([one.left_km for one in chosen])))))
+        narrower = f"{100.0 * (1.0 - widths[1] / widths[0]):.0f} %"
+        table.add_row(
+            f"{100.0 * mark:.0f} %", str(len(chosen)), *cells, *(f"{one:.3f} of life" for one in widths), narrower,
+            *(f"{one:,.0f}" for one in scores),
+        )  # fmt: skip
+    return table
+
+
+def peers_table(population: Population) -> Table:
+    """Return what was learned."""
+    table = Table("type", "fluid", "lives", "channel", "start", "loss in 100,000 km", "scatter, log", title="Learned")
+    for peers in population.peers:
+        for name, usual in peers.channels.items():
+            table.add_row(
+                peers.kind.vehicle_type, peers.kind.fluid or "any", str(peers.life_count), name.value,
+                f"{usual.start:.3f} ± {usual.start_std:.3f}", f"{usual.loss_per_m * 1.0e8:.3f}",
+                f"{usual.loss_log_std:.2f}",
+            )  # fmt: skip
+    return table
+
+
+def is_of_batch(number: int) -> bool:
+    """Return whether a vehicle of a fleet is of the bad batch; all kinds of lives are in it."""
+    return number % BATCH == number // BATCH % BATCH
+
+
+def _batch_fleet(number: int) -> Fleet:
+    usual_km = BATCH_FLEET.usual_km * (BATCH_FACTOR if is_of_batch(number) else 1.0)
+    return replace(BATCH_FLEET, usual_km=usual_km)
+
+
+def ageings_of_number(number: int, first_seed: int, until_km: float) -> list[Ageing]:
+    """Return what a vehicle of the fleet with the bad batch says."""
+    return ageings_of_seed(first_seed + number, str(number), _batch_fleet(number), until_km)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Look:
+    """What is named when all vehicles have driven so far."""
+
+    odometer_km: float
+    named: int  # of the batch
+    batch: int
+    false: int  # named, and not of the batch
+
+    @property
+    def is_found(self) -> bool:
+        """Whether at least half of the batch is named."""
+        return 2 * self.named >= self.batch
+
+
+def look_of(odometer_km: float, lives: Sequence[Ageing]) -> Look:
+    """Return what is named of a fleet that is held against itself."""
+    same = [replace(life, kind=Kind(vehicle_type="one", fluid="usual")) for life in lives]
+    named = [one for one in standings(same, learn(same)) if one.is_named]
+    numbers = [int(one.ageing.vehicle.split()[0]) for one in named]
+    hit = sum(is_of_batch(number) for number in numbers)
+    batch = sum(is_of_batch(number) for number in range(BATCH_SIZE))
+    return Look(odometer_km=odometer_km, named=hit, batch=batch, false=len(named) - hit)
+
+
+def batch_half_km(first_seed: int) -> float:
+    """Return the odometer at which the median of the batch has lost half of its life."""
+    lives: list[Life] = [
+        life_of(first_seed + number, ERRORS, _batch_fleet(number))
+        for number in range(BATCH_SIZE)
+        if is_of_batch(number)
+    ]
+    return 0.5 * float(np.median([life.truth.expected_km if life.begin_km else life.life_km for life in lives]))
+
+
+def batch_table(looks: Sequence[Look], half_km: float) -> Table:
+    """Return when a bad batch is found, and what is named beside it."""
+    table = Table(
+        "driven, km", "of the batch named", "others named", "false share",
+        title=f"A batch of {100.0 / BATCH:.0f} % with half the life; half of its median's is over at {half_km:,.0f} km",
+    )  # fmt: skip
+    for look in looks:
+        total = look.named + look.false
+        share = f"{100.0 * look.false / total:.0f} %" if total else "-"
+        table.add_row(f"{look.odometer_km:,.0f}", f"{look.named} of {look.batch}", str(look.false), share)
+    return table
+
+
+class Each(Protocol):
+    """Does the same for many cases, maybe in several processes."""
+
+    def __call__(self, work: Callable[[int], list[ResultT]], cases: range, /) -> list[list[ResultT]]:
+        """Return the results of all cases in their order."""
+
+
+def population_tables(first_seed: int, count: int, each: Each) -> list[Table]:
+    """Learn from some vehicles of each type, try on others, look for the batch."""
+    known, new = range(first_seed, first_seed + count), range(first_seed + count, first_seed + 2 * count)
+    learned: list[Ageing] = []
+    for name in TYPES:
+        work = partial(ageings_of_seed, name=name, fleet=fleet_of(name), until_km=DRIVEN_KM)
+        learned += chain.from_iterable(each(work, known))
+    population = learn(learned)
+    told: list[Told] = []
+    for name in TYPES:
+        tell = partial(told_of_seed, fleet=fleet_of(name), peers=population.of(name, "usual"))
+        told += chain.from_iterable(each(tell, new))
+    looks = []
+    for odometer_km in LOOKS_KM:
+        see = partial(ageings_of_number, first_seed=first_seed, until_km=odometer_km)
+        looks.append(look_of(odometer_km, list(chain.from_iterable(each(see, range(BATCH_SIZE))))))
+    return [peers_table(population), told_table(told), batch_table(looks, batch_half_km(first_seed))]

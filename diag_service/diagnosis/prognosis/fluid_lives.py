@@ -1,0 +1,172 @@
+"""The lives of the fluids of one clutch so far: each fitted by itself, one saying what to expect of the next."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from clutch_model.clutch import FrictionCurve
+from diag_service.diagnosis.prognosis.assumptions import (
+    LEAST_ROWS,
+    LEVEL_OF_NEW,
+    MARGIN_OF_NEW,
+    NEW_WITHIN_M,
+    NEXT_FLUID_LOG_STD,
+    START_SCATTER,
+    UNKNOWN_LEVEL,
+    UNKNOWN_MARGIN,
+    ChannelPrior,
+)
+from diag_service.diagnosis.prognosis.changes import FluidStart, fluid_starts
+from diag_service.diagnosis.prognosis.channels import Channel, ChannelName, Clock, channels_of, clocks_of
+from diag_service.diagnosis.prognosis.history import History
+from diag_service.diagnosis.prognosis.population import Ageing, Course, Kind, Peers
+from diag_service.diagnosis.prognosis.trend import Fit, Mixture, Part, aged, fallen, fit, summary
+
+_OF_NEW = {ChannelName.MARGIN: MARGIN_OF_NEW, ChannelName.LEVEL: LEVEL_OF_NEW}
+_UNKNOWN = {ChannelName.MARGIN: UNKNOWN_MARGIN, ChannelName.LEVEL: UNKNOWN_LEVEL}
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Value:
+    """A number and its standard deviation."""
+
+    mean: float
+    std: float
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class AgedChannel:
+    """One channel with one fluid: what each clock makes of it."""
+
+    prior: ChannelPrior
+    fits: tuple[Fit, ...]  # by each clock
+    mixtures: tuple[Mixture, ...]  # likewise; all weights together sum to one
+
+    @property
+    def rate_per_m(self) -> Value:
+        """How fast it falls, as fluids do."""
+        weight = np.concatenate([one.weight for one in self.mixtures])
+        rate = np.concatenate([one.rate_per_m for one in self.mixtures])
+        mean = float(weight @ rate)
+        return Value(mean=mean, std=float(np.sqrt(weight @ (rate - mean) ** 2)))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class FluidLife:
+    """The life of one fluid so far."""
+
+    is_new: bool  # was, when first seen
+    is_noted: bool
+    first: int  # row
+    stop: int  # row after the last
+    distance_m: float
+    channels: dict[ChannelName, AgedChannel]
+
+
+def fluid_lives(
+    history: History, starts: tuple[FluidStart, ...], reference: FrictionCurve, peers: Peers | None
+) -> list[FluidLife]:
+    """Return the life of each fluid with enough results; one says what to expect of the next."""
+    lives: list[FluidLife] = []
+    stops = [*(start.row for start in starts[1:]), len(history)]
+    for start, stop in zip(starts, stops, strict=True):
+        if stop - start.row < LEAST_ROWS:
+            continue
+        clocks = clocks_of(history, start.row, stop)
+        is_new = _is_new(history, start)
+        before = next((life for life in reversed(lives) if life.is_new), None)
+        channels = {
+            one.name: _aged_channel(one, clocks, _prior(one.name, before, peers, is_new=is_new))
+            for one in channels_of(history, start.row, stop, reference, clocks)
+        }
+        lives.append(
+            FluidLife(
+                is_new=is_new,
+                is_noted=start.is_noted,
+                first=start.row,
+                stop=stop,
+                distance_m=float(history.odometer_m[stop - 1] - history.odometer_m[start.row]),
+                channels=channels,
+            )
+        )
+    return lives
+
+
+def _is_new(history: History, start: FluidStart) -> bool:
+    """Return whether a fluid was new when first seen."""
+    if start.is_noted:
+        return int(history.fluid_number[start.row]) in history.new_fluids
+    return start.odometer_m - float(history.odometer_m[start.row - 1]) <= NEW_WITHIN_M
+
+
+def _prior(name: ChannelName, before: FluidLife | None, peers: Peers | None, *, is_new: bool) -> ChannelPrior:
+    """Return what is believed of a channel with another fluid: that of the vehicle's last one, if there was one."""
+    prior = _OF_NEW[name] if peers is None else peers.prior(name, _OF_NEW[name])
+    if before is not None:
+        last = before.channels[name]
+        start, std = summary(last.fits[0], Part.START)
+        rate = -last.rate_per_m.mean
+        prior = replace(
+            prior,
+            start=start,
+            start_std=float(np.hypot(std, START_SCATTER[name])),
+            typical_rate_per_m=rate,
+            typical_log_std=float(min(np.hypot(NEXT_FLUID_LOG_STD, last.rate_per_m.std / rate), prior.typical_log_std)),
+        )
+    if is_new:
+        return prior
+    start, start_std = _UNKNOWN[name]
+    return replace(prior, start=start, start_std=start_std)
+
+
+def _aged_channel(channel: Channel, clocks: tuple[Clock, ...], prior: ChannelPrior) -> AgedChannel:
+    fits, mixtures, evidence = [], [], []
+    for number, clock in enumerate(clocks):
+        one = fit(channel.bins, number, prior, channel.common_std, float(clock.age_m[-1]))
+        mixture, log_evidence = aged(one, prior, clock.recent_ratio)
+        fits.append(one)
+        mixtures.append(mixture)
+        evidence.append(log_evidence)
+    share = np.exp(np.array(evidence) - max(evidence))
+    share /= share.sum()
+    weighted = tuple(one.of(float(part)) for one, part in zip(mixtures, share, strict=True))
+    return AgedChannel(prior=prior, fits=tuple(fits), mixtures=weighted)
+
+
+def ageings(
+    vehicle: str, clutch: int, history: History, reference: FrictionCurve, kinds: Sequence[Kind]
+) -> list[Ageing]:
+    """Return what each fluid of a clutch that was new when first seen says of its kind.
+
+    ``kinds`` are those of the fluids by their numbers in the history; that of a fill that nobody noted is not known.
+    """
+    starts = fluid_starts(history) if len(history) else ()
+    found = []
+    for life in fluid_lives(history, starts, reference, None):
+        if not life.is_new:
+            continue
+        kind = kinds[int(history.fluid_number[life.first])]
+        found.append(
+            Ageing(
+                vehicle=vehicle,
+                clutch=clutch,
+                kind=kind if life.is_noted else replace(kind, fluid=None),
+                distance_m=life.distance_m,
+                is_present=life.stop == len(history),
+                courses={name: _course(channel, life.distance_m) for name, channel in life.channels.items()},
+            )
+        )
+    return found
+
+
+def _course(channel: AgedChannel, distance_m: float) -> Course:
+    """Return start and mean loss of a channel; by distance, whatever clock explains it better."""
+    start, start_std = summary(channel.fits[0], Part.SEEN_START)
+    fall, fall_std = fallen(channel.fits[0])
+    return Course(
+        start=start,
+        start_std=start_std,
+        loss_per_m=fall / max(distance_m, 1.0),
+        loss_std_per_m=fall_std / max(distance_m, 1.0),
+    )

@@ -1,0 +1,112 @@
+"""What a fleet has in common, learned from lives of fluids, and what a new vehicle has of it."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from diag_service.diagnosis.prognosis import ChannelName, Kind, ageings, learn, prognose
+from diag_service.diagnosis.prognosis.population import Ageing, Course, location_and_scatter
+from tests.support.pasts import REFERENCE, ageing, past
+
+KIND = Kind(vehicle_type="dct", fluid="75W")
+
+
+def life(number: int, loss_per_m: float, *, kind: Kind = KIND, doubt: float = 0.1) -> Ageing:
+    course = Course(start=1.02, start_std=0.05, loss_per_m=loss_per_m, loss_std_per_m=doubt * loss_per_m)
+    return Ageing(
+        vehicle=f"car{number}",
+        clutch=1,
+        kind=kind,
+        distance_m=4.0e7,
+        is_present=True,
+        courses={ChannelName.MARGIN: course},
+    )
+
+
+def fleet(count: int, *, log_std: float, kind: Kind = KIND, seed: int = 1) -> list[Ageing]:
+    rng = np.random.default_rng(seed)
+    true = 1.25e-8 * np.exp(log_std * rng.standard_normal(count))
+    seen = true * np.exp(0.1 * rng.standard_normal(count))
+    return [life(number, float(loss), kind=kind) for number, loss in enumerate(seen)]
+
+
+def test_the_scatter_of_a_fleet_is_without_the_doubt_of_each() -> None:
+    rng = np.random.default_rng(3)
+    std = rng.uniform(0.1, 0.4, 2000)
+    value = 2.0 + 0.3 * rng.standard_normal(2000) + std * rng.standard_normal(2000)
+    centre, scatter = location_and_scatter(value, std)
+    assert centre == pytest.approx(2.0, abs=0.03)
+    assert scatter == pytest.approx(0.3, abs=0.04)
+    value[:100] += 5.0  # a bad batch of a twentieth
+    centre, scatter = location_and_scatter(value, std)
+    assert centre == pytest.approx(2.0, abs=0.08)
+    assert scatter == pytest.approx(0.3, abs=0.08)
+
+
+def test_values_that_scatter_less_than_they_are_doubted_are_all_alike() -> None:
+    centre, scatter = location_and_scatter(np.full(20, 1.5), np.full(20, 0.2))
+    assert centre == pytest.approx(1.5)
+    assert scatter == pytest.approx(0.0, abs=1e-6)
+
+
+def test_kinds_are_learned_apart_and_a_rare_fluid_has_its_type() -> None:
+    other = Kind(vehicle_type="dct", fluid="long life")
+    rare = Kind(vehicle_type="dct", fluid="rare")
+    lives = [*fleet(40, log_std=0.2), *fleet(3, log_std=0.2, kind=rare, seed=2)]
+    lives += [replace(one, courses=slow(one), kind=other) for one in fleet(40, log_std=0.2, seed=3)]
+    population = learn(lives)
+    usual, long_life, any_fluid = (population.of("dct", fluid) for fluid in ("75W", "long life", "rare"))
+    assert usual is not None
+    assert long_life is not None
+    assert any_fluid is not None
+    margin = usual.channels[ChannelName.MARGIN]
+    assert margin.loss_per_m == pytest.approx(1.25e-8, rel=0.1)
+    assert margin.loss_log_std == pytest.approx(0.2, abs=0.08)
+    assert margin.start == pytest.approx(1.02)
+    assert long_life.channels[ChannelName.MARGIN].loss_per_m == pytest.approx(0.6e-8, rel=0.1)
+    assert (any_fluid.kind.fluid, any_fluid.life_count) == (None, 83)
+    assert population.of("van", "75W") is None
+    assert learn(fleet(7, log_std=0.2)).peers == ()
+
+
+def slow(one: Ageing) -> dict[ChannelName, Course]:
+    course = one.courses[ChannelName.MARGIN]
+    loss = 0.48 * course.loss_per_m
+    return {ChannelName.MARGIN: replace(course, loss_per_m=loss, loss_std_per_m=0.1 * loss)}
+
+
+def test_lives_that_hardly_tell_their_loss_are_left_out() -> None:
+    vague = [life(number, 1.0e-8, doubt=0.9) for number in range(50)]
+    assert learn(vague).peers == ()
+    assert learn([*vague, *fleet(20, log_std=0.2)]).peers[0].channels[ChannelName.MARGIN].loss_per_m > 1.1e-8
+
+
+def test_each_fluid_of_a_past_is_a_life_with_its_loss() -> None:
+    margin = np.concatenate((ageing(200, until=0.4), ageing(150, until=0.7)))
+    history = past(margin, step_m=2.0e5, fills=(200,), noise_ratio=0.004)
+    first, second = ageings("car1", 2, history, REFERENCE, [KIND, replace(KIND, fluid="new")])
+    assert (first.kind.fluid, second.kind.fluid) == ("75W", "new")
+    assert (first.is_present, second.is_present) == (False, True)
+    for one, loss in ((first, 0.6), (second, 0.3)):
+        course = one.courses[ChannelName.MARGIN]
+        assert course.loss_per_m == pytest.approx(loss / one.distance_m, rel=0.1)
+        assert abs(course.loss_per_m * one.distance_m - loss) < 3.0 * course.loss_std_per_m * one.distance_m
+    unknown = ageings("car1", 2, replace(history, new_fluids=(1,)), REFERENCE, [KIND, KIND])
+    assert [one.is_present for one in unknown] == [True]  # of the first fluid nobody knows how old it was
+
+
+def test_a_new_vehicle_begins_with_its_population() -> None:
+    few = past(np.ones(12), step_m=5.0e4, noise_ratio=0.02)
+    peers = learn(fleet(60, log_std=0.15)).of("dct", "75W")
+    alone, among = prognose(1, few, REFERENCE), prognose(1, few, REFERENCE, peers=peers)
+    assert alone.change_fluid is not None
+    assert among.change_fluid is not None
+    widths = [
+        np.ptp(one.passage.quantiles_m(np.array([0.25, 0.75]))) for one in (alone.change_fluid, among.change_fluid)
+    ]
+    assert widths[1] < 0.7 * widths[0]
+    median_m = among.change_fluid.p50_m
+    assert median_m is not None
+    assert 4.5e7 < median_m < 9.0e7  # 80,000 km, less what bends may take
+    assert any("60 lives" in line for line in among.assumptions)
