@@ -15,6 +15,7 @@ from tests.integration.test_requested_routine import in_workshop as waiting
 from tests.support.uds.adapting_car import ADAPT, CLEAR, AdaptingCar, in_workshop, memory_in
 
 NOMINAL_PA = (134_545.0, 150_000.0)
+MARGIN_PA = 0.1e5  # above the touch point a filled clutch is held
 STRONG_SPRING_N = 850.0  # begins to carry torque about 0.6 bar later
 DONE = Status.TEST_FAILED | Status.CONFIRMED
 
@@ -27,10 +28,11 @@ class Day:
     codes: dict[str, list[Status]] = field(default_factory=lambda: {"P0810": [], "P2788": []})
     works_by_pa: list[tuple[float, float]] = field(default_factory=list)
     touch_pa: tuple[float, float] = (0.0, 0.0)
+    fills_pa: dict[int, float] = field(default_factory=dict)
 
 
-def lived(scenario: Scenario, memory: MemoryFile, *requests: str) -> Day:
-    """Let a car start, be asked for routines one after the other, and be switched off."""
+def lived(scenario: Scenario, memory: MemoryFile, *requests: str, to_gear: int = 0) -> Day:
+    """Let a car start, be asked for routines one after the other, perhaps drive off, and be switched off."""
     day = Day()
     with memory:
         car = AdaptingCar(scenario, memory)
@@ -43,6 +45,9 @@ def lived(scenario: Scenario, memory: MemoryFile, *requests: str) -> Day:
                 statuses.append(car.status(code))
             day.works_by_pa.append(car.drive.touch_pressures_pa)
             day.said["22 03 10"] = car.ask("22 03 10")
+        if to_gear:
+            car.drive_off(to_gear)
+            day.fills_pa = car.fills_pa
         car.close()
     return day
 
@@ -55,7 +60,7 @@ def _days(tmp_path_factory: pytest.TempPathFactory) -> list[Day]:
     return [
         lived(worn, memory, ADAPT),
         lived(worn, memory),
-        lived(in_workshop(), memory, ADAPT),
+        lived(in_workshop(), memory, ADAPT, to_gear=2),
         lived(in_workshop(), memory, CLEAR),
     ]
 
@@ -79,7 +84,11 @@ def test_touch_points_are_found_within_the_stated_deviation_and_worked_with(days
         sum(abs(one - other) for one, other in zip(works_by_pa, day.touch_pa, strict=True))
         for works_by_pa in (NOMINAL_PA, day.works_by_pa[1])
     )
-    assert after < 0.5 * before  # what fills are off
+    assert after < 0.5 * before
+    for gear, clutch in ((1, 0), (2, 1)):
+        assert day.fills_pa[gear] - day.touch_pa[clutch] == pytest.approx(
+            MARGIN_PA, abs=1_500.0
+        )  # by steps of 0.01 bar
 
 
 def test_adaptation_that_is_done_is_no_fault_any_more_and_is_kept(days: list[Day]) -> None:

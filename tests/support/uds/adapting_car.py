@@ -4,7 +4,9 @@ from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
+from clutch_model.gears import clutch_of_gear
 from dbc.contract import load_contract
+from ecu_emulator import tcu_data
 from ecu_emulator.build import build_vehicle
 from ecu_emulator.diagnostics.codes import Status
 from ecu_emulator.diagnostics.controller import Controller
@@ -24,6 +26,7 @@ ADAPT = "31 01 03 02"
 CLEAR = "31 01 03 03"
 SEED = 3  # one clutch of it is as the type has it, the other begins 0.018 bar below
 _MASK = 0x5AA5C33C
+FILLING_PA = 5e5  # a clutch is filled with more
 _READY_S = 5.5  # an engine that has run long enough
 _MOST_S = 200.0
 
@@ -45,6 +48,8 @@ class AdaptingCar:
         self._sent = SentValues(database)
         self._pressures = database.get_message_by_name("TCU_Pressures").frame_id
         self.t_s = 0.0
+        self._is_driving = False
+        self.fills_pa: dict[int, float] = {}  # by gear, at which its clutch is held once it is filled
         self.controller = Controller(
             shipped_table(), values=self._values, clock=lambda: self.t_s, chance=bytes, store=memory
         )
@@ -77,13 +82,29 @@ class AdaptingCar:
         frames = stretch.frames
         for t_s, can_id, data in zip(frames.t_s.tolist(), frames.can_id.tolist(), frames.data, strict=True):
             self._sent.note(can_id, data.tobytes())
-            if can_id == self._pressures and self.adaptation.is_listening:
-                self.adaptation.hear(t_s, self._sent.now({}))
+            if can_id == self._pressures and (self.adaptation.is_listening or self._is_driving):
+                self._take(t_s, self._sent.now({}))
         self.t_s = stretch.end_s
         self.monitoring.look(self._values(), self.t_s)
         self.monitoring.judge_clutches({})
         self.adaptation.step(self._values())
         self.clearing.step()
+
+    def _take(self, t_s: float, values: Moment) -> None:
+        if self.adaptation.is_listening:
+            self.adaptation.hear(t_s, values)
+        if self._is_driving and values.get("shift_phase") == tcu_data.PREFILL:
+            gear = int(values["target_gear"])
+            command_pa = values[f"clutch{clutch_of_gear(gear)}_pressure_command_pa"]
+            if 0.0 < command_pa < FILLING_PA:
+                self.fills_pa.setdefault(gear, command_pa)
+
+    def drive_off(self, to_gear: int) -> None:
+        """Start and drive until a gear's clutch is filled; ``fills_pa`` has at what it is held then."""
+        self._is_driving = True
+        self.drive.begin_routine(Routine(open_revs=1))
+        while to_gear not in self.fills_pa or self._sent.now({}).get("current_gear") != to_gear:
+            self.go_on()
 
     def ask(self, request: str) -> str:
         """Return the response, empty if there is none."""
