@@ -1,6 +1,6 @@
 """Every threshold of the verdict; docs/verdict.md says why each has its value."""
 
-MIN_SHIFT_COUNT = 2  # one shift may be an outlier
+MIN_SHIFT_COUNT = 3  # of two that disagree nobody knows which is wrong
 MAX_MARGIN_STD_RATIO = 0.5  # of the reference margin: beyond it the slope is anyone's guess
 SURE_MARGIN_STD_RATIO = 0.1  # likewise: until it is known so well, more shifts will tell a thin margin from a good one
 CHANGE_LEVEL_RATIO = 0.80  # torque reserve of the hold pressure (1.5) is half used up; of new, and of the own baseline

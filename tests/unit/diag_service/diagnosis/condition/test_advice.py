@@ -69,7 +69,7 @@ def test_what_was_lost_of_the_own_friction_is_told_as_that() -> None:
 @pytest.mark.parametrize(
     ("verdict", "sentence"),
     [
-        (verdict_on(0.14, 0.119, shift_count=1), "fewer than 2 of its shifts could be used"),
+        (verdict_on(0.14, 0.119, shift_count=1), "fewer than 3 of its shifts could be used"),
         (verdict_on(0.14, 0.119, std=0.02), "its friction is not known well enough yet"),
         (no_verdict(2, "clutch pressures"), "the signals of this vehicle do not tell its friction"),
         (unjudged(shift_result(), (Gap.LOG_CUT,)).verdict, "no verdict on a part of a drive"),
