@@ -32,6 +32,7 @@ from canlog.tables.decoding import (
 from canlog.tables.layouts import Values
 from canlog.tables.outputs import FORMAT_OF_SUFFIX, TableFormat
 from canlog.tables.report import losses
+from canlog.transport import LongMessage, LongMessages
 
 ShapeName = Literal["wide", "long"]
 ValuesName = Literal["numbers", "texts", "both"]
@@ -130,6 +131,14 @@ class Log:
                 unit=self._plan.codec.tables[slot].definitions[name].unit or "",
             )
         return signals
+
+    def long_messages(self) -> list[LongMessage]:
+        """Return the messages that are longer than a frame: put together, and decoded if the database has them.
+
+        ISO-TP, J1939 transport and fast packets of NMEA 2000; what is not whole is not among them.
+        """
+        together = LongMessages([table.message for table in self._plan.codec.tables])
+        return [*together.feed(self.frames), *together.close()]
 
     def to_arrow(self, shape: ShapeName = "wide", values: ValuesName = "numbers") -> Any:  # noqa: ANN401 - untyped
         """Return the signals as a table of pyarrow, the one that ``write_parquet`` writes.

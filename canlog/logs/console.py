@@ -20,6 +20,8 @@ from canlog.logs.text_log import MAX_LINE_BYTES, TextLog, frames_of
 
 COLOUR = re.compile(rb"\x1b\[[\d;]*m")
 TIME = re.compile(rb"^\s*\((?P<date>\d{4}-\d\d-\d\d \d\d:\d\d:\d\d\.\d+|)(?P<count>\d+\.\d+|)\)\s", re.MULTILINE)
+_BLANK = rb"(?:\x1b[^m\n]*m|[ \t\r])*"  # colours as well, as the compiled reader passes over them
+NAME = re.compile(_BLANK + rb"(?:\([^)\n]*\)" + _BLANK + rb")?(?P<name>[^\x00-\x20]+)")
 EPOCH_DIGITS = 9  # seconds since the epoch have had as many since 1973
 LEAST_FALLS = 0.1  # of all steps between times: so many times of one clock never fall
 NO_TIMES = "the log has no times (candump -t): every frame is of 1970-01-01 00:00:00"
@@ -52,9 +54,8 @@ class ConsoleLog(TextLog):
         """Read lines; a channel that is met for the first time gets its number."""
         parse_lines(text, rows, self._channels.words, len(self._channels), self._clock, progress)
         if progress[STOP] == NEW_CHANNEL:
-            line = COLOUR.sub(b"", text[progress[POSITION] :][:MAX_LINE_BYTES].tobytes())
-            rest = line.partition(b")")[2] if line.lstrip().startswith(b"(") else line
-            self._channels.add(rest.split(maxsplit=1)[0])
+            line = NAME.match(text[progress[POSITION] :][:MAX_LINE_BYTES].tobytes())
+            self._channels.add(line["name"] if line else b"")
 
     def read_comment(self, line: bytes) -> bool:
         """Take up that candump says it lost frames."""

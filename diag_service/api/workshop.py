@@ -8,6 +8,7 @@ from canlog.whole_log import FormatName, Log, ShapeName, ValuesName
 from clutch_model.calibration import Calibration
 from diag_service.api.choices import AnyPath, AnyPaths, configuration, optional_path, path_list
 from diag_service.commands.arguments import DEFAULT_BITRATE
+from diag_service.commands.conversations import Conversations
 from diag_service.commands.inspect import Inspection, inspect_log
 from diag_service.commands.signals import proposed_profile
 from diag_service.console.collecting import collected_notices
@@ -111,6 +112,8 @@ def inspect(
     bitrate: int = DEFAULT_BITRATE,
     is_lenient: bool = False,
     columns: str = "",
+    has_conversations: bool = False,
+    pairs: str = "",
 ) -> Inspection:
     """Return what traffic a log holds, as ``diag-service inspect`` shows it.
 
@@ -118,6 +121,8 @@ def inspect(
     ----------
     bitrate
         That the bus load is told for [bit/s].
+    has_conversations, pairs
+        Whether messages longer than a frame are put together, ``79B:7BB`` for identifiers that ISO 15765 does not have.
     path, dbc, is_lenient, columns
         As of ``analyze``.
 
@@ -128,7 +133,8 @@ def inspect(
     """
     with collected_notices():
         messages = open_database(optional_path(dbc), is_lenient=is_lenient).messages
-        return inspect_log(Path(path), messages, bitrate, Trigger(), columns=columns)
+        talks = Conversations(messages, pairs) if has_conversations or pairs else None
+        return inspect_log(Path(path), messages, bitrate, Trigger(), columns=columns, conversations=talks)
 
 
 def propose_profile(path: AnyPath, dbc: AnyPath | None = None, *, is_lenient: bool = False, columns: str = "") -> str:

@@ -131,9 +131,22 @@ _INSPECT: Final = Command(
         INT,
         default=DEFAULT_BITRATE,
     ),
+    Option(
+        "--conversations",
+        "put messages longer than a frame together (ISO-TP, J1939 transport, NMEA 2000 fast packet) and show what "
+        "testers asked and controllers answered",
+    ),
+    Option(
+        "--pairs IDS",
+        "identifiers of further requests and answers, hexadecimal: 79B:7BB,740:760 (default: those of ISO 15765)",
+    ),
     *(_JSON, VERBOSE),
     description="Show what traffic a log holds. A database names the messages; the shipped one also checks them.",
-    examples=(f"{PROGRAM} inspect drive.blf --dbc car.dbc", f"candump -L -T 5000 can0 | {PROGRAM} inspect -"),
+    examples=(
+        f"{PROGRAM} inspect drive.blf --dbc car.dbc",
+        f"{PROGRAM} inspect workshop.log --conversations",
+        f"candump -L -T 5000 can0 | {PROGRAM} inspect -",
+    ),
 )
 _SIGNALS: Final = Command(
     "signals",

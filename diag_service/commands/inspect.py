@@ -20,6 +20,7 @@ from canlog.logs.fault_texts import assumed_texts, lost_texts
 from canlog.logs.reading import Watch
 from canlog.traffic import NS_PER_S, IdTraffic, TrafficMeter, TrafficReport
 from diag_service.batch.drives import LeftOut, TakenFor, left_out_record, sorted_out
+from diag_service.commands.conversations import Conversations
 from diag_service.console.reading import ReadingLine
 from diag_service.console.terminal import PeopleConsole
 from diag_service.diagnosis.results import dump, utc_from_bus_ns
@@ -52,6 +53,7 @@ class Inspection:
     names: dict[int, str]  # identifier with flags -> message
     links: dict[str, LinkErrors]  # of protected messages that were seen
     is_whole: bool
+    conversations: Conversations | None = None  # if they were asked for
 
     def to_json(self) -> str:
         """Return what ``--json`` prints: one JSON object, on one line."""
@@ -65,7 +67,9 @@ def execute(options: SimpleNamespace, controls: Controls) -> None:
     columns = options.columns or ""
     for path in _files(options, columns, console):
         with ReadingLine() as line:
-            inspection = inspect_log(path, messages, options.bitrate, controls.stop, line.watch, columns)
+            has_talks = options.conversations or options.pairs
+            talks = Conversations(messages, options.pairs or "") if has_talks else None
+            inspection = inspect_log(path, messages, options.bitrate, controls.stop, line.watch, columns, talks)
         if options.json:
             sys.stdout.write(inspection.to_json() + "\n")
         else:
@@ -81,6 +85,7 @@ def inspect_log(
     stop: Trigger,
     watch: Watch | None = None,
     columns: str = "",
+    conversations: Conversations | None = None,
 ) -> Inspection:
     """Read a log once and return what it holds.
 
@@ -100,6 +105,8 @@ def inspect_log(
                 is_whole = False
                 break
             meter.add(batch)
+            if conversations is not None:
+                conversations.add(batch)
             if last_ns is not None and not 0 <= int(batch.t_ns[0]) - last_ns <= NS_PER_S:
                 monitor.reset()
             monitor.check(batch)
@@ -108,6 +115,8 @@ def inspect_log(
         is_whole = False
     finally:
         reader.close()
+    if conversations is not None:
+        conversations.close()
     traffic = meter.report()
     counts, missing = monitor.counts, monitor.missing
     return Inspection(
@@ -120,6 +129,7 @@ def inspect_log(
             if row.sum()
         },
         is_whole=is_whole,
+        conversations=conversations,
     )
 
 
@@ -142,6 +152,7 @@ def inspection_record(inspection: Inspection) -> JsonObject:
         "notes": list(counts.notes),
         **table,
         "protection": {name: asdict(link) for name, link in inspection.links.items()},
+        **({"conversations": talks.record()} if (talks := inspection.conversations) is not None else {}),
     }
 
 
@@ -193,6 +204,8 @@ def _show(inspection: Inspection, bitrate: int, console: PeopleConsole) -> None:
         line = _COLUMNS.format(*_row(one, inspection.names.get(one.can_id, "").ljust(width)))
         console.print(line)
     for line in _protection_lines(inspection.links):
+        console.print(line)
+    for line in inspection.conversations.lines() if inspection.conversations is not None else ():
         console.print(line)
 
 

@@ -72,6 +72,13 @@ def test_what_is_damaged_is_counted(line: str) -> None:
     assert (len(batch), sum(counts.rejected.values())) == (0, 1)
 
 
+@pytest.mark.parametrize("name", ["c\x1b[?25hm", "\x1b]m can0", "can0\x1b;x;m", "(", "a)b", "x\x0c"])
+def test_odd_names_of_channels_end_the_reading(name: str) -> None:
+    counts = LogCounts()
+    batch, _ = read(f"  {name}  0A0   [1]  01\n (1.0) {name}  0A0   [1]  01\n", counts)
+    assert len(batch) + sum(counts.rejected.values()) == 2
+
+
 def test_explanations_of_errors_and_counts_of_drops_are_no_damage() -> None:
     counts = LogCounts()
     text = (

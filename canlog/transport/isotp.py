@@ -1,0 +1,167 @@
+"""ISO-TP (ISO 15765-2) as somebody sees it who listens to both sides: requests, answers and flow control."""
+
+from dataclasses import dataclass, field
+
+from canlog.transport.transfers import MOST_OPEN, NS_PER_MS, Fault, Protocol, Transfer, TransferCounts
+
+SINGLE, FIRST, CONSECUTIVE, FLOW_CONTROL = range(4)
+CONTINUE, WAIT, OVERFLOW = range(3)  # what a flow control says
+LIMIT_NS = 1_000 * NS_PER_MS  # N_Cr and N_Bs: longest silence between two frames
+CLASSIC_BYTES = 8
+SEQUENCE = 16
+SHORTEST_LONG = 8  # a message of fewer bytes fits into a single frame, of CAN FD or not
+LONGEST = 1 << 20  # 32 bits could say more; no controller has it
+TESTER_PRESENT = 0x3E
+
+Key = tuple[int, int]  # channel, identifier with flags
+
+
+@dataclass(slots=True)
+class _Open:
+    """A message of which frames are missing."""
+
+    first_ns: int
+    last_ns: int
+    length: int
+    data: bytearray
+    frames: int = 1
+    sequence: int = 1  # of the frame that has to come
+    is_allowed: bool = False  # a flow control came since the block began
+    block: int = 0  # frames until the next flow control; 0: none has to come
+
+
+@dataclass(slots=True)
+class IsoTp:
+    """The state of every conversation; ``peer_of`` says to whose identifier an identifier's frames are the other side.
+
+    A consecutive frame that nothing precedes is part of a message whose beginning is missing: counted once, until one
+    begins, or the numbers begin again.
+    """
+
+    counts: TransferCounts
+    _open: dict[Key, _Open] = field(default_factory=dict)
+    _orphan: dict[Key, tuple[int, int]] = field(
+        default_factory=dict
+    )  # last number and time of frames without beginning
+
+    def feed(self, t_ns: int, key: Key, peer: Key | None, data: bytes) -> Transfer | None:
+        """Take a frame of a sender, whose other side has the identifier ``peer``; return the message it completes."""
+        kind = data[0] >> 4 if data else -1
+        if kind == FLOW_CONTROL:
+            self._control(t_ns, peer, data)
+            return None
+        if kind == SINGLE:
+            return self._single(t_ns, key, peer, data)
+        if kind == FIRST:
+            self._begin(t_ns, key, peer, data)
+        elif kind == CONSECUTIVE:
+            return self._continue(t_ns, key, data)
+        return None
+
+    def close(self) -> None:
+        """Count what is not complete at the end."""
+        for key in list(self._open):
+            self._give_up(key, Fault.CUT_OFF)
+
+    def _single(self, t_ns: int, key: Key, peer: Key | None, data: bytes) -> Transfer | None:
+        length, start = data[0] & 0x0F, 1
+        if length == 0 and len(data) > CLASSIC_BYTES:
+            length, start = data[1], 2
+        if length == 0 or start + length > len(data):
+            self._fault(Fault.WRONG_LENGTH)
+            return None
+        self._leave(key, Fault.INTERRUPTED)
+        if peer is not None and data[start] != TESTER_PRESENT:
+            self._leave(peer, Fault.INTERRUPTED)  # whoever asks again waits for nothing any more
+        return self._whole(key, t_ns, t_ns, 1, data[start : start + length])
+
+    def _begin(self, t_ns: int, key: Key, peer: Key | None, data: bytes) -> None:
+        self._leave(key, Fault.INTERRUPTED)
+        if peer is not None:
+            self._leave(peer, Fault.INTERRUPTED)
+        if len(data) < CLASSIC_BYTES:
+            self._fault(Fault.WRONG_LENGTH)
+            return
+        length, start = (data[0] & 0x0F) << 8 | data[1], 2
+        if length == 0:
+            length, start = int.from_bytes(data[2:6]), 6
+        if not max(SHORTEST_LONG, len(data) - start + 1) <= length <= LONGEST:
+            self._fault(Fault.WRONG_LENGTH)
+            return
+        if len(self._open) >= MOST_OPEN:
+            self._give_up(next(iter(self._open)), Fault.TOO_MANY)
+        self._open[key] = _Open(first_ns=t_ns, last_ns=t_ns, length=length, data=bytearray(data[start:]))
+
+    def _control(self, t_ns: int, peer: Key | None, data: bytes) -> None:
+        """Take what a receiver says to the sender of a message."""
+        one = self._open.get(peer) if peer is not None else None
+        status, block = data[0] & 0x0F, data[1] if len(data) > 1 else 0
+        if peer is not None and one is None and status == CONTINUE and block == 0:
+            self._orphan.pop(peer, None)  # a message begins of which the first frame is missing
+        if peer is None or one is None:
+            return
+        if status == OVERFLOW:
+            self._give_up(peer, Fault.ABORTED)
+        elif status == CONTINUE and one.is_allowed and (one.block == 0 or one.block > 1):
+            self._give_up(peer, Fault.INTERRUPTED)  # it is not its turn: another message has begun
+        else:
+            one.last_ns = t_ns
+            if status == CONTINUE:
+                one.is_allowed, one.block = True, block + 1 if block else 0
+
+    def _continue(self, t_ns: int, key: Key, data: bytes) -> Transfer | None:
+        one, sequence = self._open.get(key), data[0] & 0x0F
+        if one is not None and t_ns - one.last_ns > LIMIT_NS:
+            self._give_up(key, Fault.TIMEOUT)
+            one = None
+        if one is None:
+            self._without_beginning(t_ns, key, sequence)
+            return None
+        if sequence != one.sequence:
+            self._give_up(key, Fault.FRAME_MISSING)
+            self._orphan[key] = (sequence, t_ns)
+            return None
+        one.data += data[1:]
+        one.frames, one.last_ns, one.sequence = one.frames + 1, t_ns, (sequence + 1) % SEQUENCE
+        one.block = max(one.block - 1, 1) if one.block else 0
+        if len(one.data) < one.length:
+            return None
+        del self._open[key]
+        return self._whole(key, one.first_ns, t_ns, one.frames, bytes(one.data[: one.length]))
+
+    def _without_beginning(self, t_ns: int, key: Key, sequence: int) -> None:
+        """Count a message whose beginning is missing, once."""
+        last, last_ns = self._orphan.get(key, (-1, t_ns - LIMIT_NS - 1))
+        is_another = t_ns - last_ns > LIMIT_NS or (sequence <= last and (last - sequence) < SEQUENCE // 2)
+        if last < 0 or is_another:
+            self._fault(Fault.NO_BEGINNING)
+        if len(self._orphan) >= MOST_OPEN and key not in self._orphan:
+            del self._orphan[next(iter(self._orphan))]
+        self._orphan[key] = (sequence, t_ns)
+
+    def _whole(self, key: Key, first_ns: int, last_ns: int, frames: int, data: bytes) -> Transfer:
+        self.counts.add_whole(Protocol.ISO_TP)
+        channel, can_id = key
+        return Transfer(
+            protocol=Protocol.ISO_TP,
+            channel=channel,
+            can_id=can_id,
+            first_ns=first_ns,
+            last_ns=last_ns,
+            frames=frames,
+            data=data,
+        )
+
+    def _leave(self, key: Key, fault: Fault) -> None:
+        """Let another message of a sender begin."""
+        self._orphan.pop(key, None)
+        if key in self._open:
+            self._give_up(key, fault)
+
+    def _give_up(self, key: Key, fault: Fault) -> None:
+        one = self._open.pop(key)
+        self._orphan[key] = ((one.sequence - 1) % SEQUENCE, one.last_ns)
+        self._fault(fault)
+
+    def _fault(self, fault: Fault) -> None:
+        self.counts.add_fault(Protocol.ISO_TP, fault)

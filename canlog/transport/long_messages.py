@@ -1,0 +1,84 @@
+"""Messages longer than a frame, decoded by the database."""
+
+from collections.abc import Collection, Iterator, Sequence
+from dataclasses import dataclass
+from typing import Final
+
+from cantools.database import DecodeError
+from cantools.database.can import Message
+
+from canlog.database.addressing import J1939, NOBODY, address_book, find_slot, message_address, overwritten
+from canlog.decode.codec import message_table
+from canlog.frames import PAYLOAD_BYTES, FrameBatch
+from canlog.transport.fast_packet import LONGEST as LONGEST_FAST
+from canlog.transport.reassembly import Reassembler, group_of
+from canlog.transport.transfers import Transfer, TransferCounts
+
+_NOBODY: Final = int(NOBODY)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LongMessage:
+    """A message that was put together, and what it says in the units of the database; nothing if that knows it not."""
+
+    transfer: Transfer
+    name: str = ""
+    values: dict[str, float | int] | None = None
+    fault: str = ""  # why the database cannot decode it
+
+
+class LongMessages:
+    """The messages of a stream that are longer than a frame.
+
+    A group of J1939 of more than eight bytes whose own identifier comes is taken for a fast packet of NMEA 2000.
+    ``pairs`` are further identifiers of requests and answers, as of `Reassembler`.
+    """
+
+    def __init__(self, messages: Sequence[Message], pairs: Collection[tuple[int, int]] = ()) -> None:
+        addresses = [message_address(message) for message in messages]
+        later = overwritten(addresses)
+        kept = [slot for slot in range(len(messages)) if slot not in later]
+        self._messages = [messages[slot] for slot in kept]
+        self._book = address_book([addresses[slot] for slot in kept])
+        self._reassembler = Reassembler(fast_groups=fast_groups(self._messages), pairs=pairs)
+
+    @property
+    def counts(self) -> TransferCounts:
+        """What became of all messages until now."""
+        return self._reassembler.counts
+
+    def feed(self, batch: FrameBatch) -> Iterator[LongMessage]:
+        """Yield the messages that are whole by the frames that follow."""
+        yield from map(self._decoded, self._reassembler.feed(batch))
+
+    def close(self) -> Iterator[LongMessage]:
+        """End, and yield what is whole now."""
+        yield from map(self._decoded, self._reassembler.close())
+
+    def _decoded(self, transfer: Transfer) -> LongMessage:
+        slot = int(find_slot(self._book, transfer.can_id))
+        if slot == _NOBODY:
+            return LongMessage(transfer=transfer)
+        message = self._messages[slot]
+        if len(transfer.data) <= PAYLOAD_BYTES and message.length > len(transfer.data):
+            return LongMessage(transfer=transfer, name=message.name, fault="shorter than the database says")
+        try:
+            decoded = message.decode(transfer.data, decode_choices=False, allow_truncated=True)
+        except (DecodeError, ValueError) as exc:
+            return LongMessage(transfer=transfer, name=message.name, fault=str(exc))
+        if not isinstance(decoded, dict):
+            return LongMessage(transfer=transfer, name=message.name, fault="a container of other messages")
+        values = {name: value for name, value in decoded.items() if isinstance(value, int | float)}
+        return LongMessage(transfer=transfer, name=message.name, values=values)
+
+
+def fast_groups(messages: Sequence[Message]) -> frozenset[int]:
+    """Return the groups whose own frames can be no more than pieces: fast packets of NMEA 2000."""
+    return frozenset(
+        group_of(message.frame_id)
+        for message in messages
+        if message.is_extended_frame
+        and message.protocol == J1939
+        and PAYLOAD_BYTES < message.length <= LONGEST_FAST
+        and message_table(message).needed_bytes
+    )

@@ -1,0 +1,50 @@
+"""Messages longer than a frame: whole from whole logs, right or counted from logs with holes, never invented."""
+
+from collections import Counter
+from itertools import pairwise
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from canlog.transport import Reassembler, Transfer
+from tests.support.transport_traffic import FAST_GROUPS, MAKERS, Sent, batch_of, generator
+
+LOST = 0.05
+
+
+def found_in(frames: list[Sent], cuts: list[int]) -> tuple[list[Transfer], Reassembler]:
+    """Return the messages in some frames that come in batches cut anywhere."""
+    reassembler, found = Reassembler(fast_groups=FAST_GROUPS), list[Transfer]()
+    edges = sorted({0, len(frames), *(cut % (len(frames) + 1) for cut in cuts)})
+    for first, last in pairwise(edges):
+        found += reassembler.feed(batch_of(frames[first:last]))
+    return found + reassembler.close(), reassembler
+
+
+@pytest.mark.parametrize("name", MAKERS)
+@settings(max_examples=8, deadline=None)
+@given(seed=st.integers(0, 1 << 30), cuts=st.lists(st.integers(0, 1 << 20), max_size=4))
+def test_every_message_of_a_whole_log_is_put_together(name: str, seed: int, cuts: list[int]) -> None:
+    traffic = MAKERS[name](generator(seed), 24)
+    found, reassembler = found_in(list(traffic.frames), cuts)
+    assert Counter((one.can_id, one.data) for one in found) == Counter(traffic.messages)
+    assert reassembler.counts.incomplete == {}
+    assert all(one.first_ns <= one.last_ns for one in found)
+
+
+@pytest.mark.parametrize("name", MAKERS)
+@settings(max_examples=25, deadline=None, derandomize=True)  # chance: what follows may be lost, too
+@given(seed=st.integers(0, 1 << 30))
+def test_with_lost_frames_every_message_is_right_or_counted(name: str, seed: int) -> None:
+    rng = generator(seed)
+    traffic = MAKERS[name](rng, 40)
+    kept = [one for one in traffic.frames if rng.random() >= LOST]
+    found, reassembler = found_in(kept, [seed])
+    sent, right = Counter(traffic.messages), Counter((one.can_id, one.data) for one in found)
+    assert right <= sent, "invented"
+    whole = {number for number in range(40) if {one for one in traffic.frames if one.message == number} <= set(kept)}
+    seen = {one.message for one in kept if one.message >= 0}
+    assert right >= Counter(traffic.messages[number] for number in whole)
+    # Two neighbours whose beginnings are both lost may look like one.
+    assert len(seen) - 1 <= len(found) + reassembler.counts.incomplete_count <= len(traffic.messages)

@@ -1,0 +1,194 @@
+"""Messages longer than a frame, cut into frames by nothing of ours: can-isotp, and encoders after the standards."""
+
+import random
+from collections import deque
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+
+import isotp
+import numpy as np
+
+from canlog.frames import EXTENDED_FLAG, FD_FLAG, FrameBatch
+
+MS = 1_000_000
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Sent:
+    """A frame on the bus, and the number of the message that it is part of; -1: flow control and the like."""
+
+    t_ns: int
+    can_id: int
+    data: bytes
+    message: int
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Traffic:
+    """Frames, and the messages that they carry: identifier as a transfer has it, and contents."""
+
+    frames: tuple[Sent, ...]
+    messages: tuple[tuple[int, bytes], ...]
+
+
+def generator(seed: int) -> random.Random:
+    """Return chance that can be repeated."""
+    return random.Random(seed)  # noqa: S311 - no secrets
+
+
+def batch_of(frames: "list[Sent] | tuple[Sent, ...]") -> FrameBatch:
+    """Return frames as columns."""
+    width = 64 if any(len(one.data) > 8 for one in frames) else 8
+    data = np.zeros((len(frames), width), np.uint8)
+    for row, one in enumerate(frames):
+        data[row, : len(one.data)] = list(one.data)
+    return FrameBatch(
+        t_ns=np.array([one.t_ns for one in frames], np.int64),
+        can_id=np.array([one.can_id for one in frames], np.uint32),
+        length=np.array([len(one.data) for one in frames], np.uint8),
+        data=data,
+        flags=np.array([FD_FLAG if len(one.data) > 8 else 0 for one in frames], np.uint8),
+    )
+
+
+def contents(rng: random.Random, number: int, shortest: int, longest: int) -> bytes:
+    """Return bytes of which no two messages have the same."""
+    length = rng.randint(max(shortest, 4), longest)
+    return number.to_bytes(4) + rng.randbytes(length - 4)
+
+
+def iso_tp(rng: random.Random, count: int, *, block: int = 0, is_fd: bool = False) -> Traffic:
+    """Return a tester's requests and a controller's answers, each cut by can-isotp, flow control included."""
+    ids = (0x18DA10F1 | EXTENDED_FLAG, 0x18DAF110 | EXTENDED_FLAG) if rng.random() < 0.5 else (0x7E0, 0x7E8)
+    bus: deque[tuple[int, bytes]] = deque()
+    waiting: tuple[deque[bytes], deque[bytes]] = (deque(), deque())
+    options = {"blocksize": block, "stmin": 0, "tx_data_length": 64 if is_fd else 8, "can_fd": is_fd}
+
+    def side(own: int) -> isotp.TransportLayerLogic:
+        def send(message: isotp.CanMessage) -> None:
+            bus.append((own, bytes(message.data)))
+            waiting[1 - own].append(bytes(message.data))
+
+        def receive(timeout: float) -> isotp.CanMessage | None:
+            del timeout
+            data = waiting[own].popleft() if waiting[own] else None
+            return (
+                None
+                if data is None
+                else isotp.CanMessage(
+                    arbitration_id=ids[1 - own] & 0x1FFF_FFFF,
+                    data=data,
+                    dlc=len(data),
+                    extended_id=ids[0] > 0x7FF,
+                    is_fd=is_fd,
+                )
+            )
+
+        mode = isotp.AddressingMode.Normal_29bits if ids[0] > 0x7FF else isotp.AddressingMode.Normal_11bits
+        address = isotp.Address(mode, txid=ids[own] & 0x1FFF_FFFF, rxid=ids[1 - own] & 0x1FFF_FFFF)
+        return isotp.TransportLayerLogic(receive, send, address, params=options)
+
+    sides, t_ns, frames, messages = (side(0), side(1)), 0, list[Sent](), list[tuple[int, bytes]]()
+    for number in range(count):
+        own = number % 2
+        data = contents(rng, number, 4, 60 if rng.random() < 0.7 else 300)
+        messages.append((ids[own], data))
+        sides[own].send(data)
+        t_ns += rng.randint(5, 60) * MS
+        while sides[own].transmitting() or bus or waiting[0] or waiting[1]:
+            for one in sides:
+                one.process()
+            while bus:
+                sender, cut = bus.popleft()
+                t_ns += rng.randint(1, 5) * MS // 2
+                frames.append(Sent(t_ns=t_ns, can_id=ids[sender], data=cut, message=number if sender == own else -1))
+        received = sides[1 - own].recv()
+        assert received is not None
+        assert bytes(received) == data
+    return Traffic(frames=tuple(frames), messages=tuple(messages))
+
+
+def j1939(rng: random.Random, count: int) -> Traffic:
+    """Return messages for all (BAM) and between two (RTS, CTS, end of message), some with packets sent twice."""
+    frames, messages, t_ns = list[Sent](), list[tuple[int, bytes]](), 0
+    for number in range(count):
+        data, source, is_for_all = contents(rng, number, 9, 60), rng.choice([0x00, 0x03, 0x21]), rng.random() < 0.6
+        group = rng.choice([0xFECA, 0xFEEB, 0xEF00])
+        destination = 0xFF if is_for_all else 0xF9
+        specific = destination if group == 0xEF00 else group & 0xFF
+        can_id = EXTENDED_FLAG | 7 << 26 | (group & 0x3FF00) << 8 | specific << 8 | source
+        messages.append((can_id, data))
+        t_ns += rng.randint(20, 400) * MS
+        for gap_ms, kind, body in _for_all(group, data) if is_for_all else _between_two(rng, group, data):
+            t_ns += gap_ms * MS
+            is_answer = kind == "answer"
+            form = 0xEB if kind == "data" else 0xEC
+            ends = (source, destination) if is_answer else (destination, source)
+            frame_id = EXTENDED_FLAG | 7 << 26 | form << 16 | ends[0] << 8 | ends[1]
+            frames.append(Sent(t_ns=t_ns, can_id=frame_id, data=body, message=-1 if is_answer else number))
+    return Traffic(frames=tuple(frames), messages=tuple(messages))
+
+
+def _packets(data: bytes) -> list[bytes]:
+    pieces = [data[start : start + 7] for start in range(0, len(data), 7)]
+    return [bytes([number]) + piece.ljust(7, b"\xff") for number, piece in enumerate(pieces, 1)]
+
+
+def _for_all(group: int, data: bytes) -> Iterator[tuple[int, str, bytes]]:
+    packets = _packets(data)
+    yield (
+        0,
+        "cm",
+        bytes([32]) + len(data).to_bytes(2, "little") + bytes([len(packets), 0xFF]) + group.to_bytes(3, "little"),
+    )
+    for packet in packets:
+        yield 60, "data", packet
+
+
+def _between_two(rng: random.Random, group: int, data: bytes) -> Iterator[tuple[int, str, bytes]]:
+    packets, suffix = _packets(data), group.to_bytes(3, "little")
+    yield 0, "cm", bytes([16]) + len(data).to_bytes(2, "little") + bytes([len(packets), 0xFF]) + suffix
+    number = 1
+    while number <= len(packets):
+        some = min(rng.randint(1, 4), len(packets) - number + 1)
+        yield 3, "answer", bytes([17, some, number, 0xFF, 0xFF]) + suffix
+        for packet in packets[number - 1 : number - 1 + some]:
+            yield 4, "data", packet
+        number += some if rng.random() < 0.9 or some < 2 else some - 1  # the last one again
+    yield 3, "answer", bytes([19]) + len(data).to_bytes(2, "little") + bytes([len(packets), 0xFF]) + suffix
+
+
+def fast_packets(rng: random.Random, count: int) -> Traffic:
+    """Return fast packets of two groups and senders, interleaved."""
+    ids = [EXTENDED_FLAG | 0x09F80500 | source for source in (1, 2)] + [EXTENDED_FLAG | 0x0DF01A00 | 7]
+    sequences, queues, messages = dict.fromkeys(ids, 0), list[list[Sent]](), list[tuple[int, bytes]]()
+    for number in range(count):
+        can_id = ids[number % 3]
+        data = contents(rng, number, 7, 120)
+        messages.append((can_id, data))
+        head, rest = bytes([len(data)]) + data[:6], data[6:]
+        pieces = [head, *(rest[start : start + 7] for start in range(0, len(rest), 7))]
+        start_ns = (number // 3) * 500 * MS
+        frames = [
+            Sent(
+                t_ns=start_ns + (index * 10 + number % 3) * MS,
+                can_id=can_id,
+                data=bytes([sequences[can_id] << 5 | index]) + piece.ljust(7, b"\xff"),
+                message=number,
+            )
+            for index, piece in enumerate(pieces)
+        ]
+        sequences[can_id] = (sequences[can_id] + 1) % 8
+        queues.append(frames)
+    together = sorted((one for frames in queues for one in frames), key=lambda one: one.t_ns)
+    return Traffic(frames=tuple(together), messages=tuple(messages))
+
+
+MAKERS: dict[str, Callable[[random.Random, int], Traffic]] = {
+    "iso-tp": iso_tp,
+    "iso-tp in blocks": lambda rng, count: iso_tp(rng, count, block=3),
+    "iso-tp over CAN FD": lambda rng, count: iso_tp(rng, count, is_fd=True),
+    "j1939": j1939,
+    "fast packets": fast_packets,
+}
+FAST_GROUPS = frozenset({0x1F805, 0x1F01A})

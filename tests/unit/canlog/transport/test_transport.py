@@ -1,0 +1,135 @@
+"""What each protocol says of messages that are not whole, and how whole ones are decoded."""
+
+import pytest
+from cantools.database import load_string
+from cantools.database.can import Database
+
+from canlog.frames import EXTENDED_FLAG
+from canlog.transport import Exchanges, Fault, LongMessages, Protocol, Reassembler, Transfer
+from tests.support.transport_traffic import MS, Sent, batch_of, generator, j1939
+
+DBC = """VERSION ""
+BU_: A
+BO_ 2566834942 Trouble: 14 A
+ SG_ Lamps : 0|16@1+ (1,0) [0|0] "" A
+ SG_ Last : 96|16@1+ (0.5,-10) [0|0] "km" A
+
+BO_ 2314733054 Position: 43 A
+ SG_ Latitude : 56|64@1- (1,0) [0|0] "" A
+
+BA_DEF_ BO_ "VFrameFormat" ENUM "StandardCAN","ExtendedCAN","reserved","J1939PG";
+BA_DEF_DEF_ "VFrameFormat" "StandardCAN";
+BA_ "VFrameFormat" BO_ 2566834942 3;
+BA_ "VFrameFormat" BO_ 2314733054 3;
+"""
+
+
+def database() -> Database:
+    loaded = load_string(DBC, "dbc")
+    assert isinstance(loaded, Database)
+    return loaded
+
+
+def frames(*lines: tuple[int, int, str]) -> list[Sent]:
+    return [Sent(t_ns=t_ms * MS, can_id=can_id, data=bytes.fromhex(data), message=-1) for t_ms, can_id, data in lines]
+
+
+def put_together(*lines: tuple[int, int, str]) -> tuple[list[Transfer], dict[tuple[Protocol, Fault], int]]:
+    reassembler = Reassembler(fast_groups={0x1F805})
+    found = reassembler.feed(batch_of(frames(*lines))) + reassembler.close()
+    return found, reassembler.counts.incomplete
+
+
+TP_CM, TP_DT = 0x9CECFF00, 0x9CEBFF00
+TO_CM, TO_DT, BACK_CM = 0x9CECF900, 0x9CEBF900, 0x9CEC00F9
+FAST = 0x89F80501
+
+
+@pytest.mark.parametrize(
+    ("lines", "protocol", "fault"),
+    [
+        ([(0, 0x7E8, "1014620102030405"), (5, 0x7E8, "2206070809101112")], Protocol.ISO_TP, Fault.FRAME_MISSING),
+        ([(0, 0x7E8, "1014620102030405"), (1500, 0x7E8, "2106070809101112")], Protocol.ISO_TP, Fault.TIMEOUT),
+        ([(0, 0x7E8, "1014620102030405"), (5, 0x7E0, "3200000000000000")], Protocol.ISO_TP, Fault.ABORTED),
+        ([(0, 0x7E8, "1014620102030405"), (5, 0x7E0, "0322F19000000000")], Protocol.ISO_TP, Fault.INTERRUPTED),
+        ([(0, 0x7E8, "1014620102030405")], Protocol.ISO_TP, Fault.CUT_OFF),
+        ([(0, 0x7E8, "1004620102030405")], Protocol.ISO_TP, Fault.WRONG_LENGTH),
+        ([(0, 0x7E8, "0862010203040506")], Protocol.ISO_TP, Fault.WRONG_LENGTH),
+        ([(0, 0x7E8, "2106070809101112")], Protocol.ISO_TP, Fault.NO_BEGINNING),
+        ([(0, TP_CM, "200A0002FFCAFE00"), (60, TP_DT, "02FFFFFFFFFFFFFF")], Protocol.J1939_TP, Fault.FRAME_MISSING),
+        ([(0, TP_CM, "200A0009FFCAFE00")], Protocol.J1939_TP, Fault.WRONG_LENGTH),
+        ([(0, TP_DT, "0101020304050607")], Protocol.J1939_TP, Fault.NO_BEGINNING),
+        ([(0, TO_CM, "100A0002FFCAFE00"), (5, BACK_CM, "FF01FFFFFFCAFE00")], Protocol.J1939_TP, Fault.ABORTED),
+        ([(0, FAST, "0014010203040506"), (9, FAST, "0207080910111213")], Protocol.FAST_PACKET, Fault.FRAME_MISSING),
+        ([(0, FAST, "0014010203040506"), (9, FAST, "2108091011121314")], Protocol.FAST_PACKET, Fault.INTERRUPTED),
+        ([(0, FAST, "00FF010203040506")], Protocol.FAST_PACKET, Fault.WRONG_LENGTH),
+    ],
+)
+def test_what_is_not_whole_is_counted_with_its_reason(
+    lines: list[tuple[int, int, str]], protocol: Protocol, fault: Fault
+) -> None:
+    found, incomplete = put_together(*lines)
+    assert [one for one in found if len(one.data) > 7] == []
+    assert incomplete[protocol, fault] == 1
+
+
+def test_packets_of_a_longer_message_without_announcement_are_not_taken_for_a_shorter_one() -> None:
+    packets = [(60 * k, TP_DT, f"{k:02X}{k:02X}{'00' * 6}") for k in (1, 2, 3)]
+    found, incomplete = put_together((0, TP_CM, "200E0002FFCAFE00"), *packets)
+    assert found == []
+    assert incomplete[Protocol.J1939_TP, Fault.FRAME_MISSING] == 1
+
+
+def test_a_frame_of_another_sender_or_channel_does_not_interrupt() -> None:
+    found, incomplete = put_together(
+        (0, 0x7E8, "100A620102030405"), (1, 0x7E9, "100A720102030405"), (2, 0x7E0, "023E000000000000"),
+        (3, 0x7E8, "2106070809000000"), (4, 0x7E9, "2116171819000000"),
+    )  # fmt: skip
+    assert [one.data.hex() for one in found] == ["3e00", "62010203040506070809", "72010203040516171819"]
+    assert incomplete == {}
+
+
+def test_long_messages_are_decoded_by_the_database() -> None:
+    trouble = [(0, TP_CM, "200E0002FFCAFE00"), (60, TP_DT, "0103000000000000"), (120, TP_DT, "0200000000006400")]
+    position = [(500, FAST, "402B0000000000FF"), (501, FAST, "4100102700000000"), (509, FAST, "460000FFFFFFFFFF")]
+    position[2:2] = [(501 + number, FAST, f"{0x41 + number:02X}{'00' * 7}") for number in (1, 2, 3, 4)]
+    lines = [*trouble, *position]
+    together = LongMessages(database().messages)
+    found = [*together.feed(batch_of(frames(*lines))), *together.close()]
+    assert {one.name: one.values for one in found} == {
+        "Trouble": {"Lamps": 3, "Last": 40.0}, "Position": {"Latitude": 10_000},
+    }  # fmt: skip
+    assert together.counts.in_words() == [
+        "j1939 tp: 1 whole messages, 0 incomplete", "fast packet: 1 whole messages, 0 incomplete",
+    ]  # fmt: skip
+
+
+def test_many_senders_at_a_time_are_bounded() -> None:
+    reassembler = Reassembler()
+    lines = [(0, EXTENDED_FLAG | 0x18DA0000 | (k & 0xFF) << 8 | k >> 8, "1FFF620102030405") for k in range(5_000)]
+    reassembler.feed(batch_of(frames(*lines)))
+    assert reassembler.counts.incomplete[Protocol.ISO_TP, Fault.TOO_MANY] >= 3_900
+    reassembler.close()
+    assert reassembler.counts.incomplete_count == 5_000
+
+
+def test_answers_belong_to_the_request_before_them() -> None:
+    exchanges, reassembler = Exchanges(), Reassembler()
+    exchanges.feed(reassembler.feed(batch_of(frames(
+        (0, 0x7E0, "0322F19000000000"), (10, 0x7E8, "037F227800000000"), (40, 0x7E8, "037F223100000000"),
+        (100, 0x7DF, "0201000000000000"), (110, 0x7E8, "0641000000000000"), (111, 0x7E9, "0641000000000000"),
+        (200, 0x7E0, "023E800000000000"), (300, 0x7E8, "0662F190AABBCC00"),
+    ))))  # fmt: skip
+    first, second, third = exchanges.found
+    assert (first.pending, [one.data.hex() for one in first.answers], first.latency_ns) == (1, ["7f2231"], 40 * MS)
+    assert [one.can_id for one in second.answers] == [0x7E8, 0x7E9]
+    assert (third.answers, third.latency_ns, exchanges.unasked) == ([], None, 1)
+
+
+def test_j1939_is_put_together_in_one_batch_or_frame_by_frame() -> None:
+    traffic = j1939(generator(3), 20)
+    whole, single = Reassembler(), Reassembler()
+    at_once = whole.feed(batch_of(traffic.frames)) + whole.close()
+    one_by_one = [one for frame in traffic.frames for one in single.feed(batch_of([frame]))] + single.close()
+    assert at_once == one_by_one
+    assert whole.counts == single.counts
