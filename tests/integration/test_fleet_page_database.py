@@ -154,20 +154,20 @@ class Watch:
 
 @pytest.fixture(name="large")
 def _large(postgres_url: str) -> Iterator[Engine]:
-    """Return a database of 300 vehicles with 60,000 results, made of one."""
+    """Return a database of 150 vehicles with 30,000 results, made of two."""
     engine = open_database(postgres_url)
     Writer(engine).store(Batch(shifts=[row_of(one) for one in history(2)]))
     with transaction(engine) as connection:
         names = [name for (name,) in connection.execute(text(_COLUMNS_OF_RESULTS)) if name not in {"vehicle", "seq"}]
-        connection.execute(text("INSERT INTO vehicle (vehicle) SELECT 'v' || n FROM generate_series(1, 300) AS n"))
+        connection.execute(text("INSERT INTO vehicle (vehicle) SELECT 'v' || n FROM generate_series(1, 150) AS n"))
         connection.execute(
-            text("INSERT INTO clutch SELECT 'v' || n, c FROM generate_series(1, 300) AS n, generate_series(1, 2) AS c")
+            text("INSERT INTO clutch SELECT 'v' || n, c FROM generate_series(1, 150) AS n, generate_series(1, 2) AS c")
         )
         columns = ", ".join(names)
         connection.execute(text(
             f"INSERT INTO shift_result (vehicle, seq, {columns}) SELECT 'v' || n, s.seq + 2 * m, "  # noqa: S608
             + ", ".join(f"s.{name}" if name != "stored_at" else "s.stored_at - interval '1 hour' * m" for name in names)
-            + " FROM shift_result AS s, generate_series(1, 300) AS n, generate_series(0, 99) AS m"
+            + " FROM shift_result AS s, generate_series(1, 150) AS n, generate_series(0, 99) AS m"
             " WHERE s.vehicle = 'car1'"
         ))  # fmt: skip
         connection.execute(text("ANALYZE"))
@@ -182,7 +182,7 @@ def test_no_question_reads_all_results(large: Engine) -> None:
     keeper = Keeper(DatabaseSource(large))
     watch = Watch(large)
     keeper.refresh()
-    assert len(keeper.snapshot.clutches) == 602
+    assert len(keeper.snapshot.clutches) == 302
     sources = Sources(engine=large, keeper=keeper, news=News(keeper))
     since = (datetime.now(UTC) - timedelta(minutes=90)).isoformat()
     with transaction(large) as connection:

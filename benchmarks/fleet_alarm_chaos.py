@@ -1,0 +1,190 @@
+"""Alarms while everything is killed by SIGKILL, again and again: the watch, PostgreSQL, the receiver of the webhook.
+
+Vehicles get good and bad results in turn. In the end every alarm that the database knows must have arrived, and the
+receiver, which keeps what it took in a file, must know each key; what came twice has the same key and content.
+
+    python -m benchmarks.fleet_alarm_chaos --seconds 60
+"""
+
+import argparse
+import itertools
+import json
+import os
+import random
+import signal
+import subprocess
+import sys
+import time
+from collections import Counter
+from collections.abc import Callable, Sequence
+from contextlib import closing
+from http.server import BaseHTTPRequestHandler, HTTPServer
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any, TypeVar
+
+from sqlalchemy import Engine, Select, select
+
+from demo.fleet.postgres import PostgresServer
+from diag_service.diagnosis.records import Condition
+from fleet_backend.alarm_tables import ALARM, ALARM_MESSAGE
+from fleet_backend.database import open_database, transaction
+from fleet_backend.errors import DatabaseAwayError
+from fleet_backend.migrate import migrate
+from fleet_backend.writer import Batch, Writer
+from tests.plugins.broker import free_port
+from tests.support.fleet import fleet_result, row_of
+
+VEHICLES = 50
+CALM_S = 120.0  # the most that is waited after the last kill
+PAUSES_S = {"watch": 12.0, "database": 17.0, "receiver": 5.0}
+SECRET = "0123456789abcdef0123456789abcdef"  # noqa: S105 - of a test
+
+
+_WAITING = select(ALARM_MESSAGE.c.key).where(ALARM_MESSAGE.c.delivered_at.is_(None))
+Answer = TypeVar("Answer")
+
+
+class Receiver(BaseHTTPRequestHandler):
+    """Writes what it takes into a file before it says so; of a key that it knows it takes no second."""
+
+    book = Path()
+
+    def do_POST(self) -> None:
+        body = self.rfile.read(int(self.headers["content-length"]))
+        with self.book.open("ab") as book:
+            book.write(json.dumps({"key": self.headers["webhook-id"], "body": body.decode()}).encode() + b"\n")
+            book.flush()
+            os.fsync(book.fileno())
+        self.send_response(204)
+        self.end_headers()
+
+    def log_message(self, *_: object) -> None:
+        """Say nothing."""
+
+
+def receive(port: int, book: Path) -> None:
+    """Receive for ever."""
+    Receiver.book = book
+    HTTPServer(("127.0.0.1", port), Receiver).serve_forever()
+
+
+class Storm:
+    """What runs and is killed."""
+
+    def __init__(self, folder: Path, server: PostgresServer, database: str) -> None:
+        self.book = folder / "book.jsonl"
+        self.book.touch()
+        secret = folder / "secret"
+        secret.write_text(SECRET, encoding="utf-8")
+        secret.chmod(0o600)
+        port = free_port()
+        self._server = server
+        self._commands = {
+            "watch": ["fleet_backend", "watch", "--database", database, "--secret", str(secret)],
+            "receiver": ["benchmarks.fleet_alarm_chaos", "--receive", str(port), "--book", str(self.book)],
+        }
+        self._commands["watch"] += ["--webhook", f"http://127.0.0.1:{port}/", "--silence-days", "3650"]
+        self._running: dict[str, subprocess.Popen[bytes]] = {}
+        self.kills: Counter[str] = Counter()
+        for name in self._commands:
+            self.start(name)
+
+    def start(self, name: str) -> None:
+        command = [sys.executable, "-m", *self._commands[name]]
+        self._running[name] = subprocess.Popen(command, stderr=subprocess.DEVNULL)
+
+    def kill(self, name: str) -> None:
+        """Kill one of them and start it again."""
+        self.kills[name] += 1
+        if name == "database":
+            self._server.kill()
+            self._server.start()
+            return
+        self._running[name].kill()
+        self._running[name].wait()
+        self.start(name)
+
+    def one_round(self) -> None:
+        """Hold the fleet against the rules once and deliver; what a killed watch had taken is free after a minute."""
+        self._running["watch"].kill()
+        self._running["watch"].wait()
+        subprocess.run(
+            [sys.executable, "-m", *self._commands["watch"], "--once"], check=True, stderr=subprocess.DEVNULL
+        )
+
+    def end(self) -> None:
+        for process in self._running.values():
+            process.send_signal(signal.SIGKILL)
+            process.wait()
+
+
+def again(work: Callable[[], Answer]) -> Answer:
+    """Do something until the database answers, and return what it did."""
+    while True:
+        try:
+            return work()
+        except DatabaseAwayError:
+            time.sleep(0.1)
+
+
+def rows_of(engine: Engine, statement: Select[Any]) -> Sequence[Any]:
+    with transaction(engine) as connection:
+        return connection.execute(statement).all()
+
+
+def main() -> int:
+    """Print what became of the alarms; return 0 if none was lost."""
+    parser = argparse.ArgumentParser(description="Alarms while everything is killed.")
+    parser.add_argument("--seconds", type=float, default=60.0)
+    parser.add_argument("--receive", type=int, help=argparse.SUPPRESS)
+    parser.add_argument("--book", type=Path, help=argparse.SUPPRESS)
+    options = parser.parse_args()
+    if options.receive:
+        receive(options.receive, options.book)
+    server = PostgresServer()
+    with closing(server), TemporaryDirectory() as folder:
+        server.start()
+        database = server.create("fleet")
+        engine = open_database(database)
+        migrate(engine)
+        storm = Storm(Path(folder), server, database)
+        writer, rng = Writer(engine), random.Random(1)  # noqa: S311 - no secret
+        due_s = {name: time.monotonic() + pause_s for name, pause_s in PAUSES_S.items()}
+        end_s = time.monotonic() + options.seconds
+        for seq in itertools.count(1):
+            condition = Condition.CHANGE_FLUID if seq % 2 else Condition.GOOD
+            rows = [row_of(fleet_result(seq, vehicle=f"v{n}", condition=condition)) for n in range(VEHICLES)]
+            again(lambda rows=rows: writer.store(Batch(shifts=rng.sample(rows, VEHICLES // 2))))  # type: ignore[misc]
+            for name, at_s in due_s.items():
+                if time.monotonic() >= at_s:
+                    storm.kill(name)
+                    due_s[name] = time.monotonic() + PAUSES_S[name] * rng.uniform(0.5, 1.5)
+            if time.monotonic() >= end_s:
+                break
+            time.sleep(1.0)
+        calm_s = time.monotonic()
+        storm.one_round()  # a whole one: what was not judged is
+        while again(lambda: rows_of(engine, _WAITING)) and time.monotonic() - calm_s < CALM_S:
+            storm.one_round()
+        took_s = time.monotonic() - calm_s
+        storm.end()
+        taken = [json.loads(line) for line in storm.book.read_text(encoding="utf-8").splitlines()]
+        alarms = again(lambda: rows_of(engine, select(ALARM)))
+        engine.dispose()
+    wanted = {f"{one.vehicle}/{one.clutch}/{one.rule}/{one.number}/raised" for one in alarms}
+    wanted |= {
+        f"{one.vehicle}/{one.clutch}/{one.rule}/{one.number}/cleared" for one in alarms if one.cleared_at is not None
+    }
+    keys = Counter(one["key"] for one in taken)
+    contents = {(one["key"], one["body"]) for one in taken}
+    lost, strange = wanted - set(keys), set(keys) - wanted
+    print(f"killed: {', '.join(f'{name} {count} times' for name, count in sorted(storm.kills.items()))}")
+    print(f"{len(alarms)} alarms, {len(wanted)} messages; calm {took_s:.0f} s after the last kill")
+    repeated = len(taken) - len(keys)
+    print(f"arrived: {len(keys)} keys, {repeated} once more under their key; lost {len(lost)}, strange {len(strange)}")
+    return 0 if not lost and not strange and len(contents) == len(keys) else 1
+
+
+if __name__ == "__main__":
+    sys.exit(main())
