@@ -77,11 +77,11 @@ def compared(told: dict[str, Any], analysed: dict[int, dict[str, Any]], *, to_th
     """Print both side by side, and return whether they are the same."""
     is_same = set(analysed) == {1, 2}
     for clutch, verdict in sorted(analysed.items()):
-        friction, fluid = verdict["friction"], verdict["condition"]
-        rows = {f"{name} of clutch {clutch}": friction[key] for name, key in QUANTITIES.items()}
+        friction, fluid = verdict["friction"] or {}, verdict["condition"]  # nothing, if no shift could be used
+        rows = {f"{name} of clutch {clutch}": friction.get(key) for name, key in QUANTITIES.items()}
         rows[f"fluid by clutch {clutch}"] = None if fluid == "no_verdict" else fluid
         for name, value in rows.items():
-            found = likeness(told[name], value, friction["std_mu_c"], to_the_bit=to_the_bit)
+            found = likeness(told[name], value, friction.get("std_mu_c", 0.0), to_the_bit=to_the_bit)
             is_same &= bool(found)
             print(f"{name:<42} {told[name]!r:<24} {value!r:<24} {found or 'DIFFERENT'}")
     return is_same
