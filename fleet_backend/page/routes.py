@@ -14,7 +14,7 @@ from starlette.routing import Route
 from fleet_backend.page.access import Access, Role, Viewer, check_role, check_token
 from fleet_backend.page.asking import LIMIT, VEHICLE, Ask, Kind, Parameter, read_words
 from fleet_backend.page.description import FORMAT
-from fleet_backend.page.errors import AskError, ForbiddenError
+from fleet_backend.page.errors import AskError, ForbiddenError, LoginError
 from fleet_backend.page.files import MEDIA_TYPES, Format, file_of, json_of
 from fleet_backend.page.html import html_of
 from fleet_backend.page.view import Action, Sources, View
@@ -111,6 +111,10 @@ class Endpoints:
         return Route(path, answer, name=path)
 
     def _viewer(self, request: Request, role: Role) -> Viewer:
+        proxy = self.access.proxy
+        names = () if proxy is None else (proxy.user_header, proxy.secret_header)
+        if any(len(request.headers.getlist(name)) > 1 for name in names):
+            raise LoginError("the proxy passed on what somebody else said of who this is")
         viewer = self.access.viewer_of(request.headers)
         check_role(viewer, role)
         return viewer

@@ -91,6 +91,13 @@ def test_who_comes_past_the_proxy_is_nobody(site: httpx.Client, headers: dict[st
     assert site.get("/", headers=headers).status_code == 401
 
 
+def test_who_is_named_twice_is_nobody(site: httpx.Client) -> None:
+    """A client's own header comes before the one that a careless proxy adds."""
+    for name in ("X-Forwarded-User", "X-Fleet-Proxy"):
+        headers = [(name, headers_of("root")[name]), *headers_of("eve").items()]
+        assert site.get("/", headers=headers).status_code == 401, name
+
+
 def token_of(site: httpx.Client, name: str) -> str:
     found = re.search(
         r'name="token" value="([0-9a-f]{64})"', site.get("/alarm", params=ALARM_WORDS, headers=headers_of(name)).text
