@@ -120,6 +120,12 @@ _QUARANTINE: Final = Command(
     Option("--purge-days D", "forget what is older than D days instead", FLOAT),
     examples=(f"{PROGRAM} quarantine --purge-days 90",),
 )
+_PEERS: Final = Command(
+    "peers",
+    "learn how fluids of each type usually age, and show which clutches age faster than their peers",
+    *_QUESTION,
+    examples=(f"{PROGRAM} peers", f"{PROGRAM} peers --json"),
+)
 _FILL: Final = Command(
     "fill",
     "note that a vehicle got new fluid",
@@ -186,7 +192,7 @@ COMMAND_LINE: Final = Program(
         *_COMMON,
         examples=(f"{PROGRAM} migrate --database sqlite:///fleet.sqlite",),
     ),
-    *(_TABLE, _TREND, _ALARMS, _QUARANTINE),
+    *(_TABLE, _TREND, _ALARMS, _PEERS, _QUARANTINE),
     Command("seen", "show when each vehicle was heard of", *_QUESTION, examples=(f"{PROGRAM} seen --json",)),
     Command(
         "codes",

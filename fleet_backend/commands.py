@@ -113,6 +113,15 @@ def _codes(options: SimpleNamespace, engine: Engine) -> None:
     _tell(options, records, lambda: report.codes_table(records))
 
 
+def _peers(options: SimpleNamespace, engine: Engine) -> None:
+    found = _page_part("fleet_backend.page.peers").fleet_ageing(engine)
+    if options.json:
+        report.write_json([*found.usual, *found.clutches], sys.stdout)
+        return
+    report.show(report.usual_table(found.usual, found.clutch_count, found.left_out_count), sys.stdout, options.width)
+    report.show(report.peers_table(found.clutches), sys.stdout, options.width)
+
+
 def _fill(options: SimpleNamespace, engine: Engine) -> None:
     queries.check_vehicle(engine, options.vehicle)
     at = datetime.now(UTC) if options.at is None else parse_moment(options.at)
@@ -181,7 +190,7 @@ def _tell(options: SimpleNamespace, records: Sequence[report.Record], sheet: Cal
 _COMMANDS: Final[Mapping[str, Command]] = MappingProxyType({
     "ingest": _ingest, "migrate": _migrate, "table": _checked(_table), "trend": _checked(_trend),
     "alarms": _checked(_alarms), "quarantine": _checked(_quarantine), "seen": _checked(_seen),
-    "codes": _checked(_codes),
+    "codes": _checked(_codes), "peers": _checked(_peers),
     "fill": _checked(_fill), "hash": _checked(_hash), "serve": _checked(_serve),
     "watch": _checked(_watch),
 })  # fmt: skip

@@ -119,6 +119,45 @@ def seen_table(records: Sequence[Record]) -> Sheet:
     )
 
 
+def usual_table(records: Sequence[Record], clutch_count: int, left_out_count: int) -> Sheet:
+    """Return how fluids of each kind usually age."""
+    left_out = f"; {left_out_count} of another calibration are left out" if left_out_count else ""
+    return _sheet(
+        f"What is usual, learned from {clutch_count} clutches{left_out}; ± scatter between them",
+        records,
+        {
+            "type": _plain("vehicle_type"),
+            "fluid": lambda record: str(record["fluid"] or "any"),
+            "lives": _plain("life_count"),
+            "of new": _plain("channel"),
+            "begins at": _number("start", "{:.3f}"),
+            "±": _number("start_std", "{:.3f}"),
+            "lost in 100,000 km": _number("loss_per_m", "{:.3f}", scale=1e8),
+            "± %": _number("loss_log_std", "{:.0f}", scale=100.0),
+        },
+        dispensable=("type",),
+    )
+
+
+def peers_table(records: Sequence[Record]) -> Sheet:
+    """Return how each clutch ages against its peers, the fastest first."""
+    named = sum(bool(record["is_faster_than_peers"]) for record in records)
+    return _sheet(
+        f"Faster than their peers: {named} of {len(records)} clutches; of those named at most one in ten by chance",
+        records,
+        {
+            "vehicle": _plain("vehicle"),
+            "clutch": _plain("clutch"),
+            "faster than peers": lambda record: "yes" if record["is_faster_than_peers"] else "no",
+            "times as fast": _number("loss_ratio", "{:.2f}"),
+            "deviations": _number("z", "{:+.1f}"),
+            "km with this fluid": _number("distance_m", "{:.0f}", scale=1e-3),
+            "fluid": _plain("fluid"),
+        },
+        dispensable=("fluid", "deviations"),
+    )
+
+
 def codes_table(records: Sequence[Record]) -> Sheet:
     """Return the trouble codes that controllers tell."""
     count = sum(record["code"] is not None for record in records)

@@ -100,7 +100,7 @@ def outlook_of(
     if reference is None:
         return None, _OTHER_CALIBRATION
     same = [result_of(row) for row in rows if row["calibration_version"] == calibration]
-    past = history_of(same, [_fill(rows[-1]["vehicle"], one) for one in fills], clutch)
+    past = history_of(same, [fluid_fill(rows[-1]["vehicle"], one) for one in fills], clutch)
     found = prognose(clutch, past, reference, service_distance_m=service_distance_m)
     return _answer(found, _left_out(rows, len(same))), None
 
@@ -159,7 +159,8 @@ def _verdict(row: Row) -> ClutchVerdict:
     )
 
 
-def _fill(vehicle: str, fill: Fill) -> FluidFill:
+def fluid_fill(vehicle: str, fill: Fill) -> FluidFill:
+    """Return a fill of the database as the diagnosis knows it."""
     return FluidFill(
         vehicle=vehicle,
         filled_at=iso_utc(fill.filled_at),
