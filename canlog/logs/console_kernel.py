@@ -14,7 +14,7 @@ from canlog.frames import (
 )
 from canlog.jit import array_kernel
 from canlog.logs.channels import NameWords
-from canlog.logs.console_times import read_time
+from canlog.logs.console_times import LAST_S, NS_PER_S, read_time
 from canlog.logs.frame_buffer import FrameRows
 from canlog.logs.text_kernels import (
     BLANK,
@@ -71,9 +71,13 @@ def parse_lines(
             progress[STOP] = outcome
             break
         if outcome == FRAME:
-            clock[NOW_NS] = clock[NOW_NS] + rows.t_ns[row] if clock[IS_DELTA] else rows.t_ns[row]
-            rows.t_ns[row] = clock[BASE_NS] + clock[NOW_NS]
-            row += 1
+            now_ns = rows.t_ns[row] + (clock[NOW_NS] if clock[IS_DELTA] else clock[BASE_NS])
+            if 0 <= now_ns <= LAST_S * NS_PER_S:
+                clock[NOW_NS] = now_ns
+                rows.t_ns[row] = now_ns
+                row += 1
+            else:
+                outcome = MALFORMED
         line += 1
         count_line(progress, outcome, line)
         at = behind

@@ -7,6 +7,7 @@ from canlog.logs.text_kernels import BLANK, decimal, decimal_parts
 NS_PER_S, NS_PER_US, DAY_S = 1_000_000_000, 1_000, 86_400
 MAX_SECONDS_DIGITS, NS_DIGITS = 10, 9
 NO_TIME = -(1 << 62)
+LAST_S = 9_200_000_000  # the year 2261: nanoseconds must fit 64 bits
 DAYS_OF_400_YEARS, DAYS_TO_EPOCH = 146_097, 719_468  # of the Gregorian calendar, counted from March
 OPEN, CLOSE, POINT, COLON, MINUS = ord("("), ord(")"), ord("."), ord(":"), ord("-")
 
@@ -26,7 +27,7 @@ def read_time(text: UInt8Array, at: int) -> tuple[int, int]:
         return NO_TIME, -abs(at)
     begin = at + 1
     fraction, at = decimal_parts(text, begin, NS_PER_S, NS_DIGITS)
-    if at == begin or text[at] != CLOSE:
+    if at == begin or text[at] != CLOSE or not 0 <= seconds <= LAST_S:
         return NO_TIME, -at
     return seconds * NS_PER_S + fraction // NS_PER_US * NS_PER_US, at + 1
 

@@ -97,7 +97,9 @@ def garble_sqlite(sound: Path, damaged: Path, rng: Generator, count: int) -> int
 
 GARBLERS: Mapping[str, Garbler] = MappingProxyType(
     {
-        **dict.fromkeys(("candump", "asc", "trc", "csv", "gvret", "busmaster", "crtd"), garble_lines),
+        **dict.fromkeys(
+            ("candump", "asc", "trc", "csv", "gvret", "busmaster", "crtd", "console", "columns"), garble_lines
+        ),
         "gzip": garble_gzip,
         "blf": garble_blf,
         "mf4": garble_mf4,

@@ -15,7 +15,7 @@ from tests.tools.damage.recordings import CLOCK_US, NS_PER_US, US_PER_S, WRITERS
 
 Generator = np.random.Generator
 
-TEXTS = frozenset({"candump", "asc", "trc", "csv", "gvret", "busmaster", "crtd"})
+TEXTS = frozenset({"candump", "asc", "trc", "csv", "gvret", "busmaster", "crtd", "console", "columns"})
 TELLS_ANY_CUT = frozenset({"blf", "gzip"})  # say how long they are, or have an end of their own
 
 

@@ -137,6 +137,28 @@ def write_crtd(path: Path, frames: EncodedFrames) -> None:
     path.write_text(f"{start_us // US_PER_S}.000000 CXX short drive\n" + "".join(lines), "ascii")
 
 
+def write_console(path: Path, frames: EncodedFrames) -> None:
+    """Write what ``candump -t a -x`` prints."""
+    start_us = DEFAULT_START_NS // NS_PER_US
+    lines = [
+        f" ({(start_us + t_us) // US_PER_S:010}.{t_us % US_PER_S:06})  can0  RX - -  {row.can_id[0]:03X}   "
+        f"[{row.length[0]}]  {row.data[0, : row.length[0]].tobytes().hex(' ').upper()}\n"
+        for t_us, row in rows_of(frames)
+    ]
+    path.write_text("".join(lines), "ascii")
+
+
+def write_columns(path: Path, frames: EncodedFrames) -> None:
+    """Write a table whose header names its columns."""
+    start_us = DEFAULT_START_NS // NS_PER_US
+    lines = [
+        f"{(start_us + t_us) // US_PER_S}.{t_us % US_PER_S:06};{row.can_id[0]:X};{row.length[0]};"
+        f"{row.data[0, : row.length[0]].tobytes().hex(' ')}\n"
+        for t_us, row in rows_of(frames)
+    ]
+    path.write_text("Time [s];CAN ID;DLC;Data\n" + "".join(lines), "ascii")
+
+
 def rows_of(frames: EncodedFrames) -> list[tuple[int, EncodedFrames]]:
     """Return frames one by one, with their times."""
     return [(t_us, frames[row : row + 1]) for row, t_us in enumerate(times_us(frames).tolist())]
@@ -149,13 +171,23 @@ WRITERS: Mapping[str, Writer] = MappingProxyType(
         "sqlite": write_sqlite,
         "busmaster": write_busmaster,
         "crtd": write_crtd,
+        "console": write_console,
+        "columns": write_columns,
         "gzip": write_gzip,
     }
 )
 """How every format is written."""
 
 SUFFIXES: Mapping[str, str] = MappingProxyType(
-    {**RECORDED, "sqlite": ".db", "busmaster": ".bus.log", "crtd": ".crtd", "gzip": ".log.gz"}
+    {
+        **RECORDED,
+        "sqlite": ".db",
+        "busmaster": ".bus.log",
+        "crtd": ".crtd",
+        "console": ".txt",
+        "columns": ".table",
+        "gzip": ".log.gz",
+    }
 )
 CLOCK_US: Mapping[str, int] = MappingProxyType({"busmaster": 100})  # the step of a format's times; else 1
 

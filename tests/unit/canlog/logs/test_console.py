@@ -62,6 +62,8 @@ def test_every_kind_of_line_is_read(line: str, can_id: int, data: str, flags: in
         "  can0  0A0   [3]  41 42`43",
         "  (12:00) can0  0A0   [1]  41",
         "  (2026-13-01 00:00:00.000000)  can0  0A0   [1]  41",
+        "  (9999999999.000000)  can0  0A0   [1]  41",
+        "  (9999-01-01 00:00:00.000000)  can0  0A0   [1]  41",
         "  can0  0A0",
         "  can0",
     ],
