@@ -22,7 +22,7 @@ from fleet_backend.page.headers import HEADERS
 from fleet_backend.page.site import OPENAPI_PATH, VIEWS
 from fleet_backend.schema import SHIFT_RESULT
 from fleet_backend.writer import Batch, Writer
-from tests.support.browsing import chromium, complaints_of
+from tests.support.browsing import chromium, complaints_of, new_page
 from tests.support.fleet import NOW, fleet_result, message_of, row_of
 from tests.support.fleet_page import ACCESS, MARKUP, fill_database, headers_of, raise_alarms, served
 from tests.support.histories import fill_store, history
@@ -101,8 +101,7 @@ def pressed_until(page: Page, key: str, text: str) -> None:
 
 def acknowledge_by_keyboard(browser: Browser, workshop: str) -> list[str]:
     """Go from the fleet to an acknowledged alarm without a mouse; return what axe finds on the way."""
-    context = browser.new_context(extra_http_headers=headers_of("ann"))
-    page = context.new_page()
+    page = new_page(browser, headers=headers_of("ann"))
     page.goto(workshop)
     for text, url in (("Alarms", "**/alarms"), ("verdict", "**/alarm?**")):
         pressed_until(page, "Tab", text)
@@ -114,8 +113,7 @@ def acknowledge_by_keyboard(browser: Browser, workshop: str) -> list[str]:
     page.keyboard.press("Enter")
     page.get_by_text("fluid is on order").wait_for()
     assert page.get_by_role("button", name="Acknowledge").count() == 0
-    context.close()
-    other = browser.new_context(extra_http_headers=headers_of("bob"), bypass_csp=True).new_page()
+    other = new_page(browser, has_axe=True, headers=headers_of("bob"))
     return complaints_of(other, f"{workshop}/alarm?{OTHER_ALARM}", "light", has_picture=False)
 
 
@@ -127,12 +125,12 @@ def test_a_real_browser_shows_every_page_to_everybody(address: str, database: st
             ("light", 1280, (*LISTS, SHIFT, "/vehicles/nobody")),
             ("dark", 360, ("/vehicles/car1",)),
         ):
-            page = browser.new_page(viewport={"width": width, "height": 900}, bypass_csp=True)  # axe is a script
+            page = new_page(browser, width, has_axe=True)
             for path in paths:
                 found = complaints_of(page, address + path, scheme, has_picture=path not in TABLES_ONLY)
                 complaints[f"{path}, {scheme}, {width} px"] = [one for one in found if "404" not in one]
             page.close()
-        page = browser.new_page(viewport={"width": 1280, "height": 900})
+        page = new_page(browser)
         refused: list[str] = []
         page.on("console", lambda message: refused.append(message.text))
         page.goto(address)
@@ -152,7 +150,7 @@ def test_a_real_browser_shows_every_page_to_everybody(address: str, database: st
         writer = open_database(database)
         Writer(writer).store(Batch(shifts=[row_of(fleet_result(5, vehicle="worn", condition=Condition.CHANGE_FLUID))]))
         writer.dispose()
-        page.get_by_text("the newest 5 events").wait_for(timeout=1000.0 * HANG_S)
+        page.get_by_text("the newest 5 events").wait_for()
         assert refused == []  # by the policy for contents
         complaints["an alarm with its form"] = acknowledge_by_keyboard(browser, workshop)
     assert complaints == {key: [] for key in complaints}

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.support.browsing import chromium, complaints_of
+from tests.support.browsing import chromium, complaints_of, new_page
 from tests.support.histories import fill_store, history
 from tests.support.in_process import ended
 
@@ -117,7 +117,7 @@ def test_a_real_browser_shows_the_pages_to_everybody(log_report: Path, store_rep
     with chromium() as browser:
         complaints = {}
         for path, scheme, width in ((log_report, "light", 1280), (store_report, "dark", 400)):
-            page = browser.new_page(viewport={"width": width, "height": 900}, bypass_csp=True)
+            page = new_page(browser, width, has_axe=True)
             complaints[f"{path.name}, {scheme}, {width} px"] = complaints_of(page, path.as_uri(), scheme)
             if scheme == "light":
                 assert page.pdf().startswith(b"%PDF")

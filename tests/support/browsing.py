@@ -2,12 +2,16 @@
 
 import os
 import shutil
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
+from types import MappingProxyType
 
 from axe_playwright_python.sync_playwright import Axe
-from playwright.sync_api import Browser, Page, sync_playwright
+from playwright.sync_api import Browser, Page, ViewportSize, sync_playwright
 
+from tests.support.patience import HANG_S
+
+NOTHING: Mapping[str, str] = MappingProxyType({})
 FOLD_PX = 4  # a pixel or two of rounding
 
 
@@ -22,6 +26,16 @@ def chromium() -> Iterator[Browser]:
         browser = playwright.chromium.launch(executable_path=program, args=arguments)
         yield browser
         browser.close()
+
+
+def new_page(
+    browser: Browser, width: int = 1280, *, has_axe: bool = False, headers: Mapping[str, str] = NOTHING
+) -> Page:
+    """Return an empty page that waits as long as only a hang lasts; axe is a script that no policy of ours lets in."""
+    viewport: ViewportSize = {"width": width, "height": 900}
+    context = browser.new_context(viewport=viewport, bypass_csp=has_axe, extra_http_headers=dict(headers))
+    context.set_default_timeout(1000.0 * HANG_S)
+    return context.new_page()
 
 
 def complaints_of(page: Page, url: str, scheme: str, *, has_picture: bool = True) -> list[str]:
