@@ -140,3 +140,17 @@ def test_stored_results_are_enough() -> None:
     clutches = both_clutches(prognose(clutch, history_of(results, (), clutch), REFERENCE) for clutch in (1, 2))
     assert [one.clutch for one in clutches] == [1, 2]
     assert all(one.outlook is not Outlook.TOO_FEW for one in clutches)
+
+
+def test_a_scale_that_both_coefficients_share_does_not_move_the_end_of_the_margin() -> None:
+    own = past(ageing(COUNT, until=0.4), step_m=STEP_M, noise_ratio=0.002)
+    scale = 0.05
+    shared = replace(
+        own,
+        common_std_mu_c=scale * own.mu_c,
+        common_std_mu_s=scale * own.mu_s,
+        common_correlation=np.full(len(own), 0.999),
+    )
+    margin = prognose(1, shared, REFERENCE).margin
+    assert margin is not None
+    assert margin.now.std < 0.025  # what they do not share is 0.015 of new fluid's margin, all of it 0.05
