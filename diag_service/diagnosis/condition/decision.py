@@ -14,6 +14,7 @@ from diag_service.diagnosis.condition.thresholds import (
     MAX_MARGIN_STD_RATIO,
     MIN_SHIFT_COUNT,
     SURE_MARGIN_STD_RATIO,
+    THIN_PROBABILITY,
     WATCH_LEVEL_RATIO,
     WATCH_MARGIN_RATIO,
     WATCH_PROBABILITY,
@@ -89,7 +90,8 @@ def decide(
     if probability >= (LEAVE_PROBABILITY if previous is Condition.WATCH else WATCH_PROBABILITY):
         return _because(Condition.WATCH, cause, probability, facts)
     thin = watch[Cause.MARGIN_THIN]
-    if thin > LEAVE_PROBABILITY and margin.stdev > SURE_MARGIN_STD_RATIO * reference_margin:
+    is_sure = margin.stdev <= SURE_MARGIN_STD_RATIO * reference_margin
+    if not is_sure and thin > (LEAVE_PROBABILITY if previous is Condition.GOOD else THIN_PROBABILITY):
         return nothing(Silence.MARGIN_UNSURE, f"too early to say, {Cause.MARGIN_THIN} ({thin:.2f}): {facts}")
     return _unless_they_judder(launches, 1.0 - probability, facts)
 

@@ -79,7 +79,14 @@ def test_what_more_shifts_will_tell_is_not_called_good() -> None:
     """A margin of which a third is left: known well it is watched, known badly nothing is said yet."""
     assert condition_of(believed(0.133, 0.126, std=0.0005)) is Condition.WATCH
     assert condition_of(believed(0.133, 0.126, std=0.004)) is Condition.NO_VERDICT
-    assert condition_of(believed(0.140, 0.119, std=0.004)) is Condition.GOOD
+    assert condition_of(believed(0.140, 0.119, std=0.002)) is Condition.GOOD
+
+
+def test_half_of_the_margin_is_called_good_only_once_it_is_known_well() -> None:
+    """A drive is judged a hundred times: one chance in five each time would be a false word in most drives."""
+    assert condition_of(believed(0.1330, 0.1205, std=0.0015)) is Condition.NO_VERDICT
+    assert condition_of(believed(0.1330, 0.1205, std=0.0015), Condition.GOOD) is Condition.GOOD
+    assert condition_of(believed(0.1330, 0.1205, std=0.0004)) is Condition.GOOD
 
 
 def test_each_clutch_has_its_own_memory() -> None:
@@ -111,7 +118,7 @@ def uncertain_scale(state: Posterior) -> Posterior:
     ("ratio", "expected", "by_level_alone"),
     [
         (0.95, Condition.GOOD, Condition.GOOD),
-        (0.88, Condition.WATCH, Condition.GOOD),
+        (0.88, Condition.WATCH, Condition.NO_VERDICT),
         (0.78, Condition.CHANGE_FLUID, Condition.WATCH),
     ],
 )
