@@ -19,9 +19,9 @@ from diag_service.commands.arguments import (
     EXIT_SIGNALLED,
     EXIT_SOURCE,
     EXIT_STORE,
-    PROGRAM,
     parse_arguments,
 )
+from diag_service.commands.asking_arguments import PROGRAM
 from diag_service.errors import ConfigError, ControllerError, IncompleteError, StoppedError, StoreError
 from diag_service.service.stopping import Controls, PatientTrigger, Trigger, ignore
 from program_io.command_line import STANDARD_STREAM

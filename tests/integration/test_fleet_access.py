@@ -16,6 +16,7 @@ from fleet_backend.page.access import Role
 from fleet_backend.page.access_file import read_access
 from fleet_backend.page.routes import EVENTS_PATH
 from fleet_backend.page.site import ACTIONS, OPENAPI_PATH, VIEWS
+from tests.support.documents import page_text
 from tests.support.fleet_page import ACCESS, MARKUP, SECRET, fill_database, headers_of, raise_alarms, served
 from tests.support.patience import HANG_S
 
@@ -172,6 +173,14 @@ def test_the_highest_role_of_somebody_counts(tmp_path: Path) -> None:
     assert access.viewer_of({**headers, "X-Forwarded-User": "ann@EXAMPLE.org"}).role is Role.ADMIN
     assert access.viewer_of({**headers, "X-Forwarded-User": "who@ever.org"}).role is Role.VIEWER
     assert SECRET not in repr(access)
+
+
+def test_the_file_that_the_page_shows_is_one(tmp_path: Path) -> None:
+    (shown,) = re.findall(r"```toml\n(.*?)```", page_text("docs/page.md"), re.DOTALL)
+    access = read_access(write(tmp_path, shown))
+    headers = {"X-Fleet-Proxy": SECRET}
+    for name, role in (("ann@example.org", Role.ADMIN), ("workshop@example.org", Role.WORKSHOP), ("x", Role.VIEWER)):
+        assert access.viewer_of({**headers, "X-Forwarded-User": name}).role is role
 
 
 @pytest.mark.parametrize(
