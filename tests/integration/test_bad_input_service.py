@@ -87,18 +87,18 @@ def test_a_log_that_may_not_be_read(drive_log: Path, tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("name", "contents"),
+    ("name", "contents", "complaint"),
     [
-        ("table.csv", b"name,colour\nengine,red\n"),
-        ("picture.log", b"\x89PNG\r\n\x1a\n\x00\x00\x00\rIHDR\x00\x00\x01\x00"),
-        ("archive.blf", b"PK\x03\x04\x14\x00\x00\x00\x08\x00"),
+        ("table.csv", b"name,colour\nengine,red\n", "not a log of a known format (candump, candump-console, blf, "),
+        ("picture.log", b"\x89PNG\r\n\x1a\n\x00\x00\x00\rIHDR\x00\x00\x01\x00", "not a log of a known format ("),
+        ("archive.blf", b"PK\x03\x04\x14\x00\x00\x00\x08\x00", "the zip archive is cut off"),
     ],
 )
-def test_a_file_of_another_format(tmp_path: Path, name: str, contents: bytes) -> None:
+def test_a_file_of_another_format(tmp_path: Path, name: str, contents: bytes, complaint: str) -> None:
     log = tmp_path / name
     log.write_bytes(contents)
     ended = run_service(tmp_path, "analyze", log)
-    ended.assert_one_line(3, f"{log}: not a log of a known format (candump, blf, ")
+    ended.assert_one_line(3, f"{log}: {complaint}")
 
 
 @pytest.mark.parametrize("suffix", [".log", ".blf", ".asc", ".mf4"])

@@ -17,10 +17,10 @@ asammdf = pytest.importorskip("asammdf")
 
 
 @pytest.fixture(scope="module")
-def unclosed(drive_log: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+def unclosed(cycle_log: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Return a drive as a logger leaves it that is switched off with the car."""
     folder = tmp_path_factory.mktemp("mf4")
-    frames = join(list(read_log(drive_log)))
+    frames = join(list(read_log(cycle_log)))
     with open_log(folder / "drive.mf4", start_ns=START_NS) as log:
         t_s = (frames.t_ns - frames.t_ns[0]) / 1e9
         log.write(EncodedFrames(t_s=t_s, can_id=frames.can_id, length=frames.length, data=frames.data))
