@@ -1,7 +1,6 @@
 """Alarms that rules raised, open ones first asked for; the watch delivers them."""
 
 from dataclasses import fields
-from datetime import UTC, datetime
 from typing import Any, Final
 
 from sqlalchemy import Engine, RowMapping, and_, or_, select
@@ -11,9 +10,8 @@ from fleet_backend.alarms.rules import Rule
 from fleet_backend.database import transaction
 from fleet_backend.page import wording
 from fleet_backend.page.asking import AFTER, LIMIT, Ask, Parameter
-from fleet_backend.page.errors import AskError
 from fleet_backend.page.fleet_view import next_of
-from fleet_backend.page.listing import cursor, read_words
+from fleet_backend.page.listing import cursor, read_moment
 from fleet_backend.page.records import Alarm, AlarmsAnswer
 from fleet_backend.page.view import Choice, Shown, Sources, View
 from program_io.pages.content import Cell, Link, Section, Table
@@ -66,7 +64,7 @@ def _read(engine: Engine, ask: Ask, limit: int) -> tuple[Alarm, ...]:
     if rule is not None:
         statement = statement.where(ALARM.c.rule == rule)
     if after is not None:
-        at, *key = _place(after)
+        at, key = read_moment(after, (str, int, str, int))
         statement = statement.where(ALARM.c.raised_at <= at, or_(ALARM.c.raised_at < at, _is_behind(key)))
     with transaction(engine) as connection:
         return tuple(map(_alarm, connection.execute(statement).mappings()))
@@ -79,14 +77,6 @@ def _is_behind(key: list[Any]) -> Any:  # noqa: ANN401 - a condition of SQLAlche
         equal = [ALARM.c[before] == value for before, value in zip(_KEY[:place], key[:place], strict=True)]
         ways.append(and_(*equal, ALARM.c[name] > key[place]))
     return or_(*ways)
-
-
-def _place(after: str) -> tuple[Any, ...]:
-    at, *key = read_words(after, (str, str, int, str, int))
-    try:
-        return datetime.fromisoformat(str(at)).astimezone(UTC), *key
-    except (ValueError, OverflowError) as exc:
-        raise AskError("after: no place in a list; take it from the list before") from exc
 
 
 def _alarm(row: RowMapping) -> Alarm:

@@ -1,6 +1,5 @@
 """Who changed what."""
 
-from datetime import UTC, datetime
 from typing import Final
 
 from sqlalchemy import or_, select
@@ -10,9 +9,8 @@ from fleet_backend.database import transaction
 from fleet_backend.page import wording
 from fleet_backend.page.access import Role
 from fleet_backend.page.asking import AFTER, LIMIT, Ask
-from fleet_backend.page.errors import AskError
 from fleet_backend.page.fleet_view import next_of
-from fleet_backend.page.listing import cursor, read_words
+from fleet_backend.page.listing import cursor, read_moment_and_name
 from fleet_backend.page.records import AuditAnswer, AuditEntry
 from fleet_backend.page.view import Shown, Sources, View
 from program_io.pages.content import Section, Table
@@ -23,7 +21,7 @@ def find(sources: Sources, ask: Ask) -> AuditAnswer:
     limit, after = ask.count("limit"), ask.text("after")
     statement = select(AUDIT).order_by(AUDIT.c.at.desc(), AUDIT.c.audit_id).limit(limit + 1)
     if after is not None:
-        at, audit_id = _place(after)
+        at, audit_id = read_moment_and_name(after)
         statement = statement.where(AUDIT.c.at <= at, or_(AUDIT.c.at < at, AUDIT.c.audit_id > audit_id))
     with transaction(sources.engine) as connection:
         found = tuple(AuditEntry(**row) for row in connection.execute(statement).mappings())
@@ -43,14 +41,6 @@ def show(answer: AuditAnswer, ask: Ask, _sources: Sources) -> Shown:
         sections=(Section(name="audit", title="Changes by people", texts=texts, tables=(table,) if rows else ()),),
         next=next_of("/audit", ask, answer.next),
     )
-
-
-def _place(after: str) -> tuple[datetime, str]:
-    at, audit_id = read_words(after, (str, str))
-    try:
-        return datetime.fromisoformat(str(at)).astimezone(UTC), str(audit_id)
-    except (ValueError, OverflowError) as exc:
-        raise AskError("after: no place in a list; take it from the list before") from exc
 
 
 VIEW: Final = View(

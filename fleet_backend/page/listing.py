@@ -6,6 +6,7 @@ import json
 from bisect import bisect_right
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
+from datetime import UTC, datetime
 from typing import Final
 
 from fleet_backend.page.errors import AskError
@@ -120,3 +121,18 @@ def choices_of(clutches: Iterable[ClutchNow]) -> tuple[tuple[str, ...], tuple[st
         if now.fluid is not None:
             fluids.add(now.fluid)
     return tuple(sorted(fluids)), tuple(sorted(calibrations))
+
+
+def read_moment(word: str, kinds: Sequence[type]) -> tuple[datetime, list[object]]:
+    """Return a place in a list by time: the moment, and the values of these kinds that tell apart what came then."""
+    at, *key = read_words(word, (str, *kinds))
+    try:
+        return datetime.fromisoformat(str(at)).astimezone(UTC), key
+    except (ValueError, OverflowError) as exc:
+        raise AskError("after: no place in a list; take it from the list before") from exc
+
+
+def read_moment_and_name(word: str) -> tuple[datetime, str]:
+    """Return a place in a list by time whose rows have a name each."""
+    at, (name,) = read_moment(word, (str,))
+    return at, str(name)

@@ -1,13 +1,11 @@
 """Messages that could not be used, and why."""
 
-from datetime import UTC, datetime
 from typing import Final
 
 from fleet_backend.page import past, wording
 from fleet_backend.page.asking import AFTER, LIMIT, Ask
-from fleet_backend.page.errors import AskError
 from fleet_backend.page.fleet_view import next_of
-from fleet_backend.page.listing import cursor, read_words
+from fleet_backend.page.listing import cursor, read_moment_and_name
 from fleet_backend.page.records import QuarantineAnswer, Quarantined
 from fleet_backend.page.view import Shown, Sources, View
 from program_io.pages.content import Cell, Section, Table
@@ -16,7 +14,7 @@ from program_io.pages.content import Cell, Section, Table
 def find(sources: Sources, ask: Ask) -> QuarantineAnswer:
     """Return a part of what was kept aside."""
     after, limit = ask.text("after"), ask.count("limit")
-    found = past.quarantined(sources.engine, None if after is None else _place(after), limit + 1)
+    found = past.quarantined(sources.engine, None if after is None else read_moment_and_name(after), limit + 1)
     some = found[:limit]
     is_last = len(found) <= limit
     following = None if is_last else cursor((some[-1].received_at.isoformat(), some[-1].digest))
@@ -52,14 +50,6 @@ def _cells(one: Quarantined) -> tuple[Cell, ...]:
         wording.plain(head),
         wording.plain(acknowledged),
     )
-
-
-def _place(after: str) -> tuple[datetime, str]:
-    at, digest = read_words(after, (str, str))
-    try:
-        return datetime.fromisoformat(str(at)).astimezone(UTC), str(digest)
-    except (ValueError, OverflowError) as exc:
-        raise AskError("after: no place in a list; take it from the list before") from exc
 
 
 VIEW: Final = View(
