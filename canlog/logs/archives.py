@@ -63,6 +63,7 @@ def members_of(stream: BinaryIO) -> tuple[Member, ...]:
         _check_directory(stream)
         with zipfile.ZipFile(stream) as archive:
             infos = [info for info in archive.infolist() if not info.is_dir()]
+    # NotImplementedError is zipfile's word for a version or method of packing that it does not know.
     except (zipfile.BadZipFile, NotImplementedError, ValueError, struct.error, EOFError, OverflowError) as exc:
         raise SourceError(f"the zip archive is damaged: {exc}") from exc
     if len(infos) > MOST_MEMBERS:
