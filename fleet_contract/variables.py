@@ -11,7 +11,18 @@ SERVICE_VARIABLES: Final = frozenset(
     PREFIX + name
     for name in (
         *("ACKNOWLEDGE", "BITRATE", "BROKER", "CA", "CALIBRATION", "CERT", "CHANNEL", "CONFIG", "DBC"),
-        *("DURATION", "FD", "INTERFACE", "KEY", "LENIENT", "METRICS", "ONLY_MAPPED", "PASSWORD_FILE", "PROFILE"),
+        *(
+            "DURATION",
+            "FD",
+            "INTERFACE",
+            "KEY",
+            "LENIENT",
+            "METRICS",
+            "ONLY_MAPPED",
+            "PAGE",
+            "PASSWORD_FILE",
+            "PROFILE",
+        ),
         *("STORE", "STORE_BUDGET", "VEHICLE", "ACTIVE", "DESCRIPTION", "ECU", "POLL", "REPLY"),
     )
 )

@@ -7,7 +7,7 @@ from typing import Final
 import click
 
 from diag_service.commands.asking_arguments import DID, DTC, JSON, PROGRAM, ROUTINE, SCAN
-from diag_service.settings.options import BUS, CONFIG, DELIVERY, MEANING, POLL, VARIABLES
+from diag_service.settings.options import BUS, CONFIG, DELIVERY, MEANING, PAGE, POLL, VARIABLES
 from program_io.command_line import FILE, FLOAT, INT, VERBOSE, Choice, Command, Group, Option, Program, parse
 from program_io.overwriting import FORCE
 
@@ -49,10 +49,11 @@ def _output(text: str, *, required: bool = False) -> Option:
 _RUN: Final = Command(
     "run",
     "diagnose a live bus",
-    *(*BUS, *MEANING, CONFIG, *DELIVERY, *POLL, _JSON_LINES, VERBOSE),
+    *(*BUS, *MEANING, CONFIG, *DELIVERY, *PAGE, *POLL, _JSON_LINES, VERBOSE),
     variables=VARIABLES,
     examples=(
         f"{PROGRAM} run -i socketcan -c can0 --vehicle car1",
+        f"{PROGRAM} run -i socketcan -c can0 --vehicle car1 --page 8080",
         f"{PROGRAM} run -i socketcan -c can0 --vehicle car1 --poll 60 --active",
         f"{PROGRAM} run -i socketcan -c can0 --broker mqtts://car1@fleet.example --store car1.sqlite --metrics 9464",
         f"{PROGRAM} run --config car1.toml --json",
@@ -68,7 +69,7 @@ _MONITOR: Final = Command(
 _CHECK: Final = Command(
     "check",
     "check the settings and print what a run would use, secrets masked",
-    *(*BUS, *MEANING, CONFIG, *DELIVERY, *POLL, _JSON_LINES, VERBOSE),
+    *(*BUS, *MEANING, CONFIG, *DELIVERY, *PAGE, *POLL, _JSON_LINES, VERBOSE),
     variables=VARIABLES,
     examples=(f"{PROGRAM} config check --config car1.toml",),
 )

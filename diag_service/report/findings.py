@@ -2,7 +2,7 @@
 
 from collections.abc import Iterable, Sequence
 from contextlib import closing
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 from canlog.logs.reading import Watch
@@ -13,19 +13,12 @@ from diag_service.diagnosis.records import FluidFill, ShiftResult, Status
 from diag_service.diagnosis.summary import Gap, Summary
 from diag_service.errors import StoppedError
 from diag_service.service.drive import open_drive, stream_of_drive
+from diag_service.service.onlookers import Example, own_samples
 from diag_service.service.recorded import STOPPED_TEXT, replay, warn_of_slow_messages
 from diag_service.service.session import Session, versions_for
 from diag_service.service.stopping import Trigger
 from diag_service.settings.config import DiagnosisConfig
 from diag_service.store import ResultStore, Row, StoreReader, Versions
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Example:
-    """A shift with its signals."""
-
-    event: Event
-    result: ShiftResult
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -60,9 +53,9 @@ class Album:
         """Look at a shift; of those that are alike the first is kept."""
         status = result.estimate.status
         if status is Status.VALID and _is_better(self._used, result.estimate.quality):
-            self._used = Example(event=_own(event), result=result)
+            self._used = Example(event=own_samples(event), result=result)
         elif status is Status.REJECTED and _is_better(self._rejected, -_believed(result)):
-            self._rejected = Example(event=_own(event), result=result)
+            self._rejected = Example(event=own_samples(event), result=result)
 
     @property
     def examples(self) -> tuple[Example, ...]:
@@ -150,8 +143,3 @@ def _is_better(kept: Example | None, value: float) -> bool:
 def _believed(result: ShiftResult) -> float:
     quality = result.estimate.data_quality
     return 1.0 if quality is None else quality.score
-
-
-def _own(event: Event) -> Event:
-    """Return an event with samples of its own: those of the stream are written over."""
-    return replace(event, columns={signal: series.copy() for signal, series in event.columns.items()})

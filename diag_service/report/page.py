@@ -53,7 +53,7 @@ def page_of(found: Findings, made_at: str) -> Page:
     return Page(
         title=f"Clutches of {found.vehicle}",
         subtitle=_subtitle(found),
-        advice=tuple(map(_advice, found.latest)),
+        advice=tuple(map(advice_of, found.latest)),
         sections=sections,
         record=legible_record(record_of(found)),
     )
@@ -83,7 +83,8 @@ def write_page(path: Path, page: Page) -> int:
     return len(content)
 
 
-def _advice(result: ShiftResult) -> Advice:
+def advice_of(result: ShiftResult) -> Advice:
+    """Return the sentence on the clutch of a result, with its verdict."""
     verdict = result.verdict
     text = verdict.advice or f"Clutch {verdict.clutch}: {condition_words(verdict.condition)}: {verdict.reason}."
     return Advice(condition=_style(verdict.condition), word=condition_words(verdict.condition), text=text)

@@ -9,7 +9,7 @@ import numpy as np
 from diag_service.delivery.words import condition_words, gear_words, kind_words, reason_words
 from diag_service.diagnosis.records import ClutchVerdict, QualityPart, ShiftResult, Status
 from diag_service.diagnosis.results import utc_from_bus_ns
-from diag_service.report.findings import Example, Findings
+from diag_service.report.findings import Findings
 from diag_service.report.pictures import (
     BAND_STD,
     BAND_WORDS,
@@ -25,6 +25,7 @@ from diag_service.report.pictures import (
     shift_picture,
     trend_picture,
 )
+from diag_service.service.onlookers import Example
 from diag_service.store import Row
 from fleet_contract import CLUTCHES
 from program_io.pages.content import NONE, Cell, Figure, Key, Section, Table, number, spread

@@ -5,7 +5,7 @@ import logging
 import os
 from collections.abc import AsyncIterator, Callable
 from contextlib import ExitStack, asynccontextmanager, closing, suppress
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from canlog.live import BusOpener, ReadSchedule, SupervisedSource, supervise
@@ -18,6 +18,7 @@ from diag_service.service.application import opened_store, outbox_of, reporter_o
 from diag_service.service.controller_news import tell_controller
 from diag_service.service.live import run_live
 from diag_service.service.monitor import Monitor
+from diag_service.service.onlookers import LastShifts, LiveRun, OpenPage
 from diag_service.service.service_manager import ADDRESS_VARIABLE, ServiceManager
 from diag_service.service.session import Session, utc_now
 from diag_service.service.snapshot import Board, Snapshot, SnapshotTaker
@@ -30,6 +31,14 @@ QUIT_KEY = "q"
 _LOG = logging.getLogger(__name__)
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Shown:
+    """What a page shows of a run, and what opens one."""
+
+    shifts: LastShifts
+    open_page: OpenPage
+
+
 def run_bus(
     config: DiagnosisConfig,
     bus: BusConfig,
@@ -38,13 +47,16 @@ def run_bus(
     *,
     as_json: bool,
     is_detailed: bool = False,  # text for specialists
+    open_page: OpenPage,
 ) -> None:
-    """Diagnose a live bus until it is told to stop."""
+    """Diagnose a live bus until it is told to stop; a page that is wanted is opened meanwhile."""
     decoder = config.interpretation().decoder()
     with opened_store(config, store_path, keeps_results=True) as store:
         reporter = DetachedReporter(reporter_of(controls.stop, as_json=as_json, is_detailed=is_detailed))
-        session = Session(config, decoder, store, None, reporter)
-        asyncio.run(_run_bus(config, bus, store, session, controls))
+        shifts = LastShifts()
+        witness = (lambda *_: None) if bus.page is None else shifts.add
+        session = Session(config, decoder, store, None, reporter, witness=witness)
+        asyncio.run(_run_bus(config, bus, store, session, controls, shown=_Shown(shifts=shifts, open_page=open_page)))
 
 
 def run_monitor(config: DiagnosisConfig, bus: BusConfig, controls: Controls) -> None:
@@ -79,6 +91,8 @@ async def _run_bus(
     session: Session,
     controls: Controls,
     onlooker: Callable[[Snapshot], None] = lambda _: None,
+    *,
+    shown: _Shown | None = None,
 ) -> None:
     source, schedule = await open_live(bus, session)
     session.reporter.report(f"{source.description} for {config.vehicle}, results in {store.where}")
@@ -99,6 +113,16 @@ async def _run_bus(
 
             port = stack.enter_context(serving(bus.metrics, board))
             _LOG.log(NOTICE, "metrics on http://%s:%d/metrics", bus.metrics.host, port)
+        if bus.page is not None and shown is not None:
+            run = LiveRun(
+                vehicle=config.vehicle,
+                source=source.description,
+                store=store.where,
+                calibration=config.calibration,
+                board=board,
+                shifts=shown.shifts,
+            )
+            _LOG.log(NOTICE, "page on %s", stack.enter_context(shown.open_page(bus.page, run)))
         manager.ready()
         outbox = outbox_of(config, store, session, is_live=True)
         async with polling(config.vehicle, bus, store, session, outbox):

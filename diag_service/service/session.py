@@ -50,6 +50,7 @@ class Session:
         *,
         utc_now: Callable[[], str] = utc_now,  # the clock of a live stream
         max_pending_count: int = MAX_PENDING_COUNT,  # results in memory while the disk is full
+        witness: Callable[[Event, ShiftResult], None] = lambda *_: None,  # sees signals that nobody stores
     ) -> None:
         self.vehicle, self._versions = config.vehicle, versions_for(config.calibration)
         state, memory = resume(store, self.vehicle, self._versions, config.calibration)
@@ -58,6 +59,7 @@ class Session:
         self._store = store
         self.reporter = reporter
         self._stream = stream
+        self._witness = witness
         self._utc_now = utc_now
         self.statistics = ShiftStatistics()
         self.fluid = store.fluid_at(self.vehicle, utc_now()) if stream is None else None  # as far as its fill is known
@@ -82,7 +84,9 @@ class Session:
         if result is not None:
             self._report(result, is_new=False)
             return
-        self._pending.append(self._diagnose(event))
+        result, state = self._diagnose(event)
+        self._witness(event, result)
+        self._pending.append((result, state))
         try:
             self._store_pending()
         except StoreFullError as exc:

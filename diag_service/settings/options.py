@@ -89,6 +89,7 @@ BUS: Final = (
     Setting("--duration S", "stop after this many seconds", FLOAT),
     Setting("--metrics [HOST:]PORT", "serve /metrics, /livez and /readyz there (default: nowhere)"),
 )
+PAGE: Final = (Setting("--page PORT", "show the run to browsers on this machine there (default: nowhere)", INT),)
 POLL: Final = (
     Setting(
         "--poll [S]",
@@ -108,4 +109,4 @@ POLL: Final = (
 CONFIG: Final = Setting(
     "--config FILE", "TOML file with settings, see 'config check'", FILE, is_eager=True, callback=_read_elsewhere
 )
-SETTINGS: Final[Mapping[str, Setting]] = {option.name: option for option in (*MEANING, *DELIVERY, *BUS, *POLL)}
+SETTINGS: Final[Mapping[str, Setting]] = {option.name: option for option in (*MEANING, *DELIVERY, *BUS, *PAGE, *POLL)}

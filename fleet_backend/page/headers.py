@@ -1,4 +1,4 @@
-"""What every answer says to the browser: nothing from elsewhere, nothing inline, nobody else's frame."""
+"""What stands around every answer: safe headers, and only those who call the server by its own name."""
 
 from collections.abc import Collection
 from typing import Final
@@ -7,21 +7,8 @@ from starlette.datastructures import Headers, MutableHeaders
 from starlette.responses import PlainTextResponse
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
-_POLICY: Final = "; ".join(
-    (
-        *("default-src 'none'", "style-src 'self'", "script-src 'self'", "connect-src 'self'", "img-src 'self'"),
-        *("form-action 'self'", "base-uri 'none'", "frame-ancestors 'none'"),
-    )
-)
-HEADERS: Final = (
-    ("content-security-policy", _POLICY),
-    ("x-content-type-options", "nosniff"),
-    ("x-frame-options", "DENY"),
-    ("referrer-policy", "same-origin"),
-    ("cross-origin-opener-policy", "same-origin"),
-    ("cross-origin-resource-policy", "same-origin"),
-    ("permissions-policy", "camera=(), geolocation=(), microphone=()"),
-)
+from program_io.pages.headers import SAFE_HEADERS, host_of
+
 _KEEP_NOTHING: Final = "no-store"  # of what says something of vehicles
 
 
@@ -37,7 +24,7 @@ class SafeHeaders:
         async def send_safely(message: Message) -> None:
             if message["type"] == "http.response.start":
                 headers = MutableHeaders(scope=message)
-                for name, value in HEADERS:
+                for name, value in SAFE_HEADERS:
                     headers[name] = value
                 headers.setdefault("cache-control", _KEEP_NOTHING)
             await send(message)
@@ -54,13 +41,7 @@ class KnownHosts:
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Answer one request."""
-        if scope["type"] == "http" and self._host(scope) not in self._names:
+        if scope["type"] == "http" and host_of(Headers(scope=scope).get("host", "")) not in self._names:
             await PlainTextResponse("this server has another name\n", status_code=421)(scope, receive, send)
             return
         await self._app(scope, receive, send)
-
-    def _host(self, scope: Scope) -> str:
-        host = Headers(scope=scope).get("host", "").casefold()
-        if host.startswith("["):
-            return host.partition("]")[0] + "]"
-        return host.rpartition(":")[0] if ":" in host else host

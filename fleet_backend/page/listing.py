@@ -4,7 +4,7 @@ import base64
 import binascii
 import json
 from bisect import bisect_right
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Collection, Iterable, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from typing import Final
@@ -51,18 +51,17 @@ def worst_first(clutches: Iterable[ClutchNow]) -> tuple[ClutchNow, ...]:
 
 def matching(clutches: Sequence[ClutchNow], wanted: Wanted) -> list[ClutchNow]:
     """Return the clutches that are looked for, in the order in which they come."""
-    tests: list[Callable[[ClutchNow], bool]] = []
+    found = list(clutches)
     if wanted.name_part:
         part = wanted.name_part.casefold()
-        tests.append(lambda now: part in now.vehicle.casefold())
-    for name, value in (
-        ("condition", wanted.condition),
-        ("fluid", wanted.fluid),
-        ("calibration_version", wanted.calibration),
-    ):
-        if value is not None:
-            tests.append(lambda now, name=name, value=value: getattr(now, name) == value)  # type: ignore[misc]
-    return [now for now in clutches if all(test(now) for test in tests)] if tests else list(clutches)
+        found = [now for now in found if part in now.vehicle.casefold()]
+    if wanted.condition is not None:
+        found = [now for now in found if now.condition == wanted.condition]
+    if wanted.fluid is not None:
+        found = [now for now in found if now.fluid == wanted.fluid]
+    if wanted.calibration is not None:
+        found = [now for now in found if now.calibration_version == wanted.calibration]
+    return found
 
 
 def part_of(found: Sequence[ClutchNow], after: str | None, limit: int) -> Part:
@@ -113,14 +112,10 @@ def _decoded(word: str) -> object:
         return None
 
 
-def choices_of(clutches: Iterable[ClutchNow]) -> tuple[tuple[str, ...], tuple[str, ...]]:
+def choices_of(clutches: Collection[ClutchNow]) -> tuple[tuple[str, ...], tuple[str, ...]]:
     """Return the fluids and the calibrations that there are."""
-    fluids, calibrations = set(), set()
-    for now in clutches:
-        calibrations.add(now.calibration_version)
-        if now.fluid is not None:
-            fluids.add(now.fluid)
-    return tuple(sorted(fluids)), tuple(sorted(calibrations))
+    fluids = {now.fluid for now in clutches} - {None}
+    return tuple(sorted(map(str, fluids))), tuple(sorted({now.calibration_version for now in clutches}))
 
 
 def read_moment(word: str, kinds: Sequence[type]) -> tuple[datetime, list[object]]:

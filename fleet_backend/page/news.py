@@ -2,12 +2,14 @@
 
 import asyncio
 from collections.abc import AsyncIterator
+from contextlib import suppress
 from typing import Final
 
 from fleet_backend.page.errors import BusyError
 from fleet_backend.page.keeper import Keeper, Snapshot
 
 HEARTBEAT_S: Final = 15.0  # a line that says nothing finds readers who have gone
+REST_S: Final = 5.0  # between two renewals of a page; results may arrive without end
 MOST_READERS: Final = 500
 
 
@@ -27,15 +29,16 @@ class _Reader:
 class News:
     """Tells any number of readers; one that is slow hears of several changes as one."""
 
-    def __init__(self, keeper: Keeper, heartbeat_s: float = HEARTBEAT_S) -> None:
+    def __init__(self, keeper: Keeper, heartbeat_s: float = HEARTBEAT_S, rest_s: float = REST_S) -> None:
         self._keeper = keeper
         self._heartbeat_s = heartbeat_s
+        self._rest_s = rest_s
         self._readers: set[_Reader] = set()
-        self._has_ended = False
+        self._ended = asyncio.Event()
 
     def end(self) -> None:
         """Let all readers go; from within the event loop."""
-        self._has_ended = True
+        self._ended.set()
         for reader in self._readers:
             reader.wakes.set()
 
@@ -57,19 +60,29 @@ class News:
     async def _messages(self, reader: _Reader) -> AsyncIterator[str]:
         self._readers.add(reader)
         leave = self._keeper.listen(reader.hear)
+        clock = asyncio.get_running_loop().time
+        rested_s = clock() + (0.0 if reader.wakes.is_set() else self._rest_s)  # the page was read just now
         try:
             yield "retry: 3000\n\n"
-            while not self._has_ended:
+            while not self._ended.is_set():
                 try:
                     async with asyncio.timeout(self._heartbeat_s):
                         await reader.wakes.wait()
                 except TimeoutError:
                     yield ": still here\n\n"
                     continue
+                await self._wait_until(rested_s)
                 reader.wakes.clear()
-                if not self._has_ended:
+                if not self._ended.is_set():
+                    rested_s = clock() + self._rest_s
                     number = self._keeper.snapshot.number
                     yield f"id: {number}\nevent: news\ndata: {number}\n\n"
         finally:
             leave()
             self._readers.discard(reader)
+
+    async def _wait_until(self, moment_s: float) -> None:
+        """Wait until a moment of the event loop, or until all readers are let go."""
+        with suppress(TimeoutError):
+            async with asyncio.timeout_at(moment_s):
+                await self._ended.wait()

@@ -7,24 +7,19 @@ from typing import Any, Final
 from clutch_model.calibration import Calibration, nominal_calibration
 from clutch_model.clutch import FrictionCurve
 from clutch_model.fingerprint import fingerprint
-from diag_service.diagnosis.events import EndReason, EventKind
-from diag_service.diagnosis.prognosis import Prognosis, history_of, prognose
+from diag_service.diagnosis.prognosis import Prognosis, history_of_estimates, prognose
 from diag_service.diagnosis.prognosis.sentence import outlook_line
 from diag_service.diagnosis.records import (
-    ClutchVerdict,
-    Condition,
     FluidFill,
     FrictionEstimate,
-    Reason,
     ScaleFreeFriction,
     ShiftEstimate,
-    ShiftResult,
     Status,
 )
 from diag_service.diagnosis.results import iso_utc
-from fleet_backend.page.past import friction_in, words_in
+from fleet_backend.page.past import friction_in
 from fleet_backend.page.records import Fill, OutlookAnswer, ReachAnswer
-from fleet_backend.schema import RUNNING, SCALE_FREE, SCALE_FREE_COLUMNS
+from fleet_backend.schema import SCALE_FREE, SCALE_FREE_COLUMNS
 
 Row = Mapping[str, Any]
 _OTHER_CALIBRATION: Final = "No prognosis: the calibration of these results is not the shipped one."
@@ -54,9 +49,9 @@ def friction_of(values: Mapping[str, float] | None) -> FrictionEstimate | None:
     return None if values is None else FrictionEstimate(**values)
 
 
-def result_of(row: Row) -> ShiftResult:
-    """Return the result that a row was made from; what the database does not keep is unknown in it."""
-    estimate = ShiftEstimate(
+def estimate_of(row: Row) -> ShiftEstimate:
+    """Return what one event said of the friction; what no prognosis asks for is left out."""
+    return ShiftEstimate(
         number=row["number"],
         from_gear=row["from_gear"],
         to_gear=row["to_gear"],
@@ -64,7 +59,7 @@ def result_of(row: Row) -> ShiftResult:
         start_ns=row["start_bus_ns"],
         end_ns=row["end_bus_ns"],
         status=Status(row["status"]),
-        reasons=tuple(Reason(word) for word in words_in(row)),
+        reasons=(),
         friction=friction_of(friction_in(row, "")),
         sample_count=row["sample_count"],
         window_s=row["window_s"],
@@ -76,18 +71,6 @@ def result_of(row: Row) -> ShiftResult:
         duration_s=row["duration_s"],
         odometer_m=row["odometer_m"],
         scale_free=_scale_free(row),
-        kind=EventKind.SHIFT if row["kind"] is None else EventKind(row["kind"]),
-        end_reason=None if row["end_reason"] is None else EndReason(row["end_reason"]),
-    )
-    return ShiftResult(
-        vehicle=row["vehicle"],
-        stream=row["stream"],
-        seq=row["seq"],
-        estimate=estimate,
-        verdict=_verdict(row),
-        algorithm_version=row["algorithm_version"],
-        calibration_version=row["calibration_version"],
-        produced_at=iso_utc(row["produced_at"]),
     )
 
 
@@ -99,8 +82,8 @@ def outlook_of(
     reference = reference_of(calibration, clutch)
     if reference is None:
         return None, _OTHER_CALIBRATION
-    same = [result_of(row) for row in rows if row["calibration_version"] == calibration]
-    past = history_of(same, [fluid_fill(rows[-1]["vehicle"], one) for one in fills], clutch)
+    same = [estimate_of(row) for row in rows if row["calibration_version"] == calibration]
+    past = history_of_estimates(same, [fluid_fill(rows[-1]["vehicle"], one) for one in fills], clutch)
     found = prognose(clutch, past, reference, service_distance_m=service_distance_m)
     return _answer(found, _left_out(rows, len(same))), None
 
@@ -144,18 +127,6 @@ def _scale_free(row: Row) -> ScaleFreeFriction | None:
         std_mu_c=row["random_std_mu_c"],
         std_mu_s=row["random_std_mu_s"],
         correlation=row["correlation"],
-    )
-
-
-def _verdict(row: Row) -> ClutchVerdict:
-    return ClutchVerdict(
-        clutch=row["clutch"],
-        condition=Condition[str(row["condition"]).upper()],
-        reason=row["condition_reason"],
-        level_ratio=row["level_ratio"],
-        friction=friction_of(friction_in(row, RUNNING)),
-        shift_count=row["running_shift_count"],
-        advice=row["advice"],
     )
 
 

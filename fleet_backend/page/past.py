@@ -11,10 +11,28 @@ from sqlalchemy import Engine, Select, and_, func, or_, select
 from fleet_backend import views
 from fleet_backend.database import transaction
 from fleet_backend.page.records import ClutchAlarm, Fill, Quarantined, ShiftAnswer
-from fleet_backend.schema import FLUID_FILL, FRICTION_COLUMNS, QUARANTINE, RUNNING, SHIFT_RESULT, VEHICLE
+from fleet_backend.schema import (
+    FLUID_FILL,
+    FRICTION_COLUMNS,
+    QUARANTINE,
+    RUNNING,
+    SCALE_FREE,
+    SCALE_FREE_COLUMNS,
+    SHIFT_RESULT,
+    VEHICLE,
+)
 
 MOST_RESULTS: Final = 4000  # of one clutch, the newest; two years of a taxi
 _NEWER: Final = SHIFT_RESULT.alias("newer")
+# What pictures, tables and prognoses are made of; a row has twice as many columns.
+_TREND_COLUMNS: Final = (
+    *("vehicle", "stream", "seq", "clutch", "number", "kind", "produced_at", "end_at", "start_bus_ns", "end_bus_ns"),
+    *("from_gear", "to_gear", "status", "reasons", "sample_count", "window_s", "chi_square_ratio", "quality"),
+    *("sump_temperature_k", "clutch_temperature_k", "slip_energy_j", "duration_s", "odometer_m", "level_ratio"),
+    *("condition", "algorithm_version", "calibration_version", *FRICTION_COLUMNS),
+    *(RUNNING + name for name in ("mu_c", "std_mu_c", "mu_s", "std_mu_s")),
+    *(SCALE_FREE + name for name in SCALE_FREE_COLUMNS),
+)
 _SHIFT_NAMES: Final = tuple(field.name for field in fields(ShiftAnswer))
 Row = Mapping[str, Any]  # of any table: what a column holds is the schema's matter
 
@@ -27,6 +45,14 @@ class Presence:
     connected_at: datetime | None
     service_version: str | None
     last_result_at: datetime | None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Stored:
+    """How many results of a clutch there are, and when the last of them came."""
+
+    result_count: int
+    last_at: datetime | None
 
 
 def presence(engine: Engine, vehicle: str) -> Presence | None:
@@ -60,7 +86,7 @@ def current_results(vehicle: str, clutch: int, most: int = MOST_RESULTS) -> Sele
     )
     order = (table.c.vehicle, table.c.clutch, table.c.produced_at, table.c.stream)
     return (
-        select(table)
+        select(*(table.c[name] for name in _TREND_COLUMNS))
         .where(table.c.vehicle == vehicle, table.c.clutch == clutch, ~is_superseded)
         .order_by(*(column.desc() for column in order))
         .limit(most)
@@ -70,18 +96,20 @@ def current_results(vehicle: str, clutch: int, most: int = MOST_RESULTS) -> Sele
 def results_of(engine: Engine, vehicle: str, clutch: int) -> list[Row]:
     """Return the newest results of a clutch, the oldest first; inside a stream only ``seq`` tells the order."""
     with transaction(engine) as connection:
-        rows: list[Row] = [dict(row) for row in connection.execute(current_results(vehicle, clutch)).mappings()]
+        found = connection.execute(current_results(vehicle, clutch))
+        rows: list[Row] = [dict(zip(_TREND_COLUMNS, row, strict=True)) for row in found]
     last: dict[str, datetime] = {}
     for row in rows:
         last[row["stream"]] = max(row["produced_at"], last.get(row["stream"], row["produced_at"]))
     return sorted(rows, key=lambda row: (last[row["stream"]], row["stream"], row["seq"]))
 
 
-def result_count(engine: Engine, vehicle: str, clutch: int) -> int:
-    """Return how many results of a clutch there are, all versions counted."""
+def stored_of(engine: Engine, vehicle: str, clutch: int) -> Stored:
+    """Return what is stored of a clutch, all versions counted; what is worked out of it holds until this changes."""
     own = and_(SHIFT_RESULT.c.vehicle == vehicle, SHIFT_RESULT.c.clutch == clutch)
     with transaction(engine) as connection:
-        return int(connection.execute(select(func.count()).select_from(SHIFT_RESULT).where(own)).scalar_one())
+        row = connection.execute(select(func.count(), func.max(SHIFT_RESULT.c.stored_at)).where(own)).one()
+    return Stored(result_count=int(row[0]), last_at=row[1])
 
 
 def fills_of(engine: Engine, vehicle: str) -> tuple[Fill, ...]:

@@ -11,12 +11,12 @@ from diag_service.diagnosis.prognosis import (
     Kind,
     Population,
     ageings,
-    history_of,
+    history_of_estimates,
     learn,
     standings,
 )
 from fleet_backend.database import transaction
-from fleet_backend.page.outlook import fluid_fill, reference_of, result_of
+from fleet_backend.page.outlook import estimate_of, fluid_fill, reference_of
 from fleet_backend.page.past import fills_of, results_of
 from fleet_backend.schema import CLUTCH
 
@@ -61,8 +61,8 @@ def _ageings(engine: Engine, vehicle: str, clutch: int) -> list[Ageing] | None:
     if reference is None:
         return None
     fills = fills_of(engine, vehicle)
-    same = [result_of(row) for row in rows if row["calibration_version"] == calibration]
-    past = history_of(same, [fluid_fill(vehicle, one) for one in fills], clutch)
+    same = [estimate_of(row) for row in rows if row["calibration_version"] == calibration]
+    past = history_of_estimates(same, [fluid_fill(vehicle, one) for one in fills], clutch)
     kinds = [Kind(vehicle_type=calibration, fluid=name) for name in (None, *(one.product for one in fills))]
     return ageings(vehicle, clutch, past, reference, kinds)
 

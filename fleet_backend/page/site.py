@@ -89,7 +89,8 @@ def _static_endpoint() -> Callable[[Request], Response]:
 
 def _static_entries() -> list[Traversable]:
     own = [one for one in resources.files("fleet_backend.page").joinpath("static").iterdir() if one.is_file()]
-    return [*own, resources.files("program_io.pages").joinpath("templates").joinpath("style.css")]
+    shared = resources.files("program_io.pages").joinpath("templates")
+    return [*own, shared.joinpath("style.css"), shared.joinpath("live.js")]
 
 
 async def _tell(request: Request, exc: Exception) -> Response:

@@ -1,6 +1,6 @@
 """One vehicle: what to do, how far its fluid will go, and how each clutch went."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from typing import Any, Final
 
 from fleet_backend.page import past, wording
@@ -14,7 +14,8 @@ from fleet_backend.page.pictures import (
     course_keys,
     course_picture,
 )
-from fleet_backend.page.records import ClutchAlarm, ClutchHistory, ClutchNow, TrendPoint, VehicleAnswer
+from fleet_backend.page.records import ClutchAlarm, ClutchHistory, ClutchNow, Fill, TrendPoint, VehicleAnswer
+from fleet_backend.page.remembered import Past
 from fleet_backend.page.view import Shown, Sources, View
 from fleet_backend.schema import RUNNING
 from program_io.pages.content import NONE, Cell, Figure, Link, Section, Table, spread
@@ -85,15 +86,20 @@ def point_of(row: past.Row) -> TrendPoint:
     return TrendPoint(reasons=past.words_in(row), **made)
 
 
-def _clutch(sources: Sources, now: ClutchNow, fills: Sequence[Any], service_distance_m: float) -> ClutchHistory:
-    rows = past.results_of(sources.engine, now.vehicle, now.clutch)
-    outlook, why_not = outlook_of(now.clutch, rows, fills, service_distance_m) if rows else (None, "No result yet.")
+def _clutch(sources: Sources, now: ClutchNow, fills: tuple[Fill, ...], service_distance_m: float) -> ClutchHistory:
+    def make() -> Past:
+        rows = past.results_of(sources.engine, now.vehicle, now.clutch)
+        outlook, why_not = outlook_of(now.clutch, rows, fills, service_distance_m) if rows else (None, "No result yet.")
+        return Past(trend=tuple(map(point_of, rows)), outlook=outlook, why_no_outlook=why_not)
+
+    stored = past.stored_of(sources.engine, now.vehicle, now.clutch)
+    found = sources.remembered.past((now.vehicle, now.clutch, service_distance_m), (stored, fills), make)
     return ClutchHistory(
         now=now,
-        outlook=outlook,
-        why_no_outlook=why_not,
-        trend=tuple(map(point_of, rows)),
-        result_count=past.result_count(sources.engine, now.vehicle, now.clutch),
+        outlook=found.outlook,
+        why_no_outlook=found.why_no_outlook,
+        trend=found.trend,
+        result_count=stored.result_count,
     )
 
 

@@ -1,7 +1,7 @@
 """What a view is: one question, answered for people as a page and for programs as JSON, CSV or Parquet."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 from sqlalchemy import Engine
@@ -10,6 +10,7 @@ from fleet_backend.page.access import Role
 from fleet_backend.page.asking import Ask, Parameter
 from fleet_backend.page.keeper import Keeper
 from fleet_backend.page.news import News
+from fleet_backend.page.remembered import Remembered
 from program_io.pages.content import Advice, Link, Section
 
 
@@ -21,6 +22,7 @@ class Sources:
     keeper: Keeper
     news: News
     writer: Engine | None = None  # where somebody may change something
+    remembered: Remembered = field(default_factory=Remembered)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

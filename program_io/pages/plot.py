@@ -87,7 +87,7 @@ class Plot:
     def dots(self, x: FloatArray, y: FloatArray, style: str) -> None:
         """Draw points, shape (n,) each; those that are not known are left out."""
         known = np.isfinite(x) & np.isfinite(y)
-        points = zip(self._pixels_x(x[known]), self._pixels_y(y[known]), strict=True)
+        points = zip(self._pixels_x(x[known]).tolist(), self._pixels_y(y[known]).tolist(), strict=True)
         self._path("".join(f"M{_text(px)} {_text(py)}h0" for px, py in points), f"dots {style}")
 
     def level(self, y: float, style: str, text: str) -> None:
@@ -133,15 +133,12 @@ class Plot:
 
     def _points(self, x: FloatArray, y: FloatArray) -> str:
         """Return a path through the points that are known."""
-        parts, is_drawing = [], False
-        pairs = zip(self._pixels_x(x), self._pixels_y(y), strict=True)
-        for px, py in pairs:
-            if not (np.isfinite(px) and np.isfinite(py)):
-                is_drawing = False
-                continue
-            parts.append(f"{'L' if is_drawing else 'M'}{_text(px)} {_text(py)}")
-            is_drawing = True
-        return "".join(parts)
+        known = np.isfinite(x) & np.isfinite(y)
+        begins = known & ~np.concatenate(([False], known[:-1]))
+        places = zip(
+            begins[known].tolist(), self._pixels_x(x[known]).tolist(), self._pixels_y(y[known]).tolist(), strict=True
+        )
+        return "".join(f"{'M' if is_first else 'L'}{_text(px)} {_text(py)}" for is_first, px, py in places)
 
     def _pixels_x(self, x: FloatArray) -> FloatArray:
         share = (np.asarray(x, np.float64) - self.x.low) / (self.x.high - self.x.low)

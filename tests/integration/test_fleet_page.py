@@ -18,10 +18,10 @@ from diag_service.diagnosis.records import Condition
 from fleet_backend import queries
 from fleet_backend.database import open_database
 from fleet_backend.intake import batch_of, take
-from fleet_backend.page.headers import HEADERS
 from fleet_backend.page.site import OPENAPI_PATH, VIEWS
 from fleet_backend.schema import SHIFT_RESULT
 from fleet_backend.writer import Batch, Writer
+from program_io.pages.headers import SAFE_HEADERS as HEADERS
 from tests.support.browsing import chromium, complaints_of, new_page
 from tests.support.fleet import NOW, fleet_result, message_of, row_of
 from tests.support.fleet_page import ACCESS, MARKUP, fill_database, headers_of, raise_alarms, served

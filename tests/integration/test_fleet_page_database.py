@@ -141,6 +141,23 @@ def test_the_prognosis_is_that_of_the_service(engine: Engine) -> None:
     assert "is not the shipped one" in str(answer.clutches[0].why_no_outlook)
 
 
+def test_what_is_remembered_of_a_clutch_is_never_old(engine: Engine) -> None:
+    results = history(40)
+    Writer(engine).store(Batch(shifts=[row_of(one) for one in results[:-2]]))
+    sources, question = sources_of(engine), ask(vehicle_view.VIEW, "car1")
+    first = vehicle_view.find(sources, question)
+    asked = Watch(engine)
+    assert vehicle_view.find(sources, question) == first
+    assert not [one for one, _ in asked.asked if "version_rank" in one]  # results were not read again
+    Writer(engine).store(Batch(shifts=[row_of(one) for one in results[-2:]]))
+    queries.note_fill(engine, "car1", "DCTF", at=datetime(2026, 1, 1, 0, 1, tzinfo=UTC), odometer_m=2.0e4, note=None)
+    sources.keeper.refresh()
+    again, fresh = (vehicle_view.find(one, question) for one in (sources, sources_of(engine)))
+    assert again == fresh
+    assert [len(one.trend) for one in again.clutches] == [20, 20]
+    assert [one.outlook for one in again.clutches] != [one.outlook for one in first.clutches]
+
+
 class Watch:
     """Collects the statements of a connection with their values."""
 

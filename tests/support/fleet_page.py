@@ -103,7 +103,9 @@ def served(database: str, access: Access | None = None) -> Iterator[str]:
     keeper.refresh()
     with closing_socket("127.0.0.1", 0) as listener:
         started = list[Any]()  # servers
-        sources = Sources(engine=engine, keeper=keeper, news=News(keeper), writer=writer if access else None)
+        sources = Sources(
+            engine=engine, keeper=keeper, news=News(keeper, rest_s=0.0), writer=writer if access else None
+        )
         work = serve(sources, listener, access=access or Access(), on_start=started.append)
         thread = threading.Thread(target=asyncio.run, args=(work,), name="fleet page")
         thread.start()

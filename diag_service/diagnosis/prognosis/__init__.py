@@ -2,7 +2,7 @@
 
 from diag_service.diagnosis.prognosis.channels import ChannelName
 from diag_service.diagnosis.prognosis.fluid_lives import ageings
-from diag_service.diagnosis.prognosis.history import History, history_of
+from diag_service.diagnosis.prognosis.history import History, history_of, history_of_estimates
 from diag_service.diagnosis.prognosis.outliers import Standing, common_course, standings
 from diag_service.diagnosis.prognosis.passage import Passage
 from diag_service.diagnosis.prognosis.population import Ageing, Kind, Peers, Population, Usual, learn
@@ -23,6 +23,7 @@ __all__ = [
     "ageings",
     "common_course",
     "history_of",
+    "history_of_estimates",
     "learn",
     "prognose",
     "standings",

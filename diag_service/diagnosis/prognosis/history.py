@@ -79,7 +79,12 @@ def history_of(results: Iterable[ShiftResult], fills: Sequence[FluidFill], clutc
     Events of which the friction is not known only count as events. Known ones without odometer or oil temperature, and
     those whose odometer goes back, are left out and counted.
     """
-    own = sorted((one.estimate for one in results if one.estimate.clutch == clutch), key=lambda one: one.end_ns)
+    return history_of_estimates((one.estimate for one in results), fills, clutch)
+
+
+def history_of_estimates(estimates: Iterable[ShiftEstimate], fills: Sequence[FluidFill], clutch: int) -> History:
+    """Return the same from the estimates alone, which is all that a past is made of."""
+    own = sorted((one for one in estimates if one.clutch == clutch), key=lambda one: one.end_ns)
     rows: list[dict[str, float]] = []
     waiting = left_out = 0
     highest_m = -np.inf

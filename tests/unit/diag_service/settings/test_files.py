@@ -37,6 +37,7 @@ VALUES: dict[str, str | int | float | bool] = {
     "lenient": True,
     "duration": 12.5,
     "metrics": "9100",
+    "page": 8080,
     "poll": 30.0,
     "active": True,
     "ecu": "7E0",

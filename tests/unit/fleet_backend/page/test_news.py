@@ -32,7 +32,7 @@ async def begun(stream: AsyncIterator[str]) -> AsyncIterator[str]:
 
 async def test_several_changes_are_heard_of_as_one_and_others_not_at_all() -> None:
     fleet, keeper = a_fleet()
-    news = News(keeper)
+    news = News(keeper, rest_s=0.0)
     whole, of_b = await begun(news.stream(1, None)), await begun(news.stream(1, "b"))
     await drive(fleet, keeper, "a", 2)
     await drive(fleet, keeper, "a", 3)
@@ -61,3 +61,26 @@ async def test_there_is_an_end_to_readers() -> None:
         news.stream(1, None)
     await asyncio.gather(*(one.aclose() for one in readers))  # type: ignore[attr-defined]  # a generator has it
     await begun(news.stream(1, None))
+
+
+async def test_a_page_rests_between_two_renewals() -> None:
+    fleet, keeper = a_fleet()
+    news, clock = News(keeper, rest_s=0.05), asyncio.get_running_loop().time
+    began_s, stream = clock(), await begun(news.stream(1, None))
+    heard: list[str] = []
+    for seq in (2, 3):
+        await drive(fleet, keeper, "a", seq)
+        heard.append(await anext(stream))
+    assert heard == ["id: 2\nevent: news\ndata: 2\n\n", "id: 3\nevent: news\ndata: 3\n\n"]
+    assert clock() - began_s >= 0.1
+    long_rest = await begun(News(keeper, rest_s=1000.0).stream(1, None))
+    assert await anext(long_rest) == "id: 3\nevent: news\ndata: 3\n\n"  # it knew an older state
+
+
+async def test_an_end_waits_for_no_rest() -> None:
+    fleet, keeper = a_fleet()
+    news = News(keeper, rest_s=1000.0)
+    stream = await begun(news.stream(1, None))
+    asyncio.get_running_loop().call_later(0.01, news.end)
+    await drive(fleet, keeper, "a", 2)
+    assert [one async for one in stream] == []

@@ -1,0 +1,126 @@
+"""The page of a live run over HTTP: on this machine only, nothing can be changed by it."""
+
+import threading
+import time
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from contextlib import contextmanager
+from functools import cache
+from http import HTTPStatus
+from importlib import resources
+from types import MappingProxyType
+from typing import Final
+from wsgiref.types import StartResponse, WSGIEnvironment
+
+from jinja2 import Environment
+
+from diag_service.live_page.sections import shown
+from diag_service.service.onlookers import LiveRun
+from diag_service.service.web import serving_web
+from diag_service.settings.config import ListenAddress
+from program_io.pages.environment import templates_of
+from program_io.pages.headers import SAFE_HEADERS, host_of
+
+RENEWED_S: Final = 5.0  # rates and counts are shown anew, whatever happens
+LOOK_S: Final = 0.5
+MOST_READERS: Final = 20
+_NAMES: Final = frozenset({"127.0.0.1", "localhost", "[::1]"})
+_KEEP: Final = "max-age=3600"
+_STATIC: Final[Mapping[str, str]] = MappingProxyType({"style.css": "text/css", "live.js": "text/javascript"})
+
+Answer = Callable[[StartResponse], Iterable[bytes]]
+
+
+@contextmanager
+def opened_page(address: ListenAddress, run: LiveRun) -> Iterator[str]:
+    """Show a run while entered; yield the page's address. Raises ConfigError if it cannot be listened to."""
+    site = _Site(run)
+    with serving_web(address, site.answer, "page") as port:
+        try:
+            yield f"http://{f'[{address.host}]' if ':' in address.host else address.host}:{port}/"
+        finally:
+            site.ended.set()
+
+
+class _Site:
+    """Answers requests, each in a thread of its own."""
+
+    def __init__(self, run: LiveRun) -> None:
+        self._run = run
+        self._free = threading.BoundedSemaphore(MOST_READERS)
+        self.ended = threading.Event()
+
+    def answer(self, environ: WSGIEnvironment, start_response: StartResponse) -> Iterable[bytes]:
+        """Answer one request, of those who call this machine by its own name."""
+        if host_of(environ.get("HTTP_HOST", "")) not in _NAMES:
+            return _text(start_response, HTTPStatus.MISDIRECTED_REQUEST, "this server has another name\n")
+        if environ["REQUEST_METHOD"] not in {"GET", "HEAD"}:
+            return _text(start_response, HTTPStatus.METHOD_NOT_ALLOWED, "nothing can be changed here\n")
+        path = environ.get("PATH_INFO", "")
+        if path == "/":
+            return _send(start_response, "text/html; charset=utf-8", page_text(self._run).encode())
+        if path == "/events":
+            return self._events(start_response)
+        name = path.removeprefix("/static/")
+        if path.startswith("/static/") and name in _STATIC:
+            return _send(start_response, _STATIC[name], _file(name), cache_control=_KEEP)
+        return _text(start_response, HTTPStatus.NOT_FOUND, "the page is at /\n")
+
+    def _events(self, start_response: StartResponse) -> Iterable[bytes]:
+        if not self._free.acquire(blocking=False):
+            return _text(start_response, HTTPStatus.SERVICE_UNAVAILABLE, "too many readers\n")
+        try:
+            start_response("200 OK", _headers("text/event-stream", "no-store"))
+        except BaseException:
+            self._free.release()
+            raise
+        return self._news()
+
+    def _news(self) -> Iterator[bytes]:
+        """Yield a message whenever a shift came or the bus changed, and otherwise now and then."""
+        try:
+            yield b"retry: 3000\n\n"
+            known, told_s = self._state(), time.monotonic()
+            while not self.ended.wait(LOOK_S):
+                state, now_s = self._state(), time.monotonic()
+                if state != known or now_s - told_s >= RENEWED_S:
+                    known, told_s = state, now_s
+                    yield b"event: news\ndata: 1\n\n"
+        finally:
+            self._free.release()
+
+    def _state(self) -> object:
+        latest = self._run.board.latest
+        if latest is None:
+            return None
+        return latest.summary.shifts, latest.bus.state, latest.stuck, latest.fluid, self._run.board.is_live
+
+
+def page_text(run: LiveRun) -> str:
+    """Return the page of a run as HTML."""
+    return _templates().get_template("live.html").render(page=shown(run))
+
+
+def _send(
+    start_response: StartResponse, kind: str, content: bytes, *, cache_control: str = "no-store"
+) -> Iterable[bytes]:
+    start_response("200 OK", [*_headers(kind, cache_control), ("content-length", str(len(content)))])
+    return [content]
+
+
+def _text(start_response: StartResponse, status: HTTPStatus, text: str) -> Iterable[bytes]:
+    start_response(f"{status.value} {status.phrase}", _headers("text/plain; charset=utf-8", "no-store"))
+    return [text.encode()]
+
+
+def _headers(kind: str, cache_control: str) -> list[tuple[str, str]]:
+    return [("content-type", kind), ("cache-control", cache_control), *SAFE_HEADERS]
+
+
+@cache
+def _templates() -> Environment:
+    return templates_of("diag_service.live_page")
+
+
+@cache
+def _file(name: str) -> bytes:
+    return resources.files("program_io.pages").joinpath("templates").joinpath(name).read_bytes()
