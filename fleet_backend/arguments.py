@@ -49,10 +49,7 @@ _QUESTION: Final = (
 )
 _VEHICLE: Final = click.Argument(["vehicle"], metavar="VEHICLE", help="vehicle id")
 _CLUTCH: Final = Choice([1, 2])
-_INGEST: Final = Command(
-    "ingest",
-    "take results from the broker into the database, until stopped",
-    *_COMMON,
+_BROKER: Final = (
     Option(
         "--broker URL",
         f"mqtt[s]://[user[:password]@]host[:port], MQTT 5 (default: the environment's {BROKER_VARIABLE})",
@@ -61,6 +58,12 @@ _INGEST: Final = Command(
     Option("--ca FILE", "certificate authority of an mqtts:// broker", FILE),
     Option("--cert FILE", "our certificate, for mutual TLS", FILE),
     Option("--key FILE", "its private key", FILE),
+)
+_INGEST: Final = Command(
+    "ingest",
+    "take results from the broker into the database, until stopped",
+    *_COMMON,
+    *_BROKER,
     Option("--worker NAME", "name of this worker, unlike any other's (default: made up)"),
     Option("--alive FILE", "touch this file every 5 s while broker and database answer", FILE),
     Option("--batch N", f"messages per transaction (default: {_PACE.batch_size})", INT, default=_PACE.batch_size),
@@ -163,6 +166,8 @@ _WATCH: Final = Command(
     ),
     Option("--from ADDRESS", "sender of e-mail"),
     Option("--to ADDRESS", "who gets e-mail; may be given several times", multiple=True),
+    Option("--mqtt", "publish each alarm on clutchdiag/alarms/v1/VEHICLE of the broker"),
+    *_BROKER,
     Option(
         "--service-km KM",
         f"distance to the next service (default: {DEFAULT_SERVICE_KM})",
@@ -178,6 +183,7 @@ _WATCH: Final = Command(
     Option("--once", "look at everything once, deliver, and end"),
     examples=(
         f"{PROGRAM} watch --webhook https://hooks.example/fleet --secret webhook.secret",
+        f"{PROGRAM} watch --mqtt --broker mqtts://fleet@broker.example",
         f"{PROGRAM} watch --mail smtp://mail.example --from fleet@example.org --to workshop@example.org --once",
     ),
 )

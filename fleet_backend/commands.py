@@ -13,6 +13,7 @@ from sqlalchemy import Engine
 from fleet_backend import queries, report
 from fleet_backend.alarm_words import parse_mail, parse_secret, parse_service_km, parse_silence, parse_webhook
 from fleet_backend.alarms.carriers import Carrier, Mail, Webhook
+from fleet_backend.alarms.mqtt import Mqtt
 from fleet_backend.alarms.rules import Limits
 from fleet_backend.application import run_ingest
 from fleet_backend.arguments import BROKER_VARIABLE
@@ -24,6 +25,7 @@ from fleet_backend.layout import Sheet
 from fleet_backend.migrate import make_ready, migrate, newest_revision
 from fleet_backend.page.access import Access
 from fleet_backend.page.access_file import read_access
+from fleet_link import BrokerAddress
 
 Command = Callable[[SimpleNamespace, Engine], None]
 
@@ -42,16 +44,20 @@ def execute(options: SimpleNamespace) -> None:
 
 
 def _ingest(options: SimpleNamespace, engine: Engine) -> None:
-    if not options.broker:
-        raise ConfigError(f"no broker: give --broker or set {BROKER_VARIABLE}")
     pace = parse_pace(options.batch, options.patience)
     run_ingest(
         engine,
-        parse_broker(options.broker, ca=options.ca, certificate=options.cert, key=options.key),
+        _broker(options),
         pace,
         options.worker,
         options.alive,
     )
+
+
+def _broker(options: SimpleNamespace) -> BrokerAddress:
+    if not options.broker:
+        raise ConfigError(f"no broker: give --broker or set {BROKER_VARIABLE}")
+    return parse_broker(options.broker, ca=options.ca, certificate=options.cert, key=options.key)
 
 
 def _migrate(_options: SimpleNamespace, engine: Engine) -> None:
@@ -150,6 +156,8 @@ def _watch(options: SimpleNamespace, engine: Engine) -> None:
     if options.mail:
         server, sender, recipients = parse_mail(options.mail, getattr(options, "from"), options.to)
         carriers.append(Mail(server=server, sender=sender, recipients=recipients))
+    if options.mqtt:
+        carriers.append(Mqtt(broker=_broker(options)))
     watching = _page_part("fleet_backend.watching")
     orders = watching.Orders(carriers=carriers, limits=limits, service_distance_m=distance_m)
     watching.run_watch(engine, orders, is_once=options.once)

@@ -1,5 +1,6 @@
 """Alarms on their way to people: raised once, delivered by key though processes die, signed, and never lost."""
 
+import asyncio
 import base64
 import hashlib
 import hmac
@@ -12,6 +13,7 @@ from dataclasses import replace
 from datetime import datetime, timedelta
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
+from typing import Any
 from urllib.parse import urlsplit
 
 import pytest
@@ -22,16 +24,20 @@ from fleet_backend.alarm_tables import ALARM, ALARM_MESSAGE, AUDIT
 from fleet_backend.alarms import book
 from fleet_backend.alarms.book import Letter, Note
 from fleet_backend.alarms.carriers import Mail, Webhook
+from fleet_backend.alarms.mqtt import TOPIC_ROOT, Mqtt
 from fleet_backend.alarms.rules import Rule, Subject
 from fleet_backend.cli import main
-from fleet_backend.database import transaction
+from fleet_backend.database import open_database, transaction
 from fleet_backend.errors import CarrierError
 from fleet_backend.page import alarms_view
 from fleet_backend.page.asking import read_words
 from fleet_backend.watching import Orders, Watch
 from fleet_backend.writer import Batch, Writer
+from fleet_link import Connection, Message, Terms, parse_broker
+from tests.plugins.broker import Mosquitto
 from tests.support.fleet import NOW, fleet_result, row_of
 from tests.support.fleet_page import sources_of
+from tests.support.patience import HANG_S
 
 SECRET = b"0123456789abcdef0123456789abcdef"
 BAD = Condition.CHANGE_FLUID
@@ -264,6 +270,53 @@ def test_mail_is_the_same_at_every_attempt() -> None:
     assert "Message-ID: <" in first
 
 
+async def heard(connection: Connection, count: int) -> dict[str, tuple[str, dict[str, Any]]]:
+    """Return so many messages by their ids, with their topics."""
+    messages = list[Message]()
+    async with asyncio.timeout(HANG_S):
+        while len(messages) < count:
+            messages += await connection.collect(count, 0.0)
+    events = [(one.topic, json.loads(one.payload)) for one in messages]
+    return {str(event["id"]): (topic, event) for topic, event in events}
+
+
+async def test_alarms_by_mqtt_outlast_their_broker_and_are_no_state(sqlite_url: str, broker: Mosquitto) -> None:
+    engine, clock, address = open_database(sqlite_url), Clock(), parse_broker(broker.url)
+    watch = Watch(engine, Orders(carriers=[Mqtt(broker=address)]), clock)
+    terms, everyone = Terms(identifier="receiver", session_s=3600), [f"{TOPIC_ROOT}/+"]
+    receiver = await Connection.open(address, terms)
+    await receiver.subscribe(everyone)
+    store(engine, 1, BAD)
+    watch.round()
+    assert await asyncio.to_thread(watch.deliver) == 2
+    raised = await heard(receiver, 2)
+    topic, event = raised["car1/2/verdict/1/raised"]
+    assert topic == "clutchdiag/alarms/v1/car1"
+    assert (event["type"], event["data"]["rule"], event["time"]) == (
+        "clutchdiag.alarm.raised",
+        "verdict",
+        "2026-03-01T12:00:00Z",
+    )
+    await receiver.close()
+    broker.kill()
+    store(engine, 2, Condition.GOOD)
+    watch.round()
+    assert await asyncio.to_thread(watch.deliver) == 0
+    broker.start()
+    clock.at += timedelta(seconds=2)
+    assert await asyncio.to_thread(watch.deliver) == 1
+    receiver = await Connection.open(address, terms)  # the broker kept what came meanwhile
+    assert set(await heard(receiver, 1)) == {"car1/2/verdict/1/cleared"}
+    late = await Connection.open(address, Terms())
+    await late.subscribe(everyone)
+    with pytest.raises(TimeoutError):
+        async with asyncio.timeout(0.1):
+            await late.collect(1, 0.0)
+    for one in (receiver, late):
+        await one.close()
+    engine.dispose()
+
+
 @pytest.mark.parametrize(
     ("words", "complaint"),
     [
@@ -273,6 +326,8 @@ def test_mail_is_the_same_at_every_attempt() -> None:
         (["--webhook", "https://example.org/x", "--secret", "short"], "a secret must have 24 bytes or more"),
         (["--mail", "smtp://x"], "e-mail needs --from and --to"),
         (["--mail", "smtp://x", "--from", "a\nb@c", "--to", "d@e"], "is no e-mail address"),
+        (["--mqtt"], "no broker: give --broker"),
+        (["--mqtt", "--broker", "http://x"], "the broker must be"),
         (["--silence-days", "1"], "--silence-days must be 2 to 3650"),
         (["--service-km", "nan"], "--service-km must be 1 to 300000"),
     ],
