@@ -90,6 +90,8 @@ def _plain(name: str) -> str:
 def _refusal(info: zipfile.ZipInfo) -> str:
     if info.flag_bits & ENCRYPTED_FLAG:
         return "it is encrypted: unpack it first"
+    if ".." in PurePosixPath(_plain(info.filename)).parts:
+        return "its name leads out of the archive: unpack it first"
     if info.compress_type not in KNOWN_METHODS:
         return f"it is packed by method {info.compress_type}, not by deflate: unpack it first"
     return ""

@@ -2,6 +2,7 @@
 
 import codecs
 import re
+import shlex
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
@@ -12,7 +13,7 @@ from canlog.logs import sqlite
 from canlog.logs.asc import AscLog, is_asc_header
 from canlog.logs.blf import MAGIC as BLF_MAGIC
 from canlog.logs.candump import CandumpLog
-from canlog.logs.columns import NO_HEADER, ColumnsLog, columns_seen, proposed
+from canlog.logs.columns import NO_HEADER, ColumnsLog, columns_seen, guessed, proposed
 from canlog.logs.columns.canhacker import CanHacker, is_canhacker_header
 from canlog.logs.columns.carbus import Carbus, is_carbus_header
 from canlog.logs.columns.microchip import Microchip, is_microchip_header
@@ -122,6 +123,10 @@ OTHER_FORMATS: Mapping[bytes, str] = MappingProxyType(
         b"\x0a\x0d\x0d\x0a": "a pcapng capture",
         b"\x89HDF": "an HDF5 file",
         b"PAR1": "a Parquet file",
+        b"ARROW1": "an Arrow file",
+        b'VERSION "': "a message database (DBC): it belongs behind --dbc",
+        b"FormatVersion=": "a message database (SYM): it belongs behind --dbc",
+        b"<?xml": "an XML text",
     }
 )
 
@@ -252,7 +257,29 @@ def _counted(log_format: LogFormat, lines: Sequence[bytes]) -> tuple[int, int]:
 def _not_known(probe: bytes, hint: str) -> str:
     other = next((name for magic, name in OTHER_FORMATS.items() if probe.startswith(magic)), "")
     known = f"not a log of a known format ({', '.join(LogFormat)})"
-    seen = ", ".join(columns_seen(probe))
-    if seen and not other:
-        return f"{known}: a table with the columns {seen}; --columns time=...,id=...,data=... says which are which"
+    if not other and (seen := _as_table(probe)):
+        return f"{known}: {seen}"
     return f"{known}: {other or f'only {hint}'}" if other or hint else known
+
+
+def _as_table(probe: bytes) -> str:
+    """Return what one may do about what looks like a table; nothing if it does not."""
+    names, text = ", ".join(columns_seen(probe)), probe.removeprefix(BYTE_ORDER_MARK)
+    choice = guessed(text)
+    if not choice or not _has_frames_by(choice, text):
+        return (
+            f"a table with the columns {names}; --columns time=...,id=...,data=... says which are which"
+            if names
+            else ""
+        )
+    named = f" with the columns {names}" if names else ""
+    return f"a table{named}; perhaps --columns {shlex.quote(choice)}"
+
+
+def _has_frames_by(choice: str, text: bytes) -> bool:
+    log = ColumnsLog(choice)
+    try:
+        log.look_ahead(text)
+    except SourceError:
+        return False
+    return _has_frames(log, text)

@@ -1,6 +1,7 @@
 """Which drives are meant by files and folders."""
 
 import hashlib
+import os
 from collections import Counter
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
@@ -129,9 +130,11 @@ def sorted_out(folder: Path, columns: str = "") -> tuple[list[TakenFor], list[Le
     logs, others = list[TakenFor](), list[LeftOut]()
     for path in sorted(folder.rglob("*")):
         if path.is_dir():
+            if not os.access(path, os.R_OK | os.X_OK):
+                others.append(LeftOut(path=path, reason="a folder that may not be read"))
             continue
-        if not path.is_file():
-            others.append(LeftOut(path=path, reason="not a regular file"))
+        if not path.exists():
+            others.append(LeftOut(path=path, reason="a link that leads nowhere"))
             continue
         for one in looked_at(path, columns):
             if one.format is None:

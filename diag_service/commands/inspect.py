@@ -13,7 +13,7 @@ from canlog.arrays import Int64Array
 from canlog.database.addressing import NOBODY, address_book, find_slot, message_address, overwritten
 from canlog.e2e.message_contract import message_contract
 from canlog.e2e.protection_check import FrameReason, LinkMonitor
-from canlog.errors import InputLeftError
+from canlog.errors import InputLeftError, SourceError
 from canlog.frames import ERROR_FLAG, EXTENDED_FLAG, REMOTE_FLAG
 from canlog.logs import STANDARD_INPUT, LogReader, read_log
 from canlog.logs.fault_texts import assumed_texts, lost_texts
@@ -65,11 +65,17 @@ def execute(options: SimpleNamespace, controls: Controls) -> None:
     messages = open_database(options.dbc, is_lenient=options.lenient).messages
     console = PeopleConsole()
     columns = options.columns or ""
-    for path in _files(options, columns, console):
-        with ReadingLine() as line:
-            has_talks = options.conversations or options.pairs
-            talks = Conversations(messages, options.pairs or "") if has_talks else None
-            inspection = inspect_log(path, messages, options.bitrate, controls.stop, line.watch, columns, talks)
+    for path, is_found in _files(options, columns, console):
+        try:
+            with ReadingLine() as line:
+                has_talks = options.conversations or options.pairs
+                talks = Conversations(messages, options.pairs or "") if has_talks else None
+                inspection = inspect_log(path, messages, options.bitrate, controls.stop, line.watch, columns, talks)
+        except SourceError as exc:
+            if not is_found:
+                raise
+            _tell_left_out(LeftOut(path=path, reason=str(exc).removeprefix(f"{path}: ")), options, console)
+            continue
         if options.json:
             sys.stdout.write(inspection.to_json() + "\n")
         else:
@@ -156,26 +162,37 @@ def inspection_record(inspection: Inspection) -> JsonObject:
     }
 
 
-def _files(options: SimpleNamespace, columns: str, console: PeopleConsole) -> Iterator[Path]:
-    """Yield the logs that are named, and those in folders; what each file of a folder was taken for is told before."""
+def _files(options: SimpleNamespace, columns: str, console: PeopleConsole) -> Iterator[tuple[Path, bool]]:
+    """Yield the logs that are named, and those found in folders; before them is told what a folder holds."""
     for path in options.logs:
         if path == STANDARD_INPUT or not path.is_dir():
-            yield path
+            yield path, False
             continue
         found, others = sorted_out(path, columns)
         if options.json:
             for left in others:
-                sys.stdout.write(dump(left_out_record(left)) + "\n")
+                _tell_left_out(left, options, console)
         else:
             console.print(f"{path}: {len(found)} logs, {len(others)} other files")
             for line in sorted(_listing(found, others)):
                 console.print(f"  {line}")
-        yield from (one.path for one in found)
+        yield from ((one.path, True) for one in found)
 
 
 def _listing(found: Sequence[TakenFor], others: Sequence[LeftOut]) -> Iterator[str]:
-    yield from (f"{one.path}: taken for {one.format}: {one.evidence}" for one in found)
-    yield from (f"{one.path}: no log: {one.reason}" for one in others)
+    yield from (f"{_on_one_line(one.path)}: taken for {one.format}: {one.evidence}" for one in found)
+    yield from (f"{_on_one_line(one.path)}: no log: {one.reason}" for one in others)
+
+
+def _tell_left_out(left: LeftOut, options: SimpleNamespace, console: PeopleConsole) -> None:
+    if options.json:
+        sys.stdout.write(dump(left_out_record(left)) + "\n")
+    else:
+        console.print(f"{_on_one_line(left.path)}: no log after all: {left.reason}")
+
+
+def _on_one_line(path: Path) -> str:
+    return str(path).replace("\n", "\\n")
 
 
 def _names(messages: Sequence[Message], can_ids: AbstractSet[int]) -> dict[int, str]:

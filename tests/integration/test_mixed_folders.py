@@ -2,7 +2,12 @@
 
 import gzip
 import json
+import os
+import sqlite3
+import subprocess
+import sys
 import zipfile
+from contextlib import closing
 from pathlib import Path
 
 import pytest
@@ -19,8 +24,13 @@ TAKEN = {
     "archive.zip/inner/day 2.blf.gz": None,
     "archive.zip/notes.txt": None,
     "broken.zip": None,
+    "car.dbc": None,
     "drive.blf": "blf",
+    "empty.log": None,
+    "gone.log": None,
     "letter.pdf": None,
+    "odd\\nname.txt": None,
+    "other.db": "sqlite",
     "packed.blf.gz": "blf",
     "picture.png": None,
     "table.csv": "columns",
@@ -41,6 +51,13 @@ def folder(tmp_path: Path) -> Path:
     (tmp_path / "picture.png").write_bytes(b"\x89PNG\r\n\x1a\n" + bytes(100))
     (tmp_path / "letter.pdf").write_bytes(b"%PDF-1.7\n")
     (tmp_path / "table.csv").write_bytes(TABLE)
+    (tmp_path / "car.dbc").write_text('VERSION ""\nBU_: A\n', "ascii")
+    (tmp_path / "empty.log").touch()
+    (tmp_path / "gone.log").symlink_to(tmp_path / "nowhere.log")
+    (tmp_path / "odd\nname.txt").write_text("What was measured on the third day", "ascii")
+    with closing(sqlite3.connect(tmp_path / "other.db")) as database:
+        database.execute("CREATE TABLE cities (name)")
+        database.commit()
     return tmp_path
 
 
@@ -50,31 +67,64 @@ CHOICE = "time=When:ms,id=Who,data=What"
 def test_every_file_is_listed_with_what_it_was_taken_for(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["inspect", str(folder), "--columns", CHOICE]) == 0
     said = capsys.readouterr().out.splitlines()
-    assert said[0] == f"{folder}: 4 logs, 5 other files"
-    listed = dict(line.strip().removeprefix(f"{folder}/").split(": ", 1) for line in said[1:10])
+    assert said[0] == f"{folder}: 5 logs, 9 other files"
+    listed = dict(line.strip().removeprefix(f"{folder}/").split(": ", 1) for line in said[1:15])
     assert {name: text.split(":")[0] for name, text in listed.items()} == {
         name: f"taken for {taken}" if taken else "no log" for name, taken in TAKEN.items()
     }
     assert "packed twice: gzip inside inner/day 2.blf.gz" in listed["archive.zip/inner/day 2.blf.gz"]
     assert listed["broken.zip"] == "no log: the zip archive is cut off: its directory is missing"
     assert "a picture (PNG)" in listed["picture.png"]
+    assert "a message database (DBC): it belongs behind --dbc" in listed["car.dbc"]
+    assert (listed["empty.log"], listed["gone.log"]) == (
+        "no log: the file is empty",
+        "no log: a link that leads nowhere",
+    )
+    assert (
+        f"{folder}/other.db: no log after all: the SQLite file has no table of messages as python-can writes it" in said
+    )
     for name, frames in (("archive.zip/day 1.log", 50), ("packed.blf.gz", 50), ("table.csv", 50)):
-        assert any(line.startswith(f"{folder}/{name}: ") and f", {frames} frames" in line for line in said[10:])
+        assert any(line.startswith(f"{folder}/{name}: ") and f", {frames} frames" in line for line in said[15:])
 
 
 def test_programs_are_told_the_same(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["inspect", str(folder), "--json"]) == 0
     records = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
     found = {Path(one["path"]).relative_to(folder).as_posix(): one.get("format") for one in records}
-    assert found == {**TAKEN, "table.csv": None}
+    found["odd\\nname.txt"] = found.pop("odd\nname.txt")
+    assert found == {**TAKEN, "table.csv": None, "other.db": None}
     (table,) = (one for one in records if one["path"].endswith("table.csv"))
-    assert "a table with the columns When, Who, Mood, What; --columns" in table["reason"]
+    assert "a table with the columns When, Who, Mood, What; perhaps --columns time=When,id=Who" in table["reason"]
 
 
 def test_each_log_of_an_archive_is_a_drive(folder: Path) -> None:
     found = find_drives([folder])
     assert [drive.paths[0].relative_to(folder).as_posix() for drive in found.drives] == [
-        "archive.zip/day 1.log", "drive.blf", "packed.blf.gz",
+        "archive.zip/day 1.log", "drive.blf", "other.db", "packed.blf.gz",
     ]  # fmt: skip
-    assert len({drive.key for drive in found.drives}) == 3
-    assert len(found.left_out) == 6
+    assert len({drive.key for drive in found.drives}) == 4
+    assert len(found.left_out) == 10
+
+
+def test_what_may_not_be_read_is_listed_too(tmp_path: Path) -> None:
+    (tmp_path / "sealed.log").write_bytes(LINES)
+    (tmp_path / "sealed").mkdir()
+    (tmp_path / "sealed.log").chmod(0)
+    (tmp_path / "sealed").chmod(0)
+    # Root passes every permission bit unless it gives that up.
+    without = ("setpriv", "--bounding-set", "-dac_override,-dac_read_search") if os.getuid() == 0 else ()
+    told = subprocess.run(
+        [*without, sys.executable, "-c", TELL, tmp_path], capture_output=True, text=True, check=True, timeout=100
+    )
+    assert told.stdout.splitlines() == ["sealed: a folder that may not be read", "sealed.log: Permission denied"]
+
+
+TELL = """
+import sys
+from pathlib import Path
+from diag_service.batch.drives import sorted_out
+found, others = sorted_out(Path(sys.argv[1]))
+for one in others:
+    print(f"{one.path.name}: {one.reason}")
+sys.exit(len(found))
+"""

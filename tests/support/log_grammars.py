@@ -167,6 +167,8 @@ def _trc_2(*, has_bus: bool) -> Callable[[int, Frame], str]:
         if has_bus:
             length = CODE_OF_LENGTH[frame.length]
             return f"{head} {frame.channel + 1} {identifier:>8} {direction} - {length:<4} {hex_text(frame)} "
+        if frame.is_error:  # neither an identifier nor a length, as the description of the format shows it
+            return f"{head} {'':>8} {direction}    04 00 02 00 00 "
         return f"{head} {identifier:>8} {direction} {frame.length:<2} {hex_text(frame)} "
 
     return line

@@ -9,7 +9,6 @@ and all libraries included.
 """
 
 import argparse
-import lzma
 import os
 import socket
 import sqlite3
@@ -17,12 +16,13 @@ import struct
 import subprocess
 import sys
 import time
-import zlib
 from collections.abc import Callable, Mapping
 from contextlib import closing, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
+
+from tests.tools.hostile_archives import LINE, LINES, PACKED, QUICKLY_REFUSED, deflated, xz_bomb
 
 LIMIT_S = 10.0
 LIMIT_BYTES = 512 * 2**20
@@ -56,7 +56,6 @@ except Exception as exc:
         raise
     print(exc)
 """
-LINE = b"(1.0) can0 123#11\n"
 DBC_HEAD = 'VERSION ""\nBU_: A\n'
 ENDLESS_VIEW = (
     "CREATE VIEW messages AS WITH RECURSIVE n(i) AS (VALUES(0) UNION ALL SELECT i + 1 FROM n) SELECT i AS ts,"
@@ -78,17 +77,6 @@ class Refusal:
         """Whether something was said, in one line, within the limits."""
         is_clear = bool(self.said) and "\n" not in self.said
         return is_clear and self.cpu_s <= LIMIT_S and self.peak_bytes <= LIMIT_BYTES
-
-
-def deflated(contents: bytes, times: int, wbits: int) -> bytes:
-    packer = zlib.compressobj(9, zlib.DEFLATED, wbits)
-    return b"".join(packer.compress(contents) for _ in range(times)) + packer.flush()
-
-
-def xz_bomb() -> bytes:
-    packer = lzma.LZMACompressor(preset=0)
-    block = LINE * 60_000
-    return b"".join(packer.compress(block) for _ in range(400)) + packer.flush()
 
 
 def blf(inner: bytes, method: int, inflated_bytes: int) -> bytes:
@@ -174,9 +162,7 @@ ENTITIES = (
 HOSTILE: Mapping[str, Callable[[], bytes]] = {
     "endless.blf": endless_blf,
     "bomb.blf": lambda: blf(deflated(bytes(1 << 20), 80, 15), 2, 1 << 30),
-    "bomb.log.gz": lambda: deflated(LINE * 60_000, 400, 31),
-    "zeros.gz": lambda: deflated(bytes(1 << 20), 400, 31),
-    "bomb.log.xz": xz_bomb,
+    **PACKED,
     "line.log": lambda: LINE + b"x" * (64 << 20),
     "lines.asc": lambda: b"base hex  timestamps absolute\n" + b"1.0 1 123 Rx d 9 zz\n" * 1_000_000,
     "loop.mf4": mf4_loop,
@@ -216,7 +202,6 @@ def load_leniently(path: Path) -> None:
 
 
 HOLE_BYTES = 10 * 2**30
-LINES = LINE * 2_000
 # Sound beginnings, behind which comes nothing; and the same between two sound pieces.
 HOLLOW: Mapping[str, Callable[[], bytes]] = {
     "hollow.log": lambda: LINES,
@@ -265,8 +250,11 @@ NO_FILES = tuple(
 )
 ALL = (*HOSTILE, *HOLLOW, *(f"middle-{name}" for name in HOLLOW), *NO_FILES)
 SLOW = frozenset(
-    {"slow.dbc", "lines.asc", "words.dbc", "words.lenient", "quotes.lenient"}
-)  # take all the time that they are given
+    {
+        *("slow.dbc", "lines.asc", "words.dbc", "words.lenient", "quotes.lenient"),
+        *(name for name in PACKED if name not in QUICKLY_REFUSED),
+    }
+)  # take all the time that they are given, or seconds until they are packed
 
 
 def make(name: str, path: Path) -> None:

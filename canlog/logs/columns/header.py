@@ -77,8 +77,6 @@ SYNONYMS: Final[Mapping[Role, tuple[str, ...]]] = MappingProxyType(
 BYTE_NAME: Final = re.compile(r"(?:d|b|db|data|byte|databyte|datab)(\d{1,2})")
 UNIT_IN_BRACKETS: Final = re.compile(r"[\[(](?P<unit>[^)\]]*)[)\]]")
 MARKS: Final = re.compile(r"[\W_]+")
-CHOICE: Final = re.compile(r"(?P<name>.+?)(?::(?P<option>[a-zµ]+))?")
-RANGE: Final = re.compile(r"(?P<first>.+?)(?:\.\.|-)(?P<last>.+)")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -124,6 +122,17 @@ def names_in(line: bytes, separator: int) -> tuple[str, ...]:
 
 def proposal(names: Sequence[str]) -> Proposal | None:
     """Return what a header's names say of its columns; None unless there are an identifier and bytes among them."""
+    columns = named_columns(names)
+    has_bytes = any(column.role in {Role.DATA, Role.BYTE} for column in columns)
+    if not has_bytes or not any(column.role is Role.ID for column in columns):
+        return None
+    time_names = [name for column, name in zip(columns, names, strict=True) if column.role is Role.TIME]
+    has_unit = any(_unit_in(name) is not None for name in time_names)
+    return Proposal(columns=columns, names=tuple(names), has_unit=has_unit)
+
+
+def named_columns(names: Sequence[str]) -> tuple[Column, ...]:
+    """Return what names say of columns; those of which they say nothing are ignored ones."""
     plain = [_plain(name) for name in names]
     columns = [Column()] * len(names)
     for role, synonyms in SYNONYMS.items():
@@ -133,12 +142,7 @@ def proposal(names: Sequence[str]) -> Proposal | None:
     if not any(column.role is Role.DATA for column in columns):
         for place in _byte_places(plain):
             columns[place] = Column(role=Role.BYTE, parameter=_parameter(Role.BYTE, names[place]))
-    has_bytes = any(column.role in {Role.DATA, Role.BYTE} for column in columns)
-    if not has_bytes or not any(column.role is Role.ID for column in columns):
-        return None
-    time_names = [name for column, name in zip(columns, names, strict=True) if column.role is Role.TIME]
-    has_unit = any(_unit_in(name) is not None for name in time_names)
-    return Proposal(columns=tuple(columns), names=tuple(names), has_unit=has_unit)
+    return tuple(columns)
 
 
 def chosen(choice: str, names: Sequence[str]) -> Proposal:

@@ -43,7 +43,7 @@ NS_PER_US = 1_000
 MAX_STANDARD_ID, MAX_EXTENDED_ID = 0x7FF, 0x1FFF_FFFF
 BUS_CHANGE_ID = 0xFFFF_FFFF  # how PCAN writes one
 FRAME_FLAGS = 0xFF  # of a meaning, as ``flags`` has them
-LETTER_T = ord("t")
+LETTER_R, LETTER_T, LETTER_X = ord("r"), ord("t"), ord("x")
 
 
 @array_kernel
@@ -86,26 +86,41 @@ def _parse_line(
     separator = program.separator
     for column in range(len(program.columns)):
         role, parameter = program.columns[column, 0], program.columns[column, 1]
+        if line[MEANING] & ERROR_FLAG and _is_left_out(text, at, role, line):
+            continue
         if role == Role.DATA or role == Role.DECIMAL_DATA:  # noqa: PLR1714 - no tuple in a kernel
             at = _read_data(text, at, data, row, role, program, line)
         elif role == Role.BASE64:
             line[COUNT], at = fields.base64_bytes(text, at, row, data)
         elif role == Role.IGNORED or role == Role.DIRECTION:  # noqa: PLR1714
-            line[MEANING] |= TX_FLAG if role == Role.DIRECTION and (text[at] | 32) == LETTER_T else 0
+            line[MEANING] |= TX_FLAG * int(role == Role.DIRECTION and (text[at] | 32) == LETTER_T)
             at = fields.skip_field(text, at, separator)
         else:
             at = _read_column(text, at, role, parameter, program.words, line)
         if at < 0:
-            is_too_long = data.shape[1] < line[COUNT] <= FD_PAYLOAD_BYTES
-            return (TOO_LONG if is_too_long else MALFORMED), skip_line(text, -at)
+            return _refusal(data, line), skip_line(text, -at)
         if line[MEANING] & EVENT:
             return SKIPPED, skip_line(text, at)
         at = _next_column(text, at, separator)
         if at < 0:
             return MALFORMED, skip_line(text, -at)
-    if text[at] != NEWLINE:
-        return MALFORMED, skip_line(text, at)
-    return _check_length(line, program.is_padded), at + 1
+    return (_check_length(line, program.is_padded) if text[at] == NEWLINE else MALFORMED), skip_line(text, at)
+
+
+@array_kernel
+def _refusal(data: UInt8Array, line: Int64Array) -> int:
+    """Return why a line was left: it has more bytes than there is room for, or something in it is wrong."""
+    return TOO_LONG if data.shape[1] < line[COUNT] <= FD_PAYLOAD_BYTES else MALFORMED
+
+
+@array_kernel
+def _is_left_out(text: UInt8Array, at: int, role: int, line: Int64Array) -> bool:
+    """Return whether an error frame has no such column: TRC 2.0 leaves out its identifier and its length."""
+    letter = text[at] | 32
+    if role == Role.ID and (letter == LETTER_R or letter == LETTER_T) and text[at + 1] | 32 == LETTER_X:  # noqa: PLR1714, SIM109 - no tuple in a kernel
+        line[ID] = line[LENGTH] = 0
+        return True
+    return bool(role == Role.LENGTH and line[LENGTH] == 0)
 
 
 @array_kernel

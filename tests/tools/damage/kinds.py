@@ -11,11 +11,23 @@ from ecu_emulator.frames import EncodedFrames
 from ecu_emulator.record import DEFAULT_START_NS
 from tests.tools.damage.expected import Expected, Jump, expected_of
 from tests.tools.damage.garbling import GARBLERS
-from tests.tools.damage.recordings import CLOCK_US, NS_PER_US, US_PER_S, WRITERS, short_drive, times_us
+from tests.tools.damage.recordings import (
+    CLOCK_US,
+    MOST_JUMP_MS,
+    NS_PER_US,
+    START_NS,
+    US_PER_S,
+    WRITERS,
+    short_drive,
+    times_us,
+)
 
 Generator = np.random.Generator
 
-TEXTS = frozenset({"candump", "asc", "trc", "csv", "gvret", "busmaster", "crtd", "console", "columns"})
+TEXTS = frozenset(
+    {"candump", "asc", "trc", "csv", "gvret", "busmaster", "crtd", "console", "columns", "carbus", "canhacker"}
+    | {"microchip"}
+)
 TELLS_ANY_CUT = frozenset({"blf", "gzip"})  # say how long they are, or have an end of their own
 
 
@@ -128,7 +140,8 @@ def lose_frames(recording: Recording, rng: Generator) -> Expected:
 
 def jump_ahead(recording: Recording, rng: Generator) -> Expected:
     """From some frame on, be later: by 50 ms, which is a silence, up to an hour."""
-    return jump(recording, rng, int(1_000 * np.exp(rng.uniform(np.log(50.0), np.log(3.6e6)))))
+    most_ms = MOST_JUMP_MS.get(recording.log_format, 3.6e6)
+    return jump(recording, rng, int(1_000 * np.exp(rng.uniform(np.log(50.0), np.log(most_ms)))))
 
 
 def jump_back(recording: Recording, rng: Generator) -> Expected:
@@ -144,7 +157,7 @@ def jump(recording: Recording, rng: Generator, by_us: int | None) -> Expected:
     by_us = -1_000 * int(rng.integers(1, t_us[row] // 1_000)) if by_us is None else by_us // 1_000 * 1_000
     moved_us = t_us.copy()
     moved_us[row:] += by_us
-    to_ns = DEFAULT_START_NS + int(moved_us[row]) * NS_PER_US
+    to_ns = START_NS.get(recording.log_format, DEFAULT_START_NS) + int(moved_us[row]) * NS_PER_US
     return recording.put_frames(replace(frames, t_s=moved_us / US_PER_S), Jump(to_ns=to_ns, by_ns=by_us * NS_PER_US))
 
 

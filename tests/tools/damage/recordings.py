@@ -159,6 +159,41 @@ def write_columns(path: Path, frames: EncodedFrames) -> None:
     path.write_text("Time [s];CAN ID;DLC;Data\n" + "".join(lines), "ascii")
 
 
+def write_carbus(path: Path, frames: EncodedFrames) -> None:
+    """Write a trace of CARBUS Analyzer, whose times begin again every minute."""
+    lines = [
+        f"{t_us // US_PER_S % 60:02},{t_us % US_PER_S:06}\t1\t00000004\t{row.can_id[0]:03X}\t{row.length[0]}\t"
+        f"{row.data[0, : row.length[0]].tobytes().hex(' ').upper():23}\t00000000\t        \t\n"
+        for t_us, row in rows_of(frames)
+    ]
+    path.write_text("@ TEXT @ 3 @ 64 @ 0 @ 0 @ 0 @ 00:00:00.000 @\n" + "".join(lines), "ascii")
+
+
+def write_canhacker(path: Path, frames: EncodedFrames) -> None:
+    """Write a trace of CANHacker, in milliseconds of the minute."""
+    lines = [
+        f"{t_us // US_PER_S % 60:02}.{t_us % US_PER_S // 1_000:03} {row.can_id[0]:08X} {row.length[0]} "
+        f"{row.data[0, : row.length[0]].tobytes().hex(' ').upper()} \n"
+        for t_us, row in rows_of(frames)
+    ]
+    path.write_text("Time   ID     DLC Data                    Comment\n" + "".join(lines), "ascii")
+
+
+def write_microchip(path: Path, frames: EncodedFrames) -> None:
+    """Write a log of Microchip's CAN Bus Analyzer, in milliseconds."""
+    start = datetime.fromtimestamp(DEFAULT_START_NS / 1e9, UTC).astimezone()
+    head = (
+        "//---\nMicrochip Technology Inc.\nCAN BUS Analyzer\n"
+        f"Logging Started: {start.day}/{start.month}/{start.year} {start:%H:%M:%S}\n//---\n"
+    )
+    lines = [
+        f"{t_us // 1_000};RX;0x{row.can_id[0]:X};{row.length[0]};"
+        f"{''.join(f'0x{byte:02X};' for byte in row.data[0, : row.length[0]].tolist())}\n"
+        for t_us, row in rows_of(frames)
+    ]
+    path.write_text(head + "".join(lines), "ascii")
+
+
 def rows_of(frames: EncodedFrames) -> list[tuple[int, EncodedFrames]]:
     """Return frames one by one, with their times."""
     return [(t_us, frames[row : row + 1]) for row, t_us in enumerate(times_us(frames).tolist())]
@@ -173,6 +208,9 @@ WRITERS: Mapping[str, Writer] = MappingProxyType(
         "crtd": write_crtd,
         "console": write_console,
         "columns": write_columns,
+        "carbus": write_carbus,
+        "canhacker": write_canhacker,
+        "microchip": write_microchip,
         "gzip": write_gzip,
     }
 )
@@ -186,10 +224,19 @@ SUFFIXES: Mapping[str, str] = MappingProxyType(
         "crtd": ".crtd",
         "console": ".txt",
         "columns": ".table",
+        "carbus": ".carbus.trc",
+        "canhacker": ".hacker.trc",
+        "microchip": ".can",
         "gzip": ".log.gz",
     }
 )
-CLOCK_US: Mapping[str, int] = MappingProxyType({"busmaster": 100})  # the step of a format's times; else 1
+CLOCK_US: Mapping[str, int] = MappingProxyType(
+    {"busmaster": 100, "canhacker": 1_000, "microchip": 1_000}
+)  # the step of a format's times; else 1
+START_NS: Mapping[str, int] = MappingProxyType({"carbus": 0, "canhacker": 0})  # where a format has no date
+MOST_JUMP_MS: Mapping[str, float] = MappingProxyType(
+    {"carbus": 25_000.0, "canhacker": 25_000.0}
+)  # that a clock of one minute can tell
 
 
 def analyse(path: Path) -> Outcome:

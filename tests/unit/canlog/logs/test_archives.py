@@ -87,6 +87,8 @@ def vast_directory() -> bytes:
         (zipped({}), "holds no log"),
         (zipped({"a.txt": b"What was measured on the second day"}), "holds no log: a.txt: not a log of a known format"),
         (encrypted(), "it is encrypted: unpack it first"),
+        (zipped({"day/../../drive.log": LOG}), "its name leads out of the archive"),
+        (zipped({"..\\drive.log": LOG}), "its name leads out of the archive"),
         (zipped({"drive.log": LOG}, zipfile.ZIP_LZMA), "packed by method 14, not by deflate"),
         (zipped({"inner.zip": zipped({"drive.log": LOG})}), "packed twice: zip inside inner.zip in the zip archive"),
         (zipped({"drive.log.gz": gzip.compress(LOG)}), "packed twice: gzip inside drive.log.gz"),

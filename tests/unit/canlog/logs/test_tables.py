@@ -147,6 +147,12 @@ def rows(batch: FrameBatch | None) -> list[Row]:
             (NOON_NS + 1_001_000, ERROR_FLAG, 0, "", 0, 1),
         ),
         (
+            LogFormat.TRC,
+            b";$FILEVERSION=2.0\n;$STARTTIME=46023.5\n;$COLUMNS=N,O,T,I,d,l,D\n",
+            b"  6   1334.522 ER          Tx    0B 00 02 00 00 ",
+            (NOON_NS + 1_334_522_000, ERROR_FLAG, 0, "", TX_FLAG, 0),
+        ),
+        (
             LogFormat.CRTD,
             b"1320745424.000 CXX converted log\n",
             b"1320745424.002 2R29 18FEF100 FA 01",

@@ -51,7 +51,8 @@ def test_every_file_that_is_no_drive_is_listed_with_its_reason(folder: Path) -> 
         "empty.log", "gone.log", "pipe.log", "sub/notes.txt", "sub/old.mf4", "truth.jsonl", "zipped.zip",
     ]  # fmt: skip
     assert reasons["empty.log"] == "the file is empty"
-    assert reasons["pipe.log"] == reasons["gone.log"] == "not a regular file"
+    assert reasons["pipe.log"] == "it is a pipe, not a plain file"
+    assert reasons["gone.log"] == "a link that leads nowhere"
     assert "before 4" in reasons["sub/old.mf4"]
     assert reasons["sub/notes.txt"].endswith("only 1 of the first 40 lines fit trc")
     assert reasons["zipped.zip"] == "the zip archive is cut off: its directory is missing"

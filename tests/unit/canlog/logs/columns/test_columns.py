@@ -1,5 +1,8 @@
 """Tables by the names of their columns: what is proposed, what one says oneself, and what is left open."""
 
+from collections.abc import Callable
+from itertools import permutations
+
 import pytest
 
 from canlog.errors import SourceError
@@ -44,7 +47,7 @@ def rows(batch: FrameBatch) -> list[tuple[int, int, str]]:
         (("title\nLine,Abs Time(Sec),Rel Time (Sec),Status,Er,Tx,Description,Network,Node,Arb ID,Remote,Xtd,B1,B2,B3\n"
          "2,2550.368293675,0.0038,67371008,F,F,HS CAN $119,HS CAN,,119,F,F,00,0D,8B,,,\n"),
          [(2_550_368_294, 0x119, "000d8b")]),
-        ("Time,Channel,Flags,ID,DLC,Data,ParserFlags\n1,1,0,123,1,01,0\n", [(1, 0x123, "01")]),
+        ("Time\tChannel\tFlags\tID\tDLC\tData\tParserFlags\n1\t1\t0\t123\t1\t01\t0\n", [(1, 0x123, "01")]),
     ],
 )  # fmt: skip
 def test_a_header_says_what_its_columns_are(text: str, expected: list[tuple[int, int, str]]) -> None:
@@ -87,6 +90,41 @@ def test_what_cannot_be_followed_is_told_with_the_columns_seen(choice: str, comp
         ColumnsLog(choice).look_ahead(b"When,Who,What\n0.5,123,FE\n")
 
 
+CELLS: dict[str, Callable[[int], str]] = {
+    "time": lambda k: f"{k * 0.01:.2f}",
+    "id": lambda k: f"{0x100 + k % 3:03X}",
+    "length": lambda k: f"{1 + k % 2}",
+    "data": lambda k: " ".join(["FE", f"{k:02X}"][: 1 + k % 2]),
+}
+BYTES: dict[str, Callable[[int], str]] = {
+    **CELLS,
+    "length": lambda _: "2",
+    "data": lambda k: f"FE;{k:02X}",
+}  # a column for each
+EXPECTED = [(10_000 * k, 0x100 + k % 3, ("fe", f"fe{k:02x}")[k % 2]) for k in range(20)]
+
+
+@pytest.mark.parametrize("has_names", [True, False])
+@pytest.mark.parametrize("order", list(permutations(CELLS)))
+def test_what_is_proposed_for_columns_that_nothing_names_reads_them(order: tuple[str, ...], has_names: bool) -> None:
+    text = "".join(",".join(CELLS[word](k) for word in order) + "\n" for k in range(20))
+    text = "q1,q2,q3,q4\n" + text if has_names else text
+    with pytest.raises(SourceError, match="perhaps --columns ") as refusal:
+        detect(text.encode())
+    choice = str(refusal.value).partition("perhaps --columns ")[2]
+    batch, counts = read(ColumnsLog(choice), text)
+    assert rows(batch) == EXPECTED
+    assert (counts.rejected, counts.skipped) == ({}, int(has_names))
+
+
+def test_bytes_in_columns_of_their_own_are_proposed_too() -> None:
+    text = "When;Who;How many;What;And\n" + "".join(
+        ";".join(BYTES[word](k) for word in ("time", "id", "length", "data")) + "\n" for k in range(20)
+    )
+    with pytest.raises(SourceError, match="perhaps --columns 'time=When,id=Who,data=What-And,length=How many'"):
+        detect(text.encode())
+
+
 def test_what_is_left_open_is_said() -> None:
     log = ColumnsLog()
     batch, _ = read(log, "Time,ID,Data\n" + "".join(f"{k * 10},536870911,01\n" for k in range(20)))
@@ -117,8 +155,9 @@ def test_tables_of_other_things_are_none() -> None:
         "Day;Tyre;Bar\n1;left;2.2\n",
         "What, as was said, is a log?\n",
     ):
-        with pytest.raises(SourceError, match="not a log of a known format"):
+        with pytest.raises(SourceError, match="not a log of a known format") as refusal:
             detect(text.encode() * 3)
+        assert "perhaps" not in str(refusal.value)
     assert columns_seen(b"Day;Tyre;Bar\n1;left;2.2\n") == ("Day", "Tyre", "Bar")
 
 
