@@ -150,7 +150,9 @@ _SERVE: Final = Command(
         f" (default: {DEFAULT_LISTEN})",
         default=DEFAULT_LISTEN,
     ),
-    Option("--access FILE", "who may read and change what, behind a proxy that logs people in (docs/page.md)", FILE),
+    Option(
+        "--access FILE", "who may read and change what, by a login or behind a proxy that has one (docs/page.md)", FILE
+    ),
     examples=(f"{PROGRAM} serve", f"{PROGRAM} serve --listen 127.0.0.1:8090"),
 )
 _WATCH: Final = Command(

@@ -3,16 +3,20 @@
 import re
 import tomllib
 from collections.abc import Mapping
+from importlib import import_module
 from pathlib import Path
 from typing import Any, Final
+from urllib.parse import urlsplit
 
-from fleet_backend.errors import ConfigError
-from fleet_backend.page.access import Access, Proxy, Role
+from fleet_backend.errors import ConfigError, ExtraMissingError
+from fleet_backend.page.access import Access, Login, Proxy, Role
 from fleet_link import AddressError, read_secret
 
 _HEADER: Final = re.compile(r"[A-Za-z][A-Za-z0-9-]{0,63}")
 _LEAST_SECRET: Final = 24
-_TABLES: Final = {"host_names": list, "proxy": dict, "roles": dict}
+_TABLES: Final = {"host_names": list, "roles": dict}
+_WAYS: Final = ("proxy", "oidc")
+_OIDC: Final = ("issuer", "client_id", "client_secret_file", "url")
 _PROXY: Final = ("user_header", "secret_header", "secret_file")
 
 
@@ -32,13 +36,42 @@ def _access(table: Mapping[str, Any], folder: Path) -> Access:
     for name, kind in _TABLES.items():
         if not isinstance(table.get(name), kind) or not table[name]:
             raise ConfigError(f"needs {name}, which is not empty")
-    _refuse_others(table, tuple(_TABLES))
-    names = _texts("host_names", table["host_names"])
+    ways = [name for name in _WAYS if isinstance(table.get(name), dict)]
+    if len(ways) != 1:
+        raise ConfigError(f"needs one of {' and '.join(_WAYS)}")
+    _refuse_others(table, (*_TABLES, *_WAYS))
+    names = tuple(one.casefold() for one in _texts("host_names", table["host_names"]))
     return Access(
-        host_names=tuple(one.casefold() for one in names),
-        proxy=_proxy(table["proxy"], folder),
+        host_names=names,
+        proxy=_proxy(table["proxy"], folder) if ways == ["proxy"] else None,
+        login=_login(table["oidc"], folder, names) if ways == ["oidc"] else None,
         roles=_roles(table["roles"]),
     )
+
+
+def _login(table: Mapping[str, Any], folder: Path, host_names: tuple[str, ...]) -> Login:
+    _refuse_others(table, (*_OIDC, "name_claim"))
+    words = [table.get(name) for name in (*_OIDC, "name_claim")]
+    if not all(isinstance(word, str) and word for word in words[:-1]) or not isinstance(words[-1], str | None):
+        raise ConfigError(f"oidc needs {', '.join(_OIDC)}")
+    issuer, client_id, file, url = map(str, words[:-1])
+    try:
+        oidc = import_module("fleet_backend.page.oidc")
+    except ModuleNotFoundError as exc:
+        raise ExtraMissingError(str(exc.name), extra="oidc") from exc
+    parts = urlsplit(url)
+    if not oidc.is_safe(url) or not oidc.is_safe(issuer) or parts.path.strip("/") or parts.query:
+        raise ConfigError("oidc: issuer and url must be https://host, or http:// for this machine alone")
+    if (parts.hostname or "").casefold() not in host_names:
+        raise ConfigError("oidc: the host of url must be one of host_names")
+    client = oidc.Client(
+        issuer=issuer,
+        client_id=client_id,
+        secret=_secret(folder / file),
+        return_address=f"{parts.scheme}://{parts.netloc}/login/return",
+        name_claim=str(words[-1] or "email"),
+    )
+    return Login(provider=oidc.OpenIdProvider(client), is_secure=parts.scheme == "https")
 
 
 def _proxy(table: Mapping[str, Any], folder: Path) -> Proxy:
@@ -53,13 +86,17 @@ def _proxy(table: Mapping[str, Any], folder: Path) -> Proxy:
         or user.casefold() == secret_header.casefold()
     ):
         raise ConfigError("proxy: user_header and secret_header must be names of two headers")
+    return Proxy(user_header=user, secret_header=secret_header, secret=_secret(folder / file))
+
+
+def _secret(path: Path) -> str:
     try:
-        secret = read_secret(folder / file)
+        secret = read_secret(path)
     except AddressError as exc:
         raise ConfigError(str(exc)) from exc
     if len(secret.encode()) < _LEAST_SECRET:
-        raise ConfigError(f"{file}: a secret must have {_LEAST_SECRET} bytes or more")
-    return Proxy(user_header=user, secret_header=secret_header, secret=secret)
+        raise ConfigError(f"{path.name}: a secret must have {_LEAST_SECRET} bytes or more")
+    return secret
 
 
 def _roles(table: Mapping[str, Any]) -> dict[str, Role]:

@@ -17,9 +17,11 @@ from fleet_backend.page.description import FORMAT
 from fleet_backend.page.errors import AskError, ForbiddenError, LoginError
 from fleet_backend.page.files import MEDIA_TYPES, Format, file_of, json_of
 from fleet_backend.page.html import html_of
+from fleet_backend.page.login import logged_out
 from fleet_backend.page.view import Action, Sources, View
 
 EVENTS_PATH: Final = "/events"
+LOGOUT_PATH: Final = "/logout"
 _FORM: Final = "application/x-www-form-urlencoded"
 _MOST_IN_A_FILE: Final = 50_000
 _LONGEST_FORM: Final = 16_384  # bytes
@@ -86,6 +88,17 @@ class Endpoints:
             return RedirectResponse(where, status_code=303)
 
         return Route(action.path, answer, name=action.name, methods=["POST"])
+
+    def logout(self) -> Route:
+        """Return the route that ends a session; only our own form gets through, as with any change."""
+
+        async def answer(request: Request) -> Response:
+            viewer = self._viewer(request, Role.VIEWER)
+            _check_origin(request, self.access.host_names)
+            check_token(viewer, dict(await _form_words(request)).get(_TOKEN, ""))
+            return RedirectResponse(logged_out(self.access, request), status_code=303)
+
+        return Route(LOGOUT_PATH, answer, name="logout", methods=["POST"])
 
     def events(self) -> Route:
         """Return the route that tells a page that something is new; who comes back says what was heard last."""

@@ -44,7 +44,9 @@ def run_server(engine: Engine, writer: Engine, host: str, port: int, access: Acc
         where = address_of(listener)
         sys.stdout.write(f"{where}  {len(keeper.snapshot.vehicles)} vehicles of {place_of(engine)}; ends with Ctrl-C\n")
         sys.stdout.flush()
-        sources = Sources(engine=engine, keeper=keeper, news=News(keeper), writer=writer if access.proxy else None)
+        sources = Sources(
+            engine=engine, keeper=keeper, news=News(keeper), writer=writer if access.knows_people else None
+        )
         asyncio.run(_serve_until_told(sources, listener, access))
 
 

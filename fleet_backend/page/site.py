@@ -12,7 +12,7 @@ from typing import Final
 from starlette.applications import Starlette
 from starlette.exceptions import HTTPException
 from starlette.requests import Request
-from starlette.responses import Response
+from starlette.responses import RedirectResponse, Response
 from starlette.routing import Route
 from starlette.types import ASGIApp
 
@@ -29,11 +29,12 @@ from fleet_backend.page import (
 )
 from fleet_backend.page.access import Access
 from fleet_backend.page.description import Problem, openapi
-from fleet_backend.page.errors import PageError
+from fleet_backend.page.errors import LoginError, PageError
 from fleet_backend.page.files import json_of
 from fleet_backend.page.headers import KnownHosts, SafeHeaders
 from fleet_backend.page.html import NAVIGATION, problem_page
-from fleet_backend.page.routes import Endpoints, api_parameters
+from fleet_backend.page.login import LOGIN_PATH, LoginRoutes, login_address
+from fleet_backend.page.routes import EVENTS_PATH, Endpoints, api_parameters
 from fleet_backend.page.view import Sources
 
 VIEWS: Final = (
@@ -62,11 +63,19 @@ def site(sources: Sources, access: Access, *, lifespan: Lifespan | None = None, 
         *(make.action(action) for action in ACTIONS),
         make.document(OPENAPI_PATH, description, "application/json"),
         make.events(),
+        *_login_routes(access, make),
         Route("/static/{name}", _static_endpoint(), name="static"),
     ]
     handlers = dict.fromkeys((FleetBackendError, HTTPException, Exception), _tell)
     inside = Starlette(routes=routes, exception_handlers=handlers, lifespan=lifespan)
+    inside.state.has_login = access.login is not None
     return SafeHeaders(KnownHosts(inside, host_names(access)))  # around everything, what goes wrong included
+
+
+def _login_routes(access: Access, make: Endpoints) -> list[Route]:
+    if access.login is None:
+        return []
+    return [*LoginRoutes(access=access, login=access.login).all(), make.logout()]
 
 
 def host_names(access: Access) -> Collection[str]:
@@ -95,6 +104,9 @@ def _static_entries() -> list[Traversable]:
 
 async def _tell(request: Request, exc: Exception) -> Response:
     """Return what a reader is told instead of an answer."""
+    is_page = request.method == "GET" and not request.url.path.startswith((_API, EVENTS_PATH, LOGIN_PATH))
+    if isinstance(exc, LoginError) and request.app.state.has_login and is_page:
+        return RedirectResponse(login_address(request), status_code=303)
     status, title, detail = _problem(exc)
     headers = {"retry-after": "5"} if status == 503 else {}
     if isinstance(exc, HTTPException) and exc.headers:

@@ -95,13 +95,13 @@ def raise_alarms(engine: Engine) -> None:
 
 
 @contextmanager
-def served(database: str, access: Access | None = None) -> Iterator[str]:
+def served(database: str, access: Access | None = None, *, port: int = 0) -> Iterator[str]:
     """Serve the page of a database in a thread of its own, and yield its address without the last slash."""
     engine = open_database(database, must_exist=True, is_read_only=True)
     writer = open_database(database, must_exist=True)
     keeper = Keeper(DatabaseSource(engine))
     keeper.refresh()
-    with closing_socket("127.0.0.1", 0) as listener:
+    with closing_socket("127.0.0.1", port) as listener:
         started = list[Any]()  # servers
         sources = Sources(
             engine=engine, keeper=keeper, news=News(keeper, rest_s=0.0), writer=writer if access else None
