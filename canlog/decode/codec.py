@@ -136,6 +136,10 @@ class Codec:
         find_slots(self._book, self._rules, plain.can_id, plain.length, plain.flags, slot, counts)
         return FrameMatch(slot=slot, counts=counts)
 
+    def min_length(self, slot: int) -> int:
+        """Return how many bytes a frame of a message has that is not short."""
+        return int(self._rules.min_length[slot])
+
     def knows(self, can_id: int) -> bool:
         """Return whether data frames of an identifier, with its flags, are of a message."""
         return bool(find_slot(self._book, can_id) != NOBODY)

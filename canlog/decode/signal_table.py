@@ -89,9 +89,14 @@ class SignalTable:
             return _judged(value, present, ~np.isfinite(value), self.code.is_outside(value))
         return _judged(self.code.value(raw), present, self.code.is_code(raw), self.code.is_outside(raw))
 
+    @property
+    def needed_bytes(self) -> int:
+        """The least bytes of a payload that holds the signal and the multiplexers above it."""
+        return 1 + max(field.last_byte for field in (self.field, *(one.field for one in self.selectors)))
+
     def fits(self, size: int) -> bool:
         """Return whether a payload of ``size`` bytes holds the signal and the multiplexers above it."""
-        return all(field.last_byte < size for field in (self.field, *(one.field for one in self.selectors)))
+        return self.needed_bytes <= size
 
     def cut_off_count(self, words: PayloadWords, size: int) -> int:
         """Return in how many payloads of ``size`` bytes the signal would be, were they longer.

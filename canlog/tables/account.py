@@ -67,13 +67,20 @@ class DecodeAccount:
     def add_values(self, found: MessageValues) -> None:
         """Count the values of some frames of one message."""
         for name, decoded in found.signals.items():
-            counts = self.signals.setdefault((found.slot, name), SignalCounts())
+            counts = self.of_signal(found.slot, name)
             present = decoded.is_present
             counts.values += len(found.rows) if present is None else int(np.count_nonzero(present))
             counts.out_of_range += decoded.invalid.out_of_range
             counts.not_a_number += decoded.invalid.not_available
         for name, count in found.cut_off.items():
-            self.signals.setdefault((found.slot, name), SignalCounts()).cut_off += count
+            self.of_signal(found.slot, name).cut_off += count
+
+    def of_signal(self, slot: int, name: str) -> SignalCounts:
+        """Return the counts of one signal, to be added to."""
+        place = slot, name
+        if place not in self.signals:
+            self.signals[place] = SignalCounts()
+        return self.signals[place]
 
     @property
     def fates(self) -> dict[FrameFate, int]:

@@ -20,6 +20,8 @@ from canlog.tables.inputs import LogSet, Origins
 from canlog.tables.layouts import LongLayout, Values, WideLayout
 from canlog.tables.names import TableNames, table_names
 from canlog.tables.outputs import TableFormat, open_columns
+from canlog.tables.parquet_long import LongParquet
+from canlog.tables.parquet_tables import GROUP_FRAMES, GROUP_VALUES, ParquetRows, WideParquet
 from canlog.whole_file import replacing
 
 MAX_CELLS: Final = 4_000_000  # of a row group: 32 MB of numbers
@@ -42,6 +44,8 @@ class Plan:
     shape: TableShape = TableShape.WIDE
     values: Values = Values.NUMBERS
     max_cells: int = MAX_CELLS  # of a row group
+    max_frames: int = GROUP_FRAMES  # of a row group of Parquet
+    max_values: int = GROUP_VALUES  # likewise
 
     @classmethod
     def of(
@@ -183,13 +187,15 @@ def decode_logs(
 
 def _is_read_twice(plan: Plan, table_format: TableFormat) -> bool:
     """Return whether the columns depend on all of the frames."""
-    return table_format is not TableFormat.MF4 and plan.shape is TableShape.WIDE
+    return table_format not in {TableFormat.MF4, TableFormat.PARQUET} and plan.shape is TableShape.WIDE
 
 
 def _written(
     logs: LogSet, plan: Plan, output: BinaryIO, table_format: TableFormat, is_stopped: Callable[[], bool]
 ) -> Decoded:
     account = DecodeAccount(codec=plan.codec, names=plan.names)
+    if table_format is TableFormat.PARQUET:
+        return _written_as_parquet(logs, plan, output, account, is_stopped)
     if table_format is TableFormat.MF4:
         from canlog.tables.mf4_table import Mf4Table  # noqa: PLC0415 - for this format alone
 
@@ -205,6 +211,23 @@ def _written(
         is_whole = not is_stopped()
     finally:
         (sink.close if is_whole else sink.discard)()
+    account.log = logs.counts
+    return Decoded(account=account, readers=tuple(logs.readers), is_whole=is_whole)
+
+
+def _written_as_parquet(
+    logs: LogSet, plan: Plan, output: BinaryIO, account: DecodeAccount, is_stopped: Callable[[], bool]
+) -> Decoded:
+    kind = WideParquet if plan.shape is TableShape.WIDE else LongParquet
+    limits = {"most_frames": plan.max_frames, "most_values": plan.max_values}
+    table: ParquetRows = kind(output, account, plan.values, logs.origins, **limits)
+    for batch in _until(is_stopped, logs.frames()):
+        match = plan.codec.match(batch)
+        account.add(batch, match)
+        table.write(batch, match)
+    is_whole = not is_stopped()
+    if is_whole:
+        table.close()
     account.log = logs.counts
     return Decoded(account=account, readers=tuple(logs.readers), is_whole=is_whole)
 

@@ -11,24 +11,19 @@ from typing import Any, Final
 
 import numpy as np
 import numpy.typing as npt
-from cantools.database.can.signal import Signal
 
 from canlog.arrays import BoolArray, FloatArray, Int64Array, UInt32Array
-from canlog.decode.bit_fields import PayloadWords
 from canlog.decode.codec import MessageTable, MessageValues
-from canlog.decode.signal_table import SignalTable
-from canlog.decode.value_codes import FloatCode
 from canlog.frames import EXTENDED_FLAG, FrameBatch
 from canlog.parquet_file import BOOL_TYPE, NAME_TYPE, TIME_TYPE, load_pyarrow
+from canlog.tables.coded_signals import NAMELESS, Int32Array, ValueTexts
 from canlog.tables.inputs import Origins
 from canlog.tables.names import TEXT_SUFFIX, Place, TableNames
 
 LOG, TIME, CHANNEL, ID, IS_EXTENDED = "log", "time", "channel", "id", "is_extended"
 MESSAGE, SIGNAL, VALUE, TEXT, UNIT = "message", "signal", "value", "text", "unit"
 FRAME_KINDS: Final = {TIME: TIME_TYPE, CHANNEL: "int64", ID: "int32", IS_EXTENDED: BOOL_TYPE, MESSAGE: NAME_TYPE}
-NAMELESS: Final = -1
 _BARE_ID: Final = np.uint32(0x1FFF_FFFF)
-Int32Array = npt.NDArray[np.int32]
 Column = Any  # of pyarrow, which is untyped
 
 
@@ -38,29 +33,6 @@ class Values(StrEnum):
     NUMBERS = "numbers"  # the number
     TEXTS = "texts"  # the name
     BOTH = "both"
-
-
-class ValueTexts:
-    """The value table of one signal, compiled: a code for each value, and the names that codes stand for."""
-
-    def __init__(self, signal: Signal, table: SignalTable) -> None:
-        low, high = table.field.raw_limits
-        choices = {raw: str(text) for raw, text in (signal.choices or {}).items()}
-        self._table = table
-        self._raws = sorted(raw for raw in choices if isinstance(table.code, FloatCode) or low <= raw <= high)
-        self.names = tuple(dict.fromkeys(choices[raw] for raw in self._raws))
-        self._codes = np.array([self.names.index(choices[raw]) for raw in self._raws], np.int32)
-
-    def codes(self, words: PayloadWords) -> Int32Array:
-        """Return for every payload the place of its text in ``names``, NAMELESS where the value has none."""
-        if not self._raws:
-            return np.full(len(words), NAMELESS, np.int32)
-        raw = self._table.field.raw(words)
-        code = self._table.code
-        number = code.raw_number(raw.view(np.uint64)) if isinstance(code, FloatCode) else raw
-        known = np.array(self._raws, number.dtype)
-        place = np.minimum(np.searchsorted(known, number), len(known) - 1)
-        return np.where(known[place] == number, self._codes[place], np.int32(NAMELESS))
 
 
 class TableLayout:
@@ -73,10 +45,10 @@ class TableLayout:
         self._names = names
         self._values = values
         self._origins = origins
-        self._frame_kinds = FRAME_KINDS if origins is None else {LOG: NAME_TYPE, **FRAME_KINDS}
-        self._texts: dict[Place, ValueTexts] = {}
+        self.frame_kinds = FRAME_KINDS if origins is None else {LOG: NAME_TYPE, **FRAME_KINDS}
+        self.texts: dict[Place, ValueTexts] = {}
         if values is not Values.NUMBERS:
-            self._texts = {
+            self.texts = {
                 (slot, name): ValueTexts(table.definitions[name], compiled)
                 for slot, table in enumerate(tables)
                 for name, compiled in table.signals.items()
@@ -100,7 +72,8 @@ class TableLayout:
             IS_EXTENDED: (can_id & np.uint32(EXTENDED_FLAG)) != 0,
         }
 
-    def _unit(self, place: Place) -> str:
+    def unit(self, place: Place) -> str:
+        """Return the unit of a signal; empty if the database has none."""
         slot, name = place
         return self._tables[slot].definitions[name].unit or ""
 
@@ -122,17 +95,17 @@ class WideLayout(TableLayout):
     @property
     def kinds(self) -> dict[str, str]:
         """Names and types of the columns."""
-        kinds = dict(self._frame_kinds)
+        kinds = dict(self.frame_kinds)
         for place in self._places:
             kinds[self._names.columns[place]] = "float64"
-            if place in self._texts:
+            if place in self.texts:
                 kinds[self._names.columns[place] + TEXT_SUFFIX] = NAME_TYPE
         return kinds
 
     @property
     def metadata(self) -> dict[str, dict[str, str]]:
         """What is to be known of columns."""
-        return {self._names.columns[place]: {UNIT: unit} for place in self._places if (unit := self._unit(place))}
+        return {self._names.columns[place]: {UNIT: unit} for place in self._places if (unit := self.unit(place))}
 
     def columns(self, batch: FrameBatch, found: Sequence[MessageValues]) -> tuple[int, dict[str, Column]]:
         """Return the number of rows and the columns of one row group, in their order."""
@@ -148,16 +121,16 @@ class WideLayout(TableLayout):
         columns[MESSAGE] = _name_column([self._names.messages[one.slot] for one in found], which[order])
         for place in self._places:
             columns[self._names.columns[place]] = cells.numbers(place)
-            if place in self._texts:
-                columns[self._names.columns[place] + TEXT_SUFFIX] = cells.texts(place, self._texts[place].names)
+            if place in self.texts:
+                columns[self._names.columns[place] + TEXT_SUFFIX] = cells.texts(place, self.texts[place].names)
         return len(frames), columns
 
     def _fill(self, cells: "_Cells", one: MessageValues, rows: Int64Array) -> None:
         """Fill in the values of some frames of one message, and the texts of those that have any."""
         for name, decoded in one.signals.items():
             place, is_there = (one.slot, name), decoded.is_present
-            if place in self._texts:
-                codes = self._texts[place].codes(one.words)
+            if place in self.texts:
+                codes = self.texts[place].codes(one.words)
                 if is_there is not None:
                     codes = np.where(is_there, codes, np.int32(NAMELESS))
                 cells.put_codes(place, rows, codes)
@@ -173,7 +146,7 @@ class LongLayout(TableLayout):
     def kinds(self) -> dict[str, str]:
         """Names and types of the columns."""
         text = {} if self._values is Values.NUMBERS else {TEXT: NAME_TYPE}
-        return {**self._frame_kinds, SIGNAL: NAME_TYPE, VALUE: "float64", **text, UNIT: NAME_TYPE}
+        return {**self.frame_kinds, SIGNAL: NAME_TYPE, VALUE: "float64", **text, UNIT: NAME_TYPE}
 
     @property
     def metadata(self) -> dict[str, dict[str, str]]:
@@ -199,7 +172,7 @@ class LongLayout(TableLayout):
             if self._values is Values.TEXTS:
                 is_nameless = columns[TEXT].is_null().to_numpy(zero_copy_only=False)
                 columns[VALUE] = _column(columns[VALUE], is_nameless)
-        columns[UNIT] = _name_column([self._unit(part.place) for part in parts], which)
+        columns[UNIT] = _name_column([self.unit(part.place) for part in parts], which)
         return len(rows), columns
 
     def _parts(self, one: MessageValues) -> Iterator["_Part"]:
@@ -208,8 +181,8 @@ class LongLayout(TableLayout):
             kept = slice(None) if decoded.is_present is None else decoded.is_present
             rows, value = one.rows[kept], decoded.value[kept]
             codes, names = np.full(len(rows), NAMELESS, np.int32), tuple[str, ...]()
-            if place in self._texts:
-                codes, names = self._texts[place].codes(one.words)[kept], self._texts[place].names
+            if place in self.texts:
+                codes, names = self.texts[place].codes(one.words)[kept], self.texts[place].names
             yield _Part(place, rows, value, codes, names)
 
 

@@ -134,7 +134,7 @@ def test_decode_long_holds_the_same(short_log: Path, tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("layout", ["wide", "long"])
 def test_row_groups_are_small_whatever_the_log(layout: str, short_log: Path, tmp_path: Path) -> None:
-    plan = replace(Plan.of(load_contract().messages, TableShape(layout)), max_cells=6400)
+    plan = replace(Plan.of(load_contract().messages, TableShape(layout)), max_frames=150)
     decode_logs([short_log], plan, tmp_path / "out.parquet", TableFormat.PARQUET)
     file = pq.ParquetFile(tmp_path / "out.parquet")
     assert file.metadata.num_row_groups > 5

@@ -1,0 +1,123 @@
+"""What ``decode`` costs from the log to the file, beside python-can and cantools, which decode and write nothing.
+
+A hundred messages with 700 signals, 651,360 frames, as candump text and as BLF. Every contender is a program of its
+own; counted is the processor time of it and its children, user and system. The start of each, imports and database, is
+what it takes for a log of a hundred frames. Contenders take turns, and of every ratio the median of the rounds is
+printed: of whole programs, and with the starts taken off on both sides.
+
+    python -m benchmarks.decoded_tables [--frames 651360] [--rounds 3] [--format .log] [--format .blf]
+"""
+
+import argparse
+import resource
+import statistics
+import subprocess
+import sys
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Final
+
+from rich.console import Console
+from rich.table import Table
+
+from benchmarks.decoding.wide_bus import frames, write_database, write_log
+from benchmarks.measuring import machine
+
+FRAMES: Final = 651_360
+SHORT: Final = 100  # frames of the log that a start is measured with
+GOALS: Final = {"wide": 20.0, "long": 30.0}
+PEER: Final = """
+import sys, can, cantools
+decode = cantools.database.load_file(sys.argv[2]).decode_message
+with can.LogReader(sys.argv[1]) as log:
+    for message in log:
+        decode(message.arbitration_id, bytes(message.data), decode_choices=False)
+"""
+
+
+@dataclass(frozen=True, slots=True)
+class Took:
+    """What a program took: processor time for the log and for its start."""
+
+    whole_s: float
+    start_s: float
+
+    @property
+    def net_s(self) -> float:
+        """Processor time without the start."""
+        return max(self.whole_s - self.start_s, 1e-3)
+
+
+def program_s(words: list[str]) -> float:
+    """Return the processor time of a program and its children [s]."""
+    before = resource.getrusage(resource.RUSAGE_CHILDREN)
+    subprocess.run([sys.executable, *words], check=True, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+    after = resource.getrusage(resource.RUSAGE_CHILDREN)
+    return after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
+
+
+def commands(log: Path, dbc: Path) -> dict[str, list[str]]:
+    """Return the contenders: ours, each writing a table, and the peer."""
+    ours = ["-m", "diag_service", "decode", str(log), "--dbc", str(dbc), "--force"]
+    return {
+        **{one: [*ours, "--layout", one, "-o", str(log.with_suffix(f".{one}.parquet"))] for one in GOALS},
+        "peer": ["-c", PEER, str(log), str(dbc)],
+    }
+
+
+def one_round(log: Path, short: Path, dbc: Path) -> dict[str, Took]:
+    """Return what every contender takes, in turns."""
+    starts = {name: program_s(words) for name, words in commands(short, dbc).items()}
+    return {name: Took(program_s(words), starts[name]) for name, words in commands(log, dbc).items()}
+
+
+def add_rows(table: Table, log: Path, rounds: list[Mapping[str, Took]]) -> None:
+    """Add what was measured on one log."""
+
+    def median(name: str, attribute: str) -> float:
+        return float(statistics.median(getattr(each[name], attribute) for each in rounds))
+
+    def ratio(name: str, attribute: str) -> float:
+        pairs = ((getattr(each["peer"], attribute), getattr(each[name], attribute)) for each in rounds)
+        return float(statistics.median(peer / ours for peer, ours in pairs))
+
+    table.add_row(log.suffix, "peer", *(f"{median('peer', one):.2f}" for one in ("whole_s", "start_s", "net_s")))
+    for name, goal in GOALS.items():
+        ratios = [ratio(name, one) for one in ("whole_s", "net_s")]
+        size_mb = log.with_suffix(f".{name}.parquet").stat().st_size / 1e6
+        table.add_row(
+            log.suffix,
+            name,
+            *(f"{median(name, one):.2f}" for one in ("whole_s", "start_s", "net_s")),
+            f"{size_mb:.1f}",
+            *(f"1/{one:.1f} {'met' if one >= goal else 'MISSED'}" for one in ratios),
+            f"1/{goal:.0f}",
+        )
+
+
+def main() -> None:
+    """Run the benchmark."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--frames", type=int, default=FRAMES, help="of each log (%(default)s)")
+    parser.add_argument("--rounds", type=int, default=3, help="of which the medians are printed (%(default)s)")
+    parser.add_argument("--format", action="append", choices=[".log", ".blf"], help="of the log (both)")
+    options = parser.parse_args()
+    console = Console(width=130)
+    table = Table("log", "contender", "whole s", "start s", "net s", "MB", "of the peer", "net of starts", "goal")
+    recorded = frames(options.frames)
+    with TemporaryDirectory() as folder:
+        dbc = write_database(Path(folder) / "bus.dbc")
+        for suffix in options.format or [".log", ".blf"]:
+            log = write_log(Path(folder) / f"drive{suffix}", recorded)
+            short = write_log(Path(folder) / f"short{suffix}", recorded[:SHORT])
+            for words in commands(short, dbc).values():
+                program_s(words)  # compiles, and fills the caches of files
+            add_rows(table, log, [one_round(log, short, dbc) for _ in range(options.rounds)])
+    console.print(f"{options.frames} frames, 700 signals; processor times, {options.rounds} rounds; {machine()}")
+    console.print(table)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,85 @@
+"""Frames that gather until they are worth a group of rows, with where each came from."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from canlog.arrays import Int64Array
+from canlog.database.addressing import NOBODY
+from canlog.frame_columns import join
+from canlog.frames import FrameBatch
+from canlog.tables.inputs import Origins
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class FrameGroup:
+    """Frames that have signals, in their order."""
+
+    frames: FrameBatch
+    slot: Int64Array  # (n,) message of each in the codec
+    channel: Int64Array  # (n,) in its log
+    log: Int64Array | None  # (n,) place of its log among several
+
+    def __len__(self) -> int:
+        return len(self.slot)
+
+
+@dataclass(slots=True)
+class FrameStock:
+    """Frames of several batches.
+
+    Parameters
+    ----------
+    values_of
+        Values in a frame of each message, at most.
+    origins
+        Where frames of several logs come from; asked when they are added, since it changes.
+    most_frames, most_values
+        After how many frames, or values, a group is complete.
+    """
+
+    values_of: Int64Array
+    origins: Origins | None
+    most_frames: int
+    most_values: int
+    _parts: list[FrameGroup] = field(default_factory=list)
+    _frame_count: int = 0
+    _value_count: int = 0
+
+    def add(self, batch: FrameBatch, slot: Int64Array) -> Iterator[FrameGroup]:
+        """Take frames with their messages; yield the groups that are complete by them."""
+        size = max(1, min(self.most_frames, self.most_values // max(1, int(self.values_of.max(initial=1)))))
+        for start in range(0, len(batch), size):
+            part = slice(start, start + size)
+            self._add(batch[part], slot[part])
+            if self._frame_count >= self.most_frames or self._value_count >= self.most_values:
+                yield self._taken()
+
+    def rest(self) -> Iterator[FrameGroup]:
+        """Yield what is left."""
+        if self._frame_count:
+            yield self._taken()
+
+    def _add(self, batch: FrameBatch, slot: Int64Array) -> None:
+        is_kept = slot != NOBODY
+        if not is_kept.all():
+            batch, slot = batch[is_kept], slot[is_kept]
+        channel, log = batch.channel.astype(np.int64), None
+        if self.origins is not None:
+            log, channel = self.origins.log[channel], self.origins.channel[channel]
+        self._parts.append(FrameGroup(frames=batch, slot=slot, channel=channel, log=log))
+        self._frame_count += len(slot)
+        self._value_count += int(self.values_of[slot].sum())
+
+    def _taken(self) -> FrameGroup:
+        parts = self._parts
+        logs = [part.log for part in parts if part.log is not None]
+        whole = FrameGroup(
+            frames=join([part.frames for part in parts]),
+            slot=np.concatenate([part.slot for part in parts]),
+            channel=np.concatenate([part.channel for part in parts]),
+            log=np.concatenate(logs) if logs else None,
+        )
+        self._parts, self._frame_count, self._value_count = [], 0, 0
+        return whole

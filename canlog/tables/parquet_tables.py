@@ -1,0 +1,145 @@
+"""Decoded frames as wide and long Parquet: time and space go by the values that there are, not by the cells."""
+
+from abc import ABC, abstractmethod
+from collections.abc import Iterable
+from typing import BinaryIO, Final
+
+import numpy as np
+
+from canlog.arrays import BoolArray, FloatArray, Int64Array
+from canlog.decode.carriers import Carriers, CutOff, carriers
+from canlog.decode.codec import FrameMatch
+from canlog.frames import FrameBatch
+from canlog.parquet import contents
+from canlog.parquet.column_file import ColumnFile, Levels
+from canlog.parquet.packing import Int32Array
+from canlog.parquet_file import NAME_TYPE
+from canlog.tables.account import DecodeAccount
+from canlog.tables.coded_signals import NAMELESS, CodedSignal, coded_signal
+from canlog.tables.frame_contents import frame_contents
+from canlog.tables.frame_stock import FrameGroup, FrameStock
+from canlog.tables.inputs import Origins
+from canlog.tables.layouts import LongLayout, Values, WideLayout
+from canlog.tables.names import TEXT_SUFFIX, Place
+
+GROUP_FRAMES: Final = 1_048_576  # of a group of rows, at most
+GROUP_VALUES: Final = 8_388_608  # likewise
+
+
+class ParquetRows(ABC):
+    """What wide and long tables share: frames gather, and a group of rows is written when there are enough.
+
+    Parameters
+    ----------
+    output : binary stream
+        It stays open.
+    account
+        Of what becomes of frames and values; the rows are counted as well.
+    values
+        What is written for values that have names.
+    origins
+        Where frames of several logs come from.
+    most_frames, most_values
+        Frames, and values, of a group of rows.
+    """
+
+    def __init__(
+        self,
+        output: BinaryIO,
+        account: DecodeAccount,
+        values: Values,
+        origins: Origins | None = None,
+        *,
+        most_frames: int = GROUP_FRAMES,
+        most_values: int = GROUP_VALUES,
+    ) -> None:
+        self._file = ColumnFile(output)
+        self._account = account
+        self._tables = account.codec.tables
+        self._names = account.names
+        self._values = values
+        self._origins = origins
+        self._layout = self._layout_of(range(len(self._tables)))
+        values_of = np.array([len(table.signals) for table in self._tables], np.int64)
+        self._stock = FrameStock(values_of, origins, most_frames, most_values)
+
+    def write(self, batch: FrameBatch, match: FrameMatch) -> None:
+        """Take frames and their messages."""
+        for group in self._stock.add(batch, match.slot):
+            self._write_group(group)
+
+    def close(self) -> None:
+        """Write what is left, and the end of the file."""
+        for group in self._stock.rest():
+            self._write_group(group)
+        layout = self._layout_of(self._account.seen_slots)
+        self._file.close(layout.kinds, layout.metadata)
+
+    @abstractmethod
+    def _layout_of(self, slots: Iterable[int]) -> WideLayout | LongLayout: ...
+
+    @abstractmethod
+    def _write_group(self, group: FrameGroup) -> None: ...
+
+    def _carriers(self, group: FrameGroup) -> Iterable[Carriers]:
+        """Yield what frames carry; what they have no room for is counted."""
+        for one in carriers(self._account.codec, group.frames, group.slot):
+            if isinstance(one, CutOff):
+                self._account.of_signal(one.slot, one.name).cut_off += one.count
+            else:
+                yield one
+
+    def _coded(self, one: Carriers, name: str) -> CodedSignal:
+        """Return a signal, and count its values."""
+        texts = self._layout.texts.get((one.slot, name))
+        coded = coded_signal(one.signals[name], one.words, self._file.packer, texts)
+        counts = self._account.of_signal(one.slot, name)
+        counts.values += len(one.frames)
+        counts.out_of_range += coded.out_of_range
+        counts.not_a_number += coded.not_a_number
+        return coded
+
+
+class WideParquet(ParquetRows):
+    """A row per frame, and a column for each signal of the messages that occur."""
+
+    def _layout_of(self, slots: Iterable[int]) -> WideLayout:
+        return WideLayout(self._tables, self._names, self._values, list(slots), self._origins)
+
+    def _write_group(self, group: FrameGroup) -> None:
+        count = len(group)
+        everywhere = self._file.levels(np.arange(count), count)
+        kinds = self._layout.frame_kinds
+        for name, content in frame_contents(group, self._names.messages, self._origins, self._file.packer).items():
+            self._file.add(name, kinds[name], everywhere, content)
+        for one in self._carriers(group):
+            levels = self._file.levels(one.frames, count)
+            for name in one.signals:
+                coded = self._coded(one, name)
+                if len(one.frames):
+                    self._write_signal((one.slot, name), one.frames, levels, coded)
+        self._file.end_group(count)
+        self._account.row_count += count
+
+    def _write_signal(self, place: Place, frames: Int64Array, levels: Levels, coded: CodedSignal) -> None:
+        """Write the numbers of a signal in some frames, and its texts if they are wanted."""
+        column, values, index = self._names.columns[place], coded.values, coded.index
+        texts, file = self._layout.texts.get(place), self._file
+        if texts is not None and coded.texts is not None:
+            code = coded.texts[index]
+            is_named = code != NAMELESS
+            if is_named.any():
+                named = file.levels(frames[is_named], levels.row_count)
+                body = file.packer.runs(code[is_named], len(texts.names))
+                file.add(column + TEXT_SUFFIX, NAME_TYPE, named, contents.names(texts.names, body))
+                if self._values is Values.TEXTS:
+                    values, index = without(coded.texts != NAMELESS, values, index)
+                    levels = file.levels(frames[~is_named], levels.row_count)
+        if levels.present_count:
+            file.add(column, "float64", levels, contents.numbers(values, index, file.packer))
+
+
+def without(is_left_out: BoolArray, values: FloatArray, index: Int32Array) -> tuple[FloatArray, Int32Array]:
+    """Return different values and which of them each row has, some of these values and their rows left out."""
+    new_number = np.cumsum(~is_left_out, dtype=np.int32) - np.int32(1)
+    return values[~is_left_out], new_number[index[~is_left_out[index]]]
