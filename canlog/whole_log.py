@@ -1,4 +1,4 @@
-"""A whole log in memory, and its signals as arrays and tables."""
+"""A log, and its signals as arrays and tables: batch by batch, or all of it in memory."""
 
 from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, closing
@@ -16,7 +16,7 @@ from canlog.errors import OutputError, SourceError
 from canlog.extras import load_extra
 from canlog.frame_columns import join
 from canlog.frames import FrameBatch
-from canlog.logs import LogCounts, LogFormat, merged_by_time, read_log
+from canlog.logs import LogCounts, LogFormat, LogReader, merged_by_time, read_log
 from canlog.parquet_file import arrow_schema, load_pyarrow
 from canlog.tables.account import DecodeAccount
 from canlog.tables.decoding import (
@@ -49,7 +49,11 @@ class Samples:
 
 
 class Log:
-    """The frames of a log, or of several together, and what they say; made by ``canlog.read``.
+    """A log, or several together, and what they say; made by ``canlog.read``.
+
+    What it is asked for is read when it is asked: ``batches`` and the tables read the files and keep no frames,
+    ``frames`` and what needs all of them keep them. ``pyarrow.table(log)``, ``polars.DataFrame(log)`` and whatever else
+    takes a stream of Arrow get the wide table.
 
     Attributes
     ----------
@@ -57,10 +61,6 @@ class Log:
         The files; ``path`` is the first.
     format : LogFormat
         What it was taken for, by its contents.
-    frames : FrameBatch
-        All of its frames as arrays, in the order of the file; of several files in the order of time.
-    counts : LogCounts
-        What the files held besides: lines that are no frames, jumps of time, a missing end.
     """
 
     def __init__(
@@ -72,17 +72,35 @@ class Log:
         max_cells: int = MAX_CELLS,
         columns: str = "",
     ) -> None:
-        with ExitStack() as stack:
-            opened = (read_log(path, is_strict=is_strict, columns=columns) for path in paths)
-            readers = [stack.enter_context(closing(reader)) for reader in opened]
-            self.frames: FrameBatch = join(list(merged_by_time(readers)))
-            self.counts = LogCounts()
-            for reader in readers:
-                self.counts.add(reader.counts)
         self.paths = tuple(paths)
         self.path = self.paths[0]
-        self.format: LogFormat = readers[0].format
+        self._is_strict = is_strict
+        self._columns = columns
         self._plan = replace(Plan.of(database.messages), max_cells=max_cells)
+        with ExitStack() as stack:
+            self.format: LogFormat = self._opened(stack)[0].format
+        if is_strict:
+            _ = self._whole
+
+    @cached_property
+    def _whole(self) -> tuple[FrameBatch, LogCounts]:
+        with ExitStack() as stack:
+            readers = self._opened(stack)
+            frames = join(list(merged_by_time(readers)))
+            counts = LogCounts()
+            for reader in readers:
+                counts.add(reader.counts)
+        return frames, counts
+
+    @property
+    def frames(self) -> FrameBatch:
+        """All frames as arrays, in the order of the file; of several files in the order of time."""
+        return self._whole[0]
+
+    @property
+    def counts(self) -> LogCounts:
+        """What the files held besides: lines that are no frames, jumps of time, a missing end."""
+        return self._whole[1]
 
     def __len__(self) -> int:
         return len(self.frames)
@@ -155,14 +173,32 @@ class Log:
         ExtraMissingError
             If pyarrow is not installed.
         """
+        reader = self.batches(shape, values)
+        return load_pyarrow().Table.from_batches(reader, schema=reader.schema).unify_dictionaries()
+
+    def batches(self, shape: ShapeName = "wide", values: ValuesName = "numbers") -> Any:  # noqa: ANN401 - untyped
+        """Return a ``pyarrow.RecordBatchReader`` of the table of ``to_arrow``, which reads the files as it is read.
+
+        It takes no more memory than a batch, however long the log is. For wide rows the files are read twice, for the
+        messages that occur are the columns.
+
+        Raises
+        ------
+        ExtraMissingError
+            If pyarrow is not installed.
+        """
         arrow = load_pyarrow()
         plan = replace(self._plan, shape=TableShape(shape), values=Values(values))
-        layout = plan.layout(lambda: [self.frames])
+        layout = plan.layout(self._streamed)
         schema = arrow_schema(layout.kinds, layout.metadata)
-        frames = pieces([self.frames], plan.frames_per_group(layout))
-        groups = row_groups(frames, layout, self._new_account())
-        batches = [arrow.record_batch(list(columns.values()), schema=schema) for columns in groups]
-        return arrow.Table.from_batches(batches, schema=schema).unify_dictionaries()
+        account = DecodeAccount(codec=plan.codec, names=plan.names)
+        groups = row_groups(pieces(self._streamed(), plan.frames_per_group(layout)), layout, account)
+        rows = (arrow.record_batch(list(columns.values()), schema=schema) for columns in groups)
+        return arrow.RecordBatchReader.from_batches(schema, rows)
+
+    def __arrow_c_stream__(self, requested_schema: object = None) -> object:
+        """Return the wide table as a stream that any library of Arrow takes."""
+        return self.batches().__arrow_c_stream__(requested_schema)
 
     def to_pandas(self, shape: ShapeName = "wide", values: ValuesName = "numbers") -> Any:  # noqa: ANN401 - optional
         """Return the table of ``to_arrow`` as a DataFrame of pandas; ExtraMissingError if that is not installed."""
@@ -173,6 +209,18 @@ class Log:
         """Return the table of ``to_arrow`` as a DataFrame of polars; ExtraMissingError if that is not installed."""
         polars = load_extra("polars", "to_polars() needs polars")
         return polars.from_arrow(self.to_arrow(shape, values))
+
+    def _opened(self, stack: ExitStack) -> list[LogReader]:
+        opened = (read_log(path, is_strict=self._is_strict, columns=self._columns) for path in self.paths)
+        return [stack.enter_context(closing(reader)) for reader in opened]
+
+    def _streamed(self) -> Iterator[FrameBatch]:
+        """Yield all frames: those that are kept, or from the files."""
+        if "_whole" in vars(self):
+            yield self.frames
+            return
+        with ExitStack() as stack:
+            yield from merged_by_time(self._opened(stack))
 
     def _new_account(self) -> DecodeAccount:
         return DecodeAccount(codec=self._plan.codec, names=self._plan.names, log=self.counts)
@@ -189,9 +237,9 @@ def read(
     is_lenient: bool = False,
     columns: str = "",
 ) -> Log:
-    """Read a log whole, for its signals as arrays or tables.
+    """Open a log, for its signals as arrays or tables; it is read when it is asked for something.
 
-    A log that is too large for the memory goes through ``write_table``, or batch by batch through ``read_log``.
+    A log that is too large for the memory goes batch by batch through ``Log.batches``, or through ``write_table``.
 
     Parameters
     ----------
@@ -210,7 +258,7 @@ def read(
     Raises
     ------
     SourceError
-        If the log cannot be read or holds no frame.
+        If the log cannot be read; that it holds no frame, or cannot be read on, is told when it is read.
     DefinitionError
         If the database cannot be used.
     """

@@ -8,7 +8,7 @@ import numpy as np
 from canlog.arrays import Int64Array
 from canlog.database.addressing import NOBODY
 from canlog.frame_columns import join
-from canlog.frames import FrameBatch
+from canlog.frames import PAYLOAD_BYTES, FrameBatch
 from canlog.tables.inputs import Origins
 
 
@@ -69,7 +69,7 @@ class FrameStock:
         if self.origins is not None:
             log, channel = self.origins.log[channel], self.origins.channel[channel]
         self._parts.append(FrameGroup(frames=batch, slot=slot, channel=channel, log=log))
-        self._frame_count += len(slot)
+        self._frame_count += len(slot) if batch.width <= PAYLOAD_BYTES else 2 * len(slot)  # CAN FD takes more memory
         self._value_count += int(self.values_of[slot].sum())
 
     def _taken(self) -> FrameGroup:

@@ -23,7 +23,7 @@ from canlog.tables.layouts import LongLayout, Values, WideLayout
 from canlog.tables.names import TEXT_SUFFIX, Place
 
 GROUP_FRAMES: Final = 1_048_576  # of a group of rows, at most
-GROUP_VALUES: Final = 8_388_608  # likewise
+GROUP_VALUES: Final = 4_718_592  # likewise
 
 
 class ParquetRows(ABC):

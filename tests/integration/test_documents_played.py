@@ -122,6 +122,7 @@ def test_what_is_not_run_here_is_run_where_it_is_said() -> None:
 BLOCKS = {
     ("README.md", "python"): "tests/integration/test_python_page.py",
     ("canlog/README.md", "python"): "tests/integration/test_canlog_alone.py",
+    ("docs/canlog.md", "python"): "tests/integration/test_canlog_page.py",
     ("docs/diagnostics.md", "python"): "tests/integration/test_diagnostics_page.py",
     ("docs/diagnostics.md", "toml"): "tests/integration/test_diagnostics_page.py",
     ("docs/howto.md", "python"): "tests/integration/test_howto.py",
