@@ -1,6 +1,7 @@
 """What the commands do, once their words are checked; loads the database's libraries, which are an extra."""
 
 import getpass
+import os
 import sys
 from collections.abc import Callable, Mapping, Sequence
 from datetime import UTC, datetime, timedelta
@@ -54,6 +55,14 @@ def _ingest(options: SimpleNamespace, engine: Engine) -> None:
     )
 
 
+def _user() -> str:
+    """Return who runs this, for the audit; a container's user may have no name."""
+    try:
+        return getpass.getuser()
+    except (KeyError, OSError):
+        return f"uid {os.getuid()}"
+
+
 def _broker(options: SimpleNamespace) -> BrokerAddress:
     if not options.broker:
         raise ConfigError(f"no broker: give --broker or set {BROKER_VARIABLE}")
@@ -90,7 +99,7 @@ def _alarms(options: SimpleNamespace, engine: Engine) -> None:
 
 def _acknowledge(options: SimpleNamespace, engine: Engine) -> None:
     vehicle, clutch = options.acknowledge, options.clutch
-    by, now = options.by or getpass.getuser(), datetime.now(UTC)
+    by, now = options.by or _user(), datetime.now(UTC)
     queries.check_vehicle(engine, vehicle)
     if clutch is None:
         count = queries.acknowledge_quarantine(engine, vehicle, by=by, at=now)
@@ -102,7 +111,8 @@ def _acknowledge(options: SimpleNamespace, engine: Engine) -> None:
 
 def _quarantine(options: SimpleNamespace, engine: Engine) -> None:
     if options.purge_days is not None:
-        count = queries.purge_quarantine(engine, datetime.now(UTC) - timedelta(days=options.purge_days))
+        now = datetime.now(UTC)
+        count = queries.purge_quarantine(engine, now - timedelta(days=options.purge_days), by=_user(), at=now)
         sys.stdout.write(f"{count} messages forgotten\n")
         return
     records = queries.quarantined(engine, options.limit)
@@ -132,7 +142,15 @@ def _fill(options: SimpleNamespace, engine: Engine) -> None:
     queries.check_vehicle(engine, options.vehicle)
     at = datetime.now(UTC) if options.at is None else parse_moment(options.at)
     odometer_m = None if options.odometer_km is None else options.odometer_km * 1000.0
-    queries.note_fill(engine, options.vehicle, options.product, at=at, odometer_m=odometer_m, note=options.note)
+    queries.note_fill(
+        engine,
+        options.vehicle,
+        options.product,
+        at=at,
+        odometer_m=odometer_m,
+        note=options.note,
+        by=_user(),
+    )
     sys.stdout.write(f"{options.vehicle}: {options.product} since {at.isoformat()}\n")
 
 

@@ -3,7 +3,7 @@
 import json
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from datetime import datetime
+from datetime import UTC, datetime
 from difflib import get_close_matches
 from hashlib import sha256
 from typing import Final
@@ -11,6 +11,7 @@ from typing import Final
 from sqlalchemy import Connection, Engine, Select, delete, func, insert, select, update
 
 from fleet_backend import views
+from fleet_backend.audit_trail import COMMAND_LINE, note_change
 from fleet_backend.choices import Axis
 from fleet_backend.database import transaction
 from fleet_backend.errors import ConfigError, UnknownVehicleError
@@ -93,16 +94,21 @@ def acknowledge_clutch(engine: Engine, vehicle: str, clutch: int, *, by: str, no
             raise ConfigError(f"clutch {clutch} of {vehicle} has no alarm that waits for an acknowledgement")
         values = {"vehicle": vehicle, "stream": alarm.stream, "seq": alarm.seq, "note": note}
         connection.execute(insert(ALARM_ACKNOWLEDGEMENT).values(acknowledged_at=at, acknowledged_by=by, **values))
+        told = f"clutch {clutch} of {vehicle}: {note or ''}"
+        _note(connection, at, by, "acknowledge run of verdicts", told)
 
 
 def acknowledge_quarantine(engine: Engine, vehicle: str, *, by: str, at: datetime) -> int:
     """Acknowledge all that was kept aside on a vehicle's topics; return how many messages that were."""
     with transaction(engine) as connection:
-        return connection.execute(
+        count = connection.execute(
             update(QUARANTINE)
             .where(QUARANTINE.c.vehicle == vehicle, QUARANTINE.c.acknowledged_at.is_(None))
             .values(acknowledged_at=at, acknowledged_by=by)
         ).rowcount
+        if count:
+            _note(connection, at, by, "acknowledge quarantine", f"{vehicle}: {count} messages")
+        return count
 
 
 def quarantined(engine: Engine, limit: int) -> Sequence[Record]:
@@ -111,10 +117,13 @@ def quarantined(engine: Engine, limit: int) -> Sequence[Record]:
     return _records(engine, select(QUARANTINE).order_by(*order).limit(limit))
 
 
-def purge_quarantine(engine: Engine, before: datetime) -> int:
+def purge_quarantine(engine: Engine, before: datetime, *, by: str, at: datetime) -> int:
     """Forget what was kept aside before a moment; return how many messages that were."""
     with transaction(engine) as connection:
-        return connection.execute(delete(QUARANTINE).where(QUARANTINE.c.received_at < before)).rowcount
+        count = connection.execute(delete(QUARANTINE).where(QUARANTINE.c.received_at < before)).rowcount
+        if count:
+            _note(connection, at, by, "purge quarantine", f"{count} messages from before {before:%Y-%m-%d}")
+        return count
 
 
 def last_seen(engine: Engine) -> Sequence[Record]:
@@ -138,7 +147,14 @@ def _codes_of(record: Record) -> Iterator[Record]:
 
 
 def note_fill(
-    engine: Engine, vehicle: str, product: str, *, at: datetime, odometer_m: float | None, note: str | None
+    engine: Engine,
+    vehicle: str,
+    product: str,
+    *,
+    at: datetime,
+    odometer_m: float | None,
+    note: str | None,
+    by: str = "",  # who notes it, for the audit; of what a vehicle told nobody
 ) -> None:
     """Note that a vehicle got new fluid; UnknownVehicleError if it never spoke, ConfigError if the fill is known."""
     key = (FLUID_FILL.c.vehicle == vehicle) & (FLUID_FILL.c.filled_at == at)
@@ -150,6 +166,9 @@ def note_fill(
         connection.execute(
             insert(FLUID_FILL).values(vehicle=vehicle, filled_at=at, product=product, odometer_m=odometer_m, note=note)
         )
+        if by:
+            told = f"{vehicle}: {product} since {at.isoformat()}: {note or ''}"
+            _note(connection, datetime.now(UTC), by, "note fluid fill", told)
 
 
 def table_hash(engine: Engine) -> TableHash:
@@ -170,6 +189,10 @@ def result_count(engine: Engine) -> int:
     """Return how many results are stored, all versions counted."""
     with transaction(engine) as connection:
         return int(connection.execute(select(func.count()).select_from(SHIFT_RESULT)).scalar_one())
+
+
+def _note(connection: Connection, at: datetime, by: str, action: str, subject: str) -> None:
+    note_change(connection, at=at, who=by, role=COMMAND_LINE, action=action, subject=subject)
 
 
 def _has(connection: Connection, statement: Select[tuple[str]]) -> bool:

@@ -1,7 +1,6 @@
 """The book of alarms: what is raised, cleared and acknowledged, each with the messages that tell of it."""
 
 import json
-import uuid
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
@@ -9,8 +8,9 @@ from typing import Any, Final
 
 from sqlalchemy import Connection, Engine, RowMapping, func, insert, or_, select, update
 
-from fleet_backend.alarm_tables import ALARM, ALARM_MESSAGE, AUDIT
+from fleet_backend.alarm_tables import ALARM, ALARM_MESSAGE
 from fleet_backend.alarms.rules import Event, Rule, Subject, Transition
+from fleet_backend.audit_trail import note_change
 from fleet_backend.database import transaction
 from fleet_backend.errors import RowRefusedError
 
@@ -59,7 +59,8 @@ def acknowledge(engine: Engine, subject: Subject, number: int, note: Note) -> bo
     with transaction(engine) as connection:
         count = connection.execute(update(ALARM).where(*own).values(**values)).rowcount
         if count:
-            _audit(connection, note, "acknowledge alarm", f"{_key(subject, number)}: {note.text or ''}")
+            told = f"{_key(subject, number)}: {note.text or ''}"
+            note_change(connection, at=note.at, who=note.by, role=note.role, action="acknowledge alarm", subject=told)
     return count > 0
 
 
@@ -149,8 +150,3 @@ def _payload(step: Transition, number: int) -> dict[str, Any]:
 def _letter(row: RowMapping) -> Letter:
     payload = json.loads(row["payload"])
     return Letter(key=row["key"], carrier=row["carrier"], payload=payload, attempt_count=row["attempt_count"])
-
-
-def _audit(connection: Connection, note: Note, action: str, subject: str) -> None:
-    values: dict[str, Any] = {"audit_id": str(uuid.uuid4()), "at": note.at, "who": note.by, "role": note.role}
-    connection.execute(insert(AUDIT).values(**values, action=action, subject=subject))

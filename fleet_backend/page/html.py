@@ -15,6 +15,7 @@ _ADMIN_PAGES: Final = (Link(text="Audit", href="/audit"),)
 NAVIGATION: Final = (
     Link(text="Fleet", href="/"),
     Link(text="Alarms", href="/alarms"),
+    Link(text="Maintenance", href="/maintenance"),
     Link(text="Changes", href="/changes"),
     Link(text="Quarantine", href="/quarantine"),
 )
@@ -42,7 +43,7 @@ def html_of(view: View, shown: Shown, *, viewer: Viewer, api_href: str, number: 
             navigation=(*NAVIGATION, *(_ADMIN_PAGES if viewer.role >= Role.ADMIN else ())),
             viewer=viewer,
             here=view.page_path,
-            formats=_formats(api_href),
+            formats=_formats(api_href, view),
             complaint=complaint,
             number=number,
         )
@@ -60,7 +61,10 @@ def _templates() -> Environment:
     return templates_of("fleet_backend.page")
 
 
-def _formats(api_href: str) -> tuple[Link, ...]:
+def _formats(api_href: str, view: View) -> tuple[Link, ...]:
     """Return the same answer as files."""
-    joint = "&" if "?" in api_href else "?"
-    return tuple(Link(text=one.value.upper(), href=f"{api_href}{joint}format={one}") for one in Format)
+    _, _, query = api_href.partition("?")
+    joint = "&" if query else "?"
+    calendars = (Link(text="Calendar", href=f"{view.calendar_path}?{query}".removesuffix("?")),)
+    files = tuple(Link(text=one.value.upper(), href=f"{api_href}{joint}format={one}") for one in Format)
+    return (*files, *calendars) if view.calendar else files

@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from datetime import datetime
+from datetime import date, datetime
 from enum import StrEnum
 
 
@@ -266,6 +266,29 @@ class AlarmsAnswer:
     """A part of the alarms, the latest first; ``next`` continues it."""
 
     alarms: tuple[Alarm, ...]
+    next: str | None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Due:
+    """When the fluid of a clutch is due; a day is null without a trend or a distance a day, and in far future."""
+
+    vehicle: str
+    clutch: int
+    condition: str
+    due_from: date | None  # it lasts until then with a probability of 90 %
+    half_by: date | None
+    most_by: date | None
+    distance_a_day_m: float | None
+    text: str
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class MaintenanceAnswer:
+    """When the fluids of a part of the fleet are due, the worst first; ``next`` continues it."""
+
+    clutches: tuple[Due, ...]
+    clutch_count: int
     next: str | None
 
 

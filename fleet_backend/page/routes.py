@@ -75,6 +75,16 @@ class Endpoints:
 
         return Route(view.api_path, answer, name=f"api {view.name}")
 
+    def calendar(self, view: View) -> Route:
+        """Return the route of the days in a view, for calendars."""
+
+        def answer(request: Request) -> Response:
+            ask = self._ask(request, view.role, view.parameters)
+            found = view.find(self.sources, ask)
+            return Response(view.calendar(found, ask) if view.calendar else b"", media_type="text/calendar")
+
+        return Route(view.calendar_path, answer, name=f"calendar {view.name}")
+
     def action(self, action: Action) -> Route:
         """Return the route of a change; only a form of one of our own pages gets through."""
 

@@ -23,6 +23,7 @@ from fleet_backend.page import (
     audit_view,
     changes_view,
     fleet_view,
+    maintenance_view,
     quarantine_view,
     shift_view,
     vehicle_view,
@@ -39,7 +40,8 @@ from fleet_backend.page.view import Sources
 
 VIEWS: Final = (
     *(fleet_view.VIEW, vehicle_view.VIEW, shift_view.VIEW),
-    *(alarms_view.VIEW, alarm_view.VIEW, changes_view.VIEW, quarantine_view.VIEW, audit_view.VIEW),
+    *(alarms_view.VIEW, alarm_view.VIEW, maintenance_view.VIEW, changes_view.VIEW),
+    *(quarantine_view.VIEW, audit_view.VIEW),
 )
 ACTIONS: Final = (alarm_view.ACTION,)
 OPENAPI_PATH: Final = "/api/v1/openapi.json"
@@ -60,6 +62,7 @@ def site(sources: Sources, access: Access, *, lifespan: Lifespan | None = None, 
     routes = [
         *(make.page(view) for view in VIEWS),
         *(make.interface(view) for view in VIEWS),
+        *(make.calendar(view) for view in VIEWS if view.calendar is not None),
         *(make.action(action) for action in ACTIONS),
         make.document(OPENAPI_PATH, description, "application/json"),
         make.events(),

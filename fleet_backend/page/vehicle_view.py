@@ -86,14 +86,22 @@ def point_of(row: past.Row) -> TrendPoint:
     return TrendPoint(reasons=past.words_in(row), **made)
 
 
-def _clutch(sources: Sources, now: ClutchNow, fills: tuple[Fill, ...], service_distance_m: float) -> ClutchHistory:
+def past_of(
+    sources: Sources, now: ClutchNow, fills: tuple[Fill, ...], service_distance_m: float
+) -> tuple[Past, past.Stored]:
+    """Return the past of a clutch with what follows from it, and what is stored of it."""
+
     def make() -> Past:
         rows = past.results_of(sources.engine, now.vehicle, now.clutch)
         outlook, why_not = outlook_of(now.clutch, rows, fills, service_distance_m) if rows else (None, "No result yet.")
         return Past(trend=tuple(map(point_of, rows)), outlook=outlook, why_no_outlook=why_not)
 
     stored = past.stored_of(sources.engine, now.vehicle, now.clutch)
-    found = sources.remembered.past((now.vehicle, now.clutch, service_distance_m), (stored, fills), make)
+    return sources.remembered.past((now.vehicle, now.clutch, service_distance_m), (stored, fills), make), stored
+
+
+def _clutch(sources: Sources, now: ClutchNow, fills: tuple[Fill, ...], service_distance_m: float) -> ClutchHistory:
+    found, stored = past_of(sources, now, fills, service_distance_m)
     return ClutchHistory(
         now=now,
         outlook=found.outlook,

@@ -92,6 +92,12 @@ class View:
     show: Callable[[Any, Ask, Sources], Shown]
     rows: Callable[[Any], Sequence[Any]]
     role: Role = Role.VIEWER  # the least that may ask
+    calendar: Callable[[Any, Ask], bytes] | None = None  # the days in an answer, where it has any
+
+    @property
+    def calendar_path(self) -> str:
+        """The address of the answer as a calendar."""
+        return f"{self.page_path}.ics"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

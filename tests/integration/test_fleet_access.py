@@ -25,7 +25,8 @@ WORDS = {"shift": {"stream": "stream-1", "seq": "59"}, "alarm": ALARM_WORDS}
 NOBODY, STRANGER, VIEWER, WORKSHOP, ADMIN = "", "mallory", "eve", "ann", "root"
 ROUTES = {  # what each may do: nobody logged in, somebody without a role, viewer, workshop, admin
     **dict.fromkeys(
-        ("fleet", "vehicle", "shift", "alarms", "alarm", "changes", "quarantine"), (401, 403, 200, 200, 200)
+        ("fleet", "vehicle", "shift", "alarms", "alarm", "maintenance", "changes", "quarantine"),
+        (401, 403, 200, 200, 200),
     ),
     "audit": (401, 403, 403, 403, 200),
     "openapi": (401, 403, 200, 200, 200),
@@ -66,7 +67,7 @@ def test_every_route_is_for_its_roles_alone(site: httpx.Client) -> None:
                 status(site, "GET", path.replace("{vehicle}", "car1"), one, **WORDS.get(view.name, {}))
                 for one in people
             )
-            for path in (view.page_path, view.api_path)
+            for path in (view.page_path, view.api_path, *([view.calendar_path] if view.calendar else []))
         }
         (found[view.name],) = statuses
     for name, path in (("openapi", OPENAPI_PATH), ("events", EVENTS_PATH)):
@@ -176,11 +177,17 @@ def test_the_highest_role_of_somebody_counts(tmp_path: Path) -> None:
 
 
 def test_the_file_that_the_page_shows_is_one(tmp_path: Path) -> None:
-    (shown,) = re.findall(r"```toml\n(.*?)```", page_text("docs/page.md"), re.DOTALL)
+    shown, with_login = re.findall(r"```toml\n(.*?)```", page_text("docs/page.md"), re.DOTALL)
     access = read_access(write(tmp_path, shown))
     headers = {"X-Fleet-Proxy": SECRET}
     for name, role in (("ann@example.org", Role.ADMIN), ("workshop@example.org", Role.WORKSHOP), ("x", Role.VIEWER)):
         assert access.viewer_of({**headers, "X-Forwarded-User": name}).role is role
+    before, _, roles = shown.partition("[roles]")
+    (tmp_path / "oidc.secret").write_text(SECRET, encoding="utf-8")
+    (tmp_path / "oidc.secret").chmod(0o600)
+    login = read_access(write(tmp_path, f"{before.partition('[proxy]')[0]}{with_login}\n[roles]{roles}")).login
+    assert login is not None
+    assert login.is_secure
 
 
 @pytest.mark.parametrize(

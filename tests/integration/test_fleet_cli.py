@@ -10,12 +10,13 @@ from pathlib import Path
 from urllib.request import urlopen
 
 import pytest
-from sqlalchemy import Engine
+from sqlalchemy import Engine, select
 
 from diag_service.diagnosis.records import Condition
 from diag_service.tester.trouble_report import controller_record
+from fleet_backend.alarm_tables import AUDIT
 from fleet_backend.cli import main
-from fleet_backend.database import open_database
+from fleet_backend.database import open_database, transaction
 from fleet_backend.rows import Poison, controller_row, quarantine_row
 from fleet_backend.writer import Batch, Writer
 from tests.golden import CONTROLLER
@@ -89,6 +90,29 @@ def test_the_quarantine_is_shown_and_purged(capsys: pytest.CaptureFixture[str], 
 def test_a_fill_shows_up_in_the_table(capsys: pytest.CaptureFixture[str], filled: Engine) -> None:
     told(capsys, filled, "fill", "worn", "DCTF-II", "--at", "2025-12-01", "--odometer-km", "0.5")
     assert [record["fluid"] for record in told_json(capsys, filled, "table")] == ["DCTF-II", None]
+
+
+def test_what_commands_change_is_in_the_audit(
+    capsys: pytest.CaptureFixture[str], filled: Engine, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("LOGNAME", "bob")
+    told(capsys, filled, "alarms", "--acknowledge", "worn", "--clutch", "2", "--by", "ann", "--note", "on order")
+    told(capsys, filled, "alarms", "--acknowledge", "good")
+    told(capsys, filled, "alarms", "--acknowledge", "good")  # nothing more to acknowledge
+    told(capsys, filled, "fill", "worn", "DCTF-II", "--at", "2025-12-01")
+    told(capsys, filled, "quarantine", "--purge-days", "31")  # forgets none
+    told(capsys, filled, "quarantine", "--purge-days", "29")
+    with transaction(filled) as connection:
+        entries = connection.execute(select(AUDIT).order_by(AUDIT.c.at)).all()
+    assert {entry.role for entry in entries} == {"command line"}
+    assert [(entry.who, entry.action) for entry in entries] == [
+        ("ann", "acknowledge run of verdicts"),
+        ("bob", "acknowledge quarantine"),
+        ("bob", "note fluid fill"),
+        ("bob", "purge quarantine"),
+    ]
+    assert entries[0].subject == "clutch 2 of worn: on order"
+    assert entries[2].subject == "worn: DCTF-II since 2025-12-01T00:00:00+00:00: "
 
 
 def test_vehicles_are_listed_with_their_last_result(capsys: pytest.CaptureFixture[str], filled: Engine) -> None:

@@ -173,8 +173,8 @@ def test_who_pretends_to_be_another_is_an_alarm_until_acknowledged(engine: Engin
     assert queries.acknowledge_quarantine(engine, "a", by="ann", at=NOW) == 1
     assert queries.identity_alarms(engine) == []
     assert [record["acknowledged_by"] for record in queries.quarantined(engine, 5)] == ["ann"]
-    assert queries.purge_quarantine(engine, NOW) == 0
-    assert queries.purge_quarantine(engine, NOW + timedelta(seconds=1)) == 1
+    assert queries.purge_quarantine(engine, NOW, by="ann", at=NOW) == 0
+    assert queries.purge_quarantine(engine, NOW + timedelta(seconds=1), by="ann", at=NOW) == 1
 
 
 def status(moment: str, word: str) -> Row:

@@ -5,12 +5,14 @@ import io
 import json
 import re
 from collections.abc import Iterator
+from datetime import UTC, datetime
 from html import unescape
 from pathlib import Path
 from typing import Any
 
 import httpx
 import pytest
+from icalendar import Calendar
 from jsonschema import Draft202012Validator
 from playwright.sync_api import Browser, Page
 
@@ -30,7 +32,15 @@ from tests.support.in_process import ended
 from tests.support.patience import HANG_S
 
 SHIFT = "/vehicles/car1/shift?stream=stream-1&seq=59"
-LISTS = ("/", "/changes?since=2020-01-01", "/quarantine", "/alarms?state=all")
+LISTS = ("/", "/changes?since=2020-01-01", "/quarantine", "/alarms?state=all", "/maintenance")
+EMPTY = {
+    "/": "Nothing was heard of any vehicle yet.",
+    "/alarms": "There is none.",
+    "/maintenance": "Nothing was heard of any vehicle yet.",
+    "/changes": "Nothing became different.",
+    "/quarantine": "Every message could be used.",
+    "/audit": "Nobody changed anything.",
+}
 PAGES = (*LISTS, "/vehicles/car1", "/vehicles/worn", SHIFT, "/vehicles/nobody")
 TABLES_ONLY = {*LISTS, "/vehicles/nobody"}
 ALARM = "vehicle=worn&clutch=2&rule=verdict&number=1"
@@ -41,6 +51,7 @@ ADDRESSES = {
     "shift": f"/api/v1{SHIFT}",
     "alarms": "/api/v1/alarms?state=all",
     "alarm": f"/api/v1/alarm?{ALARM}",
+    "maintenance": "/api/v1/maintenance",
     "changes": "/api/v1/changes?since=2020-01-01",
     "quarantine": "/api/v1/quarantine",
 }
@@ -117,6 +128,42 @@ def acknowledge_by_keyboard(browser: Browser, workshop: str) -> list[str]:
     return complaints_of(other, f"{workshop}/alarm?{OTHER_ALARM}", "light", has_picture=False)
 
 
+def complaints_of_print(browser: Browser, address: str) -> dict[str, list[str]]:
+    """Return what is wrong with a vehicle on paper: pictures and tables are there, what leads elsewhere is not."""
+    page = new_page(browser, 794, has_axe=True)  # A4 at 96 pixels per inch
+    page.emulate_media(media="print")
+    found = complaints_of(page, f"{address}/vehicles/car1", "light")
+    seen = {name: page.locator(name).first.is_visible() for name in ("svg.plot", "table", "header.site", ".formats")}
+    wanted = {"svg.plot": True, "table": True, "header.site": False, ".formats": False}
+    return {"on paper": [*found, *(name for name, is_seen in seen.items() if is_seen != wanted[name])]}
+
+
+def test_an_empty_fleet_says_so_on_every_page(sqlite_template: Path, tmp_path: Path) -> None:
+    path = tmp_path / "fleet.sqlite"
+    path.write_bytes(sqlite_template.read_bytes())
+    with served(f"sqlite:///{path}", ACCESS) as address, chromium() as browser:
+        page = new_page(browser, 360, has_axe=True, headers=headers_of("root"))
+        for where, words in EMPTY.items():
+            assert complaints_of(page, address + where, "dark", has_picture=False) == [], where
+            assert page.get_by_text(words).count() == 1, where
+
+
+def test_what_is_due_is_a_calendar_too(reader: httpx.Client) -> None:
+    due = told(reader, "/api/v1/maintenance")["clutches"]
+    known = {(one["vehicle"], one["clutch"]): one for one in due}
+    assert set(known) == {(one["vehicle"], one["clutch"]) for one in told(reader, "/api/v1/clutches")["clutches"]}
+    assert known["worn", 2]["due_from"] == datetime.now(UTC).date().isoformat()  # its verdict says so
+    answer = reader.get("/maintenance.ics")
+    assert answer.headers["content-type"] == "text/calendar; charset=utf-8"
+    events: list[Any] = Calendar.from_ical(answer.text).walk("VEVENT")
+    days = {str(one["UID"]): one["DTSTART"].dt.isoformat() for one in events}
+    assert days == {
+        f"{one['vehicle']}-{one['clutch']}@fluid.clutchdiag": one["due_from"] for one in due if one["due_from"]
+    }
+    assert "/maintenance.ics" in reader.get("/maintenance").text
+    assert reader.get("/maintenance.ics?limit=201").status_code == 400
+
+
 def test_a_real_browser_shows_every_page_to_everybody(address: str, database: str, workshop: str) -> None:
     """One start: each page light and wide, one dark and on a telephone; one by keyboard, printed and renewed."""
     complaints = {}
@@ -153,6 +200,10 @@ def test_a_real_browser_shows_every_page_to_everybody(address: str, database: st
         page.get_by_text("the newest 5 events").wait_for()
         assert refused == []  # by the policy for contents
         complaints["an alarm with its form"] = acknowledge_by_keyboard(browser, workshop)
+        admin = new_page(browser, has_axe=True, headers=headers_of("root"))
+        complaints["the audit"] = complaints_of(admin, f"{workshop}/audit", "light", has_picture=False)
+        assert admin.get_by_text("worn/2/verdict/1: fluid is on order").count() == 1
+        complaints |= complaints_of_print(browser, address)
     assert complaints == {key: [] for key in complaints}
 
 

@@ -15,7 +15,7 @@ from diag_service.diagnosis.records import Condition
 from fleet_backend import queries
 from fleet_backend.database import open_database, transaction
 from fleet_backend.errors import DatabaseError
-from fleet_backend.page import changes_view, fleet_view, quarantine_view, shift_view, vehicle_view
+from fleet_backend.page import changes_view, fleet_view, maintenance_view, quarantine_view, shift_view, vehicle_view
 from fleet_backend.page.asking import Ask, read_words
 from fleet_backend.page.keeper import DatabaseSource, Keeper
 from fleet_backend.page.news import News
@@ -158,6 +158,32 @@ def test_what_is_remembered_of_a_clutch_is_never_old(engine: Engine) -> None:
     assert [one.outlook for one in again.clutches] != [one.outlook for one in first.clutches]
 
 
+def test_what_is_due_is_told_in_days_of_driving(engine: Engine) -> None:
+    results = history(200)
+    for name, days in (("car1", 5.0), ("car2", 0.5)):
+        ends = [NOW - timedelta(days=days * (1.0 - one.seq / len(results))) for one in results]
+        rows = [row_of(one) | {"vehicle": name, "end_at": end} for one, end in zip(results, ends, strict=True)]
+        Writer(engine).store(Batch(shifts=rows))
+    found = maintenance_view.find(sources_of(engine), ask(maintenance_view.VIEW))
+    due = {(one.vehicle, one.clutch): one for one in found.clutches}
+    vehicle = vehicle_view.find(sources_of(engine), ask(vehicle_view.VIEW, "car1"))
+    for clutch in vehicle.clutches:
+        one, outlook = due["car1", clutch.now.clutch], clutch.outlook
+        assert one.distance_a_day_m == pytest.approx(40_000.0)
+        assert outlook is not None
+        assert outlook.outlook == "ageing"
+        reach = outlook.change_fluid
+        assert reach is not None
+        wanted = [
+            None if far is None else (clutch.now.end_at + timedelta(days=far / (one.distance_a_day_m or 0.0))).date()
+            for far in (reach.p10_m, reach.p50_m, reach.p90_m)
+        ]
+        assert [one.due_from, one.half_by, one.most_by] == wanted
+        assert None not in wanted
+        assert outlook.sentence in one.text
+    assert due["car2", 1].due_from is None  # half a day says nothing of days
+
+
 class Watch:
     """Collects the statements of a connection with their values."""
 
@@ -210,6 +236,7 @@ def test_no_question_reads_all_results(large: Engine) -> None:
         (vehicle_view.VIEW, ask(vehicle_view.VIEW, "v7")),
         (shift_view.VIEW, ask(shift_view.VIEW, "v7", **SHIFT)),
         (changes_view.VIEW, ask(changes_view.VIEW, since=since)),
+        (maintenance_view.VIEW, ask(maintenance_view.VIEW, limit="2")),
         (quarantine_view.VIEW, ask(quarantine_view.VIEW)),
     )
     for view, question in questions:

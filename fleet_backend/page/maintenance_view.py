@@ -1,0 +1,132 @@
+"""Which fluids are due when: the prognosis in days, as far as is known how much each vehicle is driven."""
+
+from collections.abc import Sequence
+from datetime import date, timedelta
+from typing import Final
+
+from diag_service.diagnosis.prognosis import Outlook
+from fleet_backend.page import past, wording
+from fleet_backend.page.asking import AFTER, Ask, Kind, Parameter
+from fleet_backend.page.calendar import Entry, calendar_of
+from fleet_backend.page.fleet_view import next_of
+from fleet_backend.page.listing import part_of
+from fleet_backend.page.records import ClutchNow, Due, MaintenanceAnswer, Severity, TrendPoint
+from fleet_backend.page.vehicle_view import SERVICE_KM, past_of
+from fleet_backend.page.view import Shown, Sources, View
+from program_io.pages.content import NONE, Cell, Section, Table
+
+MOST: Final = 200  # each takes a prognosis
+LOOKED_BACK: Final = timedelta(days=90)  # over which it is counted how much a vehicle is driven
+LEAST: Final = timedelta(days=1)
+_HORIZON: Final = timedelta(days=3653)
+_WORDS: Final = (
+    "Due from: the day until which the fluid lasts with a probability of 90 %. Half by, most by: until then it has to "
+    "be changed with a probability of 50 and 90 %. Days are counted by the distance of the last 90 days."
+)
+_LIMIT: Final = Parameter(name="limit", text="how many at most", kind=Kind.COUNT, most=MOST, default=50)
+
+
+def find(sources: Sources, ask: Ask) -> MaintenanceAnswer:
+    """Return when the fluids of a part of the fleet are due, the worst first."""
+    clutches = sources.keeper.snapshot.clutches
+    part = part_of(clutches, ask.text("after"), ask.count("limit"))
+    return MaintenanceAnswer(
+        clutches=tuple(_due(sources, now, ask.now.date()) for now in part.clutches),
+        clutch_count=len(clutches),
+        next=part.next,
+    )
+
+
+def show(answer: MaintenanceAnswer, ask: Ask, _sources: Sources) -> Shown:
+    """Return the page of maintenance."""
+    head = ("vehicle", "clutch", "verdict", "due from", "half by", "most by", "km a day", "what to do")
+    table = Table(caption="When fluids are due, the worst first", head=head, rows=tuple(map(_cells, answer.clutches)))
+    texts = (_WORDS,) if answer.clutches else ("Nothing was heard of any vehicle yet.",)
+    return Shown(
+        title="Maintenance",
+        subtitle=f"{len(answer.clutches)} of {answer.clutch_count} clutches",
+        sections=(Section(name="due", title="What is due", texts=texts, tables=(table,) if answer.clutches else ()),),
+        next=next_of("/maintenance", ask, answer.next),
+    )
+
+
+def calendar(answer: MaintenanceAnswer, ask: Ask) -> bytes:
+    """Return the days from which fluids are due, as a calendar."""
+    entries = (
+        Entry(
+            key=f"{one.vehicle}-{one.clutch}@fluid.clutchdiag",
+            day=one.due_from,
+            title=f"Fluid of {one.vehicle}, clutch {one.clutch}",
+            text=one.text,
+        )
+        for one in answer.clutches
+        if one.due_from is not None
+    )
+    return calendar_of("Fluids of the fleet", entries, ask.now)
+
+
+def driven_a_day_m(points: Sequence[TrendPoint]) -> float | None:
+    """Return the distance that a vehicle is driven a day, None if it is not known; points come in their order."""
+    known = [(one.end_at, one.odometer_m) for one in points if one.odometer_m is not None]
+    if not known:
+        return None
+    last_at, last_m = known[-1]
+    first_at, first_m = next(one for one in known if last_at - one[0] <= LOOKED_BACK)
+    if last_at - first_at < LEAST or last_m <= first_m:
+        return None
+    return (last_m - first_m) * (timedelta(days=1) / (last_at - first_at))
+
+
+def _due(sources: Sources, now: ClutchNow, today: date) -> Due:
+    found, _ = past_of(sources, now, past.fills_of(sources.engine, now.vehicle), SERVICE_KM * wording.M_PER_KM)
+    a_day_m = driven_a_day_m(found.trend)
+    is_ageing = found.outlook is not None and found.outlook.outlook == Outlook.AGEING
+    reach = found.outlook.change_fluid if found.outlook is not None and is_ageing else None
+    quantiles = (None, None, None) if reach is None else (reach.p10_m, reach.p50_m, reach.p90_m)
+    days = [_day(now, distance_m, a_day_m) for distance_m in quantiles]
+    if now.condition == Severity.CHANGE_FLUID:
+        days = [today] * 3
+    text = found.outlook.sentence if found.outlook else found.why_no_outlook
+    return Due(
+        vehicle=now.vehicle,
+        clutch=now.clutch,
+        condition=now.condition,
+        due_from=days[0],
+        half_by=days[1],
+        most_by=days[2],
+        distance_a_day_m=a_day_m,
+        text=" ".join(one for one in (now.advice, text) if one),
+    )
+
+
+def _day(now: ClutchNow, distance_m: float | None, a_day_m: float | None) -> date | None:
+    if distance_m is None or a_day_m is None or distance_m > a_day_m * _HORIZON.days:
+        return None
+    return (now.end_at + timedelta(days=distance_m / a_day_m)).date()
+
+
+def _cells(one: Due) -> tuple[Cell, ...]:
+    days = (NONE if day is None else day.isoformat() for day in (one.due_from, one.half_by, one.most_by))
+    return (
+        wording.vehicle_link(one.vehicle),
+        str(one.clutch),
+        wording.badge(one.condition),
+        *days,
+        wording.km(one.distance_a_day_m),
+        one.text,
+    )
+
+
+VIEW: Final = View(
+    name="maintenance",
+    page_path="/maintenance",
+    api_path="/api/v1/maintenance",
+    text="When the fluids of the fleet are due, the worst first.",
+    parameters=(AFTER, _LIMIT),
+    answer=MaintenanceAnswer,
+    row=Due,
+    find=find,
+    show=show,
+    rows=lambda answer: answer.clutches,
+    calendar=calendar,
+)
