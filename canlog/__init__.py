@@ -15,7 +15,8 @@ if typing.TYPE_CHECKING:
     from canlog.errors import CanlogError, DefinitionError, ExtraMissingError, OutputError, SourceError
     from canlog.frames import FrameBatch
     from canlog.logs import LogCounts, LogFormat, LogReader, read_log
-    from canlog.whole_log import Log, Samples, read, write_parquet, write_table
+    from canlog.whole_log import Log, Samples, read
+    from canlog.written_tables import write_parquet, write_table
 
 __all__ = [
     "CanlogError",
@@ -41,6 +42,7 @@ _HOMES = {
     "canlog.errors": ("CanlogError", "DefinitionError", "ExtraMissingError", "OutputError", "SourceError"),
     "canlog.frames": ("FrameBatch",),
     "canlog.logs": ("LogCounts", "LogFormat", "LogReader", "read_log"),
-    "canlog.whole_log": ("Log", "Samples", "read", "write_parquet", "write_table"),
+    "canlog.whole_log": ("Log", "Samples", "read"),
+    "canlog.written_tables": ("write_parquet", "write_table"),
 }
 __getattr__, __dir__ = _on_demand(__name__, _HOMES)

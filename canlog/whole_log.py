@@ -5,14 +5,13 @@ from contextlib import ExitStack, closing
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 from cantools.database.can import Database
 
 from canlog.arrays import FloatArray, Int64Array
-from canlog.database.loading import load_database
-from canlog.errors import OutputError, SourceError
+from canlog.database.loading import database_of
 from canlog.extras import load_extra
 from canlog.frame_columns import join
 from canlog.frames import FrameBatch
@@ -24,19 +23,14 @@ from canlog.tables.decoding import (
     MAX_CELLS,
     Plan,
     TableShape,
-    decode_logs,
     decoded_batches,
     pieces,
     row_groups,
 )
-from canlog.tables.layouts import Values
-from canlog.tables.outputs import FORMAT_OF_SUFFIX, TableFormat
+from canlog.tables.inputs import log_paths
+from canlog.tables.layouts import ShapeName, Values, ValuesName
 from canlog.tables.report import losses
 from canlog.transport import LongMessage, LongMessages
-
-ShapeName = Literal["wide", "long"]
-ValuesName = Literal["numbers", "texts", "both"]
-FormatName = Literal["parquet", "csv", "jsonl", "arrow", "mf4"]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -176,11 +170,19 @@ class Log:
         reader = self.batches(shape, values)
         return load_pyarrow().Table.from_batches(reader, schema=reader.schema).unify_dictionaries()
 
-    def batches(self, shape: ShapeName = "wide", values: ValuesName = "numbers") -> Any:  # noqa: ANN401 - untyped
+    def batches(
+        self,
+        shape: ShapeName = "wide",
+        values: ValuesName = "numbers",
+        *,
+        signals: Sequence[str] = (),
+        begin: str | float | None = None,
+        end: str | float | None = None,
+    ) -> Any:  # noqa: ANN401 - untyped
         """Return a ``pyarrow.RecordBatchReader`` of the table of ``to_arrow``, which reads the files as it is read.
 
         It takes no more memory than a batch, however long the log is. For wide rows the files are read twice, for the
-        messages that occur are the columns.
+        messages that occur are the columns. ``signals``, ``begin`` and ``end`` are those of ``write_table``.
 
         Raises
         ------
@@ -188,11 +190,13 @@ class Log:
             If pyarrow is not installed.
         """
         arrow = load_pyarrow()
-        plan = replace(self._plan, shape=TableShape(shape), values=Values(values))
-        layout = plan.layout(self._streamed)
-        schema = arrow_schema(layout.kinds, layout.metadata)
+        whole = replace(self._plan, shape=TableShape(shape), values=Values(values))
+        plan = whole.part(signals, begin, end)
         account = DecodeAccount(codec=plan.codec, names=plan.names)
-        groups = row_groups(pieces(self._streamed(), plan.frames_per_group(layout)), layout, account)
+        layout = plan.layout(lambda: plan.span.part(self._streamed(), account.leave_out))
+        schema = arrow_schema(layout.kinds, layout.metadata)
+        frames = plan.span.part(self._streamed(), account.leave_out)
+        groups = row_groups(pieces(frames, plan.frames_per_group(layout)), layout, account)
         rows = (arrow.record_batch(list(columns.values()), schema=schema) for columns in groups)
         return arrow.RecordBatchReader.from_batches(schema, rows)
 
@@ -262,84 +266,4 @@ def read(
     DefinitionError
         If the database cannot be used.
     """
-    return Log(_paths(path), _database(database, is_lenient=is_lenient), is_strict=is_strict, columns=columns)
-
-
-def write_table(
-    path: Path | str | Sequence[Path | str],
-    database: Database | Path | str,
-    output: Path | str,
-    *,
-    table_format: FormatName | None = None,
-    shape: ShapeName = "wide",
-    values: ValuesName = "numbers",
-    is_lenient: bool = False,
-    columns: str = "",
-) -> list[str]:
-    """Write the signals of logs into a table, in bounded memory; return what is missing there, in words.
-
-    Parameters
-    ----------
-    path, database, is_lenient, columns
-        As of ``read``.
-    output
-        The table, which appears when it is complete; one that is there is replaced.
-    table_format : {"parquet", "csv", "jsonl", "arrow", "mf4"}, optional
-        By default what the suffix says: ``.parquet``, ``.csv``, ``.jsonl``, ``.arrows``, ``.mf4``.
-    shape, values
-        As of ``Log.to_arrow``; an MF4 file has a group for each message, and numbers.
-
-    Raises
-    ------
-    SourceError, DefinitionError, ExtraMissingError
-        As ``read`` and ``Log.to_arrow`` do.
-    OutputError
-        If there is no such format, or the file cannot be written.
-    """
-    plan = Plan.of(_database(database, is_lenient=is_lenient).messages, TableShape(shape), Values(values))
-    chosen = _format(Path(output), table_format)
-    if chosen is TableFormat.MF4 and (shape, values) != ("wide", "numbers"):
-        raise OutputError("an MF4 file has a group for each message, and numbers: neither shape nor values applies")
-    return list(losses(decode_logs(_paths(path), plan, Path(output), chosen, columns=columns).account))
-
-
-def write_parquet(
-    path: Path | str | Sequence[Path | str],
-    database: Database | Path | str,
-    output: Path | str,
-    *,
-    shape: ShapeName = "wide",
-    values: ValuesName = "numbers",
-    is_lenient: bool = False,
-    columns: str = "",
-) -> list[str]:
-    """Write the signals of logs into a Parquet file, whatever it is called: what ``write_table`` does."""
-    return write_table(
-        path,
-        database,
-        output,
-        table_format="parquet",
-        shape=shape,
-        values=values,
-        is_lenient=is_lenient,
-        columns=columns,
-    )
-
-
-def _database(database: Database | Path | str, *, is_lenient: bool) -> Database:
-    return database if isinstance(database, Database) else load_database(Path(database), is_lenient=is_lenient)
-
-
-def _paths(path: Path | str | Sequence[Path | str]) -> list[Path]:
-    paths = [Path(path)] if isinstance(path, str | Path) else [Path(one) for one in path]
-    if not paths:
-        raise SourceError("no log is named")
-    return paths
-
-
-def _format(output: Path, named: str | None) -> TableFormat:
-    try:
-        return FORMAT_OF_SUFFIX[output.suffix.lower()] if named is None else TableFormat(named)
-    except (KeyError, ValueError):
-        known = f"{', '.join(FORMAT_OF_SUFFIX)}, or as table_format says: {', '.join(TableFormat)}"
-        raise OutputError(f"{output}: signals are written as {known}") from None
+    return Log(log_paths(path), database_of(database, is_lenient=is_lenient), is_strict=is_strict, columns=columns)

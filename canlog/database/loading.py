@@ -251,3 +251,8 @@ def _chosen_messages(database: Database, bus: str, path: Path, *, is_lenient: bo
 def _twice(message: Message, other: Message) -> str:
     places = (f"{one.name} of {one.bus_name}" if one.bus_name else one.name for one in (other, message))
     return f"the identifier {message.frame_id:#x} belongs to {' and to '.join(places)}"
+
+
+def database_of(database: Database | Path | str, *, is_lenient: bool) -> Database:
+    """Return a database, loaded if it is a file's name; raises as ``load_database``."""
+    return database if isinstance(database, Database) else load_database(Path(database), is_lenient=is_lenient)

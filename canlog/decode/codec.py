@@ -1,7 +1,8 @@
 """All signals of a database: frames in, one table of columns per message out, in the units of the database."""
 
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from copy import copy
+from dataclasses import dataclass, replace
 from enum import IntEnum
 from types import MappingProxyType
 from typing import Final, NamedTuple
@@ -39,6 +40,7 @@ class FrameFate(IntEnum):
     UNKNOWN = 4  # of no message of the database
     REMOTE = 5
     ERROR = 6
+    LEFT_OUT = 7  # of a message, or of a time, that was not asked for
 
 
 HAS_VALUES: Final = (FrameFate.DECODED, FrameFate.SHORT)
@@ -122,11 +124,29 @@ class Codec:
         )
         self._blocks: dict[tuple[int, int], SignalBlock] = {}  # by slot and bytes of the frame
         self._book = address_book([addresses[slot] for slot in kept])
-        min_length = np.array([min(table.message.length, FD_PAYLOAD_BYTES) for table in self.tables], np.int64)
-        needed_bytes = np.array([table.needed_bytes for table in self.tables], np.int64)
-        is_empty = np.array([not table.signals for table in self.tables], np.bool_)
-        is_plain = ~is_empty & (needed_bytes == 0)  # of nearly all frames
-        self._rules = SlotRules(min_length, needed_bytes, is_empty, is_plain)
+        self._rules = _slot_rules(self.tables)
+        self._is_left_out: BoolArray | None = None  # (messages,) none of its signals was asked for
+
+    def only(self, places: Collection[tuple[int, str]]) -> "Codec":
+        """Return a codec with the same slots that decodes some signals, given by slot and name, and no others."""
+        chosen = copy(self)
+        chosen.tables = tuple(
+            replace(
+                table,
+                signals={name: one for name, one in table.signals.items() if (slot, name) in places},
+                refused={name: why for name, why in table.refused.items() if (slot, name) in places},
+            )
+            for slot, table in enumerate(self.tables)
+        )
+        is_left_out = np.array(
+            [bool(old.signals) and not new.signals for old, new in zip(self.tables, chosen.tables, strict=True)],
+            np.bool_,
+        )
+        chosen._blocks = {}  # noqa: SLF001 - of the copy
+        chosen._rules = _slot_rules(chosen.tables)  # noqa: SLF001 - likewise
+        chosen._rules.needed_bytes[is_left_out] = 0  # noqa: SLF001 - pieces of what is not asked for are no loss
+        chosen._is_left_out = is_left_out  # noqa: SLF001 - likewise
+        return chosen
 
     def match(self, batch: FrameBatch) -> FrameMatch:
         """Return which message each frame of a batch is."""
@@ -134,6 +154,9 @@ class Codec:
         counts = np.zeros((len(self.tables) + 1, len(FrameFate)), np.int64)
         plain = batch.plain()
         find_slots(self._book, self._rules, plain.can_id, plain.length, plain.flags, slot, counts)
+        if self._is_left_out is not None:
+            counts[:-1][self._is_left_out] = 0
+            counts[-1, FrameFate.LEFT_OUT] = len(batch) - counts.sum()
         return FrameMatch(slot=slot, counts=counts)
 
     def min_length(self, slot: int) -> int:
@@ -167,6 +190,14 @@ class Codec:
         if len(signals) < len(tables):
             cut_off = {name: table.cut_off_count(words, size) for name, table in tables.items() if name not in signals}
         return MessageValues(slot=slot, rows=rows, signals=signals, cut_off=cut_off, words=words)
+
+
+def _slot_rules(tables: Sequence[MessageTable]) -> SlotRules:
+    min_length = np.array([min(table.message.length, FD_PAYLOAD_BYTES) for table in tables], np.int64)
+    needed_bytes = np.array([table.needed_bytes for table in tables], np.int64)
+    is_empty = np.array([not table.signals for table in tables], np.bool_)
+    is_plain = ~is_empty & (needed_bytes == 0)  # of nearly all frames
+    return SlotRules(min_length, needed_bytes, is_empty, is_plain)
 
 
 def message_table(

@@ -75,6 +75,10 @@ class DecodeAccount:
         for name, count in found.cut_off.items():
             self.of_signal(found.slot, name).cut_off += count
 
+    def leave_out(self, count: int) -> None:
+        """Count frames that were not asked for."""
+        self.counts[-1, FrameFate.LEFT_OUT] += count
+
     def of_signal(self, slot: int, name: str) -> SignalCounts:
         """Return the counts of one signal, to be added to."""
         place = slot, name

@@ -1,7 +1,7 @@
 """Logs to tables: one pass from frames to columns and the account of what is not in them, for files and for memory."""
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import StrEnum
 from pathlib import Path
 from typing import Any, BinaryIO, Final, Protocol
@@ -22,6 +22,7 @@ from canlog.tables.names import TableNames, table_names
 from canlog.tables.outputs import TableFormat, open_columns
 from canlog.tables.parquet_long import LongParquet
 from canlog.tables.parquet_tables import GROUP_FRAMES, GROUP_VALUES, ParquetRows, WideParquet
+from canlog.tables.selection import EVERYTHING, Span, chosen_places
 from canlog.whole_file import replacing
 
 MAX_CELLS: Final = 4_000_000  # of a row group: 32 MB of numbers
@@ -46,14 +47,33 @@ class Plan:
     max_cells: int = MAX_CELLS  # of a row group
     max_frames: int = GROUP_FRAMES  # of a row group of Parquet
     max_values: int = GROUP_VALUES  # likewise
+    span: Span = EVERYTHING
 
     @classmethod
     def of(
-        cls, messages: Sequence[Message], shape: TableShape = TableShape.WIDE, values: Values = Values.NUMBERS
+        cls,
+        messages: Sequence[Message],
+        shape: TableShape = TableShape.WIDE,
+        values: Values = Values.NUMBERS,
     ) -> "Plan":
         """Return the plan for the messages of a database."""
         codec = Codec(messages)
         return cls(codec=codec, names=table_names(codec.tables), shape=shape, values=values)
+
+    def part(self, signals: Sequence[str], begin: str | float | None, end: str | float | None) -> "Plan":
+        """Return the plan for some signals, all if none is named, and for the stretch between two times.
+
+        Raises
+        ------
+        DefinitionError
+            If a pattern names no signal.
+        SourceError
+            If a text is no time.
+        """
+        span = Span.of(begin, end)
+        if not signals:
+            return replace(self, span=span)
+        return replace(self, span=span, codec=self.codec.only(chosen_places(self.names.columns, signals)))
 
     def layout(
         self, batches: Callable[[], Iterable[FrameBatch]], origins: Origins | None = None
@@ -194,42 +214,63 @@ def _written(
     logs: LogSet, plan: Plan, output: BinaryIO, table_format: TableFormat, is_stopped: Callable[[], bool]
 ) -> Decoded:
     account = DecodeAccount(codec=plan.codec, names=plan.names)
-    if table_format is TableFormat.PARQUET:
-        return _written_as_parquet(logs, plan, output, account, is_stopped)
-    if table_format is TableFormat.MF4:
-        from canlog.tables.mf4_table import Mf4Table  # noqa: PLC0415 - for this format alone
 
-        sink: TableSink = Mf4Table(output, plan.codec, plan.names, logs.origins)
-        size = plan.max_cells // CELLS_PER_FRAME
+    def frames(left_out: Callable[[int], None] = account.leave_out) -> Iterator[FrameBatch]:
+        return plan.span.part(_until(is_stopped, logs.frames()), left_out)
+
+    if table_format is TableFormat.PARQUET:
+        is_whole = _write_parquet(frames(), _parquet(plan, output, account, logs.origins), account, is_stopped)
     else:
-        layout = plan.layout(lambda: _until(is_stopped, logs.frames()), logs.origins)
-        sink, size = _Rows(output, table_format, layout), plan.frames_per_group(layout)
+        if table_format is TableFormat.MF4:
+            from canlog.tables.mf4_table import Mf4Table  # noqa: PLC0415 - for this format alone
+
+            sink: TableSink = Mf4Table(output, plan.codec, plan.names, logs.origins)
+            size = plan.max_cells // CELLS_PER_FRAME
+        else:
+            layout = plan.layout(lambda: frames(_uncounted), logs.origins)
+            sink, size = _Rows(output, table_format, layout), plan.frames_per_group(layout)
+        is_whole = _write(pieces(frames(), size), sink, account, is_stopped)
+    account.log = logs.counts
+    account.leave_out(max(0, account.log.frames - sum(account.fates.values())))  # behind the end that was asked for
+    return Decoded(account=account, readers=tuple(logs.readers), is_whole=is_whole)
+
+
+def _write(
+    batches: Iterable[FrameBatch], sink: TableSink, account: DecodeAccount, is_stopped: Callable[[], bool]
+) -> bool:
+    """Write frames into any format; return whether all are."""
     is_whole = False
     try:
-        for batch, found in decoded_batches(_until(is_stopped, pieces(logs.frames(), size)), account):
+        for batch, found in decoded_batches(batches, account):
             account.row_count += sink.write(batch, found)
         is_whole = not is_stopped()
     finally:
         (sink.close if is_whole else sink.discard)()
-    account.log = logs.counts
-    return Decoded(account=account, readers=tuple(logs.readers), is_whole=is_whole)
+    return is_whole
 
 
-def _written_as_parquet(
-    logs: LogSet, plan: Plan, output: BinaryIO, account: DecodeAccount, is_stopped: Callable[[], bool]
-) -> Decoded:
+def _parquet(plan: Plan, output: BinaryIO, account: DecodeAccount, origins: Origins | None) -> ParquetRows:
     kind = WideParquet if plan.shape is TableShape.WIDE else LongParquet
     limits = {"most_frames": plan.max_frames, "most_values": plan.max_values}
-    table: ParquetRows = kind(output, account, plan.values, logs.origins, **limits)
-    for batch in _until(is_stopped, logs.frames()):
-        match = plan.codec.match(batch)
+    return kind(output, account, plan.values, origins, **limits)
+
+
+def _write_parquet(
+    batches: Iterable[FrameBatch], table: ParquetRows, account: DecodeAccount, is_stopped: Callable[[], bool]
+) -> bool:
+    """Write frames into Parquet; return whether all are."""
+    for batch in batches:
+        match = account.codec.match(batch)
         account.add(batch, match)
         table.write(batch, match)
-    is_whole = not is_stopped()
-    if is_whole:
-        table.close()
-    account.log = logs.counts
-    return Decoded(account=account, readers=tuple(logs.readers), is_whole=is_whole)
+    if is_stopped():
+        return False
+    table.close()
+    return True
+
+
+def _uncounted(_: int) -> None:
+    """Count nothing: another pass does."""
 
 
 def _until(is_stopped: Callable[[], bool], batches: Iterable[FrameBatch]) -> Iterator[FrameBatch]:

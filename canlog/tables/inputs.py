@@ -138,3 +138,11 @@ def _with_name(counts: LogCounts, name: str) -> LogCounts:
 def _as_text(path: Path) -> str:
     """Return the name of a log as a text; bytes that are none become escapes."""
     return shown_name(path).encode(errors="surrogateescape").decode(errors="backslashreplace")
+
+
+def log_paths(path: Path | str | Sequence[Path | str]) -> list[Path]:
+    """Return one log or several as a list; raises SourceError if there is none."""
+    paths = [Path(path)] if isinstance(path, str | Path) else [Path(one) for one in path]
+    if not paths:
+        raise SourceError("no log is named")
+    return paths

@@ -7,7 +7,7 @@ behind the end of a short frame.
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
-from typing import Any, Final
+from typing import Any, Final, Literal
 
 import numpy as np
 import numpy.typing as npt
@@ -24,6 +24,8 @@ LOG, TIME, CHANNEL, ID, IS_EXTENDED = "log", "time", "channel", "id", "is_extend
 MESSAGE, SIGNAL, VALUE, TEXT, UNIT = "message", "signal", "value", "text", "unit"
 FRAME_KINDS: Final = {TIME: TIME_TYPE, CHANNEL: "int64", ID: "int32", IS_EXTENDED: BOOL_TYPE, MESSAGE: NAME_TYPE}
 _BARE_ID: Final = np.uint32(0x1FFF_FFFF)
+ShapeName = Literal["wide", "long"]
+ValuesName = Literal["numbers", "texts", "both"]
 Column = Any  # of pyarrow, which is untyped
 
 

@@ -91,6 +91,7 @@ def frame_texts(account: DecodeAccount) -> Iterator[str]:
         FrameFate.UNKNOWN: "of no message of the database",
         FrameFate.REMOTE: "remote frames",
         FrameFate.ERROR: "error frames",
+        FrameFate.LEFT_OUT: "not asked for",
     }
     for fate, count in account.fates.items():
         if count or fate is FrameFate.DECODED:

@@ -1,10 +1,13 @@
 """What the other commands do, from Python: signals of logs, what a log holds, a vehicle's own calibration."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import canlog
-from canlog.whole_log import FormatName, Log, ShapeName, ValuesName
+from canlog.tables.layouts import ShapeName, ValuesName
+from canlog.whole_log import Log
+from canlog.written_tables import FormatName
 from clutch_model.calibration import Calibration
 from diag_service.api.choices import AnyPath, AnyPaths, configuration, optional_path, path_list
 from diag_service.commands.arguments import DEFAULT_BITRATE
@@ -64,6 +67,9 @@ def decode(
     table_format: FormatName | None = None,
     layout: ShapeName = "wide",
     values: ValuesName = "numbers",
+    signals: Sequence[str] = (),
+    begin: str | float | None = None,
+    end: str | float | None = None,
     is_lenient: bool = False,
     columns: str = "",
 ) -> list[str]:
@@ -79,6 +85,8 @@ def decode(
         A row per frame with a column per signal, or a row per value.
     values : {"numbers", "texts", "both"}
         What stands for a value that the database names.
+    signals, begin, end
+        Only these signals, and only this stretch, as ``canlog.write_table`` takes them.
     paths, dbc, is_lenient, columns
         As of ``read``.
 
@@ -101,6 +109,9 @@ def decode(
             table_format=table_format,
             shape=layout,
             values=values,
+            signals=signals,
+            begin=begin,
+            end=end,
             columns=columns,
         )
 

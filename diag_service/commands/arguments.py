@@ -178,10 +178,19 @@ _DECODE: Final = Command(
         Choice(["numbers", "texts", "both"]),
         default="numbers",
     ),
+    Option(
+        "--signals NAME,NAME...",
+        "only these: Message.Signal or the signal alone, both with * for anything (default: all)",
+    ),
+    Option(
+        "--from TIME", "only what is not before: seconds from the first frame, or a time as 2026-01-01T12:30:00 (UTC)"
+    ),
+    Option("--to TIME", "only what is before; the log is read no further"),
     Option("--strict", "end with status 5 if anything of the log is not in the file, and say what"),
     *(JSON, VERBOSE),
     examples=(
         f"{PROGRAM} decode drive.blf --dbc car.dbc -o drive.parquet",
+        f"{PROGRAM} decode drive.blf --dbc car.dbc -o part.csv --signals 'EngineSpeed,Brake.*' --from 60 --to 90",
         f"{PROGRAM} decode front.blf rear.blf --dbc car.dbc -o both.mf4",
         f"candump -L can0 | {PROGRAM} decode - --dbc car.dbc -o - --layout long --format jsonl",
     ),

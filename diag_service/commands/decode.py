@@ -5,6 +5,7 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import BinaryIO, Final
 
+from canlog.errors import SourceError
 from canlog.logs import shown_name
 from canlog.parquet_file import load_pyarrow
 from canlog.tables.decoding import Decoded, Plan, TableShape, decode_logs
@@ -30,7 +31,7 @@ def execute(options: SimpleNamespace, controls: Controls) -> None:
     table_format = table_format_of(options.output, options.format)
     _check(options, table_format)
     messages = open_database(options.dbc, is_lenient=options.lenient).messages
-    plan = Plan.of(messages, TableShape(options.layout), Values(options.values))
+    plan = _part(Plan.of(messages, TableShape(options.layout), Values(options.values)), options)
     is_piped = options.output == STANDARD_STREAM
     output: Path | BinaryIO = sys.stdout.buffer if is_piped else options.output
     with ReadingLine() as line:
@@ -48,6 +49,15 @@ def execute(options: SimpleNamespace, controls: Controls) -> None:
         more = f"; and {len(lost) - 1} more" if len(lost) > 1 else ""
         names = ", ".join(map(shown_name, options.logs))
         raise IncompleteError(f"{names}: not all of it is in {_place(options)}: {lost[0]}{more}")
+
+
+def _part(plan: Plan, options: SimpleNamespace) -> Plan:
+    """Return the plan for what is asked for; raises ConfigError if a text is no time."""
+    signals = [name.strip() for name in (options.signals or "").split(",") if name.strip()]
+    try:
+        return plan.part(signals, vars(options)["from"], options.to)
+    except SourceError as exc:
+        raise ConfigError(str(exc)) from exc
 
 
 def table_format_of(output: Path, named: str | None) -> TableFormat:

@@ -8,7 +8,7 @@ import polars as pl
 import pytest
 
 import canlog
-from canlog.whole_log import ShapeName, ValuesName
+from canlog.tables.layouts import ShapeName, ValuesName
 
 DATABASE = """VERSION ""
 BU_: A

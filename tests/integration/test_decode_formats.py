@@ -169,3 +169,55 @@ def test_what_cannot_be_written_is_told(folder: Path, words: tuple[str, ...], st
     told = ended("decode", "drive.log", "--dbc", "car.dbc", *words)
     assert (told.status, text in told.err, told.err.count("\n")) == (status, True, 1), told.err
     assert {path.name for path in folder.iterdir()} == {"car.dbc", "drive.log"}
+
+
+@pytest.mark.parametrize("suffix", ["parquet", "csv"])
+@pytest.mark.parametrize("layout", ["wide", "long"])
+def test_a_part_is_what_the_whole_has_there(folder: Path, layout: str, suffix: str) -> None:
+    whole = decoded("drive.log", "--layout", layout)
+    columns = {"Brake.Speed", "Engine.State"}
+
+    def is_asked(row: Row) -> bool:
+        if layout == "long":
+            return f"{row['message']}.{row['signal']}" in columns
+        return row["message"] in {"Brake", "Engine"}
+
+    stretch = ["--from", "0.001001", "--to", "2026-01-01T00:00:00.004+00:00"]
+    words = ["--layout", layout, "--signals", "Brake.S*,State", *stretch, "--json"]
+    told = ended("decode", "drive.log", *words, "-o", f"part.{suffix}")
+    frames = json.loads(told.out)["frames"]
+    assert (frames["read"], frames["left_out"]) == (5, 2)
+    assert sum(frames.values()) == 2 * frames["read"]
+    if suffix == "csv":
+        with (folder / "part.csv").open(encoding="utf-8", newline="") as file:
+            count = len(list(csv.DictReader(file)))
+    else:
+        rows = pq.read_table("part.parquet").to_pylist()
+        count = len(rows)
+        kept = [
+            {name: cell for name, cell in row.items() if layout == "long" or "." not in name or name in columns}
+            for row in whole
+            if is_asked(row) and whole[0]["time"] < row["time"] < whole[-1]["time"]
+        ]
+        assert rows == kept
+    assert count == (3 if layout == "wide" else 2)
+
+
+def test_a_part_that_cannot_be_is_told(folder: Path) -> None:
+    assert folder.is_dir()
+    for words, text in (
+        (("--signals", "Brake.Sped"), "no signal is called Brake.Sped; there is Brake.Speed"),
+        (("--from", "noon"), "'noon' is no time"),
+    ):
+        told = ended("decode", "drive.log", *words, "-o", "part.csv")
+        assert (told.status, text in told.err) == (2, True), told.err
+
+
+def test_a_log_is_read_no_further_than_its_part(folder: Path) -> None:
+    lines = "".join(f"({1_767_225_600 + second}.000000) can0 100#00C80000\n" for second in range(200_000))
+    (folder / "long.log").write_text(lines, encoding="ascii")
+    told = ended("decode", "long.log", "--to", "5", "-o", "part.parquet", "--json")
+    record = json.loads(told.out)
+    assert record["rows"] == 5
+    assert 5 < record["frames"]["read"] < 200_000
+    assert record["frames"]["left_out"] == record["frames"]["read"] - 5
