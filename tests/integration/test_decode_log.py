@@ -182,7 +182,8 @@ def test_every_frame_and_every_loss_is_told(tmp_path: Path, capsys: pytest.Captu
     frames = record["frames"]
     assert frames.pop("read") == sum(frames.values()) == 10
     assert frames == {
-        "decoded": 3, "short": 2, "transported": 1, "without_signals": 1, "unknown": 1, "remote": 1, "error": 1
+        "decoded": 3, "short": 2, "transported": 1, "without_signals": 1, "unknown": 1, "remote": 1, "error": 1,
+        "left_out": 0,
     }  # fmt: skip
     assert record["unreadable"] == {"malformed": 1}
     assert record["refused"] == {"Bad.Outside": "Bad.Outside lies outside its message"}
