@@ -1,7 +1,7 @@
 """Readers of the fleet's page, in a process of their own: each looks at the fleet, then at a vehicle in it, and so on.
 
 As the page's script does, a reader follows what it looks at and asks again when the server says that it changed. Prints
-how long each page took, as JSON.
+"ready" when it begins, and in the end how long each page took, as JSON.
 
     python -m benchmarks.fleet_readers http://127.0.0.1:8090 --readers 50 --seconds 30
 """
@@ -70,6 +70,7 @@ async def read_together(address: str, count: int, reading_s: float) -> Times:
     times_s: Times = {"fleet": [], "vehicle": []}
     limits = httpx.Limits(max_connections=3 * count)
     async with httpx.AsyncClient(base_url=address, timeout=60.0, trust_env=False, limits=limits) as client:
+        print("ready", flush=True)
         end_s = time.monotonic() + reading_s
         await asyncio.gather(*(Reader(client, number, times_s).read(end_s) for number in range(count)))
     return times_s

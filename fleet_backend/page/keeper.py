@@ -14,8 +14,9 @@ from sqlalchemy import Engine
 from fleet_backend.errors import DatabaseError
 from fleet_backend.page import running
 from fleet_backend.page.listing import worst_first
-from fleet_backend.page.records import ClutchNow
+from fleet_backend.page.records import ClutchNow, Usual
 from fleet_backend.page.running import FillsSeen
+from fleet_backend.page.usual import Kind, usual_of
 
 PERIOD_S: Final = 2.0
 REST_RATIO: Final = 9.0  # of the time that reading takes: a tenth of a processor at most, while much arrives
@@ -80,6 +81,7 @@ class Snapshot:
     number: int = 0  # grows whenever something became different
     changed: frozenset[str] = frozenset()  # vehicles that did with this number
     vehicles: Mapping[str, tuple[ClutchNow, ...]] = field(default_factory=lambda: MappingProxyType({}))
+    usual: Mapping[Kind, Usual] = field(default_factory=lambda: MappingProxyType({}))
 
 
 class Keeper:
@@ -133,6 +135,7 @@ class Keeper:
             number=number,
             changed=frozenset(changed) if changed else last.changed,
             vehicles=vehicles,
+            usual=usual_of(clutches),
         )
         return bool(changed)
 

@@ -11,7 +11,7 @@ from markupsafe import Markup
 from canlog.arrays import FloatArray
 from diag_service.diagnosis.condition.thresholds import CHANGE_LEVEL_RATIO, WATCH_LEVEL_RATIO
 from diag_service.report.pictures import MOST_MOMENTS, MOST_POINTS, THRESHOLD_KEYS
-from fleet_backend.page.records import ClutchAlarm, Fill, TrendPoint
+from fleet_backend.page.records import ClutchAlarm, Fill, TrendPoint, Usual
 from fleet_backend.page.wording import M_PER_KM
 from program_io.pages.content import Key
 from program_io.pages.plot import Axis, Plot, thinned
@@ -33,10 +33,16 @@ class Course:
     std_running: FloatArray  # (n,)
     new_mu_c: float | None
     moments: tuple[tuple[float, str, str], ...]  # place on the axis, style, text
+    usual: Usual | None = None  # in the fleet now
 
     @classmethod
     def of(
-        cls, clutch: int, points: Sequence[TrendPoint], fills: Sequence[Fill], alarms: Sequence[ClutchAlarm]
+        cls,
+        clutch: int,
+        points: Sequence[TrendPoint],
+        fills: Sequence[Fill],
+        alarms: Sequence[ClutchAlarm],
+        usual: Usual | None,
     ) -> "Course":
         """Return the course of a clutch, over the odometer if most events know it."""
         odometer_km = _column([one.odometer_m for one in points]) / M_PER_KM
@@ -54,6 +60,7 @@ class Course:
             std_running=_column([one.running_std_mu_c for one in points]),
             new_mu_c=new_mu_c,
             moments=tuple(_moments(clutch, along, ends, fills, alarms))[-MOST_MOMENTS:],
+            usual=usual,
         )
 
 
@@ -61,10 +68,13 @@ def course_picture(course: Course) -> Markup:
     """Return how the friction of a clutch went, thinned to what a screen can show."""
     half, wide = STD_OF_50_PERCENT * course.std_running, STD_OF_90_PERCENT * course.std_running
     levels = [] if course.new_mu_c is None else [ratio * course.new_mu_c for ratio, _ in THRESHOLDS]
-    y = Axis.around("mu_C", course.single, course.running - wide, course.running + wide, np.array(levels))
+    usual = [] if course.usual is None else [course.usual.low_mu_c, course.usual.high_mu_c]
+    y = Axis.around("mu_C", course.single, course.running - wide, course.running + wide, np.array([*levels, *usual]))
     x = Axis.around(course.label, course.along, np.array([place for place, _, _ in course.moments]), margin_ratio=0.02)
     label = f"Clutch {course.clutch}: trend of mu_C, single events, running estimate with bands of 50 and 90 percent"
     plot = Plot(label, x, y)
+    if usual:
+        plot.band(np.array([x.low, x.high]), np.full(2, usual[0]), np.full(2, usual[1]), "shade")
     if course.new_mu_c is not None:
         for ratio, style in THRESHOLDS:
             plot.level(ratio * course.new_mu_c, style, f"{style}: {100.0 * ratio:.0f} %")
@@ -79,12 +89,15 @@ def course_picture(course: Course) -> Markup:
     return plot.markup()
 
 
-def course_keys(clutch: int) -> tuple[Key, ...]:
+def course_keys(course: Course) -> tuple[Key, ...]:
     """Return what the lines of a course stand for."""
+    clutch = course.clutch
+    usual = Key(style="shade", text="eight in ten clutches of this type and fluid are there now")
     return (
         Key(style=f"dots clutch{clutch}", text="single events"),
         Key(style=f"clutch{clutch}", text="estimate, all until then"),
         Key(style=f"band clutch{clutch}", text="it lies there with 50 % (dark) and 90 % probability"),
+        *(() if course.usual is None else (usual,)),
         *THRESHOLD_KEYS,
     )
 

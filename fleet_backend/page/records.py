@@ -130,6 +130,16 @@ class OutlookAnswer:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class Usual:
+    """Where the clutches of one type and fluid stand now: one in ten is below the low, one in ten above the high."""
+
+    clutch_count: int
+    low_mu_c: float
+    middle_mu_c: float
+    high_mu_c: float
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class ClutchHistory:
     """One clutch of a vehicle: now, its future and its past, the oldest event first."""
 
@@ -138,6 +148,7 @@ class ClutchHistory:
     why_no_outlook: str | None
     trend: tuple[TrendPoint, ...]
     result_count: int  # those that are not in the trend counted too
+    usual: Usual | None  # in the fleet; null where there are too few clutches of its type and fluid
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -20,6 +20,9 @@ _PARAMETERS: Final = (
     ),
     Parameter(name="seq", text="position in the stream", kind=Kind.COUNT, is_required=True),
 )
+_SIGNALS: Final = (
+    "The fleet keeps no signals of single events; diag-service report shows those of a log, run --page those of a run."
+)
 _QUANTITIES: Final = (
     ("mu_C, at high slip", "mu_c", "std_mu_c", "{:.4f}"),
     ("mu_S, at no slip", "mu_s", "std_mu_s", "{:.4f}"),
@@ -64,6 +67,7 @@ def _friction_section(answer: ShiftAnswer) -> Section:
             figures.append(curve_figure(answer.clutch, friction, reference, what))
     if answer.friction is None:
         texts.append(f"This event says nothing of the friction: {wording.words(answer.reasons)}.")
+    texts.append(_SIGNALS)
     if reference is None:
         texts.append("Curves are not drawn: the calibration of this result is not the shipped one.")
     return Section(

@@ -14,8 +14,9 @@ from fleet_backend.page.pictures import (
     course_keys,
     course_picture,
 )
-from fleet_backend.page.records import ClutchAlarm, ClutchHistory, ClutchNow, Fill, TrendPoint, VehicleAnswer
+from fleet_backend.page.records import ClutchAlarm, ClutchHistory, ClutchNow, Fill, TrendPoint, Usual, VehicleAnswer
 from fleet_backend.page.remembered import Past
+from fleet_backend.page.usual import kind_of
 from fleet_backend.page.view import Shown, Sources, View
 from fleet_backend.schema import RUNNING
 from program_io.pages.content import NONE, Cell, Figure, Link, Section, Table, spread
@@ -108,6 +109,7 @@ def _clutch(sources: Sources, now: ClutchNow, fills: tuple[Fill, ...], service_d
         why_no_outlook=found.why_no_outlook,
         trend=found.trend,
         result_count=stored.result_count,
+        usual=sources.keeper.snapshot.usual.get(kind_of(now)),
     )
 
 
@@ -152,9 +154,11 @@ def _clutch_section(answer: VehicleAnswer, clutch: ClutchHistory) -> Section:
     texts = []
     if clutch.result_count > len(clutch.trend):
         texts.append(f"The newest {len(clutch.trend)} of {clutch.result_count} stored results, older versions counted.")
+    if clutch.usual is not None:
+        texts.append(_usual_text(clutch.usual, clutch.now.mu_c))
     figures = []
     if clutch.trend:
-        course = Course.of(number, clutch.trend, answer.fills, answer.alarms)
+        course = Course.of(number, clutch.trend, answer.fills, answer.alarms, clutch.usual)
         places = spread(clutch.trend, _TREND_ROWS)
         table = Table(
             caption=f"Clutch {number}: {len(places)} of {len(clutch.trend)} events, evenly spread",
@@ -162,7 +166,7 @@ def _clutch_section(answer: VehicleAnswer, clutch: ClutchHistory) -> Section:
             rows=tuple(_trend_cells(clutch.trend[place]) for place in places),
         )
         caption = f"Clutch {number}: trend of mu_C"
-        figures.append(Figure(picture=course_picture(course), caption=caption, keys=course_keys(number), table=table))
+        figures.append(Figure(picture=course_picture(course), caption=caption, keys=course_keys(course), table=table))
     newest = clutch.trend[::-1][:_EVENT_ROWS]
     events = Table(
         caption=f"Clutch {number}: the newest {len(newest)} events",
@@ -172,6 +176,16 @@ def _clutch_section(answer: VehicleAnswer, clutch: ClutchHistory) -> Section:
     return Section(
         name=f"clutch-{number}", title=f"Clutch {number}", texts=tuple(texts), figures=tuple(figures), tables=(events,)
     )
+
+
+def _usual_text(usual: Usual, mu_c: float | None) -> str:
+    text = (
+        f"Of {usual.clutch_count} clutches of this type and fluid eight in ten have mu_C from {usual.low_mu_c:.4f} to "
+        f"{usual.high_mu_c:.4f} now, half of them more than {usual.middle_mu_c:.4f}."
+    )
+    if mu_c is None or usual.low_mu_c <= mu_c <= usual.high_mu_c:
+        return text
+    return f"{text} This one has {'less' if mu_c < usual.low_mu_c else 'more'} than is usual."
 
 
 def _trend_cells(point: TrendPoint) -> tuple[Cell, ...]:

@@ -19,6 +19,7 @@ from fleet_backend.page import changes_view, fleet_view, maintenance_view, quara
 from fleet_backend.page.asking import Ask, read_words
 from fleet_backend.page.keeper import DatabaseSource, Keeper
 from fleet_backend.page.news import News
+from fleet_backend.page.usual import LEAST_CLUTCHES
 from fleet_backend.page.view import Sources, View
 from fleet_backend.rows import Poison, moment, quarantine_row
 from fleet_backend.writer import Batch, Writer
@@ -156,6 +157,27 @@ def test_what_is_remembered_of_a_clutch_is_never_old(engine: Engine) -> None:
     assert again == fresh
     assert [len(one.trend) for one in again.clutches] == [20, 20]
     assert [one.outlook for one in again.clutches] != [one.outlook for one in first.clutches]
+
+
+def test_a_vehicle_is_shown_before_what_is_usual_in_the_fleet(engine: Engine) -> None:
+    rows = [row_of(one) for number in range(LEAST_CLUTCHES) for one in history(2, vehicle=f"v{number}")]
+    worn = [row | {"running_mu_c": 0.9 * row["running_mu_c"]} for row in map(row_of, history(2, vehicle="worn"))]
+    Writer(engine).store(Batch(shifts=[*rows, *worn]))
+    sources = sources_of(engine)
+    shown = {}
+    for name in ("v1", "worn"):
+        question = ask(vehicle_view.VIEW, name)
+        answer = vehicle_view.find(sources, question)
+        assert answer.clutches[0].usual is not None
+        assert answer.clutches[0].usual.clutch_count == LEAST_CLUTCHES + 1
+        shown[name] = vehicle_view.show(answer, question, sources).sections[1]
+    assert "Of 21 clutches of this type and fluid eight in ten" in shown["v1"].texts[0]
+    assert "than is usual" not in shown["v1"].texts[0]
+    assert shown["worn"].texts[0].endswith("This one has less than is usual.")
+    assert 'class="shade"' in shown["worn"].figures[0].picture
+    queries.note_fill(engine, "v1", "DCTF", at=datetime(2020, 1, 1, tzinfo=UTC), odometer_m=None, note=None)
+    sources.keeper.refresh()
+    assert vehicle_view.find(sources, ask(vehicle_view.VIEW, "v1")).clutches[0].usual is None  # of that fluid one
 
 
 def test_what_is_due_is_told_in_days_of_driving(engine: Engine) -> None:

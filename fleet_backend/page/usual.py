@@ -1,0 +1,37 @@
+"""What is usual in the fleet now: where the clutches of one type and fluid stand, for the background of a trend."""
+
+from collections.abc import Iterable, Mapping
+from types import MappingProxyType
+from typing import Final
+
+import numpy as np
+
+from fleet_backend.page.records import ClutchNow, Usual
+
+LEAST_CLUTCHES: Final = 20  # fewer say little of what is usual
+_SHARES: Final = (0.1, 0.5, 0.9)
+
+Kind = tuple[str, int, str | None]  # calibration, which stands for the type; clutch; fluid
+
+
+def kind_of(now: ClutchNow) -> Kind:
+    """Return the kind of a clutch."""
+    return now.calibration_version, now.clutch, now.fluid
+
+
+def usual_of(clutches: Iterable[ClutchNow]) -> Mapping[Kind, Usual]:
+    """Return what is usual of each kind of which there are enough."""
+    levels: dict[Kind, list[float]] = {}
+    for now in clutches:
+        if now.mu_c is not None:
+            levels.setdefault(kind_of(now), []).append(now.mu_c)
+    return MappingProxyType({
+        kind: Usual(clutch_count=len(some), **_quantiles(some))
+        for kind, some in levels.items()
+        if len(some) >= LEAST_CLUTCHES
+    })  # fmt: skip
+
+
+def _quantiles(levels: list[float]) -> dict[str, float]:
+    low, middle, high = np.quantile(levels, _SHARES).tolist()
+    return {"low_mu_c": low, "middle_mu_c": middle, "high_mu_c": high}
