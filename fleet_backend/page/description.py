@@ -64,13 +64,15 @@ def _operation(view: View, parameters: Iterable[Parameter], schema: object, prob
 
 
 def _parameter(one: Parameter) -> dict[str, Any]:
-    return {
+    described: dict[str, Any] = {
         "name": one.name,
         "in": "path" if one.in_path else "query",
         "required": one.is_required,
         "description": one.text,
         "schema": _schema(one),
     }
+    may_be_empty = not one.in_path and not one.is_required  # as an empty field of a form: not said
+    return {**described, "allowEmptyValue": True} if may_be_empty else described
 
 
 def _schema(one: Parameter) -> dict[str, Any]:

@@ -4,15 +4,19 @@ from typing import Final
 
 from jinja2 import ChoiceLoader, Environment, PackageLoader, StrictUndefined
 
+from program_io.pages.cells import rows_markup
+
 _OWN: Final = "program_io.pages"  # brings style.css and parts.html
 
 
 def templates_of(package: str) -> Environment:
     """Return the templates of a package's folder ``templates``, and behind them those that all pages share."""
-    return Environment(
+    made = Environment(
         loader=ChoiceLoader([PackageLoader(package), PackageLoader(_OWN)]),
         autoescape=True,
         undefined=StrictUndefined,
         trim_blocks=True,
         lstrip_blocks=True,
     )
+    made.filters["rows"] = rows_markup
+    return made

@@ -161,7 +161,10 @@ def test_what_is_remembered_of_a_clutch_is_never_old(engine: Engine) -> None:
 
 def test_a_vehicle_is_shown_before_what_is_usual_in_the_fleet(engine: Engine) -> None:
     rows = [row_of(one) for number in range(LEAST_CLUTCHES) for one in history(2, vehicle=f"v{number}")]
-    worn = [row | {"running_mu_c": 0.9 * row["running_mu_c"]} for row in map(row_of, history(2, vehicle="worn"))]
+    worn = [
+        {**row, "running_mu_c": 0.9 * float(str(row["running_mu_c"]))}
+        for row in map(row_of, history(2, vehicle="worn"))
+    ]
     Writer(engine).store(Batch(shifts=[*rows, *worn]))
     sources = sources_of(engine)
     shown = {}
