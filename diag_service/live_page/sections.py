@@ -7,7 +7,7 @@ from typing import Final
 from diag_service.diagnosis.summary import frames_line
 from diag_service.report.findings import Findings
 from diag_service.report.page import advice_of
-from diag_service.report.sections import events_section, friction_section, shifts_section
+from diag_service.report.sections import events_section, friction_section, shift_figures
 from diag_service.service.onlookers import LiveRun
 from diag_service.service.session import versions_for
 from diag_service.service.snapshot import Snapshot
@@ -41,11 +41,11 @@ def shown(run: LiveRun) -> Shown:
         title=title,
         subtitle=f"{legible(run.source)}; results in {legible(run.store)}",
         number=sum(snapshot.summary.shifts.by_status.values()),
-        advice=(*map(advice_of, snapshot.clutches), *_unseen(snapshot)),
+        advice=tuple(_advice(snapshot)),
         sections=(
             bus_section(run, snapshot),
             friction_section(found),
-            shifts_section(found),
+            _shifts_section(run),
             events_section(found),
         ),
     )
@@ -87,11 +87,19 @@ def _message_rows(snapshot: Snapshot) -> Iterator[tuple[Cell, ...]]:
         )
 
 
-def _unseen(snapshot: Snapshot) -> Iterator[Advice]:
-    seen = {result.estimate.clutch for result in snapshot.clutches}
+def _advice(snapshot: Snapshot) -> Iterator[Advice]:
+    known = {result.estimate.clutch: advice_of(result) for result in snapshot.clutches}
     for clutch in CLUTCHES:
-        if clutch not in seen:
-            yield Advice(condition="no-verdict", word="no verdict", text=f"Clutch {clutch}: no event engaged it yet.")
+        unseen = f"Clutch {clutch}: no event engaged it yet."
+        yield known.get(clutch) or Advice(condition="no-verdict", word="no verdict", text=unseen)
+
+
+def _shifts_section(run: LiveRun) -> Section:
+    """Return the pictures of the last shifts, the newest first."""
+    examples = run.shifts.examples[::-1]
+    texts = () if examples else ("No shift yet.",)
+    figures = tuple(figure for one in examples for figure in shift_figures(one))
+    return Section(name="shifts", title="The last shifts", texts=texts, figures=figures)
 
 
 def _findings(run: LiveRun, snapshot: Snapshot) -> Findings:
@@ -103,5 +111,4 @@ def _findings(run: LiveRun, snapshot: Snapshot) -> Findings:
         versions=versions_for(run.calibration),
         calibration=run.calibration,
         summary=snapshot.summary,
-        examples=tuple(reversed(run.shifts.examples)),
     )

@@ -90,7 +90,7 @@ def shifts_section(found: Findings) -> Section:
         texts.append("No shift could be used.")
     if found.summary is not None and Status.REJECTED not in kept:
         texts.append("No shift was rejected.")
-    figures = [figure for example in found.examples for figure in _shift_figures(example)]
+    figures = [figure for example in found.examples for figure in shift_figures(example)]
     return Section(name="shifts", title="Single shifts", texts=tuple(texts), figures=tuple(figures))
 
 
@@ -181,7 +181,8 @@ def _trend_cells(place: int, result: ShiftResult) -> tuple[Cell, ...]:
     )
 
 
-def _shift_figures(example: Example) -> Iterator[Figure]:
+def shift_figures(example: Example) -> Iterator[Figure]:
+    """Yield the pictures of one shift."""
     estimate = example.result.estimate
     reasons = reason_words(estimate)
     what = f"{estimate.status.value}{f' ({reasons})' if reasons else ''}"
