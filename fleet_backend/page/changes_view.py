@@ -7,7 +7,7 @@ from fleet_backend.page import wording
 from fleet_backend.page.asking import AFTER, LIMIT, Ask, Kind, Parameter
 from fleet_backend.page.changes import changes_of
 from fleet_backend.page.fleet_view import next_of
-from fleet_backend.page.listing import part_of
+from fleet_backend.page.listing import Wanted, matching, part_of
 from fleet_backend.page.records import Change, ChangesAnswer
 from fleet_backend.page.view import Choice, Shown, Sources, View
 from program_io.pages.content import Cell, Section, Table
@@ -19,7 +19,7 @@ def find(sources: Sources, ask: Ask) -> ChangesAnswer:
     """Return a part of what became different."""
     since = ask.moment("since", ask.now - USUAL)
     touched = [now for now in sources.keeper.snapshot.clutches if now.stored_at >= since]
-    part = part_of(touched, ask.text("after"), ask.count("limit"))
+    part = part_of(matching(touched, Wanted(name_part=ask.text("q"))), ask.text("after"), ask.count("limit"))
     found = changes_of(sources.engine, part.clutches, since)
     changes = tuple(one for one in found if one.why)
     return ChangesAnswer(since=since, changes=changes, clutch_count=part.matching_count, next=part.next)
@@ -36,7 +36,10 @@ def show(answer: ChangesAnswer, ask: Ask, _sources: Sources) -> Shown:
         sections=(
             Section(name="changes", title="What and why", texts=texts, tables=(table,) if answer.changes else ()),
         ),
-        choices=(Choice(name="since", label="Since", value=f"{answer.since:%Y-%m-%dT%H:%M}"),),
+        choices=(
+            Choice(name="q", label="Vehicle", value=ask.text("q") or ""),
+            Choice(name="since", label="Since", value=f"{answer.since:%Y-%m-%dT%H:%M}"),
+        ),
         next=next_of("/changes", ask, answer.next),
     )
 
@@ -61,6 +64,7 @@ VIEW: Final = View(
     api_path="/api/v1/changes",
     text="What became different since a moment, and why: new data, another algorithm or calibration, new fluid.",
     parameters=(
+        Parameter(name="q", text="a part of the vehicle's name", longest=64),
         Parameter(name="since", text="since when (default: a week ago)", kind=Kind.MOMENT, longest=40),
         AFTER,
         LIMIT,

@@ -76,6 +76,7 @@ def show(answer: VehicleAnswer, ask: Ask, _sources: Sources) -> Shown:
         sections=tuple(one for one in sections if one.texts or one.figures or one.tables),
         advice=tuple(wording.advice(one.now) for one in answer.clutches),
         trail=(Link(text="Fleet", href="/"),),
+        more=(Link(text="What changed in a week, and why", href=f"/changes?q={answer.vehicle}"),),
         follows=ask.said("vehicle"),
     )
 

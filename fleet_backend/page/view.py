@@ -63,6 +63,7 @@ class Shown:
     sections: tuple[Section, ...]
     advice: tuple[Advice, ...] = ()
     trail: tuple[Link, ...] = ()  # pages above this one
+    more: tuple[Link, ...] = ()  # other pages on the same
     choices: tuple[Choice, ...] = ()
     next: str | None = None  # of a list
     form: Form | None = None

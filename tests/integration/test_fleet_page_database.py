@@ -66,6 +66,8 @@ def test_what_became_different_is_told_with_its_reasons(engine: Engine) -> None:
     }
     assert (changes["aged"].condition_before, changes["aged"].condition) == ("good", "watch")
     assert changes["new"].condition_before is None
+    one = changes_view.find(sources_of(engine), ask(changes_view.VIEW, since="2026-02-15", q="GAIN"))
+    assert one.changes == (changes["again"],)
     assert found.changes[0].vehicle == "aged"  # the worst first
     parts: list[Any] = []
     after: dict[str, str] = {}
