@@ -125,9 +125,18 @@ _QUARANTINE: Final = Command(
 )
 _PEERS: Final = Command(
     "peers",
-    "learn how fluids of each type usually age, and show which clutches age faster than their peers",
+    "learn how fluids of each type usually age, and show which clutches and lots age faster than others",
     *_QUESTION,
-    examples=(f"{PROGRAM} peers", f"{PROGRAM} peers --json"),
+    Option("--keep", "keep what was learned as the next version: prognoses begin with it"),
+    Option("--write FILE", "write what was learned as JSON, for diag-service history --peers", FILE),
+    examples=(f"{PROGRAM} peers", f"{PROGRAM} peers --keep --write peers.json"),
+)
+_LOTS: Final = Command(
+    "lots",
+    "show what vehicles have in common, as the lot of their fluid; or take it from a table",
+    *_QUESTION,
+    Option("--read FILE", "CSV with a column vehicle and one for each property; empty cells are forgotten", FILE),
+    examples=(f"{PROGRAM} lots --read lots.csv", f"{PROGRAM} lots --json"),
 )
 _FILL: Final = Command(
     "fill",
@@ -200,7 +209,7 @@ COMMAND_LINE: Final = Program(
         *_COMMON,
         examples=(f"{PROGRAM} migrate --database sqlite:///fleet.sqlite",),
     ),
-    *(_TABLE, _TREND, _ALARMS, _PEERS, _QUARANTINE),
+    *(_TABLE, _TREND, _ALARMS, _PEERS, _LOTS, _QUARANTINE),
     Command("seen", "show when each vehicle was heard of", *_QUESTION, examples=(f"{PROGRAM} seen --json",)),
     Command(
         "codes",

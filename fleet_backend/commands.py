@@ -11,7 +11,7 @@ from typing import Final
 
 from sqlalchemy import Engine
 
-from fleet_backend import queries, report
+from fleet_backend import lots, queries, report
 from fleet_backend.alarm_words import parse_mail, parse_secret, parse_service_km, parse_silence, parse_webhook
 from fleet_backend.alarms.carriers import Carrier, Mail, Webhook
 from fleet_backend.alarms.mqtt import Mqtt
@@ -131,11 +131,33 @@ def _codes(options: SimpleNamespace, engine: Engine) -> None:
 
 def _peers(options: SimpleNamespace, engine: Engine) -> None:
     found = _page_part("fleet_backend.page.peers").fleet_ageing(engine)
+    version = None
+    if options.keep:
+        kept = _page_part("fleet_backend.page.populations")
+        version = kept.keep(engine, found.population, found.clutch_count, at=datetime.now(UTC), by=_user())
+    if options.write is not None:
+        _page_part("fleet_backend.page.populations").write(options.write, found.population, version)
     if options.json:
-        report.write_json([*found.usual, *found.clutches], sys.stdout)
+        kept_as = [] if version is None else [{"record": "population", "version": version}]
+        report.write_json([*found.usual, *found.clutches, *found.lots, *kept_as], sys.stdout)
         return
     report.show(report.usual_table(found.usual, found.clutch_count, found.left_out_count), sys.stdout, options.width)
     report.show(report.peers_table(found.clutches), sys.stdout, options.width)
+    if found.lots:
+        report.show(report.lot_standings_table(found.lots), sys.stdout, options.width)
+    if version is not None:
+        sys.stdout.write(f"kept as population {version}\n")
+
+
+def _lots(options: SimpleNamespace, engine: Engine) -> None:
+    if options.read is not None:
+        done = lots.store_lots(engine, lots.read_lots(options.read), at=datetime.now(UTC), by=_user())
+        unheard = f"; of {done.unheard_count} of them nothing was heard so far" if done.unheard_count else ""
+        sys.stdout.write(f"{done.lot_count} properties of {done.vehicle_count} vehicles{unheard}\n")
+        return
+    known = lots.lots_of(engine)
+    records = [{"vehicle": one, "name": name, "value": value} for one, own in known.items() for name, value in own]
+    _tell(options, records, lambda: report.lots_table(records))
 
 
 def _fill(options: SimpleNamespace, engine: Engine) -> None:
@@ -216,7 +238,7 @@ def _tell(options: SimpleNamespace, records: Sequence[report.Record], sheet: Cal
 _COMMANDS: Final[Mapping[str, Command]] = MappingProxyType({
     "ingest": _ingest, "migrate": _migrate, "table": _checked(_table), "trend": _checked(_trend),
     "alarms": _checked(_alarms), "quarantine": _checked(_quarantine), "seen": _checked(_seen),
-    "codes": _checked(_codes), "peers": _checked(_peers),
+    "codes": _checked(_codes), "peers": _checked(_peers), "lots": _checked(_lots),
     "fill": _checked(_fill), "hash": _checked(_hash), "serve": _checked(_serve),
     "watch": _checked(_watch),
 })  # fmt: skip

@@ -168,6 +168,23 @@ FLUID_FILL: Final = Table(
     Column("note", Text),
 )
 
+VEHICLE_LOT: Final = Table(
+    "vehicle_lot",
+    METADATA,
+    Column("vehicle", Text, primary_key=True),  # may be known before it was heard of
+    Column("name", Text, primary_key=True),  # of the property, as the lot of the fluid or the month of building
+    Column("value", Text, nullable=False),
+)
+
+POPULATION: Final = Table(
+    "population",
+    METADATA,
+    Column("version", BigInteger, primary_key=True, autoincrement=False),
+    Column("learned_at", UtcDateTime, nullable=False),
+    Column("clutch_count", BigInteger, nullable=False),  # learned from
+    Column("content", Text, nullable=False),  # JSON object
+)
+
 ALARM_ACKNOWLEDGEMENT: Final = Table(
     "alarm_acknowledgement",
     METADATA,

@@ -30,6 +30,7 @@ from fleet_backend.errors import DatabaseError
 from fleet_backend.page import past
 from fleet_backend.page.keeper import DatabaseSource, Keeper
 from fleet_backend.page.outlook import outlook_of
+from fleet_backend.page.populations import latest
 from fleet_backend.page.records import ClutchNow
 
 ROUND_S: Final = 10.0
@@ -113,7 +114,8 @@ class Watch:
         last = rows[-limits.unused_events :]
         unused = sum(row["status"] == "rejected" for row in last)
         yield quality_finding(one.vehicle, one.clutch, unused, len(last), limits)
-        found, _ = outlook_of(one.clutch, rows, fills, self._orders.service_distance_m) if rows else (None, None)
+        kept, service_distance_m = latest(self._engine), self._orders.service_distance_m
+        found, _ = outlook_of(one.clutch, rows, fills, service_distance_m, kept) if rows else (None, None)
         if found is not None:
             is_ageing = found.outlook == _AGEING and found.change_fluid is not None
             chance = found.change_fluid.probability_before_service if is_ageing and found.change_fluid else None

@@ -17,7 +17,19 @@ from benchmarks.prognosis.lives import DRIVEN_KM, ERRORS, Life, life_of
 from benchmarks.prognosis.scores import PROBABILITIES, crps, is_covered
 from benchmarks.prognosis.truth import REFERENCE, Fleet
 from canlog.arrays import FloatArray
-from diag_service.diagnosis.prognosis import Ageing, Kind, Peers, Population, ageings, learn, prognose, standings
+from diag_service.diagnosis.prognosis import (
+    Ageing,
+    Hindsight,
+    Kind,
+    Peers,
+    Population,
+    ageings,
+    hindsights,
+    learn,
+    prognose,
+    standings,
+    with_bends,
+)
 
 ResultT = TypeVar("ResultT")
 TYPES: Final = {  # median life of fluid [km]; vehicles of one type scatter less than all vehicles do
@@ -57,6 +69,13 @@ def ageings_of_seed(seed: int, name: str, fleet: Fleet, until_km: float) -> list
     history = life.history.first(life.rows_until(until_km))
     kind = Kind(vehicle_type=name, fluid="usual")
     return ageings(f"{name} {seed}", 1, history, REFERENCE, [kind, kind])
+
+
+def hindsights_of_seed(seed: int, name: str, population: Population) -> list[tuple[Ageing, list[Hindsight]]]:
+    """Return what would have been foretold of a vehicle's fluids, and what came."""
+    life = life_of(seed, ERRORS, fleet_of(name))
+    own = ageings_of_seed(seed, name, fleet_of(name), DRIVEN_KM)
+    return hindsights(life.history, REFERENCE, own, population)
 
 
 def told_of_seed(seed: int, fleet: Fleet, peers: Peers | None) -> list[Told]:
@@ -124,6 +143,17 @@ def peers_table(population: Population) -> Table:
                 f"{usual.start:.3f} ± {usual.start_std:.3f}", f"{usual.loss_per_m * 1.0e8:.3f}",
                 f"{usual.loss_log_std:.2f}",
             )  # fmt: skip
+    return table
+
+
+def bends_table(population: Population) -> Table:
+    """Return how lives bend, as learned."""
+    factors = sorted({factor for peers in population.peers for factor in peers.bends})
+    table = Table("type", "lives", *(f"{factor:g} times" for factor in factors), title="Bends to come, as learned")
+    for peers in population.peers:
+        if peers.kind.fluid is None:
+            shares = (f"{100.0 * peers.bends.get(factor, 0.0):.0f} %" for factor in factors)
+            table.add_row(peers.kind.vehicle_type, str(peers.bend_life_count), *shares)
     return table
 
 
@@ -205,6 +235,10 @@ def population_tables(first_seed: int, count: int, each: Each) -> list[Table]:
         work = partial(ageings_of_seed, name=name, fleet=fleet_of(name), until_km=DRIVEN_KM)
         learned += chain.from_iterable(each(work, known))
     population = learn(learned)
+    foretold: list[tuple[Ageing, list[Hindsight]]] = []
+    for name in TYPES:
+        foretold += chain.from_iterable(each(partial(hindsights_of_seed, name=name, population=population), known))
+    population = with_bends(population, foretold)
     told: list[Told] = []
     for name in TYPES:
         tell = partial(told_of_seed, fleet=fleet_of(name), peers=population.of(name, "usual"))
@@ -213,4 +247,9 @@ def population_tables(first_seed: int, count: int, each: Each) -> list[Table]:
     for odometer_km in LOOKS_KM:
         see = partial(ageings_of_number, first_seed=first_seed, until_km=odometer_km)
         looks.append(look_of(odometer_km, list(chain.from_iterable(each(see, range(BATCH_SIZE))))))
-    return [peers_table(population), told_table(told), batch_table(looks, batch_half_km(first_seed))]
+    return [
+        peers_table(population),
+        bends_table(population),
+        told_table(told),
+        batch_table(looks, batch_half_km(first_seed)),
+    ]

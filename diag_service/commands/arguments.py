@@ -228,6 +228,7 @@ _HISTORY: Final = Command(
     _VEHICLE,
     Option("--clutch", "of this clutch only", Choice([1, 2])),
     Option("--rows N", "events per clutch in the table, evenly spread (default: 20)", INT, default=20),
+    Option("--peers FILE", "begin prognoses with what a fleet taught: fleet-backend peers --write", FILE),
     Option("--json", "JSON lines on standard output: every event, then the fluid fills"),
     VERBOSE,
     examples=(f"{PROGRAM} history car1.sqlite", f"{PROGRAM} history car1.sqlite --clutch 2 --json"),

@@ -7,7 +7,7 @@ from typing import Any, Final
 from clutch_model.calibration import Calibration, nominal_calibration
 from clutch_model.clutch import FrictionCurve
 from clutch_model.fingerprint import fingerprint
-from diag_service.diagnosis.prognosis import Prognosis, history_of_estimates, prognose
+from diag_service.diagnosis.prognosis import Prognosis, history_of_estimates, prognose, without
 from diag_service.diagnosis.prognosis.sentence import outlook_line
 from diag_service.diagnosis.records import (
     FluidFill,
@@ -18,6 +18,7 @@ from diag_service.diagnosis.records import (
 )
 from diag_service.diagnosis.results import iso_utc
 from fleet_backend.page.past import friction_in
+from fleet_backend.page.populations import Kept
 from fleet_backend.page.records import Fill, OutlookAnswer, ReachAnswer
 from fleet_backend.schema import SCALE_FREE, SCALE_FREE_COLUMNS
 
@@ -75,16 +76,23 @@ def estimate_of(row: Row) -> ShiftEstimate:
 
 
 def outlook_of(
-    clutch: int, rows: Sequence[Row], fills: Sequence[Fill], service_distance_m: float
+    clutch: int, rows: Sequence[Row], fills: Sequence[Fill], service_distance_m: float, kept: Kept | None
 ) -> tuple[OutlookAnswer | None, str | None]:
-    """Return how far the fluid of a clutch will go by its results, the oldest first, or why that cannot be said."""
+    """Return how far the fluid of a clutch will go by its results, the oldest first, or why that cannot be said.
+
+    It begins with the population that was kept last.
+    """
     calibration = rows[-1]["calibration_version"]
     reference = reference_of(calibration, clutch)
     if reference is None:
         return None, _OTHER_CALIBRATION
     same = [estimate_of(row) for row in rows if row["calibration_version"] == calibration]
     past = history_of_estimates(same, [fluid_fill(rows[-1]["vehicle"], one) for one in fills], clutch)
-    found = prognose(clutch, past, reference, service_distance_m=service_distance_m)
+    peers = None
+    if kept is not None:
+        past = without(past, kept.population.common.get(calibration))
+        peers = kept.population.of(calibration, fills[-1].product if fills else None)
+    found = prognose(clutch, past, reference, service_distance_m=service_distance_m, peers=peers)
     return _answer(found, _left_out(rows, len(same))), None
 
 

@@ -1,60 +1,129 @@
-"""What the fluids of the fleet have in common, by type and fluid, and which clutches age faster than their peers."""
+"""What the fluids of the fleet have in common, by type and fluid; which clutches and lots age faster than others."""
 
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+from itertools import chain
+from typing import Final
 
 from sqlalchemy import Engine, select
 
+from clutch_model.clutch import FrictionCurve
 from diag_service.diagnosis.prognosis import (
     Ageing,
     ChannelName,
+    Common,
+    Hindsight,
+    History,
     Kind,
+    Lot,
+    LotStanding,
+    Monthly,
     Population,
     ageings,
+    common_of,
+    hindsights,
     history_of_estimates,
     learn,
+    lot_standings,
+    monthly,
     standings,
+    with_bends,
+    without,
 )
 from fleet_backend.database import transaction
+from fleet_backend.lots import lots_of
 from fleet_backend.page.outlook import estimate_of, fluid_fill, reference_of
 from fleet_backend.page.past import fills_of, results_of
 from fleet_backend.schema import CLUTCH
 
+MOST_LOOKED_BACK: Final = 200  # clutches of a type, evenly spread: how lives bend is learned from no more
+Key = tuple[str, int]  # vehicle and clutch
 Record = Mapping[str, object]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FleetAgeing:
-    """What was learned of a fleet, and how each clutch stands in it; JSON-ready records."""
+    """What was learned of a fleet, and how each clutch and each lot stands in it; JSON-ready records."""
 
+    population: Population
     usual: Sequence[Record]
     clutches: Sequence[Record]  # the fastest first
+    lots: Sequence[Record]  # the worst first
     clutch_count: int  # looked at
     left_out_count: int  # of them: of a calibration that is not at hand
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Clutch:
+    """What is known of one clutch."""
+
+    vehicle: str
+    clutch: int
+    vehicle_type: str
+    history: History
+    reference: FrictionCurve
+    kinds: Sequence[Kind]
+
+    def ageings(self) -> list[Ageing]:
+        """Return what its fluids say."""
+        return ageings(self.vehicle, self.clutch, self.history, self.reference, self.kinds)
+
+
 def fleet_ageing(engine: Engine) -> FleetAgeing:
-    """Learn from all clutches of a fleet, one after the other, and hold each against its peers."""
+    """Learn from all clutches of a fleet, one after the other, and hold each against its peers.
+
+    They do not fit into memory together, so they are read twice: for what all share, then without that.
+    """
     with transaction(engine) as connection:
         order = (CLUTCH.c.vehicle, CLUTCH.c.clutch)
         keys = [(str(vehicle), int(clutch)) for vehicle, clutch in connection.execute(select(*order).order_by(*order))]
-    lives: list[Ageing] = []
-    left_out = 0
-    for vehicle, clutch in keys:
-        found = _ageings(engine, vehicle, clutch)
-        left_out += found is None
-        lives += found or []
-    population = learn(lives)
+    common = _common(engine, keys)
+    read = partial(_clutch, engine, common)
+    lives = {key: one.ageings() for key in keys if (one := read(key)) is not None}
+    every = list(chain.from_iterable(lives.values()))
+    population = replace(learn(every), common=common)
+    population = with_bends(population, _looked_back(read, lives, population))
+    lots = {vehicle: [Lot(name=name, value=value) for name, value in own] for vehicle, own in lots_of(engine).items()}
     return FleetAgeing(
+        population=population,
         usual=list(_usual(population)),
-        clutches=list(_standings(lives, population)),
+        clutches=list(_standings(every, population)),
+        lots=list(_lots(lot_standings(every, population, lots))),
         clutch_count=len(keys),
-        left_out_count=left_out,
+        left_out_count=len(keys) - len(lives),
     )
 
 
-def _ageings(engine: Engine, vehicle: str, clutch: int) -> list[Ageing] | None:
-    """Return what the fluids of a clutch say; None where the friction of new fluid is not known."""
+def _common(engine: Engine, keys: Sequence[Key]) -> dict[str, Common]:
+    """Return what the clutches of each type share."""
+    months: dict[str, list[Monthly]] = {}
+    for key in keys:
+        one = _clutch(engine, {}, key)
+        if one is not None:
+            months.setdefault(one.vehicle_type, []).extend(monthly(one.history))
+    found = {name: common_of(clutches) for name, clutches in months.items()}
+    return {name: one for name, one in found.items() if one is not None}
+
+
+def _looked_back(
+    read: Callable[[Key], _Clutch | None], lives: Mapping[Key, Sequence[Ageing]], population: Population
+) -> Iterator[tuple[Ageing, Sequence[Hindsight]]]:
+    """Yield what would have been foretold of the fluids of some clutches of each type, and what came."""
+    types: dict[str, list[Key]] = {}
+    for key, own in lives.items():
+        if own:
+            types.setdefault(own[0].kind.vehicle_type, []).append(key)
+    for keys in types.values():
+        for key in keys[:: -(-len(keys) // MOST_LOOKED_BACK)]:
+            one = read(key)
+            if one is not None:
+                yield from hindsights(one.history, one.reference, lives[key], population)
+
+
+def _clutch(engine: Engine, common: Mapping[str, Common], key: Key) -> _Clutch | None:
+    """Return a clutch without what its type shares; None where the friction of new fluid is not known."""
+    vehicle, clutch = key
     rows = results_of(engine, vehicle, clutch)
     calibration = str(rows[-1]["calibration_version"]) if rows else ""
     reference = reference_of(calibration, clutch)
@@ -63,8 +132,28 @@ def _ageings(engine: Engine, vehicle: str, clutch: int) -> list[Ageing] | None:
     fills = fills_of(engine, vehicle)
     same = [estimate_of(row) for row in rows if row["calibration_version"] == calibration]
     past = history_of_estimates(same, [fluid_fill(vehicle, one) for one in fills], clutch)
-    kinds = [Kind(vehicle_type=calibration, fluid=name) for name in (None, *(one.product for one in fills))]
-    return ageings(vehicle, clutch, past, reference, kinds)
+    return _Clutch(
+        vehicle=vehicle,
+        clutch=clutch,
+        vehicle_type=calibration,
+        history=without(past, common.get(calibration)),
+        reference=reference,
+        kinds=[Kind(vehicle_type=calibration, fluid=name) for name in (None, *(one.product for one in fills))],
+    )
+
+
+def _lots(found: Iterable[LotStanding]) -> Iterator[Record]:
+    for one in found:
+        yield {
+            "record": "lot",
+            "name": one.lot.name,
+            "value": one.lot.value,
+            "vehicle_count": one.vehicle_count,
+            "loss_ratio": one.loss_ratio,
+            "loss_ratio_log_std": one.loss_ratio_log_std,
+            "e_value": one.e_value,
+            "is_faster_than_others": one.is_named,
+        }
 
 
 def _usual(population: Population) -> Iterator[Record]:
@@ -80,6 +169,8 @@ def _usual(population: Population) -> Iterator[Record]:
                 "start_std": usual.start_std,
                 "loss_per_m": usual.loss_per_m,
                 "loss_log_std": usual.loss_log_std,
+                "bend_life_count": peers.bend_life_count,
+                "bends": {f"{factor:g}": chance for factor, chance in peers.bends.items()},
             }
 
 

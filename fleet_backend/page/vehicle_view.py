@@ -14,6 +14,7 @@ from fleet_backend.page.pictures import (
     course_keys,
     course_picture,
 )
+from fleet_backend.page.populations import latest
 from fleet_backend.page.records import ClutchAlarm, ClutchHistory, ClutchNow, Fill, TrendPoint, Usual, VehicleAnswer
 from fleet_backend.page.remembered import Past
 from fleet_backend.page.usual import kind_of
@@ -91,15 +92,17 @@ def point_of(row: past.Row) -> TrendPoint:
 def past_of(
     sources: Sources, now: ClutchNow, fills: tuple[Fill, ...], service_distance_m: float
 ) -> tuple[Past, past.Stored]:
-    """Return the past of a clutch with what follows from it, and what is stored of it."""
+    """Return the past of a clutch with what follows from it and what is usual, and what is stored of it."""
+    kept = latest(sources.engine)
 
     def make() -> Past:
         rows = past.results_of(sources.engine, now.vehicle, now.clutch)
-        outlook, why_not = outlook_of(now.clutch, rows, fills, service_distance_m) if rows else (None, "No result yet.")
-        return Past(trend=tuple(map(point_of, rows)), outlook=outlook, why_no_outlook=why_not)
+        told = outlook_of(now.clutch, rows, fills, service_distance_m, kept) if rows else (None, "No result yet.")
+        return Past(trend=tuple(map(point_of, rows)), outlook=told[0], why_no_outlook=told[1])
 
     stored = past.stored_of(sources.engine, now.vehicle, now.clutch)
-    return sources.remembered.past((now.vehicle, now.clutch, service_distance_m), (stored, fills), make), stored
+    state = (stored, fills, None if kept is None else kept.version)
+    return sources.remembered.past((now.vehicle, now.clutch, service_distance_m), state, make), stored
 
 
 def _clutch(sources: Sources, now: ClutchNow, fills: tuple[Fill, ...], service_distance_m: float) -> ClutchHistory:

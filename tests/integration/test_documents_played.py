@@ -74,13 +74,14 @@ PLAYED_PAGES = [page for page in PAGES if played_lines(page)]
 
 @pytest.fixture(name="workshop", scope="module")
 def _workshop(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Return a folder with what the documents suppose to be there: a database, logs."""
+    """Return a folder with what the documents suppose to be there: a database, logs, a table."""
     folder = tmp_path_factory.mktemp("documents")
     shutil.copy(ROOT / "dbc" / "dct.dbc", folder / "car.dbc")
     (folder / "logs").mkdir()
     for name, seed in (("monday.log", 1), ("tuesday.blf", 2), ("logs/one.log", 3)):
         drive = ["record", str(folder / name), "--scenario", "noise_only", "--cycles", "1", "--seed", str(seed)]
         assert ecu_emulator.cli.main(drive) == 0
+    (folder / "lots.csv").write_text("vehicle,fluid lot\nCAR1,B7\n", encoding="utf-8")
     return folder
 
 

@@ -81,7 +81,7 @@ def test_results_go_on_where_an_earlier_schema_ended(empty: Engine, revision: st
 
 
 def test_there_is_an_earlier_schema_to_come_from() -> None:
-    assert EARLIER == ["r0001", "r0002", "r0003", "r0004", "r0005"]
+    assert EARLIER == ["r0001", "r0002", "r0003", "r0004", "r0005", "r0006"]
 
 
 def test_the_migrations_make_what_the_program_uses(empty: Engine) -> None:
@@ -133,4 +133,4 @@ def test_a_database_that_does_not_answer_is_said_to_be_away() -> None:
     with pytest.raises(DatabaseAwayError) as caught:
         check_schema(engine)
     assert "secret" not in str(caught.value)
-    assert newest_revision() == "r0006"
+    assert newest_revision() == "r0007"

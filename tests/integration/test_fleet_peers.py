@@ -1,20 +1,31 @@
 """What a fleet teaches, from the database to the table: what is usual, and who ages faster."""
 
 import json
+import sqlite3
 from dataclasses import replace
+from io import StringIO
 from pathlib import Path
 
 import pytest
+from sqlalchemy import select
 
+from diag_service.diagnosis.prognosis import population_from
 from diag_service.diagnosis.records import ShiftResult
+from fleet_backend.alarm_tables import AUDIT
 from fleet_backend.cli import main
-from fleet_backend.database import open_database
+from fleet_backend.database import open_database, transaction
+from fleet_backend.errors import DatabaseError
 from fleet_backend.migrate import migrate
+from fleet_backend.page.outlook import outlook_of
+from fleet_backend.page.past import results_of
+from fleet_backend.page.populations import latest
+from fleet_backend.report import lot_standings_table, show
 from fleet_backend.writer import Batch, Writer
 from tests.support.fleet import fleet_result, row_of
 from tests.support.histories import history
 
-CARS = 12
+CARS = 14
+FAST = ("fast0", "fast1", "fast2")
 
 
 def driven(vehicle: str, count: int, stretch: float) -> list[ShiftResult]:
@@ -28,44 +39,132 @@ def driven(vehicle: str, count: int, stretch: float) -> list[ShiftResult]:
 
 @pytest.fixture(name="address", scope="module")
 def _address(tmp_path_factory: pytest.TempPathFactory) -> str:
-    """Store a fleet in which one vehicle's fluid ages three times as fast, and one has another calibration."""
+    """Store a fleet in which the fluid of one lot ages three times as fast, and one vehicle has another calibration."""
     folder: Path = tmp_path_factory.mktemp("fleet")
     address = f"sqlite:///{folder / 'fleet.sqlite'}"
     engine = open_database(address)
     migrate(engine)
-    results = [one for car in range(CARS) for one in driven(f"car{car}", 60 + car, 1000.0)]
-    results += driven("fast", 60, 330.0)
+    results = [one for car in range(CARS) for one in driven(f"car{car}", 40 + car, 1000.0)]
+    results += [one for car in FAST for one in driven(car, 50, 330.0)]
     rows = [row_of(one) for one in (*results, fleet_result(1, vehicle="other"))]
     Writer(engine).store(Batch(shifts=rows))
     engine.dispose()
     return address
 
 
-def test_what_is_usual_is_learned_and_who_is_not_is_named(address: str, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["peers", "--database", address, "--json"]) == 0
+@pytest.fixture(name="table")
+def _table(tmp_path: Path) -> Path:
+    lines = ["vehicle,fluid lot,plant", *(f"car{car},{car % 2},north" for car in range(CARS))]
+    lines += [f"{car},B7,north" for car in FAST]
+    path = tmp_path / "lots.csv"
+    path.write_text("\n".join([*lines, "unheard,B7,"]) + "\n", encoding="utf-8")
+    return path
+
+
+def test_what_is_usual_is_learned_kept_and_used_and_who_is_not_usual_is_named(
+    address: str, table: Path, capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    assert main(["lots", "--database", address, "--read", str(table)]) == 0
+    assert capsys.readouterr().out == "35 properties of 18 vehicles; of 1 of them nothing was heard so far\n"
+    written = tmp_path / "peers.json"
+    assert main(["peers", "--database", address, "--json", "--keep", "--write", str(written)]) == 0
     records = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
     usual = [one for one in records if one["record"] == "usual"]
     clutches = [one for one in records if one["record"] == "clutch"]
+    lots = [one for one in records if one["record"] == "lot"]
     assert {one["channel"] for one in usual} == {"margin", "level"}
-    assert {one["life_count"] for one in usual} == {2 * (CARS + 1)}
-    assert len(clutches) == 2 * (CARS + 1)
-    assert {one["vehicle"] for one in clutches[:2]} == {"fast"}
+    assert {one["life_count"] for one in usual} == {2 * (CARS + len(FAST))}
+    assert {one["vehicle"] for one in clutches[: 2 * len(FAST)]} == set(FAST)
     assert clutches[0]["loss_ratio"] == pytest.approx(3.0, rel=0.3)
-    assert {one["vehicle"] for one in clutches if one["is_faster_than_peers"]} == {"fast"}
+    assert {one["vehicle"] for one in clutches if one["is_faster_than_peers"]} <= set(FAST)
+    assert [(one["name"], one["value"]) for one in lots if one["is_faster_than_others"]] == [("fluid lot", "B7")]
+    assert records[-1] == {"record": "population", "version": 1}
+
+    engine = open_database(address)
+    kept = latest(engine)
+    assert kept is not None
+    with transaction(engine) as connection:
+        audit = connection.execute(select(AUDIT.c.action, AUDIT.c.subject).order_by(AUDIT.c.at)).all()
+    assert [tuple(one) for one in audit] == [
+        ("read lots", "35 properties of 18 vehicles"),
+        ("keep population", "population 1, from 35 clutches"),
+    ]
+    assert kept.population == population_from(json.loads(written.read_text(encoding="utf-8")))
+    rows = results_of(engine, "car0", 2)
+    among, alone = (outlook_of(2, rows, (), 1.5e7, one)[0] for one in (kept, None))
+    engine.dispose()
+    assert among is not None
+    assert alone is not None
+    assert any("(population 1)" in line for line in among.assumptions)
+    assert not any("population" in line for line in alone.assumptions)
+    assert among.change_fluid != alone.change_fluid
 
 
-def test_people_read_the_same_and_what_is_left_out(address: str, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["peers", "--database", address]) == 0
-    text = capsys.readouterr().out
-    assert "learned from 27 clutches; 1 of another calibration are left out" in text
-    assert "Faster than their peers: 2 of 26 clutches" in text
+@pytest.mark.parametrize(
+    ("text", "complaint"),
+    [
+        ("car,lot\na,1\n", "a head is wanted"),
+        ("vehicle,lot\na,1,2\n", "line 2: 3 values for 2 columns"),
+        ("vehicle,lot\na,1\na,2\n", "line 3: no vehicle, or one that is there already"),
+        ("vehicle,lot\na,\x07\n", "is no word"),
+        ("vehicle,lot\na," + 201 * "x" + "\n", "is no word"),
+    ],
+)
+def test_a_table_that_is_none_changes_nothing(
+    address: str, table: Path, text: str, complaint: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["lots", "--database", address, "--read", str(table)]) == 0
+    table.write_text(text, encoding="utf-8")
+    assert main(["lots", "--database", address, "--read", str(table)]) == 2
+    assert complaint in capsys.readouterr().err
+    assert main(["lots", "--database", address, "--json"]) == 0
+    known = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
+    assert {"vehicle": "fast1", "name": "fluid lot", "value": "B7"} in known
+
+
+def test_an_empty_cell_is_forgotten(address: str, table: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["lots", "--database", address, "--read", str(table)]) == 0
+    table.write_text("vehicle,plant\nfast1,\n", encoding="utf-8")
+    assert main(["lots", "--database", address, "--read", str(table)]) == 0
+    capsys.readouterr()
+    assert main(["lots", "--database", address, "--json"]) == 0
+    known = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
+    assert [one["name"] for one in known if one["vehicle"] == "fast1"] == ["fluid lot"]
+
+
+def test_a_population_of_a_newer_program_is_an_error(tmp_path: Path) -> None:
+    engine = open_database(f"sqlite:///{tmp_path / 'newer.sqlite'}")
+    migrate(engine)
+    with sqlite3.connect(tmp_path / "newer.sqlite") as connection:
+        connection.execute("INSERT INTO population VALUES (1, '2026-01-01 00:00:00', 0, '{\"schema\": \"v9\"}')")
+    connection.close()
+    with pytest.raises(DatabaseError, match="cannot be used"):
+        latest(engine)
+    engine.dispose()
 
 
 def test_a_fleet_of_one_teaches_nothing(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     address = f"sqlite:///{tmp_path / 'small.sqlite'}"
     engine = open_database(address)
     migrate(engine)
-    Writer(engine).store(Batch(shifts=[row_of(one) for one in history(40)]))
+    Writer(engine).store(Batch(shifts=[row_of(one) for one in (*history(40), fleet_result(1, vehicle="other"))]))
     engine.dispose()
-    assert main(["peers", "--database", address]) == 0
-    assert "Faster than their peers: 0 of 0 clutches" in capsys.readouterr().out
+    assert main(["peers", "--database", address, "--keep"]) == 0
+    text = capsys.readouterr().out
+    assert "learned from 3 clutches; 1 of another calibration are left out" in text
+    assert "Faster than their peers: 0 of 0 clutches" in text
+    assert "Lots" not in text
+    assert text.endswith("kept as population 1\n")
+    assert main(["lots", "--database", address]) == 0
+    assert "Properties of 0 vehicles" in capsys.readouterr().out
+
+
+def test_people_read_which_lots_are_bad() -> None:
+    record = {"name": "fluid lot", "loss_ratio_log_std": 0.1, "vehicle_count": 9}
+    bad = record | {"value": "B7", "loss_ratio": 1.92, "e_value": 5.0e4, "is_faster_than_others": True}
+    good = record | {"value": "B8", "loss_ratio": 0.98, "e_value": 0.02, "is_faster_than_others": False}
+    text = StringIO()
+    show(lot_standings_table([bad, good]), text, None)
+    assert "Lots that age faster than the others: 1 of 2" in text.getvalue()
+    lines = [line.split() for line in text.getvalue().splitlines()]
+    assert ["fluid", "lot", "B7", "yes", "9", "1.92", "10", "5e+04"] in lines

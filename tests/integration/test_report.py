@@ -72,6 +72,8 @@ def test_single_shifts_of_a_log_are_shown(log_report: Path) -> None:
         (("history", "drive.log"), 4, "is not a result store"),
         (("history", "nowhere.sqlite"), 4, "there is no store"),
         (("history", "car1.sqlite", "--rows", "0"), 2, "--rows must be 1 or more"),
+        (("history", "car1.sqlite", "--peers", "car1.sqlite"), 2, "car1.sqlite: "),
+        (("history", "car1.sqlite", "--peers", "nowhere.json"), 2, "nowhere.json: "),
         (("show", "car1.sqlite", "99"), 4, "has no shift 99; the newest is 3"),
         (("show", "drive.log", "1"), 4, "is not a result store"),
         (("fluid-changed", "car1.sqlite", "--at", "yesterday"), 2, "is no date"),

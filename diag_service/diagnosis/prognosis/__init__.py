@@ -1,18 +1,27 @@
 """Prognosis: from the past results of one clutch to how far its fluid will go, with how sure that is."""
 
+from diag_service.diagnosis.prognosis.bends import Hindsight
 from diag_service.diagnosis.prognosis.channels import ChannelName
-from diag_service.diagnosis.prognosis.fluid_lives import ageings
+from diag_service.diagnosis.prognosis.common import Common, Monthly, common_course, common_of, monthly, without
 from diag_service.diagnosis.prognosis.history import History, history_of, history_of_estimates
-from diag_service.diagnosis.prognosis.outliers import Standing, common_course, standings
+from diag_service.diagnosis.prognosis.lots import Lot, LotStanding, lot_standings
+from diag_service.diagnosis.prognosis.outliers import Standing, standings
 from diag_service.diagnosis.prognosis.passage import Passage
-from diag_service.diagnosis.prognosis.population import Ageing, Kind, Peers, Population, Usual, learn
+from diag_service.diagnosis.prognosis.past_lives import ageings, hindsights
+from diag_service.diagnosis.prognosis.population import Ageing, Kind, Peers, Population, Usual, learn, with_bends
 from diag_service.diagnosis.prognosis.prognosis import Outlook, Prognosis, prognose
+from diag_service.diagnosis.prognosis.written import population_from, population_record
 
 __all__ = [
     "Ageing",
     "ChannelName",
+    "Common",
+    "Hindsight",
     "History",
     "Kind",
+    "Lot",
+    "LotStanding",
+    "Monthly",
     "Outlook",
     "Passage",
     "Peers",
@@ -22,9 +31,17 @@ __all__ = [
     "Usual",
     "ageings",
     "common_course",
+    "common_of",
+    "hindsights",
     "history_of",
     "history_of_estimates",
     "learn",
+    "lot_standings",
+    "monthly",
+    "population_from",
+    "population_record",
     "prognose",
     "standings",
+    "with_bends",
+    "without",
 ]

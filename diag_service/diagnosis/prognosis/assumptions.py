@@ -14,7 +14,7 @@ NEW_WITHIN_M: Final = 5.0e6  # a fluid first seen within 5,000 km of its fill co
 SERVICE_DISTANCE_M: Final = 1.5e7  # to the next service, where nobody says another
 
 KNEE_PROBABILITY: Final = 0.35  # that the rate has changed once while this fluid was in
-FUTURE_BENDS: Final = {1.5: 0.22, 4.0: 0.27}  # factor of the rate: chance that it comes before the end
+FUTURE_BENDS: Final = {0.5: 0.01, 1.5: 0.24, 4.5: 0.27}  # factor of the rate: chance that it comes before the end
 LOAD_LOG_STD: Final = 0.05  # future against recent load, natural logarithm
 NEXT_FLUID_LOG_STD: Final = 0.35  # ageing rate of one vehicle from fluid to fluid
 

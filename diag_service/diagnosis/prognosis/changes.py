@@ -91,31 +91,30 @@ def _neighbourhood(value: FloatArray) -> FloatArray:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Sums:
-    """Running sums of the normal equations of a straight line with temperature, shape (2, n + 1, ...)."""
+    """Running sums of the normal equations of a straight line with temperature, shape (..., 2, n + 1)."""
 
     weight: FloatArray  # (2, n)
-    regressors: FloatArray  # (n, 3): one, distance, temperature
-    outer: FloatArray  # (2, n + 1, 3, 3)
+    regressors: FloatArray  # (3, n): one, distance, temperature
+    outer: FloatArray  # (3, 3, 2, n + 1)
 
     @classmethod
     def of(cls, history: History, first: int, stop: int, std: FloatArray) -> "_Sums":
         """Sum over some rows of a history."""
         odometer_m, warmth_k = history.odometer_m[first:stop], history.sump_temperature_k[first:stop] - REFERENCE_K
         distance = (odometer_m - odometer_m[0]) / _UNIT_M
-        regressors = np.column_stack((np.ones(stop - first), distance, warmth_k))
+        regressors = np.array([np.ones(stop - first), distance, warmth_k])
         weight = std**-2
-        products = weight[:, :, None, None] * regressors[:, :, None] * regressors[:, None, :]
+        products = weight * (regressors[:, None] * regressors[None, :])[:, :, None]
         return cls(weight=weight, regressors=regressors, outer=_running(products))
 
     def moments(self, relative: FloatArray) -> FloatArray:
-        """Return running sums of regressors times values, shape (2, n + 1, 3)."""
-        return _running((self.weight * (relative - 1.0))[:, :, None] * self.regressors)
+        """Return running sums of regressors times values, shape (3, 2, n + 1)."""
+        return _running(self.weight * (relative - 1.0) * self.regressors[:, None])
 
 
 def _running(values: FloatArray) -> FloatArray:
-    """Return the sums of everything before each row, along the second axis, which becomes one longer."""
-    begun = np.zeros((values.shape[0], 1, *values.shape[2:]))
-    return np.concatenate((begun, np.cumsum(values, axis=1)), axis=1)
+    """Return the sums of everything before each row, along the last axis, which becomes one longer."""
+    return np.concatenate((np.zeros((*values.shape[:-1], 1)), np.cumsum(values, axis=-1)), axis=-1)
 
 
 def _scan(sums: _Sums, relative: FloatArray, correlation: float, count: int) -> tuple[FloatArray, Int64Array]:
@@ -142,18 +141,20 @@ def _steps(
     outer: FloatArray, moments: FloatArray, firsts: Int64Array, changes: Int64Array, ends: Int64Array
 ) -> tuple[FloatArray, FloatArray]:
     """Return the least-squares steps of both coefficients and their deviations, shape (2, number of stretches)."""
-    normal = np.zeros((2, len(ends), 4, 4))
-    right = np.zeros((2, len(ends), 4))
-    normal[..., :3, :3] = outer[:, ends] - outer[:, firsts]
-    normal[..., 1, 1] += (SLOPE_STD_PER_M * _UNIT_M) ** -2
-    normal[..., 2, 2] += WARMTH_STD_PER_K**-2
-    after = (outer[:, ends] - outer[:, changes])[..., 0, :]
-    normal[..., 3, :3] = normal[..., :3, 3] = after
-    normal[..., 3, 3] = after[..., 0]
-    right[..., :3] = moments[:, ends] - moments[:, firsts]
-    right[..., 3] = (moments[:, ends] - moments[:, changes])[..., 0]
-    covariance = np.linalg.inv(normal)
-    return np.asarray(np.einsum("cni,cni->cn", covariance[..., 3, :], right)), np.sqrt(covariance[..., 3, 3])
+    line = outer[..., ends] - outer[..., firsts]
+    line[1, 1] += (SLOPE_STD_PER_M * _UNIT_M) ** -2
+    line[2, 2] += WARMTH_STD_PER_K**-2
+    step = outer[0][..., ends] - outer[0][..., changes]
+    normal = [[*line[0], step[0]], [*line[1], step[1]], [*line[2], step[2]], [*step, step[0]]]
+    moment = moments[..., ends] - moments[..., firsts]
+    right = [*moment, moments[0][..., ends] - moments[0][..., changes]]
+    for done in range(3):  # elimination: what is left in the last place is of the step alone
+        for row in range(done + 1, 4):
+            share = normal[done][row] / normal[done][done]
+            for column in range(row, 4):
+                normal[row][column] = normal[row][column] - share * normal[done][column]
+            right[row] = right[row] - share * right[done]
+    return np.asarray(right[3] / normal[3][3]), np.asarray(1.0 / np.sqrt(normal[3][3]))
 
 
 def _chi_square(z: FloatArray, correlation: float) -> FloatArray:

@@ -1,6 +1,5 @@
 """The lives of the fluids of one clutch so far: each fitted by itself, one saying what to expect of the next."""
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -17,12 +16,14 @@ from diag_service.diagnosis.prognosis.assumptions import (
     UNKNOWN_MARGIN,
     ChannelPrior,
 )
-from diag_service.diagnosis.prognosis.changes import FluidStart, fluid_starts
+from diag_service.diagnosis.prognosis.changes import FluidStart
 from diag_service.diagnosis.prognosis.channels import Channel, ChannelName, Clock, channels_of, clocks_of
 from diag_service.diagnosis.prognosis.history import History
-from diag_service.diagnosis.prognosis.population import Ageing, Course, Kind, Peers
-from diag_service.diagnosis.prognosis.trend import Fit, Mixture, Part, aged, fallen, fit, summary
+from diag_service.diagnosis.prognosis.passage import Passage, passage
+from diag_service.diagnosis.prognosis.population import Peers
+from diag_service.diagnosis.prognosis.trend import Fit, Mixture, Part, aged, fit, summary
 
+CHANGE_MARGIN_RATIO = 0.0  # the slope turns: what the verdict calls a negative slope
 _OF_NEW = {ChannelName.MARGIN: MARGIN_OF_NEW, ChannelName.LEVEL: LEVEL_OF_NEW}
 _UNKNOWN = {ChannelName.MARGIN: UNKNOWN_MARGIN, ChannelName.LEVEL: UNKNOWN_LEVEL}
 
@@ -134,39 +135,8 @@ def _aged_channel(channel: Channel, clocks: tuple[Clock, ...], prior: ChannelPri
     return AgedChannel(prior=prior, fits=tuple(fits), mixtures=weighted)
 
 
-def ageings(
-    vehicle: str, clutch: int, history: History, reference: FrictionCurve, kinds: Sequence[Kind]
-) -> list[Ageing]:
-    """Return what each fluid of a clutch that was new when first seen says of its kind.
-
-    ``kinds`` are those of the fluids by their numbers in the history; that of a fill that nobody noted is not known.
-    """
-    starts = fluid_starts(history) if len(history) else ()
-    found = []
-    for life in fluid_lives(history, starts, reference, None):
-        if not life.is_new:
-            continue
-        kind = kinds[int(history.fluid_number[life.first])]
-        found.append(
-            Ageing(
-                vehicle=vehicle,
-                clutch=clutch,
-                kind=kind if life.is_noted else replace(kind, fluid=None),
-                distance_m=life.distance_m,
-                is_present=life.stop == len(history),
-                courses={name: _course(channel, life.distance_m) for name, channel in life.channels.items()},
-            )
-        )
-    return found
-
-
-def _course(channel: AgedChannel, distance_m: float) -> Course:
-    """Return start and mean loss of a channel; by distance, whatever clock explains it better."""
-    start, start_std = summary(channel.fits[0], Part.SEEN_START)
-    fall, fall_std = fallen(channel.fits[0])
-    return Course(
-        start=start,
-        start_std=start_std,
-        loss_per_m=fall / max(distance_m, 1.0),
-        loss_std_per_m=fall_std / max(distance_m, 1.0),
-    )
+def either(life: FluidLife, margin_limit: float, level_limit: float) -> Passage:
+    """Return when the margin or the level passes its limit; the level that of new fluid or that of its own start."""
+    margin = passage(life.channels[ChannelName.MARGIN].mixtures, [(margin_limit, 0.0)])
+    level = passage(life.channels[ChannelName.LEVEL].mixtures, [(level_limit, 0.0), (0.0, level_limit)])
+    return margin.or_(level)

@@ -1,17 +1,13 @@
 """When a clutch passes a limit: probability over the distance still to drive, and what is read from it."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Final, Self
 
 import numpy as np
 
 from canlog.arrays import FloatArray
-from diag_service.diagnosis.prognosis.assumptions import (
-    FUTURE_BENDS,
-    HORIZON_M,
-    LOAD_LOG_STD,
-)
+from diag_service.diagnosis.prognosis.assumptions import HORIZON_M, LOAD_LOG_STD
 from diag_service.diagnosis.prognosis.normal import normal_cdf
 from diag_service.diagnosis.prognosis.trend import Mixture
 
@@ -52,9 +48,28 @@ class Passage:
         neither = (1.0 - self.probability) * (1.0 - other.probability)
         return Passage(distance_m=self.distance_m, probability=1.0 - neither)
 
+    def bent(self, bends: Mapping[float, float]) -> "Passage":
+        """Return the same, widened by what is still to come: factors by which the rate may change, their chances."""
+        return Passage(distance_m=self.distance_m, probability=self.bent_within(self.distance_m, bends))
+
+    def bent_within(self, distance_m: FloatArray, bends: Mapping[float, float]) -> FloatArray:
+        """Return the probability to pass the limit within each distance, if the load or the rate may still change.
+
+        Either makes the clock of ageing run faster or slower: as if more or less were driven. Where a bend comes is
+        counted in what is left, so that a fluid near its end is as likely to bend before it as a newer one.
+        """
+        left_m = float(self.quantiles_m(np.array([0.5]))[0])
+        total = np.zeros_like(distance_m)
+        for load, load_weight in zip(_LOADS, _LOAD_WEIGHTS, strict=True):
+            driven_m = distance_m * np.exp(load * LOAD_LOG_STD)
+            for share, factor, weight in _scenarios(bends):
+                aged_m = driven_m + (factor - 1.0) * np.maximum(driven_m - share * left_m, 0.0)
+                total += load_weight * weight * np.interp(aged_m, self.distance_m, self.probability)
+        return np.minimum(total, 1.0)
+
 
 def passage(mixtures: Sequence[Mixture], limits: Sequence[tuple[float, float]]) -> Passage:
-    """Return when a channel passes the first of some limits.
+    """Return when a channel passes the first of some limits, if rates only wander.
 
     Parameters
     ----------
@@ -64,11 +79,11 @@ def passage(mixtures: Sequence[Mixture], limits: Sequence[tuple[float, float]]) 
         Pairs: a number, and the share of the channel's own start that is added to it.
     """
     steady = np.max([np.sum([_steady(one, *limit) for one in mixtures], axis=0) for limit in limits], axis=0)
-    return Passage(distance_m=DISTANCE_M, probability=_with_future(np.maximum.accumulate(steady)))
+    return Passage(distance_m=DISTANCE_M, probability=np.maximum.accumulate(steady))
 
 
 def _steady(mixture: Mixture, limit: float, start_share: float) -> FloatArray:
-    """Return the probability to be below a limit after each distance, if rates only wander, shape (d,)."""
+    """Return the probability to be below a limit after each distance, shape (d,)."""
     now = mixture.now - start_share * mixture.start
     variance = (
         mixture.now_variance
@@ -80,31 +95,12 @@ def _steady(mixture: Mixture, limit: float, start_share: float) -> FloatArray:
     return np.asarray(mixture.weight @ normal_cdf((limit - mean) / np.sqrt(spread)))
 
 
-def _with_future(steady: FloatArray) -> FloatArray:
-    """Return probabilities that allow for another load, and for a bend that is still to come.
-
-    Either makes the clock of ageing run faster or slower: as if more or less were driven. Where a bend comes is counted
-    in what is left, so that a fluid near its end is as likely to bend before it as a newer one.
-    """
-    left_m = float(np.interp(0.5, steady + np.arange(len(steady)) * 1e-12, DISTANCE_M))
-    total = np.zeros_like(steady)
-    for load, load_weight in zip(_LOADS, _LOAD_WEIGHTS, strict=True):
-        distance_m = DISTANCE_M * np.exp(load * LOAD_LOG_STD)
-        for share, factor, weight in _BENDS:
-            aged_m = distance_m + (factor - 1.0) * np.maximum(distance_m - share * left_m, 0.0)
-            total += load_weight * weight * np.interp(aged_m, DISTANCE_M, steady)
-    return np.minimum(total, 1.0)
-
-
-def _bends() -> tuple[tuple[float, float, float], ...]:
+def _scenarios(bends: Mapping[float, float]) -> tuple[tuple[float, float, float], ...]:
     """Return at which part of what is left the rate may change, by which factor, and how likely that is."""
     middles, widths = 0.5 * (_BEND_EDGES[1:] + _BEND_EDGES[:-1]), np.diff(_BEND_EDGES)
     later = [
         (float(share), factor, chance * float(width))
         for share, width in zip(middles, widths, strict=True)
-        for factor, chance in FUTURE_BENDS.items()
+        for factor, chance in bends.items()
     ]
-    return (0.0, 1.0, 1.0 - sum(FUTURE_BENDS.values())), *later
-
-
-_BENDS: Final = _bends()
+    return (0.0, 1.0, 1.0 - sum(bends.values())), *later

@@ -5,14 +5,16 @@ of the population. Both are robust, so that a bad batch among many does not wide
 """
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Final
 
 import numpy as np
 
 from canlog.arrays import FloatArray
-from diag_service.diagnosis.prognosis.assumptions import ChannelPrior
+from diag_service.diagnosis.prognosis.assumptions import FUTURE_BENDS, ChannelPrior
+from diag_service.diagnosis.prognosis.bends import Bends, Hindsight, bends_of
 from diag_service.diagnosis.prognosis.channels import ChannelName
+from diag_service.diagnosis.prognosis.common import Common
 
 LEAST_LIVES: Final = 8  # of a kind; fewer say nothing of their scatter
 LEAST_SCATTER: Final = {"start": 0.005, "loss_log": 0.05}  # no population is believed to be all alike
@@ -49,7 +51,8 @@ class Ageing:
     kind: Kind
     distance_m: float  # with this fluid
     is_present: bool  # the fluid that is in now
-    courses: Mapping[ChannelName, Course]
+    courses: Mapping[ChannelName, Course]  # until the limit was passed, or so far
+    lasted_m: float | None = None  # until the limit was passed; None: it was not
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -69,6 +72,9 @@ class Peers:
     kind: Kind
     life_count: int
     channels: Mapping[ChannelName, Usual]
+    bends: Bends = field(default_factory=lambda: FUTURE_BENDS)
+    bend_life_count: int = 0  # lives that say how they bend; 0: it is assumed
+    version: int | None = None  # of the population
 
     def prior(self, name: ChannelName, before: ChannelPrior) -> ChannelPrior:
         """Return what to believe of a clutch of this kind with new fluid before its first result."""
@@ -90,12 +96,36 @@ class Population:
 
     life_count: int
     peers: tuple[Peers, ...]
+    common: Mapping[str, Common] = field(default_factory=dict)  # what clutches of each type share, by its name
+    version: int | None = None  # as it is kept; None: it is not
 
     def of(self, vehicle_type: str, fluid: str | None) -> Peers | None:
         """Return the peers of a clutch: those with the same fluid, or else all of its type; None: too few are known."""
         known = {one.kind: one for one in self.peers}
         same = known.get(Kind(vehicle_type=vehicle_type, fluid=fluid))
-        return known.get(Kind(vehicle_type=vehicle_type, fluid=None)) if same is None else same
+        found = known.get(Kind(vehicle_type=vehicle_type, fluid=None)) if same is None else same
+        return None if found is None else replace(found, version=self.version)
+
+
+def with_bends(population: Population, told: Iterable[tuple[Ageing, Sequence[Hindsight]]]) -> Population:
+    """Return a population that knows how lives of each type bend, by looks at past ones.
+
+    Types of which fewer than `LEAST_LIVES` lives are looked at keep what is assumed.
+    """
+    groups: dict[str, list[Sequence[Hindsight]]] = {}
+    for life, own in told:
+        if own:
+            groups.setdefault(life.kind.vehicle_type, []).append(own)
+    known = {name: lives for name, lives in groups.items() if len(lives) >= LEAST_LIVES}
+    bends = bends_of(known) if known else {}
+    return replace(
+        population,
+        peers=tuple(
+            replace(one, bends=bends[name], bend_life_count=len(known[name])) if name in bends else one
+            for one in population.peers
+            for name in (one.kind.vehicle_type,)
+        ),
+    )
 
 
 def learn(lives: Iterable[Ageing]) -> Population:

@@ -12,20 +12,26 @@ from diag_service.diagnosis.condition.thresholds import (
     WATCH_MARGIN_RATIO,
 )
 from diag_service.diagnosis.prognosis.assumptions import (
+    FUTURE_BENDS,
     LEAST_ROWS,
     SERVICE_DISTANCE_M,
     SURE_OF_AGEING,
 )
 from diag_service.diagnosis.prognosis.changes import FluidStart, fluid_starts
 from diag_service.diagnosis.prognosis.channels import ChannelName
-from diag_service.diagnosis.prognosis.fluid_lives import AgedChannel, FluidLife, Value, fluid_lives
+from diag_service.diagnosis.prognosis.fluid_lives import (
+    CHANGE_MARGIN_RATIO,
+    AgedChannel,
+    FluidLife,
+    Value,
+    either,
+    fluid_lives,
+)
 from diag_service.diagnosis.prognosis.history import History
-from diag_service.diagnosis.prognosis.passage import Passage, passage
+from diag_service.diagnosis.prognosis.passage import Passage
 from diag_service.diagnosis.prognosis.population import Peers
 from diag_service.diagnosis.prognosis.trend import Fit, Part, probability_falling, summary
 from diag_service.diagnosis.prognosis.words import assumptions_of
-
-CHANGE_MARGIN_RATIO = 0.0  # the slope turns: what the verdict calls a negative slope
 
 
 class Outlook(StrEnum):
@@ -112,8 +118,9 @@ def prognose(
     sure = max(probability_falling(one.fits[0]) for one in today.channels.values())
     events_per_m = _events_per_m(history)
     energy_per_m = None if history.slip_energy_j is None else _recent_energy_j(history) * events_per_m
-    watch = _either(today, WATCH_MARGIN_RATIO, WATCH_LEVEL_RATIO)
-    change = _either(today, CHANGE_MARGIN_RATIO, CHANGE_LEVEL_RATIO)
+    bends = FUTURE_BENDS if peers is None else peers.bends
+    watch = either(today, WATCH_MARGIN_RATIO, WATCH_LEVEL_RATIO).bent(bends)
+    change = either(today, CHANGE_MARGIN_RATIO, CHANGE_LEVEL_RATIO).bent(bends)
     return replace(
         blank,
         outlook=Outlook.AGEING if sure >= SURE_OF_AGEING else Outlook.NO_TREND,
@@ -123,13 +130,6 @@ def prognose(
         watch=_reach(watch, events_per_m, service_distance_m),
         change_fluid=_reach(change, events_per_m, service_distance_m),
     )
-
-
-def _either(life: FluidLife, margin_limit: float, level_limit: float) -> Passage:
-    """Return when the margin or the level passes its limit; the level that of new fluid or that of its own start."""
-    margin = passage(life.channels[ChannelName.MARGIN].mixtures, [(margin_limit, 0.0)])
-    level = passage(life.channels[ChannelName.LEVEL].mixtures, [(level_limit, 0.0), (0.0, level_limit)])
-    return margin.or_(level)
 
 
 def _reach(when: Passage, events_per_m: float, service_distance_m: float) -> Reach:

@@ -19,6 +19,7 @@ from diag_service.diagnosis.prognosis.history import History
 from diag_service.diagnosis.prognosis.population import Peers
 
 M_PER_KM = 1000.0
+CLEAR_BEND = 1.5  # factor of the rate
 _PERCENT = 100.0
 
 
@@ -26,13 +27,27 @@ def assumptions_of(
     history: History, starts: tuple[FluidStart, ...], service_distance_m: float, peers: Peers | None
 ) -> tuple[str, ...]:
     """Return the assumptions of a prognosis, one sentence each."""
-    return (*_assumptions(history, starts, service_distance_m), *_of_peers(peers))
+    return (*_assumptions(history, starts, service_distance_m), *_of_bends(peers), *_of_peers(peers))
+
+
+def _of_bends(peers: Peers | None) -> Iterator[str]:
+    if peers is not None and peers.bend_life_count:
+        faster = sum(chance for factor, chance in peers.bends.items() if factor >= CLEAR_BEND)
+        yield (
+            f"ageing may bend before the limit is passed as in {peers.bend_life_count} lives of this type, "
+            f"{_PERCENT * faster:.0f} % of them to {CLEAR_BEND:g} times the rate or more"
+        )
+        return
+    factors = " or ".join(f"{factor:g}" for factor in FUTURE_BENDS)
+    chance = sum(FUTURE_BENDS.values())
+    yield f"ageing may become {factors} times as fast before the limit is passed, {_PERCENT * chance:.0f} % in all"
 
 
 def _of_peers(peers: Peers | None) -> Iterator[str]:
     if peers is not None:
         fluid = "any fluid" if peers.kind.fluid is None else peers.kind.fluid
-        yield f"before its own results, new fluid ages as in {peers.life_count} lives of this type with {fluid}"
+        which = "" if peers.version is None else f" (population {peers.version})"
+        yield f"before its own results, new fluid ages as in {peers.life_count} lives of this type with {fluid}{which}"
 
 
 def _assumptions(history: History, starts: tuple[FluidStart, ...], service_distance_m: float) -> Iterator[str]:
@@ -43,9 +58,6 @@ def _assumptions(history: History, starts: tuple[FluidStart, ...], service_dista
     yield f"change_fluid: margin gone, or mu_C below {_PERCENT * CHANGE_LEVEL_RATIO:.0f} % of new or of its own start"
     yield f"friction as at {degc_from_k(REFERENCE_K):.0f} degC of the oil"
     yield f"the load stays as it was lately, within {_PERCENT * LOAD_LOG_STD:.0f} % (one deviation)"
-    factors = " or ".join(f"{factor:g}" for factor in FUTURE_BENDS)
-    chance = sum(FUTURE_BENDS.values())
-    yield f"ageing may become {factors} times as fast before the limit is passed, {_PERCENT * chance:.0f} % in all"
     horizon = f"{HORIZON_M / M_PER_KM:,.0f} km"
     yield f"the next service is {service_distance_m / M_PER_KM:,.0f} km ahead; nothing is said beyond {horizon}"
     yield "torque gain, piston area and sensors drift no more than fluid ages: results cannot tell the two apart"

@@ -8,6 +8,7 @@ from rich.table import Table
 from rich.text import Text
 
 from clutch_model.calibration import nominal_calibration
+from diag_service.diagnosis.prognosis import ChannelName, Kind, Peers, Population, Usual
 from diag_service.diagnosis.records import FluidFill
 from diag_service.diagnosis.results import shift_record, utc_from_bus_ns
 from diag_service.errors import StoreError
@@ -52,6 +53,20 @@ def test_every_event_is_a_record_and_the_last_one_has_the_fills() -> None:
     assert fills["fills"] == [
         {"filled_at": fill_at(21).filled_at, "odometer_m": None, "product": "DCTF-II", "note": None}
     ]
+
+
+def test_prognoses_begin_with_what_a_fleet_taught() -> None:
+    found = findings(40)
+    usual = Usual(start=1.0, start_std=0.02, loss_per_m=5.0e-8, loss_log_std=0.1)
+    kind = Kind(vehicle_type=found.versions.calibration, fluid=None)
+    peers = Peers(kind=kind, life_count=77, channels={ChannelName.MARGIN: usual})
+    told = [
+        [line.plain for line in history_lines(found, (1,), most_rows=5, population=one) if isinstance(line, Text)]
+        for one in (None, Population(life_count=77, peers=(peers,)), Population(life_count=0, peers=()))
+    ]
+    alone, among, strangers = ([line for line in lines if line.startswith("Clutch 1:")][1] for lines in told)
+    assert among.endswith(" Before its own results: as 77 lives of its peers.")
+    assert among.split(" Before")[0] != alone == strangers
 
 
 def test_people_see_the_sentences_first_and_no_more_rows_than_asked_for() -> None:

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from diag_service.diagnosis.prognosis.assumptions import HORIZON_M
+from diag_service.diagnosis.prognosis.assumptions import FUTURE_BENDS, HORIZON_M
 from diag_service.diagnosis.prognosis.passage import DISTANCE_M, Passage, passage
 from diag_service.diagnosis.prognosis.trend import Mixture
 
@@ -25,7 +25,7 @@ def sure(now: float, rate_per_m: float, *, std: float = 0.001, start: float = 1.
 
 
 def test_a_well_known_fall_passes_where_the_line_does_or_a_little_before() -> None:
-    when = passage([sure(0.5, -1.0e-8)], [(0.0, 0.0)])
+    when = passage([sure(0.5, -1.0e-8)], [(0.0, 0.0)]).bent(FUTURE_BENDS)
     median_m = when.quantile_m(0.5)
     assert median_m is not None
     assert 0.85 * 5.0e7 < median_m < 5.0e7
@@ -36,13 +36,13 @@ def test_a_well_known_fall_passes_where_the_line_does_or_a_little_before() -> No
 
 
 def test_what_is_passed_already_is_zero_away() -> None:
-    when = passage([sure(-0.1, -1.0e-8)], [(0.0, 0.0)])
+    when = passage([sure(-0.1, -1.0e-8)], [(0.0, 0.0)]).bent(FUTURE_BENDS)
     assert when.quantile_m(0.9) == 0.0
     assert when.within(0.0) == pytest.approx(1.0)
 
 
 def test_what_is_beyond_the_horizon_is_not_a_number() -> None:
-    when = passage([sure(1.0, -1.0e-9)], [(0.0, 0.0)])
+    when = passage([sure(1.0, -1.0e-9)], [(0.0, 0.0)]).bent(FUTURE_BENDS)
     assert when.quantile_m(0.5) is None
     assert when.within(1.0e7) < 1e-6
     assert when.quantiles_m(np.array([0.5])).tolist() == [HORIZON_M]
@@ -67,7 +67,7 @@ def test_a_loss_counts_against_the_channels_own_start() -> None:
 def test_probabilities_never_fall_and_quantiles_are_in_order(
     now: float, rate: float, std: float, limit: float, share: float
 ) -> None:
-    when = passage([sure(now, rate, std=std)], [(limit, share)])
+    when = passage([sure(now, rate, std=std)], [(limit, share)]).bent(FUTURE_BENDS)
     assert np.all(np.diff(when.probability) >= -1e-12)
     assert -1e-9 <= when.probability[0] <= when.probability[-1] <= 1.0 + 1e-9
     quantiles = when.quantiles_m(np.linspace(0.01, 0.99, 21))

@@ -5,7 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from diag_service.diagnosis.prognosis import ChannelName, Kind, ageings, learn, prognose
+from diag_service.diagnosis.prognosis import ChannelName, Kind, ageings, hindsights, learn, prognose, with_bends
+from diag_service.diagnosis.prognosis.assumptions import FUTURE_BENDS
 from diag_service.diagnosis.prognosis.population import Ageing, Course, location_and_scatter
 from tests.support.pasts import REFERENCE, ageing, past
 
@@ -94,6 +95,39 @@ def test_each_fluid_of_a_past_is_a_life_with_its_loss() -> None:
         assert abs(course.loss_per_m * one.distance_m - loss) < 3.0 * course.loss_std_per_m * one.distance_m
     unknown = ageings("car1", 2, replace(history, new_fluids=(1,)), REFERENCE, [KIND, KIND])
     assert [one.is_present for one in unknown] == [True]  # of the first fluid nobody knows how old it was
+
+
+def test_a_life_is_followed_until_its_limit_and_no_farther() -> None:
+    margin = np.concatenate((np.linspace(1.0, 0.0, 200), np.linspace(0.0, -1.5, 200)))  # then three times as fast
+    (one,) = ageings("car1", 1, past(margin, step_m=2.0e5, noise_ratio=0.004), REFERENCE, [KIND])
+    assert one.lasted_m is not None
+    assert one.lasted_m == pytest.approx(200 * 2.0e5, rel=0.06)
+    assert one.courses[ChannelName.MARGIN].loss_per_m == pytest.approx(1.0 / (200 * 2.0e5), rel=0.1)
+    (young,) = ageings("car1", 1, past(margin[:150], step_m=2.0e5, noise_ratio=0.004), REFERENCE, [KIND])
+    assert young.lasted_m is None
+
+
+def test_looking_back_tells_what_came_of_a_life() -> None:
+    history = past(ageing(300, until=-0.2), step_m=2.0e5, noise_ratio=0.004)
+    lives = ageings("car1", 1, history, REFERENCE, [KIND])
+    ((life, told),) = hindsights(history, REFERENCE, lives, learn([]))
+    assert life.lasted_m is not None
+    assert all(one.has_ended for one in told)
+    assert [one.share for one in told] == sorted(one.share for one in told)
+    late = told[-1]
+    assert late.left_m == pytest.approx((1.0 - late.share) * life.lasted_m)
+    assert late.passage.quantile_m(0.5) == pytest.approx(late.left_m, rel=0.2)
+
+
+def test_bends_are_learned_of_types_with_enough_lives() -> None:
+    history = past(ageing(300, until=-0.2), step_m=2.0e5, noise_ratio=0.004)
+    lives = ageings("car1", 1, history, REFERENCE, [KIND])
+    told = hindsights(history, REFERENCE, lives, learn([]))
+    population = learn(fleet(20, log_std=0.2))
+    (few, _), (enough, _) = with_bends(population, told * 7).peers, with_bends(population, told * 25).peers
+    assert (few.bends, few.bend_life_count) == (FUTURE_BENDS, 0)
+    assert enough.bend_life_count == 25
+    assert sum(enough.bends.values()) < 0.75 * sum(FUTURE_BENDS.values())  # none of them bent
 
 
 def test_a_new_vehicle_begins_with_its_population() -> None:
