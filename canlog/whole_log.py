@@ -123,6 +123,7 @@ class Log:
         """
         rows: dict[tuple[int, str], list[Int64Array]] = {}
         values: dict[tuple[int, str], list[FloatArray]] = {}
+        times: list[Int64Array] = []
         start = 0
         for batch, found in decoded_batches(self._pieces(), self._new_account()):
             for one in found:
@@ -130,7 +131,9 @@ class Log:
                     kept = slice(None) if decoded.is_present is None else decoded.is_present
                     rows.setdefault((one.slot, name), []).append(one.rows[kept] + start)
                     values.setdefault((one.slot, name), []).append(decoded.value[kept])
+            times.append(batch.t_ns)
             start += len(batch)
+        t_ns = np.concatenate(times)
         signals: dict[str, Samples] = {}
         for (slot, name), column in self._plan.names.columns.items():
             if (slot, name) not in rows:
@@ -138,7 +141,7 @@ class Log:
             row = np.concatenate(rows[slot, name])
             order = np.argsort(row, kind="stable")  # short frames come apart from the others of their message
             signals[column] = Samples(
-                t_ns=self.frames.t_ns[row[order]],
+                t_ns=t_ns[row[order]],
                 value=np.concatenate(values[slot, name])[order],
                 unit=self._plan.codec.tables[slot].definitions[name].unit or "",
             )

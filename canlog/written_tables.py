@@ -1,6 +1,7 @@
 """Signals of logs of any size as tables in files."""
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Literal
 
@@ -30,6 +31,7 @@ def write_table(
     end: str | float | None = None,
     is_lenient: bool = False,
     columns: str = "",
+    pairs: Collection[tuple[int, int]] = (),
 ) -> list[str]:
     """Write the signals of logs into a table, in bounded memory; return what is missing there, in words.
 
@@ -47,6 +49,8 @@ def write_table(
         Only these: ``Message.Signal`` or the signal alone, both with ``*`` for anything; by default all.
     begin, end
         Only what lies between: seconds from the first frame, or a time as ISO 8601, in UTC unless it says otherwise.
+    pairs
+        Identifiers, with flags, of requests and of answers in several frames, besides those of ISO 15765-4.
 
     Raises
     ------
@@ -56,7 +60,8 @@ def write_table(
         If there is no such format, or the file cannot be written.
     """
     messages = database_of(database, is_lenient=is_lenient).messages
-    plan = Plan.of(messages, TableShape(shape), Values(values)).part(signals, begin, end)
+    whole = replace(Plan.of(messages, TableShape(shape), Values(values)), pairs=tuple(pairs))
+    plan = whole.part(signals, begin, end)
     chosen = _format(Path(output), table_format)
     if chosen is TableFormat.MF4 and (shape, values) != ("wide", "numbers"):
         raise OutputError("an MF4 file has a group for each message, and numbers: neither shape nor values applies")

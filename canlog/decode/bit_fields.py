@@ -138,13 +138,13 @@ class BitField:
         return (word >> np.uint64(self.spill)) | (ninth << np.uint64(WORD_BITS - self.spill))
 
 
-def place_signal(message: Message, signal: Signal) -> BitField:
-    """Return where a signal of a message lies.
+def place_signal(message: Message, signal: Signal, most_bytes: int = FD_PAYLOAD_BYTES) -> BitField:
+    """Return where a signal of a message lies; a payload has ``most_bytes`` at most.
 
     Raises
     ------
     DefinitionError
-        If it lies outside its message or outside the 64 bytes of a CAN FD frame, or has more than 64 bits.
+        If it lies outside its message or outside the payload, or has more than 64 bits.
     """
     where = f"{message.name}.{signal.name}"
     is_big = signal.byte_order == "big_endian"
@@ -154,7 +154,7 @@ def place_signal(message: Message, signal: Signal) -> BitField:
         raise DefinitionError(f"{where} has {signal.length} bits; up to {WORD_BITS} are understood")
     if not (signal.length >= 1 and first >= 0 and first + signal.length <= 8 * message.length):
         raise DefinitionError(f"{where} lies outside its message")
-    if first + signal.length > 8 * FD_PAYLOAD_BYTES:
+    if first + signal.length > 8 * most_bytes:
         raise DefinitionError(f"{where} lies outside the {FD_PAYLOAD_BYTES} bytes of a CAN FD frame")
     # Words at multiples of eight bytes serve many signals; one that crosses their borders gets a word of its own.
     in_one_word = first // WORD_BITS == (first + signal.length - 1) // WORD_BITS

@@ -103,7 +103,7 @@ class Codec:
     Of messages with one identifier the last one counts, as in cantools; ``overwritten`` has the others and the last.
     With ``is_j1939`` all 29-bit identifiers are matched by parameter group, whatever the database says. Values outside
     a signal's [min|max] are invalid if ``check_range``, codes that say "not available" by their place in the scale if
-    ``check_codes``.
+    ``check_codes``. Of messages that no frame holds, all signals are there if they are put together (``has_long``).
     """
 
     def __init__(
@@ -113,13 +113,20 @@ class Codec:
         is_j1939: bool = False,
         check_range: bool = True,
         check_codes: bool = False,
+        has_long: bool = False,
     ) -> None:
         addresses = [message_address(message, is_j1939=is_j1939) for message in messages]
         later = overwritten(addresses)
         self.overwritten = tuple((messages[old], messages[new]) for old, new in later.items())
         kept = [slot for slot in range(len(messages)) if slot not in later]
         self.tables = tuple(
-            message_table(messages[slot], check_range=check_range, check_codes=check_codes, is_j1939=is_j1939)
+            message_table(
+                messages[slot],
+                check_range=check_range,
+                check_codes=check_codes,
+                is_j1939=is_j1939,
+                has_long=has_long,
+            )
             for slot in kept
         )
         self._blocks: dict[tuple[int, int], SignalBlock] = {}  # by slot and bytes of the frame
@@ -159,13 +166,13 @@ class Codec:
             counts[-1, FrameFate.LEFT_OUT] = len(batch) - counts.sum()
         return FrameMatch(slot=slot, counts=counts)
 
-    def min_length(self, slot: int) -> int:
-        """Return how many bytes a frame of a message has that is not short."""
-        return int(self._rules.min_length[slot])
+    def slot_of(self, can_id: int) -> int:
+        """Return the message that an identifier, with its flags, is of; NOBODY if of none."""
+        return int(find_slot(self._book, can_id))
 
     def knows(self, can_id: int) -> bool:
         """Return whether data frames of an identifier, with its flags, are of a message."""
-        return bool(find_slot(self._book, can_id) != NOBODY)
+        return self.slot_of(can_id) != NOBODY
 
     def decode(self, batch: FrameBatch, match: FrameMatch | None = None) -> Iterator[MessageValues]:
         """Yield the messages that are in a batch, in the order of the codec."""
@@ -180,11 +187,13 @@ class Codec:
                 yield self._values(batch, slot, rows[sizes == size], size)
 
     def _values(self, batch: FrameBatch, slot: int, rows: Int64Array, size: int) -> MessageValues:
-        """Return the signals that lie in frames of some size, and how many values lie behind their end."""
+        return self.values(slot, rows, PayloadWords(batch.data, rows), size)
+
+    def values(self, slot: int, rows: Int64Array, words: PayloadWords, size: int) -> MessageValues:
+        """Return the signals that lie in payloads of some size, and how many values lie behind their end."""
         tables = self.tables[slot].signals
         if (slot, size) not in self._blocks:
             self._blocks[slot, size] = SignalBlock({name: one for name, one in tables.items() if one.fits(size)})
-        words = PayloadWords(batch.data, rows)
         signals = self._blocks[slot, size].decode(words)
         cut_off: dict[str, int] = {}
         if len(signals) < len(tables):
@@ -201,16 +210,22 @@ def _slot_rules(tables: Sequence[MessageTable]) -> SlotRules:
 
 
 def message_table(
-    message: Message, *, check_range: bool = True, check_codes: bool = False, is_j1939: bool = False
+    message: Message,
+    *,
+    check_range: bool = True,
+    check_codes: bool = False,
+    is_j1939: bool = False,
+    has_long: bool = False,
 ) -> MessageTable:
-    """Return a message with all its signals compiled that can be."""
+    """Return a message with all its signals compiled that can be; if ``has_long``, in payloads of any length."""
+    most_bytes = max(FD_PAYLOAD_BYTES, message.length) if has_long else FD_PAYLOAD_BYTES
     signals: dict[str, SignalTable] = {}
     refused: dict[str, str] = {}
     definitions = dict(_labelled(message.signals))
     for name, signal in definitions.items():
         codes = no_value_codes(message, signal, is_j1939=is_j1939) if check_codes else ()
         try:
-            signals[name] = compile_signal(message, signal, check_range=check_range, codes=codes)
+            signals[name] = compile_signal(message, signal, check_range=check_range, codes=codes, most_bytes=most_bytes)
         except DefinitionError as error:
             refused[name] = str(error)
     return MessageTable(

@@ -14,6 +14,7 @@ from canlog.database.not_available import CodeRange
 from canlog.decode.bit_fields import BitField, PayloadWords, place_signal
 from canlog.decode.value_codes import MAX_FACTOR, FloatCode, IntegerCode, float_code, integer_code
 from canlog.errors import DefinitionError
+from canlog.frames import FD_PAYLOAD_BYTES
 
 MAX_MULTIPLEX_DEPTH: Final = 8
 
@@ -136,7 +137,12 @@ def _judged(
 
 
 def compile_signal(
-    message: Message, signal: Signal, *, check_range: bool = True, codes: tuple[CodeRange, ...] = ()
+    message: Message,
+    signal: Signal,
+    *,
+    check_range: bool = True,
+    codes: tuple[CodeRange, ...] = (),
+    most_bytes: int = FD_PAYLOAD_BYTES,
 ) -> SignalTable:
     """Return the table of one signal.
 
@@ -150,6 +156,8 @@ def compile_signal(
         Whether values outside the signal's [min|max] are invalid; some databases have junk there.
     codes : tuple of CodeRange
         Raw values of an integer that are no measurements, as ranges that do not overlap.
+    most_bytes : int
+        Of a payload: those of a CAN FD frame, more for messages that are put together.
 
     Raises
     ------
@@ -158,7 +166,7 @@ def compile_signal(
         does not have, or multiplexed by something that is no multiplexer.
     """
     where = f"{message.name}.{signal.name}"
-    field = place_signal(message, signal)
+    field = place_signal(message, signal, most_bytes)
     factors = (signal.scale, signal.offset)
     if signal.scale == 0 or not all(abs(factor) <= MAX_FACTOR for factor in factors):
         raise DefinitionError(f"{where}: scale {signal.scale} and offset {signal.offset} are not usable")
@@ -166,18 +174,18 @@ def compile_signal(
     return SignalTable(
         field=field,
         code=code or integer_code(signal, field, codes, check_range=check_range),
-        selectors=_selectors(message, signal, where),
+        selectors=_selectors(message, signal, where, most_bytes),
     )
 
 
-def _selectors(message: Message, signal: Signal, where: str) -> tuple[Selector, ...]:
+def _selectors(message: Message, signal: Signal, where: str, most_bytes: int) -> tuple[Selector, ...]:
     """Return the multiplexers that decide whether a signal is in a frame, innermost first."""
     selectors: list[Selector] = []
     while signal.multiplexer_ids is not None:
         multiplexer = {s.name: s for s in message.signals if s.is_multiplexer}.get(signal.multiplexer_signal or "")
         if multiplexer is None or len(selectors) == MAX_MULTIPLEX_DEPTH:
             raise DefinitionError(f"{where} is multiplexed, but its message has no proper multiplexer for it")
-        selectors.append(_selector(place_signal(message, multiplexer), signal.multiplexer_ids))
+        selectors.append(_selector(place_signal(message, multiplexer, most_bytes), signal.multiplexer_ids))
         signal = multiplexer
     return tuple(selectors)
 

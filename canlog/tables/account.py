@@ -7,14 +7,15 @@ from typing import Final
 import numpy as np
 
 from canlog.arrays import Int64Array
-from canlog.database.addressing import J1939, parameter_group
-from canlog.decode.codec import Codec, FrameFate, FrameMatch, MessageTable, MessageValues
-from canlog.frames import ERROR_FLAG, EXTENDED_FLAG, REMOTE_FLAG, FrameBatch
+from canlog.database.addressing import parameter_group
+from canlog.decode.codec import Codec, FrameFate, MessageTable, MessageValues
+from canlog.frames import ERROR_FLAG, EXTENDED_FLAG, REMOTE_FLAG
 from canlog.logs import LogCounts
+from canlog.tables.long_rows import Stretch
 from canlog.tables.names import BARE_ID, Place, TableNames, flagged_id
+from canlog.transport import TransferCounts
 
 MAX_IDS: Final = 65_536  # that are counted one by one: no bus has as many, a log of noise has
-TRANSPORT_DATA: Final = 0xEB00  # the parameter group of packets of J1939 transport (TP.DT)
 _NO_DATA: Final = np.uint32(REMOTE_FLAG | ERROR_FLAG)
 
 
@@ -46,6 +47,8 @@ class DecodeAccount:
     names: TableNames
     log: LogCounts = field(default_factory=LogCounts)
     row_count: int = 0
+    transfers: TransferCounts = field(default_factory=TransferCounts)  # messages longer than a frame
+    long_counts: dict[int, int] = field(default_factory=dict)  # of these the ones with signals, by slot
     counts: Int64Array = field(init=False)  # (messages + 1, fates)
     signals: dict[Place, SignalCounts] = field(default_factory=dict)
     frames_of_id: Counter[int] = field(default_factory=Counter)  # data frames by identifier with its flags
@@ -54,10 +57,13 @@ class DecodeAccount:
     def __post_init__(self) -> None:
         self.counts = np.zeros((len(self.codec.tables) + 1, len(FrameFate)), np.int64)
 
-    def add(self, batch: FrameBatch, match: FrameMatch) -> None:
+    def add(self, stretch: Stretch) -> None:
         """Count the frames of a batch."""
-        self.counts += match.counts
-        can_ids, counts = np.unique(batch.can_id[(batch.can_id & _NO_DATA) == 0], return_counts=True)
+        self.counts += stretch.match.counts
+        sent = stretch.batch.can_id
+        if stretch.long is not None:
+            sent = np.delete(sent, stretch.long.rows)
+        can_ids, counts = np.unique(sent[(sent & _NO_DATA) == 0], return_counts=True)
         for can_id, count in zip(can_ids.tolist(), counts.tolist(), strict=True):
             if can_id in self.frames_of_id or len(self.frames_of_id) < MAX_IDS or self.codec.knows(can_id):
                 self.frames_of_id[can_id] += count
@@ -104,7 +110,7 @@ class DecodeAccount:
     @property
     def seen_slots(self) -> list[int]:
         """The messages that came, in the order of the database."""
-        return [slot for slot, row in enumerate(self.counts[:-1].tolist()) if any(row)]
+        return [slot for slot, row in enumerate(self.counts[:-1].tolist()) if any(row) or slot in self.long_counts]
 
     @property
     def refused(self) -> dict[str, str]:
@@ -117,30 +123,12 @@ class DecodeAccount:
 
     @property
     def transported(self) -> dict[str, tuple[int, int]]:
-        """Messages that no frame of theirs can hold: their bytes, and how many such frames came."""
+        """Messages that no frame holds and that no protocol put together: their bytes, and how many frames came."""
         return {
             self.names.messages[slot]: (self.codec.tables[slot].message.length, count)
             for slot in self.seen_slots
-            if (count := int(self.counts[slot, FrameFate.TRANSPORTED]))
+            if (count := int(self.counts[slot, FrameFate.TRANSPORTED])) and slot not in self.long_counts
         }
-
-    @property
-    def packet_count(self) -> int:
-        """How many frames are packets of J1939 transport, of whatever message."""
-        return sum(
-            count
-            for can_id, count in self.frames_of_id.items()
-            if can_id & EXTENDED_FLAG and parameter_group(can_id & BARE_ID) == TRANSPORT_DATA
-        )
-
-    @property
-    def long_messages(self) -> list[str]:
-        """Messages of J1939 in the database that no classic frame holds."""
-        return [
-            name
-            for table, name in zip(self.codec.tables, self.names.messages, strict=True)
-            if table.needed_bytes and table.message.protocol == J1939
-        ]
 
     @property
     def overwritten(self) -> list[tuple[str, str]]:

@@ -1,6 +1,6 @@
 """Logs to tables: one pass from frames to columns and the account of what is not in them, for files and for memory."""
 
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from enum import StrEnum
 from pathlib import Path
@@ -18,6 +18,7 @@ from canlog.logs.reading import Watch
 from canlog.tables.account import DecodeAccount
 from canlog.tables.inputs import LogSet, Origins
 from canlog.tables.layouts import LongLayout, Values, WideLayout
+from canlog.tables.long_rows import LongRows, Stretch
 from canlog.tables.names import TableNames, table_names
 from canlog.tables.outputs import TableFormat, open_columns
 from canlog.tables.parquet_long import LongParquet
@@ -48,6 +49,7 @@ class Plan:
     max_frames: int = GROUP_FRAMES  # of a row group of Parquet
     max_values: int = GROUP_VALUES  # likewise
     span: Span = EVERYTHING
+    pairs: tuple[tuple[int, int], ...] = ()  # identifiers of requests and answers, as of ``LongRows``
 
     @classmethod
     def of(
@@ -57,7 +59,7 @@ class Plan:
         values: Values = Values.NUMBERS,
     ) -> "Plan":
         """Return the plan for the messages of a database."""
-        codec = Codec(messages)
+        codec = Codec(messages, has_long=True)
         return cls(codec=codec, names=table_names(codec.tables), shape=shape, values=values)
 
     def part(self, signals: Sequence[str], begin: str | float | None, end: str | float | None) -> "Plan":
@@ -82,9 +84,11 @@ class Plan:
         if self.shape is TableShape.LONG:
             return LongLayout(self.codec.tables, self.names, self.values, origins)
         seen: set[int] = set()
-        for batch in batches():
-            counts = self.codec.match(batch).counts[:-1, list(HAS_VALUES)]
+        together = LongRows(self.codec, self.pairs)
+        for stretch in together.stretches(batches()):
+            counts = stretch.match.counts[:-1, list(HAS_VALUES)]
             seen.update(np.flatnonzero(counts.sum(axis=1)).tolist())
+        seen.update(together.counts_of)
         return WideLayout(self.codec.tables, self.names, self.values, sorted(seen), origins)
 
     def frames_per_group(self, layout: WideLayout | LongLayout) -> int:
@@ -93,24 +97,42 @@ class Plan:
         return max(1, self.max_cells // cells)
 
 
+def stretches(
+    batches: Iterable[FrameBatch], account: DecodeAccount, pairs: Collection[tuple[int, int]] = ()
+) -> Iterator[Stretch]:
+    """Yield frames with their messages, and with those messages that several frames are; all enter the account."""
+    together = LongRows(account.codec, pairs)
+    account.transfers, account.long_counts = together.counts, together.counts_of
+    for stretch in together.stretches(batches):
+        account.add(stretch)
+        yield stretch
+
+
 def decoded_batches(
-    batches: Iterable[FrameBatch], account: DecodeAccount
+    batches: Iterable[FrameBatch], account: DecodeAccount, pairs: Collection[tuple[int, int]] = ()
 ) -> Iterator[tuple[FrameBatch, list[MessageValues]]]:
-    """Yield batches with what their signals say, and enter both into the account."""
-    for batch in batches:
-        match = account.codec.match(batch)
-        found = list(account.codec.decode(batch, match))
-        account.add(batch, match)
+    """Yield batches with what their signals say, and enter both into the account.
+
+    Among the frames is a row for each message that several frames are.
+    """
+    codec = account.codec
+    for stretch in stretches(batches, account, pairs):
+        found = list(codec.decode(stretch.batch, replace(stretch.match, slot=stretch.slot)))
+        if stretch.long is not None:
+            found += stretch.long.values(codec)
         for one in found:
             account.add_values(one)
-        yield batch, found
+        yield stretch.batch, found
 
 
 def row_groups(
-    batches: Iterable[FrameBatch], layout: WideLayout | LongLayout, account: DecodeAccount
+    batches: Iterable[FrameBatch],
+    layout: WideLayout | LongLayout,
+    account: DecodeAccount,
+    pairs: Collection[tuple[int, int]] = (),
 ) -> Iterator[Mapping[str, Any]]:
     """Yield the columns of one row group for each batch that has any."""
-    for batch, found in decoded_batches(batches, account):
+    for batch, found in decoded_batches(batches, account, pairs):
         count, columns = layout.columns(batch, found) if found else (0, {})
         if count:
             account.row_count += count
@@ -219,7 +241,8 @@ def _written(
         return plan.span.part(_until(is_stopped, logs.frames()), left_out)
 
     if table_format is TableFormat.PARQUET:
-        is_whole = _write_parquet(frames(), _parquet(plan, output, account, logs.origins), account, is_stopped)
+        table = _parquet(plan, output, account, logs.origins)
+        is_whole = _write_parquet(stretches(frames(), account, plan.pairs), table, is_stopped)
     else:
         if table_format is TableFormat.MF4:
             from canlog.tables.mf4_table import Mf4Table  # noqa: PLC0415 - for this format alone
@@ -229,19 +252,22 @@ def _written(
         else:
             layout = plan.layout(lambda: frames(_uncounted), logs.origins)
             sink, size = _Rows(output, table_format, layout), plan.frames_per_group(layout)
-        is_whole = _write(pieces(frames(), size), sink, account, is_stopped)
+        is_whole = _write(decoded_batches(pieces(frames(), size), account, plan.pairs), sink, account, is_stopped)
     account.log = logs.counts
     account.leave_out(max(0, account.log.frames - sum(account.fates.values())))  # behind the end that was asked for
     return Decoded(account=account, readers=tuple(logs.readers), is_whole=is_whole)
 
 
 def _write(
-    batches: Iterable[FrameBatch], sink: TableSink, account: DecodeAccount, is_stopped: Callable[[], bool]
+    decoded: Iterable[tuple[FrameBatch, list[MessageValues]]],
+    sink: TableSink,
+    account: DecodeAccount,
+    is_stopped: Callable[[], bool],
 ) -> bool:
     """Write frames into any format; return whether all are."""
     is_whole = False
     try:
-        for batch, found in decoded_batches(batches, account):
+        for batch, found in decoded:
             account.row_count += sink.write(batch, found)
         is_whole = not is_stopped()
     finally:
@@ -255,14 +281,10 @@ def _parquet(plan: Plan, output: BinaryIO, account: DecodeAccount, origins: Orig
     return kind(output, account, plan.values, origins, **limits)
 
 
-def _write_parquet(
-    batches: Iterable[FrameBatch], table: ParquetRows, account: DecodeAccount, is_stopped: Callable[[], bool]
-) -> bool:
+def _write_parquet(found: Iterable[Stretch], table: ParquetRows, is_stopped: Callable[[], bool]) -> bool:
     """Write frames into Parquet; return whether all are."""
-    for batch in batches:
-        match = account.codec.match(batch)
-        account.add(batch, match)
-        table.write(batch, match)
+    for stretch in found:
+        table.write(stretch)
     if is_stopped():
         return False
     table.close()

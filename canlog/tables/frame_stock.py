@@ -1,7 +1,7 @@
 """Frames that gather until they are worth a group of rows, with where each came from."""
 
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -10,6 +10,7 @@ from canlog.database.addressing import NOBODY
 from canlog.frame_columns import join
 from canlog.frames import PAYLOAD_BYTES, FrameBatch
 from canlog.tables.inputs import Origins
+from canlog.tables.long_rows import LongPayloads, Stretch, joined
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -20,6 +21,7 @@ class FrameGroup:
     slot: Int64Array  # (n,) message of each in the codec
     channel: Int64Array  # (n,) in its log
     log: Int64Array | None  # (n,) place of its log among several
+    long: LongPayloads | None = None  # of messages that are longer than a frame
 
     def __len__(self) -> int:
         return len(self.slot)
@@ -47,12 +49,13 @@ class FrameStock:
     _frame_count: int = 0
     _value_count: int = 0
 
-    def add(self, batch: FrameBatch, slot: Int64Array) -> Iterator[FrameGroup]:
+    def add(self, stretch: Stretch) -> Iterator[FrameGroup]:
         """Take frames with their messages; yield the groups that are complete by them."""
+        batch, slot, long = stretch.batch, stretch.slot, stretch.long
         size = max(1, min(self.most_frames, self.most_values // max(1, int(self.values_of.max(initial=1)))))
         for start in range(0, len(batch), size):
             part = slice(start, start + size)
-            self._add(batch[part], slot[part])
+            self._add(batch[part], slot[part], None if long is None else long.between(start, start + size))
             if self._frame_count >= self.most_frames or self._value_count >= self.most_values:
                 yield self._taken()
 
@@ -61,14 +64,19 @@ class FrameStock:
         if self._frame_count:
             yield self._taken()
 
-    def _add(self, batch: FrameBatch, slot: Int64Array) -> None:
+    def _add(self, batch: FrameBatch, slot: Int64Array, long: LongPayloads | None) -> None:
+        if long is not None:
+            slot = slot.copy()
+            slot[long.rows] = long.slot
         is_kept = slot != NOBODY
         if not is_kept.all():
             batch, slot = batch[is_kept], slot[is_kept]
+            if long is not None:
+                long = replace(long, rows=(np.cumsum(is_kept) - 1)[long.rows])
         channel, log = batch.channel.astype(np.int64), None
         if self.origins is not None:
             log, channel = self.origins.log[channel], self.origins.channel[channel]
-        self._parts.append(FrameGroup(frames=batch, slot=slot, channel=channel, log=log))
+        self._parts.append(FrameGroup(frames=batch, slot=slot, channel=channel, log=log, long=long))
         self._frame_count += len(slot) if batch.width <= PAYLOAD_BYTES else 2 * len(slot)  # CAN FD takes more memory
         self._value_count += int(self.values_of[slot].sum())
 
@@ -80,6 +88,7 @@ class FrameStock:
             slot=np.concatenate([part.slot for part in parts]),
             channel=np.concatenate([part.channel for part in parts]),
             log=np.concatenate(logs) if logs else None,
+            long=joined([part.long for part in parts], [len(part) for part in parts]),
         )
         self._parts, self._frame_count, self._value_count = [], 0, 0
         return whole

@@ -1,15 +1,15 @@
 """Decoded frames as wide and long Parquet: time and space go by the values that there are, not by the cells."""
 
 from abc import ABC, abstractmethod
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
+from dataclasses import replace
 from typing import BinaryIO, Final
 
 import numpy as np
 
-from canlog.arrays import BoolArray, FloatArray, Int64Array
+from canlog.arrays import BoolArray, FloatArray, Int64Array, UInt8Array
+from canlog.database.addressing import NOBODY
 from canlog.decode.carriers import Carriers, CutOff, carriers
-from canlog.decode.codec import FrameMatch
-from canlog.frames import FrameBatch
 from canlog.parquet import contents
 from canlog.parquet.column_file import ColumnFile, Levels
 from canlog.parquet.packing import Int32Array
@@ -20,6 +20,7 @@ from canlog.tables.frame_contents import frame_contents
 from canlog.tables.frame_stock import FrameGroup, FrameStock
 from canlog.tables.inputs import Origins
 from canlog.tables.layouts import LongLayout, Values, WideLayout
+from canlog.tables.long_rows import Stretch
 from canlog.tables.names import TEXT_SUFFIX, Place
 
 GROUP_FRAMES: Final = 1_048_576  # of a group of rows, at most
@@ -63,9 +64,9 @@ class ParquetRows(ABC):
         values_of = np.array([len(table.signals) for table in self._tables], np.int64)
         self._stock = FrameStock(values_of, origins, most_frames, most_values)
 
-    def write(self, batch: FrameBatch, match: FrameMatch) -> None:
+    def write(self, stretch: Stretch) -> None:
         """Take frames and their messages."""
-        for group in self._stock.add(batch, match.slot):
+        for group in self._stock.add(stretch):
             self._write_group(group)
 
     def close(self) -> None:
@@ -83,11 +84,12 @@ class ParquetRows(ABC):
 
     def _carriers(self, group: FrameGroup) -> Iterable[Carriers]:
         """Yield what frames carry; what they have no room for is counted."""
-        for one in carriers(self._account.codec, group.frames, group.slot):
-            if isinstance(one, CutOff):
-                self._account.of_signal(one.slot, one.name).cut_off += one.count
-            else:
-                yield one
+        for rows, slot, data, length in _payloads(group):
+            for one in carriers(self._account.codec, slot, data, length):
+                if isinstance(one, CutOff):
+                    self._account.of_signal(one.slot, one.name).cut_off += one.count
+                else:
+                    yield one if rows is None else replace(one, frames=rows[one.frames])
 
     def _coded(self, one: Carriers, name: str) -> CodedSignal:
         """Return a signal, and count its values."""
@@ -98,6 +100,29 @@ class ParquetRows(ABC):
         counts.out_of_range += coded.out_of_range
         counts.not_a_number += coded.not_a_number
         return coded
+
+
+def _payloads(
+    group: FrameGroup,
+) -> Iterator[tuple[Int64Array | None, Int64Array, UInt8Array, UInt8Array | Int64Array]]:
+    """Yield the rows of payloads, None for all, with their messages, bytes and lengths.
+
+    Messages of which some are longer than a frame come by themselves, with those that a frame of CAN FD held.
+    """
+    frames, long = group.frames, group.long
+    if long is None:
+        yield None, group.slot, frames.data, frames.length
+        return
+    is_long = np.isin(group.slot, long.slot)
+    yield None, np.where(is_long, NOBODY, group.slot), frames.data, frames.length
+    rows = np.flatnonzero(is_long)
+    place = np.searchsorted(rows, long.rows)
+    length = frames.length[rows].astype(np.int64)
+    length[place] = long.length
+    data = np.zeros((len(rows), max(frames.width, long.data.shape[1])), np.uint8)
+    data[:, : frames.width] = frames.data[rows]
+    data[place, : long.data.shape[1]] = long.data
+    yield rows, group.slot[rows], data, length
 
 
 class WideParquet(ParquetRows):

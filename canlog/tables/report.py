@@ -26,21 +26,17 @@ def losses(account: DecodeAccount) -> Iterator[str]:
         yield _why_nothing(account)
     if cut_off := sum(counts.cut_off for counts in account.signals.values()):
         yield f"{fates[FrameFate.SHORT]} frames are shorter than their message: {cut_off} values are not in them"
-    if fates[FrameFate.TRANSPORTED]:
-        sizes = {f"{name} ({size} bytes)": frames for name, (size, frames) in account.transported.items()}
+    if transported := account.transported:
+        sizes = {f"{name} ({size} bytes)": frames for name, (size, frames) in transported.items()}
         yield (
-            f"{fates[FrameFate.TRANSPORTED]} frames are pieces of messages longer than a frame, which need ISO-TP "
-            f"or J1939 transport and are not decoded: {listing(sizes)}"
+            f"{sum(sizes.values())} frames are pieces of messages longer than a frame, of which no protocol made one: "
+            f"{listing(sizes)}"
         )
+    if count := account.transfers.incomplete_count:
+        yield f"{count} messages longer than a frame are incomplete: {'; '.join(account.transfers.in_words())}"
     if refused := list(account.refused.values()):
         more = f"; and {len(refused) - SHOWN_COUNT} more" if len(refused) > SHOWN_COUNT else ""
         yield f"{len(refused)} signals cannot be decoded: {'; '.join(refused[:SHOWN_COUNT])}{more}"
-    if account.packet_count and (long := account.long_messages):
-        names = ", ".join([*long[:SHOWN_COUNT], *(["..."] if len(long) > SHOWN_COUNT else [])])
-        yield (
-            f"{account.packet_count} frames are packets of J1939 transport, which are not put together; of the "
-            f"database these messages come that way: {names}"
-        )
     for old, new in account.overwritten:
         yield f"message {old} has the identifier of {new}, by which its frames are decoded"
 
@@ -101,7 +97,8 @@ def frame_texts(account: DecodeAccount) -> Iterator[str]:
 def values_text(account: DecodeAccount) -> str:
     """Return how many values there are, in words."""
     values = sum(counts.values for counts in account.signals.values())
-    with_values = int(np.count_nonzero(account.counts[:-1, list(HAS_VALUES)].sum(axis=1)))
+    counts = account.counts[:-1, list(HAS_VALUES)].sum(axis=1)
+    with_values = len({*np.flatnonzero(counts).tolist(), *account.long_counts})
     return f"{values} values of {len(account.signals)} signals in {with_values} messages"
 
 
@@ -131,6 +128,13 @@ def account_record(account: DecodeAccount) -> JsonObject:
                 for one in (() if account.known_count else account.nearest())
             ],
         },
+        "long_messages": {
+            "whole": {protocol.value: count for protocol, count in account.transfers.whole.items()},
+            "incomplete": {
+                f"{protocol.value}.{fault.value}": count
+                for (protocol, fault), count in account.transfers.incomplete.items()
+            },
+        },
         "messages": [_message(account, slot) for slot in account.seen_slots],
         "refused": account.refused,
         "overwritten": [{"message": old, "by": new} for old, new in account.overwritten],
@@ -148,6 +152,7 @@ def _message(account: DecodeAccount, slot: int) -> JsonObject:
         "is_extended": message.is_extended_frame,
         "bytes": message.length,
         "frames": {fate.name.lower(): fates[fate] for fate in FrameFate if fate in fates},
+        "put_together": account.long_counts.get(slot, 0),
         "signals": {
             name: {"column": account.names.columns[slot, name], **asdict(account.signals[slot, name])}
             for name in account.codec.tables[slot].signals

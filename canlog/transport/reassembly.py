@@ -55,7 +55,7 @@ class Reassembler:
             found += self._j1939.due(t_ns)
             one = self._feed(t_ns, channel, can_id, data)
             found += [one] if one is not None else []
-        return found
+        return found + (self._j1939.due(int(batch.t_ns[-1])) if len(batch) else [])
 
     def close(self) -> list[Transfer]:
         """End; return what is whole now, and count what is not."""

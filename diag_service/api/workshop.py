@@ -11,7 +11,7 @@ from canlog.written_tables import FormatName
 from clutch_model.calibration import Calibration
 from diag_service.api.choices import AnyPath, AnyPaths, configuration, optional_path, path_list
 from diag_service.commands.arguments import DEFAULT_BITRATE
-from diag_service.commands.conversations import Conversations
+from diag_service.commands.conversations import Conversations, pairs_of
 from diag_service.commands.inspect import Inspection, inspect_log
 from diag_service.commands.signals import proposed_profile
 from diag_service.console.collecting import collected_notices
@@ -72,6 +72,7 @@ def decode(
     end: str | float | None = None,
     is_lenient: bool = False,
     columns: str = "",
+    pairs: str = "",
 ) -> list[str]:
     """Write the signals of logs as a table of any size, as ``diag-service decode`` does.
 
@@ -87,6 +88,8 @@ def decode(
         What stands for a value that the database names.
     signals, begin, end
         Only these signals, and only this stretch, as ``canlog.write_table`` takes them.
+    pairs
+        Of requests and answers in several frames, as ``inspect`` takes them.
     paths, dbc, is_lenient, columns
         As of ``read``.
 
@@ -113,6 +116,7 @@ def decode(
             begin=begin,
             end=end,
             columns=columns,
+            pairs=pairs_of(pairs),
         )
 
 

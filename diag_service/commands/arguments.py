@@ -118,6 +118,10 @@ _CALIBRATE: Final = Command(
     variables=VARIABLES,
     examples=(f"{PROGRAM} calibrate monday.log tuesday.log --vehicle car1 -o car1.toml",),
 )
+_PAIRS: Final = Option(
+    "--pairs IDS",
+    "identifiers of further requests and answers, hexadecimal: 79B:7BB,740:760 (default: those of ISO 15765)",
+)
 _INSPECT: Final = Command(
     "inspect",
     "show what traffic a log holds",
@@ -135,10 +139,7 @@ _INSPECT: Final = Command(
         "put messages longer than a frame together (ISO-TP, J1939 transport, NMEA 2000 fast packet) and show what "
         "testers asked and controllers answered",
     ),
-    Option(
-        "--pairs IDS",
-        "identifiers of further requests and answers, hexadecimal: 79B:7BB,740:760 (default: those of ISO 15765)",
-    ),
+    _PAIRS,
     *(JSON, VERBOSE),
     description="Show what traffic a log holds. A database names the messages; the shipped one also checks them.",
     examples=(
@@ -186,6 +187,7 @@ _DECODE: Final = Command(
         "--from TIME", "only what is not before: seconds from the first frame, or a time as 2026-01-01T12:30:00 (UTC)"
     ),
     Option("--to TIME", "only what is before; the log is read no further"),
+    _PAIRS,
     Option("--strict", "end with status 5 if anything of the log is not in the file, and say what"),
     *(JSON, VERBOSE),
     examples=(

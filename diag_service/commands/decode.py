@@ -1,6 +1,7 @@
 """``diag-service decode``: the signals of logs as a table, in bounded memory, and what is not among them."""
 
 import sys
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 from typing import BinaryIO, Final
@@ -12,6 +13,7 @@ from canlog.tables.decoding import Decoded, Plan, TableShape, decode_logs
 from canlog.tables.layouts import Values
 from canlog.tables.outputs import FORMAT_OF_SUFFIX, STREAMED, TableFormat
 from canlog.tables.report import account_record, frame_texts, losses, remarks, values_text
+from diag_service.commands.conversations import pairs_of
 from diag_service.console.reading import ReadingLine
 from diag_service.console.terminal import PeopleConsole
 from diag_service.diagnosis.results import dump
@@ -55,9 +57,10 @@ def _part(plan: Plan, options: SimpleNamespace) -> Plan:
     """Return the plan for what is asked for; raises ConfigError if a text is no time."""
     signals = [name.strip() for name in (options.signals or "").split(",") if name.strip()]
     try:
-        return plan.part(signals, vars(options)["from"], options.to)
+        part = plan.part(signals, vars(options)["from"], options.to)
     except SourceError as exc:
         raise ConfigError(str(exc)) from exc
+    return replace(part, pairs=pairs_of(options.pairs or ""))
 
 
 def table_format_of(output: Path, named: str | None) -> TableFormat:

@@ -212,7 +212,7 @@ def test_people_are_told_the_same(tmp_path: Path, capsys: pytest.CaptureFixture[
         "5 rows in",
         "1 pieces of the log are no frames (1 malformed), the first: line 10",
         "2 frames are shorter than their message: 3 values are not in them",
-        "need ISO-TP or J1939 transport and are not decoded: Long (20 bytes) 1",
+        "1 frames are pieces of messages longer than a frame, of which no protocol made one: Long (20 bytes) 1",
         "1 signals cannot be decoded: Bad.Outside lies outside its message",
         "1 values outside [min|max], written as sent: Whole.Low 1",
         "1 of 5 identifiers are not in the database: 0x7AB 1",
@@ -232,7 +232,7 @@ def test_of_messages_with_one_identifier_the_last_is_written_and_the_other_told(
     assert [one["message"] for one in json.loads(capsys.readouterr().out)["ids"]] == ["Later"]
 
 
-def test_packets_of_j1939_transport_are_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_messages_that_are_not_whole_are_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     database = (
         STATES.replace("BO_ 256 Brake: 4", "BO_ 2566845438 VIN: 17").replace(" 256 ", " 2566845438 ")
         + 'BA_DEF_ BO_ "VFrameFormat" ENUM "StandardCAN","ExtendedCAN","reserved","J1939PG";\n'
@@ -240,10 +240,10 @@ def test_packets_of_j1939_transport_are_told(tmp_path: Path, capsys: pytest.Capt
     )
     log = log_of("18ECFF00#20110003FFECFE00", "18EBFF00#0131323334353637", "18EBFF00#0231323334353637")
     record = told(tmp_path, capsys, database, log)
-    assert record["losses"][1] == (
-        "2 frames are packets of J1939 transport, which are not put together; of the database these messages come that "
-        "way: VIN"
-    )
+    assert record["losses"][1:] == [
+        "1 messages longer than a frame are incomplete: j1939 tp: 0 whole messages, 1 incomplete (1 cut off)"
+    ]
+    assert record["long_messages"] == {"whole": {}, "incomplete": {"j1939_tp.cut_off": 1}}
 
 
 def test_identifiers_without_end_take_no_memory_without_end(

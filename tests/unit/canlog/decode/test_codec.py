@@ -87,8 +87,8 @@ def test_every_frame_has_one_fate() -> None:
     assert (whole.rows.tolist(), part.rows.tolist()) == ([0], [4])
     match = codec.match(batch)
     assert match.slot.tolist() == [0, -1, -1, -1, 0]
-    assert match.counts[0].tolist() == [1, 1, 0, 0, 0, 0, 0]
-    assert match.counts[-1].tolist() == [0, 0, 0, 0, 1, 1, 1]
+    assert match.counts[0].tolist() == [1, 1, 0, 0, 0, 0, 0, 0]
+    assert match.counts[-1].tolist() == [0, 0, 0, 0, 1, 1, 1, 0]
 
 
 @pytest.mark.parametrize("database", [DATABASE, corners()], ids=["own", "corners"])
