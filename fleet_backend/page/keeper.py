@@ -19,7 +19,7 @@ from fleet_backend.page.running import FillsSeen
 from fleet_backend.page.usual import Kind, usual_of
 
 PERIOD_S: Final = 2.0
-REST_RATIO: Final = 9.0  # of the time that reading takes: a tenth of a processor at most, while much arrives
+REST_RATIO: Final = 19.0  # of the time that reading takes: a twentieth of a processor at most, while much arrives
 OVERLAP: Final = timedelta(seconds=10)  # a transaction that began before one looked may have ended after
 WHOLE_AFTER: Final = timedelta(minutes=15)  # what nobody foresaw is put right by then
 _NEVER: Final = datetime.min.replace(tzinfo=UTC)
