@@ -33,6 +33,13 @@ class BusyError(PageError):
     title = "Too many readers"
 
 
+class ProviderAwayError(PageError):
+    """Nobody can log in now: come back later."""
+
+    status = 503
+    title = "Nobody can log in now"
+
+
 class LoginError(PageError):
     """Nobody knows who asks: log in."""
 

@@ -20,10 +20,11 @@ from joserfc import jwt
 from joserfc.errors import JoseError
 from joserfc.jwk import KeySet
 
-from fleet_backend.page.errors import BusyError, LoginError
+from fleet_backend.page.errors import LoginError, ProviderAwayError
 from fleet_backend.page.sessions import Attempt
 
 LONGEST_WAIT_S: Final = 10.0
+AWAY_S: Final = 5.0  # a provider that did not answer is left alone, so that those who wait for it are not many
 KNOWN_FOR_S: Final = 3600.0  # what the provider says of itself
 LEEWAY_S: Final = 60  # between its clock and ours
 _MOST_BYTES: Final = 262_144
@@ -55,9 +56,10 @@ class OpenIdProvider:
         self._client = client
         self._lock = threading.Lock()
         self._known: tuple[float, Mapping[str, Any]] | None = None
+        self._away_until_s = 0.0
 
     def address(self, attempt: Attempt) -> str:
-        """Return where a browser logs in; raises BusyError if the provider does not answer."""
+        """Return where a browser logs in; raises ProviderAwayError if the provider does not answer."""
         found = prepare_grant_uri(
             self._description()["authorization_endpoint"],
             self._client.client_id,
@@ -78,7 +80,7 @@ class OpenIdProvider:
         ------
         LoginError
             If the provider does not take the code, or its token is not one for us, of now and of this attempt.
-        BusyError
+        ProviderAwayError
             If it does not answer.
         """
         description = self._description()
@@ -115,11 +117,13 @@ class OpenIdProvider:
         with self._lock:
             if self._known is not None and time.monotonic() < self._known[0] + KNOWN_FOR_S:
                 return self._known[1]
-            issuer = self._client.issuer
+            if time.monotonic() < self._away_until_s:
+                raise ProviderAwayError("the provider of logins does not answer")
+            issuer, self._away_until_s = self._client.issuer, time.monotonic() + LONGEST_WAIT_S + AWAY_S
             found = _read(Request(get_well_known_url(issuer, external=True)))  # noqa: S310 - https, or of this machine
             if found.get("issuer") != issuer or not all(is_safe(str(found.get(name))) for name in _ENDPOINTS):
-                raise BusyError("the provider of logins does not say what it should of itself")
-            self._known = (time.monotonic(), found)
+                raise ProviderAwayError("the provider of logins does not say what it should of itself")
+            self._known, self._away_until_s = (time.monotonic(), found), 0.0
             return found
 
     def _post(self, address: str, code: str, verifier: str) -> Mapping[str, Any]:
@@ -143,17 +147,17 @@ def is_safe(address: str) -> bool:
 
 
 def _read(request: Request) -> dict[str, Any]:
-    """Return the JSON object that a provider answers; LoginError if it refuses, BusyError if it does not answer."""
+    """Return the JSON object that a provider answers; LoginError if it refuses a form, else ProviderAwayError."""
     try:
         opener = build_opener(_NoRedirects, ProxyHandler({}))
         with opener.open(request, timeout=LONGEST_WAIT_S) as answer:
             found = json.loads(answer.read(_MOST_BYTES))
     except URLError as exc:
-        if 400 <= getattr(exc, "code", 0) < 500:
+        if request.data is not None and 400 <= getattr(exc, "code", 0) < 500:
             raise LoginError("the provider does not take this login; begin it again") from exc
-        raise BusyError("the provider of logins does not answer") from exc
+        raise ProviderAwayError("the provider of logins does not answer") from exc
     except (OSError, ValueError) as exc:
-        raise BusyError("the provider of logins does not answer") from exc
+        raise ProviderAwayError("the provider of logins does not answer") from exc
     if not isinstance(found, dict):
-        raise BusyError("the provider of logins does not answer")
+        raise ProviderAwayError("the provider of logins does not answer")
     return found

@@ -14,6 +14,7 @@ from fleet_backend.database import open_database
 from fleet_backend.errors import ConfigError
 from fleet_backend.page.access import Access, Login, Role
 from fleet_backend.page.access_file import read_access
+from fleet_backend.page.errors import ProviderAwayError
 from fleet_backend.page.login import local_path
 from fleet_backend.page.oidc import Client, OpenIdProvider
 from fleet_backend.page.server import closing_socket
@@ -191,6 +192,21 @@ def test_a_change_takes_the_token_of_the_session(browser: httpx.Client, provider
     out = browser.post("/logout", data={"token": token_in(page)}, follow_redirects=True)
     assert (out.status_code, out.url.path) == (200, "/logged-out")
     assert browser.get("/", headers={"cookie": f"fleet={key}"}).status_code == 303
+
+
+def test_a_provider_that_is_away_keeps_nobody_waiting() -> None:
+    with provided() as gone:
+        words = {"client_id": CLIENT_ID, "secret": CLIENT_SECRET, "return_address": "", "name_claim": "email"}
+        provider = OpenIdProvider(Client(issuer=gone.issuer, **words))
+        lying = OpenIdProvider(Client(issuer=f"{gone.issuer}/", **words))
+        with pytest.raises(ProviderAwayError, match="does not say what it should"):
+            lying.address(Attempt.begin("/", 0.0))
+        asked = len(gone.asked)
+        with pytest.raises(ProviderAwayError, match="does not answer"):
+            lying.address(Attempt.begin("/", 0.0))
+        assert len(gone.asked) == asked  # it is left alone for a while
+    with pytest.raises(ProviderAwayError, match="does not answer"):
+        provider.address(Attempt.begin("/", 0.0))
 
 
 @pytest.mark.parametrize(
