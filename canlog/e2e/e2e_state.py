@@ -43,7 +43,7 @@ class E2eChange:
 
 
 WINDOW: Final = 10  # checks
-MIN_OK: Final = 7  # of a full window: three lost frames are tolerated
+MIN_OK: Final = 4  # of a full window: six lost frames are tolerated; what came is checked one by one
 MAX_ERRORS: Final = 1  # frames with a wrong CRC or length
 TIMEOUT_CYCLES: Final = 5
 LEARNING_STEPS: Final = 16  # over which the own cycle of a message forgets; one gap moves it by a sixteenth at most

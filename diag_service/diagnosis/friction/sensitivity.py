@@ -42,6 +42,7 @@ from diag_service.diagnosis.friction.window import SLIP_DEGREE, Weights
 
 MIN_EXCESS = 0.05  # keeps exponents below one finite at zero slip
 DOUBT_RATIO = 0.01  # of a clutch's torque: so far no law of friction and film holds moment by moment
+OPEN_DOUBT_RATIO = 0.5  # of what an open pack drags: how that goes with the slip is another in every pack
 DOUBT_TIME_S = 0.1  # for which what is not known is wrong one way
 DOUBT_STEP = 5  # points of the grid: no test function turns in less than ten times that
 IDLE_RATIO = 0.1  # of the noise: a clutch that weighs less than this in the balance has no say in any derivative
@@ -243,7 +244,10 @@ class Sensitivity:
                     noises[place] += std**2 * (weight * means[place]) @ (weight * means[place]).T
         doubt_nm = np.hypot(balance.tracks[m].doubt_nm[rows], DOUBT_RATIO * (torques_nm @ mu))
         doubt_nm *= calibration.bias.torque_gain * math.sqrt(DOUBT_TIME_S * DOUBT_STEP / GRID_S)
+        opened_nms = OPEN_DOUBT_RATIO * calibration.bias.torque_gain * self._nominal[m].opened
         for place, (block, rows_of_piece) in enumerate(zip(value.blocks, value.places, strict=True)):
+            opened = opened_nms[value.bands[place]]
+            noises[place] += np.outer(opened, opened)
             doubt = block[:, ::DOUBT_STEP] * doubt_nm[rows_of_piece][::DOUBT_STEP]
             noises[place] += doubt @ doubt.T
         return np.asarray(by_slip_nms)

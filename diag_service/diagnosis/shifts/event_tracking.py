@@ -40,6 +40,7 @@ class _Slip:
     kind: EventKind
     gear: int
     end_ns: int | None = None  # since when it does not slip; None: it does
+    is_closed: bool = False  # the clutch still carried as its slip ended: what is led so softly may look open later
 
 
 @dataclass(frozen=True, slots=True)
@@ -152,8 +153,10 @@ class EventTracker:
             found = self._end_slip(change.t_ns, EndReason.ABANDONED)
             self._slip = _Slip(change.t_ns, EventKind.LAUNCH, change.gear)
             return found
-        closed_ns = None if is_slipping else self._slip.end_ns or change.t_ns
-        self._slip = replace(self._slip, end_ns=closed_ns)
+        if is_slipping:
+            self._slip = replace(self._slip, end_ns=None, is_closed=False)
+        elif self._slip.end_ns is None:
+            self._slip = replace(self._slip, end_ns=change.t_ns, is_closed=change.gear_grip is Grip.LOCKED)
         return []
 
     def _enter(self, history: History, bounds: Bounds) -> list[Bounds]:
@@ -195,7 +198,7 @@ class EventTracker:
         if self._is_overdue and self._grip.grip is not Grip.SLIPPING and now_ns > self._grip.t_ns + DWELL_NS:
             self._is_overdue = False
         if slip is not None and slip.end_ns is not None:
-            dwell_ns = self._dwell_ns()
+            dwell_ns = self._dwell_ns(slip)
             return (
                 self._end_slip(slip.end_ns + LOCK_NS, self._how_ended(slip)) if now_ns > slip.end_ns + dwell_ns else []
             )
@@ -204,15 +207,16 @@ class EventTracker:
             return self._end_slip(slip.start_ns + MAX_SLIP_NS, EndReason.TOO_LONG)
         return []
 
-    def _dwell_ns(self) -> int:
+    def _dwell_ns(self, slip: _Slip) -> int:
         """Return how long a clutch must not slip until that is the end of its slip."""
-        if self._grip.gear_grip is Grip.LOCKED:
+        if slip.is_closed or self._grip.gear_grip is Grip.LOCKED:
             return LOCK_NS
         return LIFTED_NS if self._grip.is_asked else DWELL_NS
 
     def _how_ended(self, slip: _Slip) -> EndReason:
         """Return how slip ends now: a creep is over when it is, all else when the clutch is locked."""
-        is_over = slip.end_ns is not None and (slip.kind is EventKind.CREEP or self._grip.gear_grip is Grip.LOCKED)
+        is_locked = slip.is_closed or self._grip.gear_grip is Grip.LOCKED
+        is_over = slip.end_ns is not None and (slip.kind is EventKind.CREEP or is_locked)
         return EndReason.COMPLETE if is_over else EndReason.ABANDONED
 
     def _end_slip(self, end_ns: int, reason: EndReason) -> list[Bounds]:
@@ -220,7 +224,7 @@ class EventTracker:
         slip, self._slip = self._slip, None
         if slip is None:
             return []
-        if slip.end_ns is not None and self._grip.gear_grip is not Grip.LOCKED:
+        if slip.end_ns is not None and not slip.is_closed and self._grip.gear_grip is not Grip.LOCKED:
             end_ns = slip.end_ns
         if (end_ns if slip.end_ns is None else slip.end_ns) - slip.start_ns < LEAST_SLIP_NS:
             return []
