@@ -25,6 +25,7 @@ from canlog.parquet.metadata import (
 from canlog.parquet_file import BOOL_TYPE, NAME_TYPE, TIME_TYPE, arrow_schema, load_pyarrow
 
 ZSTD_LEVEL: Final = 1  # higher ones take twice the time for a few percent
+MOST_PLAIN_BYTES: Final = 96  # that become a frame of zstd as they are: hardly any smaller, and at once
 MAKER: Final = "canlog"
 TYPES: Final = {
     "float64": ColumnType(physical=Physical.DOUBLE),
@@ -35,6 +36,8 @@ TYPES: Final = {
     NAME_TYPE: ColumnType(physical=Physical.TEXT),
 }
 _LENGTH: Final = struct.Struct("<I")
+_FRAME_HEAD: Final = b"\x28\xb5\x2f\xfd\x20"  # of a zstd frame of one segment, whose size follows in a byte (RFC 8878)
+_LAST_BLOCK: Final = 1  # and none before it; its bytes stand as they are
 _NO_ROWS: Final = np.empty(0, np.int64)
 
 
@@ -134,6 +137,9 @@ class ColumnFile:
         group.unpacked_bytes += unpacked_bytes
 
     def _packed(self, content: bytes) -> bytes:
+        size = len(content)
+        if size <= MOST_PLAIN_BYTES:
+            return _FRAME_HEAD + bytes((size, size << 3 & 0xFF | _LAST_BLOCK, size >> 5, 0)) + content
         packed: bytes = self._compressed(content, asbytes=True)
         return packed
 

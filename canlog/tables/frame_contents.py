@@ -52,7 +52,9 @@ def frame_contents(
     else:
         numbers = np.arange(len(group), dtype=np.int32)
         found[TIME] = contents.whole_numbers(frames.t_ns, packer.repeated(numbers, repeats, len(numbers)))
-        is_extended = np.repeat(is_extended, repeats)
+        is_mixed = is_extended.any() and not is_extended.all()
+        row_count = int(repeats.sum())
+        is_extended = np.repeat(is_extended, repeats) if is_mixed else np.full(row_count, is_extended[0])
     found[CHANNEL] = whole_numbers(group.channel, np.int64)
     found[ID] = whole_numbers((frames.can_id & _BARE_ID).astype(np.int64), np.int32)
     found[IS_EXTENDED] = contents.flags(is_extended)
