@@ -3,22 +3,24 @@
 import json
 import sqlite3
 from dataclasses import replace
+from datetime import UTC, datetime
 from io import StringIO
 from pathlib import Path
 
 import pytest
-from sqlalchemy import select
+from sqlalchemy import Engine, select
 
-from diag_service.diagnosis.prognosis import population_from
+from diag_service.diagnosis.prognosis import Population, population_from
 from diag_service.diagnosis.records import ShiftResult
 from fleet_backend.alarm_tables import AUDIT
 from fleet_backend.cli import main
 from fleet_backend.database import open_database, transaction
 from fleet_backend.errors import DatabaseError
+from fleet_backend.lots import LotRow, lots_of, store_lots
 from fleet_backend.migrate import migrate
 from fleet_backend.page.outlook import outlook_of
 from fleet_backend.page.past import results_of
-from fleet_backend.page.populations import latest
+from fleet_backend.page.populations import keep, latest
 from fleet_backend.report import lot_standings_table, show
 from fleet_backend.writer import Batch, Writer
 from tests.support.fleet import fleet_result, row_of
@@ -168,3 +170,22 @@ def test_people_read_which_lots_are_bad() -> None:
     assert "Lots that age faster than the others: 1 of 2" in text.getvalue()
     lines = [line.split() for line in text.getvalue().splitlines()]
     assert ["fluid", "lot", "B7", "yes", "9", "1.92", "10", "5e+04"] in lines
+
+
+def test_either_database_keeps_lots_and_populations(engine: Engine) -> None:
+    now = datetime.now(UTC)
+    rows = [
+        LotRow(vehicle=f"car{car}", name=name, value=value)
+        for car in range(600)  # more than one statement takes
+        for name, value in (("plant", "north"), ("built", ""))
+    ]
+    done = store_lots(engine, rows, at=now, by="anna")
+    assert (done.vehicle_count, done.lot_count, done.unheard_count) == (600, 600, 600)
+    store_lots(engine, [LotRow(vehicle="car1", name="plant", value="")], at=now, by="anna")
+    assert len(lots_of(engine)) == 599
+    nothing = Population(life_count=0, peers=())
+    assert latest(engine) is None
+    assert [keep(engine, nothing, 3, at=now, by="anna") for _ in range(2)] == [1, 2]
+    kept = latest(engine)
+    assert kept is not None
+    assert (kept.version, kept.population.version, kept.learned_at) == (2, 2, now)
