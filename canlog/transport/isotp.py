@@ -9,9 +9,12 @@ CONTINUE, WAIT, OVERFLOW = range(3)  # what a flow control says
 LIMIT_NS = 1_000 * NS_PER_MS  # N_Cr and N_Bs: longest silence between two frames
 CLASSIC_BYTES = 8
 SEQUENCE = 16
+MOST_LOST = 3  # frames of one message in a row; more, and the numbers are those of another
 SHORTEST_LONG = 8  # a message of fewer bytes fits into a single frame, of CAN FD or not
 LONGEST = 1 << 20  # 32 bits could say more; no controller has it
 TESTER_PRESENT = 0x3E
+MOST_FRAMES = LONGEST // 6
+UNKNOWN = 1 << 62  # stays above all of them
 
 Key = tuple[int, int]  # channel, identifier with flags
 
@@ -28,34 +31,61 @@ class _Open:
     sequence: int = 1  # of the frame that has to come
     is_allowed: bool = False  # a flow control came since the block began
     block: int = 0  # frames until the next flow control; 0: none has to come
+    frame_bytes: int = CLASSIC_BYTES  # of each frame but the last
+
+    @property
+    def left(self) -> int:
+        """How many frames have to come yet."""
+        return -(-(self.length - len(self.data)) // (self.frame_bytes - 1))
+
+
+@dataclass(slots=True)
+class _Orphan:
+    """What is known of a message that is counted as incomplete already."""
+
+    last: int  # number of its last frame
+    last_ns: int
+    left: int = UNKNOWN  # frames that have to come yet
+    is_announced: bool = False  # the last that was seen of it is flow control
+    is_waiting: bool = False  # that says: wait
+
+    @property
+    def longest_step(self) -> int:
+        """By how much the number of its next frame may be higher; more, and the frame is one of another message."""
+        return MOST_LOST + 1 if self.left > MOST_FRAMES else min(self.left, SEQUENCE // 2)
+
+    def ends_before(self, t_ns: int, block: int) -> bool:
+        """Return whether flow control that allows so many frames cannot be one for this message."""
+        if t_ns - self.last_ns > LIMIT_NS or self.left <= 0:
+            return True
+        is_last_block = self.left > MOST_FRAMES or self.left <= block
+        return not self.is_waiting and (block == 0 or (self.is_announced and is_last_block))
 
 
 @dataclass(slots=True)
 class IsoTp:
     """The state of every conversation; ``peer_of`` says to whose identifier an identifier's frames are the other side.
 
-    A consecutive frame that nothing precedes is part of a message whose beginning is missing: counted once, until one
-    begins, or the numbers begin again.
+    Flow control or a consecutive frame that nothing precedes speaks of a message whose beginning is missing: counted
+    once, until one begins, or the numbers begin again.
     """
 
     counts: TransferCounts
     _open: dict[Key, _Open] = field(default_factory=dict)
-    _orphan: dict[Key, tuple[int, int]] = field(
-        default_factory=dict
-    )  # last number and time of frames without beginning
+    _orphan: dict[Key, _Orphan] = field(default_factory=dict)
 
     def feed(self, t_ns: int, key: Key, peer: Key | None, data: bytes) -> Transfer | None:
         """Take a frame of a sender, whose other side has the identifier ``peer``; return the message it completes."""
         kind = data[0] >> 4 if data else -1
         if kind == FLOW_CONTROL:
-            self._control(t_ns, peer, data)
+            self._control(t_ns, key, peer, data)
             return None
         if kind == SINGLE:
             return self._single(t_ns, key, peer, data)
         if kind == FIRST:
             self._begin(t_ns, key, peer, data)
         elif kind == CONSECUTIVE:
-            return self._continue(t_ns, key, data)
+            return self._continue(t_ns, key, peer, data)
         return None
 
     def close(self) -> None:
@@ -90,36 +120,49 @@ class IsoTp:
             return
         if len(self._open) >= MOST_OPEN:
             self._give_up(next(iter(self._open)), Fault.TOO_MANY)
-        self._open[key] = _Open(first_ns=t_ns, last_ns=t_ns, length=length, data=bytearray(data[start:]))
+        self._open[key] = _Open(
+            first_ns=t_ns, last_ns=t_ns, length=length, data=bytearray(data[start:]), frame_bytes=len(data)
+        )
 
-    def _control(self, t_ns: int, peer: Key | None, data: bytes) -> None:
+    def _control(self, t_ns: int, key: Key, peer: Key | None, data: bytes) -> None:
         """Take what a receiver says to the sender of a message."""
-        one = self._open.get(peer) if peer is not None else None
-        status, block = data[0] & 0x0F, data[1] if len(data) > 1 else 0
-        if peer is not None and one is None and status == CONTINUE and block == 0:
-            self._orphan.pop(peer, None)  # a message begins of which the first frame is missing
-        if peer is None or one is None:
+        if peer is None:
             return
-        if status == OVERFLOW:
+        self._orphan.pop(key, None)  # who receives has ended what it sent
+        one = self._open.get(peer)
+        status, block = data[0] & 0x0F, data[1] if len(data) > 1 else 0
+        if one is None:
+            self._control_orphan(t_ns, peer, status, block)
+        elif status == OVERFLOW:
             self._give_up(peer, Fault.ABORTED)
-        elif status == CONTINUE and one.is_allowed and (one.block == 0 or one.block > 1):
-            self._give_up(peer, Fault.INTERRUPTED)  # it is not its turn: another message has begun
+        elif status == CONTINUE and one.is_allowed and one.block != 1:
+            self._give_up(peer, Fault.INTERRUPTED)  # it is not its turn: another message has begun, or frames are lost
+            if one.block == 0 or one.left < one.block:
+                self._count_orphan(t_ns, peer, 0, is_announced=True)
         else:
             one.last_ns = t_ns
             if status == CONTINUE:
                 one.is_allowed, one.block = True, block + 1 if block else 0
 
-    def _continue(self, t_ns: int, key: Key, data: bytes) -> Transfer | None:
+    def _control_orphan(self, t_ns: int, peer: Key, status: int, block: int) -> None:
+        """Take flow control for a message whose beginning is missing, or that is counted as incomplete already."""
+        orphan = self._orphan.get(peer)
+        if orphan is None or orphan.ends_before(t_ns, block):
+            self._count_orphan(t_ns, peer, 0, is_announced=True, is_waiting=status == WAIT)
+        else:
+            orphan.last_ns, orphan.is_announced, orphan.is_waiting = t_ns, True, status == WAIT
+
+    def _continue(self, t_ns: int, key: Key, peer: Key | None, data: bytes) -> Transfer | None:
         one, sequence = self._open.get(key), data[0] & 0x0F
         if one is not None and t_ns - one.last_ns > LIMIT_NS:
             self._give_up(key, Fault.TIMEOUT)
             one = None
         if one is None:
-            self._without_beginning(t_ns, key, sequence)
+            self._without_beginning(t_ns, key, peer, sequence)
             return None
         if sequence != one.sequence:
             self._give_up(key, Fault.FRAME_MISSING)
-            self._orphan[key] = (sequence, t_ns)
+            self._orphan[key] = _Orphan(sequence, t_ns, one.left - 1 - (sequence - one.sequence) % SEQUENCE)
             return None
         one.data += data[1:]
         one.frames, one.last_ns, one.sequence = one.frames + 1, t_ns, (sequence + 1) % SEQUENCE
@@ -129,15 +172,24 @@ class IsoTp:
         del self._open[key]
         return self._whole(key, one.first_ns, t_ns, one.frames, bytes(one.data[: one.length]))
 
-    def _without_beginning(self, t_ns: int, key: Key, sequence: int) -> None:
+    def _without_beginning(self, t_ns: int, key: Key, peer: Key | None, sequence: int) -> None:
         """Count a message whose beginning is missing, once."""
-        last, last_ns = self._orphan.get(key, (-1, t_ns - LIMIT_NS - 1))
-        is_another = t_ns - last_ns > LIMIT_NS or (sequence <= last and (last - sequence) < SEQUENCE // 2)
-        if last < 0 or is_another:
-            self._fault(Fault.NO_BEGINNING)
+        orphan = self._orphan.get(key)
+        step = 0 if orphan is None else (sequence - orphan.last) % SEQUENCE
+        if orphan is None or t_ns - orphan.last_ns > LIMIT_NS or not 1 <= step <= orphan.longest_step:
+            self._count_orphan(t_ns, key, sequence)
+            if peer is not None:
+                self._orphan.pop(peer, None)  # who begins to send has received what the other side sent
+        else:
+            self._orphan[key] = _Orphan(sequence, t_ns, orphan.left - step)
+
+    def _count_orphan(
+        self, t_ns: int, key: Key, last: int, *, is_announced: bool = False, is_waiting: bool = False
+    ) -> None:
+        self._fault(Fault.NO_BEGINNING)
         if len(self._orphan) >= MOST_OPEN and key not in self._orphan:
             del self._orphan[next(iter(self._orphan))]
-        self._orphan[key] = (sequence, t_ns)
+        self._orphan[key] = _Orphan(last, t_ns, is_announced=is_announced, is_waiting=is_waiting)
 
     def _whole(self, key: Key, first_ns: int, last_ns: int, frames: int, data: bytes) -> Transfer:
         self.counts.add_whole(Protocol.ISO_TP)
@@ -160,7 +212,7 @@ class IsoTp:
 
     def _give_up(self, key: Key, fault: Fault) -> None:
         one = self._open.pop(key)
-        self._orphan[key] = ((one.sequence - 1) % SEQUENCE, one.last_ns)
+        self._orphan[key] = _Orphan((one.sequence - 1) % SEQUENCE, one.last_ns, one.left)
         self._fault(fault)
 
     def _fault(self, fault: Fault) -> None:

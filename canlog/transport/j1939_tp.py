@@ -50,6 +50,11 @@ def _group_in(data: bytes) -> int:
     return data[5] | data[6] << 8 | data[7] << 16
 
 
+def _length_in(data: bytes) -> int:
+    """Return the length of which a frame of connection management speaks."""
+    return data[1] | data[2] << 8
+
+
 def _limit_ns(one: _Open | None) -> int:
     """Return how long a message for all may be silent between two packets."""
     return max(FOR_ALL_LIMIT_NS, USUAL_GAPS * one.gap_ns) if one is not None else FOR_ALL_LIMIT_NS
@@ -65,9 +70,7 @@ class J1939Transport:
 
     counts: TransferCounts
     _open: dict[Key, _Open] = field(default_factory=dict)
-    _orphan: dict[Key, tuple[int, int]] = field(
-        default_factory=dict
-    )  # last number and time of packets without beginning
+    _orphan: dict[Key, tuple[int, int]] = field(default_factory=dict)  # last number and time of what is counted
 
     def feed(self, t_ns: int, channel: int, can_id: int, data: bytes) -> Transfer | None:
         """Take a frame of transport; return the message that is whole by it."""
@@ -85,7 +88,7 @@ class J1939Transport:
         if kind == CLEAR_TO_SEND:
             return self._clear(t_ns, other, data)
         if kind == END:
-            return self._end(other, data)
+            return self._end(t_ns, other, data)
         if kind == ABORT:
             for one in (other, key):
                 if one in self._open:
@@ -142,7 +145,9 @@ class J1939Transport:
         is_wanted = number == one.expected if is_for_all else 1 <= number <= one.packets
         if not is_wanted:
             self._give_up(key, Fault.FRAME_MISSING)
-            self._orphan[key] = (number, t_ns)
+            self._remember(key, number, t_ns)
+            if number < one.expected or number > one.packets:
+                self._fault(Fault.NO_BEGINNING)  # it is a packet of another message, whose announcement is missing
             return None
         one.data[(number - 1) * PACKET_BYTES : number * PACKET_BYTES] = data[1:]
         one.gap_ns = one.gap_ns or t_ns - one.first_ns
@@ -164,22 +169,23 @@ class J1939Transport:
             one.expected = data[2] if data[1] and 1 <= data[2] <= one.packets else one.expected
             return None
         before = self._settled(key, Fault.INTERRUPTED)
-        if is_beginning:
-            self._orphan.pop(key, None)  # a message begins of which the request is missing
+        if is_beginning or one is not None or self._is_nothing_known(t_ns, key):
+            self._fault(Fault.NO_BEGINNING)  # a message begins of which the request is missing
+            self._remember(key, max(data[2] - 1, 0), t_ns)
         return before
 
-    def _end(self, key: Key, data: bytes) -> Transfer | None:
+    def _end(self, t_ns: int, key: Key, data: bytes) -> Transfer | None:
         """Take a receiver's word that it has all of a message."""
         one = self._open.get(key)
+        is_its_own = one is not None and _group_in(data) == one.group and _length_in(data) == one.length
+        if one is not None and is_its_own and one.is_complete:
+            self._orphan.pop(key, None)
+            return self._whole(key)
+        before = self._settled(key, Fault.FRAME_MISSING if is_its_own else Fault.INTERRUPTED)
+        if not is_its_own and (one is not None or self._is_nothing_known(t_ns, key)):
+            self._fault(Fault.NO_BEGINNING)  # of another message nothing but this is left
         self._orphan.pop(key, None)
-        if one is None:
-            return None
-        if _group_in(data) != one.group or int.from_bytes(data[1:3], "little") != one.length:
-            return self._settled(key, Fault.INTERRUPTED)
-        if not one.is_complete:
-            self._give_up(key, Fault.FRAME_MISSING)
-            return None
-        return self._whole(key)
+        return before
 
     def _settled(self, key: Key, fault: Fault) -> Transfer | None:
         """End a message: return it if it is complete, else count why not."""
@@ -197,6 +203,13 @@ class J1939Transport:
         is_another = number <= last if key[2] == FOR_ALL else last > LAST_NUMBER
         if is_another or t_ns - last_ns > limit_ns:
             self._fault(Fault.NO_BEGINNING)
+        self._remember(key, number, t_ns)
+
+    def _is_nothing_known(self, t_ns: int, key: Key) -> bool:
+        """Return whether no message of this connection is counted that may still go on."""
+        return key not in self._orphan or t_ns - self._orphan[key][1] > BETWEEN_TWO_LIMIT_NS
+
+    def _remember(self, key: Key, number: int, t_ns: int) -> None:
         if len(self._orphan) >= MOST_OPEN and key not in self._orphan:
             del self._orphan[next(iter(self._orphan))]
         self._orphan[key] = (number, t_ns)

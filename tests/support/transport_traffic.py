@@ -15,12 +15,13 @@ MS = 1_000_000
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Sent:
-    """A frame on the bus, and the number of the message that it is part of; -1: flow control and the like."""
+    """A frame on the bus, and the number of the message that it is part of, or speaks of as its receiver."""
 
     t_ns: int
     can_id: int
     data: bytes
     message: int
+    is_answer: bool = False  # flow control and the like: carries nothing of the message
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -101,7 +102,8 @@ def iso_tp(rng: random.Random, count: int, *, block: int = 0, is_fd: bool = Fals
             while bus:
                 sender, cut = bus.popleft()
                 t_ns += rng.randint(1, 5) * MS // 2
-                frames.append(Sent(t_ns=t_ns, can_id=ids[sender], data=cut, message=number if sender == own else -1))
+                is_answer = sender != own
+                frames.append(Sent(t_ns=t_ns, can_id=ids[sender], data=cut, message=number, is_answer=is_answer))
         received = sides[1 - own].recv()
         assert received is not None
         assert bytes(received) == data
@@ -125,7 +127,7 @@ def j1939(rng: random.Random, count: int) -> Traffic:
             form = 0xEB if kind == "data" else 0xEC
             ends = (source, destination) if is_answer else (destination, source)
             frame_id = EXTENDED_FLAG | 7 << 26 | form << 16 | ends[0] << 8 | ends[1]
-            frames.append(Sent(t_ns=t_ns, can_id=frame_id, data=body, message=-1 if is_answer else number))
+            frames.append(Sent(t_ns=t_ns, can_id=frame_id, data=body, message=number, is_answer=is_answer))
     return Traffic(frames=tuple(frames), messages=tuple(messages))
 
 

@@ -56,9 +56,14 @@ FAST = 0x89F80501
         ([(0, 0x7E8, "1004620102030405")], Protocol.ISO_TP, Fault.WRONG_LENGTH),
         ([(0, 0x7E8, "0862010203040506")], Protocol.ISO_TP, Fault.WRONG_LENGTH),
         ([(0, 0x7E8, "2106070809101112")], Protocol.ISO_TP, Fault.NO_BEGINNING),
+        ([(0, 0x7E0, "3000000000000000")], Protocol.ISO_TP, Fault.NO_BEGINNING),
+        ([(0, 0x7E0, "3100"), (5, 0x7E0, "3000"), (9, 0x7E8, "21060708")], Protocol.ISO_TP, Fault.NO_BEGINNING),
         ([(0, TP_CM, "200A0002FFCAFE00"), (60, TP_DT, "02FFFFFFFFFFFFFF")], Protocol.J1939_TP, Fault.FRAME_MISSING),
         ([(0, TP_CM, "200A0009FFCAFE00")], Protocol.J1939_TP, Fault.WRONG_LENGTH),
         ([(0, TP_DT, "0101020304050607")], Protocol.J1939_TP, Fault.NO_BEGINNING),
+        ([(0, BACK_CM, "110201FFFFCAFE00"), (4, TO_DT, "0101020304050607")], Protocol.J1939_TP, Fault.NO_BEGINNING),
+        ([(0, BACK_CM, "130A0002FFCAFE00")], Protocol.J1939_TP, Fault.NO_BEGINNING),
+        ([(0, TO_DT, "0201020304050607"), (4, BACK_CM, "130A0002FFCAFE00")], Protocol.J1939_TP, Fault.NO_BEGINNING),
         ([(0, TO_CM, "100A0002FFCAFE00"), (5, BACK_CM, "FF01FFFFFFCAFE00")], Protocol.J1939_TP, Fault.ABORTED),
         ([(0, FAST, "0014010203040506"), (9, FAST, "0207080910111213")], Protocol.FAST_PACKET, Fault.FRAME_MISSING),
         ([(0, FAST, "0014010203040506"), (9, FAST, "2108091011121314")], Protocol.FAST_PACKET, Fault.INTERRUPTED),
@@ -78,6 +83,31 @@ def test_packets_of_a_longer_message_without_announcement_are_not_taken_for_a_sh
     found, incomplete = put_together((0, TP_CM, "200E0002FFCAFE00"), *packets)
     assert found == []
     assert incomplete[Protocol.J1939_TP, Fault.FRAME_MISSING] == 1
+
+
+@pytest.mark.parametrize(
+    ("lines", "counted"),
+    [
+        # Flow control again where none can come any more: it speaks of the next message.
+        ([(0, 0x7E8, "100D010203040506"), (2, 0x7E0, "3003"), (60, 0x7E0, "3003"), (62, 0x7E8, "2106070809101112")], 2),
+        ([(0, 0x7E8, "1014010203040506"), (2, 0x7E0, "3000"), (60, 0x7E0, "3000"), (62, 0x7E8, "2106070809101112")], 2),
+        # Two of one block each: the message goes on.
+        ([(0, 0x7E8, "2106070809101112"), (2, 0x7E0, "3001"), (4, 0x7E8, "2206070809101112")], 1),
+        # A number that one message cannot have behind the other.
+        ([(0, 0x7E8, "2506070809101112"), (2, 0x7E8, "2106070809101112")], 2),
+        ([(0, 0x7E8, "2106070809101112"), (2, 0x7E8, "2706070809101112")], 2),
+        # Packets of another message for all, whose announcement is missing.
+        ([(0, TP_CM, "20150003FFCAFE00"), (60, TP_DT, "01" * 8), (120, TP_DT, "02" * 8), (400, TP_DT, "02" * 8)], 2),
+        ([(0, TO_CM, "10150003FFCAFE00"), (4, TO_DT, "0101010101010101"), (8, TO_DT, "0601010101010101")], 2),
+        ([(0, TO_CM, "10150003FFCAFE00"), (4, BACK_CM, "13150003FFCAFE00"), (60, TO_DT, "0101010101010101")], 2),
+        ([(0, TO_CM, "10150003FFCAFE00"), (60, BACK_CM, "130A0002FFCAFE00")], 2),
+    ],
+)
+def test_what_is_left_of_two_messages_is_counted_twice_and_of_one_once(
+    lines: list[tuple[int, int, str]], counted: int
+) -> None:
+    found, incomplete = put_together(*lines)
+    assert (found, sum(incomplete.values())) == ([], counted)
 
 
 def test_a_frame_of_another_sender_or_channel_does_not_interrupt() -> None:
