@@ -1,12 +1,14 @@
 """A day of endless driving as fast as it goes: memory, clock, frames and events, hour by hour.
 
 Days of trips with the car parked in between, as ``ecu-emulator run --drive day --endless`` sends them: plant, sensors,
-frames and truth are at work, only the bus is left out.
+frames and truth are at work, only the bus is left out. With ``--diagnose`` the service's stages are at work as well, in
+the same process: decoding, events, estimate and verdict, and what one event costs in processor time.
 
-python -m benchmarks.endless [hours]
+    python -m benchmarks.endless [hours]
+    python -m benchmarks.endless 24 --diagnose
 """
 
-import sys
+import argparse
 import time
 from dataclasses import dataclass, replace
 from typing import Final
@@ -15,7 +17,15 @@ import numpy as np
 import psutil
 from rich.console import Console
 
+from benchmarks.accuracy import to_batch
 from benchmarks.measuring import machine
+from clutch_model.calibration import nominal_calibration
+from dbc.contract import load_contract
+from diag_service.diagnosis.condition.condition import ConditionMemory
+from diag_service.diagnosis.friction import Posterior
+from diag_service.mapping.decoder import Decoder
+from diag_service.mapping.profile import load_profile
+from diag_service.service.stages import Stages
 from ecu_emulator.drive_names import DriveName
 from ecu_emulator.recording import SHORT_STRETCH_S, Drive, Stretch
 from ecu_emulator.scenario_file import load_scenario
@@ -55,6 +65,38 @@ class Account:
                 self.parked_ms += round(min(truth.parked_s, PARKED_S) * MS_PER_S)
 
 
+@dataclass(slots=True)
+class Diagnosing:
+    """The stages of the service beside the drive, and what its events cost."""
+
+    stages: Stages
+    count: int = 0
+    total_s: float = 0.0
+    longest_s: float = 0.0
+
+    def add(self, stretch: Stretch) -> None:
+        """Diagnose a stretch."""
+        for event in self.stages.segment(to_batch(stretch.frames)):
+            start_s = time.process_time()
+            self.stages.conclude(event)
+            took_s = time.process_time() - start_s
+            self.count += 1
+            self.total_s += took_s
+            self.longest_s = max(self.longest_s, took_s)
+
+    def line(self) -> str:
+        """Return what the events cost so far."""
+        mean_ms = self.total_s / max(self.count, 1) * MS_PER_S
+        return f"  {self.count:6d} diagnosed, {mean_ms:.1f} ms each, at most {self.longest_s * MS_PER_S:.0f} ms"
+
+
+def stages() -> Stages:
+    """Return the stages of a service that knows nothing of the vehicle yet."""
+    calibration = nominal_calibration()
+    decoder = Decoder(load_contract(), load_profile())
+    return Stages(decoder, calibration, Posterior.fresh(calibration), ConditionMemory.fresh())
+
+
 def hour_line(hour: int, drive: Drive, account: Account, took_s: float) -> str:
     """Return what can be said after an hour, beginning with what must not grow."""
     totals = drive.totals
@@ -70,18 +112,25 @@ def hour_line(hour: int, drive: Drive, account: Account, took_s: float) -> str:
 
 def main() -> None:
     """Drive for the hours on the command line, or for a day."""
-    hours = float(sys.argv[1]) if len(sys.argv) > 1 else HOURS
-    console = Console(markup=False, highlight=False, width=180)
+    parser = argparse.ArgumentParser(description="A day of endless driving.")
+    parser.add_argument("hours", type=float, nargs="?", default=HOURS)
+    parser.add_argument("--diagnose", action="store_true", help="with the stages of the service")
+    options = parser.parse_args()
+    console = Console(markup=False, highlight=False, width=220)
     scenario = replace(load_scenario(SCENARIO), drive=DriveName.DAY, endless=True)
     drive, account = Drive(scenario, PARKED_S), Account()
+    diagnosing = Diagnosing(stages()) if options.diagnose else None
     console.print(f"Endless days, {machine()}")
     start_s, hour = time.process_time(), 0
     for stretch in drive.stretches(SHORT_STRETCH_S):
         account.add(stretch)
+        if diagnosing is not None:
+            diagnosing.add(stretch)
         if stretch.end_s >= (hour + 1) * S_PER_H:
             hour += 1
-            console.print(hour_line(hour, drive, account, time.process_time() - start_s))
-        if stretch.end_s >= hours * S_PER_H:
+            said = hour_line(hour, drive, account, time.process_time() - start_s)
+            console.print(said + ("" if diagnosing is None else diagnosing.line()))
+        if stretch.end_s >= options.hours * S_PER_H:
             return
 
 
