@@ -8,6 +8,7 @@ are counted in events that were used. *Scale-free* is friction times gain and pi
     python -m benchmarks.drive_accuracy --vehicles 30                   # warm UDDS, uncalibrated
     python -m benchmarks.drive_accuracy --trace wltc --oil-degc -10
     python -m benchmarks.drive_accuracy --plain                         # vehicles just like their type, noise only
+    python -m benchmarks.drive_accuracy --plain --known                 # the same, and nothing but friction is unknown
     python -m benchmarks.drive_accuracy --mismatch --loss 0.05
 """
 
@@ -15,7 +16,7 @@ import argparse
 import sys
 from collections import Counter
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from functools import partial
 from typing import Final
 
@@ -28,7 +29,8 @@ from benchmarks.drawn_vehicle import Vehicle, draw
 from benchmarks.drive_events import planned
 from benchmarks.study import over_drives, root_mean_square
 from canlog.arrays import FloatArray
-from clutch_model.calibration import nominal_calibration
+from clutch_model.calibration import Calibration, nominal_calibration
+from clutch_model.knowledge import Uncertainty
 from clutch_model.units import degc_from_k, k_from_degc
 from dbc.contract import load_contract
 from diag_service.diagnosis.condition.condition import ConditionMemory
@@ -50,6 +52,8 @@ END: Final = 0
 STRETCH_S: Final = 60.0
 BAND_K: Final = 20.0  # of oil temperature
 FAR_STD: Final = 4.0
+KNOWN_RATIO: Final = 0.03  # of the scatter of the type: what is left for a vehicle that is known
+PLANT_STEP_S: Final = 1e-3  # the plant holds the engine's torque for one
 WRONG: Final = {  # verdicts that would be wrong
     "ideal": {Condition.WATCH, Condition.CHANGE_FLUID},
     "case1": {Condition.GOOD},
@@ -67,6 +71,7 @@ class Case:
     is_plain: bool
     has_mismatch: bool
     loss_ratio: float
+    is_known: bool = False  # the vehicle is believed to be what it is
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -112,7 +117,7 @@ def driven(case: Case) -> list[Outcome]:
     """Drive and diagnose."""
     scenario, vehicle = scenario_of(case)
     drive = Drive(scenario, planned=iter([planned(case.trace)]))
-    calibration = nominal_calibration()
+    calibration = known_vehicle(nominal_calibration()) if case.is_known else nominal_calibration()
     decoder = Decoder(load_contract(), load_profile())
     stages = Stages(decoder, calibration, Posterior.fresh(calibration), ConditionMemory.fresh())
     diagnoses: list[Diagnosis] = []
@@ -121,6 +126,16 @@ def driven(case: Case) -> list[Outcome]:
     diagnoses += [stages.conclude(event) for event in stages.flush()]
     true = np.array([[drive.truth.mu_c[m], drive.truth.mu_s[m]] for m in range(2)])
     return [_outcome(diagnoses, true, vehicle, scenario.fluid.condition)]
+
+
+def known_vehicle(calibration: Calibration) -> Calibration:
+    """Return the calibration of somebody who knows the vehicle: no latencies, and next to no scatter."""
+    scatter = {one.name: KNOWN_RATIO * getattr(calibration.uncertainty, one.name) for one in fields(Uncertainty)}
+    return replace(
+        calibration,
+        uncertainty=replace(calibration.uncertainty, **scatter),
+        bias=replace(calibration.bias, torque_latency_s=PLANT_STEP_S / 2.0, pressure_latency_s=0.0),
+    )
 
 
 def _outcome(diagnoses: Sequence[Diagnosis], true: FloatArray, vehicle: Vehicle | None, fluid: str) -> Outcome:
@@ -263,13 +278,18 @@ def main() -> int:
     parser.add_argument("--trace", default="udds", choices=("wltc", "udds", "hwfet", "us06", "city"))
     parser.add_argument("--oil-degc", type=float, default=80.0)
     parser.add_argument("--plain", action="store_true", help="vehicles just like their type")
+    parser.add_argument(
+        "--known", action="store_true", help="with --plain: believed to be so, as calibrated beyond doubt"
+    )
     parser.add_argument("--mismatch", action="store_true", help="film, oil and lining unlike the belief as well")
     parser.add_argument("--loss", type=float, default=0.0, help="share of the frames that are lost")
     parser.add_argument("--workers", type=int, default=2)
     options = parser.parse_args()
+    if options.known and not options.plain:
+        parser.error("--known goes with --plain: no other vehicle is known")
     case = partial(
         Case, trace=options.trace, oil_degc=options.oil_degc, is_plain=options.plain, has_mismatch=options.mismatch,
-        loss_ratio=options.loss,
+        loss_ratio=options.loss, is_known=options.known,
     )  # fmt: skip
     cases = [case(seed=seed) for seed in range(options.seed, options.seed + options.vehicles)]
     outcomes = over_drives(driven, cases, options.workers)
