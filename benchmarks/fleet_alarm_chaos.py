@@ -1,7 +1,8 @@
-"""Alarms while everything is killed by SIGKILL, again and again: the watch, PostgreSQL, the receiver of the webhook.
+"""Alarms while everything is killed by SIGKILL, again and again: watch, page, PostgreSQL, the webhook's receiver.
 
 Vehicles get good and bad results in turn. In the end every alarm that the database knows must have arrived, and the
-receiver, which keeps what it took in a file, must know each key; what came twice has the same key and content.
+receiver, which keeps what it took in a file, must know each key; what came twice has the same key and content. What the
+page said it had acknowledged must be stored, and stand in the audit once.
 
     python -m benchmarks.fleet_alarm_chaos --seconds 60
 """
@@ -25,6 +26,7 @@ from typing import Any, TypeVar
 
 from sqlalchemy import Engine, Select, select
 
+from benchmarks.acknowledging import Workshop, broken_promises, write_access
 from demo.fleet.postgres import PostgresServer
 from diag_service.diagnosis.records import Condition
 from fleet_backend.alarm_tables import ALARM, ALARM_MESSAGE
@@ -37,7 +39,7 @@ from tests.support.fleet import fleet_result, row_of
 
 VEHICLES = 50
 CALM_S = 120.0  # the most that is waited after the last kill
-PAUSES_S = {"watch": 12.0, "database": 17.0, "receiver": 5.0}
+PAUSES_S = {"watch": 12.0, "page": 7.0, "database": 17.0, "receiver": 5.0}
 SECRET = "0123456789abcdef0123456789abcdef"  # noqa: S105 - of a test
 
 
@@ -78,12 +80,16 @@ class Storm:
         secret = folder / "secret"
         secret.write_text(SECRET, encoding="utf-8")
         secret.chmod(0o600)
-        port = free_port()
+        port, page_port = free_port(), free_port()
+        access = write_access(folder)
+        self.address = f"http://127.0.0.1:{page_port}"
         self._server = server
         self._commands = {
             "watch": ["fleet_backend", "watch", "--database", database, "--secret", str(secret)],
             "receiver": ["benchmarks.fleet_alarm_chaos", "--receive", str(port), "--book", str(self.book)],
+            "page": ["fleet_backend", "serve", "--database", database, "--access", str(access)],
         }
+        self._commands["page"] += ["--listen", f"127.0.0.1:{page_port}"]
         self._commands["watch"] += ["--webhook", f"http://127.0.0.1:{port}/", "--silence-days", "3650"]
         self._running: dict[str, subprocess.Popen[bytes]] = {}
         self.kills: Counter[str] = Counter()
@@ -92,7 +98,7 @@ class Storm:
 
     def start(self, name: str) -> None:
         command = [sys.executable, "-m", *self._commands[name]]
-        self._running[name] = subprocess.Popen(command, stderr=subprocess.DEVNULL)
+        self._running[name] = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
 
     def kill(self, name: str) -> None:
         """Kill one of them and start it again."""
@@ -149,6 +155,7 @@ def main() -> int:
         engine = open_database(database)
         migrate(engine)
         storm = Storm(Path(folder), server, database)
+        workshop = Workshop(storm.address)
         writer, rng = Writer(engine), random.Random(1)  # noqa: S311 - no secret
         due_s = {name: time.monotonic() + pause_s for name, pause_s in PAUSES_S.items()}
         end_s = time.monotonic() + options.seconds
@@ -168,9 +175,11 @@ def main() -> int:
         while again(lambda: rows_of(engine, _WAITING)) and time.monotonic() - calm_s < CALM_S:
             storm.one_round()
         took_s = time.monotonic() - calm_s
+        workshop.end()
         storm.end()
         taken = [json.loads(line) for line in storm.book.read_text(encoding="utf-8").splitlines()]
         alarms = again(lambda: rows_of(engine, select(ALARM)))
+        broken = again(lambda: broken_promises(engine, workshop.confirmed))
         engine.dispose()
     wanted = {f"{one.vehicle}/{one.clutch}/{one.rule}/{one.number}/raised" for one in alarms}
     wanted |= {
@@ -183,7 +192,9 @@ def main() -> int:
     print(f"{len(alarms)} alarms, {len(wanted)} messages; calm {took_s:.0f} s after the last kill")
     repeated = len(taken) - len(keys)
     print(f"arrived: {len(keys)} keys, {repeated} once more under their key; lost {len(lost)}, strange {len(strange)}")
-    return 0 if not lost and not strange and len(contents) == len(keys) else 1
+    print(f"page: {len(workshop.confirmed)} alarms acknowledged, {workshop.unanswered} requests without an answer")
+    print("\n".join(broken) or "page: what it confirmed is stored, and stands in the audit once")
+    return 0 if not broken and not lost and not strange and len(contents) == len(keys) else 1
 
 
 if __name__ == "__main__":
