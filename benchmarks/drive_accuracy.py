@@ -94,7 +94,7 @@ class Outcome:
     looks: tuple[Look, ...]
     statuses: Counter[tuple[str, str, str]]  # kind, status, reasons
     alone: tuple[tuple[str, FloatArray, FloatArray], ...]  # kind, scale-free errors and deviations of single events
-    wrong_verdicts: int  # at any moment
+    wrong_verdicts: tuple[str, ...]  # at any moment: of which clutch, after how many of its events, why
     final_verdicts: tuple[str, ...]
     fluid: str
 
@@ -162,10 +162,19 @@ def _outcome(diagnoses: Sequence[Diagnosis], true: FloatArray, vehicle: Vehicle 
             (one.estimate.kind.value, one.estimate.status.value, ", ".join(one.estimate.reasons)) for one in diagnoses
         ),
         alone=tuple(alone),
-        wrong_verdicts=sum(one.verdict.condition in WRONG[fluid] for one in diagnoses),
+        wrong_verdicts=tuple(_wrong_verdicts(diagnoses, fluid)),
         final_verdicts=_final_verdicts(diagnoses),
         fluid=fluid,
     )
+
+
+def _wrong_verdicts(diagnoses: Sequence[Diagnosis], fluid: str) -> Iterator[str]:
+    for one in diagnoses:
+        verdict = one.verdict
+        if verdict.condition in WRONG[fluid]:
+            count = one.state.shift_counts[verdict.clutch - 1]
+            condition = verdict.condition.name.lower()
+            yield f"{condition} of clutch {verdict.clutch} after {count} of its events ({verdict.reason})"
 
 
 def _final_verdicts(diagnoses: Sequence[Diagnosis]) -> tuple[str, ...]:
@@ -299,8 +308,13 @@ def main() -> int:
     verdicts = Counter((one.fluid, ", ".join(one.final_verdicts)) for one in outcomes)
     for (fluid, final), count in sorted(verdicts.items()):
         console.print(f"{fluid}: {count} drives end with {final}")
-    wrong = sum(one.wrong_verdicts > 0 for one in outcomes)
-    console.print(f"drives with a wrong verdict at any moment: {wrong} of {len(outcomes)}")
+    wrong = [(one, case.seed) for one, case in zip(outcomes, cases, strict=True) if one.wrong_verdicts]
+    for one, seed in wrong:
+        said = one.wrong_verdicts
+        console.print(
+            f"seed {seed}, {one.fluid}: {len(said)} wrong verdicts, the first: {said[0]}; the last: {said[-1]}"
+        )
+    console.print(f"drives with a wrong verdict at any moment: {len(wrong)} of {len(outcomes)}")
     return 1 if wrong else 0
 
 

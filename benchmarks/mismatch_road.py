@@ -46,7 +46,7 @@ def _line(trace: str, oil_degc: float, outcomes: list[Outcome]) -> str:
         np.array([getattr(one, name) for one in ends]) for name in ("absolute", "free", "free_std")
     )
     free_inside = float(np.mean(np.abs(free) <= 2.0 * free_std))
-    wrong = sum(one.wrong_verdicts > 0 for one in outcomes)
+    wrong = sum(bool(one.wrong_verdicts) for one in outcomes)
     return (
         f"| {trace.upper()} | {oil_degc:.0f} | {percent(inside[0])}, {percent(inside[1])} "
         f"| {root_mean_square(absolute[:, 0]):.2f}, {root_mean_square(absolute[:, 1]):.2f} "
