@@ -10,6 +10,7 @@ are counted in events that were used. *Scale-free* is friction times gain and pi
     python -m benchmarks.drive_accuracy --plain                         # vehicles just like their type, noise only
     python -m benchmarks.drive_accuracy --plain --known                 # the same, and nothing but friction is unknown
     python -m benchmarks.drive_accuracy --mismatch --loss 0.05
+    python -m benchmarks.drive_accuracy --loss 0.05 --burst 3           # three frames of a message are lost in a row
 """
 
 import argparse
@@ -29,6 +30,7 @@ from benchmarks.drawn_vehicle import Vehicle, draw
 from benchmarks.drive_events import planned
 from benchmarks.study import over_drives, root_mean_square
 from canlog.arrays import FloatArray
+from canlog.frames import FrameBatch
 from clutch_model.calibration import Calibration, nominal_calibration
 from clutch_model.knowledge import Uncertainty
 from clutch_model.units import degc_from_k, k_from_degc
@@ -71,6 +73,7 @@ class Case:
     is_plain: bool
     has_mismatch: bool
     loss_ratio: float
+    burst: int = 1  # frames of one message that are lost in a row
     is_known: bool = False  # the vehicle is believed to be what it is
 
 
@@ -109,7 +112,7 @@ def scenario_of(case: Case) -> tuple[Scenario, Vehicle | None]:
         base = vehicle.scenario(0, Routine())
     oil_k = k_from_degc(case.oil_degc)
     ambient = Ambient(temperature_k=min(oil_k, 293.15), oil_temperature_k=oil_k, coolant_temperature_k=oil_k)
-    effects = replace(base.effects, frame_loss_ratio=case.loss_ratio)
+    effects = replace(base.effects, frame_loss_ratio=case.loss_ratio if case.burst == 1 else 0.0)
     return replace(base, drive=DriveName.CITY, ambient=ambient, effects=effects), vehicle
 
 
@@ -121,11 +124,24 @@ def driven(case: Case) -> list[Outcome]:
     decoder = Decoder(load_contract(), load_profile())
     stages = Stages(decoder, calibration, Posterior.fresh(calibration), ConditionMemory.fresh())
     diagnoses: list[Diagnosis] = []
+    rng = np.random.default_rng(case.seed)
     for stretch in drive.stretches(STRETCH_S):
-        diagnoses += stages.feed(to_batch(merge([stretch.frames])))
+        batch = to_batch(merge([stretch.frames]))
+        diagnoses += stages.feed(batch if case.burst == 1 else without_bursts(batch, case.loss_ratio, case.burst, rng))
     diagnoses += [stages.conclude(event) for event in stages.flush()]
     true = np.array([[drive.truth.mu_c[m], drive.truth.mu_s[m]] for m in range(2)])
     return [_outcome(diagnoses, true, vehicle, scenario.fluid.condition)]
+
+
+def without_bursts(batch: FrameBatch, ratio: float, burst: int, rng: np.random.Generator) -> FrameBatch:
+    """Return frames of which a share is lost, of each message some in a row."""
+    is_kept = np.ones(len(batch), dtype=bool)
+    for can_id in np.unique(batch.can_id):
+        rows = np.flatnonzero(batch.can_id == can_id)
+        begins = np.flatnonzero(rng.random(len(rows)) < ratio / burst)
+        lost = (begins[:, None] + np.arange(burst)).ravel()
+        is_kept[rows[lost[lost < len(rows)]]] = False
+    return batch[is_kept]
 
 
 def known_vehicle(calibration: Calibration) -> Calibration:
@@ -292,13 +308,14 @@ def main() -> int:
     )
     parser.add_argument("--mismatch", action="store_true", help="film, oil and lining unlike the belief as well")
     parser.add_argument("--loss", type=float, default=0.0, help="share of the frames that are lost")
+    parser.add_argument("--burst", type=int, default=1, help="frames of one message that are lost in a row")
     parser.add_argument("--workers", type=int, default=2)
     options = parser.parse_args()
     if options.known and not options.plain:
         parser.error("--known goes with --plain: no other vehicle is known")
     case = partial(
         Case, trace=options.trace, oil_degc=options.oil_degc, is_plain=options.plain, has_mismatch=options.mismatch,
-        loss_ratio=options.loss, is_known=options.known,
+        loss_ratio=options.loss, burst=options.burst, is_known=options.known,
     )  # fmt: skip
     cases = [case(seed=seed) for seed in range(options.seed, options.seed + options.vehicles)]
     outcomes = over_drives(driven, cases, options.workers)
