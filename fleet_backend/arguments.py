@@ -23,6 +23,7 @@ _QUARANTINE_LIMIT: Final = 50
 DEFAULT_SERVICE_KM: Final = 15_000
 DEFAULT_SILENCE_DAYS: Final = 14
 DEFAULT_LISTEN: Final = "127.0.0.1:8090"
+_AHEAD_MONTHS: Final = 3
 _PACE: Final = Pace()
 
 
@@ -149,6 +150,26 @@ _FILL: Final = Command(
     Option("--note TEXT", "what is to be remembered of it"),
     examples=(f"{PROGRAM} fill car1 DCTF-II --at 2026-01-31 --odometer-km 61200",),
 )
+_PARTITIONS: Final = Command(
+    "partitions",
+    "make the months ahead in which a PostgreSQL database keeps results, and show all",
+    *_QUESTION,
+    Option("--ahead N", f"months ahead (default: {_AHEAD_MONTHS})", _count, default=_AHEAD_MONTHS),
+    examples=(f"{PROGRAM} partitions --ahead 6",),
+)
+_ROLLUP: Final = Command(
+    "rollup",
+    "sum up the results so far by clutch and month",
+    *_COMMON,
+    examples=(f"{PROGRAM} rollup",),
+)
+_RETAIN: Final = Command(
+    "retain",
+    "sum up and forget old results; the last of each clutch stays",
+    *_COMMON,
+    Option("--months N", "whole months to keep besides this one", _count, required=True),
+    examples=(f"{PROGRAM} retain --months 24",),
+)
 _SERVE: Final = Command(
     "serve",
     "show the fleet to browsers and programs, until stopped",
@@ -217,7 +238,7 @@ COMMAND_LINE: Final = Program(
         *_QUESTION,
         examples=(f"{PROGRAM} codes", f"{PROGRAM} codes --json"),
     ),
-    *(_FILL, _SERVE, _WATCH),
+    *(_FILL, _SERVE, _WATCH, _PARTITIONS, _ROLLUP, _RETAIN),
     Command(
         "hash",
         "show a hash of all results: equal results, equal hash, in any database",

@@ -4,6 +4,7 @@ import getpass
 import os
 import sys
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict
 from datetime import UTC, datetime, timedelta
 from importlib import import_module
 from types import MappingProxyType, ModuleType, SimpleNamespace
@@ -26,6 +27,8 @@ from fleet_backend.layout import Sheet
 from fleet_backend.migrate import make_ready, migrate, newest_revision
 from fleet_backend.page.access import Access
 from fleet_backend.page.access_file import read_access
+from fleet_backend.partitions import keep_ahead, partitions
+from fleet_backend.retention import retain, roll_up
 from fleet_link import BrokerAddress
 
 Command = Callable[[SimpleNamespace, Engine], None]
@@ -70,8 +73,29 @@ def _broker(options: SimpleNamespace) -> BrokerAddress:
 
 
 def _migrate(_options: SimpleNamespace, engine: Engine) -> None:
-    migrate(engine)
+    migrate(engine, tell=_tell_of_move)
     sys.stdout.write(f"{place_of(engine)}: schema {newest_revision()}\n")
+
+
+def _tell_of_move(moved_count: int) -> None:
+    sys.stderr.write(f"{moved_count} results moved into months\n")
+
+
+def _partitions(options: SimpleNamespace, engine: Engine) -> None:
+    keep_ahead(engine, datetime.now(UTC), options.ahead)
+    records = [asdict(one) for one in partitions(engine)]
+    _tell(options, records, lambda: report.partition_table(records))
+
+
+def _rollup(_options: SimpleNamespace, engine: Engine) -> None:
+    count = roll_up(engine, datetime.now(UTC))
+    sys.stdout.write(f"{count} months of clutches summed up\n")
+
+
+def _retain(options: SimpleNamespace, engine: Engine) -> None:
+    done = retain(engine, options.months, now=datetime.now(UTC), by=_user())
+    kept = f"; {done.kept_count} earlier ones stay, the last of their clutches" if done.kept_count else ""
+    sys.stdout.write(f"{done.gone_count} results from before {done.before:%Y-%m} forgotten{kept}\n")
 
 
 def _table(options: SimpleNamespace, engine: Engine) -> None:
@@ -240,5 +264,6 @@ _COMMANDS: Final[Mapping[str, Command]] = MappingProxyType({
     "alarms": _checked(_alarms), "quarantine": _checked(_quarantine), "seen": _checked(_seen),
     "codes": _checked(_codes), "peers": _checked(_peers), "lots": _checked(_lots),
     "fill": _checked(_fill), "hash": _checked(_hash), "serve": _checked(_serve),
-    "watch": _checked(_watch),
+    "watch": _checked(_watch), "partitions": _checked(_partitions), "rollup": _checked(_rollup),
+    "retain": _checked(_retain),
 })  # fmt: skip

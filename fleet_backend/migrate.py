@@ -1,5 +1,6 @@
 """Brings a database to the schema of this program, from an empty one or any earlier schema, data included."""
 
+from collections.abc import Callable
 from pathlib import Path
 from typing import Final
 
@@ -11,13 +12,18 @@ from sqlalchemy import Connection, Engine, inspect, text
 
 from fleet_backend.database import close_to_others, place_of, transaction
 from fleet_backend.errors import DatabaseError
+from fleet_backend.moving import move_all
 
 _FOLDER: Final = Path(__file__).with_name("migrations")
+_LAST_WITHOUT_MONTHS: Final = "r0007"
 _LOCK: Final = 0x434C4449  # PostgreSQL's advisory lock of whoever migrates: "CLDI"
 
 
-def migrate(engine: Engine, revision: str = "head") -> None:
+def migrate(engine: Engine, revision: str = "head", tell: Callable[[int], None] = lambda _count: None) -> None:
     """Upgrade a database in one transaction; who comes second waits and finds nothing left to do.
+
+    Results of a PostgreSQL that are not yet kept by months move there before, in batches: they stay readable, ``tell``
+    hears how many have moved, and a migration that was interrupted goes on where it was.
 
     Raises
     ------
@@ -26,6 +32,18 @@ def migrate(engine: Engine, revision: str = "head") -> None:
     DatabaseError
         If it was made by a newer program, or forbids the change.
     """
+    if revision == "head" and engine.dialect.name == "postgresql" and _has_older_results(engine):
+        _upgrade(engine, _LAST_WITHOUT_MONTHS)
+        move_all(engine, tell)
+        _upgrade(engine, revision)
+        with transaction(engine) as connection:
+            connection.execute(text("ANALYZE shift_result"))  # of a table as a whole, which no autovacuum looks at
+    else:
+        _upgrade(engine, revision)
+    close_to_others(engine)
+
+
+def _upgrade(engine: Engine, revision: str) -> None:
     with transaction(engine) as connection:
         if engine.dialect.name == "postgresql":
             connection.execute(text("SELECT pg_advisory_xact_lock(:lock)"), {"lock": _LOCK})
@@ -33,7 +51,6 @@ def migrate(engine: Engine, revision: str = "head") -> None:
         config = _config()
         config.attributes["connection"] = connection
         command.upgrade(config, revision)
-    close_to_others(engine)
 
 
 def check_schema(engine: Engine) -> None:
@@ -78,6 +95,15 @@ def _refuse_unknown(engine: Engine, connection: Connection) -> None:
         raise DatabaseError(f"database {place_of(engine)} was made by a newer program (schema {found})")
     if found is None and engine.dialect.name == "sqlite" and inspect(connection).get_table_names():
         raise DatabaseError(f"database {place_of(engine)} is another program's, not a fleet's")
+
+
+def _has_older_results(engine: Engine) -> bool:
+    """Return whether a database has a schema of ours that keeps results in one table."""
+    with transaction(engine) as connection:
+        _refuse_unknown(engine, connection)
+        found = _revision(connection)
+    known = revisions()
+    return found is not None and known.index(found) <= known.index(_LAST_WITHOUT_MONTHS)
 
 
 def _has_schema(engine: Engine) -> bool:

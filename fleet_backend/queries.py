@@ -174,11 +174,16 @@ def note_fill(
 def table_hash(engine: Engine) -> TableHash:
     """Return a hash of all results: every column but when they were stored, rows in the order of their keys."""
     columns = [column for column in SHIFT_RESULT.columns if column.name not in UNHASHED_COLUMNS]
-    order = [SHIFT_RESULT.c[name] for name in KEY_COLUMNS]
-    digest, row_count = sha256(), 0
+    key = [SHIFT_RESULT.c[name] for name in KEY_COLUMNS]
+    order = [*key, SHIFT_RESULT.c.content_digest]
+    digest, row_count, last = sha256(), 0, None
     with transaction(engine) as connection:
-        statement = select(*columns).order_by(*order).execution_options(yield_per=_ROWS_PER_READ)
-        for row in connection.execute(statement):
+        statement = select(*key, *columns).order_by(*order).execution_options(yield_per=_ROWS_PER_READ)
+        for found in connection.execute(statement):
+            name, row = tuple(found[: len(key)]), found[len(key) :]
+            if name == last:  # another content under one key, which another month holds
+                continue
+            last = name
             values = [value.isoformat() if isinstance(value, datetime) else value for value in row]
             digest.update(json.dumps(values).encode() + b"\n")
             row_count += 1

@@ -2,7 +2,7 @@
 
 import json
 from collections.abc import Callable, Mapping, Sequence
-from datetime import datetime
+from datetime import date, datetime
 from types import MappingProxyType
 from typing import Final, TextIO
 
@@ -116,6 +116,21 @@ def seen_table(records: Sequence[Record]) -> Sheet:
             "version": _plain("service_version"),
         },
         dispensable=("version", "metrics", "since (UTC)"),
+    )
+
+
+def partition_table(records: Sequence[Record]) -> Sheet:
+    """Return the partitions of the results."""
+    return _sheet(
+        f"Partitions: {len(records)}",
+        records,
+        {
+            "partition": _plain("name"),
+            "month": lambda record: _NONE if record["month"] is None else f"{record['month']:%Y-%m}",
+            "results, about": _plain("row_estimate"),
+            "MiB": _number("size_bytes", "{:.1f}", scale=2.0**-20),
+        },
+        dispensable=("month",),
     )
 
 
@@ -292,6 +307,6 @@ def _truth(value: object) -> bool | None:
 
 
 def _as_text(value: object) -> str:
-    if isinstance(value, datetime):
+    if isinstance(value, date):  # or a moment
         return value.isoformat()
     raise TypeError(f"{type(value).__name__} has no place in JSON")

@@ -11,6 +11,7 @@ from sqlalchemy import (
     BigInteger,
     Boolean,
     Column,
+    Date,
     DateTime,
     Dialect,
     Double,
@@ -142,6 +143,22 @@ SHIFT_RESULT: Final = Table(
     ),
 )
 
+# What is left of a month when its results go: of each event the newest version.
+CLUTCH_MONTH: Final = Table(
+    "clutch_month",
+    METADATA,
+    Column("vehicle", Text, primary_key=True),
+    Column("clutch", SmallInteger, primary_key=True, autoincrement=False),
+    Column("month", Date, primary_key=True),  # its first day, UTC
+    Column("result_count", BigInteger, nullable=False),
+    Column("valid_count", BigInteger, nullable=False),
+    Column("change_fluid_count", BigInteger, nullable=False),
+    Column("mean_mu_c", Double),  # of the valid ones
+    Column("mean_mu_s", Double),
+    Column("least_level_ratio", Double),
+    Column("last_odometer_m", Double),
+)
+
 QUARANTINE: Final = Table(
     "quarantine",
     METADATA,
@@ -196,6 +213,8 @@ ALARM_ACKNOWLEDGEMENT: Final = Table(
     Column("note", Text),
 )
 
+# What makes a result that result. In PostgreSQL the time of its making is in the primary key as well: no unique index
+# of a partitioned table can do without; the views take one result per key all the same.
 KEY_COLUMNS: Final = tuple(column.name for column in SHIFT_RESULT.primary_key)
 # What two contents of one result may differ in: it is not in the digest, which must stay what it was.
 UNHASHED_COLUMNS: Final = frozenset({

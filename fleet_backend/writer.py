@@ -111,12 +111,17 @@ def _sorted(rows: Sequence[Row], *names: str) -> list[Row]:
 
 def _newer_content_wins(insert: "postgresql.Insert | sqlite.Insert") -> Insert:
     """Keep, of two contents under one key, which nobody should send, the one with the smaller digest."""
-    names = [column.name for column in SHIFT_RESULT.columns if column.name not in (*KEY_COLUMNS, "stored_at")]
+    kept = {*_unique_columns(insert), "stored_at"}
+    names = [column.name for column in SHIFT_RESULT.columns if column.name not in kept]
     return insert.on_conflict_do_update(
-        index_elements=list(KEY_COLUMNS),
+        index_elements=list(_unique_columns(insert)),
         set_={name: insert.excluded[name] for name in names},
         where=insert.excluded.content_digest < SHIFT_RESULT.c.content_digest,
     )
+
+
+def _unique_columns(insert: Insert) -> tuple[str, ...]:
+    return (*KEY_COLUMNS, "produced_at") if isinstance(insert, postgresql.Insert) else KEY_COLUMNS
 
 
 def _later_status_wins(insert: "postgresql.Insert | sqlite.Insert") -> Insert:

@@ -50,6 +50,7 @@ ELSEWHERE = {
     "export": "tests/integration/test_fleet_cli.py",
     "fleet-backend ingest": "tests/e2e/test_fleet_chaos.py",
     "fleet-backend migrate": "tests/integration/test_fleet_cli.py",
+    "fleet-backend partitions": "tests/integration/test_fleet_months.py",
     "fleet-backend serve": "tests/integration/test_fleet_page.py",
     "fleet-backend watch": "tests/integration/test_fleet_alarms.py",
     "curl": "tests/integration/test_fleet_page.py",

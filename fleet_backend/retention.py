@@ -1,0 +1,136 @@
+"""Old results go, month by month; what stays is a row per clutch and month, and the last result of each clutch."""
+
+from dataclasses import dataclass
+from datetime import UTC, date, datetime, time
+from typing import Final
+
+from sqlalchemy import Connection, Engine, bindparam, delete, func, select, text, tuple_
+
+from fleet_backend.audit_trail import COMMAND_LINE, note_change
+from fleet_backend.database import transaction
+from fleet_backend.errors import ConfigError
+from fleet_backend.partitions import (
+    TABLE,
+    has_partitions,
+    keep_ahead,
+    lock,
+    make_before,
+    month_of,
+    months,
+    months_on,
+    name_of,
+)
+from fleet_backend.schema import CLUTCH_MONTH, SHIFT_RESULT, UtcDateTime
+
+MOST_KEPT: Final = 1200
+_MONTH: Final = {
+    "postgresql": "CAST(date_trunc('month', s.produced_at AT TIME ZONE 'UTC') AS date)",
+    "sqlite": "date(s.produced_at, 'start of month')",
+}
+# What was rolled up of a whole month is not overwritten by what little is left of it.
+_ROLL_UP: Final = """
+INSERT INTO clutch_month (vehicle, clutch, month, result_count, valid_count, change_fluid_count,
+  mean_mu_c, mean_mu_s, least_level_ratio, last_odometer_m)
+SELECT s.vehicle, s.clutch, {month}, count(*), sum(CASE WHEN s.status = 'valid' THEN 1 ELSE 0 END),
+  sum(CASE WHEN s.condition = 'change_fluid' THEN 1 ELSE 0 END),
+  avg(CASE WHEN s.status = 'valid' THEN s.mu_c END), avg(CASE WHEN s.status = 'valid' THEN s.mu_s END),
+  min(s.level_ratio), max(s.odometer_m)
+FROM current_shift AS s
+WHERE s.produced_at < :until
+GROUP BY s.vehicle, s.clutch, {month}
+ON CONFLICT (vehicle, clutch, month) DO UPDATE SET
+  result_count = excluded.result_count, valid_count = excluded.valid_count,
+  change_fluid_count = excluded.change_fluid_count, mean_mu_c = excluded.mean_mu_c, mean_mu_s = excluded.mean_mu_s,
+  least_level_ratio = excluded.least_level_ratio, last_odometer_m = excluded.last_odometer_m
+WHERE excluded.result_count >= clutch_month.result_count
+"""
+_KEY: Final = ("vehicle", "stream", "seq")
+_LAST: Final = "SELECT r.vehicle, r.stream, r.seq FROM running_condition AS r"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Retained:
+    """What a retention did."""
+
+    before: date  # results of earlier months are gone
+    gone_count: int
+    kept_count: int  # earlier results that stay: the last of their clutches
+
+
+def roll_up(engine: Engine, until: datetime) -> int:
+    """Sum up all results before a moment by clutch and month; return how many clutch-months there are now.
+
+    Raises
+    ------
+    DatabaseAwayError
+        If the database does not answer.
+    """
+    with transaction(engine) as connection:
+        _roll_up(connection, until)
+        return int(connection.execute(select(func.count()).select_from(CLUTCH_MONTH)).scalar_one())
+
+
+def retain(engine: Engine, kept_months: int, *, now: datetime, by: str) -> Retained:
+    """Sum up and forget the results of all months but the last ``kept_months`` and this one.
+
+    The last result of a clutch is never forgotten: a vehicle that has been silent for long keeps its condition.
+
+    Raises
+    ------
+    ConfigError
+        If the count makes no sense.
+    DatabaseAwayError
+        If somebody reads too long: try again, nothing was changed.
+    """
+    if not 1 <= kept_months <= MOST_KEPT:
+        raise ConfigError(f"months to keep must be 1 to {MOST_KEPT}, got {kept_months}")
+    first = months_on(month_of(now), -kept_months)
+    until = datetime.combine(first, time(), UTC)
+    if has_partitions(engine):
+        keep_ahead(engine, now)  # a month of its own for what stays
+    with transaction(engine) as connection:
+        _roll_up(connection, until)
+        forget = _drop_months if has_partitions(engine) else _delete
+        gone_count = forget(connection, first, until)
+        kept_count = _old_count(connection, until)
+        if gone_count:
+            told = f"{gone_count} results from before {first:%Y-%m}"
+            note_change(connection, at=now, who=by, role=COMMAND_LINE, action="forget results", subject=told)
+    return Retained(before=first, gone_count=gone_count, kept_count=kept_count)
+
+
+def _roll_up(connection: Connection, until: datetime) -> None:
+    statement = text(_ROLL_UP.format(month=_MONTH[connection.dialect.name]))
+    connection.execute(statement.bindparams(bindparam("until", type_=UtcDateTime)), {"until": until})
+
+
+def _delete(connection: Connection, _first: date, until: datetime) -> int:
+    """Delete row by row, as SQLite has to; return how many results are gone."""
+    key = tuple_(*(SHIFT_RESULT.c[name] for name in _KEY))
+    last = text(_LAST).columns(*(SHIFT_RESULT.c[name] for name in _KEY))
+    return connection.execute(delete(SHIFT_RESULT).where(SHIFT_RESULT.c.produced_at < until, key.not_in(last))).rowcount
+
+
+def _drop_months(connection: Connection, first: date, until: datetime) -> int:
+    """Drop partitions; the last results that were in them go into the part before the months."""
+    lock(connection)
+    old_count, known = _old_count(connection, until), months(connection)
+    edge = min(month for month in known if month >= first)
+    connection.execute(
+        text(
+            f"CREATE TEMPORARY TABLE kept ON COMMIT DROP AS SELECT s.* FROM {TABLE} AS s"  # noqa: S608 - our own names
+            f" WHERE s.produced_at < :edge AND (s.produced_at >= :until OR (s.vehicle, s.stream, s.seq) IN ({_LAST}))"
+        ),
+        {"edge": datetime.combine(edge, time(), UTC), "until": until},
+    )
+    for name in [f"{TABLE}_before", *(name_of(month) for month in known if month < first)]:
+        connection.exec_driver_sql(f"ALTER TABLE {TABLE} DETACH PARTITION {name}")
+        connection.exec_driver_sql(f"DROP TABLE {name}")
+    make_before(connection, TABLE, edge)
+    connection.exec_driver_sql(f"INSERT INTO {TABLE} SELECT * FROM kept")  # noqa: S608 - our own names
+    return old_count - _old_count(connection, until)
+
+
+def _old_count(connection: Connection, until: datetime) -> int:
+    statement = select(func.count()).select_from(SHIFT_RESULT).where(SHIFT_RESULT.c.produced_at < until)
+    return int(connection.execute(statement).scalar_one())

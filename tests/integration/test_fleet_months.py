@@ -1,0 +1,140 @@
+"""Results by months: they move there while they are read, gain months ahead, and go when they are old."""
+
+from collections.abc import Iterator
+from datetime import UTC, date, datetime
+
+import pytest
+from sqlalchemy import Engine, insert, select, text
+
+from demo.fleet.postgres import PostgresServer
+from fleet_backend import queries
+from fleet_backend.alarm_tables import AUDIT
+from fleet_backend.choices import Axis
+from fleet_backend.cli import main
+from fleet_backend.database import open_database, transaction
+from fleet_backend.errors import ConfigError
+from fleet_backend.migrate import migrate
+from fleet_backend.moving import move_some, prepare
+from fleet_backend.partitions import keep_ahead, partitions
+from fleet_backend.retention import retain, roll_up
+from fleet_backend.rows import Row
+from fleet_backend.schema import CLUTCH, CLUTCH_MONTH, SHIFT_RESULT, VEHICLE
+from fleet_backend.writer import Batch, Writer
+from tests.support.fleet import fleet_result, row_of
+
+NOW = datetime(2026, 6, 15, 12, tzinfo=UTC)
+
+
+@pytest.fixture(name="months")
+def _months(postgres_url: str) -> Iterator[Engine]:
+    opened = open_database(postgres_url)
+    yield opened
+    opened.dispose()
+
+
+def made_at(moment: str, seq: int = 1, **others: str) -> Row:
+    return row_of(fleet_result(seq, produced_at=f"{moment}T00:00:00.000000Z", **others))  # type: ignore[arg-type]
+
+
+def place_of_rows(engine: Engine) -> dict[str, int]:
+    with transaction(engine) as connection:
+        found = connection.execute(text("SELECT tableoid::regclass::text, count(*) FROM shift_result GROUP BY 1"))
+        return {str(name): int(count) for name, count in found}
+
+
+def test_a_move_goes_on_where_it_was_killed_and_misses_nothing_written_meanwhile(
+    postgres_server: PostgresServer,
+) -> None:
+    engine = open_database(postgres_server.create("test_move"))
+    migrate(engine, "r0007")
+    rows = [made_at(f"2026-0{1 + seq % 4}-07", seq) for seq in range(1, 31)]
+    early, late = rows[:20], rows[20:]
+    with transaction(engine) as connection:
+        connection.execute(insert(VEHICLE).values(vehicle="car1"))
+        connection.execute(insert(CLUTCH).values(vehicle="car1", clutch=2))
+        connection.execute(insert(SHIFT_RESULT), early)
+    with transaction(engine) as connection:
+        prepare(connection)
+        assert move_some(connection, 7) == (7, 7)
+    with transaction(engine) as connection:  # of rows that have moved, that have not, and new ones
+        connection.execute(insert(SHIFT_RESULT), late)
+        connection.execute(text("UPDATE shift_result SET content_digest = 5 WHERE seq IN (2, 19, 25)"))
+        connection.execute(text("DELETE FROM shift_result WHERE seq IN (3, 18)"))
+    before = queries.table_hash(engine)
+    told: list[int] = []
+    migrate(engine, tell=told.append)
+    assert told[-1] == 29  # the seven of the first attempt are not moved again; one of them went since then
+    assert queries.table_hash(engine) == before
+    assert before.row_count == 28
+    with transaction(engine) as connection:
+        digests = select(SHIFT_RESULT.c.seq).where(SHIFT_RESULT.c.content_digest == 5).order_by(SHIFT_RESULT.c.seq)
+        assert list(connection.execute(digests).scalars()) == [2, 19, 25]
+    assert set(place_of_rows(engine)) == {f"shift_result_2026_0{month}" for month in (1, 2, 3, 4)}
+    engine.dispose()
+
+
+def test_two_contents_of_one_result_in_two_months_are_one_result(months: Engine) -> None:
+    rows = [made_at("2026-05-31"), made_at("2026-12-01")]
+    one = open_database("sqlite://")
+    migrate(one)
+    for engine in (months, one):
+        for row in rows:
+            Writer(engine).store(Batch(shifts=[row]))
+    winner = min(rows, key=lambda row: int(str(row["content_digest"])))
+    (record,) = queries.worst_first(months)
+    assert record["end_at"] == winner["end_at"]
+    assert len(queries.trend(months, "car1", 2, Axis.SHIFT)) == 1
+    assert queries.table_hash(months) == queries.table_hash(one)
+    one.dispose()
+
+
+def test_months_are_made_ahead_and_take_what_waited_for_them(months: Engine) -> None:
+    end = datetime.now(UTC).year + 3
+    Writer(months).store(Batch(shifts=[made_at(f"{end}-02-03"), made_at("1970-01-01", 2), made_at("2999-01-01", 3)]))
+    assert place_of_rows(months) == {"shift_result_after": 2, "shift_result_before": 1}
+    before = queries.table_hash(months)
+    made = keep_ahead(months, datetime(end, 2, 1, tzinfo=UTC), 1)
+    assert made[-1] == date(end, 3, 1)
+    assert place_of_rows(months)[f"shift_result_{end}_02"] == 1
+    assert queries.table_hash(months) == before
+    assert keep_ahead(months, datetime(end, 2, 1, tzinfo=UTC), 1) == []
+    names = [one.name for one in partitions(months)]
+    assert (names[0], names[-2:]) == ("shift_result_before", [f"shift_result_{end}_03", "shift_result_after"])
+    with pytest.raises(ConfigError, match="0 to 120"):
+        keep_ahead(months, NOW, 121)
+
+
+def test_old_months_go_but_their_sums_and_the_last_result_of_each_clutch(engine: Engine) -> None:
+    days = ("2025-11-02", "2025-12-01", "2025-12-31", "2026-05-01", "2026-06-02")
+    rows = [made_at(day, seq) for seq, day in enumerate(days, 1)]
+    rows += [made_at(day, seq, vehicle="silent") for seq, day in enumerate(days[:3], 1)]
+    Writer(engine).store(Batch(shifts=rows))
+    worst = {(record["vehicle"], record["seq"]) for record in queries.worst_first(engine)}
+    done = retain(engine, 2, now=NOW, by="ann")
+    assert (done.before, done.gone_count, done.kept_count) == (date(2026, 4, 1), 5, 1)
+    assert {(record["vehicle"], record["seq"]) for record in queries.worst_first(engine)} == worst
+    assert queries.result_count(engine) == 3
+    roll_up(engine, NOW)  # of what is left of an old month nothing is made
+    with transaction(engine) as connection:
+        counts = select(CLUTCH_MONTH.c.month, CLUTCH_MONTH.c.result_count, CLUTCH_MONTH.c.valid_count)
+        counts = counts.where(CLUTCH_MONTH.c.vehicle == "car1").order_by(CLUTCH_MONTH.c.month)
+        found = [tuple(row) for row in connection.execute(counts)]
+        assert connection.execute(select(AUDIT.c.action)).scalars().all() == ["forget results"]
+    months_of = [date(2025, 11, 1), date(2025, 12, 1), date(2026, 5, 1), date(2026, 6, 1)]
+    assert found == list(zip(months_of, (1, 2, 1, 1), (1, 2, 1, 1), strict=True))
+    assert retain(engine, 2, now=NOW, by="ann").gone_count == 0
+    Writer(engine).store(Batch(shifts=rows))  # an outbox that never heard of the commit
+    assert retain(engine, 2, now=NOW, by="ann").gone_count == 5
+
+
+def test_the_commands_say_what_they_did(months: Engine, sqlite_url: str, capsys: pytest.CaptureFixture[str]) -> None:
+    Writer(months).store(Batch(shifts=[made_at("2020-01-01"), made_at("2020-02-01", 2)]))
+    place = ["--database", months.url.render_as_string(hide_password=False)]
+    assert main(["partitions", *place]) == 0
+    assert "shift_result_before" in capsys.readouterr().out
+    assert main(["rollup", *place]) == 0
+    assert capsys.readouterr().out == "2 months of clutches summed up\n"
+    assert main(["retain", *place, "--months", "12"]) == 0
+    assert "1 results from before" in capsys.readouterr().out
+    assert main(["partitions", "--database", sqlite_url]) == 2
+    assert "only a PostgreSQL database has partitions" in capsys.readouterr().err
