@@ -44,9 +44,9 @@ class Resampled:
     @classmethod
     def of(cls, times_s: FloatArray, value: FloatArray, grid_s: FloatArray) -> Self:
         """Return a signal on the grid; two or more ``times_s``, strictly increasing."""
-        left = np.clip(np.searchsorted(times_s, grid_s, side="right") - 1, 0, len(times_s) - 2)
-        share = np.clip((grid_s - times_s[left]) / (times_s[left + 1] - times_s[left]), 0.0, 1.0)
-        on_grid = (1.0 - share) * value[left] + share * value[left + 1]
+        left = np.empty(len(grid_s), dtype=np.int64)
+        share, on_grid = np.empty(len(grid_s)), np.empty(len(grid_s))
+        _resample(times_s, value, grid_s, left, share, on_grid)
         return cls(times_s=times_s, value=value, left=left, share=share, on_grid=on_grid)
 
     def to_samples(self, weights: FloatArray, rows: slice) -> FloatArray:
@@ -198,6 +198,19 @@ def _lag_behind(target: FloatArray, share: float, lagging: FloatArray) -> None:
     for row in range(len(target)):
         value += (target[row] - value) * share
         lagging[row] = value
+
+
+@kernel
+def _resample(
+    times_s: FloatArray, value: FloatArray, grid_s: FloatArray, left: Int64Array, share: FloatArray, on_grid: FloatArray
+) -> None:
+    sample = 0
+    for row in range(len(grid_s)):
+        while sample < len(times_s) - 2 and times_s[sample + 1] <= grid_s[row]:
+            sample += 1
+        passed = (grid_s[row] - times_s[sample]) / (times_s[sample + 1] - times_s[sample])
+        left[row], share[row] = sample, min(max(passed, 0.0), 1.0)
+        on_grid[row] = (1.0 - share[row]) * value[sample] + share[row] * value[sample + 1]
 
 
 @kernel

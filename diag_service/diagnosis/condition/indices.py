@@ -144,7 +144,7 @@ def _torque_capacity(grid: _Grid, slip_rad_s: FloatArray, calibration: Calibrati
     use = (np.abs(slip_rad_s) > SLIP_RAD_S) & is_alone & (np.abs(asked_nm) > MIN_TORQUE_NM)
     if np.count_nonzero(use) * GRID_S < MIN_WINDOW_S:
         return None
-    inertia_nm = calibration.input_side.engine_inertia_kg_m2 * _acceleration(grid)[use]
+    inertia_nm = calibration.input_side.engine_inertia_kg_m2 * _acceleration(grid.event, grid.t_s[use])
     asked_nm = asked_nm[use]
     transmitted_nm = engine_nm[use] - inertia_nm
     weight = asked_nm / float(asked_nm @ asked_nm)
@@ -171,15 +171,15 @@ def _asked(grid: _Grid, slip_rad_s: FloatArray) -> tuple[FloatArray, npt.NDArray
     return None if total is None else (total, np.ones(len(total), np.bool_))
 
 
-def _acceleration(grid: _Grid) -> FloatArray:
-    """Return the engine's acceleration on the grid [rad/s2]: the slope of a parabola through the speeds around."""
-    series = grid.event.columns[Signal.ENGINE_SPEED]
-    t_s = _since(series, grid.event)
-    first, last = np.searchsorted(t_s, grid.t_s - SMOOTH_S), np.searchsorted(t_s, grid.t_s + SMOOTH_S)
+def _acceleration(event: Event, at_s: FloatArray) -> FloatArray:
+    """Return the engine's acceleration at some times [rad/s2]: the slope of a parabola through the speeds around."""
+    series = event.columns[Signal.ENGINE_SPEED]
+    t_s = _since(series, event)
+    first, last = np.searchsorted(t_s, at_s - SMOOTH_S), np.searchsorted(t_s, at_s + SMOOTH_S)
     around = first[:, None] + np.arange(int(np.max(last - first, initial=0)))
     inside = around < last[:, None]
     around = np.minimum(around, len(t_s) - 1)
-    apart = np.where(inside, (t_s[around] - grid.t_s[:, None]) / SMOOTH_S, 0.0)
+    apart = np.where(inside, (t_s[around] - at_s[:, None]) / SMOOTH_S, 0.0)
     powers = inside[..., None] * apart[..., None] ** np.arange(3)
     normal = powers.swapaxes(1, 2) @ powers
     is_fit = np.count_nonzero(inside, axis=1) >= 3

@@ -13,9 +13,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from canlog.arrays import FloatArray
+from canlog.jit import kernel
 from clutch_model.calibration import Calibration
 from clutch_model.clutch import ClutchCalibration
-from clutch_model.friction import contact_torques_nm, friction_law, stribeck_weights
+from clutch_model.friction import FrictionLaw, contact_torque_nm, friction_law, stribeck_weight
 from clutch_model.gears import both_clutches
 from clutch_model.knowledge import SensorBias
 from diag_service.diagnosis.alignment import GRID_S, AlignedSignals
@@ -171,11 +172,26 @@ def contact_nm(clutch: ClutchCalibration, drive: PressureDrive, track: FilmTrack
 
 def contact_lever_m3(clutch: ClutchCalibration, slip_rad_s: FloatArray) -> FloatArray:
     """Return the contact torque per unit of contact pressure, and of mu_c and mu_s, shape (n, 2)."""
-    full_m3 = contact_torques_nm(
-        direction(slip_rad_s), 1.0, np.ones_like(slip_rad_s), clutch.geometry.contact_factor_m3
+    lever_m3 = np.empty((len(slip_rad_s), 2))
+    _fill_lever(
+        np.ascontiguousarray(slip_rad_s), friction_law(clutch.friction), clutch.geometry.contact_factor_m3, lever_m3
     )
-    share = stribeck_weights(slip_rad_s, friction_law(clutch.friction))
-    return np.column_stack((full_m3 * (1.0 - share), full_m3 * share))
+    return lever_m3
+
+
+def compile_balance(calibration: Calibration) -> None:
+    """Have everything compiled before the first shift comes: it must not wait for it."""
+    contact_lever_m3(calibration.clutches[0], np.zeros(2))
+
+
+@kernel
+def _fill_lever(slip_rad_s: FloatArray, law: FrictionLaw, contact_factor_m3: float, lever_m3: FloatArray) -> None:
+    for row in range(len(slip_rad_s)):
+        slip = slip_rad_s[row]
+        way = min(max(slip / SIGN_WIDTH_RAD_S, -1.0), 1.0)
+        full_m3, share = contact_torque_nm(way, 1.0, 1.0, contact_factor_m3), stribeck_weight(slip, law)
+        lever_m3[row, 0] = full_m3 * (1.0 - share)
+        lever_m3[row, 1] = full_m3 * share
 
 
 def direction(slip_rad_s: FloatArray) -> FloatArray:

@@ -12,7 +12,7 @@ from clutch_model.gears import clutch_of_gear
 from diag_service.diagnosis.alignment import NS_TO_S, AlignedSignals, compile_alignment
 from diag_service.diagnosis.columns import Signal
 from diag_service.diagnosis.events import Event
-from diag_service.diagnosis.friction.balance import Balance
+from diag_service.diagnosis.friction.balance import Balance, compile_balance
 from diag_service.diagnosis.friction.cold_oil import MOST_FILM_SHARE, film_share, own_variance
 from diag_service.diagnosis.friction.evidence import Evidence, Fusion, Knowledge, Measurement, fuse
 from diag_service.diagnosis.friction.film_tangents import compile_tangents
@@ -33,10 +33,11 @@ from diag_service.diagnosis.friction.window import SlipWindow, on_other_grid, sp
 from diag_service.diagnosis.quality.plausibility import (
     PressureZeros,
     SlippingClutch,
+    compile_plausibility,
     plausibility_faults,
     zero_has_jumped,
 )
-from diag_service.diagnosis.quality.usability import usable_signals
+from diag_service.diagnosis.quality.usability import Samples, aligned, usable_samples
 from diag_service.diagnosis.records import Reason, ShiftEstimate, Status
 
 ALGORITHM_VERSION = "torque-impulse-7"
@@ -74,6 +75,8 @@ class Estimator:
     def prepare(self) -> None:
         """Have everything compiled before the first shift comes: it must not wait for it."""
         compile_alignment()
+        compile_plausibility()
+        compile_balance(self._calibration)
         compile_film(self._calibration)
         compile_tangents(self._calibration)
 
@@ -87,7 +90,10 @@ class Estimator:
         is shown and left out, until three of the clutch agree that it has changed. One that is described only, because
         its data are not believed, is not even held against the others.
         """
-        first = self._linearised(event, state, state.known.mean, None)
+        samples = usable_samples(event)
+        if isinstance(samples, Reason):
+            return state, without_friction(event, Status.REJECTED, samples)
+        first = self._linearised(samples, state, state.known.mean, None)
         if not isinstance(first, _Seen):
             return state, without_friction(
                 event, Status.UNOBSERVED if first is Reason.NO_SLIP_WINDOW else Status.REJECTED, first
@@ -100,7 +106,7 @@ class Estimator:
         )
         if faults := plausibility_faults(event, first.balance.signals, slipping):
             return state, without_friction(event, Status.REJECTED, *faults)
-        seen, judged = self._settled(event, state, first)
+        seen, judged = self._settled(samples, state, first)
         packs = PackTemperatures(clutch_k=seen.balance.final_clutch_k, at_ns=event.end_ns)
         state = state.warmed(packs)
         is_misfit = _is_misfit(self._type, fuse(self._type, seen.evidence), seen.evidence.count)
@@ -132,11 +138,12 @@ class Estimator:
         covariance[rows, rows] = np.eye(2) * FRICTION_PRIOR_STD**2
         return Knowledge(mean=mean, covariance=covariance)
 
-    def _settled(self, event: Event, state: Posterior, seen: _Seen) -> tuple[_Seen, Posterior]:
+    def _settled(self, samples: Samples, state: Posterior, seen: _Seen) -> tuple[_Seen, Posterior]:
         """Return the event linearised where it and all that is believed meet, and what is known with it.
 
         One that does not belong is linearised where it alone would have it: it meets nothing.
         """
+        event = samples.event
         at, judged = state.known.mean, state.with_event(_judged_event(event, seen))
         for _ in range(MAX_PASS_COUNT - 1):
             after = judged.known if judged.is_used[-1] else seen.alone.knowledge
@@ -145,7 +152,7 @@ class Estimator:
                 break
             longest = self._longest(step)
             at = at + step / max(1.0, longest / LONGEST_STEP)
-            attempt = self._linearised(event, state, at, seen, is_near=longest < NEAR_STEP)
+            attempt = self._linearised(samples, state, at, seen, is_near=longest < NEAR_STEP)
             if not isinstance(attempt, _Seen):
                 break
             seen, judged = attempt, state.with_event(_judged_event(event, attempt))
@@ -165,20 +172,20 @@ class Estimator:
         return float(np.max(np.abs(step[known]) / std[known], initial=0.0))
 
     def _linearised(
-        self, event: Event, state: Posterior, at: FloatArray, earlier: _Seen | None, *, is_near: bool = False
+        self, samples: Samples, state: Posterior, at: FloatArray, earlier: _Seen | None, *, is_near: bool = False
     ) -> _Seen | Reason:
         """Linearise an event about ``at`` with what an earlier pass found: its clutch; near by all but the residual."""
         try:
             point = displaced(self._calibration, at)
         except CalibrationError:  # no vehicle is like that
             return Reason.MISFIT
-        signals = usable_signals(event, point)
+        signals = aligned(samples, point)
         if isinstance(signals, Reason):
             return signals
         empty = zeros_seen(signals, at, point)
         near = earlier if is_near else None
         zeros = near.zeros_pa if near else self._zeros_of(empty, at, state.known)
-        drives = measured_drives(signals, at, state.packs, event, point)
+        drives = measured_drives(signals, at, state.packs, samples.event, point)
         found = _window(signals, drives, point, near)
         if found is None:
             return Reason.NO_SLIP_WINDOW

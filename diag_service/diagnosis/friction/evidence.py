@@ -4,14 +4,16 @@ Evidence is chi-square as a function of the parameters, a paraboloid: linearised
 samples. Knowledge is a mean with its covariance; docs/model.md, section "Estimator".
 """
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from typing import Self
+from typing import Final, Self
 
 import numpy as np
 
 from canlog.arrays import FloatArray
 from diag_service.diagnosis.friction.parameters import PARAMETER_COUNT
+
+_ONE: Final = np.eye(PARAMETER_COUNT)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -42,6 +44,18 @@ class Evidence:
         """Return what no event says."""
         empty = np.zeros((PARAMETER_COUNT, PARAMETER_COUNT))
         return cls(matrix=empty, vector=np.zeros(PARAMETER_COUNT), constant=0.0, count=0)
+
+    @classmethod
+    def sum(cls, some: Sequence[Self]) -> Self:
+        """Return what some events say together."""
+        if not some:
+            return cls.none()
+        return cls(
+            matrix=np.sum([one.matrix for one in some], axis=0),
+            vector=np.sum([one.vector for one in some], axis=0),
+            constant=sum(one.constant for one in some),
+            count=sum(one.count for one in some),
+        )
 
     @classmethod
     def of(cls, measurements: Iterable[Measurement], at: FloatArray) -> Self:
@@ -121,14 +135,15 @@ def fuse(earlier: Knowledge, evidence: Evidence) -> Fusion:
     """Return what earlier knowledge and evidence say together; what was certain stays as it is."""
     std = earlier.std()
     scale = np.where(std > 0.0, std, 1.0)
-    units = np.outer(scale, scale)
+    units = scale[:, None] * scale
     gradient = (evidence.vector - evidence.matrix @ earlier.mean) * scale
-    left = np.linalg.inv(np.eye(len(scale)) + earlier.covariance / units @ (evidence.matrix * units))
-    covariance = left @ (earlier.covariance / units)
+    spread = earlier.covariance / units
+    left = np.linalg.inv(_ONE + spread @ (evidence.matrix * units))
+    covariance = left @ spread
     step = covariance @ gradient
-    covariance *= np.outer(std, std)  # rounding makes nothing uncertain that was certain
+    covariance *= std[:, None] * std  # rounding makes nothing uncertain that was certain
     return Fusion(
         knowledge=Knowledge(mean=earlier.mean + step * std, covariance=(covariance + covariance.T) / 2.0),
         chi_square=evidence.chi_square(earlier.mean) - float(gradient @ step),
-        kept=left * np.outer(scale, 1.0 / scale),
+        kept=left * (scale[:, None] / scale),
     )

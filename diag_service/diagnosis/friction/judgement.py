@@ -93,10 +93,7 @@ def _with_change(base: Knowledge, events: Sequence[JudgedEvent], first: int, ste
 
 def _together(events: Sequence[JudgedEvent], is_used: Sequence[bool]) -> Evidence:
     """Return what the events say that are used."""
-    total = Evidence.none()
-    for event, used in zip(events, is_used, strict=False):
-        total = total.plus(event.evidence) if used else total
-    return total
+    return Evidence.sum([event.evidence for event, used in zip(events, is_used, strict=False) if used])
 
 
 def after_change(known: Knowledge, clutch: int) -> Knowledge:

@@ -88,9 +88,7 @@ class Posterior:
     def others(self) -> Knowledge:
         """What is known without the newest event."""
         pairs = zip(self.recent[:-1], self.is_used, strict=False)
-        together = Evidence.none()
-        for event in (event for event, is_used in pairs if is_used):
-            together = together.plus(event.evidence)
+        together = Evidence.sum([event.evidence for event, is_used in pairs if is_used])
         return fuse(self.base, together).knowledge
 
     @property

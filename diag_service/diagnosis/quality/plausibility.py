@@ -13,6 +13,7 @@ from typing import Final
 import numpy as np
 
 from canlog.arrays import BoolArray, FloatArray, Int64Array
+from canlog.jit import kernel
 from canlog.series import Series
 from clutch_model.gears import clutch_of_gear
 from diag_service.diagnosis.alignment import COMMAND_LAG_S, GRID_S, NS_TO_S, AlignedSignals
@@ -86,33 +87,56 @@ def zero_has_jumped(known: PressureZeros, measured: PressureZeros, limits: Quali
     return bool(np.any(moved_pa**2 > limits.zero_gate * variance))
 
 
+def compile_plausibility() -> None:
+    """Have everything compiled before the first shift comes: it must not wait for it."""
+    _longest_run(np.zeros(2))
+    _noise_in_steps(np.zeros(2), 0, 1)
+
+
 def is_frozen(series: Series, signal: Signal, limits: QualityLimits = LIMITS) -> bool:
     """Return whether a signal repeats one value longer than its own noise and resolution explain.
 
     How often neighbours are equal elsewhere in the signal says how likely a repetition is. Of a signal without noise it
     says nothing: it may well rest.
     """
-    value = series.value
-    edges = np.flatnonzero(np.diff(value, prepend=np.nan, append=np.nan) != 0.0)
-    lengths = np.diff(edges)
-    longest = int(np.argmax(lengths))
-    if signal is not Signal.ENGINE_TORQUE and value[edges[longest]] <= _LEAST:
+    value = np.ascontiguousarray(series.value)
+    run_count, first, longest = _longest_run(value)
+    if signal is not Signal.ENGINE_TORQUE and value[first] <= _LEAST:
         return False
-    rest = np.delete(value, slice(edges[longest], edges[longest + 1]))
-    if _noise_in_steps(rest) < limits.least_noise_steps:
+    if _noise_in_steps(value, first, first + longest) < limits.least_noise_steps:
         return False
-    others = len(rest)
-    repeats = others - (len(lengths) - 1)
+    others = len(value) - longest
+    repeats = others - (run_count - 1)
     share = (repeats + 1.0) / (others + 2.0)
-    return bool(lengths[longest] > 1.0 + math.log(limits.repeats_chance / len(value)) / math.log(share))
+    return longest > 1.0 + math.log(limits.repeats_chance / len(value)) / math.log(share)
 
 
-def _noise_in_steps(value: FloatArray) -> float:
-    """Return the noise of a signal in steps of its resolution, by its second differences; inf if too few."""
-    steps = np.abs(np.diff(value))
-    if len(steps) < 3 or not steps.any():
-        return math.inf
-    return float(np.median(np.abs(np.diff(value, 2)))) * _STD_OF_SECOND_DIFFERENCE / float(steps[steps > 0.0].min())
+@kernel
+def _longest_run(value: FloatArray) -> tuple[int, int, int]:
+    """Return how many runs of one value there are, where the first of the longest begins, and how long it is."""
+    run_count, first, longest, begin = 1, 0, 1, 0
+    for row in range(1, len(value) + 1):
+        if row < len(value) and value[row] == value[row - 1]:
+            continue
+        if row - begin > longest:
+            first, longest = begin, row - begin
+        begin = row
+        run_count += row < len(value)
+    return run_count, first, longest
+
+
+@kernel
+def _noise_in_steps(value: FloatArray, first: int, stop: int) -> float:
+    """Return the noise of all but some rows in steps of its resolution, by its second differences; inf if too few."""
+    rest = np.concatenate((value[:first], value[stop:]))
+    steps = rest[1:] - rest[:-1]
+    least = np.inf
+    for step in np.abs(steps):
+        if 0.0 < step < least:
+            least = step
+    if len(steps) < 3 or least == np.inf:
+        return np.inf
+    return float(np.median(np.abs(steps[1:] - steps[:-1])) * _STD_OF_SECOND_DIFFERENCE / least)
 
 
 def speed_gap_rad_s(

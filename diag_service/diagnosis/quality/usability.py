@@ -1,5 +1,7 @@
 """Whether the signals of an event can be put on one clock at all, and if so, those signals."""
 
+from dataclasses import dataclass
+
 import numpy as np
 
 from canlog.arrays import FloatArray
@@ -18,8 +20,23 @@ from diag_service.diagnosis.quality.limits import LIMITS, QualityLimits
 from diag_service.diagnosis.records import Reason
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Samples:
+    """What was sampled in an event that can be used, whatever vehicle it is of."""
+
+    event: Event
+    times: SampleTimes
+    oil_k: float
+
+
 def usable_signals(event: Event, calibration: Calibration, limits: QualityLimits = LIMITS) -> AlignedSignals | Reason:
     """Return the signals of a shift or engine run-up on one clock, or why they cannot be used."""
+    samples = usable_samples(event, limits)
+    return samples if isinstance(samples, Reason) else aligned(samples, calibration, limits)
+
+
+def usable_samples(event: Event, limits: QualityLimits = LIMITS) -> Samples | Reason:
+    """Return the samples of a shift or engine run-up, or why they cannot be used."""
     if event.end_reason not in {EndReason.COMPLETE, EndReason.ABANDONED}:
         return Reason.INTERRUPTED
     is_whole = event.end_reason is EndReason.COMPLETE  # what another event cut short may be seen in full, or not
@@ -33,10 +50,15 @@ def usable_signals(event: Event, calibration: Calibration, limits: QualityLimits
     oil_k = float(np.mean(oil.value))
     if not limits.oil_range_k[0] <= oil_k <= limits.oil_range_k[1]:
         return Reason.OUT_OF_RANGE
-    times = measured_times(sampled, event, calibration)
+    return Samples(event=event, times=sampled, oil_k=oil_k)
+
+
+def aligned(samples: Samples, calibration: Calibration, limits: QualityLimits = LIMITS) -> AlignedSignals | Reason:
+    """Return samples on one clock, latencies as a calibration has them, or why they cannot be."""
+    times = measured_times(samples.times, samples.event, calibration)
     if any(np.any(np.diff(one) <= 0.0) for one in times.values()):
         return Reason.OUT_OF_RANGE  # time runs backwards inside a segment: the receive clock cannot be believed
-    return align(times, event, oil_k, gaps_s(times, event, limits))
+    return align(times, samples.event, samples.oil_k, gaps_s(times, samples.event, limits))
 
 
 def is_lost(times_s: FloatArray, period_ns: int, duration_s: float, limits: QualityLimits = LIMITS) -> bool:
@@ -54,11 +76,11 @@ def gaps_s(times: SampleTimes, event: Event, limits: QualityLimits = LIMITS) -> 
     duration_s = (event.end_ns - event.start_ns) * NS_TO_S
     found = []
     for signal, times_s in times.items():
-        known_s = np.append(times_s, max(duration_s, float(times_s[-1])))
         longest_s = limits.gap_periods * _period_s(event.columns[signal].period_ns, limits)
-        rows = np.flatnonzero(np.diff(known_s) > longest_s)
-        found.append(np.column_stack((known_s[rows], known_s[rows + 1])))
-    return np.concatenate(found)
+        found += [times_s[row : row + 2] for row in np.flatnonzero(np.diff(times_s) > longest_s)]
+        if duration_s - times_s[-1] > longest_s:
+            found.append(np.array((times_s[-1], duration_s)))
+    return np.array(found).reshape(-1, 2)
 
 
 def _period_s(period_ns: int, limits: QualityLimits) -> float:
