@@ -1,12 +1,14 @@
 """Which of two results for one shift is the newer: versions as texts that sort as people count."""
 
 import re
+from functools import lru_cache
 from typing import Final
 
 _NUMBER: Final = re.compile(r"[0-9]+")
 _BETWEEN: Final = "\x1f"  # the unit separator, below every printable character
 
 
+@lru_cache(maxsize=1024)
 def version_rank(algorithm_version: str, calibration_version: str) -> str:
     """Return a text that is greater, byte by byte, for a newer algorithm or else a newer calibration.
 

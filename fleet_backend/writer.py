@@ -11,6 +11,7 @@ from typing import Final
 from sqlalchemy import Connection, Engine, Insert, Table, and_, false, or_, select, true
 from sqlalchemy.dialects import postgresql, sqlite
 
+from fleet_backend.copying import copy_results
 from fleet_backend.database import transaction
 from fleet_backend.errors import RowRefusedError
 from fleet_backend.rows import Row, told_fill
@@ -39,7 +40,7 @@ class Writer:
         self._engine = engine
         self._known: set[tuple[object, object]] = set()
         make = postgresql.insert if engine.dialect.name == "postgresql" else sqlite.insert
-        self._shift = _newer_content_wins(make(SHIFT_RESULT))
+        self._shift = _newer_content_wins(sqlite.insert(SHIFT_RESULT))
         self._status = _later_status_wins(make(VEHICLE))
         self._metrics = _later_wins(make(VEHICLE), "metrics")
         self._controller = _later_wins(make(VEHICLE), "controller")
@@ -89,12 +90,20 @@ class Writer:
             _execute(connection, self._status, _sorted(batch.statuses, "vehicle"))
             _execute(connection, self._metrics, _sorted(batch.metrics, "vehicle"))
             _execute(connection, self._controller, _sorted(batch.controllers, "vehicle"))
-            _execute(connection, self._shift, _sorted(batch.shifts, *KEY_COLUMNS))
+            self._put_results(connection, batch.shifts)
             self._put(connection, FLUID_FILL, _sorted(batch.fills, "vehicle", "filled_at"))
             self._put(connection, QUARANTINE, _sorted(batch.quarantined, "digest"))
         if len(self._known) > _MAX_KNOWN:
             self._known.clear()
         self._known |= clutches
+
+    def _put_results(self, connection: Connection, rows: Sequence[Row]) -> None:
+        if not rows:
+            return
+        if connection.dialect.name == "postgresql":
+            copy_results(connection, rows)
+        else:
+            connection.execute(self._shift, _sorted(rows, *KEY_COLUMNS))
 
     def _put(self, connection: Connection, table: Table, rows: list[Row]) -> None:
         _execute(connection, self._first_comes[table.name], rows)
@@ -109,19 +118,14 @@ def _sorted(rows: Sequence[Row], *names: str) -> list[Row]:
     return sorted(rows, key=lambda row: tuple(str(row[name]) for name in names))
 
 
-def _newer_content_wins(insert: "postgresql.Insert | sqlite.Insert") -> Insert:
+def _newer_content_wins(insert: sqlite.Insert) -> Insert:
     """Keep, of two contents under one key, which nobody should send, the one with the smaller digest."""
-    kept = {*_unique_columns(insert), "stored_at"}
-    names = [column.name for column in SHIFT_RESULT.columns if column.name not in kept]
+    names = [column.name for column in SHIFT_RESULT.columns if column.name not in (*KEY_COLUMNS, "stored_at")]
     return insert.on_conflict_do_update(
-        index_elements=list(_unique_columns(insert)),
+        index_elements=list(KEY_COLUMNS),
         set_={name: insert.excluded[name] for name in names},
         where=insert.excluded.content_digest < SHIFT_RESULT.c.content_digest,
     )
-
-
-def _unique_columns(insert: Insert) -> tuple[str, ...]:
-    return (*KEY_COLUMNS, "produced_at") if isinstance(insert, postgresql.Insert) else KEY_COLUMNS
 
 
 def _later_status_wins(insert: "postgresql.Insert | sqlite.Insert") -> Insert:

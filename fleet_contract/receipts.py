@@ -3,6 +3,7 @@
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
+from functools import lru_cache
 from typing import Final
 from urllib.parse import quote
 
@@ -28,7 +29,12 @@ class ResultKey:
     def text(self) -> str:
         """The key in one line without spaces: the id of its event."""
         parts = (self.stream, str(self.seq), self.algorithm_version, self.calibration_version)
-        return "/".join(quote(part, safe="+") for part in (self.vehicle, *parts))
+        return "/".join(map(_quoted, (self.vehicle, *parts)))
+
+
+@lru_cache(maxsize=4096)
+def _quoted(part: str) -> str:
+    return quote(part, safe="+")
 
 
 class Outcome(StrEnum):
