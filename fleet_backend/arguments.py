@@ -64,7 +64,13 @@ _INGEST: Final = Command(
     "ingest",
     "take results from the broker into the database, until stopped",
     *_COMMON,
-    *_BROKER,
+    Option(
+        "--broker URL",
+        "mqtt[s]://[user[:password]@]host[:port], MQTT 5, or nats[+tls]://... with JetStream"
+        f" (default: the environment's {BROKER_VARIABLE})",
+        envvar=BROKER_VARIABLE,
+    ),
+    *_BROKER[1:],
     Option("--worker NAME", "name of this worker, unlike any other's (default: made up)"),
     Option("--alive FILE", "touch this file every 5 s while broker and database answer", FILE),
     Option("--batch N", f"messages per transaction (default: {_PACE.batch_size})", INT, default=_PACE.batch_size),

@@ -10,8 +10,9 @@ from typing import Final
 
 from fleet_backend.errors import BrokerError, ConfigError
 from fleet_contract import Outgoing
-from fleet_link import AddressError, BrokerAddress, Connection, LinkDownError, Message, Terms
+from fleet_link import AddressError, BrokerAddress, Connection, JetStream, LinkDownError, Message, Terms
 
+GROUP: Final = "ingest"  # of workers that share what comes
 KEEPALIVE_S: Final = 15  # a dead broker is known after 1.5 times this
 MAX_PACKET_BYTES: Final = 262_144  # far above any result; the broker keeps longer packets from us
 
@@ -19,7 +20,7 @@ MAX_PACKET_BYTES: Final = 262_144  # far above any result; the broker keeps long
 class BrokerInbox:
     """An open, subscribed connection, whose end is an error of ours."""
 
-    def __init__(self, connection: Connection) -> None:
+    def __init__(self, connection: Connection | JetStream) -> None:
         self._connection = connection
 
     async def collect(self, limit: int, patience_s: float) -> list[Message]:
@@ -66,15 +67,20 @@ async def connected(
         max_packet_bytes=MAX_PACKET_BYTES,
         is_key_private=False,  # a container's secrets are its only user's, whatever their mode says
     )
+    connection: Connection | JetStream
     try:
-        connection = await Connection.open(address, terms)
+        if address.is_nats:
+            connection = await JetStream.open(address, filters, GROUP)
+        else:
+            connection = await Connection.open(address, terms)
     except LinkDownError as exc:
         raise BrokerError(f"broker {address}: {exc}") from exc
     except AddressError as exc:
         raise ConfigError(str(exc)) from exc
     try:
         try:
-            await connection.subscribe(filters)
+            if isinstance(connection, Connection):
+                await connection.subscribe(filters)
         except LinkDownError as exc:
             raise BrokerError(f"broker {address}: {exc}") from exc
         yield BrokerInbox(connection)

@@ -51,7 +51,7 @@ def _ingest(options: SimpleNamespace, engine: Engine) -> None:
     pace = parse_pace(options.batch, options.patience)
     run_ingest(
         engine,
-        _broker(options),
+        _broker(options, may_be_nats=True),
         pace,
         options.worker,
         options.alive,
@@ -66,10 +66,11 @@ def _user() -> str:
         return f"uid {os.getuid()}"
 
 
-def _broker(options: SimpleNamespace) -> BrokerAddress:
+def _broker(options: SimpleNamespace, *, may_be_nats: bool = False) -> BrokerAddress:
     if not options.broker:
         raise ConfigError(f"no broker: give --broker or set {BROKER_VARIABLE}")
-    return parse_broker(options.broker, ca=options.ca, certificate=options.cert, key=options.key)
+    files = {"ca": options.ca, "certificate": options.cert, "key": options.key}
+    return parse_broker(options.broker, **files, may_be_nats=may_be_nats)
 
 
 def _migrate(_options: SimpleNamespace, engine: Engine) -> None:

@@ -3,13 +3,14 @@
 import re
 from dataclasses import dataclass
 from datetime import UTC, datetime
+from importlib.util import find_spec
 from ipaddress import ip_address
 from pathlib import Path
 from typing import Final
 
 import fleet_link
 from fleet_backend.choices import Pace
-from fleet_backend.errors import ConfigError
+from fleet_backend.errors import ConfigError, ExtraMissingError
 from fleet_link import AddressError, BrokerAddress, TlsFiles
 
 _MAX_BATCH: Final = 30_000  # twice as many are in flight; MQTT counts to 65,535
@@ -17,24 +18,37 @@ _MAX_PORT: Final = 65_535
 
 
 def parse_broker(
-    url: str, *, ca: Path | None = None, certificate: Path | None = None, key: Path | None = None
+    url: str,
+    *,
+    ca: Path | None = None,
+    certificate: Path | None = None,
+    key: Path | None = None,
+    may_be_nats: bool = False,
 ) -> BrokerAddress:
     """Return the broker that ``mqtt[s]://[user[:password]@]host[:port]`` names, with certificates for ``mqtts``.
 
+    Where it ``may_be_nats`` also ``nats://`` and ``nats+tls://``.
+
     Raises
     ------
+    ExtraMissingError
+        If the library for NATS is not installed.
     ConfigError
         If the text is no such address; the message does not repeat it, since it may hold a password. If a certificate
         cannot be used: that is said now, not at the first connection.
     """
     try:
         address = fleet_link.parse_broker(
-            url, TlsFiles(authority=ca, certificate=certificate, key=certificate if key is None else key)
+            url,
+            TlsFiles(authority=ca, certificate=certificate, key=certificate if key is None else key),
+            may_be_nats=may_be_nats,
         )
         if address.tls is not None:
             address.tls.context(is_key_private=False)
     except AddressError as exc:
         raise ConfigError(str(exc)) from exc
+    if address.is_nats and find_spec("nats") is None:
+        raise ExtraMissingError("nats", extra="nats")
     return address
 
 

@@ -13,6 +13,7 @@ from contextlib import AbstractAsyncContextManager
 from datetime import datetime
 from typing import Final, Protocol
 
+from fleet_backend.broker import GROUP
 from fleet_backend.choices import Pace
 from fleet_backend.errors import BrokerError, DatabaseAwayError, RowRefusedError
 from fleet_backend.intake import (
@@ -30,7 +31,6 @@ from fleet_backend.writer import Batch
 from fleet_contract import JsonObject, Outgoing, ack_messages, filter_of, fluid_message
 from fleet_link import Message
 
-GROUP: Final = "ingest"  # of the shared subscription
 # States go to every worker: a shared subscription never gets what the broker retained, and two writers agree.
 FILTERS: Final = tuple(filter_of(channel, group=None if channel.is_retained else GROUP) for channel in INGESTED)
 FIRST_PAUSE_S: Final = 0.2

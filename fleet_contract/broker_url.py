@@ -8,6 +8,8 @@ from urllib.parse import unquote, urlsplit
 from fleet_contract.errors import BrokerUrlError
 
 _PORTS: Final = {"mqtt": 1883, "mqtts": 8883}
+_NATS_PORTS: Final = {"nats": 4222, "nats+tls": 4222}
+_ENCRYPTED: Final = frozenset({"mqtts", "nats+tls"})
 _FORM: Final = "the broker must be mqtt[s]://[user[:password]@]host[:port]"
 
 
@@ -20,6 +22,7 @@ class BrokerUrl:
     username: str | None
     password: str | None = field(repr=False)
     is_encrypted: bool
+    is_nats: bool = False  # else MQTT
 
 
 def is_this_machine(host: str) -> bool:
@@ -41,8 +44,8 @@ def exposure(host: str, *, is_encrypted: bool, has_password: bool) -> str | None
     return f"{what} go to {host} unencrypted: whoever is on the way can read them; mqtts:// encrypts"
 
 
-def parse_broker_url(text: str) -> BrokerUrl:
-    """Return what an address says.
+def parse_broker_url(text: str, *, may_be_nats: bool = False) -> BrokerUrl:
+    """Return what an address says; where it ``may_be_nats`` also ``nats://`` or ``nats+tls://``.
 
     Raises
     ------
@@ -54,14 +57,16 @@ def parse_broker_url(text: str) -> BrokerUrl:
         port = parts.port
     except ValueError:  # its text quotes what it takes for the port, which may be half a password
         raise BrokerUrlError(f"{_FORM}, with %-escapes in the password and a port up to 65535") from None
-    if parts.scheme not in _PORTS or not parts.hostname or parts.path.strip("/") or parts.query or parts.fragment:
+    ports = _PORTS | _NATS_PORTS if may_be_nats else _PORTS
+    if parts.scheme not in ports or not parts.hostname or parts.path.strip("/") or parts.query or parts.fragment:
         raise BrokerUrlError(_FORM)
     if port == 0:
         raise BrokerUrlError(f"{_FORM}: port 0 is no port")
     return BrokerUrl(
         host=parts.hostname,
-        port=port or _PORTS[parts.scheme],
+        port=port or ports[parts.scheme],
         username=None if parts.username is None else unquote(parts.username),
         password=None if parts.password is None else unquote(parts.password),
-        is_encrypted=parts.scheme == "mqtts",
+        is_encrypted=parts.scheme in _ENCRYPTED,
+        is_nats=parts.scheme in _NATS_PORTS,
     )

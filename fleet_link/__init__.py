@@ -3,6 +3,7 @@
 from fleet_link.address import BrokerAddress, parse_broker
 from fleet_link.connection import Connection, Message
 from fleet_link.errors import AddressError, LinkDownError, LinkError, VersionRefusedError
+from fleet_link.jetstream import JetStream
 from fleet_link.secret_files import check_secret_mode, read_secret
 from fleet_link.terms import Terms
 from fleet_link.tls import TlsFiles
@@ -11,6 +12,7 @@ __all__ = [
     "AddressError",
     "BrokerAddress",
     "Connection",
+    "JetStream",
     "LinkDownError",
     "LinkError",
     "Message",

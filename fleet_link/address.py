@@ -18,6 +18,7 @@ class BrokerAddress:
     username: str | None = None
     password: str | None = field(default=None, repr=False)
     tls: TlsFiles | None = None  # None: not encrypted
+    is_nats: bool = False  # else MQTT
 
     def __str__(self) -> str:
         host = f"[{self.host}]" if ":" in self.host else self.host
@@ -29,7 +30,9 @@ class BrokerAddress:
         return exposure(self.host, is_encrypted=self.tls is not None, has_password=self.password is not None)
 
 
-def parse_broker(url: str, tls: TlsFiles | None = None, password_file: Path | None = None) -> BrokerAddress:
+def parse_broker(
+    url: str, tls: TlsFiles | None = None, password_file: Path | None = None, *, may_be_nats: bool = False
+) -> BrokerAddress:
     """Return the broker that ``mqtt[s]://[user[:password]@]host[:port]`` names.
 
     Parameters
@@ -38,6 +41,8 @@ def parse_broker(url: str, tls: TlsFiles | None = None, password_file: Path | No
         Certificates, for ``mqtts``; without them the system's authorities count and we show no certificate.
     password_file :
         Holds the password in place of the URL; readable for its owner only.
+    may_be_nats :
+        Whether ``nats://`` and ``nats+tls://`` are brokers, too.
 
     Raises
     ------
@@ -45,15 +50,16 @@ def parse_broker(url: str, tls: TlsFiles | None = None, password_file: Path | No
         If the text is no such address; the message does not repeat it, since it may hold a password.
     """
     try:
-        parts = parse_broker_url(url)
+        parts = parse_broker_url(url, may_be_nats=may_be_nats)
     except BrokerUrlError as exc:
         raise AddressError(str(exc)) from exc
     if tls not in {None, TlsFiles()} and not parts.is_encrypted:
-        raise AddressError("certificates need a broker at mqtts://")
+        raise AddressError("certificates need a broker at mqtts://" + (" or nats+tls://" if may_be_nats else ""))
     return BrokerAddress(
         host=parts.host,
         port=parts.port,
         username=parts.username,
         password=parts.password if password_file is None else read_secret(password_file),
         tls=(tls or TlsFiles()) if parts.is_encrypted else None,
+        is_nats=parts.is_nats,
     )

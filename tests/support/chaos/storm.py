@@ -12,6 +12,7 @@ from typing import Final
 
 from sqlalchemy import Engine, select
 
+from demo.fleet.nats import NatsServer
 from diag_service.diagnosis.results import shift_record
 from diag_service.store import ResultStore
 from fleet_backend.database import open_database, transaction
@@ -59,6 +60,7 @@ class Plan:
     edge_every_s: float = 7.0
     calm_s: float = 60.0  # in which all outboxes must be empty
     disk: BrokerDisk = BrokerDisk.SAVED
+    is_nats: bool = False  # a nats-server with JetStream and its MQTT gateway in the place of Mosquitto
 
     @property
     def rate_per_s(self) -> float:
@@ -89,7 +91,9 @@ class Storm:
         self._plan = plan
         broker_folder = folder / "broker"
         broker_folder.mkdir()
-        self._broker = Mosquitto(broker_folder, _BROKER_LINES[plan.disk])
+        self._broker: Mosquitto | NatsServer = (
+            NatsServer(broker_folder) if plan.is_nats else Mosquitto(broker_folder, _BROKER_LINES[plan.disk])
+        )
         self._broker_file = broker_folder / "mosquitto.db"
         self._children: dict[str, subprocess.Popen[bytes]] = {}
         self._turn = {"worker": 0, "edge": 0}

@@ -19,6 +19,14 @@ def test_what_an_address_says(text: str, host: str, port: int, is_encrypted: boo
     assert parse_broker_url(text) == named
 
 
+@pytest.mark.parametrize(("text", "is_encrypted"), [("nats://broker", False), ("nats+tls://broker", True)])
+def test_nats_is_named_where_it_may_be(text: str, is_encrypted: bool) -> None:
+    named = parse_broker_url(text, may_be_nats=True)
+    assert (named.port, named.is_encrypted, named.is_nats) == (4222, is_encrypted, True)
+    with pytest.raises(BrokerUrlError, match="must be mqtt"):
+        parse_broker_url(text)
+
+
 def test_a_password_is_read_and_not_shown() -> None:
     named = parse_broker_url("mqtt://car:p%40ss@broker")
     assert (named.username, named.password) == ("car", "p@ss")

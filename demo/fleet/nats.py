@@ -1,0 +1,103 @@
+"""A nats-server of our own, with JetStream on disk and its gateway for MQTT; its data survive a kill."""
+
+import os
+import re
+import shutil
+import signal
+import socket
+import subprocess
+import time
+from pathlib import Path
+from typing import Final
+
+from demo.errors import DemoError
+
+_START_S: Final = 60.0
+_ALWAYS_SYNCS: Final = (2, 10)  # the first version whose JetStream can sync at every message
+
+
+class NatsServer:
+    """One server; off until started.
+
+    Parameters
+    ----------
+    folder : Path
+        For configuration, data and log.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        self.port, self.nats_port = _free_ports(2)
+        self._folder = folder
+        self._process: subprocess.Popen[bytes] | None = None
+        self._program = shutil.which("nats-server", path=f"{os.environ.get('PATH', os.defpath)}:/usr/sbin")
+        if self._program is None:
+            raise DemoError("nats-server is not installed (Debian package nats-server)")
+        sync = "  sync_interval: always\n" if version(self._program) >= _ALWAYS_SYNCS else ""
+        self._config = folder / "nats.conf"
+        self._config.write_text(
+            f"server_name: fleet\nlisten: 127.0.0.1:{self.nats_port}\n"
+            f'jetstream {{\n  store_dir: "{folder}"\n{sync}}}\n'
+            f"mqtt {{ listen: 127.0.0.1:{self.port} }}\n",
+            encoding="utf-8",
+        )
+
+    @property
+    def url(self) -> str:
+        """Where workers connect; ``port`` is that of vehicles."""
+        return f"nats://127.0.0.1:{self.nats_port}"
+
+    @property
+    def pid(self) -> int:
+        """Process id of the running server."""
+        if self._process is None:
+            raise DemoError("nats-server was not started")
+        return self._process.pid
+
+    def start(self) -> None:
+        """Start the server and wait until it listens on both ports; raises DemoError."""
+        with (self._folder / "nats.log").open("ab") as log:
+            self._process = subprocess.Popen(
+                [str(self._program), "-c", str(self._config)], stdout=log, stderr=subprocess.STDOUT
+            )
+        deadline_s = time.monotonic() + _START_S
+        while not all(_listens(port) for port in (self.port, self.nats_port)):
+            if self._process.poll() is not None or time.monotonic() > deadline_s:
+                raise DemoError("nats-server does not listen")
+            time.sleep(0.02)
+
+    def kill(self) -> None:
+        """End the server as a power cut of its process would."""
+        self._end(signal.SIGKILL)
+
+    def stop(self) -> None:
+        """End the server in order; it may be off."""
+        self._end(signal.SIGTERM)
+
+    def _end(self, number: signal.Signals) -> None:
+        if self._process is not None:
+            self._process.send_signal(number)
+            self._process.wait()
+            self._process = None
+
+
+def version(program: str) -> tuple[int, ...]:
+    """Return the version of a nats-server, such as (2, 9, 10); empty where it does not tell."""
+    told = subprocess.run([program, "--version"], capture_output=True, text=True, check=False).stdout
+    found = re.search(r"v(\d+)\.(\d+)\.(\d+)", told)
+    return tuple(int(part) for part in found.groups()) if found else ()
+
+
+def _listens(port: int) -> bool:
+    with socket.socket() as probe:
+        return probe.connect_ex(("127.0.0.1", port)) == 0
+
+
+def _free_ports(count: int) -> list[int]:
+    probes = [socket.socket() for _ in range(count)]
+    try:
+        for probe in probes:
+            probe.bind(("127.0.0.1", 0))
+        return [int(probe.getsockname()[1]) for probe in probes]
+    finally:
+        for probe in probes:
+            probe.close()

@@ -1,0 +1,223 @@
+"""A connection to NATS JetStream: messages by pull from a stream on disk, forgotten there when they are settled.
+
+Vehicles speak MQTT to the gateway of a nats-server; a topic ``a/b`` is the subject ``a.b`` here. What they publish goes
+into the stream besides, where workers share it: each message to one of them, and to another if that one vanishes.
+"""
+
+import asyncio
+import contextlib
+import json
+import logging
+from collections import deque
+from collections.abc import Iterable, Sequence
+from typing import TYPE_CHECKING, Final, Self
+
+from fleet_contract import Outgoing
+from fleet_link.address import BrokerAddress
+from fleet_link.connection import Message
+from fleet_link.errors import LinkDownError
+
+if TYPE_CHECKING:
+    from nats.aio.client import Client
+    from nats.aio.msg import Msg
+
+STREAM: Final = "CLUTCHDIAG"
+ACK_WAIT_S: Final = 60.0  # then a message goes to another worker; a batch takes far less
+MOST_UNSETTLED: Final = 50_000  # of all workers together
+_EXPIRES_S: Final = 20.0  # of a question for messages
+_GRACE_S: Final = 10.0  # that its answer may be late
+_TIMEOUT_S: Final = 5
+_PING_S: Final = 10
+_STATUS: Final = "Status"
+_LOST: Final = "connection lost"
+_LOG: Final = logging.getLogger(__name__)
+
+
+def subject_of(filter_text: str) -> str:
+    """Return the subject that a subscription of MQTT is, shared or not."""
+    shared = filter_text.split("/", 2)[2] if filter_text.startswith("$share/") else filter_text
+    return shared.replace("/", ".").replace("+", "*")
+
+
+class JetStream:
+    """One connection, from `open` to `close`; its worker is one of a group that shares the stream."""
+
+    def __init__(self, client: "Client", group: str) -> None:
+        self._client = client
+        self._next = f"$JS.API.CONSUMER.MSG.NEXT.{STREAM}.{group}"
+        self._inbox_name = client.new_inbox()
+        self._question = 0  # number of the last one
+        self._due = 0  # messages that it may still bring
+        self._inbox: deque[Message] = deque()
+        self._replies: dict[int, str] = {}  # of messages that are not settled
+        self._count = 0
+        self._outbox: deque[tuple[str, bytes]] = deque()
+        self._arrived = asyncio.Event()
+        self._is_lost = False
+        self._is_trying = True  # to connect
+
+    @classmethod
+    async def open(cls, address: BrokerAddress, filters: Sequence[str], group: str) -> Self:
+        """Connect; make the stream of these topics and its group unless they are there.
+
+        Raises
+        ------
+        LinkDownError
+            If the broker is absent, silent, refuses us or has no JetStream.
+        AddressError
+            If a certificate cannot be used.
+        """
+        from nats.aio.client import Client  # noqa: PLC0415 - an extra
+        from nats.errors import Error  # noqa: PLC0415
+
+        client = Client()
+        made = cls(client, group)
+        context = None if address.tls is None else address.tls.context(is_key_private=False)
+        try:
+            async with asyncio.timeout(2 * _TIMEOUT_S):
+                await client.connect(
+                    f"{'nats' if context is None else 'tls'}://{address}",
+                    user=address.username,
+                    password=address.password,
+                    tls=context,
+                    allow_reconnect=False,
+                    connect_timeout=_TIMEOUT_S,
+                    ping_interval=_PING_S,
+                    closed_cb=made._lose,
+                    error_cb=made._complain,
+                )
+                made._is_trying = False
+                await made._prepare([subject_of(name) for name in filters], group)
+                await client.subscribe(f"{made._inbox_name}.*", cb=made._take, pending_msgs_limit=-1)
+        except (Error, OSError, TimeoutError) as exc:
+            await made.close()
+            raise LinkDownError(" ".join(str(exc).split()) or type(exc).__name__) from exc
+        except BaseException:
+            await made.close()
+            raise
+        return made
+
+    async def collect(self, limit: int, patience_s: float) -> list[Message]:
+        """Return the next messages: as many as came until ``patience_s`` after the first, ``limit`` at most.
+
+        Raises
+        ------
+        LinkDownError
+            If the connection is lost; messages that were not settled come again.
+        """
+        await self._say()
+        while not self._inbox and not self._is_lost:
+            await self._ask(limit)
+            self._arrived.clear()
+            try:
+                async with asyncio.timeout(_EXPIRES_S + _GRACE_S):
+                    await self._arrived.wait()
+            except TimeoutError:
+                raise LinkDownError(f"no answer in {_EXPIRES_S + _GRACE_S:g} s") from None
+        if self._is_lost:
+            raise LinkDownError(_LOST)
+        if len(self._inbox) < limit:
+            await asyncio.sleep(patience_s)
+        found = [self._inbox.popleft() for _ in range(min(limit, len(self._inbox)))]
+        if not self._inbox:
+            await self._ask(limit)  # the next batch travels while this one is stored
+        return found
+
+    def send(self, messages: Iterable[Outgoing]) -> None:
+        """Send messages with the next `collect`; who does not get them asks again."""
+        self._outbox.extend((message.topic.replace("/", "."), message.payload) for message in messages)
+
+    def acknowledge(self, messages: Sequence[Message]) -> None:
+        """Let the stream forget messages, with the next `collect`."""
+        for message in messages:
+            reply = self._replies.pop(message.packet_id, None)
+            if reply is not None:
+                self._outbox.append((reply, b""))
+
+    async def close(self) -> None:
+        """Take leave of the broker; what was to be sent is sent."""
+        with contextlib.suppress(Exception):  # whatever it was, this connection is at its end
+            if not self._is_lost:
+                await self._say()
+            async with asyncio.timeout(_TIMEOUT_S):
+                await self._client.close()
+
+    async def _prepare(self, subjects: Sequence[str], group: str) -> None:
+        """Make stream and group where they are missing; how an operator made them is not changed."""
+        from nats.js.api import (  # noqa: PLC0415 - an extra
+            AckPolicy,
+            ConsumerConfig,
+            DeliverPolicy,
+            RetentionPolicy,
+            StorageType,
+            StreamConfig,
+        )
+        from nats.js.errors import NotFoundError  # noqa: PLC0415
+
+        manager = self._client.jetstream(timeout=_TIMEOUT_S)
+        try:
+            await manager.stream_info(STREAM)
+        except NotFoundError:
+            config = StreamConfig(
+                name=STREAM,
+                subjects=list(subjects),
+                retention=RetentionPolicy.WORK_QUEUE,
+                storage=StorageType.FILE,
+            )
+            await manager.add_stream(config)
+        try:
+            await manager.consumer_info(STREAM, group)
+        except NotFoundError:
+            consumer = ConsumerConfig(
+                durable_name=group,
+                deliver_policy=DeliverPolicy.ALL,
+                ack_policy=AckPolicy.EXPLICIT,
+                ack_wait=ACK_WAIT_S,
+                max_ack_pending=MOST_UNSETTLED,
+            )
+            await manager.add_consumer(STREAM, consumer)
+
+    async def _ask(self, limit: int) -> None:
+        """Ask for messages unless a question is open."""
+        if self._due or self._is_lost:
+            return
+        self._question += 1
+        self._due = limit
+        body = json.dumps({"batch": limit, "expires": int(_EXPIRES_S * 1e9)}).encode()
+        await self._publish([(self._next, body)], reply=f"{self._inbox_name}.{self._question}")
+
+    async def _say(self) -> None:
+        said, self._outbox = self._outbox, deque()
+        await self._publish(said)
+
+    async def _publish(self, said: Iterable[tuple[str, bytes]], reply: str = "") -> None:
+        from nats.errors import Error  # noqa: PLC0415 - an extra
+
+        try:
+            for subject, payload in said:
+                await self._client.publish(subject, payload, reply)
+        except Error as exc:
+            raise LinkDownError(str(exc) or _LOST) from exc
+
+    async def _take(self, message: "Msg") -> None:
+        """Keep a message, or note that a question has ended without more."""
+        status = (message.headers or {}).get(_STATUS)
+        if status is None:
+            self._count += 1
+            self._due = max(0, self._due - 1)
+            self._replies[self._count] = message.reply
+            topic = message.subject.replace(".", "/")
+            self._inbox.append(Message(topic=topic, payload=message.data, packet_id=self._count))
+        elif message.subject.endswith(f".{self._question}"):
+            self._due = 0
+        self._arrived.set()
+
+    async def _lose(self) -> None:
+        self._is_lost = True
+        self._arrived.set()
+
+    async def _complain(self, error: Exception) -> None:
+        """End an attempt to connect, which the library would repeat; later on `_lose` is called."""
+        if self._is_trying:
+            raise LinkDownError(" ".join(str(error).split()) or type(error).__name__)
+        _LOG.debug("nats: %s", error)

@@ -1,0 +1,83 @@
+"""Results from JetStream: kept on disk until they are settled, whoever vanishes; receipts reach the vehicle by MQTT."""
+
+import asyncio
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from demo.fleet.nats import NatsServer
+from diag_service.diagnosis.results import shift_record
+from fleet_backend.broker import connected
+from fleet_backend.errors import BrokerError
+from fleet_backend.ingest import FILTERS
+from fleet_contract import Receipt, ack_messages, key_of, shift_message
+from fleet_link import Connection, Terms, parse_broker
+from tests.support.fleet import fleet_result
+from tests.support.patience import HANG_S
+
+pytestmark = pytest.mark.broker
+RECORD = shift_record(fleet_result())
+KEY = key_of(RECORD)
+
+
+@pytest.fixture(name="server")
+def _server(tmp_path: Path) -> Iterator[NatsServer]:
+    server = NatsServer(tmp_path)
+    server.start()
+    yield server
+    server.stop()
+
+
+async def publish(server: NatsServer) -> Connection:
+    """Return a vehicle's connection after it has sent one result, and listens for receipts."""
+    address = parse_broker(f"mqtt://127.0.0.1:{server.port}")
+    vehicle = await Connection.open(address, Terms(is_version_5=False, identifier="car1"))
+    await vehicle.subscribe(["clutchdiag/v1/car1/ack"])
+    await vehicle.publish_all([shift_message(RECORD)])
+    return vehicle
+
+
+def test_a_result_waits_on_disk_until_it_is_settled_and_its_receipt_reaches_the_vehicle(server: NatsServer) -> None:
+    address = parse_broker(server.url, may_be_nats=True)
+
+    async def run() -> None:
+        async with connected(address, FILTERS, max_unsettled=20):
+            vehicle = await publish(server)  # the stream is there from now on
+            await vehicle.close()
+        server.kill()  # with a message that nobody has settled
+        server.start()
+        vehicle = await publish(server)
+        async with connected(address, FILTERS, max_unsettled=20) as inbox, asyncio.timeout(HANG_S):
+            messages = [*await inbox.collect(1, 0.0), *await inbox.collect(1, 0.0)]
+            assert [message.payload for message in messages] == [shift_message(RECORD).payload] * 2
+            sent_at = "2026-01-01T00:00:00.000000Z"
+            inbox.send(list(ack_messages("car1", [Receipt(key=KEY)], sent_at=sent_at, worker="w")))
+            inbox.settle(messages)
+            told = asyncio.ensure_future(vehicle.collect(1, 0.0))
+            waiting = asyncio.ensure_future(inbox.collect(1, 0.0))  # says what was to be sent
+            (receipt,) = await told
+            assert b'"outcome":"accepted"' in receipt.payload
+            await vehicle.publish_all([shift_message(RECORD)])
+            assert len(await waiting) == 1  # the new one alone: what was settled does not come again
+            await vehicle.close()
+
+    asyncio.run(run())
+
+
+def test_a_broker_that_goes_away_is_an_error_to_come_back_from(server: NatsServer) -> None:
+    address = parse_broker(server.url, may_be_nats=True)
+
+    async def run() -> None:
+        async with connected(address, FILTERS, max_unsettled=20) as inbox:
+            collected = asyncio.ensure_future(inbox.collect(1, 0.0))
+            await asyncio.sleep(0)
+            server.kill()
+            with pytest.raises(BrokerError, match="connection lost"):
+                async with asyncio.timeout(HANG_S):
+                    await collected
+        with pytest.raises(BrokerError):
+            async with connected(address, FILTERS, max_unsettled=20):
+                pass
+
+    asyncio.run(run())
