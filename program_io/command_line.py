@@ -32,6 +32,21 @@ class FileName(click.Path[Path]):
 
 
 FILE: Final = FileName(readable=False, path_type=Path)  # whether it can be read is found out by reading it
+
+
+class FileOrStore(click.ParamType["Path | str"]):
+    """The name of a file, or the address of something in a store, ``SCHEME://...``, which stays a text."""
+
+    name = "path"
+
+    def convert(
+        self, value: str | os.PathLike[str], param: click.Parameter | None, ctx: click.Context | None
+    ) -> Path | str:
+        """Return what a text stands for."""
+        return value if isinstance(value, str) and "://" in value else FILE.convert(value, param, ctx)
+
+
+FILE_OR_STORE: Final = FileOrStore()
 _Word = TypeVar("_Word", int, str)
 
 
@@ -118,6 +133,8 @@ class _Page(click.Command):
 class Command(_Page):
     """A command that, called, returns its words: ``command``, its options and ``given``, those of the command line.
 
+    Of a command in a group ``command`` is the group and ``action`` the command.
+
     Parameters
     ----------
     text, description :
@@ -161,7 +178,7 @@ class Command(_Page):
         """Return the words."""
         command = ctx.command_path.split()[1]
         given = {name for name in ctx.params if ctx.get_parameter_source(name) is click.ParameterSource.COMMANDLINE}
-        return SimpleNamespace(**{"command": command, "given": frozenset(given), **ctx.params})
+        return SimpleNamespace(**{"command": command, "action": self.name, "given": frozenset(given), **ctx.params})
 
     def _in_full(self, ctx: click.Context, words: Sequence[str]) -> list[str]:
         """Return the words with ``--veh`` as ``--vehicle``; complain of an option where a value belongs."""

@@ -14,13 +14,11 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Protocol, TextIO
 
-from rich.console import Console
-from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn, TransferSpeedColumn
-
 from canlog.errors import SourceError
 from canlog.notice import NOTICE
 from diag_service.batch.drives import Drive, LeftOut, find_drives, left_out_record
 from diag_service.batch.journal import Entry, Journal
+from diag_service.batch.progress_bar import progress_bar
 from diag_service.batch.tables import check_output, write_results
 from diag_service.batch.worker import analyse_drive, start_worker
 from diag_service.delivery import Acknowledge
@@ -134,7 +132,7 @@ def _analysed(
     running: dict[Future[Entry], Drive] = {}
     context = get_context("spawn")  # threads and compiled code do not survive a fork
     with (
-        _progress(drives, is_shown=is_shown) as progress,
+        progress_bar(is_shown=is_shown) as progress,
         ProcessPoolExecutor(min(jobs, len(drives)), context, start_worker, (config, is_shown)) as pool,
     ):
         task = progress.add_task("analysing", total=sum(drive.size_bytes for drive in drives), done=0, of=len(drives))
@@ -160,21 +158,6 @@ def _outcome(future: Future[Entry], drive: Drive) -> Entry:
         return future.result()
     except BrokenProcessPool as exc:
         raise SourceError(f"a process died while it analysed {drive.name} or a drive beside it") from exc
-
-
-def _progress(drives: Sequence[Drive], *, is_shown: bool) -> Progress:
-    """Return a bar on standard error: drives, bytes per second, time left; nothing where nobody watches."""
-    console = Console(stderr=True)
-    return Progress(
-        TextColumn("{task.description}"),
-        BarColumn(),
-        TextColumn("{task.fields[done]}/{task.fields[of]} drives"),
-        TransferSpeedColumn(),
-        TimeRemainingColumn(),
-        console=console,
-        transient=True,
-        disable=not is_shown or not console.is_terminal or not drives,
-    )
 
 
 def _conclude(journal: Journal, drives: Sequence[Drive], output: Path | None, listener: FolderListener) -> Counter[str]:

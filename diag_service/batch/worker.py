@@ -37,13 +37,16 @@ class Analyst:
     def _meaning(self) -> Interpretation:
         return self.config.interpretation()
 
-    def analyse(self, drive: Drive) -> Entry:
-        """Return the account of a drive and its shifts; a log that cannot be read gives the reason instead."""
+    def analyse(self, drive: Drive, stop: Trigger | None = None) -> Entry:
+        """Return the account of a drive and its shifts; a log that cannot be read gives the reason instead.
+
+        Whoever sets ``stop`` ends it early, and the account says so.
+        """
         config = replace(self.config, vehicle=drive.vehicle or self.config.vehicle)
         reporter = MemoryReporter()
         try:
             with collected_notices() as notices:
-                run = run_recorded(config, drive.paths, None, reporter, Trigger(), meaning=self._meaning)
+                run = run_recorded(config, drive.paths, None, reporter, stop or Trigger(), meaning=self._meaning)
         except SourceError as exc:
             return Entry(key=drive.key, drive={**_account(drive.paths), "error": str(exc)}, shifts=())
         return drive_entry(drive.key, drive.paths, run, reporter.results, notices)
@@ -68,13 +71,18 @@ _ANALYSTS: list[Analyst] = []  # of this process: one, made when it starts
 
 
 def start_worker(config: DiagnosisConfig, is_shown: bool) -> None:  # noqa: FBT001 - a pool hands arguments over by place
-    """Prepare a process for drives: it leaves Ctrl-C to its parent and does not outlive it; says what it warns of."""
+    """Prepare a process for drives of one configuration."""
+    leave_to_parent(is_shown)
+    _ANALYSTS.append(Analyst(config))
+
+
+def leave_to_parent(is_shown: bool) -> None:  # noqa: FBT001 - likewise
+    """Prepare a process: it leaves Ctrl-C to its parent and does not outlive it; says what it warns of."""
     ignore(signal.SIGINT)
     threading.Thread(target=_end_with_parent, name="parent watch", daemon=True).start()
     if is_shown:
         set_up_notices(0)
     logging.getLogger("diag_service").setLevel(logging.WARNING)  # what is only notable the parent has said
-    _ANALYSTS.append(Analyst(config))
 
 
 def analyse_drive(drive: Drive) -> Entry:

@@ -23,6 +23,10 @@ _LOG = logging.getLogger(__name__)
 
 def execute(options: SimpleNamespace, controls: Controls) -> None:
     """Diagnose what was named."""
+    if options.lake is not None:
+        _fill_lake(options, controls)
+        return
+    _check_words_without_lake(options)
     if any(path.is_dir() for path in options.logs if path != STANDARD_INPUT):
         _analyse_folders(options, controls)
         return
@@ -34,6 +38,21 @@ def execute(options: SimpleNamespace, controls: Controls) -> None:
         _analyse_drive(options, diagnosis, controls)
     else:
         _analyse_drive_into_file(options, diagnosis, controls)
+
+
+def _fill_lake(options: SimpleNamespace, controls: Controls) -> None:
+    from diag_service.commands.lake_run import fill  # noqa: PLC0415 - nothing else needs any of it
+
+    fill(options, controls)
+
+
+def _check_words_without_lake(options: SimpleNamespace) -> None:
+    if stored := [log for log in options.logs if isinstance(log, str)]:
+        raise ConfigError(f"{stored[0]}: what is in a store is analysed into a lake: --lake PLACE")
+    if options.scheduler != "local":
+        raise ConfigError("--scheduler is for a lake: --lake PLACE says where the results go")
+    if given := sorted({"signals", "time_limit", "retry"} & options.given):
+        raise ConfigError(f"--{given[0].replace('_', '-')} is for a lake: --lake PLACE")
 
 
 def _check_words_for_a_drive(options: SimpleNamespace) -> None:

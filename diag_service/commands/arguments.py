@@ -2,13 +2,26 @@
 
 from collections.abc import Sequence
 from types import SimpleNamespace
-from typing import Final
+from typing import Any, Final
 
 import click
 
 from diag_service.commands.asking_arguments import DID, DTC, JSON, PROGRAM, ROUTINE, SCAN
+from diag_service.commands.lake_arguments import CLUSTER, LAKE, LAKE_OPTIONS
 from diag_service.settings.options import BUS, CONFIG, DELIVERY, MEANING, PAGE, POLL, VARIABLES
-from program_io.command_line import FILE, FLOAT, INT, VERBOSE, Choice, Command, Group, Option, Program, parse
+from program_io.command_line import (
+    FILE,
+    FILE_OR_STORE,
+    FLOAT,
+    INT,
+    VERBOSE,
+    Choice,
+    Command,
+    Group,
+    Option,
+    Program,
+    parse,
+)
 from program_io.overwriting import FORCE
 
 EXIT_OK, EXIT_UNEXPECTED, EXIT_CONFIG, EXIT_SOURCE, EXIT_STORE, EXIT_INCOMPLETE = range(6)
@@ -38,8 +51,8 @@ _COLUMNS: Final = Option(
 _LOG: Final = click.Argument(["log"], type=FILE, metavar="LOG", help="log file; - is standard input")
 
 
-def _logs(text: str) -> click.Argument:
-    return click.Argument(["logs"], nargs=-1, required=True, type=FILE, metavar="LOG...", help=text)
+def _logs(text: str, kind: click.ParamType[Any] = FILE) -> click.Argument:
+    return click.Argument(["logs"], nargs=-1, required=True, type=kind, metavar="LOG...", help=text)
 
 
 def _output(text: str, *, required: bool = False) -> Option:
@@ -76,7 +89,7 @@ _CHECK: Final = Command(
 _ANALYZE: Final = Command(
     "analyze",
     "diagnose recorded logs, or folders of them",
-    _logs("log file, or folder of log files; - is standard input"),
+    _logs("log file, or folder of log files; - is standard input", FILE_OR_STORE),
     Option(
         "--estimator",
         "impulse: the service's own; paper: the method of SAE 2015-01-1146, without uncertainty and verdict",
@@ -96,13 +109,14 @@ _ANALYZE: Final = Command(
         "path: in a folder, a log is of the vehicle by which the folder below is called (FOLDER/VEHICLE/...)",
         Choice(["path"]),
     ),
-    *(*MEANING, CONFIG, *DELIVERY, _COLUMNS, _JSON_LINES, VERBOSE),
+    *(*LAKE_OPTIONS, *MEANING, CONFIG, *DELIVERY, _COLUMNS, _JSON_LINES, VERBOSE),
     variables=VARIABLES,
     description=_FOLDERS,
     examples=(
         f"{PROGRAM} analyze drive.log",
         f"{PROGRAM} analyze monday.blf tuesday.blf --dbc car.dbc --calibration car1.toml --store car1.sqlite",
         f"{PROGRAM} analyze recordings -o results.parquet --jobs 4 --vehicle-from path",
+        f"{PROGRAM} analyze s3://fleet/logs --lake s3://fleet/lake --scheduler tls://node1.example --ca ca.crt ...",
         f"candump -L can0 | {PROGRAM} analyze -",
     ),
 )
@@ -266,6 +280,7 @@ COMMAND_LINE: Final = Program(
     *(_ANALYZE, _REPORT, _HISTORY, _SHOW, _FLUID_CHANGED),
     *(_CALIBRATE, _INSPECT, _SIGNALS, _DECODE),
     *(DTC, DID, ROUTINE, SCAN),
+    *(LAKE, CLUSTER),
 )
 
 

@@ -69,7 +69,7 @@ DELIVERY: Final = (
         "--broker URL",
         f"mqtt[s]://[user[:password]@]host[:port] (default: the environment's {VARIABLES}_BROKER, else none)",
     ),
-    Setting("--ca FILE", "authority of an mqtts:// broker (default: system)", FILE),
+    Setting("--ca FILE", "authority of an mqtts:// broker (default: system) or a tls:// scheduler", FILE),
     Setting("--cert FILE", "our certificate; a renewed one is taken up at once", FILE),
     Setting("--key FILE", "its key, readable for its owner only", FILE),
     Setting("--password-file FILE", "holds the broker's password, chmod 600", FILE),

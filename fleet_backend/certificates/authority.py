@@ -79,17 +79,25 @@ class Authority:
         if not hosts:
             raise CertificateError("a server without a host name convinces nobody")
         names = x509.SubjectAlternativeName([_general_name(host) for host in hosts])
-        self._issue(name, lifetime, ExtendedKeyUsageOID.SERVER_AUTH, names)
+        self._issue(name, lifetime, [ExtendedKeyUsageOID.SERVER_AUTH], names)
+
+    def issue_node(self, name: str, hosts: Sequence[str], lifetime: Lifetime) -> None:
+        """Make or renew the certificate of a part of a cluster, which is reached at ``hosts`` and reaches others."""
+        if not hosts:
+            raise CertificateError("a node without a host name convinces nobody")
+        names = x509.SubjectAlternativeName([_general_name(host) for host in hosts])
+        purposes = [ExtendedKeyUsageOID.SERVER_AUTH, ExtendedKeyUsageOID.CLIENT_AUTH]
+        self._issue(name, lifetime, purposes, names)
 
     def issue_client(self, name: str, lifetime: Lifetime) -> None:
         """Make or renew the certificate of a vehicle or a backend, whose common name is its identity."""
-        self._issue(name, lifetime, ExtendedKeyUsageOID.CLIENT_AUTH, None)
+        self._issue(name, lifetime, [ExtendedKeyUsageOID.CLIENT_AUTH], None)
 
     def _issue(
         self,
         name: str,
         lifetime: Lifetime,
-        purpose: x509.ObjectIdentifier,
+        purposes: Sequence[x509.ObjectIdentifier],
         hosts: x509.SubjectAlternativeName | None,
     ) -> None:
         if name == AUTHORITY or "/" in name or not name.isprintable() or not name or name.startswith("."):
@@ -98,7 +106,7 @@ class Authority:
         builder = _builder(_name(name), self._certificate.subject, key.public_key(), lifetime)
         builder = builder.add_extension(x509.BasicConstraints(ca=False, path_length=None), critical=True)
         builder = builder.add_extension(_usage(is_authority=False), critical=True)
-        builder = builder.add_extension(x509.ExtendedKeyUsage([purpose]), critical=False)
+        builder = builder.add_extension(x509.ExtendedKeyUsage(purposes), critical=False)
         if hosts is not None:
             builder = builder.add_extension(hosts, critical=False)
         _write_pair(self.folder, name, key, builder.sign(self._key, hashes.SHA256()))

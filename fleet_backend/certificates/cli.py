@@ -43,6 +43,14 @@ COMMAND_LINE: Final = Program(
         *(_FOLDER, _days(90.0)),
         examples=(f"{PROGRAM} client car1 --folder fleet",),
     ),
+    Command(
+        "node",
+        "make or renew the certificate of a part of a cluster that analyses logs",
+        click.Argument(["name"], help="name of the files"),
+        Option("--host HOST", "name or address of the machine; may be repeated", multiple=True),
+        *(_FOLDER, _days(90.0)),
+        examples=(f"{PROGRAM} node node1 --host node1.example --folder fleet",),
+    ),
 )
 
 
@@ -68,5 +76,7 @@ def _execute(options: SimpleNamespace) -> None:
         Authority.make(options.folder, lifetime)
     elif options.command == "server":
         Authority.open(options.folder).issue_server(options.name, options.host, lifetime)
+    elif options.command == "node":
+        Authority.open(options.folder).issue_node(options.name, options.host, lifetime)
     else:
         Authority.open(options.folder).issue_client(options.name, lifetime)

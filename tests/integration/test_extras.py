@@ -95,6 +95,10 @@ def test_parquet_and_mf4_say_what_to_install(plain: PlainInstall, tmp_path: Path
             ["decode", log, "-o", "-"],
             ["analyze", log, "-o", "a.parquet"],
         ],
+        "cluster": [
+            ["lake", "check", tmp_path],
+            ["analyze", tmp_path, "--lake", tmp_path / "lake"],
+        ],
         "paper": [["analyze", "--estimator", "paper", log]],
         "mf4": [
             ["inspect", mdf],

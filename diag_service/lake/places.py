@@ -1,0 +1,156 @@
+"""Places that hold files: a folder, or a prefix in an object store, by the libraries of fsspec.
+
+Where a store is and who may enter it says its own library (environment, its settings files), never what is read.
+"""
+
+import hashlib
+import logging
+import os
+import random
+import time
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import Any, Final, TypeVar
+
+from canlog.extras import load_extra
+from canlog.whole_file import replacing
+from diag_service.errors import ConfigError, StoreError
+
+ATTEMPTS: Final = 7
+FIRST_PAUSE_S: Final = 0.2  # doubled each time: 13 s in all, then the run stops and the same command goes on
+_FINAL: Final = (FileNotFoundError, PermissionError, IsADirectoryError, NotADirectoryError)
+_Answer = TypeVar("_Answer")
+_LOG = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Held:
+    """A file in a place, as it was when it was looked at."""
+
+    name: str  # below the place, parts separated by /
+    size_bytes: int
+    mark: str  # differs when the content was written anew: entity tag or time of change
+
+    def key(self, place: str, vehicle: str) -> str:
+        """Return what tells this file, as one of a vehicle, from any other and from an earlier state of it."""
+        parts = (place, self.name, str(self.size_bytes), self.mark, vehicle)
+        return hashlib.sha256("\0".join(parts).encode(errors="surrogateescape")).hexdigest()
+
+
+class Place:
+    """A folder of this machine, or of an object store; what is put there appears whole or not at all.
+
+    In a folder a file is written aside, synced and renamed. In an object store a put is atomic by itself: until its
+    last byte has come, and was found to be right, the object is the one before.
+
+    Raises
+    ------
+    ConfigError
+        If the address names no place, or its library does not know it.
+    ExtraMissingError
+        If the library for it is not installed.
+    StoreError
+        From every method, if the store does not do what is asked, not even after several attempts.
+    """
+
+    def __init__(self, address: str) -> None:
+        if "::" in address:
+            raise ConfigError(f"{address}: one store at a time, not one inside another")
+        core = load_extra("fsspec.core", "a store needs fsspec", "cluster")
+        if "://" not in address:
+            address = str(Path(address).absolute())
+        try:
+            self._files, self._root = core.url_to_fs(address, use_listings_cache=False)
+        except ImportError as exc:
+            raise ConfigError(f"{address}: {exc}") from exc
+        except (ValueError, OSError, TypeError) as exc:
+            raise ConfigError(f"{address} is no store: {exc}") from exc
+        self._root = self._root.rstrip("/")
+        self.address = address.rstrip("/")
+        protocols = self._files.protocol
+        self.is_local = "file" in ((protocols,) if isinstance(protocols, str) else protocols)
+
+    def held(self, under: str = "") -> dict[str, Held]:
+        """Return the files below, by name; none where there is no such folder."""
+
+        def found() -> dict[str, Held]:
+            try:
+                self._files.invalidate_cache()
+                listed: Mapping[str, Any] = self._files.find(f"{self._root}/{under}".rstrip("/"), detail=True)
+            except FileNotFoundError:
+                return {}
+            every = (self._held(path, info) for path, info in sorted(listed.items()))
+            return {one.name: one for one in every if one is not None}
+
+        return _patiently("look into", self.address, found)
+
+    def read(self, name: str) -> bytes:
+        """Return the content of a file."""
+        content: bytes = _patiently("read", self._shown(name), lambda: self._files.cat_file(self._full(name)))
+        return content
+
+    def path(self, name: str) -> Path | None:
+        """Return where a file lies on this machine; None if it lies elsewhere and is to be fetched."""
+        return Path(self._full(name)) if self.is_local else None
+
+    def fetch(self, name: str, target: Path) -> None:
+        """Copy a file to this machine."""
+        _patiently("read", self._shown(name), lambda: self._files.get_file(self._full(name), str(target)))
+
+    def put(self, name: str, source: Path) -> None:
+        """Copy a file there; it takes the place of one of that name."""
+        if self.is_local:
+            _patiently("write", self._shown(name), lambda: _put_locally(Path(self._full(name)), source))
+        else:
+            _patiently("write", self._shown(name), lambda: self._files.put_file(str(source), self._full(name)))
+
+    def remove(self, names: Iterable[str]) -> int:
+        """Remove files; return how many there were: one that is gone already is not counted."""
+        return sum(_patiently("remove", self._shown(name), partial(self._remove, name)) for name in names)
+
+    def _remove(self, name: str) -> bool:
+        is_there = bool(self._files.exists(self._full(name)))
+        if is_there:
+            self._files.rm_file(self._full(name))
+        return is_there
+
+    def _full(self, name: str) -> str:
+        return f"{self._root}/{name}"
+
+    def _shown(self, name: str) -> str:
+        return f"{self.address}/{name}"
+
+    def _held(self, path: str, info: Mapping[str, Any]) -> Held | None:
+        name = path.removeprefix(self._root).lstrip("/")
+        if not name or info["type"] != "file" or name.endswith((".part", "/")):
+            return None
+        mark = info.get("ETag") or info.get("etag") or info.get("mtime") or info.get("updated") or ""
+        return Held(name=name, size_bytes=int(info["size"]), mark=str(mark))
+
+
+def _put_locally(path: Path, source: Path) -> None:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with replacing(path, StoreError) as part:
+        with source.open("rb") as read, part.open("wb") as written:
+            while block := read.read(1 << 20):
+                written.write(block)
+            written.flush()
+            os.fsync(written.fileno())
+        part.replace(path)
+
+
+def _patiently(verb: str, what: str, action: Callable[[], _Answer]) -> _Answer:
+    """Return what an action returns, which may fail several times; raises StoreError."""
+    for number in range(ATTEMPTS):
+        try:
+            return action()
+        except (*_FINAL, StoreError) as exc:
+            raise StoreError(f"cannot {verb} {what}: {exc}") from exc
+        except Exception as exc:  # each library of a store has errors of its own, without a common root
+            if number == ATTEMPTS - 1:
+                raise StoreError(f"cannot {verb} {what}: {exc or type(exc).__name__}") from exc
+            _LOG.info("cannot %s %s, again: %s", verb, what, exc)
+            time.sleep(FIRST_PAUSE_S * 2**number * random.uniform(0.5, 1.0))  # noqa: S311 - no secret
+    raise StoreError(f"cannot {verb} {what}")

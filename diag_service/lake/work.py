@@ -1,0 +1,265 @@
+"""One log of a lake: fetched, analysed, its parts written; whatever is wrong with it becomes the reason in its row."""
+
+import hashlib
+import os
+import threading
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from functools import cached_property
+from pathlib import Path, PurePosixPath
+from tempfile import TemporaryDirectory
+from typing import Final
+
+from canlog.errors import SourceError
+from canlog.logs import looked_at
+from canlog.tables.decoding import Plan
+from diag_service.batch.drives import drive_of
+from diag_service.batch.folder_run import settings_digest
+from diag_service.batch.journal import Entry
+from diag_service.batch.worker import Analyst
+from diag_service.diagnosis.results import dump, iso_utc
+from diag_service.errors import ConfigError, StoreError
+from diag_service.lake.manifest import DONE, FAILED, LogRow
+from diag_service.lake.parts import (
+    SHIFTS,
+    SIGNALS,
+    by_date,
+    content_digest,
+    first_date,
+    part_name,
+    signal_plan,
+    write_shifts,
+    write_signals,
+)
+from diag_service.lake.places import Held, Place
+from diag_service.mapping.interpretation import Interpretation
+from diag_service.service.session import versions_for
+from diag_service.service.stopping import Trigger
+from diag_service.settings.config import DiagnosisConfig
+
+PARTS_VERSION: Final = "1"  # of how parts are laid out; those of an older one are made anew
+GRACE_FACTOR: Final = 2.0  # a log that does not heed its time limit ends its process after so many times of it
+EXIT_OVERDUE: Final = 86
+_MAKERS: Final[list["Maker"]] = []  # of this process: one, of the job that it works at
+_ONE_AT_A_TIME: Final = threading.Lock()  # whatever threads a worker has: memory is reckoned by logs
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LakeLog:
+    """A log that is to be analysed."""
+
+    place: str  # where logs are
+    held: Held
+    vehicle: str
+    kept: tuple[str, ...] = ()  # parts of decoded signals that are there already
+    kept_signals: str = ""  # digest of what decided about them
+
+    @property
+    def source(self) -> str:
+        """The address of the log."""
+        return f"{self.place}/{self.held.name}"
+
+    @property
+    def key(self) -> str:
+        """What tells this log from an earlier state of it."""
+        return self.held.key(self.place, self.vehicle)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Job:
+    """What is to be done with every log; a worker gets it with its first one."""
+
+    config: DiagnosisConfig
+    lake: str
+    settings: str  # digest of what decides about shifts, as the run has it
+    signals: str | None  # patterns of the signals that are decoded, too; None: none
+    signal_settings: str  # digest of what decides about them
+    time_limit_s: float
+
+    @property
+    def digest(self) -> tuple[object, ...]:
+        """What tells this job from others."""
+        return self.lake, self.settings, self.signal_settings, self.time_limit_s
+
+    @classmethod
+    def of(cls, config: DiagnosisConfig, lake: str, signals: str | None, time_limit_s: float) -> "Job":
+        """Return what is to be done; raises ConfigError if database and profile cannot be used or a signal is none."""
+        if not 0.0 < time_limit_s < float("inf"):
+            raise ConfigError(f"--time-limit must be > 0 s, got {time_limit_s:g}")
+        meaning = config.interpretation()
+        if signals is not None:
+            signal_plan(Plan.of(meaning.database.messages), signals)
+        return cls(
+            config=config,
+            lake=lake,
+            settings=settings_digest(config),
+            signals=signals,
+            signal_settings="" if signals is None else signal_digest(meaning, signals, config.columns),
+            time_limit_s=time_limit_s,
+        )
+
+
+def signal_digest(meaning: Interpretation, signals: str, log_columns: str) -> str:
+    """Return a digest of all that decides about decoded signals besides the log; the algorithm does not."""
+    messages = sorted((repr(message), repr(message.signals)) for message in meaning.database.messages)
+    return hashlib.sha256("\0".join((PARTS_VERSION, repr(messages), signals, log_columns)).encode()).hexdigest()
+
+
+class Maker:
+    """Makes the parts of logs in one process; database and profile are read once.
+
+    ``end`` ends the process at once, with an exit status.
+    """
+
+    def __init__(self, job: Job, *, end: Callable[[int], object] = os._exit) -> None:
+        self.job = job
+        self._end = end
+
+    @cached_property
+    def _analyst(self) -> Analyst:
+        if settings_digest(self.job.config) != self.job.settings:
+            raise ConfigError(
+                "a worker has another database, profile, calibration or version of clutchdiag than the run: its "
+                "results would be others"
+            )
+        return Analyst(self.job.config)
+
+    @cached_property
+    def _plan(self) -> Plan:
+        meaning = self.job.config.interpretation()
+        return signal_plan(Plan.of(meaning.database.messages), self.job.signals or "")
+
+    @cached_property
+    def _lake(self) -> Place:
+        return Place(self.job.lake)
+
+    def make(self, log: LakeLog, attempts: int) -> LogRow:
+        """Return the row of a log whose parts are written; a log that cannot be analysed gives the reason instead.
+
+        Raises StoreError if the lake does not take a part, ConfigError if this process would make other ones.
+        """
+        analyst, limit_s = self._analyst, self.job.time_limit_s
+        content = ""
+        with TemporaryDirectory(prefix="clutchdiag-") as name, _limited(limit_s, self._end) as stop:
+            folder = Path(name)
+            try:
+                path = _fetched(log, folder)
+                content = content_digest(path)
+                entries, reason = _analysed(analyst, log, path, stop)
+                if stop.is_set:
+                    entries, reason = [], f"took longer than {limit_s:g} s"
+                parts = self._parts(log, content, path, entries, folder) if entries else []
+            except (StoreError, ConfigError):
+                raise
+            except SourceError as exc:
+                entries, reason, parts = [], str(exc).replace(str(path), log.source), []
+            except Exception as exc:  # noqa: BLE001 - one log, whatever is wrong with it, must not stop the others
+                entries, reason, parts = [], f"{type(exc).__name__}: {exc}", []
+        return row_of(self.job, log, attempts, content=content, reason=reason, parts=parts, entries=entries)
+
+    def _parts(self, log: LakeLog, content: str, path: Path, entries: Sequence[Entry], folder: Path) -> list[str]:
+        """Write the parts of a log and return their names."""
+        names = list[str]()
+        complete = {entry.drive["stream"]: _is_complete(entry) for entry in entries}
+        for date, shifts in by_date([shift for entry in entries for shift in entry.shifts]).items():
+            made = folder / "shifts.parquet"
+            write_shifts(made, log.source, [(shift, complete[shift["stream"]]) for shift in shifts])
+            names.append(part_name(SHIFTS, date, log.vehicle, content, self.job.settings))
+            self._lake.put(names[-1], made)
+        names += log.kept
+        if self.job.signals is not None and not log.kept:
+            made, log_columns = folder / "signals.parquet", self.job.config.columns
+            write_signals(made, path, self._plan, log_columns)
+            date = first_date(path, log_columns)
+            names.append(part_name(SIGNALS, date, log.vehicle, content, self.job.signal_settings))
+            self._lake.put(names[-1], made)
+        return names
+
+
+def row_of(
+    job: Job,
+    log: LakeLog,
+    attempts: int,
+    *,
+    content: str = "",
+    reason: str = "",
+    parts: Sequence[str] = (),
+    entries: Sequence[Entry] = (),
+) -> LogRow:
+    """Return the row of a log; without entries it failed."""
+    return LogRow(
+        source=log.source,
+        key=log.key,
+        size_bytes=log.held.size_bytes,
+        vehicle=log.vehicle,
+        content=content,
+        settings=job.settings,
+        signals=log.kept_signals or job.signal_settings,
+        algorithm_version=versions_for(job.config.calibration).algorithm,
+        outcome=DONE if entries else FAILED,
+        reason=reason,
+        shifts=sum(len(entry.shifts) for entry in entries),
+        attempts=attempts,
+        parts=tuple(parts),
+        account=dump({"logs": [entry.drive for entry in entries]}),
+        made_at=iso_utc(datetime.now(UTC)),
+    )
+
+
+def make_in_worker(job: Job, log: LakeLog, attempts: int) -> LogRow:
+    """Make the parts of a log in a process that gets many of the same job, one after another."""
+    with _ONE_AT_A_TIME:
+        if not _MAKERS or _MAKERS[0].job.digest != job.digest:
+            _MAKERS[:] = [Maker(job)]
+        return _MAKERS[0].make(log, attempts)
+
+
+def _fetched(log: LakeLog, folder: Path) -> Path:
+    """Return where a log lies on this machine, in ``folder`` if it came from elsewhere."""
+    place = Place(log.place)
+    path = place.path(log.held.name)
+    if path is None:
+        path = folder / PurePosixPath(log.held.name).name
+        place.fetch(log.held.name, path)
+    return path
+
+
+def _analysed(analyst: Analyst, log: LakeLog, path: Path, stop: Trigger) -> tuple[list[Entry], str]:
+    """Return what the log said, or each log in an archive, and what could not be read."""
+    entries, reasons = list[Entry](), list[str]()
+    for one in looked_at(path, analyst.config.columns):
+        shown = str(one.path).replace(str(path), log.source)
+        if one.format is None:
+            reasons.append(f"{shown}: {one.reason}")
+            continue
+        entry = analyst.analyse(drive_of([one.path], log.vehicle), stop)
+        if error := entry.drive["error"]:
+            reasons.append(str(error).replace(str(path), log.source))
+        else:
+            entries.append(Entry(key=entry.key, drive={**entry.drive, "paths": [shown]}, shifts=entry.shifts))
+    return entries, "; ".join(reasons)
+
+
+def _is_complete(entry: Entry) -> bool:
+    summary = entry.drive["summary"]
+    return isinstance(summary, dict) and bool(summary["complete"])
+
+
+@contextmanager
+def _limited(limit_s: float, end: Callable[[int], object]) -> Iterator[Trigger]:
+    """Give a trigger that the time limit sets; a process that does not heed it is ended, with all that it holds."""
+    stop = Trigger()
+    timers = (
+        threading.Timer(limit_s, stop.set),
+        threading.Timer(GRACE_FACTOR * limit_s, end, (EXIT_OVERDUE,)),
+    )
+    for timer in timers:
+        timer.daemon = True
+        timer.start()
+    try:
+        yield stop
+    finally:
+        for timer in timers:
+            timer.cancel()

@@ -1,0 +1,229 @@
+"""A lake in a folder and in an S3 store: every log once, what is there stays, one vehicle can be forgotten."""
+
+import io
+import json
+import re
+import shutil
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+
+import duckdb
+import pyarrow.parquet as pq
+import pytest
+
+from clutch_model.calibration import nominal_calibration
+from diag_service.commands import analyze, lake
+from diag_service.commands.arguments import parse_arguments
+from diag_service.errors import ConfigError, IncompleteError, StoreError
+from diag_service.lake.forgetting import Disagreement, disagreement
+from diag_service.lake.manifest import DONE, FAILED, LogRow, Manifest
+from diag_service.lake.places import Place
+from diag_service.lake.run import Ledger, find_logs, to_do
+from diag_service.lake.work import EXIT_OVERDUE, Job, LakeLog, Maker
+from diag_service.service.stopping import Controls
+from diag_service.settings.config import DiagnosisConfig
+from tests.plugins.drives import SHIFT_COUNT
+from tests.support.documents import page_text
+from tests.support.s3 import BUCKET, in_environment, s3_environment, s3_server, store
+from tests.tools.folders import fill_folder
+
+CONFIG = DiagnosisConfig(vehicle="vehicle", calibration=nominal_calibration())
+SIGNALS = "EngineSpeed,*Temperature*"
+
+
+@pytest.fixture(name="port", scope="module")
+def _port() -> Iterator[int]:
+    with s3_server() as port, in_environment(s3_environment(port)):
+        yield port
+
+
+@pytest.fixture(name="logs", scope="module")
+def _logs(drive_log: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return a folder with logs of two vehicles, the same log twice, and two that are none."""
+    folder = tmp_path_factory.mktemp("logs") / "logs"
+    fill_folder(folder / "car1", drive_log, 2)
+    fill_folder(folder / "car2", drive_log, 1)
+    (folder / "car1" / "copy.log").write_bytes((folder / "car1" / "drive000.log").read_bytes())
+    (folder / "car2" / "bad.blf").write_bytes(b"LOGG" + bytes(200))
+    return folder
+
+
+def found_in(logs: str | Path, lake_place: Place) -> list[LakeLog]:
+    return find_logs([str(logs)], lake_place, "car", has_vehicles=True)
+
+
+def fill(job: Job, logs: str) -> list[LogRow]:
+    """Make what a lake lacks in this process."""
+    place, maker = Place(job.lake), Maker(job)
+    manifest = Manifest(place)
+    missing = to_do(job, found_in(logs, place), manifest, is_retried=False)
+    with Ledger(manifest, place) as ledger:
+        rows = [maker.make(log, 1) for log in missing]
+        for row in rows:
+            ledger.add(row)
+    manifest.put_together()
+    return rows
+
+
+def shifts_of(address: Path) -> list[tuple[str, int]]:
+    shifts = duckdb.read_parquet(f"{address}/shifts/*/*/*.parquet")
+    return shifts.aggregate("vehicle, count(*)").order("vehicle").fetchall()
+
+
+@pytest.fixture(name="filled", scope="module")
+def _filled(logs: Path) -> Path:
+    """Return a lake that a process of its own has made."""
+    place = logs.parent / "lake"
+    words = ("--lake", str(place), "--vehicle-from", "path", "--signals", SIGNALS, "--jobs", "1")
+    analyze.execute(parse_arguments(["analyze", str(logs), *words]), Controls())
+    return place
+
+
+def files_in(place: Path) -> dict[str, int]:
+    return {str(path.relative_to(place)): path.stat().st_mtime_ns for path in place.rglob("*") if path.is_file()}
+
+
+def test_a_lake_is_made_once_and_then_kept(logs: Path, filled: Path, tmp_path: Path) -> None:
+    rows = sorted(Manifest(Place(str(filled))).rows, key=lambda row: row.source)
+    assert [(str(Path(row.source).relative_to(logs)), row.outcome, row.shifts) for row in rows] == [
+        ("car1/copy.log", DONE, SHIFT_COUNT), ("car1/drive000.log", DONE, SHIFT_COUNT),
+        ("car1/drive001.log", DONE, SHIFT_COUNT), ("car1/notes.txt", FAILED, 0), ("car2/bad.blf", FAILED, 0),
+        ("car2/drive000.log", DONE, SHIFT_COUNT), ("car2/notes.txt", FAILED, 0),
+    ]  # fmt: skip
+    assert rows[0].parts == rows[1].parts  # one content
+    assert shifts_of(filled) == [("car1", 2 * SHIFT_COUNT), ("car2", SHIFT_COUNT)]
+    place = Path(shutil.copytree(filled, tmp_path / "lake", copy_function=shutil.copy2))
+    before = files_in(place)
+    job = Job.of(CONFIG, str(place), SIGNALS, 60.0)
+    assert fill(job, str(logs)) == []
+    assert files_in(place) == before
+    newer = replace(job, settings="of a newer algorithm")
+    lake_place = Place(newer.lake)
+    missing = to_do(newer, found_in(logs, lake_place), Manifest(lake_place), is_retried=False)
+    assert [log.held.size_bytes for log in missing] == sorted((log.held.size_bytes for log in missing), reverse=True)
+    with Ledger(Manifest(lake_place), lake_place) as ledger:
+        for log in missing:
+            if log.source.endswith("drive001.log"):
+                maker = Maker(newer)
+                maker.__dict__["_analyst"] = Maker(job)._analyst
+                ledger.add(maker.make(log, 1))
+    after = files_in(place)
+    assert len(before.keys() - after.keys()) == 1  # the part of shifts that the newer one replaces
+    assert len(after.keys() - before.keys()) == 2  # it, and rows; signals of the log stay
+    assert all(after[name] == before[name] for name in before.keys() & after.keys())
+    assert shifts_of(place) == [("car1", 2 * SHIFT_COUNT), ("car2", SHIFT_COUNT)]
+    assert disagreement(lake_place) == Disagreement(missing=(), unknown=(), twice=())
+
+
+def test_the_questions_of_the_page_have_answers(filled: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(filled.parent)
+    questions = re.findall(r"```sql\n(.*?)```", page_text("docs/lake.md"), re.DOTALL)
+    assert len(questions) == 1 + 10
+    with duckdb.connect() as lake_engine:
+        lake_engine.execute(questions[0])
+        tables = [lake_engine.sql(question).to_arrow_table() for question in questions[1:]]
+    answers = [[tuple(row.values()) for row in table.to_pylist()] for table in tables]
+    overview, failed, _, trend, _, minutes, _, warm, versions, signals = answers
+    assert [(row[0], row[3], row[4]) for row in overview] == [("car1", 2, 2 * SHIFT_COUNT), ("car2", 1, SHIFT_COUNT)]
+    assert [Path(row[1]).name for row in failed] == ["notes.txt", "bad.blf", "notes.txt"]
+    assert len(trend) == 1
+    assert len(minutes) == 2 * SHIFT_COUNT
+    assert sum(row[3] for row in warm) > 0
+    assert [row[2] for row in versions] == [4]
+    assert len(signals) == SHIFT_COUNT
+    assert all(row[3] > 500 for row in signals)
+
+
+def test_one_vehicle_is_forgotten_in_a_store(port: int, logs: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    files = store(port)
+    files.put(f"{logs}/", f"{BUCKET}/logs", recursive=True)
+    address = f"s3://{BUCKET}/lake"
+    rows = fill(Job.of(CONFIG, address, None, 60.0), f"s3://{BUCKET}/logs")
+    assert sum(row.shifts for row in rows) == 4 * SHIFT_COUNT  # of them one log twice, in one part
+    (found,) = files.glob(f"{BUCKET}/lake/shifts/*/vehicle=car2/*.parquet")
+    table = pq.ParquetFile(io.BytesIO(files.cat_file(found)))
+    assert table.metadata.num_rows == SHIFT_COUNT
+    assert table.metadata.row_group(0).column(table.schema_arrow.get_field_index("start_bus_ns")).statistics.has_min_max
+    assert fill(Job.of(CONFIG, address, None, 60.0), f"s3://{BUCKET}/logs") == []
+    lake.execute(parse_arguments(["lake", "forget", address, "car1", "--json"]), Controls())
+    gone = json.loads(capsys.readouterr().out)
+    assert (len(gone["parts"]), gone["rows"], gone["shifts"]) == (2, 4, 3 * SHIFT_COUNT)
+    assert files.glob(f"{BUCKET}/lake/*/*/vehicle=car1/*") == []
+    assert all(b"car1" not in files.cat_file(path) for path in files.glob(f"{BUCKET}/lake/manifest/*"))
+    lake.execute(parse_arguments(["lake", "forget", address, "car1"]), Controls())
+    assert "car1: 0 parts (0 bytes), 0 logs" in capsys.readouterr().out
+    lake.execute(parse_arguments(["lake", "check", address]), Controls())
+    assert f"3 logs, 2 of them not analysed, {SHIFT_COUNT} shifts of 1 vehicles in 1 parts" in capsys.readouterr().out
+
+
+def test_what_a_killed_run_left_is_told_and_can_be_removed(filled: Path, tmp_path: Path) -> None:
+    address = Path(shutil.copytree(filled, tmp_path / "lake"))
+    (part,) = address.glob("shifts/*/vehicle=car2/*.parquet")
+    orphan = part.with_name("0-0.parquet")
+    orphan.write_bytes(part.read_bytes())
+    with pytest.raises(IncompleteError, match="disagree"):
+        lake.execute(parse_arguments(["lake", "check", str(address)]), Controls())
+    lake.execute(parse_arguments(["lake", "check", str(address), "--repair"]), Controls())
+    assert not orphan.exists()
+    part.unlink()
+    with pytest.raises(IncompleteError):
+        lake.execute(parse_arguments(["lake", "check", str(address), "--repair"]), Controls())
+
+
+def test_a_log_that_takes_too_long_or_breaks_the_program_is_a_row(tmp_path: Path, logs: Path) -> None:
+    ends: list[int] = []
+    place = Place(str(tmp_path / "lake"))
+    log = next(
+        one for one in find_logs([str(logs)], place, "car", has_vehicles=True) if one.held.name.endswith("1.log")
+    )
+    row = Maker(Job.of(CONFIG, place.address, None, 1e-6), end=ends.append).make(log, 1)
+    assert (row.outcome, row.reason, row.parts) == (FAILED, "took longer than 1e-06 s", ())
+    assert ends == [EXIT_OVERDUE]
+    maker = Maker(Job.of(CONFIG, place.address, None, 60.0))
+
+    class Broken:
+        config = CONFIG
+
+        def analyse(self, *_: object) -> None:
+            raise ValueError("of no kind that anybody thought of")
+
+    maker.__dict__["_analyst"] = Broken()
+    assert maker.make(log, 2).reason == "ValueError: of no kind that anybody thought of"
+    gone = LakeLog(place=log.place, held=replace(log.held, name="car1/none.log"), vehicle="car1")
+    assert "none.log" in Maker(Job.of(CONFIG, place.address, None, 60.0)).make(gone, 1).reason
+    with pytest.raises(ConfigError, match="another database, profile, calibration or version"):
+        Maker(replace(Job.of(CONFIG, place.address, None, 60.0), settings="other")).make(log, 1)
+
+
+@pytest.mark.parametrize(
+    ("words", "error", "text"),
+    [
+        (("s3://b/logs",), ConfigError, "--lake PLACE"),
+        (("{logs}", "--scheduler", "tls://h"), ConfigError, "is for a lake"),
+        (("{logs}", "--retry"), ConfigError, "--retry is for a lake"),
+        (("{logs}", "--lake", "{logs}/lake"), ConfigError, "must not lie within each other"),
+        (("{logs}", "--lake", "{tmp}/lake", "--json"), ConfigError, "--json does not go with --lake"),
+        (("{logs}", "--lake", "{tmp}/lake", "--scheduler", "tcp://127.0.0.1:1"), ConfigError, "tls:// only"),
+        (("{logs}", "--lake", "{tmp}/lake", "--scheduler", "tls://127.0.0.1:1"), ConfigError, "--ca, --cert and --key"),
+        (("{logs}", "--lake", "{tmp}/lake", "--ca", "ca.crt"), ConfigError, "are for a scheduler"),
+        (("{logs}", "--lake", "{tmp}/lake", "--signals", "NoSuch"), ConfigError, "NoSuch"),
+        (("{logs}", "--lake", "{tmp}/lake", "--time-limit", "0"), ConfigError, "--time-limit must be > 0"),
+        (("{logs}", "--lake", "zip::file://x"), ConfigError, "one store at a time"),
+        (("{logs}", "--lake", "nosuch://x"), ConfigError, "nosuch"),
+        (("{tmp}", "--lake", "{tmp}-lake"), ConfigError, "holds no log"),
+    ],
+)
+def test_what_cannot_be_done_with_a_lake_is_told(
+    logs: Path, tmp_path: Path, words: tuple[str, ...], error: type[Exception], text: str
+) -> None:
+    filled = [word.format(logs=logs, tmp=tmp_path) for word in words]
+    with pytest.raises(error, match=text):
+        analyze.execute(parse_arguments(["analyze", *filled]), Controls())
+
+
+def test_a_store_that_refuses_for_good_is_told(port: int, tmp_path: Path) -> None:
+    del port
+    (tmp_path / "file").write_bytes(b"content")
+    with pytest.raises(StoreError, match="cannot write s3://no-such-bucket/name"):
+        Place("s3://no-such-bucket").put("name", tmp_path / "file")
