@@ -38,9 +38,8 @@ BROKER_LINES = ("max_inflight_messages 0", "max_queued_messages 0")
 
 
 @contextmanager
-def workers(broker_port: int, database: str, count: int) -> Iterator[None]:
+def workers(address: str, database: str, count: int) -> Iterator[None]:
     """Run ingest workers for as long as the block lasts."""
-    address = f"mqtt://127.0.0.1:{broker_port}"
     command = [sys.executable, "-m", "fleet_backend", "ingest", "--broker", address, "--database", database]
     command += ["--batch", str(BATCH)]
     children = [subprocess.Popen(command, stderr=subprocess.PIPE, text=True) for _ in range(count)]
@@ -114,7 +113,7 @@ def measure(count: int, rounds: int, worker_count: int) -> None:
         stack.callback(engine.dispose)
         migrate(engine)
         port = stack.enter_context(mosquitto(folder, BROKER_LINES))
-        stack.enter_context(workers(port, database, worker_count))
+        stack.enter_context(workers(f"mqtt://127.0.0.1:{port}", database, worker_count))
         load = Load(port, "load", [topic_of(vehicle, Channel.ACK) for vehicle in vehicle_names()])
         stack.callback(load.close)
         rates: list[float] = []

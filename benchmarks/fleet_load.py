@@ -16,6 +16,7 @@ _KEEPALIVE_S: Final = 600
 _CONNECT_REQUEST, _PUBLISH_QOS1, _SUBSCRIBE = 0x10, 0x32, 0x82
 _PUBLISH_TYPE, _PUBACK = 3, 0x40
 _PIECE: Final = 200  # messages per send
+_PACE_S: Final = 0.01  # between pieces at a steady pace
 _READ_BYTES: Final = 1 << 18
 
 
@@ -44,6 +45,8 @@ class Load:
         self._socket = socket.create_connection(("127.0.0.1", port))
         self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         self.acknowledged_count = 0
+        self.heard_s: dict[tuple[str, int], float] = {}  # when the word on a result came, while `is_timed`
+        self.is_timed = False
         self._changed = threading.Condition()
         self._turn = threading.Lock()  # a large piece must not be torn by the reader's acknowledgements
         self._send(_connect(name))
@@ -61,6 +64,19 @@ class Load:
             self._send(b"".join(message.packet(first + place) for place, message in enumerate(piece)))
         self._wait(len(messages), began_s + timeout_s)
         return time.perf_counter() - began_s
+
+    def pace(self, messages: Sequence[Wire], per_s: float, timeout_s: float) -> list[float]:
+        """Send messages at a steady pace and wait for the word on each; return when each was due to be sent [s]."""
+        began_s, due_s = time.perf_counter(), []
+        piece_count = max(1, round(per_s * _PACE_S))
+        for first in range(0, len(messages), piece_count):
+            piece = messages[first : first + piece_count]
+            at_s = began_s + first / per_s
+            time.sleep(max(0.0, at_s - time.perf_counter()))
+            due_s += [at_s] * len(piece)
+            self._send(b"".join(message.packet(first + place) for place, message in enumerate(piece)))
+        self._wait(len(messages), time.perf_counter() + timeout_s)
+        return due_s
 
     def pour(self, messages: Sequence[Wire]) -> None:
         """Send messages and wait for nobody."""
@@ -97,8 +113,12 @@ class Load:
             if first_byte & 0x06:
                 self._send(bytes([_PUBACK, 2]) + body[at : at + 2])
                 at += 2
+            told = json.loads(body[at:])["data"]
+            if self.is_timed:
+                now_s = time.perf_counter()
+                self.heard_s.update({(told["vehicle"], one["seq"]): now_s for one in told["results"]})
             with self._changed:
-                self.acknowledged_count += len(json.loads(body[at:])["data"]["results"])
+                self.acknowledged_count += len(told["results"])
                 self._changed.notify_all()
 
 

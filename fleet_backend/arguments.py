@@ -158,9 +158,10 @@ _FILL: Final = Command(
 )
 _PARTITIONS: Final = Command(
     "partitions",
-    "make the months ahead in which a PostgreSQL database keeps results, and show all",
+    "make the months in which a PostgreSQL database keeps results, and show all",
     *_QUESTION,
     Option("--ahead N", f"months ahead (default: {_AHEAD_MONTHS})", _count, default=_AHEAD_MONTHS),
+    Option("--back N", "months back, for results of the past that are still to come (default: 0)", _count, default=0),
     examples=(f"{PROGRAM} partitions --ahead 6",),
 )
 _ROLLUP: Final = Command(

@@ -27,7 +27,7 @@ from fleet_backend.layout import Sheet
 from fleet_backend.migrate import make_ready, migrate, newest_revision
 from fleet_backend.page.access import Access
 from fleet_backend.page.access_file import read_access
-from fleet_backend.partitions import keep_ahead, partitions
+from fleet_backend.partitions import keep_months, partitions
 from fleet_backend.retention import retain, roll_up
 from fleet_link import BrokerAddress
 
@@ -83,7 +83,7 @@ def _tell_of_move(moved_count: int) -> None:
 
 
 def _partitions(options: SimpleNamespace, engine: Engine) -> None:
-    keep_ahead(engine, datetime.now(UTC), options.ahead)
+    keep_months(engine, datetime.now(UTC), options.ahead, options.back)
     records = [asdict(one) for one in partitions(engine)]
     _tell(options, records, lambda: report.partition_table(records))
 

@@ -1,6 +1,8 @@
 """Brings a database to the schema of this program, from an empty one or any earlier schema, data included."""
 
+import time
 from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
 from typing import Final
 
@@ -11,11 +13,13 @@ from alembic.script import ScriptDirectory
 from sqlalchemy import Connection, Engine, inspect, text
 
 from fleet_backend.database import close_to_others, place_of, transaction
-from fleet_backend.errors import DatabaseError
+from fleet_backend.errors import DatabaseAwayError, DatabaseError
 from fleet_backend.moving import move_all
 
 _FOLDER: Final = Path(__file__).with_name("migrations")
 _LAST_WITHOUT_MONTHS: Final = "r0007"
+_MOST_ATTEMPTS: Final = 100
+_PAUSE_S: Final = 0.3
 _LOCK: Final = 0x434C4449  # PostgreSQL's advisory lock of whoever migrates: "CLDI"
 
 
@@ -35,12 +39,22 @@ def migrate(engine: Engine, revision: str = "head", tell: Callable[[int], None] 
     if revision == "head" and engine.dialect.name == "postgresql" and _has_older_results(engine):
         _upgrade(engine, _LAST_WITHOUT_MONTHS)
         move_all(engine, tell)
-        _upgrade(engine, revision)
+        _upgrade_between_readers(engine, revision)
         with transaction(engine) as connection:
             connection.execute(text("ANALYZE shift_result"))  # of a table as a whole, which no autovacuum looks at
     else:
         _upgrade(engine, revision)
     close_to_others(engine)
+
+
+def _upgrade_between_readers(engine: Engine, revision: str) -> None:
+    """Upgrade as soon as nobody reads for a moment; whoever reads is never made to wait for long."""
+    for _ in range(_MOST_ATTEMPTS):
+        with suppress(DatabaseAwayError):
+            _upgrade(engine, revision)
+            return
+        time.sleep(_PAUSE_S)
+    _upgrade(engine, revision)
 
 
 def _upgrade(engine: Engine, revision: str) -> None:

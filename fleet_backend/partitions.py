@@ -4,7 +4,8 @@ No partition is a default one: PostgreSQL then knows that they follow each other
 clutch in the newest month without a look at the others. A result that no month takes is in the first or the last.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from datetime import UTC, date, datetime
 from typing import Final
@@ -16,7 +17,7 @@ from fleet_backend.errors import ConfigError
 
 TABLE: Final = "shift_result"
 AHEAD_MONTHS: Final = 3  # kept ready, so that a forgotten command costs a quarter before results gather in the last
-MOST_AHEAD: Final = 120
+MOST_MONTHS: Final = 120
 LOCK_S: Final = 5  # new partitions need all to themselves for a moment; whoever reads long is not waited for longer
 _LOCK: Final = 0x434C4450  # PostgreSQL's advisory lock of whoever makes partitions: "CLDP"
 _FOUND: Final = """
@@ -63,7 +64,8 @@ def has_partitions(engine: Engine) -> bool:
 def make_partitions(connection: Connection, table: str, first: date, end: date) -> None:
     """Make all partitions of a new table: the months from ``first`` on without ``end``, one before, one after."""
     make_before(connection, table, first)
-    make_months(connection, table, first, end)
+    _make_months(connection, table, months_between(first, end))
+    _make_after(connection, table, end)
 
 
 def make_before(connection: Connection, table: str, first: date) -> None:
@@ -73,11 +75,13 @@ def make_before(connection: Connection, table: str, first: date) -> None:
     )
 
 
-def make_months(connection: Connection, table: str, first: date, end: date) -> None:
-    """Make the months from ``first`` on without ``end``, and the part behind them."""
-    for month in months_between(first, end):
+def _make_months(connection: Connection, table: str, wanted: Iterable[date]) -> None:
+    for month in wanted:
         bounds = f"FROM ({_bound(month)}) TO ({_bound(months_on(month, 1))})"
         connection.exec_driver_sql(f"CREATE TABLE {name_of(month)} PARTITION OF {table} FOR VALUES {bounds}")
+
+
+def _make_after(connection: Connection, table: str, end: date) -> None:
     connection.exec_driver_sql(
         f"CREATE TABLE {TABLE}_after PARTITION OF {table} FOR VALUES FROM ({_bound(end)}) TO (MAXVALUE)"
     )
@@ -100,10 +104,10 @@ def partitions(engine: Engine) -> list[Partition]:
     return sorted(found, key=lambda one: (one.name.endswith("_after"), one.month or date.min))
 
 
-def keep_ahead(engine: Engine, now: datetime, ahead: int = AHEAD_MONTHS) -> list[date]:
-    """Make the months until ``ahead`` months from now that are missing; return them.
+def keep_months(engine: Engine, now: datetime, ahead: int = AHEAD_MONTHS, back: int = 0) -> list[date]:
+    """Make the months from ``back`` months ago until ``ahead`` months from now that are missing; return them.
 
-    Results that waited in the last partition move into their months.
+    Results that waited in the first or last partition move into their months.
 
     Raises
     ------
@@ -114,20 +118,34 @@ def keep_ahead(engine: Engine, now: datetime, ahead: int = AHEAD_MONTHS) -> list
     """
     if not has_partitions(engine):
         raise ConfigError("only a PostgreSQL database has partitions; SQLite keeps all results in one table")
-    if not 0 <= ahead <= MOST_AHEAD:
-        raise ConfigError(f"months ahead must be 0 to {MOST_AHEAD}, got {ahead}")
+    if not (0 <= ahead <= MOST_MONTHS and 0 <= back <= MOST_MONTHS):
+        raise ConfigError(f"months ahead and back must be 0 to {MOST_MONTHS}, got {ahead} and {back}")
     with transaction(engine) as connection:
         lock(connection)
-        first = months_on(max(months(connection)), 1)
-        end = months_on(month_of(now), ahead + 1)
-        missing = list(months_between(first, end))
-        if missing:
-            connection.exec_driver_sql(f"ALTER TABLE {TABLE} DETACH PARTITION {TABLE}_after")
-            connection.exec_driver_sql(f"ALTER TABLE {TABLE}_after RENAME TO {TABLE}_waiting")
-            make_months(connection, TABLE, first, end)
-            connection.exec_driver_sql(f"INSERT INTO {TABLE} SELECT * FROM {TABLE}_waiting")  # noqa: S608
-            connection.exec_driver_sql(f"DROP TABLE {TABLE}_waiting")
-    return missing
+        known = months(connection)
+        first, end = months_on(month_of(now), -back), months_on(max(known), 1)
+        early = list(months_between(first, min(known)))
+        late = list(months_between(end, months_on(month_of(now), ahead + 1)))
+        if early:
+            with _taken_apart(connection, "before"):
+                make_before(connection, TABLE, first)
+                _make_months(connection, TABLE, early)
+        if late:
+            with _taken_apart(connection, "after"):
+                _make_months(connection, TABLE, late)
+                _make_after(connection, TABLE, months_on(late[-1], 1))
+    return early + late
+
+
+@contextmanager
+def _taken_apart(connection: Connection, part: str) -> Iterator[None]:
+    """Take a partition away while others are made in its place, and put its results into these."""
+    waiting = f"{TABLE}_waiting"
+    connection.exec_driver_sql(f"ALTER TABLE {TABLE} DETACH PARTITION {TABLE}_{part}")
+    connection.exec_driver_sql(f"ALTER TABLE {TABLE}_{part} RENAME TO {waiting}")
+    yield
+    connection.exec_driver_sql(f"INSERT INTO {TABLE} SELECT * FROM {waiting}")  # noqa: S608 - our own names
+    connection.exec_driver_sql(f"DROP TABLE {waiting}")
 
 
 def lock(connection: Connection) -> None:

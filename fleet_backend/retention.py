@@ -12,7 +12,7 @@ from fleet_backend.errors import ConfigError
 from fleet_backend.partitions import (
     TABLE,
     has_partitions,
-    keep_ahead,
+    keep_months,
     lock,
     make_before,
     month_of,
@@ -87,7 +87,7 @@ def retain(engine: Engine, kept_months: int, *, now: datetime, by: str) -> Retai
     first = months_on(month_of(now), -kept_months)
     until = datetime.combine(first, time(), UTC)
     if has_partitions(engine):
-        keep_ahead(engine, now)  # a month of its own for what stays
+        keep_months(engine, now)  # a month of its own for what stays
     with transaction(engine) as connection:
         _roll_up(connection, until)
         forget = _drop_months if has_partitions(engine) else _delete

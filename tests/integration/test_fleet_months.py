@@ -15,7 +15,7 @@ from fleet_backend.database import open_database, transaction
 from fleet_backend.errors import ConfigError
 from fleet_backend.migrate import migrate
 from fleet_backend.moving import move_some, prepare
-from fleet_backend.partitions import keep_ahead, partitions
+from fleet_backend.partitions import keep_months, partitions
 from fleet_backend.retention import retain, roll_up
 from fleet_backend.rows import Row
 from fleet_backend.schema import CLUTCH, CLUTCH_MONTH, SHIFT_RESULT, VEHICLE
@@ -90,18 +90,22 @@ def test_two_contents_of_one_result_in_two_months_are_one_result(months: Engine)
 
 def test_months_are_made_ahead_and_take_what_waited_for_them(months: Engine) -> None:
     end = datetime.now(UTC).year + 3
-    Writer(months).store(Batch(shifts=[made_at(f"{end}-02-03"), made_at("1970-01-01", 2), made_at("2999-01-01", 3)]))
+    Writer(months).store(Batch(shifts=[made_at(f"{end}-02-03"), made_at("2020-01-01", 2), made_at("2999-01-01", 3)]))
     assert place_of_rows(months) == {"shift_result_after": 2, "shift_result_before": 1}
     before = queries.table_hash(months)
-    made = keep_ahead(months, datetime(end, 2, 1, tzinfo=UTC), 1)
+    made = keep_months(months, datetime(end, 2, 1, tzinfo=UTC), 1)
     assert made[-1] == date(end, 3, 1)
     assert place_of_rows(months)[f"shift_result_{end}_02"] == 1
     assert queries.table_hash(months) == before
-    assert keep_ahead(months, datetime(end, 2, 1, tzinfo=UTC), 1) == []
+    assert keep_months(months, datetime(end, 2, 1, tzinfo=UTC), 1) == []
+    assert place_of_rows(months)["shift_result_before"] == 1
+    assert keep_months(months, datetime(2021, 1, 1, tzinfo=UTC), 0, 12)[0] == date(2020, 1, 1)
+    assert place_of_rows(months)["shift_result_2020_01"] == 1
+    assert queries.table_hash(months) == before
     names = [one.name for one in partitions(months)]
     assert (names[0], names[-2:]) == ("shift_result_before", [f"shift_result_{end}_03", "shift_result_after"])
     with pytest.raises(ConfigError, match="0 to 120"):
-        keep_ahead(months, NOW, 121)
+        keep_months(months, NOW, 121)
 
 
 def test_old_months_go_but_their_sums_and_the_last_result_of_each_clutch(engine: Engine) -> None:

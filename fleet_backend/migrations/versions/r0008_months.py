@@ -43,8 +43,10 @@ def upgrade() -> None:
     if connection.dialect.name != "postgresql":
         return
     prepare(connection)
-    connection.exec_driver_sql("LOCK TABLE shift_result IN ACCESS EXCLUSIVE MODE")
     move_some(connection, None)
+    # Shorter than the second after which PostgreSQL ends one of two that wait for each other: readers must not be it.
+    connection.exec_driver_sql("SET LOCAL lock_timeout = '400ms'")
+    connection.exec_driver_sql("LOCK TABLE shift_result IN ACCESS EXCLUSIVE MODE")
     for view in reversed(VIEWS):
         op.execute(f"DROP VIEW {view.split()[2]}")
     swap(connection)

@@ -1,0 +1,183 @@
+"""The fleet's ingest and its page's questions on a PostgreSQL with a past: many rows in months, two workers.
+
+Rows of the past are made inside PostgreSQL. Results come from Mosquitto and from JetStream: as many as go through, all
+of them once more, then half of the aim at a steady pace. The page's questions are asked of a fleet with that past and
+of the same fleet with its last thirty days only, in turns.
+
+    python -m benchmarks.fleet_scale --rows 20000000
+"""
+
+import argparse
+import statistics
+import sys
+import time
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, closing, contextmanager
+from dataclasses import replace
+from datetime import UTC, datetime, timedelta
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+from sqlalchemy import Engine, text
+
+from benchmarks.fleet_history import PER_DAY, make_fleet, make_results, settle
+from benchmarks.fleet_ingest import BROKER_LINES, processor_s, workers
+from benchmarks.fleet_load import Load, Wire, wire
+from demo.fleet.mosquitto import mosquitto
+from demo.fleet.nats import NatsServer
+from demo.fleet.postgres import PostgresServer
+from diag_service.diagnosis.results import shift_record
+from fleet_backend import queries
+from fleet_backend.database import open_database, transaction
+from fleet_backend.migrate import migrate
+from fleet_backend.page import past, running
+from fleet_backend.partitions import keep_months, partitions
+from fleet_contract import Channel, filter_of, shift_message
+from tests.support.fleet import fleet_result
+
+AIM_PER_S = 15_000
+LATENCY_AIM_S = 2.0
+QUESTION_AIM = 1.3
+RECENT = timedelta(days=30)
+WINDOW = 8000
+PACED_S = 10.0
+ASKED = 15
+SETTINGS = ("shared_buffers=1GB", "max_wal_size=8GB", "checkpoint_timeout=15min")
+
+
+def messages(vehicle_count: int, first: int, count: int) -> list[Wire]:
+    """Return results of all vehicles in turn, made now."""
+    moment, made = datetime.now(UTC).strftime("%Y-%m-%dT%H:%M:%S.%fZ"), []
+    for number in range(count):
+        vehicle, seq = f"h{1 + number % vehicle_count}", first + number // vehicle_count
+        result = replace(fleet_result(seq, vehicle=vehicle, clutch=1 + seq % 2), stream="live", produced_at=moment)
+        message = shift_message(shift_record(result))
+        made.append(wire(message.topic, message.payload))
+    return made
+
+
+def made_fleet(database: str, vehicle_count: int, span: timedelta) -> Engine:
+    """Return a fleet with a past of so long."""
+    engine, now = open_database(database), datetime.now(UTC)
+    migrate(engine)
+    keep_months(engine, now, back=1 + int(span.days / 28))
+    make_fleet(engine, vehicle_count)
+    began_s = time.monotonic()
+    count = make_results(engine, vehicle_count, now - span, now)
+    settle(engine)
+    size_gib = sum(one.size_bytes for one in partitions(engine)) / 2**30
+    took_s = time.monotonic() - began_s
+    print(f"{count:,} rows in {len(partitions(engine))} partitions, {size_gib:.2f} GiB, made in {took_s:.0f} s")
+    return engine
+
+
+def questions(vehicle_count: int) -> dict[str, Callable[[Engine], object]]:
+    """Return what the page asks a database; what it shows is as much with a past as without."""
+    some = [f"h{number}" for number in range(1, vehicle_count + 1)][:20]
+    return {
+        "whole fleet": running.all_clutches,
+        "vehicles with news": lambda engine: running.clutches_of(engine, some),
+        "newest results of a clutch": lambda engine: past.results_of(engine, "h7", 1),
+        "presence": lambda engine: past.presence(engine, "h7"),
+        "one event": lambda engine: past.shift_of(engine, "h7", "live", 1),
+        "last seen": queries.last_seen,
+        "stored of a clutch": lambda engine: past.stored_of(engine, "h7", 1),
+        "runs of verdicts of a vehicle": lambda engine: past.alarms_of(engine, "h20"),
+    }
+
+
+def compare(recent: Engine, old: Engine, vehicle_count: int) -> bool:
+    """Print how long each question takes without and with a past; return whether all keep the aim."""
+    is_kept = True
+    for name, ask in questions(vehicle_count).items():
+        took: dict[Engine, list[float]] = {recent: [], old: []}
+        for number in range(ASKED + 1):
+            for engine in (recent, old) if number % 2 else (old, recent):
+                began_s = time.perf_counter()
+                ask(engine)
+                took[engine].append(time.perf_counter() - began_s)
+        without_ms, with_ms = (1000.0 * statistics.median(took[engine][2:]) for engine in (recent, old))
+        ratio = with_ms / without_ms
+        is_kept = is_kept and ratio <= QUESTION_AIM
+        print(f"question, {name}: {without_ms:.2f} ms, with the past {with_ms:.2f} ms, ratio {ratio:.2f}")
+    return is_kept
+
+
+@contextmanager
+def broker(name: str, folder: Path) -> Iterator[tuple[int, str]]:
+    """Run a broker; yield the port of vehicles and the address for workers."""
+    if name == "mosquitto":
+        with mosquitto(folder, BROKER_LINES) as port:
+            yield port, f"mqtt://127.0.0.1:{port}"
+        return
+    server = NatsServer(folder)
+    server.start()
+    try:
+        yield server.port, server.url
+    finally:
+        server.stop()
+
+
+def ingest(name: str, database: str, vehicle_count: int, count: int, first: int, pace_per_s: float) -> bool:
+    """Print rate, idempotence and latency from one broker; return whether all keep their aims."""
+    engine = open_database(database)
+    with ExitStack() as stack:
+        stack.callback(engine.dispose)
+        folder = Path(stack.enter_context(TemporaryDirectory()))
+        port, address = stack.enter_context(broker(name, folder))
+        stack.enter_context(workers(address, database, 2))
+        load = Load(port, "load", [filter_of(Channel.ACK)])  # the gateway of NATS grants 63 subscriptions of one client
+        stack.callback(load.close)
+        made = messages(vehicle_count, first, count)
+        before, used_s = _live_count(engine), processor_s()
+        rate = count / load.send(made, WINDOW, timeout_s=300.0)
+        cost_us = (processor_s() - used_s) / count * 1e6
+        load.acknowledged_count = 0
+        again = count / load.send(made, WINDOW, timeout_s=300.0)
+        new = _live_count(engine) - before
+        print(f"{name}: {rate:,.0f} results/s (aim {AIM_PER_S:,}); once more {again:,.0f}/s; {new:,} new of {count:,}")
+        print(f"{name}: {cost_us:.0f} us of processor time per result, so {2e6 / cost_us:,.0f}/s on two idle cores")
+        paced = messages(vehicle_count, first + count, int(PACED_S * pace_per_s))
+        load.acknowledged_count, load.is_timed = 0, True
+        due_s = load.pace(paced, pace_per_s, timeout_s=300.0)
+        late_s = [
+            load.heard_s[f"h{1 + number % vehicle_count}", first + count + number // vehicle_count] - at_s
+            for number, at_s in enumerate(due_s)
+        ]
+        p99_s = statistics.quantiles(late_s, n=100)[-1]
+        print(f"{name}: at {pace_per_s:,.0f}/s median {statistics.median(late_s):.3f} s, p99 {p99_s:.3f} s")
+        return rate >= AIM_PER_S and new == count and p99_s <= LATENCY_AIM_S
+
+
+def _live_count(engine: Engine) -> int:
+    with transaction(engine) as connection:
+        return int(connection.execute(text("SELECT count(*) FROM shift_result WHERE stream = 'live'")).scalar_one())
+
+
+def main() -> int:
+    """Print the figures; return 0 if all keep their aims."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--rows", type=int, default=20_000_000, help="of the past")
+    parser.add_argument("--vehicles", type=int, default=100)
+    parser.add_argument("--results", type=int, default=60_000, help="sent from each broker")
+    parser.add_argument("--pace", type=float, default=AIM_PER_S / 2, help="results per second, of the latency")
+    parser.add_argument("--broker", choices=["mosquitto", "nats"], help="only this one")
+    options = parser.parse_args()
+    sys.stdout.reconfigure(line_buffering=True)  # type: ignore[union-attr]  # a text stream
+    span = timedelta(days=options.rows / (2 * options.vehicles * PER_DAY))
+    with closing(PostgresServer(SETTINGS)) as server:
+        server.start()
+        recent = made_fleet(server.create("recent"), options.vehicles, min(RECENT, span))
+        old = made_fleet(server.create("past"), options.vehicles, span)
+        is_kept = compare(recent, old, options.vehicles)
+        recent.dispose()
+        old.dispose()
+        for number, name in enumerate([options.broker] if options.broker else ["mosquitto", "nats"]):
+            first = 1 + number * 10_000_000
+            done = ingest(name, server.url("past"), options.vehicles, options.results, first, options.pace)
+            is_kept = is_kept and done
+    return 0 if is_kept else 1
+
+
+if __name__ == "__main__":
+    sys.exit(main())
