@@ -5,6 +5,7 @@ import logging
 import time
 import uuid
 from collections.abc import Sequence
+from contextlib import suppress
 from typing import Any, Final
 
 from diag_service.errors import ConfigError, StoreError
@@ -42,16 +43,19 @@ class ClusterPool:
         self._running: dict[Any, LakeLog] = {}
         self._names = (f"log-{uuid.uuid4().hex}-{number}" for number in itertools.count())
         self._seen_s = time.monotonic()
+        self._worker_count = 0
         self._client = self._connected()
 
     @property
     def width(self) -> int:
         """How many logs are worked at beside each other: one per process."""
-        return max(1, len(self._client.nthreads()))
+        self._look_for_workers()
+        return max(1, self._worker_count)
 
     def close(self) -> None:
         """Leave the cluster; what nobody waits for any more it forgets."""
-        self._client.close(timeout=CLOSE_TIMEOUT_S)
+        with suppress(OSError, TimeoutError):  # from a scheduler that is gone there is nothing to take leave of
+            self._client.close(timeout=CLOSE_TIMEOUT_S)
 
     def submit(self, log: LakeLog, attempts: int) -> None:
         """Hand out a log."""
@@ -67,13 +71,14 @@ class ClusterPool:
             if done := [future for future in self._running if future.status != _PENDING]:
                 return [self._outcome(future) for future in done]
             if time.monotonic() >= deadline_s:
-                self._check_workers()
+                self._look_for_workers()
                 return []
             time.sleep(POLL_S)
 
     def withdraw(self) -> Sequence[LakeLog]:
         """Take everything back: what is being worked at makes parts that are made again later, under the same names."""
-        self._client.cancel(list(self._running), force=True)
+        with suppress(OSError, TimeoutError):
+            self._client.cancel(list(self._running), force=True)
         logs = list(self._running.values())
         self._running.clear()
         return logs
@@ -102,7 +107,7 @@ class ClusterPool:
         _LOG.warning("the scheduler is gone; waiting for it")
         lost = [Outcome(log=log) for log in self._running.values()]
         self._running.clear()
-        self._client.close(timeout=CLOSE_TIMEOUT_S)
+        self.close()
         self._client = self._connected()
         return lost
 
@@ -119,8 +124,11 @@ class ClusterPool:
                     raise StoreError(f"{exc}; the same command goes on") from exc
                 time.sleep(RETRY_S)
 
-    def _check_workers(self) -> None:
-        if self._client.nthreads():
+    def _look_for_workers(self) -> None:
+        """Count the workers; raises StoreError if there has been none for long."""
+        with suppress(OSError, TimeoutError):  # the state of the client tells of a scheduler that is gone
+            self._worker_count = len(self._client.nthreads())
+        if self._worker_count:
             self._seen_s = time.monotonic()
         elif time.monotonic() - self._seen_s > self._patience_s:
             raise StoreError(f"{self._address.url} has no worker; the same command goes on when it has")

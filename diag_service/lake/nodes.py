@@ -72,7 +72,7 @@ def _page_address(page: tuple[str, int] | None) -> str:
 def _run(makers: list[Callable[[], Any]], stop: Trigger) -> None:
     try:
         asyncio.run(_until(makers, stop))
-    except (OSError, TimeoutError) as exc:
+    except (OSError, TimeoutError, RuntimeError) as exc:  # the last from a guardian whose process did not start
         raise StoreError(f"the cluster's part cannot run: {exc}") from exc
 
 

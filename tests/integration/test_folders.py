@@ -52,25 +52,17 @@ def test_the_tables_hold_what_a_drive_gives(drive_log: Path, tmp_path: Path) -> 
         assert row["verdict.condition"] == typed["verdict.condition"] == shift["verdict"]["condition"]
 
 
-def test_logs_that_cannot_be_read_are_told_and_do_not_stop_the_others(drive_log: Path, tmp_path: Path) -> None:
+def test_what_cannot_be_read_and_what_is_left_out_is_told_and_stops_nothing(drive_log: Path, tmp_path: Path) -> None:
     folder = tmp_path / "logs"
     fill_folder(folder, drive_log, 1)
     (folder / "bad.blf").write_bytes(b"LOGG" + bytes(200))
-    ended = run_service(tmp_path / "run", "analyze", folder, "--jobs", "1")
-    assert ended.status == 0
-    assert f"{folder / 'bad.blf'}: not read: " in ended.out
-    assert f"2 drives, {SHIFT_COUNT} shifts, 1 could not be read" in ended.out
-
-
-def test_files_that_are_left_out_are_listed_with_their_reasons(drive_log: Path, tmp_path: Path) -> None:
-    folder = tmp_path / "logs"
-    fill_folder(folder, drive_log, 1)
     notes = folder / "notes.txt"
     notes.write_bytes(b"what we measured\n" * 900 + b"  1)     1841 0001 8 00 11 22 33 44 55 66 77\n")
     (folder / "trip.zip").write_bytes(b"PK\x03\x04" + bytes(90))
     ended = run_service(tmp_path / "text", "analyze", folder, "--jobs", "1")
     assert ended.status == 0
-    assert f"1 drives, {SHIFT_COUNT} shifts, 0 could not be read, 2 files left out" in ended.out
+    assert f"{folder / 'bad.blf'}: not read: " in ended.out
+    assert f"2 drives, {SHIFT_COUNT} shifts, 1 could not be read, 2 files left out" in ended.out
     assert f"left out: {notes}: not a log of a known format" in ended.err
     assert f"left out: {folder / 'trip.zip'}: the zip archive is cut off" in ended.err
     ended = run_service(tmp_path / "json", "analyze", folder, "--jobs", "1", "--json")

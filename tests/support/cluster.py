@@ -100,4 +100,4 @@ class Cluster:
     def _started(self, part: str, *words: str) -> subprocess.Popen[bytes]:
         with (self._folder / f"{part}.txt").open("ab") as said:
             command = [*self._program, "cluster", part, *words, *self.tls]
-            return subprocess.Popen(command, stdout=said, stderr=said, env=self._variables, cwd=self._folder)
+            return subprocess.Popen(command, stdout=said, stderr=said, env=self._variables)
