@@ -19,7 +19,7 @@ from canlog.logs.inflaters import compression_of
 from canlog.logs.log_counts import LogCounts, LogReject
 from canlog.logs.mf4 import read_mf4
 from canlog.logs.piped import STANDARD_INPUT, PipeStream, kept, never, open_standard_input, shown_name
-from canlog.logs.sqlite import read_sqlite
+from canlog.logs.sqlite import check_messages, read_sqlite
 from canlog.logs.tables.time_unit import bus_load_ratio, is_plausible
 from canlog.logs.text_log import reader_of
 from canlog.logs.time_watch import TimeWatch
@@ -65,6 +65,8 @@ class LogReader(Iterator[FrameBatch]):
         self._file = split_member(path)[0]
         self._opened = None if path == STANDARD_INPUT else self._file.stat()
         self._bounded = BoundedStream(self._stream, self._counts)
+        if self.format is LogFormat.SQLITE:
+            check_messages(self._stream)
         self._batches = _reader_of(contents)(cast("BinaryIO", self._bounded), self._counts)
         self._watch = TimeWatch(self._counts)
         self._is_strict = is_strict

@@ -6,7 +6,7 @@ The file is opened for reading, and only a plain table is read: a view could run
 import math
 import sqlite3
 from collections.abc import Iterator
-from contextlib import closing
+from contextlib import closing, suppress
 from pathlib import Path
 from typing import BinaryIO, cast
 
@@ -38,16 +38,26 @@ def read_sqlite(stream: BinaryIO, counts: LogCounts) -> Iterator[FrameBatch]:
     SourceError
         If it has no table of messages that can be read.
     """
-    path = Path(stream.name).resolve()
-    most_rows = path.stat().st_size // LEAST_ROW_BYTES
+    most_rows = Path(stream.name).stat().st_size // LEAST_ROW_BYTES
     try:
-        with closing(sqlite3.connect(f"{path.as_uri()}?mode=ro", uri=True)) as database:
+        with closing(_opened(stream)) as database:
             database.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, LONGEST_VALUE)
             database.text_factory = bytes
             cursor = _messages(database)
             yield from _batches(cursor, most_rows, counts)
     except sqlite3.Error as exc:
         raise SourceError(f"the SQLite file cannot be read: {exc}") from exc
+
+
+def check_messages(stream: BinaryIO) -> None:
+    """Raise SourceError if a database is sound and no log; of what is damaged, reading it tells."""
+    with suppress(sqlite3.Error), closing(_opened(stream)) as database:
+        database.text_factory = bytes
+        _messages(database)
+
+
+def _opened(stream: BinaryIO) -> sqlite3.Connection:
+    return sqlite3.connect(f"{Path(stream.name).resolve().as_uri()}?mode=ro", uri=True)
 
 
 def _messages(database: sqlite3.Connection) -> sqlite3.Cursor:

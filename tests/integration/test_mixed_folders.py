@@ -30,10 +30,11 @@ TAKEN = {
     "gone.log": None,
     "letter.pdf": None,
     "odd\\nname.txt": None,
-    "other.db": "sqlite",
+    "other.db": None,
     "packed.blf.gz": "blf",
     "picture.png": None,
     "table.csv": "columns",
+    "torn.blf": "blf",
 }
 
 
@@ -48,6 +49,7 @@ def folder(tmp_path: Path) -> Path:
         archive.writestr("inner/day 2.blf.gz", packed)
         archive.writestr("notes.txt", "What was measured on the second day")
     (tmp_path / "broken.zip").write_bytes((tmp_path / "archive.zip").read_bytes()[:200])
+    (tmp_path / "torn.blf").write_bytes((tmp_path / "drive.blf").read_bytes()[:160])
     (tmp_path / "picture.png").write_bytes(b"\x89PNG\r\n\x1a\n" + bytes(100))
     (tmp_path / "letter.pdf").write_bytes(b"%PDF-1.7\n")
     (tmp_path / "table.csv").write_bytes(TABLE)
@@ -67,8 +69,8 @@ CHOICE = "time=When:ms,id=Who,data=What"
 def test_every_file_is_listed_with_what_it_was_taken_for(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["inspect", str(folder), "--columns", CHOICE]) == 0
     said = capsys.readouterr().out.splitlines()
-    assert said[0] == f"{folder}: 5 logs, 9 other files"
-    listed = dict(line.strip().removeprefix(f"{folder}/").split(": ", 1) for line in said[1:15])
+    assert said[0] == f"{folder}: 5 logs, 10 other files"
+    listed = dict(line.strip().removeprefix(f"{folder}/").split(": ", 1) for line in said[1:16])
     assert {name: text.split(":")[0] for name, text in listed.items()} == {
         name: f"taken for {taken}" if taken else "no log" for name, taken in TAKEN.items()
     }
@@ -80,11 +82,10 @@ def test_every_file_is_listed_with_what_it_was_taken_for(folder: Path, capsys: p
         "no log: the file is empty",
         "no log: a link that leads nowhere",
     )
-    assert (
-        f"{folder}/other.db: no log after all: the SQLite file has no table of messages as python-can writes it" in said
-    )
+    assert "the SQLite file has no table of messages as python-can writes it" in listed["other.db"]
+    assert any(line.startswith(f"{folder}/torn.blf: no log after all: no CAN frame in this blf log") for line in said)
     for name, frames in (("archive.zip/day 1.log", 50), ("packed.blf.gz", 50), ("table.csv", 50)):
-        assert any(line.startswith(f"{folder}/{name}: ") and f", {frames} frames" in line for line in said[15:])
+        assert any(line.startswith(f"{folder}/{name}: ") and f", {frames} frames" in line for line in said[16:])
 
 
 def test_programs_are_told_the_same(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -92,7 +93,7 @@ def test_programs_are_told_the_same(folder: Path, capsys: pytest.CaptureFixture[
     records = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
     found = {Path(one["path"]).relative_to(folder).as_posix(): one.get("format") for one in records}
     found["odd\\nname.txt"] = found.pop("odd\nname.txt")
-    assert found == {**TAKEN, "table.csv": None, "other.db": None}
+    assert found == {**TAKEN, "table.csv": None, "torn.blf": None}
     (table,) = (one for one in records if one["path"].endswith("table.csv"))
     assert "a table with the columns When, Who, Mood, What; perhaps --columns time=When,id=Who" in table["reason"]
 
@@ -100,10 +101,10 @@ def test_programs_are_told_the_same(folder: Path, capsys: pytest.CaptureFixture[
 def test_each_log_of_an_archive_is_a_drive(folder: Path) -> None:
     found = find_drives([folder])
     assert [drive.paths[0].relative_to(folder).as_posix() for drive in found.drives] == [
-        "archive.zip/day 1.log", "drive.blf", "other.db", "packed.blf.gz",
+        "archive.zip/day 1.log", "drive.blf", "packed.blf.gz", "torn.blf",
     ]  # fmt: skip
     assert len({drive.key for drive in found.drives}) == 4
-    assert len(found.left_out) == 10
+    assert len(found.left_out) == 11
 
 
 def test_what_may_not_be_read_is_listed_too(tmp_path: Path) -> None:

@@ -1,12 +1,13 @@
 """Any frames in any format, by writers that are not ours: frames, times, channels, directions, flags and counts."""
 
 from dataclasses import replace
+from itertools import pairwise
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
 from canlog.frame_columns import join
@@ -14,7 +15,7 @@ from canlog.frames import BRS_FLAG, ERROR_FLAG, ESI_FLAG, EXTENDED_FLAG, FD_FLAG
 from canlog.logs import read_log
 from canlog.logs.log_counts import LogCounts
 from tests.support.log_grammars import CODE_OF_LENGTH, GRAMMARS, PACKERS, Frame, Grammar
-from tests.support.wild_grammars import WILD_GRAMMARS
+from tests.support.wild_grammars import CONSOLE_GAPS, WILD_GRAMMARS
 
 NO_JUMP_US = 900_000  # a longer gap is counted, too
 LEAST_GAP_US = 200  # more frames than that no bus carries
@@ -95,3 +96,20 @@ def test_what_is_written_is_read(name: str, drawn: list[Frame], packer: str) -> 
     assert rows(batch, grammar) == [row(frame, grammar) for frame in written]
     notes = reader.counts.notes if grammar.leaves_open else ()
     assert reader.counts == LogCounts(frames=len(written), skipped=reader.counts.skipped, notes=notes)
+
+
+@settings(max_examples=12, deadline=None)
+@given(drawn=frames())
+def test_gaps_between_frames_are_added_up(drawn: list[Frame]) -> None:
+    start_us = drawn[0].t_us
+    written = [CONSOLE_GAPS.sayable(replace(frame, t_us=frame.t_us - start_us)) for frame in drawn]
+    gaps_us = [0, *(later.t_us - sooner.t_us for sooner, later in pairwise(written))]
+    assume(sum(later < sooner for sooner, later in pairwise(gaps_us)) * 5 > len(gaps_us))  # else it is taken for -t z
+    with TemporaryDirectory() as folder:
+        path = Path(folder) / "drive.txt"
+        CONSOLE_GAPS.write(path, written)
+        reader = read_log(path)
+        batch = join(list(reader))
+    assert rows(batch, CONSOLE_GAPS) == [row(frame, CONSOLE_GAPS) for frame in written]
+    assert reader.counts == LogCounts(frames=len(written), skipped=0, notes=reader.counts.notes)
+    assert "candump -t d" in reader.counts.notes[0]

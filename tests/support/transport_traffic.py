@@ -11,6 +11,7 @@ import numpy as np
 from canlog.frames import EXTENDED_FLAG, FD_FLAG, FrameBatch
 
 MS = 1_000_000
+NEVER_MS = 3_600_000
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -64,6 +65,8 @@ def iso_tp(rng: random.Random, count: int, *, block: int = 0, is_fd: bool = Fals
     bus: deque[tuple[int, bytes]] = deque()
     waiting: tuple[deque[bytes], deque[bytes]] = (deque(), deque())
     options = {"blocksize": block, "stmin": 0, "tx_data_length": 64 if is_fd else 8, "can_fd": is_fd}
+    # can-isotp looks at the clock of the machine, which may be busy.
+    options |= {"rx_flowcontrol_timeout": NEVER_MS, "rx_consecutive_frame_timeout": NEVER_MS}
 
     def side(own: int) -> isotp.TransportLayerLogic:
         def send(message: isotp.CanMessage) -> None:

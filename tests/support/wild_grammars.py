@@ -1,7 +1,9 @@
 """Random logs in formats of the wild, written after the sources and examples of the programs that make them."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from datetime import UTC, datetime, timedelta
+from pathlib import Path
 from types import MappingProxyType
 
 from tests.support.log_grammars import START_S, Frame, Grammar, busmaster, busmaster_header, by_hand, hex_text, id_text
@@ -50,6 +52,15 @@ def _console(
         return f" {stamp} {colour}can{frame.channel}{flags if has_flags else ''}  {body}{end}"
 
     return line
+
+
+def console_gaps(path: Path, frames: Sequence[Frame]) -> None:
+    """Write what ``candump -t d`` prints: before each frame the time since the one before it."""
+    line, last_us, lines = _console("z"), frames[0].t_us, list[str]()
+    for frame in frames:
+        lines.append(line(0, replace(frame, t_us=frame.t_us - last_us)) + "\n")
+        last_us = frame.t_us
+    path.write_text("".join(lines), encoding="ascii")
 
 
 def _carbus(_: int, frame: Frame) -> str:
@@ -133,6 +144,9 @@ def _bytes_table(_: int, frame: Frame) -> str:
 TABLE_NAMES = ("Bus", "ID", "Extended", "RTR", "Error", "Dir", "DLC", "Data")
 
 
+CONSOLE_GAPS = Grammar(
+    write=console_gaps, start_us=0, has_fd=True, has_rates=False, has_direction=False, channels=10, leaves_open=True
+)
 WILD_GRAMMARS: Mapping[str, Grammar] = MappingProxyType({
     "candump-console -ta": Grammar(
         write=by_hand(_console("a")), has_fd=True, has_rates=False, has_direction=False, channels=10,

@@ -2,21 +2,29 @@
 
 Pieces of sound logs and arbitrary bytes, shuffled: reading ends without an error of another kind than ours, frames are
 those of the columns' rules, and every line of a text is accounted for. BLF is tried twice, as a file and with the
-objects inside its containers changed before they are packed.
+objects inside its containers changed before they are packed; logs that are packed are changed in what they are
+packed in.
 
     python -m tests.tools.fuzz --reader candump --minutes 10
 """
 
 import argparse
+import bz2
+import gzip
 import io
+import lzma
 import sys
+import tempfile
 import time
+import zipfile
 import zlib
 from collections.abc import Callable, Iterator
 from itertools import pairwise
+from pathlib import Path
 from typing import BinaryIO
 
 import numpy as np
+import zstandard
 from hypothesis import HealthCheck, given, seed, settings
 from hypothesis import strategies as st
 
@@ -27,6 +35,7 @@ from canlog.logs.blf import read_blf
 from canlog.logs.candump import CandumpLog
 from canlog.logs.detection import TABLES, TEXT_LOGS, LogFormat
 from canlog.logs.log_counts import LogCounts
+from canlog.logs.reading import read_log
 from canlog.logs.text_kernels import IS_LENGTH
 from canlog.logs.text_log import LOOK_AHEAD_BYTES, ends_by_returns, reader_of
 from ecu_emulator.log_formats import (
@@ -58,12 +67,41 @@ def written(writer: type[FrameWriter]) -> bytes:
     return stream.getvalue()
 
 
+TRC_START = b";$STARTTIME=46023.5000000000\r\n;\r\n"
+TRC_COLUMNS = {b"2.0": b"N,O,T,I,d,l,D", b"2.1": b"N,O,T,B,I,d,R,L,D"}
+TRC_LINES = {
+    b"1.0": b"     1)      1841.5  18FEF100  3  11 22 33 \r\n     2)      1842.0  0300  2  RTR \r\n",
+    b"1.1": b"     1)      1841.5  Rx  18FEF100  3  11 22 33 \r\n     2)      1842.0  Error  0004  1  02 \r\n",
+    b"1.2": b"     1)      1841.5  1  Rx  18FEF100  3  11 22 33 \r\n     2)      1842.0  2  Tx  0300  2  RTR \r\n",
+    b"1.3": b"     1)      1841.5  1  Rx  18FEF100  -  3  11 22 33 \r\n     2)   1842.0  2  Tx  0300  -  2  RTR \r\n",
+    b"2.0": b"      1      1059.900 DT     0300 Rx 3  11 22 33 \r\n      2      1060.0 FB 18FEF100 Tx 12  "
+    + b"11 " * 12
+    + b"\r\n      3      1061.0 ER          Rx    04 00 02 00 00 \r\n      4      1062.0 RR     0300 Rx 2  \r\n",
+    b"2.1": b"      1      1059.900 DT 1     0300 Rx - 3    11 22 33 \r\n      2      1060.0 ST 1 - Rx - 4 00 01 \r\n"
+    b"      3      1061.0 FE 2 18FEF100 Tx - 9    " + b"11 " * 12 + b"\r\n",
+}
+TRC = tuple(
+    b";$FILEVERSION=" + version + b"\r\n" + TRC_START + b";$COLUMNS=" * (version in TRC_COLUMNS)
+    + TRC_COLUMNS.get(version, b";") + b"\r\n" + lines
+    for version, lines in TRC_LINES.items()
+)  # fmt: skip
 BUSMASTER = (
     b"***BUSMASTER Ver 3.2.2***\n***START DATE AND TIME 1:2:2026 23:59:37:325***\n***SYSTEM MODE***\n"
     b"23:59:37:3329 Rx 1 0x144 s 1 5E\n00:00:07:3347 Tx 2 0x18FEF100 x 8 5F 00 11 22 33 44 55 66\n"
     b"0:0:9:3 Rx 1 0x7 sr 3\n***PROTOCOL J1939***\n"
     b"14:24:01:3995 1 1ceaff00 0x00EA00 RQST_ACL 00  FF  007 Tx 3 00 EE 00 \n"
     b"***DEC***\n14:24:01:3996 2 485162752 0x00EA00 RQST_ACL 00  FF  007 Rx 2 000 238 \n"
+)
+BUSMASTER_J1939 = tuple(
+    b"***BUSMASTER Ver 3.2.2***\n***PROTOCOL J1939***\n***START DATE AND TIME 1:2:2026 23:59:37:325***\n***"
+    + base + b"***\n***ABSOLUTE MODE***\n" + lines
+    for base, lines in (
+        (b"HEX", b"00:00:01:3995 1 1ceaff00 0x00EA00 RQST_ACL 00  FF  007 Tx 3 00 EE 00 \n"),
+        (b"DEC", b"00:00:01:3996 2 485162752 0x00EA00 RQST_ACL 00  FF  007 Rx 2 000 238 \n"),
+    )
+)  # fmt: skip
+CONSOLE_GAPS = b"".join(
+    b" (%03d.%06d)  can%d  18FEF100   [3]  11 22 33\n" % (number % 3, number * 997, number % 2) for number in range(20)
 )
 CONSOLE = (
     b"  (000.000000)  can0  TX B -  0A0   [8]  11 22 33 44 55 66 77 88   '.\"3DUfw.'\n"
@@ -94,7 +132,38 @@ COLUMNS = (
 CRTD = b"1320745424.000 CXX log\n1320745424.002 1R11 402 FA 01 C3 A0 96 00 07 01\n1320745424.1 2T29 18FEF100 07 64\n"
 SOUND_BLF = written(BlfWriter)
 SOUND_OBJECTS = b"".join(inflated_containers(SOUND_BLF))
-READERS: dict[str, tuple[Reader, bytes]] = {
+
+
+def zipped(method: int) -> bytes:
+    """Return an archive of a log and a text, of 1980."""
+    stream = io.BytesIO()
+    with zipfile.ZipFile(stream, "w", method) as archive:
+        archive.writestr(zipfile.ZipInfo("drive.log"), SOUND_CANDUMP, method)
+        archive.writestr(zipfile.ZipInfo("notes/read.me"), b"no log", method)
+    return stream.getvalue()
+
+
+SOUND_CANDUMP = written(CandumpWriter)
+PACKED = (
+    *(gzip.compress(SOUND_CANDUMP, mtime=0), bz2.compress(SOUND_CANDUMP), lzma.compress(SOUND_CANDUMP)),
+    *(zstandard.compress(SOUND_CANDUMP), zipped(zipfile.ZIP_STORED), zipped(zipfile.ZIP_DEFLATED)),
+)
+
+
+def read_packed(stream: BinaryIO, counts: LogCounts) -> Iterator[FrameBatch]:
+    """Read a log from a file, as it is read that one names."""
+    with tempfile.NamedTemporaryFile() as file:
+        file.write(stream.read())
+        file.flush()
+        reader = read_log(Path(file.name))
+        try:
+            yield from reader
+            counts.add(reader.counts)
+        finally:
+            reader.close()
+
+
+READERS: dict[str, tuple[Reader, bytes | tuple[bytes, ...]]] = {
     "candump": (
         reader_of(CandumpLog),
         written(CandumpWriter) + b"(1.0) can1 123##5" + b"5A" * 12 + b"\n(1.0) can0 123#R4\n",
@@ -105,17 +174,19 @@ READERS: dict[str, tuple[Reader, bytes]] = {
     ),
     "blf": (read_blf, SOUND_BLF),
     "blf-objects": (read_blf, SOUND_OBJECTS),
-    "trc": (reader_of(TABLES[LogFormat.TRC]), written(TrcWriter)),
+    "trc": (reader_of(TABLES[LogFormat.TRC]), (*TRC, written(TrcWriter))),
     "csv": (reader_of(TABLES[LogFormat.CSV]), written(CsvWriter)),
     "gvret": (reader_of(TABLES[LogFormat.GVRET]), written(GvretWriter)),
-    "busmaster": (reader_of(TABLES[LogFormat.BUSMASTER]), BUSMASTER),
+    "busmaster": (reader_of(TABLES[LogFormat.BUSMASTER]), (BUSMASTER, *BUSMASTER_J1939)),
     "crtd": (reader_of(TABLES[LogFormat.CRTD]), CRTD),
-    "console": (reader_of(TEXT_LOGS[LogFormat.CONSOLE]), CONSOLE),
+    "console": (reader_of(TEXT_LOGS[LogFormat.CONSOLE]), (CONSOLE, CONSOLE_GAPS)),
     "carbus": (reader_of(TEXT_LOGS[LogFormat.CARBUS]), CARBUS),
     "canhacker": (reader_of(TEXT_LOGS[LogFormat.CANHACKER]), CANHACKER),
     "microchip": (reader_of(TEXT_LOGS[LogFormat.MICROCHIP]), MICROCHIP),
     "columns": (reader_of(TEXT_LOGS[LogFormat.COLUMNS]), COLUMNS),
+    "packed": (read_packed, PACKED),
 }
+WITHOUT_LINES = ("blf", "packed")
 ALPHABET = st.sampled_from(b"0123456789ABCDEFabcdefx#()., \t\r\n;*:-_=TRrd$\0\xff").map(lambda value: bytes([value]))
 
 
@@ -188,7 +259,8 @@ def check_batch(batch: FrameBatch) -> None:
 def fuzz(name: str, minutes: float, first_seed: int) -> int:
     """Fuzz one reader; return how many logs it read."""
     reader, sound = READERS[name]
-    logs = packed_contents(sound) if name == "blf-objects" else contents(sound)
+    sounds = sound if isinstance(sound, tuple) else (sound,)
+    logs = st.one_of([(packed_contents if name == "blf-objects" else contents)(one) for one in sounds])
     end_s, rounds = time.monotonic() + 60.0 * minutes, 0
     while time.monotonic() < end_s:
 
@@ -198,7 +270,7 @@ def fuzz(name: str, minutes: float, first_seed: int) -> int:
         )
         @given(logs)
         def one_round(text: bytes) -> None:
-            check(reader, text, has_lines=not name.startswith("blf"))
+            check(reader, text, has_lines=not name.startswith(WITHOUT_LINES))
 
         one_round()
         rounds += 1

@@ -93,9 +93,20 @@ def test_packets_of_a_longer_message_without_announcement_are_not_taken_for_a_sh
         ([(0, 0x7E8, "1014010203040506"), (2, 0x7E0, "3000"), (60, 0x7E0, "3000"), (62, 0x7E8, "2106070809101112")], 2),
         # Two of one block each: the message goes on.
         ([(0, 0x7E8, "2106070809101112"), (2, 0x7E0, "3001"), (4, 0x7E8, "2206070809101112")], 1),
-        # A number that one message cannot have behind the other.
+        # Fewer frames are lost if it is another message, and if it is the same.
         ([(0, 0x7E8, "2506070809101112"), (2, 0x7E8, "2106070809101112")], 2),
-        ([(0, 0x7E8, "2106070809101112"), (2, 0x7E8, "2706070809101112")], 2),
+        ([(0, 0x7E8, "2D06070809101112"), (2, 0x7E8, "2106070809101112")], 2),
+        ([(0, 0x7E8, "2106070809101112"), (2, 0x7E8, "2706070809101112")], 1),
+        # A block of three of which nothing came: what comes next shows whether the message goes on.
+        ([(0, 0x7E8, "2E" + "00" * 7), (2, 0x7E0, "3003"), (9, 0x7E0, "3003"), (11, 0x7E8, "2200000000000000")], 1),
+        ([(0, 0x7E8, "2900000000000000"), (2, 0x7E0, "3003"), (9, 0x7E0, "3003"), (11, 0x7E8, "21" + "00" * 7)], 2),
+        # Nothing comes: it was of another message if it came later than a sender takes for its frames.
+        ([(0, 0x7E0, "3003"), (2, 0x7E8, "2100000000000000"), (9, 0x7E0, "3003")], 1),
+        ([(0, 0x7E0, "3003"), (2, 0x7E8, "2100000000000000"), (90, 0x7E0, "3003")], 2),
+        # Whoever sends waits for no frame any more: flow control behind it is that for another message.
+        ([(0, 0x7E8, "1014010203040506"), (2, 0x7E0, "3003"), (5, 0x7E0, "10"), (60, 0x7E0, "3003")], 3),
+        # Whoever receives has ended its own message: what it sends behind that is of another.
+        ([(0, 0x7E8, "100A010203040506"), (60, 0x7E8, "3000"), (99, 0x7E8, "2107080910FFFFFF")], 3),
         # Packets of another message for all, whose announcement is missing.
         ([(0, TP_CM, "20150003FFCAFE00"), (60, TP_DT, "01" * 8), (120, TP_DT, "02" * 8), (400, TP_DT, "02" * 8)], 2),
         ([(0, TO_CM, "10150003FFCAFE00"), (4, TO_DT, "0101010101010101"), (8, TO_DT, "0601010101010101")], 2),
