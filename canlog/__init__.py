@@ -16,7 +16,7 @@ if typing.TYPE_CHECKING:
     from canlog.frames import FrameBatch
     from canlog.logs import LogCounts, LogFormat, LogReader, read_log
     from canlog.whole_log import Log, Samples, read
-    from canlog.written_tables import write_parquet, write_table
+    from canlog.written_tables import TableChoice, write_parquet, write_table
 
 __all__ = [
     "CanlogError",
@@ -30,6 +30,7 @@ __all__ = [
     "OutputError",
     "Samples",
     "SourceError",
+    "TableChoice",
     "load_database",
     "read",
     "read_log",
@@ -43,6 +44,6 @@ _HOMES = {
     "canlog.frames": ("FrameBatch",),
     "canlog.logs": ("LogCounts", "LogFormat", "LogReader", "read_log"),
     "canlog.whole_log": ("Log", "Samples", "read"),
-    "canlog.written_tables": ("write_parquet", "write_table"),
+    "canlog.written_tables": ("TableChoice", "write_parquet", "write_table"),
 }
 __getattr__, __dir__ = _on_demand(__name__, _HOMES)

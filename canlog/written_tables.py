@@ -1,11 +1,11 @@
 """Signals of logs of any size as tables in files."""
 
 from collections.abc import Collection, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Literal
+from typing import Final, Literal
 
-from cantools.database.can import Database
+from cantools.database.can import Database, Message
 
 from canlog.database.loading import database_of
 from canlog.errors import OutputError
@@ -18,29 +18,12 @@ from canlog.tables.report import losses
 FormatName = Literal["parquet", "csv", "jsonl", "arrow", "mf4"]
 
 
-def write_table(
-    path: Path | str | Sequence[Path | str],
-    database: Database | Path | str,
-    output: Path | str,
-    *,
-    table_format: FormatName | None = None,
-    shape: ShapeName = "wide",
-    values: ValuesName = "numbers",
-    signals: Sequence[str] = (),
-    begin: str | float | None = None,
-    end: str | float | None = None,
-    is_lenient: bool = False,
-    columns: str = "",
-    pairs: Collection[tuple[int, int]] = (),
-) -> list[str]:
-    """Write the signals of logs into a table, in bounded memory; return what is missing there, in words.
+@dataclass(frozen=True, slots=True, kw_only=True)
+class TableChoice:
+    """What of some logs is written as a table, and how.
 
     Parameters
     ----------
-    path, database, is_lenient, columns
-        As of ``read``.
-    output
-        The table, which appears when it is complete; one that is there is replaced.
     table_format : {"parquet", "csv", "jsonl", "arrow", "mf4"}, optional
         By default what the suffix says: ``.parquet``, ``.csv``, ``.jsonl``, ``.arrows``, ``.mf4``.
     shape, values
@@ -49,8 +32,61 @@ def write_table(
         Only these: ``Message.Signal`` or the signal alone, both with ``*`` for anything; by default all.
     begin, end
         Only what lies between: seconds from the first frame, or a time as ISO 8601, in UTC unless it says otherwise.
+    columns
+        Which column of a text is which, as of ``read``.
     pairs
         Identifiers, with flags, of requests and of answers in several frames, besides those of ISO 15765-4.
+    """
+
+    table_format: FormatName | None = None
+    shape: ShapeName = "wide"
+    values: ValuesName = "numbers"
+    signals: Sequence[str] = ()
+    begin: str | float | None = None
+    end: str | float | None = None
+    columns: str = ""
+    pairs: Collection[tuple[int, int]] = ()
+
+    def plan(self, messages: Sequence[Message]) -> Plan:
+        """Return what is decoded of the messages of a database; raises as ``Plan.part`` does."""
+        whole = Plan.of(messages, TableShape(self.shape), Values(self.values))
+        return replace(whole, pairs=tuple(self.pairs)).part(self.signals, self.begin, self.end)
+
+    def format_of(self, output: Path) -> TableFormat:
+        """Return the format of a file; raises OutputError if there is no such format, or it cannot hold this."""
+        try:
+            chosen = (
+                FORMAT_OF_SUFFIX[output.suffix.lower()] if self.table_format is None else TableFormat(self.table_format)
+            )
+        except (KeyError, ValueError):
+            known = f"{', '.join(FORMAT_OF_SUFFIX)}, or as table_format says: {', '.join(TableFormat)}"
+            raise OutputError(f"{output}: signals are written as {known}") from None
+        if chosen is TableFormat.MF4 and (self.shape, self.values) != ("wide", "numbers"):
+            raise OutputError("an MF4 file has a group for each message, and numbers: neither shape nor values applies")
+        return chosen
+
+
+EVERY_SIGNAL: Final = TableChoice()
+
+
+def write_table(
+    path: Path | str | Sequence[Path | str],
+    database: Database | Path | str,
+    output: Path | str,
+    choice: TableChoice = EVERY_SIGNAL,
+    *,
+    is_lenient: bool = False,
+) -> list[str]:
+    """Write the signals of logs into a table, in bounded memory; return what is missing there, in words.
+
+    Parameters
+    ----------
+    path, database, is_lenient
+        As of ``read``.
+    output
+        The table, which appears when it is complete; one that is there is replaced.
+    choice
+        What is written, and how: every signal in a row per frame, unless it says otherwise.
 
     Raises
     ------
@@ -59,41 +95,19 @@ def write_table(
     OutputError
         If there is no such format, or the file cannot be written.
     """
-    messages = database_of(database, is_lenient=is_lenient).messages
-    whole = replace(Plan.of(messages, TableShape(shape), Values(values)), pairs=tuple(pairs))
-    plan = whole.part(signals, begin, end)
-    chosen = _format(Path(output), table_format)
-    if chosen is TableFormat.MF4 and (shape, values) != ("wide", "numbers"):
-        raise OutputError("an MF4 file has a group for each message, and numbers: neither shape nor values applies")
-    return list(losses(decode_logs(log_paths(path), plan, Path(output), chosen, columns=columns).account))
+    plan = choice.plan(database_of(database, is_lenient=is_lenient).messages)
+    written = Path(output)
+    decoded = decode_logs(log_paths(path), plan, written, choice.format_of(written), columns=choice.columns)
+    return list(losses(decoded.account))
 
 
 def write_parquet(
     path: Path | str | Sequence[Path | str],
     database: Database | Path | str,
     output: Path | str,
+    choice: TableChoice = EVERY_SIGNAL,
     *,
-    shape: ShapeName = "wide",
-    values: ValuesName = "numbers",
     is_lenient: bool = False,
-    columns: str = "",
 ) -> list[str]:
     """Write the signals of logs into a Parquet file, whatever it is called: what ``write_table`` does."""
-    return write_table(
-        path,
-        database,
-        output,
-        table_format="parquet",
-        shape=shape,
-        values=values,
-        is_lenient=is_lenient,
-        columns=columns,
-    )
-
-
-def _format(output: Path, named: str | None) -> TableFormat:
-    try:
-        return FORMAT_OF_SUFFIX[output.suffix.lower()] if named is None else TableFormat(named)
-    except (KeyError, ValueError):
-        known = f"{', '.join(FORMAT_OF_SUFFIX)}, or as table_format says: {', '.join(TableFormat)}"
-        raise OutputError(f"{output}: signals are written as {known}") from None
+    return write_table(path, database, output, replace(choice, table_format="parquet"), is_lenient=is_lenient)

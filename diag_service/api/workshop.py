@@ -1,17 +1,15 @@
 """What the other commands do, from Python: signals of logs, what a log holds, a vehicle's own calibration."""
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import canlog
-from canlog.tables.layouts import ShapeName, ValuesName
 from canlog.whole_log import Log
-from canlog.written_tables import FormatName
+from canlog.written_tables import EVERY_SIGNAL
 from clutch_model.calibration import Calibration
 from diag_service.api.choices import AnyPath, AnyPaths, configuration, optional_path, path_list
 from diag_service.commands.arguments import DEFAULT_BITRATE
-from diag_service.commands.conversations import Conversations, pairs_of
+from diag_service.commands.conversations import Conversations
 from diag_service.commands.inspect import Inspection, inspect_log
 from diag_service.commands.signals import proposed_profile
 from diag_service.console.collecting import collected_notices
@@ -63,16 +61,9 @@ def decode(
     paths: AnyPaths,
     output: AnyPath,
     dbc: AnyPath | None = None,
+    choice: canlog.TableChoice = EVERY_SIGNAL,
     *,
-    table_format: FormatName | None = None,
-    layout: ShapeName = "wide",
-    values: ValuesName = "numbers",
-    signals: Sequence[str] = (),
-    begin: str | float | None = None,
-    end: str | float | None = None,
     is_lenient: bool = False,
-    columns: str = "",
-    pairs: str = "",
 ) -> list[str]:
     """Write the signals of logs as a table of any size, as ``diag-service decode`` does.
 
@@ -80,17 +71,9 @@ def decode(
     ----------
     output
         The table, which appears when it is complete; one that is there is replaced.
-    table_format : {"parquet", "csv", "jsonl", "arrow", "mf4"}, optional
-        By default what the suffix says: ``.parquet``, ``.csv``, ``.jsonl``, ``.arrows``, ``.mf4``.
-    layout : {"wide", "long"}
-        A row per frame with a column per signal, or a row per value.
-    values : {"numbers", "texts", "both"}
-        What stands for a value that the database names.
-    signals, begin, end
-        Only these signals, and only this stretch, as ``canlog.write_table`` takes them.
-    pairs
-        Of requests and answers in several frames, as ``inspect`` takes them.
-    paths, dbc, is_lenient, columns
+    choice
+        What is written, and how: every signal in a row per frame, unless it says otherwise.
+    paths, dbc, is_lenient
         As of ``read``.
 
     Returns
@@ -105,19 +88,7 @@ def decode(
     """
     with collected_notices():
         database = open_database(optional_path(dbc), is_lenient=is_lenient)
-        return canlog.write_table(
-            path_list(paths),
-            database,
-            Path(output),
-            table_format=table_format,
-            shape=layout,
-            values=values,
-            signals=signals,
-            begin=begin,
-            end=end,
-            columns=columns,
-            pairs=pairs_of(pairs),
-        )
+        return canlog.write_table(path_list(paths), database, Path(output), choice)
 
 
 def inspect(

@@ -1,18 +1,20 @@
 """``diag-service decode``: the signals of logs as a table, in bounded memory, and what is not among them."""
 
 import sys
-from dataclasses import replace
+from collections.abc import Sequence
 from pathlib import Path
 from types import SimpleNamespace
 from typing import BinaryIO, Final
 
+from cantools.database.can import Message
+
 from canlog.errors import SourceError
 from canlog.logs import shown_name
 from canlog.parquet_file import load_pyarrow
-from canlog.tables.decoding import Decoded, Plan, TableShape, decode_logs
-from canlog.tables.layouts import Values
+from canlog.tables.decoding import Decoded, Plan, decode_logs
 from canlog.tables.outputs import FORMAT_OF_SUFFIX, STREAMED, TableFormat
 from canlog.tables.report import account_record, frame_texts, losses, remarks, values_text
+from canlog.written_tables import TableChoice
 from diag_service.commands.conversations import pairs_of
 from diag_service.console.reading import ReadingLine
 from diag_service.console.terminal import PeopleConsole
@@ -33,7 +35,7 @@ def execute(options: SimpleNamespace, controls: Controls) -> None:
     table_format = table_format_of(options.output, options.format)
     _check(options, table_format)
     messages = open_database(options.dbc, is_lenient=options.lenient).messages
-    plan = _part(Plan.of(messages, TableShape(options.layout), Values(options.values)), options)
+    plan = planned(choice_of(options), messages)
     is_piped = options.output == STANDARD_STREAM
     output: Path | BinaryIO = sys.stdout.buffer if is_piped else options.output
     with ReadingLine() as line:
@@ -53,14 +55,25 @@ def execute(options: SimpleNamespace, controls: Controls) -> None:
         raise IncompleteError(f"{names}: not all of it is in {_place(options)}: {lost[0]}{more}")
 
 
-def _part(plan: Plan, options: SimpleNamespace) -> Plan:
+def choice_of(options: SimpleNamespace) -> TableChoice:
+    """Return what is asked for; raises ConfigError if pairs are none."""
+    return TableChoice(
+        shape=options.layout,
+        values=options.values,
+        signals=tuple(name.strip() for name in (options.signals or "").split(",") if name.strip()),
+        begin=vars(options)["from"],
+        end=options.to,
+        columns=options.columns or "",
+        pairs=pairs_of(options.pairs or ""),
+    )
+
+
+def planned(choice: TableChoice, messages: Sequence[Message]) -> Plan:
     """Return the plan for what is asked for; raises ConfigError if a text is no time."""
-    signals = [name.strip() for name in (options.signals or "").split(",") if name.strip()]
     try:
-        part = plan.part(signals, vars(options)["from"], options.to)
+        return choice.plan(messages)
     except SourceError as exc:
         raise ConfigError(str(exc)) from exc
-    return replace(part, pairs=pairs_of(options.pairs or ""))
 
 
 def table_format_of(output: Path, named: str | None) -> TableFormat:

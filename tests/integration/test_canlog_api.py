@@ -96,7 +96,7 @@ def test_tables_in_memory_are_those_of_the_file(drive: Path, shape: ShapeName, v
     output = drive.with_suffix(".parquet")
     database = canlog.load_database(drive.with_name("car.dbc"))
     log = canlog.read(drive, database)
-    assert canlog.write_parquet(drive, database, output, shape=shape, values=values) == log.losses
+    assert canlog.write_parquet(drive, database, output, canlog.TableChoice(shape=shape, values=values)) == log.losses
     table = log.to_arrow(shape, values)
     assert table.to_pylist() == pl.read_parquet(output).to_dicts()
     assert log.to_polars(shape, values).to_dicts() == table.to_pylist()

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import can
 import pytest
 
+import canlog
 import diag_service
 import ecu_emulator
 from diag_service.tester.report import data_record, found_record, routine_record
@@ -285,15 +286,15 @@ def test_what_the_emulator_says_is_kept() -> None:
 def test_tables_of_every_format_are_those_of_the_command(drive_log: Path, tmp_path: Path) -> None:
     short = tmp_path / "short.log"
     short.write_bytes(b"".join(drive_log.read_bytes().splitlines(keepends=True)[:500]))
-    tables: dict[str, dict[str, Any]] = {".csv": {"layout": "long"}, ".jsonl": {"values": "texts"}, ".arrows": {}}
+    tables: dict[str, dict[str, Any]] = {".csv": {"shape": "long"}, ".jsonl": {"values": "texts"}, ".arrows": {}}
     for suffix, words in tables.items():
         made, own = tmp_path / f"made{suffix}", tmp_path / f"own{suffix}"
-        assert diag_service.decode(short, made, **words) == []
-        options = [text for name, word in words.items() for text in (f"--{name}", word)]
+        assert diag_service.decode(short, made, choice=canlog.TableChoice(**words)) == []
+        options = [text for name, word in words.items() for text in (f"--{name.replace('shape', 'layout')}", word)]
         assert ended("decode", short, "-o", own, *options).status == 0
         assert made.read_bytes() == own.read_bytes()
-    assert diag_service.decode([short], tmp_path / "data", table_format="csv") == []
+    assert diag_service.decode([short], tmp_path / "data", choice=canlog.TableChoice(table_format="csv")) == []
     with pytest.raises(diag_service.OutputError, match=r"signals are written as \.parquet"):
         diag_service.decode(short, tmp_path / "made.txt")
     with pytest.raises(diag_service.OutputError, match="neither shape nor values applies"):
-        diag_service.decode(short, tmp_path / "made.mf4", layout="long")
+        diag_service.decode(short, tmp_path / "made.mf4", choice=canlog.TableChoice(shape="long"))
