@@ -55,9 +55,11 @@ def _length_in(data: bytes) -> int:
     return data[1] | data[2] << 8
 
 
-def _limit_ns(one: _Open | None) -> int:
-    """Return how long a message for all may be silent between two packets."""
-    return max(FOR_ALL_LIMIT_NS, USUAL_GAPS * one.gap_ns) if one is not None else FOR_ALL_LIMIT_NS
+def _limit_ns(one: _Open | None, number: int) -> int:
+    """Return how long a message for all may be silent before a packet; the packets that are lost took their time."""
+    if one is None:
+        return FOR_ALL_LIMIT_NS
+    return max(FOR_ALL_LIMIT_NS, USUAL_GAPS * one.gap_ns) + max(number - one.expected, 0) * one.gap_ns
 
 
 @dataclass(slots=True)
@@ -128,7 +130,7 @@ class J1939Transport:
     def _packet(self, t_ns: int, key: Key, data: bytes) -> Transfer | None:
         number, one = data[0], self._open.get(key)
         is_for_all = key[2] == FOR_ALL
-        limit_ns = _limit_ns(one) if is_for_all else BETWEEN_TWO_LIMIT_NS
+        limit_ns = _limit_ns(one, number) if is_for_all else BETWEEN_TWO_LIMIT_NS
         if one is not None and one.is_complete and t_ns - one.last_ns <= limit_ns and number == one.packets + 1:
             one.is_complete = False  # its packets were those of a longer message without announcement
             self._give_up(key, Fault.FRAME_MISSING)

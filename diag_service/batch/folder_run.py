@@ -2,14 +2,12 @@
 
 import hashlib
 import logging
-import os
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
+from concurrent.futures import Future
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import ExitStack
 from dataclasses import replace
-from multiprocessing import get_context
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Protocol, TextIO
@@ -18,6 +16,7 @@ from canlog.errors import SourceError
 from canlog.notice import NOTICE
 from diag_service.batch.drives import Drive, LeftOut, find_drives, left_out_record
 from diag_service.batch.journal import Entry, Journal
+from diag_service.batch.processes import job_count, shared_out
 from diag_service.batch.progress_bar import progress_bar
 from diag_service.batch.tables import check_output, write_results
 from diag_service.batch.worker import analyse_drive, start_worker
@@ -31,8 +30,6 @@ from diag_service.service.stopping import Trigger
 from diag_service.settings.config import DiagnosisConfig
 from program_io.overwriting import replacement_refusal
 
-POLL_S = 0.2  # how soon a request to stop is heard
-WAITING_PER_JOB = 2  # drives handed out ahead: a worker never waits, a stop never takes long
 ACCOUNT_VERSION = "4"  # of what a journal keeps of a drive; entries of an older one are made anew
 _LOG = logging.getLogger(__name__)
 
@@ -73,9 +70,7 @@ def analyse_folders(
     Besides what reading and writing raise, there is StoppedError if it was stopped before every drive was done, and of
     a strict run, after all was written, IncompleteError if a log or a channel gave nothing.
     """
-    if jobs is not None and jobs < 1:
-        raise ConfigError(f"--jobs must be at least 1, got {jobs}")
-    jobs = jobs or os.cpu_count() or 1
+    jobs = job_count(jobs)
     if output is not None:
         check_output(output)  # now, not after hours
         is_ours = is_forced or _journal_of(output).exists()
@@ -128,29 +123,12 @@ def _analysed(
     """Yield drives as they are done, in no order; when told to stop, those that were begun."""
     if not drives:
         return
-    waiting = list(reversed(drives))
-    running: dict[Future[Entry], Drive] = {}
-    context = get_context("spawn")  # threads and compiled code do not survive a fork
-    with (
-        progress_bar(is_shown=is_shown) as progress,
-        ProcessPoolExecutor(min(jobs, len(drives)), context, start_worker, (config, is_shown)) as pool,
-    ):
+    with progress_bar(is_shown=is_shown) as progress:
         task = progress.add_task("analysing", total=sum(drive.size_bytes for drive in drives), done=0, of=len(drives))
-        done_count = 0
-        while running or (waiting and not stop.is_set):
-            while waiting and not stop.is_set and len(running) < WAITING_PER_JOB * jobs:
-                drive = waiting.pop()
-                running[pool.submit(analyse_drive, drive)] = drive
-            if stop.is_set:
-                running = {future: drive for future, drive in running.items() if not future.cancel()}
-            finished, _ = wait(running, POLL_S, FIRST_COMPLETED)
-            for future in finished:
-                drive = running.pop(future)
-                if stop.is_set and isinstance(future.exception(), BrokenProcessPool):
-                    continue  # the signal went to the whole group: the drive is not done, nothing else is wrong
-                done_count += 1
-                progress.update(task, advance=drive.size_bytes, done=done_count)
-                yield drive, _outcome(future, drive)
+        found = shared_out(analyse_drive, drives, jobs, stop, start_worker, (config, is_shown))
+        for done_count, (drive, future) in enumerate(found, 1):
+            progress.update(task, advance=drive.size_bytes, done=done_count)
+            yield drive, _outcome(future, drive)
 
 
 def _outcome(future: Future[Entry], drive: Drive) -> Entry:

@@ -1,18 +1,15 @@
 """One drive of many, in a process of its own: a fresh state, no store, no broker; records go back."""
 
 import logging
-import os
-import signal
-import threading
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from multiprocessing import parent_process
 from pathlib import Path
 
 from canlog.errors import SourceError
 from diag_service.batch.drives import Drive
 from diag_service.batch.journal import Entry
+from diag_service.batch.processes import follow_parent
 from diag_service.console.collecting import collected_notices
 from diag_service.console.notices import set_up_notices
 from diag_service.delivery import MemoryReporter
@@ -21,7 +18,7 @@ from diag_service.diagnosis.results import shift_record
 from diag_service.diagnosis.summary import summary_record, unjudged
 from diag_service.mapping.interpretation import Interpretation
 from diag_service.service.drive_run import RecordedRun, run_recorded
-from diag_service.service.stopping import Trigger, ignore
+from diag_service.service.stopping import Trigger
 from diag_service.settings.config import DiagnosisConfig
 
 DRIVE_SCHEMA = "clutchdiag/drive/v1"
@@ -78,8 +75,7 @@ def start_worker(config: DiagnosisConfig, is_shown: bool) -> None:  # noqa: FBT0
 
 def leave_to_parent(is_shown: bool) -> None:  # noqa: FBT001 - likewise
     """Prepare a process: it leaves Ctrl-C to its parent and does not outlive it; says what it warns of."""
-    ignore(signal.SIGINT)
-    threading.Thread(target=_end_with_parent, name="parent watch", daemon=True).start()
+    follow_parent()
     if is_shown:
         set_up_notices(0)
     logging.getLogger("diag_service").setLevel(logging.WARNING)  # what is only notable the parent has said
@@ -88,10 +84,3 @@ def leave_to_parent(is_shown: bool) -> None:  # noqa: FBT001 - likewise
 def analyse_drive(drive: Drive) -> Entry:
     """Analyse one drive in a prepared process."""
     return _ANALYSTS[0].analyse(drive)
-
-
-def _end_with_parent() -> None:
-    parent = parent_process()
-    if parent is not None:
-        parent.join()
-        os._exit(1)

@@ -171,12 +171,16 @@ _SIGNALS: Final = Command(
 _DECODE: Final = Command(
     "decode",
     "write the signals of logs as a table: Parquet, CSV, JSON lines, Arrow or MF4",
-    _logs("log file; of several the frames are put in order of time; - is standard input"),
-    _output("table to write: .parquet, .csv, .jsonl, .arrows or .mf4; - is standard output", required=True),
+    _logs("log file; of several the frames are put in order of time; or folder of logs; - is standard input"),
+    _output(
+        "table to write: .parquet, .csv, .jsonl, .arrows or .mf4; - is standard output; or folder, in which each log "
+        "becomes a table of its own",
+        required=True,
+    ),
     FORCE,
     Option(
         "--format",
-        "whatever the name of the output says (default of standard output: csv)",
+        "whatever the name of the output says (default of standard output: csv; of a folder: parquet)",
         Choice(["parquet", "csv", "jsonl", "arrow", "mf4"]),
     ),
     *_DATABASE,
@@ -202,12 +206,14 @@ _DECODE: Final = Command(
     ),
     Option("--to TIME", "only what is before; the log is read no further"),
     _PAIRS,
+    Option("--jobs N", "tables of a folder at a time (default: one per core)", INT),
     Option("--strict", "end with status 5 if anything of the log is not in the file, and say what"),
     *(JSON, VERBOSE),
     examples=(
         f"{PROGRAM} decode drive.blf --dbc car.dbc -o drive.parquet",
         f"{PROGRAM} decode drive.blf --dbc car.dbc -o part.csv --signals 'EngineSpeed,Brake.*' --from 60 --to 90",
         f"{PROGRAM} decode front.blf rear.blf --dbc car.dbc -o both.mf4",
+        f"{PROGRAM} decode recordings --dbc car.dbc -o tables --jobs 4",
         f"candump -L can0 | {PROGRAM} decode - --dbc car.dbc -o - --layout long --format jsonl",
     ),
 )

@@ -9,7 +9,7 @@ from typing import BinaryIO, Final
 from cantools.database.can import Message
 
 from canlog.errors import SourceError
-from canlog.logs import shown_name
+from canlog.logs import STANDARD_INPUT, shown_name
 from canlog.parquet_file import load_pyarrow
 from canlog.tables.decoding import Decoded, Plan, decode_logs
 from canlog.tables.outputs import FORMAT_OF_SUFFIX, STREAMED, TableFormat
@@ -32,6 +32,13 @@ NOTHING_KNOWN: Final = "is it the right database? Try diag-service signals LOG -
 
 def execute(options: SimpleNamespace, controls: Controls) -> None:
     """Decode logs; a file appears when it is complete. Raises StoppedError if that was stopped."""
+    if options.output.is_dir() or any(path.is_dir() for path in options.logs if path != STANDARD_INPUT):
+        from diag_service.commands import decode_folder  # noqa: PLC0415 - one table needs none of it
+
+        decode_folder.execute(options, controls)
+        return
+    if options.jobs is not None:
+        raise ConfigError("--jobs is for folders: the logs that were named are one table")
     table_format = table_format_of(options.output, options.format)
     _check(options, table_format)
     messages = open_database(options.dbc, is_lenient=options.lenient).messages

@@ -221,3 +221,29 @@ def test_a_log_is_read_no_further_than_its_part(folder: Path) -> None:
     assert record["rows"] == 5
     assert 5 < record["frames"]["read"] < 200_000
     assert record["frames"]["left_out"] == record["frames"]["read"] - 5
+
+
+def test_each_log_of_a_folder_is_a_table_of_its_own(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("diag_service.commands.decode_folder.open_database", lambda *_, **__: MESSAGES)
+    whole = decoded("drive.log")
+    (folder / "logs" / "day").mkdir(parents=True)
+    (folder / "logs" / "notes.txt").write_text("What was measured", encoding="ascii")
+    for place, lines in (("logs/drive.log", LINES), ("logs/day/drive.log", LINES[:2])):
+        (folder / place).write_text("".join(f"{line}\n" for line in lines), encoding="ascii")
+    (folder / "logs" / "torn.asc").write_text("date Thu Jan 1 00:00:00 2026\nbase hex timestamps absolute\n", "ascii")
+    words = ("decode", "logs", "--dbc", "car.dbc", "-o", "tables", "--jobs", "2")
+    told = ended(*words, "--json", "--strict")
+    records = {one["path"]: one for one in map(json.loads, told.out.splitlines())}
+    assert told.status == 5
+    assert records["logs/notes.txt"]["reason"].startswith("not a log of a known format")
+    assert records["logs/torn.asc"]["error"].startswith("no CAN frame in this asc log")
+    assert [records[f"logs/{name}drive.log"]["rows"] for name in ("", "day/")] == [5, 2]
+    assert (folder / "tables" / "drive.log.parquet").read_bytes() == (folder / "out.parquet").read_bytes()
+    first = pq.read_table("tables/day/drive.log.parquet").to_pylist()
+    assert all(same(one[name], other[name]) for one, other in zip(first, whole, strict=False) for name in one)
+    names = sorted(path.name for path in (folder / "tables").rglob("*"))
+    assert names == ["day", "drive.log.parquet", "drive.log.parquet"]
+    assert "drive.log.parquet is there already" in ended(*words).err
+    assert "--jobs is for folders" in ended("decode", "drive.log", "-o", "b.csv", "--jobs", "2").err
+    assert "standard input does not go with them" in ended("decode", "logs", "-", "-o", "tables").err
+    assert "neither shape nor values applies" in ended(*words, "--format", "mf4", "--layout", "long").err

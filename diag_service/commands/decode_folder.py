@@ -1,0 +1,94 @@
+"""``diag-service decode FOLDER... -o FOLDER``: every log a table of its own, several at a time."""
+
+import logging
+import sys
+from collections import Counter
+from concurrent.futures.process import BrokenProcessPool
+from dataclasses import replace
+from types import SimpleNamespace
+
+from canlog.errors import OutputError, SourceError
+from canlog.logs import STANDARD_INPUT
+from canlog.notice import NOTICE
+from canlog.tables.outputs import TableFormat
+from diag_service.batch.drives import find_drives, left_out_record
+from diag_service.batch.processes import job_count, shared_out
+from diag_service.batch.tables_of_logs import TableDone, TableTask, begin_tables, write_own_table
+from diag_service.commands.decode import choice_of, planned
+from diag_service.console.terminal import PeopleConsole
+from diag_service.diagnosis.results import dump
+from diag_service.errors import ConfigError, IncompleteError, StoppedError
+from diag_service.mapping.databases import open_database
+from diag_service.service.stopping import Controls
+from program_io.overwriting import replacement_refusal
+
+SUFFIX_OF_FORMAT = {TableFormat.ARROW: "arrows"}
+_LOG = logging.getLogger(__name__)
+
+
+def execute(options: SimpleNamespace, controls: Controls) -> None:
+    """Decode logs into tables of their own; raises StoppedError if that was stopped before all were written."""
+    table_format = TableFormat(options.format or TableFormat.PARQUET)
+    choice = replace(choice_of(options), table_format=table_format.value)
+    try:
+        choice.format_of(options.output)
+    except OutputError as exc:
+        raise ConfigError(str(exc)) from exc
+    jobs = job_count(options.jobs)
+    messages = open_database(options.dbc, is_lenient=options.lenient).messages
+    planned(choice, messages)  # complains of signals and times that are none
+    tasks = _tasks(options, table_format)
+    console, totals, losing = PeopleConsole(), Counter[str](), list[str]()
+    arguments = (messages, choice, table_format)
+    for task, future in shared_out(write_own_table, tasks, jobs, controls.stop, begin_tables, arguments):
+        try:
+            done = future.result()
+        except BrokenProcessPool as exc:
+            raise SourceError(f"a process died while it decoded {task.log} or a log beside it") from exc
+        totals["failed" if done.error else "done"] += 1
+        losing += [f"{task.log}: {(done.losses or (done.error,))[0]}"] if done.losses or done.error else []
+        _tell(done, options, console)
+    if totals.total() < len(tasks):
+        raise StoppedError(f"stopped early: {totals['done']} of {len(tasks)} tables were written")
+    if not options.json:
+        console.print(f"{totals['done']} tables in {options.output}, {totals['failed']} logs could not be read")
+    if totals["failed"] == len(tasks):
+        raise SourceError(f"none of {len(tasks)} logs could be read; {losing[0]}")
+    if options.strict and losing:
+        raise IncompleteError(f"not all of {len(losing)} logs is in their tables: {losing[0]}")
+
+
+def _tasks(options: SimpleNamespace, table_format: TableFormat) -> list[TableTask]:
+    """Return the logs with their tables; raises ConfigError if a table is there already, or two would be one."""
+    if STANDARD_INPUT in options.logs:
+        raise ConfigError("tables of a folder are written by several processes: standard input does not go with them")
+    if options.output.exists() and not options.output.is_dir():
+        raise ConfigError(f"{options.output} is no folder: each log of a folder becomes a table of its own")
+    suffix = SUFFIX_OF_FORMAT.get(table_format, table_format.value)
+    tasks = []
+    for path in options.logs:
+        found = find_drives([path], columns=options.columns or "")
+        for left in found.left_out:
+            _LOG.log(NOTICE, "left out: %s: %s", left.path, left.reason)
+            if options.json:
+                sys.stdout.write(dump(left_out_record(left)) + "\n")
+        home = path if path.is_dir() else path.parent
+        for log in (log for drive in found.drives for log in drive.paths):
+            own = log.relative_to(home)
+            tasks.append(TableTask(log=log, output=options.output / own.with_name(f"{own.name}.{suffix}")))
+    counts = Counter(task.output for task in tasks)
+    if twice := [str(output) for output, count in counts.items() if count > 1]:
+        raise ConfigError(f"two logs would be the same table: {', '.join(twice)}")
+    for output in counts:
+        if text := replacement_refusal(output, is_forced=options.force):
+            raise ConfigError(text)
+    return tasks
+
+
+def _tell(done: TableDone, options: SimpleNamespace, console: PeopleConsole) -> None:
+    if options.json:
+        sys.stdout.write(dump({**done.record, "layout": options.layout, "values": options.values}) + "\n")
+        sys.stdout.flush()
+        return
+    for line in (done.line, *(f"  {loss}" for loss in done.losses)):
+        console.print(line)
