@@ -3,15 +3,18 @@
 import csv
 import json
 import math
+import re
 from pathlib import Path
 from typing import Any
 
 import cantools
+import duckdb
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
 from diag_service.cli import main
+from tests.support.documents import page_text
 from tests.support.in_process import ended
 from tests.support.pipes import piped
 from tests.support.terminal import before_head
@@ -243,6 +246,10 @@ def test_each_log_of_a_folder_is_a_table_of_its_own(folder: Path, monkeypatch: p
     assert all(same(one[name], other[name]) for one, other in zip(first, whole, strict=False) for name in one)
     names = sorted(path.name for path in (folder / "tables").rglob("*"))
     assert names == ["day", "drive.log.parquet", "drive.log.parquet"]
+    (query,) = re.findall(r"```sql\n(.+?)```", page_text("docs/decode.md"), re.DOTALL)
+    assert sorted(duckdb.connect().execute(query).fetchall()) == [
+        (f"tables/{name}drive.log.parquet", 90.0) for name in ("day/", "")
+    ]
     assert "drive.log.parquet is there already" in ended(*words).err
     assert "--jobs is for folders" in ended("decode", "drive.log", "-o", "b.csv", "--jobs", "2").err
     assert "standard input does not go with them" in ended("decode", "logs", "-", "-o", "tables").err

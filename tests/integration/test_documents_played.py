@@ -135,6 +135,7 @@ BLOCKS = {
     ("docs/lake.md", "sql"): "tests/integration/test_lake.py",
     ("docs/page.md", "toml"): "tests/integration/test_fleet_access.py",
     ("docs/prognosis.md", "python"): "tests/integration/test_prognosis_page.py",
+    ("docs/decode.md", "sql"): "tests/integration/test_decode_formats.py",
     ("docs/python.md", "python"): "tests/integration/test_python_page.py",
     ("docs/testing.md", "python"): "tests/integration/test_image_example.py",
     ("examples/gateway/README.md", "console"): "tests/integration/test_image_example.py",
