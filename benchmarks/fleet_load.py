@@ -49,7 +49,7 @@ class Load:
         self.is_timed = False
         self._changed = threading.Condition()
         self._turn = threading.Lock()  # a large piece must not be torn by the reader's acknowledgements
-        self._send(_connect(name))
+        self._send(connect_packet(name))
         if ack_topics:
             self._subscribe(ack_topics)
         self._reader = threading.Thread(target=self._read, daemon=True)
@@ -101,8 +101,7 @@ class Load:
                 raise TimeoutError(f"{self.acknowledged_count} acknowledged, {count} expected")
 
     def _subscribe(self, topics: Sequence[str]) -> None:
-        body = (1).to_bytes(2) + b"".join(_text(topic) + b"\x01" for topic in topics)
-        self._send(bytes([_SUBSCRIBE]) + _length(len(body)) + body)
+        self._send(subscribe_packet(topics))
 
     def _read(self) -> None:
         for first_byte, body in _packets(self._socket):
@@ -133,10 +132,15 @@ def _packets(source: socket.socket) -> Iterator[tuple[int, bytes]]:
         if not data:
             return
         buffer += data
-        while (end := _packet_end(buffer)) is not None:
-            start, stop = end
-            yield buffer[0], bytes(buffer[start:stop])
-            del buffer[:stop]
+        yield from packets_in(buffer)
+
+
+def packets_in(buffer: bytearray) -> Iterator[tuple[int, bytes]]:
+    """Yield first byte and body of each packet in a buffer, and take it out."""
+    while (end := _packet_end(buffer)) is not None:
+        start, stop = end
+        yield buffer[0], bytes(buffer[start:stop])
+        del buffer[:stop]
 
 
 def _packet_end(buffer: bytearray) -> tuple[int, int] | None:
@@ -151,7 +155,13 @@ def _packet_end(buffer: bytearray) -> tuple[int, int] | None:
     return None
 
 
-def _connect(name: str) -> bytes:
+def subscribe_packet(topics: Sequence[str]) -> bytes:
+    """Return the packet that subscribes to topics, QoS 1."""
+    body = (1).to_bytes(2) + b"".join(_text(topic) + b"\x01" for topic in topics)
+    return bytes([_SUBSCRIBE]) + _length(len(body)) + body
+
+
+def connect_packet(name: str) -> bytes:
     body = _text("MQTT") + b"\x04\x02" + _KEEPALIVE_S.to_bytes(2) + _text(name)
     return bytes([_CONNECT_REQUEST]) + _length(len(body)) + body
 

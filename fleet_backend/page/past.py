@@ -3,14 +3,15 @@
 import json
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, fields
-from datetime import datetime
+from datetime import datetime, timedelta
 from typing import Any, Final
 
-from sqlalchemy import Engine, Select, and_, func, or_, select
+from sqlalchemy import Engine, Interval, Select, and_, func, literal, or_, select
 
 from fleet_backend import views
 from fleet_backend.database import transaction
 from fleet_backend.page.records import ClutchAlarm, Fill, Quarantined, ShiftAnswer
+from fleet_backend.partitions import has_partitions
 from fleet_backend.schema import (
     FLUID_FILL,
     FRICTION_COLUMNS,
@@ -23,6 +24,7 @@ from fleet_backend.schema import (
 )
 
 MOST_RESULTS: Final = 4000  # of one clutch, the newest; two years of a taxi
+_NEAR: Final = literal(timedelta(days=31), Interval())
 _NEWER: Final = SHIFT_RESULT.alias("newer")
 # What pictures, tables and prognoses are made of; a row has twice as many columns.
 _TREND_COLUMNS: Final = (
@@ -62,28 +64,30 @@ def presence(engine: Engine, vehicle: str) -> Presence | None:
         row = connection.execute(select(*columns).where(VEHICLE.c.vehicle == vehicle)).first()
         if row is None:
             return None
-        last = connection.execute(
-            select(func.max(SHIFT_RESULT.c.produced_at)).where(SHIFT_RESULT.c.vehicle == vehicle)
-        ).scalar_one()
+        seen = views.LAST_SEEN  # a look into an index per clutch
+        last = connection.execute(select(seen.c.last_result_at).where(seen.c.vehicle == vehicle)).scalar_one()
     is_online = None if row.is_online is None else bool(row.is_online)
     return Presence(
         is_online=is_online, connected_at=row.connected_at, service_version=row.service_version, last_result_at=last
     )
 
 
-def current_results(vehicle: str, clutch: int, most: int = MOST_RESULTS) -> Select[Any]:
-    """Return the statement for the newest results of a clutch, of each event the newest version."""
+def current_results(vehicle: str, clutch: int, most: int = MOST_RESULTS, *, is_by_month: bool = False) -> Select[Any]:
+    """Return the statement for the newest results of a clutch, of each event the newest version.
+
+    Where results are kept ``is_by_month``, a newer version is looked for among those made within a month of the older
+    one: both say when the event ended, and no more than two or three parts are opened for each.
+    """
     table = SHIFT_RESULT
-    is_superseded = (
-        select(_NEWER.c.seq)
-        .where(
-            _NEWER.c.vehicle == table.c.vehicle,
-            _NEWER.c.stream == table.c.stream,
-            _NEWER.c.seq == table.c.seq,
-            _NEWER.c.version_rank > table.c.version_rank,
-        )
-        .exists()
+    newer = select(_NEWER.c.seq).where(
+        _NEWER.c.vehicle == table.c.vehicle,
+        _NEWER.c.stream == table.c.stream,
+        _NEWER.c.seq == table.c.seq,
+        _NEWER.c.version_rank > table.c.version_rank,
     )
+    if is_by_month:
+        newer = newer.where(_NEWER.c.produced_at.between(table.c.produced_at - _NEAR, table.c.produced_at + _NEAR))
+    is_superseded = newer.exists()
     order = (table.c.vehicle, table.c.clutch, table.c.produced_at, table.c.stream)
     return (
         select(*(table.c[name] for name in _TREND_COLUMNS))
@@ -96,7 +100,8 @@ def current_results(vehicle: str, clutch: int, most: int = MOST_RESULTS) -> Sele
 def results_of(engine: Engine, vehicle: str, clutch: int) -> list[Row]:
     """Return the newest results of a clutch, the oldest first; inside a stream only ``seq`` tells the order."""
     with transaction(engine) as connection:
-        found = connection.execute(current_results(vehicle, clutch))
+        statement = current_results(vehicle, clutch, is_by_month=has_partitions(engine))
+        found = connection.execute(statement)
         rows: list[Row] = [dict(zip(_TREND_COLUMNS, row, strict=True)) for row in found]
     last: dict[str, datetime] = {}
     for row in rows:

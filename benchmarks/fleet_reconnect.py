@@ -1,0 +1,212 @@
+"""Thousands of vehicles come back within a minute, each with results that waited: loss, order, time, memory.
+
+Every vehicle is a connection of its own that sends its newest result first, and again what nobody has acknowledged.
+Beside what is measured stands what the model of a storm says for the pace of the same ingest.
+
+    python -m benchmarks.fleet_reconnect --vehicles 10000 --results 100
+"""
+
+import argparse
+import asyncio
+import json
+import random
+import statistics
+import sys
+import time
+from contextlib import ExitStack, closing
+from dataclasses import replace
+from datetime import UTC, datetime
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+import psutil
+from sqlalchemy import text
+
+from benchmarks.fleet_ingest import workers
+from benchmarks.fleet_load import Load, connect_packet, packets_in, subscribe_packet, wire
+from benchmarks.fleet_scale import broker, messages
+from benchmarks.storm_model import Storm, play, told
+from demo.fleet.postgres import PostgresServer
+from diag_service.diagnosis.results import shift_record
+from fleet_backend.database import open_database, transaction
+from fleet_backend.migrate import migrate
+from fleet_contract import Channel, filter_of, shift_message, topic_of
+from tests.support.fleet import fleet_result
+
+RESEND_S = 30.0
+AIM_S = 180.0
+FIRST_SEQ = 1_000_001
+CALIBRATED = 20_000
+LOOK_S = 0.5
+_PUBLISH, _SUBACK, _PUBACK = 3, 9, 0x40
+_NAME, _SEQ = b"v000000", b"7654321"
+
+
+class Template:
+    """Results of any vehicle and position, made by replacing two words of one."""
+
+    def __init__(self) -> None:
+        moment = datetime.now(UTC).strftime("%Y-%m-%dT%H:%M:%S.%fZ")
+        result = replace(fleet_result(int(_SEQ), vehicle=_NAME.decode()), produced_at=moment, stream="storm")
+        message = shift_message(shift_record(result))
+        self._wire = wire(message.topic, message.payload)
+
+    def packet(self, name: bytes, seq: int, number: int) -> bytes:
+        return self._wire.packet(number).replace(_NAME, name).replace(_SEQ, str(seq).encode())
+
+
+class Vehicle(asyncio.Protocol):
+    """One vehicle: connects, sends its newest first, and goes when all are acknowledged."""
+
+    def __init__(self, number: int, results: int, template: Template, done: "asyncio.Future[None]") -> None:
+        self.name = f"v{number:06}".encode()
+        self.waiting = dict.fromkeys(range(FIRST_SEQ + results - 1, FIRST_SEQ - 1, -1))
+        self.newest = FIRST_SEQ + results - 1
+        self.began_s = time.perf_counter()
+        self.newest_s: float | None = None
+        self.is_in_order = False  # the newest was among the first to be acknowledged
+        self.resent_count = 0
+        self._template = template
+        self._done = done
+        self._buffer = bytearray()
+        self._transport: asyncio.Transport | None = None
+
+    def connection_made(self, transport: asyncio.BaseTransport) -> None:
+        if not isinstance(transport, asyncio.Transport):
+            raise TypeError("no stream")
+        self._transport = transport
+        topic = topic_of(self.name.decode(), Channel.ACK)
+        transport.write(connect_packet(self.name.decode()) + subscribe_packet([topic]))
+
+    def data_received(self, data: bytes) -> None:
+        self._buffer += data
+        for first_byte, body in packets_in(self._buffer):
+            if first_byte >> 4 == _SUBACK:
+                self._send_all()
+            elif first_byte >> 4 == _PUBLISH:
+                self._hear(first_byte, body)
+
+    def _send_all(self) -> None:
+        if self._transport is None or self._transport.is_closing():
+            return
+        made = (self._template.packet(self.name, seq, place) for place, seq in enumerate(self.waiting))
+        self._transport.write(b"".join(made))
+        asyncio.get_running_loop().call_later(RESEND_S, self._send_again)
+
+    def _send_again(self) -> None:
+        if self.waiting:
+            self.resent_count += len(self.waiting)
+            self._send_all()
+
+    def _hear(self, first_byte: int, body: bytes) -> None:
+        at = 2 + int.from_bytes(body[:2])
+        if first_byte & 0x06 and self._transport is not None:
+            self._transport.write(bytes([_PUBACK, 2]) + body[at : at + 2])
+            at += 2
+        seqs = [one["seq"] for one in json.loads(body[at:])["data"]["results"]]
+        if self.newest_s is None:
+            self.is_in_order = self.newest in seqs
+        if self.newest in seqs:
+            self.newest_s = time.perf_counter() - self.began_s
+        for seq in seqs:
+            self.waiting.pop(seq, None)
+        if not self.waiting and not self._done.done():
+            self._done.set_result(None)
+            if self._transport is not None:
+                self._transport.close()
+
+
+async def storm(port: int, vehicle_count: int, results: int, window_s: float, timeout_s: float) -> list[Vehicle]:
+    """Let all vehicles come back; return them when all are done, or time is over."""
+    loop, rng, template = asyncio.get_running_loop(), random.Random(1), Template()  # noqa: S311
+
+    async def drive(number: int) -> Vehicle:
+        await asyncio.sleep(rng.uniform(0.0, window_s))
+        done: asyncio.Future[None] = loop.create_future()
+        vehicle = Vehicle(number, results, template, done)
+        await loop.create_connection(lambda: vehicle, "127.0.0.1", port)
+        await asyncio.wait([done], timeout=timeout_s)
+        return vehicle
+
+    return await asyncio.gather(*(drive(number) for number in range(vehicle_count)))
+
+
+class Memory:
+    """The most memory of each part that was seen [bytes]."""
+
+    def __init__(self) -> None:
+        self.most: dict[str, int] = {}
+        self._own = psutil.Process()
+
+    async def watch(self) -> None:
+        while True:
+            now: dict[str, int] = {"vehicles": self._own.memory_info().rss}
+            for process in self._own.children(recursive=True):
+                try:
+                    name = "workers" if "fleet_backend" in process.cmdline() else process.name()
+                    now[name] = now.get(name, 0) + process.memory_full_info().pss
+                except psutil.NoSuchProcess:
+                    continue
+            self.most = {name: max(self.most.get(name, 0), now.get(name, 0)) for name in self.most | now}
+            await asyncio.sleep(LOOK_S)
+
+
+def measure(name: str, vehicle_count: int, results: int, window_s: float) -> bool:
+    """Print how a storm goes; return whether nothing is lost and all is in within three minutes."""
+    with ExitStack() as stack:
+        server = stack.enter_context(closing(PostgresServer(("shared_buffers=512MB", "max_wal_size=4GB"))))
+        server.start()
+        database = server.create("fleet")
+        engine = open_database(database)
+        stack.callback(engine.dispose)
+        migrate(engine)
+        folder = Path(stack.enter_context(TemporaryDirectory()))
+        port, address = stack.enter_context(broker(name, folder))
+        stack.enter_context(workers(address, database, 2))
+        load = Load(port, "load", [filter_of(Channel.ACK)])
+        pace = CALIBRATED / load.send(messages(1000, 1, CALIBRATED), CALIBRATED, timeout_s=300.0)
+        load.close()
+        memory = Memory()
+
+        async def run() -> tuple[list[Vehicle], float]:
+            watcher = asyncio.create_task(memory.watch())
+            began_s = time.perf_counter()
+            vehicles = await storm(port, vehicle_count, results, window_s, 10.0 * AIM_S)
+            took_s = time.perf_counter() - began_s
+            watcher.cancel()
+            return vehicles, took_s
+
+        vehicles, took_s = asyncio.run(run())
+        with transaction(engine) as connection:
+            count = text("SELECT count(*) FROM shift_result WHERE stream = 'storm'")
+            stored = int(connection.execute(count).scalar_one())
+    wanted = vehicle_count * results
+    newest_s = [vehicle.newest_s for vehicle in vehicles if vehicle.newest_s is not None]
+    resent = sum(vehicle.resent_count for vehicle in vehicles)
+    ordered = sum(vehicle.is_in_order for vehicle in vehicles)
+    print(
+        f"{name}: {vehicle_count:,} vehicles in {window_s:g} s, {wanted:,} results: {stored:,} stored, {took_s:.0f} s"
+    )
+    print(f"{name}: {resent:,} sent again; of {ordered:,} vehicles the newest came first")
+    middle_s, late_s = statistics.median(newest_s), statistics.quantiles(newest_s, n=100)[-1]
+    print(f"{name}: newest of a vehicle in after {middle_s:.1f} s (median), {late_s:.1f} s (99 %)")
+    print(f"{name}: most memory: " + ", ".join(f"{part} {size / 2**20:.0f} MiB" for part, size in memory.most.items()))
+    model = Storm(vehicle_count=vehicle_count, results_each=results, window_s=window_s, pace_per_s=pace)
+    print(f"{name}: model, with the pace of {pace:,.0f}/s measured before: {''.join(told(play(model)))}")
+    return stored == wanted and took_s <= AIM_S and not any(vehicle.waiting for vehicle in vehicles)
+
+
+def main() -> int:
+    """Print the figures; return 0 if all is well."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--vehicles", type=int, default=10_000)
+    parser.add_argument("--results", type=int, default=100, help="of each")
+    parser.add_argument("--window", type=float, default=60.0, help="seconds in which they connect")
+    parser.add_argument("--broker", choices=["mosquitto", "nats"], default="mosquitto")
+    options = parser.parse_args()
+    sys.stdout.reconfigure(line_buffering=True)  # type: ignore[union-attr]  # a text stream
+    return 0 if measure(options.broker, options.vehicles, options.results, options.window) else 1
+
+
+if __name__ == "__main__":
+    sys.exit(main())
