@@ -13,6 +13,7 @@ import random
 import statistics
 import sys
 import time
+from collections.abc import Iterable
 from contextlib import ExitStack, closing
 from dataclasses import replace
 from datetime import UTC, datetime
@@ -33,7 +34,8 @@ from fleet_backend.migrate import migrate
 from fleet_contract import Channel, filter_of, shift_message, topic_of
 from tests.support.fleet import fleet_result
 
-RESEND_S = 30.0
+PROBE_S = 5.0
+ASTRAY_S = 150.0
 AIM_S = 180.0
 FIRST_SEQ = 1_000_001
 CALIBRATED = 20_000
@@ -87,16 +89,28 @@ class Vehicle(asyncio.Protocol):
                 self._hear(first_byte, body)
 
     def _send_all(self) -> None:
+        self._send(self.waiting)
+        self._look_again(PROBE_S)
+
+    def _send(self, seqs: Iterable[int]) -> None:
         if self._transport is None or self._transport.is_closing():
             return
-        made = (self._template.packet(self.name, seq, place) for place, seq in enumerate(self.waiting))
+        made = (self._template.packet(self.name, seq, place) for place, seq in enumerate(seqs))
         self._transport.write(b"".join(made))
-        asyncio.get_running_loop().call_later(RESEND_S, self._send_again)
 
-    def _send_again(self) -> None:
-        if self.waiting:
-            self.resent_count += len(self.waiting)
-            self._send_all()
+    def _look_again(self, pause_s: float) -> None:
+        asyncio.get_running_loop().call_later(pause_s, self._send_again, pause_s, len(self.waiting))
+
+    def _send_again(self, pause_s: float, waited: int) -> None:
+        """Ask with one result, ever more seldom, while nothing is heard; in the end with all."""
+        if not self.waiting:
+            return
+        if len(self.waiting) == waited:
+            astray = list(self.waiting)[: 1 if pause_s < ASTRAY_S else None]
+            self.resent_count += len(astray)
+            self._send(astray)
+            pause_s *= 2.0
+        self._look_again(pause_s)
 
     def _hear(self, first_byte: int, body: bytes) -> None:
         at = 2 + int.from_bytes(body[:2])
