@@ -7,7 +7,7 @@ import click
 from diag_service.commands.asking_arguments import JSON, PROGRAM
 from program_io.command_line import FILE, FILE_OR_STORE, FLOAT, INT, VERBOSE, Command, Group, Option
 
-DEFAULT_LIMIT_S: Final = 3600.0
+DEFAULT_LIMIT_S: Final = 600.0  # an hour of a bus takes half a minute
 _LAKE: Final = click.Argument(
     ["lake"], type=FILE_OR_STORE, metavar="LAKE", help="folder, or s3://BUCKET/PREFIX and such"
 )

@@ -23,7 +23,7 @@ from diag_service.settings.config import check_vehicle
 
 POLL_S: Final = 0.2  # how soon a request to stop is heard
 WAITING_PER_WORKER: Final = 2  # logs handed out ahead: nobody waits, and memory and what a stop throws away are bounded
-MOST_DEATHS: Final = 3  # of a log's process with nothing beside it: then it is the log
+MOST_DEATHS: Final = 2  # of a log's process with nothing beside it: then it is the log
 MOST_REFUSALS: Final = 3  # of a store, each after its own attempts
 ROWS_PER_FILE: Final = 256
 FILE_EVERY_S: Final = 5.0
@@ -166,7 +166,8 @@ class Dispatch:
                     self._suspects.append(outcome.log)
 
     def _hand_out(self) -> None:
-        while self._waiting and self._running_count < WAITING_PER_WORKER * self._pool.width:
+        most = WAITING_PER_WORKER * self._pool.width
+        while self._waiting and self._running_count < most:
             self._submit(self._waiting.popleft())
         if self._suspects and not self._running_count:
             self._submit(self._suspects.popleft())

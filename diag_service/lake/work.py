@@ -40,7 +40,7 @@ from diag_service.service.stopping import Trigger
 from diag_service.settings.config import DiagnosisConfig
 
 PARTS_VERSION: Final = "1"  # of how parts are laid out; those of an older one are made anew
-GRACE_FACTOR: Final = 2.0  # a log that does not heed its time limit ends its process after so many times of it
+GRACE_FACTOR: Final = 1.5  # a log that does not heed its time limit ends its process after so many times of it
 EXIT_OVERDUE: Final = 86
 _MAKERS: Final[list["Maker"]] = []  # of this process: one, of the job that it works at
 _ONE_AT_A_TIME: Final = threading.Lock()  # whatever threads a worker has: memory is reckoned by logs
