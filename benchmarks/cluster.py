@@ -10,17 +10,31 @@ import sys
 import time
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from dataclasses import dataclass
+from itertools import product
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
 import psutil
 
-from benchmarks.measuring import machine
+from benchmarks.measuring import machine, processor_s
 from tests.support.cluster import Cluster
 from tests.support.service import PROGRAM, environment
 
 MEMORY_MIB = 700
 WORKERS = (1, 2)
+FEW = 4
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Cost:
+    """What a run takes."""
+
+    elapsed_s: float
+    processor_s: float
+
+    def __sub__(self, other: "Cost") -> "Cost":
+        return Cost(elapsed_s=self.elapsed_s - other.elapsed_s, processor_s=self.processor_s - other.processor_s)
 
 
 def make_logs(folder: Path, count: int, cycles: int) -> float:
@@ -36,20 +50,22 @@ def make_logs(folder: Path, count: int, cycles: int) -> float:
     return sum(path.stat().st_size for path in folder.iterdir()) / 1e6
 
 
-def filled_s(logs: Path, lake: Path, *words: str) -> float:
-    """Return how long a run takes from start to end [s]."""
-    began_s = time.monotonic()
-    command = [*PROGRAM, "analyze", str(logs), "--lake", str(lake), *words]
-    subprocess.run(command, check=True, capture_output=True, env=environment())
-    return time.monotonic() - began_s
+def ran(words: Sequence[str], cluster: Cluster | None = None) -> Cost:
+    """Return what a run costs, with what its cluster has to do with it."""
+    began, began_s = processor_of(cluster), time.monotonic()
+    subprocess.run([*PROGRAM, "analyze", *words], check=True, capture_output=True, env=environment())
+    return Cost(elapsed_s=time.monotonic() - began_s, processor_s=processor_of(cluster) - began)
 
 
-def table_s(logs: Path, output: Path, jobs: int) -> float:
-    """Return how long the run over a folder into one table takes [s]."""
-    began_s = time.monotonic()
-    command = [*PROGRAM, "analyze", str(logs), "-o", str(output), "--jobs", str(jobs), "--force"]
-    subprocess.run(command, check=True, capture_output=True, env=environment())
-    return time.monotonic() - began_s
+def processor_of(cluster: Cluster | None) -> float:
+    """Return the processor time of all runs until now, and of a cluster [s]."""
+    total_s = processor_s()
+    for program in () if cluster is None else (cluster.scheduler, cluster.workers):
+        if program is not None:
+            whole = psutil.Process(program.pid)
+            times = [one.cpu_times() for one in (whole, *whole.children(recursive=True))]
+            total_s += sum(one.user + one.system for one in times)
+    return total_s
 
 
 @contextmanager
@@ -75,7 +91,7 @@ def peak_mib(cluster: Cluster) -> float:
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
-    """Measure and print; every line of the table is measured as often, in turns."""
+    """Measure and print: what many logs cost more than four, so that the start of processes is not compared."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--logs", type=int, default=200)
     parser.add_argument("--cycles", type=int, default=3, help="of a log: ten shifts each")
@@ -86,39 +102,46 @@ def main(arguments: Sequence[str] | None = None) -> None:
         folder = Path(name)
         size_mb = make_logs(folder / "logs", options.logs, options.cycles)
         (folder / "few").mkdir()
-        make_logs(folder / "few" / "logs", 4, 1)
+        make_logs(folder / "few" / "logs", FEW, options.cycles)
         print(f"{options.logs} logs, {size_mb:.0f} MB, load {os.getloadavg()[0]:.1f}")
         rounds = [measured(folder, number) for number in range(options.rounds)]
-    best = {what: min(one[what] for one in rounds) for what in rounds[0]}
-    for what, value in best.items():
-        print(f"{what:<44}{value:8.1f}")
-    print(
-        f"two workers against one: {best['cluster, 1 worker [s]'] / best['cluster, 2 workers [s]']:.2f} times as fast"
-    )
-    for workers in WORKERS:
-        plural = "s" if workers > 1 else ""
-        ratio = best[f"cluster, {workers} worker{plural} [s]"]
-        against_lake = ratio / best[f"lake, --jobs {workers} [s]"] - 1.0
-        against_table = ratio / best[f"table, --jobs {workers} [s]"] - 1.0
-        print(f"{workers} worker{plural}: {against_lake:+.1%} against --jobs into a lake, {against_table:+.1%} a table")
-
-
-def measured(folder: Path, number: int) -> dict[str, float]:
-    """Return one figure for every way."""
-    found: dict[str, float] = {}
-    logs, few = folder / "logs", folder / "few" / "logs"
-    for workers in WORKERS:
-        plural = "s" if workers > 1 else ""
-        found[f"table, --jobs {workers} [s]"] = table_s(logs, folder / f"{number}-{workers}.parquet", workers)
-        found[f"lake, --jobs {workers} [s]"] = filled_s(
-            logs, folder / f"local{number}-{workers}", "--jobs", str(workers)
+    best = {
+        what: Cost(
+            elapsed_s=min(one[what].elapsed_s for one in rounds),
+            processor_s=min(one[what].processor_s for one in rounds),
         )
-        with cluster_of(folder / f"cluster{number}-{workers}", workers) as cluster:
+        for what in rounds[0]
+    }
+    print(f"{options.logs - FEW} logs                 elapsed [s]  processor [s]")
+    for (way, workers), cost in best.items():
+        print(f"{way:>8} of {workers} {cost.elapsed_s:17.1f} {cost.processor_s:14.1f}")
+    speed_up = best["cluster", 1].elapsed_s / best["cluster", 2].elapsed_s
+    print(f"two workers against one: {speed_up:.2f} times as fast")
+    for workers, way in product(WORKERS, ("lake", "table")):
+        ours, theirs = best["cluster", workers], best[way, workers]
+        print(
+            f"{workers} in a cluster against --jobs {workers} into a {way}: elapsed "
+            f"{ours.elapsed_s / theirs.elapsed_s - 1:+.1%}, processor {ours.processor_s / theirs.processor_s - 1:+.1%}"
+        )
+
+
+def measured(folder: Path, number: int) -> dict[tuple[str, int], Cost]:
+    """Return what every way costs, in turns."""
+    found: dict[tuple[str, int], Cost] = {}
+    many, few = str(folder / "logs"), str(folder / "few" / "logs")
+    for workers in WORKERS:
+        own = folder / f"{number}-{workers}"
+        own.mkdir()
+        jobs = ("--jobs", str(workers))
+        for way, option, suffix in (("table", "-o", ".parquet"), ("lake", "--lake", "")):
+            start = ran([few, option, str(own / f"{way}-few{suffix}"), *jobs])
+            found[way, workers] = ran([many, option, str(own / f"{way}-many{suffix}"), *jobs]) - start
+        with cluster_of(own / "cluster", workers) as cluster:
             words = ("--scheduler", cluster.address, *cluster.tls)
-            filled_s(few, folder / f"warm{number}-{workers}", *words)
-            found[f"cluster, {workers} worker{plural} [s]"] = filled_s(logs, folder / f"lake{number}-{workers}", *words)
-            found[f"peak of a worker of {workers} [MiB]"] = peak_mib(cluster)
-        (folder / f"{number}-{workers}.parquet.journal").unlink()
+            ran([few, "--lake", str(own / "first"), *words])  # every worker has everything loaded
+            start = ran([few, "--lake", str(own / "few"), *words], cluster)
+            found["cluster", workers] = ran([many, "--lake", str(own / "many"), *words], cluster) - start
+            print(f"largest memory of a worker of {workers}: {peak_mib(cluster):.0f} MiB", flush=True)
     return found
 
 
