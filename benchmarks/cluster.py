@@ -1,6 +1,6 @@
 """Many logs into a lake by one process, by two, and by a cluster of one and of two workers: time and memory.
 
-python -m benchmarks.cluster --logs 200 --cycles 3
+python -m benchmarks.cluster --logs 200 --cycles 10
 """
 
 import argparse
@@ -94,8 +94,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
     """Measure and print: what many logs cost more than four, so that the start of processes is not compared."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--logs", type=int, default=200)
-    parser.add_argument("--cycles", type=int, default=3, help="of a log: ten shifts each")
-    parser.add_argument("--rounds", type=int, default=2)
+    parser.add_argument("--cycles", type=int, default=10, help="of a log: ten shifts and 38 s each")
+    parser.add_argument("--rounds", type=int, default=1)
     options = parser.parse_args(arguments)
     print(machine())
     with TemporaryDirectory() as name:

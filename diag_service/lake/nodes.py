@@ -7,6 +7,7 @@ from collections.abc import Awaitable, Callable
 from contextlib import AsyncExitStack
 from typing import Any, Final
 
+from canlog.extras import load_extra
 from diag_service.errors import StoreError
 from diag_service.lake.links import LOOPBACK, SCHEME, ClusterAddress, check_identity, load_distributed, security
 from diag_service.service.stopping import Trigger
@@ -48,6 +49,8 @@ def run_workers(
     """
     address.check()
     distributed = load_distributed()
+    # Dask would look every 10 ms at what each worker is doing, for a page that few open.
+    load_extra("dask.config", "a cluster needs Dask", "cluster").set({"distributed.worker.profile.enabled": False})
 
     def started() -> Any:  # noqa: ANN401 - an untyped library
         return distributed.Nanny(
