@@ -30,8 +30,8 @@ from diag_service.diagnosis.results import shift_record
 from fleet_backend import queries
 from fleet_backend.database import open_database, transaction
 from fleet_backend.migrate import migrate
+from fleet_backend.months.partitions import keep_months, partitions
 from fleet_backend.page import past, running
-from fleet_backend.partitions import keep_months, partitions
 from fleet_contract import Channel, filter_of, shift_message
 from tests.support.fleet import fleet_result
 

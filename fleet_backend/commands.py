@@ -25,10 +25,10 @@ from fleet_backend.database import default_database, open_database, place_of
 from fleet_backend.errors import ConfigError, ExtraMissingError
 from fleet_backend.layout import Sheet
 from fleet_backend.migrate import make_ready, migrate, newest_revision
+from fleet_backend.months.partitions import keep_months, partitions
+from fleet_backend.months.retention import retain, roll_up
 from fleet_backend.page.access import Access
 from fleet_backend.page.access_file import read_access
-from fleet_backend.partitions import keep_months, partitions
-from fleet_backend.retention import retain, roll_up
 from fleet_link import BrokerAddress
 
 Command = Callable[[SimpleNamespace, Engine], None]

@@ -14,7 +14,7 @@ from sqlalchemy import Connection, Engine, inspect, text
 
 from fleet_backend.database import close_to_others, place_of, transaction
 from fleet_backend.errors import DatabaseAwayError, DatabaseError
-from fleet_backend.moving import move_all
+from fleet_backend.months.moving import move_all
 
 _FOLDER: Final = Path(__file__).with_name("migrations")
 _LAST_WITHOUT_MONTHS: Final = "r0007"

@@ -7,7 +7,7 @@ import sqlalchemy as sa
 from alembic import op
 
 from fleet_backend.migrations.versions.r0002_views import VIEWS
-from fleet_backend.moving import move_some, prepare, swap
+from fleet_backend.months.moving import move_some, prepare, swap
 
 revision: str = "r0008"
 down_revision: str | None = "r0007"

@@ -9,7 +9,7 @@ from sqlalchemy import Connection, Engine, bindparam, delete, func, select, text
 from fleet_backend.audit_trail import COMMAND_LINE, note_change
 from fleet_backend.database import transaction
 from fleet_backend.errors import ConfigError
-from fleet_backend.partitions import (
+from fleet_backend.months.partitions import (
     TABLE,
     has_partitions,
     keep_months,

@@ -11,7 +11,7 @@ from typing import Final
 from sqlalchemy import Connection, Engine, inspect, text
 
 from fleet_backend.database import transaction
-from fleet_backend.partitions import AHEAD_MONTHS, LOCK_S, TABLE, make_partitions, month_of, months_on
+from fleet_backend.months.partitions import AHEAD_MONTHS, LOCK_S, TABLE, make_partitions, month_of, months_on
 
 BATCH_ROWS: Final = 20_000
 NEW: Final = "shift_result_by_month"
