@@ -12,6 +12,7 @@ from canlog.on_demand import on_demand as _on_demand
 
 if typing.TYPE_CHECKING:
     from canlog.errors import CanlogError, DefinitionError, ExtraMissingError, OutputError, SourceError
+    from canlog.written_tables import TableChoice
     from clutch_model.errors import CalibrationError
     from diag_service.api.analysis import Analysis, analyze
     from diag_service.api.background import BackgroundDiagnosis
@@ -79,6 +80,7 @@ __all__ = [
     "SourceError",
     "Status",
     "StoreError",
+    "TableChoice",
     "UdsTester",
     "analyze",
     "analyze_by_paper",
@@ -102,6 +104,7 @@ __all__ = [
 
 _HOMES = {
     "canlog.errors": ("CanlogError", "DefinitionError", "ExtraMissingError", "OutputError", "SourceError"),
+    "canlog.written_tables": ("TableChoice",),
     "clutch_model.errors": ("CalibrationError",),
     "diag_service.api.analysis": ("Analysis", "analyze"),
     "diag_service.api.background": ("BackgroundDiagnosis",),
