@@ -17,15 +17,22 @@ from tests.support.wire import CONTRACTS, DATABASE
 _FRAME = struct.Struct("=IB3x8s")
 STRANGER_ID = 0x7A0  # in no database
 _QUIET_S = 0.5
+RECEIVE_BYTES = str(8 << 20)  # ten seconds of bus: what a busy machine may keep a program waiting for
 
 
 @contextmanager
 def candump(channel: str, path: Path) -> Iterator[None]:
     """Record a bus with can-utils' candump, from before this yields until the bus has been quiet."""
-    with path.open("wb") as log, subprocess.Popen(["candump", "-L", channel], stdout=log) as process:
+    with (
+        path.open("wb") as log,
+        subprocess.Popen(["candump", "-L", "-r", RECEIVE_BYTES, channel], stdout=log) as process,
+    ):
         time.sleep(_QUIET_S)
         yield
-        time.sleep(_QUIET_S)
+        written = -1
+        while written != path.stat().st_size:  # it may be behind
+            written = path.stat().st_size
+            time.sleep(_QUIET_S)
         process.terminate()
 
 
