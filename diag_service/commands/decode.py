@@ -1,21 +1,16 @@
 """``diag-service decode``: the signals of logs as a table, in bounded memory, and what is not among them."""
 
 import sys
-from collections.abc import Sequence
 from pathlib import Path
 from types import SimpleNamespace
 from typing import BinaryIO, Final
 
-from cantools.database.can import Message
-
-from canlog.errors import SourceError
 from canlog.logs import STANDARD_INPUT, shown_name
 from canlog.parquet_file import load_pyarrow
-from canlog.tables.decoding import Decoded, Plan, decode_logs
+from canlog.tables.decoding import Decoded, decode_logs
 from canlog.tables.outputs import FORMAT_OF_SUFFIX, STREAMED, TableFormat
 from canlog.tables.report import account_record, frame_texts, losses, remarks, values_text
-from canlog.written_tables import TableChoice
-from diag_service.commands.conversations import pairs_of
+from diag_service.commands.table_choice import choice_of, planned
 from diag_service.console.reading import ReadingLine
 from diag_service.console.terminal import PeopleConsole
 from diag_service.diagnosis.results import dump
@@ -60,27 +55,6 @@ def execute(options: SimpleNamespace, controls: Controls) -> None:
         more = f"; and {len(lost) - 1} more" if len(lost) > 1 else ""
         names = ", ".join(map(shown_name, options.logs))
         raise IncompleteError(f"{names}: not all of it is in {_place(options)}: {lost[0]}{more}")
-
-
-def choice_of(options: SimpleNamespace) -> TableChoice:
-    """Return what is asked for; raises ConfigError if pairs are none."""
-    return TableChoice(
-        shape=options.layout,
-        values=options.values,
-        signals=tuple(name.strip() for name in (options.signals or "").split(",") if name.strip()),
-        begin=vars(options)["from"],
-        end=options.to,
-        columns=options.columns or "",
-        pairs=pairs_of(options.pairs or ""),
-    )
-
-
-def planned(choice: TableChoice, messages: Sequence[Message]) -> Plan:
-    """Return the plan for what is asked for; raises ConfigError if a text is no time."""
-    try:
-        return choice.plan(messages)
-    except SourceError as exc:
-        raise ConfigError(str(exc)) from exc
 
 
 def table_format_of(output: Path, named: str | None) -> TableFormat:
