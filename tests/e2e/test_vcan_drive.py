@@ -11,6 +11,7 @@ from pathlib import Path
 import pytest
 from jsonschema import Draft202012Validator
 
+from canlog.e2e.profile1 import COUNTER_PERIOD
 from ecu_emulator.truth import TruthLog, read_truth
 from fleet_contract import schema
 from tests.plugins.broker import Mosquitto
@@ -25,6 +26,7 @@ SHIFT_COUNT = 10
 EMULATOR = (sys.executable, "-m", "ecu_emulator")
 LARGEST_ERROR = 4.0  # in stated standard deviations
 OPEN_FRAMES = 40  # of a shift that is under way: 0.4 s
+UNTOLD_NS = (COUNTER_PERIOD - 1) * 10_000_000  # a sender so late looks as if a whole period of the counter were lost
 NOT_THE_DRIVES = ("stream", "seq", "produced_at")
 
 pytestmark = pytest.mark.vcan
@@ -69,6 +71,11 @@ class LiveDrive:
     clutches: list[Payload]
     statuses: list[Payload]
     stalls: list[tuple[int, int]]  # when the machine did not let the emulator send [ns]
+
+    @property
+    def longest_stall_ns(self) -> int:
+        """The longest time for which the emulator did not send."""
+        return max((after_ns - before_ns for before_ns, after_ns in self.stalls), default=0)
 
     @property
     def is_starved(self) -> bool:
@@ -130,7 +137,8 @@ def test_every_frame_sent_is_accounted_for(drive: LiveDrive) -> None:
     assert report["frames_given_up"] == 0
     assert report["frames_sent"] > 20_000
     assert frames["on_bus"] == accounted(frames) == report["frames_sent"] + sum(drive.strangers.values())
-    assert (frames["kernel_dropped"], frames["queue_dropped"], frames["missing"]) == (0, 0, 0)
+    assert (frames["kernel_dropped"], frames["queue_dropped"]) == (0, 0)
+    assert frames["missing"] == 0 or drive.longest_stall_ns > UNTOLD_NS
     assert frames["rejected"] == {kind: drive.strangers[kind] for kind in ("bad_crc", "short")}
     assert frames["decoded"] + frames["ignored"] == report["frames_sent"] + drive.strangers["ignored"]
     assert min(drive.strangers.values()) > (0 if drive.stalls else 50)

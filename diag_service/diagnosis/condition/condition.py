@@ -22,6 +22,7 @@ from diag_service.diagnosis.condition.thresholds import (
 from diag_service.diagnosis.friction.calibration_progress import calibration_ratio
 from diag_service.diagnosis.friction.friction_values import (
     clutch_ratio,
+    common_margin,
     common_scale_std_ratio,
     friction,
     scale_free,
@@ -172,7 +173,8 @@ def judge(
     known = bool(shift_count)
     now, since = friction(state, clutch), trend(state, clutch) if known else None
     launches = memory.launches[index]
-    finding = decide(now, since, reference, shift_count, memory.conditions[index], launches)
+    common = common_margin(state, both_clutches(one.friction.mu_c - one.friction.mu_s for one in calibration.clutches))
+    finding = decide(now, since, reference, shift_count, memory.conditions[index], launches, common)
     progress = calibration_ratio(state, calibration)
     if memory.misfit_text:
         finding = nothing(Silence.CALIBRATION_MISFIT, memory.misfit_text)

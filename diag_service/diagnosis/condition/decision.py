@@ -10,6 +10,7 @@ from diag_service.diagnosis.condition.stick_slip import Launches
 from diag_service.diagnosis.condition.thresholds import (
     CHANGE_LEVEL_RATIO,
     CHANGE_PROBABILITY,
+    COMMON_THIN_PROBABILITY,
     LEAVE_PROBABILITY,
     MAX_MARGIN_STD_RATIO,
     MIN_SHIFT_COUNT,
@@ -49,6 +50,7 @@ def decide(
     shift_count: int,
     previous: Condition,
     launches: Launches,
+    common: NormalDist,
 ) -> Finding:
     """Return the verdict on a clutch.
 
@@ -64,6 +66,8 @@ def decide(
         The last verdict, which is kept until its cause has become unlikely.
     launches
         Which of its launches juddered.
+    common
+        Which part of the new fluid's margin is left by both clutches together.
     """
     if shift_count < MIN_SHIFT_COUNT:
         return nothing(Silence.FEW_SHIFTS, f"{shift_count} usable shift(s), {MIN_SHIFT_COUNT} needed")
@@ -91,9 +95,18 @@ def decide(
         return _because(Condition.WATCH, cause, probability, facts)
     thin = watch[Cause.MARGIN_THIN]
     is_sure = margin.stdev <= SURE_MARGIN_STD_RATIO * reference_margin
-    if not is_sure and thin > (LEAVE_PROBABILITY if previous is Condition.GOOD else THIN_PROBABILITY):
-        return nothing(Silence.MARGIN_UNSURE, f"too early to say, {Cause.MARGIN_THIN} ({thin:.2f}): {facts}")
+    common_thin = common.cdf(WATCH_MARGIN_RATIO)
+    if not is_sure and _may_be_thin(thin, common_thin, previous):
+        by_either = max(thin, common_thin)
+        return nothing(Silence.MARGIN_UNSURE, f"too early to say, {Cause.MARGIN_THIN} ({by_either:.3f}): {facts}")
     return _unless_they_judder(launches, 1.0 - probability, facts)
+
+
+def _may_be_thin(thin: float, common_thin: float, previous: Condition) -> bool:
+    """Return whether a margin is too likely thin to be called good, by its own clutch or by both together."""
+    if previous is Condition.GOOD:
+        return thin > LEAVE_PROBABILITY
+    return thin > THIN_PROBABILITY or common_thin > COMMON_THIN_PROBABILITY
 
 
 def _unless_they_judder(launches: Launches, probability: float, facts: str) -> Finding:

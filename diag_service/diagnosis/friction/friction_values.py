@@ -75,6 +75,28 @@ def scale_free(state: Posterior, clutch: int) -> ScaleFreeFriction:
     )
 
 
+def common_margin(state: Posterior, new_margins: tuple[float, float]) -> NormalDist:
+    """Return which part of ``mu_C - mu_S`` of new fluid is left if both clutches, which slip in one oil, lost the same.
+
+    ``new_margins`` are those of new fluid. The better known clutch weighs more, by its variance; what both share is in
+    the deviation.
+    """
+    known = state.known
+    gain = float(state.torque_gain + known.mean[_GAIN])
+    slope, own = np.zeros((2, PARAMETER_COUNT)), np.zeros(2)
+    for m, new_margin in enumerate(new_margins):
+        rows = friction_rows(m + 1)
+        mu_c, mu_s = known.mean[rows] / gain
+        slope[m, rows] = np.array([1.0, -1.0]) / (gain * new_margin)
+        slope[m, _GAIN] = -(mu_c - mu_s) / (gain * new_margin)
+        own[m] = (MODEL_STD_RATIO * np.hypot(mu_c, mu_s) / new_margin) ** 2
+    left = slope[:, :FRICTION_COUNT] @ known.mean[:FRICTION_COUNT]
+    covariance = slope @ known.covariance @ slope.T + np.diag(own)
+    weights = 1.0 / np.diag(covariance)
+    weights /= weights.sum()
+    return NormalDist(float(weights @ left), float(np.sqrt(weights @ covariance @ weights)))
+
+
 def common_scale_std_ratio(state: Posterior, clutch: int) -> float:
     """Return the relative deviation of gain times piston area: what all friction of clutch 1 or 2 shares, for good."""
     known, rows = state.known, [_GAIN, _AREAS[clutch - 1]]

@@ -10,7 +10,7 @@ from diag_service.diagnosis.condition.condition import ConditionMemory, Fit, jud
 from diag_service.diagnosis.condition.scatter import LEAST_SHIFT_COUNT
 from diag_service.diagnosis.friction.baseline import BASELINE_SHIFT_COUNT, Baseline
 from diag_service.diagnosis.friction.evidence import Knowledge
-from diag_service.diagnosis.friction.parameters import FRICTION_COUNT, STATE_COUNT, Considered
+from diag_service.diagnosis.friction.parameters import FRICTION_COUNT, STATE_COUNT, Considered, friction_rows
 from diag_service.diagnosis.friction.posterior import Posterior
 from diag_service.diagnosis.records import Condition, Reason, Status
 from tests.support.builders import rejected, shift_estimate, shift_result
@@ -89,6 +89,16 @@ def test_half_of_the_margin_is_called_good_only_once_it_is_known_well() -> None:
     assert condition_of(believed(0.1330, 0.1205, std=0.0004)) is Condition.GOOD
 
 
+def test_what_one_clutch_alone_says_early_is_not_called_good_if_the_other_contradicts_it() -> None:
+    """Both slip in one oil: a margin that looks like new in one clutch and half gone in the other is neither."""
+    state = believed(0.140, 0.119, std=0.0025)
+    assert condition_of(state) is Condition.GOOD
+    mean = state.known.mean.copy()
+    mean[friction_rows(2)] = (0.133, 0.124)
+    contradicted = Posterior.of(replace(state.known, mean=mean), CALIBRATION)
+    assert condition_of(replace(contradicted, folded_counts=(5, 5))) is Condition.NO_VERDICT
+
+
 def test_each_clutch_has_its_own_memory() -> None:
     memory, _ = judge(ConditionMemory.fresh(), believed(0.119, 0.137), 2, CALIBRATION)
     assert memory.conditions == (Condition.NO_VERDICT, Condition.CHANGE_FLUID)
@@ -109,7 +119,7 @@ def aged(ratio: float, *, later_count: int = 10) -> Posterior:
 def uncertain_scale(state: Posterior) -> Posterior:
     """Return a state whose level says little: the gain of the torque reading may be wrong by a sixth."""
     covariance, gain = state.known.covariance.copy(), STATE_COUNT + Considered.TORQUE_GAIN
-    covariance[gain, gain] = 0.17**2
+    covariance[gain, gain] = 0.16**2
     uncertain = Posterior.of(Knowledge(mean=state.known.mean, covariance=covariance), CALIBRATION)
     return replace(uncertain, folded_counts=state.folded_counts, baselines=state.baselines)
 
@@ -117,7 +127,7 @@ def uncertain_scale(state: Posterior) -> Posterior:
 @pytest.mark.parametrize(
     ("ratio", "expected", "by_level_alone"),
     [
-        (0.95, Condition.GOOD, Condition.GOOD),
+        (0.97, Condition.GOOD, Condition.GOOD),
         (0.88, Condition.WATCH, Condition.NO_VERDICT),
         (0.78, Condition.CHANGE_FLUID, Condition.WATCH),
     ],
