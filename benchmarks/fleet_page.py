@@ -115,6 +115,7 @@ def questions(vehicle_count: int, seed: int) -> dict[str, Callable[[], str]]:
             ("/", "/?condition=watch", f"/?q={vehicle()}", "/?condition=change_fluid&limit=200")
         ),
         "vehicle": lambda: f"/vehicles/{vehicle()}",
+        "vehicle again": lambda: "/vehicles/v1",
         "event": lambda: f"/vehicles/{vehicle()}/shift?stream=stream-1&seq={rng.randint(1, 100)}",
         "changes, one day": lambda: f"/changes?since={time.strftime('%Y-%m-%d', time.gmtime(time.time() - 86400))}",
         "quarantine": lambda: "/quarantine",
@@ -129,18 +130,21 @@ def figures(times_s: Sequence[float]) -> str:
     return f"median {1000.0 * statistics.median(times_s):.0f} ms, p95 {p95_ms(times_s):.0f} ms"
 
 
-def alone(address: str, vehicle_count: int) -> bool:
-    """Print how long pages take for one reader; return whether all keep the target."""
+def alone(address: str, vehicle_count: int, process: psutil.Process, database: psutil.Process | None) -> bool:
+    """Print how long pages take for one reader, and what they cost; return whether all keep the target."""
     is_kept = True
     with httpx.Client(base_url=address, timeout=60.0, trust_env=False) as client:
         for name, ask in questions(vehicle_count, 1).items():
-            times_s = []
+            times_s, began = [], cpu_of(process, database)
             for _ in range(ASKED):
                 began_s = time.perf_counter()
                 client.get(ask()).raise_for_status()
                 times_s.append(time.perf_counter() - began_s)
             is_kept = is_kept and p95_ms(times_s) <= TARGET_MS
-            print(f"one reader, {name}: {figures(times_s)}")
+            now = cpu_of(process, database)
+            server_ms, postgres_ms = (1000.0 * (now[which] - began[which]) / ASKED for which in (1, 2))
+            cost = f"processor time of each: server {server_ms:.1f} ms, PostgreSQL {postgres_ms:.1f} ms"
+            print(f"one reader, {name}: {figures(times_s)}; {cost}")
     return is_kept
 
 
@@ -257,7 +261,7 @@ def measure(database: str, vehicle_count: int, pid: int | None) -> bool:
     engine, server = open_database(database), None if pid is None else psutil.Process(pid)
     with page_of(database) as (address, process):
         kept = {
-            "one reader": alone(address, vehicle_count),
+            "one reader": alone(address, vehicle_count, process, server),
             f"{READERS} readers": together(address, process, server),
             "first paint": first_paint(address, vehicle_count),
             "ingest": beside(engine, address, vehicle_count, process, server),

@@ -32,6 +32,7 @@ from fleet_backend.database import open_database, transaction
 from fleet_backend.migrate import migrate
 from fleet_backend.months.partitions import keep_months, partitions
 from fleet_backend.page import past, running
+from fleet_backend.page.vehicle_state import state_of
 from fleet_contract import Channel, filter_of, shift_message
 from tests.support.fleet import fleet_result
 
@@ -78,10 +79,9 @@ def questions(vehicle_count: int) -> dict[str, Callable[[Engine], object]]:
         "whole fleet": running.all_clutches,
         "vehicles with news": lambda engine: running.clutches_of(engine, some),
         "newest results of a clutch": lambda engine: past.results_of(engine, "h7", 1),
-        "presence": lambda engine: past.presence(engine, "h7"),
+        "state of a vehicle": lambda engine: state_of(engine, "h7"),
         "one event": lambda engine: past.shift_of(engine, "h7", "live", 1),
         "last seen": queries.last_seen,
-        "stored of a clutch": lambda engine: past.stored_of(engine, "h7", 1),
         "runs of verdicts of a vehicle": lambda engine: past.alarms_of(engine, "h20"),
     }
 

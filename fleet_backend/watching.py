@@ -32,6 +32,7 @@ from fleet_backend.page.keeper import DatabaseSource, Keeper
 from fleet_backend.page.outlook import outlook_of
 from fleet_backend.page.populations import latest
 from fleet_backend.page.records import ClutchNow
+from fleet_backend.page.vehicle_state import fills_of
 
 ROUND_S: Final = 10.0
 JUDGING_S: Final = 5.0  # of a round, for prognoses; what is left over is judged in the next, the worst first
@@ -110,7 +111,7 @@ class Watch:
         """Yield what the past of a clutch says."""
         limits = self._orders.limits
         rows = past.results_of(self._engine, one.vehicle, one.clutch)
-        fills = past.fills_of(self._engine, one.vehicle)
+        fills = fills_of(self._engine, one.vehicle)
         last = rows[-limits.unused_events :]
         unused = sum(row["status"] == "rejected" for row in last)
         yield quality_finding(one.vehicle, one.clutch, unused, len(last), limits)

@@ -5,8 +5,9 @@ from urllib.parse import urlencode
 
 from fleet_backend.page import wording
 from fleet_backend.page.asking import AFTER, LIMIT, Ask, Parameter
-from fleet_backend.page.listing import Wanted, choices_of, matching, part_of
+from fleet_backend.page.listing import Wanted, matching, part_of
 from fleet_backend.page.records import ClutchNow, FleetAnswer, Severity
+from fleet_backend.page.remembered import Same
 from fleet_backend.page.view import Choice, Shown, Sources, View
 from program_io.pages.content import Cell, Section, Table
 
@@ -25,7 +26,12 @@ def find(sources: Sources, ask: Ask) -> FleetAnswer:
     """Return the clutches that are asked for."""
     snapshot = sources.keeper.snapshot
     wanted = Wanted(**{field: ask.text(name) for name, field in _WANTED.items()})
-    part = part_of(matching(snapshot.clutches, wanted), ask.text("after"), ask.count("limit"))
+    after, limit = ask.text("after"), ask.count("limit")
+    part = sources.parts.of(
+        (wanted, after, limit),
+        snapshot.number,
+        lambda: part_of(matching(snapshot.clutches, wanted), after, limit),
+    )
     return FleetAnswer(
         clutches=part.clutches,
         matching_count=part.matching_count,
@@ -42,7 +48,7 @@ def show(answer: FleetAnswer, ask: Ask, sources: Sources) -> Shown:
     texts = () if answer.clutches else ("Nothing in the fleet is like that." if answer.clutch_count else _EMPTY,)
     return Shown(
         title="Fleet",
-        subtitle=f"{len(sources.keeper.snapshot.vehicles)} vehicles, read at {_time(answer)} UTC",
+        subtitle=_subtitle(answer, sources),
         sections=(
             Section(name="clutches", title="Worst first", texts=texts, tables=(table,) if answer.clutches else ()),
         ),
@@ -85,12 +91,12 @@ def _cells(now: ClutchNow) -> tuple[Cell, ...]:
 
 
 def _choices(ask: Ask, sources: Sources) -> tuple[Choice, ...]:
-    fluids, calibrations = choices_of(sources.keeper.snapshot.clutches)
+    snapshot = sources.keeper.snapshot
     conditions = [(one.value, wording.condition_word(one.value)) for one in Severity]
     lists = (
         ("condition", "Verdict", conditions),
-        ("fluid", "Fluid", [(one, one) for one in fluids]),
-        ("calibration", "Type", [(one, one) for one in calibrations]),
+        ("fluid", "Fluid", [(one, one) for one in snapshot.fluids]),
+        ("calibration", "Type", [(one, one) for one in snapshot.calibrations]),
     )
     return (
         Choice(name="q", label="Vehicle", value=ask.text("q") or ""),
@@ -101,8 +107,8 @@ def _choices(ask: Ask, sources: Sources) -> tuple[Choice, ...]:
     )
 
 
-def _time(answer: FleetAnswer) -> str:
-    return answer.read_at.strftime("%H:%M:%S")
+def _subtitle(answer: FleetAnswer, sources: Sources) -> str:
+    return f"{len(sources.keeper.snapshot.vehicles)} vehicles, read at {answer.read_at:%H:%M:%S} UTC"
 
 
 VIEW: Final = View(
@@ -116,4 +122,7 @@ VIEW: Final = View(
     find=find,
     show=show,
     rows=lambda answer: answer.clutches,
+    subtitle=_subtitle,
+    state=lambda answer: (Same(answer.clutches), answer.matching_count, answer.clutch_count, answer.next),
+    asks_database=False,
 )

@@ -4,10 +4,11 @@ from functools import cache
 from typing import Final
 
 from jinja2 import Environment
+from markupsafe import Markup
 
 from fleet_backend.page.access import NOBODY, Role, Viewer
 from fleet_backend.page.files import Format
-from fleet_backend.page.view import Shown, View
+from fleet_backend.page.view import Drawn, Shown, View
 from program_io.pages.content import Link
 from program_io.pages.environment import templates_of
 
@@ -21,7 +22,7 @@ NAVIGATION: Final = (
 )
 
 
-def html_of(view: View, shown: Shown, *, viewer: Viewer, api_href: str, number: int, complaint: str | None) -> str:
+def html_of(view: View, drawn: Drawn, *, viewer: Viewer, api_href: str, number: int, complaint: str | None) -> str:
     """Return the page of an answer.
 
     Parameters
@@ -39,7 +40,8 @@ def html_of(view: View, shown: Shown, *, viewer: Viewer, api_href: str, number: 
         _templates()
         .get_template("view.html")
         .render(
-            page=shown,
+            page=drawn.shown,
+            body=drawn.body,
             navigation=(*NAVIGATION, *(_ADMIN_PAGES if viewer.role >= Role.ADMIN else ())),
             viewer=viewer,
             here=view.page_path,
@@ -48,6 +50,11 @@ def html_of(view: View, shown: Shown, *, viewer: Viewer, api_href: str, number: 
             number=number,
         )
     )
+
+
+def body_of(shown: Shown) -> Markup:
+    """Return the sections of a page, which are the most of it and the same for all readers."""
+    return Markup(_templates().get_template("body.html").render(page=shown))  # noqa: S704 - a template escapes
 
 
 def problem_page(title: str, detail: str) -> str:

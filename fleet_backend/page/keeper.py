@@ -13,7 +13,7 @@ from sqlalchemy import Engine
 
 from fleet_backend.errors import DatabaseError
 from fleet_backend.page import running
-from fleet_backend.page.listing import worst_first
+from fleet_backend.page.listing import choices_of, worst_first
 from fleet_backend.page.records import ClutchNow, Usual
 from fleet_backend.page.running import FillsSeen
 from fleet_backend.page.usual import Kind, usual_of
@@ -22,6 +22,7 @@ PERIOD_S: Final = 2.0
 REST_RATIO: Final = 19.0  # of the time that reading takes: a twentieth of a processor at most, while much arrives
 OVERLAP: Final = timedelta(seconds=10)  # a transaction that began before one looked may have ended after
 WHOLE_AFTER: Final = timedelta(minutes=15)  # what nobody foresaw is put right by then
+USUAL_FOR: Final = timedelta(minutes=1)  # what is usual changes slowly, and every vehicle's page shows it
 _NEVER: Final = datetime.min.replace(tzinfo=UTC)
 _LOG: Final = logging.getLogger(__name__)
 
@@ -82,6 +83,9 @@ class Snapshot:
     changed: frozenset[str] = frozenset()  # vehicles that did with this number
     vehicles: Mapping[str, tuple[ClutchNow, ...]] = field(default_factory=lambda: MappingProxyType({}))
     usual: Mapping[Kind, Usual] = field(default_factory=lambda: MappingProxyType({}))
+    usual_at: datetime = _NEVER
+    fluids: tuple[str, ...] = ()
+    calibrations: tuple[str, ...] = ()
 
 
 class Keeper:
@@ -129,13 +133,18 @@ class Keeper:
             name for name in vehicles.keys() | last.vehicles.keys() if vehicles.get(name) != last.vehicles.get(name)
         }
         number = last.number + (1 if changed else 0)
+        is_usual_old = now - last.usual_at >= USUAL_FOR
+        fluids, calibrations = choices_of(clutches)
         self._snapshot = Snapshot(
             clutches=clutches,
             read_at=now,
             number=number,
             changed=frozenset(changed) if changed else last.changed,
             vehicles=vehicles,
-            usual=usual_of(clutches),
+            usual=usual_of(clutches) if is_usual_old else last.usual,
+            usual_at=now if is_usual_old else last.usual_at,
+            fluids=fluids,
+            calibrations=calibrations,
         )
         return bool(changed)
 

@@ -5,12 +5,14 @@ from datetime import date, timedelta
 from typing import Final
 
 from diag_service.diagnosis.prognosis import Outlook
-from fleet_backend.page import past, wording
+from fleet_backend.page import wording
 from fleet_backend.page.asking import AFTER, Ask, Kind, Parameter
 from fleet_backend.page.calendar import Entry, calendar_of
+from fleet_backend.page.clutch_past import Past
 from fleet_backend.page.fleet_view import next_of
 from fleet_backend.page.listing import part_of
 from fleet_backend.page.records import ClutchNow, Due, MaintenanceAnswer, Severity, TrendPoint
+from fleet_backend.page.vehicle_state import state_of
 from fleet_backend.page.vehicle_view import SERVICE_KM, past_of
 from fleet_backend.page.view import Shown, Sources, View
 from program_io.pages.content import NONE, Cell, Section, Table
@@ -77,8 +79,15 @@ def driven_a_day_m(points: Sequence[TrendPoint]) -> float | None:
     return (last_m - first_m) * (timedelta(days=1) / (last_at - first_at))
 
 
+def _past(sources: Sources, now: ClutchNow) -> Past:
+    state = state_of(sources.engine, now.vehicle)
+    if state is None:  # the snapshot knows a vehicle that is not there any more
+        return Past(trend=(), outlook=None, why_no_outlook="No result yet.")
+    return past_of(sources, now, state, SERVICE_KM * wording.M_PER_KM)
+
+
 def _due(sources: Sources, now: ClutchNow, today: date) -> Due:
-    found, _ = past_of(sources, now, past.fills_of(sources.engine, now.vehicle), SERVICE_KM * wording.M_PER_KM)
+    found = _past(sources, now)
     a_day_m = driven_a_day_m(found.trend)
     is_ageing = found.outlook is not None and found.outlook.outlook == Outlook.AGEING
     reach = found.outlook.change_fluid if found.outlook is not None and is_ageing else None

@@ -2,25 +2,23 @@
 
 import json
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import fields
 from datetime import datetime, timedelta
 from typing import Any, Final
 
-from sqlalchemy import Engine, Interval, Select, and_, func, literal, or_, select
+from sqlalchemy import Engine, Interval, Select, and_, literal, or_, select
 
 from fleet_backend import views
 from fleet_backend.database import transaction
 from fleet_backend.months.partitions import has_partitions
-from fleet_backend.page.records import ClutchAlarm, Fill, Quarantined, ShiftAnswer
+from fleet_backend.page.records import ClutchAlarm, Quarantined, ShiftAnswer
 from fleet_backend.schema import (
-    FLUID_FILL,
     FRICTION_COLUMNS,
     QUARANTINE,
     RUNNING,
     SCALE_FREE,
     SCALE_FREE_COLUMNS,
     SHIFT_RESULT,
-    VEHICLE,
 )
 
 MOST_RESULTS: Final = 4000  # of one clutch, the newest; two years of a taxi
@@ -37,39 +35,6 @@ _TREND_COLUMNS: Final = (
 )
 _SHIFT_NAMES: Final = tuple(field.name for field in fields(ShiftAnswer))
 Row = Mapping[str, Any]  # of any table: what a column holds is the schema's matter
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Presence:
-    """What the service of a vehicle said of itself."""
-
-    is_online: bool | None
-    connected_at: datetime | None
-    service_version: str | None
-    last_result_at: datetime | None
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Stored:
-    """How many results of a clutch there are, and when the last of them came."""
-
-    result_count: int
-    last_at: datetime | None
-
-
-def presence(engine: Engine, vehicle: str) -> Presence | None:
-    """Return what is known of a vehicle's service; None if nothing was ever heard of the vehicle."""
-    columns = (VEHICLE.c.is_online, VEHICLE.c.connected_at, VEHICLE.c.service_version)
-    with transaction(engine) as connection:
-        row = connection.execute(select(*columns).where(VEHICLE.c.vehicle == vehicle)).first()
-        if row is None:
-            return None
-        seen = views.LAST_SEEN  # a look into an index per clutch
-        last = connection.execute(select(seen.c.last_result_at).where(seen.c.vehicle == vehicle)).scalar_one()
-    is_online = None if row.is_online is None else bool(row.is_online)
-    return Presence(
-        is_online=is_online, connected_at=row.connected_at, service_version=row.service_version, last_result_at=last
-    )
 
 
 def current_results(vehicle: str, clutch: int, most: int = MOST_RESULTS, *, is_by_month: bool = False) -> Select[Any]:
@@ -107,23 +72,6 @@ def results_of(engine: Engine, vehicle: str, clutch: int) -> list[Row]:
     for row in rows:
         last[row["stream"]] = max(row["produced_at"], last.get(row["stream"], row["produced_at"]))
     return sorted(rows, key=lambda row: (last[row["stream"]], row["stream"], row["seq"]))
-
-
-def stored_of(engine: Engine, vehicle: str, clutch: int) -> Stored:
-    """Return what is stored of a clutch, all versions counted; what is worked out of it holds until this changes."""
-    own = and_(SHIFT_RESULT.c.vehicle == vehicle, SHIFT_RESULT.c.clutch == clutch)
-    with transaction(engine) as connection:
-        row = connection.execute(select(func.count(), func.max(SHIFT_RESULT.c.stored_at)).where(own)).one()
-    return Stored(result_count=int(row[0]), last_at=row[1])
-
-
-def fills_of(engine: Engine, vehicle: str) -> tuple[Fill, ...]:
-    """Return the fluid fills of a vehicle, the earliest first."""
-    table = FLUID_FILL
-    statement = select(table.c.filled_at, table.c.odometer_m, table.c.product, table.c.note)
-    with transaction(engine) as connection:
-        rows = connection.execute(statement.where(table.c.vehicle == vehicle).order_by(table.c.filled_at)).mappings()
-        return tuple(Fill(**row) for row in rows)
 
 
 def alarms_of(engine: Engine, vehicle: str) -> tuple[ClutchAlarm, ...]:

@@ -34,7 +34,8 @@ from diag_service.diagnosis.prognosis import (
 from fleet_backend.database import transaction
 from fleet_backend.lots import lots_of
 from fleet_backend.page.outlook import estimate_of, fluid_fill, reference_of
-from fleet_backend.page.past import fills_of, results_of
+from fleet_backend.page.past import results_of
+from fleet_backend.page.vehicle_state import fills_of
 from fleet_backend.schema import CLUTCH
 
 MOST_LOOKED_BACK: Final = 200  # clutches of a type, evenly spread: how lives bend is learned from no more

@@ -1,7 +1,8 @@
 """Views and actions as routes: who asks, what for, and what comes back; the role is checked before all else."""
 
-from collections.abc import AsyncIterator, Callable, Sequence
-from dataclasses import dataclass, replace
+import asyncio
+from collections.abc import AsyncIterator, Awaitable, Callable, Sequence
+from dataclasses import dataclass, field, replace
 from datetime import datetime
 from typing import Final
 from urllib.parse import parse_qsl, quote, urlencode, urlsplit
@@ -16,10 +17,12 @@ from fleet_backend.page.asking import LIMIT, VEHICLE, Ask, Kind, Parameter, read
 from fleet_backend.page.description import FORMAT
 from fleet_backend.page.errors import AskError, ForbiddenError, LoginError
 from fleet_backend.page.files import MEDIA_TYPES, Format, file_of, json_of
-from fleet_backend.page.html import html_of
+from fleet_backend.page.html import body_of, html_of
 from fleet_backend.page.login import logged_out
-from fleet_backend.page.view import Action, Sources, View
+from fleet_backend.page.view import Action, Drawn, Sources, View
 
+ASKING: Final = 4  # answers at a time that ask the database: more would wait for each other, and for new connections
+THINKING: Final = 2  # likewise that ask none
 EVENTS_PATH: Final = "/events"
 LOGOUT_PATH: Final = "/logout"
 _FORM: Final = "application/x-www-form-urlencoded"
@@ -39,6 +42,8 @@ class Endpoints:
     sources: Sources
     access: Access
     now: Callable[[], datetime]
+    asking: asyncio.Semaphore = field(default_factory=lambda: asyncio.Semaphore(ASKING))
+    thinking: asyncio.Semaphore = field(default_factory=lambda: asyncio.Semaphore(THINKING))
 
     def page(self, view: View) -> Route:
         """Return the route of a view for people."""
@@ -46,10 +51,10 @@ class Endpoints:
         def answer(request: Request) -> Response:
             ask = self._ask(request, view.role, view.parameters)
             number = self.sources.keeper.snapshot.number
-            shown = view.show(view.find(self.sources, ask), ask, self.sources)
+            drawn = self._drawn(view, view.find(self.sources, ask), ask)
             text = html_of(
                 view,
-                shown,
+                drawn,
                 viewer=ask.viewer,
                 api_href=_api_href(view, request),
                 number=number,
@@ -57,7 +62,30 @@ class Endpoints:
             )
             return Response(text, media_type="text/html")
 
-        return Route(view.page_path, answer, name=view.name)
+        return Route(view.page_path, self._worked_on(view, answer), name=view.name)
+
+    def _drawn(self, view: View, answer: object, ask: Ask) -> Drawn:
+        """Return the page of an answer, as it is kept or made anew."""
+
+        def make() -> Drawn:
+            shown = view.show(answer, ask, self.sources)
+            return Drawn(shown=shown, body=body_of(shown))
+
+        if view.state is None:
+            return make()
+        key = (view.name, *sorted(ask.values.items()))
+        kept = self.sources.pages.of(key, view.state(answer), make)
+        return replace(kept, shown=replace(kept.shown, subtitle=view.subtitle(answer, self.sources)))
+
+    def _worked_on(self, view: View, answer: Callable[[Request], Response]) -> Callable[[Request], Awaitable[Response]]:
+        """Return what answers in one of few threads; who asks no database does not wait for those who do."""
+        turn = self.asking if view.asks_database else self.thinking
+
+        async def answered(request: Request) -> Response:
+            async with turn:
+                return await run_in_threadpool(answer, request)
+
+        return answered
 
     def interface(self, view: View) -> Route:
         """Return the route of a view for programs."""
@@ -73,7 +101,7 @@ class Endpoints:
             body = file_of(form, view.rows(found), view.row)
             return Response(body, media_type=MEDIA_TYPES[form], headers={"content-disposition": name})
 
-        return Route(view.api_path, answer, name=f"api {view.name}")
+        return Route(view.api_path, self._worked_on(view, answer), name=f"api {view.name}")
 
     def calendar(self, view: View) -> Route:
         """Return the route of the days in a view, for calendars."""
@@ -83,7 +111,7 @@ class Endpoints:
             found = view.find(self.sources, ask)
             return Response(view.calendar(found, ask) if view.calendar else b"", media_type="text/calendar")
 
-        return Route(view.calendar_path, answer, name=f"calendar {view.name}")
+        return Route(view.calendar_path, self._worked_on(view, answer), name=f"calendar {view.name}")
 
     def action(self, action: Action) -> Route:
         """Return the route of a change; only a form of one of our own pages gets through."""

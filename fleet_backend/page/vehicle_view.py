@@ -5,8 +5,8 @@ from typing import Any, Final
 
 from fleet_backend.page import past, wording
 from fleet_backend.page.asking import VEHICLE, Ask, Kind, Parameter
+from fleet_backend.page.clutch_past import Past, read_past
 from fleet_backend.page.errors import NotFoundError
-from fleet_backend.page.outlook import outlook_of
 from fleet_backend.page.pictures import (
     STD_OF_50_PERCENT,
     STD_OF_90_PERCENT,
@@ -14,12 +14,11 @@ from fleet_backend.page.pictures import (
     course_keys,
     course_picture,
 )
-from fleet_backend.page.populations import latest
-from fleet_backend.page.records import ClutchAlarm, ClutchHistory, ClutchNow, Fill, TrendPoint, Usual, VehicleAnswer
-from fleet_backend.page.remembered import Past
+from fleet_backend.page.records import ClutchAlarm, ClutchHistory, ClutchNow, TrendPoint, Usual, VehicleAnswer
+from fleet_backend.page.remembered import Same
 from fleet_backend.page.usual import kind_of
+from fleet_backend.page.vehicle_state import VehicleState, state_of
 from fleet_backend.page.view import Shown, Sources, View
-from fleet_backend.schema import RUNNING
 from program_io.pages.content import NONE, Cell, Figure, Link, Section, Table, spread
 
 SERVICE_KM: Final = 15_000
@@ -36,44 +35,43 @@ _PARAMETERS: Final = (
         default=SERVICE_KM,
     ),
 )
-_POINT_NAMES: Final = (
-    *("vehicle", "clutch", "end_at", "odometer_m", "kind", "status", "mu_c", "std_mu_c", "random_std_mu_c", "mu_s"),
-    *("std_mu_s", "level_ratio", "condition", "stream", "seq", "algorithm_version", "calibration_version"),
-)
-_RUNNING_NAMES: Final = ("mu_c", "std_mu_c", "mu_s", "std_mu_s")
 
 
 def find(sources: Sources, ask: Ask) -> VehicleAnswer:
     """Return what is known of a vehicle; raises NotFoundError if nothing is."""
-    vehicle, engine = ask.said("vehicle"), sources.engine
-    service = past.presence(engine, vehicle)
-    if service is None:
+    vehicle, service_distance_m = ask.said("vehicle"), ask.count("service_km") * wording.M_PER_KM
+    state = state_of(sources.engine, vehicle)
+    if state is None:
         raise NotFoundError(f"nothing was ever heard of a vehicle {vehicle}")
-    fills = past.fills_of(engine, vehicle)
-    clutches = tuple(
-        _clutch(sources, now, fills, ask.count("service_km") * wording.M_PER_KM)
-        for now in sources.keeper.snapshot.vehicles.get(vehicle, ())
-    )
-    return VehicleAnswer(
-        vehicle=vehicle,
-        is_online=service.is_online,
-        connected_at=service.connected_at,
-        last_result_at=service.last_result_at,
-        service_version=service.service_version,
-        fills=fills,
-        alarms=past.alarms_of(engine, vehicle),
-        clutches=clutches,
-    )
+    snapshot = sources.keeper.snapshot
+    clutches = snapshot.vehicles.get(vehicle, ())
+    usual = tuple(snapshot.usual.get(kind_of(now)) for now in clutches)
+
+    def make() -> VehicleAnswer:
+        return VehicleAnswer(
+            vehicle=vehicle,
+            is_online=state.is_online,
+            connected_at=state.connected_at,
+            last_result_at=state.last_result_at,
+            service_version=state.service_version,
+            fills=state.fills,
+            alarms=past.alarms_of(sources.engine, vehicle),
+            clutches=tuple(
+                _clutch(sources, now, state, service_distance_m, its) for now, its in zip(clutches, usual, strict=True)
+            ),
+        )
+
+    return sources.vehicles.of((vehicle, service_distance_m), (state, clutches, usual), make)
 
 
-def show(answer: VehicleAnswer, ask: Ask, _sources: Sources) -> Shown:
+def show(answer: VehicleAnswer, ask: Ask, sources: Sources) -> Shown:
     """Return the page of a vehicle."""
     sections = [_outlook_section(answer)]
     sections += [_clutch_section(answer, one) for one in answer.clutches]
     sections += [_events_section(answer), _assumptions_section(answer)]
     return Shown(
         title=f"Vehicle {answer.vehicle}",
-        subtitle=_subtitle(answer),
+        subtitle=_subtitle(answer, sources),
         sections=tuple(one for one in sections if one.texts or one.figures or one.tables),
         advice=tuple(wording.advice(one.now) for one in answer.clutches),
         trail=(Link(text="Fleet", href="/"),),
@@ -82,42 +80,30 @@ def show(answer: VehicleAnswer, ask: Ask, _sources: Sources) -> Shown:
     )
 
 
-def point_of(row: past.Row) -> TrendPoint:
-    """Return one event of a trend."""
-    made: dict[str, Any] = {name: row[name] for name in _POINT_NAMES}
-    made |= {f"running_{name}": row[RUNNING + name] for name in _RUNNING_NAMES}
-    return TrendPoint(reasons=past.words_in(row), **made)
+def past_of(sources: Sources, now: ClutchNow, state: VehicleState, service_distance_m: float) -> Past:
+    """Return the past of a clutch, as it is kept or from the database."""
+    made_of = (state.stored_of(now.clutch), state.fills, state.population_version)
+    key = (now.vehicle, now.clutch, service_distance_m)
+    return sources.pasts.of(
+        key, made_of, lambda: read_past(sources.engine, now.vehicle, now.clutch, state, service_distance_m)
+    )
 
 
-def past_of(
-    sources: Sources, now: ClutchNow, fills: tuple[Fill, ...], service_distance_m: float
-) -> tuple[Past, past.Stored]:
-    """Return the past of a clutch with what follows from it and what is usual, and what is stored of it."""
-    kept = latest(sources.engine)
-
-    def make() -> Past:
-        rows = past.results_of(sources.engine, now.vehicle, now.clutch)
-        told = outlook_of(now.clutch, rows, fills, service_distance_m, kept) if rows else (None, "No result yet.")
-        return Past(trend=tuple(map(point_of, rows)), outlook=told[0], why_no_outlook=told[1])
-
-    stored = past.stored_of(sources.engine, now.vehicle, now.clutch)
-    state = (stored, fills, None if kept is None else kept.version)
-    return sources.remembered.past((now.vehicle, now.clutch, service_distance_m), state, make), stored
-
-
-def _clutch(sources: Sources, now: ClutchNow, fills: tuple[Fill, ...], service_distance_m: float) -> ClutchHistory:
-    found, stored = past_of(sources, now, fills, service_distance_m)
+def _clutch(
+    sources: Sources, now: ClutchNow, state: VehicleState, service_distance_m: float, usual: Usual | None
+) -> ClutchHistory:
+    found = past_of(sources, now, state, service_distance_m)
     return ClutchHistory(
         now=now,
         outlook=found.outlook,
         why_no_outlook=found.why_no_outlook,
         trend=found.trend,
-        result_count=stored.result_count,
-        usual=sources.keeper.snapshot.usual.get(kind_of(now)),
+        result_count=state.stored_of(now.clutch).result_count,
+        usual=usual,
     )
 
 
-def _subtitle(answer: VehicleAnswer) -> str:
+def _subtitle(answer: VehicleAnswer, _sources: Sources) -> str:
     state = {None: "its service never said that it is there", True: "online", False: "offline"}[answer.is_online]
     since = f" since {answer.connected_at:%Y-%m-%d %H:%M} UTC" if answer.connected_at and answer.is_online else ""
     last = f", last result {answer.last_result_at:%Y-%m-%d %H:%M} UTC" if answer.last_result_at else ", no result yet"
@@ -256,4 +242,6 @@ VIEW: Final = View(
     find=find,
     show=show,
     rows=lambda answer: [point for clutch in answer.clutches for point in clutch.trend],
+    subtitle=_subtitle,
+    state=Same,
 )

@@ -1,17 +1,25 @@
 """What a view is: one question, answered for people as a page and for programs as JSON, CSV or Parquet."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Hashable, Sequence
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, Final
 
+from markupsafe import Markup
 from sqlalchemy import Engine
 
 from fleet_backend.page.access import Role
 from fleet_backend.page.asking import Ask, Parameter
+from fleet_backend.page.clutch_past import Past
 from fleet_backend.page.keeper import Keeper
+from fleet_backend.page.listing import Part
 from fleet_backend.page.news import News
+from fleet_backend.page.records import VehicleAnswer
 from fleet_backend.page.remembered import Remembered
 from program_io.pages.content import Advice, Link, Section
+
+MOST_POINTS: Final = 60_000  # of trends that are kept, a kilobyte each
+MOST_PARTS: Final = 200_000  # clutches in lists that are kept, eight bytes each
+MOST_LETTERS: Final = 20_000_000  # of pages that are kept, two bytes each
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -22,7 +30,14 @@ class Sources:
     keeper: Keeper
     news: News
     writer: Engine | None = None  # where somebody may change something
-    remembered: Remembered = field(default_factory=Remembered)
+    pasts: Remembered[Past] = field(default_factory=lambda: Remembered(MOST_POINTS, lambda one: len(one.trend)))
+    vehicles: Remembered[VehicleAnswer] = field(default_factory=lambda: Remembered(MOST_POINTS, _points))
+    parts: Remembered[Part] = field(default_factory=lambda: Remembered(MOST_PARTS, lambda one: len(one.clutches)))
+    pages: "Remembered[Drawn]" = field(default_factory=lambda: Remembered(MOST_LETTERS, lambda one: len(one.body)))
+
+
+def _points(answer: VehicleAnswer) -> int:
+    return sum(len(one.trend) for one in answer.clutches)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -71,6 +86,14 @@ class Shown:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class Drawn:
+    """A page, and its sections as HTML."""
+
+    shown: Shown
+    body: Markup
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class View:
     """A question that can be asked.
 
@@ -80,6 +103,8 @@ class View:
         What answers it; how the answer looks; its rows in a table of a file.
     answer, row :
         The records that ``find`` and ``rows`` return.
+    state :
+        Of an answer: while it stays the same, so does the page, its subtitle apart; None: pages are not kept.
     """
 
     name: str
@@ -94,6 +119,9 @@ class View:
     rows: Callable[[Any], Sequence[Any]]
     role: Role = Role.VIEWER  # the least that may ask
     calendar: Callable[[Any, Ask], bytes] | None = None  # the days in an answer, where it has any
+    subtitle: Callable[[Any, Sources], str] = lambda _answer, _sources: ""  # of a page that is kept
+    state: Callable[[Any], Hashable] | None = None
+    asks_database: bool = True
 
     @property
     def calendar_path(self) -> str:

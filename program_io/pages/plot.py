@@ -3,6 +3,7 @@
 import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cache
 from math import ceil, floor, log10
 from typing import Final
 from xml.etree.ElementTree import Element, SubElement, tostring
@@ -17,6 +18,7 @@ _LEFT, _RIGHT, _TOP, _BOTTOM = 62, 24, 14, 40
 _TICK_COUNT: Final = 6
 _STEPS: Final = (1.0, 2.0, 5.0, 10.0)
 _DECIMALS: Final = 1  # of a pixel
+_PER_PIXEL: Final = 10**_DECIMALS
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -87,8 +89,8 @@ class Plot:
     def dots(self, x: FloatArray, y: FloatArray, style: str) -> None:
         """Draw points, shape (n,) each; those that are not known are left out."""
         known = np.isfinite(x) & np.isfinite(y)
-        points = zip(self._pixels_x(x[known]).tolist(), self._pixels_y(y[known]).tolist(), strict=True)
-        self._path("".join(f"M{_text(px)} {_text(py)}h0" for px, py in points), f"dots {style}")
+        points = zip(_texts(self._pixels_x(x[known])), _texts(self._pixels_y(y[known])), strict=True)
+        self._path("".join(f"M{px} {py}h0" for px, py in points), f"dots {style}")
 
     def level(self, y: float, style: str, text: str) -> None:
         """Draw a horizontal line across the picture, with its name at the right end."""
@@ -135,10 +137,9 @@ class Plot:
         """Return a path through the points that are known."""
         known = np.isfinite(x) & np.isfinite(y)
         begins = known & ~np.concatenate(([False], known[:-1]))
-        places = zip(
-            begins[known].tolist(), self._pixels_x(x[known]).tolist(), self._pixels_y(y[known]).tolist(), strict=True
-        )
-        return "".join(f"{'M' if is_first else 'L'}{_text(px)} {_text(py)}" for is_first, px, py in places)
+        letters = np.where(begins[known], "M", "L").tolist()
+        places = zip(letters, _texts(self._pixels_x(x[known])), _texts(self._pixels_y(y[known])), strict=True)
+        return "".join(f"{letter}{px} {py}" for letter, px, py in places)
 
     def _pixels_x(self, x: FloatArray) -> FloatArray:
         share = (np.asarray(x, np.float64) - self.x.low) / (self.x.high - self.x.low)
@@ -177,3 +178,17 @@ def thinned(values: FloatArray, most: int) -> Int64Array:
 
 def _text(pixels: float) -> str:
     return f"{pixels:.{_DECIMALS}f}".removesuffix(".0")
+
+
+@cache
+def _known_texts() -> tuple[str, ...]:
+    """Return the texts of all places across a picture: looking one up takes a tenth of making it."""
+    return tuple(_text(place / _PER_PIXEL) for place in range(WIDTH * _PER_PIXEL + 1))
+
+
+def _texts(pixels: FloatArray) -> list[str]:
+    """Return the texts of many places; those outside of the picture are made."""
+    known, places = _known_texts(), np.rint(pixels * _PER_PIXEL).astype(np.int64)
+    if np.all((places >= 0) & (places < len(known))):
+        return [known[place] for place in places.tolist()]
+    return [_text(place / _PER_PIXEL) for place in places.tolist()]

@@ -6,6 +6,7 @@ from collections.abc import Iterator
 from datetime import UTC, datetime, timedelta
 from typing import Any
 
+import httpx
 import pytest
 from sqlalchemy import Connection, Engine, event, text
 
@@ -16,9 +17,11 @@ from fleet_backend import queries
 from fleet_backend.database import open_database, transaction
 from fleet_backend.errors import DatabaseError
 from fleet_backend.page import changes_view, fleet_view, maintenance_view, quarantine_view, shift_view, vehicle_view
+from fleet_backend.page.access import Access
 from fleet_backend.page.asking import Ask, read_words
 from fleet_backend.page.keeper import DatabaseSource, Keeper
 from fleet_backend.page.news import News
+from fleet_backend.page.site import site
 from fleet_backend.page.usual import LEAST_CLUTCHES
 from fleet_backend.page.view import Sources, View
 from fleet_backend.rows import Poison, moment, quarantine_row
@@ -150,7 +153,7 @@ def test_what_is_remembered_of_a_clutch_is_never_old(engine: Engine) -> None:
     sources, question = sources_of(engine), ask(vehicle_view.VIEW, "car1")
     first = vehicle_view.find(sources, question)
     asked = Watch(engine)
-    assert vehicle_view.find(sources, question) == first
+    assert vehicle_view.find(sources, question) is first
     assert not [one for one, _ in asked.asked if "version_rank" in one]  # results were not read again
     Writer(engine).store(Batch(shifts=[row_of(one) for one in results[-2:]]))
     queries.note_fill(engine, "car1", "DCTF", at=datetime(2026, 1, 1, 0, 1, tzinfo=UTC), odometer_m=2.0e4, note=None)
@@ -159,6 +162,25 @@ def test_what_is_remembered_of_a_clutch_is_never_old(engine: Engine) -> None:
     assert again == fresh
     assert [len(one.trend) for one in again.clutches] == [20, 20]
     assert [one.outlook for one in again.clutches] != [one.outlook for one in first.clutches]
+
+
+async def test_a_page_is_drawn_again_when_something_is_new(engine: Engine) -> None:
+    """Until then it is what it was, but for the moment at which the fleet was read."""
+    Writer(engine).store(Batch(shifts=[row_of(one) for one in history(4)]))
+    sources = sources_of(engine)
+    transport = httpx.ASGITransport(site(sources, Access(), now=lambda: NOW))
+    async with httpx.AsyncClient(transport=transport, base_url="http://127.0.0.1") as client:
+
+        async def pages() -> list[str]:
+            answers = [await client.get(path) for path in ("/", "/?q=car1", "/vehicles/car1")]
+            return [re.sub("read at [0-9:]+", "", one.text) for one in answers]
+
+        first = await pages()
+        assert first == await pages()
+        Writer(engine).store(Batch(shifts=[row_of(fleet_result(5, condition=Condition.CHANGE_FLUID))]))
+        sources.keeper.refresh()
+        again = await pages()
+        assert all(one != before for one, before in zip(again, first, strict=True))
 
 
 def test_a_vehicle_is_shown_before_what_is_usual_in_the_fleet(engine: Engine) -> None:

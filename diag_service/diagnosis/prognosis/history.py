@@ -135,6 +135,8 @@ def _row(estimate: ShiftEstimate) -> dict[str, float] | None:
 
 
 def _fluid_of(estimate: ShiftEstimate, fills: Sequence[FluidFill]) -> int:
+    if not fills:
+        return 0
     start = utc_from_bus_ns(estimate.start_ns)
     return sum(fill.filled_at <= start for fill in fills)
 

@@ -1,0 +1,100 @@
+"""What few rows tell of a vehicle: whether it is there, its fluids, and whether anything new is stored of it."""
+
+from dataclasses import dataclass
+from datetime import datetime
+from typing import Any, Final
+
+from sqlalchemy import Connection, Engine, Select, bindparam, func, select
+
+from fleet_backend.database import transaction
+from fleet_backend.page.records import Fill
+from fleet_backend.schema import ALARM_ACKNOWLEDGEMENT, FLUID_FILL, POPULATION, SHIFT_RESULT, VEHICLE
+
+_OWN: Final[Any] = bindparam("vehicle")
+_NOTED: Final = ALARM_ACKNOWLEDGEMENT.c
+_ABOUT: Final = select(
+    VEHICLE.c.is_online,
+    VEHICLE.c.connected_at,
+    VEHICLE.c.service_version,
+    select(func.count()).where(_NOTED.vehicle == _OWN).scalar_subquery().label("acknowledged_count"),
+    select(func.max(_NOTED.acknowledged_at)).where(_NOTED.vehicle == _OWN).scalar_subquery().label("acknowledged_at"),
+    select(func.max(POPULATION.c.version)).scalar_subquery().label("population_version"),
+).where(VEHICLE.c.vehicle == _OWN)
+_STORED: Final = (
+    select(
+        SHIFT_RESULT.c.clutch,
+        func.count(),
+        func.max(SHIFT_RESULT.c.stored_at),
+        func.max(SHIFT_RESULT.c.produced_at),
+    )
+    .where(SHIFT_RESULT.c.vehicle == _OWN)
+    .group_by(SHIFT_RESULT.c.clutch)
+    .order_by(SHIFT_RESULT.c.clutch)
+)
+_FILLS: Final[Select[Any]] = (
+    select(FLUID_FILL.c.filled_at, FLUID_FILL.c.odometer_m, FLUID_FILL.c.product, FLUID_FILL.c.note)
+    .where(FLUID_FILL.c.vehicle == _OWN)
+    .order_by(FLUID_FILL.c.filled_at)
+)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Stored:
+    """What is stored of a clutch, all versions of its results counted."""
+
+    clutch: int
+    result_count: int
+    stored_at: datetime | None  # the last of them
+    produced_at: datetime | None  # the newest of them
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class VehicleState:
+    """What is known of a vehicle; what was worked out of its results holds for as long as all of it stays the same."""
+
+    is_online: bool | None  # as its service said
+    connected_at: datetime | None
+    service_version: str | None
+    acknowledged_count: int  # alarms
+    acknowledged_at: datetime | None  # the last of them
+    population_version: int | None  # of the fleet, the newest
+    fills: tuple[Fill, ...]  # the earliest first
+    stored: tuple[Stored, ...]
+
+    @property
+    def last_result_at(self) -> datetime | None:
+        """When its last result was made."""
+        return max((one.produced_at for one in self.stored if one.produced_at is not None), default=None)
+
+    def stored_of(self, clutch: int) -> Stored:
+        """Return what is stored of a clutch."""
+        nothing = Stored(clutch=clutch, result_count=0, stored_at=None, produced_at=None)
+        return next((one for one in self.stored if one.clutch == clutch), nothing)
+
+
+def state_of(engine: Engine, vehicle: str) -> VehicleState | None:
+    """Return the state of a vehicle; None if nothing was ever heard of it."""
+    own = {"vehicle": vehicle}
+    with transaction(engine) as connection:
+        row = connection.execute(_ABOUT, own).mappings().first()
+        if row is None:
+            return None
+        stored = connection.execute(_STORED, own).all()
+        fills = _fills(connection, vehicle)
+    is_online = None if row["is_online"] is None else bool(row["is_online"])
+    names = ("clutch", "result_count", "stored_at", "produced_at")
+    return VehicleState(
+        **{**row, "is_online": is_online},
+        fills=fills,
+        stored=tuple(Stored(**dict(zip(names, one, strict=True))) for one in stored),
+    )
+
+
+def fills_of(engine: Engine, vehicle: str) -> tuple[Fill, ...]:
+    """Return the fluid fills of a vehicle, the earliest first."""
+    with transaction(engine) as connection:
+        return _fills(connection, vehicle)
+
+
+def _fills(connection: Connection, vehicle: str) -> tuple[Fill, ...]:
+    return tuple(Fill(**row) for row in connection.execute(_FILLS, {"vehicle": vehicle}).mappings())
