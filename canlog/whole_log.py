@@ -18,15 +18,9 @@ from canlog.frames import FrameBatch
 from canlog.logs import LogCounts, LogFormat, LogReader, merged_by_time, read_log
 from canlog.parquet_file import arrow_schema, load_pyarrow
 from canlog.tables.account import DecodeAccount
-from canlog.tables.decoding import (
-    CELLS_PER_FRAME,
-    MAX_CELLS,
-    Plan,
-    TableShape,
-    decoded_batches,
-    pieces,
-    row_groups,
-)
+from canlog.tables.decoding import MAX_CELLS, Plan, TableShape
+from canlog.tables.frame_stock import FrameGroup
+from canlog.tables.groups import columns_of, groups, stretches, values_in
 from canlog.tables.inputs import log_paths
 from canlog.tables.layouts import ShapeName, Values, ValuesName
 from canlog.tables.report import losses
@@ -106,8 +100,8 @@ class Log:
     def account(self) -> DecodeAccount:
         """What became of every frame and every signal when they were decoded."""
         account = self._new_account()
-        for _ in decoded_batches(self._pieces(), account):
-            pass
+        for group in self._groups(account):
+            values_in(group, account)
         return account
 
     @property
@@ -124,16 +118,16 @@ class Log:
         rows: dict[tuple[int, str], list[Int64Array]] = {}
         values: dict[tuple[int, str], list[FloatArray]] = {}
         times: list[Int64Array] = []
-        start = 0
-        for batch, found in decoded_batches(self._pieces(), self._new_account()):
-            for one in found:
+        start, account = 0, self._new_account()
+        for group in self._groups(account):
+            for one in values_in(group, account):
                 for name, decoded in one.signals.items():
                     kept = slice(None) if decoded.is_present is None else decoded.is_present
                     rows.setdefault((one.slot, name), []).append(one.rows[kept] + start)
                     values.setdefault((one.slot, name), []).append(decoded.value[kept])
-            times.append(batch.t_ns)
-            start += len(batch)
-        t_ns = np.concatenate(times)
+            times.append(group.frames.t_ns)
+            start += len(group)
+        t_ns = np.concatenate(times) if times else np.empty(0, np.int64)
         signals: dict[str, Samples] = {}
         for (slot, name), column in self._plan.names.columns.items():
             if (slot, name) not in rows:
@@ -199,8 +193,9 @@ class Log:
         layout = plan.layout(lambda: plan.span.part(self._streamed(), account.leave_out))
         schema = arrow_schema(layout.kinds, layout.metadata)
         frames = plan.span.part(self._streamed(), account.leave_out)
-        groups = row_groups(pieces(frames, plan.frames_per_group(layout)), layout, account)
-        rows = (arrow.record_batch(list(columns.values()), schema=schema) for columns in groups)
+        found = groups(stretches(frames, account), plan.codec, plan.size(layout))
+        tables = (columns_of(group, account, layout) for group in found)
+        rows = (arrow.record_batch(list(columns.values()), schema=schema) for columns in tables if columns)
         return arrow.RecordBatchReader.from_batches(schema, rows)
 
     def __arrow_c_stream__(self, requested_schema: object = None) -> object:
@@ -232,8 +227,8 @@ class Log:
     def _new_account(self) -> DecodeAccount:
         return DecodeAccount(codec=self._plan.codec, names=self._plan.names, log=self.counts)
 
-    def _pieces(self) -> Iterator[FrameBatch]:
-        return pieces([self.frames], max(1, self._plan.max_cells // CELLS_PER_FRAME))
+    def _groups(self, account: DecodeAccount) -> Iterator[FrameGroup]:
+        return groups(stretches([self.frames], account), self._plan.codec, self._plan.size())
 
 
 def read(

@@ -11,10 +11,11 @@ from canlog.database.loading import database_of
 from canlog.errors import OutputError
 from canlog.tables.decoding import Plan, TableShape, decode_logs
 from canlog.tables.inputs import log_paths
-from canlog.tables.layouts import ShapeName, Values, ValuesName
+from canlog.tables.layouts import Values, ValuesName
 from canlog.tables.outputs import FORMAT_OF_SUFFIX, TableFormat
 from canlog.tables.report import losses
 
+TableShapeName = Literal["wide", "long", "messages"]
 FormatName = Literal["parquet", "csv", "jsonl", "arrow", "mf4"]
 
 
@@ -25,9 +26,10 @@ class TableChoice:
     Parameters
     ----------
     table_format : {"parquet", "csv", "jsonl", "arrow", "mf4"}, optional
-        By default what the suffix says: ``.parquet``, ``.csv``, ``.jsonl``, ``.arrows``, ``.mf4``.
+        By default what the suffix says: ``.parquet``, ``.csv``, ``.jsonl``, ``.arrows``, ``.mf4``; of a folder Parquet.
     shape, values
-        As of ``Log.to_arrow``; an MF4 file has a group for each message, and numbers.
+        As of ``Log.to_arrow``, and ``messages`` for a folder with a table of its own for each message; an MF4 file has
+        a group for each message, and numbers.
     signals
         Only these: ``Message.Signal`` or the signal alone, both with ``*`` for anything; by default all.
     begin, end
@@ -39,7 +41,7 @@ class TableChoice:
     """
 
     table_format: FormatName | None = None
-    shape: ShapeName = "wide"
+    shape: TableShapeName = "wide"
     values: ValuesName = "numbers"
     signals: Sequence[str] = ()
     begin: str | float | None = None
@@ -54,6 +56,8 @@ class TableChoice:
 
     def format_of(self, output: Path) -> TableFormat:
         """Return the format of a file; raises OutputError if there is no such format, or it cannot hold this."""
+        if self.shape == "messages" and self.table_format is None:
+            return TableFormat.PARQUET
         try:
             chosen = (
                 FORMAT_OF_SUFFIX[output.suffix.lower()] if self.table_format is None else TableFormat(self.table_format)
@@ -84,7 +88,8 @@ def write_table(
     path, database, is_lenient
         As of ``read``.
     output
-        The table, which appears when it is complete; one that is there is replaced.
+        The table, which appears when it is complete; one that is there is replaced. Of ``messages`` the folder of the
+        tables: of those that are there, the ones of messages of the database are replaced or removed.
     choice
         What is written, and how: every signal in a row per frame, unless it says otherwise.
 

@@ -135,10 +135,8 @@ def rows_by_slot(slot: Int64Array, count: int) -> Iterator[tuple[int, Int64Array
     order = np.empty(len(slot), np.int64)
     stop = np.zeros(count + 1, np.int64)
     sort_by_slot(slot, order, stop)
-    for number in range(count):
-        rows = order[stop[number] : stop[number + 1]]
-        if len(rows):
-            yield number, rows
+    for number in np.flatnonzero(np.diff(stop)).tolist():
+        yield number, order[stop[number] : stop[number + 1]]
 
 
 def _places(addresses: Sequence[MessageAddress]) -> list[tuple[_Table, int]]:

@@ -174,12 +174,16 @@ class Codec:
         """Return whether data frames of an identifier, with its flags, are of a message."""
         return self.slot_of(can_id) != NOBODY
 
-    def decode(self, batch: FrameBatch, match: FrameMatch | None = None) -> Iterator[MessageValues]:
+    def decode(self, batch: FrameBatch) -> Iterator[MessageValues]:
         """Yield the messages that are in a batch, in the order of the codec."""
-        match = match or self.match(batch)
-        lengths, short_counts = self._rules.min_length.tolist(), match.counts[:, _SHORT].tolist()
-        for slot, rows in rows_by_slot(match.slot, len(self.tables)):
-            if not short_counts[slot]:
+        match = self.match(batch)
+        return self.decode_slots(batch, match.slot, match.counts[:-1, _SHORT] > 0)
+
+    def decode_slots(self, batch: FrameBatch, slots: Int64Array, has_short: BoolArray) -> Iterator[MessageValues]:
+        """Yield the same of frames whose messages are known, NOBODY for none; ``has_short``: some may be too short."""
+        lengths, may_be_short = self._rules.min_length.tolist(), has_short.tolist()
+        for slot, rows in rows_by_slot(slots, len(self.tables)):
+            if not may_be_short[slot]:
                 yield self._values(batch, slot, rows, lengths[slot])
                 continue
             sizes = np.minimum(batch.length[rows], lengths[slot])

@@ -62,7 +62,7 @@ def members_of(stream: BinaryIO) -> tuple[Member, ...]:
     try:
         _check_directory(stream)
         with zipfile.ZipFile(stream) as archive:
-            infos = [info for info in archive.infolist() if not info.is_dir()]
+            infos = [info for info in archive.infolist() if not info.filename.endswith("/")]
     # NotImplementedError is zipfile's word for a version or method of packing that it does not know.
     except (zipfile.BadZipFile, NotImplementedError, ValueError, struct.error, EOFError, OverflowError) as exc:
         raise SourceError(f"the zip archive is damaged: {exc}") from exc
@@ -90,6 +90,8 @@ def _plain(name: str) -> str:
 def _refusal(info: zipfile.ZipInfo) -> str:
     if info.flag_bits & ENCRYPTED_FLAG:
         return "it is encrypted: unpack it first"
+    if not info.filename:
+        return "it has no name: unpack it first"
     if ".." in PurePosixPath(_plain(info.filename)).parts:
         return "its name leads out of the archive: unpack it first"
     if info.compress_type not in KNOWN_METHODS:

@@ -60,6 +60,8 @@ class ColumnFile:
     ----------
     output : binary stream
         It stays open, and its errors are its own.
+    packer
+        Packs the columns; by default one of its own.
 
     Raises
     ------
@@ -67,13 +69,13 @@ class ColumnFile:
         If pyarrow, which compresses, is not installed.
     """
 
-    def __init__(self, output: BinaryIO) -> None:
+    def __init__(self, output: BinaryIO, packer: Packer | None = None) -> None:
         self._compressed = load_pyarrow().Codec("zstd", compression_level=ZSTD_LEVEL).compress
         self._output = output
         self._at = 0
         self._groups: list[_Group] = []
         self._open = _Group()
-        self.packer = Packer()
+        self.packer = packer or Packer()
         self._put(MAGIC)
 
     def levels(self, rows: Int64Array, count: int) -> Levels:

@@ -8,7 +8,7 @@ import numpy as np
 
 from canlog.arrays import Int64Array
 from canlog.database.addressing import parameter_group
-from canlog.decode.codec import Codec, FrameFate, MessageTable, MessageValues
+from canlog.decode.codec import HAS_VALUES, Codec, FrameFate, MessageTable, MessageValues
 from canlog.frames import ERROR_FLAG, EXTENDED_FLAG, REMOTE_FLAG
 from canlog.logs import LogCounts
 from canlog.tables.long_rows import Stretch
@@ -111,6 +111,12 @@ class DecodeAccount:
     def seen_slots(self) -> list[int]:
         """The messages that came, in the order of the database."""
         return [slot for slot, row in enumerate(self.counts[:-1].tolist()) if any(row) or slot in self.long_counts]
+
+    @property
+    def valued_slots(self) -> list[int]:
+        """The messages that have values, likewise."""
+        counts = self.counts[:-1, list(HAS_VALUES)].sum(axis=1)
+        return sorted({*np.flatnonzero(counts).tolist(), *self.long_counts})
 
     @property
     def refused(self) -> dict[str, str]:

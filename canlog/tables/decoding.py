@@ -1,33 +1,38 @@
 """Logs to tables: one pass from frames to columns and the account of what is not in them, for files and for memory."""
 
-from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from pathlib import Path
-from typing import Any, BinaryIO, Final, Protocol
+from typing import BinaryIO, Final
 
 import numpy as np
 from cantools.database.can import Message
 
-from canlog.decode.codec import HAS_VALUES, Codec, MessageValues
+from canlog.decode.codec import HAS_VALUES, Codec
 from canlog.errors import OutputError
 from canlog.frames import FrameBatch
-from canlog.logs import LogReader
+from canlog.logs import STANDARD_INPUT, LogReader
 from canlog.logs.piped import never
 from canlog.logs.reading import Watch
+from canlog.parquet.column_file import ColumnFile
 from canlog.tables.account import DecodeAccount
+from canlog.tables.groups import GroupSize, groups, stretches
 from canlog.tables.inputs import LogSet, Origins
 from canlog.tables.layouts import LongLayout, Values, WideLayout
-from canlog.tables.long_rows import LongRows, Stretch
+from canlog.tables.long_rows import LongRows
 from canlog.tables.names import TableNames, table_names
-from canlog.tables.outputs import TableFormat, open_columns
+from canlog.tables.outputs import TableFormat
 from canlog.tables.parquet_long import LongParquet
-from canlog.tables.parquet_tables import GROUP_FRAMES, GROUP_VALUES, ParquetRows, WideParquet
+from canlog.tables.parquet_messages import MessageParquet
+from canlog.tables.parquet_tables import GROUP_FRAMES, GROUP_VALUES, WideParquet
 from canlog.tables.selection import EVERYTHING, Span, chosen_places
+from canlog.tables.sinks import ColumnRows, MessageRows, TableSink
+from canlog.tables.table_folder import TableFolder, message_files, table_folder
 from canlog.whole_file import replacing
 
 MAX_CELLS: Final = 4_000_000  # of a row group: 32 MB of numbers
-CELLS_PER_FRAME: Final = 64  # of the long table, at most as a rule
+CELLS_PER_VALUE: Final = 8  # of the long table
 
 
 class TableShape(StrEnum):
@@ -35,6 +40,7 @@ class TableShape(StrEnum):
 
     WIDE = "wide"  # a frame
     LONG = "long"  # a value
+    MESSAGES = "messages"  # a frame; each message has a table of its own
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -77,12 +83,18 @@ class Plan:
             return replace(self, span=span)
         return replace(self, span=span, codec=self.codec.only(chosen_places(self.names.columns, signals)))
 
+    def widest(self, origins: Origins | None = None) -> WideLayout | LongLayout:
+        """Return the columns that any log of the database can need."""
+        if self.shape is TableShape.LONG:
+            return LongLayout(self.codec.tables, self.names, self.values, origins)
+        return WideLayout(self.codec.tables, self.names, self.values, range(len(self.codec.tables)), origins)
+
     def layout(
         self, batches: Callable[[], Iterable[FrameBatch]], origins: Origins | None = None
     ) -> WideLayout | LongLayout:
         """Return the columns; for wide rows all frames are looked at, for the messages that occur are the columns."""
         if self.shape is TableShape.LONG:
-            return LongLayout(self.codec.tables, self.names, self.values, origins)
+            return self.widest(origins)
         seen: set[int] = set()
         together = LongRows(self.codec, self.pairs)
         for stretch in together.stretches(batches()):
@@ -91,59 +103,21 @@ class Plan:
         seen.update(together.counts_of)
         return WideLayout(self.codec.tables, self.names, self.values, sorted(seen), origins)
 
-    def frames_per_group(self, layout: WideLayout | LongLayout) -> int:
-        """Return how many frames a row group may hold."""
-        cells = CELLS_PER_FRAME if self.shape is TableShape.LONG else len(layout.kinds)
-        return max(1, self.max_cells // cells)
+    def size(self, layout: WideLayout | LongLayout | None = None, *, is_live: bool = False) -> GroupSize:
+        """Return how much a group of rows holds: of Parquet, or of columns that are all in memory.
 
+        ``layout`` are these columns; None: of one message only.
+        """
+        most = self.max_cells
+        if isinstance(layout, WideLayout):
+            return GroupSize(frames=max(1, most // len(layout.kinds)), values=self.max_values, is_live=is_live)
+        values = max(1, most // CELLS_PER_VALUE) if layout else most
+        return GroupSize(frames=self.max_frames, values=values, is_live=is_live)
 
-def stretches(
-    batches: Iterable[FrameBatch], account: DecodeAccount, pairs: Collection[tuple[int, int]] = ()
-) -> Iterator[Stretch]:
-    """Yield frames with their messages, and with those messages that several frames are; all enter the account."""
-    together = LongRows(account.codec, pairs)
-    account.transfers, account.long_counts = together.counts, together.counts_of
-    for stretch in together.stretches(batches):
-        account.add(stretch)
-        yield stretch
-
-
-def decoded_batches(
-    batches: Iterable[FrameBatch], account: DecodeAccount, pairs: Collection[tuple[int, int]] = ()
-) -> Iterator[tuple[FrameBatch, list[MessageValues]]]:
-    """Yield batches with what their signals say, and enter both into the account.
-
-    Among the frames is a row for each message that several frames are.
-    """
-    codec = account.codec
-    for stretch in stretches(batches, account, pairs):
-        found = list(codec.decode(stretch.batch, replace(stretch.match, slot=stretch.slot)))
-        if stretch.long is not None:
-            found += stretch.long.values(codec)
-        for one in found:
-            account.add_values(one)
-        yield stretch.batch, found
-
-
-def row_groups(
-    batches: Iterable[FrameBatch],
-    layout: WideLayout | LongLayout,
-    account: DecodeAccount,
-    pairs: Collection[tuple[int, int]] = (),
-) -> Iterator[Mapping[str, Any]]:
-    """Yield the columns of one row group for each batch that has any."""
-    for batch, found in decoded_batches(batches, account, pairs):
-        count, columns = layout.columns(batch, found) if found else (0, {})
-        if count:
-            account.row_count += count
-            yield columns
-
-
-def pieces(batches: Iterable[FrameBatch], size: int) -> Iterator[FrameBatch]:
-    """Yield the frames of some batches in batches of at most ``size``."""
-    for batch in batches:
-        for start in range(0, len(batch), size):
-            yield batch[start : start + size]
+    @property
+    def size_of_parquet(self) -> GroupSize:
+        """Return how much a group of rows of Parquet holds."""
+        return GroupSize(frames=self.max_frames, values=self.max_values)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -153,39 +127,7 @@ class Decoded:
     account: DecodeAccount
     readers: tuple[LogReader, ...]  # in the order in which the logs were named; closed
     is_whole: bool  # False: it was stopped
-
-
-class TableSink(Protocol):
-    """What takes decoded frames."""
-
-    def write(self, batch: FrameBatch, found: Sequence[MessageValues]) -> int:
-        """Take a batch and what its signals say; return how many rows that made."""
-
-    def close(self) -> None:
-        """Write what the format needs at its end."""
-
-    def discard(self) -> None:
-        """Leave what there is: it is not complete."""
-
-
-class _Rows:
-    """Rows of columns into any file of columns."""
-
-    def __init__(self, output: BinaryIO, table_format: TableFormat, layout: WideLayout | LongLayout) -> None:
-        self._layout = layout
-        self._columns = open_columns(output, table_format, layout.kinds, layout.metadata)
-
-    def write(self, batch: FrameBatch, found: Sequence[MessageValues]) -> int:
-        count, columns = self._layout.columns(batch, found) if found else (0, {})
-        if count:
-            self._columns.write_columns(columns)
-        return count
-
-    def close(self) -> None:
-        self._columns.close()
-
-    def discard(self) -> None:
-        self._columns.discard()
+    tables: Mapping[str, str] = field(default_factory=dict)  # of messages: the name of each one's file
 
 
 def decode_logs(
@@ -211,20 +153,9 @@ def decode_logs(
     ExtraMissingError
         If the library that writes the format is not installed.
     """
-
-    def written(stream: BinaryIO) -> Decoded:
-        is_read_twice = _is_read_twice(plan, table_format)
-        with LogSet(paths, is_stopped, is_read_twice=is_read_twice, watch=watch, columns=columns) as logs:
-            return _written(logs, plan, stream, table_format, is_stopped)
-
-    if isinstance(output, Path):
-        with replacing(output, OutputError) as part:
-            with part.open("wb+") as stream:
-                decoded = written(stream)
-            if decoded.is_whole:
-                part.replace(output)
-        return decoded
-    return written(output)
+    is_read_twice = _is_read_twice(plan, table_format)
+    with LogSet(paths, is_stopped, is_read_twice=is_read_twice, watch=watch, columns=columns) as logs:
+        return _Writing(logs, plan, table_format, is_stopped).write(output)
 
 
 def _is_read_twice(plan: Plan, table_format: TableFormat) -> bool:
@@ -232,63 +163,69 @@ def _is_read_twice(plan: Plan, table_format: TableFormat) -> bool:
     return table_format not in {TableFormat.MF4, TableFormat.PARQUET} and plan.shape is TableShape.WIDE
 
 
-def _written(
-    logs: LogSet, plan: Plan, output: BinaryIO, table_format: TableFormat, is_stopped: Callable[[], bool]
-) -> Decoded:
-    account = DecodeAccount(codec=plan.codec, names=plan.names)
+@dataclass(frozen=True, slots=True)
+class _Writing:
+    """Logs on their way into tables."""
 
-    def frames(left_out: Callable[[int], None] = account.leave_out) -> Iterator[FrameBatch]:
-        return plan.span.part(_until(is_stopped, logs.frames()), left_out)
+    logs: LogSet
+    plan: Plan
+    table_format: TableFormat
+    is_stopped: Callable[[], bool]
 
-    if table_format is TableFormat.PARQUET:
-        table = _parquet(plan, output, account, logs.origins)
-        is_whole = _write_parquet(stretches(frames(), account, plan.pairs), table, is_stopped)
-    else:
-        if table_format is TableFormat.MF4:
+    def write(self, output: Path | BinaryIO) -> Decoded:
+        """Write all of it."""
+        if not isinstance(output, Path):
+            return self._into(output)
+        if self.plan.shape is TableShape.MESSAGES:
+            with table_folder(output, message_files(self.plan.names, self.table_format)) as tables:
+                decoded = self._into(tables)
+                if decoded.is_whole:
+                    return replace(decoded, tables=tables.complete(self.plan.names))
+            return decoded
+        with replacing(output, OutputError) as part:
+            with part.open("wb+") as stream:
+                decoded = self._into(stream)
+            if decoded.is_whole:
+                part.replace(output)
+        return decoded
+
+    def _into(self, output: BinaryIO | TableFolder) -> Decoded:
+        logs, account = self.logs, DecodeAccount(codec=self.plan.codec, names=self.plan.names)
+        sink, size = self._sink(output, account)
+        found = stretches(self._frames(account.leave_out), account, self.plan.pairs)
+        is_whole = False
+        try:
+            for group in groups(found, self.plan.codec, size, logs.origins):
+                sink.write_group(group)
+            if is_whole := not self.is_stopped():
+                sink.close()
+        finally:
+            if not is_whole:
+                sink.discard()
+        account.log = logs.counts
+        account.leave_out(max(0, account.log.frames - sum(account.fates.values())))  # behind the end that was asked for
+        return Decoded(account=account, readers=tuple(logs.readers), is_whole=is_whole)
+
+    def _sink(self, output: BinaryIO | TableFolder, account: DecodeAccount) -> tuple[TableSink, GroupSize]:
+        """Return what takes the frames, and how many at a time."""
+        plan, origins, is_parquet = self.plan, self.logs.origins, self.table_format is TableFormat.PARQUET
+        if isinstance(output, TableFolder):
+            if is_parquet:
+                return MessageParquet(output, account, plan.values, origins), plan.size_of_parquet
+            return MessageRows(output, self.table_format, account, plan.values, origins), plan.size()
+        if is_parquet:
+            kind = WideParquet if plan.shape is TableShape.WIDE else LongParquet
+            return kind(ColumnFile(output), account, plan.widest(origins), origins), plan.size_of_parquet
+        if self.table_format is TableFormat.MF4:
             from canlog.tables.mf4_table import Mf4Table  # noqa: PLC0415 - for this format alone
 
-            sink: TableSink = Mf4Table(output, plan.codec, plan.names, logs.origins)
-            size = plan.max_cells // CELLS_PER_FRAME
-        else:
-            layout = plan.layout(lambda: frames(_uncounted), logs.origins)
-            sink, size = _Rows(output, table_format, layout), plan.frames_per_group(layout)
-        is_whole = _write(decoded_batches(pieces(frames(), size), account, plan.pairs), sink, account, is_stopped)
-    account.log = logs.counts
-    account.leave_out(max(0, account.log.frames - sum(account.fates.values())))  # behind the end that was asked for
-    return Decoded(account=account, readers=tuple(logs.readers), is_whole=is_whole)
+            return Mf4Table(output, account, origins), plan.size()
+        layout = plan.layout(lambda: self._frames(_uncounted), origins)
+        is_live = STANDARD_INPUT in self.logs.paths
+        return ColumnRows(output, self.table_format, layout, account), plan.size(layout, is_live=is_live)
 
-
-def _write(
-    decoded: Iterable[tuple[FrameBatch, list[MessageValues]]],
-    sink: TableSink,
-    account: DecodeAccount,
-    is_stopped: Callable[[], bool],
-) -> bool:
-    """Write frames into any format; return whether all are."""
-    is_whole = False
-    try:
-        for batch, found in decoded:
-            account.row_count += sink.write(batch, found)
-        is_whole = not is_stopped()
-    finally:
-        (sink.close if is_whole else sink.discard)()
-    return is_whole
-
-
-def _parquet(plan: Plan, output: BinaryIO, account: DecodeAccount, origins: Origins | None) -> ParquetRows:
-    kind = WideParquet if plan.shape is TableShape.WIDE else LongParquet
-    limits = {"most_frames": plan.max_frames, "most_values": plan.max_values}
-    return kind(output, account, plan.values, origins, **limits)
-
-
-def _write_parquet(found: Iterable[Stretch], table: ParquetRows, is_stopped: Callable[[], bool]) -> bool:
-    """Write frames into Parquet; return whether all are."""
-    for stretch in found:
-        table.write(stretch)
-    if is_stopped():
-        return False
-    table.close()
-    return True
+    def _frames(self, left_out: Callable[[int], None]) -> Iterator[FrameBatch]:
+        return self.plan.span.part(_until(self.is_stopped, self.logs.frames()), left_out)
 
 
 def _uncounted(_: int) -> None:

@@ -5,8 +5,9 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from canlog.arrays import Int64Array
-from canlog.database.addressing import NOBODY
+from canlog.arrays import BoolArray, Int64Array
+from canlog.database.addressing import NOBODY, rows_by_slot
+from canlog.decode.codec import Codec, FrameFate
 from canlog.frame_columns import join
 from canlog.frames import PAYLOAD_BYTES, FrameBatch
 from canlog.tables.inputs import Origins
@@ -21,10 +22,35 @@ class FrameGroup:
     slot: Int64Array  # (n,) message of each in the codec
     channel: Int64Array  # (n,) in its log
     log: Int64Array | None  # (n,) place of its log among several
+    has_short: BoolArray  # (messages,) frames of it may be among these that are shorter than it
     long: LongPayloads | None = None  # of messages that are longer than a frame
 
     def __len__(self) -> int:
         return len(self.slot)
+
+    @property
+    def slot_in_frames(self) -> Int64Array:
+        """The message of each frame that is one by itself, NOBODY in rows of longer ones."""
+        if self.long is None:
+            return self.slot
+        slot = self.slot.copy()
+        slot[self.long.rows] = NOBODY
+        return slot
+
+    def by_message(self) -> Iterator[tuple[int, "FrameGroup"]]:
+        """Yield the messages that occur, each with its rows."""
+        for slot, rows in rows_by_slot(self.slot, len(self.has_short)):
+            yield (
+                slot,
+                FrameGroup(
+                    frames=self.frames[rows],
+                    slot=self.slot[rows],
+                    channel=self.channel[rows],
+                    log=None if self.log is None else self.log[rows],
+                    has_short=self.has_short,
+                    long=None if self.long is None else self.long.among(rows),
+                ),
+            )
 
 
 @dataclass(slots=True)
@@ -48,10 +74,21 @@ class FrameStock:
     _parts: list[FrameGroup] = field(default_factory=list)
     _frame_count: int = 0
     _value_count: int = 0
+    _has_short: BoolArray = field(init=False)
+
+    @classmethod
+    def of(cls, codec: Codec, origins: Origins | None, most_frames: int, most_values: int) -> "FrameStock":
+        """Return an empty stock for the messages of a codec."""
+        values_of = np.array([len(table.signals) for table in codec.tables], np.int64)
+        return cls(values_of, origins, most_frames, most_values)
+
+    def __post_init__(self) -> None:
+        self._has_short = np.zeros(len(self.values_of), np.bool_)
 
     def add(self, stretch: Stretch) -> Iterator[FrameGroup]:
         """Take frames with their messages; yield the groups that are complete by them."""
         batch, slot, long = stretch.batch, stretch.slot, stretch.long
+        self._has_short |= stretch.match.counts[:-1, FrameFate.SHORT] > 0
         size = max(1, min(self.most_frames, self.most_values // max(1, int(self.values_of.max(initial=1)))))
         for start in range(0, len(batch), size):
             part = slice(start, start + size)
@@ -76,7 +113,8 @@ class FrameStock:
         channel, log = batch.channel.astype(np.int64), None
         if self.origins is not None:
             log, channel = self.origins.log[channel], self.origins.channel[channel]
-        self._parts.append(FrameGroup(frames=batch, slot=slot, channel=channel, log=log, long=long))
+        one = FrameGroup(frames=batch, slot=slot, channel=channel, log=log, has_short=self._has_short, long=long)
+        self._parts.append(one)
         self._frame_count += len(slot) if batch.width <= PAYLOAD_BYTES else 2 * len(slot)  # CAN FD takes more memory
         self._value_count += int(self.values_of[slot].sum())
 
@@ -88,6 +126,7 @@ class FrameStock:
             slot=np.concatenate([part.slot for part in parts]),
             channel=np.concatenate([part.channel for part in parts]),
             log=np.concatenate(logs) if logs else None,
+            has_short=self._has_short.copy(),
             long=joined([part.long for part in parts], [len(part) for part in parts]),
         )
         self._parts, self._frame_count, self._value_count = [], 0, 0

@@ -1,10 +1,10 @@
-"""Decoded batches as the columns of a table: wide, a row per frame, or long, a row per value.
+"""Decoded frames as the columns of a table: wide, a row per frame, or long, a row per value.
 
 Nothing is null that a frame carries: null are signals of other messages, of other pages of a multiplexer, and what lies
 behind the end of a short frame.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
 from typing import Any, Final, Literal
@@ -13,10 +13,12 @@ import numpy as np
 import numpy.typing as npt
 
 from canlog.arrays import BoolArray, FloatArray, Int64Array, UInt32Array
+from canlog.database.addressing import sort_by_slot
 from canlog.decode.codec import MessageTable, MessageValues
-from canlog.frames import EXTENDED_FLAG, FrameBatch
+from canlog.frames import EXTENDED_FLAG
 from canlog.parquet_file import BOOL_TYPE, NAME_TYPE, TIME_TYPE, load_pyarrow
 from canlog.tables.coded_signals import NAMELESS, Int32Array, ValueTexts
+from canlog.tables.frame_stock import FrameGroup
 from canlog.tables.inputs import Origins
 from canlog.tables.names import TEXT_SUFFIX, Place, TableNames
 
@@ -37,39 +39,47 @@ class Values(StrEnum):
     BOTH = "both"
 
 
+def frame_kinds(origins: Origins | None) -> dict[str, str]:
+    """Return names and types of the columns that say what is known of frames besides their signals."""
+    return FRAME_KINDS if origins is None else {LOG: NAME_TYPE, **FRAME_KINDS}
+
+
 class TableLayout:
     """What both layouts share: the messages of a codec, how they are called, and how values are written."""
 
     def __init__(
-        self, tables: Sequence[MessageTable], names: TableNames, values: Values, origins: Origins | None = None
+        self,
+        tables: Sequence[MessageTable],
+        names: TableNames,
+        values: Values,
+        slots: Sequence[int],
+        origins: Origins | None = None,
     ) -> None:
         self._tables = tables
-        self._names = names
-        self._values = values
+        self.names = names
+        self.values = values
         self._origins = origins
-        self.frame_kinds = FRAME_KINDS if origins is None else {LOG: NAME_TYPE, **FRAME_KINDS}
+        self.frame_kinds = frame_kinds(origins)
         self.texts: dict[Place, ValueTexts] = {}
         if values is not Values.NUMBERS:
             self.texts = {
-                (slot, name): ValueTexts(table.definitions[name], compiled)
-                for slot, table in enumerate(tables)
-                for name, compiled in table.signals.items()
-                if table.definitions[name].choices
+                (slot, name): ValueTexts(tables[slot].definitions[name], compiled)
+                for slot in slots
+                for name, compiled in tables[slot].signals.items()
+                if tables[slot].definitions[name].choices
             }
 
-    def _frame_columns(self, batch: FrameBatch, rows: Int64Array) -> dict[str, Column]:
+    def _frame_columns(self, group: FrameGroup, rows: Int64Array) -> dict[str, Column]:
         """Return what is known of frames besides their signals."""
         arrow = load_pyarrow()
-        can_id: UInt32Array = batch.can_id[rows]
-        channel = batch.channel[rows].astype(np.int64)
+        can_id: UInt32Array = group.frames.can_id[rows]
         log: dict[str, Column] = {}
-        if self._origins is not None:
-            log = {LOG: _name_column(self._origins.names, self._origins.log[channel].astype(np.int32))}
-            channel = self._origins.channel[channel]
+        if self._origins is not None and group.log is not None:
+            log = {LOG: _name_column(self._origins.names, group.log[rows].astype(np.int32))}
         return {
             **log,
-            TIME: arrow.array(batch.t_ns[rows], type=arrow.timestamp("ns", "UTC")),
-            CHANNEL: channel,
+            TIME: arrow.array(group.frames.t_ns[rows], type=arrow.timestamp("ns", "UTC")),
+            CHANNEL: group.channel[rows],
             ID: (can_id & _BARE_ID).astype(np.int32),
             IS_EXTENDED: (can_id & np.uint32(EXTENDED_FLAG)) != 0,
         }
@@ -91,40 +101,51 @@ class WideLayout(TableLayout):
         slots: Sequence[int],
         origins: Origins | None = None,
     ) -> None:
-        super().__init__(tables, names, values, origins)
+        super().__init__(tables, names, values, slots, origins)
         self._places = [(slot, name) for slot in slots for name in tables[slot].signals]
 
     @property
     def kinds(self) -> dict[str, str]:
         """Names and types of the columns."""
-        kinds = dict(self.frame_kinds)
-        for place in self._places:
-            kinds[self._names.columns[place]] = "float64"
-            if place in self.texts:
-                kinds[self._names.columns[place] + TEXT_SUFFIX] = NAME_TYPE
-        return kinds
+        return self._kinds(self._places)
 
     @property
     def metadata(self) -> dict[str, dict[str, str]]:
         """What is to be known of columns."""
-        return {self._names.columns[place]: {UNIT: unit} for place in self._places if (unit := self.unit(place))}
+        return self._metadata(self._places)
 
-    def columns(self, batch: FrameBatch, found: Sequence[MessageValues]) -> tuple[int, dict[str, Column]]:
+    def described(self, slots: Collection[int]) -> tuple[dict[str, str], dict[str, dict[str, str]]]:
+        """Return both, of the messages among ``slots`` alone."""
+        places = [place for place in self._places if place[0] in slots]
+        return self._kinds(places), self._metadata(places)
+
+    def _kinds(self, places: Sequence[Place]) -> dict[str, str]:
+        kinds = dict(self.frame_kinds)
+        for place in places:
+            kinds[self.names.columns[place]] = "float64"
+            if place in self.texts:
+                kinds[self.names.columns[place] + TEXT_SUFFIX] = NAME_TYPE
+        return kinds
+
+    def _metadata(self, places: Sequence[Place]) -> dict[str, dict[str, str]]:
+        return {self.names.columns[place]: {UNIT: unit} for place in places if (unit := self.unit(place))}
+
+    def columns(self, group: FrameGroup, found: Sequence[MessageValues]) -> tuple[int, dict[str, Column]]:
         """Return the number of rows and the columns of one row group, in their order."""
         frames = np.concatenate([one.rows for one in found])
         which = np.repeat(np.arange(len(found), dtype=np.int32), [len(one.rows) for one in found])
-        order = np.argsort(frames, kind="stable")
-        row_of = np.empty(len(batch), np.int64)
+        order = _order(frames, len(group))
+        row_of = np.empty(len(group), np.int64)
         row_of[frames[order]] = np.arange(len(frames))
         cells = _Cells(len(frames))
         for one in found:
             self._fill(cells, one, row_of[one.rows])
-        columns = self._frame_columns(batch, frames[order])
-        columns[MESSAGE] = _name_column([self._names.messages[one.slot] for one in found], which[order])
+        columns = self._frame_columns(group, frames[order])
+        columns[MESSAGE] = _name_column([self.names.messages[one.slot] for one in found], which[order])
         for place in self._places:
-            columns[self._names.columns[place]] = cells.numbers(place)
+            columns[self.names.columns[place]] = cells.numbers(place)
             if place in self.texts:
-                columns[self._names.columns[place] + TEXT_SUFFIX] = cells.texts(place, self.texts[place].names)
+                columns[self.names.columns[place] + TEXT_SUFFIX] = cells.texts(place, self.texts[place].names)
         return len(frames), columns
 
     def _fill(self, cells: "_Cells", one: MessageValues, rows: Int64Array) -> None:
@@ -136,7 +157,7 @@ class WideLayout(TableLayout):
                 if is_there is not None:
                     codes = np.where(is_there, codes, np.int32(NAMELESS))
                 cells.put_codes(place, rows, codes)
-                if self._values is Values.TEXTS:
+                if self.values is Values.TEXTS:
                     is_there = codes == NAMELESS if is_there is None else is_there & (codes == NAMELESS)
             cells.put(place, rows, decoded.value, is_there)
 
@@ -144,10 +165,15 @@ class WideLayout(TableLayout):
 class LongLayout(TableLayout):
     """A row per value."""
 
+    def __init__(
+        self, tables: Sequence[MessageTable], names: TableNames, values: Values, origins: Origins | None = None
+    ) -> None:
+        super().__init__(tables, names, values, range(len(tables)), origins)
+
     @property
     def kinds(self) -> dict[str, str]:
         """Names and types of the columns."""
-        text = {} if self._values is Values.NUMBERS else {TEXT: NAME_TYPE}
+        text = {} if self.values is Values.NUMBERS else {TEXT: NAME_TYPE}
         return {**self.frame_kinds, SIGNAL: NAME_TYPE, VALUE: "float64", **text, UNIT: NAME_TYPE}
 
     @property
@@ -155,23 +181,27 @@ class LongLayout(TableLayout):
         """What is to be known of columns."""
         return {}
 
-    def columns(self, batch: FrameBatch, found: Sequence[MessageValues]) -> tuple[int, dict[str, Column]]:
+    def described(self, slots: Collection[int]) -> tuple[dict[str, str], dict[str, dict[str, str]]]:  # noqa: ARG002 - as of wide ones
+        """Return both: they are always the same."""
+        return self.kinds, self.metadata
+
+    def columns(self, group: FrameGroup, found: Sequence[MessageValues]) -> tuple[int, dict[str, Column]]:
         """Return the number of rows and the columns of one row group, in their order."""
         parts = [part for one in found for part in self._parts(one)]
         if not parts:
             return 0, {}
         rows = np.concatenate([part.rows for part in parts])
-        order = np.argsort(rows, kind="stable")
+        order = _order(rows, len(group))
         which = np.repeat(np.arange(len(parts), dtype=np.int32), [len(part.rows) for part in parts])[order]
-        columns = self._frame_columns(batch, rows[order])
-        columns[MESSAGE] = _name_column([self._names.messages[part.place[0]] for part in parts], which)
+        columns = self._frame_columns(group, rows[order])
+        columns[MESSAGE] = _name_column([self.names.messages[part.place[0]] for part in parts], which)
         columns[SIGNAL] = _name_column([part.place[1] for part in parts], which)
         columns[VALUE] = np.concatenate([part.value for part in parts])[order]
-        if self._values is not Values.NUMBERS:
+        if self.values is not Values.NUMBERS:
             arrow = load_pyarrow()
             texts = arrow.concat_arrays([_name_column(part.names, part.codes) for part in parts])
             columns[TEXT] = texts.take(arrow.array(order))
-            if self._values is Values.TEXTS:
+            if self.values is Values.TEXTS:
                 is_nameless = columns[TEXT].is_null().to_numpy(zero_copy_only=False)
                 columns[VALUE] = _column(columns[VALUE], is_nameless)
         columns[UNIT] = _name_column([self.unit(part.place) for part in parts], which)
@@ -229,6 +259,13 @@ class _Cells:
     def texts(self, place: Place, names: Sequence[str]) -> Column:
         """Return the texts of a signal."""
         return _name_column(names, self._codes.get(place, np.full(self._count, NAMELESS, np.int32)))
+
+
+def _order(rows: Int64Array, count: int) -> Int64Array:
+    """Return the order in which rows, of which there are ``count`` different ones, rise; alike ones stay."""
+    order, stop = np.empty(len(rows), np.int64), np.zeros(count + 1, np.int64)
+    sort_by_slot(rows, order, stop)
+    return order
 
 
 def _name_column(names: Sequence[str], which: Int32Array) -> Column:

@@ -8,11 +8,12 @@ from typing import Any, BinaryIO, Final
 import numpy as np
 
 from canlog.arrays import BoolArray, FloatArray, Int64Array
-from canlog.decode.codec import Codec, MessageValues
+from canlog.decode.codec import MessageValues
 from canlog.extras import load_extra
-from canlog.frames import FrameBatch
+from canlog.tables.account import DecodeAccount
+from canlog.tables.frame_stock import FrameGroup
+from canlog.tables.groups import values_in
 from canlog.tables.inputs import Origins
-from canlog.tables.names import TableNames
 
 VERSION: Final = "4.10"
 TRANSPOSED_AND_DEFLATED: Final = 2
@@ -30,30 +31,31 @@ class Mf4Table:
         If asammdf is not installed.
     """
 
-    def __init__(self, output: BinaryIO, codec: Codec, names: TableNames, origins: Origins | None) -> None:
+    def __init__(self, output: BinaryIO, account: DecodeAccount, origins: Origins | None) -> None:
         if sys.modules.get("asammdf", ...) is None:  # a program keeps itself from loading it before it is needed
             del sys.modules["asammdf"]
         self._library: Any = load_extra("asammdf", "MF4 needs asammdf", "mf4")
         self._output = output
-        self._codec = codec
-        self._names = names
+        self._account = account
+        self._codec = account.codec
+        self._names = account.names
         self._origins = origins
         self._file: Any = self._library.MDF(version=VERSION)
         self._groups: dict[tuple[int, str], int] = {}
         self._start_ns: int | None = None
 
-    def write(self, batch: FrameBatch, found: Sequence[MessageValues]) -> int:
-        """Take a batch and what its signals say; return how many frames have values."""
-        if self._start_ns is None and len(batch):
-            start_s = int(batch.t_ns.min()) // NS_PER_S
+    def write_group(self, group: FrameGroup) -> None:
+        """Write some frames, message by message."""
+        if self._start_ns is None and len(group):
+            start_s = int(group.frames.t_ns.min()) // NS_PER_S
             self._start_ns = start_s * NS_PER_S
             self._file.header.start_time = datetime.fromtimestamp(start_s, UTC)
         by_slot: dict[int, list[MessageValues]] = {}
-        for one in found:
+        for one in values_in(group, self._account):
+            self._account.row_count += len(one.rows)
             by_slot.setdefault(one.slot, []).append(one)
         for slot, parts in by_slot.items():
-            self._write_message(slot, parts, batch)
-        return sum(len(one.rows) for one in found)
+            self._write_message(slot, parts, group)
 
     def close(self) -> None:
         """Write the file."""
@@ -66,16 +68,16 @@ class Mf4Table:
         """Write nothing."""
         self._file.close()
 
-    def _write_message(self, slot: int, parts: Sequence[MessageValues], batch: FrameBatch) -> None:
+    def _write_message(self, slot: int, parts: Sequence[MessageValues], group: FrameGroup) -> None:
         """Write the frames of one message, apart by channel; short frames come apart and are put back in order."""
-        rows = np.concatenate([part.rows for part in parts])
-        order = np.argsort(rows, kind="stable")
-        columns = {name: _column(name, parts, order) for name in self._codec.tables[slot].signals}
-        channels = batch.channel[rows[order]]
-        for channel in np.unique(channels).tolist():
-            own = channels == channel
+        found = np.concatenate([part.rows for part in parts])
+        order = np.argsort(found, kind="stable")
+        rows, columns = found[order], {name: _column(name, parts, order) for name in self._codec.tables[slot].signals}
+        channels, logs = group.channel[rows], np.zeros(len(rows), np.int64) if group.log is None else group.log[rows]
+        for log, channel in np.unique(np.stack((logs, channels)), axis=1).T.tolist():
+            own = (channels == channel) & (logs == log)
             of_channel = {name: (value[own], missing[own]) for name, (value, missing) in columns.items()}
-            self._append(slot, self._place(channel), batch.t_ns[rows[order]][own], of_channel)
+            self._append(slot, self._place(log, channel), group.frames.t_ns[rows][own], of_channel)
 
     def _append(
         self, slot: int, place: str, t_ns: Int64Array, columns: Mapping[str, tuple[FloatArray, BoolArray]]
@@ -99,12 +101,9 @@ class Mf4Table:
         name = f"{self._names.messages[slot]}, {place}"
         self._groups[slot, place] = self._file.append(signals, acq_name=name, comment=name, common_timebase=True)
 
-    def _place(self, channel: int) -> str:
+    def _place(self, log: int, channel: int) -> str:
         """Return where frames come from, for people."""
-        if self._origins is None:
-            return f"channel {channel}"
-        log = self._origins.names[int(self._origins.log[channel])]
-        return f"channel {int(self._origins.channel[channel])} of {log}"
+        return f"channel {channel}" + (f" of {self._origins.names[log]}" if self._origins is not None else "")
 
 
 def _column(name: str, parts: Sequence[MessageValues], order: Int64Array) -> tuple[FloatArray, BoolArray]:

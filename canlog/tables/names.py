@@ -1,7 +1,7 @@
 """Names of columns: ``Message.Signal``, and the identifier where that does not tell two signals apart."""
 
 from collections import Counter
-from collections.abc import Container, Mapping, Sequence
+from collections.abc import Container, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Final
 
@@ -21,6 +21,15 @@ class TableNames:
 
     messages: tuple[str, ...]  # by slot
     columns: Mapping[Place, str]
+
+    def of_message(self, slot: int, taken: Iterable[str]) -> "TableNames":
+        """Return the names in a table of one message alone: those of its signals, unless they are ``taken``."""
+        used = set(taken)
+        columns: dict[Place, str] = {}
+        for place in (place for place in self.columns if place[0] == slot):
+            columns[place] = _unused(place[1], used)
+            used |= {columns[place], columns[place] + TEXT_SUFFIX}
+        return TableNames(messages=self.messages, columns=columns)
 
 
 def flagged_id(message: Message) -> int:

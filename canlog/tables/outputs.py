@@ -29,7 +29,13 @@ FORMAT_OF_SUFFIX: Final[Mapping[str, TableFormat]] = MappingProxyType(
         ".mf4": TableFormat.MF4,
     }
 )
+SUFFIX_OF_FORMAT: Final[Mapping[TableFormat, str]] = MappingProxyType(
+    {table_format: suffix for suffix, table_format in FORMAT_OF_SUFFIX.items()}
+)
 STREAMED: Final = frozenset({TableFormat.CSV, TableFormat.JSON_LINES, TableFormat.ARROW})
+ARROW_COMPRESSION: Final = (
+    "lz4"  # most cells of a wide table are empty, and take longer to be written than to be packed
+)
 _TEXT: Final = "string"
 
 
@@ -75,7 +81,8 @@ class _ArrowStream:
         self._arrow = load_pyarrow()
         self._output = output
         self._schema = arrow_schema(kinds, metadata)
-        self._writer = self._arrow.ipc.new_stream(output, self._schema)
+        options = self._arrow.ipc.IpcWriteOptions(compression=ARROW_COMPRESSION)
+        self._writer = self._arrow.ipc.new_stream(output, self._schema, options=options)
 
     def write_columns(self, columns: Mapping[str, Any]) -> None:
         self._writer.write_batch(self._arrow.record_batch(list(columns.values()), schema=self._schema))

@@ -1,6 +1,6 @@
 """Decoded frames as long Parquet: a row per value, in the order of frames and of the signals in them."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from itertools import groupby
 
@@ -15,7 +15,7 @@ from canlog.parquet_file import NAME_TYPE
 from canlog.tables.coded_signals import NAMELESS, CodedSignal, ValueTexts
 from canlog.tables.frame_contents import frame_contents
 from canlog.tables.frame_stock import FrameGroup
-from canlog.tables.layouts import SIGNAL, TEXT, UNIT, VALUE, LongLayout, Values
+from canlog.tables.layouts import SIGNAL, TEXT, UNIT, VALUE, Values
 from canlog.tables.parquet_tables import ParquetRows
 from canlog.tables.value_rows import SignalRuns, values_by_frame
 
@@ -87,10 +87,8 @@ class _Rows:
 class LongParquet(ParquetRows):
     """A row per value."""
 
-    def _layout_of(self, slots: Iterable[int]) -> LongLayout:  # noqa: ARG002 - the columns are always the same
-        return LongLayout(self._tables, self._names, self._values, self._origins)
-
-    def _write_group(self, group: FrameGroup) -> None:
+    def write_group(self, group: FrameGroup) -> None:
+        """Write frames, a row for each of their values."""
         found = list(self._carriers(group))
         repeats = np.zeros(len(group), np.int32)
         for one in found:

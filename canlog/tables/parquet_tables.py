@@ -3,7 +3,7 @@
 from abc import ABC, abstractmethod
 from collections.abc import Iterable, Iterator
 from dataclasses import replace
-from typing import BinaryIO, Final
+from typing import Final
 
 import numpy as np
 
@@ -17,10 +17,9 @@ from canlog.parquet_file import NAME_TYPE
 from canlog.tables.account import DecodeAccount
 from canlog.tables.coded_signals import NAMELESS, CodedSignal, coded_signal
 from canlog.tables.frame_contents import frame_contents
-from canlog.tables.frame_stock import FrameGroup, FrameStock
+from canlog.tables.frame_stock import FrameGroup
 from canlog.tables.inputs import Origins
 from canlog.tables.layouts import LongLayout, Values, WideLayout
-from canlog.tables.long_rows import Stretch
 from canlog.tables.names import TEXT_SUFFIX, Place
 
 GROUP_FRAMES: Final = 1_048_576  # of a group of rows, at most
@@ -28,59 +27,42 @@ GROUP_VALUES: Final = 4_718_592  # likewise
 
 
 class ParquetRows(ABC):
-    """What wide and long tables share: frames gather, and a group of rows is written when there are enough.
+    """What wide and long tables share.
 
     Parameters
     ----------
-    output : binary stream
-        It stays open.
+    file
+        What is written to.
     account
         Of what becomes of frames and values; the rows are counted as well.
-    values
-        What is written for values that have names.
+    layout
+        The columns that may occur, and how values are written.
     origins
         Where frames of several logs come from.
-    most_frames, most_values
-        Frames, and values, of a group of rows.
     """
 
     def __init__(
-        self,
-        output: BinaryIO,
-        account: DecodeAccount,
-        values: Values,
-        origins: Origins | None = None,
-        *,
-        most_frames: int = GROUP_FRAMES,
-        most_values: int = GROUP_VALUES,
+        self, file: ColumnFile, account: DecodeAccount, layout: WideLayout | LongLayout, origins: Origins | None = None
     ) -> None:
-        self._file = ColumnFile(output)
+        self._file = file
         self._account = account
         self._tables = account.codec.tables
-        self._names = account.names
-        self._values = values
+        self._layout = layout
+        self._names = layout.names
+        self._values = layout.values
         self._origins = origins
-        self._layout = self._layout_of(range(len(self._tables)))
-        values_of = np.array([len(table.signals) for table in self._tables], np.int64)
-        self._stock = FrameStock(values_of, origins, most_frames, most_values)
 
-    def write(self, stretch: Stretch) -> None:
-        """Take frames and their messages."""
-        for group in self._stock.add(stretch):
-            self._write_group(group)
+    @abstractmethod
+    def write_group(self, group: FrameGroup) -> None:
+        """Write frames as a group of rows."""
 
     def close(self) -> None:
-        """Write what is left, and the end of the file."""
-        for group in self._stock.rest():
-            self._write_group(group)
-        layout = self._layout_of(self._account.seen_slots)
-        self._file.close(layout.kinds, layout.metadata)
+        """Write the end of the file."""
+        kinds, notes = self._layout.described(self._account.seen_slots)
+        self._file.close(kinds, notes)
 
-    @abstractmethod
-    def _layout_of(self, slots: Iterable[int]) -> WideLayout | LongLayout: ...
-
-    @abstractmethod
-    def _write_group(self, group: FrameGroup) -> None: ...
+    def discard(self) -> None:  # noqa: B027 - nothing else is to be done
+        """Leave what there is: without its end it is no file of this kind."""
 
     def _carriers(self, group: FrameGroup) -> Iterable[Carriers]:
         """Yield what frames carry; what they have no room for is counted."""
@@ -128,10 +110,8 @@ def _payloads(
 class WideParquet(ParquetRows):
     """A row per frame, and a column for each signal of the messages that occur."""
 
-    def _layout_of(self, slots: Iterable[int]) -> WideLayout:
-        return WideLayout(self._tables, self._names, self._values, list(slots), self._origins)
-
-    def _write_group(self, group: FrameGroup) -> None:
+    def write_group(self, group: FrameGroup) -> None:
+        """Write frames, a row for each."""
         count = len(group)
         everywhere = self._file.levels(np.arange(count), count)
         kinds = self._layout.frame_kinds

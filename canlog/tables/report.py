@@ -4,9 +4,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import asdict
 from typing import Final
 
-import numpy as np
-
-from canlog.decode.codec import HAS_VALUES, FrameFate
+from canlog.decode.codec import FrameFate
 from canlog.frames import EXTENDED_FLAG
 from canlog.logs.fault_texts import assumed_texts, lost_texts, odd_texts
 from canlog.tables.account import MAX_IDS, DecodeAccount
@@ -97,9 +95,7 @@ def frame_texts(account: DecodeAccount) -> Iterator[str]:
 def values_text(account: DecodeAccount) -> str:
     """Return how many values there are, in words."""
     values = sum(counts.values for counts in account.signals.values())
-    counts = account.counts[:-1, list(HAS_VALUES)].sum(axis=1)
-    with_values = len({*np.flatnonzero(counts).tolist(), *account.long_counts})
-    return f"{values} values of {len(account.signals)} signals in {with_values} messages"
+    return f"{values} values of {len(account.signals)} signals in {len(account.valued_slots)} messages"
 
 
 def account_record(account: DecodeAccount) -> JsonObject:

@@ -7,10 +7,10 @@ from typing import BinaryIO, Final
 
 from canlog.logs import STANDARD_INPUT, shown_name
 from canlog.parquet_file import load_pyarrow
-from canlog.tables.decoding import Decoded, decode_logs
+from canlog.tables.decoding import Decoded, TableShape, decode_logs
 from canlog.tables.outputs import FORMAT_OF_SUFFIX, STREAMED, TableFormat
 from canlog.tables.report import account_record, frame_texts, losses, remarks, values_text
-from diag_service.commands.table_choice import choice_of, planned
+from diag_service.commands.table_choice import check_messages, choice_of, planned
 from diag_service.console.reading import ReadingLine
 from diag_service.console.terminal import PeopleConsole
 from diag_service.diagnosis.results import dump
@@ -27,17 +27,20 @@ NOTHING_KNOWN: Final = "is it the right database? Try diag-service signals LOG -
 
 def execute(options: SimpleNamespace, controls: Controls) -> None:
     """Decode logs; a file appears when it is complete. Raises StoppedError if that was stopped."""
-    if options.output.is_dir() or any(path.is_dir() for path in options.logs if path != STANDARD_INPUT):
+    is_of_messages = options.layout == TableShape.MESSAGES
+    has_folders = any(path.is_dir() for path in options.logs if path != STANDARD_INPUT)
+    if has_folders or (options.output.is_dir() and not is_of_messages):
         from diag_service.commands import decode_folder  # noqa: PLC0415 - one table needs none of it
 
         decode_folder.execute(options, controls)
         return
     if options.jobs is not None:
         raise ConfigError("--jobs is for folders: the logs that were named are one table")
-    table_format = table_format_of(options.output, options.format)
+    table_format = table_format_of(options.output, options.format, is_folder=is_of_messages)
     _check(options, table_format)
     messages = open_database(options.dbc, is_lenient=options.lenient).messages
     plan = planned(choice_of(options), messages)
+    check_messages(options.output, plan, table_format, is_forced=options.force)
     is_piped = options.output == STANDARD_STREAM
     output: Path | BinaryIO = sys.stdout.buffer if is_piped else options.output
     with ReadingLine() as line:
@@ -57,12 +60,14 @@ def execute(options: SimpleNamespace, controls: Controls) -> None:
         raise IncompleteError(f"{names}: not all of it is in {_place(options)}: {lost[0]}{more}")
 
 
-def table_format_of(output: Path, named: str | None) -> TableFormat:
+def table_format_of(output: Path, named: str | None, *, is_folder: bool = False) -> TableFormat:
     """Return the format that was asked for, by name or by suffix; raises ConfigError."""
     if named is not None:
         return TableFormat(named)
     if output == STANDARD_STREAM:
         return TableFormat.CSV
+    if is_folder:
+        return TableFormat.PARQUET
     try:
         return FORMAT_OF_SUFFIX[output.suffix.lower()]
     except KeyError:
@@ -77,10 +82,13 @@ def _check(options: SimpleNamespace, table_format: TableFormat) -> None:
         raise ConfigError(f"{table_format} does not go to standard output; csv, jsonl and arrow do")
     if is_piped and options.json:
         raise ConfigError("the table goes to standard output: there is no room for --json")
+    is_of_messages = options.layout == TableShape.MESSAGES
+    if is_piped and is_of_messages:
+        raise ConfigError("tables of messages are a folder, and do not go to standard output")
     check_distinct(options.logs)
     if table_format is TableFormat.MF4 and (options.layout, options.values) != ("wide", "numbers"):
         raise ConfigError("an MF4 file has a group per message and numbers: neither --layout nor --values applies")
-    if not is_piped and (text := replacement_refusal(options.output, is_forced=options.force)):
+    if not is_piped and not is_of_messages and (text := replacement_refusal(options.output, is_forced=options.force)):
         raise ConfigError(text)
     if table_format is not TableFormat.MF4:
         load_pyarrow()
@@ -102,12 +110,14 @@ def _record(options: SimpleNamespace, decoded: Decoded) -> JsonObject:
         }
         for path, reader in zip(options.logs, decoded.readers, strict=True)
     ]
+    tables = {"tables": decoded.tables} if decoded.tables else {}
     first = {key: logs[0][key] for key in ("path", "format", "evidence")} if len(logs) == 1 else {}
     return {
         **account_record(decoded.account),
         **first,
         "logs": logs,
         "output": str(options.output),
+        **tables,
         "layout": options.layout,
         "values": options.values,
     }

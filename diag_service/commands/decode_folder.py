@@ -3,18 +3,21 @@
 import logging
 import sys
 from collections import Counter
+from collections.abc import Sequence
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import replace
+from pathlib import Path
 from types import SimpleNamespace
 
 from canlog.errors import OutputError, SourceError
 from canlog.logs import STANDARD_INPUT
 from canlog.notice import NOTICE
-from canlog.tables.outputs import TableFormat
+from canlog.tables.decoding import TableShape
+from canlog.tables.outputs import SUFFIX_OF_FORMAT, TableFormat
 from diag_service.batch.drives import find_drives, left_out_record
 from diag_service.batch.processes import job_count, shared_out
 from diag_service.batch.tables_of_logs import TableDone, TableTask, begin_tables, write_own_table
-from diag_service.commands.table_choice import choice_of, planned
+from diag_service.commands.table_choice import check_messages, choice_of, planned
 from diag_service.console.terminal import PeopleConsole
 from diag_service.diagnosis.results import dump
 from diag_service.errors import ConfigError, IncompleteError, StoppedError
@@ -22,7 +25,6 @@ from diag_service.mapping.databases import open_database
 from diag_service.service.stopping import Controls
 from program_io.overwriting import replacement_refusal
 
-SUFFIX_OF_FORMAT = {TableFormat.ARROW: "arrows"}
 _LOG = logging.getLogger(__name__)
 
 
@@ -36,8 +38,10 @@ def execute(options: SimpleNamespace, controls: Controls) -> None:
         raise ConfigError(str(exc)) from exc
     jobs = job_count(options.jobs)
     messages = open_database(options.dbc, is_lenient=options.lenient).messages
-    planned(choice, messages)  # complains of signals and times that are none
-    tasks = _tasks(options, table_format)
+    plan = planned(choice, messages)  # complains of signals and times that are none
+    tasks = _tasks(options, "" if plan.shape is TableShape.MESSAGES else SUFFIX_OF_FORMAT[table_format])
+    for task in tasks:
+        check_messages(task.output, plan, table_format, is_forced=options.force)
     console, totals, losing = PeopleConsole(), Counter[str](), list[str]()
     arguments = (messages, choice, table_format)
     for task, future in shared_out(write_own_table, tasks, jobs, controls.stop, begin_tables, arguments):
@@ -58,15 +62,19 @@ def execute(options: SimpleNamespace, controls: Controls) -> None:
         raise IncompleteError(f"not all of {len(losing)} logs is in their tables: {losing[0]}")
 
 
-def _tasks(options: SimpleNamespace, table_format: TableFormat) -> list[TableTask]:
-    """Return the logs with their tables; raises ConfigError if a table is there already, or two would be one."""
+def _tasks(options: SimpleNamespace, suffix: str) -> list[TableTask]:
+    """Return the logs with their tables, or folders of tables if these have no suffix.
+
+    Raises ConfigError if a table is there already, two would be one, or a table would be among the logs.
+    """
     if STANDARD_INPUT in options.logs:
         raise ConfigError("tables of a folder are written by several processes: standard input does not go with them")
     if options.output.exists() and not options.output.is_dir():
         raise ConfigError(f"{options.output} is no folder: each log of a folder becomes a table of its own")
-    suffix = SUFFIX_OF_FORMAT.get(table_format, table_format.value)
     tasks = []
     for path in options.logs:
+        if path.is_dir() and options.output.resolve().is_relative_to(path.resolve()):
+            raise ConfigError(f"{options.output} lies in {path}: the next run would take tables for logs")
         found = find_drives([path], columns=options.columns or "")
         for left in found.left_out:
             _LOG.log(NOTICE, "left out: %s: %s", left.path, left.reason)
@@ -75,14 +83,18 @@ def _tasks(options: SimpleNamespace, table_format: TableFormat) -> list[TableTas
         home = path if path.is_dir() else path.parent
         for log in (log for drive in found.drives for log in drive.paths):
             own = log.relative_to(home)
-            tasks.append(TableTask(log=log, output=options.output / own.with_name(f"{own.name}.{suffix}")))
-    counts = Counter(task.output for task in tasks)
+            tasks.append(TableTask(log=log, output=options.output / own.with_name(f"{own.name}{suffix}")))
+    _check_outputs([task.output for task in tasks], are_files=bool(suffix), is_forced=options.force)
+    return tasks
+
+
+def _check_outputs(outputs: Sequence[Path], *, are_files: bool, is_forced: bool) -> None:
+    counts = Counter(outputs)
     if twice := [str(output) for output, count in counts.items() if count > 1]:
         raise ConfigError(f"two logs would be the same table: {', '.join(twice)}")
     for output in counts:
-        if text := replacement_refusal(output, is_forced=options.force):
+        if are_files and (text := replacement_refusal(output, is_forced=is_forced)):
             raise ConfigError(text)
-    return tasks
 
 
 def _tell(done: TableDone, options: SimpleNamespace, console: PeopleConsole) -> None:

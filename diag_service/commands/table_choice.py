@@ -1,12 +1,15 @@
 """From options to what is written as a table; one table and a folder of tables share it."""
 
 from collections.abc import Sequence
+from pathlib import Path
 from types import SimpleNamespace
 
 from cantools.database.can import Message
 
 from canlog.errors import SourceError
-from canlog.tables.decoding import Plan
+from canlog.tables.decoding import Plan, TableShape
+from canlog.tables.outputs import TableFormat
+from canlog.tables.table_folder import message_files, tables_there
 from canlog.written_tables import TableChoice
 from diag_service.commands.conversations import pairs_of
 from diag_service.errors import ConfigError
@@ -23,6 +26,19 @@ def choice_of(options: SimpleNamespace) -> TableChoice:
         columns=options.columns or "",
         pairs=pairs_of(options.pairs or ""),
     )
+
+
+def check_messages(folder: Path, plan: Plan, table_format: TableFormat, *, is_forced: bool) -> None:
+    """Raise ConfigError if tables of messages must not be written to a folder; other tables are no concern."""
+    if plan.shape is not TableShape.MESSAGES:
+        return
+    if folder.exists() and not folder.is_dir():
+        raise ConfigError(f"{folder} is no folder: each message becomes a table of its own")
+    there = [] if is_forced else tables_there(folder, message_files(plan.names, table_format))
+    if there:
+        raise ConfigError(
+            f"{there[0]} is there already; --force writes over tables of messages, and removes older ones"
+        )
 
 
 def planned(choice: TableChoice, messages: Sequence[Message]) -> Plan:

@@ -4,6 +4,8 @@ import csv
 import json
 import math
 import re
+import struct
+from datetime import datetime
 from pathlib import Path
 from typing import Any
 
@@ -97,6 +99,89 @@ def test_csv_json_lines_and_arrow_hold_what_parquet_holds(folder: Path, layout: 
         }
         for name, value in row.items():
             assert cell[name] == as_text(value) or same(float(cell[name]), float(value)), name
+
+
+def bits(row: Row) -> Row:
+    """Return a row with numbers as their bits."""
+    return {name: struct.pack("<d", cell) if isinstance(cell, float) else cell for name, cell in row.items()}
+
+
+def rows_of(path: Path, types: Row) -> list[Row]:
+    """Return the rows of a table in any format, its cells as those of Parquet are."""
+    if path.suffix in {".parquet", ".arrows"}:
+        table = pq.read_table(path) if path.suffix == ".parquet" else pa.ipc.open_stream(path).read_all()
+        return list(table.to_pylist())
+    with path.open(encoding="utf-8", newline="") as file:
+        found = list(csv.DictReader(file)) if path.suffix == ".csv" else [json.loads(line) for line in file]
+
+    def typed(name: str, cell: object) -> object:
+        if not isinstance(cell, str):
+            return cell
+        if types.get(name) is datetime:
+            return as_moment(cell)
+        return {"": None, "true": True, "false": False}.get(cell, types.get(name, str)(cell)) if cell else None
+
+    return [{name: typed(name, cell) for name, cell in row.items()} for row in found]
+
+
+def test_tables_of_messages_hold_what_one_table_holds(folder: Path) -> None:
+    logs = ("drive.log", "again.log")
+    (folder / "again.log").write_text("".join(f"{line}\n" for line in LINES[1:]), encoding="ascii")
+    wide = decoded(*logs, "--values", "both")
+    for suffix in ("parquet", "arrows", "csv", "jsonl"):
+        table_format = suffix.removesuffix("s")
+        words = ("decode", *logs, "--dbc", "car.dbc", "--layout", "messages", "--values", "both", "-o", suffix)
+        told = ended(*words, "--format", table_format, "--json")
+        assert (told.status, told.err) == (0, "")
+        record = json.loads(told.out)
+        assert record["tables"] == {name: f"{name}.{suffix}" for name in ("Brake", "Engine")}
+        assert record["rows"] == len(wide)
+        assert {path.name for path in (folder / suffix).iterdir()} == set(record["tables"].values())
+        for message, name in record["tables"].items():
+            wanted = [
+                {column.removeprefix(f"{message}."): cell for column, cell in row.items() if is_of(column, message)}
+                for row in wide
+                if row["message"] == message
+            ]
+            types = {column: type(cell) for row in wanted for column, cell in row.items() if cell is not None}
+            found = rows_of(folder / suffix / name, types)
+            assert len(found) == len(wanted)
+            for one, other in zip(found, wanted, strict=True):
+                if suffix == "jsonl":  # which has no word for numbers that are none
+                    other = {column: None if cell != cell else cell for column, cell in other.items()}  # noqa: PLR0124, PLW2901
+                assert bits({column: one.get(column) for column in other}) == bits(other)
+    (folder / "parquet").rename(folder / "messages")
+    _, query = re.findall(r"```sql\n(.+?)```", page_text("docs/decode.md"), re.DOTALL)
+    joined = duckdb.connect().sql(query).project("Speed, State")  # times need a library of zones
+    assert joined.fetchall() == [(90.0, None)]
+    (folder / "messages").rename(folder / "parquet")
+    (folder / "parquet" / "Gone.parquet").write_bytes(b"not ours")
+    assert "Brake.parquet is there already" in ended(*words[:-1], "parquet").err
+    ended(
+        "decode",
+        "drive.log",
+        "--dbc",
+        "car.dbc",
+        "--layout",
+        "messages",
+        "--signals",
+        "Brake.*",
+        "-o",
+        "parquet",
+        "--force",
+    )
+    assert {path.name for path in (folder / "parquet").iterdir()} == {"Brake.parquet", "Gone.parquet"}
+    assert "do not go to standard output" in ended("decode", "drive.log", "--layout", "messages", "-o", "-").err
+
+
+def is_of(column: str, message: str) -> bool:
+    """Return whether a column of the wide table is one of the table of a message."""
+    return "." not in column or column.startswith(f"{message}.")
+
+
+def as_moment(text: str) -> datetime:
+    """Return a time of a text table."""
+    return datetime.fromisoformat(text.replace("Z", "+00:00").replace("000+", "+"))
 
 
 def test_mf4_has_a_group_per_message_and_channel(folder: Path) -> None:
@@ -246,7 +331,7 @@ def test_each_log_of_a_folder_is_a_table_of_its_own(folder: Path, monkeypatch: p
     assert all(same(one[name], other[name]) for one, other in zip(first, whole, strict=False) for name in one)
     names = sorted(path.name for path in (folder / "tables").rglob("*"))
     assert names == ["day", "drive.log.parquet", "drive.log.parquet"]
-    (query,) = re.findall(r"```sql\n(.+?)```", page_text("docs/decode.md"), re.DOTALL)
+    query, _ = re.findall(r"```sql\n(.+?)```", page_text("docs/decode.md"), re.DOTALL)
     assert sorted(duckdb.connect().execute(query).fetchall()) == [
         (f"tables/{name}drive.log.parquet", 90.0) for name in ("day/", "")
     ]

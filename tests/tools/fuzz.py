@@ -144,10 +144,14 @@ def zipped(method: int) -> bytes:
 
 
 SOUND_CANDUMP = written(CandumpWriter)
-PACKED = (
-    *(gzip.compress(SOUND_CANDUMP, mtime=0), bz2.compress(SOUND_CANDUMP), lzma.compress(SOUND_CANDUMP)),
-    *(zstandard.compress(SOUND_CANDUMP), zipped(zipfile.ZIP_STORED), zipped(zipfile.ZIP_DEFLATED)),
-)
+PACKED = {
+    "gzip": gzip.compress(SOUND_CANDUMP, mtime=0),
+    "bzip2": bz2.compress(SOUND_CANDUMP),
+    "xz": lzma.compress(SOUND_CANDUMP),
+    "zstd": zstandard.compress(SOUND_CANDUMP),
+    "stored-zip": zipped(zipfile.ZIP_STORED),
+    "zip": zipped(zipfile.ZIP_DEFLATED),
+}
 
 
 def read_packed(stream: BinaryIO, counts: LogCounts) -> Iterator[FrameBatch]:
@@ -184,8 +188,9 @@ READERS: dict[str, tuple[Reader, bytes | tuple[bytes, ...]]] = {
     "canhacker": (reader_of(TEXT_LOGS[LogFormat.CANHACKER]), CANHACKER),
     "microchip": (reader_of(TEXT_LOGS[LogFormat.MICROCHIP]), MICROCHIP),
     "columns": (reader_of(TEXT_LOGS[LogFormat.COLUMNS]), COLUMNS),
-    "packed": (read_packed, PACKED),
+    "packed": (read_packed, tuple(PACKED.values())),
 }
+ALONE = {f"packed-{name}": (read_packed, sound) for name, sound in PACKED.items()}
 WITHOUT_LINES = ("blf", "packed")
 ALPHABET = st.sampled_from(b"0123456789ABCDEFabcdefx#()., \t\r\n;*:-_=TRrd$\0\xff").map(lambda value: bytes([value]))
 
@@ -258,7 +263,7 @@ def check_batch(batch: FrameBatch) -> None:
 
 def fuzz(name: str, minutes: float, first_seed: int) -> int:
     """Fuzz one reader; return how many logs it read."""
-    reader, sound = READERS[name]
+    reader, sound = (READERS | ALONE)[name]
     sounds = sound if isinstance(sound, tuple) else (sound,)
     logs = st.one_of([(packed_contents if name == "blf-objects" else contents)(one) for one in sounds])
     end_s, rounds = time.monotonic() + 60.0 * minutes, 0
@@ -279,7 +284,9 @@ def fuzz(name: str, minutes: float, first_seed: int) -> int:
 
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--reader", choices=READERS, action="append", help="default: all, one after the other")
+    parser.add_argument(
+        "--reader", choices=READERS | ALONE, action="append", help="default: all, one by one; packed is all packed-..."
+    )
     parser.add_argument("--minutes", type=float, default=10.0, help="for each reader")
     parser.add_argument("--seed", type=int, default=1)
     options = parser.parse_args()

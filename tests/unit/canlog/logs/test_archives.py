@@ -89,6 +89,7 @@ def vast_directory() -> bytes:
         (encrypted(), "it is encrypted: unpack it first"),
         (zipped({"day/../../drive.log": LOG}), "its name leads out of the archive"),
         (zipped({"..\\drive.log": LOG}), "its name leads out of the archive"),
+        (zipped({"@@@": LOG}).replace(b"@@@", b"\0@@"), "it has no name: unpack it first"),
         (zipped({"drive.log": LOG}, zipfile.ZIP_LZMA), "packed by method 14, not by deflate"),
         (zipped({"inner.zip": zipped({"drive.log": LOG})}), "packed twice: zip inside inner.zip in the zip archive"),
         (zipped({"drive.log.gz": gzip.compress(LOG)}), "packed twice: gzip inside drive.log.gz"),

@@ -1,0 +1,131 @@
+"""A folder of tables, one for each message, which appear together when all of them are complete."""
+
+import io
+import os
+import shutil
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager, suppress
+from itertools import count
+from pathlib import Path
+from typing import BinaryIO, Final, cast
+
+from canlog.errors import OutputError
+from canlog.tables.file_names import file_names
+from canlog.tables.names import TableNames
+from canlog.tables.outputs import SUFFIX_OF_FORMAT, TableFormat
+
+HELD_BYTES: Final = 65_536  # of each file, until it is opened and written to: no system lets hundreds be open at once
+_NUMBERS: Final = count(1)  # threads may write the same folder at the same time
+WriteBuffer = bytes | bytearray | memoryview
+
+
+class BriefFile(io.RawIOBase):
+    """A file that is open only while something is added to it."""
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+        self._held = bytearray()
+
+    def writable(self) -> bool:
+        """Return True."""
+        return True
+
+    def write(self, content: WriteBuffer) -> int:  # type: ignore[override]  # any buffer will do
+        """Take bytes; return how many that were."""
+        size = memoryview(content).nbytes
+        self._held += content
+        if len(self._held) >= HELD_BYTES:
+            self.flush()
+        return size
+
+    def flush(self) -> None:
+        """Add what is held to the file."""
+        if self._held:
+            with self._path.open("ab") as file:
+                file.write(self._held)
+            self._held.clear()
+
+    def forget(self) -> None:
+        """Leave what is held: the file is not wanted any more."""
+        self._held.clear()
+
+
+class TableFolder:
+    """Where the tables of messages are written until all are complete."""
+
+    def __init__(self, folder: Path, part: Path, names: Mapping[int, str]) -> None:
+        self._folder = folder
+        self._part = part
+        self._names = names
+        self._files: dict[int, BriefFile] = {}
+
+    def file(self, slot: int) -> BinaryIO:
+        """Return the file of a message."""
+        if slot not in self._files:
+            self._files[slot] = BriefFile(self._part / self._names[slot])
+        return cast("BinaryIO", self._files[slot])
+
+    def complete(self, names: TableNames) -> dict[str, str]:
+        """Let the tables take their places and return the name of each message's file.
+
+        Those of messages that did not occur, of an earlier time, are gone.
+        """
+        for file in self._files.values():
+            file.flush()
+        for slot, name in self._names.items():
+            if slot not in self._files:
+                (self._folder / name).unlink(missing_ok=True)
+        for slot in self._files:
+            (self._part / self._names[slot]).replace(self._folder / self._names[slot])
+        return {names.messages[slot]: self._names[slot] for slot in sorted(self._files)}
+
+    def forget(self) -> None:
+        """Hold nothing any more."""
+        for file in self._files.values():
+            file.forget()
+
+
+@contextmanager
+def table_folder(folder: Path, names: Mapping[int, str]) -> Iterator[TableFolder]:
+    """Give the folder in which the tables of messages are written, made if need be, and leave nothing unfinished.
+
+    Parameters
+    ----------
+    folder
+        Where they shall be.
+    names
+        Of the files of messages, by slot.
+
+    Raises
+    ------
+    OutputError
+        If it cannot be written to.
+    """
+    part = folder / f".{os.getpid()}-{next(_NUMBERS)}.part"
+    is_new = not folder.exists()
+    try:
+        folder.mkdir(exist_ok=True)
+        part.mkdir()
+        tables = TableFolder(folder, part, names)
+        try:
+            yield tables
+        finally:
+            tables.forget()
+    except OSError as exc:
+        raise OutputError(f"cannot write {folder}: {exc.strerror or exc}") from exc
+    finally:
+        shutil.rmtree(part, ignore_errors=True)
+        if is_new:
+            with suppress(OSError):  # there is something in it
+                folder.rmdir()
+
+
+def message_files(names: TableNames, table_format: TableFormat) -> dict[int, str]:
+    """Return the names of the files of all messages, by slot."""
+    suffix = SUFFIX_OF_FORMAT[table_format]
+    return {slot: f"{name}{suffix}" for slot, name in enumerate(file_names(names.messages))}
+
+
+def tables_there(folder: Path, names: Mapping[int, str]) -> list[Path]:
+    """Return which tables of messages are in a folder already."""
+    return [path for name in names.values() if (path := folder / name).is_file()]
