@@ -1,6 +1,7 @@
 """A fleet with a past, made inside PostgreSQL from one result with other numbers; nothing of it is measured."""
 
 from datetime import UTC, datetime, timedelta
+from math import ceil
 from typing import Final
 
 from sqlalchemy import Engine, text
@@ -12,7 +13,7 @@ from tests.support.fleet import fleet_result, row_of
 PER_DAY: Final = 150  # results of one clutch of a vehicle that is driven
 _NEW: Final = {
     "vehicle": "'h' || v",
-    "seq": "(extract(epoch FROM t) / 10)::bigint + c",
+    "seq": "2 * round(extract(epoch FROM t - CAST(:first AS timestamptz)) / CAST(:step_s AS numeric))::bigint + c",
     "clutch": "c",
     "number": "1",
     "produced_at": "t",
@@ -53,13 +54,14 @@ def make_results(engine: Engine, vehicle_count: int, first: datetime, last: date
         " FROM generate_series(CAST(:begin AS timestamptz), CAST(:end AS timestamptz), CAST(:step AS interval)) AS t,"
         " generate_series(1, :count) AS v, generate_series(1, 2) AS c"
     )
-    made = 0
+    made, step_s = 0, 86400.0 / per_day
     start = first.date().replace(day=1)
     for month in months_between(start, months_on(last.date().replace(day=1), 1)):
-        begin = max(first, datetime(month.year, month.month, 1, tzinfo=UTC))
+        begin = datetime(month.year, month.month, 1, tzinfo=UTC)
+        begin = first + timedelta(seconds=step_s * max(0, ceil((begin - first).total_seconds() / step_s)))
         following = months_on(month, 1)
         end = min(last, datetime(following.year, following.month, 1, tzinfo=UTC)) - timedelta(milliseconds=1)
-        span = {"begin": begin, "end": end, "step": f"{86400.0 / per_day} seconds", "first": first, "last": last}
+        span = {"begin": begin, "end": end, "step": f"{step_s} seconds", "first": first, "last": last, "step_s": step_s}
         with transaction(engine) as connection:
             connection.exec_driver_sql("SET LOCAL synchronous_commit = off")
             made += connection.execute(statement, {**fixed, **span, "count": vehicle_count}).rowcount

@@ -11,7 +11,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
@@ -62,11 +62,35 @@ def wait_until_listening(child: "subprocess.Popen[str]") -> None:
     raise RuntimeError("a worker did not start")
 
 
-def processor_s() -> float:
-    """Return the processor time that we and everything we started have used [s]."""
-    own = psutil.Process()
-    times = [process.cpu_times() for process in (own, *own.children(recursive=True))]
-    return sum(part.user + part.system for part in times)
+def parts_of(own: psutil.Process) -> Iterator[tuple[str, psutil.Process]]:
+    """Yield ourselves and everything we started, by what it is."""
+    yield "load", own
+    for process in own.children(recursive=True):
+        with suppress(psutil.NoSuchProcess):
+            yield "workers" if "fleet_backend" in process.cmdline() else process.name(), process
+
+
+def processor_s() -> dict[str, float]:
+    """Return the processor time that each part has used [s]."""
+    used: dict[str, float] = {}
+    for name, process in parts_of(psutil.Process()):
+        with suppress(psutil.NoSuchProcess):
+            times = process.cpu_times()
+            used[name] = used.get(name, 0.0) + times.user + times.system
+    return used
+
+
+def spent_s(since: dict[str, float]) -> dict[str, float]:
+    """Return the processor time that each part has used since then [s]."""
+    return {name: now_s - since.get(name, 0.0) for name, now_s in processor_s().items()}
+
+
+def told_cost(used: dict[str, float], count: int) -> str:
+    """Return what a result costs in all and in each part, in words."""
+    cost_us = {name: 1e6 * used_s / count for name, used_s in used.items()}
+    shares = ", ".join(f"{name} {part_us:.0f}" for name, part_us in sorted(cost_us.items()))
+    total_us = sum(cost_us.values())
+    return f"{total_us:.0f} us of processor time per result ({shares}), so {2e6 / total_us:,.0f}/s on two idle cores"
 
 
 def vehicle_names() -> list[str]:
@@ -117,22 +141,22 @@ def measure(count: int, rounds: int, worker_count: int) -> None:
         load = Load(port, "load", [topic_of(vehicle, Channel.ACK) for vehicle in vehicle_names()])
         stack.callback(load.close)
         rates: list[float] = []
-        busy_s = 0.0
+        busy_s: dict[str, float] = {}
         for number in range(rounds):
             made = messages(1 + number * count, count)
             load.acknowledged_count = 0
             before_s = processor_s()
             rates.append(count / load.send(made, WINDOW, timeout_s=120.0))
-            busy_s += processor_s() - before_s
+            busy_s = {name: busy_s.get(name, 0.0) + used_s for name, used_s in spent_s(before_s).items()}
         load.acknowledged_count = 0
         again = count / load.send(made, WINDOW, timeout_s=120.0)
         found = table_hash(engine)
         bare = bare_rate(database, count)
-    best, cost_us = max(rates), busy_s / (rounds * count) * 1e6
+    best = max(rates)
     shown = ", ".join(f"{rate:,.0f}" for rate in rates)
     print(f"{worker_count} workers, PostgreSQL with fsync, {count:,} results a round: {shown} results/s")
     print(f"best {best:,.0f}/s (target {TARGET_PER_S:,}), {best / bare:.2f} of one process that only writes rows")
-    print(f"processor time in all: {cost_us:.0f} us per result, so {2e6 / cost_us:,.0f}/s on two idle cores")
+    print(told_cost(busy_s, rounds * count))
     print(f"the last round once more: {again:,.0f}/s; {found.row_count:,} rows of {rounds * count:,} different results")
 
 

@@ -8,7 +8,7 @@ from difflib import get_close_matches
 from pathlib import Path
 from sqlite3 import SQLITE_CORRUPT, SQLITE_ERROR, SQLITE_NOTADB
 from sqlite3 import Connection as SqliteConnection
-from typing import Final
+from typing import Any, Final
 
 from sqlalchemy import URL, Connection, Engine, create_engine, event, exc, make_url
 
@@ -110,6 +110,7 @@ def _open_postgres(url: URL, *, is_read_only: bool) -> Engine:
         engine = create_engine(url.set(drivername="postgresql+psycopg"), connect_args=_POSTGRES_OPTIONS)
     except ImportError as error:  # also of the system's libpq, which psycopg without its extra needs
         raise ExtraMissingError("psycopg") from error
+    event.listen(engine, "connect", _prepare_postgres)
     return engine.execution_options(postgresql_readonly=True) if is_read_only else engine
 
 
@@ -147,6 +148,12 @@ def _make_file(path: Path) -> None:
         create_private(path)
     except OSError as error:
         raise ConfigError(f"cannot make {path}: {error.strerror}") from error
+
+
+def _prepare_postgres(connection: Any, _record: object) -> None:  # noqa: ANN401 - a driver's, which is an extra
+    """Compile no plans: where there are many months these look dear, and compiling takes longer than they do."""
+    connection.execute("SET jit = off")
+    connection.commit()
 
 
 def _prepare_sqlite(connection: SqliteConnection, _record: object) -> None:

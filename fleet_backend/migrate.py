@@ -18,6 +18,8 @@ from fleet_backend.months.moving import move_all
 
 _FOLDER: Final = Path(__file__).with_name("migrations")
 _LAST_WITHOUT_MONTHS: Final = "r0007"
+_MONTHS: Final = "r0008"
+_WHEREABOUTS: Final = "r0009"  # reads all results; who reads them meanwhile is not kept waiting
 _MOST_ATTEMPTS: Final = 100
 _PAUSE_S: Final = 0.3
 _LOCK: Final = 0x434C4449  # PostgreSQL's advisory lock of whoever migrates: "CLDI"
@@ -27,7 +29,8 @@ def migrate(engine: Engine, revision: str = "head", tell: Callable[[int], None] 
     """Upgrade a database in one transaction; who comes second waits and finds nothing left to do.
 
     Results of a PostgreSQL that are not yet kept by months move there before, in batches: they stay readable, ``tell``
-    hears how many have moved, and a migration that was interrupted goes on where it was.
+    hears how many have moved, and a migration that was interrupted goes on where it was. What reads all results or
+    waits for readers is a transaction of its own there.
 
     Raises
     ------
@@ -36,12 +39,17 @@ def migrate(engine: Engine, revision: str = "head", tell: Callable[[int], None] 
     DatabaseError
         If it was made by a newer program, or forbids the change.
     """
-    if revision == "head" and engine.dialect.name == "postgresql" and _has_older_results(engine):
-        _upgrade(engine, _LAST_WITHOUT_MONTHS)
-        move_all(engine, tell)
+    found = _found(engine)
+    if revision == "head" and engine.dialect.name == "postgresql" and found is not None:
+        if _is_until(found, _LAST_WITHOUT_MONTHS):
+            _upgrade(engine, _LAST_WITHOUT_MONTHS)
+            move_all(engine, tell)
+            _upgrade_between_readers(engine, _MONTHS)
+            with transaction(engine) as connection:
+                connection.execute(text("ANALYZE shift_result"))  # of a table as a whole, which no autovacuum looks at
+        if _is_until(found, _MONTHS):
+            _upgrade(engine, _WHEREABOUTS)
         _upgrade_between_readers(engine, revision)
-        with transaction(engine) as connection:
-            connection.execute(text("ANALYZE shift_result"))  # of a table as a whole, which no autovacuum looks at
     else:
         _upgrade(engine, revision)
     close_to_others(engine)
@@ -111,13 +119,17 @@ def _refuse_unknown(engine: Engine, connection: Connection) -> None:
         raise DatabaseError(f"database {place_of(engine)} is another program's, not a fleet's")
 
 
-def _has_older_results(engine: Engine) -> bool:
-    """Return whether a database has a schema of ours that keeps results in one table."""
+def _found(engine: Engine) -> str | None:
+    """Return the revision of a database; None of an empty one."""
     with transaction(engine) as connection:
         _refuse_unknown(engine, connection)
-        found = _revision(connection)
+        return _revision(connection)
+
+
+def _is_until(found: str, revision: str) -> bool:
+    """Return whether a revision is this one or an earlier one."""
     known = revisions()
-    return found is not None and known.index(found) <= known.index(_LAST_WITHOUT_MONTHS)
+    return known.index(found) <= known.index(revision)
 
 
 def _has_schema(engine: Engine) -> bool:

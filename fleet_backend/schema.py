@@ -131,7 +131,7 @@ SHIFT_RESULT: Final = Table(
     *(Column(SCALE_FREE + name, Double) for name in SCALE_FREE_COLUMNS),  # these and the next: null in older rows
     Column("trust", Double),  # how far the data can be believed, whatever the estimate
     Column("trust_parts", Text),  # JSON object of what that is made of
-    ForeignKeyConstraint(["vehicle", "clutch"], ["clutch.vehicle", "clutch.clutch"]),
+    ForeignKeyConstraint(["vehicle", "clutch"], ["clutch.vehicle", "clutch.clutch"]),  # PostgreSQL: of clutch_stream
     Index("shift_by_time", "vehicle", "clutch", "produced_at", "stream"),
     Index("shift_by_arrival", "stored_at"),
     Index(

@@ -14,8 +14,27 @@ from sqlalchemy import Connection, Engine, text
 
 from fleet_backend.database import transaction
 from fleet_backend.errors import ConfigError
+from fleet_backend.months.whereabouts import TABLE, moved_only
 
-TABLE: Final = "shift_result"
+__all__ = [
+    "AHEAD_MONTHS",
+    "LOCK_S",
+    "MOST_MONTHS",
+    "TABLE",
+    "Partition",
+    "has_partitions",
+    "keep_months",
+    "lock",
+    "make_before",
+    "make_partitions",
+    "month_of",
+    "months",
+    "months_between",
+    "months_on",
+    "name_of",
+    "partitions",
+]
+
 AHEAD_MONTHS: Final = 3  # kept ready, so that a forgotten command costs a quarter before results gather in the last
 MOST_MONTHS: Final = 120
 LOCK_S: Final = 5  # new partitions need all to themselves for a moment; whoever reads long is not waited for longer
@@ -144,7 +163,8 @@ def _taken_apart(connection: Connection, part: str) -> Iterator[None]:
     connection.exec_driver_sql(f"ALTER TABLE {TABLE} DETACH PARTITION {TABLE}_{part}")
     connection.exec_driver_sql(f"ALTER TABLE {TABLE}_{part} RENAME TO {waiting}")
     yield
-    connection.exec_driver_sql(f"INSERT INTO {TABLE} SELECT * FROM {waiting}")  # noqa: S608 - our own names
+    with moved_only(connection):
+        connection.exec_driver_sql(f"INSERT INTO {TABLE} SELECT * FROM {waiting}")  # noqa: S608 - our own names
     connection.exec_driver_sql(f"DROP TABLE {waiting}")
 
 

@@ -20,6 +20,7 @@ from fleet_backend.months.partitions import (
     months_on,
     name_of,
 )
+from fleet_backend.months.whereabouts import forget, moved_only, note_going
 from fleet_backend.schema import CLUTCH_MONTH, SHIFT_RESULT, UtcDateTime
 
 MOST_KEPT: Final = 1200
@@ -114,20 +115,25 @@ def _delete(connection: Connection, _first: date, until: datetime) -> int:
 def _drop_months(connection: Connection, first: date, until: datetime) -> int:
     """Drop partitions; the last results that were in them go into the part before the months."""
     lock(connection)
+    connection.exec_driver_sql(f"LOCK TABLE {TABLE} IN SHARE ROW EXCLUSIVE MODE")  # others read on, and write later
     old_count, known = _old_count(connection, until), months(connection)
     edge = min(month for month in known if month >= first)
+    edge_at = datetime.combine(edge, time(), UTC)
     connection.execute(
         text(
             f"CREATE TEMPORARY TABLE kept ON COMMIT DROP AS SELECT s.* FROM {TABLE} AS s"  # noqa: S608 - our own names
             f" WHERE s.produced_at < :edge AND (s.produced_at >= :until OR (s.vehicle, s.stream, s.seq) IN ({_LAST}))"
         ),
-        {"edge": datetime.combine(edge, time(), UTC), "until": until},
+        {"edge": edge_at, "until": until},
     )
+    note_going(connection, edge_at)
     for name in [f"{TABLE}_before", *(name_of(month) for month in known if month < first)]:
         connection.exec_driver_sql(f"ALTER TABLE {TABLE} DETACH PARTITION {name}")
         connection.exec_driver_sql(f"DROP TABLE {name}")
     make_before(connection, TABLE, edge)
-    connection.exec_driver_sql(f"INSERT INTO {TABLE} SELECT * FROM kept")  # noqa: S608 - our own names
+    with moved_only(connection):
+        connection.exec_driver_sql(f"INSERT INTO {TABLE} SELECT * FROM kept")  # noqa: S608 - our own names
+    forget(connection, edge_at)
     return old_count - _old_count(connection, until)
 
 

@@ -6,11 +6,12 @@ from dataclasses import fields
 from datetime import datetime, timedelta
 from typing import Any, Final
 
-from sqlalchemy import Engine, Interval, Select, and_, literal, or_, select
+from sqlalchemy import Engine, Interval, Select, and_, func, literal, or_, select, tuple_
 
 from fleet_backend import views
 from fleet_backend.database import transaction
 from fleet_backend.months.partitions import has_partitions
+from fleet_backend.months.whereabouts import BLOCK, CLUTCH_BLOCK, months_with
 from fleet_backend.page.records import ClutchAlarm, Quarantined, ShiftAnswer
 from fleet_backend.schema import (
     FRICTION_COLUMNS,
@@ -40,8 +41,8 @@ Row = Mapping[str, Any]  # of any table: what a column holds is the schema's mat
 def current_results(vehicle: str, clutch: int, most: int = MOST_RESULTS, *, is_by_month: bool = False) -> Select[Any]:
     """Return the statement for the newest results of a clutch, of each event the newest version.
 
-    Where results are kept ``is_by_month``, a newer version is looked for among those made within a month of the older
-    one: both say when the event ended, and no more than two or three parts are opened for each.
+    Where results are kept ``is_by_month``, a newer version is looked for only in blocks of positions that hold several,
+    and among those made within a month of the older one: both say when the event ended.
     """
     table = SHIFT_RESULT
     newer = select(_NEWER.c.seq).where(
@@ -50,13 +51,17 @@ def current_results(vehicle: str, clutch: int, most: int = MOST_RESULTS, *, is_b
         _NEWER.c.seq == table.c.seq,
         _NEWER.c.version_rank > table.c.version_rank,
     )
+    is_current = ~newer.exists()
     if is_by_month:
         newer = newer.where(_NEWER.c.produced_at.between(table.c.produced_at - _NEAR, table.c.produced_at + _NEAR))
-    is_superseded = newer.exists()
+        block = CLUTCH_BLOCK.c
+        mixed = select(block.stream, block.block).where(block.vehicle == vehicle).group_by(block.stream, block.block)
+        mixed = mixed.having(func.min(block.version_rank) < func.max(block.version_rank))
+        is_current = or_(tuple_(table.c.stream, table.c.seq // BLOCK).not_in(mixed), ~newer.exists())
     order = (table.c.vehicle, table.c.clutch, table.c.produced_at, table.c.stream)
     return (
         select(*(table.c[name] for name in _TREND_COLUMNS))
-        .where(table.c.vehicle == vehicle, table.c.clutch == clutch, ~is_superseded)
+        .where(table.c.vehicle == vehicle, table.c.clutch == clutch, is_current)
         .order_by(*(column.desc() for column in order))
         .limit(most)
     )
@@ -89,6 +94,11 @@ def shift_of(engine: Engine, vehicle: str, stream: str, seq: int) -> ShiftAnswer
     table = SHIFT_RESULT
     own = and_(table.c.vehicle == vehicle, table.c.stream == stream, table.c.seq == seq)
     with transaction(engine) as connection:
+        if has_partitions(engine):
+            span = months_with(connection, vehicle, stream, seq)
+            if span is None:
+                return None
+            own = and_(own, table.c.produced_at >= span[0], table.c.produced_at < span[1])
         statement = select(table).where(own).order_by(table.c.version_rank.desc())
         rows: list[Row] = [dict(row) for row in connection.execute(statement).mappings()]
     if not rows:

@@ -1,13 +1,16 @@
 """The running condition of clutches, read for the whole fleet or for some vehicles: an index look-up per clutch."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
 from datetime import datetime
+from types import MappingProxyType
 from typing import Final
 
-from sqlalchemy import Engine, TextClause, bindparam, func, select, text
+from sqlalchemy import Engine, TextClause, TextualSelect, bindparam, func, select, text
 
 from fleet_backend.database import transaction
+from fleet_backend.months.partitions import has_partitions
+from fleet_backend.months.whereabouts import CLUTCH_STREAM
 from fleet_backend.page.records import ClutchNow
 from fleet_backend.schema import FLUID_FILL, SHIFT_RESULT, UtcDateTime
 
@@ -26,7 +29,9 @@ SELECT
     WHERE f.vehicle = s.vehicle AND f.filled_at <= s.end_at
     ORDER BY f.filled_at DESC LIMIT 1
   ) AS fluid
-FROM (
+FROM {source}
+"""
+_IN_ONE_TABLE: Final = """(
   SELECT q.vehicle, q.clutch, q.stream, (
     SELECT n.seq FROM shift_result AS n
     WHERE n.vehicle = q.vehicle AND n.stream = q.stream AND n.clutch = q.clutch
@@ -44,6 +49,19 @@ FROM (
 CROSS JOIN current_shift AS s
 WHERE s.vehicle = p.vehicle AND s.stream = p.stream AND s.seq = p.seq
 """
+# LIMIT keeps PostgreSQL from joining all months at once: one look into one part per clutch, however many there are.
+_BY_MONTH: Final = """clutch AS k
+CROSS JOIN LATERAL (
+  SELECT * FROM clutch_stream AS e WHERE e.vehicle = k.vehicle AND e.clutch = k.clutch
+  ORDER BY e.last_at DESC, e.stream DESC LIMIT 1
+) AS p
+CROSS JOIN LATERAL (
+  SELECT * FROM shift_result AS r
+  WHERE r.vehicle = k.vehicle AND r.stream = p.stream AND r.seq = p.last_seq
+    AND r.version_rank = p.last_version_rank AND r.produced_at = p.last_produced_at
+  LIMIT 1
+) AS s {where}
+"""
 _NAMES: Final = tuple(field.name for field in fields(ClutchNow))
 
 
@@ -55,37 +73,46 @@ class FillsSeen:
     latest: datetime | None
 
 
-def _statement(where: str) -> TextClause:
-    return text(_RUNNING.format(where=where))
+def _statement(source: str, where: str) -> TextClause:
+    made = text(_RUNNING.format(source=source.format(where=where)))
+    return made.bindparams(bindparam("vehicles", expanding=True)) if where else made
 
 
-ALL_CLUTCHES: Final = _statement("").columns(end_at=UtcDateTime(), stored_at=UtcDateTime())
-SOME_CLUTCHES: Final = (
-    _statement("WHERE k.vehicle IN :vehicles")
-    .bindparams(bindparam("vehicles", expanding=True))
-    .columns(end_at=UtcDateTime(), stored_at=UtcDateTime())
-)
+def _statements(where: str) -> Mapping[bool, TextualSelect]:
+    """Return the statement for databases that keep results by months, and for others."""
+    sources = {True: _BY_MONTH, False: _IN_ONE_TABLE}
+    columns = {"end_at": UtcDateTime(), "stored_at": UtcDateTime()}
+    return MappingProxyType({kind: _statement(source, where).columns(**columns) for kind, source in sources.items()})
+
+
+_ALL_CLUTCHES: Final = _statements("")
+_SOME_CLUTCHES: Final = _statements("WHERE k.vehicle IN :vehicles")
 
 
 def all_clutches(engine: Engine) -> list[ClutchNow]:
     """Return the running condition of every clutch of the fleet."""
     with transaction(engine) as connection:
-        return [_clutch(row) for row in connection.execute(ALL_CLUTCHES).mappings()]
+        return [_clutch(row) for row in connection.execute(_ALL_CLUTCHES[has_partitions(engine)]).mappings()]
 
 
 def clutches_of(engine: Engine, vehicles: Sequence[str]) -> list[ClutchNow]:
     """Return the running condition of the clutches of some vehicles."""
-    found: list[ClutchNow] = []
+    statement, found = _SOME_CLUTCHES[has_partitions(engine)], list[ClutchNow]()
     with transaction(engine) as connection:
         for first in range(0, len(vehicles), _MOST_NAMES):
             names = list(vehicles[first : first + _MOST_NAMES])
-            found += [_clutch(row) for row in connection.execute(SOME_CLUTCHES, {"vehicles": names}).mappings()]
+            found += [_clutch(row) for row in connection.execute(statement, {"vehicles": names}).mappings()]
     return found
 
 
 def vehicles_with_news(engine: Engine, since: datetime) -> list[str]:
     """Return the vehicles of which results were stored at or after a moment."""
-    statement = select(SHIFT_RESULT.c.vehicle).where(SHIFT_RESULT.c.stored_at >= since).distinct()
+    streams, results = CLUTCH_STREAM.c, SHIFT_RESULT.c
+    statement = (
+        select(streams.vehicle).where(streams.last_stored_at >= since)  # a row for thousands of results
+        if has_partitions(engine)
+        else select(results.vehicle).where(results.stored_at >= since)
+    ).distinct()
     with transaction(engine) as connection:
         return [str(name) for name in connection.execute(statement).scalars()]
 

@@ -4,9 +4,11 @@ from dataclasses import dataclass
 from datetime import datetime
 from typing import Any, Final
 
-from sqlalchemy import Connection, Engine, Select, bindparam, func, select
+from sqlalchemy import BigInteger, Connection, Engine, Select, bindparam, cast, func, select
 
 from fleet_backend.database import transaction
+from fleet_backend.months.partitions import has_partitions
+from fleet_backend.months.whereabouts import CLUTCH_STREAM
 from fleet_backend.page.records import Fill
 from fleet_backend.schema import ALARM_ACKNOWLEDGEMENT, FLUID_FILL, POPULATION, SHIFT_RESULT, VEHICLE
 
@@ -30,6 +32,18 @@ _STORED: Final = (
     .where(SHIFT_RESULT.c.vehicle == _OWN)
     .group_by(SHIFT_RESULT.c.clutch)
     .order_by(SHIFT_RESULT.c.clutch)
+)
+_STREAMS: Final = CLUTCH_STREAM.c
+_STORED_BY_MONTH: Final = (
+    select(
+        _STREAMS.clutch,
+        cast(func.sum(_STREAMS.result_count), BigInteger),
+        func.max(_STREAMS.last_stored_at),
+        func.max(_STREAMS.last_at),
+    )
+    .where(_STREAMS.vehicle == _OWN)
+    .group_by(_STREAMS.clutch)
+    .order_by(_STREAMS.clutch)
 )
 _FILLS: Final[Select[Any]] = (
     select(FLUID_FILL.c.filled_at, FLUID_FILL.c.odometer_m, FLUID_FILL.c.product, FLUID_FILL.c.note)
@@ -79,7 +93,7 @@ def state_of(engine: Engine, vehicle: str) -> VehicleState | None:
         row = connection.execute(_ABOUT, own).mappings().first()
         if row is None:
             return None
-        stored = connection.execute(_STORED, own).all()
+        stored = connection.execute(_STORED_BY_MONTH if has_partitions(engine) else _STORED, own).all()
         fills = _fills(connection, vehicle)
     is_online = None if row["is_online"] is None else bool(row["is_online"])
     names = ("clutch", "result_count", "stored_at", "produced_at")
