@@ -10,8 +10,8 @@ from types import SimpleNamespace
 from typing import Final
 
 from canlog.errors import DefinitionError, ExtraMissingError, InputLeftError, OutputError, SourceError
+from canlog.late_modules import TESTER, wait_with
 from canlog.pipe_size import widen
-from clutch_model.errors import CalibrationError
 from diag_service.commands.arguments import (
     EXIT_CONFIG,
     EXIT_INCOMPLETE,
@@ -25,16 +25,10 @@ from diag_service.commands.asking_arguments import PROGRAM
 from diag_service.errors import ConfigError, ControllerError, IncompleteError, StoppedError, StoreError
 from diag_service.service.stopping import Controls, PatientTrigger, Trigger, ignore
 from program_io.command_line import STANDARD_STREAM
-from program_io.complaint import complain
+from program_io.complaint import Kinds, complain
 from program_io.standard_output import standard_output
 
 COUNTS_WANTED: Final = tuple(number for number in signal.Signals if number.name == "SIGUSR1")  # POSIX alone has it
-_STATUSES: Final = (
-    ((ConfigError, CalibrationError, DefinitionError, ExtraMissingError), EXIT_CONFIG),
-    ((SourceError, ControllerError), EXIT_SOURCE),
-    ((StoreError, OutputError), EXIT_STORE),
-    (IncompleteError, EXIT_INCOMPLETE),
-)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -52,17 +46,30 @@ def main(arguments: Sequence[str] | None = None) -> int:
         except (StoppedError, InputLeftError) as exc:
             return _end_early(exc, controls.stop)
         except Exception as exc:  # noqa: BLE001 - the one place where nothing may pass
-            return complain(PROGRAM, exc, _STATUSES, is_verbose=is_verbose, hint=" (-v shows where)")
+            return complain(PROGRAM, exc, _statuses(), is_verbose=is_verbose, hint=" (-v shows where)")
         return EXIT_OK
     finally:
         if arguments is None:  # a signal while the interpreter winds down must not change the exit status
             ignore(signal.SIGINT, signal.SIGTERM, *COUNTS_WANTED)
 
 
+def _statuses() -> Sequence[tuple[Kinds, int]]:
+    """Return the exit status of each kind of error."""
+    from clutch_model.errors import CalibrationError  # noqa: PLC0415 - of a package that most commands do not need
+
+    return (
+        ((ConfigError, CalibrationError, DefinitionError, ExtraMissingError), EXIT_CONFIG),
+        ((SourceError, ControllerError), EXIT_SOURCE),
+        ((StoreError, OutputError), EXIT_STORE),
+        (IncompleteError, EXIT_INCOMPLETE),
+    )
+
+
 def _run(options: SimpleNamespace, controls: Controls) -> None:
     # python-can loads asammdf where it is installed, and that pandas: 0.3 s, 45 MB. MF4 logs are read in a process of
     # their own.
     sys.modules.setdefault("asammdf", None)  # type: ignore[arg-type]  # Python's own way to say "not here"
+    wait_with(TESTER)
     if _reads_standard_input(options):
         _widen_standard_input()  # whoever writes goes on meanwhile: candump loses frames once the pipe is full
     # Imported here: compiled libraries take a second, in which a signal must already find its handler.

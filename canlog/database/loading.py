@@ -3,7 +3,7 @@
 cantools believes every number in a file: 92 bytes of DBC can take 8.7 GB, and nested ranges of multiplexers multiply.
 So the text is looked at for sizes that no CAN message has, which gives the best message, then parsed in a process of
 its own with little memory and time (database_child.py), which bounds whatever else a file may do and costs a third of
-a second.
+a second, once for each file (parsed_cache.py).
 """
 
 import logging
@@ -20,7 +20,7 @@ from typing import Final
 
 from cantools.database.can import Database, Message
 
-from canlog.database import database_child
+from canlog.database import database_child, parsed_cache
 from canlog.database.database_parsing import Parsed
 from canlog.database.dbc_sieve import Offence
 from canlog.errors import DefinitionError
@@ -185,6 +185,17 @@ def _shown(digits: str) -> str:
 def _parse(text: str, database_format: DatabaseFormat, path: Path, *, is_lenient: bool, parser_time_s: int) -> Parsed:
     """Return what cantools makes of the text, and what is wrong with it."""
     mode = database_child.LENIENT if is_lenient else database_child.STRICT
+    key = parsed_cache.key_of(text, database_format, mode)
+    written = parsed_cache.kept(key)
+    if written is None:
+        written = _written_by_child(text, database_format, path, mode, parser_time_s)
+        parsed_cache.keep(key, written)
+    parsed: Parsed = pickle.loads(written)  # noqa: S301 - written by our own module, and kept where only we write
+    return parsed
+
+
+def _written_by_child(text: str, database_format: DatabaseFormat, path: Path, mode: str, parser_time_s: int) -> bytes:
+    """Return the pickle of what came of the text in a process of its own."""
     words = (database_format, str(PARSER_BYTES), str(parser_time_s), mode)
     command = [sys.executable, "-P", "-m", database_child.__name__, *words]
     folders = os.pathsep.join(folder for folder in sys.path if folder)
@@ -208,8 +219,7 @@ def _parse(text: str, database_format: DatabaseFormat, path: Path, *, is_lenient
     if done.returncode != 0:
         lines = done.stderr.decode(errors="replace").strip().splitlines() or ["the parser ended without a word"]
         raise DefinitionError(f"{path} is not {database_format.in_words}: {lines[-1][:200]}")
-    parsed: Parsed = pickle.loads(done.stdout)  # noqa: S301 - written by our own module
-    return parsed
+    return done.stdout
 
 
 def bus_of(path: Path) -> tuple[Path, str]:

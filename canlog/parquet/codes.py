@@ -78,6 +78,10 @@ class Packer:
         out = self._room((len(rows) + 2) * 2 * _HEAD_BYTES + count // GROUP)
         return out[: pack_presence(rows, count, out)].tobytes()
 
+    def everywhere(self, count: int) -> bytes:
+        """Return that all of ``count`` rows have a value."""
+        return self.repeated(np.ones(1, np.int32), np.array([count], np.int32), 2)[1:]  # without the width
+
     def _room(self, size: int) -> UInt8Array:
         if len(self._out) < size:
             self._out = np.empty(size, np.uint8)

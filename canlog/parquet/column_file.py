@@ -79,10 +79,16 @@ class ColumnFile:
         self._put(MAGIC)
 
     def levels(self, rows: Int64Array, count: int) -> Levels:
-        """Return which of the ``count`` rows of a group have a value: some, rising, or all of them."""
-        packed = self.packer.presence(rows, count)
+        """Return which of the ``count`` rows of a group have a value: some, rising."""
+        return self._levels(self.packer.presence(rows, count), len(rows), count)
+
+    def everywhere(self, count: int) -> Levels:
+        """Return that all of the ``count`` rows of a group have a value: at least one."""
+        return self._levels(self.packer.everywhere(count), count, count)
+
+    def _levels(self, packed: bytes, present_count: int, count: int) -> Levels:
         whole = _LENGTH.pack(len(packed)) + packed
-        return Levels(count, len(rows), len(whole), self._packed(whole))
+        return Levels(count, present_count, len(whole), self._packed(whole))
 
     def add(self, name: str, kind: str, levels: Levels, content: Content) -> None:
         """Write a column of the group: the values of those rows that have one; ``kind`` as of ``close``."""

@@ -98,7 +98,7 @@ class LongParquet(ParquetRows):
         if not row_count:
             return
         rows = self._rows(group, signals, signals.runs(found))
-        everywhere = self._file.levels(np.arange(row_count), row_count)
+        everywhere = self._file.everywhere(row_count)
         columns = frame_contents(group, self._names.messages, self._origins, self._file.packer, repeats)
         columns[SIGNAL] = self._names_of(rows, signals.names)
         columns[UNIT] = self._names_of(rows, signals.units)

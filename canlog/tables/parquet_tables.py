@@ -113,7 +113,7 @@ class WideParquet(ParquetRows):
     def write_group(self, group: FrameGroup) -> None:
         """Write frames, a row for each."""
         count = len(group)
-        everywhere = self._file.levels(np.arange(count), count)
+        everywhere = self._file.everywhere(count)
         kinds = self._layout.frame_kinds
         for name, content in frame_contents(group, self._names.messages, self._origins, self._file.packer).items():
             self._file.add(name, kinds[name], everywhere, content)

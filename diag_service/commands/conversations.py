@@ -8,8 +8,8 @@ from cantools.database.can import Message
 
 from canlog.frames import EXTENDED_FLAG, FrameBatch
 from canlog.transport import Exchange, Exchanges, LongMessage, LongMessages, Protocol, Transfer
+from diag_service.commands.pairs import pairs_of
 from diag_service.diagnosis.results import utc_from_bus_ns
-from diag_service.errors import ConfigError
 from diag_service.tester.answers import NEGATIVE, SERVICE_NAMES, refusal_text
 from fleet_contract import JsonObject
 
@@ -18,8 +18,6 @@ SHOWN_BYTES: Final = 16
 MOST_DECODED: Final = 10_000  # long messages whose values are kept
 NS_PER_MS: Final = 1e6
 _ID_MASK: Final = 0x1FFF_FFFF
-STANDARD_DIGITS: Final = 3
-HIGHEST_STANDARD: Final = 0x7FF
 
 # SAE J1979, two of KWP 2000, and the services of ISO 14229-1 that no command of ours asks.
 _NAMES: Final[Mapping[int, str]] = {
@@ -123,26 +121,6 @@ class Conversations:
                 if len(self._decoded) < MOST_DECODED:
                     self._decoded.append(one)
         self._by_name += Counter()  # without those that are zero
-
-
-def pairs_of(text: str) -> tuple[tuple[int, int], ...]:
-    """Return ``79B:7BB,18DA10F1:18DAF110`` as identifiers with flags; raises ConfigError."""
-    found = []
-    for part in filter(None, (one.strip() for one in text.split(","))):
-        request, _, answer = part.partition(":")
-        try:
-            found.append((_flagged(request), _flagged(answer)))
-        except ValueError:
-            raise ConfigError(f"--pairs {part!r}: say REQUEST:ANSWER in hexadecimal, as in 79B:7BB") from None
-    return tuple(found)
-
-
-def _flagged(text: str) -> int:
-    """Return an identifier with its flags; more than three digits make it an extended one."""
-    value, is_extended = int(text, 16), len(text.strip().removeprefix("0x")) > STANDARD_DIGITS
-    if not 0 <= value <= (_ID_MASK if is_extended else HIGHEST_STANDARD):
-        raise ValueError(text)
-    return value | EXTENDED_FLAG if is_extended else value
 
 
 def exchange_line(exchange: Exchange) -> str:

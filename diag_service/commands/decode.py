@@ -13,10 +13,8 @@ from canlog.tables.report import account_record, frame_texts, losses, remarks, v
 from diag_service.commands.table_choice import check_messages, choice_of, planned
 from diag_service.console.reading import ReadingLine
 from diag_service.console.terminal import PeopleConsole
-from diag_service.diagnosis.results import dump
 from diag_service.errors import ConfigError, IncompleteError, StoppedError
 from diag_service.mapping.databases import open_database
-from diag_service.service.drive import check_distinct
 from diag_service.service.stopping import Controls
 from fleet_contract import JsonObject
 from program_io.command_line import STANDARD_STREAM
@@ -50,6 +48,8 @@ def execute(options: SimpleNamespace, controls: Controls) -> None:
     if not decoded.is_whole:
         raise StoppedError(f"stopped early: {'a part was written' if is_piped else 'no file was written'}")
     if options.json:
+        from diag_service.diagnosis.results import dump  # noqa: PLC0415 - the records of results take a while
+
         sys.stdout.write(dump(_record(options, decoded)) + "\n")
     else:
         _show(options, decoded, PeopleConsole(stderr=is_piped))
@@ -85,7 +85,10 @@ def _check(options: SimpleNamespace, table_format: TableFormat) -> None:
     is_of_messages = options.layout == TableShape.MESSAGES
     if is_piped and is_of_messages:
         raise ConfigError("tables of messages are a folder, and do not go to standard output")
-    check_distinct(options.logs)
+    if len(options.logs) > 1:
+        from diag_service.service.drive import check_distinct  # noqa: PLC0415 - a drive is a lot to import
+
+        check_distinct(options.logs)
     if table_format is TableFormat.MF4 and (options.layout, options.values) != ("wide", "numbers"):
         raise ConfigError("an MF4 file has a group per message and numbers: neither --layout nor --values applies")
     if not is_piped and not is_of_messages and (text := replacement_refusal(options.output, is_forced=options.force)):

@@ -11,7 +11,7 @@ from canlog.tables.decoding import Plan, TableShape
 from canlog.tables.outputs import TableFormat
 from canlog.tables.table_folder import message_files, tables_there
 from canlog.written_tables import TableChoice
-from diag_service.commands.conversations import pairs_of
+from diag_service.commands.pairs import pairs_of
 from diag_service.errors import ConfigError
 
 
