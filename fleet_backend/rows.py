@@ -5,6 +5,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from hashlib import blake2b, sha256
+from operator import itemgetter
 from typing import Final
 
 from fleet_backend.ranking import version_rank
@@ -43,6 +44,7 @@ _CONTENT: Final = (
     *(RUNNING + name for name in FRICTION_COLUMNS),
     "running_shift_count",
 )
+_CONTENT_OF: Final = itemgetter(*_CONTENT)  # a tuple
 UNNAMED_FLUID: Final = "not named"  # a fill without the name of its fluid
 _HEAD_LENGTH: Final = 2048
 _DETAIL_LENGTH: Final = 500
@@ -90,7 +92,7 @@ def content_digest(row: Row) -> int:
     Databases hold it and compare it with that of a result that comes again, so a result must keep its own: it is made
     of these columns in this order, of nothing that a row gets besides.
     """
-    content = repr(tuple(row[name] for name in _CONTENT)).encode("utf-8", "replace")
+    content = repr(_CONTENT_OF(row)).encode("utf-8", "replace")
     return int.from_bytes(blake2b(content, digest_size=8).digest(), signed=True)
 
 

@@ -3,7 +3,7 @@
 import json
 import math
 import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from typing import Final, NoReturn
 
 import msgspec
@@ -13,11 +13,12 @@ from fleet_contract.errors import MalformedError
 JsonObject = dict[str, object]
 
 MAX_DEPTH: Final = 16
-_LEAST, _MOST = -(2**63), 2**63 - 1
-_INT64: Final = range(_LEAST, _MOST + 1)
+_INT64: Final = range(-(2**63), 2**63)
 _LONGEST_INT64: Final = len(str(-(2**63)))
 _STRING_OR_BRACKET: Final = re.compile(rb'"(?:[^"\\]|\\.)*+"|[\[\]{}]', re.DOTALL)
-_SPACED_NAME: Final = re.compile(rb'"[ \t\r\n]')
+_LONGEST_DIGITS: Final = 19  # of a number of 64 bits; of as many, those that begin with 9 may be too large
+_DIGITS: Final = bytes(ord("0") if chr(code) in "0123456789" else ord(" ") for code in range(256))
+_LONG_NUMBER: Final = b"0" * _LONGEST_DIGITS
 _SHOWN_LENGTH: Final = 60
 
 
@@ -52,7 +53,7 @@ def parse_object(payload: bytes, max_bytes: int) -> JsonObject:
         value = _fast(payload)
         if value is None:
             value = _DECODER.decode(payload.decode())
-        if b"\\u" in payload:
+        if b"\\" in payload and b"\\u" in payload:  # a single byte is found ten times as fast
             _check_characters(value)
     except (ValueError, RecursionError) as exc:
         raise MalformedError(f"no JSON: {shown(str(exc))}") from exc
@@ -70,35 +71,29 @@ def shown(text: str) -> str:
 def _fast(payload: bytes) -> object | None:
     """Return what a library reads in a payload if it holds nothing in which we are stricter; None: read it slowly.
 
-    The library lets a name that occurs twice pass. Where no quotation mark stands before white space, every name is
-    seen as ``":``: as many of these as the result has names, and none occurs twice.
+    The library lets a name that occurs twice pass, and forgets the first with its value. Where no text holds a
+    quotation mark, as many of them as in the result when it is written again show that nothing was forgotten.
     """
-    if b"\\" in payload or _SPACED_NAME.search(payload):
+    if b"\\" in payload or _may_exceed_64_bits(payload):
         return None
     try:
         value: object = _LIBRARY.decode(payload)
+        again = _WRITER.encode(value)
     except (msgspec.DecodeError, UnicodeDecodeError, RecursionError):
         return None  # the words of our own decoder are better
-    name_count = _name_count(value)
-    return value if name_count == payload.count(b'":') else None
+    return value if again.count(b'"') == payload.count(b'"') else None
 
 
-def _name_count(value: object) -> int:
-    """Return how many names the objects in a value have; -1 or less if it holds a number that is not ours."""
-    if type(value) is dict:
-        parts: Iterable[object] = value.values()
-        count = len(value)
-    elif type(value) is list:
-        parts, count = value, 0
-    else:
-        return 0
-    for part in parts:
-        kind = type(part)
-        if kind is dict or kind is list:
-            count += _name_count(part)
-        elif kind is int and not _LEAST <= part <= _MOST:  # type: ignore[operator]  # it is an int
-            return -_MOST
-    return count
+def _may_exceed_64_bits(payload: bytes) -> bool:
+    """Return whether there are so many digits in a row that they may be a number which is not ours."""
+    digits = payload.translate(_DIGITS)
+    at = digits.find(_LONG_NUMBER)
+    while at >= 0:
+        end = at + _LONGEST_DIGITS
+        if payload[at] == ord("9") or digits.startswith(b"0", end):
+            return True
+        at = digits.find(_LONG_NUMBER, end)
+    return False
 
 
 def _check_depth(payload: bytes) -> None:
@@ -146,6 +141,7 @@ def _unique(pairs: list[tuple[str, object]]) -> JsonObject:
 
 
 _LIBRARY: Final = msgspec.json.Decoder()
+_WRITER: Final = msgspec.json.Encoder()
 _DECODER: Final = json.JSONDecoder(
     parse_float=_finite, parse_int=_int64, parse_constant=_refuse, object_pairs_hook=_unique
 )

@@ -215,6 +215,8 @@ class Connection:
         reason_code: ReasonCode,
         properties: Properties | None,
     ) -> None:
+        if not reason_code.is_failure:
+            self._client.on_log = None  # else each packet is written out for it: a tenth of the work for a message
         self._window = min(getattr(properties, "ReceiveMaximum", _UNLIMITED_IN_FLIGHT), self._terms.max_in_flight)
         if not self._accepted.done():  # paho-mqtt may call more than once
             self._accepted.set_result(reason_code)
