@@ -16,6 +16,7 @@ from canlog.logs.candump import CandumpLog
 from canlog.logs.columns import NO_HEADER, ColumnsLog, columns_seen, guessed, proposed
 from canlog.logs.columns.canhacker import CanHacker, is_canhacker_header
 from canlog.logs.columns.carbus import Carbus, is_carbus_header
+from canlog.logs.columns.clx000 import Clx000, is_clx000_header
 from canlog.logs.columns.microchip import Microchip, is_microchip_header
 from canlog.logs.console import ConsoleLog
 from canlog.logs.log_counts import LogCounts
@@ -49,6 +50,7 @@ class LogFormat(StrEnum):
     CARBUS = "carbus"
     CANHACKER = "canhacker"
     MICROCHIP = "microchip"
+    CLX000 = "clx000"
     COLUMNS = "columns"
 
 
@@ -70,11 +72,13 @@ TEXT_LOGS: Mapping[LogFormat, Callable[[], TextLog]] = MappingProxyType(
         LogFormat.CARBUS: Carbus,
         LogFormat.CANHACKER: CanHacker,
         LogFormat.MICROCHIP: Microchip,
+        LogFormat.CLX000: Clx000,
         LogFormat.ASC: AscLog,
         LogFormat.COLUMNS: ColumnsLog,  # by the names in its header, never by its lines
     }
 )
-UNNAMED = tuple(log_format for log_format in TEXT_LOGS if log_format is not LogFormat.COLUMNS)
+NAMED_ONLY = frozenset({LogFormat.COLUMNS, LogFormat.CLX000})  # columns of any name, and times of any digits
+UNNAMED = tuple(log_format for log_format in TEXT_LOGS if log_format not in NAMED_ONLY)
 HEADERS: Mapping[LogFormat, Callable[[bytes], bool]] = MappingProxyType(
     {
         LogFormat.ASC: is_asc_header,
@@ -85,6 +89,7 @@ HEADERS: Mapping[LogFormat, Callable[[bytes], bool]] = MappingProxyType(
         LogFormat.CARBUS: is_carbus_header,
         LogFormat.CANHACKER: is_canhacker_header,
         LogFormat.MICROCHIP: is_microchip_header,
+        LogFormat.CLX000: is_clx000_header,
     }
 )
 

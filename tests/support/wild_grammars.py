@@ -81,6 +81,26 @@ def _microchip(_: int, frame: Frame) -> str:
     return f"{frame.t_us // 1_000};{'TX' if frame.is_sent else 'RX'};0x{frame.can_id:08X};{frame.length};{data};"
 
 
+def _clx000(stamp: str, separator: str = ";") -> Callable[[int, Frame], str]:
+    """Return the lines of a CLX000, after the examples in its manual, with times of any form."""
+
+    def line(_: int, frame: Frame) -> str:
+        moment = LOCAL_START + timedelta(microseconds=frame.t_us)
+        time = moment.replace(tzinfo=None).strftime(stamp) + f"{moment.microsecond // 1_000:03d}"
+        kind = frame.is_extended | frame.is_sent << 3
+        return separator.join([time, str(kind), f"{frame.can_id:x}", frame.data.hex()])
+
+    return line
+
+
+def _clx000_header(start: str, separator: str = ";") -> tuple[str, ...]:
+    return (
+        "# Logger type: CL2000", "# HW rev: 7.05", "# FW rev: 5.82", "# Logger ID: OPEL", "# Session No.: 70",
+        f"# Time: {LOCAL_START.strftime(start)}", f'# Value separator: "{separator}"', "# Time format: 4",
+        '# Time and date separator: "T"', separator.join(("Timestamp", "Type", "ID", "Data")),
+    )  # fmt: skip
+
+
 MICROCHIP_DATE = "{0.day}/{0.month}/{0.year} {0.hour}:{0.minute}:{0.second}"
 MICROCHIP_HEADER = (
     "//---------------------------------",
@@ -172,6 +192,14 @@ WILD_GRAMMARS: Mapping[str, Grammar] = MappingProxyType({
     "microchip": Grammar(
         write=by_hand(_microchip, MICROCHIP_HEADER), unit_us=100, step_us=1_000, has_remote=False, has_error=False,
         tells_extended=False,
+    ),
+    "clx000 with days": Grammar(
+        write=by_hand(_clx000("%dT%H%M%S"), _clx000_header("%Y%m%dT%H%M%S")), unit_us=100, step_us=1_000,
+        has_remote=False, has_error=False,
+    ),
+    "clx000 with dates": Grammar(
+        write=by_hand(_clx000("%Y/%m/%d %H:%M:%S.", "\t"), _clx000_header("%Y/%m/%d %H:%M:%S.", "\t"), "\r\n"),
+        unit_us=100, step_us=1_000, has_remote=False, has_error=False,
     ),
     "busmaster of J1939": Grammar(
         write=by_hand(_busmaster_j1939(is_decimal=False), busmaster_header("HEX", "J1939")), unit_us=100,

@@ -123,6 +123,15 @@ MICROCHIP = (
     b"//---\nMicrochip Technology Inc.\nCAN BUS Analyzer\nLogging Started: 31/1/2026 1:2:3\n//---\n"
     b"1247;RX;0xC2;8;0x5C;0x87;0x00;0x00;0x01;0x00;0x00;0x1C\n1250;TX;0x18FEF100;1;0xFF;\n"
 )
+CLX000 = tuple(
+    b'# Logger type: CL2000\n# Time: 20170101T022232\n# Value separator: "%s"\nTimestamp%sType%sID%sData\n'
+    % ((mark,) * 4)
+    + b"".join(
+        time + mark + kind + mark + b"18fef100" + mark + b"02010d5555555555\n"
+        for time, kind in ((b"01T022231683", b"8"), (b"22231.688", b"0"), (b"2017/12/31T23:59:59.999", b"9"))
+    )
+    for mark in (b";", b"\t")
+)
 COLUMNS = (
     b"Line,Abs Time(Sec),Rel Time (Sec),Status,Er,Tx,Description,Network,Node,Arb ID,Remote,Xtd,"
     b"B1,B2,B3,B4,B5,B6,B7,B8\n1,2550.36,0.003,67371008,F,F,HS CAN $119,HS CAN2,,119,F,F,00,00,00,00,00,00,0D,8B\n"
@@ -187,6 +196,7 @@ READERS: dict[str, tuple[Reader, bytes | tuple[bytes, ...]]] = {
     "carbus": (reader_of(TEXT_LOGS[LogFormat.CARBUS]), CARBUS),
     "canhacker": (reader_of(TEXT_LOGS[LogFormat.CANHACKER]), CANHACKER),
     "microchip": (reader_of(TEXT_LOGS[LogFormat.MICROCHIP]), MICROCHIP),
+    "clx000": (reader_of(TEXT_LOGS[LogFormat.CLX000]), CLX000),
     "columns": (reader_of(TEXT_LOGS[LogFormat.COLUMNS]), COLUMNS),
     "packed": (read_packed, tuple(PACKED.values())),
 }

@@ -21,6 +21,7 @@ SECOND_US, DAY_S = 1_000_000, 86_400
 DAYS_OF_400_YEARS, DAYS_TO_EPOCH = 146_097, 719_468  # of the Gregorian calendar, counted from March
 MOST_FRACTION_DIGITS = 9
 YEAR_DIGITS = 4
+HOUR_DIGITS, DAY_DIGITS, MOST_STAMP_DIGITS = 9, 11, 17  # of a stamp in milliseconds up to these parts, and to the year
 IS_BETWEEN: npt.NDArray[np.bool_] = np.arange(256) <= BLANK
 IS_BETWEEN[list(b",:-._[]")] = True  # what else may stand between two bytes
 # First letters of fields that say yes, by the role of their column: true, yes, x, and what names it, such as Ext or Tx.
@@ -264,12 +265,50 @@ def date_us(text: UInt8Array, begin: int, stop: int) -> int:
     day_us, at = clock_us(text, begin + 11, stop)
     if day_us == NO_TIME:
         return NO_TIME
+    value_us = _day_number(year, month, day) * DAY_S * SECOND_US + day_us
+    offset_s = _offset_s(text, at, stop)
+    return NO_TIME if offset_s == NO_TIME else value_us - offset_s * SECOND_US
+
+
+@array_kernel
+def _day_number(year: int, month: int, day: int) -> int:
+    """Return how many days a date is behind the epoch."""
     shifted = year - (month <= 2)
     day_of_year = (153 * (month + (-3 if month > 2 else 9)) + 2) // 5 + day - 1
     days = shifted // 400 * DAYS_OF_400_YEARS + shifted % 400 * 365 + shifted % 400 // 4 - shifted % 400 // 100
-    value_us = ((days + day_of_year - DAYS_TO_EPOCH) * DAY_S) * SECOND_US + day_us
-    offset_s = _offset_s(text, at, stop)
-    return NO_TIME if offset_s == NO_TIME else value_us - offset_s * SECOND_US
+    return int(days + day_of_year - DAYS_TO_EPOCH)
+
+
+@array_kernel
+def stamp_us(text: UInt8Array, begin: int, stop: int, year: int) -> int:  # noqa: PLR0911 - one for each length
+    """Return ``20260131T235959.999`` in microseconds, whatever stands between its digits, as if it were UTC.
+
+    Larger parts may be missing: the year, which is then ``year``; the month, then it is the time since the month
+    began; the day, the hour, and so on. NO_TIME if a field is none of these.
+    """
+    count, value = 0, 0
+    for at in range(begin, stop):
+        if 48 <= text[at] <= 57:
+            count, value = count + 1, value * 10 + text[at] - 48
+            if count > MOST_STAMP_DIGITS:
+                return NO_TIME
+    if count % 2 == 0 or count < 3 or count == MOST_STAMP_DIGITS - 2:
+        return NO_TIME
+    value_us, rest = value % 1_000 * 1_000, value // 1_000
+    second, minute, hour, rest = rest % 100, rest // 100 % 100, rest // 10_000 % 100, rest // 1_000_000
+    if second > 60 or minute > 59 or hour > 23:
+        return NO_TIME
+    value_us += ((hour * 60 + minute) * 60 + second) * SECOND_US
+    if count <= HOUR_DIGITS:
+        return value_us
+    day, month = rest % 100, rest // 100 % 100 if count > DAY_DIGITS else 1
+    if not (1 <= month <= 12 and 1 <= day <= 31):
+        return NO_TIME
+    if count == DAY_DIGITS:
+        return value_us + (day - 1) * DAY_S * SECOND_US
+    return (
+        value_us + _day_number(rest // 10_000 if count == MOST_STAMP_DIGITS else year, month, day) * DAY_S * SECOND_US
+    )
 
 
 @array_kernel

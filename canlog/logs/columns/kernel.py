@@ -140,7 +140,10 @@ def _read_field(  # noqa: PLR0911 - one for each role
         line[CHANNEL] = fields.channel(text, begin, stop)
         return True
     if role == Role.FLAGS:
-        return _read_flags(text, begin, stop, line)
+        return _read_flags(text, begin, stop, parameter, line)
+    if role == Role.STAMP:
+        line[TIME_US] = fields.stamp_us(text, begin, stop, parameter)
+        return bool(line[TIME_US] != NO_TIME)
     if Role.EXTENDED <= role <= Role.DIRECTION:
         line[MEANING] |= _meaning(role) if fields.is_on(text, begin, stop, role) else 0
         return True
@@ -164,13 +167,14 @@ def _meaning(role: int) -> int:
 
 
 @array_kernel
-def _read_flags(text: UInt8Array, begin: int, stop: int, line: Int64Array) -> bool:
-    """Read the bits that CARBUS Analyzer writes of a frame."""
+def _read_flags(text: UInt8Array, begin: int, stop: int, sent_bit: int, line: Int64Array) -> bool:
+    """Read the bits that CARBUS Analyzer writes of a frame, and one that says that it was sent."""
     bits = fields.hexadecimal_field(text, begin, stop)
     if bits < 0:
         return False
     line[MEANING] |= EXTENDED_FLAG if bits & CARBUS_EXTENDED else 0
     line[MEANING] |= REMOTE_FLAG if bits & CARBUS_REMOTE else 0
+    line[MEANING] |= TX_FLAG if bits & sent_bit else 0
     line[MEANING] |= FD_FLAG if bits & CARBUS_FD else 0
     line[MEANING] |= BRS_FLAG if bits & CARBUS_FD and bits & CARBUS_FAST else 0
     return True

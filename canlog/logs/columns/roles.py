@@ -26,7 +26,8 @@ class Role(IntEnum):
     BIT_RATE_SWITCH = 11
     ERROR_STATE = 12
     DIRECTION = 13  # Tx or anything else
-    FLAGS = 14  # hexadecimal bits, as CARBUS Analyzer has them
+    FLAGS = 14  # hexadecimal bits, as CARBUS Analyzer has them [the one that says that the recorder sent the frame]
+    STAMP = 15  # digits of a time to the millisecond, its larger parts missing [year of times that have but months]
 
 
 HEXADECIMAL, DECIMAL = 16, 10

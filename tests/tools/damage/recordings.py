@@ -5,7 +5,7 @@ import sqlite3
 from collections.abc import Callable, Mapping
 from contextlib import closing
 from dataclasses import dataclass
-from datetime import UTC, datetime
+from datetime import UTC, datetime, timedelta
 from functools import cache
 from pathlib import Path
 from types import MappingProxyType
@@ -194,6 +194,18 @@ def write_microchip(path: Path, frames: EncodedFrames) -> None:
     path.write_text(head + "".join(lines), "ascii")
 
 
+def write_clx000(path: Path, frames: EncodedFrames) -> None:
+    """Write a log of a CLX000, whose times have the day of the month, and milliseconds."""
+    start = datetime.fromtimestamp(DEFAULT_START_NS / 1e9, UTC).astimezone()
+    lines = []
+    for t_us, row in rows_of(frames):
+        moment = start + timedelta(microseconds=t_us)
+        data = row.data[0, : row.length[0]].tobytes().hex()
+        lines.append(f"{moment:%dT%H%M%S}{moment.microsecond // 1_000:03};0;{row.can_id[0]:x};{data}\n")
+    head = f'# Logger type: CL2000\n# Time: {start:%Y%m%dT%H%M%S}\n# Value separator: ";"\nTimestamp;Type;ID;Data\n'
+    path.write_text(head + "".join(lines), "ascii")
+
+
 def rows_of(frames: EncodedFrames) -> list[tuple[int, EncodedFrames]]:
     """Return frames one by one, with their times."""
     return [(t_us, frames[row : row + 1]) for row, t_us in enumerate(times_us(frames).tolist())]
@@ -211,6 +223,7 @@ WRITERS: Mapping[str, Writer] = MappingProxyType(
         "carbus": write_carbus,
         "canhacker": write_canhacker,
         "microchip": write_microchip,
+        "clx000": write_clx000,
         "gzip": write_gzip,
     }
 )
@@ -227,11 +240,12 @@ SUFFIXES: Mapping[str, str] = MappingProxyType(
         "carbus": ".carbus.trc",
         "canhacker": ".hacker.trc",
         "microchip": ".can",
+        "clx000": ".clx.txt",
         "gzip": ".log.gz",
     }
 )
 CLOCK_US: Mapping[str, int] = MappingProxyType(
-    {"busmaster": 100, "canhacker": 1_000, "microchip": 1_000}
+    {"busmaster": 100, "canhacker": 1_000, "microchip": 1_000, "clx000": 1_000}
 )  # the step of a format's times; else 1
 START_NS: Mapping[str, int] = MappingProxyType({"carbus": 0, "canhacker": 0})  # where a format has no date
 MOST_JUMP_MS: Mapping[str, float] = MappingProxyType(

@@ -26,6 +26,7 @@ HEADERS = {
     LogFormat.CSV: b"timestamp,arbitration_id,extended,remote,error,dlc,data",
     LogFormat.GVRET: b"Time Stamp,ID,Extended,Dir,Bus,LEN,D1,D2",
     LogFormat.BUSMASTER: b"***BUSMASTER Ver 3.2.2***",
+    LogFormat.CLX000: b"# Logger type: CL2000",
     LogFormat.CARBUS: b"@ TEXT @ 3 @ 64 @ 0 @ 13958 @ 16478 @ 00:00:16.478 @",
     LogFormat.CANHACKER: b"Time   ID     DLC Data                    Comment",
     LogFormat.MICROCHIP: b"Microchip Technology Inc.",
