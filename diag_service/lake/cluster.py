@@ -13,7 +13,8 @@ from diag_service.lake.links import ClusterAddress, load_distributed, security
 from diag_service.lake.pools import Outcome
 from diag_service.lake.work import Job, LakeLog, make_in_worker
 
-POLL_S: Final = 0.02
+POLL_S: Final = 0.05  # every process has its next log already
+COUNT_EVERY_S: Final = 1.0  # workers come and go slowly, and asking takes the scheduler as long as a log takes it
 ANSWER_TIMEOUT_S: Final = 30.0
 PATIENCE_S: Final = 120.0  # how long a scheduler, or all workers, may be gone
 CLOSE_TIMEOUT_S: Final = 5.0
@@ -44,6 +45,7 @@ class ClusterPool:
         self._names = (f"log-{uuid.uuid4().hex}-{number}" for number in itertools.count())
         self._seen_s = time.monotonic()
         self._worker_count = 0
+        self._count_due_s = self._seen_s
         self._client = self._connected()
 
     @property
@@ -125,7 +127,10 @@ class ClusterPool:
                 time.sleep(RETRY_S)
 
     def _look_for_workers(self) -> None:
-        """Count the workers; raises StoreError if there has been none for long."""
+        """Count the workers, not too often; raises StoreError if there has been none for long."""
+        if self._worker_count and time.monotonic() < self._count_due_s:
+            return
+        self._count_due_s = time.monotonic() + COUNT_EVERY_S
         with suppress(OSError, TimeoutError):  # the state of the client tells of a scheduler that is gone
             self._worker_count = len(self._client.nthreads())
         if self._worker_count:

@@ -15,6 +15,11 @@ from fleet_link import TlsFiles
 
 ALLOWED_FAILURES: Final = 1  # deaths beyond it are told to the run, which tries such a log alone
 MIB: Final = 1 << 20
+QUIET: Final = {  # by itself Dask looks at itself many times a second, which takes a twelfth of a core all day
+    "distributed.worker.profile.enabled": False,  # what a worker is doing, for a page that few open
+    "distributed.admin.tick.interval": "500ms",
+    "distributed.admin.system-monitor.interval": "5s",
+}
 
 
 def run_scheduler(host: str, port: int, tls: TlsFiles, page: tuple[str, int] | None, stop: Trigger) -> None:
@@ -24,6 +29,7 @@ def run_scheduler(host: str, port: int, tls: TlsFiles, page: tuple[str, int] | N
     """
     check_identity(tls)
     distributed = load_distributed()
+    _quieten()
 
     def started() -> Any:  # noqa: ANN401 - an untyped library
         return distributed.Scheduler(
@@ -49,8 +55,7 @@ def run_workers(
     """
     address.check()
     distributed = load_distributed()
-    # Dask would look every 10 ms at what each worker is doing, for a page that few open.
-    load_extra("dask.config", "a cluster needs Dask", "cluster").set({"distributed.worker.profile.enabled": False})
+    _quieten()
 
     def started() -> Any:  # noqa: ANN401 - an untyped library
         return distributed.Nanny(
@@ -65,6 +70,10 @@ def run_workers(
         )
 
     _run([started] * (jobs or os.cpu_count() or 1), stop)
+
+
+def _quieten() -> None:
+    load_extra("dask.config", "a cluster needs Dask", "cluster").set(QUIET)
 
 
 def _page_address(page: tuple[str, int] | None) -> str:
