@@ -14,6 +14,9 @@ VCAN_LIMIT_S ?= 3600
 # Hundreds of programs start in the tests; where bytecode is not kept, each of them compiles two hundred modules first.
 PYTHONDONTWRITEBYTECODE =
 export PYTHONDONTWRITEBYTECODE
+# Matrices are small here: a second thread would take time and gain none, as program_io.one_thread says.
+OPENBLAS_NUM_THREADS ?= 1
+export OPENBLAS_NUM_THREADS
 
 PY = "$(VENV)/bin/python"
 # The ones that print figures of speed and size; studies of accuracy have targets or commands of their own.

@@ -26,6 +26,7 @@ from diag_service.errors import ConfigError, ControllerError, IncompleteError, S
 from diag_service.service.stopping import Controls, PatientTrigger, Trigger, ignore
 from program_io.command_line import STANDARD_STREAM
 from program_io.complaint import Kinds, complain
+from program_io.one_thread import reckon_in_one_thread
 from program_io.standard_output import standard_output
 
 COUNTS_WANTED: Final = tuple(number for number in signal.Signals if number.name == "SIGUSR1")  # POSIX alone has it
@@ -33,6 +34,7 @@ COUNTS_WANTED: Final = tuple(number for number in signal.Signals if number.name 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the service and return its exit status."""
+    reckon_in_one_thread()
     controls = Controls()
     controls.stop.listen_to(signal.SIGINT, signal.SIGTERM)
     controls.counts_wanted.listen_to(*COUNTS_WANTED)

@@ -20,6 +20,7 @@ from fleet_backend.arguments import (
 from fleet_backend.errors import BrokerError, ConfigError, DatabaseError, ExtraMissingError, UnknownVehicleError
 from fleet_contract import VariableError, check_variables
 from program_io.complaint import complain
+from program_io.one_thread import reckon_in_one_thread
 from program_io.standard_output import standard_output
 
 _STATUSES: Final = (
@@ -32,6 +33,7 @@ _STATUSES: Final = (
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the backend and return its exit status."""
+    reckon_in_one_thread()
     options = parse_arguments(arguments)
     _set_up_log(options.verbose)
     try:
