@@ -6,7 +6,7 @@ from canlog.frames import FrameBatch
 from clutch_model.calibration import Calibration
 from diag_service.diagnosis.columns import Signal
 from diag_service.diagnosis.condition.condition import ConditionMemory, judge, no_verdict
-from diag_service.diagnosis.condition.indices import measure
+from diag_service.diagnosis.condition.indices import compile_indices, measure
 from diag_service.diagnosis.events import Event
 from diag_service.diagnosis.friction import Estimator, Posterior
 from diag_service.diagnosis.friction.estimator import without_friction
@@ -36,6 +36,7 @@ class Stages:
         self._finder = DriveFinder(decoder.signals, calibration, decoder.gears)
         self.tier = tier_of(decoder.signals, knows_gears=knows_gears(decoder))
         self._estimator = Estimator(calibration)
+        compile_indices()
         if self.tier is Tier.FRICTION:
             self._estimator.prepare()
         self._calibration = calibration

@@ -10,6 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from canlog.arrays import FloatArray
+from canlog.jit import array_kernel
 from canlog.series import Series
 from clutch_model.calibration import Calibration
 from clutch_model.gears import clutch_of_gear
@@ -174,19 +175,34 @@ def _asked(grid: _Grid, slip_rad_s: FloatArray) -> tuple[FloatArray, npt.NDArray
 def _acceleration(event: Event, at_s: FloatArray) -> FloatArray:
     """Return the engine's acceleration at some times [rad/s2]: the slope of a parabola through the speeds around."""
     series = event.columns[Signal.ENGINE_SPEED]
-    t_s = _since(series, event)
-    first, last = np.searchsorted(t_s, at_s - SMOOTH_S), np.searchsorted(t_s, at_s + SMOOTH_S)
-    around = first[:, None] + np.arange(int(np.max(last - first, initial=0)))
-    inside = around < last[:, None]
-    around = np.minimum(around, len(t_s) - 1)
-    apart = np.where(inside, (t_s[around] - at_s[:, None]) / SMOOTH_S, 0.0)
-    powers = inside[..., None] * apart[..., None] ** np.arange(3)
-    normal = powers.swapaxes(1, 2) @ powers
-    is_fit = np.count_nonzero(inside, axis=1) >= 3
-    normal[~is_fit] = np.eye(3)
-    moments = np.einsum("gwp,gw->gp", powers, series.value[around])
-    slopes: FloatArray = np.linalg.solve(normal, moments[..., None])[:, 1, 0] / SMOOTH_S
-    return np.where(is_fit, slopes, 0.0)
+    slopes = np.zeros(len(at_s))
+    _fit_slopes(_since(series, event), series.value, at_s, slopes)
+    return slopes
+
+
+@array_kernel
+def _fit_slopes(t_s: FloatArray, value: FloatArray, at_s: FloatArray, slopes: FloatArray) -> None:
+    """Fit a parabola by least squares around each of some rising times; the slope of fewer than 3 samples stays."""
+    first, last = 0, 0
+    for row in range(len(at_s)):
+        while first < len(t_s) and t_s[first] < at_s[row] - SMOOTH_S:
+            first += 1
+        while last < len(t_s) and t_s[last] < at_s[row] + SMOOTH_S:
+            last += 1
+        count, x1, x2, x3, x4, y, xy, xxy = last - first, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+        for k in range(first, last):
+            x = (t_s[k] - at_s[row]) / SMOOTH_S
+            x1, x2, x3, x4 = x1 + x, x2 + x * x, x3 + x * x * x, x4 + x * x * x * x
+            y, xy, xxy = y + value[k], xy + x * value[k], xxy + x * x * value[k]
+        if count >= 3:  # Cramer's rule
+            whole = count * (x2 * x4 - x3 * x3) - x1 * (x1 * x4 - x2 * x3) + x2 * (x1 * x3 - x2 * x2)
+            slope = count * (xy * x4 - x3 * xxy) - y * (x1 * x4 - x3 * x2) + x2 * (x1 * xxy - xy * x2)
+            slopes[row] = slope / whole / SMOOTH_S
+
+
+def compile_indices() -> None:
+    """Have everything compiled before the first shift comes: it must not wait for it."""
+    _fit_slopes(np.zeros(1), np.zeros(1), np.zeros(1), np.zeros(1))
 
 
 def _since(series: Series, event: Event) -> FloatArray:
