@@ -216,6 +216,13 @@ def _resample(
 @kernel
 def _spread(weights: FloatArray, left: Int64Array, share: FloatArray, spread: FloatArray) -> None:
     for k in range(weights.shape[0]):
+        sample, at_left, at_right = left[0], 0.0, 0.0  # summed before they are stored: ten rows lie between two samples
         for j in range(weights.shape[1]):
-            spread[k, left[j]] += weights[k, j] * (1.0 - share[j])
-            spread[k, left[j] + 1] += weights[k, j] * share[j]
+            if left[j] != sample:
+                spread[k, sample] += at_left
+                spread[k, sample + 1] += at_right
+                sample, at_left, at_right = left[j], 0.0, 0.0
+            at_right += weights[k, j] * share[j]
+            at_left += weights[k, j] * (1.0 - share[j])
+        spread[k, sample] += at_left
+        spread[k, sample + 1] += at_right

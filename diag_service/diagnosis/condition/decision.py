@@ -11,6 +11,7 @@ from diag_service.diagnosis.condition.thresholds import (
     CHANGE_LEVEL_RATIO,
     CHANGE_PROBABILITY,
     COMMON_THIN_PROBABILITY,
+    EARLY_MARGIN_STD_RATIO,
     LEAVE_PROBABILITY,
     MAX_MARGIN_STD_RATIO,
     MIN_SHIFT_COUNT,
@@ -74,9 +75,13 @@ def decide(
     reference_margin = reference.mu_c - reference.mu_s
     margin = NormalDist(friction.mu_c - friction.mu_s, friction.std_slope_s_rad * reference.stribeck_speed_rad_s)
     level = NormalDist(friction.mu_c / reference.mu_c, friction.std_mu_c / reference.mu_c)
+    own_thin, common_thin = margin.cdf(WATCH_MARGIN_RATIO * reference_margin), common.cdf(WATCH_MARGIN_RATIO)
+    negative, thin = friction.probability_negative_slope, own_thin
+    if margin.stdev > EARLY_MARGIN_STD_RATIO * reference_margin:  # one clutch may be misread; both rarely are
+        negative, thin = min(negative, common.cdf(0.0)), min(own_thin, common_thin)
     facts = _facts(friction, level, since, shift_count) + (f", {launches.text}" if launches.speak else "")
     change = {
-        Cause.SHUDDER: launches.probability_negative(friction.probability_negative_slope),
+        Cause.SHUDDER: launches.probability_negative(negative),
         Cause.LEVEL_LOW: level.cdf(CHANGE_LEVEL_RATIO),
         Cause.LOSS_LARGE: _lost(since, CHANGE_LEVEL_RATIO),
     }
@@ -86,18 +91,16 @@ def decide(
     if margin.stdev > MAX_MARGIN_STD_RATIO * reference_margin:
         return nothing(Silence.MARGIN_UNSURE, f"mu_C - mu_S known to {margin.stdev:.4f} only: {facts}")
     watch = {
-        Cause.MARGIN_THIN: margin.cdf(WATCH_MARGIN_RATIO * reference_margin),
+        Cause.MARGIN_THIN: thin,
         Cause.LEVEL_FALLING: level.cdf(WATCH_LEVEL_RATIO),
         Cause.LOSS_BEGUN: _lost(since, WATCH_LEVEL_RATIO),
     }
     cause, probability = _likeliest(watch)
     if probability >= (LEAVE_PROBABILITY if previous is Condition.WATCH else WATCH_PROBABILITY):
         return _because(Condition.WATCH, cause, probability, facts)
-    thin = watch[Cause.MARGIN_THIN]
     is_sure = margin.stdev <= SURE_MARGIN_STD_RATIO * reference_margin
-    common_thin = common.cdf(WATCH_MARGIN_RATIO)
-    if not is_sure and _may_be_thin(thin, common_thin, previous):
-        by_either = max(thin, common_thin)
+    if not is_sure and _may_be_thin(own_thin, common_thin, previous):
+        by_either = max(own_thin, common_thin)
         return nothing(Silence.MARGIN_UNSURE, f"too early to say, {Cause.MARGIN_THIN} ({by_either:.3f}): {facts}")
     return _unless_they_judder(launches, 1.0 - probability, facts)
 

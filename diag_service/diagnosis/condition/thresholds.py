@@ -9,6 +9,7 @@ WATCH_MARGIN_RATIO = 0.50  # half of the new fluid's margin against shudder is g
 CHANGE_PROBABILITY = 0.95  # a workshop visit costs: be sure
 WATCH_PROBABILITY = 0.80
 THIN_PROBABILITY = 0.01  # of a thin margin, to call a fluid good before that: a drive is judged a hundred times
+EARLY_MARGIN_STD_RATIO = 0.15  # worse known, the margin of one clutch is believed only as far as both together say so
 COMMON_THIN_PROBABILITY = 0.003  # the same by both clutches together: they slip in one oil
 LEAVE_PROBABILITY = 0.20  # to call off a verdict once given, its cause must have become unlikely
 FIT_WINDOW = 20  # shifts of both clutches: two cycles

@@ -80,7 +80,8 @@ class Balance:
         counts = [max(3, min(MAX_MOMENT_COUNT, one // SAMPLES_PER_MOMENT)) for one in sample_counts]
         self.weights = sines(window, counts)
         self.tracks = integrate_films(measured, calibration)
-        self._moments = weigh(self.weights, measured, self.tracks, calibration)
+        self.contacts_nm = contacts_nm(measured, self.tracks, calibration, self.weights.rows)
+        self._moments = weigh(self.weights, self.contacts_nm, self.tracks)
 
     @property
     def known_nms(self) -> FloatArray:
@@ -134,27 +135,38 @@ def integrate_films(
     return both_clutches(integrate_film(m + 1, drives[m], calibration, stop, step) for m in range(2))
 
 
-def weigh(
-    weights: Weights,
+def contacts_nm(
     drives: tuple[PressureDrive, PressureDrive],
     tracks: tuple[FilmTrack, FilmTrack],
     calibration: Calibration,
+    rows: slice,
+) -> tuple[FloatArray, FloatArray]:
+    """Return `contact_nm` of both clutches."""
+    return both_clutches(contact_nm(calibration.clutches[m], drives[m], tracks[m], rows) for m in range(2))
+
+
+def weigh(
+    weights: Weights, torques_nm: tuple[FloatArray, FloatArray], tracks: tuple[FilmTrack, FilmTrack]
 ) -> tuple[ClutchMoments, ClutchMoments]:
-    """Return the weighted torques of both clutches."""
-    return both_clutches(moments_of(weights, m, drives[m], tracks[m], calibration) for m in range(2))
+    """Return the weighted torques of both clutches, of which ``torques_nm`` are the `contacts_nm` on the same rows."""
+    return both_clutches(_moments_of(weights, *pair) for pair in zip(torques_nm, tracks, strict=True))
 
 
-def moments_of(
-    weights: Weights, m: int, drive: PressureDrive, track: FilmTrack, calibration: Calibration
-) -> ClutchMoments:
-    """Return the weighted torques of clutch ``m + 1``."""
+def _moments_of(weights: Weights, torques_nm: FloatArray, track: FilmTrack) -> ClutchMoments:
     rows = weights.rows
-    torques_nm = contact_nm(calibration.clutches[m], drive, track, rows)
+    weighted = weights.value @ np.column_stack(
+        (
+            torques_nm,
+            torques_nm * (track.clutch_k[rows] - REFERENCE_K)[:, None],
+            track.viscous_nm[rows],
+            track.open_nm[rows],
+        )
+    )
     return ClutchMoments(
-        viscous=weights.value @ track.viscous_nm[rows],
-        opened=weights.value @ track.open_nm[rows],
-        by_friction=weights.value @ torques_nm,
-        by_warm_friction=weights.value @ (torques_nm * (track.clutch_k[rows] - REFERENCE_K)[:, None]),
+        viscous=weighted[:, 4],
+        opened=weighted[:, 5],
+        by_friction=weighted[:, :2],
+        by_warm_friction=weighted[:, 2:4],
     )
 
 

@@ -10,7 +10,7 @@ from typing import Final
 import numpy as np
 
 from canlog.arrays import FloatArray
-from diag_service.diagnosis.friction.balance import Balance, contact_nm
+from diag_service.diagnosis.friction.balance import Balance
 from diag_service.diagnosis.friction.parameters import (
     FRICTION_COUNT,
     PARAMETER_COUNT,
@@ -52,7 +52,8 @@ def own_variance(balance: Balance, clutch: int) -> FloatArray:
 def film_share(balance: Balance, clutch: int) -> float:
     """Return which part of a clutch's torque its sheared film carries in the slip window, 0 to 1."""
     rows, track = balance.window.slip_rows, balance.tracks[clutch - 1]
-    by_friction_nm = contact_nm(balance.calibration.clutches[clutch - 1], balance.measured[clutch - 1], track, rows)
+    first = balance.weights.rows.start
+    by_friction_nm = balance.contacts_nm[clutch - 1][rows.start - first : rows.stop - first]
     contact = float(np.sum(np.abs(by_friction_nm @ balance.at[friction_rows(clutch)])))
     film = float(np.sum(np.abs(track.viscous_nm[rows])))
     return film / max(film + contact, 1e-9)

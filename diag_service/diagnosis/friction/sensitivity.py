@@ -20,7 +20,7 @@ from diag_service.diagnosis.alignment import GRID_S, AlignedSignals
 from diag_service.diagnosis.friction.balance import (
     Balance,
     contact_lever_m3,
-    contact_nm,
+    contacts_nm,
     direction,
     friction_pairs,
     integrate_films,
@@ -112,7 +112,8 @@ class Sensitivity:
         self._tracks = both_clutches(  # a command shows how a clutch is filled less well than how it heats up
             replace(track, clutch_k=seen.clutch_k) for track, seen in zip(planned, balance.tracks, strict=True)
         )
-        self._nominal = weigh(balance.weights, self._planned, self._tracks, balance.calibration)
+        self._contacts_nm = contacts_nm(self._planned, self._tracks, balance.calibration, balance.weights.rows)
+        self._nominal = weigh(balance.weights, self._contacts_nm, self._tracks)
         self.noises = self._noises()
         self.slope = self._slope()
         self.overlaps = self._overlaps()
@@ -160,7 +161,7 @@ class Sensitivity:
         """Add what the friction of clutch ``m + 1`` answers to the shape of its curve, eq. (8)."""
         balance, drive, rows = self._balance, self._planned[m], self._balance.weights.rows
         clutch = balance.calibration.clutches[m]
-        torques_nm = contact_nm(clutch, drive, self._tracks[m], rows)
+        torques_nm = self._contacts_nm[m]
         exponent = clutch.friction.stribeck_exponent
         excess = np.maximum(np.abs(drive.slip_rad_s[rows]) / clutch.friction.stribeck_speed_rad_s, MIN_EXCESS)
         by_log_nm = torques_nm[:, 1] * (mu[1] - mu[0]) * exponent * excess**exponent
@@ -229,7 +230,7 @@ class Sensitivity:
         balance, calibration = self._balance, self._balance.calibration
         clutch, drive, track = calibration.clutches[m], self._planned[m], self._tracks[m]
         value, rows = balance.weights.value, balance.weights.rows
-        torques_nm = contact_nm(clutch, drive, track, rows)
+        torques_nm = self._contacts_nm[m]
         by_slip_nms = torques_nm[:, 1] * (mu[0] - mu[1]) * steepness(drive.slip_rad_s[rows], clutch.friction)
         area_ratio = clutch.geometry.piston_area_m2 / clutch.geometry.lining_area_m2
         by_pressure_m3 = area_ratio * mu[0] * torques_nm.sum(axis=1) / np.maximum(track.contact_pa[rows], 1.0)

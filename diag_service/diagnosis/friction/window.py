@@ -235,11 +235,12 @@ def sines(window: SlipWindow, counts: Sequence[int]) -> Weights:
 @lru_cache(maxsize=32)
 def _sines(row_count: int, count: int) -> tuple[FloatArray, FloatArray]:
     """Return sines and their derivatives on one piece, each (count, row_count)."""
-    order = np.arange(1, count + 1)[:, None]
-    angle = order * np.linspace(0.0, np.pi, row_count)
-    rate = np.cos(angle) * (order * np.pi / (row_count - 1))
+    order, step = np.arange(1, count + 1)[:, None], np.pi / (row_count - 1)
+    whole = np.arange(2 * (row_count - 1)) * step  # one period: all orders take their values from it
+    place = order * np.arange(row_count) % len(whole)
+    rate = np.cos(whole)[place] * (order * step)
     rate[:, [0, -1]] *= 0.5  # trapezoid
-    return np.sin(angle) * GRID_S, rate
+    return np.sin(whole)[place] * GRID_S, rate
 
 
 def smoothed(values: FloatArray, window: SlipWindow, degree: int) -> FloatArray:

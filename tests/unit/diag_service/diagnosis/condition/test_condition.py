@@ -99,6 +99,17 @@ def test_what_one_clutch_alone_says_early_is_not_called_good_if_the_other_contra
     assert condition_of(replace(contradicted, folded_counts=(5, 5))) is Condition.NO_VERDICT
 
 
+def test_what_one_clutch_alone_says_early_is_no_alarm_if_the_other_contradicts_it() -> None:
+    """Known better, it is: one lining may be worn where the other is not."""
+    for std, expected in ((0.003, Condition.NO_VERDICT), (0.001, Condition.WATCH)):
+        state = believed(0.133, 0.127, std=std)
+        assert condition_of(state) is Condition.WATCH
+        mean = state.known.mean.copy()
+        mean[friction_rows(2)] = (0.140, 0.119)
+        contradicted = Posterior.of(replace(state.known, mean=mean), CALIBRATION)
+        assert condition_of(replace(contradicted, folded_counts=(5, 5))) is expected
+
+
 def test_each_clutch_has_its_own_memory() -> None:
     memory, _ = judge(ConditionMemory.fresh(), believed(0.119, 0.137), 2, CALIBRATION)
     assert memory.conditions == (Condition.NO_VERDICT, Condition.CHANGE_FLUID)
