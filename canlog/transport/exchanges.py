@@ -12,6 +12,8 @@ POSITIVE, NEGATIVE, PENDING = 0x40, 0x7F, 0x78
 ANSWERS: Final = frozenset(range(0x40, 0x80)) | frozenset(range(0xC0, 0xD0))
 MOST_KEPT: Final = 10_000
 LONGEST_NS: Final = 60 * 1_000_000_000  # a controller that says "pending" may take its time
+PATIENCE_NS: Final = 5 * 1_000_000_000  # for a first word; testers are told to wait 50 ms and gateways (ISO 14229-2)
+OTHERS_NS: Final = 500_000_000  # in which others answer as well who were asked together
 FUNCTIONAL_TARGET: Final = 0x33  # all controllers of emissions, as testers address them
 _EXTENDED: Final = int(EXTENDED_FLAG)
 
@@ -53,6 +55,21 @@ class Exchanges:
                 self._answer(one)
             else:
                 self._ask(one)
+
+    def settled(self, now_ns: int) -> list[Exchange]:
+        """Take out, and return, the exchanges of which no more is to be expected at a time on the bus."""
+        kept, done = list[Exchange](), list[Exchange]()
+        for one in self.found:
+            (done if self._is_settled(one, now_ns) else kept).append(one)
+        self.found = kept
+        return done
+
+    def _is_settled(self, one: Exchange, now_ns: int) -> bool:
+        if self._last[one.request.channel, one.request.can_id] is not one:
+            return True
+        if one.answers:
+            return now_ns - one.answers[-1].last_ns >= OTHERS_NS
+        return now_ns - one.request.last_ns >= (LONGEST_NS if one.pending else PATIENCE_NS)
 
     def _ask(self, request: Transfer) -> None:
         exchange = Exchange(request=request)

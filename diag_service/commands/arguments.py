@@ -72,12 +72,25 @@ _RUN: Final = Command(
         f"{PROGRAM} run --config car1.toml --json",
     ),
 )
+_PAIRS: Final = Option(
+    "--pairs IDS",
+    "identifiers of further requests and answers, hexadecimal: 79B:7BB,740:760 (default: those of ISO 15765)",
+)
+_CONVERSATIONS_TEXT: Final = (
+    "put messages longer than a frame together (ISO-TP, J1939 transport, NMEA 2000 fast packet) and show what testers "
+    "asked and controllers answered"
+)
 _MONITOR: Final = Command(
     "monitor",
     "show a live bus, store nothing",
-    *(*BUS, *MEANING, CONFIG, VERBOSE),
+    *(*BUS, *MEANING, CONFIG),
+    Option("--conversations", f"{_CONVERSATIONS_TEXT}, as they come"),
+    *(_PAIRS, VERBOSE),
     variables=VARIABLES,
-    examples=(f"{PROGRAM} monitor -i socketcan -c can0 --duration 60",),
+    examples=(
+        f"{PROGRAM} monitor -i socketcan -c can0 --duration 60",
+        f"{PROGRAM} monitor -i socketcan -c can0 --conversations",
+    ),
 )
 _CHECK: Final = Command(
     "check",
@@ -132,10 +145,6 @@ _CALIBRATE: Final = Command(
     variables=VARIABLES,
     examples=(f"{PROGRAM} calibrate monday.log tuesday.log --vehicle car1 -o car1.toml",),
 )
-_PAIRS: Final = Option(
-    "--pairs IDS",
-    "identifiers of further requests and answers, hexadecimal: 79B:7BB,740:760 (default: those of ISO 15765)",
-)
 _INSPECT: Final = Command(
     "inspect",
     "show what traffic a log holds",
@@ -148,11 +157,7 @@ _INSPECT: Final = Command(
         INT,
         default=DEFAULT_BITRATE,
     ),
-    Option(
-        "--conversations",
-        "put messages longer than a frame together (ISO-TP, J1939 transport, NMEA 2000 fast packet) and show what "
-        "testers asked and controllers answered",
-    ),
+    Option("--conversations", _CONVERSATIONS_TEXT),
     _PAIRS,
     *(JSON, VERBOSE),
     description="Show what traffic a log holds. A database names the messages; the shipped one also checks them.",

@@ -1,7 +1,7 @@
 """``inspect --conversations``: messages longer than a frame, and what testers asked and controllers answered."""
 
 from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from typing import Final
 
 from cantools.database.can import Message
@@ -66,27 +66,43 @@ class Conversations:
         self._exchanges = Exchanges(pairs=identifiers)
         self._decoded: list[LongMessage] = []
         self._by_name: Counter[str] = Counter()
+        self._told = self._told_unanswered = 0  # of requests
+        self._show: Callable[[str], object] | None = None
+
+    def tell_at_once(self, show: Callable[[str], object]) -> None:
+        """Have what is settled shown when it is, from now on: the frames come from a bus that goes on."""
+        self._show = show
 
     def add(self, batch: FrameBatch) -> None:
-        """Take the frames that follow."""
+        """Take the frames that follow: at least one."""
         self._take(self._long.feed(batch))
+        if self._show is not None:
+            for line in self.news(int(batch.t_ns[-1])):
+                self._show(line)
 
     def close(self) -> None:
         """End."""
         self._take(self._long.close())
 
+    def news(self, now_ns: int) -> Iterator[str]:
+        """Yield for people what is settled at a time on the bus; it is not kept any longer."""
+        for one in self._exchanges.settled(now_ns):
+            self._told += 1
+            self._told_unanswered += not one.answers
+            yield exchange_line(one)
+
     def lines(self) -> Iterator[str]:
-        """Yield all of it for people."""
+        """Yield all of it for people that has not been told as news."""
         counts = self._long.counts.in_words()
         yield from counts or ["no message longer than a frame, and no conversation of a tester"]
         for name, count in self._by_name.most_common():
             yield f"  {name}: {count}"
         found = self._exchanges.found
-        unanswered = sum(not one.answers for one in found)
-        if found or self._exchanges.unasked:
+        unanswered = self._told_unanswered + sum(not one.answers for one in found)
+        if found or self._told or self._exchanges.unasked:
             more = f", {self._exchanges.more} more are not kept" if self._exchanges.more else ""
             yield (
-                f"{len(found)} requests, {unanswered} without an answer, "
+                f"{self._told + len(found)} requests, {unanswered} without an answer, "
                 f"{self._exchanges.unasked} answers to no request of the log{more}"
             )
         yield from (f"  {exchange_line(one)}" for one in found[:SHOWN_EXCHANGES])

@@ -70,6 +70,8 @@ def execute(options: SimpleNamespace, controls: Controls) -> None:
             with ReadingLine() as line:
                 has_talks = options.conversations or options.pairs
                 talks = Conversations(messages, options.pairs or "") if has_talks else None
+                if talks is not None and path == STANDARD_INPUT and not options.json:
+                    talks.tell_at_once(console.print)
                 inspection = inspect_log(path, messages, options.bitrate, controls.stop, line.watch, columns, talks)
         except SourceError as exc:
             if not is_found:

@@ -48,7 +48,7 @@ async def run_live(
 
     work, senders = _Work(session, outbox), SenderWatch()
     beside = {
-        "closer": _close_in_time(source, stop, duration_s),
+        "closer": close_in_time(source, stop, duration_s),
         "counts": _log_counts(session, counts, counts_wanted),
         "onlookers": _repeat(SHOW_PERIOD_S, show),
         "two senders": _repeat(SENDERS_PERIOD_S, lambda: senders.warn(counts())),
@@ -137,7 +137,7 @@ async def _keep_sending(outbox: Outbox) -> None:
         await asyncio.sleep(outbox.limits.restart_pause_s)
 
 
-async def _close_in_time(source: LiveSource, stop: Trigger, duration_s: float | None) -> None:
+async def close_in_time(source: LiveSource, stop: Trigger, duration_s: float | None) -> None:
     """Close the source at ``stop`` or after ``duration_s``; its iteration ends with what was received until then."""
     try:
         async with asyncio.timeout(duration_s):

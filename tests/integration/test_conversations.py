@@ -1,13 +1,22 @@
 """``inspect --conversations``: what testers asked and controllers answered, in words and as JSON."""
 
 import json
+from collections.abc import AsyncIterator
 from pathlib import Path
 
 import pytest
 
 import diag_service
+from canlog.errors import SourceError
+from canlog.frames import FrameBatch
+from canlog.live import LinkBreak, SourceCounts
+from canlog.logs import read_log
 from diag_service.cli import main
+from diag_service.commands.conversations import Conversations
+from diag_service.commands.conversations_live import follow
 from diag_service.errors import ConfigError
+from diag_service.service.stopping import Trigger
+from tests.support.pipes import piped
 
 LINES = """
 (1767225600.000000) can0 7E0#0322F190AAAAAAAA
@@ -65,3 +74,49 @@ def test_programs_get_them_whole(log: Path, capsys: pytest.CaptureFixture[str]) 
 def test_pairs_that_are_none_are_refused(pairs: str, log: Path) -> None:
     with pytest.raises(ConfigError, match="say REQUEST:ANSWER in hexadecimal"):
         diag_service.inspect(log, pairs=pairs)
+
+
+class Bus:
+    """A bus on which a log is played frame by frame, and which then is away."""
+
+    description = "a bus"
+    counts = SourceCounts()
+
+    def __init__(self, batch: FrameBatch, said: list[str]) -> None:
+        self._batch = batch
+        self._said = said
+
+    async def __aiter__(self) -> AsyncIterator[FrameBatch | LinkBreak]:
+        for row in range(len(self._batch)):
+            self._said.append(f"frame {row}")
+            yield self._batch[row : row + 1]
+        yield LinkBreak(problem="cut")
+        raise SourceError("it did not come back")
+
+    async def aclose(self) -> None:
+        """Nothing is open."""
+
+
+async def test_conversations_of_a_bus_are_shown_as_they_come(tmp_path: Path) -> None:
+    (tmp_path / "bus.log").write_text(f"{TEXT}(1767225601.100000) can0 123#\n(1767225606.000000) can0 123#\n", "ascii")
+    (batch,) = read_log(tmp_path / "bus.log")
+    said = list[str]()
+    with pytest.raises(SourceError, match="did not come back"):
+        await follow(Bus(batch, said), Conversations((), "79B:7BB"), Trigger(), said.append)
+    told = [f"{line.split()[1]} {line.partition(': ')[2][:2]}" if " -> " in line else line for line in said]
+    assert told.index("frame 6") < told.index("7E0 22") < told.index("frame 7")  # the next request came
+    assert told.index("frame 12") < told.index("7E0 2E") < told.index("79B 21") < told.index("frame 13")
+    assert told.index("frame 13") < told.index("7DF 01")
+    assert sum("ReadDataByIdentifier: 22 F1 90 -> 7E8 62 F1 90" in line for line in said) == 1
+    assert "the bus was away: cut" in said
+    assert "4 requests, 1 without an answer, 0 answers to no request of the log" in said
+
+
+def test_conversations_of_a_pipe_are_shown_as_they_come(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with piped(monkeypatch, [TEXT.encode(), b"(1767225609.000000) can0 123#00\n"]):
+        assert main(["inspect", "-", "--conversations"]) == 0
+    said = capsys.readouterr().out
+    assert said.index("22 F1 90 -> 7E8 62 F1 90") < said.index("frames, ") < said.index("3 requests, 1 without")
+    assert said.count("22 F1 90 -> 7E8") == 1
