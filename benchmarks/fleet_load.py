@@ -39,17 +39,23 @@ def wire(topic: str, payload: bytes) -> Wire:
 
 
 class Load:
-    """One publisher that counts the acknowledgements of the backend for a set of vehicles."""
+    """A publisher that counts the acknowledgements of the backend for a set of vehicles.
 
-    def __init__(self, port: int, name: str, ack_topics: Sequence[str]) -> None:
-        self._socket = socket.create_connection(("127.0.0.1", port))
-        self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+    It publishes on as many connections as are wanted, in turns: a broker may look at those of one connection one after
+    the other, and vehicles are many.
+    """
+
+    def __init__(self, port: int, name: str, ack_topics: Sequence[str], connections: int = 1) -> None:
+        self._socket = _connected(port, name)
+        self._others = [_connected(port, f"{name}-{number}") for number in range(1, connections)]
+        self._next = 0
         self.acknowledged_count = 0
         self.heard_s: dict[tuple[str, int], float] = {}  # when the word on a result came, while `is_timed`
         self.is_timed = False
         self._changed = threading.Condition()
         self._turn = threading.Lock()  # a large piece must not be torn by the reader's acknowledgements
-        self._send(connect_packet(name))
+        for other in self._others:
+            threading.Thread(target=_drain, args=(other,), daemon=True).start()
         if ack_topics:
             self._subscribe(ack_topics)
         self._reader = threading.Thread(target=self._read, daemon=True)
@@ -61,7 +67,7 @@ class Load:
         for first in range(0, len(messages), _PIECE):
             piece = messages[first : first + _PIECE]
             self._wait(first + len(piece) - window, began_s + timeout_s)
-            self._send(b"".join(message.packet(first + place) for place, message in enumerate(piece)))
+            self._publish(b"".join(message.packet(first + place) for place, message in enumerate(piece)))
         self._wait(len(messages), began_s + timeout_s)
         return time.perf_counter() - began_s
 
@@ -74,7 +80,7 @@ class Load:
             at_s = began_s + first / per_s
             time.sleep(max(0.0, at_s - time.perf_counter()))
             due_s += [at_s] * len(piece)
-            self._send(b"".join(message.packet(first + place) for place, message in enumerate(piece)))
+            self._publish(b"".join(message.packet(first + place) for place, message in enumerate(piece)))
         self._wait(len(messages), time.perf_counter() + timeout_s)
         return due_s
 
@@ -82,13 +88,23 @@ class Load:
         """Send messages and wait for nobody."""
         for first in range(0, len(messages), _PIECE):
             piece = messages[first : first + _PIECE]
-            self._send(b"".join(message.packet(first + place) for place, message in enumerate(piece)))
+            self._publish(b"".join(message.packet(first + place) for place, message in enumerate(piece)))
 
     def close(self) -> None:
         """Leave the broker."""
         self._socket.shutdown(socket.SHUT_RDWR)
         self._reader.join()
         self._socket.close()
+        for other in self._others:
+            other.shutdown(socket.SHUT_RDWR)
+
+    def _publish(self, data: bytes) -> None:
+        """Send on the next connection."""
+        self._next = (self._next + 1) % (1 + len(self._others))
+        if self._next:
+            self._others[self._next - 1].sendall(data)
+        else:
+            self._send(data)
 
     def _send(self, data: bytes) -> None:
         with self._turn:
@@ -119,6 +135,20 @@ class Load:
             with self._changed:
                 self.acknowledged_count += len(told["results"])
                 self._changed.notify_all()
+
+
+def _connected(port: int, name: str) -> socket.socket:
+    made = socket.create_connection(("127.0.0.1", port))
+    made.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+    made.sendall(connect_packet(name))
+    return made
+
+
+def _drain(source: socket.socket) -> None:
+    """Read what a broker answers, until the connection is closed."""
+    with source:
+        for _ in _packets(source):
+            pass
 
 
 def _packets(source: socket.socket) -> Iterator[tuple[int, bytes]]:

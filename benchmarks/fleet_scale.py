@@ -44,6 +44,7 @@ RECENT = timedelta(days=30)
 WINDOW = 8000
 PACED_S = 10.0
 ASKED = 31
+CONNECTIONS = 8  # that publish
 SETTINGS = ("shared_buffers=1GB", "max_wal_size=8GB", "checkpoint_timeout=15min")
 
 
@@ -137,7 +138,8 @@ def ingest(name: str, database: str, vehicle_count: int, count: int, first: int,
         folder = Path(stack.enter_context(TemporaryDirectory()))
         port, address = stack.enter_context(broker(name, folder))
         stack.enter_context(workers(address, database, 2))
-        load = Load(port, "load", [filter_of(Channel.ACK)])  # the gateway of NATS grants 63 subscriptions of one client
+        # The gateway of NATS grants 63 subscriptions of one client, and takes the messages of one client one by one.
+        load = Load(port, "load", [filter_of(Channel.ACK)], connections=CONNECTIONS)
         stack.callback(load.close)
         made = messages(vehicle_count, first, count)
         before, used_s = _live_count(engine), processor_s()

@@ -14,6 +14,15 @@ from demo.errors import DemoError
 
 _START_S: Final = 60.0
 _ALWAYS_SYNCS: Final = (2, 10)  # the first version whose JetStream can sync at every message
+_OWN: Final = """
+server_name: fleet
+listen: 0.0.0.0:4222
+jetstream {
+  store_dir: /var/lib/nats
+  sync_interval: always
+}
+mqtt { listen: 0.0.0.0:8883 }
+"""
 
 
 class NatsServer:
@@ -23,23 +32,27 @@ class NatsServer:
     ----------
     folder : Path
         For configuration, data and log.
+    text : str
+        A configuration; its places for data, clients and vehicles are replaced by our own.
     """
 
-    def __init__(self, folder: Path) -> None:
+    def __init__(self, folder: Path, text: str = _OWN) -> None:
         self.port, self.nats_port = _free_ports(2)
         self._folder = folder
         self._process: subprocess.Popen[bytes] | None = None
         self._program = shutil.which("nats-server", path=f"{os.environ.get('PATH', os.defpath)}:/usr/sbin")
         if self._program is None:
             raise DemoError("nats-server is not installed (Debian package nats-server)")
-        sync = "  sync_interval: always\n" if version(self._program) >= _ALWAYS_SYNCS else ""
+        for theirs, ours in (
+            ("0.0.0.0:4222", f"127.0.0.1:{self.nats_port}"),
+            ("0.0.0.0:8883", f"127.0.0.1:{self.port}"),
+            ("/var/lib/nats", str(folder)),
+        ):
+            text = text.replace(theirs, ours)
+        if version(self._program) < _ALWAYS_SYNCS:
+            text = re.sub(r"\n *sync_interval: always", "", text)
         self._config = folder / "nats.conf"
-        self._config.write_text(
-            f"server_name: fleet\nlisten: 127.0.0.1:{self.nats_port}\n"
-            f'jetstream {{\n  store_dir: "{folder}"\n{sync}}}\n'
-            f"mqtt {{ listen: 127.0.0.1:{self.port} }}\n",
-            encoding="utf-8",
-        )
+        self._config.write_text(text, encoding="utf-8")
 
     @property
     def url(self) -> str:

@@ -2,6 +2,7 @@
 
 import asyncio
 from collections.abc import Iterator
+from datetime import UTC, datetime
 from pathlib import Path
 
 import pytest
@@ -9,14 +10,16 @@ import pytest
 from demo.fleet.nats import NatsServer
 from diag_service.diagnosis.results import shift_record
 from fleet_backend.broker import connected
+from fleet_backend.certificates.authority import Authority, Lifetime
 from fleet_backend.errors import BrokerError
 from fleet_backend.ingest import FILTERS
 from fleet_contract import Receipt, ack_messages, key_of, shift_message
-from fleet_link import Connection, Terms, parse_broker
+from fleet_link import Connection, LinkDownError, Terms, TlsFiles, parse_broker
 from tests.support.fleet import fleet_result
 from tests.support.patience import HANG_S
 
 pytestmark = pytest.mark.broker
+DEPLOY = Path(__file__).parents[2] / "docs" / "deploy"
 RECORD = shift_record(fleet_result())
 KEY = key_of(RECORD)
 
@@ -81,3 +84,61 @@ def test_a_broker_that_goes_away_is_an_error_to_come_back_from(server: NatsServe
                 pass
 
     asyncio.run(run())
+
+
+def test_the_documents_configuration_lets_those_in_who_have_an_entry(tmp_path: Path) -> None:
+    lifetime = Lifetime.of_days(1.0, datetime.now(UTC))
+    authority = Authority.make(tmp_path / "certificates", lifetime)
+    authority.issue_server("broker", ["127.0.0.1"], lifetime)
+    for name in ("fleet-backend", "CAR1", "CAR2"):
+        authority.issue_client(name, lifetime)
+    text = (DEPLOY / "nats.conf").read_text(encoding="utf-8")
+    server = NatsServer(tmp_path, text.replace("/etc/clutchdiag", str(tmp_path / "certificates")))
+    server.start()
+
+    def files(name: str) -> TlsFiles:
+        folder = tmp_path / "certificates"
+        return TlsFiles(authority=folder / "ca.crt", certificate=folder / f"{name}.crt", key=folder / f"{name}.key")
+
+    async def vehicle(name: str) -> Connection:
+        address = parse_broker(f"mqtts://127.0.0.1:{server.port}", files(name))
+        return await Connection.open(address, Terms(is_version_5=False, identifier=name))
+
+    async def run() -> None:
+        url = server.url.replace("nats://", "nats+tls://")
+        address = parse_broker(url, files("fleet-backend"), may_be_nats=True)
+        async with connected(address, FILTERS, max_unsettled=20) as inbox, asyncio.timeout(HANG_S):
+            car = await vehicle("CAR1")
+            await car.subscribe(["clutchdiag/v1/CAR1/ack"])
+            with pytest.raises(LinkDownError, match="Not authorized"):
+                await vehicle("CAR2")
+            results = [shift_record(fleet_result(vehicle=name)) for name in ("CAR2", "CAR1")]
+            await car.publish_all([shift_message(result) for result in results])
+            (message,) = await inbox.collect(2, 0.2)  # that of another never comes
+            assert message.topic == "clutchdiag/v1/CAR1/shift"
+            receipts = [Receipt(key=key_of(results[1]))]
+            inbox.send(list(ack_messages("CAR1", receipts, sent_at="2026-01-01T00:00:00.000000Z", worker="w")))
+            inbox.settle([message])
+            waiting = asyncio.ensure_future(inbox.collect(1, 0.0))  # says what was to be sent
+            assert [told.topic for told in await car.collect(1, 0.0)] == ["clutchdiag/v1/CAR1/ack"]
+            waiting.cancel()
+            await car.close()
+
+    try:
+        asyncio.run(run())
+    finally:
+        server.stop()
+
+
+def test_the_configuration_of_the_containers_is_one(tmp_path: Path) -> None:
+    text = (DEPLOY / "nats-local.conf").read_text(encoding="utf-8")
+    for theirs, ours in (
+        ("127.0.0.1:4222", "0.0.0.0:4222"),
+        ("127.0.0.1:1884", "0.0.0.0:8883"),
+        ("/data", "/var/lib/nats"),
+    ):
+        assert theirs in text
+        text = text.replace(theirs, ours)
+    server = NatsServer(tmp_path, text.replace("http: 127.0.0.1:8222\n", ""))
+    server.start()
+    server.stop()
