@@ -192,6 +192,29 @@ def lot_standings_table(records: Sequence[Record]) -> Sheet:
     )
 
 
+def batches_table(records: Sequence[Record]) -> Sheet:
+    """Return whether some vehicles of each type age faster than the others, and which those may be."""
+    return _sheet(
+        "Bad batches of which no table knows, among fluids younger than 20,000 km",
+        records,
+        {
+            "type": _plain("vehicle_type"),
+            "vehicles": _plain("vehicle_count"),
+            "a batch": lambda record: "yes" if record["is_found"] else "no",
+            "share, %": _number("share", "{:.0f}", scale=100.0),
+            "times as fast": _number("loss_ratio", "{:.1f}"),
+            "may belong to it": lambda record: _likeliest(record["likeliest"]),
+            "likelihood ratio, log": _number("log_likelihood_ratio", "{:.1f}"),
+        },
+        dispensable=("likelihood ratio, log",),
+    )
+
+
+def _likeliest(chances: object) -> str:
+    found = chances.items() if isinstance(chances, Mapping) else ()
+    return ", ".join(f"{name} ({100.0 * chance:.0f} %)" for name, chance in found) or _NONE
+
+
 def lots_table(records: Sequence[Record]) -> Sheet:
     """Return what vehicles have in common."""
     return _sheet(

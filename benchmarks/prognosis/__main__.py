@@ -4,6 +4,7 @@
     python -m benchmarks.prognosis --decompose                  # what limits the median, trouble by trouble
     python -m benchmarks.prognosis --population                 # what a fleet teaches, and whether it finds a bad batch
     python -m benchmarks.prognosis --lots --lives 480           # whether a bad lot of vehicles is found in time
+    python -m benchmarks.prognosis --fills --lives 1000         # how soon forgotten fills are found, beside an oracle
     python -m benchmarks.prognosis --error-model --lives 8      # the errors of the lives beside whole simulated drives
 
 Numbers of the prognosis were chosen on seeds below 1000 and from 70000; docs/prognosis.md has what later ones say.
@@ -24,9 +25,11 @@ from benchmarks.measuring import processor_s
 from benchmarks.prognosis.decomposition import decomposition_table
 from benchmarks.prognosis.error_model import errors_table, rows_of
 from benchmarks.prognosis.evaluation import LATE_MARKS, MARKS, METHODS, Account, Forecast, account_of
+from benchmarks.prognosis.fills import fill_account_of, fills_table
 from benchmarks.prognosis.fleets import TYPES, population_tables
+from benchmarks.prognosis.hidden import hidden_table
 from benchmarks.prognosis.lives import life_km_of, life_of
-from benchmarks.prognosis.lots import lots_table
+from benchmarks.prognosis.lots import lots_table, stock_of
 from benchmarks.prognosis.scores import crps, is_covered, is_near
 from benchmarks.prognosis.truth import Stratum
 from canlog.arrays import FloatArray
@@ -190,6 +193,7 @@ def _parser() -> argparse.ArgumentParser:
         "--error-model", action="store_true", help="errors of the lives beside those of whole simulated drives"
     )
     other.add_argument("--population", action="store_true", help="what a fleet teaches; whether it finds a bad batch")
+    other.add_argument("--fills", action="store_true", help="how soon forgotten fills are found, beside an oracle")
     other.add_argument("--lots", action="store_true", help="whether a bad lot of vehicles is found in time")
     return parser
 
@@ -208,8 +212,12 @@ def main(argv: Sequence[str] | None = None) -> int:
     elif arguments.population:
         for table in population_tables(seeds[0], len(seeds) // (2 * len(TYPES)), partial(each, jobs=arguments.jobs)):
             console.print(table)
+    elif arguments.fills:
+        console.print(fills_table(each(fill_account_of, seeds, arguments.jobs)))
     elif arguments.lots:
-        console.print(lots_table(seeds[0], len(seeds), partial(each, jobs=arguments.jobs)))
+        stock = stock_of(seeds[0], len(seeds), partial(each, jobs=arguments.jobs))
+        console.print(lots_table(stock, seeds[0]))
+        console.print(hidden_table(stock, seeds[0]))
     else:
         _study(console, seeds, arguments.jobs)
     console.print(f"{processor_s() - began_s:.0f} s of processor time")

@@ -65,7 +65,7 @@ def account_of(life: Life, lives_km: FloatArray) -> Account:
     looks = [km for km in np.arange(LOOK_KM, DRIVEN_KM, LOOK_KM).tolist() if km < life.change_km]
     said = [_is_due(life, km) for km in looks]
     overdue_km = life.change_km + LATEST_KM
-    found_rows, false_count = _found(life)
+    found_rows, false_count = found_fills(life)
     return Account(
         forecasts=forecasts,
         years=min(life.change_km, DRIVEN_KM) / KM_PER_YEAR,
@@ -122,7 +122,7 @@ def _forecasts(life: Life, lives_km: FloatArray) -> list[Forecast]:
     return forecasts
 
 
-def _found(life: Life) -> tuple[int | None, int]:
+def found_fills(life: Life) -> tuple[int | None, int]:
     """Return with which result after it a forgotten fill is found, if in time, and how many found ones never were."""
     whole = [start for start in fluid_starts(life.history) if not start.is_noted]
     if life.forgotten_km is None:

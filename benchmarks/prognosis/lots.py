@@ -38,6 +38,14 @@ class Vehicle:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class Stock:
+    """Vehicles of which fleets are drawn, with good and with bad fluid."""
+
+    good: Sequence[Vehicle]
+    bad: Sequence[Vehicle]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Found:
     """What became of one fleet."""
 
@@ -65,11 +73,20 @@ def vehicle_of(seed: int, *, is_bad: bool) -> Vehicle:
     )
 
 
-def found_in(seed: int, good: Sequence[Vehicle], bad: Sequence[Vehicle], bad_count: int, lot_size: int) -> Found:
+def drawn_from(stock: Stock, seed: int, bad_count: int) -> list[Vehicle]:
+    """Return a fleet, the vehicles with bad fluid first."""
+    return _drawn(stock, np.random.default_rng([seed, 70]), bad_count)
+
+
+def _drawn(stock: Stock, rng: np.random.Generator, bad_count: int) -> list[Vehicle]:
+    vehicles = [stock.bad[row] for row in rng.choice(len(stock.bad), bad_count, replace=False)]
+    return vehicles + [stock.good[row] for row in rng.choice(len(stock.good), BATCH_SIZE - bad_count, replace=False)]
+
+
+def found_in(seed: int, stock: Stock, bad_count: int, lot_size: int) -> Found:
     """Draw a fleet, look at it again and again, and return what was named."""
     rng = np.random.default_rng([seed, 70])
-    vehicles = [bad[row] for row in rng.choice(len(bad), bad_count, replace=False)]
-    vehicles += [good[row] for row in rng.choice(len(good), BATCH_SIZE - bad_count, replace=False)]
+    vehicles = _drawn(stock, rng, bad_count)
     months = np.concatenate((rng.integers(0, 2, bad_count), rng.integers(0, MONTHS, BATCH_SIZE - bad_count)))
     plants = rng.integers(0, PLANTS, BATCH_SIZE)
     lots = {
@@ -108,17 +125,23 @@ class Each(Protocol):
         """Return the results of all cases in their order."""
 
 
-def lots_table(first_seed: int, count: int, each: Each) -> Table:
-    """Return whether bad lots are found, and what is named beside them; of ``count`` vehicles a sixth is bad."""
+def stock_of(first_seed: int, count: int, each: Each) -> Stock:
+    """Simulate vehicles, of which a sixth is bad."""
     bad_count = max(count // 6, BAD_COUNT)
-    good = each(partial(vehicle_of, is_bad=False), range(first_seed, first_seed + count - bad_count))
-    bad = each(partial(vehicle_of, is_bad=True), range(first_seed + count - bad_count, first_seed + count))
+    return Stock(
+        good=each(partial(vehicle_of, is_bad=False), range(first_seed, first_seed + count - bad_count)),
+        bad=each(partial(vehicle_of, is_bad=True), range(first_seed + count - bad_count, first_seed + count)),
+    )
+
+
+def lots_table(stock: Stock, first_seed: int) -> Table:
+    """Return whether bad lots are found, and what is named beside them."""
     table = Table(
         "fleets with", "fleets", "found in time", "found at, median", "any false lot", "false lots of named",
         "sound vehicles of named", title=f"Lots named in {len(LOOKS_KM)} looks at fleets of {BATCH_SIZE} vehicles",
     )  # fmt: skip
     for name, (bad_vehicles, lot_size) in CASES.items():
-        work = partial(found_in, good=good, bad=bad, bad_count=bad_vehicles, lot_size=lot_size)
+        work = partial(found_in, stock=stock, bad_count=bad_vehicles, lot_size=lot_size)
         found = [work(seed) for seed in range(first_seed, first_seed + FLEETS)]
         at_km = [one.found_km for one in found if one.found_km is not None]
         false = [one.false / max(one.named, 1) for one in found]

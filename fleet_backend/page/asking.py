@@ -12,6 +12,16 @@ from fleet_backend.page.errors import AskError
 
 MOST_IN_A_PART: Final = 1000
 USUAL_IN_A_PART: Final = 50
+# Control characters, those that only order, hide or tag others, those of private use: as signs, not as escapes, since
+# the description of the interface says it in the same words to programs of other languages.
+_NO_TEXT: Final = (
+    "\x00-\x1f\x7f-\x9f\xad\u061c\u180e\u200b-\u200f\u2028-\u202e\u2060-\u206f\ue000-\uf8ff\ufeff\ufff0-\ufffb"
+    "\U000e0000-\U000e0fff\U000f0000-\U0010ffff"
+)
+TEXT: Final = f"[^{_NO_TEXT}]*"
+_ENCODED_TEXT: Final = re.compile(
+    f"[^{_NO_TEXT}\ud800-\udfff]*"
+)  # without halves of characters, which JSON has none of
 _NAME: Final = r"[A-Za-z0-9_][A-Za-z0-9_.-]{0,63}"  # of vehicles, by the contract
 
 
@@ -43,7 +53,7 @@ class Parameter:
         """Return the value of a word; raises AskError."""
         if len(word) > self.longest:
             raise AskError(f"{self.name}: longer than {self.longest} characters")
-        if not word.isprintable():
+        if not _ENCODED_TEXT.fullmatch(word):
             raise AskError(f"{self.name}: holds characters that are no text")
         if self.choices and word not in self.choices:
             raise AskError(f"{self.name}: must be one of {', '.join(self.choices)}")
@@ -92,7 +102,9 @@ class Ask:
 VEHICLE: Final = Parameter(
     name="vehicle", text="name of the vehicle", in_path=True, is_required=True, pattern=_NAME, longest=64
 )
-AFTER: Final = Parameter(name="after", text="the part behind this one: `next` of the part before", longest=400)
+AFTER: Final = Parameter(
+    name="after", text="the part behind this one: `next` of the part before", pattern="[A-Za-z0-9_-]*", longest=400
+)
 LIMIT: Final = Parameter(
     name="limit", text="how many at most", kind=Kind.COUNT, most=MOST_IN_A_PART, default=USUAL_IN_A_PART
 )

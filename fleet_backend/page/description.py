@@ -6,7 +6,7 @@ from typing import Any, Final
 
 import msgspec
 
-from fleet_backend.page.asking import Kind, Parameter
+from fleet_backend.page.asking import TEXT, Kind, Parameter
 from fleet_backend.page.files import MEDIA_TYPES, Format
 from fleet_backend.page.view import View
 
@@ -86,4 +86,6 @@ def _schema(one: Parameter) -> dict[str, Any]:
         schema["enum"] = list(one.choices)
     if one.pattern is not None:
         schema["pattern"] = f"^{one.pattern}$"
+    elif one.kind is Kind.TEXT and not one.choices:
+        schema["pattern"] = f"^{TEXT}$"
     return schema

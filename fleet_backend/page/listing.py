@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from datetime import UTC, datetime
 from typing import Final
 
-from fleet_backend.page.errors import AskError
+from fleet_backend.page.errors import NotFoundError
 from fleet_backend.page.records import ClutchNow, Severity
 
 Place = tuple[int, float, float, str, int]  # sorts as the view fleet_worst_first does
@@ -69,7 +69,7 @@ def part_of(found: Sequence[ClutchNow], after: str | None, limit: int) -> Part:
 
     Raises
     ------
-    AskError
+    NotFoundError
         If ``after`` is nothing that an earlier part named.
     """
     first = 0 if after is None else bisect_right(found, read_cursor(after), key=place_of)
@@ -86,13 +86,13 @@ def cursor(place: Sequence[object]) -> str:
 
 
 def read_cursor(word: str) -> Place:
-    """Return the place in a word of an address; raises AskError if there is none."""
+    """Return the place in a word of an address; raises NotFoundError if there is none."""
     severity, falling, level, vehicle, clutch = read_words(word, (int, float, float, str, int))
     return severity, falling, level, vehicle, clutch  # type: ignore[return-value]  # their kinds were checked
 
 
 def read_words(word: str, kinds: Sequence[type]) -> list[object]:
-    """Return the values in a word that ``cursor`` made; raises AskError if they are not of these kinds."""
+    """Return the values in a word that ``cursor`` made; raises NotFoundError if they are not of these kinds."""
     values = _decoded(word)
     if isinstance(values, list) and len(values) == len(kinds):
         # JSON has one kind of number: a float without fraction may come back as a whole number.
@@ -102,7 +102,7 @@ def read_words(word: str, kinds: Sequence[type]) -> list[object]:
         ]
         if all(type(one) is kind for kind, one in zip(kinds, made, strict=True)):
             return made
-    raise AskError("after: no place in a list; take it from the list before")
+    raise NotFoundError("after: no place in a list; take it from the list before")
 
 
 def _decoded(word: str) -> object:
@@ -124,7 +124,7 @@ def read_moment(word: str, kinds: Sequence[type]) -> tuple[datetime, list[object
     try:
         return datetime.fromisoformat(str(at)).astimezone(UTC), key
     except (ValueError, OverflowError) as exc:
-        raise AskError("after: no place in a list; take it from the list before") from exc
+        raise NotFoundError("after: no place in a list; take it from the list before") from exc
 
 
 def read_moment_and_name(word: str) -> tuple[datetime, str]:

@@ -11,6 +11,7 @@ from sqlalchemy import Engine, select
 from clutch_model.clutch import FrictionCurve
 from diag_service.diagnosis.prognosis import (
     Ageing,
+    Batch,
     ChannelName,
     Common,
     Hindsight,
@@ -22,6 +23,7 @@ from diag_service.diagnosis.prognosis import (
     Population,
     ageings,
     common_of,
+    hidden_batches,
     hindsights,
     history_of_estimates,
     learn,
@@ -39,6 +41,7 @@ from fleet_backend.page.vehicle_state import fills_of
 from fleet_backend.schema import CLUTCH
 
 MOST_LOOKED_BACK: Final = 200  # clutches of a type, evenly spread: how lives bend is learned from no more
+MOST_LIKELIEST: Final = 10  # vehicles of a batch that are shown, if no more are named
 Key = tuple[str, int]  # vehicle and clutch
 Record = Mapping[str, object]
 
@@ -51,6 +54,7 @@ class FleetAgeing:
     usual: Sequence[Record]
     clutches: Sequence[Record]  # the fastest first
     lots: Sequence[Record]  # the worst first
+    batches: Sequence[Record]  # of which no table knows, one of each type with enough vehicles
     clutch_count: int  # looked at
     left_out_count: int  # of them: of a calibration that is not at hand
 
@@ -91,6 +95,7 @@ def fleet_ageing(engine: Engine) -> FleetAgeing:
         usual=list(_usual(population)),
         clutches=list(_standings(every, population)),
         lots=list(_lots(lot_standings(every, population, lots))),
+        batches=list(map(_batch_record, hidden_batches(every))),
         clutch_count=len(keys),
         left_out_count=len(keys) - len(lives),
     )
@@ -155,6 +160,21 @@ def _lots(found: Iterable[LotStanding]) -> Iterator[Record]:
             "e_value": one.e_value,
             "is_faster_than_others": one.is_named,
         }
+
+
+def _batch_record(one: Batch) -> Record:
+    likeliest = max(MOST_LIKELIEST, len(one.named)) if one.is_found else 0
+    return {
+        "record": "batch",
+        "vehicle_type": one.vehicle_type,
+        "vehicle_count": one.vehicle_count,
+        "log_likelihood_ratio": one.log_ratio,
+        "is_found": one.is_found,
+        "share": one.share if one.is_found else None,
+        "loss_ratio": one.loss_ratio if one.is_found else None,
+        "likeliest": dict(list(one.probability.items())[:likeliest]),
+        "named": list(one.named) if one.is_found else [],
+    }
 
 
 def _usual(population: Population) -> Iterator[Record]:

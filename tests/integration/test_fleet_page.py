@@ -277,7 +277,7 @@ def test_no_markup_comes_from_outside(reader: httpx.Client) -> None:
         ("/vehicles/car1/shift?stream=stream-1", 400, "seq: is missing"),
         ("/vehicles/..%2f..%2fetc", 404, ""),
         ("/?limit=0", 400, "limit: must be a whole number from 1 to"),
-        ("/?after=x", 400, "after: no place in a list"),
+        ("/?after=x", 404, "after: no place in a list"),
         ("/?q=%00", 400, "q: holds characters that are no text"),
         ("/?colour=red", 400, "'colour': no word of this address"),
         ("/static/..%2fsite.py", 404, ""),

@@ -21,7 +21,7 @@ from fleet_backend.migrate import migrate
 from fleet_backend.page.outlook import outlook_of
 from fleet_backend.page.past import results_of
 from fleet_backend.page.populations import keep, latest
-from fleet_backend.report import lot_standings_table, show
+from fleet_backend.report import batches_table, lot_standings_table, show
 from fleet_backend.writer import Batch, Writer
 from tests.support.fleet import fleet_result, row_of
 from tests.support.histories import history
@@ -170,6 +170,17 @@ def test_people_read_which_lots_are_bad() -> None:
     assert "Lots that age faster than the others: 1 of 2" in text.getvalue()
     lines = [line.split() for line in text.getvalue().splitlines()]
     assert ["fluid", "lot", "B7", "yes", "9", "1.92", "10", "5e+04"] in lines
+
+
+def test_people_read_which_vehicles_may_be_of_a_bad_batch() -> None:
+    usual = {"vehicle_count": 200, "log_likelihood_ratio": 4.2, "named": []}
+    bad = usual | {"vehicle_type": "a", "is_found": True, "share": 0.05, "loss_ratio": 2.0, "likeliest": {"v7": 0.93}}
+    none = usual | {"vehicle_type": "b", "is_found": False, "share": None, "loss_ratio": None, "likeliest": {}}
+    text = StringIO()
+    show(batches_table([bad, none]), text, None)
+    lines = [line.split() for line in text.getvalue().splitlines()]
+    assert ["a", "200", "yes", "5", "2.0", "v7", "(93", "%)", "4.2"] in lines
+    assert ["b", "200", "no", "-", "-", "-", "4.2"] in lines
 
 
 def test_either_database_keeps_lots_and_populations(engine: Engine) -> None:

@@ -1,5 +1,6 @@
 """Prognosis: from the past results of one clutch to how far its fluid will go, with how sure that is."""
 
+from diag_service.diagnosis.prognosis.batches import Batch, hidden_batches
 from diag_service.diagnosis.prognosis.bends import Hindsight
 from diag_service.diagnosis.prognosis.channels import ChannelName
 from diag_service.diagnosis.prognosis.common import Common, Monthly, common_course, common_of, monthly, without
@@ -14,6 +15,7 @@ from diag_service.diagnosis.prognosis.written import population_from, population
 
 __all__ = [
     "Ageing",
+    "Batch",
     "ChannelName",
     "Common",
     "Hindsight",
@@ -32,6 +34,7 @@ __all__ = [
     "ageings",
     "common_course",
     "common_of",
+    "hidden_batches",
     "hindsights",
     "history_of",
     "history_of_estimates",

@@ -16,7 +16,8 @@ from diag_service.diagnosis.prognosis.assumptions import REFERENCE_K
 from diag_service.diagnosis.prognosis.history import History
 from diag_service.diagnosis.prognosis.normal import robust_noise_ratio
 
-BEFORE_COUNTS: Final = {120: 1.0, 30: 0.5}  # rows that say where friction was: share of chi-square that each reaches
+# Rows that say where friction was: share of chi-square that each reaches.
+BEFORE_COUNTS: Final = {480: 1.0, 60: 0.7, 30: 0.5}
 LEAST_BEFORE: Final = 20
 AFTER_COUNTS: Final = {6: 1.5, 8: 1.3, 11: 1.1, 15: 1.0}  # rows that say where it is now: share likewise
 LEAST_AFTER: Final = min(AFTER_COUNTS)

@@ -44,6 +44,8 @@ def test_words_become_values() -> None:
         ([("after", "x" * 401)], "after: longer than 400 characters"),
         ([("after", "a\x00")], "after: holds characters that are no text"),
         ([("after", "\ud800")], "after: holds characters that are no text"),
+        ([("after", "a\u202eb")], "after: holds characters that are no text"),
+        ([("after", "a b")], "after: is none"),
     ],
 )
 def test_what_is_wrong_is_said(query: list[tuple[str, str]], complaint: str) -> None:

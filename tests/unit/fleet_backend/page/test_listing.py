@@ -4,7 +4,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from fleet_backend.page.errors import AskError
+from fleet_backend.page.errors import NotFoundError
 from fleet_backend.page.listing import Wanted, choices_of, cursor, matching, part_of, place_of, read_cursor, worst_first
 from fleet_backend.page.records import ClutchNow
 from tests.support.fleet_page import clutch_now
@@ -66,7 +66,7 @@ STRANGE = (
 
 @given(st.text(max_size=80) | st.sampled_from(STRANGE))
 def test_nothing_else_is_taken_for_a_place(word: str) -> None:
-    with pytest.raises(AskError, match="no place in a list"):
+    with pytest.raises(NotFoundError, match="no place in a list"):
         read_cursor(word)
 
 
