@@ -5,9 +5,11 @@ stays below a window, as an edge's outbox keeps it.
 """
 
 import json
+import random
 import socket
 import threading
 import time
+from bisect import bisect
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Final
@@ -16,6 +18,8 @@ _KEEPALIVE_S: Final = 600
 _CONNECT_REQUEST, _PUBLISH_QOS1, _SUBSCRIBE = 0x10, 0x32, 0x82
 _PUBLISH_TYPE, _PUBACK = 3, 0x40
 _PIECE: Final = 200  # messages per send
+_AT_ANY_TIME: Final = 0.4  # of the messages of a day
+_RUSH_HOURS: Final = (7.5, 17.0)
 _PACE_S: Final = 0.01  # between pieces at a steady pace
 _READ_BYTES: Final = 1 << 18
 
@@ -36,6 +40,24 @@ def wire(topic: str, payload: bytes) -> Wire:
     """Return the packet of a message."""
     name = _text(topic)
     return Wire(head=bytes([_PUBLISH_QOS1]) + _length(len(name) + 2 + len(payload)) + name, payload=payload)
+
+
+def steady_s(count: int, per_s: float) -> list[float]:
+    """Return when messages are due at a steady pace, since the beginning [s]."""
+    return [number / per_s for number in range(count)]
+
+
+def rush_s(count: int, per_s: float, rng: random.Random) -> list[float]:
+    """Return when messages are due on a day with two rush hours, put into as long as a steady pace takes [s].
+
+    Two fifths come at any time; the rest around half past seven and five o'clock, when about three times as many
+    come as on average.
+    """
+    day = [
+        rng.uniform(0.0, 24.0) if rng.random() < _AT_ANY_TIME else rng.gauss(rng.choice(_RUSH_HOURS), 1.0) % 24.0
+        for _ in range(count)
+    ]
+    return sorted(hour / 24.0 * count / per_s for hour in day)
 
 
 class Load:
@@ -71,18 +93,17 @@ class Load:
         self._wait(len(messages), began_s + timeout_s)
         return time.perf_counter() - began_s
 
-    def pace(self, messages: Sequence[Wire], per_s: float, timeout_s: float) -> list[float]:
-        """Send messages at a steady pace and wait for the word on each; return when each was due to be sent [s]."""
-        began_s, due_s = time.perf_counter(), []
-        piece_count = max(1, round(per_s * _PACE_S))
-        for first in range(0, len(messages), piece_count):
-            piece = messages[first : first + piece_count]
-            at_s = began_s + first / per_s
-            time.sleep(max(0.0, at_s - time.perf_counter()))
-            due_s += [at_s] * len(piece)
+    def pace(self, messages: Sequence[Wire], after_s: Sequence[float], timeout_s: float) -> list[float]:
+        """Send messages so long after the beginning and wait for the word on each; return when each was due [s]."""
+        began_s, first = time.perf_counter(), 0
+        while first < len(messages):
+            time.sleep(max(0.0, began_s + after_s[first] - time.perf_counter()))
+            due = bisect(after_s, time.perf_counter() - began_s + _PACE_S, first + 1)
+            piece = messages[first:due]
             self._publish(b"".join(message.packet(first + place) for place, message in enumerate(piece)))
+            first = due
         self._wait(len(messages), time.perf_counter() + timeout_s)
-        return due_s
+        return [began_s + one_s for one_s in after_s]
 
     def pour(self, messages: Sequence[Wire]) -> None:
         """Send messages and wait for nobody."""

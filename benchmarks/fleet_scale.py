@@ -8,6 +8,7 @@ of the same fleet with its last thirty days only, in turns.
 """
 
 import argparse
+import random
 import statistics
 import sys
 import time
@@ -23,7 +24,7 @@ from sqlalchemy import Engine, text
 
 from benchmarks.fleet_history import PER_DAY, make_fleet, make_results, settle
 from benchmarks.fleet_ingest import BROKER_LINES, processor_s, spent_s, told_cost, workers
-from benchmarks.fleet_load import Load, Wire, wire
+from benchmarks.fleet_load import Load, Wire, rush_s, steady_s, wire
 from demo.fleet.mosquitto import mosquitto
 from demo.fleet.nats import NatsServer
 from demo.fleet.postgres import PostgresServer
@@ -130,7 +131,9 @@ def broker(name: str, folder: Path) -> Iterator[tuple[int, str]]:
         server.stop()
 
 
-def ingest(name: str, database: str, vehicle_count: int, count: int, first: int, pace_per_s: float) -> bool:
+def ingest(
+    name: str, database: str, vehicle_count: int, count: int, first: int, pace_per_s: float, *, is_rush: bool
+) -> bool:
     """Print rate, idempotence and latency from one broker; return whether all keep their aims."""
     engine = open_database(database)
     with ExitStack() as stack:
@@ -152,13 +155,16 @@ def ingest(name: str, database: str, vehicle_count: int, count: int, first: int,
         print(f"{name}: {told_cost(used_s, count)}")
         paced = messages(vehicle_count, first + count, int(PACED_S * pace_per_s))
         load.acknowledged_count, load.is_timed = 0, True
-        due_s = load.pace(paced, pace_per_s, timeout_s=300.0)
+        rng = random.Random(1)  # noqa: S311 - no secret
+        after_s = rush_s(len(paced), pace_per_s, rng) if is_rush else steady_s(len(paced), pace_per_s)
+        due_s = load.pace(paced, after_s, timeout_s=300.0)
         late_s = [
             load.heard_s[f"h{1 + number % vehicle_count}", first + count + number // vehicle_count] - at_s
             for number, at_s in enumerate(due_s)
         ]
         p99_s = statistics.quantiles(late_s, n=100)[-1]
-        print(f"{name}: at {pace_per_s:,.0f}/s median {statistics.median(late_s):.3f} s, p99 {p99_s:.3f} s")
+        kind = "on average, with rush hours," if is_rush else "steadily"
+        print(f"{name}: at {pace_per_s:,.0f}/s {kind} median {statistics.median(late_s):.3f} s, p99 {p99_s:.3f} s")
         return rate >= AIM_PER_S and new == count and p99_s <= LATENCY_AIM_S
 
 
@@ -174,6 +180,7 @@ def main() -> int:
     parser.add_argument("--vehicles", type=int, default=100)
     parser.add_argument("--results", type=int, default=60_000, help="sent from each broker")
     parser.add_argument("--pace", type=float, default=AIM_PER_S / 2, help="results per second, of the latency")
+    parser.add_argument("--rush", action="store_true", help="of a day with rush hours, put into ten seconds")
     parser.add_argument("--broker", choices=["mosquitto", "nats"], help="only this one")
     options = parser.parse_args()
     sys.stdout.reconfigure(line_buffering=True)  # type: ignore[union-attr]  # a text stream
@@ -187,7 +194,9 @@ def main() -> int:
         old.dispose()
         for number, name in enumerate([options.broker] if options.broker else ["mosquitto", "nats"]):
             first = 1 + number * 10_000_000
-            done = ingest(name, server.url("past"), options.vehicles, options.results, first, options.pace)
+            done = ingest(
+                name, server.url("past"), options.vehicles, options.results, first, options.pace, is_rush=options.rush
+            )
             is_kept = is_kept and done
     return 0 if is_kept else 1
 
