@@ -6,15 +6,20 @@
 - *filterpy*: the discrete Kalman estimator of the paper (signal and rate, two states), predicted and updated once per
   sample of the seven signals that the balance needs: what a script would begin with, before it knows any friction.
 
-CPU time of the whole process, the best of some rounds over all shifts of a drive; compiled beforehand.
+CPU time of the whole process, the best of some rounds over all shifts of a drive; compiled beforehand. With ``--drive``
+each event of a public cycle, by its kind: mean and longest live update, each event the best of some rounds.
 
     python -m benchmarks.estimator
+    python -m benchmarks.estimator --drive wltc
 """
 
+import argparse
 import sys
 import time
 import warnings
+from collections import defaultdict
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -29,6 +34,7 @@ from diag_service.diagnosis.friction import Posterior
 from diag_service.mapping.decoder import Decoder
 from diag_service.mapping.profile import load_profile
 from diag_service.service.stages import Stages
+from ecu_emulator.drive_names import DriveName
 from ecu_emulator.recording import frames_of
 from ecu_emulator.scenario_file import load_scenario
 
@@ -115,10 +121,43 @@ def report(batch: FrameBatch) -> None:
     print(f"  filterpy over live update {peer_s / live_s:.1f}, over full solve {peer_s / full_s:.1f}")
 
 
+def report_events(name: DriveName) -> None:
+    """Measure each event of a drive, and print what each kind of them takes."""
+    frames, _ = frames_of(replace(load_scenario("ideal"), drive=name))
+    events = [*(stages := new_stages()).segment(to_batch(frames)), *stages.flush()]
+    update_live(new_stages(), events)
+    rounds_s = [event_times_s(events) for _ in range(ROUNDS)]
+    best_s: defaultdict[str, list[float]] = defaultdict(list)
+    for event, *times_s in zip(events, *rounds_s, strict=True):
+        for kind in (event.kind.value, "all"):
+            best_s[kind].append(min(times_s))
+    print(f"CPU time of the live update after each event of {name.value}")
+    for kind, times in sorted(best_s.items(), key=lambda one: max(one[1])):
+        print(
+            f"  {kind:20} {len(times):4} events, mean {np.mean(times) * MS:6.2f} ms, longest {max(times) * MS:6.2f} ms"
+        )
+
+
+def event_times_s(events: Sequence[Event]) -> list[float]:
+    """Return the CPU time of each event's live update."""
+    stages, times_s = new_stages(), list[float]()
+    for event in events:
+        began_s = time.process_time()
+        stages.conclude(event)
+        times_s.append(time.process_time() - began_s)
+    return times_s
+
+
 def main() -> int:
     """Run the benchmark."""
-    frames, _ = frames_of(load_scenario("ideal"))
-    report(to_batch(frames))
+    parser = argparse.ArgumentParser(description="CPU time of one shift, or of each event of a drive.")
+    parser.add_argument("--drive", type=DriveName, choices=list(DriveName))
+    drive = parser.parse_args().drive
+    if drive is None:
+        frames, _ = frames_of(load_scenario("ideal"))
+        report(to_batch(frames))
+    else:
+        report_events(drive)
     return 0
 
 
