@@ -1,13 +1,12 @@
 """One connection to a broker: many messages in flight, refusals told, messages in batches, acknowledged when we say so.
 
-It speaks through paho-mqtt by its public interface, and goes on alone (`bulk`) where many messages come. aiomqtt, built
-on it, tells nobody that a broker refused a message, and acknowledges what it received before anyone has kept it.
+It speaks through paho-mqtt alone, by its public interface. aiomqtt, which is built on it, tells nobody that a broker
+refused a message, and acknowledges what it received before anyone has kept it.
 """
 
 import asyncio
 import contextlib
 import logging
-import time
 from collections import deque
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
@@ -19,14 +18,12 @@ from paho.mqtt.reasoncodes import ReasonCode
 
 from fleet_contract import Outgoing
 from fleet_link.address import BrokerAddress
-from fleet_link.bulk import Bulk, BulkTerms
 from fleet_link.errors import LinkDownError, VersionRefusedError
 from fleet_link.socket_loop import SocketLoop
 from fleet_link.terms import AT_LEAST_ONCE, Terms, connect, make_client
 
 _UNLIMITED_IN_FLIGHT: Final = 65535  # MQTT 5.0, 3.2.2.3.3: without a Receive Maximum
 _UNSUPPORTED_PROTOCOL: Final = 132  # MQTT 5.0, table 3-1
-_LONGEST_PACKET: Final = 268_435_455  # MQTT 5.0, 1.5.5
 _LOST: Final = "connection lost"
 _LOG: Final = logging.getLogger(__name__)
 
@@ -47,8 +44,6 @@ class Connection:
         self._address = address
         self._terms = terms
         self._window = 1
-        self._most_in_flight = 1
-        self._bulk: Bulk | None = None
         self._in_flight: dict[int, str] = {}  # packet id -> topic, of what `publish_all` waits for
         self._granted: set[str] = set()  # topics on which the broker took a message
         self._is_probing = False  # on a topic that is not among them
@@ -114,10 +109,6 @@ class Connection:
 
     def send(self, messages: Iterable[Outgoing]) -> None:
         """Send messages at least once, and wait for nothing: who does not get them asks again."""
-        if self._bulk is not None:
-            self._bulk.send(messages)
-            self._socket_loop.write()
-            return
         for message in messages:
             self._client.publish(message.topic, message.payload, AT_LEAST_ONCE, message.is_retained)
 
@@ -159,10 +150,6 @@ class Connection:
 
     def acknowledge(self, messages: Sequence[Message]) -> None:
         """Tell the broker that messages have arrived for good; it then sends as many others."""
-        if self._bulk is not None:
-            self._bulk.acknowledge(message.packet_id for message in messages if message.packet_id)
-            self._socket_loop.write()
-            return
         for message in messages:
             if message.packet_id:
                 self._client.ack(message.packet_id, AT_LEAST_ONCE)
@@ -230,8 +217,7 @@ class Connection:
     ) -> None:
         if not reason_code.is_failure:
             self._client.on_log = None  # else each packet is written out for it: a tenth of the work for a message
-        self._most_in_flight = getattr(properties, "ReceiveMaximum", _UNLIMITED_IN_FLIGHT)
-        self._window = min(self._most_in_flight, self._terms.max_in_flight)
+        self._window = min(getattr(properties, "ReceiveMaximum", _UNLIMITED_IN_FLIGHT), self._terms.max_in_flight)
         if not self._accepted.done():  # paho-mqtt may call more than once
             self._accepted.set_result(reason_code)
 
@@ -244,29 +230,13 @@ class Connection:
         granted = self._subscribed.get(mid)
         if granted is not None and not granted.done():
             granted.set_result(codes)
-            self._go_on_alone()
-
-    def _go_on_alone(self) -> None:
-        """Read the socket ourselves if many messages are to come, between two packets as here."""
-        sock, terms = self._client.socket(), self._terms
-        if sock is None or terms.max_unsettled is None or not terms.is_version_5:
-            return
-        bulk_terms = BulkTerms(
-            keepalive_s=terms.keepalive_s,
-            max_packet_bytes=terms.max_packet_bytes or _LONGEST_PACKET,
-            max_in_flight=self._most_in_flight,
-        )
-        self._bulk = Bulk(sock, bulk_terms, self._keep, time.monotonic)
-        self._socket_loop.go_on_with(self._bulk)
 
     def _on_message(self, _client: Client, _userdata: object, message: MQTTMessage) -> None:
-        self._keep(message.topic, bytes(message.payload), message.mid if message.qos else 0)
-
-    def _keep(self, topic: str, payload: bytes, packet_id: int) -> None:
+        packet_id = message.mid if message.qos else 0
         limit = self._terms.max_unsettled
         if not packet_id and limit is not None and len(self._inbox) >= limit:
             return  # QoS 0 knows no limit, and promises nothing
-        self._inbox.append(Message(topic=topic, payload=payload, packet_id=packet_id))
+        self._inbox.append(Message(topic=message.topic, payload=bytes(message.payload), packet_id=packet_id))
         self._arrived.set()
 
     def _on_publish(

@@ -9,8 +9,6 @@ from typing import Any, Final
 
 from paho.mqtt.client import MQTT_ERR_SUCCESS, Client
 
-from fleet_link.bulk import Bulk
-
 _LOG: Final = logging.getLogger(__name__)
 _MISC_PERIOD_S: Final = 1.0  # of what is due without news from the socket: pings
 
@@ -32,19 +30,10 @@ class SocketLoop:
         self._loop = asyncio.get_running_loop()
         self._pings: asyncio.Task[None] | None = None
         self._is_ended = False
-        self._bulk: Bulk | None = None
         client.on_socket_open = self._on_open
         client.on_socket_close = self._on_close
         client.on_socket_register_write = self._on_write_wanted
         client.on_socket_unregister_write = self._on_write_done
-
-    def go_on_with(self, bulk: Bulk) -> None:
-        """Read and write without the client from now on; call it where the last packet that it read was complete."""
-        self._bulk = bulk
-
-    def write(self) -> None:
-        """Write what waits, and go on with it as soon as the socket takes more."""
-        self._write()
 
     def end(self) -> None:
         """Ping no more; a socket that is opened after this is closed at once."""
@@ -83,29 +72,12 @@ class SocketLoop:
             self._loop.remove_writer(sock.fileno())
 
     def _read(self) -> None:
-        if self._bulk is None:
-            self._advance(self._client.loop_read)
-            while self._bulk is None and isinstance(sock := self._client.socket(), ssl.SSLSocket) and sock.pending():
-                self._advance(self._client.loop_read)  # decrypted already: the socket will not become ready for it
-            if self._bulk is None or not isinstance(self._client.socket(), ssl.SSLSocket):
-                return
-        self._advance(self._bulk.read)
-        self._write()
+        self._advance(self._client.loop_read)
+        while isinstance(sock := self._client.socket(), ssl.SSLSocket) and sock.pending():
+            self._advance(self._client.loop_read)  # decrypted already: the socket will not become ready for it
 
     def _write(self) -> None:
-        if self._bulk is None:
-            self._advance(self._client.loop_write)
-            return
-        self._advance(self._bulk.flush)
-        if self._client.want_write() and not self._bulk.has_more:  # it takes leave
-            self._advance(self._client.loop_write)
-        sock = self._client.socket()
-        if sock is None or sock.fileno() < 0:
-            return
-        if self._bulk.has_more:
-            self._loop.add_writer(sock.fileno(), self._write)
-        else:
-            self._loop.remove_writer(sock.fileno())
+        self._advance(self._client.loop_write)
 
     def _advance(self, step: Callable[[], object]) -> None:
         try:
@@ -116,10 +88,5 @@ class SocketLoop:
             self._lose()
 
     async def _ping(self) -> None:
-        while self._client.socket() is not None:
-            if self._bulk is not None:
-                self._advance(self._bulk.tick)
-                self._write()
-            elif self._client.loop_misc() != MQTT_ERR_SUCCESS:
-                return
+        while self._client.loop_misc() == MQTT_ERR_SUCCESS:  # noqa: ASYNC110 - the client is asked, it tells nobody
             await asyncio.sleep(_MISC_PERIOD_S)
