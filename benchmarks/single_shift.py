@@ -24,7 +24,7 @@ from dbc.contract import load_contract
 from diag_service.diagnosis.condition.condition import ConditionMemory
 from diag_service.diagnosis.events import Event
 from diag_service.diagnosis.friction import Posterior
-from diag_service.diagnosis.records import FrictionEstimate, Reason, ShiftEstimate, Status
+from diag_service.diagnosis.records import FrictionEstimate, ShiftEstimate, Status
 from diag_service.mapping.decoder import Decoder
 from diag_service.mapping.profile import load_profile
 from diag_service.service.stages import Stages
@@ -54,6 +54,7 @@ NOISE_STD = {
 KINDS = (SensorFaultKind.FROZEN, SensorFaultKind.OFFSET, SensorFaultKind.DRIFT, SensorFaultKind.SPIKE)
 SIZES_STD = (3.0, 100.0)  # log-uniform, times the noise; of a drift per second
 BEFORE_S, REMAINING_S = 0.6, 0.25  # a fault begins from this long before a shift to this long before its end
+NOT_FOUND = "not_found"  # a wrong speed may hide a shift
 BRIEF_S, LASTING_S = (0.2, 1.0), 2.0  # half of the faults pass, half outlast the shift
 
 
@@ -74,7 +75,7 @@ class Outcome:
     kind: SensorFaultKind | None
     quantity: str
     size_std: float
-    reasons: tuple[Reason, ...]  # why it was not accepted; empty if it was
+    reasons: tuple[str, ...]  # why it was not accepted; empty if it was
     off_random_std: float  # largest error of mu_C and mu_S in stated random deviations; NaN without an estimate
     off_total_std: float
 
@@ -154,6 +155,19 @@ def outcome(case: Case, estimate: ShiftEstimate, truth: ShiftTruth, fault: Senso
     )
 
 
+def unseen(case: Case, fault: SensorFault) -> Outcome:
+    """Return what became of a shift that its fault hid."""
+    return Outcome(
+        scenario=case.scenario,
+        kind=fault.kind,
+        quantity=fault.quantity,
+        size_std=fault.size / NOISE_STD[fault.quantity],
+        reasons=(NOT_FOUND,),
+        off_random_std=math.nan,
+        off_total_std=math.nan,
+    )
+
+
 def outcomes(case: Case) -> list[Outcome]:
     """Make one drive, and one with faults if the case asks for it, and return what became of its shifts."""
     scenario = scenario_of(case)
@@ -167,10 +181,19 @@ def outcomes(case: Case) -> list[Outcome]:
     rng = np.random.default_rng(case.seed)
     faults = {row: drawn_fault(truth.shifts[row], rng) for row in range(case.seed % FAULT_EVERY, len(events), 3)}
     faulty, _ = shifts_of(replace(scenario, sensor_faults=tuple(faults.values())))
+    found = {row: _same(events[row], faulty) for row in faults}
     return [
-        outcome(case, stages_from(states[row]).conclude(faulty[row]).estimate, truth.shifts[row], fault)
+        unseen(case, fault)
+        if (event := found[row]) is None
+        else outcome(case, stages_from(states[row]).conclude(event).estimate, truth.shifts[row], fault)
         for row, fault in faults.items()
     ]
+
+
+def _same(event: Event, others: Sequence[Event]) -> Event | None:
+    """Return what was found of an event although a sensor was wrong; None: nothing."""
+    overlapping = (one for one in others if one.start_ns < event.end_ns and event.start_ns < one.end_ns)
+    return next(overlapping, None)
 
 
 def cases_of(clean: int, faulty: int, first_seed: int) -> list[Case]:
