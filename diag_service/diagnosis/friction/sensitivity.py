@@ -186,8 +186,9 @@ class Sensitivity:
             }
             if motoring is not None:
                 shared[Considered.MOTORING_GAIN] = sensors.engine_torque_nm**2 * motoring[place]
-            for parameter, covariance in shared.items():
-                overlap[STATE_COUNT + parameter] = np.trace(np.linalg.solve(noise, covariance))
+            count = len(noise)
+            relative = np.linalg.solve(noise, np.hstack(list(shared.values()))).reshape(count, -1, count)
+            overlap[[STATE_COUNT + parameter for parameter in shared]] = np.einsum("iki->k", relative)
             overlaps.append(overlap)
         return overlaps
 
