@@ -23,6 +23,7 @@ from fleet_link.socket_loop import SocketLoop
 from fleet_link.terms import AT_LEAST_ONCE, Terms, connect, make_client
 
 _UNLIMITED_IN_FLIGHT: Final = 65535  # MQTT 5.0, 3.2.2.3.3: without a Receive Maximum
+MOST_UNANSWERED: Final = 2_000  # of what was sent without waiting: a broker that is slow must not fill our memory
 _UNSUPPORTED_PROTOCOL: Final = 132  # MQTT 5.0, table 3-1
 _LOST: Final = "connection lost"
 _LOG: Final = logging.getLogger(__name__)
@@ -45,6 +46,7 @@ class Connection:
         self._terms = terms
         self._window = 1
         self._in_flight: dict[int, str] = {}  # packet id -> topic, of what `publish_all` waits for
+        self._unanswered: set[int] = set()  # packet ids of what `send` sent
         self._granted: set[str] = set()  # topics on which the broker took a message
         self._is_probing = False  # on a topic that is not among them
         self._refusal: str | None = None  # of a message of the last batch
@@ -108,9 +110,13 @@ class Connection:
                 raise LinkDownError(self._refusal or _LOST)  # some brokers say no and hang up
 
     def send(self, messages: Iterable[Outgoing]) -> None:
-        """Send messages at least once, and wait for nothing: who does not get them asks again."""
+        """Send messages at least once, and wait for nothing: who does not get them asks again.
+
+        `collect` waits while the broker has not answered more than ``MOST_UNANSWERED`` of them.
+        """
         for message in messages:
-            self._client.publish(message.topic, message.payload, AT_LEAST_ONCE, message.is_retained)
+            info = self._client.publish(message.topic, message.payload, AT_LEAST_ONCE, message.is_retained)
+            self._unanswered.add(info.mid)
 
     async def subscribe(self, filters: Sequence[str]) -> None:
         """Subscribe; raises LinkDownError if the broker refuses one."""
@@ -137,8 +143,9 @@ class Connection:
         Raises
         ------
         LinkDownError
-            If the connection is lost; messages that were not settled come again.
+            If the connection is lost, or the broker does not answer; messages that were not settled come again.
         """
+        await self._caught_up()
         while not self._inbox and not self._is_lost.is_set():
             self._arrived.clear()
             await self._arrived.wait()
@@ -147,6 +154,15 @@ class Connection:
         if len(self._inbox) < limit:
             await asyncio.sleep(patience_s)
         return [self._inbox.popleft() for _ in range(min(limit, len(self._inbox)))]
+
+    async def _caught_up(self) -> None:
+        while len(self._unanswered) > MOST_UNANSWERED and not self._is_lost.is_set():
+            self._answered.clear()
+            try:
+                async with asyncio.timeout(self._terms.timeout_s):
+                    await self._answered.wait()
+            except TimeoutError:
+                raise LinkDownError(f"no answer in {self._terms.timeout_s:g} s") from None
 
     def acknowledge(self, messages: Sequence[Message]) -> None:
         """Tell the broker that messages have arrived for good; it then sends as many others."""
@@ -244,6 +260,8 @@ class Connection:
     ) -> None:
         topic = self._in_flight.pop(mid, None)
         if topic is None:
+            self._unanswered.discard(mid)
+            self._answered.set()
             if reason_code.is_failure:
                 _LOG.warning("the broker refused an acknowledgement: %s", reason_code)
             return

@@ -8,6 +8,7 @@ import pytest
 
 from fleet_contract import Outgoing
 from fleet_link import BrokerAddress, Connection, LinkDownError, Terms, VersionRefusedError
+from fleet_link.connection import MOST_UNANSWERED
 from tests.support.patience import HANG_S
 
 ACCEPTED = bytes([0x20, 3, 0, 0, 0])  # CONNACK of MQTT 5 without properties
@@ -100,6 +101,16 @@ async def test_where_nobody_listens_it_says_so() -> None:
         pass
     with pytest.raises(LinkDownError, match="Connection refused"):
         await Connection.open(address, LONG)
+
+
+async def test_nothing_more_is_taken_from_a_broker_that_answers_nothing() -> None:
+    """What is sent without waiting lies in memory until it is answered."""
+    async with broker(saying(ACCEPTED)) as address:
+        connection = await opened(address)
+        connection.send(messages(MOST_UNANSWERED + 1))
+        with pytest.raises(LinkDownError, match="no answer"):
+            await asyncio.wait_for(connection.collect(1, 0.0), HANG_S)
+        await connection.close()
 
 
 async def test_another_version_is_told_from_a_refusal() -> None:
