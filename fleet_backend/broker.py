@@ -1,7 +1,7 @@
-"""The backend's connection to its broker: acknowledged when we say so, never more than we can hold.
+"""The backend's connection to its broker: acknowledged when we say so, after the commit.
 
-MQTT 5 is needed: its Receive Maximum stops the broker at that many unacknowledged messages. They are acknowledged
-after the commit, so a database that is away fills the broker and the vehicles' outboxes, not our memory.
+MQTT 5 is needed: its Receive Maximum asks the broker to stop at that many unacknowledged messages, so a database that
+is away fills the broker and the vehicles' outboxes. Mosquitto 2.0.11 sent more in a storm; that waits in our memory.
 """
 
 from collections.abc import AsyncIterator, Iterable, Sequence
