@@ -1,7 +1,7 @@
 """The backend's connection to its broker: acknowledged when we say so, after the commit.
 
 MQTT 5 is needed: its Receive Maximum asks the broker to stop at that many unacknowledged messages, so a database that
-is away fills the broker and the vehicles' outboxes. Mosquitto 2.0.11 sent more in a storm; that waits in our memory.
+is away fills the broker and the vehicles' outboxes. Of a broker that sends more we read no further (decision 0080).
 """
 
 from collections.abc import AsyncIterator, Iterable, Sequence

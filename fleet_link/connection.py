@@ -20,10 +20,9 @@ from fleet_contract import Outgoing
 from fleet_link.address import BrokerAddress
 from fleet_link.errors import LinkDownError, VersionRefusedError
 from fleet_link.socket_loop import SocketLoop
-from fleet_link.terms import AT_LEAST_ONCE, Terms, connect, make_client
+from fleet_link.terms import AT_LEAST_ONCE, AT_MOST_ONCE, Terms, connect, make_client
 
 _UNLIMITED_IN_FLIGHT: Final = 65535  # MQTT 5.0, 3.2.2.3.3: without a Receive Maximum
-MOST_UNANSWERED: Final = 2_000  # of what was sent without waiting: a broker that is slow must not fill our memory
 _UNSUPPORTED_PROTOCOL: Final = 132  # MQTT 5.0, table 3-1
 _LOST: Final = "connection lost"
 _LOG: Final = logging.getLogger(__name__)
@@ -46,7 +45,8 @@ class Connection:
         self._terms = terms
         self._window = 1
         self._in_flight: dict[int, str] = {}  # packet id -> topic, of what `publish_all` waits for
-        self._unanswered: set[int] = set()  # packet ids of what `send` sent
+        self._asked: int | None = None  # packet id of that message of `send` which the broker has yet to answer
+        self._unsettled_count = 0  # messages that we were sent and have not acknowledged
         self._granted: set[str] = set()  # topics on which the broker took a message
         self._is_probing = False  # on a topic that is not among them
         self._refusal: str | None = None  # of a message of the last batch
@@ -54,6 +54,7 @@ class Connection:
         self._inbox: deque[Message] = deque()
         self._answered = asyncio.Event()  # a message of ours was acknowledged or refused, or all is lost
         self._arrived = asyncio.Event()  # a message came, or all is lost
+        self._wrote = asyncio.Event()  # the socket took some of what we send, or all is lost
         self._is_lost = asyncio.Event()
         loop = asyncio.get_running_loop()
         self._accepted: asyncio.Future[ReasonCode | None] = loop.create_future()
@@ -65,7 +66,7 @@ class Connection:
         self._client.on_message = self._on_message
         self._client.on_publish = self._on_publish
         self._client.on_log = self._on_log
-        self._socket_loop = SocketLoop(self._client, self._lose)
+        self._socket_loop = SocketLoop(self._client, self._lose, self._wrote.set)
 
     @classmethod
     async def open(cls, address: BrokerAddress, terms: Terms) -> Self:
@@ -110,13 +111,17 @@ class Connection:
                 raise LinkDownError(self._refusal or _LOST)  # some brokers say no and hang up
 
     def send(self, messages: Iterable[Outgoing]) -> None:
-        """Send messages at least once, and wait for nothing: who does not get them asks again.
+        """Send messages and wait for nothing: who does not get them asks again. `collect` waits until all is written.
 
-        `collect` waits while the broker has not answered more than ``MOST_UNANSWERED`` of them.
+        What is retained, and one other at a time, so that a refusal is told, is sent at least once; the rest at most
+        once: its answers would wait behind what the broker sends us, for which there may be no room.
         """
         for message in messages:
-            info = self._client.publish(message.topic, message.payload, AT_LEAST_ONCE, message.is_retained)
-            self._unanswered.add(info.mid)
+            is_asking = message.is_retained or self._asked is None
+            qos = AT_LEAST_ONCE if is_asking else AT_MOST_ONCE
+            info = self._client.publish(message.topic, message.payload, qos, message.is_retained)
+            if is_asking:
+                self._asked = info.mid
 
     async def subscribe(self, filters: Sequence[str]) -> None:
         """Subscribe; raises LinkDownError if the broker refuses one."""
@@ -143,9 +148,9 @@ class Connection:
         Raises
         ------
         LinkDownError
-            If the connection is lost, or the broker does not answer; messages that were not settled come again.
+            If the connection is lost, or the broker takes nothing; messages that were not settled come again.
         """
-        await self._caught_up()
+        await self._written()
         while not self._inbox and not self._is_lost.is_set():
             self._arrived.clear()
             await self._arrived.wait()
@@ -155,20 +160,30 @@ class Connection:
             await asyncio.sleep(patience_s)
         return [self._inbox.popleft() for _ in range(min(limit, len(self._inbox)))]
 
-    async def _caught_up(self) -> None:
-        while len(self._unanswered) > MOST_UNANSWERED and not self._is_lost.is_set():
-            self._answered.clear()
+    async def _written(self) -> None:
+        """Return when nothing that was sent is left here: a broker that does not read must not fill our memory."""
+        while self._client.want_write() and not self._is_lost.is_set():
+            self._wrote.clear()
             try:
                 async with asyncio.timeout(self._terms.timeout_s):
-                    await self._answered.wait()
+                    await self._wrote.wait()
             except TimeoutError:
-                raise LinkDownError(f"no answer in {self._terms.timeout_s:g} s") from None
+                raise LinkDownError(f"nothing was taken in {self._terms.timeout_s:g} s") from None
 
     def acknowledge(self, messages: Sequence[Message]) -> None:
         """Tell the broker that messages have arrived for good; it then sends as many others."""
         for message in messages:
             if message.packet_id:
                 self._client.ack(message.packet_id, AT_LEAST_ONCE)
+                self._unsettled_count -= 1
+        if not self._is_overfull:
+            self._socket_loop.resume()
+
+    @property
+    def _is_overfull(self) -> bool:
+        """Whether the broker sent more than the Receive Maximum that it was told allows."""
+        limit = self._terms.max_unsettled
+        return limit is not None and self._unsettled_count > limit
 
     async def lost(self) -> None:
         """Return when the connection is lost."""
@@ -217,6 +232,7 @@ class Connection:
         self._is_lost.set()
         self._answered.set()
         self._arrived.set()
+        self._wrote.set()
         if not self._accepted.done():
             self._accepted.set_result(None)
         for granted in self._subscribed.values():
@@ -248,20 +264,24 @@ class Connection:
             granted.set_result(codes)
 
     def _on_message(self, _client: Client, _userdata: object, message: MQTTMessage) -> None:
+        self._socket_loop.took()
         packet_id = message.mid if message.qos else 0
         limit = self._terms.max_unsettled
         if not packet_id and limit is not None and len(self._inbox) >= limit:
             return  # QoS 0 knows no limit, and promises nothing
         self._inbox.append(Message(topic=message.topic, payload=bytes(message.payload), packet_id=packet_id))
         self._arrived.set()
+        self._unsettled_count += packet_id > 0
+        if self._is_overfull:
+            self._socket_loop.pause()
 
     def _on_publish(
         self, _client: Client, _userdata: object, mid: int, reason_code: ReasonCode, _properties: Properties
     ) -> None:
         topic = self._in_flight.pop(mid, None)
         if topic is None:
-            self._unanswered.discard(mid)
-            self._answered.set()
+            if mid == self._asked:
+                self._asked = None
             if reason_code.is_failure:
                 _LOG.warning("the broker refused an acknowledgement: %s", reason_code)
             return

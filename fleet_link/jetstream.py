@@ -48,6 +48,7 @@ class JetStream:
         self._inbox_name = client.new_inbox()
         self._question = 0  # number of the last one
         self._due = 0  # messages that it may still bring
+        self._limit = 0  # of the last one
         self._inbox: deque[Message] = deque()
         self._replies: dict[int, str] = {}  # of messages that are not settled
         self._count = 0
@@ -182,7 +183,7 @@ class JetStream:
         if self._due or self._is_lost:
             return
         self._question += 1
-        self._due = limit
+        self._due = self._limit = limit
         body = json.dumps({"batch": limit, "expires": int(_EXPIRES_S * 1e9)}).encode()
         await self._publish([(self._next, body)], reply=f"{self._inbox_name}.{self._question}")
 
@@ -203,6 +204,8 @@ class JetStream:
         """Keep a message, or note that a question has ended without more."""
         status = (message.headers or {}).get(_STATUS)
         if status is None:
+            if not self._due and len(self._inbox) >= self._limit:
+                return  # nobody asked for it; not settled, it comes again to whoever does
             self._count += 1
             self._due = max(0, self._due - 1)
             self._replies[self._count] = message.reply

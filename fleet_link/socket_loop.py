@@ -11,6 +11,8 @@ from paho.mqtt.client import MQTT_ERR_SUCCESS, Client
 
 _LOG: Final = logging.getLogger(__name__)
 _MISC_PERIOD_S: Final = 1.0  # of what is due without news from the socket: pings
+_MOST_AT_ONCE: Final = 100  # packets, before others on the loop have their turn
+_NOBODYS: Final = "-"  # a topic that nobody subscribes to
 
 
 class SocketLoop:
@@ -22,14 +24,20 @@ class SocketLoop:
     ----------
     lose :
         Called when reading or writing fails in a way that the client does not report itself.
+    wrote :
+        Called whenever the socket took some of what is to be written.
     """
 
-    def __init__(self, client: Client, lose: Callable[[], None]) -> None:
+    def __init__(self, client: Client, lose: Callable[[], None], wrote: Callable[[], None]) -> None:
         self._client = client
         self._lose = lose
+        self._wrote = wrote
         self._loop = asyncio.get_running_loop()
         self._pings: asyncio.Task[None] | None = None
         self._is_ended = False
+        self._is_paused = False
+        self._judged_after_s = 0.0  # until then a peer that is not heard is none that has gone
+        self._taken_count = 0
         client.on_socket_open = self._on_open
         client.on_socket_close = self._on_close
         client.on_socket_register_write = self._on_write_wanted
@@ -41,6 +49,30 @@ class SocketLoop:
         if self._pings is not None:
             self._pings.cancel()
 
+    def took(self) -> None:
+        """Note that a message came: where there is one, there may be more to read."""
+        self._taken_count += 1
+
+    def pause(self) -> None:
+        """Read no more; what the peer still sends waits in the system's buffers, then with the peer."""
+        if not self._is_paused:
+            self._is_paused = True
+            if (sock := self._open_socket()) is not None:
+                self._loop.remove_reader(sock.fileno())
+
+    def resume(self) -> None:
+        """Read on."""
+        if self._is_paused:
+            self._is_paused = False
+            self._judged_after_s = self._loop.time() + self._client.keepalive  # its answers wait behind what it sent
+            if (sock := self._open_socket()) is not None:
+                self._loop.add_reader(sock.fileno(), self._read)
+                self._loop.call_soon(self._read)  # TLS may have decrypted what the system holds no longer
+
+    def _open_socket(self) -> socket | None:
+        sock = self._client.socket()
+        return sock if isinstance(sock, socket) and sock.fileno() >= 0 else None
+
     def _on_open(self, _client: Client, _userdata: object, sock: Any) -> None:  # noqa: ANN401 - paho-mqtt's
         self._loop.call_soon_threadsafe(self._watch, sock)
 
@@ -50,7 +82,8 @@ class SocketLoop:
             self._client.loop_write()
         elif sock.fileno() >= 0:
             sock.setsockopt(IPPROTO_TCP, TCP_NODELAY, 1)  # else a second message waits until the first has arrived
-            self._loop.add_reader(sock.fileno(), self._read)
+            if not self._is_paused:
+                self._loop.add_reader(sock.fileno(), self._read)
             self._pings = self._loop.create_task(self._ping(), name="mqtt-pings")
 
     def _on_close(self, _client: Client, _userdata: object, sock: Any) -> None:  # noqa: ANN401 - paho-mqtt's
@@ -72,12 +105,23 @@ class SocketLoop:
             self._loop.remove_writer(sock.fileno())
 
     def _read(self) -> None:
-        self._advance(self._client.loop_read)
-        while isinstance(sock := self._client.socket(), ssl.SSLSocket) and sock.pending():
-            self._advance(self._client.loop_read)  # decrypted already: the socket will not become ready for it
+        for _ in range(_MOST_AT_ONCE):
+            before = self._taken_count
+            if self._is_paused or self._open_socket() is None:
+                return
+            self._advance(self._client.loop_read)
+            if self._taken_count == before:
+                break
+        self._read_decrypted()
+
+    def _read_decrypted(self) -> None:
+        """Read what the socket will not become ready for, since TLS holds it already."""
+        while not self._is_paused and isinstance(sock := self._client.socket(), ssl.SSLSocket) and sock.pending():
+            self._advance(self._client.loop_read)
 
     def _write(self) -> None:
         self._advance(self._client.loop_write)
+        self._wrote()
 
     def _advance(self, step: Callable[[], object]) -> None:
         try:
@@ -88,5 +132,15 @@ class SocketLoop:
             self._lose()
 
     async def _ping(self) -> None:
-        while self._client.loop_misc() == MQTT_ERR_SUCCESS:  # noqa: ASYNC110 - the client is asked, it tells nobody
-            await asyncio.sleep(_MISC_PERIOD_S)
+        """Ping, and give up a peer that does not answer; while its answers cannot be read, only be heard by it."""
+        period_s = min(_MISC_PERIOD_S, self._client.keepalive / 4)
+        spoke_s = self._loop.time()
+        while True:
+            now_s = self._loop.time()
+            if not self._is_paused and now_s >= self._judged_after_s:
+                if self._client.loop_misc() != MQTT_ERR_SUCCESS:
+                    return
+            elif now_s >= spoke_s + self._client.keepalive / 2:
+                self._client.unsubscribe(_NOBODYS)  # paho-mqtt takes a ping without an answer for a loss
+                spoke_s = now_s
+            await asyncio.sleep(period_s)

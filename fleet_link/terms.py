@@ -12,7 +12,9 @@ from paho.mqtt.properties import Properties
 from fleet_contract import Outgoing
 from fleet_link.address import BrokerAddress
 
+AT_MOST_ONCE: Final = 0
 AT_LEAST_ONCE: Final = 1
+_MOST_WAITING: Final = 2_000  # of what wants an answer: a broker that gives none must not fill our memory
 _PAHO_LOG: Final = logging.getLogger("mqtt")
 _PAHO_LOG.setLevel(logging.WARNING)  # it would tell of every packet
 
@@ -45,6 +47,7 @@ def make_client(address: BrokerAddress, terms: Terms) -> Client:
     )
     client.enable_logger(_PAHO_LOG)
     client.max_inflight_messages_set(terms.max_in_flight)
+    client.max_queued_messages_set(_MOST_WAITING)
     if address.username is not None:
         client.username_pw_set(address.username, address.password)
     if address.tls is not None:

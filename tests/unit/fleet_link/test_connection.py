@@ -8,13 +8,13 @@ import pytest
 
 from fleet_contract import Outgoing
 from fleet_link import BrokerAddress, Connection, LinkDownError, Terms, VersionRefusedError
-from fleet_link.connection import MOST_UNANSWERED
 from tests.support.patience import HANG_S
 
 ACCEPTED = bytes([0x20, 3, 0, 0, 0])  # CONNACK of MQTT 5 without properties
 AT_MOST_TWO = bytes([0x20, 6, 0, 0, 3, 0x21, 0, 2])  # with a Receive Maximum of 2
 NOT_AUTHORISED = bytes([0x20, 3, 0, 0x87, 0])
 NOT_THIS_VERSION = bytes([0x20, 2, 0, 1])  # as a broker of 3.1.1 says it
+UNSUBSCRIBE = 10  # the kind of a packet
 SHORT = Terms(timeout_s=0.2)  # where silence is waited for; what a busy machine delays is given LONG
 LONG = Terms(timeout_s=HANG_S)
 
@@ -103,13 +103,49 @@ async def test_where_nobody_listens_it_says_so() -> None:
         await Connection.open(address, LONG)
 
 
-async def test_nothing_more_is_taken_from_a_broker_that_answers_nothing() -> None:
-    """What is sent without waiting lies in memory until it is answered."""
-    async with broker(saying(ACCEPTED)) as address:
+async def test_nothing_more_is_taken_from_a_broker_that_reads_nothing() -> None:
+    """What is sent without waiting lies in memory until it is written."""
+    is_over = asyncio.Event()
+
+    async def deaf(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        await packet(reader)
+        writer.write(ACCEPTED)
+        await is_over.wait()
+
+    async with broker(deaf) as address:
         connection = await opened(address)
-        connection.send(messages(MOST_UNANSWERED + 1))
-        with pytest.raises(LinkDownError, match="no answer"):
+        connection.send([Outgoing(topic="t", payload=bytes(1 << 20), is_retained=False)] * 20)
+        with pytest.raises(LinkDownError, match="nothing was taken"):
             await asyncio.wait_for(connection.collect(1, 0.0), HANG_S)
+        is_over.set()
+        await connection.close()
+
+
+async def test_a_broker_that_sends_more_than_it_may_is_read_no_further() -> None:
+    """It fills its own memory, not ours; nothing is lost by it, and it hears from us all the while."""
+    limit, count = 10, 200
+    heard: list[int] = []
+
+    async def flood(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        await packet(reader)
+        writer.write(ACCEPTED)
+        for number in range(1, count + 1):
+            writer.write(bytes([0x32, 6, 0, 1]) + b"t" + number.to_bytes(2) + bytes([0]))
+        while True:
+            kind, _ = await packet(reader)
+            heard.append(kind)
+
+    async with broker(flood) as address:
+        connection = await Connection.open(address, Terms(timeout_s=HANG_S, max_unsettled=limit, keepalive_s=1))
+        found = await connection.collect(count, 0.6)
+        assert len(found) == limit + 1
+        assert heard == [UNSUBSCRIBE]  # of nothing: a ping would have to be answered
+        while len(found) < count:
+            connection.acknowledge(found[-limit - 1 :])
+            more = await connection.collect(count, 0.0)
+            assert len(more) <= limit + 1
+            found += more
+        assert [message.packet_id for message in found] == list(range(1, count + 1))
         await connection.close()
 
 
