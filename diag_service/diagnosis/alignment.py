@@ -8,7 +8,7 @@ from typing import Self
 import numpy as np
 
 from canlog.arrays import BoolArray, FloatArray, Int64Array
-from canlog.jit import kernel
+from canlog.jit import array_kernel, kernel
 from canlog.series import Series
 from clutch_model.calibration import Calibration
 from clutch_model.gears import both_clutches
@@ -92,17 +92,19 @@ def sample_times_s(series: Series, origin_ns: int) -> FloatArray:
     message has no counter, or the sender did not keep to one schedule: then no sample near one end of the shift comes
     within a period of it.
     """
-    times_s: FloatArray = (series.t_ns - origin_ns) * np.float64(NS_TO_S)
-    if series.period_ns <= 0 or len(times_s) == 0 or series.sequence[0] < 0:
-        return times_s
-    period_s = series.period_ns * NS_TO_S
-    scheduled_s: FloatArray = (series.sequence - series.sequence[0]) * np.float64(period_s)
-    delays_s = times_s - scheduled_s
-    earliest_s = float(delays_s.min())
-    ends_s = (float(delays_s[:END_COUNT].min()), float(delays_s[-END_COUNT:].min()))
-    if max(ends_s) - earliest_s > period_s:
-        return times_s
-    return scheduled_s + earliest_s
+    times_s = np.empty(len(series.t_ns))
+    _free_of_jitter(series.t_ns, series.sequence, origin_ns, series.period_ns * NS_TO_S, times_s)
+    return times_s
+
+
+def read_at(series: Series, at: FloatArray, origin_ns: int, unit_ns: float) -> FloatArray:
+    """Return what a signal reads at rising times, shape (n,): linear between samples, constant beyond both ends.
+
+    Times are counted from ``origin_ns`` in units of so many nanoseconds; the signal has one sample at least.
+    """
+    reading = np.empty(len(at))
+    _read_at(series.t_ns, series.value, origin_ns, unit_ns, at, reading)
+    return reading
 
 
 def segment_centres_s(times_s: FloatArray, speed_rad_s: FloatArray, segment_rad: float) -> FloatArray:
@@ -170,15 +172,25 @@ def align(times: SampleTimes, event: Event, oil_k: float, gaps_s: FloatArray) ->
         pressure=(on_grid[Signal.CLUTCH1_PRESSURE], on_grid[Signal.CLUTCH2_PRESSURE]),
         expected_pa=both_clutches(_expected_pa(event, command, grid_s) for command in commands),
         oil_k=oil_k,
-        is_seen=~np.any((grid_s > gaps_s[:, :1]) & (grid_s < gaps_s[:, 1:]), axis=0),
+        is_seen=_is_seen(grid_s, gaps_s),
     )
+
+
+def _is_seen(grid_s: FloatArray, gaps_s: FloatArray) -> BoolArray:
+    """Return which points of the grid lie in no gap, shape (len(grid),)."""
+    is_seen = np.ones(len(grid_s), np.bool_)
+    for start_s, stop_s in gaps_s:
+        is_seen[grid_s.searchsorted(start_s, "right") : grid_s.searchsorted(stop_s)] = False
+    return is_seen
 
 
 def compile_alignment() -> None:
     """Have everything compiled before the first shift comes: it must not wait for it."""
     ends, one = np.array([0.0, 1.0]), np.zeros((1, 2))
     Resampled.of(ends, ends, ends).to_samples(one, slice(None))
-    _lag_behind(ends, 1.0, np.empty(2))
+    _read_at(np.arange(2), ends, 0, 1.0, ends, np.empty(2))
+    _free_of_jitter(np.arange(2), np.arange(2), 0, 1.0, np.empty(2))
+    _lag_behind(ends, ends, ends, 1.0, np.empty(2))
 
 
 def _expected_pa(event: Event, command: Signal, grid_s: FloatArray) -> FloatArray | None:
@@ -186,18 +198,66 @@ def _expected_pa(event: Event, command: Signal, grid_s: FloatArray) -> FloatArra
     series = event.columns.get(command)
     if series is None or not len(series.t_ns):
         return None
-    commanded_pa = np.interp(grid_s, sample_times_s(series, event.start_ns), series.value)
-    expected_pa = np.empty_like(commanded_pa)
-    _lag_behind(commanded_pa, GRID_S / COMMAND_LAG_S, expected_pa)
+    expected_pa = np.empty_like(grid_s)
+    times_s = sample_times_s(series, event.start_ns)
+    _lag_behind(times_s, series.value, grid_s, GRID_S / COMMAND_LAG_S, expected_pa)
     return expected_pa
 
 
-@kernel
-def _lag_behind(target: FloatArray, share: float, lagging: FloatArray) -> None:
-    value = target[0]
-    for row in range(len(target)):
-        value += (target[row] - value) * share
-        lagging[row] = value
+@array_kernel
+def _read_at(
+    t_ns: Int64Array, value: FloatArray, origin_ns: int, unit_ns: float, at: FloatArray, reading: FloatArray
+) -> None:
+    sample, last = 0, len(t_ns) - 1
+    for row in range(len(at)):
+        while sample < last and (t_ns[sample + 1] - origin_ns) / unit_ns <= at[row]:
+            sample += 1
+        before = (t_ns[sample] - origin_ns) / unit_ns
+        reading[row] = value[sample]
+        if sample < last and before < at[row]:
+            step = (t_ns[sample + 1] - origin_ns) / unit_ns - before
+            reading[row] += (value[sample + 1] - value[sample]) / step * (at[row] - before)
+
+
+@array_kernel
+def _free_of_jitter(
+    t_ns: Int64Array, sequence: Int64Array, origin_ns: int, period_s: float, times_s: FloatArray
+) -> None:
+    """Fill in when samples were taken: by the sender's schedule, or as received where there is none to be seen."""
+    count = len(t_ns)
+    for row in range(count):
+        times_s[row] = (t_ns[row] - origin_ns) * NS_TO_S
+    if period_s <= 0.0 or count == 0 or sequence[0] < 0:
+        return
+    at_begin_s, at_end_s, earliest_s = np.inf, np.inf, np.inf
+    for row in range(count):
+        delay_s = times_s[row] - (sequence[row] - sequence[0]) * period_s
+        earliest_s = min(earliest_s, delay_s)
+        if row < END_COUNT:
+            at_begin_s = min(at_begin_s, delay_s)
+        if row >= count - END_COUNT:
+            at_end_s = min(at_end_s, delay_s)
+    if max(at_begin_s, at_end_s) - earliest_s > period_s:
+        return
+    for row in range(count):
+        times_s[row] = (sequence[row] - sequence[0]) * period_s + earliest_s
+
+
+@array_kernel
+def _lag_behind(times_s: FloatArray, value: FloatArray, grid_s: FloatArray, share: float, lagging: FloatArray) -> None:
+    """Fill in a signal on the grid, linear between samples and constant beyond, with a first-order lag behind it."""
+    sample, last, lagged = 0, len(times_s) - 1, np.nan
+    for row in range(len(grid_s)):
+        while sample < last and times_s[sample + 1] <= grid_s[row]:
+            sample += 1
+        target = value[sample]
+        if sample < last and times_s[sample] < grid_s[row]:
+            rise = (value[sample + 1] - value[sample]) / (times_s[sample + 1] - times_s[sample])
+            target += rise * (grid_s[row] - times_s[sample])
+        if row == 0:
+            lagged = target
+        lagged += (target - lagged) * share
+        lagging[row] = lagged
 
 
 @kernel

@@ -10,7 +10,12 @@ from diag_service.diagnosis.condition.indices import compile_indices, measure
 from diag_service.diagnosis.events import Event
 from diag_service.diagnosis.friction import Estimator, Posterior
 from diag_service.diagnosis.friction.estimator import without_friction
-from diag_service.diagnosis.quality.data_quality import QualityBasis, data_quality, reasons_against
+from diag_service.diagnosis.quality.data_quality import (
+    QualityBasis,
+    compile_data_quality,
+    data_quality,
+    reasons_against,
+)
 from diag_service.diagnosis.records import ClutchVerdict, Reason, ShiftEstimate, ShiftIndices, Status, Tier
 from diag_service.diagnosis.shifts.shifts import DriveFinder
 from diag_service.diagnosis.summary import Capability
@@ -36,6 +41,7 @@ class Stages:
         self._finder = DriveFinder(decoder.signals, calibration, decoder.gears)
         self.tier = tier_of(decoder.signals, knows_gears=knows_gears(decoder))
         self._estimator = Estimator(calibration)
+        compile_data_quality()
         compile_indices()
         if self.tier is Tier.FRICTION:
             self._estimator.prepare()

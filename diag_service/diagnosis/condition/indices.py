@@ -14,6 +14,7 @@ from canlog.jit import array_kernel
 from canlog.series import Series
 from clutch_model.calibration import Calibration
 from clutch_model.gears import clutch_of_gear
+from diag_service.diagnosis.alignment import read_at
 from diag_service.diagnosis.columns import Signal
 from diag_service.diagnosis.events import EndReason, Event
 from diag_service.diagnosis.records import ShiftIndices
@@ -45,7 +46,7 @@ class _Grid:
         series = self.event.columns.get(signal)
         if series is None or len(series.t_ns) < 2:
             return None
-        return np.interp(self.t_s, _since(series, self.event), series.value)
+        return read_at(series, self.t_s, self.event.start_ns, NS_PER_S)
 
 
 def measure(event: Event, calibration: Calibration) -> ShiftIndices:

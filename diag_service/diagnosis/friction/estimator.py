@@ -37,7 +37,7 @@ from diag_service.diagnosis.quality.plausibility import (
     plausibility_faults,
     zero_has_jumped,
 )
-from diag_service.diagnosis.quality.usability import Samples, aligned, usable_samples
+from diag_service.diagnosis.quality.usability import Samples, aligned, compile_usability, usable_samples
 from diag_service.diagnosis.records import Reason, ShiftEstimate, Status
 
 ALGORITHM_VERSION = "torque-impulse-7"
@@ -75,6 +75,7 @@ class Estimator:
     def prepare(self) -> None:
         """Have everything compiled before the first shift comes: it must not wait for it."""
         compile_alignment()
+        compile_usability()
         compile_plausibility()
         compile_balance(self._calibration)
         compile_film(self._calibration)

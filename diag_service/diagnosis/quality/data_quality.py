@@ -5,19 +5,21 @@ part that cannot be judged, because the bus lacks its signals, is left out. Belo
 """
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from datetime import UTC, date, datetime
 from typing import Final
 
 import numpy as np
 
+from canlog.arrays import FloatArray, Int64Array
 from canlog.e2e.e2e_state import E2eState
+from canlog.jit import array_kernel
 from canlog.series import Series
 from diag_service.diagnosis.columns import BALANCE_SIGNALS, Columns, Signal
 from diag_service.diagnosis.events import Event
+from diag_service.diagnosis.quality.agreement import agreement, compile_agreement
 from diag_service.diagnosis.quality.limits import LIMITS, QualityLimits
-from diag_service.diagnosis.quality.plausibility import agreement
 from diag_service.diagnosis.records import DataQuality, QualityPart, Reason
 
 _DAYS_PER_YEAR: Final = 365.25
@@ -43,10 +45,11 @@ class QualityBasis:
 
 def data_quality(event: Event, basis: QualityBasis, limits: QualityLimits = LIMITS) -> DataQuality:
     """Return how far the data of a shift can be believed."""
+    numbered = _numbered(event.columns)
     judged = {
-        QualityPart.FRAMES: _frames(event.columns, limits),
+        QualityPart.FRAMES: _frames(numbered, limits),
         QualityPart.PROTECTION: _protection(event, basis.mandatory_messages, limits),
-        QualityPart.TIME: _time(event.columns, limits),
+        QualityPart.TIME: _time(numbered, limits),
         QualityPart.SATURATION: _saturation(event.columns, basis.scale_ends, limits),
         QualityPart.PLAUSIBILITY: agreement(event, limits),
         QualityPart.CALIBRATION: _calibration(event.end_ns, basis.calibration_date, limits),
@@ -63,19 +66,24 @@ def reasons_against(quality: DataQuality, limits: QualityLimits = LIMITS) -> tup
     return named or (Reason.LOW_DATA_QUALITY,)
 
 
+def compile_data_quality() -> None:
+    """Have everything compiled before the first shift comes: it must not wait for it."""
+    compile_agreement()
+    _late_count(np.zeros(1, np.int64), np.zeros(1, np.int64), 1, 1.0)
+
+
 def _numbered(columns: Columns) -> list[Series]:
     """Return the signals of the torque balance whose message counts its transmissions."""
     series = [columns[signal] for signal in BALANCE_SIGNALS if signal in columns]
     return [one for one in series if len(one.t_ns) and one.sequence[0] >= 0]
 
 
-def _frames(columns: Columns, limits: QualityLimits) -> float | None:
+def _frames(numbered: Sequence[Series], limits: QualityLimits) -> float | None:
     """Judge the share of frames that never came or could not be used."""
-    series = _numbered(columns)
-    sent = sum(int(one.sequence[-1] - one.sequence[0]) + 1 for one in series)
+    sent = sum(int(one.sequence[-1] - one.sequence[0]) + 1 for one in numbered)
     if not sent:
         return None
-    return limits.lost_ratio.score(1.0 - sum(len(one.t_ns) for one in series) / sent)
+    return limits.lost_ratio.score(1.0 - sum(len(one.t_ns) for one in numbered) / sent)
 
 
 def _protection(event: Event, mandatory: frozenset[str], limits: QualityLimits) -> float | None:
@@ -89,32 +97,45 @@ def _protection(event: Event, mandatory: frozenset[str], limits: QualityLimits) 
     return float(limits.optional_message_ratio ** sum(states[message] is E2eState.INVALID for message in failed))
 
 
-def _time(columns: Columns, limits: QualityLimits) -> float | None:
+def _time(numbered: Sequence[Series], limits: QualityLimits) -> float | None:
     """Judge how many samples came much later than the schedule that their numbers show."""
-    series = [one for one in _numbered(columns) if one.period_ns > 0]
+    series = [one for one in numbered if one.period_ns > 0]
     if not series:
         return None
-    late, total = 0, 0
-    for one in series:
-        delay_ns = (one.t_ns - one.t_ns[0]) - (one.sequence - one.sequence[0]) * one.period_ns
-        late += int(np.count_nonzero(delay_ns - delay_ns.min() > limits.late_periods * one.period_ns))
-        total += len(one.t_ns)
-    return 1.0 - late / total
+    late = sum(_late_count(one.t_ns, one.sequence, one.period_ns, limits.late_periods) for one in series)
+    return 1.0 - late / sum(len(one.t_ns) for one in series)
+
+
+@array_kernel
+def _late_count(t_ns: Int64Array, sequence: Int64Array, period_ns: int, late_periods: float) -> int:
+    """Return how many samples came so many periods later than the schedule of the one that came earliest by it."""
+    earliest_ns = t_ns[0] - sequence[0] * period_ns
+    for row in range(len(t_ns)):
+        earliest_ns = min(earliest_ns, t_ns[row] - sequence[row] * period_ns)
+    count = 0
+    for row in range(len(t_ns)):
+        count += t_ns[row] - sequence[row] * period_ns - earliest_ns > late_periods * period_ns
+    return count
 
 
 def _saturation(
     columns: Columns, scale_ends: Mapping[Signal, tuple[float, float]], limits: QualityLimits
 ) -> float | None:
     """Judge how many samples lie at an end of their scale; zero is no end: that is where sensors rest."""
-    worst: float | None = None
-    for signal in BALANCE_SIGNALS:
-        if signal in scale_ends and signal in columns and len(columns[signal].value):
-            low, high = scale_ends[signal]
-            value = columns[signal].value
-            margin = 1e-6 * (high - low)
-            is_at_end = (value >= high - margin) | ((value <= low + margin) & (low < 0.0))
-            worst = max(worst or 0.0, float(np.mean(is_at_end)))
-    return None if worst is None else limits.saturated_ratio.score(worst)
+    shares = [
+        _share_at_ends(columns[signal].value, *scale_ends[signal])
+        for signal in BALANCE_SIGNALS
+        if signal in scale_ends and signal in columns and len(columns[signal].value)
+    ]
+    return limits.saturated_ratio.score(max(shares)) if shares else None
+
+
+def _share_at_ends(value: FloatArray, low: float, high: float) -> float:
+    margin = 1e-6 * (high - low)
+    count = int(np.count_nonzero(value >= high - margin))
+    if low < 0.0:
+        count += int(np.count_nonzero(value <= low + margin))
+    return count / len(value)
 
 
 def _calibration(end_ns: int, made: date | None, limits: QualityLimits) -> float | None:

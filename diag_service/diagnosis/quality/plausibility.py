@@ -1,9 +1,8 @@
 """Signals held against each other: what the torque balance alone would take for friction.
 
 A sensor that lies changes the balance, and chi-square sees that, unless another friction would explain it as well: a
-pressure that reads too low, a slip that reads too high. No check here needs friction. `agreement` looks at the samples
-of any vehicle, over a whole shift; `plausibility_faults` at the aligned signals of the torque balance, in its slip
-window and moment by moment.
+pressure that reads too low, a slip that reads too high. No check here needs friction. The aligned signals of the torque
+balance are looked at in its slip window and moment by moment; what the samples of a whole shift say is in `agreement`.
 """
 
 import math
@@ -12,27 +11,22 @@ from typing import Final
 
 import numpy as np
 
-from canlog.arrays import BoolArray, FloatArray, Int64Array
-from canlog.jit import kernel
+from canlog.arrays import BoolArray, FloatArray
+from canlog.jit import array_kernel, kernel
 from canlog.series import Series
 from clutch_model.gears import clutch_of_gear
 from diag_service.diagnosis.alignment import COMMAND_LAG_S, GRID_S, NS_TO_S, AlignedSignals
-from diag_service.diagnosis.columns import BALANCE_SIGNALS, Columns, Signal
+from diag_service.diagnosis.columns import BALANCE_SIGNALS, Signal
 from diag_service.diagnosis.events import EndReason, Event, EventKind
+from diag_service.diagnosis.quality.agreement import SHAFT_GEARS
+from diag_service.diagnosis.quality.averages import mean, median
 from diag_service.diagnosis.quality.limits import LIMITS, QualityLimits
 from diag_service.diagnosis.records import Reason
 
-_LAG_NS: Final = round(COMMAND_LAG_S / NS_TO_S)
 _LEAST: Final = 0.0  # what a sensor of pressure or speed cannot show less of: it repeats that with reason
 _STD_OF_SECOND_DIFFERENCE: Final = 1.4826 / math.sqrt(6.0)  # of white noise, over the median of their sizes
 _ROUNDING: Final = 1e-6  # of a variance: far above what doubles lose, far below what a measurement tells
-_SHAFT_GEARS: Final = (Signal.INPUT1_GEAR, Signal.INPUT2_GEAR)
 _WITHOUT_LOCK: Final = frozenset({EventKind.CREEP, EventKind.REGEAR})  # a car may stop first; both clutches are open
-_WHEELS: Final = (Signal.WHEEL_FL_SPEED, Signal.WHEEL_FR_SPEED, Signal.WHEEL_RL_SPEED, Signal.WHEEL_RR_SPEED)
-_PRESSURES: Final = (
-    (Signal.CLUTCH1_PRESSURE, Signal.CLUTCH1_PRESSURE_COMMAND),
-    (Signal.CLUTCH2_PRESSURE, Signal.CLUTCH2_PRESSURE_COMMAND),
-)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -51,15 +45,6 @@ class SlippingClutch:
     rows: slice  # of the grid, in which it alone is loaded and slips
     pressure_zero_pa: float  # what its pressure sensor reads without pressure
     touch_pressure_pa: float  # below it the return springs hold the pressure, whatever is commanded
-
-
-def agreement(event: Event, limits: QualityLimits = LIMITS) -> float | None:
-    """Return how well sensors agree that must, 0 to 1; the worst pair counts, None if there is no pair."""
-    columns = event.columns
-    # With both clutches open nothing is asked of them, and a piston that returns holds the pressure of its spring.
-    pressures = None if event.kind is EventKind.REGEAR else _pressures(columns, limits)
-    judged = (_wheels(event, limits), _hub(columns, limits), pressures)
-    return min((value for value in judged if value is not None), default=None)
 
 
 def plausibility_faults(
@@ -89,8 +74,11 @@ def zero_has_jumped(known: PressureZeros, measured: PressureZeros, limits: Quali
 
 def compile_plausibility() -> None:
     """Have everything compiled before the first shift comes: it must not wait for it."""
-    _longest_run(np.zeros(2))
-    _noise_in_steps(np.zeros(2), 0, 1)
+    one = np.zeros(2)
+    _longest_run(one)
+    _noise_in_steps(one, 0, 1)
+    _off_command(one, one, 0, np.ones(2, np.bool_), 0.0, 0.0, np.empty(2))
+    _largest_sum(one, 1)
 
 
 def is_frozen(series: Series, signal: Signal, limits: QualityLimits = LIMITS) -> bool:
@@ -103,12 +91,12 @@ def is_frozen(series: Series, signal: Signal, limits: QualityLimits = LIMITS) ->
     run_count, first, longest = _longest_run(value)
     if signal is not Signal.ENGINE_TORQUE and value[first] <= _LEAST:
         return False
-    if _noise_in_steps(value, first, first + longest) < limits.least_noise_steps:
-        return False
     others = len(value) - longest
     repeats = others - (run_count - 1)
     share = (repeats + 1.0) / (others + 2.0)
-    return longest > 1.0 + math.log(limits.repeats_chance / len(value)) / math.log(share)
+    if longest <= 1.0 + math.log(limits.repeats_chance / len(value)) / math.log(share):
+        return False
+    return _noise_in_steps(value, first, first + longest) >= limits.least_noise_steps
 
 
 @kernel
@@ -152,24 +140,24 @@ def speed_gap_rad_s(
     gaps = [shaft_gap_rad_s(signals, rows, limits) for rows in geared_stretches(event, grid_s, clutch, limits)]
     if event.from_gear != event.to_gear and event.kind is not EventKind.REGEAR:
         locked = signals.slip_rad_s(clutch_of_gear(event.from_gear))
-        gaps.append(abs(float(np.mean(locked[grid_s < grid_s[0] + limits.locked_s]))))
+        gaps.append(abs(mean(locked[: grid_s.searchsorted(grid_s[0] + limits.locked_s)])))
     if event.kind not in _WITHOUT_LOCK and event.end_reason is EndReason.COMPLETE:
-        closed = signals.slip_rad_s(clutch_of_gear(event.to_gear))[grid_s >= end_s - limits.locked_s]
-        gaps.append(0.0 if _is_settling(closed, limits) else abs(float(np.mean(closed))))
+        closed = signals.slip_rad_s(clutch_of_gear(event.to_gear))[grid_s.searchsorted(end_s - limits.locked_s) :]
+        gaps.append(0.0 if _is_settling(closed, limits) else abs(mean(closed)))
     return max(gaps, default=0.0)
 
 
 def _is_settling(slip_rad_s: FloatArray, limits: QualityLimits) -> bool:
     """Return whether a clutch still slips, as in a coast change; what a sensor reads too much changes less fast."""
     middle = len(slip_rad_s) // 2
-    change_rad_s = float(np.mean(slip_rad_s[middle:]) - np.mean(slip_rad_s[:middle]))
-    return abs(change_rad_s) > limits.settling_rad_s
+    return abs(mean(slip_rad_s[middle:]) - mean(slip_rad_s[:middle])) > limits.settling_rad_s
 
 
 def hub_gap_rad_s(signals: AlignedSignals, limits: QualityLimits = LIMITS) -> float:
     """Return the largest mean difference [rad/s] between engine and hub, which a torsion damper ties together."""
-    during = signals.grid_s >= 0.0  # before a launch the engine may be started
-    return _largest_mean((signals.engine_speed.on_grid - signals.hub_speed.on_grid)[during], limits.speeds_mean_s)
+    start = signals.grid_s.searchsorted(0.0)  # before a launch the engine may be started
+    apart_rad_s = signals.engine_speed.on_grid[start:] - signals.hub_speed.on_grid[start:]
+    return _largest_mean(apart_rad_s, limits.speeds_mean_s)
 
 
 def hub_limit_rad_s(event: Event, limits: QualityLimits = LIMITS) -> float:
@@ -185,7 +173,7 @@ def geared_stretches(
     Where the shafts say their gears, what is near a new one is left out: the shaft rings, and its message may be late.
     Where they do not, they stand in gear from a moment before the slip window on.
     """
-    gears = [event.columns.get(signal) for signal in _SHAFT_GEARS]
+    gears = [event.columns.get(signal) for signal in SHAFT_GEARS]
     first, second = gears
     if first is None or second is None:
         return [slice(max(0, clutch.rows.start - round(limits.in_gear_s / GRID_S)), len(grid_s))]
@@ -211,7 +199,7 @@ def shaft_gap_rad_s(signals: AlignedSignals, rows: slice, limits: QualityLimits 
     is_turning = second > limits.turning_rad_s  # at a standstill there is no ratio
     if not is_turning.any():
         return 0.0
-    ratio = float(np.median(first[is_turning] / second[is_turning]))
+    ratio = median(first[is_turning] / second[is_turning])
     return _largest_mean(first - ratio * second, limits.speeds_mean_s)
 
 
@@ -223,91 +211,74 @@ def _misses_command(signals: AlignedSignals, clutch: SlippingClutch, limits: Qua
     expected_pa = signals.expected_pa[clutch.number - 1]
     if expected_pa is None:
         return False
-    read_pa = signals.pressure[clutch.number - 1].on_grid - clutch.pressure_zero_pa
-    has_arrived = _has_arrived(read_pa[clutch.rows], expected_pa[clutch.rows], clutch.touch_pressure_pa, limits)
+    first, touch_pa = clutch.rows.start, clutch.touch_pressure_pa
+    read_pa = signals.pressure[clutch.number - 1].on_grid[clutch.rows] - clutch.pressure_zero_pa
+    judged_pa = expected_pa[clutch.rows]
+    has_arrived = _has_arrived(read_pa, judged_pa, touch_pa, limits)
     if np.count_nonzero(has_arrived) * GRID_S < limits.pressure_mean_s:
         return False
-    error_pa = np.maximum(read_pa, clutch.touch_pressure_pa) - np.maximum(expected_pa, clutch.touch_pressure_pa)
-    following_pa = np.abs(np.gradient(expected_pa, GRID_S)) * COMMAND_LAG_S  # what the command is still ahead
-    beyond_pa = np.sign(error_pa) * np.maximum(np.abs(error_pa) - limits.following_ratio * following_pa, 0.0)
-    error_pa, beyond_pa, judged_pa = (one[clutch.rows] for one in (error_pa, beyond_pa, expected_pa))
     by_clock_pa = limits.command_clock_s * abs(float(judged_pa[-1] - judged_pa[0])) / (len(judged_pa) * GRID_S)
-    return bool(
-        abs(float(np.mean(error_pa[has_arrived]))) > limits.pressure_window_pa + by_clock_pa
-        or _largest_mean(np.where(has_arrived, beyond_pa, 0.0), limits.pressure_mean_s) > limits.pressure_moment_pa
+    beyond_pa = np.empty_like(read_pa)
+    following_s = limits.following_ratio * COMMAND_LAG_S
+    mean_pa = _off_command(read_pa, expected_pa, first, has_arrived, touch_pa, following_s, beyond_pa)
+    return (
+        abs(mean_pa) > limits.pressure_window_pa + by_clock_pa
+        or _largest_mean(beyond_pa, limits.pressure_mean_s) > limits.pressure_moment_pa
     )
 
 
 def _has_arrived(read_pa: FloatArray, expected_pa: FloatArray, touch_pa: float, limits: QualityLimits) -> BoolArray:
     """Return where a piston presses: not on its way, nor its pressure still rising to the command behind it."""
     has_arrived: BoolArray = read_pa > touch_pa + limits.travel_pa
-    starts = np.flatnonzero(np.diff(has_arrived.astype(np.int8), prepend=1) > 0)
+    starts = np.flatnonzero(has_arrived[1:] > has_arrived[:-1]) + 1
     longest = round(limits.catching_up_s / GRID_S)
     for start in starts.tolist():
         is_behind = expected_pa[start : start + longest] - read_pa[start : start + longest] > limits.pressure_window_pa
-        caught_up = np.flatnonzero(~is_behind)
-        has_arrived[start : start + (int(caught_up[0]) if len(caught_up) else longest)] = False
+        has_arrived[start : start + (longest if is_behind.all() else int(is_behind.argmin()))] = False
     return has_arrived
+
+
+@array_kernel
+def _off_command(
+    read_pa: FloatArray,
+    expected_pa: FloatArray,
+    first: int,
+    has_arrived: BoolArray,
+    touch_pa: float,
+    following_s: float,
+    beyond_pa: FloatArray,
+) -> float:
+    """Return the mean error of a pressure [Pa] where its piston has arrived; fill in by how much it is beyond excuse.
+
+    ``expected_pa`` is of the whole grid, everything else from its row ``first`` on. So much is excused as the command
+    moves in ``following_s``: that far it may be ahead.
+    """
+    total_pa, count = 0.0, 0
+    for row in range(len(read_pa)):
+        beyond_pa[row] = 0.0
+        if has_arrived[row]:
+            before, after = max(first + row - 1, 0), min(first + row + 1, len(expected_pa) - 1)
+            rate_pa_s = (expected_pa[after] - expected_pa[before]) / ((after - before) * GRID_S)
+            error_pa = max(read_pa[row], touch_pa) - max(expected_pa[first + row], touch_pa)
+            beyond_pa[row] = math.copysign(max(abs(error_pa) - following_s * abs(rate_pa_s), 0.0), error_pa)
+            total_pa, count = total_pa + error_pa, count + 1
+    return total_pa / count
 
 
 def _largest_mean(values: FloatArray, span_s: float) -> float:
     """Return the largest magnitude of the running mean over a span of the grid."""
     count = min(round(span_s / GRID_S), len(values))
-    total = np.cumsum(np.insert(values, 0, 0.0))
-    return float(np.max(np.abs(total[count:] - total[:-count])) / count)
+    return _largest_sum(values, count) / count
 
 
-def _wheels(event: Event, limits: QualityLimits) -> float | None:
-    """Compare wheel speeds with the speed of the transmission output: their ratio is one number.
-
-    While a shaft rings in its new gear, so does the output: that tells nothing of the sensors.
-    """
-    columns = event.columns
-    output = columns.get(Signal.OUTPUT_SPEED)
-    if output is None or not len(output.t_ns):
-        return None
-    ratios = []
-    for wheel in (columns[signal] for signal in _WHEELS if signal in columns):
-        turning = _at(output, wheel)
-        is_fast = (wheel.value > limits.least_wheel_m_s) & (turning > 0.0) & ~_is_ringing(event, wheel.t_ns, limits)
-        if is_fast.any():
-            ratios.append(wheel.value[is_fast] / turning[is_fast])
-    if not ratios:
-        return None
-    middle = float(np.median(np.concatenate(ratios)))
-    return limits.wheel_ratio.score(max(float(np.sqrt(np.mean((ratio / middle - 1.0) ** 2))) for ratio in ratios))
-
-
-def _is_ringing(event: Event, t_ns: Int64Array, limits: QualityLimits) -> BoolArray:
-    """Return at which times a shaft swings that has a new gear, as far as it says so."""
-    is_ringing = np.zeros(len(t_ns), np.bool_)
-    for gear in (event.columns[signal] for signal in _SHAFT_GEARS if signal in event.columns):
-        for change_ns in gear.t_ns[1:][np.diff(gear.value) != 0.0].tolist():
-            is_ringing |= np.abs(t_ns - change_ns) * NS_TO_S <= limits.ringing_s
-    return is_ringing
-
-
-def _hub(columns: Columns, limits: QualityLimits) -> float | None:
-    """Compare engine and clutch hub."""
-    engine, hub = columns.get(Signal.ENGINE_SPEED), columns.get(Signal.HUB_SPEED)
-    if engine is None or hub is None or not len(engine.t_ns) or not len(hub.t_ns):
-        return None
-    return limits.hub_mean_rad_s.score(abs(float(np.mean(engine.value - _at(hub, engine)))))
-
-
-def _pressures(columns: Columns, limits: QualityLimits) -> float | None:
-    """Compare clutch pressures with what was commanded a moment before."""
-    differences_pa = [
-        float(np.median(np.abs(pressure.value - _at(command, pressure, _LAG_NS))))
-        for read, commanded in _PRESSURES
-        for pressure, command in ((columns.get(read), columns.get(commanded)),)
-        if pressure is not None and command is not None and len(pressure.t_ns) and len(command.t_ns)
-    ]
-    return limits.pressure_median_pa.score(max(differences_pa)) if differences_pa else None
-
-
-def _at(series: Series, other: Series, lag_ns: int = 0) -> FloatArray:
-    """Return one signal at the times of another, or ``lag_ns`` before them."""
-    origin_ns = int(series.t_ns[0])
-    asked = (other.t_ns - origin_ns - lag_ns).astype(np.float64)
-    return np.interp(asked, (series.t_ns - origin_ns).astype(np.float64), series.value)
+@array_kernel
+def _largest_sum(values: FloatArray, count: int) -> float:
+    """Return the largest magnitude that a sum of so many values in a row has."""
+    until, before, largest = 0.0, 0.0, 0.0  # sums of all values up to the last one, and up to the first one
+    for row in range(len(values)):
+        until += values[row]
+        if row >= count:
+            before += values[row - count]
+        if row >= count - 1:
+            largest = max(largest, abs(until - before))
+    return largest

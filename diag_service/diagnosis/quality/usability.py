@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from canlog.arrays import FloatArray
+from canlog.jit import array_kernel
 from clutch_model.calibration import Calibration
 from diag_service.diagnosis.alignment import (
     NS_TO_S,
@@ -56,7 +57,7 @@ def usable_samples(event: Event, limits: QualityLimits = LIMITS) -> Samples | Re
 def aligned(samples: Samples, calibration: Calibration, limits: QualityLimits = LIMITS) -> AlignedSignals | Reason:
     """Return samples on one clock, latencies as a calibration has them, or why they cannot be."""
     times = measured_times(samples.times, samples.event, calibration)
-    if any(np.any(np.diff(one) <= 0.0) for one in times.values()):
+    if min(_step_range_s(one)[0] for one in times.values()) <= 0.0:
         return Reason.OUT_OF_RANGE  # time runs backwards inside a segment: the receive clock cannot be believed
     return align(times, samples.event, samples.oil_k, gaps_s(times, samples.event, limits))
 
@@ -64,11 +65,21 @@ def aligned(samples: Samples, calibration: Calibration, limits: QualityLimits = 
 def is_lost(times_s: FloatArray, period_ns: int, duration_s: float, limits: QualityLimits = LIMITS) -> bool:
     """Return whether too many samples in a row are missing between the event's start and its end; late ones are not."""
     period_s = _period_s(period_ns, limits)
-    inside_s = times_s[(times_s >= -2.0 * period_s) & (times_s <= duration_s)]
-    if len(inside_s) < 2:
-        return True
-    steps_s = np.diff(inside_s, prepend=min(0.0, float(inside_s[0])), append=max(duration_s, float(inside_s[-1])))
-    return bool(steps_s.max() > limits.lost_periods * period_s)
+    return _longest_silence_s(times_s, -2.0 * period_s, duration_s) > limits.lost_periods * period_s
+
+
+@array_kernel
+def _longest_silence_s(times_s: FloatArray, from_s: float, duration_s: float) -> float:
+    """Return for how long [s] nothing was sampled between the event's start and its end; inf for fewer than 2 samples.
+
+    Samples before the start count from ``from_s`` on.
+    """
+    count, longest_s, latest_s = 0, 0.0, 0.0
+    for time_s in times_s:
+        if from_s <= time_s <= duration_s:
+            since_s = latest_s if count else min(0.0, time_s)
+            count, longest_s, latest_s = count + 1, max(longest_s, time_s - since_s), time_s
+    return max(longest_s, duration_s - latest_s) if count > 1 else np.inf
 
 
 def gaps_s(times: SampleTimes, event: Event, limits: QualityLimits = LIMITS) -> FloatArray:
@@ -77,10 +88,27 @@ def gaps_s(times: SampleTimes, event: Event, limits: QualityLimits = LIMITS) -> 
     found = []
     for signal, times_s in times.items():
         longest_s = limits.gap_periods * _period_s(event.columns[signal].period_ns, limits)
-        found += [times_s[row : row + 2] for row in np.flatnonzero(np.diff(times_s) > longest_s)]
+        if _step_range_s(times_s)[1] > longest_s:
+            found += [times_s[row : row + 2] for row in np.flatnonzero(np.diff(times_s) > longest_s)]
         if duration_s - times_s[-1] > longest_s:
             found.append(np.array((times_s[-1], duration_s)))
     return np.array(found).reshape(-1, 2)
+
+
+@array_kernel
+def _step_range_s(times_s: FloatArray) -> tuple[float, float]:
+    """Return the least and the longest time [s] from one sample to the next; inf and -inf if there is only one."""
+    least_s, longest_s = np.inf, -np.inf
+    for row in range(1, len(times_s)):
+        step_s = times_s[row] - times_s[row - 1]
+        least_s, longest_s = min(least_s, step_s), max(longest_s, step_s)
+    return least_s, longest_s
+
+
+def compile_usability() -> None:
+    """Have everything compiled before the first shift comes: it must not wait for it."""
+    _longest_silence_s(np.zeros(2), 0.0, 0.0)
+    _step_range_s(np.zeros(2))
 
 
 def _period_s(period_ns: int, limits: QualityLimits) -> float:

@@ -15,11 +15,11 @@ from diag_service.diagnosis.events import Event, EventKind
 from diag_service.diagnosis.friction import Posterior
 from diag_service.diagnosis.friction.parameters import State
 from diag_service.diagnosis.friction.preparation import measured_drives, slip_window
+from diag_service.diagnosis.quality.agreement import agreement
 from diag_service.diagnosis.quality.limits import LIMITS, QualityLimits
 from diag_service.diagnosis.quality.plausibility import (
     PressureZeros,
     SlippingClutch,
-    agreement,
     geared_stretches,
     is_frozen,
     plausibility_faults,
