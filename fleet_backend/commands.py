@@ -13,10 +13,10 @@ from typing import Final
 from sqlalchemy import Engine
 
 from fleet_backend import lots, queries, report
-from fleet_backend.alarm_words import parse_mail, parse_secret, parse_service_km, parse_silence, parse_webhook
 from fleet_backend.alarms.carriers import Carrier, Mail, Webhook
 from fleet_backend.alarms.mqtt import Mqtt
 from fleet_backend.alarms.rules import Limits
+from fleet_backend.alarms.words import parse_mail, parse_secret, parse_service_km, parse_silence, parse_webhook
 from fleet_backend.application import run_ingest
 from fleet_backend.arguments import BROKER_VARIABLE
 from fleet_backend.choices import Axis
