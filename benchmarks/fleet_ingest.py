@@ -51,7 +51,8 @@ def workers(address: str, database: str, count: int) -> Iterator[None]:
         for child in children:
             child.terminate()
         for child in children:
-            child.communicate()
+            _, told = child.communicate()
+            sys.stdout.writelines(line for line in told.splitlines(keepends=True) if "WARNING" in line)
 
 
 def wait_until_listening(child: "subprocess.Popen[str]") -> None:

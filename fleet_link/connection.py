@@ -165,10 +165,10 @@ class Connection:
         while self._client.want_write() and not self._is_lost.is_set():
             self._wrote.clear()
             try:
-                async with asyncio.timeout(self._terms.timeout_s):
+                async with asyncio.timeout(self._terms.stall_s):
                     await self._wrote.wait()
             except TimeoutError:
-                raise LinkDownError(f"nothing was taken in {self._terms.timeout_s:g} s") from None
+                raise LinkDownError(f"nothing was taken in {self._terms.stall_s:g} s") from None
 
     def acknowledge(self, messages: Sequence[Message]) -> None:
         """Tell the broker that messages have arrived for good; it then sends as many others."""

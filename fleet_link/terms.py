@@ -26,6 +26,9 @@ class Terms:
     is_version_5: bool = True  # else 3.1.1
     identifier: str | None = None  # None: the broker gives one
     timeout_s: float = 5.0  # for a connection or an acknowledgement
+    stall_s: float = (
+        60.0  # for taking more of what we send; a broker in a storm may look at one vehicle after the other
+    )
     keepalive_s: int = 20  # a dead peer is known after 1.5 times this
     will: Outgoing | None = None  # what the broker says for us when we vanish
     session_s: int = 0  # how long the broker keeps what is for us while we are away

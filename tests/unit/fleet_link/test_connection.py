@@ -15,7 +15,7 @@ AT_MOST_TWO = bytes([0x20, 6, 0, 0, 3, 0x21, 0, 2])  # with a Receive Maximum of
 NOT_AUTHORISED = bytes([0x20, 3, 0, 0x87, 0])
 NOT_THIS_VERSION = bytes([0x20, 2, 0, 1])  # as a broker of 3.1.1 says it
 UNSUBSCRIBE = 10  # the kind of a packet
-SHORT = Terms(timeout_s=0.2)  # where silence is waited for; what a busy machine delays is given LONG
+SHORT = Terms(timeout_s=0.2, stall_s=0.2)  # where silence is waited for; what a busy machine delays is given LONG
 LONG = Terms(timeout_s=HANG_S)
 
 Script = Callable[[asyncio.StreamReader, asyncio.StreamWriter], Awaitable[None]]
